@@ -1,0 +1,1 @@
+"""Certified 3D trajectories on the ground, from Gaussian-process distance fields."""

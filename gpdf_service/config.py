@@ -1,0 +1,84 @@
+"""Configuration: one frozen dataclass a stage, nested once. Every default has its unit and its reason under it."""
+
+from __future__ import annotations
+
+import dataclasses
+import typing
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+from gpdf_service.errors import ConfigError
+
+
+@dataclass(frozen=True, slots=True)
+class PerceptionConfig:
+    """Ground, levels and the limits of the ground."""
+
+    max_step: float = 0.4
+    """[m] Highest step that may join two pieces of ground: over what any body here climbs (0.37), under a seat (0.42)."""
+    min_headroom: float = 0.1
+    """[m] Least room over a piece of ground that is worth keeping: the height of the lowest body, a Roomba."""
+
+
+@dataclass(frozen=True, slots=True)
+class FieldConfig:
+    """Gaussian-process distance fields."""
+
+    length_scale_factor: float = 1.5
+    """[-] Length scale over point spacing: 1 to 1.7 is the sweet spot measured for the squared exponential kernel."""
+    noise_variance: float = 0.09
+    """[-] Observation noise of the occupancy: keeps the kernel matrix well conditioned and its sums positive."""
+
+
+@dataclass(frozen=True, slots=True)
+class SearchConfig:
+    """Quadtree, connectivity graph and A*."""
+
+
+@dataclass(frozen=True, slots=True)
+class PlanningConfig:
+    """CHOMP, certificate and time parametrisation."""
+
+
+@dataclass(frozen=True, slots=True)
+class Config:
+    """Everything that can be set; works as it is."""
+
+    perception: PerceptionConfig = field(default_factory=PerceptionConfig)
+    fields: FieldConfig = field(default_factory=FieldConfig)
+    search: SearchConfig = field(default_factory=SearchConfig)
+    planning: PlanningConfig = field(default_factory=PlanningConfig)
+
+    @classmethod
+    def from_mapping(cls, values: Mapping[str, Any]) -> Config:
+        """Build from nested mappings, for example a parsed TOML file.
+
+        Raises:
+            ConfigError: an unknown key, a wrong type or a value out of range.
+        """
+        return _build(cls, values, "config")
+
+
+T = typing.TypeVar("T")
+
+
+def _build(cls: type[T], values: Mapping[str, Any], where: str) -> T:
+    if not isinstance(values, Mapping):
+        raise ConfigError(where, f"{values!r}", "It must be a table of keys and values.")
+    hints = typing.get_type_hints(cls)
+    unknown = sorted(set(values) - set(hints))
+    if unknown:
+        raise ConfigError(f"{where}.{unknown[0]}", "there is no such key", f"Keys here: {', '.join(hints)}.")
+    made: dict[str, Any] = {}
+    for key, value in values.items():
+        kind = hints[key]
+        if dataclasses.is_dataclass(kind):
+            made[key] = _build(typing.cast("type[Any]", kind), value, f"{where}.{key}")
+        elif kind is float and isinstance(value, int | float) and not isinstance(value, bool):
+            made[key] = float(value)
+        elif isinstance(kind, type) and isinstance(value, kind) and not (kind is int and isinstance(value, bool)):
+            made[key] = value
+        else:
+            raise ConfigError(f"{where}.{key}", f"{value!r}", f"It must be of type {getattr(kind, '__name__', kind)}.")
+    return cls(**made)

@@ -1,0 +1,222 @@
+"""Data that the stages hand to each other: agents, field samples, statuses, trajectories, certificates.
+
+Frames: everything is in the scene frame, z up. Units: m, rad, s.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from enum import StrEnum
+from math import radians
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gpdf_service.errors import RequestError, UnknownAgentError
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+BoolArray = NDArray[np.bool_]
+
+
+@dataclass(frozen=True, slots=True)
+class Agent:
+    """A body that moves on the ground, modelled as an upright cylinder.
+
+    The cylinder's radius is half the longer side of the footprint, Uttsha et al. 2024, Table 1.
+
+    Attributes:
+        name: Name for messages and logs.
+        height: Height of the body above its contact point [m].
+        width: Footprint across the direction of travel [m].
+        length: Footprint along the direction of travel [m].
+        max_step: Highest step that it climbs or descends in one go [m].
+        max_slope: Steepest ground that it stands on [rad].
+        speed: Cruising speed [m/s].
+        acceleration: Highest acceleration along the path and across it [m/s²].
+        turn_rate: Highest yaw rate [rad/s].
+    """
+
+    name: str
+    height: float
+    width: float
+    length: float
+    max_step: float
+    max_slope: float
+    speed: float
+    acceleration: float
+    turn_rate: float
+
+    def __post_init__(self) -> None:
+        for key in ("height", "width", "length", "speed", "acceleration", "turn_rate"):
+            value = getattr(self, key)
+            if not (np.isfinite(value) and value > 0):
+                raise RequestError(f"agent {self.name!r}", f"{key} = {value!r}", "It must be a positive number.")
+        if not (np.isfinite(self.max_step) and self.max_step >= 0):
+            raise RequestError(f"agent {self.name!r}", f"max_step = {self.max_step!r}", "It must be ≥ 0 m.")
+        if not 0 <= self.max_slope < np.pi / 2:
+            raise RequestError(f"agent {self.name!r}", f"max_slope = {self.max_slope!r}", "It is in radians, 0 to π/2.")
+
+    @property
+    def radius(self) -> float:
+        """Radius of the cylinder [m]."""
+        return 0.5 * max(self.width, self.length)
+
+
+# Measures: Uttsha et al. 2024, Table 1. Steps: 0.35 m is what the paper lets humans and quadrupeds take (its platform),
+# with 2 cm over it so that a step of exactly that height is not refused for the last millimetre of noise; a Roomba's
+# wheels take a 2 cm sill, Pepper's 1.5 cm. Slopes: stairs reach 38°, a quadruped's data sheet says 30°, wheels 5° to 10°.
+# Speeds: walking pace with a cane 0.7 to 1.0 m/s; the robots' data sheets.
+AGENTS: dict[str, Agent] = {
+    agent.name: agent
+    for agent in (
+        Agent("roomba", 0.1, 0.34, 0.35, 0.02, radians(10), 0.3, 0.5, 2.0),
+        Agent("spot", 0.7, 0.19, 1.1, 0.37, radians(30), 1.0, 1.0, 1.5),
+        Agent("pepper", 1.2, 0.48, 0.42, 0.015, radians(5), 0.55, 0.5, 1.0),
+        Agent("human", 2.0, 0.5, 0.32, 0.37, radians(30), 0.8, 0.6, 1.5),
+    )
+}
+
+
+def resolve_agent(agent: str | Agent) -> Agent:
+    """Look an agent up by name; an `Agent` passes through.
+
+    Raises:
+        UnknownAgentError: no agent has that name.
+    """
+    if isinstance(agent, Agent):
+        return agent
+    if agent not in AGENTS:
+        raise UnknownAgentError(agent, AGENTS)
+    return AGENTS[agent]
+
+
+@dataclass(frozen=True, slots=True)
+class FieldSample:
+    """What a distance field says at m places.
+
+    Attributes:
+        distance: Distance to the nearest surface [m], shape (m,); where not `valid` it is 0, which never reads as free.
+        gradient: Gradient of the distance, shape (m, dim); 0 where not `valid`.
+        valid: Whether the data supports an answer there, shape (m,).
+    """
+
+    distance: FloatArray
+    gradient: FloatArray
+    valid: BoolArray
+
+
+class DistanceField(Protocol):
+    """Anything that answers distance and gradient; planning knows no more than this."""
+
+    def query(self, queries: FloatArray) -> FieldSample:
+        """Distance and gradient at `queries`, shape (m, dim) [m]."""
+        ...
+
+
+class Status(StrEnum):
+    """How a planning request ended. Robots' people know Nav2's numbers: see `code`."""
+
+    OK = "OK"
+    START_OUTSIDE_MAP = "START_OUTSIDE_MAP"
+    GOAL_OUTSIDE_MAP = "GOAL_OUTSIDE_MAP"
+    START_OCCUPIED = "START_OCCUPIED"
+    GOAL_OCCUPIED = "GOAL_OCCUPIED"
+    TIMEOUT = "TIMEOUT"
+    NO_VALID_PATH = "NO_VALID_PATH"
+    AMBIGUOUS_LEVEL = "AMBIGUOUS_LEVEL"
+    UNCERTIFIED = "UNCERTIFIED"
+
+    @property
+    def code(self) -> int:
+        """Nav2's error code (ComputePathToPose), or a number of ours from 290 on."""
+        return _CODES[self]
+
+
+_CODES = {
+    Status.OK: 0,
+    Status.START_OUTSIDE_MAP: 203,
+    Status.GOAL_OUTSIDE_MAP: 204,
+    Status.START_OCCUPIED: 205,
+    Status.GOAL_OCCUPIED: 206,
+    Status.TIMEOUT: 207,
+    Status.NO_VALID_PATH: 208,
+    Status.AMBIGUOUS_LEVEL: 290,
+    Status.UNCERTIFIED: 291,
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Trajectory:
+    """A time-stamped path of a body's top and of its contact with the ground.
+
+    Attributes:
+        positions: The body's top, at body height above the ground [m], shape (n, 3).
+        ground: The contact point below it [m], shape (n, 3).
+        times: Time since the start [s], strictly increasing, shape (n,).
+        headings: Direction of travel, counter-clockwise from +x [rad], shape (n,).
+    """
+
+    positions: FloatArray
+    ground: FloatArray
+    times: FloatArray
+    headings: FloatArray
+
+    @property
+    def length(self) -> float:
+        """Length of the path of the body's top [m]."""
+        return float(np.linalg.norm(np.diff(self.positions, axis=0), axis=1).sum())
+
+    @property
+    def duration(self) -> float:
+        """Time from start to goal [s]."""
+        return float(self.times[-1])
+
+
+@dataclass(frozen=True, slots=True)
+class Certificate:
+    """What was proven of a trajectory over its whole continuous length, against the measured points themselves.
+
+    Attributes:
+        min_clearance: A lower bound of the room between the body's cylinder and the nearest obstacle, drop,
+            forbidden step or unknown ground [m].
+        min_clearance_at: Where on the path that is (x, y, z of the ground) [m], shape (3,).
+        max_height_deviation: Largest | d_g - h | over the path, d_g being the distance of the body's top to the nearest
+            ground point and h the body height [m].
+        max_height_deviation_at: Where that is [m], shape (3,).
+        max_step: Largest step taken [m].
+        max_slope: Steepest ground stood on [rad].
+        holds: Whether every limit of the body is kept; a result is OK only if it does.
+        reason: In words, the first limit that is broken; empty when `holds`.
+    """
+
+    min_clearance: float
+    min_clearance_at: FloatArray
+    max_height_deviation: float
+    max_height_deviation_at: FloatArray
+    max_step: float
+    max_slope: float
+    holds: bool
+    reason: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class PlanResult:
+    """The answer to one planning request.
+
+    Attributes:
+        status: `Status.OK`, or the reason why there is no trajectory.
+        message: The same in words, with what to try.
+        trajectory: Present exactly when `status` is OK.
+        certificate: Present exactly when `trajectory` is; for UNCERTIFIED it says what failed.
+        timings: Seconds that each stage took, by name.
+        details: Numbers for the curious (iterations, costs, graph size), by name.
+    """
+
+    status: Status
+    message: str
+    trajectory: Trajectory | None = None
+    certificate: Certificate | None = None
+    timings: dict[str, float] = field(default_factory=dict)
+    details: dict[str, float] = field(default_factory=dict)
