@@ -1,1 +1,60 @@
+# make demo      see it happen: the real service, four bodies, a picture and a log
+# make test      every test            make check   format, lint, types and the fast tests
+# make install   the set-up alone      make fix     format and mend what the linter can mend
+# make bench     the benchmark tables  make lock    renew constraints.txt
+PYTHON ?= python3.11
 PY := .venv/bin/python
+SOURCES := gpdf_service clients schemas tests
+# What open3d's shared library links against on Debian and Ubuntu.
+SYSTEM_PACKAGES := libgl1 libegl1 libx11-6 libgomp1 libusb-1.0-0
+
+.PHONY: demo test install check fix bench lock system clean
+.DEFAULT_GOAL := install
+
+install: .venv/installed
+
+.venv/installed: pyproject.toml constraints.txt
+	@command -v $(PYTHON) >/dev/null || { echo "$(PYTHON) is not on the PATH: install Python 3.11, or name one: make PYTHON=/path/to/python3.11"; exit 1; }
+	@$(MAKE) --no-print-directory system
+	$(PYTHON) -m venv .venv
+	$(PY) -m pip install --quiet --constraint constraints.txt --upgrade pip
+	$(PY) -m pip install --quiet --constraint constraints.txt --editable '.[all]' --group dev
+	@touch $@
+
+system:
+	@if command -v ldconfig >/dev/null && ! { ldconfig -p | grep -q 'libusb-1.0.so.0' && ldconfig -p | grep -q 'libGL.so.1' \
+	    && ldconfig -p | grep -q 'libEGL.so.1' && ldconfig -p | grep -q 'libX11.so.6' && ldconfig -p | grep -q 'libgomp.so.1'; }; then \
+	  if [ "$$(id -u)" = 0 ] && command -v apt-get >/dev/null; then \
+	    apt-get update -qq && DEBIAN_FRONTEND=noninteractive apt-get install -y -qq $(SYSTEM_PACKAGES) >/dev/null; \
+	  else \
+	    echo "Open3D needs system libraries that are missing here. Run: sudo apt-get install $(SYSTEM_PACKAGES)"; exit 1; \
+	  fi; fi
+
+demo: install
+	.venv/bin/gpdf demo --out out
+
+test: install
+	$(PY) -m pytest
+
+check: install
+	.venv/bin/ruff format --check $(SOURCES)
+	.venv/bin/ruff check $(SOURCES)
+	.venv/bin/mypy
+	$(PY) -m pytest -q -m "not slow"
+
+fix: install
+	.venv/bin/ruff format $(SOURCES)
+	.venv/bin/ruff check --fix $(SOURCES)
+
+bench: install
+	.venv/bin/gpdf bench field --plot out/bench_field.png
+	.venv/bin/gpdf bench build
+	.venv/bin/gpdf bench plan
+	.venv/bin/gpdf bench service
+
+lock: install
+	$(PY) -m pip install --quiet uv
+	.venv/bin/uv pip compile pyproject.toml --all-extras --group dev --python-version 3.11 --no-header --no-annotate --upgrade -o constraints.txt
+
+clean:
+	rm -rf .venv out build dist
