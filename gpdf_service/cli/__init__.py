@@ -1,0 +1,88 @@
+"""`gpdf`: one command, a verb for each thing that the product does.
+
+A verb is a module with `add_arguments(parser)` and `run(args) -> int`; it is imported only when it is asked for, so that
+`gpdf client …` works with the light client's install and `gpdf --help` is instant.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from collections.abc import Sequence
+from importlib import import_module
+
+from gpdf_service import __version__
+from gpdf_service.errors import GpdfError
+
+VERBS: dict[str, tuple[str, str]] = {
+    "serve": ("gpdf_service.service.serve_verb", "run the map service and the planner service"),
+    "scene build": ("gpdf_service.cli.scene_build", "build a scene file from a point cloud"),
+    "scene info": ("gpdf_service.cli.scene_info", "say what is in a scene or a cloud"),
+    "plan": ("gpdf_service.cli.plan", "plan in a scene or a cloud, without a service"),
+    "client": ("gpdf_client.cli", "ask a running service"),
+    "replay": ("gpdf_service.service.replay_verb", "ask a service again what a log recorded, and compare"),
+    "record check": ("gpdf_service.service.record_verb", "check a log, and mend what a crash left"),
+    "bench field": (
+        "gpdf_service.bench.field",
+        "accuracy and speed of the distance fields beside their peers",
+    ),
+    "bench build": ("gpdf_service.bench.build", "time from cloud to scene"),
+    "bench plan": ("gpdf_service.bench.plan", "time of plans beside OMPL"),
+    "bench queries": ("gpdf_service.bench.random_queries", "random queries, judged by independent code"),
+    "bench service": ("gpdf_service.bench.service", "what Zenoh, msgpack and the log add to a plan"),
+    "bench paper": ("gpdf_service.bench.paper", "the paper's three tables"),
+    "demo": ("gpdf_service.cli.demo", "see it happen: service, four bodies, picture and log"),
+}
+
+
+def overview() -> str:
+    """The list of verbs that `gpdf --help` prints."""
+    width = max(map(len, VERBS))
+    lines = [f"  gpdf {verb:<{width}}  {text}" for verb, (_, text) in VERBS.items()]
+    return "\n".join(["usage: gpdf VERB [--help] …", "", *lines, "", f"gpdf_service {__version__}"])
+
+
+def find_verb(words: Sequence[str]) -> str | None:
+    """The verb that a command line starts with, the longest that fits."""
+    for count in (2, 1):
+        if len(words) >= count and (verb := " ".join(words[:count])) in VERBS:
+            return verb
+    return None
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run one verb. Returns the exit code: 0 success, 1 the work failed, 2 the command line is wrong."""
+    words = list(sys.argv[1:] if argv is None else argv)
+    if words[:1] == ["--version"]:
+        print(__version__)
+        return 0
+    verb = find_verb(words)
+    if verb is None:
+        wants_help = words[:1] in (["--help"], ["-h"])
+        print(overview(), file=sys.stdout if wants_help else sys.stderr)
+        return 0 if wants_help else 2
+    module_name, text = VERBS[verb]
+    try:
+        module = import_module(module_name)
+    except ModuleNotFoundError as error:
+        if (error.name or "").partition(".")[0] in ("gpdf_service", "gpdf_client", "gpdf_schemas"):
+            raise
+        print(f"gpdf {verb} needs {error.name}: pip install 'gpdf-service[server]'", file=sys.stderr)
+        return 1
+    parser = argparse.ArgumentParser(prog=f"gpdf {verb}", description=text)
+    module.add_arguments(parser)
+    args = parser.parse_args(words[len(verb.split()) :])
+    try:
+        return int(module.run(args))
+    except GpdfError as error:
+        return _report(error, as_json=getattr(args, "json", False))
+    except KeyboardInterrupt:
+        return 130
+
+
+def _report(error: GpdfError, *, as_json: bool) -> int:
+    if as_json:
+        print(json.dumps({"error": type(error).__name__, "message": str(error)}))
+    print(f"gpdf: {error}", file=sys.stderr)
+    return 1

@@ -1,0 +1,71 @@
+"""`gpdf plan INPUT --start x,y --goal x,y`: build or load a scene and plan in it, without a service."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import time
+from pathlib import Path
+from typing import Any
+
+from gpdf_service.cli.inputs import add_cloud_arguments, open_scene, place
+from gpdf_service.pipeline import plan
+from gpdf_service.types import PlanResult, Status
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the verb's options."""
+    add_cloud_arguments(parser)
+    parser.add_argument("--start", type=place, required=True, help="x,y or x,y,z of the ground there [m]")
+    parser.add_argument("--goal", type=place, required=True, help="x,y or x,y,z of the ground there [m]")
+    parser.add_argument("--agent", default="human", help="roomba, spot, pepper or human")
+    parser.add_argument("--method", default="dual_gpdf", choices=["dual_gpdf", "single_gpdf", "astar", "prm"])
+    parser.add_argument("--deadline", type=float, help="seconds that the plan may take")
+    parser.add_argument("--png", type=Path, help="draw the cloud, the field and the path")
+    parser.add_argument("--json", action="store_true", help="print the result as JSON, with the trajectory")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Plan once; exit code 0 only for a certified trajectory (or a baseline's path)."""
+    scene = open_scene(args)
+    began = time.perf_counter()
+    result = plan(scene, args.start, args.goal, args.agent, method=args.method, deadline_s=args.deadline)
+    seconds = time.perf_counter() - began
+    if args.png:
+        from gpdf_service.viewer import draw_plans
+
+        draw_plans(scene, {args.agent: result}, args.png, start=args.start, goal=args.goal)
+    if args.json:
+        print(json.dumps(to_json(result)))
+    else:
+        print(f"{result.status}: {result.message}" if result.message else f"{result.status}")
+        if result.trajectory is not None and result.certificate is not None:
+            print(
+                f"{result.trajectory.length:.2f} m in {result.trajectory.duration:.1f} s, "
+                f"clearance at least {result.certificate.min_clearance:.3f} m, planned in {1000 * seconds:.0f} ms"
+            )
+    return 0 if result.status is Status.OK else 1
+
+
+def to_json(result: PlanResult) -> dict[str, Any]:
+    """The result as plain values for `json.dumps`."""
+    made: dict[str, Any] = {
+        "status": result.status.value,
+        "code": result.status.code,
+        "message": result.message,
+        "timings": result.timings,
+        "details": result.details,
+    }
+    if result.trajectory is not None:
+        path = result.trajectory
+        made["length"], made["duration"] = path.length, path.duration
+        made["trajectory"] = {
+            key: getattr(path, key).tolist() for key in ("positions", "ground", "times", "headings")
+        }
+    if result.certificate is not None:
+        proof = result.certificate
+        made["certificate"] = {
+            key: value.tolist() if hasattr(value, "tolist") else value
+            for key, value in ((name, getattr(proof, name)) for name in type(proof).__slots__)
+        }
+    return made

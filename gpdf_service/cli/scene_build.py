@@ -1,0 +1,37 @@
+"""`gpdf scene build CLOUD --out FILE`."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import time
+from pathlib import Path
+
+from gpdf_service.cli.inputs import SCENE_SUFFIX, add_cloud_arguments, open_scene
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the verb's options."""
+    add_cloud_arguments(parser)
+    parser.add_argument("--out", type=Path, help="the scene file; the cloud's name with .gpdf when not given")
+    parser.add_argument(
+        "--agent", action="append", default=[], help="build this body's free space too (repeatable)"
+    )
+    parser.add_argument("--json", action="store_true", help="print the result as JSON")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Build, save, say what was built."""
+    began = time.perf_counter()
+    scene = open_scene(args)
+    for agent in args.agent:
+        scene.free_space(agent)
+    seconds = time.perf_counter() - began
+    target = args.out or args.input.with_suffix(SCENE_SUFFIX)
+    scene.save(target)
+    info = scene.info()
+    if args.json:
+        print(json.dumps({"file": str(target), "seconds": seconds, **info}))
+    else:
+        print(f"{target}: {info['points']} points, {len(info['levels'])} level(s), built in {seconds:.2f} s")
+    return 0

@@ -1,0 +1,122 @@
+"""The paper's block diagram as two functions: build a scene, plan in it. Uttsha et al. 2024, Fig. 1."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from typing import Literal
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from gpdf_service import baselines
+from gpdf_service.config import Config
+from gpdf_service.errors import CloudError, RequestError
+from gpdf_service.fields import fit_gpdf
+from gpdf_service.perception import build_levels, check_points, segment_ground
+from gpdf_service.planning import plan_path
+from gpdf_service.scene import Scene
+from gpdf_service.types import Agent, BoolArray, FloatArray, PlanResult, resolve_agent
+
+Method = Literal["dual_gpdf", "single_gpdf", "astar", "prm"]
+Progress = Callable[[str, float], None]
+"""Told the name of a stage and the share of the work that is done, 0 to 1."""
+
+
+def build_scene(
+    points: ArrayLike,
+    ground: ArrayLike | None = None,
+    config: Config | None = None,
+    *,
+    progress: Progress = lambda stage, done: None,
+) -> Scene:
+    """Build a scene from a point cloud: ground, levels, Ground GPDFs.
+
+    Args:
+        points: The cloud in the scene frame, z up [m], shape (n, 3).
+        ground: Which points are ground, shape (n,); our own segmentation where it is not given.
+        config: Settings; the defaults work.
+        progress: Called as the work goes on.
+
+    Raises:
+        CloudError: the cloud cannot be used (empty, not finite, wrong shape, wrong unit).
+        NoGroundError: no walkable ground was found.
+    """
+    config = config or Config()
+    cloud = check_points(points)
+    progress("segment ground", 0.0)
+    mask = segment_ground(cloud, config.perception) if ground is None else _check_mask(ground, len(cloud))
+    progress("build levels", 0.4)
+    levels = build_levels(cloud, mask, config.perception)
+    progress("fit ground fields", 0.7)
+    fields = tuple(
+        fit_gpdf(level.ground_points, config=config.fields, domain=level.surface) for level in levels.levels
+    )
+    progress("ready", 1.0)
+    return Scene(cloud, mask, levels, fields, config)
+
+
+def plan(
+    scene: Scene,
+    start: Sequence[float] | FloatArray,
+    goal: Sequence[float] | FloatArray,
+    agent: str | Agent = "human",
+    *,
+    method: Method = "dual_gpdf",
+    deadline_s: float | None = None,
+    seed: int = 0,
+    clock: Callable[[], float] = time.monotonic,
+) -> PlanResult:
+    """Plan a trajectory for a body from start to goal.
+
+    Args:
+        scene: From `build_scene` or `load_scene`.
+        start: (x, y), or (x, y, z of the ground there) [m].
+        goal: The same.
+        agent: A name in `AGENTS`, or an `Agent`.
+        method: "dual_gpdf" is the product; the others are the paper's baselines, whose results carry no promise.
+        deadline_s: Seconds that the answer may take; none when not given.
+        seed: For the sampling baseline.
+        clock: Monotonic seconds, for tests.
+
+    Returns:
+        A result whose `status` is OK, or says why there is no trajectory: never an exception for "no path".
+
+    Raises:
+        RequestError: the request cannot be understood (shape, not finite, unknown method).
+        UnknownAgentError: no agent has that name.
+    """
+    body = resolve_agent(agent)
+    ends = _check_place(start, "start"), _check_place(goal, "goal")
+    if deadline_s is not None and not deadline_s > 0:
+        raise RequestError("deadline_s", f"{deadline_s!r}", "It must be a positive number of seconds.")
+    deadline = None if deadline_s is None else clock() + deadline_s
+    space = scene.free_space(body)
+    settings = scene.config.planning
+    if method == "dual_gpdf":
+        return plan_path(space, *ends, settings, deadline=deadline, clock=clock)
+    if method == "astar":
+        return baselines.plan_astar(space, *ends, settings)
+    if method == "prm":
+        return baselines.plan_prm(space, *ends, settings, np.random.default_rng(seed))
+    if method == "single_gpdf":
+        return baselines.plan_single_gpdf(space, scene.points, *ends, settings)
+    raise RequestError("method", f"{method!r}", "Use dual_gpdf, single_gpdf, astar or prm.")
+
+
+def _check_mask(ground: ArrayLike, count: int) -> BoolArray:
+    mask = np.asarray(ground)
+    if mask.dtype != np.bool_ or mask.shape != (count,):
+        found = f"an array of {mask.dtype} of shape {mask.shape}"
+        raise CloudError("ground labels", found, f"Pass booleans of shape ({count},), one for each point.")
+    return mask
+
+
+def _check_place(place: Sequence[float] | FloatArray, name: str) -> FloatArray:
+    try:
+        made = np.asarray(place, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise RequestError(name, f"{place!r}", "Pass (x, y) or (x, y, z) in metres.") from error
+    if made.shape not in ((2,), (3,)) or not np.isfinite(made).all():
+        raise RequestError(name, f"{place!r}", "Pass (x, y) or (x, y, z): finite numbers in metres.")
+    return made

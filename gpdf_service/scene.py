@@ -1,0 +1,242 @@
+"""A scene: the cloud, its levels, a Ground GPDF for each, and for each body its obstacles and free space."""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import os
+import threading
+from collections import OrderedDict
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from gpdf_service.config import Config
+from gpdf_service.errors import FieldError
+from gpdf_service.fields import Gpdf
+from gpdf_service.perception import HeightMap, Levels
+from gpdf_service.search import FreeSpace, build_free_space
+from gpdf_service.store import flatten, read_arrays, restore, write_arrays
+from gpdf_service.types import Agent, BoolArray, FieldSample, FloatArray, IntArray, resolve_agent
+
+MAX_CACHED_AGENTS = 16
+"""Free spaces kept for one scene; the least recently used goes first. A fleet has few kinds of body."""
+
+
+def level_under(surfaces: tuple[HeightMap, ...], points: FloatArray) -> IntArray:
+    """The level whose ground is the highest one under each point.
+
+    Args:
+        surfaces: The levels' ground.
+        points: Shape (m, 3) [m]. A point within one cell width under a ground still counts as standing on it.
+
+    Returns:
+        Level index, shape (m,); the lowest level there for a point under all ground, -1 where no ground is known.
+    """
+    heights = np.stack([surface.height_at(points[:, :2]) for surface in surfaces])
+    tolerance = np.array([[surface.cell_width] for surface in surfaces])
+    below = np.where(heights <= points[:, 2] + tolerance, heights, -np.inf)
+    lowest = np.where(np.isnan(heights), np.inf, heights).argmin(axis=0)
+    chosen = np.where(np.isfinite(below).any(axis=0), below.argmax(axis=0), lowest)
+    return np.where(np.isnan(heights).all(axis=0), -1, chosen).astype(np.int64)
+
+
+def _asked(queries: FloatArray, dims: tuple[int, ...]) -> FloatArray:
+    queries = np.asarray(queries, dtype=np.float64)
+    if queries.ndim != 2 or queries.shape[1] not in dims:
+        shapes = " or ".join(f"(m, {dim})" for dim in dims)
+        raise FieldError(
+            "field query", f"queries of shape {queries.shape}", f"Pass an array of shape {shapes}."
+        )
+    return queries
+
+
+@dataclass(frozen=True, slots=True)
+class GroundField:
+    """Distance d_g to the ground of the level that a point is over; a `DistanceField` in 3D."""
+
+    surfaces: tuple[HeightMap, ...]
+    fields: tuple[Gpdf, ...]
+
+    def query(self, queries: FloatArray) -> FieldSample:
+        """Distance to the ground, gradient (m, 3) and validity at `queries`, shape (m, 3) [m]."""
+        queries = _asked(queries, (3,))
+        if len(self.fields) == 1:
+            return self.fields[0].query(queries)
+        level = np.where(np.isfinite(queries).all(axis=1), level_under(self.surfaces, queries), -1)
+        return _gather(queries, [(level == i, field, queries) for i, field in enumerate(self.fields)])
+
+
+@dataclass(frozen=True, slots=True)
+class ObstacleField:
+    """Distance d_o in plan to what stops one kind of body; a `DistanceField` over all levels."""
+
+    surfaces: tuple[HeightMap, ...]
+    fields: tuple[Gpdf, ...]
+
+    def query(self, queries: FloatArray) -> FieldSample:
+        """Distance, gradient (m, 2) and validity at `queries`.
+
+        Args:
+            queries: Shape (m, 2), or (m, 3) with the height of the ground there, which says the level [m]. Without a
+                height the answer is the smallest over the levels there: it never claims more room than there is.
+        """
+        queries = _asked(queries, (2, 3))
+        if queries.shape[1] == 3:
+            level = np.where(np.isfinite(queries).all(axis=1), level_under(self.surfaces, queries), -1)
+            return _gather(
+                queries[:, :2], [(level == i, field, queries[:, :2]) for i, field in enumerate(self.fields)]
+            )
+        answers = [field.query(queries) for field in self.fields]
+        distance = np.stack([np.where(a.valid, a.distance, np.inf) for a in answers])
+        best = distance.argmin(axis=0)
+        valid = np.isfinite(distance).any(axis=0)
+        rows = np.arange(len(queries))
+        gradient = np.stack([a.gradient for a in answers])[best, rows]
+        return FieldSample(np.where(valid, distance[best, rows], 0.0), gradient * valid[:, None], valid)
+
+
+def _gather(queries: FloatArray, parts: list[tuple[BoolArray, Gpdf, FloatArray]]) -> FieldSample:
+    distance, gradient = np.zeros(len(queries)), np.zeros_like(queries)
+    valid = np.zeros(len(queries), dtype=bool)
+    for mask, field, asked in parts:
+        if mask.any():
+            sample = field.query(asked[mask])
+            distance[mask], gradient[mask], valid[mask] = sample.distance, sample.gradient, sample.valid
+    return FieldSample(distance, gradient, valid)
+
+
+class Scene:
+    """What is known of one place. Built by `build_scene`; safe to share between threads.
+
+    Attributes:
+        points: The cloud [m], shape (n, 3).
+        ground: Which points are ground, shape (n,).
+        levels: The ground as single-valued sheets, with what stands on them, and where they meet.
+        ground_fields: One Ground GPDF a level.
+        config: What it was built with.
+        version: Counts the changes of this scene, from 1.
+    """
+
+    def __init__(
+        self,
+        points: FloatArray,
+        ground: BoolArray,
+        levels: Levels,
+        ground_fields: tuple[Gpdf, ...],
+        config: Config,
+        version: int = 1,
+    ) -> None:
+        self.points, self.ground, self.levels = points, ground, levels
+        self.ground_fields, self.config, self.version = ground_fields, config, version
+        self._spaces: OrderedDict[Agent, FreeSpace] = OrderedDict()
+        self._lock = threading.Lock()
+        self._building: dict[Agent, threading.Lock] = {}
+
+    @property
+    def surfaces(self) -> tuple[HeightMap, ...]:
+        """The ground of each level as a height map."""
+        return tuple(level.surface for level in self.levels.levels)
+
+    @property
+    def ground_field(self) -> GroundField:
+        """Distance to the ground, in 3D."""
+        return GroundField(self.surfaces, self.ground_fields)
+
+    def obstacle_field(self, agent: str | Agent) -> ObstacleField:
+        """Distance in plan to what stops `agent`; built on first use."""
+        return ObstacleField(self.surfaces, self.free_space(agent).obstacle_fields)
+
+    def free_space(self, agent: str | Agent) -> FreeSpace:
+        """Where `agent` can be, and how those places connect; built on first use and kept."""
+        body = resolve_agent(agent)
+        with self._lock:
+            if body in self._spaces:
+                self._spaces.move_to_end(body)
+                return self._spaces[body]
+            building = self._building.setdefault(body, threading.Lock())
+        with building:  # a second caller waits for the first one's result; other bodies and plans go on
+            with self._lock:
+                if body in self._spaces:
+                    return self._spaces[body]
+            space = build_free_space(
+                self.levels, self.ground_fields, body, self.config.search, self.config.fields
+            )
+            with self._lock:
+                self._spaces[body] = space
+                self._building.pop(body, None)
+                while len(self._spaces) > MAX_CACHED_AGENTS:
+                    self._spaces.popitem(last=False)
+            return space
+
+    @property
+    def digest(self) -> str:
+        """Hash of the cloud and its labels: the same place gives the same digest on any machine."""
+        digest = hashlib.sha256(np.ascontiguousarray(self.points, dtype="<f8").tobytes())
+        digest.update(np.packbits(self.ground).tobytes())
+        return digest.hexdigest()[:16]
+
+    def info(self) -> dict[str, Any]:
+        """Facts about the scene, ready for JSON."""
+        low, high = self.points.min(axis=0), self.points.max(axis=0)
+        return {
+            "points": len(self.points),
+            "ground_points": int(self.ground.sum()),
+            "extent": [low.tolist(), high.tolist()],
+            "digest": self.digest,
+            "version": self.version,
+            "levels": [
+                _level_info(i, self.levels.levels[i], self.ground_fields[i])
+                for i in range(len(self.surfaces))
+            ],
+            "portals": len(self.levels.portals),
+            "agents_ready": [agent.name for agent in self._spaces],
+        }
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write the scene to one file, atomically."""
+        arrays = {"points": self.points, "ground": self.ground, **flatten(self.levels, "levels")}
+        for i, field in enumerate(self.ground_fields):
+            arrays |= {f"ground_fields/{i}/{key}": value for key, value in field.to_arrays().items()}
+        write_arrays(path, arrays, {"version": self.version, "config": dataclasses.asdict(self.config)})
+
+
+def _level_info(index: int, level: Any, field: Gpdf) -> dict[str, Any]:  # noqa: ANN401
+    surface: HeightMap = level.surface
+    cell_area = surface.cell_width**2
+    known = surface.state > 0
+    return {
+        "level": index,
+        "height": [float(np.nanmin(surface.height)), float(np.nanmax(surface.height))],
+        "cell_width": float(surface.cell_width),
+        "known_area": float(known.sum() * cell_area),
+        "inferred_area": float((surface.state == 2).sum() * cell_area),
+        "other_points": len(level.other_points),
+        "limits": len(level.limits.points),
+        "field_points": len(field.points),
+        "length_scale": float(field.length_scale),
+    }
+
+
+def load_scene(path: str | os.PathLike[str]) -> Scene:
+    """Read a scene that `Scene.save` wrote; nothing is fitted again.
+
+    Raises:
+        SceneFileError: the file is missing, damaged, or of another version.
+    """
+    arrays, meta = read_arrays(path)
+    levels: Levels = restore(Levels, arrays, "levels")
+    fields = []
+    for i, level in enumerate(levels.levels):
+        prefix = f"ground_fields/{i}/"
+        stored = {key.removeprefix(prefix): value for key, value in arrays.items() if key.startswith(prefix)}
+        fields.append(Gpdf.from_arrays(stored, domain=level.surface))
+    return Scene(
+        arrays["points"],
+        arrays["ground"],
+        levels,
+        tuple(fields),
+        Config.from_mapping(meta["config"]),
+        int(meta["version"]),
+    )
