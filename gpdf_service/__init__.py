@@ -1,6 +1,7 @@
 """Certified 3D trajectories on the ground, from Gaussian-process distance fields.
 
-The names below are loaded on first use, so that the light client's install (without SciPy and Numba) can still run `gpdf`.
+The names below are loaded on first use, so that the light client's install, which has no SciPy and no Numba, can run
+`gpdf client`.
 """
 
 from __future__ import annotations
@@ -38,7 +39,7 @@ _WHERE = {
     **dict.fromkeys(("AGENTS", "Agent", "Certificate", "PlanResult", "Status", "Trajectory"), "types"),
 }
 
-__all__ = [  # noqa: PLE0604, RUF022
+__all__ = [
     "AGENTS",
     "Agent",
     "Certificate",

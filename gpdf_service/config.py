@@ -16,7 +16,7 @@ class PerceptionConfig:
     """Ground, levels and the limits of the ground."""
 
     max_step: float = 0.4
-    """[m] Highest step that may join two pieces of ground: over what any body here climbs (0.37), under a seat (0.42)."""
+    """[m] Highest step that may join two pieces of ground: over what any body climbs (0.37), under a seat (0.42)."""
     min_headroom: float = 0.1
     """[m] Least room over a piece of ground that is worth keeping: the height of the lowest body, a Roomba."""
 

@@ -49,9 +49,7 @@ def build_scene(
     progress("build levels", 0.4)
     levels = build_levels(cloud, mask, config.perception)
     progress("fit ground fields", 0.7)
-    fields = tuple(
-        fit_gpdf(level.ground_points, config=config.fields, domain=level.surface) for level in levels.levels
-    )
+    fields = tuple(fit_gpdf(level.ground_points, config=config.fields, domain=level.surface) for level in levels.levels)
     progress("ready", 1.0)
     return Scene(cloud, mask, levels, fields, config)
 

@@ -46,9 +46,7 @@ def _asked(queries: FloatArray, dims: tuple[int, ...]) -> FloatArray:
     queries = np.asarray(queries, dtype=np.float64)
     if queries.ndim != 2 or queries.shape[1] not in dims:
         shapes = " or ".join(f"(m, {dim})" for dim in dims)
-        raise FieldError(
-            "field query", f"queries of shape {queries.shape}", f"Pass an array of shape {shapes}."
-        )
+        raise FieldError("field query", f"queries of shape {queries.shape}", f"Pass an array of shape {shapes}.")
     return queries
 
 
@@ -85,9 +83,7 @@ class ObstacleField:
         queries = _asked(queries, (2, 3))
         if queries.shape[1] == 3:
             level = np.where(np.isfinite(queries).all(axis=1), level_under(self.surfaces, queries), -1)
-            return _gather(
-                queries[:, :2], [(level == i, field, queries[:, :2]) for i, field in enumerate(self.fields)]
-            )
+            return _gather(queries[:, :2], [(level == i, field, queries[:, :2]) for i, field in enumerate(self.fields)])
         answers = [field.query(queries) for field in self.fields]
         distance = np.stack([np.where(a.valid, a.distance, np.inf) for a in answers])
         best = distance.argmin(axis=0)
@@ -160,9 +156,7 @@ class Scene:
             with self._lock:
                 if body in self._spaces:
                     return self._spaces[body]
-            space = build_free_space(
-                self.levels, self.ground_fields, body, self.config.search, self.config.fields
-            )
+            space = build_free_space(self.levels, self.ground_fields, body, self.config.search, self.config.fields)
             with self._lock:
                 self._spaces[body] = space
                 self._building.pop(body, None)
@@ -186,10 +180,7 @@ class Scene:
             "extent": [low.tolist(), high.tolist()],
             "digest": self.digest,
             "version": self.version,
-            "levels": [
-                _level_info(i, self.levels.levels[i], self.ground_fields[i])
-                for i in range(len(self.surfaces))
-            ],
+            "levels": [_level_info(i, self.levels.levels[i], self.ground_fields[i]) for i in range(len(self.surfaces))],
             "portals": len(self.levels.portals),
             "agents_ready": [agent.name for agent in self._spaces],
         }

@@ -27,9 +27,7 @@ _META = "meta"
 Arrays = dict[str, NDArray[Any]]
 
 
-def write_arrays(
-    path: str | os.PathLike[str], arrays: Mapping[str, NDArray[Any]], meta: Mapping[str, Any]
-) -> None:
+def write_arrays(path: str | os.PathLike[str], arrays: Mapping[str, NDArray[Any]], meta: Mapping[str, Any]) -> None:
     """Write `arrays` and `meta` (JSON) to `path`: complete under that name, or not there at all."""
     target = Path(path)
     header = np.frombuffer(json.dumps({"schema_version": SCHEMA_VERSION, **meta}).encode(), np.uint8)
@@ -54,17 +52,13 @@ def read_arrays(path: str | os.PathLike[str]) -> tuple[Arrays, dict[str, Any]]:
     target = Path(path)
     asked = f"scene file {target}"
     if not target.is_file():
-        raise SceneFileError(
-            asked, "there is no such file", "Build it first: gpdf scene build CLOUD --out FILE."
-        )
+        raise SceneFileError(asked, "there is no such file", "Build it first: gpdf scene build CLOUD --out FILE.")
     try:
         with np.load(target, allow_pickle=False) as stored:
             arrays = {key: stored[key] for key in stored.files}
         meta = json.loads(bytes(arrays.pop(_META)))
     except (zipfile.BadZipFile, ValueError, KeyError, EOFError, OSError, TypeError) as error:
-        raise SceneFileError(
-            asked, f"it is damaged or no scene ({error})", "Build the scene again."
-        ) from error
+        raise SceneFileError(asked, f"it is damaged or no scene ({error})", "Build the scene again.") from error
     if meta.get("schema_version") != SCHEMA_VERSION:
         found = f"it has schema version {meta.get('schema_version')}, this program reads {SCHEMA_VERSION}"
         raise SceneFileError(asked, found, "Build the scene again from its cloud.")
@@ -89,9 +83,7 @@ def restore(kind: Any, arrays: Mapping[str, NDArray[Any]], prefix: str) -> Any: 
     """Rebuild what `flatten` took apart; `kind` is its type."""
     if dataclasses.is_dataclass(kind) and isinstance(kind, type):
         hints = typing.get_type_hints(kind)
-        parts = {
-            f.name: restore(hints[f.name], arrays, f"{prefix}/{f.name}") for f in dataclasses.fields(kind)
-        }
+        parts = {f.name: restore(hints[f.name], arrays, f"{prefix}/{f.name}") for f in dataclasses.fields(kind)}
         return kind(**parts)
     if typing.get_origin(kind) is tuple:
         (item, *_) = typing.get_args(kind)
@@ -100,14 +92,8 @@ def restore(kind: Any, arrays: Mapping[str, NDArray[Any]], prefix: str) -> Any: 
             count += 1
         return tuple(restore(item, arrays, f"{prefix}/{i}") for i in range(count))
     if prefix not in arrays:
-        raise SceneFileError(
-            "scene file", f"the part {prefix!r} is missing", "Build the scene again from its cloud."
-        )
+        raise SceneFileError("scene file", f"the part {prefix!r} is missing", "Build the scene again from its cloud.")
     value = arrays[prefix]
-    if (
-        isinstance(kind, type)
-        and kind in (int, float, bool, str)
-        and not isinstance(kind, types.GenericAlias)
-    ):
+    if isinstance(kind, type) and kind in (int, float, bool, str) and not isinstance(kind, types.GenericAlias):
         return kind(value)
     return value

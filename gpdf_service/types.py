@@ -64,9 +64,9 @@ class Agent:
         return 0.5 * max(self.width, self.length)
 
 
-# Measures: Uttsha et al. 2024, Table 1. Steps: 0.35 m is what the paper lets humans and quadrupeds take (its platform),
-# with 2 cm over it so that a step of exactly that height is not refused for the last millimetre of noise; a Roomba's
-# wheels take a 2 cm sill, Pepper's 1.5 cm. Slopes: stairs reach 38°, a quadruped's data sheet says 30°, wheels 5° to 10°.
+# Measures: Uttsha et al. 2024, Table 1. Steps: 0.35 m is what the paper lets humans and quadrupeds take (its
+# platform), with 2 cm over it so that a step of exactly that height is not refused for the last millimetre of noise;
+# a Roomba's wheels take a 2 cm sill, Pepper's 1.5 cm. Slopes: a quadruped's data sheet says 30°, wheels 5° to 10°.
 # Speeds: walking pace with a cane 0.7 to 1.0 m/s; the robots' data sheets.
 AGENTS: dict[str, Agent] = {
     agent.name: agent

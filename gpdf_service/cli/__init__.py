@@ -1,7 +1,7 @@
 """`gpdf`: one command, a verb for each thing that the product does.
 
-A verb is a module with `add_arguments(parser)` and `run(args) -> int`; it is imported only when it is asked for, so that
-`gpdf client …` works with the light client's install and `gpdf --help` is instant.
+A verb is a module with `add_arguments(parser)` and `run(args) -> int`; it is imported only when it is asked for, so
+that `gpdf client …` works with the light client's install and `gpdf --help` is instant.
 """
 
 from __future__ import annotations

@@ -18,13 +18,9 @@ SCENE_SUFFIX = ".gpdf"
 
 def add_cloud_arguments(parser: argparse.ArgumentParser) -> None:
     """The input: a cloud, or a scene that was built before."""
-    parser.add_argument(
-        "input", type=Path, help=f"a cloud (.ply .pcd .xyz .npz .las .laz) or a scene ({SCENE_SUFFIX})"
-    )
+    parser.add_argument("input", type=Path, help=f"a cloud (.ply .pcd .xyz .npz .las .laz) or a scene ({SCENE_SUFFIX})")
     parser.add_argument("--ground-label", type=int, help="the label that means ground in the file")
-    parser.add_argument(
-        "--ignore-labels", action="store_true", help="segment the ground even if the file has labels"
-    )
+    parser.add_argument("--ignore-labels", action="store_true", help="segment the ground even if the file has labels")
     parser.add_argument("--config", type=Path, help="a TOML file with settings")
 
 
@@ -39,9 +35,7 @@ def open_scene(args: argparse.Namespace) -> Scene:
     """Load a scene file, or read a cloud and build its scene with a progress bar on a terminal."""
     if args.input.suffix == SCENE_SUFFIX:
         return load_scene(args.input)
-    with tqdm(
-        total=1.0, desc="read", disable=not sys.stderr.isatty(), bar_format="{desc:22}{bar} {elapsed}"
-    ) as bar:
+    with tqdm(total=1.0, desc="read", disable=not sys.stderr.isatty(), bar_format="{desc:22}{bar} {elapsed}") as bar:
 
         def progress(stage: str, done: float) -> None:
             bar.set_description(stage)

@@ -59,9 +59,7 @@ def to_json(result: PlanResult) -> dict[str, Any]:
     if result.trajectory is not None:
         path = result.trajectory
         made["length"], made["duration"] = path.length, path.duration
-        made["trajectory"] = {
-            key: getattr(path, key).tolist() for key in ("positions", "ground", "times", "headings")
-        }
+        made["trajectory"] = {key: getattr(path, key).tolist() for key in ("positions", "ground", "times", "headings")}
     if result.certificate is not None:
         proof = result.certificate
         made["certificate"] = {

@@ -12,9 +12,7 @@ from gpdf_service.cli.inputs import add_cloud_arguments, open_scene
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the verb's options."""
     add_cloud_arguments(parser)
-    parser.add_argument(
-        "--png", type=Path, help="draw the levels: ground, inferred ground, obstacles, quadtree"
-    )
+    parser.add_argument("--png", type=Path, help="draw the levels: ground, inferred ground, obstacles, quadtree")
     parser.add_argument("--agent", default="human", help="the body whose free space the picture shows")
     parser.add_argument("--json", action="store_true", help="print the facts as JSON")
 
