@@ -1,0 +1,159 @@
+"""PNG pictures: the plan view of a scene with field, quadtree and paths, and each path's profile.
+
+Colours are Okabe and Ito's, which the colour-blind can tell apart; every axis is in metres.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.collections import PatchCollection
+from matplotlib.figure import Figure
+from matplotlib.patches import Rectangle
+
+from gpdf_service.perception import ObstacleKind
+from gpdf_service.scene import Scene
+from gpdf_service.types import Agent, FloatArray, PlanResult, Trajectory
+
+COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
+KIND_COLOURS = {
+    ObstacleKind.MATERIAL: "#333333",
+    ObstacleKind.STEP: "#D55E00",
+    ObstacleKind.SLOPE: "#E69F00",
+    ObstacleKind.UNKNOWN: "#CC79A7",
+}
+FIELD_PIXELS = 240
+"""Samples of the distance field along the longer side of a picture: finer than it is printed."""
+CLOUD_POINTS = 60_000
+"""Points of the cloud that a picture draws: more cannot be told apart on it."""
+
+
+def draw_plans(
+    scene: Scene,
+    results: Mapping[str, PlanResult],
+    path: str | os.PathLike[str],
+    *,
+    start: Sequence[float] = (),
+    goal: Sequence[float] = (),
+    title: str = "",
+) -> None:
+    """Draw paths of one or more bodies in plan and from the side.
+
+    Args:
+        scene: Where they were planned.
+        results: By the agent's name; those without a trajectory stand in the legend with their status.
+        path: The PNG to write.
+        start: Marked when given, (x, y, …) [m].
+        goal: The same.
+        title: Over the picture.
+    """
+    shown = {name: r.trajectory for name, r in results.items() if r.trajectory is not None}
+    figure = Figure(figsize=(13, 11), layout="constrained")
+    grid = figure.add_gridspec(2, 1, height_ratios=(3, 1))
+    plan_axes, side_axes = figure.add_subplot(grid[0]), figure.add_subplot(grid[1])
+    level = _level_of(scene, next(iter(shown.values()), None))
+    _draw_field(figure, plan_axes, scene, next(iter(results)), level)
+    _draw_obstacles(plan_axes, scene, next(iter(results)), level)
+    for i, (name, result) in enumerate(results.items()):
+        label = f"{name}: {_summary(result)}"
+        colour = COLOURS[i % len(COLOURS)]
+        if result.trajectory is None:
+            plan_axes.plot([], [], color=colour, label=label)
+            continue
+        plan_axes.plot(*result.trajectory.positions[:, :2].T, color=colour, lw=2.2, label=label, zorder=5)
+        _draw_profile(side_axes, result.trajectory, name, colour)
+    for place, marker, label in ((start, "o", "start"), (goal, "*", "goal")):
+        if len(place):
+            style = {"marker": marker, "ms": 13, "mfc": "white", "mec": "black", "ls": "", "zorder": 6}
+            plan_axes.plot(place[0], place[1], label=label, **style)
+    plan_axes.set(xlabel="x [m]", ylabel="y [m]", aspect="equal", title=title or "plan view")
+    plan_axes.legend(loc="upper left", bbox_to_anchor=(1.15, 1.0), fontsize=9)
+    side_axes.set(xlabel="distance along the path in plan [m]", ylabel="z [m]", title="side view along each path")
+    if shown:
+        side_axes.legend(fontsize=8, ncols=4)
+    _save(figure, path)
+
+
+def draw_scene(scene: Scene, agent: str | Agent, path: str | os.PathLike[str]) -> None:
+    """Draw each level: ground by height, inferred ground, what stops the agent and why, and the quadtree."""
+    count = len(scene.surfaces)
+    figure = Figure(figsize=(11 * min(count, 2), 9 * ((count + 1) // 2)), layout="constrained")
+    for i, surface in enumerate(scene.surfaces):
+        axes = figure.add_subplot((count + 1) // 2, min(count, 2), i + 1)
+        nx, ny = surface.height.shape
+        extent = _extent(surface.origin, surface.cell_width * np.array([nx, ny]))
+        image = axes.imshow(surface.height.T, origin="lower", extent=extent, cmap="cividis", interpolation="nearest")
+        figure.colorbar(image, ax=axes, label="height of the ground [m]", shrink=0.7)
+        inferred = np.where(surface.state == 2, 1.0, np.nan)
+        axes.imshow(inferred.T, origin="lower", extent=extent, cmap="cool", alpha=0.45, interpolation="nearest")
+        _draw_quadtree(axes, scene, agent, i)
+        _draw_obstacles(axes, scene, agent, i)
+        axes.set(xlabel="x [m]", ylabel="y [m]", aspect="equal", title=f"level {i}: ground (inferred in magenta)")
+        axes.legend(loc="upper right", fontsize=8, markerscale=6)
+    _save(figure, path)
+
+
+def _save(figure: Figure, path: str | os.PathLike[str]) -> None:
+    FigureCanvasAgg(figure).print_png(os.fspath(path))
+
+
+def _extent(origin: FloatArray, size: FloatArray) -> tuple[float, float, float, float]:
+    return float(origin[0]), float(origin[0] + size[0]), float(origin[1]), float(origin[1] + size[1])
+
+
+def _summary(result: PlanResult) -> str:
+    if result.trajectory is None or result.certificate is None:
+        return result.status.value
+    room = result.certificate.min_clearance
+    return f"{result.trajectory.length:.1f} m, clearance {room:.2f} m"
+
+
+def _level_of(scene: Scene, trajectory: Trajectory | None) -> int:
+    """The level that most of a path lies on."""
+    if trajectory is None or len(scene.surfaces) == 1:
+        return 0
+    heights = np.stack([surface.height_at(trajectory.ground[:, :2]) for surface in scene.surfaces])
+    gap = np.where(np.isnan(heights), np.inf, np.abs(heights - trajectory.ground[:, 2]))
+    return int(np.bincount(gap.argmin(axis=0)).argmax())
+
+
+def _draw_field(figure: Figure, axes: Any, scene: Scene, agent: str | Agent, level: int) -> None:  # noqa: ANN401
+    surface = scene.surfaces[level]
+    size = surface.cell_width * np.array(surface.height.shape)
+    step = size.max() / FIELD_PIXELS
+    x = np.arange(surface.origin[0] + step / 2, surface.origin[0] + size[0], step)
+    y = np.arange(surface.origin[1] + step / 2, surface.origin[1] + size[1], step)
+    queries = np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1).reshape(-1, 2)
+    sample = scene.free_space(agent).obstacle_fields[level].query(queries)
+    distance = np.where(sample.valid, sample.distance, np.nan).reshape(len(x), len(y))
+    image = axes.imshow(distance.T, origin="lower", extent=_extent(surface.origin, size), cmap="cividis", alpha=0.8)
+    figure.colorbar(image, ax=axes, label=f"distance to what stops the {agent} [m]", shrink=0.7)
+    _draw_quadtree(axes, scene, agent, level)
+
+
+def _draw_quadtree(axes: Any, scene: Scene, agent: str | Agent, level: int) -> None:  # noqa: ANN401
+    tree = scene.free_space(agent).quadtrees[level]
+    corners = tree.center[tree.free] - tree.half_size[tree.free, None]
+    widths = 2 * tree.half_size[tree.free]
+    squares = [Rectangle(tuple(c), w, w) for c, w in zip(corners, widths, strict=True)]
+    axes.add_collection(PatchCollection(squares, facecolor="none", edgecolor="white", linewidth=0.25, alpha=0.6))
+
+
+def _draw_obstacles(axes: Any, scene: Scene, agent: str | Agent, level: int) -> None:  # noqa: ANN401
+    obstacles = scene.free_space(agent).obstacles[level]
+    stride = max(1, len(obstacles.points) // CLOUD_POINTS)
+    for kind, colour in KIND_COLOURS.items():
+        points = obstacles.points[obstacles.kind == kind][::stride]
+        if len(points):
+            axes.plot(points[:, 0], points[:, 1], ".", ms=0.7, color=colour, label=kind.name.lower(), zorder=3)
+
+
+def _draw_profile(axes: Any, trajectory: Trajectory, name: str, colour: str) -> None:  # noqa: ANN401
+    steps = np.linalg.norm(np.diff(trajectory.ground[:, :2], axis=0), axis=1)
+    along = np.concatenate([[0.0], np.cumsum(steps)])
+    axes.plot(along, trajectory.positions[:, 2], color=colour, label=f"{name}: top of the body")
+    axes.plot(along, trajectory.ground[:, 2], color=colour, ls=":", label=f"{name}: ground")

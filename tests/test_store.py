@@ -1,0 +1,74 @@
+import dataclasses
+
+import numpy as np
+import pytest
+
+from gpdf_service.errors import SceneFileError
+from gpdf_service.store import flatten, read_arrays, restore, write_arrays
+
+
+@dataclasses.dataclass(frozen=True)
+class Inner:
+    values: np.ndarray
+    width: float
+    count: int
+
+
+@dataclasses.dataclass(frozen=True)
+class Outer:
+    parts: tuple[Inner, ...]
+    flags: np.ndarray
+
+
+def example():
+    return Outer((Inner(np.arange(3.0), 0.5, 7), Inner(np.zeros((0, 2)), 1.5, 0)), np.array([True, False]))
+
+
+def test_nested_dataclasses_come_back_equal(tmp_path):
+    write_arrays(tmp_path / "a.gpdf", flatten(example(), "x"), {"version": 3})
+    arrays, meta = read_arrays(tmp_path / "a.gpdf")
+    back = restore(Outer, arrays, "x")
+    assert meta["version"] == 3
+    assert len(back.parts) == 2
+    np.testing.assert_array_equal(back.parts[0].values, [0, 1, 2])
+    assert back.parts[1].values.shape == (0, 2)
+    assert (back.parts[0].width, back.parts[0].count) == (0.5, 7)
+    np.testing.assert_array_equal(back.flags, [True, False])
+
+
+def test_an_empty_tuple_comes_back_empty():
+    assert restore(Outer, flatten(Outer((), np.zeros(1)), "x"), "x").parts == ()
+
+
+def test_a_missing_file_is_named(tmp_path):
+    with pytest.raises(SceneFileError, match="there is no such file"):
+        read_arrays(tmp_path / "none.gpdf")
+
+
+@pytest.mark.parametrize("damage", ["cut", "flip", "empty", "text"])
+def test_a_damaged_file_is_refused(tmp_path, damage):
+    path = tmp_path / "a.gpdf"
+    write_arrays(path, {"points": np.arange(3000.0)}, {"version": 1})
+    raw = bytearray(path.read_bytes())
+    if damage == "flip":
+        raw[len(raw) // 2] ^= 0xFF
+    path.write_bytes({"cut": bytes(raw[: len(raw) // 2]), "flip": bytes(raw), "empty": b"", "text": b"hello"}[damage])
+    with pytest.raises(SceneFileError, match="damaged"):
+        read_arrays(path)
+
+
+def test_a_file_of_another_schema_version_is_refused(tmp_path, monkeypatch):
+    monkeypatch.setattr("gpdf_service.store.SCHEMA_VERSION", 999)
+    write_arrays(tmp_path / "a.gpdf", {}, {})
+    monkeypatch.undo()
+    with pytest.raises(SceneFileError, match="schema version 999"):
+        read_arrays(tmp_path / "a.gpdf")
+
+
+def test_a_failed_write_leaves_the_old_file(tmp_path):
+    path = tmp_path / "a.gpdf"
+    write_arrays(path, {"a": np.ones(2)}, {})
+    with pytest.raises(ValueError, match="allow_pickle"):
+        write_arrays(path, {"a": np.array([object()])}, {})
+    assert read_arrays(path)[0]["a"].tolist() == [1, 1]
+    assert [p.name for p in tmp_path.iterdir()] == ["a.gpdf"]
