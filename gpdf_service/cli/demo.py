@@ -1,0 +1,155 @@
+"""`gpdf demo`: the real service as its own process, four bodies asked for over Zenoh, a table, pictures and a log."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import signal
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from gpdf_client import Client
+
+from gpdf_service.perception import read_cloud
+from gpdf_service.pipeline import build_scene
+from gpdf_service.synthetic import SCENES
+from gpdf_service.types import AGENTS
+from gpdf_service.viewer import draw_plans
+
+DEFAULT_PORT = 7447
+LASER_OFFICE = "cluttered_office_tls_1cm.npz"
+
+
+@dataclass(frozen=True)
+class Tour:
+    """One scene of the demo: where from, where to, and which bodies must get there."""
+
+    name: str
+    cloud: Path
+    start: tuple[float, ...]
+    goal: tuple[float, ...]
+    expected: tuple[str, ...]
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the verb's options."""
+    parser.add_argument("--out", type=Path, default=Path("out"), help="folder for the pictures, the log and the scenes")
+    parser.add_argument(
+        "--scans", type=Path, default=Path("../shared/data"), help="folder with the laser-scanned office"
+    )
+    parser.add_argument("--json", action="store_true", help="print the table as JSON")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Run the tours; exit code 0 only if every body that should arrive has a certified trajectory."""
+    args.out.mkdir(parents=True, exist_ok=True)
+    tours = _tours(args.out, args.scans)
+    rows: list[dict[str, Any]] = []
+    with _service(args.out, tours) as endpoint, Client.connect(endpoint) as client:
+        client.wait_for_service(timeout_s=120)
+        for tour in tours:
+            rows += _travel(client, tour, args.out)
+    if args.json:
+        print(json.dumps(rows))
+    else:
+        _print_table(rows)
+        _print_next(args.out)
+    return 0 if all(row["status"] == "OK" or not row["expected"] for row in rows) else 1
+
+
+def _tours(out: Path, scans: Path) -> list[Tour]:
+    office = SCENES["office"](np.random.default_rng(0))
+    cloud = out / "office.npz"
+    np.savez(
+        cloud,
+        xyz=office.points.astype(np.float32),
+        label=office.ground.astype(np.int32),
+        classes=np.array(["other", "ground"]),
+    )
+    everyone = tuple(AGENTS)
+    tours = [Tour("office", cloud, tuple(office.start), tuple(office.goal), everyone)]
+    if (scans / LASER_OFFICE).is_file():
+        tours.append(Tour("laser_office", scans / LASER_OFFICE, (2.0, 2.0), (8.0, 8.0), everyone))
+    return tours
+
+
+def _free_port() -> int:
+    for port in (DEFAULT_PORT, 0):
+        with socket.socket() as probe:
+            probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            try:
+                probe.bind(("127.0.0.1", port))
+            except OSError:
+                continue
+            return int(probe.getsockname()[1])
+    raise AssertionError("port 0 always binds")
+
+
+@contextmanager
+def _service(out: Path, tours: list[Tour]) -> Iterator[str]:
+    """`gpdf serve` in its own process, ended by SIGINT as a person would."""
+    endpoint = f"tcp/127.0.0.1:{_free_port()}"
+    scenes = [f"{tour.name}={tour.cloud}" for tour in tours]
+    words = [sys.executable, "-m", "gpdf_service.cli", "serve", *scenes, "--endpoint", endpoint, "--log-dir", str(out)]
+    print(f"gpdf serve {' '.join(scenes)} --endpoint {endpoint} --log-dir {out}", file=sys.stderr)
+    with (out / "serve.log").open("w") as log, subprocess.Popen(words, stdout=log, stderr=log) as process:
+        try:
+            yield endpoint
+        finally:
+            process.send_signal(signal.SIGINT)
+            try:
+                process.wait(timeout=30)
+            except subprocess.TimeoutExpired:
+                process.kill()
+                raise
+
+
+def _travel(client: Client, tour: Tour, out: Path) -> list[dict[str, Any]]:
+    """Ask for every body's plan in one scene, and draw them."""
+    client.wait_for_scene(tour.name, timeout_s=120)
+    results, rows = {}, []
+    for name in AGENTS:
+        client.plan(tour.name, tour.start, tour.goal, agent=name)  # the first one builds this body's free space
+        began = time.perf_counter()
+        result = client.plan(tour.name, tour.start, tour.goal, agent=name)
+        results[name] = result
+        row = {"scene": tour.name, "agent": name, "status": str(result.status), "expected": name in tour.expected}
+        row["milliseconds"] = 1000 * (time.perf_counter() - began)
+        if result.trajectory is not None and result.certificate is not None:
+            row["length"] = result.trajectory.length
+            row["clearance"] = result.certificate.min_clearance
+            row["deviation"] = result.certificate.max_height_deviation
+            row["certified"] = result.certificate.holds
+        rows.append(row)
+    cloud = read_cloud(tour.cloud)
+    scene = build_scene(cloud.points, cloud.ground)
+    picture = out / f"{tour.name}.png"
+    draw_plans(scene, results, picture, start=tour.start, goal=tour.goal, title=f"{tour.name}: four bodies")
+    return rows
+
+
+def _print_table(rows: list[dict[str, Any]]) -> None:
+    print(f"{'scene':14}{'agent':8}{'status':10}{'length':>9}{'clearance':>11}{'off height':>12}{'time':>9}  certified")
+    for row in rows:
+        line = f"{row['scene']:14}{row['agent']:8}{row['status']:10}"
+        if "length" in row:
+            line += f"{row['length']:7.2f} m{row['clearance']:9.3f} m{row['deviation']:10.3f} m"
+            line += f"{row['milliseconds']:6.0f} ms  {'yes' if row['certified'] else 'NO'}"
+        print(line)
+
+
+def _print_next(out: Path) -> None:
+    log = max(out.glob("*.mcap"), key=lambda path: path.stat().st_mtime)
+    pictures = " ".join(str(path) for path in sorted(out.glob("*.png")))
+    print(f"\npictures: {pictures}\nlog:      {log} (opens in Foxglove and Rerun)\n\nTry next:")
+    print(f"  .venv/bin/gpdf replay {log} --in-process")
+    print("  .venv/bin/gpdf plan YOUR_CLOUD.ply --start 1,1 --goal 5,4 --agent human --png plan.png")
+    print("  .venv/bin/gpdf serve office=out/office.npz")

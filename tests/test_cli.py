@@ -1,0 +1,111 @@
+import json
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+from gpdf_service.cli import VERBS, find_verb, main
+
+
+def write_room(path, with_labels=True):
+    """A floor of 5 x 4 m with walls, 5 cm between points."""
+    x, y = np.meshgrid(np.arange(0, 5.001, 0.05), np.arange(0, 4.001, 0.05), indexing="ij")
+    floor = np.stack([x.ravel(), y.ravel(), np.zeros(x.size)], axis=1)
+    walls = []
+    for z in np.arange(0.05, 2.5, 0.05):
+        edge_x, edge_y = np.arange(0, 5.001, 0.05), np.arange(0, 4.001, 0.05)
+        for side in (0.0, 4.0):
+            walls.append(np.stack([edge_x, np.full_like(edge_x, side), np.full_like(edge_x, z)], axis=1))
+        for side in (0.0, 5.0):
+            walls.append(np.stack([np.full_like(edge_y, side), edge_y, np.full_like(edge_y, z)], axis=1))
+    points = np.concatenate([floor, *walls])
+    extra = {}
+    if with_labels:
+        extra = {"label": (np.arange(len(points)) < len(floor)).astype(int), "classes": np.array(["other", "floor"])}
+    np.savez(path, xyz=points.astype(np.float32), **extra)
+    return path
+
+
+@pytest.mark.parametrize("verb", VERBS)
+def test_every_verb_has_help(verb, capsys):
+    with pytest.raises(SystemExit) as stop:
+        main([*verb.split(), "--help"])
+    assert stop.value.code == 0
+    assert f"gpdf {verb}" in capsys.readouterr().out
+
+
+def test_two_word_verbs_are_found_before_one_word_verbs():
+    assert find_verb(["scene", "build", "x.npz"]) == "scene build"
+    assert find_verb(["plan", "scene"]) == "plan"
+    assert find_verb(["dance"]) is None
+
+
+def test_an_unknown_verb_lists_the_verbs_and_fails(capsys):
+    assert main(["dance"]) == 2
+    assert "gpdf serve" in capsys.readouterr().err
+
+
+def test_help_goes_to_standard_output(capsys):
+    assert main(["--help"]) == 0
+    assert "gpdf demo" in capsys.readouterr().out
+
+
+def test_build_info_and_plan_agree(tmp_path, capsys):
+    cloud = write_room(tmp_path / "room.npz")
+    assert main(["scene", "build", str(cloud), "--json"]) == 0
+    built = json.loads(capsys.readouterr().out)
+    assert main(["scene", "info", built["file"], "--json", "--png", str(tmp_path / "info.png")]) == 0
+    info = json.loads(capsys.readouterr().out)
+    assert info["digest"] == built["digest"]
+    assert len(info["levels"]) == 1
+    assert (tmp_path / "info.png").read_bytes().startswith(b"\x89PNG")
+    picture = tmp_path / "plan.png"
+    words = [
+        "plan",
+        built["file"],
+        "--start",
+        "1,1",
+        "--goal",
+        "4,3",
+        "--agent",
+        "pepper",
+        "--json",
+        "--png",
+        str(picture),
+    ]
+    assert main(words) == 0
+    result = json.loads(capsys.readouterr().out)
+    assert result["status"] == "OK"
+    assert result["certificate"]["holds"]
+    assert result["certificate"]["min_clearance"] > 0
+    np.testing.assert_allclose(result["trajectory"]["ground"][0][:2], [1, 1], atol=1e-6)
+    np.testing.assert_allclose(result["trajectory"]["ground"][-1][:2], [4, 3], atol=1e-6)
+    assert picture.read_bytes().startswith(b"\x89PNG")
+
+
+def test_a_plan_that_fails_exits_with_one_and_says_why(tmp_path, capsys):
+    cloud = write_room(tmp_path / "room.npz")
+    assert main(["plan", str(cloud), "--start", "1,1", "--goal", "40,3", "--json"]) == 1
+    result = json.loads(capsys.readouterr().out)
+    assert (result["status"], result["code"]) == ("GOAL_OUTSIDE_MAP", 204)
+    assert "trajectory" not in result
+
+
+def test_bad_input_exits_with_one_and_a_typed_error(tmp_path, capsys):
+    assert main(["scene", "info", str(tmp_path / "none.npz"), "--json"]) == 1
+    assert json.loads(capsys.readouterr().out)["error"] == "CloudError"
+    assert main(["scene", "info", str(tmp_path / "none.gpdf"), "--json"]) == 1
+    assert json.loads(capsys.readouterr().out)["error"] == "SceneFileError"
+
+
+def test_a_place_that_is_no_place_is_a_usage_error(tmp_path):
+    with pytest.raises(SystemExit) as stop:
+        main(["plan", "x.npz", "--start", "here", "--goal", "1,1"])
+    assert stop.value.code == 2
+
+
+def test_the_program_runs_as_a_module():
+    words = [sys.executable, "-m", "gpdf_service.cli", "--version"]
+    out = subprocess.run(words, capture_output=True, text=True, check=True).stdout
+    assert out.strip() == "0.1.0"
