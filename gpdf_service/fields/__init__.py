@@ -1,0 +1,9 @@
+"""Gaussian-process distance fields: distance and gradient for the price of a nearest-neighbour query."""
+
+from gpdf_service.fields.gpdf import Domain as Domain
+from gpdf_service.fields.gpdf import Gpdf as Gpdf
+from gpdf_service.fields.gpdf import fit_gpdf as fit_gpdf
+from gpdf_service.fields.spacing import estimate_spacing as estimate_spacing
+from gpdf_service.fields.spacing import thin as thin
+from gpdf_service.fields.traversal import FieldArrays as FieldArrays
+from gpdf_service.fields.traversal import sample_one as sample_one
