@@ -15,10 +15,22 @@ from gpdf_service.errors import ConfigError
 class PerceptionConfig:
     """Ground, levels and the limits of the ground."""
 
-    max_step: float = 0.4
-    """[m] Highest step that may join two pieces of ground: over what any body climbs (0.37), under a seat (0.42)."""
+    max_step: float = 0.37
+    """[m] Highest step that joins two pieces of ground: what the most able body takes; a seat is 0.40 to 0.45 high."""
+    stair_step: float = 0.25
+    """[m] Highest riser of a stair: building codes say 0.19 to 0.22; treads too narrow to stand on must keep to it."""
+    tread_length: float = 0.6
+    """[m] Narrowest stair: the least that a person walks up; a chair's seat is 0.45 wide."""
+    tread_depth: float = 0.2
+    """[m] Shallowest tread: building codes say 0.22 to 0.28; a scan loses an edge."""
+    standing_width: float = 0.5
+    """[m] Narrowest platform that is ground: the width of a person, Uttsha et al. 2024, Table 1."""
+    steepest: float = 0.7
+    """[rad] Steepest slope within a piece of ground: 40°, beyond what any body here stands on (30°)."""
     min_headroom: float = 0.1
     """[m] Least room over a piece of ground that is worth keeping: the height of the lowest body, a Roomba."""
+    step_headroom: float = 0.7
+    """[m] Room over a step that joins two pieces of ground: the height of the lowest body that steps, a Spot."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,0 +1,15 @@
+"""From a cloud to ground, levels and what stops a body on them."""
+
+from gpdf_service.perception.levels import GroundLevel as GroundLevel
+from gpdf_service.perception.levels import Levels as Levels
+from gpdf_service.perception.levels import Portal as Portal
+from gpdf_service.perception.levels import build_levels as build_levels
+from gpdf_service.perception.limits import GroundLimits as GroundLimits
+from gpdf_service.perception.limits import ObstacleKind as ObstacleKind
+from gpdf_service.perception.obstacles import Obstacles as Obstacles
+from gpdf_service.perception.obstacles import obstacles_of as obstacles_of
+from gpdf_service.perception.read import PointCloud as PointCloud
+from gpdf_service.perception.read import check_points as check_points
+from gpdf_service.perception.read import read_cloud as read_cloud
+from gpdf_service.perception.segment import segment_ground as segment_ground
+from gpdf_service.perception.surface import HeightMap as HeightMap

@@ -1,0 +1,116 @@
+"""Surface layers per cell: a column of the grid cut at vertical gaps, so that floor, table and ceiling are three."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from gpdf_service.types import BoolArray, FloatArray, IntArray
+
+MIN_CELL = 0.05
+"""[m] Finer than a wheel or a foot feels, and a quarter of the smallest body's radius."""
+_SAMPLE = 4000
+_COLUMN = 0.5
+"""[m] Wide enough to hold several floor points of any cloud that a body can be planned in."""
+
+
+def cell_width_of(points: FloatArray) -> float:
+    """Cell width at which nearly every cell of a sampled floor is hit [m].
+
+    Density is not uniform: a dense chair must not speak for a sparse floor. So only the lowest points of each column
+    `_COLUMN` wide are looked at, which are floor nearly everywhere. At 1.5 × their spacing s (the mean distance to the
+    k-th neighbour is s √(k/π)) one cell in ten of a Poisson sample stays empty, which the height map closes.
+    """
+    column = np.floor((points[:, :2] - points[:, :2].min(axis=0)) / _COLUMN).astype(np.int64)
+    key = column[:, 0] * (column[:, 1].max() + 1) + column[:, 1]
+    order = np.lexsort((points[:, 2], key))
+    first = np.flatnonzero(np.diff(key[order], prepend=-1))
+    count = np.diff(np.append(first, len(key)))
+    floor = points[order[first + count // 20], 2]  # the 5th percentile: below it, reflections
+    low = points[order][np.abs(points[order, 2] - np.repeat(floor, count)) <= MIN_CELL]
+    k = min(8, len(low) - 1)
+    if k < 1:
+        return MIN_CELL
+    picked = low[:: max(1, len(low) // _SAMPLE)]
+    distance = cKDTree(low).query(picked, k=k + 1, workers=-1)[0][:, k]
+    return max(MIN_CELL, 1.5 * float(np.median(distance)) * float(np.sqrt(np.pi / k)))
+
+
+@dataclass(frozen=True, slots=True)
+class Layers:
+    """Nodes of the layered grid, sorted by cell and, within a cell, upward.
+
+    Attributes:
+        origin: Lower corner of the grid [m], shape (2,).
+        cell_width: [m].
+        shape: Cells along x and y.
+        cell: Flat cell index of each node, shape (k,).
+        height: Height of its surface [m], shape (k,).
+        thickness: Between its lowest and highest point [m], shape (k,).
+        headroom: Free height above it [m], inf under the open sky, shape (k,).
+        node_of_point: Node of each input point, shape (n,).
+        start: First node of each cell, shape (cells + 1,).
+    """
+
+    origin: FloatArray
+    cell_width: float
+    shape: tuple[int, int]
+    cell: IntArray
+    height: FloatArray
+    thickness: FloatArray
+    headroom: FloatArray
+    node_of_point: IntArray
+    start: IntArray
+
+    def neighbours(self, offset: tuple[int, int]) -> tuple[IntArray, IntArray]:
+        """All pairs of nodes (a, b) where b's cell lies at `offset` cells from a's."""
+        x, y = np.divmod(self.cell, self.shape[1])
+        x, y = x + offset[0], y + offset[1]
+        inside = (x >= 0) & (x < self.shape[0]) & (y >= 0) & (y < self.shape[1])
+        a = np.flatnonzero(inside)
+        target = x[a] * self.shape[1] + y[a]
+        first, count = self.start[target], self.start[target + 1] - self.start[target]
+        a = np.repeat(a, count)
+        within = np.arange(len(a)) - np.repeat(np.cumsum(count) - count, count)
+        return a, np.repeat(first, count) + within
+
+
+def build_layers(points: FloatArray, cell_width: float, gap: float) -> Layers:
+    """Cut the columns of `points`, shape (n, 3), wherever neighbours in height are more than `gap` apart [m]."""
+    origin = points[:, :2].min(axis=0) - 1.5 * cell_width  # a ring of empty cells: the outside is unknown
+    index = np.floor((points[:, :2] - origin) / cell_width).astype(np.int64)
+    shape = (int(index[:, 0].max()) + 2, int(index[:, 1].max()) + 2)
+    cell = index[:, 0] * shape[1] + index[:, 1]
+    order = np.lexsort((points[:, 2], cell))
+    cell, z = cell[order], points[order, 2]
+    fresh = np.ones(len(z), dtype=bool)
+    fresh[1:] = (np.diff(cell) != 0) | (np.diff(z) > gap)
+    first = np.flatnonzero(fresh)
+    last = np.concatenate([first[1:], [len(z)]]) - 1
+    thickness = z[last] - z[first]
+    # Flat or sloping ground: the median. A step's face: its top.
+    flat = thickness <= 2.0 * cell_width
+    height = np.where(flat, z[(first + last) // 2], z[last])
+    headroom = np.full(len(first), np.inf)
+    same = cell[first[1:]] == cell[first[:-1]]
+    headroom[:-1][same] = (z[first[1:]] - z[last[:-1]])[same]
+    node_of_point = np.empty(len(z), np.int64)
+    node_of_point[order] = np.cumsum(fresh) - 1
+    start = np.searchsorted(cell[first], np.arange(shape[0] * shape[1] + 1))
+    return Layers(origin, cell_width, shape, cell[first], height, thickness, headroom, node_of_point, start)
+
+
+def connect(
+    layers: Layers, keep: BoolArray, limit: FloatArray | float, offsets: tuple[tuple[int, int], ...]
+) -> tuple[IntArray, IntArray]:
+    """Pairs of kept neighbours whose heights differ by at most `limit` [m] (one number, or one a node)."""
+    found = []
+    for offset in offsets:
+        a, b = layers.neighbours(offset)
+        rise = np.abs(layers.height[a] - layers.height[b])
+        allowed = limit if isinstance(limit, float) else np.minimum(limit[a], limit[b])
+        near = keep[a] & keep[b] & (rise <= allowed * (np.hypot(*offset) if isinstance(limit, float) else 1.0))
+        found.append((a[near], b[near]))
+    return np.concatenate([a for a, _ in found]), np.concatenate([b for _, b in found])

@@ -1,0 +1,192 @@
+"""The ground as single-valued sheets, one a storey, with what a body could touch on each and where they meet."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from gpdf_service.config import PerceptionConfig
+from gpdf_service.errors import NoGroundError
+from gpdf_service.perception.layers import Layers, build_layers, cell_width_of, connect
+from gpdf_service.perception.limits import GroundLimits, find_limits
+from gpdf_service.perception.segment import HALF, components, over_ground
+from gpdf_service.perception.surface import OBSERVED, UNKNOWN, HeightMap, fill_holes
+from gpdf_service.types import BoolArray, FloatArray, IntArray
+
+OVERLAP = 1.2
+"""[m] How far a sheet reaches into the next: twice the largest body's radius, so that a body fits where they meet."""
+TALLEST = 3.0
+"""[m] Material higher than this over the ground is out of every body's reach."""
+
+
+@dataclass(frozen=True, slots=True)
+class GroundLevel:
+    """One sheet of ground.
+
+    Attributes:
+        surface: Its height map.
+        ground_points: Centres of the known cells, for the Ground GPDF [m], shape (n, 3).
+        inferred: Which of them nobody has seen, shape (n,).
+        other_points: What is not this ground and within reach over it [m], shape (m, 3).
+        limits: Where the ground itself stops a body.
+    """
+
+    surface: HeightMap
+    ground_points: FloatArray
+    inferred: BoolArray
+    other_points: FloatArray
+    limits: GroundLimits
+
+
+@dataclass(frozen=True, slots=True)
+class Portal:
+    """Where the sheets `a` and `b` are the same ground: points [m], shape (k, 3)."""
+
+    a: int
+    b: int
+    points: FloatArray
+
+
+@dataclass(frozen=True, slots=True)
+class Levels:
+    """All sheets, and the portals between them."""
+
+    levels: tuple[GroundLevel, ...]
+    portals: tuple[Portal, ...]
+
+
+def build_levels(points: FloatArray, ground: BoolArray, config: PerceptionConfig) -> Levels:
+    """Build the sheets from labelled points.
+
+    Args:
+        points: The cloud [m], shape (n, 3).
+        ground: Which points are ground, shape (n,).
+        config: Limits.
+
+    Raises:
+        NoGroundError: no point is ground.
+    """
+    if not ground.any():
+        raise NoGroundError(
+            "ground", "no point of the cloud is labelled ground", "Check the labels, or leave them out."
+        )
+    width = cell_width_of(points[ground])
+    layers = build_layers(points[ground], width, max(config.min_headroom, 1.5 * width))
+    sheets = split_sheets(layers, config)
+    surfaces = tuple(_build_level(points, ground, layers, sheet) for sheet in sheets)
+    portals = []
+    for a in range(len(sheets)):
+        for b in range(a + 1, len(sheets)):
+            both = np.intersect1d(sheets[a], sheets[b])
+            if len(both):
+                flat = np.column_stack(np.divmod(layers.cell[both], layers.shape[1]))
+                centres = layers.origin + (flat + 0.5) * width
+                portals.append(Portal(a, b, np.column_stack([centres, layers.height[both]])))
+    return Levels(surfaces, tuple(portals))
+
+
+def split_sheets(layers: Layers, config: PerceptionConfig) -> list[IntArray]:
+    """Nodes of each sheet: no sheet has two nodes in one cell; sheets overlap by `OVERLAP` where they meet."""
+    count = len(layers.cell)
+    keep = ~over_ground(layers, np.ones(count, dtype=bool), config)
+    if len(np.unique(layers.cell[keep])) == keep.sum():
+        return [np.flatnonzero(keep)]
+    smooth = components(*connect(layers, keep, layers.cell_width, HALF), count)
+    a, b = connect(layers, keep, np.full(count, config.max_step), HALF)
+    sheet_of = np.full(count, -1)
+    order = np.argsort(-np.bincount(smooth, weights=keep))
+    order = order[np.bincount(smooth, weights=keep)[order] > 0]
+    members = np.split(np.argsort(smooth, kind="stable"), np.cumsum(np.bincount(smooth))[:-1])
+    sheets = 0
+    taken: list[set[int]] = []
+    for seed in order:
+        if sheet_of[members[seed][0]] >= 0:
+            continue
+        nodes = _first_of_each_cell(layers, members[seed])
+        sheet_of[nodes] = sheets
+        taken.append(set(layers.cell[nodes].tolist()))
+        _attach(layers, a, b, smooth, members, sheet_of, sheets, taken[-1])
+        sheets += 1
+    least = max(9, int(0.001 * count))  # a patch smaller than three cells square holds no foot
+    made = [np.flatnonzero(sheet_of == i) for i in range(sheets)]
+    return [_grow(layers, a, b, nodes) for nodes in made if len(nodes) >= least]
+
+
+def _first_of_each_cell(layers: Layers, nodes: IntArray) -> IntArray:
+    return nodes[np.unique(layers.cell[nodes], return_index=True)[1]]
+
+
+def _attach(
+    layers: Layers,
+    a: IntArray,
+    b: IntArray,
+    smooth: IntArray,
+    members: list[IntArray],
+    sheet_of: IntArray,
+    sheet: int,
+    taken: set[int],
+) -> None:
+    """Add to a sheet, one after another, the smooth pieces beside it that do not lie over it."""
+    while True:
+        here, there = sheet_of[a] == sheet, sheet_of[b] == sheet
+        pieces = np.unique(np.concatenate([smooth[b[here & (sheet_of[b] < 0)]], smooth[a[there & (sheet_of[a] < 0)]]]))
+        grown = False
+        for piece in pieces:
+            nodes = members[piece]
+            cells = layers.cell[nodes].tolist()
+            if taken.isdisjoint(cells) and len(set(cells)) == len(cells):
+                sheet_of[nodes] = sheet
+                taken.update(cells)
+                grown = True
+        if not grown:
+            return
+
+
+def _grow(layers: Layers, a: IntArray, b: IntArray, nodes: IntArray) -> IntArray:
+    """Let a sheet reach into its neighbours, without lying over itself."""
+    inside = np.zeros(len(layers.cell), dtype=bool)
+    inside[nodes] = True
+    used = np.zeros(layers.shape[0] * layers.shape[1], dtype=bool)
+    used[layers.cell[nodes]] = True
+    for _ in range(int(np.ceil(OVERLAP / layers.cell_width))):
+        fresh = np.concatenate([b[inside[a] & ~inside[b]], a[inside[b] & ~inside[a]]])
+        fresh = _first_of_each_cell(layers, fresh[~used[layers.cell[fresh]]])
+        if len(fresh) == 0:
+            break
+        inside[fresh] = True
+        used[layers.cell[fresh]] = True
+    return np.flatnonzero(inside)
+
+
+def _build_level(points: FloatArray, ground: BoolArray, layers: Layers, nodes: IntArray) -> GroundLevel:
+    height = np.full(layers.shape[0] * layers.shape[1], np.nan, np.float32)
+    height[layers.cell[nodes]] = layers.height[nodes]
+    height = height.reshape(layers.shape)
+    state = np.where(np.isnan(height), UNKNOWN, OBSERVED).astype(np.uint8)
+    surface = HeightMap(layers.origin, layers.cell_width, height, state)
+    inside = np.zeros(len(layers.cell), dtype=bool)
+    inside[nodes] = True
+    mine = ground.copy()
+    mine[ground] = inside[layers.node_of_point]
+    other = _within_reach(points[~mine], surface)
+    material = np.zeros(layers.shape, dtype=bool)
+    ix, iy, within = surface.cells(other)
+    material[ix[within], iy[within]] = True
+    surface = fill_holes(surface, material)
+    limits = find_limits(surface, material)
+    known = surface.state != UNKNOWN
+    return GroundLevel(surface, surface.centres(known), surface.state[known] != OBSERVED, other, limits)
+
+
+def _within_reach(points: FloatArray, surface: HeightMap) -> FloatArray:
+    """Points between a cell under the lowest known ground near them and `TALLEST` over the highest."""
+    from scipy import ndimage
+
+    size = 2 * int(np.ceil(OVERLAP / surface.cell_width)) + 1
+    known = surface.state != UNKNOWN
+    high = ndimage.maximum_filter(np.where(known, surface.height, -np.inf), size=size)
+    low = ndimage.minimum_filter(np.where(known, surface.height, np.inf), size=size)
+    ix, iy, inside = surface.cells(points)
+    z = points[:, 2]
+    return points[inside & (z >= low[ix, iy] - surface.cell_width) & (z <= high[ix, iy] + TALLEST)]

@@ -1,0 +1,111 @@
+"""Where the ground itself stops a body: steps, slopes, and the edge of what is known."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import IntEnum
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from gpdf_service.perception.surface import UNKNOWN, HeightMap
+from gpdf_service.types import BoolArray, FloatArray
+
+FOOT = 0.1
+"""[m] Half a foot's length, and a wheel's contact: slopes are measured over it, so that a stair's tread stays flat."""
+LEAST_STEP = 0.01
+"""[m] Below the smallest `max_step` of any body; a lower step stops nobody."""
+
+
+class ObstacleKind(IntEnum):
+    """What stops a body at a place."""
+
+    MATERIAL = 0
+    STEP = 1
+    SLOPE = 2
+    UNKNOWN = 3
+
+
+@dataclass(frozen=True, slots=True)
+class GroundLimits:
+    """Places where the ground stops bodies whose limit is below `value`.
+
+    Attributes:
+        points: Shape (k, 3) [m].
+        kind: STEP, SLOPE or UNKNOWN of `ObstacleKind`, shape (k,).
+        value: Height of the step or drop [m], slope [rad], or inf, shape (k,).
+    """
+
+    points: FloatArray
+    kind: NDArray[np.uint8]
+    value: FloatArray
+
+
+def find_limits(surface: HeightMap, material: BoolArray) -> GroundLimits:
+    """Find the limits of one piece of ground; `material` are the cells that hold other points, shape (nx, ny)."""
+    step, slope = step_and_slope(surface)
+    known = surface.state != UNKNOWN
+    edge = ndimage.binary_dilation(known, np.ones((3, 3))) & ~known & ~material
+    beside = ndimage.maximum_filter(np.where(known, surface.height, -np.inf), size=3)
+    edge_map = HeightMap(surface.origin, surface.cell_width, np.where(edge, beside, np.nan), surface.state)
+    stepped, sloped = known & (step > LEAST_STEP), known & (slope > 0.0)
+    parts = [
+        (surface.centres(stepped), ObstacleKind.STEP, step[stepped]),
+        (surface.centres(sloped), ObstacleKind.SLOPE, slope[sloped]),
+        (edge_map.centres(edge), ObstacleKind.UNKNOWN, np.full(int(edge.sum()), np.inf)),
+    ]
+    return GroundLimits(
+        np.concatenate([points for points, _, _ in parts]),
+        np.concatenate([np.full(len(points), int(kind), np.uint8) for points, kind, _ in parts]),
+        np.concatenate([value for _, _, value in parts]),
+    )
+
+
+def step_and_slope(surface: HeightMap) -> tuple[FloatArray, FloatArray]:
+    """Height of the step [m] and slope of the ground [rad] at each cell, shape (nx, ny); 0 where unknown.
+
+    The slope along an axis is the smaller of the rises to either side over a foot's length: it is flat on a tread and
+    true on a hillside. The step is the rise across a cell, neighbour to neighbour, less what the slope around explains:
+    a scanned step's face lies in one cell, whose own height says little.
+    """
+    height = _median3(surface)
+    width = surface.cell_width
+    reach = max(1, round(FOOT / width))
+    gradient2 = np.zeros_like(height)
+    step = np.zeros_like(height)
+    for axis in (0, 1):
+        ahead, behind = _shift(height, -reach, axis) - height, height - _shift(height, reach, axis)
+        ahead, behind = np.abs(ahead), np.abs(behind)
+        rise = np.fmin(ahead, behind)  # at the rim, the side that is known
+        gradient2 += np.nan_to_num(rise / (reach * width)) ** 2
+        across = np.abs(_shift(surface.height, -1, axis) - _shift(surface.height, 1, axis)).astype(np.float64)
+        one = np.fmax(
+            np.abs(_shift(surface.height, -1, axis) - surface.height),
+            np.abs(surface.height - _shift(surface.height, 1, axis)),
+        )
+        usual = ndimage.median_filter(np.nan_to_num(rise / (reach * width)), size=5)
+        excess = np.fmax(across - 2.0 * width * usual, one - width * usual)
+        step = np.fmax(step, np.nan_to_num(excess))
+    slope = np.arctan(np.sqrt(ndimage.median_filter(gradient2, size=3)))
+    known = surface.state != UNKNOWN
+    return np.where(known, step, 0.0), np.where(known, slope, 0.0)
+
+
+def _median3(surface: HeightMap) -> FloatArray:
+    """Heights after a 3 × 3 median over the known cells: takes single outliers, keeps edges."""
+    stack = [_shift(_shift(surface.height.astype(np.float64), i, 0), j, 1) for i in (-1, 0, 1) for j in (-1, 0, 1)]
+    known = surface.state != UNKNOWN
+    median = np.full(surface.height.shape, np.nan)
+    median[known] = np.nanmedian(np.stack([part[known] for part in stack]), axis=0)
+    return median
+
+
+def _shift(values: NDArray[np.floating], by: int, axis: int) -> FloatArray:
+    """Values moved by `by` cells along `axis`; NaN comes in at the rim."""
+    moved = np.full(values.shape, np.nan)
+    to, source = [slice(None)] * 2, [slice(None)] * 2
+    to[axis] = slice(max(by, 0), values.shape[axis] + min(by, 0))
+    source[axis] = slice(max(-by, 0), values.shape[axis] - max(by, 0))
+    moved[tuple(to)] = values[tuple(source)]
+    return moved

@@ -1,0 +1,146 @@
+"""Reading point clouds: .ply .pcd .xyz (Open3D), .npz (NumPy), .las .laz (laspy), with ground labels if any."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from gpdf_service.errors import CloudError
+from gpdf_service.types import BoolArray, FloatArray
+
+LAS_GROUND = 2
+"""ASPRS LAS specification 1.4, table 17: class 2 is ground."""
+GROUND_CLASSES = ("ground", "floor", "terrain")
+"""Names that mean ground in an .npz file's `classes`."""
+MAX_EXTENT = 5000.0
+"""[m] No place that one plans in on foot is wider; a room in millimetres is."""
+
+
+@dataclass(frozen=True, slots=True)
+class PointCloud:
+    """A cloud as read: points [m], shape (n, 3), and which are ground, shape (n,), where the file says so."""
+
+    points: FloatArray
+    ground: BoolArray | None = None
+
+
+def check_points(points: ArrayLike) -> FloatArray:
+    """Points as float64 of shape (n, 3), or a clear refusal.
+
+    Raises:
+        CloudError: another shape, empty, not finite, or too wide to be in metres.
+    """
+    try:
+        made = np.ascontiguousarray(points, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise CloudError("point cloud", f"no array of numbers ({error})", "Pass an array of shape (n, 3).") from error
+    if made.ndim != 2 or made.shape[1] != 3:
+        raise CloudError("point cloud", f"an array of shape {made.shape}", "Pass an array of shape (n, 3): x, y, z.")
+    if len(made) == 0:
+        raise CloudError("point cloud", "it is empty", "Pass at least the points of a floor.")
+    bad = ~np.isfinite(made).all(axis=1)
+    if bad.any():
+        found = f"{int(bad.sum())} of {len(made)} points are not finite, the first in row {int(bad.argmax())}"
+        raise CloudError("point cloud", found, "Remove them: points = points[np.isfinite(points).all(axis=1)].")
+    extent = float(np.ptp(made[:, :2], axis=0).max())
+    if extent > MAX_EXTENT:
+        found = f"it is {extent:.0f} wide, more than {MAX_EXTENT:.0f} m"
+        raise CloudError("point cloud", found, "Is it in millimetres? Divide by 1000; or crop it.")
+    return made
+
+
+def read_cloud(path: str | os.PathLike[str], *, ground_label: int | None = None) -> PointCloud:
+    """Read a cloud by its suffix.
+
+    Args:
+        path: The file.
+        ground_label: The label that means ground (.npz `label`, LAS class); by name or standard if not given.
+
+    Raises:
+        CloudError: the file is missing, of an unknown kind, damaged, empty, or lacks a column.
+    """
+    file = Path(path)
+    reader = _READERS.get(file.suffix.lower())
+    if reader is None:
+        raise CloudError(f"cloud {file}", f"files of kind {file.suffix!r} are not known", f"Use {' '.join(_READERS)}.")
+    if not file.is_file():
+        raise CloudError(f"cloud {file}", "there is no such file", "Check the path.")
+    try:
+        points, ground = reader(file, ground_label)
+    except (OSError, ValueError, RuntimeError, EOFError, KeyError) as error:
+        raise CloudError(f"cloud {file}", f"it cannot be read ({error})", "Is the file complete?") from error
+    return PointCloud(check_points(points), ground)
+
+
+Read = tuple[FloatArray, BoolArray | None]
+
+
+def _read_npz(path: Path, ground_label: int | None) -> Read:
+    with np.load(path, allow_pickle=False) as stored:
+        key = next((name for name in ("xyz", "points") if name in stored.files), None)
+        if key is None:
+            found = f"it has no column xyz (it has {', '.join(stored.files)})"
+            raise CloudError(f"cloud {path}", found, "Store the points as 'xyz', shape (n, 3).")
+        points = stored[key].astype(np.float64)
+        label = stored["label"] if "label" in stored.files else None
+        classes = [str(name).lower() for name in stored["classes"]] if "classes" in stored.files else []
+    if ground_label is not None:
+        if label is None:
+            raise CloudError(f"cloud {path}", "it has no column label", "Leave --ground-label out.")
+        return points, _labelled(label == ground_label, points, path, ground_label)
+    named = [i for i, name in enumerate(classes) if name in GROUND_CLASSES]
+    if label is None or not named:
+        return points, None
+    return points, _labelled(np.isin(label, named), points, path, classes[named[0]])
+
+
+def _labelled(ground: BoolArray, points: FloatArray, path: Path, label: object) -> BoolArray:
+    if ground.shape != (len(points),):
+        raise CloudError(f"cloud {path}", f"labels of shape {ground.shape}", f"One label a point: ({len(points)},).")
+    if not ground.any():
+        raise CloudError(f"cloud {path}", f"no point is labelled {label!r}", "Name the right label: --ground-label N.")
+    return ground
+
+
+def _read_open3d(path: Path, ground_label: int | None) -> Read:
+    import open3d  # 1.2 s: only here
+
+    if ground_label is not None:
+        raise CloudError(
+            f"cloud {path}", "files of this kind carry no labels", "Leave --ground-label out, or use .npz."
+        )
+    with open3d.utility.VerbosityContextManager(open3d.utility.VerbosityLevel.Error):
+        cloud = open3d.io.read_point_cloud(str(path), remove_nan_points=False, remove_infinite_points=False)
+    points = np.asarray(cloud.points, dtype=np.float64)
+    if len(points) == 0:
+        raise CloudError(f"cloud {path}", "no point could be read from it", "Is it empty or damaged?")
+    return points, None
+
+
+def _read_las(path: Path, ground_label: int | None) -> Read:
+    import laspy
+
+    try:
+        stored = laspy.read(path)
+    except laspy.errors.LaspyException as error:
+        raise CloudError(f"cloud {path}", f"it cannot be read ({error})", "Is the file complete?") from error
+    points = np.asarray(stored.xyz, dtype=np.float64)
+    ground = np.asarray(stored.classification) == (LAS_GROUND if ground_label is None else ground_label)
+    if ground_label is None and not ground.any():
+        return points, None
+    return points, _labelled(ground, points, path, ground_label or LAS_GROUND)
+
+
+_READERS: dict[str, Callable[[Path, int | None], Read]] = {
+    ".ply": _read_open3d,
+    ".pcd": _read_open3d,
+    ".xyz": _read_open3d,
+    ".npz": _read_npz,
+    ".las": _read_las,
+    ".laz": _read_las,
+}

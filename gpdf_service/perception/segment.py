@@ -1,0 +1,182 @@
+"""Which points are ground: layers that a body can stand on, joined by steps that it takes, from the walkable bulk."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.sparse import csr_matrix
+from scipy.sparse.csgraph import connected_components
+
+from gpdf_service.config import PerceptionConfig
+from gpdf_service.errors import NoGroundError
+from gpdf_service.perception.layers import Layers, build_layers, cell_width_of, connect
+from gpdf_service.perception.read import check_points
+from gpdf_service.types import BoolArray, FloatArray, IntArray
+
+HALF = ((1, 0), (0, 1), (1, 1), (1, -1))
+"""Half of a cell's eight neighbours: each pair of cells once."""
+LEAST_SCATTER = 0.02
+"""[m] Scatter of a good scanner's floor; three robust standard deviations of the residuals where that is more."""
+OVER_SHARE = 0.2
+"""Share of a patch that may lie over other ground: a scan's stray points, not a table."""
+TABLE_AREA = 4.0
+"""[m²] Furniture is no larger than a conference table for eight."""
+BULK_SHARE = 0.3
+"""Of the largest surface: what is smaller is furniture, a landing or a shelf, not the floor that one starts from."""
+
+
+def segment_ground(points: ArrayLike, config: PerceptionConfig | None = None) -> BoolArray:
+    """Tell ground from the rest in an unlabelled cloud.
+
+    Columns of the cloud are cut into layers; layers that are surfaces, not a wall's face, are joined into patches; from
+    the bulk, the lowest of the large patches, the ground grows over steps. See `find_ground`.
+
+    Args:
+        points: The cloud, z up [m], shape (n, 3).
+        config: Limits.
+
+    Returns:
+        Shape (n,).
+
+    Raises:
+        CloudError: the cloud cannot be used.
+        NoGroundError: nothing in it is walkable.
+    """
+    config = config or PerceptionConfig()
+    cloud = check_points(points)
+    width = cell_width_of(cloud)
+    layers = build_layers(cloud, width, max(config.min_headroom, 1.5 * width))
+    ground = find_ground(layers, config)
+    node = layers.node_of_point
+    candidate = np.flatnonzero(ground[node])
+    residual = np.abs(cloud[candidate, 2] - _smoothed(layers, ground)[node[candidate]])
+    scatter = max(LEAST_SCATTER, 3.0 * 1.4826 * float(np.median(residual)))
+    mask = np.zeros(len(cloud), dtype=bool)
+    mask[candidate[residual <= scatter]] = True
+    return mask
+
+
+def _smoothed(layers: Layers, ground: BoolArray) -> FloatArray:
+    """Median height of each ground node and its neighbours on the same slope: a wheel on the floor does not lift it."""
+    a, b = connect(layers, ground, 2.0 * layers.cell_width, HALF)
+    nodes = np.flatnonzero(ground)
+    owner = np.concatenate([nodes, a, b])
+    value = layers.height[np.concatenate([nodes, b, a])]
+    order = np.lexsort((value, owner))
+    first = np.flatnonzero(np.diff(owner[order], prepend=-1))
+    count = np.diff(np.append(first, len(order)))
+    smooth = layers.height.copy()
+    smooth[owner[order[first]]] = value[order[first + (count - 1) // 2]]
+    return smooth
+
+
+def find_ground(layers: Layers, config: PerceptionConfig) -> BoolArray:
+    """Which nodes are ground, shape (k,).
+
+    Patches are sets of nodes joined by walkable slopes. From the bulk, the ground grows patch by patch over steps that
+    a body takes, to patches that a foot fits on and that do not lie, as a bench does, over ground already found.
+    """
+    surface = layers.thickness <= config.max_step
+    rise = layers.cell_width * float(np.tan(config.steepest))
+    a, b = connect(layers, surface, rise, HALF)
+    smooth = np.bincount(a, minlength=len(surface)) + np.bincount(b, minlength=len(surface))
+    core = surface & (smooth >= 5)  # what a strip two cells wide has: a tread is that wide, a wall's top is not
+    if not core.any():
+        raise NoGroundError("ground", "no surface in the cloud is wide and level enough to stand on", "Is z up?")
+    inner = core[a] & core[b]
+    patch = components(a[inner], b[inner], len(core))
+    wide = core.copy()  # and the rim of each patch
+    for one, other in ((a, b), (b, a)):
+        rim = core[one] & ~wide[other]
+        wide[other[rim]] = True
+        patch[other[rim]] = patch[one[rim]]
+    size = np.bincount(patch[wide], minlength=patch.max() + 1)
+    large = np.flatnonzero(size >= BULK_SHARE * size.max())
+    bulk = min(large, key=lambda i: float(np.median(layers.height[wide & (patch == i)])))
+    return _spread(layers, config, wide, patch, int(bulk))
+
+
+def _spread(layers: Layers, config: PerceptionConfig, wide: BoolArray, patch: IntArray, bulk: int) -> BoolArray:
+    standable, tread = _shapes(layers, wide, patch, config)
+    limit = np.where(layers.headroom >= config.step_headroom, config.max_step, layers.cell_width)
+    a, b = connect(layers, wide, limit, HALF)
+    across = patch[a] != patch[b]
+    a, b = np.concatenate([a[across], b[across]]), np.concatenate([b[across], a[across]])
+    rise = np.abs(layers.height[a] - _level_of_furniture(layers, wide, patch)[b])
+    allowed = np.where(standable[patch[b]], config.max_step, np.where(tread[patch[b]], config.stair_step, -1.0))
+    a, b = a[rise <= allowed], b[rise <= allowed]
+    ground = wide & (patch == bulk)
+    refused = np.zeros(len(standable), dtype=bool)
+    size = np.bincount(patch, minlength=len(refused))
+    while len(fresh := np.unique(patch[b[ground[a] & ~ground[b] & ~refused[patch[b]]]])):
+        nodes = wide & np.isin(patch, fresh)
+        over = np.bincount(patch[nodes & _over(layers, ground, config)], minlength=len(refused))
+        refused |= over > OVER_SHARE * size
+        ground |= nodes & ~refused[patch]
+    ground &= ~over_ground(layers, ground, config)
+    return _without_dead_ends(ground, patch, standable, a, b)
+
+
+def _level_of_furniture(layers: Layers, wide: BoolArray, patch: IntArray) -> FloatArray:
+    """Height that counts for a step onto each node: of a piece no larger than a table its median, else its own.
+
+    A sofa's low front edge must not make its back a platform.
+    """
+    nodes = np.flatnonzero(wide)
+    order = nodes[np.lexsort((layers.height[nodes], patch[nodes]))]
+    first = np.flatnonzero(np.diff(patch[order], prepend=-1))
+    count = np.diff(np.append(first, len(order)))
+    small = count * layers.cell_width**2 <= TABLE_AREA
+    level = layers.height.copy()
+    level[order] = np.where(
+        np.repeat(small, count), np.repeat(layers.height[order[first + count // 2]], count), layers.height[order]
+    )
+    return level
+
+
+def _without_dead_ends(ground: BoolArray, patch: IntArray, standable: BoolArray, a: IntArray, b: IntArray) -> BoolArray:
+    """Drop treads that lead nowhere: a stair's tread joins two pieces of ground, a box on the floor joins one."""
+    while True:
+        here = ground[a] & ground[b]
+        pairs = np.unique(np.column_stack([patch[a[here]], patch[b[here]]]), axis=0)
+        pairs = np.unique(np.concatenate([pairs, pairs[:, ::-1]]), axis=0)
+        joined = np.bincount(pairs[:, 0], minlength=len(standable))
+        dead = ground & ~standable[patch] & (joined[patch] < 2)
+        if not dead.any():
+            return ground
+        ground = ground & ~dead
+
+
+def _shapes(layers: Layers, wide: BoolArray, patch: IntArray, config: PerceptionConfig) -> tuple[BoolArray, BoolArray]:
+    """Which patches a body stands on, and which are long enough for a stair's tread, by their principal extents."""
+    x, y = np.divmod(layers.cell, layers.shape[1]) + np.zeros((2, 1))
+    weight = wide.astype(float)
+    count = np.maximum(np.bincount(patch, weight), 1.0)
+
+    def mean(values: FloatArray) -> FloatArray:
+        result: FloatArray = np.bincount(patch, weight * values) / count
+        return result
+
+    xx, yy = mean(x * x) - mean(x) ** 2, mean(y * y) - mean(y) ** 2
+    xy = mean(x * y) - mean(x) * mean(y)
+    middle, radius = 0.5 * (xx + yy), np.hypot(0.5 * (xx - yy), xy)
+    # A uniform strip of length L has variance L²/12; a cell more, because cells have a width.
+    length = (np.sqrt(12.0 * (middle + radius)) + 1.0) * layers.cell_width
+    depth = (np.sqrt(12.0 * np.maximum(middle - radius, 0.0)) + 1.0) * layers.cell_width
+    return depth >= config.standing_width, (length >= config.tread_length) & (depth >= config.tread_depth)
+
+
+def over_ground(layers: Layers, ground: BoolArray, config: PerceptionConfig) -> BoolArray:
+    """Nodes with ground under them at less than the headroom of a body that steps: benches, tables, shelves."""
+    over = np.zeros(len(ground), dtype=bool)
+    lower = np.full(len(layers.start) - 1, -np.inf)
+    np.maximum.at(lower, layers.cell[ground], layers.height[ground])
+    gap = layers.height - lower[layers.cell]
+    over[(gap > 0) & (gap <= config.step_headroom)] = True
+    return over
+
+
+def components(a: IntArray, b: IntArray, count: int) -> IntArray:
+    graph = csr_matrix((np.ones(len(a), dtype=np.int8), (a, b)), shape=(count, count))
+    label: IntArray = connectedcomponents(graph, directed=False)[1].astype(np.int64)
+    return label
