@@ -110,7 +110,7 @@ def _spread(layers: Layers, config: PerceptionConfig, wide: BoolArray, patch: In
     size = np.bincount(patch, minlength=len(refused))
     while len(fresh := np.unique(patch[b[ground[a] & ~ground[b] & ~refused[patch[b]]]])):
         nodes = wide & np.isin(patch, fresh)
-        over = np.bincount(patch[nodes & _over(layers, ground, config)], minlength=len(refused))
+        over = np.bincount(patch[nodes & over_ground(layers, ground, config)], minlength=len(refused))
         refused |= over > OVER_SHARE * size
         ground |= nodes & ~refused[patch]
     ground &= ~over_ground(layers, ground, config)
@@ -168,15 +168,15 @@ def _shapes(layers: Layers, wide: BoolArray, patch: IntArray, config: Perception
 
 def over_ground(layers: Layers, ground: BoolArray, config: PerceptionConfig) -> BoolArray:
     """Nodes with ground under them at less than the headroom of a body that steps: benches, tables, shelves."""
-    over = np.zeros(len(ground), dtype=bool)
-    lower = np.full(len(layers.start) - 1, -np.inf)
-    np.maximum.at(lower, layers.cell[ground], layers.height[ground])
-    gap = layers.height - lower[layers.cell]
-    over[(gap > 0) & (gap <= config.step_headroom)] = True
+    index = np.arange(len(ground))
+    last = np.concatenate([[-1], np.maximum.accumulate(np.where(ground, index, -1))[:-1]])
+    beneath = (last >= 0) & (layers.cell[last] == layers.cell)
+    over: BoolArray = beneath & (layers.height - layers.height[last] <= config.step_headroom)
     return over
 
 
 def components(a: IntArray, b: IntArray, count: int) -> IntArray:
+    """Connected component of each of `count` nodes under the undirected edges (a, b), shape (count,)."""
     graph = csr_matrix((np.ones(len(a), dtype=np.int8), (a, b)), shape=(count, count))
-    label: IntArray = connectedcomponents(graph, directed=False)[1].astype(np.int64)
+    label: IntArray = connected_components(graph, directed=False)[1].astype(np.int64)
     return label
