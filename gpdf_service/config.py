@@ -47,10 +47,26 @@ class FieldConfig:
 class SearchConfig:
     """Quadtree, connectivity graph and A*."""
 
+    margin: float = 0.002
+    """[m] Kept beyond the radius while searching, so that rounding and smoothing leave something to certify."""
+    field_spacing: float = 0.125
+    """[-] Spacing of the Obstacle GPDF's points over the body's radius: 2 cm for a Roomba, 3 cm for a human."""
+
 
 @dataclass(frozen=True, slots=True)
 class PlanningConfig:
     """CHOMP, certificate and time parametrisation."""
+
+    preferred_clearance: float = 1.0
+    """[-] Room that a path wants beside the body, over its radius: as much again as it needs."""
+    smoothness_weight: float = 0.1
+    """[-] λ_s; λ_o = λ_g = 1. Well below them, as the paper asks: 1 m of path is worth 10 cm of missing room."""
+    max_iterations: int = 100
+    """[-] Steps of CHOMP; most paths rest after 20 to 40."""
+    tolerance: float = 1e-4
+    """[-] Share of the cost that a step must win for CHOMP to go on."""
+    waypoint_spacing: float = 0.05
+    """[m] Between waypoints of the result: a walker's sway, and the finest cell of the ground."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -9,7 +9,6 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from gpdf_service import baselines
 from gpdf_service.config import Config
 from gpdf_service.errors import CloudError, RequestError
 from gpdf_service.fields import fit_gpdf
@@ -90,16 +89,7 @@ def plan(
         raise RequestError("deadline_s", f"{deadline_s!r}", "It must be a positive number of seconds.")
     deadline = None if deadline_s is None else clock() + deadline_s
     space = scene.free_space(body)
-    settings = scene.config.planning
-    if method == "dual_gpdf":
-        return plan_path(space, *ends, settings, deadline=deadline, clock=clock)
-    if method == "astar":
-        return baselines.plan_astar(space, *ends, settings)
-    if method == "prm":
-        return baselines.plan_prm(space, *ends, settings, np.random.default_rng(seed))
-    if method == "single_gpdf":
-        return baselines.plan_single_gpdf(space, scene.points, *ends, settings)
-    raise RequestError("method", f"{method!r}", "Use dual_gpdf, single_gpdf, astar or prm.")
+    return plan_path(space, *ends, scene.config.planning, deadline=deadline, clock=clock)
 
 
 def _check_mask(ground: ArrayLike, count: int) -> BoolArray:

@@ -20,7 +20,7 @@ from gpdf_service.fields.spacing import estimate_spacing, thin
 from gpdf_service.fields.threads import run_chunked
 from gpdf_service.fields.traversal import CUT_RADIUS, FieldArrays, nearest_range, sample_range
 from gpdf_service.fields.tree import Tree, build_tree
-from gpdf_service.types import BoolArray, FieldSample, FloatArray
+from gpdf_service.types import BoolArray, FieldSample, FloatArray, IntArray
 
 _TOLERANCE = 1e-3
 """Relative residual of the solve: the logarithm forgives errors in α; 1e-3 moves the distance by under 0.1 mm."""
@@ -108,23 +108,16 @@ class Gpdf:
     def nearest(self, queries: ArrayLike) -> FloatArray:
         """Exact distance to the nearest fitted point [m], shape (m,); 0 for a row that is not finite."""
         asked, finite = self._check(queries)
-        distance, index = np.zeros(len(asked)), np.zeros(len(asked), np.int64)
-        tree = self.tree
-        run_chunked(
-            lambda a, b: nearest_range(
-                tree.points, tree.begin, tree.end, tree.low, tree.high, asked, a, b, distance, index
-            ),
-            len(asked),
-        )
-        return np.where(finite, distance, 0.0)
+        return np.where(finite, find_nearest(self.tree, asked)[0], 0.0)
 
     def _check(self, queries: ArrayLike) -> tuple[FloatArray, BoolArray]:
-        asked = np.ascontiguousarray(queries, dtype=np.float64)
+        asked = np.array(queries, dtype=np.float64)
         dim = self.points.shape[1]
         if asked.ndim != 2 or asked.shape[1] != dim:
             raise FieldError("field query", f"queries of shape {asked.shape}", f"Pass an array of shape (m, {dim}).")
-        finite = np.isfinite(asked).all(axis=1)
-        return (asked if finite.all() else np.where(finite[:, None], asked, 0.0)), finite
+        finite: BoolArray = np.isfinite(asked).all(axis=1)
+        asked[~finite] = 0.0
+        return asked, finite
 
     def to_arrays(self) -> dict[str, NDArray[Any]]:
         """All that `from_arrays` needs, as arrays."""
@@ -135,7 +128,15 @@ class Gpdf:
     def from_arrays(cls, arrays: dict[str, NDArray[Any]], domain: Domain | None = None) -> Gpdf:
         """Restore a field; nothing is fitted."""
         tree = Tree(*(arrays[key] for key in Tree._fields))
-        return cls(tree, arrays["alpha"], *(float(v) for v in arrays["scalars"]), domain=domain)
+        length_scale, noise_variance, spacing = (float(value) for value in arrays["scalars"])
+        return cls(tree, arrays["alpha"], length_scale, noise_variance, spacing, domain)
+
+
+def find_nearest(tree: Tree, queries: FloatArray) -> tuple[FloatArray, IntArray]:
+    """Exact nearest point of each query, shape (m, dim): distance [m] and row in `tree.points`, shape (m,)."""
+    distance, index = np.zeros(len(queries)), np.zeros(len(queries), np.int64)
+    run_chunked(lambda a, b: nearest_range(tree, queries, a, b, distance, index), len(queries))
+    return distance, index
 
 
 def fit_gpdf(
@@ -151,8 +152,8 @@ def fit_gpdf(
         points: Shape (n, 2) or (n, 3), n ≥ 1 [m].
         config: Length scale factor and noise variance.
         domain: Where the field may answer; a box around the data when not given.
-        spacing: Distance between points that the field resolves [m]; estimated when not given. Points closer than half
-            of it are thinned (one real point a cell), which can hide at most √dim/2 × spacing of a surface's relief.
+        spacing: Distance between points that the field resolves [m]; estimated when not given. Closer points are
+            thinned (one real point a cell), which can hide at most √dim × spacing of a surface's relief.
 
     Raises:
         FieldError: wrong shape, not finite, or no points.
@@ -165,8 +166,9 @@ def fit_gpdf(
         raise FieldError("fit", "no points", "A field needs at least one point on a surface.")
     if not np.isfinite(data).all():
         raise FieldError("fit", "points that are not finite", "Remove NaN and infinite coordinates.")
+    estimated = spacing is None
     spacing = estimate_spacing(data) if spacing is None else float(spacing)
-    data = data[thin(data, 0.5 * spacing)]
+    data = data[thin(data, spacing * (0.5 if estimated else 0.95))]  # a grid of that spacing keeps all its points
     if spacing <= 0.0:
         spacing = 1e-3  # [m] a single place has no spacing; a millimetre is below what any scanner resolves
     tree = build_tree(data)

@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-from gpdf_service.fields.tree import box_distance2
+from gpdf_service.fields.tree import Tree, box_distance2
 from gpdf_service.types import FloatArray, IntArray
 
 CUT_RADIUS = 4.5
@@ -127,45 +127,40 @@ def sample_range(
 
 
 @njit(cache=True, nogil=True)
-def nearest_range(
-    points: FloatArray,
-    begin: IntArray,
-    end: IntArray,
-    low: FloatArray,
-    high: FloatArray,
-    queries: FloatArray,
-    first: int,
-    last: int,
-    distance: FloatArray,
-    index: IntArray,
-) -> None:
-    """Exact nearest point for the rows first..last of `queries`: its distance and its row in `points`."""
+def nearest_one(tree: Tree, x: FloatArray) -> tuple[float, int]:
+    """Exact nearest point: its distance [m] and its row in `tree.points`."""
     stack = np.empty(_STACK, np.int64)
     bound = np.empty(_STACK)
-    nodes = begin.shape[0]
+    nodes = tree.begin.shape[0]
+    delta, index = np.inf, 0
+    stack[0], bound[0], top = 0, box_distance2(tree.low, tree.high, 0, x), 1
+    while top > 0:
+        top -= 1
+        node = stack[top]
+        if bound[top] >= delta:
+            continue
+        left = 2 * node + 1
+        if left < nodes:
+            a, b = box_distance2(tree.low, tree.high, left, x), box_distance2(tree.low, tree.high, left + 1, x)
+            near, far = (left, left + 1) if a <= b else (left + 1, left)
+            stack[top], bound[top] = far, max(a, b)
+            stack[top + 1], bound[top + 1] = near, min(a, b)
+            top += 2
+            continue
+        for i in range(tree.begin[node], tree.end[node]):
+            distance2 = 0.0
+            for k in range(x.shape[0]):
+                gap = x[k] - tree.points[i, k]
+                distance2 += gap * gap
+            if distance2 < delta:
+                delta, index = distance2, i
+    return sqrt(delta), index
+
+
+@njit(cache=True, nogil=True)
+def nearest_range(
+    tree: Tree, queries: FloatArray, first: int, last: int, distance: FloatArray, index: IntArray
+) -> None:
+    """`nearest_one` for the rows first..last of `queries`."""
     for q in range(first, last):
-        x = queries[q]
-        delta = np.inf
-        stack[0], bound[0], top = 0, box_distance2(low, high, 0, x), 1
-        while top > 0:
-            top -= 1
-            node = stack[top]
-            if bound[top] >= delta:
-                continue
-            left = 2 * node + 1
-            if left < nodes:
-                a, b = box_distance2(low, high, left, x), box_distance2(low, high, left + 1, x)
-                near, far = (left, left + 1) if a <= b else (left + 1, left)
-                stack[top], bound[top] = far, max(a, b)
-                stack[top + 1], bound[top + 1] = near, min(a, b)
-                top += 2
-                continue
-            for i in range(begin[node], end[node]):
-                distance2 = 0.0
-                for k in range(x.shape[0]):
-                    gap = x[k] - points[i, k]
-                    distance2 += gap * gap
-                if distance2 < delta:
-                    delta = distance2
-                    index[q] = i
-        distance[q] = sqrt(delta)
+        distance[q], index[q] = nearest_one(tree, queries[q])

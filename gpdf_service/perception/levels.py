@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy import ndimage
 
 from gpdf_service.config import PerceptionConfig
 from gpdf_service.errors import NoGroundError
@@ -74,7 +75,7 @@ def build_levels(points: FloatArray, ground: BoolArray, config: PerceptionConfig
     width = cell_width_of(points[ground])
     layers = build_layers(points[ground], width, max(config.min_headroom, 1.5 * width))
     sheets = split_sheets(layers, config)
-    surfaces = tuple(_build_level(points, ground, layers, sheet) for sheet in sheets)
+    surfaces = tuple(_build_level(points, ground, layers, sheet, config) for sheet in sheets)
     portals = []
     for a in range(len(sheets)):
         for b in range(a + 1, len(sheets)):
@@ -159,7 +160,9 @@ def _grow(layers: Layers, a: IntArray, b: IntArray, nodes: IntArray) -> IntArray
     return np.flatnonzero(inside)
 
 
-def _build_level(points: FloatArray, ground: BoolArray, layers: Layers, nodes: IntArray) -> GroundLevel:
+def _build_level(
+    points: FloatArray, ground: BoolArray, layers: Layers, nodes: IntArray, config: PerceptionConfig
+) -> GroundLevel:
     height = np.full(layers.shape[0] * layers.shape[1], np.nan, np.float32)
     height[layers.cell[nodes]] = layers.height[nodes]
     height = height.reshape(layers.shape)
@@ -170,10 +173,13 @@ def _build_level(points: FloatArray, ground: BoolArray, layers: Layers, nodes: I
     mine = ground.copy()
     mine[ground] = inside[layers.node_of_point]
     other = _within_reach(points[~mine], surface)
-    material = np.zeros(layers.shape, dtype=bool)
-    ix, iy, within = surface.cells(other)
-    material[ix[within], iy[within]] = True
-    surface = fill_holes(surface, material)
+    ix, iy, _ = surface.cells(other)
+    lowest = np.full(layers.shape, np.inf)
+    np.minimum.at(lowest, (ix, iy), other[:, 2])
+    surface = fill_holes(surface, np.isfinite(lowest))
+    beside = ndimage.maximum_filter(np.where(surface.state != UNKNOWN, surface.height, -np.inf), size=3)
+    # Only material that the lowest body cannot pass under guards an edge by itself.
+    material = lowest <= beside + config.min_headroom
     limits = find_limits(surface, material)
     known = surface.state != UNKNOWN
     return GroundLevel(surface, surface.centres(known), surface.state[known] != OBSERVED, other, limits)
@@ -181,8 +187,6 @@ def _build_level(points: FloatArray, ground: BoolArray, layers: Layers, nodes: I
 
 def _within_reach(points: FloatArray, surface: HeightMap) -> FloatArray:
     """Points between a cell under the lowest known ground near them and `TALLEST` over the highest."""
-    from scipy import ndimage
-
     size = 2 * int(np.ceil(OVERLAP / surface.cell_width)) + 1
     known = surface.state != UNKNOWN
     high = ndimage.maximum_filter(np.where(known, surface.height, -np.inf), size=size)

@@ -1,0 +1,105 @@
+"""What is proven of a path over its whole continuous length, against the measured points themselves.
+
+The distance to a fixed set of points is 1-Lipschitz, so a segment ab keeps at least (d(a) + d(b) − |ab|) / 2 of room.
+Pieces that could hold the path's minimum are halved until it is known to `RESOLUTION`.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from gpdf_service.perception.limits import LEAST_STEP
+from gpdf_service.search import FreeSpace
+from gpdf_service.types import Certificate, FloatArray, IntArray
+
+RESOLUTION = 1e-3
+"""[m] How closely the least clearance is known."""
+SAMPLE = 0.01
+"""[m] Ground and height are looked at this often: a fifth of the finest cell."""
+HEIGHT_SHARE = 0.1
+"""[-] The body's top may be off its height by this share, Uttsha et al. 2024, feasibility study."""
+
+
+def min_distance(space: FreeSpace, level: int, path: FloatArray) -> tuple[float, FloatArray]:
+    """Lower bound of the distance from a polyline in plan, shape (n, 2), to the obstacles of a level, and where [m]."""
+    a, b = path[:-1], path[1:]
+    da, db = (space.clearance(level, ends)[0] for ends in (a, b))
+    best, where = float(da[0]), path[0]
+    while len(a):
+        ends = np.concatenate([da, db])
+        if ends.min() < best:
+            best, where = float(ends.min()), np.concatenate([a, b])[int(ends.argmin())]
+        bound = 0.5 * (da + db - np.linalg.norm(b - a, axis=1))
+        open_ = bound < best - RESOLUTION
+        a, b, da, db = a[open_], b[open_], da[open_], db[open_]
+        middle = 0.5 * (a + b)
+        dm = space.clearance(level, middle)[0] if len(a) else da
+        a, b, da, db = np.concatenate([a, middle]), np.concatenate([middle, b]), np.r_[da, dm], np.r_[dm, db]
+    return best - RESOLUTION, where
+
+
+def certify(space: FreeSpace, positions: FloatArray, ground: FloatArray, level: IntArray) -> Certificate:
+    """Certify a polyline of the body's top and its contact points.
+
+    Args:
+        space: The body's free space.
+        positions: The body's top [m], shape (n, 3).
+        ground: Contact points [m], shape (n, 3).
+        level: Level of each contact point, shape (n,).
+    """
+    agent = space.agent
+    clearance, where = np.inf, ground[0]
+    deviation, off_at = 0.0, ground[0]
+    step = slope = 0.0
+    unknown = False
+    for part, on in _runs(level):
+        path = ground[part]
+        least, at = min_distance(space, on, path[:, :2])
+        if least - agent.radius < clearance:
+            clearance = least - agent.radius
+            where = np.append(at, path[np.linalg.norm(path[:, :2] - at, axis=1).argmin(), 2])
+        dense, tops = _resample(path, positions[part])
+        surface = space.surfaces[on]
+        unknown |= not bool(surface.contains(dense[:, :2]).all())
+        sample = space.ground_fields[on].query(tops)
+        off = np.where(sample.valid, np.abs(sample.distance - agent.height), np.inf)
+        if off.max() > deviation:
+            deviation, off_at = float(off.max()), dense[int(off.argmax())]
+        ix, iy, _ = surface.cells(dense)
+        step, slope = max(step, float(space.steps[on][ix, iy].max())), max(slope, float(space.slopes[on][ix, iy].max()))
+    reason = ""
+    if clearance < 0:
+        reason = f"the body would touch an obstacle: {-1000 * clearance:.0f} mm too little room at {_at(where)}"
+    elif unknown:
+        reason = "the path leaves the known ground"
+    elif step > max(agent.max_step, LEAST_STEP):
+        reason = f"a step of {step:.2f} m is higher than the {agent.name} takes ({agent.max_step:.2f} m)"
+    elif slope > agent.max_slope:
+        reason = f"a slope of {np.degrees(slope):.0f}° is steeper than the {agent.name} stands on"
+    return Certificate(clearance, where, deviation, off_at, step, slope, holds=not reason, reason=reason)
+
+
+def _runs(level: IntArray) -> list[tuple[slice, int]]:
+    """Pieces of the path on one level; neighbouring pieces share the waypoint where they meet."""
+    cuts = [0, *(np.flatnonzero(np.diff(level)) + 1).tolist(), len(level)]
+    return [
+        (slice(max(a - 1, 0), b), int(level[a]))
+        if b - a + (a > 0) > 1
+        else (slice(max(a - 1, 0), b + 1), int(level[a]))
+        for a, b in zip(cuts[:-1], cuts[1:], strict=True)
+    ]
+
+
+def _resample(path: FloatArray, tops: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Contact points and tops at most `SAMPLE` apart."""
+    length = np.linalg.norm(np.diff(tops, axis=0), axis=1)
+    count = np.maximum(1, np.ceil(length / SAMPLE).astype(int))
+    segment = np.repeat(np.arange(len(length)), count)
+    t = (np.arange(len(segment)) - np.repeat(np.cumsum(count) - count, count)) / np.repeat(count, count)
+    t = t[:, None]
+    dense = [p[segment] * (1 - t) + p[segment + 1] * t for p in (path, tops)]
+    return np.vstack([dense[0], path[-1:]]), np.vstack([dense[1], tops[-1:]])
+
+
+def _at(place: FloatArray) -> str:
+    return "(" + ", ".join(f"{value:.2f}" for value in place) + ")"

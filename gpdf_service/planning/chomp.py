@@ -1,0 +1,145 @@
+"""Modified CHOMP: covariant gradient descent on smoothness, obstacle and ground cost. Uttsha et al. 2024, equation 10.
+
+ξ ← ξ − η A⁻¹ ∇U(ξ), A the smoothness metric (second differences, fixed ends): a step bends the whole path, not one point.
+η is halved until the cost falls, so it never rises on an accepted step, and grows again after.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+
+from gpdf_service.fields import FieldArrays
+from gpdf_service.planning.costs import ground_cost, obstacle_cost, smoothness_cost
+from gpdf_service.types import FloatArray
+
+
+@dataclass(frozen=True, slots=True)
+class ChompResult:
+    """Waypoints (n, 3) [m], cost after each accepted step, and whether it came to rest."""
+
+    xi: FloatArray
+    costs: FloatArray
+    converged: bool
+
+
+def optimize(
+    xi: FloatArray,
+    obstacle_field: FieldArrays,
+    ground_field: FieldArrays,
+    *,
+    radius: float,
+    height: float,
+    epsilon: float,
+    smoothness_weight: float,
+    max_iterations: int,
+    tolerance: float,
+) -> ChompResult:
+    """Optimise waypoints of the body's top.
+
+    Args:
+        xi: Start, shape (n, 3) [m]; rows 0 and -1 stay.
+        obstacle_field: d_o, 2D, in compiled form.
+        ground_field: d_g, 3D, in compiled form.
+        radius: Of the body [m].
+        height: Of the body [m].
+        epsilon: Room beyond the radius that the path wants [m].
+        smoothness_weight: λ_s; λ_o = λ_g = 1.
+        max_iterations: Accepted and refused steps together.
+        tolerance: Stop when the cost falls by less than this share.
+    """
+    xi = np.ascontiguousarray(xi, dtype=np.float64).copy()
+    costs = np.zeros(max_iterations + 1)
+    count = _descend(
+        xi, obstacle_field, ground_field, radius, height, epsilon, smoothness_weight, max_iterations, tolerance, costs
+    )
+    return ChompResult(xi, costs[: abs(count)], count > 0)
+
+
+@njit(cache=True, nogil=True)
+def _cost(
+    xi: FloatArray,
+    spacing: float,
+    obstacle_field: FieldArrays,
+    ground_field: FieldArrays,
+    radius: float,
+    height: float,
+    epsilon: float,
+    smoothness_weight: float,
+    gradient: FloatArray,
+) -> float:
+    gradient[:] = 0.0
+    total = smoothness_weight * smoothness_cost(xi, spacing, gradient)
+    gradient *= smoothness_weight
+    total += obstacle_cost(xi, spacing, obstacle_field, radius, epsilon, 1.0, gradient)
+    total += ground_cost(xi, spacing, ground_field, height, 1.0, gradient)
+    gradient[0], gradient[-1] = 0.0, 0.0
+    return total
+
+
+@njit(cache=True, nogil=True)
+def solve_metric(gradient: FloatArray) -> FloatArray:
+    """A⁻¹ ∇U for A = tridiag(−1, 2, −1) with fixed ends: Thomas' algorithm, O(n); shape (n, 3)."""
+    n = gradient.shape[0] - 2
+    step = np.zeros_like(gradient)
+    ratio = np.zeros(n + 2)
+    for i in range(1, n + 1):
+        pivot = 2.0 + ratio[i - 1] if i > 1 else 2.0
+        ratio[i] = -1.0 / pivot
+        for k in range(gradient.shape[1]):
+            step[i, k] = (gradient[i, k] + (step[i - 1, k] if i > 1 else 0.0)) / pivot
+    for i in range(n - 1, 0, -1):
+        for k in range(gradient.shape[1]):
+            step[i, k] -= ratio[i] * step[i + 1, k]
+    return step
+
+
+@njit(cache=True, nogil=True)
+def _descend(
+    xi: FloatArray,
+    obstacle_field: FieldArrays,
+    ground_field: FieldArrays,
+    radius: float,
+    height: float,
+    epsilon: float,
+    smoothness_weight: float,
+    max_iterations: int,
+    tolerance: float,
+    costs: FloatArray,
+) -> int:
+    """Descend in place; returns the number of costs written, negative when it did not come to rest."""
+    n = xi.shape[0]
+    spacing = 0.0
+    for i in range(n - 1):
+        spacing += np.sqrt(((xi[i + 1] - xi[i]) ** 2).sum()) / (n - 1)
+    gradient = np.zeros_like(xi)
+    trial_gradient = np.zeros_like(xi)
+    cost = _cost(xi, spacing, obstacle_field, ground_field, radius, height, epsilon, smoothness_weight, gradient)
+    costs[0], count = cost, 1
+    # In this metric the smoothness term alone is solved by the step η = ds/λ_s; start well below it.
+    rate = 0.1 * spacing / smoothness_weight
+    for _ in range(max_iterations):
+        step = solve_metric(gradient)
+        largest = np.abs(step).max()
+        if largest == 0.0:
+            return count
+        rate = min(rate, 0.5 * epsilon / largest)  # no waypoint jumps across half of what it wants to keep
+        trial = xi - rate * step
+        trial_cost = _cost(
+            trial, spacing, obstacle_field, ground_field, radius, height, epsilon, smoothness_weight, trial_gradient
+        )
+        if trial_cost > cost:
+            rate *= 0.5
+            if rate * largest < 1e-5:  # [m] nothing moves any more
+                return count
+            continue
+        fall = cost - trial_cost
+        xi[:], gradient[:], cost = trial, trial_gradient, trial_cost
+        costs[count] = cost
+        count += 1
+        rate *= 1.5
+        if fall < tolerance * max(cost, 1e-9):
+            return count
+    return -count

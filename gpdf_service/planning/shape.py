@@ -1,0 +1,79 @@
+"""From a path in plan to the body's path: shortcuts, even waypoints, contact points and the height of the body's top."""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+from gpdf_service.fields import Gpdf, Tree
+from gpdf_service.perception import HeightMap
+from gpdf_service.search import is_clear
+from gpdf_service.types import FloatArray, IntArray
+
+HEIGHT_SHARE = 0.1
+"""[-] How far the top may be off the body height, Uttsha et al. 2024, feasibility study."""
+_NEWTON_STEPS = 4
+
+
+@njit(cache=True, nogil=True)
+def shortcut(path: FloatArray, obstacles: Tree, radius: float) -> IntArray:
+    """Rows of a path in plan, shape (n, 2), that a string pulled along it keeps: each leg is proven clear.
+
+    Greedy with doubling: from each kept waypoint the furthest clear one that doubling and halving find.
+    """
+    kept = [0]
+    here = 0
+    last = path.shape[0] - 1
+    while here < last:
+        good, leap = here + 1, 2
+        while here + leap <= last and is_clear(obstacles, path[here], path[here + leap], radius):
+            good = here + leap
+            leap *= 2
+        bad = min(here + leap, last + 1)
+        if good < last and is_clear(obstacles, path[here], path[last], radius):
+            good, bad = last, last + 1
+        while bad - good > 1:
+            middle = (good + bad) // 2
+            if is_clear(obstacles, path[here], path[middle], radius):
+                good = middle
+            else:
+                bad = middle
+        kept.append(good)
+        here = good
+    return np.array(kept)
+
+
+def resample(path: FloatArray, spacing: float) -> FloatArray:
+    """Waypoints evenly along a polyline, at most `spacing` apart, ends kept; at least 3 rows."""
+    length = np.linalg.norm(np.diff(path, axis=0), axis=1)
+    along = np.concatenate([[0.0], np.cumsum(length)])
+    count = max(3, int(np.ceil(along[-1] / spacing)) + 1)
+    at = np.linspace(0.0, along[-1], count)
+    return np.column_stack([np.interp(at, along, column) for column in path.T])
+
+
+def subdivide(path: FloatArray, spacing: float) -> FloatArray:
+    """The same polyline with its corners, and waypoints at most `spacing` apart."""
+    legs = [
+        np.linspace(a, b, max(1, int(np.ceil(np.linalg.norm(b - a) / spacing))), endpoint=False)
+        for a, b in zip(path[:-1], path[1:], strict=True)
+    ]
+    return np.vstack([*legs, path[-1:]])
+
+
+def stand_up(xy: FloatArray, surface: HeightMap, field: Gpdf, height: float) -> tuple[FloatArray, FloatArray]:
+    """Contact points and the body's top over them, both (n, 3).
+
+    The top is where d_g = h (a few Newton steps along z), as in the paper. Before a step that surface rises long before
+    the ground does, so the top is kept within a tenth of the body height over the contact point, unless that would bring
+    it closer than nine tenths of h to the ground.
+    """
+    floor = surface.height_at(xy)
+    z = floor + height
+    for _ in range(_NEWTON_STEPS):
+        sample = field.query(np.column_stack([xy, z]))
+        z = np.where(sample.valid, z + height - sample.distance, z)
+        z = np.clip(z, floor + (1.0 - HEIGHT_SHARE) * height, floor + (1.0 + HEIGHT_SHARE) * height)
+    low = field.query(np.column_stack([xy, z])).distance
+    z = z + np.maximum(0.0, (1.0 - HEIGHT_SHARE) * height - low)
+    return np.column_stack([xy, floor]), np.column_stack([xy, z])

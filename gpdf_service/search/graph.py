@@ -1,0 +1,175 @@
+"""The connectivity graph of the free leaves, over all levels, and A* on it."""
+
+from __future__ import annotations
+
+import heapq
+from dataclasses import dataclass
+from math import sqrt
+
+import numpy as np
+from numba import njit
+from scipy.sparse import csr_matrix
+from scipy.sparse.csgraph import connected_components
+
+from gpdf_service.fields import Tree, nearest_one
+from gpdf_service.search.quadtree import Quadtree
+from gpdf_service.types import FloatArray, IntArray
+
+RESOLUTION = 1e-3
+"""[m] A segment is called blocked when a piece of this length cannot be proven clear."""
+
+
+@dataclass(frozen=True, slots=True)
+class Graph:
+    """Undirected graph in compressed rows.
+
+    Attributes:
+        position: Places of the nodes (x, y) [m], shape (k, 2).
+        level: Level of each node, shape (k,).
+        first: First edge of each node, shape (k + 1,).
+        other: Far end of each edge, shape (e,).
+        via: Where the edge crosses from leaf to leaf (x, y) [m], shape (e, 2).
+        cost: Length of the edge, weighted by how close it passes [m], shape (e,).
+        component: Connected component of each node, shape (k,).
+    """
+
+    position: FloatArray
+    level: IntArray
+    first: IntArray
+    other: IntArray
+    via: FloatArray
+    cost: FloatArray
+    component: IntArray
+
+
+@njit(cache=True, nogil=True)
+def is_clear(obstacles: Tree, a: FloatArray, b: FloatArray, radius: float) -> bool:
+    """Whether the whole segment ab keeps `radius` from every obstacle.
+
+    Distances are 1-Lipschitz, so ab is clear by at least (d(a) + d(b) − |ab|) / 2; where that does not settle it, halve.
+    """
+    stack = np.empty((64, 2, 2))
+    stack[0, 0], stack[0, 1] = a, b
+    top = 1
+    while top > 0:
+        top -= 1
+        p, q = stack[top, 0].copy(), stack[top, 1].copy()
+        da, db = nearest_one(obstacles, p)[0], nearest_one(obstacles, q)[0]
+        if da < radius or db < radius:
+            return False
+        length = sqrt((p[0] - q[0]) ** 2 + (p[1] - q[1]) ** 2)
+        if da + db - length >= 2.0 * radius:
+            continue
+        if length <= RESOLUTION:
+            return False
+        middle = 0.5 * (p + q)
+        stack[top, 0], stack[top, 1] = p, middle
+        stack[top + 1, 0], stack[top + 1, 1] = middle, q
+        top += 2
+    return True
+
+
+@njit(cache=True, nogil=True)
+def _proven(
+    obstacles: Tree, center: FloatArray, via: FloatArray, whole: IntArray, ends: IntArray, radius: float
+) -> IntArray:
+    """Which edges are clear from centre to crossing to centre; a wholly free leaf is convex and needs no look."""
+    good = np.zeros(len(ends), np.int64)
+    for e in range(len(ends)):
+        a, b = ends[e, 0], ends[e, 1]
+        good[e] = (whole[a] == 1 or is_clear(obstacles, center[a], via[e], radius)) and (
+            whole[b] == 1 or is_clear(obstacles, via[e], center[b], radius)
+        )
+    return good
+
+
+def find_edges(tree: Quadtree, obstacles: Tree, radius: float) -> tuple[IntArray, FloatArray]:
+    """Pairs of free leaves that share a side, with a proven passage: ends (e, 2) and crossings (e, 2) [m].
+
+    Every leaf looks once across each of its four sides; the leaf found there is larger, or as large and then the pair is
+    kept once. So each pair of neighbours is found, in time n log n.
+    """
+    leaves = np.flatnonzero(tree.free)
+    corner, size = tree.corner[leaves], tree.size[leaves]
+    ends, vias = [], []
+    for axis in (0, 1):
+        for side in (-1, 1):
+            probe = corner + size[:, None] // 2
+            probe[:, axis] = corner[:, axis] + (size if side > 0 else -1)
+            found = tree.find_cell(probe)
+            larger = (found >= 0) & tree.free[found] & (tree.size[found] >= size)
+            once = larger & ((tree.size[found] > size) | (side > 0))
+            via = tree.center[leaves]
+            via[:, axis] += side * tree.half_size[leaves]
+            ends.append(np.column_stack([leaves[once], found[once]]))
+            vias.append(via[once])
+    pairs, via = np.concatenate(ends), np.concatenate(vias)
+    good = _proven(obstacles, tree.center, via, tree.whole.astype(np.int64), pairs, radius) == 1
+    return pairs[good], via[good]
+
+
+def assemble(
+    position: FloatArray, level: IntArray, clearance: FloatArray, pairs: IntArray, via: FloatArray, radius: float
+) -> Graph:
+    """Make a graph of undirected `pairs`, shape (e, 2).
+
+    An edge costs its length times 1 + max(0, 1 − (d − r)/r): up to twice where the body brushes past, once where there
+    is as much room beside it as half its width. The factor is at least 1, so the Euclidean heuristic stays admissible.
+    """
+    length = np.linalg.norm(position[pairs[:, 0]] - via, axis=1) + np.linalg.norm(position[pairs[:, 1]] - via, axis=1)
+    room = np.minimum(clearance[pairs[:, 0]], clearance[pairs[:, 1]]) - radius
+    cost = length * (1.0 + np.clip(1.0 - room / radius, 0.0, 1.0))
+    source = np.concatenate([pairs[:, 0], pairs[:, 1]])
+    order = np.argsort(source, kind="stable")
+    count = len(position)
+    links = csr_matrix((np.ones(len(pairs), np.int8), (pairs[:, 0], pairs[:, 1])), shape=(count, count))
+    return Graph(
+        np.ascontiguousarray(position),
+        level,
+        np.searchsorted(source[order], np.arange(count + 1)),
+        np.concatenate([pairs[:, 1], pairs[:, 0]])[order],
+        np.concatenate([via, via])[order],
+        np.concatenate([cost, cost])[order],
+        connected_components(links, directed=False)[1].astype(np.int64),
+    )
+
+
+def find_path(graph: Graph, start: int, goal: int) -> IntArray:
+    """A* with the Euclidean heuristic: the edges from `start` to `goal` in order, shape (k,); empty if start is goal.
+
+    Start and goal must lie in one component.
+    """
+    edges: IntArray = _astar(graph.position, graph.first, graph.other, graph.cost, start, goal)
+    return edges
+
+
+@njit(cache=True, nogil=True)
+def _astar(position: FloatArray, first: IntArray, other: IntArray, cost: FloatArray, start: int, goal: int) -> IntArray:
+    count = position.shape[0]
+    cost_to_come = np.full(count, np.inf)
+    came_by = np.full(count, -1)
+    came_from = np.full(count, -1)
+    closed = np.zeros(count, np.uint8)
+    cost_to_come[start] = 0.0
+    frontier = [(0.0, start)]
+    while len(frontier) > 0:
+        _, node = heapq.heappop(frontier)
+        if closed[node] == 1:
+            continue
+        if node == goal:
+            break
+        closed[node] = 1
+        for e in range(first[node], first[node + 1]):
+            near = other[e]
+            reached = cost_to_come[node] + cost[e]
+            if reached < cost_to_come[near]:
+                cost_to_come[near] = reached
+                came_by[near], came_from[near] = e, node
+                dx, dy = position[near, 0] - position[goal, 0], position[near, 1] - position[goal, 1]
+                heapq.heappush(frontier, (reached + sqrt(dx * dx + dy * dy), near))
+    edges = [0 for _ in range(0)]
+    node = goal
+    while node != start and came_by[node] >= 0:
+        edges.append(came_by[node])
+        node = came_from[node]
+    return np.array(edges[::-1], dtype=np.int64)

@@ -1,0 +1,166 @@
+"""A quadtree of the free space that knows the body: a leaf is free if the body's centre may be there.
+
+With d the exact distance from a leaf's centre to the nearest obstacle (1-Lipschitz), r the radius, b half its diagonal:
+d − b ≥ r: all of the leaf is free; d + b < r: none of it; else it is split, down to `MIN_WIDTH`, where the centre decides.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import sqrt
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from gpdf_service.fields import Tree, nearest_one
+from gpdf_service.perception import HeightMap
+from gpdf_service.types import BoolArray, FloatArray, IntArray
+
+MIN_WIDTH = 0.014
+"""[m] Half its diagonal is 1 cm: a gap with 1 cm to spare on either side holds a leaf's centre."""
+
+
+@dataclass(frozen=True, slots=True)
+class Quadtree:
+    """The leaves, in Morton order; together they tile the root square.
+
+    Attributes:
+        origin: Lower corner of the root [m], shape (2,).
+        width: Width of the smallest cell [m].
+        corner: Lower corner of each leaf in smallest cells, shape (k, 2).
+        size: Width of each leaf in smallest cells, shape (k,).
+        clearance: Distance from its centre to the nearest obstacle [m], shape (k,).
+        free: Whether the body's centre may be at the leaf's centre, shape (k,).
+        whole: Whether it may be anywhere in the leaf, shape (k,).
+        code: Morton code of the lower corner, ascending, shape (k,).
+    """
+
+    origin: FloatArray
+    width: float
+    corner: IntArray
+    size: IntArray
+    clearance: FloatArray
+    free: BoolArray
+    whole: BoolArray
+    code: IntArray
+
+    @property
+    def center(self) -> FloatArray:
+        """Centres of the leaves [m], shape (k, 2)."""
+        return self.origin + (self.corner + 0.5 * self.size[:, None]) * self.width
+
+    @property
+    def half_size(self) -> FloatArray:
+        """Half the width of each leaf [m], shape (k,)."""
+        return 0.5 * self.width * self.size
+
+    def find(self, xy: FloatArray) -> IntArray:
+        """Leaf that holds each place, shape (m, 2) [m]; -1 outside the root. Shape (m,)."""
+        cell = np.floor((xy - self.origin) / self.width).astype(np.int64)
+        return self.find_cell(cell)
+
+    def find_cell(self, cell: IntArray) -> IntArray:
+        """Leaf that holds each smallest cell, shape (m, 2); -1 outside the root."""
+        side = int(np.sqrt(float((self.size.astype(np.float64) ** 2).sum())) + 0.5)
+        inside = ((cell >= 0) & (cell < side)).all(axis=1)
+        code = morton(np.where(inside[:, None], cell, 0))
+        return np.where(inside, np.searchsorted(self.code, code, side="right") - 1, -1)
+
+
+def morton(cell: IntArray) -> IntArray:
+    """Interleave the bits of x and y, shape (m, 2) → (m,): cells of one quadtree node are one range."""
+    spread = np.zeros(cell.shape, np.int64)
+    for bit in range(30):
+        spread |= ((cell >> bit) & 1) << (2 * bit)
+    return spread[:, 0] << 1 | spread[:, 1]
+
+
+def build_quadtree(surface: HeightMap, obstacles: Tree, radius: float) -> Quadtree:
+    """Build the tree over the known ground of one level.
+
+    Args:
+        surface: The level's ground.
+        obstacles: All obstacle places of the body in plan [m].
+        radius: Least distance of the body's centre from any of them [m].
+    """
+    extent = surface.cell_width * max(surface.height.shape)
+    depth = max(0, int(np.ceil(np.log2(extent / MIN_WIDTH))))
+    capacity = 1 << 16
+    while True:
+        corner, size = np.zeros((capacity, 2), np.int64), np.zeros(capacity, np.int64)
+        clearance, state = np.zeros(capacity), np.zeros(capacity, np.uint8)
+        known = surface.state.astype(np.uint8)
+        count = _split(
+            obstacles,
+            surface.origin,
+            MIN_WIDTH,
+            depth,
+            radius,
+            known,
+            surface.cell_width,
+            corner,
+            size,
+            clearance,
+            state,
+        )
+        if count >= 0:
+            break
+        capacity *= 4
+    code = morton(corner[:count])
+    order = np.argsort(code)
+    state = state[:count][order]
+    return Quadtree(
+        np.asarray(surface.origin, dtype=np.float64),
+        MIN_WIDTH,
+        corner[:count][order],
+        size[:count][order],
+        clearance[:count][order],
+        state > 0,
+        state == 2,
+        code[order],
+    )
+
+
+@njit(cache=True, nogil=True)
+def _split(
+    obstacles: Tree,
+    origin: FloatArray,
+    width: float,
+    depth: int,
+    radius: float,
+    known: NDArray[np.uint8],
+    cell_width: float,
+    corner: IntArray,
+    size: IntArray,
+    clearance: FloatArray,
+    state: NDArray[np.uint8],
+) -> int:
+    """Fill the leaves; returns how many, or -1 if the arrays are too short. State: 0 blocked, 1 centre free, 2 whole."""
+    stack = np.empty((4 * depth + 4, 3), np.int64)
+    stack[0, 0], stack[0, 1], stack[0, 2] = 0, 0, 1 << depth
+    top, count = 1, 0
+    x = np.empty(2)
+    while top > 0:
+        top -= 1
+        i, j, n = stack[top]
+        x[0], x[1] = origin[0] + (i + 0.5 * n) * width, origin[1] + (j + 0.5 * n) * width
+        ix, iy = int((x[0] - origin[0]) / cell_width), int((x[1] - origin[1]) / cell_width)
+        seen = 0 <= ix < known.shape[0] and 0 <= iy < known.shape[1] and known[ix, iy] > 0
+        distance, _ = nearest_one(obstacles, x)
+        half_diagonal = 0.5 * sqrt(2.0) * n * width
+        whole = distance - half_diagonal >= radius
+        if not whole and n > 1 and distance + half_diagonal >= radius:
+            h = n // 2
+            for a in range(2):
+                for b in range(2):
+                    stack[top, 0], stack[top, 1], stack[top, 2] = i + a * h, j + b * h, h
+                    top += 1
+            continue
+        if count == corner.shape[0]:
+            return -1
+        corner[count, 0], corner[count, 1], size[count] = i, j, n
+        clearance[count] = distance
+        state[count] = 0 if not seen or distance < radius else (2 if whole else 1)
+        count += 1
+    return count
