@@ -13,7 +13,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from gpdf_client import Client
@@ -21,7 +21,7 @@ from gpdf_client import Client
 from gpdf_service.perception import read_cloud
 from gpdf_service.pipeline import build_scene
 from gpdf_service.synthetic import SCENES
-from gpdf_service.types import AGENTS
+from gpdf_service.types import AGENTS, PlanResult
 from gpdf_service.viewer import draw_plans
 
 DEFAULT_PORT = 7447
@@ -77,7 +77,7 @@ def _tours(out: Path, scans: Path) -> list[Tour]:
     everyone = tuple(AGENTS)
     tours = [Tour("office", cloud, tuple(office.start), tuple(office.goal), everyone)]
     if (scans / LASER_OFFICE).is_file():
-        tours.append(Tour("laser_office", scans / LASER_OFFICE, (2.0, 2.0), (8.0, 8.0), everyone))
+        tours.append(Tour("laser_office", scans / LASER_OFFICE, (6.6, 9.2), (9.9, 14.1), ("roomba", "pepper", "human")))
     return tours
 
 
@@ -132,7 +132,8 @@ def _travel(client: Client, tour: Tour, out: Path) -> list[dict[str, Any]]:
     cloud = read_cloud(tour.cloud)
     scene = build_scene(cloud.points, cloud.ground)
     picture = out / f"{tour.name}.png"
-    draw_plans(scene, results, picture, start=tour.start, goal=tour.goal, title=f"{tour.name}: four bodies")
+    drawn = cast("dict[str, PlanResult]", results)  # the client's results have the same attributes
+    draw_plans(scene, drawn, picture, start=tour.start, goal=tour.goal, title=f"{tour.name}: four bodies")
     return rows
 
 
@@ -150,6 +151,6 @@ def _print_next(out: Path) -> None:
     log = max(out.glob("*.mcap"), key=lambda path: path.stat().st_mtime)
     pictures = " ".join(str(path) for path in sorted(out.glob("*.png")))
     print(f"\npictures: {pictures}\nlog:      {log} (opens in Foxglove and Rerun)\n\nTry next:")
-    print(f"  .venv/bin/gpdf replay {log} --in-process")
+    print(f"  .venv/bin/gpdf replay {log} --scene office={out}/office.npz")
     print("  .venv/bin/gpdf plan YOUR_CLOUD.ply --start 1,1 --goal 5,4 --agent human --png plan.png")
-    print("  .venv/bin/gpdf serve office=out/office.npz")
+    print(f"  .venv/bin/gpdf serve office={out}/office.npz")

@@ -115,7 +115,7 @@ class Gpdf:
         dim = self.points.shape[1]
         if asked.ndim != 2 or asked.shape[1] != dim:
             raise FieldError("field query", f"queries of shape {asked.shape}", f"Pass an array of shape (m, {dim}).")
-        finite: BoolArray = np.isfinite(asked).all(axis=1)
+        finite: BoolArray = np.logical_and.reduce(np.isfinite(asked), axis=1)
         asked[~finite] = 0.0
         return asked, finite
 

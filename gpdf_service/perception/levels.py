@@ -193,4 +193,5 @@ def _within_reach(points: FloatArray, surface: HeightMap) -> FloatArray:
     low = ndimage.minimum_filter(np.where(known, surface.height, np.inf), size=size)
     ix, iy, inside = surface.cells(points)
     z = points[:, 2]
-    return points[inside & (z >= low[ix, iy] - surface.cell_width) & (z <= high[ix, iy] + TALLEST)]
+    near: FloatArray = points[inside & (z >= low[ix, iy] - surface.cell_width) & (z <= high[ix, iy] + TALLEST)]
+    return near

@@ -115,7 +115,7 @@ def _read_open3d(path: Path, ground_label: int | None) -> Read:
             f"cloud {path}", "files of this kind carry no labels", "Leave --ground-label out, or use .npz."
         )
     with open3d.utility.VerbosityContextManager(open3d.utility.VerbosityLevel.Error):
-        cloud = open3d.io.read_point_cloud(str(path), remove_nan_points=False, remove_infinite_points=False)
+        cloud = open3d.io.read_point_cloud(path, remove_nan_points=False, remove_infinite_points=False)
     points = np.asarray(cloud.points, dtype=np.float64)
     if len(points) == 0:
         raise CloudError(f"cloud {path}", "no point could be read from it", "Is it empty or damaged?")

@@ -11,6 +11,8 @@ from scipy import ndimage
 from gpdf_service.types import BoolArray, FloatArray
 
 UNKNOWN, OBSERVED, INFERRED = 0, 1, 2
+RING_SHARE = 0.95
+"""[-] Of the ground around a hole that must lie on one plane; the rest are a chair's feet."""
 MAX_HOLE_RADIUS = 1.0
 """[m] A hole is filled if no place in it is further from seen ground: a scanner's blind spot, the shadow of a desk."""
 
@@ -34,7 +36,7 @@ class HeightMap:
     def cells(self, xy: FloatArray) -> tuple[NDArray[np.int64], NDArray[np.int64], BoolArray]:
         """Cell of each place, shape (m, ≥ 2), clipped to the grid, and whether it was inside."""
         index = np.floor((xy[:, :2] - self.origin) / self.cell_width).astype(np.int64)
-        inside = ((index >= 0) & (index < self.height.shape)).all(axis=1)
+        inside: BoolArray = np.logical_and.reduce((index >= 0) & (index < self.height.shape), axis=1)
         ix = np.clip(index[:, 0], 0, self.height.shape[0] - 1)
         return ix, np.clip(index[:, 1], 0, self.height.shape[1] - 1), inside
 
@@ -105,7 +107,7 @@ def _fill(
         ring_at, ring_height = np.argwhere(ring).astype(float), height[grown][ring].astype(float)
         design = np.column_stack([ring_at, np.ones(len(ring_at))])
         plane = np.linalg.lstsq(design, ring_height, rcond=None)[0]
-        if np.abs(design @ plane - ring_height).max() > cell_width:
+        if np.quantile(np.abs(design @ plane - ring_height), RING_SHARE) > cell_width:
             continue
         height[grown][inner] = np.column_stack([np.argwhere(inner), np.ones(int(inner.sum()))]) @ plane
         state[grown][inner] = INFERRED

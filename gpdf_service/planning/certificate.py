@@ -6,6 +6,8 @@ Pieces that could hold the path's minimum are halved until it is known to `RESOL
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 
 from gpdf_service.perception.limits import LEAST_STEP
@@ -86,7 +88,7 @@ def _runs(level: IntArray) -> list[tuple[slice, int]]:
         (slice(max(a - 1, 0), b), int(level[a]))
         if b - a + (a > 0) > 1
         else (slice(max(a - 1, 0), b + 1), int(level[a]))
-        for a, b in zip(cuts[:-1], cuts[1:], strict=True)
+        for a, b in pairwise(cuts)
     ]
 
 

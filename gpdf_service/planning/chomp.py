@@ -1,6 +1,6 @@
 """Modified CHOMP: covariant gradient descent on smoothness, obstacle and ground cost. Uttsha et al. 2024, equation 10.
 
-ξ ← ξ − η A⁻¹ ∇U(ξ), A the smoothness metric (second differences, fixed ends): a step bends the whole path, not one point.
+ξ ← ξ − η A⁻¹ ∇U(ξ), A the smoothness metric (second differences, fixed ends): a step bends the whole path.
 η is halved until the cost falls, so it never rises on an accepted step, and grows again after.
 """
 

@@ -37,7 +37,7 @@ def obstacle_cost(
     """Σ λ_o c_o(x) ‖ẋ‖ ds, c_o = (d − ε)² / 2ε below ε, with d = d_o(x, y) − radius, and −d + ε/2 where d < 0 [m].
 
     ‖ẋ‖ as in CHOMP (Ratliff et al. 2009): the paper prints ‖ẍ‖, which is zero on straight pieces and would let a
-    straight path run through an obstacle at no cost. The gradient is CHOMP's: the part of ∇c across the direction of travel.
+    straight path run through an obstacle at no cost. The gradient is CHOMP's: the part of ∇c across the way.
     """
     n = xi.shape[0]
     total = 0.0

@@ -98,8 +98,9 @@ def _distinct(path: FloatArray) -> FloatArray:
     """Without places that repeat the one before; two rows at least, the ends kept."""
     moved = np.linalg.norm(np.diff(path, axis=0), axis=1) > 1e-9
     if not moved.any():
-        return path[[0, -1]]
-    return path[np.concatenate([[True], moved])]
+        moved[-1] = True
+    distinct: FloatArray = path[np.concatenate([[True], moved])]
+    return distinct
 
 
 def _radius(space: FreeSpace, level: int, path: FloatArray) -> float:

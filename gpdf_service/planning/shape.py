@@ -1,6 +1,8 @@
-"""From a path in plan to the body's path: shortcuts, even waypoints, contact points and the height of the body's top."""
+"""From a path in plan to the body's path: shortcuts, even waypoints, contact points, the body's top."""
 
 from __future__ import annotations
+
+from itertools import pairwise
 
 import numpy as np
 from numba import njit
@@ -56,7 +58,7 @@ def subdivide(path: FloatArray, spacing: float) -> FloatArray:
     """The same polyline with its corners, and waypoints at most `spacing` apart."""
     legs = [
         np.linspace(a, b, max(1, int(np.ceil(np.linalg.norm(b - a) / spacing))), endpoint=False)
-        for a, b in zip(path[:-1], path[1:], strict=True)
+        for a, b in pairwise(path)
     ]
     return np.vstack([*legs, path[-1:]])
 
@@ -65,8 +67,8 @@ def stand_up(xy: FloatArray, surface: HeightMap, field: Gpdf, height: float) -> 
     """Contact points and the body's top over them, both (n, 3).
 
     The top is where d_g = h (a few Newton steps along z), as in the paper. Before a step that surface rises long before
-    the ground does, so the top is kept within a tenth of the body height over the contact point, unless that would bring
-    it closer than nine tenths of h to the ground.
+    the ground does, so the top is kept within a tenth of the body height over the contact point, unless that would
+    bring it closer than nine tenths of h to the ground.
     """
     floor = surface.height_at(xy)
     z = floor + height

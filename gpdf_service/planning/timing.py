@@ -10,8 +10,8 @@ from gpdf_service.types import Agent, FloatArray
 def time_path(positions: FloatArray, agent: Agent) -> tuple[FloatArray, FloatArray]:
     """Times [s] and headings [rad] of a polyline, shape (n, 3), n ≥ 2, without repeated points.
 
-    The largest v(s) with v ≤ speed, v² κ ≤ acceleration, v κ ≤ turn rate, |dv²/ds| ≤ 2 acceleration and v = 0 at the ends:
-    one pass forward and one backward over the path (the numerical integration of time-optimal path parametrisation).
+    The largest v(s) with v ≤ speed, v² κ ≤ acceleration, v κ ≤ turn rate, |dv²/ds| ≤ 2 acceleration and v = 0 at the
+    ends: one pass forward and one backward, the numerical integration of time-optimal path parametrisation.
     """
     step = np.linalg.norm(np.diff(positions, axis=0), axis=1)
     heading = np.unwrap(np.arctan2(*np.diff(positions[:, :2], axis=0).T[::-1]))

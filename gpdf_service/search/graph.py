@@ -46,7 +46,7 @@ class Graph:
 def is_clear(obstacles: Tree, a: FloatArray, b: FloatArray, radius: float) -> bool:
     """Whether the whole segment ab keeps `radius` from every obstacle.
 
-    Distances are 1-Lipschitz, so ab is clear by at least (d(a) + d(b) − |ab|) / 2; where that does not settle it, halve.
+    Distances are 1-Lipschitz, so ab is clear by at least (d(a) + d(b) − |ab|) / 2; if that does not settle it, halve.
     """
     stack = np.empty((64, 2, 2))
     stack[0, 0], stack[0, 1] = a, b
@@ -86,8 +86,8 @@ def _proven(
 def find_edges(tree: Quadtree, obstacles: Tree, radius: float) -> tuple[IntArray, FloatArray]:
     """Pairs of free leaves that share a side, with a proven passage: ends (e, 2) and crossings (e, 2) [m].
 
-    Every leaf looks once across each of its four sides; the leaf found there is larger, or as large and then the pair is
-    kept once. So each pair of neighbours is found, in time n log n.
+    Every leaf looks once across each of its four sides; the leaf found there is larger, or as large, and then the pair
+    is kept once. So each pair of neighbours is found, in time n log n.
     """
     leaves = np.flatnonzero(tree.free)
     corner, size = tree.corner[leaves], tree.size[leaves]

@@ -1,7 +1,7 @@
 """A quadtree of the free space that knows the body: a leaf is free if the body's centre may be there.
 
 With d the exact distance from a leaf's centre to the nearest obstacle (1-Lipschitz), r the radius, b half its diagonal:
-d − b ≥ r: all of the leaf is free; d + b < r: none of it; else it is split, down to `MIN_WIDTH`, where the centre decides.
+d − b ≥ r: all of the leaf is free; d + b < r: none of it; else split, down to `MIN_WIDTH`; there the centre decides.
 """
 
 from __future__ import annotations
@@ -48,12 +48,14 @@ class Quadtree:
     @property
     def center(self) -> FloatArray:
         """Centres of the leaves [m], shape (k, 2)."""
-        return self.origin + (self.corner + 0.5 * self.size[:, None]) * self.width
+        made: FloatArray = self.origin + (self.corner + 0.5 * self.size[:, None]) * self.width
+        return made
 
     @property
     def half_size(self) -> FloatArray:
         """Half the width of each leaf [m], shape (k,)."""
-        return 0.5 * self.width * self.size
+        made: FloatArray = (0.5 * self.width * self.size).astype(np.float64)
+        return made
 
     def find(self, xy: FloatArray) -> IntArray:
         """Leaf that holds each place, shape (m, 2) [m]; -1 outside the root. Shape (m,)."""
@@ -63,7 +65,7 @@ class Quadtree:
     def find_cell(self, cell: IntArray) -> IntArray:
         """Leaf that holds each smallest cell, shape (m, 2); -1 outside the root."""
         side = int(np.sqrt(float((self.size.astype(np.float64) ** 2).sum())) + 0.5)
-        inside = ((cell >= 0) & (cell < side)).all(axis=1)
+        inside = np.logical_and.reduce((cell >= 0) & (cell < side), axis=1)
         code = morton(np.where(inside[:, None], cell, 0))
         return np.where(inside, np.searchsorted(self.code, code, side="right") - 1, -1)
 
@@ -136,7 +138,7 @@ def _split(
     clearance: FloatArray,
     state: NDArray[np.uint8],
 ) -> int:
-    """Fill the leaves; returns how many, or -1 if the arrays are too short. State: 0 blocked, 1 centre free, 2 whole."""
+    """Fill the leaves; returns how many, -1 if the arrays are too short. State: 0 blocked, 1 centre free, 2 whole."""
     stack = np.empty((4 * depth + 4, 3), np.int64)
     stack[0, 0], stack[0, 1], stack[0, 2] = 0, 0, 1 << depth
     top, count = 1, 0

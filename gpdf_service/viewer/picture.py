@@ -68,7 +68,7 @@ def draw_plans(
         _draw_profile(side_axes, result.trajectory, name, colour)
     for place, marker, label in ((start, "o", "start"), (goal, "*", "goal")):
         if len(place):
-            style = {"marker": marker, "ms": 13, "mfc": "white", "mec": "black", "ls": "", "zorder": 6}
+            style: dict[str, Any] = {"marker": marker, "ms": 13, "mfc": "white", "mec": "black", "ls": "", "zorder": 6}
             plan_axes.plot(place[0], place[1], label=label, **style)
     plan_axes.set(xlabel="x [m]", ylabel="y [m]", aspect="equal", title=title or "plan view")
     plan_axes.legend(loc="upper left", bbox_to_anchor=(1.15, 1.0), fontsize=9)
@@ -92,13 +92,13 @@ def draw_scene(scene: Scene, agent: str | Agent, path: str | os.PathLike[str]) -
         axes.imshow(inferred.T, origin="lower", extent=extent, cmap="cool", alpha=0.45, interpolation="nearest")
         _draw_quadtree(axes, scene, agent, i)
         _draw_obstacles(axes, scene, agent, i)
-        axes.set(xlabel="x [m]", ylabel="y [m]", aspect="equal", title=f"level {i}: ground (inferred in magenta)")
+        axes.set(xlabel="x [m]", ylabel="y [m]", aspect="equal", title=f"level {i}: ground (inferred in turquoise)")
         axes.legend(loc="upper right", fontsize=8, markerscale=6)
     _save(figure, path)
 
 
 def _save(figure: Figure, path: str | os.PathLike[str]) -> None:
-    FigureCanvasAgg(figure).print_png(os.fspath(path))
+    FigureCanvasAgg(figure).print_png(os.fspath(path))  # type: ignore[no-untyped-call]
 
 
 def _extent(origin: FloatArray, size: FloatArray) -> tuple[float, float, float, float]:

@@ -1,0 +1,89 @@
+"""`gpdf client …`: ask a running service from the command line; needs only the light install."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from gpdf_client.client import DEFAULT_ENDPOINT, Client
+from gpdf_client.results import ClientError
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the sub-verbs."""
+    parser.add_argument("--endpoint", default=DEFAULT_ENDPOINT, help="the service")
+    verbs = parser.add_subparsers(dest="verb", required=True)
+
+    def verb(name: str, text: str, act: Callable[[Client, argparse.Namespace], Any]) -> argparse.ArgumentParser:
+        made: argparse.ArgumentParser = verbs.add_parser(name, help=text, description=text)
+        made.add_argument("--json", action="store_true", help="print the result as JSON")
+        made.set_defaults(act=act)
+        return made
+
+    verb("scenes", "list the scenes", lambda client, _: client.scenes())
+    for name, text, act in (
+        ("info", "facts of a scene", lambda client, args: client.info(args.scene)),
+        ("unload", "let the service forget a scene", lambda client, args: client.unload_scene(args.scene)),
+    ):
+        verb(name, text, act).add_argument("scene")
+    load = verb("load", "load a file of the service's scenes folder", lambda c, a: c.load_scene(a.scene, a.file))
+    load.add_argument("scene")
+    load.add_argument("file")
+    plan = verb("plan", "plan a trajectory", _plan)
+    plan.add_argument("scene")
+    plan.add_argument("--start", required=True, type=_place, help="x,y or x,y,z [m]")
+    plan.add_argument("--goal", required=True, type=_place, help="x,y or x,y,z [m]")
+    plan.add_argument("--agent", default="human")
+    plan.add_argument("--method", default="dual_gpdf")
+    distance = verb("distance", "distance to the ground or to the obstacles", _distance)
+    distance.add_argument("scene")
+    distance.add_argument("field", choices=["ground", "obstacle"])
+    distance.add_argument("--at", required=True, type=_place, help="x,y or x,y,z [m]")
+    distance.add_argument("--agent", default="human")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Ask; exit code 0 only if the service did what was asked."""
+    try:
+        with Client.connect(args.endpoint) as client:
+            result = args.act(client, args)
+    except ClientError as error:
+        print(f"gpdf: {error}", file=sys.stderr)
+        return 1
+    if args.json:
+        print(json.dumps(result))
+    elif isinstance(result, dict):
+        for key, value in result.items():
+            print(f"{key}: {value}")
+    return 1 if isinstance(result, dict) and result.get("status", "OK") != "OK" else 0
+
+
+def _plan(client: Client, args: argparse.Namespace) -> dict[str, Any]:
+    result = client.plan(args.scene, args.start, args.goal, args.agent, method=args.method)
+    made: dict[str, Any] = {"status": str(result.status), "message": result.message}
+    if result.trajectory is not None and result.certificate is not None:
+        made |= {
+            "length": result.trajectory.length,
+            "duration": result.trajectory.duration,
+            "min_clearance": result.certificate.min_clearance,
+        }
+        if args.json:
+            made["positions"] = result.trajectory.positions.tolist()
+    return made
+
+
+def _distance(client: Client, args: argparse.Namespace) -> dict[str, Any]:
+    found = client.distance(args.scene, args.field, np.array([args.at]), args.agent)
+    return {"distance": float(found.distance[0]), "valid": bool(found.valid[0])}
+
+
+def _place(text: str) -> list[float]:
+    try:
+        return [float(part) for part in text.split(",")]
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"{text!r} is no place: write x,y or x,y,z in metres") from None

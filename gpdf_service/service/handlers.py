@@ -1,0 +1,243 @@
+"""What each key does: request in, reply out. Every failure becomes a reply with a status and a sentence."""
+
+from __future__ import annotations
+
+import dataclasses
+import logging
+import time
+from collections.abc import Callable
+from typing import Any, get_args
+
+import numpy as np
+from gpdf_schemas import (
+    MAX_REQUEST_BYTES,
+    Array,
+    CertificateMessage,
+    DecodeError,
+    DistanceReply,
+    DistanceRequest,
+    LoadRequest,
+    PlanReply,
+    PlanRequest,
+    Reply,
+    SceneReply,
+    SceneRequest,
+    ScenesReply,
+    Status,
+    TrajectoryMessage,
+    UploadRequest,
+    decode,
+    keys,
+)
+
+from gpdf_service.errors import GpdfError, RequestError
+from gpdf_service.pipeline import Method, plan
+from gpdf_service.scene import Scene
+from gpdf_service.service.scenes import Shelf, describe
+from gpdf_service.types import Agent, PlanResult, Trajectory
+
+log = logging.getLogger(__name__)
+MAX_DISTANCE_POINTS = 100_000
+"""Places in one distance request: 4 MiB holds 170 k of them."""
+
+
+class Handlers:
+    """The service's answers; holds the scenes and the service's id."""
+
+    def __init__(self, shelf: Shelf, planner_id: str) -> None:
+        self.shelf, self.planner_id = shelf, planner_id
+        self.by_key: dict[str, tuple[type[Any], type[Reply], Callable[[Any], Reply]]] = {
+            keys.PLAN: (PlanRequest, PlanReply, self.plan),
+            keys.DISTANCE: (DistanceRequest, DistanceReply, self.distance),
+            keys.SCENES: (SceneRequest, ScenesReply, self.scenes),
+            keys.SCENE_INFO: (SceneRequest, SceneReply, self.info),
+            keys.SCENE_LOAD: (LoadRequest, SceneReply, self.load),
+            keys.SCENE_UPLOAD: (UploadRequest, SceneReply, self.upload),
+            keys.SCENE_UNLOAD: (SceneRequest, SceneReply, self.unload),
+        }
+
+    def answer(self, key: str, payload: bytes, received: float) -> Reply:
+        """Answer one request; never raises.
+
+        Args:
+            key: The key that was asked.
+            payload: The request's bytes.
+            received: When it arrived, on `time.monotonic` [s]; its deadline counts from there.
+        """
+        request_kind, reply_kind, handle = self.by_key[key]
+        request_id = ""
+        try:
+            request = decode(payload, request_kind, limit=MAX_REQUEST_BYTES)
+            request_id = request.request_id
+            waited = time.monotonic() - received
+            if waited > request.deadline_s:
+                words = f"the request waited {waited:.2f} s, its deadline was {request.deadline_s:.2f} s. Ask later."
+                return self.refuse(reply_kind, Status.TIMEOUT, words, request_id)
+            return handle(request)
+        except (DecodeError, RequestError, ValueError) as error:
+            return self.refuse(reply_kind, Status.INVALID_REQUEST, str(error), request_id)
+        except _NoSceneError as error:
+            return self.refuse(reply_kind, error.status, str(error), request_id)
+        except GpdfError as error:
+            return self.refuse(reply_kind, Status.INVALID_REQUEST, str(error), request_id)
+        except Exception:
+            log.exception("request %s on %s", request_id, key)
+            return self.refuse(reply_kind, Status.INTERNAL, "the service failed; its log says more.", request_id)
+
+    def refuse(self, kind: type[Reply], status: Status, message: str, request_id: str = "") -> Reply:
+        """A reply that only says why there is none."""
+        return kind(request_id=request_id, status=status, message=message, planner=self.planner_id)
+
+    def plan(self, request: PlanRequest) -> PlanReply:
+        """A trajectory."""
+        if request.method not in get_args(Method):
+            raise RequestError("method", f"{request.method!r}", f"Use one of {', '.join(get_args(Method))}.")
+        scene = self._scene(request.scene)
+        result = plan(
+            scene,
+            request.start,
+            request.goal,
+            _agent(request.agent),
+            method=request.method,  # type: ignore[arg-type]
+            deadline_s=request.deadline_s,
+        )
+        return self._plan_reply(request, scene, result)
+
+    def _plan_reply(self, request: PlanRequest, scene: Scene, result: PlanResult) -> PlanReply:
+        return PlanReply(
+            request_id=request.request_id,
+            status=Status(result.status.value),
+            message=result.message,
+            scene=request.scene,
+            scene_version=scene.version,
+            planner=self.planner_id,
+            timings=result.timings,
+            trajectory=None if result.trajectory is None else _trajectory(result.trajectory),
+            certificate=None if result.certificate is None else CertificateMessage(**_plain(result.certificate)),
+            details=result.details,
+        )
+
+    def distance(self, request: DistanceRequest) -> DistanceReply:
+        """Distances of a field."""
+        points = request.points.unpack()
+        if len(points) > MAX_DISTANCE_POINTS:
+            raise RequestError("points", f"{len(points)} of them", f"Ask at most {MAX_DISTANCE_POINTS} at once.")
+        scene = self._scene(request.scene)
+        if request.field == "ground":
+            sample = scene.ground_field.query(points)
+        elif request.field == "obstacle":
+            sample = scene.obstacle_field(_agent(request.agent)).query(points)
+        else:
+            raise RequestError("field", f"{request.field!r}", "Ask the 'ground' or the 'obstacle' field.")
+        return DistanceReply(
+            request_id=request.request_id,
+            scene=request.scene,
+            scene_version=scene.version,
+            planner=self.planner_id,
+            distance=Array.pack(sample.distance),
+            gradient=Array.pack(sample.gradient),
+            valid=Array.pack(sample.valid, "f4"),
+        )
+
+    def scenes(self, request: SceneRequest) -> ScenesReply:
+        """Facts of all scenes."""
+        return ScenesReply(request_id=request.request_id, planner=self.planner_id, scenes=self.shelf.facts())
+
+    def info(self, request: SceneRequest) -> SceneReply:
+        """Facts of one scene; BUILDING or BUILD_FAILED where it is not ready."""
+        entry = self.shelf.get(request.scene)
+        if entry is None:
+            raise _NoSceneError(Status.UNKNOWN_SCENE, self._unknown(request.scene))
+        if entry.building:
+            status, message = Status.BUILDING, f"scene {request.scene!r} is being built. Ask again."
+        elif entry.error:
+            status, message = Status.BUILD_FAILED, f"scene {request.scene!r}: {entry.error}"
+        else:
+            status, message = Status.OK, ""
+        return self._scene_reply(request, status, message, describe(entry))
+
+    def load(self, request: LoadRequest) -> SceneReply:
+        """Start to load a file of the scenes folder."""
+        self.shelf.load_file(request.scene, request.file)
+        return self._scene_reply(request, Status.BUILDING, f"scene {request.scene!r} is being built.")
+
+    def upload(self, request: UploadRequest) -> SceneReply:
+        """Take a part of a cloud; the build starts with the last."""
+        points = request.points.unpack()
+        if points.ndim != 2 or points.shape[1] != 3:
+            raise RequestError("points", f"an array of shape {points.shape}", "Send an array of shape (n, 3).")
+        ground = None if request.ground is None else request.ground.unpack() > 0
+        if ground is not None and ground.shape != (len(points),):
+            raise RequestError(
+                "ground", f"an array of shape {ground.shape}", f"Send one number a point: ({len(points)},)."
+            )
+        done = self.shelf.add_part(request.scene, request.upload_id, request.part, request.parts, points, ground)
+        message = f"scene {request.scene!r} is being built." if done else f"part {request.part + 1} of {request.parts}"
+        return self._scene_reply(request, Status.BUILDING if done else Status.OK, message)
+
+    def unload(self, request: SceneRequest) -> SceneReply:
+        """Forget a scene."""
+        if not self.shelf.unload(request.scene):
+            raise _NoSceneError(Status.UNKNOWN_SCENE, self._unknown(request.scene))
+        return self._scene_reply(request, Status.OK, f"scene {request.scene!r} is unloaded.")
+
+    def _scene_reply(
+        self,
+        request: SceneRequest | LoadRequest | UploadRequest,
+        status: Status,
+        message: str,
+        info: dict[str, Any] = {},  # noqa: B006
+    ) -> SceneReply:
+        return SceneReply(
+            request_id=request.request_id,
+            status=status,
+            message=message,
+            scene=request.scene,
+            scene_version=int(info.get("version", 0)),
+            planner=self.planner_id,
+            info=info,
+        )
+
+    def _scene(self, name: str) -> Scene:
+        """The last complete version of a scene."""
+        entry = self.shelf.get(name)
+        if entry is None:
+            raise _NoSceneError(Status.UNKNOWN_SCENE, self._unknown(name))
+        if entry.scene is None:
+            if entry.building:
+                raise _NoSceneError(Status.BUILDING, f"scene {name!r} is being built. Ask again.")
+            raise _NoSceneError(Status.BUILD_FAILED, f"scene {name!r}: {entry.error}")
+        return entry.scene
+
+    def _unknown(self, name: str) -> str:
+        known = ", ".join(sorted(self.shelf.facts())) or "none"
+        return f"there is no scene {name!r}. Loaded: {known}."
+
+
+class _NoSceneError(Exception):
+    def __init__(self, status: Status, message: str) -> None:
+        super().__init__(message)
+        self.status = status
+
+
+def _agent(agent: str | dict[str, Any]) -> str | Agent:
+    if isinstance(agent, str):
+        return agent
+    names = [field.name for field in dataclasses.fields(Agent)]
+    if sorted(agent) != sorted(names):
+        raise RequestError(
+            "agent", f"a map with {', '.join(sorted(map(str, agent)))}", f"Give all of {', '.join(names)}."
+        )
+    numbers = {key: value for key, value in agent.items() if key != "name"}
+    if not all(isinstance(value, int | float) and not isinstance(value, bool) for value in numbers.values()):
+        raise RequestError("agent", "a measure that is no number", "Give metres, radians and seconds as numbers.")
+    return Agent(name=str(agent["name"]), **{key: float(value) for key, value in numbers.items()})
+
+
+def _trajectory(path: Trajectory) -> TrajectoryMessage:
+    return TrajectoryMessage(*(Array.pack(part) for part in (path.positions, path.ground, path.times, path.headings)))
+
+
+def _plain(record: Any) -> dict[str, Any]:  # noqa: ANN401 - any dataclass of arrays and numbers
+    values = {field.name: getattr(record, field.name) for field in dataclasses.fields(record)}
+    return {key: value.tolist() if isinstance(value, np.ndarray) else value for key, value in values.items()}

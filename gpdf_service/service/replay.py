@@ -1,0 +1,74 @@
+"""Ask again what a log recorded, and compare the answers."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from gpdf_schemas import PlanReply, PlanRequest, decode, keys
+from mcap.records import Channel, Message
+
+from gpdf_service.service.record import records_of
+
+Ask = Callable[[PlanRequest], PlanReply]
+IDENTICAL = 1e-9
+"""[m] Trajectories closer than this are the same but for the last bits of a sum."""
+
+
+@dataclass(frozen=True, slots=True)
+class Comparison:
+    """One request: both statuses, lengths and clearances, the largest distance between the trajectories [m]."""
+
+    request_id: str
+    status: tuple[str, str]
+    length: tuple[float, float]
+    clearance: tuple[float, float]
+    deviation: float
+
+    @property
+    def same(self) -> bool:
+        """Whether nothing differs."""
+        return self.status[0] == self.status[1] and self.deviation <= IDENTICAL
+
+
+def recorded_plans(path: Path) -> Iterator[tuple[PlanRequest, PlanReply]]:
+    """Every plan in a log: the request and the reply, as they were on the wire."""
+    topics: dict[int, str] = {}
+    request: bytes = b""
+    for record in records_of(path):
+        if isinstance(record, Channel):
+            topics[record.id] = record.topic
+        elif isinstance(record, Message) and topics[record.channel_id] == f"{keys.PLAN}/request":
+            request = record.data
+        elif isinstance(record, Message) and topics[record.channel_id] == f"{keys.PLAN}/reply":
+            reply = decode(record.data, PlanReply)
+            if reply.status not in ("INVALID_REQUEST", "BUSY"):
+                yield decode(request, PlanRequest), reply
+
+
+def compare(request: PlanRequest, was: PlanReply, now: PlanReply) -> Comparison:
+    """Compare two answers to one request."""
+    paths = [reply.trajectory.positions.unpack() if reply.trajectory else np.zeros((0, 3)) for reply in (was, now)]
+    lengths = [float(np.linalg.norm(np.diff(path, axis=0), axis=1).sum()) for path in paths]
+    room = [reply.certificate.min_clearance if reply.certificate else 0.0 for reply in (was, now)]
+    if len(paths[0]) == len(paths[1]):
+        deviation = float(np.abs(paths[0] - paths[1]).max(initial=0.0))
+    else:
+        deviation = _apart(*paths)
+    return Comparison(
+        request.request_id,
+        (was.status.value, now.status.value),
+        (lengths[0], lengths[1]),
+        (room[0], room[1]),
+        deviation,
+    )
+
+
+def _apart(a: np.ndarray, b: np.ndarray) -> float:  # type: ignore[type-arg]
+    """Largest distance from a waypoint of one path to the nearest of the other; inf if one is empty."""
+    if len(a) == 0 or len(b) == 0:
+        return float("inf")
+    gap = np.linalg.norm(a[:, None] - b[None], axis=2)
+    return float(max(gap.min(axis=0).max(), gap.min(axis=1).max()))

@@ -1,0 +1,79 @@
+"""`gpdf replay LOG`: ask a running service again, or plan in process, and compare."""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+import json
+import sys
+import time
+from pathlib import Path
+
+import msgspec
+from gpdf_client import Client
+from gpdf_client.client import DEFAULT_ENDPOINT
+from gpdf_schemas import PlanReply, PlanRequest, keys
+
+from gpdf_service.service.handlers import Handlers
+from gpdf_service.service.replay import Ask, compare, recorded_plans
+from gpdf_service.service.scenes import Shelf
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the verb's options."""
+    parser.add_argument("log", type=Path, help="a log (.mcap)")
+    parser.add_argument("--endpoint", default=DEFAULT_ENDPOINT, help="the service to ask")
+    parser.add_argument("--scene", action="append", default=[], metavar="NAME=CLOUD", help="plan in process with it")
+    parser.add_argument("--request", help="only the request with this id")
+    parser.add_argument("--json", action="store_true", help="print the comparisons as JSON")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Exit code 0 if every answer is the same."""
+    if not args.log.is_file():
+        print(f"gpdf: there is no log {args.log}", file=sys.stderr)
+        return 1
+    plans = [pair for pair in recorded_plans(args.log) if args.request in (None, pair[0].request_id)]
+    if args.scene:
+        ask = _in_process(args.scene)
+        results = [compare(request, was, ask(request)) for request, was in plans]
+    else:
+        with Client.connect(args.endpoint) as client:
+            ask = _over_zenoh(client)
+            results = [compare(request, was, ask(request)) for request, was in plans]
+    same = sum(result.same for result in results)
+    if args.json:
+        print(json.dumps([{**dataclasses.asdict(result), "same": result.same} for result in results]))
+    else:
+        for result in results:
+            if not result.same:
+                words = f"{result.status[0]} → {result.status[1]}, {result.deviation:.4f} m apart"
+                print(f"{result.request_id}: {words}")
+        print(f"{same} of {len(results)} plans are identical")
+    return 0 if results and same == len(results) else 1
+
+
+def _over_zenoh(client: Client) -> Ask:
+    def ask(request: PlanRequest) -> PlanReply:
+        return client._ask(keys.PLAN, request, PlanReply, request.deadline_s)
+
+    return ask
+
+
+def _in_process(scenes: list[str]) -> Ask:
+    shelf = Shelf(Path())
+    names = []
+    for text in scenes:
+        name, _, path = text.partition("=")
+        shelf.load_file(name, path, inside=False)
+        names.append(name)
+    while any((entry := shelf.get(name)) is not None and entry.building for name in names):
+        time.sleep(0.02)
+    handlers = Handlers(shelf, "replay")
+
+    def ask(request: PlanRequest) -> PlanReply:
+        reply = handlers.answer(keys.PLAN, msgspec.msgpack.encode(request), time.monotonic())
+        assert isinstance(reply, PlanReply)
+        return reply
+
+    return ask

@@ -1,0 +1,159 @@
+"""The map service's shelf: scenes by name, built in the background, replaced only when the new one is ready."""
+
+from __future__ import annotations
+
+import logging
+import re
+import threading
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from gpdf_service.errors import GpdfError
+from gpdf_service.perception import read_cloud
+from gpdf_service.pipeline import build_scene
+from gpdf_service.scene import Scene, load_scene
+from gpdf_service.types import BoolArray, FloatArray
+
+log = logging.getLogger(__name__)
+
+NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,63}")
+MAX_UPLOAD_POINTS = 20_000_000
+"""Points that one upload may have: 0.5 GB."""
+SCENE_SUFFIX = ".gpdf"
+Build = Callable[[], Scene]
+
+
+@dataclass(slots=True)
+class Entry:
+    """A scene, or why there is none yet."""
+
+    scene: Scene | None = None
+    building: bool = False
+    error: str = ""
+    version: int = 0
+
+
+class Shelf:
+    """All scenes of a service; safe for many threads. Builds run on one thread of their own, in order."""
+
+    def __init__(self, scenes_dir: Path, on_ready: Callable[[str, Scene], None] = lambda name, scene: None) -> None:
+        self.scenes_dir = scenes_dir.resolve()
+        self._entries: dict[str, Entry] = {}
+        self._uploads: dict[str, dict[int, tuple[FloatArray, BoolArray | None]]] = {}
+        self._lock = threading.Lock()
+        self._builder = ThreadPoolExecutor(1, thread_name_prefix="gpdf-build")
+        self._on_ready = on_ready
+
+    def close(self) -> None:
+        """Let the running build end and start no other."""
+        self._builder.shutdown(wait=True, cancel_futures=True)
+
+    def get(self, name: str) -> Entry | None:
+        """What is known of a scene."""
+        with self._lock:
+            return self._entries.get(name)
+
+    def facts(self) -> dict[str, dict[str, Any]]:
+        """Facts of every scene, by name."""
+        with self._lock:
+            entries = dict(self._entries)
+        return {name: describe(entry) for name, entry in entries.items()}
+
+    def load_file(self, name: str, file: str | Path, *, inside: bool = True) -> None:
+        """Start to load a cloud or a scene file.
+
+        Args:
+            name: Name to give it.
+            file: The file; a name within the scenes folder when `inside`.
+            inside: Refuse what lies outside the scenes folder (requests); False for the operator's command line.
+
+        Raises:
+            ValueError: the name is no name, or the file is not there.
+        """
+        path = (self.scenes_dir / file).resolve() if inside else Path(file)
+        if inside and not path.is_relative_to(self.scenes_dir):
+            raise ValueError(f"file {str(file)!r} lies outside the scenes folder. Name a file in it.")
+        if not path.is_file():
+            raise ValueError(f"file {str(file)!r} is not in the scenes folder. Put it there, or upload the points.")
+
+        def build() -> Scene:
+            if path.suffix == SCENE_SUFFIX:
+                return load_scene(path)
+            cloud = read_cloud(path)
+            return build_scene(cloud.points, cloud.ground)
+
+        self._start(name, build)
+
+    def add_part(
+        self, name: str, upload_id: str, part: int, parts: int, points: FloatArray, ground: BoolArray | None
+    ) -> bool:
+        """Take one part of an upload; True when it was the last, and the build has begun.
+
+        Raises:
+            ValueError: the part does not fit.
+        """
+        if not 0 <= part < parts or parts > MAX_UPLOAD_POINTS:
+            raise ValueError(f"part {part} of {parts} is none. Parts count from 0.")
+        key = f"{name}/{upload_id}"
+        with self._lock:
+            kept = self._uploads.setdefault(key, {})
+            kept[part] = (points, ground)
+            total = sum(len(p) for upload in self._uploads.values() for p, _ in upload.values())
+            if total > MAX_UPLOAD_POINTS:
+                del self._uploads[key]
+                raise ValueError(f"more than {MAX_UPLOAD_POINTS} points are waiting. Thin the cloud, or load a file.")
+            if len(kept) < parts:
+                return False
+            del self._uploads[key]
+        cloud = np.concatenate([kept[i][0] for i in range(parts)])
+        labels = [kept[i][1] for i in range(parts)]
+        given = [label for label in labels if label is not None]
+        if given and len(given) != parts:
+            raise ValueError("some parts have ground labels and some have none. Send them with all parts or none.")
+        mask = np.concatenate(given) if given else None
+        self._start(name, lambda: build_scene(cloud, mask))
+        return True
+
+    def unload(self, name: str) -> bool:
+        """Forget a scene; False if there was none."""
+        with self._lock:
+            return self._entries.pop(name, None) is not None
+
+    def _start(self, name: str, build: Build) -> None:
+        if not NAME.fullmatch(name):
+            raise ValueError(f"{name!r} is no name for a scene. Use letters, digits, '_', '-' and '.', at most 64.")
+        with self._lock:
+            entry = self._entries.setdefault(name, Entry())
+            entry.building, entry.error = True, ""
+        self._builder.submit(self._build, name, entry, build)
+
+    def _build(self, name: str, entry: Entry, build: Build) -> None:
+        try:
+            scene = build()
+        except GpdfError as error:
+            log.warning("scene %s: %s", name, error)
+            with self._lock:
+                entry.building, entry.error = False, str(error)
+        except Exception:
+            log.exception("scene %s", name)
+            with self._lock:
+                entry.building, entry.error = False, "the build failed inside the service; its log says more."
+        else:
+            with self._lock:
+                entry.version += 1
+                scene.version = max(scene.version, entry.version)
+                entry.scene, entry.building = scene, False
+            log.info("scene %s is ready: %d points, digest %s", name, len(scene.points), scene.digest)
+            self._on_ready(name, scene)
+
+
+def describe(entry: Entry) -> dict[str, Any]:
+    """Facts of one entry, ready for the wire."""
+    state = "ready" if entry.scene else ("building" if entry.building else "failed")
+    facts: dict[str, Any] = {"state": state, "building": entry.building, "error": entry.error}
+    return facts if entry.scene is None else facts | entry.scene.info()

@@ -1,0 +1,50 @@
+"""Bytes to messages and back. Unknown fields are ignored, so that an older reader understands a newer writer."""
+
+from __future__ import annotations
+
+from typing import Any, TypeVar
+
+import msgspec
+
+MAX_REQUEST_BYTES = 4 << 20
+"""A request above this is refused before it is decoded; larger clouds go in parts."""
+
+T = TypeVar("T")
+
+
+class DecodeError(ValueError):
+    """Bytes that are not the message they should be; says what was asked and what was found."""
+
+
+def encode(message: msgspec.Struct) -> bytes:
+    """Message to msgpack."""
+    return msgspec.msgpack.encode(message)
+
+
+def decode(data: bytes, kind: type[T], *, limit: int | None = None) -> T:
+    """Bytes to a message of type `kind`.
+
+    Raises:
+        DecodeError: too long, truncated, nested too deep, a field missing or of the wrong type, a number not finite.
+    """
+    if limit is not None and len(data) > limit:
+        raise DecodeError(f"{kind.__name__}: {len(data)} bytes, at most {limit} are taken. Send it in parts.")
+    try:
+        message = msgspec.msgpack.decode(data, type=kind)
+    except (msgspec.MsgspecError, RecursionError, ValueError, OverflowError, MemoryError) as error:
+        raise DecodeError(f"{kind.__name__}: {error}. See schemas/CONVENTIONS.md.") from error
+    if not _finite(message):
+        raise DecodeError(f"{kind.__name__}: a number is not finite. Send finite numbers.")
+    return message
+
+
+def _finite(value: Any) -> bool:  # noqa: ANN401 - any decoded value
+    if isinstance(value, float):
+        return value - value == 0.0
+    if isinstance(value, msgspec.Struct):
+        return all(_finite(getattr(value, name)) for name in value.__struct_fields__)
+    if isinstance(value, dict):
+        return all(_finite(part) for part in value.values())
+    if isinstance(value, list | tuple):
+        return all(_finite(part) for part in value)
+    return True

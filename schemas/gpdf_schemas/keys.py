@@ -1,0 +1,12 @@
+"""Key expressions. A request is a Zenoh query with a msgpack map as payload; its reply is one on the same key."""
+
+ROOT = "gpdf/v1"
+PLAN = f"{ROOT}/plan"
+DISTANCE = f"{ROOT}/distance"
+SCENES = f"{ROOT}/scenes"
+SCENE_INFO = f"{ROOT}/scene/info"
+SCENE_LOAD = f"{ROOT}/scene/load"
+SCENE_UPLOAD = f"{ROOT}/scene/upload"
+SCENE_UNLOAD = f"{ROOT}/scene/unload"
+ALIVE = f"{ROOT}/alive"
+"""Liveliness token of a service; below it, the service's id."""

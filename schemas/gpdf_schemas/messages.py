@@ -1,0 +1,215 @@
+"""Message types. Units: m, rad, s; frame: the scene's, z up. See CONVENTIONS.md."""
+
+from __future__ import annotations
+
+from enum import StrEnum
+from typing import Any
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+
+class Status(StrEnum):
+    """How a request ended: the planner's answers, then the service's."""
+
+    OK = "OK"
+    START_OUTSIDE_MAP = "START_OUTSIDE_MAP"
+    GOAL_OUTSIDE_MAP = "GOAL_OUTSIDE_MAP"
+    START_OCCUPIED = "START_OCCUPIED"
+    GOAL_OCCUPIED = "GOAL_OCCUPIED"
+    TIMEOUT = "TIMEOUT"
+    NO_VALID_PATH = "NO_VALID_PATH"
+    AMBIGUOUS_LEVEL = "AMBIGUOUS_LEVEL"
+    UNCERTIFIED = "UNCERTIFIED"
+    INVALID_REQUEST = "INVALID_REQUEST"
+    UNKNOWN_SCENE = "UNKNOWN_SCENE"
+    BUILDING = "BUILDING"
+    BUILD_FAILED = "BUILD_FAILED"
+    BUSY = "BUSY"
+    UNAVAILABLE = "UNAVAILABLE"
+    INTERNAL = "INTERNAL"
+
+
+class Array(msgspec.Struct, frozen=True, array_like=False):
+    """A matrix as one binary blob, row by row, little-endian.
+
+    Attributes:
+        shape: Rows, or rows and columns.
+        dtype: "f8" or "f4".
+        data: The bytes.
+    """
+
+    shape: tuple[int, ...]
+    dtype: str
+    data: bytes
+
+    @classmethod
+    def pack(cls, values: NDArray[Any], dtype: str = "f8") -> Array:
+        """From an array."""
+        made = np.ascontiguousarray(values, dtype=f"<{dtype}")
+        return cls(made.shape, dtype, made.tobytes())
+
+    def unpack(self) -> NDArray[np.float64]:
+        """To an array of float64.
+
+        Raises:
+            ValueError: the bytes do not fit the shape, or a number is not finite.
+        """
+        if self.dtype not in ("f4", "f8"):
+            raise ValueError(f"dtype {self.dtype!r} is neither 'f4' nor 'f8'")
+        if len(self.shape) not in (1, 2) or any(n < 0 for n in self.shape):
+            raise ValueError(f"shape {self.shape} is neither (n,) nor (n, k)")
+        count = 1
+        for n in self.shape:
+            count *= n
+        if count * int(self.dtype[1]) != len(self.data):
+            raise ValueError(f"{len(self.data)} bytes do not fill shape {self.shape} of {self.dtype}")
+        made = np.frombuffer(self.data, f"<{self.dtype}").reshape(self.shape).astype(np.float64)
+        if not np.isfinite(made).all():
+            raise ValueError("it holds numbers that are not finite")
+        return made
+
+
+class PlanRequest(msgspec.Struct, frozen=True, kw_only=True):
+    """Ask for a trajectory on `keys.PLAN`.
+
+    Attributes:
+        scene: Name of a loaded scene.
+        start: (x, y) or (x, y, z of the ground there) [m].
+        goal: The same.
+        agent: Name of a known body, or its measures as a map (the fields of `gpdf_service.Agent`).
+        method: dual_gpdf, or one of the paper's baselines.
+        deadline_s: Seconds that the answer may take.
+        request_id: Chosen by the client; the same id asks the same thing again.
+    """
+
+    scene: str
+    start: list[float]
+    goal: list[float]
+    agent: str | dict[str, Any] = "human"
+    method: str = "dual_gpdf"
+    deadline_s: float = 30.0
+    request_id: str = ""
+
+
+class TrajectoryMessage(msgspec.Struct, frozen=True):
+    """A trajectory: positions (n, 3) of the body's top, ground (n, 3) below, times (n,) s, headings (n,) rad."""
+
+    positions: Array
+    ground: Array
+    times: Array
+    headings: Array
+
+
+class CertificateMessage(msgspec.Struct, frozen=True):
+    """What was proven of a trajectory; the fields of `gpdf_service.Certificate`."""
+
+    min_clearance: float
+    min_clearance_at: list[float]
+    max_height_deviation: float
+    max_height_deviation_at: list[float]
+    max_step: float
+    max_slope: float
+    holds: bool
+    reason: str = ""
+
+
+class Reply(msgspec.Struct, frozen=True, kw_only=True):
+    """What every reply carries.
+
+    Attributes:
+        request_id: That of the request; empty when it could not be read.
+        status: How it ended.
+        message: The same in words, with what to try.
+        scene: Name of the scene.
+        scene_version: Version of the scene that answered.
+        planner: Id of the service that answered.
+        timings: Seconds by stage.
+    """
+
+    request_id: str = ""
+    status: Status = Status.OK
+    message: str = ""
+    scene: str = ""
+    scene_version: int = 0
+    planner: str = ""
+    timings: dict[str, float] = {}
+
+
+class PlanReply(Reply, frozen=True, kw_only=True):
+    """Answer to a `PlanRequest`."""
+
+    trajectory: TrajectoryMessage | None = None
+    certificate: CertificateMessage | None = None
+    details: dict[str, float] = {}
+
+
+class DistanceRequest(msgspec.Struct, frozen=True, kw_only=True):
+    """Ask a field on `keys.DISTANCE`: "ground" with points (m, 3), or "obstacle" with (m, 2) or (m, 3)."""
+
+    scene: str
+    field: str
+    points: Array
+    agent: str | dict[str, Any] = "human"
+    deadline_s: float = 30.0
+    request_id: str = ""
+
+
+class DistanceReply(Reply, frozen=True, kw_only=True):
+    """Distances (m,) [m], gradients (m, 2 or 3), and validity as 0 or 1 (m,); where not valid the distance is 0."""
+
+    distance: Array | None = None
+    gradient: Array | None = None
+    valid: Array | None = None
+
+
+class SceneRequest(msgspec.Struct, frozen=True, kw_only=True):
+    """Name a scene, on `keys.SCENE_INFO` or `keys.SCENE_UNLOAD`; any name on `keys.SCENES`."""
+
+    scene: str = ""
+    deadline_s: float = 30.0
+    request_id: str = ""
+
+
+class LoadRequest(msgspec.Struct, frozen=True, kw_only=True):
+    """Load a file of the service's scenes folder, on `keys.SCENE_LOAD`; the build goes on after the reply."""
+
+    scene: str
+    file: str
+    deadline_s: float = 30.0
+    request_id: str = ""
+
+
+class UploadRequest(msgspec.Struct, frozen=True, kw_only=True):
+    """One part of a cloud, on `keys.SCENE_UPLOAD`; the build starts when all parts are there.
+
+    Attributes:
+        scene: Name to give it.
+        upload_id: The same for all parts.
+        part: Number of this part, from 0.
+        parts: How many there are.
+        points: (n, 3) [m].
+        ground: 1 where a point is ground, (n,); none lets the service segment.
+    """
+
+    scene: str
+    upload_id: str
+    part: int
+    parts: int
+    points: Array
+    ground: Array | None = None
+    deadline_s: float = 30.0
+    request_id: str = ""
+
+
+class SceneReply(Reply, frozen=True, kw_only=True):
+    """Facts of one scene; BUILDING while it is being built."""
+
+    info: dict[str, Any] = {}
+
+
+class ScenesReply(Reply, frozen=True, kw_only=True):
+    """Facts of every scene by name."""
+
+    scenes: dict[str, dict[str, Any]] = {}
