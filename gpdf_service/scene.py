@@ -164,6 +164,11 @@ class Scene:
                     self._spaces.popitem(last=False)
             return space
 
+    def forget_agents(self) -> None:
+        """Drop what was built for single kinds of body; it is built again on use."""
+        with self._lock:
+            self._spaces.clear()
+
     @property
     def digest(self) -> str:
         """Hash of the cloud and its labels: the same place gives the same digest on any machine."""

@@ -54,7 +54,8 @@ def _material(level: GroundLevel, agent: Agent) -> BoolArray:
     beneath = z < ndimage.minimum_filter(bottom, footprint=disc)[ix, iy] - LEAST_OBSTACLE
     high = ndimage.maximum_filter(top, size=3)[ix, iy]
     low = ndimage.minimum_filter(bottom, size=3)[ix, iy]
-    face = np.isfinite(high) & (high - low <= max(agent.max_step, LEAST_OBSTACLE)) & (z <= high + LEAST_OBSTACLE)
+    own = np.where(known, surface.height, -np.inf)[ix, iy]
+    face = np.isfinite(high) & (high - low <= agent.max_step) & (z <= np.maximum(high, own + LEAST_OBSTACLE))
     stops: BoolArray = reached & ~beneath & ~face
     return stops
 

@@ -12,7 +12,7 @@ from pathlib import Path
 import msgspec
 from gpdf_client import Client
 from gpdf_client.client import DEFAULT_ENDPOINT
-from gpdf_schemas import PlanReply, PlanRequest, keys
+from gpdf_schemas import PlanReply, PlanRequest, Status, keys
 
 from gpdf_service.service.handlers import Handlers
 from gpdf_service.service.replay import Ask, compare, recorded_plans
@@ -55,7 +55,8 @@ def run(args: argparse.Namespace) -> int:
 
 def _over_zenoh(client: Client) -> Ask:
     def ask(request: PlanRequest) -> PlanReply:
-        return client._ask(keys.PLAN, request, PlanReply, request.deadline_s)
+        reply: PlanReply = client.ask(keys.PLAN, request, PlanReply, request.deadline_s, fine=tuple(Status))
+        return reply
 
     return ask
 

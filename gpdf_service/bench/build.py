@@ -1,0 +1,60 @@
+"""`gpdf bench build`: time from cloud to scene, beside Open3D's normals of the same cloud in the same run."""
+
+from __future__ import annotations
+
+import argparse
+import time
+from collections.abc import Callable
+
+import numpy as np
+
+from gpdf_service.bench.report import add_scene_arguments, clouds, show
+from gpdf_service.pipeline import build_scene
+from gpdf_service.types import FloatArray
+
+NEIGHBOURS = 20
+"""Neighbours for a normal: Open3D's own tutorial takes 20 to 30."""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the verb's options."""
+    add_scene_arguments(parser, ["office", "cluttered_office"])
+    parser.add_argument("--agent", default="human", help="the body whose free space is built too")
+    parser.add_argument("--repeat", type=int, default=3, help="the median of this many, after one to warm up")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Measure every scene."""
+    rows = []
+    for name, points, _ in clouds(args):
+        build = _median(lambda points=points: build_scene(points), args.repeat)  # type: ignore[misc]
+        scene = build_scene(points)
+
+        def space(scene=scene) -> None:  # type: ignore[no-untyped-def]  # noqa: ANN001
+            scene.forget_agents()
+            scene.free_space(args.agent)
+
+        free, peer = _median(space, args.repeat), _median(lambda points=points: _normals(points), args.repeat)  # type: ignore[misc]
+        ready = build + free
+        rows.append(
+            {"scene": name, "points": len(points), "build_s": build, "free_space_s": free, "ready_s": ready}
+            | {"open3d_normals_s": peer, "ratio": ready / peer}
+        )
+    show(rows, as_json=args.json)
+    return 0
+
+
+def _median(work: Callable[[], object], repeat: int) -> float:
+    seconds = []
+    for _ in range(repeat + 1):
+        began = time.perf_counter()
+        work()
+        seconds.append(time.perf_counter() - began)
+    return float(np.median(seconds[1:]))
+
+
+def _normals(points: FloatArray) -> None:
+    import open3d
+
+    cloud = open3d.geometry.PointCloud(open3d.utility.Vector3dVector(points))
+    cloud.estimate_normals(open3d.geometry.KDTreeSearchParamKNN(NEIGHBOURS))

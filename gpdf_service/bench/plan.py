@@ -1,0 +1,90 @@
+"""`gpdf bench plan`: random queries; what share is certified, what an independent judge says, how long it takes."""
+
+from __future__ import annotations
+
+import argparse
+import time
+from collections import Counter
+
+import numpy as np
+
+from gpdf_service.bench.judge import Judge
+from gpdf_service.bench.report import Row, add_scene_arguments, clouds, show
+from gpdf_service.pipeline import build_scene, plan
+from gpdf_service.scene import Scene
+from gpdf_service.types import AGENTS, Agent, FloatArray, Status
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the verb's options."""
+    add_scene_arguments(parser, ["office", "cluttered_office"])
+    parser.add_argument("--agent", action="append", help="human and roomba when not given")
+    parser.add_argument("--count", type=int, default=100, help="queries for each scene and body")
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument(
+        "--ignore-labels", action="store_true", help="plan on our own segmentation, judge by the labels"
+    )
+
+
+def run(args: argparse.Namespace) -> int:
+    """Exit code 0 if no certified path was judged a collision."""
+    rows = []
+    for name, points, ground in clouds(args):
+        scene = build_scene(points, None if args.ignore_labels else ground)
+        judge = Judge(points, scene.ground if ground is None else ground)
+        for agent in args.agent or ["human", "roomba"]:
+            rng = np.random.default_rng(args.seed)
+            rows.append({"scene": name, "agent": agent, **measure(scene, judge, AGENTS[agent], args.count, rng)})
+    show(rows, as_json=args.json)
+    return 0 if all(row["collisions"] == 0 for row in rows) else 1
+
+
+def random_places(scene: Scene, agent: Agent, count: int, rng: np.random.Generator) -> FloatArray:
+    """Pairs of places on the ground where the body stands free of everything, shape (count, 2, 2) [m].
+
+    Rejection sampling over the height map with exact clearances: it does not know what the graph connects.
+    """
+    surface, space = scene.surfaces[0], scene.free_space(agent)
+    found: list[FloatArray] = []
+    for _ in range(1000):
+        low, size = surface.origin, np.array(surface.height.shape) * surface.cell_width
+        xy = rng.uniform(low, low + size, (4096, 2))
+        xy = xy[surface.contains(xy)]
+        xy = xy[space.clearance(0, xy)[0] >= agent.radius]
+        found.append(xy)
+        if sum(map(len, found)) >= 2 * count:
+            break
+    places = np.concatenate(found)[: 2 * count]
+    return places[: len(places) // 2 * 2].reshape(-1, 2, 2)
+
+
+def measure(scene: Scene, judge: Judge, agent: Agent, count: int, rng: np.random.Generator) -> Row:
+    """Plan `count` random queries and judge every answer."""
+    statuses: Counter[str] = Counter()
+    seconds, clearance, ground, collisions, deepest, feasible = [], [], [], 0, 0.0, 0
+    pairs = random_places(scene, agent, count, rng)
+    for start, goal in pairs:
+        began = time.perf_counter()
+        result = plan(scene, start, goal, agent)
+        seconds.append(time.perf_counter() - began)
+        statuses[result.status.value] += 1
+        if result.status is Status.OK and result.trajectory is not None and result.certificate is not None:
+            verdict = judge.judge(result.trajectory, agent)
+            collisions += not verdict.collision_free
+            deepest = max(deepest, verdict.penetration)
+            feasible += verdict.feasible
+            ground.append(verdict.mean_ground_distance)
+            clearance.append(result.certificate.min_clearance)
+    certified = statuses[Status.OK.value]
+    return {
+        "queries": len(pairs),
+        "certified": certified,
+        **{status: n for status, n in statuses.items() if status != Status.OK.value},
+        "collisions": collisions,
+        "deepest_m": deepest,
+        "feasible": feasible,
+        "mean_ground_m": float(np.mean(ground)) if ground else float("nan"),
+        "mean_clearance_m": float(np.mean(clearance)) if clearance else float("nan"),
+        "p50_ms": 1e3 * float(np.median(seconds)),
+        "p99_ms": 1e3 * float(np.quantile(seconds, 0.99)),
+    }

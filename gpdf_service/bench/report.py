@@ -1,0 +1,52 @@
+"""Rows of measurements, printed as a table or as JSON."""
+
+from __future__ import annotations
+
+import argparse
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from gpdf_service.perception import read_cloud
+from gpdf_service.synthetic import SCENES
+from gpdf_service.types import BoolArray, FloatArray
+
+Row = dict[str, Any]
+
+
+def show(rows: list[Row], *, as_json: bool) -> None:
+    """Print the rows."""
+    if as_json:
+        print(json.dumps(rows))  # noqa: T201
+        return
+    names = list(dict.fromkeys(name for row in rows for name in row))
+    cells = [names, *([_text(row.get(name, "")) for name in names] for row in rows)]
+    widths = [max(len(line[i]) for line in cells) for i in range(len(names))]
+    for line in cells:
+        print("  ".join(cell.rjust(width) for cell, width in zip(line, widths, strict=True)))  # noqa: T201
+
+
+def _text(value: object) -> str:
+    return f"{value:.4g}" if isinstance(value, float) else str(value)
+
+
+def add_scene_arguments(parser: argparse.ArgumentParser, default: list[str]) -> None:
+    """Which scenes: names of synthetic ones, or clouds."""
+    parser.add_argument("--scene", action="append", help=f"{', '.join(SCENES)}, or a cloud; {default} when not given")
+    parser.add_argument("--json", action="store_true", help="print the rows as JSON")
+    parser.set_defaults(default_scenes=default)
+
+
+def clouds(args: argparse.Namespace) -> list[tuple[str, FloatArray, BoolArray | None]]:
+    """The scenes that were asked for: name, points, ground labels."""
+    made: list[tuple[str, FloatArray, BoolArray | None]] = []
+    for name in args.scene or args.default_scenes:
+        if name in SCENES:
+            scene = SCENES[name](np.random.default_rng(0))
+            made.append((name, scene.points, scene.ground))
+        else:
+            cloud = read_cloud(Path(name))
+            made.append((Path(name).stem, cloud.points, cloud.ground))
+    return made
