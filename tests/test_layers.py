@@ -17,9 +17,8 @@ ALLOWED = {
     "synthetic": BASE,
     "search": BASE | {"fields", "perception"},
     "planning": BASE | {"fields", "perception", "search"},
-    "baselines": BASE | {"fields", "perception", "search", "planning"},
     "scene": BASE | {"fields", "perception", "search", "store"},
-    "pipeline": BASE | {"fields", "perception", "planning", "baselines", "scene"},
+    "pipeline": BASE | {"fields", "perception", "planning", "scene"},
 }
 WIRE = {"zenoh", "msgpack", "msgspec", "mcap", "gpdf_schemas", "gpdf_client"}
 LIGHT = {"zenoh", "msgpack", "msgspec", "numpy", "gpdf_schemas", "gpdf_client"}

@@ -73,13 +73,16 @@ class Judge:
         """Points in the cylinder that are not the face of a step that the body takes."""
         over = points[:, 2] - centre[2]
         inside = points[(over > SCATTER) & (over < agent.height)]
+        beneath = self.ground[self.ground_plan.query(inside[:, :2])[1], 2]
+        inside = inside[np.abs(inside[:, 2] - beneath) > SCATTER]
         low = inside[:, 2] - centre[2] <= agent.max_step
         keep = ~low
         for i in np.flatnonzero(low):
             beside = self.ground[self.ground_plan.query_ball_point(inside[i, :2], FACE)]
             rise = beside[:, 2] - centre[2]
             keep[i] = not ((rise >= inside[i, 2] - centre[2] - SCATTER) & (rise <= agent.max_step)).any()
-        return inside[keep]
+        hits: FloatArray = inside[keep]
+        return hits
 
 
 def _dense(path: FloatArray) -> FloatArray:

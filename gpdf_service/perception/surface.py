@@ -11,6 +11,8 @@ from scipy import ndimage
 from gpdf_service.types import BoolArray, FloatArray
 
 UNKNOWN, OBSERVED, INFERRED = 0, 1, 2
+GAP_CELLS = 4
+"""Empty cells side by side that chance alone explains, at one in ten empty."""
 RING_SHARE = 0.95
 """[-] Of the ground around a hole that must lie on one plane; the rest are a chair's feet."""
 MAX_HOLE_RADIUS = 1.0
@@ -78,11 +80,31 @@ def fill_holes(surface: HeightMap, material: BoolArray) -> HeightMap:
     """
     known = surface.state == OBSERVED
     height, state = surface.height.copy(), surface.state.copy()
-    distance = ndimage.distance_transform_edt(~known) * surface.cell_width
+    cells, nearest = ndimage.distance_transform_edt(~known, return_indices=True)
+    distance = cells * surface.cell_width
+    _fill_gaps(height, state, ~known & ~material, distance, nearest, surface.cell_width)
+    known = state != UNKNOWN
     _fill(height, state, ~known & ~material, known, distance, surface.cell_width)
     solid = state != UNKNOWN  # then the ground that carries the furniture itself
     _fill(height, state, ~solid & (distance <= MAX_HOLE_RADIUS) & material, solid, distance, surface.cell_width)
     return HeightMap(surface.origin, surface.cell_width, height, state)
+
+
+def _fill_gaps(
+    height: NDArray[np.float32],
+    state: NDArray[np.uint8],
+    holes: BoolArray,
+    distance: FloatArray,
+    nearest: NDArray[np.int32],
+    cell_width: float,
+) -> None:
+    """Fill single cells that the scan's spacing left empty, with the ground beside them: also at a step's edge."""
+    label = ndimage.label(holes)[0]
+    widest = ndimage.maximum(distance, label, np.arange(1, label.max() + 1))
+    size = np.bincount(label.ravel())[1:]
+    small = np.isin(label, 1 + np.flatnonzero((np.asarray(widest) <= cell_width) & (size <= GAP_CELLS)))
+    height[small] = height[nearest[0][small], nearest[1][small]]
+    state[small] = INFERRED
 
 
 def _fill(

@@ -1,0 +1,174 @@
+import numpy as np
+import pytest
+from scipy.spatial import cKDTree
+
+from gpdf_service.errors import FieldError
+from gpdf_service.fields import Gpdf, build_tree, estimate_spacing, find_nearest, fit_gpdf, thin
+from gpdf_service.fields.gpdf import Box
+from gpdf_service.fields.threads import MIN_CHUNK
+
+
+@pytest.fixture(scope="module")
+def rng():
+    return np.random.default_rng(3)
+
+
+@pytest.fixture(scope="module")
+def floor(rng):
+    points = np.column_stack([rng.uniform(0, 6, (8000, 2)), np.zeros(8000)])
+    return fit_gpdf(points)
+
+
+def over(rng, low, high, count=2000):
+    return np.column_stack([rng.uniform(1, 5, (count, 2)), rng.uniform(low, high, count)])
+
+
+def test_distance_over_a_plane_is_its_height(floor, rng):
+    queries = over(rng, 0.3, 3.0)
+    error = floor.query(queries).distance - queries[:, 2]
+    assert np.sqrt((error**2).mean()) < 0.05 * floor.spacing
+    assert error.max() < 0.5 * floor.spacing
+
+
+def test_gradient_over_a_plane_points_up(floor, rng):
+    gradient = floor.query(over(rng, 0.3, 3.0)).gradient
+    angle = np.degrees(np.arccos(np.clip(gradient[:, 2] / np.linalg.norm(gradient, axis=1), -1, 1)))
+    assert np.median(angle) < 1.5
+
+
+def test_gradient_agrees_with_finite_differences(floor, rng):
+    queries, h = over(rng, 0.3, 2.0), 1e-5
+    sample = floor.query(queries)
+    for axis in range(3):
+        step = np.eye(3)[axis] * h
+        difference = (floor.query(queries + step).distance - floor.query(queries - step).distance) / (2 * h)
+        assert np.quantile(np.abs(difference - sample.gradient[:, axis]), 0.8) < 1e-5
+
+
+def test_distance_never_exceeds_the_nearest_point(rng):
+    points = rng.uniform(0, 3, (3000, 2))
+    field = fit_gpdf(points)
+    queries = rng.uniform(-1, 4, (4000, 2))
+    sample = field.query(queries)
+    assert (sample.distance <= field.nearest(queries) + 1e-12).all()
+    assert (sample.distance >= 0).all()
+    assert (np.linalg.norm(sample.gradient, axis=1) <= 1 + 1e-9).all()
+
+
+def test_a_sphere_from_outside_is_closer_to_the_truth_than_its_nearest_point(rng):
+    points = rng.normal(size=(6000, 3))
+    points /= np.linalg.norm(points, axis=1, keepdims=True)
+    field = fit_gpdf(points)
+    queries = rng.normal(size=(2000, 3))
+    queries *= rng.uniform(1.05, 1.8, (2000, 1)) / np.linalg.norm(queries, axis=1, keepdims=True)
+    real = np.abs(np.linalg.norm(queries, axis=1) - 1)
+    away = real > field.spacing
+    error = field.query(queries).distance[away] - real[away]
+    nearest = field.nearest(queries)[away] - real[away]
+    assert np.sqrt((error**2).mean()) < 0.9 * np.sqrt((nearest**2).mean())
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+@pytest.mark.parametrize("count", [1, 5, 16, 17, 1000, 5000])
+def test_nearest_point_equals_scipy(rng, dim, count):
+    points = rng.uniform(-1, 1, (count, dim))
+    queries = rng.uniform(-2, 2, (3 * MIN_CHUNK, dim))  # enough that the batch is split over threads
+    distance, row = find_nearest(build_tree(points), queries)
+    expected, _ = cKDTree(points).query(queries)
+    np.testing.assert_allclose(distance, expected, atol=1e-12)
+    tree = build_tree(points)
+    np.testing.assert_allclose(np.linalg.norm(tree.points[row] - queries, axis=1), expected, atol=1e-12)
+    np.testing.assert_array_equal(points[tree.order], tree.points)
+
+
+def test_a_batch_on_threads_equals_one_by_one(floor, rng):
+    queries = over(rng, 0.0, 2.0, 5 * MIN_CHUNK)
+    whole = floor.query(queries)
+    single = [floor.query(queries[i : i + 1]).distance[0] for i in range(0, len(queries), 37)]
+    np.testing.assert_array_equal(whole.distance[::37], single)
+
+
+def test_log_domain_equals_the_plain_formula(rng):
+    points = np.column_stack([np.linspace(0, 2, 60), np.zeros(60)])
+    field = fit_gpdf(points, spacing=2 / 59)
+    queries = np.column_stack([rng.uniform(0.3, 1.7, 200), rng.uniform(0.02, 0.15, 200)])
+    l = field.length_scale
+    K = np.exp(-((points[:, None] - points[None]) ** 2).sum(-1) / (2 * l**2))
+    alpha = np.linalg.solve(K + field.noise_variance * np.eye(60), np.ones(60))
+    o = np.exp(-((queries[:, None] - points[None]) ** 2).sum(-1) / (2 * l**2)) @ alpha
+    plain = np.sqrt(np.maximum(-2 * l**2 * np.log(o), 0))
+    sample = field.query(queries).distance
+    free = np.abs(sample - field.nearest(queries)) > 1e-6  # where the bracket did not clip
+    assert free.sum() > 30
+    inside = free & (plain > np.sqrt(np.maximum(field.nearest(queries) ** 2 - field.spacing**2, 0)))
+    np.testing.assert_allclose(sample[inside], plain[inside], atol=1e-3)
+
+
+def test_far_away_it_does_not_underflow(floor):
+    sample = floor.query([[3.0, 3.0, 5.5]])
+    assert sample.valid[0]
+    assert abs(sample.distance[0] - 5.5) < 0.01
+
+
+def test_outside_the_domain_nothing_reads_as_free(floor):
+    sample = floor.query([[1e4, 0, 0], [np.nan, 0, 0], [0, np.inf, 0]])
+    assert not sample.valid.any()
+    assert (sample.distance == 0).all()
+    assert (sample.gradient == 0).all()
+
+
+def test_point_order_and_rigid_motion_change_nothing(rng):
+    points, queries = rng.uniform(0, 2, (500, 2)), rng.uniform(0, 2, (300, 2))
+    spacing = estimate_spacing(points)
+    before = fit_gpdf(points, spacing=spacing / 10).query(queries).distance
+    after = fit_gpdf(rng.permutation(points), spacing=spacing / 10).query(queries).distance
+    np.testing.assert_allclose(before, after, atol=1e-5)
+    R = np.array([[np.cos(0.7), -np.sin(0.7)], [np.sin(0.7), np.cos(0.7)]])
+    moved = fit_gpdf(points @ R.T + [5, -3], spacing=spacing / 10).query(queries @ R.T + [5, -3]).distance
+    np.testing.assert_allclose(before, moved, atol=1e-5)
+
+
+def test_a_restored_field_answers_the_same_without_a_fit(floor, rng, monkeypatch):
+    monkeypatch.setattr("gpdf_service.fields.gpdf._solve", None)
+    back = Gpdf.from_arrays(floor.to_arrays(), Box(floor.points))
+    queries = over(rng, 0, 2, 50)
+    np.testing.assert_array_equal(back.query(queries).distance, floor.query(queries).distance)
+
+
+@pytest.mark.parametrize("points", [[[1.0, 2.0, 3.0]], [[1.0, 2.0, 3.0]] * 5])
+def test_one_place_gives_the_distance_to_it(points):
+    field = fit_gpdf(points, domain=Box(np.array([[0.0, 0, 0], [5, 5, 5]])))
+    assert field.query([[1.0, 2.0, 4.0]]).distance[0] == pytest.approx(1.0, abs=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("points", "message"),
+    [
+        (np.zeros((0, 3)), "no points"),
+        (np.zeros((5, 4)), "shape"),
+        (np.zeros(5), "shape"),
+        ([[0.0, np.nan, 1.0]], "not finite"),
+        ([[0.0, np.inf, 1.0]], "not finite"),
+    ],
+)
+def test_points_that_cannot_be_fitted_are_refused(points, message):
+    with pytest.raises(FieldError, match=message):
+        fit_gpdf(points)
+
+
+def test_queries_of_another_dimension_are_refused(floor):
+    with pytest.raises(FieldError, match=r"\(m, 3\)"):
+        floor.query([[0.0, 0.0]])
+
+
+def test_thinning_keeps_real_points_one_a_cell(rng):
+    points = rng.uniform(0, 1, (5000, 3))
+    rows = thin(points, 0.2)
+    assert len(np.unique(rows)) == len(rows)
+    key = np.floor((points - points.min(axis=0)) / 0.2).astype(int)
+    assert len(np.unique(key[rows], axis=0)) == len(rows) == len(np.unique(key, axis=0))
+
+
+def test_spacing_of_a_grid_is_its_step():
+    grid = np.stack(np.meshgrid(np.arange(60) * 0.1, np.arange(60) * 0.1), axis=-1).reshape(-1, 2)
+    assert estimate_spacing(grid) == pytest.approx(0.1, rel=0.2)

@@ -1,0 +1,150 @@
+import numpy as np
+import pytest
+
+from gpdf_service.config import PerceptionConfig
+from gpdf_service.errors import NoGroundError
+from gpdf_service.perception import ObstacleKind, build_levels, obstacles_of, read_cloud, segment_ground
+from gpdf_service.perception.limits import step_and_slope
+from gpdf_service.perception.surface import INFERRED, OBSERVED, UNKNOWN, HeightMap
+from gpdf_service.synthetic import SCENES, Box, World
+from gpdf_service.types import AGENTS
+
+CONFIG = PerceptionConfig()
+
+
+def scan_of(world, spacing=0.04, noise=0.0, seed=0):
+    return world.sample(spacing, np.random.default_rng(seed), noise)
+
+
+def level_of(world, **options):
+    points, ground = scan_of(world, **options)
+    levels = build_levels(points, ground, CONFIG).levels
+    assert len(levels) == 1
+    return levels[0]
+
+
+@pytest.mark.parametrize("name", ["office", "cluttered_office", "cow_and_lady", "cave", "stair"])
+def test_segmentation_agrees_with_the_true_labels(name):
+    scene = SCENES[name](np.random.default_rng(1))
+    found = segment_ground(scene.points)
+    union = (found | scene.ground).sum()
+    assert (found & scene.ground).sum() / union > (0.85 if name == "stair" else 0.93)
+
+
+def test_the_platform_is_ground_and_the_tables_are_not():
+    scene = SCENES["office"](np.random.default_rng(0))
+    found = segment_ground(scene.points)
+    x, y, z = scene.points.T
+    platform = (x > 5.1) & (x < 5.9) & (y > 1.7) & (y < 2.7) & (abs(z - 0.35) < 0.01)
+    assert found[platform].mean() > 0.98
+    assert found[(z > 0.4) & (z < 2.0)].sum() == 0
+
+
+def test_noise_of_two_centimetres_leaves_the_floor():
+    scene = SCENES["office"](np.random.default_rng(0), noise=0.02)
+    found = segment_ground(scene.points)
+    assert (found & scene.ground).sum() / scene.ground.sum() > 0.9
+
+
+def test_a_wall_alone_has_no_ground():
+    z, y = np.meshgrid(np.arange(0, 3, 0.03), np.arange(0, 4, 0.03))
+    with pytest.raises(NoGroundError):
+        segment_ground(np.column_stack([np.zeros(z.size), y.ravel(), z.ravel()]))
+
+
+def test_labels_without_ground_are_refused():
+    with pytest.raises(NoGroundError):
+        build_levels(np.zeros((5, 3)), np.zeros(5, dtype=bool), CONFIG)
+
+
+def test_the_real_office_keeps_its_floor_and_drops_its_tables(scan):
+    cloud = read_cloud(scan("s3dis_office.npz"))
+    found = segment_ground(cloud.points)
+    assert found[cloud.ground].mean() > 0.9
+    over = cloud.points[:, 2] > 0.3
+    assert found[over].mean() < 0.001
+
+
+def test_height_map_is_the_true_ground():
+    rng = np.random.default_rng(5)
+    scene = SCENES["cave"](rng)
+    level = build_levels(scene.points, scene.ground, CONFIG).levels[0]
+    xy = rng.uniform([1, 1], [19, 11], (2000, 2))
+    truth, found = scene.truth.ground_height(xy), level.surface.height_at(xy)
+    both = ~np.isnan(truth) & ~np.isnan(found)
+    assert both.mean() > 0.8
+    assert np.quantile(np.abs(truth - found)[both], 0.95) < 0.03
+
+
+def test_a_hole_in_the_floor_is_inferred_and_one_at_the_rim_is_not():
+    points, ground = scan_of(World((5.0, 5.0, 2.5), (), ceiling=False))
+    hole = np.hypot(points[:, 0] - 2.5, points[:, 1] - 2.5) < 0.5
+    level = build_levels(points[~hole], ground[~hole], CONFIG).levels[0]
+    ix, iy, _ = level.surface.cells(np.array([[2.5, 2.5], [1.0, 1.0], [5.3, 2.5]]))
+    assert level.surface.state[ix[:2], iy[:2]].tolist() == [INFERRED, OBSERVED]
+    assert level.surface.height_at(np.array([[2.5, 2.5]]))[0] == pytest.approx(0.0, abs=0.01)
+    assert not level.surface.contains(np.array([[5.3, 2.5]])).any()
+
+
+def test_a_large_unseen_place_stays_unknown_and_stops_everybody():
+    points, ground = scan_of(World((8.0, 8.0, 2.5), (), ceiling=False))
+    hole = np.hypot(points[:, 0] - 4, points[:, 1] - 4) < 2.0
+    level = build_levels(points[~hole], ground[~hole], CONFIG).levels[0]
+    assert not level.surface.contains(np.array([[4.0, 4.0]])).any()
+    found = obstacles_of(level, AGENTS["roomba"])
+    rim = found.points[found.kind == ObstacleKind.UNKNOWN]
+    rim = rim[(np.abs(rim[:, :2] - 4) < 3.5).all(axis=1)]  # not the outer walls'
+    assert len(rim) > 100
+    assert (np.hypot(rim[:, 0] - 4, rim[:, 1] - 4) < 2.1).all()
+
+
+def test_a_platform_stops_the_roomba_and_not_the_human():
+    level = level_of(World((5.0, 5.0, 2.5), (Box((2.0, 2.0, 0.0), (3.2, 3.4, 0.3), walkable=True),)))
+    near = {}
+    for name in ("roomba", "human"):
+        points = obstacles_of(level, AGENTS[name]).points
+        near[name] = ((points[:, 0] > 1) & (points[:, 0] < 4) & (points[:, 1] > 1) & (points[:, 1] < 4)).sum()
+    assert near["human"] == 0
+    assert near["roomba"] > 200
+
+
+def test_a_board_stops_only_bodies_that_reach_it():
+    level = level_of(World((5.0, 5.0, 2.5), (Box((2.0, 2.0, 1.0), (3.0, 3.0, 1.1)),)))
+    counts = {name: (obstacles_of(level, AGENTS[name]).points[:, 2] > 0.95).sum() for name in AGENTS}
+    middle = [(np.abs(obstacles_of(level, AGENTS[n]).points[:, :2] - 2.5) < 0.4).all(axis=1).sum() for n in AGENTS]
+    assert counts["roomba"] < counts["pepper"]
+    assert dict(zip(AGENTS, (m > 0 for m in middle), strict=True)) == {
+        "roomba": False,
+        "spot": False,
+        "pepper": True,
+        "human": True,
+    }
+
+
+def test_slope_of_a_ramp_is_its_angle_and_a_stair_is_flat():
+    x = np.arange(60) * 0.05
+    ramp = HeightMap(
+        np.zeros(2), 0.05, np.repeat((x * np.tan(0.3))[:, None], 40, 1).astype("f4"), np.ones((60, 40), "u1")
+    )
+    step, slope = step_and_slope(ramp)
+    assert slope[5:-5, 5:-5] == pytest.approx(0.3, abs=0.01)
+    assert step[5:-5, 5:-5].max() < 0.01
+    stairs = HeightMap(
+        np.zeros(2), 0.05, np.repeat((np.floor(x / 0.3) * 0.17)[:, None], 40, 1).astype("f4"), np.ones((60, 40), "u1")
+    )
+    step, slope = step_and_slope(stairs)
+    assert step.max() == pytest.approx(0.17, abs=0.01)
+    assert np.median(slope[5:-5, 5:-5]) < 0.01
+
+
+def test_height_is_not_mixed_across_a_step():
+    height = np.where(np.arange(20)[:, None] < 10, 0.0, 0.3).repeat(20, 1).astype("f4")
+    surface = HeightMap(np.zeros(2), 0.1, height, np.full((20, 20), OBSERVED, "u1"))
+    found = surface.height_at(np.column_stack([np.linspace(0.5, 1.5, 101), np.full(101, 1.0)]))
+    assert set(np.round(found, 6)) == {0.0, 0.3}
+
+
+def test_outside_the_map_the_ground_is_unknown():
+    surface = HeightMap(np.zeros(2), 0.1, np.zeros((5, 5), "f4"), np.full((5, 5), UNKNOWN, "u1"))
+    assert not surface.contains(np.array([[0.2, 0.2], [9.0, 9.0]])).any()
+    assert np.isnan(surface.height_at(np.array([[9.0, 9.0]]))).all()

@@ -1,0 +1,81 @@
+import laspy
+import numpy as np
+import open3d
+import pytest
+
+from gpdf_service.errors import CloudError
+from gpdf_service.perception import check_points, read_cloud
+
+POINTS = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.5], [2.0, 1.0, 1.5]])
+
+
+@pytest.mark.parametrize("suffix", [".ply", ".pcd", ".xyz"])
+def test_open3d_formats_are_read(tmp_path, suffix):
+    path = tmp_path / f"cloud{suffix}"
+    open3d.io.write_point_cloud(path, open3d.geometry.PointCloud(open3d.utility.Vector3dVector(POINTS)))
+    cloud = read_cloud(path)
+    np.testing.assert_allclose(cloud.points, POINTS, atol=1e-6)
+    assert cloud.ground is None
+
+
+@pytest.mark.parametrize("suffix", [".las", ".laz"])
+def test_las_class_two_is_ground(tmp_path, suffix):
+    path = tmp_path / f"cloud{suffix}"
+    made = laspy.create()
+    made.header.scales = np.full(3, 1e-4)
+    made.x, made.y, made.z = POINTS.T
+    made.classification = np.array([2, 2, 6, 6])
+    made.write(path)
+    cloud = read_cloud(path)
+    np.testing.assert_allclose(cloud.points, POINTS, atol=1e-4)
+    assert cloud.ground.tolist() == [True, True, False, False]
+    assert read_cloud(path, ground_label=6).ground.tolist() == [False, False, True, True]
+
+
+def test_npz_labels_are_found_by_class_name(tmp_path):
+    path = tmp_path / "cloud.npz"
+    np.savez(path, xyz=POINTS, label=[1, 1, 0, 2], classes=np.array(["ceiling", "floor", "wall"]))
+    assert read_cloud(path).ground.tolist() == [True, True, False, False]
+    assert read_cloud(path, ground_label=2).ground.tolist() == [False, False, False, True]
+
+
+def test_npz_without_labels_has_no_ground(tmp_path):
+    np.savez(tmp_path / "cloud.npz", xyz=POINTS)
+    assert read_cloud(tmp_path / "cloud.npz").ground is None
+
+
+def test_files_that_cannot_be_used_are_refused_in_words(tmp_path):
+    np.savez(tmp_path / "column.npz", abc=POINTS)
+    np.savez(tmp_path / "label.npz", xyz=POINTS, label=[0, 0, 0, 0], classes=np.array(["floor"]))
+    np.savez(tmp_path / "plain.npz", xyz=POINTS)
+    (tmp_path / "text.npz").write_text("hello")
+    (tmp_path / "empty.ply").write_text("")
+    (tmp_path / "broken.las").write_bytes(b"LASF")
+    (tmp_path / "cloud.obj").write_text("")
+    for name, options, message in (
+        ("none.ply", {}, "no such file"),
+        ("cloud.obj", {}, "not known"),
+        ("column.npz", {}, "no column xyz"),
+        ("label.npz", {"ground_label": 7}, "no point is labelled 7"),
+        ("plain.npz", {"ground_label": 1}, "no column label"),
+        ("text.npz", {}, "cannot be read"),
+        ("empty.ply", {}, "no point could be read"),
+        ("broken.las", {}, "cannot be read"),
+    ):
+        with pytest.raises(CloudError, match=message):
+            read_cloud(tmp_path / name, **options)
+
+
+@pytest.mark.parametrize(
+    ("points", "message"),
+    [
+        (np.zeros((0, 3)), "empty"),
+        (np.zeros((4, 2)), "shape"),
+        ("hello", "no array of numbers"),
+        ([[0.0, 0.0, np.nan], [0.0, 0.0, 0.0]], "1 of 2 points are not finite"),
+        (POINTS * [6000.0, 1.0, 1.0], "millimetres"),
+    ],
+)
+def test_points_that_cannot_be_used_are_refused_in_words(points, message):
+    with pytest.raises(CloudError, match=message):
+        check_points(points)
