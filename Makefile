@@ -8,7 +8,7 @@ SOURCES := gpdf_service clients schemas tests
 # What open3d's shared library links against on Debian and Ubuntu.
 SYSTEM_PACKAGES := libgl1 libegl1 libx11-6 libgomp1 libusb-1.0-0
 
-.PHONY: demo test install check fix bench lock system clean
+.PHONY: demo test install check fix bench lock schemas system clean
 .DEFAULT_GOAL := install
 
 install: .venv/installed
@@ -55,6 +55,9 @@ bench: install
 lock: install
 	$(PY) -m pip install --quiet uv
 	.venv/bin/uv pip compile pyproject.toml --all-extras --group dev --python-version 3.11 --no-header --no-annotate --upgrade -o constraints.txt
+
+schemas: install
+	$(PY) -m gpdf_schemas.generate schemas/json
 
 clean:
 	rm -rf .venv out build dist

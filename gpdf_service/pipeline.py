@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
-from typing import Literal
+from typing import Literal, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -17,7 +17,7 @@ from gpdf_service.planning import plan_path
 from gpdf_service.scene import Scene
 from gpdf_service.types import Agent, BoolArray, FloatArray, PlanResult, resolve_agent
 
-Method = Literal["dual_gpdf", "single_gpdf", "astar", "prm"]
+Method = Literal["dual_gpdf"]
 Progress = Callable[[str, float], None]
 """Told the name of a stage and the share of the work that is done, 0 to 1."""
 
@@ -61,7 +61,6 @@ def plan(
     *,
     method: Method = "dual_gpdf",
     deadline_s: float | None = None,
-    seed: int = 0,
     clock: Callable[[], float] = time.monotonic,
 ) -> PlanResult:
     """Plan a trajectory for a body from start to goal.
@@ -71,9 +70,8 @@ def plan(
         start: (x, y), or (x, y, z of the ground there) [m].
         goal: The same.
         agent: A name in `AGENTS`, or an `Agent`.
-        method: "dual_gpdf" is the product; the others are the paper's baselines, whose results carry no promise.
+        method: "dual_gpdf", the paper's method with a certificate.
         deadline_s: Seconds that the answer may take; none when not given.
-        seed: For the sampling baseline.
         clock: Monotonic seconds, for tests.
 
     Returns:
@@ -84,6 +82,8 @@ def plan(
         UnknownAgentError: no agent has that name.
     """
     body = resolve_agent(agent)
+    if method not in get_args(Method):
+        raise RequestError("method", f"{method!r}", f"Use one of {', '.join(get_args(Method))}.")
     ends = _check_place(start, "start"), _check_place(goal, "goal")
     if deadline_s is not None and not deadline_s > 0:
         raise RequestError("deadline_s", f"{deadline_s!r}", "It must be a positive number of seconds.")

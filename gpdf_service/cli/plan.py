@@ -6,10 +6,10 @@ import argparse
 import json
 import time
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 from gpdf_service.cli.inputs import add_cloud_arguments, open_scene, place
-from gpdf_service.pipeline import plan
+from gpdf_service.pipeline import Method, plan
 from gpdf_service.types import PlanResult, Status
 
 
@@ -19,14 +19,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--start", type=place, required=True, help="x,y or x,y,z of the ground there [m]")
     parser.add_argument("--goal", type=place, required=True, help="x,y or x,y,z of the ground there [m]")
     parser.add_argument("--agent", default="human", help="roomba, spot, pepper or human")
-    parser.add_argument("--method", default="dual_gpdf", choices=["dual_gpdf", "single_gpdf", "astar", "prm"])
+    parser.add_argument("--method", default="dual_gpdf", choices=get_args(Method))
     parser.add_argument("--deadline", type=float, help="seconds that the plan may take")
     parser.add_argument("--png", type=Path, help="draw the cloud, the field and the path")
     parser.add_argument("--json", action="store_true", help="print the result as JSON, with the trajectory")
 
 
 def run(args: argparse.Namespace) -> int:
-    """Plan once; exit code 0 only for a certified trajectory (or a baseline's path)."""
+    """Plan once; exit code 0 only for a certified trajectory."""
     scene = open_scene(args)
     began = time.perf_counter()
     result = plan(scene, args.start, args.goal, args.agent, method=args.method, deadline_s=args.deadline)

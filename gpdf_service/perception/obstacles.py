@@ -55,7 +55,8 @@ def _material(level: GroundLevel, agent: Agent) -> BoolArray:
     high = ndimage.maximum_filter(top, size=3)[ix, iy]
     low = ndimage.minimum_filter(bottom, size=3)[ix, iy]
     own = np.where(known, surface.height, -np.inf)[ix, iy]
-    face = np.isfinite(high) & (high - low <= agent.max_step) & (z <= np.maximum(high, own + LEAST_OBSTACLE))
+    ledge = np.where(high - low > LEAST_OBSTACLE, high, own)  # on level ground, the ground under the point itself
+    face = np.isfinite(high) & (high - low <= agent.max_step) & (z <= ledge + LEAST_OBSTACLE)
     stops: BoolArray = reached & ~beneath & ~face
     return stops
 

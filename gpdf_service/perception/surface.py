@@ -82,7 +82,7 @@ def fill_holes(surface: HeightMap, material: BoolArray) -> HeightMap:
     height, state = surface.height.copy(), surface.state.copy()
     cells, nearest = ndimage.distance_transform_edt(~known, return_indices=True)
     distance = cells * surface.cell_width
-    _fill_gaps(height, state, ~known & ~material, distance, nearest, surface.cell_width)
+    _fill_gaps(height, state, ~known, distance, nearest, surface.cell_width)
     known = state != UNKNOWN
     _fill(height, state, ~known & ~material, known, distance, surface.cell_width)
     solid = state != UNKNOWN  # then the ground that carries the furniture itself

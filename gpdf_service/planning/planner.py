@@ -121,7 +121,7 @@ def _candidates(
         for level, path in legs:
             seed = resample(path, max(config.waypoint_spacing, agent.radius / 4))
             _, top = stand_up(seed, space.surfaces[level], space.ground_fields[level], agent.height)
-            if not np.isfinite(top).all():
+            if not np.isfinite(top).all() or np.ptp(path, axis=0).max() == 0.0:
                 better.append((level, path))
                 continue
             found = optimize(

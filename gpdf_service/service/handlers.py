@@ -6,7 +6,7 @@ import dataclasses
 import logging
 import time
 from collections.abc import Callable
-from typing import Any, get_args
+from typing import Any
 
 import numpy as np
 from gpdf_schemas import (
@@ -31,7 +31,7 @@ from gpdf_schemas import (
 )
 
 from gpdf_service.errors import GpdfError, RequestError
-from gpdf_service.pipeline import Method, plan
+from gpdf_service.pipeline import plan
 from gpdf_service.scene import Scene
 from gpdf_service.service.scenes import Shelf, describe
 from gpdf_service.types import Agent, PlanResult, Trajectory
@@ -90,8 +90,6 @@ class Handlers:
 
     def plan(self, request: PlanRequest) -> PlanReply:
         """A trajectory."""
-        if request.method not in get_args(Method):
-            raise RequestError("method", f"{request.method!r}", f"Use one of {', '.join(get_args(Method))}.")
         scene = self._scene(request.scene)
         result = plan(
             scene,

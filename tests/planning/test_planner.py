@@ -1,0 +1,229 @@
+import dataclasses
+import itertools
+
+import numpy as np
+import pytest
+
+import gpdf_service as gpdf
+from gpdf_service.bench.judge import Judge
+from gpdf_service.bench.plan import random_places
+from gpdf_service.errors import RequestError, UnknownAgentError
+from gpdf_service.planning.certificate import certify, min_distance
+from gpdf_service.planning.chomp import optimize, solve_metric
+from gpdf_service.planning.shape import resample
+from gpdf_service.planning.timing import time_path
+from gpdf_service.synthetic import SCENES, Box, World, random_room
+from gpdf_service.types import AGENTS
+
+
+def scene_of(world, seed=0, spacing=0.05):
+    points, ground = world.sample(spacing, np.random.default_rng(seed))
+    return gpdf.build_scene(points, ground)
+
+
+@pytest.fixture(scope="module")
+def empty_room():
+    return scene_of(World((8.0, 6.0, 2.6), ()))
+
+
+def test_in_an_empty_room_the_path_is_the_straight_line(empty_room):
+    result = gpdf.plan(empty_room, (2, 3), (6, 3), "pepper")
+    assert result.status is gpdf.Status.OK
+    assert np.abs(result.trajectory.ground[:, 1] - 3).max() < 0.01
+    assert result.trajectory.length == pytest.approx(4.0, abs=0.01)
+
+
+def test_an_ok_result_is_complete_and_consistent(office):
+    made, scene = office
+    for name, agent in AGENTS.items():
+        result = gpdf.plan(scene, made.start, made.goal, name)
+        assert result.status is gpdf.Status.OK, result.message
+        path = result.trajectory
+        np.testing.assert_allclose(path.ground[[0, -1], :2], [made.start, made.goal], atol=1e-9)
+        np.testing.assert_allclose(path.positions[:, :2], path.ground[:, :2])
+        assert (np.diff(path.times) > 0).all()
+        assert len(path.headings) == len(path.times) == len(path.positions)
+        assert result.certificate.holds
+        assert result.certificate.min_clearance >= 0
+        assert result.certificate.max_height_deviation <= 0.15 * agent.height
+
+
+def test_the_human_walks_over_the_platform_and_the_roomba_around_it():
+    scene = scene_of(World((5.0, 3.0, 2.6), (Box((2.0, 0.0, 0.0), (3.0, 2.2, 0.3), walkable=True),)))
+    human = gpdf.plan(scene, (0.8, 1.0), (4.2, 1.0), "human")
+    roomba = gpdf.plan(scene, (0.8, 1.0), (4.2, 1.0), "roomba")
+    assert human.trajectory.ground[:, 2].max() == pytest.approx(0.3, abs=0.01)
+    assert human.certificate.max_step == pytest.approx(0.3, abs=0.02)
+    assert roomba.trajectory.ground[:, 2].max() < 0.02
+    assert roomba.trajectory.length > human.trajectory.length + 0.5
+
+
+def test_the_roomba_takes_the_way_under_the_couch():
+    made = SCENES["cluttered_office"](np.random.default_rng(0))
+    scene = gpdf.build_scene(made.points, made.ground)
+    lengths = {name: gpdf.plan(scene, made.start, made.goal, name).trajectory.length for name in ("roomba", "human")}
+    assert lengths["roomba"] < 0.6 * lengths["human"]
+
+
+def test_the_human_climbs_the_stair_and_pepper_is_told_why_not():
+    made = SCENES["stair"](np.random.default_rng(0))
+    scene = gpdf.build_scene(made.points, made.ground)
+    result = gpdf.plan(scene, made.start, made.goal, "human")
+    assert result.status is gpdf.Status.OK
+    assert result.trajectory.ground[-1, 2] == pytest.approx(3.4, abs=0.02)
+    refused = gpdf.plan(scene, made.start, made.goal, "pepper")
+    assert refused.status is gpdf.Status.NO_VALID_PATH
+    assert "step" in refused.message
+    assert refused.trajectory is None
+
+
+@pytest.mark.parametrize(
+    ("start", "goal", "status"),
+    [
+        ((50, 1), (2, 2), "START_OUTSIDE_MAP"),
+        ((1, 1), (-9, 2), "GOAL_OUTSIDE_MAP"),
+        ((3.5, 3.0), (1, 1), "START_OCCUPIED"),
+        ((1, 1), (3.5, 3.0), "GOAL_OCCUPIED"),
+        ((1, 1, 1.5), (2, 2), "START_OUTSIDE_MAP"),
+    ],
+)
+def test_a_place_where_the_body_cannot_be_is_told_apart(start, goal, status):
+    scene = scene_of(World((8.0, 6.0, 2.6), (Box((3.0, 2.5, 0.0), (4.0, 3.5, 1.5)),)))
+    result = gpdf.plan(scene, start, goal, "human")
+    assert result.status == status
+    assert result.message
+    assert result.trajectory is None
+    if status.endswith("OCCUPIED"):
+        assert "nearest free place" in result.message
+
+
+def test_a_wall_across_the_room_leaves_no_path():
+    scene = scene_of(World((8.0, 6.0, 2.6), (Box((3.0, 0.0, 0.0), (3.2, 6.0, 2.6)),)))
+    result = gpdf.plan(scene, (1, 1), (7, 5), "roomba")
+    assert result.status is gpdf.Status.NO_VALID_PATH
+    assert "an obstacle" in result.message
+
+
+@pytest.mark.parametrize(("gap", "fits"), [(0.54, True), (0.49, False)])
+def test_a_gap_is_found_exactly_when_the_body_fits(gap, fits):
+    walls = (Box((3.0, 0.0, 0.0), (3.2, 3.0 - gap / 2, 2.6)), Box((3.0, 3.0 + gap / 2, 0.0), (3.2, 6.0, 2.6)))
+    scene = scene_of(World((6.0, 6.0, 2.6), walls), spacing=0.01)
+    result = gpdf.plan(scene, (1, 3), (5, 3), "human")
+    assert (result.status is gpdf.Status.OK) == fits
+
+
+def test_start_equal_to_goal_is_a_standing_trajectory(empty_room):
+    result = gpdf.plan(empty_room, (2, 2), (2, 2), "human")
+    assert result.status is gpdf.Status.OK
+    assert result.trajectory.length == 0
+    assert (np.diff(result.trajectory.times) > 0).all()
+
+
+def test_a_deadline_that_has_passed_is_a_timeout(empty_room):
+    ticks = itertools.count()
+    result = gpdf.plan(empty_room, (2, 2), (6, 4), "human", deadline_s=0.5, clock=lambda: float(next(ticks)))
+    assert result.status is gpdf.Status.TIMEOUT
+
+
+@pytest.mark.parametrize(
+    "bad",
+    [
+        {"start": (1,)},
+        {"goal": (1, float("nan"))},
+        {"start": "here"},
+        {"deadline_s": -1.0},
+        {"method": "teleport"},
+    ],
+)
+def test_requests_that_make_no_sense_are_refused(empty_room, bad):
+    with pytest.raises(RequestError):
+        gpdf.plan(empty_room, **{"start": (2, 2), "goal": (3, 3), **bad})
+
+
+def test_an_unknown_agent_is_named_with_those_that_exist(empty_room):
+    with pytest.raises(UnknownAgentError, match="roomba"):
+        gpdf.plan(empty_room, (2, 2), (3, 3), "dragon")
+
+
+def test_the_certificate_is_a_lower_bound_of_what_a_fine_sampling_finds(office):
+    _, scene = office
+    space = scene.free_space("roomba")
+    rng = np.random.default_rng(2)
+    for _ in range(20):
+        path = rng.uniform([0.5, 0.5], [5.5, 4.5], (5, 2))
+        bound, where = min_distance(space, 0, path)
+        fine = space.clearance(0, resample(path, 0.001))[0].min()
+        assert bound <= fine + 1e-9
+        assert fine - bound < 0.003
+        assert np.linalg.norm(resample(path, 0.001) - where, axis=1).min() < 0.01
+
+
+def test_a_path_through_an_obstacle_is_not_certified(office):
+    _, scene = office
+    xy = np.column_stack([np.linspace(0.5, 5.5, 50), np.full(50, 2.9)])
+    ground = np.column_stack([xy, np.zeros(50)])
+    certificate = certify(scene.free_space("human"), ground + np.array([0, 0, 2]), ground, np.zeros(50, dtype=int))
+    assert not certificate.holds
+    assert "obstacle" in certificate.reason
+
+
+def test_chomp_never_raises_the_cost_and_lowers_it(office):
+    _, scene = office
+    space = scene.free_space("human")
+    xi = np.column_stack([np.linspace(0.8, 4.5, 40), np.linspace(0.8, 2.2, 40), np.full(40, 1.9)])
+    found = optimize(
+        xi,
+        space.obstacle_fields[0].arrays,
+        space.ground_fields[0].arrays,
+        radius=0.25,
+        height=2.0,
+        epsilon=0.25,
+        smoothness_weight=0.1,
+        max_iterations=100,
+        tolerance=1e-4,
+    )
+    assert (np.diff(found.costs) <= 0).all()
+    assert found.costs[-1] < 0.97 * found.costs[0]
+    np.testing.assert_array_equal(found.xi[[0, -1]], xi[[0, -1]])
+
+
+def test_the_metric_is_solved_exactly():
+    rng = np.random.default_rng(0)
+    gradient = rng.normal(size=(12, 3))
+    A = 2 * np.eye(10) - np.eye(10, k=1) - np.eye(10, k=-1)
+    np.testing.assert_allclose(solve_metric(gradient)[1:-1], np.linalg.solve(A, gradient[1:-1]), atol=1e-12)
+
+
+def test_times_keep_the_limits_of_the_body():
+    agent = AGENTS["spot"]
+    t = np.linspace(0, 2 * np.pi, 200)
+    positions = np.column_stack([4 * np.cos(t), 2 * np.sin(2 * t), np.zeros(200)])
+    times, headings = time_path(positions, agent)
+    speed = np.linalg.norm(np.diff(positions, axis=0), axis=1) / np.diff(times)
+    middle = 0.5 * (times[:-1] + times[1:])
+    assert speed.max() <= agent.speed + 1e-9
+    assert np.abs(np.diff(speed) / np.diff(middle)).max() <= 1.05 * agent.acceleration
+    assert np.abs(np.diff(headings) / np.diff(times)).max() <= 1.3 * agent.turn_rate
+
+
+def test_a_body_of_ones_own_measures_is_planned_for(empty_room):
+    cart = dataclasses.replace(AGENTS["pepper"], name="cart", width=1.2, length=1.6)
+    assert gpdf.plan(empty_room, (2, 2), (6, 4), cart).status is gpdf.Status.OK
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(10))
+@pytest.mark.parametrize("name", ["human", "roomba"])
+def test_no_certified_path_in_a_random_room_touches_anything(seed, name):
+    rng = np.random.default_rng(seed)
+    room = random_room(rng)
+    scene = gpdf.build_scene(room.points, room.ground)
+    judge, agent, certified = Judge(room.points, room.ground), AGENTS[name], 0
+    for start, goal in random_places(scene, agent, 10, rng):
+        result = gpdf.plan(scene, start, goal, agent)
+        if result.status is gpdf.Status.OK:
+            certified += 1
+            verdict = judge.judge(result.trajectory, agent)
+            assert verdict.collision_free, (start, goal, verdict)
+            assert verdict.feasible, (start, goal, verdict)
+    assert certified > 0

@@ -1,0 +1,71 @@
+from pathlib import Path
+
+import msgspec
+import numpy as np
+import pytest
+from gpdf_schemas import Array, DecodeError, PlanReply, PlanRequest, Status, decode, encode
+from gpdf_schemas.generate import MESSAGES, schema_of
+
+import gpdf_service as gpdf
+
+FOLDER = Path(__file__).parent.parent.parent / "schemas"
+
+
+@pytest.mark.parametrize("kind", MESSAGES, ids=lambda kind: kind.__name__)
+def test_the_json_schemas_are_fresh(kind):
+    assert (FOLDER / "json" / f"{kind.__name__}.json").read_text() == schema_of(kind), "run: make schemas"
+
+
+def test_every_status_of_the_planner_is_on_the_wire():
+    for status in gpdf.Status:
+        assert Status(status.value) == status
+
+
+def test_an_array_comes_back_equal():
+    values = np.random.default_rng(0).normal(size=(7, 3))
+    np.testing.assert_array_equal(Array.pack(values).unpack(), values)
+    np.testing.assert_allclose(Array.pack(values, "f4").unpack(), values, atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    "array",
+    [
+        Array((2, 3), "f8", b"short"),
+        Array((2,), "i8", b"0" * 16),
+        Array((-1, -2), "f8", b"0" * 16),
+        Array((1, 1, 2), "f8", b"0" * 16),
+        Array((2,), "f8", np.array([1.0, np.nan]).tobytes()),
+        Array((1 << 62, 4), "f8", b"0" * 32),
+    ],
+)
+def test_an_array_that_does_not_fit_is_refused(array):
+    with pytest.raises(ValueError, match=r"fill|dtype|shape|finite"):
+        array.unpack()
+
+
+def test_unknown_fields_are_ignored_and_missing_ones_refused():
+    raw = msgspec.msgpack.encode({"scene": "a", "start": [1.0, 2.0], "goal": [1.0, 2.0], "later": 5})
+    assert decode(raw, PlanRequest).scene == "a"
+    with pytest.raises(DecodeError, match="goal"):
+        decode(msgspec.msgpack.encode({"scene": "a", "start": [1.0, 2.0]}), PlanRequest)
+
+
+@pytest.mark.parametrize("cut", [0, 1, 10, -1])
+def test_truncated_bytes_are_refused(cut):
+    raw = encode(PlanRequest(scene="a", start=[1.0, 2.0], goal=[1.0, 2.0]))
+    with pytest.raises(DecodeError):
+        decode(raw[:cut], PlanRequest)
+
+
+def test_too_long_a_request_is_refused_before_it_is_decoded():
+    with pytest.raises(DecodeError, match="at most 10"):
+        decode(b"\x80" * 11, PlanRequest, limit=10)
+
+
+def test_golden_samples_of_version_one_are_still_read():
+    request = decode((FOLDER / "golden" / "v1_plan_request.msgpack").read_bytes(), PlanRequest)
+    assert (request.scene, request.start, request.agent) == ("office", [1.0, 2.0], "human")
+    reply = decode((FOLDER / "golden" / "v1_plan_reply.msgpack").read_bytes(), PlanReply)
+    assert reply.status is Status.OK
+    assert reply.trajectory.positions.unpack().tolist() == [[0.0, 0.0, 2.0], [1.0, 0.0, 2.0]]
+    assert reply.certificate.min_clearance == 0.25

@@ -1,0 +1,85 @@
+import numpy as np
+import pytest
+from scipy.sparse import csr_matrix
+from scipy.sparse.csgraph import dijkstra
+
+from gpdf_service.search import find_path, is_clear
+from gpdf_service.search.quadtree import morton
+
+
+@pytest.fixture(scope="module")
+def space(office):
+    return office[1].free_space("roomba")
+
+
+def test_leaves_tile_the_root(space):
+    tree = space.quadtrees[0]
+    side = round(float(np.sqrt((tree.size.astype(float) ** 2).sum())))
+    assert side & (side - 1) == 0
+    codes = tree.code
+    np.testing.assert_array_equal(codes[1:] - codes[:-1], (tree.size**2)[:-1])
+    assert codes[0] == 0
+
+
+def test_a_free_leaf_is_free_and_a_whole_one_everywhere(space):
+    tree, rng = space.quadtrees[0], np.random.default_rng(0)
+    assert (space.clearance(0, tree.center[tree.free])[0] >= space.radius).all()
+    whole = np.flatnonzero(tree.whole)
+    inside = tree.center[whole] + rng.uniform(-1, 1, (len(whole), 2)) * tree.half_size[whole, None]
+    assert (space.clearance(0, inside)[0] >= space.radius - 1e-9).all()
+    assert space.surfaces[0].contains(inside).all()
+
+
+def test_every_place_finds_its_leaf(space):
+    tree, rng = space.quadtrees[0], np.random.default_rng(1)
+    xy = tree.origin + rng.uniform(0, 5, (500, 2))
+    leaf = tree.find(xy)
+    assert (np.abs(xy - tree.center[leaf]) <= tree.half_size[leaf, None] + 1e-12).all()
+    assert tree.find(np.array([[-100.0, 0.0], [1e4, 0.0]])).tolist() == [-1, -1]
+
+
+def test_morton_codes_of_a_node_are_one_range():
+    cells = np.stack(np.meshgrid(np.arange(8, 12), np.arange(4, 8), indexing="ij"), axis=-1).reshape(-1, 2)
+    codes = np.sort(morton(cells))
+    np.testing.assert_array_equal(codes, codes[0] + np.arange(16))
+
+
+def test_edges_are_symmetric_and_clear(space):
+    graph = space.graph
+    source = np.repeat(np.arange(len(graph.position)), np.diff(graph.first))
+    forward = set(zip(source.tolist(), graph.other.tolist(), strict=True))
+    assert forward == {(b, a) for a, b in forward}
+    rng = np.random.default_rng(0)
+    for edge in rng.integers(len(source), size=300):
+        a, via, b = graph.position[source[edge]], graph.via[edge], graph.position[graph.other[edge]]
+        t = np.linspace(0, 1, 20)[:, None]
+        line = np.vstack([a + t * (via - a), via + t * (b - via)])
+        assert (space.clearance(0, line)[0] >= space.radius - 1e-9).all()
+
+
+def test_a_star_costs_what_dijkstra_costs(space):
+    graph, rng = space.graph, np.random.default_rng(0)
+    count = len(graph.position)
+    source = np.repeat(np.arange(count), np.diff(graph.first))
+    matrix = csr_matrix((graph.cost, (source, graph.other)), shape=(count, count))
+    nodes = np.flatnonzero(graph.component == np.bincount(graph.component[space.quadtrees[0].whole]).argmax())
+    for start in rng.choice(nodes, 3):
+        best = dijkstra(matrix, indices=int(start))
+        for goal in rng.choice(nodes, 10):
+            edges = find_path(graph, int(start), int(goal))
+            assert graph.cost[edges].sum() == pytest.approx(best[goal], abs=1e-9)
+            assert (source[edges[1:]] == graph.other[edges[:-1]]).all()
+
+
+def test_a_segment_is_clear_exactly_when_a_fine_sampling_is(space):
+    rng, tree = np.random.default_rng(4), space.trees[0]
+    seen = set()
+    for _ in range(300):
+        a, b = rng.uniform([0.3, 0.3], [5.7, 4.7], (2, 2))
+        b = a + 0.3 * (b - a)
+        least = space.clearance(0, np.linspace(a, b, 400))[0].min()
+        if abs(least - space.radius) > 0.002:
+            clear = is_clear(tree, a, b, space.radius)
+            assert clear == (least > space.radius)
+            seen.add(clear)
+    assert seen == {True, False}

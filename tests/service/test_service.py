@@ -1,0 +1,291 @@
+import asyncio
+import json
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+
+import msgpack
+import numpy as np
+import pytest
+import zenoh
+from gpdf_client import AsyncClient, Client, InvalidRequestError, ServiceError, UnavailableError, UnknownSceneError
+from gpdf_schemas import PlanReply, PlanRequest, decode, encode, keys
+from mcap.reader import make_reader
+from mcap_protobuf.decoder import DecoderFactory
+
+import gpdf_service as gpdf
+from gpdf_service.service.record import check, repair, repair_folder
+from gpdf_service.service.replay import compare, recorded_plans
+from gpdf_service.service.server import Options, Server
+
+
+@pytest.fixture(scope="module")
+def clouds(tmp_path_factory, office):
+    folder = tmp_path_factory.mktemp("scenes")
+    made, scene = office
+    label = made.ground.astype(int)
+    np.savez(folder / "office.npz", xyz=made.points, label=label, classes=np.array(["other", "ground"]))
+    scene.save(folder / "office.gpdf")
+    return folder
+
+
+@pytest.fixture(scope="module")
+def running(clouds, tmp_path_factory):
+    import socket
+
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        endpoint = f"tcp/127.0.0.1:{probe.getsockname()[1]}"
+    options = Options(endpoint, clouds, tmp_path_factory.mktemp("log"), 2)
+    with Server(options) as server, Client.connect(endpoint) as client:
+        client.load_scene("office", "office.npz")
+        yield server, client, endpoint
+
+
+def test_a_plan_over_zenoh_is_the_plan_in_process(running, office):
+    _, client, _ = running
+    made, scene = office
+    over, inside = client.plan("office", made.start, made.goal), gpdf.plan(scene, made.start, made.goal)
+    assert over.status == gpdf.Status.OK
+    np.testing.assert_array_equal(over.trajectory.positions, inside.trajectory.positions)
+    np.testing.assert_array_equal(over.trajectory.times, inside.trajectory.times)
+    assert over.certificate.min_clearance == inside.certificate.min_clearance
+    assert over.certificate.holds
+
+
+def test_distances_over_zenoh_are_those_in_process(running, office):
+    _, client, _ = running
+    points = np.random.default_rng(0).uniform([0, 0, 0], [6, 5, 2], (50, 3))
+    over, inside = client.distance("office", "ground", points), office[1].ground_field.query(points)
+    np.testing.assert_array_equal(over.distance, inside.distance)
+    np.testing.assert_array_equal(over.valid, inside.valid)
+    flat = client.distance("office", "obstacle", points[:, :2], "roomba")
+    np.testing.assert_array_equal(flat.distance, office[1].obstacle_field("roomba").query(points[:, :2]).distance)
+
+
+def test_uploaded_points_become_a_scene(running, office):
+    _, client, _ = running
+    shares = []
+    made = office[0]
+    facts = client.load_scene("sent", upload=made.points, ground=made.ground, progress=shares.append)
+    assert facts["points"] == len(made.points)
+    assert facts["digest"] == office[1].digest
+    assert shares[-1] == 1.0
+    assert len(shares) > 1
+    assert client.plan("sent", made.start, made.goal, "roomba").status == "OK"
+    client.unload_scene("sent")
+    assert "sent" not in client.scenes()
+
+
+def test_failures_have_their_own_errors_and_words(running):
+    _, client, _ = running
+    with pytest.raises(UnknownSceneError, match="office"):
+        client.plan("nowhere", (1, 1), (2, 2))
+    with pytest.raises(InvalidRequestError, match="dragon"):
+        client.plan("office", (1, 1), (2, 2), "dragon")
+    with pytest.raises(InvalidRequestError, match="outside the scenes folder"):
+        client.load_scene("x", "../../etc/passwd")
+    with pytest.raises(InvalidRequestError, match="not in the scenes folder"):
+        client.load_scene("x", "none.npz")
+    with pytest.raises(InvalidRequestError, match="no name"):
+        client.load_scene("../x", "office.npz")
+    with pytest.raises(ServiceError, match="walkable|ground"):
+        client.load_scene("bad", upload=np.zeros((10, 3)) + np.arange(10)[:, None])
+    outside = client.plan("office", (1, 1), (90, 2))
+    assert outside.status == "GOAL_OUTSIDE_MAP"
+    assert outside.trajectory is None
+
+
+def ask_raw(endpoint, key, payload):
+    config = zenoh.Config()
+    config.insert_json5("mode", '"client"')
+    config.insert_json5("connect/endpoints", json.dumps([endpoint]))
+    with zenoh.open(config) as session:
+        return [answer.ok.payload.to_bytes() for answer in session.get(key, payload=payload, timeout=30)]
+
+
+@pytest.mark.parametrize(
+    "payload",
+    [
+        b"",
+        b"\xff\x00garbage",
+        msgpack.packb([1, 2, 3]),
+        msgpack.packb({"scene": "office"}),
+        msgpack.packb({"scene": "office", "start": [float("nan"), 1.0], "goal": [1.0, 1.0]}),
+        msgpack.packb({"scene": "office", "start": [1.0, 1.0, 1.0, 1.0], "goal": [1.0, 1.0]}),
+        msgpack.packb({"scene": 5, "start": [1.0, 1.0], "goal": [1.0, 1.0]}),
+        b"\x91" * 100_000,
+        b"\xdf\xff\xff\xff\xff",
+        msgpack.packb({"scene": "x" * (5 << 20), "start": [1.0, 1.0], "goal": [1.0, 1.0]}),
+        msgpack.packb({"scene": "office", "start": [1.0, 1.0], "goal": [1.0, 1.0], "agent": {"name": "x"}}),
+        msgpack.packb({"scene": "office", "start": [1.0, 1.0], "goal": [1.0, 1.0], "method": "teleport"}),
+    ],
+)
+def test_garbage_gets_an_answer_and_the_service_goes_on(running, payload):
+    _, client, endpoint = running
+    (answer,) = ask_raw(endpoint, keys.PLAN, payload)
+    reply = msgpack.unpackb(answer)
+    assert reply["status"] == "INVALID_REQUEST"
+    assert reply["message"]
+    assert "office" in client.scenes()
+
+
+def test_the_example_of_the_conventions_plans_with_zenoh_and_msgpack_alone(running, capsys):
+    from pathlib import Path
+
+    text = (Path(__file__).parent.parent.parent / "schemas" / "CONVENTIONS.md").read_text()
+    code = text.split("```python\n")[1].split("```")[0]
+    assert "gpdf_" not in code
+    exec(compile(code.replace("tcp/127.0.0.1:7447", running[2]), "CONVENTIONS.md", "exec"), {})
+    out = capsys.readouterr().out
+    assert out.startswith("OK")
+    assert "waypoints, the first at (1.0, 1.0," in out
+
+
+def test_the_asyncio_client_plans_side_by_side(running, office):
+    made = office[0]
+
+    async def both():
+        async with await AsyncClient.connect(running[2]) as client:
+            return await asyncio.gather(
+                client.plan("office", made.start, made.goal, "human"),
+                client.plan("office", made.start, made.goal, "roomba"),
+                client.scenes(),
+            )
+
+    human, roomba, scenes = asyncio.run(both())
+    assert human.status == roomba.status == "OK"
+    assert "office" in scenes
+
+
+def test_nobody_there_is_unavailable(free_endpoint):
+    with pytest.raises(UnavailableError, match="gpdf serve"):
+        Client.connect(free_endpoint, timeout_s=0.2)
+
+
+def test_a_full_queue_is_busy_and_everybody_gets_an_answer(clouds, tmp_path, free_endpoint, monkeypatch):
+    monkeypatch.setattr("gpdf_service.service.server.QUEUE_SIZE", 2)
+    gate, inside = threading.Event(), threading.Event()
+    with Server(Options(free_endpoint, clouds, tmp_path, 1)) as server:
+        answer = server.handlers.answer
+
+        def slow(key, payload, received):
+            inside.set()
+            gate.wait(30)
+            return answer(key, payload, received)
+
+        monkeypatch.setattr(server.handlers, "answer", slow)
+        replies, lock = [], threading.Lock()
+
+        def one():
+            (raw,) = ask_raw(free_endpoint, keys.SCENES, msgpack.packb({}))
+            with lock:
+                replies.append(msgpack.unpackb(raw)["status"])
+
+        threads = [threading.Thread(target=one) for _ in range(8)]
+        for thread in threads:
+            thread.start()
+        assert inside.wait(30)
+        until = time.monotonic() + 30
+        while len(replies) < 5 and time.monotonic() < until:
+            time.sleep(0.01)
+        gate.set()
+        for thread in threads:
+            thread.join(30)
+    assert len(replies) == 8
+    assert replies.count("BUSY") == 5
+    assert replies.count("OK") == 3
+
+
+def test_the_log_holds_the_bytes_of_the_wire_and_draws_in_viewers(clouds, tmp_path, free_endpoint, office):
+    made = office[0]
+    request = encode(PlanRequest(scene="office", start=list(made.start), goal=list(made.goal), request_id="one"))
+    with Server(Options(free_endpoint, clouds, tmp_path, 1)) as server:
+        with Client.connect(free_endpoint) as client:
+            client.load_scene("office", "office.gpdf")
+        (answer,) = ask_raw(free_endpoint, keys.PLAN, request)
+        path = server.log_path
+    with path.open("rb") as file:
+        found = {}
+        for schema, channel, message in make_reader(file).iter_messages():
+            found.setdefault(channel.topic, []).append((schema, channel.message_encoding, message))
+    assert [m.data for _, _, m in found[f"{keys.PLAN}/request"]] == [request]
+    assert [m.data for _, _, m in found[f"{keys.PLAN}/reply"]] == [answer]
+    assert found[f"{keys.PLAN}/reply"][0][1] == "msgpack"
+    with path.open("rb") as file:
+        decoded = {
+            channel.topic: message
+            for _, channel, _, message in make_reader(file, decoder_factories=[DecoderFactory()]).iter_decoded_messages(
+                topics=["/plan/office", "/cloud/office"]
+            )
+        }
+    reply = decode(answer, PlanReply)
+    poses = decoded["/plan/office"].poses
+    xyz = np.array([[p.position.x, p.position.y, p.position.z] for p in poses])
+    np.testing.assert_array_equal(xyz, reply.trajectory.positions.unpack())
+    assert len(decoded["/cloud/office"].data) % 12 == 0
+    (pair,) = recorded_plans(path)
+    result = compare(*pair, reply)
+    assert result.same
+    assert result.deviation == 0
+
+
+def serve(clouds, log_dir, endpoint):
+    words = ["-m", "gpdf_service.cli", "serve", f"office={clouds / 'office.gpdf'}", "--endpoint", endpoint]
+    words += ["--log-dir", str(log_dir), "--scenes-dir", str(clouds)]
+    return subprocess.Popen([sys.executable, *words], stderr=subprocess.PIPE, env=os.environ, text=True)
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_ends_the_process_with_a_complete_log(clouds, tmp_path, free_endpoint, office, number):
+    made = office[0]
+    with serve(clouds, tmp_path, free_endpoint) as process:
+        try:
+            with Client.connect(free_endpoint, timeout_s=60) as client:
+                client.wait_for_scene("office")
+                assert client.plan("office", made.start, made.goal, "roomba").status == "OK"
+            process.send_signal(number)
+            assert process.wait(60) == 0
+        finally:
+            process.kill()
+    (log,) = tmp_path.glob("*.mcap")
+    assert check(log).complete
+    assert len(list(recorded_plans(log))) == 1
+
+
+def test_a_killed_process_leaves_a_log_that_is_mended(clouds, tmp_path, free_endpoint, office):
+    made = office[0]
+    with serve(clouds, tmp_path, free_endpoint) as process:
+        try:
+            with Client.connect(free_endpoint, timeout_s=60) as client:
+                client.wait_for_scene("office")
+                client.plan("office", made.start, made.goal, "roomba")
+                log = next(tmp_path.glob("*.mcap"))
+                until = time.monotonic() + 30
+                while not list(recorded_plans(log)) and time.monotonic() < until:
+                    client.scenes()  # later messages, so that the flush interval passes with the plan inside
+                    time.sleep(0.1)
+        finally:
+            process.kill()
+            process.wait(60)
+    assert not check(log).complete
+    messages = check(log).messages
+    assert messages > 0
+    assert repair_folder(tmp_path) == [log]
+    assert check(log).complete
+    assert check(log).messages == messages
+    assert len(list(recorded_plans(log))) == 1
+    assert repair_folder(tmp_path) == []
+    assert repair(log).messages == messages
+
+
+def test_two_services_on_one_port_do_not_both_start(running, clouds, tmp_path):
+    with serve(clouds, tmp_path, running[2]) as process:
+        try:
+            assert process.wait(60) == 1
+        finally:
+            process.kill()
+        assert "Is another service running" in process.stderr.read()
