@@ -6,6 +6,9 @@ import numpy as np
 
 from gpdf_service.types import Agent, FloatArray
 
+STANDING = 1e-3
+"""[s] Between the rows of a path whose start is its goal: nothing moves, but time stamps still increase."""
+
 
 def time_path(positions: FloatArray, agent: Agent) -> tuple[FloatArray, FloatArray]:
     """Times [s] and headings [rad] of a polyline, shape (n, 3), n ≥ 2, without repeated points.
@@ -14,6 +17,8 @@ def time_path(positions: FloatArray, agent: Agent) -> tuple[FloatArray, FloatArr
     ends: one pass forward and one backward, the numerical integration of time-optimal path parametrisation.
     """
     step = np.linalg.norm(np.diff(positions, axis=0), axis=1)
+    if not step.any():
+        return np.arange(len(positions)) * STANDING, np.zeros(len(positions))
     heading = np.unwrap(np.arctan2(*np.diff(positions[:, :2], axis=0).T[::-1]))
     headings = np.concatenate([heading[:1], 0.5 * (heading[:-1] + heading[1:]), heading[-1:]])
     between = 0.5 * (step[:-1] + step[1:])

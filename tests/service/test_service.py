@@ -92,7 +92,7 @@ def test_failures_have_their_own_errors_and_words(running):
         client.load_scene("x", "none.npz")
     with pytest.raises(InvalidRequestError, match="no name"):
         client.load_scene("../x", "office.npz")
-    with pytest.raises(ServiceError, match="walkable|ground"):
+    with pytest.raises(ServiceError, match=r"walkable|ground"):
         client.load_scene("bad", upload=np.zeros((10, 3)) + np.arange(10)[:, None])
     outside = client.plan("office", (1, 1), (90, 2))
     assert outside.status == "GOAL_OUTSIDE_MAP"

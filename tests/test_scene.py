@@ -1,0 +1,120 @@
+import threading
+
+import numpy as np
+import pytest
+
+import gpdf_service as gpdf
+from gpdf_service.errors import CloudError, FieldError, SceneFileError
+from gpdf_service.perception import HeightMap
+from gpdf_service.scene import level_under
+
+
+def test_a_saved_scene_answers_the_same_and_fits_nothing(office, tmp_path, monkeypatch):
+    made, scene = office
+    before = gpdf.plan(scene, made.start, made.goal, "human")
+    scene.save(tmp_path / "office.gpdf")
+    monkeypatch.setattr("gpdf_service.pipeline.fit_gpdf", None)
+    back = gpdf.load_scene(tmp_path / "office.gpdf")
+    after = gpdf.plan(back, made.start, made.goal, "human")
+    np.testing.assert_array_equal(before.trajectory.positions, after.trajectory.positions)
+    assert back.digest == scene.digest
+    assert back.config == scene.config
+    points = np.random.default_rng(0).uniform([0, 0, 0], [6, 5, 2], (100, 3))
+    np.testing.assert_array_equal(back.ground_field.query(points).distance, scene.ground_field.query(points).distance)
+
+
+def test_a_scene_file_without_a_part_is_refused(office, tmp_path):
+    from gpdf_service.store import read_arrays, write_arrays
+
+    office[1].save(tmp_path / "a.gpdf")
+    arrays, meta = read_arrays(tmp_path / "a.gpdf")
+    del arrays["levels/levels/0/surface/height"]
+    write_arrays(tmp_path / "b.gpdf", arrays, meta)
+    with pytest.raises(SceneFileError, match="height"):
+        gpdf.load_scene(tmp_path / "b.gpdf")
+
+
+def test_the_obstacle_field_is_close_to_the_truth_and_on_the_safe_side(office):
+    made, scene = office
+    rng = np.random.default_rng(0)
+    xy = rng.uniform([0.3, 0.3], [5.7, 4.7], (3000, 2))
+    for name in ("roomba", "human"):
+        agent = gpdf.AGENTS[name]
+        contacts = np.column_stack([xy, np.zeros(len(xy))])
+        truth = made.truth.body_clearance(contacts, 0.0, agent.height, agent.max_step)
+        floor = made.truth.ground_height(xy) == 0
+        sample = scene.obstacle_field(name).query(xy)
+        away = floor & sample.valid & (truth > 0.1)
+        assert away.sum() > 500
+        error = (sample.distance - truth)[away]
+        assert np.median(np.abs(error)) < 0.01
+        assert np.quantile(error, 0.99) < 0.03
+
+
+def test_fields_say_nothing_outside_the_map(office):
+    _, scene = office
+    for sample in (
+        scene.ground_field.query([[100.0, 0.0, 1.0], [np.nan, 0.0, 0.0]]),
+        scene.obstacle_field("human").query([[100.0, 0.0], [np.inf, 0.0]]),
+    ):
+        assert not sample.valid.any()
+        assert (sample.distance == 0).all()
+
+
+def test_fields_refuse_queries_of_another_shape(office):
+    with pytest.raises(FieldError):
+        office[1].ground_field.query([[0.0, 0.0]])
+    with pytest.raises(FieldError):
+        office[1].obstacle_field("human").query([0.0, 0.0])
+
+
+def test_the_level_is_the_highest_ground_under_a_point():
+    def flat(z):
+        return HeightMap(np.zeros(2), 0.1, np.full((10, 10), z, "f4"), np.ones((10, 10), "u1"))
+
+    surfaces = (flat(0.0), flat(2.8))
+    points = np.array([[0.5, 0.5, z] for z in (-1.0, 0.0, 2.0, 2.75, 3.0)] + [[9.0, 9.0, 0.0]])
+    assert level_under(surfaces, points).tolist() == [0, 0, 0, 1, 1, -1]
+
+
+def test_threads_that_ask_at_once_share_one_free_space(office):
+    _, scene = office
+    scene.forget_agents()
+    found = []
+    threads = [threading.Thread(target=lambda: found.append(scene.free_space("spot"))) for _ in range(4)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert len({id(space) for space in found}) == 1
+
+
+def test_labels_must_fit_the_points():
+    with pytest.raises(CloudError, match="one for each point"):
+        gpdf.build_scene(np.zeros((10, 3)), np.ones(9, dtype=bool))
+
+
+def test_the_public_names_are_those_of_the_design():
+    for name in ("build_scene", "load_scene", "plan", "segment_ground", "AGENTS", "Agent", "Status"):
+        assert hasattr(gpdf, name)
+    with pytest.raises(AttributeError):
+        _ = gpdf.nonsense
+    assert {name: (a.height, a.width, a.length) for name, a in gpdf.AGENTS.items()} == {
+        "roomba": (0.1, 0.34, 0.35),
+        "spot": (0.7, 0.19, 1.1),
+        "pepper": (1.2, 0.48, 0.42),
+        "human": (2.0, 0.5, 0.32),
+    }
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("name", "start", "goal"),
+    [("s3dis_office.npz", (1.2, 5.0), (5.5, 1.4)), ("cluttered_office_tls_1cm.npz", (6.6, 9.2), (9.9, 14.1))],
+)
+def test_a_human_crosses_the_real_offices(scan, name, start, goal):
+    cloud = gpdf.read_cloud(scan(name))
+    scene = gpdf.build_scene(cloud.points, cloud.ground)
+    result = gpdf.plan(scene, start, goal, "human")
+    assert result.status is gpdf.Status.OK, result.message
+    assert result.certificate.holds
