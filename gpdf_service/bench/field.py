@@ -90,12 +90,13 @@ def measure(
         real = truth(queries)
         inside = (np.abs(queries[:, :2]) < 4.0).all(axis=1) & (real >= low) & (real < high)  # off the sample's rim
         queries, real = queries[inside][:m], real[inside][:m]
-        if len(queries) == 0:
+        if len(queries) == 0 or not field.domain.contains(queries).any():
             continue
         field.query(queries[:8])
         began = time.perf_counter()
-        error = field.query(queries).distance - real
+        sample = field.query(queries)
         ours = time.perf_counter() - began
+        error = (sample.distance - real)[sample.valid]
         began = time.perf_counter()
         other = tree.query(queries, workers=2)[0] - real
         peer = time.perf_counter() - began
@@ -103,7 +104,7 @@ def measure(
             {"surface": name, "band_m": f"{low}-{high}", "queries": len(queries), "spacing_m": field.spacing}
             | {"rmse_m": _rms(error), "worst_over_m": float(error.max()), "nearest_rmse_m": _rms(other)}
             | {"us": 1e6 * ours / len(queries), "nearest_us": 1e6 * peer / len(queries), "time_ratio": ours / peer}
-            | {"fit_s": fit}
+            | {"invalid": float(np.mean(~sample.valid)), "fit_s": fit}
         )
     return rows
 

@@ -12,7 +12,7 @@ from gpdf_service.errors import NoGroundError
 from gpdf_service.perception.layers import Layers, build_layers, cell_width_of, connect
 from gpdf_service.perception.limits import GroundLimits, find_limits
 from gpdf_service.perception.segment import HALF, components, over_ground
-from gpdf_service.perception.surface import OBSERVED, UNKNOWN, HeightMap, fill_holes
+from gpdf_service.perception.surface import OBSERVED, UNKNOWN, HeightMap, fill_holes, without_enclosed
 from gpdf_service.types import BoolArray, FloatArray, IntArray
 
 OVERLAP = 1.2
@@ -180,6 +180,7 @@ def _build_level(
     beside = ndimage.maximum_filter(np.where(surface.state != UNKNOWN, surface.height, -np.inf), size=3)
     # Only material that the lowest body cannot pass under guards an edge by itself.
     material = lowest <= beside + config.min_headroom
+    surface = without_enclosed(surface, material)
     limits = find_limits(surface, material)
     known = surface.state != UNKNOWN
     return GroundLevel(surface, surface.centres(known), surface.state[known] != OBSERVED, other, limits)

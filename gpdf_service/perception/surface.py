@@ -133,3 +133,20 @@ def _fill(
             continue
         height[grown][inner] = np.column_stack([np.argwhere(inner), np.ones(int(inner.sum()))]) @ plane
         state[grown][inner] = INFERRED
+
+
+def without_enclosed(surface: HeightMap, low: BoolArray) -> HeightMap:
+    """Take back inferred ground that material at ground level shuts off from all seen ground: a cupboard's inside.
+
+    Nobody has seen that it is hollow, so it is not called free.
+
+    Args:
+        surface: After `fill_holes`.
+        low: Cells with material that the lowest body cannot pass under, shape (nx, ny).
+    """
+    label = ndimage.label((surface.state != UNKNOWN) & ~low)[0]
+    seen = np.unique(label[(surface.state == OBSERVED) & ~low])
+    enclosed = (surface.state == INFERRED) & ~low & ~np.isin(label, seen)
+    height = np.where(enclosed, np.float32(np.nan), surface.height)
+    state = np.where(enclosed, UNKNOWN, surface.state).astype(np.uint8)
+    return HeightMap(surface.origin, surface.cell_width, height, state)

@@ -5,8 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy import ndimage
 
 from gpdf_service.perception import ObstacleKind
+from gpdf_service.perception.surface import UNKNOWN
 from gpdf_service.search import FreeSpace, is_clear
 from gpdf_service.types import FloatArray, Status
 
@@ -44,6 +46,10 @@ def find_endpoint(space: FreeSpace, place: FloatArray, name: str) -> Endpoint | 
     xy = place[None, :2]
     heights = np.array([float(surface.height_at(xy)[0]) for surface in space.surfaces])
     there = np.flatnonzero(~np.isnan(heights))
+    if len(there) == 0 and any(_shut_in(space, level, xy) for level in range(len(space.surfaces))):
+        words = f"the {name} {_at(place)} is inside something, or on ground that nobody has seen."
+        near = _nearest_free(space, 0, xy[0])
+        return Refusal(occupied, words if near is None else f"{words} The nearest free place is {_at(near)}.")
     if len(there) == 0:
         return Refusal(outside, f"no ground is known at the {name} {_at(place)}. Choose a place on the mapped ground.")
     if len(place) == 3:
@@ -72,6 +78,20 @@ def find_endpoint(space: FreeSpace, place: FloatArray, name: str) -> Endpoint | 
     if node < 0:
         return Refusal(occupied, f"the {space.agent.name} cannot leave the {name} {_at(place)} in any direction.")
     return Endpoint(xy[0], level, node)
+
+
+def _shut_in(space: FreeSpace, level: int, xy: FloatArray) -> bool:
+    """Whether a place without known ground is within reach of material, or in a hole that known ground surrounds."""
+    surface = space.surfaces[level]
+    ix, iy, inside = surface.cells(xy)
+    if not inside[0]:
+        return False
+    distance, kind = space.clearance(level, xy)
+    if kind[0] == ObstacleKind.MATERIAL and distance[0] < space.agent.radius:
+        return True
+    label = ndimage.label(surface.state == UNKNOWN)[0]
+    rim = np.concatenate([label[0], label[-1], label[:, 0], label[:, -1]])
+    return bool(label[ix[0], iy[0]] not in rim)
 
 
 def _connect(space: FreeSpace, level: int, xy: FloatArray) -> int:

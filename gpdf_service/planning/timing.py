@@ -7,7 +7,7 @@ import numpy as np
 from gpdf_service.types import Agent, FloatArray
 
 STANDING = 1e-3
-"""[s] Between the rows of a path whose start is its goal: nothing moves, but time stamps still increase."""
+"""[s] For a path whose start is its goal: nothing moves, but time stamps still increase."""
 
 
 def time_path(positions: FloatArray, agent: Agent) -> tuple[FloatArray, FloatArray]:
@@ -18,7 +18,7 @@ def time_path(positions: FloatArray, agent: Agent) -> tuple[FloatArray, FloatArr
     """
     step = np.linalg.norm(np.diff(positions, axis=0), axis=1)
     if not step.any():
-        return np.arange(len(positions)) * STANDING, np.zeros(len(positions))
+        return np.linspace(0.0, STANDING, len(positions)), np.zeros(len(positions))
     heading = np.unwrap(np.arctan2(*np.diff(positions[:, :2], axis=0).T[::-1]))
     headings = np.concatenate([heading[:1], 0.5 * (heading[:-1] + heading[1:]), heading[-1:]])
     between = 0.5 * (step[:-1] + step[1:])

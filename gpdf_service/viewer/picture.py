@@ -74,7 +74,7 @@ def draw_plans(
     plan_axes.legend(loc="upper left", bbox_to_anchor=(1.15, 1.0), fontsize=9)
     side_axes.set(xlabel="distance along the path in plan [m]", ylabel="z [m]", title="side view along each path")
     if shown:
-        side_axes.legend(fontsize=8, ncols=4)
+        side_axes.legend(fontsize=8, ncols=4, loc="upper center", bbox_to_anchor=(0.5, -0.2))
     _save(figure, path)
 
 

@@ -86,6 +86,12 @@ def test_a_hole_in_the_floor_is_inferred_and_one_at_the_rim_is_not():
     assert not level.surface.contains(np.array([[5.3, 2.5]])).any()
 
 
+def test_the_inside_of_a_cupboard_is_not_called_free():
+    level = level_of(World((5.0, 5.0, 2.5), (Box((2.0, 2.0, 0.0), (3.0, 2.8, 1.8)),)))
+    assert not level.surface.contains(np.array([[2.5, 2.4]])).any()
+    assert level.surface.contains(np.array([[1.8, 2.4], [3.2, 2.4]])).all()
+
+
 def test_a_large_unseen_place_stays_unknown_and_stops_everybody():
     points, ground = scan_of(World((8.0, 8.0, 2.5), (), ceiling=False))
     hole = np.hypot(points[:, 0] - 4, points[:, 1] - 4) < 2.0
