@@ -109,4 +109,7 @@ def _build(cls: type[T], values: Mapping[str, Any], where: str) -> T:
             made[key] = value
         else:
             raise ConfigError(f"{where}.{key}", f"{value!r}", f"It must be of type {getattr(kind, '__name__', kind)}.")
+    for key, value in made.items():
+        if isinstance(value, int | float) and not 0 < value < float("inf"):
+            raise ConfigError(f"{where}.{key}", f"{value!r}", "It must be a positive, finite number.")
     return cls(**made)

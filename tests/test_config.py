@@ -20,6 +20,9 @@ def test_a_nested_value_is_taken():
         ({"fields": {"noise_variance": "low"}}, "must be of type float"),
         ({"fields": {"noise_variance": True}}, "must be of type float"),
         ({"fields": 3}, "must be a table"),
+        ({"fields": {"noise_variance": -1.0}}, "positive"),
+        ({"planning": {"waypoint_spacing": float("nan")}}, "positive"),
+        ({"planning": {"max_iterations": 0}}, "positive"),
     ],
 )
 def test_a_wrong_value_is_refused_with_its_place(values, message):

@@ -104,6 +104,8 @@ class Recorder:
                 self._failed = True
                 if task is None:
                     return
+            except Exception:
+                log.exception("a message could not be recorded in %s", self.path)
 
     def _write(self, topic: str, schema: str, schema_data: bytes, encoding: str, data: bytes, stamp_ns: int) -> None:
         if topic not in self._channels:

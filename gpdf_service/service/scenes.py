@@ -103,10 +103,11 @@ class Shelf:
         with self._lock:
             kept = self._uploads.setdefault(key, {})
             kept[part] = (points, ground)
-            total = sum(len(p) for upload in self._uploads.values() for p, _ in upload.values())
-            if total > MAX_UPLOAD_POINTS:
-                del self._uploads[key]
-                raise ValueError(f"more than {MAX_UPLOAD_POINTS} points are waiting. Thin the cloud, or load a file.")
+            while self._waiting() > MAX_UPLOAD_POINTS:  # uploads that nobody finished go first, the oldest ahead
+                oldest = next(iter(self._uploads))
+                del self._uploads[oldest]
+                if oldest == key:
+                    raise ValueError(f"it has more than {MAX_UPLOAD_POINTS} points. Thin the cloud, or load a file.")
             if len(kept) < parts:
                 return False
             del self._uploads[key]
@@ -118,6 +119,9 @@ class Shelf:
         mask = np.concatenate(given) if given else None
         self._start(name, lambda: build_scene(cloud, mask))
         return True
+
+    def _waiting(self) -> int:
+        return sum(len(points) for upload in self._uploads.values() for points, _ in upload.values())
 
     def unload(self, name: str) -> bool:
         """Forget a scene; False if there was none."""

@@ -21,7 +21,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the verb's options."""
     parser.add_argument("scenes", nargs="*", metavar="NAME=CLOUD", type=_named, help="clouds or scene files to load")
     parser.add_argument("--endpoint", default=DEFAULT_ENDPOINT, help="where to listen")
-    parser.add_argument("--scenes-dir", type=Path, default=Path(), help="folder of the files that clients may load")
+    parser.add_argument(
+        "--scenes-dir", type=Path, default=Path("scenes"), help="folder of the files that clients may load"
+    )
     parser.add_argument("--log-dir", type=Path, default=Path("log"), help="folder for the logs")
     parser.add_argument("--workers", type=int, default=worker_count(), help="threads that answer requests")
 
@@ -37,9 +39,7 @@ def run(args: argparse.Namespace) -> int:
         log.warning("the log %s was cut short by a crash; it is readable again", path)
     options = Options(args.endpoint, args.scenes_dir, args.log_dir, max(1, args.workers))
     try:
-        with Server(options) as server:
-            for name, path in args.scenes:
-                server.shelf.load_file(name, path, inside=False)
+        with Server(options, args.scenes):
             stop.wait()
     except zenoh.ZError as error:
         log.error("cannot listen on %s: %s. Is another service running there?", args.endpoint, error)

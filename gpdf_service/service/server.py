@@ -8,6 +8,7 @@ import queue
 import threading
 import time
 import uuid
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -56,10 +57,15 @@ class _Job:
 
 
 class Server:
-    """Map service and planner service in one process. A context manager: leaving it drains and closes the log."""
+    """Map service and planner service in one process. A context manager: leaving it drains and closes the log.
 
-    def __init__(self, options: Options) -> None:
-        self.options = options
+    Args:
+        options: How to serve.
+        scenes: Names and files to load before the first request is taken.
+    """
+
+    def __init__(self, options: Options, scenes: Sequence[tuple[str, Path]] = ()) -> None:
+        self.options, self._scenes = options, scenes
         self.planner_id = uuid.uuid4().hex[:12]
         options.log_dir.mkdir(parents=True, exist_ok=True)
         stamp = time.strftime("%Y%m%dT%H%M%S", time.gmtime())
@@ -76,8 +82,11 @@ class Server:
 
     def __enter__(self) -> Server:
         try:
+            for name, path in self._scenes:  # before anybody can ask for them
+                self.shelf.load_file(name, path, inside=False)
             self._session = zenoh.open(_router_config(self.options.endpoint))
         except BaseException:
+            self.shelf.close()
             self.recorder.close()
             raise
         for worker in self._workers:

@@ -289,3 +289,17 @@ def test_two_services_on_one_port_do_not_both_start(running, clouds, tmp_path):
         finally:
             process.kill()
         assert "Is another service running" in process.stderr.read()
+
+
+def test_uploads_that_nobody_finishes_make_room(tmp_path, monkeypatch):
+    from gpdf_service.service.scenes import Shelf
+
+    monkeypatch.setattr("gpdf_service.service.scenes.MAX_UPLOAD_POINTS", 100)
+    shelf, points = Shelf(tmp_path), np.zeros((40, 3))
+    for name in ("a", "b", "c", "d"):
+        assert not shelf.add_part("x", name, 0, 2, points, None)
+    with pytest.raises(ValueError, match="Thin the cloud"):
+        shelf.add_part("x", "large", 0, 2, np.zeros((200, 3)), None)
+    with pytest.raises(ValueError, match="count from 0"):
+        shelf.add_part("x", "e", 2, 2, points, None)
+    shelf.close()
