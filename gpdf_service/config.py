@@ -59,8 +59,8 @@ class PlanningConfig:
 
     preferred_clearance: float = 1.0
     """[-] Room that a path wants beside the body, over its radius: as much again as it needs."""
-    smoothness_weight: float = 0.1
-    """[-] λ_s; λ_o = λ_g = 1. Well below them, as the paper asks: 1 m of path is worth 10 cm of missing room."""
+    smoothness_weight: float = 0.4
+    """[-] λ_s; λ_o = λ_g = 1. Below them, as the paper asks: 1 m of path is worth 40 cm of missing room."""
     max_iterations: int = 100
     """[-] Steps of CHOMP; most paths rest after 20 to 40."""
     tolerance: float = 1e-4
