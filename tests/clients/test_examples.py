@@ -2,6 +2,7 @@
 
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import numpy as np
@@ -25,7 +26,7 @@ def endpoint(tmp_path_factory, office):
     with Server(Options(address, folder, tmp_path_factory.mktemp("log"), 2)) as server:
         server.shelf.load_file("office", "office.gpdf")
         while server.shelf.get("office").building:
-            pass
+            time.sleep(0.01)
         yield address
 
 

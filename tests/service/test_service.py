@@ -186,9 +186,10 @@ def test_a_full_queue_is_busy_and_everybody_gets_an_answer(clouds, tmp_path, fre
                 replies.append(msgpack.unpackb(raw)["status"])
 
         threads = [threading.Thread(target=one) for _ in range(8)]
-        for thread in threads:
+        threads[0].start()
+        assert inside.wait(30)  # the one worker is held; two more wait, five are turned away
+        for thread in threads[1:]:
             thread.start()
-        assert inside.wait(30)
         until = time.monotonic() + 30
         while len(replies) < 5 and time.monotonic() < until:
             time.sleep(0.01)
