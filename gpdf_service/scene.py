@@ -8,6 +8,7 @@ import os
 import threading
 from collections import OrderedDict
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -169,7 +170,7 @@ class Scene:
         with self._lock:
             self._spaces.clear()
 
-    @property
+    @cached_property
     def digest(self) -> str:
         """Hash of the cloud and its labels: the same place gives the same digest on any machine."""
         digest = hashlib.sha256(np.ascontiguousarray(self.points, dtype="<f8").tobytes())
@@ -178,16 +179,19 @@ class Scene:
 
     def info(self) -> dict[str, Any]:
         """Facts about the scene, ready for JSON."""
+        return {**self._lasting_facts, "version": self.version, "agents_ready": [agent.name for agent in self._spaces]}
+
+    @cached_property
+    def _lasting_facts(self) -> dict[str, Any]:
+        """What one pass over the points tells; asked several times a second while a client waits."""
         low, high = self.points.min(axis=0), self.points.max(axis=0)
         return {
             "points": len(self.points),
             "ground_points": int(self.ground.sum()),
             "extent": [low.tolist(), high.tolist()],
             "digest": self.digest,
-            "version": self.version,
             "levels": [_level_info(i, self.levels.levels[i], self.ground_fields[i]) for i in range(len(self.surfaces))],
             "portals": len(self.levels.portals),
-            "agents_ready": [agent.name for agent in self._spaces],
         }
 
     def save(self, path: str | os.PathLike[str]) -> None:

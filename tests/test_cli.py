@@ -109,3 +109,9 @@ def test_the_program_runs_as_a_module():
     words = [sys.executable, "-m", "gpdf_service.cli", "--version"]
     out = subprocess.run(words, capture_output=True, text=True, check=True).stdout
     assert out.strip() == "0.1.0"
+
+
+def test_a_place_may_begin_with_a_minus(tmp_path, capsys):
+    words = ["plan", str(tmp_path / "none.npz"), "--start", "-1,2", "--goal", "-.5,-3"]
+    assert main(words) == 1
+    assert "expected one argument" not in capsys.readouterr().err

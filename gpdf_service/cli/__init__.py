@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import re
 import sys
 from collections.abc import Sequence
 from importlib import import_module
@@ -67,13 +68,24 @@ def main(argv: Sequence[str] | None = None) -> int:
         return 1
     parser = argparse.ArgumentParser(prog=f"gpdf {verb}", description=text)
     module.add_arguments(parser)
-    args = parser.parse_args(words[len(verb.split()) :])
+    args = parser.parse_args(_joined(words[len(verb.split()) :]))
     try:
         return int(module.run(args))
     except GpdfError as error:
         return _report(error, as_json=getattr(args, "json", False))
     except KeyboardInterrupt:
         return 130
+
+
+def _joined(words: Sequence[str]) -> list[str]:
+    """Tie `--start -1,2` together as `--start=-1,2`: argparse would take the place for an option."""
+    joined: list[str] = []
+    for word in words:
+        if re.match(r"-[\d.]", word) and joined and re.fullmatch(r"--[a-z][a-z-]*", joined[-1]):
+            joined[-1] += f"={word}"
+        else:
+            joined.append(word)
+    return joined
 
 
 def _report(error: GpdfError, *, as_json: bool) -> int:

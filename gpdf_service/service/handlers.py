@@ -8,6 +8,7 @@ import time
 from collections.abc import Callable
 from typing import Any
 
+import msgspec
 import numpy as np
 from gpdf_schemas import (
     MAX_REQUEST_BYTES,
@@ -70,10 +71,10 @@ class Handlers:
             request = decode(payload, request_kind, limit=MAX_REQUEST_BYTES)
             request_id = request.request_id
             waited = time.monotonic() - received
-            if waited > request.deadline_s:
+            if waited >= request.deadline_s:
                 words = f"the request waited {waited:.2f} s, its deadline was {request.deadline_s:.2f} s. Ask later."
                 return self.refuse(reply_kind, Status.TIMEOUT, words, request_id)
-            return handle(request)
+            return handle(msgspec.structs.replace(request, deadline_s=request.deadline_s - waited))
         except (DecodeError, RequestError, ValueError) as error:
             return self.refuse(reply_kind, Status.INVALID_REQUEST, str(error), request_id)
         except _NoSceneError as error:

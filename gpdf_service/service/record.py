@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+import fcntl
+import os
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-from mcap.exceptions import McapError
 from mcap.records import Channel, Footer, McapRecord, Message, Metadata, Schema
 from mcap.stream_reader import StreamReader
-from mcap.writer import Writer
+from mcap.writer import MCAP0_MAGIC, Writer
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,8 +27,15 @@ def records_of(path: Path) -> Iterator[McapRecord]:
     with path.open("rb") as file:
         try:
             yield from StreamReader(file, emit_chunks=False).records
-        except (McapError, EOFError, ValueError, OSError):
+        except Exception:  # damaged bytes raise whatever they meet: struct.error, ZstdError, MemoryError, …
             return
+
+
+def _ends_well(path: Path) -> bool:
+    """Whether the file ends with the format's magic, as readers that seek the index from the end demand."""
+    with path.open("rb") as file:
+        file.seek(-len(MCAP0_MAGIC), os.SEEK_END)
+        return file.read() == MCAP0_MAGIC
 
 
 def check(path: Path) -> Condition:
@@ -36,7 +44,7 @@ def check(path: Path) -> Condition:
     for record in records_of(path):
         messages += isinstance(record, Message)
         complete |= isinstance(record, Footer)
-    return Condition(path, messages, complete)
+    return Condition(path, messages, complete and _ends_well(path))
 
 
 def repair(path: Path) -> Condition:
@@ -65,8 +73,15 @@ def repair(path: Path) -> Condition:
 
 
 def repair_folder(folder: Path) -> list[Path]:
-    """Mend every log of a folder that was cut short; which they were."""
-    broken = [path for path in sorted(folder.glob("*.mcap")) if not check(path).complete]
-    for path in broken:
-        repair(path)
+    """Mend every log of a folder that was cut short, but none that a service still writes; which they were."""
+    broken = []
+    for path in sorted(folder.glob("*.mcap")):
+        with path.open("rb") as file:
+            try:
+                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError:
+                continue
+            if not check(path).complete:
+                repair(path)
+                broken.append(path)
     return broken

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import fcntl
 import json
 import logging
 import queue
@@ -40,6 +41,7 @@ class Recorder:
     def __init__(self, path: Path, metadata: dict[str, str]) -> None:
         self.path = path
         self._file = path.open("wb")
+        fcntl.flock(self._file, fcntl.LOCK_EX)  # ends with the process, so that repair can tell a crash from a live log
         self._writer = Writer(self._file)
         self._writer.start(profile="gpdf", library=f"gpdf_service {__version__}")
         self._writer.add_metadata("gpdf", {"version": __version__, **metadata})

@@ -25,6 +25,8 @@ NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,63}")
 MAX_UPLOAD_POINTS = 20_000_000
 """Points that one upload may have: 0.5 GB."""
 SCENE_SUFFIX = ".gpdf"
+MAX_UPLOADS = 64
+"""Unfinished uploads that are kept at once."""
 Build = Callable[[], Scene]
 
 
@@ -33,9 +35,13 @@ class Entry:
     """A scene, or why there is none yet."""
 
     scene: Scene | None = None
-    building: bool = False
+    pending: int = 0
     error: str = ""
-    version: int = 0
+
+    @property
+    def building(self) -> bool:
+        """Whether a build waits or runs; the scene is the newest only when none does."""
+        return self.pending > 0
 
 
 class Shelf:
@@ -45,6 +51,7 @@ class Shelf:
         self.scenes_dir = scenes_dir.resolve()
         self._entries: dict[str, Entry] = {}
         self._uploads: dict[str, dict[int, tuple[FloatArray, BoolArray | None]]] = {}
+        self._version = 0
         self._lock = threading.Lock()
         self._builder = ThreadPoolExecutor(1, thread_name_prefix="gpdf-build")
         self._on_ready = on_ready
@@ -78,7 +85,7 @@ class Shelf:
         path = (self.scenes_dir / file).resolve() if inside else Path(file)
         if inside and not path.is_relative_to(self.scenes_dir):
             raise ValueError(f"file {str(file)!r} lies outside the scenes folder. Name a file in it.")
-        if not path.is_file():
+        if not _is_file(path):
             raise ValueError(f"file {str(file)!r} is not in the scenes folder. Put it there, or upload the points.")
 
         def build() -> Scene:
@@ -99,11 +106,20 @@ class Shelf:
         """
         if not 0 <= part < parts or parts > MAX_UPLOAD_POINTS:
             raise ValueError(f"part {part} of {parts} is none. Parts count from 0.")
+        if len(points) == 0:
+            raise ValueError(f"part {part} has no points. Send at least one a part.")
         key = f"{name}/{upload_id}"
         with self._lock:
+            if part > 0 and key not in self._uploads:
+                raise ValueError(
+                    f"part {part} belongs to no upload that is under way: part 0 comes first, and "
+                    "uploads that stay unfinished make room for others. Send it again."
+                )
             kept = self._uploads.setdefault(key, {})
             kept[part] = (points, ground)
-            while self._waiting() > MAX_UPLOAD_POINTS:  # uploads that nobody finished go first, the oldest ahead
+            while (
+                self._waiting() > MAX_UPLOAD_POINTS or len(self._uploads) > MAX_UPLOADS
+            ):  # uploads that nobody finished go first, the oldest ahead
                 oldest = next(iter(self._uploads))
                 del self._uploads[oldest]
                 if oldest == key:
@@ -133,7 +149,8 @@ class Shelf:
             raise ValueError(f"{name!r} is no name for a scene. Use letters, digits, '_', '-' and '.', at most 64.")
         with self._lock:
             entry = self._entries.setdefault(name, Entry())
-            entry.building, entry.error = True, ""
+            entry.pending += 1
+            entry.error = ""
         self._builder.submit(self._build, name, entry, build)
 
     def _build(self, name: str, entry: Entry, build: Build) -> None:
@@ -142,16 +159,16 @@ class Shelf:
         except GpdfError as error:
             log.warning("scene %s: %s", name, error)
             with self._lock:
-                entry.building, entry.error = False, str(error)
+                entry.pending, entry.error = entry.pending - 1, str(error)
         except Exception:
             log.exception("scene %s", name)
             with self._lock:
-                entry.building, entry.error = False, "the build failed inside the service; its log says more."
+                entry.pending -= 1
+                entry.error = "the build failed inside the service; its log says more."
         else:
             with self._lock:
-                entry.version += 1
-                scene.version = max(scene.version, entry.version)
-                entry.scene, entry.building = scene, False
+                self._version = scene.version = max(scene.version, self._version + 1)  # never the same, never back
+                entry.scene, entry.pending, entry.error = scene, entry.pending - 1, ""
             log.info("scene %s is ready: %d points, digest %s", name, len(scene.points), scene.digest)
             self._on_ready(name, scene)
 
@@ -161,3 +178,10 @@ def describe(entry: Entry) -> dict[str, Any]:
     state = "ready" if entry.scene else ("building" if entry.building else "failed")
     facts: dict[str, Any] = {"state": state, "building": entry.building, "error": entry.error}
     return facts if entry.scene is None else facts | entry.scene.info()
+
+
+def _is_file(path: Path) -> bool:
+    try:
+        return path.is_file()
+    except OSError:  # a name that no file can have
+        return False

@@ -79,6 +79,7 @@ class Server:
             threading.Thread(target=self._work, name=f"gpdf-worker-{i}", daemon=True) for i in range(options.workers)
         ]
         self._session: zenoh.Session | None = None
+        self._alive: zenoh.LivelinessToken | None = None
 
     def __enter__(self) -> Server:
         try:
@@ -93,7 +94,9 @@ class Server:
             worker.start()
         for key in self.handlers.by_key:
             self._session.declare_queryable(key, partial(self._take, key), complete=True)
-        self._session.liveliness().declare_token(f"{keys.ALIVE}/{self.planner_id}")
+        self._alive = self._session.liveliness().declare_token(  # dropped, it would be undeclared
+            f"{keys.ALIVE}/{self.planner_id}"
+        )
         log.info("listening on %s, logging to %s", self.options.endpoint, self.log_path)
         return self
 

@@ -304,3 +304,110 @@ def test_uploads_that_nobody_finishes_make_room(tmp_path, monkeypatch):
     with pytest.raises(ValueError, match="count from 0"):
         shelf.add_part("x", "e", 2, 2, points, None)
     shelf.close()
+
+
+def test_a_second_service_leaves_the_log_of_the_running_one_alone(clouds, tmp_path, free_endpoint, office):
+    made = office[0]
+    with Server(Options(free_endpoint, clouds, tmp_path, 1)) as server, Client.connect(free_endpoint) as client:
+        client.load_scene("office", "office.gpdf")
+        with serve(clouds, tmp_path, free_endpoint) as second:
+            try:
+                assert second.wait(60) == 1
+            finally:
+                second.kill()
+        client.plan("office", made.start, made.goal, "roomba", request_id="after")
+    assert check(server.log_path).complete
+    assert [request.request_id for request, _ in recorded_plans(server.log_path)] == ["after"]
+
+
+def test_a_log_that_is_cut_anywhere_is_mended(tmp_path):
+    from gpdf_service.service.recorder import Recorder
+
+    recorder = Recorder(tmp_path / "whole.mcap", {})
+    for i in range(5):
+        recorder.exchange(keys.PLAN, bytes([i]) * 20, bytes([i]) * 50, i, i)
+    recorder.close()
+    whole, path = (tmp_path / "whole.mcap").read_bytes(), tmp_path / "cut.mcap"
+    cuts = range(0, len(whole), 7)
+    for cut in cuts:
+        path.write_bytes(whole[:cut])
+        assert repair_folder(tmp_path) == [path]
+        assert check(path).complete
+    for place in cuts:
+        path.write_bytes(whole[:place] + b"\xa5" + whole[place + 1 :])
+        assert check(path).messages <= 10
+
+
+def test_a_running_service_is_seen_by_its_liveliness_token(running):
+    server, client, _ = running
+    tokens = client._session.liveliness().get(f"{keys.ALIVE}/*")
+    assert [str(token.ok.key_expr) for token in tokens] == [f"{keys.ALIVE}/{server.planner_id}"]
+
+
+def test_a_scene_is_ready_only_when_its_last_load_is(tmp_path):
+    from gpdf_service.service.scenes import Shelf
+
+    shelf, gates, first_done = Shelf(tmp_path), [threading.Event(), threading.Event()], threading.Event()
+    scenes = [gpdf.build_scene(floor(width)) for width in (3.0, 4.0)]
+    shelf._on_ready = lambda name, scene: first_done.set()
+
+    def build(i):
+        gates[i].wait(30)
+        return scenes[i]
+
+    for i in range(2):
+        shelf._start("x", lambda i=i: build(i))
+    gates[0].set()
+    assert first_done.wait(30)
+    assert shelf.get("x").building
+    gates[1].set()
+    shelf._builder.shutdown(wait=True)
+    assert not shelf.get("x").building
+    assert shelf.get("x").scene is scenes[1]
+    assert scenes[1].version > scenes[0].version
+
+
+def test_versions_of_a_name_never_come_again(running, tmp_path, clouds):
+    _, client, _ = running
+    scene = gpdf.build_scene(floor(3.0))
+    scene.version = 50
+    scene.save(clouds / "fifty.gpdf")
+    versions = [client.load_scene("v", "fifty.gpdf")["version"], client.load_scene("v", upload=floor(3.0))["version"]]
+    client.unload_scene("v")
+    versions.append(client.load_scene("v", upload=floor(4.0))["version"])
+    client.unload_scene("v")
+    assert versions[0] >= 50
+    assert versions == sorted(set(versions))
+
+
+def test_an_upload_that_made_room_is_refused_not_forgotten(tmp_path, monkeypatch):
+    from gpdf_service.service.scenes import Shelf
+
+    monkeypatch.setattr("gpdf_service.service.scenes.MAX_UPLOADS", 2)
+    shelf, points = Shelf(tmp_path), np.zeros((4, 3))
+    for upload in ("a", "b", "c"):
+        assert not shelf.add_part("x", upload, 0, 2, points, None)
+    with pytest.raises(ValueError, match="Send it again"):
+        shelf.add_part("x", "a", 1, 2, points, None)
+    with pytest.raises(ValueError, match="no points"):
+        shelf.add_part("x", "d", 0, 2, points[:0], None)
+    shelf.close()
+
+
+def floor(width):
+    x, y = np.meshgrid(np.arange(0, width, 0.05), np.arange(0, 3, 0.05))
+    return np.column_stack([x.ravel(), y.ravel(), np.zeros(x.size)])
+
+
+def test_waiting_counts_against_the_deadline(running, office, monkeypatch):
+    given = []
+    monkeypatch.setattr("gpdf_service.service.handlers.plan", lambda *_, deadline_s, **__: given.append(deadline_s))
+    request = encode(PlanRequest(scene="office", start=[1.0, 1.0], goal=[2.0, 2.0], deadline_s=10.0))
+    running[0].handlers.answer(keys.PLAN, request, time.monotonic() - 4.0)
+    assert len(given) == 1
+    assert 0 < given[0] <= 6.0
+
+
+def test_a_file_name_that_no_file_can_have_is_an_invalid_request(running):
+    with pytest.raises(InvalidRequestError, match="not in the scenes folder"):
+        running[1].load_scene("x", "y" * 300)
