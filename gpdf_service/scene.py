@@ -90,18 +90,20 @@ class ObstacleField:
         best = distance.argmin(axis=0)
         valid = np.isfinite(distance).any(axis=0)
         rows = np.arange(len(queries))
-        gradient = np.stack([a.gradient for a in answers])[best, rows]
-        return FieldSample(np.where(valid, distance[best, rows], 0.0), gradient * valid[:, None], valid)
+        gradient = np.stack([a.gradient for a in answers])[best, rows] * valid[:, None]
+        deviation = np.stack([a.deviation for a in answers])[best, rows]
+        return FieldSample(np.where(valid, distance[best, rows], 0.0), gradient, valid, deviation)
 
 
 def _gather(queries: FloatArray, parts: list[tuple[BoolArray, Gpdf, FloatArray]]) -> FieldSample:
-    distance, gradient = np.zeros(len(queries)), np.zeros_like(queries)
-    valid = np.zeros(len(queries), dtype=bool)
+    count = len(queries)
+    made = FieldSample(np.zeros(count), np.zeros_like(queries), np.zeros(count, dtype=bool), np.full(count, np.inf))
     for mask, field, asked in parts:
         if mask.any():
             sample = field.query(asked[mask])
-            distance[mask], gradient[mask], valid[mask] = sample.distance, sample.gradient, sample.valid
-    return FieldSample(distance, gradient, valid)
+            made.distance[mask], made.gradient[mask] = sample.distance, sample.gradient
+            made.valid[mask], made.deviation[mask] = sample.valid, sample.deviation
+    return made
 
 
 class Scene:

@@ -100,11 +100,14 @@ class FieldSample:
         distance: Distance to the nearest surface [m], shape (m,); where not `valid` it is 0, which never reads as free.
         gradient: Gradient of the distance, shape (m, dim); 0 where not `valid`.
         valid: Whether the data supports an answer there, shape (m,).
+        deviation: Standard deviation of the distance [m], shape (m,): the truth lies within two of them in at least
+            95 % of queries, from the noise left in the points and the gaps between them; inf where not `valid`.
     """
 
     distance: FloatArray
     gradient: FloatArray
     valid: BoolArray
+    deviation: FloatArray
 
 
 class DistanceField(Protocol):

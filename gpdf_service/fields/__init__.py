@@ -4,6 +4,7 @@ from gpdf_service.fields.gpdf import Domain as Domain
 from gpdf_service.fields.gpdf import Gpdf as Gpdf
 from gpdf_service.fields.gpdf import find_nearest as find_nearest
 from gpdf_service.fields.gpdf import fit_gpdf as fit_gpdf
+from gpdf_service.fields.order import morton as morton
 from gpdf_service.fields.spacing import estimate_spacing as estimate_spacing
 from gpdf_service.fields.spacing import thin as thin
 from gpdf_service.fields.traversal import FieldArrays as FieldArrays

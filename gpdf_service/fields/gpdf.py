@@ -1,7 +1,7 @@
 """Gaussian-process distance field with the squared exponential kernel and its reverting function.
 
 Occupancy ô(x) = k_xX (K_XX + σ² I)⁻¹ 1, distance d(x) = r(ô(x)) = √(−2 l² log ô(x)); Uttsha et al. 2024, equations 1, 2
-and 8. K is cut at `CUT_RADIUS` length scales, so it is sparse, and solved by conjugate gradients.
+and 8. K is cut at `CUT_RADIUS` length scales, so it is sparse.
 """
 
 from __future__ import annotations
@@ -10,20 +10,19 @@ from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.sparse import csr_matrix, identity
-from scipy.sparse.linalg import cg
-from scipy.spatial import cKDTree
 
 from gpdf_service.config import FieldConfig
 from gpdf_service.errors import FieldError
-from gpdf_service.fields.spacing import estimate_spacing, thin
+from gpdf_service.fields.order import spatial_order
+from gpdf_service.fields.solve import HALO, solve_all, solve_rows, within
+from gpdf_service.fields.spacing import estimate_spacing, local_spacing, thin
 from gpdf_service.fields.threads import run_chunked
-from gpdf_service.fields.traversal import CUT_RADIUS, FieldArrays, nearest_range, sample_range
-from gpdf_service.fields.tree import Tree, build_tree
+from gpdf_service.fields.traversal import FieldArrays, nearest_range, sample_range
+from gpdf_service.fields.tree import Tree, build_tree, change_tree
 from gpdf_service.types import BoolArray, FieldSample, FloatArray, IntArray
 
-_TOLERANCE = 1e-3
-"""Relative residual of the solve: the logarithm forgives errors in α; 1e-3 moves the distance by under 0.1 mm."""
+_CACHE = 100_000
+"""Points of a field that no longer fits a core's cache (about 4 MB): from here on it pays to sort the queries."""
 
 
 class Domain(Protocol):
@@ -49,14 +48,16 @@ class Box:
 
 
 class Gpdf:
-    """A fitted field; a `DistanceField` in 2D or 3D.
+    """A fitted field; a `DistanceField` in 2D or 3D. It never changes: `insert` and `remove` give another one.
 
     Attributes:
         tree: The points that it was fitted to, in a k-d tree [m].
         alpha: (K + σ² I)⁻¹ 1, in the tree's order, shape (n,).
+        gap: How far apart the points are around each one [m], shape (n,).
+        noise: Standard deviation of each point along the surface's normal [m], shape (n,).
         length_scale: l of the kernel [m].
         noise_variance: σ² of the occupancy [-].
-        spacing: Distance between neighbouring points [m].
+        spacing: Distance between neighbouring points that the field resolves [m].
         domain: Where the field answers.
     """
 
@@ -64,14 +65,17 @@ class Gpdf:
         self,
         tree: Tree,
         alpha: FloatArray,
+        gap: FloatArray,
+        noise: FloatArray,
         length_scale: float,
         noise_variance: float,
         spacing: float,
         domain: Domain | None = None,
     ) -> None:
-        self.tree, self.alpha = tree, alpha
+        self.tree, self.alpha, self.gap, self.noise = tree, alpha, gap, noise
         self.length_scale, self.noise_variance, self.spacing = length_scale, noise_variance, spacing
         self.domain: Domain = Box(tree.points) if domain is None else domain
+        self._gap2 = gap**2
 
     @property
     def points(self) -> FloatArray:
@@ -83,14 +87,15 @@ class Gpdf:
         """What a compiled loop needs for `traversal.sample_one`."""
         tree = self.tree
         return FieldArrays(
-            tree.points, self.alpha, tree.begin, tree.end, tree.low, tree.high, self.length_scale, self.spacing**2
+            tree.points, self.alpha, self._gap2, tree.begin, tree.end, tree.low, tree.high, self.length_scale
         )
 
     def query(self, queries: ArrayLike) -> FieldSample:
-        """Distance to the surface, its gradient and validity.
+        """Distance to the surface, its gradient, validity and standard deviation.
 
-        The distance lies between √(δ − s²) and √δ, where δ is the squared distance to the nearest point and s the
-        spacing: it never claims more room than there is to the nearest measured point.
+        The distance lies between √(δ − g²) and √δ, where δ is the squared distance to the nearest point and g the gap
+        around that point: it never claims more room than there is to the nearest measured point. The standard deviation
+        is that point's noise and half of what the bracket leaves open.
 
         Args:
             queries: Shape (m, dim) [m]. A row that is not finite is not valid.
@@ -99,16 +104,74 @@ class Gpdf:
             FieldError: the queries have another shape.
         """
         asked, finite = self._check(queries)
-        distance, gradient = np.zeros(len(asked)), np.zeros_like(asked)
+        count = len(asked)
+        distance, bracket, gradient = np.zeros(count), np.zeros(count), np.zeros_like(asked)
+        row = np.zeros(count, np.int64)
+        order = spatial_order(asked) if len(self.points) > _CACHE and count > 1 else np.arange(count)
         arrays = self.arrays
-        run_chunked(lambda a, b: sample_range(arrays, asked, a, b, distance, gradient), len(asked))
+        run_chunked(lambda a, b: sample_range(arrays, asked, order, a, b, distance, gradient, row, bracket), count)
         valid = finite & self.domain.contains(asked)
-        return FieldSample(np.where(valid, distance, 0.0), gradient * valid[:, None], valid)
+        deviation = np.where(valid, np.hypot(self.noise[row], 0.5 * bracket), np.inf)
+        return FieldSample(np.where(valid, distance, 0.0), gradient * valid[:, None], valid, deviation)
 
     def nearest(self, queries: ArrayLike) -> FloatArray:
         """Exact distance to the nearest fitted point [m], shape (m,); 0 for a row that is not finite."""
         asked, finite = self._check(queries)
         return np.where(finite, find_nearest(self.tree, asked)[0], 0.0)
+
+    def insert(self, points: ArrayLike, noise: float = 0.0) -> Gpdf:
+        """The field with `points`, shape (k, dim) [m], added: solved again only around them.
+
+        A point closer than half the spacing to one that is there adds nothing and is left out.
+
+        Raises:
+            FieldError: wrong shape or not finite.
+        """
+        data = _check_points(points, self.points.shape[1])
+        data = data[thin(data, 0.5 * self.spacing)]
+        data = data[find_nearest(self.tree, data)[0] >= 0.5 * self.spacing]
+        return self._changed(np.ones(len(self.points), dtype=bool), data, np.full(len(data), noise))
+
+    def remove(self, rows: ArrayLike) -> Gpdf:
+        """The field without some of its points: solved again only around them.
+
+        Args:
+            rows: Which of `points` to take out: a mask of shape (n,), or row numbers.
+
+        Raises:
+            FieldError: rows that are not there, or nothing would be left.
+        """
+        keep = np.ones(len(self.points), dtype=bool)
+        try:
+            keep[np.asarray(rows)] = False
+        except IndexError as error:
+            raise FieldError("remove", f"rows that are not there ({error})", "Name rows of `points`.") from error
+        if not keep.any():
+            raise FieldError("remove", "all points", "A field needs at least one point; drop the field instead.")
+        return self._changed(keep, np.zeros((0, self.points.shape[1])), np.zeros(0))
+
+    def _changed(self, keep: BoolArray, added: FloatArray, noise: FloatArray) -> Gpdf:
+        if keep.all() and len(added) == 0:
+            return self
+        reach = HALO * self.length_scale
+        gone = within(self.tree, np.flatnonzero(~keep), reach)  # rows of the old tree whose α feels the loss
+        tree, source = change_tree(self.tree, keep, added)
+        old = source >= 0
+        alpha, own = np.full(len(source), np.nan), np.zeros(len(source))
+        alpha[old], own[old] = self.alpha[source[old]], self.noise[source[old]]
+        own[~old] = noise[-1 - source[~old]]
+        felt = np.zeros(len(self.points), dtype=bool)
+        felt[gone] = True
+        touched = ~old
+        touched[old] |= felt[source[old]]
+        touched[within(tree, np.flatnonzero(~old), reach)] = True
+        rows = np.flatnonzero(touched)
+        if len(rows):
+            alpha[rows] = solve_rows(tree, rows, alpha, self.length_scale, self.noise_variance)
+        gap = np.empty(len(source))
+        gap[old] = self.gap[source[old]]
+        gap[rows] = local_spacing(tree, rows, self.spacing)
+        return Gpdf(tree, alpha, gap, own, self.length_scale, self.noise_variance, self.spacing, self.domain)
 
     def _check(self, queries: ArrayLike) -> tuple[FloatArray, BoolArray]:
         asked = np.array(queries, dtype=np.float64)
@@ -122,14 +185,16 @@ class Gpdf:
     def to_arrays(self) -> dict[str, NDArray[Any]]:
         """All that `from_arrays` needs, as arrays."""
         scalars = np.array([self.length_scale, self.noise_variance, self.spacing])
-        return {**self.tree._asdict(), "alpha": self.alpha, "scalars": scalars}
+        own = {"alpha": self.alpha, "gap": self.gap, "noise": self.noise}
+        return {**self.tree._asdict(), **own, "scalars": scalars}
 
     @classmethod
     def from_arrays(cls, arrays: dict[str, NDArray[Any]], domain: Domain | None = None) -> Gpdf:
         """Restore a field; nothing is fitted."""
         tree = Tree(*(arrays[key] for key in Tree._fields))
         length_scale, noise_variance, spacing = (float(value) for value in arrays["scalars"])
-        return cls(tree, arrays["alpha"], length_scale, noise_variance, spacing, domain)
+        own = arrays["alpha"], arrays["gap"], arrays["noise"]
+        return cls(tree, *own, length_scale, noise_variance, spacing, domain)
 
 
 def find_nearest(tree: Tree, queries: FloatArray) -> tuple[FloatArray, IntArray]:
@@ -142,6 +207,7 @@ def find_nearest(tree: Tree, queries: FloatArray) -> tuple[FloatArray, IntArray]
 def fit_gpdf(
     points: ArrayLike,
     *,
+    noise: ArrayLike = 0.0,
     config: FieldConfig | None = None,
     domain: Domain | None = None,
     spacing: float | None = None,
@@ -149,7 +215,8 @@ def fit_gpdf(
     """Fit a field to surface points.
 
     Args:
-        points: Shape (n, 2) or (n, 3), n ≥ 1 [m].
+        points: Shape (n, 2) or (n, 3), n ≥ 1 [m]. Noisy ones are cured first: `denoise`.
+        noise: Standard deviation of the points along the surface's normal [m], one number or shape (n,).
         config: Length scale factor and noise variance.
         domain: Where the field may answer; a box around the data when not given.
         spacing: Distance between points that the field resolves [m]; estimated when not given. Closer points are
@@ -159,33 +226,27 @@ def fit_gpdf(
         FieldError: wrong shape, not finite, or no points.
     """
     config = config or FieldConfig()
-    data = np.ascontiguousarray(points, dtype=np.float64)
-    if data.ndim != 2 or data.shape[1] not in (2, 3):
-        raise FieldError("fit", f"points of shape {data.shape}", "Pass an array of shape (n, 2) or (n, 3).")
+    data = _check_points(points, None)
     if len(data) == 0:
         raise FieldError("fit", "no points", "A field needs at least one point on a surface.")
-    if not np.isfinite(data).all():
-        raise FieldError("fit", "points that are not finite", "Remove NaN and infinite coordinates.")
     estimated = spacing is None
     spacing = estimate_spacing(data) if spacing is None else float(spacing)
-    data = data[thin(data, spacing * (0.5 if estimated else 0.95))]  # a grid of that spacing keeps all its points
+    rows = thin(data, spacing * (0.5 if estimated else 0.95))  # a grid of that spacing keeps all its points
     if spacing <= 0.0:
         spacing = 1e-3  # [m] a single place has no spacing; a millimetre is below what any scanner resolves
-    tree = build_tree(data)
+    tree = build_tree(data[rows])
     length_scale = config.length_scale_factor * spacing
-    alpha = _solve(tree.points, length_scale, config.noise_variance)
-    return Gpdf(tree, alpha, length_scale, config.noise_variance, spacing, domain)
+    alpha = solve_all(tree, length_scale, config.noise_variance)
+    gap = local_spacing(tree, np.arange(len(rows)), spacing)
+    own = np.broadcast_to(np.asarray(noise, dtype=np.float64), len(data))[rows][tree.order]
+    return Gpdf(tree, alpha, gap, own, length_scale, config.noise_variance, spacing, domain)
 
 
-def _solve(X: FloatArray, length_scale: float, noise_variance: float) -> FloatArray:
-    """α = (K + σ² I)⁻¹ 1 with K_ij = exp(−‖x_i − x_j‖² / 2l²), sparse."""
-    kdtree = cKDTree(X)
-    pairs = kdtree.query_pairs(CUT_RADIUS * length_scale, output_type="ndarray")
-    distance2 = ((X[pairs[:, 0]] - X[pairs[:, 1]]) ** 2).sum(axis=1)
-    n = len(X)
-    upper = csr_matrix((np.exp(-distance2 / (2 * length_scale**2)), (pairs[:, 0], pairs[:, 1])), shape=(n, n))
-    K = upper + upper.T + (1.0 + noise_variance) * identity(n, format="csr")
-    alpha, info = cg(K, np.ones(n), rtol=_TOLERANCE, maxiter=20 * int(np.sqrt(n)) + 200)
-    if info != 0 or not np.isfinite(alpha).all():
-        raise FieldError("fit", f"the solve did not converge ({info})", "Raise fields.noise_variance.")
-    return np.asarray(alpha, dtype=np.float64)
+def _check_points(points: ArrayLike, dim: int | None) -> FloatArray:
+    data = np.ascontiguousarray(points, dtype=np.float64)
+    if data.ndim != 2 or data.shape[1] not in ((2, 3) if dim is None else (dim,)):
+        shapes = "(n, 2) or (n, 3)" if dim is None else f"(n, {dim})"
+        raise FieldError("fit", f"points of shape {data.shape}", f"Pass an array of shape {shapes}.")
+    if not np.isfinite(data).all():
+        raise FieldError("fit", "points that are not finite", "Remove NaN and infinite coordinates.")
+    return data

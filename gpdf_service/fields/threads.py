@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
 from functools import lru_cache
 from itertools import pairwise
+from typing import TypeVar
 
+T = TypeVar("T")
 MIN_CHUNK = 256
 """Fewer queries than this finish sooner (about 1 ms) than a second thread wakes and returns."""
 
@@ -30,4 +32,15 @@ def run_chunked(kernel: Callable[[int, int], None], count: int) -> None:
         return
     bounds = [count * i // chunks for i in range(chunks + 1)]
     for future in [_pool().submit(kernel, a, b) for a, b in pairwise(bounds)]:
+        future.result()
+
+
+def run_parallel(work: Callable[[T], None], items: Iterable[T]) -> None:
+    """Call `work` for every item, on all cores; the first error is raised."""
+    items = list(items)
+    if len(items) < 2:
+        for item in items:
+            work(item)
+        return
+    for future in [_pool().submit(work, item) for item in items]:
         future.result()

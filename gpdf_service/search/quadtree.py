@@ -13,7 +13,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from gpdf_service.fields import Tree, nearest_one
+from gpdf_service.fields import Tree, morton, nearest_one
 from gpdf_service.perception import HeightMap
 from gpdf_service.types import BoolArray, FloatArray, IntArray
 
@@ -68,14 +68,6 @@ class Quadtree:
         inside = np.logical_and.reduce((cell >= 0) & (cell < side), axis=1)
         code = morton(np.where(inside[:, None], cell, 0))
         return np.where(inside, np.searchsorted(self.code, code, side="right") - 1, -1)
-
-
-def morton(cell: IntArray) -> IntArray:
-    """Interleave the bits of x and y, shape (m, 2) → (m,): cells of one quadtree node are one range."""
-    spread = np.zeros(cell.shape, np.int64)
-    for bit in range(30):
-        spread |= ((cell >> bit) & 1) << (2 * bit)
-    return spread[:, 0] << 1 | spread[:, 1]
 
 
 def build_quadtree(surface: HeightMap, obstacles: Tree, radius: float) -> Quadtree:

@@ -129,7 +129,7 @@ def test_point_order_and_rigid_motion_change_nothing(rng):
 
 
 def test_a_restored_field_answers_the_same_without_a_fit(floor, rng, monkeypatch):
-    monkeypatch.setattr("gpdf_service.fields.gpdf._solve", None)
+    monkeypatch.setattr("gpdf_service.fields.gpdf.solve_all", None)
     back = Gpdf.from_arrays(floor.to_arrays(), Box(floor.points))
     queries = over(rng, 0, 2, 50)
     np.testing.assert_array_equal(back.query(queries).distance, floor.query(queries).distance)
