@@ -1,5 +1,8 @@
 """Gaussian-process distance fields: distance and gradient for the price of a nearest-neighbour query."""
 
+from gpdf_service.fields.denoise import Cured as Cured
+from gpdf_service.fields.denoise import denoise as denoise
+from gpdf_service.fields.denoise import estimate_noise as estimate_noise
 from gpdf_service.fields.gpdf import Domain as Domain
 from gpdf_service.fields.gpdf import Gpdf as Gpdf
 from gpdf_service.fields.gpdf import find_nearest as find_nearest

@@ -142,8 +142,9 @@ class Gpdf:
             FieldError: rows that are not there, or nothing would be left.
         """
         keep = np.ones(len(self.points), dtype=bool)
+        chosen = np.asarray(rows)
         try:
-            keep[np.asarray(rows)] = False
+            keep[chosen if chosen.size else slice(0)] = False
         except IndexError as error:
             raise FieldError("remove", f"rows that are not there ({error})", "Name rows of `points`.") from error
         if not keep.any():

@@ -135,11 +135,12 @@ def decay(t: float) -> float:
 
 @njit(cache=True, nogil=True)
 def sample(field: FieldArrays, x: Place, scratch: Scratch, gradient: FloatArray) -> tuple[float, int, float]:
-    """Distance at one place, the row of the nearest point, and how far down the bracket reaches [m].
+    """Distance at one place, the row of the nearest point, and how much less the distance may be [m].
 
     Writes the gradient, shape (dim,). The bracket: never more room than to the nearest point, √δ; never less than
     √(δ − gap²), the least that a surface through points no further apart than the gap allows. Where the sums say
-    nothing (S ≤ 0, or more room than to the nearest point) that point gives the direction.
+    nothing (S ≤ 0, or more room than to the nearest point) that point gives the direction: an edge, whose true place
+    may be a gap beyond that point.
     """
     delta, row, total, moment = walk(field, x, scratch)
     distance2 = delta - 2.0 * field.length_scale * field.length_scale * log(total) if total > 0.0 else delta
@@ -153,7 +154,7 @@ def sample(field: FieldArrays, x: Place, scratch: Scratch, gradient: FloatArray)
     norm = max(distance, sqrt(norm))
     for k in range(len(gradient)):
         gradient[k] = gradient[k] / norm if norm > 0.0 else 0.0
-    return distance, row, sqrt(delta) - sqrt(floor2)
+    return distance, row, sqrt(delta) - sqrt(floor2) if inside else min(distance, sqrt(field.gap2[row]))
 
 
 @njit(cache=True, nogil=True)

@@ -5,6 +5,7 @@ from scipy.spatial import cKDTree
 from gpdf_service.errors import FieldError
 from gpdf_service.fields import Gpdf, build_tree, estimate_spacing, find_nearest, fit_gpdf, thin
 from gpdf_service.fields.gpdf import Box
+from gpdf_service.fields.solve import solve_all
 from gpdf_service.fields.threads import MIN_CHUNK
 
 
@@ -172,3 +173,78 @@ def test_thinning_keeps_real_points_one_a_cell(rng):
 def test_spacing_of_a_grid_is_its_step():
     grid = np.stack(np.meshgrid(np.arange(60) * 0.1, np.arange(60) * 0.1), axis=-1).reshape(-1, 2)
     assert estimate_spacing(grid) == pytest.approx(0.1, rel=0.2)
+
+
+@pytest.fixture(scope="module")
+def room(rng):
+    grid = np.stack(np.meshgrid(np.arange(0, 5, 0.04), np.arange(0, 5, 0.04)), axis=-1).reshape(-1, 2)
+    return fit_gpdf(np.column_stack([grid, rng.normal(size=len(grid)) * 0.002]), spacing=0.04)
+
+
+def from_scratch(field):
+    """The same points, all solved together."""
+    tree = build_tree(np.ascontiguousarray(field.points))
+    alpha = solve_all(tree, field.length_scale, field.noise_variance)
+    constants = field.length_scale, field.noise_variance, field.spacing, field.domain
+    return Gpdf(tree, alpha, field.gap[tree.order], field.noise[tree.order], *constants)
+
+
+def test_insert_and_remove_equal_a_fit_from_scratch(room, rng):
+    box = rng.uniform(0, 0.6, (600, 3)) + np.array([2, 2, 0])
+    queries = np.column_stack([rng.uniform(0, 5, (4000, 2)), rng.uniform(0, 2, 4000)])
+    inserted = room.insert(box)
+    assert len(room.points) < len(inserted.points) <= len(room.points) + 600
+    under = np.flatnonzero((np.abs(inserted.points[:, :2] - 2.3) < 0.3).all(axis=1) & (inserted.points[:, 2] < 0.01))
+    removed = inserted.remove(under)
+    assert len(removed.points) == len(inserted.points) - len(under)
+    for field in (inserted, removed):
+        scratch = from_scratch(field)
+        np.testing.assert_allclose(field.query(queries).distance, scratch.query(queries).distance, atol=1e-3)
+        np.testing.assert_allclose(field.nearest(queries), cKDTree(field.points).query(queries)[0], atol=1e-12)
+    assert np.abs(inserted.query(queries).distance - room.query(queries).distance).max() > 0.3  # it did change
+
+
+def test_inserting_and_removing_again_gives_the_field_back(room, rng):
+    box = rng.uniform(0, 0.5, (300, 3)) + np.array([1, 3, 0.2])
+    inserted = room.insert(box)
+    old = {tuple(point) for point in room.points}
+    back = inserted.remove([i for i, point in enumerate(inserted.points) if tuple(point) not in old])
+    queries = rng.uniform(0, 5, (2000, 3))
+    np.testing.assert_allclose(back.query(queries).distance, room.query(queries).distance, atol=1e-3)
+
+
+def test_points_that_say_nothing_new_leave_the_field_as_it_is(room):
+    assert room.insert(room.points[:50] + 1e-3) is room
+    assert room.remove([]) is room
+
+
+def test_many_points_in_one_leaf_build_the_tree_again(room, rng):
+    field = fit_gpdf(rng.uniform(0, 1, (40, 3)), spacing=0.01).insert(rng.uniform(0, 1, (5000, 3)))
+    queries = rng.uniform(-0.5, 1.5, (500, 3))
+    np.testing.assert_allclose(field.nearest(queries), cKDTree(field.points).query(queries)[0], atol=1e-12)
+
+
+def test_all_points_cannot_be_removed(room):
+    with pytest.raises(FieldError, match="at least one point"):
+        room.remove(np.arange(len(room.points)))
+    with pytest.raises(FieldError, match="rows"):
+        room.remove([10**9])
+
+
+def test_pieces_and_their_halos_equal_one_solve(room, monkeypatch):
+    monkeypatch.setattr("gpdf_service.fields.solve.PIECE", 1500)
+    pieces = from_scratch(room)
+    assert len(room.points) > 10 * 1500
+    rng = np.random.default_rng(5)
+    queries = np.column_stack([rng.uniform(0, 5, (3000, 2)), rng.uniform(0, 1, 3000)])
+    np.testing.assert_allclose(pieces.query(queries).distance, room.query(queries).distance, atol=5e-4)
+
+
+def test_a_field_takes_less_than_200_bytes_a_point(room):
+    assert sum(np.asarray(array).nbytes for array in room.to_arrays().values()) < 200 * len(room.points)
+
+
+def test_where_nothing_is_valid_the_deviation_is_endless(floor):
+    sample = floor.query([[1e4, 0, 0], [3.0, 3.0, 1.0]])
+    assert np.isinf(sample.deviation[0])
+    assert 0 < sample.deviation[1] < floor.spacing

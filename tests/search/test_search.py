@@ -3,8 +3,8 @@ import pytest
 from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import dijkstra
 
+from gpdf_service.fields import morton
 from gpdf_service.search import find_path, is_clear
-from gpdf_service.search.quadtree import morton
 
 
 @pytest.fixture(scope="module")
