@@ -18,7 +18,8 @@ ALLOWED = {
     "search": BASE | {"fields", "perception"},
     "planning": BASE | {"fields", "perception", "search"},
     "scene": BASE | {"fields", "perception", "search", "store"},
-    "pipeline": BASE | {"fields", "perception", "planning", "scene"},
+    "baselines": BASE | {"fields", "perception", "search", "planning", "scene"},
+    "pipeline": BASE | {"baselines", "fields", "perception", "planning", "scene"},
 }
 WIRE = {"zenoh", "msgpack", "msgspec", "mcap", "gpdf_schemas", "gpdf_client"}
 LIGHT = {"zenoh", "msgpack", "msgspec", "numpy", "gpdf_schemas", "gpdf_client"}
