@@ -71,8 +71,8 @@ def plan(
         start: (x, y), or (x, y, z of the ground there) [m].
         goal: The same.
         agent: A name in `AGENTS`, or an `Agent`.
-        method: "dual_gpdf", the paper's method with a certificate, or one of its baselines: "single_gpdf", "astar", "prm".
-            A baseline's path that cannot be certified comes back with UNCERTIFIED, for comparison only.
+        method: "dual_gpdf", the paper's method with a certificate, or one of its baselines, "single_gpdf", "astar" and
+            "prm"; a baseline's path that cannot be certified comes back as UNCERTIFIED, for comparison only.
         deadline_s: Seconds that the answer may take; none when not given.
         clock: Monotonic seconds, for tests.
 

@@ -1,8 +1,8 @@
 """The flat world that the paper's planar baselines see: obstacle points within the body's height, projected.
 
-Uttsha et al. 2024, "Benchmarks": no steps, no slopes, one plane "that crosses the start location at the maximum height of
-the system". Two things are done better than that, so that the comparison is fair: the body's radius is kept, and ground
-that nobody has seen is not free.
+Uttsha et al. 2024, "Benchmarks": no steps, no slopes, one plane "that crosses the start location at the maximum height
+of the system". Two things are done better than that, so that the comparison is fair: the body's radius is kept, and
+ground that nobody has seen is not free.
 """
 
 from __future__ import annotations

@@ -39,7 +39,7 @@ def build_occupancy(world: FlatWorld) -> Occupancy:
     """Mark the cells that hold obstacle points, and inflate them: a place anywhere in a free cell is free."""
     size = world.surface.cell_width * np.array(world.surface.height.shape)
     cell = max(CELL, sqrt(float(size.prod()) / MAX_CELLS))
-    shape = np.maximum(1, np.ceil(size / cell).astype(np.int64))
+    shape = tuple(int(n) for n in np.maximum(1, np.ceil(size / cell)))
     grid = Occupancy(world.surface.origin, cell, np.ones(shape, dtype=bool))
     inside = ((world.points >= grid.origin) & (world.points <= grid.origin + size)).all(axis=1)
     empty = np.ones(shape, dtype=bool)

@@ -9,7 +9,7 @@ import numpy as np
 from gpdf_service.types import FloatArray
 
 MotionTest = Callable[[FloatArray, FloatArray], bool]
-"""Whether the straight way between two places in plan, shape (2,) [m], is valid; both the same: whether the place is."""
+"""Whether the line between two places in plan, shape (2,) [m], is valid; twice the same: whether the place is."""
 
 
 def sample_path(
