@@ -45,7 +45,7 @@ def build_occupancy(world: FlatWorld) -> Occupancy:
     empty = np.ones(shape, dtype=bool)
     empty[tuple(grid.cell_of(world.points[inside]).T)] = False
     room = ndimage.distance_transform_edt(empty) * cell if not empty.all() else np.full(shape, np.inf)
-    centres = grid.origin + (np.stack(np.indices(shape), axis=-1).reshape(-1, 2) + 0.5) * cell
+    centres = grid.origin + (np.moveaxis(np.indices(shape), 0, -1).reshape(-1, 2) + 0.5) * cell
     seen = world.surface.contains(centres).reshape(shape)
     return Occupancy(grid.origin, cell, seen & (room >= world.radius + sqrt(2.0) * cell))
 

@@ -75,7 +75,7 @@ class BruteForce:
         self.component = self._components()
 
     def solves(self, start: FloatArray, goal: FloatArray) -> bool:
-        """Whether the body gets from start to goal, (x, y) or (x, y, z of the ground), with the extra room everywhere."""
+        """Whether the body gets from start to goal, (x, y) or (x, y, z of the ground), with the extra room."""
         a, b = self._component_at(start), self._component_at(goal)
         return a >= 0 and a == b
 
