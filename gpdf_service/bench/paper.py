@@ -59,7 +59,7 @@ def run(args: argparse.Namespace) -> int:
             brute = BruteForce(points, truth, AGENTS[agent], args.noise)
             pairs = brute.random_pairs(args.queries, rng)
             solvable = np.array([brute.solves(*pair) for pair in pairs])
-            for method in args.method or METHODS:
+            for method in METHODS if args.method is None else args.method:
                 row = _measure(scene, judge, AGENTS[agent], method, pairs, solvable, label=f"{name} {agent} {method}")
                 rows.append({"scene": name, "agent": agent, "method": method, "noise_m": args.noise, **row})
         if args.png:

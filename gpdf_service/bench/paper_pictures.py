@@ -1,4 +1,4 @@
-"""The paper's Figures 4 to 8 on our scenes: the paths of the four methods, and of the four bodies, in 3D and from above."""
+"""The paper's Figures 4 to 8 on our scenes: the paths of the four methods, and of the four bodies."""
 
 from __future__ import annotations
 
@@ -12,13 +12,18 @@ from matplotlib.figure import Figure
 from scipy.spatial import cKDTree
 
 from gpdf_service.bench.brute import BruteForce
-from gpdf_service.bench.paper_tables import METHODS, TITLES
-from gpdf_service.pipeline import plan
+from gpdf_service.bench.paper_tables import TITLES
+from gpdf_service.pipeline import Method, plan
 from gpdf_service.scene import Scene
 from gpdf_service.synthetic import SCENES
 from gpdf_service.types import AGENTS, BoolArray, FloatArray, PlanResult, Status, Trajectory
 
-METHOD_COLOURS = {"prm": "#0072B2", "astar": "#56B4E9", "single_gpdf": "#D55E00", "dual_gpdf": "#009E73"}
+METHOD_COLOURS: dict[Method, str] = {
+    "prm": "#0072B2",
+    "astar": "#56B4E9",
+    "single_gpdf": "#D55E00",
+    "dual_gpdf": "#009E73",
+}
 """The paper's blue, cyan, red and green, as the colour-blind can tell them apart."""
 AGENT_COLOURS = {"roomba": "#D55E00", "spot": "#E69F00", "pepper": "#0072B2", "human": "#009E73"}
 """The paper's red, yellow, blue and green."""
@@ -30,6 +35,10 @@ FIGURES = {
     "cow_and_lady": "Fig. 7, Cow and lady",
 }
 AGENT_FIGURES = {"cluttered_office": "Fig. 8, Office 10"}
+PLACES = {"office": ((1.6, 2.65), (5.55, 2.2))}
+"""Starts and goals of the paper's figures where they differ from the scene's: in Fig. 4 the goal is on the step."""
+WALL = 0.1
+"""[m] What is this close to the near sides is left out of the 3D view, as in the paper's Fig. 4."""
 CEILING = 2.2
 """[m] What is higher over the ground is not drawn: one looks in from above."""
 CLOUD_POINTS = 25_000
@@ -53,7 +62,7 @@ def draw_scene_pictures(
     """
     folder.mkdir(parents=True, exist_ok=True)
     start, goal = _places(name, points, ground, seed)
-    methods = {method: plan(scene, start, goal, "human", method=method) for method in METHODS}
+    methods = {method: plan(scene, start, goal, "human", method=method) for method in METHOD_COLOURS}
     agents = {agent: plan(scene, start, goal, agent) for agent in AGENT_COLOURS}
     made = [folder / f"{name}_methods.png", folder / f"{name}_bodies.png"]
     shown, heights = _shown(points, ground)
@@ -66,33 +75,45 @@ def draw(
     path: Path,
     points: FloatArray,
     heights: FloatArray,
-    results: Mapping[str, PlanResult],
-    colours: Mapping[str, str],
+    results: Mapping[Any, PlanResult],
+    colours: Mapping[Any, str],
     title: str,
 ) -> None:
-    """Draw paths over a cloud: from the side, and from above, dashed where they are not certified."""
-    figure = Figure(figsize=(17, 8), layout="constrained")
+    """Draw paths over a cloud: in 3D, from above, and along each path; dashed where they are not certified."""
+    figure = Figure(figsize=(17, 9), layout="constrained")
     figure.suptitle(title)
-    solid: Any = figure.add_subplot(1, 2, 1, projection="3d")
-    above: Any = figure.add_subplot(1, 2, 2)
-    style = {"c": heights, "cmap": "Greys", "vmin": -1.5, "vmax": 2.5, "linewidths": 0}
-    solid.scatter(*points.T, s=2, alpha=0.35, **style)
+    grid = figure.add_gridspec(2, 2, height_ratios=(3, 1), width_ratios=(4, 3))
+    solid: Any = figure.add_subplot(grid[:, 0], projection="3d")
+    above: Any = figure.add_subplot(grid[0, 1])
+    beside: Any = figure.add_subplot(grid[1, 1])
+    style = {"c": heights, "cmap": "Greys", "vmin": -2.5, "vmax": 2.5, "linewidths": 0}
+    far = (points[:, 1] > points[:, 1].min() + WALL) & (points[:, 0] < points[:, 0].max() - WALL)
+    solid.scatter(*points[far].T, s=4, alpha=0.4, **{**style, "c": heights[far]})
     above.scatter(*points[:, :2].T, s=2, alpha=0.5, **style)
     for name, result in results.items():
-        line = {"color": colours[name], "label": _label(name, result), "lw": 2.5, "zorder": 10}
+        line = {"color": colours[name], "label": _label(name, result), "lw": 2.2, "zorder": 10}
         line["ls"] = "-" if result.status is Status.OK else "--"
         tops = np.full((1, 3), np.nan) if result.trajectory is None else result.trajectory.positions
         solid.plot(*tops.T, **line)
         above.plot(*tops[:, :2].T, **line)
         if result.trajectory is not None:
             _stand(solid, result.trajectory, colours[name])
+            _profile(beside, result.trajectory, line)
     low, high = points.min(axis=0), points.max(axis=0)
     solid.set(xlabel="x [m]", ylabel="y [m]", zlabel="z [m]", xlim=(low[0], high[0]), ylim=(low[1], high[1]))
-    solid.set_box_aspect(np.maximum(high - low, 2.5))
+    solid.set_box_aspect(np.maximum(high - low, 2.5), zoom=1.1)
     solid.view_init(elev=38, azim=-65)
     above.set(xlabel="x [m]", ylabel="y [m]", aspect="equal", title="from above")
-    above.legend(loc="upper center", bbox_to_anchor=(0.5, -0.08), ncols=2, fontsize=9)
+    beside.set(xlabel="along the path [m]", ylabel="z [m]", title="the body's top, and dotted the ground under it")
+    figure.legend(*above.get_legend_handles_labels(), loc="outside lower center", ncols=2, fontsize=9)
     FigureCanvasAgg(figure).print_png(str(path))  # type: ignore[no-untyped-call]
+
+
+def _profile(axes: Any, trajectory: Trajectory, line: dict[str, Any]) -> None:  # noqa: ANN401
+    steps = np.linalg.norm(np.diff(trajectory.positions[:, :2], axis=0), axis=1)
+    along = np.concatenate([[0.0], np.cumsum(steps)])
+    axes.plot(along, trajectory.positions[:, 2], **line)
+    axes.plot(along, trajectory.ground[:, 2], color=line["color"], ls=":", lw=1.2)
 
 
 def _stand(axes: Any, trajectory: Trajectory, colour: str) -> None:  # noqa: ANN401
@@ -111,16 +132,16 @@ def _label(name: str, result: PlanResult) -> str:
 
 def _places(name: str, points: FloatArray, ground: BoolArray, seed: int) -> tuple[FloatArray, FloatArray]:
     """The scene's own start and goal; else, of random pairs that the human can walk, the furthest apart."""
+    if name in PLACES:
+        return np.array(PLACES[name][0]), np.array(PLACES[name][1])
     if name in SCENES:
         made = SCENES[name](np.random.default_rng(0))
         return np.array(made.start), np.array(made.goal)
     brute = BruteForce(points, ground, AGENTS["human"])
-    pairs = [pair for pair in brute.random_pairs(PAIRS, np.random.default_rng(seed)) if brute.solves(*pair)]
-    longest = max(
-        pairs or [brute.random_pairs(1, np.random.default_rng(seed))[0]],
-        key=lambda p: np.linalg.norm(np.ptp(p, axis=0)),
-    )
-    return longest[0], longest[1]
+    pairs = brute.random_pairs(PAIRS, np.random.default_rng(seed))
+    length = [brute.solves(*pair) * np.linalg.norm(pair[1] - pair[0]) for pair in pairs]
+    start, goal = pairs[int(np.argmax(length))]
+    return start, goal
 
 
 def _shown(points: FloatArray, ground: BoolArray) -> tuple[FloatArray, FloatArray]:

@@ -5,8 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from gpdf_service.bench.report import Row
+from gpdf_service.pipeline import Method
 
-METHODS = ("prm", "astar", "single_gpdf", "dual_gpdf")
+METHODS: tuple[Method, ...] = ("prm", "astar", "single_gpdf", "dual_gpdf")
 """In the order of the paper's columns."""
 TITLES = {"prm": "PRM", "astar": "A*", "single_gpdf": "CHOMP, one GPDF", "dual_gpdf": "ours"}
 DATASETS = {
@@ -59,7 +60,7 @@ def to_markdown(rows: Sequence[Row], noise: float) -> str:
     """Three tables, each cell `ours (paper's)`, once by waypoints and once strictly; then what was answered."""
     lines = [
         f"Input with {100 * noise:.0f} cm of noise, judged against the clean cloud. Rates are of the queries that a",
-        "brute-force search on the true geometry solves; a refusal counts as a failure. In brackets what the paper prints.",
+        "brute-force search on the true geometry solves; a refusal counts as a failure. In brackets, the paper's.",
     ]
     for title, key, printed, form in TABLES:
         for how, words in JUDGED.items():
