@@ -27,7 +27,7 @@ class FlatWorld:
 
     Attributes:
         surface: Where ground is known; its height is not looked at.
-        points: Obstacle points in plan [m], shape (n, 2).
+        points: Obstacle points, and the rim of the known ground, in plan [m], shape (n, 2).
         tree: The same, for exact distances.
         radius: Kept from every one of them by the body's centre [m].
         start: In plan [m], shape (2,).
@@ -43,9 +43,10 @@ class FlatWorld:
 
 
 def flatten_world(space: FreeSpace, start: Endpoint, goal: Endpoint) -> FlatWorld:
-    """Project the level of the start; of what stops the body, only material is seen."""
+    """Project the level of the start; of what stops the body, steps and slopes are not seen."""
     obstacles = space.obstacles[start.level]
-    points = np.ascontiguousarray(obstacles.points[obstacles.kind == ObstacleKind.MATERIAL, :2])
+    seen = (obstacles.kind == ObstacleKind.MATERIAL) | (obstacles.kind == ObstacleKind.UNKNOWN)
+    points = np.ascontiguousarray(obstacles.points[seen, :2])
     if len(points) == 0:
         points = np.full((1, 2), FAR)
     return FlatWorld(space.surfaces[start.level], points, build_tree(points), space.radius, start.xy, goal.xy)

@@ -61,14 +61,18 @@ def plan_baseline(
         return PlanResult(Status.NO_VALID_PATH, f"{method} plans in one plane, and the goal is on another storey.")
     world = flatten_world(space, a, b)
     seconds = SECONDS if deadline is None else min(SECONDS, deadline - clock())
-    path = find_prm_path(world, max(seconds, 0.0)) if method == "prm" else find_astar_path(world)
+    stands = np.array_equal(world.start, world.goal)
+    if stands:
+        path: FloatArray | None = np.array([world.start, world.goal])
+    else:
+        path = find_prm_path(world, max(seconds, 0.0)) if method == "prm" else find_astar_path(world)
     if deadline is not None and clock() > deadline:
         return PlanResult(Status.TIMEOUT, f"the deadline passed while {method} searched. Allow more time.")
     if path is None:
         words = f"{method} found no way for the {agent.name} between these places. Try method dual_gpdf."
         return PlanResult(Status.NO_VALID_PATH, words, timings={"total": clock() - began})
     top = _lift(scene, space, a, path)
-    if method == "single_gpdf" and not np.array_equal(world.start, world.goal):
+    if method == "single_gpdf" and not stands:
         spacing = max(scene.config.planning.waypoint_spacing, agent.radius / 4)
         top = optimize_in_one_field(resample(top, spacing), scene.whole_field, agent.radius, scene.config.planning)
     result = _certified(space, a.level, subdivide(_distinct(top), scene.config.planning.waypoint_spacing), method)

@@ -26,7 +26,7 @@ def optimize_in_one_field(xi: FloatArray, field: DistanceField, radius: float, c
     """
     spacing = float(np.linalg.norm(np.diff(xi, axis=0), axis=1).mean())
     epsilon = config.preferred_clearance * radius
-    cost, gradient = _cost(xi, spacing, field, radius, epsilon, config.smoothness_weight)
+    cost, gradient = cost_in_one_field(xi, spacing, field, radius, epsilon, config.smoothness_weight)
     rate = 0.1 * spacing / config.smoothness_weight  # well below the step that solves the smoothness term alone
     for _ in range(config.max_iterations):
         step = solve_metric(gradient)
@@ -35,7 +35,7 @@ def optimize_in_one_field(xi: FloatArray, field: DistanceField, radius: float, c
             break
         rate = min(rate, 0.5 * epsilon / largest)
         trial = xi - rate * step
-        trial_cost, trial_gradient = _cost(trial, spacing, field, radius, epsilon, config.smoothness_weight)
+        trial_cost, trial_gradient = cost_in_one_field(trial, spacing, field, radius, epsilon, config.smoothness_weight)
         if trial_cost > cost:
             rate *= 0.5
             continue
@@ -46,9 +46,10 @@ def optimize_in_one_field(xi: FloatArray, field: DistanceField, radius: float, c
     return xi
 
 
-def _cost(
+def cost_in_one_field(
     xi: FloatArray, spacing: float, field: DistanceField, radius: float, epsilon: float, smoothness_weight: float
 ) -> CostAndGradient:
+    """Cost of waypoints, and its gradient with zero rows at the ends: CHOMP's, the part of ∇c across the way."""
     steps = np.diff(xi, axis=0)
     gradient = np.zeros_like(xi)
     gradient[1:-1] = smoothness_weight * (steps[:-1] - steps[1:]) / spacing

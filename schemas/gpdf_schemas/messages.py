@@ -141,8 +141,8 @@ class PlanReply(Reply, frozen=True, kw_only=True):
     """Answer to a `PlanRequest`.
 
     Attributes:
-        trajectory: There when `status` is OK. A baseline that was asked for by name also sends a path that is UNCERTIFIED,
-            to be measured and drawn: follow a trajectory only if `status` is OK.
+        trajectory: There when `status` is OK. A baseline that was asked for by name also sends a path that is
+            UNCERTIFIED, to be measured and drawn: follow a trajectory only if `status` is OK.
         certificate: There when the trajectory is.
         details: Numbers for the curious, by name.
     """
