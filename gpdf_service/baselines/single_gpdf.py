@@ -49,7 +49,7 @@ def optimize_in_one_field(xi: FloatArray, field: DistanceField, radius: float, c
 def cost_in_one_field(
     xi: FloatArray, spacing: float, field: DistanceField, radius: float, epsilon: float, smoothness_weight: float
 ) -> CostAndGradient:
-    """Cost of waypoints, and its gradient with zero rows at the ends: CHOMP's, the part of ∇c across the way."""
+    """Cost of waypoints, and its gradient with zero rows at the ends; ‖ẋ‖ ds is half the way between the neighbours."""
     steps = np.diff(xi, axis=0)
     gradient = np.zeros_like(xi)
     gradient[1:-1] = smoothness_weight * (steps[:-1] - steps[1:]) / spacing
@@ -61,7 +61,8 @@ def cost_in_one_field(
     rate = np.where(room < 0.0, -1.0, -near / epsilon)
     along = 0.5 * (xi[2:] - xi[:-2])
     speed = np.linalg.norm(along, axis=1)
-    tangent = along / np.maximum(speed, 1e-9)[:, None]
-    across = sample.gradient - (sample.gradient * tangent).sum(axis=1, keepdims=True) * tangent
-    gradient[1:-1] += (rate * spacing)[:, None] * across
+    pull = (0.5 * obstacle / np.maximum(speed, 1e-9))[:, None] * along
+    gradient[1:-1] += (rate * speed)[:, None] * sample.gradient
+    gradient[2:-1] += pull[:-1]
+    gradient[1:-2] -= pull[1:]
     return smooth + float((obstacle * speed).sum()), gradient
