@@ -10,11 +10,11 @@ from typing import Literal
 import numpy as np
 
 from gpdf_service.baselines.astar import find_astar_path
-from gpdf_service.baselines.flat import flatten_world
+from gpdf_service.baselines.flat import find_end, flatten_world
 from gpdf_service.baselines.prm import SECONDS, find_prm_path
 from gpdf_service.baselines.single_gpdf import optimize_in_one_field
 from gpdf_service.planning.certificate import HEIGHT_SHARE, certify
-from gpdf_service.planning.endpoints import Endpoint, Refusal, find_endpoint
+from gpdf_service.planning.endpoints import Endpoint, Refusal
 from gpdf_service.planning.shape import resample, subdivide
 from gpdf_service.planning.timing import time_path
 from gpdf_service.scene import Scene
@@ -52,7 +52,7 @@ def plan_baseline(
     """
     began = clock()
     space = scene.free_space(agent)
-    ends = find_endpoint(space, start, "start"), find_endpoint(space, goal, "goal")
+    ends = find_end(space, start, "start"), find_end(space, goal, "goal")
     for end in ends:
         if isinstance(end, Refusal):
             return PlanResult(end.status, end.message, timings={"total": clock() - began})
@@ -108,10 +108,12 @@ def _certified(space: FreeSpace, level: int, top: FloatArray, method: Baseline) 
 
 
 def _with_height(certificate: Certificate, top: FloatArray, contact: FloatArray, agent: Agent) -> Certificate:
-    """Make the certificate also ask for the body's height, which a plane or a flight over a table does not keep."""
-    off = certificate.max_height_deviation
-    if not np.isfinite(off):  # the ground is not known everywhere below: what the path itself claims
-        off = float(np.abs(top[:, 2] - contact[:, 2] - agent.height).max())
+    """Make the certificate also ask for the body's height, which a plane or a flight over a table does not keep.
+
+    Upright over the contact, so that a path on the floor beside a platform is not blamed for the platform's nearness.
+    """
+    off = float(np.abs(top[:, 2] - contact[:, 2] - agent.height).max())
+    if not np.isfinite(certificate.max_height_deviation):  # the ground is not known everywhere below
         certificate = dataclasses.replace(certificate, max_height_deviation=off)
     if certificate.holds and off > HEIGHT_SHARE * agent.height:
         reason = f"the body's top is {off:.2f} m off its height"

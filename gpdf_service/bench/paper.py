@@ -63,9 +63,12 @@ def run(args: argparse.Namespace) -> int:
                 row = _measure(scene, judge, AGENTS[agent], method, pairs, solvable, label=f"{name} {agent} {method}")
                 rows.append({"scene": name, "agent": agent, "method": method, "noise_m": args.noise, **row})
         if args.png:
-            from gpdf_service.bench.paper_pictures import draw_scene_pictures
+            from gpdf_service.bench.paper_pictures import draw_refused, draw_scene_pictures
 
             draw_scene_pictures(name, scene, points, truth, args.png, args.seed)
+            for row in rows:
+                if row["scene"] == name and row["method"] == "dual_gpdf" and row["refused"]:
+                    draw_refused(args.png / f"{name}_{row['agent']}_refused.png", points, truth, row)
     _write(args, rows)
     return 0 if all(row["collisions_in_ok"] == 0 for row in rows) else 1
 
@@ -119,6 +122,12 @@ def _measure(
         "answered": sum(answer.strict is not None for answer in answers),
         "ok": int(ok.sum()),
         "ok_of_solvable": int((ok & solvable).sum()),
+        "refused": [
+            {"start": start.tolist(), "goal": goal.tolist(), "status": answer.result.status.value}
+            | {"message": answer.result.message}
+            for answer, (start, goal), can in zip(answers, pairs, solvable, strict=True)
+            if can and answer.result.status is not Status.OK
+        ],
         "statuses": dict(Counter(answer.result.status.value for answer in answers)),
         "collisions_in_ok": sum(not verdict.collision_free for verdict in strict),
         "infeasible_in_ok": sum(not verdict.feasible for verdict in strict),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
+from textwrap import fill
 from typing import Any
 
 import numpy as np
@@ -13,6 +14,7 @@ from scipy.spatial import cKDTree
 
 from gpdf_service.bench.brute import BruteForce
 from gpdf_service.bench.paper_tables import TITLES
+from gpdf_service.bench.report import Row
 from gpdf_service.pipeline import Method, plan
 from gpdf_service.scene import Scene
 from gpdf_service.synthetic import SCENES
@@ -43,6 +45,8 @@ CEILING = 2.2
 """[m] What is higher over the ground is not drawn: one looks in from above."""
 CLOUD_POINTS = 25_000
 """Points of the cloud in a picture: more hide the paths."""
+MAX_REFUSED = 15
+"""Refused queries in a picture: more than that have one cause, and hide each other."""
 PAIRS = 30
 """Random pairs of which the furthest apart is drawn, where a scene has no start and goal of its own."""
 
@@ -106,6 +110,28 @@ def draw(
     above.set(xlabel="x [m]", ylabel="y [m]", aspect="equal", title="from above")
     beside.set(xlabel="along the path [m]", ylabel="z [m]", title="the body's top, and dotted the ground under it")
     figure.legend(*above.get_legend_handles_labels(), loc="outside lower center", ncols=2, fontsize=9)
+    FigureCanvasAgg(figure).print_png(str(path))  # type: ignore[no-untyped-call]
+
+
+def draw_refused(path: Path, points: FloatArray, ground: BoolArray, row: Row) -> None:
+    """Draw the solvable queries that were not answered with OK, numbered, each with what the planner said."""
+    figure = Figure(figsize=(16, 9), layout="constrained")
+    grid = figure.add_gridspec(1, 2, width_ratios=(3, 2))
+    above: Any = figure.add_subplot(grid[0])
+    said: Any = figure.add_subplot(grid[1])
+    shown, heights = _shown(points, ground)
+    above.scatter(*shown[:, :2].T, s=2, alpha=0.5, c=heights, cmap="Greys", vmin=-2.5, vmax=2.5, linewidths=0)
+    lines = []
+    for i, query in enumerate(row["refused"][:MAX_REFUSED], start=1):
+        start, goal = np.array(query["start"])[:2], np.array(query["goal"])[:2]
+        above.annotate("", goal, start, arrowprops={"arrowstyle": "->", "color": "#D55E00", "alpha": 0.7})
+        above.annotate(str(i), start, color="#0072B2", fontsize=12, weight="bold")
+        lines.append(fill(f"{i}. {query['status']}: {query['message']}", 70))
+    above.set(xlabel="x [m]", ylabel="y [m]", aspect="equal")
+    said.text(0.0, 1.0, "\n".join(lines), va="top", fontsize=8, parse_math=False)
+    said.set_axis_off()
+    count, solvable = len(row["refused"]), row["solvable"]
+    figure.suptitle(f"{row['scene']}, {row['agent']}: {count} of {solvable} solvable queries were refused")
     FigureCanvasAgg(figure).print_png(str(path))  # type: ignore[no-untyped-call]
 
 

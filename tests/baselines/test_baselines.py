@@ -30,6 +30,13 @@ def with_step():
 
 
 @pytest.fixture(scope="module")
+def with_drop():
+    """Ground alone, half a metre lower on one side: no face is seen, only the drop."""
+    points = np.concatenate([floor(0, 0, 3, 4, 0.0), floor(3, 0, 6, 4, 0.5)])
+    return gpdf.build_scene(points, np.ones(len(points), dtype=bool))
+
+
+@pytest.fixture(scope="module")
 def cluttered():
     made = SCENES["cluttered_office"](np.random.default_rng(0), spacing=0.05)
     return made, gpdf.build_scene(made.points, made.ground)
@@ -89,6 +96,12 @@ def test_ends_and_walls_are_told_as_the_planner_tells_them(method):
     assert gpdf.plan(scene, (1, 1), (7, 5), "roomba", method=method).status is gpdf.Status.NO_VALID_PATH
     assert gpdf.plan(scene, (1, 1), (3.1, 3), "roomba", method=method).status is gpdf.Status.GOAL_OCCUPIED
     assert gpdf.plan(scene, (-9, 1), (2, 3), "roomba", method=method).status is gpdf.Status.START_OUTSIDE_MAP
+
+
+@pytest.mark.parametrize("method", PLANAR)
+def test_a_flat_world_has_no_steps_so_a_start_beside_one_is_not_refused(with_drop, method):
+    assert gpdf.plan(with_drop, (3.1, 2), (5, 2), "human").status is gpdf.Status.START_OCCUPIED
+    assert gpdf.plan(with_drop, (3.1, 2), (5, 2), "human", method=method).status is gpdf.Status.UNCERTIFIED
 
 
 @pytest.mark.parametrize("method", BASELINES)
