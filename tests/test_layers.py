@@ -57,6 +57,12 @@ def test_a_layer_imports_only_the_layers_below_it(layer):
             assert top not in WIRE, f"{path.relative_to(ROOT)} imports {name}"
 
 
+@pytest.mark.parametrize("name", ["judge", "brute"])
+def test_those_who_judge_share_no_code_with_the_planner(name):
+    own = {module for module in imports_of(ROOT / "gpdf_service" / "bench" / f"{name}.py") if "gpdf_service" in module}
+    assert own == {"gpdf_service.types"}
+
+
 @pytest.mark.parametrize("folder", ["clients", "schemas"])
 def test_clients_and_schemas_import_only_what_the_light_install_has(folder):
     import sys
