@@ -11,6 +11,7 @@ from scipy import ndimage
 
 from gpdf_service.baselines.flat import FlatWorld
 from gpdf_service.baselines.sampling import sample_path
+from gpdf_service.perception.surface import UNKNOWN
 from gpdf_service.types import BoolArray, FloatArray, IntArray
 
 CELL = 0.01
@@ -45,8 +46,9 @@ def build_occupancy(world: FlatWorld) -> Occupancy:
     empty = np.ones(shape, dtype=bool)
     empty[tuple(grid.cell_of(world.points[inside]).T)] = False
     room = ndimage.distance_transform_edt(empty) * cell if not empty.all() else np.full(shape, np.inf)
-    centres = grid.origin + (np.moveaxis(np.indices(shape), 0, -1).reshape(-1, 2) + 0.5) * cell
-    seen = world.surface.contains(centres).reshape(shape)
+    ix, iy = (np.floor((np.arange(n) + 0.5) * cell / world.surface.cell_width).astype(np.int64) for n in shape)
+    state = world.surface.state
+    seen = state[np.ix_(np.minimum(ix, state.shape[0] - 1), np.minimum(iy, state.shape[1] - 1))] != UNKNOWN
     return Occupancy(grid.origin, cell, seen & (room >= world.radius + sqrt(2.0) * cell))
 
 
@@ -72,6 +74,9 @@ def find_prm_path(world: FlatWorld, seconds: float = SECONDS) -> FloatArray | No
 
 def _nearest_free(grid: Occupancy, xy: FloatArray) -> IntArray:
     """The free cell nearest to a place: the body may stand closer to a wall than the inflation's rounding allows."""
+    own: IntArray = grid.cell_of(xy[None])[0]
+    if grid.free[tuple(own)]:
+        return own
     cells = np.argwhere(grid.free)
     nearest: IntArray = cells[np.linalg.norm(cells - (xy - grid.origin) / grid.cell + 0.5, axis=1).argmin()]
     return nearest

@@ -160,6 +160,7 @@ def _mean(values: list[float]) -> float | None:
 def _write(args: argparse.Namespace, rows: list[Row]) -> None:
     text = to_markdown(rows, args.noise)
     if args.markdown:
+        args.markdown.parent.mkdir(parents=True, exist_ok=True)
         args.markdown.write_text(text)
     if args.json == "-":
         print(json.dumps(rows))  # noqa: T201
