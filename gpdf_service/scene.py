@@ -27,8 +27,8 @@ MAX_CACHED_AGENTS = 16
 
 LEAST_WHOLE_SPACING = 0.05
 """[m] Of a field over a whole cloud: that of the waypoints which ask it."""
-MAX_WHOLE_POINTS = 100_000
-"""Points of a field over a whole cloud: its kernel matrix then takes under 1 GB and its fit seconds."""
+MAX_WHOLE_POINTS = 50_000
+"""Points of a field over a whole cloud: its fit then takes seconds."""
 
 
 def level_under(surfaces: tuple[HeightMap, ...], points: FloatArray) -> IntArray:
