@@ -80,8 +80,13 @@ class BruteForce:
         return a >= 0 and a == b
 
     def random_pairs(self, count: int, rng: np.random.Generator) -> FloatArray:
-        """Starts and goals where the body stands free, without any extra room: (count, 2, 3) [m], z of the ground."""
+        """Starts and goals where the body stands free, without any extra room: (count, 2, 3) [m], z of the ground.
+
+        None at all, shape (0, 2, 3), where it stands nowhere.
+        """
         nodes = np.argwhere(self.stands)
+        if len(nodes) == 0:
+            return np.empty((0, 2, 3))
         i, j, k = nodes[rng.integers(len(nodes), size=2 * count)].T
         xy = self.origin + (np.column_stack([i, j]) + 0.5) * self.cell
         return np.column_stack([xy, self.height[i, j, k]]).reshape(-1, 2, 3)

@@ -75,3 +75,16 @@ def test_bench_plan_says_how_many_of_the_solvable_are_ok(capsys):
     (row,) = json.loads(capsys.readouterr().out)
     assert row["ok_of_solvable"] <= row["solvable"] <= row["queries"] == 4
     assert row["collisions"] == 0
+
+
+def test_a_scene_without_room_fails_and_the_others_are_still_told(tmp_path, capsys):
+    x, y = (axis.ravel() for axis in np.meshgrid(np.arange(0, 3, 0.05), np.arange(0, 3, 0.05)))
+    floor, low_roof = (np.column_stack([x, y, np.full(x.size, z)]) for z in (0.0, 1.0))
+    label = {"label": np.repeat([1, 0], x.size), "classes": np.array(["other", "floor"])}
+    np.savez(tmp_path / "crawl.npz", xyz=np.concatenate([floor, low_roof]), **label)
+    np.savez(tmp_path / "open.npz", xyz=floor, label=np.ones(x.size, dtype=int), classes=label["classes"])
+    words = ["bench", "paper", "--scene", str(tmp_path), "--agent", "human", "--method", "astar", "--queries", "3"]
+    assert main([*words, "--noise", "0", "--json"]) == 1
+    said = capsys.readouterr()
+    assert "no place in crawl where the human can stand" in said.err
+    assert [row["scene"] for row in json.loads(said.out)] == ["open"]
