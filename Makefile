@@ -50,6 +50,7 @@ bench: install
 	.venv/bin/gpdf bench field --plot out/bench_field.png
 	.venv/bin/gpdf bench build
 	.venv/bin/gpdf bench plan
+	.venv/bin/gpdf bench paper --markdown out/paper.md --png out/paper
 	.venv/bin/gpdf bench service
 
 lock: install

@@ -9,6 +9,7 @@ from typing import Literal, get_args
 import numpy as np
 from numpy.typing import ArrayLike
 
+from gpdf_service.baselines import plan_baseline
 from gpdf_service.config import Config
 from gpdf_service.errors import CloudError, RequestError
 from gpdf_service.fields import fit_gpdf
@@ -17,7 +18,7 @@ from gpdf_service.planning import plan_path
 from gpdf_service.scene import Scene
 from gpdf_service.types import Agent, BoolArray, FloatArray, PlanResult, resolve_agent
 
-Method = Literal["dual_gpdf"]
+Method = Literal["dual_gpdf", "single_gpdf", "astar", "prm"]
 Progress = Callable[[str, float], None]
 """Told the name of a stage and the share of the work that is done, 0 to 1."""
 
@@ -70,7 +71,8 @@ def plan(
         start: (x, y), or (x, y, z of the ground there) [m].
         goal: The same.
         agent: A name in `AGENTS`, or an `Agent`.
-        method: "dual_gpdf", the paper's method with a certificate.
+        method: "dual_gpdf", the paper's method with a certificate, or one of its baselines, "single_gpdf", "astar" and
+            "prm"; a baseline's path that cannot be certified comes back as UNCERTIFIED, for comparison only.
         deadline_s: Seconds that the answer may take; none when not given.
         clock: Monotonic seconds, for tests.
 
@@ -88,6 +90,8 @@ def plan(
     if deadline_s is not None and not deadline_s > 0:
         raise RequestError("deadline_s", f"{deadline_s!r}", "It must be a positive number of seconds.")
     deadline = None if deadline_s is None else clock() + deadline_s
+    if method != "dual_gpdf":
+        return plan_baseline(scene, *ends, body, method, deadline=deadline, clock=clock)
     space = scene.free_space(body)
     return plan_path(space, *ends, scene.config.planning, deadline=deadline, clock=clock)
 

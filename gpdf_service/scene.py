@@ -15,7 +15,8 @@ import numpy as np
 
 from gpdf_service.config import Config
 from gpdf_service.errors import FieldError
-from gpdf_service.fields import Gpdf
+from gpdf_service.fields import Gpdf, fit_gpdf
+from gpdf_service.fields.spacing import estimate_spacing, thin
 from gpdf_service.perception import HeightMap, Levels
 from gpdf_service.search import FreeSpace, build_free_space
 from gpdf_service.store import flatten, read_arrays, restore, write_arrays
@@ -23,6 +24,11 @@ from gpdf_service.types import Agent, BoolArray, FieldSample, FloatArray, IntArr
 
 MAX_CACHED_AGENTS = 16
 """Free spaces kept for one scene; the least recently used goes first. A fleet has few kinds of body."""
+
+LEAST_WHOLE_SPACING = 0.05
+"""[m] Of a field over a whole cloud: that of the waypoints which ask it."""
+MAX_WHOLE_POINTS = 50_000
+"""Points of a field over a whole cloud: its fit then takes seconds."""
 
 
 def level_under(surfaces: tuple[HeightMap, ...], points: FloatArray) -> IntArray:
@@ -41,6 +47,14 @@ def level_under(surfaces: tuple[HeightMap, ...], points: FloatArray) -> IntArray
     lowest = np.where(np.isnan(heights), np.inf, heights).argmin(axis=0)
     chosen = np.where(np.isfinite(below).any(axis=0), below.argmax(axis=0), lowest)
     return np.where(np.isnan(heights).all(axis=0), -1, chosen).astype(np.int64)
+
+
+def whole_spacing(points: FloatArray) -> float:
+    """Spacing of a field over a whole cloud [m]: the cloud's own, grown until `MAX_WHOLE_POINTS` are left."""
+    spacing = max(estimate_spacing(points), LEAST_WHOLE_SPACING)
+    while len(thin(points, spacing)) > MAX_WHOLE_POINTS:
+        spacing *= 1.3
+    return spacing
 
 
 def _asked(queries: FloatArray, dims: tuple[int, ...]) -> FloatArray:
@@ -171,6 +185,11 @@ class Scene:
         """Drop what was built for single kinds of body; it is built again on use."""
         with self._lock:
             self._spaces.clear()
+
+    @cached_property
+    def whole_field(self) -> Gpdf:
+        """One 3D field over all points, ground or not, for the single_gpdf baseline; fitted on first use."""
+        return fit_gpdf(self.points, config=self.config.fields, spacing=whole_spacing(self.points))
 
     @cached_property
     def digest(self) -> str:

@@ -211,8 +211,9 @@ class PlanResult:
     Attributes:
         status: `Status.OK`, or the reason why there is no trajectory.
         message: The same in words, with what to try.
-        trajectory: Present exactly when `status` is OK.
-        certificate: Present exactly when `trajectory` is; for UNCERTIFIED it says what failed.
+        trajectory: Present exactly when `status` is OK; but a baseline that was asked for by name also hands out a path
+            that is UNCERTIFIED, to be measured and drawn. So follow a trajectory only if `status` is OK.
+        certificate: Present when `trajectory` is; for UNCERTIFIED it says what failed.
         timings: Seconds that each stage took, by name.
         details: Numbers for the curious (iterations, costs, graph size), by name.
     """

@@ -92,6 +92,17 @@ def test_a_plan_that_fails_exits_with_one_and_says_why(tmp_path, capsys):
     assert "trajectory" not in result
 
 
+def test_a_baseline_is_planned_by_name(tmp_path, capsys):
+    cloud = write_room(tmp_path / "room.npz")
+    assert main(["plan", str(cloud), "--start", "1,1", "--goal", "4,3", "--method", "astar", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["status"] == "OK"
+    assert (
+        main(["plan", str(cloud), "--start", "1,1", "--goal", "4,3", "--agent", "roomba", "--method", "single_gpdf"])
+        == 1
+    )
+    assert capsys.readouterr().out.startswith("UNCERTIFIED")
+
+
 def test_bad_input_exits_with_one_and_a_typed_error(tmp_path, capsys):
     assert main(["scene", "info", str(tmp_path / "none.npz"), "--json"]) == 1
     assert json.loads(capsys.readouterr().out)["error"] == "CloudError"

@@ -18,7 +18,8 @@ ALLOWED = {
     "search": BASE | {"fields", "perception"},
     "planning": BASE | {"fields", "perception", "search"},
     "scene": BASE | {"fields", "perception", "search", "store"},
-    "pipeline": BASE | {"fields", "perception", "planning", "scene"},
+    "baselines": BASE | {"fields", "perception", "search", "planning", "scene"},
+    "pipeline": BASE | {"baselines", "fields", "perception", "planning", "scene"},
 }
 WIRE = {"zenoh", "msgpack", "msgspec", "mcap", "gpdf_schemas", "gpdf_client"}
 LIGHT = {"zenoh", "msgpack", "msgspec", "numpy", "gpdf_schemas", "gpdf_client"}
@@ -54,6 +55,12 @@ def test_a_layer_imports_only_the_layers_below_it(layer):
                 target = rest.partition(".")[0]
                 assert target in ALLOWED[layer] | {layer}, f"{path.relative_to(ROOT)} imports {name}"
             assert top not in WIRE, f"{path.relative_to(ROOT)} imports {name}"
+
+
+@pytest.mark.parametrize("name", ["judge", "brute"])
+def test_those_who_judge_share_no_code_with_the_planner(name):
+    own = {module for module in imports_of(ROOT / "gpdf_service" / "bench" / f"{name}.py") if "gpdf_service" in module}
+    assert own == {"gpdf_service.types"}
 
 
 @pytest.mark.parametrize("folder", ["clients", "schemas"])

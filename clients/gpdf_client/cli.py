@@ -39,7 +39,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     plan.add_argument("--start", required=True, type=_place, help="x,y or x,y,z [m]")
     plan.add_argument("--goal", required=True, type=_place, help="x,y or x,y,z [m]")
     plan.add_argument("--agent", default="human")
-    plan.add_argument("--method", default="dual_gpdf")
+    plan.add_argument("--method", default="dual_gpdf", help="or a baseline: single_gpdf, astar, prm")
     distance = verb("distance", "distance to the ground or to the obstacles", _distance)
     distance.add_argument("scene")
     distance.add_argument("field", choices=["ground", "obstacle"])

@@ -106,7 +106,10 @@ class Client:
         deadline_s: float = 30.0,
         request_id: str = "",
     ) -> PlanResult:
-        """Ask for a trajectory from `start` to `goal`, (x, y) or (x, y, z of the ground) [m]."""
+        """Ask for a trajectory from `start` to `goal`, (x, y) or (x, y, z of the ground) [m].
+
+        `method` is "dual_gpdf", or one of the paper's baselines for comparison: "single_gpdf", "astar", "prm".
+        """
         request = PlanRequest(
             scene=scene,
             start=[float(v) for v in start],

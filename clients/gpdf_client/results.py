@@ -64,7 +64,10 @@ Certificate = CertificateMessage
 
 @dataclass(frozen=True, slots=True)
 class PlanResult:
-    """Answer to a plan: `trajectory` is there exactly when `status` is OK."""
+    """Answer to a plan: `trajectory` is there when `status` is OK; follow it only then.
+
+    A baseline that was asked for by name also sends a path that is UNCERTIFIED, to be measured and drawn.
+    """
 
     status: Status
     message: str

@@ -19,6 +19,8 @@ FACE = 0.1
 """[m] A step's face has the step's upper ground within this, seen from above."""
 SCATTER = 0.02
 """[m] Points this close to the ground are its scatter or a joint in the floor."""
+NEAR = 8
+"""Ground points around a contact; the one straightest under the body is the ground that it stands on."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,12 +33,15 @@ class Verdict:
         feasible: The top of the body is within ±10 % of its height from the nearest ground point, or from the one
             under it, everywhere on the path.
         mean_ground_distance: Mean distance of the body's top to the nearest ground point [m].
+        mean_obstacle_distance: Mean distance in plan of the body's axis to the nearest point over the ground and within
+            the body's height of it [m]; infinite where there is none.
     """
 
     penetration: float
     collision_free: bool
     feasible: bool
     mean_ground_distance: float
+    mean_obstacle_distance: float
 
 
 class Judge:
@@ -52,10 +57,19 @@ class Judge:
         self.ground = points[ground]
         self.other_tree, self.ground_plan = cKDTree(self.other[:, :2]), cKDTree(self.ground[:, :2])
         self.ground_tree = cKDTree(self.ground)
+        self.over_ground = self.other[:, 2] - self.ground[self.ground_plan.query(self.other[:, :2])[1], 2]
+        self.obstacles: dict[float, cKDTree] = {}
 
     def judge(self, trajectory: Trajectory, agent: Agent) -> Verdict:
-        """Judge one trajectory of a body."""
-        contact, top = _dense(trajectory.ground), _dense(trajectory.positions)
+        """Judge one trajectory strictly: along all of it, the body standing on the contact points."""
+        return self._judge(_dense(trajectory.ground), _dense(trajectory.positions), agent)
+
+    def judge_waypoints(self, trajectory: Trajectory, agent: Agent) -> Verdict:
+        """Judge one trajectory as the paper does: at the waypoints alone, the cylinder hanging from the body's top."""
+        top = trajectory.positions
+        return self._judge(top - np.array([0.0, 0.0, agent.height]), top, agent)
+
+    def _judge(self, contact: FloatArray, top: FloatArray, agent: Agent) -> Verdict:
         deepest = 0.0
         for centre, near in zip(contact, self.other_tree.query_ball_point(contact[:, :2], agent.radius), strict=True):
             hit = self._hits(self.other[near], centre, agent)
@@ -64,10 +78,28 @@ class Judge:
                 deepest = max(deepest, float(depth.max()))
         distance = self.ground_tree.query(top)[0]
         # The nearest of sparse points is further than the surface; straight above one, it is not.
-        upright = top[:, 2] - self.ground[self.ground_plan.query(top[:, :2])[1], 2]
+        upright = top[:, 2] - self._ground_under(top, agent.height)
         off = np.minimum(np.abs(distance - agent.height), np.abs(upright - agent.height))
         feasible = bool((off <= 0.1 * agent.height).all())
-        return Verdict(deepest, deepest == 0.0, feasible, float(distance.mean()))
+        room = float(self._room(top[:, :2], agent).mean())
+        return Verdict(deepest, deepest == 0.0, feasible, float(distance.mean()), room)
+
+    def _ground_under(self, top: FloatArray, height: float) -> FloatArray:
+        """Height of the ground point under a body's top, of the storey that it stands on."""
+        near = self.ground[self.ground_tree.query(top - np.array([0.0, 0.0, height]), k=NEAR)[1]]
+        under = np.linalg.norm(near[..., :2] - top[:, None, :2], axis=-1).argmin(axis=1)
+        z: FloatArray = near[np.arange(len(top)), under, 2]
+        return z
+
+    def _room(self, places: FloatArray, agent: Agent) -> FloatArray:
+        """Distance in plan to the paper's obstacle points: not ground, and within the body's height of it."""
+        within = (self.over_ground > SCATTER) & (self.over_ground < agent.height)
+        if not within.any():
+            return np.full(len(places), np.inf)
+        if agent.height not in self.obstacles:
+            self.obstacles[agent.height] = cKDTree(self.other[within, :2])
+        room: FloatArray = self.obstacles[agent.height].query(places)[0]
+        return room
 
     def _hits(self, points: FloatArray, centre: FloatArray, agent: Agent) -> FloatArray:
         """Points in the cylinder that are not the face of a step that the body takes."""

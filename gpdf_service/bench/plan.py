@@ -1,4 +1,7 @@
-"""`gpdf bench plan`: random queries; what share is certified, what an independent judge says, how long it takes."""
+"""`gpdf bench plan`: random queries; what share is certified, what an independent judge says, how long it takes.
+
+A brute-force search with the true geometry says which queries could be solved; OMPL's planners run beside, on some.
+"""
 
 from __future__ import annotations
 
@@ -8,7 +11,9 @@ from collections import Counter
 
 import numpy as np
 
+from gpdf_service.bench.brute import BruteForce
 from gpdf_service.bench.judge import Judge
+from gpdf_service.bench.peers import compare
 from gpdf_service.bench.report import Row, add_scene_arguments, clouds, show
 from gpdf_service.pipeline import build_scene, plan
 from gpdf_service.scene import Scene
@@ -21,6 +26,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--agent", action="append", help="human and roomba when not given")
     parser.add_argument("--count", type=int, default=100, help="queries for each scene and body")
     parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--peers", type=int, default=5, help="queries on which OMPL's planners run beside; 0 for none")
     parser.add_argument(
         "--ignore-labels", action="store_true", help="plan on our own segmentation, judge by the labels"
     )
@@ -28,14 +34,23 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Exit code 0 if no certified path was judged a collision."""
-    rows = []
+    rows: list[Row] = []
+    peers: list[Row] = []
     for name, points, ground in clouds(args):
         scene = build_scene(points, None if args.ignore_labels else ground)
-        judge = Judge(points, scene.ground if ground is None else ground)
+        truth = scene.ground if ground is None else ground
+        judge = Judge(points, truth)
         for agent in args.agent or ["human", "roomba"]:
-            rng = np.random.default_rng(args.seed)
-            rows.append({"scene": name, "agent": agent, **measure(scene, judge, AGENTS[agent], args.count, rng)})
-    show(rows, as_json=args.json)
+            body, which = AGENTS[agent], {"scene": name, "agent": agent}
+            pairs = random_places(scene, body, args.count, np.random.default_rng(args.seed))
+            rows.append(which | measure(scene, judge, BruteForce(points, truth, body), body, pairs))
+            if args.peers:
+                peers += [which | row for row in compare(scene, body, pairs[: args.peers])]
+    if args.json:
+        show(rows + peers, as_json=True)
+    else:
+        show(rows, as_json=False)
+        show(peers, as_json=False)
     return 0 if all(row["collisions"] == 0 for row in rows) else 1
 
 
@@ -58,16 +73,18 @@ def random_places(scene: Scene, agent: Agent, count: int, rng: np.random.Generat
     return places[: len(places) // 2 * 2].reshape(-1, 2, 2)
 
 
-def measure(scene: Scene, judge: Judge, agent: Agent, count: int, rng: np.random.Generator) -> Row:
-    """Plan `count` random queries and judge every answer."""
+def measure(scene: Scene, judge: Judge, brute: BruteForce, agent: Agent, pairs: FloatArray) -> Row:
+    """Plan every pair of places, judge every answer, and say which refused ones could be solved."""
     statuses: Counter[str] = Counter()
     seconds, clearance, ground, collisions, deepest, feasible = [], [], [], 0, 0.0, 0
-    pairs = random_places(scene, agent, count, rng)
+    solvable = solved = 0
     for start, goal in pairs:
         began = time.perf_counter()
         result = plan(scene, start, goal, agent)
         seconds.append(time.perf_counter() - began)
         statuses[result.status.value] += 1
+        can = brute.solves(start, goal)
+        solvable, solved = solvable + can, solved + (can and result.status is Status.OK)
         if result.status is Status.OK and result.trajectory is not None and result.certificate is not None:
             verdict = judge.judge(result.trajectory, agent)
             collisions += not verdict.collision_free
@@ -79,6 +96,8 @@ def measure(scene: Scene, judge: Judge, agent: Agent, count: int, rng: np.random
     return {
         "queries": len(pairs),
         "certified": certified,
+        "solvable": solvable,
+        "ok_of_solvable": solved,
         **{status: n for status, n in statuses.items() if status != Status.OK.value},
         "collisions": collisions,
         "deepest_m": deepest,

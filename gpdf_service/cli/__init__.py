@@ -27,6 +27,10 @@ VERBS: dict[str, tuple[str, str]] = {
     "bench field": ("gpdf_service.bench.field", "accuracy and speed of the distance fields beside a k-d tree"),
     "bench build": ("gpdf_service.bench.build", "time from cloud to scene beside Open3D's normals"),
     "bench plan": ("gpdf_service.bench.plan", "random queries: share certified, an independent judge, time"),
+    "bench paper": (
+        "gpdf_service.bench.paper",
+        "the paper's tables and figures: four methods, judged against the clean cloud",
+    ),
     "bench service": ("gpdf_service.bench.service", "what Zenoh, msgpack and the log add to a plan"),
     "demo": ("gpdf_service.cli.demo", "see it happen: service, four bodies, picture and log"),
 }

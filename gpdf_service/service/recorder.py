@@ -62,8 +62,8 @@ class Recorder:
         self._queue.put(write)
 
     def plan(self, reply: PlanReply, stamp_ns: int) -> None:
-        """Record a trajectory as poses for viewers."""
-        if reply.trajectory is not None:
+        """Record a trajectory as poses for viewers; they show no status, so an uncertified path is left out."""
+        if reply.trajectory is not None and reply.status == "OK":
             path, headings = reply.trajectory.positions.unpack(), reply.trajectory.headings.unpack()
             self._queue.put(lambda: self._proto(f"/plan/{reply.scene}", _poses(path, headings, stamp_ns), stamp_ns))
 

@@ -17,7 +17,7 @@ from matplotlib.patches import Rectangle
 
 from gpdf_service.perception import ObstacleKind
 from gpdf_service.scene import Scene
-from gpdf_service.types import Agent, FloatArray, PlanResult, Trajectory
+from gpdf_service.types import Agent, FloatArray, PlanResult, Status, Trajectory
 
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
 KIND_COLOURS = {
@@ -109,7 +109,8 @@ def _summary(result: PlanResult) -> str:
     if result.trajectory is None or result.certificate is None:
         return result.status.value
     room = result.certificate.min_clearance
-    return f"{result.trajectory.length:.1f} m, clearance {room:.2f} m"
+    said = "" if result.status is Status.OK else f"{result.status}, "
+    return f"{said}{result.trajectory.length:.1f} m, clearance {room:.2f} m"
 
 
 def _level_of(scene: Scene, trajectory: Trajectory | None) -> int:

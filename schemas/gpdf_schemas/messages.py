@@ -79,7 +79,7 @@ class PlanRequest(msgspec.Struct, frozen=True, kw_only=True):
         start: (x, y) or (x, y, z of the ground there) [m].
         goal: The same.
         agent: Name of a known body, or its measures as a map (the fields of `gpdf_service.Agent`).
-        method: dual_gpdf, or one of the paper's baselines.
+        method: dual_gpdf, or one of the paper's baselines: single_gpdf, astar, prm.
         deadline_s: Seconds that the answer may take.
         request_id: Chosen by the client; the same id asks the same thing again.
     """
@@ -138,7 +138,14 @@ class Reply(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class PlanReply(Reply, frozen=True, kw_only=True):
-    """Answer to a `PlanRequest`."""
+    """Answer to a `PlanRequest`.
+
+    Attributes:
+        trajectory: There when `status` is OK. A baseline that was asked for by name also sends a path that is
+            UNCERTIFIED, to be measured and drawn: follow a trajectory only if `status` is OK.
+        certificate: There when the trajectory is.
+        details: Numbers for the curious, by name.
+    """
 
     trajectory: TrajectoryMessage | None = None
     certificate: CertificateMessage | None = None

@@ -99,6 +99,17 @@ def test_failures_have_their_own_errors_and_words(running):
     assert outside.trajectory is None
 
 
+@pytest.mark.parametrize("method", ["astar", "prm", "single_gpdf"])
+def test_a_baseline_is_asked_by_name_and_its_uncertified_path_is_not_ok(running, method):
+    _, client, _ = running
+    flat = client.plan("office", (1, 1), (2, 1.5), "human", method=method)
+    assert flat.status == "OK"
+    onto_the_step = client.plan("office", (1, 1), (5.5, 2.2), "human", method=method)
+    assert onto_the_step.status == "UNCERTIFIED"
+    assert not onto_the_step.certificate.holds
+    assert len(onto_the_step.trajectory.positions) > 2
+
+
 def ask_raw(endpoint, key, payload):
     config = zenoh.Config()
     config.insert_json5("mode", '"client"')

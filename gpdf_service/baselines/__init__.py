@@ -1,0 +1,3 @@
+"""The paper's three baselines, for comparison: A* and PRM on one plane, and CHOMP with one field over all points."""
+
+from gpdf_service.baselines.plan import plan_baseline as plan_baseline

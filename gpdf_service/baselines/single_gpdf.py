@@ -1,0 +1,68 @@
+"""Vanilla CHOMP with one 3D field over all points: the body is a point at its height, nothing holds it to the ground.
+
+Σ λ_s ½ ‖ẋ‖² + c(x) ‖ẋ‖, Uttsha et al. 2024, equations 4 to 6, with the same weights, the same clearance and the same
+covariant step as the planner, started from the A* path: the best start that a baseline has.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from gpdf_service.config import PlanningConfig
+from gpdf_service.planning.chomp import solve_metric
+from gpdf_service.types import DistanceField, FloatArray
+
+CostAndGradient = tuple[float, FloatArray]
+
+
+def optimize_in_one_field(xi: FloatArray, field: DistanceField, radius: float, config: PlanningConfig) -> FloatArray:
+    """Optimise waypoints of the body's top.
+
+    Args:
+        xi: Start, shape (n, 3) [m]; rows 0 and -1 stay.
+        field: Distance to the nearest point of the cloud, 3D.
+        radius: Of the body [m].
+        config: Weights and limits.
+    """
+    spacing = float(np.linalg.norm(np.diff(xi, axis=0), axis=1).mean())
+    epsilon = config.preferred_clearance * radius
+    cost, gradient = cost_in_one_field(xi, spacing, field, radius, epsilon, config.smoothness_weight)
+    rate = 0.1 * spacing / config.smoothness_weight  # well below the step that solves the smoothness term alone
+    for _ in range(config.max_iterations):
+        step = solve_metric(gradient)
+        largest = float(np.abs(step).max())
+        if largest == 0.0:
+            break
+        rate = min(rate, 0.5 * epsilon / largest)
+        trial = xi - rate * step
+        trial_cost, trial_gradient = cost_in_one_field(trial, spacing, field, radius, epsilon, config.smoothness_weight)
+        if trial_cost > cost:
+            rate *= 0.5
+            continue
+        fall = cost - trial_cost
+        xi, cost, gradient, rate = trial, trial_cost, trial_gradient, 1.5 * rate
+        if fall < config.tolerance * cost:
+            break
+    return xi
+
+
+def cost_in_one_field(
+    xi: FloatArray, spacing: float, field: DistanceField, radius: float, epsilon: float, smoothness_weight: float
+) -> CostAndGradient:
+    """Cost of waypoints, and its gradient with zero rows at the ends; ‖ẋ‖ ds is half the way between the neighbours."""
+    steps = np.diff(xi, axis=0)
+    gradient = np.zeros_like(xi)
+    gradient[1:-1] = smoothness_weight * (steps[:-1] - steps[1:]) / spacing
+    smooth = 0.5 * smoothness_weight * float((steps**2).sum()) / spacing
+    sample = field.query(xi[1:-1])
+    room = np.where(sample.valid, sample.distance - radius, epsilon)  # nothing is near where the field says nothing
+    near = np.clip(epsilon - room, 0.0, None)
+    obstacle = np.where(room < 0.0, epsilon / 2.0 - room, near**2 / (2.0 * epsilon))
+    rate = np.where(room < 0.0, -1.0, -near / epsilon)
+    along = 0.5 * (xi[2:] - xi[:-2])
+    speed = np.linalg.norm(along, axis=1)
+    pull = (0.5 * obstacle / np.maximum(speed, 1e-9))[:, None] * along
+    gradient[1:-1] += (rate * speed)[:, None] * sample.gradient
+    gradient[2:-1] += pull[:-1]
+    gradient[1:-2] -= pull[1:]
+    return smooth + float((obstacle * speed).sum()), gradient

@@ -1,0 +1,185 @@
+"""`gpdf bench paper`: the paper's evaluation, its four methods on noisy clouds, judged against the clean ones."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+import time
+from collections import Counter
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from tqdm import tqdm
+
+from gpdf_service.bench.brute import BruteForce
+from gpdf_service.bench.judge import Judge, Verdict
+from gpdf_service.bench.paper_tables import METHODS, to_markdown
+from gpdf_service.bench.report import Row
+from gpdf_service.errors import GpdfError, RequestError
+from gpdf_service.perception import read_cloud, segment_ground
+from gpdf_service.pipeline import Method, build_scene, plan
+from gpdf_service.scene import Scene
+from gpdf_service.synthetic import SCENES
+from gpdf_service.types import AGENTS, Agent, BoolArray, FloatArray, PlanResult, Status
+
+CLOUDS = {".ply", ".pcd", ".xyz", ".npz", ".las", ".laz"}
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the verb's options."""
+    parser.add_argument(
+        "--scene",
+        action="append",
+        help=f"{', '.join(SCENES)}; a cloud, a folder of clouds, or NAME=CLOUD to stand beside the paper's numbers of "
+        "that scene (cow_and_lady, cluttered_office for Office 10, office for Office 1, cave); all synthetic ones when "
+        "not given",
+    )
+    parser.add_argument("--agent", action="append", choices=list(AGENTS), help="human and roomba when not given")
+    parser.add_argument("--method", action="append", choices=METHODS, help="all four when not given")
+    parser.add_argument("--queries", type=int, default=100, help="random start and goal pairs for each scene and body")
+    parser.add_argument("--noise", type=float, default=0.05, help="standard deviation of the input's noise [m]")
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--ignore-labels", action="store_true", help="plan on our own segmentation of the noisy cloud")
+    parser.add_argument("--json", nargs="?", const="-", help="write the rows as JSON; without a file, print them")
+    parser.add_argument("--markdown", type=Path, help="write the tables; printed when neither this nor --json is given")
+    parser.add_argument("--png", type=Path, help="folder for pictures of the four methods and of the four bodies")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Exit code 0 if every scene could be evaluated and no OK answer was judged a collision."""
+    rows: list[Row] = []
+    failed = False
+    for name, points, labels in _places(args.scene or list(SCENES)):
+        try:
+            rows += _evaluate(args, name, points, labels)
+        except GpdfError as error:  # the other scenes' hours are not lost
+            print(f"gpdf bench paper: {name}: {error}", file=sys.stderr)  # noqa: T201
+            failed = True
+    _write(args, rows)
+    return 1 if failed or any(row["collisions_in_ok"] for row in rows) else 0
+
+
+def _evaluate(args: argparse.Namespace, name: str, points: FloatArray, labels: BoolArray | None) -> list[Row]:
+    """One scene: every body, every method, the same queries for all methods of a body."""
+    rng = np.random.default_rng(args.seed)
+    truth = segment_ground(points) if labels is None else labels
+    noisy = points + rng.normal(0.0, 1.0, points.shape) * args.noise
+    scene = build_scene(noisy, None if args.ignore_labels else labels)
+    judge = Judge(points, truth)
+    rows: list[Row] = []
+    for agent in args.agent or ["human", "roomba"]:
+        brute = BruteForce(points, truth, AGENTS[agent], args.noise)
+        pairs = brute.random_pairs(args.queries, rng)
+        if len(pairs) == 0:
+            raise RequestError("bench paper", f"no place in {name} where the {agent} can stand", "Choose other bodies.")
+        solvable = np.array([brute.solves(*pair) for pair in pairs])
+        for method in METHODS if args.method is None else args.method:
+            row = _measure(scene, judge, AGENTS[agent], method, pairs, solvable, label=f"{name} {agent} {method}")
+            rows.append({"scene": name, "agent": agent, "method": method, "noise_m": args.noise, **row})
+    if args.png:
+        from gpdf_service.bench.paper_pictures import draw_refused, draw_scene_pictures
+
+        draw_scene_pictures(name, scene, points, truth, args.png, args.seed)
+        for row in rows:
+            if row["method"] == "dual_gpdf" and row["refused"]:
+                draw_refused(args.png / f"{name}_{row['agent']}_refused.png", points, truth, row)
+    return rows
+
+
+def _places(names: list[str]) -> list[tuple[str, FloatArray, BoolArray | None]]:
+    """Name, clean points and true ground labels of each scene that was asked for."""
+    made: list[tuple[str, FloatArray, BoolArray | None]] = []
+    for text in names:
+        if text in SCENES:
+            scene = SCENES[text](np.random.default_rng(0))
+            made.append((text, scene.points, scene.ground))
+            continue
+        name, _, file = text.rpartition("=")
+        path = Path(file)
+        files = sorted(p for p in path.iterdir() if p.suffix in CLOUDS) if path.is_dir() else [path]
+        for each in files:
+            cloud = read_cloud(each)
+            made.append((name or each.stem, cloud.points, cloud.ground))
+    return made
+
+
+@dataclass(frozen=True, slots=True)
+class _Answer:
+    """One query's result, its verdicts (none without a trajectory), and its time [s]."""
+
+    result: PlanResult
+    waypoints: Verdict | None
+    strict: Verdict | None
+    seconds: float
+
+
+def _measure(
+    scene: Scene, judge: Judge, agent: Agent, method: Method, pairs: FloatArray, solvable: BoolArray, *, label: str
+) -> Row:
+    plan(scene, pairs[0, 0], pairs[0, 1], agent, method=method)  # fields and graphs are built on first use
+    answers = []
+    for start, goal in tqdm(pairs, desc=label, disable=not sys.stderr.isatty()):
+        began = time.perf_counter()
+        result = plan(scene, start, goal, agent, method=method)
+        seconds, path = time.perf_counter() - began, result.trajectory
+        if path is None:
+            answers.append(_Answer(result, None, None, seconds))
+        else:
+            answers.append(_Answer(result, judge.judge_waypoints(path, agent), judge.judge(path, agent), seconds))
+    ok = np.array([answer.result.status is Status.OK for answer in answers])
+    strict = [answer.strict for answer, good in zip(answers, ok, strict=True) if good and answer.strict is not None]
+    seconds_all = [answer.seconds for answer in answers]
+    return {
+        "queries": len(pairs),
+        "solvable": int(solvable.sum()),
+        "answered": sum(answer.strict is not None for answer in answers),
+        "ok": int(ok.sum()),
+        "ok_of_solvable": int((ok & solvable).sum()),
+        "refused": [
+            {"start": start.tolist(), "goal": goal.tolist(), "status": answer.result.status.value}
+            | {"message": answer.result.message}
+            for answer, (start, goal), can in zip(answers, pairs, solvable, strict=True)
+            if can and answer.result.status is not Status.OK
+        ],
+        "statuses": dict(Counter(answer.result.status.value for answer in answers)),
+        "collisions_in_ok": sum(not verdict.collision_free for verdict in strict),
+        "infeasible_in_ok": sum(not verdict.feasible for verdict in strict),
+        "deepest_in_ok_m": max((verdict.penetration for verdict in strict), default=0.0),
+        **_rates("waypoints", [a.waypoints for a, good in zip(answers, solvable, strict=True) if good]),
+        **_rates("strict", [a.strict for a, good in zip(answers, solvable, strict=True) if good]),
+        "p50_ms": 1e3 * float(np.median(seconds_all)),
+        "p99_ms": 1e3 * float(np.quantile(seconds_all, 0.99)),
+    }
+
+
+def _rates(how: str, verdicts: list[Verdict | None]) -> Row:
+    """The paper's measures over the solvable queries; a query without a path is neither collision-free nor feasible."""
+    paths = [verdict for verdict in verdicts if verdict is not None]
+    share = 100.0 / max(len(verdicts), 1)
+    return {
+        f"{how}_collision_free": share * sum(verdict.collision_free for verdict in paths) if verdicts else None,
+        f"{how}_feasible": share * sum(verdict.feasible for verdict in paths) if verdicts else None,
+        f"{how}_ground_m": _mean([verdict.mean_ground_distance for verdict in paths]),
+        f"{how}_obstacles_m": _mean([verdict.mean_obstacle_distance for verdict in paths]),
+    }
+
+
+def _mean(values: list[float]) -> float | None:
+    """None where there is nothing to average: no path, or no obstacle anywhere."""
+    finite = [value for value in values if np.isfinite(value)]
+    return float(np.mean(finite)) if finite else None
+
+
+def _write(args: argparse.Namespace, rows: list[Row]) -> None:
+    text = to_markdown(rows, args.noise)
+    if args.markdown:
+        args.markdown.parent.mkdir(parents=True, exist_ok=True)
+        args.markdown.write_text(text)
+    if args.json == "-":
+        print(json.dumps(rows))  # noqa: T201
+    elif args.json:
+        Path(args.json).write_text(json.dumps(rows, indent=1))
+    elif not args.markdown:
+        print(text, end="")  # noqa: T201

@@ -1,0 +1,104 @@
+"""OMPL's RRT-Connect with simplification and RRT* beside the planner: same queries, same validity test, same run.
+
+The test is the planner's own, `is_clear`: exact over a whole segment, compiled. OMPL calls it through Python, which
+adds a few microseconds to each of `checks` calls. OMPL draws its own random numbers, so runs differ.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from itertools import pairwise
+
+import numpy as np
+
+from gpdf_service.baselines.sampling import sample_path
+from gpdf_service.bench.report import Row
+from gpdf_service.pipeline import plan
+from gpdf_service.scene import Scene
+from gpdf_service.search import is_clear
+from gpdf_service.types import Agent, FloatArray, Status
+
+SECONDS = 1.0
+"""[s] That a peer may search; RRT* takes all of it."""
+STEP = 0.01
+"""[m] Clearance is looked at this often along a path."""
+STRIDE = 0.1
+"""[m] Bends are measured between straight pieces of this length, a foot's: corners closer together add up."""
+PEERS = {"rrt_connect": "RRTConnect", "rrt_star": "RRTstar"}
+
+
+def compare(scene: Scene, agent: Agent, pairs: FloatArray) -> list[Row]:
+    """Measure the three planners on pairs of places on the first level, shape (n, 2, 2) [m].
+
+    Room, length and bends are means over the pairs that all three solve.
+    """
+    space = scene.free_space(agent)
+    surface, obstacles = space.surfaces[0], space.trees[0]
+    low, high = surface.origin, surface.origin + surface.cell_width * np.array(surface.height.shape)
+    checks = dict.fromkeys(("dual_gpdf", *PEERS), 0)
+
+    def ours(start: FloatArray, goal: FloatArray) -> FloatArray | None:
+        result = plan(scene, start, goal, agent)
+        if result.status is not Status.OK or result.trajectory is None:
+            return None
+        return result.trajectory.ground[:, :2]
+
+    def peer(name: str) -> Callable[[FloatArray, FloatArray], FloatArray | None]:
+        def clear(a: FloatArray, b: FloatArray) -> bool:
+            checks[name] += 1
+            return bool(is_clear(obstacles, a, b, agent.radius))
+
+        return lambda start, goal: sample_path(PEERS[name], clear, low, high, start, goal, SECONDS)
+
+    planners = {"dual_gpdf": ours, **{name: peer(name) for name in PEERS}}
+    found = {name: [_timed(planner, *pair) for pair in pairs] for name, planner in planners.items()}
+    both = [i for i in range(len(pairs)) if all(paths[i][0] is not None for paths in found.values())]
+    rows = []
+    for name, paths in found.items():
+        measured = [_measure(space.clearance, path, agent.radius) for i in both if (path := paths[i][0]) is not None]
+        mean = {key: float(np.mean([row[key] for row in measured])) for key in (measured[0] if measured else {})}
+        seconds = [spent for _, spent in paths]
+        solved = sum(path is not None for path, _ in paths)
+        rows.append(
+            {"planner": name, "pairs": len(pairs), "solved": solved, "compared": len(both), **mean}
+            | {"p50_ms": 1e3 * float(np.median(seconds)), "checks": checks[name] // max(len(pairs), 1)}
+        )
+    return rows
+
+
+def _timed(
+    planner: Callable[[FloatArray, FloatArray], FloatArray | None], start: FloatArray, goal: FloatArray
+) -> tuple[FloatArray | None, float]:
+    began = time.perf_counter()
+    path = planner(start, goal)
+    return path, time.perf_counter() - began
+
+
+def _measure(
+    clearance: Callable[[int, FloatArray], tuple[FloatArray, object]], path: FloatArray, radius: float
+) -> dict[str, float]:
+    """Room [m], length [m] and bends [°] of a path in plan."""
+    room = clearance(0, _along(path, STEP))[0] - radius
+    legs = np.diff(_along(path, STRIDE), axis=0)
+    bend = np.abs([_turn(a, b) for a, b in pairwise(legs)]) if len(legs) > 1 else np.zeros(1)
+    length = float(np.linalg.norm(np.diff(path, axis=0), axis=1).sum())
+    return {
+        "length_m": length,
+        "least_room_m": float(room.min()),
+        "mean_room_m": float(room.mean()),
+        "sharpest_bend_deg": float(np.degrees(bend.max())),
+        "turning_deg_per_m": float(np.degrees(bend.sum())) / length,
+    }
+
+
+def _turn(a: FloatArray, b: FloatArray) -> float:
+    """Angle from direction a to direction b [rad]."""
+    return float(np.arctan2(a[0] * b[1] - a[1] * b[0], a @ b))
+
+
+def _along(path: FloatArray, spacing: float) -> FloatArray:
+    """Places along a polyline, at most `spacing` apart."""
+    length = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(path, axis=0), axis=1))])
+    at = np.linspace(0.0, length[-1], max(2, int(np.ceil(length[-1] / spacing)) + 1))
+    return np.column_stack([np.interp(at, length, column) for column in path.T])

@@ -1,0 +1,86 @@
+import numpy as np
+import pytest
+
+from gpdf_service.bench.brute import BruteForce
+from gpdf_service.synthetic import SCENES, Box, World, random_room
+from gpdf_service.types import AGENTS
+
+
+def brute_of(world, agent="human", noise=0.0, spacing=0.02):
+    points, ground = world.sample(spacing, np.random.default_rng(0))
+    return BruteForce(points, ground, AGENTS[agent], noise)
+
+
+def solves(brute, start, goal):
+    return brute.solves(np.array(start, dtype=float), np.array(goal, dtype=float))
+
+
+@pytest.mark.parametrize(
+    ("gap", "noise", "fits"),
+    [(0.57, 0.0, True), (0.50, 0.0, False), (0.57, 0.05, False), (0.67, 0.05, True)],
+)
+def test_a_gap_is_passed_exactly_when_body_and_extra_room_fit(gap, noise, fits):
+    walls = (Box((3.0, 0.0, 0.0), (3.2, 3.0 - gap / 2, 2.6)), Box((3.0, 3.0 + gap / 2, 0.0), (3.2, 6.0, 2.6)))
+    assert solves(brute_of(World((6.0, 6.0, 2.6), walls), noise=noise), (1, 3), (5, 3)) == fits
+
+
+@pytest.mark.parametrize(("agent", "climbs"), [("human", True), ("spot", True), ("roomba", False), ("pepper", False)])
+def test_a_step_is_taken_by_those_who_can(agent, climbs):
+    world = World((7.0, 4.0, 2.9), (Box((3.5, 0.0, 0.0), (7.0, 4.0, 0.35), walkable=True),))
+    brute = brute_of(world, agent)
+    assert solves(brute, (1, 2), (5.5, 2)) == climbs
+    assert solves(brute, (1, 2), (1.5, 3))
+    assert solves(brute, (5.5, 2), (5.5, 3))
+
+
+def test_nobody_climbs_a_bench_of_half_a_metre():
+    world = World((7.0, 4.0, 2.9), (Box((3.5, 0.0, 0.0), (7.0, 4.0, 0.5), walkable=True),))
+    assert not solves(brute_of(world), (1, 2), (5.5, 2))
+
+
+@pytest.mark.parametrize(
+    ("degrees", "agent", "climbs"), [(25, "human", True), (35, "human", False), (15, "roomba", False)]
+)
+def test_a_slope_is_climbed_by_those_who_stand_on_it(degrees, agent, climbs):
+    def ramp(xy):
+        return np.clip(xy[:, 0] - 2.0, 0.0, 2.0) * np.tan(np.radians(degrees))
+
+    assert solves(brute_of(World((6.0, 3.0, 3.0), (), ramp), agent, spacing=0.04), (1, 1.5), (5, 1.5)) == climbs
+
+
+def test_the_roomba_passes_under_the_couch_and_the_human_does_not_stand_there():
+    made = SCENES["cluttered_office"](np.random.default_rng(0))
+    under = (3.6, 2.6)
+    assert solves(BruteForce(made.points, made.ground, AGENTS["roomba"]), under, made.goal)
+    assert not solves(BruteForce(made.points, made.ground, AGENTS["human"]), under, made.goal)
+
+
+def test_the_stair_joins_its_foot_and_its_head_for_legs_alone():
+    made = SCENES["stair"](np.random.default_rng(0))
+    assert solves(BruteForce(made.points, made.ground, AGENTS["human"]), made.start, made.goal)
+    assert not solves(BruteForce(made.points, made.ground, AGENTS["roomba"]), made.start, made.goal)
+
+
+def test_storeys_one_over_the_other_are_told_apart_by_height():
+    x, y = (axis.ravel() for axis in np.meshgrid(np.arange(0, 4, 0.04), np.arange(0, 4, 0.04)))
+    points = np.concatenate([np.column_stack([x, y, np.full(x.size, z)]) for z in (0.0, 2.8)])
+    brute = BruteForce(points, np.ones(len(points), dtype=bool), AGENTS["human"])
+    assert solves(brute, (1, 1, 0), (3, 3, 0))
+    assert solves(brute, (1, 1, 2.8), (3, 3, 2.8))
+    assert not solves(brute, (1, 1, 0), (3, 3, 2.8))
+
+
+def test_a_place_off_the_map_is_no_solution():
+    brute = brute_of(World((4.0, 4.0, 2.6), ()), spacing=0.04)
+    assert not solves(brute, (1, 1), (40, 1))
+    assert not solves(brute, (1, 1), (3.9, 1))
+
+
+@pytest.mark.parametrize("agent", ["human", "roomba"])
+@pytest.mark.parametrize("seed", range(3))
+def test_where_it_lets_a_body_stand_there_truly_is_room(agent, seed):
+    room, body = random_room(np.random.default_rng(seed)), AGENTS[agent]
+    brute = BruteForce(room.points, room.ground, body)
+    places = brute.random_pairs(200, np.random.default_rng(seed)).reshape(-1, 3)
+    truth = room.truth.body_clearance(places, body.radius, body.height, body.max_step)
+    assert truth.min() > -0.02  # a grid cell; the scan's points stand 3 cm apart

@@ -1,0 +1,52 @@
+import numpy as np
+import pytest
+
+from gpdf_service.bench.judge import Judge
+from gpdf_service.synthetic import Box, Pillar, World
+from gpdf_service.types import AGENTS, Trajectory
+
+
+def judge_of(*shapes):
+    return Judge(*World((6.0, 4.0, 2.6), shapes).sample(0.03, np.random.default_rng(0)))
+
+
+def path_of(contact, top):
+    count = len(contact)
+    return Trajectory(np.array(top, dtype=float), np.array(contact, dtype=float), np.arange(count), np.zeros(count))
+
+
+def test_a_hit_between_two_waypoints_is_seen_only_strictly():
+    judge, agent = judge_of(Pillar((3.0, 2.0, 0.0), 0.1, 2.0)), AGENTS["human"]
+    path = path_of([(1, 2, 0), (5, 2, 0)], [(1, 2, 2), (5, 2, 2)])
+    assert judge.judge_waypoints(path, agent).collision_free
+    strict = judge.judge(path, agent)
+    assert not strict.collision_free
+    assert strict.penetration == pytest.approx(agent.radius, abs=0.15)
+
+
+def test_a_flight_over_a_table_is_free_where_it_hangs_infeasible_and_no_place_to_stand():
+    judge, agent = judge_of(Box((2.0, 1.0, 0.7), (4.0, 3.0, 0.74))), AGENTS["roomba"]
+    path = path_of([(2.5, 2, 0.74), (3.5, 2, 0.74)], [(2.5, 2, 1.0), (3.5, 2, 1.0)])
+    verdict = judge.judge_waypoints(path, agent)
+    assert verdict.collision_free
+    assert not verdict.feasible
+    assert verdict.mean_ground_distance == pytest.approx(1.0, abs=0.01)
+
+
+def test_the_distance_to_obstacles_counts_what_is_within_the_bodys_height():
+    judge = judge_of(Box((2.9, 0.0, 1.0), (3.1, 4.0, 1.1)))
+    human = judge.judge(path_of([(2, 2, 0), (2, 2.5, 0)], [(2, 2, 2), (2, 2.5, 2)]), AGENTS["human"])
+    roomba = judge.judge(path_of([(2, 2, 0), (2, 2.5, 0)], [(2, 2, 0.1), (2, 2.5, 0.1)]), AGENTS["roomba"])
+    assert human.mean_obstacle_distance == pytest.approx(0.9, abs=0.02)
+    assert roomba.mean_obstacle_distance == pytest.approx(1.75, abs=0.1)  # the walls
+
+
+def test_where_there_is_no_obstacle_the_distance_is_infinite():
+    x, y = (axis.ravel() for axis in np.meshgrid(np.arange(0, 4, 0.05), np.arange(0, 4, 0.05)))
+    points = np.column_stack([x, y, np.zeros(x.size)])
+    points = np.vstack([points, [(2, 2, 5.0)]])
+    judge = Judge(points, points[:, 2] < 1)
+    verdict = judge.judge(path_of([(1, 1, 0), (2, 1, 0)], [(1, 1, 2), (2, 1, 2)]), AGENTS["human"])
+    assert verdict.mean_obstacle_distance == np.inf
+    assert verdict.collision_free
+    assert verdict.feasible

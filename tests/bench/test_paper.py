@@ -1,0 +1,90 @@
+import json
+
+import numpy as np
+import pytest
+
+from gpdf_service.bench.paper_tables import METHODS, to_markdown
+from gpdf_service.bench.peers import compare
+from gpdf_service.bench.plan import random_places
+from gpdf_service.cli import main
+from gpdf_service.types import AGENTS
+
+
+@pytest.fixture(scope="module")
+def evaluated(tmp_path_factory, office):
+    """The verb on a cloud of the office, which stands beside the paper's Office 1."""
+    folder, made = tmp_path_factory.mktemp("paper"), office[0]
+    labels = {"label": made.ground.astype(int), "classes": np.array(["other", "ground"])}
+    np.savez(folder / "cloud.npz", xyz=made.points, **labels)
+    words = ["bench", "paper", "--scene", f"office={folder / 'cloud.npz'}", "--agent", "human", "--queries", "8"]
+    outputs = ["--json", str(folder / "rows.json"), "--markdown", str(folder / "tables.md"), "--png", str(folder)]
+    assert main([*words, "--noise", "0", *outputs]) == 0
+    return folder, json.loads((folder / "rows.json").read_text())
+
+
+def test_every_method_is_measured_on_the_same_queries(evaluated):
+    _, rows = evaluated
+    assert [row["method"] for row in rows] == list(METHODS)
+    assert len({(row["queries"], row["solvable"]) for row in rows}) == 1
+    assert all(row["ok"] <= row["answered"] <= row["queries"] for row in rows)
+
+
+def test_without_noise_ours_solves_what_can_be_solved_and_nothing_is_touched(evaluated):
+    ours = evaluated[1][-1]
+    assert ours["solvable"] > 0
+    assert ours["ok_of_solvable"] == ours["solvable"]
+    assert ours["collisions_in_ok"] == 0
+    assert ours["strict_collision_free"] == ours["waypoints_collision_free"] == ours["strict_feasible"] == 100
+    assert ours["strict_ground_m"] == pytest.approx(2.0, abs=0.1)
+
+
+def test_the_tables_stand_beside_the_papers_numbers(evaluated):
+    text = (evaluated[0] / "tables.md").read_text()
+    lines = [line for line in text.splitlines() if line.startswith("| human | office (Office 1)")]
+    assert len(lines) == 4
+    assert [cell in lines[0] for cell in ("(60)", "(71)", "(98)", "100 (100)")] == [True] * 4
+    assert "(0.286)" in lines[3]
+
+
+def test_the_pictures_are_drawn(evaluated):
+    for name in ("office_methods.png", "office_bodies.png"):
+        assert (evaluated[0] / name).read_bytes().startswith(b"\x89PNG")
+
+
+def test_a_scene_where_nothing_could_be_solved_has_dashes_and_no_zeroes(evaluated):
+    rates = {key: None for key in evaluated[1][0] if key.startswith(("waypoints_", "strict_"))}
+    text = to_markdown([{**row, "scene": "nowhere", **rates} for row in evaluated[1]], 0.05)
+    assert "| human | nowhere | – | – | – | – |" in text
+
+
+def test_peers_are_held_to_the_same_validity(office):
+    _, scene = office
+    pairs = random_places(scene, AGENTS["human"], 1, np.random.default_rng(3))
+    rows = compare(scene, AGENTS["human"], pairs)
+    assert [row["planner"] for row in rows] == ["dual_gpdf", "rrt_connect", "rrt_star"]
+    for row in rows:
+        assert row["solved"] == row["compared"] == 1
+        assert row["least_room_m"] >= -1e-9
+        assert row["length_m"] >= np.linalg.norm(pairs[0, 1] - pairs[0, 0]) - 1e-9
+    assert rows[1]["checks"] > 0
+
+
+def test_bench_plan_says_how_many_of_the_solvable_are_ok(capsys):
+    words = ["bench", "plan", "--scene", "office", "--agent", "roomba", "--count", "4", "--peers", "0", "--json"]
+    assert main(words) == 0
+    (row,) = json.loads(capsys.readouterr().out)
+    assert row["ok_of_solvable"] <= row["solvable"] <= row["queries"] == 4
+    assert row["collisions"] == 0
+
+
+def test_a_scene_without_room_fails_and_the_others_are_still_told(tmp_path, capsys):
+    x, y = (axis.ravel() for axis in np.meshgrid(np.arange(0, 3, 0.05), np.arange(0, 3, 0.05)))
+    floor, low_roof = (np.column_stack([x, y, np.full(x.size, z)]) for z in (0.0, 1.0))
+    label = {"label": np.repeat([1, 0], x.size), "classes": np.array(["other", "floor"])}
+    np.savez(tmp_path / "crawl.npz", xyz=np.concatenate([floor, low_roof]), **label)
+    np.savez(tmp_path / "open.npz", xyz=floor, label=np.ones(x.size, dtype=int), classes=label["classes"])
+    words = ["bench", "paper", "--scene", str(tmp_path), "--agent", "human", "--method", "astar", "--queries", "3"]
+    assert main([*words, "--noise", "0", "--json"]) == 1
+    said = capsys.readouterr()
+    assert "no place in crawl where the human can stand" in said.err
+    assert [row["scene"] for row in json.loads(said.out)] == ["open"]
