@@ -120,5 +120,5 @@ def test_the_asyncio_client_has_every_call_with_the_same_arguments():
     calls = {name for name, _ in inspect.getmembers(Client, callable) if not name.startswith("_")} - {"ask"}
     assert calls >= {"plan", "info", "wait_for_scene"}
     for name in calls:
-        ours, theirs = (inspect.signature(getattr(kind, name)).parameters for kind in (Client, AsyncClient))
-        assert list(ours.values()) == list(theirs.values()), name
+        ours, theirs = (inspect.signature(getattr(kind, name)).parameters.values() for kind in (Client, AsyncClient))
+        assert [(p.name, p.kind, p.annotation) for p in ours] == [(p.name, p.kind, p.annotation) for p in theirs], name
