@@ -97,6 +97,11 @@ class Client:
                     raise UnavailableError(f"no service at {endpoint} ({error}). Start one: gpdf serve …") from error
                 time.sleep(BACK_OFF_S)
 
+    @property
+    def session(self) -> zenoh.Session:
+        """The Zenoh session, to publish and subscribe beside the service's requests."""
+        return self._session
+
     def close(self) -> None:
         """End the connection."""
         self._session.close()  # type: ignore[no-untyped-call]
@@ -132,13 +137,17 @@ class Client:
         )
         return to_result(self.ask(keys.PLAN, request, PlanReply, deadline_s))
 
-    def distance(self, scene: str, field: str, points: ArrayLike, agent: Agent = "human") -> Distances:
+    def distance(
+        self, scene: str, field: str, points: ArrayLike, agent: Agent = "human", *, deadline_s: float = 30.0
+    ) -> Distances:
         """Ask the "ground" field at points (m, 3), or the "obstacle" field of an agent at (m, 2) or (m, 3) [m]."""
-        request = DistanceRequest(scene=scene, field=field, points=Array.pack(np.asarray(points)), agent=agent)
-        reply = self.ask(keys.DISTANCE, request, DistanceReply, request.deadline_s)
+        packed = Array.pack(np.asarray(points))
+        request = DistanceRequest(scene=scene, field=field, points=packed, agent=agent, deadline_s=deadline_s)
+        reply = self.ask(keys.DISTANCE, request, DistanceReply, deadline_s)
         if reply.distance is None or reply.gradient is None or reply.valid is None:
             raise ServiceError(reply)
-        return Distances(unpack(reply.distance), unpack(reply.gradient), unpack(reply.valid) > 0)
+        parts = unpack(reply.distance), unpack(reply.gradient), unpack(reply.valid) > 0
+        return Distances(*parts, reply.scene_version)
 
     def scenes(self) -> dict[str, dict[str, Any]]:
         """Facts of every scene by name."""
@@ -312,9 +321,11 @@ class AsyncClient:
             self.sync.plan, scene, start, goal, agent, method=method, deadline_s=deadline_s, request_id=request_id
         )
 
-    async def distance(self, scene: str, field: str, points: ArrayLike, agent: Agent = "human") -> Distances:
+    async def distance(
+        self, scene: str, field: str, points: ArrayLike, agent: Agent = "human", *, deadline_s: float = 30.0
+    ) -> Distances:
         """See `Client.distance`."""
-        return await asyncio.to_thread(self.sync.distance, scene, field, points, agent)
+        return await asyncio.to_thread(self.sync.distance, scene, field, points, agent, deadline_s=deadline_s)
 
     async def scenes(self) -> dict[str, dict[str, Any]]:
         """See `Client.scenes`."""

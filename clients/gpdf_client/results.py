@@ -68,6 +68,7 @@ class Distances:
     distance: FloatArray
     gradient: FloatArray
     valid: NDArray[np.bool_]
+    scene_version: int = 0
 
 
 _ERRORS: dict[Status, type[ServiceError]] = {
