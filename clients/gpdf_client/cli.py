@@ -36,14 +36,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     load.add_argument("file")
     plan = verb("plan", "plan a trajectory", _plan)
     plan.add_argument("scene")
-    plan.add_argument("--start", required=True, type=_place, help="x,y or x,y,z [m]")
-    plan.add_argument("--goal", required=True, type=_place, help="x,y or x,y,z [m]")
+    plan.add_argument("--start", required=True, type=place, help="x,y or x,y,z [m]")
+    plan.add_argument("--goal", required=True, type=place, help="x,y or x,y,z [m]")
     plan.add_argument("--agent", default="human")
     plan.add_argument("--method", default="dual_gpdf")
     distance = verb("distance", "distance to the ground or to the obstacles", _distance)
     distance.add_argument("scene")
     distance.add_argument("field", choices=["ground", "obstacle"])
-    distance.add_argument("--at", required=True, type=_place, help="x,y or x,y,z [m]")
+    distance.add_argument("--at", required=True, type=place, help="x,y or x,y,z [m]")
     distance.add_argument("--agent", default="human")
 
 
@@ -82,8 +82,12 @@ def _distance(client: Client, args: argparse.Namespace) -> dict[str, Any]:
     return {"distance": float(found.distance[0]), "valid": bool(found.valid[0])}
 
 
-def _place(text: str) -> list[float]:
+def place(text: str) -> list[float]:
+    """Parse `x,y` or `x,y,z`."""
     try:
-        return [float(part) for part in text.split(",")]
+        parts = [float(part) for part in text.split(",")]
     except ValueError:
-        raise argparse.ArgumentTypeError(f"{text!r} is no place: write x,y or x,y,z in metres") from None
+        parts = []
+    if len(parts) not in (2, 3):
+        raise argparse.ArgumentTypeError(f"{text!r} is no place: write x,y or x,y,z in metres")
+    return parts

@@ -15,7 +15,7 @@ from gpdf_robot.bodies import Body
 from gpdf_robot.motion import Pose, Velocity, wrap
 from gpdf_robot.route import Route
 
-LOOK_AHEAD_S = 0.6
+LOOK_AHEAD_S = 0.4
 """[s] The place ahead is where the line is after this at the present speed: three times the delay of a small robot."""
 LOOK_AHEAD_M = (0.15, 0.6)
 """[m] But never nearer or further: nearer swings with the noise of 1 cm, further cuts corners."""
@@ -30,7 +30,7 @@ APPROACH_S = 1.0
 CREEP = 0.04
 """[m/s] The slowest approach: wheels do not turn below."""
 TURN_FIRST = 0.8
-"""[rad] A differential drive turns on the spot when the place ahead is further aside than this (Nav2: 0.785)…"""
+"""[rad] It turns on the spot when the place ahead (the line, if omnidirectional) is further aside (Nav2: 0.785)…"""
 TURN_UNTIL = 0.1
 """[rad] …and, once it stands, until it is nearer than this: it leaves along the line, not in a swing beside it."""
 STANDS = 0.03
@@ -70,16 +70,17 @@ def pursue(route: Route, pose: Pose, near: float | None, speed: float, body: Bod
     carrot = route.at(np.array([along + look_ahead]))[0]
     dx, dy = float(carrot[0]) - pose.x, float(carrot[1]) - pose.y
     distance = max(hypot(dx, dy), 1e-3)
+    line = route.heading(along)
     bearing = wrap(atan2(dy, dx) - pose.heading)
-    course = bearing if not body.omnidirectional else wrap(atan2(dy, dx) - route.heading(along))
+    aside = wrap(line - pose.heading) if body.omnidirectional else bearing
+    turn = float(np.clip(TURN_GAIN * aside, -body.turn_rate, body.turn_rate))
+    if abs(aside) > (TURN_UNTIL if speed < STANDS else TURN_FIRST):
+        return Pursuit(Velocity(turn=turn), along, offset)
+    course = wrap(atan2(dy, dx) - line) if body.omnidirectional else bearing
     curvature = 2.0 * sin(course) / distance
     wanted = regulated(body.speed, curvature, room, route.length - along, body)
     if body.omnidirectional:
-        turn = float(np.clip(TURN_GAIN * wrap(route.heading(along) - pose.heading), -body.turn_rate, body.turn_rate))
         return Pursuit(Velocity(wanted * cos(bearing), wanted * sin(bearing), turn), along, offset)
-    if abs(bearing) > (TURN_UNTIL if speed < STANDS else TURN_FIRST):
-        turn = float(np.clip(TURN_GAIN * bearing, -body.turn_rate, body.turn_rate))
-        return Pursuit(Velocity(turn=turn), along, offset)
     wanted = min(wanted, body.turn_rate / max(abs(curvature), 1e-9))
     return Pursuit(Velocity(forward=wanted, turn=wanted * curvature), along, offset)
 

@@ -113,11 +113,11 @@ class Driver:
         self._stepped: float | None = None
         self._moved_at = self._asked_at = -np.inf
 
-    def step(self, pose: Pose, now: float, start_z: float | None = None) -> Velocity:
+    def step(self, pose: Pose | None, now: float, start_z: float | None = None) -> Velocity:
         """What to do now.
 
         Args:
-            pose: The last one that was measured.
+            pose: The last one that was measured, if any was.
             now: Present time on the clock of its stamp [s].
             start_z: Height of the ground under the robot, which tells its storey before there is a route [m].
         """
@@ -128,18 +128,22 @@ class Driver:
         self._command = self._decide(pose, now, seconds, start_z)
         return self._command
 
-    def _decide(self, pose: Pose, now: float, seconds: float, start_z: float | None) -> Velocity:
+    def _decide(self, pose: Pose | None, now: float, seconds: float, start_z: float | None) -> Velocity:
         if self.state in ENDS:
             return STOP
         if now - self._moved_at > GIVE_UP_S:
             return self._stop(State.GAVE_UP, self.reason or f"no progress in {GIVE_UP_S:.0f} s")
-        if not 0.0 <= now - pose.stamp <= POSE_OLD_S:
+        if pose is None:
+            return self._stop(State.BLIND, "no pose has come")
+        if not abs(now - pose.stamp) <= POSE_OLD_S:
             return self._stop(State.BLIND, f"the pose is {now - pose.stamp:.2f} s old")
         if self._route is None:
             if now - self._asked_at >= (REPLAN_S if self.state is State.DRIVING else RETRY_S):
                 self._plan(pose, now, start_z)
             return STOP
-        return self._follow(self._route, advance(pose, self._command, now + DELAY_S - pose.stamp), now, seconds)
+        return self._follow(
+            self._route, advance(pose, self._command, max(0.0, now - pose.stamp) + DELAY_S), now, seconds
+        )
 
     def _follow(self, route: Route, pose: Pose, now: float, seconds: float) -> Velocity:
         pursuit = pursue(route, pose, self._along, self._command.speed, self.body, self._room)

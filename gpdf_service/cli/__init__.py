@@ -22,11 +22,13 @@ VERBS: dict[str, tuple[str, str]] = {
     "scene info": ("gpdf_service.cli.scene_info", "say what is in a scene or a cloud"),
     "plan": ("gpdf_service.cli.plan", "plan in a scene or a cloud, without a service"),
     "client": ("gpdf_client.cli", "ask a running service"),
+    "drive": ("gpdf_service.cli.drive", "drive a robot, or a simulated one, along a planned trajectory"),
     "replay": ("gpdf_service.service.replay_verb", "ask a service again what a log recorded, and compare"),
     "record check": ("gpdf_service.service.record_verb", "check a log, and mend what a crash left"),
     "bench field": ("gpdf_service.bench.field", "accuracy and speed of the distance fields beside a k-d tree"),
     "bench build": ("gpdf_service.bench.build", "time from cloud to scene beside Open3D's normals"),
     "bench plan": ("gpdf_service.bench.plan", "random queries: share certified, an independent judge, time"),
+    "bench drive": ("gpdf_service.bench.drive", "simulated robots on random errands: contacts, error of following"),
     "bench service": ("gpdf_service.bench.service", "what Zenoh, msgpack and the log add to a plan"),
     "demo": ("gpdf_service.cli.demo", "see it happen: service, four bodies, picture and log"),
 }

@@ -22,3 +22,4 @@ from gpdf_schemas.messages import ScenesReply as ScenesReply
 from gpdf_schemas.messages import Status as Status
 from gpdf_schemas.messages import TrajectoryMessage as TrajectoryMessage
 from gpdf_schemas.messages import UploadRequest as UploadRequest
+from gpdf_schemas.messages import VelocityMessage as VelocityMessage

@@ -261,3 +261,23 @@ class CueMessage(msgspec.Struct, frozen=True, kw_only=True):
     distance: float = 0.0
     stamp: float = 0.0
     pose_stamp: float = 0.0
+
+
+class VelocityMessage(msgspec.Struct, frozen=True, kw_only=True):
+    """What a robot shall do now, as a stream of 20 Hz on `keys.VELOCITY`/NAME; a robot that hears none stops.
+
+    Attributes:
+        forward: Along its nose [m/s].
+        left: To its left [m/s]; 0 for a differential drive.
+        turn: Counter-clockwise [rad/s].
+        stamp: When it was decided, since 1970 [s].
+        valid_s: After this it is no command any more: stop [s].
+        state: What the driver does, in a word.
+    """
+
+    forward: float
+    left: float
+    turn: float
+    stamp: float
+    valid_s: float = 0.5
+    state: str = ""

@@ -12,6 +12,7 @@ from gpdf_schemas import (
     PlanRequest,
     PoseMessage,
     Status,
+    VelocityMessage,
     decode,
     encode,
 )
@@ -89,6 +90,12 @@ def test_golden_samples_of_the_streams_are_still_read():
     assert cue.action is CueAction.TURN
     assert (cue.direction, cue.urgency, cue.pace, cue.distance) == (-1.25, 0.5, 0.75, 4.0)
     assert (cue.stamp, cue.pose_stamp) == (1700000000.5, 1700000000.25)
+
+
+def test_the_golden_sample_of_a_velocity_is_still_read():
+    velocity = decode((FOLDER / "golden" / "v1_velocity.msgpack").read_bytes(), VelocityMessage)
+    assert velocity == VelocityMessage(forward=0.25, left=-0.5, turn=1.5, stamp=1700000000.25, state="driving")
+    assert velocity.valid_s == 0.5
 
 
 def test_a_number_that_is_not_finite_is_no_pose():
