@@ -45,6 +45,8 @@ RETRY_S = 2.0
 """[s] Between requests for a route while there is none."""
 REPLAN_S = 0.5
 """[s] Between a route and a request for the next."""
+BLOCKED_S = 1.0
+"""[s] Without progress, for want of room, after which a route from where it is now is asked for."""
 GIVE_UP_S = 20.0
 """[s] Without a centimetre of progress after which the robot stays where it is and says why."""
 PROGRESS_M = 0.01
@@ -112,6 +114,7 @@ class Driver:
         self._command = STOP
         self._stepped: float | None = None
         self._moved_at = self._asked_at = -np.inf
+        self._wait_s = 0.0
 
     def step(self, pose: Pose | None, now: float, start_z: float | None = None) -> Velocity:
         """What to do now.
@@ -138,7 +141,7 @@ class Driver:
         if not abs(now - pose.stamp) <= POSE_OLD_S:
             return self._stop(State.BLIND, f"the pose is {now - pose.stamp:.2f} s old")
         if self._route is None:
-            if now - self._asked_at >= (REPLAN_S if self.state is State.DRIVING else RETRY_S):
+            if now - self._asked_at >= self._wait_s:
                 self._plan(pose, now, start_z)
             return STOP
         return self._follow(
@@ -165,9 +168,9 @@ class Driver:
             look = self._look(route, pose, wanted)
         except ClientError as error:
             return self._stop(State.BLIND, f"no distances: {error}")
-        return self._allowed(look, wanted)
+        return self._allowed(look, wanted, now)
 
-    def _allowed(self, look: Look, wanted: Velocity) -> Velocity:
+    def _allowed(self, look: Look, wanted: Velocity, now: float) -> Velocity:
         """What of the wanted velocity the places ahead allow."""
         near = max(1, round(self._reach(wanted) / CHECK_M))
         self._room = max(0.0, float(look.line[: 2 * near + 1].min()))
@@ -176,6 +179,8 @@ class Driver:
         if (look.line < -KEEP).any():  # what the plan had as free is not
             return self._forget("something stands on the route")
         if look.arc < min(KEEP, look.here - 1e-3) and wanted.speed > 0.0:
+            if now - max(self._moved_at, self._asked_at) > BLOCKED_S:
+                return self._forget("it cannot go on along its route")
             return self._stop(State.BLOCKED, f"only {look.arc:.3f} m of room ahead")
         self.state, self.reason = State.DRIVING, ""
         return wanted
@@ -209,7 +214,7 @@ class Driver:
             start_z = float(self.trajectory.ground[nearest, 2])
         if start_z is not None:
             start.append(start_z)
-        self._asked_at, self.state = now, State.PLANNING
+        self._asked_at, self._wait_s, self.state = now, RETRY_S, State.PLANNING
         for margin in self.margins:
             agent = self.body.agent(margin)
             try:
@@ -231,5 +236,5 @@ class Driver:
 
     def _forget(self, reason: str) -> Velocity:
         """Stop, and ask for another route at the next step."""
-        self._route, self.reason = None, reason
-        return STOP
+        self._route, self._wait_s = None, REPLAN_S
+        return self._stop(State.PLANNING, reason)

@@ -36,10 +36,11 @@ EVERY = 5
 
 @dataclass
 class Tally:
-    """What came of the errands in one scene with one body."""
+    """What came of the errands in one scene with one body; refused are those that the planner had no route for."""
 
     ends: Counter[str] = field(default_factory=Counter)
     reasons: Counter[str] = field(default_factory=Counter)
+    refused: int = 0
     contacts: int = 0
     deepest: float = 0.0
     least_room: float = float("inf")
@@ -113,6 +114,7 @@ def _count(tally: Tally, drive: Drive, made: SyntheticScene, judge: Judge, agent
     tally.ends[drive.state.value] += 1
     if drive.state is not State.ARRIVED:
         tally.reasons[drive.reason.partition(":")[0]] += 1
+        tally.refused += drive.plans == 0
     tally.stops += drive.stops
     tally.offsets.append(drive.offsets)
     tally.seconds.append(drive.seconds)
@@ -133,7 +135,8 @@ def _row(tally: Tally) -> Row:
     return {
         "runs": sum(tally.ends.values()),
         "arrived": tally.ends[State.ARRIVED.value],
-        "gave_up": tally.ends[State.GAVE_UP.value],
+        "refused": tally.refused,
+        "gave_up": tally.ends[State.GAVE_UP.value] - tally.refused,
         "why": ", ".join(f"{reason} {count}" for reason, count in tally.reasons.items()),
         "contacts": tally.contacts,
         "deepest_m": tally.deepest,
