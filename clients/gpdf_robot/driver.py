@@ -19,8 +19,8 @@ from gpdf_robot.motion import STOP, Pose, Velocity, advance, toward
 from gpdf_robot.route import Route
 
 MARGINS = (0.06, 0.03)
-"""[m] Routes are planned for a body wider by this on every side: the error of following. The second where the first has
-no route; never less, so that a route through a narrower gap is refused."""
+"""[m] Routes are planned for a body wider by this on every side: the error of following and two standard deviations of
+the pose. The second where the first has no route; never less, so that a route through a narrower gap is refused."""
 KEEP = 0.01
 """[m] Room that the robot stops before it loses: the error of the Obstacle GPDF against the points."""
 DELAY_S = 0.1
@@ -140,6 +140,8 @@ class Driver:
             return self._stop(State.BLIND, "no pose has come")
         if not abs(now - pose.stamp) <= POSE_OLD_S:
             return self._stop(State.BLIND, f"the pose is {now - pose.stamp:.2f} s old")
+        if 2.0 * pose.accuracy > self.margins[0]:
+            return self._stop(State.BLIND, f"the place is known to {pose.accuracy:.2f} m only")
         if self._route is None:
             if now - self._asked_at >= self._wait_s:
                 self._plan(pose, now, start_z)

@@ -47,7 +47,7 @@ class Poses:
         except (DecodeError, ValueError):
             return  # what cannot be read is no pose: the last one grows old, and the driver stops
         if self._newest is None or message.stamp >= self._newest[0].stamp:
-            self._newest = Pose(x, y, message.heading, message.stamp), z
+            self._newest = Pose(x, y, message.heading, message.stamp, message.accuracy), z
 
 
 def velocity_message(velocity: Velocity, stamp: float, state: str) -> VelocityMessage:

@@ -11,12 +11,21 @@ from gpdf_client.trajectory import FloatArray
 
 @dataclass(frozen=True, slots=True)
 class Pose:
-    """Where a robot is: x, y [m], heading counter-clockwise from +x [rad], and when that was measured [s]."""
+    """Where a robot is.
+
+    Attributes:
+        x: In the scene's frame [m].
+        y: The same.
+        heading: Counter-clockwise from +x [rad].
+        stamp: When that was measured [s].
+        accuracy: One standard deviation of the place [m].
+    """
 
     x: float
     y: float
     heading: float
     stamp: float = 0.0
+    accuracy: float = 0.0
 
     @property
     def xy(self) -> FloatArray:
@@ -58,7 +67,8 @@ def advance(pose: Pose, velocity: Velocity, seconds: float) -> Pose:
     dx = (along * velocity.forward - across * velocity.left) * seconds
     dy = (across * velocity.forward + along * velocity.left) * seconds
     c, s = cos(pose.heading), sin(pose.heading)
-    return Pose(pose.x + c * dx - s * dy, pose.y + s * dx + c * dy, wrap(pose.heading + angle), pose.stamp + seconds)
+    x, y = pose.x + c * dx - s * dy, pose.y + s * dx + c * dy
+    return Pose(x, y, wrap(pose.heading + angle), pose.stamp + seconds, pose.accuracy)
 
 
 def toward(now: Velocity, wanted: Velocity, acceleration: float, turn_acceleration: float, seconds: float) -> Velocity:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import deque
 from dataclasses import dataclass
+from math import hypot
 
 import numpy as np
 
@@ -20,6 +21,7 @@ class Errors:
 
     Attributes:
         position: Standard deviation of a measured coordinate [m].
+        bias: Standard deviation of a coordinate's error that stays for life: the map's, the sensor's mounting [m].
         heading: The same of the heading [rad].
         slip: Standard deviation of the share that a robot's wheels run fast or slow, each axis for itself, for life.
         command_s: From a command to its effect [s].
@@ -27,6 +29,7 @@ class Errors:
     """
 
     position: float = 0.01
+    bias: float = 0.01
     heading: float = 0.01
     slip: float = 0.03
     command_s: float = 0.1
@@ -52,6 +55,7 @@ class SimulatedRobot:
         self.body, self.pose, self.errors, self.velocity = body, pose, errors, STOP
         self.track = [(pose.x, pose.y)]
         self._rng, self._slip = rng, 1.0 + errors.slip * rng.normal(size=3)
+        self._bias = np.append(errors.bias * rng.normal(size=2), 0.0)
         self._commands: deque[tuple[float, Velocity]] = deque()
         self._command = STOP
         self._poses: deque[Pose] = deque([pose])
@@ -77,5 +81,6 @@ class SimulatedRobot:
         """The newest pose that has arrived, with noise."""
         true = self._poses[0]
         noise = self._rng.normal(size=3) * (self.errors.position, self.errors.position, self.errors.heading)
-        x, y, heading = np.array([true.x, true.y, true.heading]) + noise
-        return Pose(float(x), float(y), float(heading), true.stamp)
+        x, y, heading = np.array([true.x, true.y, true.heading]) + self._bias + noise
+        accuracy = hypot(self.errors.position, self.errors.bias)
+        return Pose(float(x), float(y), float(heading), true.stamp, accuracy)

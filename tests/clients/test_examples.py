@@ -47,6 +47,7 @@ SAID = {
     "asynchronous": ["roomba OK", "spot ", "pepper ", "human OK"],
     "credentials": ["['office'"],
     "distance": ["known: [ True False]"],
+    "drive": ["arrived", "routes: 1"],
     "errors": ["GOAL_OUTSIDE_MAP", "another scene: UNKNOWN_SCENE", "another request: INVALID_REQUEST"],
     "plan": ["OK", "m of room"],
     "scenes": ["copy version", "points on 1 level", "digest"],

@@ -146,6 +146,8 @@ def test_an_old_or_absent_pose_stops_it(service):
     assert driver.state is State.BLIND
     assert driver.step(Pose(1.0, 2.0, 0.0, 2.0), 2.0).forward >= 0.0
     assert driver.state is State.DRIVING
+    assert driver.step(Pose(1.0, 2.0, 0.0, 2.0, accuracy=0.2), 2.0) == STOP
+    assert driver.state is State.BLIND
     driver.step(None, 2.0 + 2 * GIVE_UP_S)
     assert driver.state is State.GAVE_UP
 

@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 import gpdf_service as gpdf
 
 ROOMBA, PEPPER = BODIES["roomba"], BODIES["pepper"]
-PERFECT = Errors(0.0, 0.0, 0.0, 0.0, 0.0)
+PERFECT = Errors(0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 small = st.floats(-2.0, 2.0)
 
 
@@ -138,7 +138,7 @@ def test_a_perfect_robot_does_what_it_is_told_within_its_limits():
 
 
 def test_commands_and_poses_come_late():
-    robot = SimulatedRobot(ROOMBA, Pose(0, 0, 0), Errors(0, 0, 0, 0.1, 0.05), np.random.default_rng(0))
+    robot = SimulatedRobot(ROOMBA, Pose(0, 0, 0), Errors(0, 0, 0, 0, 0.1, 0.05), np.random.default_rng(0))
     robot.command(Velocity(forward=0.3))
     for _ in range(10):
         assert robot.velocity == STOP
@@ -150,9 +150,11 @@ def test_commands_and_poses_come_late():
 
 def test_noise_is_as_large_as_it_is_said_to_be_and_comes_again_with_its_seed():
     def poses(seed):
-        robot = SimulatedRobot(ROOMBA, Pose(0, 0, 0), Errors(position=0.02), np.random.default_rng(seed))
+        robot = SimulatedRobot(ROOMBA, Pose(0, 0, 0), Errors(position=0.02, bias=0.0), np.random.default_rng(seed))
         return np.array([robot.measure().xy for _ in range(400)])
 
+    biased = SimulatedRobot(ROOMBA, Pose(0, 0, 0), Errors(0.0, 0.05), np.random.default_rng(0))
+    assert biased.measure().xy.tolist() == biased.measure().xy.tolist() != [0.0, 0.0]
     assert poses(1).std() == pytest.approx(0.02, rel=0.1)
     np.testing.assert_array_equal(poses(1), poses(1))
     assert not np.array_equal(poses(1), poses(2))
