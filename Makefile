@@ -51,6 +51,7 @@ bench: install
 	.venv/bin/gpdf bench build
 	.venv/bin/gpdf bench plan
 	.venv/bin/gpdf bench service
+	.venv/bin/gpdf bench drive
 
 lock: install
 	$(PY) -m pip install --quiet uv

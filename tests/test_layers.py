@@ -20,28 +20,9 @@ ALLOWED = {
     "scene": BASE | {"fields", "perception", "search", "store"},
     "pipeline": BASE | {"fields", "perception", "planning", "scene"},
 }
-WIRE = {
-    "zenoh",
-    "msgpack",
-    "msgspec",
-    "mcap",
-    "gpdf_schemas",
-    "gpdf_client",
-    "gpdf_guidance",
-    "gpdf_robot",
-    "gpdf_ros2",
-}
-LIGHT = {
-    "zenoh",
-    "msgpack",
-    "msgspec",
-    "numpy",
-    "gpdf_schemas",
-    "gpdf_client",
-    "gpdf_guidance",
-    "gpdf_robot",
-    "gpdf_ros2",
-}
+CLIENTS = {"gpdf_client", "gpdf_guidance", "gpdf_robot", "gpdf_ros2"}
+WIRE = {"zenoh", "msgpack", "msgspec", "mcap", "gpdf_schemas"} | CLIENTS
+LIGHT = {"zenoh", "msgpack", "msgspec", "numpy", "gpdf_schemas"} | CLIENTS
 OPTIONAL = {"gpdf_ros2": {"rosbags"}}
 """What a client needs beyond the light install: an extra of its own."""
 
@@ -89,6 +70,4 @@ def test_clients_and_schemas_import_only_what_the_light_install_has(folder):
             top = name.partition(".")[0]
             known = LIGHT | OPTIONAL.get(path.parent.name, set())
             assert top in known or top in sys.stdlib_module_names, f"{path.relative_to(ROOT)} imports {name}"
-            assert folder != "schemas" or top not in {"gpdf_client", "gpdf_guidance", "gpdf_robot", "zenoh"}, (
-                f"{path} imports {name}"
-            )
+            assert folder != "schemas" or top not in CLIENTS | {"zenoh"}, f"{path} imports {name}"

@@ -1,5 +1,6 @@
 """Every example runs against a real service, with nothing of the server's to import."""
 
+import json
 import subprocess
 import sys
 import time
@@ -105,3 +106,16 @@ def test_upload_parts_are_small_enough_for_one_request():
         ground=Array.pack(np.zeros(PART_POINTS), "f4"),
     )
     assert len(encode(part)) < MAX_REQUEST_BYTES
+
+
+def test_the_command_line_saves_a_trajectory(endpoint, tmp_path, capsys):
+    from gpdf_client import Trajectory
+
+    from gpdf_service.cli import main
+
+    words = ["client", "--endpoint", endpoint, "plan", "office", "--start", "1,1", "--goal", "5,3.3", "--json"]
+    assert main([*words, "--save", str(tmp_path / "path.json")]) == 0
+    printed = json.loads(capsys.readouterr().out)
+    assert Trajectory.load(tmp_path / "path.json").positions.tolist() == printed["positions"]
+    assert main([*words, "--save", str(tmp_path / "path.xml")]) == 1
+    assert "saved as" in capsys.readouterr().err
