@@ -22,11 +22,12 @@ MARGINS = (0.06, 0.03)
 """[m] Routes are planned for a body wider by this on every side: the error of following and two standard deviations of
 the pose. The second where the first has no route; never less, so that a route through a narrower gap is refused."""
 KEEP = 0.01
-"""[m] Room that the robot stops before it loses: the error of the Obstacle GPDF against the points."""
+"""[m] Room that the robot stops before it loses: the error of the Obstacle GPDF against the points. Where its place is
+known less well than that, one standard deviation of it."""
 DELAY_S = 0.1
 """[s] From a command to its effect: what small robots' bases and buses have. The driver thinks ahead by it."""
-REACTION_S = 0.25
-"""[s] From a pose to moving wheels, at worst: two periods, the delay, the age of the pose. Then it brakes."""
+REACTION_S = 0.15
+"""[s] More than that until it brakes, at worst: the rest of this period, all of the next, and the service's answer."""
 AHEAD_M = 1.5
 """[m] Of the line that is checked ahead: the stopping distance of the fastest body, 0.75 m, twice."""
 CHECK_M = 0.05
@@ -75,12 +76,14 @@ class Look:
         here: Room beside the body where it is [m].
         arc: Least room until it stands if it now did what it wants to do [m].
         line: Room along the line ahead, from its nearest place on [m], shape (k,).
+        keep: Room that it may not lose [m].
         version: Of the scene that answered.
     """
 
     here: float
     arc: float
     line: FloatArray
+    keep: float
     version: int
 
 
@@ -93,6 +96,7 @@ class Driver:
         goal: (x, y), or (x, y, z of the ground there) [m].
         body: The robot's.
         margins: Room for the error of following, the first that has a route [m].
+        delay_s: From a command to its effect [s].
 
     Attributes:
         state: What it does.
@@ -103,8 +107,16 @@ class Driver:
     """
 
     def __init__(
-        self, client: Client, scene: str, goal: Sequence[float], body: Body, *, margins: Sequence[float] = MARGINS
+        self,
+        client: Client,
+        scene: str,
+        goal: Sequence[float],
+        body: Body,
+        *,
+        margins: Sequence[float] = MARGINS,
+        delay_s: float = DELAY_S,
     ) -> None:
+        self.delay_s = delay_s
         self.client, self.scene, self.goal, self.body, self.margins = client, scene, tuple(goal), body, tuple(margins)
         self.state, self.reason, self.offset, self.plans = State.PLANNING, "", 0.0, 0
         self.trajectory: Trajectory | None = None
@@ -147,7 +159,7 @@ class Driver:
                 self._plan(pose, now, start_z)
             return STOP
         return self._follow(
-            self._route, advance(pose, self._command, max(0.0, now - pose.stamp) + DELAY_S), now, seconds
+            self._route, advance(pose, self._command, max(0.0, now - pose.stamp) + self.delay_s), now, seconds
         )
 
     def _follow(self, route: Route, pose: Pose, now: float, seconds: float) -> Velocity:
@@ -180,7 +192,7 @@ class Driver:
             return self._forget("the scene has changed")
         if (look.line < -KEEP).any():  # what the plan had as free is not
             return self._forget("something stands on the route")
-        if look.arc < min(KEEP, look.here - 1e-3) and wanted.speed > 0.0:
+        if look.arc < min(look.keep, look.here - 1e-3) and wanted.speed > 0.0:
             if now - max(self._moved_at, self._asked_at) > BLOCKED_S:
                 return self._forget("it cannot go on along its route")
             return self._stop(State.BLOCKED, f"only {look.arc:.3f} m of room ahead")
@@ -196,15 +208,16 @@ class Driver:
         places = np.vstack([np.column_stack([arc, np.full(len(arc), height)]), line])
         found = self.client.distance(self.scene, "obstacle", places, self._agent, deadline_s=DISTANCE_DEADLINE_S)
         room = np.where(found.valid, found.distance, 0.0) - self.body.radius
-        return Look(float(room[0]), float(room[: len(arc)].min()), room[len(arc) :], found.scene_version)
+        keep = max(KEEP, pose.accuracy)
+        return Look(float(room[0]), float(room[: len(arc)].min()), room[len(arc) :], keep, found.scene_version)
 
     def _reach(self, velocity: Velocity) -> float:
         """Way until it stands [m]."""
-        return velocity.speed * REACTION_S + velocity.speed**2 / (2 * self.body.acceleration)
+        return velocity.speed * (self.delay_s + REACTION_S) + velocity.speed**2 / (2 * self.body.acceleration)
 
     def _until_standing(self, pose: Pose, velocity: Velocity) -> FloatArray:
         """Places from the present one to where it stands if it brakes after its reaction, (k, 2) [m]."""
-        seconds = REACTION_S + velocity.speed / (2 * self.body.acceleration)
+        seconds = self.delay_s + REACTION_S + velocity.speed / (2 * self.body.acceleration)
         count = max(2, 1 + round(self._reach(velocity) / CHECK_M))
         return np.array([advance(pose, velocity, t).xy for t in np.linspace(0.0, seconds, count)])
 

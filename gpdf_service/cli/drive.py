@@ -15,6 +15,7 @@ from gpdf_client import Client, ClientError
 from gpdf_client.cli import place
 from gpdf_client.client import DEFAULT_ENDPOINT
 from gpdf_robot import BODIES, Body, Drive, Driver, Errors, Pose, SimulatedRobot, State, drive_live, simulate
+from gpdf_robot.driver import DELAY_S
 from gpdf_robot.live import velocity_message
 from gpdf_schemas import encode, keys
 
@@ -31,6 +32,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--goal", type=place, required=True, help="x,y or x,y,z of the ground there [m]")
     parser.add_argument("--agent", default="roomba", choices=BODIES, help="the robot's body")
     parser.add_argument("--name", default="robot", help=f"the robot's name: {keys.POSE}/NAME, {keys.VELOCITY}/NAME")
+    parser.add_argument("--delay", type=float, default=DELAY_S, help="from a command to its effect [s]")
     parser.add_argument("--endpoint", default=DEFAULT_ENDPOINT, help="the service")
     parser.add_argument("--simulate", action="store_true", help="drive a simulated robot, in simulated time")
     parser.add_argument("--seed", type=int, default=0, help="of the simulated robot's errors")
@@ -82,7 +84,7 @@ def _service(args: argparse.Namespace) -> Iterator[tuple[str, str]]:
 
 
 def _live(client: Client, scene: str, args: argparse.Namespace) -> dict[str, Any]:
-    driver = Driver(client, scene, args.goal, BODIES[args.agent])
+    driver = Driver(client, scene, args.goal, BODIES[args.agent], delay_s=args.delay)
     told = ""
 
     def tell(driver: Driver) -> None:
@@ -100,8 +102,8 @@ def _simulated(client: Client, scene: str, args: argparse.Namespace) -> dict[str
     body, rng = BODIES[args.agent], np.random.default_rng(args.seed)
     start_z = args.start[2] if len(args.start) == 3 else None
     pose = Pose(args.start[0], args.start[1], float(rng.uniform(-np.pi, np.pi)))
-    robot = SimulatedRobot(body, pose, Errors(), rng)
-    driver = Driver(client, scene, args.goal, body)
+    robot = SimulatedRobot(body, pose, Errors(command_s=args.delay), rng)
+    driver = Driver(client, scene, args.goal, body, delay_s=args.delay)
     publisher = client.session.declare_publisher(f"{keys.VELOCITY}/{args.name}")
     drive = simulate(
         driver,

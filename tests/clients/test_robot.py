@@ -131,6 +131,21 @@ def test_an_obstacle_that_it_is_about_to_hit_stops_it_though_the_plan_does_not_k
     assert driver._allowed(away, Velocity(forward=-0.3), 0.2).forward == -0.3
     driver._allowed(look, Velocity(forward=0.3), 5.0)
     assert driver.state is State.PLANNING  # stuck for long: another route
+    unsure = Pose(*heading_for_the_wall.xy, 0.0, 0.0, accuracy=0.03)
+    assert driver._look(route, unsure, STOP).keep == 0.03 > look.keep
+
+
+def test_a_slow_robot_is_thought_ahead_of(service):
+    client, _ = service
+    load(client, "wall", WALL)
+    errors, offsets = Errors(position=0.0, bias=0.0, command_s=0.3), []
+    for known in (0.3, 0.0):
+        robot = SimulatedRobot(ROOMBA, Pose(1.0, 1.0, 0.5), errors, np.random.default_rng(0))
+        drive = simulate(Driver(client, "wall", (5.0, 1.0), ROOMBA, delay_s=known), robot)
+        assert drive.state is State.ARRIVED
+        assert room_of(drive, WALL) > 0.0
+        offsets.append(drive.error_p95)
+    assert offsets[0] < 0.7 * offsets[1]
 
 
 def test_an_old_or_absent_pose_stops_it(service):
