@@ -52,6 +52,7 @@ bench: install
 	.venv/bin/gpdf bench plan
 	.venv/bin/gpdf bench paper --markdown out/paper.md --png out/paper
 	.venv/bin/gpdf bench service
+	.venv/bin/gpdf bench drive
 
 lock: install
 	$(PY) -m pip install --quiet uv

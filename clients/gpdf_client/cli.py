@@ -6,6 +6,7 @@ import argparse
 import json
 import sys
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -36,14 +37,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     load.add_argument("file")
     plan = verb("plan", "plan a trajectory", _plan)
     plan.add_argument("scene")
-    plan.add_argument("--start", required=True, type=_place, help="x,y or x,y,z [m]")
-    plan.add_argument("--goal", required=True, type=_place, help="x,y or x,y,z [m]")
+    plan.add_argument("--start", required=True, type=place, help="x,y or x,y,z [m]")
+    plan.add_argument("--goal", required=True, type=place, help="x,y or x,y,z [m]")
     plan.add_argument("--agent", default="human")
     plan.add_argument("--method", default="dual_gpdf", help="or a baseline: single_gpdf, astar, prm")
+    plan.add_argument("--save", type=Path, help="write the trajectory to a .json, .csv or .geojson file")
     distance = verb("distance", "distance to the ground or to the obstacles", _distance)
     distance.add_argument("scene")
     distance.add_argument("field", choices=["ground", "obstacle"])
-    distance.add_argument("--at", required=True, type=_place, help="x,y or x,y,z [m]")
+    distance.add_argument("--at", required=True, type=place, help="x,y or x,y,z [m]")
     distance.add_argument("--agent", default="human")
 
 
@@ -52,7 +54,7 @@ def run(args: argparse.Namespace) -> int:
     try:
         with Client.connect(args.endpoint) as client:
             result = args.act(client, args)
-    except ClientError as error:
+    except (ClientError, OSError, ValueError) as error:
         print(f"gpdf: {error}", file=sys.stderr)
         return 1
     if args.json:
@@ -72,6 +74,8 @@ def _plan(client: Client, args: argparse.Namespace) -> dict[str, Any]:
             "duration": result.trajectory.duration,
             "min_clearance": result.certificate.min_clearance,
         }
+        if args.save is not None:
+            result.trajectory.save(args.save)
         if args.json:
             made["positions"] = result.trajectory.positions.tolist()
     return made
@@ -82,8 +86,12 @@ def _distance(client: Client, args: argparse.Namespace) -> dict[str, Any]:
     return {"distance": float(found.distance[0]), "valid": bool(found.valid[0])}
 
 
-def _place(text: str) -> list[float]:
+def place(text: str) -> list[float]:
+    """Parse `x,y` or `x,y,z`."""
     try:
-        return [float(part) for part in text.split(",")]
+        parts = [float(part) for part in text.split(",")]
     except ValueError:
-        raise argparse.ArgumentTypeError(f"{text!r} is no place: write x,y or x,y,z in metres") from None
+        parts = []
+    if len(parts) not in (2, 3):
+        raise argparse.ArgumentTypeError(f"{text!r} is no place: write x,y or x,y,z in metres")
+    return parts

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import asyncio
 import json
+import math
 import time
 import uuid
 from collections.abc import Callable, Collection, Sequence
 from types import TracebackType
 from typing import Any, TypeVar
 
+import gpdf_schemas
 import msgspec
 import numpy as np
 import zenoh
@@ -32,11 +34,23 @@ from gpdf_schemas import (
 )
 from numpy.typing import ArrayLike
 
-from gpdf_client.results import Distances, PlanResult, ServiceError, UnavailableError, raise_for, to_result
+from gpdf_client.results import (
+    DecodeError,
+    Distances,
+    InvalidRequestError,
+    PlanResult,
+    ServiceError,
+    UnavailableError,
+    raise_for,
+    to_result,
+    unpack,
+)
 
 DEFAULT_ENDPOINT = "tcp/127.0.0.1:7447"
 BACK_OFF_S = 0.05
 """[s] Between tries when nobody answers or the service is busy."""
+TRY_S = 3600.0
+"""[s] The longest that one try waits; Zenoh takes a time-out that overflows its clock for a negative one."""
 PART_POINTS = 40_000
 """Points in one part of an upload: 1 MB as f8, which keeps small queries quick beside it."""
 
@@ -83,6 +97,11 @@ class Client:
                     raise UnavailableError(f"no service at {endpoint} ({error}). Start one: gpdf serve …") from error
                 time.sleep(BACK_OFF_S)
 
+    @property
+    def session(self) -> zenoh.Session:
+        """The Zenoh session, to publish and subscribe beside the service's requests."""
+        return self._session
+
     def close(self) -> None:
         """End the connection."""
         self._session.close()  # type: ignore[no-untyped-call]
@@ -117,17 +136,21 @@ class Client:
             agent=agent,
             method=method,
             deadline_s=deadline_s,
-            request_id=request_id or uuid.uuid4().hex,
+            request_id=request_id,
         )
         return to_result(self.ask(keys.PLAN, request, PlanReply, deadline_s))
 
-    def distance(self, scene: str, field: str, points: ArrayLike, agent: Agent = "human") -> Distances:
+    def distance(
+        self, scene: str, field: str, points: ArrayLike, agent: Agent = "human", *, deadline_s: float = 30.0
+    ) -> Distances:
         """Ask the "ground" field at points (m, 3), or the "obstacle" field of an agent at (m, 2) or (m, 3) [m]."""
-        request = DistanceRequest(scene=scene, field=field, points=Array.pack(np.asarray(points)), agent=agent)
-        reply = self.ask(keys.DISTANCE, request, DistanceReply, request.deadline_s)
+        packed = Array.pack(np.asarray(points))
+        request = DistanceRequest(scene=scene, field=field, points=packed, agent=agent, deadline_s=deadline_s)
+        reply = self.ask(keys.DISTANCE, request, DistanceReply, deadline_s)
         if reply.distance is None or reply.gradient is None or reply.valid is None:
             raise ServiceError(reply)
-        return Distances(reply.distance.unpack(), reply.gradient.unpack(), reply.valid.unpack() > 0)
+        parts = unpack(reply.distance), unpack(reply.gradient), unpack(reply.valid) > 0
+        return Distances(*parts, reply.scene_version)
 
     def scenes(self) -> dict[str, dict[str, Any]]:
         """Facts of every scene by name."""
@@ -215,20 +238,32 @@ class Client:
     ) -> R:
         """One request and its reply; asked again while nobody answers or the queue is full.
 
+        Every try carries the same `request_id`, so that whoever answers can tell a repetition from a new request.
+
         Args:
             key: One of `gpdf_schemas.keys`.
-            request: Its message.
+            request: Its message; it gets a `request_id` if it has none.
             kind: The type of its reply.
             deadline_s: Seconds to keep asking.
             fine: Statuses that are no failure to the caller, though they would be to others.
+
+        Raises:
+            UnavailableError: nobody answered in time.
+            DecodeError: the answer is not the message that it should be.
+            ServiceError: the service refused.
         """
+        if not 0 < deadline_s < math.inf:
+            words = f"deadline_s = {deadline_s}. Give a positive, finite number of seconds."
+            raise InvalidRequestError(Reply(status=Status.INVALID_REQUEST, message=words))
+        if not getattr(request, "request_id", ""):
+            request = msgspec.structs.replace(request, request_id=uuid.uuid4().hex)
         payload, until = encode(request), time.monotonic() + deadline_s
         busy: Reply | None = None
         while (left := until - time.monotonic()) > 0:
-            for answer in self._session.get(key, payload=payload, timeout=left):
+            for answer in self._session.get(key, payload=payload, timeout=min(left, TRY_S)):
                 if answer.ok is None:
                     continue  # Zenoh's own time-out
-                reply = decode(answer.ok.payload.to_bytes(), kind)
+                reply = _decode(answer.ok.payload.to_bytes(), kind)
                 if reply.status is Status.BUSY:
                     busy = reply
                     break
@@ -241,6 +276,13 @@ class Client:
         raise UnavailableError(f"no answer on {key} within {deadline_s:.1f} s. Is the service running?")
 
 
+def _decode(data: bytes, kind: type[R]) -> R:
+    try:
+        return decode(data, kind)
+    except gpdf_schemas.DecodeError as error:
+        raise DecodeError(str(error)) from error
+
+
 class AsyncClient:
     """`Client` for asyncio: the same calls, awaited; each runs in a thread, so the event loop is never blocked."""
 
@@ -248,9 +290,15 @@ class AsyncClient:
         self.sync = client
 
     @classmethod
-    async def connect(cls, endpoint: str = DEFAULT_ENDPOINT, *, timeout_s: float = 5.0) -> AsyncClient:
+    async def connect(
+        cls, endpoint: str = DEFAULT_ENDPOINT, *, timeout_s: float = 5.0, config: zenoh.Config | None = None
+    ) -> AsyncClient:
         """See `Client.connect`."""
-        return cls(await asyncio.to_thread(Client.connect, endpoint, timeout_s=timeout_s))
+        return cls(await asyncio.to_thread(Client.connect, endpoint, timeout_s=timeout_s, config=config))
+
+    async def close(self) -> None:
+        """See `Client.close`."""
+        await asyncio.to_thread(self.sync.close)
 
     async def __aenter__(self) -> AsyncClient:
         return self
@@ -258,7 +306,7 @@ class AsyncClient:
     async def __aexit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        await asyncio.to_thread(self.sync.close)
+        await self.close()
 
     async def plan(
         self,
@@ -266,23 +314,53 @@ class AsyncClient:
         start: Sequence[float],
         goal: Sequence[float],
         agent: Agent = "human",
-        **options: Any,  # noqa: ANN401
+        *,
+        method: str = "dual_gpdf",
+        deadline_s: float = 30.0,
+        request_id: str = "",
     ) -> PlanResult:
         """See `Client.plan`."""
-        return await asyncio.to_thread(self.sync.plan, scene, start, goal, agent, **options)
+        return await asyncio.to_thread(
+            self.sync.plan, scene, start, goal, agent, method=method, deadline_s=deadline_s, request_id=request_id
+        )
 
-    async def distance(self, scene: str, field: str, points: ArrayLike, agent: Agent = "human") -> Distances:
+    async def distance(
+        self, scene: str, field: str, points: ArrayLike, agent: Agent = "human", *, deadline_s: float = 30.0
+    ) -> Distances:
         """See `Client.distance`."""
-        return await asyncio.to_thread(self.sync.distance, scene, field, points, agent)
+        return await asyncio.to_thread(self.sync.distance, scene, field, points, agent, deadline_s=deadline_s)
 
     async def scenes(self) -> dict[str, dict[str, Any]]:
         """See `Client.scenes`."""
         return await asyncio.to_thread(self.sync.scenes)
 
-    async def load_scene(self, name: str, file: str | None = None, **options: Any) -> dict[str, Any]:  # noqa: ANN401
-        """See `Client.load_scene`."""
-        return await asyncio.to_thread(lambda: self.sync.load_scene(name, file, **options))
+    async def info(self, scene: str) -> dict[str, Any]:
+        """See `Client.info`."""
+        return await asyncio.to_thread(self.sync.info, scene)
+
+    async def load_scene(
+        self,
+        name: str,
+        file: str | None = None,
+        *,
+        upload: ArrayLike | None = None,
+        ground: ArrayLike | None = None,
+        timeout_s: float = 300.0,
+        progress: Progress = lambda share: None,
+    ) -> dict[str, Any]:
+        """See `Client.load_scene`; `progress` is called from another thread."""
+        return await asyncio.to_thread(
+            self.sync.load_scene, name, file, upload=upload, ground=ground, timeout_s=timeout_s, progress=progress
+        )
 
     async def unload_scene(self, scene: str) -> None:
         """See `Client.unload_scene`."""
         await asyncio.to_thread(self.sync.unload_scene, scene)
+
+    async def wait_for_scene(self, name: str, *, timeout_s: float = 300.0) -> dict[str, Any]:
+        """See `Client.wait_for_scene`."""
+        return await asyncio.to_thread(self.sync.wait_for_scene, name, timeout_s=timeout_s)
+
+    async def wait_for_service(self, *, timeout_s: float = 30.0) -> None:
+        """See `Client.wait_for_service`."""
+        await asyncio.to_thread(self.sync.wait_for_service, timeout_s=timeout_s)

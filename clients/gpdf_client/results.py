@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
+import gpdf_schemas
 import numpy as np
-from gpdf_schemas import CertificateMessage, PlanReply, Reply, Status
+from gpdf_schemas import Array, CertificateMessage, PlanReply, Reply, Status
 from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
+from gpdf_client.trajectory import FloatArray, Trajectory
 
 
 class ClientError(Exception):
@@ -17,6 +18,10 @@ class ClientError(Exception):
 
 class UnavailableError(ClientError):
     """Nobody answered: no service at the endpoint, or it died; tried again until the time was up."""
+
+
+class DecodeError(ClientError, gpdf_schemas.DecodeError):
+    """The reply is not the message that it should be: the service is of another version, or it is no such service."""
 
 
 class ServiceError(ClientError):
@@ -37,26 +42,6 @@ class UnknownSceneError(ServiceError):
 
 class ServiceBusyError(ServiceError):
     """The service's queue was full each time that it was asked."""
-
-
-@dataclass(frozen=True, slots=True)
-class Trajectory:
-    """Positions of the body's top (n, 3), contact points (n, 3) [m], times (n,) [s], headings (n,) [rad]."""
-
-    positions: FloatArray
-    ground: FloatArray
-    times: FloatArray
-    headings: FloatArray
-
-    @property
-    def length(self) -> float:
-        """Length of the path of the body's top [m]."""
-        return float(np.linalg.norm(np.diff(self.positions, axis=0), axis=1).sum())
-
-    @property
-    def duration(self) -> float:
-        """Time from start to goal [s]."""
-        return float(self.times[-1])
 
 
 Certificate = CertificateMessage
@@ -86,6 +71,7 @@ class Distances:
     distance: FloatArray
     gradient: FloatArray
     valid: NDArray[np.bool_]
+    scene_version: int = 0
 
 
 _ERRORS: dict[Status, type[ServiceError]] = {
@@ -105,12 +91,24 @@ def raise_for(reply: Reply) -> None:
         raise _ERRORS[reply.status](reply)
 
 
+def unpack(array: Array) -> FloatArray:
+    """The numbers of an array in a reply.
+
+    Raises:
+        DecodeError: its bytes do not fit its shape, or a number is not finite.
+    """
+    try:
+        return array.unpack()
+    except ValueError as error:
+        raise DecodeError(f"array in the reply: {error}. See schemas/CONVENTIONS.md.") from error
+
+
 def to_result(reply: PlanReply) -> PlanResult:
     """Unpack a plan's reply."""
     path = reply.trajectory
     trajectory = None
     if path is not None:
-        trajectory = Trajectory(*(part.unpack() for part in (path.positions, path.ground, path.times, path.headings)))
+        trajectory = Trajectory(*map(unpack, (path.positions, path.ground, path.times, path.headings)))
     return PlanResult(
         reply.status,
         reply.message,

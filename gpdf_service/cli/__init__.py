@@ -22,6 +22,8 @@ VERBS: dict[str, tuple[str, str]] = {
     "scene info": ("gpdf_service.cli.scene_info", "say what is in a scene or a cloud"),
     "plan": ("gpdf_service.cli.plan", "plan in a scene or a cloud, without a service"),
     "client": ("gpdf_client.cli", "ask a running service"),
+    "drive": ("gpdf_service.cli.drive", "drive a robot, or a simulated one, along a planned trajectory"),
+    "ros2": ("gpdf_service.cli.ros2", "answer the goals of a ROS 2 robot with paths, without ROS here"),
     "replay": ("gpdf_service.service.replay_verb", "ask a service again what a log recorded, and compare"),
     "record check": ("gpdf_service.service.record_verb", "check a log, and mend what a crash left"),
     "bench field": ("gpdf_service.bench.field", "accuracy and speed of the distance fields beside a k-d tree"),
@@ -31,6 +33,7 @@ VERBS: dict[str, tuple[str, str]] = {
         "gpdf_service.bench.paper",
         "the paper's tables and figures: four methods, judged against the clean cloud",
     ),
+    "bench drive": ("gpdf_service.bench.drive", "simulated robots on random errands: contacts, error of following"),
     "bench service": ("gpdf_service.bench.service", "what Zenoh, msgpack and the log add to a plan"),
     "demo": ("gpdf_service.cli.demo", "see it happen: service, four bodies, picture and log"),
 }
@@ -68,7 +71,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     except ModuleNotFoundError as error:
         if (error.name or "").partition(".")[0] in ("gpdf_service", "gpdf_client", "gpdf_schemas"):
             raise
-        print(f"gpdf {verb} needs {error.name}: pip install 'gpdf-service[server]'", file=sys.stderr)
+        extra = "ros2" if (error.name or "").startswith("rosbags") else "server"
+        print(f"gpdf {verb} needs {error.name}: pip install 'gpdf-service[{extra}]'", file=sys.stderr)
         return 1
     parser = argparse.ArgumentParser(prog=f"gpdf {verb}", description=text)
     module.add_arguments(parser)

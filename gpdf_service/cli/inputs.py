@@ -18,8 +18,11 @@ SCENE_SUFFIX = ".gpdf"
 
 def add_cloud_arguments(parser: argparse.ArgumentParser) -> None:
     """The input: a cloud, or a scene that was built before."""
-    parser.add_argument("input", type=Path, help=f"a cloud (.ply .pcd .xyz .npz .las .laz) or a scene ({SCENE_SUFFIX})")
+    parser.add_argument(
+        "input", type=Path, help=f"a cloud (.ply .pcd .xyz .npz .las .laz; ROS bags) or a scene ({SCENE_SUFFIX})"
+    )
     parser.add_argument("--ground-label", type=int, help="the label that means ground in the file")
+    parser.add_argument("--topic", help="of the PointCloud2 in a ROS bag that has several")
     parser.add_argument("--ignore-labels", action="store_true", help="segment the ground even if the file has labels")
     parser.add_argument("--config", type=Path, help="a TOML file with settings")
 
@@ -41,7 +44,7 @@ def open_scene(args: argparse.Namespace) -> Scene:
             bar.set_description(stage)
             bar.update(done - bar.n)
 
-        cloud = read_cloud(args.input, ground_label=args.ground_label)
+        cloud = read_cloud(args.input, ground_label=args.ground_label, topic=args.topic)
         ground = None if args.ignore_labels else cloud.ground
         return build_scene(cloud.points, ground, read_config(args.config), progress=progress)
 

@@ -1,4 +1,4 @@
-"""Reading point clouds: .ply .pcd .xyz (Open3D), .npz (NumPy), .las .laz (laspy), with ground labels if any."""
+"""Reading point clouds: .ply .pcd .xyz (Open3D), .npz (NumPy), .las .laz (laspy), with labels if any; ROS bags."""
 
 from __future__ import annotations
 
@@ -11,12 +11,15 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from gpdf_service.errors import CloudError
+from gpdf_service.perception.bag import read_bag
 from gpdf_service.types import BoolArray, FloatArray
 
 LAS_GROUND = 2
 """ASPRS LAS specification 1.4, table 17: class 2 is ground."""
 GROUND_CLASSES = ("ground", "floor", "terrain")
 """Names that mean ground in an .npz file's `classes`."""
+BAGS = (".mcap", ".db3", ".bag")
+"""Suffixes of ROS bags."""
 MAX_EXTENT = 5000.0
 """[m] No place that one plans in on foot is wider; a room in millimetres is."""
 
@@ -54,20 +57,31 @@ def check_points(points: ArrayLike) -> FloatArray:
     return made
 
 
-def read_cloud(path: str | os.PathLike[str], *, ground_label: int | None = None) -> PointCloud:
-    """Read a cloud by its suffix.
+def read_cloud(
+    path: str | os.PathLike[str], *, ground_label: int | None = None, topic: str | None = None
+) -> PointCloud:
+    """Read a cloud by its suffix; a folder is a rosbag2.
 
     Args:
         path: The file.
         ground_label: The label that means ground (.npz `label`, LAS class); by name or standard if not given.
+        topic: Where a bag has clouds on several topics, the one to take.
 
     Raises:
         CloudError: the file is missing, of an unknown kind, damaged, empty, or lacks a column.
     """
     file = Path(path)
+    if file.suffix.lower() in BAGS or (file / "metadata.yaml").is_file():
+        if ground_label is not None:
+            raise CloudError(f"bag {file}", "bags carry no labels", "Leave --ground-label out, or use .npz.")
+        if not file.exists():
+            raise CloudError(f"bag {file}", "there is no such file", "Check the path.")
+        return PointCloud(check_points(read_bag(file, topic)))
     reader = _READERS.get(file.suffix.lower())
     if reader is None:
-        raise CloudError(f"cloud {file}", f"files of kind {file.suffix!r} are not known", f"Use {' '.join(_READERS)}.")
+        raise CloudError(
+            f"cloud {file}", f"files of kind {file.suffix!r} are not known", f"Use {' '.join([*_READERS, *BAGS])}."
+        )
     if not file.is_file():
         raise CloudError(f"cloud {file}", "there is no such file", "Check the path.")
     try:

@@ -21,6 +21,9 @@ MESSAGES = (
     messages.ScenesReply,
     messages.LoadRequest,
     messages.UploadRequest,
+    messages.PoseMessage,
+    messages.CueMessage,
+    messages.VelocityMessage,
 )
 
 

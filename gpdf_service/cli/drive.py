@@ -1,0 +1,146 @@
+"""`gpdf drive SCENE --goal x,y`: drive a robot, or a simulated one, along a planned trajectory."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from gpdf_client import Client, ClientError
+from gpdf_client.cli import place
+from gpdf_client.client import DEFAULT_ENDPOINT
+from gpdf_robot import BODIES, Body, Drive, Driver, Errors, Pose, SimulatedRobot, State, drive_live, simulate
+from gpdf_robot.driver import DELAY_S
+from gpdf_robot.live import velocity_message
+from gpdf_schemas import encode, keys
+
+PICTURE_CELL = 0.05
+"""[m] Between samples of the distance in a picture."""
+PICTURE_BORDER = 1.0
+"""[m] Shown around the drive."""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the verb's options."""
+    parser.add_argument("scene", help="a scene of the service at --endpoint, or a cloud: then it serves that itself")
+    parser.add_argument("--start", type=place, help="x,y or x,y,z of the ground there [m], for --simulate")
+    parser.add_argument("--goal", type=place, required=True, help="x,y or x,y,z of the ground there [m]")
+    parser.add_argument("--agent", default="roomba", choices=BODIES, help="the robot's body")
+    parser.add_argument("--name", default="robot", help=f"the robot's name: {keys.POSE}/NAME, {keys.VELOCITY}/NAME")
+    parser.add_argument("--delay", type=float, default=DELAY_S, help="from a command to its effect [s]")
+    parser.add_argument("--endpoint", default=DEFAULT_ENDPOINT, help="the service")
+    parser.add_argument("--simulate", action="store_true", help="drive a simulated robot, in simulated time")
+    parser.add_argument("--seed", type=int, default=0, help="of the simulated robot's errors")
+    parser.add_argument("--json", action="store_true", help="print the result as JSON")
+    parser.add_argument("--png", type=Path, help="draw where it was planned and where it went (with --simulate)")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Drive once; exit code 0 only if the robot arrived."""
+    if args.simulate != (args.start is not None) or (args.png and not args.simulate):
+        print("gpdf drive: --simulate needs --start; without it there is no --start and no --png", file=sys.stderr)
+        return 2
+    try:
+        with _service(args) as (endpoint, scene), Client.connect(endpoint) as client:
+            client.wait_for_scene(scene)
+            result = (_simulated if args.simulate else _live)(client, scene, args)
+    except ClientError as error:
+        print(f"gpdf: {error}", file=sys.stderr)
+        return 1
+    except KeyboardInterrupt:
+        print("gpdf: stopped", file=sys.stderr)
+        return 130
+    if args.json:
+        print(json.dumps(result))
+    else:
+        for key, value in result.items():
+            if key != "track":
+                print(f"{key}: {value:.3f}" if isinstance(value, float) else f"{key}: {value}")
+    return 0 if result["state"] == State.ARRIVED.value else 1
+
+
+@contextmanager
+def _service(args: argparse.Namespace) -> Iterator[tuple[str, str]]:
+    """Endpoint and name of the scene; a service of its own where the scene is a file."""
+    cloud = Path(args.scene)
+    if not cloud.is_file():
+        yield args.endpoint, args.scene
+        return
+    import socket
+    from tempfile import TemporaryDirectory
+
+    from gpdf_service.service.server import Options, Server  # the light install has none
+
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        endpoint = f"tcp/127.0.0.1:{probe.getsockname()[1]}"
+    with TemporaryDirectory() as log, Server(Options(endpoint, Path(log), Path(log)), [("scene", cloud)]):
+        yield endpoint, "scene"
+
+
+def _live(client: Client, scene: str, args: argparse.Namespace) -> dict[str, Any]:
+    driver = Driver(client, scene, args.goal, BODIES[args.agent], delay_s=args.delay)
+    told = ""
+
+    def tell(driver: Driver) -> None:
+        nonlocal told
+        words = f"{driver.state}: {driver.reason}" if driver.reason else str(driver.state)
+        if words.split(":")[0] != told.split(":")[0]:
+            print(words, file=sys.stderr)
+        told = words
+
+    drive_live(driver, client.session, args.name, on_step=tell)
+    return {"state": driver.state.value, "reason": driver.reason, "plans": driver.plans}
+
+
+def _simulated(client: Client, scene: str, args: argparse.Namespace) -> dict[str, Any]:
+    body, rng = BODIES[args.agent], np.random.default_rng(args.seed)
+    start_z = args.start[2] if len(args.start) == 3 else None
+    pose = Pose(args.start[0], args.start[1], float(rng.uniform(-np.pi, np.pi)))
+    robot = SimulatedRobot(body, pose, Errors(command_s=args.delay), rng)
+    driver = Driver(client, scene, args.goal, body, delay_s=args.delay)
+    publisher = client.session.declare_publisher(f"{keys.VELOCITY}/{args.name}")
+    drive = simulate(
+        driver,
+        robot,
+        start_z=start_z,
+        on_step=lambda robot, command: publisher.put(
+            encode(velocity_message(command, robot.pose.stamp, driver.state.value))
+        ),
+    )
+    if args.png:
+        _draw(client, scene, body, drive, args)
+    return summary(drive, args.goal) | {"track": drive.track[::10].round(4).tolist()}
+
+
+def summary(drive: Drive, goal: tuple[float, ...]) -> dict[str, Any]:
+    """The numbers of a drive."""
+    return {
+        "state": drive.state.value,
+        "reason": drive.reason,
+        "seconds": drive.seconds,
+        "driven_m": float(np.hypot(*np.diff(drive.track, axis=0).T).sum()),
+        "plans": drive.plans,
+        "stops": drive.stops,
+        "error_p95_m": drive.error_p95,
+        "goal_error_m": float(np.hypot(*(drive.track[-1] - np.array(goal[:2])))),
+    }
+
+
+def _draw(client: Client, scene: str, body: Body, drive: Drive, args: argparse.Namespace) -> None:
+    from gpdf_service.viewer.drive_picture import draw_drive  # needs matplotlib
+
+    lines = [path.ground for path in drive.planned]
+    shown = np.vstack([drive.track, *(line[:, :2] for line in lines)])
+    low, high = shown.min(axis=0) - PICTURE_BORDER, shown.max(axis=0) + PICTURE_BORDER
+    x, y = (np.arange(a, b, PICTURE_CELL) for a, b in zip(low, high, strict=True))
+    places = np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1).reshape(-1, 2)
+    found = client.distance(scene, "obstacle", places, args.agent)
+    distance = np.where(found.valid, found.distance, np.nan).reshape(len(x), len(y))
+    title = f"{args.agent}: {drive.state}, 95 % of the way within {100 * drive.error_p95:.1f} cm of the line"
+    draw_drive(args.png, (x, y, distance), lines, drive.track, body.radius, title=title)

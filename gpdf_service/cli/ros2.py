@@ -1,0 +1,50 @@
+"""`gpdf ros2 SCENE --agent …`: answer the goals of a ROS 2 robot with paths, without ROS here."""
+
+from __future__ import annotations
+
+import argparse
+import logging
+import signal
+import sys
+import threading
+
+import zenoh
+from gpdf_client import Client, ClientError
+from gpdf_client.client import DEFAULT_ENDPOINT
+from gpdf_ros2 import Bridge, Dialect, Names
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the verb's options."""
+    names = Names()
+    parser.add_argument("scene", help="a scene of the service")
+    parser.add_argument("--agent", default="roomba", help="the robot's body")
+    parser.add_argument("--endpoint", default=DEFAULT_ENDPOINT, help="the service")
+    parser.add_argument("--ros-endpoint", help="the router of rmw_zenoh, or the bridge; the service's when not given")
+    parser.add_argument("--dialect", default=Dialect.RMW_ZENOH, choices=list(Dialect), type=Dialect)
+    parser.add_argument("--domain", type=int, default=0, help="ROS_DOMAIN_ID")
+    parser.add_argument("--goal-topic", default=names.goal, help="PoseStamped in: where to go")
+    parser.add_argument("--pose-topic", default=names.pose, help="PoseStamped in: where the robot is")
+    parser.add_argument("--path-topic", default=names.path, help="Path out; empty where there is none")
+    parser.add_argument("--cloud-topic", default=names.cloud, help="PointCloud2 in: becomes the scene")
+    parser.add_argument("--frame", default=names.frame, help="the scene's frame")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Answer until SIGINT or SIGTERM."""
+    logging.basicConfig(level=logging.INFO, format="%(asctime)s %(levelname)s %(name)s: %(message)s")
+    stop = threading.Event()
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, lambda *_: stop.set())
+    names = Names(args.goal_topic, args.pose_topic, args.path_topic, args.cloud_topic, args.frame)
+    try:
+        with (
+            Client.connect(args.endpoint) as client,
+            Client.connect(args.ros_endpoint or args.endpoint) as ros,
+            Bridge(client, ros.session, args.scene, args.agent, names=names, dialect=args.dialect, domain=args.domain),
+        ):
+            stop.wait()
+    except (ClientError, ValueError, zenoh.ZError) as error:
+        print(f"gpdf: {error}", file=sys.stderr)
+        return 1
+    return 0

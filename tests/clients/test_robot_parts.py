@@ -1,0 +1,160 @@
+"""The robot's parts by themselves: motion, line, controller, simulated robot."""
+
+from dataclasses import asdict
+from math import pi
+
+import numpy as np
+import pytest
+from gpdf_client import Trajectory
+from gpdf_robot import BODIES, Errors, Pose, SimulatedRobot, Velocity
+from gpdf_robot.controller import pursue, regulated
+from gpdf_robot.motion import STOP, advance, toward, wrap
+from gpdf_robot.route import BEYOND, Route
+from hypothesis import given
+from hypothesis import strategies as st
+
+import gpdf_service as gpdf
+
+ROOMBA, PEPPER = BODIES["roomba"], BODIES["pepper"]
+PERFECT = Errors(0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+small = st.floats(-2.0, 2.0)
+
+
+def line_of(*places):
+    ground = np.array([[*place, 0.0] for place in places], dtype=float)
+    return Trajectory(ground + np.array([0, 0, 0.1]), ground, np.arange(len(places)) * 1.0, np.zeros(len(places)))
+
+
+def test_the_bodies_are_the_services_own():
+    for name, body in BODIES.items():
+        measures = asdict(body)
+        del measures["omnidirectional"]
+        assert measures == {key: getattr(gpdf.AGENTS[name], key) for key in measures}
+        wider = gpdf.Agent(**body.agent(0.05))
+        assert wider.radius == pytest.approx(body.radius + 0.05)
+
+
+def test_a_quarter_circle_ends_where_it_should():
+    radius = 0.5
+    end = advance(Pose(1.0, 2.0, 0.0), Velocity(forward=radius * pi / 2, turn=pi / 2), 1.0)
+    assert (end.x, end.y, end.heading, end.stamp) == pytest.approx((1.5, 2.5, pi / 2, 1.0))
+    sideways = advance(Pose(0.0, 0.0, pi / 2), Velocity(left=1.0), 2.0)
+    assert (sideways.x, sideways.y) == pytest.approx((-2.0, 0.0))
+
+
+@given(small, small, small, small)
+def test_two_halves_of_a_motion_are_the_whole(heading, forward, left, turn):
+    velocity, start = Velocity(forward, left, turn), Pose(0.3, -0.2, heading)
+    whole, half = advance(start, velocity, 1.0), advance(advance(start, velocity, 0.4), velocity, 0.6)
+    assert (half.x, half.y) == pytest.approx((whole.x, whole.y), abs=1e-6)
+    assert wrap(half.heading - whole.heading) == pytest.approx(0.0, abs=1e-9)
+
+
+@given(small, small, small, small)
+def test_no_acceleration_is_beyond_its_limit(forward, left, turn, rate):
+    now, wanted = Velocity(0.1, -0.2, 0.3), Velocity(forward, left, turn)
+    then = toward(now, wanted, 0.5, abs(rate), 0.1)
+    assert np.hypot(then.forward - now.forward, then.left - now.left) <= 0.05 + 1e-12
+    assert abs(then.turn - now.turn) <= 0.1 * abs(rate) + 1e-12
+    there = toward(now, wanted, 1e6, 1e6, 1.0)
+    assert (there.forward, there.left, there.turn) == pytest.approx((forward, left, turn))
+
+
+def test_the_nearest_place_on_a_line():
+    route = Route(line_of((0, 0), (3, 0), (3, 4)))
+    assert route.length == 7.0
+    assert route.nearest(np.array([1.0, 0.5])) == pytest.approx((1.0, 0.5))
+    assert route.nearest(np.array([3.5, 2.0])) == pytest.approx((5.0, 0.5))
+    np.testing.assert_allclose(route.at(np.array([1.0, 5.0, 7.0 + BEYOND])), [[1, 0, 0], [3, 2, 0], [3, 4 + BEYOND, 0]])
+    assert route.heading(1.0) == pytest.approx(0.0)
+    assert route.heading(5.0) == pytest.approx(pi / 2)
+
+
+def test_a_line_that_comes_back_is_not_taken_for_its_later_part():
+    route = Route(line_of((0, 0), (3, 0), (3, 0.1), (0, 0.1)))
+    xy = np.array([1.0, 0.09])
+    assert route.nearest(xy)[0] == pytest.approx(3.1 + 2.0)
+    assert route.nearest(xy, 0.9)[0] == pytest.approx(1.0)
+
+
+def test_repeated_waypoints_and_a_line_without_length_are_no_trouble():
+    assert Route(line_of((0, 0), (0, 0), (1, 0), (1, 0))).length == 1.0
+    still = Route(line_of((2, 1), (2, 1)))
+    assert still.length == 0.0
+    assert still.nearest(np.array([2.0, 1.0])) == pytest.approx((0.0, 0.0))
+
+
+STRAIGHT = Route(line_of((0, 0), (6, 0)))
+
+
+def test_on_the_line_it_goes_straight_on_at_cruising_speed():
+    for body in (ROOMBA, PEPPER):
+        command = pursue(STRAIGHT, Pose(2, 0, 0), 2.0, body.speed, body, np.inf).velocity
+        assert (command.forward, command.left, command.turn) == pytest.approx((body.speed, 0.0, 0.0))
+
+
+@pytest.mark.parametrize("side", [1.0, -1.0])
+def test_beside_the_line_it_turns_or_moves_toward_it(side):
+    pose = Pose(2, 0.05 * side, 0)
+    differential = pursue(STRAIGHT, pose, 2.0, ROOMBA.speed, ROOMBA, np.inf)
+    assert differential.velocity.left == 0.0
+    assert differential.velocity.turn * side < 0.0
+    assert differential.offset == pytest.approx(0.05)
+    omnidirectional = pursue(STRAIGHT, pose, 2.0, PEPPER.speed, PEPPER, np.inf).velocity
+    assert omnidirectional.left * side < 0.0
+    assert omnidirectional.turn == pytest.approx(0.0)
+
+
+def test_looking_away_it_turns_on_the_spot_and_starts_aligned():
+    for body in (ROOMBA, PEPPER):
+        for heading in (pi, -2.0, 1.5):
+            command = pursue(STRAIGHT, Pose(2, 0, heading), 2.0, body.speed, body, np.inf).velocity
+            assert command.speed == 0.0
+            assert command.turn * -heading > 0.0 or heading == pi
+        assert pursue(STRAIGHT, Pose(2, 0, 0.3), 2.0, 0.0, body, np.inf).velocity.speed == 0.0
+        assert pursue(STRAIGHT, Pose(2, 0, 0.3), 2.0, body.speed, body, np.inf).velocity.speed > 0.0
+
+
+def test_bends_obstacles_and_the_end_slow_it():
+    cruise = regulated(0.3, 0.0, np.inf, np.inf, ROOMBA)
+    assert cruise == 0.3
+    assert regulated(0.3, 4.0, np.inf, np.inf, ROOMBA) < cruise
+    assert regulated(0.3, 0.0, 0.1, np.inf, ROOMBA) == pytest.approx(0.15)
+    assert regulated(0.3, 0.0, np.inf, 0.1, ROOMBA) == pytest.approx(0.1)
+    assert regulated(0.3, 50.0, 0.0, np.inf, ROOMBA) == pytest.approx(0.075)
+    assert regulated(0.3, 0.0, np.inf, 0.0, ROOMBA) > 0.0
+
+
+def test_a_perfect_robot_does_what_it_is_told_within_its_limits():
+    robot = SimulatedRobot(ROOMBA, Pose(0, 0, 0), PERFECT, np.random.default_rng(0))
+    robot.command(Velocity(forward=0.3))
+    for _ in range(200):
+        robot.move(0.01)
+    assert robot.velocity.forward == pytest.approx(0.3)
+    # 0.6 s at 0.5 m/s², then 1.4 s at 0.3 m/s
+    assert robot.pose.x == pytest.approx(0.5 * 0.3 * 0.6 + 0.3 * 1.4, abs=0.002)
+    assert robot.measure() == robot.pose
+    assert len(robot.track) == 201
+
+
+def test_commands_and_poses_come_late():
+    robot = SimulatedRobot(ROOMBA, Pose(0, 0, 0), Errors(0, 0, 0, 0, 0.1, 0.05), np.random.default_rng(0))
+    robot.command(Velocity(forward=0.3))
+    for _ in range(10):
+        assert robot.velocity == STOP
+        robot.move(0.01)
+    robot.move(0.01)
+    assert robot.velocity.forward > 0.0
+    assert robot.pose.stamp - robot.measure().stamp == pytest.approx(0.05)
+
+
+def test_noise_is_as_large_as_it_is_said_to_be_and_comes_again_with_its_seed():
+    def poses(seed):
+        robot = SimulatedRobot(ROOMBA, Pose(0, 0, 0), Errors(position=0.02, bias=0.0), np.random.default_rng(seed))
+        return np.array([robot.measure().xy for _ in range(400)])
+
+    biased = SimulatedRobot(ROOMBA, Pose(0, 0, 0), Errors(0.0, 0.05), np.random.default_rng(0))
+    assert biased.measure().xy.tolist() == biased.measure().xy.tolist() != [0.0, 0.0]
+    assert poses(1).std() == pytest.approx(0.02, rel=0.1)
+    np.testing.assert_array_equal(poses(1), poses(1))
+    assert not np.array_equal(poses(1), poses(2))
