@@ -29,6 +29,8 @@ class PerceptionConfig:
     """[rad] Steepest slope within a piece of ground: 40°, beyond what any body here stands on (30°)."""
     min_headroom: float = 0.1
     """[m] Least room over a piece of ground that is worth keeping: the height of the lowest body, a Roomba."""
+    negligible_noise: float = 0.005
+    """[m] Noise below which a cloud is taken as it is: what a good scanner has, and a foot or a wheel does not feel."""
     step_headroom: float = 0.7
     """[m] Room over a step that joins two pieces of ground: the height of the lowest body that steps, a Spot."""
 
@@ -47,6 +49,8 @@ class FieldConfig:
 class SearchConfig:
     """Quadtree, connectivity graph and A*."""
 
+    noise_margin: float = 1.0
+    """[-] Room kept beyond the radius over the noise of the cloud: a cured corner is off by up to one deviation."""
     margin: float = 0.002
     """[m] Kept beyond the radius while searching, so that rounding and smoothing leave something to certify."""
     field_spacing: float = 0.125

@@ -130,6 +130,7 @@ class Scene:
         ground_fields: One Ground GPDF a level.
         config: What it was built with.
         version: Counts the changes of this scene, from 1.
+        noise: Standard deviation of the cloud's points [m], which plans keep away from as well; 0 when negligible.
     """
 
     def __init__(
@@ -140,9 +141,10 @@ class Scene:
         ground_fields: tuple[Gpdf, ...],
         config: Config,
         version: int = 1,
+        noise: float = 0.0,
     ) -> None:
         self.points, self.ground, self.levels = points, ground, levels
-        self.ground_fields, self.config, self.version = ground_fields, config, version
+        self.ground_fields, self.config, self.version, self.noise = ground_fields, config, version, noise
         self._spaces: OrderedDict[Agent, FreeSpace] = OrderedDict()
         self._lock = threading.Lock()
         self._building: dict[Agent, threading.Lock] = {}
@@ -173,7 +175,9 @@ class Scene:
             with self._lock:
                 if body in self._spaces:
                     return self._spaces[body]
-            space = build_free_space(self.levels, self.ground_fields, body, self.config.search, self.config.fields)
+            space = build_free_space(
+                self.levels, self.ground_fields, body, self.config.search, self.config.fields, noise=self.noise
+            )
             with self._lock:
                 self._spaces[body] = space
                 self._building.pop(body, None)
@@ -213,6 +217,7 @@ class Scene:
             "digest": self.digest,
             "levels": [_level_info(i, self.levels.levels[i], self.ground_fields[i]) for i in range(len(self.surfaces))],
             "portals": len(self.levels.portals),
+            "noise": self.noise,
         }
 
     def save(self, path: str | os.PathLike[str]) -> None:
@@ -220,7 +225,8 @@ class Scene:
         arrays = {"points": self.points, "ground": self.ground, **flatten(self.levels, "levels")}
         for i, field in enumerate(self.ground_fields):
             arrays |= {f"ground_fields/{i}/{key}": value for key, value in field.to_arrays().items()}
-        write_arrays(path, arrays, {"version": self.version, "config": dataclasses.asdict(self.config)})
+        meta = {"version": self.version, "noise": self.noise, "config": dataclasses.asdict(self.config)}
+        write_arrays(path, arrays, meta)
 
 
 def _level_info(index: int, level: Any, field: Gpdf) -> dict[str, Any]:  # noqa: ANN401
@@ -260,4 +266,5 @@ def load_scene(path: str | os.PathLike[str]) -> Scene:
         tuple(fields),
         Config.from_mapping(meta["config"]),
         int(meta["version"]),
+        float(meta["noise"]),
     )

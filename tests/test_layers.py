@@ -13,7 +13,7 @@ ALLOWED = {
     "config": {"errors"},
     "store": {"errors"},
     "fields": BASE,
-    "perception": BASE,
+    "perception": BASE | {"fields"},
     "synthetic": BASE,
     "search": BASE | {"fields", "perception"},
     "planning": BASE | {"fields", "perception", "search"},

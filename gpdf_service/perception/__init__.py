@@ -1,5 +1,6 @@
 """From a cloud to ground, levels and what stops a body on them."""
 
+from gpdf_service.perception.cure import cure_and_segment as cure_and_segment
 from gpdf_service.perception.levels import GroundLevel as GroundLevel
 from gpdf_service.perception.levels import Levels as Levels
 from gpdf_service.perception.levels import Portal as Portal

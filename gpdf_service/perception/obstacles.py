@@ -25,14 +25,14 @@ class Obstacles:
     kind: NDArray[np.uint8]
 
 
-def obstacles_of(level: GroundLevel, agent: Agent) -> Obstacles:
-    """What stops `agent` on `level`.
+def obstacles_of(level: GroundLevel, agent: Agent, noise: float = 0.0) -> Obstacles:
+    """What stops `agent` on `level`; `noise` is the standard deviation of the cloud [m].
 
     Material is an obstacle if a body that reaches it, standing on the highest ground within its radius, is as tall: the
     paper's d_g(x) ≤ h_r, made safe beside a platform. The face between two pieces of ground that are joined by a step
     which the body takes is none. Limits of the ground are obstacles where they exceed the body's.
     """
-    touched = _material(level, agent)
+    touched = _material(level, agent, max(LEAST_OBSTACLE, noise))
     limits = level.limits
     reach = np.array([0.0, agent.max_step, agent.max_slope, -np.inf])[limits.kind]
     stops = limits.value > reach
@@ -42,7 +42,7 @@ def obstacles_of(level: GroundLevel, agent: Agent) -> Obstacles:
     )
 
 
-def _material(level: GroundLevel, agent: Agent) -> BoolArray:
+def _material(level: GroundLevel, agent: Agent, least: float) -> BoolArray:
     surface, points = level.surface, level.other_points
     known = surface.state != UNKNOWN
     top = np.where(known, surface.height, -np.inf)
@@ -51,12 +51,12 @@ def _material(level: GroundLevel, agent: Agent) -> BoolArray:
     ix, iy, _ = surface.cells(points)
     z = points[:, 2]
     reached = z < ndimage.maximum_filter(top, footprint=disc)[ix, iy] + agent.height
-    beneath = z < ndimage.minimum_filter(bottom, footprint=disc)[ix, iy] - LEAST_OBSTACLE
+    beneath = z < ndimage.minimum_filter(bottom, footprint=disc)[ix, iy] - least
     high = ndimage.maximum_filter(top, size=3)[ix, iy]
     low = ndimage.minimum_filter(bottom, size=3)[ix, iy]
     own = np.where(known, surface.height, -np.inf)[ix, iy]
-    ledge = np.where(high - low > LEAST_OBSTACLE, high, own)  # on level ground, the ground under the point itself
-    face = np.isfinite(high) & (high - low <= agent.max_step) & (z <= ledge + LEAST_OBSTACLE)
+    ledge = np.where(high - low > least, high, own)  # on level ground, the ground under the point itself
+    face = np.isfinite(high) & (high - low <= agent.max_step) & (z <= ledge + least)
     stops: BoolArray = reached & ~beneath & ~face
     return stops
 

@@ -57,8 +57,8 @@ def certify(space: FreeSpace, positions: FloatArray, ground: FloatArray, level: 
     for part, on in _runs(level):
         path = ground[part]
         least, at = min_distance(space, on, path[:, :2])
-        if least - agent.radius < clearance:
-            clearance = least - agent.radius
+        if least - space.reach < clearance:
+            clearance = least - space.reach
             where = np.append(at, path[np.linalg.norm(path[:, :2] - at, axis=1).argmin(), 2])
         dense, tops = _resample(path, positions[part])
         surface = space.surfaces[on]

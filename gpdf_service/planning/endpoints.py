@@ -65,7 +65,7 @@ def find_endpoint(space: FreeSpace, place: FloatArray, name: str) -> Endpoint | 
     else:
         level = int(there[0])
     distance, kind = space.clearance(level, xy)
-    if distance[0] < space.agent.radius:
+    if distance[0] < space.reach:
         what = REASONS[ObstacleKind(int(kind[0]))]
         near = _nearest_free(space, level, xy[0])
         hint = "" if near is None else f" The nearest free place is {_at(near)}."
@@ -87,7 +87,7 @@ def _shut_in(space: FreeSpace, level: int, xy: FloatArray) -> bool:
     if not inside[0]:
         return False
     distance, kind = space.clearance(level, xy)
-    if kind[0] == ObstacleKind.MATERIAL and distance[0] < space.agent.radius:
+    if kind[0] == ObstacleKind.MATERIAL and distance[0] < space.reach:
         return True
     label = ndimage.label(surface.state == UNKNOWN)[0]
     rim = np.concatenate([label[0], label[-1], label[:, 0], label[:, -1]])

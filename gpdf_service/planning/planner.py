@@ -106,7 +106,7 @@ def _distinct(path: FloatArray) -> FloatArray:
 def _radius(space: FreeSpace, level: int, path: FloatArray) -> float:
     """The search's radius; the body's own where an end lies closer than the margin."""
     ends = space.clearance(level, path[[0, -1]])[0]
-    return min(space.radius, max(space.agent.radius, float(ends.min()) - 1e-9))
+    return min(space.radius, max(space.reach, float(ends.min()) - 1e-9))
 
 
 def _candidates(
@@ -128,7 +128,7 @@ def _candidates(
                 top,
                 space.obstacle_fields[level].arrays,
                 space.ground_fields[level].arrays,
-                radius=agent.radius,
+                radius=space.reach,
                 height=agent.height,
                 epsilon=share * config.preferred_clearance * agent.radius,
                 smoothness_weight=config.smoothness_weight,

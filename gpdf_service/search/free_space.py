@@ -21,7 +21,8 @@ class FreeSpace:
 
     Attributes:
         agent: The body.
-        radius: Least distance of its centre from any obstacle, with the margin of `SearchConfig` [m].
+        reach: Least distance of its centre from any obstacle: its radius, and what the noise asks for [m].
+        radius: The same with the margin of `SearchConfig` [m].
         surfaces: The ground.
         ground_fields: Ground GPDFs, 3D.
         steps: Height of the step at each cell of the ground [m].
@@ -35,6 +36,7 @@ class FreeSpace:
     """
 
     agent: Agent
+    reach: float
     radius: float
     surfaces: tuple[HeightMap, ...]
     ground_fields: tuple[Gpdf, ...]
@@ -59,11 +61,14 @@ def build_free_space(
     agent: Agent,
     config: SearchConfig,
     field_config: FieldConfig,
+    *,
+    noise: float = 0.0,
 ) -> FreeSpace:
-    """Find what stops the body, fit its Obstacle GPDFs, build quadtrees and graph."""
-    radius = agent.radius + config.margin
+    """Find what stops the body, fit its Obstacle GPDFs, build quadtrees and graph; `noise` is the cloud's [m]."""
+    reach = agent.radius + config.noise_margin * noise
+    radius = reach + config.margin
     surfaces = tuple(level.surface for level in levels.levels)
-    obstacles = tuple(obstacles_of(level, agent) for level in levels.levels)
+    obstacles = tuple(obstacles_of(level, agent, noise) for level in levels.levels)
     trees = tuple(build_tree(found.points[:, :2]) for found in obstacles)
     spacing = agent.radius * config.field_spacing
     fields = tuple(
@@ -75,6 +80,7 @@ def build_free_space(
     offsets = tuple(int(n) for n in np.cumsum([0, *(len(tree.size) for tree in quadtrees[:-1])]))
     return FreeSpace(
         agent,
+        reach,
         radius,
         surfaces,
         ground_fields,
