@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from gpdf_service.config import Config
 from gpdf_service.errors import GpdfError
 from gpdf_service.perception import read_cloud
 from gpdf_service.pipeline import build_scene
@@ -47,7 +48,13 @@ class Entry:
 class Shelf:
     """All scenes of a service; safe for many threads. Builds run on one thread of their own, in order."""
 
-    def __init__(self, scenes_dir: Path, on_ready: Callable[[str, Scene], None] = lambda name, scene: None) -> None:
+    def __init__(
+        self,
+        scenes_dir: Path,
+        on_ready: Callable[[str, Scene], None] = lambda name, scene: None,
+        config: Config | None = None,
+    ) -> None:
+        self._config = config
         self.scenes_dir = scenes_dir.resolve()
         self._entries: dict[str, Entry] = {}
         self._uploads: dict[str, dict[int, tuple[FloatArray, BoolArray | None]]] = {}
@@ -92,7 +99,7 @@ class Shelf:
             if path.suffix == SCENE_SUFFIX:
                 return load_scene(path)
             cloud = read_cloud(path)
-            return build_scene(cloud.points, cloud.ground)
+            return build_scene(cloud.points, cloud.ground, self._config)
 
         self._start(name, build)
 
@@ -133,7 +140,7 @@ class Shelf:
         if given and len(given) != parts:
             raise ValueError("some parts have ground labels and some have none. Send them with all parts or none.")
         mask = np.concatenate(given) if given else None
-        self._start(name, lambda: build_scene(cloud, mask))
+        self._start(name, lambda: build_scene(cloud, mask, self._config))
         return True
 
     def _waiting(self) -> int:

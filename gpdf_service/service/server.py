@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import logging
+import platform
 import queue
 import threading
 import time
@@ -11,40 +12,25 @@ import uuid
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
+from importlib.metadata import version
 from pathlib import Path
 from types import TracebackType
 
 import zenoh
 from gpdf_schemas import PlanReply, Reply, Status, encode, keys
 
-from gpdf_service.fields.threads import worker_count
+from gpdf_service.config import Config
 from gpdf_service.scene import Scene
 from gpdf_service.service.handlers import Handlers
+from gpdf_service.service.options import Options as Options
+from gpdf_service.service.options import plain
 from gpdf_service.service.recorder import Recorder
 from gpdf_service.service.scenes import Shelf
 
 log = logging.getLogger(__name__)
 
-DEFAULT_ENDPOINT = "tcp/127.0.0.1:7447"
-QUEUE_SIZE = 128
-"""Requests waiting for a worker: half of what Zenoh holds before it blocks the link. Beyond, the answer is BUSY."""
-
-
-@dataclass(frozen=True, slots=True)
-class Options:
-    """How to serve.
-
-    Attributes:
-        endpoint: Where to listen.
-        scenes_dir: Folder of the files that clients may load.
-        log_dir: Folder for the logs.
-        workers: Threads that answer; the kernels release the GIL.
-    """
-
-    endpoint: str = DEFAULT_ENDPOINT
-    scenes_dir: Path = Path("scenes")
-    log_dir: Path = Path("log")
-    workers: int = worker_count()
+PACKAGES = ("numpy", "scipy", "numba", "eclipse-zenoh", "msgspec", "mcap")
+"""Whose versions the log keeps beside our own: they can change an answer or its bytes."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,19 +48,20 @@ class Server:
     Args:
         options: How to serve.
         scenes: Names and files to load before the first request is taken.
+        config: Settings of what is built here.
     """
 
-    def __init__(self, options: Options, scenes: Sequence[tuple[str, Path]] = ()) -> None:
+    def __init__(self, options: Options, scenes: Sequence[tuple[str, Path]] = (), config: Config | None = None) -> None:
+        config = config or Config()
         self.options, self._scenes = options, scenes
         self.planner_id = uuid.uuid4().hex[:12]
         options.log_dir.mkdir(parents=True, exist_ok=True)
         stamp = time.strftime("%Y%m%dT%H%M%S", time.gmtime())
         self.log_path = options.log_dir / f"gpdf_{stamp}_{self.planner_id}.mcap"
-        metadata = {"planner": self.planner_id, "endpoint": options.endpoint, "workers": str(options.workers)}
-        self.recorder = Recorder(self.log_path, metadata)
-        self.shelf = Shelf(options.scenes_dir, self._on_ready)
+        self.recorder = Recorder(self.log_path, self._metadata(config))
+        self.shelf = Shelf(options.scenes_dir, self._on_ready, config)
         self.handlers = Handlers(self.shelf, self.planner_id)
-        self._jobs: queue.Queue[_Job | None] = queue.Queue(QUEUE_SIZE)
+        self._jobs: queue.Queue[_Job | None] = queue.Queue(options.queue)
         self._workers = [
             threading.Thread(target=self._work, name=f"gpdf-worker-{i}", daemon=True) for i in range(options.workers)
         ]
@@ -113,6 +100,15 @@ class Server:
         self.recorder.close()
         log.info("ended, log closed")
 
+    def _metadata(self, config: Config) -> dict[str, str]:
+        """What a log must say of the process that wrote it."""
+        versions = {name: version(name) for name in PACKAGES} | {"python": platform.python_version()}
+        return {
+            "planner": self.planner_id,
+            "versions": json.dumps(versions),
+            "config": json.dumps(plain(self.options, config)),
+        }
+
     def _on_ready(self, name: str, scene: Scene) -> None:
         self.recorder.scene(name, scene.points, scene.info())
 
@@ -124,7 +120,7 @@ class Server:
             self._jobs.put_nowait(job)
         except queue.Full:
             kind = self.handlers.by_key[key][1]
-            words = f"{QUEUE_SIZE} requests are waiting. Ask again in a moment."
+            words = f"{self.options.queue} requests are waiting. Ask again in a moment."
             self._reply(job, self.handlers.refuse(kind, Status.BUSY, words))
 
     def _work(self) -> None:

@@ -167,9 +167,8 @@ def test_nobody_there_is_unavailable(free_endpoint):
 
 
 def test_a_full_queue_is_busy_and_everybody_gets_an_answer(clouds, tmp_path, free_endpoint, monkeypatch):
-    monkeypatch.setattr("gpdf_service.service.server.QUEUE_SIZE", 2)
     gate, inside = threading.Event(), threading.Event()
-    with Server(Options(free_endpoint, clouds, tmp_path, 1)) as server:
+    with Server(Options(free_endpoint, clouds, tmp_path, 1, queue=2)) as server:
         answer = server.handlers.answer
 
         def slow(key, payload, received):
