@@ -45,6 +45,15 @@ Progress = Callable[[float], None]
 Agent = str | dict[str, Any]
 
 
+def client_config(endpoint: str) -> zenoh.Config:
+    """Zenoh's configuration of a client that talks to `endpoint` and looks for nobody else."""
+    config = zenoh.Config()
+    config.insert_json5("mode", '"client"')
+    config.insert_json5("connect/endpoints", json.dumps([endpoint]))
+    config.insert_json5("scouting/multicast/enabled", "false")
+    return config
+
+
 class Client:
     """One connection to a planning service; may be shared between threads.
 
@@ -69,11 +78,7 @@ class Client:
         Raises:
             UnavailableError: nothing listens there.
         """
-        if config is None:
-            config = zenoh.Config()
-            config.insert_json5("mode", '"client"')
-            config.insert_json5("connect/endpoints", json.dumps([endpoint]))
-            config.insert_json5("scouting/multicast/enabled", "false")
+        config = config or client_config(endpoint)
         until = time.monotonic() + timeout_s
         while True:
             try:

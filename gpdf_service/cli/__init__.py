@@ -28,6 +28,7 @@ VERBS: dict[str, tuple[str, str]] = {
     "bench build": ("gpdf_service.bench.build", "time from cloud to scene beside Open3D's normals"),
     "bench plan": ("gpdf_service.bench.plan", "random queries: share certified, an independent judge, time"),
     "bench service": ("gpdf_service.bench.service", "what Zenoh, msgpack and the log add to a plan"),
+    "bench fuzz": ("gpdf_service.bench.fuzz", "malformed requests against the real service, valid clients beside them"),
     "demo": ("gpdf_service.cli.demo", "see it happen: service, four bodies, picture and log"),
 }
 

@@ -41,6 +41,10 @@ log = logging.getLogger(__name__)
 MAX_DISTANCE_POINTS = 100_000
 """Places in one distance request: 4 MiB holds 170 k of them."""
 
+SMALLEST_BODY, LARGEST_BODY = 0.05, 5.0
+"""[m] Of a body that a request describes: the finest cell of the ground, and a lorry. Free space of a body a tenth as
+wide costs a hundred times the memory, so that one request could take all there is."""
+
 
 class Handlers:
     """The service's answers; holds the scenes and the service's id."""
@@ -230,6 +234,9 @@ def _agent(agent: str | dict[str, Any]) -> str | Agent:
     numbers = {key: value for key, value in agent.items() if key != "name"}
     if not all(isinstance(value, int | float) and not isinstance(value, bool) for value in numbers.values()):
         raise RequestError("agent", "a measure that is no number", "Give metres, radians and seconds as numbers.")
+    for key in ("height", "width", "length"):
+        if not SMALLEST_BODY <= numbers[key] <= LARGEST_BODY:
+            raise RequestError("agent", f"{key} = {numbers[key]!r}", f"Give {SMALLEST_BODY} to {LARGEST_BODY} m.")
     return Agent(name=str(agent["name"]), **{key: float(value) for key, value in numbers.items()})
 
 

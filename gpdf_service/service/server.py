@@ -17,7 +17,7 @@ from pathlib import Path
 from types import TracebackType
 
 import zenoh
-from gpdf_schemas import PlanReply, Reply, Status, encode, keys
+from gpdf_schemas import MAX_REQUEST_BYTES, PlanReply, Reply, Status, encode, keys
 
 from gpdf_service.config import Config
 from gpdf_service.scene import Scene
@@ -31,6 +31,10 @@ log = logging.getLogger(__name__)
 
 PACKAGES = ("numpy", "scipy", "numba", "eclipse-zenoh", "msgspec", "mcap")
 """Whose versions the log keeps beside our own: they can change an answer or its bytes."""
+
+
+MAX_MESSAGE_BYTES = 32 << 20
+"""What one client may make the router hold at once; Zenoh drops what is longer, where its own limit is 1 GiB."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -113,13 +117,19 @@ class Server:
         self.recorder.scene(name, scene.points, scene.info())
 
     def _take(self, key: str, query: zenoh.Query) -> None:
-        """Zenoh's callback: runs serially, so it only hands over; a full queue is answered here."""
-        payload = query.payload.to_bytes() if query.payload is not None else b""
+        """Zenoh's callback: runs serially, so it only hands over; what is too long or too much is answered here."""
+        body = query.payload or zenoh.ZBytes(b"")
+        size, fits = len(body), len(body) <= MAX_REQUEST_BYTES
+        payload = body.to_bytes() if fits else b""
         job = _Job(query, key, payload, time.monotonic(), time.time_ns())
+        kind = self.handlers.by_key[key][1]
+        if not fits:
+            words = f"{size} bytes, at most {MAX_REQUEST_BYTES} are taken. Send it in parts."
+            self._reply(job, self.handlers.refuse(kind, Status.INVALID_REQUEST, words))
+            return
         try:
             self._jobs.put_nowait(job)
         except queue.Full:
-            kind = self.handlers.by_key[key][1]
             words = f"{self.options.queue} requests are waiting. Ask again in a moment."
             self._reply(job, self.handlers.refuse(kind, Status.BUSY, words))
 
@@ -145,4 +155,5 @@ def _router_config(endpoint: str) -> zenoh.Config:
     config.insert_json5("mode", '"router"')
     config.insert_json5("listen/endpoints", json.dumps([endpoint]))
     config.insert_json5("scouting/multicast/enabled", "false")
+    config.insert_json5("transport/link/rx/max_message_size", str(MAX_MESSAGE_BYTES))
     return config
