@@ -61,8 +61,7 @@ class Server:
         self.planner_id = uuid.uuid4().hex[:12]
         options.log_dir.mkdir(parents=True, exist_ok=True)
         stamp = time.strftime("%Y%m%dT%H%M%S", time.gmtime())
-        self.log_path = options.log_dir / f"gpdf_{stamp}_{self.planner_id}.mcap"
-        self.recorder = Recorder(self.log_path, self._metadata(config))
+        self.recorder = Recorder(options, f"{stamp}_{self.planner_id}", self._metadata(config))
         self.shelf = Shelf(options.scenes_dir, self._on_ready, config)
         self.handlers = Handlers(self.shelf, self.planner_id)
         self._jobs: queue.Queue[_Job | None] = queue.Queue(options.queue)
@@ -71,6 +70,11 @@ class Server:
         ]
         self._session: zenoh.Session | None = None
         self._alive: zenoh.LivelinessToken | None = None
+
+    @property
+    def log_path(self) -> Path:
+        """The log that is being written, or was last."""
+        return self.recorder.path
 
     def __enter__(self) -> Server:
         try:
@@ -88,7 +92,7 @@ class Server:
         self._alive = self._session.liveliness().declare_token(  # dropped, it would be undeclared
             f"{keys.ALIVE}/{self.planner_id}"
         )
-        log.info("listening on %s, logging to %s", self.options.endpoint, self.log_path)
+        log.info("listening on %s, logging to %s", self.options.endpoint, self.recorder.path)
         return self
 
     def __exit__(

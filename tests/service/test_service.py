@@ -320,13 +320,14 @@ def test_a_second_service_leaves_the_log_of_the_running_one_alone(clouds, tmp_pa
 
 
 def test_a_log_that_is_cut_anywhere_is_mended(tmp_path):
+    (tmp_path / "log").mkdir()
     from gpdf_service.service.recorder import Recorder
 
-    recorder = Recorder(tmp_path / "whole.mcap", {})
+    recorder = Recorder(Options(log_dir=tmp_path / "log"), "x", {})
     for i in range(5):
         recorder.exchange(keys.PLAN, bytes([i]) * 20, bytes([i]) * 50, i, i)
     recorder.close()
-    whole, path = (tmp_path / "whole.mcap").read_bytes(), tmp_path / "cut.mcap"
+    whole, path = recorder.path.read_bytes(), tmp_path / "cut.mcap"
     cuts = range(0, len(whole), 7)
     for cut in cuts:
         path.write_bytes(whole[:cut])
