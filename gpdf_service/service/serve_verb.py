@@ -18,6 +18,8 @@ from gpdf_service.service.record import repair_folder
 from gpdf_service.service.server import Server
 
 log = logging.getLogger("gpdf_service")
+WAKE_S = 1.0
+"""[s] A signal that the system gave to one of the other threads is seen when this one wakes."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -52,7 +54,8 @@ def run(args: argparse.Namespace) -> int:
         log.warning("the log %s was cut short by a crash; it is readable again", path)
     try:
         with Server(options, args.scenes, config):
-            stop.wait()
+            while not stop.wait(WAKE_S):
+                pass
     except zenoh.ZError as error:
         log.error("cannot listen on %s: %s. Is another service running there?", options.endpoint, error)
         return 1
