@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import json
+import random
 import time
 import uuid
 from collections.abc import Callable, Collection, Sequence
@@ -25,6 +26,7 @@ from gpdf_schemas import (
     SceneRequest,
     ScenesReply,
     Status,
+    StatusReply,
     UploadRequest,
     decode,
     encode,
@@ -32,11 +34,23 @@ from gpdf_schemas import (
 )
 from numpy.typing import ArrayLike
 
-from gpdf_client.results import Distances, PlanResult, ServiceError, UnavailableError, raise_for, to_result
+from gpdf_client.planners import Planners
+from gpdf_client.results import (
+    ClientError,
+    Distances,
+    PlanResult,
+    ServiceBusyError,
+    ServiceError,
+    UnavailableError,
+    raise_for,
+    to_result,
+)
 
 DEFAULT_ENDPOINT = "tcp/127.0.0.1:7447"
 BACK_OFF_S = 0.05
 """[s] Between tries when nobody answers or the service is busy."""
+TRY_S = 5.0
+"""[s] Before a plan is asked of another planner: several times what the slowest takes, once its free space is built."""
 PART_POINTS = 40_000
 """Points in one part of an upload: 1 MB as f8, which keeps small queries quick beside it."""
 
@@ -63,6 +77,7 @@ class Client:
 
     def __init__(self, session: zenoh.Session) -> None:
         self._session = session
+        self._planners = Planners(session, random.Random())
 
     @classmethod
     def connect(
@@ -121,12 +136,12 @@ class Client:
             deadline_s=deadline_s,
             request_id=request_id or uuid.uuid4().hex,
         )
-        return to_result(self.ask(keys.PLAN, request, PlanReply, deadline_s))
+        return to_result(self.ask_planner(keys.PLAN, request, PlanReply, deadline_s))
 
     def distance(self, scene: str, field: str, points: ArrayLike, agent: Agent = "human") -> Distances:
         """Ask the "ground" field at points (m, 3), or the "obstacle" field of an agent at (m, 2) or (m, 3) [m]."""
         request = DistanceRequest(scene=scene, field=field, points=Array.pack(np.asarray(points)), agent=agent)
-        reply = self.ask(keys.DISTANCE, request, DistanceReply, request.deadline_s)
+        reply = self.ask_planner(keys.DISTANCE, request, DistanceReply, request.deadline_s)
         if reply.distance is None or reply.gradient is None or reply.valid is None:
             raise ServiceError(reply)
         return Distances(reply.distance.unpack(), reply.gradient.unpack(), reply.valid.unpack() > 0)
@@ -203,6 +218,17 @@ class Client:
             time.sleep(BACK_OFF_S)
         raise UnavailableError(f"scene {name!r} was not ready after {timeout_s:.0f} s. Wait longer.")
 
+    def status(self, *, timeout_s: float = 5.0) -> list[StatusReply]:
+        """Health, readiness and metrics of every service that answers."""
+        answers = self._session.get(
+            keys.status_of("*"),
+            target=zenoh.QueryTarget.ALL,
+            consolidation=zenoh.ConsolidationMode.NONE,
+            timeout=timeout_s,
+        )
+        found = [decode(answer.ok.payload.to_bytes(), StatusReply) for answer in answers if answer.ok is not None]
+        return sorted(found, key=lambda reply: (reply.role, reply.planner))
+
     def wait_for_service(self, *, timeout_s: float = 30.0) -> None:
         """Wait until a service answers."""
         self.ask(keys.SCENES, SceneRequest(), ScenesReply, timeout_s)
@@ -225,22 +251,65 @@ class Client:
             fine: Statuses that are no failure to the caller, though they would be to others.
         """
         payload, until = encode(request), time.monotonic() + deadline_s
-        busy: Reply | None = None
+        answer: Reply | None = None
         while (left := until - time.monotonic()) > 0:
-            for answer in self._session.get(key, payload=payload, timeout=left):
-                if answer.ok is None:
-                    continue  # Zenoh's own time-out
-                reply = decode(answer.ok.payload.to_bytes(), kind)
-                if reply.status is Status.BUSY:
-                    busy = reply
-                    break
-                if reply.status not in fine:
-                    raise_for(reply)
-                return reply
+            answer = self._try(key, payload, kind, left) or answer
+            if answer is not None and answer.status is not Status.BUSY:
+                return self._fine(answer, fine)  # type: ignore[return-value]
             time.sleep(BACK_OFF_S)
-        if busy is not None:
-            raise_for(busy)
-        raise UnavailableError(f"no answer on {key} within {deadline_s:.1f} s. Is the service running?")
+        raise _late(key, deadline_s, answer)
+
+    def ask_planner(self, key: str, request: msgspec.Struct, kind: type[R], deadline_s: float) -> R:
+        """One request to whichever planner is least loaded; to another one if it dies, freezes or is busy.
+
+        Args:
+            key: What all planners answer: `keys.PLAN` or `keys.DISTANCE`.
+            request: Its message.
+            kind: The type of its reply.
+            deadline_s: Seconds to keep asking.
+        """
+        payload, until = encode(request), time.monotonic() + deadline_s
+        answer: Reply | None = None
+        tried: set[str] = set()
+        while (left := until - time.monotonic()) > 0:
+            planner = self._planners.pick(tried)
+            if planner is None and tried:  # everybody had a turn
+                tried.clear()
+                time.sleep(BACK_OFF_S)
+                continue
+            others = len(self._planners.alive()) > 1
+            where = key if planner is None else keys.of_planner(planner, key)  # none known: whoever answers for all
+            found = self._try(where, payload, kind, min(left, TRY_S) if others else left)
+            if found is not None:
+                self._planners.learn(found.planner, found.load)
+                answer = found
+                if found.status is not Status.BUSY:
+                    return self._fine(found, ())
+            if planner is None:
+                time.sleep(BACK_OFF_S)
+            else:
+                tried.add(planner)
+        raise _late(key, deadline_s, answer)
+
+    def _try(self, key: str, payload: bytes, kind: type[R], timeout_s: float) -> R | None:
+        """Ask once; None if nobody answered."""
+        for answer in self._session.get(key, payload=payload, timeout=timeout_s):
+            if answer.ok is not None:  # not Zenoh's own time-out
+                return decode(answer.ok.payload.to_bytes(), kind)
+        return None
+
+    @staticmethod
+    def _fine(reply: R, fine: Collection[Status]) -> R:
+        if reply.status not in fine:
+            raise_for(reply)
+        return reply
+
+
+def _late(key: str, deadline_s: float, answer: Reply | None) -> ClientError:
+    """Nobody answered in time, or all were busy all the time."""
+    if answer is not None:
+        return ServiceBusyError(answer)
+    return UnavailableError(f"no answer on {key} within {deadline_s:.1f} s. Is the service running?")
 
 
 class AsyncClient:

@@ -47,6 +47,7 @@ VALID: dict[str, tuple[type[Reply], Fields]] = {
         {"scene": "fuzz", "upload_id": "1", "part": 0, "parts": 2, "points": ARRAY},
     ),
     keys.SCENE_UNLOAD: (messages.SceneReply, {"scene": "fuzz"}),
+    keys.SCENE_FILE: (messages.FileReply, {"scene": "office", "version": 1, "offset": 0}),
 }
 ODD: tuple[Any, ...] = (
     *(None, True, -1, 0, 2**63, -(2**63), 1e308, 5e-324, float("nan"), float("inf"), "", "x" * 70, "\0", b"\xff"),

@@ -1,4 +1,4 @@
-"""The running service: an embedded Zenoh router, queryables that only hand over, workers that answer, a recorder."""
+"""The running service: a Zenoh session, queryables that only hand over, workers that answer, a recorder."""
 
 from __future__ import annotations
 
@@ -9,19 +9,24 @@ import queue
 import threading
 import time
 import uuid
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from importlib.metadata import version
 from pathlib import Path
 from types import TracebackType
 
+import msgspec
 import zenoh
-from gpdf_schemas import MAX_REQUEST_BYTES, PlanReply, Reply, Status, encode, keys
+from gpdf_schemas import MAX_REQUEST_BYTES, PlanReply, Reply, SceneChanged, Status, StatusReply, encode, keys
 
+from gpdf_service import __version__
 from gpdf_service.config import Config
 from gpdf_service.scene import Scene
+from gpdf_service.service.follower import Follower
 from gpdf_service.service.handlers import Handlers
+from gpdf_service.service.metrics import Metrics
+from gpdf_service.service.network import session_config
 from gpdf_service.service.options import Options as Options
 from gpdf_service.service.options import plain
 from gpdf_service.service.recorder import Recorder
@@ -31,23 +36,22 @@ log = logging.getLogger(__name__)
 
 PACKAGES = ("numpy", "scipy", "numba", "eclipse-zenoh", "msgspec", "mcap")
 """Whose versions the log keeps beside our own: they can change an answer or its bytes."""
-
-
-MAX_MESSAGE_BYTES = 32 << 20
-"""What one client may make the router hold at once; Zenoh drops what is longer, where its own limit is 1 GiB."""
+TRIM_S = 1.0
+"""[s] Between looks at the memory of the scenes: the free spaces of new bodies grow with the plans."""
 
 
 @dataclass(frozen=True, slots=True)
 class _Job:
     query: zenoh.Query
-    key: str
+    key: str  # what is asked, one of `gpdf_schemas.keys`
+    wire_key: str  # where it was asked: that, or a key of this planner alone
     payload: bytes
     received: float
     received_ns: int
 
 
 class Server:
-    """Map service and planner service in one process. A context manager: leaving it drains and closes the log.
+    """Map service, planner service, or both in one process. A context manager: leaving it drains and closes the log.
 
     Args:
         options: How to serve.
@@ -62,51 +66,93 @@ class Server:
         options.log_dir.mkdir(parents=True, exist_ok=True)
         stamp = time.strftime("%Y%m%dT%H%M%S", time.gmtime())
         self.recorder = Recorder(options, f"{stamp}_{self.planner_id}", self._metadata(config))
-        self.shelf = Shelf(options.scenes_dir, self._on_ready, config)
-        self.handlers = Handlers(self.shelf, self.planner_id)
+        self.shelf = Shelf(
+            options.scenes_dir,
+            self._on_ready,
+            config,
+            state_dir=options.state,
+            memory_bytes=1e6 * options.scene_memory_mb,
+        )
+        self.metrics = Metrics()
+        self.handlers = Handlers(self.shelf, self.planner_id, self._on_unload, self._look_for)
         self._jobs: queue.Queue[_Job | None] = queue.Queue(options.queue)
         self._workers = [
             threading.Thread(target=self._work, name=f"gpdf-worker-{i}", daemon=True) for i in range(options.workers)
         ]
+        self._ended = threading.Event()
+        self._keeper = threading.Thread(target=self._keep_memory, name="gpdf-memory", daemon=True)
         self._session: zenoh.Session | None = None
-        self._alive: zenoh.LivelinessToken | None = None
+        self._follower: Follower | None = None
+        self._tokens: list[zenoh.LivelinessToken] = []  # dropped, they would be undeclared
 
     @property
     def log_path(self) -> Path:
         """The log that is being written, or was last."""
         return self.recorder.path
 
+    @property
+    def load(self) -> float:
+        """Requests that wait or are at work, over the workers."""
+        return self._jobs.unfinished_tasks / len(self._workers)
+
     def __enter__(self) -> Server:
         try:
-            for name, path in self._scenes:  # before anybody can ask for them
-                self.shelf.load_file(name, path, inside=False)
-            self._session = zenoh.open(_router_config(self.options.endpoint))
+            if self.options.role != "planner":
+                self._load_scenes()  # before anybody can ask for them
+            self._session = zenoh.open(session_config(self.options))
         except BaseException:
             self.shelf.close()
             self.recorder.close()
             raise
-        for worker in self._workers:
-            worker.start()
-        for key in self.handlers.by_key:
-            self._session.declare_queryable(key, partial(self._take, key), complete=True)
-        self._alive = self._session.liveliness().declare_token(  # dropped, it would be undeclared
-            f"{keys.ALIVE}/{self.planner_id}"
-        )
-        log.info("listening on %s, logging to %s", self.options.endpoint, self.recorder.path)
+        for thread in (*self._workers, self._keeper):
+            thread.start()
+        self._session.declare_queryable(keys.status_of(self.planner_id), self._answer_status, complete=True)
+        if self.options.role == "planner":
+            self._follower = Follower(self._session, self.shelf, self._serve_plans)
+            self._follower.start()
+        else:
+            self._serve({key: key for key in self.handlers.map_keys}, f"{keys.MAP_ALIVE}/{self.planner_id}")
+        if self.options.role == "both":
+            self._serve_plans()
+        words = {"role": self.options.role, "id": self.planner_id, "log": self.recorder.path.name}
+        log.info("listening on %s", self.options.endpoint or ", ".join(self.options.connect), extra=words)
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
+        self._ended.set()
+        for token in self._tokens:
+            token.undeclare()  # type: ignore[no-untyped-call]  # clients ask others from now on
         for _ in self._workers:
             self._jobs.put(None)  # behind the requests that wait: they are answered first
-        for worker in self._workers:
-            worker.join()
+        for thread in (*self._workers, self._keeper):
+            thread.join()
+        if self._follower is not None:
+            self._follower.close()
         self.shelf.close()
         if self._session is not None:
             self._session.close()  # type: ignore[no-untyped-call]
         self.recorder.close()
         log.info("ended, log closed")
+
+    def _load_scenes(self) -> None:
+        self.shelf.restore({name for name, _ in self._scenes})
+        for name, path in self._scenes:
+            self.shelf.load_file(name, path, inside=False)
+
+    def _serve_plans(self) -> None:
+        """Begin to answer plans, on the key of all planners and on our own."""
+        names = self.handlers.planner_keys
+        own = {keys.of_planner(self.planner_id, key): key for key in names}
+        self._serve({**own, **{key: key for key in names}}, f"{keys.ALIVE}/{self.planner_id}")
+
+    def _serve(self, wire_keys: Mapping[str, str], token: str) -> None:
+        """Answer on each of the keys what is asked by the key behind it; then say that we are there."""
+        assert self._session is not None
+        for wire_key, key in wire_keys.items():
+            self._session.declare_queryable(wire_key, partial(self._take, key, wire_key), complete=True)
+        self._tokens.append(self._session.liveliness().declare_token(token))
 
     def _metadata(self, config: Config) -> dict[str, str]:
         """What a log must say of the process that wrote it."""
@@ -119,13 +165,26 @@ class Server:
 
     def _on_ready(self, name: str, scene: Scene) -> None:
         self.recorder.scene(name, scene.points, scene.info())
+        self._announce(SceneChanged(scene=name, version=scene.version, digest=scene.digest))
 
-    def _take(self, key: str, query: zenoh.Query) -> None:
+    def _on_unload(self, name: str) -> None:
+        self.recorder.forget(name)
+        self._announce(SceneChanged(scene=name, version=0))
+
+    def _announce(self, news: SceneChanged) -> None:
+        if self._session is not None and self.options.role != "planner":
+            self._session.put(keys.changed(news.scene), encode(news))
+
+    def _look_for(self, name: str, timeout_s: float) -> None:
+        if self._follower is not None:
+            self._follower.look_for(name, timeout_s)
+
+    def _take(self, key: str, wire_key: str, query: zenoh.Query) -> None:
         """Zenoh's callback: runs serially, so it only hands over; what is too long or too much is answered here."""
         body = query.payload or zenoh.ZBytes(b"")
         size, fits = len(body), len(body) <= MAX_REQUEST_BYTES
         payload = body.to_bytes() if fits else b""
-        job = _Job(query, key, payload, time.monotonic(), time.time_ns())
+        job = _Job(query, key, wire_key, payload, time.monotonic(), time.time_ns())
         kind = self.handlers.by_key[key][1]
         if not fits:
             words = f"{size} bytes, at most {MAX_REQUEST_BYTES} are taken. Send it in parts."
@@ -143,21 +202,53 @@ class Server:
                 self._reply(job, self.handlers.answer(job.key, job.payload, job.received))
             except Exception:
                 log.exception("reply on %s", job.key)
+            finally:
+                self._jobs.task_done()
 
     def _reply(self, job: _Job, reply: Reply) -> None:
-        data = encode(reply)
+        data = encode(msgspec.structs.replace(reply, load=self.load))
         stamp = time.time_ns()
         self.recorder.exchange(job.key, job.payload, data, job.received_ns, stamp)
         with job.query:  # dropped after the reply, or the client waits for its time-out
-            job.query.reply(job.key, data)
+            job.query.reply(job.wire_key, data)
+        self.metrics.count(reply, time.monotonic() - job.received)
         if isinstance(reply, PlanReply):
             self.recorder.plan(reply, stamp)
 
+    def _answer_status(self, query: zenoh.Query) -> None:
+        """Answered in the callback itself: a service whose queue is full is asked first of all how it is."""
+        with query:
+            query.reply(keys.status_of(self.planner_id), encode(self.status()))
 
-def _router_config(endpoint: str) -> zenoh.Config:
-    config = zenoh.Config()
-    config.insert_json5("mode", '"router"')
-    config.insert_json5("listen/endpoints", json.dumps([endpoint]))
-    config.insert_json5("scouting/multicast/enabled", "false")
-    config.insert_json5("transport/link/rx/max_message_size", str(MAX_MESSAGE_BYTES))
-    return config
+    def status(self) -> StatusReply:
+        """Health, readiness and metrics now."""
+        facts = self.shelf.facts()
+        stopped = [thread.name for thread in self._workers if not thread.is_alive()]
+        problems = [f"the thread {name} has ended" for name in stopped]
+        problems += [f"nothing is recorded: {self.recorder.trouble}"] if self.recorder.trouble else []
+        problems += [f"scene {name!r}: {entry['error']}" for name, entry in facts.items() if entry["error"]]
+        synced = True
+        if self._follower is not None:
+            synced = self._follower.synced
+            problems += [f"the map may be stale: {self._follower.trouble}"] if self._follower.trouble else []
+        return StatusReply(
+            planner=self.planner_id,
+            load=self.load,
+            role=self.options.role,
+            software=__version__,
+            healthy=not stopped,
+            ready=synced and not any(entry["state"] == "building" for entry in facts.values()),
+            problems=problems,
+            metrics={
+                **self.metrics.numbers(),
+                "load": self.load,
+                "workers": float(len(self._workers)),
+                "scenes": float(len(facts)),
+                "scenes_in_memory": float(sum(entry["in_memory"] for entry in facts.values())),
+                "messages_lost": float(self.recorder.lost),
+            },
+        )
+
+    def _keep_memory(self) -> None:
+        while not self._ended.wait(TRIM_S):
+            self.shelf.trim()

@@ -21,6 +21,10 @@ MESSAGES = (
     messages.ScenesReply,
     messages.LoadRequest,
     messages.UploadRequest,
+    messages.FileRequest,
+    messages.FileReply,
+    messages.StatusReply,
+    messages.SceneChanged,
 )
 
 

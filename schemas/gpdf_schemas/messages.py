@@ -126,6 +126,7 @@ class Reply(msgspec.Struct, frozen=True, kw_only=True):
         scene_version: Version of the scene that answered.
         planner: Id of the service that answered.
         timings: Seconds by stage.
+        load: Requests that wait or are at work in the service, over its workers: above 1 a new one waits.
     """
 
     request_id: str = ""
@@ -135,6 +136,7 @@ class Reply(msgspec.Struct, frozen=True, kw_only=True):
     scene_version: int = 0
     planner: str = ""
     timings: dict[str, float] = {}
+    load: float = 0.0
 
 
 class PlanReply(Reply, frozen=True, kw_only=True):
@@ -213,3 +215,54 @@ class ScenesReply(Reply, frozen=True, kw_only=True):
     """Facts of every scene by name."""
 
     scenes: dict[str, dict[str, Any]] = {}
+
+
+class FileRequest(msgspec.Struct, frozen=True, kw_only=True):
+    """A part of a ready scene's file, on `keys.SCENE_FILE`; for planners on other machines.
+
+    Attributes:
+        scene: Its name.
+        version: Its version; another one is refused, so that no file is put together from two.
+        offset: First byte.
+    """
+
+    scene: str
+    version: int
+    offset: int = 0
+    deadline_s: float = 30.0
+    request_id: str = ""
+
+
+class FileReply(Reply, frozen=True, kw_only=True):
+    """At most 1 MB of the file from the offset on, and the size of the whole [bytes]."""
+
+    data: bytes = b""
+    size: int = 0
+
+
+class StatusReply(Reply, frozen=True, kw_only=True):
+    """Health, readiness and metrics of a service, on `keys.status_of`; answered also when its queue is full.
+
+    Attributes:
+        role: "both", "map" or "planner".
+        software: Version of the program.
+        healthy: Whether it does its work.
+        ready: Whether it can be asked: its own scenes are built, or those of the map service are here.
+        problems: What is wrong, in words; a log that cannot be written is one, and plans go on.
+        metrics: Numbers by name.
+    """
+
+    role: str = ""
+    software: str = ""
+    healthy: bool = False
+    ready: bool = False
+    problems: list[str] = []
+    metrics: dict[str, float] = {}
+
+
+class SceneChanged(msgspec.Struct, frozen=True, kw_only=True):
+    """Published on `keys.changed` when a scene has a new version, or is unloaded (version 0)."""
+
+    scene: str
+    version: int
+    digest: str = ""

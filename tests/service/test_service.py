@@ -294,7 +294,7 @@ def test_two_services_on_one_port_do_not_both_start(running, clouds, tmp_path):
 def test_uploads_that_nobody_finishes_make_room(tmp_path, monkeypatch):
     from gpdf_service.service.scenes import Shelf
 
-    monkeypatch.setattr("gpdf_service.service.scenes.MAX_UPLOAD_POINTS", 100)
+    monkeypatch.setattr("gpdf_service.service.uploads.MAX_UPLOAD_POINTS", 100)
     shelf, points = Shelf(tmp_path), np.zeros((40, 3))
     for name in ("a", "b", "c", "d"):
         assert not shelf.add_part("x", name, 0, 2, points, None)
@@ -383,7 +383,7 @@ def test_versions_of_a_name_never_come_again(running, tmp_path, clouds):
 def test_an_upload_that_made_room_is_refused_not_forgotten(tmp_path, monkeypatch):
     from gpdf_service.service.scenes import Shelf
 
-    monkeypatch.setattr("gpdf_service.service.scenes.MAX_UPLOADS", 2)
+    monkeypatch.setattr("gpdf_service.service.uploads.MAX_UPLOADS", 2)
     shelf, points = Shelf(tmp_path), np.zeros((4, 3))
     for upload in ("a", "b", "c"):
         assert not shelf.add_part("x", upload, 0, 2, points, None)
