@@ -19,6 +19,8 @@ from gpdf_schemas import (
     DistanceReply,
     DistanceRequest,
     LoadRequest,
+    MovingObstacle,
+    MovingObstacles,
     PlanReply,
     PlanRequest,
     Reply,
@@ -125,8 +127,9 @@ class Client:
         method: str = "dual_gpdf",
         deadline_s: float = 30.0,
         request_id: str = "",
+        obstacles: Sequence[MovingObstacle] = (),
     ) -> PlanResult:
-        """Ask for a trajectory from `start` to `goal`, (x, y) or (x, y, z of the ground) [m]."""
+        """Ask for a trajectory from `start` to `goal`, (x, y) or (x, y, z of the ground) [m], clear of `obstacles`."""
         request = PlanRequest(
             scene=scene,
             start=[float(v) for v in start],
@@ -135,8 +138,13 @@ class Client:
             method=method,
             deadline_s=deadline_s,
             request_id=request_id or uuid.uuid4().hex,
+            obstacles=list(obstacles),
         )
         return to_result(self.ask_planner(keys.PLAN, request, PlanReply, deadline_s))
+
+    def publish_obstacles(self, scene: str, obstacles: Sequence[MovingObstacle]) -> None:
+        """Tell every planner what moves in a scene; nobody answers, and what is not told again ends by itself."""
+        self._session.put(keys.obstacles(scene), encode(MovingObstacles(obstacles=list(obstacles))))
 
     def distance(self, scene: str, field: str, points: ArrayLike, agent: Agent = "human") -> Distances:
         """Ask the "ground" field at points (m, 3), or the "obstacle" field of an agent at (m, 2) or (m, 3) [m]."""

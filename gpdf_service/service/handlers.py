@@ -37,6 +37,7 @@ from gpdf_schemas import (
 from gpdf_service.errors import GpdfError, RequestError, SceneFileError
 from gpdf_service.pipeline import plan
 from gpdf_service.scene import Scene
+from gpdf_service.service.moving import Moving
 from gpdf_service.service.scenes import Shelf, describe
 from gpdf_service.types import Agent, PlanResult, Trajectory
 
@@ -72,6 +73,7 @@ class Handlers:
     ) -> None:
         self.shelf, self.planner_id = shelf, planner_id
         self._on_unload, self._look_for = on_unload, look_for
+        self.moving = Moving()
         self.by_key: Answers = {
             **self.planner_keys,
             **self.map_keys,
@@ -131,7 +133,7 @@ class Handlers:
 
     def plan(self, request: PlanRequest) -> PlanReply:
         """A trajectory."""
-        scene = self._scene(request.scene, request.deadline_s)
+        scene = self.moving.merged(request.scene, self._scene(request.scene, request.deadline_s), request.obstacles)
         result = plan(
             scene,
             request.start,
@@ -161,7 +163,7 @@ class Handlers:
         points = request.points.unpack()
         if len(points) > MAX_DISTANCE_POINTS:
             raise RequestError("points", f"{len(points)} of them", f"Ask at most {MAX_DISTANCE_POINTS} at once.")
-        scene = self._scene(request.scene, request.deadline_s)
+        scene = self.moving.merged(request.scene, self._scene(request.scene, request.deadline_s))
         if request.field == "ground":
             sample = scene.ground_field.query(points)
         elif request.field == "obstacle":

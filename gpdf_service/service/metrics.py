@@ -22,6 +22,7 @@ class Metrics:
         self._process = psutil.Process()
         self._answers = Counter[str]()
         self._seconds: deque[float] = deque(maxlen=WINDOW)
+        self._bad = 0
         self._lock = threading.Lock()
 
     def count(self, reply: Reply, seconds: float) -> None:
@@ -29,6 +30,11 @@ class Metrics:
         with self._lock:
             self._answers[reply.status.value] += 1
             self._seconds.append(seconds)
+
+    def count_bad_publication(self) -> None:
+        """A publication that could not be read: nobody waits for an answer that could say so."""
+        with self._lock:
+            self._bad += 1
 
     def numbers(self) -> dict[str, float]:
         """Everything by name; memory in bytes, times in seconds."""
@@ -42,4 +48,5 @@ class Metrics:
                 "open_files": float(self._process.num_fds()),
             }
         times = {"uptime_s": time.monotonic() - self._began, "answer_p50_s": float(p50), "answer_p99_s": float(p99)}
+        times["bad_publications"] = float(self._bad)
         return {**own, **times, **{f"answers_{name}": float(count) for name, count in sorted(answers.items())}}

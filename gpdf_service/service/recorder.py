@@ -91,6 +91,10 @@ class Recorder:
         if self.options.flush_s == 0:
             task.done.wait()
 
+    def publication(self, key: str, data: bytes, stamp_ns: int) -> None:
+        """Record what somebody published."""
+        self._queue.put(_Task(lambda segment: segment.write(key, data, stamp_ns)))
+
     def plan(self, reply: PlanReply, stamp_ns: int) -> None:
         """Record a trajectory as poses for viewers."""
         if reply.trajectory is not None:

@@ -18,7 +18,18 @@ from types import TracebackType
 
 import msgspec
 import zenoh
-from gpdf_schemas import MAX_REQUEST_BYTES, PlanReply, Reply, SceneChanged, Status, StatusReply, encode, keys
+from gpdf_schemas import (
+    MAX_REQUEST_BYTES,
+    MovingObstacles,
+    PlanReply,
+    Reply,
+    SceneChanged,
+    Status,
+    StatusReply,
+    decode,
+    encode,
+    keys,
+)
 
 from gpdf_service import __version__
 from gpdf_service.config import Config
@@ -145,6 +156,8 @@ class Server:
         """Begin to answer plans, on the key of all planners and on our own."""
         names = self.handlers.planner_keys
         own = {keys.of_planner(self.planner_id, key): key for key in names}
+        assert self._session is not None
+        self._session.declare_subscriber(keys.obstacles("*"), self._hear_of_obstacles)
         self._serve({**own, **{key: key for key in names}}, f"{keys.ALIVE}/{self.planner_id}")
 
     def _serve(self, wire_keys: Mapping[str, str], token: str) -> None:
@@ -170,6 +183,19 @@ class Server:
     def _on_unload(self, name: str) -> None:
         self.recorder.forget(name)
         self._announce(SceneChanged(scene=name, version=0))
+
+    def _hear_of_obstacles(self, sample: zenoh.Sample) -> None:
+        """Zenoh's callback: what was published on a scene's key; what cannot be read is told on stderr alone."""
+        key, stamp = str(sample.key_expr), time.time_ns()
+        try:
+            if len(sample.payload) > MAX_REQUEST_BYTES:
+                raise ValueError(f"{len(sample.payload)} bytes, at most {MAX_REQUEST_BYTES} are taken")
+            data = sample.payload.to_bytes()
+            self.handlers.moving.publish(key.split("/")[-2], decode(data, MovingObstacles).obstacles)
+            self.recorder.publication(key, data, stamp)
+        except ValueError as error:
+            log.warning("obstacles on %s: %s", key, error)
+            self.metrics.count_bad_publication()
 
     def _announce(self, news: SceneChanged) -> None:
         if self._session is not None and self.options.role != "planner":

@@ -7,11 +7,14 @@ from gpdf_schemas.codec import decode as decode
 from gpdf_schemas.codec import encode as encode
 from gpdf_schemas.messages import Array as Array
 from gpdf_schemas.messages import CertificateMessage as CertificateMessage
+from gpdf_schemas.messages import Cylinder as Cylinder
 from gpdf_schemas.messages import DistanceReply as DistanceReply
 from gpdf_schemas.messages import DistanceRequest as DistanceRequest
 from gpdf_schemas.messages import FileReply as FileReply
 from gpdf_schemas.messages import FileRequest as FileRequest
 from gpdf_schemas.messages import LoadRequest as LoadRequest
+from gpdf_schemas.messages import MovingObstacle as MovingObstacle
+from gpdf_schemas.messages import MovingObstacles as MovingObstacles
 from gpdf_schemas.messages import PlanReply as PlanReply
 from gpdf_schemas.messages import PlanRequest as PlanRequest
 from gpdf_schemas.messages import Reply as Reply

@@ -25,6 +25,7 @@ MESSAGES = (
     messages.FileReply,
     messages.StatusReply,
     messages.SceneChanged,
+    messages.MovingObstacles,
 )
 
 

@@ -31,3 +31,8 @@ def status_of(service: str) -> str:
 def changed(scene: str) -> str:
     """Where a new version of a scene, or its end, is published; "*" names all."""
     return f"{SCENES}/{scene}/changed"
+
+
+def obstacles(scene: str) -> str:
+    """Where to publish what moves in a scene, as `MovingObstacles`; "*" names all."""
+    return f"{SCENES}/{scene}/obstacles"

@@ -71,6 +71,36 @@ class Array(msgspec.Struct, frozen=True, array_like=False):
         return made
 
 
+class Cylinder(msgspec.Struct, frozen=True):
+    """An upright cylinder: (x, y, z) of the middle of its base, radius and height [m]."""
+
+    base: tuple[float, float, float]
+    radius: float
+    height: float
+
+
+class MovingObstacle(msgspec.Struct, frozen=True, kw_only=True):
+    """Something that the scan does not know, as points, as a cylinder, or both.
+
+    Attributes:
+        id: Chosen by who sees it; a newer one of the same id takes its place.
+        points: (k, 3) [m], dense enough that no body fits between two of them.
+        cylinder: [m]
+        lifetime_s: Seconds after which it is forgotten; 0 removes it at once. Not looked at within a request.
+    """
+
+    id: str = ""
+    points: Array | None = None
+    cylinder: Cylinder | None = None
+    lifetime_s: float = 1.0
+
+
+class MovingObstacles(msgspec.Struct, frozen=True, kw_only=True):
+    """Published on `keys.obstacles`: what moves in a scene."""
+
+    obstacles: list[MovingObstacle]
+
+
 class PlanRequest(msgspec.Struct, frozen=True, kw_only=True):
     """Ask for a trajectory on `keys.PLAN`.
 
@@ -82,6 +112,7 @@ class PlanRequest(msgspec.Struct, frozen=True, kw_only=True):
         method: dual_gpdf, or one of the paper's baselines.
         deadline_s: Seconds that the answer may take.
         request_id: Chosen by the client; the same id asks the same thing again.
+        obstacles: What else is in the way, for this plan alone; what was published for the scene counts as well.
     """
 
     scene: str
@@ -91,6 +122,7 @@ class PlanRequest(msgspec.Struct, frozen=True, kw_only=True):
     method: str = "dual_gpdf"
     deadline_s: float = 30.0
     request_id: str = ""
+    obstacles: list[MovingObstacle] = []
 
 
 class TrajectoryMessage(msgspec.Struct, frozen=True):
