@@ -29,6 +29,7 @@ VERBS: dict[str, tuple[str, str]] = {
     "bench plan": ("gpdf_service.bench.plan", "random queries: share certified, an independent judge, time"),
     "bench service": ("gpdf_service.bench.service", "what Zenoh, msgpack and the log add to a plan"),
     "bench fuzz": ("gpdf_service.bench.fuzz", "malformed requests against the real service, valid clients beside them"),
+    "bench soak": ("gpdf_service.bench.soak", "loads, plans and unloads for minutes: memory, threads and files of it"),
     "demo": ("gpdf_service.cli.demo", "see it happen: service, four bodies, picture and log"),
 }
 
