@@ -53,6 +53,8 @@ BACK_OFF_S = 0.05
 """[s] Between tries when nobody answers or the service is busy."""
 TRY_S = 5.0
 """[s] Before a plan is asked of another planner: several times what the slowest takes, once its free space is built."""
+LATER = (Status.BUSY, Status.UNAVAILABLE)
+"""Answers after which to ask again: a full queue, a service that is about to end."""
 PART_POINTS = 40_000
 """Points in one part of an upload: 1 MB as f8, which keeps small queries quick beside it."""
 
@@ -262,7 +264,7 @@ class Client:
         answer: Reply | None = None
         while (left := until - time.monotonic()) > 0:
             answer = self._try(key, payload, kind, left) or answer
-            if answer is not None and answer.status is not Status.BUSY:
+            if answer is not None and answer.status not in LATER:
                 return self._fine(answer, fine)  # type: ignore[return-value]
             time.sleep(BACK_OFF_S)
         raise _late(key, deadline_s, answer)
@@ -291,7 +293,7 @@ class Client:
             if found is not None:
                 self._planners.learn(found.planner, found.load)
                 answer = found
-                if found.status is not Status.BUSY:
+                if found.status not in LATER:
                     return self._fine(found, ())
             if planner is None:
                 time.sleep(BACK_OFF_S)
@@ -315,7 +317,7 @@ class Client:
 
 def _late(key: str, deadline_s: float, answer: Reply | None) -> ClientError:
     """Nobody answered in time, or all were busy all the time."""
-    if answer is not None:
+    if answer is not None and answer.status is Status.BUSY:
         return ServiceBusyError(answer)
     return UnavailableError(f"no answer on {key} within {deadline_s:.1f} s. Is the service running?")
 

@@ -37,7 +37,10 @@ PLACE = [1.0, 1.0]
 ARRAY = {"shape": [2, 3], "dtype": "f8", "data": bytes(48)}
 BODY = {"height": 1.0, "width": 0.5, "length": 0.5, "max_step": 0.1, "max_slope": 0.1}
 VALID: dict[str, tuple[type[Reply], Fields]] = {
-    keys.PLAN: (messages.PlanReply, {"scene": "office", "start": PLACE, "goal": PLACE, "agent": "human"}),
+    keys.PLAN: (
+        messages.PlanReply,
+        {"scene": "office", "start": PLACE, "goal": PLACE, "agent": "human", "obstacles": []},
+    ),
     keys.DISTANCE: (messages.DistanceReply, {"scene": "office", "field": "ground", "points": ARRAY}),
     keys.SCENES: (messages.ScenesReply, {"request_id": "1"}),
     keys.SCENE_INFO: (messages.SceneReply, {"scene": "office"}),
@@ -55,6 +58,7 @@ ODD: tuple[Any, ...] = (
     *(msgpack.ExtType(5, b"x"), msgpack.Timestamp(1), ["a"] * 50, BODY, BODY | {"name": "x", "width": 1e-9}),
     *({**ARRAY, "shape": [CLAIM, 3]}, {**ARRAY, "shape": [-1, -6]}, {**ARRAY, "dtype": "O"}, {**ARRAY, "data": b""}),
     {"shape": [1, 3], "dtype": "f8", "data": np.full(3, np.nan).tobytes()},
+    *([{"points": ARRAY}], [{"cylinder": [PLACE, 1e9, 1]}], [{"cylinder": [[1.0, 1.0, 0.0], 0.3, 1e-300]}], [{}] * 999),
 )
 """Values where another was expected."""
 
@@ -170,7 +174,7 @@ def huge_header(rng: Rng, fields: Fields) -> bytes:
 def wrong_type(rng: Rng, fields: Fields) -> bytes:
     """An odd value in place of one or two of the right ones, also where an array's parts belong."""
     for _ in range(rng.integers(1, 3)):
-        name = str(rng.choice([*fields, "agent", "deadline_s", "request_id", "ground", "method"]))
+        name = str(rng.choice([*fields, "agent", "deadline_s", "request_id", "ground", "method", "obstacles"]))
         fields[name] = ODD[rng.integers(len(ODD))]
     return bytes(msgpack.packb(fields))
 

@@ -10,7 +10,7 @@ from collections.abc import Callable
 import zenoh
 from gpdf_client import Client
 from gpdf_client.results import ClientError
-from gpdf_schemas import FileReply, FileRequest, SceneRequest, ScenesReply, keys
+from gpdf_schemas import DecodeError, FileReply, FileRequest, SceneRequest, ScenesReply, keys
 
 from gpdf_service.errors import GpdfError
 from gpdf_service.scene import load_scene
@@ -78,24 +78,31 @@ class Follower:
             self._news.wait(RESYNC_S)
 
     def _sync(self) -> None:
-        began = time.monotonic()
+        began, troubles = time.monotonic(), list[str]()
         try:
             theirs = self._map.ask(keys.SCENES, SceneRequest(), ScenesReply, ASK_S).scenes
-            ready = {name: facts for name, facts in theirs.items() if facts["state"] == "ready" and facts["kept"]}
-            for name, facts in ready.items():
-                if not self._is_here(name, facts["version"], facts["digest"]):
-                    self._fetch(name, facts["version"], facts["digest"])
-            for name in set(self._shelf.facts()) - set(theirs):
-                self._shelf.unload(name)
-                log.info("scene %s is gone", name)
-        except (ClientError, GpdfError, OSError, KeyError) as error:
-            if not self.trouble:
-                log.warning("the map service cannot be followed: %s", error)
-            self.trouble = str(error)
+        except (ClientError, DecodeError) as error:
+            self._complain(str(error))
             return
-        first, self.synced, self.trouble, self._looked = not self.synced, True, "", began
-        if first:
+        for name in set(self._shelf.facts()) - set(theirs):
+            self._shelf.unload(name)
+            log.info("scene %s is gone", name)
+        for name, facts in theirs.items():
+            if facts["state"] == "ready" and not self._is_here(name, facts["version"], facts["digest"]):
+                try:
+                    self._fetch(name, facts["version"], facts["digest"])
+                except (ClientError, DecodeError, GpdfError, OSError) as error:  # the other scenes are not to wait
+                    troubles.append(f"scene {name!r}: {error}")
+        self._complain(" ".join(troubles))
+        self._looked = began
+        if not self.synced:
+            self.synced = True
             self._on_synced()
+
+    def _complain(self, trouble: str) -> None:
+        if trouble and trouble != self.trouble:
+            log.warning("not as the map service: %s", trouble)
+        self.trouble = trouble
 
     def _is_here(self, name: str, version: int, digest: str) -> bool:
         entry = self._shelf.get(name)

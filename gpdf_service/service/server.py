@@ -95,6 +95,7 @@ class Server:
         self._session: zenoh.Session | None = None
         self._follower: Follower | None = None
         self._tokens: list[zenoh.LivelinessToken] = []  # dropped, they would be undeclared
+        self._queryables: list[zenoh.Queryable[None]] = []
 
     @property
     def log_path(self) -> Path:
@@ -133,12 +134,12 @@ class Server:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self._ended.set()
-        for token in self._tokens:
-            token.undeclare()  # type: ignore[no-untyped-call]  # clients ask others from now on
+        self._close_doors()
         for _ in self._workers:
             self._jobs.put(None)  # behind the requests that wait: they are answered first
         for thread in (*self._workers, self._keeper):
             thread.join()
+        self._turn_away()
         if self._follower is not None:
             self._follower.close()
         self.shelf.close()
@@ -146,6 +147,20 @@ class Server:
             self._session.close()  # type: ignore[no-untyped-call]
         self.recorder.close()
         log.info("ended, log closed")
+
+    def _close_doors(self) -> None:
+        """Clients ask others from now on."""
+        for token in self._tokens:
+            token.undeclare()  # type: ignore[no-untyped-call]
+        for queryable in self._queryables:
+            queryable.undeclare()  # type: ignore[no-untyped-call]
+
+    def _turn_away(self) -> None:
+        """Answer what came while the doors were closed and the workers ended."""
+        while not self._jobs.empty():
+            if job := self._jobs.get_nowait():
+                kind = self.handlers.by_key[job.key][1]
+                self._reply(job, self.handlers.refuse(kind, Status.UNAVAILABLE, "this service ends. Ask another one."))
 
     def _load_scenes(self) -> None:
         self.shelf.restore({name for name, _ in self._scenes})
@@ -164,7 +179,8 @@ class Server:
         """Answer on each of the keys what is asked by the key behind it; then say that we are there."""
         assert self._session is not None
         for wire_key, key in wire_keys.items():
-            self._session.declare_queryable(wire_key, partial(self._take, key, wire_key), complete=True)
+            take = partial(self._take, key, wire_key)
+            self._queryables.append(self._session.declare_queryable(wire_key, take, complete=True))
         self._tokens.append(self._session.liveliness().declare_token(token))
 
     def _metadata(self, config: Config) -> dict[str, str]:
