@@ -251,9 +251,9 @@ class Server:
         data = encode(msgspec.structs.replace(reply, load=self.load))
         stamp = time.time_ns()
         self.recorder.exchange(job.key, job.payload, data, job.received_ns, stamp)
+        self.metrics.count(reply, time.monotonic() - job.received)  # who has the answer finds it counted
         with job.query:  # dropped after the reply, or the client waits for its time-out
             job.query.reply(job.wire_key, data)
-        self.metrics.count(reply, time.monotonic() - job.received)
         if isinstance(reply, PlanReply):
             self.recorder.plan(reply, stamp)
 
