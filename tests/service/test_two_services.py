@@ -171,3 +171,25 @@ def socket_of():
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         yield f"tcp/127.0.0.1:{probe.getsockname()[1]}"
+
+
+def test_a_map_service_that_was_killed_is_found_again_by_planners_and_clients(folder, free_endpoint, office):
+    made = office[0]
+    with ExitStack() as stack:
+        first = stack.enter_context(serving(*map_flags(folder, free_endpoint)))
+        stack.enter_context(serving(*planner_flags(folder, free_endpoint, "a")))
+        client = stack.enter_context(Client.connect(free_endpoint, timeout_s=60))
+        version = client.load_scene("office", "office.gpdf")["version"]
+        wait_for_planners(client, 1)
+        assert client.plan("office", made.start, made.goal, "roomba").status == "OK"
+        first.kill()
+        first.wait(30)
+        stack.enter_context(serving(*map_flags(folder, free_endpoint)))
+        result = client.plan("office", made.start, made.goal, "roomba", deadline_s=60)
+        assert (result.status, result.scene_version) == ("OK", version)
+        floor = made.points[made.ground]
+        client.load_scene("office", upload=floor, ground=np.ones(len(floor), bool), timeout_s=60)
+        until = time.monotonic() + 30
+        while client.plan("office", made.start, made.goal, "roomba").scene_version == version:
+            assert time.monotonic() < until
+            time.sleep(0.05)
