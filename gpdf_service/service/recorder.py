@@ -64,6 +64,7 @@ class Recorder:
         self._name, self._metadata = name, {"version": __version__, **metadata}
         self._segments = self._unsafe = 0  # files begun; messages since the last flush
         self._flushed = self._retry = self._complained = -float("inf")
+        self._counting = threading.Lock()
         self._scenes: dict[str, Callable[[Segment], None]] = {}
         self._queue: queue.Queue[_Task | None] = queue.Queue(QUEUE_SIZE)
         self._segment: Segment | None = None
@@ -79,21 +80,42 @@ class Recorder:
         """The file that is being written, or was last."""
         return self.options.log_dir / f"gpdf_{self._name}_{self._segments:04d}.mcap"
 
-    def exchange(self, key: str, request: bytes, reply: bytes, received_ns: int, replied_ns: int) -> None:
-        """Record a request and its reply; with `--log-sync each`, return when they are on the disk."""
+    def exchange(
+        self, key: str, request: bytes, reply: bytes, received_ns: int, replied_ns: int, *, patient: bool = True
+    ) -> None:
+        """Record a request and its reply.
+
+        Args:
+            key: What was asked.
+            request: Its bytes.
+            reply: Its bytes.
+            received_ns: When it came [ns].
+            replied_ns: When it was answered [ns].
+            patient: Wait where the log is behind, and with `--log-sync each` until it is on the disk; False where that
+                would hold up everybody: what does not fit is lost, and counted.
+        """
 
         def write(segment: Segment) -> None:
             segment.write(f"{key}/request", request, received_ns)
             segment.write(f"{key}/reply", reply, replied_ns)
 
         task = _Task(write)
+        if not patient:
+            self._put_if_room(task)
+            return
         self._queue.put(task)
         if self.options.flush_s == 0:
             task.done.wait()
 
     def publication(self, key: str, data: bytes, stamp_ns: int) -> None:
-        """Record what somebody published."""
-        self._queue.put(_Task(lambda segment: segment.write(key, data, stamp_ns)))
+        """Record what somebody published; lost, and counted, where the log is behind."""
+        self._put_if_room(_Task(lambda segment: segment.write(key, data, stamp_ns)))
+
+    def _put_if_room(self, task: _Task) -> None:
+        try:
+            self._queue.put_nowait(task)
+        except queue.Full:
+            self._count_lost(1)
 
     def plan(self, reply: PlanReply, stamp_ns: int) -> None:
         """Record a trajectory as poses for viewers."""
@@ -163,7 +185,7 @@ class Recorder:
         now = time.monotonic()
         if self._segment is None:
             if now < self._retry:
-                self._count_lost()
+                self._lose_unsafe()
                 return
             self._segment = self._begin()
         for task in tasks:
@@ -222,7 +244,7 @@ class Recorder:
         if self._segment is not None:
             self._segment.abandon()
             self._segment = None
-        self._count_lost()
+        self._lose_unsafe()
         now = time.monotonic()
         self._retry = now + RETRY_S
         if not self.trouble or now - self._complained > REMIND_S:
@@ -230,5 +252,10 @@ class Recorder:
             log.error("NOT RECORDING: %s; plans go on; %d messages lost so far", why, self.lost)
         self.trouble = why
 
-    def _count_lost(self) -> None:
-        self.lost, self._unsafe = self.lost + self._unsafe, 0
+    def _lose_unsafe(self) -> None:
+        self._count_lost(self._unsafe)
+        self._unsafe = 0
+
+    def _count_lost(self, count: int) -> None:
+        with self._counting:
+            self.lost += count

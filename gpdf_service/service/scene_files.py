@@ -42,12 +42,9 @@ class SceneFiles:
         return version
 
     def put(self, name: str, scene: Scene) -> Path:
-        """Write a scene; when this returns, it is on the disk, and its older versions are not."""
+        """Write a scene; when this returns, it is on the disk."""
         path = self.path_of(name, scene.version)
         scene.save(path)
-        for older in self.folder.glob(f"{name}@*{SUFFIX}"):
-            if older != path:
-                older.unlink()
         return path
 
     def path_of(self, name: str, version: int) -> Path:

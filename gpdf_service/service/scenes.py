@@ -195,11 +195,8 @@ class Shelf:
         """Put a ready scene there, with its file in the state folder, in the place of the one before."""
         with self._lock:
             entry = self._entries.setdefault(name, Entry())
-            older = entry.file
             entry.pending += 1
         self._finish(name, entry, scene, path)
-        if older is not None and older != path:
-            older.unlink(missing_ok=True)
 
     def unload(self, name: str) -> bool:
         """Forget a scene; False if there was none."""
@@ -237,14 +234,15 @@ class Shelf:
         if file is None:
             scene.version = self._next_version(scene.version)
             file = self._keep(name, scene)
-        with self._lock:
+        with entry.lock, self._lock:  # nobody is loading the old version from its file
             current = self._entries.get(name) is entry
+            older = entry.file if current else file  # unloaded meanwhile: nobody will ask for the new one
             entry.scene, entry.file, entry.facts = scene, file, scene.info()
             entry.pending, entry.error, entry.used = entry.pending - 1, "", time.monotonic()
             self._version = max(self._version, scene.version)
-        if not current:  # unloaded meanwhile
-            if file is not None:
-                file.unlink(missing_ok=True)
+            if older is not None and (older != file or not current):
+                older.unlink(missing_ok=True)
+        if not current:
             return
         facts = {"points": len(scene.points), "version": scene.version, "digest": scene.digest}
         log.info("scene %s is ready", name, extra=facts)

@@ -230,13 +230,13 @@ class Server:
         kind = self.handlers.by_key[key][1]
         if not fits:
             words = f"{size} bytes, at most {MAX_REQUEST_BYTES} are taken. Send it in parts."
-            self._reply(job, self.handlers.refuse(kind, Status.INVALID_REQUEST, words))
+            self._reply(job, self.handlers.refuse(kind, Status.INVALID_REQUEST, words), patient=False)
             return
         try:
             self._jobs.put_nowait(job)
         except queue.Full:
             words = f"{self.options.queue} requests are waiting. Ask again in a moment."
-            self._reply(job, self.handlers.refuse(kind, Status.BUSY, words))
+            self._reply(job, self.handlers.refuse(kind, Status.BUSY, words), patient=False)
 
     def _work(self) -> None:
         while (job := self._jobs.get()) is not None:
@@ -247,10 +247,10 @@ class Server:
             finally:
                 self._jobs.task_done()
 
-    def _reply(self, job: _Job, reply: Reply) -> None:
+    def _reply(self, job: _Job, reply: Reply, *, patient: bool = True) -> None:
         data = encode(msgspec.structs.replace(reply, load=self.load))
         stamp = time.time_ns()
-        self.recorder.exchange(job.key, job.payload, data, job.received_ns, stamp)
+        self.recorder.exchange(job.key, job.payload, data, job.received_ns, stamp, patient=patient)
         self.metrics.count(reply, time.monotonic() - job.received)  # who has the answer finds it counted
         with job.query:  # dropped after the reply, or the client waits for its time-out
             job.query.reply(job.wire_key, data)

@@ -5,6 +5,7 @@ import os
 import resource
 import subprocess
 import sys
+import threading
 import time
 
 import numpy as np
@@ -16,6 +17,7 @@ from mcap.reader import make_reader
 from gpdf_service.service.record import BROKEN, check, prune, records_of, repair, repair_folder
 from gpdf_service.service.recorder import Recorder
 from gpdf_service.service.replay import recorded_plans
+from gpdf_service.service.segment import Segment
 from gpdf_service.service.server import Options
 
 BLOB = np.random.default_rng(0).bytes(20_000)  # does not compress
@@ -198,3 +200,26 @@ def test_a_plan_is_in_the_log_when_the_process_is_killed_after_its_answer(tmp_pa
             process.kill()
     (log,) = (tmp_path / "log").glob("*.mcap")
     assert len(list(recorded_plans(log))) == 3
+
+
+def test_who_must_not_wait_for_a_log_that_is_behind_goes_on_and_the_loss_is_counted(tmp_path, monkeypatch):
+    monkeypatch.setattr("gpdf_service.service.recorder.QUEUE_SIZE", 2)
+    gate, inside = threading.Event(), threading.Event()
+    write = Segment.write
+
+    def slow(*args, **more):
+        inside.set()
+        gate.wait(30)
+        write(*args, **more)
+
+    monkeypatch.setattr(Segment, "write", slow)
+    recorder = Recorder(Options(log_dir=tmp_path, log_sync="each"), "x", {})
+    recorder.exchange("k", b"", b"0", 0, 0, patient=False)
+    assert inside.wait(30)  # the writer is held by the first; two more fit
+    for i in range(1, 6):
+        recorder.exchange("k", b"", bytes([48 + i]), 0, 0, patient=False)
+    recorder.publication("p", b"", 0)
+    assert recorder.lost == 4
+    gate.set()
+    recorder.close()
+    assert [data for data in messages(tmp_path) if data] == [b"0", b"1", b"2"]

@@ -12,6 +12,7 @@ from gpdf_client import Client, ServiceError
 from gpdf_client.results import ClientError
 
 import gpdf_service as gpdf
+import gpdf_service.errors
 from gpdf_service.service.memory import held_bytes
 from gpdf_service.service.scene_files import SceneFiles
 from gpdf_service.service.scenes import Shelf
@@ -125,6 +126,32 @@ def test_a_new_version_takes_the_place_of_the_old_on_disk(files, tmp_path):
     shelf.load_file("0", "1.gpdf")
     shelf.settle()
     assert [path.name for path in tmp_path.glob("0@*")] == [f"0@{shelf.facts()['0']['version']}.gpdf"]
+    shelf.close()
+
+
+def test_a_scene_that_is_replaced_all_the_time_can_always_be_loaded_again(files, tmp_path):
+    shelf = filled(files, tmp_path, memory_bytes=1)
+    done, wrong = threading.Event(), []
+
+    def use():
+        while not done.is_set():
+            for name in "012":  # each pushes the others out
+                try:
+                    shelf.scene(shelf.get(name))
+                except gpdf.errors.SceneFileError as error:
+                    wrong.append(error)
+
+    threads = [threading.Thread(target=use) for _ in range(2)]
+    for thread in threads:
+        thread.start()
+    for i in range(40):
+        shelf.load_file("0", f"{i % 3}.gpdf")
+    shelf.settle()
+    done.set()
+    for thread in threads:
+        thread.join(60)
+    assert not wrong
+    assert sum(path.suffix == ".gpdf" for path in tmp_path.iterdir()) == 3
     shelf.close()
 
 
