@@ -185,6 +185,24 @@ class Scene:
                     self._spaces.popitem(last=False)
             return space
 
+    def with_obstacles(self, points: FloatArray) -> Scene:
+        """This scene with more in it than was scanned: people, doors, whatever moves.
+
+        The ground stays as it is and is shared; free spaces are built anew on first use, so that field, search and
+        certificate all know of the points.
+
+        Args:
+            points: Where something is [m], shape (k, 3), dense enough that no body fits between two; those over no
+                known ground are left out, since nobody may be there anyway.
+        """
+        on = level_under(self.surfaces, _asked(points, (3,)))
+        levels = tuple(
+            dataclasses.replace(level, other_points=np.concatenate([level.other_points, points[on == i]]))
+            for i, level in enumerate(self.levels.levels)
+        )
+        changed = dataclasses.replace(self.levels, levels=levels)
+        return Scene(self.points, self.ground, changed, self.ground_fields, self.config, self.version)
+
     def forget_agents(self) -> None:
         """Drop what was built for single kinds of body; it is built again on use."""
         with self._lock:

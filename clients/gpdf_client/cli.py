@@ -9,7 +9,9 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import numpy as np
+import zenoh
 
 from gpdf_client.client import DEFAULT_ENDPOINT, Client
 from gpdf_client.results import ClientError
@@ -18,6 +20,7 @@ from gpdf_client.results import ClientError
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the sub-verbs."""
     parser.add_argument("--endpoint", default=DEFAULT_ENDPOINT, help="the service")
+    parser.add_argument("--zenoh", help="a Zenoh configuration (JSON5) with credentials; it names the endpoint, too")
     verbs = parser.add_subparsers(dest="verb", required=True)
 
     def verb(name: str, text: str, act: Callable[[Client, argparse.Namespace], Any]) -> argparse.ArgumentParser:
@@ -27,6 +30,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         return made
 
     verb("scenes", "list the scenes", lambda client, _: client.scenes())
+    verb("status", "health, readiness and metrics of every service", lambda client, _: _status(client))
     for name, text, act in (
         ("info", "facts of a scene", lambda client, args: client.info(args.scene)),
         ("unload", "let the service forget a scene", lambda client, args: client.unload_scene(args.scene)),
@@ -52,7 +56,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Ask; exit code 0 only if the service did what was asked."""
     try:
-        with Client.connect(args.endpoint) as client:
+        config = zenoh.Config.from_file(args.zenoh) if args.zenoh else None
+        with Client.connect(args.endpoint, config=config) as client:
             result = args.act(client, args)
     except (ClientError, OSError, ValueError) as error:
         print(f"gpdf: {error}", file=sys.stderr)
@@ -63,6 +68,12 @@ def run(args: argparse.Namespace) -> int:
         for key, value in result.items():
             print(f"{key}: {value}")
     return 1 if isinstance(result, dict) and result.get("status", "OK") != "OK" else 0
+
+
+def _status(client: Client) -> dict[str, Any]:
+    services = [msgspec.to_builtins(reply) for reply in client.status()]
+    well = bool(services) and all(service["healthy"] and service["ready"] for service in services)
+    return {"status": "OK" if well else "UNAVAILABLE", "services": services}
 
 
 def _plan(client: Client, args: argparse.Namespace) -> dict[str, Any]:

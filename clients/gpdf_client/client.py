@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import json
 import math
+import random
 import time
 import uuid
 from collections.abc import Callable, Collection, Sequence
@@ -20,6 +21,8 @@ from gpdf_schemas import (
     DistanceReply,
     DistanceRequest,
     LoadRequest,
+    MovingObstacle,
+    MovingObstacles,
     PlanReply,
     PlanRequest,
     Reply,
@@ -27,6 +30,7 @@ from gpdf_schemas import (
     SceneRequest,
     ScenesReply,
     Status,
+    StatusReply,
     UploadRequest,
     decode,
     encode,
@@ -34,11 +38,14 @@ from gpdf_schemas import (
 )
 from numpy.typing import ArrayLike
 
+from gpdf_client.planners import Planners
 from gpdf_client.results import (
+    ClientError,
     DecodeError,
     Distances,
     InvalidRequestError,
     PlanResult,
+    ServiceBusyError,
     ServiceError,
     UnavailableError,
     raise_for,
@@ -49,14 +56,27 @@ from gpdf_client.results import (
 DEFAULT_ENDPOINT = "tcp/127.0.0.1:7447"
 BACK_OFF_S = 0.05
 """[s] Between tries when nobody answers or the service is busy."""
-TRY_S = 3600.0
+LONGEST_S = 3600.0
 """[s] The longest that one try waits; Zenoh takes a time-out that overflows its clock for a negative one."""
+TRY_S = 5.0
+"""[s] Before a plan is asked of another planner: several times what the slowest takes, once its free space is built."""
+LATER = (Status.BUSY, Status.UNAVAILABLE)
+"""Answers after which to ask again: a full queue, a service that is about to end."""
 PART_POINTS = 40_000
 """Points in one part of an upload: 1 MB as f8, which keeps small queries quick beside it."""
 
 R = TypeVar("R", bound=Reply)
 Progress = Callable[[float], None]
 Agent = str | dict[str, Any]
+
+
+def client_config(endpoint: str) -> zenoh.Config:
+    """Zenoh's configuration of a client that talks to `endpoint` and looks for nobody else."""
+    config = zenoh.Config()
+    config.insert_json5("mode", '"client"')
+    config.insert_json5("connect/endpoints", json.dumps([endpoint]))
+    config.insert_json5("scouting/multicast/enabled", "false")
+    return config
 
 
 class Client:
@@ -68,6 +88,7 @@ class Client:
 
     def __init__(self, session: zenoh.Session) -> None:
         self._session = session
+        self._planners = Planners(session, random.Random())
 
     @classmethod
     def connect(
@@ -83,11 +104,7 @@ class Client:
         Raises:
             UnavailableError: nothing listens there.
         """
-        if config is None:
-            config = zenoh.Config()
-            config.insert_json5("mode", '"client"')
-            config.insert_json5("connect/endpoints", json.dumps([endpoint]))
-            config.insert_json5("scouting/multicast/enabled", "false")
+        config = config or client_config(endpoint)
         until = time.monotonic() + timeout_s
         while True:
             try:
@@ -124,8 +141,9 @@ class Client:
         method: str = "dual_gpdf",
         deadline_s: float = 30.0,
         request_id: str = "",
+        obstacles: Sequence[MovingObstacle] = (),
     ) -> PlanResult:
-        """Ask for a trajectory from `start` to `goal`, (x, y) or (x, y, z of the ground) [m].
+        """Ask for a trajectory from `start` to `goal`, (x, y) or (x, y, z of the ground) [m], clear of `obstacles`.
 
         `method` is "dual_gpdf", or one of the paper's baselines for comparison: "single_gpdf", "astar", "prm".
         """
@@ -137,8 +155,13 @@ class Client:
             method=method,
             deadline_s=deadline_s,
             request_id=request_id,
+            obstacles=list(obstacles),
         )
-        return to_result(self.ask(keys.PLAN, request, PlanReply, deadline_s))
+        return to_result(self.ask_planner(keys.PLAN, request, PlanReply, deadline_s))
+
+    def publish_obstacles(self, scene: str, obstacles: Sequence[MovingObstacle]) -> None:
+        """Tell every planner what moves in a scene; nobody answers, and what is not told again ends by itself."""
+        self._session.put(keys.obstacles(scene), encode(MovingObstacles(obstacles=list(obstacles))))
 
     def distance(
         self, scene: str, field: str, points: ArrayLike, agent: Agent = "human", *, deadline_s: float = 30.0
@@ -146,7 +169,7 @@ class Client:
         """Ask the "ground" field at points (m, 3), or the "obstacle" field of an agent at (m, 2) or (m, 3) [m]."""
         packed = Array.pack(np.asarray(points))
         request = DistanceRequest(scene=scene, field=field, points=packed, agent=agent, deadline_s=deadline_s)
-        reply = self.ask(keys.DISTANCE, request, DistanceReply, deadline_s)
+        reply = self.ask_planner(keys.DISTANCE, request, DistanceReply, deadline_s)
         if reply.distance is None or reply.gradient is None or reply.valid is None:
             raise ServiceError(reply)
         parts = unpack(reply.distance), unpack(reply.gradient), unpack(reply.valid) > 0
@@ -224,6 +247,17 @@ class Client:
             time.sleep(BACK_OFF_S)
         raise UnavailableError(f"scene {name!r} was not ready after {timeout_s:.0f} s. Wait longer.")
 
+    def status(self, *, timeout_s: float = 5.0) -> list[StatusReply]:
+        """Health, readiness and metrics of every service that answers."""
+        answers = self._session.get(
+            keys.status_of("*"),
+            target=zenoh.QueryTarget.ALL,
+            consolidation=zenoh.ConsolidationMode.NONE,
+            timeout=timeout_s,
+        )
+        found = [decode(answer.ok.payload.to_bytes(), StatusReply) for answer in answers if answer.ok is not None]
+        return sorted(found, key=lambda reply: (reply.role, reply.planner))
+
     def wait_for_service(self, *, timeout_s: float = 30.0) -> None:
         """Wait until a service answers."""
         self.ask(keys.SCENES, SceneRequest(), ScenesReply, timeout_s)
@@ -252,28 +286,76 @@ class Client:
             DecodeError: the answer is not the message that it should be.
             ServiceError: the service refused.
         """
-        if not 0 < deadline_s < math.inf:
-            words = f"deadline_s = {deadline_s}. Give a positive, finite number of seconds."
-            raise InvalidRequestError(Reply(status=Status.INVALID_REQUEST, message=words))
-        if not getattr(request, "request_id", ""):
-            request = msgspec.structs.replace(request, request_id=uuid.uuid4().hex)
-        payload, until = encode(request), time.monotonic() + deadline_s
-        busy: Reply | None = None
+        payload, until = encode(_checked(request, deadline_s)), time.monotonic() + deadline_s
+        answer: Reply | None = None
         while (left := until - time.monotonic()) > 0:
-            for answer in self._session.get(key, payload=payload, timeout=min(left, TRY_S)):
-                if answer.ok is None:
-                    continue  # Zenoh's own time-out
-                reply = _decode(answer.ok.payload.to_bytes(), kind)
-                if reply.status is Status.BUSY:
-                    busy = reply
-                    break
-                if reply.status not in fine:
-                    raise_for(reply)
-                return reply
+            answer = self._try(key, payload, kind, left) or answer
+            if answer is not None and answer.status not in LATER:
+                return self._fine(answer, fine)  # type: ignore[return-value]
             time.sleep(BACK_OFF_S)
-        if busy is not None:
-            raise_for(busy)
-        raise UnavailableError(f"no answer on {key} within {deadline_s:.1f} s. Is the service running?")
+        raise _late(key, deadline_s, answer)
+
+    def ask_planner(self, key: str, request: msgspec.Struct, kind: type[R], deadline_s: float) -> R:
+        """One request to whichever planner is least loaded; to another one if it dies, freezes or is busy.
+
+        Args:
+            key: What all planners answer: `keys.PLAN` or `keys.DISTANCE`.
+            request: Its message.
+            kind: The type of its reply.
+            deadline_s: Seconds to keep asking.
+        """
+        payload, until = encode(_checked(request, deadline_s)), time.monotonic() + deadline_s
+        answer: Reply | None = None
+        tried: set[str] = set()
+        while (left := until - time.monotonic()) > 0:
+            planner = self._planners.pick(tried)
+            if planner is None and tried:  # everybody had a turn
+                tried.clear()
+                time.sleep(BACK_OFF_S)
+                continue
+            others = len(self._planners.alive()) > 1
+            where = key if planner is None else keys.of_planner(planner, key)  # none known: whoever answers for all
+            found = self._try(where, payload, kind, min(left, TRY_S) if others else left)
+            if found is not None:
+                self._planners.learn(found.planner, found.load)
+                answer = found
+                if found.status not in LATER:
+                    return self._fine(found, ())
+            if planner is None:
+                time.sleep(BACK_OFF_S)
+            else:
+                tried.add(planner)
+        raise _late(key, deadline_s, answer)
+
+    def _try(self, key: str, payload: bytes, kind: type[R], timeout_s: float) -> R | None:
+        """Ask once; None if nobody answered."""
+        for answer in self._session.get(key, payload=payload, timeout=min(timeout_s, LONGEST_S)):
+            if answer.ok is not None:  # not Zenoh's own time-out
+                return _decode(answer.ok.payload.to_bytes(), kind)
+        return None
+
+    @staticmethod
+    def _fine(reply: R, fine: Collection[Status]) -> R:
+        if reply.status not in fine:
+            raise_for(reply)
+        return reply
+
+
+def _late(key: str, deadline_s: float, answer: Reply | None) -> ClientError:
+    """Nobody answered in time, or all were busy all the time."""
+    if answer is not None and answer.status is Status.BUSY:
+        return ServiceBusyError(answer)
+    return UnavailableError(f"no answer on {key} within {deadline_s:.1f} s. Is the service running?")
+
+
+def _checked(request: msgspec.Struct, deadline_s: float) -> msgspec.Struct:
+    """The request with an id, so that it is the same one in every try."""
+    if not 0 < deadline_s < math.inf:
+        words = f"deadline_s = {deadline_s}. Give a positive, finite number of seconds."
+        raise InvalidRequestError(Reply(status=Status.INVALID_REQUEST, message=words))
+    if not getattr(request, "request_id", ""):
+        request = msgspec.structs.replace(request, request_id=uuid.uuid4().hex)
+    return request
 
 
 def _decode(data: bytes, kind: type[R]) -> R:

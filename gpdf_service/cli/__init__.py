@@ -35,6 +35,8 @@ VERBS: dict[str, tuple[str, str]] = {
     ),
     "bench drive": ("gpdf_service.bench.drive", "simulated robots on random errands: contacts, error of following"),
     "bench service": ("gpdf_service.bench.service", "what Zenoh, msgpack and the log add to a plan"),
+    "bench fuzz": ("gpdf_service.bench.fuzz", "malformed requests against the real service, valid clients beside them"),
+    "bench soak": ("gpdf_service.bench.soak", "loads, plans and unloads for minutes: memory, threads and files of it"),
     "demo": ("gpdf_service.cli.demo", "see it happen: service, four bodies, picture and log"),
 }
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import logging
+import os
 import time
 from collections.abc import Callable
 from typing import Any
@@ -17,6 +18,8 @@ from gpdf_schemas import (
     DecodeError,
     DistanceReply,
     DistanceRequest,
+    FileReply,
+    FileRequest,
     LoadRequest,
     PlanReply,
     PlanRequest,
@@ -31,9 +34,10 @@ from gpdf_schemas import (
     keys,
 )
 
-from gpdf_service.errors import GpdfError, RequestError
+from gpdf_service.errors import GpdfError, RequestError, SceneFileError
 from gpdf_service.pipeline import plan
 from gpdf_service.scene import Scene
+from gpdf_service.service.moving import Moving
 from gpdf_service.service.scenes import Shelf, describe
 from gpdf_service.types import Agent, PlanResult, Trajectory
 
@@ -41,20 +45,58 @@ log = logging.getLogger(__name__)
 MAX_DISTANCE_POINTS = 100_000
 """Places in one distance request: 4 MiB holds 170 k of them."""
 
+SMALLEST_BODY, LARGEST_BODY = 0.05, 5.0
+"""[m] Of a body that a request describes: the finest cell of the ground, and a lorry. Free space of a body a tenth as
+wide costs a hundred times the memory, so that one request could take all there is."""
+
+PART_BYTES = 1_000_000
+"""Of a scene file in one reply: a small request behind it waits a few milliseconds."""
+Answers = dict[str, tuple[type[Any], type[Reply], Callable[[Any], Reply]]]
+
 
 class Handlers:
-    """The service's answers; holds the scenes and the service's id."""
+    """The service's answers; holds the scenes and the service's id.
 
-    def __init__(self, shelf: Shelf, planner_id: str) -> None:
+    Args:
+        shelf: The scenes.
+        planner_id: The service's id.
+        on_unload: Told the name of a scene that was unloaded.
+        look_for: Asked to get a scene that is not on the shelf, within some seconds.
+    """
+
+    def __init__(
+        self,
+        shelf: Shelf,
+        planner_id: str,
+        on_unload: Callable[[str], None] = lambda name: None,
+        look_for: Callable[[str, float], None] = lambda name, timeout_s: None,
+    ) -> None:
         self.shelf, self.planner_id = shelf, planner_id
-        self.by_key: dict[str, tuple[type[Any], type[Reply], Callable[[Any], Reply]]] = {
+        self._on_unload, self._look_for = on_unload, look_for
+        self.moving = Moving()
+        self.by_key: Answers = {
+            **self.planner_keys,
+            **self.map_keys,
+        }
+
+    @property
+    def planner_keys(self) -> Answers:
+        """What a planner answers."""
+        return {
             keys.PLAN: (PlanRequest, PlanReply, self.plan),
             keys.DISTANCE: (DistanceRequest, DistanceReply, self.distance),
+        }
+
+    @property
+    def map_keys(self) -> Answers:
+        """What the map service answers."""
+        return {
             keys.SCENES: (SceneRequest, ScenesReply, self.scenes),
             keys.SCENE_INFO: (SceneRequest, SceneReply, self.info),
             keys.SCENE_LOAD: (LoadRequest, SceneReply, self.load),
             keys.SCENE_UPLOAD: (UploadRequest, SceneReply, self.upload),
             keys.SCENE_UNLOAD: (SceneRequest, SceneReply, self.unload),
+            keys.SCENE_FILE: (FileRequest, FileReply, self.file),
         }
 
     def answer(self, key: str, payload: bytes, received: float) -> Reply:
@@ -91,7 +133,7 @@ class Handlers:
 
     def plan(self, request: PlanRequest) -> PlanReply:
         """A trajectory."""
-        scene = self._scene(request.scene)
+        scene = self.moving.merged(request.scene, self._scene(request.scene, request.deadline_s), request.obstacles)
         result = plan(
             scene,
             request.start,
@@ -121,7 +163,7 @@ class Handlers:
         points = request.points.unpack()
         if len(points) > MAX_DISTANCE_POINTS:
             raise RequestError("points", f"{len(points)} of them", f"Ask at most {MAX_DISTANCE_POINTS} at once.")
-        scene = self._scene(request.scene)
+        scene = self.moving.merged(request.scene, self._scene(request.scene, request.deadline_s))
         if request.field == "ground":
             sample = scene.ground_field.query(points)
         elif request.field == "obstacle":
@@ -178,7 +220,32 @@ class Handlers:
         """Forget a scene."""
         if not self.shelf.unload(request.scene):
             raise _NoSceneError(Status.UNKNOWN_SCENE, self._unknown(request.scene))
+        self._on_unload(request.scene)
         return self._scene_reply(request, Status.OK, f"scene {request.scene!r} is unloaded.")
+
+    def file(self, request: FileRequest) -> FileReply:
+        """A part of a ready scene's file."""
+        entry = self.shelf.get(request.scene)
+        if entry is None or entry.file is None or entry.facts["version"] != request.version:
+            words = f"scene {request.scene!r} has no file of version {request.version}. Ask which version there is."
+            raise _NoSceneError(Status.UNKNOWN_SCENE, words)
+        try:
+            with entry.file.open("rb") as file:
+                size = os.fstat(file.fileno()).st_size
+                if not 0 <= request.offset <= size:
+                    raise RequestError("offset", f"{request.offset}", f"Give 0 to {size}.")
+                file.seek(request.offset)
+                data = file.read(PART_BYTES)
+        except FileNotFoundError as error:  # a new version has just taken its place
+            raise _NoSceneError(Status.UNKNOWN_SCENE, f"scene {request.scene!r} has changed. Ask again.") from error
+        return FileReply(
+            request_id=request.request_id,
+            scene=request.scene,
+            scene_version=request.version,
+            planner=self.planner_id,
+            data=data,
+            size=size,
+        )
 
     def _scene_reply(
         self,
@@ -197,16 +264,22 @@ class Handlers:
             info=info,
         )
 
-    def _scene(self, name: str) -> Scene:
+    def _scene(self, name: str, timeout_s: float) -> Scene:
         """The last complete version of a scene."""
         entry = self.shelf.get(name)
+        if entry is None or not (entry.ready or entry.building):
+            self._look_for(name, timeout_s)
+            entry = self.shelf.get(name)
         if entry is None:
             raise _NoSceneError(Status.UNKNOWN_SCENE, self._unknown(name))
-        if entry.scene is None:
+        if not entry.ready:
             if entry.building:
                 raise _NoSceneError(Status.BUILDING, f"scene {name!r} is being built. Ask again.")
             raise _NoSceneError(Status.BUILD_FAILED, f"scene {name!r}: {entry.error}")
-        return entry.scene
+        try:
+            return self.shelf.scene(entry)
+        except SceneFileError as error:
+            raise _NoSceneError(Status.BUILD_FAILED, f"scene {name!r}: {error}") from error
 
     def _unknown(self, name: str) -> str:
         known = ", ".join(sorted(self.shelf.facts())) or "none"
@@ -230,6 +303,9 @@ def _agent(agent: str | dict[str, Any]) -> str | Agent:
     numbers = {key: value for key, value in agent.items() if key != "name"}
     if not all(isinstance(value, int | float) and not isinstance(value, bool) for value in numbers.values()):
         raise RequestError("agent", "a measure that is no number", "Give metres, radians and seconds as numbers.")
+    for key in ("height", "width", "length"):
+        if not SMALLEST_BODY <= numbers[key] <= LARGEST_BODY:
+            raise RequestError("agent", f"{key} = {numbers[key]!r}", f"Give {SMALLEST_BODY} to {LARGEST_BODY} m.")
     return Agent(name=str(agent["name"]), **{key: float(value) for key, value in numbers.items()})
 
 

@@ -1,82 +1,147 @@
-"""The log: every request and reply as the bytes on the wire, in MCAP, with twins that Foxglove and Rerun draw."""
+"""The log: every request and reply as the bytes on the wire, in MCAP, with twins that viewers draw.
+
+One thread writes. When the disk fails or fills, requests are answered all the same; the loss is counted, told in the
+service's status and on stderr, and recording begins again by itself when it can.
+"""
 
 from __future__ import annotations
 
-import fcntl
+import contextlib
 import json
 import logging
 import queue
+import shutil
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-from foxglove_schemas_protobuf.PackedElementField_pb2 import PackedElementField
-from foxglove_schemas_protobuf.PointCloud_pb2 import PointCloud
-from foxglove_schemas_protobuf.PosesInFrame_pb2 import PosesInFrame
 from gpdf_schemas import PlanReply
-from mcap.writer import Writer
-from mcap_protobuf.schema import build_file_descriptor_set
 
 from gpdf_service import __version__
+from gpdf_service.service.options import Options
+from gpdf_service.service.pictures import cloud, poses
+from gpdf_service.service.record import prune
+from gpdf_service.service.segment import Segment
 from gpdf_service.types import FloatArray
 
 log = logging.getLogger(__name__)
 
-FLUSH_S = 0.5
-"""[s] At most this much of the log is lost when the process is killed."""
 QUEUE_SIZE = 4096
 """Messages waiting for the disk; beyond, the service waits for the log rather than answer unrecorded."""
+BATCH = 256
+"""Messages that share one flush when each is flushed."""
+WAKE_S = 0.5
+"""[s] How often an idle log looks at its age and at the disk."""
+RETRY_S = 2.0
+"""[s] Between tries to record again after a failure."""
+REMIND_S = 60.0
+"""[s] Between complaints while nothing can be recorded."""
 CLOUD_POINTS = 100_000
 """Points of a scene that the log keeps for pictures."""
-FRAME = "scene"
-Task = Callable[[], None]
+MB = 1e6
+DAY_S = 86_400.0
+
+
+@dataclass(frozen=True, slots=True)
+class _Task:
+    write: Callable[[Segment], None]
+    done: threading.Event = field(default_factory=threading.Event)
 
 
 class Recorder:
-    """One thread that writes one file; `close` it, or lose up to `FLUSH_S` seconds."""
+    """Writes `options.log_dir`; `close` it, or lose up to `options.flush_s` seconds.
 
-    def __init__(self, path: Path, metadata: dict[str, str]) -> None:
-        self.path = path
-        self._file = path.open("wb")
-        fcntl.flock(self._file, fcntl.LOCK_EX)  # ends with the process, so that repair can tell a crash from a live log
-        self._writer = Writer(self._file)
-        self._writer.start(profile="gpdf", library=f"gpdf_service {__version__}")
-        self._writer.add_metadata("gpdf", {"version": __version__, **metadata})
-        self._channels: dict[str, int] = {}
-        self._sequence = 0
-        self._queue: queue.Queue[Task | None] = queue.Queue(QUEUE_SIZE)
-        self._failed = False
+    Attributes:
+        lost: Messages that could not be recorded.
+        trouble: Why nothing is recorded now; empty when all is well.
+    """
+
+    def __init__(self, options: Options, name: str, metadata: Mapping[str, str]) -> None:
+        self.options, self.lost, self.trouble = options, 0, ""
+        self._name, self._metadata = name, {"version": __version__, **metadata}
+        self._segments = self._unsafe = 0  # files begun; messages since the last flush
+        self._flushed = self._retry = self._complained = -float("inf")
+        self._counting = threading.Lock()
+        self._scenes: dict[str, Callable[[Segment], None]] = {}
+        self._queue: queue.Queue[_Task | None] = queue.Queue(QUEUE_SIZE)
+        self._segment: Segment | None = None
+        try:
+            self._segment = self._begin()  # a folder that cannot be written is told at the start
+        except OSError as error:
+            self._degrade(str(error))
         self._thread = threading.Thread(target=self._run, name="gpdf-record", daemon=True)
         self._thread.start()
 
-    def exchange(self, key: str, request: bytes, reply: bytes, received_ns: int, replied_ns: int) -> None:
-        """Record a request and its reply."""
+    @property
+    def path(self) -> Path:
+        """The file that is being written, or was last."""
+        return self.options.log_dir / f"gpdf_{self._name}_{self._segments:04d}.mcap"
 
-        def write() -> None:
-            self._write(f"{key}/request", "", b"", "msgpack", request, received_ns)
-            self._write(f"{key}/reply", "", b"", "msgpack", reply, replied_ns)
+    def exchange(
+        self, key: str, request: bytes, reply: bytes, received_ns: int, replied_ns: int, *, patient: bool = True
+    ) -> None:
+        """Record a request and its reply.
 
-        self._queue.put(write)
+        Args:
+            key: What was asked.
+            request: Its bytes.
+            reply: Its bytes.
+            received_ns: When it came [ns].
+            replied_ns: When it was answered [ns].
+            patient: Wait where the log is behind, and with `--log-sync each` until it is on the disk; False where that
+                would hold up everybody: what does not fit is lost, and counted.
+        """
+
+        def write(segment: Segment) -> None:
+            segment.write(f"{key}/request", request, received_ns)
+            segment.write(f"{key}/reply", reply, replied_ns)
+
+        task = _Task(write)
+        if not patient:
+            self._put_if_room(task)
+            return
+        self._queue.put(task)
+        if self.options.flush_s == 0:
+            task.done.wait()
+
+    def publication(self, key: str, data: bytes, stamp_ns: int) -> None:
+        """Record what somebody published; lost, and counted, where the log is behind."""
+        self._put_if_room(_Task(lambda segment: segment.write(key, data, stamp_ns)))
+
+    def _put_if_room(self, task: _Task) -> None:
+        try:
+            self._queue.put_nowait(task)
+        except queue.Full:
+            self._count_lost(1)
 
     def plan(self, reply: PlanReply, stamp_ns: int) -> None:
         """Record a trajectory as poses for viewers; they show no status, so an uncertified path is left out."""
         if reply.trajectory is not None and reply.status == "OK":
             path, headings = reply.trajectory.positions.unpack(), reply.trajectory.headings.unpack()
-            self._queue.put(lambda: self._proto(f"/plan/{reply.scene}", _poses(path, headings, stamp_ns), stamp_ns))
+            topic = f"/plan/{reply.scene}"
+            self._queue.put(_Task(lambda segment: segment.draw(topic, poses(path, headings, stamp_ns), stamp_ns)))
 
-    def scene(self, name: str, points: FloatArray, facts: dict[str, Any]) -> None:
-        """Record a scene's facts and, thinned, its cloud for viewers."""
+    def scene(self, name: str, points: FloatArray, facts: Mapping[str, Any]) -> None:
+        """Record a scene's facts and, thinned, its cloud for viewers: now, and at the head of each file to come."""
         stamp_ns = time.time_ns()
         picked = points[:: max(1, len(points) // CLOUD_POINTS)].astype("<f4")
 
-        def write() -> None:
-            self._writer.add_metadata(f"scene/{name}", {"facts": json.dumps(facts)})
-            self._proto(f"/cloud/{name}", _cloud(picked, stamp_ns), stamp_ns)
+        def write(segment: Segment) -> None:
+            segment.describe(f"scene/{name}", {"facts": json.dumps(facts)})
+            segment.draw(f"/cloud/{name}", cloud(picked, stamp_ns), stamp_ns)
 
-        self._queue.put(write)
+        def first(segment: Segment) -> None:
+            self._scenes[name] = write
+            write(segment)
+
+        self._queue.put(_Task(first))
+
+    def forget(self, name: str) -> None:
+        """Keep a scene out of the files to come."""
+        self._queue.put(_Task(lambda _: self._scenes.pop(name, None) and None))
 
     def close(self) -> None:
         """Write what waits, then the index."""
@@ -84,63 +149,113 @@ class Recorder:
         self._thread.join()
 
     def _run(self) -> None:
-        flushed = time.monotonic()
-        while True:
+        open_ = True
+        while open_:
+            batch = self._batch()
+            open_ = None not in batch
+            tasks = [task for task in batch if task is not None]
             try:
-                task = self._queue.get(timeout=FLUSH_S)
-            except queue.Empty:
-                task = _nothing
+                self._record(tasks)
+            except OSError as error:
+                self._degrade(str(error))
+            except (
+                Exception
+            ) as error:  # whatever it is, the thread must live: those who wait for it would wait for ever
+                log.exception("in %s", self.path)
+                self._degrade(repr(error))
+            finally:
+                for task in tasks:
+                    task.done.set()
+        try:
+            self._end()
+        except OSError as error:
+            self._degrade(str(error))
+
+    def _batch(self) -> list[_Task | None]:
+        """What waits, after at least one has come or it is time to look after the file."""
+        batch: list[_Task | None] = []
+        with contextlib.suppress(queue.Empty):
+            batch.append(self._queue.get(timeout=min(WAKE_S, self.options.flush_s or WAKE_S)))
+            while len(batch) < BATCH:
+                batch.append(self._queue.get_nowait())
+        return batch
+
+    def _record(self, tasks: list[_Task]) -> None:
+        self._unsafe += len(tasks)
+        now = time.monotonic()
+        if self._segment is None:
+            if now < self._retry:
+                self._lose_unsafe()
+                return
+            self._segment = self._begin()
+        for task in tasks:
             try:
-                if task is None:
-                    self._writer.finish()  # type: ignore[no-untyped-call]
-                    self._file.close()
-                    return
-                task()
-                if time.monotonic() - flushed > FLUSH_S:
-                    self._writer.flush()  # type: ignore[no-untyped-call]
-                    self._file.flush()
-                    flushed = time.monotonic()
-            except OSError as error:  # a full disk must not stop planning, and must not be silent
-                if not self._failed:
-                    log.error("the log %s cannot be written any more: %s", self.path, error)
-                self._failed = True
-                if task is None:
-                    return
+                task.write(self._segment)
+            except OSError:
+                raise
             except Exception:
                 log.exception("a message could not be recorded in %s", self.path)
+        if self._unsafe and now - self._flushed >= self.options.flush_s:
+            self._segment.flush()
+            self._flushed, self._unsafe = now, 0
+        if self._segment.size > self.options.log_segment_mb * MB or self._segment.age_s > self.options.log_segment_s:
+            self._end()
+            self._segment = self._begin()
+        elif self._short_of_room():
+            self._end()
+            raise OSError(self._short_of_room())
 
-    def _write(self, topic: str, schema: str, schema_data: bytes, encoding: str, data: bytes, stamp_ns: int) -> None:
-        if topic not in self._channels:
-            schema_id = self._writer.register_schema(schema, encoding, schema_data) if schema else 0
-            self._channels[topic] = self._writer.register_channel(topic, encoding, schema_id)
-        self._sequence += 1
-        self._writer.add_message(self._channels[topic], stamp_ns, data, stamp_ns, self._sequence)
+    def _begin(self) -> Segment:
+        """The next file, with what a reader must know at its head; the oldest make room."""
+        options = self.options
+        prune(options.log_dir, keep_bytes=options.log_keep_mb * MB, keep_s=options.log_keep_days * DAY_S)
+        if short := self._short_of_room():
+            raise OSError(short)
+        self._segments += 1
+        segment = Segment(self.path)
+        try:
+            segment.describe("gpdf", {**self._metadata, "segment": str(self._segments)})
+            for write in self._scenes.values():
+                write(segment)
+            segment.flush()
+        except OSError:
+            segment.abandon()
+            self.path.unlink()  # a head without a message, and the next try needs the room
+            self._segments -= 1
+            raise
+        if self.trouble:
+            log.warning("recording again, in %s; %d messages were lost", segment.path, self.lost)
+            self.trouble = ""
+        return segment
 
-    def _proto(self, topic: str, message: Any, stamp_ns: int) -> None:  # noqa: ANN401 - any protobuf message
-        kind = type(message)
-        descriptor = build_file_descriptor_set(kind).SerializeToString()
-        data = message.SerializeToString()
-        self._write(topic, kind.DESCRIPTOR.full_name, descriptor, "protobuf", data, stamp_ns)
+    def _end(self) -> None:
+        """Complete the file."""
+        if self._segment is not None:
+            self._segment.close()
+            self._segment, self._unsafe = None, 0
 
+    def _short_of_room(self) -> str:
+        """Why nothing may be written, so that others still can; empty when there is room."""
+        free, least = shutil.disk_usage(self.options.log_dir).free / MB, self.options.log_min_free_mb
+        return f"the disk has {free:.0f} MB left, {least:.0f} stay free (--log-min-free-mb)" if free < least else ""
 
-def _nothing() -> None:
-    """Wake up to flush."""
+    def _degrade(self, why: str) -> None:
+        """Give up the file, say so, and go on without."""
+        if self._segment is not None:
+            self._segment.abandon()
+            self._segment = None
+        self._lose_unsafe()
+        now = time.monotonic()
+        self._retry = now + RETRY_S
+        if not self.trouble or now - self._complained > REMIND_S:
+            self._complained = now
+            log.error("NOT RECORDING: %s; plans go on; %d messages lost so far", why, self.lost)
+        self.trouble = why
 
+    def _lose_unsafe(self) -> None:
+        self._count_lost(self._unsafe)
+        self._unsafe = 0
 
-def _poses(path: FloatArray, headings: FloatArray, stamp_ns: int) -> PosesInFrame:
-    message = PosesInFrame(frame_id=FRAME)
-    message.timestamp.FromNanoseconds(stamp_ns)
-    for (x, y, z), heading in zip(path.tolist(), headings.tolist(), strict=True):
-        pose = message.poses.add()
-        pose.position.x, pose.position.y, pose.position.z = x, y, z
-        pose.orientation.z, pose.orientation.w = float(np.sin(heading / 2)), float(np.cos(heading / 2))
-    return message
-
-
-def _cloud(points: Any, stamp_ns: int) -> PointCloud:  # noqa: ANN401 - float32 array (n, 3)
-    message = PointCloud(frame_id=FRAME, point_stride=12, data=points.tobytes())
-    message.timestamp.FromNanoseconds(stamp_ns)
-    message.pose.orientation.w = 1.0
-    for i, name in enumerate("xyz"):
-        message.fields.add(name=name, offset=4 * i, type=PackedElementField.FLOAT32)
-    return message
+    def _count_lost(self, count: int) -> None:
+        with self._counting:
+            self.lost += count

@@ -44,7 +44,7 @@ def recorded_plans(path: Path) -> Iterator[tuple[PlanRequest, PlanReply]]:
             request = record.data
         elif isinstance(record, Message) and topics[record.channel_id] == f"{keys.PLAN}/reply":
             reply = decode(record.data, PlanReply)
-            if reply.status not in ("INVALID_REQUEST", "BUSY"):
+            if reply.status not in ("INVALID_REQUEST", "BUSY", "UNAVAILABLE"):
                 yield decode(request, PlanRequest), reply
 
 

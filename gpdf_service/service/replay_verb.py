@@ -63,13 +63,10 @@ def _over_zenoh(client: Client) -> Ask:
 
 def _in_process(scenes: list[str]) -> Ask:
     shelf = Shelf(Path())
-    names = []
     for text in scenes:
         name, _, path = text.partition("=")
         shelf.load_file(name, path, inside=False)
-        names.append(name)
-    while any((entry := shelf.get(name)) is not None and entry.building for name in names):
-        time.sleep(0.02)
+    shelf.settle()
     handlers = Handlers(shelf, "replay")
 
     def ask(request: PlanRequest) -> PlanReply:

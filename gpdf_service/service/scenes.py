@@ -1,56 +1,90 @@
-"""The map service's shelf: scenes by name, built in the background, replaced only when the new one is ready."""
+"""The shelf: scenes by name, built in the background, replaced only when the new one is ready, kept on disk."""
 
 from __future__ import annotations
 
 import logging
 import re
 import threading
-from collections.abc import Callable
+import time
+from collections.abc import Callable, Collection
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
+from gpdf_service.config import Config
 from gpdf_service.errors import GpdfError
 from gpdf_service.perception import read_cloud
 from gpdf_service.pipeline import build_scene
 from gpdf_service.scene import Scene, load_scene
+from gpdf_service.service.memory import held_bytes
+from gpdf_service.service.scene_files import SUFFIX, SceneFiles
+from gpdf_service.service.uploads import Uploads
 from gpdf_service.types import BoolArray, FloatArray
 
 log = logging.getLogger(__name__)
 
 NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,63}")
-MAX_UPLOAD_POINTS = 20_000_000
-"""Points that one upload may have: 0.5 GB."""
-SCENE_SUFFIX = ".gpdf"
-MAX_UPLOADS = 64
-"""Unfinished uploads that are kept at once."""
 Build = Callable[[], Scene]
 
 
 @dataclass(slots=True)
 class Entry:
-    """A scene, or why there is none yet."""
+    """A scene, or why there is none yet.
+
+    Attributes:
+        scene: In memory; None when it is not ready, or was evicted.
+        file: Where it is on disk.
+        facts: What it tells of itself; empty until it is ready.
+        pending: Builds that wait or run.
+        error: Why the last build failed.
+        used: When it was last asked for, on `time.monotonic` [s].
+    """
 
     scene: Scene | None = None
+    file: Path | None = None
+    facts: dict[str, Any] = field(default_factory=dict)
     pending: int = 0
     error: str = ""
+    used: float = 0.0
+    lock: threading.Lock = field(default_factory=threading.Lock)
 
     @property
     def building(self) -> bool:
         """Whether a build waits or runs; the scene is the newest only when none does."""
         return self.pending > 0
 
+    @property
+    def ready(self) -> bool:
+        """Whether there is a scene to plan in."""
+        return bool(self.facts)
+
 
 class Shelf:
-    """All scenes of a service; safe for many threads. Builds run on one thread of their own, in order."""
+    """All scenes of a service; safe for many threads. Builds run on one thread of their own, in order.
 
-    def __init__(self, scenes_dir: Path, on_ready: Callable[[str, Scene], None] = lambda name, scene: None) -> None:
+    Args:
+        scenes_dir: Folder of the files that clients may load.
+        on_ready: Told the name and the scene when a version is ready.
+        config: Settings of what is built.
+        state_dir: Folder to keep ready scenes in; without one they are in memory alone, and stay there.
+        memory_bytes: Of all scenes together; the least recently used leave memory first.
+    """
+
+    def __init__(
+        self,
+        scenes_dir: Path,
+        on_ready: Callable[[str, Scene], None] = lambda name, scene: None,
+        config: Config | None = None,
+        *,
+        state_dir: Path | None = None,
+        memory_bytes: float = float("inf"),
+    ) -> None:
         self.scenes_dir = scenes_dir.resolve()
+        self.files = None if state_dir is None else SceneFiles(state_dir)
+        self._config, self._memory_bytes = config, memory_bytes
         self._entries: dict[str, Entry] = {}
-        self._uploads: dict[str, dict[int, tuple[FloatArray, BoolArray | None]]] = {}
+        self._uploads = Uploads()
         self._version = 0
         self._lock = threading.Lock()
         self._builder = ThreadPoolExecutor(1, thread_name_prefix="gpdf-build")
@@ -60,10 +94,57 @@ class Shelf:
         """Let the running build end and start no other."""
         self._builder.shutdown(wait=True, cancel_futures=True)
 
+    def restore(self, without: Collection[str] = ()) -> None:
+        """Start to load what is in the state folder: every scene that was ready when the service ended, or died.
+
+        Args:
+            without: Names that come anew; nobody shall be answered from their old versions.
+        """
+        for name, path in (self.files.known() if self.files else {}).items():
+            if name not in without:
+                self._start(name, lambda path=path: load_scene(path), path)  # type: ignore[misc]
+
+    def settle(self) -> None:
+        """Wait for the builds that were begun."""
+        self._builder.submit(lambda: None).result()
+
     def get(self, name: str) -> Entry | None:
         """What is known of a scene."""
         with self._lock:
             return self._entries.get(name)
+
+    def scene(self, entry: Entry) -> Scene:
+        """The last complete version of a ready scene, loaded from disk if it had left memory."""
+        entry.used = time.monotonic()
+        with entry.lock:  # who comes second waits for the first one's load
+            if entry.scene is None:
+                assert entry.file is not None
+                entry.scene = load_scene(entry.file)
+                log.info("scene is back in memory", extra={"file": entry.file.name})
+                found = entry.scene
+            else:
+                return entry.scene
+        self.trim()
+        return found
+
+    def trim(self) -> float:
+        """Let scenes leave memory until the rest fits, the least recently used ahead, not the last; bytes held."""
+        with self._lock:
+            entries = sorted(self._entries.items(), key=lambda item: item[1].used)
+        sizes = {name: held_bytes(entry.scene) for name, entry in entries}
+        total = sum(sizes.values())
+        kept = [(name, entry) for name, entry in entries if entry.scene is not None]
+        for name, entry in kept[:-1]:
+            if total <= self._memory_bytes:
+                break
+            if entry.file is not None and entry.lock.acquire(blocking=False):
+                entry.scene = None
+                entry.lock.release()
+                total -= sizes[name]
+                log.info("scene %s left memory", name, extra={"bytes": sizes[name]})
+        if total > self._memory_bytes and kept and kept[-1][1].scene is not None:
+            kept[-1][1].scene.forget_agents()
+        return total
 
     def facts(self) -> dict[str, dict[str, Any]]:
         """Facts of every scene, by name."""
@@ -89,10 +170,10 @@ class Shelf:
             raise ValueError(f"file {str(file)!r} is not in the scenes folder. Put it there, or upload the points.")
 
         def build() -> Scene:
-            if path.suffix == SCENE_SUFFIX:
+            if path.suffix == SUFFIX:
                 return load_scene(path)
             cloud = read_cloud(path)
-            return build_scene(cloud.points, cloud.ground)
+            return build_scene(cloud.points, cloud.ground, self._config)
 
         self._start(name, build)
 
@@ -104,80 +185,101 @@ class Shelf:
         Raises:
             ValueError: the part does not fit.
         """
-        if not 0 <= part < parts or parts > MAX_UPLOAD_POINTS:
-            raise ValueError(f"part {part} of {parts} is none. Parts count from 0.")
-        if len(points) == 0:
-            raise ValueError(f"part {part} has no points. Send at least one a part.")
-        key = f"{name}/{upload_id}"
-        with self._lock:
-            if part > 0 and key not in self._uploads:
-                raise ValueError(
-                    f"part {part} belongs to no upload that is under way: part 0 comes first, and "
-                    "uploads that stay unfinished make room for others. Send it again."
-                )
-            kept = self._uploads.setdefault(key, {})
-            kept[part] = (points, ground)
-            while (
-                self._waiting() > MAX_UPLOAD_POINTS or len(self._uploads) > MAX_UPLOADS
-            ):  # uploads that nobody finished go first, the oldest ahead
-                oldest = next(iter(self._uploads))
-                del self._uploads[oldest]
-                if oldest == key:
-                    raise ValueError(f"it has more than {MAX_UPLOAD_POINTS} points. Thin the cloud, or load a file.")
-            if len(kept) < parts:
-                return False
-            del self._uploads[key]
-        cloud = np.concatenate([kept[i][0] for i in range(parts)])
-        labels = [kept[i][1] for i in range(parts)]
-        given = [label for label in labels if label is not None]
-        if given and len(given) != parts:
-            raise ValueError("some parts have ground labels and some have none. Send them with all parts or none.")
-        mask = np.concatenate(given) if given else None
-        self._start(name, lambda: build_scene(cloud, mask))
+        whole = self._uploads.add(f"{name}/{upload_id}", part, parts, points, ground)
+        if whole is None:
+            return False
+        self._start(name, lambda: build_scene(*whole, self._config))
         return True
 
-    def _waiting(self) -> int:
-        return sum(len(points) for upload in self._uploads.values() for points, _ in upload.values())
+    def place(self, name: str, scene: Scene, path: Path) -> None:
+        """Put a ready scene there, with its file in the state folder, in the place of the one before."""
+        with self._lock:
+            entry = self._entries.setdefault(name, Entry())
+            entry.pending += 1
+        self._finish(name, entry, scene, path)
 
     def unload(self, name: str) -> bool:
         """Forget a scene; False if there was none."""
         with self._lock:
+            if self.files is not None and name in self._entries:
+                self.files.drop(name)
             return self._entries.pop(name, None) is not None
 
-    def _start(self, name: str, build: Build) -> None:
+    def _start(self, name: str, build: Build, file: Path | None = None) -> None:
         if not NAME.fullmatch(name):
             raise ValueError(f"{name!r} is no name for a scene. Use letters, digits, '_', '-' and '.', at most 64.")
         with self._lock:
             entry = self._entries.setdefault(name, Entry())
             entry.pending += 1
             entry.error = ""
-        self._builder.submit(self._build, name, entry, build)
+        self._builder.submit(self._build, name, entry, build, file)
 
-    def _build(self, name: str, entry: Entry, build: Build) -> None:
+    def _build(self, name: str, entry: Entry, build: Build, file: Path | None) -> None:
         try:
             scene = build()
         except GpdfError as error:
             log.warning("scene %s: %s", name, error)
-            with self._lock:
-                entry.pending, entry.error = entry.pending - 1, str(error)
+            self._fail(entry, str(error))
         except Exception:
             log.exception("scene %s", name)
-            with self._lock:
-                entry.pending -= 1
-                entry.error = "the build failed inside the service; its log says more."
+            self._fail(entry, "the build failed inside the service; its log says more.")
         else:
-            with self._lock:
-                self._version = scene.version = max(scene.version, self._version + 1)  # never the same, never back
-                entry.scene, entry.pending, entry.error = scene, entry.pending - 1, ""
-            log.info("scene %s is ready: %d points, digest %s", name, len(scene.points), scene.digest)
-            self._on_ready(name, scene)
+            self._finish(name, entry, scene, file)
+
+    def _fail(self, entry: Entry, why: str) -> None:
+        with self._lock:
+            entry.pending, entry.error = entry.pending - 1, why
+
+    def _finish(self, name: str, entry: Entry, scene: Scene, file: Path | None) -> None:
+        if file is None:
+            scene.version = self._next_version(scene.version)
+            file = self._keep(name, scene)
+        with entry.lock, self._lock:  # nobody is loading the old version from its file
+            current = self._entries.get(name) is entry
+            older = entry.file if current else file  # unloaded meanwhile: nobody will ask for the new one
+            entry.scene, entry.file, entry.facts = scene, file, scene.info()
+            entry.pending, entry.error, entry.used = entry.pending - 1, "", time.monotonic()
+            self._version = max(self._version, scene.version)
+            if older is not None and (older != file or not current):
+                older.unlink(missing_ok=True)
+        if not current:
+            return
+        facts = {"points": len(scene.points), "version": scene.version, "digest": scene.digest}
+        log.info("scene %s is ready", name, extra=facts)
+        self._on_ready(name, scene)
+        self.trim()
+
+    def _next_version(self, at_least: int) -> int:
+        """Never the same, never back."""
+        at_least = max(at_least, self._version + 1)
+        try:
+            return at_least if self.files is None else self.files.next_version(at_least)
+        except OSError as error:
+            log.error("the last version cannot be kept: %s", error)
+            return at_least
+
+    def _keep(self, name: str, scene: Scene) -> Path | None:
+        """Save the scene before it is acknowledged; None, loudly, if the disk does not take it."""
+        try:
+            return None if self.files is None else self.files.put(name, scene)
+        except OSError as error:
+            log.error("NOT KEPT: scene %s is in memory alone, a restart loses it: %s", name, error)
+            return None
 
 
 def describe(entry: Entry) -> dict[str, Any]:
     """Facts of one entry, ready for the wire."""
-    state = "ready" if entry.scene else ("building" if entry.building else "failed")
+    state = "ready" if entry.ready else ("building" if entry.building else "failed")
     facts: dict[str, Any] = {"state": state, "building": entry.building, "error": entry.error}
-    return facts if entry.scene is None else facts | entry.scene.info()
+    scene = entry.scene
+    return (
+        facts
+        | (entry.facts if scene is None else scene.info())
+        | {
+            "in_memory": scene is not None,
+            "kept": entry.file is not None,
+        }
+    )
 
 
 def _is_file(path: Path) -> bool:

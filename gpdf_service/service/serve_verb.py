@@ -4,45 +4,60 @@ from __future__ import annotations
 
 import argparse
 import logging
+import os
 import signal
 import threading
 from pathlib import Path
 
 import zenoh
 
-from gpdf_service.fields.threads import worker_count
+from gpdf_service.errors import ConfigError
+from gpdf_service.service.logs import set_up
+from gpdf_service.service.options import ENVIRONMENT, Options, descriptions, gather, plain, to_toml
 from gpdf_service.service.record import repair_folder
-from gpdf_service.service.server import DEFAULT_ENDPOINT, Options, Server
+from gpdf_service.service.server import Server
 
 log = logging.getLogger("gpdf_service")
+WAKE_S = 1.0
+"""[s] A signal that the system gave to one of the other threads is seen when this one wakes."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the verb's options."""
+    """Declare the verb's options: one flag for each field of `Options`."""
     parser.add_argument("scenes", nargs="*", metavar="NAME=CLOUD", type=_named, help="clouds or scene files to load")
-    parser.add_argument("--endpoint", default=DEFAULT_ENDPOINT, help="where to listen")
-    parser.add_argument(
-        "--scenes-dir", type=Path, default=Path("scenes"), help="folder of the files that clients may load"
-    )
-    parser.add_argument("--log-dir", type=Path, default=Path("log"), help="folder for the logs")
-    parser.add_argument("--workers", type=int, default=worker_count(), help="threads that answer requests")
+    parser.add_argument("--config", type=Path, help=f"a TOML file; {ENVIRONMENT}CONFIG names it as well")
+    parser.add_argument("--print-config", action="store_true", help="print the effective configuration and end")
+    roles = parser.add_mutually_exclusive_group()
+    for role, text in (("map", "run the map service alone"), ("planner", "run a planner service alone")):
+        roles.add_argument(f"--{role}", dest="role", action="store_const", const=role, help=text)
+    for name, text in descriptions().items():
+        if name != "role":
+            parser.add_argument(f"--{name.replace('_', '-')}", help=f"{text} ({ENVIRONMENT}{name.upper()})")
 
 
 def run(args: argparse.Namespace) -> int:
     """Serve until SIGINT or SIGTERM; then answer what waits, close the log, end."""
-    logging.basicConfig(level=logging.INFO, format="%(asctime)s %(levelname)s %(name)s: %(message)s")
+    named = os.environ.get(f"{ENVIRONMENT}CONFIG")
+    file = args.config or (Path(named) if named else None)
+    options, config = gather(file, os.environ, {name: getattr(args, name) for name in Options.__struct_fields__})
+    if args.print_config:
+        print(to_toml(plain(options, config)))
+        return 0
+    if options.role == "planner" and args.scenes:
+        raise ConfigError("scenes", "a planner was given clouds", "It takes its scenes from the map service.")
+    set_up(options.log_format)
     stop = threading.Event()
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: stop.set())
-    args.log_dir.mkdir(parents=True, exist_ok=True)
-    for path in repair_folder(args.log_dir):
+    options.log_dir.mkdir(parents=True, exist_ok=True)
+    for path in repair_folder(options.log_dir):
         log.warning("the log %s was cut short by a crash; it is readable again", path)
-    options = Options(args.endpoint, args.scenes_dir, args.log_dir, max(1, args.workers))
     try:
-        with Server(options, args.scenes):
-            stop.wait()
+        with Server(options, args.scenes, config):
+            while not stop.wait(WAKE_S):
+                pass
     except zenoh.ZError as error:
-        log.error("cannot listen on %s: %s. Is another service running there?", args.endpoint, error)
+        log.error("cannot listen on %s: %s. Is another service running there?", options.endpoint, error)
         return 1
     except ValueError as error:
         log.error("%s", error)

@@ -1,131 +1,242 @@
-"""The running service: an embedded Zenoh router, queryables that only hand over, workers that answer, a recorder."""
+"""The running service: a Zenoh session, queryables that only hand over, workers that answer, a recorder."""
 
 from __future__ import annotations
 
 import json
 import logging
+import platform
 import queue
 import threading
 import time
 import uuid
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
+from importlib.metadata import version
 from pathlib import Path
 from types import TracebackType
 
+import msgspec
 import zenoh
-from gpdf_schemas import PlanReply, Reply, Status, encode, keys
+from gpdf_schemas import (
+    MAX_REQUEST_BYTES,
+    MovingObstacles,
+    PlanReply,
+    Reply,
+    SceneChanged,
+    Status,
+    StatusReply,
+    decode,
+    encode,
+    keys,
+)
 
-from gpdf_service.fields.threads import worker_count
+from gpdf_service import __version__
+from gpdf_service.config import Config
 from gpdf_service.scene import Scene
+from gpdf_service.service.follower import Follower
 from gpdf_service.service.handlers import Handlers
+from gpdf_service.service.metrics import Metrics
+from gpdf_service.service.network import session_config
+from gpdf_service.service.options import Options as Options
+from gpdf_service.service.options import plain
 from gpdf_service.service.recorder import Recorder
 from gpdf_service.service.scenes import Shelf
 
 log = logging.getLogger(__name__)
 
-DEFAULT_ENDPOINT = "tcp/127.0.0.1:7447"
-QUEUE_SIZE = 128
-"""Requests waiting for a worker: half of what Zenoh holds before it blocks the link. Beyond, the answer is BUSY."""
-
-
-@dataclass(frozen=True, slots=True)
-class Options:
-    """How to serve.
-
-    Attributes:
-        endpoint: Where to listen.
-        scenes_dir: Folder of the files that clients may load.
-        log_dir: Folder for the logs.
-        workers: Threads that answer; the kernels release the GIL.
-    """
-
-    endpoint: str = DEFAULT_ENDPOINT
-    scenes_dir: Path = Path("scenes")
-    log_dir: Path = Path("log")
-    workers: int = worker_count()
+PACKAGES = ("numpy", "scipy", "numba", "eclipse-zenoh", "msgspec", "mcap")
+"""Whose versions the log keeps beside our own: they can change an answer or its bytes."""
+TRIM_S = 1.0
+"""[s] Between looks at the memory of the scenes: the free spaces of new bodies grow with the plans."""
 
 
 @dataclass(frozen=True, slots=True)
 class _Job:
     query: zenoh.Query
-    key: str
+    key: str  # what is asked, one of `gpdf_schemas.keys`
+    wire_key: str  # where it was asked: that, or a key of this planner alone
     payload: bytes
     received: float
     received_ns: int
 
 
 class Server:
-    """Map service and planner service in one process. A context manager: leaving it drains and closes the log.
+    """Map service, planner service, or both in one process. A context manager: leaving it drains and closes the log.
 
     Args:
         options: How to serve.
         scenes: Names and files to load before the first request is taken.
+        config: Settings of what is built here.
     """
 
-    def __init__(self, options: Options, scenes: Sequence[tuple[str, Path]] = ()) -> None:
+    def __init__(self, options: Options, scenes: Sequence[tuple[str, Path]] = (), config: Config | None = None) -> None:
+        config = config or Config()
         self.options, self._scenes = options, scenes
         self.planner_id = uuid.uuid4().hex[:12]
         options.log_dir.mkdir(parents=True, exist_ok=True)
         stamp = time.strftime("%Y%m%dT%H%M%S", time.gmtime())
-        self.log_path = options.log_dir / f"gpdf_{stamp}_{self.planner_id}.mcap"
-        metadata = {"planner": self.planner_id, "endpoint": options.endpoint, "workers": str(options.workers)}
-        self.recorder = Recorder(self.log_path, metadata)
-        self.shelf = Shelf(options.scenes_dir, self._on_ready)
-        self.handlers = Handlers(self.shelf, self.planner_id)
-        self._jobs: queue.Queue[_Job | None] = queue.Queue(QUEUE_SIZE)
+        self.recorder = Recorder(options, f"{stamp}_{self.planner_id}", self._metadata(config))
+        self.shelf = Shelf(
+            options.scenes_dir,
+            self._on_ready,
+            config,
+            state_dir=options.state,
+            memory_bytes=1e6 * options.scene_memory_mb,
+        )
+        self.metrics = Metrics()
+        self.handlers = Handlers(self.shelf, self.planner_id, self._on_unload, self._look_for)
+        self._jobs: queue.Queue[_Job | None] = queue.Queue(options.queue)
         self._workers = [
             threading.Thread(target=self._work, name=f"gpdf-worker-{i}", daemon=True) for i in range(options.workers)
         ]
+        self._ended = threading.Event()
+        self._keeper = threading.Thread(target=self._keep_memory, name="gpdf-memory", daemon=True)
         self._session: zenoh.Session | None = None
-        self._alive: zenoh.LivelinessToken | None = None
+        self._follower: Follower | None = None
+        self._tokens: list[zenoh.LivelinessToken] = []  # dropped, they would be undeclared
+        self._queryables: list[zenoh.Queryable[None]] = []
+
+    @property
+    def log_path(self) -> Path:
+        """The log that is being written, or was last."""
+        return self.recorder.path
+
+    @property
+    def load(self) -> float:
+        """Requests that wait or are at work, over the workers."""
+        return self._jobs.unfinished_tasks / len(self._workers)
 
     def __enter__(self) -> Server:
         try:
-            for name, path in self._scenes:  # before anybody can ask for them
-                self.shelf.load_file(name, path, inside=False)
-            self._session = zenoh.open(_router_config(self.options.endpoint))
+            if self.options.role != "planner":
+                self._load_scenes()  # before anybody can ask for them
+            self._session = zenoh.open(session_config(self.options))
         except BaseException:
             self.shelf.close()
             self.recorder.close()
             raise
-        for worker in self._workers:
-            worker.start()
-        for key in self.handlers.by_key:
-            self._session.declare_queryable(key, partial(self._take, key), complete=True)
-        self._alive = self._session.liveliness().declare_token(  # dropped, it would be undeclared
-            f"{keys.ALIVE}/{self.planner_id}"
-        )
-        log.info("listening on %s, logging to %s", self.options.endpoint, self.log_path)
+        for thread in (*self._workers, self._keeper):
+            thread.start()
+        self._session.declare_queryable(keys.status_of(self.planner_id), self._answer_status, complete=True)
+        if self.options.role == "planner":
+            self._follower = Follower(self._session, self.shelf, self._serve_plans)
+            self._follower.start()
+        else:
+            self._serve({key: key for key in self.handlers.map_keys}, f"{keys.MAP_ALIVE}/{self.planner_id}")
+        if self.options.role == "both":
+            self._serve_plans()
+        words = {"role": self.options.role, "id": self.planner_id, "log": self.recorder.path.name}
+        log.info("listening on %s", self.options.endpoint or ", ".join(self.options.connect), extra=words)
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
+        self._ended.set()
+        self._close_doors()
         for _ in self._workers:
             self._jobs.put(None)  # behind the requests that wait: they are answered first
-        for worker in self._workers:
-            worker.join()
+        for thread in (*self._workers, self._keeper):
+            thread.join()
+        self._turn_away()
+        if self._follower is not None:
+            self._follower.close()
         self.shelf.close()
         if self._session is not None:
             self._session.close()  # type: ignore[no-untyped-call]
         self.recorder.close()
         log.info("ended, log closed")
 
+    def _close_doors(self) -> None:
+        """Clients ask others from now on."""
+        for token in self._tokens:
+            token.undeclare()  # type: ignore[no-untyped-call]
+        for queryable in self._queryables:
+            queryable.undeclare()  # type: ignore[no-untyped-call]
+
+    def _turn_away(self) -> None:
+        """Answer what came while the doors were closed and the workers ended."""
+        while not self._jobs.empty():
+            if job := self._jobs.get_nowait():
+                kind = self.handlers.by_key[job.key][1]
+                self._reply(job, self.handlers.refuse(kind, Status.UNAVAILABLE, "this service ends. Ask another one."))
+
+    def _load_scenes(self) -> None:
+        self.shelf.restore({name for name, _ in self._scenes})
+        for name, path in self._scenes:
+            self.shelf.load_file(name, path, inside=False)
+
+    def _serve_plans(self) -> None:
+        """Begin to answer plans, on the key of all planners and on our own."""
+        names = self.handlers.planner_keys
+        own = {keys.of_planner(self.planner_id, key): key for key in names}
+        assert self._session is not None
+        self._session.declare_subscriber(keys.obstacles("*"), self._hear_of_obstacles)
+        self._serve({**own, **{key: key for key in names}}, f"{keys.ALIVE}/{self.planner_id}")
+
+    def _serve(self, wire_keys: Mapping[str, str], token: str) -> None:
+        """Answer on each of the keys what is asked by the key behind it; then say that we are there."""
+        assert self._session is not None
+        for wire_key, key in wire_keys.items():
+            take = partial(self._take, key, wire_key)
+            self._queryables.append(self._session.declare_queryable(wire_key, take, complete=True))
+        self._tokens.append(self._session.liveliness().declare_token(token))
+
+    def _metadata(self, config: Config) -> dict[str, str]:
+        """What a log must say of the process that wrote it."""
+        versions = {name: version(name) for name in PACKAGES} | {"python": platform.python_version()}
+        return {
+            "planner": self.planner_id,
+            "versions": json.dumps(versions),
+            "config": json.dumps(plain(self.options, config)),
+        }
+
     def _on_ready(self, name: str, scene: Scene) -> None:
         self.recorder.scene(name, scene.points, scene.info())
+        self._announce(SceneChanged(scene=name, version=scene.version, digest=scene.digest))
 
-    def _take(self, key: str, query: zenoh.Query) -> None:
-        """Zenoh's callback: runs serially, so it only hands over; a full queue is answered here."""
-        payload = query.payload.to_bytes() if query.payload is not None else b""
-        job = _Job(query, key, payload, time.monotonic(), time.time_ns())
+    def _on_unload(self, name: str) -> None:
+        self.recorder.forget(name)
+        self._announce(SceneChanged(scene=name, version=0))
+
+    def _hear_of_obstacles(self, sample: zenoh.Sample) -> None:
+        """Zenoh's callback: what was published on a scene's key; what cannot be read is told on stderr alone."""
+        key, stamp = str(sample.key_expr), time.time_ns()
+        try:
+            if len(sample.payload) > MAX_REQUEST_BYTES:
+                raise ValueError(f"{len(sample.payload)} bytes, at most {MAX_REQUEST_BYTES} are taken")
+            data = sample.payload.to_bytes()
+            self.handlers.moving.publish(key.split("/")[-2], decode(data, MovingObstacles).obstacles)
+            self.recorder.publication(key, data, stamp)
+        except ValueError as error:
+            log.warning("obstacles on %s: %s", key, error)
+            self.metrics.count_bad_publication()
+
+    def _announce(self, news: SceneChanged) -> None:
+        if self._session is not None and self.options.role != "planner":
+            self._session.put(keys.changed(news.scene), encode(news))
+
+    def _look_for(self, name: str, timeout_s: float) -> None:
+        if self._follower is not None:
+            self._follower.look_for(name, timeout_s)
+
+    def _take(self, key: str, wire_key: str, query: zenoh.Query) -> None:
+        """Zenoh's callback: runs serially, so it only hands over; what is too long or too much is answered here."""
+        body = query.payload or zenoh.ZBytes(b"")
+        size, fits = len(body), len(body) <= MAX_REQUEST_BYTES
+        payload = body.to_bytes() if fits else b""
+        job = _Job(query, key, wire_key, payload, time.monotonic(), time.time_ns())
+        kind = self.handlers.by_key[key][1]
+        if not fits:
+            words = f"{size} bytes, at most {MAX_REQUEST_BYTES} are taken. Send it in parts."
+            self._reply(job, self.handlers.refuse(kind, Status.INVALID_REQUEST, words), patient=False)
+            return
         try:
             self._jobs.put_nowait(job)
         except queue.Full:
-            kind = self.handlers.by_key[key][1]
-            words = f"{QUEUE_SIZE} requests are waiting. Ask again in a moment."
-            self._reply(job, self.handlers.refuse(kind, Status.BUSY, words))
+            words = f"{self.options.queue} requests are waiting. Ask again in a moment."
+            self._reply(job, self.handlers.refuse(kind, Status.BUSY, words), patient=False)
 
     def _work(self) -> None:
         while (job := self._jobs.get()) is not None:
@@ -133,20 +244,53 @@ class Server:
                 self._reply(job, self.handlers.answer(job.key, job.payload, job.received))
             except Exception:
                 log.exception("reply on %s", job.key)
+            finally:
+                self._jobs.task_done()
 
-    def _reply(self, job: _Job, reply: Reply) -> None:
-        data = encode(reply)
+    def _reply(self, job: _Job, reply: Reply, *, patient: bool = True) -> None:
+        data = encode(msgspec.structs.replace(reply, load=self.load))
         stamp = time.time_ns()
-        self.recorder.exchange(job.key, job.payload, data, job.received_ns, stamp)
+        self.recorder.exchange(job.key, job.payload, data, job.received_ns, stamp, patient=patient)
+        self.metrics.count(reply, time.monotonic() - job.received)  # who has the answer finds it counted
         with job.query:  # dropped after the reply, or the client waits for its time-out
-            job.query.reply(job.key, data)
+            job.query.reply(job.wire_key, data)
         if isinstance(reply, PlanReply):
             self.recorder.plan(reply, stamp)
 
+    def _answer_status(self, query: zenoh.Query) -> None:
+        """Answered in the callback itself: a service whose queue is full is asked first of all how it is."""
+        with query:
+            query.reply(keys.status_of(self.planner_id), encode(self.status()))
 
-def _router_config(endpoint: str) -> zenoh.Config:
-    config = zenoh.Config()
-    config.insert_json5("mode", '"router"')
-    config.insert_json5("listen/endpoints", json.dumps([endpoint]))
-    config.insert_json5("scouting/multicast/enabled", "false")
-    return config
+    def status(self) -> StatusReply:
+        """Health, readiness and metrics now."""
+        facts = self.shelf.facts()
+        stopped = [thread.name for thread in self._workers if not thread.is_alive()]
+        problems = [f"the thread {name} has ended" for name in stopped]
+        problems += [f"nothing is recorded: {self.recorder.trouble}"] if self.recorder.trouble else []
+        problems += [f"scene {name!r}: {entry['error']}" for name, entry in facts.items() if entry["error"]]
+        synced = True
+        if self._follower is not None:
+            synced = self._follower.synced
+            problems += [f"the map may be stale: {self._follower.trouble}"] if self._follower.trouble else []
+        return StatusReply(
+            planner=self.planner_id,
+            load=self.load,
+            role=self.options.role,
+            software=__version__,
+            healthy=not stopped,
+            ready=synced and not any(entry["state"] == "building" for entry in facts.values()),
+            problems=problems,
+            metrics={
+                **self.metrics.numbers(),
+                "load": self.load,
+                "workers": float(len(self._workers)),
+                "scenes": float(len(facts)),
+                "scenes_in_memory": float(sum(entry["in_memory"] for entry in facts.values())),
+                "messages_lost": float(self.recorder.lost),
+            },
+        )
+
+    def _keep_memory(self) -> None:
+        while not self._ended.wait(TRIM_S):
+            self.shelf.trim()

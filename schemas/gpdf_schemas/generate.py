@@ -24,6 +24,11 @@ MESSAGES = (
     messages.PoseMessage,
     messages.CueMessage,
     messages.VelocityMessage,
+    messages.FileRequest,
+    messages.FileReply,
+    messages.StatusReply,
+    messages.SceneChanged,
+    messages.MovingObstacles,
 )
 
 

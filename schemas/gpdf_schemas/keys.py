@@ -16,3 +16,29 @@ VELOCITY = f"{ROOT}/velocity"
 """Stream of velocity commands (`VelocityMessage`); below it, the name of the body."""
 ALIVE = f"{ROOT}/alive"
 """Liveliness token of a service; below it, the service's id."""
+SCENE_FILE = f"{ROOT}/scene/file"
+"""Parts of a ready scene's file, for planners on other machines."""
+MAP_ALIVE = f"{ROOT}/map/alive"
+"""Liveliness token of a map service; below it, the service's id."""
+STATUS = f"{ROOT}/service"
+"""Below it, the service's id, then "status"; ask `gpdf/v1/service/*/status` of all (query target ALL)."""
+
+
+def of_planner(planner: str, key: str) -> str:
+    """The key on which one planner alone answers what all answer on `key` (PLAN or DISTANCE)."""
+    return f"{ROOT}/planner/{planner}/{key.removeprefix(ROOT + '/')}"
+
+
+def status_of(service: str) -> str:
+    """The key of a service's health, readiness and metrics; "*" names all."""
+    return f"{STATUS}/{service}/status"
+
+
+def changed(scene: str) -> str:
+    """Where a new version of a scene, or its end, is published; "*" names all."""
+    return f"{SCENES}/{scene}/changed"
+
+
+def obstacles(scene: str) -> str:
+    """Where to publish what moves in a scene, as `MovingObstacles`; "*" names all."""
+    return f"{SCENES}/{scene}/obstacles"

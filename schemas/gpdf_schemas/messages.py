@@ -71,6 +71,36 @@ class Array(msgspec.Struct, frozen=True, array_like=False):
         return made
 
 
+class Cylinder(msgspec.Struct, frozen=True):
+    """An upright cylinder: (x, y, z) of the middle of its base, radius and height [m]."""
+
+    base: tuple[float, float, float]
+    radius: float
+    height: float
+
+
+class MovingObstacle(msgspec.Struct, frozen=True, kw_only=True):
+    """Something that the scan does not know, as points, as a cylinder, or both.
+
+    Attributes:
+        id: Chosen by who sees it; a newer one of the same id takes its place.
+        points: (k, 3) [m], dense enough that no body fits between two of them.
+        cylinder: [m]
+        lifetime_s: Seconds after which it is forgotten; 0 removes it at once. Not looked at within a request.
+    """
+
+    id: str = ""
+    points: Array | None = None
+    cylinder: Cylinder | None = None
+    lifetime_s: float = 1.0
+
+
+class MovingObstacles(msgspec.Struct, frozen=True, kw_only=True):
+    """Published on `keys.obstacles`: what moves in a scene."""
+
+    obstacles: list[MovingObstacle]
+
+
 class PlanRequest(msgspec.Struct, frozen=True, kw_only=True):
     """Ask for a trajectory on `keys.PLAN`.
 
@@ -82,6 +112,7 @@ class PlanRequest(msgspec.Struct, frozen=True, kw_only=True):
         method: dual_gpdf, or one of the paper's baselines: single_gpdf, astar, prm.
         deadline_s: Seconds that the answer may take.
         request_id: Chosen by the client; the same id asks the same thing again.
+        obstacles: What else is in the way, for this plan alone; what was published for the scene counts as well.
     """
 
     scene: str
@@ -91,6 +122,7 @@ class PlanRequest(msgspec.Struct, frozen=True, kw_only=True):
     method: str = "dual_gpdf"
     deadline_s: float = 30.0
     request_id: str = ""
+    obstacles: list[MovingObstacle] = []
 
 
 class TrajectoryMessage(msgspec.Struct, frozen=True):
@@ -126,6 +158,7 @@ class Reply(msgspec.Struct, frozen=True, kw_only=True):
         scene_version: Version of the scene that answered.
         planner: Id of the service that answered.
         timings: Seconds by stage.
+        load: Requests that wait or are at work in the service, over its workers: above 1 a new one waits.
     """
 
     request_id: str = ""
@@ -135,6 +168,7 @@ class Reply(msgspec.Struct, frozen=True, kw_only=True):
     scene_version: int = 0
     planner: str = ""
     timings: dict[str, float] = {}
+    load: float = 0.0
 
 
 class PlanReply(Reply, frozen=True, kw_only=True):
@@ -288,3 +322,54 @@ class VelocityMessage(msgspec.Struct, frozen=True, kw_only=True):
     stamp: float
     valid_s: float = 0.5
     state: str = ""
+
+
+class FileRequest(msgspec.Struct, frozen=True, kw_only=True):
+    """A part of a ready scene's file, on `keys.SCENE_FILE`; for planners on other machines.
+
+    Attributes:
+        scene: Its name.
+        version: Its version; another one is refused, so that no file is put together from two.
+        offset: First byte.
+    """
+
+    scene: str
+    version: int
+    offset: int = 0
+    deadline_s: float = 30.0
+    request_id: str = ""
+
+
+class FileReply(Reply, frozen=True, kw_only=True):
+    """At most 1 MB of the file from the offset on, and the size of the whole [bytes]."""
+
+    data: bytes = b""
+    size: int = 0
+
+
+class StatusReply(Reply, frozen=True, kw_only=True):
+    """Health, readiness and metrics of a service, on `keys.status_of`; answered also when its queue is full.
+
+    Attributes:
+        role: "both", "map" or "planner".
+        software: Version of the program.
+        healthy: Whether it does its work.
+        ready: Whether it can be asked: its own scenes are built, or those of the map service are here.
+        problems: What is wrong, in words; a log that cannot be written is one, and plans go on.
+        metrics: Numbers by name.
+    """
+
+    role: str = ""
+    software: str = ""
+    healthy: bool = False
+    ready: bool = False
+    problems: list[str] = []
+    metrics: dict[str, float] = {}
+
+
+class SceneChanged(msgspec.Struct, frozen=True, kw_only=True):
+    """Published on `keys.changed` when a scene has a new version, or is unloaded (version 0)."""
+
+    scene: str
+    version: int
+    digest: str = ""

@@ -178,9 +178,8 @@ def test_nobody_there_is_unavailable(free_endpoint):
 
 
 def test_a_full_queue_is_busy_and_everybody_gets_an_answer(clouds, tmp_path, free_endpoint, monkeypatch):
-    monkeypatch.setattr("gpdf_service.service.server.QUEUE_SIZE", 2)
     gate, inside = threading.Event(), threading.Event()
-    with Server(Options(free_endpoint, clouds, tmp_path, 1)) as server:
+    with Server(Options(free_endpoint, clouds, tmp_path, 1, queue=2)) as server:
         answer = server.handlers.answer
 
         def slow(key, payload, received):
@@ -306,7 +305,7 @@ def test_two_services_on_one_port_do_not_both_start(running, clouds, tmp_path):
 def test_uploads_that_nobody_finishes_make_room(tmp_path, monkeypatch):
     from gpdf_service.service.scenes import Shelf
 
-    monkeypatch.setattr("gpdf_service.service.scenes.MAX_UPLOAD_POINTS", 100)
+    monkeypatch.setattr("gpdf_service.service.uploads.MAX_UPLOAD_POINTS", 100)
     shelf, points = Shelf(tmp_path), np.zeros((40, 3))
     for name in ("a", "b", "c", "d"):
         assert not shelf.add_part("x", name, 0, 2, points, None)
@@ -332,13 +331,14 @@ def test_a_second_service_leaves_the_log_of_the_running_one_alone(clouds, tmp_pa
 
 
 def test_a_log_that_is_cut_anywhere_is_mended(tmp_path):
+    (tmp_path / "log").mkdir()
     from gpdf_service.service.recorder import Recorder
 
-    recorder = Recorder(tmp_path / "whole.mcap", {})
+    recorder = Recorder(Options(log_dir=tmp_path / "log"), "x", {})
     for i in range(5):
         recorder.exchange(keys.PLAN, bytes([i]) * 20, bytes([i]) * 50, i, i)
     recorder.close()
-    whole, path = (tmp_path / "whole.mcap").read_bytes(), tmp_path / "cut.mcap"
+    whole, path = recorder.path.read_bytes(), tmp_path / "cut.mcap"
     cuts = range(0, len(whole), 7)
     for cut in cuts:
         path.write_bytes(whole[:cut])
@@ -394,7 +394,7 @@ def test_versions_of_a_name_never_come_again(running, tmp_path, clouds):
 def test_an_upload_that_made_room_is_refused_not_forgotten(tmp_path, monkeypatch):
     from gpdf_service.service.scenes import Shelf
 
-    monkeypatch.setattr("gpdf_service.service.scenes.MAX_UPLOADS", 2)
+    monkeypatch.setattr("gpdf_service.service.uploads.MAX_UPLOADS", 2)
     shelf, points = Shelf(tmp_path), np.zeros((4, 3))
     for upload in ("a", "b", "c"):
         assert not shelf.add_part("x", upload, 0, 2, points, None)

@@ -1,0 +1,67 @@
+"""The real service as its own process, for benches that must not share one with it."""
+
+from __future__ import annotations
+
+import signal
+import socket
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import psutil
+from gpdf_client import Client
+
+from gpdf_service.synthetic import SCENES
+
+ENDS_S = 30.0
+"""[s] A service that drains and closes its log needs less."""
+
+
+@dataclass(frozen=True)
+class Running:
+    """A service under test: its endpoint, its process, and a place to start from and to go to in its office."""
+
+    endpoint: str
+    process: subprocess.Popen[bytes]
+    start: tuple[float, ...]
+    goal: tuple[float, ...]
+
+    def usage(self) -> dict[str, float]:
+        """Memory [MB], threads and open files of the process now."""
+        seen = psutil.Process(self.process.pid)
+        with seen.oneshot():
+            return {"rss_mb": seen.memory_info().rss / 1e6, "threads": seen.num_threads(), "files": seen.num_fds()}
+
+
+def free_endpoint() -> str:
+    """A port on this machine that nobody listens on."""
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return f"tcp/127.0.0.1:{probe.getsockname()[1]}"
+
+
+@contextmanager
+def serving(folder: Path, *flags: str) -> Iterator[Running]:
+    """`gpdf serve` with a synthetic office, its files in `folder`, ended by SIGTERM."""
+    office = SCENES["office"](np.random.default_rng(0))
+    label = office.ground.astype(np.int32)
+    np.savez(folder / "office.npz", xyz=office.points, label=label, classes=np.array(["other", "ground"]))
+    endpoint = free_endpoint()
+    words = [sys.executable, "-m", "gpdf_service.cli", "serve", f"office={folder / 'office.npz'}"]
+    words += ["--endpoint", endpoint, "--scenes-dir", str(folder), "--log-dir", str(folder / "log"), *flags]
+    with (folder / "serve.log").open("wb") as log, subprocess.Popen(words, stderr=log) as process:
+        try:
+            with Client.connect(endpoint, timeout_s=60) as client:
+                client.wait_for_scene("office")
+            yield Running(endpoint, process, tuple(office.start), tuple(office.goal))
+        finally:
+            process.send_signal(signal.SIGTERM)
+            try:
+                process.wait(ENDS_S)
+            except subprocess.TimeoutExpired:
+                process.kill()
+                raise

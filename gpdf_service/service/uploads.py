@@ -1,0 +1,64 @@
+"""Clouds that come in parts."""
+
+from __future__ import annotations
+
+import threading
+
+import numpy as np
+
+from gpdf_service.types import BoolArray, FloatArray
+
+MAX_UPLOAD_POINTS = 20_000_000
+"""Points that one upload may have: 0.5 GB."""
+MAX_UPLOADS = 64
+"""Unfinished uploads that are kept at once."""
+Part = tuple[FloatArray, BoolArray | None]
+
+
+class Uploads:
+    """Parts that wait for the others; uploads that nobody finishes make room, the oldest ahead."""
+
+    def __init__(self) -> None:
+        self._kept: dict[str, dict[int, Part]] = {}
+        self._lock = threading.Lock()
+
+    def add(self, key: str, part: int, parts: int, points: FloatArray, ground: BoolArray | None) -> Part | None:
+        """Take one part; the whole cloud and its labels when it was the last.
+
+        Raises:
+            ValueError: the part does not fit.
+        """
+        if not 0 <= part < parts or parts > MAX_UPLOAD_POINTS:
+            raise ValueError(f"part {part} of {parts} is none. Parts count from 0.")
+        if len(points) == 0:
+            raise ValueError(f"part {part} has no points. Send at least one a part.")
+        with self._lock:
+            if part > 0 and key not in self._kept:
+                raise ValueError(
+                    f"part {part} belongs to no upload that is under way: part 0 comes first, and "
+                    "uploads that stay unfinished make room for others. Send it again."
+                )
+            kept = self._kept.setdefault(key, {})
+            kept[part] = (points, ground)
+            self._make_room(key)
+            if len(kept) < parts:
+                return None
+            del self._kept[key]
+        return _joined([kept[i] for i in range(parts)])
+
+    def _make_room(self, key: str) -> None:
+        while self._waiting() > MAX_UPLOAD_POINTS or len(self._kept) > MAX_UPLOADS:
+            oldest = next(iter(self._kept))
+            del self._kept[oldest]
+            if oldest == key:
+                raise ValueError(f"it has more than {MAX_UPLOAD_POINTS} points. Thin the cloud, or load a file.")
+
+    def _waiting(self) -> int:
+        return sum(len(points) for upload in self._kept.values() for points, _ in upload.values())
+
+
+def _joined(parts: list[Part]) -> Part:
+    given = [ground for _, ground in parts if ground is not None]
+    if given and len(given) != len(parts):
+        raise ValueError("some parts have ground labels and some have none. Send them with all parts or none.")
+    return np.concatenate([points for points, _ in parts]), np.concatenate(given) if given else None

@@ -1,0 +1,152 @@
+import time
+from itertools import pairwise
+
+import msgspec
+import numpy as np
+import pytest
+from gpdf_client import Client, InvalidRequestError
+from gpdf_schemas import Array, Cylinder, MovingObstacle, keys
+
+import gpdf_service as gpdf
+from gpdf_service.service.moving import MAX_POINTS, Moving, points_of
+from gpdf_service.service.server import Options, Server
+
+START, GOAL = (1.0, 1.5), (5.0, 1.5)
+
+
+@pytest.fixture(scope="module")
+def hall():
+    """A floor of 6 x 3 m; its rim is the end of the known world."""
+    x, y = np.meshgrid(np.arange(0, 6, 0.05), np.arange(0, 3, 0.05))
+    return gpdf.build_scene(np.column_stack([x.ravel(), y.ravel(), np.zeros(x.size)]))
+
+
+def person(x, y, **more):
+    return MovingObstacle(id=f"{x},{y}", cylinder=Cylinder((x, y, 0.0), 0.25, 1.8), **more)
+
+
+def gap(result, x, y):
+    """Room between the side of the person and the path [m]."""
+    path = result.trajectory.ground[:, :2]
+    fine = np.concatenate([a + (b - a) * np.linspace(0, 1, 20)[:, None] for a, b in pairwise(path)])
+    return np.linalg.norm(fine - (x, y), axis=1).min() - 0.25
+
+
+@pytest.mark.parametrize("agent", ["roomba", "spot", "pepper", "human"])
+def test_a_plan_goes_round_a_person_and_its_certificate_knows(hall, agent):
+    free = gpdf.plan(hall, START, GOAL, agent)
+    assert gap(free, 3.0, 1.5) < 0  # straight through
+    body = gpdf.AGENTS[agent]
+    place = (3.0, 1.9)
+    result = gpdf.plan(Moving().merged("hall", hall, [person(*place)]), START, GOAL, agent)
+    assert result.status == "OK"
+    assert gap(result, *place) >= body.radius
+    assert result.certificate.min_clearance <= gap(result, *place) - body.radius + 0.005
+
+
+def test_a_crowd_closes_the_way_and_a_lifted_barrier_stops_only_the_tall(hall):
+    crowd = [person(3.0, y) for y in np.arange(0.0, 3.01, 0.4)]
+    assert gpdf.plan(Moving().merged("hall", hall, crowd), START, GOAL, "roomba").status == "NO_VALID_PATH"
+    barrier = [MovingObstacle(id=str(y), cylinder=Cylinder((3.0, y, 1.0), 0.1, 0.1)) for y in np.arange(0.0, 3.01, 0.1)]
+    barred = Moving().merged("hall", hall, barrier)
+    assert gpdf.plan(barred, START, GOAL, "roomba").status == "OK"
+    assert gpdf.plan(barred, START, GOAL, "human").status == "NO_VALID_PATH"
+
+
+def test_nobody_starts_inside_a_moving_obstacle(hall):
+    large = MovingObstacle(cylinder=Cylinder((1.0, 1.5, 0.0), 1.0, 1.8))
+    assert gpdf.plan(Moving().merged("hall", hall, [large]), START, GOAL, "roomba").status == "START_OCCUPIED"
+
+
+def test_an_obstacle_ends_with_its_lifetime_and_is_replaced_and_removed_by_its_id(hall):
+    now = [0.0]
+    moving = Moving(lambda: now[0])
+
+    def count():
+        return len(moving.merged("hall", hall).levels.levels[0].other_points)
+
+    one, two = person(3.0, 1.5, lifetime_s=1.0), person(4.0, 1.5, lifetime_s=5.0)
+    size = len(points_of(one))
+    moving.publish("hall", [one, two])
+    assert count() == 2 * size
+    now[0] = 1.0
+    assert count() == size
+    moving.publish("hall", [two])
+    assert count() == size
+    now[0] = 5.5
+    assert count() == size
+    moving.publish("hall", [MovingObstacle(id=two.id, lifetime_s=0.0)])
+    assert moving.merged("hall", hall) is hall
+    assert not moving._living
+
+
+def test_what_was_built_serves_until_something_changes(hall):
+    moving = Moving()
+    moving.publish("hall", [person(3.0, 1.5, lifetime_s=60)])
+    first = moving.merged("hall", hall)
+    assert moving.merged("hall", hall) is first
+    moving.publish("hall", [person(3.1, 1.5, lifetime_s=60)])
+    assert moving.merged("hall", hall) is not first
+    assert moving.merged("elsewhere", hall) is hall
+
+
+@pytest.mark.parametrize(
+    "obstacle",
+    [
+        MovingObstacle(id="x"),
+        MovingObstacle(id="x", points=Array.pack(np.zeros((3, 2)))),
+        MovingObstacle(id="x", cylinder=Cylinder((0.0, 0.0, 0.0), -1.0, 1.0)),
+        MovingObstacle(id="x", cylinder=Cylinder((0.0, 0.0, 0.0), 1e9, 1.0)),
+        MovingObstacle(id="x", points=Array((1, 3), "f8", np.full(3, np.nan).tobytes())),
+        MovingObstacle(id="x", points=Array.pack(np.zeros((MAX_POINTS + 1, 3)))),
+    ],
+)
+def test_an_obstacle_of_no_sense_is_refused_and_leaves_the_others(hall, obstacle):
+    moving = Moving()
+    moving.publish("hall", [person(3.0, 1.5, lifetime_s=60)])
+    before = moving.merged("hall", hall)
+    with pytest.raises(ValueError, match=r"x|points|finite"):
+        moving.publish("hall", [obstacle])
+    with pytest.raises(ValueError, match=r"x|points|finite"):
+        moving.merged("hall", hall, [obstacle])
+    assert moving.merged("hall", hall) is before
+
+
+def test_one_obstacle_of_no_sense_does_not_hide_the_others_of_its_message(hall):
+    moving = Moving()
+    with pytest.raises(ValueError, match="neither"):
+        moving.publish("hall", [MovingObstacle(id="x"), person(3.0, 1.5, lifetime_s=60)])
+    assert len(moving.merged("hall", hall).levels.levels[0].other_points) > 0
+
+
+def test_a_cylinders_points_are_not_inside_it_and_leave_no_gap():
+    points = points_of(person(0.0, 0.0))
+    ring = points[np.hypot(*points[:, :2].T) > 0.24]
+    assert np.hypot(*ring[:, :2].T).min() >= 0.25
+    angle = np.sort(np.unique(np.arctan2(ring[:, 1], ring[:, 0]).round(9)))
+    assert np.diff(angle).max() * 0.25 < 0.06
+    assert (points[:, 2].min(), points[:, 2].max()) == (0.0, 1.8)
+
+
+def test_obstacles_of_a_request_and_published_ones_over_zenoh(hall, tmp_path, free_endpoint):
+    hall.save(tmp_path / "hall.gpdf")
+    with Server(Options(free_endpoint, tmp_path, tmp_path, 1)) as server, Client.connect(free_endpoint) as client:
+        client.load_scene("hall", "hall.gpdf")
+        assert gap(client.plan("hall", START, GOAL), 3.0, 1.5) < 0
+        result = client.plan("hall", START, GOAL, obstacles=[person(3.0, 1.9)])
+        assert gap(result, 3.0, 1.9) >= gpdf.AGENTS["human"].radius
+        assert gap(client.plan("hall", START, GOAL), 3.0, 1.5) < 0  # for that plan alone
+        with pytest.raises(InvalidRequestError, match="neither points"):
+            client.plan("hall", START, GOAL, obstacles=[MovingObstacle(id="x")])
+
+        client._session.put(keys.obstacles("hall"), b"garbage")
+        client.publish_obstacles("hall", [person(3.0, 1.9, lifetime_s=60)])
+        until = time.monotonic() + 30
+        while gap(result := client.plan("hall", START, GOAL), 3.0, 1.5) < 0:
+            assert time.monotonic() < until
+        assert gap(result, 3.0, 1.9) >= gpdf.AGENTS["human"].radius
+        assert client.distance("hall", "obstacle", [[3.0, 1.6]]).distance[0] < 0.1
+        assert server.status().metrics["bad_publications"] == 1
+        client.publish_obstacles("hall", [msgspec.structs.replace(person(3.0, 1.9), lifetime_s=0.0)])
+        while gap(client.plan("hall", START, GOAL), 3.0, 1.5) > 0:
+            assert time.monotonic() < until

@@ -1,0 +1,225 @@
+"""The log in trouble: full disks, rotation, retention, repair. Real files, real disks, real processes."""
+
+import json
+import os
+import resource
+import subprocess
+import sys
+import threading
+import time
+
+import numpy as np
+import pytest
+from gpdf_client import Client
+from gpdf_schemas import keys
+from mcap.reader import make_reader
+
+from gpdf_service.service.record import BROKEN, check, prune, records_of, repair, repair_folder
+from gpdf_service.service.recorder import Recorder
+from gpdf_service.service.replay import recorded_plans
+from gpdf_service.service.segment import Segment
+from gpdf_service.service.server import Options
+
+BLOB = np.random.default_rng(0).bytes(20_000)  # does not compress
+
+
+def messages(folder):
+    return [
+        message.data
+        for path in sorted(folder.glob("*.mcap"))
+        for record in [make_reader(path.open("rb"))]
+        for _, _, message in record.iter_messages()
+    ]
+
+
+def test_a_log_goes_on_in_the_next_file_when_it_is_large_and_each_tells_of_itself(tmp_path):
+    recorder = Recorder(Options(log_dir=tmp_path, log_segment_mb=0.05, log_sync="each"), "x", {"planner": "p"})
+    recorder.scene("office", np.zeros((10, 3)), {"digest": "d"})
+    sent = [bytes([i]) + BLOB for i in range(12)]
+    for i, data in enumerate(sent):
+        recorder.exchange("k", b"", data, i, i)
+    recorder.close()
+    files = sorted(tmp_path.glob("*.mcap"))
+    assert len(files) > 3
+    for number, path in enumerate(files, 1):
+        assert check(path).complete
+        found = {record.name: record.metadata for record in make_reader(path.open("rb")).iter_metadata()}
+        assert (found["gpdf"]["planner"], found["gpdf"]["segment"]) == ("p", str(number))
+        assert json.loads(found["scene/office"]["facts"]) == {"digest": "d"}
+    assert [data for data in messages(tmp_path) if data[1:] == BLOB] == sent
+
+
+def test_a_scene_that_was_unloaded_is_not_in_the_next_file(tmp_path):
+    recorder = Recorder(Options(log_dir=tmp_path, log_segment_mb=0.01, log_sync="each"), "x", {})
+    recorder.scene("office", np.zeros((10, 3)), {})
+    recorder.forget("office")
+    recorder.exchange("k", b"", BLOB, 0, 0)
+    recorder.exchange("k", b"", b"", 0, 0)
+    recorder.close()
+    last = sorted(tmp_path.glob("*.mcap"))[-1]
+    assert [record.name for record in make_reader(last.open("rb")).iter_metadata()] == ["gpdf"]
+
+
+def test_an_old_log_goes_on_in_the_next_file(tmp_path):
+    recorder = Recorder(Options(log_dir=tmp_path, log_segment_s=1e-6, log_sync="each"), "x", {})
+    for i in range(3):
+        recorder.exchange("k", b"", b"", i, i)
+    recorder.close()
+    assert len(list(tmp_path.glob("*.mcap"))) >= 3
+
+
+def test_each_message_is_on_the_disk_before_its_call_returns(tmp_path):
+    recorder = Recorder(Options(log_dir=tmp_path, log_sync="each"), "x", {})
+    for i in range(5):
+        recorder.exchange("k", b"?", bytes([i]), i, i)
+        data = [record.data for record in records_of(recorder.path) if type(record).__name__ == "Message"]
+        assert data[-1] == bytes([i])  # as another process, or a machine after a loss of power, reads it
+    recorder.close()
+
+
+def test_the_oldest_logs_go_first_and_live_ones_never(tmp_path):
+    live = Recorder(Options(log_dir=tmp_path), "live", {})
+    os.utime(live.path, (0, 0))
+    for i in range(5):
+        path = tmp_path / f"gpdf_{i}.mcap{BROKEN if i == 1 else ''}"
+        path.write_bytes(bytes(1000))
+        os.utime(path, (1e9 + i, 1e9 + i))
+    (tmp_path / "mine.mcap").write_bytes(b"")
+    size = live.path.stat().st_size
+    gone = prune(tmp_path, keep_bytes=2500 + size, keep_s=1e12)
+    assert [path.name for path in gone] == ["gpdf_0.mcap", f"gpdf_1.mcap{BROKEN}", "gpdf_2.mcap"]
+    gone = prune(tmp_path, keep_bytes=1e12, keep_s=time.time() - 1e9 - 3.5)
+    assert [path.name for path in gone] == ["gpdf_3.mcap"]
+    live.close()
+    assert sorted(path.name for path in tmp_path.iterdir())[:2] == ["gpdf_4.mcap", live.path.name]
+    assert (tmp_path / "mine.mcap").exists()
+
+
+def test_a_disk_short_of_room_is_told_and_recording_begins_again(tmp_path, monkeypatch, caplog):
+    monkeypatch.setattr("gpdf_service.service.recorder.RETRY_S", 0.0)
+    recorder = Recorder(Options(log_dir=tmp_path, log_sync="each"), "x", {})
+    recorder.exchange("k", b"", b"before", 0, 0)
+    recorder.options = Options(log_dir=tmp_path, log_sync="each", log_min_free_mb=1e12)
+    for _ in range(4):
+        recorder.exchange("k", b"", b"lost", 0, 0)
+    assert "log-min-free-mb" in recorder.trouble
+    assert recorder.lost >= 3  # the first one finds it out, after it was written
+    recorder.options = Options(log_dir=tmp_path, log_sync="each")
+    recorder.exchange("k", b"", b"after", 0, 0)
+    assert recorder.trouble == ""
+    recorder.close()
+    found = messages(tmp_path)
+    assert found[1] == b"before"
+    assert found[-1] == b"after"
+    assert found.count(b"lost") == 4 - recorder.lost
+    assert "NOT RECORDING" in caplog.text
+    assert "recording again" in caplog.text
+    assert all(check(path).complete for path in tmp_path.glob("*.mcap"))
+
+
+def limited(log_dir, state_dir, clouds, endpoint, limit):
+    """`gpdf serve` whose files may not grow beyond `limit` bytes: each write beyond it fails as on a full disk."""
+    words = [sys.executable, "-m", "gpdf_service.cli", "serve", "--endpoint", endpoint, "--scenes-dir", str(clouds)]
+    words += ["--log-dir", str(log_dir), "--state-dir", str(state_dir), "--log-min-free-mb", "0.001"]
+    return subprocess.Popen(
+        [*words, f"office={clouds / 'office.gpdf'}"],
+        stderr=subprocess.PIPE,
+        text=True,
+        preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (limit, limit)),
+    )
+
+
+def plan_many(endpoint, made, count):
+    with Client.connect(endpoint, timeout_s=60) as client:
+        client.wait_for_scene("office")
+        return [client.plan("office", made.start, made.goal, "roomba").status for _ in range(count)]
+
+
+def test_files_that_cannot_grow_do_not_stop_planning(tmp_path, free_endpoint, office):
+    office[1].save(tmp_path / "office.gpdf")
+    with limited(tmp_path / "log", tmp_path / "state", tmp_path, free_endpoint, 30_000) as process:
+        try:
+            assert plan_many(free_endpoint, office[0], 30) == ["OK"] * 30
+        finally:
+            process.terminate()
+            words = process.communicate(timeout=60)[1]
+    assert process.returncode == 0
+    assert "NOT RECORDING" in words
+    assert repair_folder(tmp_path / "log")
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="only root may mount a disk")
+def test_a_full_disk_does_not_stop_planning_and_leaves_readable_logs(tmp_path, free_endpoint, office):
+    office[1].save(tmp_path / "office.gpdf")
+    log_dir = tmp_path / "log"
+    log_dir.mkdir()
+    if subprocess.run(["mount", "-t", "tmpfs", "-o", "size=3m", "tmpfs", str(log_dir)]).returncode:
+        pytest.skip("no disk can be mounted here")
+    try:
+        with limited(log_dir, tmp_path / "state", tmp_path, free_endpoint, resource.RLIM_INFINITY) as process:
+            try:
+                assert plan_many(free_endpoint, office[0], 3) == ["OK"] * 3
+                time.sleep(1.0)  # the flush interval: these three are on the disk
+                with Client.connect(free_endpoint) as client:
+                    for _ in range(3):  # 5 MB each with its answer
+                        client.distance("office", "ground", np.random.default_rng(0).uniform(0, 5, (90_000, 3)))
+                assert plan_many(free_endpoint, office[0], 20) == ["OK"] * 20
+            finally:
+                process.terminate()
+                words = process.communicate(timeout=60)[1]
+        assert process.returncode == 0
+        assert "NOT RECORDING" in words
+        logs = list(log_dir.glob("*.mcap"))
+        assert sum(check(path).messages for path in logs) > 0
+    finally:
+        subprocess.run(["umount", str(log_dir)], check=True)
+
+
+def test_what_a_crash_left_is_kept_beside_the_mended_log(tmp_path):
+    recorder = Recorder(Options(log_dir=tmp_path), "x", {})
+    for i in range(5):
+        recorder.exchange(keys.PLAN, b"", BLOB, i, i)
+    recorder.close()
+    path = recorder.path
+    broken = path.read_bytes()[:-500]
+    for name in (BROKEN, f"{BROKEN}1"):
+        path.write_bytes(broken)
+        assert repair(path).complete
+        assert path.with_name(path.name + name).read_bytes() == broken
+    assert not list(tmp_path.glob("*.repairing"))
+
+
+def test_a_plan_is_in_the_log_when_the_process_is_killed_after_its_answer(tmp_path, free_endpoint, office):
+    office[1].save(tmp_path / "office.gpdf")
+    words = [sys.executable, "-m", "gpdf_service.cli", "serve", f"office={tmp_path / 'office.gpdf'}", "--log-sync"]
+    words += ["each", "--endpoint", free_endpoint, "--log-dir", str(tmp_path / "log")]
+    with subprocess.Popen(words, stderr=subprocess.DEVNULL) as process:
+        try:
+            plan_many(free_endpoint, office[0], 3)
+        finally:
+            process.kill()
+    (log,) = (tmp_path / "log").glob("*.mcap")
+    assert len(list(recorded_plans(log))) == 3
+
+
+def test_who_must_not_wait_for_a_log_that_is_behind_goes_on_and_the_loss_is_counted(tmp_path, monkeypatch):
+    monkeypatch.setattr("gpdf_service.service.recorder.QUEUE_SIZE", 2)
+    gate, inside = threading.Event(), threading.Event()
+    write = Segment.write
+
+    def slow(*args, **more):
+        inside.set()
+        gate.wait(30)
+        write(*args, **more)
+
+    monkeypatch.setattr(Segment, "write", slow)
+    recorder = Recorder(Options(log_dir=tmp_path, log_sync="each"), "x", {})
+    recorder.exchange("k", b"", b"0", 0, 0, patient=False)
+    assert inside.wait(30)  # the writer is held by the first; two more fit
+    for i in range(1, 6):
+        recorder.exchange("k", b"", bytes([48 + i]), 0, 0, patient=False)
+    recorder.publication("p", b"", 0)
+    assert recorder.lost == 4
+    gate.set()
+    recorder.close()
+    assert [data for data in messages(tmp_path) if data] == [b"0", b"1", b"2"]

@@ -1,0 +1,224 @@
+"""Scenes on disk and in memory: what was acknowledged is there after a crash; memory is bounded."""
+
+import contextlib
+import signal
+import subprocess
+import sys
+import threading
+
+import numpy as np
+import pytest
+import zenoh
+from gpdf_client import Client, ServiceError
+from gpdf_client.results import ClientError
+
+import gpdf_service as gpdf
+import gpdf_service.errors
+from gpdf_service.service.memory import held_bytes
+from gpdf_service.service.scene_files import SceneFiles
+from gpdf_service.service.scenes import Shelf
+from gpdf_service.service.server import Options, Server
+
+
+def floor(width):
+    x, y = np.meshgrid(np.arange(0, width, 0.05), np.arange(0, 3, 0.05))
+    return np.column_stack([x.ravel(), y.ravel(), np.zeros(x.size)])
+
+
+@pytest.fixture(scope="module")
+def files(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("floors")
+    for i, width in enumerate((3.0, 4.0, 5.0)):
+        gpdf.build_scene(floor(width)).save(folder / f"{i}.gpdf")
+    return folder
+
+
+def filled(files, state, **options):
+    shelf = Shelf(files, state_dir=state, **options)
+    for i in range(3):
+        shelf.load_file(str(i), f"{i}.gpdf")
+    shelf.settle()
+    return shelf
+
+
+def test_scenes_leave_memory_and_come_back_the_same(files, tmp_path):
+    shelf = filled(files, tmp_path)
+    sizes = [held_bytes(shelf.get(str(i)).scene) for i in range(3)]
+    digests = [shelf.get(str(i)).scene.digest for i in range(3)]
+    shelf.close()
+    shelf = filled(files, tmp_path / "again", memory_bytes=max(sizes) * 1.1)
+
+    def kept():
+        return [str(i) for i in range(3) if shelf.get(str(i)).scene is not None]
+
+    assert kept() == ["2"]
+    for i in (0, 2, 1):
+        scene = shelf.scene(shelf.get(str(i)))
+        assert scene.digest == digests[i]
+        assert scene.version == shelf.facts()[str(i)]["version"]
+        assert gpdf.plan(scene, (0.5, 1.5), (2.0, 1.5), "roomba").status == "OK"
+        assert kept() == [str(i)]
+        assert shelf.facts()[str(i)]["in_memory"]
+    shelf.close()
+
+
+def test_many_threads_use_more_scenes_than_fit(files, tmp_path):
+    shelf = filled(files, tmp_path, memory_bytes=1)
+    wrong = []
+
+    def use(i):
+        for _ in range(10):
+            scene = shelf.scene(shelf.get(str(i)))
+            if scene.points[:, 0].max() < 2.9 + i:
+                wrong.append(i)
+
+    threads = [threading.Thread(target=use, args=(i % 3,)) for i in range(6)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join(60)
+    assert not wrong
+    assert not any(thread.is_alive() for thread in threads)
+    shelf.close()
+
+
+def test_the_free_spaces_of_many_bodies_are_let_go(files, tmp_path):
+    shelf = filled(files, tmp_path)
+    scene = shelf.scene(shelf.get("2"))
+    bare = held_bytes(scene)
+    scene.free_space("roomba")
+    assert held_bytes(scene) > bare
+    shelf._memory_bytes = bare
+    shelf.trim()
+    assert held_bytes(scene) == bare
+    shelf.close()
+
+
+def test_memory_that_two_arrays_share_counts_once():
+    array = np.zeros(1000)
+    assert held_bytes([array, array[::2], {"a": array.reshape(10, 100)}, 5, "x"]) == 8000
+
+
+def test_what_was_ready_is_ready_again_and_versions_go_on(files, tmp_path):
+    shelf = filled(files, tmp_path)
+    before = {name: (facts["version"], facts["digest"]) for name, facts in shelf.facts().items()}
+    shelf.unload("1")
+    del before["1"]
+    last = max(version for version, _ in before.values())
+    shelf.close()
+    again = Shelf(files, state_dir=tmp_path)
+    again.restore()
+    again.settle()
+    assert {name: (facts["version"], facts["digest"]) for name, facts in again.facts().items()} == before
+    again.load_file("1", "1.gpdf")
+    again.settle()
+    assert again.facts()["1"]["version"] > last
+    again.close()
+
+
+def test_a_version_that_was_unloaded_is_not_given_again_after_a_restart(tmp_path):
+    files = SceneFiles(tmp_path)
+    first = files.next_version(1)
+    assert SceneFiles(tmp_path).next_version(1) == first + 1
+
+
+def test_a_new_version_takes_the_place_of_the_old_on_disk(files, tmp_path):
+    shelf = filled(files, tmp_path)
+    shelf.load_file("0", "1.gpdf")
+    shelf.settle()
+    assert [path.name for path in tmp_path.glob("0@*")] == [f"0@{shelf.facts()['0']['version']}.gpdf"]
+    shelf.close()
+
+
+def test_a_scene_that_is_replaced_all_the_time_can_always_be_loaded_again(files, tmp_path):
+    shelf = filled(files, tmp_path, memory_bytes=1)
+    done, wrong = threading.Event(), []
+
+    def use():
+        while not done.is_set():
+            for name in "012":  # each pushes the others out
+                try:
+                    shelf.scene(shelf.get(name))
+                except gpdf.errors.SceneFileError as error:
+                    wrong.append(error)
+
+    threads = [threading.Thread(target=use) for _ in range(2)]
+    for thread in threads:
+        thread.start()
+    for i in range(40):
+        shelf.load_file("0", f"{i % 3}.gpdf")
+    shelf.settle()
+    done.set()
+    for thread in threads:
+        thread.join(60)
+    assert not wrong
+    assert sum(path.suffix == ".gpdf" for path in tmp_path.iterdir()) == 3
+    shelf.close()
+
+
+def test_what_a_crash_left_half_written_is_swept_away(files, tmp_path):
+    filled(files, tmp_path).close()
+    (tmp_path / ".0@9.gpdf.tmpabc").write_bytes(b"half")
+    (tmp_path / "0@0.gpdf").write_bytes(b"the version before, not yet deleted")
+    again = Shelf(files, state_dir=tmp_path)
+    again.restore()
+    again.settle()
+    assert {facts["state"] for facts in again.facts().values()} == {"ready"}
+    assert len([path for path in tmp_path.iterdir() if path.suffix != ""]) == 3
+    again.close()
+
+
+def test_a_damaged_file_is_told_and_the_others_are_there(files, tmp_path):
+    shelf = filled(files, tmp_path)
+    shelf.close()
+    shelf.get("0").file.write_bytes(b"damaged")
+    again = Shelf(files, state_dir=tmp_path)
+    again.restore()
+    again.settle()
+    states = {name: facts["state"] for name, facts in again.facts().items()}
+    assert states == {"0": "failed", "1": "ready", "2": "ready"}
+    assert "damaged" in again.get("0").error
+    again.close()
+
+
+def test_a_scene_whose_file_was_spoiled_while_it_was_out_of_memory_is_a_typed_error(files, tmp_path, free_endpoint):
+    with Server(Options(free_endpoint, files, tmp_path, 1)) as server, Client.connect(free_endpoint) as client:
+        client.load_scene("0", "0.gpdf")
+        entry = server.shelf.get("0")
+        entry.scene = None
+        entry.file.write_bytes(b"spoiled")
+        with pytest.raises(ServiceError, match="BUILD_FAILED"):
+            client.plan("0", (0.5, 1.5), (2.0, 1.5), "roomba")
+
+
+def test_every_acknowledged_scene_is_there_after_a_kill_in_mid_build(files, tmp_path, free_endpoint, office):
+    def serve():
+        words = [sys.executable, "-m", "gpdf_service.cli", "serve", "--endpoint", free_endpoint]
+        words += ["--log-dir", str(tmp_path), "--scenes-dir", str(files)]
+        return subprocess.Popen(words, stderr=subprocess.DEVNULL)
+
+    with serve() as process:
+        try:
+            with Client.connect(free_endpoint, timeout_s=60) as client:
+                before = {str(i): client.load_scene(str(i), f"{i}.gpdf")["version"] for i in range(3)}
+                large = np.concatenate([office[0].points + np.array([0, 0, 0.0005 * i]) for i in range(8)])
+                threading.Thread(target=lambda: _try(client, large), daemon=True).start()
+                while "large" not in client.scenes():
+                    pass
+                process.kill()
+        finally:
+            process.kill()
+    with serve() as process:
+        try:
+            with Client.connect(free_endpoint, timeout_s=60) as client:
+                assert {name: client.wait_for_scene(name)["version"] for name in before} == before
+                assert client.plan("0", (0.5, 1.5), (2.0, 1.5), "roomba").status == "OK"
+            process.send_signal(signal.SIGTERM)
+            assert process.wait(60) == 0
+        finally:
+            process.kill()
+
+
+def _try(client, points):
+    with contextlib.suppress(ClientError, zenoh.ZError):  # it is killed, or the test ends
+        client.load_scene("large", upload=points)

@@ -1,0 +1,14 @@
+import pytest
+
+from gpdf_service.bench.running import serving
+from gpdf_service.bench.soak import soak
+
+
+@pytest.mark.slow
+def test_a_short_soak_fails_nothing_and_leaks_no_thread_or_file(tmp_path):
+    with serving(tmp_path) as service:
+        row = soak(service, 20.0, 0)
+    assert row["failed"] == 0
+    assert min(row[what] for what in ("plans", "loads", "uploads", "unloads", "moves")) > 0
+    assert row["answers"] >= row["plans"] + row["loads"] + row["uploads"] + row["unloads"]
+    assert max(row["threads_grew"], row["files_grew"]) <= 3

@@ -1,0 +1,137 @@
+import json
+import threading
+
+import msgpack
+import pytest
+import zenoh
+from gpdf_client import Client, UnavailableError
+from gpdf_client.client import client_config
+from gpdf_schemas import keys
+
+from gpdf_service import __version__
+from gpdf_service.cli import main
+from gpdf_service.service.server import Options, Server
+
+
+@pytest.fixture
+def scenes(tmp_path, office):
+    office[1].save(tmp_path / "office.gpdf")
+    return tmp_path
+
+
+def test_a_service_says_how_it_is_and_what_it_did(scenes, free_endpoint, office):
+    made = office[0]
+    with Server(Options(free_endpoint, scenes, scenes / "log", 2)) as server, Client.connect(free_endpoint) as client:
+        client.load_scene("office", "office.gpdf")
+        before = client.status()[0].metrics.get("answers_OK", 0)
+        for _ in range(3):
+            client.plan("office", made.start, made.goal, "roomba")
+        client.plan("office", made.start, (90.0, 0.0), "roomba")
+        (status,) = client.status()
+        assert (status.planner, status.role, status.software) == (server.planner_id, "both", __version__)
+        assert status.healthy
+        assert status.ready
+        assert status.problems == []
+        assert status.metrics["answers_OK"] - before == 3
+        assert status.metrics["answers_GOAL_OUTSIDE_MAP"] == 1
+        assert 0 < status.metrics["answer_p50_s"] <= status.metrics["answer_p99_s"]
+        assert status.metrics["memory_bytes"] > 50e6
+        assert (status.metrics["scenes"], status.metrics["scenes_in_memory"], status.metrics["workers"]) == (1, 1, 2)
+
+
+def test_a_full_service_still_says_how_it_is(scenes, free_endpoint, monkeypatch):
+    gate, inside = threading.Event(), threading.Event()
+    with Server(Options(free_endpoint, scenes, scenes / "log", 1, queue=1)) as server:
+        answer = server.handlers.answer
+
+        def slow(*asked):
+            inside.set()
+            gate.wait(30)
+            return answer(*asked)
+
+        monkeypatch.setattr(server.handlers, "answer", slow)
+        with zenoh.open(client_config(free_endpoint)) as session, Client.connect(free_endpoint) as client:
+            ask = [threading.Thread(target=lambda: list(session.get(keys.SCENES, payload=b"\x80"))) for _ in range(2)]
+            ask[0].start()
+            assert inside.wait(30)  # the worker is held
+            ask[1].start()
+            while server.load < 2:
+                pass
+            (status,) = client.status()
+            assert status.load == 2
+            assert status.healthy
+            gate.set()
+            for thread in ask:
+                thread.join(30)
+
+
+def test_trouble_with_the_log_is_a_problem_and_no_illness(scenes, free_endpoint):
+    options = Options(free_endpoint, scenes, scenes / "log", 1, log_min_free_mb=1e12)
+    with Server(options), Client.connect(free_endpoint) as client:
+        client.scenes()
+        (status,) = client.status()
+        assert status.healthy
+        assert "log-min-free-mb" in status.problems[0]
+        assert status.metrics["messages_lost"] >= 1
+
+
+def test_the_command_for_health_checks(scenes, free_endpoint, capsys):
+    with Server(Options(free_endpoint, scenes, scenes / "log", 1)) as server:
+        assert main(["client", "--endpoint", free_endpoint, "status", "--json"]) == 0
+        (service,) = json.loads(capsys.readouterr().out)["services"]
+        assert service["planner"] == server.planner_id
+    assert main(["client", "--endpoint", free_endpoint, "status"]) == 1
+
+
+def test_a_service_that_is_still_building_its_scenes_is_not_ready(scenes, free_endpoint, monkeypatch):
+    gate = threading.Event()
+    load = __import__("gpdf_service.scene", fromlist=["load_scene"]).load_scene
+
+    def slow(path):
+        gate.wait(30)
+        return load(path)
+
+    monkeypatch.setattr("gpdf_service.service.scenes.load_scene", slow)
+    options = Options(free_endpoint, scenes, scenes / "log", 1)
+    with Server(options, [("office", scenes / "office.gpdf")]) as server, Client.connect(free_endpoint) as client:
+        assert not client.status()[0].ready
+        gate.set()
+        server.shelf.settle()
+        assert client.status()[0].ready
+
+
+def test_what_comes_while_a_service_ends_is_answered(scenes, free_endpoint):
+    answers, begun, asked = [], threading.Event(), threading.Event()
+
+    def ask_on(session):
+        while not asked.is_set():
+            for answer in session.get(keys.SCENES, payload=b"\x80", timeout=20):
+                answers.append(msgpack.unpackb(answer.ok.payload.to_bytes())["status"] if answer.ok else "timed out")
+            begun.set()
+
+    hub_config = zenoh.Config()
+    for key, value in (
+        ("mode", '"router"'),
+        ("listen/endpoints", f'["{free_endpoint}"]'),
+        ("scouting/multicast/enabled", "false"),
+    ):
+        hub_config.insert_json5(key, value)
+    with zenoh.open(hub_config), zenoh.open(client_config(free_endpoint)) as session:
+        with Server(Options("", scenes, scenes / "log", 1, connect=(free_endpoint,))):
+            threads = [threading.Thread(target=ask_on, args=(session,)) for _ in range(8)]
+            for thread in threads:
+                thread.start()
+            assert begun.wait(30)
+        asked.set()
+        for thread in threads:
+            thread.join(30)
+            assert not thread.is_alive()
+    assert "OK" in answers
+    assert set(answers) <= {"OK", "UNAVAILABLE"}
+
+
+def test_a_client_of_a_service_that_ended_hears_that_it_is_not_there(scenes, free_endpoint):
+    with Server(Options(free_endpoint, scenes, scenes / "log", 1)):
+        client = Client.connect(free_endpoint)
+    with client, pytest.raises(UnavailableError):
+        client.plan("office", (1, 1), (2, 2), deadline_s=0.5)
