@@ -17,6 +17,8 @@ from gpdf_schemas import (
     Array,
     DistanceReply,
     DistanceRequest,
+    DrawReply,
+    DrawRequest,
     LoadRequest,
     PlanReply,
     PlanRequest,
@@ -32,7 +34,16 @@ from gpdf_schemas import (
 )
 from numpy.typing import ArrayLike
 
-from gpdf_client.results import Distances, PlanResult, ServiceError, UnavailableError, raise_for, to_result
+from gpdf_client.results import (
+    Distances,
+    Drawing,
+    PlanResult,
+    ServiceError,
+    UnavailableError,
+    raise_for,
+    to_drawing,
+    to_result,
+)
 
 DEFAULT_ENDPOINT = "tcp/127.0.0.1:7447"
 BACK_OFF_S = 0.05
@@ -125,6 +136,35 @@ class Client:
         if reply.distance is None or reply.gradient is None or reply.valid is None:
             raise ServiceError(reply)
         return Distances(reply.distance.unpack(), reply.gradient.unpack(), reply.valid.unpack() > 0)
+
+    def draw(
+        self,
+        scene: str,
+        what: str,
+        agent: Agent = "human",
+        *,
+        limit: int = 300_000,
+        progress: Progress = lambda share: None,
+    ) -> Drawing:
+        """Fetch what a picture shows: "cloud", "ground", or the "obstacles" or free "leaves" of an agent.
+
+        Args:
+            scene: Name of a loaded scene.
+            what: What to draw.
+            agent: The body, for obstacles and leaves.
+            limit: Most places to fetch; points are thinned evenly, of the leaves the largest are kept.
+            progress: Told the share that is there.
+        """
+        replies: list[DrawReply] = []
+        while not replies or len(replies) < replies[0].parts:
+            request = DrawRequest(scene=scene, what=what, agent=agent, limit=limit, part=len(replies))
+            reply = self.ask(keys.SCENE_DRAW, request, DrawReply, request.deadline_s)
+            if replies and reply.scene_version != replies[0].scene_version:  # the scene was replaced meanwhile
+                replies = []
+                continue
+            replies.append(reply)
+            progress(len(replies) / reply.parts)
+        return to_drawing(replies)
 
     def scenes(self) -> dict[str, dict[str, Any]]:
         """Facts of every scene by name."""

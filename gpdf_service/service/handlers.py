@@ -17,6 +17,8 @@ from gpdf_schemas import (
     DecodeError,
     DistanceReply,
     DistanceRequest,
+    DrawReply,
+    DrawRequest,
     LoadRequest,
     PlanReply,
     PlanRequest,
@@ -34,6 +36,7 @@ from gpdf_schemas import (
 from gpdf_service.errors import GpdfError, RequestError
 from gpdf_service.pipeline import plan
 from gpdf_service.scene import Scene
+from gpdf_service.service.drawing import draw_part
 from gpdf_service.service.scenes import Shelf, describe
 from gpdf_service.types import Agent, PlanResult, Trajectory
 
@@ -55,6 +58,7 @@ class Handlers:
             keys.SCENE_LOAD: (LoadRequest, SceneReply, self.load),
             keys.SCENE_UPLOAD: (UploadRequest, SceneReply, self.upload),
             keys.SCENE_UNLOAD: (SceneRequest, SceneReply, self.unload),
+            keys.SCENE_DRAW: (DrawRequest, DrawReply, self.draw),
         }
 
     def answer(self, key: str, payload: bytes, received: float) -> Reply:
@@ -179,6 +183,22 @@ class Handlers:
         if not self.shelf.unload(request.scene):
             raise _NoSceneError(Status.UNKNOWN_SCENE, self._unknown(request.scene))
         return self._scene_reply(request, Status.OK, f"scene {request.scene!r} is unloaded.")
+
+    def draw(self, request: DrawRequest) -> DrawReply:
+        """One part of what a picture shows."""
+        scene = self._scene(request.scene)
+        made = draw_part(scene, request.what, _agent(request.agent), request.limit, request.part)
+        return DrawReply(
+            request_id=request.request_id,
+            scene=request.scene,
+            scene_version=scene.version,
+            planner=self.planner_id,
+            part=request.part,
+            parts=made.parts,
+            origin=made.origin.tolist(),
+            columns=list(made.columns),
+            rows=Array.pack(made.rows, "f4"),
+        )
 
     def _scene_reply(
         self,

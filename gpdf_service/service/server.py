@@ -137,7 +137,8 @@ class Server:
     def _reply(self, job: _Job, reply: Reply) -> None:
         data = encode(reply)
         stamp = time.time_ns()
-        self.recorder.exchange(job.key, job.payload, data, job.received_ns, stamp)
+        if job.key != keys.SCENE_DRAW:  # megabytes that the scene's digest, which is in the log, stands for
+            self.recorder.exchange(job.key, job.payload, data, job.received_ns, stamp)
         with job.query:  # dropped after the reply, or the client waits for its time-out
             job.query.reply(job.key, data)
         if isinstance(reply, PlanReply):

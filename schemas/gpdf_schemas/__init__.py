@@ -9,6 +9,8 @@ from gpdf_schemas.messages import Array as Array
 from gpdf_schemas.messages import CertificateMessage as CertificateMessage
 from gpdf_schemas.messages import DistanceReply as DistanceReply
 from gpdf_schemas.messages import DistanceRequest as DistanceRequest
+from gpdf_schemas.messages import DrawReply as DrawReply
+from gpdf_schemas.messages import DrawRequest as DrawRequest
 from gpdf_schemas.messages import LoadRequest as LoadRequest
 from gpdf_schemas.messages import PlanReply as PlanReply
 from gpdf_schemas.messages import PlanRequest as PlanRequest

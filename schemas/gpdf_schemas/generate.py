@@ -21,6 +21,8 @@ MESSAGES = (
     messages.ScenesReply,
     messages.LoadRequest,
     messages.UploadRequest,
+    messages.DrawRequest,
+    messages.DrawReply,
 )
 
 
