@@ -65,6 +65,7 @@ class Client:
 
     def __init__(self, session: zenoh.Session) -> None:
         self._session = session
+        self._watchers: list[zenoh.Subscriber] = []  # dropped, they would end
 
     @classmethod
     def connect(
@@ -241,6 +242,20 @@ class Client:
     def wait_for_service(self, *, timeout_s: float = 30.0) -> None:
         """Wait until a service answers."""
         self.ask(keys.SCENES, SceneRequest(), ScenesReply, timeout_s)
+
+    def watch(self, on_change: Callable[[str, bool], None]) -> None:
+        """Hear of services that come and go, also of those that are there already.
+
+        Args:
+            on_change: Told a service's id and whether it is there, on a thread of Zenoh's; it must return soon. Zenoh
+                finds a service again by itself when it comes back at the same endpoint.
+        """
+
+        def hear(sample: zenoh.Sample) -> None:
+            on_change(str(sample.key_expr).rsplit("/", 1)[-1], sample.kind == zenoh.SampleKind.PUT)
+
+        liveliness = self._session.liveliness()
+        self._watchers.append(liveliness.declare_subscriber(f"{keys.ALIVE}/*", hear, history=True))
 
     def ask(
         self,

@@ -60,9 +60,13 @@ def _shuffled(count: int) -> IntArray:
 def _cloud(scene: Scene, agent: str | Agent) -> _Table:
     def rows(chosen: IntArray) -> FloatArray:
         points = scene.points[chosen]
-        return np.column_stack([points, level_under(scene.surfaces, points), scene.ground[chosen]])
+        level = level_under(scene.surfaces, points)
+        beneath = np.full(len(points), min(float(np.nanmin(surface.height)) for surface in scene.surfaces))
+        for i, surface in enumerate(scene.surfaces):
+            beneath[level == i] = surface.height_at(points[level == i, :2])
+        return np.column_stack([points, level, scene.ground[chosen], points[:, 2] - beneath])
 
-    return ("x", "y", "z", "level", "ground"), _shuffled(len(scene.points)), rows
+    return ("x", "y", "z", "level", "ground", "above"), _shuffled(len(scene.points)), rows
 
 
 def _ground(scene: Scene, agent: str | Agent) -> _Table:

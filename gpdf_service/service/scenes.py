@@ -15,7 +15,7 @@ import numpy as np
 
 from gpdf_service.errors import GpdfError
 from gpdf_service.perception import read_cloud
-from gpdf_service.pipeline import build_scene
+from gpdf_service.pipeline import Progress, build_scene
 from gpdf_service.scene import Scene, load_scene
 from gpdf_service.types import BoolArray, FloatArray
 
@@ -27,7 +27,7 @@ MAX_UPLOAD_POINTS = 20_000_000
 SCENE_SUFFIX = ".gpdf"
 MAX_UPLOADS = 64
 """Unfinished uploads that are kept at once."""
-Build = Callable[[], Scene]
+Build = Callable[[Progress], Scene]
 
 
 @dataclass(slots=True)
@@ -37,6 +37,12 @@ class Entry:
     scene: Scene | None = None
     pending: int = 0
     error: str = ""
+    stage: tuple[str, float] = ("", 0.0)
+    """What the build does, and the share of it that is done."""
+
+    def note(self, stage: str, done: float) -> None:
+        """Take the build's progress."""
+        self.stage = stage, done
 
     @property
     def building(self) -> bool:
@@ -88,11 +94,12 @@ class Shelf:
         if not _is_file(path):
             raise ValueError(f"file {str(file)!r} is not in the scenes folder. Put it there, or upload the points.")
 
-        def build() -> Scene:
+        def build(progress: Progress) -> Scene:
+            progress("read the file", 0.0)
             if path.suffix == SCENE_SUFFIX:
                 return load_scene(path)
             cloud = read_cloud(path)
-            return build_scene(cloud.points, cloud.ground)
+            return build_scene(cloud.points, cloud.ground, progress=progress)
 
         self._start(name, build)
 
@@ -133,7 +140,7 @@ class Shelf:
         if given and len(given) != parts:
             raise ValueError("some parts have ground labels and some have none. Send them with all parts or none.")
         mask = np.concatenate(given) if given else None
-        self._start(name, lambda: build_scene(cloud, mask))
+        self._start(name, lambda progress: build_scene(cloud, mask, progress=progress))
         return True
 
     def _waiting(self) -> int:
@@ -155,7 +162,7 @@ class Shelf:
 
     def _build(self, name: str, entry: Entry, build: Build) -> None:
         try:
-            scene = build()
+            scene = build(entry.note)
         except GpdfError as error:
             log.warning("scene %s: %s", name, error)
             with self._lock:
@@ -177,6 +184,8 @@ def describe(entry: Entry) -> dict[str, Any]:
     """Facts of one entry, ready for the wire."""
     state = "ready" if entry.scene else ("building" if entry.building else "failed")
     facts: dict[str, Any] = {"state": state, "building": entry.building, "error": entry.error}
+    if entry.building:
+        facts |= {"stage": entry.stage[0], "done": entry.stage[1]}
     return facts if entry.scene is None else facts | entry.scene.info()
 
 

@@ -244,9 +244,10 @@ class DrawReply(Reply, frozen=True, kw_only=True):
         part: Number of this part.
         parts: How many there are; all of one drawing have the same `scene_version`.
         origin: (x, y, z) [m] to add to the rows' places, which are relative to it so that f4 is exact to 0.1 mm.
-        columns: What the rows hold: x, y, z, level (-1: over no known ground), then of the cloud "ground" (0 or 1), of the
-            ground "inferred" (0 or 1), of the obstacles "kind" (0 material, 1 step, 2 slope, 3 unknown ground), of the
-            leaves "half_size" and "clearance" [m].
+        columns: What the rows hold: x, y, z, level (-1: over no known ground), then of the cloud "ground" (0 or 1) and
+            "above", its height over that level's ground (over the lowest where level is -1) [m], of the ground
+            "inferred" (0 or 1), of the obstacles "kind" (0 material, 1 step, 2 slope, 3 unknown ground), of the leaves
+            "half_size" and "clearance" [m].
         rows: (n, columns), f4.
     """
 

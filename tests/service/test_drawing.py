@@ -32,6 +32,8 @@ def test_a_whole_cloud_comes_back_with_its_labels(asked, office, monkeypatch):
     np.testing.assert_allclose(drawn.places + drawn.origin, scene.points[order], atol=1e-5)
     np.testing.assert_array_equal(drawn.columns["ground"] > 0, scene.ground[order])
     assert (drawn.columns["level"][drawn.columns["ground"] > 0] == 0).all()
+    np.testing.assert_allclose(drawn.columns["above"][drawn.columns["ground"] > 0], 0, atol=0.36)  # a step's edge
+    assert drawn.columns["above"].max() == pytest.approx(2.7, abs=0.01)
     assert set(drawn.columns["level"]) == {-1.0, 0.0}  # the outer face of a wall stands over no known ground
 
 
