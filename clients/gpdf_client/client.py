@@ -65,7 +65,7 @@ class Client:
 
     def __init__(self, session: zenoh.Session) -> None:
         self._session = session
-        self._watchers: list[zenoh.Subscriber] = []  # dropped, they would end
+        self._watchers: list[zenoh.Subscriber[Any]] = []  # dropped, they would end
 
     @classmethod
     def connect(

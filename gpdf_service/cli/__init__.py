@@ -28,6 +28,10 @@ VERBS: dict[str, tuple[str, str]] = {
     "bench build": ("gpdf_service.bench.build", "time from cloud to scene beside Open3D's normals"),
     "bench plan": ("gpdf_service.bench.plan", "random queries: share certified, an independent judge, time"),
     "bench service": ("gpdf_service.bench.service", "what Zenoh, msgpack and the log add to a plan"),
+    "view": (
+        "gpdf_service.viewer.view_verb",
+        "a page in the browser: see scenes, plan by two clicks, step through logs",
+    ),
     "demo": ("gpdf_service.cli.demo", "see it happen: service, four bodies, picture and log"),
 }
 

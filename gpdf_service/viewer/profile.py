@@ -1,0 +1,85 @@
+"""A path from the side: height, ground, clearance and speed along the way."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import viser
+from gpdf_client import Client, Trajectory, UnavailableError, UnknownSceneError
+from viser import uplot
+
+from gpdf_service.types import Agent, FloatArray
+from gpdf_service.viewer.colours import METHODS, css
+from gpdf_service.viewer.link import Link
+
+CHART_HEIGHT = 190
+"""[px]"""
+TOP, GROUND, ROOM, SPEED = "#0072b2", "#7a6a4f", "#d55e00", css(METHODS["prm"])
+
+
+@dataclass(frozen=True, slots=True)
+class Profile:
+    """Along the way on the ground [m], each (n,): the body's top and the ground [m], clearance [m], speed [m/s]."""
+
+    along: FloatArray
+    top: FloatArray
+    ground: FloatArray
+    clearance: FloatArray
+    speed: FloatArray
+
+
+def clearance_along(client: Client, scene: str, path: Trajectory, agent: Agent) -> FloatArray:
+    """Room beside the body at each waypoint, as the Obstacle GPDF has it [m]; 0 where the field says nothing."""
+    found = client.distance(scene, "obstacle", path.ground, agent.name)
+    return np.where(found.valid, np.maximum(0.0, found.distance - agent.radius), 0.0)
+
+
+def profile_of(path: Trajectory, clearance: FloatArray) -> Profile:
+    """Seen from the side; the speed is that of the contact point."""
+    steps = np.linalg.norm(np.diff(path.ground, axis=0), axis=1)
+    along = np.concatenate([[0.0], np.cumsum(steps)])
+    speed = np.gradient(along, path.times)
+    return Profile(along, path.positions[:, 2], path.ground[:, 2], clearance, speed)
+
+
+class ProfileCharts:
+    """Two charts in the panel, hidden while there is no path."""
+
+    def __init__(self, gui: viser.GuiApi) -> None:
+        nothing = np.array([0.0, 1.0])
+        self._heights = _chart(gui, nothing, "height [m]", (("top of the body", TOP), ("ground", GROUND)))
+        self._others = _chart(gui, nothing, "clearance [m], speed [m/s]", (("clearance", ROOM), ("speed", SPEED)))
+        self.hide()
+
+    def hide(self) -> None:
+        """Show none."""
+        self._heights.visible = self._others.visible = False
+
+    def show(self, profile: Profile) -> None:
+        """Show one."""
+        self._heights.data = (profile.along, profile.top, profile.ground)
+        self._others.data = (profile.along, profile.clearance, profile.speed)
+        self._heights.visible = self._others.visible = True
+
+
+def _chart(
+    gui: viser.GuiApi, nothing: FloatArray, label: str, lines: tuple[tuple[str, str], ...]
+) -> viser.GuiUplotHandle:
+    series = [uplot.Series(label="along the way [m]")]
+    series += [uplot.Series(label=name, stroke=colour, width=2, points={"show": False}) for name, colour in lines]
+    return gui.add_uplot(
+        data=tuple(nothing for _ in series),
+        series=tuple(series),
+        scales={"x": uplot.Scale(time=False), "y": uplot.Scale(auto=True)},
+        axes=(uplot.Axis(label="along the way [m]", size=40), uplot.Axis(label=label, size=55)),
+        height=CHART_HEIGHT,
+    )
+
+
+def known_clearance(link: Link, scene: str, path: Trajectory, agent: Agent) -> FloatArray | None:
+    """`clearance_along`, or None where no service knows the scene."""
+    try:
+        return clearance_along(link.client, scene, path, agent)
+    except (UnavailableError, UnknownSceneError):
+        return None
