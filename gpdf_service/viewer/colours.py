@@ -23,6 +23,8 @@ VIRIDIS = np.array(
     dtype=np.float64,
 )
 """matplotlib's viridis at even steps."""
+PALE = 0.6 * VIRIDIS + 0.4 * 255.0
+"""For the cloud, so that a path stands out before it."""
 ROOM = np.array([(213, 94, 0), (230, 159, 0), (240, 228, 66), (86, 180, 233), (0, 114, 178)], dtype=np.float64)
 """From no room (vermilion) to enough of it (blue)."""
 ENOUGH_ROOM = 0.5

@@ -39,6 +39,13 @@ class Ground:
         heights[level, index[:, 0], index[:, 1]] = drawing.places[:, 2]
         return cls(low, cell_width, heights)
 
+    @property
+    def box(self) -> tuple[FloatArray, FloatArray]:
+        """Lower and upper corner of what is known, each (3,) [m]."""
+        size = self.cell_width * np.array(self.heights.shape[1:])
+        low, high = np.nanmin(self.heights), np.nanmax(self.heights)
+        return np.array([*self.low, low]), np.array([*(self.low + size), high])
+
     def hit(self, origin: FloatArray, direction: FloatArray, level: int | None = None) -> FloatArray | None:
         """Where a ray meets the ground from above, shape (3,); None if it does not. `level`: only that one."""
         heights = self.heights if level is None else self.heights[level : level + 1]

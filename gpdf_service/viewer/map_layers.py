@@ -43,7 +43,7 @@ class View:
 
     shown: frozenset[str] = frozenset({"cloud", "ground"})
     colour: str = "height"
-    below: float = 2.2
+    below: float = 1.5
     point_size: float = 0.02
     level: int | None = None
 
@@ -129,7 +129,7 @@ class MapLayers:
             shades = np.where(is_ground, colours.SEEN, colours.KINDS[0])
         else:
             low, high = np.quantile(places[:, 2], [0.01, 0.99])
-            shades = colours.ramp(places[:, 2], float(low), float(high))
+            shades = colours.ramp(places[:, 2], float(low), float(high), colours.PALE)
         return self._points("cloud", places, shades, self.view.point_size)
 
     def _ground(self, drawing: Drawing, wanted: BoolArray) -> viser.PointCloudHandle | None:

@@ -31,6 +31,8 @@ FRAME_S = 0.05
 """[s] Between two places of the moving body."""
 BUILD_POLL_S = 0.3
 """[s] Between two looks at a build."""
+CAMERA = np.array([0.0, -0.28, 0.62])
+"""From the middle of the ground to the camera, in diagonals of the ground."""
 PLAN_DEADLINE_S = 30.0
 """[s] The first plan of a body waits until the service knows where it fits."""
 
@@ -104,10 +106,10 @@ class Page:
 
     def _on_service(self, there: bool) -> None:
         if there:
-            self.panel.link.content = f"🟢 Connected to `{self.endpoint}`"
+            self.panel.link.content = f"Connected to `{self.endpoint}`"
             self._maps.do("scenes", self._look_for_scenes)
         else:
-            self.panel.link.content = f"🔴 **Service lost.** Looking for it at `{self.endpoint}` …"
+            self.panel.link.content = f"**Service lost.** Looking for it at `{self.endpoint}` …"
 
     def _look_for_scenes(self) -> None:
         """List the scenes, and show the chosen one as it is now."""
@@ -150,14 +152,18 @@ class Page:
         self.panel.map.level.options = (ALL_LEVELS, *(str(level["level"]) for level in facts["levels"]))
         low, high = np.array(facts["extent"])
         self.panel.map.height.max = round(float(high[2] - low[2]), 2)
-        self._look_at(high - low)
-        self._fetch("ground", "cloud")
+        self._fetch("ground")
+        self._look_at_ground()
         self._fetch(*self.map.view.shown)
 
-    def _look_at(self, size: FloatArray) -> None:
-        centre, reach = 0.5 * size, float(np.linalg.norm(size[:2]))
-        position = (centre[0], centre[1] - 0.75 * reach, 0.8 * reach)
-        target = (centre[0], centre[1], 0.2 * size[2])
+    def _look_at_ground(self) -> None:
+        """From above and the south, so that all known ground is seen left of the panel."""
+        if self.map.ground is None:
+            return
+        low, high = self.map.ground.box
+        reach = float(np.linalg.norm((high - low)[:2]))
+        target = 0.5 * (low + high) + [0.12 * reach, 0.0, 0.0]
+        position = target + CAMERA * reach
         initial = self.server.initial_camera
         initial.position, initial.look_at = position, target
         for client in self.server.get_clients().values():

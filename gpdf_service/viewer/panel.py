@@ -141,7 +141,7 @@ def _map_tab(gui: viser.GuiApi) -> MapTab:
         layers=layers,
         colour=gui.add_dropdown("Cloud by", CLOUD_COLOURS),
         level=gui.add_dropdown("Level", (ALL_LEVELS,)),
-        below=gui.add_slider("Up to [m]", 0.1, 6.0, 0.1, 2.2, hint="Points higher over their ground are not shown."),
+        below=gui.add_slider("Up to [m]", 0.1, 6.0, 0.1, 1.5, hint="Points higher over their ground are not shown."),
         size=gui.add_slider("Points [m]", 0.005, 0.1, 0.005, 0.02),
         slice=gui.add_dropdown("Slice", tuple(SLICES)),
         height=gui.add_slider("At height [m]", 0.0, 3.0, 0.05, 0.5, hint="Over the lowest point of the scene."),

@@ -16,7 +16,9 @@ LINE_WIDTH = 0.05
 """[m]"""
 GHOST_STEP = 0.35
 """[m] Between two bodies of the sweep at least; thin bodies stand closer than wide ones."""
-GHOST_OPACITY, BODY_OPACITY = 0.12, 0.65
+GHOST_OPACITY, BODY_OPACITY = 0.12, 0.8
+GHOST_SHARE = 0.97
+"""[-] Of the radius: the solid body's side must not coincide with a ghost's."""
 CORNERS = 24
 """Of a cylinder's rim."""
 MARKS = {"start": (0, 158, 115), "goal": (204, 121, 167)}
@@ -33,9 +35,8 @@ class PathLayers:
         self.origin = np.zeros(3)
         self._marks: dict[str, list[viser.SceneNodeHandle]] = {}
         self._paths: list[viser.SceneNodeHandle] = []
-        self._body: viser.CylinderHandle | None = None
+        self._body: viser.MeshHandle | None = None
         self._moving: Trajectory | None = None
-        self._height = 0.0
 
     def mark(self, name: str, place: FloatArray | None) -> None:
         """Show the start or the goal; None takes it away."""
@@ -71,7 +72,7 @@ class PathLayers:
         self._paths.append(
             self._scene.add_batched_meshes_simple(
                 "/plan/sweep",
-                vertices * [agent.radius, agent.radius, agent.height],
+                vertices * [GHOST_SHARE * agent.radius, GHOST_SHARE * agent.radius, agent.height],
                 faces,
                 np.tile([1.0, 0.0, 0.0, 0.0], (count, 1)),
                 points[rows],
@@ -82,11 +83,12 @@ class PathLayers:
                 lod="off",
             )
         )
-        self._body = self._scene.add_cylinder(
-            "/plan/body", agent.radius, agent.height, BODY, opacity=BODY_OPACITY, cast_shadow=False
+        size = np.array([agent.radius, agent.radius, agent.height])
+        self._body = self._scene.add_mesh_simple(
+            "/plan/body", vertices * size, faces, color=BODY, opacity=BODY_OPACITY, flat_shading=True, cast_shadow=False
         )
         self._paths.append(self._body)
-        self._moving, self._height = path, agent.height
+        self._moving = path
         self.move(0.0)
 
     def move(self, time: float) -> None:
@@ -95,7 +97,7 @@ class PathLayers:
         if path is None or body is None:
             return
         place = np.array([np.interp(time, path.times, path.ground[:, k]) for k in range(3)])
-        body.position = place - self.origin + [0, 0, 0.5 * self._height]
+        body.position = place - self.origin
 
 
 def _cylinder() -> tuple[FloatArray, np.ndarray]:  # type: ignore[type-arg]

@@ -13,7 +13,7 @@ from gpdf_service.types import Agent, FloatArray
 from gpdf_service.viewer.colours import METHODS, css
 from gpdf_service.viewer.link import Link
 
-CHART_HEIGHT = 190
+CHART_HEIGHT = 165
 """[px]"""
 TOP, GROUND, ROOM, SPEED = "#0072b2", "#7a6a4f", "#d55e00", css(METHODS["prm"])
 
@@ -49,7 +49,7 @@ class ProfileCharts:
     def __init__(self, gui: viser.GuiApi) -> None:
         nothing = np.array([0.0, 1.0])
         self._heights = _chart(gui, nothing, "height [m]", (("top of the body", TOP), ("ground", GROUND)))
-        self._others = _chart(gui, nothing, "clearance [m], speed [m/s]", (("clearance", ROOM), ("speed", SPEED)))
+        self._others = _chart(gui, nothing, "m, m/s", (("room [m]", ROOM), ("speed [m/s]", SPEED)))
         self.hide()
 
     def hide(self) -> None:
