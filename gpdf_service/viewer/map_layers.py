@@ -23,8 +23,8 @@ SLICE_STEP = 0.05
 """[m] Between them at least: the fields are fitted no finer."""
 ASK_AT_ONCE = 20_000
 """Places in one request: its reply is 0.7 MB."""
-ISO_STEP, ISO_WIDTH = 0.25, 0.012
-"""[m] Lines of equal distance in a slice: apart, and half their width."""
+ISO_STEP, ISO_DARKER = 0.25, 0.6
+"""[m], [-] Lines of equal distance in a slice: how far apart, and how much darker."""
 LIFT = 0.02
 """[m] Leaves and the ground's cells are drawn this far apart, so that they do not flicker."""
 
@@ -189,7 +189,8 @@ class MapLayers:
         high = max(0.5, float(np.quantile(distance[valid], 0.98)))
         shades = colours.ramp(distance, 0.0, high).astype(np.float64)
         beside = np.abs(distance - ISO_STEP * np.round(distance / ISO_STEP))
-        shades[(beside < max(ISO_WIDTH, 0.35 * step)) & (distance > 0.5 * ISO_STEP)] *= 0.45
+        line = np.where(distance > 0.5 * ISO_STEP, np.clip(1.0 - beside / step, 0.0, 1.0), 0.0)
+        shades *= 1.0 - ISO_DARKER * line[:, None]
         image = np.concatenate([shades, np.where(valid, 215, 0)[:, None]], axis=1).astype(np.uint8).reshape(nx, ny, 4)
         centre = (*(self.ground.low + 0.5 * step * np.array([nx, ny])), height)
         self._handles["slice"] = self._scene.add_image(

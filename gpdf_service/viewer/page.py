@@ -155,6 +155,11 @@ class Page:
         self._fetch("ground")
         self._look_at_ground()
         self._fetch(*self.map.view.shown)
+        self._prepare()
+
+    def _prepare(self) -> None:
+        """Let the service find out where the body fits before the first plan needs it."""
+        self.link.client.draw(self.shown[0], "leaves", self.panel.plan.agent.value, limit=1)
 
     def _look_at_ground(self) -> None:
         """From above and the south, so that all known ground is seen left of the panel."""

@@ -85,7 +85,7 @@ class PathLayers:
         )
         size = np.array([agent.radius, agent.radius, agent.height])
         self._body = self._scene.add_mesh_simple(
-            "/plan/body", vertices * size, faces, color=BODY, opacity=BODY_OPACITY, flat_shading=True, cast_shadow=False
+            "/plan/body", vertices * size, faces, color=BODY, opacity=BODY_OPACITY, cast_shadow=False
         )
         self._paths.append(self._body)
         self._moving = path
@@ -101,12 +101,12 @@ class PathLayers:
 
 
 def _cylinder() -> tuple[FloatArray, np.ndarray]:  # type: ignore[type-arg]
-    """Vertices and faces of a cylinder of radius 1 from z = 0 to 1: the side and the lid."""
+    """Vertices and faces of a cylinder of radius 1 from z = 0 to 1: the side, and a lid with its own rim (an edge)."""
     turn = np.linspace(0, 2 * np.pi, CORNERS, endpoint=False)
     rim = np.column_stack([np.cos(turn), np.sin(turn)])
-    vertices = np.concatenate([np.insert(rim, 2, 0.0, axis=1), np.insert(rim, 2, 1.0, axis=1), [[0.0, 0.0, 1.0]]])
+    low, high = np.insert(rim, 2, 0.0, axis=1), np.insert(rim, 2, 1.0, axis=1)
     i = np.arange(CORNERS)
     j = (i + 1) % CORNERS
     side = np.concatenate([np.column_stack([i, j, j + CORNERS]), np.column_stack([i, j + CORNERS, i + CORNERS])])
-    lid = np.column_stack([i + CORNERS, j + CORNERS, np.full(CORNERS, 2 * CORNERS)])
-    return vertices, np.concatenate([side, lid])
+    lid = np.column_stack([i + 2 * CORNERS, j + 2 * CORNERS, np.full(CORNERS, 3 * CORNERS)])
+    return np.concatenate([low, high, high, [[0.0, 0.0, 1.0]]]), np.concatenate([side, lid])
