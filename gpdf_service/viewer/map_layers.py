@@ -186,7 +186,7 @@ class MapLayers:
         valid = np.concatenate([answer.valid for answer in answers])
         if not valid.any():
             return 0.0, 0.0
-        high = max(0.5, float(np.quantile(distance[valid], 0.98)))
+        high = max(1.0, float(np.quantile(distance[valid], 0.98)))
         shades = colours.ramp(distance, 0.0, high).astype(np.float64)
         beside = np.abs(distance - ISO_STEP * np.round(distance / ISO_STEP))
         line = np.where(distance > 0.5 * ISO_STEP, np.clip(1.0 - beside / step, 0.0, 1.0), 0.0)

@@ -31,8 +31,10 @@ FRAME_S = 0.05
 """[s] Between two places of the moving body."""
 BUILD_POLL_S = 0.3
 """[s] Between two looks at a build."""
-CAMERA = np.array([0.0, -0.28, 0.62])
+CAMERA = np.array([0.0, -0.25, 0.55])
 """From the middle of the ground to the camera, in diagonals of the ground."""
+SLICE_OVER_GROUND = 0.6
+"""[m]"""
 PLAN_DEADLINE_S = 30.0
 """[s] The first plan of a body waits until the service knows where it fits."""
 
@@ -150,12 +152,18 @@ class Page:
         self.map.clear()
         self._clear_plan()
         self.panel.map.level.options = (ALL_LEVELS, *(str(level["level"]) for level in facts["levels"]))
-        low, high = np.array(facts["extent"])
-        self.panel.map.height.max = round(float(high[2] - low[2]), 2)
         self._fetch("ground")
         self._look_at_ground()
+        self._offer_heights(facts)
         self._fetch(*self.map.view.shown)
         self._prepare()
+
+    def _offer_heights(self, facts: dict[str, Any]) -> None:
+        """Slices from the scene's lowest point to its highest; at first over the lowest ground."""
+        low, high = facts["extent"]
+        slider = self.panel.map.height
+        slider.max = round(high[2] - low[2], 2)
+        put(slider, round(min(level["height"][0] for level in facts["levels"]) - low[2] + SLICE_OVER_GROUND, 2))
 
     def _prepare(self) -> None:
         """Let the service find out where the body fits before the first plan needs it."""

@@ -12,11 +12,11 @@ from gpdf_service.viewer import colours
 LINE_LIFT = 0.04
 """[m] The path is drawn over the ground and the leaves."""
 LIFTED = np.array([0.0, 0.0, LINE_LIFT])
-LINE_WIDTH = 0.05
-"""[m]"""
-GHOST_STEP = 0.35
-"""[m] Between two bodies of the sweep at least; thin bodies stand closer than wide ones."""
-GHOST_OPACITY, BODY_OPACITY = 0.12, 0.8
+LINE_WIDTH = 6.0
+"""[px] Seen in a hall as in an office."""
+GHOST_STEP = 0.4
+"""[m] Between two bodies of the sweep at least; wide ones stand further apart."""
+GHOST_OPACITY = 0.07
 GHOST_SHARE = 0.97
 """[-] Of the radius: the solid body's side must not coincide with a ghost's."""
 CORNERS = 24
@@ -60,13 +60,17 @@ class PathLayers:
         points = path.ground - self.origin + LIFTED
         segments = np.stack([points[:-1], points[1:]], axis=1)
         each = shades if shades.ndim == 1 else np.stack([shades[:-1], shades[1:]], axis=1)
-        self._paths.append(self._scene.add_line_segments(f"/plan/line_{name}", segments, each, thickness=LINE_WIDTH))
+        self._paths.append(
+            self._scene.add_line_segments(
+                f"/plan/line_{name}", segments, each, thickness=LINE_WIDTH, thickness_units="screen"
+            )
+        )
 
     def add_sweep(self, path: Trajectory, agent: Agent, shades: colours.Colours) -> None:
         """Draw the body at even steps along a path, and a solid one that `move` moves."""
         points = path.ground - self.origin
         along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
-        count = max(2, int(along[-1] / max(GHOST_STEP, agent.radius)) + 1)
+        count = max(2, int(along[-1] / max(GHOST_STEP, 1.5 * agent.radius)) + 1)
         rows = np.searchsorted(along, np.linspace(0.0, along[-1], count)).clip(0, len(along) - 1)
         vertices, faces = _cylinder()
         self._paths.append(
@@ -84,9 +88,7 @@ class PathLayers:
             )
         )
         size = np.array([agent.radius, agent.radius, agent.height])
-        self._body = self._scene.add_mesh_simple(
-            "/plan/body", vertices * size, faces, color=BODY, opacity=BODY_OPACITY, cast_shadow=False
-        )
+        self._body = self._scene.add_mesh_simple("/plan/body", vertices * size, faces, color=BODY, cast_shadow=False)
         self._paths.append(self._body)
         self._moving = path
         self.move(0.0)

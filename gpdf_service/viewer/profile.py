@@ -44,35 +44,51 @@ def profile_of(path: Trajectory, clearance: FloatArray) -> Profile:
 
 
 class ProfileCharts:
-    """Two charts in the panel, hidden while there is no path."""
+    """Two charts in the panel, made anew for each path: uPlot does not find its width while it is hidden."""
 
     def __init__(self, gui: viser.GuiApi) -> None:
-        nothing = np.array([0.0, 1.0])
-        self._heights = _chart(gui, nothing, "height [m]", (("top of the body", TOP), ("ground", GROUND)))
-        self._others = _chart(gui, nothing, "m, m/s", (("room [m]", ROOM), ("speed [m/s]", SPEED)))
-        self.hide()
+        self._gui = gui
+        self._folder = gui.add_folder("From the side", visible=False)
+        self._charts: list[viser.GuiUplotHandle] = []
 
     def hide(self) -> None:
         """Show none."""
-        self._heights.visible = self._others.visible = False
+        self._folder.visible = False
+        for chart in self._charts:
+            chart.remove()
+        self._charts = []
 
     def show(self, profile: Profile) -> None:
         """Show one."""
-        self._heights.data = (profile.along, profile.top, profile.ground)
-        self._others.data = (profile.along, profile.clearance, profile.speed)
-        self._heights.visible = self._others.visible = True
+        self.hide()
+        self._folder.visible = True
+        with self._folder:
+            self._charts = [
+                _chart(
+                    self._gui,
+                    profile.along,
+                    "m",
+                    {"top [m]": (profile.top, TOP), "ground [m]": (profile.ground, GROUND)},
+                ),
+                _chart(
+                    self._gui,
+                    profile.along,
+                    "m, m/s",
+                    {"room [m]": (profile.clearance, ROOM), "speed [m/s]": (profile.speed, SPEED)},
+                ),
+            ]
 
 
 def _chart(
-    gui: viser.GuiApi, nothing: FloatArray, label: str, lines: tuple[tuple[str, str], ...]
+    gui: viser.GuiApi, along: FloatArray, label: str, lines: dict[str, tuple[FloatArray, str]]
 ) -> viser.GuiUplotHandle:
-    series = [uplot.Series(label="along the way [m]")]
-    series += [uplot.Series(label=name, stroke=colour, width=2, points={"show": False}) for name, colour in lines]
+    series = [uplot.Series(label="along [m]")]
+    series += [uplot.Series(label=name, stroke=colour, width=2) for name, (_, colour) in lines.items()]
     return gui.add_uplot(
-        data=tuple(nothing for _ in series),
+        data=(along, *(values for values, _ in lines.values())),
         series=tuple(series),
         scales={"x": uplot.Scale(time=False), "y": uplot.Scale(auto=True)},
-        axes=(uplot.Axis(label="along the way [m]", size=40), uplot.Axis(label=label, size=55)),
+        axes=(uplot.Axis(label="along the way [m]", size=40), uplot.Axis(label=label, size=50)),
         height=CHART_HEIGHT,
     )
 
