@@ -25,8 +25,8 @@ VIRIDIS = np.array(
 """matplotlib's viridis at even steps."""
 PALE = 0.6 * VIRIDIS + 0.4 * 255.0
 """For the cloud, so that a path stands out before it."""
-ROOM = np.array([(213, 94, 0), (230, 159, 0), (240, 228, 66), (86, 180, 233), (0, 114, 178)], dtype=np.float64)
-"""From no room (vermilion) to enough of it (blue)."""
+ROOM = np.array([(213, 94, 0), (230, 159, 0), (0, 158, 115), (0, 114, 178)], dtype=np.float64)
+"""From no room (vermilion) to enough of it (blue), nowhere as pale as the floor."""
 ENOUGH_ROOM = 0.5
 """[m] Clearance that is shown as blue: half a body's width more than is needed."""
 METHODS = {"dual_gpdf": (0, 114, 178), "single_gpdf": (230, 159, 0), "astar": (204, 121, 167), "prm": (0, 158, 115)}

@@ -64,6 +64,11 @@ class MapLayers:
         """Layers that were fetched."""
         return frozenset(self._drawings)
 
+    @property
+    def drawn(self) -> frozenset[str]:
+        """Layers that are on the page, "slice" among them."""
+        return frozenset(self._handles)
+
     def clear(self) -> None:
         """Forget the scene."""
         for handle in self._handles.values():

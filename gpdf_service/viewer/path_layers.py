@@ -38,6 +38,11 @@ class PathLayers:
         self._body: viser.MeshHandle | None = None
         self._moving: Trajectory | None = None
 
+    @property
+    def shown(self) -> Trajectory | None:
+        """The path that the body is swept along."""
+        return self._moving
+
     def mark(self, name: str, place: FloatArray | None) -> None:
         """Show the start or the goal; None takes it away."""
         for handle in self._marks.pop(name, []):
