@@ -15,6 +15,8 @@ from gpdf_service.service.record import repair_folder
 from gpdf_service.service.server import DEFAULT_ENDPOINT, Options, Server
 
 log = logging.getLogger("gpdf_service")
+WAKE_S = 0.5
+"""[s] A signal that the kernel gives to another thread is handled when the main thread wakes; without this, never."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -40,7 +42,8 @@ def run(args: argparse.Namespace) -> int:
     options = Options(args.endpoint, args.scenes_dir, args.log_dir, max(1, args.workers))
     try:
         with Server(options, args.scenes):
-            stop.wait()
+            while not stop.wait(WAKE_S):
+                pass
     except zenoh.ZError as error:
         log.error("cannot listen on %s: %s. Is another service running there?", args.endpoint, error)
         return 1

@@ -14,6 +14,8 @@ from pathlib import Path
 from gpdf_client.client import DEFAULT_ENDPOINT
 
 DEFAULT_PORT = 8080
+WAKE_S = 0.5
+"""[s] A signal that the kernel gives to another thread is handled when the main thread wakes; without this, never."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -50,7 +52,8 @@ def run(args: argparse.Namespace) -> int:
         gate = Gate(args.host, args.port, server.get_port(), token)
         link += f"?token={token}"
     print(f"open {link}", flush=True)
-    stop.wait()
+    while not stop.wait(WAKE_S):
+        pass
     page.close()
     if gate is not None:
         gate.close()
