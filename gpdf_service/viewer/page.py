@@ -66,6 +66,7 @@ class Page:
         self.ends: dict[str, FloatArray | None] = {"start": None, "goal": None}
         self.next = "start"
         self.recorded: list[tuple[PlanRequest, PlanReply]] = []
+        self.digests: dict[tuple[str, int], str] = {}  # of the recorded scenes, by name and version
         self._closing = threading.Event()
         self._maps, self._plans = Worker("gpdf-maps", self._say_work), Worker("gpdf-plans", self._say_answer)
         self._connect_widgets()
@@ -351,9 +352,9 @@ class Page:
         self._open_scene(client, name)
 
     def _open_log(self, path: Path) -> None:
-        from gpdf_service.service.replay import recorded_plans
+        from gpdf_service.service.replay import recorded_plans, recorded_scenes
 
-        self.recorded = list(recorded_plans(path))
+        self.recorded, self.digests = list(recorded_plans(path)), recorded_scenes(path)
         tab = self.panel.log
         if not self.recorded:
             tab.text.content = f"There is no plan in `{path.name}`."
@@ -367,17 +368,41 @@ class Page:
     def _show_recorded(self) -> None:
         index = min(self.panel.log.step.value, len(self.recorded)) - 1
         request, reply = self.recorded[index]
+        digest = self.digests.get((request.scene, reply.scene_version), "")
+        facts = self.facts.get(request.scene, {})
+        if request.scene != self.shown[0] and facts.get("state") == "ready":
+            self._maps.do("scenes", lambda: self._turn_to(request.scene))
+            return
+        warning = ""
+        if facts.get("digest") != digest:
+            warning = (
+                f"\n\n**The service has no such scene** (`{digest or 'unknown'}`): the path is drawn without a map."
+            )
+            self._leave_scene(np.array([*request.start, 0.0][:3]))
         agent = AGENTS[request.agent] if isinstance(request.agent, str) else Agent(**request.agent)
         self.panel.log.text.content = (
             f"**{index + 1} of {len(self.recorded)}** · `{request.request_id}`\n\n"
             f"{request.scene}, {agent.name}, {request.method}: {_place(request.start)} → {_place(request.goal)}\n\n"
             + words.answer(to_result(reply))
+            + warning
         )
         for name, place in (("start", request.start), ("goal", request.goal)):
             self.set_end(name, self._on_ground(place))
         if isinstance(request.agent, str):
             put(self.panel.plan.agent, request.agent)
         self._show(to_result(reply), request.scene, agent, None)
+
+    def _turn_to(self, scene: str) -> None:
+        """Show the scene of a recorded request, then the request."""
+        put(self.panel.scene, scene)
+        self._look_for_scenes()
+        self._plans.do("plan", self._show_recorded)
+
+    def _leave_scene(self, origin: FloatArray) -> None:
+        """Show none: a path over another scene's map would mislead."""
+        self.map.clear()
+        self.shown = ("", "")
+        self.map.origin = self.paths.origin = origin
 
     def _on_ground(self, place: list[float]) -> FloatArray:
         """A place with the height of the ground there, where the page knows it."""

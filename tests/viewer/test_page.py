@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from driving import Operator, Service, until
+from gpdf_client import Client
 
 from gpdf_service.synthetic import SCENES
 
@@ -102,7 +103,7 @@ def test_a_scene_is_loaded_from_the_page(operator, service):
     assert operator.page.facts["sent"]["digest"] == operator.page.facts["more"]["digest"]
 
 
-def test_a_log_is_stepped_through(operator, service, browser):
+def test_a_log_is_stepped_through(operator, service, office):
     operator.plans((0.9, 0.9, 0.0), (5.4, 3.4, 0.0))
     operator.sees("of room everywhere")
     first = path_on_screen(operator)
@@ -126,6 +127,19 @@ def test_a_log_is_stepped_through(operator, service, browser):
     operator.presses("back")
     operator.sees(f"{count - 1} of {count}")
     until(lambda: np.array_equal(path_on_screen(operator), first))
+    with Client.connect(service.endpoint) as client:
+        client.load_scene(
+            "office", upload=office[0].points[office[0].ground], ground=np.ones(office[0].ground.sum(), bool)
+        )
+    operator.tab("Load")
+    operator.presses("Look for scenes again")
+    until(lambda: operator.page.shown[1] != office[1].digest and "cloud" in operator.page.map.there)
+    operator.tab("Log")
+    operator.presses("on")
+    operator.sees("The service has no such scene")  # it has another one of that name
+    assert operator.page.map.drawn == frozenset()
+    with Client.connect(service.endpoint) as client:
+        client.load_scene("office", "office.gpdf")
 
 
 def test_the_laser_scanned_office(browser, scan, tmp_path):
