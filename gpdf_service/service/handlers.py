@@ -100,7 +100,7 @@ class Handlers:
             scene,
             request.start,
             request.goal,
-            _agent(request.agent),
+            agent_of(request.agent),
             method=request.method,  # type: ignore[arg-type]
             deadline_s=request.deadline_s,
         )
@@ -129,7 +129,7 @@ class Handlers:
         if request.field == "ground":
             sample = scene.ground_field.query(points)
         elif request.field == "obstacle":
-            sample = scene.obstacle_field(_agent(request.agent)).query(points)
+            sample = scene.obstacle_field(agent_of(request.agent)).query(points)
         else:
             raise RequestError("field", f"{request.field!r}", "Ask the 'ground' or the 'obstacle' field.")
         return DistanceReply(
@@ -187,7 +187,7 @@ class Handlers:
     def draw(self, request: DrawRequest) -> DrawReply:
         """One part of what a picture shows."""
         scene = self._scene(request.scene)
-        made = draw_part(scene, request.what, _agent(request.agent), request.limit, request.part)
+        made = draw_part(scene, request.what, agent_of(request.agent), request.limit, request.part)
         return DrawReply(
             request_id=request.request_id,
             scene=request.scene,
@@ -239,7 +239,8 @@ class _NoSceneError(Exception):
         self.status = status
 
 
-def _agent(agent: str | dict[str, Any]) -> str | Agent:
+def agent_of(agent: str | dict[str, Any]) -> str | Agent:
+    """The body that a request means: a name, or an `Agent` from its measures."""
     if isinstance(agent, str):
         return agent
     names = [field.name for field in dataclasses.fields(Agent)]

@@ -10,6 +10,8 @@ def answer(result: PlanResult) -> str:
     if result.trajectory is None or result.certificate is None:
         return f"**{result.status.value}** · {result.message}"
     path, proof = result.trajectory, result.certificate
+    if result.status is not Status.OK:
+        return f"**{result.status.value}** · {result.message} ({path.length:.2f} m, **not certified**)"
     return (
         f"**{result.status.value}** · {path.length:.2f} m in {path.duration:.1f} s, "
         f"at least **{proof.min_clearance:.2f} m** of room everywhere. {result.message}"
@@ -39,12 +41,12 @@ def comparison(results: dict[str, PlanResult | str], times: dict[str, float]) ->
         if isinstance(result, str):
             lines.append(f"| {name} | refused | | | |")
             refused.append(f"{name}: {result}")
-        elif result.status is not Status.OK or result.trajectory is None or result.certificate is None:
+        elif result.trajectory is None or result.certificate is None:
             lines.append(f"| {name} | {result.status.value} | | | {1000 * times[name]:.0f} ms |")
         else:
             room = f"{result.certificate.min_clearance:.2f} m"
             length = f"{result.trajectory.length:.2f} m"
-            lines.append(f"| {name} | OK | {length} | {room} | {1000 * times[name]:.0f} ms |")
+            lines.append(f"| {name} | {result.status.value} | {length} | {room} | {1000 * times[name]:.0f} ms |")
     return "\n".join(lines) + "".join(f"\n\n{text}" for text in refused)
 
 
