@@ -25,6 +25,9 @@ class Link:
         self._client: Client | None = None
         self._closing = threading.Event()
         self._thread = threading.Thread(target=self._look, name="gpdf-link", daemon=True)
+
+    def start(self) -> None:
+        """Begin to look."""
         self._thread.start()
 
     @property

@@ -29,7 +29,7 @@ LIFT = 0.02
 """[m] Leaves and the ground's cells are drawn this far apart, so that they do not flicker."""
 
 
-@dataclass
+@dataclass(frozen=True, slots=True)
 class View:
     """What the operator wants to see.
 
@@ -46,6 +46,17 @@ class View:
     below: float = 1.5
     point_size: float = 0.02
     level: int | None = None
+
+    def touched(self, before: View) -> set[str]:
+        """Layers that look different than in the view `before`."""
+        layers = set(self.shown ^ before.shown)
+        if self.level != before.level:
+            layers |= self.shown
+        if (self.colour, self.below) != (before.colour, before.below) or "ground" in layers:
+            layers.add("cloud")
+        if self.point_size != before.point_size:
+            layers |= {"cloud", "obstacles"}
+        return layers
 
 
 class MapLayers:

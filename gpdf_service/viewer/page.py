@@ -19,8 +19,8 @@ from gpdf_schemas import LoadRequest, PlanReply, PlanRequest, SceneReply, Status
 from gpdf_service.types import AGENTS, Agent, FloatArray
 from gpdf_service.viewer import colours, words
 from gpdf_service.viewer.link import Link
-from gpdf_service.viewer.map_layers import MapLayers
-from gpdf_service.viewer.panel import ALL_LEVELS, LAYERS, METHODS, NO_SCENE, SLICES, build_panel, gradient, put
+from gpdf_service.viewer.map_layers import MapLayers, View
+from gpdf_service.viewer.panel import ALL_LEVELS, METHODS, NO_SCENE, SLICES, build_panel, gradient, put
 from gpdf_service.viewer.path_layers import PathLayers
 from gpdf_service.viewer.profile import known_clearance, profile_of
 from gpdf_service.viewer.worker import Worker
@@ -67,11 +67,13 @@ class Page:
         self.next = "start"
         self.recorded: list[tuple[PlanRequest, PlanReply]] = []
         self.digests: dict[tuple[str, int], str] = {}  # of the recorded scenes, by name and version
+        self._stale: set[str] = set()  # layers that the view has changed since they were drawn
         self._closing = threading.Event()
         self._maps, self._plans = Worker("gpdf-maps", self._say_work), Worker("gpdf-plans", self._say_answer)
         self._connect_widgets()
         self._say_next()
         self.link = Link(endpoint, self._on_service)
+        self.link.start()  # what it calls needs `self.link`
         self._ticker = threading.Thread(target=self._tick, name="gpdf-tick", daemon=True)
         self._ticker.start()
         if log_path is not None:
@@ -200,8 +202,8 @@ class Page:
 
     def _renew(self) -> None:
         """Hide what is not wanted, then fetch and draw what is."""
-        for what in LAYERS:
-            self.map.draw(what)
+        while self._stale:
+            self.map.draw(self._stale.pop())
         self._fetch(*(self.map.view.shown - self.map.there))
 
     def _slice(self) -> None:
@@ -462,10 +464,15 @@ class Page:
         return on_update
 
     def _change_view(self) -> None:
-        tab, view = self.panel.map, self.map.view
-        view.shown = frozenset(name for name, box in tab.layers.items() if box.value)
-        view.colour, view.below, view.point_size = tab.colour.value, tab.below.value, tab.size.value
-        view.level = None if tab.level.value == ALL_LEVELS else int(tab.level.value)
+        tab, before = self.panel.map, self.map.view
+        self.map.view = View(
+            shown=frozenset(name for name, box in tab.layers.items() if box.value),
+            colour=tab.colour.value,
+            below=tab.below.value,
+            point_size=tab.size.value,
+            level=None if tab.level.value == ALL_LEVELS else int(tab.level.value),
+        )
+        self._stale |= self.map.view.touched(before)
         self._maps.do("view", self._renew)
 
     def _change_agent(self) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from dataclasses import dataclass
 
 import numpy as np
@@ -31,7 +32,7 @@ class Profile:
 
 def clearance_along(client: Client, scene: str, path: Trajectory, agent: Agent) -> FloatArray:
     """Room beside the body at each waypoint, as the Obstacle GPDF has it [m]; 0 where the field says nothing."""
-    found = client.distance(scene, "obstacle", path.ground, agent.name)
+    found = client.distance(scene, "obstacle", path.ground, dataclasses.asdict(agent))
     return np.where(found.valid, np.maximum(0.0, found.distance - agent.radius), 0.0)
 
 

@@ -11,6 +11,7 @@ from gpdf_schemas import CertificateMessage, Status
 from gpdf_service.service.server import Options, Server
 from gpdf_service.viewer import colours, words
 from gpdf_service.viewer.link import Link
+from gpdf_service.viewer.map_layers import View
 from gpdf_service.viewer.profile import profile_of
 from gpdf_service.viewer.worker import Worker
 
@@ -58,6 +59,7 @@ def test_a_job_that_fails_is_told_and_the_next_is_done():
 def test_the_link_finds_loses_and_finds_again(tmp_path, free_endpoint):
     heard = []
     link = Link(free_endpoint, heard.append)
+    link.start()
     try:
         for _ in range(2):
             with Server(Options(free_endpoint, tmp_path, tmp_path, 1)):
@@ -69,6 +71,22 @@ def test_the_link_finds_loses_and_finds_again(tmp_path, free_endpoint):
     finally:
         link.close()
     assert heard == [True, False, True, False]
+
+
+@pytest.mark.parametrize(
+    ("change", "layers"),
+    [
+        ({}, set()),
+        ({"colour": "level"}, {"cloud"}),
+        ({"below": 1.0}, {"cloud"}),
+        ({"point_size": 0.05}, {"cloud", "obstacles"}),
+        ({"shown": frozenset({"cloud", "ground", "leaves"})}, {"leaves"}),
+        ({"shown": frozenset({"cloud"})}, {"cloud", "ground"}),  # the cloud then shows the ground's own points
+        ({"level": 1}, {"cloud", "ground"}),
+    ],
+)
+def test_only_what_looks_different_is_sent_again(change, layers):
+    assert View(**change).touched(View()) == layers
 
 
 def test_a_ramp_runs_from_its_first_colour_to_its_last_and_stays_there():
