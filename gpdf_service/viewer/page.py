@@ -120,14 +120,15 @@ class Page:
         """List the scenes, and show the chosen one as it is now."""
         client = self.link.client
         self.facts = client.scenes()
-        for name, facts in self.facts.items():
-            if facts["building"]:
-                self._await_build(client, name)
-        self.facts = client.scenes()
         names = tuple(sorted(self.facts)) or (NO_SCENE,)
-        chosen = self.panel.scene.value if self.panel.scene.value in names else names[0]
+        chosen = self.panel.scene.value
+        if chosen not in names:
+            chosen = next((name for name, facts in sorted(self.facts.items()) if facts["state"] == "ready"), names[0])
         self.panel.scene.options = names
         put(self.panel.scene, chosen)
+        if self.facts.get(chosen, {}).get("building"):
+            self._await_build(client, chosen)
+            self.facts = client.scenes()
         self._open_scene(client, chosen)
 
     def _await_build(self, client: Client, name: str) -> None:
@@ -150,6 +151,7 @@ class Page:
         self.panel.map.facts.content = words.facts(facts)
         if self.shown == (name, facts["digest"]):
             self._say_work("")
+            self._prepare()  # it may be another service
             return
         self.shown = (name, facts["digest"])
         self.map.clear()
