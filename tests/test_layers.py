@@ -1,6 +1,8 @@
 """The dependency rule of ARCHITECTURE.md, read from the imports themselves."""
 
 import ast
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -66,10 +68,24 @@ def test_those_who_judge_share_no_code_with_the_planner(name):
     assert own == {"gpdf_service.types"}
 
 
+def test_the_operators_page_is_a_client_and_imports_no_planning():
+    allowed = {"gpdf_service.types", "gpdf_service.service.replay", "gpdf_service.perception"}  # data, logs, files
+    pages = [path for path in files_of("viewer") if path.name != "picture.py"]  # pictures are drawn from scenes
+    assert len(pages) > 5
+    for path in pages:
+        for name in imports_of(path):
+            inside = name.startswith("gpdf_service.") and not name.startswith("gpdf_service.viewer")
+            assert not inside or name in allowed, f"{path.relative_to(ROOT)} imports {name}"
+
+
+def test_the_operators_page_starts_without_the_servers_libraries():
+    heavy = ["numba", "scipy", "matplotlib", "open3d", "mcap"]
+    code = f"import sys, gpdf_service.viewer.page; assert not set({heavy}) & set(sys.modules)"
+    subprocess.run([sys.executable, "-c", code], check=True)
+
+
 @pytest.mark.parametrize("folder", ["clients", "schemas"])
 def test_clients_and_schemas_import_only_what_the_light_install_has(folder):
-    import sys
-
     files = sorted((ROOT / folder).rglob("*.py"))
     assert files
     for path in files:

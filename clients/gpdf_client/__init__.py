@@ -8,6 +8,7 @@ from gpdf_client.results import Certificate as Certificate
 from gpdf_client.results import ClientError as ClientError
 from gpdf_client.results import DecodeError as DecodeError
 from gpdf_client.results import Distances as Distances
+from gpdf_client.results import Drawing as Drawing
 from gpdf_client.results import InvalidRequestError as InvalidRequestError
 from gpdf_client.results import PlanResult as PlanResult
 from gpdf_client.results import ServiceBusyError as ServiceBusyError

@@ -20,6 +20,8 @@ from gpdf_schemas import (
     Array,
     DistanceReply,
     DistanceRequest,
+    DrawReply,
+    DrawRequest,
     LoadRequest,
     MovingObstacle,
     MovingObstacles,
@@ -43,12 +45,14 @@ from gpdf_client.results import (
     ClientError,
     DecodeError,
     Distances,
+    Drawing,
     InvalidRequestError,
     PlanResult,
     ServiceBusyError,
     ServiceError,
     UnavailableError,
     raise_for,
+    to_drawing,
     to_result,
     unpack,
 )
@@ -89,6 +93,7 @@ class Client:
     def __init__(self, session: zenoh.Session) -> None:
         self._session = session
         self._planners = Planners(session, random.Random())
+        self._watchers: list[zenoh.Subscriber[Any]] = []  # dropped, they would end
 
     @classmethod
     def connect(
@@ -174,6 +179,35 @@ class Client:
             raise ServiceError(reply)
         parts = unpack(reply.distance), unpack(reply.gradient), unpack(reply.valid) > 0
         return Distances(*parts, reply.scene_version)
+
+    def draw(
+        self,
+        scene: str,
+        what: str,
+        agent: Agent = "human",
+        *,
+        limit: int = 300_000,
+        progress: Progress = lambda share: None,
+    ) -> Drawing:
+        """Fetch what a picture shows: "cloud", "ground", or the "obstacles" or free "leaves" of an agent.
+
+        Args:
+            scene: Name of a loaded scene.
+            what: What to draw.
+            agent: The body, for obstacles and leaves.
+            limit: Most places to fetch; points are thinned evenly, of the leaves the largest are kept.
+            progress: Told the share that is there.
+        """
+        replies: list[DrawReply] = []
+        while not replies or len(replies) < replies[0].parts:
+            request = DrawRequest(scene=scene, what=what, agent=agent, limit=limit, part=len(replies))
+            reply = self.ask(keys.SCENE_DRAW, request, DrawReply, request.deadline_s)
+            if replies and reply.scene_version != replies[0].scene_version:  # the scene was replaced meanwhile
+                replies = []
+                continue
+            replies.append(reply)
+            progress(len(replies) / reply.parts)
+        return to_drawing(replies)
 
     def scenes(self) -> dict[str, dict[str, Any]]:
         """Facts of every scene by name."""
@@ -261,6 +295,20 @@ class Client:
     def wait_for_service(self, *, timeout_s: float = 30.0) -> None:
         """Wait until a service answers."""
         self.ask(keys.SCENES, SceneRequest(), ScenesReply, timeout_s)
+
+    def watch(self, on_change: Callable[[str, bool], None]) -> None:
+        """Hear of services that come and go, also of those that are there already.
+
+        Args:
+            on_change: Told a service's id and whether it is there, on a thread of Zenoh's; it must return soon. Zenoh
+                finds a service again by itself when it comes back at the same endpoint.
+        """
+
+        def hear(sample: zenoh.Sample) -> None:
+            on_change(str(sample.key_expr).rsplit("/", 1)[-1], sample.kind == zenoh.SampleKind.PUT)
+
+        liveliness = self._session.liveliness()
+        self._watchers.append(liveliness.declare_subscriber(f"{keys.ALIVE}/*", hear, history=True))
 
     def ask(
         self,

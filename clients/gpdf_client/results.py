@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import gpdf_schemas
 import numpy as np
-from gpdf_schemas import Array, CertificateMessage, PlanReply, Reply, Status
+from gpdf_schemas import Array, CertificateMessage, DrawReply, PlanReply, Reply, Status
 from numpy.typing import NDArray
 
 from gpdf_client.trajectory import FloatArray, Trajectory
@@ -74,6 +75,23 @@ class Distances:
     scene_version: int = 0
 
 
+@dataclass(frozen=True, slots=True)
+class Drawing:
+    """What a picture of a scene shows.
+
+    Attributes:
+        scene_version: Version of the scene that it shows.
+        origin: To add to the places, (3,) [m].
+        places: Relative to `origin` [m], (n, 3).
+        columns: What is known of each place, by name (see `gpdf_schemas.DrawReply`), each (n,).
+    """
+
+    scene_version: int
+    origin: FloatArray
+    places: FloatArray
+    columns: dict[str, FloatArray]
+
+
 _ERRORS: dict[Status, type[ServiceError]] = {
     Status.INVALID_REQUEST: InvalidRequestError,
     Status.UNKNOWN_SCENE: UnknownSceneError,
@@ -119,3 +137,11 @@ def to_result(reply: PlanReply) -> PlanResult:
         reply.timings,
         reply.request_id,
     )
+
+
+def to_drawing(replies: Sequence[DrawReply]) -> Drawing:
+    """Join the parts of a drawing."""
+    first = replies[0]
+    rows = np.concatenate([reply.rows.unpack() for reply in replies if reply.rows is not None])
+    columns = dict(zip(first.columns, rows.T, strict=True))
+    return Drawing(first.scene_version, np.array(first.origin), rows[:, :3], columns)

@@ -37,6 +37,10 @@ VERBS: dict[str, tuple[str, str]] = {
     "bench service": ("gpdf_service.bench.service", "what Zenoh, msgpack and the log add to a plan"),
     "bench fuzz": ("gpdf_service.bench.fuzz", "malformed requests against the real service, valid clients beside them"),
     "bench soak": ("gpdf_service.bench.soak", "loads, plans and unloads for minutes: memory, threads and files of it"),
+    "view": (
+        "gpdf_service.viewer.view_verb",
+        "a page in the browser: see scenes, plan by two clicks, step through logs",
+    ),
     "demo": ("gpdf_service.cli.demo", "see it happen: service, four bodies, picture and log"),
 }
 

@@ -22,7 +22,7 @@ from gpdf_service.perception import read_cloud
 from gpdf_service.pipeline import build_scene
 from gpdf_service.synthetic import SCENES
 from gpdf_service.types import AGENTS, PlanResult
-from gpdf_service.viewer import draw_plans
+from gpdf_service.viewer.picture import draw_plans
 
 DEFAULT_PORT = 7447
 LASER_OFFICE = "cluttered_office_tls_1cm.npz"

@@ -32,7 +32,7 @@ def run(args: argparse.Namespace) -> int:
     result = plan(scene, args.start, args.goal, args.agent, method=args.method, deadline_s=args.deadline)
     seconds = time.perf_counter() - began
     if args.png:
-        from gpdf_service.viewer import draw_plans
+        from gpdf_service.viewer.picture import draw_plans
 
         draw_plans(scene, {args.agent: result}, args.png, start=args.start, goal=args.goal)
     if args.json:

@@ -21,7 +21,7 @@ def run(args: argparse.Namespace) -> int:
     """Print facts about the scene; draw it when asked."""
     scene = open_scene(args)
     if args.png:
-        from gpdf_service.viewer import draw_scene
+        from gpdf_service.viewer.picture import draw_scene
 
         draw_scene(scene, args.agent, args.png)
     info = scene.info()

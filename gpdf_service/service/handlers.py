@@ -18,6 +18,8 @@ from gpdf_schemas import (
     DecodeError,
     DistanceReply,
     DistanceRequest,
+    DrawReply,
+    DrawRequest,
     FileReply,
     FileRequest,
     LoadRequest,
@@ -37,6 +39,7 @@ from gpdf_schemas import (
 from gpdf_service.errors import GpdfError, RequestError, SceneFileError
 from gpdf_service.pipeline import plan
 from gpdf_service.scene import Scene
+from gpdf_service.service.drawing import draw_part
 from gpdf_service.service.moving import Moving
 from gpdf_service.service.scenes import Shelf, describe
 from gpdf_service.types import Agent, PlanResult, Trajectory
@@ -97,6 +100,7 @@ class Handlers:
             keys.SCENE_UPLOAD: (UploadRequest, SceneReply, self.upload),
             keys.SCENE_UNLOAD: (SceneRequest, SceneReply, self.unload),
             keys.SCENE_FILE: (FileRequest, FileReply, self.file),
+            keys.SCENE_DRAW: (DrawRequest, DrawReply, self.draw),
         }
 
     def answer(self, key: str, payload: bytes, received: float) -> Reply:
@@ -138,7 +142,7 @@ class Handlers:
             scene,
             request.start,
             request.goal,
-            _agent(request.agent),
+            agent_of(request.agent),
             method=request.method,  # type: ignore[arg-type]
             deadline_s=request.deadline_s,
         )
@@ -167,7 +171,7 @@ class Handlers:
         if request.field == "ground":
             sample = scene.ground_field.query(points)
         elif request.field == "obstacle":
-            sample = scene.obstacle_field(_agent(request.agent)).query(points)
+            sample = scene.obstacle_field(agent_of(request.agent)).query(points)
         else:
             raise RequestError("field", f"{request.field!r}", "Ask the 'ground' or the 'obstacle' field.")
         return DistanceReply(
@@ -247,6 +251,22 @@ class Handlers:
             size=size,
         )
 
+    def draw(self, request: DrawRequest) -> DrawReply:
+        """One part of what a picture shows."""
+        scene = self._scene(request.scene, request.deadline_s)
+        made = draw_part(scene, request.what, agent_of(request.agent), request.limit, request.part)
+        return DrawReply(
+            request_id=request.request_id,
+            scene=request.scene,
+            scene_version=scene.version,
+            planner=self.planner_id,
+            part=request.part,
+            parts=made.parts,
+            origin=made.origin.tolist(),
+            columns=list(made.columns),
+            rows=Array.pack(made.rows, "f4"),
+        )
+
     def _scene_reply(
         self,
         request: SceneRequest | LoadRequest | UploadRequest,
@@ -292,7 +312,8 @@ class _NoSceneError(Exception):
         self.status = status
 
 
-def _agent(agent: str | dict[str, Any]) -> str | Agent:
+def agent_of(agent: str | dict[str, Any]) -> str | Agent:
+    """The body that a request means: a name, or an `Agent` from its measures."""
     if isinstance(agent, str):
         return agent
     names = [field.name for field in dataclasses.fields(Agent)]

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from gpdf_schemas import PlanReply, PlanRequest, decode, keys
-from mcap.records import Channel, Message
+from mcap.records import Channel, Message, Metadata
 
 from gpdf_service.service.record import records_of
 
@@ -46,6 +47,16 @@ def recorded_plans(path: Path) -> Iterator[tuple[PlanRequest, PlanReply]]:
             reply = decode(record.data, PlanReply)
             if reply.status not in ("INVALID_REQUEST", "BUSY", "UNAVAILABLE"):
                 yield decode(request, PlanRequest), reply
+
+
+def recorded_scenes(path: Path) -> dict[tuple[str, int], str]:
+    """Digest of every scene in a log, by its name and version."""
+    found: dict[tuple[str, int], str] = {}
+    for record in records_of(path):
+        if isinstance(record, Metadata) and record.name.startswith("scene/"):
+            facts = json.loads(record.metadata["facts"])
+            found[record.name.removeprefix("scene/"), int(facts["version"])] = facts["digest"]
+    return found
 
 
 def compare(request: PlanRequest, was: PlanReply, now: PlanReply) -> Comparison:

@@ -8,15 +8,19 @@ import json
 import sys
 import time
 from pathlib import Path
+from typing import cast
 
 import msgspec
 from gpdf_client import Client
 from gpdf_client.client import DEFAULT_ENDPOINT
+from gpdf_client.results import to_result
 from gpdf_schemas import PlanReply, PlanRequest, Status, keys
 
-from gpdf_service.service.handlers import Handlers
+from gpdf_service.errors import RequestError
+from gpdf_service.service.handlers import Handlers, agent_of
 from gpdf_service.service.replay import Ask, compare, recorded_plans
 from gpdf_service.service.scenes import Shelf
+from gpdf_service.types import PlanResult
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -25,6 +29,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--endpoint", default=DEFAULT_ENDPOINT, help="the service to ask")
     parser.add_argument("--scene", action="append", default=[], metavar="NAME=CLOUD", help="plan in process with it")
     parser.add_argument("--request", help="only the request with this id")
+    parser.add_argument(
+        "--png", type=Path, help="draw the first plan that differs (or the first), was and is; with --scene"
+    )
     parser.add_argument("--json", action="store_true", help="print the comparisons as JSON")
 
 
@@ -33,10 +40,17 @@ def run(args: argparse.Namespace) -> int:
     if not args.log.is_file():
         print(f"gpdf: there is no log {args.log}", file=sys.stderr)
         return 1
+    if args.png and not args.scene:
+        print("gpdf: --png draws on a scene: name it with --scene NAME=CLOUD", file=sys.stderr)
+        return 1
     plans = [pair for pair in recorded_plans(args.log) if args.request in (None, pair[0].request_id)]
     if args.scene:
-        ask = _in_process(args.scene)
-        results = [compare(request, was, ask(request)) for request, was in plans]
+        ask, shelf = _in_process(args.scene)
+        replies = [ask(request) for request, _ in plans]
+        results = [compare(request, was, now) for (request, was), now in zip(plans, replies, strict=True)]
+        if args.png and results:
+            index = next((i for i, result in enumerate(results) if not result.same), 0)
+            _draw(shelf, *plans[index], replies[index], args.png)
     else:
         with Client.connect(args.endpoint) as client:
             ask = _over_zenoh(client)
@@ -61,7 +75,19 @@ def _over_zenoh(client: Client) -> Ask:
     return ask
 
 
-def _in_process(scenes: list[str]) -> Ask:
+def _draw(shelf: Shelf, request: PlanRequest, was: PlanReply, now: PlanReply, path: Path) -> None:
+    from gpdf_service.viewer.picture import draw_plans
+
+    entry = shelf.get(request.scene)
+    if entry is None or entry.scene is None:
+        raise RequestError("--png", f"the log's scene {request.scene!r} is not given", "Name it with --scene.")
+    drawn = cast("dict[str, PlanResult]", {"recorded": to_result(was), "again": to_result(now)})
+    title = f"request {request.request_id}: {request.method}"
+    agent = agent_of(request.agent)
+    draw_plans(entry.scene, drawn, path, agent=agent, start=request.start, goal=request.goal, title=title)
+
+
+def _in_process(scenes: list[str]) -> tuple[Ask, Shelf]:
     shelf = Shelf(Path())
     for text in scenes:
         name, _, path = text.partition("=")
@@ -74,4 +100,4 @@ def _in_process(scenes: list[str]) -> Ask:
         assert isinstance(reply, PlanReply)
         return reply
 
-    return ask
+    return ask, shelf

@@ -15,7 +15,7 @@ from typing import Any
 from gpdf_service.config import Config
 from gpdf_service.errors import GpdfError
 from gpdf_service.perception import read_cloud
-from gpdf_service.pipeline import build_scene
+from gpdf_service.pipeline import Progress, build_scene
 from gpdf_service.scene import Scene, load_scene
 from gpdf_service.service.memory import held_bytes
 from gpdf_service.service.scene_files import SUFFIX, SceneFiles
@@ -25,7 +25,7 @@ from gpdf_service.types import BoolArray, FloatArray
 log = logging.getLogger(__name__)
 
 NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,63}")
-Build = Callable[[], Scene]
+Build = Callable[[Progress], Scene]
 
 
 @dataclass(slots=True)
@@ -48,6 +48,12 @@ class Entry:
     error: str = ""
     used: float = 0.0
     lock: threading.Lock = field(default_factory=threading.Lock)
+    stage: tuple[str, float] = ("", 0.0)
+    """What the build does, and the share of it that is done."""
+
+    def note(self, stage: str, done: float) -> None:
+        """Take the build's progress."""
+        self.stage = stage, done
 
     @property
     def building(self) -> bool:
@@ -169,11 +175,12 @@ class Shelf:
         if not _is_file(path):
             raise ValueError(f"file {str(file)!r} is not in the scenes folder. Put it there, or upload the points.")
 
-        def build() -> Scene:
+        def build(progress: Progress) -> Scene:
+            progress("read the file", 0.0)
             if path.suffix == SUFFIX:
                 return load_scene(path)
             cloud = read_cloud(path)
-            return build_scene(cloud.points, cloud.ground, self._config)
+            return build_scene(cloud.points, cloud.ground, self._config, progress=progress)
 
         self._start(name, build)
 
@@ -188,7 +195,7 @@ class Shelf:
         whole = self._uploads.add(f"{name}/{upload_id}", part, parts, points, ground)
         if whole is None:
             return False
-        self._start(name, lambda: build_scene(*whole, self._config))
+        self._start(name, lambda progress: build_scene(*whole, self._config, progress=progress))
         return True
 
     def place(self, name: str, scene: Scene, path: Path) -> None:
@@ -216,7 +223,7 @@ class Shelf:
 
     def _build(self, name: str, entry: Entry, build: Build, file: Path | None) -> None:
         try:
-            scene = build()
+            scene = build(entry.note)
         except GpdfError as error:
             log.warning("scene %s: %s", name, error)
             self._fail(entry, str(error))
@@ -271,6 +278,8 @@ def describe(entry: Entry) -> dict[str, Any]:
     """Facts of one entry, ready for the wire."""
     state = "ready" if entry.ready else ("building" if entry.building else "failed")
     facts: dict[str, Any] = {"state": state, "building": entry.building, "error": entry.error}
+    if entry.building:
+        facts |= {"stage": entry.stage[0], "done": entry.stage[1]}
     scene = entry.scene
     return (
         facts

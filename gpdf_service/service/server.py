@@ -250,7 +250,8 @@ class Server:
     def _reply(self, job: _Job, reply: Reply, *, patient: bool = True) -> None:
         data = encode(msgspec.structs.replace(reply, load=self.load))
         stamp = time.time_ns()
-        self.recorder.exchange(job.key, job.payload, data, job.received_ns, stamp, patient=patient)
+        if job.key != keys.SCENE_DRAW:  # megabytes that the scene's digest, which is in the log, stands for
+            self.recorder.exchange(job.key, job.payload, data, job.received_ns, stamp, patient=patient)
         self.metrics.count(reply, time.monotonic() - job.received)  # who has the answer finds it counted
         with job.query:  # dropped after the reply, or the client waits for its time-out
             job.query.reply(job.wire_key, data)

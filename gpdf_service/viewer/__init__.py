@@ -1,4 +1,1 @@
-"""Pictures of scenes and plans."""
-
-from gpdf_service.viewer.picture import draw_plans as draw_plans
-from gpdf_service.viewer.picture import draw_scene as draw_scene
+"""See it: pictures without a browser (`picture`), and the operator's page (`page`), a client of a running service."""

@@ -12,12 +12,14 @@ from typing import Any
 import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.collections import PatchCollection
+from matplotlib.colors import LinearSegmentedColormap, ListedColormap
 from matplotlib.figure import Figure
-from matplotlib.patches import Rectangle
+from matplotlib.patches import Patch, Rectangle
 
 from gpdf_service.perception import ObstacleKind
+from gpdf_service.perception.surface import INFERRED
 from gpdf_service.scene import Scene
-from gpdf_service.types import Agent, FloatArray, PlanResult, Status, Trajectory
+from gpdf_service.types import Agent, FloatArray, PlanResult, Status, Trajectory, resolve_agent
 
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
 KIND_COLOURS = {
@@ -26,6 +28,11 @@ KIND_COLOURS = {
     ObstacleKind.SLOPE: "#E69F00",
     ObstacleKind.UNKNOWN: "#CC79A7",
 }
+GROUND = LinearSegmentedColormap.from_list("ground", ["#f4efe4", "#cdbb93", "#7d6a45"])
+"""Pale, so that what lies on it is seen; darker is higher."""
+INFERRED_COLOUR, FITS, FITS_EDGE = "#8fd9d3", "#56B4E9", "#0072B2"
+LINE_WIDTH = 2.0
+"""[pt]"""
 FIELD_PIXELS = 240
 """Samples of the distance field along the longer side of a picture: finer than it is printed."""
 CLOUD_POINTS = 60_000
@@ -37,6 +44,7 @@ def draw_plans(
     results: Mapping[str, PlanResult],
     path: str | os.PathLike[str],
     *,
+    agent: str | Agent | None = None,
     start: Sequence[float] = (),
     goal: Sequence[float] = (),
     title: str = "",
@@ -45,8 +53,9 @@ def draw_plans(
 
     Args:
         scene: Where they were planned.
-        results: By the agent's name; those without a trajectory stand in the legend with their status.
+        results: By the name in the legend; those without a trajectory stand in the legend with their status.
         path: The PNG to write.
+        agent: Whose obstacles and free space are shown; the one that the first result is named by if None.
         start: Marked when given, (x, y, …) [m].
         goal: The same.
         title: Over the picture.
@@ -56,22 +65,24 @@ def draw_plans(
     grid = figure.add_gridspec(2, 1, height_ratios=(3, 1))
     plan_axes, side_axes = figure.add_subplot(grid[0]), figure.add_subplot(grid[1])
     level = _level_of(scene, next(iter(shown.values()), None))
-    _draw_field(figure, plan_axes, scene, next(iter(results)), level)
-    _draw_obstacles(plan_axes, scene, next(iter(results)), level)
+    body = resolve_agent(next(iter(results)) if agent is None else agent)
+    _draw_field(figure, plan_axes, scene, body, level)
+    _draw_obstacles(plan_axes, scene, body, level)
     for i, (name, result) in enumerate(results.items()):
         label = f"{name}: {_summary(result)}"
         colour = COLOURS[i % len(COLOURS)]
         if result.trajectory is None:
             plan_axes.plot([], [], color=colour, label=label)
             continue
-        plan_axes.plot(*result.trajectory.positions[:, :2].T, color=colour, lw=2.2, label=label, zorder=5)
+        width = LINE_WIDTH + (len(results) - 1 - i)  # where paths lie on each other, the first looks out below
+        plan_axes.plot(*result.trajectory.positions[:, :2].T, color=colour, lw=width, label=label, zorder=5)
         _draw_profile(side_axes, result.trajectory, name, colour)
     for place, marker, label in ((start, "o", "start"), (goal, "*", "goal")):
         if len(place):
             style: dict[str, Any] = {"marker": marker, "ms": 13, "mfc": "white", "mec": "black", "ls": "", "zorder": 6}
             plan_axes.plot(place[0], place[1], label=label, **style)
     plan_axes.set(xlabel="x [m]", ylabel="y [m]", aspect="equal", title=title or "plan view")
-    plan_axes.legend(loc="upper left", bbox_to_anchor=(1.15, 1.0), fontsize=9)
+    plan_axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.08), fontsize=9, ncols=3)
     side_axes.set(xlabel="distance along the path in plan [m]", ylabel="z [m]", title="side view along each path")
     if shown:
         side_axes.legend(fontsize=8, ncols=4, loc="upper center", bbox_to_anchor=(0.5, -0.2))
@@ -79,21 +90,28 @@ def draw_plans(
 
 
 def draw_scene(scene: Scene, agent: str | Agent, path: str | os.PathLike[str]) -> None:
-    """Draw each level: ground by height, inferred ground, what stops the agent and why, and the quadtree."""
+    """Draw each level: ground by height, inferred ground, what stops the agent and why, and where it fits."""
+    body = resolve_agent(agent)
     count = len(scene.surfaces)
     figure = Figure(figsize=(11 * min(count, 2), 9 * ((count + 1) // 2)), layout="constrained")
     for i, surface in enumerate(scene.surfaces):
         axes = figure.add_subplot((count + 1) // 2, min(count, 2), i + 1)
         nx, ny = surface.height.shape
         extent = _extent(surface.origin, surface.cell_width * np.array([nx, ny]))
-        image = axes.imshow(surface.height.T, origin="lower", extent=extent, cmap="cividis", interpolation="nearest")
+        image = axes.imshow(surface.height.T, origin="lower", extent=extent, cmap=GROUND, interpolation="nearest")
         figure.colorbar(image, ax=axes, label="height of the ground [m]", shrink=0.7)
-        inferred = np.where(surface.state == 2, 1.0, np.nan)
-        axes.imshow(inferred.T, origin="lower", extent=extent, cmap="cool", alpha=0.45, interpolation="nearest")
-        _draw_quadtree(axes, scene, agent, i)
-        _draw_obstacles(axes, scene, agent, i)
-        axes.set(xlabel="x [m]", ylabel="y [m]", aspect="equal", title=f"level {i}: ground (inferred in turquoise)")
-        axes.legend(loc="upper right", fontsize=8, markerscale=6)
+        inferred = np.where(surface.state == INFERRED, 1.0, np.nan)
+        shade = ListedColormap([INFERRED_COLOUR])
+        axes.imshow(inferred.T, origin="lower", extent=extent, cmap=shade, alpha=0.7, interpolation="nearest")
+        _draw_quadtree(axes, scene, body, i, filled=True)
+        _draw_obstacles(axes, scene, body, i)
+        axes.set(xlabel="x [m]", ylabel="y [m]", aspect="equal", title=f"level {i} as the {body.name} finds it")
+        named = [
+            Patch(color=INFERRED_COLOUR, alpha=0.7, label="inferred ground"),
+            Patch(color=FITS, alpha=0.4, label=f"the {body.name}'s centre may be here"),
+        ]
+        handles = [*named, *axes.get_legend_handles_labels()[0]]
+        axes.legend(handles=handles, loc="upper left", bbox_to_anchor=(0.0, -0.07), ncols=3, fontsize=9)
     _save(figure, path)
 
 
@@ -122,7 +140,7 @@ def _level_of(scene: Scene, trajectory: Trajectory | None) -> int:
     return int(np.bincount(gap.argmin(axis=0)).argmax())
 
 
-def _draw_field(figure: Figure, axes: Any, scene: Scene, agent: str | Agent, level: int) -> None:  # noqa: ANN401
+def _draw_field(figure: Figure, axes: Any, scene: Scene, agent: Agent, level: int) -> None:  # noqa: ANN401
     surface = scene.surfaces[level]
     size = surface.cell_width * np.array(surface.height.shape)
     step = size.max() / FIELD_PIXELS
@@ -132,25 +150,29 @@ def _draw_field(figure: Figure, axes: Any, scene: Scene, agent: str | Agent, lev
     sample = scene.free_space(agent).obstacle_fields[level].query(queries)
     distance = np.where(sample.valid, sample.distance, np.nan).reshape(len(x), len(y))
     image = axes.imshow(distance.T, origin="lower", extent=_extent(surface.origin, size), cmap="cividis", alpha=0.8)
-    figure.colorbar(image, ax=axes, label=f"distance to what stops the {agent} [m]", shrink=0.7)
+    figure.colorbar(image, ax=axes, label=f"distance to what stops the {agent.name} [m]", shrink=0.7)
     _draw_quadtree(axes, scene, agent, level)
 
 
-def _draw_quadtree(axes: Any, scene: Scene, agent: str | Agent, level: int) -> None:  # noqa: ANN401
+def _draw_quadtree(axes: Any, scene: Scene, agent: Agent, level: int, *, filled: bool = False) -> None:  # noqa: ANN401
     tree = scene.free_space(agent).quadtrees[level]
     corners = tree.center[tree.free] - tree.half_size[tree.free, None]
     widths = 2 * tree.half_size[tree.free]
     squares = [Rectangle(tuple(c), w, w) for c, w in zip(corners, widths, strict=True)]
-    axes.add_collection(PatchCollection(squares, facecolor="none", edgecolor="white", linewidth=0.25, alpha=0.6))
+    if filled:
+        axes.add_collection(PatchCollection(squares, facecolor=FITS, edgecolor=FITS_EDGE, linewidth=0.2, alpha=0.4))
+    else:
+        axes.add_collection(PatchCollection(squares, facecolor="none", edgecolor="white", linewidth=0.25, alpha=0.6))
 
 
-def _draw_obstacles(axes: Any, scene: Scene, agent: str | Agent, level: int) -> None:  # noqa: ANN401
+def _draw_obstacles(axes: Any, scene: Scene, agent: Agent, level: int) -> None:  # noqa: ANN401
     obstacles = scene.free_space(agent).obstacles[level]
     stride = max(1, len(obstacles.points) // CLOUD_POINTS)
     for kind, colour in KIND_COLOURS.items():
         points = obstacles.points[obstacles.kind == kind][::stride]
         if len(points):
-            axes.plot(points[:, 0], points[:, 1], ".", ms=0.7, color=colour, label=kind.name.lower(), zorder=3)
+            axes.plot(points[:, 0], points[:, 1], ".", ms=0.7, color=colour, zorder=3)
+            axes.plot([], [], "o", ms=5, color=colour, label=kind.name.lower())  # for the legend, large enough to see
 
 
 def _draw_profile(axes: Any, trajectory: Trajectory, name: str, colour: str) -> None:  # noqa: ANN401

@@ -12,6 +12,8 @@ from gpdf_schemas.messages import CueMessage as CueMessage
 from gpdf_schemas.messages import Cylinder as Cylinder
 from gpdf_schemas.messages import DistanceReply as DistanceReply
 from gpdf_schemas.messages import DistanceRequest as DistanceRequest
+from gpdf_schemas.messages import DrawReply as DrawReply
+from gpdf_schemas.messages import DrawRequest as DrawRequest
 from gpdf_schemas.messages import FileReply as FileReply
 from gpdf_schemas.messages import FileRequest as FileRequest
 from gpdf_schemas.messages import LoadRequest as LoadRequest

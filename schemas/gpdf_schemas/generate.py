@@ -29,6 +29,8 @@ MESSAGES = (
     messages.StatusReply,
     messages.SceneChanged,
     messages.MovingObstacles,
+    messages.DrawRequest,
+    messages.DrawReply,
 )
 
 

@@ -340,6 +340,28 @@ class FileRequest(msgspec.Struct, frozen=True, kw_only=True):
     request_id: str = ""
 
 
+class DrawRequest(msgspec.Struct, frozen=True, kw_only=True):
+    """Ask on `keys.SCENE_DRAW` for one part of what a picture of a scene shows.
+
+    Attributes:
+        scene: Name of a loaded scene.
+        what: "cloud", "ground" (centres of its cells), "obstacles" or "leaves" (of the free space) of an agent.
+        agent: Name of a known body, or its measures; only "obstacles" and "leaves" depend on it.
+        limit: Most rows of all parts together: points are thinned evenly, of the leaves the largest are kept.
+        part: Number of this part, from 0; points are shuffled, so that the first part shows all of the scene.
+        deadline_s: Seconds that the answer may take.
+        request_id: Chosen by the client.
+    """
+
+    scene: str
+    what: str
+    agent: str | dict[str, Any] = "human"
+    limit: int = 300_000
+    part: int = 0
+    deadline_s: float = 30.0
+    request_id: str = ""
+
+
 class FileReply(Reply, frozen=True, kw_only=True):
     """At most 1 MB of the file from the offset on, and the size of the whole [bytes]."""
 
@@ -373,3 +395,24 @@ class SceneChanged(msgspec.Struct, frozen=True, kw_only=True):
     scene: str
     version: int
     digest: str = ""
+
+
+class DrawReply(Reply, frozen=True, kw_only=True):
+    """One part of a drawing, at most 1 MB.
+
+    Attributes:
+        part: Number of this part.
+        parts: How many there are; all of one drawing have the same `scene_version`.
+        origin: (x, y, z) [m] to add to the rows' places, which are relative to it so that f4 is exact to 0.1 mm.
+        columns: What the rows hold: x, y, z, level (-1: over no known ground), then of the cloud "ground" (0 or 1) and
+            "above", its height over that level's ground (over the lowest where level is -1) [m], of the ground
+            "inferred" (0 or 1), of the obstacles "kind" (0 material, 1 step, 2 slope, 3 unknown ground), of the leaves
+            "half_size" and "clearance" [m].
+        rows: (n, columns), f4.
+    """
+
+    part: int = 0
+    parts: int = 0
+    origin: list[float] = []
+    columns: list[str] = []
+    rows: Array | None = None

@@ -6,6 +6,7 @@ import subprocess
 import sys
 import threading
 import time
+from functools import partial
 
 import msgpack
 import numpy as np
@@ -356,18 +357,23 @@ def test_a_running_service_is_seen_by_its_liveliness_token(running):
 
 
 def test_a_scene_is_ready_only_when_its_last_load_is(tmp_path):
-    from gpdf_service.service.scenes import Shelf
+    from gpdf_service.service.scenes import Shelf, describe
 
     shelf, gates, first_done = Shelf(tmp_path), [threading.Event(), threading.Event()], threading.Event()
     scenes = [gpdf.build_scene(floor(width)) for width in (3.0, 4.0)]
     shelf._on_ready = lambda name, scene: first_done.set()
 
-    def build(i):
+    def build(i, progress):
+        progress("wait", 0.5)
         gates[i].wait(30)
         return scenes[i]
 
     for i in range(2):
-        shelf._start("x", lambda i=i: build(i))
+        shelf._start("x", partial(build, i))
+    until = time.monotonic() + 30
+    while describe(shelf.get("x"))["done"] < 0.5 and time.monotonic() < until:
+        time.sleep(0.01)
+    assert describe(shelf.get("x"))["stage"] == "wait"
     gates[0].set()
     assert first_done.wait(30)
     assert shelf.get("x").building

@@ -1,0 +1,109 @@
+"""What a picture of a scene shows, as tables in parts: cloud, ground, and the obstacles and leaves of a body."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from gpdf_service.errors import RequestError
+from gpdf_service.scene import Scene, level_under
+from gpdf_service.types import Agent, FloatArray, IntArray
+
+PART_BYTES = 1_000_000
+"""One part: small requests stay quick beside it."""
+MAX_ROWS = 2_000_000
+"""More than a browser bears, and 40 parts."""
+
+
+@dataclass(frozen=True, slots=True)
+class Part:
+    """One part of a drawing: `parts` in all, the columns' names, and the rows with places relative to `origin` [m]."""
+
+    parts: int
+    origin: FloatArray
+    columns: tuple[str, ...]
+    rows: FloatArray
+
+
+def draw_part(scene: Scene, what: str, agent: str | Agent, limit: int, part: int) -> Part:
+    """Make one part; the same arguments give the same rows, so that the parts of one version fit together.
+
+    Raises:
+        RequestError: there is no such thing to draw, or no such part.
+    """
+    if what not in _TABLES:
+        raise RequestError("what", f"{what!r}", f"Use one of {', '.join(_TABLES)}.")
+    if not 0 < limit <= MAX_ROWS:
+        raise RequestError("limit", f"{limit}", f"Ask for 1 to {MAX_ROWS} rows.")
+    columns, chosen, rows_of = _TABLES[what](scene, agent)
+    chosen = chosen[:limit]
+    size = PART_BYTES // (4 * len(columns))
+    parts = max(1, -(-len(chosen) // size))
+    if not 0 <= part < parts:
+        raise RequestError("part", f"{part}", f"There are {parts}; they count from 0.")
+    origin = scene.points.min(axis=0)
+    rows = rows_of(chosen[part * size : (part + 1) * size])
+    rows[:, :3] -= origin
+    return Part(parts, origin, columns, rows)
+
+
+_Table = tuple[tuple[str, ...], IntArray, Callable[[IntArray], FloatArray]]
+
+
+def _shuffled(count: int) -> IntArray:
+    """The same order each time; its first part shows all of the scene, thinner."""
+    return np.random.default_rng(0).permutation(count)
+
+
+def _cloud(scene: Scene, agent: str | Agent) -> _Table:
+    def rows(chosen: IntArray) -> FloatArray:
+        points = scene.points[chosen]
+        level = level_under(scene.surfaces, points)
+        beneath = np.full(len(points), min(float(np.nanmin(surface.height)) for surface in scene.surfaces))
+        for i, surface in enumerate(scene.surfaces):
+            beneath[level == i] = surface.height_at(points[level == i, :2])
+        return np.column_stack([points, level, scene.ground[chosen], points[:, 2] - beneath])
+
+    return ("x", "y", "z", "level", "ground", "above"), _shuffled(len(scene.points)), rows
+
+
+def _ground(scene: Scene, agent: str | Agent) -> _Table:
+    levels = scene.levels.levels
+    table = np.concatenate(
+        [_with_level(level.ground_points, i, level.inferred.astype(np.float64)) for i, level in enumerate(levels)]
+    )
+    return ("x", "y", "z", "level", "inferred"), _shuffled(len(table)), lambda chosen: table[chosen]
+
+
+def _obstacles(scene: Scene, agent: str | Agent) -> _Table:
+    found = scene.free_space(agent).obstacles
+    table = np.concatenate(
+        [_with_level(level.points, i, level.kind.astype(np.float64)) for i, level in enumerate(found)]
+    )
+    return ("x", "y", "z", "level", "kind"), _shuffled(len(table)), lambda chosen: table[chosen]
+
+
+def _leaves(scene: Scene, agent: str | Agent) -> _Table:
+    parts = []
+    for i, (tree, surface) in enumerate(zip(scene.free_space(agent).quadtrees, scene.surfaces, strict=True)):
+        xy = tree.center[tree.free]
+        height = surface.height_at(xy)
+        leaf = _with_level(np.column_stack([xy, height]), i, tree.half_size[tree.free], tree.clearance[tree.free])
+        parts.append(leaf[np.isfinite(height)])
+    table = np.concatenate(parts)
+    largest_first = np.argsort(-table[:, 4], kind="stable")
+    return ("x", "y", "z", "level", "half_size", "clearance"), largest_first, lambda chosen: table[chosen]
+
+
+def _with_level(points: FloatArray, level: int, *more: FloatArray) -> FloatArray:
+    return np.column_stack([points, np.full(len(points), float(level)), *more])
+
+
+_TABLES: dict[str, Callable[[Scene, str | Agent], _Table]] = {
+    "cloud": _cloud,
+    "ground": _ground,
+    "obstacles": _obstacles,
+    "leaves": _leaves,
+}

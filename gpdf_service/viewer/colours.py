@@ -1,0 +1,61 @@
+"""Colours that the colour-blind can tell apart: viridis for heights and distances, Okabe and Ito's for kinds."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gpdf_service.types import FloatArray
+
+Colours = NDArray[np.uint8]
+
+VIRIDIS = np.array(
+    [
+        (68, 1, 84),
+        (70, 50, 126),
+        (54, 92, 141),
+        (39, 127, 142),
+        (31, 161, 135),
+        (74, 193, 109),
+        (160, 218, 57),
+        (253, 231, 37),
+    ],
+    dtype=np.float64,
+)
+"""matplotlib's viridis at even steps."""
+PALE = 0.6 * VIRIDIS + 0.4 * 255.0
+"""For the cloud, so that a path stands out before it."""
+ROOM = np.array([(213, 94, 0), (230, 159, 0), (0, 158, 115), (0, 114, 178)], dtype=np.float64)
+"""From no room (vermilion) to enough of it (blue), nowhere as pale as the floor."""
+ENOUGH_ROOM = 0.5
+"""[m] Clearance that is shown as blue: half a body's width more than is needed."""
+METHODS = {"dual_gpdf": (0, 114, 178), "single_gpdf": (230, 159, 0), "astar": (204, 121, 167), "prm": (0, 158, 115)}
+"""The paper's four methods."""
+KINDS = np.array([(90, 90, 90), (213, 94, 0), (230, 159, 0), (204, 121, 167)], np.uint8)
+"""What stops a body: material, step, slope, unknown ground."""
+KIND_NAMES = ("material", "step", "slope", "unknown ground")
+LEVELS = np.array([(86, 180, 233), (230, 159, 0), (0, 158, 115), (204, 121, 167), (0, 114, 178)], np.uint8)
+"""Storeys, over and over."""
+NOWHERE = (150, 150, 150)
+"""What lies over no known ground."""
+SEEN, INFERRED = np.array([(190, 186, 178), (64, 196, 190)], np.uint8)
+"""Ground that was measured, and ground that its surroundings explain."""
+
+
+def ramp(values: FloatArray, low: float, high: float, colours: FloatArray = VIRIDIS) -> Colours:
+    """Colours of values (n,) between `low` and `high`, shape (n, 3)."""
+    share = np.clip((values - low) / max(high - low, 1e-9), 0.0, 1.0) * (len(colours) - 1)
+    steps = np.arange(len(colours))
+    return np.column_stack([np.interp(share, steps, channel) for channel in colours.T]).astype(np.uint8)
+
+
+def of_levels(level: FloatArray) -> Colours:
+    """Colours of storeys, shape (n, 3)."""
+    index = level.astype(np.int64)
+    return np.where((index < 0)[:, None], np.array(NOWHERE, np.uint8), LEVELS[index % len(LEVELS)])
+
+
+def css(colour: tuple[int, int, int] | NDArray[np.generic]) -> str:
+    """As CSS writes it."""
+    r, g, b = (int(channel) for channel in colour)
+    return f"#{r:02x}{g:02x}{b:02x}"

@@ -1,0 +1,189 @@
+"""The widgets beside the picture; what they do is in `page`."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import viser
+
+from gpdf_service.types import AGENTS, FloatArray
+from gpdf_service.viewer import colours
+from gpdf_service.viewer.profile import ProfileCharts
+
+if TYPE_CHECKING:
+    from viser._gui_handles import GuiProgressBarHandle
+
+METHODS = tuple(colours.METHODS)
+ALL_LEVELS = "all"
+NO_SCENE = "(none)"
+SLICES = {"none": "", "distance to the ground (d_g)": "ground", "distance to obstacles (d_o)": "obstacle"}
+LAYERS = {"cloud": "Cloud", "ground": "Ground", "obstacles": "What stops the body", "leaves": "Where it fits (leaves)"}
+CLOUD_COLOURS = ("height", "level", "ground")
+
+
+@dataclass(frozen=True, slots=True)
+class PlanTab:
+    """Ask for a path, and read the answer."""
+
+    agent: viser.GuiDropdownHandle[str]
+    method: viser.GuiDropdownHandle[str]
+    sets: viser.GuiButtonGroupHandle
+    next: viser.GuiMarkdownHandle
+    plan: viser.GuiButtonHandle
+    compare: viser.GuiButtonHandle
+    clear: viser.GuiButtonHandle
+    answer: viser.GuiMarkdownHandle
+    legend: viser.GuiHtmlHandle
+    time: viser.GuiSliderHandle[float]
+    play: viser.GuiCheckboxHandle
+    charts: ProfileCharts
+    details: viser.GuiMarkdownHandle
+
+
+@dataclass(frozen=True, slots=True)
+class MapTab:
+    """Choose what is shown of the scene."""
+
+    layers: dict[str, viser.GuiCheckboxHandle]
+    colour: viser.GuiDropdownHandle[str]
+    level: viser.GuiDropdownHandle[str]
+    below: viser.GuiSliderHandle[float]
+    size: viser.GuiSliderHandle[float]
+    slice: viser.GuiDropdownHandle[str]
+    height: viser.GuiSliderHandle[float]
+    slice_legend: viser.GuiHtmlHandle
+    facts: viser.GuiMarkdownHandle
+
+
+@dataclass(frozen=True, slots=True)
+class LoadTab:
+    """Bring a scene into the service."""
+
+    name: viser.GuiTextHandle
+    file: viser.GuiTextHandle
+    load: viser.GuiButtonHandle
+    upload: viser.GuiUploadButtonHandle
+    look: viser.GuiButtonHandle
+
+
+@dataclass(frozen=True, slots=True)
+class LogTab:
+    """Step through a recorded log."""
+
+    open: viser.GuiUploadButtonHandle
+    text: viser.GuiMarkdownHandle
+    step: viser.GuiSliderHandle[int]
+    sides: viser.GuiButtonGroupHandle
+    again: viser.GuiButtonHandle
+
+
+@dataclass(frozen=True, slots=True)
+class Panel:
+    """All of it."""
+
+    link: viser.GuiMarkdownHandle
+    scene: viser.GuiDropdownHandle[str]
+    bar: GuiProgressBarHandle
+    work: viser.GuiMarkdownHandle
+    plan: PlanTab
+    map: MapTab
+    load: LoadTab
+    log: LogTab
+
+
+def build_panel(gui: viser.GuiApi) -> Panel:
+    """Make the widgets."""
+    gui.configure_theme(control_width="large", show_logo=False, show_share_button=False, brand_color=(0, 114, 178))
+    link = gui.add_markdown("Looking for the service …")
+    scene = gui.add_dropdown("Scene", (NO_SCENE,))
+    bar = gui.add_progress_bar(0.0, visible=False)
+    work = gui.add_markdown("", visible=False)
+    tabs = gui.add_tab_group()
+    with tabs.add_tab("Plan"):
+        plan = _plan_tab(gui)
+    with tabs.add_tab("Map"):
+        shown = _map_tab(gui)
+    with tabs.add_tab("Load"):
+        load = _load_tab(gui)
+    with tabs.add_tab("Log"):
+        log = _log_tab(gui)
+    return Panel(link, scene, bar, work, plan, shown, load, log)
+
+
+def put(widget: Any, value: Any) -> None:  # noqa: ANN401 - viser's setters have a type that mypy cannot read
+    """Set what a widget shows."""
+    widget.value = value
+
+
+def _plan_tab(gui: viser.GuiApi) -> PlanTab:
+    return PlanTab(
+        agent=gui.add_dropdown("Body", tuple(AGENTS), initial_value="human"),
+        method=gui.add_dropdown("Method", METHODS),
+        sets=gui.add_button_group("Next click", ("start", "goal")),
+        next=gui.add_markdown(""),
+        plan=gui.add_button("Plan", disabled=True),
+        compare=gui.add_button("Compare the methods", disabled=True, color="gray"),
+        clear=gui.add_button("Clear", color="gray"),
+        answer=gui.add_markdown(""),
+        legend=gui.add_html(gradient(colours.ROOM, "0 m", f"{colours.ENOUGH_ROOM} m of room"), visible=False),
+        time=gui.add_slider("Time [s]", 0.0, 1.0, 0.01, 0.0, visible=False),
+        play=gui.add_checkbox("Play", False, visible=False),
+        charts=ProfileCharts(gui),
+        details=gui.add_markdown(""),
+    )
+
+
+def _map_tab(gui: viser.GuiApi) -> MapTab:
+    layers = {name: gui.add_checkbox(text, name in ("cloud", "ground")) for name, text in LAYERS.items()}
+    gui.add_html(_legend())
+    return MapTab(
+        layers=layers,
+        colour=gui.add_dropdown("Cloud by", CLOUD_COLOURS),
+        level=gui.add_dropdown("Level", (ALL_LEVELS,)),
+        below=gui.add_slider("Up to [m]", 0.1, 6.0, 0.1, 1.5, hint="Points higher over their ground are not shown."),
+        size=gui.add_slider("Points [m]", 0.005, 0.1, 0.005, 0.02),
+        slice=gui.add_dropdown("Slice", tuple(SLICES)),
+        height=gui.add_slider("At height [m]", 0.0, 3.0, 0.05, 0.5, hint="Over the lowest point of the scene."),
+        slice_legend=gui.add_html("", visible=False),
+        facts=gui.add_markdown(""),
+    )
+
+
+def _load_tab(gui: viser.GuiApi) -> LoadTab:
+    return LoadTab(
+        name=gui.add_text("Name", "office"),
+        file=gui.add_text("File", "office.ply", hint="In the service's scenes folder."),
+        load=gui.add_button("Load the file"),
+        upload=gui.add_upload_button("Send a cloud from here …", mime_type=".ply,.pcd,.xyz,.npz,.las,.laz"),
+        look=gui.add_button("Look for scenes again", color="gray"),
+    )
+
+
+def _log_tab(gui: viser.GuiApi) -> LogTab:
+    return LogTab(
+        open=gui.add_upload_button("Open a log (.mcap) …", mime_type=".mcap"),
+        text=gui.add_markdown("A service writes one each time that it runs, into its `--log-dir`."),
+        step=gui.add_slider("Request", 1, 2, 1, 1, visible=False),
+        sides=gui.add_button_group("Step", ("back", "on"), visible=False),
+        again=gui.add_button("Ask the service again", visible=False, color="gray"),
+    )
+
+
+def gradient(shades: FloatArray, low: str, high: str) -> str:
+    """A colour bar with its ends named."""
+    stops = ", ".join(colours.css(colour) for colour in shades)
+    bar = f"height:10px;border-radius:3px;background:linear-gradient(to right,{stops})"
+    ends = f"<div style='display:flex;justify-content:space-between'><span>{low}</span><span>{high}</span></div>"
+    return f"<div style='padding:0 1em 0.5em;font-size:0.8em'><div style='{bar}'></div>{ends}</div>"
+
+
+def _legend() -> str:
+    named = [("ground", colours.SEEN), ("inferred ground", colours.INFERRED)]
+    named += [(name, tuple(colour)) for name, colour in zip(colours.KIND_NAMES, colours.KINDS, strict=True)]
+    swatch = "display:inline-block;width:0.8em;height:0.8em;border-radius:2px;margin-right:0.35em;background:"
+    items = [
+        f"<span style='margin-right:1em;white-space:nowrap'><i style='{swatch}{colours.css(colour)}'></i>{name}</span>"
+        for name, colour in named
+    ]
+    return f"<div style='padding:0 1em 0.5em;font-size:0.8em;line-height:1.7'>{''.join(items)}</div>"

@@ -1,0 +1,119 @@
+"""What the page shows of a plan: start and goal, the path with its clearance as colour, the body swept along it."""
+
+from __future__ import annotations
+
+import numpy as np
+import viser
+from gpdf_client import Trajectory
+
+from gpdf_service.types import Agent, FloatArray
+from gpdf_service.viewer import colours
+
+LINE_LIFT = 0.04
+"""[m] The path is drawn over the ground and the leaves."""
+LIFTED = np.array([0.0, 0.0, LINE_LIFT])
+LINE_WIDTH = 6.0
+"""[px] Seen in a hall as in an office."""
+GHOST_STEP = 0.4
+"""[m] Between two bodies of the sweep at least; wide ones stand further apart."""
+GHOST_OPACITY = 0.07
+GHOST_SHARE = 0.97
+"""[-] Of the radius: the solid body's side must not coincide with a ghost's."""
+CORNERS = 24
+"""Of a cylinder's rim."""
+MARKS = {"start": (0, 158, 115), "goal": (204, 121, 167)}
+MARK_RADIUS = 0.12
+"""[m]"""
+BODY = (0, 114, 178)
+
+
+class PathLayers:
+    """Draws plans; places are given in the scene's frame, `origin` is what the page takes away."""
+
+    def __init__(self, scene: viser.SceneApi) -> None:
+        self._scene = scene
+        self.origin = np.zeros(3)
+        self._marks: dict[str, list[viser.SceneNodeHandle]] = {}
+        self._paths: list[viser.SceneNodeHandle] = []
+        self._body: viser.MeshHandle | None = None
+        self._moving: Trajectory | None = None
+
+    @property
+    def shown(self) -> Trajectory | None:
+        """The path that the body is swept along."""
+        return self._moving
+
+    def mark(self, name: str, place: FloatArray | None) -> None:
+        """Show the start or the goal; None takes it away."""
+        for handle in self._marks.pop(name, []):
+            handle.remove()
+        if place is None:
+            return
+        at = place - self.origin + LIFTED
+        disc = self._scene.add_cylinder(f"/plan/{name}", MARK_RADIUS, 0.03, MARKS[name], position=at, cast_shadow=False)
+        label = self._scene.add_label(f"/plan/{name}/label", name, position=(0, 0, 0.25))
+        self._marks[name] = [label, disc]
+
+    def clear(self) -> None:
+        """Take all paths away; the marks stay."""
+        for handle in self._paths:
+            handle.remove()
+        self._paths, self._body, self._moving = [], None, None
+
+    def add_line(self, name: str, path: Trajectory, shades: colours.Colours) -> None:
+        """Draw a path on the ground; `shades` is one colour (3,) or one a waypoint (n, 3)."""
+        points = path.ground - self.origin + LIFTED
+        segments = np.stack([points[:-1], points[1:]], axis=1)
+        each = shades if shades.ndim == 1 else np.stack([shades[:-1], shades[1:]], axis=1)
+        self._paths.append(
+            self._scene.add_line_segments(
+                f"/plan/line_{name}", segments, each, thickness=LINE_WIDTH, thickness_units="screen"
+            )
+        )
+
+    def add_sweep(self, path: Trajectory, agent: Agent, shades: colours.Colours) -> None:
+        """Draw the body at even steps along a path, and a solid one that `move` moves."""
+        points = path.ground - self.origin
+        along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
+        count = max(2, int(along[-1] / max(GHOST_STEP, 1.5 * agent.radius)) + 1)
+        rows = np.searchsorted(along, np.linspace(0.0, along[-1], count)).clip(0, len(along) - 1)
+        vertices, faces = _cylinder()
+        self._paths.append(
+            self._scene.add_batched_meshes_simple(
+                "/plan/sweep",
+                vertices * [GHOST_SHARE * agent.radius, GHOST_SHARE * agent.radius, agent.height],
+                faces,
+                np.tile([1.0, 0.0, 0.0, 0.0], (count, 1)),
+                points[rows],
+                batched_colors=shades if shades.ndim == 1 else shades[rows],
+                opacity=GHOST_OPACITY,
+                cast_shadow=False,
+                receive_shadow=False,
+                lod="off",
+            )
+        )
+        size = np.array([agent.radius, agent.radius, agent.height])
+        self._body = self._scene.add_mesh_simple("/plan/body", vertices * size, faces, color=BODY, cast_shadow=False)
+        self._paths.append(self._body)
+        self._moving = path
+        self.move(0.0)
+
+    def move(self, time: float) -> None:
+        """Put the solid body where it is after `time` [s]."""
+        path, body = self._moving, self._body
+        if path is None or body is None:
+            return
+        place = np.array([np.interp(time, path.times, path.ground[:, k]) for k in range(3)])
+        body.position = place - self.origin
+
+
+def _cylinder() -> tuple[FloatArray, np.ndarray]:  # type: ignore[type-arg]
+    """Vertices and faces of a cylinder of radius 1 from z = 0 to 1: the side, and a lid with its own rim (an edge)."""
+    turn = np.linspace(0, 2 * np.pi, CORNERS, endpoint=False)
+    rim = np.column_stack([np.cos(turn), np.sin(turn)])
+    low, high = np.insert(rim, 2, 0.0, axis=1), np.insert(rim, 2, 1.0, axis=1)
+    i = np.arange(CORNERS)
+    j = (i + 1) % CORNERS
+    side = np.concatenate([np.column_stack([i, j, j + CORNERS]), np.column_stack([i, j + CORNERS, i + CORNERS])])
+    lid = np.column_stack([i + 2 * CORNERS, j + 2 * CORNERS, np.full(CORNERS, 3 * CORNERS)])
+    return np.concatenate([low, high, high, [[0.0, 0.0, 1.0]]]), np.concatenate([side, lid])

@@ -1,0 +1,111 @@
+import numpy as np
+import pytest
+from gpdf_client import Client, InvalidRequestError, UnknownSceneError
+from gpdf_schemas import keys
+from mcap.records import Channel
+
+from gpdf_service.perception import ObstacleKind
+from gpdf_service.service import drawing
+from gpdf_service.service.record import records_of
+from gpdf_service.service.server import Options, Server
+
+
+@pytest.fixture
+def asked(office, free_endpoint, tmp_path):
+    office[1].save(tmp_path / "office.gpdf")
+    with (
+        Server(Options(free_endpoint, tmp_path, tmp_path / "log", 1)) as server,
+        Client.connect(free_endpoint) as client,
+    ):
+        client.load_scene("office", "office.gpdf")
+        yield server, client
+
+
+def test_a_whole_cloud_comes_back_with_its_labels(asked, office, monkeypatch):
+    monkeypatch.setattr(drawing, "PART_BYTES", 100_000)  # many parts
+    shares = []
+    scene = office[1]
+    drawn = asked[1].draw("office", "cloud", progress=shares.append)
+    assert len(shares) > 3
+    assert shares[-1] == 1.0
+    order = drawing._shuffled(len(scene.points))
+    np.testing.assert_allclose(drawn.places + drawn.origin, scene.points[order], atol=1e-5)
+    np.testing.assert_array_equal(drawn.columns["ground"] > 0, scene.ground[order])
+    assert (drawn.columns["level"][drawn.columns["ground"] > 0] == 0).all()
+    np.testing.assert_allclose(drawn.columns["above"][drawn.columns["ground"] > 0], 0, atol=0.36)  # a step's edge
+    assert drawn.columns["above"].max() == pytest.approx(2.7, abs=0.01)
+    assert set(drawn.columns["level"]) == {-1.0, 0.0}  # the outer face of a wall stands over no known ground
+
+
+def test_a_thinned_cloud_shows_all_of_the_scene(asked, office):
+    points = office[1].points
+    drawn = asked[1].draw("office", "cloud", limit=2000)
+    assert len(drawn.places) == 2000
+    np.testing.assert_allclose((drawn.places + drawn.origin).mean(axis=0), points.mean(axis=0), atol=0.15)
+
+
+def test_the_leaves_are_free_places_of_the_body_the_largest_first(asked, office):
+    space = office[1].free_space("roomba")
+    drawn = asked[1].draw("office", "leaves", "roomba", limit=500)
+    half = drawn.columns["half_size"]
+    assert len(half) == 500
+    assert (np.diff(half) <= 0).all()
+    exact, _ = space.clearance(0, drawn.places[:, :2] + drawn.origin[:2])
+    np.testing.assert_allclose(drawn.columns["clearance"], exact, atol=1e-5)
+    assert exact.min() >= space.radius - 1e-9
+
+
+def test_obstacles_have_their_reason_and_belong_to_the_body(asked, office):
+    human, roomba = (asked[1].draw("office", "obstacles", agent) for agent in ("human", "roomba"))
+    assert len(human.places) > len(roomba.places)
+    kinds = office[1].free_space("roomba").obstacles[0].kind
+    for kind in ObstacleKind:
+        assert (roomba.columns["kind"] == kind).sum() == (kinds == kind).sum()
+    assert (roomba.columns["kind"] == ObstacleKind.STEP).any()
+    assert not (human.columns["kind"] == ObstacleKind.STEP).any()
+
+
+def test_the_ground_says_which_part_of_it_nobody_saw(asked, office):
+    level = office[1].levels.levels[0]
+    drawn = asked[1].draw("office", "ground")
+    assert len(drawn.places) == len(level.ground_points)
+    assert drawn.columns["inferred"].sum() == level.inferred.sum() > 0
+
+
+def test_what_cannot_be_drawn_is_refused_in_words(asked):
+    client = asked[1]
+    with pytest.raises(InvalidRequestError, match="leaves"):
+        client.draw("office", "dreams")
+    with pytest.raises(InvalidRequestError, match="limit"):
+        client.draw("office", "cloud", limit=0)
+    with pytest.raises(UnknownSceneError, match="office"):
+        client.draw("nowhere", "cloud")
+
+
+def test_a_scene_replaced_in_mid_drawing_is_drawn_again_from_the_start(asked, office, monkeypatch):
+    server, client = asked
+    monkeypatch.setattr(drawing, "PART_BYTES", 200_000)
+    scene = server.shelf.get("office").scene
+    before = scene.version
+    shares = []
+
+    def replace(share):
+        shares.append(share)
+        if len(shares) == 2:
+            scene.version = before + 1
+
+    drawn = client.draw("office", "cloud", progress=replace)
+    assert drawn.scene_version == before + 1
+    assert len(drawn.places) == len(scene.points)
+    assert len(shares) > 2 + 1
+
+
+def test_drawings_are_not_in_the_log(office, free_endpoint, tmp_path):
+    office[1].save(tmp_path / "office.gpdf")
+    with Server(Options(free_endpoint, tmp_path, tmp_path, 1)) as server, Client.connect(free_endpoint) as client:
+        client.load_scene("office", "office.gpdf")
+        client.draw("office", "cloud")
+        client.scenes()
+    topics = {record.topic for record in records_of(server.log_path) if isinstance(record, Channel)}
+    assert f"{keys.SCENES}/request" in topics
+    assert not any(topic.startswith(keys.SCENE_DRAW) for topic in topics)

@@ -1,0 +1,143 @@
+"""A running service and a person before the page, for the tests of the page."""
+
+import io
+import os
+import re
+import signal
+import socket
+import subprocess
+import sys
+import time
+
+import numpy as np
+import pytest
+import viser.transforms as vtf
+from gpdf_client import Client
+from PIL import Image
+
+from gpdf_service.viewer.page import Page, Server
+
+SIZE = {"width": 1200, "height": 720}
+
+
+def until(claim, seconds=60.0):
+    """Wait until `claim()` is true, and return it; fail when it never is."""
+    end = time.monotonic() + seconds
+    while time.monotonic() < end:
+        if found := claim():
+            return found
+        time.sleep(0.05)
+    pytest.fail(f"it did not become true within {seconds} s")
+
+
+def free_port():
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return probe.getsockname()[1]
+
+
+class Service:
+    """`gpdf serve` as its own process, that can be killed and started again."""
+
+    def __init__(self, scenes, folder):
+        self.endpoint, self.folder = f"tcp/127.0.0.1:{free_port()}", folder
+        self._scenes = [f"{name}={path}" for name, path in scenes.items()]
+        self.start()
+
+    def start(self):
+        words = ["serve", *self._scenes, "--endpoint", self.endpoint, "--log-dir", str(self.folder / "log")]
+        words += ["--scenes-dir", str(self.folder)]
+        self._process = subprocess.Popen(
+            [sys.executable, "-m", "gpdf_service.cli", *words], stderr=subprocess.DEVNULL, env=os.environ
+        )
+        with Client.connect(self.endpoint, timeout_s=60) as client:
+            for name in client.scenes():
+                client.wait_for_scene(name)
+
+    def stop(self, number=signal.SIGTERM):
+        self._process.send_signal(number)
+        self._process.wait(60)
+
+    def kill(self):
+        self.stop(signal.SIGKILL)
+
+
+class Operator:
+    """A person before the page: what the browser shows, and where the mouse goes."""
+
+    def __init__(self, browser, endpoint, log=None):
+        self.server = Server("127.0.0.1", free_port(), label="gpdf", verbose=False)
+        self.page = Page(self.server, endpoint, log)
+        self.context = browser.new_context(viewport=SIZE)
+        self.web = self.context.new_page()
+        self.errors = []
+        self.web.on("pageerror", lambda error: self.errors.append(str(error)))
+        self.web.goto(f"http://127.0.0.1:{self.server.get_port()}/")
+        self.sees("Connected to")
+
+    def close(self):
+        self.context.close()
+        self.page.close()
+        self.server.stop()
+
+    def sees(self, text, seconds=60.0):
+        """Wait until a text stands in the page."""
+        self.web.get_by_text(re.compile(text)).first.wait_for(timeout=1000 * seconds)
+
+    def choose(self, label, value):
+        self.web.get_by_label(label, exact=True).first.click()
+        self.web.get_by_role("option", name=value, exact=True).click()
+
+    def tab(self, name):
+        self.web.get_by_role("tab", name=name).click()
+
+    def presses(self, name):
+        self.web.get_by_role("button", name=name, exact=True).click()
+
+    def opens(self, scene):
+        """Choose a scene, and wait until its map is drawn and the browser has told its camera."""
+        if self.page.panel.scene.value != scene:
+            self.choose("Scene", scene)
+        until(lambda: self.page.shown[0] == scene and "cloud" in self.page.map.there)
+        until(lambda: not self.page.panel.work.content)
+        self.settle()
+
+    def settle(self):
+        """Wait until the picture stands still."""
+        before, same = b"", 0
+        while same < 3:
+            self.web.wait_for_timeout(300)
+            now = self.web.screenshot()
+            same = same + 1 if now == before else 0
+            before = now
+
+    def pixel(self, place):
+        """Where a place of the scene is on the screen."""
+        (client,) = self.server.get_clients().values()
+        camera = client.camera
+        rotation = vtf.SO3(np.asarray(camera.wxyz)).as_matrix()
+        seen = rotation.T @ (np.asarray(place) - self.page.map.origin - camera.position)
+        focal = 0.5 * camera.image_height / np.tan(0.5 * camera.fov)
+        return 0.5 * camera.image_width + focal * seen[0] / seen[2], 0.5 * camera.image_height + focal * seen[1] / seen[
+            2
+        ]
+
+    def clicks(self, place):
+        self.web.mouse.click(*self.pixel(place))
+
+    def plans(self, start, goal):
+        """Click twice, and wait for the answer."""
+        self.presses("start")
+        self.clicks(start)
+        self.sees("Click the ground: goal")
+        self.clicks(goal)
+        self.sees("Click the ground: start")
+
+    def picture(self):
+        """What the browser shows, (height, width, 3)."""
+        return np.asarray(Image.open(io.BytesIO(self.web.screenshot())).convert("RGB")).astype(int)
+
+    def around(self, picture, place, reach=4):
+        """Pixels around a place of the scene."""
+        u, v = (round(x) for x in self.pixel(place))
+        return picture[v - reach : v + reach + 1, u - reach : u + reach + 1]

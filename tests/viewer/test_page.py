@@ -1,0 +1,157 @@
+"""The operator's page in a real browser, on a real service; SIGKILL included."""
+
+import numpy as np
+import pytest
+from driving import Operator, Service, until
+from gpdf_client import Client
+
+from gpdf_service.synthetic import SCENES
+
+pytestmark = pytest.mark.slow
+OVER_THE_STEP = (5.5, 1.0, 0.0), (5.5, 3.4, 0.0)
+
+
+def path_on_screen(operator):
+    """Waypoints of the path that is shown, on the ground."""
+    path = operator.page.paths.shown
+    return None if path is None else path.ground
+
+
+def test_two_clicks_draw_a_path(operator):
+    before = operator.picture()
+    operator.plans((0.9, 0.9, 0.0), (5.4, 3.4, 0.0))
+    operator.sees(r"of room everywhere")
+    ends = operator.page.ends
+    np.testing.assert_allclose(ends["start"], (0.9, 0.9, 0.0), atol=0.05)  # the click's ray met the ground there
+    np.testing.assert_allclose(ends["goal"], (5.4, 3.4, 0.0), atol=0.05)
+    operator.settle()
+    change = np.abs(operator.picture() - before).max(axis=2)
+    drawn = [operator.around(change, place).max() > 40 for place in path_on_screen(operator)]
+    assert np.mean(drawn) > 0.8  # a line from start to goal; the labels hide some of it
+    assert operator.around(change, (0.3, 4.5, 0.0)).max() < 20  # and nothing in the far corner
+    operator.sees("From the side")
+    operator.sees(r"Answer after \d+ ms")
+    operator.presses("Compare the methods")
+    rows = operator.web.get_by_role("row")
+    until(lambda: rows.filter(has_text="dual_gpdf").filter(has_text="OK").count() == 1)
+    assert rows.filter(has_text="prm").count() == 1
+    assert operator.errors == []
+
+
+def test_another_body_takes_another_way(operator):
+    operator.plans(*OVER_THE_STEP)
+    operator.sees("of room everywhere")
+    human = path_on_screen(operator)
+    assert human[:, 2].max() > 0.3  # over the step
+    operator.choose("Body", "roomba")
+    until(lambda: path_on_screen(operator) is not None and path_on_screen(operator)[:, 2].max() < 0.1)
+    assert path_on_screen(operator)[:, 0].min() < 5.0  # around it
+
+
+def test_no_path_is_said_in_words(operator):
+    operator.plans((0.9, 0.9, 0.0), (2.7, 0.45, 0.0))
+    operator.sees("GOAL_OCCUPIED")
+    assert path_on_screen(operator) is None
+
+
+def test_a_service_that_is_killed_is_shown_and_found_again(operator, service):
+    operator.plans((0.9, 0.9, 0.0), (5.4, 3.4, 0.0))
+    operator.sees("of room everywhere")
+    service.kill()
+    operator.sees("Service lost")
+    operator.presses("Plan")
+    operator.sees("There is no service at")
+    service.start()
+    operator.sees("Connected to")
+    operator.presses("Plan")
+    operator.sees("of room everywhere")
+
+
+def test_layers_and_slices_are_drawn(operator):
+    operator.tab("Map")
+    for name in ("What stops the body", "Where it fits"):
+        operator.web.get_by_label(name).click()
+    until(lambda: {"obstacles", "leaves"} <= operator.page.map.drawn)
+    operator.choose("Slice", "distance to obstacles (d_o)")
+    operator.sees("a line each")
+    operator.settle()
+    picture = operator.picture()
+    near, far = operator.around(picture, (0.3, 0.15, 0.6)), operator.around(picture, (2.5, 1.9, 0.6))
+    assert far[..., 1].mean() > near[..., 1].mean() + 40  # viridis: its green rises from near to far
+    operator.web.get_by_label("Cloud", exact=True).click()
+    until(lambda: "cloud" not in operator.page.map.drawn)
+
+
+def test_a_scene_is_loaded_from_the_page(operator, service):
+    made = SCENES["cluttered_office"](np.random.default_rng(0), spacing=0.06)
+    label = made.ground.astype(int)
+    np.savez(service.folder / "more.npz", xyz=made.points, label=label, classes=np.array(["other", "ground"]))
+    operator.tab("Load")
+    name, file = (operator.web.locator(f"input[value='{text}']") for text in ("office", "office.ply"))
+    file.fill("more.npz")
+    name.last.fill("more")
+    until(lambda: (operator.page.panel.load.name.value, operator.page.panel.load.file.value) == ("more", "more.npz"))
+    operator.presses("Load the file")
+    until(lambda: operator.page.shown[0] == "more")
+    assert operator.page.panel.scene.value == "more"
+    operator.tab("Load")
+    with operator.web.expect_file_chooser() as chooser:
+        operator.presses("Send a cloud from here …")
+    operator.page.panel.load.name.value = "sent"
+    chooser.value.set_files(service.folder / "more.npz")
+    until(lambda: operator.page.shown[0] == "sent")
+    assert operator.page.facts["sent"]["digest"] == operator.page.facts["more"]["digest"]
+
+
+def test_a_log_is_stepped_through(operator, service, office):
+    operator.plans((0.9, 0.9, 0.0), (5.4, 3.4, 0.0))
+    operator.sees("of room everywhere")
+    first = path_on_screen(operator)
+    operator.plans(*OVER_THE_STEP)
+    until(lambda: path_on_screen(operator) is not None and not np.array_equal(path_on_screen(operator), first))
+    service.stop()
+    log = max((service.folder / "log").glob("*.mcap"), key=lambda path: path.stat().st_mtime)
+    service.start()
+    operator.sees("Connected to")
+    operator.tab("Log")
+    with operator.web.expect_file_chooser() as chooser:
+        operator.presses("Open a log (.mcap) …")
+    chooser.value.set_files(log)
+    operator.sees(r"1 of \d+")
+    count = len(operator.page.recorded)
+    assert count >= 2
+    for _ in range(count - 1):
+        operator.presses("on")
+    operator.sees(f"{count} of {count}")
+    until(lambda: path_on_screen(operator) is not None and path_on_screen(operator)[:, 2].max() > 0.3)
+    operator.presses("back")
+    operator.sees(f"{count - 1} of {count}")
+    until(lambda: np.array_equal(path_on_screen(operator), first))
+    with Client.connect(service.endpoint) as client:
+        client.load_scene(
+            "office", upload=office[0].points[office[0].ground], ground=np.ones(office[0].ground.sum(), bool)
+        )
+    operator.tab("Load")
+    operator.presses("Look for scenes again")
+    until(lambda: operator.page.shown[1] != office[1].digest and "cloud" in operator.page.map.there)
+    operator.tab("Log")
+    operator.presses("on")
+    operator.sees("The service has no such scene")  # it has another one of that name
+    assert operator.page.map.drawn == frozenset()
+    with Client.connect(service.endpoint) as client:
+        client.load_scene("office", "office.gpdf")
+
+
+def test_the_laser_scanned_office(browser, scan, tmp_path):
+    running = Service({"laser": scan("cluttered_office_tls_1cm.npz")}, tmp_path)
+    person = Operator(browser, running.endpoint)
+    try:
+        person.opens("laser")
+        person.plans((6.6, 9.2, 0.545), (9.9, 14.1, 0.545))
+        person.sees("of room everywhere")
+        person.settle()
+        person.web.screenshot(path=tmp_path / "laser.png")
+        assert person.errors == []
+    finally:
+        person.close()
+        running.stop()

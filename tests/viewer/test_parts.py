@@ -1,0 +1,129 @@
+"""The page's parts without a browser."""
+
+import threading
+
+import numpy as np
+import pytest
+from driving import until
+from gpdf_client import PlanResult, Trajectory, UnavailableError
+from gpdf_schemas import CertificateMessage, Status
+
+from gpdf_service.service.server import Options, Server
+from gpdf_service.viewer import colours, words
+from gpdf_service.viewer.link import Link
+from gpdf_service.viewer.map_layers import View
+from gpdf_service.viewer.profile import profile_of
+from gpdf_service.viewer.worker import Worker
+
+GOOD = PlanResult(
+    Status.OK,
+    "",
+    Trajectory(*(np.array([[0.0, 0.0, z], [3.0, 4.0, z]]) for z in (2.0, 0.0)), np.array([0.0, 10.0]), np.zeros(2)),
+    CertificateMessage(0.25, [0, 0, 0], 0.01, [0, 0, 0], 0.1, np.radians(5.0), True),
+    1,
+    "p",
+    {"search": 0.002},
+)
+BAD = PlanResult(Status.GOAL_OCCUPIED, "The goal is in a desk.", None, None, 1, "p")
+
+
+def test_of_jobs_with_one_name_only_the_newest_is_done():
+    gate, done, ended = threading.Event(), [], threading.Event()
+    worker = Worker("test", done.append)
+    worker.do("first", lambda: (gate.wait(30), done.append("first")))
+    for i in range(5):
+        worker.do("slider", lambda i=i: done.append(i))
+    worker.do("last", ended.set)
+    gate.set()
+    assert ended.wait(30)
+    worker.close()
+    assert done == ["first", 4]
+
+
+def test_a_job_that_fails_is_told_and_the_next_is_done():
+    told, ended = [], threading.Event()
+    worker = Worker("test", told.append)
+
+    def fail(error):
+        raise error
+
+    worker.do("a", lambda: fail(UnavailableError("nobody there")))
+    worker.do("b", lambda: fail(ZeroDivisionError("oh")))
+    worker.do("c", ended.set)
+    assert ended.wait(30)
+    worker.close()
+    assert told[0] == "nobody there"
+    assert "ZeroDivisionError" in told[1]
+
+
+def test_the_link_finds_loses_and_finds_again(tmp_path, free_endpoint):
+    heard = []
+    link = Link(free_endpoint, heard.append)
+    link.start()
+    try:
+        for _ in range(2):
+            with Server(Options(free_endpoint, tmp_path, tmp_path, 1)):
+                until(lambda: heard[-1:] == [True])
+                assert link.client.scenes() == {}
+            until(lambda: heard[-1:] == [False])
+            with pytest.raises(UnavailableError, match="gpdf serve"):
+                link.client  # noqa: B018
+    finally:
+        link.close()
+    assert heard == [True, False, True, False]
+
+
+@pytest.mark.parametrize(
+    ("change", "layers"),
+    [
+        ({}, set()),
+        ({"colour": "level"}, {"cloud"}),
+        ({"below": 1.0}, {"cloud"}),
+        ({"point_size": 0.05}, {"cloud", "obstacles"}),
+        ({"shown": frozenset({"cloud", "ground", "leaves"})}, {"leaves"}),
+        ({"shown": frozenset({"cloud"})}, {"cloud", "ground"}),  # the cloud then shows the ground's own points
+        ({"level": 1}, {"cloud", "ground"}),
+    ],
+)
+def test_only_what_looks_different_is_sent_again(change, layers):
+    assert View(**change).touched(View()) == layers
+
+
+def test_a_ramp_runs_from_its_first_colour_to_its_last_and_stays_there():
+    made = colours.ramp(np.array([-1.0, 0.0, 0.5, 1.0, 9.0]), 0.0, 1.0, colours.ROOM)
+    assert made[0].tolist() == made[1].tolist() == colours.ROOM[0].tolist()
+    assert made[3].tolist() == made[4].tolist() == colours.ROOM[-1].tolist()
+    assert made[2].tolist() != made[1].tolist()
+
+
+def test_levels_have_their_own_colours_and_nowhere_is_grey():
+    made = colours.of_levels(np.array([-1.0, 0.0, 1.0, 0.0]))
+    assert made[0].tolist() == list(colours.NOWHERE)
+    assert made[1].tolist() == made[3].tolist() != made[2].tolist()
+
+
+def test_an_answer_is_in_words():
+    assert "5.00 m in 10.0 s" in words.answer(GOOD)
+    assert "0.25 m" in words.answer(GOOD)
+    assert words.answer(BAD) == "**GOAL_OCCUPIED** · The goal is in a desk."
+    said = words.details(GOOD, 0.0213)
+    assert "21 ms" in said
+    assert "search 2 ms" in said
+    assert "5.0°" in said
+
+
+def test_a_comparison_has_a_row_for_each_method_also_for_a_refused_one():
+    text = words.comparison({"a": GOOD, "b": BAD, "c": "unknown method"}, {"a": 0.01, "b": 0.02})
+    rows = [line for line in text.splitlines() if line.startswith("| ")]
+    assert len(rows) == 4
+    assert "5.00 m" in rows[1]
+    assert "GOAL_OCCUPIED" in rows[2]
+    assert "refused" in rows[3]
+    assert "c: unknown method" in text
+
+
+def test_a_profile_has_the_way_and_the_speed_of_the_feet():
+    profile = profile_of(GOOD.trajectory, np.array([0.3, 0.4]))
+    np.testing.assert_allclose(profile.along, [0.0, 5.0])
+    np.testing.assert_allclose(profile.speed, [0.5, 0.5])
+    np.testing.assert_allclose(profile.top - profile.ground, 2.0)

@@ -1,0 +1,85 @@
+import os
+import re
+import signal
+import subprocess
+import sys
+import urllib.request
+from urllib.error import HTTPError
+
+import pytest
+from driving import free_port
+
+from gpdf_service.cli import main
+
+
+def start(*words):
+    return subprocess.Popen(
+        [sys.executable, "-m", "gpdf_service.cli", "view", *words], stdout=subprocess.PIPE, env=os.environ, text=True
+    )
+
+
+def link_of(process):
+    for line in process.stdout:
+        if found := re.search(r"open (http://\S+)", line):
+            return found[1]
+    pytest.fail("it printed no link")
+
+
+def fetch(link):
+    opener = urllib.request.build_opener(urllib.request.HTTPCookieProcessor())
+    return opener.open(link, timeout=30).read().decode()
+
+
+def test_the_page_is_for_this_machine_unless_told_otherwise(free_endpoint):
+    port = free_port()
+    with start("--endpoint", free_endpoint, "--port", str(port)) as process:
+        try:
+            link = link_of(process)
+            assert link == f"http://127.0.0.1:{port}/"
+            assert "<html" in fetch(link)
+            process.send_signal(signal.SIGINT)
+            assert process.wait(30) == 0
+        finally:
+            process.kill()
+
+
+def test_for_other_machines_the_link_carries_a_token(free_endpoint):
+    with start("--endpoint", free_endpoint, "--host", "0.0.0.0", "--port", str(free_port())) as process:
+        try:
+            link = link_of(process).replace("0.0.0.0", "127.0.0.1")
+            assert "?token=" in link
+            with pytest.raises(HTTPError, match="403"):
+                fetch(link.partition("?")[0])
+            assert "<html" in fetch(link)
+            process.send_signal(signal.SIGTERM)
+            assert process.wait(30) == 0
+        finally:
+            process.kill()
+
+
+@pytest.mark.slow
+def test_the_page_works_in_a_browser_through_the_gate(browser, service):
+    with start("--endpoint", service.endpoint, "--host", "0.0.0.0", "--port", str(free_port())) as process:
+        context = browser.new_context()
+        try:
+            web = context.new_page()
+            link = link_of(process).replace("0.0.0.0", "127.0.0.1")
+            web.goto(link)
+            web.get_by_text("Connected to").wait_for(timeout=60_000)  # said over the websocket
+            assert "token" not in web.url
+        finally:
+            context.close()
+            process.kill()
+
+
+def test_a_log_that_is_not_there_and_a_port_that_is_taken_are_failures(tmp_path, capsys, free_endpoint):
+    import socket
+
+    assert main(["view", "--log", str(tmp_path / "none.mcap")]) == 1
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", 0))
+        taken.listen()
+        assert main(["view", "--port", str(taken.getsockname()[1])]) == 1
+    said = capsys.readouterr().out
+    assert "no log" in said
+    assert "cannot listen" in said
