@@ -21,6 +21,8 @@ MESSAGES = (
     messages.ScenesReply,
     messages.LoadRequest,
     messages.UploadRequest,
+    messages.PoseMessage,
+    messages.CueMessage,
 )
 
 

@@ -213,3 +213,51 @@ class ScenesReply(Reply, frozen=True, kw_only=True):
     """Facts of every scene by name."""
 
     scenes: dict[str, dict[str, Any]] = {}
+
+
+class PoseMessage(msgspec.Struct, frozen=True, kw_only=True):
+    """Where a body is, as a stream on `keys.POSE`/NAME.
+
+    Attributes:
+        position: (x, y, z of the ground under it) [m].
+        heading: Direction that it faces, counter-clockwise from +x [rad].
+        stamp: When that was measured, since 1970 [s].
+        accuracy: One standard deviation of the position in plan [m].
+    """
+
+    position: list[float]
+    heading: float
+    stamp: float
+    accuracy: float = 0.0
+
+
+class CueAction(StrEnum):
+    """What a haptic cue asks for."""
+
+    GO = "go"
+    SLOW = "slow"
+    TURN = "turn"
+    STOP = "stop"
+    ARRIVED = "arrived"
+
+
+class CueMessage(msgspec.Struct, frozen=True, kw_only=True):
+    """A cue for a haptic device, as a stream of at least 5 Hz on `keys.CUE`/NAME; a device that hears none says stop.
+
+    Attributes:
+        action: Walk, walk slowly, turn on the spot, stop, or be there.
+        direction: Where to go, from the direction that the body faces, counter-clockwise, -π to π [rad].
+        urgency: 0 as it should be, to 1 at once.
+        pace: Fastest pace that lets the body stop in time [m/s].
+        distance: Left to the goal along the path [m].
+        stamp: When it was made, since 1970 [s].
+        pose_stamp: Stamp of the pose that it answers [s]; 0 where there was none yet.
+    """
+
+    action: CueAction
+    direction: float
+    urgency: float
+    pace: float = 0.0
+    distance: float = 0.0
+    stamp: float = 0.0
+    pose_stamp: float = 0.0

@@ -3,7 +3,18 @@ from pathlib import Path
 import msgspec
 import numpy as np
 import pytest
-from gpdf_schemas import Array, DecodeError, PlanReply, PlanRequest, Status, decode, encode
+from gpdf_schemas import (
+    Array,
+    CueAction,
+    CueMessage,
+    DecodeError,
+    PlanReply,
+    PlanRequest,
+    PoseMessage,
+    Status,
+    decode,
+    encode,
+)
 from gpdf_schemas.generate import MESSAGES, schema_of
 
 import gpdf_service as gpdf
@@ -69,3 +80,18 @@ def test_golden_samples_of_version_one_are_still_read():
     assert reply.status is Status.OK
     assert reply.trajectory.positions.unpack().tolist() == [[0.0, 0.0, 2.0], [1.0, 0.0, 2.0]]
     assert reply.certificate.min_clearance == 0.25
+
+
+def test_golden_samples_of_the_streams_are_still_read():
+    pose = decode((FOLDER / "golden" / "v1_pose.msgpack").read_bytes(), PoseMessage)
+    assert pose == PoseMessage(position=[1.0, 2.0, 0.5], heading=1.5, stamp=1700000000.25, accuracy=0.05)
+    cue = decode((FOLDER / "golden" / "v1_cue.msgpack").read_bytes(), CueMessage)
+    assert cue.action is CueAction.TURN
+    assert (cue.direction, cue.urgency, cue.pace, cue.distance) == (-1.25, 0.5, 0.75, 4.0)
+    assert (cue.stamp, cue.pose_stamp) == (1700000000.5, 1700000000.25)
+
+
+def test_a_number_that_is_not_finite_is_no_pose():
+    raw = encode(PoseMessage(position=[1.0, float("nan"), 0.0], heading=0.0, stamp=0.0))
+    with pytest.raises(DecodeError, match="finite"):
+        decode(raw, PoseMessage)
