@@ -1,0 +1,267 @@
+"""What a person should do and know at a place on a route: a pure function of route, pose and time.
+
+One rule carries the safety: a person may go only as fast as lets him come to rest inside the corridor should no pose
+ever come again. So a lost pose, a late reaction and a bent course have all been paid for before they happen.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import IntEnum, StrEnum
+
+import numpy as np
+from gpdf_schemas import CueAction
+from numpy.typing import NDArray
+
+from gpdf_guidance.features import TURN, Feature, FeatureKind, wrap
+from gpdf_guidance.route import Pose, Progress, Route
+
+FloatArray = NDArray[np.float64]
+
+PACES = (0.7, 0.4, 0.2)
+"""[m/s] A walk with a cane, a careful one, feeling the way."""
+POSE_AGE = 0.4
+"""[s] An older pose is none: two poses of a 5 Hz stream are missing."""
+REACTION = 0.5
+"""[s] From a cue to the foot."""
+BRAKING = 0.3
+"""[s] The step that is under way, at the pace that it had."""
+BLIND = POSE_AGE + REACTION + BRAKING
+"""[s] What a person walks on after the last good pose."""
+SWAY = np.radians(8)
+"""[rad] Without sight a course bends by this within `BLIND`."""
+UNRELIABLE = 0.15
+"""[m] One standard deviation of a pose from which it is no pose: half of a narrow passage's room."""
+LOOK_AHEAD = (1.5, 1.2, 0.9, 0.7, 0.5, 0.35, 0.2)
+"""[m] Along the path to the place that one walks towards; the furthest that is reached straight."""
+ON_THE_SPOT = np.radians(40)
+"""[rad] From this on one turns before one walks."""
+STRAIGHT = np.radians(10)
+"""[rad] Nobody feels a smaller error of direction."""
+ARRIVED = 0.4
+"""[m] From the goal: an arm reaches it."""
+NEAR_STEP = 1.2
+"""[m] Before a step or a stair one goes slowly: a pace and a half."""
+STEP_WINDOW = (1.0, 2.8)
+"""[m] Steps and stairs are told of this far before: not too late to find with the cane, not too early to count on."""
+TURN_WINDOW = (0.3, 2.5)
+"""[m] The same for turns."""
+OTHER_WINDOW = (0.0, 2.5)
+"""[m] The same for the rest."""
+STOP_BEFORE = 2.0
+"""[m] An obstacle that is new on the path stops from here: BLIND at full pace, and as much again."""
+BODY_HEIGHT = 2.0
+"""[m] Of a person with a hat."""
+LEAST_OBSTACLE = 0.05
+"""[m] What is lower is no obstacle to a foot."""
+
+
+class Urgency(IntEnum):
+    """How soon something must be said."""
+
+    INFORM = 0
+    PREPARE = 1
+    ACT = 2
+    DANGER = 3
+
+
+class Kind(StrEnum):
+    """What is said; the message catalogue has a sentence for each."""
+
+    STOP_LOST = "stop_lost"
+    STOP_UNRELIABLE = "stop_unreliable"
+    STOP_OBSTACLE = "stop_obstacle"
+    STOP_OFF_WAY = "stop_off_way"
+    GAVE_UP = "gave_up"
+    ARRIVED = "arrived"
+    STEP = "step"
+    STAIRS = "stairs"
+    STAIRS_END = "stairs_end"
+    TURN_NOW = "turn_now"
+    TURN_BACK = "turn_back"
+    TURN_SOON = "turn_soon"
+    GO_ON = "go_on"
+    NARROW = "narrow"
+    HEAD = "head"
+    RAMP = "ramp"
+    BEAR = "bear"
+
+
+@dataclass(frozen=True, slots=True)
+class Instruction:
+    """One thing to say.
+
+    Attributes:
+        kind: What.
+        urgency: How soon.
+        key: The same thing has the same key, so that it is not said twice.
+        distance: To where it is [m].
+        amount: As in `Feature`; for turns the angle to the left [rad].
+        count: Number of steps.
+    """
+
+    kind: Kind
+    urgency: Urgency
+    key: str
+    distance: float = 0.0
+    amount: float = 0.0
+    count: int = 1
+
+
+@dataclass(frozen=True, slots=True)
+class Advice:
+    """What to do now (`action`, `direction` [rad] to the left, `pace` [m/s], `urgency` 0 to 1) and what to say."""
+
+    progress: Progress
+    action: CueAction
+    direction: float = 0.0
+    pace: float = 0.0
+    urgency: float = 0.0
+    off_way: bool = False
+    instructions: tuple[Instruction, ...] = ()
+
+
+def advise(route: Route, pose: Pose, now: float, *, near: float, obstacles: FloatArray | None = None) -> Advice:
+    """Advise a person.
+
+    Args:
+        route: Where to go.
+        pose: The newest pose.
+        now: On the clock of the pose's stamp [s].
+        near: Arc length of the last progress [m].
+        obstacles: New things that the service does not know yet, shape (k, 3) [m].
+    """
+    progress = route.locate(pose, near)
+    if (reason := _distrust(pose, now)) is not None:
+        return _stop(progress, reason)
+    left = route.length - progress.s
+    place = np.array(pose.position[:2])
+    if left < ARRIVED and np.hypot(*(route.ground[-1, :2] - place)) < ARRIVED:
+        done = Instruction(Kind.ARRIVED, Urgency.ACT, "arrived")
+        return Advice(progress, CueAction.ARRIVED, instructions=(done,))
+    if obstacles is not None and (gap := _obstacle_ahead(route, progress, obstacles)) < STOP_BEFORE:
+        return _stop(progress, Instruction(Kind.STOP_OBSTACLE, Urgency.DANGER, "stop_obstacle", gap))
+    if not route.inside(place[None], progress.s)[0]:
+        off = Instruction(Kind.STOP_OFF_WAY, Urgency.DANGER, "stop_off_way")
+        return _stop(progress, off, off_way=True)
+    direction = aim(route, pose, progress)
+    pace = min(safe_pace(route, pose, progress, direction), _pace_before_steps(route, progress))
+    action = _action(direction, pace)
+    said = _turning(route, progress, direction, action) + _ahead(route, progress)
+    urgency = min(1.0, abs(direction) / ON_THE_SPOT)
+    pace = 0.0 if action is CueAction.TURN else pace
+    return Advice(progress, action, direction, pace, urgency, instructions=tuple(sorted(said, key=_first)))
+
+
+def _first(instruction: Instruction) -> tuple[int, float]:
+    return -instruction.urgency, instruction.distance
+
+
+def _distrust(pose: Pose, now: float) -> Instruction | None:
+    if now - pose.stamp > POSE_AGE:
+        return Instruction(Kind.STOP_LOST, Urgency.DANGER, "stop_lost")
+    if pose.accuracy > UNRELIABLE:
+        return Instruction(Kind.STOP_UNRELIABLE, Urgency.DANGER, "stop_unreliable")
+    return None
+
+
+def _stop(progress: Progress, reason: Instruction, *, off_way: bool = False) -> Advice:
+    return Advice(progress, CueAction.STOP, urgency=1.0, off_way=off_way, instructions=(reason,))
+
+
+def _action(direction: float, pace: float) -> CueAction:
+    if abs(direction) >= ON_THE_SPOT or pace == 0.0:
+        return CueAction.TURN if abs(direction) > STRAIGHT else CueAction.STOP
+    return CueAction.GO if pace == PACES[0] else CueAction.SLOW
+
+
+def _obstacle_ahead(route: Route, progress: Progress, obstacles: FloatArray) -> float:
+    """Along the path to the first new obstacle in the body's way [m]; inf where there is none."""
+    rows = (route.s >= progress.s) & (route.s <= progress.s + STOP_BEFORE + PACES[0])
+    path = route.ground[rows]
+    gap = obstacles[:, None, :] - path[None]
+    over = gap[:, :, 2]
+    hit = (np.hypot(gap[:, :, 0], gap[:, :, 1]) < route.radius) & (over > LEAST_OBSTACLE) & (over < BODY_HEIGHT)
+    struck = hit.any(axis=0)
+    return float(route.s[rows][struck][0] - progress.s) if struck.any() else float("inf")
+
+
+def aim(route: Route, pose: Pose, progress: Progress) -> float:
+    """Direction [rad] to the left, of the furthest place on the path that is reached straight inside the corridor."""
+    place = np.array(pose.position[:2])
+    share = np.linspace(0.0, 1.0, 9)[1:, None]
+    for ahead in LOOK_AHEAD:
+        target = route.at(min(progress.s + ahead, route.length))[:2]
+        if route.inside(place + share * (target - place), progress.s).all():
+            break
+    return wrap(float(np.arctan2(*(target - place)[::-1])) - pose.heading)
+
+
+def safe_pace(route: Route, pose: Pose, progress: Progress, direction: float) -> float:
+    """The fastest of `PACES` at which a person who hears nothing more stops inside the corridor; 0 where none is."""
+    bend = float(np.clip(direction, -ON_THE_SPOT, ON_THE_SPOT))
+    headings = pose.heading + np.array([min(bend, 0.0) - SWAY, 0.5 * bend, max(bend, 0.0) + SWAY])
+    forward = np.column_stack([np.cos(headings), np.sin(headings)])
+    for pace in PACES:
+        reach = np.linspace(0.0, pace * BLIND, 7)[1:]
+        places = np.array(pose.position[:2]) + reach[:, None, None] * forward
+        if route.inside(places.reshape(-1, 2), progress.s).all():
+            return pace
+    return 0.0
+
+
+def _pace_before_steps(route: Route, progress: Progress) -> float:
+    near = any(
+        f.kind in (FeatureKind.STEP, FeatureKind.STAIRS) and f.start - NEAR_STEP <= progress.s <= f.end
+        for f in route.features
+    )
+    return PACES[1] if near else PACES[0]
+
+
+def _turning(route: Route, progress: Progress, direction: float, action: CueAction) -> list[Instruction]:
+    """Turns at this place: to be made, over-turned, or made."""
+    key = f"@{progress.s:.0f}"
+    turn = next((f for f in route.features if f.kind is FeatureKind.TURN and _at(f, progress.s)), None)
+    if turn is not None and direction * turn.amount < 0 and abs(direction) > STRAIGHT:
+        return [Instruction(Kind.TURN_BACK, Urgency.PREPARE, f"turn_back{turn.start:.1f}", amount=direction)]
+    if action is CueAction.TURN and abs(direction) >= TURN:
+        return [Instruction(Kind.TURN_NOW, Urgency.ACT, f"turn_now{key}", amount=direction)]
+    if turn is not None and progress.s >= turn.end and abs(direction) <= STRAIGHT:
+        straight = _straight_length(route, progress.s)
+        return [Instruction(Kind.GO_ON, Urgency.INFORM, f"go_on{turn.start:.1f}", straight)]
+    return []
+
+
+def _at(turn: Feature, s: float) -> bool:
+    return turn.start - TURN_WINDOW[0] <= s <= turn.end + 2 * TURN_WINDOW[0]
+
+
+def _straight_length(route: Route, s: float) -> float:
+    """Until the next turn, step or end [m]."""
+    kinds = (FeatureKind.TURN, FeatureKind.STEP, FeatureKind.STAIRS)
+    return min([f.start for f in route.features if f.kind in kinds and f.start > s + 0.5] + [route.length]) - s
+
+
+_SOON: dict[FeatureKind, tuple[Kind, Urgency, tuple[float, float]]] = {
+    FeatureKind.STEP: (Kind.STEP, Urgency.ACT, STEP_WINDOW),
+    FeatureKind.STAIRS: (Kind.STAIRS, Urgency.ACT, STEP_WINDOW),
+    FeatureKind.TURN: (Kind.TURN_SOON, Urgency.PREPARE, TURN_WINDOW),
+    FeatureKind.NARROW: (Kind.NARROW, Urgency.PREPARE, OTHER_WINDOW),
+    FeatureKind.HEAD: (Kind.HEAD, Urgency.PREPARE, OTHER_WINDOW),
+    FeatureKind.RAMP: (Kind.RAMP, Urgency.INFORM, OTHER_WINDOW),
+    FeatureKind.BEAR: (Kind.BEAR, Urgency.INFORM, OTHER_WINDOW),
+}
+
+
+def _ahead(route: Route, progress: Progress) -> list[Instruction]:
+    """What comes soon, and the end of a stair."""
+    said = []
+    for feature in route.features:
+        kind, urgency, window = _SOON[feature.kind]
+        distance, key = feature.start - progress.s, f"{feature.kind}{feature.start:.1f}"
+        late = feature.kind in (FeatureKind.STEP, FeatureKind.STAIRS) and 0.0 <= distance < window[0]
+        if window[0] <= distance <= window[1] or late:  # late is better than never
+            said.append(Instruction(kind, urgency, key, distance, feature.amount, feature.count))
+        if feature.kind is FeatureKind.STAIRS and feature.end <= progress.s <= feature.end + 0.6:
+            said.append(Instruction(Kind.STAIRS_END, Urgency.PREPARE, f"end{key}"))
+    return said
