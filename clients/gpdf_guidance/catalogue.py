@@ -64,16 +64,17 @@ GERMAN = Words(
         Kind.STEP: "In {distance} Stufe {vertical}, {height} Zentimeter.",
         Kind.STAIRS: "In {distance} Treppe {vertical}, {count} Stufen.",
         Kind.STAIRS_END: "Ende der Treppe.",
-        Kind.TURN_NOW: "Drehen Sie sich {side}.",
+        Kind.TURN_NOW: "Drehung {side}.",
         Kind.TURN_BACK: "Zu weit. Etwas zurück nach {side}.",
-        Kind.TURN_SOON: "In {distance} {side} abbiegen.",
+        Kind.TURN_SOON: "In {distance} Drehung {side}.",
         Kind.GO_ON: "Gut. Geradeaus, {distance}.",
         Kind.NARROW: "Engstelle voraus, {width} Zentimeter.",
         Kind.HEAD: "Vorsicht, Hindernis in Kopfhöhe {side}.",
         Kind.RAMP: "In {distance} Rampe {vertical}.",
         Kind.BEAR: "Halten Sie sich {side}.",
     },
-    "links", "rechts", "leicht nach {side}", "um", "aufwärts", "abwärts", "Meter", "Metern", "Schritt", "Schritten", ",",
+    "links", "rechts", "leicht {side}", "ganz herum", "aufwärts", "abwärts", "Meter", "Metern",
+    "Schritt", "Schritten", ",",
 )  # fmt: skip
 LANGUAGES = {"en": ENGLISH, "de": GERMAN}
 

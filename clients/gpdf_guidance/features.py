@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import StrEnum
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -173,7 +174,7 @@ def _same_sign(z: FloatArray, first: int, last: int) -> list[tuple[int, int]]:
     """A run of faces, cut where up becomes down."""
     up = np.diff(z[first : last + 1]) > 0
     cuts = [first, *(first + 1 + np.flatnonzero(up[1:] != up[:-1])).tolist(), last]
-    return list(zip(cuts[:-1], cuts[1:], strict=True))
+    return list(pairwise(cuts))
 
 
 def find_ramps(z: FloatArray, s: FloatArray) -> list[Feature]:
