@@ -216,10 +216,10 @@ def find_narrow(width: FloatArray, s: FloatArray) -> list[Feature]:
 def find_head_height(free: FloatArray, over: FloatArray, s: FloatArray) -> list[Feature]:
     """What hangs beside the path over the hip, where a cane finds nothing; amount 1 on the left, -1 on the right."""
     middle, found = free.shape[1] // 2, []
-    hangs = (over > HEAD_EXCESS) & (free < HEAD_EXCESS)
+    hangs: NDArray[np.bool_] = (over > HEAD_EXCESS) & (free < HEAD_EXCESS)
     reach = round(HEAD_ROOM / 0.05)
     for side, columns in ((1.0, slice(middle, middle + reach + 1)), (-1.0, slice(middle - reach, middle + 1))):
-        for a, b in _runs(hangs[:, columns].any(axis=1)):
+        for a, b in _runs(np.any(hangs[:, columns], axis=1)):
             found.append(Feature(FeatureKind.HEAD, float(s[a]), float(s[min(b, len(s)) - 1]), side))
     return found
 

@@ -13,10 +13,10 @@ from gpdf_client import Client, Status, Trajectory
 from gpdf_schemas import CueAction, CueMessage
 from numpy.typing import NDArray
 
-from gpdf_guidance.advice import Advice, Instruction, Kind, Progress, Urgency, advise
+from gpdf_guidance.advice import Advice, Instruction, Kind, Urgency, advise
 from gpdf_guidance.announcer import Announcer
 from gpdf_guidance.catalogue import phrase
-from gpdf_guidance.route import Pose, Room, Route, build_route
+from gpdf_guidance.route import Pose, Progress, Route, build_route
 
 FloatArray = NDArray[np.float64]
 

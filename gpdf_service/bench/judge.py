@@ -56,18 +56,19 @@ class Judge:
     def judge(self, trajectory: Trajectory, agent: Agent) -> Verdict:
         """Judge one trajectory of a body."""
         contact, top = _dense(trajectory.ground), _dense(trajectory.positions)
-        deepest = 0.0
-        for centre, near in zip(contact, self.other_tree.query_ball_point(contact[:, :2], agent.radius), strict=True):
-            hit = self._hits(self.other[near], centre, agent)
-            if len(hit):
-                depth = agent.radius - np.linalg.norm(hit[:, :2] - centre[:2], axis=1)
-                deepest = max(deepest, float(depth.max()))
+        deepest = max(self.penetration(centre, agent) for centre in contact)
         distance = self.ground_tree.query(top)[0]
         # The nearest of sparse points is further than the surface; straight above one, it is not.
         upright = top[:, 2] - self.ground[self.ground_plan.query(top[:, :2])[1], 2]
         off = np.minimum(np.abs(distance - agent.height), np.abs(upright - agent.height))
         feasible = bool((off <= 0.1 * agent.height).all())
         return Verdict(deepest, deepest == 0.0, feasible, float(distance.mean()))
+
+    def penetration(self, contact: FloatArray, agent: Agent) -> float:
+        """How deep the worst point is in a body that stands at `contact` (3,) [m]; 0 where none touches it."""
+        near = self.other[self.other_tree.query_ball_point(contact[:2], agent.radius)]
+        hit = self._hits(near, contact, agent)
+        return float((agent.radius - np.linalg.norm(hit[:, :2] - contact[:2], axis=1)).max()) if len(hit) else 0.0
 
     def _hits(self, points: FloatArray, centre: FloatArray, agent: Agent) -> FloatArray:
         """Points in the cylinder that are not the face of a step that the body takes."""

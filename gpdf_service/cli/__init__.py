@@ -28,6 +28,8 @@ VERBS: dict[str, tuple[str, str]] = {
     "bench build": ("gpdf_service.bench.build", "time from cloud to scene beside Open3D's normals"),
     "bench plan": ("gpdf_service.bench.plan", "random queries: share certified, an independent judge, time"),
     "bench service": ("gpdf_service.bench.service", "what Zenoh, msgpack and the log add to a plan"),
+    "bench guide": ("gpdf_service.bench.guide", "simulated people with human errors: contacts, arrivals, words"),
+    "guide": ("gpdf_service.cli.guide", "lead a person: instructions, speech and haptic cues from a stream of poses"),
     "demo": ("gpdf_service.cli.demo", "see it happen: service, four bodies, picture and log"),
 }
 
