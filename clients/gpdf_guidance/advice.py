@@ -94,15 +94,15 @@ class Instruction:
     Attributes:
         kind: What.
         urgency: How soon.
-        key: The same thing has the same key, so that it is not said twice.
-        distance: To where it is [m].
+        place: Where what it speaks of is (x, y) [m], so that the same thing is not said twice.
+        distance: Along the way to there [m].
         amount: As in `Feature`; for turns the angle to the left [rad].
         count: Number of steps.
     """
 
     kind: Kind
     urgency: Urgency
-    key: str
+    place: tuple[float, float] = (0.0, 0.0)
     distance: float = 0.0
     amount: float = 0.0
     count: int = 1
@@ -137,12 +137,12 @@ def advise(route: Route, pose: Pose, now: float, *, near: float, obstacles: Floa
     left = route.length - progress.s
     place = np.array(pose.position[:2])
     if left < ARRIVED and np.hypot(*(route.ground[-1, :2] - place)) < ARRIVED:
-        done = Instruction(Kind.ARRIVED, Urgency.ACT, "arrived")
+        done = Instruction(Kind.ARRIVED, Urgency.ACT)
         return Advice(progress, CueAction.ARRIVED, instructions=(done,))
     if obstacles is not None and (gap := _obstacle_ahead(route, progress, obstacles)) < STOP_BEFORE:
-        return _stop(progress, Instruction(Kind.STOP_OBSTACLE, Urgency.DANGER, "stop_obstacle", gap))
+        return _stop(progress, Instruction(Kind.STOP_OBSTACLE, Urgency.DANGER, distance=gap))
     if not route.inside(place[None], progress.s)[0]:
-        off = Instruction(Kind.STOP_OFF_WAY, Urgency.DANGER, "stop_off_way")
+        off = Instruction(Kind.STOP_OFF_WAY, Urgency.DANGER)
         return _stop(progress, off, off_way=True)
     direction = aim(route, pose, progress)
     pace = min(safe_pace(route, pose, progress, direction), _pace_before_steps(route, progress))
@@ -159,9 +159,9 @@ def _first(instruction: Instruction) -> tuple[int, float]:
 
 def _distrust(pose: Pose, now: float) -> Instruction | None:
     if now - pose.stamp > POSE_AGE:
-        return Instruction(Kind.STOP_LOST, Urgency.DANGER, "stop_lost")
+        return Instruction(Kind.STOP_LOST, Urgency.DANGER)
     if pose.accuracy > UNRELIABLE:
-        return Instruction(Kind.STOP_UNRELIABLE, Urgency.DANGER, "stop_unreliable")
+        return Instruction(Kind.STOP_UNRELIABLE, Urgency.DANGER)
     return None
 
 
@@ -187,11 +187,11 @@ def _obstacle_ahead(route: Route, progress: Progress, obstacles: FloatArray) -> 
 
 
 def aim(route: Route, pose: Pose, progress: Progress) -> float:
-    """Direction [rad] to the left, of the furthest place on the path that is reached straight inside the corridor."""
+    """Direction [rad] to the left, of the furthest place mid-corridor that is reached straight inside it."""
     place = np.array(pose.position[:2])
     share = np.linspace(0.0, 1.0, 9)[1:, None]
     for ahead in LOOK_AHEAD:
-        target = route.at(min(progress.s + ahead, route.length))[:2]
+        target = route.middle_at(min(progress.s + ahead, route.length))
         if route.inside(place + share * (target - place), progress.s).all():
             break
     return wrap(float(np.arctan2(*(target - place)[::-1])) - pose.heading)
@@ -220,16 +220,21 @@ def _pace_before_steps(route: Route, progress: Progress) -> float:
 
 def _turning(route: Route, progress: Progress, direction: float, action: CueAction) -> list[Instruction]:
     """Turns at this place: to be made, over-turned, or made."""
-    key = f"@{progress.s:.0f}"
+    here = _place(route, progress.s)
     turn = next((f for f in route.features if f.kind is FeatureKind.TURN and _at(f, progress.s)), None)
     if turn is not None and direction * turn.amount < 0 and abs(direction) > STRAIGHT:
-        return [Instruction(Kind.TURN_BACK, Urgency.PREPARE, f"turn_back{turn.start:.1f}", amount=direction)]
+        return [Instruction(Kind.TURN_BACK, Urgency.PREPARE, _place(route, turn.start), amount=direction)]
     if action is CueAction.TURN and abs(direction) >= TURN:
-        return [Instruction(Kind.TURN_NOW, Urgency.ACT, f"turn_now{key}", amount=direction)]
+        return [Instruction(Kind.TURN_NOW, Urgency.ACT, here, amount=direction)]
     if turn is not None and progress.s >= turn.end and abs(direction) <= STRAIGHT:
         straight = _straight_length(route, progress.s)
-        return [Instruction(Kind.GO_ON, Urgency.INFORM, f"go_on{turn.start:.1f}", straight)]
+        return [Instruction(Kind.GO_ON, Urgency.INFORM, _place(route, turn.start), straight)]
     return []
+
+
+def _place(route: Route, s: float) -> tuple[float, float]:
+    x, y, _ = route.at(s).tolist()
+    return x, y
 
 
 def _at(turn: Feature, s: float) -> bool:
@@ -258,10 +263,10 @@ def _ahead(route: Route, progress: Progress) -> list[Instruction]:
     said = []
     for feature in route.features:
         kind, urgency, window = _SOON[feature.kind]
-        distance, key = feature.start - progress.s, f"{feature.kind}{feature.start:.1f}"
+        distance, place = feature.start - progress.s, _place(route, feature.start)
         late = feature.kind in (FeatureKind.STEP, FeatureKind.STAIRS) and 0.0 <= distance < window[0]
         if window[0] <= distance <= window[1] or late:  # late is better than never
-            said.append(Instruction(kind, urgency, key, distance, feature.amount, feature.count))
+            said.append(Instruction(kind, urgency, place, distance, feature.amount, feature.count))
         if feature.kind is FeatureKind.STAIRS and feature.end <= progress.s <= feature.end + 0.6:
-            said.append(Instruction(Kind.STAIRS_END, Urgency.PREPARE, f"end{key}"))
+            said.append(Instruction(Kind.STAIRS_END, Urgency.PREPARE, place))
     return said

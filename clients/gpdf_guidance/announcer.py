@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from math import hypot
 
 from gpdf_guidance.advice import Instruction, Urgency
 
 PER_MINUTE = 7.0
 """[1/min] Instructions that the budget earns: under the 8 that people bear for long."""
-SAVED = 1.5
+SAVED = 1.0
 """Instructions that can be saved up."""
 DEBT = -3.0
 """Instructions that urgent ones can borrow."""
 AGAIN = {Urgency.DANGER: 8.0, Urgency.ACT: 12.0}
 """[s] What is dangerous or to be done now is said again after this if it is still so; the rest is said once."""
+SAME = 0.8
+"""[m] What is of one kind and this close is the same thing, also after another way has been planned."""
 WORD = 0.33
 """[s] A spoken word takes."""
 
@@ -27,8 +30,9 @@ class Announcer:
 
     def __init__(self, say: Callable[[Instruction], str]) -> None:
         self._say = say
-        self._said: dict[str, float] = {}
-        self._tokens, self._then, self._quiet_at = SAVED, 0.0, -float("inf")
+        self._said: list[tuple[Instruction, float]] = []
+        self._tokens, self._then = SAVED, 0.0
+        self._quiet_at, self._speaking = -float("inf"), Urgency.INFORM
 
     def choose(self, instructions: Sequence[Instruction], now: float) -> tuple[Instruction, str] | None:
         """The most urgent that is due, in words; None to be silent.
@@ -41,7 +45,7 @@ class Announcer:
         for instruction in instructions:
             urgent = instruction.urgency >= Urgency.ACT
             affordable = self._tokens >= 1.0 or urgent
-            silent = now >= self._quiet_at or instruction.urgency is Urgency.DANGER
+            silent = now >= self._quiet_at or instruction.urgency > self._speaking
             if affordable and silent and self._due(instruction, now):
                 return self._speak(instruction, now)
         return None
@@ -52,12 +56,16 @@ class Announcer:
         self._then = now
 
     def _due(self, instruction: Instruction, now: float) -> bool:
-        last = self._said.get(instruction.key)
-        return last is None or now - last >= AGAIN.get(instruction.urgency, float("inf"))
+        again = AGAIN.get(instruction.urgency, float("inf"))
+        return all(now - then >= again for said, then in self._said if _same(said, instruction))
 
     def _speak(self, instruction: Instruction, now: float) -> tuple[Instruction, str]:
         text = self._say(instruction)
-        self._said[instruction.key] = now
+        self._said.append((instruction, now))
         self._tokens = max(DEBT, self._tokens - 1.0)
-        self._quiet_at = now + WORD * len(text.split())
+        self._quiet_at, self._speaking = now + WORD * len(text.split()), instruction.urgency
         return instruction, text
+
+
+def _same(a: Instruction, b: Instruction) -> bool:
+    return a.kind is b.kind and hypot(a.place[0] - b.place[0], a.place[1] - b.place[1]) < SAME

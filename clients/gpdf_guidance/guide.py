@@ -44,8 +44,10 @@ TRIES = 6
 """Ways that are asked for without half a metre of progress between them."""
 LOST = 30.0
 """[s] Without a good pose the guide gives up."""
-WAITING = 0.8
-"""[s] A pose that is back within this is not worth a sentence; the cue says stop at once."""
+WAITING = 1.5
+"""[s] A stop that is over within this is not worth a sentence; the cue says stop at once."""
+PASSING = (Kind.STOP_LOST, Kind.STOP_UNRELIABLE, Kind.STOP_OFF_WAY)
+"""Reasons to stop that mostly pass."""
 
 
 class Outcome(StrEnum):
@@ -141,11 +143,11 @@ class Guide:
             stamp=now,
             pose_stamp=stamp,
         )
-        return cue, self._announcer.choose(self._worth_saying(advice, pose, now), now)
+        return cue, self._announcer.choose(self._worth_saying(advice, now), now)
 
     def _advise(self, pose: Pose | None, now: float) -> Advice:
         if self.outcome is Outcome.SAFE_STOP:
-            gone = Instruction(Kind.GAVE_UP, Urgency.DANGER, "gave_up")
+            gone = Instruction(Kind.GAVE_UP, Urgency.DANGER)
             return Advice(Progress(self._s, 0.0), CueAction.STOP, urgency=1.0, instructions=(gone,))
         if pose is None or self.route is None:
             return Advice(Progress(self._s, 0.0), CueAction.STOP)
@@ -153,11 +155,11 @@ class Guide:
         self._s = advice.progress.s
         return advice
 
-    def _worth_saying(self, advice: Advice, pose: Pose | None, now: float) -> tuple[Instruction, ...]:
-        """A pose that is late by a moment stops the feet, but is no news."""
-        if pose is not None and now - pose.stamp < WAITING:
-            return tuple(one for one in advice.instructions if one.kind is not Kind.STOP_LOST)
-        return advice.instructions
+    def _worth_saying(self, advice: Advice, now: float) -> tuple[Instruction, ...]:
+        """What stops the feet for a moment only is no news."""
+        since = self._waiting.since
+        passing = since is not None and now - since < WAITING
+        return tuple(one for one in advice.instructions if not (passing and one.kind in PASSING))
 
     def _notice(self, advice: Advice, pose: Pose | None, now: float) -> None:
         """Arrival, and how long the person has been kept from walking."""

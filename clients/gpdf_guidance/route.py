@@ -22,6 +22,8 @@ MARGIN = 0.03
 """[m] Room that a corridor leaves beside it: the error of the distance field and of a good pose."""
 WIDEST = 0.8
 """[m] A corridor is looked for this far to either side; more changes no instruction."""
+ELBOW_ROOM = 0.35
+"""[m] To either side of the body a person walks at ease."""
 BACK, AHEAD = 1.5, 2.5
 """[m] A pose is looked for this far behind and ahead of the last one: a path that passes itself is not confused."""
 
@@ -55,6 +57,7 @@ class Route:
         disc: The body's centre may be this far from the path in any direction [m].
         left: And this far to the left [m].
         right: And this far to the right [m].
+        shift: The corridor's middle is this far to the left, where there is less than `ELBOW_ROOM` on one side [m].
         features: What a person is told of, in order.
         radius: Of the person's body [m].
     """
@@ -65,6 +68,7 @@ class Route:
     disc: FloatArray
     left: FloatArray
     right: FloatArray
+    shift: FloatArray
     features: tuple[Feature, ...]
     radius: float
 
@@ -76,6 +80,12 @@ class Route:
     def at(self, s: float) -> FloatArray:
         """The contact point at arc length `s`, shape (3,)."""
         return np.array([np.interp(s, self.s, self.ground[:, k]) for k in range(3)])
+
+    def middle_at(self, s: float) -> FloatArray:
+        """Where to walk at arc length `s`, shape (2,): the path, moved to the corridor's middle where it is tight."""
+        shift, heading = np.interp(s, self.s, self.shift), self.heading_at(s)
+        middle: FloatArray = self.at(s)[:2] + shift * np.array([-np.sin(heading), np.cos(heading)])
+        return middle
 
     def heading_at(self, s: float) -> float:
         """The path's direction at arc length `s` [rad]."""
@@ -137,7 +147,17 @@ def build_route(
     features = find_features(
         _plan_and_height(trajectory.ground, rough), s, heading, left + right + 2 * radius, free, over, facing
     )
-    return Route(ground, s, heading, np.maximum(free[:, middle] - MARGIN, 0.0), left, right, features, radius)
+    return Route(
+        ground,
+        s,
+        heading,
+        np.maximum(free[:, middle] - MARGIN, 0.0),
+        left,
+        right,
+        _shift(left, right),
+        features,
+        radius,
+    )
 
 
 def _plan_and_height(ground: FloatArray, s: FloatArray) -> FloatArray:
@@ -164,3 +184,10 @@ def _reach(free: FloatArray) -> FloatArray:
     first = np.where(blocked.any(axis=1), blocked.argmax(axis=1), free.shape[1])
     reach: FloatArray = (first - 1) * SPACING / 2
     return reach
+
+
+def _shift(left: FloatArray, right: FloatArray) -> FloatArray:
+    """How far to the left of the path there is `ELBOW_ROOM` on both sides, or as much on one as on the other [m]."""
+    lack_left, lack_right = np.maximum(ELBOW_ROOM - left, 0.0), np.maximum(ELBOW_ROOM - right, 0.0)
+    shift: FloatArray = np.clip(0.5 * (left - right), -lack_left, lack_right)
+    return shift

@@ -115,6 +115,6 @@ def step_announcements(walk: Walk, guide: Guide) -> list[float]:
     found = []
     for feature in route.features:
         if feature.kind in (FeatureKind.STEP, FeatureKind.STAIRS) and feature.start > 1.0:
-            mine = [one.distance for one in told if one.key == f"{feature.kind}{feature.start:.1f}"]
+            mine = [one.distance for one in told if np.hypot(*(route.at(feature.start)[:2] - one.place)) < 0.8]
             found.append(mine[0] if mine else float("inf"))
     return found
