@@ -18,7 +18,7 @@ from gpdf_guidance.route import Pose, Progress, Route
 
 FloatArray = NDArray[np.float64]
 
-PACES = (0.7, 0.4, 0.2)
+PACES = (0.7, 0.4, 0.2, 0.1)
 """[m/s] A walk with a cane, a careful one, feeling the way."""
 POSE_AGE = 0.4
 """[s] An older pose is none: two poses of a 5 Hz stream are missing."""
@@ -38,6 +38,10 @@ ON_THE_SPOT = np.radians(40)
 """[rad] From this on one turns before one walks."""
 STRAIGHT = np.radians(10)
 """[rad] Nobody feels a smaller error of direction."""
+FACING = np.radians(3)
+"""[rad] In a tight place one turns until one faces the way by this."""
+POSE_SLACK = 0.03
+"""[m] A pose may be this far out of the corridor by its own error alone."""
 ARRIVED = 0.4
 """[m] From the goal: an arm reaches it."""
 NEAR_STEP = 1.2
@@ -141,7 +145,7 @@ def advise(route: Route, pose: Pose, now: float, *, near: float, obstacles: Floa
         return Advice(progress, CueAction.ARRIVED, instructions=(done,))
     if obstacles is not None and (gap := _obstacle_ahead(route, progress, obstacles)) < STOP_BEFORE:
         return _stop(progress, Instruction(Kind.STOP_OBSTACLE, Urgency.DANGER, distance=gap))
-    if not route.inside(place[None], progress.s)[0]:
+    if not route.inside(place[None], progress.s, POSE_SLACK)[0]:
         off = Instruction(Kind.STOP_OFF_WAY, Urgency.DANGER)
         return _stop(progress, off, off_way=True)
     direction = aim(route, pose, progress)
@@ -171,7 +175,7 @@ def _stop(progress: Progress, reason: Instruction, *, off_way: bool = False) -> 
 
 def _action(direction: float, pace: float) -> CueAction:
     if abs(direction) >= ON_THE_SPOT or pace == 0.0:
-        return CueAction.TURN if abs(direction) > STRAIGHT else CueAction.STOP
+        return CueAction.TURN if abs(direction) > FACING else CueAction.STOP
     return CueAction.GO if pace == PACES[0] else CueAction.SLOW
 
 

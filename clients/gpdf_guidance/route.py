@@ -18,8 +18,8 @@ Room = Callable[[FloatArray], FloatArray]
 
 SPACING = 0.1
 """[m] Between samples of a route: half of what a person sways."""
-MARGIN = 0.03
-"""[m] Room that a corridor leaves beside it: the error of the distance field and of a good pose."""
+MARGIN = 0.1
+"""[m] Room that a corridor leaves beside it: a swinging arm; in a tight place half of the path's own room."""
 WIDEST = 0.8
 """[m] A corridor is looked for this far to either side; more changes no instruction."""
 ELBOW_ROOM = 0.35
@@ -105,16 +105,16 @@ class Route:
         side = along[i, 0] * away[i, 1] - along[i, 1] * away[i, 0]
         return Progress(s, float(np.copysign(np.hypot(*away[i, :2]), side)))
 
-    def inside(self, places: FloatArray, near: float) -> BoolArray:
+    def inside(self, places: FloatArray, near: float, slack: float = 0.0) -> BoolArray:
         """Whether the body's centre may be at `places` (m, 2): in the path's corridor, close to arc length `near`."""
         rows = self._window(near)
         away = places[:, None, :] - self.ground[None, rows, :2]
         forward = np.column_stack([np.cos(self.heading[rows]), np.sin(self.heading[rows])])
         along = (away * forward).sum(axis=2)
         across = forward[:, 0] * away[:, :, 1] - forward[:, 1] * away[:, :, 0]
-        in_disc = np.hypot(along, across) <= self.disc[rows] + 1e-9
+        in_disc = np.hypot(along, across) <= self.disc[rows] + slack + 1e-9
         beside = np.abs(along) <= 0.5 * SPACING + 1e-9
-        in_width = (across <= self.left[rows] + 1e-9) & (across >= -self.right[rows] - 1e-9)
+        in_width = (across <= self.left[rows] + slack + 1e-9) & (across >= -self.right[rows] - slack - 1e-9)
         inside: BoolArray = (in_disc | (beside & in_width)).any(axis=1)
         return inside
 
@@ -142,16 +142,17 @@ def build_route(
     heading = np.interp(s, rough, np.unwrap(trajectory.headings))
     free = _scan(ground, heading, room)
     middle = free.shape[1] // 2
-    left, right = _reach(free[:, middle:]), _reach(free[:, middle::-1])
+    margin = np.clip(0.5 * free[:, middle], 0.0, MARGIN)
+    left, right = _reach(free[:, middle:], margin), _reach(free[:, middle::-1], margin)
     over = _scan(ground, heading, room_low) - free if room_low is not None else np.zeros_like(free)
     features = find_features(
-        _plan_and_height(trajectory.ground, rough), s, heading, left + right + 2 * radius, free, over, facing
+        _plan_and_height(trajectory.ground, rough), s, heading, left + right + 2 * (radius + margin), free, over, facing
     )
     return Route(
         ground,
         s,
         heading,
-        np.maximum(free[:, middle] - MARGIN, 0.0),
+        np.maximum(free[:, middle] - margin, 0.0),
         left,
         right,
         _shift(left, right),
@@ -177,9 +178,9 @@ def _scan(ground: FloatArray, heading: FloatArray, room: Room) -> FloatArray:
     return room(places.reshape(-1, 3)).reshape(len(ground), len(offsets))
 
 
-def _reach(free: FloatArray) -> FloatArray:
-    """How far from the first column all are free [m], shape (n,)."""
-    blocked = free < MARGIN
+def _reach(free: FloatArray, margin: FloatArray) -> FloatArray:
+    """How far from the first column all leave the margin [m], shape (n,)."""
+    blocked = free < margin[:, None]
     blocked[:, 0] = False  # the path itself is certified
     first = np.where(blocked.any(axis=1), blocked.argmax(axis=1), free.shape[1])
     reach: FloatArray = (first - 1) * SPACING / 2

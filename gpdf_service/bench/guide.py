@@ -28,8 +28,8 @@ from gpdf_service.types import AGENTS, BoolArray, FloatArray
 
 STANDING_ROOM = 0.8
 """[m] Width of the place where a walk begins and ends: a person can turn there without touching anything."""
-LEAST_WALK = 2.0
-"""[m] A shorter one is no walk."""
+LEAST_WALK = 4.0
+"""[m] As the crow flies; nobody needs to be led for less."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
