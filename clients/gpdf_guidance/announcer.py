@@ -7,9 +7,9 @@ from math import hypot
 
 from gpdf_guidance.advice import Instruction, Urgency
 
-PER_MINUTE = 7.0
-"""[1/min] Instructions that the budget earns: under the 8 that people bear for long."""
-SAVED = 1.0
+PER_MINUTE = 6.0
+"""[1/min] Instructions that the budget earns: under the 8 that people bear for long, since urgent ones may borrow."""
+SAVED = 1.5
 """Instructions that can be saved up."""
 DEBT = -3.0
 """Instructions that urgent ones can borrow."""
@@ -31,7 +31,8 @@ class Announcer:
     def __init__(self, say: Callable[[Instruction], str]) -> None:
         self._say = say
         self._said: list[tuple[Instruction, float]] = []
-        self._tokens, self._then = SAVED, 0.0
+        self._tokens = 0.0
+        self._then: float | None = None
         self._quiet_at, self._speaking = -float("inf"), Urgency.INFORM
 
     def choose(self, instructions: Sequence[Instruction], now: float) -> tuple[Instruction, str] | None:
@@ -51,7 +52,7 @@ class Announcer:
         return None
 
     def _earn(self, now: float) -> None:
-        if self._said:
+        if self._then is not None:
             self._tokens = min(SAVED, self._tokens + (now - self._then) * PER_MINUTE / 60.0)
         self._then = now
 
