@@ -18,8 +18,8 @@ from gpdf_guidance.route import Pose, Progress, Route
 
 FloatArray = NDArray[np.float64]
 
-PACES = (0.7, 0.4, 0.2, 0.1)
-"""[m/s] A walk with a cane, a careful one, feeling the way."""
+PACES = (0.7, 0.3, 0.2, 0.1)
+"""[m/s] A walk with a cane; a careful one, which is a stair's tread a second; feeling the way, and inch by inch."""
 POSE_AGE = 0.4
 """[s] An older pose is none: two poses of a 5 Hz stream are missing."""
 REACTION = 0.5

@@ -7,7 +7,7 @@ from math import hypot
 
 from gpdf_guidance.advice import Instruction, Urgency
 
-PER_MINUTE = 6.0
+PER_MINUTE = 5.0
 """[1/min] Instructions that the budget earns: under the 8 that people bear for long, since urgent ones may borrow."""
 SAVED = 1.5
 """Instructions that can be saved up."""

@@ -190,10 +190,20 @@ class Guide:
         return now - since >= (OFF_WAY if advice.off_way else PATIENCE)
 
     def replan(self, pose: Pose, now: float) -> None:
-        """Ask the service for a way from here; gives up after `TRIES` in one place."""
+        """Ask the service for a way from here, and wait for it."""
+        self.take(*self.planner.route(pose, self.goal), pose, now)
+
+    def take(self, route: Route | None, reason: str, pose: Pose, now: float) -> None:
+        """Walk on by a route from `Planner.route`, or do without; gives up after `TRIES` in one place.
+
+        Args:
+            route: None where there is none.
+            reason: Why.
+            pose: Where it was asked for.
+            now: Clock [s].
+        """
         self._waiting.tries += 1
         self._waiting.since, self._waiting.at = now, np.array(pose.position)
-        route, reason = self.planner.route(pose, self.goal)
         if route is not None:
             self.route, self._s = route, 0.0
             self.routes.append(route)

@@ -75,7 +75,7 @@ def walk_all(server: Server, client: Client, name: str, count: int, seed: int) -
     scene, rng = entry.scene, np.random.default_rng(seed)
     world = WalkedWorld.of(scene.points, scene.ground)
     wide = dataclasses.replace(AGENTS["human"], width=STANDING_ROOM)
-    pairs = random_places(scene, wide, 4 * count, rng)
+    pairs = random_places(scene, wide, 40 * count, rng)
     pairs = pairs[np.hypot(*(pairs[:, 1] - pairs[:, 0]).T) >= LEAST_WALK][:count]
     walks: list[Guided] = []
     for start, goal in tqdm(pairs, desc=name, disable=None):

@@ -12,6 +12,7 @@ from gpdf_schemas.messages import CueMessage as CueMessage
 from gpdf_schemas.messages import DistanceReply as DistanceReply
 from gpdf_schemas.messages import DistanceRequest as DistanceRequest
 from gpdf_schemas.messages import LoadRequest as LoadRequest
+from gpdf_schemas.messages import ObstaclesMessage as ObstaclesMessage
 from gpdf_schemas.messages import PlanReply as PlanReply
 from gpdf_schemas.messages import PlanRequest as PlanRequest
 from gpdf_schemas.messages import PoseMessage as PoseMessage

@@ -23,6 +23,7 @@ MESSAGES = (
     messages.UploadRequest,
     messages.PoseMessage,
     messages.CueMessage,
+    messages.ObstaclesMessage,
 )
 
 

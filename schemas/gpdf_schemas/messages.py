@@ -261,3 +261,15 @@ class CueMessage(msgspec.Struct, frozen=True, kw_only=True):
     distance: float = 0.0
     stamp: float = 0.0
     pose_stamp: float = 0.0
+
+
+class ObstaclesMessage(msgspec.Struct, frozen=True, kw_only=True):
+    """What stands around a body now, seen by its own sensor, as a stream on `keys.OBSTACLES`/NAME.
+
+    Attributes:
+        points: (k, 3) [m]; none says that nothing is there any more.
+        valid_s: After this it is not believed any more [s].
+    """
+
+    points: Array
+    valid_s: float = 2.0
