@@ -7,6 +7,7 @@ import queue
 import time
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import suppress
 from typing import Any
 
 import msgspec
@@ -80,8 +81,8 @@ class LiveGuide:
         if said is not None:
             self._told(time.monotonic() - began, *said)
         for subscriber in subscribers:
-            subscriber.undeclare()
-        publisher.undeclare()
+            subscriber.undeclare()  # type: ignore[no-untyped-call]
+        publisher.undeclare()  # type: ignore[no-untyped-call]
         return self._guide.outcome
 
     def _listen(self) -> None:
@@ -142,7 +143,8 @@ class LiveGuide:
             try:
                 return self._inbox.put_nowait(message)
             except queue.Full:  # the oldest makes room
-                self._inbox.get_nowait()
+                with suppress(queue.Empty):
+                    self._inbox.get_nowait()
 
 
 def _points(message: ObstaclesMessage) -> NDArray[np.float64]:
