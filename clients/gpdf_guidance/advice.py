@@ -34,6 +34,8 @@ UNRELIABLE = 0.15
 """[m] One standard deviation of a pose from which it is no pose: half of a narrow passage's room."""
 LOOK_AHEAD = (1.5, 1.2, 0.9, 0.7, 0.5, 0.35, 0.2)
 """[m] Along the path to the place that one walks towards; the furthest that is reached straight."""
+RAY_STEPS = 14
+"""Steps of 6 cm along which the corridor is looked at; the slowest pace takes two of them."""
 ON_THE_SPOT = np.radians(40)
 """[rad] From this on one turns before one walks."""
 STRAIGHT = np.radians(10)
@@ -85,6 +87,7 @@ class Kind(StrEnum):
     TURN_BACK = "turn_back"
     TURN_SOON = "turn_soon"
     GO_ON = "go_on"
+    RESUME = "resume"
     NARROW = "narrow"
     HEAD = "head"
     RAMP = "ramp"
@@ -191,27 +194,44 @@ def _obstacle_ahead(route: Route, progress: Progress, obstacles: FloatArray) -> 
 
 
 def aim(route: Route, pose: Pose, progress: Progress) -> float:
-    """Direction [rad] to the left, of the furthest place mid-corridor that is reached straight inside it."""
+    """Direction to walk, to the left [rad]: to the place mid-corridor that is reached straight and at the best pace.
+
+    Of equal ones the furthest, so that the course is calm.
+    """
     place = np.array(pose.position[:2])
-    share = np.linspace(0.0, 1.0, 9)[1:, None]
-    for ahead in LOOK_AHEAD:
-        target = route.middle_at(min(progress.s + ahead, route.length))
-        if route.inside(place + share * (target - place), progress.s).all():
-            break
-    return wrap(float(np.arctan2(*(target - place)[::-1])) - pose.heading)
+    targets = np.array([route.middle_at(min(progress.s + ahead, route.length)) for ahead in LOOK_AHEAD]) - place
+    bearings = np.arctan2(targets[:, 1], targets[:, 0])
+    share = np.linspace(0.0, 1.0, 9)[1:, None, None]
+    straight = route.inside((place + share * targets).reshape(-1, 2), progress.s).reshape(len(share), -1).all(axis=0)
+    fans = bearings[:, None] + np.array([-SWAY, 0.0, SWAY])
+    reach = _clear(route, pose, progress, fans.ravel()).reshape(fans.shape).min(axis=1)
+    paces = np.array([_pace_for(length) for length in reach])
+    best = int(np.where(straight, paces, -1.0).argmax()) if straight.any() else len(bearings) - 1
+    return wrap(float(bearings[best]) - pose.heading)
 
 
 def safe_pace(route: Route, pose: Pose, progress: Progress, direction: float) -> float:
-    """The fastest of `PACES` at which a person who hears nothing more stops inside the corridor; 0 where none is."""
+    """The fastest of `PACES` at which a person who hears nothing more stops inside the corridor; 0 where none is.
+
+    He bends from where he looks towards `direction`, and sways to either side of that.
+    """
     bend = float(np.clip(direction, -ON_THE_SPOT, ON_THE_SPOT))
-    headings = pose.heading + np.array([min(bend, 0.0) - SWAY, 0.5 * bend, max(bend, 0.0) + SWAY])
+    fan = pose.heading + np.array([min(bend, 0.0) - SWAY, 0.5 * bend, max(bend, 0.0) + SWAY])
+    return _pace_for(float(_clear(route, pose, progress, fan).min()))
+
+
+def _pace_for(reach: float) -> float:
+    return next((pace for pace in PACES if pace * BLIND <= reach + 1e-9), 0.0)
+
+
+def _clear(route: Route, pose: Pose, progress: Progress, headings: FloatArray) -> FloatArray:
+    """How far one can go straight inside the corridor [m], up to `BLIND` at full pace, shape (m,)."""
+    steps = np.linspace(0.0, PACES[0] * BLIND, RAY_STEPS + 1)
     forward = np.column_stack([np.cos(headings), np.sin(headings)])
-    for pace in PACES:
-        reach = np.linspace(0.0, pace * BLIND, 7)[1:]
-        places = np.array(pose.position[:2]) + reach[:, None, None] * forward
-        if route.inside(places.reshape(-1, 2), progress.s).all():
-            return pace
-    return 0.0
+    places = np.array(pose.position[:2]) + steps[1:, None, None] * forward
+    inside = route.inside(places.reshape(-1, 2), progress.s).reshape(RAY_STEPS, len(headings))
+    clear: FloatArray = steps[np.logical_and.accumulate(inside).sum(axis=0)]
+    return clear
 
 
 def _pace_before_steps(route: Route, progress: Progress) -> float:

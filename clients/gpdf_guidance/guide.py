@@ -44,10 +44,12 @@ TRIES = 6
 """Ways that are asked for without half a metre of progress between them."""
 LOST = 30.0
 """[s] Without a good pose the guide gives up."""
-WAITING = 1.5
+WAITING = 2.0
 """[s] A stop that is over within this is not worth a sentence; the cue says stop at once."""
 PASSING = (Kind.STOP_LOST, Kind.STOP_UNRELIABLE, Kind.STOP_OFF_WAY)
 """Reasons to stop that mostly pass."""
+STOPS = (*PASSING, Kind.STOP_OBSTACLE)
+"""After these a person waits to be told to go on."""
 
 
 class Outcome(StrEnum):
@@ -117,7 +119,7 @@ class Guide:
         self.routes: list[Route] = []
         self.obstacles: FloatArray | None = None
         self._announcer = Announcer(lambda instruction: phrase(instruction, language, unit))
-        self._s, self._waiting = 0.0, _Waiting()
+        self._s, self._waiting, self._told_to_stop = 0.0, _Waiting(), False
 
     def see(self, obstacles: FloatArray | None) -> None:
         """Tell of things that stand in the scene and that the service does not know, shape (k, 3) [m]."""
@@ -143,7 +145,10 @@ class Guide:
             stamp=now,
             pose_stamp=stamp,
         )
-        return cue, self._announcer.choose(self._worth_saying(advice, now), now)
+        said = self._announcer.choose(self._worth_saying(advice, now), now)
+        if said is not None:
+            self._told_to_stop = said[0].kind in STOPS
+        return cue, said
 
     def _advise(self, pose: Pose | None, now: float) -> Advice:
         if self.outcome is Outcome.SAFE_STOP:
@@ -156,10 +161,13 @@ class Guide:
         return advice
 
     def _worth_saying(self, advice: Advice, now: float) -> tuple[Instruction, ...]:
-        """What stops the feet for a moment only is no news."""
+        """What stops the feet for a moment only is no news; who was told to stop is told to go on."""
         since = self._waiting.since
         passing = since is not None and now - since < WAITING
-        return tuple(one for one in advice.instructions if not (passing and one.kind in PASSING))
+        worth = tuple(one for one in advice.instructions if not (passing and one.kind in PASSING))
+        walks = advice.action in (CueAction.GO, CueAction.SLOW)
+        resume = (Instruction(Kind.RESUME, Urgency.DANGER),) if self._told_to_stop and walks else ()
+        return resume + worth
 
     def _notice(self, advice: Advice, pose: Pose | None, now: float) -> None:
         """Arrival, and how long the person has been kept from walking."""

@@ -10,7 +10,7 @@ import numpy as np
 from gpdf_schemas import CueAction, CueMessage
 from numpy.typing import NDArray
 
-from gpdf_guidance.features import wrap
+from gpdf_guidance.features import TURN, wrap
 from gpdf_guidance.route import Pose
 
 FloatArray = NDArray[np.float64]
@@ -122,6 +122,7 @@ class Walker:
         large = cue.action is CueAction.TURN and abs(cue.direction) > self._errors.over_turn
         if large and self._turn_to is None and now >= self._rest_until:
             too_far = self._rng.normal(self._errors.over_turn, self._errors.over_turn_spread)
+            too_far *= min(1.0, abs(cue.direction) / TURN)  # a correction is over-turned in proportion
             self._turn_to = self.heading + cue.direction + float(np.copysign(too_far, cue.direction))
 
     def _wander(self, period: float) -> None:
