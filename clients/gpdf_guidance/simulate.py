@@ -56,6 +56,11 @@ class Walk:
     stopped: float
 
     @property
+    def metres(self) -> float:
+        """Length of the walk in plan [m]."""
+        return float(np.hypot(*np.diff(self.places[:, :2], axis=0).T).sum())
+
+    @property
     def per_minute(self) -> float:
         """Spoken instructions a minute."""
         return 60.0 * len(self.said) / max(float(self.times[-1]), 1.0)
@@ -70,7 +75,7 @@ def simulate(guide: Guide, walker: Walker, truth: Truth | None, *, longest: floa
         truth: Looks for contacts at every tick.
         longest: Time after which the walk is ended [s].
     """
-    times, places, said, worst, stopped = [], [], [], 0.0, 0.0
+    times, places, said, worst, stopped = [0.0], [walker.position.copy()], [], 0.0, 0.0
     pose: Pose | None = None
     now, tick = 0.0, 0
     while now < longest:
@@ -85,11 +90,11 @@ def simulate(guide: Guide, walker: Walker, truth: Truth | None, *, longest: floa
                 said.append(Said(now, walker.position.copy(), *spoken))
             if guide.outcome is not Outcome.WALKING and walker.speed < 0.01:
                 break
+        now, tick = now + TICK, tick + 1
         walker.move(now, TICK)
         times.append(now)
         places.append(walker.position.copy())
         worst = max(worst, truth.penetration(walker.position)) if truth is not None else worst
-        now, tick = now + TICK, tick + 1
     if guide.outcome is Outcome.WALKING:
         guide.give_up(f"not there after {longest:.0f} s")
     routes = len(guide.routes)

@@ -11,6 +11,7 @@ import socket
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
+from itertools import islice
 from pathlib import Path
 
 import numpy as np
@@ -22,6 +23,7 @@ from tqdm import tqdm
 from gpdf_service.bench.plan import random_places
 from gpdf_service.bench.report import Row, add_scene_arguments, clouds, show
 from gpdf_service.bench.walks import WalkedWorld
+from gpdf_service.scene import Scene
 from gpdf_service.service.server import Options, Server
 from gpdf_service.types import AGENTS, BoolArray, FloatArray
 
@@ -74,11 +76,9 @@ def walk_all(server: Server, client: Client, name: str, count: int, seed: int) -
     assert entry.scene is not None
     scene, rng = entry.scene, np.random.default_rng(seed)
     world = WalkedWorld.of(scene.points, scene.ground)
-    wide = dataclasses.replace(AGENTS["human"], width=STANDING_ROOM)
-    pairs = random_places(scene, wide, 40 * count, rng)
-    pairs = pairs[np.hypot(*(pairs[:, 1] - pairs[:, 0]).T) >= LEAST_WALK][:count]
+    pairs = islice(connected_pairs(client, scene, name, count, rng), count)
     walks: list[Guided] = []
-    for start, goal in tqdm(pairs, desc=name, disable=None):
+    for start, goal in tqdm(pairs, desc=name, total=count, disable=None):
         world.fell = False
         z = float(world.judge.ground[world.judge.ground_plan.query(start)[1], 2])
         heading = float(rng.uniform(-np.pi, np.pi))
@@ -86,6 +86,17 @@ def walk_all(server: Server, client: Client, name: str, count: int, seed: int) -
         guide = Guide(Planner(client, name), goal.tolist())
         walks.append((simulate(guide, walker, world), guide))
     return walks
+
+
+def connected_pairs(
+    client: Client, scene: Scene, name: str, count: int, rng: np.random.Generator
+) -> Iterator[FloatArray]:
+    """Pairs of places (2, 2) [m] that a planner joins, where a person has room to stand."""
+    wide = dataclasses.replace(AGENTS["human"], width=STANDING_ROOM)
+    pairs = random_places(scene, wide, 40 * count, rng)
+    for pair in pairs[np.hypot(*(pairs[:, 1] - pairs[:, 0]).T) >= LEAST_WALK]:
+        if client.plan(name, *pair.tolist()).trajectory is not None:
+            yield pair
 
 
 def summary(walks: list[Guided]) -> Row:
@@ -98,6 +109,7 @@ def summary(walks: list[Guided]) -> Row:
         "safe_stops": sum(walk.outcome is Outcome.SAFE_STOP for walk, _ in walks),
         "contacts": sum(walk.penetration > 0 for walk, _ in walks),
         "deepest_m": max(walk.penetration for walk, _ in walks),
+        "metres_per_walk": float(np.mean([walk.metres for walk, _ in walks])),
         "said_per_min": sum(len(walk.said) for walk, _ in walks) / max(minutes, 1e-9),
         "minutes": minutes,
         "stopped_share": sum(walk.stopped for walk, _ in walks) / max(60.0 * minutes, 1e-9),

@@ -128,7 +128,7 @@ def _facts(walk: Walk, contact: bool | None) -> dict[str, Any]:
         "outcome": walk.outcome.value,
         "reason": walk.reason,
         "seconds": round(float(walk.times[-1]), 2),
-        "metres": round(float(np.hypot(*np.diff(walk.places[:, :2], axis=0).T).sum()), 2),
+        "metres": round(walk.metres, 2),
         "said": len(walk.said),
         "said_per_min": round(walk.per_minute, 2),
         "routes": walk.routes,
