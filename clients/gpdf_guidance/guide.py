@@ -36,6 +36,12 @@ WIDTHS = (1.0, 0.8, 0.66, 0.5)
 """[m] A way is asked for with elbow room first; less is taken only where there is no other."""
 HIP = 1.0
 """[m] What a cane finds ends here."""
+LEAST_ROOM = 0.08
+"""[m] On each side of the body, away from both ends: who sways more than this would touch."""
+ENDS = 1.0
+"""[m] A chair that one gets up from, a door that one goes to: there one is led through less."""
+STALLED = 30.0
+"""[s] Without half a metre of progress another way is asked for."""
 PATIENCE = 3.0
 """[s] Off the way, held up, or facing nothing that is safe: after this another way is asked for."""
 OFF_WAY = 0.5
@@ -82,14 +88,13 @@ class Planner:
 
     def route(self, pose: Pose, goal: Sequence[float]) -> tuple[Route | None, str]:
         """The route from a pose, or why there is none."""
-        reason = ""
         for width in WIDTHS:
-            body = {**PERSON, "width": width}
-            result = self._client.plan(self._scene, pose.position, goal, body)
+            result = self._client.plan(self._scene, pose.position, goal, {**PERSON, "width": width})
             if result.status is Status.OK and result.trajectory is not None:
-                return self._build(result.trajectory, pose), ""
-            reason = result.message
-        return None, reason
+                route = self._build(result.trajectory, pose)
+                tight = too_tight(route)
+                return (None, tight) if tight else (route, "")
+        return None, result.message
 
     def _build(self, trajectory: Trajectory, pose: Pose) -> Route:
         room, low = partial(self._room, PERSON), partial(self._room, {**PERSON, "name": "to the hip", "height": HIP})
@@ -100,6 +105,16 @@ class Planner:
         found = self._client.distance(self._scene, "obstacle", places, body)
         room: FloatArray = found.distance - body["width"] / 2
         return room
+
+
+def too_tight(route: Route) -> str:
+    """Why a route is no way for a person who cannot see; empty if it is one."""
+    between = (route.s > ENDS) & (route.s < route.length - ENDS)
+    if not between.any() or (room := float(route.room[between].min())) >= LEAST_ROOM:
+        return ""
+    width = 200 * (route.radius + room)
+    needed = 200 * (route.radius + LEAST_ROOM)
+    return f"the only way is {width:.0f} cm wide at its narrowest, and {needed:.0f} cm are needed."
 
 
 class Guide:
@@ -120,6 +135,7 @@ class Guide:
         self.obstacles: FloatArray | None = None
         self._announcer = Announcer(lambda instruction: phrase(instruction, language, unit))
         self._s, self._waiting, self._told_to_stop = 0.0, _Waiting(), False
+        self._moved, self._moved_at = 0.0, np.full(2, np.inf)
 
     def see(self, obstacles: FloatArray | None) -> None:
         """Tell of things that stand in the scene and that the service does not know, shape (k, 3) [m]."""
@@ -180,8 +196,12 @@ class Guide:
             self._waiting.since = now
         elif now - self._waiting.since > LOST:
             self.give_up("no good pose, or held up, for too long")
-        if pose is not None and np.hypot(*(self._waiting.at[:2] - pose.position[:2])) > 0.5:
+        if pose is None:
+            return
+        if np.hypot(*(self._waiting.at[:2] - pose.position[:2])) > 0.5:
             self._waiting.tries = 0
+        if np.hypot(*(self._moved_at - pose.position[:2])) > 0.5:
+            self._moved, self._moved_at = now, np.array(pose.position[:2])
 
     def wants_route(self, pose: Pose | None, now: float) -> bool:
         """Whether `replan` should be called with this pose."""
@@ -191,7 +211,7 @@ class Guide:
             return True
         since = self._waiting.since
         if since is None:
-            return False
+            return now - self._moved > STALLED
         advice = advise(self.route, pose, now, near=self._s, obstacles=self.obstacles)
         if any(one.kind in (Kind.STOP_LOST, Kind.STOP_UNRELIABLE) for one in advice.instructions):
             return False
@@ -212,6 +232,7 @@ class Guide:
         """
         self._waiting.tries += 1
         self._waiting.since, self._waiting.at = now, np.array(pose.position)
+        self._moved = now
         if route is not None:
             self.route, self._s = route, 0.0
             self.routes.append(route)

@@ -54,6 +54,7 @@ class Route:
         ground: Contact points [m].
         s: Arc length in plan [m].
         heading: Direction of the path, unwrapped [rad].
+        room: Free room beside the body on the path [m].
         disc: The body's centre may be this far from the path in any direction [m].
         left: And this far to the left [m].
         right: And this far to the right [m].
@@ -65,6 +66,7 @@ class Route:
     ground: FloatArray
     s: FloatArray
     heading: FloatArray
+    room: FloatArray
     disc: FloatArray
     left: FloatArray
     right: FloatArray
@@ -148,17 +150,9 @@ def build_route(
     features = find_features(
         _plan_and_height(trajectory.ground, rough), s, heading, left + right + 2 * (radius + margin), free, over, facing
     )
-    return Route(
-        ground,
-        s,
-        heading,
-        np.maximum(free[:, middle] - margin, 0.0),
-        left,
-        right,
-        _shift(left, right),
-        features,
-        radius,
-    )
+    clear = free[:, middle]
+    disc, shift = np.maximum(clear - margin, 0.0), _shift(left, right)
+    return Route(ground, s, heading, clear, disc, left, right, shift, features, radius)
 
 
 def _plan_and_height(ground: FloatArray, s: FloatArray) -> FloatArray:

@@ -18,6 +18,7 @@ import numpy as np
 from gpdf_client import Client
 from gpdf_guidance import Guide, Kind, Outcome, Planner, Walk, Walker, simulate
 from gpdf_guidance.features import FeatureKind
+from gpdf_guidance.guide import LEAST_ROOM, PERSON
 from tqdm import tqdm
 
 from gpdf_service.bench.plan import random_places
@@ -29,6 +30,8 @@ from gpdf_service.types import AGENTS, BoolArray, FloatArray
 
 STANDING_ROOM = 0.8
 """[m] Width of the place where a walk begins and ends: a person can turn there without touching anything."""
+WAY = 2 * (PERSON["width"] / 2 + LEAST_ROOM)
+"""[m] Width of a way that people are guided on."""
 LEAST_WALK = 4.0
 """[m] As the crow flies; nobody needs to be led for less."""
 
@@ -90,13 +93,14 @@ def walk_all(server: Server, client: Client, name: str, count: int, seed: int) -
 
 def connected_pairs(
     client: Client, scene: Scene, name: str, count: int, rng: np.random.Generator
-) -> Iterator[FloatArray]:
-    """Pairs of places (2, 2) [m] that a planner joins, where a person has room to stand."""
+) -> Iterator[tuple[FloatArray, FloatArray]]:
+    """Pairs of places (2,) [m] where a person has room to stand, joined by a way that is wide enough."""
     wide = dataclasses.replace(AGENTS["human"], width=STANDING_ROOM)
     pairs = random_places(scene, wide, 40 * count, rng)
-    for pair in pairs[np.hypot(*(pairs[:, 1] - pairs[:, 0]).T) >= LEAST_WALK]:
-        if client.plan(name, *pair.tolist()).trajectory is not None:
-            yield pair
+    body = {**PERSON, "width": WAY}
+    for start, goal in pairs[np.hypot(*(pairs[:, 1] - pairs[:, 0]).T) >= LEAST_WALK]:
+        if client.plan(name, start, goal, body).trajectory is not None:
+            yield start, goal
 
 
 def summary(walks: list[Guided]) -> Row:
