@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import IntEnum, StrEnum
+from math import radians
 
 import numpy as np
 from gpdf_schemas import CueAction
@@ -28,7 +29,7 @@ BRAKING = 0.3
 """[s] The step that is under way, at the pace that it had."""
 BLIND = POSE_AGE + REACTION + BRAKING
 """[s] What a person walks on after the last good pose."""
-SWAY = np.radians(8)
+SWAY = radians(8)
 """[rad] Without sight a course bends by this within `BLIND`."""
 UNRELIABLE = 0.15
 """[m] One standard deviation of a pose from which it is no pose: half of a narrow passage's room."""
@@ -36,11 +37,11 @@ LOOK_AHEAD = (1.5, 1.2, 0.9, 0.7, 0.5, 0.35, 0.2)
 """[m] Along the path to the place that one walks towards; the furthest that is reached straight."""
 RAY_STEPS = 14
 """Steps of 6 cm along which the corridor is looked at; the slowest pace takes two of them."""
-ON_THE_SPOT = np.radians(40)
+ON_THE_SPOT = radians(40)
 """[rad] From this on one turns before one walks."""
-STRAIGHT = np.radians(10)
+STRAIGHT = radians(10)
 """[rad] Nobody feels a smaller error of direction."""
-FACING = np.radians(3)
+FACING = radians(3)
 """[rad] In a tight place one turns until one faces the way by this."""
 POSE_SLACK = 0.03
 """[m] A pose may be this far out of the corridor by its own error alone."""

@@ -5,15 +5,16 @@ from __future__ import annotations
 from dataclasses import dataclass
 from enum import StrEnum
 from itertools import pairwise
+from math import radians
 
 import numpy as np
 from numpy.typing import NDArray
 
 FloatArray = NDArray[np.float64]
 
-TURN = np.radians(60)
+TURN = radians(60)
 """[rad] A change of direction from which people need to be told; a smaller one they are led through."""
-BEAR = np.radians(25)
+BEAR = radians(25)
 """[rad] A change of direction that "keep left" is worth saying for."""
 STRAIGHTEN = 0.15
 """[m] A path is taken as the straight pieces that stay this close to it."""

@@ -35,8 +35,8 @@ class Errors:
         over_turn: Turned too far on an instruction to turn [rad]; blind people over-rotate by 17°.
         over_turn_spread: One standard deviation of it [rad].
         delay: From a cue to the foot [s].
-        drift: One standard deviation of the course's error [rad].
-        drift_time: That it lasts [s].
+        drift: One standard deviation of the course's bend [rad/m].
+        drift_time: That a bend lasts [s].
         sideways: One standard deviation of the share of a pace that goes sideways, once for a walk.
         drop_out_rate: Of the sensor [1/s].
         drop_out: Longest time without a pose [s].
@@ -112,6 +112,7 @@ class Walker:
         change = ACCELERATION * period
         self.speed += float(np.clip(wanted - self.speed, -change, change))
         self._turn(now, period)
+        self.heading = wrap(self.heading + self._drift * period * self.speed)  # a course bends as one walks
         forward = np.array([np.cos(self.heading), np.sin(self.heading)])
         side = np.array([-forward[1], forward[0]])
         self.position[:2] += period * self.speed * (forward + self._sideways * side)
@@ -132,20 +133,24 @@ class Walker:
         self._drift += float(kick) - share * self._drift
 
     def _wanted_speed(self, now: float) -> float:
-        if self._cue is None or self._turn_to is not None or now - self._cue.stamp > SILENCE + self._errors.delay:
-            return 0.0
-        return self._cue.pace if self._cue.action in (CueAction.GO, CueAction.SLOW) else 0.0
+        cue = self._felt(now)
+        walks = cue is not None and self._turn_to is None and cue.action in (CueAction.GO, CueAction.SLOW)
+        return cue.pace if walks and cue is not None else 0.0
+
+    def _felt(self, now: float) -> CueMessage | None:
+        """The cue that is acted on; none after a silence."""
+        recent = self._cue is not None and now - self._cue.stamp <= SILENCE + self._errors.delay
+        return self._cue if recent else None
 
     def _turn(self, now: float, period: float) -> None:
         if self._turn_to is not None:
-            left = self._turn_to - self.heading
+            left = wrap(self._turn_to - self.heading)
             self.heading += float(np.clip(left, -TURN_RATE * period, TURN_RATE * period))
             if abs(left) <= TURN_RATE * period:
                 self._turn_to, self._rest_until = None, now + 2 * self._errors.delay  # waits for what it feels now
             return
-        if self._cue is None or now < self._rest_until or self._cue.action in (CueAction.STOP, CueAction.ARRIVED):
+        cue = self._felt(now)
+        if cue is None or now < self._rest_until or cue.action in (CueAction.STOP, CueAction.ARRIVED):
             return
-        rate = STEERING * self._cue.direction
+        rate = STEERING * cue.direction
         self.heading += period * float(np.clip(rate, -TURN_RATE, TURN_RATE))
-        self.heading += self._drift * period * self.speed  # a course bends as one walks
-        self.heading = wrap(self.heading)

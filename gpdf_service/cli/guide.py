@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import zenoh
 from gpdf_client import Client, ClientError
 from gpdf_client.client import DEFAULT_ENDPOINT
 from gpdf_guidance import LANGUAGES, Guide, Outcome, Planner, Walk, Walker, simulate
@@ -62,6 +63,9 @@ def run(args: argparse.Namespace) -> int:
                 if args.simulate
                 else _live(args, LiveGuide(session, guide, args.name, _told(args, voice)), guide)
             )
+    except zenoh.ZError as error:
+        print(f"gpdf guide: no service at {args.endpoint} ({error}). Start one: gpdf serve …", file=sys.stderr)
+        return 1
     except (ClientError, FileNotFoundError) as error:
         print(f"gpdf guide: {error}", file=sys.stderr)
         return 1
