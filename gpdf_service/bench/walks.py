@@ -11,8 +11,8 @@ from gpdf_service.types import AGENTS, Agent, BoolArray, FloatArray
 
 NEIGHBOURS = 8
 """Ground points that are looked at for the one on the walker's own storey."""
-OFF_GROUND = 0.3
-"""[m] Further from any ground point, there is none under the walker."""
+OFF_GROUND = 0.6
+"""[m] Further from any ground point, nobody knows what is under the walker; scans have smaller gaps between points."""
 
 
 @dataclass(slots=True)
