@@ -51,6 +51,8 @@ NEAR_STEP = 1.2
 """[m] Before a step or a stair one goes slowly: a pace and a half."""
 STEP_WINDOW = (1.0, 2.8)
 """[m] Steps and stairs are told of this far before: not too late to find with the cane, not too early to count on."""
+ON_STAIRS = 1.6
+"""[m] While one is on a stair, what comes after it is told of from here: two stairs are not mixed up."""
 TURN_WINDOW = (0.3, 2.5)
 """[m] The same for turns."""
 OTHER_WINDOW = (0.0, 2.5)
@@ -286,11 +288,13 @@ _SOON: dict[FeatureKind, tuple[Kind, Urgency, tuple[float, float]]] = {
 def _ahead(route: Route, progress: Progress) -> list[Instruction]:
     """What comes soon, and the end of a stair."""
     said = []
+    climbing = any(f.kind is FeatureKind.STAIRS and f.start <= progress.s < f.end for f in route.features)
     for feature in route.features:
         kind, urgency, window = _SOON[feature.kind]
         distance, place = feature.start - progress.s, _place(route, feature.start)
         late = feature.kind in (FeatureKind.STEP, FeatureKind.STAIRS) and 0.0 <= distance < window[0]
-        if window[0] <= distance <= window[1] or late:  # late is better than never
+        soon = window[0] <= distance <= (ON_STAIRS if climbing else window[1])
+        if soon or late:  # late is better than never
             said.append(Instruction(kind, urgency, place, distance, feature.amount, feature.count))
         if feature.kind is FeatureKind.STAIRS and feature.end <= progress.s <= feature.end + 0.6:
             said.append(Instruction(Kind.STAIRS_END, Urgency.PREPARE, place))

@@ -243,6 +243,20 @@ def test_a_step_is_told_of_one_to_three_metres_before(distance, told):
     assert (slow.action, slow.pace) == (CueAction.SLOW, PACES[1])
 
 
+def test_the_next_stairs_are_told_of_at_the_end_of_the_first():
+    edges = np.concatenate([2 + 0.29 * np.arange(10), 6.0 + 0.29 * np.arange(5)])
+    path = line((0, 0), (9, 0), z=lambda s: 0.17 * (s[:, None] > edges).sum(axis=1))
+    route = build_route(trajectory(path), wide, radius=RADIUS)
+
+    def told(s):
+        here = Pose(tuple(route.at(s)), 0.0, 0.0)
+        return [one.count for one in advise(route, here, 0.0, near=s).instructions if one.kind is Kind.STAIRS]
+
+    assert told(0.5) == [10]
+    assert told(3.5) == []
+    assert told(4.5) == [5]
+
+
 def test_who_hears_nothing_more_stops_inside_the_corridor():
     rng = np.random.default_rng(0)
     walked = 0
