@@ -70,12 +70,7 @@ class Judge:
         return self._judge(top - np.array([0.0, 0.0, agent.height]), top, agent)
 
     def _judge(self, contact: FloatArray, top: FloatArray, agent: Agent) -> Verdict:
-        deepest = 0.0
-        for centre, near in zip(contact, self.other_tree.query_ball_point(contact[:, :2], agent.radius), strict=True):
-            hit = self._hits(self.other[near], centre, agent)
-            if len(hit):
-                depth = agent.radius - np.linalg.norm(hit[:, :2] - centre[:2], axis=1)
-                deepest = max(deepest, float(depth.max()))
+        deepest = max(self.penetration(centre, agent) for centre in contact)
         distance = self.ground_tree.query(top)[0]
         # The nearest of sparse points is further than the surface; straight above one, it is not.
         upright = top[:, 2] - self._ground_under(top, agent.height)
@@ -100,6 +95,12 @@ class Judge:
             self.obstacles[agent.height] = cKDTree(self.other[within, :2])
         room: FloatArray = self.obstacles[agent.height].query(places)[0]
         return room
+
+    def penetration(self, contact: FloatArray, agent: Agent) -> float:
+        """How deep the worst point is in a body that stands at `contact` (3,) [m]; 0 where none touches it."""
+        near = self.other[self.other_tree.query_ball_point(contact[:2], agent.radius)]
+        hit = self._hits(near, contact, agent)
+        return float((agent.radius - np.linalg.norm(hit[:, :2] - contact[:2], axis=1)).max()) if len(hit) else 0.0
 
     def _hits(self, points: FloatArray, centre: FloatArray, agent: Agent) -> FloatArray:
         """Points in the cylinder that are not the face of a step that the body takes."""

@@ -41,12 +41,13 @@ def add_scene_arguments(parser: argparse.ArgumentParser, default: list[str]) -> 
 
 def clouds(args: argparse.Namespace) -> list[tuple[str, FloatArray, BoolArray | None]]:
     """The scenes that were asked for: name, points, ground labels."""
-    made: list[tuple[str, FloatArray, BoolArray | None]] = []
-    for name in args.scene or args.default_scenes:
-        if name in SCENES:
-            scene = SCENES[name](np.random.default_rng(0))
-            made.append((name, scene.points, scene.ground))
-        else:
-            cloud = read_cloud(Path(name))
-            made.append((Path(name).stem, cloud.points, cloud.ground))
-    return made
+    return [read_scene(name) for name in args.scene or args.default_scenes]
+
+
+def read_scene(name: str) -> tuple[str, FloatArray, BoolArray | None]:
+    """A synthetic scene by its name, or a cloud by its path: name, points, ground labels."""
+    if name in SCENES:
+        scene = SCENES[name](np.random.default_rng(0))
+        return name, scene.points, scene.ground
+    cloud = read_cloud(Path(name))
+    return Path(name).stem, cloud.points, cloud.ground

@@ -41,6 +41,8 @@ VERBS: dict[str, tuple[str, str]] = {
         "gpdf_service.viewer.view_verb",
         "a page in the browser: see scenes, plan by two clicks, step through logs",
     ),
+    "bench guide": ("gpdf_service.bench.guide", "simulated people with human errors: contacts, arrivals, words"),
+    "guide": ("gpdf_service.cli.guide", "lead a person: instructions, speech and haptic cues from a stream of poses"),
     "demo": ("gpdf_service.cli.demo", "see it happen: service, four bodies, picture and log"),
 }
 

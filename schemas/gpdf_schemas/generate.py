@@ -31,6 +31,7 @@ MESSAGES = (
     messages.MovingObstacles,
     messages.DrawRequest,
     messages.DrawReply,
+    messages.ObstaclesMessage,
 )
 
 

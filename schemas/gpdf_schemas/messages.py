@@ -416,3 +416,15 @@ class DrawReply(Reply, frozen=True, kw_only=True):
     origin: list[float] = []
     columns: list[str] = []
     rows: Array | None = None
+
+
+class ObstaclesMessage(msgspec.Struct, frozen=True, kw_only=True):
+    """What stands around a body now, seen by its own sensor, as a stream on `keys.OBSTACLES`/NAME.
+
+    Attributes:
+        points: (k, 3) [m]; none says that nothing is there any more.
+        valid_s: After this it is not believed any more [s].
+    """
+
+    points: Array
+    valid_s: float = 2.0

@@ -8,6 +8,7 @@ from gpdf_schemas import (
     CueAction,
     CueMessage,
     DecodeError,
+    ObstaclesMessage,
     PlanReply,
     PlanRequest,
     PoseMessage,
@@ -90,6 +91,9 @@ def test_golden_samples_of_the_streams_are_still_read():
     assert cue.action is CueAction.TURN
     assert (cue.direction, cue.urgency, cue.pace, cue.distance) == (-1.25, 0.5, 0.75, 4.0)
     assert (cue.stamp, cue.pose_stamp) == (1700000000.5, 1700000000.25)
+    seen = decode((FOLDER / "golden" / "v1_obstacles.msgpack").read_bytes(), ObstaclesMessage)
+    assert seen.points.unpack().tolist() == [[1.0, 2.0, 0.5]]
+    assert seen.valid_s == 1.5
 
 
 def test_the_golden_sample_of_a_velocity_is_still_read():

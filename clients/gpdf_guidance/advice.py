@@ -1,0 +1,301 @@
+"""What a person should do and know at a place on a route: a pure function of route, pose and time.
+
+One rule carries the safety: a person may go only as fast as lets him come to rest inside the corridor should no pose
+ever come again. So a lost pose, a late reaction and a bent course have all been paid for before they happen.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import IntEnum, StrEnum
+from math import radians
+
+import numpy as np
+from gpdf_schemas import CueAction
+from numpy.typing import NDArray
+
+from gpdf_guidance.features import TURN, Feature, FeatureKind, wrap
+from gpdf_guidance.route import Pose, Progress, Route
+
+FloatArray = NDArray[np.float64]
+
+PACES = (0.7, 0.3, 0.2, 0.1)
+"""[m/s] A walk with a cane; a careful one, which is a stair's tread a second; feeling the way, and inch by inch."""
+POSE_AGE = 0.4
+"""[s] An older pose is none: two poses of a 5 Hz stream are missing."""
+REACTION = 0.5
+"""[s] From a cue to the foot."""
+BRAKING = 0.3
+"""[s] The step that is under way, at the pace that it had."""
+BLIND = POSE_AGE + REACTION + BRAKING
+"""[s] What a person walks on after the last good pose."""
+SWAY = radians(8)
+"""[rad] Without sight a course bends by this within `BLIND`."""
+UNRELIABLE = 0.15
+"""[m] One standard deviation of a pose from which it is no pose: half of a narrow passage's room."""
+LOOK_AHEAD = (1.5, 1.2, 0.9, 0.7, 0.5, 0.35, 0.2)
+"""[m] Along the path to the place that one walks towards; the furthest that is reached straight."""
+RAY_STEPS = 14
+"""Steps of 6 cm along which the corridor is looked at; the slowest pace takes two of them."""
+ON_THE_SPOT = radians(40)
+"""[rad] From this on one turns before one walks."""
+STRAIGHT = radians(10)
+"""[rad] Nobody feels a smaller error of direction."""
+FACING = radians(3)
+"""[rad] In a tight place one turns until one faces the way by this."""
+POSE_SLACK = 0.03
+"""[m] A pose may be this far out of the corridor by its own error alone."""
+ARRIVED = 0.4
+"""[m] From the goal: an arm reaches it."""
+NEAR_STEP = 1.2
+"""[m] Before a step or a stair one goes slowly: a pace and a half."""
+STEP_WINDOW = (1.0, 2.8)
+"""[m] Steps and stairs are told of this far before: not too late to find with the cane, not too early to count on."""
+ON_STAIRS = 1.6
+"""[m] While one is on a stair, what comes after it is told of from here: two stairs are not mixed up."""
+TURN_WINDOW = (0.3, 2.5)
+"""[m] The same for turns."""
+OTHER_WINDOW = (0.0, 2.5)
+"""[m] The same for the rest."""
+STOP_BEFORE = 2.0
+"""[m] An obstacle that is new on the path stops from here: BLIND at full pace, and as much again."""
+BODY_HEIGHT = 2.0
+"""[m] Of a person with a hat."""
+LEAST_OBSTACLE = 0.05
+"""[m] What is lower is no obstacle to a foot."""
+
+
+class Urgency(IntEnum):
+    """How soon something must be said."""
+
+    INFORM = 0
+    PREPARE = 1
+    ACT = 2
+    DANGER = 3
+
+
+class Kind(StrEnum):
+    """What is said; the message catalogue has a sentence for each."""
+
+    STOP_LOST = "stop_lost"
+    STOP_UNRELIABLE = "stop_unreliable"
+    STOP_OBSTACLE = "stop_obstacle"
+    STOP_OFF_WAY = "stop_off_way"
+    GAVE_UP = "gave_up"
+    ARRIVED = "arrived"
+    STEP = "step"
+    STAIRS = "stairs"
+    STAIRS_END = "stairs_end"
+    TURN_NOW = "turn_now"
+    TURN_BACK = "turn_back"
+    TURN_SOON = "turn_soon"
+    GO_ON = "go_on"
+    RESUME = "resume"
+    NARROW = "narrow"
+    HEAD = "head"
+    RAMP = "ramp"
+    BEAR = "bear"
+
+
+@dataclass(frozen=True, slots=True)
+class Instruction:
+    """One thing to say.
+
+    Attributes:
+        kind: What.
+        urgency: How soon.
+        place: Where what it speaks of is (x, y) [m], so that the same thing is not said twice.
+        distance: Along the way to there [m].
+        amount: As in `Feature`; for turns the angle to the left [rad].
+        count: Number of steps.
+    """
+
+    kind: Kind
+    urgency: Urgency
+    place: tuple[float, float] = (0.0, 0.0)
+    distance: float = 0.0
+    amount: float = 0.0
+    count: int = 1
+
+
+@dataclass(frozen=True, slots=True)
+class Advice:
+    """What to do now (`action`, `direction` [rad] to the left, `pace` [m/s], `urgency` 0 to 1) and what to say."""
+
+    progress: Progress
+    action: CueAction
+    direction: float = 0.0
+    pace: float = 0.0
+    urgency: float = 0.0
+    off_way: bool = False
+    instructions: tuple[Instruction, ...] = ()
+
+
+def advise(route: Route, pose: Pose, now: float, *, near: float, obstacles: FloatArray | None = None) -> Advice:
+    """Advise a person.
+
+    Args:
+        route: Where to go.
+        pose: The newest pose.
+        now: On the clock of the pose's stamp [s].
+        near: Arc length of the last progress [m].
+        obstacles: New things that the service does not know yet, shape (k, 3) [m].
+    """
+    progress = route.locate(pose, near)
+    if (reason := _distrust(pose, now)) is not None:
+        return _stop(progress, reason)
+    left = route.length - progress.s
+    place = np.array(pose.position[:2])
+    if left < ARRIVED and np.hypot(*(route.ground[-1, :2] - place)) < ARRIVED:
+        done = Instruction(Kind.ARRIVED, Urgency.ACT)
+        return Advice(progress, CueAction.ARRIVED, instructions=(done,))
+    if obstacles is not None and (gap := _obstacle_ahead(route, progress, obstacles)) < STOP_BEFORE:
+        return _stop(progress, Instruction(Kind.STOP_OBSTACLE, Urgency.DANGER, distance=gap))
+    if not route.inside(place[None], progress.s, POSE_SLACK)[0]:
+        off = Instruction(Kind.STOP_OFF_WAY, Urgency.DANGER)
+        return _stop(progress, off, off_way=True)
+    direction = aim(route, pose, progress)
+    pace = min(safe_pace(route, pose, progress, direction), _pace_before_steps(route, progress))
+    action = _action(direction, pace)
+    said = _turning(route, progress, direction, action) + _ahead(route, progress)
+    urgency = min(1.0, abs(direction) / ON_THE_SPOT)
+    pace = 0.0 if action is CueAction.TURN else pace
+    return Advice(progress, action, direction, pace, urgency, instructions=tuple(sorted(said, key=_first)))
+
+
+def _first(instruction: Instruction) -> tuple[int, float]:
+    return -instruction.urgency, instruction.distance
+
+
+def _distrust(pose: Pose, now: float) -> Instruction | None:
+    if now - pose.stamp > POSE_AGE:
+        return Instruction(Kind.STOP_LOST, Urgency.DANGER)
+    if pose.accuracy > UNRELIABLE:
+        return Instruction(Kind.STOP_UNRELIABLE, Urgency.DANGER)
+    return None
+
+
+def _stop(progress: Progress, reason: Instruction, *, off_way: bool = False) -> Advice:
+    return Advice(progress, CueAction.STOP, urgency=1.0, off_way=off_way, instructions=(reason,))
+
+
+def _action(direction: float, pace: float) -> CueAction:
+    if abs(direction) >= ON_THE_SPOT or pace == 0.0:
+        return CueAction.TURN if abs(direction) > FACING else CueAction.STOP
+    return CueAction.GO if pace == PACES[0] else CueAction.SLOW
+
+
+def _obstacle_ahead(route: Route, progress: Progress, obstacles: FloatArray) -> float:
+    """Along the path to the first new obstacle in the body's way [m]; inf where there is none."""
+    rows = (route.s >= progress.s) & (route.s <= progress.s + STOP_BEFORE + PACES[0])
+    path = route.ground[rows]
+    gap = obstacles[:, None, :] - path[None]
+    over = gap[:, :, 2]
+    hit = (np.hypot(gap[:, :, 0], gap[:, :, 1]) < route.radius) & (over > LEAST_OBSTACLE) & (over < BODY_HEIGHT)
+    struck = hit.any(axis=0)
+    return float(route.s[rows][struck][0] - progress.s) if struck.any() else float("inf")
+
+
+def aim(route: Route, pose: Pose, progress: Progress) -> float:
+    """Direction to walk, to the left [rad]: to the place mid-corridor that is reached straight and at the best pace.
+
+    Of equal ones the furthest, so that the course is calm.
+    """
+    place = np.array(pose.position[:2])
+    targets = np.array([route.middle_at(min(progress.s + ahead, route.length)) for ahead in LOOK_AHEAD]) - place
+    bearings = np.arctan2(targets[:, 1], targets[:, 0])
+    share = np.linspace(0.0, 1.0, 9)[1:, None, None]
+    straight = route.inside((place + share * targets).reshape(-1, 2), progress.s).reshape(len(share), -1).all(axis=0)
+    fans = bearings[:, None] + np.array([-SWAY, 0.0, SWAY])
+    reach = _clear(route, pose, progress, fans.ravel()).reshape(fans.shape).min(axis=1)
+    paces = np.array([_pace_for(length) for length in reach])
+    best = int(np.where(straight, paces, -1.0).argmax()) if straight.any() else len(bearings) - 1
+    return wrap(float(bearings[best]) - pose.heading)
+
+
+def safe_pace(route: Route, pose: Pose, progress: Progress, direction: float) -> float:
+    """The fastest of `PACES` at which a person who hears nothing more stops inside the corridor; 0 where none is.
+
+    He bends from where he looks towards `direction`, and sways to either side of that.
+    """
+    bend = float(np.clip(direction, -ON_THE_SPOT, ON_THE_SPOT))
+    fan = pose.heading + np.array([min(bend, 0.0) - SWAY, 0.5 * bend, max(bend, 0.0) + SWAY])
+    return _pace_for(float(_clear(route, pose, progress, fan).min()))
+
+
+def _pace_for(reach: float) -> float:
+    return next((pace for pace in PACES if pace * BLIND <= reach + 1e-9), 0.0)
+
+
+def _clear(route: Route, pose: Pose, progress: Progress, headings: FloatArray) -> FloatArray:
+    """How far one can go straight inside the corridor [m], up to `BLIND` at full pace, shape (m,)."""
+    steps = np.linspace(0.0, PACES[0] * BLIND, RAY_STEPS + 1)
+    forward = np.column_stack([np.cos(headings), np.sin(headings)])
+    places = np.array(pose.position[:2]) + steps[1:, None, None] * forward
+    inside = route.inside(places.reshape(-1, 2), progress.s).reshape(RAY_STEPS, len(headings))
+    clear: FloatArray = steps[np.logical_and.accumulate(inside).sum(axis=0)]
+    return clear
+
+
+def _pace_before_steps(route: Route, progress: Progress) -> float:
+    near = any(
+        f.kind in (FeatureKind.STEP, FeatureKind.STAIRS) and f.start - NEAR_STEP <= progress.s <= f.end
+        for f in route.features
+    )
+    return PACES[1] if near else PACES[0]
+
+
+def _turning(route: Route, progress: Progress, direction: float, action: CueAction) -> list[Instruction]:
+    """Turns at this place: to be made, over-turned, or made."""
+    here = _place(route, progress.s)
+    turn = next((f for f in route.features if f.kind is FeatureKind.TURN and _at(f, progress.s)), None)
+    if turn is not None and direction * turn.amount < 0 and abs(direction) > STRAIGHT:
+        return [Instruction(Kind.TURN_BACK, Urgency.PREPARE, _place(route, turn.start), amount=direction)]
+    if action is CueAction.TURN and abs(direction) >= TURN:
+        return [Instruction(Kind.TURN_NOW, Urgency.ACT, here, amount=direction)]
+    if turn is not None and progress.s >= turn.end and abs(direction) <= STRAIGHT:
+        straight = _straight_length(route, progress.s)
+        return [Instruction(Kind.GO_ON, Urgency.INFORM, _place(route, turn.start), straight)]
+    return []
+
+
+def _place(route: Route, s: float) -> tuple[float, float]:
+    x, y, _ = route.at(s).tolist()
+    return x, y
+
+
+def _at(turn: Feature, s: float) -> bool:
+    return turn.start - TURN_WINDOW[0] <= s <= turn.end + 2 * TURN_WINDOW[0]
+
+
+def _straight_length(route: Route, s: float) -> float:
+    """Until the next turn, step or end [m]."""
+    kinds = (FeatureKind.TURN, FeatureKind.STEP, FeatureKind.STAIRS)
+    return min([f.start for f in route.features if f.kind in kinds and f.start > s + 0.5] + [route.length]) - s
+
+
+_SOON: dict[FeatureKind, tuple[Kind, Urgency, tuple[float, float]]] = {
+    FeatureKind.STEP: (Kind.STEP, Urgency.ACT, STEP_WINDOW),
+    FeatureKind.STAIRS: (Kind.STAIRS, Urgency.ACT, STEP_WINDOW),
+    FeatureKind.TURN: (Kind.TURN_SOON, Urgency.PREPARE, TURN_WINDOW),
+    FeatureKind.NARROW: (Kind.NARROW, Urgency.PREPARE, OTHER_WINDOW),
+    FeatureKind.HEAD: (Kind.HEAD, Urgency.PREPARE, OTHER_WINDOW),
+    FeatureKind.RAMP: (Kind.RAMP, Urgency.INFORM, OTHER_WINDOW),
+    FeatureKind.BEAR: (Kind.BEAR, Urgency.INFORM, OTHER_WINDOW),
+}
+
+
+def _ahead(route: Route, progress: Progress) -> list[Instruction]:
+    """What comes soon, and the end of a stair."""
+    said = []
+    climbing = any(f.kind is FeatureKind.STAIRS and f.start <= progress.s < f.end for f in route.features)
+    for feature in route.features:
+        kind, urgency, window = _SOON[feature.kind]
+        distance, place = feature.start - progress.s, _place(route, feature.start)
+        late = feature.kind in (FeatureKind.STEP, FeatureKind.STAIRS) and 0.0 <= distance < window[0]
+        soon = window[0] <= distance <= (ON_STAIRS if climbing else window[1])
+        if soon or late:  # late is better than never
+            said.append(Instruction(kind, urgency, place, distance, feature.amount, feature.count))
+        if feature.kind is FeatureKind.STAIRS and feature.end <= progress.s <= feature.end + 0.6:
+            said.append(Instruction(Kind.STAIRS_END, Urgency.PREPARE, place))
+    return said

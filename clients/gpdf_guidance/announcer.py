@@ -1,0 +1,72 @@
+"""What is said of all that could be said: most urgent first, nothing twice, within a budget of words."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from math import hypot
+
+from gpdf_guidance.advice import Instruction, Urgency
+
+PER_MINUTE = 5.0
+"""[1/min] Instructions that the budget earns: under the 8 that people bear for long, since urgent ones may borrow."""
+SAVED = 1.5
+"""Instructions that can be saved up."""
+DEBT = -3.0
+"""Instructions that urgent ones can borrow."""
+AGAIN = {Urgency.DANGER: 8.0, Urgency.ACT: 12.0}
+"""[s] What is dangerous or to be done now is said again after this if it is still so; the rest is said once."""
+SAME = 0.8
+"""[m] What is of one kind and this close is the same thing, also after another way has been planned."""
+WORD = 0.33
+"""[s] A spoken word takes."""
+
+
+class Announcer:
+    """Chooses what to say now.
+
+    Args:
+        say: Puts an instruction into words.
+    """
+
+    def __init__(self, say: Callable[[Instruction], str]) -> None:
+        self._say = say
+        self._said: list[tuple[Instruction, float]] = []
+        self._tokens = 0.0
+        self._then: float | None = None
+        self._quiet_at, self._speaking = -float("inf"), Urgency.INFORM
+
+    def choose(self, instructions: Sequence[Instruction], now: float) -> tuple[Instruction, str] | None:
+        """The most urgent that is due, in words; None to be silent.
+
+        Args:
+            instructions: Most urgent first.
+            now: Clock [s].
+        """
+        self._earn(now)
+        for instruction in instructions:
+            urgent = instruction.urgency >= Urgency.ACT
+            affordable = self._tokens >= 1.0 or urgent
+            silent = now >= self._quiet_at or instruction.urgency > self._speaking
+            if affordable and silent and self._due(instruction, now):
+                return self._speak(instruction, now)
+        return None
+
+    def _earn(self, now: float) -> None:
+        if self._then is not None:
+            self._tokens = min(SAVED, self._tokens + (now - self._then) * PER_MINUTE / 60.0)
+        self._then = now
+
+    def _due(self, instruction: Instruction, now: float) -> bool:
+        again = AGAIN.get(instruction.urgency, float("inf"))
+        return all(now - then >= again for said, then in self._said if _same(said, instruction))
+
+    def _speak(self, instruction: Instruction, now: float) -> tuple[Instruction, str]:
+        text = self._say(instruction)
+        self._said.append((instruction, now))
+        self._tokens = max(DEBT, self._tokens - 1.0)
+        self._quiet_at, self._speaking = now + WORD * len(text.split()), instruction.urgency
+        return instruction, text
+
+
+def _same(a: Instruction, b: Instruction) -> bool:
+    return a.kind is b.kind and hypot(a.place[0] - b.place[0], a.place[1] - b.place[1]) < SAME

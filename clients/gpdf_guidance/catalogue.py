@@ -1,0 +1,119 @@
+"""Sentences, short enough to be heard while walking, in English and German."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import degrees
+
+from gpdf_guidance.advice import Instruction, Kind
+
+STEP_LENGTH = 0.65
+"""[m] Of a person who walks with a cane."""
+SLIGHT, ROUND = 50.0, 150.0
+"""[°] Below, a turn is slight; above, it is a turn around."""
+
+
+@dataclass(frozen=True, slots=True)
+class Words:
+    """One language: its sentences with {distance}, {side}, {amount}, {count}, {height}, and its words for them."""
+
+    sentences: dict[Kind, str]
+    left: str
+    right: str
+    slightly: str
+    around: str
+    up: str
+    down: str
+    metre: str
+    metres: str
+    step: str
+    steps: str
+    point: str
+
+
+ENGLISH = Words(
+    {
+        Kind.STOP_LOST: "Stop. I have lost your position.",
+        Kind.STOP_UNRELIABLE: "Stop. Your position is uncertain.",
+        Kind.STOP_OBSTACLE: "Stop. Something is in the way.",
+        Kind.STOP_OFF_WAY: "Stop. I look for a new way.",
+        Kind.GAVE_UP: "Stay here. I find no safe way. Please ask for help.",
+        Kind.ARRIVED: "You have arrived.",
+        Kind.STEP: "In {distance}, step {vertical}, {height} centimetres.",
+        Kind.STAIRS: "In {distance}, stairs {vertical}, {count} steps.",
+        Kind.STAIRS_END: "The stairs end.",
+        Kind.TURN_NOW: "Turn {side}.",
+        Kind.TURN_BACK: "Too far. A little back to the {side}.",
+        Kind.TURN_SOON: "In {distance}, turn {side}.",
+        Kind.GO_ON: "Good. Straight on, {distance}.",
+        Kind.RESUME: "Go on.",
+        Kind.NARROW: "Narrow passage ahead, {width} centimetres.",
+        Kind.HEAD: "Mind your head, obstacle on the {side}.",
+        Kind.RAMP: "In {distance}, ramp {vertical}.",
+        Kind.BEAR: "Keep {side}.",
+    },
+    "left", "right", "slightly {side}", "around", "up", "down", "metre", "metres", "step", "steps", ".",
+)  # fmt: skip
+GERMAN = Words(
+    {
+        Kind.STOP_LOST: "Halt. Ich habe Ihre Position verloren.",
+        Kind.STOP_UNRELIABLE: "Halt. Ihre Position ist unsicher.",
+        Kind.STOP_OBSTACLE: "Halt. Etwas steht im Weg.",
+        Kind.STOP_OFF_WAY: "Halt. Ich suche einen neuen Weg.",
+        Kind.GAVE_UP: "Bleiben Sie hier. Ich finde keinen sicheren Weg. Bitten Sie um Hilfe.",
+        Kind.ARRIVED: "Sie sind da.",
+        Kind.STEP: "In {distance} Stufe {vertical}, {height} Zentimeter.",
+        Kind.STAIRS: "In {distance} Treppe {vertical}, {count} Stufen.",
+        Kind.STAIRS_END: "Ende der Treppe.",
+        Kind.TURN_NOW: "Drehung {side}.",
+        Kind.TURN_BACK: "Zu weit. Etwas zurück nach {side}.",
+        Kind.TURN_SOON: "In {distance} Drehung {side}.",
+        Kind.GO_ON: "Gut. Geradeaus, {distance}.",
+        Kind.RESUME: "Weiter.",
+        Kind.NARROW: "Engstelle voraus, {width} Zentimeter.",
+        Kind.HEAD: "Vorsicht, Hindernis in Kopfhöhe {side}.",
+        Kind.RAMP: "In {distance} Rampe {vertical}.",
+        Kind.BEAR: "Halten Sie sich {side}.",
+    },
+    "links", "rechts", "leicht {side}", "ganz herum", "aufwärts", "abwärts", "Meter", "Metern",
+    "Schritt", "Schritten", ",",
+)  # fmt: skip
+LANGUAGES = {"en": ENGLISH, "de": GERMAN}
+
+
+def phrase(instruction: Instruction, language: str = "en", unit: str = "metres") -> str:
+    """Say an instruction.
+
+    Args:
+        instruction: What to say.
+        language: One of `LANGUAGES`.
+        unit: "metres" or "steps".
+    """
+    words = LANGUAGES[language]
+    return words.sentences[instruction.kind].format(
+        distance=_distance(instruction.distance, words, unit),
+        side=_side(instruction, words),
+        vertical=words.up if instruction.amount > 0 else words.down,
+        height=round(100 * abs(instruction.amount)),
+        width=5 * round(20 * instruction.amount),
+        count=instruction.count,
+    )
+
+
+def _distance(metres: float, words: Words, unit: str) -> str:
+    if unit == "steps":
+        count = max(1, round(metres / STEP_LENGTH))
+        return f"{count} {words.step if count == 1 else words.steps}"
+    halves = max(1, round(2 * metres)) if metres < 3 else 2 * round(metres)
+    number = f"{halves // 2}" if halves % 2 == 0 else f"{halves / 2:.1f}".replace(".", words.point)
+    return f"{number} {words.metre if halves == 2 else words.metres}"
+
+
+def _side(instruction: Instruction, words: Words) -> str:
+    side = words.left if instruction.amount > 0 else words.right
+    if instruction.kind not in (Kind.TURN_NOW, Kind.TURN_SOON):
+        return side
+    angle = degrees(abs(instruction.amount))
+    if angle > ROUND:
+        return words.around
+    return words.slightly.format(side=side) if angle < SLIGHT else side

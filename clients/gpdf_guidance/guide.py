@@ -1,0 +1,244 @@
+"""The guide of one person to one goal: plans, advises, chooses what to say, plans again, knows when to give up."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from enum import StrEnum
+from functools import partial
+from typing import Any
+
+import numpy as np
+from gpdf_client import Client, Status, Trajectory
+from gpdf_schemas import CueAction, CueMessage
+from numpy.typing import NDArray
+
+from gpdf_guidance.advice import Advice, Instruction, Kind, Urgency, advise
+from gpdf_guidance.announcer import Announcer
+from gpdf_guidance.catalogue import phrase
+from gpdf_guidance.route import Pose, Progress, Route, build_route
+
+FloatArray = NDArray[np.float64]
+
+PERSON: dict[str, Any] = {
+    "name": "person",
+    "height": 2.0,
+    "width": 0.5,
+    "length": 0.32,
+    "max_step": 0.37,
+    "max_slope": float(np.radians(30)),
+    "speed": 0.7,
+    "acceleration": 0.6,
+    "turn_rate": 1.5,
+}
+"""Measures of the service's "human" at a pace with a cane."""
+WIDTHS = (1.0, 0.8, 0.66, 0.5)
+"""[m] A way is asked for with elbow room first; less is taken only where there is no other."""
+HIP = 1.0
+"""[m] What a cane finds ends here."""
+LEAST_ROOM = 0.08
+"""[m] On each side of the body, away from both ends: who sways more than this would touch."""
+ENDS = 1.0
+"""[m] A chair that one gets up from, a door that one goes to: there one is led through less."""
+STALLED = 30.0
+"""[s] Without half a metre of progress another way is asked for."""
+PATIENCE = 3.0
+"""[s] Off the way, held up, or facing nothing that is safe: after this another way is asked for."""
+OFF_WAY = 0.5
+"""[s] The same when the person has left the corridor: he stands by then."""
+TRIES = 6
+"""Ways that are asked for without half a metre of progress between them."""
+LOST = 30.0
+"""[s] Without a good pose the guide gives up."""
+WAITING = 2.0
+"""[s] A stop that is over within this is not worth a sentence; the cue says stop at once."""
+PASSING = (Kind.STOP_LOST, Kind.STOP_UNRELIABLE, Kind.STOP_OFF_WAY)
+"""Reasons to stop that mostly pass."""
+STOPS = (*PASSING, Kind.STOP_OBSTACLE)
+"""After these a person waits to be told to go on."""
+
+
+class Outcome(StrEnum):
+    """How a guided walk stands."""
+
+    WALKING = "walking"
+    ARRIVED = "arrived"
+    SAFE_STOP = "safe stop"
+
+
+@dataclass(slots=True)
+class _Waiting:
+    """Since when something keeps the person from walking [s], and where another way was last asked for."""
+
+    since: float | None = None
+    tries: int = 0
+    at: FloatArray = field(default_factory=lambda: np.full(3, np.inf))
+
+
+class Planner:
+    """Asks the service for a way with as much room as there is, and for the room beside it.
+
+    Args:
+        client: Connection to the service.
+        scene: Name of the scene.
+    """
+
+    def __init__(self, client: Client, scene: str) -> None:
+        self._client, self._scene = client, scene
+
+    def route(self, pose: Pose, goal: Sequence[float]) -> tuple[Route | None, str]:
+        """The route from a pose, or why there is none."""
+        for width in WIDTHS:
+            result = self._client.plan(self._scene, pose.position, goal, {**PERSON, "width": width})
+            if result.status is Status.OK and result.trajectory is not None:
+                route = self._build(result.trajectory, pose)
+                tight = too_tight(route)
+                return (None, tight) if tight else (route, "")
+        return None, result.message
+
+    def _build(self, trajectory: Trajectory, pose: Pose) -> Route:
+        room, low = partial(self._room, PERSON), partial(self._room, {**PERSON, "name": "to the hip", "height": HIP})
+        radius = PERSON["width"] / 2
+        return build_route(trajectory, room, facing=pose.heading, room_low=low, radius=radius)
+
+    def _room(self, body: dict[str, Any], places: FloatArray) -> FloatArray:
+        found = self._client.distance(self._scene, "obstacle", places, body)
+        room: FloatArray = found.distance - body["width"] / 2
+        return room
+
+
+def too_tight(route: Route) -> str:
+    """Why a route is no way for a person who cannot see; empty if it is one."""
+    between = (route.s > ENDS) & (route.s < route.length - ENDS)
+    if not between.any() or (room := float(route.room[between].min())) >= LEAST_ROOM:
+        return ""
+    width = 200 * (route.radius + room)
+    needed = 200 * (route.radius + LEAST_ROOM)
+    return f"the only way is {width:.0f} cm wide at its narrowest, and {needed:.0f} cm are needed."
+
+
+class Guide:
+    """Leads one person; fed with poses and asked for cues. Holds no thread and no clock.
+
+    Args:
+        planner: Where routes come from.
+        goal: (x, y) or (x, y, z of the ground) [m].
+        language: Of the sentences.
+        unit: "metres" or "steps".
+    """
+
+    def __init__(self, planner: Planner, goal: Sequence[float], language: str = "en", unit: str = "metres") -> None:
+        self.planner, self.goal = planner, tuple(map(float, goal))
+        self.route: Route | None = None
+        self.outcome, self.reason = Outcome.WALKING, ""
+        self.routes: list[Route] = []
+        self.obstacles: FloatArray | None = None
+        self._announcer = Announcer(lambda instruction: phrase(instruction, language, unit))
+        self._s, self._waiting, self._told_to_stop = 0.0, _Waiting(), False
+        self._moved, self._moved_at = 0.0, np.full(2, np.inf)
+
+    def see(self, obstacles: FloatArray | None) -> None:
+        """Tell of things that stand in the scene and that the service does not know, shape (k, 3) [m]."""
+        self.obstacles = obstacles
+
+    def step(self, pose: Pose | None, now: float) -> tuple[CueMessage, tuple[Instruction, str] | None]:
+        """What to do and what to say now. Quick: it asks the service nothing.
+
+        Args:
+            pose: The newest pose; None before the first.
+            now: On the clock of its stamp [s].
+        """
+        advice = self._advise(pose, now)
+        self._notice(advice, pose, now)
+        stamp = 0.0 if pose is None else pose.stamp
+        left = 0.0 if self.route is None else self.route.length - advice.progress.s
+        cue = CueMessage(
+            action=advice.action,
+            direction=advice.direction,
+            urgency=advice.urgency,
+            pace=advice.pace,
+            distance=left,
+            stamp=now,
+            pose_stamp=stamp,
+        )
+        said = self._announcer.choose(self._worth_saying(advice, now), now)
+        if said is not None:
+            self._told_to_stop = said[0].kind in STOPS
+        return cue, said
+
+    def _advise(self, pose: Pose | None, now: float) -> Advice:
+        if self.outcome is Outcome.SAFE_STOP:
+            gone = Instruction(Kind.GAVE_UP, Urgency.DANGER)
+            return Advice(Progress(self._s, 0.0), CueAction.STOP, urgency=1.0, instructions=(gone,))
+        if pose is None or self.route is None:
+            return Advice(Progress(self._s, 0.0), CueAction.STOP)
+        advice = advise(self.route, pose, now, near=self._s, obstacles=self.obstacles)
+        self._s = advice.progress.s
+        return advice
+
+    def _worth_saying(self, advice: Advice, now: float) -> tuple[Instruction, ...]:
+        """What stops the feet for a moment only is no news; who was told to stop is told to go on."""
+        since = self._waiting.since
+        passing = since is not None and now - since < WAITING
+        worth = tuple(one for one in advice.instructions if not (passing and one.kind in PASSING))
+        walks = advice.action in (CueAction.GO, CueAction.SLOW)
+        resume = (Instruction(Kind.RESUME, Urgency.DANGER),) if self._told_to_stop and walks else ()
+        return resume + worth
+
+    def _notice(self, advice: Advice, pose: Pose | None, now: float) -> None:
+        """Arrival, and how long the person has been kept from walking."""
+        if advice.action is CueAction.ARRIVED:
+            self.outcome = Outcome.ARRIVED
+        held = advice.action is CueAction.STOP
+        if not held:
+            self._waiting.since = None
+        elif self._waiting.since is None:
+            self._waiting.since = now
+        elif now - self._waiting.since > LOST:
+            self.give_up("no good pose, or held up, for too long")
+        if pose is None:
+            return
+        if np.hypot(*(self._waiting.at[:2] - pose.position[:2])) > 0.5:
+            self._waiting.tries = 0
+        if np.hypot(*(self._moved_at - pose.position[:2])) > 0.5:
+            self._moved, self._moved_at = now, np.array(pose.position[:2])
+
+    def wants_route(self, pose: Pose | None, now: float) -> bool:
+        """Whether `replan` should be called with this pose."""
+        if pose is None or self.outcome is not Outcome.WALKING:
+            return False
+        if self.route is None:
+            return True
+        since = self._waiting.since
+        if since is None:
+            return now - self._moved > STALLED
+        advice = advise(self.route, pose, now, near=self._s, obstacles=self.obstacles)
+        if any(one.kind in (Kind.STOP_LOST, Kind.STOP_UNRELIABLE) for one in advice.instructions):
+            return False
+        return now - since >= (OFF_WAY if advice.off_way else PATIENCE)
+
+    def replan(self, pose: Pose, now: float) -> None:
+        """Ask the service for a way from here, and wait for it."""
+        self.take(*self.planner.route(pose, self.goal), pose, now)
+
+    def take(self, route: Route | None, reason: str, pose: Pose, now: float) -> None:
+        """Walk on by a route from `Planner.route`, or do without; gives up after `TRIES` in one place.
+
+        Args:
+            route: None where there is none.
+            reason: Why.
+            pose: Where it was asked for.
+            now: Clock [s].
+        """
+        self._waiting.tries += 1
+        self._waiting.since, self._waiting.at = now, np.array(pose.position)
+        self._moved = now
+        if route is not None:
+            self.route, self._s = route, 0.0
+            self.routes.append(route)
+        if self._waiting.tries >= TRIES or (route is None and self.route is None):
+            self.give_up(reason or "no way that can be walked safely")
+
+    def give_up(self, reason: str) -> None:
+        """Stop for good: the person stays and asks for help."""
+        self.outcome, self.reason = Outcome.SAFE_STOP, reason

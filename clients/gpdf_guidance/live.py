@@ -1,0 +1,156 @@
+"""Guidance over Zenoh: poses and obstacles come in, cues go out, sentences are spoken."""
+
+from __future__ import annotations
+
+import json
+import queue
+import time
+from collections.abc import Callable
+from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import suppress
+from typing import Any
+
+import msgspec
+import numpy as np
+import zenoh
+from gpdf_client import ClientError
+from gpdf_schemas import CueMessage, DecodeError, ObstaclesMessage, PoseMessage, decode, encode, keys
+from numpy.typing import NDArray
+
+from gpdf_guidance.advice import Instruction
+from gpdf_guidance.guide import Guide, Outcome
+from gpdf_guidance.route import Pose, Route
+
+CUE_PERIOD = 0.1
+"""[s] A cue goes out at least this often: twice the 5 Hz that a device needs."""
+WAITING = 64
+"""Messages that may wait; the guide looks at the newest pose of them only."""
+Told = Callable[[float, Instruction, str], None]
+"""Told each sentence: seconds since the start, the instruction, its words."""
+Planned = tuple[Route | None, str]
+
+
+def open_session(endpoint: str) -> zenoh.Session:
+    """A Zenoh session with a service's endpoint, to share with `gpdf_client.Client`."""
+    config = zenoh.Config()
+    config.insert_json5("mode", '"client"')
+    config.insert_json5("connect/endpoints", json.dumps([endpoint]))
+    config.insert_json5("scouting/multicast/enabled", "false")
+    return zenoh.open(config)
+
+
+class LiveGuide:
+    """Feeds one `Guide` from the streams of one person.
+
+    Args:
+        session: Where the streams are.
+        guide: Whom to ask.
+        name: Of the person, the last part of the streams' keys.
+        told: Told each sentence.
+    """
+
+    def __init__(self, session: zenoh.Session, guide: Guide, name: str, told: Told) -> None:
+        self._session, self._guide, self._name, self._told = session, guide, name, told
+        self._inbox: queue.Queue[Pose | ObstaclesMessage] = queue.Queue(WAITING)
+        self._pose: Pose | None = None
+        self._stamp, self._obstacles_until = 0.0, 0.0
+        self._planning: tuple[Future[Planned], Pose] | None = None
+
+    def run(self, stop: Callable[[], bool] = lambda: False) -> Outcome:
+        """Guide until arrival, a safe stop, or `stop`; the last cue is sent in any case."""
+        began = time.monotonic()
+        pose_key, obstacle_key = f"{keys.POSE}/{self._name}", f"{keys.OBSTACLES}/{self._name}"
+        subscribers = [
+            self._session.declare_subscriber(pose_key, self._take_pose),
+            self._session.declare_subscriber(obstacle_key, self._take_obstacles),
+        ]
+        publisher = self._session.declare_publisher(f"{keys.CUE}/{self._name}")
+        with ThreadPoolExecutor(1, thread_name_prefix="gpdf-guide") as pool:
+            while not stop() and self._guide.outcome is Outcome.WALKING:
+                self._listen()
+                now = time.monotonic()
+                if now > self._obstacles_until:
+                    self._guide.see(None)
+                cue, said = self._guide.step(self._pose, now)
+                publisher.put(encode(self._stamped(cue)))
+                if said is not None:
+                    self._told(now - began, *said)
+                self._plan(pool, now)
+        cue, said = self._guide.step(self._pose, time.monotonic())
+        publisher.put(encode(self._stamped(cue)))
+        if said is not None:
+            self._told(time.monotonic() - began, *said)
+        for subscriber in subscribers:
+            subscriber.undeclare()  # type: ignore[no-untyped-call]
+        publisher.undeclare()  # type: ignore[no-untyped-call]
+        return self._guide.outcome
+
+    def _listen(self) -> None:
+        """Wait for a message, at most until the next cue is due; take all that wait."""
+        until = time.monotonic() + CUE_PERIOD
+        while True:
+            try:
+                message = self._inbox.get(timeout=max(0.0, until - time.monotonic()))
+            except queue.Empty:
+                return
+            if isinstance(message, Pose):
+                self._pose = message
+            else:
+                points = _points(message)
+                self._guide.see(points if len(points) else None)
+                self._obstacles_until = time.monotonic() + message.valid_s
+            until = 0.0
+
+    def _plan(self, pool: ThreadPoolExecutor, now: float) -> None:
+        """Ask for a route beside the stream of cues, and take it when it is there."""
+        if self._planning is not None and self._planning[0].done():
+            future, pose = self._planning
+            self._planning = None
+            try:
+                route, reason = future.result()
+            except ClientError as error:
+                route, reason = None, str(error)
+            self._guide.take(route, reason, pose, now)
+        elif self._planning is None and self._guide.wants_route(self._pose, now) and self._pose is not None:
+            self._planning = pool.submit(self._guide.planner.route, self._pose, self._guide.goal), self._pose
+
+    def _stamped(self, cue: CueMessage) -> CueMessage:
+        return msgspec.structs.replace(cue, stamp=time.time(), pose_stamp=self._stamp)
+
+    def _take_pose(self, sample: zenoh.Sample) -> None:
+        """Zenoh's callback. A pose of a clock that is ahead is as old as its way; of one that is behind, older."""
+        try:
+            message = decode(sample.payload.to_bytes(), PoseMessage)
+        except DecodeError:
+            return  # what is no pose is none: the last one grows old
+        if len(message.position) != 3 or message.stamp < self._stamp:
+            return
+        self._stamp = message.stamp
+        x, y, z = message.position
+        stamp = time.monotonic() - max(0.0, time.time() - message.stamp)
+        self._put(Pose((x, y, z), message.heading, stamp, message.accuracy))
+
+    def _take_obstacles(self, sample: zenoh.Sample) -> None:
+        try:
+            message = decode(sample.payload.to_bytes(), ObstaclesMessage)
+            _points(message)
+        except (DecodeError, ValueError):
+            return
+        self._put(message)
+
+    def _put(self, message: Pose | ObstaclesMessage) -> None:
+        while True:
+            try:
+                return self._inbox.put_nowait(message)
+            except queue.Full:  # the oldest makes room
+                with suppress(queue.Empty):
+                    self._inbox.get_nowait()
+
+
+def _points(message: ObstaclesMessage) -> NDArray[np.float64]:
+    return message.points.unpack().reshape(-1, 3)
+
+
+def to_json(time_s: float, instruction: Instruction, text: str) -> dict[str, Any]:
+    """A sentence as plain values."""
+    return {"time": time_s, "kind": instruction.kind.value, "urgency": int(instruction.urgency), "text": text}

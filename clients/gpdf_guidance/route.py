@@ -1,0 +1,188 @@
+"""A trajectory as a person walks it: arc length, the corridor to either side, and what lies on the way."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from gpdf_client import Trajectory
+from numpy.typing import NDArray
+
+from gpdf_guidance.features import Feature, find_features
+
+FloatArray = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
+Room = Callable[[FloatArray], FloatArray]
+"""Free room around a body that stands at (m, 3): distance to what stops it less its radius [m], shape (m,)."""
+
+SPACING = 0.1
+"""[m] Between samples of a route: half of what a person sways."""
+MARGIN = 0.1
+"""[m] Room that a corridor leaves beside it: a swinging arm; in a tight place half of the path's own room."""
+WIDEST = 0.8
+"""[m] A corridor is looked for this far to either side; more changes no instruction."""
+ELBOW_ROOM = 0.35
+"""[m] To either side of the body a person walks at ease."""
+BACK, AHEAD = 1.5, 2.5
+"""[m] A pose is looked for this far behind and ahead of the last one: a path that passes itself is not confused."""
+
+
+@dataclass(frozen=True, slots=True)
+class Pose:
+    """A person's place (x, y, z of the ground) [m], heading [rad], when it was measured [s], and how well [m]."""
+
+    position: tuple[float, float, float]
+    heading: float
+    stamp: float
+    accuracy: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class Progress:
+    """Where a pose is on a route: arc length `s` [m], `offset` to the left of the path [m]."""
+
+    s: float
+    offset: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Route:
+    """A path every `SPACING` [m]: ground (n, 3), arc length in plan (n,), heading (n,), and the corridor around it.
+
+    Attributes:
+        ground: Contact points [m].
+        s: Arc length in plan [m].
+        heading: Direction of the path, unwrapped [rad].
+        room: Free room beside the body on the path [m].
+        disc: The body's centre may be this far from the path in any direction [m].
+        left: And this far to the left [m].
+        right: And this far to the right [m].
+        shift: The corridor's middle is this far to the left, where there is less than `ELBOW_ROOM` on one side [m].
+        features: What a person is told of, in order.
+        radius: Of the person's body [m].
+    """
+
+    ground: FloatArray
+    s: FloatArray
+    heading: FloatArray
+    room: FloatArray
+    disc: FloatArray
+    left: FloatArray
+    right: FloatArray
+    shift: FloatArray
+    features: tuple[Feature, ...]
+    radius: float
+
+    @property
+    def length(self) -> float:
+        """Length in plan [m]."""
+        return float(self.s[-1])
+
+    def at(self, s: float) -> FloatArray:
+        """The contact point at arc length `s`, shape (3,)."""
+        return np.array([np.interp(s, self.s, self.ground[:, k]) for k in range(3)])
+
+    def middle_at(self, s: float) -> FloatArray:
+        """Where to walk at arc length `s`, shape (2,): the path, moved to the corridor's middle where it is tight."""
+        shift, heading = np.interp(s, self.s, self.shift), self.heading_at(s)
+        middle: FloatArray = self.at(s)[:2] + shift * np.array([-np.sin(heading), np.cos(heading)])
+        return middle
+
+    def heading_at(self, s: float) -> float:
+        """The path's direction at arc length `s` [rad]."""
+        return float(np.interp(s, self.s, self.heading))
+
+    def locate(self, pose: Pose, near: float) -> Progress:
+        """Where a pose is on the path, close to arc length `near` [m]."""
+        rows = self._window(near)
+        a, b = self.ground[rows][:-1], self.ground[rows][1:]
+        along = b - a
+        share = ((np.array(pose.position) - a) * along).sum(axis=1) / np.maximum((along**2).sum(axis=1), 1e-12)
+        share = np.clip(share, 0.0, 1.0)
+        foot = a + share[:, None] * along
+        away = np.array(pose.position) - foot
+        i = int((away**2).sum(axis=1).argmin())
+        s = float(self.s[rows][i] + share[i] * (self.s[rows][i + 1] - self.s[rows][i]))
+        side = along[i, 0] * away[i, 1] - along[i, 1] * away[i, 0]
+        return Progress(s, float(np.copysign(np.hypot(*away[i, :2]), side)))
+
+    def inside(self, places: FloatArray, near: float, slack: float = 0.0) -> BoolArray:
+        """Whether the body's centre may be at `places` (m, 2): in the path's corridor, close to arc length `near`."""
+        rows = self._window(near)
+        away = places[:, None, :] - self.ground[None, rows, :2]
+        forward = np.column_stack([np.cos(self.heading[rows]), np.sin(self.heading[rows])])
+        along = (away * forward).sum(axis=2)
+        across = forward[:, 0] * away[:, :, 1] - forward[:, 1] * away[:, :, 0]
+        in_disc = np.hypot(along, across) <= self.disc[rows] + slack + 1e-9
+        beside = np.abs(along) <= 0.5 * SPACING + 1e-9
+        in_width = (across <= self.left[rows] + slack + 1e-9) & (across >= -self.right[rows] - slack - 1e-9)
+        inside: BoolArray = (in_disc | (beside & in_width)).any(axis=1)
+        return inside
+
+    def _window(self, near: float) -> slice:
+        first = int(np.searchsorted(self.s, near - BACK))
+        last = int(np.searchsorted(self.s, near + AHEAD)) + 1
+        return slice(min(first, len(self.s) - 2), max(last, first + 2))
+
+
+def build_route(
+    trajectory: Trajectory, room: Room, *, facing: float | None = None, room_low: Room | None = None, radius: float
+) -> Route:
+    """Build the route of a trajectory.
+
+    Args:
+        trajectory: From the service.
+        room: Free room around the person at places.
+        facing: Where the person looks before the first step [rad]; the turn into the path is the first feature.
+        room_low: The same for a body that ends at the hip: what it has more is head-height obstacles.
+        radius: Of the person's body [m].
+    """
+    rough = _arc_length(trajectory.ground)
+    s = np.linspace(0.0, rough[-1], max(3, round(rough[-1] / SPACING) + 1))
+    ground = np.column_stack([np.interp(s, rough, trajectory.ground[:, k]) for k in range(3)])
+    heading = np.interp(s, rough, np.unwrap(trajectory.headings))
+    free = _scan(ground, heading, room)
+    middle = free.shape[1] // 2
+    margin = np.clip(0.5 * free[:, middle], 0.0, MARGIN)
+    left, right = _reach(free[:, middle:], margin), _reach(free[:, middle::-1], margin)
+    over = _scan(ground, heading, room_low) - free if room_low is not None else np.zeros_like(free)
+    features = find_features(
+        _plan_and_height(trajectory.ground, rough), s, heading, left + right + 2 * (radius + margin), free, over, facing
+    )
+    clear = free[:, middle]
+    disc, shift = np.maximum(clear - margin, 0.0), _shift(left, right)
+    return Route(ground, s, heading, clear, disc, left, right, shift, features, radius)
+
+
+def _plan_and_height(ground: FloatArray, s: FloatArray) -> FloatArray:
+    """(n, 4): x, y, z, arc length."""
+    return np.column_stack([ground, s])
+
+
+def _arc_length(ground: FloatArray) -> FloatArray:
+    return np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(ground[:, :2], axis=0).T))])
+
+
+def _scan(ground: FloatArray, heading: FloatArray, room: Room) -> FloatArray:
+    """Free room at offsets from right to left of each sample, shape (n, k), k odd."""
+    offsets = np.arange(-round(WIDEST / SPACING * 2), round(WIDEST / SPACING * 2) + 1) * SPACING / 2
+    normal = np.column_stack([-np.sin(heading), np.cos(heading), np.zeros(len(heading))])
+    places = ground[:, None, :] + offsets[None, :, None] * normal[:, None, :]
+    return room(places.reshape(-1, 3)).reshape(len(ground), len(offsets))
+
+
+def _reach(free: FloatArray, margin: FloatArray) -> FloatArray:
+    """How far from the first column all leave the margin [m], shape (n,)."""
+    blocked = free < margin[:, None]
+    blocked[:, 0] = False  # the path itself is certified
+    first = np.where(blocked.any(axis=1), blocked.argmax(axis=1), free.shape[1])
+    reach: FloatArray = (first - 1) * SPACING / 2
+    return reach
+
+
+def _shift(left: FloatArray, right: FloatArray) -> FloatArray:
+    """How far to the left of the path there is `ELBOW_ROOM` on both sides, or as much on one as on the other [m]."""
+    lack_left, lack_right = np.maximum(ELBOW_ROOM - left, 0.0), np.maximum(ELBOW_ROOM - right, 0.0)
+    shift: FloatArray = np.clip(0.5 * (left - right), -lack_left, lack_right)
+    return shift

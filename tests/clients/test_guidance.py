@@ -1,0 +1,409 @@
+"""Advice, features, words and budget as pure functions; the walker's errors."""
+
+import shutil
+
+import numpy as np
+import pytest
+from gpdf_client import Trajectory
+from gpdf_guidance import LANGUAGES, Announcer, Errors, Instruction, Kind, Pose, Urgency, Walker, advise, build_route
+from gpdf_guidance import phrase as say
+from gpdf_guidance.advice import BLIND, PACES, POSE_AGE, SWAY, UNRELIABLE
+from gpdf_guidance.features import FeatureKind, find_ramps, find_steps, find_turns
+from gpdf_guidance.guide import PERSON
+from gpdf_guidance.voice import Voice
+from gpdf_schemas import CueAction, CueMessage
+
+import gpdf_service as gpdf
+
+RADIUS = 0.25
+
+
+def trajectory(ground):
+    ground = np.asarray(ground, dtype=float)
+    step = np.diff(ground[:, :2], axis=0)
+    s = np.concatenate([[0.0], np.cumsum(np.hypot(*step.T))])
+    heading = np.arctan2(step[:, 1], step[:, 0])
+    return Trajectory(ground + np.array([0, 0, 2.0]), ground, s / 0.7, np.append(heading, heading[-1]))
+
+
+def line(*corners, spacing=0.05, z=lambda s: 0.0 * s):
+    corners = np.asarray(corners, dtype=float)
+    legs = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(corners, axis=0).T))])
+    s = np.linspace(0.0, legs[-1], round(legs[-1] / spacing) + 1)
+    xy = np.column_stack([np.interp(s, legs, corners[:, k]) for k in (0, 1)])
+    return np.column_stack([xy, z(s)])
+
+
+def corridor(half_width):
+    """A straight corridor along x."""
+    return lambda places: half_width - np.abs(places[:, 1]) - RADIUS
+
+
+def wide(places):
+    return np.full(len(places), 3.0)
+
+
+def straight(half_width=1.0, **options):
+    return build_route(trajectory(line((0, 0), (8, 0))), corridor(half_width), radius=RADIUS, **options)
+
+
+def pose(x, y, heading=0.0, stamp=0.0, **options):
+    return Pose((x, y, 0.0), np.radians(heading), stamp, **options)
+
+
+def kinds(advice):
+    return [one.kind for one in advice.instructions]
+
+
+def test_a_turn_is_found_with_its_side_and_angle():
+    for sign in (1, -1):
+        path = line((0, 0), (3, 0), (3, 3 * sign))
+        (turn,) = find_turns(path[:, :2], np.linspace(0, 6, len(path)))
+        assert turn.kind is FeatureKind.TURN
+        assert turn.amount == pytest.approx(sign * np.pi / 2, abs=0.1)
+        assert turn.start == pytest.approx(3.0, abs=0.2)
+
+
+def test_a_gentle_bend_is_no_turn_and_a_sway_is_nothing():
+    s = np.linspace(0, 6, 121)
+    bend = np.column_stack([s, np.where(s > 3, (s - 3) * np.tan(np.radians(40)), 0.0)])
+    assert [feature.kind for feature in find_turns(bend, s)] == [FeatureKind.BEAR]
+    assert find_turns(np.column_stack([s, 0.1 * np.sin(2 * s)]), s) == []
+
+
+def test_a_turn_in_a_curve_is_one_turn():
+    angle = np.linspace(0, np.pi / 2, 40)
+    curve = np.column_stack([np.sin(angle), 1 - np.cos(angle)])
+    path = np.concatenate([line((-3, 0), (-0.05, 0))[:, :2], curve, line((1, 1.05), (1, 4))[:, :2]])
+    s = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(path, axis=0).T))])
+    (turn,) = find_turns(path, s)
+    assert turn.kind is FeatureKind.TURN
+    assert turn.amount == pytest.approx(np.pi / 2, abs=0.15)
+
+
+def test_single_steps_keep_their_height_and_direction():
+    s = np.linspace(0, 6, 121)
+    z = np.where(s > 2, 0.17, 0.0) - np.where(s > 4, 0.3, 0.0)
+    up, down = find_steps(z, s)
+    assert (up.kind, down.kind) == (FeatureKind.STEP, FeatureKind.STEP)
+    assert (up.amount, down.amount) == (pytest.approx(0.17), pytest.approx(-0.3))
+    assert (up.start, down.start) == (pytest.approx(2.0, abs=0.06), pytest.approx(4.0, abs=0.06))
+
+
+def test_stairs_are_counted_and_a_landing_parts_them():
+    s = np.linspace(0, 10, 401)
+    edges = np.concatenate([1 + 0.29 * np.arange(10), 5.5 + 0.29 * np.arange(7)])
+    z = 0.17 * (s[:, None] > edges).sum(axis=1)
+    stairs = find_steps(z, s)
+    assert [(one.kind, one.count) for one in stairs] == [(FeatureKind.STAIRS, 10), (FeatureKind.STAIRS, 7)]
+    assert stairs[0].amount == pytest.approx(0.17)
+    down = find_steps(-z, s)
+    assert [one.count for one in down] == [10, 7]
+    assert down[0].amount == pytest.approx(-0.17)
+    assert find_ramps(z, s) == []
+
+
+def test_a_ramp_is_no_step_and_a_floor_is_no_ramp():
+    s = np.linspace(0, 8, 161)
+    z = np.clip(s - 2, 0, 3) * 0.1
+    (ramp,) = find_ramps(z, s)
+    assert (ramp.kind, find_steps(z, s)) == (FeatureKind.RAMP, [])
+    assert ramp.amount == pytest.approx(0.3, abs=0.03)
+    assert find_ramps(0.01 * np.sin(3 * s), s) == []
+    assert find_ramps(-z, s)[0].amount < 0
+
+
+def test_narrow_places_and_head_height_obstacles_are_features():
+    def door(places):
+        near = np.abs(places[:, 0] - 4) < 0.3
+        return np.where(near, 0.4, 1.5) - np.abs(places[:, 1]) - RADIUS
+
+    (narrow,) = build_route(trajectory(line((0, 0), (8, 0))), door, radius=RADIUS).features
+    assert narrow.kind is FeatureKind.NARROW
+    assert narrow.amount == pytest.approx(0.8, abs=0.1)
+    assert 3.5 < narrow.start < narrow.end < 4.5
+
+    def ball(places):
+        return np.hypot(places[:, 0] - 4, places[:, 1] - 0.75) - 0.3 - RADIUS
+
+    route = build_route(trajectory(line((0, 0), (8, 0))), ball, room_low=wide, radius=RADIUS)
+    (head,) = (feature for feature in route.features if feature.kind is FeatureKind.HEAD)
+    assert head.amount > 0  # on the left
+    low = build_route(trajectory(line((0, 0), (8, 0))), ball, room_low=ball, radius=RADIUS)
+    assert all(feature.kind is not FeatureKind.HEAD for feature in low.features)  # a cane finds what stands
+
+
+def test_progress_follows_the_path_and_knows_left_from_right():
+    route = straight()
+    assert route.locate(pose(3.0, 0.2), 2.5).s == pytest.approx(3.0)
+    assert route.locate(pose(3.0, 0.2), 2.5).offset == pytest.approx(0.2)
+    assert route.locate(pose(3.0, -0.2), 2.5).offset == pytest.approx(-0.2)
+
+
+def test_a_path_that_passes_itself_is_not_confused():
+    there_and_back = line((0, 0), (4, 0), (4, 0.3), (0, 0.3))
+    route = build_route(trajectory(there_and_back), wide, radius=RADIUS)
+    assert route.locate(pose(2.0, 0.15), 1.5).s == pytest.approx(2.0, abs=0.1)
+    assert route.locate(pose(2.0, 0.15), 6.0).s == pytest.approx(6.3, abs=0.1)
+
+
+def test_the_corridor_ends_where_the_room_does():
+    route = straight(half_width=0.6)
+    y = np.array([0.0, 0.2, -0.2, 0.3, -0.3])
+    inside = route.inside(np.column_stack([np.full(5, 3.0), y]), 3.0)
+    assert inside.tolist() == [True, True, True, False, False]
+
+
+def test_an_old_or_unreliable_pose_stops_and_a_fresh_one_does_not():
+    route = straight()
+    fresh = advise(route, pose(1, 0, stamp=10.0), 9.99 + POSE_AGE, near=1.0)
+    assert fresh.action is CueAction.GO
+    old = advise(route, pose(1, 0, stamp=10.0), 10.01 + POSE_AGE, near=1.0)
+    assert (old.action, old.urgency, kinds(old)) == (CueAction.STOP, 1.0, [Kind.STOP_LOST])
+    blurred = advise(route, pose(1, 0, accuracy=UNRELIABLE + 0.01), 0.0, near=1.0)
+    assert (blurred.action, kinds(blurred)) == (CueAction.STOP, [Kind.STOP_UNRELIABLE])
+
+
+@pytest.mark.parametrize(
+    ("obstacle", "stops"),
+    [
+        ((3.0, 0.0, 1.0), True),
+        ((3.0, 0.2, 0.3), True),
+        ((3.0, 0.9, 1.0), False),
+        ((3.0, 0.0, 2.2), False),
+        ((3.0, 0.0, 0.01), False),
+        ((0.2, 0.0, 1.0), False),
+        ((6.5, 0.0, 1.0), False),
+    ],
+    ids=["ahead", "in the body's way", "beside", "overhead", "dust", "behind", "far"],
+)
+def test_a_new_obstacle_stops_only_where_it_is_in_the_way(obstacle, stops):
+    advice = advise(straight(), pose(1.5, 0), 0.0, near=1.5, obstacles=np.array([obstacle]))
+    assert (advice.action is CueAction.STOP) == stops
+    assert (Kind.STOP_OBSTACLE in kinds(advice)) == stops
+
+
+def test_who_leaves_the_corridor_is_stopped():
+    advice = advise(straight(half_width=0.7), pose(3, 0.45), 0.0, near=3.0)
+    assert (advice.action, advice.off_way, kinds(advice)) == (CueAction.STOP, True, [Kind.STOP_OFF_WAY])
+
+
+def test_arrival_is_within_an_arm_of_the_goal_and_nowhere_else():
+    assert advise(straight(), pose(7.8, 0.1), 0.0, near=7.7).action is CueAction.ARRIVED
+    assert advise(straight(), pose(7.4, 0.0), 0.0, near=7.4).action is not CueAction.ARRIVED
+
+
+def test_the_cue_points_along_the_path_whichever_way_one_looks():
+    for heading in (-170, -90, -20, 0, 30, 120):
+        advice = advise(straight(), pose(2, 0, heading), 0.0, near=2.0)
+        assert np.degrees(advice.direction) == pytest.approx(-heading, abs=5)
+        assert (advice.action is CueAction.TURN) == (abs(heading) >= 40)
+
+
+def test_who_sways_is_led_back_to_the_other_side():
+    for side in (1, -1):
+        advice = advise(straight(), pose(2, 0.4 * side), 0.0, near=2.0)
+        assert advice.direction * side <= 0
+
+
+def test_a_turn_is_announced_before_and_confirmed_after_and_corrected():
+    route = build_route(trajectory(line((0, 0), (4, 0), (4, 4))), wide, radius=RADIUS)
+    before = advise(route, pose(2.0, 0), 0.0, near=2.0).instructions
+    (soon,) = (one for one in before if one.kind is Kind.TURN_SOON)
+    assert soon.distance == pytest.approx(2.0, abs=0.2)
+    assert soon.amount > 0
+    (done,) = (one for one in advise(route, pose(4, 0.2, 90), 0.0, near=4.2).instructions if one.kind is Kind.GO_ON)
+    assert done.distance == pytest.approx(3.8, abs=0.3)
+    (back,) = (
+        one for one in advise(route, pose(4, 0.1, 115), 0.0, near=4.1).instructions if one.kind is Kind.TURN_BACK
+    )
+    assert back.amount < 0  # to the right
+
+
+def test_the_turn_before_the_first_step_is_told():
+    route = straight(facing=np.radians(120))
+    advice = advise(route, pose(0, 0, 120), 0.0, near=0.0)
+    assert advice.instructions[0].kind is Kind.TURN_NOW
+    assert advice.instructions[0].amount < 0
+    over = advise(route, pose(0, 0, -17), 0.0, near=0.0)
+    assert Kind.TURN_BACK in kinds(over)
+
+
+@pytest.mark.parametrize(("distance", "told"), [(3.2, False), (2.5, True), (1.2, True), (0.5, True), (-0.3, False)])
+def test_a_step_is_told_of_one_to_three_metres_before(distance, told):
+    path = line((0, 0), (8, 0), z=lambda s: np.where(s > 5, -0.15, 0.0))
+    route = build_route(trajectory(path), wide, radius=RADIUS)
+    advice = advise(route, pose(5 - distance, 0), 0.0, near=5 - distance)
+    steps = [one for one in advice.instructions if one.kind is Kind.STEP]
+    assert bool(steps) == told
+    if told:
+        assert steps[0].amount == pytest.approx(-0.15)
+        assert steps[0].distance == pytest.approx(distance, abs=0.1)
+    slow = advise(route, pose(4.2, 0), 0.0, near=4.2)
+    assert (slow.action, slow.pace) == (CueAction.SLOW, PACES[1])
+
+
+def test_the_next_stairs_are_told_of_at_the_end_of_the_first():
+    edges = np.concatenate([2 + 0.29 * np.arange(10), 6.0 + 0.29 * np.arange(5)])
+    path = line((0, 0), (9, 0), z=lambda s: 0.17 * (s[:, None] > edges).sum(axis=1))
+    route = build_route(trajectory(path), wide, radius=RADIUS)
+
+    def told(s):
+        here = Pose(tuple(route.at(s)), 0.0, 0.0)
+        return [one.count for one in advise(route, here, 0.0, near=s).instructions if one.kind is Kind.STAIRS]
+
+    assert told(0.5) == [10]
+    assert told(3.5) == []
+    assert told(4.5) == [5]
+
+
+def test_who_hears_nothing_more_stops_inside_the_corridor():
+    rng = np.random.default_rng(0)
+    walked = 0
+    for half_width in (0.35, 0.45, 0.6, 1.0):
+        route = straight(half_width)
+        for _ in range(100):
+            x, y = rng.uniform(1, 6), rng.uniform(-1, 1) * (half_width - RADIUS)
+            now = pose(x, y, rng.uniform(-60, 60))
+            advice = advise(route, now, 0.0, near=x)
+            if advice.pace == 0.0:
+                continue
+            walked += 1
+            for sway in (-SWAY, 0.0, SWAY):
+                heading = now.heading + sway
+                blind = advice.pace * BLIND * np.array([np.cos(heading), np.sin(heading)])
+                assert corridor(half_width)(np.array([[x + blind[0], y + blind[1], 0.0]]))[0] >= 0
+    assert walked > 100
+
+
+def test_a_narrower_corridor_is_walked_more_slowly():
+    paces = [advise(straight(width), pose(3, 0), 0.0, near=3.0).pace for width in (1.0, 0.42, 0.36)]
+    assert paces == sorted(paces, reverse=True)
+    assert paces[0] == PACES[0] > paces[-1] > 0
+
+
+def announcer():
+    return Announcer(lambda instruction: "one two three")
+
+
+def informing(i, urgency=Urgency.INFORM):
+    return Instruction(Kind.BEAR, urgency, (10.0 * i, 0.0))
+
+
+def test_a_flood_is_cut_to_the_budget():
+    voice, said = announcer(), 0
+    for tick in range(6000):  # ten minutes
+        said += voice.choose([informing(tick)], 0.1 * tick) is not None
+    assert 30 <= said <= 80
+
+
+def test_the_most_urgent_is_said_first_and_at_once():
+    voice = announcer()
+    urgent = Instruction(Kind.STEP, Urgency.ACT, (5.0, 0.0))
+    assert voice.choose([urgent, informing(0)], 0.0)[0] is urgent
+    danger = Instruction(Kind.STOP_OBSTACLE, Urgency.DANGER)
+    assert voice.choose([danger], 0.1)[0] is danger  # cuts the sentence off
+    assert voice.choose([informing(1)], 0.2) is None
+
+
+def test_the_same_thing_is_said_once_also_after_another_plan():
+    voice = announcer()
+    assert voice.choose([Instruction(Kind.STEP, Urgency.ACT, (5.0, 0.0))], 0.0)
+    assert voice.choose([Instruction(Kind.STEP, Urgency.ACT, (5.2, 0.1))], 5.0) is None
+    assert voice.choose([Instruction(Kind.STEP, Urgency.ACT, (7.0, 0.0))], 5.0)
+
+
+def test_danger_is_said_again_while_it_lasts():
+    voice = announcer()
+    danger = Instruction(Kind.STOP_OBSTACLE, Urgency.DANGER)
+    times = [tick / 10 for tick in range(300) if voice.choose([danger], tick / 10)]
+    assert 3 <= len(times) <= 5
+
+
+@pytest.mark.parametrize("language", LANGUAGES)
+@pytest.mark.parametrize("kind", Kind)
+def test_every_instruction_has_a_sentence_in_every_language(kind, language):
+    texts = {say(Instruction(kind, Urgency.ACT, distance=2.4, amount=a, count=7), language) for a in (1.0, -1.0)}
+    assert all(text and "{" not in text and text[-1] in ".!" for text in texts)
+
+
+def test_sentences_say_what_matters():
+    step = Instruction(Kind.STEP, Urgency.ACT, distance=2.4, amount=-0.17)
+    assert say(step) == "In 2.5 metres, step down, 17 centimetres."
+    assert say(step, unit="steps") == "In 4 steps, step down, 17 centimetres."
+    assert say(step, "de") == "In 2,5 Metern Stufe abwärts, 17 Zentimeter."
+    stairs = Instruction(Kind.STAIRS, Urgency.ACT, distance=1.0, amount=0.17, count=12)
+    assert say(stairs) == "In 1 metre, stairs up, 12 steps."
+    assert say(Instruction(Kind.TURN_NOW, Urgency.ACT, amount=-1.5)) == "Turn right."
+    assert say(Instruction(Kind.TURN_NOW, Urgency.ACT, amount=3.0)) == "Turn around."
+    assert say(Instruction(Kind.TURN_BACK, Urgency.ACT, amount=0.3), "de") == "Zu weit. Etwas zurück nach links."
+
+
+def test_the_person_has_the_measures_of_the_services_human():
+    human = gpdf.AGENTS["human"]
+    for key in ("height", "width", "length", "max_step", "acceleration", "turn_rate"):
+        assert PERSON[key] == getattr(human, key)
+    assert PERSON["max_slope"] == pytest.approx(human.max_slope)
+
+
+def test_speech_says_what_is_missing(monkeypatch):
+    monkeypatch.setenv("PATH", "")
+    with pytest.raises(FileNotFoundError, match="espeak-ng is not installed"):
+        Voice("en")
+
+
+@pytest.mark.skipif(shutil.which("espeak-ng") is None, reason="needs espeak-ng")
+def test_a_newer_sentence_cuts_the_older_one_off():
+    voice = Voice("en")
+    voice.say("one two three four five six seven eight nine ten")
+    older = voice._speaking
+    voice.say("stop")
+    assert older.poll() is not None
+    voice.close()
+
+
+EXACT = Errors(0, 0, 0.5, 0, 4.0, 0, 0, 1, 0, 0)
+
+
+def walker(errors, seed=0):
+    return Walker(np.zeros(3), 0.0, lambda position: 0.0, np.random.default_rng(seed), errors)
+
+
+def walked(person, seconds, cue=None, since=0.0):
+    for tick in range(round(seconds * 20)):
+        now = since + tick / 20
+        if cue is not None:
+            person.feel(CueMessage(stamp=now, **cue))
+        person.move(now, 0.05)
+    return person
+
+
+GO = {"action": CueAction.GO, "direction": 0.0, "urgency": 0.0, "pace": 0.7}
+
+
+def test_the_walker_acts_half_a_second_late_and_stops_without_cues():
+    person = walked(walker(EXACT), 0.5, GO)
+    assert person.position[0] == 0.0
+    walked(person, 3.0, GO, since=0.5)
+    assert person.speed == pytest.approx(0.7)
+    walked(person, 3.0, since=3.5)
+    assert person.speed == 0.0
+
+
+def test_the_walker_turns_too_far_by_seventeen_degrees():
+    cue = CueMessage(action=CueAction.TURN, direction=np.pi / 2, urgency=1.0, stamp=0.0)
+    far = []
+    for seed in range(50):
+        person = walker(Errors(), seed)
+        person.feel(cue)
+        walked(person, 4.0)
+        far.append(np.degrees(person.heading) - 90)
+    assert np.mean(far) == pytest.approx(17, abs=2.5)
+
+
+def test_the_walkers_sensor_drops_out_and_comes_back():
+    person = walker(Errors())
+    missing = [person.pose(tick / 10, 0.1) is None for tick in range(3000)]
+    assert 0.02 < np.mean(missing) < 0.3
+    assert not missing[-1] or not all(missing[-40:])
+    assert not any(walker(EXACT).pose(tick / 10, 0.1) is None for tick in range(100))

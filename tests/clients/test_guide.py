@@ -1,0 +1,255 @@
+"""People are guided by the real service: simulated walks, poses over Zenoh, the command line."""
+
+import dataclasses
+import json
+import socket
+import subprocess
+import sys
+import threading
+import time
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import numpy as np
+import pytest
+from gpdf_client import Client
+from gpdf_guidance import Guide, Kind, Outcome, Planner, Pose, Walker, simulate
+from gpdf_guidance.features import FeatureKind
+from gpdf_guidance.guide import LOST, too_tight
+from gpdf_guidance.live import LiveGuide, open_session
+from gpdf_schemas import Array, CueAction, CueMessage, ObstaclesMessage, PoseMessage, decode, encode, keys
+
+from gpdf_service.bench.guide import summary
+from gpdf_service.bench.walks import WalkedWorld
+from gpdf_service.cli import main
+from gpdf_service.service.server import Options, Server
+from gpdf_service.synthetic import SCENES
+
+NAMES = ("office", "stair", "cow_and_lady")
+
+
+@pytest.fixture(scope="module")
+def made():
+    return {name: SCENES[name](np.random.default_rng(0), spacing=0.05) for name in NAMES}
+
+
+@pytest.fixture(scope="module")
+def endpoint(tmp_path_factory, made):
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        address = f"tcp/127.0.0.1:{probe.getsockname()[1]}"
+    folder: Path = tmp_path_factory.mktemp("guide")
+    with Server(Options(address, folder, folder, 2)) as server, Client.connect(address) as client:
+        for name, scene in made.items():
+            client.load_scene(name, upload=scene.points, ground=scene.ground)
+        assert server.shelf.get("stair").scene is not None
+        yield address
+
+
+@pytest.fixture
+def client(endpoint):
+    with Client.connect(endpoint) as connected:
+        yield connected
+
+
+def setting(client, made, name, start, goal, seed=0, heading=0.0):
+    world = WalkedWorld.of(made[name].points, made[name].ground)
+    walker = Walker(np.array(start, dtype=float), heading, world.ground_height, np.random.default_rng(seed))
+    return Guide(Planner(client, name), goal), walker, world
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_people_with_errors_cross_the_office_without_a_contact(client, made, seed):
+    scene = made["office"]
+    guide, walker, world = setting(client, made, "office", (*scene.start, 0.0), scene.goal, seed, heading=2.0)
+    walk = simulate(guide, walker, world)
+    assert walk.outcome is Outcome.ARRIVED
+    assert walk.penetration == 0
+    assert np.hypot(*(walk.places[-1, :2] - scene.goal)) < 1.0
+    assert walk.said[-1].instruction.kind is Kind.ARRIVED
+
+
+@pytest.mark.parametrize("down", [False, True], ids=["up", "down"])
+def test_the_stairs_are_told_with_their_steps_before_they_come(client, made, down):
+    foot, head = (0.6, 0.8, 0.0), (9.6, 0.8, 3.4)
+    start, goal = (head, foot) if down else (foot, head)
+    guide, walker, world = setting(client, made, "stair", start, goal, heading=np.pi if down else 0.0)
+    walk = simulate(guide, walker, world)
+    assert walk.outcome is Outcome.ARRIVED
+    assert walk.penetration == 0
+    assert abs(walk.places[-1, 2] - goal[2]) < 0.01
+    stairs = [said for said in walk.said if said.instruction.kind is Kind.STAIRS]
+    assert [said.instruction.count for said in stairs] == [10, 10]
+    assert all((said.instruction.amount < 0) == down for said in stairs)
+    assert all(said.instruction.distance <= 3.0 for said in stairs)
+    assert stairs[1].instruction.distance >= 1.0
+    facts = summary([(walk, guide)])
+    assert facts["steps_and_stairs"] == facts["announced_1_to_3_m"] >= 1
+
+
+def test_the_judge_of_the_walks_sees_contacts_and_falls(made):
+    world = WalkedWorld.of(made["office"].points, made["office"].ground)
+    assert world.penetration(np.array([0.9, 0.9, 0.0])) == 0
+    assert world.penetration(np.array([2.7, 0.6, 0.0])) == pytest.approx(0.05, abs=0.03)  # the cupboard
+    assert world.ground_height(np.array([5.5, 2.2, 0.1])) == pytest.approx(0.35)
+    assert world.penetration(np.array([3.0, 2.9, 0.0])) > 0.1  # the ball at head height
+    assert world.ground_height(np.array([9.0, 9.0, 0.0])) == 0.0
+    assert world.penetration(np.array([0.9, 0.9, 0.0])) == np.inf
+
+
+def test_no_way_is_a_safe_stop_with_the_reason(client, made):
+    guide, walker, world = setting(client, made, "office", (0.9, 0.9, 0.0), (40.0, 2.0))
+    walk = simulate(guide, walker, world)
+    assert walk.outcome is Outcome.SAFE_STOP
+    assert "goal" in walk.reason
+    assert [said.instruction.kind for said in walk.said] == [Kind.GAVE_UP]
+    assert np.ptp(walk.places, axis=0).max() == 0
+
+
+def test_a_sensor_that_never_comes_back_is_a_safe_stop(client, made):
+    guide, walker, world = setting(client, made, "office", (0.9, 0.9, 0.0), (5.4, 3.4))
+    see = walker.pose
+    walker.pose = lambda now, period: see(now, period) if now < 5.0 else None
+    walk = simulate(guide, walker, world)
+    assert walk.outcome is Outcome.SAFE_STOP
+    assert walk.penetration == 0
+    assert Kind.STOP_LOST in [said.instruction.kind for said in walk.said]
+    assert walk.times[-1] < 10.0 + LOST
+
+
+def test_a_new_obstacle_is_stopped_for_and_passed_when_it_is_gone(client, made):
+    guide, walker, world = setting(client, made, "stair", (0.6, 0.8, 0.0), (9.6, 0.8, 3.4))
+    column = np.column_stack([np.full(20, 1.7), np.full(20, 0.8), np.linspace(0.0, 1.9, 20)])
+    guide.see(column)
+    blocked = simulate(guide, walker, world, longest=12.0)
+    assert blocked.outcome is Outcome.SAFE_STOP
+    assert Kind.STOP_OBSTACLE in [said.instruction.kind for said in blocked.said]
+    assert np.hypot(*(blocked.places[:, :2] - column[0, :2]).T).min() > 0.25
+    again, walker, world = setting(client, made, "stair", blocked.places[-1], (9.6, 0.8, 3.4))
+    assert simulate(again, walker, world).outcome is Outcome.ARRIVED
+
+
+def test_what_hangs_beside_the_way_is_a_feature(client):
+    here = Pose((4.75, 1.2, 0.0), np.pi / 2, 0.0)
+    route, reason = Planner(client, "cow_and_lady").route(here, (4.7, 4.2))
+    assert reason == ""
+    (head,) = (feature for feature in route.features if feature.kind is FeatureKind.HEAD)  # the cow's
+    assert head.amount > 0
+    assert abs(route.at(head.start)[1] - 2.45) < 0.8
+
+
+def test_a_way_that_is_too_tight_is_refused_with_its_width(client):
+    planner = Planner(client, "office")
+    route, _ = planner.route(Pose((0.9, 0.9, 0.0), 0.0, 0.0), (5.4, 3.4))
+    assert too_tight(route) == ""
+    tight = dataclasses.replace(route, room=np.where(np.abs(route.s - 3) < 0.2, 0.05, route.room))
+    assert "60 cm wide" in too_tight(tight)
+    at_the_goal = dataclasses.replace(route, room=np.where(route.s > route.length - 0.5, 0.01, route.room))
+    assert too_tight(at_the_goal) == ""
+
+
+class Feet(threading.Thread):
+    """A walker in real time: feels cues from Zenoh, sends poses."""
+
+    def __init__(self, session, walker, name):
+        super().__init__(daemon=True)
+        self.walker, self.cues, self.halt, self.mute = walker, [], threading.Event(), threading.Event()
+        self._poses = session.declare_publisher(f"{keys.POSE}/{name}")
+        self._cues = session.declare_subscriber(f"{keys.CUE}/{name}", self._feel)
+
+    def __enter__(self):
+        self.start()
+        return self
+
+    def __exit__(self, *_):
+        self.halt.set()
+        self.join()
+
+    def _feel(self, sample):
+        self.cues.append(decode(sample.payload.to_bytes(), CueMessage))
+        self.walker.feel(self.cues[-1])
+
+    def wait_for(self, action):
+        self.cues.clear()
+        until = time.monotonic() + 30
+        while all(cue.action is not action for cue in list(self.cues)):
+            assert time.monotonic() < until, f"no cue says {action}"
+            time.sleep(0.01)
+
+    def run(self):
+        while not self.halt.wait(0.05):
+            now = time.time()
+            self.walker.move(now, 0.05)
+            pose = self.walker.pose(now, 0.05)
+            if pose is not None and not self.mute.is_set():
+                message = PoseMessage(position=list(pose.position), heading=pose.heading, stamp=now, accuracy=0.02)
+                self._poses.put(encode(message))
+
+
+def test_poses_over_zenoh_become_cues_at_five_hertz_and_a_person_arrives(endpoint, made):
+    with open_session(endpoint) as session, open_session(endpoint) as body:
+        guide, walker, world = setting(Client(session), made, "office", (0.9, 0.9, 0.0), (2.4, 1.2))
+        feet, said = Feet(body, walker, "ada"), []
+        body.put(f"{keys.POSE}/ada", b"\xffno pose")
+        live = LiveGuide(session, guide, "ada", lambda *sentence: said.append(sentence))
+        with feet:
+            assert live.run() is Outcome.ARRIVED
+    assert world.penetration(walker.position) == 0
+    stamps = np.array([cue.stamp for cue in feet.cues])
+    assert len(stamps) / (stamps[-1] - stamps[0]) >= 5.0
+    assert feet.cues[-1].action is CueAction.ARRIVED
+    assert said[-1][1].kind is Kind.ARRIVED
+
+
+def test_cues_say_stop_when_poses_stop_and_when_something_is_in_the_way(endpoint, made):
+    stop, key = threading.Event(), f"{keys.OBSTACLES}/bob"
+    with open_session(endpoint) as session, open_session(endpoint) as body, ThreadPoolExecutor(1) as pool:
+        guide, walker, _ = setting(Client(session), made, "office", (0.9, 0.9, 0.0), (5.4, 3.4), heading=0.6)
+        walker.move = lambda now, period: None  # stands, and looks the right way
+        running = pool.submit(LiveGuide(session, guide, "bob", lambda *_: None).run, stop.is_set)
+        try:
+            with Feet(body, walker, "bob") as feet:
+                feet.wait_for(CueAction.GO)
+                column = np.tile(guide.route.at(1.0), (9, 1)) + np.linspace(0.1, 1.9, 9)[:, None] * [0, 0, 1]
+                body.put(key, encode(ObstaclesMessage(points=Array.pack(column), valid_s=60.0)))
+                feet.wait_for(CueAction.STOP)
+                body.put(key, encode(ObstaclesMessage(points=Array.pack(np.zeros((0, 3))))))
+                feet.wait_for(CueAction.GO)
+                feet.mute.set()
+                feet.wait_for(CueAction.STOP)
+        finally:
+            stop.set()
+        assert running.result(30) is Outcome.WALKING
+
+
+def test_the_command_line_guides_a_simulated_person(endpoint, made, tmp_path, capsys):
+    scene, cloud = made["stair"], tmp_path / "stair.npz"
+    np.savez(cloud, xyz=scene.points, label=scene.ground.astype(int), classes=np.array(["other", "ground"]))
+    words = ["guide", "stair", "--goal", "9.6,0.8", "--start", "0.6,0.8", "--simulate", "--json"]
+    words += ["--endpoint", endpoint]
+    assert main([*words, "--truth", str(cloud), "--png", str(tmp_path / "walk.png")]) == 0
+    *said, result = map(json.loads, capsys.readouterr().out.splitlines())
+    assert {"stairs", "arrived"} <= {line["kind"] for line in said}
+    assert (result["outcome"], result["contact"]) == ("arrived", False)
+    assert (tmp_path / "walk.png").read_bytes().startswith(b"\x89PNG")
+    assert main(words) == 0  # the same without the truth
+    assert json.loads(capsys.readouterr().out.splitlines()[-1])["contact"] is None
+
+
+def test_the_command_line_fails_with_words(endpoint, free_endpoint, capsys):
+    assert main(["guide", "nowhere", "--goal", "1,1", "--endpoint", endpoint]) == 1
+    assert "nowhere" in capsys.readouterr().err
+    assert main(["guide", "office", "--goal", "1,1", "--simulate", "--endpoint", endpoint]) == 2
+    assert "--start" in capsys.readouterr().err
+    assert main(["guide", "office", "--goal", "1,1", "--endpoint", free_endpoint]) == 1
+    assert "gpdf serve" in capsys.readouterr().err
+
+
+def test_the_guide_needs_nothing_but_the_light_install(endpoint):
+    code = "import sys\n"
+    code += "for name in ('scipy', 'numba', 'open3d', 'laspy', 'mcap', 'matplotlib'): sys.modules[name] = None\n"
+    code += "from gpdf_service.cli import main\nsys.exit(main(sys.argv[1:]))"
+    words = ["guide", "office", "--goal", "2.4,1.2", "--start", "0.9,0.9", "--simulate", "--endpoint", endpoint]
+    done = subprocess.run([sys.executable, "-c", code, *words], capture_output=True, text=True, timeout=60)
+    assert done.returncode == 0, done.stderr
+    assert "You have arrived." in done.stdout
