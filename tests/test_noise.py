@@ -23,6 +23,12 @@ def noisy(made):
 
 
 @pytest.fixture(scope="module")
+def unlabelled(made):
+    rng = np.random.default_rng(5)
+    return gpdf.build_scene(made.points + rng.normal(size=made.points.shape) * NOISE)
+
+
+@pytest.fixture(scope="module")
 def clean(made):
     return gpdf.build_scene(made.points, made.ground)
 
@@ -49,8 +55,10 @@ def test_two_metres_over_the_floor_the_distance_is_right(noisy, clean):
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("scene", ["noisy", "unlabelled"])
 @pytest.mark.parametrize("agent", ["human", "roomba"])
-def test_no_plan_in_a_noisy_scene_touches_the_clean_one(made, noisy, clean, agent):
+def test_no_plan_in_a_noisy_scene_touches_the_clean_one(made, scene, clean, agent, request):
+    noisy = request.getfixturevalue(scene)
     judge, body = Judge(made.points, made.ground), gpdf.AGENTS[agent]
     answers = [gpdf.plan(noisy, a, b, agent) for a, b in random_places(clean, body, 25, np.random.default_rng(3))]
     good = [answer for answer in answers if answer.status is gpdf.Status.OK]

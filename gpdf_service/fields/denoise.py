@@ -16,11 +16,12 @@ import numpy as np
 from numba import njit
 from scipy.spatial import cKDTree
 
+from gpdf_service.fields.order import spatial_order
 from gpdf_service.fields.spacing import estimate_spacing
 from gpdf_service.fields.threads import run_chunked
 from gpdf_service.fields.traversal import STACK
 from gpdf_service.fields.tree import Tree, box_distance2, build_tree
-from gpdf_service.types import BoolArray, FloatArray
+from gpdf_service.types import BoolArray, FloatArray, IntArray
 
 RESOLVED = 4.0
 """[-] Least radius of a neighbourhood over the noise: a disc of 4 σ is then twice as wide as it is thick (standard
@@ -29,6 +30,8 @@ _GROWTH = 1.3
 """[-] Each radius over the one before."""
 _SCALES = 5
 """Radii tried: 4 σ to 11 σ."""
+_FIRST_SCALES = 3
+"""Radii of all passes but the last: they only have to find the surface."""
 _AGREE = 1.0
 """[-] Half width of a confidence interval in standard errors: twice it lets twice the bias pass on a ball."""
 _BIAS = 2.5
@@ -117,11 +120,17 @@ def denoise(points: FloatArray, spacing: float | None = None, *, level: bool = F
     normals = np.zeros_like(points)
     normals[:, 2] = float(level)
 
-    def project(centre: FloatArray) -> None:
-        run_chunked(lambda a, b: _project_range(tree, centre, a, b, radii, noise, moved, left, normals), len(points))
+    order = spatial_order(points)
 
-    for _ in range(_PASSES):
-        project(moved.copy())
+    def project(scales: FloatArray) -> None:
+        centre = moved.copy()
+        run_chunked(
+            lambda a, b: _project_range(tree, centre, order[a:b], scales, noise, moved, left, normals), len(order)
+        )
+
+    for _ in range(_PASSES - 1):
+        project(radii[:_FIRST_SCALES])
+    project(radii)
     return Cured(moved, left, _find_strays(moved, max(0.5 * least, 2.0 * spacing)), noise)
 
 
@@ -239,8 +248,7 @@ def _thickness_range(
 def _project_range(
     tree: Tree,
     points: FloatArray,
-    begin: int,
-    end: int,
+    rows: IntArray,
     radii: FloatArray,
     sigma: float,
     moved: FloatArray,
@@ -248,7 +256,7 @@ def _project_range(
     normals: FloatArray,
 ) -> None:
     moments, mean, normal, first = np.zeros((len(radii), 10)), np.zeros(3), np.zeros(3), np.zeros(3)
-    for i in range(begin, end):
+    for i in rows:
         _gather(tree, points[i], radii, normals[i], _SLAB * sigma, moments)
         low_end, high_end, chosen = -np.inf, np.inf, -1
         for j in range(len(radii)):

@@ -52,7 +52,7 @@ def _material(level: GroundLevel, agent: Agent, noise: float) -> BoolArray:
     disc = _disc(agent.radius + surface.cell_width, surface)
     ix, iy, _ = surface.cells(points)
     z = points[:, 2]
-    reached = z < ndimage.maximum_filter(top, footprint=disc)[ix, iy] + agent.height
+    reached = z < ndimage.maximum_filter(top, footprint=disc)[ix, iy] + agent.height + noise
     beneath = z < ndimage.minimum_filter(bottom, footprint=disc)[ix, iy] - least
     high = ndimage.maximum_filter(top, size=beside)[ix, iy]
     low = ndimage.minimum_filter(bottom, size=beside)[ix, iy]
