@@ -93,10 +93,16 @@ def find_ground(layers: Layers, config: PerceptionConfig) -> BoolArray:
     size = np.bincount(patch[wide], minlength=patch.max() + 1)
     large = np.flatnonzero(size >= BULK_SHARE * size.max())
     bulk = min(large, key=lambda i: float(np.median(layers.height[wide & (patch == i)])))
-    return _spread(layers, config, wide, patch, int(bulk))
+    return _spread(layers, config, wide, smooth == 8, patch, int(bulk))
 
 
-def _spread(layers: Layers, config: PerceptionConfig, wide: BoolArray, patch: IntArray, bulk: int) -> BoolArray:
+def _spread(
+    layers: Layers, config: PerceptionConfig, wide: BoolArray, inner: BoolArray, patch: IntArray, bulk: int
+) -> BoolArray:
+    """Grow from the bulk; `inner` nodes have all eight neighbours on their slope.
+
+    Only they say whether a patch lies over ground: the edge of a stair's tread shares its cells with the tread below.
+    """
     standable, tread = _shapes(layers, wide, patch, config)
     limit = np.where(layers.headroom >= config.step_headroom, config.max_step, layers.cell_width)
     a, b = connect(layers, wide, limit, HALF)
@@ -107,10 +113,10 @@ def _spread(layers: Layers, config: PerceptionConfig, wide: BoolArray, patch: In
     a, b = a[rise <= allowed], b[rise <= allowed]
     ground = wide & (patch == bulk)
     refused = np.zeros(len(standable), dtype=bool)
-    size = np.bincount(patch, minlength=len(refused))
+    size = np.bincount(patch[inner], minlength=len(refused))
     while len(fresh := np.unique(patch[b[ground[a] & ~ground[b] & ~refused[patch[b]]]])):
         nodes = wide & np.isin(patch, fresh)
-        over = np.bincount(patch[nodes & over_ground(layers, ground, config)], minlength=len(refused))
+        over = np.bincount(patch[nodes & inner & over_ground(layers, ground, config)], minlength=len(refused))
         refused |= over > OVER_SHARE * size
         ground |= nodes & ~refused[patch]
     ground &= ~over_ground(layers, ground, config)
