@@ -19,8 +19,8 @@ class PerceptionConfig:
     """[m] Highest step that joins two pieces of ground: what the most able body takes; a seat is 0.40 to 0.45 high."""
     stair_step: float = 0.25
     """[m] Highest riser of a stair: building codes say 0.19 to 0.22; treads too narrow to stand on must keep to it."""
-    tread_length: float = 0.6
-    """[m] Narrowest stair: the least that a person walks up; a chair's seat is 0.45 wide."""
+    tread_length: float = 0.3
+    """[m] Least that is seen of a tread beside a handrail and its shadow; whether a body fits there is decided later."""
     tread_depth: float = 0.2
     """[m] Shallowest tread: building codes say 0.22 to 0.28; a scan loses an edge."""
     standing_width: float = 0.5
@@ -29,6 +29,8 @@ class PerceptionConfig:
     """[rad] Steepest slope within a piece of ground: 40°, beyond what any body here stands on (30°)."""
     min_headroom: float = 0.1
     """[m] Least room over a piece of ground that is worth keeping: the height of the lowest body, a Roomba."""
+    storey_headroom: float = 1.9
+    """[m] Least room under a storey's ceiling: a low cellar; between a slab's two faces, or over a table, is less."""
     step_headroom: float = 0.7
     """[m] Room over a step that joins two pieces of ground: the height of the lowest body that steps, a Spot."""
 

@@ -90,7 +90,7 @@ def build_levels(points: FloatArray, ground: BoolArray, config: PerceptionConfig
 def split_sheets(layers: Layers, config: PerceptionConfig) -> list[IntArray]:
     """Nodes of each sheet: no sheet has two nodes in one cell; sheets overlap by `OVERLAP` where they meet."""
     count = len(layers.cell)
-    keep = ~over_ground(layers, np.ones(count, dtype=bool), config)
+    keep = ~over_ground(layers, np.ones(count, dtype=bool), config.step_headroom)
     if len(np.unique(layers.cell[keep])) == keep.sum():
         return [np.flatnonzero(keep)]
     smooth = components(*connect(layers, keep, layers.cell_width, HALF), count)

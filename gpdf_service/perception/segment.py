@@ -23,6 +23,8 @@ TABLE_AREA = 4.0
 """[m²] Furniture is no larger than a conference table for eight."""
 BULK_SHARE = 0.3
 """Of the largest surface: what is smaller is furniture, a landing or a shelf, not the floor that one starts from."""
+COVERED_SHARE = 0.5
+"""Of an upper storey that has a ceiling over it: tall furniture stands on the rest, or a roof window is over it."""
 
 
 def segment_ground(points: ArrayLike, config: PerceptionConfig | None = None) -> BoolArray:
@@ -83,44 +85,77 @@ def find_ground(layers: Layers, config: PerceptionConfig) -> BoolArray:
     core = surface & (smooth >= 5)  # what a strip two cells wide has: a tread is that wide, a wall's top is not
     if not core.any():
         raise NoGroundError("ground", "no surface in the cloud is wide and level enough to stand on", "Is z up?")
-    inner = core[a] & core[b]
-    patch = components(a[inner], b[inner], len(core))
-    wide = core.copy()  # and the rim of each patch
-    for one, other in ((a, b), (b, a)):
-        rim = core[one] & ~wide[other]
-        wide[other[rim]] = True
-        patch[other[rim]] = patch[one[rim]]
+    roomy = layers.headroom >= config.step_headroom
+    wide, patch = _patches(core, surface & roomy, a, b)
     size = np.bincount(patch[wide], minlength=patch.max() + 1)
     large = np.flatnonzero(size >= BULK_SHARE * size.max())
-    bulk = min(large, key=lambda i: float(np.median(layers.height[wide & (patch == i)])))
-    return _spread(layers, config, wide, smooth == 8, patch, int(bulk))
+    height = {i: float(np.median(layers.height[wide & (patch == i)])) for i in large}
+    bulk = min(large, key=height.__getitem__)
+    storeys = [i for i in large if i == bulk or _is_storey(layers, wide & (patch == i), wide & (patch == bulk), config)]
+    ground = _spread(layers, config, wide, smooth == 8, patch, np.array(storeys))
+    return _under_furniture(ground, wide & ~ground, core & ~roomy, a, b)
+
+
+def _patches(core: BoolArray, keep: BoolArray, a: IntArray, b: IntArray) -> tuple[BoolArray, IntArray]:
+    """Connected `core` nodes among those to `keep`, each patch with its rim: which nodes are in one, and in which."""
+    wide = core & keep
+    inner = wide[a] & wide[b]
+    patch = components(a[inner], b[inner], len(core))
+    for one, other in ((a, b), (b, a)):
+        rim = core[one] & keep[one] & keep[other] & ~wide[other]
+        wide[other[rim]] = True
+        patch[other[rim]] = patch[one[rim]]
+    return wide, patch
+
+
+def _under_furniture(ground: BoolArray, apart: BoolArray, cramped: BoolArray, a: IntArray, b: IntArray) -> BoolArray:
+    """Let the ground reach, without a step, where only a low body fits, and what lies behind; not onto `apart`.
+
+    Nothing is entered from there over a step, and nothing that is no ground itself: under a stair that is a soffit.
+    """
+    free = ground | (cramped & ~apart)
+    inside = free[a] & free[b]
+    label = components(a[inside], b[inside], len(free))
+    reached = np.zeros(label.max() + 1, dtype=bool)
+    reached[label[ground]] = True
+    result: BoolArray = free & reached[label]
+    return result
+
+
+def _is_storey(layers: Layers, nodes: BoolArray, bulk: BoolArray, config: PerceptionConfig) -> bool:
+    """Whether a large surface is a floor by itself: under a ceiling, and as far over the ground; a roof has the sky."""
+    room = layers.headroom[nodes]
+    covered = (room >= config.storey_headroom) & np.isfinite(room)
+    over = over_ground(layers, bulk, config.storey_headroom)[nodes]
+    return bool(covered.mean() >= COVERED_SHARE and over.mean() <= OVER_SHARE)
 
 
 def _spread(
-    layers: Layers, config: PerceptionConfig, wide: BoolArray, inner: BoolArray, patch: IntArray, bulk: int
+    layers: Layers, config: PerceptionConfig, wide: BoolArray, inner: BoolArray, patch: IntArray, bulk: IntArray
 ) -> BoolArray:
     """Grow from the bulk; `inner` nodes have all eight neighbours on their slope.
 
     Only they say whether a patch lies over ground: the edge of a stair's tread shares its cells with the tread below.
     """
     standable, tread = _shapes(layers, wide, patch, config)
-    limit = np.where(layers.headroom >= config.step_headroom, config.max_step, layers.cell_width)
-    a, b = connect(layers, wide, limit, HALF)
+    a, b = connect(layers, wide, config.max_step * np.ones(len(wide)), HALF)
     across = patch[a] != patch[b]
     a, b = np.concatenate([a[across], b[across]]), np.concatenate([b[across], a[across]])
     rise = np.abs(layers.height[a] - _level_of_furniture(layers, wide, patch)[b])
     allowed = np.where(standable[patch[b]], config.max_step, np.where(tread[patch[b]], config.stair_step, -1.0))
     a, b = a[rise <= allowed], b[rise <= allowed]
-    ground = wide & (patch == bulk)
+    ground = wide & np.isin(patch, bulk)
     refused = np.zeros(len(standable), dtype=bool)
     size = np.bincount(patch[inner], minlength=len(refused))
     while len(fresh := np.unique(patch[b[ground[a] & ~ground[b] & ~refused[patch[b]]]])):
         nodes = wide & np.isin(patch, fresh)
-        over = np.bincount(patch[nodes & inner & over_ground(layers, ground, config)], minlength=len(refused))
+        over = np.bincount(
+            patch[nodes & inner & over_ground(layers, ground, config.step_headroom)], minlength=len(refused)
+        )
         refused |= over > OVER_SHARE * size
         ground |= nodes & ~refused[patch]
-    ground &= ~over_ground(layers, ground, config)
-    return _without_dead_ends(ground, patch, standable, a, b)
+    ground = _without_dead_ends(ground, patch, standable, a, b)
+    return ground & ~over_ground(layers, ground, config.step_headroom)
 
 
 def _level_of_furniture(layers: Layers, wide: BoolArray, patch: IntArray) -> FloatArray:
@@ -172,12 +207,12 @@ def _shapes(layers: Layers, wide: BoolArray, patch: IntArray, config: Perception
     return depth >= config.standing_width, (length >= config.tread_length) & (depth >= config.tread_depth)
 
 
-def over_ground(layers: Layers, ground: BoolArray, config: PerceptionConfig) -> BoolArray:
-    """Nodes with ground under them at less than the headroom of a body that steps: benches, tables, shelves."""
+def over_ground(layers: Layers, ground: BoolArray, headroom: float) -> BoolArray:
+    """Nodes with ground under them at less than `headroom` [m]: with that of a body that steps, benches and tables."""
     index = np.arange(len(ground))
     last = np.concatenate([[-1], np.maximum.accumulate(np.where(ground, index, -1))[:-1]])
     beneath = (last >= 0) & (layers.cell[last] == layers.cell)
-    over: BoolArray = beneath & (layers.height - layers.height[last] <= config.step_headroom)
+    over: BoolArray = beneath & (layers.height - layers.height[last] <= headroom)
     return over
 
 
