@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.sparse import csr_matrix
@@ -92,8 +94,17 @@ def find_ground(layers: Layers, config: PerceptionConfig) -> BoolArray:
     height = {i: float(np.median(layers.height[wide & (patch == i)])) for i in large}
     bulk = min(large, key=height.__getitem__)
     storeys = [i for i in large if i == bulk or _is_storey(layers, wide & (patch == i), wide & (patch == bulk), config)]
-    ground = _spread(layers, config, wide, smooth == 8, patch, np.array(storeys))
-    return _under_furniture(ground, wide & ~ground, core & ~roomy, a, b)
+    joins = _joins(layers, config, wide, patch)
+    seen = np.zeros(patch.max() + 1, dtype=bool)
+    seen[storeys] = True
+    ground = wide & seen[patch]
+    while True:
+        ground = _spread(layers, config, ground, wide, smooth == 8, patch, joins, seen)
+        reached = _under_furniture(ground, wide & seen[patch] & ~ground, core, a, b)
+        seen[patch[reached & wide]] = True
+        if not _beside(reached, patch, joins, seen).any():
+            return reached
+        ground = reached
 
 
 def _patches(core: BoolArray, keep: BoolArray, a: IntArray, b: IntArray) -> tuple[BoolArray, IntArray]:
@@ -108,12 +119,12 @@ def _patches(core: BoolArray, keep: BoolArray, a: IntArray, b: IntArray) -> tupl
     return wide, patch
 
 
-def _under_furniture(ground: BoolArray, apart: BoolArray, cramped: BoolArray, a: IntArray, b: IntArray) -> BoolArray:
+def _under_furniture(ground: BoolArray, apart: BoolArray, core: BoolArray, a: IntArray, b: IntArray) -> BoolArray:
     """Let the ground reach, without a step, where only a low body fits, and what lies behind; not onto `apart`.
 
-    Nothing is entered from there over a step, and nothing that is no ground itself: under a stair that is a soffit.
+    Nothing is entered from there over a step: what is low beside a stair's tread is its soffit.
     """
-    free = ground | (cramped & ~apart)
+    free = ground | (core & ~apart)
     inside = free[a] & free[b]
     label = components(a[inside], b[inside], len(free))
     reached = np.zeros(label.max() + 1, dtype=bool)
@@ -130,31 +141,54 @@ def _is_storey(layers: Layers, nodes: BoolArray, bulk: BoolArray, config: Percep
     return bool(covered.mean() >= COVERED_SHARE and over.mean() <= OVER_SHARE)
 
 
-def _spread(
-    layers: Layers, config: PerceptionConfig, wide: BoolArray, inner: BoolArray, patch: IntArray, bulk: IntArray
-) -> BoolArray:
-    """Grow from the bulk; `inner` nodes have all eight neighbours on their slope.
+@dataclass(frozen=True, slots=True)
+class _Joins:
+    """Steps from node `a` up or down to node `b` of another patch, and which patches a body stands on."""
 
-    Only they say whether a patch lies over ground: the edge of a stair's tread shares its cells with the tread below.
-    """
+    a: IntArray
+    b: IntArray
+    standable: BoolArray
+
+
+def _joins(layers: Layers, config: PerceptionConfig, wide: BoolArray, patch: IntArray) -> _Joins:
     standable, tread = _shapes(layers, wide, patch, config)
-    a, b = connect(layers, wide, config.max_step * np.ones(len(wide)), HALF)
+    a, b = connect(layers, wide, np.full(len(wide), config.max_step), HALF)
     across = patch[a] != patch[b]
     a, b = np.concatenate([a[across], b[across]]), np.concatenate([b[across], a[across]])
     rise = np.abs(layers.height[a] - _level_of_furniture(layers, wide, patch)[b])
     allowed = np.where(standable[patch[b]], config.max_step, np.where(tread[patch[b]], config.stair_step, -1.0))
-    a, b = a[rise <= allowed], b[rise <= allowed]
-    ground = wide & np.isin(patch, bulk)
-    refused = np.zeros(len(standable), dtype=bool)
-    size = np.bincount(patch[inner], minlength=len(refused))
-    while len(fresh := np.unique(patch[b[ground[a] & ~ground[b] & ~refused[patch[b]]]])):
+    return _Joins(a[rise <= allowed], b[rise <= allowed], standable)
+
+
+def _beside(ground: BoolArray, patch: IntArray, joins: _Joins, seen: BoolArray) -> IntArray:
+    """Patches not yet seen that a step joins to the ground."""
+    found: IntArray = np.unique(patch[joins.b[ground[joins.a] & ~seen[patch[joins.b]]]])
+    return found
+
+
+def _spread(
+    layers: Layers,
+    config: PerceptionConfig,
+    ground: BoolArray,
+    wide: BoolArray,
+    inner: BoolArray,
+    patch: IntArray,
+    joins: _Joins,
+    seen: BoolArray,
+) -> BoolArray:
+    """Grow over steps; patches that were looked at are marked in `seen`.
+
+    `inner` nodes have all eight neighbours on their slope. Only they say whether a patch lies over ground: the edge of
+    a stair's tread shares its cells with the tread below.
+    """
+    size = np.bincount(patch[inner], minlength=len(seen))
+    while len(fresh := _beside(ground, patch, joins, seen)):
         nodes = wide & np.isin(patch, fresh)
-        over = np.bincount(
-            patch[nodes & inner & over_ground(layers, ground, config.step_headroom)], minlength=len(refused)
-        )
-        refused |= over > OVER_SHARE * size
-        ground |= nodes & ~refused[patch]
-    ground = _without_dead_ends(ground, patch, standable, a, b)
+        over = nodes & inner & over_ground(layers, ground, config.step_headroom)
+        refused = np.bincount(patch[over], minlength=len(seen)) > OVER_SHARE * size
+        seen[fresh] = True
+        ground = ground | (nodes & ~refused[patch])
+    ground = _without_dead_ends(ground, patch, joins)
     return ground & ~over_ground(layers, ground, config.step_headroom)
 
 
@@ -175,8 +209,9 @@ def _level_of_furniture(layers: Layers, wide: BoolArray, patch: IntArray) -> Flo
     return level
 
 
-def _without_dead_ends(ground: BoolArray, patch: IntArray, standable: BoolArray, a: IntArray, b: IntArray) -> BoolArray:
+def _without_dead_ends(ground: BoolArray, patch: IntArray, joins: _Joins) -> BoolArray:
     """Drop treads that lead nowhere: a stair's tread joins two pieces of ground, a box on the floor joins one."""
+    a, b, standable = joins.a, joins.b, joins.standable
     while True:
         here = ground[a] & ground[b]
         pairs = np.unique(np.column_stack([patch[a[here]], patch[b[here]]]), axis=0)
