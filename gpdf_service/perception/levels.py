@@ -12,7 +12,7 @@ from gpdf_service.errors import NoGroundError
 from gpdf_service.perception.layers import Layers, build_layers, cell_width_of, connect
 from gpdf_service.perception.limits import GroundLimits, find_limits
 from gpdf_service.perception.segment import HALF, components, over_ground
-from gpdf_service.perception.surface import OBSERVED, UNKNOWN, HeightMap, fill_holes, without_enclosed
+from gpdf_service.perception.surface import OBSERVED, UNKNOWN, HeightMap, fill_holes, find_voids, without_enclosed
 from gpdf_service.types import BoolArray, FloatArray, IntArray
 
 OVERLAP = 1.2
@@ -172,11 +172,12 @@ def _build_level(
     inside[nodes] = True
     mine = ground.copy()
     mine[ground] = inside[layers.node_of_point]
-    other = _within_reach(points[~mine], surface)
+    rest = points[~mine]
+    other = _within_reach(rest, surface)
     ix, iy, _ = surface.cells(other)
     lowest = np.full(layers.shape, np.inf)
     np.minimum.at(lowest, (ix, iy), other[:, 2])
-    surface = fill_holes(surface, np.isfinite(lowest))
+    surface = fill_holes(surface, np.isfinite(lowest), *find_voids(surface, rest, config.max_step))
     beside = ndimage.maximum_filter(np.where(surface.state != UNKNOWN, surface.height, -np.inf), size=3)
     # Only material that the lowest body cannot pass under guards an edge by itself.
     material = lowest <= beside + config.min_headroom
