@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy import ndimage
 
 from gpdf_service.config import PerceptionConfig
@@ -17,6 +18,8 @@ from gpdf_service.types import BoolArray, FloatArray, IntArray
 
 OVERLAP = 1.2
 """[m] How far a sheet reaches into the next: twice the largest body's radius, so that a body fits where they meet."""
+FACE = 0.1
+"""[m] A step's face has the step's top within this in plan: half the depth of a stair's tread, and a scan's spacing."""
 TALLEST = 3.0
 """[m] Material higher than this over the ground is out of every body's reach."""
 
@@ -30,6 +33,8 @@ class GroundLevel:
         ground_points: Centres of the known cells, for the Ground GPDF [m], shape (n, 3).
         inferred: Which of them nobody has seen, shape (n,).
         other_points: What is not this ground and within reach over it [m], shape (m, 3).
+        ledge: Height of the highest point of this ground within `FACE` of each of them in plan [m], shape (m,), -inf
+            where there is none: a step's face has the step's top beside it.
         limits: Where the ground itself stops a body.
     """
 
@@ -37,6 +42,7 @@ class GroundLevel:
     ground_points: FloatArray
     inferred: BoolArray
     other_points: FloatArray
+    ledge: NDArray[np.float32]
     limits: GroundLimits
 
 
@@ -184,7 +190,45 @@ def _build_level(
     surface = without_enclosed(surface, material)
     limits = find_limits(surface, material)
     known = surface.state != UNKNOWN
-    return GroundLevel(surface, surface.centres(known), surface.state[known] != OBSERVED, other, limits)
+    ledge = _ledges(surface, points[ground], other)
+    return GroundLevel(surface, surface.centres(known), surface.state[known] != OBSERVED, other, ledge, limits)
+
+
+def _ledges(surface: HeightMap, ground: FloatArray, other: FloatArray) -> NDArray[np.float32]:
+    """`highest_near` of the `ground` points of this sheet, for those `other` points that can be a step's face."""
+    high = ndimage.maximum_filter(np.where(surface.state != UNKNOWN, surface.height, -np.inf), size=3)
+
+    def low(points: FloatArray) -> BoolArray:
+        ix, iy, inside = surface.cells(points)
+        beneath: BoolArray = inside & (points[:, 2] <= high[ix, iy] + surface.cell_width)
+        return beneath
+
+    asked = low(other)
+    ledge = np.full(len(other), -np.inf, np.float32)
+    ledge[asked] = highest_near(ground[low(ground)], other[asked])
+    return ledge
+
+
+def highest_near(ground: FloatArray, places: FloatArray) -> NDArray[np.float32]:
+    """Height of the highest of the `ground` points (n, 3) within `FACE` of each place (m, ≥ 2) in plan, shape (m,) [m].
+
+    Of each cell half as wide only the highest point is looked at; so the answer can be too low, never too high.
+    """
+    width = 0.5 * FACE
+    origin = ground[:, :2].min(axis=0) - 3.0 * width
+    at, asked = (np.floor((part[:, :2] - origin) / width).astype(np.int64) for part in (ground, places))
+    stride = int(at[:, 1].max()) + 4
+    key = at[:, 0] * stride + at[:, 1]
+    order = np.lexsort((ground[:, 2], key))
+    last = np.flatnonzero(np.diff(key[order], append=-1))
+    cells, top = key[order[last]], ground[order[last]]
+    here = asked[:, 0] * stride + np.clip(asked[:, 1], 0, stride - 1)
+    best = np.full(len(places), -np.inf, np.float32)
+    for step in (i * stride + j for i in range(-2, 3) for j in range(-2, 3)):
+        found = np.minimum(np.searchsorted(cells, here + step), len(cells) - 1)
+        near = (cells[found] == here + step) & (np.hypot(*(top[found, :2] - places[:, :2]).T) <= FACE)
+        best = np.maximum(best, np.where(near, top[found, 2], -np.inf)).astype(np.float32)
+    return best
 
 
 def _within_reach(points: FloatArray, surface: HeightMap) -> FloatArray:

@@ -10,7 +10,7 @@ from scipy import ndimage
 
 from gpdf_service.perception.levels import GroundLevel
 from gpdf_service.perception.limits import ObstacleKind
-from gpdf_service.perception.surface import UNKNOWN, HeightMap
+from gpdf_service.perception.surface import INFERRED, UNKNOWN, HeightMap
 from gpdf_service.types import Agent, BoolArray, FloatArray
 
 LEAST_OBSTACLE = 0.015
@@ -54,8 +54,9 @@ def _material(level: GroundLevel, agent: Agent) -> BoolArray:
     beneath = z < ndimage.minimum_filter(bottom, footprint=disc)[ix, iy] - LEAST_OBSTACLE
     high = ndimage.maximum_filter(top, size=3)[ix, iy]
     low = ndimage.minimum_filter(bottom, size=3)[ix, iy]
-    own = np.where(known, surface.height, -np.inf)[ix, iy]
-    ledge = np.where(high - low > LEAST_OBSTACLE, high, own)  # on level ground, the ground under the point itself
+    # Cells can be wider than a tread: only beside a point of the upper ground itself does a point belong to its face.
+    inferred = np.where(surface.state == INFERRED, surface.height, -np.inf)[ix, iy]
+    ledge = np.minimum(high, np.maximum(np.maximum(level.ledge, inferred), low))
     face = np.isfinite(high) & (high - low <= agent.max_step) & (z <= ledge + LEAST_OBSTACLE)
     stops: BoolArray = reached & ~beneath & ~face
     return stops
