@@ -196,7 +196,7 @@ def _build_level(
 
 def _ledges(surface: HeightMap, ground: FloatArray, other: FloatArray) -> NDArray[np.float32]:
     """`highest_near` of the `ground` points of this sheet, for those `other` points that can be a step's face."""
-    high = ndimage.maximum_filter(np.where(surface.state != UNKNOWN, surface.height, -np.inf), size=3)
+    high = ndimage.maximum_filter(np.where(surface.state != UNKNOWN, surface.height, -np.inf), size=5)
 
     def low(points: FloatArray) -> BoolArray:
         ix, iy, inside = surface.cells(points)

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from gpdf_service.perception.levels import GroundLevel
+from gpdf_service.perception.levels import FACE, GroundLevel
 from gpdf_service.perception.limits import ObstacleKind
 from gpdf_service.perception.surface import INFERRED, UNKNOWN, HeightMap
 from gpdf_service.types import Agent, BoolArray, FloatArray
@@ -55,9 +55,10 @@ def _material(level: GroundLevel, agent: Agent) -> BoolArray:
     high = ndimage.maximum_filter(top, size=3)[ix, iy]
     low = ndimage.minimum_filter(bottom, size=3)[ix, iy]
     # Cells can be wider than a tread: only beside a point of the upper ground itself does a point belong to its face.
-    inferred = np.where(surface.state == INFERRED, surface.height, -np.inf)[ix, iy]
-    ledge = np.minimum(high, np.maximum(np.maximum(level.ledge, inferred), low))
-    face = np.isfinite(high) & (high - low <= agent.max_step) & (z <= ledge + LEAST_OBSTACLE)
+    inferred = np.where(surface.state == INFERRED, surface.height, -np.inf)
+    inferred = ndimage.maximum_filter(inferred, size=3 if surface.cell_width <= FACE else 1)[ix, iy]
+    ledge = np.maximum(np.maximum(level.ledge, inferred), low)
+    face = np.isfinite(high) & (np.maximum(high, ledge) <= low + agent.max_step) & (z <= ledge + LEAST_OBSTACLE)
     stops: BoolArray = reached & ~beneath & ~face
     return stops
 

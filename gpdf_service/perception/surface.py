@@ -94,7 +94,7 @@ def fill_holes(surface: HeightMap, material: BoolArray, seen_through: BoolArray,
     cells, nearest = ndimage.distance_transform_edt(~known, return_indices=True)
     distance = cells * surface.cell_width
     _fill_gaps(height, state, ~known, distance, nearest, surface.cell_width)
-    _fill_notches(height, state, seen_through, distance, nearest, surface.cell_width)
+    _fill_notches(height, state, seen_through, distance, surface.cell_width)
     known = state != UNKNOWN
     void = seen_through | pit
     _fill(height, state, ~known & ~material, known, distance, surface.cell_width, void)
@@ -105,7 +105,7 @@ def fill_holes(surface: HeightMap, material: BoolArray, seen_through: BoolArray,
 
 
 def find_voids(surface: HeightMap, points: FloatArray, max_step: float) -> tuple[BoolArray, BoolArray]:
-    """Unknown cells that are known to be deep, by points (n, 3) that lie over `max_step` under the ground beside them.
+    """Unknown cells whose highest point of `points` (n, 3) lies over `max_step` under the ground beside them.
 
     Returns:
         Where the scanner saw through, further down than a floor is thick; and where the bottom of a pit is seen, which
@@ -118,13 +118,14 @@ def find_voids(surface: HeightMap, points: FloatArray, max_step: float) -> tuple
     kept = inside & asked[ix, iy]
     ix, iy, z = ix[kept], iy[kept], points[kept, 2]
     beside = surface.height[nearest[0], nearest[1]]
-    under = z < beside[ix, iy] - max_step
+    under = z < beside[ix, iy] + surface.cell_width
     top, bottom = np.full(unknown.shape, -np.inf), np.full(unknown.shape, np.inf)
     np.maximum.at(top, (ix[under], iy[under]), z[under])
     np.minimum.at(bottom, (ix[under], iy[under]), z[under])
-    deep = np.isfinite(top)
-    thick = beside - top > SLAB
-    return deep & thick, deep & ~thick & (np.where(deep, top - bottom, 0.0) < STOREY)
+    seen = np.isfinite(top)
+    depth = np.where(seen, beside - top, 0.0)
+    pit = (depth > max_step) & (depth <= SLAB) & (np.where(seen, top - bottom, 0.0) < STOREY)
+    return depth > SLAB, pit
 
 
 def _fill_gaps(
@@ -145,34 +146,39 @@ def _fill_gaps(
 
 
 def _fill_notches(
-    height: NDArray[np.float32],
-    state: NDArray[np.uint8],
-    void: BoolArray,
-    distance: FloatArray,
-    nearest: NDArray[np.int32],
-    cell_width: float,
+    height: NDArray[np.float32], state: NDArray[np.uint8], void: BoolArray, distance: FloatArray, cell_width: float
 ) -> None:
-    """Fill what a shadow bites out of a flight: between a lower and a higher piece of ground, beside one between them.
+    """Fill what a shadow bites out of a flight: uphill and downhill there is ground, and the tread itself beside.
 
-    On the level this is left to `_fill`: there the edge of a platform looks the same.
+    On the level this is left to `_fill`: there the edge of a platform looks the same. A flight that lies across the
+    grid at an angle stays as it was seen.
     """
-    known = state != UNKNOWN
-    beside = height[nearest[0], nearest[1]]
-    near = ~known & ~void & (distance <= NOTCH_DEPTH)
-    reach = int(NOTCH_SPAN / cell_width)
-    explained = np.zeros_like(known)
+    open_ = (state == UNKNOWN) & ~void & (distance <= NOTCH_DEPTH)
+    filled = np.full(height.shape, np.nan, np.float32)
     for axis in (0, 1):
-        ends, gap = [], np.zeros(known.shape)
-        for step in (1, -1):
-            last = _last_known(np.flip(height, axis) if step < 0 else height, axis)
-            value, away = (np.flip(part, axis) if step < 0 else part for part in last)
-            ends.append(value)
-            gap += away
-        low, high = np.fmin(*ends), np.fmax(*ends)
-        between = (beside >= low - cell_width) & (beside <= high + cell_width)
-        explained |= near & (gap <= reach) & (high - low > 2.0 * cell_width) & between
-    height[explained] = beside[explained]
+        ahead, behind, gap = _known_beside(height, axis)
+        low, high = np.fmin(ahead, behind), np.fmax(ahead, behind)
+        one, other, _ = _known_beside(height, 1 - axis, NOTCH_DEPTH / cell_width)
+        tread = np.where(np.isnan(one), other, one)
+        flight = (gap <= NOTCH_SPAN / cell_width) & (high - low > 2.0 * cell_width)
+        between = (tread >= low - cell_width) & (tread <= high + cell_width)
+        filled = np.where(open_ & flight & between & np.isnan(filled), tread, filled)
+    explained = ~np.isnan(filled)
+    height[explained] = filled[explained]
     state[explained] = INFERRED
+
+
+def _known_beside(
+    height: NDArray[np.float32], axis: int, reach: float = np.inf
+) -> tuple[NDArray[np.float32], NDArray[np.float32], FloatArray]:
+    """Heights of the nearest known cells before and after each cell along `axis`, and the cells between the two.
+
+    NaN where there is none within `reach` cells.
+    """
+    before, back = _last_known(height, axis)
+    after, on = (np.flip(part, axis) for part in _last_known(np.flip(height, axis), axis))
+    nan = np.float32(np.nan)
+    return np.where(back <= reach, before, nan), np.where(on <= reach, after, nan), back + on
 
 
 def _last_known(height: NDArray[np.float32], axis: int) -> tuple[NDArray[np.float32], FloatArray]:
