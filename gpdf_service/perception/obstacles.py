@@ -15,6 +15,8 @@ from gpdf_service.types import Agent, BoolArray, FloatArray
 
 LEAST_OBSTACLE = 0.015
 """[m] What stands out of the ground by less stops no body here: the smallest `max_step`, and the scatter of a scan."""
+HEAD_SCATTER = 0.02
+"""[m] How well the height of a ceiling over the ground is known: a door or a stair as high as the body lets it pass."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,7 +52,7 @@ def _material(level: GroundLevel, agent: Agent) -> BoolArray:
     disc = _disc(agent.radius + surface.cell_width, surface)
     ix, iy, _ = surface.cells(points)
     z = points[:, 2]
-    reached = z < ndimage.maximum_filter(top, footprint=disc)[ix, iy] + agent.height
+    reached = z < ndimage.maximum_filter(top, footprint=disc)[ix, iy] + agent.height - HEAD_SCATTER
     beneath = z < ndimage.minimum_filter(bottom, footprint=disc)[ix, iy] - LEAST_OBSTACLE
     high = ndimage.maximum_filter(top, size=3)[ix, iy]
     low = ndimage.minimum_filter(bottom, size=3)[ix, iy]

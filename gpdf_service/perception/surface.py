@@ -19,6 +19,8 @@ SHUT_SHARE = 0.2
 """[-] Of a hole's rim that must be ground: what walls close off all but for their cracks is no place at all."""
 NOTCH_SPAN = 1.0
 """[m] Longest piece of a flight that a shadow bites out: five treads."""
+STEEPEST_FLIGHT = 1.3
+"""[-] Rise over run of the steepest stair, 52°; what rises more between two pieces of ground is another storey."""
 NOTCH_DEPTH = 0.35
 """[m] How far a shadow is filled beside seen treads: less than half of the narrowest stair."""
 SLAB = 1.0
@@ -157,12 +159,11 @@ def _fill_notches(
     filled = np.full(height.shape, np.nan, np.float32)
     for axis in (0, 1):
         ahead, behind, gap = _known_beside(height, axis)
-        low, high = np.fmin(ahead, behind), np.fmax(ahead, behind)
-        one, other, _ = _known_beside(height, 1 - axis, NOTCH_DEPTH / cell_width)
-        tread = np.where(np.isnan(one), other, one)
-        flight = (gap <= NOTCH_SPAN / cell_width) & (high - low > 2.0 * cell_width)
-        between = (tread >= low - cell_width) & (tread <= high + cell_width)
-        filled = np.where(open_ & flight & between & np.isnan(filled), tread, filled)
+        low, high, run = np.fmin(ahead, behind), np.fmax(ahead, behind), gap * cell_width
+        flight = open_ & (run <= NOTCH_SPAN) & (high - low > 2.0 * cell_width) & (high - low <= STEEPEST_FLIGHT * run)
+        for tread in _known_beside(height, 1 - axis, NOTCH_DEPTH / cell_width)[:2]:
+            between = (tread >= low - cell_width) & (tread <= high + cell_width)
+            filled = np.where(flight & between & np.isnan(filled), tread, filled)
     explained = ~np.isnan(filled)
     height[explained] = filled[explained]
     state[explained] = INFERRED
