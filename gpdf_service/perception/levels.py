@@ -20,6 +20,8 @@ OVERLAP = 1.2
 """[m] How far a sheet reaches into the next: twice the largest body's radius, so that a body fits where they meet."""
 FACE = 0.1
 """[m] A step's face has the step's top within this in plan: half the depth of a stair's tread, and a scan's spacing."""
+LEAST_OBSTACLE = 0.015
+"""[m] What stands out of the ground by less stops no body here: the smallest `max_step`, and the scatter of a scan."""
 TALLEST = 3.0
 """[m] Material higher than this over the ground is out of every body's reach."""
 
@@ -33,8 +35,8 @@ class GroundLevel:
         ground_points: Centres of the known cells, for the Ground GPDF [m], shape (n, 3).
         inferred: Which of them nobody has seen, shape (n,).
         other_points: What is not this ground and within reach over it [m], shape (m, 3).
-        ledge: Height of the highest point of this ground within `FACE` of each of them in plan [m], shape (m,), -inf
-            where there is none: a step's face has the step's top beside it.
+        ledge: Height of the lowest point of this ground that is as high as each of them, within `FACE` in plan [m],
+            shape (m,), inf where there is none: a step's face has the step's top beside it.
         limits: Where the ground itself stops a body.
     """
 
@@ -195,7 +197,7 @@ def _build_level(
 
 
 def _ledges(surface: HeightMap, ground: FloatArray, other: FloatArray) -> NDArray[np.float32]:
-    """`highest_near` of the `ground` points of this sheet, for those `other` points that can be a step's face."""
+    """`next_above` by the `ground` points of this sheet, for those `other` points that can be a step's face."""
     high = ndimage.maximum_filter(np.where(surface.state != UNKNOWN, surface.height, -np.inf), size=5)
 
     def low(points: FloatArray) -> BoolArray:
@@ -204,30 +206,34 @@ def _ledges(surface: HeightMap, ground: FloatArray, other: FloatArray) -> NDArra
         return beneath
 
     asked = low(other)
-    ledge = np.full(len(other), -np.inf, np.float32)
-    ledge[asked] = highest_near(ground[low(ground)], other[asked])
+    ledge = np.full(len(other), np.inf, np.float32)
+    ledge[asked] = next_above(ground[low(ground)], other[asked])
     return ledge
 
 
-def highest_near(ground: FloatArray, places: FloatArray) -> NDArray[np.float32]:
-    """Height of the highest of the `ground` points (n, 3) within `FACE` of each place (m, ≥ 2) in plan, shape (m,) [m].
+def next_above(ground: FloatArray, points: FloatArray) -> NDArray[np.float32]:
+    """Height of the lowest `ground` point (n, 3) that is as high as each of `points` (m, 3) and within `FACE` in plan.
 
-    Of each cell half as wide only the highest point is looked at; so the answer can be too low, never too high.
+    Of each cell half as wide only the highest and the lowest ground point are looked at: so a step can be taken for a
+    higher one, never for a lower one, and inf stands where nothing was found. Shape (m,) [m].
     """
     width = 0.5 * FACE
     origin = ground[:, :2].min(axis=0) - 3.0 * width
-    at, asked = (np.floor((part[:, :2] - origin) / width).astype(np.int64) for part in (ground, places))
+    at, asked = (np.floor((part[:, :2] - origin) / width).astype(np.int64) for part in (ground, points))
     stride = int(at[:, 1].max()) + 4
     key = at[:, 0] * stride + at[:, 1]
     order = np.lexsort((ground[:, 2], key))
-    last = np.flatnonzero(np.diff(key[order], append=-1))
-    cells, top = key[order[last]], ground[order[last]]
+    first = np.flatnonzero(np.diff(key[order], prepend=-1))
+    cells, ends = key[order[first]], (order[first], order[np.append(first[1:], len(order)) - 1])
     here = asked[:, 0] * stride + np.clip(asked[:, 1], 0, stride - 1)
-    best = np.full(len(places), -np.inf, np.float32)
+    best = np.full(len(points), np.inf, np.float32)
     for step in (i * stride + j for i in range(-2, 3) for j in range(-2, 3)):
         found = np.minimum(np.searchsorted(cells, here + step), len(cells) - 1)
-        near = (cells[found] == here + step) & (np.hypot(*(top[found, :2] - places[:, :2]).T) <= FACE)
-        best = np.maximum(best, np.where(near, top[found, 2], -np.inf)).astype(np.float32)
+        for end in ends:
+            beside = ground[end[found]]
+            near = (cells[found] == here + step) & (np.hypot(*(beside[:, :2] - points[:, :2]).T) <= FACE)
+            above = near & (beside[:, 2] >= points[:, 2] - LEAST_OBSTACLE)
+            best = np.minimum(best, np.where(above, beside[:, 2], np.inf)).astype(np.float32)
     return best
 
 

@@ -8,13 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from gpdf_service.perception.levels import FACE, GroundLevel
+from gpdf_service.perception.levels import FACE, LEAST_OBSTACLE, GroundLevel
 from gpdf_service.perception.limits import ObstacleKind
 from gpdf_service.perception.surface import INFERRED, UNKNOWN, HeightMap
-from gpdf_service.types import Agent, BoolArray, FloatArray
+from gpdf_service.types import Agent, BoolArray, FloatArray, IntArray
 
-LEAST_OBSTACLE = 0.015
-"""[m] What stands out of the ground by less stops no body here: the smallest `max_step`, and the scatter of a scan."""
 HEAD_SCATTER = 0.02
 """[m] How well the height of a ceiling over the ground is known: a door or a stair as high as the body lets it pass."""
 
@@ -54,15 +52,33 @@ def _material(level: GroundLevel, agent: Agent) -> BoolArray:
     z = points[:, 2]
     reached = z < ndimage.maximum_filter(top, footprint=disc)[ix, iy] + agent.height - HEAD_SCATTER
     beneath = z < ndimage.minimum_filter(bottom, footprint=disc)[ix, iy] - LEAST_OBSTACLE
-    high = ndimage.maximum_filter(top, size=3)[ix, iy]
-    low = ndimage.minimum_filter(bottom, size=3)[ix, iy]
-    # Cells can be wider than a tread: only beside a point of the upper ground itself does a point belong to its face.
-    inferred = np.where(surface.state == INFERRED, surface.height, -np.inf)
-    inferred = ndimage.maximum_filter(inferred, size=3 if surface.cell_width <= FACE else 1)[ix, iy]
-    ledge = np.maximum(np.maximum(level.ledge, inferred), low)
-    face = np.isfinite(high) & (np.maximum(high, ledge) <= low + agent.max_step) & (z <= ledge + LEAST_OBSTACLE)
-    stops: BoolArray = reached & ~beneath & ~face
+    stops: BoolArray = reached & ~beneath
+    stops[stops] = ~_is_face(level, np.flatnonzero(stops), agent.max_step)
     return stops
+
+
+def _is_face(level: GroundLevel, rows: IntArray, max_step: float) -> BoolArray:
+    """Which of the points belong to the ground: its scatter, or the face of a step that the body takes.
+
+    A face lies between the ground next below it and the ground next above it. Cells can be wider than a tread, so the
+    upper one must be a point of the ground right beside; or inferred, as a tread in a shadow is.
+    """
+    surface, z = level.surface, level.other_points[rows, 2]
+    ix, iy, _ = surface.cells(level.other_points[rows])
+    known = np.pad(np.where(surface.state != UNKNOWN, surface.height, np.nan), 1, constant_values=np.nan)
+    inferred = np.pad(surface.state == INFERRED, 1)
+    foot, lowest, ledge = np.full(len(rows), -np.inf), np.full(len(rows), np.inf), level.ledge[rows].astype(np.float64)
+    for i in (0, 1, 2):
+        for j in (0, 1, 2):
+            beside = known[ix + i, iy + j]
+            lowest = np.fmin(lowest, beside)
+            foot = np.where(beside <= z, np.maximum(foot, beside), foot)
+            if surface.cell_width <= FACE or i == j == 1:
+                tread = inferred[ix + i, iy + j] & (beside >= z - LEAST_OBSTACLE)
+                ledge = np.where(tread, np.minimum(ledge, beside), ledge)
+    rise = ledge - np.maximum(foot, lowest)
+    face: BoolArray = (z <= lowest + LEAST_OBSTACLE) & np.isfinite(lowest) | (rise <= max_step)
+    return face
 
 
 def _disc(radius: float, surface: HeightMap) -> BoolArray:
