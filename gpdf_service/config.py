@@ -20,7 +20,7 @@ class PerceptionConfig:
     stair_step: float = 0.25
     """[m] Highest riser of a stair: building codes say 0.19 to 0.22; treads too narrow to stand on must keep to it."""
     tread_length: float = 0.3
-    """[m] Least that is seen of a tread beside a handrail and its shadow; whether a body fits there is decided later."""
+    """[m] Least that is seen of a tread beside a handrail and its shadow; whether a body fits is decided later."""
     tread_depth: float = 0.2
     """[m] Shallowest tread: building codes say 0.22 to 0.28; a scan loses an edge."""
     standing_width: float = 0.5

@@ -13,8 +13,8 @@ from gpdf_service.perception.limits import ObstacleKind
 from gpdf_service.perception.surface import INFERRED, UNKNOWN, HeightMap
 from gpdf_service.types import Agent, BoolArray, FloatArray, IntArray
 
-HEAD_SCATTER = 0.02
-"""[m] How well the height of a ceiling over the ground is known: a door or a stair as high as the body lets it pass."""
+HEAD_SCATTER = 0.03
+"""[m] How well room over the ground is known, two heights of 2 cm: a stair with just its headroom lets a body pass."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,11 +49,17 @@ def _material(level: GroundLevel, agent: Agent) -> BoolArray:
     bottom = np.where(known, surface.height, np.inf)
     disc = _disc(agent.radius + surface.cell_width, surface)
     ix, iy, _ = surface.cells(points)
-    z = points[:, 2]
-    reached = z < ndimage.maximum_filter(top, footprint=disc)[ix, iy] + agent.height - HEAD_SCATTER
-    beneath = z < ndimage.minimum_filter(bottom, footprint=disc)[ix, iy] - LEAST_OBSTACLE
-    stops: BoolArray = reached & ~beneath
+    z, tall = points[:, 2], agent.height - HEAD_SCATTER
+    lowest = ndimage.minimum_filter(bottom, footprint=disc)[ix, iy]
+    stops = (z < ndimage.maximum_filter(top, footprint=disc)[ix, iy] + tall) & (z >= lowest - LEAST_OBSTACLE)
     stops[stops] = ~_is_face(level, np.flatnonzero(stops), agent.max_step)
+    # Beside a step the question is which ground the body stands on; not on what stops it wherever it stands.
+    always = stops & (z < lowest + tall)
+    free = np.ones(known.shape, dtype=bool)
+    free[ix[always], iy[always]] = False
+    shut = (ndimage.distance_transform_edt(free) + np.sqrt(2.0)) * surface.cell_width < agent.radius
+    stands = ndimage.maximum_filter(np.where(shut, -np.inf, top), footprint=disc)[ix, iy]
+    stops &= always | (z < stands + tall)
     return stops
 
 
@@ -76,8 +82,11 @@ def _is_face(level: GroundLevel, rows: IntArray, max_step: float) -> BoolArray:
             if surface.cell_width <= FACE or i == j == 1:
                 tread = inferred[ix + i, iy + j] & (beside >= z - LEAST_OBSTACLE)
                 ledge = np.where(tread, np.minimum(ledge, beside), ledge)
-    rise = ledge - np.maximum(foot, lowest)
-    face: BoolArray = (z <= lowest + LEAST_OBSTACLE) & np.isfinite(lowest) | (rise <= max_step)
+    foot = np.maximum(foot, lowest)
+    on_ground = np.isfinite(foot)
+    face: BoolArray = on_ground & (
+        (z <= lowest + LEAST_OBSTACLE) | (ledge <= np.where(on_ground, foot, 0.0) + max_step)
+    )
     return face
 
 

@@ -103,6 +103,7 @@ def fill_holes(surface: HeightMap, material: BoolArray, seen_through: BoolArray,
     solid = state != UNKNOWN  # then the ground that carries the furniture itself
     under = ~solid & (distance <= MAX_HOLE_RADIUS) & material
     _fill(height, state, under, solid, distance, surface.cell_width, void)
+    _fill_gaps(height, state, state == UNKNOWN, distance, nearest, surface.cell_width)  # what is left of larger ones
     return HeightMap(surface.origin, surface.cell_width, height, state)
 
 
