@@ -52,12 +52,28 @@ def segment_ground(points: ArrayLike, config: PerceptionConfig | None = None) ->
     layers = build_layers(cloud, width, max(config.min_headroom, 1.5 * width))
     ground = find_ground(layers, config)
     node = layers.node_of_point
-    candidate = np.flatnonzero(ground[node])
-    residual = np.abs(cloud[candidate, 2] - _smoothed(layers, ground)[node[candidate]])
-    scatter = max(LEAST_SCATTER, 3.0 * 1.4826 * float(np.median(residual)))
-    mask = np.zeros(len(cloud), dtype=bool)
-    mask[candidate[residual <= scatter]] = True
+    smooth = _smoothed(layers, ground)
+    residual = np.abs(cloud[:, 2] - smooth[node])
+    scatter = max(LEAST_SCATTER, 3.0 * 1.4826 * float(np.median(residual[ground[node]])))
+    beside = _ground_beside(layers, ground, smooth, scatter)
+    height = np.where(ground, smooth, beside)[node]
+    mask: BoolArray = np.abs(cloud[:, 2] - height) <= scatter
     return mask
+
+
+def _ground_beside(layers: Layers, ground: BoolArray, smooth: FloatArray, scatter: float) -> FloatArray:
+    """Height of the lowest ground in the cells beside each other node that spans it, inf where there is none.
+
+    The foot of a wall or of a table's leg shares its cell with the floor that it stands on.
+    """
+    beside = np.full(len(ground), np.inf)
+    for offset in HALF:
+        for one, other in (pair := layers.neighbours(offset), pair[::-1]):
+            fits = ground[one] & ~ground[other]
+            a, b = one[fits], other[fits]
+            fits = np.abs(smooth[a] - layers.height[b]) <= layers.thickness[b] + scatter
+            np.minimum.at(beside, b[fits], smooth[a[fits]])
+    return beside
 
 
 def _smoothed(layers: Layers, ground: BoolArray) -> FloatArray:
