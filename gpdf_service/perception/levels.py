@@ -22,6 +22,8 @@ FACE = 0.1
 """[m] A step's face has the step's top within this in plan: half the depth of a stair's tread, and a scan's spacing."""
 LEAST_OBSTACLE = 0.015
 """[m] What stands out of the ground by less stops no body here: the smallest `max_step`, and the scatter of a scan."""
+ALONE = 0.25
+"""[m] A point with no other in the voxels of this width around its own is a reflection; even a thin cable has more."""
 TALLEST = 3.0
 """[m] Material higher than this over the ground is out of every body's reach."""
 
@@ -81,6 +83,8 @@ def build_levels(points: FloatArray, ground: BoolArray, config: PerceptionConfig
             "ground", "no point of the cloud is labelled ground", "Check the labels, or leave them out."
         )
     width = cell_width_of(points[ground])
+    kept = ~find_strays(points, max(ALONE, 3.0 * width))
+    points, ground = points[kept | ground], ground[kept | ground]
     layers = build_layers(points[ground], width, max(config.min_headroom, 1.5 * width))
     sheets = split_sheets(layers, config)
     surfaces = tuple(_build_level(points, ground, layers, sheet, config) for sheet in sheets)
@@ -93,6 +97,24 @@ def build_levels(points: FloatArray, ground: BoolArray, config: PerceptionConfig
                 centres = layers.origin + (flat + 0.5) * width
                 portals.append(Portal(a, b, np.column_stack([centres, layers.height[both]])))
     return Levels(surfaces, tuple(portals))
+
+
+def find_strays(points: FloatArray, width: float) -> BoolArray:
+    """Which points (n, 3) have no other in their voxel of `width` [m] or in the 26 around it, shape (n,)."""
+    index = np.floor((points - points.min(axis=0)) / width).astype(np.int64) + 1
+    size = index.max(axis=0) + 2
+    key = (index[:, 0] * size[1] + index[:, 1]) * size[2] + index[:, 2]
+    voxels, row, count = np.unique(key, return_index=True, return_counts=True)
+    single = voxels[count == 1]
+    alone = np.ones(len(single), dtype=bool)
+    for i in (-1, 0, 1):
+        for step in (i * size[1] * size[2] + np.arange(-1, 2)[:, None] * size[2] + np.arange(-1, 2)).ravel():
+            if step:
+                at = np.minimum(np.searchsorted(voxels, single + step), len(voxels) - 1)
+                alone &= voxels[at] != single + step
+    stray = np.zeros(len(points), dtype=bool)
+    stray[row[count == 1][alone]] = True
+    return stray
 
 
 def split_sheets(layers: Layers, config: PerceptionConfig) -> list[IntArray]:
