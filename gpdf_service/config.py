@@ -19,8 +19,8 @@ class PerceptionConfig:
     """[m] Highest step that joins two pieces of ground: what the most able body takes; a seat is 0.40 to 0.45 high."""
     stair_step: float = 0.25
     """[m] Highest riser of a stair: building codes say 0.19 to 0.22; treads too narrow to stand on must keep to it."""
-    tread_length: float = 0.6
-    """[m] Narrowest stair: the least that a person walks up; a chair's seat is 0.45 wide."""
+    tread_length: float = 0.3
+    """[m] Least that is seen of a tread beside a handrail and its shadow; whether a body fits is decided later."""
     tread_depth: float = 0.2
     """[m] Shallowest tread: building codes say 0.22 to 0.28; a scan loses an edge."""
     standing_width: float = 0.5
@@ -31,6 +31,8 @@ class PerceptionConfig:
     """[m] Least room over a piece of ground that is worth keeping: the height of the lowest body, a Roomba."""
     negligible_noise: float = 0.005
     """[m] Noise below which a cloud is taken as it is: what a good scanner has, and a foot or a wheel does not feel."""
+    storey_headroom: float = 1.9
+    """[m] Least room under a storey's ceiling: a low cellar; between a slab's two faces, or over a table, is less."""
     step_headroom: float = 0.7
     """[m] Room over a step that joins two pieces of ground: the height of the lowest body that steps, a Spot."""
 

@@ -28,6 +28,7 @@ VERBS: dict[str, tuple[str, str]] = {
     "record check": ("gpdf_service.service.record_verb", "check a log, and mend what a crash left"),
     "bench field": ("gpdf_service.bench.field", "accuracy and speed of the distance fields beside a k-d tree"),
     "bench build": ("gpdf_service.bench.build", "time from cloud to scene beside Open3D's normals"),
+    "bench ground": ("gpdf_service.bench.ground", "our ground segmentation beside true labels"),
     "bench plan": ("gpdf_service.bench.plan", "random queries: share certified, an independent judge, time"),
     "bench paper": (
         "gpdf_service.bench.paper",

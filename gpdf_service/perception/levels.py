@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy import ndimage
 
 from gpdf_service.config import PerceptionConfig
@@ -12,11 +13,17 @@ from gpdf_service.errors import NoGroundError
 from gpdf_service.perception.layers import Layers, build_layers, cell_width_of, connect
 from gpdf_service.perception.limits import GroundLimits, find_limits
 from gpdf_service.perception.segment import HALF, components, over_ground
-from gpdf_service.perception.surface import OBSERVED, UNKNOWN, HeightMap, fill_holes, without_enclosed
+from gpdf_service.perception.surface import OBSERVED, UNKNOWN, HeightMap, fill_holes, find_voids, without_enclosed
 from gpdf_service.types import BoolArray, FloatArray, IntArray
 
 OVERLAP = 1.2
 """[m] How far a sheet reaches into the next: twice the largest body's radius, so that a body fits where they meet."""
+FACE = 0.1
+"""[m] A step's face has the step's top within this in plan: half the depth of a stair's tread, and a scan's spacing."""
+LEAST_OBSTACLE = 0.015
+"""[m] What stands out of the ground by less stops no body here: the smallest `max_step`, and the scatter of a scan."""
+ALONE = 0.25
+"""[m] A point with no other in the voxels of this width around its own is a reflection; even a thin cable has more."""
 TALLEST = 3.0
 """[m] Material higher than this over the ground is out of every body's reach."""
 
@@ -30,6 +37,8 @@ class GroundLevel:
         ground_points: Centres of the known cells, for the Ground GPDF [m], shape (n, 3).
         inferred: Which of them nobody has seen, shape (n,).
         other_points: What is not this ground and within reach over it [m], shape (m, 3).
+        ledge: Height of the lowest point of this ground that is as high as each of them, within `FACE` in plan [m],
+            shape (m,), inf where there is none: a step's face has the step's top beside it.
         limits: Where the ground itself stops a body.
     """
 
@@ -37,6 +46,7 @@ class GroundLevel:
     ground_points: FloatArray
     inferred: BoolArray
     other_points: FloatArray
+    ledge: NDArray[np.float32]
     limits: GroundLimits
 
 
@@ -76,6 +86,8 @@ def build_levels(
             "ground", "no point of the cloud is labelled ground", "Check the labels, or leave them out."
         )
     width = cell_width_of(points[ground]) if grid is None else grid.cell_width
+    kept = ~find_strays(points, max(ALONE, 3.0 * width))
+    points, ground = points[kept | ground], ground[kept | ground]
     layers = build_layers(points[ground], width, max(config.min_headroom, 1.5 * width))
     sheets = split_sheets(layers, config)
     surfaces = tuple(_build_level(points, ground, layers, sheet, config) for sheet in sheets)
@@ -90,10 +102,28 @@ def build_levels(
     return Levels(surfaces, tuple(portals))
 
 
+def find_strays(points: FloatArray, width: float) -> BoolArray:
+    """Which points (n, 3) have no other in their voxel of `width` [m] or in the 26 around it, shape (n,)."""
+    index = np.floor((points - points.min(axis=0)) / width).astype(np.int64) + 1
+    size = index.max(axis=0) + 2
+    key = (index[:, 0] * size[1] + index[:, 1]) * size[2] + index[:, 2]
+    voxels, row, count = np.unique(key, return_index=True, return_counts=True)
+    single = voxels[count == 1]
+    alone = np.ones(len(single), dtype=bool)
+    for i in (-1, 0, 1):
+        for step in (i * size[1] * size[2] + np.arange(-1, 2)[:, None] * size[2] + np.arange(-1, 2)).ravel():
+            if step:
+                at = np.minimum(np.searchsorted(voxels, single + step), len(voxels) - 1)
+                alone &= voxels[at] != single + step
+    stray = np.zeros(len(points), dtype=bool)
+    stray[row[count == 1][alone]] = True
+    return stray
+
+
 def split_sheets(layers: Layers, config: PerceptionConfig) -> list[IntArray]:
     """Nodes of each sheet: no sheet has two nodes in one cell; sheets overlap by `OVERLAP` where they meet."""
     count = len(layers.cell)
-    keep = ~over_ground(layers, np.ones(count, dtype=bool), config)
+    keep = ~over_ground(layers, np.ones(count, dtype=bool), config.step_headroom)
     if len(np.unique(layers.cell[keep])) == keep.sum():
         return [np.flatnonzero(keep)]
     smooth = components(*connect(layers, keep, layers.cell_width, HALF), count)
@@ -175,18 +205,61 @@ def _build_level(
     inside[nodes] = True
     mine = ground.copy()
     mine[ground] = inside[layers.node_of_point]
-    other = _within_reach(points[~mine], surface)
+    rest = points[~mine]
+    other = _within_reach(rest, surface)
     ix, iy, _ = surface.cells(other)
     lowest = np.full(layers.shape, np.inf)
     np.minimum.at(lowest, (ix, iy), other[:, 2])
-    surface = fill_holes(surface, np.isfinite(lowest))
+    surface = fill_holes(surface, np.isfinite(lowest), *find_voids(surface, rest, config.max_step))
     beside = ndimage.maximum_filter(np.where(surface.state != UNKNOWN, surface.height, -np.inf), size=3)
     # Only material that the lowest body cannot pass under guards an edge by itself.
     material = lowest <= beside + config.min_headroom
     surface = without_enclosed(surface, material)
     limits = find_limits(surface, material)
     known = surface.state != UNKNOWN
-    return GroundLevel(surface, surface.centres(known), surface.state[known] != OBSERVED, other, limits)
+    ledge = _ledges(surface, points[ground], other)
+    return GroundLevel(surface, surface.centres(known), surface.state[known] != OBSERVED, other, ledge, limits)
+
+
+def _ledges(surface: HeightMap, ground: FloatArray, other: FloatArray) -> NDArray[np.float32]:
+    """`next_above` by the `ground` points of this sheet, for those `other` points that can be a step's face."""
+    high = ndimage.maximum_filter(np.where(surface.state != UNKNOWN, surface.height, -np.inf), size=5)
+
+    def low(points: FloatArray) -> BoolArray:
+        ix, iy, inside = surface.cells(points)
+        beneath: BoolArray = inside & (points[:, 2] <= high[ix, iy] + surface.cell_width)
+        return beneath
+
+    asked = low(other)
+    ledge = np.full(len(other), np.inf, np.float32)
+    ledge[asked] = next_above(ground[low(ground)], other[asked])
+    return ledge
+
+
+def next_above(ground: FloatArray, points: FloatArray) -> NDArray[np.float32]:
+    """Height of the lowest `ground` point (n, 3) that is as high as each of `points` (m, 3) and within `FACE` in plan.
+
+    Of each cell half as wide only the highest and the lowest ground point are looked at: so a step can be taken for a
+    higher one, never for a lower one, and inf stands where nothing was found. Shape (m,) [m].
+    """
+    width = 0.5 * FACE
+    origin = ground[:, :2].min(axis=0) - 3.0 * width
+    at, asked = (np.floor((part[:, :2] - origin) / width).astype(np.int64) for part in (ground, points))
+    stride = int(at[:, 1].max()) + 4
+    key = at[:, 0] * stride + at[:, 1]
+    order = np.lexsort((ground[:, 2], key))
+    first = np.flatnonzero(np.diff(key[order], prepend=-1))
+    cells, ends = key[order[first]], (order[first], order[np.append(first[1:], len(order)) - 1])
+    here = asked[:, 0] * stride + np.clip(asked[:, 1], 0, stride - 1)
+    best = np.full(len(points), np.inf, np.float32)
+    for step in (i * stride + j for i in range(-2, 3) for j in range(-2, 3)):
+        found = np.minimum(np.searchsorted(cells, here + step), len(cells) - 1)
+        for end in ends:
+            beside = ground[end[found]]
+            near = (cells[found] == here + step) & (np.hypot(*(beside[:, :2] - points[:, :2]).T) <= FACE)
+            above = near & (beside[:, 2] >= points[:, 2] - LEAST_OBSTACLE)
+            best = np.minimum(best, np.where(above, beside[:, 2], np.inf)).astype(np.float32)
+    return best
 
 
 def _within_reach(points: FloatArray, surface: HeightMap) -> FloatArray:

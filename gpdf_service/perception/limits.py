@@ -65,14 +65,15 @@ def find_limits(surface: HeightMap, material: BoolArray) -> GroundLimits:
 def step_and_slope(surface: HeightMap) -> tuple[FloatArray, FloatArray]:
     """Height of the step [m] and slope of the ground [rad] at each cell, shape (nx, ny); 0 where unknown.
 
-    The slope along an axis is the smaller of the rises to either side over a foot's length: it is flat on a tread and
-    true on a hillside. The step is the rise across a cell, neighbour to neighbour, less what the slope around explains:
-    a scanned step's face lies in one cell, whose own height says little.
+    The slope along an axis is the smaller of the rises to either side, over a foot's length or over one cell, whichever
+    is flatter: it is flat on a tread, however short, and true on a hillside. The step is the rise across a cell,
+    neighbour to neighbour, less what the slope around explains: a scanned step's face lies in one cell, whose own
+    height says little.
     """
     height = _median3(surface)
     width = surface.cell_width
     reach = max(1, round(FOOT / width))
-    gradient2 = np.zeros_like(height)
+    gradient2, short2 = np.zeros_like(height), np.zeros_like(height)
     step = np.zeros_like(height)
     for axis in (0, 1):
         ahead, behind = _shift(height, -reach, axis) - height, height - _shift(height, reach, axis)
@@ -84,10 +85,13 @@ def step_and_slope(surface: HeightMap) -> tuple[FloatArray, FloatArray]:
             np.abs(_shift(surface.height, -1, axis) - surface.height),
             np.abs(surface.height - _shift(surface.height, 1, axis)),
         )
+        next_ = np.abs(_shift(height, -1, axis) - height), np.abs(height - _shift(height, 1, axis))
+        short2 += np.nan_to_num(np.fmin(*next_) / width) ** 2
         usual = ndimage.median_filter(np.nan_to_num(rise / (reach * width)), size=5)
         excess = np.fmax(across - 2.0 * width * usual, one - width * usual)
         step = np.fmax(step, np.nan_to_num(excess))
-    slope = np.arctan(np.sqrt(ndimage.median_filter(gradient2, size=3)))
+    flatter = np.minimum(ndimage.median_filter(gradient2, size=3), ndimage.median_filter(short2, size=3))
+    slope = np.arctan(np.sqrt(flatter))
     known = surface.state != UNKNOWN
     return np.where(known, step, 0.0), np.where(known, slope, 0.0)
 

@@ -8,13 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from gpdf_service.perception.levels import GroundLevel
+from gpdf_service.perception.levels import FACE, LEAST_OBSTACLE, GroundLevel
 from gpdf_service.perception.limits import ObstacleKind
-from gpdf_service.perception.surface import UNKNOWN, HeightMap
-from gpdf_service.types import Agent, BoolArray, FloatArray
-
-LEAST_OBSTACLE = 0.015
-"""[m] What stands out of the ground by less stops no body here: the smallest `max_step`, and the scatter of a scan."""
+from gpdf_service.perception.surface import INFERRED, UNKNOWN, HeightMap
+from gpdf_service.types import Agent, BoolArray, FloatArray, IntArray
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,22 +42,48 @@ def obstacles_of(level: GroundLevel, agent: Agent, noise: float = 0.0) -> Obstac
 def _material(level: GroundLevel, agent: Agent, noise: float) -> BoolArray:
     surface, points = level.surface, level.other_points
     least = max(LEAST_OBSTACLE, noise)
-    beside = 3 + 2 * int(np.ceil(2.0 * noise / surface.cell_width))  # cells that noise may have carried a point across
     known = surface.state != UNKNOWN
     top = np.where(known, surface.height, -np.inf)
     bottom = np.where(known, surface.height, np.inf)
     disc = _disc(agent.radius + surface.cell_width, surface)
     ix, iy, _ = surface.cells(points)
-    z = points[:, 2]
-    reached = z < ndimage.maximum_filter(top, footprint=disc)[ix, iy] + agent.height + noise
-    beneath = z < ndimage.minimum_filter(bottom, footprint=disc)[ix, iy] - least
-    high = ndimage.maximum_filter(top, size=beside)[ix, iy]
-    low = ndimage.minimum_filter(bottom, size=beside)[ix, iy]
-    own = np.where(known, surface.height, -np.inf)[ix, iy]
-    ledge = np.where(high - low > least, high, own)  # on level ground, the ground under the point itself
-    face = np.isfinite(high) & (high - low <= agent.max_step + least) & (z <= ledge + least)
-    stops: BoolArray = reached & ~beneath & ~face
-    return stops
+    z, tall = points[:, 2], agent.height + noise
+    lowest = ndimage.minimum_filter(bottom, footprint=disc)[ix, iy]
+    stops = (z < ndimage.maximum_filter(top, footprint=disc)[ix, iy] + tall) & (z >= lowest - least)
+    stops[stops] = ~_is_face(level, np.flatnonzero(stops), agent.max_step, least)
+    # Beside a step the question is which ground the body stands on; not on what stops it wherever it stands.
+    always = stops & (z < lowest + tall)
+    free = np.ones(known.shape, dtype=bool)
+    free[ix[always], iy[always]] = False
+    shut = (ndimage.distance_transform_edt(free) + np.sqrt(2.0)) * surface.cell_width < agent.radius
+    stands = ndimage.maximum_filter(np.where(shut, -np.inf, top), footprint=disc)[ix, iy]
+    found: BoolArray = stops & (always | (z < stands + tall))
+    return found
+
+
+def _is_face(level: GroundLevel, rows: IntArray, max_step: float, least: float) -> BoolArray:
+    """Which of the points belong to the ground: its scatter, or the face of a step that the body takes.
+
+    A face lies between the ground next below it and the ground next above it. Cells can be wider than a tread, so the
+    upper one must be a point of the ground right beside; or inferred, as a tread in a shadow is.
+    """
+    surface, z = level.surface, level.other_points[rows, 2]
+    ix, iy, _ = surface.cells(level.other_points[rows])
+    known = np.pad(np.where(surface.state != UNKNOWN, surface.height, np.nan), 1, constant_values=np.nan)
+    inferred = np.pad(surface.state == INFERRED, 1)
+    foot, lowest, ledge = np.full(len(rows), -np.inf), np.full(len(rows), np.inf), level.ledge[rows].astype(np.float64)
+    for i in (0, 1, 2):
+        for j in (0, 1, 2):
+            beside = known[ix + i, iy + j]
+            lowest = np.fmin(lowest, beside)
+            foot = np.where(beside <= z, np.maximum(foot, beside), foot)
+            if surface.cell_width <= FACE or i == j == 1:
+                tread = inferred[ix + i, iy + j] & (beside >= z - least)
+                ledge = np.where(tread, np.minimum(ledge, beside), ledge)
+    foot = np.maximum(foot, lowest)
+    on_ground = np.isfinite(foot)
+    face: BoolArray = on_ground & ((z <= lowest + least) | (ledge <= np.where(on_ground, foot, 0.0) + max_step))
+    return face
 
 
 def _disc(radius: float, surface: HeightMap) -> BoolArray:

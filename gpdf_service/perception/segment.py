@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.sparse import csr_matrix
@@ -23,6 +25,8 @@ TABLE_AREA = 4.0
 """[m²] Furniture is no larger than a conference table for eight."""
 BULK_SHARE = 0.3
 """Of the largest surface: what is smaller is furniture, a landing or a shelf, not the floor that one starts from."""
+COVERED_SHARE = 0.5
+"""Of an upper storey that has a ceiling over it: tall furniture stands on the rest, or a roof window is over it."""
 
 
 def segment_ground(points: ArrayLike, config: PerceptionConfig | None = None) -> BoolArray:
@@ -48,12 +52,28 @@ def segment_ground(points: ArrayLike, config: PerceptionConfig | None = None) ->
     layers = build_layers(cloud, width, max(config.min_headroom, 1.5 * width))
     ground = find_ground(layers, config)
     node = layers.node_of_point
-    candidate = np.flatnonzero(ground[node])
-    residual = np.abs(cloud[candidate, 2] - _smoothed(layers, ground)[node[candidate]])
-    scatter = max(LEAST_SCATTER, 3.0 * 1.4826 * float(np.median(residual)))
-    mask = np.zeros(len(cloud), dtype=bool)
-    mask[candidate[residual <= scatter]] = True
+    smooth = _smoothed(layers, ground)
+    residual = np.abs(cloud[:, 2] - smooth[node])
+    scatter = max(LEAST_SCATTER, 3.0 * 1.4826 * float(np.median(residual[ground[node]])))
+    beside = _ground_beside(layers, ground, smooth, scatter)
+    height = np.where(ground, smooth, beside)[node]
+    mask: BoolArray = np.abs(cloud[:, 2] - height) <= scatter
     return mask
+
+
+def _ground_beside(layers: Layers, ground: BoolArray, smooth: FloatArray, scatter: float) -> FloatArray:
+    """Height of the lowest ground in the cells beside each other node that spans it, inf where there is none.
+
+    The foot of a wall or of a table's leg shares its cell with the floor that it stands on.
+    """
+    beside = np.full(len(ground), np.inf)
+    for offset in HALF:
+        for one, other in (pair := layers.neighbours(offset), pair[::-1]):
+            fits = ground[one] & ~ground[other]
+            a, b = one[fits], other[fits]
+            fits = np.abs(smooth[a] - layers.height[b]) <= layers.thickness[b] + scatter
+            np.minimum.at(beside, b[fits], smooth[a[fits]])
+    return beside
 
 
 def _smoothed(layers: Layers, ground: BoolArray) -> FloatArray:
@@ -83,38 +103,109 @@ def find_ground(layers: Layers, config: PerceptionConfig) -> BoolArray:
     core = surface & (smooth >= 5)  # what a strip two cells wide has: a tread is that wide, a wall's top is not
     if not core.any():
         raise NoGroundError("ground", "no surface in the cloud is wide and level enough to stand on", "Is z up?")
-    inner = core[a] & core[b]
-    patch = components(a[inner], b[inner], len(core))
-    wide = core.copy()  # and the rim of each patch
-    for one, other in ((a, b), (b, a)):
-        rim = core[one] & ~wide[other]
-        wide[other[rim]] = True
-        patch[other[rim]] = patch[one[rim]]
+    roomy = layers.headroom >= config.step_headroom
+    wide, patch = _patches(core, surface & roomy, a, b)
     size = np.bincount(patch[wide], minlength=patch.max() + 1)
     large = np.flatnonzero(size >= BULK_SHARE * size.max())
-    bulk = min(large, key=lambda i: float(np.median(layers.height[wide & (patch == i)])))
-    return _spread(layers, config, wide, patch, int(bulk))
+    height = {i: float(np.median(layers.height[wide & (patch == i)])) for i in large}
+    bulk = min(large, key=height.__getitem__)
+    storeys = [i for i in large if i == bulk or _is_storey(layers, wide & (patch == i), wide & (patch == bulk), config)]
+    joins = _joins(layers, config, wide, patch)
+    seen = np.zeros(patch.max() + 1, dtype=bool)
+    seen[storeys] = True
+    ground = wide & seen[patch]
+    while True:
+        ground = _spread(layers, config, ground, wide, smooth == 8, patch, joins, seen)
+        reached = _under_furniture(ground, wide & seen[patch] & ~ground, core, a, b)
+        seen[patch[reached & wide]] = True
+        if not _beside(reached, patch, joins, seen).any():
+            return reached
+        ground = reached
 
 
-def _spread(layers: Layers, config: PerceptionConfig, wide: BoolArray, patch: IntArray, bulk: int) -> BoolArray:
+def _patches(core: BoolArray, keep: BoolArray, a: IntArray, b: IntArray) -> tuple[BoolArray, IntArray]:
+    """Connected `core` nodes among those to `keep`, each patch with its rim: which nodes are in one, and in which."""
+    wide = core & keep
+    inner = wide[a] & wide[b]
+    patch = components(a[inner], b[inner], len(core))
+    for one, other in ((a, b), (b, a)):
+        rim = core[one] & keep[one] & keep[other] & ~wide[other]
+        wide[other[rim]] = True
+        patch[other[rim]] = patch[one[rim]]
+    return wide, patch
+
+
+def _under_furniture(ground: BoolArray, apart: BoolArray, core: BoolArray, a: IntArray, b: IntArray) -> BoolArray:
+    """Let the ground reach, without a step, where only a low body fits, and what lies behind; not onto `apart`.
+
+    Nothing is entered from there over a step: what is low beside a stair's tread is its soffit.
+    """
+    free = ground | (core & ~apart)
+    inside = free[a] & free[b]
+    label = components(a[inside], b[inside], len(free))
+    reached = np.zeros(label.max() + 1, dtype=bool)
+    reached[label[ground]] = True
+    result: BoolArray = free & reached[label]
+    return result
+
+
+def _is_storey(layers: Layers, nodes: BoolArray, bulk: BoolArray, config: PerceptionConfig) -> bool:
+    """Whether a large surface is a floor by itself: under a ceiling, and as far over the ground; a roof has the sky."""
+    room = layers.headroom[nodes]
+    covered = (room >= config.storey_headroom) & np.isfinite(room)
+    over = over_ground(layers, bulk, config.storey_headroom)[nodes]
+    return bool(covered.mean() >= COVERED_SHARE and over.mean() <= OVER_SHARE)
+
+
+@dataclass(frozen=True, slots=True)
+class _Joins:
+    """Steps from node `a` up or down to node `b` of another patch, and which patches a body stands on."""
+
+    a: IntArray
+    b: IntArray
+    standable: BoolArray
+
+
+def _joins(layers: Layers, config: PerceptionConfig, wide: BoolArray, patch: IntArray) -> _Joins:
     standable, tread = _shapes(layers, wide, patch, config)
-    limit = np.where(layers.headroom >= config.step_headroom, config.max_step, layers.cell_width)
-    a, b = connect(layers, wide, limit, HALF)
+    a, b = connect(layers, wide, np.full(len(wide), config.max_step), HALF)
     across = patch[a] != patch[b]
     a, b = np.concatenate([a[across], b[across]]), np.concatenate([b[across], a[across]])
     rise = np.abs(layers.height[a] - _level_of_furniture(layers, wide, patch)[b])
     allowed = np.where(standable[patch[b]], config.max_step, np.where(tread[patch[b]], config.stair_step, -1.0))
-    a, b = a[rise <= allowed], b[rise <= allowed]
-    ground = wide & (patch == bulk)
-    refused = np.zeros(len(standable), dtype=bool)
-    size = np.bincount(patch, minlength=len(refused))
-    while len(fresh := np.unique(patch[b[ground[a] & ~ground[b] & ~refused[patch[b]]]])):
+    return _Joins(a[rise <= allowed], b[rise <= allowed], standable)
+
+
+def _beside(ground: BoolArray, patch: IntArray, joins: _Joins, seen: BoolArray) -> IntArray:
+    """Patches not yet seen that a step joins to the ground."""
+    found: IntArray = np.unique(patch[joins.b[ground[joins.a] & ~seen[patch[joins.b]]]])
+    return found
+
+
+def _spread(
+    layers: Layers,
+    config: PerceptionConfig,
+    ground: BoolArray,
+    wide: BoolArray,
+    inner: BoolArray,
+    patch: IntArray,
+    joins: _Joins,
+    seen: BoolArray,
+) -> BoolArray:
+    """Grow over steps; patches that were looked at are marked in `seen`.
+
+    `inner` nodes have all eight neighbours on their slope. Only they say whether a patch lies over ground: the edge of
+    a stair's tread shares its cells with the tread below.
+    """
+    size = np.bincount(patch[inner], minlength=len(seen))
+    while len(fresh := _beside(ground, patch, joins, seen)):
         nodes = wide & np.isin(patch, fresh)
-        over = np.bincount(patch[nodes & over_ground(layers, ground, config)], minlength=len(refused))
-        refused |= over > OVER_SHARE * size
-        ground |= nodes & ~refused[patch]
-    ground &= ~over_ground(layers, ground, config)
-    return _without_dead_ends(ground, patch, standable, a, b)
+        over = nodes & inner & over_ground(layers, ground, config.step_headroom)
+        refused = np.bincount(patch[over], minlength=len(seen)) > OVER_SHARE * size
+        seen[fresh] = True
+        ground = ground | (nodes & ~refused[patch])
+    ground = _without_dead_ends(ground, patch, joins)
+    return ground & ~over_ground(layers, ground, config.step_headroom)
 
 
 def _level_of_furniture(layers: Layers, wide: BoolArray, patch: IntArray) -> FloatArray:
@@ -134,8 +225,9 @@ def _level_of_furniture(layers: Layers, wide: BoolArray, patch: IntArray) -> Flo
     return level
 
 
-def _without_dead_ends(ground: BoolArray, patch: IntArray, standable: BoolArray, a: IntArray, b: IntArray) -> BoolArray:
+def _without_dead_ends(ground: BoolArray, patch: IntArray, joins: _Joins) -> BoolArray:
     """Drop treads that lead nowhere: a stair's tread joins two pieces of ground, a box on the floor joins one."""
+    a, b, standable = joins.a, joins.b, joins.standable
     while True:
         here = ground[a] & ground[b]
         pairs = np.unique(np.column_stack([patch[a[here]], patch[b[here]]]), axis=0)
@@ -166,12 +258,12 @@ def _shapes(layers: Layers, wide: BoolArray, patch: IntArray, config: Perception
     return depth >= config.standing_width, (length >= config.tread_length) & (depth >= config.tread_depth)
 
 
-def over_ground(layers: Layers, ground: BoolArray, config: PerceptionConfig) -> BoolArray:
-    """Nodes with ground under them at less than the headroom of a body that steps: benches, tables, shelves."""
+def over_ground(layers: Layers, ground: BoolArray, headroom: float) -> BoolArray:
+    """Nodes with ground under them at less than `headroom` [m]: with that of a body that steps, benches and tables."""
     index = np.arange(len(ground))
     last = np.concatenate([[-1], np.maximum.accumulate(np.where(ground, index, -1))[:-1]])
     beneath = (last >= 0) & (layers.cell[last] == layers.cell)
-    over: BoolArray = beneath & (layers.height - layers.height[last] <= config.step_headroom)
+    over: BoolArray = beneath & (layers.height - layers.height[last] <= headroom)
     return over
 
 

@@ -15,6 +15,18 @@ GAP_CELLS = 4
 """Empty cells side by side that chance alone explains, at one in ten empty."""
 RING_SHARE = 0.95
 """[-] Of the ground around a hole that must lie on one plane; the rest are a chair's feet."""
+SHUT_SHARE = 0.2
+"""[-] Of a hole's rim that must be ground: what walls close off all but for their cracks is no place at all."""
+NOTCH_SPAN = 1.0
+"""[m] Longest piece of a flight that a shadow bites out: five treads."""
+STEEPEST_FLIGHT = 1.3
+"""[-] Rise over run of the steepest stair, 52°; what rises more between two pieces of ground is another storey."""
+NOTCH_DEPTH = 0.35
+"""[m] How far a shadow is filled beside seen treads: less than half of the narrowest stair."""
+SLAB = 1.0
+"""[m] Thickest floor: what is seen deeper than this under a hole was seen through it."""
+STOREY = 1.5
+"""[m] Least room under a floor: what is seen nearer below a hole with less than this under itself is a pit's bottom."""
 MAX_HOLE_RADIUS = 1.0
 """[m] A hole is filled if no place in it is further from seen ground: a scanner's blind spot, the shadow of a desk."""
 
@@ -71,23 +83,52 @@ class HeightMap:
         return np.column_stack([self.origin + (index + 0.5) * self.cell_width, self.height[mask].astype(np.float64)])
 
 
-def fill_holes(surface: HeightMap, material: BoolArray) -> HeightMap:
+def fill_holes(surface: HeightMap, material: BoolArray, seen_through: BoolArray, pit: BoolArray) -> HeightMap:
     """Infer ground where its surroundings explain it, and mark it.
 
     A hole is a connected set of unknown cells bounded by known ground and `material` (cells that hold other points),
     shut off from the map's rim, with no place further than `MAX_HOLE_RADIUS` from seen ground, and with all the ground
-    around it on one plane within a cell's slope: an edge that drops is not bridged.
+    around it on one plane within a cell's slope: an edge that drops is not bridged. Nor is what was `seen_through`, or
+    a `pit`, see `find_voids`. A notch in a flight of stairs is filled with the treads beside it.
     """
     known = surface.state == OBSERVED
     height, state = surface.height.copy(), surface.state.copy()
     cells, nearest = ndimage.distance_transform_edt(~known, return_indices=True)
     distance = cells * surface.cell_width
     _fill_gaps(height, state, ~known, distance, nearest, surface.cell_width)
+    _fill_notches(height, state, seen_through, distance, surface.cell_width)
     known = state != UNKNOWN
-    _fill(height, state, ~known & ~material, known, distance, surface.cell_width)
+    void = seen_through | pit
+    _fill(height, state, ~known & ~material, known, distance, surface.cell_width, void)
     solid = state != UNKNOWN  # then the ground that carries the furniture itself
-    _fill(height, state, ~solid & (distance <= MAX_HOLE_RADIUS) & material, solid, distance, surface.cell_width)
+    under = ~solid & (distance <= MAX_HOLE_RADIUS) & material
+    _fill(height, state, under, solid, distance, surface.cell_width, void)
+    _fill_gaps(height, state, state == UNKNOWN, distance, nearest, surface.cell_width)  # what is left of larger ones
     return HeightMap(surface.origin, surface.cell_width, height, state)
+
+
+def find_voids(surface: HeightMap, points: FloatArray, max_step: float) -> tuple[BoolArray, BoolArray]:
+    """Unknown cells whose highest point of `points` (n, 3) lies over `max_step` under the ground beside them.
+
+    Returns:
+        Where the scanner saw through, further down than a floor is thick; and where the bottom of a pit is seen, which
+        is no ceiling because no storey is under it. Both (nx, ny).
+    """
+    unknown = surface.state == UNKNOWN
+    cells, nearest = ndimage.distance_transform_edt(unknown, return_indices=True)
+    asked = unknown & (cells * surface.cell_width <= MAX_HOLE_RADIUS)
+    ix, iy, inside = surface.cells(points)
+    kept = inside & asked[ix, iy]
+    ix, iy, z = ix[kept], iy[kept], points[kept, 2]
+    beside = surface.height[nearest[0], nearest[1]]
+    under = z < beside[ix, iy] + surface.cell_width
+    top, bottom = np.full(unknown.shape, -np.inf), np.full(unknown.shape, np.inf)
+    np.maximum.at(top, (ix[under], iy[under]), z[under])
+    np.minimum.at(bottom, (ix[under], iy[under]), z[under])
+    seen = np.isfinite(top)
+    depth = np.where(seen, beside - top, 0.0)
+    pit = (depth > max_step) & (depth <= SLAB) & (np.where(seen, top - bottom, 0.0) < STOREY)
+    return depth > SLAB, pit
 
 
 def _fill_gaps(
@@ -107,6 +148,49 @@ def _fill_gaps(
     state[small] = INFERRED
 
 
+def _fill_notches(
+    height: NDArray[np.float32], state: NDArray[np.uint8], void: BoolArray, distance: FloatArray, cell_width: float
+) -> None:
+    """Fill what a shadow bites out of a flight: uphill and downhill there is ground, and the tread itself beside.
+
+    On the level this is left to `_fill`: there the edge of a platform looks the same. A flight that lies across the
+    grid at an angle stays as it was seen.
+    """
+    open_ = (state == UNKNOWN) & ~void & (distance <= NOTCH_DEPTH)
+    filled = np.full(height.shape, np.nan, np.float32)
+    for axis in (0, 1):
+        ahead, behind, gap = _known_beside(height, axis)
+        low, high, run = np.fmin(ahead, behind), np.fmax(ahead, behind), gap * cell_width
+        flight = open_ & (run <= NOTCH_SPAN) & (high - low > 2.0 * cell_width) & (high - low <= STEEPEST_FLIGHT * run)
+        for tread in _known_beside(height, 1 - axis, NOTCH_DEPTH / cell_width)[:2]:
+            between = (tread >= low - cell_width) & (tread <= high + cell_width)
+            filled = np.where(flight & between & np.isnan(filled), tread, filled)
+    explained = ~np.isnan(filled)
+    height[explained] = filled[explained]
+    state[explained] = INFERRED
+
+
+def _known_beside(
+    height: NDArray[np.float32], axis: int, reach: float = np.inf
+) -> tuple[NDArray[np.float32], NDArray[np.float32], FloatArray]:
+    """Heights of the nearest known cells before and after each cell along `axis`, and the cells between the two.
+
+    NaN where there is none within `reach` cells.
+    """
+    before, back = _last_known(height, axis)
+    after, on = (np.flip(part, axis) for part in _last_known(np.flip(height, axis), axis))
+    nan = np.float32(np.nan)
+    return np.where(back <= reach, before, nan), np.where(on <= reach, after, nan), back + on
+
+
+def _last_known(height: NDArray[np.float32], axis: int) -> tuple[NDArray[np.float32], FloatArray]:
+    """Height of the last known cell before each cell along `axis`, NaN if none, and how many cells back it is."""
+    along = np.arange(height.shape[axis]).reshape((-1, 1) if axis == 0 else (1, -1))
+    at = np.maximum.accumulate(np.where(np.isnan(height), -1, along), axis=axis)
+    value = np.where(at >= 0, np.take_along_axis(height, np.maximum(at, 0), axis), np.float32(np.nan))
+    return value, np.where(at >= 0, along - at, np.inf)
+
+
 def _fill(
     height: NDArray[np.float32],
     state: NDArray[np.uint8],
@@ -114,6 +198,7 @@ def _fill(
     known: BoolArray,
     distance: FloatArray,
     cell_width: float,
+    void: BoolArray,
 ) -> None:
     label = ndimage.label(holes)[0]
     rim = np.unique(np.concatenate([label[0], label[-1], label[:, 0], label[:, -1]]))
@@ -124,7 +209,8 @@ def _fill(
         grown = tuple(slice(max(s.start - 2, 0), s.stop + 2) for s in box)
         inner = label[grown] == i
         ring = ndimage.binary_dilation(inner, np.ones((3, 3)), iterations=2) & known[grown]
-        if ring.sum() < 3:
+        beside = ndimage.binary_dilation(inner) & ~inner
+        if ring.sum() < 3 or void[grown][inner].any() or known[grown][beside].mean() < SHUT_SHARE:
             continue
         ring_at, ring_height = np.argwhere(ring).astype(float), height[grown][ring].astype(float)
         design = np.column_stack([ring_at, np.ones(len(ring_at))])

@@ -142,6 +142,21 @@ def cave(rng: np.random.Generator, noise: float = 0.0, spacing: float = 0.06) ->
     return _scene("cave", world, (1.2, 1.2), (18.8, 10.8), rng, noise, spacing)
 
 
+def ramp(rng: np.random.Generator, noise: float = 0.0, spacing: float = SPACING) -> SyntheticScene:
+    """A hall whose floor rises on a ramp of random slope (4° to 12°) to a gallery, with a table on either level."""
+    slope, foot = np.tan(rng.uniform(0.07, 0.21)), rng.uniform(2.0, 3.0)
+    run = rng.uniform(2.0, 4.0)
+
+    def floor(xy: FloatArray) -> FloatArray:
+        result: FloatArray = slope * np.clip(xy[:, 0] - foot, 0.0, run)
+        return result
+
+    length, high = foot + run + 2.5, float(slope * run)
+    gallery = [Box((length - 1.5, 0.3, high + 0.71), (length - 0.3, 1.1, high + 0.74))]
+    world = World((float(length), 4.0, 3.0), (*table(0.4, 2.8, 1.2, 0.8), *gallery), floor)
+    return _scene("ramp", world, (0.6, 0.6), (float(length) - 0.6, 3.2), rng, noise, spacing)
+
+
 def random_room(rng: np.random.Generator, noise: float = 0.0, spacing: float = SPACING) -> SyntheticScene:
     """A room of random size with random boxes, tables, chairs, pillars, hanging balls and a platform."""
     width, depth = rng.uniform(5.0, 9.0, 2)

@@ -1,13 +1,15 @@
 import numpy as np
 import pytest
 
+from gpdf_service import build_scene, plan
 from gpdf_service.config import PerceptionConfig
 from gpdf_service.errors import NoGroundError
 from gpdf_service.perception import ObstacleKind, build_levels, obstacles_of, read_cloud, segment_ground
+from gpdf_service.perception.levels import find_strays, next_above
 from gpdf_service.perception.limits import step_and_slope
 from gpdf_service.perception.surface import INFERRED, OBSERVED, UNKNOWN, HeightMap
-from gpdf_service.synthetic import SCENES, Box, World
-from gpdf_service.types import AGENTS
+from gpdf_service.synthetic import SCENES, Box, World, ramp, random_room
+from gpdf_service.types import AGENTS, Status
 
 CONFIG = PerceptionConfig()
 
@@ -154,3 +156,99 @@ def test_outside_the_map_the_ground_is_unknown():
     surface = HeightMap(np.zeros(2), 0.1, np.zeros((5, 5), "f4"), np.full((5, 5), UNKNOWN, "u1"))
     assert not surface.contains(np.array([[0.2, 0.2], [9.0, 9.0]])).any()
     assert np.isnan(surface.height_at(np.array([[9.0, 9.0]]))).all()
+
+
+def two_storeys(closed):
+    """A floor, a slab 2.8 m over it with a ceiling, and, unless it is `closed`, a stair along one wall between them."""
+    rng = np.random.default_rng(3)
+
+    def sheet(low, high, z):
+        count = ((np.array(high) - low) / 0.04).astype(int)
+        grid = np.stack(np.meshgrid(*map(np.arange, count), indexing="ij"), -1).reshape(-1, 2)
+        return np.column_stack([low + (grid + rng.uniform(0, 1, grid.shape)) * 0.04, np.full(len(grid), z)])
+
+    parts = [sheet((0, 0), (8, 6), 0.0), sheet((0, 1.4), (8, 6), 2.5), sheet((0, 0), (8, 6), 5.6)]
+    parts += [sheet((0, 1.4), (8, 6), 2.8), sheet((6.48, 0), (8, 1.4), 2.8), sheet((6.48, 0), (8, 1.4), 2.5)]
+    if not closed:
+        for i in range(16):
+            parts.append(sheet((2 + 0.28 * i, 0.1), (2.28 + 0.28 * i, 1.2), 0.175 * (i + 1)))
+            face = sheet((0.1, 0), (1.2, 0.175), 2 + 0.28 * i)
+            parts.append(np.column_stack([face[:, 2], face[:, 0], face[:, 1] + 0.175 * i]))
+        under = (np.abs(parts[0][:, 0] - 4.24) < 2.25) & (parts[0][:, 1] < 1.2)
+        parts[0] = parts[0][~under]  # the stair is solid
+    return np.concatenate(parts)
+
+
+def test_a_storey_without_a_stair_is_ground_and_a_ceiling_is_not():
+    points = two_storeys(closed=True)
+    found = segment_ground(points)
+    share = {z: found[points[:, 2] == z].mean() for z in (0.0, 2.5, 2.8, 5.6)}
+    assert share[0.0] > 0.98
+    assert share[2.8] > 0.95
+    assert share[2.5] == share[5.6] == 0.0
+
+
+def test_a_human_walks_up_to_the_next_storey_and_a_roomba_does_not():
+    scene = build_scene(two_storeys(closed=False))
+    assert scene.levels.portals
+    start, goal = (1.0, 3.0, 0.0), (4.0, 4.0, 2.8)
+    result = plan(scene, start, goal, "human")
+    assert result.status is Status.OK, result.message
+    assert result.certificate.max_step == pytest.approx(0.175, abs=0.02)
+    assert plan(scene, start, goal, "roomba").status is not Status.OK
+
+
+def test_the_scanned_house_is_climbed_by_the_human_alone(scan):
+    scene = build_scene(read_cloud(scan("house_2storey_stairs_4cm.npz")).points)
+    result = plan(scene, (9.0, 14.0, 1.65), (14.0, 13.0, 5.35), "human")
+    assert result.status is Status.OK, result.message
+    assert np.ptp(result.trajectory.ground[:, 2]) > 3.5
+    assert plan(scene, (9.0, 14.0, 1.65), (8.0, 10.0, 5.3), "roomba").status is Status.NO_VALID_PATH
+
+
+def test_nothing_is_inferred_over_a_hatch_that_was_seen_through():
+    points, ground = scan_of(World((5.0, 5.0, 2.5), (), ceiling=False))
+    hatch = (np.abs(points[:, :2] - 2.5) < 0.4).all(axis=1)
+    below = np.where(hatch[:, None], points - [0, 0, 3.0], points)
+    level = build_levels(below, ground & ~hatch, CONFIG).levels[0]
+    assert not level.surface.contains(np.array([[2.5, 2.5]])).any()
+
+
+def test_on_coarse_cells_a_bump_beside_a_low_step_is_no_step_face():
+    x, y = np.meshgrid(np.arange(0, 6, 0.1), np.arange(0, 6, 0.1))
+    x, y = x.ravel() + 0.05, y.ravel() + 0.05
+    floor = np.column_stack([x, y, np.where(x > 3.0, 0.12, 0.0)])
+    bump = np.array([[2.85, 3.05, 0.06], [2.87, 3.1, 0.06]])  # 15 cm before the step, at half its height
+    cloud = np.concatenate([floor, bump])
+    level = build_levels(cloud, np.arange(len(cloud)) < len(floor), CONFIG).levels[0]
+    assert level.surface.cell_width > 0.12
+    found = obstacles_of(level, AGENTS["human"])
+    assert (found.kind == ObstacleKind.MATERIAL).sum() == 2
+
+
+def test_the_ground_next_above_is_the_lowest_that_is_near_and_high_enough():
+    ground = np.array([[0.0, 0.0, 0.0], [0.05, 0.0, 0.2], [0.0, 0.06, 0.4], [0.2, 0.0, 0.15]])
+    found = next_above(ground, np.array([[0.0, 0.0, 0.1], [0.0, 0.0, 0.3], [0.0, 0.0, 0.5], [5.0, 5.0, 0.0]]))
+    assert found == pytest.approx([0.2, 0.4, np.inf, np.inf])
+
+
+def test_a_floating_point_stops_nobody_and_a_cable_does():
+    points, ground = scan_of(World((5.0, 5.0, 2.5), (), ceiling=False))
+    cable = np.column_stack([np.full(25, 1.5), np.full(25, 2.5), np.arange(25) * 0.04 + 1.2])
+    cloud = np.concatenate([points, [[3.5, 2.5, 1.2]], cable])
+    assert np.flatnonzero(find_strays(cloud, 0.25)).tolist() == [len(points)]
+    level = build_levels(cloud, np.append(ground, np.zeros(26, dtype=bool)), CONFIG).levels[0]
+    at = obstacles_of(level, AGENTS["human"]).points
+    assert np.hypot(*(at[:, :2] - [1.5, 2.5]).T).min() == 0.0
+    assert np.hypot(*(at[:, :2] - [3.5, 2.5]).T).min() > 1.0
+
+
+@pytest.mark.parametrize("make", [random_room, ramp])
+def test_random_platforms_and_ramps_are_kept_at_a_centimetre_of_noise(make):
+    for seed in range(3):
+        scene = make(np.random.default_rng(seed), 0.01)
+        found = segment_ground(scene.points)
+        raised = scene.ground & (scene.points[:, 2] > 0.04)
+        assert found[scene.ground].mean() > 0.98
+        if raised.sum() > 100:  # there is a platform or a ramp
+            assert found[raised].mean() > 0.98

@@ -1,0 +1,77 @@
+"""`gpdf bench ground`: our segmentation beside true labels, and how much of platforms, treads and ramps it keeps."""
+
+from __future__ import annotations
+
+import argparse
+import time
+from pathlib import Path
+
+import numpy as np
+
+from gpdf_service.bench.report import Row, show
+from gpdf_service.perception import read_cloud, segment_ground
+from gpdf_service.synthetic import SCENES, SyntheticScene, ramp, random_room
+from gpdf_service.types import BoolArray, FloatArray
+
+RAISED = 0.04
+"""[m] Ground this far over the floor is a platform, a tread or a ramp; less is lost in a scan's noise."""
+HIGH = 0.3
+"""[m] What is no ground and lies this far over the lowest ground, level, is a seat or a table top."""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the verb's options."""
+    parser.add_argument("--scene", action="append", type=Path, help="a cloud with ground labels, besides random scenes")
+    parser.add_argument("--count", type=int, default=20, help="random rooms, and as many random ramps")
+    parser.add_argument(
+        "--noise", action="append", type=float, help="of each coordinate [m]; 0.01 and 0.05 if not given"
+    )
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--json", action="store_true", help="print the rows as JSON")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Measure labelled clouds, then synthetic scenes at every noise."""
+    rows: list[Row] = []
+    for path in args.scene or []:
+        cloud = read_cloud(path)
+        if cloud.ground is not None:
+            floor = float(np.median(cloud.points[cloud.ground, 2]))
+            rows.append({"scene": path.stem, "scenes": 1} | measure([(cloud.points, cloud.ground, floor)]))
+    for noise in args.noise or [0.01, 0.05]:
+        for name, scenes in _made(args.count, args.seed, noise).items():
+            parts = [(scene.points, scene.ground, 0.0) for scene in scenes]
+            rows.append({"scene": name, "scenes": len(scenes), "noise_m": noise} | measure(parts))
+    show(rows, as_json=args.json)
+    return 0
+
+
+def _made(count: int, seed: int, noise: float) -> dict[str, list[SyntheticScene]]:
+    rooms = [random_room(np.random.default_rng(seed + i), noise) for i in range(count)]
+    ramps = [ramp(np.random.default_rng(seed + i), noise) for i in range(count)]
+    named = {name: [make(np.random.default_rng(seed), noise)] for name, make in SCENES.items()}
+    return {"random_room": rooms, "ramp": ramps, **named}
+
+
+def measure(clouds: list[tuple[FloatArray, BoolArray, float]]) -> Row:
+    """Shares over all points of several clouds (points, true labels, height of the floor)."""
+    true, found, raised, high, seconds = [], [], [], [], 0.0
+    for points, ground, floor in clouds:
+        began = time.perf_counter()
+        found.append(segment_ground(points))
+        seconds += time.perf_counter() - began
+        over = points[:, 2] - floor
+        true.append(ground)
+        raised.append(ground & (over > RAISED))
+        high.append(~ground & (over > HIGH))
+    mask, is_ground = np.concatenate(found), np.concatenate(true)
+    up, furniture = np.concatenate(raised), np.concatenate(high)
+    return {
+        "points": len(mask),
+        "iou": float((mask & is_ground).sum() / (mask | is_ground).sum()),
+        "recall": float(mask[is_ground].mean()),
+        "precision": float(is_ground[mask].mean()),
+        "raised_recall": float(mask[up].mean()) if up.any() else float("nan"),
+        "furniture_as_ground": float(mask[furniture].mean()) if furniture.any() else 0.0,
+        "seconds": seconds,
+    }
