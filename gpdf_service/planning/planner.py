@@ -14,7 +14,8 @@ import numpy as np
 from gpdf_service.config import PlanningConfig
 from gpdf_service.planning.certificate import certify
 from gpdf_service.planning.chomp import optimize
-from gpdf_service.planning.endpoints import REASONS, Endpoint, Refusal, find_endpoint
+from gpdf_service.planning.endpoints import Endpoint, Refusal, find_endpoint
+from gpdf_service.planning.no_path import NoPath, explain_no_path
 from gpdf_service.planning.shape import resample, shortcut, stand_up, subdivide
 from gpdf_service.planning.timing import time_path
 from gpdf_service.search import FreeSpace, find_path
@@ -51,7 +52,7 @@ def plan_path(
             return PlanResult(end.status, end.message, timings={"total": clock() - began})
     a, b = (end for end in ends if isinstance(end, Endpoint))
     if space.graph.component[a.node] != space.graph.component[b.node]:
-        return PlanResult(Status.NO_VALID_PATH, explain_no_path(space, a, b), timings={"total": clock() - began})
+        return _refuse(explain_no_path(space, a, b), {"total": clock() - began})
     if deadline is not None and clock() > deadline:
         return PlanResult(Status.TIMEOUT, "the deadline passed before the search began. Allow more time.")
     legs = [
@@ -77,6 +78,15 @@ def plan_path(
         certificate=first,
         timings={"total": clock() - began},
     )
+
+
+def _refuse(why: NoPath, timings: dict[str, float]) -> PlanResult:
+    details = {
+        "largest_radius": why.largest_radius,
+        **dict(zip(("cut_x", "cut_y", "cut_z"), map(float, why.at), strict=True)),
+    }
+    finite = {key: value for key, value in details.items() if np.isfinite(value)}
+    return PlanResult(Status.NO_VALID_PATH, why.message, timings=timings, details=finite)
 
 
 def route(space: FreeSpace, start: Endpoint, goal: Endpoint) -> list[Leg]:
@@ -155,21 +165,3 @@ def _stand(space: FreeSpace, legs: list[Leg], spacing: float) -> tuple[FloatArra
     if keep.sum() < 2:  # start is goal: stand there
         return contact[[0, -1]], top[[0, -1]], np.concatenate(levels)[[0, -1]]
     return contact[keep], top[keep], np.concatenate(levels)[keep]
-
-
-def explain_no_path(space: FreeSpace, start: Endpoint, goal: Endpoint) -> str:
-    """Say what bounds the part of the map that the start can reach."""
-    reached = space.graph.component == space.graph.component[start.node]
-    kinds = np.zeros(len(REASONS))
-    area = 0.0
-    for level, (tree, offset) in enumerate(zip(space.quadtrees, space.offsets, strict=True)):
-        mine = reached[offset : offset + len(tree.size)] & tree.free
-        area += float(((2 * tree.half_size[mine]) ** 2).sum())
-        rim = mine & ~tree.whole
-        if rim.any():
-            kinds += np.bincount(space.clearance(level, tree.center[rim])[1], minlength=len(kinds))
-    shares = [f"{REASONS[kind]} ({100 * kinds[kind] / max(kinds.sum(), 1):.0f} %)" for kind in REASONS if kinds[kind]]
-    return (
-        f"the {space.agent.name} reaches {area:.1f} m² from the start, and the goal is not in it. "
-        f"What bounds it: {', '.join(shares) or 'nothing that was seen'}. Try another goal, or a smaller body."
-    )
