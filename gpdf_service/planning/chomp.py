@@ -18,11 +18,16 @@ from gpdf_service.types import FloatArray
 
 @dataclass(frozen=True, slots=True)
 class ChompResult:
-    """Waypoints (n, 3) [m], cost after each accepted step, and whether it came to rest."""
+    """Waypoints (n, 3) [m], cost before and after each accepted step, and whether it came to rest."""
 
     xi: FloatArray
     costs: FloatArray
     converged: bool
+
+    @property
+    def iterations(self) -> int:
+        """Accepted steps."""
+        return len(self.costs) - 1
 
 
 def optimize(
