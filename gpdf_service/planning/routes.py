@@ -8,8 +8,8 @@ from itertools import pairwise
 import numpy as np
 
 from gpdf_service.planning.endpoints import Endpoint, Ends
-from gpdf_service.planning.shape import shortcut
-from gpdf_service.search import FreeSpace, find_path, is_clear
+from gpdf_service.planning.shape import is_path_clear, shortcut
+from gpdf_service.search import FreeSpace, find_path
 from gpdf_service.types import FloatArray
 
 Leg = tuple[int, FloatArray]
@@ -73,9 +73,7 @@ def take_up(space: FreeSpace, ends: Ends, known: FloatArray) -> Route | None:
         return None
     level = [ends.start.level, *off.argmin(axis=0).tolist(), goal.level]
     legs = _cut_by_level(np.vstack([ends.start.xy, inner[:, :2], goal.xy]), level)
-    clear = all(
-        is_clear(space.trees[on], a, b, _radius(space, on, path)) for on, path in legs for a, b in pairwise(path)
-    )
+    clear = all(is_path_clear(path, space.trees[on], _radius(space, on, path)) for on, path in legs)
     return Route(legs, number, warm=True) if clear else None
 
 
