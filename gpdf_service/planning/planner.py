@@ -19,7 +19,7 @@ from gpdf_service.planning.endpoints import Ends, Refusal, find_ends
 from gpdf_service.planning.no_path import explain_no_path
 from gpdf_service.planning.routes import Leg, Route, find_cut, find_routes, take_up
 from gpdf_service.planning.shape import resample, stand_up, subdivide
-from gpdf_service.planning.timing import time_path
+from gpdf_service.planning.timing import speed_limit, time_path
 from gpdf_service.search import FreeSpace
 from gpdf_service.types import Certificate, FloatArray, IntArray, PlanOptions, PlanResult, Status, Trajectory
 
@@ -72,7 +72,8 @@ def plan_path(
             certificate = certify(space, top, contact, level)
             first = first or certificate
             if certificate.holds:
-                trajectory = Trajectory(top, contact, *time_path(top, space.agent))
+                limit = speed_limit(space, contact, level, config.preferred_clearance * space.agent.radius)
+                trajectory = Trajectory(top, contact, *time_path(top, space.agent, limit))
                 timings = {"search": searched - began, "optimise": clock() - searched, "total": clock() - began}
                 details = candidate.details | {"nodes": float(len(space.graph.position))}
                 details |= {"goal": float(route.goal), "warm": float(route.warm)}
