@@ -14,6 +14,8 @@ from gpdf_service.types import FloatArray, PlanOptions, Status
 
 SAME_GROUND = 0.5
 """[m] A given height means the level within this of it: half of the least headroom between two storeys is far more."""
+NEXT = 1.0
+"""[m] The centre of the leaf to go on from is nearer than this: leaves are small beside obstacles."""
 INSIDE = 1e-6
 """[m] A place on the edge of a leaf is moved this far into it, so that rounding leaves it there."""
 REASONS = {
@@ -153,12 +155,15 @@ def _connect(space: FreeSpace, level: int, xy: FloatArray) -> int:
     leaf = int(tree.find(xy[None])[0])
     if leaf >= 0 and tree.whole[leaf]:
         return leaf + space.offsets[level]
-    free = np.flatnonzero(tree.free)
-    gap = np.linalg.norm(tree.center[free] - xy, axis=1) - tree.half_size[free]
+    cell, reach = (xy - tree.origin) / tree.width, NEXT / tree.width
+    near = tree.free & np.logical_and.reduce(np.abs(tree.corner + 0.5 * tree.size[:, None] - cell) < reach, axis=1)
+    free = np.flatnonzero(near)
+    center = tree.origin + (tree.corner[free] + 0.5 * tree.size[free, None]) * tree.width
+    gap = np.linalg.norm(center - xy, axis=1) - tree.half_size[free]
     radius = min(space.radius, float(space.clearance(level, xy[None])[0][0]) - 1e-9)  # it may start closer
-    for leaf in free[np.argsort(gap)[:32]]:
-        if is_clear(space.trees[level], xy, tree.center[leaf], radius):
-            return int(leaf) + space.offsets[level]
+    for row in np.argsort(gap)[:32]:
+        if is_clear(space.trees[level], xy, center[row], radius):
+            return int(free[row]) + space.offsets[level]
     return -1
 
 

@@ -18,13 +18,15 @@ from gpdf_service.planning.chomp import ChompResult, optimize
 from gpdf_service.planning.endpoints import Ends, Refusal, find_ends
 from gpdf_service.planning.no_path import explain_no_path
 from gpdf_service.planning.routes import Leg, Route, find_cut, find_routes, take_up
-from gpdf_service.planning.shape import resample, stand_up, subdivide
+from gpdf_service.planning.shape import resample, spline, stand_up, subdivide
 from gpdf_service.planning.timing import speed_limit, time_path
 from gpdf_service.search import FreeSpace
 from gpdf_service.types import Certificate, FloatArray, IntArray, PlanOptions, PlanResult, Status, Trajectory
 
 Clock = Callable[[], float]
 NO_OPTIONS = PlanOptions()
+BEND = 0.125
+"""[m] Between the optimiser's waypoints, at most; half of the radius of a smaller body. The result is their spline."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -129,7 +131,7 @@ def _bend(
 ) -> tuple[FloatArray, ChompResult | None]:
     """A piece of the path after CHOMP; as it was where nothing moves or the ground is not known all along."""
     agent = space.agent
-    seed = resample(path, max(config.waypoint_spacing, agent.radius / 4))
+    seed = resample(path, max(config.waypoint_spacing, min(agent.radius / 2, BEND)))
     _, top = stand_up(seed, space.surfaces[level], space.ground_fields[level], agent.height)
     if not np.isfinite(top).all() or np.ptp(path, axis=0).max() == 0.0:
         return path, None
@@ -144,7 +146,7 @@ def _bend(
         max_iterations=config.max_iterations,
         tolerance=config.tolerance,
     )
-    return found.xi[:, :2], found
+    return spline(found.xi[:, :2], config.waypoint_spacing), found
 
 
 def _stand(space: FreeSpace, legs: list[Leg], spacing: float) -> tuple[FloatArray, FloatArray, IntArray]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 from numba import njit
+from scipy.interpolate import CubicSpline
 
 from gpdf_service.fields import Gpdf, Tree
 from gpdf_service.perception import HeightMap
@@ -70,6 +71,17 @@ def subdivide(path: FloatArray, spacing: float) -> FloatArray:
     segment = np.repeat(np.arange(len(step)), count)
     share = (np.arange(len(segment)) - np.repeat(np.cumsum(count) - count, count)) / count[segment]
     return np.vstack([path[segment] + share[:, None] * step[segment], path[-1:]])
+
+
+def spline(path: FloatArray, spacing: float) -> FloatArray:
+    """Places about `spacing` apart on the C² curve (natural cubic spline) through the waypoints, ends kept."""
+    if len(path) < 3:
+        return path
+    along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(path, axis=0), axis=1))])
+    at = np.linspace(0.0, along[-1], int(np.ceil(along[-1] / spacing)) + 1)
+    curve: FloatArray = CubicSpline(along, path, bc_type="natural")(at)
+    curve[0], curve[-1] = path[0], path[-1]
+    return curve
 
 
 def stand_up(xy: FloatArray, surface: HeightMap, field: Gpdf, height: float) -> tuple[FloatArray, FloatArray]:
