@@ -26,8 +26,8 @@ from gpdf_service.types import BoolArray, FloatArray, IntArray
 
 CELL = 0.025
 """[m] Half of the finest cell of the ground: the place of a cut is known to this."""
-MAX_CELLS = 300_000
-"""Cells of the grid over all levels, for an answer in a tenth of a second; a larger map gets wider ones."""
+MAX_CELLS = 600_000
+"""Cells of the grid over all levels, for an answer in a quarter of a second; a larger map gets wider ones."""
 LOWEST_BODY = 0.1
 """[m] Material over this would let a lower body pass: the height of the lowest one, a Roomba."""
 LEAST_RADIUS = 0.05
@@ -97,28 +97,29 @@ def explain_no_path(space: FreeSpace, start: Endpoint, goal: Endpoint) -> NoPath
     if narrow > 0.0:
         path = _way(grid, ends, grid.distance.min(axis=0), narrow, ~np.isnan(grid.height))
         least, at = _exact_width(space, grid, path)
-        width = min(max(least, 0.0), radius)
+        width = min(least, radius)
         words = f"a passage at {_words(at)} takes a body with a radius of {width:.2f} m, not one of {radius:.2f} m"
-        found.append(("width", at, words, width))
+        if width >= LEAST_RADIUS:
+            found.append(("width", at, words, width))
     for cut in (Cut.HEIGHT, Cut.STEP, Cut.SLOPE, Cut.UNKNOWN):
         path = _lift(grid, ends, (cut,), radius)
         if len(path):
-            at, words = _met(space, grid, path, cut)
+            at, words = _met(space, grid, path, cut, start)
             found.append((cut.name.lower(), at, words, 0.0))
     largest = found[0][3] if found and found[0][0] == "width" else 0.0
     if found:
         return _tell(space, start, found, largest, together=False)
-    return _tell(space, start, _together(space, grid, ends), largest, together=True)
+    return _tell(space, start, _together(space, grid, ends, start), largest, together=True)
 
 
-def _together(space: FreeSpace, grid: _Grid, ends: tuple[IntArray, IntArray]) -> list[_Found]:
+def _together(space: FreeSpace, grid: _Grid, ends: tuple[IntArray, IntArray], start: Endpoint) -> list[_Found]:
     """What has to be lifted together: all that a more able body could take, or what is solid."""
     able = (Cut.HEIGHT, Cut.STEP, Cut.SLOPE, Cut.UNKNOWN)
     path = _lift(grid, ends, able, space.agent.radius)
     met = [cut for cut in able if _meets(grid, path, cut)]
     if len(path) == 0:
         path, met = _lift(grid, ends, tuple(Cut), space.agent.radius), [Cut.SOLID]
-    return [(cut.name.lower(), *_met(space, grid, path, cut), 0.0) for cut in met if len(path)]
+    return [(cut.name.lower(), *_met(space, grid, path, cut, start), 0.0) for cut in met if len(path)]
 
 
 def _tell(space: FreeSpace, start: Endpoint, found: list[_Found], largest: float, *, together: bool) -> NoPath:
@@ -231,25 +232,32 @@ def _meets(grid: _Grid, path: IntArray, cut: Cut) -> bool:
     return bool((grid.distance[cut][tuple(path.T)] < 2.0 * grid.width).any())
 
 
-def _met(space: FreeSpace, grid: _Grid, path: IntArray, cut: Cut) -> tuple[FloatArray, str]:
-    """Where a way first meets a cut (3,), and what it is, in words."""
+def _reached(space: FreeSpace, grid: _Grid, path: IntArray, start: Endpoint) -> BoolArray:
+    """Which cells of a way lie in leaves that the start can go to."""
+    component, xy = space.graph.component, grid.centers(path)
+    reached = np.zeros(len(path), dtype=bool)
+    for level, (tree, offset) in enumerate(zip(space.quadtrees, space.offsets, strict=True)):
+        leaf = tree.find(xy)
+        mine = component[np.maximum(leaf, 0) + offset] == component[start.node]
+        reached |= (path[:, 0] == level) & (leaf >= 0) & mine
+    return reached
+
+
+def _met(space: FreeSpace, grid: _Grid, path: IntArray, cut: Cut, start: Endpoint) -> tuple[FloatArray, str]:
+    """Where a way first meets a cut (3,), after the last place that the start can go to, and what it is, in words."""
     agent, xy = space.agent, grid.centers(path)
-    reach = max(float(grid.distance[cut][tuple(path.T)].min()) + grid.width, agent.radius)
-    first, worst, at = len(path), -np.inf, np.append(xy[0], np.nan)
-    for level in np.unique(path[:, 0]):
-        on = np.flatnonzero(path[:, 0] == level)
-        surface, found = space.surfaces[level], space.obstacles[level]
-        mine = np.flatnonzero(_cuts(surface, found.points, found.kind.astype(np.int64)) == cut)
-        points = found.points[mine]
-        gap, row = cKDTree(xy[on]).query(points[:, :2], distance_upper_bound=reach)
-        near = np.flatnonzero(np.isfinite(gap))
-        if len(near) == 0:
-            continue
-        worst = max(worst, float(_values(space, int(level), points[near], cut).max()))
-        one = near[row[near].argmin()]
-        if on[row[one]] < first:
-            first = int(on[row[one]])
-            at = np.append(points[one, :2], surface.height_at(points[one, None, :2]))
+    gap = grid.distance[cut][tuple(path.T)]
+    beyond = np.arange(len(path)) > np.flatnonzero(_reached(space, grid, path, start)).max(initial=-1)
+    shut = gap < max(agent.radius, float(gap.min()) + 1e-9)
+    shut = np.flatnonzero(shut & beyond if (shut & beyond).any() else shut)
+    level = int(path[shut[0], 0])
+    surface, found = space.surfaces[level], space.obstacles[level]
+    points = found.points[_cuts(surface, found.points, found.kind.astype(np.int64)) == cut]
+    one = points[np.linalg.norm(points[:, :2] - xy[shut[0]], axis=1).argmin()]
+    at = np.append(one[:2], surface.height_at(one[None, :2]))
+    crossed = xy[shut[path[shut, 0] == level]]
+    near = cKDTree(crossed).query(points[:, :2], distance_upper_bound=agent.radius)[0] < np.inf
+    worst = float(_values(space, level, np.vstack([points[near], one]), cut).max())
     where = _words(at)
     return at, {
         Cut.SOLID: f"an obstacle closes the way at {where}",
