@@ -16,9 +16,13 @@ from gpdf_service.perception import check_points
 from gpdf_service.planning import plan_path
 from gpdf_service.scene import Progress as Progress
 from gpdf_service.scene import Scene, assemble_scene
-from gpdf_service.types import Agent, BoolArray, FloatArray, PlanResult, resolve_agent
+from gpdf_service.types import Agent, BoolArray, FloatArray, PlanOptions, PlanResult, Trajectory, resolve_agent
 
 Method = Literal["dual_gpdf", "single_gpdf", "astar", "prm"]
+Place = Sequence[float] | FloatArray
+"""(x, y), or (x, y, z of the ground there) [m]."""
+MOST_PLACES = 100
+"""Via points, and other goals, of one request: each costs a search."""
 
 
 def build_scene(
@@ -48,11 +52,15 @@ def build_scene(
 
 def plan(
     scene: Scene,
-    start: Sequence[float] | FloatArray,
-    goal: Sequence[float] | FloatArray,
+    start: Place,
+    goal: Place,
     agent: str | Agent = "human",
     *,
     method: Method = "dual_gpdf",
+    via: Sequence[Place] = (),
+    other_goals: Sequence[Place] = (),
+    snap: float = 0.0,
+    warm_start: Trajectory | FloatArray | None = None,
     deadline_s: float | None = None,
     clock: Callable[[], float] = time.monotonic,
 ) -> PlanResult:
@@ -65,6 +73,11 @@ def plan(
         agent: A name in `AGENTS`, or an `Agent`.
         method: "dual_gpdf", the paper's method with a certificate, or one of its baselines, "single_gpdf", "astar" and
             "prm"; a baseline's path that cannot be certified comes back as UNCERTIFIED, for comparison only.
+        via: Places that the path goes through, in this order.
+        other_goals: More goals; the one with the shortest way is taken, `details["goal"]` is its number, 0 the first.
+        snap: How far a place where the body cannot be may be moved to the nearest one where it can [m]; 0 refuses it.
+        warm_start: A trajectory from before, or its contact points (n, 3) [m]: taken up from where the start is near it
+            if it is still clear and ends near the goal; not with `via`.
         deadline_s: Seconds that the answer may take; none when not given.
         clock: Monotonic seconds, for tests.
 
@@ -79,13 +92,17 @@ def plan(
     if method not in get_args(Method):
         raise RequestError("method", f"{method!r}", f"Use one of {', '.join(get_args(Method))}.")
     ends = _check_place(start, "start"), _check_place(goal, "goal")
+    options = _check_options(via, other_goals, snap, warm_start)
     if deadline_s is not None and not deadline_s > 0:
         raise RequestError("deadline_s", f"{deadline_s!r}", "It must be a positive number of seconds.")
     deadline = None if deadline_s is None else clock() + deadline_s
     if method != "dual_gpdf":
+        if options.via or options.other_goals or options.snap or options.warm_start is not None:
+            words = "Baselines take one goal and no via, snap or warm_start."
+            raise RequestError("method", f"{method!r} with options of the planner", words)
         return plan_baseline(scene, *ends, body, method, deadline=deadline, clock=clock)
     space = scene.free_space(body)
-    return plan_path(space, *ends, scene.config.planning, deadline=deadline, clock=clock)
+    return plan_path(space, *ends, scene.config.planning, options=options, deadline=deadline, clock=clock)
 
 
 def _check_mask(ground: ArrayLike, count: int) -> BoolArray:
@@ -96,7 +113,30 @@ def _check_mask(ground: ArrayLike, count: int) -> BoolArray:
     return mask
 
 
-def _check_place(place: Sequence[float] | FloatArray, name: str) -> FloatArray:
+def _check_options(
+    via: Sequence[Place], other_goals: Sequence[Place], snap: float, warm_start: Trajectory | FloatArray | None
+) -> PlanOptions:
+    for name, places in (("via", via), ("other_goals", other_goals)):
+        if len(places) > MOST_PLACES:
+            raise RequestError(name, f"{len(places)} places", f"Give at most {MOST_PLACES}.")
+    if not 0 <= snap < np.inf:
+        raise RequestError("snap", f"{snap!r}", "It must be a finite number of metres, 0 or more.")
+    known = warm_start.ground if isinstance(warm_start, Trajectory) else warm_start
+    if known is not None:
+        known = np.asarray(known, dtype=np.float64)
+        if known.ndim != 2 or known.shape[1] != 3 or len(known) < 2 or not np.isfinite(known).all():
+            raise RequestError("warm_start", f"an array of shape {known.shape}", "Pass contact points, (n ≥ 2, 3).")
+        if len(via):
+            raise RequestError("warm_start", "together with via points", "Give one or the other.")
+    return PlanOptions(
+        tuple(_check_place(place, f"via point {n}") for n, place in enumerate(via, start=1)),
+        tuple(_check_place(place, f"other goal {n}") for n, place in enumerate(other_goals, start=1)),
+        float(snap),
+        known,
+    )
+
+
+def _check_place(place: Place, name: str) -> FloatArray:
     try:
         made = np.asarray(place, dtype=np.float64)
     except (TypeError, ValueError) as error:

@@ -205,17 +205,37 @@ class Certificate:
 
 
 @dataclass(frozen=True, slots=True)
+class PlanOptions:
+    """What a request may ask for beside start and goal.
+
+    Attributes:
+        via: Places that the path goes through, in this order; (x, y) or (x, y, z of the ground) [m].
+        other_goals: More goals; the one with the shortest way is taken.
+        snap: How far a place that is not valid may be moved to the nearest one that is [m]; 0 refuses it.
+        warm_start: Contact points of a trajectory from before, shape (n, 3) [m]: taken up where it is near and clear.
+    """
+
+    via: tuple[FloatArray, ...] = ()
+    other_goals: tuple[FloatArray, ...] = ()
+    snap: float = 0.0
+    warm_start: FloatArray | None = None
+
+
+@dataclass(frozen=True, slots=True)
 class PlanResult:
     """The answer to one planning request.
 
     Attributes:
         status: `Status.OK`, or the reason why there is no trajectory.
-        message: The same in words, with what to try.
+        message: The same in words, with what to try; of an OK result, which place was moved where.
         trajectory: Present exactly when `status` is OK; but a baseline that was asked for by name also hands out a path
             that is UNCERTIFIED, to be measured and drawn. So follow a trajectory only if `status` is OK.
         certificate: Present when `trajectory` is; for UNCERTIFIED it says what failed.
         timings: Seconds that each stage took, by name.
-        details: Numbers for the curious (iterations, costs, graph size), by name.
+        details: Numbers for the curious, by name: iterations, converged (0 or 1), nodes of the graph, goal (its number,
+            0 the first), warm (1 if the trajectory from before was taken up); where there is no path, largest_radius
+            and cut_x, cut_y, cut_z; where a place is not valid, nearest_x, nearest_y, nearest_z.
+        costs: Cost of the optimiser before and after each of its steps, all pieces of the path together.
     """
 
     status: Status
@@ -224,3 +244,4 @@ class PlanResult:
     certificate: Certificate | None = None
     timings: dict[str, float] = field(default_factory=dict)
     details: dict[str, float] = field(default_factory=dict)
+    costs: FloatArray = field(default_factory=lambda: np.zeros(0))

@@ -45,6 +45,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     plan.add_argument("--goal", required=True, type=place, help="x,y or x,y,z [m]")
     plan.add_argument("--agent", default="human")
     plan.add_argument("--method", default="dual_gpdf", help="or a baseline: single_gpdf, astar, prm")
+    plan.add_argument("--via", action="append", default=[], type=place, help="go through x,y or x,y,z [m]; repeatable")
+    plan.add_argument("--or-goal", action="append", default=[], type=place, help="one more goal; the nearest is taken")
+    plan.add_argument("--snap", type=float, default=0.0, help="move a place that is not valid by this much at most [m]")
     plan.add_argument("--save", type=Path, help="write the trajectory to a .json, .csv or .geojson file")
     distance = verb("distance", "distance to the ground or to the obstacles", _distance)
     distance.add_argument("scene")
@@ -77,7 +80,8 @@ def _status(client: Client) -> dict[str, Any]:
 
 
 def _plan(client: Client, args: argparse.Namespace) -> dict[str, Any]:
-    result = client.plan(args.scene, args.start, args.goal, args.agent, method=args.method)
+    options = {"method": args.method, "via": args.via, "other_goals": args.or_goal, "snap": args.snap}
+    result = client.plan(args.scene, args.start, args.goal, args.agent, **options)
     made: dict[str, Any] = {"status": str(result.status), "message": result.message}
     if result.trajectory is not None and result.certificate is not None:
         made |= {

@@ -56,6 +56,7 @@ from gpdf_client.results import (
     to_result,
     unpack,
 )
+from gpdf_client.trajectory import Trajectory
 
 DEFAULT_ENDPOINT = "tcp/127.0.0.1:7447"
 BACK_OFF_S = 0.05
@@ -144,13 +145,30 @@ class Client:
         agent: Agent = "human",
         *,
         method: str = "dual_gpdf",
+        via: Sequence[Sequence[float]] = (),
+        other_goals: Sequence[Sequence[float]] = (),
+        snap: float = 0.0,
+        warm_start: Trajectory | None = None,
         deadline_s: float = 30.0,
         request_id: str = "",
         obstacles: Sequence[MovingObstacle] = (),
     ) -> PlanResult:
         """Ask for a trajectory from `start` to `goal`, (x, y) or (x, y, z of the ground) [m], clear of `obstacles`.
 
-        `method` is "dual_gpdf", or one of the paper's baselines for comparison: "single_gpdf", "astar", "prm".
+        Args:
+            scene: Name of a loaded scene.
+            start: Where the body is.
+            goal: Where it wants to be.
+            agent: A name, or measures.
+            method: "dual_gpdf", or one of the paper's baselines for comparison: "single_gpdf", "astar", "prm".
+            via: Places that the path goes through, in this order.
+            other_goals: More goals; the one with the shortest way is taken, and `details["goal"]` is its number.
+            snap: How far a place where the body cannot be may be moved to the nearest one where it can [m]; `message`
+                says it.
+            warm_start: The trajectory that the body follows now: taken up if it is still clear and ends near the goal.
+            deadline_s: Seconds that the answer may take.
+            request_id: Chosen by the caller, or made here.
+            obstacles: What else is in the way, for this plan alone.
         """
         request = PlanRequest(
             scene=scene,
@@ -158,6 +176,10 @@ class Client:
             goal=[float(v) for v in goal],
             agent=agent,
             method=method,
+            via=[[float(v) for v in place] for place in via],
+            other_goals=[[float(v) for v in place] for place in other_goals],
+            snap=float(snap),
+            warm_start=None if warm_start is None else Array.pack(warm_start.ground),
             deadline_s=deadline_s,
             request_id=request_id,
             obstacles=list(obstacles),
@@ -446,12 +468,27 @@ class AsyncClient:
         agent: Agent = "human",
         *,
         method: str = "dual_gpdf",
+        via: Sequence[Sequence[float]] = (),
+        other_goals: Sequence[Sequence[float]] = (),
+        snap: float = 0.0,
+        warm_start: Trajectory | None = None,
         deadline_s: float = 30.0,
         request_id: str = "",
     ) -> PlanResult:
         """See `Client.plan`."""
         return await asyncio.to_thread(
-            self.sync.plan, scene, start, goal, agent, method=method, deadline_s=deadline_s, request_id=request_id
+            self.sync.plan,
+            scene,
+            start,
+            goal,
+            agent,
+            method=method,
+            via=via,
+            other_goals=other_goals,
+            snap=snap,
+            warm_start=warm_start,
+            deadline_s=deadline_s,
+            request_id=request_id,
         )
 
     async def distance(

@@ -52,7 +52,8 @@ Certificate = CertificateMessage
 class PlanResult:
     """Answer to a plan: `trajectory` is there when `status` is OK; follow it only then.
 
-    A baseline that was asked for by name also sends a path that is UNCERTIFIED, to be measured and drawn.
+    A baseline that was asked for by name also sends a path that is UNCERTIFIED, to be measured and drawn. `details` are
+    numbers by name, and `costs` (k,) those of the optimiser, both as in `PlanReply`.
     """
 
     status: Status
@@ -63,6 +64,8 @@ class PlanResult:
     planner: str
     timings: dict[str, float] = field(default_factory=dict)
     request_id: str = ""
+    details: dict[str, float] = field(default_factory=dict)
+    costs: FloatArray = field(default_factory=lambda: np.zeros(0))
 
 
 @dataclass(frozen=True, slots=True)
@@ -136,6 +139,8 @@ def to_result(reply: PlanReply) -> PlanResult:
         reply.planner,
         reply.timings,
         reply.request_id,
+        reply.details,
+        np.zeros(0) if reply.costs is None else unpack(reply.costs),
     )
 
 

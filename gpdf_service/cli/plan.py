@@ -20,6 +20,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--goal", type=place, required=True, help="x,y or x,y,z of the ground there [m]")
     parser.add_argument("--agent", default="human", help="roomba, spot, pepper or human")
     parser.add_argument("--method", default="dual_gpdf", choices=get_args(Method))
+    parser.add_argument(
+        "--via", action="append", default=[], type=place, help="go through x,y or x,y,z [m]; repeatable"
+    )
+    parser.add_argument(
+        "--or-goal", action="append", default=[], type=place, help="one more goal; the nearest is taken"
+    )
+    parser.add_argument(
+        "--snap", type=float, default=0.0, help="move a place that is not valid by this much at most [m]"
+    )
     parser.add_argument("--deadline", type=float, help="seconds that the plan may take")
     parser.add_argument("--png", type=Path, help="draw the cloud, the field and the path")
     parser.add_argument("--json", action="store_true", help="print the result as JSON, with the trajectory")
@@ -29,7 +38,8 @@ def run(args: argparse.Namespace) -> int:
     """Plan once; exit code 0 only for a certified trajectory."""
     scene = open_scene(args)
     began = time.perf_counter()
-    result = plan(scene, args.start, args.goal, args.agent, method=args.method, deadline_s=args.deadline)
+    options = {"via": args.via, "other_goals": args.or_goal, "snap": args.snap, "deadline_s": args.deadline}
+    result = plan(scene, args.start, args.goal, args.agent, method=args.method, **options)
     seconds = time.perf_counter() - began
     if args.png:
         from gpdf_service.viewer.picture import draw_plans
@@ -55,6 +65,7 @@ def to_json(result: PlanResult) -> dict[str, Any]:
         "message": result.message,
         "timings": result.timings,
         "details": result.details,
+        "costs": result.costs.tolist(),
     }
     if result.trajectory is not None:
         path = result.trajectory

@@ -13,6 +13,9 @@ from gpdf_service.perception.limits import ObstacleKind
 from gpdf_service.perception.surface import INFERRED, UNKNOWN, HeightMap
 from gpdf_service.types import Agent, BoolArray, FloatArray, IntArray
 
+HEADROOM_SHARE = 0.01
+"""[-] How well a scan knows the room over the ground, over the body's height: 2 cm for a person, 1 mm for a Roomba."""
+
 
 @dataclass(frozen=True, slots=True)
 class Obstacles:
@@ -47,7 +50,7 @@ def _material(level: GroundLevel, agent: Agent, noise: float) -> BoolArray:
     bottom = np.where(known, surface.height, np.inf)
     disc = _disc(agent.radius + surface.cell_width, surface)
     ix, iy, _ = surface.cells(points)
-    z, tall = points[:, 2], agent.height + noise
+    z, tall = points[:, 2], (1.0 - HEADROOM_SHARE) * agent.height + noise
     lowest = ndimage.minimum_filter(bottom, footprint=disc)[ix, iy]
     stops = (z < ndimage.maximum_filter(top, footprint=disc)[ix, iy] + tall) & (z >= lowest - least)
     stops[stops] = ~_is_face(level, np.flatnonzero(stops), agent.max_step, least)

@@ -1,7 +1,8 @@
-"""Modified CHOMP: covariant gradient descent on smoothness, obstacle and ground cost. Uttsha et al. 2024, equation 10.
+"""Modified CHOMP: covariant descent on smoothness, obstacle and ground cost. Uttsha et al. 2024, equation 10.
 
-ξ ← ξ − η A⁻¹ ∇U(ξ), A the smoothness metric (second differences, fixed ends): a step bends the whole path.
-η is halved until the cost falls, so it never rises on an accepted step, and grows again after.
+ξ ← ξ − η H ∇U(ξ). The paper's H is A⁻¹, A the smoothness metric (second differences, fixed ends): a step bends the
+whole path. Here H is the L-BFGS estimate of the inverse Hessian that starts from A⁻¹ (Nocedal and Wright, algorithm
+7.4). η is 1 and halved until the cost falls, so it never rises on an accepted step.
 """
 
 from __future__ import annotations
@@ -15,14 +16,28 @@ from gpdf_service.fields import FieldArrays
 from gpdf_service.planning.costs import ground_cost, obstacle_cost, smoothness_cost
 from gpdf_service.types import FloatArray
 
+_PAIRS = 6
+"""Steps that the estimate of the Hessian remembers; 3 to 20 are usual."""
+_DESCENT = 1e-4
+"""[-] Share of the fall that the slope promises which a step must bring (Armijo)."""
+_STILL = 1e-5
+"""[m] Smaller steps move nothing."""
+_CURVED = 1e-12
+"""[m] Least curvature along a step that is worth remembering."""
+
 
 @dataclass(frozen=True, slots=True)
 class ChompResult:
-    """Waypoints (n, 3) [m], cost after each accepted step, and whether it came to rest."""
+    """Waypoints (n, 3) [m], cost before and after each accepted step, and whether it came to rest."""
 
     xi: FloatArray
     costs: FloatArray
     converged: bool
+
+    @property
+    def iterations(self) -> int:
+        """Accepted steps."""
+        return len(self.costs) - 1
 
 
 def optimize(
@@ -97,6 +112,26 @@ def solve_metric(gradient: FloatArray) -> FloatArray:
 
 
 @njit(cache=True, nogil=True)
+def _direction(gradient: FloatArray, s: FloatArray, y: FloatArray, count: int, scale: float) -> FloatArray:
+    """H ∇U by the two-loop recursion over the newest of `count` pairs of a step s and its gradient change y."""
+    kept = min(count, _PAIRS)
+    q = gradient.copy()
+    share = np.zeros(_PAIRS)
+    for back in range(kept):
+        i = (count - 1 - back) % _PAIRS
+        share[i] = (s[i] * q).sum() / (s[i] * y[i]).sum()
+        q -= share[i] * y[i]
+    if kept > 0:
+        i = (count - 1) % _PAIRS
+        scale = (s[i] * y[i]).sum() / (y[i] * solve_metric(y[i])).sum()
+    q = scale * solve_metric(q)
+    for back in range(kept - 1, -1, -1):
+        i = (count - 1 - back) % _PAIRS
+        q += (share[i] - (y[i] * q).sum() / (s[i] * y[i]).sum()) * s[i]
+    return q
+
+
+@njit(cache=True, nogil=True)
 def _descend(
     xi: FloatArray,
     obstacle_field: FieldArrays,
@@ -114,32 +149,46 @@ def _descend(
     spacing = 0.0
     for i in range(n - 1):
         spacing += np.sqrt(((xi[i + 1] - xi[i]) ** 2).sum()) / (n - 1)
-    gradient = np.zeros_like(xi)
-    trial_gradient = np.zeros_like(xi)
+    gradient, trial_gradient = np.zeros_like(xi), np.zeros_like(xi)
+    steps, changes, pairs = np.zeros((_PAIRS, n, 3)), np.zeros((_PAIRS, n, 3)), 0
     cost = _cost(xi, spacing, obstacle_field, ground_field, radius, height, epsilon, smoothness_weight, gradient)
     costs[0], count = cost, 1
-    # In this metric the smoothness term alone is solved by the step η = ds/λ_s; start well below it.
-    rate = 0.1 * spacing / smoothness_weight
+    # In this metric the smoothness term alone is solved by the scale ds/λ_s; start well below it.
+    scale = 0.1 * spacing / smoothness_weight
+    direction = _direction(gradient, steps, changes, pairs, scale)
+    rate = 1.0
     for _ in range(max_iterations):
-        step = solve_metric(gradient)
-        largest = np.abs(step).max()
+        slope = (direction * gradient).sum()
+        if slope <= 0.0 and pairs > 0:  # the pairs do not describe this place: begin again
+            pairs, rate = 0, 1.0
+            direction = _direction(gradient, steps, changes, pairs, scale)
+            slope = (direction * gradient).sum()
+        largest = np.abs(direction).max()
         if largest == 0.0:
             return count
         rate = min(rate, 0.5 * epsilon / largest)  # no waypoint jumps across half of what it wants to keep
-        trial = xi - rate * step
+        trial = xi - rate * direction
         trial_cost = _cost(
             trial, spacing, obstacle_field, ground_field, radius, height, epsilon, smoothness_weight, trial_gradient
         )
-        if trial_cost > cost:
+        if trial_cost > cost - _DESCENT * rate * slope:
             rate *= 0.5
-            if rate * largest < 1e-5:  # [m] nothing moves any more
-                return count
+            if rate * largest < _STILL:
+                if pairs == 0:
+                    return count
+                pairs, rate = 0, 1.0
+                direction = _direction(gradient, steps, changes, pairs, scale)
             continue
+        step, change = trial - xi, trial_gradient - gradient
+        if (step * change).sum() > _CURVED:
+            steps[pairs % _PAIRS], changes[pairs % _PAIRS] = step, change
+            pairs += 1
         fall = cost - trial_cost
         xi[:], gradient[:], cost = trial, trial_gradient, trial_cost
         costs[count] = cost
         count += 1
-        rate *= 1.5
         if fall < tolerance * max(cost, 1e-9):
             return count
+        rate = 1.0
+        direction = _direction(gradient, steps, changes, pairs, scale)
     return -count

@@ -10,10 +10,14 @@ from scipy import ndimage
 from gpdf_service.perception import ObstacleKind
 from gpdf_service.perception.surface import UNKNOWN
 from gpdf_service.search import FreeSpace, is_clear
-from gpdf_service.types import FloatArray, Status
+from gpdf_service.types import FloatArray, PlanOptions, Status
 
 SAME_GROUND = 0.5
 """[m] A given height means the level within this of it: half of the least headroom between two storeys is far more."""
+NEXT = 1.0
+"""[m] The centre of the leaf to go on from is nearer than this: leaves are small beside obstacles."""
+INSIDE = 1e-6
+"""[m] A place on the edge of a leaf is moved this far into it, so that rounding leaves it there."""
 REASONS = {
     ObstacleKind.MATERIAL: "an obstacle",
     ObstacleKind.STEP: "a step or drop that it does not take",
@@ -33,47 +37,98 @@ class Endpoint:
 
 @dataclass(frozen=True, slots=True)
 class Refusal:
-    """Why a start or goal is none."""
+    """Why a start or goal is none, and the nearest place that is one (x, y, z of the ground), where it is known."""
 
     status: Status
     message: str
+    nearest: FloatArray | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Ends:
+    """All places of a request; a goal that is not valid is None. `moved` says in words what was snapped."""
+
+    start: Endpoint
+    via: tuple[Endpoint, ...]
+    goals: tuple[Endpoint | None, ...]
+    moved: str = ""
+
+
+def find_ends(space: FreeSpace, start: FloatArray, goals: list[FloatArray], options: PlanOptions) -> Ends | Refusal:
+    """Check all places of a request; one goal of several must be valid. Snaps where the request allows it."""
+    began = _snap(space, start, "start", options.snap)
+    if isinstance(began, Refusal):
+        return began
+    component = int(space.graph.component[began[0].node])
+    via = []
+    for number, place in enumerate(options.via, start=1):
+        found = _snap(space, place, f"via point {number}", options.snap, component)
+        if isinstance(found, Refusal):
+            return found
+        via.append(found)
+    reached = [_snap(space, goal, "goal", options.snap, component) for goal in goals]
+    if isinstance(reached[0], Refusal) and all(isinstance(goal, Refusal) for goal in reached):
+        return reached[0]
+    goals_ = [None if isinstance(goal, Refusal) else goal for goal in reached]
+    words = [one[1] for one in (began, *via, *goals_) if one is not None and one[1]]
+    return Ends(
+        began[0],
+        tuple(one for one, _ in via),
+        tuple(None if goal is None else goal[0] for goal in goals_),
+        " ".join(words),
+    )
+
+
+def _snap(
+    space: FreeSpace, place: FloatArray, name: str, snap: float, component: int | None = None
+) -> tuple[Endpoint, str] | Refusal:
+    """A valid place, and in words how it was moved to be one, `snap` metres at most, within the graph's component."""
+    found = find_endpoint(space, place, name)
+    if isinstance(found, Endpoint):
+        return found, ""
+    if found.nearest is None or snap <= 0.0:
+        return found
+    near = _nearest_free(space, place, component)
+    if near is None or np.linalg.norm(near[:2] - place[:2]) > snap:
+        return found
+    moved = find_endpoint(space, near, name)
+    if isinstance(moved, Refusal):
+        return found
+    return moved, f"The {name} was moved {np.linalg.norm(near[:2] - place[:2]):.2f} m to {_at(near)}."
 
 
 def find_endpoint(space: FreeSpace, place: FloatArray, name: str) -> Endpoint | Refusal:
-    """Check a place, (x, y) or (x, y, z of the ground), and connect it to the graph."""
+    """Check a place, (x, y) or (x, y, z of the ground), and connect it to the graph; via points count as goals."""
     outside = Status.START_OUTSIDE_MAP if name == "start" else Status.GOAL_OUTSIDE_MAP
     occupied = Status.START_OCCUPIED if name == "start" else Status.GOAL_OCCUPIED
     xy = place[None, :2]
     heights = np.array([float(surface.height_at(xy)[0]) for surface in space.surfaces])
     there = np.flatnonzero(~np.isnan(heights))
-    if len(there) == 0 and any(_shut_in(space, level, xy) for level in range(len(space.surfaces))):
-        words = f"the {name} {_at(place)} is inside something, or on ground that nobody has seen."
-        near = _nearest_free(space, 0, xy[0])
-        return Refusal(occupied, words if near is None else f"{words} The nearest free place is {_at(near)}.")
     if len(there) == 0:
-        return Refusal(outside, f"no ground is known at the {name} {_at(place)}. Choose a place on the mapped ground.")
+        near = _nearest_free(space, place)
+        hint = "" if near is None else f" The nearest free place is {_at(near)}."
+        if any(_shut_in(space, level, xy) for level in range(len(space.surfaces))):
+            words = f"the {name} {_at(place)} is inside something, or on ground that nobody has seen."
+            return Refusal(occupied, words + hint, near)
+        words = f"no ground is known at the {name} {_at(place)}. Choose a place on the mapped ground."
+        return Refusal(outside, words + hint, near)
+    found = ", ".join(f"{heights[i]:.2f}" for i in there)
     if len(place) == 3:
         level = int(there[np.abs(heights[there] - place[2]).argmin()])
         if abs(heights[level] - place[2]) > SAME_GROUND:
-            found = ", ".join(f"{heights[i]:.2f}" for i in there)
             return Refusal(outside, f"the ground at the {name} {_at(place)} is at z = {found} m, not {place[2]:.2f} m.")
     elif np.ptp(heights[there]) > SAME_GROUND:
-        found = ", ".join(f"{heights[i]:.2f}" for i in there)
-        return Refusal(
-            Status.AMBIGUOUS_LEVEL, f"there is ground at z = {found} m under the {name} {_at(place)}. Give its z."
-        )
+        words = f"there is ground at z = {found} m under the {name} {_at(place)}. Give its z."
+        return Refusal(Status.AMBIGUOUS_LEVEL, words)
     else:
         level = int(there[0])
     distance, kind = space.clearance(level, xy)
     if distance[0] < space.reach:
         what = REASONS[ObstacleKind(int(kind[0]))]
-        near = _nearest_free(space, level, xy[0])
+        near = _nearest_free(space, np.array([*xy[0], heights[level]]))
         hint = "" if near is None else f" The nearest free place is {_at(near)}."
-        return Refusal(
-            occupied,
-            f"the {space.agent.name} (radius {space.agent.radius:.2f} m) does not fit at the {name} {_at(place)}: "
-            f"{what} is {distance[0]:.2f} m from its centre.{hint}",
-        )
+        words = f"the {space.agent.name} (radius {space.agent.radius:.2f} m) does not fit at the {name} {_at(place)}: "
+        return Refusal(occupied, f"{words}{what} is {distance[0]:.2f} m from its centre.{hint}", near)
     node = _connect(space, level, xy[0])
     if node < 0:
         return Refusal(occupied, f"the {space.agent.name} cannot leave the {name} {_at(place)} in any direction.")
@@ -100,24 +155,44 @@ def _connect(space: FreeSpace, level: int, xy: FloatArray) -> int:
     leaf = int(tree.find(xy[None])[0])
     if leaf >= 0 and tree.whole[leaf]:
         return leaf + space.offsets[level]
-    free = np.flatnonzero(tree.free)
-    gap = np.linalg.norm(tree.center[free] - xy, axis=1) - tree.half_size[free]
+    cell, reach = (xy - tree.origin) / tree.width, NEXT / tree.width
+    near = tree.free & np.logical_and.reduce(np.abs(tree.corner + 0.5 * tree.size[:, None] - cell) < reach, axis=1)
+    free = np.flatnonzero(near)
+    center = tree.origin + (tree.corner[free] + 0.5 * tree.size[free, None]) * tree.width
+    gap = np.linalg.norm(center - xy, axis=1) - tree.half_size[free]
     radius = min(space.radius, float(space.clearance(level, xy[None])[0][0]) - 1e-9)  # it may start closer
-    for leaf in free[np.argsort(gap)[:32]]:
-        if is_clear(space.trees[level], xy, tree.center[leaf], radius):
-            return int(leaf) + space.offsets[level]
+    for row in np.argsort(gap)[:32]:
+        if is_clear(space.trees[level], xy, center[row], radius):
+            return int(free[row]) + space.offsets[level]
     return -1
 
 
-def _nearest_free(space: FreeSpace, level: int, xy: FloatArray) -> FloatArray | None:
-    tree = space.quadtrees[level]
-    free = np.flatnonzero(tree.free)
-    if len(free) == 0:
-        return None
-    inside = np.where(tree.whole[free], tree.half_size[free], 0.0)[:, None]
-    nearest = np.clip(xy, tree.center[free] - inside, tree.center[free] + inside)
-    place: FloatArray = nearest[np.linalg.norm(nearest - xy, axis=1).argmin()]
-    return place
+def _nearest_free(space: FreeSpace, place: FloatArray, component: int | None = None) -> FloatArray | None:
+    """The nearest place (x, y, z of the ground) where the body fits; on the ground that is as high, if z is given.
+
+    Args:
+        space: The body's free space.
+        place: (x, y) or (x, y, z) [m].
+        component: Of the graph, to which it must belong.
+    """
+    best, found = np.inf, None
+    for surface, tree, offset in zip(space.surfaces, space.quadtrees, space.offsets, strict=True):
+        free = np.flatnonzero(tree.free)
+        if component is not None:
+            free = free[space.graph.component[free + offset] == component]
+        if len(free) == 0:
+            continue
+        inside = np.where(tree.whole[free], tree.half_size[free], 0.0)[:, None]
+        inside = np.maximum(inside - INSIDE, 0.0)
+        nearest = np.clip(place[:2], tree.center[free] - inside, tree.center[free] + inside)
+        z = surface.height_at(nearest)
+        far = np.linalg.norm(nearest - place[:2], axis=1)
+        if len(place) == 3:
+            far = np.where(np.abs(z - place[2]) <= SAME_GROUND, far, np.inf)
+        row = int(np.where(np.isnan(z), np.inf, far).argmin())
+        if far[row] < best and np.isfinite(z[row]):
+            best, found = float(far[row]), np.append(nearest[row], z[row])
+    return found
 
 
 def _at(place: FloatArray) -> str:

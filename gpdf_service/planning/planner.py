@@ -8,21 +8,34 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 
 import numpy as np
 
 from gpdf_service.config import PlanningConfig
 from gpdf_service.planning.certificate import certify
-from gpdf_service.planning.chomp import optimize
-from gpdf_service.planning.endpoints import REASONS, Endpoint, Refusal, find_endpoint
-from gpdf_service.planning.shape import resample, shortcut, stand_up, subdivide
-from gpdf_service.planning.timing import time_path
-from gpdf_service.search import FreeSpace, find_path
-from gpdf_service.types import Certificate, FloatArray, IntArray, PlanResult, Status, Trajectory
+from gpdf_service.planning.chomp import ChompResult, optimize
+from gpdf_service.planning.endpoints import Ends, Refusal, find_ends
+from gpdf_service.planning.no_path import explain_no_path
+from gpdf_service.planning.routes import Leg, Route, find_cut, find_routes, take_up
+from gpdf_service.planning.shape import resample, spline, stand_up, subdivide
+from gpdf_service.planning.timing import speed_limit, time_path
+from gpdf_service.search import FreeSpace
+from gpdf_service.types import Certificate, FloatArray, IntArray, PlanOptions, PlanResult, Status, Trajectory
 
 Clock = Callable[[], float]
-Leg = tuple[int, FloatArray]
-"""A piece of the path on one level: level, places in plan (n, 2)."""
+NO_OPTIONS = PlanOptions()
+BEND = 0.125
+"""[m] Between the optimiser's waypoints, at most; half of the radius of a smaller body. The result is their spline."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Candidate:
+    """A path that may be certified, the optimiser's costs on the way to it, and numbers about it."""
+
+    legs: list[Leg]
+    costs: FloatArray
+    details: dict[str, float]
 
 
 def plan_path(
@@ -31,6 +44,7 @@ def plan_path(
     goal: FloatArray,
     config: PlanningConfig,
     *,
+    options: PlanOptions = NO_OPTIONS,
     deadline: float | None = None,
     clock: Clock = time.monotonic,
 ) -> PlanResult:
@@ -41,104 +55,98 @@ def plan_path(
         start: (x, y) or (x, y, z of the ground) [m].
         goal: The same.
         config: Weights and limits.
+        options: What else the request asks for.
         deadline: On `clock`; a certified path that is not yet optimised is returned when it passes.
         clock: Monotonic seconds.
     """
     began = clock()
-    ends = find_endpoint(space, start, "start"), find_endpoint(space, goal, "goal")
-    for end in ends:
-        if isinstance(end, Refusal):
-            return PlanResult(end.status, end.message, timings={"total": clock() - began})
-    a, b = (end for end in ends if isinstance(end, Endpoint))
-    if space.graph.component[a.node] != space.graph.component[b.node]:
-        return PlanResult(Status.NO_VALID_PATH, explain_no_path(space, a, b), timings={"total": clock() - began})
+    ends = find_ends(space, start, [goal, *options.other_goals], options)
+    if isinstance(ends, Refusal):
+        details = {} if ends.nearest is None else _place("nearest", ends.nearest)
+        return PlanResult(ends.status, ends.message, timings={"total": clock() - began}, details=details)
     if deadline is not None and clock() > deadline:
         return PlanResult(Status.TIMEOUT, "the deadline passed before the search began. Allow more time.")
-    legs = [
-        (level, path[shortcut(path, space.trees[level], _radius(space, level, path))])
-        for level, path in route(space, a, b)
-    ]
-    searched = clock()
     first: Certificate | None = None
-    for candidate, iterations in _candidates(space, legs, config, deadline, clock):
-        contact, top, level = _stand(space, candidate, config.waypoint_spacing)
-        certificate = certify(space, top, contact, level)
-        first = first or certificate
-        if certificate.holds:
-            times, headings = time_path(top, space.agent)
-            timings = {"search": searched - began, "optimise": clock() - searched, "total": clock() - began}
-            details = {"iterations": float(iterations), "nodes": float(len(space.graph.position))}
-            trajectory = Trajectory(top, contact, times, headings)
-            return PlanResult(Status.OK, "", trajectory, certificate, timings, details)
-    assert first is not None
+    for route in _routes(space, ends, options):
+        searched = clock()
+        for candidate in _candidates(space, route.legs, config, deadline, clock):
+            contact, top, level = _stand(space, candidate.legs, config.waypoint_spacing)
+            certificate = certify(space, top, contact, level)
+            first = first or certificate
+            if certificate.holds:
+                limit = speed_limit(space, contact, level, config.preferred_clearance * space.agent.radius)
+                trajectory = Trajectory(top, contact, *time_path(top, space.agent, limit))
+                timings = {"search": searched - began, "optimise": clock() - searched, "total": clock() - began}
+                details = candidate.details | {"nodes": float(len(space.graph.position))}
+                details |= {"goal": float(route.goal), "warm": float(route.warm)}
+                return PlanResult(Status.OK, ends.moved, trajectory, certificate, timings, details, candidate.costs)
+    timings = {"total": clock() - began}
+    if first is None:
+        goal_end = next(end for end in ends.goals if end)
+        cut = find_cut(space, [ends.start, *ends.via, goal_end])
+        assert cut is not None
+        why = explain_no_path(space, *cut)
+        details = {"largest_radius": why.largest_radius} | _place("cut", why.at)
+        return PlanResult(Status.NO_VALID_PATH, why.message, timings=timings, details=details)
     return PlanResult(
         Status.UNCERTIFIED,
         f"a path was found, but it cannot be certified: {first.reason}. Choose other places, or a smaller body.",
         certificate=first,
-        timings={"total": clock() - began},
+        timings=timings,
     )
 
 
-def route(space: FreeSpace, start: Endpoint, goal: Endpoint) -> list[Leg]:
-    """A* through the graph, as places in plan, cut where the path changes level."""
-    graph = space.graph
-    edges = find_path(graph, start.node, goal.node)
-    legs: list[tuple[int, list[FloatArray]]] = [(start.level, [start.xy, graph.position[start.node]])]
-    for edge in edges:
-        node = int(graph.other[edge])
-        legs[-1][1].append(graph.via[edge])
-        if graph.level[node] != legs[-1][0]:
-            legs.append((int(graph.level[node]), [graph.via[edge]]))
-        legs[-1][1].append(graph.position[node])
-    legs[-1][1].append(goal.xy)
-    return [(level, _distinct(np.array(path))) for level, path in legs]
+def _place(name: str, place: FloatArray) -> dict[str, float]:
+    """A place as numbers by name, without what is not known."""
+    return {f"{name}_{axis}": float(v) for axis, v in zip("xyz", place, strict=True) if np.isfinite(v)}
 
 
-def _distinct(path: FloatArray) -> FloatArray:
-    """Without places that repeat the one before; two rows at least, the ends kept."""
-    moved = np.linalg.norm(np.diff(path, axis=0), axis=1) > 1e-9
-    if not moved.any():
-        moved[-1] = True
-    distinct: FloatArray = path[np.concatenate([[True], moved])]
-    return distinct
-
-
-def _radius(space: FreeSpace, level: int, path: FloatArray) -> float:
-    """The search's radius; the body's own where an end lies closer than the margin."""
-    ends = space.clearance(level, path[[0, -1]])[0]
-    return min(space.radius, max(space.reach, float(ends.min()) - 1e-9))
+def _routes(space: FreeSpace, ends: Ends, options: PlanOptions) -> Iterator[Route]:
+    """The way from before, if it can be taken up; then, if that does not certify, those of the graph."""
+    if options.warm_start is not None and (known := take_up(space, ends, options.warm_start)) is not None:
+        yield known
+    yield from find_routes(space, ends)
 
 
 def _candidates(
     space: FreeSpace, legs: list[Leg], config: PlanningConfig, deadline: float | None, clock: Clock
-) -> Iterator[tuple[list[Leg], int]]:
+) -> Iterator[_Candidate]:
     """Paths from the best to the safest: CHOMP with all its room, with half, a quarter of it, then the seed."""
-    agent = space.agent
     for share in (1.0, 0.5, 0.25):
         if deadline is not None and clock() > deadline:
             break
-        better, iterations = [], 0
-        for level, path in legs:
-            seed = resample(path, max(config.waypoint_spacing, agent.radius / 4))
-            _, top = stand_up(seed, space.surfaces[level], space.ground_fields[level], agent.height)
-            if not np.isfinite(top).all() or np.ptp(path, axis=0).max() == 0.0:
-                better.append((level, path))
-                continue
-            found = optimize(
-                top,
-                space.obstacle_fields[level].arrays,
-                space.ground_fields[level].arrays,
-                radius=space.reach,
-                height=agent.height,
-                epsilon=share * config.preferred_clearance * agent.radius,
-                smoothness_weight=config.smoothness_weight,
-                max_iterations=config.max_iterations,
-                tolerance=config.tolerance,
-            )
-            iterations += len(found.costs)
-            better.append((level, found.xi[:, :2]))
-        yield better, iterations
-    yield legs, 0
+        epsilon = share * config.preferred_clearance * space.agent.radius
+        bent = [_bend(space, level, path, config, epsilon) for level, path in legs]
+        runs = [run for _, run in bent if run is not None]
+        most = max((len(run.costs) for run in runs), default=0)
+        costs = np.sum([np.pad(run.costs, (0, most - len(run.costs)), "edge") for run in runs], axis=0) + np.zeros(most)
+        converged = all(run.converged for run in runs)
+        details = {"iterations": float(sum(run.iterations for run in runs)), "converged": float(converged)}
+        yield _Candidate([(level, path) for (level, _), (path, _) in zip(legs, bent, strict=True)], costs, details)
+    yield _Candidate(legs, np.zeros(0), {"iterations": 0.0, "converged": 0.0})
+
+
+def _bend(
+    space: FreeSpace, level: int, path: FloatArray, config: PlanningConfig, epsilon: float
+) -> tuple[FloatArray, ChompResult | None]:
+    """A piece of the path after CHOMP; as it was where nothing moves or the ground is not known all along."""
+    agent = space.agent
+    seed = resample(path, max(config.waypoint_spacing, min(agent.radius / 2, BEND)))
+    _, top = stand_up(seed, space.surfaces[level], space.ground_fields[level], agent.height)
+    if not np.isfinite(top).all() or np.ptp(path, axis=0).max() == 0.0:
+        return path, None
+    found = optimize(
+        top,
+        space.obstacle_fields[level].arrays,
+        space.ground_fields[level].arrays,
+        radius=space.reach,
+        height=agent.height,
+        epsilon=epsilon,
+        smoothness_weight=config.smoothness_weight,
+        max_iterations=config.max_iterations,
+        tolerance=config.tolerance,
+    )
+    return spline(found.xi[:, :2], config.waypoint_spacing), found
 
 
 def _stand(space: FreeSpace, legs: list[Leg], spacing: float) -> tuple[FloatArray, FloatArray, IntArray]:
@@ -155,21 +163,3 @@ def _stand(space: FreeSpace, legs: list[Leg], spacing: float) -> tuple[FloatArra
     if keep.sum() < 2:  # start is goal: stand there
         return contact[[0, -1]], top[[0, -1]], np.concatenate(levels)[[0, -1]]
     return contact[keep], top[keep], np.concatenate(levels)[keep]
-
-
-def explain_no_path(space: FreeSpace, start: Endpoint, goal: Endpoint) -> str:
-    """Say what bounds the part of the map that the start can reach."""
-    reached = space.graph.component == space.graph.component[start.node]
-    kinds = np.zeros(len(REASONS))
-    area = 0.0
-    for level, (tree, offset) in enumerate(zip(space.quadtrees, space.offsets, strict=True)):
-        mine = reached[offset : offset + len(tree.size)] & tree.free
-        area += float(((2 * tree.half_size[mine]) ** 2).sum())
-        rim = mine & ~tree.whole
-        if rim.any():
-            kinds += np.bincount(space.clearance(level, tree.center[rim])[1], minlength=len(kinds))
-    shares = [f"{REASONS[kind]} ({100 * kinds[kind] / max(kinds.sum(), 1):.0f} %)" for kind in REASONS if kinds[kind]]
-    return (
-        f"the {space.agent.name} reaches {area:.1f} m² from the start, and the goal is not in it. "
-        f"What bounds it: {', '.join(shares) or 'nothing that was seen'}. Try another goal, or a smaller body."
-    )

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from itertools import pairwise
-
 import numpy as np
 from numba import njit
+from scipy.interpolate import CubicSpline
 
 from gpdf_service.fields import Gpdf, Tree
 from gpdf_service.perception import HeightMap
@@ -15,6 +14,8 @@ from gpdf_service.types import FloatArray, IntArray
 HEIGHT_SHARE = 0.1
 """[-] How far the top may be off the body height, Uttsha et al. 2024, feasibility study."""
 _NEWTON_STEPS = 4
+_STANDS = 1e-3
+"""[m] A top this near to its height stands: a tenth of what the lowest body may be off."""
 
 
 @njit(cache=True, nogil=True)
@@ -45,6 +46,15 @@ def shortcut(path: FloatArray, obstacles: Tree, radius: float) -> IntArray:
     return np.array(kept)
 
 
+@njit(cache=True, nogil=True)
+def is_path_clear(path: FloatArray, obstacles: Tree, radius: float) -> bool:
+    """Whether a whole polyline in plan, shape (n, 2), keeps `radius` from every obstacle."""
+    for i in range(path.shape[0] - 1):  # noqa: SIM110 - compiled
+        if not is_clear(obstacles, path[i], path[i + 1], radius):
+            return False
+    return True
+
+
 def resample(path: FloatArray, spacing: float) -> FloatArray:
     """Waypoints evenly along a polyline, at most `spacing` apart, ends kept; at least 3 rows."""
     length = np.linalg.norm(np.diff(path, axis=0), axis=1)
@@ -56,26 +66,41 @@ def resample(path: FloatArray, spacing: float) -> FloatArray:
 
 def subdivide(path: FloatArray, spacing: float) -> FloatArray:
     """The same polyline with its corners, and waypoints at most `spacing` apart."""
-    legs = [
-        np.linspace(a, b, max(1, int(np.ceil(np.linalg.norm(b - a) / spacing))), endpoint=False)
-        for a, b in pairwise(path)
-    ]
-    return np.vstack([*legs, path[-1:]])
+    step = np.diff(path, axis=0)
+    count = np.maximum(1, np.ceil(np.linalg.norm(step, axis=1) / spacing).astype(np.int64))
+    segment = np.repeat(np.arange(len(step)), count)
+    share = (np.arange(len(segment)) - np.repeat(np.cumsum(count) - count, count)) / count[segment]
+    return np.vstack([path[segment] + share[:, None] * step[segment], path[-1:]])
+
+
+def spline(path: FloatArray, spacing: float) -> FloatArray:
+    """Places about `spacing` apart on the C² curve (natural cubic spline) through the waypoints, ends kept."""
+    if len(path) < 3:
+        return path
+    along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(path, axis=0), axis=1))])
+    at = np.linspace(0.0, along[-1], int(np.ceil(along[-1] / spacing)) + 1)
+    curve: FloatArray = CubicSpline(along, path, bc_type="natural")(at)
+    curve[0], curve[-1] = path[0], path[-1]
+    return curve
 
 
 def stand_up(xy: FloatArray, surface: HeightMap, field: Gpdf, height: float) -> tuple[FloatArray, FloatArray]:
     """Contact points and the body's top over them, both (n, 3).
 
-    The top is where d_g = h (a few Newton steps along z), as in the paper. Before a step that surface rises long before
-    the ground does, so the top is kept within a tenth of the body height over the contact point, unless that would
-    bring it closer than nine tenths of h to the ground.
+    The top is where d_g = h, as in the paper (Newton steps along z; on level ground one). Before a step that surface
+    rises long before the ground does, so the top is kept within a tenth of the body height over the contact point,
+    unless that would bring it closer than nine tenths of h to the ground.
     """
     floor = surface.height_at(xy)
     z = floor + height
     for _ in range(_NEWTON_STEPS):
         sample = field.query(np.column_stack([xy, z]))
-        z = np.where(sample.valid, z + height - sample.distance, z)
-        z = np.clip(z, floor + (1.0 - HEIGHT_SHARE) * height, floor + (1.0 + HEIGHT_SHARE) * height)
-    low = field.query(np.column_stack([xy, z])).distance
+        off = np.where(sample.valid, height - sample.distance, 0.0)
+        if np.abs(off).max() < _STANDS:
+            break
+        z = np.clip(z + off, floor + (1.0 - HEIGHT_SHARE) * height, floor + (1.0 + HEIGHT_SHARE) * height)
+    else:
+        sample = field.query(np.column_stack([xy, z]))
+    low = sample.distance
     z = z + np.maximum(0.0, (1.0 - HEIGHT_SHARE) * height - low)
     return np.column_stack([xy, floor]), np.column_stack([xy, z])

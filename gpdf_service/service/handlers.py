@@ -144,6 +144,10 @@ class Handlers:
             request.goal,
             agent_of(request.agent),
             method=request.method,  # type: ignore[arg-type]
+            via=request.via,
+            other_goals=request.other_goals,
+            snap=request.snap,
+            warm_start=None if request.warm_start is None else request.warm_start.unpack(),
             deadline_s=request.deadline_s,
         )
         return self._plan_reply(request, scene, result)
@@ -160,6 +164,7 @@ class Handlers:
             trajectory=None if result.trajectory is None else _trajectory(result.trajectory),
             certificate=None if result.certificate is None else CertificateMessage(**_plain(result.certificate)),
             details=result.details,
+            costs=Array.pack(result.costs) if len(result.costs) else None,
         )
 
     def distance(self, request: DistanceRequest) -> DistanceReply:

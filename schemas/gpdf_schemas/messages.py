@@ -110,6 +110,11 @@ class PlanRequest(msgspec.Struct, frozen=True, kw_only=True):
         goal: The same.
         agent: Name of a known body, or its measures as a map (the fields of `gpdf_service.Agent`).
         method: dual_gpdf, or one of the paper's baselines: single_gpdf, astar, prm.
+        via: Places that the path goes through, in this order.
+        other_goals: More goals; the one with the shortest way is taken; its number is `details["goal"]`, 0 the first.
+        snap: How far a place where the body cannot be may be moved to the nearest one where it can [m]; 0 refuses it.
+        warm_start: Contact points (n, 3) of a trajectory from before: taken up from where the start is near it if it
+            is still clear and ends near the goal; not with `via`.
         deadline_s: Seconds that the answer may take.
         request_id: Chosen by the client; the same id asks the same thing again.
         obstacles: What else is in the way, for this plan alone; what was published for the scene counts as well.
@@ -120,6 +125,10 @@ class PlanRequest(msgspec.Struct, frozen=True, kw_only=True):
     goal: list[float]
     agent: str | dict[str, Any] = "human"
     method: str = "dual_gpdf"
+    via: list[list[float]] = []
+    other_goals: list[list[float]] = []
+    snap: float = 0.0
+    warm_start: Array | None = None
     deadline_s: float = 30.0
     request_id: str = ""
     obstacles: list[MovingObstacle] = []
@@ -178,12 +187,16 @@ class PlanReply(Reply, frozen=True, kw_only=True):
         trajectory: There when `status` is OK. A baseline that was asked for by name also sends a path that is
             UNCERTIFIED, to be measured and drawn: follow a trajectory only if `status` is OK.
         certificate: There when the trajectory is.
-        details: Numbers for the curious, by name.
+        details: Numbers for the curious, by name: iterations, converged (0 or 1), goal, warm (0 or 1), nodes; where
+            there is no path, largest_radius and cut_x, cut_y, cut_z; where a place is not valid, nearest_x, nearest_y,
+            nearest_z.
+        costs: Cost of the optimiser before and after each of its steps, (k,).
     """
 
     trajectory: TrajectoryMessage | None = None
     certificate: CertificateMessage | None = None
     details: dict[str, float] = {}
+    costs: Array | None = None
 
 
 class DistanceRequest(msgspec.Struct, frozen=True, kw_only=True):

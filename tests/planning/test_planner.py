@@ -11,7 +11,6 @@ from gpdf_service.errors import RequestError, UnknownAgentError
 from gpdf_service.planning.certificate import certify, min_distance
 from gpdf_service.planning.chomp import optimize, solve_metric
 from gpdf_service.planning.shape import resample
-from gpdf_service.planning.timing import time_path
 from gpdf_service.synthetic import SCENES, Box, World, random_room
 from gpdf_service.types import AGENTS
 
@@ -192,18 +191,6 @@ def test_the_metric_is_solved_exactly():
     gradient = rng.normal(size=(12, 3))
     A = 2 * np.eye(10) - np.eye(10, k=1) - np.eye(10, k=-1)
     np.testing.assert_allclose(solve_metric(gradient)[1:-1], np.linalg.solve(A, gradient[1:-1]), atol=1e-12)
-
-
-def test_times_keep_the_limits_of_the_body():
-    agent = AGENTS["spot"]
-    t = np.linspace(0, 2 * np.pi, 200)
-    positions = np.column_stack([4 * np.cos(t), 2 * np.sin(2 * t), np.zeros(200)])
-    times, headings = time_path(positions, agent)
-    speed = np.linalg.norm(np.diff(positions, axis=0), axis=1) / np.diff(times)
-    middle = 0.5 * (times[:-1] + times[1:])
-    assert speed.max() <= agent.speed + 1e-9
-    assert np.abs(np.diff(speed) / np.diff(middle)).max() <= 1.05 * agent.acceleration
-    assert np.abs(np.diff(headings) / np.diff(times)).max() <= 1.3 * agent.turn_rate
 
 
 def test_a_body_of_ones_own_measures_is_planned_for(empty_room):

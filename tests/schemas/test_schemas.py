@@ -84,6 +84,14 @@ def test_golden_samples_of_version_one_are_still_read():
     assert reply.certificate.min_clearance == 0.25
 
 
+def test_the_golden_sample_of_a_request_with_options_is_still_read():
+    request = decode((FOLDER / "golden" / "v1_plan_request_options.msgpack").read_bytes(), PlanRequest)
+    assert (request.via, request.other_goals, request.snap) == ([[2.0, 2.0]], [[5.0, 1.0, 0.0]], 0.5)
+    assert request.warm_start.unpack().tolist() == [[1.0, 2.0, 0.0], [4.0, 2.0, 0.0]]
+    old = decode((FOLDER / "golden" / "v1_plan_request.msgpack").read_bytes(), PlanRequest)
+    assert (old.via, old.other_goals, old.snap, old.warm_start) == ([], [], 0.0, None)
+
+
 def test_golden_samples_of_the_streams_are_still_read():
     pose = decode((FOLDER / "golden" / "v1_pose.msgpack").read_bytes(), PoseMessage)
     assert pose == PoseMessage(position=[1.0, 2.0, 0.5], heading=1.5, stamp=1700000000.25, accuracy=0.05)

@@ -57,6 +57,25 @@ def test_a_plan_over_zenoh_is_the_plan_in_process(running, office):
     assert over.certificate.holds
 
 
+def test_the_options_of_a_plan_go_over_zenoh(running, office):
+    _, client, _ = running
+    made, scene = office
+    via, other = [(4.5, 1.0)], [(1.2, 1.0)]
+    over = client.plan("office", made.start, made.goal, via=via)
+    inside = gpdf.plan(scene, made.start, made.goal, via=via)
+    np.testing.assert_array_equal(over.trajectory.positions, inside.trajectory.positions)
+    np.testing.assert_array_equal(over.costs, inside.costs)
+    assert over.details == inside.details
+    assert client.plan("office", made.start, made.goal, other_goals=other).details["goal"] == 1
+    assert client.plan("office", (-0.05, 1.0), made.goal, snap=1.0).message.startswith("The start was moved")
+    again = client.plan(
+        "office", made.start, made.goal, warm_start=client.plan("office", made.start, made.goal).trajectory
+    )
+    assert again.details["warm"] == 1
+    with pytest.raises(InvalidRequestError, match="snap"):
+        client.plan("office", made.start, made.goal, snap=-1.0)
+
+
 def test_distances_over_zenoh_are_those_in_process(running, office):
     _, client, _ = running
     points = np.random.default_rng(0).uniform([0, 0, 0], [6, 5, 2], (50, 3))

@@ -1,0 +1,116 @@
+"""From ends to seeds: the ways through the graph, string-pulled, the shortest first; or a way known from before."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+
+from gpdf_service.planning.endpoints import Endpoint, Ends
+from gpdf_service.planning.shape import is_path_clear, shortcut
+from gpdf_service.search import FreeSpace, find_path
+from gpdf_service.types import FloatArray
+
+Leg = tuple[int, FloatArray]
+"""A piece of the path on one level: level, places in plan (n, 2)."""
+NEAR = 0.5
+"""[m] A way known from before is taken up if the start and the goal are this near to it: less than a stride."""
+
+
+@dataclass(frozen=True, slots=True)
+class Route:
+    """A seed for the optimiser: its pieces, the number of its goal, and whether it was known before."""
+
+    legs: list[Leg]
+    goal: int
+    warm: bool = False
+
+    @property
+    def length(self) -> float:
+        """Length in plan [m]."""
+        return sum(float(np.linalg.norm(np.diff(path, axis=0), axis=1).sum()) for _, path in self.legs)
+
+
+def find_routes(space: FreeSpace, ends: Ends) -> list[Route]:
+    """Ways to each goal that can be reached, through the via points, the shortest first; empty if there is none."""
+    routes = []
+    for number, goal in enumerate(ends.goals):
+        stops = [ends.start, *ends.via, *([goal] if goal else [])]
+        if goal is None or find_cut(space, stops) is not None:
+            continue
+        legs = [leg for a, b in pairwise(stops) for leg in _route(space, a, b)]
+        pulled = [(on, path[shortcut(path, space.trees[on], _radius(space, on, path))]) for on, path in legs]
+        routes.append(Route(pulled, number))
+    return sorted(routes, key=lambda route: route.length)
+
+
+def find_cut(space: FreeSpace, stops: list[Endpoint]) -> tuple[Endpoint, Endpoint] | None:
+    """The first two stops between which the graph has no way; none if all is joined."""
+    component = space.graph.component
+    return next(((a, b) for a, b in pairwise(stops) if component[a.node] != component[b.node]), None)
+
+
+def take_up(space: FreeSpace, ends: Ends, known: FloatArray) -> Route | None:
+    """A way known from before, contact points (n, 3), from the start on; none where it is not near or not clear.
+
+    It leads to the goal that is nearest to its end. Where the ground has another height now it is not taken up.
+    """
+    goals = [(float(np.linalg.norm(goal.xy - known[-1, :2])), n) for n, goal in enumerate(ends.goals) if goal]
+    far, number = min(goals)
+    goal = ends.goals[number]
+    if goal is None or far > NEAR:
+        return None
+    here = np.array([*ends.start.xy, _floor(space, ends.start)])
+    gap = np.linalg.norm(known - here, axis=1)
+    first = int(gap.argmin())
+    if gap[first] > NEAR:
+        return None
+    inner = known[first + 1 : -1]
+    heights = np.stack([surface.height_at(inner[:, :2]) for surface in space.surfaces])
+    off = np.abs(np.where(np.isnan(heights), np.inf, heights) - inner[:, 2])
+    if len(inner) and off.min(axis=0).max() > space.surfaces[0].cell_width:
+        return None
+    level = [ends.start.level, *off.argmin(axis=0).tolist(), goal.level]
+    legs = _cut_by_level(np.vstack([ends.start.xy, inner[:, :2], goal.xy]), level)
+    clear = all(is_path_clear(path, space.trees[on], _radius(space, on, path)) for on, path in legs)
+    return Route(legs, number, warm=True) if clear else None
+
+
+def _cut_by_level(path: FloatArray, level: list[int]) -> list[Leg]:
+    cuts = [0, *(np.flatnonzero(np.diff(level)) + 1).tolist(), len(path)]
+    return [(level[a], _distinct(path[max(a - 1, 0) : b])) for a, b in pairwise(cuts) if b - max(a - 1, 0) > 1]
+
+
+def _floor(space: FreeSpace, end: Endpoint) -> float:
+    return float(space.surfaces[end.level].height_at(end.xy[None])[0])
+
+
+def _route(space: FreeSpace, start: Endpoint, goal: Endpoint) -> list[Leg]:
+    """A* through the graph, as places in plan, cut where the path changes level."""
+    graph = space.graph
+    edges = find_path(graph, start.node, goal.node)
+    legs: list[tuple[int, list[FloatArray]]] = [(start.level, [start.xy, graph.position[start.node]])]
+    for edge in edges:
+        node = int(graph.other[edge])
+        legs[-1][1].append(graph.via[edge])
+        if graph.level[node] != legs[-1][0]:
+            legs.append((int(graph.level[node]), [graph.via[edge]]))
+        legs[-1][1].append(graph.position[node])
+    legs[-1][1].append(goal.xy)
+    return [(level, _distinct(np.array(path))) for level, path in legs]
+
+
+def _distinct(path: FloatArray) -> FloatArray:
+    """Without places that repeat the one before; two rows at least, the ends kept."""
+    moved = np.linalg.norm(np.diff(path, axis=0), axis=1) > 1e-9
+    if not moved.any():
+        moved[-1] = True
+    distinct: FloatArray = path[np.concatenate([[True], moved])]
+    return distinct
+
+
+def _radius(space: FreeSpace, level: int, path: FloatArray) -> float:
+    """The search's radius; the body's own where an end lies closer than the margin."""
+    ends = space.clearance(level, path[[0, -1]])[0]
+    return min(space.radius, max(space.reach, float(ends.min()) - 1e-9))

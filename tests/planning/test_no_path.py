@@ -1,0 +1,94 @@
+import dataclasses
+
+import numpy as np
+import pytest
+
+import gpdf_service as gpdf
+from gpdf_service.planning.endpoints import find_endpoint
+from gpdf_service.planning.no_path import explain_no_path
+from gpdf_service.synthetic import SCENES, Box, World
+from gpdf_service.types import AGENTS
+
+
+def scene_of(*boxes, size=(6.0, 4.0, 2.6), spacing=0.05, without=None):
+    points, ground = World(size, boxes).sample(spacing, np.random.default_rng(0))
+    keep = np.ones(len(points), dtype=bool) if without is None else ~(ground & without(points))
+    return gpdf.build_scene(points[keep], ground[keep])
+
+
+def explain(scene, start, goal, agent):
+    result = gpdf.plan(scene, start, goal, agent)
+    assert result.status is gpdf.Status.NO_VALID_PATH
+    space = scene.free_space(agent)
+    ends = (find_endpoint(space, np.array(place, float), name) for place, name in ((start, "start"), (goal, "goal")))
+    why = explain_no_path(space, *ends)
+    assert why.message == result.message
+    assert result.details["largest_radius"] == why.largest_radius
+    return why
+
+
+@pytest.mark.parametrize("gap", [0.45, 0.3])
+def test_a_narrow_door_is_named_with_its_place_and_the_body_that_passes(gap):
+    walls = Box((3.0, 0.0, 0.0), (3.2, 2.0 - gap / 2, 2.6)), Box((3.0, 2.0 + gap / 2, 0.0), (3.2, 4.0, 2.6))
+    scene = scene_of(*walls, spacing=0.02)
+    why = explain(scene, (1, 2), (5, 2), "human")
+    assert why.cuts == ("width",)
+    np.testing.assert_allclose(why.at[:2], [3.1, 2.0], atol=0.15)
+    assert gap / 2 - 0.03 < why.largest_radius <= gap / 2 + 0.005
+    thin = dataclasses.replace(AGENTS["human"], width=2 * why.largest_radius - 0.03, length=0.2)
+    assert gpdf.plan(scene, (1, 2), (5, 2), thin).status is gpdf.Status.OK
+
+
+def test_a_low_beam_is_named_with_its_headroom_and_a_lower_body_passes():
+    scene = scene_of(Box((3.0, 0.0, 0.8), (3.6, 4.0, 2.6)))
+    why = explain(scene, (1, 1), (5, 3), "human")
+    assert why.cuts == ("height",)
+    assert "0.80 m of headroom" in why.message
+    assert why.at[0] == pytest.approx(3.0, abs=0.1)
+    assert gpdf.plan(scene, (1, 1), (5, 3), dataclasses.replace(AGENTS["human"], height=0.7)).status is gpdf.Status.OK
+
+
+def test_a_step_is_named_with_its_height_and_place():
+    scene = scene_of(Box((3.0, 0.0, 0.0), (6.0, 4.0, 0.3), walkable=True))
+    why = explain(scene, (1, 1), (5, 3), "roomba")
+    assert why.cuts == ("step",)
+    assert "0.30" in why.message
+    assert why.at[0] == pytest.approx(3.0, abs=0.1)
+
+
+def test_a_stair_is_a_step_to_pepper():
+    made = SCENES["stair"](np.random.default_rng(0))
+    why = explain(gpdf.build_scene(made.points, made.ground), made.start, made.goal, "pepper")
+    assert why.cuts == ("step",)
+    assert "(0.015 m)" in why.message
+
+
+def test_a_ramp_too_steep_is_a_slope():
+    points, ground = World((6.0, 4.0, 2.6), ()).sample(0.05, np.random.default_rng(0))
+    points[:, 2] += 0.36 * np.clip(points[:, 0] - 2.5, 0.0, 1.5)  # 20° over 1.5 m
+    cart = dataclasses.replace(AGENTS["pepper"], max_step=0.1)  # at 2 cm a cell, Pepper is told of a step too
+    why = explain(gpdf.build_scene(points, ground), (1, 2), (5, 2), cart)
+    assert why.cuts == ("slope",)
+    assert 18 <= float(why.message.split("a slope of ")[1].split("°")[0]) <= 23
+    assert 2.3 <= why.at[0] <= 2.8
+
+
+def test_a_wide_hole_in_the_ground_is_ground_that_nobody_has_seen():
+    scene = scene_of(size=(8.0, 4.0, 2.6), without=lambda p: (p[:, 0] > 3.0) & (p[:, 0] < 5.5))
+    why = explain(scene, (1, 1), (7, 3), "human")
+    assert why.cuts == ("unknown",)
+    assert 2.9 <= why.at[0] <= 4.1
+
+
+def test_a_wall_stops_every_body():
+    why = explain(scene_of(Box((3.0, 0.0, 0.0), (3.2, 4.0, 2.6))), (1, 1), (5, 3), "roomba")
+    assert why.cuts == ("solid",)
+    assert why.largest_radius == 0.0
+    assert why.at[0] == pytest.approx(3.0, abs=0.1)
+
+
+def test_two_limits_in_a_row_are_both_named():
+    beam, platform = Box((2.0, 0.0, 0.8), (2.4, 4.0, 2.6)), Box((4.0, 0.0, 0.0), (6.0, 4.0, 0.3), walkable=True)
+    why = explain(scene_of(beam, platform), (1, 2), (5.2, 2), "pepper")
+    assert set(why.cuts) == {"height", "step"}
+    assert "; and " in why.message

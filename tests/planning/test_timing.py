@@ -1,0 +1,97 @@
+import numpy as np
+import pytest
+
+import gpdf_service as gpdf
+from gpdf_service.planning.timing import CARE, RAMP, time_path
+from gpdf_service.synthetic import SCENES, Box, World
+from gpdf_service.types import AGENTS
+
+
+def along(positions):
+    return np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(positions, axis=0), axis=1))])
+
+
+def rates(times, place, tick=0.04):
+    """Speed, acceleration and jerk by differences on an even grid of time."""
+    t = np.arange(0.0, times[-1], tick)
+    s = np.interp(t, times, place)
+    return tuple(np.diff(s, n) / tick**n for n in (1, 2, 3))
+
+
+def straight(length, spacing=0.002):
+    x = np.linspace(0.0, length, int(length / spacing) + 1)
+    return np.column_stack([x, np.zeros((len(x), 2))])
+
+
+@pytest.mark.parametrize("name", AGENTS)
+@pytest.mark.parametrize("length", [0.05, 0.5, 8.0])
+def test_speed_acceleration_and_jerk_keep_to_their_limits_from_rest_to_rest(name, length):
+    u = np.linspace(0.0, 1.0, 20000)
+    x = length * u**3 * (10 - 15 * u + 6 * u**2)  # closer together where it is slow
+    agent, path = AGENTS[name], np.column_stack([x, np.zeros((len(x), 2))])
+    speed, acceleration, jerk = rates(time_path(path, agent)[0], along(path))
+    assert speed.max() <= agent.speed + 1e-3
+    assert np.abs(acceleration).max() <= 1.02 * agent.acceleration
+    assert np.abs(jerk).max() <= 1.1 * 2 * agent.acceleration / RAMP
+    assert max(speed[0], speed[-1]) < 0.05 * speed.max()
+
+
+def test_a_long_straight_takes_the_time_of_the_trapezoid_and_the_two_windows():
+    agent = AGENTS["human"]
+    times, headings = time_path(straight(20.0), agent)
+    trapezoid = 20.0 / agent.speed + agent.speed / agent.acceleration
+    assert times[-1] == pytest.approx(trapezoid + 0.6, abs=0.15)
+    np.testing.assert_allclose(headings, 0.0)
+
+
+def test_turning_keeps_to_the_turn_rate_and_to_the_acceleration_across():
+    agent = AGENTS["spot"]
+    t = np.linspace(0, 2 * np.pi, 400)
+    positions = np.column_stack([2 * np.cos(t), 1 * np.sin(2 * t), np.zeros(400)])
+    times, headings = time_path(positions, agent)
+    speed = np.diff(along(positions)) / np.diff(times)
+    turn = np.abs(np.diff(headings) / np.diff(times))
+    assert turn.max() <= 1.02 * agent.turn_rate
+    assert (turn * speed).max() <= 1.05 * agent.acceleration
+    tangent = np.unwrap(np.arctan2(*np.gradient(positions[:, :2], axis=0).T[::-1]))
+    assert np.abs(headings - tangent).max() < 0.1
+
+
+def test_a_corner_is_turned_slowly_and_times_increase():
+    agent = AGENTS["pepper"]
+    leg = straight(2.0, 0.05)
+    corner = np.vstack([leg, leg[-1] + leg[1:, [1, 0, 2]]])
+    times, headings = time_path(corner, agent)
+    assert (np.diff(times) > 0).all()
+    speed = np.diff(along(corner)) / np.diff(times)
+    assert speed[len(leg) - 2 : len(leg) + 1].max() < 0.5 * agent.speed
+    assert np.abs(np.diff(headings) / np.diff(times)).max() <= 1.1 * agent.turn_rate
+    assert headings[-1] - headings[0] == pytest.approx(np.pi / 2, abs=1e-9)
+
+
+def test_a_limit_holds_where_the_body_then_is():
+    agent, path = AGENTS["human"], straight(6.0, 0.01)
+    limit = np.where(np.abs(path[:, 0] - 3.0) < 0.5, 0.3, agent.speed)
+    times, _ = time_path(path, agent, limit)
+    speed, middle = np.diff(path[:, 0]) / np.diff(times), 0.5 * (path[1:, 0] + path[:-1, 0])
+    slow = np.abs(middle - 3.0) < 0.5
+    assert speed[slow].max() <= 0.3 + 1e-3
+    assert speed[~slow].max() > 0.7
+
+
+def test_a_stair_is_climbed_at_half_the_speed():
+    made = SCENES["stair"](np.random.default_rng(0))
+    path = gpdf.plan(gpdf.build_scene(made.points, made.ground), made.start, made.goal, "human").trajectory
+    speed = np.diff(along(path.positions)) / np.diff(path.times)
+    rising = np.flatnonzero((path.ground[1:, 2] > 0.2) & (path.ground[1:, 2] < 3.2))
+    assert speed[rising].max() <= CARE * AGENTS["human"].speed + 0.01
+
+
+def test_a_narrow_door_is_passed_slowly():
+    walls = Box((3.0, 0.0, 0.0), (3.2, 2.7, 2.6)), Box((3.0, 3.3, 0.0), (3.2, 6.0, 2.6))
+    points, ground = World((6.0, 6.0, 2.6), walls).sample(0.03, np.random.default_rng(0))
+    path = gpdf.plan(gpdf.build_scene(points, ground), (1, 3), (5, 3), "human").trajectory
+    speed = np.diff(along(path.positions)) / np.diff(path.times)
+    middle = 0.5 * (path.ground[1:, 0] + path.ground[:-1, 0])
+    assert speed[np.abs(middle - 3.1) < 0.1].max() < 0.65 * AGENTS["human"].speed
+    assert speed.max() > 0.9 * AGENTS["human"].speed
