@@ -25,6 +25,8 @@ from gpdf_schemas import (
     LoadRequest,
     MovingObstacle,
     MovingObstacles,
+    PlaceRequest,
+    PlacesReply,
     PlanReply,
     PlanRequest,
     Reply,
@@ -51,6 +53,7 @@ from gpdf_client.results import (
     ServiceBusyError,
     ServiceError,
     UnavailableError,
+    UnknownPlaceError,
     raise_for,
     to_drawing,
     to_result,
@@ -72,6 +75,8 @@ PART_POINTS = 40_000
 R = TypeVar("R", bound=Reply)
 Progress = Callable[[float], None]
 Agent = str | dict[str, Any]
+Place = str | Sequence[float]
+"""A named place of the scene, or (x, y) or (x, y, z of the ground there) [m]."""
 
 
 def client_config(endpoint: str) -> zenoh.Config:
@@ -139,8 +144,8 @@ class Client:
     def plan(
         self,
         scene: str,
-        start: Sequence[float],
-        goal: Sequence[float],
+        start: Place,
+        goal: Place,
         agent: Agent = "human",
         *,
         method: str = "dual_gpdf",
@@ -148,14 +153,15 @@ class Client:
         request_id: str = "",
         obstacles: Sequence[MovingObstacle] = (),
     ) -> PlanResult:
-        """Ask for a trajectory from `start` to `goal`, (x, y) or (x, y, z of the ground) [m], clear of `obstacles`.
+        """Ask for a trajectory from `start` to `goal`, clear of `obstacles`.
 
+        Each is (x, y) or (x, y, z of the ground) [m], or the name of one of the scene's places.
         `method` is "dual_gpdf", or one of the paper's baselines for comparison: "single_gpdf", "astar", "prm".
         """
         request = PlanRequest(
             scene=scene,
-            start=[float(v) for v in start],
-            goal=[float(v) for v in goal],
+            start=self.where(scene, start),
+            goal=self.where(scene, goal),
             agent=agent,
             method=method,
             deadline_s=deadline_s,
@@ -216,6 +222,37 @@ class Client:
     def info(self, scene: str) -> dict[str, Any]:
         """Facts of one scene."""
         return self.ask(keys.SCENE_INFO, SceneRequest(scene=scene), SceneReply, 30.0).info
+
+    def places(self, scene: str) -> dict[str, list[float]]:
+        """Named places of a scene: (x, y) or (x, y, z of the ground there) [m] by name."""
+        return self.ask(keys.SCENE_PLACES, SceneRequest(scene=scene), PlacesReply, 30.0).places
+
+    def set_place(self, scene: str, name: str, position: Sequence[float]) -> dict[str, list[float]]:
+        """Name a place, (x, y) or (x, y, z of the ground there) [m], for all clients; all places then."""
+        request = PlaceRequest(scene=scene, name=name, position=[float(v) for v in position])
+        return self.ask(keys.SCENE_PLACE, request, PlacesReply, 30.0).places
+
+    def remove_place(self, scene: str, name: str) -> dict[str, list[float]]:
+        """Forget a place; all places that are left.
+
+        Raises:
+            UnknownPlaceError: there is none of that name.
+        """
+        return self.ask(keys.SCENE_PLACE, PlaceRequest(scene=scene, name=name), PlacesReply, 30.0).places
+
+    def where(self, scene: str, place: Place) -> list[float]:
+        """Position of a named place [m]; a position is given back as it is.
+
+        Raises:
+            UnknownPlaceError: the scene has no place of that name.
+        """
+        if not isinstance(place, str):
+            return [float(v) for v in place]
+        places = self.places(scene)
+        if place not in places:
+            words = f"there is no place {place!r} in scene {scene!r}. Known: {', '.join(sorted(places)) or 'none'}."
+            raise UnknownPlaceError(Reply(status=Status.UNKNOWN_PLACE, message=words, scene=scene))
+        return places[place]
 
     def unload_scene(self, scene: str) -> None:
         """Let the service forget a scene."""
@@ -441,8 +478,8 @@ class AsyncClient:
     async def plan(
         self,
         scene: str,
-        start: Sequence[float],
-        goal: Sequence[float],
+        start: Place,
+        goal: Place,
         agent: Agent = "human",
         *,
         method: str = "dual_gpdf",
@@ -482,6 +519,22 @@ class AsyncClient:
         return await asyncio.to_thread(
             self.sync.load_scene, name, file, upload=upload, ground=ground, timeout_s=timeout_s, progress=progress
         )
+
+    async def places(self, scene: str) -> dict[str, list[float]]:
+        """See `Client.places`."""
+        return await asyncio.to_thread(self.sync.places, scene)
+
+    async def set_place(self, scene: str, name: str, position: Sequence[float]) -> dict[str, list[float]]:
+        """See `Client.set_place`."""
+        return await asyncio.to_thread(self.sync.set_place, scene, name, position)
+
+    async def remove_place(self, scene: str, name: str) -> dict[str, list[float]]:
+        """See `Client.remove_place`."""
+        return await asyncio.to_thread(self.sync.remove_place, scene, name)
+
+    async def where(self, scene: str, place: Place) -> list[float]:
+        """See `Client.where`."""
+        return await asyncio.to_thread(self.sync.where, scene, place)
 
     async def unload_scene(self, scene: str) -> None:
         """See `Client.unload_scene`."""

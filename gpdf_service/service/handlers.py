@@ -23,6 +23,8 @@ from gpdf_schemas import (
     FileReply,
     FileRequest,
     LoadRequest,
+    PlaceRequest,
+    PlacesReply,
     PlanReply,
     PlanRequest,
     Reply,
@@ -41,7 +43,8 @@ from gpdf_service.pipeline import plan
 from gpdf_service.scene import Scene
 from gpdf_service.service.drawing import draw_part
 from gpdf_service.service.moving import Moving
-from gpdf_service.service.scenes import Shelf, describe
+from gpdf_service.service.places import Named, Places
+from gpdf_service.service.scenes import Entry, Shelf, describe
 from gpdf_service.types import Agent, PlanResult, Trajectory
 
 log = logging.getLogger(__name__)
@@ -77,6 +80,7 @@ class Handlers:
         self.shelf, self.planner_id = shelf, planner_id
         self._on_unload, self._look_for = on_unload, look_for
         self.moving = Moving()
+        self._places = Places(shelf.files.folder if shelf.files else None)
         self.by_key: Answers = {
             **self.planner_keys,
             **self.map_keys,
@@ -99,6 +103,8 @@ class Handlers:
             keys.SCENE_LOAD: (LoadRequest, SceneReply, self.load),
             keys.SCENE_UPLOAD: (UploadRequest, SceneReply, self.upload),
             keys.SCENE_UNLOAD: (SceneRequest, SceneReply, self.unload),
+            keys.SCENE_PLACES: (SceneRequest, PlacesReply, self.places),
+            keys.SCENE_PLACE: (PlaceRequest, PlacesReply, self.place),
             keys.SCENE_FILE: (FileRequest, FileReply, self.file),
             keys.SCENE_DRAW: (DrawRequest, DrawReply, self.draw),
         }
@@ -123,7 +129,7 @@ class Handlers:
             return handle(msgspec.structs.replace(request, deadline_s=request.deadline_s - waited))
         except (DecodeError, RequestError, ValueError) as error:
             return self.refuse(reply_kind, Status.INVALID_REQUEST, str(error), request_id)
-        except _NoSceneError as error:
+        except _NoSuchError as error:
             return self.refuse(reply_kind, error.status, str(error), request_id)
         except GpdfError as error:
             return self.refuse(reply_kind, Status.INVALID_REQUEST, str(error), request_id)
@@ -190,9 +196,7 @@ class Handlers:
 
     def info(self, request: SceneRequest) -> SceneReply:
         """Facts of one scene; BUILDING or BUILD_FAILED where it is not ready."""
-        entry = self.shelf.get(request.scene)
-        if entry is None:
-            raise _NoSceneError(Status.UNKNOWN_SCENE, self._unknown(request.scene))
+        entry = self._entry(request.scene)
         if entry.building:
             status, message = Status.BUILDING, f"scene {request.scene!r} is being built. Ask again."
         elif entry.error:
@@ -222,17 +226,37 @@ class Handlers:
 
     def unload(self, request: SceneRequest) -> SceneReply:
         """Forget a scene."""
-        if not self.shelf.unload(request.scene):
-            raise _NoSceneError(Status.UNKNOWN_SCENE, self._unknown(request.scene))
+        self._entry(request.scene)
+        self._places.forget(request.scene)  # ahead of the scene: a crash between must not leave them to the next one
+        self.shelf.unload(request.scene)
         self._on_unload(request.scene)
         return self._scene_reply(request, Status.OK, f"scene {request.scene!r} is unloaded.")
+
+    def places(self, request: SceneRequest) -> PlacesReply:
+        """All named places of a scene."""
+        self._entry(request.scene)
+        return self._places_reply(request, self._places.of(request.scene))
+
+    def place(self, request: PlaceRequest) -> PlacesReply:
+        """Name a place, or forget it."""
+        self._entry(request.scene)
+        if request.position is not None:
+            return self._places_reply(request, self._places.put(request.scene, request.name, request.position))
+        try:
+            return self._places_reply(request, self._places.remove(request.scene, request.name))
+        except KeyError as error:
+            words = f"there is no place {request.name!r} in scene {request.scene!r}. Known: {error.args[0]}."
+            raise _NoSuchError(Status.UNKNOWN_PLACE, words) from error
+
+    def _places_reply(self, request: SceneRequest | PlaceRequest, places: Named) -> PlacesReply:
+        return PlacesReply(request_id=request.request_id, scene=request.scene, planner=self.planner_id, places=places)
 
     def file(self, request: FileRequest) -> FileReply:
         """A part of a ready scene's file."""
         entry = self.shelf.get(request.scene)
         if entry is None or entry.file is None or entry.facts["version"] != request.version:
             words = f"scene {request.scene!r} has no file of version {request.version}. Ask which version there is."
-            raise _NoSceneError(Status.UNKNOWN_SCENE, words)
+            raise _NoSuchError(Status.UNKNOWN_SCENE, words)
         try:
             with entry.file.open("rb") as file:
                 size = os.fstat(file.fileno()).st_size
@@ -241,7 +265,7 @@ class Handlers:
                 file.seek(request.offset)
                 data = file.read(PART_BYTES)
         except FileNotFoundError as error:  # a new version has just taken its place
-            raise _NoSceneError(Status.UNKNOWN_SCENE, f"scene {request.scene!r} has changed. Ask again.") from error
+            raise _NoSuchError(Status.UNKNOWN_SCENE, f"scene {request.scene!r} has changed. Ask again.") from error
         return FileReply(
             request_id=request.request_id,
             scene=request.scene,
@@ -291,22 +315,29 @@ class Handlers:
             self._look_for(name, timeout_s)
             entry = self.shelf.get(name)
         if entry is None:
-            raise _NoSceneError(Status.UNKNOWN_SCENE, self._unknown(name))
+            raise _NoSuchError(Status.UNKNOWN_SCENE, self._unknown(name))
         if not entry.ready:
             if entry.building:
-                raise _NoSceneError(Status.BUILDING, f"scene {name!r} is being built. Ask again.")
-            raise _NoSceneError(Status.BUILD_FAILED, f"scene {name!r}: {entry.error}")
+                raise _NoSuchError(Status.BUILDING, f"scene {name!r} is being built. Ask again.")
+            raise _NoSuchError(Status.BUILD_FAILED, f"scene {name!r}: {entry.error}")
         try:
             return self.shelf.scene(entry)
         except SceneFileError as error:
-            raise _NoSceneError(Status.BUILD_FAILED, f"scene {name!r}: {error}") from error
+            raise _NoSuchError(Status.BUILD_FAILED, f"scene {name!r}: {error}") from error
+
+    def _entry(self, name: str) -> Entry:
+        """What the shelf has of that name, ready or not."""
+        entry = self.shelf.get(name)
+        if entry is None:
+            raise _NoSuchError(Status.UNKNOWN_SCENE, self._unknown(name))
+        return entry
 
     def _unknown(self, name: str) -> str:
         known = ", ".join(sorted(self.shelf.facts())) or "none"
         return f"there is no scene {name!r}. Loaded: {known}."
 
 
-class _NoSceneError(Exception):
+class _NoSuchError(Exception):
     def __init__(self, status: Status, message: str) -> None:
         super().__init__(message)
         self.status = status

@@ -20,6 +20,8 @@ from gpdf_schemas.messages import LoadRequest as LoadRequest
 from gpdf_schemas.messages import MovingObstacle as MovingObstacle
 from gpdf_schemas.messages import MovingObstacles as MovingObstacles
 from gpdf_schemas.messages import ObstaclesMessage as ObstaclesMessage
+from gpdf_schemas.messages import PlaceRequest as PlaceRequest
+from gpdf_schemas.messages import PlacesReply as PlacesReply
 from gpdf_schemas.messages import PlanReply as PlanReply
 from gpdf_schemas.messages import PlanRequest as PlanRequest
 from gpdf_schemas.messages import PoseMessage as PoseMessage

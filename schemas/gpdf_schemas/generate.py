@@ -21,6 +21,8 @@ MESSAGES = (
     messages.ScenesReply,
     messages.LoadRequest,
     messages.UploadRequest,
+    messages.PlaceRequest,
+    messages.PlacesReply,
     messages.PoseMessage,
     messages.CueMessage,
     messages.VelocityMessage,

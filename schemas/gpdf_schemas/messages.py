@@ -24,6 +24,7 @@ class Status(StrEnum):
     UNCERTIFIED = "UNCERTIFIED"
     INVALID_REQUEST = "INVALID_REQUEST"
     UNKNOWN_SCENE = "UNKNOWN_SCENE"
+    UNKNOWN_PLACE = "UNKNOWN_PLACE"
     BUILDING = "BUILDING"
     BUILD_FAILED = "BUILD_FAILED"
     BUSY = "BUSY"
@@ -254,6 +255,28 @@ class ScenesReply(Reply, frozen=True, kw_only=True):
     """Facts of every scene by name."""
 
     scenes: dict[str, dict[str, Any]] = {}
+
+
+class PlaceRequest(msgspec.Struct, frozen=True, kw_only=True):
+    """Name a place of a scene, anew or no more, on `keys.SCENE_PLACE`; all of them are asked by a `SceneRequest`.
+
+    Attributes:
+        scene: Name of a loaded scene; its places stay when it gets a new version, and go when it is unloaded.
+        name: At most 64 letters, without a comma.
+        position: (x, y) or (x, y, z of the ground there) [m]; none forgets the place.
+    """
+
+    scene: str
+    name: str
+    position: list[float] | None = None
+    deadline_s: float = 30.0
+    request_id: str = ""
+
+
+class PlacesReply(Reply, frozen=True, kw_only=True):
+    """All places of the scene by name, as they are now; (x, y) or (x, y, z of the ground there) [m]."""
+
+    places: dict[str, list[float]] = {}
 
 
 class PoseMessage(msgspec.Struct, frozen=True, kw_only=True):

@@ -51,6 +51,11 @@ SAID = {
     "drive": ["arrived", "routes: 1"],
     "errors": ["GOAL_OUTSIDE_MAP", "another scene: UNKNOWN_SCENE", "another request: INVALID_REQUEST"],
     "guide": ["arrived"],
+    "places": [
+        "entrance at 1.0, 1.0, kitchen at 5.0, 3.3\nOK",
+        "UNKNOWN_PLACE: there is no place 'kitchen'",
+        "Known: entrance",
+    ],
     "plan": ["OK", "m of room"],
     "scenes": ["copy version", "points on 1 level", "digest"],
     "trajectory": ["where after 2 s", "the first 1.00 m take"],
