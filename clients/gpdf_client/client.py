@@ -96,7 +96,7 @@ class Client:
     """
 
     def __init__(self, session: zenoh.Session) -> None:
-        self._session = session
+        self._session, self._id = session, str(session.info.zid())  # by its id the service is fair between clients
         self._planners = Planners(session, random.Random())
         self._watchers: list[zenoh.Subscriber[Any]] = []  # dropped, they would end
 
@@ -414,7 +414,7 @@ class Client:
 
     def _try(self, key: str, payload: bytes, kind: type[R], timeout_s: float) -> R | None:
         """Ask once; None if nobody answered."""
-        for answer in self._session.get(key, payload=payload, timeout=min(timeout_s, LONGEST_S)):
+        for answer in self._session.get(key, payload=payload, attachment=self._id, timeout=min(timeout_s, LONGEST_S)):
             if answer.ok is not None:  # not Zenoh's own time-out
                 return _decode(answer.ok.payload.to_bytes(), kind)
         return None

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import logging
 import platform
-import queue
 import threading
 import time
 import uuid
@@ -34,6 +33,7 @@ from gpdf_schemas import (
 from gpdf_service import __version__
 from gpdf_service.config import Config
 from gpdf_service.scene import Scene
+from gpdf_service.service.fair_queue import FairQueue
 from gpdf_service.service.follower import Follower
 from gpdf_service.service.handlers import Handlers
 from gpdf_service.service.metrics import Metrics
@@ -49,6 +49,9 @@ PACKAGES = ("numpy", "scipy", "numba", "eclipse-zenoh", "msgspec", "mcap")
 """Whose versions the log keeps beside our own: they can change an answer or its bytes."""
 TRIM_S = 1.0
 """[s] Between looks at the memory of the scenes: the free spaces of new bodies grow with the plans."""
+
+MAX_CLIENT_BYTES = 64
+"""Of a client's name for itself beside its requests: four times a Zenoh id."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,7 +89,7 @@ class Server:
         )
         self.metrics = Metrics()
         self.handlers = Handlers(self.shelf, self.planner_id, self._on_unload, self._look_for)
-        self._jobs: queue.Queue[_Job | None] = queue.Queue(options.queue)
+        self._jobs = FairQueue[_Job](options.queue)
         self._workers = [
             threading.Thread(target=self._work, name=f"gpdf-worker-{i}", daemon=True) for i in range(options.workers)
         ]
@@ -105,7 +108,7 @@ class Server:
     @property
     def load(self) -> float:
         """Requests that wait or are at work, over the workers."""
-        return self._jobs.unfinished_tasks / len(self._workers)
+        return self._jobs.unfinished / len(self._workers)
 
     def __enter__(self) -> Server:
         try:
@@ -135,11 +138,9 @@ class Server:
     ) -> None:
         self._ended.set()
         self._close_doors()
-        for _ in self._workers:
-            self._jobs.put(None)  # behind the requests that wait: they are answered first
+        self._jobs.close()  # the requests that wait are answered first
         for thread in (*self._workers, self._keeper):
             thread.join()
-        self._turn_away()
         if self._follower is not None:
             self._follower.close()
         self.shelf.close()
@@ -154,13 +155,6 @@ class Server:
             token.undeclare()  # type: ignore[no-untyped-call]
         for queryable in self._queryables:
             queryable.undeclare()  # type: ignore[no-untyped-call]
-
-    def _turn_away(self) -> None:
-        """Answer what came while the doors were closed and the workers ended."""
-        while not self._jobs.empty():
-            if job := self._jobs.get_nowait():
-                kind = self.handlers.by_key[job.key][1]
-                self._reply(job, self.handlers.refuse(kind, Status.UNAVAILABLE, "this service ends. Ask another one."))
 
     def _load_scenes(self) -> None:
         self.shelf.restore({name for name, _ in self._scenes})
@@ -227,16 +221,24 @@ class Server:
         size, fits = len(body), len(body) <= MAX_REQUEST_BYTES
         payload = body.to_bytes() if fits else b""
         job = _Job(query, key, wire_key, payload, time.monotonic(), time.time_ns())
-        kind = self.handlers.by_key[key][1]
         if not fits:
-            words = f"{size} bytes, at most {MAX_REQUEST_BYTES} are taken. Send it in parts."
-            self._reply(job, self.handlers.refuse(kind, Status.INVALID_REQUEST, words), patient=False)
+            self._refuse(
+                job, Status.INVALID_REQUEST, f"{size} bytes, at most {MAX_REQUEST_BYTES} are taken. Send it in parts."
+            )
             return
-        try:
-            self._jobs.put_nowait(job)
-        except queue.Full:
-            words = f"{self.options.queue} requests are waiting. Ask again in a moment."
-            self._reply(job, self.handlers.refuse(kind, Status.BUSY, words), patient=False)
+        sender = query.attachment
+        if (
+            refused := self._jobs.put(job, "" if sender is None else sender.to_bytes()[:MAX_CLIENT_BYTES].hex())
+        ) is None:
+            return
+        if self._ended.is_set():
+            self._refuse(refused, Status.UNAVAILABLE, "this service ends. Ask another one.")
+        else:
+            self._refuse(refused, Status.BUSY, f"{self.options.queue} requests are waiting. Ask again in a moment.")
+
+    def _refuse(self, job: _Job, status: Status, words: str) -> None:
+        """Answer at once, in Zenoh's callback."""
+        self._reply(job, self.handlers.refuse(self.handlers.by_key[job.key][1], status, words), patient=False)
 
     def _work(self) -> None:
         while (job := self._jobs.get()) is not None:
@@ -245,7 +247,7 @@ class Server:
             except Exception:
                 log.exception("reply on %s", job.key)
             finally:
-                self._jobs.task_done()
+                self._jobs.done()
 
     def _reply(self, job: _Job, reply: Reply, *, patient: bool = True) -> None:
         data = encode(msgspec.structs.replace(reply, load=self.load))
