@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import json
 import math
 import random
@@ -17,6 +18,7 @@ import msgspec
 import numpy as np
 import zenoh
 from gpdf_schemas import (
+    MAX_REQUEST_BYTES,
     Array,
     DistanceReply,
     DistanceRequest,
@@ -35,11 +37,13 @@ from gpdf_schemas import (
     ScenesReply,
     Status,
     StatusReply,
+    TrajectoryCut,
     UploadRequest,
     decode,
     encode,
     keys,
 )
+from gpdf_schemas.moving import MAX_POINTS, points_of
 from numpy.typing import ArrayLike
 
 from gpdf_client.planners import Planners
@@ -171,8 +175,28 @@ class Client:
         return to_result(self.ask_planner(keys.PLAN, request, PlanReply, deadline_s))
 
     def publish_obstacles(self, scene: str, obstacles: Sequence[MovingObstacle]) -> None:
-        """Tell every planner what moves in a scene; nobody answers, and what is not told again ends by itself."""
-        self._session.put(keys.obstacles(scene), encode(MovingObstacles(obstacles=list(obstacles))))
+        """Tell every planner and guide what moves in a scene; what is not told again ends by itself.
+
+        Nobody answers, so what no service would take is refused here.
+
+        Raises:
+            InvalidRequestError: an obstacle has no sense, or all together are too many points or bytes.
+        """
+        self._session.put(keys.obstacles(scene), _publishable(scene, obstacles))
+
+    def watch_cuts(self, scene: str, on_cut: Callable[[TrajectoryCut], None]) -> None:
+        """Hear of trajectories that something that moves has cut; compare `request_id` with your plan's.
+
+        Args:
+            scene: Name of the scene.
+            on_cut: Told each one, on a thread of Zenoh's, again while it lasts; it must return soon.
+        """
+
+        def hear(sample: zenoh.Sample) -> None:
+            with contextlib.suppress(gpdf_schemas.DecodeError):  # of a later version: nothing that we understand
+                on_cut(decode(sample.payload.to_bytes(), TrajectoryCut))
+
+        self._watchers.append(self._session.declare_subscriber(keys.cut(scene), hear))
 
     def distance(
         self, scene: str, field: str, points: ArrayLike, agent: Agent = "human", *, deadline_s: float = 30.0
@@ -441,6 +465,20 @@ def _checked(request: msgspec.Struct, deadline_s: float) -> msgspec.Struct:
     if not getattr(request, "request_id", ""):
         request = msgspec.structs.replace(request, request_id=uuid.uuid4().hex)
     return request
+
+
+def _publishable(scene: str, obstacles: Sequence[MovingObstacle]) -> bytes:
+    """The message, if a service would take it."""
+    try:
+        count = sum(len(points_of(obstacle)) for obstacle in obstacles)
+        if count > MAX_POINTS:
+            raise ValueError(f"{count} points move, at most {MAX_POINTS} can. Thin them.")
+        data = encode(MovingObstacles(obstacles=list(obstacles)))
+        if len(data) > MAX_REQUEST_BYTES:
+            raise ValueError(f"{len(data)} bytes, at most {MAX_REQUEST_BYTES} are taken. Publish in parts, or as f4.")
+    except ValueError as error:
+        raise InvalidRequestError(Reply(status=Status.INVALID_REQUEST, message=str(error), scene=scene)) from error
+    return data
 
 
 def _decode(data: bytes, kind: type[R]) -> R:

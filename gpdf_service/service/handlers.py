@@ -32,6 +32,7 @@ from gpdf_schemas import (
     SceneRequest,
     ScenesReply,
     Status,
+    TrajectoryCut,
     TrajectoryMessage,
     UploadRequest,
     decode,
@@ -42,10 +43,12 @@ from gpdf_service.errors import GpdfError, RequestError, SceneFileError
 from gpdf_service.pipeline import plan
 from gpdf_service.scene import Scene
 from gpdf_service.service.drawing import draw_part
+from gpdf_service.service.in_use import InUse
 from gpdf_service.service.moving import Moving
 from gpdf_service.service.places import Named, Places
 from gpdf_service.service.scenes import Entry, Shelf, describe
-from gpdf_service.types import Agent, PlanResult, Trajectory
+from gpdf_service.types import Agent, PlanResult, Trajectory, resolve_agent
+from gpdf_service.types import Status as PlanStatus
 
 log = logging.getLogger(__name__)
 MAX_DISTANCE_POINTS = 100_000
@@ -68,6 +71,7 @@ class Handlers:
         planner_id: The service's id.
         on_unload: Told the name of a scene that was unloaded.
         look_for: Asked to get a scene that is not on the shelf, within some seconds.
+        on_cut: Told of trajectories that something that moves has cut.
     """
 
     def __init__(
@@ -76,10 +80,12 @@ class Handlers:
         planner_id: str,
         on_unload: Callable[[str], None] = lambda name: None,
         look_for: Callable[[str, float], None] = lambda name, timeout_s: None,
+        on_cut: Callable[[TrajectoryCut], None] = lambda cut: None,
     ) -> None:
         self.shelf, self.planner_id = shelf, planner_id
         self._on_unload, self._look_for = on_unload, look_for
         self.moving = Moving()
+        self.in_use = InUse(self.moving.points, on_cut, planner_id)
         self._places = Places(shelf.files.folder if shelf.files else None)
         self.by_key: Answers = {
             **self.planner_keys,
@@ -152,6 +158,9 @@ class Handlers:
             method=request.method,  # type: ignore[arg-type]
             deadline_s=request.deadline_s,
         )
+        if result.trajectory is not None and result.status is PlanStatus.OK:
+            body = resolve_agent(agent_of(request.agent))
+            self.in_use.remember(request.scene, request.request_id, body, result.trajectory)
         return self._plan_reply(request, scene, result)
 
     def _plan_reply(self, request: PlanRequest, scene: Scene, result: PlanResult) -> PlanReply:

@@ -25,6 +25,7 @@ from gpdf_schemas import (
     SceneChanged,
     Status,
     StatusReply,
+    TrajectoryCut,
     decode,
     encode,
     keys,
@@ -88,7 +89,7 @@ class Server:
             memory_bytes=1e6 * options.scene_memory_mb,
         )
         self.metrics = Metrics()
-        self.handlers = Handlers(self.shelf, self.planner_id, self._on_unload, self._look_for)
+        self.handlers = Handlers(self.shelf, self.planner_id, self._on_unload, self._look_for, self._on_cut)
         self._jobs = FairQueue[_Job](options.queue)
         self._workers = [
             threading.Thread(target=self._work, name=f"gpdf-worker-{i}", daemon=True) for i in range(options.workers)
@@ -143,6 +144,7 @@ class Server:
             thread.join()
         if self._follower is not None:
             self._follower.close()
+        self.handlers.in_use.close()
         self.shelf.close()
         if self._session is not None:
             self._session.close()  # type: ignore[no-untyped-call]
@@ -167,6 +169,7 @@ class Server:
         own = {keys.of_planner(self.planner_id, key): key for key in names}
         assert self._session is not None
         self._session.declare_subscriber(keys.obstacles("*"), self._hear_of_obstacles)
+        self.handlers.in_use.start()
         self._serve({**own, **{key: key for key in names}}, f"{keys.ALIVE}/{self.planner_id}")
 
     def _serve(self, wire_keys: Mapping[str, str], token: str) -> None:
@@ -194,18 +197,26 @@ class Server:
         self.recorder.forget(name)
         self._announce(SceneChanged(scene=name, version=0))
 
+    def _on_cut(self, cut: TrajectoryCut) -> None:
+        assert self._session is not None
+        key, data = keys.cut(cut.scene), encode(cut)
+        self._session.put(key, data)
+        self.recorder.publication(key, data, time.time_ns())
+
     def _hear_of_obstacles(self, sample: zenoh.Sample) -> None:
         """Zenoh's callback: what was published on a scene's key; what cannot be read is told on stderr alone."""
         key, stamp = str(sample.key_expr), time.time_ns()
+        scene = key.split("/")[-2]
         try:
             if len(sample.payload) > MAX_REQUEST_BYTES:
                 raise ValueError(f"{len(sample.payload)} bytes, at most {MAX_REQUEST_BYTES} are taken")
             data = sample.payload.to_bytes()
-            self.handlers.moving.publish(key.split("/")[-2], decode(data, MovingObstacles).obstacles)
+            self.handlers.moving.publish(scene, decode(data, MovingObstacles).obstacles)
             self.recorder.publication(key, data, stamp)
         except ValueError as error:
             log.warning("obstacles on %s: %s", key, error)
             self.metrics.count_bad_publication()
+        self.handlers.in_use.look(scene)
 
     def _announce(self, news: SceneChanged) -> None:
         if self._session is not None and self.options.role != "planner":

@@ -31,9 +31,9 @@ MESSAGES = (
     messages.StatusReply,
     messages.SceneChanged,
     messages.MovingObstacles,
+    messages.TrajectoryCut,
     messages.DrawRequest,
     messages.DrawReply,
-    messages.ObstaclesMessage,
 )
 
 

@@ -19,8 +19,6 @@ CUE = f"{ROOT}/cue"
 VELOCITY = f"{ROOT}/velocity"
 """Stream of velocity commands (`VelocityMessage`); below it, the name of the body."""
 SCENE_DRAW = f"{ROOT}/scene/draw"
-OBSTACLES = f"{ROOT}/obstacles"
-"""Stream of what stands around a body (`ObstaclesMessage`); below it, the name of the body."""
 ALIVE = f"{ROOT}/alive"
 """Liveliness token of a service; below it, the service's id."""
 SCENE_FILE = f"{ROOT}/scene/file"
@@ -49,3 +47,8 @@ def changed(scene: str) -> str:
 def obstacles(scene: str) -> str:
     """Where to publish what moves in a scene, as `MovingObstacles`; "*" names all."""
     return f"{SCENES}/{scene}/obstacles"
+
+
+def cut(scene: str) -> str:
+    """Where it is published that a trajectory is not clear any more, as `TrajectoryCut`."""
+    return f"{SCENES}/{scene}/cut"

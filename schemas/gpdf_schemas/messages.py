@@ -97,7 +97,7 @@ class MovingObstacle(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class MovingObstacles(msgspec.Struct, frozen=True, kw_only=True):
-    """Published on `keys.obstacles`: what moves in a scene."""
+    """Published on `keys.obstacles`: what moves in a scene, or stands in it and is not on its map."""
 
     obstacles: list[MovingObstacle]
 
@@ -420,6 +420,29 @@ class SceneChanged(msgspec.Struct, frozen=True, kw_only=True):
     digest: str = ""
 
 
+class TrajectoryCut(msgspec.Struct, frozen=True, kw_only=True):
+    """Published on `keys.cut` when what moves in a scene is in the way of a trajectory that a planner gave out.
+
+    It is told for a while after the plan, three times the trajectory's duration and a minute, each time that something
+    is published for the scene while the way is cut. No such message is no promise: only a new plan is one.
+
+    Attributes:
+        scene: Name of the scene.
+        request_id: Of the request that the trajectory answered.
+        planner: Id of the planner.
+        obstacles: Ids of what is in the way.
+        time: When the body would first touch one, since the trajectory's start [s].
+        at: Its contact point then, (x, y, z) [m].
+    """
+
+    scene: str
+    request_id: str
+    planner: str
+    obstacles: list[str]
+    time: float
+    at: list[float]
+
+
 class DrawReply(Reply, frozen=True, kw_only=True):
     """One part of a drawing, at most 1 MB.
 
@@ -439,15 +462,3 @@ class DrawReply(Reply, frozen=True, kw_only=True):
     origin: list[float] = []
     columns: list[str] = []
     rows: Array | None = None
-
-
-class ObstaclesMessage(msgspec.Struct, frozen=True, kw_only=True):
-    """What stands around a body now, seen by its own sensor, as a stream on `keys.OBSTACLES`/NAME.
-
-    Attributes:
-        points: (k, 3) [m]; none says that nothing is there any more.
-        valid_s: After this it is not believed any more [s].
-    """
-
-    points: Array
-    valid_s: float = 2.0
