@@ -41,6 +41,7 @@ from gpdf_service.service.metrics import Metrics
 from gpdf_service.service.network import session_config
 from gpdf_service.service.options import Options as Options
 from gpdf_service.service.options import plain
+from gpdf_service.service.prometheus import Endpoint
 from gpdf_service.service.recorder import Recorder
 from gpdf_service.service.scenes import Shelf
 
@@ -97,6 +98,7 @@ class Server:
         self._ended = threading.Event()
         self._keeper = threading.Thread(target=self._keep_memory, name="gpdf-memory", daemon=True)
         self._session: zenoh.Session | None = None
+        self._endpoint: Endpoint | None = None  # for Prometheus
         self._follower: Follower | None = None
         self._tokens: list[zenoh.LivelinessToken] = []  # dropped, they would be undeclared
         self._queryables: list[zenoh.Queryable[None]] = []
@@ -115,8 +117,11 @@ class Server:
         try:
             if self.options.role != "planner":
                 self._load_scenes()  # before anybody can ask for them
+            if self.options.metrics_port:
+                self._endpoint = Endpoint(self.options.metrics_port, self.status)
             self._session = zenoh.open(session_config(self.options))
         except BaseException:
+            self._close_endpoint()
             self.shelf.close()
             self.recorder.close()
             raise
@@ -139,6 +144,7 @@ class Server:
     ) -> None:
         self._ended.set()
         self._close_doors()
+        self._close_endpoint()
         self._jobs.close()  # the requests that wait are answered first
         for thread in (*self._workers, self._keeper):
             thread.join()
@@ -157,6 +163,10 @@ class Server:
             token.undeclare()  # type: ignore[no-untyped-call]
         for queryable in self._queryables:
             queryable.undeclare()  # type: ignore[no-untyped-call]
+
+    def _close_endpoint(self) -> None:
+        if self._endpoint is not None:
+            self._endpoint.close()
 
     def _load_scenes(self) -> None:
         self.shelf.restore({name for name, _ in self._scenes})
