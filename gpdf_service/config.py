@@ -49,8 +49,8 @@ class FieldConfig:
 class SearchConfig:
     """Quadtree, connectivity graph and A*."""
 
-    noise_margin: float = 1.0
-    """[-] Room kept beyond the radius over the noise of the cloud: a cured corner is off by up to one deviation."""
+    noise_margin: float = 0.5
+    """[-] Room kept beyond the radius over the noise of the cloud: what a cured corner or edge is off by."""
     margin: float = 0.002
     """[m] Kept beyond the radius while searching, so that rounding and smoothing leave something to certify."""
     field_spacing: float = 0.125

@@ -12,15 +12,13 @@ from numpy.typing import ArrayLike
 from gpdf_service.baselines import plan_baseline
 from gpdf_service.config import Config
 from gpdf_service.errors import CloudError, RequestError
-from gpdf_service.fields import fit_gpdf
-from gpdf_service.perception import build_levels, check_points, cure_and_segment
+from gpdf_service.perception import check_points
 from gpdf_service.planning import plan_path
-from gpdf_service.scene import Scene
+from gpdf_service.scene import Progress as Progress
+from gpdf_service.scene import Scene, assemble_scene
 from gpdf_service.types import Agent, BoolArray, FloatArray, PlanResult, resolve_agent
 
 Method = Literal["dual_gpdf", "single_gpdf", "astar", "prm"]
-Progress = Callable[[str, float], None]
-"""Told the name of a stage and the share of the work that is done, 0 to 1."""
 
 
 def build_scene(
@@ -45,15 +43,7 @@ def build_scene(
     config = config or Config()
     cloud = check_points(points)
     labels = None if ground is None else _check_mask(ground, len(cloud))
-    progress("segment ground", 0.0)
-    cured, mask = cure_and_segment(cloud, labels, config.perception)
-    progress("build levels", 0.4)
-    kept = ~cured.stray
-    levels = build_levels(cured.points[kept], mask[kept], config.perception)
-    progress("fit ground fields", 0.7)
-    fields = tuple(fit_gpdf(level.ground_points, config=config.fields, domain=level.surface) for level in levels.levels)
-    progress("ready", 1.0)
-    return Scene(cloud, mask, levels, fields, config, noise=_excess(cured.measured, config))
+    return assemble_scene(cloud, labels, config, progress=progress)
 
 
 def plan(
@@ -96,11 +86,6 @@ def plan(
         return plan_baseline(scene, *ends, body, method, deadline=deadline, clock=clock)
     space = scene.free_space(body)
     return plan_path(space, *ends, scene.config.planning, deadline=deadline, clock=clock)
-
-
-def _excess(noise: float, config: Config) -> float:
-    """Noise that matters [m]: 0 where the cloud was taken as it is."""
-    return noise if noise > config.perception.negligible_noise else 0.0
 
 
 def _check_mask(ground: ArrayLike, count: int) -> BoolArray:

@@ -7,21 +7,25 @@ import hashlib
 import os
 import threading
 from collections import OrderedDict
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from gpdf_service.config import Config
-from gpdf_service.errors import FieldError
+from gpdf_service.errors import CloudError, FieldError
 from gpdf_service.fields import Gpdf, fit_gpdf
 from gpdf_service.fields.spacing import estimate_spacing, thin
-from gpdf_service.perception import HeightMap, Levels
+from gpdf_service.perception import GroundLevel, HeightMap, Levels, build_levels, check_points, cure_and_segment
 from gpdf_service.search import FreeSpace, build_free_space
 from gpdf_service.store import flatten, read_arrays, restore, write_arrays
 from gpdf_service.types import Agent, BoolArray, FieldSample, FloatArray, IntArray, resolve_agent
 
+Progress = Callable[[str, float], None]
+"""Told the name of a stage and the share of the work that is done, 0 to 1."""
 MAX_CACHED_AGENTS = 16
 """Free spaces kept for one scene; the least recently used goes first. A fleet has few kinds of body."""
 
@@ -131,6 +135,7 @@ class Scene:
         config: What it was built with.
         version: Counts the changes of this scene, from 1.
         noise: Standard deviation of the cloud's points [m], which plans keep away from as well; 0 when negligible.
+        labelled: Whether `ground` was given with the cloud, and not found by our segmentation.
     """
 
     def __init__(
@@ -142,9 +147,11 @@ class Scene:
         config: Config,
         version: int = 1,
         noise: float = 0.0,
+        labelled: bool = False,
     ) -> None:
         self.points, self.ground, self.levels = points, ground, levels
-        self.ground_fields, self.config, self.version, self.noise = ground_fields, config, version, noise
+        self.ground_fields, self.config, self.version = ground_fields, config, version
+        self.noise, self.labelled = noise, labelled
         self._spaces: OrderedDict[Agent, FreeSpace] = OrderedDict()
         self._lock = threading.Lock()
         self._building: dict[Agent, threading.Lock] = {}
@@ -201,7 +208,53 @@ class Scene:
             for i, level in enumerate(self.levels.levels)
         )
         changed = dataclasses.replace(self.levels, levels=levels)
-        return Scene(self.points, self.ground, changed, self.ground_fields, self.config, self.version)
+        fixed = self.ground_fields, self.config, self.version, self.noise, self.labelled
+        return Scene(self.points, self.ground, changed, *fixed)
+
+    def update(
+        self,
+        insert: ArrayLike | None = None,
+        remove: ArrayLike | None = None,
+        *,
+        ground: ArrayLike | None = None,
+        progress: Progress = lambda stage, done: None,
+    ) -> Scene:
+        """The next version of this scene, after a further scan, or with something taken away; this one stays as it is.
+
+        The Ground GPDFs are solved again only around the ground that changed. Free spaces are built on first use.
+
+        Args:
+            insert: Points that are new [m], shape (k, 3).
+            remove: Which of `points` are gone: a mask of shape (n,), or row numbers.
+            ground: Which of the new points are ground, shape (k,). Where it is not given they are segmented together
+                with the points that are there; labels that the scene was built with stay.
+            progress: Called as the work goes on.
+
+        Raises:
+            CloudError: points, rows or labels that cannot be used.
+            NoGroundError: no ground would be left.
+        """
+        keep = np.ones(len(self.points), dtype=bool)
+        try:
+            if remove is not None and np.size(remove):
+                keep[np.asarray(remove)] = False
+        except IndexError as error:
+            raise CloudError("remove", f"rows that are not there ({error})", "Name rows of `points`.") from error
+        fresh = np.zeros((0, 3)) if insert is None else check_points(insert)
+        cloud = np.concatenate([self.points[keep], fresh])
+        labels = None
+        if ground is not None or self.labelled:
+            labels = np.concatenate([self.ground[keep], self._labels_of(fresh, ground, cloud)])
+        return assemble_scene(cloud, labels, self.config, like=self, progress=progress)
+
+    def _labels_of(self, fresh: FloatArray, ground: ArrayLike | None, cloud: FloatArray) -> BoolArray:
+        if ground is None:
+            return cure_and_segment(cloud, None, self.config.perception)[1][len(cloud) - len(fresh) :]
+        labels = np.asarray(ground)
+        if labels.dtype != np.bool_ or labels.shape != (len(fresh),):
+            found = f"an array of {labels.dtype} of shape {labels.shape}"
+            raise CloudError("ground labels", found, f"Pass booleans of shape ({len(fresh)},), one for each new point.")
+        return labels
 
     def forget_agents(self) -> None:
         """Drop what was built for single kinds of body; it is built again on use."""
@@ -243,7 +296,8 @@ class Scene:
         arrays = {"points": self.points, "ground": self.ground, **flatten(self.levels, "levels")}
         for i, field in enumerate(self.ground_fields):
             arrays |= {f"ground_fields/{i}/{key}": value for key, value in field.to_arrays().items()}
-        meta = {"version": self.version, "noise": self.noise, "config": dataclasses.asdict(self.config)}
+        known = {"version": self.version, "noise": self.noise, "labelled": self.labelled}
+        meta = {**known, "config": dataclasses.asdict(self.config)}
         write_arrays(path, arrays, meta)
 
 
@@ -285,4 +339,49 @@ def load_scene(path: str | os.PathLike[str]) -> Scene:
         Config.from_mapping(meta["config"]),
         int(meta["version"]),
         float(meta["noise"]),
+        bool(meta["labelled"]),
     )
+
+
+def assemble_scene(
+    cloud: FloatArray,
+    labels: BoolArray | None,
+    config: Config,
+    *,
+    like: Scene | None = None,
+    progress: Progress = lambda stage, done: None,
+) -> Scene:
+    """Ground, levels and Ground GPDFs of a cloud; what is as it was in the scene `like` is taken over from it."""
+    progress("segment ground", 0.0)
+    cured, ground = cure_and_segment(cloud, labels, config.perception)
+    progress("build levels", 0.4)
+    kept = ~cured.stray
+    grid = None if like is None else like.surfaces[0]
+    levels = build_levels(cured.points[kept], ground[kept], config.perception, grid=grid)
+    progress("fit ground fields", 0.7)
+    old = () if like is None else like.ground_fields
+    fields = tuple(
+        _fit_ground(level, old[i] if i < len(old) else None, config) for i, level in enumerate(levels.levels)
+    )
+    progress("ready", 1.0)
+    noise = cured.measured if cured.measured > config.perception.negligible_noise else 0.0
+    version = 1 if like is None else like.version + 1
+    return Scene(cloud, ground, levels, fields, config, version, noise, labels is not None)
+
+
+def _fit_ground(level: GroundLevel, old: Gpdf | None, config: Config) -> Gpdf:
+    """The level's Ground GPDF: the old one changed where the ground did, or fitted if more than half of it did."""
+    points = level.ground_points
+    if old is not None:
+        stay = _rows_in(old.points, points)
+        fresh = points[~_rows_in(points, old.points)]
+        if stay.mean() > 0.5 and len(fresh) < 0.5 * len(points):
+            return old.remove(~stay).insert(fresh).over(level.surface)
+    return fit_gpdf(points, config=config.fields, domain=level.surface)
+
+
+def _rows_in(rows: FloatArray, others: FloatArray) -> BoolArray:
+    """Which of `rows`, shape (n, 3), are among `others`, to a micrometre."""
+    whole = [np.ascontiguousarray(np.round(each * 1e6).astype(np.int64)) for each in (rows, others)]
+    a, b = (each.view([("", np.int64)] * 3).ravel() for each in whole)
+    return np.isin(a, b)

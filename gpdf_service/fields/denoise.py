@@ -42,7 +42,10 @@ _LONG = 6.0
 """[-] Ratio of two variances at which it is a line: eight points of a disc have that ratio in 1 % of cases."""
 _FAR = 4.0
 """[-] Standard deviations: a point further off a plane is not of it, whatever it is."""
-_PASSES = 2
+_SLAB = 3.5
+"""[-] Standard deviations to either side of a point that its surface is looked for in, once its normal is known: what
+is further off is another surface."""
+_PASSES = 3
 """The first pass brings an outlier near the surface; only there is its neighbourhood round and its plane unbiased."""
 _FEWEST = 8
 """Neighbours that a plane needs: three fix it, the others say how well."""
@@ -87,10 +90,15 @@ def estimate_noise(points: FloatArray, spacing: float) -> float:
     return float(np.median(found)) if len(found) else 0.0
 
 
-def denoise(points: FloatArray, spacing: float | None = None) -> Cured:
+def denoise(points: FloatArray, spacing: float | None = None, *, level: bool = False) -> Cured:
     """Move every point of `points`, shape (n, 3) [m], onto the surface around it; `spacing` is estimated if not given.
 
     Two parallel sheets nearer to each other than four times the noise become one.
+
+    Args:
+        points: [m], shape (n, 3).
+        spacing: Between neighbours on a surface [m]; estimated when not given.
+        level: Whether the surface is known to be more level than upright, as ground is: its steps then stay sharp.
     """
     spacing = estimate_spacing(points) if spacing is None else spacing
     noise = estimate_noise(points, spacing)
@@ -106,8 +114,11 @@ def denoise(points: FloatArray, spacing: float | None = None) -> Cured:
     tree = build_tree(support)
     moved, left = points.copy(), np.full(len(points), _EXTREME * noise)
 
+    normals = np.zeros_like(points)
+    normals[:, 2] = float(level)
+
     def project(centre: FloatArray) -> None:
-        run_chunked(lambda a, b: _project_range(tree, centre, a, b, radii, noise, moved, left), len(points))
+        run_chunked(lambda a, b: _project_range(tree, centre, a, b, radii, noise, moved, left, normals), len(points))
 
     for _ in range(_PASSES):
         project(moved.copy())
@@ -131,8 +142,11 @@ def _find_strays(points: FloatArray, radius: float) -> BoolArray:
 
 
 @njit(cache=True, nogil=True)
-def _gather(tree: Tree, x: FloatArray, radii: FloatArray, moments: FloatArray) -> None:
-    """Sums over the neighbours within each radius, shape (scales, 10): 1, the offset from x and its products."""
+def _gather(tree: Tree, x: FloatArray, radii: FloatArray, normal: FloatArray, half: float, moments: FloatArray) -> None:
+    """Sums over the neighbours within each radius, shape (scales, 10): 1, the offset from x and its products.
+
+    Of the neighbours only those in the slab around x across `normal`, `half` [m] to either side; all if it is zero.
+    """
     nodes = tree.begin.shape[0]
     stack = np.empty(STACK, np.int64)
     moments[:] = 0.0
@@ -150,7 +164,7 @@ def _gather(tree: Tree, x: FloatArray, radii: FloatArray, moments: FloatArray) -
         for i in range(tree.begin[node], tree.end[node]):
             a, b, c = tree.points[i, 0] - x[0], tree.points[i, 1] - x[1], tree.points[i, 2] - x[2]
             square = a * a + b * b + c * c
-            if square > limit:
+            if square > limit or abs(a * normal[0] + b * normal[1] + c * normal[2]) > half:
                 continue
             ring = 0
             while square > radii[ring] ** 2:
@@ -211,7 +225,7 @@ def _thickness_range(
 ) -> None:
     moments, mean, normal = np.zeros((len(radii), 10)), np.zeros(3), np.zeros(3)
     for i in range(begin, end):
-        _gather(tree, places[i], radii, moments)
+        _gather(tree, places[i], radii, normal * 0.0, 0.0, moments)
         for j in range(len(radii)):
             if moments[j, 0] < _FEWEST:
                 continue
@@ -231,10 +245,11 @@ def _project_range(
     sigma: float,
     moved: FloatArray,
     left: FloatArray,
+    normals: FloatArray,
 ) -> None:
     moments, mean, normal, first = np.zeros((len(radii), 10)), np.zeros(3), np.zeros(3), np.zeros(3)
     for i in range(begin, end):
-        _gather(tree, points[i], radii, moments)
+        _gather(tree, points[i], radii, normals[i], _SLAB * sigma, moments)
         low_end, high_end, chosen = -np.inf, np.inf, -1
         for j in range(len(radii)):
             count = moments[j, 0]
@@ -263,3 +278,5 @@ def _project_range(
             for k in range(3):
                 moved[i, k] = points[i, k] + shift * first[k]
             left[i] = _BIAS * error
+        if chosen >= 0:
+            normals[i] = first

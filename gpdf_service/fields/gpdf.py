@@ -128,6 +128,8 @@ class Gpdf:
             FieldError: wrong shape or not finite.
         """
         data = _check_points(points, self.points.shape[1])
+        if len(data) == 0:
+            return self
         data = data[thin(data, 0.5 * self.spacing)]
         data = data[find_nearest(self.tree, data)[0] >= 0.5 * self.spacing]
         return self._changed(np.ones(len(self.points), dtype=bool), data, np.full(len(data), noise))
@@ -150,6 +152,11 @@ class Gpdf:
         if not keep.any():
             raise FieldError("remove", "all points", "A field needs at least one point; drop the field instead.")
         return self._changed(keep, np.zeros((0, self.points.shape[1])), np.zeros(0))
+
+    def over(self, domain: Domain) -> Gpdf:
+        """The same field with another domain."""
+        own = self.tree, self.alpha, self.gap, self.noise
+        return Gpdf(*own, self.length_scale, self.noise_variance, self.spacing, domain)
 
     def _changed(self, keep: BoolArray, added: FloatArray, noise: FloatArray) -> Gpdf:
         if keep.all() and len(added) == 0:

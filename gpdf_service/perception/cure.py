@@ -39,9 +39,9 @@ def cure_and_segment(points: FloatArray, ground: BoolArray | None, config: Perce
         ground = np.zeros(len(points), dtype=bool)
         ground[~rough.stray] = segment_ground(rough.points[~rough.stray], config)
     cured = Cured(points.copy(), np.full(len(points), noise), np.zeros(len(points), dtype=bool), noise)
-    for part in (ground, ~ground):
+    for part, level in ((ground, True), (~ground, False)):
         if part.any():
-            own = denoise(points[part])
+            own = denoise(points[part], level=level)
             cured.points[part], cured.noise[part], cured.stray[part] = own.points, own.noise, own.stray
     return cured, ground & ~cured.stray
 

@@ -79,7 +79,8 @@ class Layers:
 
 def build_layers(points: FloatArray, cell_width: float, gap: float) -> Layers:
     """Cut the columns of `points`, shape (n, 3), wherever neighbours in height are more than `gap` apart [m]."""
-    origin = points[:, :2].min(axis=0) - 1.5 * cell_width  # a ring of empty cells: the outside is unknown
+    # Centres lie at multiples of the width, so that they stay when the cloud grows; a ring of them is empty: unknown.
+    origin = (np.floor(points[:, :2].min(axis=0) / cell_width) - 1.5) * cell_width
     index = np.floor((points[:, :2] - origin) / cell_width).astype(np.int64)
     shape = (int(index[:, 0].max()) + 2, int(index[:, 1].max()) + 2)
     cell = index[:, 0] * shape[1] + index[:, 1]

@@ -57,13 +57,16 @@ class Levels:
     portals: tuple[Portal, ...]
 
 
-def build_levels(points: FloatArray, ground: BoolArray, config: PerceptionConfig) -> Levels:
+def build_levels(
+    points: FloatArray, ground: BoolArray, config: PerceptionConfig, *, grid: HeightMap | None = None
+) -> Levels:
     """Build the sheets from labelled points.
 
     Args:
         points: The cloud [m], shape (n, 3).
         ground: Which points are ground, shape (n,).
         config: Limits.
+        grid: Cells as wide as its are used, so that a scene which changes keeps its cells.
 
     Raises:
         NoGroundError: no point is ground.
@@ -72,7 +75,7 @@ def build_levels(points: FloatArray, ground: BoolArray, config: PerceptionConfig
         raise NoGroundError(
             "ground", "no point of the cloud is labelled ground", "Check the labels, or leave them out."
         )
-    width = cell_width_of(points[ground])
+    width = cell_width_of(points[ground]) if grid is None else grid.cell_width
     layers = build_layers(points[ground], width, max(config.min_headroom, 1.5 * width))
     sheets = split_sheets(layers, config)
     surfaces = tuple(_build_level(points, ground, layers, sheet, config) for sheet in sheets)

@@ -32,7 +32,7 @@ def obstacles_of(level: GroundLevel, agent: Agent, noise: float = 0.0) -> Obstac
     paper's d_g(x) ≤ h_r, made safe beside a platform. The face between two pieces of ground that are joined by a step
     which the body takes is none. Limits of the ground are obstacles where they exceed the body's.
     """
-    touched = _material(level, agent, max(LEAST_OBSTACLE, noise))
+    touched = _material(level, agent, noise)
     limits = level.limits
     reach = np.array([0.0, agent.max_step, agent.max_slope, -np.inf])[limits.kind]
     stops = limits.value > reach
@@ -42,8 +42,10 @@ def obstacles_of(level: GroundLevel, agent: Agent, noise: float = 0.0) -> Obstac
     )
 
 
-def _material(level: GroundLevel, agent: Agent, least: float) -> BoolArray:
+def _material(level: GroundLevel, agent: Agent, noise: float) -> BoolArray:
     surface, points = level.surface, level.other_points
+    least = max(LEAST_OBSTACLE, noise)
+    beside = 3 + 2 * int(np.ceil(2.0 * noise / surface.cell_width))  # cells that noise may have carried a point across
     known = surface.state != UNKNOWN
     top = np.where(known, surface.height, -np.inf)
     bottom = np.where(known, surface.height, np.inf)
@@ -52,11 +54,11 @@ def _material(level: GroundLevel, agent: Agent, least: float) -> BoolArray:
     z = points[:, 2]
     reached = z < ndimage.maximum_filter(top, footprint=disc)[ix, iy] + agent.height
     beneath = z < ndimage.minimum_filter(bottom, footprint=disc)[ix, iy] - least
-    high = ndimage.maximum_filter(top, size=3)[ix, iy]
-    low = ndimage.minimum_filter(bottom, size=3)[ix, iy]
+    high = ndimage.maximum_filter(top, size=beside)[ix, iy]
+    low = ndimage.minimum_filter(bottom, size=beside)[ix, iy]
     own = np.where(known, surface.height, -np.inf)[ix, iy]
     ledge = np.where(high - low > least, high, own)  # on level ground, the ground under the point itself
-    face = np.isfinite(high) & (high - low <= agent.max_step) & (z <= ledge + least)
+    face = np.isfinite(high) & (high - low <= agent.max_step + least) & (z <= ledge + least)
     stops: BoolArray = reached & ~beneath & ~face
     return stops
 

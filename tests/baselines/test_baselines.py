@@ -161,7 +161,7 @@ class Wall:
     def query(self, queries):
         gradient = np.zeros_like(queries)
         gradient[:, 1] = np.sign(queries[:, 1])
-        return FieldSample(np.abs(queries[:, 1]), gradient, np.ones(len(queries), dtype=bool))
+        return FieldSample(np.abs(queries[:, 1]), gradient, np.ones(len(queries), dtype=bool), np.zeros(len(queries)))
 
 
 @pytest.mark.parametrize("distance", [0.1, 0.4, 2.0])  # inside the radius, within the wanted room, out of reach

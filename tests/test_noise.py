@@ -1,0 +1,67 @@
+"""A cloud with a scanner's noise: what is built on it is as if it were clean, and plans keep what is left away."""
+
+import numpy as np
+import pytest
+
+import gpdf_service as gpdf
+from gpdf_service.bench.judge import Judge
+from gpdf_service.bench.plan import random_places
+from gpdf_service.synthetic import SCENES
+
+NOISE = 0.05
+
+
+@pytest.fixture(scope="module")
+def made():
+    return SCENES["office"](np.random.default_rng(0))
+
+
+@pytest.fixture(scope="module")
+def noisy(made):
+    rng = np.random.default_rng(5)
+    return gpdf.build_scene(made.points + rng.normal(size=made.points.shape) * NOISE, made.ground)
+
+
+@pytest.fixture(scope="module")
+def clean(made):
+    return gpdf.build_scene(made.points, made.ground)
+
+
+def test_the_scene_knows_its_noise(noisy, clean):
+    assert noisy.noise == pytest.approx(NOISE, rel=0.2)
+    assert noisy.info()["noise"] == noisy.noise
+    assert clean.noise == 0.0
+
+
+def test_the_ground_lies_where_it_is_and_a_step_stays_a_step(noisy, clean):
+    xy = np.random.default_rng(0).uniform(0.5, 5.5, (4000, 2))
+    both = [scene.surfaces[0].height_at(xy) for scene in (noisy, clean)]
+    error = np.abs(both[0] - both[1])[np.isfinite(both[0]) & np.isfinite(both[1])]
+    assert np.quantile(error, 0.9) < 0.01  # a fifth of the noise
+    assert noisy.free_space("roomba").steps[0].max() > 0.3
+
+
+def test_two_metres_over_the_floor_the_distance_is_right(noisy, clean):
+    queries = np.column_stack([np.random.default_rng(0).uniform(1, 4, (500, 2)), np.full(500, 2.0)])
+    ours, real = noisy.ground_field.query(queries), clean.ground_field.query(queries)
+    both = ours.valid & real.valid
+    assert abs((ours.distance - real.distance)[both].mean()) < 0.01
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("agent", ["human", "roomba"])
+def test_no_plan_in_a_noisy_scene_touches_the_clean_one(made, noisy, clean, agent):
+    judge, body = Judge(made.points, made.ground), gpdf.AGENTS[agent]
+    answers = [gpdf.plan(noisy, a, b, agent) for a, b in random_places(clean, body, 25, np.random.default_rng(3))]
+    good = [answer for answer in answers if answer.status is gpdf.Status.OK]
+    assert len(good) >= 15
+    assert all(judge.judge(answer.trajectory, body).collision_free for answer in good)
+
+
+def test_moving_obstacles_do_not_make_a_noisy_scene_a_clean_one(noisy):
+    assert noisy.with_obstacles(np.array([[2.0, 2.0, 1.0]])).noise == noisy.noise
+
+
+def test_the_noise_is_kept_in_the_file(noisy, tmp_path):
+    noisy.save(tmp_path / "scene.gpdf")
+    assert gpdf.load_scene(tmp_path / "scene.gpdf").noise == noisy.noise
