@@ -32,18 +32,20 @@ from gpdf_schemas import (
     PlanReply,
     PlanRequest,
     Reply,
+    SceneChanged,
     SceneReply,
     SceneRequest,
     ScenesReply,
     Status,
     StatusReply,
     TrajectoryCut,
+    UpdateRequest,
     UploadRequest,
     decode,
     encode,
     keys,
 )
-from gpdf_schemas.moving import MAX_POINTS, points_of
+from gpdf_schemas.moving import MAX_POINTS, FloatArray, points_of
 from numpy.typing import ArrayLike
 
 from gpdf_client.planners import Planners
@@ -77,6 +79,7 @@ PART_POINTS = 40_000
 """Points in one part of an upload: 1 MB as f8, which keeps small queries quick beside it."""
 
 R = TypeVar("R", bound=Reply)
+T = TypeVar("T")
 Progress = Callable[[float], None]
 Agent = str | dict[str, Any]
 Place = str | Sequence[float]
@@ -191,12 +194,7 @@ class Client:
             scene: Name of the scene.
             on_cut: Told each one, on a thread of Zenoh's, again while it lasts; it must return soon.
         """
-
-        def hear(sample: zenoh.Sample) -> None:
-            with contextlib.suppress(gpdf_schemas.DecodeError):  # of a later version: nothing that we understand
-                on_cut(decode(sample.payload.to_bytes(), TrajectoryCut))
-
-        self._watchers.append(self._session.declare_subscriber(keys.cut(scene), hear))
+        self._subscribe(keys.cut(scene), TrajectoryCut, on_cut)
 
     def distance(
         self, scene: str, field: str, points: ArrayLike, agent: Agent = "human", *, deadline_s: float = 30.0
@@ -326,6 +324,65 @@ class Client:
             )
             self.ask(keys.SCENE_UPLOAD, request, SceneReply, 30.0, {Status.BUILDING})
             progress((part + 1) / parts)
+
+    def update_scene(
+        self,
+        name: str,
+        insert: ArrayLike | None = None,
+        *,
+        remove: ArrayLike | None = None,
+        radius: float = 0.05,
+        pose: ArrayLike | None = None,
+        wait: bool = True,
+        timeout_s: float = 300.0,
+    ) -> dict[str, Any]:
+        """Change a scene by a further scan; plans are answered from the version before until the next one is built.
+
+        Args:
+            name: Name of a loaded scene.
+            insert: Points (k, 3) [m] that are new.
+            remove: Points (j, 3) [m] where nothing is any more.
+            radius: What was within this of such a point is gone [m].
+            pose: From the points' frame to the scene's, (4, 4); without one they are in the scene's.
+            wait: Whether to wait until the next version is ready. Who streams scans does not: see `watch_scenes`.
+            timeout_s: Seconds to wait.
+
+        Returns:
+            The facts of the next version; nothing without waiting.
+        """
+        new, old = (_placed([] if cloud is None else cloud, pose) for cloud in (insert, remove))
+        if not len(new) and not len(old):
+            raise ValueError("update_scene takes insert=, remove= or both, at least one point")
+        points, gone = np.concatenate([old, new]), np.arange(len(old) + len(new)) < len(old)
+        upload_id, parts = uuid.uuid4().hex, -(-len(points) // PART_POINTS)
+        for part in range(parts):
+            rows = slice(part * PART_POINTS, (part + 1) * PART_POINTS)
+            request = UpdateRequest(
+                scene=name,
+                upload_id=upload_id,
+                part=part,
+                parts=parts,
+                points=Array.pack(points[rows]),
+                gone=Array.pack(gone[rows], "f4"),
+                radius=radius,
+            )
+            self.ask(keys.SCENE_UPDATE, request, SceneReply, timeout_s, {Status.BUILDING})
+        return self.wait_for_scene(name, timeout_s=timeout_s) if wait else {}
+
+    def watch_scenes(self, on_change: Callable[[SceneChanged], None]) -> None:
+        """Hear of new versions of scenes, and of scenes that are unloaded (version 0).
+
+        Args:
+            on_change: Told each one, on a thread of Zenoh's; it must return soon.
+        """
+        self._subscribe(keys.changed("*"), SceneChanged, on_change)
+
+    def _subscribe(self, key: str, kind: type[T], told: Callable[[T], None]) -> None:
+        def hear(sample: zenoh.Sample) -> None:
+            with contextlib.suppress(gpdf_schemas.DecodeError):  # of a later version: nothing that we understand
+                told(decode(sample.payload.to_bytes(), kind))
+
+        self._watchers.append(self._session.declare_subscriber(key, hear))
 
     def wait_for_scene(self, name: str, *, timeout_s: float = 300.0) -> dict[str, Any]:
         """Wait until a scene is ready; its facts.
@@ -467,6 +524,20 @@ def _checked(request: msgspec.Struct, deadline_s: float) -> msgspec.Struct:
     return request
 
 
+def _placed(points: ArrayLike, pose: ArrayLike | None) -> FloatArray:
+    """Points (n, 3) in the scene's frame.
+
+    Raises:
+        ValueError: the points or the pose have another shape.
+    """
+    cloud = np.asarray(points, dtype=np.float64).reshape(-1, 3)
+    matrix = np.eye(4) if pose is None else np.asarray(pose, dtype=np.float64)
+    if matrix.shape != (4, 4) or not np.array_equal(matrix[3], [0.0, 0.0, 0.0, 1.0]):
+        raise ValueError("pose takes a (4, 4) matrix that ends with (0, 0, 0, 1)")
+    placed: FloatArray = cloud @ matrix[:3, :3].T + matrix[:3, 3]
+    return placed
+
+
 def _publishable(scene: str, obstacles: Sequence[MovingObstacle]) -> bytes:
     """The message, if a service would take it."""
     try:
@@ -573,6 +644,29 @@ class AsyncClient:
     async def where(self, scene: str, place: Place) -> list[float]:
         """See `Client.where`."""
         return await asyncio.to_thread(self.sync.where, scene, place)
+
+    async def update_scene(
+        self,
+        name: str,
+        insert: ArrayLike | None = None,
+        *,
+        remove: ArrayLike | None = None,
+        radius: float = 0.05,
+        pose: ArrayLike | None = None,
+        wait: bool = True,
+        timeout_s: float = 300.0,
+    ) -> dict[str, Any]:
+        """See `Client.update_scene`."""
+        return await asyncio.to_thread(
+            self.sync.update_scene,
+            name,
+            insert,
+            remove=remove,
+            radius=radius,
+            pose=pose,
+            wait=wait,
+            timeout_s=timeout_s,
+        )
 
     async def unload_scene(self, scene: str) -> None:
         """See `Client.unload_scene`."""

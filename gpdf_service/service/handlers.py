@@ -34,6 +34,7 @@ from gpdf_schemas import (
     Status,
     TrajectoryCut,
     TrajectoryMessage,
+    UpdateRequest,
     UploadRequest,
     decode,
     keys,
@@ -46,8 +47,8 @@ from gpdf_service.service.drawing import draw_part
 from gpdf_service.service.in_use import InUse
 from gpdf_service.service.moving import Moving
 from gpdf_service.service.places import Named, Places
-from gpdf_service.service.scenes import Entry, Shelf, describe
-from gpdf_service.types import Agent, PlanResult, Trajectory, resolve_agent
+from gpdf_service.service.scenes import Entry, FullError, Shelf, describe
+from gpdf_service.types import Agent, BoolArray, FloatArray, PlanResult, Trajectory, resolve_agent
 from gpdf_service.types import Status as PlanStatus
 
 log = logging.getLogger(__name__)
@@ -108,6 +109,7 @@ class Handlers:
             keys.SCENE_INFO: (SceneRequest, SceneReply, self.info),
             keys.SCENE_LOAD: (LoadRequest, SceneReply, self.load),
             keys.SCENE_UPLOAD: (UploadRequest, SceneReply, self.upload),
+            keys.SCENE_UPDATE: (UpdateRequest, SceneReply, self.update),
             keys.SCENE_UNLOAD: (SceneRequest, SceneReply, self.unload),
             keys.SCENE_PLACES: (SceneRequest, PlacesReply, self.places),
             keys.SCENE_PLACE: (PlaceRequest, PlacesReply, self.place),
@@ -137,6 +139,8 @@ class Handlers:
             return self.refuse(reply_kind, Status.INVALID_REQUEST, str(error), request_id)
         except _NoSuchError as error:
             return self.refuse(reply_kind, error.status, str(error), request_id)
+        except FullError as error:
+            return self.refuse(reply_kind, Status.BUSY, str(error), request_id)
         except GpdfError as error:
             return self.refuse(reply_kind, Status.INVALID_REQUEST, str(error), request_id)
         except Exception:
@@ -221,17 +225,25 @@ class Handlers:
 
     def upload(self, request: UploadRequest) -> SceneReply:
         """Take a part of a cloud; the build starts with the last."""
-        points = request.points.unpack()
-        if points.ndim != 2 or points.shape[1] != 3:
-            raise RequestError("points", f"an array of shape {points.shape}", "Send an array of shape (n, 3).")
-        ground = None if request.ground is None else request.ground.unpack() > 0
-        if ground is not None and ground.shape != (len(points),):
-            raise RequestError(
-                "ground", f"an array of shape {ground.shape}", f"Send one number a point: ({len(points)},)."
-            )
+        points = _points(request.points)
+        ground = None if request.ground is None else _labels("ground", request.ground, len(points))
         done = self.shelf.add_part(request.scene, request.upload_id, request.part, request.parts, points, ground)
-        message = f"scene {request.scene!r} is being built." if done else f"part {request.part + 1} of {request.parts}"
-        return self._scene_reply(request, Status.BUILDING if done else Status.OK, message)
+        return self._part_reply(request, done)
+
+    def update(self, request: UpdateRequest) -> SceneReply:
+        """Take a part of a change; the build of the next version starts with the last."""
+        self._entry(request.scene)
+        if not 0 < request.radius <= LARGEST_BODY:
+            raise RequestError("radius", f"{request.radius}", f"Give more than 0, at most {LARGEST_BODY} m.")
+        points = _points(request.points)
+        gone = _labels("gone", request.gone, len(points))
+        part = request.upload_id, request.part, request.parts
+        return self._part_reply(request, self.shelf.add_change(request.scene, *part, points, gone, request.radius))
+
+    def _part_reply(self, request: UploadRequest | UpdateRequest, done: bool) -> SceneReply:
+        if done:
+            return self._scene_reply(request, Status.BUILDING, f"scene {request.scene!r} is being built.")
+        return self._scene_reply(request, Status.OK, f"part {request.part + 1} of {request.parts}")
 
     def unload(self, request: SceneRequest) -> SceneReply:
         """Forget a scene."""
@@ -302,7 +314,7 @@ class Handlers:
 
     def _scene_reply(
         self,
-        request: SceneRequest | LoadRequest | UploadRequest,
+        request: SceneRequest | LoadRequest | UploadRequest | UpdateRequest,
         status: Status,
         message: str,
         info: dict[str, Any] = {},  # noqa: B006
@@ -368,6 +380,20 @@ def agent_of(agent: str | dict[str, Any]) -> str | Agent:
         if not SMALLEST_BODY <= numbers[key] <= LARGEST_BODY:
             raise RequestError("agent", f"{key} = {numbers[key]!r}", f"Give {SMALLEST_BODY} to {LARGEST_BODY} m.")
     return Agent(name=str(agent["name"]), **{key: float(value) for key, value in numbers.items()})
+
+
+def _points(array: Array) -> FloatArray:
+    points = array.unpack()
+    if points.ndim != 2 or points.shape[1] != 3:
+        raise RequestError("points", f"an array of shape {points.shape}", "Send an array of shape (n, 3).")
+    return points
+
+
+def _labels(name: str, array: Array, count: int) -> BoolArray:
+    labels = array.unpack()
+    if labels.shape != (count,):
+        raise RequestError(name, f"an array of shape {labels.shape}", f"Send one number a point: ({count},).")
+    return labels > 0
 
 
 def _trajectory(path: Trajectory) -> TrajectoryMessage:

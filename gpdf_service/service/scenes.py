@@ -13,10 +13,11 @@ from pathlib import Path
 from typing import Any
 
 from gpdf_service.config import Config
-from gpdf_service.errors import GpdfError
+from gpdf_service.errors import GpdfError, SceneFileError
 from gpdf_service.perception import read_cloud
 from gpdf_service.pipeline import Progress, build_scene
 from gpdf_service.scene import Scene, load_scene
+from gpdf_service.service.changes import Change, changed
 from gpdf_service.service.memory import held_bytes
 from gpdf_service.service.scene_files import SUFFIX, SceneFiles
 from gpdf_service.service.uploads import Uploads
@@ -25,7 +26,13 @@ from gpdf_service.types import BoolArray, FloatArray
 log = logging.getLogger(__name__)
 
 NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,63}")
+MAX_WAITING_POINTS = 5_000_000
+"""Of changes to one scene that wait for the build of its next version: a minute of a laser scanner."""
 Build = Callable[[Progress], Scene]
+
+
+class FullError(GpdfError):
+    """What was sent finds no room now; later it may."""
 
 
 @dataclass(slots=True)
@@ -50,6 +57,8 @@ class Entry:
     lock: threading.Lock = field(default_factory=threading.Lock)
     stage: tuple[str, float] = ("", 0.0)
     """What the build does, and the share of it that is done."""
+    changes: list[Change] = field(default_factory=list)
+    """That wait for a build; all of them become one version."""
 
     def note(self, stage: str, done: float) -> None:
         """Take the build's progress."""
@@ -197,6 +206,38 @@ class Shelf:
             return False
         self._start(name, lambda progress: build_scene(*whole, self._config, progress=progress))
         return True
+
+    def add_change(
+        self, name: str, upload_id: str, part: int, parts: int, points: FloatArray, gone: BoolArray, radius: float
+    ) -> bool:
+        """Take one part of a change to a scene; True when it was the last, and the next version is begun, or soon is.
+
+        Raises:
+            KeyError: there is no such scene.
+            FullError: too much waits already; this part is not taken.
+            ValueError: the part does not fit.
+        """
+        entry = self._entries[name]
+        if sum(change.size for change in entry.changes) + len(points) > MAX_WAITING_POINTS:
+            raise FullError(f"scene {name!r}", "changes come faster than they are built", "Send it again in a moment.")
+        whole = self._uploads.add(f"change of {name}/{upload_id}", part, parts, points, gone)
+        if whole is None:
+            return False
+        every, taken = whole
+        assert taken is not None
+        with self._lock:
+            entry.changes.append(Change(every[~taken], every[taken], radius))
+            waits = len(entry.changes) > 1
+        if not waits:  # else that build takes this change as well
+            self._start(name, lambda progress: self._next(entry, progress))
+        return True
+
+    def _next(self, entry: Entry, progress: Progress) -> Scene:
+        with self._lock:
+            changes, entry.changes = entry.changes, []
+        if not entry.ready:
+            raise SceneFileError("a change", "the scene that it belongs to could not be built", "Load the scene first.")
+        return changed(self.scene(entry), changes, progress)
 
     def place(self, name: str, scene: Scene, path: Path) -> None:
         """Put a ready scene there, with its file in the state folder, in the place of the one before."""

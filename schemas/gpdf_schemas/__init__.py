@@ -33,5 +33,6 @@ from gpdf_schemas.messages import Status as Status
 from gpdf_schemas.messages import StatusReply as StatusReply
 from gpdf_schemas.messages import TrajectoryCut as TrajectoryCut
 from gpdf_schemas.messages import TrajectoryMessage as TrajectoryMessage
+from gpdf_schemas.messages import UpdateRequest as UpdateRequest
 from gpdf_schemas.messages import UploadRequest as UploadRequest
 from gpdf_schemas.messages import VelocityMessage as VelocityMessage

@@ -21,6 +21,7 @@ MESSAGES = (
     messages.ScenesReply,
     messages.LoadRequest,
     messages.UploadRequest,
+    messages.UpdateRequest,
     messages.PlaceRequest,
     messages.PlacesReply,
     messages.PoseMessage,

@@ -257,6 +257,32 @@ class ScenesReply(Reply, frozen=True, kw_only=True):
     scenes: dict[str, dict[str, Any]] = {}
 
 
+class UpdateRequest(msgspec.Struct, frozen=True, kw_only=True):
+    """One part of a change to a scene, on `keys.SCENE_UPDATE`; when all parts are there, its next version is built.
+
+    Plans are answered from the version before until then. Changes that wait while one is built become one version.
+
+    Attributes:
+        scene: Name of the scene.
+        upload_id: The same for all parts.
+        part: Number of this part, from 0.
+        parts: How many there are.
+        points: (n, 3) [m], in the scene's frame.
+        gone: 1 where a point says that nothing is there any more, 0 where it is new, (n,).
+        radius: What was within this of such a point is gone [m].
+    """
+
+    scene: str
+    upload_id: str
+    part: int
+    parts: int
+    points: Array
+    gone: Array
+    radius: float = 0.05
+    deadline_s: float = 30.0
+    request_id: str = ""
+
+
 class PlaceRequest(msgspec.Struct, frozen=True, kw_only=True):
     """Name a place of a scene, anew or no more, on `keys.SCENE_PLACE`; all of them are asked by a `SceneRequest`.
 

@@ -60,6 +60,7 @@ SAID = {
     "plan": ["OK", "m of room"],
     "scenes": ["copy version", "points on 1 level", "digest"],
     "trajectory": ["where after 2 s", "the first 1.00 m take"],
+    "update": ["heard of growing with", "points\nwithout it: "],
     "upload": ["15000 points", "\nOK\n"],
 }
 """What each example prints; one without an entry fails."""
