@@ -213,11 +213,12 @@ class Shelf:
         """Take one part of a change to a scene; True when it was the last, and the next version is begun, or soon is.
 
         Raises:
-            KeyError: there is no such scene.
             FullError: too much waits already; this part is not taken.
-            ValueError: the part does not fit.
+            ValueError: the part does not fit, or there is no such scene.
         """
-        entry = self._entries[name]
+        entry = self.get(name)
+        if entry is None:
+            raise ValueError(f"there is no scene {name!r}. Load it first.")
         if sum(change.size for change in entry.changes) + len(points) > MAX_WAITING_POINTS:
             raise FullError(f"scene {name!r}", "changes come faster than they are built", "Send it again in a moment.")
         whole = self._uploads.add(f"change of {name}/{upload_id}", part, parts, points, gone)
