@@ -46,7 +46,7 @@ from gpdf_service.scene import Scene
 from gpdf_service.service.drawing import draw_part
 from gpdf_service.service.in_use import InUse
 from gpdf_service.service.moving import Moving
-from gpdf_service.service.places import Named, Places
+from gpdf_service.service.places import Named
 from gpdf_service.service.scenes import Entry, FullError, Shelf, describe
 from gpdf_service.types import Agent, BoolArray, FloatArray, PlanResult, Trajectory, resolve_agent
 from gpdf_service.types import Status as PlanStatus
@@ -87,7 +87,6 @@ class Handlers:
         self._on_unload, self._look_for = on_unload, look_for
         self.moving = Moving()
         self.in_use = InUse(self.moving.points, on_cut, planner_id)
-        self._places = Places(shelf.files.folder if shelf.files else None)
         self.by_key: Answers = {
             **self.planner_keys,
             **self.map_keys,
@@ -247,24 +246,23 @@ class Handlers:
 
     def unload(self, request: SceneRequest) -> SceneReply:
         """Forget a scene."""
-        self._entry(request.scene)
-        self._places.forget(request.scene)  # ahead of the scene: a crash between must not leave them to the next one
-        self.shelf.unload(request.scene)
+        if not self.shelf.unload(request.scene):
+            raise _NoSuchError(Status.UNKNOWN_SCENE, self._unknown(request.scene))
         self._on_unload(request.scene)
         return self._scene_reply(request, Status.OK, f"scene {request.scene!r} is unloaded.")
 
     def places(self, request: SceneRequest) -> PlacesReply:
         """All named places of a scene."""
         self._entry(request.scene)
-        return self._places_reply(request, self._places.of(request.scene))
+        return self._places_reply(request, self.shelf.places.of(request.scene))
 
     def place(self, request: PlaceRequest) -> PlacesReply:
         """Name a place, or forget it."""
         self._entry(request.scene)
         if request.position is not None:
-            return self._places_reply(request, self._places.put(request.scene, request.name, request.position))
+            return self._places_reply(request, self.shelf.places.put(request.scene, request.name, request.position))
         try:
-            return self._places_reply(request, self._places.remove(request.scene, request.name))
+            return self._places_reply(request, self.shelf.places.remove(request.scene, request.name))
         except KeyError as error:
             words = f"there is no place {request.name!r} in scene {request.scene!r}. Known: {error.args[0]}."
             raise _NoSuchError(Status.UNKNOWN_PLACE, words) from error

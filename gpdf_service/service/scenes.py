@@ -19,6 +19,7 @@ from gpdf_service.pipeline import Progress, build_scene
 from gpdf_service.scene import Scene, load_scene
 from gpdf_service.service.changes import Change, changed
 from gpdf_service.service.memory import held_bytes
+from gpdf_service.service.places import Places
 from gpdf_service.service.scene_files import SUFFIX, SceneFiles
 from gpdf_service.service.uploads import Uploads
 from gpdf_service.types import BoolArray, FloatArray
@@ -97,6 +98,7 @@ class Shelf:
     ) -> None:
         self.scenes_dir = scenes_dir.resolve()
         self.files = None if state_dir is None else SceneFiles(state_dir)
+        self.places = Places(state_dir)
         self._config, self._memory_bytes = config, memory_bytes
         self._entries: dict[str, Entry] = {}
         self._uploads = Uploads()
@@ -250,8 +252,10 @@ class Shelf:
     def unload(self, name: str) -> bool:
         """Forget a scene; False if there was none."""
         with self._lock:
-            if self.files is not None and name in self._entries:
-                self.files.drop(name)
+            if name in self._entries:
+                self.places.forget(name)  # ahead of the scene: a crash between must not leave them to the next one
+                if self.files is not None:
+                    self.files.drop(name)
             return self._entries.pop(name, None) is not None
 
     def _start(self, name: str, build: Build, file: Path | None = None) -> None:
