@@ -594,11 +594,52 @@ class AsyncClient:
         method: str = "dual_gpdf",
         deadline_s: float = 30.0,
         request_id: str = "",
+        obstacles: Sequence[MovingObstacle] = (),
     ) -> PlanResult:
         """See `Client.plan`."""
         return await asyncio.to_thread(
-            self.sync.plan, scene, start, goal, agent, method=method, deadline_s=deadline_s, request_id=request_id
+            self.sync.plan,
+            scene,
+            start,
+            goal,
+            agent,
+            method=method,
+            deadline_s=deadline_s,
+            request_id=request_id,
+            obstacles=obstacles,
         )
+
+    async def publish_obstacles(self, scene: str, obstacles: Sequence[MovingObstacle]) -> None:
+        """See `Client.publish_obstacles`."""
+        await asyncio.to_thread(self.sync.publish_obstacles, scene, obstacles)
+
+    async def watch_cuts(self, scene: str, on_cut: Callable[[TrajectoryCut], None]) -> None:
+        """See `Client.watch_cuts`; `on_cut` is called from another thread."""
+        await asyncio.to_thread(self.sync.watch_cuts, scene, on_cut)
+
+    async def watch_scenes(self, on_change: Callable[[SceneChanged], None]) -> None:
+        """See `Client.watch_scenes`; `on_change` is called from another thread."""
+        await asyncio.to_thread(self.sync.watch_scenes, on_change)
+
+    async def watch(self, on_change: Callable[[str, bool], None]) -> None:
+        """See `Client.watch`; `on_change` is called from another thread."""
+        await asyncio.to_thread(self.sync.watch, on_change)
+
+    async def status(self, *, timeout_s: float = 5.0) -> list[StatusReply]:
+        """See `Client.status`."""
+        return await asyncio.to_thread(self.sync.status, timeout_s=timeout_s)
+
+    async def draw(
+        self,
+        scene: str,
+        what: str,
+        agent: Agent = "human",
+        *,
+        limit: int = 300_000,
+        progress: Progress = lambda share: None,
+    ) -> Drawing:
+        """See `Client.draw`; `progress` is called from another thread."""
+        return await asyncio.to_thread(self.sync.draw, scene, what, agent, limit=limit, progress=progress)
 
     async def distance(
         self, scene: str, field: str, points: ArrayLike, agent: Agent = "human", *, deadline_s: float = 30.0
