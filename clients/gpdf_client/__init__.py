@@ -14,5 +14,6 @@ from gpdf_client.results import PlanResult as PlanResult
 from gpdf_client.results import ServiceBusyError as ServiceBusyError
 from gpdf_client.results import ServiceError as ServiceError
 from gpdf_client.results import UnavailableError as UnavailableError
+from gpdf_client.results import UnknownPlaceError as UnknownPlaceError
 from gpdf_client.results import UnknownSceneError as UnknownSceneError
 from gpdf_client.trajectory import Trajectory as Trajectory

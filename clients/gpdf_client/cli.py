@@ -16,6 +16,8 @@ import zenoh
 from gpdf_client.client import DEFAULT_ENDPOINT, Client
 from gpdf_client.results import ClientError
 
+PLACE_HELP = "a named place, or x,y or x,y,z of the ground there [m]"
+
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the sub-verbs."""
@@ -39,10 +41,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     load = verb("load", "load a file of the service's scenes folder", lambda c, a: c.load_scene(a.scene, a.file))
     load.add_argument("scene")
     load.add_argument("file")
+    named = verb("place", "list the named places of a scene, name one, or remove one", _place)
+    named.add_argument("scene")
+    named.add_argument("name", nargs="?")
+    named.add_argument("--at", type=place, help="where it is: x,y or x,y,z of the ground there [m]")
+    named.add_argument("--remove", action="store_true", help="forget it")
     plan = verb("plan", "plan a trajectory", _plan)
     plan.add_argument("scene")
-    plan.add_argument("--start", required=True, type=place, help="x,y or x,y,z [m]")
-    plan.add_argument("--goal", required=True, type=place, help="x,y or x,y,z [m]")
+    plan.add_argument("--start", required=True, type=named_place, help=PLACE_HELP)
+    plan.add_argument("--goal", required=True, type=named_place, help=PLACE_HELP)
     plan.add_argument("--agent", default="human")
     plan.add_argument("--method", default="dual_gpdf", help="or a baseline: single_gpdf, astar, prm")
     plan.add_argument("--via", action="append", default=[], type=place, help="go through x,y or x,y,z [m]; repeatable")
@@ -67,6 +74,9 @@ def run(args: argparse.Namespace) -> int:
         return 1
     if args.json:
         print(json.dumps(result))
+    elif args.verb == "place":
+        for name, position in result["places"].items():
+            print(f"{name}: {','.join(map(str, position))}")
     elif isinstance(result, dict):
         for key, value in result.items():
             print(f"{key}: {value}")
@@ -96,9 +106,24 @@ def _plan(client: Client, args: argparse.Namespace) -> dict[str, Any]:
     return made
 
 
+def _place(client: Client, args: argparse.Namespace) -> dict[str, Any]:
+    if (args.name is None) == (args.remove or args.at is not None) or (args.remove and args.at is not None):
+        raise ValueError("place SCENE lists, place SCENE NAME --at x,y sets, place SCENE NAME --remove removes")
+    if args.name is None:
+        return {"places": client.places(args.scene)}
+    if args.remove:
+        return {"places": client.remove_place(args.scene, args.name)}
+    return {"places": client.set_place(args.scene, args.name, args.at)}
+
+
 def _distance(client: Client, args: argparse.Namespace) -> dict[str, Any]:
     found = client.distance(args.scene, args.field, np.array([args.at]), args.agent)
     return {"distance": float(found.distance[0]), "valid": bool(found.valid[0])}
+
+
+def named_place(text: str) -> str | list[float]:
+    """Parse `x,y`, `x,y,z` or the name of a place, which has no comma."""
+    return place(text) if "," in text else text
 
 
 def place(text: str) -> list[float]:

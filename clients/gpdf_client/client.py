@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import json
 import math
 import random
@@ -17,6 +18,7 @@ import msgspec
 import numpy as np
 import zenoh
 from gpdf_schemas import (
+    MAX_REQUEST_BYTES,
     Array,
     DistanceReply,
     DistanceRequest,
@@ -25,19 +27,25 @@ from gpdf_schemas import (
     LoadRequest,
     MovingObstacle,
     MovingObstacles,
+    PlaceRequest,
+    PlacesReply,
     PlanReply,
     PlanRequest,
     Reply,
+    SceneChanged,
     SceneReply,
     SceneRequest,
     ScenesReply,
     Status,
     StatusReply,
+    TrajectoryCut,
+    UpdateRequest,
     UploadRequest,
     decode,
     encode,
     keys,
 )
+from gpdf_schemas.moving import MAX_POINTS, FloatArray, points_of
 from numpy.typing import ArrayLike
 
 from gpdf_client.planners import Planners
@@ -51,6 +59,7 @@ from gpdf_client.results import (
     ServiceBusyError,
     ServiceError,
     UnavailableError,
+    UnknownPlaceError,
     raise_for,
     to_drawing,
     to_result,
@@ -71,8 +80,11 @@ PART_POINTS = 40_000
 """Points in one part of an upload: 1 MB as f8, which keeps small queries quick beside it."""
 
 R = TypeVar("R", bound=Reply)
+T = TypeVar("T")
 Progress = Callable[[float], None]
 Agent = str | dict[str, Any]
+Place = str | Sequence[float]
+"""A named place of the scene, or (x, y) or (x, y, z of the ground there) [m]."""
 
 
 def client_config(endpoint: str) -> zenoh.Config:
@@ -92,7 +104,7 @@ class Client:
     """
 
     def __init__(self, session: zenoh.Session) -> None:
-        self._session = session
+        self._session, self._id = session, str(session.info.zid())  # by its id the service is fair between clients
         self._planners = Planners(session, random.Random())
         self._watchers: list[zenoh.Subscriber[Any]] = []  # dropped, they would end
 
@@ -140,8 +152,8 @@ class Client:
     def plan(
         self,
         scene: str,
-        start: Sequence[float],
-        goal: Sequence[float],
+        start: Place,
+        goal: Place,
         agent: Agent = "human",
         *,
         method: str = "dual_gpdf",
@@ -153,12 +165,12 @@ class Client:
         request_id: str = "",
         obstacles: Sequence[MovingObstacle] = (),
     ) -> PlanResult:
-        """Ask for a trajectory from `start` to `goal`, (x, y) or (x, y, z of the ground) [m], clear of `obstacles`.
+        """Ask for a trajectory from `start` to `goal`, clear of `obstacles`.
 
         Args:
             scene: Name of a loaded scene.
-            start: Where the body is.
-            goal: Where it wants to be.
+            start: Where the body is: (x, y) or (x, y, z of the ground) [m], or the name of one of the scene's places.
+            goal: Where it wants to be, in the same way.
             agent: A name, or measures.
             method: "dual_gpdf", or one of the paper's baselines for comparison: "single_gpdf", "astar", "prm".
             via: Places that the path goes through, in this order.
@@ -172,8 +184,8 @@ class Client:
         """
         request = PlanRequest(
             scene=scene,
-            start=[float(v) for v in start],
-            goal=[float(v) for v in goal],
+            start=self.where(scene, start),
+            goal=self.where(scene, goal),
             agent=agent,
             method=method,
             via=[[float(v) for v in place] for place in via],
@@ -187,8 +199,23 @@ class Client:
         return to_result(self.ask_planner(keys.PLAN, request, PlanReply, deadline_s))
 
     def publish_obstacles(self, scene: str, obstacles: Sequence[MovingObstacle]) -> None:
-        """Tell every planner what moves in a scene; nobody answers, and what is not told again ends by itself."""
-        self._session.put(keys.obstacles(scene), encode(MovingObstacles(obstacles=list(obstacles))))
+        """Tell every planner and guide what moves in a scene; what is not told again ends by itself.
+
+        Nobody answers, so what no service would take is refused here.
+
+        Raises:
+            InvalidRequestError: an obstacle has no sense, or all together are too many points or bytes.
+        """
+        self._session.put(keys.obstacles(scene), _publishable(scene, obstacles))
+
+    def watch_cuts(self, scene: str, on_cut: Callable[[TrajectoryCut], None]) -> None:
+        """Hear of trajectories that something that moves has cut; compare `request_id` with your plan's.
+
+        Args:
+            scene: Name of the scene.
+            on_cut: Told each one, on a thread of Zenoh's, again while it lasts; it must return soon.
+        """
+        self._subscribe(keys.cut(scene), TrajectoryCut, on_cut)
 
     def distance(
         self, scene: str, field: str, points: ArrayLike, agent: Agent = "human", *, deadline_s: float = 30.0
@@ -239,6 +266,37 @@ class Client:
         """Facts of one scene."""
         return self.ask(keys.SCENE_INFO, SceneRequest(scene=scene), SceneReply, 30.0).info
 
+    def places(self, scene: str) -> dict[str, list[float]]:
+        """Named places of a scene: (x, y) or (x, y, z of the ground there) [m] by name."""
+        return self.ask(keys.SCENE_PLACES, SceneRequest(scene=scene), PlacesReply, 30.0).places
+
+    def set_place(self, scene: str, name: str, position: Sequence[float]) -> dict[str, list[float]]:
+        """Name a place, (x, y) or (x, y, z of the ground there) [m], for all clients; all places then."""
+        request = PlaceRequest(scene=scene, name=name, position=[float(v) for v in position])
+        return self.ask(keys.SCENE_PLACE, request, PlacesReply, 30.0).places
+
+    def remove_place(self, scene: str, name: str) -> dict[str, list[float]]:
+        """Forget a place; all places that are left.
+
+        Raises:
+            UnknownPlaceError: there is none of that name.
+        """
+        return self.ask(keys.SCENE_PLACE, PlaceRequest(scene=scene, name=name), PlacesReply, 30.0).places
+
+    def where(self, scene: str, place: Place) -> list[float]:
+        """Position of a named place [m]; a position is given back as it is.
+
+        Raises:
+            UnknownPlaceError: the scene has no place of that name.
+        """
+        if not isinstance(place, str):
+            return [float(v) for v in place]
+        places = self.places(scene)
+        if place not in places:
+            words = f"there is no place {place!r} in scene {scene!r}. Known: {', '.join(sorted(places)) or 'none'}."
+            raise UnknownPlaceError(Reply(status=Status.UNKNOWN_PLACE, message=words, scene=scene))
+        return places[place]
+
     def unload_scene(self, scene: str) -> None:
         """Let the service forget a scene."""
         self.ask(keys.SCENE_UNLOAD, SceneRequest(scene=scene), SceneReply, 30.0)
@@ -287,6 +345,65 @@ class Client:
             )
             self.ask(keys.SCENE_UPLOAD, request, SceneReply, 30.0, {Status.BUILDING})
             progress((part + 1) / parts)
+
+    def update_scene(
+        self,
+        name: str,
+        insert: ArrayLike | None = None,
+        *,
+        remove: ArrayLike | None = None,
+        radius: float = 0.05,
+        pose: ArrayLike | None = None,
+        wait: bool = True,
+        timeout_s: float = 300.0,
+    ) -> dict[str, Any]:
+        """Change a scene by a further scan; plans are answered from the version before until the next one is built.
+
+        Args:
+            name: Name of a loaded scene.
+            insert: Points (k, 3) [m] that are new.
+            remove: Points (j, 3) [m] where nothing is any more.
+            radius: What was within this of such a point is gone [m].
+            pose: From the points' frame to the scene's, (4, 4); without one they are in the scene's.
+            wait: Whether to wait until the next version is ready. Who streams scans does not: see `watch_scenes`.
+            timeout_s: Seconds to wait.
+
+        Returns:
+            The facts of the next version; nothing without waiting.
+        """
+        new, old = (_placed([] if cloud is None else cloud, pose) for cloud in (insert, remove))
+        if not len(new) and not len(old):
+            raise ValueError("update_scene takes insert=, remove= or both, at least one point")
+        points, gone = np.concatenate([old, new]), np.arange(len(old) + len(new)) < len(old)
+        upload_id, parts = uuid.uuid4().hex, -(-len(points) // PART_POINTS)
+        for part in range(parts):
+            rows = slice(part * PART_POINTS, (part + 1) * PART_POINTS)
+            request = UpdateRequest(
+                scene=name,
+                upload_id=upload_id,
+                part=part,
+                parts=parts,
+                points=Array.pack(points[rows]),
+                gone=Array.pack(gone[rows], "f4"),
+                radius=radius,
+            )
+            self.ask(keys.SCENE_UPDATE, request, SceneReply, timeout_s, {Status.BUILDING})
+        return self.wait_for_scene(name, timeout_s=timeout_s) if wait else {}
+
+    def watch_scenes(self, on_change: Callable[[SceneChanged], None]) -> None:
+        """Hear of new versions of scenes, and of scenes that are unloaded (version 0).
+
+        Args:
+            on_change: Told each one, on a thread of Zenoh's; it must return soon.
+        """
+        self._subscribe(keys.changed("*"), SceneChanged, on_change)
+
+    def _subscribe(self, key: str, kind: type[T], told: Callable[[T], None]) -> None:
+        def hear(sample: zenoh.Sample) -> None:
+            with contextlib.suppress(gpdf_schemas.DecodeError):  # of a later version: nothing that we understand
+                told(decode(sample.payload.to_bytes(), kind))
+
+        self._watchers.append(self._session.declare_subscriber(key, hear))
 
     def wait_for_scene(self, name: str, *, timeout_s: float = 300.0) -> dict[str, Any]:
         """Wait until a scene is ready; its facts.
@@ -399,7 +516,7 @@ class Client:
 
     def _try(self, key: str, payload: bytes, kind: type[R], timeout_s: float) -> R | None:
         """Ask once; None if nobody answered."""
-        for answer in self._session.get(key, payload=payload, timeout=min(timeout_s, LONGEST_S)):
+        for answer in self._session.get(key, payload=payload, attachment=self._id, timeout=min(timeout_s, LONGEST_S)):
             if answer.ok is not None:  # not Zenoh's own time-out
                 return _decode(answer.ok.payload.to_bytes(), kind)
         return None
@@ -426,6 +543,34 @@ def _checked(request: msgspec.Struct, deadline_s: float) -> msgspec.Struct:
     if not getattr(request, "request_id", ""):
         request = msgspec.structs.replace(request, request_id=uuid.uuid4().hex)
     return request
+
+
+def _placed(points: ArrayLike, pose: ArrayLike | None) -> FloatArray:
+    """Points (n, 3) in the scene's frame.
+
+    Raises:
+        ValueError: the points or the pose have another shape.
+    """
+    cloud = np.asarray(points, dtype=np.float64).reshape(-1, 3)
+    matrix = np.eye(4) if pose is None else np.asarray(pose, dtype=np.float64)
+    if matrix.shape != (4, 4) or not np.array_equal(matrix[3], [0.0, 0.0, 0.0, 1.0]):
+        raise ValueError("pose takes a (4, 4) matrix that ends with (0, 0, 0, 1)")
+    placed: FloatArray = cloud @ matrix[:3, :3].T + matrix[:3, 3]
+    return placed
+
+
+def _publishable(scene: str, obstacles: Sequence[MovingObstacle]) -> bytes:
+    """The message, if a service would take it."""
+    try:
+        count = sum(len(points_of(obstacle)) for obstacle in obstacles)
+        if count > MAX_POINTS:
+            raise ValueError(f"{count} points move, at most {MAX_POINTS} can. Thin them.")
+        data = encode(MovingObstacles(obstacles=list(obstacles)))
+        if len(data) > MAX_REQUEST_BYTES:
+            raise ValueError(f"{len(data)} bytes, at most {MAX_REQUEST_BYTES} are taken. Publish in parts, or as f4.")
+    except ValueError as error:
+        raise InvalidRequestError(Reply(status=Status.INVALID_REQUEST, message=str(error), scene=scene)) from error
+    return data
 
 
 def _decode(data: bytes, kind: type[R]) -> R:
@@ -463,8 +608,8 @@ class AsyncClient:
     async def plan(
         self,
         scene: str,
-        start: Sequence[float],
-        goal: Sequence[float],
+        start: Place,
+        goal: Place,
         agent: Agent = "human",
         *,
         method: str = "dual_gpdf",
@@ -474,6 +619,7 @@ class AsyncClient:
         warm_start: Trajectory | None = None,
         deadline_s: float = 30.0,
         request_id: str = "",
+        obstacles: Sequence[MovingObstacle] = (),
     ) -> PlanResult:
         """See `Client.plan`."""
         return await asyncio.to_thread(
@@ -489,7 +635,40 @@ class AsyncClient:
             warm_start=warm_start,
             deadline_s=deadline_s,
             request_id=request_id,
+            obstacles=obstacles,
         )
+
+    async def publish_obstacles(self, scene: str, obstacles: Sequence[MovingObstacle]) -> None:
+        """See `Client.publish_obstacles`."""
+        await asyncio.to_thread(self.sync.publish_obstacles, scene, obstacles)
+
+    async def watch_cuts(self, scene: str, on_cut: Callable[[TrajectoryCut], None]) -> None:
+        """See `Client.watch_cuts`; `on_cut` is called from another thread."""
+        await asyncio.to_thread(self.sync.watch_cuts, scene, on_cut)
+
+    async def watch_scenes(self, on_change: Callable[[SceneChanged], None]) -> None:
+        """See `Client.watch_scenes`; `on_change` is called from another thread."""
+        await asyncio.to_thread(self.sync.watch_scenes, on_change)
+
+    async def watch(self, on_change: Callable[[str, bool], None]) -> None:
+        """See `Client.watch`; `on_change` is called from another thread."""
+        await asyncio.to_thread(self.sync.watch, on_change)
+
+    async def status(self, *, timeout_s: float = 5.0) -> list[StatusReply]:
+        """See `Client.status`."""
+        return await asyncio.to_thread(self.sync.status, timeout_s=timeout_s)
+
+    async def draw(
+        self,
+        scene: str,
+        what: str,
+        agent: Agent = "human",
+        *,
+        limit: int = 300_000,
+        progress: Progress = lambda share: None,
+    ) -> Drawing:
+        """See `Client.draw`; `progress` is called from another thread."""
+        return await asyncio.to_thread(self.sync.draw, scene, what, agent, limit=limit, progress=progress)
 
     async def distance(
         self, scene: str, field: str, points: ArrayLike, agent: Agent = "human", *, deadline_s: float = 30.0
@@ -518,6 +697,45 @@ class AsyncClient:
         """See `Client.load_scene`; `progress` is called from another thread."""
         return await asyncio.to_thread(
             self.sync.load_scene, name, file, upload=upload, ground=ground, timeout_s=timeout_s, progress=progress
+        )
+
+    async def places(self, scene: str) -> dict[str, list[float]]:
+        """See `Client.places`."""
+        return await asyncio.to_thread(self.sync.places, scene)
+
+    async def set_place(self, scene: str, name: str, position: Sequence[float]) -> dict[str, list[float]]:
+        """See `Client.set_place`."""
+        return await asyncio.to_thread(self.sync.set_place, scene, name, position)
+
+    async def remove_place(self, scene: str, name: str) -> dict[str, list[float]]:
+        """See `Client.remove_place`."""
+        return await asyncio.to_thread(self.sync.remove_place, scene, name)
+
+    async def where(self, scene: str, place: Place) -> list[float]:
+        """See `Client.where`."""
+        return await asyncio.to_thread(self.sync.where, scene, place)
+
+    async def update_scene(
+        self,
+        name: str,
+        insert: ArrayLike | None = None,
+        *,
+        remove: ArrayLike | None = None,
+        radius: float = 0.05,
+        pose: ArrayLike | None = None,
+        wait: bool = True,
+        timeout_s: float = 300.0,
+    ) -> dict[str, Any]:
+        """See `Client.update_scene`."""
+        return await asyncio.to_thread(
+            self.sync.update_scene,
+            name,
+            insert,
+            remove=remove,
+            radius=radius,
+            pose=pose,
+            wait=wait,
+            timeout_s=timeout_s,
         )
 
     async def unload_scene(self, scene: str) -> None:

@@ -41,6 +41,10 @@ class UnknownSceneError(ServiceError):
     """No scene of that name is loaded, or it is still being built."""
 
 
+class UnknownPlaceError(ServiceError):
+    """The scene has no place of that name; the message lists those that it has."""
+
+
 class ServiceBusyError(ServiceError):
     """The service's queue was full each time that it was asked."""
 
@@ -98,6 +102,7 @@ class Drawing:
 _ERRORS: dict[Status, type[ServiceError]] = {
     Status.INVALID_REQUEST: InvalidRequestError,
     Status.UNKNOWN_SCENE: UnknownSceneError,
+    Status.UNKNOWN_PLACE: UnknownPlaceError,
     Status.BUSY: ServiceBusyError,
     Status.BUILDING: UnknownSceneError,
     Status.BUILD_FAILED: ServiceError,

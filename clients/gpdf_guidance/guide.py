@@ -84,12 +84,12 @@ class Planner:
     """
 
     def __init__(self, client: Client, scene: str) -> None:
-        self._client, self._scene = client, scene
+        self._client, self.scene = client, scene
 
     def route(self, pose: Pose, goal: Sequence[float]) -> tuple[Route | None, str]:
         """The route from a pose, or why there is none."""
         for width in WIDTHS:
-            result = self._client.plan(self._scene, pose.position, goal, {**PERSON, "width": width})
+            result = self._client.plan(self.scene, pose.position, goal, {**PERSON, "width": width})
             if result.status is Status.OK and result.trajectory is not None:
                 route = self._build(result.trajectory, pose)
                 tight = too_tight(route)
@@ -102,7 +102,7 @@ class Planner:
         return build_route(trajectory, room, facing=pose.heading, room_low=low, radius=radius)
 
     def _room(self, body: dict[str, Any], places: FloatArray) -> FloatArray:
-        found = self._client.distance(self._scene, "obstacle", places, body)
+        found = self._client.distance(self.scene, "obstacle", places, body)
         room: FloatArray = found.distance - body["width"] / 2
         return room
 

@@ -14,7 +14,8 @@ import msgspec
 import numpy as np
 import zenoh
 from gpdf_client import ClientError
-from gpdf_schemas import CueMessage, DecodeError, ObstaclesMessage, PoseMessage, decode, encode, keys
+from gpdf_schemas import CueMessage, DecodeError, MovingObstacles, PoseMessage, decode, encode, keys
+from gpdf_schemas.moving import points_of, stacked
 from numpy.typing import NDArray
 
 from gpdf_guidance.advice import Instruction
@@ -27,6 +28,8 @@ WAITING = 64
 """Messages that may wait; the guide looks at the newest pose of them only."""
 Told = Callable[[float, Instruction, str], None]
 """Told each sentence: seconds since the start, the instruction, its words."""
+Seen = dict[str, tuple[NDArray[np.float64], float]]
+"""Points [m] and when they are not believed any more, on `time.monotonic` [s], by the obstacle's id."""
 Planned = tuple[Route | None, str]
 
 
@@ -51,15 +54,16 @@ class LiveGuide:
 
     def __init__(self, session: zenoh.Session, guide: Guide, name: str, told: Told) -> None:
         self._session, self._guide, self._name, self._told = session, guide, name, told
-        self._inbox: queue.Queue[Pose | ObstaclesMessage] = queue.Queue(WAITING)
+        self._inbox: queue.Queue[Pose | Seen] = queue.Queue(WAITING)
         self._pose: Pose | None = None
-        self._stamp, self._obstacles_until = 0.0, 0.0
+        self._stamp = 0.0
+        self._seen: Seen = {}
         self._planning: tuple[Future[Planned], Pose] | None = None
 
     def run(self, stop: Callable[[], bool] = lambda: False) -> Outcome:
         """Guide until arrival, a safe stop, or `stop`; the last cue is sent in any case."""
         began = time.monotonic()
-        pose_key, obstacle_key = f"{keys.POSE}/{self._name}", f"{keys.OBSTACLES}/{self._name}"
+        pose_key, obstacle_key = f"{keys.POSE}/{self._name}", keys.obstacles(self._guide.planner.scene)
         subscribers = [
             self._session.declare_subscriber(pose_key, self._take_pose),
             self._session.declare_subscriber(obstacle_key, self._take_obstacles),
@@ -69,8 +73,9 @@ class LiveGuide:
             while not stop() and self._guide.outcome is Outcome.WALKING:
                 self._listen()
                 now = time.monotonic()
-                if now > self._obstacles_until:
-                    self._guide.see(None)
+                self._seen = {id_: seen for id_, seen in self._seen.items() if seen[1] > now}
+                near = stacked([points for points, _ in self._seen.values()])
+                self._guide.see(near if len(near) else None)
                 cue, said = self._guide.step(self._pose, now)
                 publisher.put(encode(self._stamped(cue)))
                 if said is not None:
@@ -96,9 +101,7 @@ class LiveGuide:
             if isinstance(message, Pose):
                 self._pose = message
             else:
-                points = _points(message)
-                self._guide.see(points if len(points) else None)
-                self._obstacles_until = time.monotonic() + message.valid_s
+                self._seen |= message
             until = 0.0
 
     def _plan(self, pool: ThreadPoolExecutor, now: float) -> None:
@@ -131,24 +134,21 @@ class LiveGuide:
         self._put(Pose((x, y, z), message.heading, stamp, message.accuracy))
 
     def _take_obstacles(self, sample: zenoh.Sample) -> None:
-        try:
-            message = decode(sample.payload.to_bytes(), ObstaclesMessage)
-            _points(message)
-        except (DecodeError, ValueError):
-            return
-        self._put(message)
+        """Zenoh's callback: what moves in the scene. One that has no sense does not hide the others."""
+        seen: Seen = {}
+        with suppress(DecodeError):
+            for obstacle in decode(sample.payload.to_bytes(), MovingObstacles).obstacles:
+                with suppress(ValueError):
+                    seen[obstacle.id] = points_of(obstacle), time.monotonic() + obstacle.lifetime_s
+        self._put(seen)
 
-    def _put(self, message: Pose | ObstaclesMessage) -> None:
+    def _put(self, message: Pose | Seen) -> None:
         while True:
             try:
                 return self._inbox.put_nowait(message)
             except queue.Full:  # the oldest makes room
                 with suppress(queue.Empty):
                     self._inbox.get_nowait()
-
-
-def _points(message: ObstaclesMessage) -> NDArray[np.float64]:
-    return message.points.unpack().reshape(-1, 3)
 
 
 def to_json(time_s: float, instruction: Instruction, text: str) -> dict[str, Any]:

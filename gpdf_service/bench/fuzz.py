@@ -35,6 +35,7 @@ SHARE_OF_LONG = 0.001
 """Requests above the limit of 4 MiB: each takes as long as hundreds of the others."""
 PLACE = [1.0, 1.0]
 ARRAY = {"shape": [2, 3], "dtype": "f8", "data": bytes(48)}
+ONES = {"shape": [2], "dtype": "f4", "data": np.ones(2, "<f4").tobytes()}
 BODY = {"height": 1.0, "width": 0.5, "length": 0.5, "max_step": 0.1, "max_slope": 0.1}
 VALID: dict[str, tuple[type[Reply], Fields]] = {
     keys.PLAN: (
@@ -49,6 +50,12 @@ VALID: dict[str, tuple[type[Reply], Fields]] = {
         messages.SceneReply,
         {"scene": "fuzz", "upload_id": "1", "part": 0, "parts": 2, "points": ARRAY},
     ),
+    keys.SCENE_UPDATE: (
+        messages.SceneReply,
+        {"scene": "office", "upload_id": "1", "part": 0, "parts": 3, "points": ARRAY, "gone": ONES, "radius": 0.05},
+    ),
+    keys.SCENE_PLACES: (messages.PlacesReply, {"scene": "office"}),
+    keys.SCENE_PLACE: (messages.PlacesReply, {"scene": "office", "name": "door", "position": PLACE}),
     keys.SCENE_UNLOAD: (messages.SceneReply, {"scene": "fuzz"}),
     keys.SCENE_FILE: (messages.FileReply, {"scene": "office", "version": 1, "offset": 0}),
 }

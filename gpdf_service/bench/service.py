@@ -1,64 +1,195 @@
-"""`gpdf bench service`: what Zenoh, msgpack and the log add to a plan, against the same plans in process."""
+"""`gpdf bench service`: what wire and log add to a plan, plans a second on one and two cores, too many clients.
+
+The service is its own process. Everything runs on one machine, the clients on the service's cores.
+"""
 
 from __future__ import annotations
 
 import argparse
-import socket
+import os
 import tempfile
+import threading
 import time
+from collections import Counter
+from collections.abc import Iterator
+from contextlib import contextmanager
+from itertools import cycle
 from pathlib import Path
 
 import numpy as np
+import zenoh
 from gpdf_client import Client
+from gpdf_client.client import client_config
+from gpdf_schemas import PlanRequest, Reply, Status, decode, encode, keys
 
 from gpdf_service.bench.plan import random_places
 from gpdf_service.bench.report import Row, show
-from gpdf_service.pipeline import plan
-from gpdf_service.service.server import Options, Server
+from gpdf_service.bench.running import Running, serving
+from gpdf_service.pipeline import build_scene, plan
 from gpdf_service.synthetic import SCENES
 from gpdf_service.types import resolve_agent
+
+AGENT = "human"
+OVER = 2.0
+"""Times the capacity that all clients together ask for."""
+PATIENCE_S = 60.0
+"""[s] Until a request counts as unanswered."""
+WARM_S = 2.0
+"""[s] At twice the capacity before memory is first looked at: queues and pools have grown then."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the verb's options."""
-    parser.add_argument("--count", type=int, default=100, help="plans")
+    parser.add_argument("--count", type=int, default=100, help="plans for what the wire adds")
+    parser.add_argument("--seconds", type=float, default=10.0, help="for each of the other measurements")
+    parser.add_argument("--clients", type=int, default=64, help="clients that ask for twice what the service can do")
     parser.add_argument("--json", action="store_true", help="print the rows as JSON")
 
 
 def run(args: argparse.Namespace) -> int:
-    """Measure and print."""
-    show([measure(args.count)], as_json=args.json)
-    return 0
+    """Measure and print; exit code 0 if every request was answered."""
+    with tempfile.TemporaryDirectory() as one, serving_on(Path(one), 1) as service:
+        single = per_second(service, 2, args.seconds)
+    cores = min(2, len(os.sched_getaffinity(0)))
+    with tempfile.TemporaryDirectory() as two, serving_on(Path(two), cores) as service:
+        wire = added(service, args.count)
+        double = per_second(service, 2 * cores, args.seconds)
+        crowd = overload(service, args.clients, OVER * double, args.seconds)
+    speed = {
+        "cores": cores,
+        "plans_per_s_1_core": single,
+        f"plans_per_s_{cores}_cores": double,
+        "ratio": double / single,
+    }
+    for row in (wire, speed, crowd):
+        show([row | {"load_average": os.getloadavg()[0]}], as_json=args.json)
+    return 1 if crowd["unanswered"] else 0
 
 
-def measure(count: int) -> Row:
+@contextmanager
+def serving_on(folder: Path, cores: int) -> Iterator[Running]:
+    """The service on so many cores, a worker each; the clients keep all of them."""
+    ours = os.sched_getaffinity(0)
+    os.sched_setaffinity(0, set(sorted(ours)[:cores]))  # a child has its parent's
+    try:
+        with serving(folder, "--workers", str(cores)) as running:
+            os.sched_setaffinity(0, ours)
+            yield running
+    finally:
+        os.sched_setaffinity(0, ours)
+
+
+def added(service: Running, count: int) -> Row:
     """Each plan once over Zenoh and once in process, in turn, so that a noisy machine is noisy for both."""
-    office = SCENES["office"](np.random.default_rng(0))
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        endpoint = f"tcp/127.0.0.1:{probe.getsockname()[1]}"
+    office, agent = SCENES["office"](np.random.default_rng(0)), resolve_agent(AGENT)
+    scene = build_scene(office.points, office.ground)
     over, inside = [], []
-    with tempfile.TemporaryDirectory() as folder:
-        options = Options(endpoint, Path(folder), Path(folder))
-        with Server(options) as server, Client.connect(endpoint) as client:
-            client.load_scene("office", upload=office.points, ground=office.ground)
-            entry = server.shelf.get("office")
-            assert entry is not None
-            assert entry.scene is not None
-            scene, agent = entry.scene, resolve_agent("human")
-            for start, goal in random_places(scene, agent, count, np.random.default_rng(0)):
-                plan(scene, start, goal, agent)
-                began = time.perf_counter()
-                client.plan("office", start.tolist(), goal.tolist())
-                middle = time.perf_counter()
-                plan(scene, start, goal, agent)
-                over.append(middle - began)
-                inside.append(time.perf_counter() - middle)
-    added = np.array(over) - np.array(inside)
+    with Client.connect(service.endpoint) as client:
+        for start, goal in random_places(scene, agent, count, np.random.default_rng(0)):
+            plan(scene, start, goal, agent)
+            client.plan("office", start, goal, AGENT)
+            began = time.perf_counter()
+            client.plan("office", start, goal, AGENT)
+            middle = time.perf_counter()
+            plan(scene, start, goal, agent)
+            over.append(middle - began)
+            inside.append(time.perf_counter() - middle)
+    extra = np.array(over) - np.array(inside)
     return {
         "plans": count,
         "in_process_p50_ms": 1e3 * float(np.median(inside)),
         "over_zenoh_p50_ms": 1e3 * float(np.median(over)),
-        "added_p50_ms": 1e3 * float(np.median(added)),
-        "added_p90_ms": 1e3 * float(np.quantile(added, 0.9)),
+        "added_p50_ms": 1e3 * float(np.median(extra)),
+        "added_p90_ms": 1e3 * float(np.quantile(extra, 0.9)),
     }
+
+
+class Crowd:
+    """Clients that ask without waiting for one another; they share a session, and each has a name of its own.
+
+    Args:
+        session: A session that leads to the service.
+        service: Where the places are.
+    """
+
+    def __init__(self, session: zenoh.Session, service: Running) -> None:
+        self._session = session
+        places = [(service.start, service.goal), (service.goal, service.start)]
+        self._requests = cycle([encode(self._request(*place)) for place in places])
+        self.asked, self.answers = 0, Counter[str]()
+        self.seconds: list[float] = []  # of accepted ones
+        self._change = threading.Condition()
+
+    @staticmethod
+    def _request(start: tuple[float, ...], goal: tuple[float, ...]) -> PlanRequest:
+        return PlanRequest(scene="office", start=list(start), goal=list(goal), agent=AGENT, deadline_s=PATIENCE_S)
+
+    def ask(self, client: int) -> None:
+        """Send a request; returns at once."""
+        began = time.perf_counter()
+
+        def hear(answer: zenoh.Reply) -> None:
+            took = time.perf_counter() - began
+            status = decode(answer.ok.payload.to_bytes(), Reply).status if answer.ok else Status.TIMEOUT
+            with self._change:
+                self.answers[status] += 1
+                if status is Status.OK:
+                    self.seconds.append(took)
+                self._change.notify_all()
+
+        with self._change:
+            self.asked += 1
+        self._session.get(
+            keys.PLAN, hear, payload=next(self._requests), attachment=f"client {client}", timeout=PATIENCE_S
+        )
+
+    def wait(self, at_most: int) -> bool:
+        """Wait until no more than so many requests are open; whether that came."""
+        with self._change:
+            return self._change.wait_for(lambda: self.asked - self.answers.total() <= at_most, PATIENCE_S)
+
+
+def per_second(service: Running, at_once: int, seconds: float) -> float:
+    """Plans a second with so many requests open all the time."""
+    with zenoh.open(client_config(service.endpoint)) as session:
+        crowd = Crowd(session, service)
+        crowd.ask(0)
+        crowd.wait(0)
+        began, until = time.perf_counter(), time.perf_counter() + seconds
+        while time.perf_counter() < until:
+            crowd.ask(crowd.asked % at_once)
+            crowd.wait(at_once - 1)
+        crowd.wait(0)
+        return (crowd.answers[Status.OK] - 1) / (time.perf_counter() - began)
+
+
+def overload(service: Running, clients: int, rate: float, seconds: float) -> Row:
+    """What becomes of `rate` requests a second, in turn by so many clients."""
+    with zenoh.open(client_config(service.endpoint)) as session:
+        crowd = Crowd(session, service)
+        _ask_at(crowd, clients, rate, WARM_S)
+        before, warm = service.usage(), crowd.asked
+        began = time.perf_counter()
+        _ask_at(crowd, clients, rate, seconds)
+        lasted = time.perf_counter() - began
+        crowd.wait(0)
+        after = service.usage()
+    return {
+        "clients": clients,
+        "asked_per_s": (crowd.asked - warm) / lasted,
+        "asked": crowd.asked,
+        **{status.lower(): count for status, count in sorted(crowd.answers.items())},
+        "unanswered": crowd.asked - crowd.answers.total(),
+        "ok_p50_ms": 1e3 * float(np.median(crowd.seconds)),
+        "ok_p99_ms": 1e3 * float(np.quantile(crowd.seconds, 0.99)),
+        "rss_mb_before": before["rss_mb"],
+        "rss_mb_after": after["rss_mb"],
+    }
+
+
+def _ask_at(crowd: Crowd, clients: int, rate: float, seconds: float) -> None:
+    began, first = time.perf_counter(), crowd.asked
+    while (now := time.perf_counter() - began) < seconds:
+        for _ in range(int(now * rate) - (crowd.asked - first)):
+            crowd.ask(crowd.asked % clients)
+        time.sleep(1.0 / rate)

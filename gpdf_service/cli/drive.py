@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 from gpdf_client import Client, ClientError
-from gpdf_client.cli import place
+from gpdf_client.cli import PLACE_HELP, named_place
 from gpdf_client.client import DEFAULT_ENDPOINT
 from gpdf_robot import BODIES, Body, Drive, Driver, Errors, Pose, SimulatedRobot, State, drive_live, simulate
 from gpdf_robot.driver import DELAY_S
@@ -28,8 +28,8 @@ PICTURE_BORDER = 1.0
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the verb's options."""
     parser.add_argument("scene", help="a scene of the service at --endpoint, or a cloud: then it serves that itself")
-    parser.add_argument("--start", type=place, help="x,y or x,y,z of the ground there [m], for --simulate")
-    parser.add_argument("--goal", type=place, required=True, help="x,y or x,y,z of the ground there [m]")
+    parser.add_argument("--start", type=named_place, help=f"for --simulate: {PLACE_HELP}")
+    parser.add_argument("--goal", type=named_place, required=True, help=PLACE_HELP)
     parser.add_argument("--agent", default="roomba", choices=BODIES, help="the robot's body")
     parser.add_argument("--name", default="robot", help=f"the robot's name: {keys.POSE}/NAME, {keys.VELOCITY}/NAME")
     parser.add_argument("--delay", type=float, default=DELAY_S, help="from a command to its effect [s]")
@@ -48,6 +48,8 @@ def run(args: argparse.Namespace) -> int:
     try:
         with _service(args) as (endpoint, scene), Client.connect(endpoint) as client:
             client.wait_for_scene(scene)
+            args.goal = client.where(scene, args.goal)
+            args.start = args.start and client.where(scene, args.start)
             result = (_simulated if args.simulate else _live)(client, scene, args)
     except ClientError as error:
         print(f"gpdf: {error}", file=sys.stderr)

@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 import zenoh
 from gpdf_client import Client, ClientError
+from gpdf_client.cli import PLACE_HELP, named_place
 from gpdf_client.client import DEFAULT_ENDPOINT
 from gpdf_guidance import LANGUAGES, Guide, Outcome, Planner, Walk, Walker, simulate
 from gpdf_guidance.advice import Instruction
@@ -29,7 +30,7 @@ FloatArray = NDArray[np.float64]
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the verb's options."""
     parser.add_argument("scene", help="name of a scene of the service")
-    parser.add_argument("--goal", type=_place, required=True, help="x,y or x,y,z of the ground there [m]")
+    parser.add_argument("--goal", type=named_place, required=True, help=PLACE_HELP)
     parser.add_argument("--endpoint", default=DEFAULT_ENDPOINT, help="the service")
     parser.add_argument("--name", default="person", help="poses come on gpdf/v1/pose/NAME, cues go to gpdf/v1/cue/NAME")
     parser.add_argument("--language", choices=LANGUAGES, default="en")
@@ -38,7 +39,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--json", action="store_true", help="print sentences and the result as lines of JSON")
     walk = parser.add_argument_group("a simulated person, with over-turns, delay, drift and a sensor that drops out")
     walk.add_argument("--simulate", action="store_true", help="no poses are awaited: a simulated person walks")
-    walk.add_argument("--start", type=_place, help="where it stands, x,y or x,y,z of the ground there [m]")
+    walk.add_argument("--start", type=named_place, help=f"where it stands: {PLACE_HELP}")
     walk.add_argument("--seed", type=int, default=0, help="of its errors")
     walk.add_argument("--truth", help="a synthetic scene's name or a cloud: contacts with its points are counted")
     walk.add_argument("--png", type=Path, help="draw the walked path beside the planned one; needs --truth")
@@ -56,8 +57,8 @@ def run(args: argparse.Namespace) -> int:
         voice = Voice(args.language) if args.speak else None
         with open_session(args.endpoint) as session:
             client = Client(session)
-            guide = Guide(Planner(client, args.scene), args.goal, args.language, args.unit)
             client.info(args.scene)  # a scene that is not there is said at once
+            guide = Guide(Planner(client, args.scene), client.where(args.scene, args.goal), args.language, args.unit)
             return (
                 _simulated(args, client, guide)
                 if args.simulate
@@ -149,13 +150,3 @@ def _result(args: argparse.Namespace, facts: dict[str, Any]) -> None:
     print(
         json.dumps(facts) if args.json else ", ".join(f"{key} {value}" for key, value in facts.items() if value != "")
     )
-
-
-def _place(text: str) -> list[float]:
-    try:
-        parts = [float(part) for part in text.split(",")]
-    except ValueError:
-        parts = []
-    if len(parts) not in (2, 3):
-        raise argparse.ArgumentTypeError(f"{text!r} is no place: write x,y or x,y,z in metres")
-    return parts

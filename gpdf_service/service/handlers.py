@@ -23,6 +23,8 @@ from gpdf_schemas import (
     FileReply,
     FileRequest,
     LoadRequest,
+    PlaceRequest,
+    PlacesReply,
     PlanReply,
     PlanRequest,
     Reply,
@@ -30,7 +32,9 @@ from gpdf_schemas import (
     SceneRequest,
     ScenesReply,
     Status,
+    TrajectoryCut,
     TrajectoryMessage,
+    UpdateRequest,
     UploadRequest,
     decode,
     keys,
@@ -40,9 +44,12 @@ from gpdf_service.errors import GpdfError, RequestError, SceneFileError
 from gpdf_service.pipeline import plan
 from gpdf_service.scene import Scene
 from gpdf_service.service.drawing import draw_part
+from gpdf_service.service.in_use import InUse
 from gpdf_service.service.moving import Moving
-from gpdf_service.service.scenes import Shelf, describe
-from gpdf_service.types import Agent, PlanResult, Trajectory
+from gpdf_service.service.places import Named
+from gpdf_service.service.scenes import Entry, FullError, Shelf, describe
+from gpdf_service.types import Agent, BoolArray, FloatArray, PlanResult, Trajectory, resolve_agent
+from gpdf_service.types import Status as PlanStatus
 
 log = logging.getLogger(__name__)
 MAX_DISTANCE_POINTS = 100_000
@@ -65,6 +72,7 @@ class Handlers:
         planner_id: The service's id.
         on_unload: Told the name of a scene that was unloaded.
         look_for: Asked to get a scene that is not on the shelf, within some seconds.
+        on_cut: Told of trajectories that something that moves has cut.
     """
 
     def __init__(
@@ -73,10 +81,12 @@ class Handlers:
         planner_id: str,
         on_unload: Callable[[str], None] = lambda name: None,
         look_for: Callable[[str, float], None] = lambda name, timeout_s: None,
+        on_cut: Callable[[TrajectoryCut], None] = lambda cut: None,
     ) -> None:
         self.shelf, self.planner_id = shelf, planner_id
         self._on_unload, self._look_for = on_unload, look_for
         self.moving = Moving()
+        self.in_use = InUse(self.moving.points, on_cut, planner_id)
         self.by_key: Answers = {
             **self.planner_keys,
             **self.map_keys,
@@ -98,7 +108,10 @@ class Handlers:
             keys.SCENE_INFO: (SceneRequest, SceneReply, self.info),
             keys.SCENE_LOAD: (LoadRequest, SceneReply, self.load),
             keys.SCENE_UPLOAD: (UploadRequest, SceneReply, self.upload),
+            keys.SCENE_UPDATE: (UpdateRequest, SceneReply, self.update),
             keys.SCENE_UNLOAD: (SceneRequest, SceneReply, self.unload),
+            keys.SCENE_PLACES: (SceneRequest, PlacesReply, self.places),
+            keys.SCENE_PLACE: (PlaceRequest, PlacesReply, self.place),
             keys.SCENE_FILE: (FileRequest, FileReply, self.file),
             keys.SCENE_DRAW: (DrawRequest, DrawReply, self.draw),
         }
@@ -123,8 +136,10 @@ class Handlers:
             return handle(msgspec.structs.replace(request, deadline_s=request.deadline_s - waited))
         except (DecodeError, RequestError, ValueError) as error:
             return self.refuse(reply_kind, Status.INVALID_REQUEST, str(error), request_id)
-        except _NoSceneError as error:
+        except _NoSuchError as error:
             return self.refuse(reply_kind, error.status, str(error), request_id)
+        except FullError as error:
+            return self.refuse(reply_kind, Status.BUSY, str(error), request_id)
         except GpdfError as error:
             return self.refuse(reply_kind, Status.INVALID_REQUEST, str(error), request_id)
         except Exception:
@@ -150,6 +165,9 @@ class Handlers:
             warm_start=None if request.warm_start is None else request.warm_start.unpack(),
             deadline_s=request.deadline_s,
         )
+        if result.trajectory is not None and result.status is PlanStatus.OK:
+            body = resolve_agent(agent_of(request.agent))
+            self.in_use.remember(request.scene, request.request_id, body, result.trajectory)
         return self._plan_reply(request, scene, result)
 
     def _plan_reply(self, request: PlanRequest, scene: Scene, result: PlanResult) -> PlanReply:
@@ -195,9 +213,7 @@ class Handlers:
 
     def info(self, request: SceneRequest) -> SceneReply:
         """Facts of one scene; BUILDING or BUILD_FAILED where it is not ready."""
-        entry = self.shelf.get(request.scene)
-        if entry is None:
-            raise _NoSceneError(Status.UNKNOWN_SCENE, self._unknown(request.scene))
+        entry = self._entry(request.scene)
         if entry.building:
             status, message = Status.BUILDING, f"scene {request.scene!r} is being built. Ask again."
         elif entry.error:
@@ -213,31 +229,58 @@ class Handlers:
 
     def upload(self, request: UploadRequest) -> SceneReply:
         """Take a part of a cloud; the build starts with the last."""
-        points = request.points.unpack()
-        if points.ndim != 2 or points.shape[1] != 3:
-            raise RequestError("points", f"an array of shape {points.shape}", "Send an array of shape (n, 3).")
-        ground = None if request.ground is None else request.ground.unpack() > 0
-        if ground is not None and ground.shape != (len(points),):
-            raise RequestError(
-                "ground", f"an array of shape {ground.shape}", f"Send one number a point: ({len(points)},)."
-            )
+        points = _points(request.points)
+        ground = None if request.ground is None else _labels("ground", request.ground, len(points))
         done = self.shelf.add_part(request.scene, request.upload_id, request.part, request.parts, points, ground)
-        message = f"scene {request.scene!r} is being built." if done else f"part {request.part + 1} of {request.parts}"
-        return self._scene_reply(request, Status.BUILDING if done else Status.OK, message)
+        return self._part_reply(request, done)
+
+    def update(self, request: UpdateRequest) -> SceneReply:
+        """Take a part of a change; the build of the next version starts with the last."""
+        self._entry(request.scene)
+        if not 0 < request.radius <= LARGEST_BODY:
+            raise RequestError("radius", f"{request.radius}", f"Give more than 0, at most {LARGEST_BODY} m.")
+        points = _points(request.points)
+        gone = _labels("gone", request.gone, len(points))
+        part = request.upload_id, request.part, request.parts
+        return self._part_reply(request, self.shelf.add_change(request.scene, *part, points, gone, request.radius))
+
+    def _part_reply(self, request: UploadRequest | UpdateRequest, done: bool) -> SceneReply:
+        if done:
+            return self._scene_reply(request, Status.BUILDING, f"scene {request.scene!r} is being built.")
+        return self._scene_reply(request, Status.OK, f"part {request.part + 1} of {request.parts}")
 
     def unload(self, request: SceneRequest) -> SceneReply:
         """Forget a scene."""
         if not self.shelf.unload(request.scene):
-            raise _NoSceneError(Status.UNKNOWN_SCENE, self._unknown(request.scene))
+            raise _NoSuchError(Status.UNKNOWN_SCENE, self._unknown(request.scene))
         self._on_unload(request.scene)
         return self._scene_reply(request, Status.OK, f"scene {request.scene!r} is unloaded.")
+
+    def places(self, request: SceneRequest) -> PlacesReply:
+        """All named places of a scene."""
+        self._entry(request.scene)
+        return self._places_reply(request, self.shelf.places.of(request.scene))
+
+    def place(self, request: PlaceRequest) -> PlacesReply:
+        """Name a place, or forget it."""
+        self._entry(request.scene)
+        if request.position is not None:
+            return self._places_reply(request, self.shelf.places.put(request.scene, request.name, request.position))
+        try:
+            return self._places_reply(request, self.shelf.places.remove(request.scene, request.name))
+        except KeyError as error:
+            words = f"there is no place {request.name!r} in scene {request.scene!r}. Known: {error.args[0]}."
+            raise _NoSuchError(Status.UNKNOWN_PLACE, words) from error
+
+    def _places_reply(self, request: SceneRequest | PlaceRequest, places: Named) -> PlacesReply:
+        return PlacesReply(request_id=request.request_id, scene=request.scene, planner=self.planner_id, places=places)
 
     def file(self, request: FileRequest) -> FileReply:
         """A part of a ready scene's file."""
         entry = self.shelf.get(request.scene)
         if entry is None or entry.file is None or entry.facts["version"] != request.version:
             words = f"scene {request.scene!r} has no file of version {request.version}. Ask which version there is."
-            raise _NoSceneError(Status.UNKNOWN_SCENE, words)
+            raise _NoSuchError(Status.UNKNOWN_SCENE, words)
         try:
             with entry.file.open("rb") as file:
                 size = os.fstat(file.fileno()).st_size
@@ -246,7 +289,7 @@ class Handlers:
                 file.seek(request.offset)
                 data = file.read(PART_BYTES)
         except FileNotFoundError as error:  # a new version has just taken its place
-            raise _NoSceneError(Status.UNKNOWN_SCENE, f"scene {request.scene!r} has changed. Ask again.") from error
+            raise _NoSuchError(Status.UNKNOWN_SCENE, f"scene {request.scene!r} has changed. Ask again.") from error
         return FileReply(
             request_id=request.request_id,
             scene=request.scene,
@@ -274,7 +317,7 @@ class Handlers:
 
     def _scene_reply(
         self,
-        request: SceneRequest | LoadRequest | UploadRequest,
+        request: SceneRequest | LoadRequest | UploadRequest | UpdateRequest,
         status: Status,
         message: str,
         info: dict[str, Any] = {},  # noqa: B006
@@ -296,22 +339,29 @@ class Handlers:
             self._look_for(name, timeout_s)
             entry = self.shelf.get(name)
         if entry is None:
-            raise _NoSceneError(Status.UNKNOWN_SCENE, self._unknown(name))
+            raise _NoSuchError(Status.UNKNOWN_SCENE, self._unknown(name))
         if not entry.ready:
             if entry.building:
-                raise _NoSceneError(Status.BUILDING, f"scene {name!r} is being built. Ask again.")
-            raise _NoSceneError(Status.BUILD_FAILED, f"scene {name!r}: {entry.error}")
+                raise _NoSuchError(Status.BUILDING, f"scene {name!r} is being built. Ask again.")
+            raise _NoSuchError(Status.BUILD_FAILED, f"scene {name!r}: {entry.error}")
         try:
             return self.shelf.scene(entry)
         except SceneFileError as error:
-            raise _NoSceneError(Status.BUILD_FAILED, f"scene {name!r}: {error}") from error
+            raise _NoSuchError(Status.BUILD_FAILED, f"scene {name!r}: {error}") from error
+
+    def _entry(self, name: str) -> Entry:
+        """What the shelf has of that name, ready or not."""
+        entry = self.shelf.get(name)
+        if entry is None:
+            raise _NoSuchError(Status.UNKNOWN_SCENE, self._unknown(name))
+        return entry
 
     def _unknown(self, name: str) -> str:
         known = ", ".join(sorted(self.shelf.facts())) or "none"
         return f"there is no scene {name!r}. Loaded: {known}."
 
 
-class _NoSceneError(Exception):
+class _NoSuchError(Exception):
     def __init__(self, status: Status, message: str) -> None:
         super().__init__(message)
         self.status = status
@@ -333,6 +383,20 @@ def agent_of(agent: str | dict[str, Any]) -> str | Agent:
         if not SMALLEST_BODY <= numbers[key] <= LARGEST_BODY:
             raise RequestError("agent", f"{key} = {numbers[key]!r}", f"Give {SMALLEST_BODY} to {LARGEST_BODY} m.")
     return Agent(name=str(agent["name"]), **{key: float(value) for key, value in numbers.items()})
+
+
+def _points(array: Array) -> FloatArray:
+    points = array.unpack()
+    if points.ndim != 2 or points.shape[1] != 3:
+        raise RequestError("points", f"an array of shape {points.shape}", "Send an array of shape (n, 3).")
+    return points
+
+
+def _labels(name: str, array: Array, count: int) -> BoolArray:
+    labels = array.unpack()
+    if labels.shape != (count,):
+        raise RequestError(name, f"an array of shape {labels.shape}", f"Send one number a point: ({count},).")
+    return labels > 0
 
 
 def _trajectory(path: Trajectory) -> TrajectoryMessage:

@@ -48,6 +48,7 @@ class Options(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     log_keep_mb: Annotated[Amount, Meta(description="size of all logs beyond which the oldest is deleted")] = 20_000.0
     log_keep_days: Annotated[Amount, Meta(description="age beyond which a log is deleted")] = 90.0
     log_min_free_mb: Annotated[Amount, Meta(description="room on the disk below which nothing is recorded")] = 200.0
+    metrics_port: Annotated[int, Meta(description="port of this machine for Prometheus; 0: none", ge=0, le=65_535)] = 0
     log_format: Annotated[Literal["text", "json"], Meta(description="how the messages on stderr look")] = "text"
 
     @property

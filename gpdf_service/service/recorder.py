@@ -33,6 +33,9 @@ QUEUE_SIZE = 4096
 """Messages waiting for the disk; beyond, the service waits for the log rather than answer unrecorded."""
 BATCH = 256
 """Messages that share one flush when each is flushed."""
+GATHER_S = 0.01
+"""[s] Before a message that nobody waits for is written: its reply is on its way then. The work on a log took the
+interpreter from the threads that send the reply and receive it: 0.4 ms of a plan's 1.6 over Zenoh."""
 WAKE_S = 0.5
 """[s] How often an idle log looks at its age and at the disk."""
 RETRY_S = 2.0
@@ -176,6 +179,8 @@ class Recorder:
         batch: list[_Task | None] = []
         with contextlib.suppress(queue.Empty):
             batch.append(self._queue.get(timeout=min(WAKE_S, self.options.flush_s or WAKE_S)))
+            if self.options.flush_s:
+                time.sleep(GATHER_S)
             while len(batch) < BATCH:
                 batch.append(self._queue.get_nowait())
         return batch

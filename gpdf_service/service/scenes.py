@@ -13,11 +13,13 @@ from pathlib import Path
 from typing import Any
 
 from gpdf_service.config import Config
-from gpdf_service.errors import GpdfError
+from gpdf_service.errors import GpdfError, SceneFileError
 from gpdf_service.perception import read_cloud
 from gpdf_service.pipeline import Progress, build_scene
 from gpdf_service.scene import Scene, load_scene
+from gpdf_service.service.changes import Change, changed
 from gpdf_service.service.memory import held_bytes
+from gpdf_service.service.places import Places
 from gpdf_service.service.scene_files import SUFFIX, SceneFiles
 from gpdf_service.service.uploads import Uploads
 from gpdf_service.types import BoolArray, FloatArray
@@ -25,7 +27,13 @@ from gpdf_service.types import BoolArray, FloatArray
 log = logging.getLogger(__name__)
 
 NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,63}")
+MAX_WAITING_POINTS = 5_000_000
+"""Of changes to one scene that wait for the build of its next version: a minute of a laser scanner."""
 Build = Callable[[Progress], Scene]
+
+
+class FullError(GpdfError):
+    """What was sent finds no room now; later it may."""
 
 
 @dataclass(slots=True)
@@ -50,6 +58,8 @@ class Entry:
     lock: threading.Lock = field(default_factory=threading.Lock)
     stage: tuple[str, float] = ("", 0.0)
     """What the build does, and the share of it that is done."""
+    changes: list[Change] = field(default_factory=list)
+    """That wait for a build; all of them become one version."""
 
     def note(self, stage: str, done: float) -> None:
         """Take the build's progress."""
@@ -88,6 +98,7 @@ class Shelf:
     ) -> None:
         self.scenes_dir = scenes_dir.resolve()
         self.files = None if state_dir is None else SceneFiles(state_dir)
+        self.places = Places(state_dir)
         self._config, self._memory_bytes = config, memory_bytes
         self._entries: dict[str, Entry] = {}
         self._uploads = Uploads()
@@ -108,7 +119,7 @@ class Shelf:
         """
         for name, path in (self.files.known() if self.files else {}).items():
             if name not in without:
-                self._start(name, lambda path=path: load_scene(path), path)  # type: ignore[misc]
+                self._start(name, lambda _, path=path: load_scene(path), path)  # type: ignore[misc]
 
     def settle(self) -> None:
         """Wait for the builds that were begun."""
@@ -198,6 +209,39 @@ class Shelf:
         self._start(name, lambda progress: build_scene(*whole, self._config, progress=progress))
         return True
 
+    def add_change(
+        self, name: str, upload_id: str, part: int, parts: int, points: FloatArray, gone: BoolArray, radius: float
+    ) -> bool:
+        """Take one part of a change to a scene; True when it was the last, and the next version is begun, or soon is.
+
+        Raises:
+            FullError: too much waits already; this part is not taken.
+            ValueError: the part does not fit, or there is no such scene.
+        """
+        entry = self.get(name)
+        if entry is None:
+            raise ValueError(f"there is no scene {name!r}. Load it first.")
+        if sum(change.size for change in entry.changes) + len(points) > MAX_WAITING_POINTS:
+            raise FullError(f"scene {name!r}", "changes come faster than they are built", "Send it again in a moment.")
+        whole = self._uploads.add(f"change of {name}/{upload_id}", part, parts, points, gone)
+        if whole is None:
+            return False
+        every, taken = whole
+        assert taken is not None
+        with self._lock:
+            entry.changes.append(Change(every[~taken], every[taken], radius))
+            waits = len(entry.changes) > 1
+        if not waits:  # else that build takes this change as well
+            self._start(name, lambda progress: self._next(entry, progress))
+        return True
+
+    def _next(self, entry: Entry, progress: Progress) -> Scene:
+        with self._lock:
+            changes, entry.changes = entry.changes, []
+        if not entry.ready:
+            raise SceneFileError("a change", "the scene that it belongs to could not be built", "Load the scene first.")
+        return changed(self.scene(entry), changes, progress)
+
     def place(self, name: str, scene: Scene, path: Path) -> None:
         """Put a ready scene there, with its file in the state folder, in the place of the one before."""
         with self._lock:
@@ -208,8 +252,10 @@ class Shelf:
     def unload(self, name: str) -> bool:
         """Forget a scene; False if there was none."""
         with self._lock:
-            if self.files is not None and name in self._entries:
-                self.files.drop(name)
+            if name in self._entries:
+                self.places.forget(name)  # ahead of the scene: a crash between must not leave them to the next one
+                if self.files is not None:
+                    self.files.drop(name)
             return self._entries.pop(name, None) is not None
 
     def _start(self, name: str, build: Build, file: Path | None = None) -> None:

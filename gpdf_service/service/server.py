@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import logging
 import platform
-import queue
 import threading
 import time
 import uuid
@@ -26,6 +25,7 @@ from gpdf_schemas import (
     SceneChanged,
     Status,
     StatusReply,
+    TrajectoryCut,
     decode,
     encode,
     keys,
@@ -34,12 +34,14 @@ from gpdf_schemas import (
 from gpdf_service import __version__
 from gpdf_service.config import Config
 from gpdf_service.scene import Scene
+from gpdf_service.service.fair_queue import FairQueue
 from gpdf_service.service.follower import Follower
 from gpdf_service.service.handlers import Handlers
 from gpdf_service.service.metrics import Metrics
 from gpdf_service.service.network import session_config
 from gpdf_service.service.options import Options as Options
 from gpdf_service.service.options import plain
+from gpdf_service.service.prometheus import Endpoint
 from gpdf_service.service.recorder import Recorder
 from gpdf_service.service.scenes import Shelf
 
@@ -49,6 +51,9 @@ PACKAGES = ("numpy", "scipy", "numba", "eclipse-zenoh", "msgspec", "mcap")
 """Whose versions the log keeps beside our own: they can change an answer or its bytes."""
 TRIM_S = 1.0
 """[s] Between looks at the memory of the scenes: the free spaces of new bodies grow with the plans."""
+
+MAX_CLIENT_BYTES = 64
+"""Of a client's name for itself beside its requests: four times a Zenoh id."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,14 +90,15 @@ class Server:
             memory_bytes=1e6 * options.scene_memory_mb,
         )
         self.metrics = Metrics()
-        self.handlers = Handlers(self.shelf, self.planner_id, self._on_unload, self._look_for)
-        self._jobs: queue.Queue[_Job | None] = queue.Queue(options.queue)
+        self.handlers = Handlers(self.shelf, self.planner_id, self._on_unload, self._look_for, self._on_cut)
+        self._jobs = FairQueue[_Job](options.queue)
         self._workers = [
             threading.Thread(target=self._work, name=f"gpdf-worker-{i}", daemon=True) for i in range(options.workers)
         ]
         self._ended = threading.Event()
         self._keeper = threading.Thread(target=self._keep_memory, name="gpdf-memory", daemon=True)
         self._session: zenoh.Session | None = None
+        self._endpoint: Endpoint | None = None  # for Prometheus
         self._follower: Follower | None = None
         self._tokens: list[zenoh.LivelinessToken] = []  # dropped, they would be undeclared
         self._queryables: list[zenoh.Queryable[None]] = []
@@ -105,14 +111,17 @@ class Server:
     @property
     def load(self) -> float:
         """Requests that wait or are at work, over the workers."""
-        return self._jobs.unfinished_tasks / len(self._workers)
+        return self._jobs.unfinished / len(self._workers)
 
     def __enter__(self) -> Server:
         try:
             if self.options.role != "planner":
                 self._load_scenes()  # before anybody can ask for them
+            if self.options.metrics_port:
+                self._endpoint = Endpoint(self.options.metrics_port, self.status)
             self._session = zenoh.open(session_config(self.options))
         except BaseException:
+            self._close_endpoint()
             self.shelf.close()
             self.recorder.close()
             raise
@@ -135,13 +144,13 @@ class Server:
     ) -> None:
         self._ended.set()
         self._close_doors()
-        for _ in self._workers:
-            self._jobs.put(None)  # behind the requests that wait: they are answered first
+        self._close_endpoint()
+        self._jobs.close()  # the requests that wait are answered first
         for thread in (*self._workers, self._keeper):
             thread.join()
-        self._turn_away()
         if self._follower is not None:
             self._follower.close()
+        self.handlers.in_use.close()
         self.shelf.close()
         if self._session is not None:
             self._session.close()  # type: ignore[no-untyped-call]
@@ -155,12 +164,9 @@ class Server:
         for queryable in self._queryables:
             queryable.undeclare()  # type: ignore[no-untyped-call]
 
-    def _turn_away(self) -> None:
-        """Answer what came while the doors were closed and the workers ended."""
-        while not self._jobs.empty():
-            if job := self._jobs.get_nowait():
-                kind = self.handlers.by_key[job.key][1]
-                self._reply(job, self.handlers.refuse(kind, Status.UNAVAILABLE, "this service ends. Ask another one."))
+    def _close_endpoint(self) -> None:
+        if self._endpoint is not None:
+            self._endpoint.close()
 
     def _load_scenes(self) -> None:
         self.shelf.restore({name for name, _ in self._scenes})
@@ -173,6 +179,7 @@ class Server:
         own = {keys.of_planner(self.planner_id, key): key for key in names}
         assert self._session is not None
         self._session.declare_subscriber(keys.obstacles("*"), self._hear_of_obstacles)
+        self.handlers.in_use.start()
         self._serve({**own, **{key: key for key in names}}, f"{keys.ALIVE}/{self.planner_id}")
 
     def _serve(self, wire_keys: Mapping[str, str], token: str) -> None:
@@ -200,18 +207,26 @@ class Server:
         self.recorder.forget(name)
         self._announce(SceneChanged(scene=name, version=0))
 
+    def _on_cut(self, cut: TrajectoryCut) -> None:
+        assert self._session is not None
+        key, data = keys.cut(cut.scene), encode(cut)
+        self._session.put(key, data)
+        self.recorder.publication(key, data, time.time_ns())
+
     def _hear_of_obstacles(self, sample: zenoh.Sample) -> None:
         """Zenoh's callback: what was published on a scene's key; what cannot be read is told on stderr alone."""
         key, stamp = str(sample.key_expr), time.time_ns()
+        scene = key.split("/")[-2]
         try:
             if len(sample.payload) > MAX_REQUEST_BYTES:
                 raise ValueError(f"{len(sample.payload)} bytes, at most {MAX_REQUEST_BYTES} are taken")
             data = sample.payload.to_bytes()
-            self.handlers.moving.publish(key.split("/")[-2], decode(data, MovingObstacles).obstacles)
+            self.handlers.moving.publish(scene, decode(data, MovingObstacles).obstacles)
             self.recorder.publication(key, data, stamp)
         except ValueError as error:
             log.warning("obstacles on %s: %s", key, error)
             self.metrics.count_bad_publication()
+        self.handlers.in_use.look(scene)
 
     def _announce(self, news: SceneChanged) -> None:
         if self._session is not None and self.options.role != "planner":
@@ -227,16 +242,24 @@ class Server:
         size, fits = len(body), len(body) <= MAX_REQUEST_BYTES
         payload = body.to_bytes() if fits else b""
         job = _Job(query, key, wire_key, payload, time.monotonic(), time.time_ns())
-        kind = self.handlers.by_key[key][1]
         if not fits:
-            words = f"{size} bytes, at most {MAX_REQUEST_BYTES} are taken. Send it in parts."
-            self._reply(job, self.handlers.refuse(kind, Status.INVALID_REQUEST, words), patient=False)
+            self._refuse(
+                job, Status.INVALID_REQUEST, f"{size} bytes, at most {MAX_REQUEST_BYTES} are taken. Send it in parts."
+            )
             return
-        try:
-            self._jobs.put_nowait(job)
-        except queue.Full:
-            words = f"{self.options.queue} requests are waiting. Ask again in a moment."
-            self._reply(job, self.handlers.refuse(kind, Status.BUSY, words), patient=False)
+        sender = query.attachment
+        if (
+            refused := self._jobs.put(job, "" if sender is None else sender.to_bytes()[:MAX_CLIENT_BYTES].hex())
+        ) is None:
+            return
+        if self._ended.is_set():
+            self._refuse(refused, Status.UNAVAILABLE, "this service ends. Ask another one.")
+        else:
+            self._refuse(refused, Status.BUSY, f"{self.options.queue} requests are waiting. Ask again in a moment.")
+
+    def _refuse(self, job: _Job, status: Status, words: str) -> None:
+        """Answer at once, in Zenoh's callback."""
+        self._reply(job, self.handlers.refuse(self.handlers.by_key[job.key][1], status, words), patient=False)
 
     def _work(self) -> None:
         while (job := self._jobs.get()) is not None:
@@ -245,7 +268,7 @@ class Server:
             except Exception:
                 log.exception("reply on %s", job.key)
             finally:
-                self._jobs.task_done()
+                self._jobs.done()
 
     def _reply(self, job: _Job, reply: Reply, *, patient: bool = True) -> None:
         data = encode(msgspec.structs.replace(reply, load=self.load))

@@ -22,8 +22,8 @@ class Uploads:
         self._kept: dict[str, dict[int, Part]] = {}
         self._lock = threading.Lock()
 
-    def add(self, key: str, part: int, parts: int, points: FloatArray, ground: BoolArray | None) -> Part | None:
-        """Take one part; the whole cloud and its labels when it was the last.
+    def add(self, key: str, part: int, parts: int, points: FloatArray, labels: BoolArray | None) -> Part | None:
+        """Take one part; the whole cloud and the labels of its points when it was the last.
 
         Raises:
             ValueError: the part does not fit.
@@ -39,7 +39,7 @@ class Uploads:
                     "uploads that stay unfinished make room for others. Send it again."
                 )
             kept = self._kept.setdefault(key, {})
-            kept[part] = (points, ground)
+            kept[part] = (points, labels)
             self._make_room(key)
             if len(kept) < parts:
                 return None
@@ -60,5 +60,5 @@ class Uploads:
 def _joined(parts: list[Part]) -> Part:
     given = [ground for _, ground in parts if ground is not None]
     if given and len(given) != len(parts):
-        raise ValueError("some parts have ground labels and some have none. Send them with all parts or none.")
+        raise ValueError("some parts have labels and some have none. Send them with all parts or none.")
     return np.concatenate([points for points, _ in parts]), np.concatenate(given) if given else None

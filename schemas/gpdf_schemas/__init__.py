@@ -19,7 +19,8 @@ from gpdf_schemas.messages import FileRequest as FileRequest
 from gpdf_schemas.messages import LoadRequest as LoadRequest
 from gpdf_schemas.messages import MovingObstacle as MovingObstacle
 from gpdf_schemas.messages import MovingObstacles as MovingObstacles
-from gpdf_schemas.messages import ObstaclesMessage as ObstaclesMessage
+from gpdf_schemas.messages import PlaceRequest as PlaceRequest
+from gpdf_schemas.messages import PlacesReply as PlacesReply
 from gpdf_schemas.messages import PlanReply as PlanReply
 from gpdf_schemas.messages import PlanRequest as PlanRequest
 from gpdf_schemas.messages import PoseMessage as PoseMessage
@@ -30,6 +31,8 @@ from gpdf_schemas.messages import SceneRequest as SceneRequest
 from gpdf_schemas.messages import ScenesReply as ScenesReply
 from gpdf_schemas.messages import Status as Status
 from gpdf_schemas.messages import StatusReply as StatusReply
+from gpdf_schemas.messages import TrajectoryCut as TrajectoryCut
 from gpdf_schemas.messages import TrajectoryMessage as TrajectoryMessage
+from gpdf_schemas.messages import UpdateRequest as UpdateRequest
 from gpdf_schemas.messages import UploadRequest as UploadRequest
 from gpdf_schemas.messages import VelocityMessage as VelocityMessage

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any, TypeVar
 
 import msgspec
+import numpy as np
 
 MAX_REQUEST_BYTES = 4 << 20
 """A request above this is refused before it is decoded; larger clouds go in parts."""
@@ -17,8 +18,8 @@ class DecodeError(ValueError):
 
 
 def encode(message: msgspec.Struct) -> bytes:
-    """Message to msgpack."""
-    return msgspec.msgpack.encode(message)
+    """Message to msgpack; NumPy's numbers are numbers."""
+    return msgspec.msgpack.encode(message, enc_hook=_plain)
 
 
 def decode(data: bytes, kind: type[T], *, limit: int | None = None) -> T:
@@ -36,6 +37,12 @@ def decode(data: bytes, kind: type[T], *, limit: int | None = None) -> T:
     if not _finite(message):
         raise DecodeError(f"{kind.__name__}: a number is not finite. Send finite numbers.")
     return message
+
+
+def _plain(value: Any) -> Any:  # noqa: ANN401 - whatever msgspec does not know
+    if isinstance(value, np.generic):
+        return value.item()
+    raise NotImplementedError(f"{type(value).__name__} has no place in a message")
 
 
 def _finite(value: Any) -> bool:  # noqa: ANN401 - any decoded value

@@ -21,6 +21,9 @@ MESSAGES = (
     messages.ScenesReply,
     messages.LoadRequest,
     messages.UploadRequest,
+    messages.UpdateRequest,
+    messages.PlaceRequest,
+    messages.PlacesReply,
     messages.PoseMessage,
     messages.CueMessage,
     messages.VelocityMessage,
@@ -29,9 +32,9 @@ MESSAGES = (
     messages.StatusReply,
     messages.SceneChanged,
     messages.MovingObstacles,
+    messages.TrajectoryCut,
     messages.DrawRequest,
     messages.DrawReply,
-    messages.ObstaclesMessage,
 )
 
 

@@ -24,6 +24,7 @@ class Status(StrEnum):
     UNCERTIFIED = "UNCERTIFIED"
     INVALID_REQUEST = "INVALID_REQUEST"
     UNKNOWN_SCENE = "UNKNOWN_SCENE"
+    UNKNOWN_PLACE = "UNKNOWN_PLACE"
     BUILDING = "BUILDING"
     BUILD_FAILED = "BUILD_FAILED"
     BUSY = "BUSY"
@@ -96,7 +97,7 @@ class MovingObstacle(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class MovingObstacles(msgspec.Struct, frozen=True, kw_only=True):
-    """Published on `keys.obstacles`: what moves in a scene."""
+    """Published on `keys.obstacles`: what moves in a scene, or stands in it and is not on its map."""
 
     obstacles: list[MovingObstacle]
 
@@ -269,6 +270,54 @@ class ScenesReply(Reply, frozen=True, kw_only=True):
     scenes: dict[str, dict[str, Any]] = {}
 
 
+class UpdateRequest(msgspec.Struct, frozen=True, kw_only=True):
+    """One part of a change to a scene, on `keys.SCENE_UPDATE`; when all parts are there, its next version is built.
+
+    Plans are answered from the version before until then. Changes that wait while one is built become one version.
+
+    Attributes:
+        scene: Name of the scene.
+        upload_id: The same for all parts.
+        part: Number of this part, from 0.
+        parts: How many there are.
+        points: (n, 3) [m], in the scene's frame.
+        gone: 1 where a point says that nothing is there any more, 0 where it is new, (n,).
+        radius: What was within this of such a point is gone [m].
+    """
+
+    scene: str
+    upload_id: str
+    part: int
+    parts: int
+    points: Array
+    gone: Array
+    radius: float = 0.05
+    deadline_s: float = 30.0
+    request_id: str = ""
+
+
+class PlaceRequest(msgspec.Struct, frozen=True, kw_only=True):
+    """Name a place of a scene, anew or no more, on `keys.SCENE_PLACE`; all of them are asked by a `SceneRequest`.
+
+    Attributes:
+        scene: Name of a loaded scene; its places stay when it gets a new version, and go when it is unloaded.
+        name: At most 64 letters, without a comma.
+        position: (x, y) or (x, y, z of the ground there) [m]; none forgets the place.
+    """
+
+    scene: str
+    name: str
+    position: list[float] | None = None
+    deadline_s: float = 30.0
+    request_id: str = ""
+
+
+class PlacesReply(Reply, frozen=True, kw_only=True):
+    """All places of the scene by name, as they are now; (x, y) or (x, y, z of the ground there) [m]."""
+
+    places: dict[str, list[float]] = {}
+
+
 class PoseMessage(msgspec.Struct, frozen=True, kw_only=True):
     """Where a body is, as a stream on `keys.POSE`/NAME.
 
@@ -410,6 +459,29 @@ class SceneChanged(msgspec.Struct, frozen=True, kw_only=True):
     digest: str = ""
 
 
+class TrajectoryCut(msgspec.Struct, frozen=True, kw_only=True):
+    """Published on `keys.cut` when what moves in a scene is in the way of a trajectory that a planner gave out.
+
+    It is told for a while after the plan, three times the trajectory's duration and a minute, each time that something
+    is published for the scene while the way is cut. No such message is no promise: only a new plan is one.
+
+    Attributes:
+        scene: Name of the scene.
+        request_id: Of the request that the trajectory answered.
+        planner: Id of the planner.
+        obstacles: Ids of what is in the way.
+        time: When the body would first touch one, since the trajectory's start [s].
+        at: Its contact point then, (x, y, z) [m].
+    """
+
+    scene: str
+    request_id: str
+    planner: str
+    obstacles: list[str]
+    time: float
+    at: list[float]
+
+
 class DrawReply(Reply, frozen=True, kw_only=True):
     """One part of a drawing, at most 1 MB.
 
@@ -429,15 +501,3 @@ class DrawReply(Reply, frozen=True, kw_only=True):
     origin: list[float] = []
     columns: list[str] = []
     rows: Array | None = None
-
-
-class ObstaclesMessage(msgspec.Struct, frozen=True, kw_only=True):
-    """What stands around a body now, seen by its own sensor, as a stream on `keys.OBSTACLES`/NAME.
-
-    Attributes:
-        points: (k, 3) [m]; none says that nothing is there any more.
-        valid_s: After this it is not believed any more [s].
-    """
-
-    points: Array
-    valid_s: float = 2.0

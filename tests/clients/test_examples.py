@@ -51,9 +51,16 @@ SAID = {
     "drive": ["arrived", "routes: 1"],
     "errors": ["GOAL_OUTSIDE_MAP", "another scene: UNKNOWN_SCENE", "another request: INVALID_REQUEST"],
     "guide": ["arrived"],
+    "obstacles": ["cut by dog that plan: True", "round it"],
+    "places": [
+        "entrance at 1.0, 1.0, kitchen at 5.0, 3.3\nOK",
+        "UNKNOWN_PLACE: there is no place 'kitchen'",
+        "Known: entrance",
+    ],
     "plan": ["OK", "m of room"],
     "scenes": ["copy version", "points on 1 level", "digest"],
     "trajectory": ["where after 2 s", "the first 1.00 m take"],
+    "update": ["heard of growing with", "points\nwithout it: "],
     "upload": ["15000 points", "\nOK\n"],
 }
 """What each example prints; one without an entry fails."""
@@ -76,6 +83,9 @@ def test_the_examples_are_short():
 
 NOT_SHOWN = {
     "ask",  # the base of the others
+    "ask_planner",
+    "draw",  # shown by gpdf_service.viewer, as is watch
+    "watch",
     "session",  # shown by gpdf_robot.live
     "close",  # `with` calls it
     "positions",

@@ -17,7 +17,17 @@ from gpdf_guidance import Guide, Kind, Outcome, Planner, Pose, Walker, simulate
 from gpdf_guidance.features import FeatureKind
 from gpdf_guidance.guide import LOST, too_tight
 from gpdf_guidance.live import LiveGuide, open_session
-from gpdf_schemas import Array, CueAction, CueMessage, ObstaclesMessage, PoseMessage, decode, encode, keys
+from gpdf_schemas import (
+    Array,
+    CueAction,
+    CueMessage,
+    MovingObstacle,
+    MovingObstacles,
+    PoseMessage,
+    decode,
+    encode,
+    keys,
+)
 
 from gpdf_service.bench.guide import summary
 from gpdf_service.bench.walks import WalkedWorld
@@ -202,7 +212,7 @@ def test_poses_over_zenoh_become_cues_at_five_hertz_and_a_person_arrives(endpoin
 
 
 def test_cues_say_stop_when_poses_stop_and_when_something_is_in_the_way(endpoint, made):
-    stop, key = threading.Event(), f"{keys.OBSTACLES}/bob"
+    stop, key = threading.Event(), keys.obstacles("office")
     with open_session(endpoint) as session, open_session(endpoint) as body, ThreadPoolExecutor(1) as pool:
         guide, walker, _ = setting(Client(session), made, "office", (0.9, 0.9, 0.0), (5.4, 3.4), heading=0.6)
         walker.move = lambda now, period: None  # stands, and looks the right way
@@ -211,9 +221,10 @@ def test_cues_say_stop_when_poses_stop_and_when_something_is_in_the_way(endpoint
             with Feet(body, walker, "bob") as feet:
                 feet.wait_for(CueAction.GO)
                 column = np.tile(guide.route.at(1.0), (9, 1)) + np.linspace(0.1, 1.9, 9)[:, None] * [0, 0, 1]
-                body.put(key, encode(ObstaclesMessage(points=Array.pack(column), valid_s=60.0)))
+                seen = MovingObstacle(id="bob", points=Array.pack(column), lifetime_s=60.0)
+                body.put(key, encode(MovingObstacles(obstacles=[MovingObstacle(id="nothing"), seen])))
                 feet.wait_for(CueAction.STOP)
-                body.put(key, encode(ObstaclesMessage(points=Array.pack(np.zeros((0, 3))))))
+                body.put(key, encode(MovingObstacles(obstacles=[MovingObstacle(id="bob", lifetime_s=0.0)])))
                 feet.wait_for(CueAction.GO)
                 feet.mute.set()
                 feet.wait_for(CueAction.STOP)

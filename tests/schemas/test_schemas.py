@@ -7,8 +7,9 @@ from gpdf_schemas import (
     Array,
     CueAction,
     CueMessage,
+    Cylinder,
     DecodeError,
-    ObstaclesMessage,
+    MovingObstacles,
     PlanReply,
     PlanRequest,
     PoseMessage,
@@ -99,9 +100,9 @@ def test_golden_samples_of_the_streams_are_still_read():
     assert cue.action is CueAction.TURN
     assert (cue.direction, cue.urgency, cue.pace, cue.distance) == (-1.25, 0.5, 0.75, 4.0)
     assert (cue.stamp, cue.pose_stamp) == (1700000000.5, 1700000000.25)
-    seen = decode((FOLDER / "golden" / "v1_obstacles.msgpack").read_bytes(), ObstaclesMessage)
+    (seen,) = decode((FOLDER / "golden" / "v1_moving_obstacles.msgpack").read_bytes(), MovingObstacles).obstacles
     assert seen.points.unpack().tolist() == [[1.0, 2.0, 0.5]]
-    assert seen.valid_s == 1.5
+    assert (seen.id, seen.cylinder.base, seen.cylinder.height, seen.lifetime_s) == ("dog", (1.0, 2.0, 0.0), 0.5, 1.5)
 
 
 def test_the_golden_sample_of_a_velocity_is_still_read():
@@ -114,3 +115,10 @@ def test_a_number_that_is_not_finite_is_no_pose():
     raw = encode(PoseMessage(position=[1.0, float("nan"), 0.0], heading=0.0, stamp=0.0))
     with pytest.raises(DecodeError, match="finite"):
         decode(raw, PoseMessage)
+
+
+def test_numpys_numbers_are_numbers_and_other_things_are_refused():
+    numbers = Cylinder(tuple(np.array([1.0, 2.0, 0.0])), np.float64(0.25), np.float32(0.5))
+    assert encode(numbers) == encode(Cylinder((1.0, 2.0, 0.0), 0.25, 0.5))
+    with pytest.raises(NotImplementedError, match="object"):
+        encode(Cylinder((1.0, 2.0, 0.0), object(), 0.5))

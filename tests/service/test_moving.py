@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 from gpdf_client import Client, InvalidRequestError
 from gpdf_schemas import Array, Cylinder, MovingObstacle, keys
+from gpdf_schemas.moving import MAX_POINTS, points_of
 
 import gpdf_service as gpdf
-from gpdf_service.service.moving import MAX_POINTS, Moving, points_of
+from gpdf_service.service.moving import Moving
 from gpdf_service.service.server import Options, Server
 
 START, GOAL = (1.0, 1.5), (5.0, 1.5)

@@ -1,0 +1,51 @@
+"""Changes of a scene that wait for the build of its next version, and that version."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from gpdf_service.pipeline import Progress
+from gpdf_service.scene import Scene
+from gpdf_service.types import BoolArray, FloatArray
+
+
+@dataclass(frozen=True, slots=True)
+class Change:
+    """What one scan says.
+
+    Attributes:
+        insert: Points that are new [m], (k, 3).
+        gone: Places that are empty now [m], (j, 3).
+        radius: What was within this of such a place is gone [m].
+    """
+
+    insert: FloatArray
+    gone: FloatArray
+    radius: float
+
+    @property
+    def size(self) -> int:
+        """Points to hold."""
+        return len(self.insert) + len(self.gone)
+
+
+def changed(scene: Scene, changes: Sequence[Change], progress: Progress) -> Scene:
+    """The version after all changes, in their order: what one inserts a later one may take away, not an earlier one."""
+    gone = np.zeros(len(scene.points), dtype=bool)
+    fresh = np.zeros((0, 3))
+    for change in changes:
+        gone |= _near(scene.points, change)
+        fresh = np.concatenate([fresh[~_near(fresh, change)], change.insert])
+    return scene.update(insert=fresh if len(fresh) else None, remove=gone, progress=progress)
+
+
+def _near(points: FloatArray, change: Change) -> BoolArray:
+    """Which points lie where nothing is any more."""
+    if not len(change.gone) or not len(points):
+        return np.zeros(len(points), dtype=bool)
+    distance, _ = cKDTree(change.gone).query(points, distance_upper_bound=change.radius)
+    return np.asarray(np.isfinite(distance))

@@ -1,0 +1,79 @@
+"""A bounded queue with one line a client: the lines take turns, and when it is full the longest gives way."""
+
+from __future__ import annotations
+
+import threading
+from collections import deque
+from collections.abc import Hashable
+from typing import Generic, TypeVar
+
+T = TypeVar("T")
+
+
+class FairQueue(Generic[T]):
+    """Safe for many threads.
+
+    Args:
+        size: Items that may wait, of all clients together.
+    """
+
+    def __init__(self, size: int) -> None:
+        self.size = size
+        self._lines: dict[Hashable, deque[T]] = {}  # in the order of their turns; none is empty
+        self._waiting = self._at_work = 0
+        self._closed = False
+        self._change = threading.Condition()
+
+    @property
+    def unfinished(self) -> int:
+        """Items that wait or are at work."""
+        return self._waiting + self._at_work
+
+    def put(self, item: T, client: Hashable) -> T | None:
+        """Let an item wait; the item that finds no room: this one, or the last of the longest line, or none.
+
+        A client of a longer line than the others' loses its own item, so who asks seldom is never turned away for
+        who asks a lot.
+        """
+        with self._change:
+            if self._closed:
+                return item
+            line = self._lines.get(client, deque[T]())
+            displaced: T | None = None
+            if self._waiting == self.size:
+                longest = max(self._lines, key=lambda name: len(self._lines[name]))
+                if len(line) + 1 >= len(self._lines[longest]):
+                    return item
+                displaced = self._lines[longest].pop()
+                self._waiting -= 1
+            line.append(item)
+            self._lines[client] = line  # a new line is the last to have its turn
+            self._waiting += 1
+            self._change.notify()
+            return displaced
+
+    def get(self) -> T | None:
+        """The next item, awaited; say `done` after the work. None when the queue is closed and empty."""
+        with self._change:
+            self._change.wait_for(lambda: self._waiting or self._closed)
+            if not self._waiting:
+                return None
+            client, line = next(iter(self._lines.items()))
+            item = line.popleft()
+            del self._lines[client]
+            if line:
+                self._lines[client] = line
+            self._waiting -= 1
+            self._at_work += 1
+            return item
+
+    def done(self) -> None:
+        """The work on one item has ended."""
+        with self._change:
+            self._at_work -= 1
+
+    def close(self) -> None:
+        """Take no more; what waits is still given out."""
+        with self._change:
+            self._closed = True
+            self._change.notify_all()

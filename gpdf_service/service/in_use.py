@@ -1,0 +1,151 @@
+"""Trajectories that somebody may be following, and whether what moves is in their way."""
+
+from __future__ import annotations
+
+import logging
+import threading
+import time
+from collections import deque
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from gpdf_schemas import TrajectoryCut
+from scipy.spatial import cKDTree
+
+from gpdf_service.perception.levels import LEAST_OBSTACLE
+from gpdf_service.types import Agent, FloatArray, Trajectory
+
+log = logging.getLogger(__name__)
+
+PATIENCE, GRACE_S = 3.0, 60.0
+"""A trajectory counts as in use for so many times its duration and so long [s]: guided people stop on their way."""
+MOST = 1000
+"""Trajectories that are remembered; the oldest go."""
+SPACING = 0.04
+"""[m] Between looks along a trajectory: it passes a point at most 1 mm closer between them than at them, at 0.2 m."""
+TOUCH = 0.002
+"""[m] What is closer than the radius by more touches: a trajectory planned round something is not cut by it."""
+Clock = Callable[[], float]
+
+
+@dataclass(frozen=True, slots=True)
+class _InUse:
+    scene: str
+    request_id: str
+    agent: Agent
+    ground: FloatArray  # contact points, closely spaced, (n, 3)
+    times: FloatArray  # since the start [s], (n,)
+    until: float
+
+
+class InUse:
+    """What this planner gave out; safe for many threads. One thread looks, at the newest state of a scene only.
+
+    Args:
+        points_of: Points of what moves in a scene now, by id.
+        on_cut: Told of each trajectory that is cut, each time that something is published.
+        planner: Id of the planner.
+        clock: Monotonic seconds.
+    """
+
+    def __init__(
+        self,
+        points_of: Callable[[str], Mapping[str, FloatArray]],
+        on_cut: Callable[[TrajectoryCut], None],
+        planner: str = "",
+        clock: Clock = time.monotonic,
+    ) -> None:
+        self._points_of, self._on_cut, self._planner, self._clock = points_of, on_cut, planner, clock
+        self._known: deque[_InUse] = deque(maxlen=MOST)
+        self._changed: set[str] = set()
+        self._ended = False
+        self._lock = threading.Condition()
+        self._thread = threading.Thread(target=self._run, name="gpdf-cuts", daemon=True)
+
+    def start(self) -> None:
+        """Look from now on."""
+        self._thread.start()
+
+    def close(self) -> None:
+        """Look no more."""
+        with self._lock:
+            self._ended = True
+            self._lock.notify_all()
+        if self._thread.ident is not None:
+            self._thread.join()
+
+    def remember(self, scene: str, request_id: str, agent: Agent, trajectory: Trajectory) -> None:
+        """A trajectory was given out; what came while it was planned is looked at, too."""
+        ground, times = _dense(trajectory)
+        until = self._clock() + PATIENCE * trajectory.duration + GRACE_S
+        with self._lock:
+            self._known.append(_InUse(scene, request_id, agent, ground, times, until))
+        self.look(scene)
+
+    def look(self, scene: str) -> None:
+        """Something has changed in a scene; returns at once."""
+        with self._lock:
+            self._changed.add(scene)
+            self._lock.notify_all()
+
+    def cuts(self, scene: str) -> list[TrajectoryCut]:
+        """The trajectories of a scene that are cut now."""
+        with self._lock:
+            now = self._clock()
+            in_use = [used for used in self._known if used.scene == scene and used.until > now]
+        points = self._points_of(scene) if in_use else {}
+        found = (self._cut(used, points) for used in in_use if points)
+        return [cut for cut in found if cut is not None]
+
+    def _cut(self, used: _InUse, obstacles: Mapping[str, FloatArray]) -> TrajectoryCut | None:
+        first = {id_: _first_touch(used, points) for id_, points in obstacles.items()}
+        met = {id_: index for id_, index in first.items() if index is not None}
+        if not met:
+            return None
+        index = min(met.values())
+        return TrajectoryCut(
+            scene=used.scene,
+            request_id=used.request_id,
+            planner=self._planner,
+            obstacles=sorted(met),
+            time=float(used.times[index]),
+            at=used.ground[index].tolist(),
+        )
+
+    def _run(self) -> None:
+        while True:
+            with self._lock:
+                self._lock.wait_for(lambda: self._changed or self._ended)
+                if self._ended:
+                    return
+                scene = self._changed.pop()
+            try:
+                for cut in self.cuts(scene):
+                    self._on_cut(cut)
+            except Exception:
+                log.exception("trajectories in use in scene %s", scene)
+
+
+def _dense(trajectory: Trajectory) -> tuple[FloatArray, FloatArray]:
+    """Contact points at most `SPACING` apart in plan, and their times."""
+    steps = np.maximum(1, np.ceil(np.linalg.norm(np.diff(trajectory.ground[:, :2], axis=0), axis=1) / SPACING))
+    knots = np.concatenate([[0.0], np.cumsum(steps)])
+    at = np.arange(knots[-1] + 1)
+    ground = np.column_stack([np.interp(at, knots, column) for column in trajectory.ground.T])
+    return ground, np.interp(at, knots, trajectory.times)
+
+
+def _first_touch(used: _InUse, points: FloatArray) -> int | None:
+    """Where the body, an upright cylinder on its contact point, first meets one of the points (k, 3)."""
+    ground, agent = used.ground, used.agent
+    low, high = ground.min(axis=0) - agent.radius, ground.max(axis=0) + agent.radius + [0.0, 0.0, agent.height]
+    points = points[((points >= low) & (points <= high)).all(axis=1)]
+    if not len(points):
+        return None
+    pairs = cKDTree(ground[:, :2]).sparse_distance_matrix(
+        cKDTree(points[:, :2]), agent.radius - TOUCH, output_type="ndarray"
+    )
+    above = points[pairs["j"], 2] - ground[pairs["i"], 2]
+    touching = pairs["i"][(above > LEAST_OBSTACLE) & (above < agent.height)]
+    return int(touching.min()) if len(touching) else None

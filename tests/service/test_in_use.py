@@ -1,0 +1,112 @@
+"""Trajectories that somebody follows, cut by something that moves."""
+
+import queue
+
+import numpy as np
+import pytest
+from gpdf_client import Client, InvalidRequestError
+from gpdf_schemas import Array, Cylinder, MovingObstacle
+from gpdf_schemas.moving import MAX_POINTS, points_of
+from hypothesis import given
+from hypothesis import strategies as st
+
+import gpdf_service as gpdf
+from gpdf_service.service.in_use import GRACE_S, MOST, PATIENCE, TOUCH, InUse
+from gpdf_service.service.server import Options, Server
+from gpdf_service.types import Trajectory
+
+START, GOAL = (1.0, 1.5), (5.0, 1.5)
+
+
+def straight(length=4.0, agent="human", duration=8.0):
+    """Along x from (1, 1.5), in two waypoints."""
+    ground = np.array([[1.0, 1.5, 0.0], [1.0 + length, 1.5, 0.0]])
+    top = ground + np.array([0.0, 0.0, gpdf.AGENTS[agent].height])
+    return Trajectory(top, ground, np.array([0.0, duration]), np.zeros(2))
+
+
+def in_use(points, agent="human", clock=lambda: 0.0, **more):
+    made = InUse(lambda scene: {"x": np.atleast_2d(points).astype(float)}, lambda cut: None, "me", clock)
+    made.remember("hall", "1", gpdf.AGENTS[agent], straight(agent=agent, **more))
+    return made
+
+
+@given(
+    st.floats(0.0, 6.0),
+    st.floats(0.5, 2.5),
+    st.floats(-0.5, 2.5),
+    st.sampled_from(["roomba", "spot", "pepper", "human"]),
+)
+def test_a_point_cuts_exactly_where_the_swept_cylinder_is(x, y, z, agent):
+    body = gpdf.AGENTS[agent]
+    apart = np.hypot(x - np.clip(x, 1.0, 5.0), y - 1.5)  # from the line
+    inside = min(body.radius - apart, z - 0.015, body.height - z)
+    cuts = in_use((x, y, z), agent).cuts("hall")
+    if abs(inside) > 2 * TOUCH:
+        assert bool(cuts) == (inside > 0)
+    for cut in cuts:
+        along = x - 1.0 - np.sqrt(max(0.0, body.radius**2 - (y - 1.5) ** 2))  # where its rim first reaches the point
+        assert cut.time == pytest.approx(2.0 * max(0.0, along), abs=0.15)
+        np.testing.assert_allclose(cut.at, [1.0 + cut.time / 2, 1.5, 0.0], atol=1e-9)
+        assert (cut.scene, cut.request_id, cut.planner, cut.obstacles) == ("hall", "1", "me", ["x"])
+
+
+def test_a_trajectory_is_in_use_for_a_while_and_in_its_scene():
+    now = [0.0]
+    used = in_use((3.0, 1.5, 0.5), clock=lambda: now[0])
+    assert used.cuts("hall")
+    assert not used.cuts("elsewhere")
+    now[0] = PATIENCE * 8.0 + GRACE_S - 1.0
+    assert used.cuts("hall")
+    now[0] += 2.0
+    assert not used.cuts("hall")
+
+
+def test_only_so_many_are_remembered():
+    used = in_use((3.0, 1.5, 0.5))
+    for i in range(MOST):
+        used.remember("hall", f"later {i}", gpdf.AGENTS["human"], straight())
+    assert len(used.cuts("hall")) == MOST
+    assert "1" not in {cut.request_id for cut in used.cuts("hall")}
+
+
+@pytest.mark.parametrize("agent", ["roomba", "human"])
+def test_a_plan_round_something_is_not_cut_by_it(agent):
+    x, y = np.meshgrid(np.arange(0, 6, 0.05), np.arange(0, 3, 0.05))
+    hall = gpdf.build_scene(np.column_stack([x.ravel(), y.ravel(), np.zeros(x.size)]))
+    for place in (1.9, 1.8, 2.1):
+        points = points_of(MovingObstacle(cylinder=Cylinder((3.0, place, 0.0), 0.25, 1.8)))
+        path = gpdf.plan(hall.with_obstacles(points), START, GOAL, agent)
+        assert path.status == "OK"
+        used = InUse(lambda scene, points=points: {"x": points}, lambda cut: None)
+        used.remember("hall", "1", gpdf.AGENTS[agent], path.trajectory)
+        assert used.cuts("hall") == []
+
+
+def test_who_subscribed_hears_of_a_cut_over_zenoh(free_endpoint, tmp_path, office):
+    made, scene = office
+    scene.save(tmp_path / "office.gpdf")
+    options = Options(free_endpoint, tmp_path, tmp_path / "log", 1)
+    heard = queue.Queue()
+    with (
+        Server(options, [("office", tmp_path / "office.gpdf")]) as server,
+        Client.connect(free_endpoint) as walker,
+        Client.connect(free_endpoint) as camera,
+    ):
+        server.shelf.settle()
+        walker.watch_cuts("office", heard.put)
+        plan = walker.plan("office", made.start, made.goal)
+        x, y, z = plan.trajectory.ground[len(plan.trajectory.ground) // 2]
+        with pytest.raises(InvalidRequestError, match="neither points"):
+            camera.publish_obstacles("office", [MovingObstacle(id="nothing")])
+        many = Array.pack(np.zeros((MAX_POINTS + 1, 3)), "f4")
+        with pytest.raises(InvalidRequestError, match="Thin"):
+            camera.publish_obstacles("office", [MovingObstacle(id="all", points=many)])
+        with pytest.raises(InvalidRequestError, match="parts"):
+            camera.publish_obstacles("office", [MovingObstacle(id="all", points=Array.pack(np.zeros((MAX_POINTS, 3))))])
+        camera.publish_obstacles("office", [MovingObstacle(id="dog", cylinder=Cylinder((x, y, z), 0.2, 0.5))])
+        cut = heard.get(timeout=30)
+    assert (cut.scene, cut.request_id, cut.obstacles) == ("office", plan.request_id, ["dog"])
+    assert cut.planner == server.planner_id
+    assert 0 < cut.time < plan.trajectory.duration
+    assert server.status().metrics["bad_publications"] == 0

@@ -1,0 +1,151 @@
+"""Incremental mapping on the wire: scans change a scene while plans are answered from its last version."""
+
+import asyncio
+import queue
+import threading
+
+import numpy as np
+import pytest
+from gpdf_client import AsyncClient, Client, InvalidRequestError, ServiceError, Status, UnknownSceneError
+from gpdf_schemas import Array, SceneReply, UpdateRequest, keys
+
+import gpdf_service as gpdf
+from gpdf_service.service import scenes
+from gpdf_service.service.changes import Change, changed
+from gpdf_service.service.scenes import FullError, Shelf
+from gpdf_service.service.server import Options, Server
+
+NOBODY = np.zeros((0, 3))
+START, GOAL = (1.0, 1.5), (5.0, 1.5)
+CLOSED = (Status.NO_VALID_PATH, Status.GOAL_OUTSIDE_MAP)
+"""What a plan says of the far side of a wall: there is no way, or it is no ground that anything here leads to."""
+
+
+def wall(x=3.0):
+    y, z = np.meshgrid(np.arange(-0.5, 3.5, 0.05), np.arange(0.05, 2.0, 0.05))
+    return np.column_stack([np.full(y.size, x), y.ravel(), z.ravel()])
+
+
+@pytest.fixture(scope="module")
+def hall():
+    x, y = np.meshgrid(np.arange(0, 6, 0.05), np.arange(0, 3, 0.05))
+    return gpdf.build_scene(np.column_stack([x.ravel(), y.ravel(), np.zeros(x.size)]))
+
+
+@pytest.fixture
+def serving(hall, tmp_path, free_endpoint):
+    hall.save(tmp_path / "hall.gpdf")
+    options = Options(free_endpoint, tmp_path, tmp_path / "log", 1)
+    with Server(options, [("hall", tmp_path / "hall.gpdf")]) as server, Client.connect(free_endpoint) as client:
+        server.shelf.settle()
+        yield server, client
+
+
+def test_a_scan_closes_the_way_and_its_end_opens_it_again(serving, hall, monkeypatch):
+    monkeypatch.setattr("gpdf_client.client.PART_POINTS", 1000)
+    _, client = serving
+    news = queue.Queue()
+    client.watch_scenes(news.put)
+    before = client.info("hall")
+    turned = np.array([[0.0, -1.0, 0.0, 2.0], [1.0, 0.0, 0.0, -1.0], [0.0, 0.0, 1.0, 0.0], [0.0, 0.0, 0.0, 1.0]])
+    seen = (wall() - turned[:3, 3]) @ turned[:3, :3]  # in the sensor's frame
+    after = client.update_scene("hall", seen, pose=turned)
+    assert after["points"] == before["points"] + len(wall())
+    assert after["version"] > before["version"]
+    assert client.plan("hall", START, GOAL).status in CLOSED
+    heard = news.get(timeout=30)
+    assert (heard.scene, heard.version, heard.digest) == ("hall", after["version"], after["digest"])
+    again = client.update_scene("hall", remove=wall(), radius=0.02)
+    assert again["points"] == before["points"]
+    result = client.plan("hall", START, GOAL)
+    assert result.status is Status.OK
+    assert result.scene_version == again["version"] > after["version"]
+    np.testing.assert_allclose(
+        result.trajectory.positions, gpdf.plan(hall, START, GOAL).trajectory.positions, atol=0.01
+    )
+
+
+def test_the_next_version_outlives_the_service(hall, tmp_path, free_endpoint):
+    hall.save(tmp_path / "hall.gpdf")
+    options = Options(free_endpoint, tmp_path, tmp_path / "log", 1)
+    with Server(options), Client.connect(free_endpoint) as client:
+        client.load_scene("hall", "hall.gpdf")
+        facts = client.update_scene("hall", wall())
+    with Server(options) as server, Client.connect(free_endpoint) as client:
+        server.shelf.settle()
+        found = client.info("hall")
+    assert (found["version"], found["digest"]) == (facts["version"], facts["digest"])
+
+
+def test_changes_apply_in_order_and_equal_one_after_the_other(hall):
+    box = np.random.default_rng(0).uniform((2.8, 1.0, 0.1), (3.2, 1.4, 1.0), (2000, 3))
+    first, second = Change(box, NOBODY, 0.05), Change(wall(), box[:500], 0.05)
+    third = Change(box[:500], NOBODY, 0.05)
+    quiet = lambda stage, done: None  # noqa: E731
+    together = changed(hall, [first, second, third], quiet)
+    apart = hall
+    for change in (first, second, third):
+        apart = changed(apart, [change], quiet)
+    assert together.digest == apart.digest
+    assert together.version == hall.version + 1
+    held = {tuple(point) for point in together.points.tolist()}
+    assert {tuple(point) for point in box[:500].tolist()} <= held  # gone, and there again
+    assert len(together.points) < len(hall.points) + len(box) + len(wall()) + 500
+
+
+def test_changes_that_wait_become_one_version_and_too_many_are_busy(hall, tmp_path, monkeypatch):
+    hall.save(tmp_path / "hall.gpdf")
+    versions, held = [], threading.Event()
+    shelf = Shelf(tmp_path, lambda name, scene: versions.append(scene.version))
+    shelf.load_file("hall", "hall.gpdf")
+    shelf.settle()
+    shelf._builder.submit(held.wait)  # a long build
+    empty = np.zeros(100, dtype=bool)
+    for i in range(5):
+        assert shelf.add_change("hall", str(i), 0, 1, np.full((100, 3), 1.0 + 0.3 * i), empty, 0.05)
+    assert not shelf.add_change("hall", "parts", 0, 2, np.full((100, 3), 1.0), empty, 0.05)
+    monkeypatch.setattr(scenes, "MAX_WAITING_POINTS", 550)
+    with pytest.raises(FullError, match="faster"):
+        shelf.add_change("hall", "parts", 1, 2, np.full((100, 3), 1.0), empty, 0.05)
+    held.set()
+    shelf.settle()
+    assert len(versions) == 2
+    assert len(shelf.get("hall").scene.points) == len(hall.points) + 500
+    assert shelf.add_change("hall", "parts", 1, 2, np.full((100, 3), 1.0), empty, 0.05)
+    shelf.settle()
+    assert len(versions) == 3
+    shelf.close()
+
+
+def test_a_change_of_no_sense_is_refused_and_one_that_leaves_nothing_keeps_the_old_version(serving, hall):
+    _, client = serving
+    with pytest.raises(UnknownSceneError, match="hall"):
+        client.update_scene("nowhere", wall())
+    with pytest.raises(ValueError, match="at least one"):
+        client.update_scene("hall")
+    with pytest.raises(ValueError, match="pose"):
+        client.update_scene("hall", wall(), pose=np.eye(3))
+    with pytest.raises(InvalidRequestError, match="radius"):
+        client.update_scene("hall", wall(), radius=0.0)
+    odd = UpdateRequest(
+        scene="hall", upload_id="a", part=0, parts=1, points=Array.pack(wall()), gone=Array.pack(np.ones(3))
+    )
+    with pytest.raises(InvalidRequestError, match="gone"):
+        client.ask(keys.SCENE_UPDATE, odd, SceneReply, 10.0)
+    version = client.info("hall")["version"]
+    with pytest.raises(ServiceError, match="BUILD_FAILED"):
+        client.update_scene("hall", remove=hall.points)
+    result = client.plan("hall", START, GOAL)
+    assert (result.status, result.scene_version) == (Status.OK, version)
+
+
+def test_an_asynchronous_client_streams_without_waiting(serving):
+    server, client = serving
+
+    async def stream():
+        async with AsyncClient(Client.connect(server.options.endpoint)) as walker:
+            assert await walker.update_scene("hall", wall(), wait=False) == {}
+            return await walker.wait_for_scene("hall")
+
+    assert asyncio.run(stream())["points"] > client.info("hall")["points"] - 1
+    assert client.plan("hall", START, GOAL).status in CLOSED
