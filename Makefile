@@ -55,7 +55,6 @@ bench: install
 	.venv/bin/gpdf bench drive
 
 lock: install
-	$(PY) -m pip install --quiet uv
 	.venv/bin/uv pip compile pyproject.toml --all-extras --group dev --python-version 3.11 --no-header --no-annotate --upgrade -o constraints.txt
 
 schemas: install
