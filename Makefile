@@ -62,7 +62,7 @@ schemas: install
 	$(PY) -m gpdf_schemas.generate schemas/json
 
 docs: install
-	.venv/bin/mkdocs build --strict
+	NO_MKDOCS_2_WARNING=1 .venv/bin/mkdocs build --strict
 
 pictures: install
 	$(PY) docs/tools/pictures.py
