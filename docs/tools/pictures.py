@@ -19,6 +19,8 @@ from gpdf_service.viewer.picture import COLOURS, draw_plans, draw_scene
 FOLDER = Path(__file__).parent.parent / "pictures"
 LARGEST_BYTES = 100_000
 """A picture that is kept in the repository for ever is smaller than this."""
+SHOWN = ("office_methods.png", "cluttered_office_bodies.png")
+"""Of the paper's figures."""
 WIDTH = 1000
 """[px] As wide as the text."""
 PALETTE = 256
@@ -40,7 +42,7 @@ def main() -> None:
         made = SCENES[name](np.random.default_rng(0))
         scene = gpdf.build_scene(made.points, made.ground)
         for path in draw_scene_pictures(name, scene, made.points, made.ground, FOLDER, seed=0):
-            _shrink(path)
+            _shrink(path) if path.name in SHOWN else path.unlink()
 
 
 def _free_space(agent: str) -> Callable[[SyntheticScene, gpdf.Scene, Path], None]:

@@ -17,14 +17,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from blocks import ROOT, blocks_of, pages
 from gpdf_client import Client, UnavailableError
 
 from gpdf_service.cli import find_verb
 from gpdf_service.service.options import gather
 from gpdf_service.service.server import Options, Server
 from gpdf_service.synthetic import SCENES
-
-from blocks import ROOT, blocks_of, pages
+from gpdf_service.synthetic.world import World
 
 NOT_RUN = {
     "make test": "it is what runs this",
@@ -59,8 +59,9 @@ def clouds(tmp_path_factory):
         np.savez(folder / "out" / f"{name}.npz", xyz=made.points.astype("f4"), **labels)
     import open3d
 
-    office = open3d.utility.Vector3dVector(SCENES["office"](np.random.default_rng(0)).points)
-    open3d.io.write_point_cloud(str(folder / "YOUR_CLOUD.ply"), open3d.geometry.PointCloud(office))
+    room, _ = World((6.0, 5.0, 2.7), ()).sample(0.05, np.random.default_rng(0), 0.0)
+    cloud = open3d.geometry.PointCloud(open3d.utility.Vector3dVector(room))
+    open3d.io.write_point_cloud(str(folder / "YOUR_CLOUD.ply"), cloud)
     return folder
 
 
@@ -88,7 +89,6 @@ class Session:
             "PYTHONPATH": os.pathsep.join(map(str, paths)),
             "PATH": f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}",
             "HOME": str(folder),
-            "NUMBA_CACHE_DIR": str(ROOT / "out" / "numba"),
         }
         self.started = []
 

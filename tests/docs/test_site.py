@@ -5,10 +5,9 @@ from html.parser import HTMLParser
 from urllib.parse import unquote, urlsplit
 
 import pytest
+from blocks import ROOT
 
 from gpdf_service.cli import VERBS
-
-from blocks import ROOT
 
 
 class Links(HTMLParser):
