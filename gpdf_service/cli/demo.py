@@ -20,7 +20,7 @@ from gpdf_client import Client
 
 from gpdf_service.perception import read_cloud
 from gpdf_service.pipeline import build_scene
-from gpdf_service.synthetic import SCENES
+from gpdf_service.synthetic import SCENES, SyntheticScene
 from gpdf_service.types import AGENTS, PlanResult
 from gpdf_service.viewer.picture import draw_plans
 
@@ -29,7 +29,7 @@ LASER_OFFICE = "cluttered_office_tls_1cm.npz"
 
 
 FIRST_S = 120.0
-"""[s] For what is done the first time: kernels are compiled for half a minute on a fresh machine, longer on a busy one."""
+"""[s] For what is done the first time: kernels are compiled for a minute on a fresh machine, longer on a busy one."""
 
 
 @dataclass(frozen=True)
@@ -70,19 +70,19 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _tours(out: Path, scans: Path) -> list[Tour]:
-    office = SCENES["office"](np.random.default_rng(0))
-    cloud = out / "office.npz"
-    np.savez(
-        cloud,
-        xyz=office.points.astype(np.float32),
-        label=office.ground.astype(np.int32),
-        classes=np.array(["other", "ground"]),
-    )
+    office, cloud = SCENES["office"](np.random.default_rng(0)), out / "office.npz"
+    _write(office, cloud)
+    _write(SCENES["stair"](np.random.default_rng(0)), out / "stair.npz")  # for whoever is guided next
     everyone = tuple(AGENTS)
     tours = [Tour("office", cloud, tuple(office.start), tuple(office.goal), everyone)]
     if (scans / LASER_OFFICE).is_file():
         tours.append(Tour("laser_office", scans / LASER_OFFICE, (6.6, 9.2), (9.9, 14.1), ("roomba", "pepper", "human")))
     return tours
+
+
+def _write(scene: SyntheticScene, path: Path) -> None:
+    labels = {"label": scene.ground.astype(np.int32), "classes": np.array(["other", "ground"])}
+    np.savez(path, xyz=scene.points.astype(np.float32), **labels)
 
 
 def _free_port() -> int:
@@ -104,6 +104,7 @@ def _service(out: Path, tours: list[Tour]) -> Iterator[str]:
     scenes = [f"{tour.name}={tour.cloud}" for tour in tours]
     words = [sys.executable, "-m", "gpdf_service.cli", "serve", *scenes, "--endpoint", endpoint, "--log-dir", str(out)]
     print(f"gpdf serve {' '.join(scenes)} --endpoint {endpoint} --log-dir {out}", file=sys.stderr)
+    print("(the first run on a machine compiles the kernels, for a minute or two)", file=sys.stderr)
     with (out / "serve.log").open("w") as log, subprocess.Popen(words, stdout=log, stderr=log) as process:
         try:
             yield endpoint
@@ -158,4 +159,4 @@ def _print_next(out: Path) -> None:
     print(f"\npictures: {pictures}\nlog:      {log} (opens in Foxglove and Rerun)\n\nTry next:")
     print(f"  .venv/bin/gpdf replay {log} --scene office={out}/office.npz")
     print("  .venv/bin/gpdf plan YOUR_CLOUD.ply --start 1,1 --goal 5,4 --agent human --png plan.png")
-    print(f"  .venv/bin/gpdf serve office={out}/office.npz")
+    print(f"  .venv/bin/gpdf serve office={out}/office.npz stair={out}/stair.npz")
