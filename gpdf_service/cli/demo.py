@@ -81,8 +81,8 @@ def _tours(out: Path, scans: Path) -> list[Tour]:
 
 
 def _write(scene: SyntheticScene, path: Path) -> None:
-    labels = {"label": scene.ground.astype(np.int32), "classes": np.array(["other", "ground"])}
-    np.savez(path, xyz=scene.points.astype(np.float32), **labels)
+    label, classes = scene.ground.astype(np.int32), np.array(["other", "ground"])
+    np.savez(path, xyz=scene.points.astype(np.float32), label=label, classes=classes)
 
 
 def _free_port() -> int:
