@@ -28,11 +28,13 @@ def main(names: list[str]) -> None:
     for name in names or COMMANDS:
         words = [sys.executable, "-m", "gpdf_service.cli", *COMMANDS[name].split(), "--json"]
         print(f"gpdf {COMMANDS[name]}", file=sys.stderr)
+        load = f"load average {os.getloadavg()[0]:.1f} before"
         done = subprocess.run(words, stdout=subprocess.PIPE, text=True, check=True)
         facts = {"command": f"gpdf {COMMANDS[name]}", "date": datetime.datetime.now(datetime.UTC).date().isoformat()}
         facts["machine"] = (
             f"{os.cpu_count()} cores, {platform.system()} {platform.machine()}, Python {platform.python_version()}"
         )
+        facts["load"] = load  # times that were taken beside other work say so
         rows = json.loads(done.stdout)
         (FOLDER / f"{name}.json").write_text(json.dumps(facts | {"rows": rows}, indent=1) + "\n")
 

@@ -114,7 +114,7 @@ def measured(folder: Path) -> str:
     for file in sorted(folder.glob("*.json")):
         found = json.loads(file.read_text())
         names = list(dict.fromkeys(name for row in found["rows"] for name in row))
-        parts.append(f"## {found['command']}\n\n{found['date']}, {found['machine']}.\n")
+        parts.append(f"## {found['command']}\n\n{found['date']}, {found['machine']}, {found['load']}.\n")
         parts.append("| " + " | ".join(map(_heading, names)) + " |")
         parts.append("|" + "---|" * len(names))
         parts += ["| " + " | ".join(_cell(row.get(name, "")) for name in names) + " |" for row in found["rows"]]
