@@ -51,6 +51,7 @@ SAID = {
     "drive": ["arrived", "routes: 1"],
     "errors": ["GOAL_OUTSIDE_MAP", "another scene: UNKNOWN_SCENE", "another request: INVALID_REQUEST"],
     "guide": ["arrived"],
+    "obstacles": ["before: OK", "beside a visitor: GOAL_OCCUPIED"],
     "plan": ["OK", "m of room"],
     "scenes": ["copy version", "points on 1 level", "digest"],
     "trajectory": ["where after 2 s", "the first 1.00 m take"],
