@@ -2,13 +2,14 @@
 # make test      every test            make check   format, lint, types and the fast tests
 # make install   the set-up alone      make fix     format and mend what the linter can mend
 # make bench     the benchmark tables  make lock    renew constraints.txt
+# make docs      the site, in out/site make pictures, make measure   what it shows, made again
 PYTHON ?= python3.11
 PY := .venv/bin/python
-SOURCES := gpdf_service clients schemas tests
+SOURCES := gpdf_service clients schemas tests docs/tools
 # What open3d's shared library links against on Debian and Ubuntu.
 SYSTEM_PACKAGES := libgl1 libegl1 libx11-6 libgomp1 libusb-1.0-0
 
-.PHONY: demo test install check fix bench lock schemas system clean
+.PHONY: demo test install check fix bench lock schemas docs pictures measure system clean
 .DEFAULT_GOAL := install
 
 install: .venv/installed
@@ -55,11 +56,19 @@ bench: install
 	.venv/bin/gpdf bench drive
 
 lock: install
-	$(PY) -m pip install --quiet uv
 	.venv/bin/uv pip compile pyproject.toml --all-extras --group dev --python-version 3.11 --no-header --no-annotate --upgrade -o constraints.txt
 
 schemas: install
 	$(PY) -m gpdf_schemas.generate schemas/json
+
+docs: install
+	NO_MKDOCS_2_WARNING=1 .venv/bin/mkdocs build --strict
+
+pictures: install
+	$(PY) docs/tools/pictures.py
+
+measure: install
+	$(PY) docs/tools/measure.py
 
 clean:
 	rm -rf .venv out build dist

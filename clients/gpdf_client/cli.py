@@ -85,8 +85,9 @@ def run(args: argparse.Namespace) -> int:
 
 def _status(client: Client) -> dict[str, Any]:
     services = [msgspec.to_builtins(reply) for reply in client.status()]
-    well = bool(services) and all(service["healthy"] and service["ready"] for service in services)
-    return {"status": "OK" if well else "UNAVAILABLE", "services": services}
+    healthy = bool(services) and all(service["healthy"] for service in services)
+    ready = healthy and all(service["ready"] for service in services)
+    return {"status": "OK" if ready else "BUILDING" if healthy else "UNAVAILABLE", "services": services}
 
 
 def _plan(client: Client, args: argparse.Namespace) -> dict[str, Any]:

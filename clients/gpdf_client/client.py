@@ -6,6 +6,7 @@ import asyncio
 import contextlib
 import json
 import math
+import os
 import random
 import time
 import uuid
@@ -67,7 +68,7 @@ from gpdf_client.results import (
 )
 from gpdf_client.trajectory import Trajectory
 
-DEFAULT_ENDPOINT = "tcp/127.0.0.1:7447"
+DEFAULT_ENDPOINT = os.environ.get("GPDF_ENDPOINT") or "tcp/127.0.0.1:7447"
 BACK_OFF_S = 0.05
 """[s] Between tries when nobody answers or the service is busy."""
 LONGEST_S = 3600.0

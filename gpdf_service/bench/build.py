@@ -9,6 +9,7 @@ from collections.abc import Callable
 import numpy as np
 
 from gpdf_service.bench.report import add_scene_arguments, clouds, show
+from gpdf_service.perception.read import import_open3d
 from gpdf_service.pipeline import build_scene
 from gpdf_service.types import FloatArray
 
@@ -54,7 +55,6 @@ def _median(work: Callable[[], object], repeat: int) -> float:
 
 
 def _normals(points: FloatArray) -> None:
-    import open3d
-
+    open3d = import_open3d()
     cloud = open3d.geometry.PointCloud(open3d.utility.Vector3dVector(points))
     cloud.estimate_normals(open3d.geometry.KDTreeSearchParamKNN(NEIGHBOURS))

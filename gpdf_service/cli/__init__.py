@@ -45,7 +45,11 @@ VERBS: dict[str, tuple[str, str]] = {
     "bench guide": ("gpdf_service.bench.guide", "simulated people with human errors: contacts, arrivals, words"),
     "guide": ("gpdf_service.cli.guide", "lead a person: instructions, speech and haptic cues from a stream of poses"),
     "demo": ("gpdf_service.cli.demo", "see it happen: service, four bodies, picture and log"),
+    "completion": ("gpdf_service.cli.completion", "what your shell needs to complete these words: bash, zsh or fish"),
 }
+
+BRINGS = {"rosbags": "gpdf-service[ros2]", "viser": "gpdf-service[viewer]", "sklearn": "scikit-learn"}
+"""What to install for a module that is missing; those that are not named here come with the extra `server`."""
 
 
 def overview() -> str:
@@ -74,24 +78,29 @@ def main(argv: Sequence[str] | None = None) -> int:
         wants_help = words[:1] in (["--help"], ["-h"])
         print(overview(), file=sys.stdout if wants_help else sys.stderr)
         return 0 if wants_help else 2
-    module_name, text = VERBS[verb]
+    args: argparse.Namespace | None = None
     try:
-        module = import_module(module_name)
+        args = parser_of(verb).parse_args(_joined(words[len(verb.split()) :]))
+        return int(import_module(VERBS[verb][0]).run(args))
     except ModuleNotFoundError as error:
-        if (error.name or "").partition(".")[0] in ("gpdf_service", "gpdf_client", "gpdf_schemas"):
+        missing = (error.name or "").partition(".")[0]
+        if missing in ("", "gpdf_service", "gpdf_client", "gpdf_schemas"):
             raise
-        extra = "ros2" if (error.name or "").startswith("rosbags") else "server"
-        print(f"gpdf {verb} needs {error.name}: pip install 'gpdf-service[{extra}]'", file=sys.stderr)
+        package = BRINGS.get(missing, "gpdf-service[server]")
+        print(f"gpdf {verb} needs {missing}: pip install '{package}'", file=sys.stderr)
         return 1
-    parser = argparse.ArgumentParser(prog=f"gpdf {verb}", description=text)
-    module.add_arguments(parser)
-    args = parser.parse_args(_joined(words[len(verb.split()) :]))
-    try:
-        return int(module.run(args))
     except GpdfError as error:
         return _report(error, as_json=getattr(args, "json", False))
     except KeyboardInterrupt:
         return 130
+
+
+def parser_of(verb: str, parser: argparse.ArgumentParser | None = None) -> argparse.ArgumentParser:
+    """The options of a verb, put into `parser` if one is given."""
+    module_name, text = VERBS[verb]
+    made = parser or argparse.ArgumentParser(prog=f"gpdf {verb}", description=text)
+    import_module(module_name).add_arguments(made)
+    return made
 
 
 def _joined(words: Sequence[str]) -> list[str]:

@@ -6,6 +6,7 @@ import os
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -20,6 +21,15 @@ GROUND_CLASSES = ("ground", "floor", "terrain")
 """Names that mean ground in an .npz file's `classes`."""
 BAGS = (".mcap", ".db3", ".bag")
 """Suffixes of ROS bags."""
+SYSTEM_LIBRARIES = {
+    "libGL.so.1": "libgl1",
+    "libEGL.so.1": "libegl1",
+    "libX11.so.6": "libx11-6",
+    "libgomp.so.1": "libgomp1",
+    "libusb-1.0.so.0": "libusb-1.0-0",
+}
+"""What Open3D's shared library links against, and the Debian and Ubuntu package of each."""
+APT = f"sudo apt-get install {' '.join(SYSTEM_LIBRARIES.values())}"
 MAX_EXTENT = 5000.0
 """[m] No place that one plans in on foot is wider; a room in millimetres is."""
 
@@ -122,8 +132,7 @@ def _labelled(ground: BoolArray, points: FloatArray, path: Path, label: object) 
 
 
 def _read_open3d(path: Path, ground_label: int | None) -> Read:
-    import open3d  # 1.2 s: only here
-
+    open3d = import_open3d()
     if ground_label is not None:
         raise CloudError(
             f"cloud {path}", "files of this kind carry no labels", "Leave --ground-label out, or use .npz."
@@ -134,6 +143,23 @@ def _read_open3d(path: Path, ground_label: int | None) -> Read:
     if len(points) == 0:
         raise CloudError(f"cloud {path}", "no point could be read from it", "Is it empty or damaged?")
     return points, None
+
+
+def import_open3d() -> Any:  # noqa: ANN401 - a module without types
+    """Open3D, which takes 1.2 s to import: only where it is needed.
+
+    Raises:
+        CloudError: a system library that it links against is not installed.
+    """
+    try:
+        import open3d
+    except (OSError, ImportError) as error:
+        missing = [package for library, package in SYSTEM_LIBRARIES.items() if library in str(error)]
+        if not missing:
+            raise
+        found = f"it cannot start here ({error})"
+        raise CloudError("Open3D, which reads this kind of file", found, f"Install {missing[0]}: {APT}") from error
+    return open3d
 
 
 def _read_las(path: Path, ground_label: int | None) -> Read:
