@@ -1,4 +1,4 @@
-"""The widgets beside the picture; what they do is in `page`."""
+"""The widgets beside the picture; what they do is with the parts of the page that own them."""
 
 from __future__ import annotations
 
@@ -90,6 +90,17 @@ class Panel:
     map: MapTab
     load: LoadTab
     log: LogTab
+
+    def say_work(self, text: str, share: float | None = None) -> None:
+        """What is being fetched, loaded or built, and how much of it is done."""
+        self.work.content, self.work.visible = text, bool(text)
+        self.bar.visible = share is not None
+        if share is not None:
+            put(self.bar, 100.0 * share)
+
+    def say_answer(self, text: str) -> None:
+        """What became of the plan."""
+        self.plan.answer.content = text
 
 
 def build_panel(gui: viser.GuiApi) -> Panel:

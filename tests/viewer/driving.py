@@ -98,7 +98,7 @@ class Operator:
         """Choose a scene, and wait until its map is drawn and the browser has told its camera."""
         if self.page.panel.scene.value != scene:
             self.choose("Scene", scene)
-        until(lambda: self.page.shown[0] == scene and "cloud" in self.page.map.there)
+        until(lambda: self.page.scenes.shown[0] == scene and "cloud" in self.page.map.layers.there)
         until(lambda: not self.page.panel.work.content)
         self.settle()
 
@@ -116,7 +116,7 @@ class Operator:
         (client,) = self.server.get_clients().values()
         camera = client.camera
         rotation = vtf.SO3(np.asarray(camera.wxyz)).as_matrix()
-        seen = rotation.T @ (np.asarray(place) - self.page.map.origin - camera.position)
+        seen = rotation.T @ (np.asarray(place) - self.page.desk.frame.origin - camera.position)
         focal = 0.5 * camera.image_height / np.tan(0.5 * camera.fov)
         return 0.5 * camera.image_width + focal * seen[0] / seen[2], 0.5 * camera.image_height + focal * seen[1] / seen[
             2

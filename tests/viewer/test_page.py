@@ -13,7 +13,7 @@ OVER_THE_STEP = (5.5, 1.0, 0.0), (5.5, 3.4, 0.0)
 
 def path_on_screen(operator):
     """Waypoints of the path that is shown, on the ground."""
-    path = operator.page.paths.shown
+    path = operator.page.plans.paths.shown
     return None if path is None else path.ground
 
 
@@ -21,7 +21,7 @@ def test_two_clicks_draw_a_path(operator):
     before = operator.picture()
     operator.plans((0.9, 0.9, 0.0), (5.4, 3.4, 0.0))
     operator.sees(r"of room everywhere")
-    ends = operator.page.ends
+    ends = operator.page.plans.ends
     np.testing.assert_allclose(ends["start"], (0.9, 0.9, 0.0), atol=0.05)  # the click's ray met the ground there
     np.testing.assert_allclose(ends["goal"], (5.4, 3.4, 0.0), atol=0.05)
     operator.settle()
@@ -71,7 +71,7 @@ def test_layers_and_slices_are_drawn(operator):
     operator.tab("Map")
     for name in ("What stops the body", "Where it fits"):
         operator.web.get_by_label(name).click()
-    until(lambda: {"obstacles", "leaves"} <= operator.page.map.drawn)
+    until(lambda: {"obstacles", "leaves"} <= operator.page.map.layers.drawn)
     operator.choose("Slice", "distance to obstacles (d_o)")
     operator.sees("a line each")
     operator.settle()
@@ -79,7 +79,7 @@ def test_layers_and_slices_are_drawn(operator):
     near, far = operator.around(picture, (0.3, 0.15, 0.6)), operator.around(picture, (2.5, 1.9, 0.6))
     assert far[..., 1].mean() > near[..., 1].mean() + 40  # viridis: its green rises from near to far
     operator.web.get_by_label("Cloud", exact=True).click()
-    until(lambda: "cloud" not in operator.page.map.drawn)
+    until(lambda: "cloud" not in operator.page.map.layers.drawn)
 
 
 def test_a_scene_is_loaded_from_the_page(operator, service):
@@ -92,15 +92,15 @@ def test_a_scene_is_loaded_from_the_page(operator, service):
     name.last.fill("more")
     until(lambda: (operator.page.panel.load.name.value, operator.page.panel.load.file.value) == ("more", "more.npz"))
     operator.presses("Load the file")
-    until(lambda: operator.page.shown[0] == "more")
+    until(lambda: operator.page.scenes.shown[0] == "more")
     assert operator.page.panel.scene.value == "more"
     operator.tab("Load")
     with operator.web.expect_file_chooser() as chooser:
         operator.presses("Send a cloud from here …")
     operator.page.panel.load.name.value = "sent"
     chooser.value.set_files(service.folder / "more.npz")
-    until(lambda: operator.page.shown[0] == "sent")
-    assert operator.page.facts["sent"]["digest"] == operator.page.facts["more"]["digest"]
+    until(lambda: operator.page.scenes.shown[0] == "sent")
+    assert operator.page.scenes.facts["sent"]["digest"] == operator.page.scenes.facts["more"]["digest"]
 
 
 def test_a_log_is_stepped_through(operator, service, office):
@@ -118,7 +118,7 @@ def test_a_log_is_stepped_through(operator, service, office):
         operator.presses("Open a log (.mcap) …")
     chooser.value.set_files(log)
     operator.sees(r"1 of \d+")
-    count = len(operator.page.recorded)
+    count = len(operator.page.logs.recorded)
     assert count >= 2
     for _ in range(count - 1):
         operator.presses("on")
@@ -133,11 +133,11 @@ def test_a_log_is_stepped_through(operator, service, office):
         )
     operator.tab("Load")
     operator.presses("Look for scenes again")
-    until(lambda: operator.page.shown[1] != office[1].digest and "cloud" in operator.page.map.there)
+    until(lambda: operator.page.scenes.shown[1] != office[1].digest and "cloud" in operator.page.map.layers.there)
     operator.tab("Log")
     operator.presses("on")
     operator.sees("The service has no such scene")  # it has another one of that name
-    assert operator.page.map.drawn == frozenset()
+    assert operator.page.map.layers.drawn == frozenset()
     with Client.connect(service.endpoint) as client:
         client.load_scene("office", "office.gpdf")
 
