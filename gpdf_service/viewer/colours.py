@@ -31,6 +31,12 @@ ENOUGH_ROOM = 0.5
 """[m] Clearance that is shown as blue: half a body's width more than is needed."""
 METHODS = {"dual_gpdf": (0, 114, 178), "single_gpdf": (230, 159, 0), "astar": (204, 121, 167), "prm": (0, 158, 115)}
 """The paper's four methods."""
+WARNING = (213, 94, 0)
+"""A path that nobody has proven: vermilion, and dashed."""
+DROPPED = (86, 180, 233)
+"""What the operator put there."""
+LIVE = (240, 228, 66)
+"""People and robots that are on their way now."""
 KINDS = np.array([(90, 90, 90), (213, 94, 0), (230, 159, 0), (204, 121, 167)], np.uint8)
 """What stops a body: material, step, slope, unknown ground."""
 KIND_NAMES = ("material", "step", "slope", "unknown ground")

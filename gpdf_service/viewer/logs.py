@@ -72,6 +72,7 @@ class Logs:
         )
         for name, place in (("start", request.start), ("goal", request.goal)):
             self._plans.set_end(name, self._map.on_ground(place))
+        self._plans.drops.replace(request.obstacles)
         if isinstance(request.agent, str):
             put(self._desk.panel.plan.agent, request.agent)
         self._plans.show(to_result(reply), request.scene, agent, None)

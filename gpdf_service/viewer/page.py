@@ -1,7 +1,7 @@
 """The operator's page: a client of a running service, in a browser. Everybody who opens it sees the same page.
 
 Its parts, each knows only those before it: what is at hand (`desk`), the map (`map_control`), which scene is shown
-(`scenes`), plans (`planning`), recorded logs (`logs`).
+(`scenes`), plans (`planning`), recorded logs (`logs`). Beside them, who is on the way (`live`).
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ import viser
 
 from gpdf_service.viewer.desk import Desk
 from gpdf_service.viewer.link import Link
+from gpdf_service.viewer.live import LiveLayers
 from gpdf_service.viewer.logs import Logs
 from gpdf_service.viewer.map_control import MapControl
 from gpdf_service.viewer.panel import build_panel
@@ -50,6 +51,7 @@ class Page:
         self.scenes = Scenes(self.desk, self.map, on_new=lambda: self.plans.clear())
         self.plans = Plans(self.desk, self.map, self.scenes)
         self.logs = Logs(self.desk, self.map, self.scenes, self.plans)
+        self.live = LiveLayers(server.scene, self.desk.frame)
         self._closing = threading.Event()
         self._ticker = threading.Thread(target=self._tick, name="gpdf-tick", daemon=True)
         self._ticker.start()
@@ -70,6 +72,7 @@ class Page:
         endpoint = self.desk.link.endpoint
         if there:
             self.panel.link.content = f"Connected to `{endpoint}`"
+            self.live.listen(self.desk.link.client)
             self.scenes.look_soon()
         else:
             self.panel.link.content = f"**Service lost.** Looking for it at `{endpoint}` …"
@@ -77,3 +80,4 @@ class Page:
     def _tick(self) -> None:
         while not self._closing.wait(FRAME_S):
             self.plans.tick(FRAME_S)
+            self.live.draw()

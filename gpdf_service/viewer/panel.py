@@ -15,11 +15,23 @@ if TYPE_CHECKING:
     from viser._gui_handles import GuiProgressBarHandle
 
 METHODS = tuple(colours.METHODS)
+CLICKS = ("start", "goal", OBSTACLE := "obstacle")
 ALL_LEVELS = "all"
 NO_SCENE = "(none)"
 SLICES = {"none": "", "distance to the ground (d_g)": "ground", "distance to obstacles (d_o)": "obstacle"}
 LAYERS = {"cloud": "Cloud", "ground": "Ground", "obstacles": "What stops the body", "leaves": "Where it fits (leaves)"}
 CLOUD_COLOURS = ("height", "level", "ground")
+
+
+@dataclass(frozen=True, slots=True)
+class DropTools:
+    """Put obstacles on the ground, and take them away."""
+
+    radius: viser.GuiSliderHandle[float]
+    folder: viser.GuiFolderHandle
+    chosen: viser.GuiDropdownHandle[str]
+    remove: viser.GuiButtonHandle
+    remove_all: viser.GuiButtonHandle
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,11 +41,13 @@ class PlanTab:
     agent: viser.GuiDropdownHandle[str]
     method: viser.GuiDropdownHandle[str]
     sets: viser.GuiButtonGroupHandle
+    drops: DropTools
     next: viser.GuiMarkdownHandle
     plan: viser.GuiButtonHandle
     compare: viser.GuiButtonHandle
     clear: viser.GuiButtonHandle
     answer: viser.GuiMarkdownHandle
+    table: viser.GuiHtmlHandle
     legend: viser.GuiHtmlHandle
     time: viser.GuiSliderHandle[float]
     play: viser.GuiCheckboxHandle
@@ -131,18 +145,30 @@ def _plan_tab(gui: viser.GuiApi) -> PlanTab:
     return PlanTab(
         agent=gui.add_dropdown("Body", tuple(AGENTS), initial_value="human"),
         method=gui.add_dropdown("Method", METHODS),
-        sets=gui.add_button_group("Next click", ("start", "goal")),
+        sets=gui.add_button_group("Next click", CLICKS),
+        drops=_drop_tools(gui),
         next=gui.add_markdown(""),
         plan=gui.add_button("Plan", disabled=True),
         compare=gui.add_button("Compare the methods", disabled=True, color="gray"),
         clear=gui.add_button("Clear", color="gray"),
         answer=gui.add_markdown(""),
+        table=gui.add_html("", visible=False),
         legend=gui.add_html(gradient(colours.ROOM, "0 m", f"{colours.ENOUGH_ROOM} m of room"), visible=False),
         time=gui.add_slider("Time [s]", 0.0, 1.0, 0.01, 0.0, visible=False),
         play=gui.add_checkbox("Play", False, visible=False),
         charts=ProfileCharts(gui),
         details=gui.add_markdown(""),
     )
+
+
+def _drop_tools(gui: viser.GuiApi) -> DropTools:
+    radius = gui.add_slider("Radius [m]", 0.05, 1.0, 0.05, 0.3, visible=False)
+    folder = gui.add_folder("Dropped obstacles", visible=False)
+    with folder:
+        chosen = gui.add_dropdown("Obstacle", ("",))
+        remove = gui.add_button("Remove it", color="gray")
+        remove_all = gui.add_button("Remove all", color="gray")
+    return DropTools(radius, folder, chosen, remove, remove_all)
 
 
 def _map_tab(gui: viser.GuiApi) -> MapTab:

@@ -15,6 +15,8 @@ LINE_LIFT = 0.04
 LIFTED = np.array([0.0, 0.0, LINE_LIFT])
 LINE_WIDTH = 6.0
 """[px] Seen in a hall as in an office."""
+DASH = 0.12
+"""[m] Length of a dash, and of the gap after it."""
 GHOST_STEP = 0.4
 """[m] Between two bodies of the sweep at least; wide ones stand further apart."""
 GHOST_OPACITY = 0.07
@@ -60,10 +62,20 @@ class PathLayers:
             handle.remove()
         self._paths, self._body, self._moving = [], None, None
 
-    def add_line(self, name: str, path: Trajectory, shades: colours.Colours) -> None:
-        """Draw a path on the ground; `shades` is one colour (3,) or one a waypoint (n, 3)."""
-        points = self._frame.to_page(path.ground) + LIFTED
-        segments = np.stack([points[:-1], points[1:]], axis=1)
+    def add_line(
+        self, name: str, path: Trajectory, shades: colours.Colours, *, dashed: bool = False, storey: int = 0
+    ) -> None:
+        """Draw a path on the ground.
+
+        Args:
+            name: A later one of that name takes its place.
+            path: To draw.
+            shades: One colour (3,), or one a waypoint (n, 3).
+            dashed: It is not proven.
+            storey: Lines of another number are drawn over or under it, so that one does not hide the other.
+        """
+        points = self._frame.to_page(path.ground) + (1 + storey) * LIFTED
+        segments = _dashes(points) if dashed else np.stack([points[:-1], points[1:]], axis=1)
         each = shades if shades.ndim == 1 else np.stack([shades[:-1], shades[1:]], axis=1)
         self._paths.append(
             self._scene.add_line_segments(
@@ -105,6 +117,14 @@ class PathLayers:
             return
         place = np.array([np.interp(time, path.times, path.ground[:, k]) for k in range(3)])
         body.position = self._frame.to_page(place)
+
+
+def _dashes(points: FloatArray) -> FloatArray:
+    """Every second piece of `DASH` along a line (n, 3), as segments (k, 2, 3)."""
+    along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
+    ends = np.linspace(0.0, along[-1], 2 * max(1, round(along[-1] / (2 * DASH))) + 2)
+    places = np.column_stack([np.interp(ends, along, channel) for channel in points.T])
+    return places.reshape(-1, 2, 3)
 
 
 def _cylinder() -> tuple[FloatArray, np.ndarray]:  # type: ignore[type-arg]

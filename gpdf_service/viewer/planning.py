@@ -6,13 +6,14 @@ import time
 
 import numpy as np
 import viser
-from gpdf_client import ClientError, PlanResult, UnavailableError
+from gpdf_client import ClientError, PlanResult, Status, UnavailableError
 
 from gpdf_service.types import AGENTS, Agent, FloatArray
 from gpdf_service.viewer import colours, words
 from gpdf_service.viewer.desk import Desk, by_hand
+from gpdf_service.viewer.drops import Drops, room_beside
 from gpdf_service.viewer.map_control import MapControl
-from gpdf_service.viewer.panel import METHODS, put
+from gpdf_service.viewer.panel import METHODS, OBSTACLE, put
 from gpdf_service.viewer.path_layers import PathLayers
 from gpdf_service.viewer.profile import known_clearance, profile_of
 from gpdf_service.viewer.scenes import Scenes
@@ -29,6 +30,7 @@ class Plans:
         self.paths = PathLayers(desk.server.scene, desk.frame)
         self.ends: dict[str, FloatArray | None] = {"start": None, "goal": None}
         self.next = "start"
+        self.drops = Drops(desk, self._replan)
         tab = self._tab
         desk.server.scene.on_click()(self._click)
         tab.agent.on_update(by_hand(self._change_body))
@@ -51,7 +53,8 @@ class Plans:
         self._set_next("goal" if name == "start" else "start")
 
     def clear(self) -> None:
-        """Forget start, goal and path."""
+        """Forget start, goal, obstacles and path."""
+        self.drops.replace(())
         for name in self.ends:
             self.ends[name] = None
             self.paths.mark(name, None)
@@ -67,16 +70,18 @@ class Plans:
         path = result.trajectory
         if path is None:
             return
-        clearance = known_clearance(self._desk.link, scene, path, agent)
-        shades = np.array(colours.NOWHERE, np.uint8)
+        clearance, proven = known_clearance(self._desk.link, scene, path, agent), result.status is Status.OK
+        shades = np.array(colours.NOWHERE if proven else colours.WARNING, np.uint8)
         if clearance is not None:
-            shades = colours.ramp(clearance, 0.0, colours.ENOUGH_ROOM, colours.ROOM)
+            clearance = np.minimum(clearance, room_beside(list(self.drops.obstacles.values()), path, agent))
+            if proven:
+                shades = colours.ramp(clearance, 0.0, colours.ENOUGH_ROOM, colours.ROOM)
             self._tab.charts.show(profile_of(path, clearance))
-        self.paths.add_line("plan", path, shades)
+        self.paths.add_line("plan", path, shades, dashed=not proven)
         self.paths.add_sweep(path, agent, shades)
         self._tab.time.max = round(path.duration, 2)
         put(self._tab.time, 0.0)
-        self._tab.legend.visible = clearance is not None
+        self._tab.legend.visible = clearance is not None and proven
         self._tab.time.visible = self._tab.play.visible = True
 
     def tick(self, seconds: float) -> None:
@@ -90,12 +95,16 @@ class Plans:
         if hit is None:
             self._desk.panel.say_answer("There is no known ground there.")
             return
+        if self.next == OBSTACLE:
+            self.drops.drop(hit)
+            return
         self.set_end(self.next, hit)
         if self.next == "start":
             self._replan()
 
     def _set_next(self, name: str) -> None:
         self.next = name
+        self._tab.drops.radius.visible = name == OBSTACLE
         self._say_next()
 
     def _say_next(self) -> None:
@@ -112,7 +121,8 @@ class Plans:
         self.paths.clear()
         self._tab.charts.hide()
         self._tab.details.content = ""
-        self._tab.legend.visible = self._tab.time.visible = self._tab.play.visible = False
+        tab = self._tab
+        tab.legend.visible = tab.table.visible = tab.time.visible = tab.play.visible = False
 
     def _change_body(self) -> None:
         self._map.change_body()
@@ -134,6 +144,7 @@ class Plans:
             self._tab.agent.value,
             method=method,
             deadline_s=PLAN_DEADLINE_S,
+            obstacles=list(self.drops.obstacles.values()),
         )
         return result, time.perf_counter() - began
 
@@ -150,7 +161,7 @@ class Plans:
         self._clear_path()
         results: dict[str, PlanResult | str] = {}
         times: dict[str, float] = {}
-        for method in METHODS:
+        for storey, method in enumerate(METHODS):
             self._desk.panel.say_answer(f"Planning with {method} …")
             try:
                 result, times[method] = self._ask(method)
@@ -161,5 +172,8 @@ class Plans:
                 continue
             results[method] = result
             if result.trajectory is not None:
-                self.paths.add_line(method, result.trajectory, np.array(colours.METHODS[method], np.uint8))
-        self._desk.panel.say_answer(words.comparison(results, times))
+                shade, proven = np.array(colours.METHODS[method], np.uint8), result.status is Status.OK
+                self.paths.add_line(method, result.trajectory, shade, dashed=not proven, storey=storey)
+        self._desk.panel.say_answer("")
+        self._tab.table.content = words.comparison(results, times)
+        self._tab.table.visible = True

@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+from html import escape
+
 from gpdf_client import PlanResult, Status
+
+from gpdf_service.viewer.colours import METHODS, NOWHERE, WARNING, css
 
 
 def answer(result: PlanResult) -> str:
@@ -11,7 +15,10 @@ def answer(result: PlanResult) -> str:
         return f"**{result.status.value}** · {result.message}"
     path, proof = result.trajectory, result.certificate
     if result.status is not Status.OK:
-        return f"**{result.status.value}** · {result.message} ({path.length:.2f} m, **not certified**)"
+        return (
+            f"**{result.status.value}** · {result.message} ({path.length:.2f} m). "
+            "⚠ **Not proven: do not follow it.** It is drawn dashed."
+        )
     return (
         f"**{result.status.value}** · {path.length:.2f} m in {path.duration:.1f} s, "
         f"at least **{proof.min_clearance:.2f} m** of room everywhere. {result.message}"
@@ -34,20 +41,30 @@ def details(result: PlanResult, seconds: float | None) -> str:
 
 
 def comparison(results: dict[str, PlanResult | str], times: dict[str, float]) -> str:
-    """A table of methods; a text stands for one that the service refused."""
-    lines = ["| method | status | length | room | time |", "|---|---|---|---|---|"]
-    refused = []
+    """An HTML table of methods in their colours; a text stands for one that the service refused."""
+    rows, notes = [], []
     for name, result in results.items():
+        swatch = f"<b style='color:{css(METHODS.get(name, NOWHERE))}'>&#9644;</b> {escape(name)}"
         if isinstance(result, str):
-            lines.append(f"| {name} | refused | | | |")
-            refused.append(f"{name}: {result}")
-        elif result.trajectory is None or result.certificate is None:
-            lines.append(f"| {name} | {result.status.value} | | | {1000 * times[name]:.0f} ms |")
+            rows.append([swatch, "refused"])
+            notes.append(f"{name}: {result}")
+            continue
+        proven, took = result.status is Status.OK, f"{1000 * times[name]:.0f} ms"
+        status = "OK" if proven else f"<b style='color:{css(WARNING)}'>{result.status.value}</b>"
+        if result.trajectory is None or result.certificate is None:
+            rows.append([swatch, status, "", "", "", took])
         else:
-            room = f"{result.certificate.min_clearance:.2f} m"
-            length = f"{result.trajectory.length:.2f} m"
-            lines.append(f"| {name} | {result.status.value} | {length} | {room} | {1000 * times[name]:.0f} ms |")
-    return "\n".join(lines) + "".join(f"\n\n{text}" for text in refused)
+            path, room = result.trajectory, f"{result.certificate.min_clearance:.2f} m"
+            rows.append([swatch, status, f"{path.length:.2f} m", room, f"{path.duration:.1f} s", took])
+        if not proven:
+            drawn = "Dashed, do not follow it. " if result.trajectory is not None else ""
+            notes.append(f"{name}: {drawn}{result.message}")
+    heads = ["method", "status", "length", "least room", "on the way", "answer"]
+    lines = ["".join(f"<th align='left'>{head}</th>" for head in heads)]
+    lines += ["".join(f"<td style='padding-right:0.5em'>{cell}</td>" for cell in row) for row in rows]
+    table = "".join(f"<tr>{line}</tr>" for line in lines)
+    said = "".join(f"<p style='margin:0.5em 0 0'>{escape(note)}</p>" for note in notes)
+    return f"<div style='padding:0 1em 0.5em;font-size:0.75em'><table>{table}</table>{said}</div>"
 
 
 def facts(info: dict[str, object]) -> str:
