@@ -10,7 +10,7 @@ from gpdf_service.types import FloatArray
 from gpdf_service.viewer import colours, words
 from gpdf_service.viewer.desk import Desk
 from gpdf_service.viewer.map_layers import MapLayers, View
-from gpdf_service.viewer.panel import ALL_LEVELS, SLICES, gradient, put
+from gpdf_service.viewer.panel import ALL_LEVELS, SLICES, gradient, legend, put
 
 CAMERA = np.array([0.0, -0.25, 0.55])
 """From the middle of the ground to the camera, in diagonals of the ground."""
@@ -37,10 +37,10 @@ class MapControl:
             handle.on_update(lambda _: desk.maps.do("slice", self._slice))
 
     def show(self, name: str, facts: dict[str, Any]) -> None:
-        """Show a scene that is ready."""
-        self.clear()
+        """Show a scene that is ready, on a page that shows none."""
         self._scene, self._cell_width = name, facts["levels"][0]["cell_width"]
         self._tab.level.options = (ALL_LEVELS, *(str(level["level"]) for level in facts["levels"]))
+        self._tab.legend.content = legend(len(facts["levels"]))
         self.say_facts(facts)
         self._fetch("ground")
         self._look_at_ground()
@@ -82,7 +82,10 @@ class MapControl:
             return
         low, high = self.layers.ground.box
         reach = float(np.linalg.norm((high - low)[:2]))
-        target = 0.5 * (low + high) + [ASIDE * reach, 0.0, 0.0]
+        middle = 0.5 * (low + high)
+        target = np.array(
+            [middle[0] + ASIDE * reach, middle[1], high[2]]
+        )  # the upper storey is nearest, and is seen whole
         position = target + CAMERA * reach
         initial = self._desk.server.initial_camera
         initial.position, initial.look_at = position, target
@@ -134,12 +137,12 @@ class MapControl:
         self._fetch(*(self.layers.view.shown - self.layers.there))
 
     def _slice(self) -> None:
-        field, legend = SLICES[self._tab.slice.value], self._tab.slice_legend
+        field, scale = SLICES[self._tab.slice.value], self._tab.slice_legend
         if not field:
             self.layers.no_slice()
-            legend.visible = False
+            scale.visible = False
             return
         agent, height = self._desk.panel.plan.agent.value, self._tab.height.value
         low, high = self.layers.slice(self._desk.link.client, self._scene, field, agent, height)
-        legend.content = gradient(colours.VIRIDIS, f"{low:.0f} m", f"{high:.1f} m, a line each 0.25 m")
-        legend.visible = True
+        scale.content = gradient(colours.VIRIDIS, f"{low:.0f} m", f"{high:.1f} m, a line each 0.25 m")
+        scale.visible = True

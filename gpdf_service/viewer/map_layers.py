@@ -53,6 +53,8 @@ class View:
         layers = set(self.shown ^ before.shown)
         if self.level != before.level:
             layers |= self.shown
+        if "level" in (self.colour, before.colour) and self.colour != before.colour:
+            layers |= {"ground"} & self.shown
         if (self.colour, self.below) != (before.colour, before.below) or "ground" in layers:
             layers.add("cloud")
         if self.point_size != before.point_size:
@@ -151,7 +153,10 @@ class MapLayers:
     def _ground(self, drawing: Drawing, wanted: BoolArray) -> viser.PointCloudHandle | None:
         chosen = np.flatnonzero(wanted)[:SHOWN_GROUND]  # shuffled by the service: the first show all, thinner
         inferred = drawing.columns["inferred"][chosen, None] > 0
-        shades = np.where(inferred, colours.INFERRED, colours.SEEN)
+        seen = colours.SEEN
+        if self.view.colour == "level":
+            seen = colours.pale(colours.of_levels(drawing.columns["level"][chosen]))
+        shades = np.where(inferred, colours.INFERRED, seen)
         size = self.ground.cell_width if self.ground is not None else self.view.point_size
         return self._points("ground", drawing.places[chosen], shades, size)
 

@@ -60,6 +60,7 @@ class MapTab:
     """Choose what is shown of the scene."""
 
     layers: dict[str, viser.GuiCheckboxHandle]
+    legend: viser.GuiHtmlHandle
     colour: viser.GuiDropdownHandle[str]
     level: viser.GuiDropdownHandle[str]
     below: viser.GuiSliderHandle[float]
@@ -173,9 +174,9 @@ def _drop_tools(gui: viser.GuiApi) -> DropTools:
 
 def _map_tab(gui: viser.GuiApi) -> MapTab:
     layers = {name: gui.add_checkbox(text, name in ("cloud", "ground")) for name, text in LAYERS.items()}
-    gui.add_html(_legend())
     return MapTab(
         layers=layers,
+        legend=gui.add_html(legend(0)),
         colour=gui.add_dropdown("Cloud by", CLOUD_COLOURS),
         level=gui.add_dropdown("Level", (ALL_LEVELS,)),
         below=gui.add_slider("Up to [m]", 0.1, 6.0, 0.1, 1.5, hint="Points higher over their ground are not shown."),
@@ -215,9 +216,13 @@ def gradient(shades: FloatArray, low: str, high: str) -> str:
     return f"<div style='padding:0 1em 0.5em;font-size:0.8em'><div style='{bar}'></div>{ends}</div>"
 
 
-def _legend() -> str:
+def legend(levels: int) -> str:
+    """What the colours of the layers mean."""
     named = [("ground", colours.SEEN), ("inferred ground", colours.INFERRED)]
     named += [(name, tuple(colour)) for name, colour in zip(colours.KIND_NAMES, colours.KINDS, strict=True)]
+    named += [
+        (f"level {i}", tuple(colours.LEVELS[i % len(colours.LEVELS)])) for i in range(levels if levels > 1 else 0)
+    ]
     swatch = "display:inline-block;width:0.8em;height:0.8em;border-radius:2px;margin-right:0.35em;background:"
     items = [
         f"<span style='margin-right:1em;white-space:nowrap'><i style='{swatch}{colours.css(colour)}'></i>{name}</span>"

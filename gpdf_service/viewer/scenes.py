@@ -90,8 +90,9 @@ class Scenes:
             self._map.say_facts(facts)
             self._desk.panel.say_work("")
         else:
-            self.shown = (name, facts["digest"])
+            self._map.clear()  # nobody clicks the old ground and asks about the new scene
             self._on_new()
+            self.shown = (name, facts["digest"])
             self._map.show(name, facts)
         self._prepare()  # also if it is shown already: it may be another service
 

@@ -100,6 +100,8 @@ class Operator:
             self.choose("Scene", scene)
         until(lambda: self.page.scenes.shown[0] == scene and "cloud" in self.page.map.layers.there)
         until(lambda: not self.page.panel.work.content)
+        (client,), wanted = self.server.get_clients().values(), self.server.initial_camera.look_at
+        until(lambda: np.allclose(client.camera.look_at, wanted, atol=0.01))
         self.settle()
 
     def settle(self):

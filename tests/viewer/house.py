@@ -20,4 +20,6 @@ def sample_house(spacing=0.06, seed=0):
     slabs = [((0.0, WIDTH), (7.0, 5.0)), ((0.0, 0.0), (1.0, WIDTH)), ((HEAD, 0.0), (7.0, WIDTH))]
     shapes += [Box((*low, STOREY - 0.2), (*high, STOREY), walkable=True) for low, high in slabs]
     shapes += [*table(4.5, 3.5, 1.6, 0.8), Box((1.0, 3.0, STOREY), (2.0, 4.0, STOREY + 1.0))]
-    return World((7.0, 5.0, 2 * STOREY - 0.2), tuple(shapes), ceiling=False).sample(spacing, np.random.default_rng(seed))
+    return World((7.0, 5.0, 2 * STOREY - 0.2), tuple(shapes), ceiling=False).sample(
+        spacing, np.random.default_rng(seed)
+    )
