@@ -108,7 +108,7 @@ class Shelf:
         """
         for name, path in (self.files.known() if self.files else {}).items():
             if name not in without:
-                self._start(name, lambda path=path: load_scene(path), path)  # type: ignore[misc]
+                self._start(name, lambda _, path=path: load_scene(path), path)  # type: ignore[misc]
 
     def settle(self) -> None:
         """Wait for the builds that were begun."""

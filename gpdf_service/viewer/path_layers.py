@@ -75,7 +75,7 @@ class PathLayers:
             storey: Lines of another number are drawn over or under it, so that one does not hide the other.
         """
         points = self._frame.to_page(path.ground) + (1 + storey) * LIFTED
-        segments = _dashes(points) if dashed else np.stack([points[:-1], points[1:]], axis=1)
+        segments = dashes(points) if dashed else np.stack([points[:-1], points[1:]], axis=1)
         each = shades if shades.ndim == 1 else np.stack([shades[:-1], shades[1:]], axis=1)
         self._paths.append(
             self._scene.add_line_segments(
@@ -119,7 +119,7 @@ class PathLayers:
         body.position = self._frame.to_page(place)
 
 
-def _dashes(points: FloatArray) -> FloatArray:
+def dashes(points: FloatArray) -> FloatArray:
     """Every second piece of `DASH` along a line (n, 3), as segments (k, 2, 3)."""
     along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
     ends = np.linspace(0.0, along[-1], 2 * max(1, round(along[-1] / (2 * DASH))) + 2)

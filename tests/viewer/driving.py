@@ -17,7 +17,7 @@ from PIL import Image
 
 from gpdf_service.viewer.page import Page, Server
 
-SIZE = {"width": 1200, "height": 720}
+SIZE = {"width": 1100, "height": 600}
 
 
 def until(claim, seconds=60.0):
@@ -47,9 +47,10 @@ class Service:
     def start(self):
         words = ["serve", *self._scenes, "--endpoint", self.endpoint, "--log-dir", str(self.folder / "log")]
         words += ["--scenes-dir", str(self.folder)]
-        self._process = subprocess.Popen(
-            [sys.executable, "-m", "gpdf_service.cli", *words], stderr=subprocess.DEVNULL, env=os.environ
-        )
+        with (self.folder / "stderr.txt").open("a") as log:
+            self._process = subprocess.Popen(
+                [sys.executable, "-m", "gpdf_service.cli", *words], stderr=log, env=os.environ
+            )
         with Client.connect(self.endpoint, timeout_s=60) as client:
             for name in client.scenes():
                 client.wait_for_scene(name)
@@ -62,6 +63,15 @@ class Service:
         self.stop(signal.SIGKILL)
 
 
+CALM = """
+const next = window.requestAnimationFrame.bind(window);
+window.requestAnimationFrame = draw => setTimeout(() => next(draw), 150);
+new MutationObserver(() => document.querySelectorAll('.mantine-Notification-root').forEach(note => note.remove()))
+    .observe(document, {childList: true, subtree: true});
+"""
+"""At most six pictures a second: WebGL without a GPU would take all cores. And no word about that over the map."""
+
+
 class Operator:
     """A person before the page: what the browser shows, and where the mouse goes."""
 
@@ -69,6 +79,7 @@ class Operator:
         self.server = Server("127.0.0.1", free_port(), label="gpdf", verbose=False)
         self.page = Page(self.server, endpoint, log)
         self.context = browser.new_context(viewport=SIZE)
+        self.context.add_init_script(CALM)
         self.web = self.context.new_page()
         self.errors = []
         self.web.on("pageerror", lambda error: self.errors.append(str(error)))
@@ -102,7 +113,17 @@ class Operator:
         until(lambda: not self.page.panel.work.content)
         (client,), wanted = self.server.get_clients().values(), self.server.initial_camera.look_at
         until(lambda: np.allclose(client.camera.look_at, wanted, atol=0.01))
-        self.settle()
+
+    def begins(self):
+        """Come to the page as it is at first, whatever was done on it before."""
+        self.errors.clear()
+        self.opens("office")
+        self.tab("Plan")
+        for label, value in (("Body", "human"), ("Method", "dual_gpdf")):
+            if self.web.get_by_label(label, exact=True).first.input_value() != value:
+                self.choose(label, value)
+        self.presses("Clear")
+        self.sees("Click the ground: start")
 
     def settle(self):
         """Wait until the picture stands still."""

@@ -10,7 +10,7 @@ TREADS, DEPTH, WIDTH = 15, 0.28, 1.2
 HEAD = 1.0 + TREADS * DEPTH
 
 
-def sample_house(spacing=0.06, seed=0):
+def sample_house(spacing=0.08, seed=0):
     """Points (n, 3) and ground labels (n,): 7 × 5 m, a stair along the southern wall, a hole over it."""
     rise = STOREY / (TREADS + 1)
     shapes = [
