@@ -12,6 +12,7 @@ import numpy as np
 from gpdf_client import Client
 
 from gpdf_service.bench.plan import random_places
+from gpdf_service.bench.plotting import add_plot_argument, draw_rows
 from gpdf_service.bench.report import Row, show
 from gpdf_service.pipeline import plan
 from gpdf_service.service.server import Options, Server
@@ -22,12 +23,17 @@ from gpdf_service.types import resolve_agent
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the verb's options."""
     parser.add_argument("--count", type=int, default=100, help="plans")
+    add_plot_argument(parser)
     parser.add_argument("--json", action="store_true", help="print the rows as JSON")
 
 
 def run(args: argparse.Namespace) -> int:
     """Measure and print."""
-    show([measure(args.count)], as_json=args.json)
+    row = measure(args.count)
+    show([row], as_json=args.json)
+    if args.plot:
+        panels = {"time of a plan [ms]": [name for name in row if name.endswith("_ms")]}
+        draw_rows(args.plot, [row], panels, title=f"What the wire adds, {args.count} plans")
     return 0
 
 

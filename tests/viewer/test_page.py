@@ -75,7 +75,7 @@ def test_a_dropped_obstacle_turns_the_path_aside_until_it_is_removed(operator):
     operator.sees("Dropped obstacles")
     operator.clicks((4.6, 1.0, 0.0))
     until(lambda: len(operator.page.plans.drops.obstacles) == 2)
-    assert operator.page.panel.plan.drops.chosen.value == "2"
+    assert operator.page.panel.plan.drops.chosen.value == list(operator.page.plans.drops.obstacles)[-1]
     operator.presses("Remove it")
     until(lambda: len(operator.page.plans.drops.obstacles) == 1)
     operator.presses("Remove all")
