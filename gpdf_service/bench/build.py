@@ -8,6 +8,7 @@ from collections.abc import Callable
 
 import numpy as np
 
+from gpdf_service.bench.plotting import add_plot_argument, draw_rows
 from gpdf_service.bench.report import add_scene_arguments, clouds, show
 from gpdf_service.perception.read import import_open3d
 from gpdf_service.pipeline import build_scene
@@ -21,6 +22,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the verb's options."""
     add_scene_arguments(parser, ["office", "cluttered_office"])
     parser.add_argument("--agent", default="human", help="the body whose free space is built too")
+    add_plot_argument(parser)
     parser.add_argument("--repeat", type=int, default=3, help="the median of this many, after one to warm up")
 
 
@@ -42,6 +44,9 @@ def run(args: argparse.Namespace) -> int:
             | {"open3d_normals_s": peer, "ratio": ready / peer}
         )
     show(rows, as_json=args.json)
+    if args.plot:
+        panels = {"time [s]": ("build_s", "free_space_s", "ready_s", "open3d_normals_s")}
+        draw_rows(args.plot, rows, panels, by=("scene", "points"), title="From cloud to scene, beside Open3D's normals")
     return 0
 
 

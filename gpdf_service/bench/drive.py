@@ -21,6 +21,7 @@ from tqdm import tqdm
 
 from gpdf_service.bench.judge import Judge
 from gpdf_service.bench.plan import random_places
+from gpdf_service.bench.plotting import add_plot_argument, draw_rows
 from gpdf_service.bench.report import Row, show
 from gpdf_service.pipeline import build_scene
 from gpdf_service.scene import Scene
@@ -32,6 +33,12 @@ from gpdf_service.types import AGENTS, Agent, FloatArray, Trajectory
 DEFAULT_SCENES = ("office", "cluttered_office", "cow_and_lady")
 EVERY = 5
 """Of the true places, one in 10 ms, those that are judged: 5 cm at 1 m/s, and the judge fills in between."""
+
+PANELS = {
+    "errands": ("runs", "arrived", "refused", "gave_up", "contacts"),
+    "distance [m]": ("least_room_m", "error_p95_m", "error_max_m", "deepest_m"),
+}
+"""Of the picture."""
 
 
 @dataclass
@@ -54,6 +61,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--scene", action="append", choices=list(SCENES), help=f"{DEFAULT_SCENES} when not given")
     parser.add_argument("--agent", action="append", choices=list(BODIES), help="all of them when not given")
     parser.add_argument("--runs", type=int, default=200, help="errands in all")
+    add_plot_argument(parser)
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--json", action="store_true", help="print the rows as JSON")
 
@@ -75,6 +83,9 @@ def run(args: argparse.Namespace) -> int:
     arrived = sum(int(row["arrived"]) for row in rows)
     rows.append({"scene": "all", "runs": args.runs, "arrived": arrived, "contacts": contacts, "error_p95_m": error})
     show(rows, as_json=args.json)
+    if args.plot:
+        title = f"{args.runs} errands of simulated robots"
+        draw_rows(args.plot, rows, PANELS, by=("scene", "agent"), title=title)
     return 0 if contacts == 0 and error <= 0.05 else 1
 
 

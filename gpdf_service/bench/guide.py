@@ -22,6 +22,7 @@ from gpdf_guidance.guide import LEAST_ROOM, PERSON
 from tqdm import tqdm
 
 from gpdf_service.bench.plan import random_places
+from gpdf_service.bench.plotting import add_plot_argument, draw_rows
 from gpdf_service.bench.report import Row, add_scene_arguments, clouds, show
 from gpdf_service.bench.walks import WalkedWorld
 from gpdf_service.scene import Scene
@@ -34,6 +35,12 @@ WAY = 2 * (PERSON["width"] / 2 + LEAST_ROOM)
 """[m] Width of a way that people are guided on."""
 LEAST_WALK = 4.0
 """[m] As the crow flies; nobody needs to be led for less."""
+PANELS = {
+    "walks": ("walks", "arrived", "safe_stops", "contacts"),
+    "words a minute": ("said_per_min",),
+    "steps and stairs": ("steps_and_stairs", "announced_1_to_3_m"),
+}
+"""Of the picture."""
 
 Guided = tuple[Walk, Guide]
 
@@ -42,6 +49,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the verb's options."""
     add_scene_arguments(parser, ["office", "cluttered_office", "stair", "cow_and_lady"])
     parser.add_argument("--count", type=int, default=50, help="walks in each scene")
+    add_plot_argument(parser)
     parser.add_argument("--seed", type=int, default=1)
 
 
@@ -56,6 +64,8 @@ def run(args: argparse.Namespace) -> int:
         rows.append({"scene": name, **summary(walks)})
     rows.append({"scene": "all", **summary(everything)})
     show(rows, as_json=args.json)
+    if args.plot:
+        draw_rows(args.plot, rows, PANELS, by=("scene",), title=f"{args.count} guided walks in each scene")
     return 0 if rows[-1]["contacts"] == 0 and rows[-1]["arrived"] + rows[-1]["safe_stops"] == rows[-1]["walks"] else 1
 
 

@@ -14,10 +14,18 @@ import numpy as np
 from gpdf_service.bench.brute import BruteForce
 from gpdf_service.bench.judge import Judge
 from gpdf_service.bench.peers import compare
+from gpdf_service.bench.plotting import add_plot_argument, draw_rows
 from gpdf_service.bench.report import Row, add_scene_arguments, clouds, show
 from gpdf_service.pipeline import build_scene, plan
 from gpdf_service.scene import Scene
 from gpdf_service.types import AGENTS, Agent, FloatArray, Status
+
+PANELS = {
+    "queries": ("queries", "solvable", "ok_of_solvable", "certified", "collisions"),
+    "time [ms]": ("p50_ms", "p99_ms"),
+    "distance [m]": ("mean_clearance_m", "deepest_m"),
+}
+"""Of the picture."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -25,6 +33,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_scene_arguments(parser, ["office", "cluttered_office"])
     parser.add_argument("--agent", action="append", help="human and roomba when not given")
     parser.add_argument("--count", type=int, default=100, help="queries for each scene and body")
+    add_plot_argument(parser)
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--peers", type=int, default=5, help="queries on which OMPL's planners run beside; 0 for none")
     parser.add_argument(
@@ -51,6 +60,8 @@ def run(args: argparse.Namespace) -> int:
     else:
         show(rows, as_json=False)
         show(peers, as_json=False)
+    if args.plot:
+        draw_rows(args.plot, rows, PANELS, by=("scene", "agent"), title="Random queries, judged by the true obstacles")
     return 0 if all(row["collisions"] == 0 for row in rows) else 1
 
 

@@ -23,6 +23,7 @@ from gpdf_client.client import client_config
 from gpdf_schemas import PlanRequest, Reply, Status, decode, encode, keys
 
 from gpdf_service.bench.plan import random_places
+from gpdf_service.bench.plotting import add_plot_argument, draw_rows
 from gpdf_service.bench.report import Row, show
 from gpdf_service.bench.running import Running, serving
 from gpdf_service.pipeline import build_scene, plan
@@ -43,6 +44,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--count", type=int, default=100, help="plans for what the wire adds")
     parser.add_argument("--seconds", type=float, default=10.0, help="for each of the other measurements")
     parser.add_argument("--clients", type=int, default=64, help="clients that ask for twice what the service can do")
+    add_plot_argument(parser)
     parser.add_argument("--json", action="store_true", help="print the rows as JSON")
 
 
@@ -63,6 +65,9 @@ def run(args: argparse.Namespace) -> int:
     }
     for row in (wire, speed, crowd):
         show([row | {"load_average": os.getloadavg()[0]}], as_json=args.json)
+    if args.plot:
+        panels = {"time of a plan [ms]": [name for name in wire if name.endswith("_ms")]}
+        draw_rows(args.plot, [wire], panels, title=f"What the wire adds, {args.count} plans")
     return 1 if crowd["unanswered"] else 0
 
 

@@ -23,7 +23,9 @@ VIRIDIS = np.array(
     dtype=np.float64,
 )
 """matplotlib's viridis at even steps."""
-PALE = 0.6 * VIRIDIS + 0.4 * 255.0
+PALENESS = 0.4
+"""[-] Share of white."""
+PALE = (1.0 - PALENESS) * VIRIDIS + PALENESS * 255.0
 """For the cloud, so that a path stands out before it."""
 ROOM = np.array([(213, 94, 0), (230, 159, 0), (0, 158, 115), (0, 114, 178)], dtype=np.float64)
 """From no room (vermilion) to enough of it (blue), nowhere as pale as the floor."""
@@ -31,6 +33,12 @@ ENOUGH_ROOM = 0.5
 """[m] Clearance that is shown as blue: half a body's width more than is needed."""
 METHODS = {"dual_gpdf": (0, 114, 178), "single_gpdf": (230, 159, 0), "astar": (204, 121, 167), "prm": (0, 158, 115)}
 """The paper's four methods."""
+WARNING = (213, 94, 0)
+"""A path that nobody has proven: vermilion, and dashed."""
+DROPPED = (230, 159, 0)
+"""What the operator put there."""
+LIVE = (30, 30, 30)
+"""People and robots that are on their way now: like nothing else on the page."""
 KINDS = np.array([(90, 90, 90), (213, 94, 0), (230, 159, 0), (204, 121, 167)], np.uint8)
 """What stops a body: material, step, slope, unknown ground."""
 KIND_NAMES = ("material", "step", "slope", "unknown ground")
@@ -53,6 +61,11 @@ def of_levels(level: FloatArray) -> Colours:
     """Colours of storeys, shape (n, 3)."""
     index = level.astype(np.int64)
     return np.where((index < 0)[:, None], np.array(NOWHERE, np.uint8), LEVELS[index % len(LEVELS)])
+
+
+def pale(shades: Colours) -> Colours:
+    """Colours mixed with white, for what lies below others."""
+    return ((1.0 - PALENESS) * shades + PALENESS * 255.0).astype(np.uint8)
 
 
 def css(colour: tuple[int, int, int] | NDArray[np.generic]) -> str:

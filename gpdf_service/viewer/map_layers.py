@@ -11,6 +11,7 @@ from gpdf_client import Client, Drawing
 
 from gpdf_service.types import BoolArray, FloatArray
 from gpdf_service.viewer import colours
+from gpdf_service.viewer.frame import Frame
 from gpdf_service.viewer.ground import Ground
 
 LIMITS = {"cloud": 300_000, "ground": 2_000_000, "obstacles": 60_000, "leaves": 12_000}
@@ -52,6 +53,8 @@ class View:
         layers = set(self.shown ^ before.shown)
         if self.level != before.level:
             layers |= self.shown
+        if "level" in (self.colour, before.colour) and self.colour != before.colour:
+            layers |= {"ground"} & self.shown
         if (self.colour, self.below) != (before.colour, before.below) or "ground" in layers:
             layers.add("cloud")
         if self.point_size != before.point_size:
@@ -60,12 +63,11 @@ class View:
 
 
 class MapLayers:
-    """Fetches and draws the layers; every place is relative to `origin`, so that float32 is exact in the browser."""
+    """Fetches and draws the layers; the newest layer's origin becomes the page's `frame`."""
 
-    def __init__(self, scene: viser.SceneApi) -> None:
-        self._scene = scene
+    def __init__(self, scene: viser.SceneApi, frame: Frame) -> None:
+        self._scene, self._frame = scene, frame
         self.view = View()
-        self.origin = np.zeros(3)
         self.ground: Ground | None = None
         self._drawings: dict[str, Drawing] = {}
         self._handles: dict[str, viser.SceneNodeHandle] = {}
@@ -100,7 +102,7 @@ class MapLayers:
         if what in self._drawings:
             return
         drawing = client.draw(scene, what, agent, limit=LIMITS[what], progress=progress)
-        self._drawings[what], self.origin = drawing, drawing.origin
+        self._drawings[what], self._frame.origin = drawing, drawing.origin
         if what == "ground":
             self.ground = Ground.of(drawing, cell_width)
 
@@ -151,7 +153,10 @@ class MapLayers:
     def _ground(self, drawing: Drawing, wanted: BoolArray) -> viser.PointCloudHandle | None:
         chosen = np.flatnonzero(wanted)[:SHOWN_GROUND]  # shuffled by the service: the first show all, thinner
         inferred = drawing.columns["inferred"][chosen, None] > 0
-        shades = np.where(inferred, colours.INFERRED, colours.SEEN)
+        seen = colours.SEEN
+        if self.view.colour == "level":
+            seen = colours.pale(colours.of_levels(drawing.columns["level"][chosen]))
+        shades = np.where(inferred, colours.INFERRED, seen)
         size = self.ground.cell_width if self.ground is not None else self.view.point_size
         return self._points("ground", drawing.places[chosen], shades, size)
 
@@ -193,7 +198,7 @@ class MapLayers:
         nx, ny = np.maximum(1, np.ceil(size / step)).astype(int)
         x, y = self.ground.low[0] + (np.arange(nx) + 0.5) * step, self.ground.low[1] + (np.arange(ny) + 0.5) * step
         grid = np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1).reshape(-1, 2)
-        places = np.column_stack([grid, np.full(len(grid), height)]) + self.origin
+        places = self._frame.to_scene(np.column_stack([grid, np.full(len(grid), height)]))
         answers = [
             client.distance(scene, field, places[i : i + ASK_AT_ONCE], agent)
             for i in range(0, len(places), ASK_AT_ONCE)

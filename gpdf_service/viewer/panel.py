@@ -1,4 +1,4 @@
-"""The widgets beside the picture; what they do is in `page`."""
+"""The widgets beside the picture; what they do is with the parts of the page that own them."""
 
 from __future__ import annotations
 
@@ -15,11 +15,23 @@ if TYPE_CHECKING:
     from viser._gui_handles import GuiProgressBarHandle
 
 METHODS = tuple(colours.METHODS)
+CLICKS = ("start", "goal", OBSTACLE := "obstacle")
 ALL_LEVELS = "all"
 NO_SCENE = "(none)"
 SLICES = {"none": "", "distance to the ground (d_g)": "ground", "distance to obstacles (d_o)": "obstacle"}
 LAYERS = {"cloud": "Cloud", "ground": "Ground", "obstacles": "What stops the body", "leaves": "Where it fits (leaves)"}
 CLOUD_COLOURS = ("height", "level", "ground")
+
+
+@dataclass(frozen=True, slots=True)
+class DropTools:
+    """Put obstacles on the ground, and take them away."""
+
+    radius: viser.GuiSliderHandle[float]
+    folder: viser.GuiFolderHandle
+    chosen: viser.GuiDropdownHandle[str]
+    remove: viser.GuiButtonHandle
+    remove_all: viser.GuiButtonHandle
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,11 +41,13 @@ class PlanTab:
     agent: viser.GuiDropdownHandle[str]
     method: viser.GuiDropdownHandle[str]
     sets: viser.GuiButtonGroupHandle
+    drops: DropTools
     next: viser.GuiMarkdownHandle
     plan: viser.GuiButtonHandle
     compare: viser.GuiButtonHandle
     clear: viser.GuiButtonHandle
     answer: viser.GuiMarkdownHandle
+    table: viser.GuiHtmlHandle
     legend: viser.GuiHtmlHandle
     time: viser.GuiSliderHandle[float]
     play: viser.GuiCheckboxHandle
@@ -46,6 +60,7 @@ class MapTab:
     """Choose what is shown of the scene."""
 
     layers: dict[str, viser.GuiCheckboxHandle]
+    legend: viser.GuiHtmlHandle
     colour: viser.GuiDropdownHandle[str]
     level: viser.GuiDropdownHandle[str]
     below: viser.GuiSliderHandle[float]
@@ -91,6 +106,17 @@ class Panel:
     load: LoadTab
     log: LogTab
 
+    def say_work(self, text: str, share: float | None = None) -> None:
+        """What is being fetched, loaded or built, and how much of it is done."""
+        self.work.content, self.work.visible = text, bool(text)
+        self.bar.visible = share is not None
+        if share is not None:
+            put(self.bar, 100.0 * share)
+
+    def say_answer(self, text: str) -> None:
+        """What became of the plan."""
+        self.plan.answer.content = text
+
 
 def build_panel(gui: viser.GuiApi) -> Panel:
     """Make the widgets."""
@@ -120,12 +146,14 @@ def _plan_tab(gui: viser.GuiApi) -> PlanTab:
     return PlanTab(
         agent=gui.add_dropdown("Body", tuple(AGENTS), initial_value="human"),
         method=gui.add_dropdown("Method", METHODS),
-        sets=gui.add_button_group("Next click", ("start", "goal")),
+        sets=gui.add_button_group("Next click", CLICKS),
+        drops=_drop_tools(gui),
         next=gui.add_markdown(""),
         plan=gui.add_button("Plan", disabled=True),
         compare=gui.add_button("Compare the methods", disabled=True, color="gray"),
         clear=gui.add_button("Clear", color="gray"),
         answer=gui.add_markdown(""),
+        table=gui.add_html("", visible=False),
         legend=gui.add_html(gradient(colours.ROOM, "0 m", f"{colours.ENOUGH_ROOM} m of room"), visible=False),
         time=gui.add_slider("Time [s]", 0.0, 1.0, 0.01, 0.0, visible=False),
         play=gui.add_checkbox("Play", False, visible=False),
@@ -134,11 +162,21 @@ def _plan_tab(gui: viser.GuiApi) -> PlanTab:
     )
 
 
+def _drop_tools(gui: viser.GuiApi) -> DropTools:
+    radius = gui.add_slider("Radius [m]", 0.05, 1.0, 0.05, 0.3, visible=False)
+    folder = gui.add_folder("Dropped obstacles", visible=False)
+    with folder:
+        chosen = gui.add_dropdown("Obstacle", ("",))
+        remove = gui.add_button("Remove it", color="gray")
+        remove_all = gui.add_button("Remove all", color="gray")
+    return DropTools(radius, folder, chosen, remove, remove_all)
+
+
 def _map_tab(gui: viser.GuiApi) -> MapTab:
     layers = {name: gui.add_checkbox(text, name in ("cloud", "ground")) for name, text in LAYERS.items()}
-    gui.add_html(_legend())
     return MapTab(
         layers=layers,
+        legend=gui.add_html(legend(0)),
         colour=gui.add_dropdown("Cloud by", CLOUD_COLOURS),
         level=gui.add_dropdown("Level", (ALL_LEVELS,)),
         below=gui.add_slider("Up to [m]", 0.1, 6.0, 0.1, 1.5, hint="Points higher over their ground are not shown."),
@@ -178,9 +216,13 @@ def gradient(shades: FloatArray, low: str, high: str) -> str:
     return f"<div style='padding:0 1em 0.5em;font-size:0.8em'><div style='{bar}'></div>{ends}</div>"
 
 
-def _legend() -> str:
+def legend(levels: int) -> str:
+    """What the colours of the layers mean."""
     named = [("ground", colours.SEEN), ("inferred ground", colours.INFERRED)]
     named += [(name, tuple(colour)) for name, colour in zip(colours.KIND_NAMES, colours.KINDS, strict=True)]
+    named += [
+        (f"level {i}", tuple(colours.LEVELS[i % len(colours.LEVELS)])) for i in range(levels if levels > 1 else 0)
+    ]
     swatch = "display:inline-block;width:0.8em;height:0.8em;border-radius:2px;margin-right:0.35em;background:"
     items = [
         f"<span style='margin-right:1em;white-space:nowrap'><i style='{swatch}{colours.css(colour)}'></i>{name}</span>"

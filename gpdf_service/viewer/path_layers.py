@@ -8,12 +8,15 @@ from gpdf_client import Trajectory
 
 from gpdf_service.types import Agent, FloatArray
 from gpdf_service.viewer import colours
+from gpdf_service.viewer.frame import Frame
 
 LINE_LIFT = 0.04
 """[m] The path is drawn over the ground and the leaves."""
 LIFTED = np.array([0.0, 0.0, LINE_LIFT])
 LINE_WIDTH = 6.0
 """[px] Seen in a hall as in an office."""
+DASH = 0.12
+"""[m] Length of a dash, and of the gap after it."""
 GHOST_STEP = 0.4
 """[m] Between two bodies of the sweep at least; wide ones stand further apart."""
 GHOST_OPACITY = 0.07
@@ -28,11 +31,10 @@ BODY = (0, 114, 178)
 
 
 class PathLayers:
-    """Draws plans; places are given in the scene's frame, `origin` is what the page takes away."""
+    """Draws plans; places are given in the scene's frame."""
 
-    def __init__(self, scene: viser.SceneApi) -> None:
-        self._scene = scene
-        self.origin = np.zeros(3)
+    def __init__(self, scene: viser.SceneApi, frame: Frame) -> None:
+        self._scene, self._frame = scene, frame
         self._marks: dict[str, list[viser.SceneNodeHandle]] = {}
         self._paths: list[viser.SceneNodeHandle] = []
         self._body: viser.MeshHandle | None = None
@@ -49,7 +51,7 @@ class PathLayers:
             handle.remove()
         if place is None:
             return
-        at = place - self.origin + LIFTED
+        at = self._frame.to_page(place) + LIFTED
         disc = self._scene.add_cylinder(f"/plan/{name}", MARK_RADIUS, 0.03, MARKS[name], position=at, cast_shadow=False)
         label = self._scene.add_label(f"/plan/{name}/label", name, position=(0, 0, 0.25))
         self._marks[name] = [label, disc]
@@ -60,10 +62,20 @@ class PathLayers:
             handle.remove()
         self._paths, self._body, self._moving = [], None, None
 
-    def add_line(self, name: str, path: Trajectory, shades: colours.Colours) -> None:
-        """Draw a path on the ground; `shades` is one colour (3,) or one a waypoint (n, 3)."""
-        points = path.ground - self.origin + LIFTED
-        segments = np.stack([points[:-1], points[1:]], axis=1)
+    def add_line(
+        self, name: str, path: Trajectory, shades: colours.Colours, *, dashed: bool = False, storey: int = 0
+    ) -> None:
+        """Draw a path on the ground.
+
+        Args:
+            name: A later one of that name takes its place.
+            path: To draw.
+            shades: One colour (3,), or one a waypoint (n, 3).
+            dashed: It is not proven.
+            storey: Lines of another number are drawn over or under it, so that one does not hide the other.
+        """
+        points = self._frame.to_page(path.ground) + (1 + storey) * LIFTED
+        segments = dashes(points) if dashed else np.stack([points[:-1], points[1:]], axis=1)
         each = shades if shades.ndim == 1 else np.stack([shades[:-1], shades[1:]], axis=1)
         self._paths.append(
             self._scene.add_line_segments(
@@ -73,7 +85,7 @@ class PathLayers:
 
     def add_sweep(self, path: Trajectory, agent: Agent, shades: colours.Colours) -> None:
         """Draw the body at even steps along a path, and a solid one that `move` moves."""
-        points = path.ground - self.origin
+        points = self._frame.to_page(path.ground)
         along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
         count = max(2, int(along[-1] / max(GHOST_STEP, 1.5 * agent.radius)) + 1)
         rows = np.searchsorted(along, np.linspace(0.0, along[-1], count)).clip(0, len(along) - 1)
@@ -104,7 +116,15 @@ class PathLayers:
         if path is None or body is None:
             return
         place = np.array([np.interp(time, path.times, path.ground[:, k]) for k in range(3)])
-        body.position = place - self.origin
+        body.position = self._frame.to_page(place)
+
+
+def dashes(points: FloatArray) -> FloatArray:
+    """Every second piece of `DASH` along a line (n, 3), as segments (k, 2, 3)."""
+    along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
+    ends = np.linspace(0.0, along[-1], 2 * max(1, round(along[-1] / (2 * DASH))) + 2)
+    places = np.column_stack([np.interp(ends, along, channel) for channel in points.T])
+    return places.reshape(-1, 2, 3)
 
 
 def _cylinder() -> tuple[FloatArray, np.ndarray]:  # type: ignore[type-arg]

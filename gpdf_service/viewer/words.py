@@ -2,7 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from html import escape
+
 from gpdf_client import PlanResult, Status
+
+from gpdf_service.viewer.colours import METHODS, NOWHERE, WARNING, css
+
+HEADS = ("method", "status", "length [m]", "least room [m]", "on the way [s]", "answer [s]")
 
 
 def answer(result: PlanResult) -> str:
@@ -11,7 +18,8 @@ def answer(result: PlanResult) -> str:
         return f"**{result.status.value}** · {result.message}"
     path, proof = result.trajectory, result.certificate
     if result.status is not Status.OK:
-        return f"**{result.status.value}** · {result.message} ({path.length:.2f} m, **not certified**)"
+        warning = "⚠ **Not proven: do not follow it.** It is drawn dashed."
+        return f"**{result.status.value}** · {path.length:.2f} m. {result.message}\n\n{warning}"
     return (
         f"**{result.status.value}** · {path.length:.2f} m in {path.duration:.1f} s, "
         f"at least **{proof.min_clearance:.2f} m** of room everywhere. {result.message}"
@@ -34,20 +42,32 @@ def details(result: PlanResult, seconds: float | None) -> str:
 
 
 def comparison(results: dict[str, PlanResult | str], times: dict[str, float]) -> str:
-    """A table of methods; a text stands for one that the service refused."""
-    lines = ["| method | status | length | room | time |", "|---|---|---|---|---|"]
-    refused = []
+    """An HTML table of methods in their colours; a text stands for one that the service refused."""
+    rows, notes = [], []
     for name, result in results.items():
+        method = f"<b style='color:{css(METHODS.get(name, NOWHERE))}'>&#9632;</b> {escape(name)}"
         if isinstance(result, str):
-            lines.append(f"| {name} | refused | | | |")
-            refused.append(f"{name}: {result}")
-        elif result.trajectory is None or result.certificate is None:
-            lines.append(f"| {name} | {result.status.value} | | | {1000 * times[name]:.0f} ms |")
-        else:
-            room = f"{result.certificate.min_clearance:.2f} m"
-            length = f"{result.trajectory.length:.2f} m"
-            lines.append(f"| {name} | {result.status.value} | {length} | {room} | {1000 * times[name]:.0f} ms |")
-    return "\n".join(lines) + "".join(f"\n\n{text}" for text in refused)
+            rows.append([method, "refused"])
+            notes.append(f"{name}: {result}")
+            continue
+        path, proof, proven = result.trajectory, result.certificate, result.status is Status.OK
+        status = "OK" if proven else f"<b style='color:{css(WARNING)}'>{result.status.value}</b>"
+        numbers = ["", "", ""]
+        if path is not None and proof is not None:
+            numbers = [f"{path.length:.2f}", f"{proof.min_clearance:.2f}", f"{path.duration:.1f}"]
+        rows.append([method, status, *numbers, f"{times[name]:.2f}"])
+        if not proven:
+            warning = "⚠ Dashed: do not follow it. " if path is not None else ""
+            subject = "" if result.message.startswith(name) else f"{name}: "
+            notes.append(f"{warning}{subject}{result.message}")
+    lines = "".join(_row("td", row) for row in rows)
+    said = "".join(f"<p style='margin:0.5em 0 0'>{escape(note)}</p>" for note in notes)
+    return f"<div style='padding:0 1em 0.5em;font-size:0.75em'><table>{_row('th', HEADS)}{lines}</table>{said}</div>"
+
+
+def _row(kind: str, cells: Sequence[str]) -> str:
+    style = "text-align:left;vertical-align:top;padding:0 0.8em 0 0" + (";white-space:nowrap" if kind == "td" else "")
+    return "<tr>" + "".join(f"<{kind} style='{style}'>{cell}</{kind}>" for cell in cells) + "</tr>"
 
 
 def facts(info: dict[str, object]) -> str:

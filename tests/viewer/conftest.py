@@ -2,6 +2,9 @@ import shutil
 
 import pytest
 from driving import Operator, Service
+from house import sample_house
+
+import gpdf_service as gpdf
 
 CHROMIUM = ("chromium", "chromium-browser", "google-chrome")
 FLAGS = ["--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--no-sandbox"]
@@ -20,18 +23,26 @@ def browser():
         started.close()
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture(scope="session")
 def service(office, tmp_path_factory):
+    """A service with the office and the house of two storeys."""
     folder = tmp_path_factory.mktemp("scenes")
     office[1].save(folder / "office.gpdf")
-    running = Service({"office": folder / "office.gpdf"}, folder)
+    gpdf.build_scene(*sample_house()).save(folder / "house.gpdf")
+    running = Service({name: folder / f"{name}.gpdf" for name in ("office", "house")}, folder)
     yield running
     running.stop()
 
 
-@pytest.fixture
-def operator(browser, service):
+@pytest.fixture(scope="module")
+def _page(browser, service):
     person = Operator(browser, service.endpoint)
-    person.opens("office")
     yield person
     person.close()
+
+
+@pytest.fixture
+def operator(_page):
+    """A person before the one page of all tests of a module: to open it costs as much as a test."""
+    _page.begins()
+    return _page

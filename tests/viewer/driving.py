@@ -17,7 +17,7 @@ from PIL import Image
 
 from gpdf_service.viewer.page import Page, Server
 
-SIZE = {"width": 1200, "height": 720}
+SIZE = {"width": 1100, "height": 600}
 
 
 def until(claim, seconds=60.0):
@@ -47,9 +47,10 @@ class Service:
     def start(self):
         words = ["serve", *self._scenes, "--endpoint", self.endpoint, "--log-dir", str(self.folder / "log")]
         words += ["--scenes-dir", str(self.folder)]
-        self._process = subprocess.Popen(
-            [sys.executable, "-m", "gpdf_service.cli", *words], stderr=subprocess.DEVNULL, env=os.environ
-        )
+        with (self.folder / "stderr.txt").open("a") as log:
+            self._process = subprocess.Popen(
+                [sys.executable, "-m", "gpdf_service.cli", *words], stderr=log, env=os.environ
+            )
         with Client.connect(self.endpoint, timeout_s=60) as client:
             for name in client.scenes():
                 client.wait_for_scene(name)
@@ -62,13 +63,25 @@ class Service:
         self.stop(signal.SIGKILL)
 
 
+SCALE = 0.5
+"""Of the browser's own pixels: a quarter of the work for what draws without a GPU."""
+CALM = """
+const next = window.requestAnimationFrame.bind(window);
+window.requestAnimationFrame = draw => setTimeout(() => next(draw), 250);
+new MutationObserver(() => document.querySelectorAll('.mantine-Notification-root').forEach(note => note.remove()))
+    .observe(document, {childList: true, subtree: true});
+"""
+"""At most four pictures a second: WebGL without a GPU would take all cores. And no word about that over the map."""
+
+
 class Operator:
     """A person before the page: what the browser shows, and where the mouse goes."""
 
     def __init__(self, browser, endpoint, log=None):
         self.server = Server("127.0.0.1", free_port(), label="gpdf", verbose=False)
         self.page = Page(self.server, endpoint, log)
-        self.context = browser.new_context(viewport=SIZE)
+        self.context = browser.new_context(viewport=SIZE, device_scale_factor=SCALE)
+        self.context.add_init_script(CALM)
         self.web = self.context.new_page()
         self.errors = []
         self.web.on("pageerror", lambda error: self.errors.append(str(error)))
@@ -98,16 +111,28 @@ class Operator:
         """Choose a scene, and wait until its map is drawn and the browser has told its camera."""
         if self.page.panel.scene.value != scene:
             self.choose("Scene", scene)
-        until(lambda: self.page.shown[0] == scene and "cloud" in self.page.map.there)
+        until(lambda: self.page.scenes.shown[0] == scene and "cloud" in self.page.map.layers.there)
         until(lambda: not self.page.panel.work.content)
-        self.settle()
+        (client,), wanted = self.server.get_clients().values(), self.server.initial_camera.look_at
+        until(lambda: np.allclose(client.camera.look_at, wanted, atol=0.01))
+
+    def begins(self):
+        """Come to the page as it is at first, whatever was done on it before."""
+        self.errors.clear()
+        self.opens("office")
+        self.tab("Plan")
+        for label, value in (("Body", "human"), ("Method", "dual_gpdf")):
+            if self.web.get_by_label(label, exact=True).first.input_value() != value:
+                self.choose(label, value)
+        self.presses("Clear")
+        self.sees("Click the ground: start")
 
     def settle(self):
         """Wait until the picture stands still."""
         before, same = b"", 0
         while same < 3:
             self.web.wait_for_timeout(300)
-            now = self.web.screenshot()
+            now = self.web.screenshot(scale="css")
             same = same + 1 if now == before else 0
             before = now
 
@@ -116,11 +141,9 @@ class Operator:
         (client,) = self.server.get_clients().values()
         camera = client.camera
         rotation = vtf.SO3(np.asarray(camera.wxyz)).as_matrix()
-        seen = rotation.T @ (np.asarray(place) - self.page.map.origin - camera.position)
-        focal = 0.5 * camera.image_height / np.tan(0.5 * camera.fov)
-        return 0.5 * camera.image_width + focal * seen[0] / seen[2], 0.5 * camera.image_height + focal * seen[1] / seen[
-            2
-        ]
+        seen = rotation.T @ (np.asarray(place) - self.page.desk.frame.origin - camera.position)
+        focal = 0.5 * SIZE["height"] / np.tan(0.5 * camera.fov)
+        return tuple(0.5 * np.array([SIZE["width"], SIZE["height"]]) + focal * seen[:2] / seen[2])
 
     def clicks(self, place):
         self.web.mouse.click(*self.pixel(place))
@@ -135,7 +158,7 @@ class Operator:
 
     def picture(self):
         """What the browser shows, (height, width, 3)."""
-        return np.asarray(Image.open(io.BytesIO(self.web.screenshot())).convert("RGB")).astype(int)
+        return np.asarray(Image.open(io.BytesIO(self.web.screenshot(scale="css"))).convert("RGB")).astype(int)
 
     def around(self, picture, place, reach=4):
         """Pixels around a place of the scene."""

@@ -1,27 +1,40 @@
 """The operator's page in a real browser, on a real service; SIGKILL included."""
 
+import shutil
+import time
+
 import numpy as np
 import pytest
-from driving import Operator, Service, until
+from driving import until
 from gpdf_client import Client
+from gpdf_schemas import CueAction, CueMessage, PoseMessage, encode, keys
+from house import STOREY
 
 from gpdf_service.synthetic import SCENES
+from gpdf_service.types import AGENTS
+from gpdf_service.viewer import colours
 
 pytestmark = pytest.mark.slow
 OVER_THE_STEP = (5.5, 1.0, 0.0), (5.5, 3.4, 0.0)
 
 
+def shade(operator, place):
+    """What a place of the scene looks like."""
+    return np.median(operator.around(operator.picture(), place).reshape(-1, 3), axis=0)
+
+
 def path_on_screen(operator):
     """Waypoints of the path that is shown, on the ground."""
-    path = operator.page.paths.shown
+    path = operator.page.plans.paths.shown
     return None if path is None else path.ground
 
 
 def test_two_clicks_draw_a_path(operator):
+    operator.settle()
     before = operator.picture()
     operator.plans((0.9, 0.9, 0.0), (5.4, 3.4, 0.0))
     operator.sees(r"of room everywhere")
-    ends = operator.page.ends
+    ends = operator.page.plans.ends
     np.testing.assert_allclose(ends["start"], (0.9, 0.9, 0.0), atol=0.05)  # the click's ray met the ground there
     np.testing.assert_allclose(ends["goal"], (5.4, 3.4, 0.0), atol=0.05)
     operator.settle()
@@ -31,11 +44,75 @@ def test_two_clicks_draw_a_path(operator):
     assert operator.around(change, (0.3, 4.5, 0.0)).max() < 20  # and nothing in the far corner
     operator.sees("From the side")
     operator.sees(r"Answer after \d+ ms")
+    assert operator.errors == []
+
+
+def test_methods_are_compared_and_what_is_not_proven_says_so(operator):
+    operator.plans((0.9, 0.9, 0.0), (5.4, 3.4, 0.0))
+    operator.sees("of room everywhere")
+    operator.presses("obstacle")
+    operator.clicks((2.7, 1.9, 0.0))  # single_gpdf's way leads through it
     operator.presses("Compare the methods")
     rows = operator.web.get_by_role("row")
     until(lambda: rows.filter(has_text="dual_gpdf").filter(has_text="OK").count() == 1)
-    assert rows.filter(has_text="prm").count() == 1
-    assert operator.errors == []
+    assert rows.filter(has_text="prm").count() == rows.filter(has_text="astar").count() == 1
+    assert rows.filter(has_text="single_gpdf").filter(has_text="UNCERTIFIED").count() == 1
+    operator.sees("Dashed: do not follow it")
+    operator.choose("Method", "single_gpdf")
+    operator.sees("Not proven: do not follow it")
+
+
+def test_a_dropped_obstacle_turns_the_path_aside_until_it_is_removed(operator):
+    operator.plans((0.9, 0.9, 0.0), (5.4, 3.4, 0.0))
+    operator.sees("of room everywhere")
+    free = path_on_screen(operator)
+    middle = free[np.abs(free[:, 0] - 2.0).argmin()]
+    operator.presses("obstacle")
+    operator.clicks(middle)
+    until(lambda: path_on_screen(operator) is not None and not np.array_equal(path_on_screen(operator), free))
+    beside = path_on_screen(operator)
+    assert np.hypot(*(beside - middle)[:, :2].T).min() > 0.3 + AGENTS["human"].radius  # both radii
+    operator.sees("Dropped obstacles")
+    operator.clicks((4.6, 1.0, 0.0))
+    until(lambda: len(operator.page.plans.drops.obstacles) == 2)
+    assert operator.page.panel.plan.drops.chosen.value == list(operator.page.plans.drops.obstacles)[-1]
+    operator.presses("Remove it")
+    until(lambda: len(operator.page.plans.drops.obstacles) == 1)
+    operator.presses("Remove all")
+    until(lambda: path_on_screen(operator) is not None and np.allclose(path_on_screen(operator), free))
+    assert not operator.page.panel.plan.drops.folder.visible
+
+
+def test_who_is_on_the_way_is_shown_until_nothing_is_heard(operator, service):
+    with Client.connect(service.endpoint) as client:
+
+        def say():
+            pose = PoseMessage(position=[2.0, 1.5, 0.0], heading=0.5, stamp=time.time())
+            cue = CueMessage(action=CueAction.GO, direction=0.0, urgency=0.0, distance=4.2, stamp=time.time())
+            client.session.put(f"{keys.POSE}/anna", encode(pose))
+            client.session.put(f"{keys.CUE}/anna", encode(cue))
+            return operator.page.live.names == {"anna"}
+
+        until(say)
+    until(lambda: operator.page.live.names == frozenset())
+
+
+def test_storeys_have_their_colours_and_are_shown_alone(operator):
+    operator.opens("house")
+    upstairs = (4.0, 4.0, STOREY)
+    operator.plans((0.5, 2.0, STOREY), (4.5, 2.0, STOREY))  # the click meets the upper floor first
+    operator.sees("of room everywhere")
+    operator.presses("Clear")
+    operator.tab("Map")
+    operator.choose("Cloud by", "level")
+    operator.choose("Level", "0")
+    operator.settle()
+    np.testing.assert_allclose(shade(operator, (3.0, 3.0, 0.0)), colours.pale(colours.LEVELS[0]), atol=12)
+    operator.choose("Level", "1")
+    operator.settle()
+    np.testing.assert_allclose(shade(operator, upstairs), colours.pale(colours.LEVELS[1]), atol=12)
+    for label, value in (("Level", "all"), ("Cloud by", "height")):
+        operator.choose(label, value)
 
 
 def test_another_body_takes_another_way(operator):
@@ -71,7 +148,7 @@ def test_layers_and_slices_are_drawn(operator):
     operator.tab("Map")
     for name in ("What stops the body", "Where it fits"):
         operator.web.get_by_label(name).click()
-    until(lambda: {"obstacles", "leaves"} <= operator.page.map.drawn)
+    until(lambda: {"obstacles", "leaves"} <= operator.page.map.layers.drawn)
     operator.choose("Slice", "distance to obstacles (d_o)")
     operator.sees("a line each")
     operator.settle()
@@ -79,7 +156,11 @@ def test_layers_and_slices_are_drawn(operator):
     near, far = operator.around(picture, (0.3, 0.15, 0.6)), operator.around(picture, (2.5, 1.9, 0.6))
     assert far[..., 1].mean() > near[..., 1].mean() + 40  # viridis: its green rises from near to far
     operator.web.get_by_label("Cloud", exact=True).click()
-    until(lambda: "cloud" not in operator.page.map.drawn)
+    until(lambda: "cloud" not in operator.page.map.layers.drawn)
+    for name in ("Cloud", "What stops the body", "Where it fits"):
+        operator.web.get_by_label(name).first.click()
+    operator.choose("Slice", "none")
+    until(lambda: operator.page.map.layers.drawn == {"cloud", "ground"})
 
 
 def test_a_scene_is_loaded_from_the_page(operator, service):
@@ -92,15 +173,15 @@ def test_a_scene_is_loaded_from_the_page(operator, service):
     name.last.fill("more")
     until(lambda: (operator.page.panel.load.name.value, operator.page.panel.load.file.value) == ("more", "more.npz"))
     operator.presses("Load the file")
-    until(lambda: operator.page.shown[0] == "more")
+    until(lambda: operator.page.scenes.shown[0] == "more")
     assert operator.page.panel.scene.value == "more"
     operator.tab("Load")
     with operator.web.expect_file_chooser() as chooser:
         operator.presses("Send a cloud from here …")
     operator.page.panel.load.name.value = "sent"
     chooser.value.set_files(service.folder / "more.npz")
-    until(lambda: operator.page.shown[0] == "sent")
-    assert operator.page.facts["sent"]["digest"] == operator.page.facts["more"]["digest"]
+    until(lambda: operator.page.scenes.shown[0] == "sent")
+    assert operator.page.scenes.facts["sent"]["digest"] == operator.page.scenes.facts["more"]["digest"]
 
 
 def test_a_log_is_stepped_through(operator, service, office):
@@ -118,7 +199,7 @@ def test_a_log_is_stepped_through(operator, service, office):
         operator.presses("Open a log (.mcap) …")
     chooser.value.set_files(log)
     operator.sees(r"1 of \d+")
-    count = len(operator.page.recorded)
+    count = len(operator.page.logs.recorded)
     assert count >= 2
     for _ in range(count - 1):
         operator.presses("on")
@@ -133,25 +214,24 @@ def test_a_log_is_stepped_through(operator, service, office):
         )
     operator.tab("Load")
     operator.presses("Look for scenes again")
-    until(lambda: operator.page.shown[1] != office[1].digest and "cloud" in operator.page.map.there)
+    until(lambda: operator.page.scenes.shown[1] != office[1].digest and "cloud" in operator.page.map.layers.there)
     operator.tab("Log")
     operator.presses("on")
     operator.sees("The service has no such scene")  # it has another one of that name
-    assert operator.page.map.drawn == frozenset()
+    assert operator.page.map.layers.drawn == frozenset()
     with Client.connect(service.endpoint) as client:
         client.load_scene("office", "office.gpdf")
 
 
-def test_the_laser_scanned_office(browser, scan, tmp_path):
-    running = Service({"laser": scan("cluttered_office_tls_1cm.npz")}, tmp_path)
-    person = Operator(browser, running.endpoint)
-    try:
-        person.opens("laser")
-        person.plans((6.6, 9.2, 0.545), (9.9, 14.1, 0.545))
-        person.sees("of room everywhere")
-        person.settle()
-        person.web.screenshot(path=tmp_path / "laser.png")
-        assert person.errors == []
-    finally:
-        person.close()
-        running.stop()
+def test_the_laser_scanned_office(operator, service, scan):
+    shutil.copy(scan("cluttered_office_tls_1cm.npz"), service.folder / "laser.npz")
+    with Client.connect(service.endpoint) as client:
+        client.load_scene("laser", "laser.npz")
+    operator.tab("Load")
+    operator.presses("Look for scenes again")
+    until(lambda: "laser" in operator.page.scenes.facts)
+    operator.opens("laser")
+    operator.tab("Plan")
+    operator.plans((6.6, 9.2, 0.545), (9.9, 14.1, 0.545))
+    operator.sees("of room everywhere")
+    assert operator.errors == []

@@ -1,17 +1,22 @@
 """The page's parts without a browser."""
 
+import dataclasses
+import re
 import threading
 
 import numpy as np
 import pytest
 from driving import until
 from gpdf_client import PlanResult, Trajectory, UnavailableError
-from gpdf_schemas import CertificateMessage, Status
+from gpdf_schemas import Array, CertificateMessage, Cylinder, MovingObstacle, Status
 
 from gpdf_service.service.server import Options, Server
+from gpdf_service.types import AGENTS
 from gpdf_service.viewer import colours, words
+from gpdf_service.viewer.drops import room_beside
 from gpdf_service.viewer.link import Link
 from gpdf_service.viewer.map_layers import View
+from gpdf_service.viewer.path_layers import DASH, dashes
 from gpdf_service.viewer.profile import profile_of
 from gpdf_service.viewer.worker import Worker
 
@@ -24,6 +29,7 @@ GOOD = PlanResult(
     "p",
     {"search": 0.002},
 )
+UNPROVEN = dataclasses.replace(GOOD, status=Status.UNCERTIFIED, message="It touches a desk.")
 BAD = PlanResult(Status.GOAL_OCCUPIED, "The goal is in a desk.", None, None, 1, "p")
 
 
@@ -77,7 +83,8 @@ def test_the_link_finds_loses_and_finds_again(tmp_path, free_endpoint):
     ("change", "layers"),
     [
         ({}, set()),
-        ({"colour": "level"}, {"cloud"}),
+        ({"colour": "level"}, {"cloud", "ground"}),
+        ({"colour": "ground"}, {"cloud"}),
         ({"below": 1.0}, {"cloud"}),
         ({"point_size": 0.05}, {"cloud", "obstacles"}),
         ({"shown": frozenset({"cloud", "ground", "leaves"})}, {"leaves"}),
@@ -112,14 +119,42 @@ def test_an_answer_is_in_words():
     assert "5.0°" in said
 
 
+def test_a_path_that_is_not_proven_is_not_to_be_followed():
+    assert "Not proven: do not follow it" in words.answer(UNPROVEN)
+    assert "Not proven" not in words.answer(GOOD)
+
+
 def test_a_comparison_has_a_row_for_each_method_also_for_a_refused_one():
-    text = words.comparison({"a": GOOD, "b": BAD, "c": "unknown method"}, {"a": 0.01, "b": 0.02})
-    rows = [line for line in text.splitlines() if line.startswith("| ")]
-    assert len(rows) == 4
-    assert "5.00 m" in rows[1]
-    assert "GOAL_OCCUPIED" in rows[2]
-    assert "refused" in rows[3]
-    assert "c: unknown method" in text
+    results = {"a": GOOD, "b": BAD, "c": UNPROVEN, "d": "unknown <method>"}
+    text = words.comparison(results, {"a": 0.01, "b": 0.02, "c": 0.03})
+    head, a, b, c, d = re.findall("<tr>.*?</tr>", text)
+    assert "least room" in head
+    assert "5.00" in a
+    assert "GOAL_OCCUPIED" in b
+    assert "5.00" in c
+    assert "UNCERTIFIED" in c
+    assert "refused" in d
+    assert text.count("do not follow it") == 1
+    assert "d: unknown &lt;method&gt;" in text
+
+
+def test_room_beside_dropped_obstacles_is_that_of_the_nearest_at_the_bodys_height():
+    path, agent = GOOD.trajectory, AGENTS["spot"]
+    post = MovingObstacle(id="1", cylinder=Cylinder((0.0, 1.0, 0.0), 0.25, 1.8))
+    lamp = MovingObstacle(id="2", cylinder=Cylinder((0.0, 0.0, 1.0), 0.25, 0.5))  # over a Spot's back
+    dust = MovingObstacle(id="3", points=Array.pack(np.array([[3.0, 4.9, 0.2], [3.0, 4.1, 0.9]])))
+    room = room_beside([post, lamp, dust], path, agent)
+    np.testing.assert_allclose(room, [0.75 - agent.radius, 0.9 - agent.radius])
+    assert np.isinf(room_beside([], path, agent)).all()
+
+
+def test_dashes_lie_on_the_line_and_leave_half_of_it_out():
+    line = np.array([[0.0, 0.0, 0.0], [3.0, 0.0, 0.0], [3.0, 4.0, 0.0]])
+    pieces = dashes(line)
+    lengths = np.linalg.norm(pieces[:, 1] - pieces[:, 0], axis=1)
+    np.testing.assert_allclose(lengths, DASH, rtol=0.35)  # around the corner a dash is shorter
+    np.testing.assert_allclose(lengths.sum(), 3.5, atol=2 * DASH)
+    np.testing.assert_allclose([pieces[0, 0], pieces[-1, 1]], [line[0], line[-1]])
 
 
 def test_a_profile_has_the_way_and_the_speed_of_the_feet():

@@ -1,0 +1,106 @@
+"""Obstacles that the operator puts on the ground, to see what the planner makes of them."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable, Sequence
+
+import numpy as np
+import viser
+from gpdf_client import Trajectory
+from gpdf_schemas import Cylinder, MovingObstacle
+
+from gpdf_service.types import Agent, FloatArray
+from gpdf_service.viewer import colours
+from gpdf_service.viewer.desk import Desk, by_hand
+from gpdf_service.viewer.panel import put
+
+HEIGHT = 1.8
+"""[m] Of what is dropped: as tall as a person who stands in the way."""
+POINT_SIZE = 0.04
+"""[m] Obstacles of a recorded request that came as points."""
+
+
+class Drops:
+    """They go with every plan that the page asks for, and into no map: other clients do not meet them.
+
+    Args:
+        desk: The page's.
+        on_change: Told when there are others than before.
+    """
+
+    def __init__(self, desk: Desk, on_change: Callable[[], None]) -> None:
+        self._desk, self._tab, self._on_change = desk, desk.panel.plan.drops, on_change
+        self.obstacles: dict[str, MovingObstacle] = {}
+        self._handles: dict[str, viser.SceneNodeHandle] = {}
+        self._numbers, self._nodes = itertools.count(1), itertools.count()
+        self._tab.remove.on_click(by_hand(self._remove_chosen))
+        self._tab.remove_all.on_click(by_hand(self._remove_all))
+
+    def drop(self, place: FloatArray) -> None:
+        """Put a cylinder on the ground at (x, y, z) [m], as wide as the slider says."""
+        cylinder = Cylinder((float(place[0]), float(place[1]), float(place[2])), self._tab.radius.value, HEIGHT)
+        self._add(MovingObstacle(id=str(next(self._numbers)), cylinder=cylinder))
+        self._offer()
+        self._on_change()
+
+    def replace(self, obstacles: Sequence[MovingObstacle]) -> None:
+        """Show those of a recorded request in place of all others."""
+        for name in list(self.obstacles):
+            self._remove(name)
+        for obstacle in obstacles:
+            self._add(obstacle)
+        self._offer()
+
+    def _add(self, obstacle: MovingObstacle) -> None:
+        self._remove(obstacle.id)
+        self.obstacles[obstacle.id] = obstacle
+        scene, frame, node = self._desk.server.scene, self._desk.frame, f"/drops/{next(self._nodes)}"
+        self._handles[obstacle.id] = scene.add_frame(node, show_axes=False)  # an id may be any text, a node's name not
+        if (cylinder := obstacle.cylinder) is not None:
+            base, up = frame.to_page(np.array(cylinder.base)), np.array([0.0, 0.0, cylinder.height])
+            size = cylinder.radius, cylinder.height
+            scene.add_cylinder(f"{node}/body", *size, colours.DROPPED, position=base + 0.5 * up, cast_shadow=False)
+            scene.add_label(f"{node}/label", obstacle.id, position=base + up)
+        if obstacle.points is not None:
+            places = frame.to_page(obstacle.points.unpack()).astype(np.float32)
+            scene.add_point_cloud(f"{node}/points", places, colours.DROPPED, point_size=POINT_SIZE)
+
+    def _remove(self, name: str) -> None:
+        self.obstacles.pop(name, None)
+        if name in self._handles:
+            self._handles.pop(name).remove()
+
+    def _remove_chosen(self) -> None:
+        self._remove(self._tab.chosen.value)
+        self._offer()
+        self._on_change()
+
+    def _remove_all(self) -> None:
+        self.replace(())
+        self._on_change()
+
+    def _offer(self) -> None:
+        """Those that can be removed; the newest is chosen."""
+        tab, there = self._tab, bool(self.obstacles)
+        if there:
+            tab.chosen.options = tuple(self.obstacles)
+            put(tab.chosen, next(reversed(self.obstacles)))
+        tab.folder.visible = there
+
+
+def room_beside(obstacles: Sequence[MovingObstacle], path: Trajectory, agent: Agent) -> FloatArray:
+    """Distance in plan from the body's side to the nearest obstacle at each waypoint [m], shape (n,); inf for none."""
+    nearest = np.full(len(path.ground), np.inf)
+    foot = path.ground[:, 2]
+    for obstacle in obstacles:
+        if (cylinder := obstacle.cylinder) is not None:
+            gap = np.hypot(*(path.ground[:, :2] - cylinder.base[:2]).T) - cylinder.radius
+            beside = (cylinder.base[2] < foot + agent.height) & (cylinder.base[2] + cylinder.height > foot)
+            nearest = np.minimum(nearest, np.where(beside, gap, np.inf))
+        if obstacle.points is not None:
+            for point in obstacle.points.unpack():
+                gap = np.hypot(*(path.ground[:, :2] - point[:2]).T)
+                beside = (point[2] > foot) & (point[2] < foot + agent.height)
+                nearest = np.minimum(nearest, np.where(beside, gap, np.inf))
+    return np.maximum(nearest - agent.radius, 0.0)

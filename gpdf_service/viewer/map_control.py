@@ -1,0 +1,148 @@
+"""The map of the scene that is shown: which layers, which level, which slice, and what a click meets."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from gpdf_service.types import FloatArray
+from gpdf_service.viewer import colours, words
+from gpdf_service.viewer.desk import Desk
+from gpdf_service.viewer.map_layers import MapLayers, View
+from gpdf_service.viewer.panel import ALL_LEVELS, SLICES, gradient, legend, put
+
+CAMERA = np.array([0.0, -0.25, 0.55])
+"""From the middle of the ground to the camera, in diagonals of the ground."""
+ASIDE = 0.12
+"""[-] Of the diagonal: the camera looks this far beside the middle, so that the panel hides no ground."""
+SLICE_OVER_GROUND = 0.6
+"""[m]"""
+DOWN = np.array([0.0, 0.0, -1.0])
+
+
+class MapControl:
+    """Fetches and draws what the Map tab asks for."""
+
+    def __init__(self, desk: Desk) -> None:
+        self._desk, self._tab = desk, desk.panel.map
+        self.layers = MapLayers(desk.server.scene, desk.frame)
+        self._scene, self._cell_width = "", 0.0
+        self._stale: set[str] = set()  # layers that the view has changed since they were drawn
+        for box in self._tab.layers.values():
+            box.on_update(lambda _: self._change_view())
+        for handle in (self._tab.colour, self._tab.level, self._tab.below, self._tab.size):
+            handle.on_update(lambda _: self._change_view())
+        for handle in (self._tab.slice, self._tab.height):
+            handle.on_update(lambda _: desk.maps.do("slice", self._slice))
+
+    def show(self, name: str, facts: dict[str, Any]) -> None:
+        """Show a scene that is ready, on a page that shows none."""
+        self._scene, self._cell_width = name, facts["levels"][0]["cell_width"]
+        self._tab.level.options = (ALL_LEVELS, *(str(level["level"]) for level in facts["levels"]))
+        self._tab.legend.content = legend(len(facts["levels"]))
+        self.say_facts(facts)
+        self._fetch("ground")
+        self._look_at_ground()
+        self._offer_heights(facts)
+        self._fetch(*self.layers.view.shown)
+
+    def say_facts(self, facts: dict[str, Any]) -> None:
+        """Sizes, version and digest of the scene."""
+        self._tab.facts.content = words.facts(facts)
+
+    def clear(self) -> None:
+        """Show no scene."""
+        self._scene = ""
+        self.layers.clear()
+
+    def change_body(self) -> None:
+        """Fetch again what the body decides."""
+        self._desk.maps.do("view", self._refetch)
+
+    def hit(self, ray_origin: FloatArray, direction: FloatArray) -> FloatArray | None:
+        """Where a ray of the page meets ground that is shown, in the scene's frame; None if it does not."""
+        ground = self.layers.ground
+        found = None if ground is None else ground.hit(ray_origin, direction, self.layers.view.level)
+        return None if found is None else self._desk.frame.to_scene(found)
+
+    def on_ground(self, place: list[float]) -> FloatArray:
+        """A place with the height of the ground there, where the page knows it."""
+        ground, frame = self.layers.ground, self._desk.frame
+        if len(place) == 3 or ground is None:
+            return np.array([*place, 0.0][:3])
+        over = frame.to_page(np.array([*place, 0.0]))
+        over[2] = float(np.nanmax(ground.heights)) + 1.0
+        hit = ground.hit(over, DOWN)
+        return np.array([*place, frame.origin[2]]) if hit is None else frame.to_scene(hit)
+
+    def _look_at_ground(self) -> None:
+        """From above and the south, so that all known ground is seen left of the panel."""
+        if self.layers.ground is None:
+            return
+        low, high = self.layers.ground.box
+        reach = float(np.linalg.norm((high - low)[:2]))
+        middle = 0.5 * (low + high)
+        target = np.array(
+            [middle[0] + ASIDE * reach, middle[1], high[2]]
+        )  # the upper storey is nearest, and is seen whole
+        position = target + CAMERA * reach
+        initial = self._desk.server.initial_camera
+        initial.position, initial.look_at = position, target
+        for client in self._desk.server.get_clients().values():
+            client.camera.position, client.camera.look_at = position, target
+
+    def _offer_heights(self, facts: dict[str, Any]) -> None:
+        """Slices from the scene's lowest point to its highest; at first over the lowest ground."""
+        low, high = facts["extent"]
+        self._tab.height.max = round(high[2] - low[2], 2)
+        lowest = min(level["height"][0] for level in facts["levels"])
+        put(self._tab.height, round(lowest - low[2] + SLICE_OVER_GROUND, 2))
+
+    def _fetch(self, *whats: str) -> None:
+        if not self._scene:
+            return
+        panel, client = self._desk.panel, self._desk.link.client
+        for what in whats:
+
+            def progress(share: float, what: str = what) -> None:
+                panel.say_work(f"{self._scene}: {what} …", share)
+
+            self.layers.fetch(client, self._scene, what, panel.plan.agent.value, self._cell_width, progress)
+            self.layers.draw(what)
+        panel.say_work("")
+
+    def _refetch(self) -> None:
+        self.layers.forget("obstacles", "leaves")
+        self._fetch(*self.layers.view.shown)
+        if SLICES[self._tab.slice.value] == "obstacle":
+            self._slice()
+
+    def _change_view(self) -> None:
+        tab, before = self._tab, self.layers.view
+        self.layers.view = View(
+            shown=frozenset(name for name, box in tab.layers.items() if box.value),
+            colour=tab.colour.value,
+            below=tab.below.value,
+            point_size=tab.size.value,
+            level=None if tab.level.value == ALL_LEVELS else int(tab.level.value),
+        )
+        self._stale |= self.layers.view.touched(before)
+        self._desk.maps.do("view", self._renew)
+
+    def _renew(self) -> None:
+        """Hide what is not wanted, then fetch and draw what is."""
+        while self._stale:
+            self.layers.draw(self._stale.pop())
+        self._fetch(*(self.layers.view.shown - self.layers.there))
+
+    def _slice(self) -> None:
+        field, scale = SLICES[self._tab.slice.value], self._tab.slice_legend
+        if not field:
+            self.layers.no_slice()
+            scale.visible = False
+            return
+        agent, height = self._desk.panel.plan.agent.value, self._tab.height.value
+        low, high = self.layers.slice(self._desk.link.client, self._scene, field, agent, height)
+        scale.content = gradient(colours.VIRIDIS, f"{low:.0f} m", f"{high:.1f} m, a line each 0.25 m")
+        scale.visible = True
