@@ -13,7 +13,7 @@ def test_a_saved_scene_answers_the_same_and_fits_nothing(office, tmp_path, monke
     made, scene = office
     before = gpdf.plan(scene, made.start, made.goal, "human")
     scene.save(tmp_path / "office.gpdf")
-    monkeypatch.setattr("gpdf_service.pipeline.fit_gpdf", None)
+    monkeypatch.setattr("gpdf_service.scene.fit_gpdf", None)
     back = gpdf.load_scene(tmp_path / "office.gpdf")
     after = gpdf.plan(back, made.start, made.goal, "human")
     np.testing.assert_array_equal(before.trajectory.positions, after.trajectory.positions)
