@@ -48,6 +48,7 @@ SAID = {
     "asynchronous": ["roomba OK", "spot ", "pepper ", "human OK"],
     "credentials": ["['office'"],
     "distance": ["known: [ True False]"],
+    "drawing": ["10000 points between", "leaves of free space"],
     "drive": ["arrived", "routes: 1"],
     "errors": ["GOAL_OUTSIDE_MAP", "another scene: UNKNOWN_SCENE", "another request: INVALID_REQUEST"],
     "guide": ["arrived"],
