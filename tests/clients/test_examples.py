@@ -55,6 +55,7 @@ SAID = {
     "obstacles": ["before: OK", "beside a visitor: GOAL_OCCUPIED"],
     "plan": ["OK", "m of room"],
     "scenes": ["copy version", "points on 1 level", "digest"],
+    "services": ["is there: ", "healthy: True ready: True"],
     "trajectory": ["where after 2 s", "the first 1.00 m take"],
     "upload": ["15000 points", "\nOK\n"],
 }
@@ -78,6 +79,7 @@ def test_the_examples_are_short():
 
 NOT_SHOWN = {
     "ask",  # the base of the others
+    "ask_planner",
     "session",  # shown by gpdf_robot.live
     "close",  # `with` calls it
     "positions",
