@@ -48,6 +48,7 @@ SAID = {
     "asynchronous": ["roomba OK", "spot ", "pepper ", "human OK"],
     "credentials": ["['office'"],
     "distance": ["known: [ True False]"],
+    "drawing": ["10000 points between", "leaves of free space"],
     "drive": ["arrived", "routes: 1"],
     "errors": ["GOAL_OUTSIDE_MAP", "another scene: UNKNOWN_SCENE", "another request: INVALID_REQUEST"],
     "guide": ["arrived"],
@@ -59,6 +60,7 @@ SAID = {
     ],
     "plan": ["OK", "m of room"],
     "scenes": ["copy version", "points on 1 level", "digest"],
+    "services": ["is there: ", "healthy: True ready: True"],
     "trajectory": ["where after 2 s", "the first 1.00 m take"],
     "update": ["heard of growing with", "points\nwithout it: "],
     "upload": ["15000 points", "\nOK\n"],
@@ -84,8 +86,6 @@ def test_the_examples_are_short():
 NOT_SHOWN = {
     "ask",  # the base of the others
     "ask_planner",
-    "draw",  # shown by gpdf_service.viewer, as is watch
-    "watch",
     "session",  # shown by gpdf_robot.live
     "close",  # `with` calls it
     "positions",
