@@ -204,7 +204,11 @@ class Scene:
         """
         on = level_under(self.surfaces, _asked(points, (3,)))
         levels = tuple(
-            dataclasses.replace(level, other_points=np.concatenate([level.other_points, points[on == i]]))
+            dataclasses.replace(
+                level,
+                other_points=np.concatenate([level.other_points, points[on == i]]),
+                ledge=np.append(level.ledge, np.full(np.count_nonzero(on == i), np.inf, np.float32)),  # no step's face
+            )
             for i, level in enumerate(self.levels.levels)
         )
         changed = dataclasses.replace(self.levels, levels=levels)

@@ -52,7 +52,7 @@ SAID = {
     "drive": ["arrived", "routes: 1"],
     "errors": ["GOAL_OUTSIDE_MAP", "another scene: UNKNOWN_SCENE", "another request: INVALID_REQUEST"],
     "guide": ["arrived"],
-    "obstacles": ["cut by dog that plan: True", "round it"],
+    "obstacles": ["cut by dog after", "round it"],
     "places": [
         "entrance at 1.0, 1.0, kitchen at 5.0, 3.3\nOK",
         "UNKNOWN_PLACE: there is no place 'kitchen'",
