@@ -36,7 +36,7 @@ def draw_rows(path: Path, rows: Sequence[Row], panels: Panels, *, by: Sequence[s
     from gpdf_service.viewer.picture import COLOURS
 
     most = max(len(columns) for columns in panels.values())
-    size = PANEL_INCHES * len(panels), 1.6 + BAR_INCHES * most * len(rows)
+    size = PANEL_INCHES * len(panels), 2.2 + BAR_INCHES * most * len(rows)
     figure = Figure(figsize=size, layout="constrained")
     figure.suptitle(title)
     places = range(len(rows))

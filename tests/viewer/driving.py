@@ -63,15 +63,11 @@ class Service:
         self.stop(signal.SIGKILL)
 
 
-SCALE = 0.5
-"""Of the browser's own pixels: a quarter of the work for what draws without a GPU."""
 CALM = """
-const next = window.requestAnimationFrame.bind(window);
-window.requestAnimationFrame = draw => setTimeout(() => next(draw), 250);
 new MutationObserver(() => document.querySelectorAll('.mantine-Notification-root').forEach(note => note.remove()))
     .observe(document, {childList: true, subtree: true});
 """
-"""At most four pictures a second: WebGL without a GPU would take all cores. And no word about that over the map."""
+"""The word that there is no GPU lies over the map."""
 
 
 class Operator:
@@ -80,7 +76,7 @@ class Operator:
     def __init__(self, browser, endpoint, log=None):
         self.server = Server("127.0.0.1", free_port(), label="gpdf", verbose=False)
         self.page = Page(self.server, endpoint, log)
-        self.context = browser.new_context(viewport=SIZE, device_scale_factor=SCALE)
+        self.context = browser.new_context(viewport=SIZE)
         self.context.add_init_script(CALM)
         self.web = self.context.new_page()
         self.errors = []
