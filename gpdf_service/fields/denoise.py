@@ -131,14 +131,21 @@ def denoise(points: FloatArray, spacing: float | None = None, *, level: bool = F
     for _ in range(_PASSES - 1):
         project(radii[:_FIRST_SCALES])
     project(radii)
-    return Cured(moved, left, _find_strays(moved, max(0.5 * least, 2.0 * spacing)), noise)
+    return Cured(moved, left, find_loose(moved, noise, spacing), noise)
 
 
-def _find_strays(points: FloatArray, radius: float) -> BoolArray:
-    """Points with fewer than two others within `radius` [m] though a well-sampled surface is within three times that.
+def find_loose(points: FloatArray, noise: float, spacing: float) -> BoolArray:
+    """Points of no surface, shape (n,): fewer than two others beside, though a well-sampled surface is near.
 
-    A pole or a cable is many such points together, and where the scan is thin nothing says that a point is wrong.
+    Beside is two deviations of the noise, or two spacings; near is three times that. A pole or a cable is many such
+    points together, and where the scan is thin nothing says that a point is wrong.
+
+    Args:
+        points: All points, cured [m], shape (n, 3); a part of them would make strays of what stands on the other part.
+        noise: Standard deviation before the cure [m].
+        spacing: Between neighbours on a surface [m].
     """
+    radius = max(0.5 * RESOLVED * noise, 2.0 * spacing)
     stray = np.zeros(len(points), dtype=bool)
     if len(points) <= _FEWEST:
         return stray

@@ -5,12 +5,14 @@ from __future__ import annotations
 import numpy as np
 
 from gpdf_service.config import PerceptionConfig
-from gpdf_service.fields import Cured, denoise, estimate_noise, estimate_spacing
+from gpdf_service.fields import Cured, denoise, estimate_noise, estimate_spacing, find_loose
 from gpdf_service.perception.segment import segment_ground
 from gpdf_service.types import BoolArray, FloatArray
 
 _SAMPLE = 60_000
 """Points that say how noisy a cloud is: enough for a thousand neighbourhoods."""
+_SEEN = 0.25
+"""[-] Noise over spacing below which it cannot be told from the shape of things: a plane of few points cuts corners."""
 _COLUMN = 1.0
 """[m] Width of the columns that the sample is made of: several times the largest neighbourhood of 5 cm noise."""
 
@@ -30,8 +32,9 @@ def cure_and_segment(points: FloatArray, ground: BoolArray | None, config: Perce
         The cured cloud and which of its points are ground, shape (n,); a stray point is not.
     """
     sample = _columns(points)
-    noise = estimate_noise(sample, estimate_spacing(sample))
-    if noise <= config.negligible_noise:
+    spacing = estimate_spacing(sample)
+    noise = estimate_noise(sample, spacing)
+    if noise <= max(config.negligible_noise, _SEEN * spacing):
         clean = Cured(points, np.full(len(points), noise), np.zeros(len(points), dtype=bool), noise)
         return clean, segment_ground(points, config) if ground is None else ground
     if ground is None:
@@ -42,7 +45,8 @@ def cure_and_segment(points: FloatArray, ground: BoolArray | None, config: Perce
     for part, level in ((ground, True), (~ground, False)):
         if part.any():
             own = denoise(points[part], level=level)
-            cured.points[part], cured.noise[part], cured.stray[part] = own.points, own.noise, own.stray
+            cured.points[part], cured.noise[part] = own.points, own.noise
+    cured = cured._replace(stray=find_loose(cured.points, noise, spacing))
     return cured, ground & ~cured.stray
 
 
