@@ -142,6 +142,8 @@ class Server:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
+        if self._ended.is_set():  # ended by hand, inside its own `with`
+            return
         self._ended.set()
         self._close_doors()
         self._close_endpoint()

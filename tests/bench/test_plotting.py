@@ -15,7 +15,7 @@ def widths(path, colour):
     picture = np.asarray(Image.open(path).convert("RGB"))
     wanted = tuple(int(colour[i : i + 2], 16) for i in (1, 3, 5))
     lengths = (picture == wanted).all(axis=2).sum(axis=1)
-    bars = np.flatnonzero(lengths > 20)
+    bars = np.flatnonzero(lengths > 60)  # what is shorter is the square in the legend
     return lengths[bars[0]], lengths[bars[-1]]
 
 
