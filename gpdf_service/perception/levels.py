@@ -135,13 +135,13 @@ def split_sheets(layers: Layers, config: PerceptionConfig) -> list[IntArray]:
     sheets = 0
     taken: list[set[int]] = []
     for seed in order:
-        if sheet_of[members[seed][0]] >= 0:
-            continue
-        nodes = _first_of_each_cell(layers, members[seed])
-        sheet_of[nodes] = sheets
-        taken.append(set(layers.cell[nodes].tolist()))
-        _attach(layers, a, b, smooth, members, sheet_of, sheets, taken[-1])
-        sheets += 1
+        # A piece can lie over itself, as two floors with a gentle stair do: the lowest of it first, then what is left.
+        while len(left := members[seed][sheet_of[members[seed]] < 0]):
+            nodes = _first_of_each_cell(layers, left)
+            sheet_of[nodes] = sheets
+            taken.append(set(layers.cell[nodes].tolist()))
+            _attach(layers, a, b, smooth, members, sheet_of, sheets, taken[-1])
+            sheets += 1
     least = max(9, int(0.001 * count))  # a patch smaller than three cells square holds no foot
     made = [np.flatnonzero(sheet_of == i) for i in range(sheets)]
     return [_grow(layers, a, b, nodes) for nodes in made if len(nodes) >= least]
@@ -167,7 +167,7 @@ def _attach(
         pieces = np.unique(np.concatenate([smooth[b[here & (sheet_of[b] < 0)]], smooth[a[there & (sheet_of[a] < 0)]]]))
         grown = False
         for piece in pieces:
-            nodes = members[piece]
+            nodes = members[piece][sheet_of[members[piece]] < 0]
             cells = layers.cell[nodes].tolist()
             if taken.isdisjoint(cells) and len(set(cells)) == len(cells):
                 sheet_of[nodes] = sheet

@@ -252,3 +252,22 @@ def test_random_platforms_and_ramps_are_kept_at_a_centimetre_of_noise(make):
         assert found[scene.ground].mean() > 0.98
         if raised.sum() > 100:  # there is a platform or a ramp
             assert found[raised].mean() > 0.98
+
+
+def test_two_floors_that_a_gentle_stair_joins_are_two_levels():
+    """Cells nearly as wide as a riser is high make floor, stair and upper floor one smooth piece, over itself."""
+    x, y = (axis.ravel() for axis in np.meshgrid(np.arange(0.0, 6.0, 0.05), np.arange(0.0, 4.0, 0.05)))
+    upper = (y > 1.2) | (x > 5.0)
+    ramp = (y < 1.0) & (x > 1.0) & (x < 5.0)
+    stair = np.floor((x[ramp] - 1.0) / 0.2) * 0.14
+    points = np.concatenate(
+        [
+            np.column_stack([x[~ramp], y[~ramp], np.zeros((~ramp).sum())]),
+            np.column_stack([x[ramp], y[ramp], stair]),
+            np.column_stack([x[upper], y[upper], np.full(upper.sum(), 2.8)]),
+        ]
+    )
+    scene = build_scene(points, np.ones(len(points), dtype=bool))
+    assert {round(float(np.nanmax(surface.height)), 1) for surface in scene.surfaces} >= {2.8}
+    assert plan(scene, (3.0, 3.0, 0.0), (4.0, 3.0, 0.0)).status is Status.OK
+    assert plan(scene, (3.0, 3.0, 2.8), (4.0, 3.0, 2.8)).status is Status.OK

@@ -149,6 +149,7 @@ class Operator:
     def plans(self, start, goal):
         """Click twice, and wait for the answer."""
         self.presses("start")
+        self.settle()  # a picture that is still drawn can swallow a click
         self.clicks(start)
         self.sees("Click the ground: goal")
         self.clicks(goal)
