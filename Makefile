@@ -1,5 +1,5 @@
 # make demo      see it happen: the real service, four bodies, a picture and a log
-# make test      every test            make check   format, lint, types and the fast tests
+# make test      every test but the page's (make test-page)   make check   format, lint, types and the fast tests
 # make install   the set-up alone      make fix     format and mend what the linter can mend
 # make bench     the benchmark tables  make lock    renew constraints.txt
 # make docs      the site, in out/site make pictures, make measure   what it shows, made again
@@ -9,7 +9,7 @@ SOURCES := gpdf_service clients schemas tests docs/tools
 # What open3d's shared library links against on Debian and Ubuntu.
 SYSTEM_PACKAGES := libgl1 libegl1 libx11-6 libgomp1 libusb-1.0-0
 
-.PHONY: demo test install check fix bench lock schemas docs pictures measure system clean
+.PHONY: demo test test-page install check fix bench lock schemas docs pictures measure system clean
 .DEFAULT_GOAL := install
 
 install: .venv/installed
@@ -35,13 +35,16 @@ demo: install
 	.venv/bin/gpdf demo --out out
 
 test: install
-	$(PY) -m pytest
+	$(PY) -m pytest -n auto --dist loadfile -m "not browser"
+
+test-page: install
+	$(PY) -m pytest -m browser
 
 check: install
 	.venv/bin/ruff format --check $(SOURCES)
 	.venv/bin/ruff check $(SOURCES)
 	.venv/bin/mypy
-	$(PY) -m pytest -q -m "not slow"
+	$(PY) -m pytest -q -n auto --dist loadfile -m "not slow"
 
 fix: install
 	.venv/bin/ruff format $(SOURCES)

@@ -14,7 +14,7 @@ from gpdf_service.synthetic import SCENES
 from gpdf_service.types import AGENTS
 from gpdf_service.viewer import colours
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.browser]
 OVER_THE_STEP = (5.5, 1.0, 0.0), (5.5, 3.4, 0.0)
 
 
@@ -188,7 +188,7 @@ def test_a_scene_is_loaded_from_the_page(operator, service):
     assert operator.page.scenes.facts["sent"]["digest"] == operator.page.scenes.facts["more"]["digest"]
 
 
-def test_a_log_is_stepped_through(operator, service, office):
+def test_a_log_is_stepped_through(operator, service):
     operator.plans((0.9, 0.9, 0.0), (5.4, 3.4, 0.0))
     operator.sees("of room everywhere")
     first = path_on_screen(operator)
@@ -212,19 +212,6 @@ def test_a_log_is_stepped_through(operator, service, office):
     operator.presses("back")
     operator.sees(f"{count - 1} of {count}")
     until(lambda: np.array_equal(path_on_screen(operator), first))
-    with Client.connect(service.endpoint) as client:
-        client.load_scene(
-            "office", upload=office[0].points[office[0].ground], ground=np.ones(office[0].ground.sum(), bool)
-        )
-    operator.tab("Load")
-    operator.presses("Look for scenes again")
-    until(lambda: operator.page.scenes.shown[1] != office[1].digest and "cloud" in operator.page.map.layers.there)
-    operator.tab("Log")
-    operator.presses("on")
-    operator.sees("The service has no such scene")  # it has another one of that name
-    assert operator.page.map.layers.drawn == frozenset()
-    with Client.connect(service.endpoint) as client:
-        client.load_scene("office", "office.gpdf")
 
 
 def test_the_laser_scanned_office(operator, service, scan):
