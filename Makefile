@@ -35,7 +35,7 @@ demo: install
 	.venv/bin/gpdf demo --out out
 
 test: install
-	$(PY) -m pytest -n auto --dist loadfile -m "not browser"
+	$(PY) -m pytest -m "not browser"
 
 test-page: install
 	$(PY) -m pytest -m browser
@@ -44,7 +44,7 @@ check: install
 	.venv/bin/ruff format --check $(SOURCES)
 	.venv/bin/ruff check $(SOURCES)
 	.venv/bin/mypy
-	$(PY) -m pytest -q -n auto --dist loadfile -m "not slow"
+	$(PY) -m pytest -q -m "not slow"
 
 fix: install
 	.venv/bin/ruff format $(SOURCES)
