@@ -62,7 +62,7 @@ def test_no_plan_in_a_noisy_scene_touches_the_clean_one(made, scene, clean, agen
     judge, body = Judge(made.points, made.ground), gpdf.AGENTS[agent]
     answers = [gpdf.plan(noisy, a, b, agent) for a, b in random_places(clean, body, 25, np.random.default_rng(3))]
     good = [answer for answer in answers if answer.status is gpdf.Status.OK]
-    assert len(good) >= 12  # the others have no room to spare: half of them not even for a brute-force search
+    assert len(good) >= 12  # the others lie where noise closes the room
     assert all(judge.judge(answer.trajectory, body).collision_free for answer in good)
 
 
