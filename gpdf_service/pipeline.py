@@ -11,12 +11,12 @@ from numpy.typing import ArrayLike
 
 from gpdf_service.baselines import plan_baseline
 from gpdf_service.config import Config
-from gpdf_service.errors import CloudError, RequestError
-from gpdf_service.perception import check_points
+from gpdf_service.errors import RequestError
+from gpdf_service.perception import check_labels, check_points
 from gpdf_service.planning import plan_path
 from gpdf_service.scene import Progress as Progress
 from gpdf_service.scene import Scene, assemble_scene
-from gpdf_service.types import Agent, BoolArray, FloatArray, PlanOptions, PlanResult, Trajectory, resolve_agent
+from gpdf_service.types import Agent, FloatArray, PlanOptions, PlanResult, Trajectory, resolve_agent
 
 Method = Literal["dual_gpdf", "single_gpdf", "astar", "prm"]
 Place = Sequence[float] | FloatArray
@@ -46,7 +46,7 @@ def build_scene(
     """
     config = config or Config()
     cloud = check_points(points)
-    labels = None if ground is None else _check_mask(ground, len(cloud))
+    labels = None if ground is None else check_labels(ground, len(cloud))
     return assemble_scene(cloud, labels, config, progress=progress)
 
 
@@ -103,14 +103,6 @@ def plan(
         return plan_baseline(scene, *ends, body, method, deadline=deadline, clock=clock)
     space = scene.free_space(body)
     return plan_path(space, *ends, scene.config.planning, options=options, deadline=deadline, clock=clock)
-
-
-def _check_mask(ground: ArrayLike, count: int) -> BoolArray:
-    mask = np.asarray(ground)
-    if mask.dtype != np.bool_ or mask.shape != (count,):
-        found = f"an array of {mask.dtype} of shape {mask.shape}"
-        raise CloudError("ground labels", found, f"Pass booleans of shape ({count},), one for each point.")
-    return mask
 
 
 def _check_options(

@@ -19,7 +19,15 @@ from gpdf_service.config import Config
 from gpdf_service.errors import CloudError, FieldError
 from gpdf_service.fields import Gpdf, fit_gpdf
 from gpdf_service.fields.spacing import estimate_spacing, thin
-from gpdf_service.perception import GroundLevel, HeightMap, Levels, build_levels, check_points, cure_and_segment
+from gpdf_service.perception import (
+    GroundLevel,
+    HeightMap,
+    Levels,
+    build_levels,
+    check_labels,
+    check_points,
+    cure_and_segment,
+)
 from gpdf_service.search import FreeSpace, build_free_space
 from gpdf_service.store import flatten, read_arrays, restore, write_arrays
 from gpdf_service.types import Agent, BoolArray, FieldSample, FloatArray, IntArray, resolve_agent
@@ -254,11 +262,7 @@ class Scene:
     def _labels_of(self, fresh: FloatArray, ground: ArrayLike | None, cloud: FloatArray) -> BoolArray:
         if ground is None:
             return cure_and_segment(cloud, None, self.config.perception)[1][len(cloud) - len(fresh) :]
-        labels = np.asarray(ground)
-        if labels.dtype != np.bool_ or labels.shape != (len(fresh),):
-            found = f"an array of {labels.dtype} of shape {labels.shape}"
-            raise CloudError("ground labels", found, f"Pass booleans of shape ({len(fresh)},), one for each new point.")
-        return labels
+        return check_labels(ground, len(fresh))
 
     def forget_agents(self) -> None:
         """Drop what was built for single kinds of body; it is built again on use."""

@@ -76,6 +76,11 @@ class Cured(NamedTuple):
     measured: float
 
 
+def uncured(points: FloatArray, noise: float) -> Cured:
+    """Points as they are, shape (n, 3), with the noise that they have [m]."""
+    return Cured(points, np.full(len(points), noise), np.zeros(len(points), dtype=bool), noise)
+
+
 def estimate_noise(points: FloatArray, spacing: float) -> float:
     """Standard deviation of the points along the surface's normal [m]; points of shape (n, 3).
 
@@ -106,7 +111,7 @@ def denoise(points: FloatArray, spacing: float | None = None, *, level: bool = F
     spacing = estimate_spacing(points) if spacing is None else spacing
     noise = estimate_noise(points, spacing)
     if noise <= _NEGLIGIBLE * spacing:
-        return Cured(points, np.full(len(points), noise), np.zeros(len(points), dtype=bool), noise)
+        return uncured(points, noise)
     least = max(RESOLVED * noise, 3.0 * spacing)
     radii: FloatArray = least * _GROWTH ** np.arange(float(_SCALES))
     expected = np.pi * (radii[-1] / spacing) ** 2

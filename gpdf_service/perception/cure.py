@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from gpdf_service.config import PerceptionConfig
-from gpdf_service.fields import Cured, denoise, estimate_noise, estimate_spacing, find_loose
+from gpdf_service.fields import Cured, denoise, estimate_noise, estimate_spacing, find_loose, uncured
 from gpdf_service.perception.segment import segment_ground
 from gpdf_service.types import BoolArray, FloatArray
 
@@ -35,13 +35,12 @@ def cure_and_segment(points: FloatArray, ground: BoolArray | None, config: Perce
     spacing = estimate_spacing(sample)
     noise = estimate_noise(sample, spacing)
     if noise <= max(config.negligible_noise, _SEEN * spacing):
-        clean = Cured(points, np.full(len(points), noise), np.zeros(len(points), dtype=bool), noise)
-        return clean, segment_ground(points, config) if ground is None else ground
+        return uncured(points, noise), segment_ground(points, config) if ground is None else ground
     if ground is None:
         rough = denoise(points)
         ground = np.zeros(len(points), dtype=bool)
         ground[~rough.stray] = segment_ground(rough.points[~rough.stray], config)
-    cured = Cured(points.copy(), np.full(len(points), noise), np.zeros(len(points), dtype=bool), noise)
+    cured = uncured(points.copy(), noise)
     for part, level in ((ground, True), (~ground, False)):
         if part.any():
             own = denoise(points[part], level=level)

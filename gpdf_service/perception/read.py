@@ -184,3 +184,16 @@ _READERS: dict[str, Callable[[Path, int | None], Read]] = {
     ".las": _read_las,
     ".laz": _read_las,
 }
+
+
+def check_labels(ground: ArrayLike, count: int) -> BoolArray:
+    """The ground labels of `count` points as booleans, shape (count,).
+
+    Raises:
+        CloudError: another type or shape.
+    """
+    labels = np.asarray(ground)
+    if labels.dtype != np.bool_ or labels.shape != (count,):
+        found = f"an array of {labels.dtype} of shape {labels.shape}"
+        raise CloudError("ground labels", found, f"Pass booleans of shape ({count},), one for each point.")
+    return labels
