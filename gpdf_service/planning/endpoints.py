@@ -155,11 +155,11 @@ def _connect(space: FreeSpace, level: int, xy: FloatArray) -> int:
     leaf = int(tree.find(xy[None])[0])
     if leaf >= 0 and tree.whole[leaf]:
         return leaf + space.offsets[level]
-    cell, reach = (xy - tree.origin) / tree.width, NEXT / tree.width
-    near = tree.free & np.logical_and.reduce(np.abs(tree.corner + 0.5 * tree.size[:, None] - cell) < reach, axis=1)
-    free = np.flatnonzero(near)
-    center = tree.origin + (tree.corner[free] + 0.5 * tree.size[free, None]) * tree.width
-    gap = np.linalg.norm(center - xy, axis=1) - tree.half_size[free]
+    free = tree.within(xy, NEXT)
+    free = free[tree.free[free]]
+    half = 0.5 * tree.width * tree.size[free]
+    center = tree.origin + tree.corner[free] * tree.width + half[:, None]
+    gap = np.linalg.norm(center - xy, axis=1) - half
     radius = min(space.radius, float(space.clearance(level, xy[None])[0][0]) - 1e-9)  # it may start closer
     for row in np.argsort(gap)[:32]:
         if is_clear(space.trees[level], xy, center[row], radius):
@@ -176,23 +176,40 @@ def _nearest_free(space: FreeSpace, place: FloatArray, component: int | None = N
         component: Of the graph, to which it must belong.
     """
     best, found = np.inf, None
-    for surface, tree, offset in zip(space.surfaces, space.quadtrees, space.offsets, strict=True):
-        free = np.flatnonzero(tree.free)
-        if component is not None:
-            free = free[space.graph.component[free + offset] == component]
-        if len(free) == 0:
-            continue
-        inside = np.where(tree.whole[free], tree.half_size[free], 0.0)[:, None]
-        inside = np.maximum(inside - INSIDE, 0.0)
-        nearest = np.clip(place[:2], tree.center[free] - inside, tree.center[free] + inside)
-        z = surface.height_at(nearest)
-        far = np.linalg.norm(nearest - place[:2], axis=1)
-        if len(place) == 3:
-            far = np.where(np.abs(z - place[2]) <= SAME_GROUND, far, np.inf)
-        row = int(np.where(np.isnan(z), np.inf, far).argmin())
-        if far[row] < best and np.isfinite(z[row]):
-            best, found = float(far[row]), np.append(nearest[row], z[row])
+    for level in range(len(space.surfaces)):
+        reach, widest = NEXT, space.quadtrees[level].side * space.quadtrees[level].width
+        while reach < min(4.0 * widest, 2.0 * best):
+            near = _nearest_within(space, level, place, component, reach)
+            if near is not None and near[0] < best:
+                best, found = near
+            if near is not None and near[0] <= reach:  # nothing outside of the square is nearer
+                break
+            reach *= 4.0
     return found
+
+
+def _nearest_within(
+    space: FreeSpace, level: int, place: FloatArray, component: int | None, reach: float
+) -> tuple[float, FloatArray] | None:
+    """`_nearest_free` on one level, of the leaves within `reach` [m]: the distance [m] and the place."""
+    surface, tree, offset = space.surfaces[level], space.quadtrees[level], space.offsets[level]
+    free = tree.within(place[:2], reach)
+    free = free[tree.free[free]]
+    if component is not None:
+        free = free[space.graph.component[free + offset] == component]
+    if len(free) == 0:
+        return None
+    half = (0.5 * tree.width * tree.size[free])[:, None]
+    center = tree.origin + tree.corner[free] * tree.width + half
+    inside = np.maximum(np.where(tree.whole[free, None], half, 0.0) - INSIDE, 0.0)
+    nearest = np.clip(place[:2], center - inside, center + inside)
+    z = surface.height_at(nearest)
+    far = np.linalg.norm(nearest - place[:2], axis=1)
+    if len(place) == 3:
+        far = np.where(np.abs(z - place[2]) <= SAME_GROUND, far, np.inf)
+    far = np.where(np.isnan(z), np.inf, far)
+    row = int(far.argmin())
+    return (float(far[row]), np.append(nearest[row], z[row])) if np.isfinite(far[row]) else None
 
 
 def _at(place: FloatArray) -> str:

@@ -139,37 +139,42 @@ def find_path(graph: Graph, start: int, goal: int) -> IntArray:
 
     Start and goal must lie in one component.
     """
-    edges: IntArray = _astar(graph.position, graph.first, graph.other, graph.cost, start, goal)
+    count = len(graph.position)
+    fresh = np.zeros(count), np.zeros(count, np.int64), np.zeros(count, np.int64)  # pages that nobody visits cost nothing
+    edges: IntArray = _astar(graph.position, graph.first, graph.other, graph.cost, start, goal, *fresh)
     return edges
 
 
 @njit(cache=True, nogil=True)
-def _astar(position: FloatArray, first: IntArray, other: IntArray, cost: FloatArray, start: int, goal: int) -> IntArray:
-    count = position.shape[0]
-    cost_to_come = np.full(count, np.inf)
-    came_by = np.full(count, -1)
-    came_from = np.full(count, -1)
-    closed = np.zeros(count, np.uint8)
-    cost_to_come[start] = 0.0
-    frontier = [(0.0, start)]
+def _astar(
+    position: FloatArray,
+    first: IntArray,
+    other: IntArray,
+    cost: FloatArray,
+    start: int,
+    goal: int,
+    cost_to_come: FloatArray,
+    came_by: IntArray,
+    came_from: IntArray,
+) -> IntArray:
+    """The last three are zero for every node; `came_by` holds 1 + the edge, 0 where nobody has been."""
+    frontier = [(0.0, 0.0, start)]
     while len(frontier) > 0:
-        _, node = heapq.heappop(frontier)
-        if closed[node] == 1:
+        _, come, node = heapq.heappop(frontier)
+        if come > cost_to_come[node]:  # reached by a shorter way since
             continue
         if node == goal:
             break
-        closed[node] = 1
         for e in range(first[node], first[node + 1]):
             near = other[e]
-            reached = cost_to_come[node] + cost[e]
-            if reached < cost_to_come[near]:
-                cost_to_come[near] = reached
-                came_by[near], came_from[near] = e, node
+            reached = come + cost[e]
+            if near != start and (came_by[near] == 0 or reached < cost_to_come[near]):
+                cost_to_come[near], came_by[near], came_from[near] = reached, e + 1, node
                 dx, dy = position[near, 0] - position[goal, 0], position[near, 1] - position[goal, 1]
-                heapq.heappush(frontier, (reached + sqrt(dx * dx + dy * dy), near))
+                heapq.heappush(frontier, (reached + sqrt(dx * dx + dy * dy), reached, near))
     edges = [0 for _ in range(0)]
     node = goal
-    while node != start and came_by[node] >= 0:
-        edges.append(came_by[node])
+    while came_by[node] > 0:
+        edges.append(came_by[node] - 1)
         node = came_from[node]
     return np.array(edges[::-1], dtype=np.int64)

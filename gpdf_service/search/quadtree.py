@@ -62,12 +62,42 @@ class Quadtree:
         cell = np.floor((xy - self.origin) / self.width).astype(np.int64)
         return self.find_cell(cell)
 
+    @property
+    def side(self) -> int:
+        """Width of the root in smallest cells: the last leaf in Morton order is its upper corner."""
+        return int(self.corner[-1, 0] + self.size[-1])
+
+    def within(self, xy: FloatArray, reach: float) -> IntArray:
+        """Leaves that meet a square of half-width `reach` [m] around a place (2,) [m], in time by their number."""
+        low, high = (xy - reach - self.origin) / self.width, (xy + reach - self.origin) / self.width
+        found: IntArray = _within(self.code, self.side, np.floor(low), np.ceil(high))
+        return found
+
     def find_cell(self, cell: IntArray) -> IntArray:
         """Leaf that holds each smallest cell, shape (m, 2); -1 outside the root."""
-        side = int(np.sqrt(float((self.size.astype(np.float64) ** 2).sum())) + 0.5)
-        inside = np.logical_and.reduce((cell >= 0) & (cell < side), axis=1)
+        inside = np.logical_and.reduce((cell >= 0) & (cell < self.side), axis=1)
         code = morton(np.where(inside[:, None], cell, 0))
         return np.where(inside, np.searchsorted(self.code, code, side="right") - 1, -1)
+
+
+@njit(cache=True, nogil=True)
+def _within(code: IntArray, side: int, low: FloatArray, high: FloatArray) -> IntArray:
+    """Leaves that meet a box of smallest cells: down from the root; a square of n × n cells is n² codes in a row."""
+    found = [0 for _ in range(0)]
+    stack = [(0, 0, side, 0, len(code))]
+    while len(stack) > 0:
+        i, j, n, first, last = stack.pop()
+        if i >= high[0] or j >= high[1] or i + n <= low[0] or j + n <= low[1]:
+            continue
+        if last - first == 1:
+            found.append(first)
+            continue
+        h, base = n // 2, code[first]
+        for quarter in range(4):
+            end = first + np.searchsorted(code[first:last], base + (quarter + 1) * h * h)
+            stack.append((i + (quarter >> 1) * h, j + (quarter & 1) * h, h, first, end))
+            first = end
+    return np.array(found)
 
 
 def build_quadtree(surface: HeightMap, obstacles: Tree, radius: float) -> Quadtree:
