@@ -13,7 +13,7 @@ import numpy as np
 from numba import njit
 
 from gpdf_service.fields import FieldArrays
-from gpdf_service.planning.costs import ground_cost, obstacle_cost, smoothness_cost
+from gpdf_service.planning.costs import Memo, ground_cost, make_memo, obstacle_cost, smoothness_cost
 from gpdf_service.types import FloatArray
 
 _PAIRS = 6
@@ -83,13 +83,14 @@ def _cost(
     height: float,
     epsilon: float,
     smoothness_weight: float,
+    memos: tuple[Memo, Memo],
     gradient: FloatArray,
 ) -> float:
     gradient[:] = 0.0
     total = smoothness_weight * smoothness_cost(xi, spacing, gradient)
     gradient *= smoothness_weight
-    total += obstacle_cost(xi, spacing, obstacle_field, radius, epsilon, 1.0, gradient)
-    total += ground_cost(xi, spacing, ground_field, height, 1.0, gradient)
+    total += obstacle_cost(xi, spacing, obstacle_field, radius, epsilon, memos[0], gradient)
+    total += ground_cost(xi, spacing, ground_field, height, memos[1], gradient)
     gradient[0], gradient[-1] = 0.0, 0.0
     return total
 
@@ -112,22 +113,36 @@ def solve_metric(gradient: FloatArray) -> FloatArray:
 
 
 @njit(cache=True, nogil=True)
-def _direction(gradient: FloatArray, s: FloatArray, y: FloatArray, count: int, scale: float) -> FloatArray:
-    """H ∇U by the two-loop recursion over the newest of `count` pairs of a step s and its gradient change y."""
+def _dot(a: FloatArray, b: FloatArray) -> float:
+    total = 0.0
+    for i in range(a.shape[0]):
+        for k in range(a.shape[1]):
+            total += a[i, k] * b[i, k]
+    return total
+
+
+@njit(cache=True, nogil=True)
+def _direction(
+    gradient: FloatArray, s: FloatArray, y: FloatArray, bent: FloatArray, count: int, scale: float
+) -> FloatArray:
+    """H ∇U by the two-loop recursion over the newest of `count` pairs of a step s and its gradient change y.
+
+    `bent` is sᵀy of each pair.
+    """
     kept = min(count, _PAIRS)
     q = gradient.copy()
     share = np.zeros(_PAIRS)
     for back in range(kept):
         i = (count - 1 - back) % _PAIRS
-        share[i] = (s[i] * q).sum() / (s[i] * y[i]).sum()
+        share[i] = _dot(s[i], q) / bent[i]
         q -= share[i] * y[i]
     if kept > 0:
         i = (count - 1) % _PAIRS
-        scale = (s[i] * y[i]).sum() / (y[i] * solve_metric(y[i])).sum()
+        scale = bent[i] / _dot(y[i], solve_metric(y[i]))
     q = scale * solve_metric(q)
     for back in range(kept - 1, -1, -1):
         i = (count - 1 - back) % _PAIRS
-        q += (share[i] - (y[i] * q).sum() / (s[i] * y[i]).sum()) * s[i]
+        q += (share[i] - _dot(y[i], q) / bent[i]) * s[i]
     return q
 
 
@@ -150,26 +165,36 @@ def _descend(
     for i in range(n - 1):
         spacing += np.sqrt(((xi[i + 1] - xi[i]) ** 2).sum()) / (n - 1)
     gradient, trial_gradient = np.zeros_like(xi), np.zeros_like(xi)
-    steps, changes, pairs = np.zeros((_PAIRS, n, 3)), np.zeros((_PAIRS, n, 3)), 0
-    cost = _cost(xi, spacing, obstacle_field, ground_field, radius, height, epsilon, smoothness_weight, gradient)
+    steps, changes, bent, pairs = np.zeros((_PAIRS, n, 3)), np.zeros((_PAIRS, n, 3)), np.zeros(_PAIRS), 0
+    memos = make_memo(n, 2), make_memo(n, 3)
+    cost = _cost(xi, spacing, obstacle_field, ground_field, radius, height, epsilon, smoothness_weight, memos, gradient)
     costs[0], count = cost, 1
     # In this metric the smoothness term alone is solved by the scale ds/λ_s; start well below it.
     scale = 0.1 * spacing / smoothness_weight
-    direction = _direction(gradient, steps, changes, pairs, scale)
+    direction = _direction(gradient, steps, changes, bent, pairs, scale)
     rate = 1.0
     for _ in range(max_iterations):
-        slope = (direction * gradient).sum()
+        slope = _dot(direction, gradient)
         if slope <= 0.0 and pairs > 0:  # the pairs do not describe this place: begin again
             pairs, rate = 0, 1.0
-            direction = _direction(gradient, steps, changes, pairs, scale)
-            slope = (direction * gradient).sum()
+            direction = _direction(gradient, steps, changes, bent, pairs, scale)
+            slope = _dot(direction, gradient)
         largest = np.abs(direction).max()
         if largest == 0.0:
             return count
         rate = min(rate, 0.5 * epsilon / largest)  # no waypoint jumps across half of what it wants to keep
         trial = xi - rate * direction
         trial_cost = _cost(
-            trial, spacing, obstacle_field, ground_field, radius, height, epsilon, smoothness_weight, trial_gradient
+            trial,
+            spacing,
+            obstacle_field,
+            ground_field,
+            radius,
+            height,
+            epsilon,
+            smoothness_weight,
+            memos,
+            trial_gradient,
         )
         if trial_cost > cost - _DESCENT * rate * slope:
             rate *= 0.5
@@ -177,11 +202,12 @@ def _descend(
                 if pairs == 0:
                     return count
                 pairs, rate = 0, 1.0
-                direction = _direction(gradient, steps, changes, pairs, scale)
+                direction = _direction(gradient, steps, changes, bent, pairs, scale)
             continue
         step, change = trial - xi, trial_gradient - gradient
-        if (step * change).sum() > _CURVED:
-            steps[pairs % _PAIRS], changes[pairs % _PAIRS] = step, change
+        curved = _dot(step, change)
+        if curved > _CURVED:
+            steps[pairs % _PAIRS], changes[pairs % _PAIRS], bent[pairs % _PAIRS] = step, change, curved
             pairs += 1
         fall = cost - trial_cost
         xi[:], gradient[:], cost = trial, trial_gradient, trial_cost
@@ -190,5 +216,5 @@ def _descend(
         if fall < tolerance * max(cost, 1e-9):
             return count
         rate = 1.0
-        direction = _direction(gradient, steps, changes, pairs, scale)
+        direction = _direction(gradient, steps, changes, bent, pairs, scale)
     return -count

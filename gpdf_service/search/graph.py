@@ -140,7 +140,11 @@ def find_path(graph: Graph, start: int, goal: int) -> IntArray:
     Start and goal must lie in one component.
     """
     count = len(graph.position)
-    fresh = np.zeros(count), np.zeros(count, np.int64), np.zeros(count, np.int64)  # pages that nobody visits cost nothing
+    fresh = (
+        np.zeros(count),
+        np.zeros(count, np.int64),
+        np.zeros(count, np.int64),
+    )  # pages that nobody visits cost nothing
     edges: IntArray = _astar(graph.position, graph.first, graph.other, graph.cost, start, goal, *fresh)
     return edges
 
