@@ -7,9 +7,9 @@ covariant step as the planner, started from the A* path: the best start that a b
 from __future__ import annotations
 
 import numpy as np
+from scipy.linalg import solveh_banded
 
 from gpdf_service.config import PlanningConfig
-from gpdf_service.planning.chomp import solve_metric
 from gpdf_service.types import DistanceField, FloatArray
 
 CostAndGradient = tuple[float, FloatArray]
@@ -44,6 +44,14 @@ def optimize_in_one_field(xi: FloatArray, field: DistanceField, radius: float, c
         if fall < config.tolerance * cost:
             break
     return xi
+
+
+def solve_metric(gradient: FloatArray) -> FloatArray:
+    """A⁻¹ ∇U for A = tridiag(−1, 2, −1) with fixed ends, shape (n, 3)."""
+    step = np.zeros_like(gradient)
+    count = len(gradient) - 2
+    step[1:-1] = solveh_banded(np.vstack([np.full(count, -1.0), np.full(count, 2.0)]), gradient[1:-1])
+    return step
 
 
 def cost_in_one_field(

@@ -1,13 +1,15 @@
 """Modified CHOMP: covariant descent on smoothness, obstacle and ground cost. Uttsha et al. 2024, equation 10.
 
 ξ ← ξ − η H ∇U(ξ). The paper's H is A⁻¹, A the smoothness metric (second differences, fixed ends): a step bends the
-whole path. Here H is the L-BFGS estimate of the inverse Hessian that starts from A⁻¹ (Nocedal and Wright, algorithm
-7.4). η is 1 and halved until the cost falls, so it never rises on an accepted step.
+whole path. Here H⁻¹ is λ_s A and the curvature of the two other costs along their gradients (Gauss and Newton): a step
+bends the path as far as what is beside it lets it. η is 1 and halved until the cost falls, so it never rises on an
+accepted step.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from math import sqrt
 
 import numpy as np
 from numba import njit
@@ -16,22 +18,19 @@ from gpdf_service.fields import FieldArrays
 from gpdf_service.planning.costs import Memo, ground_cost, make_memo, obstacle_cost, smoothness_cost
 from gpdf_service.types import FloatArray
 
-_PAIRS = 6
-"""Steps that the estimate of the Hessian remembers; 3 to 20 are usual."""
 _DESCENT = 1e-4
 """[-] Share of the fall that the slope promises which a step must bring (Armijo)."""
 _STILL = 1e-5
 """[m] Smaller steps move nothing."""
-_CURVED = 1e-12
-"""[m] Least curvature along a step that is worth remembering."""
 
 
 @dataclass(frozen=True, slots=True)
 class ChompResult:
-    """Waypoints (n, 3) [m], cost before and after each accepted step, and whether it came to rest."""
+    """Waypoints (n, 3) [m], cost before and after each accepted step, how often it was asked, whether it came to rest."""
 
     xi: FloatArray
     costs: FloatArray
+    evaluations: int
     converged: bool
 
     @property
@@ -67,10 +66,10 @@ def optimize(
     """
     xi = np.ascontiguousarray(xi, dtype=np.float64).copy()
     costs = np.zeros(max_iterations + 1)
-    count = _descend(
+    count, evaluations, converged = _descend(
         xi, obstacle_field, ground_field, radius, height, epsilon, smoothness_weight, max_iterations, tolerance, costs
     )
-    return ChompResult(xi, costs[: abs(count)], count > 0)
+    return ChompResult(xi, costs[:count], evaluations, converged)
 
 
 @njit(cache=True, nogil=True)
@@ -85,65 +84,37 @@ def _cost(
     smoothness_weight: float,
     memos: tuple[Memo, Memo],
     gradient: FloatArray,
+    band: FloatArray,
 ) -> float:
-    gradient[:] = 0.0
-    total = smoothness_weight * smoothness_cost(xi, spacing, gradient)
-    gradient *= smoothness_weight
-    total += obstacle_cost(xi, spacing, obstacle_field, radius, epsilon, memos[0], gradient)
-    total += ground_cost(xi, spacing, ground_field, height, memos[1], gradient)
-    gradient[0], gradient[-1] = 0.0, 0.0
+    gradient[:], band[:] = 0.0, 0.0
+    total: float = smoothness_cost(xi, spacing, smoothness_weight, gradient, band)
+    total += obstacle_cost(xi, spacing, obstacle_field, radius, epsilon, memos[0], gradient, band)
+    total += ground_cost(xi, spacing, ground_field, height, memos[1], gradient, band)
     return total
 
 
 @njit(cache=True, nogil=True)
-def solve_metric(gradient: FloatArray) -> FloatArray:
-    """A⁻¹ ∇U for A = tridiag(−1, 2, −1) with fixed ends: Thomas' algorithm, O(n); shape (n, 3)."""
-    n = gradient.shape[0] - 2
-    step = np.zeros_like(gradient)
-    ratio = np.zeros(n + 2)
-    for i in range(1, n + 1):
-        pivot = 2.0 + ratio[i - 1] if i > 1 else 2.0
-        ratio[i] = -1.0 / pivot
-        for k in range(gradient.shape[1]):
-            step[i, k] = (gradient[i, k] + (step[i - 1, k] if i > 1 else 0.0)) / pivot
-    for i in range(n - 1, 0, -1):
-        for k in range(gradient.shape[1]):
-            step[i, k] -= ratio[i] * step[i + 1, k]
-    return step
+def solve_banded(band: FloatArray, right: FloatArray) -> FloatArray:
+    """x of A x = b for a positive definite A, by Cholesky in place, O(n).
 
-
-@njit(cache=True, nogil=True)
-def _dot(a: FloatArray, b: FloatArray) -> float:
-    total = 0.0
-    for i in range(a.shape[0]):
-        for k in range(a.shape[1]):
-            total += a[i, k] * b[i, k]
-    return total
-
-
-@njit(cache=True, nogil=True)
-def _direction(
-    gradient: FloatArray, s: FloatArray, y: FloatArray, bent: FloatArray, count: int, scale: float
-) -> FloatArray:
-    """H ∇U by the two-loop recursion over the newest of `count` pairs of a step s and its gradient change y.
-
-    `bent` is sᵀy of each pair.
+    Args:
+        band: Row r = 3i + k of A in its last axis, shape (n, 3, 4): element [p] is that p columns left of the diagonal.
+        right: b, shape (n, 3).
     """
-    kept = min(count, _PAIRS)
-    q = gradient.copy()
-    share = np.zeros(_PAIRS)
-    for back in range(kept):
-        i = (count - 1 - back) % _PAIRS
-        share[i] = _dot(s[i], q) / bent[i]
-        q -= share[i] * y[i]
-    if kept > 0:
-        i = (count - 1) % _PAIRS
-        scale = bent[i] / _dot(y[i], solve_metric(y[i]))
-    q = scale * solve_metric(q)
-    for back in range(kept - 1, -1, -1):
-        i = (count - 1 - back) % _PAIRS
-        q += (share[i] - _dot(y[i], q) / bent[i]) * s[i]
-    return q
+    low, x = band.reshape(-1, 4), right.copy().reshape(-1)
+    for r in range(len(x)):
+        for p in range(min(3, r), -1, -1):
+            for q in range(p + 1, min(3, r) + 1):
+                low[r, p] -= low[r, q] * low[r - p, q - p]
+            low[r, p] = low[r, p] / low[r - p, 0] if p > 0 else sqrt(low[r, 0])
+        for p in range(1, min(3, r) + 1):
+            x[r] -= low[r, p] * x[r - p]
+        x[r] /= low[r, 0]
+    for r in range(len(x) - 1, -1, -1):
+        x[r] /= low[r, 0]
+        for p in range(1, min(3, r) + 1):
+            x[r - p] -= low[r, p] * x[r]
+    return x.reshape(right.shape)
 
 
 @njit(cache=True, nogil=True)
@@ -158,63 +129,37 @@ def _descend(
     max_iterations: int,
     tolerance: float,
     costs: FloatArray,
-) -> int:
-    """Descend in place; returns the number of costs written, negative when it did not come to rest."""
+) -> tuple[int, int, bool]:
+    """Descend in place; returns the number of costs written, of evaluations, and whether it came to rest."""
     n = xi.shape[0]
     spacing = 0.0
     for i in range(n - 1):
         spacing += np.sqrt(((xi[i + 1] - xi[i]) ** 2).sum()) / (n - 1)
-    gradient, trial_gradient = np.zeros_like(xi), np.zeros_like(xi)
-    steps, changes, bent, pairs = np.zeros((_PAIRS, n, 3)), np.zeros((_PAIRS, n, 3)), np.zeros(_PAIRS), 0
+    gradient, band, direction = np.zeros((n, 3)), np.zeros((n, 3, 4)), np.zeros((n, 3))
     memos = make_memo(n, 2), make_memo(n, 3)
-    cost = _cost(xi, spacing, obstacle_field, ground_field, radius, height, epsilon, smoothness_weight, memos, gradient)
-    costs[0], count = cost, 1
-    # In this metric the smoothness term alone is solved by the scale ds/λ_s; start well below it.
-    scale = 0.1 * spacing / smoothness_weight
-    direction = _direction(gradient, steps, changes, bent, pairs, scale)
-    rate = 1.0
-    for _ in range(max_iterations):
-        slope = _dot(direction, gradient)
-        if slope <= 0.0 and pairs > 0:  # the pairs do not describe this place: begin again
-            pairs, rate = 0, 1.0
-            direction = _direction(gradient, steps, changes, bent, pairs, scale)
-            slope = _dot(direction, gradient)
-        largest = np.abs(direction).max()
-        if largest == 0.0:
-            return count
-        rate = min(rate, 0.5 * epsilon / largest)  # no waypoint jumps across half of what it wants to keep
+    given = spacing, obstacle_field, ground_field, radius, height, epsilon, smoothness_weight, memos
+    cost = _cost(xi, *given, gradient, band)
+    costs[0], count, rate, fresh = cost, 1, 1.0, True
+    slope = largest = 0.0
+    for tried in range(1, max_iterations + 1):
+        if fresh:
+            direction[1:-1] = solve_banded(band[1:-1], gradient[1:-1])
+            slope, largest = (direction * gradient).sum(), np.abs(direction).max()
+            if largest == 0.0:
+                return count, tried, True
+            rate = min(1.0, 0.5 * epsilon / largest)  # no waypoint jumps across half of what it wants to keep
         trial = xi - rate * direction
-        trial_cost = _cost(
-            trial,
-            spacing,
-            obstacle_field,
-            ground_field,
-            radius,
-            height,
-            epsilon,
-            smoothness_weight,
-            memos,
-            trial_gradient,
-        )
-        if trial_cost > cost - _DESCENT * rate * slope:
+        trial_cost = _cost(trial, *given, gradient, band)
+        fresh = trial_cost <= cost - _DESCENT * rate * slope
+        if not fresh:
             rate *= 0.5
             if rate * largest < _STILL:
-                if pairs == 0:
-                    return count
-                pairs, rate = 0, 1.0
-                direction = _direction(gradient, steps, changes, bent, pairs, scale)
+                return count, tried + 1, True
             continue
-        step, change = trial - xi, trial_gradient - gradient
-        curved = _dot(step, change)
-        if curved > _CURVED:
-            steps[pairs % _PAIRS], changes[pairs % _PAIRS], bent[pairs % _PAIRS] = step, change, curved
-            pairs += 1
         fall = cost - trial_cost
-        xi[:], gradient[:], cost = trial, trial_gradient, trial_cost
+        xi[:], cost = trial, trial_cost
         costs[count] = cost
         count += 1
         if fall < tolerance * max(cost, 1e-9):
-            return count
-        rate = 1.0
-        direction = _direction(gradient, steps, changes, bent, pairs, scale)
-    return -count
+            return count, tried + 1, True
+    return count, max_iterations + 1, False

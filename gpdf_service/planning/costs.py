@@ -62,15 +62,18 @@ def recall(field: FieldArrays, x: FloatArray, memo: Memo, i: int, enough: float)
 
 
 @njit(cache=True, nogil=True)
-def smoothness_cost(xi: FloatArray, spacing: float, gradient: FloatArray) -> float:
-    """Σ ½ ‖ẋ‖² ds with ẋ = Δx/ds [m]; adds to `gradient`, shape (n, 3)."""
-    total = 0.0
+def smoothness_cost(xi: FloatArray, spacing: float, weight: float, gradient: FloatArray, band: FloatArray) -> float:
+    """Σ λ_s ½ ‖ẋ‖² ds with ẋ = Δx/ds [m]; adds to `gradient`, shape (n, 3), and to its derivative in `band`."""
+    total, stiff = 0.0, weight / spacing
     for i in range(xi.shape[0] - 1):
         for k in range(3):
             step = xi[i + 1, k] - xi[i, k]
-            total += 0.5 * step * step / spacing
-            gradient[i + 1, k] += step / spacing
-            gradient[i, k] -= step / spacing
+            total += 0.5 * stiff * step * step
+            gradient[i + 1, k] += stiff * step
+            gradient[i, k] -= stiff * step
+            band[i, k, 0] += stiff
+            band[i + 1, k, 0] += stiff
+            band[i + 1, k, 3] -= stiff
     return total
 
 
@@ -83,6 +86,7 @@ def obstacle_cost(
     epsilon: float,
     memo: Memo,
     gradient: FloatArray,
+    band: FloatArray,
 ) -> float:
     """Σ c_o(x) ‖ẋ‖ ds, c_o = (d − ε)² / 2ε below ε, with d = d_o(x, y) − radius, and −d + ε/2 where d < 0 [m].
 
@@ -103,14 +107,23 @@ def obstacle_cost(
         if length > 0.0:
             slope = memo.slope[i]
             along = (slope[0] * tx + slope[1] * ty) / (length * length)
-            gradient[i, 0] += rate * (slope[0] - along * tx) * spacing
-            gradient[i, 1] += rate * (slope[1] - along * ty) * spacing
+            across = slope[0] - along * tx, slope[1] - along * ty
+            for k in range(2):
+                gradient[i, k] += rate * across[k] * spacing
+                for p in range(k + 1):
+                    band[i, k, p] += across[k] * across[k - p] * spacing / epsilon
     return total
 
 
 @njit(cache=True, nogil=True)
 def ground_cost(
-    xi: FloatArray, spacing: float, field: FieldArrays, height: float, memo: Memo, gradient: FloatArray
+    xi: FloatArray,
+    spacing: float,
+    field: FieldArrays,
+    height: float,
+    memo: Memo,
+    gradient: FloatArray,
+    band: FloatArray,
 ) -> float:
     """Σ (d_g(x) − h)² / 2h ds [m²]: keeps the body's top at body height over the ground."""
     total = 0.0
@@ -119,4 +132,6 @@ def ground_cost(
         total += off * off / (2.0 * height) * spacing
         for k in range(3):
             gradient[i, k] += off / height * memo.slope[i, k] * spacing
+            for p in range(k + 1):
+                band[i, k, p] += memo.slope[i, k] * memo.slope[i, k - p] * spacing / height
     return total

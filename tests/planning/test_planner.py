@@ -9,7 +9,7 @@ from gpdf_service.bench.judge import Judge
 from gpdf_service.bench.plan import random_places
 from gpdf_service.errors import RequestError, UnknownAgentError
 from gpdf_service.planning.certificate import certify, min_distance
-from gpdf_service.planning.chomp import optimize, solve_metric
+from gpdf_service.planning.chomp import optimize, solve_banded
 from gpdf_service.planning.shape import resample
 from gpdf_service.synthetic import SCENES, Box, World, random_room
 from gpdf_service.types import AGENTS
@@ -186,11 +186,14 @@ def test_chomp_never_raises_the_cost_and_lowers_it(office):
     np.testing.assert_array_equal(found.xi[[0, -1]], xi[[0, -1]])
 
 
-def test_the_metric_is_solved_exactly():
+def test_banded_equations_are_solved_exactly():
     rng = np.random.default_rng(0)
-    gradient = rng.normal(size=(12, 3))
-    A = 2 * np.eye(10) - np.eye(10, k=1) - np.eye(10, k=-1)
-    np.testing.assert_allclose(solve_metric(gradient)[1:-1], np.linalg.solve(A, gradient[1:-1]), atol=1e-12)
+    band = rng.normal(size=(10, 3, 4))
+    band[..., 0] = 10.0
+    rows = band.reshape(-1, 4)
+    lower = sum(np.diag(rows[p:, p], -p) for p in range(4))
+    A, right = lower + np.tril(lower, -1).T, rng.normal(size=(10, 3))
+    np.testing.assert_allclose(solve_banded(band.copy(), right).ravel(), np.linalg.solve(A, right.ravel()), atol=1e-12)
 
 
 def test_a_body_of_ones_own_measures_is_planned_for(empty_room):
