@@ -56,21 +56,21 @@ def segment_ground(points: ArrayLike, config: PerceptionConfig | None = None) ->
     residual = np.abs(cloud[:, 2] - smooth[node])
     scatter = max(LEAST_SCATTER, 3.0 * 1.4826 * float(np.median(residual[ground[node]])))
     beside = _ground_beside(layers, ground, smooth, scatter)
-    height = np.where(ground, smooth, beside)[node]
-    mask: BoolArray = np.abs(cloud[:, 2] - height) <= scatter
+    own = np.where(ground, smooth, np.inf)
+    mask: BoolArray = np.minimum(*(np.abs(cloud[:, 2] - height[node]) for height in (own, beside))) <= scatter
     return mask
 
 
 def _ground_beside(layers: Layers, ground: BoolArray, smooth: FloatArray, scatter: float) -> FloatArray:
-    """Height of the lowest ground in the cells beside each other node that spans it, inf where there is none.
+    """Height of the lowest ground in the cells beside each node that spans it, inf where there is none.
 
-    The foot of a wall or of a table's leg shares its cell with the floor that it stands on.
+    The foot of a wall or of a table's leg shares its cell with the floor that it stands on, and the end of a stair's
+    tread with the face of the next one.
     """
     beside = np.full(len(ground), np.inf)
     for offset in HALF:
         for one, other in (pair := layers.neighbours(offset), pair[::-1]):
-            fits = ground[one] & ~ground[other]
-            a, b = one[fits], other[fits]
+            a, b = one[ground[one]], other[ground[one]]
             fits = np.abs(smooth[a] - layers.height[b]) <= layers.thickness[b] + scatter
             np.minimum.at(beside, b[fits], smooth[a[fits]])
     return beside
