@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -56,9 +56,24 @@ def segment_ground(points: ArrayLike, config: PerceptionConfig | None = None) ->
     residual = np.abs(cloud[:, 2] - smooth[node])
     scatter = max(LEAST_SCATTER, 3.0 * 1.4826 * float(np.median(residual[ground[node]])))
     beside = _ground_beside(layers, ground, smooth, scatter)
-    own = np.where(ground, smooth, np.inf)
-    mask: BoolArray = np.minimum(*(np.abs(cloud[:, 2] - height[node]) for height in (own, beside))) <= scatter
+    low, high = _across(layers, ground, smooth, config)
+    z = cloud[:, 2]
+    mask: BoolArray = ground[node] & (z >= low[node] - scatter) & (z <= high[node] + scatter)
+    mask |= np.abs(z - beside[node]) <= scatter
     return mask
+
+
+def _across(
+    layers: Layers, ground: BoolArray, smooth: FloatArray, config: PerceptionConfig
+) -> tuple[FloatArray, FloatArray]:
+    """Lowest and highest the ground is within each ground node's cell: half-way to its neighbours on the same slope."""
+    rise = layers.cell_width * float(np.tan(config.steepest))
+    a, b = connect(replace(layers, height=smooth), ground, rise, HALF)
+    low, high, middle = smooth.copy(), smooth.copy(), 0.5 * (smooth[a] + smooth[b])
+    for node in (a, b):
+        np.minimum.at(low, node, middle)
+        np.maximum.at(high, node, middle)
+    return low, high
 
 
 def _ground_beside(layers: Layers, ground: BoolArray, smooth: FloatArray, scatter: float) -> FloatArray:
