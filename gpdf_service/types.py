@@ -185,8 +185,9 @@ class Certificate:
         min_clearance: A lower bound of the room between the body's cylinder and the nearest obstacle, drop,
             forbidden step or unknown ground [m].
         min_clearance_at: Where on the path that is (x, y, z of the ground) [m], shape (3,).
-        max_height_deviation: Largest | d_g - h | over the path, d_g being the distance of the body's top to the nearest
-            ground point and h the body height [m].
+        max_height_deviation: How far the body's top is off the body height h over the path [m]: | d_g - h |, d_g being
+            its distance to the nearest ground, or its height over the contact point less h, whichever is smaller.
+            Beside a flight, or under another storey, the nearest ground is not the one stood on.
         max_height_deviation_at: Where that is [m], shape (3,).
         max_step: Largest step taken [m].
         max_slope: Steepest ground stood on [rad].

@@ -19,6 +19,8 @@ FACE = 0.1
 """[m] A step's face has the step's upper ground within this, seen from above."""
 SCATTER = 0.02
 """[m] Points this close to the ground are its scatter or a joint in the floor."""
+HEAD = 0.01
+"""[-] How well a scan knows the room over the ground, over the body's height."""
 NEAR = 8
 """Ground points around a contact; the one straightest under the body is the ground that it stands on."""
 
@@ -105,17 +107,21 @@ class Judge:
     def _hits(self, points: FloatArray, centre: FloatArray, agent: Agent) -> FloatArray:
         """Points in the cylinder that are not the face of a step that the body takes."""
         over = points[:, 2] - centre[2]
-        inside = points[(over > SCATTER) & (over < agent.height)]
-        beneath = self.ground[self.ground_plan.query(inside[:, :2])[1], 2]
-        inside = inside[np.abs(inside[:, 2] - beneath) > SCATTER]
-        low = inside[:, 2] - centre[2] <= agent.max_step
-        keep = ~low
-        for i in np.flatnonzero(low):
-            beside = self.ground[self.ground_plan.query_ball_point(inside[i, :2], FACE)]
-            rise = beside[:, 2] - centre[2]
-            keep[i] = not ((rise >= inside[i, 2] - centre[2] - SCATTER) & (rise <= agent.max_step)).any()
-        hits: FloatArray = inside[keep]
+        inside = points[(over > SCATTER) & (over < (1.0 - HEAD) * agent.height)]
+        hits: FloatArray = inside[[not self._is_face(point, centre[2], agent.max_step) for point in inside]]
         return hits
+
+    def _is_face(self, point: FloatArray, contact: float, max_step: float) -> bool:
+        """Whether a point is ground's scatter, or under ground that is one step over the ground next below it.
+
+        The front of a cylinder on a stair reaches the riser after next: what counts is each riser by itself, right
+        beside the point, not how high it is over the contact. A tread that was not scanned leaves the contact.
+        """
+        rows = [*self.ground_plan.query_ball_point(point[:2], FACE), self.ground_plan.query(point[:2])[1]]
+        beside = self.ground[rows, 2]
+        above, below = beside[beside >= point[2] - SCATTER], beside[beside <= point[2] + SCATTER]
+        foot = below.max(initial=contact)
+        return bool(len(above)) and above.min() - foot <= max_step
 
 
 def _dense(path: FloatArray) -> FloatArray:

@@ -123,7 +123,8 @@ def find_strays(points: FloatArray, width: float) -> BoolArray:
 def split_sheets(layers: Layers, config: PerceptionConfig) -> list[IntArray]:
     """Nodes of each sheet: no sheet has two nodes in one cell; sheets overlap by `OVERLAP` where they meet."""
     count = len(layers.cell)
-    keep = ~over_ground(layers, np.ones(count, dtype=bool), config.step_headroom)
+    keep = ~_under_step(layers, config.max_step)
+    keep &= ~over_ground(layers, keep, config.step_headroom)
     if len(np.unique(layers.cell[keep])) == keep.sum():
         return [np.flatnonzero(keep)]
     smooth = components(*connect(layers, keep, layers.cell_width, HALF), count)
@@ -145,6 +146,18 @@ def split_sheets(layers: Layers, config: PerceptionConfig) -> list[IntArray]:
     least = max(9, int(0.001 * count))  # a patch smaller than three cells square holds no foot
     made = [np.flatnonzero(sheet_of == i) for i in range(sheets)]
     return [_grow(layers, a, b, nodes) for nodes in made if len(nodes) >= least]
+
+
+def _under_step(layers: Layers, max_step: float) -> BoolArray:
+    """Nodes at the foot of a step whose top is in the same cell, and goes on beside it: such a cell is the step's top.
+
+    A single point over the floor goes on nowhere.
+    """
+    a, b = connect(layers, np.ones(len(layers.cell), dtype=bool), layers.cell_width, HALF)
+    beside = np.bincount(a, minlength=len(layers.cell)) + np.bincount(b, minlength=len(layers.cell))
+    foot = np.zeros(len(layers.cell), dtype=bool)
+    foot[:-1] = (np.diff(layers.cell) == 0) & (np.diff(layers.height) <= max_step) & (beside[1:] > 1)
+    return foot
 
 
 def _first_of_each_cell(layers: Layers, nodes: IntArray) -> IntArray:

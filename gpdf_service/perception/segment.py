@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -56,21 +56,36 @@ def segment_ground(points: ArrayLike, config: PerceptionConfig | None = None) ->
     residual = np.abs(cloud[:, 2] - smooth[node])
     scatter = max(LEAST_SCATTER, 3.0 * 1.4826 * float(np.median(residual[ground[node]])))
     beside = _ground_beside(layers, ground, smooth, scatter)
-    height = np.where(ground, smooth, beside)[node]
-    mask: BoolArray = np.abs(cloud[:, 2] - height) <= scatter
+    low, high = _across(layers, ground, smooth, config)
+    z = cloud[:, 2]
+    mask: BoolArray = ground[node] & (z >= low[node] - scatter) & (z <= high[node] + scatter)
+    mask |= np.abs(z - beside[node]) <= scatter
     return mask
 
 
-def _ground_beside(layers: Layers, ground: BoolArray, smooth: FloatArray, scatter: float) -> FloatArray:
-    """Height of the lowest ground in the cells beside each other node that spans it, inf where there is none.
+def _across(
+    layers: Layers, ground: BoolArray, smooth: FloatArray, config: PerceptionConfig
+) -> tuple[FloatArray, FloatArray]:
+    """Lowest and highest the ground is within each ground node's cell: half-way to its neighbours on the same slope."""
+    rise = layers.cell_width * float(np.tan(config.steepest))
+    a, b = connect(replace(layers, height=smooth), ground, rise, HALF)
+    low, high, middle = smooth.copy(), smooth.copy(), 0.5 * (smooth[a] + smooth[b])
+    for node in (a, b):
+        np.minimum.at(low, node, middle)
+        np.maximum.at(high, node, middle)
+    return low, high
 
-    The foot of a wall or of a table's leg shares its cell with the floor that it stands on.
+
+def _ground_beside(layers: Layers, ground: BoolArray, smooth: FloatArray, scatter: float) -> FloatArray:
+    """Height of the lowest ground in the cells beside each node that spans it, inf where there is none.
+
+    The foot of a wall or of a table's leg shares its cell with the floor that it stands on, and the end of a stair's
+    tread with the face of the next one.
     """
     beside = np.full(len(ground), np.inf)
     for offset in HALF:
         for one, other in (pair := layers.neighbours(offset), pair[::-1]):
-            fits = ground[one] & ~ground[other]
-            a, b = one[fits], other[fits]
+            a, b = one[ground[one]], other[ground[one]]
             fits = np.abs(smooth[a] - layers.height[b]) <= layers.thickness[b] + scatter
             np.minimum.at(beside, b[fits], smooth[a[fits]])
     return beside

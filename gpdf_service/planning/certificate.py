@@ -67,7 +67,8 @@ def certify(space: FreeSpace, positions: FloatArray, ground: FloatArray, level: 
         unknown |= not bool(surface.contains(dense[:, :2]).all())
         looked = np.unique(np.append(np.arange(0, len(tops), HEIGHT_EVERY), len(tops) - 1))
         sample = space.ground_fields[on].query(tops[looked])
-        off = np.where(sample.valid, np.abs(sample.distance - agent.height), np.inf)
+        upright = np.abs(tops[looked, 2] - dense[looked, 2] - agent.height)
+        off = np.minimum(upright, np.where(sample.valid, np.abs(sample.distance - agent.height), np.inf))
         if off.max() > deviation:
             deviation, off_at = float(off.max()), dense[looked[int(off.argmax())]]
         ix, iy, _ = surface.cells(dense)

@@ -13,6 +13,8 @@ from gpdf_service.types import FloatArray, IntArray
 
 HEIGHT_SHARE = 0.1
 """[-] How far the top may be off the body height, Uttsha et al. 2024, feasibility study."""
+_UPRIGHT_SHARE = 0.09
+"""[-] The same over the contact point, less what the ground between its points is off: a hundredth of the height."""
 _NEWTON_STEPS = 4
 _STANDS = 1e-3
 """[m] A top this near to its height stands: a tenth of what the lowest body may be off."""
@@ -87,20 +89,17 @@ def spline(path: FloatArray, spacing: float) -> FloatArray:
 def stand_up(xy: FloatArray, surface: HeightMap, field: Gpdf, height: float) -> tuple[FloatArray, FloatArray]:
     """Contact points and the body's top over them, both (n, 3).
 
-    The top is where d_g = h, as in the paper (Newton steps along z; on level ground one). Before a step that surface
-    rises long before the ground does, so the top is kept within a tenth of the body height over the contact point,
-    unless that would bring it closer than nine tenths of h to the ground.
+    The top is where d_g = h, as in the paper (Newton steps along z; on level ground one), but always within a tenth of
+    the body height over the contact point: before a step that surface rises long before the ground does, and beside a
+    flight or under a floor the nearest ground is another one. What lies beside counts less, what is overhead nothing.
     """
     floor = surface.height_at(xy)
+    low, high = floor + (1.0 - _UPRIGHT_SHARE) * height, floor + (1.0 + _UPRIGHT_SHARE) * height
     z = floor + height
     for _ in range(_NEWTON_STEPS):
         sample = field.query(np.column_stack([xy, z]))
-        off = np.where(sample.valid, height - sample.distance, 0.0)
+        off = np.where(sample.valid, height - sample.distance, 0.0) * np.maximum(sample.gradient[:, 2], 0.0)
         if np.abs(off).max() < _STANDS:
             break
-        z = np.clip(z + off, floor + (1.0 - HEIGHT_SHARE) * height, floor + (1.0 + HEIGHT_SHARE) * height)
-    else:
-        sample = field.query(np.column_stack([xy, z]))
-    low = sample.distance
-    z = z + np.maximum(0.0, (1.0 - HEIGHT_SHARE) * height - low)
+        z = np.clip(z + off, low, high)
     return np.column_stack([xy, floor]), np.column_stack([xy, z])
