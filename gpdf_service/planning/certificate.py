@@ -124,7 +124,7 @@ def _runs(level: IntArray) -> list[tuple[slice, int]]:
 
 def _resample(path: FloatArray, tops: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Contact points and tops at most `SAMPLE` apart."""
-    length = np.linalg.norm(np.diff(tops, axis=0), axis=1)
+    length = np.nan_to_num(np.linalg.norm(np.diff(tops, axis=0), axis=1))  # NaN: over no known ground
     count = np.maximum(1, np.ceil(length / SAMPLE).astype(int))
     segment = np.repeat(np.arange(len(length)), count)
     t = (np.arange(len(segment)) - np.repeat(np.cumsum(count) - count, count)) / np.repeat(count, count)

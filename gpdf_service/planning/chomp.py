@@ -13,7 +13,7 @@ import numpy as np
 from numba import njit
 
 from gpdf_service.fields import FieldArrays
-from gpdf_service.planning.costs import ground_cost, obstacle_cost, smoothness_cost
+from gpdf_service.planning.costs import CENTRE, Discs, ground_cost, obstacle_cost, smoothness_cost
 from gpdf_service.types import FloatArray
 
 _PAIRS = 6
@@ -51,6 +51,7 @@ def optimize(
     smoothness_weight: float,
     max_iterations: int,
     tolerance: float,
+    offsets: FloatArray = CENTRE,
 ) -> ChompResult:
     """Optimise waypoints of the body's top.
 
@@ -58,17 +59,19 @@ def optimize(
         xi: Start, shape (n, 3) [m]; rows 0 and -1 stay.
         obstacle_field: d_o, 2D, in compiled form.
         ground_field: d_g, 3D, in compiled form.
-        radius: Of the body [m].
+        radius: Of the body, or of each of its discs [m].
         height: Of the body [m].
         epsilon: Room beyond the radius that the path wants [m].
         smoothness_weight: λ_s; λ_o = λ_g = 1.
         max_iterations: Accepted and refused steps together.
         tolerance: Stop when the cost falls by less than this share.
+        offsets: Where the body's discs are, ahead of its centre [m], shape (k,); it faces where it goes.
     """
     xi = np.ascontiguousarray(xi, dtype=np.float64).copy()
     costs = np.zeros(max_iterations + 1)
+    discs = Discs(offsets, radius)
     count = _descend(
-        xi, obstacle_field, ground_field, radius, height, epsilon, smoothness_weight, max_iterations, tolerance, costs
+        xi, obstacle_field, ground_field, discs, height, epsilon, smoothness_weight, max_iterations, tolerance, costs
     )
     return ChompResult(xi, costs[: abs(count)], count > 0)
 
@@ -79,7 +82,7 @@ def _cost(
     spacing: float,
     obstacle_field: FieldArrays,
     ground_field: FieldArrays,
-    radius: float,
+    discs: Discs,
     height: float,
     epsilon: float,
     smoothness_weight: float,
@@ -88,7 +91,7 @@ def _cost(
     gradient[:] = 0.0
     total = smoothness_weight * smoothness_cost(xi, spacing, gradient)
     gradient *= smoothness_weight
-    total += obstacle_cost(xi, spacing, obstacle_field, radius, epsilon, 1.0, gradient)
+    total += obstacle_cost(xi, spacing, obstacle_field, discs, epsilon, 1.0, gradient)
     total += ground_cost(xi, spacing, ground_field, height, 1.0, gradient)
     gradient[0], gradient[-1] = 0.0, 0.0
     return total
@@ -136,7 +139,7 @@ def _descend(
     xi: FloatArray,
     obstacle_field: FieldArrays,
     ground_field: FieldArrays,
-    radius: float,
+    discs: Discs,
     height: float,
     epsilon: float,
     smoothness_weight: float,
@@ -151,7 +154,7 @@ def _descend(
         spacing += np.sqrt(((xi[i + 1] - xi[i]) ** 2).sum()) / (n - 1)
     gradient, trial_gradient = np.zeros_like(xi), np.zeros_like(xi)
     steps, changes, pairs = np.zeros((_PAIRS, n, 3)), np.zeros((_PAIRS, n, 3)), 0
-    cost = _cost(xi, spacing, obstacle_field, ground_field, radius, height, epsilon, smoothness_weight, gradient)
+    cost = _cost(xi, spacing, obstacle_field, ground_field, discs, height, epsilon, smoothness_weight, gradient)
     costs[0], count = cost, 1
     # In this metric the smoothness term alone is solved by the scale ds/λ_s; start well below it.
     scale = 0.1 * spacing / smoothness_weight
@@ -169,7 +172,7 @@ def _descend(
         rate = min(rate, 0.5 * epsilon / largest)  # no waypoint jumps across half of what it wants to keep
         trial = xi - rate * direction
         trial_cost = _cost(
-            trial, spacing, obstacle_field, ground_field, radius, height, epsilon, smoothness_weight, trial_gradient
+            trial, spacing, obstacle_field, ground_field, discs, height, epsilon, smoothness_weight, trial_gradient
         )
         if trial_cost > cost - _DESCENT * rate * slope:
             rate *= 0.5

@@ -3,12 +3,23 @@
 from __future__ import annotations
 
 from math import sqrt
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
 
 from gpdf_service.fields import FieldArrays, sample_one
 from gpdf_service.types import FloatArray
+
+CENTRE = np.zeros(1)
+"""[m] A cylinder is one disc, at the body's centre."""
+
+
+class Discs(NamedTuple):
+    """A body in plan: where its discs are, ahead of its centre [m], shape (k,), and their radius [m]."""
+
+    offsets: FloatArray
+    radius: float
 
 
 @njit(cache=True, nogil=True)
@@ -29,32 +40,41 @@ def obstacle_cost(
     xi: FloatArray,
     spacing: float,
     field: FieldArrays,
-    radius: float,
+    discs: Discs,
     epsilon: float,
     weight: float,
     gradient: FloatArray,
 ) -> float:
     """Σ λ_o c_o(x) ‖ẋ‖ ds, c_o = (d − ε)² / 2ε below ε, with d = d_o(x, y) − radius, and −d + ε/2 where d < 0 [m].
 
+    A body of discs pays the mean over them: the disc that lies o ahead is at x + o ẋ/‖ẋ‖, for the body faces where it
+    goes; so the neighbours that say where that is take part in its gradient. Of a cylinder there is one, at o = 0.
+
     ‖ẋ‖ as in CHOMP (Ratliff et al. 2009): the paper prints ‖ẍ‖, which is zero on straight pieces and would let a
     straight path run through an obstacle at no cost. The gradient is CHOMP's: the part of ∇c across the way.
     """
-    n = xi.shape[0]
     total = 0.0
-    slope = np.zeros(2)
-    for i in range(1, n - 1):
-        d = sample_one(field, xi[i, :2], slope) - radius
-        if d >= epsilon:
-            continue
-        cost = epsilon / 2.0 - d if d < 0.0 else (d - epsilon) ** 2 / (2.0 * epsilon)
-        rate = -1.0 if d < 0.0 else (d - epsilon) / epsilon
+    weight /= len(discs.offsets)
+    slope, place = np.zeros(2), np.zeros(2)
+    for i in range(1, xi.shape[0] - 1):
         tx, ty = xi[i + 1, 0] - xi[i - 1, 0], xi[i + 1, 1] - xi[i - 1, 1]
         length = sqrt(tx * tx + ty * ty)
-        total += weight * cost * 0.5 * length
-        if length > 0.0:
-            along = (slope[0] * tx + slope[1] * ty) / (length * length)
-            gradient[i, 0] += weight * rate * (slope[0] - along * tx) * spacing
-            gradient[i, 1] += weight * rate * (slope[1] - along * ty) * spacing
+        if length == 0.0:
+            continue
+        tx, ty = tx / length, ty / length
+        for offset in discs.offsets:
+            place[0], place[1] = xi[i, 0] + offset * tx, xi[i, 1] + offset * ty
+            d = sample_one(field, place, slope) - discs.radius
+            if d >= epsilon:
+                continue
+            cost = epsilon / 2.0 - d if d < 0.0 else (d - epsilon) ** 2 / (2.0 * epsilon)
+            rate = -1.0 if d < 0.0 else (d - epsilon) / epsilon
+            total += weight * cost * 0.5 * length
+            across = weight * rate * (slope[1] * tx - slope[0] * ty) * spacing
+            lever = offset / length
+            for k, share in ((i, 1.0), (i + 1, lever), (i - 1, -lever)):
+                gradient[k, 0] -= share * across * ty
+                gradient[k, 1] += share * across * tx
     return total
 
 

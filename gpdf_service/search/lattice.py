@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import heapq
 from dataclasses import dataclass
-from math import atan2, ceil, cos, hypot, pi, sin, sqrt
+from math import atan2, ceil, cos, hypot, pi, sin
 from typing import NamedTuple
 
 import numpy as np
@@ -137,7 +137,7 @@ def find_poses(
     states, reached = _search(obstacles, guide, grid, _moves(grid, body), first, away, goal, body, most)
     poses = np.column_stack([grid.origin + states[:, :2] * width, states[:, 2] * grid.turn])
     if not reached:
-        return PoseSearch(poses[-1:], False)
+        return PoseSearch(poses[-1:] if len(poses) else np.append(start[:2], 0.0)[None], False)
     begin, end = np.append(start, poses[0, len(start) :])[None], np.append(goal[:2], poses[-1, 2])[None]
     last = np.append(goal[:2], goal[2] if len(goal) == 3 else poses[-1, 2])[None]
     made = np.concatenate([begin, poses, end, last])
@@ -193,7 +193,7 @@ def _weight(room: float, radius: float) -> float:
 def _flood(obstacles: Tree, known: BoolArray, grid: _Grid, radius: float, goal: FloatArray) -> FloatArray:
     """Cost of the way of a single disc from each cell to the goal [m]; inf where there is none."""
     guide, room = np.full(known.shape, np.inf), np.full(known.shape, np.nan)
-    i, j = int(round((goal[0] - grid.origin[0]) / grid.width)), int(round((goal[1] - grid.origin[1]) / grid.width))
+    i, j = round((goal[0] - grid.origin[0]) / grid.width), round((goal[1] - grid.origin[1]) / grid.width)
     guide[i, j] = 0.0
     frontier = [(0.0, i, j)]
     while len(frontier) > 0:
