@@ -5,9 +5,9 @@ Frames: everything is in the scene frame, z up. Units: m, rad, s.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import StrEnum
-from math import radians
+from math import hypot, radians
 from typing import Protocol
 
 import numpy as np
@@ -19,12 +19,17 @@ FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 BoolArray = NDArray[np.bool_]
 
+MOST_DISCS = 32
+"""Each costs a query of the field at every waypoint; a body 16 times as long as wide is covered twice as finely."""
+
 
 @dataclass(frozen=True, slots=True)
 class Agent:
-    """A body that moves on the ground, modelled as an upright cylinder.
+    """A body that moves on the ground, modelled as an upright cylinder, or as a row of them.
 
-    The cylinder's radius is half the longer side of the footprint, Uttsha et al. 2024, Table 1.
+    The cylinder's radius is half the longer side of the footprint, Uttsha et al. 2024, Table 1. With more `discs`, the
+    footprint is cut across its length into as many equal pieces, each covered by its circumscribed disc, and the body
+    faces where it goes: so it passes where its cylinder does not.
 
     Attributes:
         name: Name for messages and logs.
@@ -36,6 +41,7 @@ class Agent:
         speed: Cruising speed [m/s].
         acceleration: Highest acceleration along the path and across it [m/s²].
         turn_rate: Highest yaw rate [rad/s].
+        discs: Discs along the body that cover its footprint; 1 is the upright cylinder, length / width a good number.
     """
 
     name: str
@@ -47,6 +53,7 @@ class Agent:
     speed: float
     acceleration: float
     turn_rate: float
+    discs: int = 1
 
     def __post_init__(self) -> None:
         for key in ("height", "width", "length", "speed", "acceleration", "turn_rate"):
@@ -57,11 +64,29 @@ class Agent:
             raise RequestError(f"agent {self.name!r}", f"max_step = {self.max_step!r}", "It must be ≥ 0 m.")
         if not 0 <= self.max_slope < np.pi / 2:
             raise RequestError(f"agent {self.name!r}", f"max_slope = {self.max_slope!r}", "It is in radians, 0 to π/2.")
+        if not 1 <= self.discs <= MOST_DISCS:
+            raise RequestError(f"agent {self.name!r}", f"discs = {self.discs!r}", f"Give 1 to {MOST_DISCS}.")
 
     @property
     def radius(self) -> float:
         """Radius of the cylinder [m]."""
         return 0.5 * max(self.width, self.length)
+
+    @property
+    def disc_radius(self) -> float:
+        """Radius of each disc [m]; that of the cylinder where there is only one."""
+        return self.radius if self.discs == 1 else 0.5 * hypot(self.length / self.discs, self.width)
+
+    @property
+    def offsets(self) -> FloatArray:
+        """Where the discs' centres are, forward of the body's [m], shape (discs,)."""
+        return self.length * ((np.arange(self.discs) + 0.5) / self.discs - 0.5)
+
+    @property
+    def cylinder(self) -> Agent:
+        """The upright cylinder that holds all discs, however the body is turned."""
+        reach = 2.0 * (float(self.offsets[-1]) + self.disc_radius)
+        return self if self.discs == 1 else replace(self, width=reach, length=reach, discs=1)
 
 
 # Measures: Uttsha et al. 2024, Table 1. Steps: 0.35 m is what the paper lets humans and quadrupeds take (its
@@ -158,7 +183,8 @@ class Trajectory:
         positions: The body's top, at body height above the ground [m], shape (n, 3).
         ground: The contact point below it [m], shape (n, 3).
         times: Time since the start [s], strictly increasing, shape (n,).
-        headings: Direction of travel, counter-clockwise from +x [rad], shape (n,).
+        headings: Direction of travel, counter-clockwise from +x [rad], shape (n,); a body of discs faces there, turning
+            evenly between two waypoints, and on the spot where two have the same place.
     """
 
     positions: FloatArray

@@ -1,4 +1,7 @@
-"""An independent judge of trajectories: a cylinder against the clean cloud. Shares no code with the planner.
+"""An independent judge of trajectories: a body against the clean cloud. Shares no code with the planner.
+
+The body is the paper's cylinder; of one that is planned for as a row of discs, the upright box of its length and width,
+turned as the trajectory says: the judge knows nothing of discs.
 
 Written from the paper's evaluation ("each waypoint is free from collision given the cylindrical model", "within the
 desired height from the ground allowing ±10 %"), and stricter: along the whole path, not only at its waypoints.
@@ -14,7 +17,7 @@ from scipy.spatial import cKDTree
 from gpdf_service.types import Agent, BoolArray, FloatArray, Trajectory
 
 STEP = 0.01
-"""[m] The path is looked at this often; a body of 17 cm radius cannot jump over anything on the way."""
+"""[m] No part of the body moves further between two looks; a body of 17 cm radius cannot jump over anything."""
 FACE = 0.1
 """[m] A step's face has the step's upper ground within this, seen from above."""
 SCATTER = 0.02
@@ -64,15 +67,17 @@ class Judge:
 
     def judge(self, trajectory: Trajectory, agent: Agent) -> Verdict:
         """Judge one trajectory strictly: along all of it, the body standing on the contact points."""
-        return self._judge(_dense(trajectory.ground), _dense(trajectory.positions), agent)
+        poses = _dense(np.column_stack([trajectory.ground, np.unwrap(trajectory.headings)]), _reach(agent))
+        return self._judge(poses, _dense(trajectory.positions), agent)
 
     def judge_waypoints(self, trajectory: Trajectory, agent: Agent) -> Verdict:
         """Judge one trajectory as the paper does: at the waypoints alone, the cylinder hanging from the body's top."""
         top = trajectory.positions
-        return self._judge(top - np.array([0.0, 0.0, agent.height]), top, agent)
+        poses = np.column_stack([top - np.array([0.0, 0.0, agent.height]), trajectory.headings])
+        return self._judge(poses, top, agent)
 
-    def _judge(self, contact: FloatArray, top: FloatArray, agent: Agent) -> Verdict:
-        deepest = max(self.penetration(centre, agent) for centre in contact)
+    def _judge(self, poses: FloatArray, top: FloatArray, agent: Agent) -> Verdict:
+        deepest = max(self.penetration(pose[:3], agent, pose[3]) for pose in poses)
         distance = self.ground_tree.query(top)[0]
         # The nearest of sparse points is further than the surface; straight above one, it is not.
         upright = top[:, 2] - self._ground_under(top, agent.height)
@@ -98,14 +103,21 @@ class Judge:
         room: FloatArray = self.obstacles[agent.height].query(places)[0]
         return room
 
-    def penetration(self, contact: FloatArray, agent: Agent) -> float:
-        """How deep the worst point is in a body that stands at `contact` (3,) [m]; 0 where none touches it."""
-        near = self.other[self.other_tree.query_ball_point(contact[:2], agent.radius)]
-        hit = self._hits(near, contact, agent)
-        return float((agent.radius - np.linalg.norm(hit[:, :2] - contact[:2], axis=1)).max()) if len(hit) else 0.0
+    def penetration(self, contact: FloatArray, agent: Agent, heading: float = 0.0) -> float:
+        """How deep the worst point is in a body at `contact` (3,) [m] facing `heading` [rad]; 0 if none is in it."""
+        reach = max(agent.radius, _reach(agent))
+        near = self.other[self.other_tree.query_ball_point(contact[:2], reach)]
+        hit = self._hits(near, contact, agent)[:, :2] - contact[:2]
+        if len(hit) == 0:
+            return 0.0
+        if agent.discs == 1:
+            return float((agent.radius - np.linalg.norm(hit, axis=1)).max())
+        ahead, aside = np.array([[np.cos(heading), np.sin(heading)], [-np.sin(heading), np.cos(heading)]]) @ hit.T
+        depth = np.minimum(0.5 * agent.length - np.abs(ahead), 0.5 * agent.width - np.abs(aside))
+        return max(0.0, float(depth.max()))
 
     def _hits(self, points: FloatArray, centre: FloatArray, agent: Agent) -> FloatArray:
-        """Points in the cylinder that are not the face of a step that the body takes."""
+        """Points at the height of the body that are not the face of a step that the body takes."""
         over = points[:, 2] - centre[2]
         inside = points[(over > SCATTER) & (over < (1.0 - HEAD) * agent.height)]
         hits: FloatArray = inside[[not self._is_face(point, centre[2], agent.max_step) for point in inside]]
@@ -124,9 +136,17 @@ class Judge:
         return bool(len(above)) and above.min() - foot <= max_step
 
 
-def _dense(path: FloatArray) -> FloatArray:
+def _reach(agent: Agent) -> float:
+    """How far the farthest corner is from the body's axis [m]; turning moves it. A cylinder's turning moves nothing."""
+    return 0.0 if agent.discs == 1 else 0.5 * float(np.hypot(agent.length, agent.width))
+
+
+def _dense(path: FloatArray, reach: float = 0.0) -> FloatArray:
+    """A path every `STEP`; a fourth column is the heading [rad], whose turning moves a corner at `reach` [m]."""
+    moved = np.linalg.norm(np.diff(path[:, :3], axis=0), axis=1)
+    moved = moved + reach * np.abs(np.diff(path[:, 3:], axis=0)).sum(axis=1)
     pieces = [
-        np.linspace(a, b, max(1, int(np.ceil(np.linalg.norm(b - a) / STEP))), endpoint=False)
-        for a, b in zip(path[:-1], path[1:], strict=True)  # noqa: RUF007 - reads as the pieces of a path
+        np.linspace(a, b, max(1, int(np.ceil(length / STEP))), endpoint=False)
+        for a, b, length in zip(path[:-1], path[1:], moved, strict=True)
     ]
     return np.vstack([*pieces, path[-1:]])

@@ -48,7 +48,7 @@ def _material(level: GroundLevel, agent: Agent, noise: float) -> BoolArray:
     known = surface.state != UNKNOWN
     top = np.where(known, surface.height, -np.inf)
     bottom = np.where(known, surface.height, np.inf)
-    disc = _disc(agent.radius + surface.cell_width, surface)
+    disc = _disc(agent.cylinder.radius + surface.cell_width, surface)
     ix, iy, _ = surface.cells(points)
     z, tall = points[:, 2], (1.0 - HEADROOM_SHARE) * agent.height + noise
     lowest = ndimage.minimum_filter(bottom, footprint=disc)[ix, iy]
@@ -58,7 +58,7 @@ def _material(level: GroundLevel, agent: Agent, noise: float) -> BoolArray:
     always = stops & (z < lowest + tall)
     free = np.ones(known.shape, dtype=bool)
     free[ix[always], iy[always]] = False
-    shut = (ndimage.distance_transform_edt(free) + np.sqrt(2.0)) * surface.cell_width < agent.radius
+    shut = (ndimage.distance_transform_edt(free) + np.sqrt(2.0)) * surface.cell_width < agent.disc_radius
     stands = ndimage.maximum_filter(np.where(shut, -np.inf, top), footprint=disc)[ix, iy]
     found: BoolArray = stops & (always | (z < stands + tall))
     return found

@@ -1,7 +1,8 @@
 """What is proven of a path over its whole continuous length, against the measured points themselves.
 
 The distance to a fixed set of points is 1-Lipschitz, so a segment ab keeps at least (d(a) + d(b) − |ab|) / 2 of room.
-Pieces that could hold the path's minimum are halved until it is known to `RESOLUTION`.
+Pieces that could hold the path's minimum are halved until it is known to `RESOLUTION`. A disc that lies o ahead of the
+body's centre moves by at most |ab| + |o| |Δθ| while the body goes from a to b and turns by Δθ: the same holds of it.
 """
 
 from __future__ import annotations
@@ -11,6 +12,7 @@ from itertools import pairwise
 import numpy as np
 
 from gpdf_service.perception.limits import LEAST_STEP
+from gpdf_service.planning.footprint import disc_places, travel_headings
 from gpdf_service.search import FreeSpace
 from gpdf_service.types import Certificate, FloatArray, IntArray
 
@@ -24,25 +26,46 @@ HEIGHT_SHARE = 0.1
 """[-] The body's top may be off its height by this share, Uttsha et al. 2024, feasibility study."""
 
 
-def min_distance(space: FreeSpace, level: int, path: FloatArray) -> tuple[float, FloatArray]:
-    """Lower bound of the distance from a polyline in plan, shape (n, 2), to the obstacles of a level, and where [m]."""
-    a, b = path[:-1], path[1:]
-    da, db = (space.clearance(level, ends)[0] for ends in (a, b))
-    best, where = float(da[0]), path[0]
+def min_distance(
+    space: FreeSpace, level: int, path: FloatArray, headings: FloatArray | None = None
+) -> tuple[float, FloatArray]:
+    """Lower bound of the distance from a path to the obstacles of a level [m], and where it is reached (2,) [m].
+
+    Args:
+        space: The body's free space.
+        level: The level.
+        path: A polyline in plan [m], shape (n, 2).
+        headings: Where the body faces at its corners, turning evenly between them [rad], shape (n,): then the distance
+            is that of the centres of all its discs; of the polyline alone where they are not given.
+    """
+    offsets = np.zeros(1) if headings is None else space.agent.offsets
+    poses = np.column_stack([path, np.zeros(len(path)) if headings is None else headings])
+    offset = np.repeat(offsets, len(poses) - 1)
+    a, b = np.tile(poses[:-1], (len(offsets), 1)), np.tile(poses[1:], (len(offsets), 1))
+    da, db = (space.clearance(level, disc_places(ends, offset))[0] for ends in (a, b))
+    best, where = np.inf, path[0]
     while len(a):
         ends = np.concatenate([da, db])
         if ends.min() < best:
-            best, where = float(ends.min()), np.concatenate([a, b])[int(ends.argmin())]
-        bound = 0.5 * (da + db - np.linalg.norm(b - a, axis=1))
-        open_ = bound < best - RESOLUTION
-        a, b, da, db = a[open_], b[open_], da[open_], db[open_]
+            best = float(ends.min())
+            where = disc_places(np.concatenate([a, b]), np.tile(offset, 2))[int(ends.argmin())]
+        moved = np.linalg.norm((b - a)[:, :2], axis=1) + np.abs(offset * (b - a)[:, 2])
+        open_ = 0.5 * (da + db - moved) < best - RESOLUTION
+        a, b, da, db, offset = a[open_], b[open_], da[open_], db[open_], offset[open_]
         middle = 0.5 * (a + b)
-        dm = space.clearance(level, middle)[0] if len(a) else da
+        dm = space.clearance(level, disc_places(middle, offset))[0] if len(a) else da
         a, b, da, db = np.concatenate([a, middle]), np.concatenate([middle, b]), np.r_[da, dm], np.r_[dm, db]
+        offset = np.tile(offset, 2)
     return best - RESOLUTION, where
 
 
-def certify(space: FreeSpace, positions: FloatArray, ground: FloatArray, level: IntArray) -> Certificate:
+def certify(
+    space: FreeSpace,
+    positions: FloatArray,
+    ground: FloatArray,
+    level: IntArray,
+    headings: FloatArray | None = None,
+) -> Certificate:
     """Certify a polyline of the body's top and its contact points.
 
     Args:
@@ -50,7 +73,9 @@ def certify(space: FreeSpace, positions: FloatArray, ground: FloatArray, level: 
         positions: The body's top [m], shape (n, 3).
         ground: Contact points [m], shape (n, 3).
         level: Level of each contact point, shape (n,).
+        headings: Where the body faces [rad], shape (n,); along the polyline where they are not given.
     """
+    headings = travel_headings(ground) if headings is None else headings
     agent = space.agent
     clearance, where = np.inf, ground[0]
     deviation, off_at = 0.0, ground[0]
@@ -58,13 +83,15 @@ def certify(space: FreeSpace, positions: FloatArray, ground: FloatArray, level: 
     unknown = False
     for part, on in _runs(level):
         path = ground[part]
-        least, at = min_distance(space, on, path[:, :2])
+        least, at = min_distance(space, on, path[:, :2], headings[part])
         if least - space.reach < clearance:
             clearance = least - space.reach
             where = np.append(at, path[np.linalg.norm(path[:, :2] - at, axis=1).argmin(), 2])
         dense, tops = _resample(path, positions[part])
         surface = space.surfaces[on]
-        unknown |= not bool(surface.contains(dense[:, :2]).all())
+        poses = np.column_stack([path[:, :2], headings[part]])
+        centres = [disc_places(poses, offset) for offset in agent.offsets]
+        unknown |= not bool(surface.contains(np.vstack([dense[:, :2], *centres])).all())
         looked = np.unique(np.append(np.arange(0, len(tops), HEIGHT_EVERY), len(tops) - 1))
         sample = space.ground_fields[on].query(tops[looked])
         upright = np.abs(tops[looked, 2] - dense[looked, 2] - agent.height)
@@ -98,7 +125,7 @@ def _runs(level: IntArray) -> list[tuple[slice, int]]:
 
 def _resample(path: FloatArray, tops: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Contact points and tops at most `SAMPLE` apart."""
-    length = np.linalg.norm(np.diff(tops, axis=0), axis=1)
+    length = np.nan_to_num(np.linalg.norm(np.diff(tops, axis=0), axis=1))  # NaN: over no known ground
     count = np.maximum(1, np.ceil(length / SAMPLE).astype(int))
     segment = np.repeat(np.arange(len(length)), count)
     t = (np.arange(len(segment)) - np.repeat(np.cumsum(count) - count, count)) / np.repeat(count, count)

@@ -15,7 +15,7 @@ import numpy as np
 from numba import njit
 
 from gpdf_service.fields import FieldArrays
-from gpdf_service.planning.costs import Memo, ground_cost, make_memo, obstacle_cost, smoothness_cost
+from gpdf_service.planning.costs import CENTRE, Discs, Memo, ground_cost, make_memo, obstacle_cost, smoothness_cost
 from gpdf_service.types import FloatArray
 
 _DESCENT = 1e-4
@@ -26,7 +26,7 @@ _STILL = 1e-5
 
 @dataclass(frozen=True, slots=True)
 class ChompResult:
-    """Waypoints (n, 3) [m], cost before and after each accepted step, how often it was asked, whether it came to rest."""
+    """Waypoints (n, 3) [m], cost before and after each accepted step, evaluations of it, whether it came to rest."""
 
     xi: FloatArray
     costs: FloatArray
@@ -50,6 +50,7 @@ def optimize(
     smoothness_weight: float,
     max_iterations: int,
     tolerance: float,
+    offsets: FloatArray = CENTRE,
 ) -> ChompResult:
     """Optimise waypoints of the body's top.
 
@@ -57,17 +58,19 @@ def optimize(
         xi: Start, shape (n, 3) [m]; rows 0 and -1 stay.
         obstacle_field: d_o, 2D, in compiled form.
         ground_field: d_g, 3D, in compiled form.
-        radius: Of the body [m].
+        radius: Of the body, or of each of its discs [m].
         height: Of the body [m].
         epsilon: Room beyond the radius that the path wants [m].
         smoothness_weight: λ_s; λ_o = λ_g = 1.
         max_iterations: Accepted and refused steps together.
         tolerance: Stop when the cost falls by less than this share.
+        offsets: Where the body's discs are, ahead of its centre [m], shape (k,); it faces where it goes.
     """
     xi = np.ascontiguousarray(xi, dtype=np.float64).copy()
     costs = np.zeros(max_iterations + 1)
+    discs = Discs(offsets, radius)
     count, evaluations, converged = _descend(
-        xi, obstacle_field, ground_field, radius, height, epsilon, smoothness_weight, max_iterations, tolerance, costs
+        xi, obstacle_field, ground_field, discs, height, epsilon, smoothness_weight, max_iterations, tolerance, costs
     )
     return ChompResult(xi, costs[:count], evaluations, converged)
 
@@ -78,7 +81,7 @@ def _cost(
     spacing: float,
     obstacle_field: FieldArrays,
     ground_field: FieldArrays,
-    radius: float,
+    discs: Discs,
     height: float,
     epsilon: float,
     smoothness_weight: float,
@@ -88,31 +91,31 @@ def _cost(
 ) -> float:
     gradient[:], band[:] = 0.0, 0.0
     total: float = smoothness_cost(xi, spacing, smoothness_weight, gradient, band)
-    total += obstacle_cost(xi, spacing, obstacle_field, radius, epsilon, memos[0], gradient, band)
+    total += obstacle_cost(xi, spacing, obstacle_field, discs, epsilon, memos[0], gradient, band)
     total += ground_cost(xi, spacing, ground_field, height, memos[1], gradient, band)
     return total
 
 
 @njit(cache=True, nogil=True)
 def solve_banded(band: FloatArray, right: FloatArray) -> FloatArray:
-    """x of A x = b for a positive definite A, by Cholesky in place, O(n).
+    """Solve A x = b for a positive definite A, by Cholesky in place, O(n).
 
     Args:
-        band: Row r = 3i + k of A in its last axis, shape (n, 3, 4): element [p] is that p columns left of the diagonal.
+        band: Row r = 3i + k of A in its last axis, shape (n, 3, w): element [p] is that p columns left of the diagonal.
         right: b, shape (n, 3).
     """
-    low, x = band.reshape(-1, 4), right.copy().reshape(-1)
+    low, x, widest = band.reshape(-1, band.shape[2]), right.copy().reshape(-1), band.shape[2] - 1
     for r in range(len(x)):
-        for p in range(min(3, r), -1, -1):
-            for q in range(p + 1, min(3, r) + 1):
+        for p in range(min(widest, r), -1, -1):
+            for q in range(p + 1, min(widest, r) + 1):
                 low[r, p] -= low[r, q] * low[r - p, q - p]
             low[r, p] = low[r, p] / low[r - p, 0] if p > 0 else sqrt(low[r, 0])
-        for p in range(1, min(3, r) + 1):
+        for p in range(1, min(widest, r) + 1):
             x[r] -= low[r, p] * x[r - p]
         x[r] /= low[r, 0]
     for r in range(len(x) - 1, -1, -1):
         x[r] /= low[r, 0]
-        for p in range(1, min(3, r) + 1):
+        for p in range(1, min(widest, r) + 1):
             x[r - p] -= low[r, p] * x[r]
     return x.reshape(right.shape)
 
@@ -122,7 +125,7 @@ def _descend(
     xi: FloatArray,
     obstacle_field: FieldArrays,
     ground_field: FieldArrays,
-    radius: float,
+    discs: Discs,
     height: float,
     epsilon: float,
     smoothness_weight: float,
@@ -135,9 +138,13 @@ def _descend(
     spacing = 0.0
     for i in range(n - 1):
         spacing += np.sqrt(((xi[i + 1] - xi[i]) ** 2).sum()) / (n - 1)
-    gradient, band, direction = np.zeros((n, 3)), np.zeros((n, 3, 4)), np.zeros((n, 3))
-    memos = make_memo(n, 2), make_memo(n, 3)
-    given = spacing, obstacle_field, ground_field, radius, height, epsilon, smoothness_weight, memos
+    gradient, band, direction = (
+        np.zeros((n, 3)),
+        np.zeros((n, 3, 4 if len(discs.offsets) == 1 else 9)),
+        np.zeros((n, 3)),
+    )
+    memos = make_memo(n * len(discs.offsets), 2), make_memo(n, 3)
+    given = spacing, obstacle_field, ground_field, discs, height, epsilon, smoothness_weight, memos
     cost = _cost(xi, *given, gradient, band)
     costs[0], count, rate, fresh = cost, 1, 1.0, True
     slope = largest = 0.0

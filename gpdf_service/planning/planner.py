@@ -16,10 +16,12 @@ from gpdf_service.config import PlanningConfig
 from gpdf_service.planning.certificate import certify
 from gpdf_service.planning.chomp import ChompResult, optimize
 from gpdf_service.planning.endpoints import Ends, Refusal, find_ends
+from gpdf_service.planning.footprint import disc_places, face
 from gpdf_service.planning.no_path import explain_no_path
 from gpdf_service.planning.routes import Leg, Route, find_cut, find_routes, take_up
-from gpdf_service.planning.shape import resample, spline, stand_up, subdivide
-from gpdf_service.planning.timing import speed_limit, time_path
+from gpdf_service.planning.shape import resample, spline, stand_up
+from gpdf_service.planning.timing import speed_limit
+from gpdf_service.planning.turning import Stuck, time_poses, turn_route
 from gpdf_service.search import FreeSpace
 from gpdf_service.types import Certificate, FloatArray, IntArray, PlanOptions, PlanResult, Status, Trajectory
 
@@ -67,15 +69,19 @@ def plan_path(
     if deadline is not None and clock() > deadline:
         return PlanResult(Status.TIMEOUT, "the deadline passed before the search began. Allow more time.")
     first: Certificate | None = None
+    stuck: Stuck | None = None
     for route in _routes(space, ends, options):
+        if isinstance(route, Stuck):
+            stuck = stuck or route
+            continue
         searched = clock()
         for candidate in _candidates(space, route.legs, config, deadline, clock):
-            contact, top, level = _stand(space, candidate.legs, config.waypoint_spacing)
-            certificate = certify(space, top, contact, level)
+            contact, top, level, headings = _stand(space, candidate.legs, config.waypoint_spacing)
+            certificate = certify(space, top, contact, level, headings)
             first = first or certificate
             if certificate.holds:
-                limit = speed_limit(space, contact, level, config.preferred_clearance * space.agent.radius)
-                trajectory = Trajectory(top, contact, *time_path(top, space.agent, limit))
+                limit = _speed_limit(space, contact, level, headings, config.preferred_clearance)
+                trajectory = Trajectory(top, contact, *time_poses(top, headings, space.agent, limit))
                 timings = {"search": searched - began, "optimise": clock() - searched, "total": clock() - began}
                 details = candidate.details | {"nodes": float(len(space.graph.position))}
                 details |= {"goal": float(route.goal), "warm": float(route.warm)}
@@ -88,6 +94,8 @@ def plan_path(
         why = explain_no_path(space, *cut)
         details = {"largest_radius": why.largest_radius} | _place("cut", why.at)
         return PlanResult(Status.NO_VALID_PATH, why.message, timings=timings, details=details)
+    if stuck is not None:
+        return PlanResult(Status.NO_VALID_PATH, stuck.message, timings=timings, details=_place("cut", stuck.at))
     return PlanResult(
         Status.UNCERTIFIED,
         f"a path was found, but it cannot be certified: {first.reason}. Choose other places, or a smaller body.",
@@ -101,11 +109,17 @@ def _place(name: str, place: FloatArray) -> dict[str, float]:
     return {f"{name}_{axis}": float(v) for axis, v in zip("xyz", place, strict=True) if np.isfinite(v)}
 
 
-def _routes(space: FreeSpace, ends: Ends, options: PlanOptions) -> Iterator[Route]:
-    """The way from before, if it can be taken up; then, if that does not certify, those of the graph."""
+def _routes(space: FreeSpace, ends: Ends, options: PlanOptions) -> Iterator[Route | Stuck]:
+    """The way from before, if it can be taken up; then, if that does not certify, those of the graph.
+
+    For a body of discs these are ways of one disc; if bending does not make them its own, it searches over its poses.
+    """
     if options.warm_start is not None and (known := take_up(space, ends, options.warm_start)) is not None:
         yield known
-    yield from find_routes(space, ends)
+    routes = find_routes(space, ends)
+    yield from routes
+    if space.agent.discs > 1:
+        yield from (turn_route(space, route) for route in routes)
 
 
 def _candidates(
@@ -115,7 +129,7 @@ def _candidates(
     for share in (1.0, 0.5, 0.25):
         if deadline is not None and clock() > deadline:
             break
-        epsilon = share * config.preferred_clearance * space.agent.radius
+        epsilon = share * config.preferred_clearance * space.agent.disc_radius
         bent = [_bend(space, level, path, config, epsilon) for level, path in legs]
         runs = [run for _, run in bent if run is not None]
         most = max((len(run.costs) for run in runs), default=0)
@@ -131,14 +145,15 @@ def _bend(
 ) -> tuple[FloatArray, ChompResult | None]:
     """A piece of the path after CHOMP; as it was where nothing moves or the ground is not known all along."""
     agent = space.agent
-    seed = resample(path, max(config.waypoint_spacing, min(agent.radius / 2, BEND)))
+    seed = resample(path[:, :2], max(config.waypoint_spacing, min(agent.disc_radius / 2, BEND)))
     _, top = stand_up(seed, space.surfaces[level], space.ground_fields[level], agent.height)
-    if not np.isfinite(top).all() or np.ptp(path, axis=0).max() == 0.0:
+    if not np.isfinite(top).all() or np.ptp(path[:, :2], axis=0).max() == 0.0:
         return path, None
     found = optimize(
         top,
         space.obstacle_fields[level].arrays,
         space.ground_fields[level].arrays,
+        offsets=agent.offsets,
         radius=space.reach,
         height=agent.height,
         epsilon=epsilon,
@@ -149,17 +164,32 @@ def _bend(
     return spline(found.xi[:, :2], config.waypoint_spacing), found
 
 
-def _stand(space: FreeSpace, legs: list[Leg], spacing: float) -> tuple[FloatArray, FloatArray, IntArray]:
-    """Contact points, tops and levels of a whole path; a place where two legs meet stands in it once."""
-    contacts, tops, levels = [], [], []
+def _stand(space: FreeSpace, legs: list[Leg], spacing: float) -> tuple[FloatArray, FloatArray, IntArray, FloatArray]:
+    """Contact points, tops, levels and headings of a whole path; a place where two legs meet stands in it once."""
+    agent = space.agent
+    contacts, tops, levels, headings = [], [], [], []
     for i, (level, path) in enumerate(legs):
-        xy = subdivide(path, spacing)[1 if i else 0 :]
-        contact, top = stand_up(xy, space.surfaces[level], space.ground_fields[level], space.agent.height)
+        poses = face(path, agent, spacing)[1 if i else 0 :]
+        contact, top = stand_up(poses[:, :2], space.surfaces[level], space.ground_fields[level], agent.height)
         contacts.append(contact)
         tops.append(top)
-        levels.append(np.full(len(xy), level))
-    contact, top = np.vstack(contacts), np.vstack(tops)
-    keep = np.concatenate([[True], np.linalg.norm(np.diff(contact[:, :2], axis=0), axis=1) > 1e-9])
+        levels.append(np.full(len(poses), level))
+        headings.append(poses[:, 2])
+    contact, top, on, heading = np.vstack(contacts), np.vstack(tops), np.concatenate(levels), np.concatenate(headings)
+    heading = np.unwrap(heading)
+    moved = np.linalg.norm(np.diff(contact[:, :2], axis=0), axis=1) + agent.offsets[-1] * np.abs(np.diff(heading))
+    keep = np.concatenate([[True], moved > 1e-9])
     if keep.sum() < 2:  # start is goal: stand there
-        return contact[[0, -1]], top[[0, -1]], np.concatenate(levels)[[0, -1]]
-    return contact[keep], top[keep], np.concatenate(levels)[keep]
+        keep[-1] = True
+    return contact[keep], top[keep], on[keep], heading[keep]
+
+
+def _speed_limit(
+    space: FreeSpace, contact: FloatArray, level: IntArray, headings: FloatArray, preferred: float
+) -> FloatArray:
+    """Highest speed at each contact point [m/s]: what the disc in the tightest place allows."""
+    agent = space.agent
+    poses = np.column_stack([contact[:, :2], headings])
+    discs = [np.column_stack([disc_places(poses, offset), contact[:, 2]]) for offset in agent.offsets]
+    slowest: FloatArray = np.min([speed_limit(space, disc, level, preferred * agent.disc_radius) for disc in discs], 0)
+    return slowest

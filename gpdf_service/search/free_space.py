@@ -21,7 +21,8 @@ class FreeSpace:
 
     Attributes:
         agent: The body.
-        reach: Least distance of its centre from any obstacle: its radius, and what the noise asks for [m].
+        reach: Least distance of a disc's centre from any obstacle: its radius, and what the noise asks for [m]; of a
+            cylinder there is one disc, itself.
         radius: The same with the margin of `SearchConfig` [m].
         surfaces: The ground.
         ground_fields: Ground GPDFs, 3D.
@@ -65,12 +66,12 @@ def build_free_space(
     noise: float = 0.0,
 ) -> FreeSpace:
     """Find what stops the body, fit its Obstacle GPDFs, build quadtrees and graph; `noise` is the cloud's [m]."""
-    reach = agent.radius + config.noise_margin * noise
+    reach = agent.disc_radius + config.noise_margin * noise
     radius = reach + config.margin
     surfaces = tuple(level.surface for level in levels.levels)
     obstacles = tuple(obstacles_of(level, agent, noise) for level in levels.levels)
     trees = tuple(build_tree(found.points[:, :2]) for found in obstacles)
-    spacing = agent.radius * config.field_spacing
+    spacing = agent.disc_radius * config.field_spacing
     fields = tuple(
         fit_gpdf(found.points[:, :2], config=field_config, domain=surface, spacing=spacing)
         for found, surface in zip(obstacles, surfaces, strict=True)

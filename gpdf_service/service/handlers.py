@@ -371,18 +371,24 @@ def agent_of(agent: str | dict[str, Any]) -> str | Agent:
     """The body that a request means: a name, or an `Agent` from its measures."""
     if isinstance(agent, str):
         return agent
-    names = [field.name for field in dataclasses.fields(Agent)]
-    if sorted(agent) != sorted(names):
+    fields = dataclasses.fields(Agent)
+    needed = [field.name for field in fields if field.default is dataclasses.MISSING]
+    if not set(needed) <= set(agent) <= {field.name for field in fields}:
         raise RequestError(
-            "agent", f"a map with {', '.join(sorted(map(str, agent)))}", f"Give all of {', '.join(names)}."
+            "agent",
+            f"a map with {', '.join(sorted(map(str, agent)))}",
+            f"Give all of {', '.join(needed)}; discs if any.",
         )
-    numbers = {key: value for key, value in agent.items() if key != "name"}
+    numbers = {key: value for key, value in agent.items() if key not in ("name", "discs")}
+    discs = agent.get("discs", 1)
+    if not isinstance(discs, int) or isinstance(discs, bool):
+        raise RequestError("agent", f"discs = {discs!r}", "Give how many as an integer.")
     if not all(isinstance(value, int | float) and not isinstance(value, bool) for value in numbers.values()):
         raise RequestError("agent", "a measure that is no number", "Give metres, radians and seconds as numbers.")
     for key in ("height", "width", "length"):
         if not SMALLEST_BODY <= numbers[key] <= LARGEST_BODY:
             raise RequestError("agent", f"{key} = {numbers[key]!r}", f"Give {SMALLEST_BODY} to {LARGEST_BODY} m.")
-    return Agent(name=str(agent["name"]), **{key: float(value) for key, value in numbers.items()})
+    return Agent(name=str(agent["name"]), **{key: float(value) for key, value in numbers.items()}, discs=discs)
 
 
 def _points(array: Array) -> FloatArray:

@@ -1,0 +1,140 @@
+"""Ways of a body that must face the right way to pass: from the search over poses to legs, and their time stamps."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+import numpy as np
+from numba import njit
+
+from gpdf_service.fields import Tree
+from gpdf_service.planning.routes import Leg, Route
+from gpdf_service.planning.timing import time_path
+from gpdf_service.search import FreeSpace
+from gpdf_service.search.lattice import find_poses, is_motion_clear, turned
+from gpdf_service.types import Agent, FloatArray, IntArray
+
+
+@dataclass(frozen=True, slots=True)
+class Stuck:
+    """Why a body gets no further, in words, and where: (x, y, z of the ground) [m]."""
+
+    message: str
+    at: FloatArray
+
+
+def turn_route(space: FreeSpace, route: Route) -> Route | Stuck:
+    """The same route with poses (x, y, θ) for legs, or where it cannot be passed.
+
+    The body begins each leg as it ends the one before, and is free to face anywhere at the start and at the goal.
+    """
+    legs: list[Leg] = []
+    heading: FloatArray = np.zeros(0)
+    for level, path in route.legs:
+        start = np.append(path[0, :2], heading)
+        found = find_poses(
+            space.trees[level], space.surfaces[level], start, path[-1, :2], space.agent.offsets, space.radius
+        )
+        if not found.reached:
+            return _stuck(space, level, found.poses[-1, :2])
+        pulled = pull(found.poses, space.trees[level], space.agent.offsets, space.radius)
+        legs.append((level, pulled))
+        heading = pulled[-1:, 2]
+    return replace(route, legs=legs)
+
+
+def _stuck(space: FreeSpace, level: int, xy: FloatArray) -> Stuck:
+    agent, place = space.agent, ", ".join(f"{value:.2f}" for value in xy)
+    words = f"the {agent.name} cannot get there: it is {agent.length:.2f} m long and does not get round at ({place})."
+    hint = "A shorter body, or one that is narrow all around, may pass."
+    return Stuck(f"{words} {hint}", np.append(xy, space.surfaces[level].height_at(xy[None])))
+
+
+def pull(poses: FloatArray, obstacles: Tree, offsets: FloatArray, radius: float) -> FloatArray:
+    """A way over poses, (n, 3), pulled straight: turn on the spot, go straight ahead, turn again; θ unwrapped."""
+    kept = _shortcut(poses, obstacles, offsets, radius)
+    parts = [poses[:1]]
+    for a, b in pairwise(kept):
+        parts.append(_leap(poses[a], poses[b]) if b - a > 1 else poses[[b]])
+    made: FloatArray = np.concatenate(parts)
+    made[:, 2] = np.unwrap(made[:, 2])
+    return made[np.concatenate([[True], np.abs(np.diff(made, axis=0)).max(axis=1) > 1e-9])]
+
+
+@njit(cache=True, nogil=True)
+def _leap(a: FloatArray, b: FloatArray) -> FloatArray:
+    """From pose a to pose b by a turn, a straight piece and a turn: the three poses after a."""
+    made = np.empty((3, 3))
+    made[0] = turned(a, np.arctan2(b[1] - a[1], b[0] - a[0]))
+    made[1, :2], made[1, 2] = b[:2], made[0, 2]
+    made[2] = turned(made[1], b[2])
+    return made
+
+
+@njit(cache=True, nogil=True)
+def _is_leap_clear(obstacles: Tree, a: FloatArray, b: FloatArray, offsets: FloatArray, radius: float) -> bool:
+    before = a
+    for after in _leap(a, b):
+        if not is_motion_clear(obstacles, before, after, offsets, radius):
+            return False
+        before = after
+    return True
+
+
+@njit(cache=True, nogil=True)
+def _shortcut(poses: FloatArray, obstacles: Tree, offsets: FloatArray, radius: float) -> IntArray:
+    """Rows that are kept: from each one the furthest that doubling and halving leap to."""
+    kept = [0]
+    here, last = 0, poses.shape[0] - 1
+    while here < last:
+        good, leap = here + 1, 2
+        while here + leap <= last and _is_leap_clear(obstacles, poses[here], poses[here + leap], offsets, radius):
+            good = here + leap
+            leap *= 2
+        bad = min(here + leap, last + 1)
+        while bad - good > 1:
+            middle = (good + bad) // 2
+            if _is_leap_clear(obstacles, poses[here], poses[middle], offsets, radius):
+                good = middle
+            else:
+                bad = middle
+        kept.append(good)
+        here = good
+    return np.array(kept)
+
+
+def time_poses(
+    positions: FloatArray, headings: FloatArray, agent: Agent, limit: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Times [s] and headings [rad] of a path of a body that faces `headings`; a cylinder faces where it goes.
+
+    Where it moves, it is as slow as its turn rate asks for; where two places are the same it stands and turns, its ends
+    no faster than they may be on the way.
+
+    Args:
+        positions: The path [m], shape (n, 3).
+        headings: Where the body faces [rad], shape (n,).
+        agent: The body.
+        limit: Highest speed at each waypoint [m/s], shape (n,).
+    """
+    if agent.discs == 1:
+        return time_path(positions, agent, limit)
+    step = np.linalg.norm(np.diff(positions, axis=0), axis=1)
+    turn = np.abs(np.diff(headings))
+    cuts = np.flatnonzero(np.diff(step > 0.0)) + 1
+    times = np.zeros(len(positions))
+    for part in np.split(np.arange(len(step)), cuts):
+        rows = np.append(part, part[-1] + 1)
+        if step[part[0]] > 0.0:
+            with np.errstate(divide="ignore"):
+                slow = agent.turn_rate * step[part] / turn[part]
+            most = np.minimum(np.append(slow, np.inf), np.insert(slow, 0, np.inf))
+            spent = time_path(positions[rows], agent, np.minimum(limit[rows], most))[0]
+        else:
+            reach = float(agent.offsets[-1])
+            along = np.append(0.0, np.cumsum(reach * turn[part]))
+            ends = replace(agent, speed=reach * agent.turn_rate)
+            spent = time_path(along[:, None] * np.array([1.0, 0.0, 0.0]), ends)[0]
+        times[rows[1:]] = times[rows[0]] + spent[1:] - spent[0]
+    return times, headings

@@ -1,0 +1,326 @@
+"""A* over poses (x, y, θ) of a body that must face the right way to pass: forward, aslant, and turns on the spot.
+
+Poses lie on a grid. A motion is allowed if it is proven clear for every disc: one that lies o ahead of the body's
+centre moves by at most |ab| + |o| |Δθ| on the way from a to b, and distances are 1-Lipschitz. A way costs as far as the
+body's end goes on it, up to twice that where there is little room; a flood in plan from the goal is the guide.
+"""
+
+from __future__ import annotations
+
+import heapq
+from dataclasses import dataclass
+from math import atan2, ceil, cos, hypot, pi, sin
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+
+from gpdf_service.fields import Tree, nearest_one
+from gpdf_service.perception import HeightMap
+from gpdf_service.search.graph import RESOLUTION
+from gpdf_service.types import BoolArray, FloatArray, IntArray
+
+CELL_SHARE = 0.25
+"""[-] Grid width over the discs' radius: a gap is found that leaves the discs a quarter of it on either side."""
+MOST_POSES = 2_000_000
+"""Poses that a search may look at: some seconds; a room of 10 m has eight millions, and few are looked at."""
+_ASLANT = atan2(1.0, 2.0) + 1e-6
+"""[rad] A body goes at most this much aslant: between two of the 16 directions of the grid, it can go along either."""
+_FIRST_CELLS = 4096
+"""Cells that the tables of a search begin with; they double."""
+
+
+@dataclass(frozen=True, slots=True)
+class PoseSearch:
+    """Poses from start to goal, shape (n, 3), θ unwrapped; if `reached` is false, one: the nearest to the goal."""
+
+    poses: FloatArray
+    reached: bool
+
+
+class _Body(NamedTuple):
+    """Discs ahead of the centre (k,) [m], and their least distance from any obstacle [m]."""
+
+    offsets: FloatArray
+    radius: float
+
+
+class _Grid(NamedTuple):
+    """Place of cell (0, 0) [m], width of the cells [m], angle between two headings [rad]."""
+
+    origin: FloatArray
+    width: float
+    turn: float
+
+
+class _Moves(NamedTuple):
+    """From each heading: change of (i, j, heading), (h, m, 3); how far an end moves, and its cost (h, m) [m]."""
+
+    change: IntArray
+    moved: FloatArray
+    cost: FloatArray
+
+
+@njit(cache=True, nogil=True)
+def disc_distance(obstacles: Tree, pose: FloatArray, offset: float) -> float:
+    """Distance from the centre of the disc that lies `offset` ahead of a pose (3,) to the nearest obstacle [m]."""
+    place = np.empty(2)
+    place[0], place[1] = pose[0] + offset * cos(pose[2]), pose[1] + offset * sin(pose[2])
+    return float(nearest_one(obstacles, place)[0])
+
+
+@njit(cache=True, nogil=True)
+def is_motion_clear(obstacles: Tree, a: FloatArray, b: FloatArray, offsets: FloatArray, radius: float) -> bool:
+    """Whether all discs keep `radius` from every obstacle while the body moves evenly from pose a to pose b, (3,)."""
+    stack = np.empty((64, 2, 3))
+    for offset in offsets:
+        stack[0, 0], stack[0, 1] = a, b
+        top = 1
+        while top > 0:
+            top -= 1
+            p, q = stack[top, 0].copy(), stack[top, 1].copy()
+            dp, dq = disc_distance(obstacles, p, offset), disc_distance(obstacles, q, offset)
+            if dp < radius or dq < radius:
+                return False
+            moved = hypot(q[0] - p[0], q[1] - p[1]) + abs(offset * (q[2] - p[2]))
+            if dp + dq - moved >= 2.0 * radius:
+                continue
+            if moved <= RESOLUTION:
+                return False
+            middle = 0.5 * (p + q)
+            stack[top, 0], stack[top, 1] = p, middle
+            stack[top + 1, 0], stack[top + 1, 1] = middle, q
+            top += 2
+    return True
+
+
+@njit(cache=True, nogil=True)
+def turned(pose: FloatArray, heading: float) -> FloatArray:
+    """The pose turned on the spot to `heading`, the short way round."""
+    made = pose.copy()
+    made[2] += (heading - pose[2] + pi) % (2.0 * pi) - pi
+    return made
+
+
+def find_poses(
+    obstacles: Tree,
+    surface: HeightMap,
+    start: FloatArray,
+    goal: FloatArray,
+    offsets: FloatArray,
+    radius: float,
+    *,
+    most: int = MOST_POSES,
+) -> PoseSearch:
+    """Find a way for a body of discs.
+
+    Args:
+        obstacles: All obstacle places of the body in plan [m].
+        surface: The level's ground.
+        start: (x, y), or (x, y, θ) where the body must begin facing θ.
+        goal: The same of the end.
+        offsets: Where the discs are, ahead of the body's centre [m], ascending, two at least.
+        radius: Least distance of a disc's centre from any obstacle [m].
+        most: Poses that may be looked at.
+    """
+    body = _Body(offsets, radius)
+    width = CELL_SHARE * radius
+    turns = 8 * ceil(2.0 * pi * offsets[-1] / width / 8.0)  # an end then goes one cell in a turn to the next heading
+    first = np.ceil((start[:2] - surface.origin) / width).astype(np.int64)
+    extent = surface.cell_width * np.array(surface.height.shape)
+    shape = first + np.ceil((surface.origin + extent - start[:2]) / width).astype(np.int64) + 1
+    grid = _Grid(start[:2] - first * width, width, 2.0 * pi / turns)
+    cells = np.stack(np.meshgrid(*(np.arange(n) for n in shape), indexing="ij"), axis=-1).reshape(-1, 2)
+    known = surface.contains(grid.origin + cells * width).reshape(shape)
+    guide = _flood(obstacles, known, grid, radius, goal[:2])
+    away = _turns_to(obstacles, np.append(start[:2], start[2:]), grid.turn, body)
+    states, reached = _search(obstacles, guide, grid, _moves(grid, body), first, away, goal, body, most)
+    poses = np.column_stack([grid.origin + states[:, :2] * width, states[:, 2] * grid.turn])
+    if not reached:
+        return PoseSearch(poses[-1:] if len(poses) else np.append(start[:2], 0.0)[None], False)
+    begin, end = np.append(start, poses[0, len(start) :])[None], np.append(goal[:2], poses[-1, 2])[None]
+    last = np.append(goal[:2], goal[2] if len(goal) == 3 else poses[-1, 2])[None]
+    made = np.concatenate([begin, poses, end, last])
+    made[:, 2] = np.unwrap(made[:, 2])
+    return PoseSearch(made[_moving(made)], True)
+
+
+def _moving(poses: FloatArray) -> BoolArray:
+    """Without poses that repeat the one before; two at least."""
+    moving = np.concatenate([[True], np.abs(np.diff(poses, axis=0)).max(axis=1) > 1e-9])
+    moving[-1] |= not moving[1:].any()
+    return moving
+
+
+def _moves(grid: _Grid, body: _Body) -> _Moves:
+    """Forward along one of 16 directions, aslant where none is straight ahead, and turns to the next headings."""
+    steps = [(i, j) for i in range(-2, 3) for j in range(-2, 3) if i * i + j * j in (1, 2, 5)]
+    change = np.array([(i, j, 0) for i, j in steps] + [(0, 0, -1), (0, 0, 1)])
+    moved = np.hypot(*change[:, :2].T) * grid.width + np.abs(change[:, 2]) * grid.turn * body.offsets[-1]
+    heading = grid.turn * np.arange(round(2.0 * pi / grid.turn))[:, None]
+    aslant = np.abs((np.arctan2(change[:, 1], change[:, 0]) - heading + pi) % (2.0 * pi) - pi)
+    aslant = np.where(change[:, 2] == 0, aslant, 0.0)
+    cost = np.where(aslant <= _ASLANT, moved / np.cos(np.minimum(aslant, _ASLANT)), np.inf)
+    count = int(np.isfinite(cost).sum(axis=1).max())
+    order = np.argsort(cost, axis=1, kind="stable")[:, :count]
+    return _Moves(
+        change[order],
+        np.broadcast_to(moved, cost.shape)[np.arange(len(cost))[:, None], order],
+        np.take_along_axis(cost, order, axis=1),
+    )
+
+
+def _turns_to(obstacles: Tree, start: FloatArray, turn: float, body: _Body) -> FloatArray:
+    """How far an end goes from the start to each heading [m]; inf where the body does not fit, or is too far."""
+    headings = turn * np.arange(round(2.0 * pi / turn))
+    away = np.full(len(headings), np.inf)
+    for h, heading in enumerate(headings):
+        to = np.append(start[:2], heading)
+        begin = to if len(start) == 2 else turned(to, start[2])
+        angle = abs(begin[2] - heading)
+        if angle <= turn and is_motion_clear(obstacles, begin, to, body.offsets, body.radius):
+            away[h] = angle * body.offsets[-1]
+    return away
+
+
+@njit(cache=True, nogil=True)
+def _weight(room: float, radius: float) -> float:
+    """What a way costs for its length, as in the graph: twice where the body brushes past."""
+    return 1.0 + min(1.0, max(0.0, 1.0 - room / radius))
+
+
+@njit(cache=True, nogil=True)
+def _flood(obstacles: Tree, known: BoolArray, grid: _Grid, radius: float, goal: FloatArray) -> FloatArray:
+    """Cost of the way of a single disc from each cell to the goal [m]; inf where there is none."""
+    guide, room = np.full(known.shape, np.inf), np.full(known.shape, np.nan)
+    i, j = round((goal[0] - grid.origin[0]) / grid.width), round((goal[1] - grid.origin[1]) / grid.width)
+    guide[i, j] = 0.0
+    frontier = [(0.0, i, j)]
+    while len(frontier) > 0:
+        cost, i, j = heapq.heappop(frontier)
+        if cost > guide[i, j]:
+            continue
+        for a in range(max(i - 1, 0), min(i + 2, known.shape[0])):
+            for b in range(max(j - 1, 0), min(j + 2, known.shape[1])):
+                if not known[a, b]:
+                    continue
+                if np.isnan(room[a, b]):
+                    place = grid.origin + grid.width * np.array([float(a), float(b)])
+                    room[a, b] = nearest_one(obstacles, place)[0] - radius
+                further = cost + grid.width * hypot(float(a - i), float(b - j)) * _weight(room[a, b], radius)
+                if room[a, b] >= 0.0 and further < guide[a, b]:
+                    guide[a, b] = further
+                    heapq.heappush(frontier, (further, a, b))
+    return guide
+
+
+@njit(cache=True, nogil=True)
+def _search(
+    obstacles: Tree,
+    guide: FloatArray,
+    grid: _Grid,
+    moves: _Moves,
+    first: IntArray,
+    away: FloatArray,
+    goal: FloatArray,
+    body: _Body,
+    most: int,
+) -> tuple[IntArray, bool]:
+    """A* from the cell `first`: states (i, j, heading), shape (n, 3), and whether the last one reaches the goal."""
+    turns = len(away)
+    row = np.full(guide.shape, -1, np.int64)  # cells are given rows as they are touched
+    row[first[0], first[1]] = 0
+    cells, count = np.zeros((_FIRST_CELLS, 2), np.int64), 1
+    cells[0] = first
+    cost, room = np.full((_FIRST_CELLS, turns), np.inf), np.full((_FIRST_CELLS, turns), np.nan)
+    came_from = np.full((_FIRST_CELLS, turns), -1)
+    cost[0] = away
+    frontier = [(away[h] + guide[first[0], first[1]], h) for h in range(turns) if away[h] < np.inf]
+    heapq.heapify(frontier)
+    best, nearest, reached, looked = -1, np.inf, False, 0
+    a, b = np.empty(3), np.empty(3)
+    while len(frontier) > 0 and looked < most and not reached:
+        estimate, state = heapq.heappop(frontier)
+        s, h = state // turns, state % turns
+        i, j = cells[s]
+        if estimate > cost[s, h] + guide[i, j]:
+            continue
+        looked += 1
+        a[0], a[1], a[2] = grid.origin[0] + i * grid.width, grid.origin[1] + j * grid.width, h * grid.turn
+        if guide[i, j] < nearest:
+            best, nearest = state, guide[i, j]
+        if _arrives(obstacles, a, goal, grid.width, body):
+            best, reached = state, True
+            continue
+        here = _room(obstacles, a, body, room[s], h)
+        for m in range(moves.cost.shape[1]):
+            u, v = i + moves.change[h, m, 0], j + moves.change[h, m, 1]
+            if moves.cost[h, m] == np.inf or not (0 <= u < guide.shape[0] and 0 <= v < guide.shape[1]):
+                continue
+            if guide[u, v] == np.inf:
+                continue
+            if row[u, v] < 0:
+                if count == len(cells):
+                    cells, came_from = _doubled(cells, 0), _doubled(came_from, -1)
+                    cost, room = _doubled(cost, np.inf), _doubled(room, np.nan)
+                row[u, v], cells[count, 0], cells[count, 1], count = count, u, v, count + 1
+            t, to = row[u, v], (h + moves.change[h, m, 2]) % turns
+            if cost[s, h] + moves.cost[h, m] >= cost[t, to]:
+                continue
+            b[0], b[1] = grid.origin[0] + u * grid.width, grid.origin[1] + v * grid.width
+            b[2] = (h + moves.change[h, m, 2]) * grid.turn
+            there = _room(obstacles, b, body, room[t], to)
+            further = cost[s, h] + moves.cost[h, m] * _weight(min(here, there), body.radius)
+            if there < 0.0 or further >= cost[t, to]:
+                continue
+            if here + there < moves.moved[h, m] and not is_motion_clear(obstacles, a, b, body.offsets, body.radius):
+                continue
+            cost[t, to], came_from[t, to] = further, state
+            heapq.heappush(frontier, (further + guide[u, v], t * turns + to))
+    return _trace(came_from, cells, best), reached
+
+
+@njit(cache=True, nogil=True)
+def _room(obstacles: Tree, pose: FloatArray, body: _Body, known: FloatArray, h: int) -> float:
+    """Room beside the body at a pose [m], negative where it does not fit; looked for once, then known[h]."""
+    if np.isnan(known[h]):
+        known[h] = np.inf
+        for offset in body.offsets:
+            known[h] = min(known[h], disc_distance(obstacles, pose, offset) - body.radius)
+            if known[h] < 0.0:
+                break
+    return float(known[h])
+
+
+@njit(cache=True, nogil=True)
+def _arrives(obstacles: Tree, pose: FloatArray, goal: FloatArray, width: float, body: _Body) -> bool:
+    """Whether the body gets to the goal from a pose beside it: there as it is, then turned to where it must face."""
+    if hypot(pose[0] - goal[0], pose[1] - goal[1]) > width:
+        return False
+    there = pose.copy()
+    there[:2] = goal[:2]
+    return is_motion_clear(obstacles, pose, there, body.offsets, body.radius) and (
+        len(goal) == 2 or is_motion_clear(obstacles, there, turned(there, goal[2]), body.offsets, body.radius)
+    )
+
+
+@njit(cache=True, nogil=True)
+def _doubled(values, fill):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
+    """With as many rows again, of `fill`."""
+    made = np.full((2 * values.shape[0], values.shape[1]), fill, values.dtype)
+    made[: values.shape[0]] = values
+    return made
+
+
+@njit(cache=True, nogil=True)
+def _trace(came_from: IntArray, cells: IntArray, state: int) -> IntArray:
+    """States (i, j, heading) from the start to `state`, shape (n, 3); none for −1."""
+    turns = came_from.shape[1]
+    states = [0 for _ in range(0)]
+    while state >= 0:
+        states.append(state)
+        state = came_from[state // turns, state % turns]
+    made = np.empty((len(states), 3), np.int64)
+    for k, state in enumerate(states[::-1]):
+        made[k, :2], made[k, 2] = cells[state // turns], state % turns
+    return made
