@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 from scipy import ndimage
 
@@ -65,22 +66,34 @@ class HeightMap:
 
         Bilinear between the four centres around a place where they lie on one slope; across a step, the cell's own.
         """
-        xy = np.asarray(xy, dtype=np.float64)
-        ix, iy, inside = self.cells(xy)
-        own = np.where(inside, self.height[ix, iy], np.nan).astype(np.float64)
-        low = (xy - self.origin) / self.cell_width - 0.5
-        i = np.clip(np.floor(low).astype(np.int64), 0, np.array(self.height.shape) - 2)
-        t = np.clip(low - i, 0.0, 1.0)
-        corners = np.stack([self.height[i[:, 0] + a, i[:, 1] + b] for a in (0, 1) for b in (0, 1)]).astype(np.float64)
-        u, v = t[:, 0], t[:, 1]
-        mixed = np.array([(1 - u) * (1 - v), (1 - u) * v, u * (1 - v), u * v])
-        level = np.ptp(corners, axis=0) <= self.cell_width * np.sqrt(2.0)  # a NaN compares false
-        return np.where(level & ~np.isnan(own), (mixed * np.nan_to_num(corners)).sum(axis=0), own)
+        heights: FloatArray = _height_at(
+            self.height, np.asarray(self.origin, dtype=np.float64), self.cell_width, np.asarray(xy, dtype=np.float64)
+        )
+        return heights
 
     def centres(self, mask: BoolArray) -> FloatArray:
         """Centres of the cells in `mask`, shape (nx, ny), with their height: (k, 3) [m]."""
         index = np.argwhere(mask)
         return np.column_stack([self.origin + (index + 0.5) * self.cell_width, self.height[mask].astype(np.float64)])
+
+
+@njit(cache=True, nogil=True)
+def _height_at(height: NDArray[np.float32], origin: FloatArray, width: float, xy: FloatArray) -> FloatArray:
+    made = np.full(len(xy), np.nan)
+    corners = np.empty(4)
+    for m in range(len(xy)):
+        x, y = (xy[m, 0] - origin[0]) / width, (xy[m, 1] - origin[1]) / width
+        if not (0.0 <= x < height.shape[0] and 0.0 <= y < height.shape[1]):
+            continue
+        made[m] = height[int(x), int(y)]
+        i, j = max(0, min(int(x - 0.5), height.shape[0] - 2)), max(0, min(int(y - 0.5), height.shape[1] - 2))
+        corners[0], corners[1] = height[i, j], height[i, j + 1]
+        corners[2], corners[3] = height[i + 1, j], height[i + 1, j + 1]
+        if not np.isnan(made[m]) and corners.max() - corners.min() <= width * np.sqrt(2.0):  # a NaN compares false
+            u, v = max(0.0, min(x - 0.5 - i, 1.0)), max(0.0, min(y - 0.5 - j, 1.0))
+            made[m] = (1.0 - u) * ((1.0 - v) * corners[0] + v * corners[1])
+            made[m] += u * ((1.0 - v) * corners[2] + v * corners[3])
+    return made
 
 
 def fill_holes(surface: HeightMap, material: BoolArray, seen_through: BoolArray, pit: BoolArray) -> HeightMap:

@@ -14,6 +14,7 @@ import numpy as np
 from gpdf_service.perception.limits import LEAST_STEP
 from gpdf_service.planning.footprint import disc_places, travel_headings
 from gpdf_service.search import FreeSpace
+from gpdf_service.search.lattice import least_distance
 from gpdf_service.types import Certificate, FloatArray, IntArray
 
 RESOLUTION = 1e-3
@@ -40,23 +41,7 @@ def min_distance(
     """
     offsets = np.zeros(1) if headings is None else space.agent.offsets
     poses = np.column_stack([path, np.zeros(len(path)) if headings is None else headings])
-    offset = np.repeat(offsets, len(poses) - 1)
-    a, b = np.tile(poses[:-1], (len(offsets), 1)), np.tile(poses[1:], (len(offsets), 1))
-    da, db = (space.clearance(level, disc_places(ends, offset))[0] for ends in (a, b))
-    best, where = np.inf, path[0]
-    while len(a):
-        ends = np.concatenate([da, db])
-        if ends.min() < best:
-            best = float(ends.min())
-            where = disc_places(np.concatenate([a, b]), np.tile(offset, 2))[int(ends.argmin())]
-        moved = np.linalg.norm((b - a)[:, :2], axis=1) + np.abs(offset * (b - a)[:, 2])
-        open_ = 0.5 * (da + db - moved) < best - RESOLUTION
-        a, b, da, db, offset = a[open_], b[open_], da[open_], db[open_], offset[open_]
-        middle = 0.5 * (a + b)
-        dm = space.clearance(level, disc_places(middle, offset))[0] if len(a) else da
-        a, b, da, db = np.concatenate([a, middle]), np.concatenate([middle, b]), np.r_[da, dm], np.r_[dm, db]
-        offset = np.tile(offset, 2)
-    return best - RESOLUTION, where
+    return least_distance(space.trees[level], poses, offsets, RESOLUTION)
 
 
 def certify(

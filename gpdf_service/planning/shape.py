@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 from numba import njit
-from scipy.interpolate import CubicSpline
+from scipy.interpolate import make_interp_spline
 
-from gpdf_service.fields import Gpdf, Tree
+from gpdf_service.fields import FieldArrays, Gpdf, Tree
+from gpdf_service.fields.traversal import make_scratch, sample
 from gpdf_service.perception import HeightMap
 from gpdf_service.search import is_clear
 from gpdf_service.types import FloatArray, IntArray
@@ -81,7 +82,7 @@ def spline(path: FloatArray, spacing: float) -> FloatArray:
         return path
     along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(path, axis=0), axis=1))])
     at = np.linspace(0.0, along[-1], int(np.ceil(along[-1] / spacing)) + 1)
-    curve: FloatArray = CubicSpline(along, path, bc_type="natural")(at)
+    curve: FloatArray = make_interp_spline(along, path, k=3, bc_type="natural")(at)
     curve[0], curve[-1] = path[0], path[-1]
     return curve
 
@@ -94,12 +95,24 @@ def stand_up(xy: FloatArray, surface: HeightMap, field: Gpdf, height: float) -> 
     flight or under a floor the nearest ground is another one. What lies beside counts less, what is overhead nothing.
     """
     floor = surface.height_at(xy)
-    low, high = floor + (1.0 - _UPRIGHT_SHARE) * height, floor + (1.0 + _UPRIGHT_SHARE) * height
-    z = floor + height
-    for _ in range(_NEWTON_STEPS):
-        sample = field.query(np.column_stack([xy, z]))
-        off = np.where(sample.valid, height - sample.distance, 0.0) * np.maximum(sample.gradient[:, 2], 0.0)
-        if np.abs(off).max() < _STANDS:
-            break
-        z = np.clip(z + off, low, high)
+    z = _top_over(xy, floor, field.arrays, height)
     return np.column_stack([xy, floor]), np.column_stack([xy, z])
+
+
+@njit(cache=True, nogil=True)
+def _top_over(xy: FloatArray, floor: FloatArray, field: FieldArrays, height: float) -> FloatArray:
+    """Height of the body's top at each place; each starts from what the one before it was lifted by."""
+    top = np.full(len(xy), np.nan)
+    scratch, slope, least, most = make_scratch(), np.zeros(3), -_UPRIGHT_SHARE * height, _UPRIGHT_SHARE * height
+    lift = 0.0
+    for i in range(len(xy)):
+        if np.isnan(floor[i]):
+            continue
+        for _ in range(_NEWTON_STEPS):
+            distance = sample(field, (xy[i, 0], xy[i, 1], floor[i] + height + lift), scratch, slope)[0]
+            off = (height - distance) * max(slope[2], 0.0)
+            if abs(off) < _STANDS:
+                break
+            lift = min(max(lift + off, least), most)
+        top[i] = floor[i] + height + lift
+    return top

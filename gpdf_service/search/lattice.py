@@ -70,6 +70,42 @@ def disc_distance(obstacles: Tree, pose: FloatArray, offset: float) -> float:
 
 
 @njit(cache=True, nogil=True)
+def least_distance(
+    obstacles: Tree, poses: FloatArray, offsets: FloatArray, resolution: float
+) -> tuple[float, FloatArray]:
+    """Lower bound of the distance of all discs to the obstacles on a way through poses (n, 3) [m], and where (2,) [m].
+
+    The body moves evenly from pose to pose. The bound is within `resolution` of the least that was found.
+    """
+    at = np.zeros((len(offsets), len(poses)))
+    best, found, disc = np.inf, poses[0].copy(), 0.0
+    for k in range(len(offsets)):
+        for i in range(len(poses)):
+            at[k, i] = disc_distance(obstacles, poses[i], offsets[k])
+            if at[k, i] < best:
+                best, disc, found[:] = at[k, i], offsets[k], poses[i]
+    stack, room = np.empty((64, 2, 3)), np.empty((64, 2))
+    for k in range(len(offsets)):
+        for i in range(len(poses) - 1):
+            stack[0, 0], stack[0, 1], room[0, 0], room[0, 1], top = poses[i], poses[i + 1], at[k, i], at[k, i + 1], 1
+            while top > 0:
+                top -= 1
+                p, q, dp, dq = stack[top, 0].copy(), stack[top, 1].copy(), room[top, 0], room[top, 1]
+                moved = hypot(q[0] - p[0], q[1] - p[1]) + abs(offsets[k] * (q[2] - p[2]))
+                if 0.5 * (dp + dq - moved) >= best - resolution:
+                    continue
+                middle = 0.5 * (p + q)
+                dm = disc_distance(obstacles, middle, offsets[k])
+                if dm < best:
+                    best, disc, found[:] = dm, offsets[k], middle
+                stack[top, 0], stack[top, 1], room[top, 0], room[top, 1] = p, middle, dp, dm
+                stack[top + 1, 0], stack[top + 1, 1], room[top + 1, 0], room[top + 1, 1] = middle, q, dm, dq
+                top += 2
+    where = np.array([found[0] + disc * cos(found[2]), found[1] + disc * sin(found[2])])
+    return best - resolution, where
+
+
+@njit(cache=True, nogil=True)
 def is_motion_clear(obstacles: Tree, a: FloatArray, b: FloatArray, offsets: FloatArray, radius: float) -> bool:
     """Whether all discs keep `radius` from every obstacle while the body moves evenly from pose a to pose b, (3,)."""
     stack = np.empty((64, 2, 3))
