@@ -90,15 +90,13 @@ def _route(space: FreeSpace, start: Endpoint, goal: Endpoint) -> list[Leg]:
     """A* through the graph, as places in plan, cut where the path changes level."""
     graph = space.graph
     edges = find_path(graph, start.node, goal.node)
-    legs: list[tuple[int, list[FloatArray]]] = [(start.level, [start.xy, graph.position[start.node]])]
-    for edge in edges:
-        node = int(graph.other[edge])
-        legs[-1][1].append(graph.via[edge])
-        if graph.level[node] != legs[-1][0]:
-            legs.append((int(graph.level[node]), [graph.via[edge]]))
-        legs[-1][1].append(graph.position[node])
-    legs[-1][1].append(goal.xy)
-    return [(level, _distinct(np.array(path))) for level, path in legs]
+    nodes = np.concatenate([[start.node], graph.other[edges]])
+    places = np.empty((2 * len(nodes) + 1, 2))  # from centre to centre through where the leaves meet
+    places[1::2], places[2:-1:2], places[0], places[-1] = graph.position[nodes], graph.via[edges], start.xy, goal.xy
+    crossing = np.flatnonzero(np.diff(graph.level[nodes]))
+    cuts = [0, *(2 * crossing + 2).tolist(), len(places) - 1]
+    levels = graph.level[nodes[[0, *(crossing + 1).tolist()]]]
+    return [(int(on), _distinct(places[a : b + 1])) for on, (a, b) in zip(levels, pairwise(cuts), strict=True)]
 
 
 def _distinct(path: FloatArray) -> FloatArray:

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import numpy as np
 from numba import njit
-from scipy import ndimage
 
 from gpdf_service.search import FreeSpace
 from gpdf_service.types import Agent, FloatArray, IntArray
@@ -45,15 +44,33 @@ def time_path(positions: FloatArray, agent: Agent, limit: FloatArray | None = No
     if not step.any():
         return np.linspace(0.0, STANDING, len(positions)), np.zeros(len(positions))
     along = np.concatenate([[0.0], np.cumsum(step)])
-    s = np.linspace(0.0, along[-1], max(64, int(np.ceil(along[-1] / GRID))) + 1)
-    heading = _headings(positions, along, s)
-    highest = np.full(len(s), agent.speed) if limit is None else _least_between(limit, along, s)
-    curvature = np.abs(np.gradient(heading, s))
-    with np.errstate(divide="ignore"):
-        turning = np.minimum(np.sqrt(agent.acceleration / curvature), agent.turn_rate / curvature)
-    highest = np.minimum(np.minimum(highest, turning), agent.speed)
-    reach = int(np.ceil(agent.speed * (RAMP + BLEND) / s[1]))
-    speed = _fastest(ndimage.minimum_filter1d(highest, 2 * reach + 1, mode="nearest"), s[1], agent.acceleration)
+    highest = np.full(len(along), agent.speed) if limit is None else limit
+    direction = np.unwrap(np.arctan2(np.diff(positions[:, 1]), np.diff(positions[:, 0])))
+    made: tuple[FloatArray, FloatArray] = _time(
+        along, direction, highest, agent.speed, agent.acceleration, agent.turn_rate
+    )
+    return made
+
+
+@njit(cache=True, nogil=True)
+def _time(
+    along: FloatArray, direction: FloatArray, limit: FloatArray, most: float, acceleration: float, turn_rate: float
+) -> tuple[FloatArray, FloatArray]:
+    """Times and headings at `along`, of segments that lead in `direction` [rad], with a speed `limit` at their ends."""
+    count = max(64, int(np.ceil(along[-1] / GRID))) + 1
+    s = np.linspace(0.0, along[-1], count)
+    after = np.minimum(np.maximum(np.searchsorted(along, s), 1), len(along) - 1)
+    highest = np.minimum(np.minimum(limit[after - 1], limit[after]), most)
+    segment = np.minimum(np.maximum(np.searchsorted(along, s, side="right") - 1, 0), len(direction) - 1)
+    heading = _mean_around(direction[segment], int(np.ceil(LOOK / s[1])))
+    for i in range(count):
+        before, next_ = max(i - 1, 0), min(i + 1, count - 1)
+        curvature = abs(heading[next_] - heading[before]) / (s[next_] - s[before])
+        if curvature > 0.0:
+            highest[i] = min(highest[i], np.sqrt(acceleration / curvature), turn_rate / curvature)
+    reach = int(np.ceil(most * (RAMP + BLEND) / s[1]))
+    least = np.array([highest[max(i - reach, 0) : i + reach + 1].min() for i in range(count)])
+    speed = _fastest(least, s[1], acceleration)
     return _smooth(s, speed, along), np.interp(along, s, heading)
 
 
@@ -66,36 +83,28 @@ def speed_limit(space: FreeSpace, ground: FloatArray, level: IntArray, preferred
         room = space.clearance(int(on), ground[mine, :2])[0] - space.reach
         near = np.clip(room / preferred, 0.0, 1.0)
         surface = space.surfaces[on]
-        cells = 1 + 2 * int(np.ceil(agent.radius / surface.cell_width))
+        cells = int(np.ceil(agent.radius / surface.cell_width))
         ix, iy, _ = surface.cells(ground[mine])
         stepped = _around(space.steps[on], ix, iy, cells) > NOTICED_STEP
         share[mine] = np.where(stepped, CARE, CARE + (1.0 - CARE) * near)
     return agent.speed * share
 
 
-def _around(values: FloatArray, ix: IntArray, iy: IntArray, cells: int) -> FloatArray:
-    """Largest value in a square of `cells` around each cell, looked up in the part of the map that they lie in."""
-    margin = cells // 2 + 1
-    low = np.maximum([ix.min() - margin, iy.min() - margin], 0)
-    part = values[low[0] : ix.max() + margin + 1, low[1] : iy.max() + margin + 1]
-    largest: FloatArray = ndimage.maximum_filter(part, size=cells)[ix - low[0], iy - low[1]]
+@njit(cache=True, nogil=True)
+def _around(values: FloatArray, ix: IntArray, iy: IntArray, reach: int) -> FloatArray:
+    """Largest value within `reach` cells of each cell."""
+    largest = np.zeros(len(ix))
+    for k in range(len(ix)):
+        largest[k] = values[max(ix[k] - reach, 0) : ix[k] + reach + 1, max(iy[k] - reach, 0) : iy[k] + reach + 1].max()
     return largest
 
 
-def _headings(positions: FloatArray, along: FloatArray, s: FloatArray) -> FloatArray:
-    """Direction of travel at s [rad], unwrapped: of each segment, averaged over `LOOK` on either side."""
-    flat = np.diff(positions[:, :2], axis=0)
-    direction = np.unwrap(np.arctan2(flat[:, 1], flat[:, 0]))
-    segment = np.clip(np.searchsorted(along, s, side="right") - 1, 0, len(flat) - 1)
-    window = 2 * int(np.ceil(LOOK / s[1])) + 1
-    averaged: FloatArray = ndimage.uniform_filter1d(direction[segment], window, mode="nearest")
-    return averaged
-
-
-def _least_between(limit: FloatArray, along: FloatArray, s: FloatArray) -> FloatArray:
-    """The smaller of the limits at the two waypoints around each s."""
-    after = np.clip(np.searchsorted(along, s), 1, len(along) - 1)
-    return np.minimum(limit[after - 1], limit[after])
+@njit(cache=True, nogil=True)
+def _mean_around(values: FloatArray, reach: int) -> FloatArray:
+    """Mean of the values up to `reach` places before and after each; the first and the last go on beyond the ends."""
+    rows = np.arange(len(values) + 2 * reach + 1) - reach - 1
+    total = np.cumsum(values[np.minimum(np.maximum(rows, 0), len(values) - 1)])
+    return (total[2 * reach + 1 :] - total[: -2 * reach - 1]) / (2 * reach + 1)
 
 
 @njit(cache=True, nogil=True)
@@ -110,20 +119,25 @@ def _fastest(highest: FloatArray, step: float, acceleration: float) -> FloatArra
     return np.sqrt(squared)
 
 
+@njit(cache=True, nogil=True)
 def _smooth(s: FloatArray, speed: FloatArray, along: FloatArray) -> FloatArray:
     """Times at `along` of a body whose speed is v(t) averaged over the windows of `RAMP` and `BLEND`."""
-    times = np.concatenate([[0.0], np.cumsum(2.0 * np.diff(s) / (speed[:-1] + speed[1:]))])
-    widths = [round(RAMP / TICK), round(BLEND / TICK)]
-    margin = sum(widths)  # at rest before and after
+    times = np.append(np.zeros(1), np.cumsum(2.0 * np.diff(s) / (speed[:-1] + speed[1:])))
+    ramp, blend = round(RAMP / TICK), round(BLEND / TICK)
+    margin = ramp + blend  # at rest before and after
     t = TICK * (np.arange(int(np.ceil(times[-1] / TICK)) + 2 * margin + 1) - margin)
-    i = np.clip(np.searchsorted(times, t, side="right") - 1, 0, len(s) - 2)
-    spent = np.clip(t, 0.0, times[-1]) - times[i]
-    gain = (speed[i + 1] - speed[i]) / (times[i + 1] - times[i])
-    place = s[i] + spent * (speed[i] + 0.5 * gain * spent)
-    for width in widths:  # the mean place over a window moves with the mean speed over it
-        total = np.concatenate([[0.0], np.cumsum(place)])
-        place = np.concatenate([(total[width:] - total[:-width]) / width, np.full(width - 1, place[-1])])
+    place = np.zeros(len(t))
+    i = 0
+    for k in range(len(t)):
+        while i < len(s) - 2 and times[i + 1] <= t[k]:
+            i += 1
+        spent = min(max(t[k], 0.0), times[-1]) - times[i]
+        gain = (speed[i + 1] - speed[i]) / (times[i + 1] - times[i])
+        place[k] = s[i] + spent * (speed[i] + 0.5 * gain * spent)
+    for width in (ramp, blend):  # the mean place over a window moves with the mean speed over it
+        total = np.append(np.zeros(1), np.cumsum(place))
+        place[: len(place) - width + 1] = (total[width:] - total[:-width]) / width
+        place[len(place) - width + 1 :] = place[-1]
     moving = np.flatnonzero(np.diff(place) > 0.0)
     first, last = moving[0], moving[-1] + 2
-    made: FloatArray = np.interp(along, place[first:last], t[first:last] - t[first])
-    return made
+    return np.interp(along, place[first:last], t[first:last] - t[first])
