@@ -45,6 +45,21 @@ class FieldArrays(NamedTuple):
     length_scale: float
 
 
+def nearest_only(tree: Tree) -> FieldArrays:
+    """A field without a Gaussian process: the exact distance to the nearest point."""
+    count = len(tree.points)
+    return FieldArrays(
+        tree.points,
+        np.zeros(count),
+        np.zeros(count),
+        tree.begin,
+        tree.end,
+        tree.low,
+        tree.high,
+        np.finfo(float).tiny ** 0.25,
+    )
+
+
 class Scratch(NamedTuple):
     """What one walk needs to remember; made once a batch."""
 

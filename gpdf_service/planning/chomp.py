@@ -50,6 +50,7 @@ def optimize(
     smoothness_weight: float,
     max_iterations: int,
     tolerance: float,
+    wall: float = 0.0,
     offsets: FloatArray = CENTRE,
 ) -> ChompResult:
     """Optimise waypoints of the body's top.
@@ -64,13 +65,24 @@ def optimize(
         smoothness_weight: λ_s; λ_o = λ_g = 1.
         max_iterations: Accepted and refused steps together.
         tolerance: Stop when the cost falls by less than this share.
+        wall: How much steeper the obstacle cost gets with each metre that the body is too near [1/m].
         offsets: Where the body's discs are, ahead of its centre [m], shape (k,); it faces where it goes.
     """
     xi = np.ascontiguousarray(xi, dtype=np.float64).copy()
     costs = np.zeros(max_iterations + 1)
     discs = Discs(offsets, radius)
     count, evaluations, converged = _descend(
-        xi, obstacle_field, ground_field, discs, height, epsilon, smoothness_weight, max_iterations, tolerance, costs
+        xi,
+        obstacle_field,
+        ground_field,
+        discs,
+        height,
+        epsilon,
+        wall,
+        smoothness_weight,
+        max_iterations,
+        tolerance,
+        costs,
     )
     return ChompResult(xi, costs[:count], evaluations, converged)
 
@@ -84,6 +96,7 @@ def _cost(
     discs: Discs,
     height: float,
     epsilon: float,
+    wall: float,
     smoothness_weight: float,
     memos: tuple[Memo, Memo],
     gradient: FloatArray,
@@ -91,7 +104,7 @@ def _cost(
 ) -> float:
     gradient[:], band[:] = 0.0, 0.0
     total: float = smoothness_cost(xi, spacing, smoothness_weight, gradient, band)
-    total += obstacle_cost(xi, spacing, obstacle_field, discs, epsilon, memos[0], gradient, band)
+    total += obstacle_cost(xi, spacing, obstacle_field, discs, epsilon, wall, memos[0], gradient, band)
     total += ground_cost(xi, spacing, ground_field, height, memos[1], gradient, band)
     return total
 
@@ -128,6 +141,7 @@ def _descend(
     discs: Discs,
     height: float,
     epsilon: float,
+    wall: float,
     smoothness_weight: float,
     max_iterations: int,
     tolerance: float,
@@ -144,7 +158,7 @@ def _descend(
         np.zeros((n, 3)),
     )
     memos = make_memo(n * len(discs.offsets), 2), make_memo(n, 3)
-    given = spacing, obstacle_field, ground_field, discs, height, epsilon, smoothness_weight, memos
+    given = spacing, obstacle_field, ground_field, discs, height, epsilon, wall, smoothness_weight, memos
     cost = _cost(xi, *given, gradient, band)
     costs[0], count, rate, fresh = cost, 1, 1.0, True
     slope = largest = 0.0

@@ -95,11 +95,14 @@ def obstacle_cost(
     field: FieldArrays,
     discs: Discs,
     epsilon: float,
+    wall: float,
     memo: Memo,
     gradient: FloatArray,
     band: FloatArray,
 ) -> float:
     """Σ c_o(x) ‖ẋ‖ ds, c_o = (d − ε)² / 2ε below ε, with d = d_o(x, y) − radius, and −d + ε/2 where d < 0 [m].
+
+    There a `wall` [1/m] adds wall · d² / 2: the paper's slope of 1 alone lets a taut path cut into what it goes round.
 
     A body of discs pays the mean over them: the disc that lies o ahead is at x + o ẋ/‖ẋ‖, for the body faces where it
     goes; so the neighbours that say where that is take part in its gradient. Of a cylinder there is one, at o = 0.
@@ -121,12 +124,13 @@ def obstacle_cost(
             d = recall(field, place, memo, i * count + j, discs.radius + epsilon) - discs.radius
             if d >= epsilon:
                 continue
-            cost = epsilon / 2.0 - d if d < 0.0 else (d - epsilon) ** 2 / (2.0 * epsilon)
-            rate = -1.0 if d < 0.0 else (d - epsilon) / epsilon
+            cost, rate, stiff = (d - epsilon) ** 2 / (2.0 * epsilon), (d - epsilon) / epsilon, 1.0 / epsilon
+            if d < 0.0:
+                cost, rate, stiff = epsilon / 2.0 - d + 0.5 * wall * d * d, wall * d - 1.0, stiff + wall
             total += cost * 0.5 * length / count
             slope = memo.slope[i * count + j]
             across = slope[0] * normal[0] + slope[1] * normal[1]
-            pull, bend = rate * across * spacing / count, across * across * spacing / (epsilon * count)
+            pull, bend = rate * across * spacing / count, stiff * across * across * spacing / count
             lever = offset / length
             for m, one in ((i - 1, -lever), (i, 1.0), (i + 1, lever)):
                 for k in range(2):

@@ -29,6 +29,8 @@ Clock = Callable[[], float]
 NO_OPTIONS = PlanOptions()
 BEND = 0.125
 """[m] Between the optimiser's waypoints, at most; half of the radius of a smaller body. The result is their spline."""
+WALL = 1000.0
+"""[1/m] A millimetre too near, which is what the certificate resolves, doubles the push away."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -125,38 +127,46 @@ def _routes(space: FreeSpace, ends: Ends, options: PlanOptions) -> Iterator[Rout
 def _candidates(
     space: FreeSpace, legs: list[Leg], config: PlanningConfig, deadline: float | None, clock: Clock
 ) -> Iterator[_Candidate]:
-    """Paths from the best to the safest: CHOMP with all its room, with half, a quarter of it, then the seed."""
-    for share in (1.0, 0.5, 0.25):
+    """Paths from the best to the safest: CHOMP, CHOMP that bends round every point behind a wall, then the seed."""
+    for strict in (False, True):
         if deadline is not None and clock() > deadline:
             break
-        epsilon = share * config.preferred_clearance * space.agent.disc_radius
-        bent = [_bend(space, level, path, config, epsilon) for level, path in legs]
+        bent = [_bend(space, level, path, config, strict) for level, path in legs]
         runs = [run for _, run in bent if run is not None]
         most = max((len(run.costs) for run in runs), default=0)
         costs = np.sum([np.pad(run.costs, (0, most - len(run.costs)), "edge") for run in runs], axis=0) + np.zeros(most)
-        converged = all(run.converged for run in runs)
-        details = {"iterations": float(sum(run.iterations for run in runs)), "converged": float(converged)}
+        details = {
+            "iterations": float(sum(run.iterations for run in runs)),
+            "evaluations": float(sum(run.evaluations for run in runs)),
+            "converged": float(all(run.converged for run in runs)),
+        }
         yield _Candidate([(level, path) for (level, _), (path, _) in zip(legs, bent, strict=True)], costs, details)
-    yield _Candidate(legs, np.zeros(0), {"iterations": 0.0, "converged": 0.0})
+    yield _Candidate(legs, np.zeros(0), {"iterations": 0.0, "evaluations": 0.0, "converged": 0.0})
 
 
 def _bend(
-    space: FreeSpace, level: int, path: FloatArray, config: PlanningConfig, epsilon: float
+    space: FreeSpace, level: int, path: FloatArray, config: PlanningConfig, strict: bool
 ) -> tuple[FloatArray, ChompResult | None]:
-    """A piece of the path after CHOMP; as it was where nothing moves or the ground is not known all along."""
+    """A piece of the path after CHOMP; as it was where nothing moves or the ground is not known all along.
+
+    The Obstacle GPDF is fitted to thinned points and its cost is soft. `strict`ly, the path bends round the points
+    themselves behind a wall, with the margin of the search and what a chord between waypoints cuts from a turn.
+    """
     agent = space.agent
-    seed = resample(path[:, :2], max(config.waypoint_spacing, min(agent.disc_radius / 2, BEND)))
+    spacing = max(config.waypoint_spacing, min(agent.disc_radius / 2, BEND))
+    seed = resample(path[:, :2], spacing)
     _, top = stand_up(seed, space.surfaces[level], space.ground_fields[level], agent.height)
     if not np.isfinite(top).all() or np.ptp(path[:, :2], axis=0).max() == 0.0:
         return path, None
     found = optimize(
         top,
-        space.obstacle_fields[level].arrays,
+        space.exact_fields[level] if strict else space.obstacle_fields[level].arrays,
         space.ground_fields[level].arrays,
         offsets=agent.offsets,
-        radius=space.reach,
+        radius=space.radius + spacing**2 / (8.0 * agent.disc_radius) if strict else space.reach,
         height=agent.height,
-        epsilon=epsilon,
+        epsilon=config.preferred_clearance * agent.disc_radius,
+        wall=WALL if strict else 0.0,
         smoothness_weight=config.smoothness_weight,
         max_iterations=config.max_iterations,
         tolerance=config.tolerance,

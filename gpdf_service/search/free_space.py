@@ -7,7 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from gpdf_service.config import FieldConfig, SearchConfig
-from gpdf_service.fields import Gpdf, Tree, build_tree, find_nearest, fit_gpdf
+from gpdf_service.fields import FieldArrays, Gpdf, Tree, build_tree, find_nearest, fit_gpdf
+from gpdf_service.fields.traversal import nearest_only
 from gpdf_service.perception import HeightMap, Levels, Obstacles, obstacles_of
 from gpdf_service.perception.limits import step_and_slope
 from gpdf_service.search.graph import Graph, assemble, find_edges
@@ -30,6 +31,7 @@ class FreeSpace:
         slopes: Slope of the ground at each cell [rad].
         obstacles: What stops the body.
         trees: All obstacle places in plan, for exact distances.
+        exact_fields: The same places as fields, for compiled loops.
         obstacle_fields: Obstacle GPDFs, 2D.
         quadtrees: Free leaves.
         offsets: First graph node of each level's leaves.
@@ -45,6 +47,7 @@ class FreeSpace:
     slopes: tuple[FloatArray, ...]
     obstacles: tuple[Obstacles, ...]
     trees: tuple[Tree, ...]
+    exact_fields: tuple[FieldArrays, ...]
     obstacle_fields: tuple[Gpdf, ...]
     quadtrees: tuple[Quadtree, ...]
     offsets: tuple[int, ...]
@@ -89,6 +92,7 @@ def build_free_space(
         tuple(slope for _, slope in limits),
         obstacles,
         trees,
+        tuple(nearest_only(tree) for tree in trees),
         fields,
         quadtrees,
         offsets,
