@@ -63,13 +63,13 @@ def recall(field: FieldArrays, x: FloatArray, memo: Memo, i: int, enough: float)
         moved2 += step * step
         along += memo.slope[i, k] * step
     if moved2 <= 2.0 * OFF * memo.distance[i]:
-        return memo.distance[i] + along
+        return float(memo.distance[i] + along)
     if memo.distance[i] - sqrt(moved2) >= enough:  # a NaN compares false
         return enough
     for k in range(dim):
         memo.place[i, k] = x[k]
     memo.distance[i] = sample(field, (x[0], x[1], x[dim - 1]), memo.scratch, memo.slope[i])[0]
-    return memo.distance[i]
+    return float(memo.distance[i])
 
 
 @njit(cache=True, nogil=True)

@@ -104,7 +104,8 @@ def _mean_around(values: FloatArray, reach: int) -> FloatArray:
     """Mean of the values up to `reach` places before and after each; the first and the last go on beyond the ends."""
     rows = np.arange(len(values) + 2 * reach + 1) - reach - 1
     total = np.cumsum(values[np.minimum(np.maximum(rows, 0), len(values) - 1)])
-    return (total[2 * reach + 1 :] - total[: -2 * reach - 1]) / (2 * reach + 1)
+    mean: FloatArray = (total[2 * reach + 1 :] - total[: -2 * reach - 1]) / (2 * reach + 1)
+    return mean
 
 
 @njit(cache=True, nogil=True)
