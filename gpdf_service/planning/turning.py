@@ -57,9 +57,10 @@ def pull(poses: FloatArray, obstacles: Tree, offsets: FloatArray, radius: float)
     parts = [poses[:1]]
     for a, b in pairwise(kept):
         parts.append(_leap(poses[a], poses[b]) if b - a > 1 else poses[[b]])
-    made: FloatArray = np.concatenate(parts)
+    made = np.concatenate(parts)
     made[:, 2] = np.unwrap(made[:, 2])
-    return made[np.concatenate([[True], np.abs(np.diff(made, axis=0)).max(axis=1) > 1e-9])]
+    distinct: FloatArray = made[np.concatenate([[True], np.abs(np.diff(made, axis=0)).max(axis=1) > 1e-9])]
+    return distinct
 
 
 @njit(cache=True, nogil=True)
