@@ -47,14 +47,13 @@ def obstacle_cost(
 ) -> float:
     """Σ λ_o c_o(x) ‖ẋ‖ ds, c_o = (d − ε)² / 2ε below ε, with d = d_o(x, y) − radius, and −d + ε/2 where d < 0 [m].
 
-    A body of discs pays the mean over them: the disc that lies o ahead is at x + o ẋ/‖ẋ‖, for the body faces where it
+    A body of discs pays for each of them: the one that lies o ahead is at x + o ẋ/‖ẋ‖, for the body faces where it
     goes; so the neighbours that say where that is take part in its gradient. Of a cylinder there is one, at o = 0.
 
     ‖ẋ‖ as in CHOMP (Ratliff et al. 2009): the paper prints ‖ẍ‖, which is zero on straight pieces and would let a
     straight path run through an obstacle at no cost. The gradient is CHOMP's: the part of ∇c across the way.
     """
     total = 0.0
-    weight /= len(discs.offsets)
     slope, place = np.zeros(2), np.zeros(2)
     for i in range(1, xi.shape[0] - 1):
         tx, ty = xi[i + 1, 0] - xi[i - 1, 0], xi[i + 1, 1] - xi[i - 1, 1]
