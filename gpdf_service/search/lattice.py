@@ -22,8 +22,12 @@ from gpdf_service.types import BoolArray, FloatArray, IntArray
 
 CELL_SHARE = 0.25
 """[-] Grid width over the discs' radius: a gap is found that leaves the discs a quarter of it on either side."""
+GREED = 2.0
+"""[-] How much more the guide counts than it says: it knows nothing of turns, and what is found is bent anyway."""
 MOST_POSES = 2_000_000
-"""Poses that a search may look at: some seconds; a room of 10 m has eight millions, and few are looked at."""
+"""Poses that a search may look at: ten seconds; a room of 10 m has eight millions, and few are looked at."""
+POSES_PER_SECOND = 150_000
+"""Poses looked at in a second, on a slow machine: so long a search may go on before a deadline."""
 _ASLANT = atan2(1.0, 2.0) + 1e-6
 """[rad] A body goes at most this much aslant: between two of the 16 directions of the grid, it can go along either."""
 _FIRST_CELLS = 4096
@@ -32,10 +36,14 @@ _FIRST_CELLS = 4096
 
 @dataclass(frozen=True, slots=True)
 class PoseSearch:
-    """Poses from start to goal, shape (n, 3), θ unwrapped; if `reached` is false, one: the nearest to the goal."""
+    """Poses from start to goal, shape (n, 3), θ unwrapped; if `reached` is false, one: the nearest to the goal.
+
+    Then `given_up` says that there may be a way, which was not found among as many poses as might be looked at.
+    """
 
     poses: FloatArray
     reached: bool
+    given_up: bool = False
 
 
 class _Body(NamedTuple):
@@ -134,10 +142,10 @@ def find_poses(
     known = surface.contains(grid.origin + cells * width).reshape(shape)
     guide = _flood(obstacles, known, grid, radius, goal[:2])
     away = _turns_to(obstacles, np.append(start[:2], start[2:]), grid.turn, body)
-    states, reached = _search(obstacles, guide, grid, _moves(grid, body), first, away, goal, body, most)
+    states, reached, given_up = _search(obstacles, guide, grid, _moves(grid, body), first, away, goal, body, most)
     poses = np.column_stack([grid.origin + states[:, :2] * width, states[:, 2] * grid.turn])
     if not reached:
-        return PoseSearch(poses[-1:] if len(poses) else np.append(start[:2], 0.0)[None], False)
+        return PoseSearch(poses[-1:] if len(poses) else np.append(start[:2], 0.0)[None], False, given_up)
     begin, end = np.append(start, poses[0, len(start) :])[None], np.append(goal[:2], poses[-1, 2])[None]
     last = np.append(goal[:2], goal[2] if len(goal) == 3 else poses[-1, 2])[None]
     made = np.concatenate([begin, poses, end, last])
@@ -225,8 +233,8 @@ def _search(
     goal: FloatArray,
     body: _Body,
     most: int,
-) -> tuple[IntArray, bool]:
-    """A* from the cell `first`: states (i, j, heading), shape (n, 3), and whether the last one reaches the goal."""
+) -> tuple[IntArray, bool, bool]:
+    """A* from the cell `first`: states (i, j, heading), shape (n, 3), if the last reaches the goal, if given up."""
     turns = len(away)
     row = np.full(guide.shape, -1, np.int64)  # cells are given rows as they are touched
     row[first[0], first[1]] = 0
@@ -235,7 +243,7 @@ def _search(
     cost, room = np.full((_FIRST_CELLS, turns), np.inf), np.full((_FIRST_CELLS, turns), np.nan)
     came_from = np.full((_FIRST_CELLS, turns), -1)
     cost[0] = away
-    frontier = [(away[h] + guide[first[0], first[1]], h) for h in range(turns) if away[h] < np.inf]
+    frontier = [(away[h] + GREED * guide[first[0], first[1]], h) for h in range(turns) if away[h] < np.inf]
     heapq.heapify(frontier)
     best, nearest, reached, looked = -1, np.inf, False, 0
     a, b = np.empty(3), np.empty(3)
@@ -243,7 +251,7 @@ def _search(
         estimate, state = heapq.heappop(frontier)
         s, h = state // turns, state % turns
         i, j = cells[s]
-        if estimate > cost[s, h] + guide[i, j]:
+        if estimate > cost[s, h] + GREED * guide[i, j]:
             continue
         looked += 1
         a[0], a[1], a[2] = grid.origin[0] + i * grid.width, grid.origin[1] + j * grid.width, h * grid.turn
@@ -276,8 +284,8 @@ def _search(
             if here + there < moves.moved[h, m] and not is_motion_clear(obstacles, a, b, body.offsets, body.radius):
                 continue
             cost[t, to], came_from[t, to] = further, state
-            heapq.heappush(frontier, (further + guide[u, v], t * turns + to))
-    return _trace(came_from, cells, best), reached
+            heapq.heappush(frontier, (further + GREED * guide[u, v], t * turns + to))
+    return _trace(came_from, cells, best), reached, looked >= most
 
 
 @njit(cache=True, nogil=True)

@@ -123,12 +123,13 @@ def test_a_place_where_it_fits_in_no_direction_is_occupied():
     assert "no direction" in result.message
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(15))
 def test_no_certified_path_through_random_doors_touches_anything(seed):
     rng = np.random.default_rng(seed)
     scene, judge = place(random_flat(rng), seed, 0.05)
     certified = 0
-    for start, goal in random_places(scene, SPOT, 4, rng):
+    for start, goal in random_places(scene, SPOT, 3, rng):
         result = gpdf.plan(scene, start, goal, SPOT)
         assert result.message or result.status is gpdf.Status.OK
         if result.status is gpdf.Status.OK:
@@ -137,12 +138,13 @@ def test_no_certified_path_through_random_doors_touches_anything(seed):
     assert certified > 0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(15))
 def test_in_random_rooms_nothing_is_touched_and_no_way_of_the_cylinder_is_lost(seed):
     rng = np.random.default_rng(seed)
     room = random_room(rng, spacing=0.05)
     scene, judge = gpdf.build_scene(room.points, room.ground), Judge(room.points, room.ground)
-    for start, goal in random_places(scene, SPOT.cylinder, 3, rng):
+    for start, goal in random_places(scene, SPOT.cylinder, 2, rng):
         result = gpdf.plan(scene, start, goal, SPOT)
         if result.status is gpdf.Status.OK:
             assert_sound(result, judge)
@@ -256,3 +258,33 @@ def test_a_turn_on_the_spot_takes_its_time_from_rest_to_rest():
     speed = np.linalg.norm(np.diff(positions, axis=0), axis=1) / np.diff(times)
     assert speed[turning[0] - 1] < 0.3
     assert speed.max() > 0.5
+
+
+@pytest.mark.parametrize(("start_heading", "goal_heading"), [(2.5, None), (None, -2.0), (-2.0, 1.5)])
+def test_the_body_begins_and_ends_facing_as_asked(start_heading, goal_heading):
+    scene, judge = place(door(0.6))
+    asked = {"start_heading": start_heading, "goal_heading": goal_heading}
+    result = gpdf.plan(scene, (1.2, 1.2), (4.8, 3.8), SPOT, **asked)
+    assert result.status is gpdf.Status.OK, result.message
+    assert_sound(result, judge)
+    for row, heading in ((0, start_heading), (-1, goal_heading)):
+        if heading is not None:
+            assert np.sin((result.trajectory.headings[row] - heading) / 2) == pytest.approx(0.0, abs=1e-9)
+
+
+def test_a_heading_at_which_it_does_not_fit_at_the_start_has_no_way():
+    scene, _ = place(door(0.6))
+    assert gpdf.plan(scene, (0.3, 2.5), (5, 4), SPOT, start_heading=np.pi / 2).status is gpdf.Status.OK
+    refused = gpdf.plan(scene, (0.3, 2.5), (5, 4), SPOT, start_heading=0.0)
+    assert refused.status is gpdf.Status.NO_VALID_PATH
+    with pytest.raises(RequestError, match="heading"):
+        gpdf.plan(scene, (1, 1), (5, 4), SPOT, start_heading=np.nan)
+
+
+def test_a_search_that_is_given_up_at_the_deadline_is_a_timeout():
+    scene, _ = place(bend(0.5))
+    ticks = iter(np.arange(0.0, 100.0, 0.02))
+    result = gpdf.plan(scene, (0.8, 0.25), (4.75, 4.2), SPOT, deadline_s=0.12, clock=lambda: float(next(ticks)))
+    assert result.status is gpdf.Status.TIMEOUT
+    assert "given up" in result.message
+    assert result.trajectory is None
