@@ -130,7 +130,9 @@ def find_endpoint(space: FreeSpace, place: FloatArray, name: str) -> Endpoint | 
         what = REASONS[ObstacleKind(int(kind[0]))]
         near = _nearest_free(space, np.array([*xy[0], heights[level]]))
         hint = "" if near is None else f" The nearest free place is {_at(near)}."
-        words = f"the {space.agent.name} (radius {space.agent.radius:.2f} m) does not fit at the {name} {_at(place)}: "
+        words = (
+            f"the {space.agent.name} (radius {space.agent.disc_radius:.2f} m) does not fit at the {name} {_at(place)}: "
+        )
         return Refusal(occupied, f"{words}{what} is {distance[0]:.2f} m from its centre.{hint}", near)
     if not _faces_somewhere(space, level, xy[0], float(distance[0])):
         words = (

@@ -17,6 +17,7 @@ from numba import njit
 
 from gpdf_service.fields import Tree, nearest_one
 from gpdf_service.perception import HeightMap
+from gpdf_service.perception.surface import UNKNOWN
 from gpdf_service.search.graph import RESOLUTION
 from gpdf_service.types import BoolArray, FloatArray, IntArray
 
@@ -24,6 +25,8 @@ CELL_SHARE = 0.25
 """[-] Grid width over the discs' radius: a gap is found that leaves the discs a quarter of it on either side."""
 GREED = 2.0
 """[-] How much more the guide counts than it says: it knows nothing of turns, and what is found is bent anyway."""
+DETOUR = (2.0, 30.0)
+"""[-], [m] Ways are looked for that one disc goes in twice its shortest one and 30 m more: out of a house and back."""
 MOST_POSES = 2_000_000
 """Poses that a search may look at: ten seconds; a room of 10 m has eight millions, and few are looked at."""
 POSES_PER_SECOND = 150_000
@@ -59,6 +62,14 @@ class _Grid(NamedTuple):
     origin: FloatArray
     width: float
     turn: float
+
+
+class _Ground(NamedTuple):
+    """Lower corner of the ground's cells [m], their width [m], and which are known."""
+
+    origin: FloatArray
+    width: float
+    known: BoolArray
 
 
 class _Moves(NamedTuple):
@@ -138,9 +149,8 @@ def find_poses(
     extent = surface.cell_width * np.array(surface.height.shape)
     shape = first + np.ceil((surface.origin + extent - start[:2]) / width).astype(np.int64) + 1
     grid = _Grid(start[:2] - first * width, width, 2.0 * pi / turns)
-    cells = np.stack(np.meshgrid(*(np.arange(n) for n in shape), indexing="ij"), axis=-1).reshape(-1, 2)
-    known = surface.contains(grid.origin + cells * width).reshape(shape)
-    guide = _flood(obstacles, known, grid, radius, goal[:2])
+    ground = _Ground(np.asarray(surface.origin, dtype=np.float64), surface.cell_width, surface.state != UNKNOWN)
+    guide = _flood(obstacles, ground, grid, (int(shape[0]), int(shape[1])), radius, first, goal[:2])
     away = _turns_to(obstacles, np.append(start[:2], start[2:]), grid.turn, body)
     states, reached, given_up = _search(obstacles, guide, grid, _moves(grid, body), first, away, goal, body, most)
     poses = np.column_stack([grid.origin + states[:, :2] * width, states[:, 2] * grid.turn])
@@ -198,28 +208,44 @@ def _weight(room: float, radius: float) -> float:
 
 
 @njit(cache=True, nogil=True)
-def _flood(obstacles: Tree, known: BoolArray, grid: _Grid, radius: float, goal: FloatArray) -> FloatArray:
-    """Cost of the way of a single disc from each cell to the goal [m]; inf where there is none."""
-    guide, room = np.full(known.shape, np.inf), np.full(known.shape, np.nan)
+def _flood(
+    obstacles: Tree,
+    ground: _Ground,
+    grid: _Grid,
+    shape: tuple[int, int],
+    radius: float,
+    start: IntArray,
+    goal: FloatArray,
+) -> FloatArray:
+    """Cost of the way of a single disc from each cell to the goal [m]; inf where there is none, or too long a one."""
+    guide, room = np.full(shape, np.inf), np.full(shape, np.nan)
     i, j = round((goal[0] - grid.origin[0]) / grid.width), round((goal[1] - grid.origin[1]) / grid.width)
     guide[i, j] = 0.0
     frontier = [(0.0, i, j)]
     while len(frontier) > 0:
         cost, i, j = heapq.heappop(frontier)
+        if cost > DETOUR[0] * guide[start[0], start[1]] + DETOUR[1]:
+            break
         if cost > guide[i, j]:
             continue
-        for a in range(max(i - 1, 0), min(i + 2, known.shape[0])):
-            for b in range(max(j - 1, 0), min(j + 2, known.shape[1])):
-                if not known[a, b]:
-                    continue
+        for a in range(max(i - 1, 0), min(i + 2, shape[0])):
+            for b in range(max(j - 1, 0), min(j + 2, shape[1])):
                 if np.isnan(room[a, b]):
-                    place = grid.origin + grid.width * np.array([float(a), float(b)])
-                    room[a, b] = nearest_one(obstacles, place)[0] - radius
+                    room[a, b] = _room_on(obstacles, ground, grid.origin + grid.width * np.array([a, b])) - radius
                 further = cost + grid.width * hypot(float(a - i), float(b - j)) * _weight(room[a, b], radius)
                 if room[a, b] >= 0.0 and further < guide[a, b]:
                     guide[a, b] = further
                     heapq.heappush(frontier, (further, a, b))
     return guide
+
+
+@njit(cache=True, nogil=True)
+def _room_on(obstacles: Tree, ground: _Ground, place: FloatArray) -> float:
+    """Distance from a place in plan to the nearest obstacle [m]; 0 where no ground is known."""
+    u, v = np.floor((place - ground.origin) / ground.width)
+    if not (0 <= u < ground.known.shape[0] and 0 <= v < ground.known.shape[1] and ground.known[int(u), int(v)]):
+        return 0.0
+    return float(nearest_one(obstacles, place)[0])
 
 
 @njit(cache=True, nogil=True)
