@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import Literal, get_args
 
 import numpy as np
@@ -61,6 +62,8 @@ def plan(
     other_goals: Sequence[Place] = (),
     snap: float = 0.0,
     warm_start: Trajectory | FloatArray | None = None,
+    start_heading: float | None = None,
+    goal_heading: float | None = None,
     deadline_s: float | None = None,
     clock: Callable[[], float] = time.monotonic,
 ) -> PlanResult:
@@ -78,6 +81,8 @@ def plan(
         snap: How far a place where the body cannot be may be moved to the nearest one where it can [m]; 0 refuses it.
         warm_start: A trajectory from before, or its contact points (n, 3) [m]: taken up from where the start is near it
             if it is still clear and ends near the goal; not with `via`.
+        start_heading: Where a body of discs faces at the start [rad], to turn there if it must; free when not given.
+        goal_heading: The same at the goal.
         deadline_s: Seconds that the answer may take; none when not given.
         clock: Monotonic seconds, for tests.
 
@@ -93,12 +98,15 @@ def plan(
         raise RequestError("method", f"{method!r}", f"Use one of {', '.join(get_args(Method))}.")
     ends = _check_place(start, "start"), _check_place(goal, "goal")
     options = _check_options(via, other_goals, snap, warm_start)
+    facing = _check_heading(start_heading, "start_heading"), _check_heading(goal_heading, "goal_heading")
+    options = replace(options, start_heading=facing[0], goal_heading=facing[1])
     if deadline_s is not None and not deadline_s > 0:
         raise RequestError("deadline_s", f"{deadline_s!r}", "It must be a positive number of seconds.")
     deadline = None if deadline_s is None else clock() + deadline_s
     if method != "dual_gpdf":
-        if options.via or options.other_goals or options.snap or options.warm_start is not None:
-            words = "Baselines take one goal and no via, snap or warm_start."
+        asked = (options.warm_start, options.start_heading, options.goal_heading) != (None, None, None)
+        if options.via or options.other_goals or options.snap or asked:
+            words = "Baselines take one goal and no via, snap, warm_start or heading."
             raise RequestError("method", f"{method!r} with options of the planner", words)
         return plan_baseline(scene, *ends, body, method, deadline=deadline, clock=clock)
     space = scene.free_space(body)
@@ -126,6 +134,12 @@ def _check_options(
         float(snap),
         known,
     )
+
+
+def _check_heading(heading: float | None, name: str) -> float | None:
+    if heading is not None and not np.isfinite(heading):
+        raise RequestError(name, f"{heading!r}", "It must be a finite number of radians.")
+    return heading
 
 
 def _check_place(place: Place, name: str) -> FloatArray:

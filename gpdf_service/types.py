@@ -240,12 +240,16 @@ class PlanOptions:
         other_goals: More goals; the one with the shortest way is taken.
         snap: How far a place that is not valid may be moved to the nearest one that is [m]; 0 refuses it.
         warm_start: Contact points of a trajectory from before, shape (n, 3) [m]: taken up where it is near and clear.
+        start_heading: Where a body of discs faces at the start [rad]; None leaves it free; a cylinder has none.
+        goal_heading: The same at the goal.
     """
 
     via: tuple[FloatArray, ...] = ()
     other_goals: tuple[FloatArray, ...] = ()
     snap: float = 0.0
     warm_start: FloatArray | None = None
+    start_heading: float | None = None
+    goal_heading: float | None = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -162,6 +162,8 @@ class Client:
         other_goals: Sequence[Sequence[float]] = (),
         snap: float = 0.0,
         warm_start: Trajectory | None = None,
+        start_heading: float | None = None,
+        goal_heading: float | None = None,
         deadline_s: float = 30.0,
         request_id: str = "",
         obstacles: Sequence[MovingObstacle] = (),
@@ -172,13 +174,15 @@ class Client:
             scene: Name of a loaded scene.
             start: Where the body is: (x, y) or (x, y, z of the ground) [m], or the name of one of the scene's places.
             goal: Where it wants to be, in the same way.
-            agent: A name, or measures.
+            agent: A name, or measures; with `discs`, the body faces where it goes and passes narrow doors.
             method: "dual_gpdf", or one of the paper's baselines for comparison: "single_gpdf", "astar", "prm".
             via: Places that the path goes through, in this order.
             other_goals: More goals; the one with the shortest way is taken, and `details["goal"]` is its number.
             snap: How far a place where the body cannot be may be moved to the nearest one where it can [m]; `message`
                 says it.
             warm_start: The trajectory that the body follows now: taken up if it is still clear and ends near the goal.
+            start_heading: Where a body of discs faces at the start [rad], to turn there if it must; free if None.
+            goal_heading: The same at the goal.
             deadline_s: Seconds that the answer may take.
             request_id: Chosen by the caller, or made here.
             obstacles: What else is in the way, for this plan alone.
@@ -193,6 +197,8 @@ class Client:
             other_goals=[[float(v) for v in place] for place in other_goals],
             snap=float(snap),
             warm_start=None if warm_start is None else Array.pack(warm_start.ground),
+            start_heading=start_heading,
+            goal_heading=goal_heading,
             deadline_s=deadline_s,
             request_id=request_id,
             obstacles=list(obstacles),
@@ -618,6 +624,8 @@ class AsyncClient:
         other_goals: Sequence[Sequence[float]] = (),
         snap: float = 0.0,
         warm_start: Trajectory | None = None,
+        start_heading: float | None = None,
+        goal_heading: float | None = None,
         deadline_s: float = 30.0,
         request_id: str = "",
         obstacles: Sequence[MovingObstacle] = (),
@@ -634,6 +642,8 @@ class AsyncClient:
             other_goals=other_goals,
             snap=snap,
             warm_start=warm_start,
+            start_heading=start_heading,
+            goal_heading=goal_heading,
             deadline_s=deadline_s,
             request_id=request_id,
             obstacles=obstacles,

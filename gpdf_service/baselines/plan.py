@@ -99,8 +99,10 @@ def _certified(space: FreeSpace, level: int, top: FloatArray, method: Baseline) 
     agent = space.agent
     floor = space.surfaces[level].height_at(top[:, :2])
     contact = np.column_stack([top[:, :2], np.where(np.isnan(floor), top[:, 2] - agent.height, floor)])
-    certificate = _with_height(certify(space, top, contact, np.full(len(top), level)), top, contact, agent)
-    trajectory = Trajectory(top, contact, *time_path(top, agent))
+    times, headings = time_path(top, agent)
+    proven = certify(space, top, contact, np.full(len(top), level), headings)
+    certificate = _with_height(proven, top, contact, agent)
+    trajectory = Trajectory(top, contact, times, headings)
     if certificate.holds:
         return PlanResult(Status.OK, "", trajectory, certificate)
     words = f"{method} found a path that no body may follow: {certificate.reason}. Try method dual_gpdf."

@@ -76,7 +76,7 @@ def random_places(scene: Scene, agent: Agent, count: int, rng: np.random.Generat
         low, size = surface.origin, np.array(surface.height.shape) * surface.cell_width
         xy = rng.uniform(low, low + size, (4096, 2))
         xy = xy[surface.contains(xy)]
-        xy = xy[space.clearance(0, xy)[0] >= agent.radius]
+        xy = xy[space.clearance(0, xy)[0] >= agent.disc_radius]
         found.append(xy)
         if sum(map(len, found)) >= 2 * count:
             break

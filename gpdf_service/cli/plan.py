@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import dataclasses
 import json
 import time
 from pathlib import Path
@@ -10,7 +11,7 @@ from typing import Any, get_args
 
 from gpdf_service.cli.inputs import add_cloud_arguments, open_scene, place
 from gpdf_service.pipeline import Method, plan
-from gpdf_service.types import PlanResult, Status
+from gpdf_service.types import PlanResult, Status, resolve_agent
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -19,6 +20,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--start", type=place, required=True, help="x,y or x,y,z of the ground there [m]")
     parser.add_argument("--goal", type=place, required=True, help="x,y or x,y,z of the ground there [m]")
     parser.add_argument("--agent", default="human", help="roomba, spot, pepper or human")
+    parser.add_argument(
+        "--discs", type=int, default=1, help="discs along the body that stand for it; 1 is its upright cylinder"
+    )
     parser.add_argument("--method", default="dual_gpdf", choices=get_args(Method))
     parser.add_argument(
         "--via", action="append", default=[], type=place, help="go through x,y or x,y,z [m]; repeatable"
@@ -39,12 +43,13 @@ def run(args: argparse.Namespace) -> int:
     scene = open_scene(args)
     began = time.perf_counter()
     options = {"via": args.via, "other_goals": args.or_goal, "snap": args.snap, "deadline_s": args.deadline}
-    result = plan(scene, args.start, args.goal, args.agent, method=args.method, **options)
+    agent = dataclasses.replace(resolve_agent(args.agent), discs=args.discs)
+    result = plan(scene, args.start, args.goal, agent, method=args.method, **options)
     seconds = time.perf_counter() - began
     if args.png:
         from gpdf_service.viewer.picture import draw_plans
 
-        draw_plans(scene, {args.agent: result}, args.png, start=args.start, goal=args.goal)
+        draw_plans(scene, {args.agent: result}, args.png, agent=agent, start=args.start, goal=args.goal)
     if args.json:
         print(json.dumps(to_json(result)))
     else:

@@ -104,7 +104,7 @@ def obstacle_cost(
 
     There a `wall` [1/m] adds wall · d² / 2: the paper's slope of 1 alone lets a taut path cut into what it goes round.
 
-    A body of discs pays the mean over them: the disc that lies o ahead is at x + o ẋ/‖ẋ‖, for the body faces where it
+    A body of discs pays for each of them: the one that lies o ahead is at x + o ẋ/‖ẋ‖, for the body faces where it
     goes; so the neighbours that say where that is take part in its gradient. Of a cylinder there is one, at o = 0.
 
     ‖ẋ‖ as in CHOMP (Ratliff et al. 2009): the paper prints ‖ẍ‖, which is zero on straight pieces and would let a
@@ -127,10 +127,10 @@ def obstacle_cost(
             cost, rate, stiff = (d - epsilon) ** 2 / (2.0 * epsilon), (d - epsilon) / epsilon, 1.0 / epsilon
             if d < 0.0:
                 cost, rate, stiff = epsilon / 2.0 - d + 0.5 * wall * d * d, wall * d - 1.0, stiff + wall
-            total += cost * 0.5 * length / count
+            total += cost * 0.5 * length
             slope = memo.slope[i * count + j]
             across = slope[0] * normal[0] + slope[1] * normal[1]
-            pull, bend = rate * across * spacing / count, stiff * across * across * spacing / count
+            pull, bend = rate * across * spacing, stiff * across * across * spacing
             lever = offset / length
             for m, one in ((i - 1, -lever), (i, 1.0), (i + 1, lever)):
                 for k in range(2):

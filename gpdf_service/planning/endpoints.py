@@ -9,6 +9,7 @@ from scipy import ndimage
 
 from gpdf_service.perception import ObstacleKind
 from gpdf_service.perception.surface import UNKNOWN
+from gpdf_service.planning.footprint import disc_places
 from gpdf_service.search import FreeSpace, is_clear
 from gpdf_service.types import FloatArray, PlanOptions, Status
 
@@ -18,6 +19,8 @@ NEXT = 1.0
 """[m] The centre of the leaf to go on from is nearer than this: leaves are small beside obstacles."""
 INSIDE = 1e-6
 """[m] A place on the edge of a leaf is moved this far into it, so that rounding leaves it there."""
+FACINGS = 180
+"""Directions that are tried for a body of discs, over half a turn: 1 cm at the end of one that is 1.2 m long."""
 REASONS = {
     ObstacleKind.MATERIAL: "an obstacle",
     ObstacleKind.STEP: "a step or drop that it does not take",
@@ -127,12 +130,33 @@ def find_endpoint(space: FreeSpace, place: FloatArray, name: str) -> Endpoint | 
         what = REASONS[ObstacleKind(int(kind[0]))]
         near = _nearest_free(space, np.array([*xy[0], heights[level]]))
         hint = "" if near is None else f" The nearest free place is {_at(near)}."
-        words = f"the {space.agent.name} (radius {space.agent.radius:.2f} m) does not fit at the {name} {_at(place)}: "
+        words = (
+            f"the {space.agent.name} (radius {space.agent.disc_radius:.2f} m) does not fit at the {name} {_at(place)}: "
+        )
         return Refusal(occupied, f"{words}{what} is {distance[0]:.2f} m from its centre.{hint}", near)
+    if not _faces_somewhere(space, level, xy[0], float(distance[0])):
+        words = (
+            f"the {space.agent.name} ({space.agent.length:.2f} m long) fits at the {name} {_at(place)} in no direction."
+        )
+        return Refusal(occupied, words)
     node = _connect(space, level, xy[0])
     if node < 0:
         return Refusal(occupied, f"the {space.agent.name} cannot leave the {name} {_at(place)} in any direction.")
     return Endpoint(xy[0], level, node)
+
+
+def _faces_somewhere(space: FreeSpace, level: int, xy: FloatArray, room: float) -> bool:
+    """Whether all discs of the body keep their distance at a place in plan when it faces in some direction.
+
+    With `room` [m] around the place that the discs need however it is turned, any will do.
+    """
+    agent = space.agent
+    if room >= space.reach + agent.offsets[-1]:
+        return True
+    heading = np.linspace(0.0, np.pi, FACINGS, endpoint=False)
+    poses = np.column_stack([np.tile(xy, (FACINGS, 1)), heading])
+    fits = [space.clearance(level, disc_places(poses, offset))[0] >= space.reach for offset in agent.offsets]
+    return bool(np.logical_and.reduce(fits).any())
 
 
 def _shut_in(space: FreeSpace, level: int, xy: FloatArray) -> bool:
@@ -176,13 +200,13 @@ def _nearest_free(space: FreeSpace, place: FloatArray, component: int | None = N
         component: Of the graph, to which it must belong.
     """
     best, found = np.inf, None
-    for level in range(len(space.surfaces)):
-        reach, widest = NEXT, space.quadtrees[level].side * space.quadtrees[level].width
-        while reach < min(4.0 * widest, 2.0 * best):
+    for level, tree in enumerate(space.quadtrees):
+        reach, whole = NEXT, float(np.abs(place[:2] - tree.origin).max()) + tree.side * tree.width
+        while True:
             near = _nearest_within(space, level, place, component, reach)
             if near is not None and near[0] < best:
                 best, found = near
-            if near is not None and near[0] <= reach:  # nothing outside of the square is nearer
+            if best <= reach or reach >= whole:  # nothing outside of the square is nearer
                 break
             reach *= 4.0
     return found

@@ -21,7 +21,7 @@ from gpdf_service.planning.no_path import explain_no_path
 from gpdf_service.planning.routes import Leg, Route, find_cut, find_routes, take_up
 from gpdf_service.planning.shape import resample, spline, stand_up
 from gpdf_service.planning.timing import speed_limit
-from gpdf_service.planning.turning import Stuck, time_poses, turn_route
+from gpdf_service.planning.turning import Facing, Stuck, time_poses, turn_route
 from gpdf_service.search import FreeSpace
 from gpdf_service.types import Certificate, FloatArray, IntArray, PlanOptions, PlanResult, Status, Trajectory
 
@@ -72,13 +72,13 @@ def plan_path(
         return PlanResult(Status.TIMEOUT, "the deadline passed before the search began. Allow more time.")
     first: Certificate | None = None
     stuck: Stuck | None = None
-    for route in _routes(space, ends, options):
+    for route in _routes(space, ends, options, lambda: np.inf if deadline is None else deadline - clock()):
         if isinstance(route, Stuck):
             stuck = stuck or route
             continue
         searched = clock()
         for candidate in _candidates(space, route.legs, config, deadline, clock):
-            contact, top, level, headings = _stand(space, candidate.legs, config.waypoint_spacing)
+            contact, top, level, headings = _stand(space, candidate.legs, config.waypoint_spacing, _facing(options))
             certificate = certify(space, top, contact, level, headings)
             first = first or certificate
             if certificate.holds:
@@ -97,7 +97,7 @@ def plan_path(
         details = {"largest_radius": why.largest_radius} | _place("cut", why.at)
         return PlanResult(Status.NO_VALID_PATH, why.message, timings=timings, details=details)
     if stuck is not None:
-        return PlanResult(Status.NO_VALID_PATH, stuck.message, timings=timings, details=_place("cut", stuck.at))
+        return PlanResult(stuck.status, stuck.message, timings=timings, details=_place("cut", stuck.at))
     return PlanResult(
         Status.UNCERTIFIED,
         f"a path was found, but it cannot be certified: {first.reason}. Choose other places, or a smaller body.",
@@ -111,17 +111,18 @@ def _place(name: str, place: FloatArray) -> dict[str, float]:
     return {f"{name}_{axis}": float(v) for axis, v in zip("xyz", place, strict=True) if np.isfinite(v)}
 
 
-def _routes(space: FreeSpace, ends: Ends, options: PlanOptions) -> Iterator[Route | Stuck]:
+def _routes(space: FreeSpace, ends: Ends, options: PlanOptions, left: Clock) -> Iterator[Route | Stuck]:
     """The way from before, if it can be taken up; then, if that does not certify, those of the graph.
 
-    For a body of discs these are ways of one disc; if bending does not make them its own, it searches over its poses.
+    For a body of discs these are ways of one disc; if bending does not make them its own, it searches over its poses,
+    for as many seconds as are `left`.
     """
     if options.warm_start is not None and (known := take_up(space, ends, options.warm_start)) is not None:
         yield known
     routes = find_routes(space, ends)
     yield from routes
     if space.agent.discs > 1:
-        yield from (turn_route(space, route) for route in routes)
+        yield from (turn_route(space, route, left(), _facing(options)) for route in routes)
 
 
 def _candidates(
@@ -174,8 +175,17 @@ def _bend(
     return spline(found.xi[:, :2], config.waypoint_spacing), found
 
 
-def _stand(space: FreeSpace, legs: list[Leg], spacing: float) -> tuple[FloatArray, FloatArray, IntArray, FloatArray]:
-    """Contact points, tops, levels and headings of a whole path; a place where two legs meet stands in it once."""
+def _facing(options: PlanOptions) -> Facing:
+    return options.start_heading, options.goal_heading
+
+
+def _stand(
+    space: FreeSpace, legs: list[Leg], spacing: float, facing: Facing
+) -> tuple[FloatArray, FloatArray, IntArray, FloatArray]:
+    """Contact points, tops, levels and headings of a whole path; a place where two legs meet stands in it once.
+
+    A body of discs turns on the spot at the ends if it must face elsewhere there.
+    """
     agent = space.agent
     contacts, tops, levels, headings = [], [], [], []
     for i, (level, path) in enumerate(legs):
@@ -186,7 +196,12 @@ def _stand(space: FreeSpace, legs: list[Leg], spacing: float) -> tuple[FloatArra
         levels.append(np.full(len(poses), level))
         headings.append(poses[:, 2])
     contact, top, on, heading = np.vstack(contacts), np.vstack(tops), np.concatenate(levels), np.concatenate(headings)
-    heading = np.unwrap(heading)
+    row = np.arange(len(contact))
+    if agent.discs > 1:
+        turned = [(0, facing[0]), *enumerate(heading), (-1, facing[1])]
+        row = np.array([row[i] for i, angle in turned if angle is not None])
+        heading = np.unwrap([angle for _, angle in turned if angle is not None])
+    contact, top, on = contact[row], top[row], on[row]
     moved = np.linalg.norm(np.diff(contact[:, :2], axis=0), axis=1) + agent.offsets[-1] * np.abs(np.diff(heading))
     keep = np.concatenate([[True], moved > 1e-9])
     if keep.sum() < 2:  # start is goal: stand there

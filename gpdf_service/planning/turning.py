@@ -12,43 +12,69 @@ from gpdf_service.fields import Tree
 from gpdf_service.planning.routes import Leg, Route
 from gpdf_service.planning.timing import time_path
 from gpdf_service.search import FreeSpace
-from gpdf_service.search.lattice import find_poses, is_motion_clear, turned
-from gpdf_service.types import Agent, FloatArray, IntArray
+from gpdf_service.search.lattice import (
+    MOST_POSES,
+    POSES_PER_SECOND,
+    PoseSearch,
+    find_poses,
+    is_motion_clear,
+    turned,
+)
+from gpdf_service.types import Agent, FloatArray, IntArray, Status
+
+Facing = tuple[float | None, float | None]
+"""Where a body faces at the start and at the goal [rad]; None leaves it free."""
 
 
 @dataclass(frozen=True, slots=True)
 class Stuck:
-    """Why a body gets no further, in words, and where: (x, y, z of the ground) [m]."""
+    """Why a body gets no further, and where: (x, y, z of the ground) [m]."""
 
+    status: Status
     message: str
     at: FloatArray
 
 
-def turn_route(space: FreeSpace, route: Route) -> Route | Stuck:
+def turn_route(space: FreeSpace, route: Route, seconds: float, facing: Facing = (None, None)) -> Route | Stuck:
     """The same route with poses (x, y, θ) for legs, or where it cannot be passed.
 
-    The body begins each leg as it ends the one before, and is free to face anywhere at the start and at the goal.
+    The body begins each leg as it ends the one before.
+
+    Args:
+        space: The body's free space.
+        route: Its legs' ends are kept.
+        seconds: That the search may take.
+        facing: Where the body faces at the start and at the goal [rad]; None leaves it free.
     """
     legs: list[Leg] = []
-    heading: FloatArray = np.zeros(0)
-    for level, path in route.legs:
-        start = np.append(path[0, :2], heading)
-        found = find_poses(
-            space.trees[level], space.surfaces[level], start, path[-1, :2], space.agent.offsets, space.radius
-        )
+    heading = facing[0]
+    most = min(MOST_POSES, int(POSES_PER_SECOND * max(0.0, min(seconds, MOST_POSES))))
+    for n, (level, path) in enumerate(route.legs, start=1):
+        start, goal = _end(path[0], heading), _end(path[-1], facing[1] if n == len(route.legs) else None)
+        tree, offsets = space.trees[level], space.agent.offsets
+        found = find_poses(tree, space.surfaces[level], start, goal, offsets, space.radius, most=most)
         if not found.reached:
-            return _stuck(space, level, found.poses[-1, :2])
-        pulled = pull(found.poses, space.trees[level], space.agent.offsets, space.radius)
-        legs.append((level, pulled))
-        heading = pulled[-1:, 2]
+            return _stuck(space, level, found)
+        legs.append((level, pull(found.poses, tree, offsets, space.radius)))
+        heading = float(legs[-1][1][-1, 2])
     return replace(route, legs=legs)
 
 
-def _stuck(space: FreeSpace, level: int, xy: FloatArray) -> Stuck:
-    agent, place = space.agent, ", ".join(f"{value:.2f}" for value in xy)
+def _end(place: FloatArray, heading: float | None) -> FloatArray:
+    return place[:2] if heading is None else np.append(place[:2], heading)
+
+
+def _stuck(space: FreeSpace, level: int, found: PoseSearch) -> Stuck:
+    agent, xy = space.agent, found.poses[-1, :2]
+    at = np.append(xy, space.surfaces[level].height_at(xy[None]))
+    place = ", ".join(f"{value:.2f}" for value in xy)
+    if found.given_up:
+        words = (
+            f"the {agent.name} had come as near as ({place}) when the search for a way was given up. Allow more time."
+        )
+        return Stuck(Status.TIMEOUT, words, at)
     words = f"the {agent.name} cannot get there: it is {agent.length:.2f} m long and does not get round at ({place})."
-    hint = "A shorter body, or one that is narrow all around, may pass."
-    return Stuck(f"{words} {hint}", np.append(xy, space.surfaces[level].height_at(xy[None])))
+    return Stuck(Status.NO_VALID_PATH, f"{words} A shorter body, or one that is narrow all around, may pass.", at)
 
 
 def pull(poses: FloatArray, obstacles: Tree, offsets: FloatArray, radius: float) -> FloatArray:
@@ -57,9 +83,10 @@ def pull(poses: FloatArray, obstacles: Tree, offsets: FloatArray, radius: float)
     parts = [poses[:1]]
     for a, b in pairwise(kept):
         parts.append(_leap(poses[a], poses[b]) if b - a > 1 else poses[[b]])
-    made: FloatArray = np.concatenate(parts)
+    made = np.concatenate(parts)
     made[:, 2] = np.unwrap(made[:, 2])
-    return made[np.concatenate([[True], np.abs(np.diff(made, axis=0)).max(axis=1) > 1e-9])]
+    distinct: FloatArray = made[np.concatenate([[True], np.abs(np.diff(made, axis=0)).max(axis=1) > 1e-9])]
+    return distinct
 
 
 @njit(cache=True, nogil=True)

@@ -17,13 +17,20 @@ from numba import njit
 
 from gpdf_service.fields import Tree, nearest_one
 from gpdf_service.perception import HeightMap
+from gpdf_service.perception.surface import UNKNOWN
 from gpdf_service.search.graph import RESOLUTION
 from gpdf_service.types import BoolArray, FloatArray, IntArray
 
 CELL_SHARE = 0.25
 """[-] Grid width over the discs' radius: a gap is found that leaves the discs a quarter of it on either side."""
+GREED = 2.0
+"""[-] How much more the guide counts than it says: it knows nothing of turns, and what is found is bent anyway."""
+DETOUR = (2.0, 30.0)
+"""[-], [m] Ways are looked for that one disc goes in twice its shortest one and 30 m more: out of a house and back."""
 MOST_POSES = 2_000_000
-"""Poses that a search may look at: some seconds; a room of 10 m has eight millions, and few are looked at."""
+"""Poses that a search may look at: ten seconds; a room of 10 m has eight millions, and few are looked at."""
+POSES_PER_SECOND = 150_000
+"""Poses looked at in a second, on a slow machine: so long a search may go on before a deadline."""
 _ASLANT = atan2(1.0, 2.0) + 1e-6
 """[rad] A body goes at most this much aslant: between two of the 16 directions of the grid, it can go along either."""
 _FIRST_CELLS = 4096
@@ -32,10 +39,14 @@ _FIRST_CELLS = 4096
 
 @dataclass(frozen=True, slots=True)
 class PoseSearch:
-    """Poses from start to goal, shape (n, 3), θ unwrapped; if `reached` is false, one: the nearest to the goal."""
+    """Poses from start to goal, shape (n, 3), θ unwrapped; if `reached` is false, one: the nearest to the goal.
+
+    Then `given_up` says that there may be a way, which was not found among as many poses as might be looked at.
+    """
 
     poses: FloatArray
     reached: bool
+    given_up: bool = False
 
 
 class _Body(NamedTuple):
@@ -51,6 +62,14 @@ class _Grid(NamedTuple):
     origin: FloatArray
     width: float
     turn: float
+
+
+class _Ground(NamedTuple):
+    """Lower corner of the ground's cells [m], their width [m], and which are known."""
+
+    origin: FloatArray
+    width: float
+    known: BoolArray
 
 
 class _Moves(NamedTuple):
@@ -166,14 +185,13 @@ def find_poses(
     extent = surface.cell_width * np.array(surface.height.shape)
     shape = first + np.ceil((surface.origin + extent - start[:2]) / width).astype(np.int64) + 1
     grid = _Grid(start[:2] - first * width, width, 2.0 * pi / turns)
-    cells = np.stack(np.meshgrid(*(np.arange(n) for n in shape), indexing="ij"), axis=-1).reshape(-1, 2)
-    known = surface.contains(grid.origin + cells * width).reshape(shape)
-    guide = _flood(obstacles, known, grid, radius, goal[:2])
+    ground = _Ground(np.asarray(surface.origin, dtype=np.float64), surface.cell_width, surface.state != UNKNOWN)
+    guide = _flood(obstacles, ground, grid, (int(shape[0]), int(shape[1])), radius, first, goal[:2])
     away = _turns_to(obstacles, np.append(start[:2], start[2:]), grid.turn, body)
-    states, reached = _search(obstacles, guide, grid, _moves(grid, body), first, away, goal, body, most)
+    states, reached, given_up = _search(obstacles, guide, grid, _moves(grid, body), first, away, goal, body, most)
     poses = np.column_stack([grid.origin + states[:, :2] * width, states[:, 2] * grid.turn])
     if not reached:
-        return PoseSearch(poses[-1:] if len(poses) else np.append(start[:2], 0.0)[None], False)
+        return PoseSearch(poses[-1:] if len(poses) else np.append(start[:2], 0.0)[None], False, given_up)
     begin, end = np.append(start, poses[0, len(start) :])[None], np.append(goal[:2], poses[-1, 2])[None]
     last = np.append(goal[:2], goal[2] if len(goal) == 3 else poses[-1, 2])[None]
     made = np.concatenate([begin, poses, end, last])
@@ -226,28 +244,44 @@ def _weight(room: float, radius: float) -> float:
 
 
 @njit(cache=True, nogil=True)
-def _flood(obstacles: Tree, known: BoolArray, grid: _Grid, radius: float, goal: FloatArray) -> FloatArray:
-    """Cost of the way of a single disc from each cell to the goal [m]; inf where there is none."""
-    guide, room = np.full(known.shape, np.inf), np.full(known.shape, np.nan)
+def _flood(
+    obstacles: Tree,
+    ground: _Ground,
+    grid: _Grid,
+    shape: tuple[int, int],
+    radius: float,
+    start: IntArray,
+    goal: FloatArray,
+) -> FloatArray:
+    """Cost of the way of a single disc from each cell to the goal [m]; inf where there is none, or too long a one."""
+    guide, room = np.full(shape, np.inf), np.full(shape, np.nan)
     i, j = round((goal[0] - grid.origin[0]) / grid.width), round((goal[1] - grid.origin[1]) / grid.width)
     guide[i, j] = 0.0
     frontier = [(0.0, i, j)]
     while len(frontier) > 0:
         cost, i, j = heapq.heappop(frontier)
+        if cost > DETOUR[0] * guide[start[0], start[1]] + DETOUR[1]:
+            break
         if cost > guide[i, j]:
             continue
-        for a in range(max(i - 1, 0), min(i + 2, known.shape[0])):
-            for b in range(max(j - 1, 0), min(j + 2, known.shape[1])):
-                if not known[a, b]:
-                    continue
+        for a in range(max(i - 1, 0), min(i + 2, shape[0])):
+            for b in range(max(j - 1, 0), min(j + 2, shape[1])):
                 if np.isnan(room[a, b]):
-                    place = grid.origin + grid.width * np.array([float(a), float(b)])
-                    room[a, b] = nearest_one(obstacles, place)[0] - radius
+                    room[a, b] = _room_on(obstacles, ground, grid.origin + grid.width * np.array([a, b])) - radius
                 further = cost + grid.width * hypot(float(a - i), float(b - j)) * _weight(room[a, b], radius)
                 if room[a, b] >= 0.0 and further < guide[a, b]:
                     guide[a, b] = further
                     heapq.heappush(frontier, (further, a, b))
     return guide
+
+
+@njit(cache=True, nogil=True)
+def _room_on(obstacles: Tree, ground: _Ground, place: FloatArray) -> float:
+    """Distance from a place in plan to the nearest obstacle [m]; 0 where no ground is known."""
+    u, v = np.floor((place - ground.origin) / ground.width)
+    if not (0 <= u < ground.known.shape[0] and 0 <= v < ground.known.shape[1] and ground.known[int(u), int(v)]):
+        return 0.0
+    return float(nearest_one(obstacles, place)[0])
 
 
 @njit(cache=True, nogil=True)
@@ -261,8 +295,8 @@ def _search(
     goal: FloatArray,
     body: _Body,
     most: int,
-) -> tuple[IntArray, bool]:
-    """A* from the cell `first`: states (i, j, heading), shape (n, 3), and whether the last one reaches the goal."""
+) -> tuple[IntArray, bool, bool]:
+    """A* from the cell `first`: states (i, j, heading), shape (n, 3), if the last reaches the goal, if given up."""
     turns = len(away)
     row = np.full(guide.shape, -1, np.int64)  # cells are given rows as they are touched
     row[first[0], first[1]] = 0
@@ -271,7 +305,7 @@ def _search(
     cost, room = np.full((_FIRST_CELLS, turns), np.inf), np.full((_FIRST_CELLS, turns), np.nan)
     came_from = np.full((_FIRST_CELLS, turns), -1)
     cost[0] = away
-    frontier = [(away[h] + guide[first[0], first[1]], h) for h in range(turns) if away[h] < np.inf]
+    frontier = [(away[h] + GREED * guide[first[0], first[1]], h) for h in range(turns) if away[h] < np.inf]
     heapq.heapify(frontier)
     best, nearest, reached, looked = -1, np.inf, False, 0
     a, b = np.empty(3), np.empty(3)
@@ -279,7 +313,7 @@ def _search(
         estimate, state = heapq.heappop(frontier)
         s, h = state // turns, state % turns
         i, j = cells[s]
-        if estimate > cost[s, h] + guide[i, j]:
+        if estimate > cost[s, h] + GREED * guide[i, j]:
             continue
         looked += 1
         a[0], a[1], a[2] = grid.origin[0] + i * grid.width, grid.origin[1] + j * grid.width, h * grid.turn
@@ -312,8 +346,8 @@ def _search(
             if here + there < moves.moved[h, m] and not is_motion_clear(obstacles, a, b, body.offsets, body.radius):
                 continue
             cost[t, to], came_from[t, to] = further, state
-            heapq.heappush(frontier, (further + guide[u, v], t * turns + to))
-    return _trace(came_from, cells, best), reached
+            heapq.heappush(frontier, (further + GREED * guide[u, v], t * turns + to))
+    return _trace(came_from, cells, best), reached, looked >= most
 
 
 @njit(cache=True, nogil=True)

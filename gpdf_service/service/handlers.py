@@ -163,6 +163,8 @@ class Handlers:
             other_goals=request.other_goals,
             snap=request.snap,
             warm_start=None if request.warm_start is None else request.warm_start.unpack(),
+            start_heading=request.start_heading,
+            goal_heading=request.goal_heading,
             deadline_s=request.deadline_s,
         )
         if result.trajectory is not None and result.status is PlanStatus.OK:

@@ -14,6 +14,7 @@ from gpdf_schemas import TrajectoryCut
 from scipy.spatial import cKDTree
 
 from gpdf_service.perception.levels import LEAST_OBSTACLE
+from gpdf_service.planning.footprint import disc_places
 from gpdf_service.types import Agent, FloatArray, Trajectory
 
 log = logging.getLogger(__name__)
@@ -35,6 +36,7 @@ class _InUse:
     request_id: str
     agent: Agent
     ground: FloatArray  # contact points, closely spaced, (n, 3)
+    discs: FloatArray  # the body's discs there, (n, k, 3)
     times: FloatArray  # since the start [s], (n,)
     until: float
 
@@ -77,10 +79,10 @@ class InUse:
 
     def remember(self, scene: str, request_id: str, agent: Agent, trajectory: Trajectory) -> None:
         """A trajectory was given out; what came while it was planned is looked at, too."""
-        ground, times = _dense(trajectory)
+        ground, discs, times = _dense(trajectory, agent)
         until = self._clock() + PATIENCE * trajectory.duration + GRACE_S
         with self._lock:
-            self._known.append(_InUse(scene, request_id, agent, ground, times, until))
+            self._known.append(_InUse(scene, request_id, agent, ground, discs, times, until))
         self.look(scene)
 
     def look(self, scene: str) -> None:
@@ -127,25 +129,27 @@ class InUse:
                 log.exception("trajectories in use in scene %s", scene)
 
 
-def _dense(trajectory: Trajectory) -> tuple[FloatArray, FloatArray]:
-    """Contact points at most `SPACING` apart in plan, and their times."""
-    steps = np.maximum(1, np.ceil(np.linalg.norm(np.diff(trajectory.ground[:, :2], axis=0), axis=1) / SPACING))
-    knots = np.concatenate([[0.0], np.cumsum(steps)])
+def _dense(trajectory: Trajectory, agent: Agent) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Contact points and discs such that none moves further than `SPACING` between two, and their times."""
+    poses = np.column_stack([trajectory.ground, np.unwrap(trajectory.headings)])
+    moved = np.linalg.norm(np.diff(poses[:, :2], axis=0), axis=1) + agent.offsets[-1] * np.abs(np.diff(poses[:, 3]))
+    knots = np.concatenate([[0.0], np.cumsum(np.maximum(1, np.ceil(moved / SPACING)))])
     at = np.arange(knots[-1] + 1)
-    ground = np.column_stack([np.interp(at, knots, column) for column in trajectory.ground.T])
-    return ground, np.interp(at, knots, trajectory.times)
+    dense = np.column_stack([np.interp(at, knots, column) for column in poses.T])
+    places = [disc_places(dense[:, [0, 1, 3]], offset) for offset in agent.offsets]
+    discs = np.stack([np.column_stack([place, dense[:, 2]]) for place in places], axis=1)
+    return dense[:, :3], discs, np.interp(at, knots, trajectory.times)
 
 
 def _first_touch(used: _InUse, points: FloatArray) -> int | None:
-    """Where the body, an upright cylinder on its contact point, first meets one of the points (k, 3)."""
-    ground, agent = used.ground, used.agent
-    low, high = ground.min(axis=0) - agent.radius, ground.max(axis=0) + agent.radius + [0.0, 0.0, agent.height]
+    """Where the body, upright on its contact point, first meets one of the points (k, 3)."""
+    discs, agent = used.discs.reshape(-1, 3), used.agent
+    radius = agent.disc_radius
+    low, high = discs.min(axis=0) - radius, discs.max(axis=0) + radius + [0.0, 0.0, agent.height]
     points = points[((points >= low) & (points <= high)).all(axis=1)]
     if not len(points):
         return None
-    pairs = cKDTree(ground[:, :2]).sparse_distance_matrix(
-        cKDTree(points[:, :2]), agent.radius - TOUCH, output_type="ndarray"
-    )
-    above = points[pairs["j"], 2] - ground[pairs["i"], 2]
+    pairs = cKDTree(discs[:, :2]).sparse_distance_matrix(cKDTree(points[:, :2]), radius - TOUCH, output_type="ndarray")
+    above = points[pairs["j"], 2] - discs[pairs["i"], 2]
     touching = pairs["i"][(above > LEAST_OBSTACLE) & (above < agent.height)]
-    return int(touching.min()) if len(touching) else None
+    return int(touching.min()) // agent.discs if len(touching) else None

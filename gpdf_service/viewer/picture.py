@@ -55,7 +55,8 @@ def draw_plans(
         scene: Where they were planned.
         results: By the name in the legend; those without a trajectory stand in the legend with their status.
         path: The PNG to write.
-        agent: Whose obstacles and free space are shown; the one that the first result is named by if None.
+        agent: Whose obstacles, free space and, of discs, footprint are shown; the one that the first result is named by
+            if None.
         start: Marked when given, (x, y, …) [m].
         goal: The same.
         title: Over the picture.
@@ -76,6 +77,7 @@ def draw_plans(
             continue
         width = LINE_WIDTH + (len(results) - 1 - i)  # where paths lie on each other, the first looks out below
         plan_axes.plot(*result.trajectory.positions[:, :2].T, color=colour, lw=width, label=label, zorder=5)
+        _draw_footprints(plan_axes, result.trajectory, body, colour)
         _draw_profile(side_axes, result.trajectory, name, colour)
     for place, marker, label in ((start, "o", "start"), (goal, "*", "goal")):
         if len(place):
@@ -173,6 +175,27 @@ def _draw_obstacles(axes: Any, scene: Scene, agent: Agent, level: int) -> None: 
         if len(points):
             axes.plot(points[:, 0], points[:, 1], ".", ms=0.7, color=colour, zorder=3)
             axes.plot([], [], "o", ms=5, color=colour, label=kind.name.lower())  # for the legend, large enough to see
+
+
+def _draw_footprints(axes: Any, trajectory: Trajectory, agent: Agent, colour: str) -> None:  # noqa: ANN401
+    """The body of discs along its path, turned as it is there: its box, every third of a length that an end goes."""
+    if agent.discs == 1:
+        return
+    moved = np.linalg.norm(np.diff(trajectory.positions, axis=0), axis=1)
+    moved = moved + agent.offsets[-1] * np.abs(np.diff(trajectory.headings))
+    along = np.concatenate([[0.0], np.cumsum(moved)])
+    rows = np.unique(np.searchsorted(along, np.linspace(0.0, along[-1], int(3.0 * along[-1] / agent.length) + 2)))
+    boxes = [
+        Rectangle(
+            (x - 0.5 * agent.length, y - 0.5 * agent.width),
+            agent.length,
+            agent.width,
+            angle=float(np.degrees(heading)),
+            rotation_point="center",
+        )
+        for (x, y), heading in zip(trajectory.positions[rows, :2], trajectory.headings[rows], strict=True)
+    ]
+    axes.add_collection(PatchCollection(boxes, facecolor=colour, edgecolor=colour, linewidth=0.6, alpha=0.25, zorder=4))
 
 
 def _draw_profile(axes: Any, trajectory: Trajectory, name: str, colour: str) -> None:  # noqa: ANN401

@@ -109,13 +109,15 @@ class PlanRequest(msgspec.Struct, frozen=True, kw_only=True):
         scene: Name of a loaded scene.
         start: (x, y) or (x, y, z of the ground there) [m].
         goal: The same.
-        agent: Name of a known body, or its measures as a map (the fields of `gpdf_service.Agent`).
+        agent: Name of a known body, or its measures as a map (the fields of `gpdf_service.Agent`; `discs` if any).
         method: dual_gpdf, or one of the paper's baselines: single_gpdf, astar, prm.
         via: Places that the path goes through, in this order.
         other_goals: More goals; the one with the shortest way is taken; its number is `details["goal"]`, 0 the first.
         snap: How far a place where the body cannot be may be moved to the nearest one where it can [m]; 0 refuses it.
         warm_start: Contact points (n, 3) of a trajectory from before: taken up from where the start is near it if it
             is still clear and ends near the goal; not with `via`.
+        start_heading: Where a body of discs faces at the start [rad], to turn there if it must; free when not given.
+        goal_heading: The same at the goal.
         deadline_s: Seconds that the answer may take.
         request_id: Chosen by the client; the same id asks the same thing again.
         obstacles: What else is in the way, for this plan alone; what was published for the scene counts as well.
@@ -130,6 +132,8 @@ class PlanRequest(msgspec.Struct, frozen=True, kw_only=True):
     other_goals: list[list[float]] = []
     snap: float = 0.0
     warm_start: Array | None = None
+    start_heading: float | None = None
+    goal_heading: float | None = None
     deadline_s: float = 30.0
     request_id: str = ""
     obstacles: list[MovingObstacle] = []

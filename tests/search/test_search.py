@@ -83,3 +83,12 @@ def test_a_segment_is_clear_exactly_when_a_fine_sampling_is(space):
             assert clear == (least > space.radius)
             seen.add(clear)
     assert seen == {True, False}
+
+
+def test_leaves_around_a_place_are_those_that_meet_the_square(space):
+    tree, rng = space.quadtrees[0], np.random.default_rng(5)
+    for xy in tree.center[rng.integers(len(tree.size), size=20)] + rng.normal(0.0, 0.5, (20, 2)):
+        gap = np.abs(tree.center - xy).max(axis=1) - tree.half_size
+        found = np.sort(tree.within(xy, 0.3))
+        assert set(np.flatnonzero(gap < 0.3 - tree.width)) <= set(found.tolist())
+        assert (gap[found] <= 0.3 + tree.width).all()

@@ -1,5 +1,6 @@
 """Trajectories that somebody follows, cut by something that moves."""
 
+import dataclasses
 import queue
 
 import numpy as np
@@ -49,6 +50,19 @@ def test_a_point_cuts_exactly_where_the_swept_cylinder_is(x, y, z, agent):
         assert cut.time == pytest.approx(2.0 * max(0.0, along), abs=0.15)
         np.testing.assert_allclose(cut.at, [1.0 + cut.time / 2, 1.5, 0.0], atol=1e-9)
         assert (cut.scene, cut.request_id, cut.planner, cut.obstacles) == ("hall", "1", "me", ["x"])
+
+
+def test_a_body_of_discs_is_cut_by_what_its_footprint_meets_turning_too():
+    spot = dataclasses.replace(gpdf.AGENTS["spot"], discs=6)
+    ground = np.array([[1.0, 1.5, 0.0], [5.0, 1.5, 0.0], [5.0, 1.5, 0.0]])
+    path = Trajectory(
+        ground + np.array([0.0, 0.0, 0.7]), ground, np.array([0.0, 8.0, 10.0]), np.array([0.0, 0.0, np.pi / 2])
+    )
+    for point, when in (((3.0, 1.8, 0.5), None), ((3.0, 1.55, 0.5), 3.0), ((5.0, 1.95, 0.5), 9.7)):
+        used = InUse(lambda scene, at=point: {"x": np.array([at])}, lambda cut: None)
+        used.remember("hall", "1", spot, path)
+        times = [cut.time for cut in used.cuts("hall")]
+        assert times == ([] if when is None else [pytest.approx(when, abs=0.3)]), point
 
 
 def test_a_trajectory_is_in_use_for_a_while_and_in_its_scene():
