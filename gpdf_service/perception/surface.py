@@ -89,7 +89,7 @@ def fill_holes(surface: HeightMap, material: BoolArray, seen_through: BoolArray,
     A hole is a connected set of unknown cells bounded by known ground and `material` (cells that hold other points),
     shut off from the map's rim, with no place further than `MAX_HOLE_RADIUS` from seen ground, and with all the ground
     around it on one plane within a cell's slope: an edge that drops is not bridged. Nor is what was `seen_through`, or
-    a `pit`, see `find_voids`. A notch in a flight of stairs is filled with the treads beside it.
+    a `pit`, see `find_voids`. Under a thing it is filled only where ground was seen beneath its rim. A notch in a flight of stairs is filled with the treads beside it.
     """
     known = surface.state == OBSERVED
     height, state = surface.height.copy(), surface.state.copy()
@@ -101,10 +101,25 @@ def fill_holes(surface: HeightMap, material: BoolArray, seen_through: BoolArray,
     void = seen_through | pit
     _fill(height, state, ~known & ~material, known, distance, surface.cell_width, void)
     solid = state != UNKNOWN  # then the ground that carries the furniture itself
-    under = ~solid & (distance <= MAX_HOLE_RADIUS) & material
+    under = ~solid & (distance <= MAX_HOLE_RADIUS) & material & _seen_hollow(~solid & material, known & material)
     _fill(height, state, under, solid, distance, surface.cell_width, void)
     _fill_gaps(height, state, state == UNKNOWN, distance, nearest, surface.cell_width)  # what is left of larger ones
     return HeightMap(surface.origin, surface.cell_width, height, state)
+
+
+def _seen_hollow(things: BoolArray, overhung: BoolArray) -> BoolArray:
+    """Cells of things in whose neighbourhood ground was seen beneath material, further in than the edge of a cell.
+
+    A table shows the floor under its rim. What was seen from above alone, as a rock on a height map, may be solid.
+    """
+    label, count = ndimage.label(things, np.ones((3, 3)))
+    inner = ndimage.binary_erosion(overhung | things, np.ones((3, 3))) & overhung
+    near = ndimage.binary_dilation(inner, np.ones((3, 3)), iterations=2)
+    hollow = np.zeros(count + 1, dtype=bool)
+    hollow[label[near & things]] = True
+    hollow[0] = False
+    result: BoolArray = hollow[label]
+    return result
 
 
 def find_voids(surface: HeightMap, points: FloatArray, max_step: float) -> tuple[BoolArray, BoolArray]:
