@@ -303,3 +303,29 @@ def test_a_tread_is_ground_to_its_end_and_its_risers_are_joined_to_it():
     surface = build_levels(scene.points, scene.ground, CONFIG).levels[0].surface
     foot, head = (surface.height_at(np.array([[x, 0.8]]))[0] for x in (2.1, 4.4))
     assert (foot, head) == pytest.approx((0.17, 1.53), abs=0.02)
+
+
+def lawn(rng, width=6.0, spacing=0.04):
+    count = int((width / spacing) ** 2)
+    return np.column_stack([rng.uniform(0.0, width, (count, 2)), np.zeros(count)])
+
+
+def test_nothing_is_inferred_under_a_rock_that_was_seen_from_above_alone():
+    points = lawn(np.random.default_rng(0))
+    rock = (np.abs(points[:, :2] - 3.0) < 0.5).all(axis=1)
+    points[rock, 2] = 0.8
+    surface = build_levels(points, ~rock, CONFIG).levels[0].surface
+    assert not surface.contains(np.array([[3.0, 3.0]])).any()
+
+
+def test_the_floor_goes_on_through_a_hole_beside_a_low_box_and_not_through_one_that_walls_close_off():
+    points = lawn(np.random.default_rng(0))
+    x, y = points[:, 0], points[:, 1]
+    points[(x > 3.4) & (x < 4.0) & (y > 2.7) & (y < 3.3), 2] = 0.27
+    hole = (np.hypot(x - 3.0, y - 3.0) < 0.4) | (np.hypot(x - 1.0, y - 5.0) < 0.4)
+    z, angle = (axis.ravel() for axis in np.meshgrid(np.arange(0.0, 1.5, 0.03), np.arange(0.5, 6.0, 0.05)))
+    wall = np.column_stack([1.0 + 0.37 * np.cos(angle), 5.0 + 0.37 * np.sin(angle), z])
+    cloud = np.concatenate([points[~hole], wall])
+    surface = build_levels(cloud, np.arange(len(cloud)) < len(cloud) - len(wall), CONFIG).levels[0].surface
+    assert surface.height_at(np.array([[3.0, 3.0]])) == pytest.approx(0.0, abs=0.02)
+    assert not surface.contains(np.array([[1.0, 5.0]])).any()
