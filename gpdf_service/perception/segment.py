@@ -19,6 +19,9 @@ HALF = ((1, 0), (0, 1), (1, 1), (1, -1))
 """Half of a cell's eight neighbours: each pair of cells once."""
 LEAST_SCATTER = 0.02
 """[m] Scatter of a good scanner's floor; three robust standard deviations of the residuals where that is more."""
+NOISY = 2.8
+"""[-] Cells are as wide as the root of this by noise and width, so that two deviations of the difference of neighbours,
+each the median of its points, stay under the steepest slope: w tan(0.7) ≥ 2 · √2 · 1.25 σ (w₀ / 1.5) / w."""
 OVER_SHARE = 0.2
 """Share of a patch that may lie over other ground: a scan's stray points, not a table."""
 TABLE_AREA = 4.0
@@ -51,18 +54,28 @@ def segment_ground(points: ArrayLike, config: PerceptionConfig | None = None) ->
     config = config or PerceptionConfig()
     cloud = check_points(points)
     width = cell_width_of(cloud)
-    layers = build_layers(cloud, width, max(config.min_headroom, 1.5 * width))
-    ground = find_ground(layers, config)
+    layers, ground, smooth, deviation = _layers_with_ground(cloud, width, 0.0, config)
+    if (wider := float(np.sqrt(NOISY * deviation * width))) > width:
+        layers, ground, smooth, deviation = _layers_with_ground(cloud, wider, deviation, config)
     node = layers.node_of_point
-    smooth = _smoothed(layers, ground)
-    residual = np.abs(cloud[:, 2] - smooth[node])
-    scatter = max(LEAST_SCATTER, 3.0 * 1.4826 * float(np.median(residual[ground[node]])))
+    scatter = max(LEAST_SCATTER, 3.0 * deviation)
     beside = _ground_beside(layers, ground, smooth, scatter)
     low, high = _across(layers, ground, smooth, config)
     z = cloud[:, 2]
     mask: BoolArray = ground[node] & (z >= low[node] - scatter) & (z <= high[node] + scatter)
     mask |= np.abs(z - beside[node]) <= scatter
     return mask
+
+
+def _layers_with_ground(
+    cloud: FloatArray, width: float, noise: float, config: PerceptionConfig
+) -> tuple[Layers, BoolArray, FloatArray, float]:
+    """Layers, which of their nodes are ground, their height smoothed, and the scatter of the points around it [m]."""
+    layers = build_layers(cloud, width, max(config.min_headroom, 1.5 * width), noise)
+    ground = find_ground(layers, config, noise)
+    smooth, node = _smoothed(layers, ground), layers.node_of_point
+    on = ground[node]
+    return layers, ground, smooth, 1.4826 * float(np.median(np.abs(cloud[on, 2] - smooth[node[on]])))
 
 
 def _across(
@@ -107,13 +120,13 @@ def _smoothed(layers: Layers, ground: BoolArray) -> FloatArray:
     return smooth
 
 
-def find_ground(layers: Layers, config: PerceptionConfig) -> BoolArray:
+def find_ground(layers: Layers, config: PerceptionConfig, noise: float = 0.0) -> BoolArray:
     """Which nodes are ground, shape (k,).
 
     Patches are sets of nodes joined by walkable slopes. From the bulk, the ground grows patch by patch over steps that
     a body takes, to patches that a foot fits on and that do not lie, as a bench does, over ground already found.
     """
-    surface = layers.thickness <= config.max_step
+    surface = layers.thickness <= config.max_step + 4.0 * noise  # a step's face, from the lowest point to the highest
     rise = layers.cell_width * float(np.tan(config.steepest))
     a, b = connect(layers, surface, rise, HALF)
     smooth = np.bincount(a, minlength=len(surface)) + np.bincount(b, minlength=len(surface))
