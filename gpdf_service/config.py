@@ -27,6 +27,8 @@ class PerceptionConfig:
     """[m] Narrowest platform that is ground: the width of a person, Uttsha et al. 2024, Table 1."""
     steepest: float = 0.7
     """[rad] Steepest slope within a piece of ground: 40°, beyond what any body here stands on (30°)."""
+    standable_slope: float = 0.524
+    """[rad] Steepest slope that a body stands on: 30°, what a quadruped's data sheet says."""
     min_headroom: float = 0.1
     """[m] Least room over a piece of ground that is worth keeping: the height of the lowest body, a Roomba."""
     negligible_noise: float = 0.005

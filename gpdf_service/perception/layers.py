@@ -77,8 +77,11 @@ class Layers:
         return a, np.repeat(first, count) + within
 
 
-def build_layers(points: FloatArray, cell_width: float, gap: float) -> Layers:
-    """Cut the columns of `points`, shape (n, 3), wherever neighbours in height are more than `gap` apart [m]."""
+def build_layers(points: FloatArray, cell_width: float, gap: float, noise: float = 0.0) -> Layers:
+    """Cut the columns of `points`, shape (n, 3), wherever neighbours in height are more than `gap` apart [m].
+
+    A surface is as thick as its slope and four standard deviations of the `noise` [m] make it.
+    """
     # Centres lie at multiples of the width, so that they stay when the cloud grows; a ring of them is empty: unknown.
     origin = (np.floor(points[:, :2].min(axis=0) / cell_width) - 1.5) * cell_width
     index = np.floor((points[:, :2] - origin) / cell_width).astype(np.int64)
@@ -92,7 +95,7 @@ def build_layers(points: FloatArray, cell_width: float, gap: float) -> Layers:
     last = np.concatenate([first[1:], [len(z)]]) - 1
     thickness = z[last] - z[first]
     # Flat or sloping ground: the median. A step's face: its top.
-    flat = thickness <= 2.0 * cell_width
+    flat = thickness <= 2.0 * cell_width + 4.0 * noise
     height = np.where(flat, z[(first + last) // 2], z[last])
     headroom = np.full(len(first), np.inf)
     same = cell[first[1:]] == cell[first[:-1]]

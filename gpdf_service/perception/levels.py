@@ -223,7 +223,7 @@ def _build_level(
     ix, iy, _ = surface.cells(other)
     lowest = np.full(layers.shape, np.inf)
     np.minimum.at(lowest, (ix, iy), other[:, 2])
-    surface = fill_holes(surface, np.isfinite(lowest), *find_voids(surface, rest, config.max_step))
+    surface = fill_holes(surface, lowest, *find_voids(surface, rest, config.max_step))
     beside = ndimage.maximum_filter(np.where(surface.state != UNKNOWN, surface.height, -np.inf), size=3)
     # Only material that the lowest body cannot pass under guards an edge by itself.
     material = lowest <= beside + config.min_headroom

@@ -19,12 +19,17 @@ HALF = ((1, 0), (0, 1), (1, 1), (1, -1))
 """Half of a cell's eight neighbours: each pair of cells once."""
 LEAST_SCATTER = 0.02
 """[m] Scatter of a good scanner's floor; three robust standard deviations of the residuals where that is more."""
+NOISY = 2.8
+"""[-] Cells are as wide as the root of this by noise and width, so that two deviations of the difference of neighbours,
+each the median of its points, stay under the steepest slope: w tan(0.7) ≥ 2 · √2 · 1.25 σ (w₀ / 1.5) / w."""
 OVER_SHARE = 0.2
 """Share of a patch that may lie over other ground: a scan's stray points, not a table."""
 TABLE_AREA = 4.0
 """[m²] Furniture is no larger than a conference table for eight."""
 BULK_SHARE = 0.3
 """Of the largest surface: what is smaller is furniture, a landing or a shelf, not the floor that one starts from."""
+ROOF_SHARE = 0.2
+"""[-] Of a roof's rim that ground can touch, the rest being a drop: a terrace at one corner, a neighbour's wall."""
 COVERED_SHARE = 0.5
 """Of an upper storey that has a ceiling over it: tall furniture stands on the rest, or a roof window is over it."""
 
@@ -49,18 +54,28 @@ def segment_ground(points: ArrayLike, config: PerceptionConfig | None = None) ->
     config = config or PerceptionConfig()
     cloud = check_points(points)
     width = cell_width_of(cloud)
-    layers = build_layers(cloud, width, max(config.min_headroom, 1.5 * width))
-    ground = find_ground(layers, config)
+    layers, ground, smooth, deviation = _layers_with_ground(cloud, width, 0.0, config)
+    if (wider := float(np.sqrt(NOISY * deviation * width))) > width:
+        layers, ground, smooth, deviation = _layers_with_ground(cloud, wider, deviation, config)
     node = layers.node_of_point
-    smooth = _smoothed(layers, ground)
-    residual = np.abs(cloud[:, 2] - smooth[node])
-    scatter = max(LEAST_SCATTER, 3.0 * 1.4826 * float(np.median(residual[ground[node]])))
+    scatter = max(LEAST_SCATTER, 3.0 * deviation)
     beside = _ground_beside(layers, ground, smooth, scatter)
     low, high = _across(layers, ground, smooth, config)
     z = cloud[:, 2]
     mask: BoolArray = ground[node] & (z >= low[node] - scatter) & (z <= high[node] + scatter)
     mask |= np.abs(z - beside[node]) <= scatter
     return mask
+
+
+def _layers_with_ground(
+    cloud: FloatArray, width: float, noise: float, config: PerceptionConfig
+) -> tuple[Layers, BoolArray, FloatArray, float]:
+    """Layers, which of their nodes are ground, their height smoothed, and the scatter of the points around it [m]."""
+    layers = build_layers(cloud, width, max(config.min_headroom, 1.5 * width), noise)
+    ground = find_ground(layers, config, noise)
+    smooth, node = _smoothed(layers, ground), layers.node_of_point
+    on = ground[node]
+    return layers, ground, smooth, 1.4826 * float(np.median(np.abs(cloud[on, 2] - smooth[node[on]])))
 
 
 def _across(
@@ -105,13 +120,13 @@ def _smoothed(layers: Layers, ground: BoolArray) -> FloatArray:
     return smooth
 
 
-def find_ground(layers: Layers, config: PerceptionConfig) -> BoolArray:
+def find_ground(layers: Layers, config: PerceptionConfig, noise: float = 0.0) -> BoolArray:
     """Which nodes are ground, shape (k,).
 
     Patches are sets of nodes joined by walkable slopes. From the bulk, the ground grows patch by patch over steps that
     a body takes, to patches that a foot fits on and that do not lie, as a bench does, over ground already found.
     """
-    surface = layers.thickness <= config.max_step
+    surface = layers.thickness <= config.max_step + 4.0 * noise  # a step's face, from the lowest point to the highest
     rise = layers.cell_width * float(np.tan(config.steepest))
     a, b = connect(layers, surface, rise, HALF)
     smooth = np.bincount(a, minlength=len(surface)) + np.bincount(b, minlength=len(surface))
@@ -134,8 +149,97 @@ def find_ground(layers: Layers, config: PerceptionConfig) -> BoolArray:
         reached = _under_furniture(ground, wide & seen[patch] & ~ground, core, a, b)
         seen[patch[reached & wide]] = True
         if not _beside(reached, patch, joins, seen).any():
-            return reached
+            break
         ground = reached
+    return reached & ~_roofs(
+        layers, reached, [wide & (patch == i) for i in storeys], (a, b), (joins.a, joins.b), config
+    )
+
+
+def _roofs(
+    layers: Layers,
+    ground: BoolArray,
+    storeys: list[BoolArray],
+    smooth: tuple[IntArray, IntArray],
+    steps: tuple[IntArray, IntArray],
+    config: PerceptionConfig,
+) -> BoolArray:
+    """Nodes of pieces reached only over ground too steep to stand on, and that end in the air nearly all round.
+
+    A pitched roof whose eaves a terrace reaches is such a piece. A steep bank has ground above and below.
+    """
+    a, b = (np.concatenate([one, other]) for one, other in zip(smooth, steps, strict=True))
+    near = ground[a] & ground[b]
+    a, b = a[near], b[near]
+    main = _within_reach(layers, ground, storeys, a, b, config)
+    off = ground & ~main
+    inside = off[a] & off[b]
+    piece = components(a[inside], b[inside], len(ground))
+    joined = np.zeros(len(ground), dtype=bool)
+    joined[a[main[b]]] = joined[b[main[a]]] = True
+    count = [np.bincount(piece[off & kind], minlength=piece.max() + 1) for kind in (joined, _drops(layers, config))]
+    roof: BoolArray = off & (count[0] < ROOF_SHARE * (count[0] + count[1]))[piece]
+    return roof
+
+
+def _within_reach(
+    layers: Layers, ground: BoolArray, storeys: list[BoolArray], a: IntArray, b: IntArray, config: PerceptionConfig
+) -> BoolArray:
+    """Nodes level enough to stand on that are reached from the storeys; over steps, too, that coarse cells rounded."""
+    flat = ground & (_slope(layers, ground, config) <= config.standable_slope)
+    inside = flat[a] & flat[b]
+    piece = components(a[inside], b[inside], len(ground))
+    seen = np.zeros(piece.max() + 1, dtype=bool)
+    for storey in storeys:
+        if (storey & flat).any():
+            seen[np.bincount(piece[storey & flat]).argmax()] = True
+    rings = max(1, round(config.max_step / (layers.cell_width * float(np.tan(config.steepest)))))
+    while True:
+        reach = flat & seen[piece]
+        for _ in range(rings + 1):
+            grown = reach.copy()
+            grown[a[reach[b]]] = grown[b[reach[a]]] = True
+            reach = grown
+        fresh = np.unique(piece[reach & flat & ~seen[piece]])
+        if not len(fresh):
+            return flat & seen[piece]
+        seen[fresh] = True
+
+
+def _slope(layers: Layers, ground: BoolArray, config: PerceptionConfig) -> FloatArray:
+    """Slope at each ground node [rad], of the mean gradient of it and its neighbours on the same slope."""
+    rise, count = 2.0 * layers.cell_width * float(np.tan(config.steepest)), len(ground)  # or noise would flatten it
+    a, b = connect(layers, ground, rise, HALF)
+
+    def mean(one: IntArray, other: IntArray, ahead: FloatArray, behind: FloatArray) -> FloatArray:
+        total = np.bincount(one, ahead, count) + np.bincount(other, behind, count)
+        result: FloatArray = total / np.maximum(
+            np.bincount(one, minlength=count) + np.bincount(other, minlength=count), 1
+        )
+        return result
+
+    square = np.zeros(count)
+    for axis in HALF[:2]:
+        one, other = connect(layers, ground, rise, (axis,))
+        up = (layers.height[other] - layers.height[one]) / layers.cell_width
+        own = mean(one, other, up, up)
+        square += mean(np.append(a, np.arange(count)), b, own[np.append(b, np.arange(count))], own[a]) ** 2
+    made: FloatArray = np.arctan(np.sqrt(square))
+    return made
+
+
+def _drops(layers: Layers, config: PerceptionConfig) -> BoolArray:
+    """Nodes beside which, in one direction, nothing goes on and something is seen more than a step further down."""
+    rise = layers.cell_width * float(np.tan(config.steepest))
+    drops = np.zeros(len(layers.cell), dtype=bool)
+    for offset in HALF:
+        for one, other in (pair := layers.neighbours(offset), pair[::-1]):
+            over = layers.height[one] - layers.height[other]
+            level, down = np.zeros_like(drops), np.zeros_like(drops)
+            level[one[np.abs(over) <= rise * np.hypot(*offset)]] = True
+            down[one[(over + layers.thickness[other] > config.max_step) & (over > -config.max_step)]] = True
+            drops |= down & ~level
+    return drops
 
 
 def _patches(core: BoolArray, keep: BoolArray, a: IntArray, b: IntArray) -> tuple[BoolArray, IntArray]:

@@ -15,9 +15,13 @@ UNKNOWN, OBSERVED, INFERRED = 0, 1, 2
 GAP_CELLS = 4
 """Empty cells side by side that chance alone explains, at one in ten empty."""
 RING_SHARE = 0.95
-"""[-] Of the ground around a hole that must lie on one plane; the rest are a chair's feet."""
+"""[-] Of the ground around a hole that must not lie under the plane that fills it: the rest is a scan's noise."""
+PLANE_SHARE = 0.5
+"""[-] Of the ground around a hole that must lie on that plane; the rest, higher, is a chair's feet or a step up."""
+OPEN_SHARE = 0.5
+"""[-] Of the rim of a hole under the open that must be ground: what furniture and walls close off can hold anything."""
 SHUT_SHARE = 0.2
-"""[-] Of a hole's rim that must be ground: what walls close off all but for their cracks is no place at all."""
+"""[-] The same of a hole under a thing, where only a low body fits: a desk stands along a wall or in a corner."""
 NOTCH_SPAN = 1.0
 """[m] Longest piece of a flight that a shadow bites out: five treads."""
 STEEPEST_FLIGHT = 1.3
@@ -28,6 +32,8 @@ SLAB = 1.0
 """[m] Thickest floor: what is seen deeper than this under a hole was seen through it."""
 STOREY = 1.5
 """[m] Least room under a floor: what is seen nearer below a hole with less than this under itself is a pit's bottom."""
+CEILING = 1.9
+"""[m] What is higher over the ground beside is a ceiling or a lamp, no furniture whose shadow is the hole."""
 MAX_HOLE_RADIUS = 1.0
 """[m] A hole is filled if no place in it is further from seen ground: a scanner's blind spot, the shadow of a desk."""
 
@@ -96,28 +102,47 @@ def _height_at(height: NDArray[np.float32], origin: FloatArray, width: float, xy
     return made
 
 
-def fill_holes(surface: HeightMap, material: BoolArray, seen_through: BoolArray, pit: BoolArray) -> HeightMap:
+def fill_holes(surface: HeightMap, lowest: FloatArray, seen_through: BoolArray, pit: BoolArray) -> HeightMap:
     """Infer ground where its surroundings explain it, and mark it.
 
-    A hole is a connected set of unknown cells bounded by known ground and `material` (cells that hold other points),
-    shut off from the map's rim, with no place further than `MAX_HOLE_RADIUS` from seen ground, and with all the ground
-    around it on one plane within a cell's slope: an edge that drops is not bridged. Nor is what was `seen_through`, or
-    a `pit`, see `find_voids`. A notch in a flight of stairs is filled with the treads beside it.
+    A hole is a connected set of unknown cells bounded by known ground and things (cells whose `lowest` other point is
+    under a ceiling's height, inf where there is none), shut off from the map's rim, with no place further than
+    `MAX_HOLE_RADIUS` from seen ground, and with the ground around it on one plane within a cell's slope or higher: an
+    edge that drops is not bridged. Nor is what was `seen_through`, or a `pit`, see `find_voids`. Under a thing it is
+    filled only where ground was seen beneath its rim. A notch in a flight is filled with the treads beside it.
     """
     known = surface.state == OBSERVED
     height, state = surface.height.copy(), surface.state.copy()
     cells, nearest = ndimage.distance_transform_edt(~known, return_indices=True)
     distance = cells * surface.cell_width
+    material = lowest < surface.height[nearest[0], nearest[1]] + CEILING
     _fill_gaps(height, state, ~known, distance, nearest, surface.cell_width)
     _fill_notches(height, state, seen_through, distance, surface.cell_width)
     known = state != UNKNOWN
     void = seen_through | pit
-    _fill(height, state, ~known & ~material, known, distance, surface.cell_width, void)
+    _fill(height, state, ~known & ~material, known, distance, surface.cell_width, void, OPEN_SHARE)
     solid = state != UNKNOWN  # then the ground that carries the furniture itself
-    under = ~solid & (distance <= MAX_HOLE_RADIUS) & material
-    _fill(height, state, under, solid, distance, surface.cell_width, void)
+    under = ~solid & (distance <= MAX_HOLE_RADIUS) & material & _seen_hollow(~solid & material, known & material)
+    _fill(height, state, under, solid, distance, surface.cell_width, void, SHUT_SHARE)
     _fill_gaps(height, state, state == UNKNOWN, distance, nearest, surface.cell_width)  # what is left of larger ones
     return HeightMap(surface.origin, surface.cell_width, height, state)
+
+
+def _seen_hollow(things: BoolArray, overhung: BoolArray) -> BoolArray:
+    """Cells of things in whose neighbourhood ground was seen beneath material, further in than the edge of a cell.
+
+    A table shows the floor under its rim, and single cells are no mass. What was seen from above alone, as a rock on a
+    height map, may be solid.
+    """
+    label, count = ndimage.label(things, np.ones((3, 3)))
+    inner = ndimage.binary_erosion(overhung | things, np.ones((3, 3))) & overhung
+    near = ndimage.binary_dilation(inner, np.ones((3, 3)), iterations=2)
+    hollow = np.ones(count + 1, dtype=bool)
+    hollow[label[ndimage.binary_opening(things, np.ones((3, 3)))]] = False
+    hollow[label[near & things]] = True
+    hollow[0] = False
+    result: BoolArray = hollow[label]
+    return result
 
 
 def find_voids(surface: HeightMap, points: FloatArray, max_step: float) -> tuple[BoolArray, BoolArray]:
@@ -176,7 +201,7 @@ def _fill_notches(
         low, high, run = np.fmin(ahead, behind), np.fmax(ahead, behind), gap * cell_width
         flight = open_ & (run <= NOTCH_SPAN) & (high - low > 2.0 * cell_width) & (high - low <= STEEPEST_FLIGHT * run)
         for tread in _known_beside(height, 1 - axis, NOTCH_DEPTH / cell_width)[:2]:
-            between = (tread >= low - cell_width) & (tread <= high + cell_width)
+            between = (tread > low + 0.5 * cell_width) & (tread < high - 0.5 * cell_width)
             filled = np.where(flight & between & np.isnan(filled), tread, filled)
     explained = ~np.isnan(filled)
     height[explained] = filled[explained]
@@ -212,7 +237,9 @@ def _fill(
     distance: FloatArray,
     cell_width: float,
     void: BoolArray,
+    share: float,
 ) -> None:
+    """Fill each of the `holes` with the plane of the `known` ground around, if that is at least `share` of its rim."""
     label = ndimage.label(holes)[0]
     rim = np.unique(np.concatenate([label[0], label[-1], label[:, 0], label[:, -1]]))
     for i, box in enumerate(ndimage.find_objects(label), start=1):
@@ -223,12 +250,16 @@ def _fill(
         inner = label[grown] == i
         ring = ndimage.binary_dilation(inner, np.ones((3, 3)), iterations=2) & known[grown]
         beside = ndimage.binary_dilation(inner) & ~inner
-        if ring.sum() < 3 or void[grown][inner].any() or known[grown][beside].mean() < SHUT_SHARE:
+        if ring.sum() < 3 or void[grown][inner].any() or known[grown][beside].mean() < share:
             continue
         ring_at, ring_height = np.argwhere(ring).astype(float), height[grown][ring].astype(float)
         design = np.column_stack([ring_at, np.ones(len(ring_at))])
-        plane = np.linalg.lstsq(design, ring_height, rcond=None)[0]
-        if np.quantile(np.abs(design @ plane - ring_height), RING_SHARE) > cell_width:
+        on = ring_height <= np.median(ring_height) + cell_width
+        for _ in range(2):  # what stands on the ground beside the hole, a box or a step up, is no part of it
+            plane = np.linalg.lstsq(design[on], ring_height[on], rcond=None)[0]
+            over = ring_height - design @ plane
+            on = np.abs(over) <= cell_width
+        if on.mean() < PLANE_SHARE or (over < -cell_width).mean() > 1.0 - RING_SHARE:
             continue
         height[grown][inner] = np.column_stack([np.argwhere(inner), np.ones(int(inner.sum()))]) @ plane
         state[grown][inner] = INFERRED

@@ -50,3 +50,21 @@ def test_where_there_is_no_obstacle_the_distance_is_infinite():
     assert verdict.mean_obstacle_distance == np.inf
     assert verdict.collision_free
     assert verdict.feasible
+
+
+def test_the_riser_after_next_is_a_step_and_one_that_is_too_high_is_not():
+    def stair(riser):
+        treads = [Box((2.0 + 0.2 * i, 0.0, 0.0), (6.0, 4.0, riser * (i + 1)), walkable=True) for i in range(6)]
+        return Judge(*World((6.0, 4.0, 6.0), tuple(treads), ceiling=False).sample(0.03, np.random.default_rng(0)))
+
+    human = AGENTS["human"]
+    before_the_second = np.array([2.19, 2.0, 0.2])
+    assert stair(0.2).penetration(before_the_second, human) == 0.0  # the third tread is 0.4 m over the contact
+    assert stair(0.4).penetration(np.array([1.99, 2.0, 0.0]), human) > 0.2
+
+
+def test_a_head_that_brushes_a_lintel_within_the_scan_s_own_error_does_not_hit_it():
+    path = path_of([(1, 2, 0), (5, 2, 0)], [(1, 2, 2), (5, 2, 2)])
+    low, high = (judge_of(Box((2.9, 0.0, z), (3.1, 4.0, 2.4))) for z in (1.96, 1.99))
+    assert not low.judge(path, AGENTS["human"]).collision_free
+    assert high.judge(path, AGENTS["human"]).collision_free

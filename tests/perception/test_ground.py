@@ -271,3 +271,61 @@ def test_two_floors_that_a_gentle_stair_joins_are_two_levels():
     assert {round(float(np.nanmax(surface.height)), 1) for surface in scene.surfaces} >= {2.8}
     assert plan(scene, (3.0, 3.0, 0.0), (4.0, 3.0, 0.0)).status is Status.OK
     assert plan(scene, (3.0, 3.0, 2.8), (4.0, 3.0, 2.8)).status is Status.OK
+
+
+def hillside_with_a_house(pitch):
+    """A lawn, a terrace 1.8 m over it behind a bank of 24°, and a house whose roof of `pitch` begins at the terrace."""
+    rng = np.random.default_rng(0)
+    x, y = (axis.ravel() for axis in np.meshgrid(np.arange(0.0, 24.0, 0.1), np.arange(0.0, 20.0, 0.1)))
+    x, y = x + rng.uniform(0.0, 0.1, x.size), y + rng.uniform(0.0, 0.1, y.size)
+    on_terrace, on_roof = (x > 14.0) & (y > 6.0) & (y < 9.0), (x > 8.0) & (x < 14.0) & (y > 6.0) & (y < 14.0)
+    bank = np.clip(0.45 * (20.0 - x), 0.0, 1.8)
+    z = np.where(on_terrace, np.minimum(bank, 1.8), 0.0)
+    z = np.where(on_roof, 1.9 + np.tan(pitch) * np.minimum(14.0 - x, x - 8.0), z)
+    wall = np.arange(0.0, 1.9, 0.1)
+    front = [np.column_stack([np.full(19, 8.0), np.full(19, v), wall]) for v in np.arange(6.0, 14.0, 0.1)]
+    points = np.concatenate([np.column_stack([x, y, z]), *front])
+    return points, *(np.append(mask, np.zeros(len(points) - len(x), dtype=bool)) for mask in (on_terrace, on_roof))
+
+
+def test_a_pitched_roof_that_begins_at_a_terrace_is_no_ground():
+    points, on_terrace, on_roof = hillside_with_a_house(0.6)
+    found = segment_ground(points)
+    assert found[on_terrace].mean() > 0.95
+    assert found[on_roof].mean() < 0.02
+    assert found[~on_roof & (points[:, 2] == 0.0)].mean() > 0.98
+
+
+def test_a_tread_is_ground_to_its_end_and_its_risers_are_joined_to_it():
+    scene = SCENES["stair"](np.random.default_rng(1), 0.01)
+    found = segment_ground(scene.points)
+    assert found[scene.ground].mean() > 0.98
+    surface = build_levels(scene.points, scene.ground, CONFIG).levels[0].surface
+    foot, head = (surface.height_at(np.array([[x, 0.8]]))[0] for x in (2.1, 4.4))
+    assert (foot, head) == pytest.approx((0.17, 1.53), abs=0.02)
+
+
+def lawn(rng, width=6.0, spacing=0.04):
+    count = int((width / spacing) ** 2)
+    return np.column_stack([rng.uniform(0.0, width, (count, 2)), np.zeros(count)])
+
+
+def test_nothing_is_inferred_under_a_rock_that_was_seen_from_above_alone():
+    points = lawn(np.random.default_rng(0))
+    rock = (np.abs(points[:, :2] - 3.0) < 0.5).all(axis=1)
+    points[rock, 2] = 0.8
+    surface = build_levels(points, ~rock, CONFIG).levels[0].surface
+    assert not surface.contains(np.array([[3.0, 3.0]])).any()
+
+
+def test_the_floor_goes_on_through_a_hole_beside_a_low_box_and_not_through_one_that_walls_close_off():
+    points = lawn(np.random.default_rng(0))
+    x, y = points[:, 0], points[:, 1]
+    points[(x > 3.4) & (x < 4.0) & (y > 2.7) & (y < 3.3), 2] = 0.27
+    hole = (np.hypot(x - 3.0, y - 3.0) < 0.4) | (np.hypot(x - 1.0, y - 5.0) < 0.4)
+    z, angle = (axis.ravel() for axis in np.meshgrid(np.arange(0.0, 1.5, 0.03), np.arange(0.5, 6.0, 0.05)))
+    wall = np.column_stack([1.0 + 0.37 * np.cos(angle), 5.0 + 0.37 * np.sin(angle), z])
+    cloud = np.concatenate([points[~hole], wall])
+    surface = build_levels(cloud, np.arange(len(cloud)) < len(cloud) - len(wall), CONFIG).levels[0].surface
+    assert surface.height_at(np.array([[3.0, 3.0]])) == pytest.approx(0.0, abs=0.02)
+    assert not surface.contains(np.array([[1.0, 5.0]])).any()
