@@ -17,12 +17,15 @@ from gpdf_service.fields.order import spatial_order
 from gpdf_service.fields.solve import HALO, solve_all, solve_rows, within
 from gpdf_service.fields.spacing import estimate_spacing, local_spacing, thin
 from gpdf_service.fields.threads import run_chunked
-from gpdf_service.fields.traversal import FieldArrays, nearest_range, sample_range
-from gpdf_service.fields.tree import Tree, build_tree, change_tree
+from gpdf_service.fields.traversal import FieldArrays, by_leaf, nearest_range, sample_range
+from gpdf_service.fields.tree import Tree, build_tree, change_tree, tree_of
 from gpdf_service.types import BoolArray, FieldSample, FloatArray, IntArray
 
 _CACHE = 100_000
 """Points of a field that no longer fits a core's cache (about 4 MB): from here on it pays to sort the queries."""
+
+_TREE = "points", "order", "begin"
+"""What the rest of a tree follows from."""
 
 
 class Domain(Protocol):
@@ -75,7 +78,7 @@ class Gpdf:
         self.tree, self.alpha, self.gap, self.noise = tree, alpha, gap, noise
         self.length_scale, self.noise_variance, self.spacing = length_scale, noise_variance, spacing
         self.domain: Domain = Box(tree.points) if domain is None else domain
-        self._gap2 = gap**2
+        self._gap2, self._weights = gap**2, by_leaf(tree, alpha)
 
     @property
     def points(self) -> FloatArray:
@@ -87,7 +90,7 @@ class Gpdf:
         """What a compiled loop needs for `traversal.sample_one`."""
         tree = self.tree
         return FieldArrays(
-            tree.points, self.alpha, self._gap2, tree.begin, tree.end, tree.low, tree.high, self.length_scale
+            tree.points, tree.begin, tree.blocks, tree.boxes, self._weights, self._gap2, self.length_scale
         )
 
     def query(self, queries: ArrayLike) -> FieldSample:
@@ -194,12 +197,13 @@ class Gpdf:
         """All that `from_arrays` needs, as arrays."""
         scalars = np.array([self.length_scale, self.noise_variance, self.spacing])
         own = {"alpha": self.alpha, "gap": self.gap, "noise": self.noise}
-        return {**self.tree._asdict(), **own, "scalars": scalars}
+        lasting = {key: getattr(self.tree, key) for key in _TREE}
+        return {**lasting, **own, "scalars": scalars}
 
     @classmethod
     def from_arrays(cls, arrays: dict[str, NDArray[Any]], domain: Domain | None = None) -> Gpdf:
         """Restore a field; nothing is fitted."""
-        tree = Tree(*(arrays[key] for key in Tree._fields))
+        tree = tree_of(*(arrays[key] for key in _TREE))
         length_scale, noise_variance, spacing = (float(value) for value in arrays["scalars"])
         own = arrays["alpha"], arrays["gap"], arrays["noise"]
         return cls(tree, *own, length_scale, noise_variance, spacing, domain)
