@@ -19,7 +19,7 @@ from scipy.spatial import cKDTree
 from gpdf_service.fields.order import spatial_order
 from gpdf_service.fields.spacing import estimate_spacing
 from gpdf_service.fields.threads import run_chunked
-from gpdf_service.fields.tree import Tree, build_tree, make_scratch, next_leaf, place_of, start
+from gpdf_service.fields.tree import Tree, build_tree, from_root, make_scratch, next_leaf, place_of
 from gpdf_service.types import BoolArray, FloatArray, IntArray
 
 RESOLVED = 4.0
@@ -171,7 +171,7 @@ def _gather(tree: Tree, x: FloatArray, radii: FloatArray, normal: FloatArray, ha
     stack, bound, near = make_scratch()
     moments[:] = 0.0
     place = place_of(x)
-    top = start(stack, bound)
+    top = from_root(stack, bound)
     while True:
         leaf, _, top = next_leaf(boxes, place, place, limit, stack, bound, near, top)
         if leaf < 0:

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from gpdf_service.errors import FieldError
 from gpdf_service.fields.threads import run_parallel
 from gpdf_service.fields.traversal import CUT_RADIUS, decay
-from gpdf_service.fields.tree import LEAF_SIZE, VECTORS, Tree, lesser, make_scratch, next_leaf, place_of, start
+from gpdf_service.fields.tree import LEAF_SIZE, Tree, from_root, lesser, make_scratch, next_leaf, place_of
 from gpdf_service.types import BoolArray, FloatArray, IntArray
 
 HALO = 9.0
@@ -82,7 +82,7 @@ def _mark(tree: Tree, rows: IntArray, radius: float, found: BoolArray) -> None:
             for k in range(3):
                 low[k], high[k] = min(low[k], x[k]), max(high[k], x[k])
         least, largest = place_of(low), place_of(high)
-        top = start(stack, bound)
+        top = from_root(stack, bound)
         while True:
             leaf, _, top = next_leaf(boxes, least, largest, limit, stack, bound, near, top)
             if leaf < 0:
@@ -110,7 +110,7 @@ def _assemble(
     for r in range(len(rows)):
         x = x0, x1, x2 = place_of(tree.points[rows[r]])
         total, unknown = noise_variance, 0.0
-        top = start(stack, bound)
+        top = from_root(stack, bound)
         while True:
             leaf, _, top = next_leaf(boxes, x, x, reach, stack, bound, near, top)
             if leaf < 0:

@@ -7,7 +7,7 @@ from numba import njit
 from scipy.spatial import cKDTree
 
 from gpdf_service.fields.threads import run_chunked
-from gpdf_service.fields.tree import Tree, make_scratch, next_leaf, place_of, start
+from gpdf_service.fields.tree import Tree, from_root, make_scratch, next_leaf, place_of
 from gpdf_service.types import FloatArray, IntArray
 
 SAMPLE = 4000
@@ -51,7 +51,7 @@ def _count_range(tree: Tree, rows: IntArray, begin: int, end: int, radius: float
     stack, bound, near = make_scratch()
     for r in range(begin, end):
         x = x0, x1, x2 = place_of(tree.points[rows[r]])
-        top = start(stack, bound)
+        top = from_root(stack, bound)
         while True:
             leaf, _, top = next_leaf(boxes, x, x, limit, stack, bound, near, top)
             if leaf < 0:

@@ -23,11 +23,11 @@ from gpdf_service.fields.tree import (
     Place,
     Scratch,
     Tree,
+    from_root,
     lesser,
     make_scratch,
     next_leaf,
     place_of,
-    start,
 )
 from gpdf_service.types import FloatArray, IntArray
 
@@ -78,7 +78,7 @@ def walk(field: FieldArrays, x: Place, scratch: Scratch) -> tuple[float, int, fl
     rate = 1.0 / (2.0 * field.length_scale * field.length_scale)
     reach = (CUT_RADIUS * field.length_scale) ** 2
     delta, nearest, total, m0, m1, m2 = np.inf, 0, 0.0, 0.0, 0.0, 0.0
-    top = start(stack, bound)
+    top = from_root(stack, bound)
     while True:
         leaf, box2, top = next_leaf(boxes, x, x, delta + reach, stack, bound, near, top)
         if leaf < 0:
@@ -205,7 +205,7 @@ def _nearest(tree: Tree, x: Place, scratch: Scratch) -> tuple[float, int]:
     boxes, blocks, stack, bound, near = tree.boxes, tree.blocks, scratch.stack, scratch.bound, scratch.near
     x0, x1, x2 = x
     delta, nearest = np.inf, 0
-    top = start(stack, bound)
+    top = from_root(stack, bound)
     while True:
         leaf, _, top = next_leaf(boxes, x, x, delta, stack, bound, near, top)
         if leaf < 0:

@@ -207,7 +207,7 @@ def next_leaf(
     """One step of a walk, nearest first: the next leaf within √`limit` of the box from `low` to `high`.
 
     The one walk through the tree; who wants a place passes it twice. The limit may fall from step to step. Start with
-    `top` = `start(…)` and pass on what is returned.
+    `top` = `from_root(…)` and pass on what is returned.
 
     Returns:
         The leaf, −1 when there is none left; its squared distance [m²]; `top` for the next step.
@@ -239,7 +239,7 @@ def next_leaf(
 
 
 @njit(cache=True, nogil=True, inline="always")
-def start(stack: IntArray, bound: FloatArray) -> int:
+def from_root(stack: IntArray, bound: FloatArray) -> int:
     """`top` of a walk that begins at the root."""
     stack[0], bound[0] = 0, 0.0
     return 1
