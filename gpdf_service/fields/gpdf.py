@@ -89,9 +89,7 @@ class Gpdf:
     def arrays(self) -> FieldArrays:
         """What a compiled loop needs for `traversal.sample_one`."""
         tree = self.tree
-        return FieldArrays(
-            tree.points, tree.begin, tree.blocks, tree.boxes, self._weights, self._gap2, self.length_scale
-        )
+        return FieldArrays(tree.begin, tree.blocks, tree.boxes, self._weights, self._gap2, self.length_scale)
 
     def query(self, queries: ArrayLike) -> FieldSample:
         """Distance to the surface, its gradient, validity and standard deviation.

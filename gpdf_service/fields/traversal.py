@@ -21,7 +21,6 @@ from gpdf_service.fields.tree import (
     LEAF_SIZE,
     VECTORS,
     Place,
-    Scratch,
     Tree,
     from_root,
     lesser,
@@ -41,7 +40,6 @@ class FieldArrays(NamedTuple):
     """All that a compiled loop needs to ask a field: of the tree, and α and the squared gap around each point.
 
     Attributes:
-        points: [m], shape (n, dim).
         begin: First row of each leaf, and n, shape (leaves + 1,).
         blocks: The leaves' points [m], shape (leaves, 3, 32).
         boxes: The nodes' boxes [m], shape (nodes, 6, 8).
@@ -50,7 +48,6 @@ class FieldArrays(NamedTuple):
         length_scale: [m].
     """
 
-    points: FloatArray
     begin: IntArray
     blocks: FloatArray
     boxes: FloatArray
@@ -70,25 +67,32 @@ def by_leaf(tree: Tree, values: FloatArray) -> FloatArray:
 
 
 @njit(cache=True, nogil=True, fastmath=VECTORS)
-def walk(field: FieldArrays, x: Place, scratch: Scratch) -> tuple[float, int, float, Place]:
-    """δ, the row of the nearest point, S, and M at one place."""
-    blocks, weights, boxes = field.blocks, field.weights, field.boxes
-    stack, bound, near = scratch.stack, scratch.bound, scratch.near
+def walk(
+    blocks: FloatArray,
+    boxes: FloatArray,
+    weights: FloatArray,
+    length_scale: float,
+    x: Place,
+    stack: IntArray,
+    bound: FloatArray,
+    near: FloatArray,
+) -> tuple[float, int, int, float, Place]:
+    """δ, the leaf of the nearest point and which of its points it is, S, and M at one place."""
     x0, x1, x2 = x
-    rate = 1.0 / (2.0 * field.length_scale * field.length_scale)
-    reach = (CUT_RADIUS * field.length_scale) ** 2
-    delta, nearest, total, m0, m1, m2 = np.inf, 0, 0.0, 0.0, 0.0, 0.0
+    rate = 1.0 / (2.0 * length_scale * length_scale)
+    reach = (CUT_RADIUS * length_scale) ** 2
+    delta, nearest, which, total, m0, m1, m2 = np.inf, 0, 0, 0.0, 0.0, 0.0, 0.0
     top = from_root(stack, bound)
     while True:
         leaf, box2, top = next_leaf(boxes, x, x, delta + reach, stack, bound, near, top)
         if leaf < 0:
             break
         if box2 < delta:
-            least = least_square(blocks, leaf, x0, x1, x2)
+            least, j = nearest_in(blocks, leaf, x0, x1, x2)
             if least < delta:
                 shrink = exp((least - delta) * rate)
                 total, m0, m1, m2 = total * shrink, m0 * shrink, m1 * shrink, m2 * shrink
-                delta, nearest = least, leaf
+                delta, nearest, which = least, leaf, j
         s, n0, n1, n2 = 0.0, 0.0, 0.0, 0.0
         for j in range(LEAF_SIZE):
             a, b, c = blocks[leaf, 0, j] - x0, blocks[leaf, 1, j] - x1, blocks[leaf, 2, j] - x2
@@ -100,32 +104,27 @@ def walk(field: FieldArrays, x: Place, scratch: Scratch) -> tuple[float, int, fl
             n1 += weight * b
             n2 += weight * c
         total, m0, m1, m2 = total + s, m0 + n0, m1 + n1, m2 + n2
-    return delta, row_of_nearest(field.begin, blocks, nearest, x0, x1, x2), total, (m0, m1, m2)
+    return delta, nearest, which, total, (m0, m1, m2)
 
 
-@njit(cache=True, nogil=True, fastmath=VECTORS, inline="always")
-def least_square(blocks: FloatArray, leaf: int, x0: float, x1: float, x2: float) -> float:
-    """Squared distance to a leaf's nearest point [m²]."""
-    least = np.inf
+@njit(cache=True, nogil=True, fastmath=VECTORS)
+def nearest_in(blocks: FloatArray, leaf: int, x0: float, x1: float, x2: float) -> tuple[float, int]:
+    """Squared distance to a leaf's nearest point [m²], and which it is.
+
+    The bits of squares order as the squares do, so their last five make room for the number of the point, and the least
+    whole number tells both: vectors can do that, and cannot remember where their least was.
+    """
+    least = np.int64(2**63 - 1)
     for j in range(LEAF_SIZE):
         a, b, c = blocks[leaf, 0, j] - x0, blocks[leaf, 1, j] - x1, blocks[leaf, 2, j] - x2
-        least = lesser(least, a * a + b * b + c * c)
-    return least
+        square = np.float64(a * a + b * b + c * c)
+        least = min(least, (square.view(np.int64) & -LEAF_SIZE) | j)
+    j = least & (LEAF_SIZE - 1)
+    a, b, c = blocks[leaf, 0, j] - x0, blocks[leaf, 1, j] - x1, blocks[leaf, 2, j] - x2
+    return a * a + b * b + c * c, j
 
 
-@njit(cache=True, nogil=True)
-def row_of_nearest(begin: IntArray, blocks: FloatArray, leaf: int, x0: float, x1: float, x2: float) -> int:
-    """Row of a leaf's nearest point: looked for once, because vectors do not know where their least is."""
-    least, found = np.inf, 0
-    for j in range(LEAF_SIZE):
-        a, b, c = blocks[leaf, 0, j] - x0, blocks[leaf, 1, j] - x1, blocks[leaf, 2, j] - x2
-        square = a * a + b * b + c * c
-        if square < least:
-            least, found = square, j
-    return begin[leaf] + found
-
-
-_DECAY = tuple(
+_E0, _E1, _E2, _E3, _E4, _E5, _E6 = (
     float(c)
     for c in np.polynomial.Chebyshev.interpolate(lambda u: np.exp(-u), 6, domain=[0.0, _STEEPEST / 16.0])
     .convert(kind=np.polynomial.Polynomial)
@@ -137,9 +136,7 @@ _DECAY = tuple(
 def decay(t: float) -> float:
     """exp(−t) for 0 ≤ t ≤ `_STEEPEST` within 4e-8 of itself: (a polynomial of t/16)^16, no call."""
     u = t * 0.0625
-    e = _DECAY[6]
-    for k in range(5, -1, -1):
-        e = e * u + _DECAY[k]
+    e = _E0 + u * (_E1 + u * (_E2 + u * (_E3 + u * (_E4 + u * (_E5 + u * _E6)))))
     e *= e
     e *= e
     e *= e
@@ -147,33 +144,49 @@ def decay(t: float) -> float:
 
 
 @njit(cache=True, nogil=True)
-def sample(field: FieldArrays, x: Place, scratch: Scratch, gradient: FloatArray) -> tuple[float, int, float]:
-    """Distance at one place, the row of the nearest point, and how much less the distance may be [m].
+def sample(
+    begin: IntArray,
+    blocks: FloatArray,
+    boxes: FloatArray,
+    weights: FloatArray,
+    gap2: FloatArray,
+    length_scale: float,
+    x: Place,
+    stack: IntArray,
+    bound: FloatArray,
+    near: FloatArray,
+) -> tuple[float, int, float, Place]:
+    """Distance at one place, the row of the nearest point, how much less the distance may be [m], and the gradient.
 
-    Writes the gradient, shape (dim,). The bracket: never more room than to the nearest point, √δ; never less than
-    √(δ − gap²), the least that a surface through points no further apart than the gap allows. Where the sums say
-    nothing (S ≤ 0, or more room than to the nearest point) that point gives the direction: an edge, whose true place
-    may be a gap beyond that point.
+    The bracket: never more room than to the nearest point, √δ; never less than √(δ − gap²), the least that a surface
+    through points no further apart than the gap allows. Where the sums say nothing (S ≤ 0, or more room than to the
+    nearest point) that point gives the direction: an edge, whose true place may be a gap beyond that point.
     """
-    delta, row, total, moment = walk(field, x, scratch)
-    distance2 = delta - 2.0 * field.length_scale * field.length_scale * log(total) if total > 0.0 else delta
-    floor2 = max(delta - field.gap2[row], 0.0)
+    delta, leaf, j, total, (g0, g1, g2) = walk(blocks, boxes, weights, length_scale, x, stack, bound, near)
+    gap = gap2[begin[leaf] + j]
+    distance2 = delta - 2.0 * length_scale * length_scale * log(total) if total > 0.0 else delta
+    floor2 = max(delta - gap, 0.0)
     inside = total > 0.0 and distance2 <= delta
     distance = sqrt(min(max(distance2, floor2), delta))
-    norm = 0.0
-    for k in range(len(gradient)):
-        gradient[k] = -moment[k] / total if inside else x[k] - field.points[row, k]
-        norm += gradient[k] * gradient[k]
-    norm = max(distance, sqrt(norm))
-    for k in range(len(gradient)):
-        gradient[k] = gradient[k] / norm if norm > 0.0 else 0.0
-    return distance, row, sqrt(delta) - sqrt(floor2) if inside else min(distance, sqrt(field.gap2[row]))
+    if inside:
+        g0, g1, g2 = -g0 / total, -g1 / total, -g2 / total
+    else:
+        g0, g1, g2 = x[0] - blocks[leaf, 0, j], x[1] - blocks[leaf, 1, j], x[2] - blocks[leaf, 2, j]
+    norm = max(distance, sqrt(g0 * g0 + g1 * g1 + g2 * g2))
+    scale = 1.0 / norm if norm > 0.0 else 0.0
+    slack = sqrt(delta) - sqrt(floor2) if inside else min(distance, sqrt(gap))
+    return distance, begin[leaf] + j, slack, (scale * g0, scale * g1, scale * g2)
 
 
 @njit(cache=True, nogil=True)
 def sample_one(field: FieldArrays, x: FloatArray, gradient: FloatArray) -> float:
     """Distance at one place [m]; writes the gradient, shape (dim,)."""
-    return sample(field, place_of(x), make_scratch(), gradient)[0]
+    begin, blocks, boxes, weights, gap2, length_scale = field
+    stack, bound, near = make_scratch()
+    distance, _, _, slope = sample(begin, blocks, boxes, weights, gap2, length_scale, place_of(x), stack, bound, near)
+    for k in range(len(gradient)):
+        gradient[k] = slope[k]
+    return distance
 
 
 @njit(cache=True, nogil=True)
@@ -181,39 +194,55 @@ def sample_range(
     field: FieldArrays,
     queries: FloatArray,
     order: IntArray,
-    begin: int,
-    end: int,
+    first: int,
+    last: int,
     distance: FloatArray,
     gradient: FloatArray,
     row: IntArray,
     bracket: FloatArray,
 ) -> None:
-    """`sample` for the queries order[begin..end]."""
-    scratch = make_scratch()
-    for i in order[begin:end]:
-        distance[i], row[i], bracket[i] = sample(field, place_of(queries[i]), scratch, gradient[i])
+    """`sample` for the queries order[first..last]."""
+    begin, blocks, boxes, weights, gap2, length_scale = field
+    stack, bound, near = make_scratch()
+    dim = queries.shape[1]
+    for q in range(first, last):
+        i = order[q]
+        x = queries[i, 0], queries[i, 1], queries[i, 2] if dim == 3 else 0.0
+        distance[i], row[i], bracket[i], slope = sample(
+            begin, blocks, boxes, weights, gap2, length_scale, x, stack, bound, near
+        )
+        for k in range(dim):
+            gradient[i, k] = slope[k]
 
 
 @njit(cache=True, nogil=True)
 def nearest_one(tree: Tree, x: FloatArray) -> tuple[float, int]:
     """Exact nearest point: its distance [m] and its row in `tree.points`."""
-    return _nearest(tree, place_of(x), make_scratch())
+    stack, bound, near = make_scratch()
+    return _nearest(tree.begin, tree.blocks, tree.boxes, place_of(x), stack, bound, near)
 
 
 @njit(cache=True, nogil=True, fastmath=VECTORS)
-def _nearest(tree: Tree, x: Place, scratch: Scratch) -> tuple[float, int]:
-    boxes, blocks, stack, bound, near = tree.boxes, tree.blocks, scratch.stack, scratch.bound, scratch.near
+def _nearest(
+    begin: IntArray,
+    blocks: FloatArray,
+    boxes: FloatArray,
+    x: Place,
+    stack: IntArray,
+    bound: FloatArray,
+    near: FloatArray,
+) -> tuple[float, int]:
     x0, x1, x2 = x
-    delta, nearest = np.inf, 0
+    delta, row = np.inf, 0
     top = from_root(stack, bound)
     while True:
         leaf, _, top = next_leaf(boxes, x, x, delta, stack, bound, near, top)
         if leaf < 0:
             break
-        least = least_square(blocks, leaf, x0, x1, x2)
+        least, j = nearest_in(blocks, leaf, x0, x1, x2)
         if least < delta:
-            delta, nearest = least, leaf
-    return sqrt(delta), row_of_nearest(tree.begin, blocks, nearest, x0, x1, x2)
+            delta, row = least, begin[leaf] + j
+    return sqrt(delta), row
 
 
 @njit(cache=True, nogil=True)
@@ -221,6 +250,8 @@ def nearest_range(
     tree: Tree, queries: FloatArray, first: int, last: int, distance: FloatArray, index: IntArray
 ) -> None:
     """`nearest_one` for the rows first..last of `queries`."""
-    scratch = make_scratch()
+    begin, blocks, boxes = tree.begin, tree.blocks, tree.boxes
+    stack, bound, near = make_scratch()
     for q in range(first, last):
-        distance[q], index[q] = _nearest(tree, place_of(queries[q]), scratch)
+        x = queries[q, 0], queries[q, 1], queries[q, 2] if queries.shape[1] == 3 else 0.0
+        distance[q], index[q] = _nearest(begin, blocks, boxes, x, stack, bound, near)
