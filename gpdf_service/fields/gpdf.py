@@ -21,9 +21,6 @@ from gpdf_service.fields.traversal import FieldArrays, by_leaf, nearest_range, s
 from gpdf_service.fields.tree import Tree, build_tree, change_tree, tree_of
 from gpdf_service.types import BoolArray, FieldSample, FloatArray, IntArray
 
-_CACHE = 100_000
-"""Points of a field that no longer fits a core's cache (about 4 MB): from here on it pays to sort the queries."""
-
 _TREE = "points", "order", "begin"
 """What the rest of a tree follows from."""
 
@@ -46,7 +43,9 @@ class Box:
 
     def contains(self, queries: FloatArray) -> BoolArray:
         """Whether each query lies in the grown box."""
-        inside: BoolArray = ((queries >= self.low) & (queries <= self.high)).all(axis=1)
+        inside = np.ones(len(queries), dtype=bool)
+        for column, low, high in zip(queries.T, self.low, self.high, strict=True):
+            inside &= (column >= low) & (column <= high)
         return inside
 
 
@@ -106,14 +105,12 @@ class Gpdf:
         """
         asked, finite = self._check(queries)
         count = len(asked)
-        distance, bracket, gradient = np.zeros(count), np.zeros(count), np.zeros_like(asked)
-        row = np.zeros(count, np.int64)
-        order = spatial_order(asked) if len(self.points) > _CACHE and count > 1 else np.arange(count)
-        arrays = self.arrays
-        run_chunked(lambda a, b: sample_range(arrays, asked, order, a, b, distance, gradient, row, bracket), count)
+        distance, deviation, gradient = np.empty(count), np.empty(count), np.empty_like(asked)
+        own = self.arrays, asked, spatial_order(asked)
+        run_chunked(lambda a, b: sample_range(*own, a, b, self.noise, distance, gradient, deviation), count)
         valid = finite & self.domain.contains(asked)
-        deviation = np.where(valid, np.hypot(self.noise[row], 0.5 * bracket), np.inf)
-        return FieldSample(np.where(valid, distance, 0.0), gradient * valid[:, None], valid, deviation)
+        distance[~valid], gradient[~valid], deviation[~valid] = 0.0, 0.0, np.inf
+        return FieldSample(distance, gradient, valid, deviation)
 
     def nearest(self, queries: ArrayLike) -> FloatArray:
         """Exact distance to the nearest fitted point [m], shape (m,); 0 for a row that is not finite."""
@@ -183,13 +180,14 @@ class Gpdf:
         return Gpdf(tree, alpha, gap, own, self.length_scale, self.noise_variance, self.spacing, self.domain)
 
     def _check(self, queries: ArrayLike) -> tuple[FloatArray, BoolArray]:
-        asked = np.array(queries, dtype=np.float64)
+        asked = np.ascontiguousarray(queries, dtype=np.float64)
         dim = self.points.shape[1]
         if asked.ndim != 2 or asked.shape[1] != dim:
             raise FieldError("field query", f"queries of shape {asked.shape}", f"Pass an array of shape (m, {dim}).")
-        finite: BoolArray = np.logical_and.reduce(np.isfinite(asked), axis=1)
-        asked[~finite] = 0.0
-        return asked, finite
+        if np.isfinite(asked).all():
+            return asked, np.ones(len(asked), dtype=bool)
+        finite: BoolArray = np.isfinite(asked).all(axis=1)
+        return np.where(finite[:, None], asked, 0.0), finite
 
     def to_arrays(self) -> dict[str, NDArray[Any]]:
         """All that `from_arrays` needs, as arrays."""

@@ -196,21 +196,22 @@ def sample_range(
     order: IntArray,
     first: int,
     last: int,
+    noise: FloatArray,
     distance: FloatArray,
     gradient: FloatArray,
-    row: IntArray,
-    bracket: FloatArray,
+    deviation: FloatArray,
 ) -> None:
-    """`sample` for the queries order[first..last]."""
+    """`sample` for the queries order[first..last]; the deviation is the nearest point's noise and half the bracket."""
     begin, blocks, boxes, weights, gap2, length_scale = field
     stack, bound, near = make_scratch()
     dim = queries.shape[1]
     for q in range(first, last):
         i = order[q]
         x = queries[i, 0], queries[i, 1], queries[i, 2] if dim == 3 else 0.0
-        distance[i], row[i], bracket[i], slope = sample(
+        distance[i], row, slack, slope = sample(
             begin, blocks, boxes, weights, gap2, length_scale, x, stack, bound, near
         )
+        deviation[i] = sqrt(noise[row] ** 2 + 0.25 * slack * slack)
         for k in range(dim):
             gradient[i, k] = slope[k]
 
