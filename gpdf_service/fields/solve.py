@@ -93,7 +93,7 @@ def _mark(tree: Tree, rows: IntArray, radius: float, found: BoolArray) -> None:
 @njit(cache=True, nogil=True)
 def _assemble(
     tree: Tree, rows: IntArray, place: NDArray[np.int32], alpha: FloatArray, length_scale: float, noise_variance: float
-) -> tuple[IntArray, NDArray[np.int32], NDArray[np.float32], FloatArray, FloatArray]:
+) -> tuple[IntArray, NDArray[np.uint32], NDArray[np.float32], FloatArray, FloatArray]:
     """K over `rows` as compressed rows, the right-hand side less what the points outside contribute, and a first guess.
 
     The guess is α on even ground, one over the sum of the row of K + σ² I; so is an α outside that is not known.
@@ -102,7 +102,7 @@ def _assemble(
     rate, reach = 1.0 / (2.0 * length_scale * length_scale), (CUT_RADIUS * length_scale) ** 2
     start = np.zeros(len(rows) + 1, np.int64)
     capacity = 64 * len(rows) + 1024
-    column, weight = np.empty(capacity, np.int32), np.empty(capacity, np.float32)
+    column, weight = np.empty(capacity, np.uint32), np.empty(capacity, np.float32)
     right, guess = np.ones(len(rows)), np.empty(len(rows))
     stack, bound, near = make_scratch()
     values = np.empty(LEAF_SIZE)
@@ -151,36 +151,51 @@ def _grown(values: NDArray[Any], capacity: int) -> NDArray[Any]:
 @njit(cache=True, nogil=True)
 def _conjugate_gradients(
     start: IntArray,
-    column: NDArray[np.int32],
+    column: NDArray[np.uint32],
     weight: NDArray[np.float32],
     noise_variance: float,
     right: FloatArray,
     x: FloatArray,
 ) -> tuple[FloatArray, bool]:
     """Solve (K + σ² I) x = b from the guess `x` until ‖r‖ ≤ `_TOLERANCE` ‖1‖."""
-    count = len(right)
-    r, Kp = right.copy(), np.empty(count)
-    for i in range(count):
-        r[i] -= noise_variance * x[i]
-        for e in range(start[i], start[i + 1]):
-            r[i] -= weight[e] * x[column[e]]
+    r, Kp = right.copy(), np.empty(len(right))
+    _apply(start, column, weight, noise_variance, x, Kp)
+    rr = 0.0
+    for i in range(len(r)):
+        r[i] -= Kp[i]
+        rr += r[i] * r[i]
     p = r.copy()
-    rr = np.dot(r, r)
-    enough = _TOLERANCE * _TOLERANCE * count
-    for _ in range(20 * int(np.sqrt(count)) + 200):
+    enough = _TOLERANCE * _TOLERANCE * len(r)
+    for _ in range(20 * int(np.sqrt(len(r))) + 200):
         if rr <= enough:
             return x, True
-        for i in range(count):
-            total = noise_variance * p[i]
-            for e in range(start[i], start[i + 1]):
-                total += weight[e] * p[column[e]]
-            Kp[i] = total
-        step = rr / np.dot(p, Kp)
+        step = rr / _apply(start, column, weight, noise_variance, p, Kp)
         fresh = 0.0
-        for i in range(count):
+        for i in range(len(r)):
             x[i] += step * p[i]
             r[i] -= step * Kp[i]
             fresh += r[i] * r[i]
-        p = r + (fresh / rr) * p
+        for i in range(len(r)):
+            p[i] = r[i] + (fresh / rr) * p[i]
         rr = fresh
     return x, rr <= enough
+
+
+@njit(cache=True, nogil=True)
+def _apply(
+    start: IntArray,
+    column: NDArray[np.uint32],
+    weight: NDArray[np.float32],
+    noise_variance: float,
+    p: FloatArray,
+    Kp: FloatArray,
+) -> float:
+    """Write (K + σ² I) p; gives p · that. Loops, because NumPy's dot product wakes threads that then spin for nothing."""
+    product = 0.0
+    for i in range(len(p)):
+        total = noise_variance * p[i]
+        for e in range(start[i], start[i + 1]):
+            total += weight[e] * p[column[e]]
+        Kp[i] = total
+        product += total * p[i]
+    return product
