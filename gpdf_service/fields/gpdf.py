@@ -21,6 +21,10 @@ from gpdf_service.fields.traversal import FieldArrays, by_leaf, nearest_range, s
 from gpdf_service.fields.tree import Tree, build_tree, change_tree, tree_of
 from gpdf_service.types import BoolArray, FieldSample, FloatArray, IntArray
 
+_CELLS = 2**20
+"""Spacings across all points: 20 km at 2 cm. More is a stray, and the cells of a thinning could not be counted."""
+_FARTHEST = 1e9
+"""[m] Largest coordinate: beyond, a double no longer holds tenths of a millimetre."""
 _TREE = "points", "order", "begin"
 """What the rest of a tree follows from."""
 
@@ -108,7 +112,7 @@ class Gpdf:
         distance, deviation, gradient = np.empty(count), np.empty(count), np.empty_like(asked)
         own = self.arrays, asked, spatial_order(asked)
         run_chunked(lambda a, b: sample_range(*own, a, b, self.noise, distance, gradient, deviation), count)
-        valid = finite & self.domain.contains(asked)
+        valid = finite & self.domain.contains(asked) & np.isfinite(deviation)
         distance[~valid], gradient[~valid], deviation[~valid] = 0.0, 0.0, np.inf
         return FieldSample(distance, gradient, valid, deviation)
 
@@ -117,7 +121,7 @@ class Gpdf:
         asked, finite = self._check(queries)
         return np.where(finite, find_nearest(self.tree, asked)[0], 0.0)
 
-    def insert(self, points: ArrayLike, noise: float = 0.0) -> Gpdf:
+    def insert(self, points: ArrayLike, noise: ArrayLike = 0.0) -> Gpdf:
         """The field with `points`, shape (k, dim) [m], added: solved again only around them.
 
         A point closer than half the spacing to one that is there adds nothing and is left out.
@@ -128,9 +132,11 @@ class Gpdf:
         data = _check_points(points, self.points.shape[1])
         if len(data) == 0:
             return self
-        data = data[thin(data, 0.5 * self.spacing)]
-        data = data[find_nearest(self.tree, data)[0] >= 0.5 * self.spacing]
-        return self._changed(np.ones(len(self.points), dtype=bool), data, np.full(len(data), noise))
+        _check_extent(data, self.spacing)
+        own = _check_noise(noise, len(data))
+        rows = thin(data, 0.5 * self.spacing)
+        rows = rows[find_nearest(self.tree, data[rows])[0] >= 0.5 * self.spacing]
+        return self._changed(np.ones(len(self.points), dtype=bool), data[rows], own[rows])
 
     def remove(self, rows: ArrayLike) -> Gpdf:
         """The field without some of its points: solved again only around them.
@@ -180,7 +186,7 @@ class Gpdf:
         return Gpdf(tree, alpha, gap, own, self.length_scale, self.noise_variance, self.spacing, self.domain)
 
     def _check(self, queries: ArrayLike) -> tuple[FloatArray, BoolArray]:
-        asked = np.ascontiguousarray(queries, dtype=np.float64)
+        asked = _real("field query", queries)
         dim = self.points.shape[1]
         if asked.ndim != 2 or asked.shape[1] != dim:
             raise FieldError("field query", f"queries of shape {asked.shape}", f"Pass an array of shape (m, {dim}).")
@@ -237,8 +243,12 @@ def fit_gpdf(
     data = _check_points(points, None)
     if len(data) == 0:
         raise FieldError("fit", "no points", "A field needs at least one point on a surface.")
+    own = _check_noise(noise, len(data))
     estimated = spacing is None
     spacing = estimate_spacing(data) if spacing is None else float(spacing)
+    if not (estimated or spacing > 0.0):
+        raise FieldError("fit", f"a spacing of {spacing:g} m", "Pass a positive one, or none.")
+    _check_extent(data, spacing)
     rows = thin(data, spacing * (0.5 if estimated else 0.95))  # a grid of that spacing keeps all its points
     if spacing <= 0.0:
         spacing = 1e-3  # [m] a single place has no spacing; a millimetre is below what any scanner resolves
@@ -246,15 +256,43 @@ def fit_gpdf(
     length_scale = config.length_scale_factor * spacing
     alpha = solve_all(tree, length_scale, config.noise_variance)
     gap = local_spacing(tree, np.arange(len(rows)), spacing)
-    own = np.broadcast_to(np.asarray(noise, dtype=np.float64), len(data))[rows][tree.order]
+    own = own[rows][tree.order]
     return Gpdf(tree, alpha, gap, own, length_scale, config.noise_variance, spacing, domain)
 
 
+def _real(asked: str, values: ArrayLike) -> FloatArray:
+    """Real numbers in rows, as compiled code needs them."""
+    try:
+        made = np.asarray(values)
+        if made.dtype.kind not in "buif":
+            raise TypeError(f"numbers of type {made.dtype}")
+        return np.asarray(made, dtype=np.float64, order="C")
+    except (TypeError, ValueError) as error:
+        raise FieldError(asked, f"what is no array of numbers ({error})", "Pass an array of real numbers.") from error
+
+
 def _check_points(points: ArrayLike, dim: int | None) -> FloatArray:
-    data = np.ascontiguousarray(points, dtype=np.float64)
+    data = _real("fit", points)
     if data.ndim != 2 or data.shape[1] not in ((2, 3) if dim is None else (dim,)):
         shapes = "(n, 2) or (n, 3)" if dim is None else f"(n, {dim})"
         raise FieldError("fit", f"points of shape {data.shape}", f"Pass an array of shape {shapes}.")
     if not np.isfinite(data).all():
         raise FieldError("fit", "points that are not finite", "Remove NaN and infinite coordinates.")
+    if len(data) and np.abs(data).max() > _FARTHEST:
+        raise FieldError("fit", f"a coordinate beyond {_FARTHEST:g} m", "Move the origin, or take the point out.")
     return data
+
+
+def _check_noise(noise: ArrayLike, count: int) -> FloatArray:
+    own = _real("fit", noise)
+    if own.shape not in ((), (count,)) or not (np.isfinite(own) & (own >= 0.0)).all():
+        found = f"noise of shape {own.shape}, or not finite, or negative"
+        raise FieldError("fit", found, "Pass one number ≥ 0, or one for each point.")
+    return np.broadcast_to(own, count)
+
+
+def _check_extent(data: FloatArray, spacing: float) -> None:
+    extent = float(np.ptp(data, axis=0).max())
+    if extent > _CELLS * spacing > 0.0:
+        found = f"points {extent:g} m apart with a spacing of {spacing:g} m"
+        raise FieldError("fit", found, "Take out what is far from everything else.")

@@ -190,7 +190,7 @@ def _apply(
     p: FloatArray,
     Kp: FloatArray,
 ) -> float:
-    """Write (K + σ² I) p; gives p · that. Loops, because NumPy's dot product wakes threads that then spin for nothing."""
+    """Write (K + σ² I) p; gives p · that. A loop: NumPy's dot product wakes threads that then spin for nothing."""
     product = 0.0
     for i in range(len(p)):
         total = noise_variance * p[i]

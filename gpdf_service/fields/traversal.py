@@ -160,9 +160,12 @@ def sample(
 
     The bracket: never more room than to the nearest point, √δ; never less than √(δ − gap²), the least that a surface
     through points no further apart than the gap allows. Where the sums say nothing (S ≤ 0, or more room than to the
-    nearest point) that point gives the direction: an edge, whose true place may be a gap beyond that point.
+    nearest point) that point gives the direction: an edge, whose true place may be a gap beyond that point. A place
+    that is no place (NaN, or so far that squares overflow) has no room at all.
     """
     delta, leaf, j, total, (g0, g1, g2) = walk(blocks, boxes, weights, length_scale, x, stack, bound, near)
+    if delta == np.inf:
+        return 0.0, 0, np.inf, (0.0, 0.0, 0.0)
     gap = gap2[begin[leaf] + j]
     distance2 = delta - 2.0 * length_scale * length_scale * log(total) if total > 0.0 else delta
     floor2 = max(delta - gap, 0.0)
@@ -218,7 +221,7 @@ def sample_range(
 
 @njit(cache=True, nogil=True)
 def nearest_one(tree: Tree, x: FloatArray) -> tuple[float, int]:
-    """Exact nearest point: its distance [m] and its row in `tree.points`."""
+    """Exact nearest point: its distance [m], 0 from what is no place, and its row in `tree.points`."""
     stack, bound, near = make_scratch()
     return _nearest(tree.begin, tree.blocks, tree.boxes, place_of(x), stack, bound, near)
 
@@ -243,7 +246,7 @@ def _nearest(
         least, j = nearest_in(blocks, leaf, x0, x1, x2)
         if least < delta:
             delta, row = least, begin[leaf] + j
-    return sqrt(delta), row
+    return sqrt(delta) if delta < np.inf else 0.0, row
 
 
 @njit(cache=True, nogil=True)
