@@ -192,7 +192,7 @@ class Gpdf:
             raise FieldError("field query", f"queries of shape {asked.shape}", f"Pass an array of shape (m, {dim}).")
         if np.isfinite(asked).all():
             return asked, np.ones(len(asked), dtype=bool)
-        finite: BoolArray = np.isfinite(asked).all(axis=1)
+        finite: BoolArray = np.logical_and.reduce(np.isfinite(asked), axis=1)
         return np.where(finite[:, None], asked, 0.0), finite
 
     def to_arrays(self) -> dict[str, NDArray[Any]]:

@@ -119,9 +119,9 @@ def nearest_in(blocks: FloatArray, leaf: int, x0: float, x1: float, x2: float) -
         a, b, c = blocks[leaf, 0, j] - x0, blocks[leaf, 1, j] - x1, blocks[leaf, 2, j] - x2
         square = np.float64(a * a + b * b + c * c)
         least = min(least, (square.view(np.int64) & -LEAF_SIZE) | j)
-    j = least & (LEAF_SIZE - 1)
-    a, b, c = blocks[leaf, 0, j] - x0, blocks[leaf, 1, j] - x1, blocks[leaf, 2, j] - x2
-    return a * a + b * b + c * c, j
+    found = int(least & (LEAF_SIZE - 1))
+    a, b, c = blocks[leaf, 0, found] - x0, blocks[leaf, 1, found] - x1, blocks[leaf, 2, found] - x2
+    return a * a + b * b + c * c, found
 
 
 _E0, _E1, _E2, _E3, _E4, _E5, _E6 = (
