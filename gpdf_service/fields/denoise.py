@@ -19,8 +19,7 @@ from scipy.spatial import cKDTree
 from gpdf_service.fields.order import spatial_order
 from gpdf_service.fields.spacing import estimate_spacing
 from gpdf_service.fields.threads import run_chunked
-from gpdf_service.fields.traversal import STACK
-from gpdf_service.fields.tree import Tree, box_distance2, build_tree
+from gpdf_service.fields.tree import Tree, build_tree, from_root, make_scratch, next_leaf, place_of
 from gpdf_service.types import BoolArray, FloatArray, IntArray
 
 RESOLVED = 4.0
@@ -168,22 +167,17 @@ def _gather(tree: Tree, x: FloatArray, radii: FloatArray, normal: FloatArray, ha
 
     Of the neighbours only those in the slab around x across `normal`, `half` [m] to either side; all if it is zero.
     """
-    nodes = tree.begin.shape[0]
-    stack = np.empty(STACK, np.int64)
+    blocks, boxes, limit = tree.blocks, tree.boxes, radii[-1] ** 2
+    stack, bound, near = make_scratch()
     moments[:] = 0.0
-    limit = radii[-1] ** 2
-    stack[0], top = 0, 1
-    while top > 0:
-        top -= 1
-        node = stack[top]
-        if box_distance2(tree.low, tree.high, node, x) > limit:
-            continue
-        if 2 * node + 1 < nodes:
-            stack[top], stack[top + 1] = 2 * node + 1, 2 * node + 2
-            top += 2
-            continue
-        for i in range(tree.begin[node], tree.end[node]):
-            a, b, c = tree.points[i, 0] - x[0], tree.points[i, 1] - x[1], tree.points[i, 2] - x[2]
+    place = place_of(x)
+    top = from_root(stack, bound)
+    while True:
+        leaf, _, top = next_leaf(boxes, place, place, limit, stack, bound, near, top)
+        if leaf < 0:
+            break
+        for j in range(tree.begin[leaf + 1] - tree.begin[leaf]):
+            a, b, c = blocks[leaf, 0, j] - x[0], blocks[leaf, 1, j] - x[1], blocks[leaf, 2, j] - x[2]
             square = a * a + b * b + c * c
             if square > limit or abs(a * normal[0] + b * normal[1] + c * normal[2]) > half:
                 continue

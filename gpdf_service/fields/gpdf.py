@@ -17,12 +17,16 @@ from gpdf_service.fields.order import spatial_order
 from gpdf_service.fields.solve import HALO, solve_all, solve_rows, within
 from gpdf_service.fields.spacing import estimate_spacing, local_spacing, thin
 from gpdf_service.fields.threads import run_chunked
-from gpdf_service.fields.traversal import FieldArrays, nearest_range, sample_range
-from gpdf_service.fields.tree import Tree, build_tree, change_tree
+from gpdf_service.fields.traversal import FieldArrays, by_leaf, nearest_range, sample_range
+from gpdf_service.fields.tree import Tree, build_tree, change_tree, tree_of
 from gpdf_service.types import BoolArray, FieldSample, FloatArray, IntArray
 
-_CACHE = 100_000
-"""Points of a field that no longer fits a core's cache (about 4 MB): from here on it pays to sort the queries."""
+_CELLS = 2**20
+"""Spacings across all points: 20 km at 2 cm. More is a stray, and the cells of a thinning could not be counted."""
+_FARTHEST = 1e9
+"""[m] Largest coordinate: beyond, a double no longer holds tenths of a millimetre."""
+_TREE = "points", "order", "begin"
+"""What the rest of a tree follows from."""
 
 
 class Domain(Protocol):
@@ -43,7 +47,9 @@ class Box:
 
     def contains(self, queries: FloatArray) -> BoolArray:
         """Whether each query lies in the grown box."""
-        inside: BoolArray = ((queries >= self.low) & (queries <= self.high)).all(axis=1)
+        inside = np.ones(len(queries), dtype=bool)
+        for column, low, high in zip(queries.T, self.low, self.high, strict=True):
+            inside &= (column >= low) & (column <= high)
         return inside
 
 
@@ -75,7 +81,7 @@ class Gpdf:
         self.tree, self.alpha, self.gap, self.noise = tree, alpha, gap, noise
         self.length_scale, self.noise_variance, self.spacing = length_scale, noise_variance, spacing
         self.domain: Domain = Box(tree.points) if domain is None else domain
-        self._gap2 = gap**2
+        self._gap2, self._weights = gap**2, by_leaf(tree, alpha)
 
     @property
     def points(self) -> FloatArray:
@@ -86,9 +92,7 @@ class Gpdf:
     def arrays(self) -> FieldArrays:
         """What a compiled loop needs for `traversal.sample_one`."""
         tree = self.tree
-        return FieldArrays(
-            tree.points, self.alpha, self._gap2, tree.begin, tree.end, tree.low, tree.high, self.length_scale
-        )
+        return FieldArrays(tree.begin, tree.blocks, tree.boxes, self._weights, self._gap2, self.length_scale)
 
     def query(self, queries: ArrayLike) -> FieldSample:
         """Distance to the surface, its gradient, validity and standard deviation.
@@ -105,21 +109,19 @@ class Gpdf:
         """
         asked, finite = self._check(queries)
         count = len(asked)
-        distance, bracket, gradient = np.zeros(count), np.zeros(count), np.zeros_like(asked)
-        row = np.zeros(count, np.int64)
-        order = spatial_order(asked) if len(self.points) > _CACHE and count > 1 else np.arange(count)
-        arrays = self.arrays
-        run_chunked(lambda a, b: sample_range(arrays, asked, order, a, b, distance, gradient, row, bracket), count)
-        valid = finite & self.domain.contains(asked)
-        deviation = np.where(valid, np.hypot(self.noise[row], 0.5 * bracket), np.inf)
-        return FieldSample(np.where(valid, distance, 0.0), gradient * valid[:, None], valid, deviation)
+        distance, deviation, gradient = np.empty(count), np.empty(count), np.empty_like(asked)
+        own = self.arrays, asked, spatial_order(asked)
+        run_chunked(lambda a, b: sample_range(*own, a, b, self.noise, distance, gradient, deviation), count)
+        valid = finite & self.domain.contains(asked) & np.isfinite(deviation)
+        distance[~valid], gradient[~valid], deviation[~valid] = 0.0, 0.0, np.inf
+        return FieldSample(distance, gradient, valid, deviation)
 
     def nearest(self, queries: ArrayLike) -> FloatArray:
         """Exact distance to the nearest fitted point [m], shape (m,); 0 for a row that is not finite."""
         asked, finite = self._check(queries)
         return np.where(finite, find_nearest(self.tree, asked)[0], 0.0)
 
-    def insert(self, points: ArrayLike, noise: float = 0.0) -> Gpdf:
+    def insert(self, points: ArrayLike, noise: ArrayLike = 0.0) -> Gpdf:
         """The field with `points`, shape (k, dim) [m], added: solved again only around them.
 
         A point closer than half the spacing to one that is there adds nothing and is left out.
@@ -130,9 +132,11 @@ class Gpdf:
         data = _check_points(points, self.points.shape[1])
         if len(data) == 0:
             return self
-        data = data[thin(data, 0.5 * self.spacing)]
-        data = data[find_nearest(self.tree, data)[0] >= 0.5 * self.spacing]
-        return self._changed(np.ones(len(self.points), dtype=bool), data, np.full(len(data), noise))
+        _check_extent(data, self.spacing)
+        own = _check_noise(noise, len(data))
+        rows = thin(data, 0.5 * self.spacing)
+        rows = rows[find_nearest(self.tree, data[rows])[0] >= 0.5 * self.spacing]
+        return self._changed(np.ones(len(self.points), dtype=bool), data[rows], own[rows])
 
     def remove(self, rows: ArrayLike) -> Gpdf:
         """The field without some of its points: solved again only around them.
@@ -182,24 +186,26 @@ class Gpdf:
         return Gpdf(tree, alpha, gap, own, self.length_scale, self.noise_variance, self.spacing, self.domain)
 
     def _check(self, queries: ArrayLike) -> tuple[FloatArray, BoolArray]:
-        asked = np.array(queries, dtype=np.float64)
+        asked = _real("field query", queries)
         dim = self.points.shape[1]
         if asked.ndim != 2 or asked.shape[1] != dim:
             raise FieldError("field query", f"queries of shape {asked.shape}", f"Pass an array of shape (m, {dim}).")
+        if np.isfinite(asked).all():
+            return asked, np.ones(len(asked), dtype=bool)
         finite: BoolArray = np.logical_and.reduce(np.isfinite(asked), axis=1)
-        asked[~finite] = 0.0
-        return asked, finite
+        return np.where(finite[:, None], asked, 0.0), finite
 
     def to_arrays(self) -> dict[str, NDArray[Any]]:
         """All that `from_arrays` needs, as arrays."""
         scalars = np.array([self.length_scale, self.noise_variance, self.spacing])
         own = {"alpha": self.alpha, "gap": self.gap, "noise": self.noise}
-        return {**self.tree._asdict(), **own, "scalars": scalars}
+        lasting = {key: getattr(self.tree, key) for key in _TREE}
+        return {**lasting, **own, "scalars": scalars}
 
     @classmethod
     def from_arrays(cls, arrays: dict[str, NDArray[Any]], domain: Domain | None = None) -> Gpdf:
         """Restore a field; nothing is fitted."""
-        tree = Tree(*(arrays[key] for key in Tree._fields))
+        tree = tree_of(*(arrays[key] for key in _TREE))
         length_scale, noise_variance, spacing = (float(value) for value in arrays["scalars"])
         own = arrays["alpha"], arrays["gap"], arrays["noise"]
         return cls(tree, *own, length_scale, noise_variance, spacing, domain)
@@ -237,8 +243,12 @@ def fit_gpdf(
     data = _check_points(points, None)
     if len(data) == 0:
         raise FieldError("fit", "no points", "A field needs at least one point on a surface.")
+    own = _check_noise(noise, len(data))
     estimated = spacing is None
     spacing = estimate_spacing(data) if spacing is None else float(spacing)
+    if not (estimated or spacing > 0.0):
+        raise FieldError("fit", f"a spacing of {spacing:g} m", "Pass a positive one, or none.")
+    _check_extent(data, spacing)
     rows = thin(data, spacing * (0.5 if estimated else 0.95))  # a grid of that spacing keeps all its points
     if spacing <= 0.0:
         spacing = 1e-3  # [m] a single place has no spacing; a millimetre is below what any scanner resolves
@@ -246,15 +256,43 @@ def fit_gpdf(
     length_scale = config.length_scale_factor * spacing
     alpha = solve_all(tree, length_scale, config.noise_variance)
     gap = local_spacing(tree, np.arange(len(rows)), spacing)
-    own = np.broadcast_to(np.asarray(noise, dtype=np.float64), len(data))[rows][tree.order]
+    own = own[rows][tree.order]
     return Gpdf(tree, alpha, gap, own, length_scale, config.noise_variance, spacing, domain)
 
 
+def _real(asked: str, values: ArrayLike) -> FloatArray:
+    """Real numbers in rows, as compiled code needs them."""
+    try:
+        made = np.asarray(values)
+        if made.dtype.kind not in "buif":
+            raise TypeError(f"numbers of type {made.dtype}")
+        return np.asarray(made, dtype=np.float64, order="C")
+    except (TypeError, ValueError) as error:
+        raise FieldError(asked, f"what is no array of numbers ({error})", "Pass an array of real numbers.") from error
+
+
 def _check_points(points: ArrayLike, dim: int | None) -> FloatArray:
-    data = np.ascontiguousarray(points, dtype=np.float64)
+    data = _real("fit", points)
     if data.ndim != 2 or data.shape[1] not in ((2, 3) if dim is None else (dim,)):
         shapes = "(n, 2) or (n, 3)" if dim is None else f"(n, {dim})"
         raise FieldError("fit", f"points of shape {data.shape}", f"Pass an array of shape {shapes}.")
     if not np.isfinite(data).all():
         raise FieldError("fit", "points that are not finite", "Remove NaN and infinite coordinates.")
+    if len(data) and np.abs(data).max() > _FARTHEST:
+        raise FieldError("fit", f"a coordinate beyond {_FARTHEST:g} m", "Move the origin, or take the point out.")
     return data
+
+
+def _check_noise(noise: ArrayLike, count: int) -> FloatArray:
+    own = _real("fit", noise)
+    if own.shape not in ((), (count,)) or not (np.isfinite(own) & (own >= 0.0)).all():
+        found = f"noise of shape {own.shape}, or not finite, or negative"
+        raise FieldError("fit", found, "Pass one number ≥ 0, or one for each point.")
+    return np.broadcast_to(own, count)
+
+
+def _check_extent(data: FloatArray, spacing: float) -> None:
+    extent = float(np.ptp(data, axis=0).max())
+    if extent > _CELLS * spacing > 0.0:
+        found = f"points {extent:g} m apart with a spacing of {spacing:g} m"
+        raise FieldError("fit", found, "Take out what is far from everything else.")

@@ -7,7 +7,6 @@ by the same routine, for the rows that it touches.
 
 from __future__ import annotations
 
-from math import exp
 from typing import Any
 
 import numpy as np
@@ -16,8 +15,8 @@ from numpy.typing import NDArray
 
 from gpdf_service.errors import FieldError
 from gpdf_service.fields.threads import run_parallel
-from gpdf_service.fields.traversal import CUT_RADIUS, STACK
-from gpdf_service.fields.tree import Tree, box_distance2
+from gpdf_service.fields.traversal import CUT_RADIUS, decay
+from gpdf_service.fields.tree import LEAF_SIZE, Tree, from_root, lesser, make_scratch, next_leaf, place_of
 from gpdf_service.types import BoolArray, FloatArray, IntArray
 
 HALO = 9.0
@@ -32,21 +31,12 @@ def solve_all(tree: Tree, length_scale: float, noise_variance: float) -> FloatAr
     """α of every row of `tree.points`, shape (n,)."""
     alpha = np.full(len(tree.points), np.nan)
     made = np.empty_like(alpha)
-    pieces = [node for node in range(len(tree.begin)) if _is_piece(tree, node)]
 
-    def one(node: int) -> None:
-        rows = np.arange(tree.begin[node], tree.end[node])
+    def one(rows: IntArray) -> None:
         made[rows] = solve_rows(tree, rows, alpha, length_scale, noise_variance)
 
-    run_parallel(one, pieces)
+    run_parallel(one, np.array_split(np.arange(len(made)), -(-len(made) // PIECE)))
     return made
-
-
-def _is_piece(tree: Tree, node: int) -> bool:
-    size = tree.end[node] - tree.begin[node]
-    parent = (node - 1) // 2
-    small, leaf = size <= PIECE, 2 * node + 1 >= len(tree.begin)
-    return (small or leaf) and (node == 0 or tree.end[parent] - tree.begin[parent] > PIECE)
 
 
 def solve_rows(tree: Tree, rows: IntArray, alpha: FloatArray, length_scale: float, noise_variance: float) -> FloatArray:
@@ -82,74 +72,57 @@ def within(tree: Tree, rows: IntArray, radius: float) -> IntArray:
 
 @njit(cache=True, nogil=True)
 def _mark(tree: Tree, rows: IntArray, radius: float, found: BoolArray) -> None:
-    """Coarse on purpose: a ball around the box of each leaf's share of `rows`, so that the cost is one walk a leaf."""
-    dim, nodes = tree.low.shape[1], tree.begin.shape[0]
-    stack = np.empty(STACK, np.int64)
-    low, high = np.empty(dim), np.empty(dim)
-    a = 0
-    while a < len(rows):
-        b = min(a + 16, len(rows))
-        for k in range(dim):
-            low[k], high[k] = np.inf, -np.inf
-            for i in range(a, b):
-                low[k], high[k] = min(low[k], tree.points[rows[i], k]), max(high[k], tree.points[rows[i], k])
-        stack[0], top = 0, 1
-        while top > 0:
-            top -= 1
-            node = stack[top]
-            gap2 = 0.0
-            for k in range(dim):
-                gap = max(tree.low[node, k] - high[k], 0.0, low[k] - tree.high[node, k])
-                gap2 += gap * gap
-            if gap2 > radius * radius:
-                continue
-            if 2 * node + 1 < nodes:
-                stack[top], stack[top + 1] = 2 * node + 1, 2 * node + 2
-                top += 2
-                continue
-            for i in range(tree.begin[node], tree.end[node]):
-                found[i] = True
-        a = b
+    """Coarse on purpose: a box around each leaf's share of `rows`, so that the cost is one walk a leaf."""
+    boxes, limit = tree.boxes, radius * radius
+    stack, bound, near = make_scratch()
+    for first in range(0, len(rows), LEAF_SIZE):
+        low, high = np.full(3, np.inf), np.full(3, -np.inf)
+        for i in rows[first : first + LEAF_SIZE]:
+            x = place_of(tree.points[i])
+            for k in range(3):
+                low[k], high[k] = min(low[k], x[k]), max(high[k], x[k])
+        least, largest = place_of(low), place_of(high)
+        top = from_root(stack, bound)
+        while True:
+            leaf, _, top = next_leaf(boxes, least, largest, limit, stack, bound, near, top)
+            if leaf < 0:
+                break
+            found[tree.begin[leaf] : tree.begin[leaf + 1]] = True
 
 
 @njit(cache=True, nogil=True)
 def _assemble(
     tree: Tree, rows: IntArray, place: NDArray[np.int32], alpha: FloatArray, length_scale: float, noise_variance: float
-) -> tuple[IntArray, NDArray[np.int32], NDArray[np.float32], FloatArray, FloatArray]:
+) -> tuple[IntArray, NDArray[np.uint32], NDArray[np.float32], FloatArray, FloatArray]:
     """K over `rows` as compressed rows, the right-hand side less what the points outside contribute, and a first guess.
 
     The guess is α on even ground, one over the sum of the row of K + σ² I; so is an α outside that is not known.
     """
-    dim, nodes = tree.low.shape[1], tree.begin.shape[0]
-    two_l2, reach = 2.0 * length_scale * length_scale, (CUT_RADIUS * length_scale) ** 2
+    blocks, boxes = tree.blocks, tree.boxes
+    rate, reach = 1.0 / (2.0 * length_scale * length_scale), (CUT_RADIUS * length_scale) ** 2
     start = np.zeros(len(rows) + 1, np.int64)
     capacity = 64 * len(rows) + 1024
-    column, weight = np.empty(capacity, np.int32), np.empty(capacity, np.float32)
+    column, weight = np.empty(capacity, np.uint32), np.empty(capacity, np.float32)
     right, guess = np.ones(len(rows)), np.empty(len(rows))
-    stack, x = np.empty(STACK, np.int64), np.empty(dim)
+    stack, bound, near = make_scratch()
+    values = np.empty(LEAF_SIZE)
     used = 0
     for r in range(len(rows)):
-        for k in range(dim):
-            x[k] = tree.points[rows[r], k]
+        x = x0, x1, x2 = place_of(tree.points[rows[r]])
         total, unknown = noise_variance, 0.0
-        stack[0], top = 0, 1
-        while top > 0:
-            top -= 1
-            node = stack[top]
-            if box_distance2(tree.low, tree.high, node, x) > reach:
-                continue
-            if 2 * node + 1 < nodes:
-                stack[top], stack[top + 1] = 2 * node + 1, 2 * node + 2
-                top += 2
-                continue
-            for i in range(tree.begin[node], tree.end[node]):
-                distance2 = 0.0
-                for k in range(dim):
-                    gap = x[k] - tree.points[i, k]
-                    distance2 += gap * gap
-                if distance2 > reach:
+        top = from_root(stack, bound)
+        while True:
+            leaf, _, top = next_leaf(boxes, x, x, reach, stack, bound, near, top)
+            if leaf < 0:
+                break
+            for j in range(LEAF_SIZE):
+                a, b, c = blocks[leaf, 0, j] - x0, blocks[leaf, 1, j] - x1, blocks[leaf, 2, j] - x2
+                t = (a * a + b * b + c * c) * rate
+                values[j] = decay(lesser(t, reach * rate)) if t <= reach * rate else 0.0
+            for j in range(tree.begin[leaf + 1] - tree.begin[leaf]):
+                i, value = tree.begin[leaf] + j, values[j]
+                if value == 0.0:
                     continue
-                value = exp(-distance2 / two_l2)
                 total += value
                 if place[i] < 0:
                     if np.isnan(alpha[i]):
@@ -178,36 +151,51 @@ def _grown(values: NDArray[Any], capacity: int) -> NDArray[Any]:
 @njit(cache=True, nogil=True)
 def _conjugate_gradients(
     start: IntArray,
-    column: NDArray[np.int32],
+    column: NDArray[np.uint32],
     weight: NDArray[np.float32],
     noise_variance: float,
     right: FloatArray,
     x: FloatArray,
 ) -> tuple[FloatArray, bool]:
     """Solve (K + σ² I) x = b from the guess `x` until ‖r‖ ≤ `_TOLERANCE` ‖1‖."""
-    count = len(right)
-    r, Kp = right.copy(), np.empty(count)
-    for i in range(count):
-        r[i] -= noise_variance * x[i]
-        for e in range(start[i], start[i + 1]):
-            r[i] -= weight[e] * x[column[e]]
+    r, Kp = right.copy(), np.empty(len(right))
+    _apply(start, column, weight, noise_variance, x, Kp)
+    rr = 0.0
+    for i in range(len(r)):
+        r[i] -= Kp[i]
+        rr += r[i] * r[i]
     p = r.copy()
-    rr = np.dot(r, r)
-    enough = _TOLERANCE * _TOLERANCE * count
-    for _ in range(20 * int(np.sqrt(count)) + 200):
+    enough = _TOLERANCE * _TOLERANCE * len(r)
+    for _ in range(20 * int(np.sqrt(len(r))) + 200):
         if rr <= enough:
             return x, True
-        for i in range(count):
-            total = noise_variance * p[i]
-            for e in range(start[i], start[i + 1]):
-                total += weight[e] * p[column[e]]
-            Kp[i] = total
-        step = rr / np.dot(p, Kp)
+        step = rr / _apply(start, column, weight, noise_variance, p, Kp)
         fresh = 0.0
-        for i in range(count):
+        for i in range(len(r)):
             x[i] += step * p[i]
             r[i] -= step * Kp[i]
             fresh += r[i] * r[i]
-        p = r + (fresh / rr) * p
+        for i in range(len(r)):
+            p[i] = r[i] + (fresh / rr) * p[i]
         rr = fresh
     return x, rr <= enough
+
+
+@njit(cache=True, nogil=True)
+def _apply(
+    start: IntArray,
+    column: NDArray[np.uint32],
+    weight: NDArray[np.float32],
+    noise_variance: float,
+    p: FloatArray,
+    Kp: FloatArray,
+) -> float:
+    """Write (K + σ² I) p; gives p · that. A loop: NumPy's dot product wakes threads that then spin for nothing."""
+    product = 0.0
+    for i in range(len(p)):
+        total = noise_variance * p[i]
+        for e in range(start[i], start[i + 1]):
+            total += weight[e] * p[column[e]]
+        Kp[i] = total
+        product += total * p[i]
+    return product

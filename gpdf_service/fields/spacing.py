@@ -7,8 +7,7 @@ from numba import njit
 from scipy.spatial import cKDTree
 
 from gpdf_service.fields.threads import run_chunked
-from gpdf_service.fields.traversal import STACK
-from gpdf_service.fields.tree import Tree, box_distance2
+from gpdf_service.fields.tree import Tree, from_root, make_scratch, next_leaf, place_of
 from gpdf_service.types import FloatArray, IntArray
 
 SAMPLE = 4000
@@ -38,7 +37,7 @@ def local_spacing(tree: Tree, rows: IntArray, spacing: float) -> FloatArray:
     radius = _REACH * spacing
     count = np.zeros(len(rows), np.int64)
     run_chunked(lambda a, b: _count_range(tree, rows, a, b, radius, count), len(rows))
-    even = radius * np.sqrt(np.pi / count) if tree.low.shape[1] == 3 else 2.0 * radius / count
+    even = radius * np.sqrt(np.pi / count) if tree.points.shape[1] == 3 else 2.0 * radius / count
     return np.maximum(even, spacing)
 
 
@@ -48,26 +47,18 @@ _REACH = 3.0
 
 @njit(cache=True, nogil=True)
 def _count_range(tree: Tree, rows: IntArray, begin: int, end: int, radius: float, count: IntArray) -> None:
-    dim, nodes = tree.low.shape[1], tree.begin.shape[0]
-    stack, x = np.empty(STACK, np.int64), np.empty(dim)
+    blocks, boxes, limit = tree.blocks, tree.boxes, radius * radius
+    stack, bound, near = make_scratch()
     for r in range(begin, end):
-        for k in range(dim):
-            x[k] = tree.points[rows[r], k]
-        stack[0], top = 0, 1
-        while top > 0:
-            top -= 1
-            node = stack[top]
-            if box_distance2(tree.low, tree.high, node, x) > radius * radius:
-                continue
-            if 2 * node + 1 < nodes:
-                stack[top], stack[top + 1] = 2 * node + 1, 2 * node + 2
-                top += 2
-                continue
-            for i in range(tree.begin[node], tree.end[node]):
-                distance2 = 0.0
-                for k in range(dim):
-                    distance2 += (x[k] - tree.points[i, k]) ** 2
-                count[r] += distance2 <= radius * radius
+        x = x0, x1, x2 = place_of(tree.points[rows[r]])
+        top = from_root(stack, bound)
+        while True:
+            leaf, _, top = next_leaf(boxes, x, x, limit, stack, bound, near, top)
+            if leaf < 0:
+                break
+            for j in range(tree.begin[leaf + 1] - tree.begin[leaf]):
+                a, b, c = blocks[leaf, 0, j] - x0, blocks[leaf, 1, j] - x1, blocks[leaf, 2, j] - x2
+                count[r] += a * a + b * b + c * c <= limit
 
 
 def thin(points: FloatArray, cell: float) -> IntArray:

@@ -5,8 +5,8 @@ With δ = the squared distance of the nearest point seen so far, the walk keeps
 rescaled whenever δ shrinks, and leaves out every box beyond ‖x − xᵢ‖² > δ + (R l)². Then
     r(o)² = −2l² log o = δ − 2l² log S   and   ∇d = −(M/S) / d,
 the reverting function of Uttsha et al. 2024 (after Le Gentil et al. 2023) in the log domain: no underflow at any range.
-A leaf's points are worked on as vectors: the loops over them have no branch and no call. A place
-in 2D is one in 3D whose third coordinate weighs nothing, so that all loops are straight.
+A leaf's points are worked on as vectors: the loops over them have no branch, no call and one length. That is why they
+index arrays and take no views of them: a view is counted, which costs more than what is done with it.
 """
 
 from __future__ import annotations
@@ -17,131 +17,132 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-from gpdf_service.fields.tree import LEAF_SIZE, Tree, box_distance2
+from gpdf_service.fields.tree import (
+    LEAF_SIZE,
+    VECTORS,
+    Place,
+    Tree,
+    from_root,
+    lesser,
+    make_scratch,
+    next_leaf,
+    place_of,
+)
 from gpdf_service.types import FloatArray, IntArray
 
 CUT_RADIUS = 4.5
 """R: terms beyond R length scales change the distance by at most 0.7 mm against R = 8 (measured in an office)."""
-STACK = 128
-"""Nodes waiting at once: two a level, and 2^60 points do not exist."""
-_VECTORS = {"reassoc", "contract", "nsz", "arcp"}
-"""Sums may be reordered into vectors; NaN and inf keep their meaning."""
-
-
-Place = tuple[float, float, float]
-"""(x, y, z) [m]; in 2D the last is not looked at."""
+_STEEPEST = CUT_RADIUS**2 / 2.0 + 1.0
+"""Exponents beyond the cut are multiplied by zero; this keeps them in the polynomial's range."""
 
 
 class FieldArrays(NamedTuple):
-    """All that a compiled loop needs to ask a field."""
+    """All that a compiled loop needs to ask a field: of the tree, and α and the squared gap around each point.
 
-    points: FloatArray
-    alpha: FloatArray
-    gap2: FloatArray
+    Attributes:
+        begin: First row of each leaf, and n, shape (leaves + 1,).
+        blocks: The leaves' points [m], shape (leaves, 3, 32).
+        boxes: The nodes' boxes [m], shape (nodes, 6, 8).
+        weights: α of the leaves' points, 0 for what is repeated, shape (leaves, 32).
+        gap2: [m²], shape (n,).
+        length_scale: [m].
+    """
+
     begin: IntArray
-    end: IntArray
-    low: FloatArray
-    high: FloatArray
+    blocks: FloatArray
+    boxes: FloatArray
+    weights: FloatArray
+    gap2: FloatArray
     length_scale: float
 
 
 def nearest_only(tree: Tree) -> FieldArrays:
     """A field without a Gaussian process: the exact distance to the nearest point."""
-    count = len(tree.points)
-    return FieldArrays(
-        tree.points,
-        np.zeros(count),
-        np.zeros(count),
-        tree.begin,
-        tree.end,
-        tree.low,
-        tree.high,
-        np.finfo(float).tiny ** 0.25,
-    )
-
-
-class Scratch(NamedTuple):
-    """What one walk needs to remember; made once a batch."""
-
-    stack: IntArray
-    bound: FloatArray
-    squares: FloatArray
+    nothing, short = np.zeros((len(tree.begin) - 1, LEAF_SIZE)), np.finfo(float).tiny ** 0.25
+    return FieldArrays(tree.begin, tree.blocks, tree.boxes, nothing, np.zeros(len(tree.points)), short)
 
 
 @njit(cache=True, nogil=True)
-def make_scratch() -> Scratch:
-    """Fresh scratch for one thread."""
-    return Scratch(np.empty(STACK, np.int64), np.empty(STACK), np.empty(LEAF_SIZE))
+def by_leaf(tree: Tree, values: FloatArray) -> FloatArray:
+    """Values of the points, shape (n,), leaf by leaf, 0 where there is no point; shape (leaves, 32)."""
+    made = np.zeros((len(tree.begin) - 1, LEAF_SIZE))
+    for leaf in range(len(made)):
+        for i in range(tree.begin[leaf], tree.begin[leaf + 1]):
+            made[leaf, i - tree.begin[leaf]] = values[i]
+    return made
 
 
-@njit(cache=True, nogil=True, fastmath=_VECTORS)
-def walk(field: FieldArrays, x: Place, scratch: Scratch) -> tuple[float, int, float, Place]:
-    """δ, the row of the nearest point, S, and M at one place."""
-    points, alpha, low, high = field.points, field.alpha, field.low, field.high
-    stack, bound, squares = scratch.stack, scratch.bound, scratch.squares
-    nodes, last = field.begin.shape[0], points.shape[1] - 1
-    third = 1.0 if last == 2 else 0.0
+@njit(cache=True, nogil=True, fastmath=VECTORS)
+def walk(
+    blocks: FloatArray,
+    boxes: FloatArray,
+    weights: FloatArray,
+    length_scale: float,
+    x: Place,
+    stack: IntArray,
+    bound: FloatArray,
+    near: FloatArray,
+) -> tuple[float, int, int, float, Place]:
+    """δ, the leaf of the nearest point and which of its points it is, S, and M at one place."""
     x0, x1, x2 = x
-    rate = 1.0 / (2.0 * field.length_scale * field.length_scale)
-    reach = (CUT_RADIUS * field.length_scale) ** 2
-    delta, row, total, m0, m1, m2 = np.inf, 0, 0.0, 0.0, 0.0, 0.0
-    stack[0], bound[0], top = 0, 0.0, 1
-    while top > 0:
-        top -= 1
-        node, near = stack[top], bound[top]
-        while 2 * node + 1 < nodes and near <= delta + reach:
-            left = 2 * node + 1
-            a = max(low[left, 0] - x0, 0.0, x0 - high[left, 0]) ** 2
-            a += max(low[left, 1] - x1, 0.0, x1 - high[left, 1]) ** 2
-            a += max(low[left, last] - x2, 0.0, x2 - high[left, last]) ** 2 * third
-            b = max(low[left + 1, 0] - x0, 0.0, x0 - high[left + 1, 0]) ** 2
-            b += max(low[left + 1, 1] - x1, 0.0, x1 - high[left + 1, 1]) ** 2
-            b += max(low[left + 1, last] - x2, 0.0, x2 - high[left + 1, last]) ** 2 * third
-            node, other, near, far = (left, left + 1, a, b) if a <= b else (left + 1, left, b, a)
-            if far <= delta + reach:
-                stack[top], bound[top] = other, far
-                top += 1
-        if near > delta + reach:
-            continue
-        for first in range(field.begin[node], field.end[node], LEAF_SIZE):
-            count = min(LEAF_SIZE, field.end[node] - first)
-            least = np.inf
-            for j in range(count):
-                i = first + j
-                square = (points[i, 0] - x0) ** 2 + (points[i, 1] - x1) ** 2 + third * (points[i, last] - x2) ** 2
-                squares[j] = square
-                least = min(least, square)
-            if least > delta + reach:
-                continue
+    rate = 1.0 / (2.0 * length_scale * length_scale)
+    reach = (CUT_RADIUS * length_scale) ** 2
+    delta, nearest, which, total, m0, m1, m2 = np.inf, 0, 0, 0.0, 0.0, 0.0, 0.0
+    top = from_root(stack, bound)
+    while True:
+        leaf, box2, top = next_leaf(boxes, x, x, delta + reach, stack, bound, near, top)
+        if leaf < 0:
+            break
+        if box2 < delta:
+            least, j = nearest_in(blocks, leaf, x0, x1, x2)
             if least < delta:
-                shrink = exp((least - delta) * rate) if total != 0.0 else 0.0
+                shrink = exp((least - delta) * rate)
                 total, m0, m1, m2 = total * shrink, m0 * shrink, m1 * shrink, m2 * shrink
-                delta = least
-                for j in range(count):
-                    if squares[j] == least:
-                        row = first + j
-            s, n0, n1, n2 = 0.0, 0.0, 0.0, 0.0
-            for j in range(count):
-                i = first + j
-                weight = alpha[i] * decay(min((squares[j] - delta) * rate, _STEEPEST))
-                weight = weight if squares[j] <= delta + reach else 0.0
-                s += weight
-                n0 += weight * (points[i, 0] - x0)
-                n1 += weight * (points[i, 1] - x1)
-                n2 += weight * (points[i, last] - x2)
-            total, m0, m1, m2 = total + s, m0 + n0, m1 + n1, m2 + n2
-    return delta, row, total, (m0, m1, m2)
+                delta, nearest, which = least, leaf, j
+        s, n0, n1, n2 = 0.0, 0.0, 0.0, 0.0
+        for j in range(LEAF_SIZE):
+            a, b, c = blocks[leaf, 0, j] - x0, blocks[leaf, 1, j] - x1, blocks[leaf, 2, j] - x2
+            t = (a * a + b * b + c * c - delta) * rate
+            weight = weights[leaf, j] * decay(lesser(t, _STEEPEST))
+            weight = weight if t <= reach * rate else 0.0
+            s += weight
+            n0 += weight * a
+            n1 += weight * b
+            n2 += weight * c
+        total, m0, m1, m2 = total + s, m0 + n0, m1 + n1, m2 + n2
+    return delta, nearest, which, total, (m0, m1, m2)
 
 
-_STEEPEST = CUT_RADIUS**2 / 2.0 + 1.0
-"""Exponents beyond the cut are multiplied by zero; this keeps them in the polynomial's range."""
+@njit(cache=True, nogil=True, fastmath=VECTORS)
+def nearest_in(blocks: FloatArray, leaf: int, x0: float, x1: float, x2: float) -> tuple[float, int]:
+    """Squared distance to a leaf's nearest point [m²], and which it is.
+
+    The bits of squares order as the squares do, so their last five make room for the number of the point, and the least
+    whole number tells both: vectors can do that, and cannot remember where their least was.
+    """
+    least = np.int64(2**63 - 1)
+    for j in range(LEAF_SIZE):
+        a, b, c = blocks[leaf, 0, j] - x0, blocks[leaf, 1, j] - x1, blocks[leaf, 2, j] - x2
+        square = np.float64(a * a + b * b + c * c)
+        least = min(least, (square.view(np.int64) & -LEAF_SIZE) | j)
+    found = int(least & (LEAF_SIZE - 1))
+    a, b, c = blocks[leaf, 0, found] - x0, blocks[leaf, 1, found] - x1, blocks[leaf, 2, found] - x2
+    return a * a + b * b + c * c, found
 
 
-@njit(cache=True, nogil=True, fastmath=_VECTORS, inline="always")
+_E0, _E1, _E2, _E3, _E4, _E5, _E6 = (
+    float(c)
+    for c in np.polynomial.Chebyshev.interpolate(lambda u: np.exp(-u), 6, domain=[0.0, _STEEPEST / 16.0])
+    .convert(kind=np.polynomial.Polynomial)
+    .coef
+)
+
+
+@njit(cache=True, nogil=True, fastmath=VECTORS, inline="always")
 def decay(t: float) -> float:
-    """exp(−t) for 0 ≤ t ≤ 12 within 1e-7 of itself up to t = 4 and 4e-5 beyond: (a polynomial of t/16)^16, no call."""
+    """exp(−t) for 0 ≤ t ≤ `_STEEPEST` within 4e-8 of itself: (a polynomial of t/16)^16, no call."""
     u = t * 0.0625
-    e = 1.0 - u * (1.0 - u * (1 / 2 - u * (1 / 6 - u * (1 / 24 - u * (1 / 120 - u * (1 / 720 - u / 5040))))))
+    e = _E0 + u * (_E1 + u * (_E2 + u * (_E3 + u * (_E4 + u * (_E5 + u * _E6)))))
     e *= e
     e *= e
     e *= e
@@ -149,33 +150,52 @@ def decay(t: float) -> float:
 
 
 @njit(cache=True, nogil=True)
-def sample(field: FieldArrays, x: Place, scratch: Scratch, gradient: FloatArray) -> tuple[float, int, float]:
-    """Distance at one place, the row of the nearest point, and how much less the distance may be [m].
+def sample(
+    begin: IntArray,
+    blocks: FloatArray,
+    boxes: FloatArray,
+    weights: FloatArray,
+    gap2: FloatArray,
+    length_scale: float,
+    x: Place,
+    stack: IntArray,
+    bound: FloatArray,
+    near: FloatArray,
+) -> tuple[float, int, float, Place]:
+    """Distance at one place, the row of the nearest point, how much less the distance may be [m], and the gradient.
 
-    Writes the gradient, shape (dim,). The bracket: never more room than to the nearest point, √δ; never less than
-    √(δ − gap²), the least that a surface through points no further apart than the gap allows. Where the sums say
-    nothing (S ≤ 0, or more room than to the nearest point) that point gives the direction: an edge, whose true place
-    may be a gap beyond that point.
+    The bracket: never more room than to the nearest point, √δ; never less than √(δ − gap²), the least that a surface
+    through points no further apart than the gap allows. Where the sums say nothing (S ≤ 0, or more room than to the
+    nearest point) that point gives the direction: an edge, whose true place may be a gap beyond that point. A place
+    that is no place (NaN, or so far that squares overflow) has no room at all.
     """
-    delta, row, total, moment = walk(field, x, scratch)
-    distance2 = delta - 2.0 * field.length_scale * field.length_scale * log(total) if total > 0.0 else delta
-    floor2 = max(delta - field.gap2[row], 0.0)
+    delta, leaf, j, total, (g0, g1, g2) = walk(blocks, boxes, weights, length_scale, x, stack, bound, near)
+    if delta == np.inf:
+        return 0.0, 0, np.inf, (0.0, 0.0, 0.0)
+    gap = gap2[begin[leaf] + j]
+    distance2 = delta - 2.0 * length_scale * length_scale * log(total) if total > 0.0 else delta
+    floor2 = max(delta - gap, 0.0)
     inside = total > 0.0 and distance2 <= delta
     distance = sqrt(min(max(distance2, floor2), delta))
-    norm = 0.0
-    for k in range(len(gradient)):
-        gradient[k] = -moment[k] / total if inside else x[k] - field.points[row, k]
-        norm += gradient[k] * gradient[k]
-    norm = max(distance, sqrt(norm))
-    for k in range(len(gradient)):
-        gradient[k] = gradient[k] / norm if norm > 0.0 else 0.0
-    return distance, row, sqrt(delta) - sqrt(floor2) if inside else min(distance, sqrt(field.gap2[row]))
+    if inside:
+        g0, g1, g2 = -g0 / total, -g1 / total, -g2 / total
+    else:
+        g0, g1, g2 = x[0] - blocks[leaf, 0, j], x[1] - blocks[leaf, 1, j], x[2] - blocks[leaf, 2, j]
+    norm = max(distance, sqrt(g0 * g0 + g1 * g1 + g2 * g2))
+    scale = 1.0 / norm if norm > 0.0 else 0.0
+    slack = sqrt(delta) - sqrt(floor2) if inside else min(distance, sqrt(gap))
+    return distance, begin[leaf] + j, slack, (scale * g0, scale * g1, scale * g2)
 
 
 @njit(cache=True, nogil=True)
 def sample_one(field: FieldArrays, x: FloatArray, gradient: FloatArray) -> float:
     """Distance at one place [m]; writes the gradient, shape (dim,)."""
-    return sample(field, (x[0], x[1], x[-1]), make_scratch(), gradient)[0]
+    begin, blocks, boxes, weights, gap2, length_scale = field
+    stack, bound, near = make_scratch()
+    distance, _, _, slope = sample(begin, blocks, boxes, weights, gap2, length_scale, place_of(x), stack, bound, near)
+    for k in range(len(gradient)):
+        gradient[k] = slope[k]
+    return distance
 
 
 @njit(cache=True, nogil=True)
@@ -183,49 +203,56 @@ def sample_range(
     field: FieldArrays,
     queries: FloatArray,
     order: IntArray,
-    begin: int,
-    end: int,
+    first: int,
+    last: int,
+    noise: FloatArray,
     distance: FloatArray,
     gradient: FloatArray,
-    row: IntArray,
-    bracket: FloatArray,
+    deviation: FloatArray,
 ) -> None:
-    """`sample` for the queries order[begin..end]."""
-    scratch = make_scratch()
-    for i in order[begin:end]:
-        place = (queries[i, 0], queries[i, 1], queries[i, -1])
-        distance[i], row[i], bracket[i] = sample(field, place, scratch, gradient[i])
+    """`sample` for the queries order[first..last]; the deviation is the nearest point's noise and half the bracket."""
+    begin, blocks, boxes, weights, gap2, length_scale = field
+    stack, bound, near = make_scratch()
+    dim = queries.shape[1]
+    for q in range(first, last):
+        i = order[q]
+        x = queries[i, 0], queries[i, 1], queries[i, 2] if dim == 3 else 0.0
+        distance[i], row, slack, slope = sample(
+            begin, blocks, boxes, weights, gap2, length_scale, x, stack, bound, near
+        )
+        deviation[i] = sqrt(noise[row] ** 2 + 0.25 * slack * slack)
+        for k in range(dim):
+            gradient[i, k] = slope[k]
 
 
 @njit(cache=True, nogil=True)
 def nearest_one(tree: Tree, x: FloatArray) -> tuple[float, int]:
-    """Exact nearest point: its distance [m] and its row in `tree.points`."""
-    stack = np.empty(STACK, np.int64)
-    bound = np.empty(STACK)
-    nodes = tree.begin.shape[0]
-    delta, index = np.inf, 0
-    stack[0], bound[0], top = 0, box_distance2(tree.low, tree.high, 0, x), 1
-    while top > 0:
-        top -= 1
-        node = stack[top]
-        if bound[top] >= delta:
-            continue
-        left = 2 * node + 1
-        if left < nodes:
-            a, b = box_distance2(tree.low, tree.high, left, x), box_distance2(tree.low, tree.high, left + 1, x)
-            near, far = (left, left + 1) if a <= b else (left + 1, left)
-            stack[top], bound[top] = far, max(a, b)
-            stack[top + 1], bound[top + 1] = near, min(a, b)
-            top += 2
-            continue
-        for i in range(tree.begin[node], tree.end[node]):
-            distance2 = 0.0
-            for k in range(x.shape[0]):
-                gap = x[k] - tree.points[i, k]
-                distance2 += gap * gap
-            if distance2 < delta:
-                delta, index = distance2, i
-    return sqrt(delta), index
+    """Exact nearest point: its distance [m], 0 from what is no place, and its row in `tree.points`."""
+    stack, bound, near = make_scratch()
+    return _nearest(tree.begin, tree.blocks, tree.boxes, place_of(x), stack, bound, near)
+
+
+@njit(cache=True, nogil=True, fastmath=VECTORS)
+def _nearest(
+    begin: IntArray,
+    blocks: FloatArray,
+    boxes: FloatArray,
+    x: Place,
+    stack: IntArray,
+    bound: FloatArray,
+    near: FloatArray,
+) -> tuple[float, int]:
+    x0, x1, x2 = x
+    delta, row = np.inf, 0
+    top = from_root(stack, bound)
+    while True:
+        leaf, _, top = next_leaf(boxes, x, x, delta, stack, bound, near, top)
+        if leaf < 0:
+            break
+        least, j = nearest_in(blocks, leaf, x0, x1, x2)
+        if least < delta:
+            delta, row = least, begin[leaf] + j
+    return sqrt(delta) if delta < np.inf else 0.0, row
 
 
 @njit(cache=True, nogil=True)
@@ -233,5 +260,8 @@ def nearest_range(
     tree: Tree, queries: FloatArray, first: int, last: int, distance: FloatArray, index: IntArray
 ) -> None:
     """`nearest_one` for the rows first..last of `queries`."""
+    begin, blocks, boxes = tree.begin, tree.blocks, tree.boxes
+    stack, bound, near = make_scratch()
     for q in range(first, last):
-        distance[q], index[q] = nearest_one(tree, queries[q])
+        x = queries[q, 0], queries[q, 1], queries[q, 2] if queries.shape[1] == 3 else 0.0
+        distance[q], index[q] = _nearest(begin, blocks, boxes, x, stack, bound, near)

@@ -1,4 +1,8 @@
-"""A balanced k-d tree in flat arrays: every node is a contiguous range of reordered points with its bounding box."""
+"""A packed tree of boxes over the points: leaves of 32 points as vectors, nodes that test their eight children at once.
+
+The points are put in an order in which every run of 32, of 256, of 2048 … is compact, so a node is a range of leaves
+and there are no pointers: node i has the children 8i+1 … 8i+8, and the leaves come after the last node.
+"""
 
 from __future__ import annotations
 
@@ -9,142 +13,116 @@ from numba import njit
 
 from gpdf_service.types import BoolArray, FloatArray, IntArray
 
-LEAF_SIZE = 16
-"""Points in a leaf: below it, walking the tree costs more than comparing the points."""
+LEAF_SIZE = 32
+"""Points in a leaf, four vectors of eight: with 16 the walk costs more than the points, with 64 too many are far."""
+FANOUT = 8
+"""Children of a node: their boxes are tested in one straight loop."""
+STACK = 128
+"""Nodes waiting at once: seven a level and eight, and 8^17 leaves do not exist."""
+VECTORS = {"reassoc", "contract", "nsz", "arcp"}
+"""Sums may be reordered into vectors; NaN and inf keep their meaning."""
+
+Place = tuple[float, float, float]
+"""(x, y, z) [m]; z is 0 in 2D."""
 
 
 class Tree(NamedTuple):
-    """Node i has the children 2i+1 and 2i+2; the tree is complete, so there are no pointers.
+    """Points in the tree's order, cut into leaves.
 
     Attributes:
-        points: Reordered points [m], shape (n, dim), columns contiguous (Fortran order): a leaf's x are one vector.
+        points: Reordered points [m], shape (n, dim).
         order: Row of the original array for each row of `points`, shape (n,).
-        begin: First point of each node, shape (nodes,).
-        end: One past the last point of each node, shape (nodes,).
-        low: Lower corner of each node's box [m], shape (nodes, dim).
-        high: Upper corner, shape (nodes, dim).
+        begin: First row of each leaf, and n, shape (leaves + 1,).
+        blocks: x, y and z of each leaf's points [m], its last point repeated, z = 0 in 2D; shape (leaves, 3, 32).
+        boxes: Least x, y, z and largest x, y, z of each child of each node [m], shape (nodes, 6, 8); where there is no
+            child, or none with points, the least are inf and the largest −inf.
     """
 
     points: FloatArray
     order: IntArray
     begin: IntArray
-    end: IntArray
-    low: FloatArray
-    high: FloatArray
+    blocks: FloatArray
+    boxes: FloatArray
+
+
+class Scratch(NamedTuple):
+    """What one walk needs to remember; made once a batch."""
+
+    stack: IntArray
+    bound: FloatArray
+    near: FloatArray
 
 
 def build_tree(points: FloatArray) -> Tree:
-    """Build the tree over `points`, shape (n, dim), n ≥ 1: O(n log n), halves cut at the median of the longest side."""
+    """Build the tree over `points`, shape (n, dim), n ≥ 1: O(n log n), cut near the median of the longest side."""
     points = np.ascontiguousarray(points, dtype=np.float64)
-    count, dim = points.shape
-    depth = 0
-    while count > LEAF_SIZE << depth:
-        depth += 1
-    nodes = (2 << depth) - 1
-    order = np.arange(count, dtype=np.int64)
-    begin, end = np.zeros(nodes, np.int64), np.zeros(nodes, np.int64)
-    low, high = np.zeros((nodes, dim)), np.zeros((nodes, dim))
-    _split(points, order, begin, end, low, high)
-    return Tree(np.asfortranarray(points[order]), order, begin, end, low, high)
+    order = np.arange(len(points))
+    _arrange(points, order, _room(len(points)))
+    leaves = -(-len(points) // LEAF_SIZE)
+    return tree_of(points[order], order, np.minimum(LEAF_SIZE * np.arange(leaves + 1), len(points)))
+
+
+def tree_of(points: FloatArray, order: IntArray, begin: IntArray) -> Tree:
+    """The tree over `points`, shape (n, dim), that are in its order already and cut into leaves at `begin`."""
+    leaves = len(begin) - 1
+    nodes = (_room(LEAF_SIZE * leaves) * FANOUT // LEAF_SIZE - 1) // (FANOUT - 1)
+    blocks, boxes = np.zeros((leaves, 3, LEAF_SIZE)), np.empty((nodes, 6, FANOUT))
+    _fill(points, begin, blocks, boxes)
+    return Tree(points, order, begin, blocks, boxes)
+
+
+def _room(count: int) -> int:
+    """Points that a child of the root has room for, so that its eight children hold `count`."""
+    room = LEAF_SIZE
+    while room * FANOUT < count:
+        room *= FANOUT
+    return room
 
 
 def change_tree(tree: Tree, keep: BoolArray, added: FloatArray) -> tuple[Tree, IntArray]:
     """The tree without the rows where `keep`, shape (n,), is false and with `added`, shape (k, dim), in it.
 
-    New points join the leaf whose box they are nearest to, so the rest of the tree stays as it is; when a leaf would
-    outgrow `_CROWDED`, all is built again.
+    New points come in leaves of their own after the others; when half of the leaves' room would be empty, all is built
+    again: so it happens once in as many changes as there are leaves.
 
     Returns:
         The tree, and where each of its rows comes from: a row of the old tree, or −1 − a row of `added`.
     """
-    nodes = len(tree.begin)
-    leaves = np.arange(nodes // 2, nodes)  # all at one depth, so in the order of their points
-    kept = np.concatenate([[0], np.cumsum(keep)])
-    home = _leaves_for(tree, np.ascontiguousarray(added))
-    joined = np.bincount(home, minlength=nodes)[leaves]
-    size = kept[tree.end[leaves]] - kept[tree.begin[leaves]] + joined
-    by_leaf = np.argsort(home, kind="stable")
-    source = np.insert(np.flatnonzero(keep), kept[tree.end[home[by_leaf]]], -1 - by_leaf)
-    points = np.concatenate([tree.points, added[::-1]])[source]  # row −1 − i is `added[i]`
-    if size.max() > _CROWDED or len(source) < len(leaves):
+    begin = np.concatenate([[0], np.cumsum(keep)])[tree.begin]
+    source = np.flatnonzero(keep)
+    points = tree.points[source]
+    if len(added):
+        fresh = build_tree(added)
+        points, source = np.concatenate([points, fresh.points]), np.concatenate([source, -1 - fresh.order])
+        begin = np.concatenate([begin, begin[-1] + fresh.begin[1:]])
+    if (len(begin) - 2) * LEAF_SIZE > 2 * len(points):
         built = build_tree(points)
         return built, source[built.order]
-    begin, end = np.zeros(nodes, np.int64), np.zeros(nodes, np.int64)
-    end[leaves] = np.cumsum(size)
-    begin[leaves] = end[leaves] - size
-    low, high = tree.low.copy(), tree.high.copy()
-    changed = np.zeros(nodes, dtype=bool)
-    changed[leaves] = (joined > 0) | (size < tree.end[leaves] - tree.begin[leaves])
-    points = np.asfortranarray(points)
-    _fit_boxes(points, begin, end, low, high, changed)
-    return Tree(points, np.arange(len(points)), begin, end, low, high), source
-
-
-_CROWDED = 8 * LEAF_SIZE
-"""Points in a leaf after which the tree is built anew."""
+    return tree_of(points, np.arange(len(points)), begin), source
 
 
 @njit(cache=True, nogil=True)
-def _leaves_for(tree: Tree, added: FloatArray) -> IntArray:
-    nodes = tree.begin.shape[0]
-    leaf = np.zeros(len(added), np.int64)
-    for i in range(len(added)):
-        node = 0
-        while 2 * node + 1 < nodes:
-            left = 2 * node + 1
-            a = box_distance2(tree.low, tree.high, left, added[i])
-            b = box_distance2(tree.low, tree.high, left + 1, added[i])
-            node = left if a <= b else left + 1
-        leaf[i] = node
-    return leaf
-
-
-@njit(cache=True, nogil=True)
-def _fit_boxes(
-    points: FloatArray, begin: IntArray, end: IntArray, low: FloatArray, high: FloatArray, changed: BoolArray
-) -> None:
-    """Ranges of the inner nodes, and boxes of the changed leaves and of all above them, from the leaves up."""
-    nodes, dim = low.shape
-    for node in range(nodes - 1, -1, -1):
-        left = 2 * node + 1
-        if left < nodes:
-            begin[node], end[node] = begin[left], end[left + 1]
-            if not (changed[left] or changed[left + 1]):
-                continue
-            changed[node] = True
-            for k in range(dim):
-                low[node, k] = min(low[left, k], low[left + 1, k])
-                high[node, k] = max(high[left, k], high[left + 1, k])
-        elif changed[node]:
-            for k in range(dim):
-                low[node, k], high[node, k] = np.inf, -np.inf
-                for i in range(begin[node], end[node]):
-                    low[node, k] = min(low[node, k], points[i, k])
-                    high[node, k] = max(high[node, k], points[i, k])
-
-
-@njit(cache=True, nogil=True)
-def _split(
-    points: FloatArray, order: IntArray, begin: IntArray, end: IntArray, low: FloatArray, high: FloatArray
-) -> None:
-    nodes, dim = low.shape
-    end[0] = points.shape[0]
-    for node in range(nodes):
-        a, b = begin[node], end[node]
+def _arrange(points: FloatArray, order: IntArray, room: int) -> None:
+    """Order the points so that every run that a node stands for is compact: halves of its children, then theirs."""
+    todo = [(0, len(points), room)]
+    while todo:
+        a, b, room = todo.pop()
+        while b - a <= room and room > LEAF_SIZE:
+            room //= FANOUT
+        if b - a <= LEAF_SIZE:
+            continue
         axis, widest = 0, -1.0
-        for k in range(dim):
-            low[node, k], high[node, k] = np.inf, -np.inf
+        for k in range(points.shape[1]):
+            low, high = np.inf, -np.inf
             for i in range(a, b):
-                value = points[order[i], k]
-                low[node, k] = min(low[node, k], value)
-                high[node, k] = max(high[node, k], value)
-            if high[node, k] - low[node, k] > widest:
-                axis, widest = k, high[node, k] - low[node, k]
-        if 2 * node + 1 < nodes:
-            middle = (a + b) // 2
-            _select(points, order, axis, a, b - 1, middle)
-            begin[2 * node + 1], end[2 * node + 1] = a, middle
-            begin[2 * node + 2], end[2 * node + 2] = middle, b
+                low, high = min(low, points[order[i], k]), max(high, points[order[i], k])
+            if high - low > widest:
+                axis, widest = k, high - low
+        children = (b - a + room - 1) // room
+        middle = a + (children + 1) // 2 * room
+        _select(points, order, axis, a, b - 1, middle)
+        todo.append((a, middle, room))
+        todo.append((middle, b, room))
 
 
 @njit(cache=True, nogil=True)
@@ -170,11 +148,98 @@ def _select(points: FloatArray, order: IntArray, axis: int, left: int, right: in
             return
 
 
+@njit(cache=True, nogil=True)
+def _fill(points: FloatArray, begin: IntArray, blocks: FloatArray, boxes: FloatArray) -> None:
+    """The leaves' blocks, and the boxes from the leaves up."""
+    nodes = boxes.shape[0]
+    boxes[:, :3], boxes[:, 3:] = np.inf, -np.inf
+    for leaf in range(blocks.shape[0]):
+        node, child = (nodes + leaf - 1) // FANOUT, (nodes + leaf - 1) % FANOUT
+        count = begin[leaf + 1] - begin[leaf]
+        for k in range(points.shape[1]):
+            for j in range(LEAF_SIZE if count > 0 else 0):
+                blocks[leaf, k, j] = points[begin[leaf] + min(j, count - 1), k]
+        for k in range(3 if count > 0 else 0):
+            boxes[node, k, child] = blocks[leaf, k].min()
+            boxes[node, 3 + k, child] = blocks[leaf, k].max()
+    for node in range(nodes - 1, 0, -1):
+        parent, child = (node - 1) // FANOUT, (node - 1) % FANOUT
+        for k in range(3):
+            boxes[parent, k, child] = boxes[node, k].min()
+            boxes[parent, 3 + k, child] = boxes[node, 3 + k].max()
+
+
+@njit(cache=True, nogil=True)
+def make_scratch() -> Scratch:
+    """Fresh scratch for one thread."""
+    return Scratch(np.empty(STACK, np.int64), np.empty(STACK), np.empty(FANOUT))
+
+
+@njit(cache=True, nogil=True)
+def place_of(x: FloatArray) -> Place:
+    """A row of 2 or 3 coordinates as a place."""
+    return x[0], x[1], x[2] if len(x) == 3 else 0.0
+
+
+@njit(cache=True, nogil=True, fastmath=VECTORS | {"nnan"})
+def lesser(a: float, b: float) -> float:
+    """The smaller number, of two that are none of them NaN: so that a minimum over a loop becomes vectors."""
+    return a if a < b else b
+
+
+@njit(cache=True, nogil=True, fastmath=VECTORS | {"nnan"})
+def larger(a: float, b: float) -> float:
+    """The larger number, of two that are none of them NaN."""
+    return a if a > b else b
+
+
+@njit(cache=True, nogil=True, fastmath=VECTORS, inline="always")
+def next_leaf(
+    boxes: FloatArray,
+    low: Place,
+    high: Place,
+    limit: float,
+    stack: IntArray,
+    bound: FloatArray,
+    near: FloatArray,
+    top: int,
+) -> tuple[int, float, int]:
+    """One step of a walk, nearest first: the next leaf within √`limit` of the box from `low` to `high`.
+
+    The one walk through the tree; who wants a place passes it twice. The limit may fall from step to step. Start with
+    `top` = `from_root(…)` and pass on what is returned.
+
+    Returns:
+        The leaf, −1 when there is none left; its squared distance [m²]; `top` for the next step.
+    """
+    nodes = boxes.shape[0]
+    while top > 0:
+        top -= 1
+        node, distance2 = stack[top], bound[top]
+        if distance2 > limit:
+            continue
+        if node >= nodes:
+            return node - nodes, distance2, top
+        for k in range(FANOUT):
+            a = larger(larger(boxes[node, 0, k] - high[0], low[0] - boxes[node, 3, k]), 0.0)
+            b = larger(larger(boxes[node, 1, k] - high[1], low[1] - boxes[node, 4, k]), 0.0)
+            c = larger(larger(boxes[node, 2, k] - high[2], low[2] - boxes[node, 5, k]), 0.0)
+            near[k] = a * a + b * b + c * c
+        base = top
+        for k in range(FANOUT):
+            distance2 = near[k]
+            if distance2 <= limit and distance2 < np.inf:
+                at = top
+                while at > base and bound[at - 1] < distance2:
+                    stack[at], bound[at] = stack[at - 1], bound[at - 1]
+                    at -= 1
+                stack[at], bound[at] = FANOUT * node + 1 + k, distance2
+                top += 1
+    return -1, np.inf, 0
+
+
 @njit(cache=True, nogil=True, inline="always")
-def box_distance2(low: FloatArray, high: FloatArray, node: int, x: FloatArray) -> float:
-    """Squared distance from `x` to a node's box; 0 inside."""
-    total = 0.0
-    for k in range(x.shape[0]):
-        gap = max(low[node, k] - x[k], 0.0, x[k] - high[node, k])
-        total += gap * gap
-    return total
+def from_root(stack: IntArray, bound: FloatArray) -> int:
+    """`top` of a walk that begins at the root."""
+    stack[0], bound[0] = 0, 0.0
+    return 1

@@ -3,10 +3,20 @@ import pytest
 from scipy.spatial import cKDTree
 
 from gpdf_service.errors import FieldError
-from gpdf_service.fields import Gpdf, build_tree, estimate_spacing, find_nearest, fit_gpdf, thin
+from gpdf_service.fields import (
+    Gpdf,
+    build_tree,
+    estimate_spacing,
+    find_nearest,
+    fit_gpdf,
+    nearest_one,
+    sample_one,
+    thin,
+)
 from gpdf_service.fields.gpdf import Box
 from gpdf_service.fields.solve import solve_all
 from gpdf_service.fields.threads import MIN_CHUNK
+from gpdf_service.fields.tree import change_tree
 
 
 @pytest.fixture(scope="module")
@@ -150,6 +160,12 @@ def test_one_place_gives_the_distance_to_it(points):
         (np.zeros(5), "shape"),
         ([[0.0, np.nan, 1.0]], "not finite"),
         ([[0.0, np.inf, 1.0]], "not finite"),
+        ([[1e200, 0.0, 0.0], [0.0, 0.0, 0.0]], "beyond"),
+        ([*np.random.default_rng(0).uniform(size=(200, 3)), [1e7, 0.0, 0.0]], "apart"),
+        ([["a", "b", "c"]], "array of real numbers"),
+        ([[1.0, 2.0], [1.0, 2.0, 3.0]], "array of real numbers"),
+        (np.ones((5, 3)) * 1j, "array of real numbers"),
+        (None, "array of real numbers"),
     ],
 )
 def test_points_that_cannot_be_fitted_are_refused(points, message):
@@ -157,9 +173,58 @@ def test_points_that_cannot_be_fitted_are_refused(points, message):
         fit_gpdf(points)
 
 
-def test_queries_of_another_dimension_are_refused(floor):
-    with pytest.raises(FieldError, match=r"\(m, 3\)"):
-        floor.query([[0.0, 0.0]])
+@pytest.mark.parametrize(
+    "wrong",
+    [{"noise": value} for value in ([0.1, 0.2], np.nan, -1.0)]
+    + [{"spacing": value} for value in (0.0, np.nan, -1.0, 1e-12)],
+)
+def test_noise_and_spacing_that_are_none_are_refused(rng, wrong):
+    with pytest.raises(FieldError, match=r"noise|spacing"):
+        fit_gpdf(rng.uniform(size=(100, 3)), **wrong)
+
+
+@pytest.mark.parametrize("queries", [[[0.0, 0.0]], [0.0, 0.0, 0.0], np.zeros((2, 4)), [["a", "b", "c"]], None, []])
+def test_queries_of_another_dimension_or_kind_are_refused(floor, queries):
+    with pytest.raises(FieldError, match=r"\(m, 3\)|array of real numbers"):
+        floor.query(queries)
+
+
+def test_no_queries_have_no_answers(floor):
+    assert len(floor.query(np.zeros((0, 3))).distance) == len(floor.nearest(np.zeros((0, 3)))) == 0
+
+
+class Everywhere:
+    def contains(self, queries):
+        return np.ones(len(queries), dtype=bool)
+
+
+def test_where_squares_overflow_there_is_no_room_whatever_the_domain_says(floor):
+    far = np.array([[1e4, 0, 0], [1e200, 0, 0], [1e308, -1e308, 0]])
+    sample = floor.over(Everywhere()).query(far)
+    np.testing.assert_array_equal(sample.valid, [True, False, False])
+    assert sample.distance[0] == pytest.approx(1e4 - floor.points[:, 0].max(), rel=1e-3)
+    np.testing.assert_array_equal(sample.distance[1:], 0)
+
+
+@pytest.mark.parametrize("place", [[np.nan, 0.0, 0.0], [np.inf, 0.0, 0.0], [1e200, 0.0, 0.0]])
+def test_compiled_loops_see_no_room_at_what_is_no_place(floor, place):
+    gradient = np.ones(3)
+    assert sample_one(floor.arrays, np.array(place), gradient) == 0.0
+    assert nearest_one(floor.tree, np.array(place))[0] == 0.0
+    np.testing.assert_array_equal(gradient, 0)
+
+
+def test_float32_integers_and_any_layout_are_taken(rng):
+    points = rng.integers(0, 50, (400, 3)) * 0.5
+    expected = fit_gpdf(points).query(points[:50] + 0.3).distance
+    for other in (
+        points.astype(np.float32),
+        np.asfortranarray(points),
+        np.repeat(points, 2, axis=0)[::2],
+        points.tolist(),
+    ):
+        np.testing.assert_array_equal(fit_gpdf(other).query(np.asarray(other)[:50] + np.float32(0.3)).valid, True)
+        np.testing.assert_allclose(fit_gpdf(other).query(points[:50] + 0.3).distance, expected, atol=1e-12)
 
 
 def test_thinning_keeps_real_points_one_a_cell(rng):
@@ -218,10 +283,23 @@ def test_points_that_say_nothing_new_leave_the_field_as_it_is(room):
     assert room.remove([]) is room
 
 
-def test_many_points_in_one_leaf_build_the_tree_again(room, rng):
-    field = fit_gpdf(rng.uniform(0, 1, (40, 3)), spacing=0.01).insert(rng.uniform(0, 1, (5000, 3)))
-    queries = rng.uniform(-0.5, 1.5, (500, 3))
-    np.testing.assert_allclose(field.nearest(queries), cKDTree(field.points).query(queries)[0], atol=1e-12)
+@pytest.mark.parametrize("dim", [2, 3])
+def test_a_tree_changed_many_times_finds_what_scipy_finds(rng, dim):
+    """Leaves are added, emptied, and all is built again when half of their room is empty."""
+    tree, sizes = build_tree(rng.uniform(0, 1, (300, dim))), []
+    queries = rng.uniform(-0.5, 1.5, (300, dim))
+    for _ in range(30):
+        keep, added = rng.random(len(tree.points)) < 0.9, rng.uniform(0, 1, (rng.integers(0, 40), dim))
+        before = tree.points
+        tree, source = change_tree(tree, keep, added)
+        old = source >= 0
+        np.testing.assert_array_equal(tree.points[old], before[source[old]])
+        np.testing.assert_array_equal(tree.points[~old], added[-1 - source[~old]])
+        assert sorted(source[old]) == np.flatnonzero(keep).tolist()
+        np.testing.assert_allclose(find_nearest(tree, queries)[0], cKDTree(tree.points).query(queries)[0], atol=1e-12)
+        sizes.append(len(tree.blocks))
+    assert (np.diff(sizes) > 0).any()
+    assert (np.diff(sizes) < 0).any()
 
 
 def test_all_points_cannot_be_removed(room):
