@@ -9,6 +9,7 @@ axis, E ρ² = R² + 2σ² and Var ρ² = 4σ²R² + 4σ⁴, so both follow from
 from __future__ import annotations
 
 from math import acos, cos, pi, sqrt
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
@@ -158,18 +159,8 @@ def fit_pair(near: FloatArray, count: int, normal: FloatArray, side: IntArray, p
         pair: Where the best is written, shape (3, 9): `_meet`.
     """
     best = np.inf
-    first, mine = np.zeros(3), np.zeros((3, 9))
-    lean = 0 if abs(normal[0]) < 0.6 else 1
-    for k in range(3):
-        first[k] = (1.0 if k == lean else 0.0) - normal[lean] * normal[k]
-    first /= sqrt(first[0] ** 2 + first[1] ** 2 + first[2] ** 2)
-    second = np.array(
-        (
-            normal[1] * first[2] - normal[2] * first[1],
-            normal[2] * first[0] - normal[0] * first[2],
-            normal[0] * first[1] - normal[1] * first[0],
-        )
-    )
+    first, second, mine = np.zeros(3), np.zeros(3), np.zeros((3, 9))
+    tangents(normal, first, second)
     for start in range(_STARTS):
         cut = first * cos(pi * start / _STARTS) + second * cos(pi * start / _STARTS - pi / 2.0)
         middle = 0.0
@@ -302,3 +293,128 @@ def fit_axis(m: FloatArray, value: float, axis: FloatArray) -> None:
     a, b, c = m[1] / n, m[2] / n, m[3] / n
     xx, yy, zz, xy, xz, yz = m[4] / n, m[5] / n, m[6] / n, m[7] / n, m[8] / n, m[9] / n
     across(xx - a * a, yy - b * b, zz - c * c, xy - a * b, xz - a * c, yz - b * c, value, axis)
+
+
+@njit(cache=True, nogil=True)
+def onto_half(pair: FloatArray, k: int, x: FloatArray, place: FloatArray) -> None:
+    """Write the point of half plane k that is nearest to x."""
+    n, u = pair[k, 3:6], pair[2, 3:6]
+    if beside(pair, k, x) >= 0.0:
+        place[:] = x - ((x - pair[k, 0:3]) * n).sum() * n
+    else:
+        place[:] = pair[2, 0:3] + ((x - pair[2, 0:3]) * u).sum() * u
+
+
+class Sums(NamedTuple):
+    """What a fit of heights h = a + bx + cy + dx² + exy + fy² within each of several radii needs.
+
+    Attributes:
+        count: Points, shape (scales,).
+        products: Of (1, x, y, x², xy, y²) with itself, shape (scales, 6, 6).
+        heights: Of it with h, shape (scales, 6).
+        square: Sum of h², shape (scales,).
+    """
+
+    count: FloatArray
+    products: FloatArray
+    heights: FloatArray
+    square: FloatArray
+
+
+@njit(cache=True, nogil=True)
+def make_sums(scales: int) -> Sums:
+    """Room for the sums; made once a batch."""
+    return Sums(np.zeros(scales), np.zeros((scales, 6, 6)), np.zeros((scales, 6)), np.zeros(scales))
+
+
+@njit(cache=True, nogil=True)
+def sum_heights(tree: Tree, x: FloatArray, normal: FloatArray, radii: FloatArray, half: float, sums: Sums) -> None:
+    """Fill the sums of the points around x, `half` [m] to either side along `normal`; x and y in units of radii[-1]."""
+    nodes, stack, limit, unit = tree.begin.shape[0], np.empty(STACK, np.int64), radii[-1] ** 2, 1.0 / radii[-1]
+    first, second = np.zeros(3), np.zeros(3)
+    tangents(normal, first, second)
+    count, products, heights, square = sums
+    count[:], products[:], heights[:], square[:] = 0.0, 0.0, 0.0, 0.0
+    basis = np.ones(6)
+    stack[0], top = 0, 1
+    while top > 0:
+        top -= 1
+        node = stack[top]
+        if box_distance2(tree.low, tree.high, node, x) > limit:
+            continue
+        if 2 * node + 1 < nodes:
+            stack[top], stack[top + 1] = 2 * node + 1, 2 * node + 2
+            top += 2
+            continue
+        for i in range(tree.begin[node], tree.end[node]):
+            a, b, c = tree.points[i, 0] - x[0], tree.points[i, 1] - x[1], tree.points[i, 2] - x[2]
+            off, h = a * a + b * b + c * c, a * normal[0] + b * normal[1] + c * normal[2]
+            if off > limit or abs(h) > half:
+                continue
+            ring = 0
+            while off > radii[ring] ** 2:
+                ring += 1
+            u = (a * first[0] + b * first[1] + c * first[2]) * unit
+            v = (a * second[0] + b * second[1] + c * second[2]) * unit
+            basis[1], basis[2], basis[3], basis[4], basis[5] = u, v, u * u, u * v, v * v
+            count[ring] += 1.0
+            square[ring] += h * h
+            for k in range(6):
+                heights[ring, k] += basis[k] * h
+                for l in range(k + 1):
+                    products[ring, k, l] += basis[k] * basis[l]
+    for ring in range(1, len(radii)):
+        count[ring] += count[ring - 1]
+        square[ring] += square[ring - 1]
+        heights[ring] += heights[ring - 1]
+        products[ring] += products[ring - 1]
+
+
+Height = tuple[float, float, float]
+"""Height at the origin [m], its variance over that of a point, sum of the squares that are left [m²]."""
+
+
+@njit(cache=True, nogil=True)
+def fit_heights(sums: Sums, scale: int) -> tuple[Height, Height]:
+    """The plane and the quadric of the heights within one radius; the squares are inf where there is none.
+
+    With the Cholesky factor L of the products, z = L⁻¹ heights and w = L⁻¹ (1, 0, …): the height at the origin is w·z,
+    its variance w·w, and each z² is what its term takes off the squares. The first three terms are the plane.
+    """
+    L, z, w = np.zeros((6, 6)), np.zeros(6), np.zeros(6)
+    height, variance, left = 0.0, 0.0, sums.square[scale]
+    plane = (0.0, 0.0, np.inf)
+    for k in range(6):
+        for l in range(k + 1):
+            part = sums.products[scale, k, l]
+            for m in range(l):
+                part -= L[k, m] * L[l, m]
+            if l < k:
+                L[k, l] = part / L[l, l]
+            elif part <= 1e-12 * sums.count[scale]:
+                return plane, (0.0, 0.0, np.inf)
+            else:
+                L[k, k] = sqrt(part)
+        z[k], w[k] = sums.heights[scale, k], 1.0 if k == 0 else 0.0
+        for m in range(k):
+            z[k] -= L[k, m] * z[m]
+            w[k] -= L[k, m] * w[m]
+        z[k], w[k] = z[k] / L[k, k], w[k] / L[k, k]
+        height, variance, left = height + w[k] * z[k], variance + w[k] ** 2, left - z[k] ** 2
+        if k == 2:
+            plane = (height, variance, max(left, 0.0))
+    return plane, (height, variance, max(left, 0.0))
+
+
+@njit(cache=True, nogil=True)
+def tangents(normal: FloatArray, first: FloatArray, second: FloatArray) -> None:
+    """Write two unit vectors across `normal` and each other."""
+    lean = 0 if abs(normal[0]) < 0.6 else 1
+    for k in range(3):
+        first[k] = (1.0 if k == lean else 0.0) - normal[lean] * normal[k]
+    length = sqrt(first[0] ** 2 + first[1] ** 2 + first[2] ** 2)
+    for k in range(3):
+        first[k] /= length
+    for k in range(3):
+        a, b = (k + 1) % 3, (k + 2) % 3
+        second[k] = normal[a] * first[b] - normal[b] * first[a]
