@@ -32,6 +32,7 @@ from gpdf_service.fields.shapes import (
     gather,
     make_sums,
     onto_half,
+    quadric_rest,
     sum_heights,
     sum_rings,
 )
@@ -49,7 +50,7 @@ _FIRST_SCALES = 3
 """Radii of all passes but the last: they only have to find the surface."""
 _AGREE = 1.0
 """[-] Half width of a confidence interval in standard errors: twice it lets twice the bias pass on a ball."""
-_BIAS = 2.5
+_BIAS = 3.0
 """[-] Standard deviation left over the standard error of the plane: where the surface bends, the bias grows by the
 square of the radius, so planes that agree within one error each may both be off by five; two deviations cover that."""
 _CLEARLY = 2.5
@@ -67,10 +68,14 @@ _ENOUGH = 600
 """Neighbours within the largest radius after which more only cost time: the error is then a twentieth of the noise."""
 _CLOSE = 300
 """Neighbours within the smallest radius that tell an edge from a bend."""
-_CURVED = 8.0
-"""[-] Squares that a quadric takes off a plane's over the variance: 95 % of planes stay below."""
+_CURVED = 12.0
+"""[-] Squares that a richer shape takes off those of a plainer one, over the variance: 99 % of planes stay below."""
 _THICK = 2.5
 """[-] Standard errors by which the variance about a shape may exceed the noise's: more, and it is another shape."""
+_LONELY = 2.0
+"""[-] Distance to the points beside over what it is for those: a quarter of the density is no surface."""
+_SEED = 8_128
+"""Of the points that are left out: another one than synthetic clouds are made with, or the choice follows the shape."""
 _NEGLIGIBLE = 0.05
 """[-] Noise over spacing below which the gaps between the points hide it."""
 
@@ -129,13 +134,35 @@ def denoise(points: FloatArray, spacing: float | None = None, *, level: bool = F
         lambda a, b: _settle_range(wide, close, points, centre, order[a:b], radii, noise, normals, moved, left),
         len(order),
     )
+    _follow(points, moved, left, noise, spacing)
     return Cured(moved, left, find_loose(moved, noise, spacing), noise)
+
+
+def _follow(points: FloatArray, moved: FloatArray, left: FloatArray, noise: float, spacing: float) -> None:
+    """Put each point whose surroundings were cured and which itself was not, or to elsewhere, with the nearest that was.
+
+    One in a hundred is unlucky, and the nearest of many such outliers is what a far query would see.
+    """
+    cured = np.flatnonzero(left < _EXTREME * noise)
+    if len(cured) <= FEWEST:
+        return
+    reach, beside = cKDTree(moved[cured]).query(moved[cured], k=FEWEST, workers=-1)
+    sound = reach[:, -1] <= _LONELY * np.median(reach[beside, -1], axis=1)
+    lost = np.ones(len(points), dtype=bool)
+    lost[cured[sound]] = False
+    rows = np.flatnonzero(lost)
+    around = cKDTree(points).query(points[rows], k=2 * FEWEST, workers=-1)[1]
+    rows = rows[lost[around].mean(axis=1) < 0.5]
+    off, nearest = cKDTree(moved[cured[sound]]).query(points[rows], workers=-1)
+    close = off <= _FAR * noise + spacing
+    rows, nearest = rows[close], cured[sound][nearest[close]]
+    moved[rows], left[rows] = moved[nearest], left[nearest]
 
 
 def _thinned(points: FloatArray, spacing: float, radius: float, count: int) -> Tree:
     """As many of the points as leave about `count` within `radius` [m]."""
     share = count / (np.pi * (radius / spacing) ** 2)
-    return build_tree(points if share >= 1.0 else points[np.random.default_rng(0).random(len(points)) < share])
+    return build_tree(points if share >= 1.0 else points[np.random.default_rng(_SEED).random(len(points)) < share])
 
 
 def find_loose(points: FloatArray, noise: float, spacing: float) -> BoolArray:
@@ -214,27 +241,27 @@ def _settle_range(
     left: FloatArray,
 ) -> None:
     """Move each point of `rows` onto the shape that explains its neighbourhood; leave it where none does."""
-    sums, near = make_sums(len(radii)), np.zeros((MOST, 3))
+    sums, one, near = make_sums(len(radii)), make_sums(1), np.zeros((MOST, 3))
     side, pair, place = np.zeros(MOST, np.int64), np.zeros((3, 9)), np.zeros(3)
     for i in rows:
         centre, normal = centres[i], normals[i]
-        bent, squares = True, np.inf
+        error, bent = 0.0, True
         if normal[0] ** 2 + normal[1] ** 2 + normal[2] ** 2 > 0.5:
-            sum_heights(wide, centre, normal, radii, _SLAB * sigma, sums)
-            shift, error, squares, bent = _largest(sums, sigma)
-            place[:] = centre + shift * normal
-            if error > 0.0 and _apart(place, points[i]) <= _FAR * sigma:
-                moved[i], left[i] = place, _BIAS * error
-            else:
-                squares = np.inf
-        if not bent:
-            continue
-        count = gather(close, centre, radii[0], near)
-        if count < 2 * FEWEST:
-            continue
-        error = _edge(near, count, points[i] - centre, normal, sigma, squares, side, pair, place)
-        if error == 0.0 and squares == np.inf:
-            error = _pole(wide, centre, points[i] - centre, radii, sigma, near, place)
+            sum_heights(close, centre, normal, radii[:1], _SLAB * sigma, one)
+            shift, error, bent = _largest(one, sigma)
+            if error > 0.0 and not bent:
+                sum_heights(wide, centre, normal, radii, _SLAB * sigma, sums)
+                further = _largest(sums, sigma)
+                if 0.0 < further[1] < error:
+                    shift, error = further[0], further[1]
+            place[:] = shift * normal
+        if bent:
+            x = points[i] - centre
+            count = gather(close, centre, radii[0], near)
+            edge = _edge(near, count, x, normal, sigma, side, pair, place)
+            if edge == 0.0 and error == 0.0:
+                edge = _pole(wide, centre, x, radii, sigma, near, place)
+            error = edge if edge > 0.0 else error
         place += centre
         if error > 0.0 and _apart(place, points[i]) <= _FAR * sigma:
             moved[i], left[i] = place, _BIAS * error
@@ -246,32 +273,32 @@ def _apart(a: FloatArray, b: FloatArray) -> float:
 
 
 @njit(cache=True, nogil=True)
-def _largest(sums: Sums, sigma: float) -> tuple[float, float, float, bool]:
+def _largest(sums: Sums, sigma: float) -> tuple[float, float, bool]:
     """Height of the surface over the centre by the largest plane, or else quadric, that agrees with the smaller ones.
 
-    With its standard error, the variance that is left at the smallest radius over σ², and whether that is bent.
+    With its standard error, 0 if there is none, and whether it is bent at the smallest radius.
     """
-    low_end, high_end, shift, error, squares, bent = -np.inf, np.inf, 0.0, 0.0, np.inf, True
+    low_end, high_end, shift, error, bent = -np.inf, np.inf, 0.0, 0.0, True
     for j in range(len(sums.count)):
         count = sums.count[j]
         if count < 2 * FEWEST:
             continue
         plane, quadric = fit_heights(sums, j)
-        if not np.isfinite(quadric[2]):
-            continue
         flat = plane[2] - quadric[2] <= _CURVED * sigma**2
         height, spread, rest = plane if flat else quadric
         freedom = count - (3.0 if flat else 6.0)
-        if rest > freedom * sigma**2 * (1.0 + _THICK * sqrt(2.0 / freedom)):
-            break
+        if not rest <= freedom * sigma**2 * (1.0 + _THICK * sqrt(2.0 / freedom)):
+            if error > 0.0:
+                break
+            continue
         spread = sigma * sqrt(spread)
         low_end, high_end = max(low_end, height - _AGREE * spread), min(high_end, height + _AGREE * spread)
         if low_end > high_end:
             break
         if error == 0.0:
-            squares, bent = rest / (freedom * sigma**2), not flat
+            bent = not flat
         shift, error = height, spread
-    return shift, error, squares, bent
+    return shift, error, bent
 
 
 @njit(cache=True, nogil=True)
@@ -281,15 +308,21 @@ def _edge(
     x: FloatArray,
     normal: FloatArray,
     sigma: float,
-    squares: float,
     side: IntArray,
     pair: FloatArray,
     place: FloatArray,
 ) -> float:
-    """Write where on an edge of two half planes x lies; the standard error, 0 if it is no edge."""
+    """Write where on an edge of two half planes x lies; the standard error, 0 if it is no edge.
+
+    It must explain the first `count` rows of `near`, and clearly better than a quadric does.
+    """
+    if count < 3 * FEWEST:
+        return 0.0
     freedom = count - 6.0
-    rest = fit_pair(near, count, normal, side, pair) / (freedom * sigma**2)
-    if rest > min(1.0 + _THICK * sqrt(2.0 / freedom), squares):
+    rest = fit_pair(near, count, normal, side, pair)
+    if rest > freedom * sigma**2 * (1.0 + _THICK * sqrt(2.0 / freedom)):
+        return 0.0
+    if rest + _CURVED * sigma**2 > quadric_rest(near, count, normal):
         return 0.0
     k = 0 if from_half(pair, 0, x) <= from_half(pair, 1, x) else 1
     onto_half(pair, k, x, place)
@@ -316,7 +349,7 @@ def _pole(
         fit_axis(moments, high, axis)
         square, variance = fit_ring(near, count, mean, axis)
         if abs(variance / sigma**2 - 1.0) > 2.0 * _THICK * sqrt(2.0 / count):
-            return 0.0
+            continue
         along = 0.0
         for k in range(3):
             along += (x[k] - mean[k]) * axis[k]

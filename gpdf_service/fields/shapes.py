@@ -335,7 +335,6 @@ def sum_heights(tree: Tree, x: FloatArray, normal: FloatArray, radii: FloatArray
     tangents(normal, first, second)
     count, products, heights, square = sums
     count[:], products[:], heights[:], square[:] = 0.0, 0.0, 0.0, 0.0
-    basis = np.ones(6)
     stack[0], top = 0, 1
     while top > 0:
         top -= 1
@@ -356,18 +355,42 @@ def sum_heights(tree: Tree, x: FloatArray, normal: FloatArray, radii: FloatArray
                 ring += 1
             u = (a * first[0] + b * first[1] + c * first[2]) * unit
             v = (a * second[0] + b * second[1] + c * second[2]) * unit
-            basis[1], basis[2], basis[3], basis[4], basis[5] = u, v, u * u, u * v, v * v
-            count[ring] += 1.0
-            square[ring] += h * h
-            for k in range(6):
-                heights[ring, k] += basis[k] * h
-                for l in range(k + 1):
-                    products[ring, k, l] += basis[k] * basis[l]
+            add_height(sums, ring, u, v, h)
     for ring in range(1, len(radii)):
         count[ring] += count[ring - 1]
         square[ring] += square[ring - 1]
         heights[ring] += heights[ring - 1]
         products[ring] += products[ring - 1]
+
+
+@njit(cache=True, nogil=True)
+def add_height(sums: Sums, ring: int, u: float, v: float, h: float) -> None:
+    """Add the height h at (u, v)."""
+    basis = (1.0, u, v, u * u, u * v, v * v)
+    sums.count[ring] += 1.0
+    sums.square[ring] += h * h
+    for k in range(6):
+        sums.heights[ring, k] += basis[k] * h
+        for l in range(k + 1):
+            sums.products[ring, k, l] += basis[k] * basis[l]
+
+
+@njit(cache=True, nogil=True)
+def quadric_rest(near: FloatArray, count: int, normal: FloatArray) -> float:
+    """Squares [m²] that a quadric over the plane across `normal` leaves of the first `count` rows of `near`."""
+    first, second, sums = np.zeros(3), np.zeros(3), make_sums(1)
+    tangents(normal, first, second)
+    far = 1e-12
+    for i in range(count):
+        far = max(far, sqrt(near[i, 0] ** 2 + near[i, 1] ** 2 + near[i, 2] ** 2))
+    for i in range(count):
+        u, v, h = 0.0, 0.0, 0.0
+        for k in range(3):
+            u += near[i, k] * first[k] / far
+            v += near[i, k] * second[k] / far
+            h += near[i, k] * normal[k]
+        add_height(sums, 0, u, v, h)
+    return fit_heights(sums, 0)[1][2]
 
 
 Height = tuple[float, float, float]
