@@ -72,6 +72,10 @@ _CURVED = 12.0
 """[-] Squares that a richer shape takes off those of a plainer one, over the variance: 99 % of planes stay below."""
 _THICK = 2.5
 """[-] Standard errors by which the variance about a shape may exceed the noise's: more, and it is another shape."""
+_HIDDEN = 0.45
+"""[-] Least standard deviation left over the noise: two faces of a board 1.9 σ off its middle look like one of 2.1 σ."""
+_LENGTH = 2.0
+"""[-] Ratio of two variances at which the axis of a pole is known: a ring then has to explain the rest."""
 _LONELY = 2.0
 """[-] Distance to the points beside over what it is for those: a quarter of the density is no surface."""
 _SEED = 8_128
@@ -135,6 +139,7 @@ def denoise(points: FloatArray, spacing: float | None = None, *, level: bool = F
         len(order),
     )
     _follow(points, moved, left, noise, spacing)
+    np.maximum(left, _HIDDEN * noise, out=left)
     return Cured(moved, left, find_loose(moved, noise, spacing), noise)
 
 
@@ -259,7 +264,7 @@ def _settle_range(
             x = points[i] - centre
             count = gather(close, centre, radii[0], near)
             edge = _edge(near, count, x, normal, sigma, side, pair, place)
-            if edge == 0.0 and error == 0.0:
+            if edge == 0.0:
                 edge = _pole(wide, centre, x, radii, sigma, near, place)
             error = edge if edge > 0.0 else error
         place += centre
@@ -344,7 +349,7 @@ def _pole(
         for i in range(count):
             add(moments, near[i, 0], near[i, 1], near[i, 2])
         low, middle, high = fit_plane(moments, mean, axis)
-        if high <= LONG * middle or middle > _CLEARLY * low:
+        if high <= _LENGTH * middle or middle > _CLEARLY * low:
             continue
         fit_axis(moments, high, axis)
         square, variance = fit_ring(near, count, mean, axis)
