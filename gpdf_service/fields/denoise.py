@@ -341,7 +341,7 @@ def _pole(
 ) -> float:
     """Write where on a pole x lies; the standard error, 0 if it is no pole."""
     mean, axis, moments = np.zeros(3), np.zeros(3), np.zeros(10)
-    for radius in radii:
+    for radius in radii[::-1]:
         count = gather(tree, centre, radius, near)
         if count < 2 * FEWEST:
             continue
