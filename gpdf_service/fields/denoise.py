@@ -138,13 +138,15 @@ def denoise(points: FloatArray, spacing: float | None = None, *, level: bool = F
         lambda a, b: _settle_range(wide, close, points, centre, order[a:b], radii, noise, normals, moved, left),
         len(order),
     )
-    _follow(points, moved, left, noise, spacing)
+    _follow(points, moved, left, normals, noise, spacing)
     np.maximum(left, _HIDDEN * noise, out=left)
     return Cured(moved, left, find_loose(moved, noise, spacing), noise)
 
 
-def _follow(points: FloatArray, moved: FloatArray, left: FloatArray, noise: float, spacing: float) -> None:
-    """Put each point whose surroundings were cured and which itself was not, or to elsewhere, with the nearest that was.
+def _follow(
+    points: FloatArray, moved: FloatArray, left: FloatArray, normals: FloatArray, noise: float, spacing: float
+) -> None:
+    """Move each point whose surroundings were cured and which itself was not, or elsewhere, onto the nearest's plane.
 
     One in a hundred is unlucky, and the nearest of many such outliers is what a far query would see.
     """
@@ -159,9 +161,13 @@ def _follow(points: FloatArray, moved: FloatArray, left: FloatArray, noise: floa
     around = cKDTree(points).query(points[rows], k=2 * FEWEST, workers=-1)[1]
     rows = rows[lost[around].mean(axis=1) < 0.5]
     off, nearest = cKDTree(moved[cured[sound]]).query(points[rows], workers=-1)
-    close = off <= _FAR * noise + spacing
-    rows, nearest = rows[close], cured[sound][nearest[close]]
-    moved[rows], left[rows] = moved[nearest], left[nearest]
+    nearest = cured[sound][nearest]
+    aside = points[rows] - moved[nearest]
+    normal = normals[nearest]
+    across = np.einsum("ij,ij->i", aside, normal)
+    place = np.where(normal.any(axis=1)[:, None], points[rows] - across[:, None] * normal, moved[nearest])
+    close = (off <= _FAR * noise + spacing) & (np.linalg.norm(place - points[rows], axis=1) <= _FAR * noise)
+    moved[rows[close]], left[rows[close]] = place[close], left[nearest[close]]
 
 
 def _thinned(points: FloatArray, spacing: float, radius: float, count: int) -> Tree:
