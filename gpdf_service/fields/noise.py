@@ -7,7 +7,17 @@ from math import sqrt
 import numpy as np
 from numba import njit
 
-from gpdf_service.fields.shapes import MOST, fit_axis, fit_pair, fit_plane, fit_ring, gather, split_sheets, sum_rings
+from gpdf_service.fields.shapes import (
+    MOST,
+    fit_axis,
+    fit_pair,
+    fit_plane,
+    fit_ring,
+    gather,
+    quadric_rest,
+    split_sheets,
+    sum_rings,
+)
 from gpdf_service.fields.threads import run_chunked
 from gpdf_service.fields.tree import Tree, build_tree
 from gpdf_service.types import FloatArray
@@ -21,7 +31,7 @@ _WIDE = 4.0
 _TOLD = 16
 """Neighbours that tell a shape: of fewer, one in ten of a ball looks like a plane."""
 _EDGE = 0.6
-"""[-] Variance about two half planes over that about one plane, below which it is an edge; noise alone gives 0.75."""
+"""[-] Variance about two half planes over that about a quadric, below which it is an edge; noise alone gives 0.75."""
 _SHEETS = 0.2
 """[-] Variance within two sheets over that of one, below which they are two; noise alone gives 0.36."""
 _SAMPLE = 1000
@@ -67,8 +77,8 @@ def _noise_range(tree: Tree, places: FloatArray, begin: int, end: int, radii: Fl
             low, middle, high = fit_plane(moments[j], mean, normal)
             wide = wide + 1 if middle > _WIDE * low else 0
             if wide == 2:
-                variance = low * count / (count - 3.0)
                 found = gather(tree, places[i], radii[j], near)
+                variance = quadric_rest(near, found, normal) / (count - 6.0)
                 edge = fit_pair(near, found, normal, side, pair) / (count - 6.0)
                 sheets = split_sheets(near, found, normal, mean)
                 if edge < _EDGE * variance:

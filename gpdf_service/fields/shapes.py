@@ -1,9 +1,9 @@
-"""What a neighbourhood of points is: a plane, two planes that meet, or a pole; each fitted in closed form or nearly so.
+"""What a neighbourhood of points is: a plane, a quadric, two planes that meet, or a pole.
 
 A plane is the direction of least spread. Two planes are found by turns: each point goes to the nearer half plane, each
-half plane is fitted to its points; they end where they meet, so that an edge stays an edge. Two parallel ones never meet:
-the two faces of a board. A pole's cross-section is a ring of radius R seen with the error σ: with ρ the distance from the
-axis, E ρ² = R² + 2σ² and Var ρ² = 4σ²R² + 4σ⁴, so both follow from the moments.
+half plane is fitted to its points; they end where they meet, so that an edge stays an edge. A pole's cross-section is
+a ring of radius R seen with the error σ: with ρ the distance from the axis, E ρ² = R² + 2σ² and
+Var ρ² = 4σ²R² + 4σ⁴, so both follow from the moments.
 """
 
 from __future__ import annotations
@@ -129,9 +129,7 @@ def fit_plane(m: FloatArray, mean: FloatArray, normal: FloatArray) -> tuple[floa
 
 
 @njit(cache=True, nogil=True)
-def across(
-    xx: float, yy: float, zz: float, xy: float, xz: float, yz: float, value: float, vector: FloatArray
-) -> None:
+def across(xx: float, yy: float, zz: float, xy: float, xz: float, yz: float, value: float, vector: FloatArray) -> None:
     """Write the eigenvector of `value`: the rows of A − λ I span what is normal to it, their longest product is it."""
     rows = ((xx - value, xy, xz), (xy, yy - value, yz), (xz, yz, zz - value))
     best = 0.0
