@@ -16,26 +16,11 @@ import numpy as np
 from numba import njit
 from scipy.spatial import cKDTree
 
+from gpdf_service.fields.edge import fit_pair, from_half, onto_half
+from gpdf_service.fields.heights import Sums, fit_heights, make_sums, quadric_rest, sum_heights
 from gpdf_service.fields.noise import GROWTH, LONG, estimate_noise
 from gpdf_service.fields.order import spatial_order
-from gpdf_service.fields.shapes import (
-    FEWEST,
-    MOST,
-    Sums,
-    add,
-    fit_axis,
-    fit_heights,
-    fit_pair,
-    fit_plane,
-    fit_ring,
-    from_half,
-    gather,
-    make_sums,
-    onto_half,
-    quadric_rest,
-    sum_heights,
-    sum_rings,
-)
+from gpdf_service.fields.shapes import FEWEST, MOST, add, fit_axis, fit_plane, fit_ring, gather, sum_rings
 from gpdf_service.fields.spacing import estimate_spacing
 from gpdf_service.fields.threads import run_chunked
 from gpdf_service.fields.tree import Tree, build_tree
@@ -306,8 +291,8 @@ def _largest(sums: Sums, sigma: float) -> tuple[float, float, bool]:
     With its standard error, 0 if there is none, and whether it is bent at the smallest radius.
     """
     low_end, high_end, shift, error, bent = -np.inf, np.inf, 0.0, 0.0, True
-    for j in range(len(sums.count)):
-        count = sums.count[j]
+    for j in range(len(sums.number)):
+        count = sums.number[j]
         if count < 2 * FEWEST:
             continue
         plane, quadric = fit_heights(sums, j)

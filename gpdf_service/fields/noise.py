@@ -7,17 +7,9 @@ from math import sqrt
 import numpy as np
 from numba import njit
 
-from gpdf_service.fields.shapes import (
-    MOST,
-    fit_axis,
-    fit_pair,
-    fit_plane,
-    fit_ring,
-    gather,
-    quadric_rest,
-    split_sheets,
-    sum_rings,
-)
+from gpdf_service.fields.edge import fit_pair
+from gpdf_service.fields.heights import quadric_rest
+from gpdf_service.fields.shapes import MOST, fit_axis, fit_plane, fit_ring, gather, split_sheets, sum_rings
 from gpdf_service.fields.threads import run_chunked
 from gpdf_service.fields.tree import Tree, build_tree
 from gpdf_service.types import FloatArray
