@@ -1,10 +1,10 @@
-"""Points moved onto the surface that they were measured on: local planes, each as large as the surface lets it be.
+"""Points moved onto the surface that they were measured on: a plane, a quadric, an edge or a pole at each place.
 
 A Gaussian error of 5 cm biases a distance field by −14 cm at 2 m above a floor: the highest outliers are nearest.
-No margin cures that, so the points are cured first. Every point is moved along its normal onto a plane through its
-neighbours, and the radius of the neighbourhood is chosen for each point by the intersection of confidence intervals
-(Goldenshluger and Nemirovski 1997; Katkovnik 1999): it grows while the planes agree with each other within their
-errors, and stops where the surface bends or ends. Lines and scattered points have no plane and stay where they are.
+No margin cures that, so the points are cured first. A shape is taken only if what it leaves is no more than the noise,
+and a richer one only if it explains clearly more. The radius of a plane or quadric is chosen for each point by the
+intersection of confidence intervals (Goldenshluger and Nemirovski 1997; Katkovnik 1999): it grows while the surfaces
+agree within their errors. What is none of these stays as it is: thicker by its noise, on the safe side.
 """
 
 from __future__ import annotations
