@@ -2,13 +2,14 @@
 
 from gpdf_service.fields.denoise import Cured as Cured
 from gpdf_service.fields.denoise import denoise as denoise
-from gpdf_service.fields.denoise import estimate_noise as estimate_noise
 from gpdf_service.fields.denoise import find_loose as find_loose
+from gpdf_service.fields.denoise import onto_surface as onto_surface
 from gpdf_service.fields.denoise import uncured as uncured
 from gpdf_service.fields.gpdf import Domain as Domain
 from gpdf_service.fields.gpdf import Gpdf as Gpdf
 from gpdf_service.fields.gpdf import find_nearest as find_nearest
 from gpdf_service.fields.gpdf import fit_gpdf as fit_gpdf
+from gpdf_service.fields.noise import estimate_noise as estimate_noise
 from gpdf_service.fields.order import morton as morton
 from gpdf_service.fields.spacing import estimate_spacing as estimate_spacing
 from gpdf_service.fields.spacing import thin as thin

@@ -1,62 +1,73 @@
-"""Points moved onto the surface that they were measured on: local planes, each as large as the surface lets it be.
+"""Points moved onto the surface that they were measured on: a plane, a quadric, an edge or a pole at each place.
 
 A Gaussian error of 5 cm biases a distance field by −14 cm at 2 m above a floor: the highest outliers are nearest.
-No margin cures that, so the points are cured first. Every point is moved along its normal onto a plane through its
-neighbours, and the radius of the neighbourhood is chosen for each point by the intersection of confidence intervals
-(Goldenshluger and Nemirovski 1997; Katkovnik 1999): it grows while the planes agree with each other within their
-errors, and stops where the surface bends or ends. Lines and scattered points have no plane and stay where they are.
+No margin cures that, so the points are cured first. A shape is taken only if what it leaves is no more than the noise,
+and a richer one only if it explains clearly more. The radius of a plane or quadric is chosen for each point by the
+intersection of confidence intervals (Goldenshluger and Nemirovski 1997; Katkovnik 1999): it grows while the surfaces
+agree within their errors. What is none of these stays as it is: thicker by its noise, on the safe side.
 """
 
 from __future__ import annotations
 
-from math import acos, cos, pi, sqrt
+from math import sqrt
 from typing import NamedTuple
 
 import numpy as np
 from numba import njit
 from scipy.spatial import cKDTree
 
+from gpdf_service.fields.edge import fit_pair, from_half, onto_half
+from gpdf_service.fields.heights import Sums, fit_heights, make_sums, quadric_rest, sum_heights
+from gpdf_service.fields.noise import GROWTH, LONG, estimate_noise
 from gpdf_service.fields.order import spatial_order
+from gpdf_service.fields.shapes import FEWEST, MOST, add, fit_axis, fit_plane, fit_ring, gather, sum_rings
 from gpdf_service.fields.spacing import estimate_spacing
 from gpdf_service.fields.threads import run_chunked
-from gpdf_service.fields.tree import Tree, build_tree, from_root, make_scratch, next_leaf, place_of
+from gpdf_service.fields.tree import Tree, build_tree
 from gpdf_service.types import BoolArray, FloatArray, IntArray
 
 RESOLVED = 4.0
 """[-] Least radius of a neighbourhood over the noise: a disc of 4 σ is then twice as wide as it is thick (standard
 deviations), and a point 3 σ off the surface still sees it."""
-_GROWTH = 1.3
-"""[-] Each radius over the one before."""
 _SCALES = 5
 """Radii tried: 4 σ to 11 σ."""
 _FIRST_SCALES = 3
 """Radii of all passes but the last: they only have to find the surface."""
 _AGREE = 1.0
 """[-] Half width of a confidence interval in standard errors: twice it lets twice the bias pass on a ball."""
-_BIAS = 2.5
+_BIAS = 3.0
 """[-] Standard deviation left over the standard error of the plane: where the surface bends, the bias grows by the
 square of the radius, so planes that agree within one error each may both be off by five; two deviations cover that."""
 _CLEARLY = 2.5
 """[-] Ratio of two variances at which a neighbourhood is wider than thick."""
 _EXTREME = 1.5
 """[-] Standard deviation of a point that was not moved over the noise: the nearest of many is an extreme one."""
-_LONG = 6.0
-"""[-] Ratio of two variances at which it is a line: eight points of a disc have that ratio in 1 % of cases."""
 _FAR = 4.0
 """[-] Standard deviations: a point further off a plane is not of it, whatever it is."""
 _SLAB = 3.5
 """[-] Standard deviations to either side of a point that its surface is looked for in, once its normal is known: what
 is further off is another surface."""
-_PASSES = 3
+_PASSES = 2
 """The first pass brings an outlier near the surface; only there is its neighbourhood round and its plane unbiased."""
-_FEWEST = 8
-"""Neighbours that a plane needs: three fix it, the others say how well."""
 _ENOUGH = 600
 """Neighbours within the largest radius after which more only cost time: the error is then a twentieth of the noise."""
-_NEGLIGIBLE = 0.02
+_CLOSE = 300
+"""Neighbours within the smallest radius that tell an edge from a bend."""
+_CURVED = 12.0
+"""[-] Squares that a richer shape takes off those of a plainer one, over the variance: 99 % of planes stay below."""
+_THICK = 2.5
+"""[-] Standard errors by which the variance about a shape may exceed the noise's: more, and it is another shape."""
+_HIDDEN = 0.6
+"""[-] Least standard deviation left over the noise: relief within it passes for noise. The tips of a stair that looks
+like a ramp with 4/3 of the true noise are 1.15 of it off that ramp, the faces of a board less."""
+_LENGTH = 2.0
+"""[-] Ratio of two variances at which the axis of a pole is known: a ring then has to explain the rest."""
+_LONELY = 2.0
+"""[-] Distance to the points beside over what it is for those: a quarter of the density is no surface."""
+_SEED = 8_128
+"""Of the points that are left out: another one than synthetic clouds are made with, or the choice follows the shape."""
+_NEGLIGIBLE = 0.05
 """[-] Noise over spacing below which the gaps between the points hide it."""
-_SAMPLE = 1000
-"""Points that the noise is estimated from: its error is then some per cent."""
 
 
 class Cured(NamedTuple):
@@ -80,62 +91,84 @@ def uncured(points: FloatArray, noise: float) -> Cured:
     return Cured(points, np.full(len(points), noise), np.zeros(len(points), dtype=bool), noise)
 
 
-def estimate_noise(points: FloatArray, spacing: float) -> float:
-    """Standard deviation of the points along the surface's normal [m]; points of shape (n, 3).
-
-    The thickness of the smallest neighbourhood that is clearly a plane: twice as wide as it is thick.
-    """
-    if len(points) < _FEWEST or spacing <= 0.0:
-        return 0.0
-    rng = np.random.default_rng(0)
-    picked = points[rng.choice(len(points), min(_SAMPLE, len(points)), replace=False)]
-    thickness = np.full(len(picked), np.nan)
-    radii: FloatArray = 2.0 * spacing * _GROWTH ** np.arange(16.0)
-    tree = build_tree(points)
-    run_chunked(lambda a, b: _thickness_range(tree, picked, a, b, radii, thickness), len(picked))
-    found = thickness[np.isfinite(thickness)]
-    return float(np.median(found)) if len(found) else 0.0
-
-
-def denoise(points: FloatArray, spacing: float | None = None, *, level: bool = False) -> Cured:
-    """Move every point of `points`, shape (n, 3) [m], onto the surface around it; `spacing` is estimated if not given.
+def denoise(points: FloatArray) -> Cured:
+    """Move every point of `points`, shape (n, 3) [m], onto the surface around it, and find those of no surface.
 
     Two parallel sheets nearer to each other than four times the noise become one.
-
-    Args:
-        points: [m], shape (n, 3).
-        spacing: Between neighbours on a surface [m]; estimated when not given.
-        level: Whether the surface is known to be more level than upright, as ground is: its steps then stay sharp.
     """
-    spacing = estimate_spacing(points) if spacing is None else spacing
+    spacing = estimate_spacing(points)
     noise = estimate_noise(points, spacing)
     if noise <= _NEGLIGIBLE * spacing:
         return uncured(points, noise)
-    least = max(RESOLVED * noise, 3.0 * spacing)
-    radii: FloatArray = least * _GROWTH ** np.arange(float(_SCALES))
-    expected = np.pi * (radii[-1] / spacing) ** 2
-    support = points
-    if expected > _ENOUGH:
-        share = max(_ENOUGH / expected, _FEWEST / (np.pi * (least / spacing) ** 2))
-        support = points[np.random.default_rng(0).random(len(points)) < share]
-    tree = build_tree(support)
-    moved, left = points.copy(), np.full(len(points), _EXTREME * noise)
+    moved, left = onto_surface(points, spacing, noise)
+    return Cured(moved, left, find_loose(moved, noise, spacing), noise)
 
+
+def onto_surface(
+    points: FloatArray, spacing: float, noise: float, *, level: bool = False
+) -> tuple[FloatArray, FloatArray]:
+    """Points on the surface [m], shape (n, 3), and the standard deviation left [m], shape (n,).
+
+    Args:
+        points: [m], shape (n, 3).
+        spacing: Between neighbours on a surface [m].
+        noise: Standard deviation of the points [m].
+        level: Whether the surface is known to be more level than upright, as ground is: its steps then stay sharp.
+    """
+    least = max(RESOLVED * noise, 3.0 * spacing)
+    radii: FloatArray = least * GROWTH ** np.arange(float(_SCALES))
+    wide = _thinned(points, spacing, radii[-1], _ENOUGH)
+    close = _thinned(points, spacing, radii[0], _CLOSE)
     normals = np.zeros_like(points)
     normals[:, 2] = float(level)
-
     order = spatial_order(points)
-
-    def project(scales: FloatArray) -> None:
-        centre = moved.copy()
+    centre = points.copy()
+    for _ in range(_PASSES):
+        before = centre.copy()
         run_chunked(
-            lambda a, b: _project_range(tree, centre, order[a:b], scales, noise, moved, left, normals), len(order)
+            lambda a, b: _approach_range(wide, before, order[a:b], radii[:_FIRST_SCALES], noise, centre, normals),  # noqa: B023
+            len(order),
         )
+    moved, left = points.copy(), np.full(len(points), _EXTREME * noise)
+    run_chunked(
+        lambda a, b: _settle_range(wide, close, points, centre, order[a:b], radii, noise, normals, moved, left),
+        len(order),
+    )
+    _follow(points, moved, left, normals, noise, spacing)
+    return moved, np.maximum(left, _HIDDEN * noise)
 
-    for _ in range(_PASSES - 1):
-        project(radii[:_FIRST_SCALES])
-    project(radii)
-    return Cured(moved, left, find_loose(moved, noise, spacing), noise)
+
+def _follow(
+    points: FloatArray, moved: FloatArray, left: FloatArray, normals: FloatArray, noise: float, spacing: float
+) -> None:
+    """Move each point whose surroundings were cured and which itself was not, or elsewhere, onto the nearest's plane.
+
+    One in a hundred is unlucky, and the nearest of many such outliers is what a far query would see.
+    """
+    cured = np.flatnonzero(left < _EXTREME * noise)
+    if len(cured) <= FEWEST:
+        return
+    reach, beside = cKDTree(moved[cured]).query(moved[cured], k=FEWEST, workers=-1)
+    sound = reach[:, -1] <= _LONELY * np.median(reach[beside, -1], axis=1)
+    lost = np.ones(len(points), dtype=bool)
+    lost[cured[sound]] = False
+    rows = np.flatnonzero(lost)
+    around = cKDTree(points).query(points[rows], k=2 * FEWEST, workers=-1)[1]
+    rows = rows[lost[around].mean(axis=1) < 0.5]
+    off, nearest = cKDTree(moved[cured[sound]]).query(points[rows], workers=-1)
+    nearest = cured[sound][nearest]
+    aside = points[rows] - moved[nearest]
+    normal = normals[nearest]
+    across = np.einsum("ij,ij->i", aside, normal)
+    place = np.where(normal.any(axis=1)[:, None], points[rows] - across[:, None] * normal, moved[nearest])
+    close = (off <= _FAR * noise + spacing) & (np.linalg.norm(place - points[rows], axis=1) <= _FAR * noise)
+    moved[rows[close]], left[rows[close]] = place[close], left[nearest[close]]
+
+
+def _thinned(points: FloatArray, spacing: float, radius: float, count: int) -> Tree:
+    """As many of the points as leave about `count` within `radius` [m]."""
+    share = count / (np.pi * (radius / spacing) ** 2)
+    return build_tree(points if share >= 1.0 else points[np.random.default_rng(_SEED).random(len(points)) < share])
 
 
 def find_loose(points: FloatArray, noise: float, spacing: float) -> BoolArray:
@@ -151,127 +184,38 @@ def find_loose(points: FloatArray, noise: float, spacing: float) -> BoolArray:
     """
     radius = max(0.5 * RESOLVED * noise, 2.0 * spacing)
     stray = np.zeros(len(points), dtype=bool)
-    if len(points) <= _FEWEST:
+    if len(points) <= FEWEST:
         return stray
     tree = cKDTree(points)
     third = tree.query(points, k=3, distance_upper_bound=radius, workers=-1)[0][:, 2]
     alone = np.flatnonzero(~np.isfinite(third))
     if len(alone):
-        stray[alone] = tree.query(points[alone], k=_FEWEST + 1, workers=-1)[0][:, -1] <= 3.0 * radius
+        stray[alone] = tree.query(points[alone], k=FEWEST + 1, workers=-1)[0][:, -1] <= 3.0 * radius
     return stray
 
 
 @njit(cache=True, nogil=True)
-def _gather(tree: Tree, x: FloatArray, radii: FloatArray, normal: FloatArray, half: float, moments: FloatArray) -> None:
-    """Sums over the neighbours within each radius, shape (scales, 10): 1, the offset from x and its products.
-
-    Of the neighbours only those in the slab around x across `normal`, `half` [m] to either side; all if it is zero.
-    """
-    blocks, boxes, limit = tree.blocks, tree.boxes, radii[-1] ** 2
-    stack, bound, near = make_scratch()
-    moments[:] = 0.0
-    place = place_of(x)
-    top = from_root(stack, bound)
-    while True:
-        leaf, _, top = next_leaf(boxes, place, place, limit, stack, bound, near, top)
-        if leaf < 0:
-            break
-        for j in range(tree.begin[leaf + 1] - tree.begin[leaf]):
-            a, b, c = blocks[leaf, 0, j] - x[0], blocks[leaf, 1, j] - x[1], blocks[leaf, 2, j] - x[2]
-            square = a * a + b * b + c * c
-            if square > limit or abs(a * normal[0] + b * normal[1] + c * normal[2]) > half:
-                continue
-            ring = 0
-            while square > radii[ring] ** 2:
-                ring += 1
-            m = moments[ring]
-            m[0] += 1.0
-            m[1] += a
-            m[2] += b
-            m[3] += c
-            m[4] += a * a
-            m[5] += b * b
-            m[6] += c * c
-            m[7] += a * b
-            m[8] += a * c
-            m[9] += b * c
-    for ring in range(1, len(radii)):
-        moments[ring] += moments[ring - 1]
-
-
-@njit(cache=True, nogil=True)
-def _plane(m: FloatArray, mean: FloatArray, normal: FloatArray) -> tuple[float, float, float]:
-    """Eigenvalues of the covariance, ascending; writes the mean offset and the direction of least spread.
-
-    Closed form for a symmetric 3 × 3 matrix; Smith 1961.
-    """
-    n = m[0]
-    for k in range(3):
-        mean[k] = m[1 + k] / n
-    xx, yy, zz = m[4] / n - mean[0] ** 2, m[5] / n - mean[1] ** 2, m[6] / n - mean[2] ** 2
-    xy, xz, yz = m[7] / n - mean[0] * mean[1], m[8] / n - mean[0] * mean[2], m[9] / n - mean[1] * mean[2]
-    q = (xx + yy + zz) / 3.0
-    off = xy * xy + xz * xz + yz * yz
-    p = sqrt(max(((xx - q) ** 2 + (yy - q) ** 2 + (zz - q) ** 2 + 2.0 * off) / 6.0, 1e-300))
-    a, b, c, d, e, f = (xx - q) / p, (yy - q) / p, (zz - q) / p, xy / p, xz / p, yz / p
-    half = (a * (b * c - f * f) - d * (d * c - f * e) + e * (d * f - b * e)) / 2.0
-    angle = acos(min(max(half, -1.0), 1.0)) / 3.0
-    high = q + 2.0 * p * cos(angle)
-    low = q + 2.0 * p * cos(angle + 2.0 * pi / 3.0)
-    # The rows of A − λ I span what is normal to the eigenvector: their longest cross product is it.
-    rows = ((xx - low, xy, xz), (xy, yy - low, yz), (xz, yz, zz - low))
-    best = 0.0
-    for i in range(3):
-        u, v = rows[i], rows[(i + 1) % 3]
-        cx, cy, cz = u[1] * v[2] - u[2] * v[1], u[2] * v[0] - u[0] * v[2], u[0] * v[1] - u[1] * v[0]
-        length = cx * cx + cy * cy + cz * cz
-        if length > best:
-            best = length
-            length = sqrt(length)
-            normal[0], normal[1], normal[2] = cx / length, cy / length, cz / length
-    if best == 0.0:
-        normal[0], normal[1], normal[2] = 0.0, 0.0, 1.0
-    return max(low, 0.0), 3.0 * q - high - low, high
-
-
-@njit(cache=True, nogil=True)
-def _thickness_range(
-    tree: Tree, places: FloatArray, begin: int, end: int, radii: FloatArray, thickness: FloatArray
-) -> None:
-    moments, mean, normal = np.zeros((len(radii), 10)), np.zeros(3), np.zeros(3)
-    for i in range(begin, end):
-        _gather(tree, places[i], radii, normal * 0.0, 0.0, moments)
-        for j in range(len(radii)):
-            if moments[j, 0] < _FEWEST:
-                continue
-            low, middle, _ = _plane(moments[j], mean, normal)
-            if middle > 4.0 * low:
-                thickness[i] = sqrt(low * moments[j, 0] / (moments[j, 0] - 3.0))
-                break
-
-
-@njit(cache=True, nogil=True)
-def _project_range(
+def _approach_range(
     tree: Tree,
     points: FloatArray,
     rows: IntArray,
     radii: FloatArray,
     sigma: float,
     moved: FloatArray,
-    left: FloatArray,
     normals: FloatArray,
 ) -> None:
+    """Bring each point near its surface, and find that one's normal: the largest plane that agrees with the smaller."""
     moments, mean, normal, first = np.zeros((len(radii), 10)), np.zeros(3), np.zeros(3), np.zeros(3)
     for i in rows:
-        _gather(tree, points[i], radii, normals[i], _SLAB * sigma, moments)
+        sum_rings(tree, points[i], radii, normals[i], _SLAB * sigma, moments)
         low_end, high_end, chosen = -np.inf, np.inf, -1
         for j in range(len(radii)):
             count = moments[j, 0]
-            if count < _FEWEST:
+            if count < FEWEST:
                 continue
-            low, middle, high = _plane(moments[j], mean, normal)
+            low, middle, high = fit_plane(moments[j], mean, normal)
             if middle <= _CLEARLY * low:
-                if chosen >= 0 or high > _LONG * middle:  # a pole or a cable stays as it is
+                if chosen >= 0 or high > LONG * middle:
                     break
                 continue
             if chosen < 0:
@@ -291,6 +235,138 @@ def _project_range(
             chosen = j
             for k in range(3):
                 moved[i, k] = points[i, k] + shift * first[k]
-            left[i] = _BIAS * error
         if chosen >= 0:
             normals[i] = first
+
+
+@njit(cache=True, nogil=True)
+def _settle_range(
+    wide: Tree,
+    close: Tree,
+    points: FloatArray,
+    centres: FloatArray,
+    rows: IntArray,
+    radii: FloatArray,
+    sigma: float,
+    normals: FloatArray,
+    moved: FloatArray,
+    left: FloatArray,
+) -> None:
+    """Move each point of `rows` onto the shape that explains its neighbourhood; leave it where none does."""
+    sums, one, near = make_sums(len(radii)), make_sums(1), np.zeros((MOST, 3))
+    side, pair, place = np.zeros(MOST, np.int64), np.zeros((3, 9)), np.zeros(3)
+    for i in rows:
+        centre, normal = centres[i], normals[i]
+        error, bent = 0.0, True
+        if normal[0] ** 2 + normal[1] ** 2 + normal[2] ** 2 > 0.5:
+            sum_heights(close, centre, normal, radii[:1], _SLAB * sigma, one)
+            shift, error, bent = _largest(one, sigma)
+            if error > 0.0 and not bent:
+                sum_heights(wide, centre, normal, radii, _SLAB * sigma, sums)
+                further = _largest(sums, sigma)
+                if 0.0 < further[1] < error:
+                    shift, error = further[0], further[1]
+            place[:] = shift * normal
+        if bent:
+            x = points[i] - centre
+            count = gather(close, centre, radii[0], near)
+            edge = _edge(near, count, x, normal, sigma, side, pair, place)
+            if edge == 0.0:
+                edge = _pole(wide, centre, x, radii, sigma, near, place)
+            error = edge if edge > 0.0 else error
+        place += centre
+        if error > 0.0 and _apart(place, points[i]) <= _FAR * sigma:
+            moved[i], left[i] = place, _BIAS * error
+
+
+@njit(cache=True, nogil=True)
+def _apart(a: FloatArray, b: FloatArray) -> float:
+    return sqrt((a[0] - b[0]) ** 2 + (a[1] - b[1]) ** 2 + (a[2] - b[2]) ** 2)
+
+
+@njit(cache=True, nogil=True)
+def _largest(sums: Sums, sigma: float) -> tuple[float, float, bool]:
+    """Height of the surface over the centre by the largest plane, or else quadric, that agrees with the smaller ones.
+
+    With its standard error, 0 if there is none, and whether it is bent at the smallest radius.
+    """
+    low_end, high_end, shift, error, bent = -np.inf, np.inf, 0.0, 0.0, True
+    for j in range(len(sums.number)):
+        count = sums.number[j]
+        if count < 2 * FEWEST:
+            continue
+        plane, quadric = fit_heights(sums, j)
+        flat = plane[2] - quadric[2] <= _CURVED * sigma**2
+        height, spread, rest = plane if flat else quadric
+        freedom = count - (3.0 if flat else 6.0)
+        if not rest <= freedom * sigma**2 * (1.0 + _THICK * sqrt(2.0 / freedom)):
+            if error > 0.0:
+                break
+            continue
+        spread = sigma * sqrt(spread)
+        low_end, high_end = max(low_end, height - _AGREE * spread), min(high_end, height + _AGREE * spread)
+        if low_end > high_end:
+            break
+        if error == 0.0:
+            bent = not flat
+        shift, error = height, spread
+    return shift, error, bent
+
+
+@njit(cache=True, nogil=True)
+def _edge(
+    near: FloatArray,
+    count: int,
+    x: FloatArray,
+    normal: FloatArray,
+    sigma: float,
+    side: IntArray,
+    pair: FloatArray,
+    place: FloatArray,
+) -> float:
+    """Write where on an edge of two half planes x lies; the standard error, 0 if it is no edge.
+
+    It must explain the first `count` rows of `near`, and clearly better than a quadric does.
+    """
+    if count < 3 * FEWEST:
+        return 0.0
+    freedom = count - 6.0
+    rest = fit_pair(near, count, normal, side, pair)
+    if rest > freedom * sigma**2 * (1.0 + _THICK * sqrt(2.0 / freedom)):
+        return 0.0
+    if rest + _CURVED * sigma**2 > quadric_rest(near, count, normal):
+        return 0.0
+    k = 0 if from_half(pair, 0, x) <= from_half(pair, 1, x) else 1
+    onto_half(pair, k, x, place)
+    aside = (place[0] - pair[k, 0]) ** 2 + (place[1] - pair[k, 1]) ** 2 + (place[2] - pair[k, 2]) ** 2
+    return sigma * sqrt((1.0 + aside / pair[k, 7]) / pair[k, 6])
+
+
+@njit(cache=True, nogil=True)
+def _pole(
+    tree: Tree, centre: FloatArray, x: FloatArray, radii: FloatArray, sigma: float, near: FloatArray, place: FloatArray
+) -> float:
+    """Write where on a pole x lies; the standard error, 0 if it is no pole."""
+    mean, axis, moments = np.zeros(3), np.zeros(3), np.zeros(10)
+    for radius in radii[::-1]:
+        count = gather(tree, centre, radius, near)
+        if count < 2 * FEWEST:
+            continue
+        moments[:] = 0.0
+        for i in range(count):
+            add(moments, near[i, 0], near[i, 1], near[i, 2])
+        low, middle, high = fit_plane(moments, mean, axis)
+        if high <= _LENGTH * middle or middle > _CLEARLY * low:
+            continue
+        fit_axis(moments, high, axis)
+        square, variance = fit_ring(near, count, mean, axis)
+        if abs(variance / sigma**2 - 1.0) > 2.0 * _THICK * sqrt(2.0 / count):
+            continue
+        along = 0.0
+        for k in range(3):
+            along += (x[k] - mean[k]) * axis[k]
+        place[:] = x - mean - along * axis
+        rho = sqrt(place[0] ** 2 + place[1] ** 2 + place[2] ** 2)
+        place[:] = mean + along * axis + place * (sqrt(square) / max(rho, 1e-12))
+        return sigma * sqrt(4.0 / count)
+    return 0.0

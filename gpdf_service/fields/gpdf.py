@@ -15,7 +15,7 @@ from gpdf_service.config import FieldConfig
 from gpdf_service.errors import FieldError
 from gpdf_service.fields.order import spatial_order
 from gpdf_service.fields.solve import HALO, solve_all, solve_rows, within
-from gpdf_service.fields.spacing import estimate_spacing, local_spacing, thin
+from gpdf_service.fields.spacing import estimate_spacing, local_shape, thin
 from gpdf_service.fields.threads import run_chunked
 from gpdf_service.fields.traversal import FieldArrays, by_leaf, nearest_range, sample_range
 from gpdf_service.fields.tree import Tree, build_tree, change_tree, tree_of
@@ -60,7 +60,7 @@ class Gpdf:
         tree: The points that it was fitted to, in a k-d tree [m].
         alpha: (K + σ² I)⁻¹ 1, in the tree's order, shape (n,).
         gap: How far apart the points are around each one [m], shape (n,).
-        noise: Standard deviation of each point along the surface's normal [m], shape (n,).
+        noise: Standard deviation of each point along the surface's normal, with what the surface bends [m], shape (n,).
         length_scale: l of the kernel [m].
         noise_variance: σ² of the occupancy [-].
         spacing: Distance between neighbouring points that the field resolves [m].
@@ -182,7 +182,8 @@ class Gpdf:
             alpha[rows] = solve_rows(tree, rows, alpha, self.length_scale, self.noise_variance)
         gap = np.empty(len(source))
         gap[old] = self.gap[source[old]]
-        gap[rows] = local_spacing(tree, rows, self.spacing)
+        gap[rows], relief = local_shape(tree, rows, self.spacing)
+        own[rows] = np.maximum(own[rows], relief)
         return Gpdf(tree, alpha, gap, own, self.length_scale, self.noise_variance, self.spacing, self.domain)
 
     def _check(self, queries: ArrayLike) -> tuple[FloatArray, BoolArray]:
@@ -255,8 +256,8 @@ def fit_gpdf(
     tree = build_tree(data[rows])
     length_scale = config.length_scale_factor * spacing
     alpha = solve_all(tree, length_scale, config.noise_variance)
-    gap = local_spacing(tree, np.arange(len(rows)), spacing)
-    own = own[rows][tree.order]
+    gap, relief = local_shape(tree, np.arange(len(rows)), spacing)
+    own = np.hypot(own[rows][tree.order], relief)
     return Gpdf(tree, alpha, gap, own, length_scale, config.noise_variance, spacing, domain)
 
 

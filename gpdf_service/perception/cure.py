@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from gpdf_service.config import PerceptionConfig
-from gpdf_service.fields import Cured, denoise, estimate_noise, estimate_spacing, find_loose, uncured
+from gpdf_service.fields import Cured, estimate_noise, estimate_spacing, find_loose, onto_surface, uncured
 from gpdf_service.perception.segment import segment_ground
 from gpdf_service.types import BoolArray, FloatArray
 
@@ -36,16 +36,18 @@ def cure_and_segment(points: FloatArray, ground: BoolArray | None, config: Perce
     noise = estimate_noise(sample, spacing)
     if noise <= max(config.negligible_noise, _SEEN * spacing):
         return uncured(points, noise), segment_ground(points, config) if ground is None else ground
+    stray = None
     if ground is None:
-        rough = denoise(points)
+        moved, _ = onto_surface(points, spacing, noise)
+        stray = find_loose(moved, noise, spacing)
         ground = np.zeros(len(points), dtype=bool)
-        ground[~rough.stray] = segment_ground(rough.points[~rough.stray], config)
+        ground[~stray] = segment_ground(moved[~stray], config)
     cured = uncured(points.copy(), noise)
     for part, level in ((ground, True), (~ground, False)):
         if part.any():
-            own = denoise(points[part], level=level)
-            cured.points[part], cured.noise[part] = own.points, own.noise
-    cured = cured._replace(stray=find_loose(cured.points, noise, spacing))
+            own = points[part]
+            cured.points[part], cured.noise[part] = onto_surface(own, estimate_spacing(own), noise, level=level)
+    cured = cured._replace(stray=find_loose(cured.points, noise, spacing) if stray is None else stray)
     return cured, ground & ~cured.stray
 
 

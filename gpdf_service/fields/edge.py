@@ -1,0 +1,132 @@
+"""Two half planes that meet: an edge, found by turns.
+
+Each point goes to the nearer half plane, and each half plane is fitted to its points. They end where they meet, so that
+an edge stays an edge.
+"""
+
+from __future__ import annotations
+
+from math import cos, pi, sqrt
+
+import numpy as np
+from numba import njit
+
+from gpdf_service.fields.shapes import FEWEST, TURNS, add, fit_plane, tangents
+from gpdf_service.types import FloatArray, IntArray
+
+_PARALLEL = 0.2
+"""[-] Sine of an angle (12°) below which two planes are taken for parallel: where they meet is not known."""
+_FOLD = 0.7
+"""[-] Cosine of the least angle (45°) between two half planes."""
+_STARTS = 4
+"""Directions along which a neighbourhood is cut in two at first: 45° apart, so one of them is within 23° of an edge."""
+
+
+@njit(cache=True, nogil=True)
+def fit_pair(near: FloatArray, count: int, normal: FloatArray, side: IntArray, pair: FloatArray) -> float:
+    """Fit two half planes to the first `count` rows of `near`; the squares that are left [m²], inf if there are none.
+
+    Args:
+        near: Offsets [m], shape (MOST, 3).
+        count: How many of them.
+        normal: Of one plane through all of them.
+        side: Room for which half plane each is of, shape (MOST,).
+        pair: Where the best is written, shape (3, 9): `_meet`.
+    """
+    best = np.inf
+    first, second, mine = np.zeros(3), np.zeros(3), np.zeros((3, 9))
+    tangents(normal, first, second)
+    for start in range(_STARTS):
+        cut = first * cos(pi * start / _STARTS) + second * cos(pi * start / _STARTS - pi / 2.0)
+        middle = 0.0
+        for i in range(count):
+            middle += (near[i, 0] * cut[0] + near[i, 1] * cut[1] + near[i, 2] * cut[2]) / count
+        for i in range(count):
+            side[i] = near[i, 0] * cut[0] + near[i, 1] * cut[1] + near[i, 2] * cut[2] > middle
+        left = _by_turns(near, count, side, mine)
+        if left < best:
+            best = left
+            pair[:] = mine
+    return best
+
+
+@njit(cache=True, nogil=True)
+def _by_turns(near: FloatArray, count: int, side: IntArray, pair: FloatArray) -> float:
+    moments, mean, left = np.zeros((2, 10)), np.zeros(3), np.inf
+    for _ in range(TURNS):
+        moments[:] = 0.0
+        for i in range(count):
+            add(moments[side[i]], near[i, 0], near[i, 1], near[i, 2])
+        if min(moments[0, 0], moments[1, 0]) < FEWEST:
+            return np.inf
+        for k in range(2):
+            _, pair[k, 7], _ = fit_plane(moments[k], mean, pair[k, 3:6])
+            pair[k, 0:3], pair[k, 6] = mean, moments[k, 0]
+        if not meet(pair):
+            return np.inf
+        left, changed = 0.0, 0
+        for i in range(count):
+            a, b = from_half(pair, 0, near[i]), from_half(pair, 1, near[i])
+            changed += (b < a) != side[i]
+            side[i] = b < a
+            left += min(a, b)
+        if changed == 0:
+            break
+    return left
+
+
+@njit(cache=True, nogil=True)
+def meet(pair: FloatArray) -> bool:
+    """Complete two planes, rows 0 and 1 of (mean, normal, count, variance along, side), by the line where they meet.
+
+    That is row 2: a point of the line and its direction. The last number of rows 0 and 1 says on which side of it they
+    are. False if they are nearly parallel or fold back on each other: two layers of noise do that.
+    """
+    n, o = pair[0, 3:6], pair[1, 3:6]
+    ux, uy, uz = n[1] * o[2] - n[2] * o[1], n[2] * o[0] - n[0] * o[2], n[0] * o[1] - n[1] * o[0]
+    square = ux * ux + uy * uy + uz * uz
+    if square <= _PARALLEL**2:
+        return False
+    g = n[0] * pair[0, 0] + n[1] * pair[0, 1] + n[2] * pair[0, 2]
+    h = o[0] * pair[1, 0] + o[1] * pair[1, 1] + o[2] * pair[1, 2]
+    pair[2, 0] = (g * (o[1] * uz - o[2] * uy) + h * (uy * n[2] - uz * n[1])) / square
+    pair[2, 1] = (g * (o[2] * ux - o[0] * uz) + h * (uz * n[0] - ux * n[2])) / square
+    pair[2, 2] = (g * (o[0] * uy - o[1] * ux) + h * (ux * n[1] - uy * n[0])) / square
+    length = sqrt(square)
+    pair[2, 3], pair[2, 4], pair[2, 5] = ux / length, uy / length, uz / length
+    for k in range(2):
+        pair[k, 8] = 1.0
+        if beside(pair, k, pair[k, 0:3]) < 0.0:
+            pair[k, 8] = -1.0
+    # Along the half planes, across the line: (u × n)·(u × o) = n·o.
+    fold = pair[0, 8] * pair[1, 8] * (n[0] * o[0] + n[1] * o[1] + n[2] * o[2])
+    return bool(fold < _FOLD)
+
+
+@njit(cache=True, nogil=True)
+def beside(pair: FloatArray, k: int, x: FloatArray) -> float:
+    """How far x is from the line on the side of half plane k, along it [m]; negative beyond its end."""
+    u, n = pair[2, 3:6], pair[k, 3:6]
+    s = (x[0] - pair[2, 0]) * (u[1] * n[2] - u[2] * n[1])
+    s += (x[1] - pair[2, 1]) * (u[2] * n[0] - u[0] * n[2])
+    s += (x[2] - pair[2, 2]) * (u[0] * n[1] - u[1] * n[0])
+    return float(s * pair[k, 8])
+
+
+@njit(cache=True, nogil=True)
+def from_half(pair: FloatArray, k: int, x: FloatArray) -> float:
+    """Squared distance of x from half plane k [m²]."""
+    n = pair[k, 3:6]
+    a = n[0] * (x[0] - pair[k, 0]) + n[1] * (x[1] - pair[k, 1]) + n[2] * (x[2] - pair[k, 2])
+    s = min(beside(pair, k, x), 0.0)
+    return float(a * a + s * s)
+
+
+@njit(cache=True, nogil=True)
+def onto_half(pair: FloatArray, k: int, x: FloatArray, place: FloatArray) -> None:
+    """Write the point of half plane k that is nearest to x."""
+    n, u = pair[k, 3:6], pair[2, 3:6]
+    if beside(pair, k, x) >= 0.0:
+        place[:] = x - ((x - pair[k, 0:3]) * n).sum() * n
+    else:
+        place[:] = pair[2, 0:3] + ((x - pair[2, 0:3]) * u).sum() * u

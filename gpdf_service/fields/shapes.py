@@ -1,0 +1,186 @@
+"""What a neighbourhood of points is, from its sums: a plane, two sheets or a pole.
+
+A plane is the direction of least spread. A pole's cross-section is a ring of radius R seen with the error σ: with ρ the
+distance from the axis, E ρ² = R² + 2σ² and Var ρ² = 4σ²R² + 4σ⁴, so both follow from the moments.
+"""
+
+from __future__ import annotations
+
+from math import acos, cos, pi, sqrt
+
+import numpy as np
+from numba import njit
+
+from gpdf_service.fields.tree import Tree, from_root, make_scratch, next_leaf, place_of
+from gpdf_service.types import FloatArray
+
+FEWEST = 8
+"""Neighbours that a plane needs: three fix it, the others say how well."""
+MOST = 2048
+"""Neighbours that are looked at one by one: several times what the cure expects."""
+TURNS = 6
+"""Assignments of points to two planes: after five, few points change sides."""
+
+
+@njit(cache=True, nogil=True)
+def gather(tree: Tree, x: FloatArray, radius: float, near: FloatArray) -> int:
+    """Write the offsets of the points within `radius` [m] of x into `near`, shape (MOST, 3); how many there are."""
+    blocks, boxes, found, limit = tree.blocks, tree.boxes, 0, radius * radius
+    stack, bound, near_box = make_scratch()
+    place, top = place_of(x), from_root(stack, bound)
+    while True:
+        leaf, _, top = next_leaf(boxes, place, place, limit, stack, bound, near_box, top)
+        if leaf < 0:
+            break
+        for j in range(tree.begin[leaf + 1] - tree.begin[leaf]):
+            a, b, c = blocks[leaf, 0, j] - x[0], blocks[leaf, 1, j] - x[1], blocks[leaf, 2, j] - x[2]
+            if a * a + b * b + c * c <= limit and found < MOST:
+                near[found, 0], near[found, 1], near[found, 2] = a, b, c
+                found += 1
+    return found
+
+
+@njit(cache=True, nogil=True)
+def add(m: FloatArray, a: float, b: float, c: float) -> None:
+    """Add one offset to the sums m, shape (10,): 1, the offset and its products."""
+    m[0] += 1.0
+    m[1] += a
+    m[2] += b
+    m[3] += c
+    m[4] += a * a
+    m[5] += b * b
+    m[6] += c * c
+    m[7] += a * b
+    m[8] += a * c
+    m[9] += b * c
+
+
+@njit(cache=True, nogil=True)
+def sum_rings(
+    tree: Tree, x: FloatArray, radii: FloatArray, normal: FloatArray, half: float, moments: FloatArray
+) -> None:
+    """Sums over the neighbours within each radius, shape (scales, 10): 1, the offset from x and its products.
+
+    Of the neighbours only those in the slab around x across `normal`, `half` [m] to either side; all if it is zero.
+    """
+    blocks, boxes, limit = tree.blocks, tree.boxes, radii[-1] ** 2
+    stack, bound, near_box = make_scratch()
+    moments[:] = 0.0
+    place, top = place_of(x), from_root(stack, bound)
+    while True:
+        leaf, _, top = next_leaf(boxes, place, place, limit, stack, bound, near_box, top)
+        if leaf < 0:
+            break
+        for j in range(tree.begin[leaf + 1] - tree.begin[leaf]):
+            a, b, c = blocks[leaf, 0, j] - x[0], blocks[leaf, 1, j] - x[1], blocks[leaf, 2, j] - x[2]
+            square = a * a + b * b + c * c
+            if square > limit or abs(a * normal[0] + b * normal[1] + c * normal[2]) > half:
+                continue
+            ring = 0
+            while square > radii[ring] ** 2:
+                ring += 1
+            add(moments[ring], a, b, c)
+    for ring in range(1, len(radii)):
+        moments[ring] += moments[ring - 1]
+
+
+@njit(cache=True, nogil=True)
+def fit_plane(m: FloatArray, mean: FloatArray, normal: FloatArray) -> tuple[float, float, float]:
+    """Eigenvalues of the covariance, ascending; writes the mean offset and the direction of least spread.
+
+    Closed form for a symmetric 3 × 3 matrix; Smith 1961.
+    """
+    n = m[0]
+    for k in range(3):
+        mean[k] = m[1 + k] / n
+    xx, yy, zz = m[4] / n - mean[0] ** 2, m[5] / n - mean[1] ** 2, m[6] / n - mean[2] ** 2
+    xy, xz, yz = m[7] / n - mean[0] * mean[1], m[8] / n - mean[0] * mean[2], m[9] / n - mean[1] * mean[2]
+    q = (xx + yy + zz) / 3.0
+    off = xy * xy + xz * xz + yz * yz
+    p = sqrt(max(((xx - q) ** 2 + (yy - q) ** 2 + (zz - q) ** 2 + 2.0 * off) / 6.0, 1e-300))
+    a, b, c, d, e, f = (xx - q) / p, (yy - q) / p, (zz - q) / p, xy / p, xz / p, yz / p
+    half = (a * (b * c - f * f) - d * (d * c - f * e) + e * (d * f - b * e)) / 2.0
+    angle = acos(min(max(half, -1.0), 1.0)) / 3.0
+    high = q + 2.0 * p * cos(angle)
+    low = q + 2.0 * p * cos(angle + 2.0 * pi / 3.0)
+    across(xx, yy, zz, xy, xz, yz, low, normal)
+    return max(low, 0.0), 3.0 * q - high - low, high
+
+
+@njit(cache=True, nogil=True)
+def across(xx: float, yy: float, zz: float, xy: float, xz: float, yz: float, value: float, vector: FloatArray) -> None:
+    """Write the eigenvector of `value`: the rows of A − λ I span what is normal to it, their longest product is it."""
+    rows = ((xx - value, xy, xz), (xy, yy - value, yz), (xz, yz, zz - value))
+    best = 0.0
+    for i in range(3):
+        u, v = rows[i], rows[(i + 1) % 3]
+        cx, cy, cz = u[1] * v[2] - u[2] * v[1], u[2] * v[0] - u[0] * v[2], u[0] * v[1] - u[1] * v[0]
+        length = cx * cx + cy * cy + cz * cz
+        if length > best:
+            best = length
+            length = sqrt(length)
+            vector[0], vector[1], vector[2] = cx / length, cy / length, cz / length
+    if best == 0.0:
+        vector[0], vector[1], vector[2] = 0.0, 0.0, 1.0
+
+
+@njit(cache=True, nogil=True)
+def split_sheets(near: FloatArray, count: int, normal: FloatArray, mean: FloatArray) -> float:
+    """Variance [m²] within two sheets across `normal`, each half of the points taken for one; by turns, too.
+
+    Of a single sheet with a Gaussian error it is 1 − 2/π of the whole.
+    """
+    cut, left = 0.0, 0.0
+    for _ in range(TURNS):
+        n, total, square = np.zeros(2), np.zeros(2), 0.0
+        for i in range(count):
+            h = 0.0
+            for k in range(3):
+                h += (near[i, k] - mean[k]) * normal[k]
+            n[int(h > cut)] += 1.0
+            total[int(h > cut)] += h
+            square += h * h
+        if min(n[0], n[1]) < FEWEST:
+            return np.inf
+        cut = 0.5 * (total[0] / n[0] + total[1] / n[1])
+        left = (square - total[0] ** 2 / n[0] - total[1] ** 2 / n[1]) / (count - 4.0)
+    return max(left, 0.0)
+
+
+@njit(cache=True, nogil=True)
+def fit_ring(near: FloatArray, count: int, mean: FloatArray, axis: FloatArray) -> tuple[float, float]:
+    """Squared radius of a pole along `axis` and the variance of its points' errors [m²]."""
+    first, second = 0.0, 0.0
+    for i in range(count):
+        square, along = 0.0, 0.0
+        for k in range(3):
+            offset = near[i, k] - mean[k]
+            square += offset * offset
+            along += offset * axis[k]
+        first += (square - along * along) / count
+        second += (square - along * along) ** 2 / count
+    variance = 0.5 * (first - sqrt(max(2.0 * first * first - second, 0.0)))
+    return max(first - 2.0 * variance, 0.0), variance
+
+
+@njit(cache=True, nogil=True)
+def fit_axis(m: FloatArray, value: float, axis: FloatArray) -> None:
+    """Write the direction in which the spread of the sums m is `value` [m²]: its eigenvector."""
+    n = m[0]
+    a, b, c = m[1] / n, m[2] / n, m[3] / n
+    xx, yy, zz, xy, xz, yz = m[4] / n, m[5] / n, m[6] / n, m[7] / n, m[8] / n, m[9] / n
+    across(xx - a * a, yy - b * b, zz - c * c, xy - a * b, xz - a * c, yz - b * c, value, axis)
+
+
+@njit(cache=True, nogil=True)
+def tangents(normal: FloatArray, first: FloatArray, second: FloatArray) -> None:
+    """Write two unit vectors across `normal` and each other."""
+    lean = 0 if abs(normal[0]) < 0.6 else 1
+    for k in range(3):
+        first[k] = (1.0 if k == lean else 0.0) - normal[lean] * normal[k]
+    length = sqrt(first[0] ** 2 + first[1] ** 2 + first[2] ** 2)
+    for k in range(3):
+        first[k] /= length
+    for k in range(3):
+        a, b = (k + 1) % 3, (k + 2) % 3
+        second[k] = normal[a] * first[b] - normal[b] * first[a]

@@ -1,0 +1,126 @@
+import numpy as np
+import pytest
+from scipy.stats import special_ortho_group
+
+from gpdf_service.fields.edge import fit_pair, from_half, onto_half
+from gpdf_service.fields.heights import fit_heights, make_sums, quadric_rest, sum_heights
+from gpdf_service.fields.shapes import MOST, add, fit_plane, fit_ring, split_sheets
+from gpdf_service.fields.spacing import local_shape
+from gpdf_service.fields.tree import build_tree
+
+UP = np.array([0.0, 0.0, 1.0])
+
+
+@pytest.fixture
+def rng():
+    return np.random.default_rng(11)
+
+
+def rows(points):
+    near = np.zeros((MOST, 3))
+    near[: len(points)] = points
+    return near, len(points)
+
+
+def pair_of(points, normal):
+    near, count = rows(points)
+    pair = np.zeros((3, 9))
+    return fit_pair(near, count, normal, np.zeros(MOST, np.int64), pair), pair
+
+
+def edge(rng, count, noise):
+    """A right angle along y: half of it level, half of it upright and below."""
+    t, y = rng.uniform(0, 1, count), rng.uniform(-1, 1, count)
+    level = np.arange(count) % 2 == 0
+    points = np.column_stack([np.where(level, -t, 0.0), y, np.where(level, 0.0, -t)])
+    return points + rng.normal(size=points.shape) * noise
+
+
+def test_a_quadric_and_its_plane_equal_numpys_least_squares(rng):
+    points = np.column_stack([rng.uniform(-1, 1, (200, 2)), rng.normal(size=200)])
+    sums = make_sums(1)
+    sum_heights(build_tree(points), np.zeros(3), UP, np.array([1.5]), 9.0, sums)
+    inside = points[np.linalg.norm(points, axis=1) <= 1.5]
+    assert sums.number[0] == len(inside) > 100
+    x, y, h = inside.T
+    basis = np.column_stack([np.ones_like(x), x, y, x * x, x * y, y * y])
+    for found, terms in zip(fit_heights(sums, 0), (3, 6), strict=True):
+        own = basis[:, :terms]
+        solution, rest, *_ = np.linalg.lstsq(own, h, rcond=None)
+        np.testing.assert_allclose(found, [solution[0], np.linalg.inv(own.T @ own)[0, 0], rest[0]], rtol=1e-9)
+    near, count = rows(inside)
+    assert quadric_rest(near, count, UP) == pytest.approx(fit_heights(sums, 0)[1][2])
+
+
+def test_too_few_points_have_no_quadric():
+    sums = make_sums(1)
+    points = np.column_stack([np.linspace(-1, 1, 30), np.zeros(30), np.zeros(30)])
+    sum_heights(build_tree(points), np.zeros(3), UP, np.array([2.0]), 9.0, sums)
+    assert np.isinf(fit_heights(sums, 0)[1][2])
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_two_half_planes_explain_an_edge_wherever_it_lies_and_a_quadric_does_not(seed):
+    rng, noise = np.random.default_rng(seed), 0.05
+    R = special_ortho_group.rvs(3, random_state=seed)
+    near, count = rows(edge(rng, 200, noise) @ R.T)
+    bisector = R @ np.array([1.0, 0, 1.0]) / np.sqrt(2)
+    left, _ = pair_of(near[:count], bisector)
+    assert left / (count - 6) < 1.3 * noise**2
+    assert quadric_rest(near, count, bisector) > 2 * left
+
+
+def test_a_noisy_plane_is_no_edge(rng):
+    plane = np.column_stack([rng.uniform(-1, 1, (200, 2)), rng.normal(size=200) * 0.2])
+    near, count = rows(plane)
+    left, _ = pair_of(plane, UP)
+    assert not left < 0.7 * quadric_rest(near, count, UP)
+
+
+def test_a_point_beyond_an_edge_comes_to_the_edge_and_no_further(rng):
+    _, pair = pair_of(edge(rng, 400, 0.001), np.array([1.0, 0, 1.0]) / np.sqrt(2))
+    level = int(np.abs(pair[1, 5]) > 0.9)
+    place, beyond = np.zeros(3), np.array([0.3, 0.2, 0.1])
+    onto_half(pair, level, beyond, place)
+    np.testing.assert_allclose(place, [0, 0.2, 0], atol=2e-3)
+    assert from_half(pair, level, beyond) == pytest.approx(0.1, abs=2e-3)  # squared: 0.3² + 0.1²
+    onto_half(pair, level, np.array([-0.4, 0.2, 0.1]), place)
+    np.testing.assert_allclose(place, [-0.4, 0.2, 0], atol=2e-3)
+
+
+@pytest.mark.parametrize(("radius", "noise"), [(0.1, 0.05), (0.1, 0.0), (0.0, 0.02), (0.3, 0.05)])
+def test_a_ring_tells_its_radius_and_its_noise(rng, radius, noise):
+    angle = rng.uniform(0, 2 * np.pi, 2000)
+    points = np.column_stack([radius * np.cos(angle), radius * np.sin(angle), rng.uniform(-1, 1, 2000)])
+    near, count = rows(points + rng.normal(size=points.shape) * noise)
+    square, variance = fit_ring(near, count, near[:count].mean(axis=0), UP)
+    assert np.sqrt(variance) == pytest.approx(noise, rel=0.15, abs=2e-3)  # a cable: the root of a small difference
+    assert np.sqrt(square) == pytest.approx(radius, rel=0.1, abs=0.02)
+
+
+def test_two_sheets_are_told_from_one(rng):
+    one = np.column_stack([rng.uniform(-1, 1, (500, 2)), rng.normal(size=500) * 0.1])
+    two = one + np.outer(np.sign(rng.normal(size=500)), [0, 0, 0.4])
+    share = {}
+    for name, points in (("one", one), ("two", two)):
+        near, count = rows(points)
+        moments, mean, normal = np.zeros(10), np.zeros(3), np.zeros(3)
+        for point in points:
+            add(moments, *point)
+        low, *_ = fit_plane(moments, mean, normal)
+        share[name] = split_sheets(near, count, normal, mean) / low
+    assert share["one"] == pytest.approx(1 - 2 / np.pi, rel=0.15)
+    assert share["two"] < 0.12
+
+
+def test_a_surface_bends_at_an_edge_and_ends_at_a_rim_and_does_neither_elsewhere(rng):
+    spacing = 0.05
+    x, y = rng.uniform(-1, 1, (2, 1600))
+    tree = build_tree(np.column_stack([np.minimum(x, 0.0), y, np.minimum(-x, 0.0)]))
+    _, bend = local_shape(tree, np.arange(1600), spacing)
+    x, _, z = tree.points.T
+    far = np.maximum(-x, -z)
+    inner = np.abs(tree.points[:, 1]) < 0.7
+    assert np.median(bend[inner & (far < 0.3 * spacing)]) == pytest.approx(0.3 * spacing, rel=0.3)
+    assert np.median(bend[inner & (far > 0.3) & (far < 0.7)]) < 0.05 * spacing
+    assert np.median(bend[inner & (far > 1 - 0.3 * spacing)]) > 0.15 * spacing
