@@ -17,7 +17,8 @@ from gpdf_client.results import to_result
 from gpdf_schemas import PlanReply, PlanRequest, Status, keys
 
 from gpdf_service.errors import RequestError
-from gpdf_service.service.handlers import Handlers, agent_of
+from gpdf_service.service.handlers import Handlers
+from gpdf_service.service.planning import agent_of
 from gpdf_service.service.replay import Ask, compare, recorded_plans
 from gpdf_service.service.scenes import Shelf
 from gpdf_service.types import PlanResult

@@ -437,7 +437,7 @@ def floor(width):
 
 def test_waiting_counts_against_the_deadline(running, office, monkeypatch):
     given = []
-    monkeypatch.setattr("gpdf_service.service.handlers.plan", lambda *_, deadline_s, **__: given.append(deadline_s))
+    monkeypatch.setattr("gpdf_service.service.planning.plan", lambda *_, deadline_s, **__: given.append(deadline_s))
     request = encode(PlanRequest(scene="office", start=[1.0, 1.0], goal=[2.0, 2.0], deadline_s=10.0))
     running[0].handlers.answer(keys.PLAN, request, time.monotonic() - 4.0)
     assert len(given) == 1
