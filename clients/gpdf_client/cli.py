@@ -52,8 +52,20 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     plan.add_argument("--goal", required=True, type=named_place, help=PLACE_HELP)
     plan.add_argument("--agent", default="human")
     plan.add_argument("--method", default="dual_gpdf", help="or a baseline: single_gpdf, astar, prm")
-    plan.add_argument("--via", action="append", default=[], type=place, help="go through x,y or x,y,z [m]; repeatable")
-    plan.add_argument("--or-goal", action="append", default=[], type=place, help="one more goal; the nearest is taken")
+    plan.add_argument(
+        "--via",
+        action="append",
+        default=[],
+        type=named_place,
+        help="go through a place, named or x,y or x,y,z [m]; repeatable",
+    )
+    plan.add_argument(
+        "--or-goal",
+        action="append",
+        default=[],
+        type=named_place,
+        help="one more goal, named or x,y or x,y,z [m]; the nearest is taken",
+    )
     plan.add_argument("--snap", type=float, default=0.0, help="move a place that is not valid by this much at most [m]")
     plan.add_argument("--save", type=Path, help="write the trajectory to a .json, .csv or .geojson file")
     distance = verb("distance", "distance to the ground or to the obstacles", _distance)

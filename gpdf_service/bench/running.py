@@ -6,6 +6,7 @@ import signal
 import socket
 import subprocess
 import sys
+from collections import Counter
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -31,10 +32,20 @@ class Running:
     goal: tuple[float, ...]
 
     def usage(self) -> dict[str, float]:
-        """Memory [MB], threads and open files of the process now."""
-        seen = psutil.Process(self.process.pid)
-        with seen.oneshot():
-            return {"rss_mb": seen.memory_info().rss / 1e6, "threads": seen.num_threads(), "files": seen.num_fds()}
+        """Memory [MB], threads, open files and CPU time [s] of the process and of those that plan for it, now."""
+        main = psutil.Process(self.process.pid)
+        return dict(sum((Counter(_usage(seen)) for seen in (main, *main.children())), Counter()))
+
+
+def _usage(seen: psutil.Process) -> dict[str, float]:
+    with seen.oneshot():
+        cpu = seen.cpu_times()
+        return {
+            "rss_mb": seen.memory_info().rss / 1e6,
+            "threads": seen.num_threads(),
+            "files": seen.num_fds(),
+            "cpu_s": cpu.user + cpu.system,
+        }
 
 
 def free_endpoint() -> str:

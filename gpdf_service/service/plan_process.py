@@ -39,6 +39,11 @@ class Desk:
         )
         self._tidied = time.monotonic()
 
+    @property
+    def scenes(self) -> list[str]:
+        """Names of those that are held."""
+        return list(self._shelf.facts())
+
     def answer(self, ask: Ask) -> bytes:
         """The reply's bytes; none if the scene cannot be read from its file."""
         if ask.moving is not None:

@@ -112,6 +112,11 @@ class Server:
         return self.recorder.path
 
     @property
+    def processes(self) -> list[int]:
+        """The system's numbers of the processes that plan for this one."""
+        return [] if self._pool is None else self._pool.pids
+
+    @property
     def load(self) -> float:
         """Requests that wait or are at work, over the workers."""
         return self._jobs.unfinished / len(self._workers)
@@ -328,7 +333,7 @@ class Server:
             and not any(entry["state"] == "building" for entry in facts.values()),
             problems=problems,
             metrics={
-                **self.metrics.numbers([] if self._pool is None else self._pool.pids),
+                **self.metrics.numbers(self.processes),
                 "process_restarts": float(0 if self._pool is None else self._pool.restarts),
                 "load": self.load,
                 "workers": float(len(self._workers)),

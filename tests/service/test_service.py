@@ -18,6 +18,7 @@ from mcap.reader import make_reader
 from mcap_protobuf.decoder import DecoderFactory
 
 import gpdf_service as gpdf
+from gpdf_service.service.handlers import Handlers
 from gpdf_service.service.record import check, repair, repair_folder
 from gpdf_service.service.replay import compare, recorded_plans
 from gpdf_service.service.server import Options, Server
@@ -435,11 +436,11 @@ def floor(width):
     return np.column_stack([x.ravel(), y.ravel(), np.zeros(x.size)])
 
 
-def test_waiting_counts_against_the_deadline(running, office, monkeypatch):
+def test_waiting_counts_against_the_deadline(running, monkeypatch):
     given = []
     monkeypatch.setattr("gpdf_service.service.planning.plan", lambda *_, deadline_s, **__: given.append(deadline_s))
     request = encode(PlanRequest(scene="office", start=[1.0, 1.0], goal=[2.0, 2.0], deadline_s=10.0))
-    running[0].handlers.answer(keys.PLAN, request, time.monotonic() - 4.0)
+    Handlers(running[0].shelf, "").answer(keys.PLAN, request, time.monotonic() - 4.0)
     assert len(given) == 1
     assert 0 < given[0] <= 6.0
 
