@@ -30,6 +30,7 @@ from gpdf_schemas import (
     encode,
     keys,
 )
+from gpdf_schemas.moving import stacked
 
 from gpdf_service import __version__
 from gpdf_service.config import Config
@@ -248,6 +249,7 @@ class Server:
             data = sample.payload.to_bytes()
             self.handlers.moving.publish(scene, decode(data, MovingObstacles).obstacles)
             self.recorder.publication(key, data, stamp)
+            self.recorder.moving(scene, stacked(list(self.handlers.moving.points(scene).values())), stamp)
         except ValueError as error:
             log.warning("obstacles on %s: %s", key, error)
             self.metrics.count_bad_publication()

@@ -251,7 +251,7 @@ def test_the_log_holds_the_bytes_of_the_wire_and_draws_in_viewers(clouds, tmp_pa
         decoded = {
             channel.topic: message
             for _, channel, _, message in make_reader(file, decoder_factories=[DecoderFactory()]).iter_decoded_messages(
-                topics=["/plan/office", "/cloud/office"]
+                topics=["/plan/office", "/cloud/office", "/path/office", "/words"]
             )
         }
     reply = decode(answer, PlanReply)
@@ -259,6 +259,11 @@ def test_the_log_holds_the_bytes_of_the_wire_and_draws_in_viewers(clouds, tmp_pa
     xyz = np.array([[p.position.x, p.position.y, p.position.z] for p in poses])
     np.testing.assert_array_equal(xyz, reply.trajectory.positions.unpack())
     assert len(decoded["/cloud/office"].data) % 12 == 0
+    dots = np.frombuffer(decoded["/path/office"].data, "<f4").reshape(-1, 3)
+    np.testing.assert_allclose(dots[[0, -1]], xyz[[0, -1]], atol=1e-6)
+    assert np.linalg.norm(np.diff(dots, axis=0), axis=1).max() < 0.03
+    assert decoded["/words"].message.startswith("OK one: ")
+    assert " m of room" in decoded["/words"].message
     (pair,) = recorded_plans(path)
     result = compare(*pair, reply)
     assert result.same
