@@ -184,6 +184,9 @@ class Pool:
                 answer = process.ask(key, data, received, request.scene, file, living)
             except (EOFError, OSError):  # it has died, and is not put back
                 continue
+            except BaseException:  # whatever it was, the next request must not read this one's answer
+                process.kill()
+                raise
             self._idle.put(process)
             return answer
         raise RuntimeError(f"{TRIES} processes died one after another")
