@@ -1,6 +1,7 @@
 import asyncio
 import json
 import os
+import queue
 import signal
 import subprocess
 import sys
@@ -377,8 +378,9 @@ def test_a_log_that_is_cut_anywhere_is_mended(tmp_path):
 
 def test_a_running_service_is_seen_by_its_liveliness_token(running):
     server, client, _ = running
-    tokens = client._session.liveliness().get(f"{keys.ALIVE}/*")
-    assert [str(token.ok.key_expr) for token in tokens] == [f"{keys.ALIVE}/{server.planner_id}"]
+    seen = queue.Queue()
+    client.watch(lambda planner, alive: seen.put((planner, alive)))
+    assert seen.get(timeout=30) == (server.planner_id, True)
 
 
 def test_a_scene_is_ready_only_when_its_last_load_is(tmp_path):
