@@ -55,7 +55,8 @@ def answer(answers: Answers, planner: str, key: str, payload: bytes, received: f
         if waited >= request.deadline_s:
             words = f"the request waited {waited:.2f} s, its deadline was {request.deadline_s:.2f} s. Ask later."
             return no(Status.TIMEOUT, words)
-        return handle(msgspec.structs.replace(request, deadline_s=request.deadline_s - waited))
+        reply = handle(msgspec.structs.replace(request, deadline_s=request.deadline_s - waited))
+        return msgspec.structs.replace(reply, timings={**reply.timings, "waited": waited})
     except (DecodeError, ValueError) as error:
         return no(Status.INVALID_REQUEST, str(error))
     except RefusedError as error:
