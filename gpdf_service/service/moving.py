@@ -110,6 +110,11 @@ class Moving:
         """The scene is gone, and what moved in it."""
         with self._lock:
             self._living.pop(scene, None)
+        self.let_go(scene)
+
+    def let_go(self, scene: str) -> None:
+        """Free the memory of the merged scene; what moves in it stays known."""
+        with self._lock:
             self._merged.pop(scene, None)
 
     def points(self, scene: str) -> dict[str, FloatArray]:

@@ -59,7 +59,7 @@ class Desk:
         """Let go of scenes that are unloaded or replaced (their files are gone), and of what is too much."""
         if time.monotonic() - self._tidied >= TIDY_S:
             for name in self._shelf.forget_gone():
-                self._moving.forget(name)
+                self._moving.let_go(name)  # no more: the service counts on it that we know what moves
             self._shelf.trim()
             self._tidied = time.monotonic()
 

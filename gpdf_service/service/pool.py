@@ -6,6 +6,7 @@ scene is a file, what moves comes with the request. One that dies is begun anew,
 
 from __future__ import annotations
 
+import contextlib
 import logging
 import os
 import queue
@@ -205,23 +206,28 @@ class Pool:
         """Keep one process running."""
         name = threading.current_thread().name
         while not self._ended.is_set():
-            with self._lock:
-                if self._ended.is_set():
-                    return
-                process = self._alive[name] = _Process(self._settings)
             try:
-                process.wait_until_ready()
-                self._idle.put(process)
-                self._ready.set()
-            except (EOFError, OSError):
-                pass  # it has ended
-            code = process.wait()
-            with self._lock:
-                del self._alive[name]
-                self.restarts += not self._ended.is_set()
-            if not self._ended.is_set():
-                log.error("a process that plans has ended with code %d; another one begins", code)
-                self._ended.wait(RESTART_S)
+                self._live(name)
+            except OSError as error:
+                log.error("a process that plans could not be begun: %s", error)
+            self._ended.wait(RESTART_S)
+
+    def _live(self, name: str) -> None:
+        """From a process's beginning to its end."""
+        with self._lock:
+            if self._ended.is_set():
+                return
+            process = self._alive[name] = _Process(self._settings)
+        with contextlib.suppress(EOFError, OSError):  # it has ended
+            process.wait_until_ready()
+            self._idle.put(process)
+            self._ready.set()
+        code = process.wait()
+        with self._lock:
+            del self._alive[name]
+            self.restarts += not self._ended.is_set()
+        if not self._ended.is_set():
+            log.error("a process that plans has ended with code %d; another one begins", code)
 
 
 def _seen(id_: str, one: Living) -> Seen:

@@ -20,7 +20,7 @@ import gpdf_service as gpdf
 from gpdf_service.service.answers import RefusedError
 from gpdf_service.service.moving import Living
 from gpdf_service.service.plan_process import Desk
-from gpdf_service.service.pool import Ask, Pool, Settings
+from gpdf_service.service.pool import Ask, Pool, Seen, Settings
 from gpdf_service.service.record import check
 from gpdf_service.service.replay import recorded_plans
 from gpdf_service.service.server import Options, Server
@@ -140,6 +140,27 @@ def test_a_process_lets_go_of_a_scene_whose_file_is_gone(files, tmp_path, monkey
     desk.tidy()
     assert desk.scenes == []
     assert desk.answer(ask) == b""
+
+
+def test_a_new_version_of_a_scene_does_not_make_a_process_forget_what_moves_in_it(files, tmp_path, monkeypatch):
+    monkeypatch.setattr("gpdf_service.service.plan_process.TIDY_S", 0.0)
+    desk, first, second = Desk(SETTINGS), tmp_path / "x@1.gpdf", tmp_path / "x@2.gpdf"
+    for file in (first, second):
+        file.write_bytes((files / "office.gpdf").read_bytes())
+    request = encode(DistanceRequest(scene="x", field="obstacle", points=Array.pack(PLACES), agent="roomba"))
+    box = Seen(
+        "box", Array.pack(np.array([[*PLACES[0], z] for z in np.linspace(0, 1, 30)])), time.monotonic() + 3600, 1
+    )
+
+    def distance(file, moving):
+        ask = Ask(keys.DISTANCE, request, time.monotonic(), "x", str(file), moving)
+        return decode(desk.answer(ask), DistanceReply).distance.unpack()[0]
+
+    before = distance(first, None)
+    assert distance(first, [box]) < 0.05 < before
+    first.unlink()
+    desk.tidy()
+    assert distance(second, None) < 0.05  # "as before", says the service, and so it is
 
 
 def plain_plans(endpoint, made, done, seen):
