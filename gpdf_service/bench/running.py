@@ -6,6 +6,7 @@ import signal
 import socket
 import subprocess
 import sys
+import time
 from collections import Counter
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -68,6 +69,8 @@ def serving(folder: Path, *flags: str) -> Iterator[Running]:
         try:
             with Client.connect(endpoint, timeout_s=60) as client:
                 client.wait_for_scene("office")
+                while not all(service.ready for service in client.status()):  # its processes are there, too
+                    time.sleep(0.05)
             yield Running(endpoint, process, tuple(office.start), tuple(office.goal))
         finally:
             process.send_signal(signal.SIGTERM)
