@@ -52,8 +52,20 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     plan.add_argument("--goal", required=True, type=named_place, help=PLACE_HELP)
     plan.add_argument("--agent", default="human")
     plan.add_argument("--method", default="dual_gpdf", help="or a baseline: single_gpdf, astar, prm")
-    plan.add_argument("--via", action="append", default=[], type=place, help="go through x,y or x,y,z [m]; repeatable")
-    plan.add_argument("--or-goal", action="append", default=[], type=place, help="one more goal; the nearest is taken")
+    plan.add_argument(
+        "--via",
+        action="append",
+        default=[],
+        type=named_place,
+        help="go through a place, named or x,y or x,y,z [m]; repeatable",
+    )
+    plan.add_argument(
+        "--or-goal",
+        action="append",
+        default=[],
+        type=named_place,
+        help="one more goal, named or x,y or x,y,z [m]; the nearest is taken",
+    )
     plan.add_argument("--snap", type=float, default=0.0, help="move a place that is not valid by this much at most [m]")
     plan.add_argument("--save", type=Path, help="write the trajectory to a .json, .csv or .geojson file")
     distance = verb("distance", "distance to the ground or to the obstacles", _distance)
@@ -77,6 +89,8 @@ def run(args: argparse.Namespace) -> int:
     elif args.verb == "place":
         for name, position in result["places"].items():
             print(f"{name}: {','.join(map(str, position))}")
+    elif args.verb == "status":
+        print("\n".join(map(_line, result["services"])) or "no service answers")
     elif isinstance(result, dict):
         for key, value in result.items():
             print(f"{key}: {value}")
@@ -88,6 +102,22 @@ def _status(client: Client) -> dict[str, Any]:
     healthy = bool(services) and all(service["healthy"] for service in services)
     ready = healthy and all(service["ready"] for service in services)
     return {"status": "OK" if ready else "BUILDING" if healthy else "UNAVAILABLE", "services": services}
+
+
+def _line(service: dict[str, Any]) -> str:
+    """How a service is, for people."""
+    numbers = service["metrics"]
+    state = "not healthy" if not service["healthy"] else "ready" if service["ready"] else "not ready yet"
+    answers = (f"{name.removeprefix('answers_')} {n:.0f}" for name, n in numbers.items() if name.startswith("answers_"))
+    facts = (
+        f"{service['role']} {service['planner']}: {state}",
+        f"load {service['load']:.1f}",
+        f"{numbers['scenes']:.0f} scenes",
+        f"{numbers['memory_bytes'] / 1e6:.0f} MB",
+        f"half within {1000 * numbers['answer_p50_s']:.1f} ms",
+        f"answers {' '.join(answers) or 'none'}",
+    )
+    return "\n  ".join([", ".join(facts), *service["problems"]])
 
 
 def _plan(client: Client, args: argparse.Namespace) -> dict[str, Any]:

@@ -158,8 +158,8 @@ class Client:
         agent: Agent = "human",
         *,
         method: str = "dual_gpdf",
-        via: Sequence[Sequence[float]] = (),
-        other_goals: Sequence[Sequence[float]] = (),
+        via: Sequence[Place] = (),
+        other_goals: Sequence[Place] = (),
         snap: float = 0.0,
         warm_start: Trajectory | None = None,
         start_heading: float | None = None,
@@ -176,8 +176,9 @@ class Client:
             goal: Where it wants to be, in the same way.
             agent: A name, or measures; with `discs`, the body faces where it goes and passes narrow doors.
             method: "dual_gpdf", or one of the paper's baselines for comparison: "single_gpdf", "astar", "prm".
-            via: Places that the path goes through, in this order.
-            other_goals: More goals; the one with the shortest way is taken, and `details["goal"]` is its number.
+            via: Places that the path goes through, in this order, in the same way.
+            other_goals: More goals, in the same way; the one with the shortest way is taken, `details["goal"]` is its
+                number.
             snap: How far a place where the body cannot be may be moved to the nearest one where it can [m]; `message`
                 says it.
             warm_start: The trajectory that the body follows now: taken up if it is still clear and ends near the goal.
@@ -193,8 +194,8 @@ class Client:
             goal=self.where(scene, goal),
             agent=agent,
             method=method,
-            via=[[float(v) for v in place] for place in via],
-            other_goals=[[float(v) for v in place] for place in other_goals],
+            via=[self.where(scene, place) for place in via],
+            other_goals=[self.where(scene, place) for place in other_goals],
             snap=float(snap),
             warm_start=None if warm_start is None else Array.pack(warm_start.ground),
             start_heading=start_heading,
@@ -620,8 +621,8 @@ class AsyncClient:
         agent: Agent = "human",
         *,
         method: str = "dual_gpdf",
-        via: Sequence[Sequence[float]] = (),
-        other_goals: Sequence[Sequence[float]] = (),
+        via: Sequence[Place] = (),
+        other_goals: Sequence[Place] = (),
         snap: float = 0.0,
         warm_start: Trajectory | None = None,
         start_heading: float | None = None,

@@ -6,6 +6,8 @@ import signal
 import socket
 import subprocess
 import sys
+import time
+from collections import Counter
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -31,10 +33,20 @@ class Running:
     goal: tuple[float, ...]
 
     def usage(self) -> dict[str, float]:
-        """Memory [MB], threads and open files of the process now."""
-        seen = psutil.Process(self.process.pid)
-        with seen.oneshot():
-            return {"rss_mb": seen.memory_info().rss / 1e6, "threads": seen.num_threads(), "files": seen.num_fds()}
+        """Memory [MB], threads, open files and CPU time [s] of the process and of those that plan for it, now."""
+        main = psutil.Process(self.process.pid)
+        return dict(sum((Counter(_usage(seen)) for seen in (main, *main.children())), Counter()))
+
+
+def _usage(seen: psutil.Process) -> dict[str, float]:
+    with seen.oneshot():
+        cpu = seen.cpu_times()
+        return {
+            "rss_mb": seen.memory_info().rss / 1e6,
+            "threads": seen.num_threads(),
+            "files": seen.num_fds(),
+            "cpu_s": cpu.user + cpu.system,
+        }
 
 
 def free_endpoint() -> str:
@@ -57,6 +69,8 @@ def serving(folder: Path, *flags: str) -> Iterator[Running]:
         try:
             with Client.connect(endpoint, timeout_s=60) as client:
                 client.wait_for_scene("office")
+                while not all(service.ready for service in client.status()):  # its processes are there, too
+                    time.sleep(0.05)
             yield Running(endpoint, process, tuple(office.start), tuple(office.goal))
         finally:
             process.send_signal(signal.SIGTERM)

@@ -1,6 +1,7 @@
 """`gpdf bench service`: what wire and log add to a plan, plans a second on one and two cores, too many clients.
 
-The service is its own process. Everything runs on one machine, the clients on the service's cores.
+The service has its own processes. The clients run on its cores, one or two, and their work counts: a machine of one
+core against a machine of two.
 """
 
 from __future__ import annotations
@@ -36,7 +37,7 @@ OVER = 2.0
 PATIENCE_S = 60.0
 """[s] Until a request counts as unanswered."""
 WARM_S = 2.0
-"""[s] At twice the capacity before memory is first looked at: queues and pools have grown then."""
+"""[s] Before anything is measured: each process has its free space, queues and pools have grown."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -51,18 +52,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Measure and print; exit code 0 if every request was answered."""
     with tempfile.TemporaryDirectory() as one, serving_on(Path(one), 1) as service:
-        single = per_second(service, 2, args.seconds)
+        single = per_second(service, 1, args.seconds)
     cores = min(2, len(os.sched_getaffinity(0)))
     with tempfile.TemporaryDirectory() as two, serving_on(Path(two), cores) as service:
         wire = added(service, args.count)
-        double = per_second(service, 2 * cores, args.seconds)
-        crowd = overload(service, args.clients, OVER * double, args.seconds)
-    speed = {
-        "cores": cores,
-        "plans_per_s_1_core": single,
-        f"plans_per_s_{cores}_cores": double,
-        "ratio": double / single,
-    }
+        double = per_second(service, cores, args.seconds)
+        crowd = overload(service, args.clients, OVER * double["plans_per_s"], args.seconds)
+    speed = {"ratio": double["plans_per_s"] / single["plans_per_s"]}
+    speed |= {f"{name}_{n}": row[name] for n, row in ((1, single), (cores, double)) for name in row}
     for row in (wire, speed, crowd):
         show([row | {"load_average": os.getloadavg()[0]}], as_json=args.json)
     if args.plot:
@@ -73,12 +70,11 @@ def run(args: argparse.Namespace) -> int:
 
 @contextmanager
 def serving_on(folder: Path, cores: int) -> Iterator[Running]:
-    """The service on so many cores, a worker each; the clients keep all of them."""
+    """The service, and us, on so many cores, a worker each."""
     ours = os.sched_getaffinity(0)
     os.sched_setaffinity(0, set(sorted(ours)[:cores]))  # a child has its parent's
     try:
         with serving(folder, "--workers", str(cores)) as running:
-            os.sched_setaffinity(0, ours)
             yield running
     finally:
         os.sched_setaffinity(0, ours)
@@ -154,18 +150,30 @@ class Crowd:
             return self._change.wait_for(lambda: self.asked - self.answers.total() <= at_most, PATIENCE_S)
 
 
-def per_second(service: Running, at_once: int, seconds: float) -> float:
-    """Plans a second with so many requests open all the time."""
+def per_second(service: Running, workers: int, seconds: float) -> Row:
+    """Plans a second with two requests a worker open all the time, and what CPU time a plan costs all of us."""
+    at_once = 2 * workers
     with zenoh.open(client_config(service.endpoint)) as session:
         crowd = Crowd(session, service)
-        crowd.ask(0)
-        crowd.wait(0)
-        began, until = time.perf_counter(), time.perf_counter() + seconds
-        while time.perf_counter() < until:
-            crowd.ask(crowd.asked % at_once)
-            crowd.wait(at_once - 1)
-        crowd.wait(0)
-        return (crowd.answers[Status.OK] - 1) / (time.perf_counter() - began)
+        _keep_open(crowd, at_once, WARM_S)
+        warm, before, own = crowd.answers[Status.OK], service.usage()["cpu_s"], time.process_time()
+        began = time.perf_counter()
+        _keep_open(crowd, at_once, seconds)
+        plans, lasted = crowd.answers[Status.OK] - warm, time.perf_counter() - began
+        used = service.usage()["cpu_s"] - before, time.process_time() - own
+    return {
+        "plans_per_s": plans / lasted,
+        "service_cpu_ms": 1e3 * used[0] / plans,
+        "clients_cpu_ms": 1e3 * used[1] / plans,
+    }
+
+
+def _keep_open(crowd: Crowd, at_once: int, seconds: float) -> None:
+    until = time.perf_counter() + seconds
+    while time.perf_counter() < until:
+        crowd.ask(crowd.asked % at_once)
+        crowd.wait(at_once - 1)
+    crowd.wait(0)
 
 
 def overload(service: Running, clients: int, rate: float, seconds: float) -> Row:

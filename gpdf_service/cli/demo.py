@@ -102,8 +102,9 @@ def _service(out: Path, tours: list[Tour]) -> Iterator[str]:
     """`gpdf serve` in its own process, ended by SIGINT as a person would."""
     endpoint = f"tcp/127.0.0.1:{_free_port()}"
     scenes = [f"{tour.name}={tour.cloud}" for tour in tours]
-    words = [sys.executable, "-m", "gpdf_service.cli", "serve", *scenes, "--endpoint", endpoint, "--log-dir", str(out)]
-    print(f"gpdf serve {' '.join(scenes)} --endpoint {endpoint} --log-dir {out}", file=sys.stderr)
+    flags = [*scenes, "--endpoint", endpoint, "--log-dir", str(out), "--workers", "1"]  # one asks, one plan at a time
+    words = [sys.executable, "-m", "gpdf_service.cli", "serve", *flags]
+    print(f"gpdf serve {' '.join(flags)}", file=sys.stderr)
     print("(the first run on a machine compiles the kernels, for a minute or two)", file=sys.stderr)
     with (out / "serve.log").open("w") as log, subprocess.Popen(words, stdout=log, stderr=log) as process:
         try:

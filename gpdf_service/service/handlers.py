@@ -2,20 +2,13 @@
 
 from __future__ import annotations
 
-import dataclasses
-import logging
 import os
 import time
 from collections.abc import Callable
-from typing import Any
+from typing import Any, TypeVar
 
-import msgspec
-import numpy as np
 from gpdf_schemas import (
-    MAX_REQUEST_BYTES,
     Array,
-    CertificateMessage,
-    DecodeError,
     DistanceReply,
     DistanceRequest,
     DrawReply,
@@ -33,35 +26,27 @@ from gpdf_schemas import (
     ScenesReply,
     Status,
     TrajectoryCut,
-    TrajectoryMessage,
     UpdateRequest,
     UploadRequest,
     decode,
     keys,
 )
 
-from gpdf_service.errors import GpdfError, RequestError, SceneFileError
-from gpdf_service.pipeline import plan
+from gpdf_service.errors import RequestError, SceneFileError
 from gpdf_service.scene import Scene
+from gpdf_service.service.answers import Answers, RefusedError, answer, refuse
 from gpdf_service.service.drawing import draw_part
 from gpdf_service.service.in_use import InUse
 from gpdf_service.service.moving import Moving
 from gpdf_service.service.places import Named
-from gpdf_service.service.scenes import Entry, FullError, Shelf, describe
-from gpdf_service.types import Agent, BoolArray, FloatArray, PlanResult, Trajectory, resolve_agent
-from gpdf_service.types import Status as PlanStatus
+from gpdf_service.service.planning import LARGEST_BODY, Planning, agent_of, to_trajectory
+from gpdf_service.service.pool import Pool
+from gpdf_service.service.scenes import Entry, Shelf, describe
+from gpdf_service.types import BoolArray, FloatArray, resolve_agent
 
-log = logging.getLogger(__name__)
-MAX_DISTANCE_POINTS = 100_000
-"""Places in one distance request: 4 MiB holds 170 k of them."""
-
-SMALLEST_BODY, LARGEST_BODY = 0.05, 5.0
-"""[m] Of a body that a request describes: the finest cell of the ground, and a lorry. Free space of a body a tenth as
-wide costs a hundred times the memory, so that one request could take all there is."""
-
+R = TypeVar("R", bound=Reply)
 PART_BYTES = 1_000_000
 """Of a scene file in one reply: a small request behind it waits a few milliseconds."""
-Answers = dict[str, tuple[type[Any], type[Reply], Callable[[Any], Reply]]]
 
 
 class Handlers:
@@ -73,6 +58,7 @@ class Handlers:
         on_unload: Told the name of a scene that was unloaded.
         look_for: Asked to get a scene that is not on the shelf, within some seconds.
         on_cut: Told of trajectories that something that moves has cut.
+        pool: Processes that plan; without them, plans are made here.
     """
 
     def __init__(
@@ -82,10 +68,12 @@ class Handlers:
         on_unload: Callable[[str], None] = lambda name: None,
         look_for: Callable[[str, float], None] = lambda name, timeout_s: None,
         on_cut: Callable[[TrajectoryCut], None] = lambda cut: None,
+        pool: Pool | None = None,
     ) -> None:
-        self.shelf, self.planner_id = shelf, planner_id
+        self.shelf, self.planner_id, self._pool = shelf, planner_id, pool
         self._on_unload, self._look_for = on_unload, look_for
         self.moving = Moving()
+        self._planning = Planning(self._scene, self.moving, planner_id)
         self.in_use = InUse(self.moving.points, on_cut, planner_id)
         self.by_key: Answers = {
             **self.planner_keys,
@@ -117,97 +105,37 @@ class Handlers:
         }
 
     def answer(self, key: str, payload: bytes, received: float) -> Reply:
-        """Answer one request; never raises.
+        """Answer one request; never raises. It arrived at `received`, on `time.monotonic` [s]."""
+        return answer(self.by_key, self.planner_id, key, payload, received)
 
-        Args:
-            key: The key that was asked.
-            payload: The request's bytes.
-            received: When it arrived, on `time.monotonic` [s]; its deadline counts from there.
-        """
-        request_kind, reply_kind, handle = self.by_key[key]
-        request_id = ""
-        try:
-            request = decode(payload, request_kind, limit=MAX_REQUEST_BYTES)
-            request_id = request.request_id
-            waited = time.monotonic() - received
-            if waited >= request.deadline_s:
-                words = f"the request waited {waited:.2f} s, its deadline was {request.deadline_s:.2f} s. Ask later."
-                return self.refuse(reply_kind, Status.TIMEOUT, words, request_id)
-            return handle(msgspec.structs.replace(request, deadline_s=request.deadline_s - waited))
-        except (DecodeError, RequestError, ValueError) as error:
-            return self.refuse(reply_kind, Status.INVALID_REQUEST, str(error), request_id)
-        except _NoSuchError as error:
-            return self.refuse(reply_kind, error.status, str(error), request_id)
-        except FullError as error:
-            return self.refuse(reply_kind, Status.BUSY, str(error), request_id)
-        except GpdfError as error:
-            return self.refuse(reply_kind, Status.INVALID_REQUEST, str(error), request_id)
-        except Exception:
-            log.exception("request %s on %s", request_id, key)
-            return self.refuse(reply_kind, Status.INTERNAL, "the service failed; its log says more.", request_id)
-
-    def refuse(self, kind: type[Reply], status: Status, message: str, request_id: str = "") -> Reply:
-        """A reply that only says why there is none."""
-        return kind(request_id=request_id, status=status, message=message, planner=self.planner_id)
+    def refuse(self, key: str, status: Status, message: str) -> Reply:
+        """A reply to what was asked by a key that only says why there is none."""
+        return refuse(self.by_key[key][1], self.planner_id, status, message)
 
     def plan(self, request: PlanRequest) -> PlanReply:
-        """A trajectory."""
-        scene = self.moving.merged(request.scene, self._scene(request.scene, request.deadline_s), request.obstacles)
-        result = plan(
-            scene,
-            request.start,
-            request.goal,
-            agent_of(request.agent),
-            method=request.method,  # type: ignore[arg-type]
-            via=request.via,
-            other_goals=request.other_goals,
-            snap=request.snap,
-            warm_start=None if request.warm_start is None else request.warm_start.unpack(),
-            start_heading=request.start_heading,
-            goal_heading=request.goal_heading,
-            deadline_s=request.deadline_s,
-        )
-        if result.trajectory is not None and result.status is PlanStatus.OK:
+        """A trajectory; it is remembered, so that who follows it is told when something cuts it."""
+        reply = self._planned(keys.PLAN, request, PlanReply)
+        if reply.trajectory is not None and reply.status is Status.OK:
             body = resolve_agent(agent_of(request.agent))
-            self.in_use.remember(request.scene, request.request_id, body, result.trajectory)
-        return self._plan_reply(request, scene, result)
-
-    def _plan_reply(self, request: PlanRequest, scene: Scene, result: PlanResult) -> PlanReply:
-        return PlanReply(
-            request_id=request.request_id,
-            status=Status(result.status.value),
-            message=result.message,
-            scene=request.scene,
-            scene_version=scene.version,
-            planner=self.planner_id,
-            timings=result.timings,
-            trajectory=None if result.trajectory is None else _trajectory(result.trajectory),
-            certificate=None if result.certificate is None else CertificateMessage(**_plain(result.certificate)),
-            details=result.details,
-            costs=Array.pack(result.costs) if len(result.costs) else None,
-        )
+            self.in_use.remember(request.scene, request.request_id, body, to_trajectory(reply.trajectory))
+        return reply
 
     def distance(self, request: DistanceRequest) -> DistanceReply:
         """Distances of a field."""
-        points = request.points.unpack()
-        if len(points) > MAX_DISTANCE_POINTS:
-            raise RequestError("points", f"{len(points)} of them", f"Ask at most {MAX_DISTANCE_POINTS} at once.")
-        scene = self.moving.merged(request.scene, self._scene(request.scene, request.deadline_s))
-        if request.field == "ground":
-            sample = scene.ground_field.query(points)
-        elif request.field == "obstacle":
-            sample = scene.obstacle_field(agent_of(request.agent)).query(points)
-        else:
-            raise RequestError("field", f"{request.field!r}", "Ask the 'ground' or the 'obstacle' field.")
-        return DistanceReply(
-            request_id=request.request_id,
-            scene=request.scene,
-            scene_version=scene.version,
-            planner=self.planner_id,
-            distance=Array.pack(sample.distance),
-            gradient=Array.pack(sample.gradient),
-            valid=Array.pack(sample.valid, "f4"),
-        )
+        return self._planned(keys.DISTANCE, request, DistanceReply)
+
+    def _planned(self, key: str, request: PlanRequest | DistanceRequest, kind: type[R]) -> R:
+        """By one of the processes, which load the scene from its file; here, where there are none, or no such file."""
+        until = time.monotonic() + request.deadline_s
+        entry = self._ready(request.scene, request.deadline_s)
+        while self._pool is not None and (file := entry.file) is not None:
+            found = self._pool.ask(key, request, file, self.moving.living(request.scene), until)
+            if found:
+                return decode(found, kind)
+            if entry.file == file:  # it is there and cannot be read: who tries here, learns why
+                break
+        made: R = self._planning.answers[key][2](request)  # type: ignore[assignment]
+        return made
 
     def scenes(self, request: SceneRequest) -> ScenesReply:
         """Facts of all scenes."""
@@ -254,7 +182,8 @@ class Handlers:
     def unload(self, request: SceneRequest) -> SceneReply:
         """Forget a scene."""
         if not self.shelf.unload(request.scene):
-            raise _NoSuchError(Status.UNKNOWN_SCENE, self._unknown(request.scene))
+            raise RefusedError(Status.UNKNOWN_SCENE, self._unknown(request.scene))
+        self.moving.forget(request.scene)
         self._on_unload(request.scene)
         return self._scene_reply(request, Status.OK, f"scene {request.scene!r} is unloaded.")
 
@@ -272,7 +201,7 @@ class Handlers:
             return self._places_reply(request, self.shelf.places.remove(request.scene, request.name))
         except KeyError as error:
             words = f"there is no place {request.name!r} in scene {request.scene!r}. Known: {error.args[0]}."
-            raise _NoSuchError(Status.UNKNOWN_PLACE, words) from error
+            raise RefusedError(Status.UNKNOWN_PLACE, words) from error
 
     def _places_reply(self, request: SceneRequest | PlaceRequest, places: Named) -> PlacesReply:
         return PlacesReply(request_id=request.request_id, scene=request.scene, planner=self.planner_id, places=places)
@@ -282,7 +211,7 @@ class Handlers:
         entry = self.shelf.get(request.scene)
         if entry is None or entry.file is None or entry.facts["version"] != request.version:
             words = f"scene {request.scene!r} has no file of version {request.version}. Ask which version there is."
-            raise _NoSuchError(Status.UNKNOWN_SCENE, words)
+            raise RefusedError(Status.UNKNOWN_SCENE, words)
         try:
             with entry.file.open("rb") as file:
                 size = os.fstat(file.fileno()).st_size
@@ -291,7 +220,7 @@ class Handlers:
                 file.seek(request.offset)
                 data = file.read(PART_BYTES)
         except FileNotFoundError as error:  # a new version has just taken its place
-            raise _NoSuchError(Status.UNKNOWN_SCENE, f"scene {request.scene!r} has changed. Ask again.") from error
+            raise RefusedError(Status.UNKNOWN_SCENE, f"scene {request.scene!r} has changed. Ask again.") from error
         return FileReply(
             request_id=request.request_id,
             scene=request.scene,
@@ -334,63 +263,37 @@ class Handlers:
             info=info,
         )
 
-    def _scene(self, name: str, timeout_s: float) -> Scene:
-        """The last complete version of a scene."""
+    def _ready(self, name: str, timeout_s: float) -> Entry:
+        """A scene that has a complete version."""
         entry = self.shelf.get(name)
         if entry is None or not (entry.ready or entry.building):
             self._look_for(name, timeout_s)
             entry = self.shelf.get(name)
         if entry is None:
-            raise _NoSuchError(Status.UNKNOWN_SCENE, self._unknown(name))
+            raise RefusedError(Status.UNKNOWN_SCENE, self._unknown(name))
         if not entry.ready:
             if entry.building:
-                raise _NoSuchError(Status.BUILDING, f"scene {name!r} is being built. Ask again.")
-            raise _NoSuchError(Status.BUILD_FAILED, f"scene {name!r}: {entry.error}")
+                raise RefusedError(Status.BUILDING, f"scene {name!r} is being built. Ask again.")
+            raise RefusedError(Status.BUILD_FAILED, f"scene {name!r}: {entry.error}")
+        return entry
+
+    def _scene(self, name: str, timeout_s: float) -> Scene:
+        """The last complete version of a scene."""
         try:
-            return self.shelf.scene(entry)
+            return self.shelf.scene(self._ready(name, timeout_s))
         except SceneFileError as error:
-            raise _NoSuchError(Status.BUILD_FAILED, f"scene {name!r}: {error}") from error
+            raise RefusedError(Status.BUILD_FAILED, f"scene {name!r}: {error}") from error
 
     def _entry(self, name: str) -> Entry:
         """What the shelf has of that name, ready or not."""
         entry = self.shelf.get(name)
         if entry is None:
-            raise _NoSuchError(Status.UNKNOWN_SCENE, self._unknown(name))
+            raise RefusedError(Status.UNKNOWN_SCENE, self._unknown(name))
         return entry
 
     def _unknown(self, name: str) -> str:
         known = ", ".join(sorted(self.shelf.facts())) or "none"
         return f"there is no scene {name!r}. Loaded: {known}."
-
-
-class _NoSuchError(Exception):
-    def __init__(self, status: Status, message: str) -> None:
-        super().__init__(message)
-        self.status = status
-
-
-def agent_of(agent: str | dict[str, Any]) -> str | Agent:
-    """The body that a request means: a name, or an `Agent` from its measures."""
-    if isinstance(agent, str):
-        return agent
-    fields = dataclasses.fields(Agent)
-    needed = [field.name for field in fields if field.default is dataclasses.MISSING]
-    if not set(needed) <= set(agent) <= {field.name for field in fields}:
-        raise RequestError(
-            "agent",
-            f"a map with {', '.join(sorted(map(str, agent)))}",
-            f"Give all of {', '.join(needed)}; discs if any.",
-        )
-    numbers = {key: value for key, value in agent.items() if key not in ("name", "discs")}
-    discs = agent.get("discs", 1)
-    if not isinstance(discs, int) or isinstance(discs, bool):
-        raise RequestError("agent", f"discs = {discs!r}", "Give how many as an integer.")
-    if not all(isinstance(value, int | float) and not isinstance(value, bool) for value in numbers.values()):
-        raise RequestError("agent", "a measure that is no number", "Give metres, radians and seconds as numbers.")
-    for key in ("height", "width", "length"):
-        if not SMALLEST_BODY <= numbers[key] <= LARGEST_BODY:
-            raise RequestError("agent", f"{key} = {numbers[key]!r}", f"Give {SMALLEST_BODY} to {LARGEST_BODY} m.")
-    return Agent(name=str(agent["name"]), **{key: float(value) for key, value in numbers.items()}, discs=discs)
 
 
 def _points(array: Array) -> FloatArray:
@@ -405,12 +308,3 @@ def _labels(name: str, array: Array, count: int) -> BoolArray:
     if labels.shape != (count,):
         raise RequestError(name, f"an array of shape {labels.shape}", f"Send one number a point: ({count},).")
     return labels > 0
-
-
-def _trajectory(path: Trajectory) -> TrajectoryMessage:
-    return TrajectoryMessage(*(Array.pack(part) for part in (path.positions, path.ground, path.times, path.headings)))
-
-
-def _plain(record: Any) -> dict[str, Any]:  # noqa: ANN401 - any dataclass of arrays and numbers
-    values = {field.name: getattr(record, field.name) for field in dataclasses.fields(record)}
-    return {key: value.tolist() if isinstance(value, np.ndarray) else value for key, value in values.items()}

@@ -20,7 +20,15 @@ Clock = Callable[[], float]
 
 
 @dataclass(frozen=True, slots=True)
-class _Living:
+class Living:
+    """An obstacle that was published.
+
+    Attributes:
+        points: Where it is [m], (k, 3).
+        until: When it ends, on `time.monotonic` [s].
+        number: Of the publication; what has the same number is the same.
+    """
+
     points: FloatArray
     until: float
     number: int
@@ -35,7 +43,7 @@ class Moving:
 
     def __init__(self, clock: Clock = time.monotonic) -> None:
         self._clock = clock
-        self._living: dict[str, dict[str, _Living]] = {}
+        self._living: dict[str, dict[str, Living]] = {}
         self._merged: dict[str, tuple[Scene, tuple[int, ...], Scene]] = {}
         self._numbers = itertools.count()
         self._lock = threading.Lock()
@@ -51,7 +59,7 @@ class Moving:
         for obstacle in obstacles:
             until = now + min(obstacle.lifetime_s, MAX_LIFETIME_S)
             try:
-                seen[obstacle.id] = _Living(points_of(obstacle), until, next(self._numbers))
+                seen[obstacle.id] = Living(points_of(obstacle), until, next(self._numbers))
             except ValueError as error:
                 wrong.append(str(error))
         with self._lock:
@@ -88,10 +96,30 @@ class Moving:
             raise ValueError(f"the request has {len(points)} points that move, at most {MAX_POINTS}. Thin them.")
         return known[2].with_obstacles(points)
 
+    def living(self, scene: str) -> dict[str, Living]:
+        """What moves in a scene now, by the obstacle's id."""
+        with self._lock:
+            return self._alive(scene, self._clock())
+
+    def replace(self, scene: str, living: dict[str, Living]) -> None:
+        """Take over what another process knows of a scene; on one machine all have the same `time.monotonic`."""
+        with self._lock:
+            self._living[scene] = living
+
+    def forget(self, scene: str) -> None:
+        """The scene is gone, and what moved in it."""
+        with self._lock:
+            self._living.pop(scene, None)
+        self.let_go(scene)
+
+    def let_go(self, scene: str) -> None:
+        """Free the memory of the merged scene; what moves in it stays known."""
+        with self._lock:
+            self._merged.pop(scene, None)
+
     def points(self, scene: str) -> dict[str, FloatArray]:
         """Points of what moves in a scene now, by the obstacle's id."""
-        with self._lock:
-            return {id_: one.points for id_, one in self._alive(scene, self._clock()).items()}
+        return {id_: one.points for id_, one in self.living(scene).items()}
 
-    def _alive(self, scene: str, now: float) -> dict[str, _Living]:
+    def _alive(self, scene: str, now: float) -> dict[str, Living]:
         return {id_: one for id_, one in self._living.get(scene, {}).items() if one.until > now}

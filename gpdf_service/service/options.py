@@ -33,7 +33,7 @@ class Options(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     endpoint: Annotated[str, Meta(description="where to listen; empty: only connect")] = DEFAULT_ENDPOINT
     scenes_dir: Annotated[Path, Meta(description="folder of the files that clients may load")] = Path("scenes")
     log_dir: Annotated[Path, Meta(description="folder for the logs")] = Path("log")
-    workers: Annotated[Count, Meta(description="threads that answer; the kernels release the GIL")] = worker_count()
+    workers: Annotated[Count, Meta(description="processes that plan; with 1, the service's own does")] = worker_count()
     role: Annotated[Literal["both", "map", "planner"], Meta(description="which of the two services to run")] = "both"
     connect: Annotated[tuple[str, ...], Meta(description="routers to join, with commas between")] = ()
     zenoh: Annotated[Path | None, Meta(description="Zenoh configuration (JSON5) with credentials and rights")] = None
@@ -55,6 +55,16 @@ class Options(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     def state(self) -> Path:
         """Folder of ready scenes."""
         return self.state_dir or self.log_dir / "state"
+
+    @property
+    def processes(self) -> int:
+        """Processes that plan, beside the service's own."""
+        return self.workers if self.workers > 1 and self.role != "map" else 0
+
+    @property
+    def memory_bytes(self) -> float:
+        """Of scenes in each process."""
+        return 1e6 * self.scene_memory_mb / (1 + self.processes)
 
     @property
     def flush_s(self) -> float:

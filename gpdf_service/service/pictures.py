@@ -1,18 +1,22 @@
-"""Twins of plans and scenes that Foxglove and Rerun draw."""
+"""Twins of plans, scenes and what moves that viewers draw: Foxglove all of them, Rerun clouds and words."""
 
 from __future__ import annotations
 
 from typing import Any
 
 import numpy as np
+from foxglove_schemas_protobuf.Log_pb2 import Log
 from foxglove_schemas_protobuf.PackedElementField_pb2 import PackedElementField
 from foxglove_schemas_protobuf.PointCloud_pb2 import PointCloud
 from foxglove_schemas_protobuf.PosesInFrame_pb2 import PosesInFrame
+from gpdf_schemas import PlanReply, Status
 from numpy.typing import NDArray
 
 from gpdf_service.types import FloatArray
 
 FRAME = "scene"
+DOTS = 8
+"""Points on each piece of a path: a piece is 12 cm long at most, so that they look like a line."""
 
 
 def poses(path: FloatArray, headings: FloatArray, stamp_ns: int) -> PosesInFrame:
@@ -33,4 +37,23 @@ def cloud(points: NDArray[Any], stamp_ns: int) -> PointCloud:
     message.pose.orientation.w = 1.0
     for i, name in enumerate("xyz"):
         message.fields.add(name=name, offset=4 * i, type=PackedElementField.FLOAT32)
+    return message
+
+
+def line(path: FloatArray, stamp_ns: int) -> PointCloud:
+    """A path (n, 3) [m] as a dotted line: Rerun draws neither poses nor Foxglove's lines."""
+    pieces = path[:-1, None] + np.diff(path, axis=0)[:, None] * np.linspace(0, 1, DOTS)[:, None]
+    return cloud(pieces.reshape(-1, 3), stamp_ns)
+
+
+def words(reply: PlanReply, stamp_ns: int) -> Log:
+    """What became of a request, in a line."""
+    level = {Status.OK: Log.INFO, Status.INTERNAL: Log.ERROR}.get(reply.status, Log.WARNING)
+    said = [f"{reply.status.value} {reply.request_id}", reply.message]
+    if reply.trajectory is not None and reply.certificate is not None:
+        steps = np.diff(reply.trajectory.positions.unpack(), axis=0)
+        length, room = np.linalg.norm(steps, axis=1).sum(), reply.certificate.min_clearance
+        said.append(f"{length:.2f} m in {reply.trajectory.times.unpack()[-1]:.1f} s, {room:.3f} m of room")
+    message = Log(level=level, message=": ".join(part for part in said if part), name=f"plan in {reply.scene}")
+    message.timestamp.FromNanoseconds(stamp_ns)
     return message

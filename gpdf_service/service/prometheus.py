@@ -14,7 +14,7 @@ HOST = "127.0.0.1"
 """It has no login: who wants it elsewhere puts a proxy or an agent on this machine."""
 ANSWERS = "answers_"
 """What the number of answers of one status begins with, among the metrics."""
-COUNTED = ("messages_lost", "bad_publications")
+COUNTED = ("messages_lost", "bad_publications", "process_restarts")
 """Numbers that only rise."""
 
 

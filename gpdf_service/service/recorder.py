@@ -18,11 +18,13 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from gpdf_schemas import PlanReply
+from numpy.typing import NDArray
 
 from gpdf_service import __version__
 from gpdf_service.service.options import Options
-from gpdf_service.service.pictures import cloud, poses
+from gpdf_service.service.pictures import cloud, line, poses, words
 from gpdf_service.service.record import prune
 from gpdf_service.service.segment import Segment
 from gpdf_service.types import FloatArray
@@ -43,7 +45,7 @@ RETRY_S = 2.0
 REMIND_S = 60.0
 """[s] Between complaints while nothing can be recorded."""
 CLOUD_POINTS = 100_000
-"""Points of a scene that the log keeps for pictures."""
+"""Points of a scene, or of what moves in it, that the log keeps for pictures."""
 MB = 1e6
 DAY_S = 86_400.0
 
@@ -121,16 +123,26 @@ class Recorder:
             self._count_lost(1)
 
     def plan(self, reply: PlanReply, stamp_ns: int) -> None:
-        """Record a trajectory as poses for viewers; they show no status, so an uncertified path is left out."""
-        if reply.trajectory is not None and reply.status == "OK":
-            path, headings = reply.trajectory.positions.unpack(), reply.trajectory.headings.unpack()
-            topic = f"/plan/{reply.scene}"
-            self._queue.put(_Task(lambda segment: segment.draw(topic, poses(path, headings, stamp_ns), stamp_ns)))
+        """Record for viewers what became of a request, and its trajectory, but no uncertified one."""
+
+        def write(segment: Segment) -> None:
+            segment.draw("/words", words(reply, stamp_ns), stamp_ns)
+            if reply.trajectory is not None and reply.status == "OK":
+                path, headings = reply.trajectory.positions.unpack(), reply.trajectory.headings.unpack()
+                segment.draw(f"/plan/{reply.scene}", poses(path, headings, stamp_ns), stamp_ns)
+                segment.draw(f"/path/{reply.scene}", line(path, stamp_ns), stamp_ns)
+
+        self._queue.put(_Task(write))
+
+    def moving(self, scene: str, points: FloatArray, stamp_ns: int) -> None:
+        """Record for viewers what moves in a scene now, thinned."""
+        picked = _thinned(points)
+        self._put_if_room(_Task(lambda segment: segment.draw(f"/moving/{scene}", cloud(picked, stamp_ns), stamp_ns)))
 
     def scene(self, name: str, points: FloatArray, facts: Mapping[str, Any]) -> None:
         """Record a scene's facts and, thinned, its cloud for viewers: now, and at the head of each file to come."""
         stamp_ns = time.time_ns()
-        picked = points[:: max(1, len(points) // CLOUD_POINTS)].astype("<f4")
+        picked = _thinned(points)
 
         def write(segment: Segment) -> None:
             segment.describe(f"scene/{name}", {"facts": json.dumps(facts)})
@@ -264,3 +276,7 @@ class Recorder:
     def _count_lost(self, count: int) -> None:
         with self._counting:
             self.lost += count
+
+
+def _thinned(points: FloatArray) -> NDArray[np.float32]:
+    return points[:: max(1, len(points) // CLOUD_POINTS)].astype("<f4")

@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from gpdf_schemas import PlanReply, PlanRequest, decode, keys
+from gpdf_schemas import MovingObstacle, MovingObstacles, PlanReply, PlanRequest, decode, keys
 from mcap.records import Channel, Message, Metadata
 
 from gpdf_service.service.record import records_of
 
-Ask = Callable[[PlanRequest], PlanReply]
 IDENTICAL = 1e-9
 """[m] Trajectories closer than this are the same but for the last bits of a sum."""
 
@@ -34,19 +33,53 @@ class Comparison:
         return self.status[0] == self.status[1] and self.deviation <= IDENTICAL
 
 
+@dataclass(frozen=True, slots=True)
+class Planned:
+    """A plan in a log: when it was begun [ns], the request and the reply, as they were on the wire."""
+
+    stamp_ns: int
+    request: PlanRequest
+    reply: PlanReply
+
+
+@dataclass(frozen=True, slots=True)
+class Moved:
+    """A publication of what moves in a scene, and when it came [ns]."""
+
+    stamp_ns: int
+    scene: str
+    obstacles: list[MovingObstacle]
+
+
 def recorded_plans(path: Path) -> Iterator[tuple[PlanRequest, PlanReply]]:
     """Every plan in a log: the request and the reply, as they were on the wire."""
+    return ((event.request, event.reply) for event in _events(path) if isinstance(event, Planned))
+
+
+def recorded_events(path: Path) -> list[Planned | Moved]:
+    """What moved, and plans as they were begun, in their order: a plan knows what moved when it was begun."""
+    return sorted(_events(path), key=lambda event: event.stamp_ns)
+
+
+def _events(path: Path) -> Iterator[Planned | Moved]:
+    """In the order of the log: a request stands right before its reply, and there when it was answered."""
     topics: dict[int, str] = {}
-    request: bytes = b""
+    request: Message | None = None
     for record in records_of(path):
         if isinstance(record, Channel):
             topics[record.id] = record.topic
-        elif isinstance(record, Message) and topics[record.channel_id] == f"{keys.PLAN}/request":
-            request = record.data
-        elif isinstance(record, Message) and topics[record.channel_id] == f"{keys.PLAN}/reply":
+        if not isinstance(record, Message):
+            continue
+        topic = topics[record.channel_id]
+        if topic == f"{keys.PLAN}/request":
+            request = record
+        elif topic == f"{keys.PLAN}/reply" and request is not None:
             reply = decode(record.data, PlanReply)
             if reply.status not in ("INVALID_REQUEST", "BUSY", "UNAVAILABLE"):
-                yield decode(request, PlanRequest), reply
+                waited_ns = round(1e9 * reply.timings.get("waited", 0.0))
+                yield Planned(request.log_time + waited_ns, decode(request.data, PlanRequest), reply)
+        elif topic.startswith(keys.SCENES) and topic.endswith("/obstacles"):
+            yield Moved(record.log_time, topic.split("/")[-2], decode(record.data, MovingObstacles).obstacles)
 
 
 def recorded_scenes(path: Path) -> dict[tuple[str, int], str]:

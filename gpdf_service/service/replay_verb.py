@@ -10,16 +10,16 @@ import time
 from pathlib import Path
 from typing import cast
 
-import msgspec
-from gpdf_client import Client
+from gpdf_client import Client, ClientError
 from gpdf_client.client import DEFAULT_ENDPOINT
 from gpdf_client.results import to_result
-from gpdf_schemas import PlanReply, PlanRequest, Status, keys
+from gpdf_schemas import PlanReply, Status, keys
+from tqdm import tqdm
 
-from gpdf_service.errors import RequestError
-from gpdf_service.service.handlers import Handlers, agent_of
-from gpdf_service.service.replay import Ask, compare, recorded_plans
-from gpdf_service.service.scenes import Shelf
+from gpdf_service.scene import Scene
+from gpdf_service.service.planning import agent_of
+from gpdf_service.service.replay import Moved, Planned, compare, recorded_events
+from gpdf_service.service.replay_inside import InProcess
 from gpdf_service.types import PlanResult
 
 
@@ -28,6 +28,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("log", type=Path, help="a log (.mcap)")
     parser.add_argument("--endpoint", default=DEFAULT_ENDPOINT, help="the service to ask")
     parser.add_argument("--scene", action="append", default=[], metavar="NAME=CLOUD", help="plan in process with it")
+    parser.add_argument(
+        "--scenes-dir", type=Path, help="plan in process with this folder's scenes (.gpdf) of the same hash"
+    )
+    parser.add_argument(
+        "--recorded-speed", action="store_true", help="ask the service as fast as it was asked, no faster"
+    )
     parser.add_argument("--request", help="only the request with this id")
     parser.add_argument(
         "--png", type=Path, help="draw the first plan that differs (or the first), was and is; with --scene"
@@ -40,21 +46,27 @@ def run(args: argparse.Namespace) -> int:
     if not args.log.is_file():
         print(f"gpdf: there is no log {args.log}", file=sys.stderr)
         return 1
-    if args.png and not args.scene:
-        print("gpdf: --png draws on a scene: name it with --scene NAME=CLOUD", file=sys.stderr)
+    if args.png and not (args.scene or args.scenes_dir):
+        print("gpdf: --png draws on a scene: name it with --scene NAME=CLOUD or --scenes-dir", file=sys.stderr)
         return 1
-    plans = [pair for pair in recorded_plans(args.log) if args.request in (None, pair[0].request_id)]
-    if args.scene:
-        ask, shelf = _in_process(args.scene)
-        replies = [ask(request) for request, _ in plans]
-        results = [compare(request, was, now) for (request, was), now in zip(plans, replies, strict=True)]
-        if args.png and results:
-            index = next((i for i, result in enumerate(results) if not result.same), 0)
-            _draw(shelf, *plans[index], replies[index], args.png)
-    else:
-        with Client.connect(args.endpoint) as client:
-            ask = _over_zenoh(client)
-            results = [compare(request, was, ask(request)) for request, was in plans]
+    events = [
+        event for event in recorded_events(args.log) if isinstance(event, Moved) or _is_asked(event, args.request)
+    ]
+    plans = [event for event in events if isinstance(event, Planned)]
+    try:
+        if args.scene or args.scenes_dir:
+            again = InProcess(args.log, args.scene, args.scenes_dir)
+            replies = again.ask_all(events)
+        else:
+            with Client.connect(args.endpoint) as client:
+                replies = _over_zenoh(client, plans, at_recorded_speed=args.recorded_speed)
+    except ClientError as error:
+        print(f"gpdf: {error}", file=sys.stderr)
+        return 1
+    results = [compare(plan.request, plan.reply, now) for plan, now in zip(plans, replies, strict=True)]
+    if args.png and results:
+        index = next((i for i, result in enumerate(results) if not result.same), 0)
+        _draw(again.scene_of(plans[index]), plans[index], replies[index], args.png)
     same = sum(result.same for result in results)
     if args.json:
         print(json.dumps([{**dataclasses.asdict(result), "same": result.same} for result in results]))
@@ -67,37 +79,26 @@ def run(args: argparse.Namespace) -> int:
     return 0 if results and same == len(results) else 1
 
 
-def _over_zenoh(client: Client) -> Ask:
-    def ask(request: PlanRequest) -> PlanReply:
-        reply: PlanReply = client.ask(keys.PLAN, request, PlanReply, request.deadline_s, fine=tuple(Status))
-        return reply
-
-    return ask
+def _is_asked(plan: Planned, request_id: str | None) -> bool:
+    """Whether a plan was made at all, in some scene, and is the one that is wanted."""
+    return plan.reply.scene_version > 0 and request_id in (None, plan.request.request_id)
 
 
-def _draw(shelf: Shelf, request: PlanRequest, was: PlanReply, now: PlanReply, path: Path) -> None:
+def _over_zenoh(client: Client, plans: list[Planned], *, at_recorded_speed: bool) -> list[PlanReply]:
+    replies, began = [], time.monotonic()
+    for plan in tqdm(plans, desc="replay", unit="plan", disable=not sys.stderr.isatty()):
+        if at_recorded_speed:
+            time.sleep(max(0.0, (plan.stamp_ns - plans[0].stamp_ns) / 1e9 - (time.monotonic() - began)))
+        deadline_s = plan.request.deadline_s
+        replies.append(client.ask(keys.PLAN, plan.request, PlanReply, deadline_s, fine=tuple(Status)))
+    return replies
+
+
+def _draw(scene: Scene, plan: Planned, now: PlanReply, path: Path) -> None:
     from gpdf_service.viewer.picture import draw_plans
 
-    entry = shelf.get(request.scene)
-    if entry is None or entry.scene is None:
-        raise RequestError("--png", f"the log's scene {request.scene!r} is not given", "Name it with --scene.")
-    drawn = cast("dict[str, PlanResult]", {"recorded": to_result(was), "again": to_result(now)})
+    request = plan.request
+    drawn = cast("dict[str, PlanResult]", {"recorded": to_result(plan.reply), "again": to_result(now)})
     title = f"request {request.request_id}: {request.method}"
     agent = agent_of(request.agent)
-    draw_plans(entry.scene, drawn, path, agent=agent, start=request.start, goal=request.goal, title=title)
-
-
-def _in_process(scenes: list[str]) -> tuple[Ask, Shelf]:
-    shelf = Shelf(Path())
-    for text in scenes:
-        name, _, path = text.partition("=")
-        shelf.load_file(name, path, inside=False)
-    shelf.settle()
-    handlers = Handlers(shelf, "replay")
-
-    def ask(request: PlanRequest) -> PlanReply:
-        reply = handlers.answer(keys.PLAN, msgspec.msgpack.encode(request), time.monotonic())
-        assert isinstance(reply, PlanReply)
-        return reply
-
-    return ask, shelf
+    draw_plans(scene, drawn, path, agent=agent, start=request.start, goal=request.goal, title=title)

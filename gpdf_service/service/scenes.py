@@ -137,12 +137,33 @@ class Shelf:
             if entry.scene is None:
                 assert entry.file is not None
                 entry.scene = load_scene(entry.file)
-                log.info("scene is back in memory", extra={"file": entry.file.name})
+                log.info("a scene is loaded", extra={"file": entry.file.name})
                 found = entry.scene
             else:
                 return entry.scene
         self.trim()
         return found
+
+    def hold(self, name: str, file: Path) -> Entry:
+        """A ready scene whose file somebody else keeps, in the place of an older one of that name."""
+        with self._lock:
+            entry = self._entries.get(name)
+            if entry is None or entry.file != file:
+                entry = self._entries[name] = Entry(file=file)
+            return entry
+
+    def held(self, name: str) -> Entry:
+        """What `hold` gave."""
+        with self._lock:
+            return self._entries[name]
+
+    def forget_gone(self) -> list[str]:
+        """Forget the scenes whose files are not there any more; their names."""
+        with self._lock:
+            gone = [name for name, entry in self._entries.items() if entry.file is None or not entry.file.is_file()]
+            for name in gone:
+                del self._entries[name]
+        return gone
 
     def trim(self) -> float:
         """Let scenes leave memory until the rest fits, the least recently used ahead, not the last; bytes held."""

@@ -30,6 +30,7 @@ from gpdf_schemas import (
     encode,
     keys,
 )
+from gpdf_schemas.moving import stacked
 
 from gpdf_service import __version__
 from gpdf_service.config import Config
@@ -41,6 +42,7 @@ from gpdf_service.service.metrics import Metrics
 from gpdf_service.service.network import session_config
 from gpdf_service.service.options import Options as Options
 from gpdf_service.service.options import plain
+from gpdf_service.service.pool import Pool, Settings
 from gpdf_service.service.prometheus import Endpoint
 from gpdf_service.service.recorder import Recorder
 from gpdf_service.service.scenes import Shelf
@@ -87,10 +89,12 @@ class Server:
             self._on_ready,
             config,
             state_dir=options.state,
-            memory_bytes=1e6 * options.scene_memory_mb,
+            memory_bytes=options.memory_bytes,
         )
         self.metrics = Metrics()
-        self.handlers = Handlers(self.shelf, self.planner_id, self._on_unload, self._look_for, self._on_cut)
+        self._pool = self._make_pool()
+        tell = self._on_unload, self._look_for, self._on_cut
+        self.handlers = Handlers(self.shelf, self.planner_id, *tell, self._pool)
         self._jobs = FairQueue[_Job](options.queue)
         self._workers = [
             threading.Thread(target=self._work, name=f"gpdf-worker-{i}", daemon=True) for i in range(options.workers)
@@ -109,12 +113,19 @@ class Server:
         return self.recorder.path
 
     @property
+    def processes(self) -> list[int]:
+        """The system's numbers of the processes that plan for this one."""
+        return [] if self._pool is None else self._pool.pids
+
+    @property
     def load(self) -> float:
         """Requests that wait or are at work, over the workers."""
         return self._jobs.unfinished / len(self._workers)
 
     def __enter__(self) -> Server:
         try:
+            if self._pool is not None:
+                self._pool.start()
             if self.options.role != "planner":
                 self._load_scenes()  # before anybody can ask for them
             if self.options.metrics_port:
@@ -122,6 +133,7 @@ class Server:
             self._session = zenoh.open(session_config(self.options))
         except BaseException:
             self._close_endpoint()
+            self._close_pool()
             self.shelf.close()
             self.recorder.close()
             raise
@@ -150,6 +162,7 @@ class Server:
         self._jobs.close()  # the requests that wait are answered first
         for thread in (*self._workers, self._keeper):
             thread.join()
+        self._close_pool()
         if self._follower is not None:
             self._follower.close()
         self.handlers.in_use.close()
@@ -169,6 +182,17 @@ class Server:
     def _close_endpoint(self) -> None:
         if self._endpoint is not None:
             self._endpoint.close()
+
+    def _make_pool(self) -> Pool | None:
+        """Processes that plan, where there are several cores to plan on."""
+        options = self.options
+        if not options.processes:
+            return None
+        return Pool(options.processes, Settings(-1, self.planner_id, options.memory_bytes, options.log_format))
+
+    def _close_pool(self) -> None:
+        if self._pool is not None:
+            self._pool.close()
 
     def _load_scenes(self) -> None:
         self.shelf.restore({name for name, _ in self._scenes})
@@ -225,6 +249,7 @@ class Server:
             data = sample.payload.to_bytes()
             self.handlers.moving.publish(scene, decode(data, MovingObstacles).obstacles)
             self.recorder.publication(key, data, stamp)
+            self.recorder.moving(scene, stacked(list(self.handlers.moving.points(scene).values())), stamp)
         except ValueError as error:
             log.warning("obstacles on %s: %s", key, error)
             self.metrics.count_bad_publication()
@@ -261,7 +286,7 @@ class Server:
 
     def _refuse(self, job: _Job, status: Status, words: str) -> None:
         """Answer at once, in Zenoh's callback."""
-        self._reply(job, self.handlers.refuse(self.handlers.by_key[job.key][1], status, words), patient=False)
+        self._reply(job, self.handlers.refuse(job.key, status, words), patient=False)
 
     def _work(self) -> None:
         while (job := self._jobs.get()) is not None:
@@ -305,10 +330,13 @@ class Server:
             role=self.options.role,
             software=__version__,
             healthy=not stopped,
-            ready=synced and not any(entry["state"] == "building" for entry in facts.values()),
+            ready=synced
+            and (self._pool is None or self._pool.ready)
+            and not any(entry["state"] == "building" for entry in facts.values()),
             problems=problems,
             metrics={
-                **self.metrics.numbers(),
+                **self.metrics.numbers(self.processes),
+                "process_restarts": float(0 if self._pool is None else self._pool.restarts),
                 "load": self.load,
                 "workers": float(len(self._workers)),
                 "scenes": float(len(facts)),

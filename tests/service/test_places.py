@@ -3,6 +3,7 @@
 import asyncio
 import json
 
+import numpy as np
 import pytest
 from gpdf_client import AsyncClient, Client, InvalidRequestError, UnknownPlaceError, UnknownSceneError
 
@@ -90,6 +91,27 @@ def test_the_command_line_names_places_and_goes_there(serve, capsys):
         assert main([*ask, "place", "office", "--json"]) == 0
         assert json.loads(capsys.readouterr().out) == {"places": {"entrance": [1.0, 1.0], "status": [5.0, 3.3, 0.0]}}
         assert main([*ask, "plan", "office", "--start", "entrance", "--goal", "status"]) == 0
+        via = client.plan("office", "entrance", "status", via=[(4.5, 1.0)])
+        client.set_place("office", "corner", (4.5, 1.0))
+        named = client.plan("office", "entrance", "status", via=["corner"])
+        np.testing.assert_array_equal(named.trajectory.positions, via.trajectory.positions)
+        assert client.plan("office", "entrance", "status", other_goals=["entrance"]).details["goal"] == 1
+        words = [
+            "plan",
+            "office",
+            "--start",
+            "entrance",
+            "--goal",
+            "status",
+            "--via",
+            "corner",
+            "--or-goal",
+            "entrance",
+        ]
+        assert main([*ask, *words]) == 0
+        assert main([*ask, *words, "--via", "nowhere"]) == 1
+        client.remove_place("office", "corner")
+        assert "corner, entrance, status" in capsys.readouterr().err
         assert main([*ask, "plan", "office", "--start", "entrance", "--goal", "nowhere"]) == 1
         assert "entrance, status" in capsys.readouterr().err
         walk = ["--endpoint", endpoint, "--start", "entrance", "--goal", "status", "--simulate"]

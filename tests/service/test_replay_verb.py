@@ -1,5 +1,9 @@
+import time
+
+import numpy as np
 import pytest
 from gpdf_client import Client
+from gpdf_schemas import Cylinder, MovingObstacle
 
 from gpdf_service.cli import main
 from gpdf_service.service.replay import recorded_scenes
@@ -33,6 +37,55 @@ def test_a_picture_without_its_scene_is_refused_in_words(logged, tmp_path, capsy
     assert main(["replay", str(log), "--scene", f"other={scene}", "--png", str(picture)]) == 1
     assert "'office'" in capsys.readouterr().err
     assert not picture.exists()
+
+
+def test_a_log_is_replayed_with_the_scene_of_its_hash_wherever_that_is(logged, tmp_path, capsys, office):
+    log, scene = logged
+    moved = tmp_path / "elsewhere"
+    moved.mkdir()
+    (moved / "bad.gpdf").write_bytes(b"damaged")
+    assert main(["replay", str(log), "--scenes-dir", str(moved)]) == 1
+    assert office[1].digest in capsys.readouterr().err
+    scene.rename(moved / "of_another_name.gpdf")
+    assert main(["replay", str(log), "--scenes-dir", str(moved)]) == 0
+
+
+def test_what_moved_moves_again_at_its_recorded_time(office, free_endpoint, tmp_path):
+    made, scene = office
+    scene.save(tmp_path / "office.gpdf")
+    with Server(Options(free_endpoint, tmp_path, tmp_path, 1)) as server, Client.connect(free_endpoint) as client:
+        client.load_scene("office", "office.gpdf")
+        free = client.plan("office", made.start, made.goal, "roomba").trajectory
+        x, y, z = free.ground[len(free.ground) // 2]
+        box = MovingObstacle(id="box", cylinder=Cylinder((x, y, z), 0.2, 1.0), lifetime_s=1.0)
+        client.publish_obstacles("office", [box])
+        until = time.monotonic() + 30
+        while np.array_equal(client.plan("office", made.start, made.goal, "roomba").trajectory.ground, free.ground):
+            assert time.monotonic() < until
+        while server.handlers.moving.points("office"):
+            assert time.monotonic() < until
+            time.sleep(0.1)
+        client.plan("office", made.start, made.goal, "roomba")
+    assert main(["replay", str(server.log_path), "--scene", f"office={tmp_path}/office.gpdf"]) == 0
+
+
+def test_a_service_is_asked_no_faster_than_it_was_and_one_that_is_gone_is_told(logged, free_endpoint, capsys, tmp_path):
+    log, _ = logged
+    with Server(Options(free_endpoint, tmp_path, tmp_path / "more", 1)) as server:
+        with Client.connect(free_endpoint) as client:
+            client.load_scene("office", "office.gpdf")
+            for start in ((1, 1), (1.2, 1)):
+                client.plan("office", start, (2, 1), "roomba")
+                time.sleep(1.0)
+        assert main(["replay", str(log), "--endpoint", free_endpoint]) == 0
+    with Server(Options(free_endpoint, tmp_path, tmp_path / "more", 1)) as again:  # it has the scene from before
+        again.shelf.settle()
+        began = time.monotonic()
+        assert main(["replay", str(server.log_path), "--endpoint", free_endpoint, "--recorded-speed"]) == 0
+        assert time.monotonic() - began > 1.0
+    assert "3 of 3 plans are identical" in capsys.readouterr().out
+    assert main(["replay", str(log), "--endpoint", free_endpoint]) == 1
+    assert "no service at" in capsys.readouterr().err
 
 
 def test_a_log_says_which_scenes_its_plans_were_made_in(logged, office):

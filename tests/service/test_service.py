@@ -1,6 +1,7 @@
 import asyncio
 import json
 import os
+import queue
 import signal
 import subprocess
 import sys
@@ -18,6 +19,7 @@ from mcap.reader import make_reader
 from mcap_protobuf.decoder import DecoderFactory
 
 import gpdf_service as gpdf
+from gpdf_service.service.handlers import Handlers
 from gpdf_service.service.record import check, repair, repair_folder
 from gpdf_service.service.replay import compare, recorded_plans
 from gpdf_service.service.server import Options, Server
@@ -250,7 +252,7 @@ def test_the_log_holds_the_bytes_of_the_wire_and_draws_in_viewers(clouds, tmp_pa
         decoded = {
             channel.topic: message
             for _, channel, _, message in make_reader(file, decoder_factories=[DecoderFactory()]).iter_decoded_messages(
-                topics=["/plan/office", "/cloud/office"]
+                topics=["/plan/office", "/cloud/office", "/path/office", "/words"]
             )
         }
     reply = decode(answer, PlanReply)
@@ -258,6 +260,11 @@ def test_the_log_holds_the_bytes_of_the_wire_and_draws_in_viewers(clouds, tmp_pa
     xyz = np.array([[p.position.x, p.position.y, p.position.z] for p in poses])
     np.testing.assert_array_equal(xyz, reply.trajectory.positions.unpack())
     assert len(decoded["/cloud/office"].data) % 12 == 0
+    dots = np.frombuffer(decoded["/path/office"].data, "<f4").reshape(-1, 3)
+    np.testing.assert_allclose(dots[[0, -1]], xyz[[0, -1]], atol=1e-6)
+    assert np.linalg.norm(np.diff(dots, axis=0), axis=1).max() < 0.03
+    assert decoded["/words"].message.startswith("OK one: ")
+    assert " m of room" in decoded["/words"].message
     (pair,) = recorded_plans(path)
     result = compare(*pair, reply)
     assert result.same
@@ -371,8 +378,9 @@ def test_a_log_that_is_cut_anywhere_is_mended(tmp_path):
 
 def test_a_running_service_is_seen_by_its_liveliness_token(running):
     server, client, _ = running
-    tokens = client._session.liveliness().get(f"{keys.ALIVE}/*")
-    assert [str(token.ok.key_expr) for token in tokens] == [f"{keys.ALIVE}/{server.planner_id}"]
+    seen = queue.Queue()
+    client.watch(lambda planner, alive: seen.put((planner, alive)))
+    assert seen.get(timeout=30) == (server.planner_id, True)
 
 
 def test_a_scene_is_ready_only_when_its_last_load_is(tmp_path):
@@ -435,11 +443,11 @@ def floor(width):
     return np.column_stack([x.ravel(), y.ravel(), np.zeros(x.size)])
 
 
-def test_waiting_counts_against_the_deadline(running, office, monkeypatch):
+def test_waiting_counts_against_the_deadline(running, monkeypatch):
     given = []
-    monkeypatch.setattr("gpdf_service.service.handlers.plan", lambda *_, deadline_s, **__: given.append(deadline_s))
+    monkeypatch.setattr("gpdf_service.service.planning.plan", lambda *_, deadline_s, **__: given.append(deadline_s))
     request = encode(PlanRequest(scene="office", start=[1.0, 1.0], goal=[2.0, 2.0], deadline_s=10.0))
-    running[0].handlers.answer(keys.PLAN, request, time.monotonic() - 4.0)
+    Handlers(running[0].shelf, "").answer(keys.PLAN, request, time.monotonic() - 4.0)
     assert len(given) == 1
     assert 0 < given[0] <= 6.0
 

@@ -87,6 +87,8 @@ def test_the_command_for_health_checks(scenes, free_endpoint, capsys):
         assert main(["client", "--endpoint", free_endpoint, "status", "--json"]) == 0
         (service,) = json.loads(capsys.readouterr().out)["services"]
         assert service["planner"] == server.planner_id
+        assert main(["client", "--endpoint", free_endpoint, "status"]) == 0
+        assert capsys.readouterr().out.startswith(f"both {server.planner_id}: ready, load 0.0, 0 scenes, ")
     assert main(["client", "--endpoint", free_endpoint, "status"]) == 1
 
 

@@ -1,6 +1,7 @@
 """Two hosts, as network namespaces: the map service on one, a planner on the other; the link between them is cut."""
 
 import contextlib
+import itertools
 import os
 import queue
 import shutil
@@ -72,7 +73,7 @@ class Walker:
     """A client that plans again and again, and what it sees."""
 
     def __init__(self, process):
-        self._seen = queue.Queue()
+        self._seen, self._told = queue.Queue(), []
         self._reader = threading.Thread(target=lambda: [self._seen.put(line.split()) for line in process.stdout])
         self._reader.start()
 
@@ -81,7 +82,12 @@ class Walker:
         seen = []
         while not seen or not wanted(seen[-1]):
             seen.append(self._seen.get(timeout=PATIENCE_S))
+        self._told += seen
         return seen
+
+    def story(self):
+        """All that it told so far, in a line."""
+        return ", ".join(f"{' '.join(what)} × {len(list(times))}" for what, times in itertools.groupby(self._told))
 
 
 def is_ok(seen):
@@ -115,3 +121,4 @@ def test_a_cut_link_stops_those_beyond_it_alone_and_what_changed_meanwhile_is_th
     assert {tuple(seen) for seen in back[:-1]} == {("OK", str(version))}  # all the time, from the planner's copy
     assert int(far.until(is_ok)[-1][1]) >= version
     far.until(lambda seen: is_ok(seen) and int(seen[1]) > version)
+    print(f"\nacross the cable: {far.story()}\nbeside the planner: {near.story()}")  # with pytest -s

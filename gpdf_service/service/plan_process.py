@@ -1,0 +1,89 @@
+"""A process that plans for a service: `python -m gpdf_service.service.plan_process SETTINGS`, begun by its `Pool`."""
+
+from __future__ import annotations
+
+import signal
+import sys
+import time
+from multiprocessing.connection import Connection
+from pathlib import Path
+
+import msgspec
+from gpdf_schemas import decode, encode
+
+from gpdf_service.errors import SceneFileError
+from gpdf_service.service.answers import answer
+from gpdf_service.service.logs import set_up
+from gpdf_service.service.moving import Living, Moving
+from gpdf_service.service.planning import Planning
+from gpdf_service.service.pool import READY, Ask, Settings
+from gpdf_service.service.scenes import Shelf
+
+TIDY_S = 1.0
+"""[s] Between looks at what may leave memory."""
+
+
+class Desk:
+    """Scenes from their files, what moves in them, and answers.
+
+    Args:
+        settings: What it shares with the service.
+    """
+
+    def __init__(self, settings: Settings) -> None:
+        self._planner = settings.planner
+        self._shelf = Shelf(Path(), memory_bytes=settings.memory_bytes)
+        self._moving = Moving()
+        self._planning = Planning(
+            lambda name, _: self._shelf.scene(self._shelf.held(name)), self._moving, self._planner
+        )
+        self._tidied = time.monotonic()
+
+    @property
+    def scenes(self) -> list[str]:
+        """Names of those that are held."""
+        return list(self._shelf.facts())
+
+    def answer(self, ask: Ask) -> bytes:
+        """The reply's bytes; none if the scene cannot be read from its file."""
+        if ask.moving is not None:
+            living = {one.id: Living(one.points.unpack(), one.until, one.number) for one in ask.moving}
+            self._moving.replace(ask.scene, living)
+        try:
+            self._shelf.scene(self._shelf.hold(ask.scene, Path(ask.file)))
+        except SceneFileError:
+            return b""
+        return encode(answer(self._planning.answers, self._planner, ask.key, ask.request, ask.received))
+
+    def tidy(self) -> None:
+        """Let go of scenes that are unloaded or replaced (their files are gone), and of what is too much."""
+        if time.monotonic() - self._tidied >= TIDY_S:
+            for name in self._shelf.forget_gone():
+                self._moving.let_go(name)  # no more: the service counts on it that we know what moves
+            self._shelf.trim()
+            self._tidied = time.monotonic()
+
+
+def serve(pipe: Connection, desk: Desk) -> None:
+    """Answer until the other end is closed."""
+    try:
+        pipe.send_bytes(READY)
+        while True:
+            if pipe.poll(TIDY_S):
+                pipe.send_bytes(desk.answer(decode(pipe.recv_bytes(), Ask)))
+            desk.tidy()
+    except (EOFError, OSError):  # the service has ended, however it did
+        return
+
+
+def main() -> None:
+    """Serve the pipe that the settings name; signals are for the service, which ends this process."""
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, signal.SIG_IGN)
+    settings = msgspec.json.decode(sys.argv[1], type=Settings)
+    set_up(settings.log_format)  # type: ignore[arg-type]
+    serve(Connection(settings.pipe), Desk(settings))
+
+
+if __name__ == "__main__":
+    main()

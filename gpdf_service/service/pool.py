@@ -1,0 +1,234 @@
+"""Processes that plan, each with an interpreter of its own; the service hands them requests and keeps everything else.
+
+A plan's Python holds the interpreter lock, so that threads share one core. A process has no state that matters: the
+scene is a file, what moves comes with the request. One that dies is begun anew, and its request goes to another one.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+import os
+import queue
+import socket
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Mapping
+from multiprocessing.connection import Connection
+from pathlib import Path
+
+import msgspec
+from gpdf_schemas import Array, DistanceRequest, PlanRequest, Status, encode
+
+from gpdf_service.service.answers import RefusedError
+from gpdf_service.service.moving import Living
+
+log = logging.getLogger(__name__)
+
+PROGRAM = "gpdf_service.service.plan_process"
+READY = b"ready"
+"""The first message of a process."""
+TRIES = 3
+"""Processes that may die over one request before it is refused: it may be what kills them."""
+RESTART_S = 1.0
+"""[s] Between beginnings of a process that dies."""
+
+
+class Settings(msgspec.Struct, frozen=True):
+    """What a process is begun with: its pipe's file descriptor, and what it shares with the service."""
+
+    pipe: int
+    planner: str
+    memory_bytes: float
+    log_format: str
+
+
+class Seen(msgspec.Struct, frozen=True):
+    """A `Living` obstacle on its way to a process."""
+
+    id: str
+    points: Array
+    until: float
+    number: int
+
+
+class Ask(msgspec.Struct, frozen=True):
+    """One request to a process; it answers with a reply's bytes, or with none if the file cannot be read.
+
+    Attributes:
+        key: What is asked, one of `gpdf_schemas.keys`.
+        request: Its bytes.
+        received: From when on its deadline counts, on `time.monotonic` [s].
+        scene: Name of its scene.
+        file: Where the scene is.
+        moving: What moves in it; None: as before.
+    """
+
+    key: str
+    request: bytes
+    received: float
+    scene: str
+    file: str
+    moving: list[Seen] | None
+
+
+class _Process:
+    """One of them; asked by one thread at a time."""
+
+    def __init__(self, settings: Settings) -> None:
+        ours, theirs = socket.socketpair()  # closed with us, however we end: then it ends too
+        with ours, theirs:
+            words = msgspec.json.encode(msgspec.structs.replace(settings, pipe=theirs.fileno())).decode()
+            self._child = subprocess.Popen(
+                [sys.executable, "-P", "-m", PROGRAM, words],
+                env={**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)},  # the modules that we have, no others
+                stdin=subprocess.DEVNULL,
+                pass_fds=[theirs.fileno()],
+                process_group=0,  # Ctrl-C at a terminal is for the service, which answers first what waits
+            )
+            self._pipe = Connection(os.dup(ours.fileno()))
+        self._told: dict[str, tuple[int, ...]] = {}
+
+    @property
+    def pid(self) -> int:
+        """The system's number of it."""
+        return self._child.pid
+
+    def wait_until_ready(self) -> None:
+        """Until it can be asked."""
+        self._pipe.recv_bytes()
+
+    def ask(
+        self, key: str, request: bytes, received: float, name: str, file: Path, living: Mapping[str, Living]
+    ) -> bytes:
+        """The bytes that it answers with."""
+        numbers = tuple(one.number for one in living.values())
+        moving = None if self._told.get(name, ()) == numbers else [_seen(*item) for item in living.items()]
+        self._pipe.send_bytes(encode(Ask(key, request, received, name, str(file), moving)))
+        self._told[name] = numbers
+        return self._pipe.recv_bytes()
+
+    def wait(self) -> int:
+        """Until it has ended."""
+        return self._child.wait()
+
+    def kill(self) -> None:
+        """End it at once."""
+        self._child.kill()
+
+
+class Pool:
+    """So many processes, kept running until `close`; safe for many threads.
+
+    Args:
+        count: Processes.
+        settings: What they share with the service.
+
+    Attributes:
+        restarts: Processes that died.
+    """
+
+    def __init__(self, count: int, settings: Settings) -> None:
+        self._settings, self.restarts = settings, 0
+        self._idle: queue.SimpleQueue[_Process] = queue.SimpleQueue()
+        self._alive: dict[str, _Process] = {}
+        self._ready, self._ended, self._lock = threading.Event(), threading.Event(), threading.Lock()
+        names = [f"gpdf-process-{i}" for i in range(count)]
+        self._keepers = [threading.Thread(target=self._keep, name=name, daemon=True) for name in names]
+
+    def start(self) -> None:
+        """Begin the processes; requests wait for the first that is ready."""
+        for thread in self._keepers:
+            thread.start()
+
+    @property
+    def ready(self) -> bool:
+        """Whether a process was ever there to be asked."""
+        return self._ready.is_set()
+
+    @property
+    def pids(self) -> list[int]:
+        """The system's numbers of those that run."""
+        with self._lock:
+            return [process.pid for process in self._alive.values()]
+
+    def ask(
+        self,
+        key: str,
+        request: PlanRequest | DistanceRequest,
+        file: Path,
+        living: Mapping[str, Living],
+        until: float,
+    ) -> bytes:
+        """The reply's bytes of whichever process is free first; none if it cannot read the scene's file.
+
+        Args:
+            key: What is asked.
+            request: Its message.
+            file: Where its scene is.
+            living: What moves in it, by id.
+            until: When the answer is too late, on `time.monotonic` [s].
+
+        Raises:
+            RefusedError: no process was free in time.
+        """
+        data, received = encode(request), until - request.deadline_s
+        for _ in range(TRIES):
+            try:
+                process = self._idle.get(timeout=max(0.0, until - time.monotonic()))
+            except queue.Empty as error:
+                words = "no process was free to plan before the deadline. Ask again, or give more time."
+                raise RefusedError(Status.TIMEOUT, words) from error
+            try:
+                answer = process.ask(key, data, received, request.scene, file, living)
+            except (EOFError, OSError):  # it has died, and is not put back
+                continue
+            except BaseException:  # whatever it was, the next request must not read this one's answer
+                process.kill()
+                raise
+            self._idle.put(process)
+            return answer
+        raise RuntimeError(f"{TRIES} processes died one after another")
+
+    def close(self) -> None:
+        """End all; nobody asks any more."""
+        with self._lock:
+            self._ended.set()
+            for process in self._alive.values():
+                process.kill()
+        for thread in self._keepers:
+            if thread.ident is not None:
+                thread.join()
+
+    def _keep(self) -> None:
+        """Keep one process running."""
+        name = threading.current_thread().name
+        while not self._ended.is_set():
+            try:
+                self._live(name)
+            except OSError as error:
+                log.error("a process that plans could not be begun: %s", error)
+            self._ended.wait(RESTART_S)
+
+    def _live(self, name: str) -> None:
+        """From a process's beginning to its end."""
+        with self._lock:
+            if self._ended.is_set():
+                return
+            process = self._alive[name] = _Process(self._settings)
+        with contextlib.suppress(EOFError, OSError):  # it has ended
+            process.wait_until_ready()
+            self._idle.put(process)
+            self._ready.set()
+        code = process.wait()
+        with self._lock:
+            del self._alive[name]
+            self.restarts += not self._ended.is_set()
+        if not self._ended.is_set():
+            log.error("a process that plans has ended with code %d; another one begins", code)
+
+
+def _seen(id_: str, one: Living) -> Seen:
+    return Seen(id_, Array.pack(one.points), one.until, one.number)

@@ -1,0 +1,98 @@
+"""Replay without a service: the scenes of a log by their hashes, and what moved in them at the recorded times."""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+import sys
+import time
+from collections.abc import Sequence
+from pathlib import Path
+
+from gpdf_schemas import PlanReply, encode, keys
+from tqdm import tqdm
+
+from gpdf_service.errors import RequestError, SceneFileError
+from gpdf_service.perception import read_cloud
+from gpdf_service.pipeline import build_scene
+from gpdf_service.scene import Scene, load_scene
+from gpdf_service.service.answers import answer
+from gpdf_service.service.moving import Moving
+from gpdf_service.service.planning import Planning
+from gpdf_service.service.replay import Moved, Planned, recorded_scenes
+from gpdf_service.service.scene_files import SUFFIX
+
+log = logging.getLogger(__name__)
+
+
+class InProcess:
+    """Plans again, in the same scenes and with the same obstacles on their way.
+
+    Args:
+        path: The log.
+        named: NAME=CLOUD for each scene that is given by hand, all its versions.
+        folder: Where to look for scene files whose hashes are the log's.
+    """
+
+    def __init__(self, path: Path, named: Sequence[str], folder: Path | None) -> None:
+        self._digests = recorded_scenes(path)
+        self._named = {name: _read(Path(file)) for name, _, file in (text.partition("=") for text in named)}
+        self._found = _by_digest(folder, set(self._digests.values())) if folder else {}
+        for (name, version), digest in self._digests.items():
+            if name in self._named and self._named[name].digest != digest:
+                log.warning("scene %s is another place than version %d of it in the log", name, version)
+        self._now = 0.0
+        self._moving = Moving(lambda: self._now)
+
+    def scene_of(self, plan: Planned) -> Scene:
+        """The scene that a plan was made in.
+
+        Raises:
+            RequestError: it is not given.
+        """
+        name = plan.request.scene
+        digest = self._digests.get((name, plan.reply.scene_version), "")
+        scene = self._named.get(name) or self._found.get(digest)
+        if scene is None:
+            words = f"Name it with --scene {name}=CLOUD, or give the folder of the scene with the hash {digest or '?'}."
+            raise RequestError("replay", f"the log's scene {name!r} is not given", words)
+        return scene
+
+    def ask_all(self, events: Sequence[Planned | Moved]) -> list[PlanReply]:
+        """The replies of today to all plans, as if each came at its recorded time."""
+        replies = []
+        for event in tqdm(events, desc="replay", unit="event", disable=not sys.stderr.isatty()):
+            self._now = event.stamp_ns / 1e9
+            if isinstance(event, Planned):
+                replies.append(self._ask(event))
+            else:
+                with contextlib.suppress(ValueError):  # one has no sense: the service left that out, too
+                    self._moving.publish(event.scene, event.obstacles)
+        return replies
+
+    def _ask(self, plan: Planned) -> PlanReply:
+        scene = self.scene_of(plan)
+        planning = Planning(lambda name, timeout_s: scene, self._moving, "replay")
+        reply = answer(planning.answers, "replay", keys.PLAN, encode(plan.request), time.monotonic())
+        assert isinstance(reply, PlanReply)
+        return reply
+
+
+def _read(path: Path) -> Scene:
+    if path.suffix == SUFFIX:
+        return load_scene(path)
+    cloud = read_cloud(path)
+    return build_scene(cloud.points, cloud.ground)
+
+
+def _by_digest(folder: Path, wanted: set[str]) -> dict[str, Scene]:
+    found = {}
+    for path in folder.glob(f"*{SUFFIX}"):
+        try:
+            scene = load_scene(path)
+        except SceneFileError as error:
+            log.warning("%s", error)
+            continue
+        if scene.digest in wanted:
+            found[scene.digest] = scene
+    return found
