@@ -66,8 +66,8 @@ def level_under(surfaces: tuple[HeightMap, ...], points: FloatArray) -> IntArray
 
 
 def levels_at(surfaces: tuple[HeightMap, ...], points: FloatArray) -> BoolArray:
-    """Which levels' ground each contact stands on, shape (levels, m): several where their sheets are the same ground."""
-    level = np.where(np.isfinite(points).all(axis=1), level_under(surfaces, points + [0.0, 0.0, RISER]), -1)
+    """Which levels each contact is on, shape (levels, m): several where their sheets are the same ground."""
+    level = np.where(np.isfinite(points).all(axis=1), level_under(surfaces, points + np.array([0.0, 0.0, RISER])), -1)
     heights = np.stack([surface.height_at(points[:, :2]) for surface in surfaces])
     chosen = np.take_along_axis(heights, np.maximum(level, 0)[None], axis=0)
     same: BoolArray = (level >= 0) & (np.abs(heights - chosen) <= surfaces[0].cell_width)

@@ -33,6 +33,8 @@ SWAY = radians(8)
 """[rad] Without sight a course bends by this within `BLIND`."""
 UNRELIABLE = 0.15
 """[m] One standard deviation of a pose from which it is no pose: half of a narrow passage's room."""
+STOREY = 1.0
+"""[m] A pose that is this much over or under the way's ground is on another storey: half of the least headroom."""
 LOOK_AHEAD = (1.5, 1.2, 0.9, 0.7, 0.5, 0.35, 0.2)
 """[m] Along the path to the place that one walks towards; the furthest that is reached straight."""
 RAY_STEPS = 14
@@ -79,6 +81,7 @@ class Kind(StrEnum):
 
     STOP_LOST = "stop_lost"
     STOP_UNRELIABLE = "stop_unreliable"
+    STOP_ALONE = "stop_alone"
     STOP_OBSTACLE = "stop_obstacle"
     STOP_OFF_WAY = "stop_off_way"
     GAVE_UP = "gave_up"
@@ -141,19 +144,21 @@ def advise(route: Route, pose: Pose, now: float, *, near: float, obstacles: Floa
         near: Arc length of the last progress [m].
         obstacles: New things that the service does not know yet, shape (k, 3) [m].
     """
+    if (reason := distrust(pose, now)) is not None:
+        return stop(Progress(near, 0.0), reason)
     progress = route.locate(pose, near)
-    if (reason := _distrust(pose, now)) is not None:
-        return _stop(progress, reason)
+    if abs(pose.position[2] - route.at(progress.s)[2]) > STOREY:
+        return stop(progress, Instruction(Kind.STOP_UNRELIABLE, Urgency.DANGER))
     left = route.length - progress.s
     place = np.array(pose.position[:2])
     if left < ARRIVED and np.hypot(*(route.ground[-1, :2] - place)) < ARRIVED:
         done = Instruction(Kind.ARRIVED, Urgency.ACT)
         return Advice(progress, CueAction.ARRIVED, instructions=(done,))
     if obstacles is not None and (gap := _obstacle_ahead(route, progress, obstacles)) < STOP_BEFORE:
-        return _stop(progress, Instruction(Kind.STOP_OBSTACLE, Urgency.DANGER, distance=gap))
+        return stop(progress, Instruction(Kind.STOP_OBSTACLE, Urgency.DANGER, distance=gap))
     if not route.inside(place[None], progress.s, POSE_SLACK)[0]:
         off = Instruction(Kind.STOP_OFF_WAY, Urgency.DANGER)
-        return _stop(progress, off, off_way=True)
+        return stop(progress, off, off_way=True)
     direction = aim(route, pose, progress)
     pace = min(safe_pace(route, pose, progress, direction), _pace_before_steps(route, progress))
     action = _action(direction, pace)
@@ -167,15 +172,15 @@ def _first(instruction: Instruction) -> tuple[int, float]:
     return -instruction.urgency, instruction.distance
 
 
-def _distrust(pose: Pose, now: float) -> Instruction | None:
-    if now - pose.stamp > POSE_AGE:
+def distrust(pose: Pose, now: float) -> Instruction | None:
+    """Why a pose is none, of whatever way: no numbers, not of now, or not known well enough; None if it is one."""
+    if not (pose.is_finite and abs(now - pose.stamp) <= POSE_AGE):
         return Instruction(Kind.STOP_LOST, Urgency.DANGER)
-    if pose.accuracy > UNRELIABLE:
-        return Instruction(Kind.STOP_UNRELIABLE, Urgency.DANGER)
-    return None
+    return Instruction(Kind.STOP_UNRELIABLE, Urgency.DANGER) if pose.accuracy > UNRELIABLE else None
 
 
-def _stop(progress: Progress, reason: Instruction, *, off_way: bool = False) -> Advice:
+def stop(progress: Progress, reason: Instruction, *, off_way: bool = False) -> Advice:
+    """Stop at once, and why."""
     return Advice(progress, CueAction.STOP, urgency=1.0, off_way=off_way, instructions=(reason,))
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from math import hypot
 
-from gpdf_guidance.advice import Instruction, Urgency
+from gpdf_guidance.advice import Instruction, Kind, Urgency
 
 PER_MINUTE = 5.0
 """[1/min] Instructions that the budget earns: under the 8 that people bear for long, since urgent ones may borrow."""
@@ -62,6 +62,13 @@ class Announcer:
 
     def _speak(self, instruction: Instruction, now: float) -> tuple[Instruction, str]:
         text = self._say(instruction)
+        if instruction.urgency is Urgency.DANGER:  # a stop after "go on" is another stop, and the other way round
+            resumed = instruction.kind is Kind.RESUME
+            self._said = [
+                said
+                for said in self._said
+                if said[0].urgency < Urgency.DANGER or (said[0].kind is Kind.RESUME) is resumed
+            ]
         self._said.append((instruction, now))
         self._tokens = max(DEBT, self._tokens - 1.0)
         self._quiet_at, self._speaking = now + WORD * len(text.split()), instruction.urgency

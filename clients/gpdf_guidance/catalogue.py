@@ -35,6 +35,7 @@ ENGLISH = Words(
     {
         Kind.STOP_LOST: "Stop. I have lost your position.",
         Kind.STOP_UNRELIABLE: "Stop. Your position is uncertain.",
+        Kind.STOP_ALONE: "Stop. I have no connection.",
         Kind.STOP_OBSTACLE: "Stop. Something is in the way.",
         Kind.STOP_OFF_WAY: "Stop. I look for a new way.",
         Kind.GAVE_UP: "Stay here. I find no safe way. Please ask for help.",
@@ -58,6 +59,7 @@ GERMAN = Words(
     {
         Kind.STOP_LOST: "Halt. Ich habe Ihre Position verloren.",
         Kind.STOP_UNRELIABLE: "Halt. Ihre Position ist unsicher.",
+        Kind.STOP_ALONE: "Halt. Ich habe keine Verbindung.",
         Kind.STOP_OBSTACLE: "Halt. Etwas steht im Weg.",
         Kind.STOP_OFF_WAY: "Halt. Ich suche einen neuen Weg.",
         Kind.GAVE_UP: "Bleiben Sie hier. Ich finde keinen sicheren Weg. Bitten Sie um Hilfe.",
