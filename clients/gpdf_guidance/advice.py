@@ -54,7 +54,7 @@ NEAR_STEP = 1.2
 STEP_WINDOW = (1.0, 2.8)
 """[m] Steps and stairs are told of this far before: not too late to find with the cane, not too early to count on."""
 ON_STAIRS = 1.6
-"""[m] While one is on a stair, what comes after it is told of from here: two stairs are not mixed up."""
+"""[m] What comes after a stair is told of from here: two stairs are not mixed up."""
 TURN_WINDOW = (0.3, 2.5)
 """[m] The same for turns."""
 OTHER_WINDOW = (0.0, 2.5)
@@ -111,6 +111,7 @@ class Instruction:
         distance: Along the way to there [m].
         amount: As in `Feature`; for turns the angle to the left [rad].
         count: Number of steps.
+        after: It comes after stairs that the person has not left yet.
     """
 
     kind: Kind
@@ -119,6 +120,7 @@ class Instruction:
     distance: float = 0.0
     amount: float = 0.0
     count: int = 1
+    after: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -162,7 +164,9 @@ def advise(route: Route, pose: Pose, now: float, *, near: float, obstacles: Floa
     direction = aim(route, pose, progress)
     pace = min(safe_pace(route, pose, progress, direction), _pace_before_steps(route, progress))
     action = _action(direction, pace)
-    said = _turning(route, progress, direction, action) + _ahead(route, progress)
+    said = _turning(route, progress, direction, action)
+    if action is not CueAction.TURN:  # who turns on the spot does not know yet where "ahead" is
+        said += _ahead(route, progress)
     urgency = min(1.0, abs(direction) / ON_THE_SPOT)
     pace = 0.0 if action is CueAction.TURN else pace
     return Advice(progress, action, direction, pace, urgency, instructions=tuple(sorted(said, key=_first)))
@@ -173,10 +177,11 @@ def _first(instruction: Instruction) -> tuple[int, float]:
 
 
 def distrust(pose: Pose, now: float) -> Instruction | None:
-    """Why a pose is none, of whatever way: no numbers, not of now, or not known well enough; None if it is one."""
-    if not (pose.is_finite and abs(now - pose.stamp) <= POSE_AGE):
+    """Why a pose is none, whatever the way: old, of the future, without numbers, vague; None if it is one."""
+    if now - pose.stamp > POSE_AGE:
         return Instruction(Kind.STOP_LOST, Urgency.DANGER)
-    return Instruction(Kind.STOP_UNRELIABLE, Urgency.DANGER) if pose.accuracy > UNRELIABLE else None
+    good = pose.is_finite and now - pose.stamp >= -POSE_AGE and pose.accuracy <= UNRELIABLE
+    return None if good else Instruction(Kind.STOP_UNRELIABLE, Urgency.DANGER)
 
 
 def stop(progress: Progress, reason: Instruction, *, off_way: bool = False) -> Advice:
@@ -290,17 +295,23 @@ _SOON: dict[FeatureKind, tuple[Kind, Urgency, tuple[float, float]]] = {
 }
 
 
+def is_hidden_step(one: Instruction) -> bool:
+    """Whether it tells of a step or stairs that come too soon to go on while it is spoken."""
+    return one.kind in (Kind.STEP, Kind.STAIRS) and one.distance < STEP_WINDOW[0]
+
+
 def _ahead(route: Route, progress: Progress) -> list[Instruction]:
     """What comes soon, and the end of a stair."""
     said = []
-    climbing = any(f.kind is FeatureKind.STAIRS and f.start <= progress.s < f.end for f in route.features)
+    stairs = [f for f in route.features if f.kind is FeatureKind.STAIRS and f.end > progress.s]
     for feature in route.features:
         kind, urgency, window = _SOON[feature.kind]
         distance, place = feature.start - progress.s, _place(route, feature.start)
         late = feature.kind in (FeatureKind.STEP, FeatureKind.STAIRS) and 0.0 <= distance < window[0]
-        soon = window[0] <= distance <= (ON_STAIRS if climbing else window[1])
+        after = any(f.start < feature.start for f in stairs)
+        soon = window[0] <= distance <= (ON_STAIRS if after else window[1])
         if soon or late:  # late is better than never
-            said.append(Instruction(kind, urgency, place, distance, feature.amount, feature.count))
+            said.append(Instruction(kind, urgency, place, distance, feature.amount, feature.count, after))
         if feature.kind is FeatureKind.STAIRS and feature.end <= progress.s <= feature.end + 0.6:
-            said.append(Instruction(Kind.STAIRS_END, Urgency.PREPARE, place))
+            said.append(Instruction(Kind.STAIRS_END, Urgency.ACT, _place(route, feature.end)))
     return said

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from functools import partial
 from typing import Any
@@ -13,7 +13,7 @@ from gpdf_client import Client, ClientError, ServiceError, Status, Trajectory
 from gpdf_schemas import CueAction, CueMessage
 from numpy.typing import NDArray
 
-from gpdf_guidance.advice import Advice, Instruction, Kind, Urgency, advise, stop
+from gpdf_guidance.advice import Advice, Instruction, Kind, Urgency, advise, is_hidden_step, stop
 from gpdf_guidance.announcer import Announcer
 from gpdf_guidance.catalogue import phrase
 from gpdf_guidance.route import Pose, Progress, Route, build_route
@@ -51,11 +51,10 @@ TRIES = 6
 """Ways that are asked for without half a metre of progress between them."""
 LOST = 30.0
 """[s] Without a good pose the guide gives up."""
-WAITING = 0.4
-"""[s] A stop that is over within this is felt, not spoken; after `POSE_AGE`, it is spoken within a second."""
-PASSING = (Kind.STOP_LOST, Kind.STOP_OFF_WAY)
-"""Reasons to stop that mostly pass."""
-STOPS = (*PASSING, Kind.STOP_UNRELIABLE, Kind.STOP_ALONE, Kind.STOP_OBSTACLE)
+WAITING = {Kind.STOP_LOST: 2.0, Kind.STOP_OFF_WAY: 2.0, Kind.STOP_UNRELIABLE: 0.4}
+"""[s] The cue says stop at once; one that is over within this is felt and not spoken, if somebody feels the cues. Poses
+that are missing mostly come again; those that cannot be true are spoken of within half a second."""
+STOPS = (*WAITING, Kind.STOP_ALONE, Kind.STOP_OBSTACLE)
 """After these a person waits to be told to go on."""
 PULSE = 0.5
 """[s] For the planner to say that it is there: many times what it needs; with `PULSE_EVERY`, a stop within a second."""
@@ -142,6 +141,9 @@ class Guide:
         goal: (x, y) or (x, y, z of the ground) [m].
         language: Of the sentences.
         unit: "metres" or "steps".
+
+    Attributes:
+        felt: Whether somebody feels the cues; if not, every stop is spoken at once.
     """
 
     def __init__(self, planner: Planner, goal: Sequence[float], language: str = "en", unit: str = "metres") -> None:
@@ -155,6 +157,7 @@ class Guide:
         self._moved, self._moved_at = 0.0, np.full(2, np.inf)
         self._trusted: Pose | None = None
         self._off_way, self._alone, self._version = False, False, 0
+        self.felt = True
         self._then, self._clock = float("inf"), 0.0  # time that goes back is none
 
     def see(self, obstacles: FloatArray | None) -> None:
@@ -175,6 +178,11 @@ class Guide:
         self._clock, self._then = self._clock + max(0.0, now - self._then), now
         advice = self._advise(pose, now)
         self._notice(advice)
+        said = self._announcer.choose(self._worth_saying(advice), self._clock)
+        if said is not None:
+            self._told_to_stop = said[0].kind in STOPS
+        if any(is_hidden_step(one) and not self._announcer.has_told(one, self._clock) for one in advice.instructions):
+            advice = replace(advice, action=CueAction.STOP, pace=0.0)  # nobody goes towards a step unheard
         cue = CueMessage(
             action=advice.action,
             direction=advice.direction,
@@ -184,9 +192,6 @@ class Guide:
             stamp=now,
             pose_stamp=0.0 if self._trusted is None else self._trusted.stamp,
         )
-        said = self._announcer.choose(self._worth_saying(advice), self._clock)
-        if said is not None:
-            self._told_to_stop = said[0].kind in STOPS
         return cue, said
 
     def _advise(self, pose: Pose | None, now: float) -> Advice:
@@ -210,9 +215,9 @@ class Guide:
 
     def _worth_saying(self, advice: Advice) -> tuple[Instruction, ...]:
         """What stops the feet for a moment only is no news; who was told to stop is told to go on."""
-        since = self._waiting.since
-        passing = since is not None and self._clock - since < WAITING
-        worth = tuple(one for one in advice.instructions if not (passing and one.kind in PASSING))
+        waited = 0.0 if self._waiting.since is None else self._clock - self._waiting.since
+        patient = WAITING if self.felt else {}
+        worth = tuple(one for one in advice.instructions if waited >= patient.get(one.kind, 0.0))
         walks = advice.action in (CueAction.GO, CueAction.SLOW)
         resume = (Instruction(Kind.RESUME, Urgency.DANGER),) if self._told_to_stop and walks else ()
         return resume + worth

@@ -8,6 +8,7 @@ import time
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import suppress
+from math import nan
 from typing import Any
 
 import msgspec
@@ -27,6 +28,7 @@ PULSE_EVERY = 0.25
 """[s] Between an answer of the planner and the next question whether it is there."""
 WAITING = 64
 """Messages that may wait; the guide looks at the newest pose of them only."""
+NO_POSE = Pose((nan, nan, nan), nan, nan)
 Told = Callable[[float, Instruction, str], None]
 """Told each sentence: seconds since the start, the instruction, its words."""
 Seen = dict[str, tuple[NDArray[np.float64], float]]
@@ -79,6 +81,7 @@ class LiveGuide:
                 self._seen = {id_: seen for id_, seen in self._seen.items() if seen[1] > now}
                 near = stacked([points for points, _ in self._seen.values()])
                 self._guide.see(near if len(near) else None)
+                self._guide.felt = publisher.matching_status.matching  # type: ignore[attr-defined] # its stub says bool
                 self._feel_pulse(pool, now)
                 cue, said = self._guide.step(self._pose, now)
                 publisher.put(encode(self._stamped(cue)))
@@ -129,15 +132,19 @@ class LiveGuide:
         return msgspec.structs.replace(cue, stamp=time.time(), pose_stamp=self._stamp)
 
     def _take_pose(self, sample: zenoh.Sample) -> None:
-        """Zenoh's callback. A pose of a clock that is ahead is as old as its way; of one that is behind, older."""
+        """Zenoh's callback. A pose of a clock that is ahead is as old as its way; of one that is behind, older.
+
+        What is no pose, and one of a clock that went back, goes on as one without numbers, for which the guide stops.
+        """
         try:
             message = decode(sample.payload.to_bytes(), PoseMessage)
-        except DecodeError:
-            return  # what is no pose is none: the last one grows old
-        if len(message.position) != 3 or message.stamp < self._stamp:
+            x, y, z = message.position
+            if message.stamp < self._stamp:
+                raise ValueError("time goes back")
+        except (DecodeError, ValueError):
+            self._put(NO_POSE)
             return
         self._stamp = message.stamp
-        x, y, z = message.position
         stamp = time.monotonic() - max(0.0, time.time() - message.stamp)
         self._put(Pose((x, y, z), message.heading, stamp, message.accuracy))
 

@@ -23,10 +23,13 @@ def doubt(pose: Pose, trusted: Pose | None, now: float) -> Instruction | None:
         trusted: The last one that could be true; None before the first.
         now: On the clock of their stamps [s].
     """
-    if (reason := distrust(pose, now)) is not None or trusted is None:
-        return reason
-    if pose.stamp < trusted.stamp:
-        return Instruction(Kind.STOP_LOST, Urgency.DANGER)
-    x, y, z = (a - b for a, b in zip(pose.position, trusted.position, strict=True))
-    reach = NOISE + min(HURRY * (pose.stamp - trusted.stamp), STRAYS)
-    return Instruction(Kind.STOP_UNRELIABLE, Urgency.DANGER) if hypot(x, y, z) > reach else None
+    if trusted is not None and not _follows(pose, trusted):
+        return Instruction(Kind.STOP_UNRELIABLE, Urgency.DANGER)
+    return distrust(pose, now)
+
+
+def _follows(pose: Pose, trusted: Pose) -> bool:
+    """Whether time went on between two poses, and the person could get from one to the other."""
+    seconds = pose.stamp - trusted.stamp
+    away = hypot(*(a - b for a, b in zip(pose.position, trusted.position, strict=True)))
+    return seconds >= 0.0 and away <= NOISE + min(HURRY * seconds, STRAYS)
