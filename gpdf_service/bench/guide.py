@@ -21,6 +21,7 @@ from gpdf_guidance.features import FeatureKind
 from gpdf_guidance.guide import LEAST_ROOM, PERSON
 from tqdm import tqdm
 
+from gpdf_service.bench.cues import measure_cues
 from gpdf_service.bench.plan import random_places
 from gpdf_service.bench.plotting import add_plot_argument, draw_rows
 from gpdf_service.bench.report import Row, add_scene_arguments, clouds, show
@@ -49,6 +50,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the verb's options."""
     add_scene_arguments(parser, ["office", "cluttered_office", "stair", "cow_and_lady"])
     parser.add_argument("--count", type=int, default=50, help="walks in each scene")
+    parser.add_argument("--live", type=float, metavar="S", help="also measure cues in real time, for S seconds a scene")
     add_plot_argument(parser)
     parser.add_argument("--seed", type=int, default=1)
 
@@ -60,8 +62,9 @@ def run(args: argparse.Namespace) -> int:
     for name, points, ground in clouds(args):
         with serving(name, points, ground) as (server, client):
             walks = walk_all(server, client, name, args.count, args.seed)
+            cues = live(client, server.options.endpoint, name, walks, args.live) if args.live and walks else {}
         everything += walks
-        rows.append({"scene": name, **summary(walks)})
+        rows.append({"scene": name, **summary(walks), **cues})
     rows.append({"scene": "all", **summary(everything)})
     show(rows, as_json=args.json)
     if args.plot:
@@ -111,6 +114,12 @@ def connected_pairs(
     for start, goal in pairs[np.hypot(*(pairs[:, 1] - pairs[:, 0]).T) >= LEAST_WALK]:
         if client.plan(name, start, goal, body).trajectory is not None:
             yield start, goal
+
+
+def live(client: Client, endpoint: str, name: str, walks: list[Guided], seconds: float) -> Row:
+    """Delays of the cues on the way of the first walk."""
+    walk, guide = walks[0]
+    return measure_cues(client, endpoint, name, walk.places[0], np.array(guide.goal), seconds)
 
 
 def summary(walks: list[Guided]) -> Row:
