@@ -17,8 +17,8 @@ STEP = 0.01
 """[m] The path is looked at this often; a body of 17 cm radius cannot jump over anything on the way."""
 FACE = 0.1
 """[m] A step's face has the step's upper ground within this, seen from above."""
-SCATTER = 0.02
-"""[m] Points this close to the ground are its scatter or a joint in the floor."""
+SCATTER = 0.0201
+"""[m] Points this close to the ground are its scatter or a joint in the floor; two steps of a scan in centimetres."""
 NEAR = 8
 """Ground points around a contact; the one straightest under the body is the ground that it stands on."""
 
