@@ -36,6 +36,8 @@ WAY = 2 * (PERSON["width"] / 2 + LEAST_ROOM)
 """[m] Width of a way that people are guided on."""
 LEAST_WALK = 4.0
 """[m] As the crow flies; nobody needs to be led for less."""
+SCANS = ("../shared/data/house_2storey_stairs_4cm.npz", "../shared/data/subt_urban_alpha_lower.npz")
+"""Walked too where they are: long ways. In the scanned offices no way of 4 m is wide enough for a person to be led."""
 PANELS = {
     "walks": ("walks", "arrived", "safe_stops", "contacts"),
     "words a minute": ("said_per_min",),
@@ -48,7 +50,8 @@ Guided = tuple[Walk, Guide]
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the verb's options."""
-    add_scene_arguments(parser, ["office", "cluttered_office", "stair", "cow_and_lady"])
+    scans = [str(path) for path in map(Path, SCANS) if path.is_file()]
+    add_scene_arguments(parser, ["office", "cluttered_office", "stair", "cow_and_lady", *scans])
     parser.add_argument("--count", type=int, default=50, help="walks in each scene")
     parser.add_argument("--live", type=float, metavar="S", help="also measure cues in real time, for S seconds a scene")
     add_plot_argument(parser)
