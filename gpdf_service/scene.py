@@ -42,6 +42,10 @@ LEAST_WHOLE_SPACING = 0.05
 MAX_WHOLE_POINTS = 50_000
 """Points of a field over a whole cloud: its fit then takes seconds."""
 
+RISER = 0.3
+"""[m] A contact point that is interpolated along a step's face lies this much under the ground there at most; storeys
+are further apart by far."""
+
 
 def level_under(surfaces: tuple[HeightMap, ...], points: FloatArray) -> IntArray:
     """The level whose ground is the highest one under each point.
@@ -59,6 +63,15 @@ def level_under(surfaces: tuple[HeightMap, ...], points: FloatArray) -> IntArray
     lowest = np.where(np.isnan(heights), np.inf, heights).argmin(axis=0)
     chosen = np.where(np.isfinite(below).any(axis=0), below.argmax(axis=0), lowest)
     return np.where(np.isnan(heights).all(axis=0), -1, chosen).astype(np.int64)
+
+
+def levels_at(surfaces: tuple[HeightMap, ...], points: FloatArray) -> BoolArray:
+    """Which levels each contact is on, shape (levels, m): several where their sheets are the same ground."""
+    level = np.where(np.isfinite(points).all(axis=1), level_under(surfaces, points + np.array([0.0, 0.0, RISER])), -1)
+    heights = np.stack([surface.height_at(points[:, :2]) for surface in surfaces])
+    chosen = np.take_along_axis(heights, np.maximum(level, 0)[None], axis=0)
+    same: BoolArray = (level >= 0) & (np.abs(heights - chosen) <= surfaces[0].cell_width)
+    return same
 
 
 def whole_spacing(points: FloatArray) -> float:
@@ -106,11 +119,13 @@ class ObstacleField:
         Args:
             queries: Shape (m, 2), or (m, 3) with the height of the ground there, which says the level [m]. Without a
                 height the answer is the smallest over the levels there: it never claims more room than there is.
+                Where two levels are the same ground, each is clear on its own, so the larger answer counts: a sheet
+                ends in the middle of a stair that the other one goes on.
         """
         queries = _asked(queries, (2, 3))
         if queries.shape[1] == 3:
-            level = np.where(np.isfinite(queries).all(axis=1), level_under(self.surfaces, queries), -1)
-            return _gather(queries[:, :2], [(level == i, field, queries[:, :2]) for i, field in enumerate(self.fields)])
+            on = levels_at(self.surfaces, queries)
+            return _gather(queries[:, :2], [(on[i], field, queries[:, :2]) for i, field in enumerate(self.fields)])
         answers = [field.query(queries) for field in self.fields]
         distance = np.stack([np.where(a.valid, a.distance, np.inf) for a in answers])
         best = distance.argmin(axis=0)
@@ -127,8 +142,10 @@ def _gather(queries: FloatArray, parts: list[tuple[BoolArray, Gpdf, FloatArray]]
     for mask, field, asked in parts:
         if mask.any():
             sample = field.query(asked[mask])
-            made.distance[mask], made.gradient[mask] = sample.distance, sample.gradient
-            made.valid[mask], made.deviation[mask] = sample.valid, sample.deviation
+            better = sample.valid & (sample.distance >= made.distance[mask])
+            rows = np.flatnonzero(mask)[better]
+            made.distance[rows], made.gradient[rows] = sample.distance[better], sample.gradient[better]
+            made.valid[rows], made.deviation[rows] = True, sample.deviation[better]
     return made
 
 

@@ -33,6 +33,8 @@ SWAY = radians(8)
 """[rad] Without sight a course bends by this within `BLIND`."""
 UNRELIABLE = 0.15
 """[m] One standard deviation of a pose from which it is no pose: half of a narrow passage's room."""
+STOREY = 1.0
+"""[m] A pose that is this much over or under the way's ground is on another storey: half of the least headroom."""
 LOOK_AHEAD = (1.5, 1.2, 0.9, 0.7, 0.5, 0.35, 0.2)
 """[m] Along the path to the place that one walks towards; the furthest that is reached straight."""
 RAY_STEPS = 14
@@ -52,7 +54,7 @@ NEAR_STEP = 1.2
 STEP_WINDOW = (1.0, 2.8)
 """[m] Steps and stairs are told of this far before: not too late to find with the cane, not too early to count on."""
 ON_STAIRS = 1.6
-"""[m] While one is on a stair, what comes after it is told of from here: two stairs are not mixed up."""
+"""[m] What comes after a stair is told of from here: two stairs are not mixed up."""
 TURN_WINDOW = (0.3, 2.5)
 """[m] The same for turns."""
 OTHER_WINDOW = (0.0, 2.5)
@@ -79,6 +81,7 @@ class Kind(StrEnum):
 
     STOP_LOST = "stop_lost"
     STOP_UNRELIABLE = "stop_unreliable"
+    STOP_ALONE = "stop_alone"
     STOP_OBSTACLE = "stop_obstacle"
     STOP_OFF_WAY = "stop_off_way"
     GAVE_UP = "gave_up"
@@ -108,6 +111,7 @@ class Instruction:
         distance: Along the way to there [m].
         amount: As in `Feature`; for turns the angle to the left [rad].
         count: Number of steps.
+        after: It comes after stairs that the person has not left yet.
     """
 
     kind: Kind
@@ -116,6 +120,7 @@ class Instruction:
     distance: float = 0.0
     amount: float = 0.0
     count: int = 1
+    after: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -141,23 +146,27 @@ def advise(route: Route, pose: Pose, now: float, *, near: float, obstacles: Floa
         near: Arc length of the last progress [m].
         obstacles: New things that the service does not know yet, shape (k, 3) [m].
     """
+    if (reason := distrust(pose, now)) is not None:
+        return stop(Progress(near, 0.0), reason)
     progress = route.locate(pose, near)
-    if (reason := _distrust(pose, now)) is not None:
-        return _stop(progress, reason)
+    if abs(pose.position[2] - route.at(progress.s)[2]) > STOREY:
+        return stop(progress, Instruction(Kind.STOP_UNRELIABLE, Urgency.DANGER))
     left = route.length - progress.s
     place = np.array(pose.position[:2])
     if left < ARRIVED and np.hypot(*(route.ground[-1, :2] - place)) < ARRIVED:
         done = Instruction(Kind.ARRIVED, Urgency.ACT)
         return Advice(progress, CueAction.ARRIVED, instructions=(done,))
     if obstacles is not None and (gap := _obstacle_ahead(route, progress, obstacles)) < STOP_BEFORE:
-        return _stop(progress, Instruction(Kind.STOP_OBSTACLE, Urgency.DANGER, distance=gap))
+        return stop(progress, Instruction(Kind.STOP_OBSTACLE, Urgency.DANGER, distance=gap))
     if not route.inside(place[None], progress.s, POSE_SLACK)[0]:
         off = Instruction(Kind.STOP_OFF_WAY, Urgency.DANGER)
-        return _stop(progress, off, off_way=True)
+        return stop(progress, off, off_way=True)
     direction = aim(route, pose, progress)
     pace = min(safe_pace(route, pose, progress, direction), _pace_before_steps(route, progress))
     action = _action(direction, pace)
-    said = _turning(route, progress, direction, action) + _ahead(route, progress)
+    said = _turning(route, progress, direction, action)
+    if action is not CueAction.TURN:  # who turns on the spot does not know yet where "ahead" is
+        said += _ahead(route, progress)
     urgency = min(1.0, abs(direction) / ON_THE_SPOT)
     pace = 0.0 if action is CueAction.TURN else pace
     return Advice(progress, action, direction, pace, urgency, instructions=tuple(sorted(said, key=_first)))
@@ -167,15 +176,16 @@ def _first(instruction: Instruction) -> tuple[int, float]:
     return -instruction.urgency, instruction.distance
 
 
-def _distrust(pose: Pose, now: float) -> Instruction | None:
+def distrust(pose: Pose, now: float) -> Instruction | None:
+    """Why a pose is none, whatever the way: old, of the future, without numbers, vague; None if it is one."""
     if now - pose.stamp > POSE_AGE:
         return Instruction(Kind.STOP_LOST, Urgency.DANGER)
-    if pose.accuracy > UNRELIABLE:
-        return Instruction(Kind.STOP_UNRELIABLE, Urgency.DANGER)
-    return None
+    good = pose.is_finite and now - pose.stamp >= -POSE_AGE and pose.accuracy <= UNRELIABLE
+    return None if good else Instruction(Kind.STOP_UNRELIABLE, Urgency.DANGER)
 
 
-def _stop(progress: Progress, reason: Instruction, *, off_way: bool = False) -> Advice:
+def stop(progress: Progress, reason: Instruction, *, off_way: bool = False) -> Advice:
+    """Stop at once, and why."""
     return Advice(progress, CueAction.STOP, urgency=1.0, off_way=off_way, instructions=(reason,))
 
 
@@ -285,17 +295,23 @@ _SOON: dict[FeatureKind, tuple[Kind, Urgency, tuple[float, float]]] = {
 }
 
 
+def is_hidden_step(one: Instruction) -> bool:
+    """Whether it tells of a step or stairs that come too soon to go on while it is spoken."""
+    return one.kind in (Kind.STEP, Kind.STAIRS) and one.distance < STEP_WINDOW[0]
+
+
 def _ahead(route: Route, progress: Progress) -> list[Instruction]:
     """What comes soon, and the end of a stair."""
     said = []
-    climbing = any(f.kind is FeatureKind.STAIRS and f.start <= progress.s < f.end for f in route.features)
+    stairs = [f for f in route.features if f.kind is FeatureKind.STAIRS and f.end > progress.s]
     for feature in route.features:
         kind, urgency, window = _SOON[feature.kind]
         distance, place = feature.start - progress.s, _place(route, feature.start)
         late = feature.kind in (FeatureKind.STEP, FeatureKind.STAIRS) and 0.0 <= distance < window[0]
-        soon = window[0] <= distance <= (ON_STAIRS if climbing else window[1])
+        after = any(f.start < feature.start for f in stairs)
+        soon = window[0] <= distance <= (ON_STAIRS if after else window[1])
         if soon or late:  # late is better than never
-            said.append(Instruction(kind, urgency, place, distance, feature.amount, feature.count))
+            said.append(Instruction(kind, urgency, place, distance, feature.amount, feature.count, after))
         if feature.kind is FeatureKind.STAIRS and feature.end <= progress.s <= feature.end + 0.6:
-            said.append(Instruction(Kind.STAIRS_END, Urgency.PREPARE, place))
+            said.append(Instruction(Kind.STAIRS_END, Urgency.ACT, _place(route, feature.end)))
     return said

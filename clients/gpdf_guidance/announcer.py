@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from math import hypot
 
-from gpdf_guidance.advice import Instruction, Urgency
+from gpdf_guidance.advice import Instruction, Kind, Urgency
 
 PER_MINUTE = 5.0
 """[1/min] Instructions that the budget earns: under the 8 that people bear for long, since urgent ones may borrow."""
@@ -21,6 +22,15 @@ WORD = 0.33
 """[s] A spoken word takes."""
 
 
+@dataclass(frozen=True, slots=True)
+class _Said:
+    """An instruction, when it was said, and when its sentence ends [s]."""
+
+    instruction: Instruction
+    time: float
+    end: float
+
+
 class Announcer:
     """Chooses what to say now.
 
@@ -30,7 +40,7 @@ class Announcer:
 
     def __init__(self, say: Callable[[Instruction], str]) -> None:
         self._say = say
-        self._said: list[tuple[Instruction, float]] = []
+        self._said: list[_Said] = []
         self._tokens = 0.0
         self._then: float | None = None
         self._quiet_at, self._speaking = -float("inf"), Urgency.INFORM
@@ -56,16 +66,27 @@ class Announcer:
             self._tokens = min(SAVED, self._tokens + (now - self._then) * PER_MINUTE / 60.0)
         self._then = now
 
+    def has_told(self, instruction: Instruction, now: float) -> bool:
+        """Whether this has been said to the end."""
+        return any(now >= said.end for said in self._said if _same(said.instruction, instruction))
+
     def _due(self, instruction: Instruction, now: float) -> bool:
         again = AGAIN.get(instruction.urgency, float("inf"))
-        return all(now - then >= again for said, then in self._said if _same(said, instruction))
+        return all(now - said.time >= again for said in self._said if _same(said.instruction, instruction))
 
     def _speak(self, instruction: Instruction, now: float) -> tuple[Instruction, str]:
         text = self._say(instruction)
-        self._said.append((instruction, now))
+        self._said = [said for said in self._said if said.end <= now and not _takes_back(instruction, said.instruction)]
         self._tokens = max(DEBT, self._tokens - 1.0)
         self._quiet_at, self._speaking = now + WORD * len(text.split()), instruction.urgency
+        self._said.append(_Said(instruction, now, self._quiet_at))
         return instruction, text
+
+
+def _takes_back(new: Instruction, old: Instruction) -> bool:
+    """A stop after "go on" is another stop, and the other way round."""
+    both_danger = new.urgency is old.urgency is Urgency.DANGER
+    return both_danger and (new.kind is Kind.RESUME) is not (old.kind is Kind.RESUME)
 
 
 def _same(a: Instruction, b: Instruction) -> bool:

@@ -9,13 +9,15 @@ from gpdf_guidance.advice import Instruction, Kind
 
 STEP_LENGTH = 0.65
 """[m] Of a person who walks with a cane."""
+HALF = 0.5
+"""[m] Distances are told in these."""
 SLIGHT, ROUND = 50.0, 150.0
 """[°] Below, a turn is slight; above, it is a turn around."""
 
 
 @dataclass(frozen=True, slots=True)
 class Words:
-    """One language: its sentences with {distance}, {side}, {amount}, {count}, {height}, and its words for them."""
+    """One language: its sentences, and the words that are put into them."""
 
     sentences: dict[Kind, str]
     left: str
@@ -29,54 +31,61 @@ class Words:
     step: str
     steps: str
     point: str
+    within: str
+    right_ahead: str
+    after: str
 
 
 ENGLISH = Words(
     {
         Kind.STOP_LOST: "Stop. I have lost your position.",
         Kind.STOP_UNRELIABLE: "Stop. Your position is uncertain.",
+        Kind.STOP_ALONE: "Stop. I have no connection.",
         Kind.STOP_OBSTACLE: "Stop. Something is in the way.",
         Kind.STOP_OFF_WAY: "Stop. I look for a new way.",
         Kind.GAVE_UP: "Stay here. I find no safe way. Please ask for help.",
         Kind.ARRIVED: "You have arrived.",
-        Kind.STEP: "In {distance}, step {vertical}, {height} centimetres.",
-        Kind.STAIRS: "In {distance}, stairs {vertical}, {count} steps.",
+        Kind.STEP: "{where}, step {vertical}, {height} centimetres.",
+        Kind.STAIRS: "{where}, stairs {vertical}, {count} steps.",
         Kind.STAIRS_END: "The stairs end.",
         Kind.TURN_NOW: "Turn {side}.",
         Kind.TURN_BACK: "Too far. A little back to the {side}.",
-        Kind.TURN_SOON: "In {distance}, turn {side}.",
+        Kind.TURN_SOON: "{where}, turn {side}.",
         Kind.GO_ON: "Good. Straight on, {distance}.",
         Kind.RESUME: "Go on.",
         Kind.NARROW: "Narrow passage ahead, {width} centimetres.",
         Kind.HEAD: "Mind your head, obstacle on the {side}.",
-        Kind.RAMP: "In {distance}, ramp {vertical}.",
+        Kind.RAMP: "{where}, ramp {vertical}.",
         Kind.BEAR: "Keep {side}.",
     },
     "left", "right", "slightly {side}", "around", "up", "down", "metre", "metres", "step", "steps", ".",
+    "In {distance}", "Right ahead", "After these stairs: {sentence}",
 )  # fmt: skip
 GERMAN = Words(
     {
         Kind.STOP_LOST: "Halt. Ich habe Ihre Position verloren.",
         Kind.STOP_UNRELIABLE: "Halt. Ihre Position ist unsicher.",
+        Kind.STOP_ALONE: "Halt. Ich habe keine Verbindung.",
         Kind.STOP_OBSTACLE: "Halt. Etwas steht im Weg.",
         Kind.STOP_OFF_WAY: "Halt. Ich suche einen neuen Weg.",
         Kind.GAVE_UP: "Bleiben Sie hier. Ich finde keinen sicheren Weg. Bitten Sie um Hilfe.",
         Kind.ARRIVED: "Sie sind da.",
-        Kind.STEP: "In {distance} Stufe {vertical}, {height} Zentimeter.",
-        Kind.STAIRS: "In {distance} Treppe {vertical}, {count} Stufen.",
+        Kind.STEP: "{where} Stufe {vertical}, {height} Zentimeter.",
+        Kind.STAIRS: "{where} Treppe {vertical}, {count} Stufen.",
         Kind.STAIRS_END: "Ende der Treppe.",
         Kind.TURN_NOW: "Drehung {side}.",
         Kind.TURN_BACK: "Zu weit. Etwas zurück nach {side}.",
-        Kind.TURN_SOON: "In {distance} Drehung {side}.",
+        Kind.TURN_SOON: "{where} Drehung {side}.",
         Kind.GO_ON: "Gut. Geradeaus, {distance}.",
         Kind.RESUME: "Weiter.",
         Kind.NARROW: "Engstelle voraus, {width} Zentimeter.",
         Kind.HEAD: "Vorsicht, Hindernis in Kopfhöhe {side}.",
-        Kind.RAMP: "In {distance} Rampe {vertical}.",
+        Kind.RAMP: "{where} Rampe {vertical}.",
         Kind.BEAR: "Halten Sie sich {side}.",
     },
     "links", "rechts", "leicht {side}", "ganz herum", "aufwärts", "abwärts", "Meter", "Metern",
     "Schritt", "Schritten", ",",
+    "In {distance}", "Direkt vor Ihnen", "Nach dieser Treppe: {sentence}",
 )  # fmt: skip
 LANGUAGES = {"en": ENGLISH, "de": GERMAN}
 
@@ -90,21 +99,31 @@ def phrase(instruction: Instruction, language: str = "en", unit: str = "metres")
         unit: "metres" or "steps".
     """
     words = LANGUAGES[language]
-    return words.sentences[instruction.kind].format(
+    sentence = words.sentences[instruction.kind].format(
         distance=_distance(instruction.distance, words, unit),
+        where=_where(instruction.distance, words, unit),
         side=_side(instruction, words),
         vertical=words.up if instruction.amount > 0 else words.down,
         height=round(100 * abs(instruction.amount)),
-        width=5 * round(20 * instruction.amount),
+        width=5 * int(20 * instruction.amount + 1e-6),
         count=instruction.count,
     )
+    return words.after.format(sentence=sentence[0].lower() + sentence[1:]) if instruction.after else sentence
+
+
+def _where(metres: float, words: Words, unit: str) -> str:
+    """How far it is to something, never more than it is: who expects a step too late falls."""
+    least = STEP_LENGTH if unit == "steps" else HALF
+    if metres < least:
+        return words.right_ahead
+    return words.within.format(distance=_distance(least * int(metres / least + 1e-6), words, unit))
 
 
 def _distance(metres: float, words: Words, unit: str) -> str:
     if unit == "steps":
         count = max(1, round(metres / STEP_LENGTH))
         return f"{count} {words.step if count == 1 else words.steps}"
-    halves = max(1, round(2 * metres)) if metres < 3 else 2 * round(metres)
+    halves = max(1, round(metres / HALF)) if metres < 3 else 2 * round(metres)
     number = f"{halves // 2}" if halves % 2 == 0 else f"{halves / 2:.1f}".replace(".", words.point)
     return f"{number} {words.metre if halves == 2 else words.metres}"
 

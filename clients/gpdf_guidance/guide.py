@@ -3,20 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from functools import partial
 from typing import Any
 
 import numpy as np
-from gpdf_client import Client, Status, Trajectory
+from gpdf_client import Client, ClientError, ServiceError, Status, Trajectory
 from gpdf_schemas import CueAction, CueMessage
 from numpy.typing import NDArray
 
-from gpdf_guidance.advice import Advice, Instruction, Kind, Urgency, advise
+from gpdf_guidance.advice import Advice, Instruction, Kind, Urgency, advise, is_hidden_step, stop
 from gpdf_guidance.announcer import Announcer
 from gpdf_guidance.catalogue import phrase
 from gpdf_guidance.route import Pose, Progress, Route, build_route
+from gpdf_guidance.trust import doubt
 
 FloatArray = NDArray[np.float64]
 
@@ -50,12 +51,13 @@ TRIES = 6
 """Ways that are asked for without half a metre of progress between them."""
 LOST = 30.0
 """[s] Without a good pose the guide gives up."""
-WAITING = 2.0
-"""[s] A stop that is over within this is not worth a sentence; the cue says stop at once."""
-PASSING = (Kind.STOP_LOST, Kind.STOP_UNRELIABLE, Kind.STOP_OFF_WAY)
-"""Reasons to stop that mostly pass."""
-STOPS = (*PASSING, Kind.STOP_OBSTACLE)
+WAITING = {Kind.STOP_LOST: 2.0, Kind.STOP_OFF_WAY: 2.0, Kind.STOP_UNRELIABLE: 0.4}
+"""[s] The cue says stop at once; one that is over within this is felt and not spoken, if somebody feels the cues. Poses
+that are missing mostly come again; those that cannot be true are spoken of within half a second."""
+STOPS = (*WAITING, Kind.STOP_ALONE, Kind.STOP_OBSTACLE)
 """After these a person waits to be told to go on."""
+PULSE = 0.5
+"""[s] For the planner to say that it is there: many times what it needs; with `PULSE_EVERY`, a stop within a second."""
 
 
 class Outcome(StrEnum):
@@ -88,18 +90,32 @@ class Planner:
 
     def route(self, pose: Pose, goal: Sequence[float]) -> tuple[Route | None, str]:
         """The route from a pose, or why there is none."""
+        why = ""
         for width in WIDTHS:
-            result = self._client.plan(self.scene, pose.position, goal, {**PERSON, "width": width})
-            if result.status is Status.OK and result.trajectory is not None:
-                route = self._build(result.trajectory, pose)
-                tight = too_tight(route)
-                return (None, tight) if tight else (route, "")
-        return None, result.message
+            try:
+                result = self._client.plan(self.scene, pose.position, goal, {**PERSON, "width": width})
+                why = result.message
+                if result.status is Status.OK and result.trajectory is not None:
+                    route = self._build(result.trajectory, pose, result.scene_version)
+                    tight = too_tight(route)
+                    return (None, tight) if tight else (route, "")
+            except ServiceError as error:  # it failed for this width
+                why = str(error)
+            except ClientError as error:
+                return None, str(error)
+        return None, why
 
-    def _build(self, trajectory: Trajectory, pose: Pose) -> Route:
+    def pulse(self) -> int | None:
+        """The scene's version, as a sign that whoever plans in it is there; None without one within `PULSE`."""
+        try:
+            return self._client.distance(self.scene, "ground", np.zeros((1, 3)), deadline_s=PULSE).scene_version
+        except ClientError:
+            return None
+
+    def _build(self, trajectory: Trajectory, pose: Pose, version: int) -> Route:
         room, low = partial(self._room, PERSON), partial(self._room, {**PERSON, "name": "to the hip", "height": HIP})
         radius = PERSON["width"] / 2
-        return build_route(trajectory, room, facing=pose.heading, room_low=low, radius=radius)
+        return build_route(trajectory, room, facing=pose.heading, room_low=low, radius=radius, version=version)
 
     def _room(self, body: dict[str, Any], places: FloatArray) -> FloatArray:
         found = self._client.distance(self.scene, "obstacle", places, body)
@@ -125,6 +141,9 @@ class Guide:
         goal: (x, y) or (x, y, z of the ground) [m].
         language: Of the sentences.
         unit: "metres" or "steps".
+
+    Attributes:
+        felt: Whether somebody feels the cues; if not, every stop is spoken at once.
     """
 
     def __init__(self, planner: Planner, goal: Sequence[float], language: str = "en", unit: str = "metres") -> None:
@@ -136,10 +155,18 @@ class Guide:
         self._announcer = Announcer(lambda instruction: phrase(instruction, language, unit))
         self._s, self._waiting, self._told_to_stop = 0.0, _Waiting(), False
         self._moved, self._moved_at = 0.0, np.full(2, np.inf)
+        self._trusted: Pose | None = None
+        self._off_way, self._alone, self._version = False, False, 0
+        self.felt = True
+        self._then, self._clock = float("inf"), 0.0  # time that goes back is none
 
     def see(self, obstacles: FloatArray | None) -> None:
         """Tell of things that stand in the scene and that the service does not know, shape (k, 3) [m]."""
         self.obstacles = obstacles
+
+    def hear(self, version: int | None) -> None:
+        """Tell which version the scene has, as `Planner.pulse` says it; None stops the person: nobody plans for him."""
+        self._alone, self._version = version is None, version or self._version
 
     def step(self, pose: Pose | None, now: float) -> tuple[CueMessage, tuple[Instruction, str] | None]:
         """What to do and what to say now. Quick: it asks the service nothing.
@@ -148,91 +175,100 @@ class Guide:
             pose: The newest pose; None before the first.
             now: On the clock of its stamp [s].
         """
+        self._clock, self._then = self._clock + max(0.0, now - self._then), now
         advice = self._advise(pose, now)
-        self._notice(advice, pose, now)
-        stamp = 0.0 if pose is None else pose.stamp
-        left = 0.0 if self.route is None else self.route.length - advice.progress.s
+        self._notice(advice)
+        said = self._announcer.choose(self._worth_saying(advice), self._clock)
+        if said is not None:
+            self._told_to_stop = said[0].kind in STOPS
+        if any(is_hidden_step(one) and not self._announcer.has_told(one, self._clock) for one in advice.instructions):
+            advice = replace(advice, action=CueAction.STOP, pace=0.0)  # nobody goes towards a step unheard
         cue = CueMessage(
             action=advice.action,
             direction=advice.direction,
             urgency=advice.urgency,
             pace=advice.pace,
-            distance=left,
+            distance=0.0 if self.route is None else self.route.length - advice.progress.s,
             stamp=now,
-            pose_stamp=stamp,
+            pose_stamp=0.0 if self._trusted is None else self._trusted.stamp,
         )
-        said = self._announcer.choose(self._worth_saying(advice, now), now)
-        if said is not None:
-            self._told_to_stop = said[0].kind in STOPS
         return cue, said
 
     def _advise(self, pose: Pose | None, now: float) -> Advice:
+        here = Progress(self._s, 0.0)
         if self.outcome is Outcome.SAFE_STOP:
-            gone = Instruction(Kind.GAVE_UP, Urgency.DANGER)
-            return Advice(Progress(self._s, 0.0), CueAction.STOP, urgency=1.0, instructions=(gone,))
-        if pose is None or self.route is None:
-            return Advice(Progress(self._s, 0.0), CueAction.STOP)
+            return stop(here, Instruction(Kind.GAVE_UP, Urgency.DANGER))
+        if self._alone:
+            return stop(here, Instruction(Kind.STOP_ALONE, Urgency.DANGER))
+        if pose is None:
+            return stop(here, Instruction(Kind.STOP_LOST, Urgency.DANGER))
+        if (reason := doubt(pose, self._trusted, now)) is not None:
+            return stop(here, reason)
+        self._trusted = pose
+        if self.route is None:
+            return Advice(here, CueAction.STOP)
+        if self._version > self.route.version:
+            return stop(here, Instruction(Kind.STOP_OFF_WAY, Urgency.DANGER), off_way=True)
         advice = advise(self.route, pose, now, near=self._s, obstacles=self.obstacles)
         self._s = advice.progress.s
         return advice
 
-    def _worth_saying(self, advice: Advice, now: float) -> tuple[Instruction, ...]:
+    def _worth_saying(self, advice: Advice) -> tuple[Instruction, ...]:
         """What stops the feet for a moment only is no news; who was told to stop is told to go on."""
-        since = self._waiting.since
-        passing = since is not None and now - since < WAITING
-        worth = tuple(one for one in advice.instructions if not (passing and one.kind in PASSING))
+        waited = 0.0 if self._waiting.since is None else self._clock - self._waiting.since
+        patient = WAITING if self.felt else {}
+        worth = tuple(one for one in advice.instructions if waited >= patient.get(one.kind, 0.0))
         walks = advice.action in (CueAction.GO, CueAction.SLOW)
         resume = (Instruction(Kind.RESUME, Urgency.DANGER),) if self._told_to_stop and walks else ()
         return resume + worth
 
-    def _notice(self, advice: Advice, pose: Pose | None, now: float) -> None:
+    def _notice(self, advice: Advice) -> None:
         """Arrival, and how long the person has been kept from walking."""
+        self._off_way = advice.off_way
         if advice.action is CueAction.ARRIVED:
             self.outcome = Outcome.ARRIVED
-        held = advice.action is CueAction.STOP
-        if not held:
+        if advice.action is not CueAction.STOP:
             self._waiting.since = None
         elif self._waiting.since is None:
-            self._waiting.since = now
-        elif now - self._waiting.since > LOST:
-            self.give_up("no good pose, or held up, for too long")
-        if pose is None:
+            self._waiting.since = self._clock
+        elif self._clock - self._waiting.since > LOST:
+            self.give_up("no good pose, no planner, or held up, for too long")
+        if self._trusted is None:
             return
-        if np.hypot(*(self._waiting.at[:2] - pose.position[:2])) > 0.5:
+        place = np.array(self._trusted.position)
+        if np.hypot(*(self._waiting.at - place)[:2]) > 0.5:
             self._waiting.tries = 0
-        if np.hypot(*(self._moved_at - pose.position[:2])) > 0.5:
-            self._moved, self._moved_at = now, np.array(pose.position[:2])
+        if np.hypot(*(self._moved_at - place[:2])) > 0.5:
+            self._moved, self._moved_at = self._clock, place[:2]
 
     def wants_route(self, pose: Pose | None, now: float) -> bool:
         """Whether `replan` should be called with this pose."""
-        if pose is None or self.outcome is not Outcome.WALKING:
+        if pose is None or self._alone or self.outcome is not Outcome.WALKING:
+            return False
+        if doubt(pose, self._trusted, now) is not None:
             return False
         if self.route is None:
             return True
         since = self._waiting.since
         if since is None:
-            return now - self._moved > STALLED
-        advice = advise(self.route, pose, now, near=self._s, obstacles=self.obstacles)
-        if any(one.kind in (Kind.STOP_LOST, Kind.STOP_UNRELIABLE) for one in advice.instructions):
-            return False
-        return now - since >= (OFF_WAY if advice.off_way else PATIENCE)
+            return self._clock - self._moved > STALLED
+        return self._clock - since >= (OFF_WAY if self._off_way else PATIENCE)
 
-    def replan(self, pose: Pose, now: float) -> None:
+    def replan(self, pose: Pose) -> None:
         """Ask the service for a way from here, and wait for it."""
-        self.take(*self.planner.route(pose, self.goal), pose, now)
+        self.take(*self.planner.route(pose, self.goal), pose)
 
-    def take(self, route: Route | None, reason: str, pose: Pose, now: float) -> None:
+    def take(self, route: Route | None, reason: str, pose: Pose) -> None:
         """Walk on by a route from `Planner.route`, or do without; gives up after `TRIES` in one place.
 
         Args:
             route: None where there is none.
             reason: Why.
             pose: Where it was asked for.
-            now: Clock [s].
         """
         self._waiting.tries += 1
-        self._waiting.since, self._waiting.at = now, np.array(pose.position)
-        self._moved = now
+        self._waiting.since, self._waiting.at = self._clock, np.array(pose.position)
+        self._moved = self._clock
         if route is not None:
             self.route, self._s = route, 0.0
             self.routes.append(route)

@@ -8,12 +8,12 @@ import time
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import suppress
+from math import nan
 from typing import Any
 
 import msgspec
 import numpy as np
 import zenoh
-from gpdf_client import ClientError
 from gpdf_schemas import CueMessage, DecodeError, MovingObstacles, PoseMessage, decode, encode, keys
 from gpdf_schemas.moving import points_of, stacked
 from numpy.typing import NDArray
@@ -24,8 +24,11 @@ from gpdf_guidance.route import Pose, Route
 
 CUE_PERIOD = 0.1
 """[s] A cue goes out at least this often: twice the 5 Hz that a device needs."""
+PULSE_EVERY = 0.25
+"""[s] Between an answer of the planner and the next question whether it is there."""
 WAITING = 64
 """Messages that may wait; the guide looks at the newest pose of them only."""
+NO_POSE = Pose((nan, nan, nan), nan, nan)
 Told = Callable[[float, Instruction, str], None]
 """Told each sentence: seconds since the start, the instruction, its words."""
 Seen = dict[str, tuple[NDArray[np.float64], float]]
@@ -59,6 +62,8 @@ class LiveGuide:
         self._stamp = 0.0
         self._seen: Seen = {}
         self._planning: tuple[Future[Planned], Pose] | None = None
+        self._pulse: Future[int | None] | None = None
+        self._pulse_at = -float("inf")
 
     def run(self, stop: Callable[[], bool] = lambda: False) -> Outcome:
         """Guide until arrival, a safe stop, or `stop`; the last cue is sent in any case."""
@@ -69,13 +74,15 @@ class LiveGuide:
             self._session.declare_subscriber(obstacle_key, self._take_obstacles),
         ]
         publisher = self._session.declare_publisher(f"{keys.CUE}/{self._name}")
-        with ThreadPoolExecutor(1, thread_name_prefix="gpdf-guide") as pool:
+        with ThreadPoolExecutor(2, thread_name_prefix="gpdf-guide") as pool:
             while not stop() and self._guide.outcome is Outcome.WALKING:
                 self._listen()
                 now = time.monotonic()
                 self._seen = {id_: seen for id_, seen in self._seen.items() if seen[1] > now}
                 near = stacked([points for points, _ in self._seen.values()])
                 self._guide.see(near if len(near) else None)
+                self._guide.felt = publisher.matching_status.matching  # type: ignore[attr-defined] # its stub says bool
+                self._feel_pulse(pool, now)
                 cue, said = self._guide.step(self._pose, now)
                 publisher.put(encode(self._stamped(cue)))
                 if said is not None:
@@ -109,27 +116,35 @@ class LiveGuide:
         if self._planning is not None and self._planning[0].done():
             future, pose = self._planning
             self._planning = None
-            try:
-                route, reason = future.result()
-            except ClientError as error:
-                route, reason = None, str(error)
-            self._guide.take(route, reason, pose, now)
+            self._guide.take(*future.result(), pose)
         elif self._planning is None and self._guide.wants_route(self._pose, now) and self._pose is not None:
             self._planning = pool.submit(self._guide.planner.route, self._pose, self._guide.goal), self._pose
+
+    def _feel_pulse(self, pool: ThreadPoolExecutor, now: float) -> None:
+        """Whether there still is a planner, and in which version of the scene it plans."""
+        if self._pulse is not None and self._pulse.done():
+            self._guide.hear(self._pulse.result())
+            self._pulse, self._pulse_at = None, now
+        if self._pulse is None and now - self._pulse_at >= PULSE_EVERY:
+            self._pulse = pool.submit(self._guide.planner.pulse)
 
     def _stamped(self, cue: CueMessage) -> CueMessage:
         return msgspec.structs.replace(cue, stamp=time.time(), pose_stamp=self._stamp)
 
     def _take_pose(self, sample: zenoh.Sample) -> None:
-        """Zenoh's callback. A pose of a clock that is ahead is as old as its way; of one that is behind, older."""
+        """Zenoh's callback. A pose of a clock that is ahead is as old as its way; of one that is behind, older.
+
+        What is no pose, and one of a clock that went back, goes on as one without numbers, for which the guide stops.
+        """
         try:
             message = decode(sample.payload.to_bytes(), PoseMessage)
-        except DecodeError:
-            return  # what is no pose is none: the last one grows old
-        if len(message.position) != 3 or message.stamp < self._stamp:
+            x, y, z = message.position
+            if message.stamp < self._stamp:
+                raise ValueError("time goes back")
+        except (DecodeError, ValueError):
+            self._put(NO_POSE)
             return
         self._stamp = message.stamp
-        x, y, z = message.position
         stamp = time.monotonic() - max(0.0, time.time() - message.stamp)
         self._put(Pose((x, y, z), message.heading, stamp, message.accuracy))
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from math import isfinite
 
 import numpy as np
 from gpdf_client import Trajectory
@@ -37,6 +38,11 @@ class Pose:
     stamp: float
     accuracy: float = 0.0
 
+    @property
+    def is_finite(self) -> bool:
+        """Whether all of its numbers are."""
+        return all(map(isfinite, (*self.position, self.heading, self.stamp, self.accuracy)))
+
 
 @dataclass(frozen=True, slots=True)
 class Progress:
@@ -61,6 +67,7 @@ class Route:
         shift: The corridor's middle is this far to the left, where there is less than `ELBOW_ROOM` on one side [m].
         features: What a person is told of, in order.
         radius: Of the person's body [m].
+        version: Of the scene that it was planned in.
     """
 
     ground: FloatArray
@@ -73,6 +80,7 @@ class Route:
     shift: FloatArray
     features: tuple[Feature, ...]
     radius: float
+    version: int = 0
 
     @property
     def length(self) -> float:
@@ -127,7 +135,13 @@ class Route:
 
 
 def build_route(
-    trajectory: Trajectory, room: Room, *, facing: float | None = None, room_low: Room | None = None, radius: float
+    trajectory: Trajectory,
+    room: Room,
+    *,
+    facing: float | None = None,
+    room_low: Room | None = None,
+    radius: float,
+    version: int = 0,
 ) -> Route:
     """Build the route of a trajectory.
 
@@ -137,6 +151,7 @@ def build_route(
         facing: Where the person looks before the first step [rad]; the turn into the path is the first feature.
         room_low: The same for a body that ends at the hip: what it has more is head-height obstacles.
         radius: Of the person's body [m].
+        version: Of the scene that the trajectory was planned in.
     """
     rough = _arc_length(trajectory.ground)
     s = np.linspace(0.0, rough[-1], max(3, round(rough[-1] / SPACING) + 1))
@@ -152,7 +167,7 @@ def build_route(
     )
     clear = free[:, middle]
     disc, shift = np.maximum(clear - margin, 0.0), _shift(left, right)
-    return Route(ground, s, heading, clear, disc, left, right, shift, features, radius)
+    return Route(ground, s, heading, clear, disc, left, right, shift, features, radius, version)
 
 
 def _plan_and_height(ground: FloatArray, s: FloatArray) -> FloatArray:

@@ -82,7 +82,7 @@ def simulate(guide: Guide, walker: Walker, truth: Truth | None, *, longest: floa
         if tick % CUE_EVERY == 0:
             pose = walker.pose(now, CUE_EVERY * TICK) or pose
             if guide.wants_route(pose, now) and pose is not None:
-                guide.replan(pose, now)
+                guide.replan(pose)
             cue, spoken = guide.step(pose, now)
             walker.feel(cue)
             stopped += CUE_EVERY * TICK * (cue.action is CueAction.STOP)

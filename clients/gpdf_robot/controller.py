@@ -1,7 +1,8 @@
 """Regulated pure pursuit, Macenski et al. 2023: chase a place ahead on the line, slower in bends and near obstacles.
 
 A pure function of line, pose and speed. The differential drive turns along the arc through the place ahead; the
-omnidirectional one moves straight at it and turns into the line's direction meanwhile.
+omnidirectional one moves along the line's direction, and back to the line within the same length, and turns into the
+line's direction meanwhile.
 """
 
 from __future__ import annotations
@@ -67,20 +68,24 @@ def pursue(route: Route, pose: Pose, near: float | None, speed: float, body: Bod
     """
     along, offset = route.nearest(pose.xy, near)
     look_ahead = float(np.clip(LOOK_AHEAD_S * speed, *LOOK_AHEAD_M))
-    carrot = route.at(np.array([along + look_ahead]))[0]
-    dx, dy = float(carrot[0]) - pose.x, float(carrot[1]) - pose.y
-    distance = max(hypot(dx, dy), 1e-3)
     line = route.heading(along)
+    carrot = route.at(np.array([along + look_ahead]))[0, :2]
+    if (
+        body.omnidirectional
+    ):  # moving straight at a place on a bend would cut it by half its curvature times look_ahead²
+        carrot = route.at(np.array([along]))[0, :2] + look_ahead * np.array([cos(line), sin(line)])
+    dx, dy = (carrot - pose.xy).tolist()
     bearing = wrap(atan2(dy, dx) - pose.heading)
     aside = wrap(line - pose.heading) if body.omnidirectional else bearing
     turn = float(np.clip(TURN_GAIN * aside, -body.turn_rate, body.turn_rate))
     if abs(aside) > (TURN_UNTIL if speed < STANDS else TURN_FIRST):
         return Pursuit(Velocity(turn=turn), along, offset)
-    course = wrap(atan2(dy, dx) - line) if body.omnidirectional else bearing
-    curvature = 2.0 * sin(course) / distance
-    wanted = regulated(body.speed, curvature, room, route.length - along, body)
     if body.omnidirectional:
+        bend = wrap(route.heading(along + look_ahead) - line) / look_ahead
+        wanted = regulated(body.speed, bend, room, route.length - along, body)
         return Pursuit(Velocity(wanted * cos(bearing), wanted * sin(bearing), turn), along, offset)
+    curvature = 2.0 * sin(bearing) / max(hypot(dx, dy), 1e-3)
+    wanted = regulated(body.speed, curvature, room, route.length - along, body)
     wanted = min(wanted, body.turn_rate / max(abs(curvature), 1e-9))
     return Pursuit(Velocity(forward=wanted, turn=wanted * curvature), along, offset)
 

@@ -5,8 +5,9 @@ Two dialects, both with CDR as payload:
 - rmw_zenoh, for ROS 2 nodes that run on Zenoh (github.com/ros2/rmw_zenoh, docs/design.md, "Topic and Service name
   mapping to Zenoh key expressions" and "Publishers", commit 99a6a2b): the key is
   `<domain>/<topic>/<type>/<hash>`, the type as DDS names it, the hash as REP-2016 defines it; each message carries an
-  attachment of 33 bytes: sequence number and time [ns] as little-endian int64, the length 16, and 16 bytes that name
-  the publisher. A subscription drops messages without it. Liveliness tokens show node and topics to `ros2 topic list`.
+  attachment of 33 bytes (attachment_helpers.cpp, commit 534747d, by zenoh-ext's serialiser): sequence number and time
+  [ns] as little-endian int64, the length 16, and 16 bytes that name the publisher. A subscription drops messages
+  without it (rmw_subscription_data.cpp, commit a72659a). Liveliness tokens show node and topics to `ros2 topic list`.
 - ros2dds, for nodes on DDS behind zenoh-bridge-ros2dds (github.com/eclipse-zenoh/zenoh-plugin-ros2dds, README.md and
   examples/python/src/listener.py): the key is the topic's name without its first slash, behind the bridge's
   namespace if it has one; no attachment.

@@ -43,11 +43,16 @@ PANELS = {
 
 @dataclass
 class Tally:
-    """What came of the errands in one scene with one body; refused are those that the planner had no route for."""
+    """What came of the errands in one scene with one body.
+
+    Refused are those that the planner had no route for; `refused_by_margin` of them it would have had one for the body
+    without the room for errors of following.
+    """
 
     ends: Counter[str] = field(default_factory=Counter)
     reasons: Counter[str] = field(default_factory=Counter)
     refused: int = 0
+    refused_by_margin: int = 0
     contacts: int = 0
     deepest: float = 0.0
     least_room: float = float("inf")
@@ -100,6 +105,9 @@ def _errands(name: str, body: Body, count: int, rng: np.random.Generator, bar: t
             robot = SimulatedRobot(body, pose, Errors(), rng)
             drive = simulate(Driver(client, "scene", [float(v) for v in goal], body), robot)
             _count(tally, drive, made, judge, agent)
+            if drive.plans == 0:
+                bare = client.plan("scene", start.tolist(), goal.tolist(), body.agent(0.0))
+                tally.refused_by_margin += bare.trajectory is not None
             bar.update()
     return tally
 
@@ -147,6 +155,7 @@ def _row(tally: Tally) -> Row:
         "runs": sum(tally.ends.values()),
         "arrived": tally.ends[State.ARRIVED.value],
         "refused": tally.refused,
+        "refused_by_margin": tally.refused_by_margin,
         "gave_up": tally.ends[State.GAVE_UP.value] - tally.refused,
         "why": ", ".join(f"{reason} {count}" for reason, count in tally.reasons.items()),
         "contacts": tally.contacts,

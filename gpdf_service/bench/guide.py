@@ -21,6 +21,7 @@ from gpdf_guidance.features import FeatureKind
 from gpdf_guidance.guide import LEAST_ROOM, PERSON
 from tqdm import tqdm
 
+from gpdf_service.bench.cues import measure_cues
 from gpdf_service.bench.plan import random_places
 from gpdf_service.bench.plotting import add_plot_argument, draw_rows
 from gpdf_service.bench.report import Row, add_scene_arguments, clouds, show
@@ -35,6 +36,8 @@ WAY = 2 * (PERSON["width"] / 2 + LEAST_ROOM)
 """[m] Width of a way that people are guided on."""
 LEAST_WALK = 4.0
 """[m] As the crow flies; nobody needs to be led for less."""
+SCANS = ("../shared/data/house_2storey_stairs_4cm.npz", "../shared/data/subt_urban_alpha_lower.npz")
+"""Walked too where they are: long ways. In the scanned offices no way of 4 m is wide enough for a person to be led."""
 PANELS = {
     "walks": ("walks", "arrived", "safe_stops", "contacts"),
     "words a minute": ("said_per_min",),
@@ -47,8 +50,10 @@ Guided = tuple[Walk, Guide]
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the verb's options."""
-    add_scene_arguments(parser, ["office", "cluttered_office", "stair", "cow_and_lady"])
+    scans = [str(path) for path in map(Path, SCANS) if path.is_file()]
+    add_scene_arguments(parser, ["office", "cluttered_office", "stair", "cow_and_lady", *scans])
     parser.add_argument("--count", type=int, default=50, help="walks in each scene")
+    parser.add_argument("--live", type=float, metavar="S", help="also measure cues in real time, for S seconds a scene")
     add_plot_argument(parser)
     parser.add_argument("--seed", type=int, default=1)
 
@@ -60,8 +65,9 @@ def run(args: argparse.Namespace) -> int:
     for name, points, ground in clouds(args):
         with serving(name, points, ground) as (server, client):
             walks = walk_all(server, client, name, args.count, args.seed)
+            cues = live(client, server.options.endpoint, name, walks, args.live) if args.live and walks else {}
         everything += walks
-        rows.append({"scene": name, **summary(walks)})
+        rows.append({"scene": name, **summary(walks), **cues})
     rows.append({"scene": "all", **summary(everything)})
     show(rows, as_json=args.json)
     if args.plot:
@@ -113,6 +119,12 @@ def connected_pairs(
             yield start, goal
 
 
+def live(client: Client, endpoint: str, name: str, walks: list[Guided], seconds: float) -> Row:
+    """Delays of the cues on the way of the first walk."""
+    walk, guide = walks[0]
+    return measure_cues(client, endpoint, name, walk.places[0], np.array(guide.goal), seconds)
+
+
 def summary(walks: list[Guided]) -> Row:
     """Numbers of many walks."""
     minutes = sum(float(walk.times[-1]) for walk, _ in walks) / 60.0
@@ -122,12 +134,12 @@ def summary(walks: list[Guided]) -> Row:
         "arrived": sum(walk.outcome is Outcome.ARRIVED for walk, _ in walks),
         "safe_stops": sum(walk.outcome is Outcome.SAFE_STOP for walk, _ in walks),
         "contacts": sum(walk.penetration > 0 for walk, _ in walks),
-        "deepest_m": max(walk.penetration for walk, _ in walks),
-        "metres_per_walk": float(np.mean([walk.metres for walk, _ in walks])),
+        "deepest_m": max((walk.penetration for walk, _ in walks), default=0.0),
+        "metres_per_walk": sum(walk.metres for walk, _ in walks) / max(len(walks), 1),
         "said_per_min": sum(len(walk.said) for walk, _ in walks) / max(minutes, 1e-9),
         "minutes": minutes,
         "stopped_share": sum(walk.stopped for walk, _ in walks) / max(60.0 * minutes, 1e-9),
-        "routes": sum(walk.routes for walk, _ in walks) / len(walks),
+        "routes": sum(walk.routes for walk, _ in walks) / max(len(walks), 1),
         "steps_and_stairs": len(announced),
         "announced_1_to_3_m": sum(1.0 <= place <= 3.0 for place in announced),
     }

@@ -20,8 +20,8 @@ STEP = 0.01
 """[m] No part of the body moves further between two looks; a body of 17 cm radius cannot jump over anything."""
 FACE = 0.1
 """[m] A step's face has the step's upper ground within this, seen from above."""
-SCATTER = 0.02
-"""[m] Points this close to the ground are its scatter or a joint in the floor."""
+SCATTER = 0.0201
+"""[m] Points this close to the ground are its scatter or a joint in the floor; two steps of a scan in centimetres."""
 HEAD = 0.01
 """[-] How well a scan knows the room over the ground, over the body's height."""
 NEAR = 8

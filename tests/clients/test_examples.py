@@ -104,6 +104,29 @@ def test_every_public_call_has_an_example():
                 assert f".{name}" in shown, f"{kind.__name__}.{name} has no example"
 
 
+LIGHT = """
+import sys, time
+def resident():
+    return next(int(line.split()[1]) / 1024 for line in open("/proc/self/status") if line.startswith("VmRSS"))
+bare, began = resident(), time.process_time()
+import gpdf_client
+imported = time.process_time() - began
+with gpdf_client.Client.connect(sys.argv[1]) as client:
+    assert client.plan("office", (1, 1), (5, 3.3)).trajectory is not None
+    print(imported, resident() - bare, *sorted({name.partition(".")[0] for name in sys.modules}))
+"""
+
+
+def test_the_light_client_is_light(endpoint, capsys):
+    done = subprocess.run([sys.executable, "-c", LIGHT, endpoint], capture_output=True, text=True, timeout=60)
+    assert done.returncode == 0, done.stderr
+    seconds, megabytes, *modules = done.stdout.split()
+    with capsys.disabled():
+        print(f"\nlight client: {float(seconds):.2f} s of CPU to import, {float(megabytes):.0f} MB more after a plan")
+    assert float(megabytes) <= 60.0
+    assert not {"scipy", "numba", "open3d", "mcap", "matplotlib", "gpdf_service"} & set(modules)
+
+
 def test_upload_parts_are_small_enough_for_one_request():
     from gpdf_client.client import PART_POINTS
     from gpdf_schemas import MAX_REQUEST_BYTES, Array, UploadRequest, encode

@@ -1,5 +1,7 @@
 """Advice, features, words and budget as pure functions; the walker's errors."""
 
+import dataclasses
+import re
 import shutil
 
 import numpy as np
@@ -329,14 +331,31 @@ def test_every_instruction_has_a_sentence_in_every_language(kind, language):
 
 def test_sentences_say_what_matters():
     step = Instruction(Kind.STEP, Urgency.ACT, distance=2.4, amount=-0.17)
-    assert say(step) == "In 2.5 metres, step down, 17 centimetres."
-    assert say(step, unit="steps") == "In 4 steps, step down, 17 centimetres."
-    assert say(step, "de") == "In 2,5 Metern Stufe abwärts, 17 Zentimeter."
+    assert say(step) == "In 2 metres, step down, 17 centimetres."  # never further than it is
+    assert say(step, unit="steps") == "In 3 steps, step down, 17 centimetres."
+    assert say(step, "de") == "In 2 Metern Stufe abwärts, 17 Zentimeter."
+    near = dataclasses.replace(step, distance=0.3)
+    assert say(near) == "Right ahead, step down, 17 centimetres."
+    assert say(near, "de", "steps") == "Direkt vor Ihnen Stufe abwärts, 17 Zentimeter."
     stairs = Instruction(Kind.STAIRS, Urgency.ACT, distance=1.0, amount=0.17, count=12)
     assert say(stairs) == "In 1 metre, stairs up, 12 steps."
+    later = dataclasses.replace(stairs, after=True)
+    assert say(later) == "After these stairs: in 1 metre, stairs up, 12 steps."
+    assert say(later, "de") == "Nach dieser Treppe: in 1 Meter Treppe aufwärts, 12 Stufen."
     assert say(Instruction(Kind.TURN_NOW, Urgency.ACT, amount=-1.5)) == "Turn right."
     assert say(Instruction(Kind.TURN_NOW, Urgency.ACT, amount=3.0)) == "Turn around."
     assert say(Instruction(Kind.TURN_BACK, Urgency.ACT, amount=0.3), "de") == "Zu weit. Etwas zurück nach links."
+
+
+def test_languages_have_the_same_words():
+    for name in ("right_ahead", "after", "metre", "step", "left"):
+        assert len({getattr(words, name) for words in LANGUAGES.values()}) == len(LANGUAGES)
+    places = {
+        kind: {frozenset(re.findall(r"{(\w+)}", words.sentences[kind])) for words in LANGUAGES.values()}
+        for kind in Kind
+    }
+    assert {kind for kind, found in places.items() if len(found) != 1} == set()  # no language leaves a number out
+    assert all(set(words.sentences) == set(Kind) for words in LANGUAGES.values())
 
 
 def test_the_person_has_the_measures_of_the_services_human():

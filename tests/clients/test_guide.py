@@ -10,10 +10,12 @@ import time
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
+import msgpack
 import numpy as np
 import pytest
 from gpdf_client import Client
-from gpdf_guidance import Guide, Kind, Outcome, Planner, Pose, Walker, simulate
+from gpdf_guidance import Errors, Guide, Kind, Outcome, Planner, Pose, Urgency, Walker, simulate
+from gpdf_guidance.advice import BLIND, PACES
 from gpdf_guidance.features import FeatureKind
 from gpdf_guidance.guide import LOST, too_tight
 from gpdf_guidance.live import LiveGuide, open_session
@@ -62,9 +64,9 @@ def client(endpoint):
         yield connected
 
 
-def setting(client, made, name, start, goal, seed=0, heading=0.0):
+def setting(client, made, name, start, goal, seed=0, heading=0.0, errors=None):
     world = WalkedWorld.of(made[name].points, made[name].ground)
-    walker = Walker(np.array(start, dtype=float), heading, world.ground_height, np.random.default_rng(seed))
+    walker = Walker(np.array(start, dtype=float), heading, world.ground_height, np.random.default_rng(seed), errors)
     return Guide(Planner(client, name), goal), walker, world
 
 
@@ -125,6 +127,103 @@ def test_a_sensor_that_never_comes_back_is_a_safe_stop(client, made):
     assert walk.penetration == 0
     assert Kind.STOP_LOST in [said.instruction.kind for said in walk.said]
     assert walk.times[-1] < 10.0 + LOST
+
+
+FAULTS = {
+    "jumps": lambda pose: dataclasses.replace(pose, position=(pose.position[0] + 3.0, *pose.position[1:])),
+    "is on another storey": lambda pose: dataclasses.replace(pose, position=(*pose.position[:2], 2.8)),
+    "has no numbers": lambda pose: dataclasses.replace(pose, position=(np.nan, np.nan, np.nan), heading=np.nan),
+    "has no height": lambda pose: dataclasses.replace(pose, position=(*pose.position[:2], np.nan)),
+    "has no direction": lambda pose: dataclasses.replace(pose, heading=np.nan),
+    "is of yesterday": lambda pose: dataclasses.replace(pose, stamp=pose.stamp - 86400.0),
+    "is of tomorrow": lambda pose: dataclasses.replace(pose, stamp=pose.stamp + 86400.0),
+    "is vague": lambda pose: dataclasses.replace(pose, accuracy=0.5),
+    "is vague beyond numbers": lambda pose: dataclasses.replace(pose, accuracy=np.nan),
+    "is silent": lambda pose: None,
+}
+
+
+@pytest.mark.parametrize("fault", FAULTS)
+def test_a_sensor_that_goes_wrong_is_a_spoken_stop_within_a_second_and_never_a_go(client, made, fault):
+    guide, walker, world = setting(
+        client, made, "office", (0.9, 0.9, 0.0), (5.4, 3.4), 0, 0.6, Errors(drop_out_rate=0.0)
+    )
+    guide.felt = fault != "is silent"  # a person who does not feel the cues hears at once
+    see, since = walker.pose, 3.0
+
+    def sense(now, period):
+        pose = see(now, period)
+        return pose if now < since or pose is None else FAULTS[fault](pose)
+
+    walker.pose = sense
+    walk = simulate(guide, walker, world)
+    after = [said for said in walk.said if said.time >= since]
+    assert after[0].instruction.urgency is Urgency.DANGER
+    assert after[0].text.startswith("Stop.")
+    assert after[0].time <= since + 1.0
+    assert {said.instruction.kind for said in after} <= {Kind.STOP_LOST, Kind.STOP_UNRELIABLE, Kind.GAVE_UP}
+    assert walk.outcome is Outcome.SAFE_STOP
+    assert walk.penetration == 0
+    moved = np.hypot(*(walk.places[-1] - walk.places[round(since / 0.05)])[:2])
+    assert moved <= PACES[0] * BLIND + 0.05  # and what a walker's sideways drift adds
+
+
+def test_a_pose_that_was_wrong_for_a_moment_does_not_end_the_walk(client, made):
+    guide, walker, world = setting(
+        client, made, "office", (0.9, 0.9, 0.0), (5.4, 3.4), 0, 0.6, Errors(drop_out_rate=0.0)
+    )
+    see = walker.pose
+
+    def sense(now, period):
+        pose = see(now, period)
+        return FAULTS["jumps"](pose) if pose is not None and 3.0 <= now < 5.0 else pose
+
+    walker.pose = sense
+    walk = simulate(guide, walker, world)
+    kinds = [said.instruction.kind for said in walk.said]
+    assert kinds.index(Kind.STOP_UNRELIABLE) < kinds.index(Kind.RESUME)
+    assert (walk.outcome, walk.routes, walk.penetration) == (Outcome.ARRIVED, 1, 0)
+
+
+def test_a_clock_that_goes_back_is_a_stop_and_does_not_silence_the_guide(client, made):
+    guide, _, _ = setting(client, made, "office", (0.9, 0.9, 0.0), (5.4, 3.4))
+    here = Pose((0.9, 0.9, 0.0), 0.6, 100.0)
+    guide.replan(here)
+    assert guide.step(here, 100.0)[0].action is not CueAction.STOP
+    said = []
+    for tick in range(300):
+        cue, words = guide.step(here, 40.0 + 0.1 * tick)  # the newest pose is of the time before
+        assert cue.action is CueAction.STOP
+        said += [(0.1 * tick, words[0].kind)] if words is not None else []
+    assert said[0][0] <= 1.0
+    assert {kind for _, kind in said} <= {Kind.STOP_UNRELIABLE, Kind.GAVE_UP}
+    assert len(said) >= 3  # said again while it lasts
+
+
+def test_a_planner_that_does_not_answer_is_a_stop_and_a_new_scene_another_way(client, made):
+    guide, _, _ = setting(client, made, "office", (0.9, 0.9, 0.0), (5.4, 3.4))
+    guide.replan(Pose((0.9, 0.9, 0.0), 0.6, 0.0))
+    version = guide.planner.pulse()
+    assert version == guide.route.version > 0
+
+    def after(told, seconds, since):
+        guide.hear(told)
+        steps = [guide.step(Pose((0.9, 0.9, 0.0), 0.6, t), t) for t in since + np.arange(0, seconds, 0.1)]
+        return steps[-1][0].action, [words[0].kind for _, words in steps if words is not None]
+
+    assert after(version, 0.2, 0.0)[0] is CueAction.GO
+    assert after(None, 1.0, 0.2) == (CueAction.STOP, [Kind.STOP_ALONE])
+    assert not guide.wants_route(Pose((0.9, 0.9, 0.0), 0.6, 1.2), 1.2)
+    assert after(version, 1.0, 1.2) == (CueAction.GO, [Kind.RESUME])
+    assert after(version + 1, 1.0, 2.2)[0] is CueAction.STOP
+    assert guide.wants_route(Pose((0.9, 0.9, 0.0), 0.6, 3.2), 3.2)
+
+
+def test_nobody_plans_for_a_scene_that_is_not_there(client):
+    assert Planner(client, "nowhere").pulse() is None
+    route, why = Planner(client, "nowhere").route(Pose((0.0, 0.0, 0.0), 0.0, 0.0), (1.0, 1.0))
+    assert route is None
+    assert "nowhere" in why
 
 
 def test_a_new_obstacle_is_stopped_for_and_passed_when_it_is_gone(client, made):
@@ -231,6 +330,67 @@ def test_cues_say_stop_when_poses_stop_and_when_something_is_in_the_way(endpoint
         finally:
             stop.set()
         assert running.result(30) is Outcome.WALKING
+
+
+STOPS = (Kind.STOP_ALONE, Kind.STOP_LOST, Kind.STOP_UNRELIABLE)
+
+
+def test_a_service_that_dies_in_mid_walk_is_a_spoken_stop(tmp_path, made, free_endpoint):
+    said, heard, stop = [], threading.Event(), threading.Event()
+
+    def told(time_s, instruction, text):
+        said.append(instruction.kind)
+        if instruction.kind in STOPS:
+            heard.set()
+
+    with Server(Options(free_endpoint, tmp_path, tmp_path, 1)) as server, open_session(free_endpoint) as session:
+        client, scene = Client(session), made["office"]
+        client.load_scene("office", upload=scene.points, ground=scene.ground)
+        guide, walker, _ = setting(client, made, "office", (0.9, 0.9, 0.0), (5.4, 3.4), heading=0.6)
+        with open_session(free_endpoint) as body, ThreadPoolExecutor(1) as pool, Feet(body, walker, "eve") as feet:
+            running = pool.submit(LiveGuide(session, guide, "eve", told).run, stop.is_set)
+            try:
+                feet.wait_for(CueAction.GO)
+                server.__exit__(None, None, None)
+                died = time.monotonic()
+                assert heard.wait(30), said
+                print(f"{time.monotonic() - died:.2f} s from the end of the service to {said[-1]}")
+                assert Kind.RESUME not in said
+            finally:
+                stop.set()
+            assert running.result(30) is Outcome.WALKING
+
+
+@pytest.mark.parametrize("wrong", ["garbage", "without numbers", "a clock that goes back"])
+def test_messages_that_are_no_poses_stop_a_person(endpoint, made, wrong):
+    said, heard, stop = [], threading.Event(), threading.Event()
+
+    def told(time_s, instruction, text):
+        said.append(instruction.kind)
+        if instruction.kind is Kind.STOP_UNRELIABLE:
+            heard.set()
+
+    with open_session(endpoint) as session, open_session(endpoint) as body, ThreadPoolExecutor(1) as pool:
+        guide, walker, _ = setting(Client(session), made, "office", (0.9, 0.9, 0.0), (5.4, 3.4), heading=0.6)
+        running = pool.submit(LiveGuide(session, guide, "kim", told).run, stop.is_set)
+        try:
+            with Feet(body, walker, "kim") as feet:
+                feet.wait_for(CueAction.GO)
+                feet.mute.set()
+                while not heard.wait(0.05):
+                    old = PoseMessage(position=[0.9, 0.9, 0.0], heading=0.6, stamp=time.time() - 60.0)
+                    nan = {"position": [0.9, 0.9, float("nan")], "heading": 0.6, "stamp": time.time()}
+                    messages = {
+                        "garbage": b"\xff",
+                        "without numbers": msgpack.packb(nan),
+                        "a clock that goes back": encode(old),
+                    }
+                    body.put(f"{keys.POSE}/kim", messages[wrong])
+                feet.wait_for(CueAction.STOP)
+        finally:
+            stop.set()
+        assert running.result(30) is Outcome.WALKING
+        assert Kind.RESUME not in said
 
 
 def test_the_command_line_guides_a_simulated_person(endpoint, made, tmp_path, capsys):

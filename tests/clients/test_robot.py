@@ -61,7 +61,7 @@ def test_it_arrives_without_touching_anything(service, name):
     drive = simulate(Driver(client, "gap", goal, body), robot_at(1.0, 1.0, 2.5, body=body))
     assert drive.state is State.ARRIVED
     assert np.hypot(*(drive.track[-1] - goal)) < 0.1
-    assert drive.error_p95 < 0.06  # the room that its routes keep for errors of following
+    assert drive.error_p95 < 0.05
     assert room_of(drive, Box((3.0, 0.0, 0.0), (3.2, 2.2, 0.6)), body=body) > 0.0
 
 

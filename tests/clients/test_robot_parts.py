@@ -158,3 +158,19 @@ def test_noise_is_as_large_as_it_is_said_to_be_and_comes_again_with_its_seed():
     assert poses(1).std() == pytest.approx(0.02, rel=0.1)
     np.testing.assert_array_equal(poses(1), poses(1))
     assert not np.array_equal(poses(1), poses(2))
+
+
+@pytest.mark.parametrize("side", [1.0, -1.0])
+def test_an_omnidirectional_body_does_not_cut_a_long_bend(side):
+    spot, angles = BODIES["spot"], np.linspace(0.0, 1.5 * pi, 200)
+    route = Route(line_of(*np.column_stack([np.sin(angles), side * (1.0 - np.cos(angles))])))
+    robot = SimulatedRobot(spot, Pose(0.0, 0.0, 0.0), PERFECT, np.random.default_rng(0))
+    along, offsets = 0.0, []
+    while along < route.length - 0.5:
+        pursuit = pursue(route, robot.measure(), along, robot.velocity.speed, spot, np.inf)
+        robot.command(pursuit.velocity)
+        for _ in range(5):
+            robot.move(0.01)
+        along = pursuit.along
+        offsets.append(pursuit.offset)
+    assert max(offsets) < 0.02  # moving at a place 0.4 m ahead on the bend would be 0.08 m inside of it

@@ -196,6 +196,11 @@ def test_a_human_walks_up_to_the_next_storey_and_a_roomba_does_not():
     assert result.status is Status.OK, result.message
     assert result.certificate.max_step == pytest.approx(0.175, abs=0.02)
     assert plan(scene, start, goal, "roomba").status is not Status.OK
+    # who asks the field along the path, between its waypoints too, hears of the room that the certificate found
+    path = result.trajectory.ground
+    between = np.concatenate([path[:-1] + share * np.diff(path, axis=0) for share in (0.0, 0.3, 0.6, 0.9)])
+    room = scene.obstacle_field("human").query(between).distance - AGENTS["human"].radius
+    assert room.min() > result.certificate.min_clearance - 0.02
 
 
 def test_the_scanned_house_is_climbed_by_the_human_alone(scan):

@@ -1,0 +1,18 @@
+"""The delays of cues are measured over real Zenoh sessions."""
+
+import json
+
+import numpy as np
+
+from gpdf_service.cli import main
+
+
+def test_cues_are_measured_from_poses_and_from_obstacles(capsys):
+    assert main(["bench", "guide", "--count", "1", "--scene", "stair", "--live", "2", "--json"]) == 0
+    row, total = json.loads(capsys.readouterr().out)
+    assert (row["arrived"], total["contacts"]) == (1, 0)
+    assert row["cues"] > 10
+    assert row["obstacles"] == 20
+    delays = [row[name] for name in ("pose_to_cue_ms_p50", "pose_to_cue_ms_p99", "obstacle_to_stop_ms_max")]
+    assert np.isfinite(delays).all()
+    assert min(delays) > 0.0
