@@ -64,10 +64,10 @@ class Service:
 
 
 CALM = """
-new MutationObserver(() => document.querySelectorAll('.mantine-Notification-root').forEach(note => note.remove()))
-    .observe(document, {childList: true, subtree: true});
+document.addEventListener('DOMContentLoaded', () => document.head.insertAdjacentHTML(
+    'beforeend', '<style>.mantine-Notification-root {display: none}</style>'));
 """
-"""The word that there is no GPU lies over the map."""
+"""Notices lie over the map: hidden, for the page still removes them itself (a node that is gone breaks it)."""
 
 
 class Operator:
