@@ -263,9 +263,9 @@ class PlanResult:
             that is UNCERTIFIED, to be measured and drawn. So follow a trajectory only if `status` is OK.
         certificate: Present when `trajectory` is; for UNCERTIFIED it says what failed.
         timings: Seconds that each stage took, by name.
-        details: Numbers for the curious, by name: iterations, converged (0 or 1), nodes of the graph, goal (its number,
-            0 the first), warm (1 if the trajectory from before was taken up); where there is no path, largest_radius
-            and cut_x, cut_y, cut_z; where a place is not valid, nearest_x, nearest_y, nearest_z.
+        details: Numbers for the curious, by name: iterations, evaluations, converged (0 or 1), nodes of the graph, goal
+            (its number, 0 the first), warm (1 if the trajectory from before was taken up); where there is no path,
+            largest_radius and cut_x, cut_y, cut_z; where a place is not valid, nearest_x, nearest_y, nearest_z.
         costs: Cost of the optimiser before and after each of its steps, all pieces of the path together.
     """
 

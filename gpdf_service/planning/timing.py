@@ -141,4 +141,5 @@ def _smooth(s: FloatArray, speed: FloatArray, along: FloatArray) -> FloatArray:
         place[len(place) - width + 1 :] = place[-1]
     moving = np.flatnonzero(np.diff(place) > 0.0)
     first, last = moving[0], moving[-1] + 2
-    return np.interp(along, place[first:last], t[first:last] - t[first])
+    made: FloatArray = np.interp(along, place[first:last], t[first:last] - t[first])
+    return made
