@@ -27,10 +27,12 @@ GREED = 2.0
 """[-] How much more the guide counts than it says: it knows nothing of turns, and what is found is bent anyway."""
 DETOUR = (2.0, 30.0)
 """[-], [m] Ways are looked for that one disc goes in twice its shortest one and 30 m more: out of a house and back."""
-MOST_POSES = 2_000_000
-"""Poses that a search may look at: ten seconds; a room of 10 m has eight millions, and few are looked at."""
-POSES_PER_SECOND = 150_000
-"""Poses looked at in a second, on a slow machine: so long a search may go on before a deadline."""
+MOST_POSES = 1_000_000
+"""Poses that a search may look at: five seconds; a room of 10 m has eight millions, and few are looked at."""
+SHARES = (0.03, 0.2, 1.0)
+"""[-] Of the poses that may be looked at, in each try from either end."""
+POSES_PER_SECOND = 60_000
+"""Most poses by seconds to a deadline: two hundred thousand are looked at in a second, in all tries together."""
 _ASLANT = atan2(1.0, 2.0) + 1e-6
 """[rad] A body goes at most this much aslant: between two of the 16 directions of the grid, it can go along either."""
 _FIRST_CELLS = 4096
@@ -169,6 +171,9 @@ def find_poses(
 ) -> PoseSearch:
     """Find a way for a body of discs.
 
+    What drives forward from start to goal drives, seen backward, from goal to start with its other end ahead. So both
+    are tried with ever more poses: a pocket that cannot be left, at whichever end, is soon known.
+
     Args:
         obstacles: All obstacle places of the body in plan [m].
         surface: The level's ground.
@@ -178,7 +183,25 @@ def find_poses(
         radius: Least distance of a disc's centre from any obstacle [m].
         most: Poses that may be looked at.
     """
-    body = _Body(offsets, radius)
+    for share in SHARES:
+        for begin, end, back in ((start, goal, False), (_about(goal), _about(start), True)):
+            found = _find(obstacles, surface, begin, end, _Body(offsets, radius), int(share * most))
+            if not found.given_up:
+                return PoseSearch(_about(found.poses[::-1]), found.reached) if back else found
+    return found
+
+
+def _about(poses: FloatArray) -> FloatArray:
+    """Turned by half a turn, where there is a heading."""
+    made: FloatArray = poses + np.array([0.0, 0.0, pi])[: poses.shape[-1]]
+    return made
+
+
+def _find(
+    obstacles: Tree, surface: HeightMap, start: FloatArray, goal: FloatArray, body: _Body, most: int
+) -> PoseSearch:
+    """See `find_poses`."""
+    offsets, radius = body
     width = CELL_SHARE * radius
     turns = 8 * ceil(2.0 * pi * offsets[-1] / width / 8.0)  # an end then goes one cell in a turn to the next heading
     first = np.ceil((start[:2] - surface.origin) / width).astype(np.int64)
@@ -347,7 +370,7 @@ def _search(
                 continue
             cost[t, to], came_from[t, to] = further, state
             heapq.heappush(frontier, (further + GREED * guide[u, v], t * turns + to))
-    return _trace(came_from, cells, best), reached, looked >= most
+    return _trace(came_from, cells, best), reached, looked >= most and not reached
 
 
 @njit(cache=True, nogil=True)
