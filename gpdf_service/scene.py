@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.ndimage import binary_fill_holes
 
 from gpdf_service.config import Config
 from gpdf_service.errors import CloudError, FieldError
@@ -26,6 +27,7 @@ from gpdf_service.perception import (
     build_levels,
     check_labels,
     check_points,
+    count_undecided,
     cure_and_segment,
 )
 from gpdf_service.search import FreeSpace, build_free_space
@@ -306,9 +308,12 @@ class Scene:
     def _lasting_facts(self) -> dict[str, Any]:
         """What one pass over the points tells; asked several times a second while a client waits."""
         low, high = self.points.min(axis=0), self.points.max(axis=0)
+        undecided = sum(count_undecided(level, self.noise) for level in self.levels.levels)
         return {
             "points": len(self.points),
             "ground_points": int(self.ground.sum()),
+            "ground_confidence": float(self.ground.sum() / (self.ground.sum() + undecided)),
+            "undecided_points": undecided,
             "extent": [low.tolist(), high.tolist()],
             "digest": self.digest,
             "levels": [_level_info(i, self.levels.levels[i], self.ground_fields[i]) for i in range(len(self.surfaces))],
@@ -336,6 +341,7 @@ def _level_info(index: int, level: Any, field: Gpdf) -> dict[str, Any]:  # noqa:
         "cell_width": float(surface.cell_width),
         "known_area": float(known.sum() * cell_area),
         "inferred_area": float((surface.state == 2).sum() * cell_area),
+        "undecided_area": float((binary_fill_holes(known) & ~known).sum() * cell_area),
         "other_points": len(level.other_points),
         "limits": len(level.limits.points),
         "field_points": len(field.points),

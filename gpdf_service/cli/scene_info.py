@@ -30,11 +30,13 @@ def run(args: argparse.Namespace) -> int:
         return 0
     low, high = info["extent"]
     print(f"points   {info['points']} ({info['ground_points']} ground), digest {info['digest']}")
+    print(f"ground   confidence {info['ground_confidence']:.2f}, {info['undecided_points']} points undecided")
     print("extent   " + " x ".join(f"{b - a:.1f}" for a, b in zip(low, high, strict=True)) + " m")
     for level in info["levels"]:
         bottom, top = level["height"]
         print(
             f"level {level['level']}  z {bottom:.2f} to {top:.2f} m, {level['known_area']:.1f} m² of ground "
-            f"({level['inferred_area']:.1f} m² inferred), length scale {level['length_scale']:.3f} m"
+            f"({level['inferred_area']:.1f} m² inferred, {level['undecided_area']:.1f} m² undecided within), "
+            f"length scale {level['length_scale']:.3f} m"
         )
     return 0

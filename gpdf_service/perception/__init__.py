@@ -5,6 +5,7 @@ from gpdf_service.perception.levels import GroundLevel as GroundLevel
 from gpdf_service.perception.levels import Levels as Levels
 from gpdf_service.perception.levels import Portal as Portal
 from gpdf_service.perception.levels import build_levels as build_levels
+from gpdf_service.perception.levels import count_undecided as count_undecided
 from gpdf_service.perception.limits import GroundLimits as GroundLimits
 from gpdf_service.perception.limits import ObstacleKind as ObstacleKind
 from gpdf_service.perception.obstacles import Obstacles as Obstacles

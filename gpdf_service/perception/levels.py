@@ -12,7 +12,7 @@ from gpdf_service.config import PerceptionConfig
 from gpdf_service.errors import NoGroundError
 from gpdf_service.perception.layers import Layers, build_layers, cell_width_of, connect
 from gpdf_service.perception.limits import GroundLimits, find_limits
-from gpdf_service.perception.segment import HALF, components, over_ground
+from gpdf_service.perception.segment import HALF, LEAST_SCATTER, components, over_ground
 from gpdf_service.perception.surface import OBSERVED, UNKNOWN, HeightMap, fill_holes, find_voids, without_enclosed
 from gpdf_service.types import BoolArray, FloatArray, IntArray
 
@@ -100,6 +100,18 @@ def build_levels(
                 centres = layers.origin + (flat + 0.5) * width
                 portals.append(Portal(a, b, np.column_stack([centres, layers.height[both]])))
     return Levels(surfaces, tuple(portals))
+
+
+def count_undecided(level: GroundLevel, noise: float = 0.0) -> int:
+    """Points at the ground that are not called ground though they lie within twice its scatter: ground, or a sill.
+
+    Args:
+        level: One sheet.
+        noise: Standard deviation of the cloud's points [m].
+    """
+    ix, iy, _ = level.surface.cells(level.other_points)
+    off = np.abs(level.other_points[:, 2] - level.surface.height[ix, iy])  # NaN, where it is unknown, compares false
+    return int(np.count_nonzero(off <= 2.0 * max(LEAST_SCATTER, 3.0 * noise)))
 
 
 def find_strays(points: FloatArray, width: float) -> BoolArray:

@@ -334,3 +334,25 @@ def test_the_floor_goes_on_through_a_hole_beside_a_low_box_and_not_through_one_t
     surface = build_levels(cloud, np.arange(len(cloud)) < len(cloud) - len(wall), CONFIG).levels[0].surface
     assert surface.height_at(np.array([[3.0, 3.0]])) == pytest.approx(0.0, abs=0.02)
     assert not surface.contains(np.array([[1.0, 5.0]])).any()
+
+
+def test_a_scene_says_how_sure_its_ground_is():
+    rng = np.random.default_rng(0)
+    floor = lawn(rng)
+    crumbs = np.column_stack([rng.uniform(1.0, 5.0, (500, 2)), np.full(500, 0.03)])
+    cloud = np.concatenate([floor, crumbs])
+    sure, unsure = (build_scene(part, np.arange(len(part)) < len(floor)).info() for part in (floor, cloud))
+    assert (sure["ground_confidence"], sure["undecided_points"]) == (1.0, 0)
+    assert unsure["undecided_points"] == pytest.approx(500, abs=25)
+    assert unsure["ground_confidence"] == pytest.approx(len(floor) / len(cloud), abs=0.01)
+
+
+def test_every_blocked_leaf_says_why():
+    scene = build_scene(*scan_of(World((6.0, 5.0, 2.7), (Box((2.0, 1.0, 0.0), (3.0, 2.0, 0.35), walkable=True),))))
+    space = scene.free_space("roomba")
+    tree, surface = space.quadtrees[0], space.surfaces[0]
+    blocked = tree.center[~tree.free]
+    distance, kind = space.clearance(0, blocked)
+    named = distance < space.radius
+    assert (named | ~surface.contains(blocked)).all()
+    assert {ObstacleKind(int(one)) for one in np.unique(kind[named])} >= {ObstacleKind.MATERIAL, ObstacleKind.STEP}
