@@ -27,8 +27,7 @@ class Ours:
         cured = denoise(points)
         kept = ~cured.stray
         self.field = fit_gpdf(cured.points[kept], noise=cured.noise[kept])
-        arrays = self.field.to_arrays()
-        self.bytes = sum(np.asarray(value).nbytes for value in arrays.values()) / len(self.field.points)
+        self.bytes = self.field.nbytes / len(self.field.points)
         self.spacing = self.field.spacing
 
     def query(self, queries: FloatArray) -> Answer:

@@ -94,6 +94,12 @@ class Gpdf:
         tree = self.tree
         return FieldArrays(tree.begin, tree.blocks, tree.boxes, self._weights, self._gap2, self.length_scale)
 
+    @property
+    def nbytes(self) -> int:
+        """Memory that the field holds [bytes]."""
+        held = [*self.tree, *self.arrays[:-1], self.alpha, self.gap, self.noise]
+        return sum({id(array): array.nbytes for array in held}.values())
+
     def query(self, queries: ArrayLike) -> FieldSample:
         """Distance to the surface, its gradient, validity and standard deviation.
 
