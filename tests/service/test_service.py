@@ -45,6 +45,8 @@ def running(clouds, tmp_path_factory):
     options = Options(endpoint, clouds, tmp_path_factory.mktemp("log"), 2)
     with Server(options) as server, Client.connect(endpoint) as client:
         client.load_scene("office", "office.npz")
+        while not client.status()[0].ready:  # its processes are there, too
+            time.sleep(0.05)
         yield server, client, endpoint
 
 
