@@ -90,7 +90,7 @@ class Gpdf:
 
     @property
     def arrays(self) -> FieldArrays:
-        """What a compiled loop needs for `traversal.sample_one`."""
+        """What a compiled loop needs for `traversal.sample_at`."""
         tree = self.tree
         return FieldArrays(tree.begin, tree.blocks, tree.boxes, self._weights, self._gap2, self.length_scale)
 

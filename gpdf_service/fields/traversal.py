@@ -21,6 +21,7 @@ from gpdf_service.fields.tree import (
     LEAF_SIZE,
     VECTORS,
     Place,
+    Scratch,
     Tree,
     from_root,
     lesser,
@@ -188,11 +189,11 @@ def sample(
 
 
 @njit(cache=True, nogil=True)
-def sample_one(field: FieldArrays, x: FloatArray, gradient: FloatArray) -> float:
+def sample_at(field: FieldArrays, x: Place, scratch: Scratch, gradient: FloatArray) -> float:
     """Distance at one place [m]; writes the gradient, shape (dim,)."""
     begin, blocks, boxes, weights, gap2, length_scale = field
-    stack, bound, near = make_scratch()
-    distance, _, _, slope = sample(begin, blocks, boxes, weights, gap2, length_scale, place_of(x), stack, bound, near)
+    stack, bound, near = scratch
+    distance, _, _, slope = sample(begin, blocks, boxes, weights, gap2, length_scale, x, stack, bound, near)
     for k in range(len(gradient)):
         gradient[k] = slope[k]
     return distance

@@ -32,6 +32,8 @@ SLAB = 1.0
 """[m] Thickest floor: what is seen deeper than this under a hole was seen through it."""
 STOREY = 1.5
 """[m] Least room under a floor: what is seen nearer below a hole with less than this under itself is a pit's bottom."""
+WALL_CELLS = 3.0
+"""[cells] The wall of a pit is seen within these under its rim; the underside of a floor is deeper."""
 CEILING = 1.9
 """[m] What is higher over the ground beside is a ceiling or a lamp, no furniture whose shadow is the hole."""
 MAX_HOLE_RADIUS = 1.0
@@ -150,7 +152,7 @@ def find_voids(surface: HeightMap, points: FloatArray, max_step: float) -> tuple
 
     Returns:
         Where the scanner saw through, further down than a floor is thick; and where the bottom of a pit is seen, which
-        is no ceiling because no storey is under it. Both (nx, ny).
+        is no ceiling because no storey is under it, or of its walls at least their upper end. Both (nx, ny).
     """
     unknown = surface.state == UNKNOWN
     cells, nearest = ndimage.distance_transform_edt(unknown, return_indices=True)
@@ -166,7 +168,27 @@ def find_voids(surface: HeightMap, points: FloatArray, max_step: float) -> tuple
     seen = np.isfinite(top)
     depth = np.where(seen, beside - top, 0.0)
     pit = (depth > max_step) & (depth <= SLAB) & (np.where(seen, top - bottom, 0.0) < STOREY)
-    return depth > SLAB, pit
+    return depth > SLAB, pit | _walled_down(surface, points)
+
+
+def _walled_down(surface: HeightMap, points: FloatArray) -> BoolArray:
+    """Holes with `points` (n, 3) right under their rim: nobody sees into a floor.
+
+    A step up at the rim is none: the lowest ground within two cells counts.
+    """
+    unknown = surface.state == UNKNOWN
+    label, count = ndimage.label(unknown)
+    hole = ndimage.maximum_filter(label, size=3)
+    rim = np.bincount(hole[~unknown], minlength=count + 1)
+    floor = ndimage.minimum_filter(np.where(unknown, np.inf, surface.height), size=5)
+    ix, iy, inside = surface.cells(points)
+    depth = floor[ix, iy] - points[:, 2]
+    wall = inside & (hole[ix, iy] > 0) & (depth > surface.cell_width) & (depth <= WALL_CELLS * surface.cell_width)
+    walls = np.zeros(unknown.shape, dtype=bool)
+    walls[ix[wall], iy[wall]] = True
+    pit = np.bincount(hole[walls], minlength=count + 1) > (1.0 - RING_SHARE) * rim
+    result: BoolArray = pit[label] & unknown
+    return result
 
 
 def _fill_gaps(

@@ -9,7 +9,8 @@ import numpy as np
 from numba import njit
 
 from gpdf_service.fields import FieldArrays
-from gpdf_service.fields.traversal import Scratch, make_scratch, sample
+from gpdf_service.fields.traversal import sample_at
+from gpdf_service.fields.tree import Scratch, make_scratch
 from gpdf_service.types import FloatArray
 
 OFF = 2e-5
@@ -68,7 +69,8 @@ def recall(field: FieldArrays, x: FloatArray, memo: Memo, i: int, enough: float)
         return enough
     for k in range(dim):
         memo.place[i, k] = x[k]
-    memo.distance[i] = sample(field, (x[0], x[1], x[dim - 1]), memo.scratch, memo.slope[i])[0]
+    place = (x[0], x[1], x[2] if dim == 3 else 0.0)
+    memo.distance[i] = sample_at(field, place, memo.scratch, memo.slope[i])
     return float(memo.distance[i])
 
 

@@ -6,7 +6,8 @@ import numpy as np
 from numba import njit
 
 from gpdf_service.fields import FieldArrays, Gpdf, Tree
-from gpdf_service.fields.traversal import make_scratch, sample
+from gpdf_service.fields.traversal import sample_at
+from gpdf_service.fields.tree import make_scratch
 from gpdf_service.perception import HeightMap
 from gpdf_service.search import is_clear
 from gpdf_service.types import FloatArray, IntArray
@@ -140,7 +141,7 @@ def _top_over(xy: FloatArray, floor: FloatArray, field: FieldArrays, height: flo
         if np.isnan(floor[i]):
             continue
         for _ in range(_NEWTON_STEPS):
-            distance = sample(field, (xy[i, 0], xy[i, 1], floor[i] + height + lift), scratch, slope)[0]
+            distance = sample_at(field, (xy[i, 0], xy[i, 1], floor[i] + height + lift), scratch, slope)
             off = (height - distance) * max(slope[2], 0.0)
             if abs(off) < _STANDS:
                 break

@@ -88,6 +88,22 @@ def test_a_hole_in_the_floor_is_inferred_and_one_at_the_rim_is_not():
     assert not level.surface.contains(np.array([[5.3, 2.5]])).any()
 
 
+@pytest.mark.parametrize("turn", [0.0, 0.5])
+@pytest.mark.parametrize("seen", ["one wall", "all walls", "a reflection"])
+def test_a_pit_is_not_bridged_when_only_its_walls_were_seen(turn, seen):
+    points, _ = scan_of(World((6.0, 6.0, 2.5), (), ceiling=False), spacing=0.03, noise=0.003)
+    rotation = np.array([[np.cos(turn), -np.sin(turn), 0.0], [np.sin(turn), np.cos(turn), 0.0], [0.0, 0.0, 1.0]])
+    across, down = np.mgrid[-0.5:0.5:0.03, -0.6:0.0:0.03].reshape(2, -1)
+    wall = np.column_stack([across, np.full(across.size, 0.4), down])
+    walls = [wall, wall * (1, -1, 1), (wall * (0.8, 1.25, 1))[:, [1, 0, 2]], (wall * (0.8, -1.25, 1))[:, [1, 0, 2]]]
+    below = {"one wall": wall, "all walls": np.vstack(walls), "a reflection": wall[len(wall) // 2 :][8:10]}[seen]
+    inside = (np.abs((points - (3.0, 3.0, 0.0)) @ rotation) < (0.5, 0.4, 0.1)).all(axis=1)
+    cloud = np.vstack([points[~inside], below @ rotation.T + (3.0, 3.0, 0.0)])
+    surface = build_levels(cloud, segment_ground(cloud), CONFIG).levels[0].surface
+    assert surface.contains(np.array([[3.0, 3.0]]))[0] == (seen == "a reflection")
+    assert surface.contains(np.array([[2.0, 2.0]]))[0]
+
+
 def test_the_inside_of_a_cupboard_is_not_called_free():
     level = level_of(World((5.0, 5.0, 2.5), (Box((2.0, 2.0, 0.0), (3.0, 2.8, 1.8)),)))
     assert not level.surface.contains(np.array([[2.5, 2.4]])).any()
