@@ -27,8 +27,8 @@ GREED = 2.0
 """[-] How much more the guide counts than it says: it knows nothing of turns, and what is found is bent anyway."""
 DETOUR = (2.0, 30.0)
 """[-], [m] Ways are looked for that one disc goes in twice its shortest one and 30 m more: out of a house and back."""
-MOST_POSES = 1_000_000
-"""Poses that a search may look at: five seconds; a room of 10 m has eight millions, and few are looked at."""
+MOST_POSES = 2_000_000
+"""Poses that a search may look at: some five seconds; a room of 10 m has eight millions, and few are looked at."""
 SHARES = (0.03, 0.2, 1.0)
 """[-] Of the poses that may be looked at, in each try from either end."""
 POSES_PER_SECOND = 60_000
