@@ -103,7 +103,7 @@ def explain_no_path(space: FreeSpace, start: Endpoint, goal: Endpoint) -> NoPath
             found.append(("width", at, words, width))
     for cut in (Cut.HEIGHT, Cut.STEP, Cut.SLOPE, Cut.UNKNOWN):
         path = _lift(grid, ends, (cut,), radius)
-        if len(path):
+        if _meets(grid, path, cut):
             at, words = _met(space, grid, path, cut, start)
             found.append((cut.name.lower(), at, words, 0.0))
     largest = found[0][3] if found and found[0][0] == "width" else 0.0
@@ -116,10 +116,10 @@ def _together(space: FreeSpace, grid: _Grid, ends: tuple[IntArray, IntArray], st
     """What has to be lifted together: all that a more able body could take, or what is solid."""
     able = (Cut.HEIGHT, Cut.STEP, Cut.SLOPE, Cut.UNKNOWN)
     path = _lift(grid, ends, able, space.reach)
-    met = [cut for cut in able if _meets(grid, path, cut)]
+    met = [cut for cut in able if _meets(grid, path, cut, 2.0 * grid.width)]
     if len(path) == 0:
         path, met = _lift(grid, ends, tuple(Cut), space.reach), [Cut.SOLID]
-    return [(cut.name.lower(), *_met(space, grid, path, cut, start), 0.0) for cut in met if len(path)]
+    return [(cut.name.lower(), *_met(space, grid, path, cut, start), 0.0) for cut in met if _meets(grid, path, cut)]
 
 
 def _tell(space: FreeSpace, start: Endpoint, found: list[_Found], largest: float, *, together: bool) -> NoPath:
@@ -228,8 +228,9 @@ def _exact_width(space: FreeSpace, grid: _Grid, path: IntArray) -> tuple[float, 
     return least, np.append(at, space.surfaces[level].height_at(at[None]))
 
 
-def _meets(grid: _Grid, path: IntArray, cut: Cut) -> bool:
-    return bool((grid.distance[cut][tuple(path.T)] < 2.0 * grid.width).any())
+def _meets(grid: _Grid, path: IntArray, cut: Cut, within: float = np.inf) -> bool:
+    """Whether a way comes nearer than `within` [m] to something of this kind."""
+    return bool((grid.distance[cut][tuple(path.T)] < within).any())
 
 
 def _reached(space: FreeSpace, grid: _Grid, path: IntArray, start: Endpoint) -> BoolArray:

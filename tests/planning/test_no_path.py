@@ -92,3 +92,11 @@ def test_two_limits_in_a_row_are_both_named():
     why = explain(scene_of(beam, platform), (1, 2), (5.2, 2), "pepper")
     assert set(why.cuts) == {"height", "step"}
     assert "; and " in why.message
+
+
+def test_what_is_nowhere_on_the_map_is_no_reason():
+    scene = scene_of(Box((2.0, 1.5, 0.0), (2.5, 2.0, 1.0)))  # a way is there, as coarse cells may find one
+    space = scene.free_space("human")
+    why = explain_no_path(space, *(find_endpoint(space, np.array(at), "end") for at in ((1.0, 1.0), (5.0, 3.0))))
+    assert "slope" not in why.cuts
+    assert "unknown" not in why.cuts
