@@ -8,7 +8,7 @@ from gpdf_service.bench.judge import Judge
 from gpdf_service.bench.plan import random_places
 from gpdf_service.errors import RequestError
 from gpdf_service.planning.certificate import certify, min_distance
-from gpdf_service.planning.costs import CENTRE, Discs, obstacle_cost
+from gpdf_service.planning.costs import CENTRE, Discs, make_memo, obstacle_cost
 from gpdf_service.planning.footprint import disc_places, face, travel_headings
 from gpdf_service.planning.turning import time_poses
 from gpdf_service.search.lattice import find_poses, is_motion_clear
@@ -21,6 +21,11 @@ SPOT = dataclasses.replace(AGENTS["spot"], discs=6)
 def place(world, seed=0, spacing=0.03):
     points, ground = world.sample(spacing, np.random.default_rng(seed))
     return gpdf.build_scene(points, ground), Judge(points, ground)
+
+
+def cost_of(xi, spacing, field, discs, epsilon, gradient):
+    memo, band = make_memo(len(xi) * len(discs.offsets), 2), np.zeros((len(xi), 3, 9))
+    return obstacle_cost(xi, spacing, field, discs, epsilon, 0.0, memo, gradient, band)
 
 
 def door(width):
@@ -213,14 +218,14 @@ def test_the_obstacle_cost_falls_along_its_gradient_as_finite_differences_say(of
     field, discs = scene.free_space(SPOT).obstacle_fields[0].arrays, Discs(SPOT.offsets, SPOT.disc_radius)
     xi = np.column_stack([np.linspace(1.2, 3.4, 12), np.full(12, 1.0), np.full(12, 0.7)])
     spacing, gradient = 0.2, np.zeros_like(xi)
-    assert obstacle_cost(xi, spacing, field, discs, 0.6, 1.0, gradient) > 0
+    assert cost_of(xi, spacing, field, discs, 0.6, gradient) > 0
     assert np.abs(gradient[:, 1]).max() > 0.01
     for i in range(1, 11):  # across the way, where CHOMP's gradient is that of the sum
         cost = []
         for step in (-1e-5, 1e-5):
             moved = xi.copy()
             moved[i, 1] += step
-            cost.append(obstacle_cost(moved, spacing, field, discs, 0.6, 1.0, np.zeros_like(xi)))
+            cost.append(cost_of(moved, spacing, field, discs, 0.6, np.zeros_like(xi)))
         assert (cost[1] - cost[0]) / 2e-5 == pytest.approx(gradient[i, 1], abs=0.01 * np.abs(gradient).max())
 
 
@@ -229,7 +234,7 @@ def test_one_disc_at_the_centre_costs_what_a_cylinder_costs_whatever_its_heading
     field = scene.free_space("human").obstacle_fields[0].arrays
     xi = np.column_stack([np.linspace(1.2, 3.4, 12), np.linspace(1.0, 1.6, 12), np.full(12, 2.0)])
     gradient = np.zeros_like(xi)
-    cost = obstacle_cost(xi, 0.2, field, Discs(CENTRE, 0.25), 0.5, 1.0, gradient)
+    cost = cost_of(xi, 0.2, field, Discs(CENTRE, 0.25), 0.5, gradient)
     d = scene.obstacle_field("human").query(xi[1:-1, :2]).distance - 0.25
     c = np.where(d < 0, 0.25 - d, np.where(d < 0.5, (d - 0.5) ** 2 / 1.0, 0.0))
     assert cost == pytest.approx((c * 0.5 * np.linalg.norm(xi[2:, :2] - xi[:-2, :2], axis=1)).sum())
