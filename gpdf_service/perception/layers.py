@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import cKDTree
 
+from gpdf_service.perception.columns import column_order, pairs_near
 from gpdf_service.types import BoolArray, FloatArray, IntArray
 
 MIN_CELL = 0.05
@@ -84,7 +85,7 @@ def build_layers(points: FloatArray, cell_width: float, gap: float) -> Layers:
     index = np.floor((points[:, :2] - origin) / cell_width).astype(np.int64)
     shape = (int(index[:, 0].max()) + 2, int(index[:, 1].max()) + 2)
     cell = index[:, 0] * shape[1] + index[:, 1]
-    order = np.lexsort((points[:, 2], cell))
+    order, _ = column_order(cell, np.ascontiguousarray(points[:, 2]), shape[0] * shape[1])
     cell, z = cell[order], points[order, 2]
     fresh = np.ones(len(z), dtype=bool)
     fresh[1:] = (np.diff(cell) != 0) | (np.diff(z) > gap)
@@ -107,11 +108,10 @@ def connect(
     layers: Layers, keep: BoolArray, limit: FloatArray | float, offsets: tuple[tuple[int, int], ...]
 ) -> tuple[IntArray, IntArray]:
     """Pairs of kept neighbours whose heights differ by at most `limit` [m] (one number, or one a node)."""
-    found = []
-    for offset in offsets:
-        a, b = layers.neighbours(offset)
-        rise = np.abs(layers.height[a] - layers.height[b])
-        allowed = limit if isinstance(limit, float) else np.minimum(limit[a], limit[b])
-        near = keep[a] & keep[b] & (rise <= allowed * (np.hypot(*offset) if isinstance(limit, float) else 1.0))
-        found.append((a[near], b[near]))
+    uniform = isinstance(limit, float)
+    limits = np.full(len(keep), limit) if uniform else np.asarray(limit)
+    grid = layers.cell, layers.start, layers.shape, layers.height
+    found = [
+        pairs_near(*grid, keep, limits, offset, float(np.hypot(*offset)) if uniform else 1.0) for offset in offsets
+    ]
     return np.concatenate([a for a, _ in found]), np.concatenate([b for _, b in found])

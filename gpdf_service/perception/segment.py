@@ -11,6 +11,7 @@ from scipy.sparse.csgraph import connected_components
 
 from gpdf_service.config import PerceptionConfig
 from gpdf_service.errors import NoGroundError
+from gpdf_service.perception.columns import medians_around, next_below
 from gpdf_service.perception.layers import Layers, build_layers, cell_width_of, connect
 from gpdf_service.perception.read import check_points
 from gpdf_service.types import BoolArray, FloatArray, IntArray
@@ -79,15 +80,7 @@ def _ground_beside(layers: Layers, ground: BoolArray, smooth: FloatArray, scatte
 def _smoothed(layers: Layers, ground: BoolArray) -> FloatArray:
     """Median height of each ground node and its neighbours on the same slope: a wheel on the floor does not lift it."""
     a, b = connect(layers, ground, 2.0 * layers.cell_width, HALF)
-    nodes = np.flatnonzero(ground)
-    owner = np.concatenate([nodes, a, b])
-    value = layers.height[np.concatenate([nodes, b, a])]
-    order = np.lexsort((value, owner))
-    first = np.flatnonzero(np.diff(owner[order], prepend=-1))
-    count = np.diff(np.append(first, len(order)))
-    smooth = layers.height.copy()
-    smooth[owner[order[first]]] = value[order[first + (count - 1) // 2]]
-    return smooth
+    return medians_around(layers.height, ground, a, b)
 
 
 def find_ground(layers: Layers, config: PerceptionConfig) -> BoolArray:
@@ -260,10 +253,8 @@ def _shapes(layers: Layers, wide: BoolArray, patch: IntArray, config: Perception
 
 def over_ground(layers: Layers, ground: BoolArray, headroom: float) -> BoolArray:
     """Nodes with ground under them at less than `headroom` [m]: with that of a body that steps, benches and tables."""
-    index = np.arange(len(ground))
-    last = np.concatenate([[-1], np.maximum.accumulate(np.where(ground, index, -1))[:-1]])
-    beneath = (last >= 0) & (layers.cell[last] == layers.cell)
-    over: BoolArray = beneath & (layers.height - layers.height[last] <= headroom)
+    below = next_below(layers.cell, ground)
+    over: BoolArray = (below >= 0) & (layers.height - layers.height[below] <= headroom)
     return over
 
 
