@@ -97,7 +97,7 @@ def _longer(values: IntArray, capacity: int) -> IntArray:
 
 @njit(cache=True, nogil=True)
 def medians_around(height: FloatArray, keep: BoolArray, a: IntArray, b: IntArray) -> FloatArray:
-    """Lower median of the height of each kept node and of those that the pairs (a, b) join it to; others as they are."""
+    """Lower median of the heights of each kept node and those that the pairs (a, b) join it to; others as they are."""
     start = np.zeros(len(height) + 1, np.int64)
     for i in range(len(height)):
         start[i + 1] = keep[i]
@@ -107,16 +107,18 @@ def medians_around(height: FloatArray, keep: BoolArray, a: IntArray, b: IntArray
     for i in range(len(height)):
         start[i + 1] += start[i]
     values, place = np.empty(start[-1]), start[:-1].copy()
-    for i in np.flatnonzero(keep):
-        values[place[i]] = height[i]
-        place[i] += 1
+    for i in range(len(height)):
+        if keep[i]:
+            values[place[i]] = height[i]
+            place[i] += 1
     for e in range(len(a)):
         values[place[a[e]]], values[place[b[e]]] = height[b[e]], height[a[e]]
         place[a[e]] += 1
         place[b[e]] += 1
     made = height.copy()
-    for i in np.flatnonzero(keep):
-        made[i] = np.sort(values[start[i] : start[i + 1]])[(start[i + 1] - start[i] - 1) // 2]
+    for i in range(len(height)):
+        if keep[i]:
+            made[i] = np.sort(values[start[i] : start[i + 1]])[(start[i + 1] - start[i] - 1) // 2]
     return made
 
 
