@@ -132,3 +132,22 @@ def next_below(cell: IntArray, keep: BoolArray) -> IntArray:
         if keep[i]:
             last = i
     return below
+
+
+@njit(cache=True, nogil=True)
+def rows_in_cells(
+    points: FloatArray, origin: FloatArray, cell_width: float, wanted: BoolArray, x: tuple[float, float]
+) -> IntArray:
+    """Rows of the points (n, 3) in the `wanted` cells, shape (nx, ny), all of which lie between two `x` [m]; sorted."""
+    found, used = np.empty(1024, np.int64), 0
+    for row in range(len(points)):
+        if not x[0] <= points[row, 0] <= x[1]:
+            continue
+        i = int(np.floor((points[row, 0] - origin[0]) / cell_width))
+        j = int(np.floor((points[row, 1] - origin[1]) / cell_width))
+        if 0 <= i < wanted.shape[0] and 0 <= j < wanted.shape[1] and wanted[i, j]:
+            if used == len(found):
+                found = _longer(found, 2 * used)
+            found[used] = row
+            used += 1
+    return found[:used]

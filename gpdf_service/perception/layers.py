@@ -3,15 +3,20 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from gpdf_service.config import PerceptionConfig
 from gpdf_service.perception.columns import column_order, pairs_near
 from gpdf_service.types import BoolArray, FloatArray, IntArray
 
 MIN_CELL = 0.05
 """[m] Finer than a wheel or a foot feels, and a quarter of the smallest body's radius."""
+STEP = 0.1 * MIN_CELL
+"""[m] What is measured of a whole cloud counts in steps: its cells then stay when a part of it changes."""
 _SAMPLE = 4000
 _COLUMN = 0.5
 """[m] Wide enough to hold several floor points of any cloud that a body can be planned in."""
@@ -36,7 +41,17 @@ def cell_width_of(points: FloatArray) -> float:
         return MIN_CELL
     picked = low[:: max(1, len(low) // _SAMPLE)]
     distance = cKDTree(low).query(picked, k=k + 1, workers=-1)[0][:, k]
-    return max(MIN_CELL, 1.5 * float(np.median(distance)) * float(np.sqrt(np.pi / k)))
+    return max(MIN_CELL, in_steps(1.5 * float(np.median(distance)) * float(np.sqrt(np.pi / k))))
+
+
+def in_steps(length: float, step: float = STEP) -> float:
+    """A measured length rounded up to whole steps [m]: a cloud that changes a little is measured as before."""
+    return float(np.ceil(round(length / step, 6))) * step
+
+
+def layer_gap(width: float, config: PerceptionConfig) -> float:
+    """Room between two layers of columns that are `width` wide [m]."""
+    return max(config.min_headroom, 1.5 * width)
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,7 +66,7 @@ class Layers:
         height: Height of its surface [m], shape (k,).
         thickness: Between its lowest and highest point [m], shape (k,).
         headroom: Free height above it [m], inf under the open sky, shape (k,).
-        node_of_point: Node of each input point, shape (n,).
+        node_of_point: Node of each input point, shape (n,); of none, (0,), where the layers are kept without points.
         start: First node of each cell, shape (cells + 1,).
     """
 
@@ -78,12 +93,38 @@ class Layers:
         return a, np.repeat(first, count) + within
 
 
-def build_layers(points: FloatArray, cell_width: float, gap: float) -> Layers:
-    """Cut the columns of `points`, shape (n, 3), wherever neighbours in height are more than `gap` apart [m]."""
+def splice_layers(layers: Layers, changed: BoolArray, fresh: Layers | None) -> Layers | None:
+    """Layers with all nodes of the `changed` cells, shape (cells,), replaced by those of `fresh` on the same grid.
+
+    None where the cloud would have another grid, because its outermost cells are empty now.
+    """
+    stay = ~changed[layers.cell]
+
+    def both(name: str) -> NDArray[Any]:
+        parts = [getattr(layers, name)[stay]] + ([] if fresh is None else [getattr(fresh, name)])
+        return np.concatenate(parts)
+
+    order = np.argsort(both("cell"), kind="stable")
+    cell = both("cell")[order]
+    x, y = np.divmod(cell, layers.shape[1])
+    if len(cell) == 0 or (x.min(), y.min(), x.max() + 2, y.max() + 2) != (1, 1, *layers.shape):
+        return None
+
+    start = np.concatenate([[0], np.cumsum(np.bincount(cell, minlength=layers.shape[0] * layers.shape[1]))])
+    height, thickness, headroom = (both(name)[order] for name in ("height", "thickness", "headroom"))
+    parts = cell, height, thickness, headroom, np.zeros(0, np.int64), start
+    return Layers(layers.origin, layers.cell_width, layers.shape, *parts)
+
+
+def build_layers(points: FloatArray, cell_width: float, gap: float, *, like: Layers | None = None) -> Layers:
+    """Cut the columns of `points`, shape (n, 3), wherever neighbours in height are more than `gap` apart [m].
+
+    The grid is that of `like`, which must hold all points, or as large as the points ask for.
+    """
     # Centres lie at multiples of the width, so that they stay when the cloud grows; a ring of them is empty: unknown.
-    origin = (np.floor(points[:, :2].min(axis=0) / cell_width) - 1.5) * cell_width
+    origin = (np.floor(points[:, :2].min(axis=0) / cell_width) - 1.5) * cell_width if like is None else like.origin
     index = np.floor((points[:, :2] - origin) / cell_width).astype(np.int64)
-    shape = (int(index[:, 0].max()) + 2, int(index[:, 1].max()) + 2)
+    shape = (int(index[:, 0].max()) + 2, int(index[:, 1].max()) + 2) if like is None else like.shape
     cell = index[:, 0] * shape[1] + index[:, 1]
     order, _ = column_order(cell, np.ascontiguousarray(points[:, 2]), shape[0] * shape[1])
     cell, z = cell[order], points[order, 2]

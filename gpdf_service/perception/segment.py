@@ -12,7 +12,7 @@ from scipy.sparse.csgraph import connected_components
 from gpdf_service.config import PerceptionConfig
 from gpdf_service.errors import NoGroundError
 from gpdf_service.perception.columns import medians_around, next_below
-from gpdf_service.perception.layers import Layers, build_layers, cell_width_of, connect
+from gpdf_service.perception.layers import Layers, build_layers, cell_width_of, connect, in_steps, layer_gap
 from gpdf_service.perception.read import check_points
 from gpdf_service.types import BoolArray, FloatArray, IntArray
 
@@ -47,19 +47,49 @@ def segment_ground(points: ArrayLike, config: PerceptionConfig | None = None) ->
         CloudError: the cloud cannot be used.
         NoGroundError: nothing in it is walkable.
     """
-    config = config or PerceptionConfig()
-    cloud = check_points(points)
+    return segment(check_points(points), config or PerceptionConfig())[0]
+
+
+@dataclass(frozen=True, slots=True)
+class Segmentation:
+    """What was found of the columns of a cloud.
+
+    Attributes:
+        layers: Their nodes.
+        height: Of the ground that a node's points are of if they are near it [m], inf where there is none, shape (k,).
+        scatter: How near that is [m].
+    """
+
+    layers: Layers
+    height: FloatArray
+    scatter: float
+
+    def holds(self, z: FloatArray, node: IntArray) -> BoolArray:
+        """Whether points at heights `z` [m] in the nodes `node` are ground, shape (n,)."""
+        near: BoolArray = np.abs(z - self.height[node]) <= self.scatter
+        return near
+
+
+def segment(cloud: FloatArray, config: PerceptionConfig) -> tuple[BoolArray, Segmentation]:
+    """`segment_ground` of points (n, 3) that have been checked: which are ground, and what that was found from."""
     width = cell_width_of(cloud)
-    layers = build_layers(cloud, width, max(config.min_headroom, 1.5 * width))
+    layers = build_layers(cloud, width, layer_gap(width, config))
+    found = segment_layers(layers, config, cloud[:, 2])
+    return found.holds(cloud[:, 2], layers.node_of_point), found
+
+
+def segment_layers(
+    layers: Layers, config: PerceptionConfig, z: FloatArray | None = None, scatter: float = LEAST_SCATTER
+) -> Segmentation:
+    """Find the ground in the layers; its scatter is measured at the heights `z` of their points (n,) if given [m]."""
     ground = find_ground(layers, config)
-    node = layers.node_of_point
     smooth = _smoothed(layers, ground)
-    residual = np.abs(cloud[:, 2] - smooth[node])
-    scatter = max(LEAST_SCATTER, 3.0 * 1.4826 * float(np.median(residual[ground[node]])))
+    if z is not None:
+        on = ground[layers.node_of_point]
+        residual = np.abs(z[on] - smooth[layers.node_of_point[on]])
+        scatter = max(LEAST_SCATTER, in_steps(3.0 * 1.4826 * float(np.median(residual))))
     beside = _ground_beside(layers, ground, smooth, scatter)
-    height = np.where(ground, smooth, beside)[node]
-    mask: BoolArray = np.abs(cloud[:, 2] - height) <= scatter
-    return mask
+    return Segmentation(layers, np.where(ground, smooth, beside), scatter)
 
 
 def _ground_beside(layers: Layers, ground: BoolArray, smooth: FloatArray, scatter: float) -> FloatArray:

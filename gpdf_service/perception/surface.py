@@ -49,10 +49,10 @@ class HeightMap:
 
     def cells(self, xy: FloatArray) -> tuple[NDArray[np.int64], NDArray[np.int64], BoolArray]:
         """Cell of each place, shape (m, ≥ 2), clipped to the grid, and whether it was inside."""
-        index = np.floor((xy[:, :2] - self.origin) / self.cell_width).astype(np.int64)
-        inside: BoolArray = np.logical_and.reduce((index >= 0) & (index < self.height.shape), axis=1)
-        ix = np.clip(index[:, 0], 0, self.height.shape[0] - 1)
-        return ix, np.clip(index[:, 1], 0, self.height.shape[1] - 1), inside
+        ix, iy = (np.floor((xy[:, k] - self.origin[k]) / self.cell_width).astype(np.int64) for k in (0, 1))
+        nx, ny = self.height.shape
+        inside: BoolArray = (ix >= 0) & (ix < nx) & (iy >= 0) & (iy < ny)
+        return np.clip(ix, 0, nx - 1), np.clip(iy, 0, ny - 1), inside
 
     def contains(self, queries: FloatArray) -> BoolArray:
         """Whether the ground is known under each place, shape (m, 2 or 3)."""

@@ -1,0 +1,305 @@
+"""What a change of a clean cloud does to its ground and its levels: only what it touches is looked at again.
+
+What a cell holds depends on the points of its column and on cells within a known reach. So cells whose input changed
+are marked, marks are widened by the reach of each stage, and only the points in marked cells are read again. What
+depends on connections (which surfaces are ground, which are one sheet, what a hole is shut off by) is decided anew from
+the cells of the whole scene, not from a window of it. So the result is that of the whole cloud by construction.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from gpdf_service.config import PerceptionConfig
+from gpdf_service.perception.columns import rows_in_cells
+from gpdf_service.perception.layers import Layers, build_layers, layer_gap, splice_layers
+from gpdf_service.perception.levels import (
+    FACE,
+    OVERLAP,
+    GroundLevel,
+    Levels,
+    Survey,
+    Voids,
+    alone,
+    complete,
+    find_ledges,
+    find_portals,
+    find_strays,
+    high_ground,
+    make_level,
+    sheet_surface,
+    split_sheets,
+    within_reach,
+)
+from gpdf_service.perception.segment import Segmentation, segment_layers
+from gpdf_service.perception.surface import OBSERVED, UNKNOWN, HeightMap, find_voids
+from gpdf_service.types import BoolArray, FloatArray, IntArray
+
+
+@dataclass(frozen=True, slots=True)
+class Perceived:
+    """All that is known of a clean cloud; what a change starts from.
+
+    Attributes:
+        points: The cloud [m], shape (n, 3).
+        ground: Which points are ground, shape (n,).
+        segmentation: What the ground was found from; None where it was given.
+        levels: The sheets of ground.
+        survey: What they were made of.
+    """
+
+    points: FloatArray
+    ground: BoolArray
+    segmentation: Segmentation | None
+    levels: Levels
+    survey: Survey
+
+    def lasting(self) -> Perceived:
+        """The same without what only the build needed."""
+        found, none = self.segmentation, np.zeros(0, np.int64)
+        return replace(
+            self,
+            segmentation=found and replace(found, layers=replace(found.layers, node_of_point=none)),
+            survey=replace(self.survey, layers=replace(self.survey.layers, node_of_point=none)),
+        )
+
+
+class WholeError(Exception):
+    """The change asks for a look at the whole cloud."""
+
+
+def change(
+    old: Perceived, cloud: FloatArray, keep: BoolArray, labels: BoolArray | None, config: PerceptionConfig
+) -> Perceived:
+    """What is known after a change.
+
+    Args:
+        old: What was known.
+        cloud: The points that stay and, after them, those that are new [m], shape (n, 3).
+        keep: Which of the old points stay, shape (m,).
+        labels: Which points of `cloud` are ground; None where the segmentation says so.
+        config: Limits.
+
+    Raises:
+        WholeError: the cloud has other bounds, or another number of levels; build it as a whole.
+        NoGroundError: nothing in it is walkable.
+    """
+    fresh = len(cloud) - int(np.count_nonzero(keep))
+    places = np.concatenate([old.points[~keep], cloud[len(cloud) - fresh :]])
+    if len(places) == 0:
+        return old
+    before = np.concatenate([old.ground[keep], np.zeros(fresh, dtype=bool)])
+    segmentation, ground = old.segmentation, labels
+    if ground is None:
+        if segmentation is None:
+            raise WholeError
+        segmentation, ground = _change_segmentation(segmentation, cloud, before, places, config)
+    places = np.concatenate([places, cloud[before != ground]])
+    stray = np.concatenate([old.survey.stray[keep], np.zeros(fresh, dtype=bool)])
+    again = _change_strays(stray, cloud, ground, places, alone(old.survey.layers.cell_width))
+    places = np.concatenate([places, cloud[again != stray]])
+    if not _within_grid(cloud[ground & ~before], old.survey.layers):
+        raise WholeError
+    levels, survey = _change_levels(old, cloud, ground, again, places, config)
+    return Perceived(cloud, ground, segmentation, levels, survey)
+
+
+def _cells_of(places: FloatArray, layers: Layers) -> BoolArray:
+    """Cells that hold any of `places`, shape (nx, ny)."""
+    index = np.floor((places[:, :2] - layers.origin) / layers.cell_width).astype(np.int64)
+    index = index[np.logical_and.reduce((index >= 0) & (index < layers.shape), axis=1)]
+    found = np.zeros(layers.shape, dtype=bool)
+    found[index[:, 0], index[:, 1]] = True
+    return found
+
+
+def _within_grid(places: FloatArray, layers: Layers) -> bool:
+    """Whether all `places` lie inside the grid's empty rim."""
+    index = np.floor((places[:, :2] - layers.origin) / layers.cell_width).astype(np.int64)
+    return bool(((index >= 1) & (index < np.array(layers.shape) - 1)).all())
+
+
+def _rows_in(cloud: FloatArray, grid: Layers, wanted: BoolArray) -> IntArray:
+    along = np.flatnonzero(wanted.any(axis=1))
+    if len(along) == 0:
+        return np.zeros(0, np.int64)
+    low, high = (float(grid.origin[0] + grid.cell_width * k) for k in (along[0] - 1, along[-1] + 2))
+    rows: IntArray = rows_in_cells(cloud, grid.origin, grid.cell_width, wanted, (low, high))
+    return rows
+
+
+def _widened(cells: BoolArray, by: int) -> BoolArray:
+    """The cells and all within `by` cells of them along each axis."""
+    made: BoolArray = ndimage.maximum_filter(cells, size=2 * by + 1, mode="constant")
+    return made
+
+
+def _columns(cloud: FloatArray, rows: IntArray, layers: Layers, config: PerceptionConfig) -> Layers:
+    """Layers of whole columns, the points `rows` of `cloud`, on the grid of `layers`."""
+    return build_layers(cloud[rows], layers.cell_width, layer_gap(layers.cell_width, config), like=layers)
+
+
+def _change_layers(
+    layers: Layers, cloud: FloatArray, rows: IntArray, cells: BoolArray, config: PerceptionConfig
+) -> Layers:
+    fresh = _columns(cloud, rows, layers, config) if len(rows) else None
+    changed = splice_layers(layers, cells.ravel(), fresh)
+    if changed is None:
+        raise WholeError
+    return changed
+
+
+def _nodes_of(local: Layers, whole: Layers) -> IntArray:
+    """Node in `whole` of each point that `local`, some of its columns, was built from."""
+    nodes = whole.start[local.cell] + np.arange(len(local.cell)) - local.start[local.cell]
+    made: IntArray = nodes[local.node_of_point]
+    return made
+
+
+def _change_segmentation(
+    old: Segmentation, cloud: FloatArray, before: BoolArray, places: FloatArray, config: PerceptionConfig
+) -> tuple[Segmentation, BoolArray]:
+    """The segmentation of the changed cloud, and its ground, where `before` is what it was, shape (n,)."""
+    if not _within_grid(places, old.layers):
+        raise WholeError
+    cells = _cells_of(places, old.layers)
+    layers = _change_layers(old.layers, cloud, _rows_in(cloud, old.layers, cells), cells, config)
+    found = segment_layers(layers, config, scatter=old.scatter)
+    stay, now = ~cells.ravel()[old.layers.cell], ~cells.ravel()[layers.cell]
+    other = layers.cell[now][old.height[stay] != found.height[now]]
+    cells.ravel()[other] = True
+    rows = _rows_in(cloud, layers, cells)
+    ground = before.copy()
+    if len(rows):
+        ground[rows] = found.holds(cloud[rows, 2], _nodes_of(_columns(cloud, rows, layers, config), layers))
+    return found, ground
+
+
+def _change_strays(
+    stray: BoolArray, cloud: FloatArray, ground: BoolArray, places: FloatArray, width: float
+) -> BoolArray:
+    """Stray points, where those in voxels near `places` may be others than before; see `find_strays`."""
+    voxel = np.floor(places[:, :2] / width)
+    low, high = voxel.min(axis=0), voxel.max(axis=0) + 1.0
+    near = np.flatnonzero(
+        np.logical_and.reduce((cloud[:, :2] >= (low - 3.0) * width) & (cloud[:, :2] <= (high + 3.0) * width), axis=1)
+    )
+    column = np.floor(cloud[near, :2] / width)
+    sure = np.logical_and.reduce((column >= low - 1.0) & (column < high + 1.0), axis=1)
+    made = stray.copy()
+    made[near[sure]] = find_strays(cloud[near], width)[sure]
+    return made & ~ground
+
+
+def _change_levels(
+    old: Perceived,
+    cloud: FloatArray,
+    ground: BoolArray,
+    stray: BoolArray,
+    places: FloatArray,
+    config: PerceptionConfig,
+) -> tuple[Levels, Survey]:
+    layers = old.survey.layers
+    cells = _cells_of(places, layers)
+    rows = _rows_in(cloud, layers, cells)
+    rows = rows[ground[rows]]
+    layers = _change_layers(layers, cloud, rows, cells, config)
+    sheets = split_sheets(layers, config)
+    if len(sheets) != len(old.levels.levels):
+        raise WholeError
+    made = []
+    for i, sheet in enumerate(sheets):
+        inside = np.zeros(len(layers.cell), dtype=bool)
+        inside[sheet] = True
+        part = _Part(cloud, ground, stray, layers, inside, sheet_surface(layers, sheet), cells)
+        made.append(_change_level(old.levels.levels[i], old.survey.voids[i], part, config))
+    levels = Levels(tuple(level for level, _ in made), find_portals(layers, sheets))
+    return levels, Survey(layers, stray, tuple(voids for _, voids in made))
+
+
+@dataclass(frozen=True, slots=True)
+class _Part:
+    """What one level is made of: cloud, labels, strays, ground layers, the sheet's nodes and cells, changed columns."""
+
+    cloud: FloatArray
+    ground: BoolArray
+    stray: BoolArray
+    layers: Layers
+    inside: BoolArray
+    seen: HeightMap
+    cells: BoolArray
+
+    def rest(self, cells: BoolArray, config: PerceptionConfig) -> FloatArray:
+        """Points in `cells` that are not of this sheet."""
+        rows = _rows_in(self.cloud, self.layers, cells)
+        rows = rows[~self.stray[rows]]
+        mine = self.ground[rows]
+        if mine.any():
+            mine[mine] = self.inside[_nodes_of(_columns(self.cloud, rows[mine], self.layers, config), self.layers)]
+        rest: FloatArray = self.cloud[rows[~mine]]
+        return rest
+
+
+def _change_level(old: GroundLevel, voids: Voids, part: _Part, config: PerceptionConfig) -> tuple[GroundLevel, Voids]:
+    was = np.where(old.surface.state == OBSERVED, old.surface.height, np.float32(np.nan))
+    moved = _differ(was, part.seen.height)
+    width = part.seen.cell_width
+    cells = part.cells | _widened(moved, int(np.ceil(OVERLAP / width)) + 1)
+    rest = part.rest(cells, config)
+    fresh = within_reach(rest, part.seen)
+    found = find_voids(part.seen, rest, config.max_step)
+    now = np.where(cells, found[0], voids[0]), np.where(cells, found[1], voids[1])
+    stay = ~cells[old.surface.cells(old.other_points)[:2]]
+    same = not moved.any() and _same_points(fresh, old.other_points[~stay])
+    if same and all(np.array_equal(a, b) for a, b in zip(now, voids, strict=True)):
+        touched = _ledge_cells(part, old.surface, old.surface)
+        if np.array_equal(ledge := _change_ledges(part, old.surface, old.other_points, old.ledge, touched), old.ledge):
+            return old, voids
+        return replace(old, ledge=ledge), voids
+    other = np.concatenate([old.other_points[stay], fresh])
+    surface, limits = complete(part.seen, other, now, config)
+    ledge = np.concatenate([old.ledge[stay], np.full(len(fresh), np.inf, np.float32)])
+    ledge = _change_ledges(part, surface, other, ledge, cells | _ledge_cells(part, old.surface, surface))
+    return make_level(surface, other, ledge, limits), now
+
+
+def _ledge_cells(part: _Part, old: HeightMap, new: HeightMap) -> BoolArray:
+    """Cells in which a ledge can be another than before."""
+    return _widened(part.cells | (high_ground(old) != high_ground(new)), _ledge_reach(new))
+
+
+def _ledge_reach(surface: HeightMap) -> int:
+    return int(np.ceil(2.0 * FACE / surface.cell_width)) + 1
+
+
+def _change_ledges(
+    part: _Part, surface: HeightMap, other: FloatArray, ledge: NDArray[np.float32], cells: BoolArray
+) -> NDArray[np.float32]:
+    asked = cells[surface.cells(other)[:2]]
+    rows = _rows_in(part.cloud, part.layers, _widened(cells, _ledge_reach(surface)))
+    made = ledge.copy()
+    made[asked] = find_ledges(surface, part.cloud[rows[part.ground[rows]]], other[asked])
+    return made
+
+
+def _differ(a: NDArray[np.float32], b: NDArray[np.float32]) -> BoolArray:
+    """Where two height maps are not the same."""
+    differ: BoolArray = ~((a == b) | (np.isnan(a) & np.isnan(b)))
+    return differ
+
+
+def _same_points(a: FloatArray, b: FloatArray) -> bool:
+    """Whether (n, 3) and (m, 3) are the same points in any order."""
+    return a.shape == b.shape and np.array_equal(a[np.lexsort(a.T)], b[np.lexsort(b.T)])
+
+
+def changed_cells(old: HeightMap, new: HeightMap) -> BoolArray | None:
+    """Cells in which the ground is another, shape (nx, ny); None where the grid is another."""
+    if old.height.shape != new.height.shape or old.cell_width != new.cell_width or (old.origin != new.origin).any():
+        return None
+    cells: BoolArray = _differ(old.height, new.height) | ((old.state != UNKNOWN) != (new.state != UNKNOWN))
+    return cells
