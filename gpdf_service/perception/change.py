@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from gpdf_service.config import PerceptionConfig
-from gpdf_service.perception.columns import rows_in_cells
-from gpdf_service.perception.layers import Layers, build_layers, layer_gap, splice_layers
+from gpdf_service.perception.columns import bounds_of, rows_in_cells
+from gpdf_service.perception.layers import Layers, build_layers, grid_of, layer_gap, splice_layers
 from gpdf_service.perception.levels import (
     FACE,
     OVERLAP,
@@ -102,8 +102,7 @@ def change(
     stray = np.concatenate([old.survey.stray[keep], np.zeros(fresh, dtype=bool)])
     again = _change_strays(stray, cloud, ground, places, alone(old.survey.layers.cell_width))
     places = np.concatenate([places, cloud[again != stray]])
-    if not _within_grid(cloud[ground & ~before], old.survey.layers):
-        raise WholeError
+    _check_grid(cloud, ground, old.survey.layers)
     levels, survey = _change_levels(old, cloud, ground, again, places, config)
     return Perceived(cloud, ground, segmentation, levels, survey)
 
@@ -117,10 +116,13 @@ def _cells_of(places: FloatArray, layers: Layers) -> BoolArray:
     return found
 
 
-def _within_grid(places: FloatArray, layers: Layers) -> bool:
-    """Whether all `places` lie inside the grid's empty rim."""
-    index = np.floor((places[:, :2] - layers.origin) / layers.cell_width).astype(np.int64)
-    return bool(((index >= 1) & (index < np.array(layers.shape) - 1)).all())
+def _check_grid(cloud: FloatArray, chosen: BoolArray, layers: Layers) -> None:
+    """The `chosen` points must have the grid that they had: all else would be moved."""
+    if not chosen.any():
+        raise WholeError
+    origin, shape = grid_of(*bounds_of(cloud, chosen), layers.cell_width)
+    if (origin != layers.origin).any() or shape != layers.shape:
+        raise WholeError
 
 
 def _rows_in(cloud: FloatArray, grid: Layers, wanted: BoolArray) -> IntArray:
@@ -147,10 +149,7 @@ def _change_layers(
     layers: Layers, cloud: FloatArray, rows: IntArray, cells: BoolArray, config: PerceptionConfig
 ) -> Layers:
     fresh = _columns(cloud, rows, layers, config) if len(rows) else None
-    changed = splice_layers(layers, cells.ravel(), fresh)
-    if changed is None:
-        raise WholeError
-    return changed
+    return splice_layers(layers, cells.ravel(), fresh)
 
 
 def _nodes_of(local: Layers, whole: Layers) -> IntArray:
@@ -164,8 +163,7 @@ def _change_segmentation(
     old: Segmentation, cloud: FloatArray, before: BoolArray, places: FloatArray, config: PerceptionConfig
 ) -> tuple[Segmentation, BoolArray]:
     """The segmentation of the changed cloud, and its ground, where `before` is what it was, shape (n,)."""
-    if not _within_grid(places, old.layers):
-        raise WholeError
+    _check_grid(cloud, np.ones(len(cloud), dtype=bool), old.layers)
     cells = _cells_of(places, old.layers)
     layers = _change_layers(old.layers, cloud, _rows_in(cloud, old.layers, cells), cells, config)
     found = segment_layers(layers, config, scatter=old.scatter)

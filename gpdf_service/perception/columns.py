@@ -151,3 +151,14 @@ def rows_in_cells(
             found[used] = row
             used += 1
     return found[:used]
+
+
+@njit(cache=True, nogil=True)
+def bounds_of(points: FloatArray, chosen: BoolArray) -> tuple[FloatArray, FloatArray]:
+    """Least and greatest (x, y) [m] of the `chosen` points, of shape (n, 3)."""
+    low, high = np.full(2, np.inf), np.full(2, -np.inf)
+    for row in range(len(points)):
+        if chosen[row]:
+            for k in range(2):
+                low[k], high[k] = min(low[k], points[row, k]), max(high[k], points[row, k])
+    return low, high

@@ -93,11 +93,18 @@ class Layers:
         return a, np.repeat(first, count) + within
 
 
-def splice_layers(layers: Layers, changed: BoolArray, fresh: Layers | None) -> Layers | None:
-    """Layers with all nodes of the `changed` cells, shape (cells,), replaced by those of `fresh` on the same grid.
+def grid_of(low: FloatArray, high: FloatArray, cell_width: float) -> tuple[FloatArray, tuple[int, int]]:
+    """Lower corner [m] and shape of the grid over points between `low` and `high` [m].
 
-    None where the cloud would have another grid, because its outermost cells are empty now.
+    Centres lie at multiples of the width, so that they stay when the cloud grows; a ring of them is empty: unknown.
     """
+    origin: FloatArray = (np.floor(low[:2] / cell_width) - 1.5) * cell_width
+    shape = np.floor((high[:2] - origin) / cell_width).astype(np.int64) + 2
+    return origin, (int(shape[0]), int(shape[1]))
+
+
+def splice_layers(layers: Layers, changed: BoolArray, fresh: Layers | None) -> Layers:
+    """Layers with all nodes of the `changed` cells, shape (cells,), replaced by those of `fresh` on the same grid."""
     stay = ~changed[layers.cell]
 
     def both(name: str) -> NDArray[Any]:
@@ -106,10 +113,6 @@ def splice_layers(layers: Layers, changed: BoolArray, fresh: Layers | None) -> L
 
     order = np.argsort(both("cell"), kind="stable")
     cell = both("cell")[order]
-    x, y = np.divmod(cell, layers.shape[1])
-    if len(cell) == 0 or (x.min(), y.min(), x.max() + 2, y.max() + 2) != (1, 1, *layers.shape):
-        return None
-
     start = np.concatenate([[0], np.cumsum(np.bincount(cell, minlength=layers.shape[0] * layers.shape[1]))])
     height, thickness, headroom = (both(name)[order] for name in ("height", "thickness", "headroom"))
     parts = cell, height, thickness, headroom, np.zeros(0, np.int64), start
@@ -121,10 +124,9 @@ def build_layers(points: FloatArray, cell_width: float, gap: float, *, like: Lay
 
     The grid is that of `like`, which must hold all points, or as large as the points ask for.
     """
-    # Centres lie at multiples of the width, so that they stay when the cloud grows; a ring of them is empty: unknown.
-    origin = (np.floor(points[:, :2].min(axis=0) / cell_width) - 1.5) * cell_width if like is None else like.origin
-    index = np.floor((points[:, :2] - origin) / cell_width).astype(np.int64)
-    shape = (int(index[:, 0].max()) + 2, int(index[:, 1].max()) + 2) if like is None else like.shape
+    xy = points[:, :2]
+    origin, shape = grid_of(xy.min(axis=0), xy.max(axis=0), cell_width) if like is None else (like.origin, like.shape)
+    index = np.floor((xy - origin) / cell_width).astype(np.int64)
     cell = index[:, 0] * shape[1] + index[:, 1]
     order, _ = column_order(cell, np.ascontiguousarray(points[:, 2]), shape[0] * shape[1])
     cell, z = cell[order], points[order, 2]
