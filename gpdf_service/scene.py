@@ -34,7 +34,7 @@ from gpdf_service.perception import (
 )
 from gpdf_service.perception.layers import in_steps
 from gpdf_service.perception.surface import UNKNOWN
-from gpdf_service.search import FreeSpace, build_free_space
+from gpdf_service.search import FreeSpace, build_free_space, change_free_space
 from gpdf_service.store import flatten, read_arrays, restore, write_arrays
 from gpdf_service.types import Agent, BoolArray, FieldSample, FloatArray, IntArray, resolve_agent
 
@@ -142,6 +142,14 @@ def _gather(queries: FloatArray, parts: list[tuple[BoolArray, Gpdf, FloatArray]]
     return made
 
 
+Touched = tuple[BoolArray | None, ...]
+"""For each level the cells in which anything is another than before, None where nothing is."""
+
+
+def _either(a: BoolArray | None, b: BoolArray | None) -> BoolArray | None:
+    return (a if b is None else b) if a is None or b is None else a | b
+
+
 class Scene:
     """What is known of one place. Built by `build_scene`; safe to share between threads.
 
@@ -176,6 +184,7 @@ class Scene:
         self.noise, self.labelled = noise, labelled
         self.perceived, self.drift = perceived, drift
         self._spaces: OrderedDict[Agent, FreeSpace] = OrderedDict()
+        self._former: dict[Agent, tuple[FreeSpace, Touched]] = {}
         self._lock = threading.Lock()
         self._building: dict[Agent, threading.Lock] = {}
 
@@ -205,15 +214,31 @@ class Scene:
             with self._lock:
                 if body in self._spaces:
                     return self._spaces[body]
-            space = build_free_space(
-                self.levels, self.ground_fields, body, self.config.search, self.config.fields, noise=self.noise
-            )
+            space = self._make_space(body)
             with self._lock:
                 self._spaces[body] = space
+                self._former.pop(body, None)
                 self._building.pop(body, None)
                 while len(self._spaces) > MAX_CACHED_AGENTS:
                     self._spaces.popitem(last=False)
             return space
+
+    def _make_space(self, body: Agent) -> FreeSpace:
+        parts = self.levels, self.ground_fields
+        config = self.config.search, self.config.fields
+        former = self._former.get(body)
+        if former is not None:
+            space, touched = former
+            return change_free_space(space, *parts, touched, *config, noise=self.noise)
+        return build_free_space(*parts, body, *config, noise=self.noise)
+
+    def _spaces_before(self, touched: Touched) -> dict[Agent, tuple[FreeSpace, Touched]]:
+        """For each body the free space that the next version's is made from, and what was touched since."""
+        with self._lock:
+            before = {body: (space, touched) for body, space in self._spaces.items()}
+            for body, (space, earlier) in self._former.items():
+                before[body] = space, tuple(_either(a, b) for a, b in zip(earlier, touched, strict=True))
+        return before
 
     def with_obstacles(self, points: FloatArray) -> Scene:
         """This scene with more in it than was scanned: people, doors, whatever moves.
@@ -299,7 +324,9 @@ class Scene:
         )
         progress("ready", 1.0)
         known = self.version + 1, self.noise, self.labelled
-        return Scene(cloud, now.ground, now.levels, fields, self.config, *known, now, drift)
+        scene = Scene(cloud, now.ground, now.levels, fields, self.config, *known, now, drift)
+        scene._former = self._spaces_before(now.touched)
+        return scene
 
     def _labels_of(self, fresh: FloatArray, ground: ArrayLike | None, cloud: FloatArray) -> BoolArray:
         if ground is None:
@@ -310,6 +337,7 @@ class Scene:
         """Drop what was built for single kinds of body; it is built again on use."""
         with self._lock:
             self._spaces.clear()
+            self._former.clear()
 
     @cached_property
     def whole_field(self) -> Gpdf:

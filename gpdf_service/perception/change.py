@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from gpdf_service.config import PerceptionConfig
-from gpdf_service.perception.columns import bounds_of, rows_in_cells
+from gpdf_service.perception.columns import bounds_of, rows_in_box, rows_in_cells
 from gpdf_service.perception.layers import Layers, build_layers, grid_of, layer_gap, splice_layers
 from gpdf_service.perception.levels import (
     FACE,
@@ -35,8 +35,9 @@ from gpdf_service.perception.levels import (
     split_sheets,
     within_reach,
 )
+from gpdf_service.perception.limits import limits_reach
 from gpdf_service.perception.segment import Segmentation, segment_layers
-from gpdf_service.perception.surface import OBSERVED, UNKNOWN, HeightMap, find_voids
+from gpdf_service.perception.surface import OBSERVED, HeightMap, find_voids
 from gpdf_service.types import BoolArray, FloatArray, IntArray
 
 
@@ -50,6 +51,8 @@ class Perceived:
         segmentation: What the ground was found from; None where it was given.
         levels: The sheets of ground.
         survey: What they were made of.
+        touched: After a change, for each level the cells in which anything of it is another than before; None where it
+            is as it was.
     """
 
     points: FloatArray
@@ -57,6 +60,7 @@ class Perceived:
     segmentation: Segmentation | None
     levels: Levels
     survey: Survey
+    touched: tuple[BoolArray | None, ...] = ()
 
     def lasting(self) -> Perceived:
         """The same without what only the build needed."""
@@ -91,20 +95,21 @@ def change(
     fresh = len(cloud) - int(np.count_nonzero(keep))
     places = np.concatenate([old.points[~keep], cloud[len(cloud) - fresh :]])
     if len(places) == 0:
-        return old
+        return replace(old, touched=tuple(None for _ in old.levels.levels))
+    known = _Cloud(cloud, places)
     before = np.concatenate([old.ground[keep], np.zeros(fresh, dtype=bool)])
     segmentation, ground = old.segmentation, labels
     if ground is None:
         if segmentation is None:
             raise WholeError
-        segmentation, ground = _change_segmentation(segmentation, cloud, before, places, config)
+        segmentation, ground = _change_segmentation(segmentation, known, before, places, config)
     places = np.concatenate([places, cloud[before != ground]])
     stray = np.concatenate([old.survey.stray[keep], np.zeros(fresh, dtype=bool)])
-    again = _change_strays(stray, cloud, ground, places, alone(old.survey.layers.cell_width))
+    again = _change_strays(stray, known, ground, places, alone(old.survey.layers.cell_width))
     places = np.concatenate([places, cloud[again != stray]])
     _check_grid(cloud, ground, old.survey.layers)
-    levels, survey = _change_levels(old, cloud, ground, again, places, config)
-    return Perceived(cloud, ground, segmentation, levels, survey)
+    levels, survey, touched = _change_levels(old, known, ground, again, places, config)
+    return Perceived(cloud, ground, segmentation, levels, survey, touched)
 
 
 def _cells_of(places: FloatArray, layers: Layers) -> BoolArray:
@@ -125,29 +130,50 @@ def _check_grid(cloud: FloatArray, chosen: BoolArray, layers: Layers) -> None:
         raise WholeError
 
 
-def _rows_in(cloud: FloatArray, grid: Layers, wanted: BoolArray) -> IntArray:
-    along = np.flatnonzero(wanted.any(axis=1))
-    if len(along) == 0:
-        return np.zeros(0, np.int64)
-    low, high = (float(grid.origin[0] + grid.cell_width * k) for k in (along[0] - 1, along[-1] + 2))
-    rows: IntArray = rows_in_cells(cloud, grid.origin, grid.cell_width, wanted, (low, high))
-    return rows
+class _Cloud:
+    """The changed cloud, with the points around the change at hand: they are asked for again and again.
+
+    Attributes:
+        points: All [m], shape (n, 3).
+        low: Lower corner of what is at hand [m], shape (2,).
+        high: Upper corner [m], shape (2,).
+    """
+
+    def __init__(self, points: FloatArray, places: FloatArray) -> None:
+        self.points = points
+        self.low, self.high = places[:, :2].min(axis=0) - _AT_HAND, places[:, :2].max(axis=0) + _AT_HAND
+        self._rows: IntArray = rows_in_box(points, self.low, self.high)
+        self._near = points[self._rows]
+
+    def rows_in(self, grid: Layers | HeightMap, wanted: BoolArray) -> IntArray:
+        """Rows of the points in the `wanted` cells of a grid, shape (nx, ny); sorted."""
+        along, across = (np.flatnonzero(wanted.any(axis=axis)) for axis in (1, 0))
+        if len(along) == 0:
+            return np.zeros(0, np.int64)
+        low = grid.origin + grid.cell_width * np.array([along[0] - 1, across[0] - 1])
+        high = grid.origin + grid.cell_width * np.array([along[-1] + 2, across[-1] + 2])
+        if (low >= self.low).all() and (high <= self.high).all():
+            return self._rows[rows_in_cells(self._near, grid.origin, grid.cell_width, wanted)]
+        whole: IntArray = rows_in_cells(self.points, grid.origin, grid.cell_width, wanted)
+        return whole
 
 
-def _widened(cells: BoolArray, by: int) -> BoolArray:
+_AT_HAND = 4.0 * OVERLAP
+"""[m] Around a change; what a change of the ground makes look at again lies within 1.5 times the overlap of sheets."""
+
+
+def widened(cells: BoolArray, by: int) -> BoolArray:
     """The cells and all within `by` cells of them along each axis."""
     made: BoolArray = ndimage.maximum_filter(cells, size=2 * by + 1, mode="constant")
     return made
 
 
-def _columns(cloud: FloatArray, rows: IntArray, layers: Layers, config: PerceptionConfig) -> Layers:
+def _columns(cloud: _Cloud, rows: IntArray, layers: Layers, config: PerceptionConfig) -> Layers:
     """Layers of whole columns, the points `rows` of `cloud`, on the grid of `layers`."""
-    return build_layers(cloud[rows], layers.cell_width, layer_gap(layers.cell_width, config), like=layers)
+    return build_layers(cloud.points[rows], layers.cell_width, layer_gap(layers.cell_width, config), like=layers)
 
 
-def _change_layers(
-    layers: Layers, cloud: FloatArray, rows: IntArray, cells: BoolArray, config: PerceptionConfig
-) -> Layers:
+def _change_layers(layers: Layers, cloud: _Cloud, rows: IntArray, cells: BoolArray, config: PerceptionConfig) -> Layers:
     fresh = _columns(cloud, rows, layers, config) if len(rows) else None
     return splice_layers(layers, cells.ravel(), fresh)
 
@@ -160,50 +186,46 @@ def _nodes_of(local: Layers, whole: Layers) -> IntArray:
 
 
 def _change_segmentation(
-    old: Segmentation, cloud: FloatArray, before: BoolArray, places: FloatArray, config: PerceptionConfig
+    old: Segmentation, cloud: _Cloud, before: BoolArray, places: FloatArray, config: PerceptionConfig
 ) -> tuple[Segmentation, BoolArray]:
     """The segmentation of the changed cloud, and its ground, where `before` is what it was, shape (n,)."""
-    _check_grid(cloud, np.ones(len(cloud), dtype=bool), old.layers)
+    _check_grid(cloud.points, np.ones(len(cloud.points), dtype=bool), old.layers)
     cells = _cells_of(places, old.layers)
-    layers = _change_layers(old.layers, cloud, _rows_in(cloud, old.layers, cells), cells, config)
+    layers = _change_layers(old.layers, cloud, cloud.rows_in(old.layers, cells), cells, config)
     found = segment_layers(layers, config, scatter=old.scatter)
     stay, now = ~cells.ravel()[old.layers.cell], ~cells.ravel()[layers.cell]
-    other = layers.cell[now][old.height[stay] != found.height[now]]
-    cells.ravel()[other] = True
-    rows = _rows_in(cloud, layers, cells)
+    for name in ("low", "high", "beside"):
+        cells.ravel()[layers.cell[now][getattr(old, name)[stay] != getattr(found, name)[now]]] = True
+    rows = cloud.rows_in(layers, cells)
     ground = before.copy()
     if len(rows):
-        ground[rows] = found.holds(cloud[rows, 2], _nodes_of(_columns(cloud, rows, layers, config), layers))
+        ground[rows] = found.holds(cloud.points[rows, 2], _nodes_of(_columns(cloud, rows, layers, config), layers))
     return found, ground
 
 
-def _change_strays(
-    stray: BoolArray, cloud: FloatArray, ground: BoolArray, places: FloatArray, width: float
-) -> BoolArray:
+def _change_strays(stray: BoolArray, cloud: _Cloud, ground: BoolArray, places: FloatArray, width: float) -> BoolArray:
     """Stray points, where those in voxels near `places` may be others than before; see `find_strays`."""
     voxel = np.floor(places[:, :2] / width)
     low, high = voxel.min(axis=0), voxel.max(axis=0) + 1.0
-    near = np.flatnonzero(
-        np.logical_and.reduce((cloud[:, :2] >= (low - 3.0) * width) & (cloud[:, :2] <= (high + 3.0) * width), axis=1)
-    )
-    column = np.floor(cloud[near, :2] / width)
+    near = rows_in_box(cloud.points, (low - 3.0) * width, (high + 3.0) * width)
+    column = np.floor(cloud.points[near, :2] / width)
     sure = np.logical_and.reduce((column >= low - 1.0) & (column < high + 1.0), axis=1)
     made = stray.copy()
-    made[near[sure]] = find_strays(cloud[near], width)[sure]
+    made[near[sure]] = find_strays(cloud.points[near], width)[sure]
     return made & ~ground
 
 
 def _change_levels(
     old: Perceived,
-    cloud: FloatArray,
+    cloud: _Cloud,
     ground: BoolArray,
     stray: BoolArray,
     places: FloatArray,
     config: PerceptionConfig,
-) -> tuple[Levels, Survey]:
+) -> tuple[Levels, Survey, tuple[BoolArray | None, ...]]:
     layers = old.survey.layers
     cells = _cells_of(places, layers)
-    rows = _rows_in(cloud, layers, cells)
+    rows = cloud.rows_in(layers, cells)
     rows = rows[ground[rows]]
     layers = _change_layers(layers, cloud, rows, cells, config)
     sheets = split_sheets(layers, config)
@@ -215,15 +237,16 @@ def _change_levels(
         inside[sheet] = True
         part = _Part(cloud, ground, stray, layers, inside, sheet_surface(layers, sheet), cells)
         made.append(_change_level(old.levels.levels[i], old.survey.voids[i], part, config))
-    levels = Levels(tuple(level for level, _ in made), find_portals(layers, sheets))
-    return levels, Survey(layers, stray, tuple(voids for _, voids in made))
+    levels = Levels(tuple(level for level, _, _ in made), find_portals(layers, sheets))
+    survey = Survey(layers, stray, tuple(voids for _, voids, _ in made))
+    return levels, survey, tuple(touched for _, _, touched in made)
 
 
 @dataclass(frozen=True, slots=True)
 class _Part:
     """What one level is made of: cloud, labels, strays, ground layers, the sheet's nodes and cells, changed columns."""
 
-    cloud: FloatArray
+    cloud: _Cloud
     ground: BoolArray
     stray: BoolArray
     layers: Layers
@@ -233,41 +256,62 @@ class _Part:
 
     def rest(self, cells: BoolArray, config: PerceptionConfig) -> FloatArray:
         """Points in `cells` that are not of this sheet."""
-        rows = _rows_in(self.cloud, self.layers, cells)
+        rows = self.cloud.rows_in(self.layers, cells)
         rows = rows[~self.stray[rows]]
         mine = self.ground[rows]
         if mine.any():
             mine[mine] = self.inside[_nodes_of(_columns(self.cloud, rows[mine], self.layers, config), self.layers)]
-        rest: FloatArray = self.cloud[rows[~mine]]
+        rest: FloatArray = self.cloud.points[rows[~mine]]
         return rest
 
 
-def _change_level(old: GroundLevel, voids: Voids, part: _Part, config: PerceptionConfig) -> tuple[GroundLevel, Voids]:
+def _change_level(
+    old: GroundLevel, voids: Voids, part: _Part, config: PerceptionConfig
+) -> tuple[GroundLevel, Voids, BoolArray | None]:
     was = np.where(old.surface.state == OBSERVED, old.surface.height, np.float32(np.nan))
     moved = _differ(was, part.seen.height)
-    width = part.seen.cell_width
-    cells = part.cells | _widened(moved, int(np.ceil(OVERLAP / width)) + 1)
+    cells = part.cells | widened(moved, int(np.ceil(OVERLAP / part.seen.cell_width)) + 1)
     rest = part.rest(cells, config)
     fresh = within_reach(rest, part.seen)
     found = find_voids(part.seen, rest, config.max_step)
     now = np.where(cells, found[0], voids[0]), np.where(cells, found[1], voids[1])
     stay = ~cells[old.surface.cells(old.other_points)[:2]]
-    same = not moved.any() and _same_points(fresh, old.other_points[~stay])
-    if same and all(np.array_equal(a, b) for a, b in zip(now, voids, strict=True)):
-        touched = _ledge_cells(part, old.surface, old.surface)
-        if np.array_equal(ledge := _change_ledges(part, old.surface, old.other_points, old.ledge, touched), old.ledge):
-            return old, voids
-        return replace(old, ledge=ledge), voids
     other = np.concatenate([old.other_points[stay], fresh])
     surface, limits = complete(part.seen, other, now, config)
     ledge = np.concatenate([old.ledge[stay], np.full(len(fresh), np.inf, np.float32)])
     ledge = _change_ledges(part, surface, other, ledge, cells | _ledge_cells(part, old.surface, surface))
-    return make_level(surface, other, ledge, limits), now
+    kept = int(np.count_nonzero(stay))
+    touched = _other_cells(surface, old.other_points[~stay], old.ledge[~stay], other[kept:], ledge[kept:])
+    stepped = old.ledge[stay] != ledge[:kept]
+    touched |= _cells_of(other[:kept][stepped], part.layers)
+    touched = widened(touched, 1) | widened(_changed(old.surface, surface), limits_reach(surface))
+    if not touched.any():
+        return old, voids, None
+    return make_level(surface, other, ledge, limits), now, touched
+
+
+def _other_cells(
+    surface: HeightMap, was: FloatArray, ledge_was: NDArray[np.float32], now: FloatArray, ledge_now: NDArray[np.float32]
+) -> BoolArray:
+    """Cells in which there are other points than before, or points with another ledge."""
+    points = np.concatenate([was, now])
+    bits = np.column_stack([points, np.concatenate([ledge_was, ledge_now])]).astype(np.float64).view(np.uint64)
+    mixed = (bits * _MIX).sum(axis=1, dtype=np.uint64)
+    _, kind = np.unique(mixed ^ (mixed >> np.uint64(29)), return_inverse=True)
+    more = np.bincount(kind[len(was) :], minlength=len(kind)) - np.bincount(kind[: len(was)], minlength=len(kind))
+    found = np.zeros(surface.height.shape, dtype=bool)
+    ix, iy, _ = surface.cells(points[more[kind] != 0])
+    found[ix, iy] = True
+    return found
+
+
+_MIX = np.array([0x9E3779B97F4A7C15, 0xC2B2AE3D27D4EB4F, 0x165667B19E3779F9, 0xD6E8FEB86659FD93], dtype=np.uint64)
+"""Odd numbers without a pattern: two points get one sum of products with a chance of 2⁻⁶⁴."""
 
 
 def _ledge_cells(part: _Part, old: HeightMap, new: HeightMap) -> BoolArray:
     """Cells in which a ledge can be another than before."""
-    return _widened(part.cells | (high_ground(old) != high_ground(new)), _ledge_reach(new))
+    return widened(part.cells | (high_ground(old) != high_ground(new)), _ledge_reach(new))
 
 
 def _ledge_reach(surface: HeightMap) -> int:
@@ -278,9 +322,9 @@ def _change_ledges(
     part: _Part, surface: HeightMap, other: FloatArray, ledge: NDArray[np.float32], cells: BoolArray
 ) -> NDArray[np.float32]:
     asked = cells[surface.cells(other)[:2]]
-    rows = _rows_in(part.cloud, part.layers, _widened(cells, _ledge_reach(surface)))
+    rows = part.cloud.rows_in(part.layers, widened(cells, _ledge_reach(surface)))
     made = ledge.copy()
-    made[asked] = find_ledges(surface, part.cloud[rows[part.ground[rows]]], other[asked])
+    made[asked] = find_ledges(surface, part.cloud.points[rows[part.ground[rows]]], other[asked])
     return made
 
 
@@ -290,14 +334,13 @@ def _differ(a: NDArray[np.float32], b: NDArray[np.float32]) -> BoolArray:
     return differ
 
 
-def _same_points(a: FloatArray, b: FloatArray) -> bool:
-    """Whether (n, 3) and (m, 3) are the same points in any order."""
-    return a.shape == b.shape and np.array_equal(a[np.lexsort(a.T)], b[np.lexsort(b.T)])
+def _changed(old: HeightMap, new: HeightMap) -> BoolArray:
+    cells: BoolArray = _differ(old.height, new.height) | (old.state != new.state)
+    return cells
 
 
 def changed_cells(old: HeightMap, new: HeightMap) -> BoolArray | None:
     """Cells in which the ground is another, shape (nx, ny); None where the grid is another."""
     if old.height.shape != new.height.shape or old.cell_width != new.cell_width or (old.origin != new.origin).any():
         return None
-    cells: BoolArray = _differ(old.height, new.height) | ((old.state != UNKNOWN) != (new.state != UNKNOWN))
-    return cells
+    return _changed(old, new)

@@ -118,8 +118,20 @@ def medians_around(height: FloatArray, keep: BoolArray, a: IntArray, b: IntArray
     made = height.copy()
     for i in range(len(height)):
         if keep[i]:
-            made[i] = np.sort(values[start[i] : start[i + 1]])[(start[i + 1] - start[i] - 1) // 2]
+            _sort(values, start[i], start[i + 1])
+            made[i] = values[(start[i] + start[i + 1] - 1) // 2]
     return made
+
+
+@njit(cache=True, nogil=True)
+def _sort(values: FloatArray, begin: int, end: int) -> None:
+    """Put the few values from `begin` to `end` in order, by insertion."""
+    for i in range(begin + 1, end):
+        value, j = values[i], i
+        while j > begin and values[j - 1] > value:
+            values[j] = values[j - 1]
+            j -= 1
+        values[j] = value
 
 
 @njit(cache=True, nogil=True)
@@ -135,17 +147,27 @@ def next_below(cell: IntArray, keep: BoolArray) -> IntArray:
 
 
 @njit(cache=True, nogil=True)
-def rows_in_cells(
-    points: FloatArray, origin: FloatArray, cell_width: float, wanted: BoolArray, x: tuple[float, float]
-) -> IntArray:
-    """Rows of the points (n, 3) in the `wanted` cells, shape (nx, ny), all of which lie between two `x` [m]; sorted."""
+def rows_in_cells(points: FloatArray, origin: FloatArray, cell_width: float, wanted: BoolArray) -> IntArray:
+    """Rows of the points (n, 3) in the `wanted` cells, shape (nx, ny), of a grid; sorted."""
     found, used = np.empty(1024, np.int64), 0
     for row in range(len(points)):
-        if not x[0] <= points[row, 0] <= x[1]:
-            continue
         i = int(np.floor((points[row, 0] - origin[0]) / cell_width))
         j = int(np.floor((points[row, 1] - origin[1]) / cell_width))
         if 0 <= i < wanted.shape[0] and 0 <= j < wanted.shape[1] and wanted[i, j]:
+            if used == len(found):
+                found = _longer(found, 2 * used)
+            found[used] = row
+            used += 1
+    return found[:used]
+
+
+@njit(cache=True, nogil=True)
+def rows_in_box(points: FloatArray, low: FloatArray, high: FloatArray) -> IntArray:
+    """Rows of the points (n, 3) between `low` and `high` in plan, shape (2,); sorted."""
+    found, used = np.empty(1024, np.int64), 0
+    for row in range(len(points)):
+        x, y = points[row, 0], points[row, 1]
+        if low[0] <= x <= high[0] and low[1] <= y <= high[1]:
             if used == len(found):
                 found = _longer(found, 2 * used)
             found[used] = row

@@ -62,6 +62,34 @@ def find_limits(surface: HeightMap, material: BoolArray) -> GroundLimits:
     )
 
 
+def limits_reach(surface: HeightMap) -> int:
+    """Cells within which the ground decides on the limits of a cell: the slope's reach and three medians."""
+    return max(1, round(FOOT / surface.cell_width)) + 5
+
+
+def change_step_and_slope(
+    surface: HeightMap, changed: BoolArray, step: FloatArray, slope: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """`step_and_slope` of ground that has other heights in the `changed` cells; `step` and `slope` are those before."""
+    if not changed.any():
+        return step, slope
+    reach = limits_reach(surface)
+    inner, outer = window(changed, reach), window(changed, 2 * reach)
+    part = HeightMap(surface.origin, surface.cell_width, surface.height[outer], surface.state[outer])
+    within = tuple(slice(i.start - o.start, i.stop - o.start) for i, o in zip(inner, outer, strict=True))
+    now = step.copy(), slope.copy()
+    for whole, made in zip(now, step_and_slope(part), strict=True):
+        whole[inner] = made[within]
+    return now
+
+
+def window(cells: BoolArray, by: int) -> tuple[slice, slice]:
+    """The rows and columns that hold all `cells`, shape (nx, ny), and `by` cells more on each side."""
+    spans = (np.flatnonzero(cells.any(axis=axis)) for axis in (1, 0))
+    x, y = (slice(max(int(s[0]) - by, 0), min(int(s[-1]) + 1 + by, n)) for s, n in zip(spans, cells.shape, strict=True))
+    return x, y
+
+
 def step_and_slope(surface: HeightMap) -> tuple[FloatArray, FloatArray]:
     """Height of the step [m] and slope of the ground [rad] at each cell, shape (nx, ny); 0 where unknown.
 

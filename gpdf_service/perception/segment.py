@@ -56,18 +56,22 @@ class Segmentation:
 
     Attributes:
         layers: Their nodes.
-        height: Of the ground that a node's points are of if they are near it [m], inf where there is none, shape (k,).
-        scatter: How near that is [m].
+        low: Lowest that the ground is within each node's cell [m], inf where the node is none, shape (k,).
+        high: Highest, -inf where the node is none.
+        beside: Height of the ground beside a node that may reach into its cell [m], inf where there is none.
+        scatter: How near to it a point of the ground is [m].
     """
 
     layers: Layers
-    height: FloatArray
+    low: FloatArray
+    high: FloatArray
+    beside: FloatArray
     scatter: float
 
     def holds(self, z: FloatArray, node: IntArray) -> BoolArray:
         """Whether points at heights `z` [m] in the nodes `node` are ground, shape (n,)."""
-        near: BoolArray = np.abs(z - self.height[node]) <= self.scatter
-        return near
+        on: BoolArray = (z >= self.low[node] - self.scatter) & (z <= self.high[node] + self.scatter)
+        return on | (np.abs(z - self.beside[node]) <= self.scatter)
 
 
 def segment(cloud: FloatArray, config: PerceptionConfig) -> tuple[BoolArray, Segmentation]:
@@ -89,7 +93,8 @@ def segment_layers(
         residual = np.abs(z[on] - smooth[layers.node_of_point[on]])
         scatter = max(LEAST_SCATTER, in_steps(3.0 * 1.4826 * float(np.median(residual))))
     beside = _ground_beside(layers, ground, smooth, scatter)
-    return Segmentation(layers, np.where(ground, smooth, beside), scatter)
+    low, high = np.where(ground, smooth, np.inf), np.where(ground, smooth, -np.inf)
+    return Segmentation(layers, low, high, beside, scatter)
 
 
 def _ground_beside(layers: Layers, ground: BoolArray, smooth: FloatArray, scatter: float) -> FloatArray:
