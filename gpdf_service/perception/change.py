@@ -35,7 +35,7 @@ from gpdf_service.perception.levels import (
     split_sheets,
     within_reach,
 )
-from gpdf_service.perception.limits import limits_reach
+from gpdf_service.perception.limits import Measured, change_step_and_slope, find_limits, limits_reach
 from gpdf_service.perception.segment import Segmentation, segment_layers
 from gpdf_service.perception.surface import OBSERVED, HeightMap, find_voids
 from gpdf_service.types import BoolArray, FloatArray, IntArray
@@ -236,10 +236,10 @@ def _change_levels(
         inside = np.zeros(len(layers.cell), dtype=bool)
         inside[sheet] = True
         part = _Part(cloud, ground, stray, layers, inside, sheet_surface(layers, sheet), cells)
-        made.append(_change_level(old.levels.levels[i], old.survey.voids[i], part, config))
-    levels = Levels(tuple(level for level, _, _ in made), find_portals(layers, sheets))
-    survey = Survey(layers, stray, tuple(voids for _, voids, _ in made))
-    return levels, survey, tuple(touched for _, _, touched in made)
+        made.append(_change_level(old.levels.levels[i], old.survey.voids[i], old.survey.measured[i], part, config))
+    levels = Levels(tuple(level for level, _, _, _ in made), find_portals(layers, sheets))
+    survey = Survey(layers, stray, tuple(voids for _, voids, _, _ in made), tuple(found for _, _, found, _ in made))
+    return levels, survey, tuple(touched for _, _, _, touched in made)
 
 
 @dataclass(frozen=True, slots=True)
@@ -266,8 +266,8 @@ class _Part:
 
 
 def _change_level(
-    old: GroundLevel, voids: Voids, part: _Part, config: PerceptionConfig
-) -> tuple[GroundLevel, Voids, BoolArray | None]:
+    old: GroundLevel, voids: Voids, measured: Measured, part: _Part, config: PerceptionConfig
+) -> tuple[GroundLevel, Voids, Measured, BoolArray | None]:
     was = np.where(old.surface.state == OBSERVED, old.surface.height, np.float32(np.nan))
     moved = _differ(was, part.seen.height)
     cells = part.cells | widened(moved, int(np.ceil(OVERLAP / part.seen.cell_width)) + 1)
@@ -277,30 +277,37 @@ def _change_level(
     now = np.where(cells, found[0], voids[0]), np.where(cells, found[1], voids[1])
     stay = ~cells[old.surface.cells(old.other_points)[:2]]
     other = np.concatenate([old.other_points[stay], fresh])
-    surface, limits = complete(part.seen, other, now, config)
     ledge = np.concatenate([old.ledge[stay], np.full(len(fresh), np.inf, np.float32)])
+    surface, limits = old.surface, old.limits
+    swapped = _other_cells(surface, old.other_points[~stay], fresh)
+    if moved.any() or swapped.any() or any((a != b).any() for a, b in zip(now, voids, strict=True)):
+        surface, material = complete(part.seen, other, now, config)
+        measured = change_step_and_slope(surface, _changed(old.surface, surface), *measured)
+        limits = find_limits(surface, material, measured)
     ledge = _change_ledges(part, surface, other, ledge, cells | _ledge_cells(part, old.surface, surface))
     kept = int(np.count_nonzero(stay))
-    touched = _other_cells(surface, old.other_points[~stay], old.ledge[~stay], other[kept:], ledge[kept:])
-    stepped = old.ledge[stay] != ledge[:kept]
-    touched |= _cells_of(other[:kept][stepped], part.layers)
-    touched = widened(touched, 1) | widened(_changed(old.surface, surface), limits_reach(surface))
+    stepped = _cells_of(other[:kept][old.ledge[stay] != ledge[:kept]], part.layers)
+    before, after = _with(old.other_points[~stay], old.ledge[~stay]), _with(fresh, ledge[kept:])
+    stepped |= _other_cells(surface, before, after)
+    touched = widened(stepped, 1) | widened(_changed(old.surface, surface), limits_reach(surface))
     if not touched.any():
-        return old, voids, None
-    return make_level(surface, other, ledge, limits), now, touched
+        return old, voids, measured, None
+    return make_level(surface, other, ledge, limits), now, measured, touched
 
 
-def _other_cells(
-    surface: HeightMap, was: FloatArray, ledge_was: NDArray[np.float32], now: FloatArray, ledge_now: NDArray[np.float32]
-) -> BoolArray:
-    """Cells in which there are other points than before, or points with another ledge."""
-    points = np.concatenate([was, now])
-    bits = np.column_stack([points, np.concatenate([ledge_was, ledge_now])]).astype(np.float64).view(np.uint64)
-    mixed = (bits * _MIX).sum(axis=1, dtype=np.uint64)
+def _with(points: FloatArray, values: NDArray[np.float32]) -> FloatArray:
+    made: FloatArray = np.column_stack([points, values])
+    return made
+
+
+def _other_cells(surface: HeightMap, was: FloatArray, now: FloatArray) -> BoolArray:
+    """Cells that hold other points than before: rows of x, y, z and what else tells them apart."""
+    both = np.concatenate([was, now])
+    mixed = (both.view(np.uint64) * _MIX[: both.shape[1]]).sum(axis=1, dtype=np.uint64)
     _, kind = np.unique(mixed ^ (mixed >> np.uint64(29)), return_inverse=True)
     more = np.bincount(kind[len(was) :], minlength=len(kind)) - np.bincount(kind[: len(was)], minlength=len(kind))
     found = np.zeros(surface.height.shape, dtype=bool)
-    ix, iy, _ = surface.cells(points[more[kind] != 0])
+    ix, iy, _ = surface.cells(both[more[kind] != 0])
     found[ix, iy] = True
     return found
 

@@ -11,7 +11,7 @@ from scipy import ndimage
 from gpdf_service.config import PerceptionConfig
 from gpdf_service.errors import NoGroundError
 from gpdf_service.perception.layers import Layers, build_layers, cell_width_of, connect, layer_gap
-from gpdf_service.perception.limits import GroundLimits, find_limits
+from gpdf_service.perception.limits import GroundLimits, Measured, find_limits, step_and_slope
 from gpdf_service.perception.segment import HALF, components, over_ground
 from gpdf_service.perception.surface import OBSERVED, UNKNOWN, HeightMap, fill_holes, find_voids, without_enclosed
 from gpdf_service.types import BoolArray, FloatArray, IntArray
@@ -79,11 +79,13 @@ class Survey:
         layers: Of the ground points.
         stray: Which points of the cloud count for nothing, shape (n,).
         voids: One a level.
+        measured: Steps and slopes of each level.
     """
 
     layers: Layers
     stray: BoolArray
     voids: tuple[Voids, ...]
+    measured: tuple[Measured, ...]
 
 
 def build_levels(points: FloatArray, ground: BoolArray, config: PerceptionConfig) -> Levels:
@@ -115,8 +117,8 @@ def survey_levels(
     layers = build_layers(points[ground], width, layer_gap(width, config))
     sheets = split_sheets(layers, config)
     made = [_build_level(points, ground, layers, sheet, config) for sheet in sheets]
-    levels = Levels(tuple(level for level, _ in made), find_portals(layers, sheets))
-    return levels, Survey(layers, stray, tuple(voids for _, voids in made))
+    levels = Levels(tuple(level for level, _, _ in made), find_portals(layers, sheets))
+    return levels, Survey(layers, stray, tuple(voids for _, voids, _ in made), tuple(found for _, _, found in made))
 
 
 def find_portals(layers: Layers, sheets: list[IntArray]) -> tuple[Portal, ...]:
@@ -231,7 +233,7 @@ def _grow(layers: Layers, a: IntArray, b: IntArray, nodes: IntArray) -> IntArray
 
 def _build_level(
     points: FloatArray, ground: BoolArray, layers: Layers, nodes: IntArray, config: PerceptionConfig
-) -> tuple[GroundLevel, Voids]:
+) -> tuple[GroundLevel, Voids, Measured]:
     seen = sheet_surface(layers, nodes)
     inside = np.zeros(len(layers.cell), dtype=bool)
     inside[nodes] = True
@@ -240,8 +242,10 @@ def _build_level(
     rest = points[~mine]
     other = within_reach(rest, seen)
     voids = find_voids(seen, rest, config.max_step)
-    surface, limits = complete(seen, other, voids, config)
-    return make_level(surface, other, find_ledges(surface, points[ground], other), limits), voids
+    surface, material = complete(seen, other, voids, config)
+    measured = step_and_slope(surface)
+    limits = find_limits(surface, material, measured)
+    return make_level(surface, other, find_ledges(surface, points[ground], other), limits), voids, measured
 
 
 def sheet_surface(layers: Layers, nodes: IntArray) -> HeightMap:
@@ -253,10 +257,8 @@ def sheet_surface(layers: Layers, nodes: IntArray) -> HeightMap:
     return HeightMap(layers.origin, layers.cell_width, height, state)
 
 
-def complete(
-    seen: HeightMap, other: FloatArray, voids: Voids, config: PerceptionConfig
-) -> tuple[HeightMap, GroundLimits]:
-    """The ground with what its surroundings and the `other` points (m, 3) explain, and its limits."""
+def complete(seen: HeightMap, other: FloatArray, voids: Voids, config: PerceptionConfig) -> tuple[HeightMap, BoolArray]:
+    """The ground with what its surroundings and the `other` points (m, 3) explain, and where material is on it."""
     ix, iy, _ = seen.cells(other)
     lowest = np.full(seen.height.shape, np.inf)
     np.minimum.at(lowest, (ix, iy), other[:, 2])
@@ -264,8 +266,7 @@ def complete(
     beside = ndimage.maximum_filter(np.where(surface.state != UNKNOWN, surface.height, -np.inf), size=3)
     # Only material that the lowest body cannot pass under guards an edge by itself.
     material = lowest <= beside + config.min_headroom
-    surface = without_enclosed(surface, material)
-    return surface, find_limits(surface, material)
+    return without_enclosed(surface, material), material
 
 
 def make_level(surface: HeightMap, other: FloatArray, ledge: NDArray[np.float32], limits: GroundLimits) -> GroundLevel:
