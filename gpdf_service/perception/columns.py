@@ -23,13 +23,14 @@ def column_order(cell: IntArray, z: FloatArray, cells: int) -> tuple[IntArray, I
     Returns:
         The order, shape (n,), and where each cell begins in it, shape (cells + 1,).
     """
-    start, order = _by_cell(cell, cells)
+    start, order = by_cell(cell, cells)
     run_chunked(lambda a, b: _sort_columns(start, z, order, a, b), cells)
     return order, start
 
 
 @njit(cache=True, nogil=True)
-def _by_cell(cell: IntArray, cells: int) -> tuple[IntArray, IntArray]:
+def by_cell(cell: IntArray, cells: int) -> tuple[IntArray, IntArray]:
+    """Where each of the cells begins, shape (cells + 1,), in the order of the points by cell, shape (n,)."""
     start, order = np.zeros(cells + 1, np.int64), np.empty(len(cell), np.int64)
     for c in cell:
         start[c + 1] += 1
@@ -184,3 +185,43 @@ def bounds_of(points: FloatArray, chosen: BoolArray) -> tuple[FloatArray, FloatA
             for k in range(2):
                 low[k], high[k] = min(low[k], points[row, k]), max(high[k], points[row, k])
     return low, high
+
+
+@njit(cache=True, nogil=True)
+def column_floors(start: IntArray, order: IntArray, z: FloatArray, share: float) -> FloatArray:
+    """Height under which a `share` of the points of each column lies [m], shape (cells,); NaN in an empty one."""
+    floor = np.full(len(start) - 1, np.nan)
+    for c in range(len(floor)):
+        count = start[c + 1] - start[c]
+        if count > 0:
+            at = int(share * count)
+            floor[c] = np.partition(z[order[start[c] : start[c + 1]]], at)[at]
+    return floor
+
+
+@njit(cache=True, nogil=True)
+def lowest_above(
+    keys: IntArray, ends: FloatArray, points: FloatArray, asked: IntArray, stride: int, reach: float, slack: float
+) -> FloatArray:
+    """Least height of the `ends` that are within `reach` of each point in plan and at most `slack` under it [m].
+
+    Args:
+        keys: Cell of each of the ends, ascending, shape (e,).
+        ends: Points (e, 3) [m].
+        points: Shape (m, 3) [m].
+        asked: Cell of each point, shape (m,); two cells to all sides of it are looked at.
+        stride: Cells of a row of the grid.
+        reach: [m].
+        slack: [m].
+    """
+    best = np.full(len(points), np.inf)
+    for i in range(len(points)):
+        for step in range(-2, 3):
+            first = asked[i] + step * stride - 2
+            for e in range(np.searchsorted(keys, first), len(keys)):
+                if keys[e] > first + 4:
+                    break
+                near = np.hypot(ends[e, 0] - points[i, 0], ends[e, 1] - points[i, 1]) <= reach
+                if near and points[i, 2] - slack <= ends[e, 2] < best[i]:
+                    best[i] = ends[e, 2]
+    return best

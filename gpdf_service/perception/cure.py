@@ -72,8 +72,8 @@ def _columns(points: FloatArray) -> FloatArray:
     """The points of some columns, picked at random, as dense as the cloud itself."""
     if len(points) <= _SAMPLE:
         return points
-    column = np.floor((points[:, :2] - points[:, :2].min(axis=0)) / _COLUMN).astype(np.int64)
-    key = column[:, 0] * (column[:, 1].max() + 1) + column[:, 1]
+    x, y = (np.floor((points[:, k] - points[:, k].min()) / _COLUMN).astype(np.int64) for k in (0, 1))
+    key = x * (int(y.max()) + 1) + y
     count = np.bincount(key)
     order = np.random.default_rng(0).permutation(len(count))
     picked = np.zeros(len(count), dtype=bool)

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from gpdf_service.config import PerceptionConfig
-from gpdf_service.perception.columns import column_order, pairs_near
+from gpdf_service.perception.columns import bounds_of, by_cell, column_floors, column_order, pairs_near
 from gpdf_service.types import BoolArray, FloatArray, IntArray
 
 MIN_CELL = 0.05
@@ -29,13 +29,13 @@ def cell_width_of(points: FloatArray) -> float:
     `_COLUMN` wide are looked at, which are floor nearly everywhere. At 1.5 × their spacing s (the mean distance to the
     k-th neighbour is s √(k/π)) one cell in ten of a Poisson sample stays empty, which the height map closes.
     """
-    column = np.floor((points[:, :2] - points[:, :2].min(axis=0)) / _COLUMN).astype(np.int64)
-    key = column[:, 0] * (column[:, 1].max() + 1) + column[:, 1]
-    order = np.lexsort((points[:, 2], key))
-    first = np.flatnonzero(np.diff(key[order], prepend=-1))
-    count = np.diff(np.append(first, len(key)))
-    floor = points[order[first + count // 20], 2]  # the 5th percentile: below it, reflections
-    low = points[order][np.abs(points[order, 2] - np.repeat(floor, count)) <= MIN_CELL]
+    corner, _ = bounds_of(points, np.ones(len(points), dtype=bool))
+    x, y = (np.floor((points[:, k] - corner[k]) / _COLUMN).astype(np.int64) for k in (0, 1))
+    key = x * (int(y.max()) + 1) + y
+    z = np.ascontiguousarray(points[:, 2])
+    start, order = by_cell(key, int(key.max()) + 1)
+    floor = column_floors(start, order, z, 0.05)  # the 5th percentile: below it, reflections
+    low = points[np.abs(z - floor[key]) <= MIN_CELL]
     k = min(8, len(low) - 1)
     if k < 1:
         return MIN_CELL

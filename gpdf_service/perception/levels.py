@@ -10,6 +10,8 @@ from scipy import ndimage
 
 from gpdf_service.config import PerceptionConfig
 from gpdf_service.errors import NoGroundError
+from gpdf_service.fields.threads import run_chunked
+from gpdf_service.perception.columns import lowest_above
 from gpdf_service.perception.layers import Layers, build_layers, cell_width_of, connect, layer_gap
 from gpdf_service.perception.limits import GroundLimits, Measured, find_limits, step_and_slope
 from gpdf_service.perception.segment import HALF, components, over_ground
@@ -141,10 +143,10 @@ def alone(width: float) -> float:
 
 def find_strays(points: FloatArray, width: float) -> BoolArray:
     """Which points (n, 3) have no other in their voxel of `width` [m] or in the 26 around it, shape (n,)."""
-    index = np.floor(points / width).astype(np.int64)
-    index -= index.min(axis=0) - 1
-    size = index.max(axis=0) + 2
-    key = (index[:, 0] * size[1] + index[:, 1]) * size[2] + index[:, 2]
+    axes = [np.floor(points[:, k] / width).astype(np.int64) for k in range(3)]
+    x, y, z = (axis - (axis.min() - 1) for axis in axes)
+    size = [int(axis.max()) + 2 for axis in (x, y, z)]
+    key = (x * size[1] + y) * size[2] + z
     voxels, row, count = np.unique(key, return_index=True, return_counts=True)
     single = voxels[count == 1]
     alone = np.ones(len(single), dtype=bool)
@@ -311,17 +313,18 @@ def next_above(ground: FloatArray, points: FloatArray) -> NDArray[np.float32]:
     key = at[:, 0] * stride + at[:, 1]
     order = np.lexsort((ground[:, 2], key))
     first = np.flatnonzero(np.diff(key[order], prepend=-1))
-    cells, ends = key[order[first]], (order[first], order[np.append(first[1:], len(order)) - 1])
+    last = np.append(first[1:], len(order)) - 1
+    rows = order[np.column_stack([first, last]).ravel()]
     here = asked[:, 0] * stride + np.clip(asked[:, 1], 0, stride - 1)
-    best = np.full(len(points), np.inf, np.float32)
-    for step in (i * stride + j for i in range(-2, 3) for j in range(-2, 3)):
-        found = np.minimum(np.searchsorted(cells, here + step), len(cells) - 1)
-        for end in ends:
-            beside = ground[end[found]]
-            near = (cells[found] == here + step) & (np.hypot(*(beside[:, :2] - points[:, :2]).T) <= FACE)
-            above = near & (beside[:, 2] >= points[:, 2] - LEAST_OBSTACLE)
-            best = np.minimum(best, np.where(above, beside[:, 2], np.inf)).astype(np.float32)
-    return best
+
+    best = np.full(len(points), np.inf)
+    keys, ends = key[rows], np.ascontiguousarray(ground[rows])
+
+    def look(a: int, b: int) -> None:
+        best[a:b] = lowest_above(keys, ends, points[a:b], here[a:b], stride, FACE, LEAST_OBSTACLE)
+
+    run_chunked(look, len(points))
+    return best.astype(np.float32)
 
 
 def within_reach(points: FloatArray, surface: HeightMap) -> FloatArray:

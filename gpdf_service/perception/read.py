@@ -56,11 +56,11 @@ def check_points(points: ArrayLike) -> FloatArray:
         raise CloudError("point cloud", f"an array of shape {made.shape}", "Pass an array of shape (n, 3): x, y, z.")
     if len(made) == 0:
         raise CloudError("point cloud", "it is empty", "Pass at least the points of a floor.")
-    bad = ~np.isfinite(made).all(axis=1)
-    if bad.any():
+    if not np.isfinite(made).all():
+        bad = ~np.isfinite(made).all(axis=1)
         found = f"{int(bad.sum())} of {len(made)} points are not finite, the first in row {int(bad.argmax())}"
         raise CloudError("point cloud", found, "Remove them: points = points[np.isfinite(points).all(axis=1)].")
-    extent = float(np.ptp(made[:, :2], axis=0).max())
+    extent = max(float(np.ptp(made[:, k])) for k in (0, 1))
     if extent > MAX_EXTENT:
         found = f"it is {extent:.0f} wide, more than {MAX_EXTENT:.0f} m"
         raise CloudError("point cloud", found, "Is it in millimetres? Divide by 1000; or crop it.")
