@@ -31,6 +31,11 @@ def add_build_arguments(parser: argparse.ArgumentParser) -> None:
     """How a cloud is read and built."""
     parser.add_argument("--ground-label", type=int, help="the label that means ground in the file")
     parser.add_argument("--topic", help="of the PointCloud2 in a ROS bag that has several")
+    parser.add_argument(
+        "--thin",
+        type=float,
+        help="keep one point of each voxel of this width [m], read in chunks; for tiles in a folder",
+    )
     parser.add_argument("--ignore-labels", action="store_true", help="segment the ground even if the file has labels")
     parser.add_argument("--config", type=Path, help="a TOML file with settings")
 
@@ -64,7 +69,7 @@ def open_one(path: Path, args: argparse.Namespace) -> Scene:
     if path.suffix == SCENE_SUFFIX:
         return load_scene(path)
     with progress_bar() as progress:
-        cloud = read_cloud(path, ground_label=args.ground_label, topic=args.topic)
+        cloud = read_cloud(path, ground_label=args.ground_label, topic=args.topic, thin=args.thin)
         ground = None if args.ignore_labels else cloud.ground
         return build_scene(cloud.points, ground, read_config(args.config), progress=progress)
 
