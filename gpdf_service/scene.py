@@ -236,7 +236,7 @@ class Scene:
         """For each body the free space that the next version's is made from, and what was touched since."""
         with self._lock:
             before = {body: (space, touched) for body, space in self._spaces.items()}
-            for body, (space, earlier) in self._former.items():
+            for body, (space, earlier) in list(self._former.items())[: MAX_CACHED_AGENTS - len(before)]:
                 before[body] = space, tuple(_either(a, b) for a, b in zip(earlier, touched, strict=True))
         return before
 
