@@ -24,13 +24,19 @@ from gpdf_service.perception import (
     GroundLevel,
     HeightMap,
     Levels,
-    build_levels,
+    Perceived,
+    WholeError,
+    change,
+    changed_cells,
     check_labels,
     check_points,
     count_undecided,
     cure_and_segment,
+    survey_levels,
 )
-from gpdf_service.search import FreeSpace, build_free_space
+from gpdf_service.perception.layers import in_steps
+from gpdf_service.perception.surface import UNKNOWN
+from gpdf_service.search import FreeSpace, build_free_space, change_free_space
 from gpdf_service.store import flatten, read_arrays, restore, write_arrays
 from gpdf_service.types import Agent, BoolArray, FieldSample, FloatArray, IntArray, resolve_agent
 
@@ -38,6 +44,10 @@ Progress = Callable[[str, float], None]
 """Told the name of a stage and the share of the work that is done, 0 to 1."""
 MAX_CACHED_AGENTS = 16
 """Free spaces kept for one scene; the least recently used goes first. A fleet has few kinds of body."""
+MAX_DRIFT = 0.05
+"""[-] Share of the points that may change before spacing and noise, medians over the whole cloud, are measured anew."""
+NOISE_STEP = 0.001
+"""[m] Noise counts in steps, so that a cloud which changes a little is as noisy as before."""
 
 LEAST_WHOLE_SPACING = 0.05
 """[m] Of a field over a whole cloud: that of the waypoints which ask it."""
@@ -151,6 +161,14 @@ def _gather(queries: FloatArray, parts: list[tuple[BoolArray, Gpdf, FloatArray]]
     return made
 
 
+Touched = tuple[BoolArray | None, ...]
+"""For each level the cells in which anything is another than before, None where nothing is."""
+
+
+def _either(a: BoolArray | None, b: BoolArray | None) -> BoolArray | None:
+    return (a if b is None else b) if a is None or b is None else a | b
+
+
 class Scene:
     """What is known of one place. Built by `build_scene`; safe to share between threads.
 
@@ -163,6 +181,8 @@ class Scene:
         version: Counts the changes of this scene, from 1.
         noise: Standard deviation of the cloud's points [m], which plans keep away from as well; 0 when negligible.
         labelled: Whether `ground` was given with the cloud, and not found by our segmentation.
+        perceived: What a change starts from; None after loading, and where the cloud had to be cured of noise.
+        drift: Share of the points that changed since noise and spacing were measured.
     """
 
     def __init__(
@@ -175,11 +195,15 @@ class Scene:
         version: int = 1,
         noise: float = 0.0,
         labelled: bool = False,
+        perceived: Perceived | None = None,
+        drift: float = 0.0,
     ) -> None:
         self.points, self.ground, self.levels = points, ground, levels
         self.ground_fields, self.config, self.version = ground_fields, config, version
         self.noise, self.labelled = noise, labelled
+        self.perceived, self.drift = perceived, drift
         self._spaces: OrderedDict[Agent, FreeSpace] = OrderedDict()
+        self._former: dict[Agent, tuple[FreeSpace, Touched]] = {}
         self._lock = threading.Lock()
         self._building: dict[Agent, threading.Lock] = {}
 
@@ -209,15 +233,31 @@ class Scene:
             with self._lock:
                 if body in self._spaces:
                     return self._spaces[body]
-            space = build_free_space(
-                self.levels, self.ground_fields, body, self.config.search, self.config.fields, noise=self.noise
-            )
+            space = self._make_space(body)
             with self._lock:
                 self._spaces[body] = space
+                self._former.pop(body, None)
                 self._building.pop(body, None)
                 while len(self._spaces) > MAX_CACHED_AGENTS:
                     self._spaces.popitem(last=False)
             return space
+
+    def _make_space(self, body: Agent) -> FreeSpace:
+        parts = self.levels, self.ground_fields
+        config = self.config.search, self.config.fields
+        former = self._former.get(body)
+        if former is not None:
+            space, touched = former
+            return change_free_space(space, *parts, touched, *config, noise=self.noise)
+        return build_free_space(*parts, body, *config, noise=self.noise)
+
+    def _spaces_before(self, touched: Touched) -> dict[Agent, tuple[FreeSpace, Touched]]:
+        """For each body the free space that the next version's is made from, and what was touched since."""
+        with self._lock:
+            before = {body: (space, touched) for body, space in self._spaces.items()}
+            for body, (space, earlier) in list(self._former.items())[: MAX_CACHED_AGENTS - len(before)]:
+                before[body] = space, tuple(_either(a, b) for a, b in zip(earlier, touched, strict=True))
+        return before
 
     def with_obstacles(self, points: FloatArray) -> Scene:
         """This scene with more in it than was scanned: people, doors, whatever moves.
@@ -272,21 +312,51 @@ class Scene:
         except IndexError as error:
             raise CloudError("remove", f"rows that are not there ({error})", "Name rows of `points`.") from error
         fresh = np.zeros((0, 3)) if insert is None else check_points(insert)
-        cloud = np.concatenate([self.points[keep], fresh])
+        kept = self.points if keep.all() else self.points[keep]
+        cloud = np.concatenate([kept, fresh])
         labels = None
         if ground is not None or self.labelled:
             labels = np.concatenate([self.ground[keep], self._labels_of(fresh, ground, cloud)])
+        drift = self.drift + (len(self.points) - len(kept) + len(fresh)) / max(len(cloud), 1)
+        if self.perceived is not None and drift <= MAX_DRIFT and self.labelled == (labels is not None):
+            try:
+                return self._changed(self.perceived, cloud, keep, labels, drift, progress)
+            except WholeError:
+                pass
         return assemble_scene(cloud, labels, self.config, like=self, progress=progress)
+
+    def _changed(
+        self,
+        perceived: Perceived,
+        cloud: FloatArray,
+        keep: BoolArray,
+        labels: BoolArray | None,
+        drift: float,
+        progress: Progress,
+    ) -> Scene:
+        progress("change levels", 0.0)
+        now = change(perceived, cloud, keep, labels, self.config.perception)
+        progress("change ground fields", 0.5)
+        fields = tuple(
+            field if new is old else _change_ground(field, old, new, self.config)
+            for field, old, new in zip(self.ground_fields, self.levels.levels, now.levels.levels, strict=True)
+        )
+        progress("ready", 1.0)
+        known = self.version + 1, self.noise, self.labelled
+        scene = Scene(cloud, now.ground, now.levels, fields, self.config, *known, now, drift)
+        scene._former = self._spaces_before(now.touched)
+        return scene
 
     def _labels_of(self, fresh: FloatArray, ground: ArrayLike | None, cloud: FloatArray) -> BoolArray:
         if ground is None:
-            return cure_and_segment(cloud, None, self.config.perception)[1][len(cloud) - len(fresh) :]
+            return cure_and_segment(cloud, None, self.config.perception).ground[len(cloud) - len(fresh) :]
         return check_labels(ground, len(fresh))
 
     def forget_agents(self) -> None:
         """Drop what was built for single kinds of body; it is built again on use."""
         with self._lock:
             self._spaces.clear()
+            self._former.clear()
 
     @cached_property
     def whole_field(self) -> Gpdf:
@@ -384,35 +454,39 @@ def assemble_scene(
 ) -> Scene:
     """Ground, levels and Ground GPDFs of a cloud; what is as it was in the scene `like` is taken over from it."""
     progress("segment ground", 0.0)
-    cured, ground = cure_and_segment(cloud, labels, config.perception)
+    found = cure_and_segment(cloud, labels, config.perception)
+    cured, ground, segmentation = found.cured, found.ground, found.segmentation
     progress("build levels", 0.4)
     kept = ~cured.stray
-    grid = None if like is None else like.surfaces[0]
-    levels = build_levels(cured.points[kept], ground[kept], config.perception, grid=grid)
+    points, labelled = (cured.points, ground) if kept.all() else (cured.points[kept], ground[kept])
+    width = None if segmentation is None else segmentation.layers.cell_width
+    levels, survey = survey_levels(points, labelled, config.perception, width=width)
     progress("fit ground fields", 0.7)
-    old = () if like is None else like.ground_fields
+    old = () if like is None else tuple(zip(like.ground_fields, like.levels.levels, strict=True))
     fields = tuple(
-        _fit_ground(level, old[i] if i < len(old) else None, config) for i, level in enumerate(levels.levels)
+        _change_ground(*old[i], level, config) if i < len(old) else _fit_ground(level, config)
+        for i, level in enumerate(levels.levels)
     )
     progress("ready", 1.0)
     noise = cured.measured if cured.measured > config.perception.negligible_noise else 0.0
     version = 1 if like is None else like.version + 1
-    return Scene(cloud, ground, levels, fields, config, version, noise, labels is not None)
+    perceived = Perceived(cloud, ground, segmentation, levels, survey).lasting() if found.as_it_was else None
+    return Scene(
+        cloud, ground, levels, fields, config, version, in_steps(noise, NOISE_STEP), labels is not None, perceived
+    )
 
 
-def _fit_ground(level: GroundLevel, old: Gpdf | None, config: Config) -> Gpdf:
-    """The level's Ground GPDF: the old one changed where the ground did, or fitted if more than half of it did."""
-    points = level.ground_points
-    if old is not None:
-        stay = _rows_in(old.points, points)
-        fresh = points[~_rows_in(points, old.points)]
-        if stay.mean() > 0.5 and len(fresh) < 0.5 * len(points):
-            return old.remove(~stay).insert(fresh).over(level.surface)
-    return fit_gpdf(points, config=config.fields, domain=level.surface)
+def _fit_ground(level: GroundLevel, config: Config) -> Gpdf:
+    return fit_gpdf(level.ground_points, config=config.fields, domain=level.surface)
 
 
-def _rows_in(rows: FloatArray, others: FloatArray) -> BoolArray:
-    """Which of `rows`, shape (n, 3), are among `others`, to a micrometre."""
-    whole = [np.ascontiguousarray(np.round(each * 1e6).astype(np.int64)) for each in (rows, others)]
-    a, b = (each.view([("", np.int64)] * 3).ravel() for each in whole)
-    return np.isin(a, b)
+def _change_ground(field: Gpdf, old: GroundLevel, new: GroundLevel, config: Config) -> Gpdf:
+    """The level's Ground GPDF: solved again where the ground changed, or fitted if more than half of it did."""
+    cells = changed_cells(old.surface, new.surface)
+    if cells is None:
+        return _fit_ground(new, config)
+    gone = cells[new.surface.cells(field.points)[:2]]
+    fresh = new.surface.centres(cells & (new.surface.state != UNKNOWN))
+    if gone.mean() >= 0.5 or len(fresh) >= 0.5 * len(new.ground_points):
+        return _fit_ground(new, config)
+    return field.replace(gone, fresh).over(new.surface)

@@ -6,6 +6,8 @@ import pytest
 import gpdf_service as gpdf
 from gpdf_service.errors import CloudError
 from gpdf_service.synthetic import SCENES
+from gpdf_service.synthetic.scenes import cave, ramp, random_room, stair
+from gpdf_service.synthetic.world import Box
 
 
 @pytest.fixture(scope="module")
@@ -89,3 +91,147 @@ def test_a_change_that_cannot_be_made_is_refused_and_loses_nothing(office, chang
     with pytest.raises(CloudError, match=message):
         office.update(**change)
     assert office.version == 1
+
+
+def in_order(rows):
+    return rows[np.lexsort(rows.T)]
+
+
+def assert_equal_scenes(one, other, *agents):
+    """Labels, levels, fields and free spaces of a changed scene and of one from scratch."""
+    np.testing.assert_array_equal(one.ground, other.ground)
+    assert len(one.surfaces) == len(other.surfaces)
+    for a, b in zip(one.levels.levels, other.levels.levels, strict=True):
+        np.testing.assert_array_equal(a.surface.state, b.surface.state)
+        np.testing.assert_array_equal(a.surface.height, b.surface.height)
+        np.testing.assert_array_equal(a.limits.points, b.limits.points)
+        np.testing.assert_array_equal(a.limits.value, b.limits.value)
+        stands = [in_order(np.column_stack([level.other_points, level.ledge])) for level in (a, b)]
+        np.testing.assert_array_equal(*stands)
+    for a, b in zip(one.levels.portals, other.levels.portals, strict=True):
+        np.testing.assert_array_equal(a.points, b.points)
+    low, high = other.points.min(axis=0), other.points.max(axis=0)
+    queries = np.random.default_rng(0).uniform(low, high, (2000, 3))
+    assert_equal_fields(one.ground_field, other.ground_field, queries)
+    for agent in agents:
+        ours, theirs = one.free_space(agent), other.free_space(agent)
+        assert_equal_fields(one.obstacle_field(agent), other.obstacle_field(agent), queries[:, :2])
+        for a, b in zip(ours.quadtrees, theirs.quadtrees, strict=True):
+            for name in ("code", "size", "clearance", "free", "whole"):
+                np.testing.assert_array_equal(getattr(a, name), getattr(b, name))
+        np.testing.assert_array_equal(ours.graph.component, theirs.graph.component)
+        np.testing.assert_array_equal(ours.graph.other, theirs.graph.other)
+
+
+def assert_equal_fields(ours, theirs, queries):
+    a, b = ours.query(queries), theirs.query(queries)
+    np.testing.assert_array_equal(a.valid, b.valid)
+    np.testing.assert_allclose(a.distance, b.distance, atol=1e-3)
+
+
+def random_change(scene, rng):
+    """A box put in anywhere, on the ground, on the wall or in the air, and a ball or a column taken out."""
+    low, high = scene.points.min(axis=0), scene.points.max(axis=0)
+    change = {}
+    if rng.random() < 0.7:
+        size = rng.uniform([0.2, 0.2, 0.05], [0.8, 0.8, 1.0])
+        corner = rng.uniform(low + 0.1, high - 0.1 - size)
+        near = np.hypot(*(scene.points[:, :2] - corner[:2] - 0.5 * size[:2]).T).argmin()
+        corner[2] = min(scene.points[near, 2] + rng.choice([0.0, 0.02, 0.5]), high[2] - size[2] - 0.1)
+        change["insert"] = Box(tuple(corner), tuple(corner + size)).sample(0.06, rng)[0]
+    if not change or rng.random() < 0.6:
+        centre, radius = rng.uniform(low, high), rng.uniform(0.2, 0.7)
+        away = scene.points - centre
+        change["remove"] = np.linalg.norm(away[:, : rng.integers(2, 4)], axis=1) < radius
+    if scene.labelled:
+        change["ground"] = np.zeros(len(change.get("insert", ())), dtype=bool)
+    return change
+
+
+@pytest.mark.parametrize(
+    ("made", "labelled", "agents"),
+    [
+        (random_room, False, ("human", "roomba")),
+        (random_room, True, ("spot",)),
+        (ramp, False, ("human",)),
+        (stair, False, ("human",)),
+        (cave, False, ("roomba",)),
+    ],
+)
+def test_random_changes_equal_a_scene_from_scratch(made, labelled, agents):
+    rng = np.random.default_rng(7)
+    sample = made(rng)
+    scene = gpdf.build_scene(sample.points, sample.ground if labelled else None)
+    for agent in agents:
+        scene.free_space(agent)
+    for _ in range(3):
+        changed = scene.update(**random_change(scene, rng))
+        assert changed.drift > scene.drift  # only what the change touches was looked at
+        assert_equal_scenes(changed, gpdf.build_scene(changed.points, changed.ground if labelled else None), *agents)
+        scene = changed
+
+
+def two_storeys():
+    """A hall with an upper floor over half of it, which only a stair joins."""
+    step = 0.05
+    x, y = (axis.ravel() for axis in np.meshgrid(np.arange(-2, 8, step), np.arange(0, 4, step)))
+    under = (x > 0.2) & (x < 4.4) & (y < 1.6)
+    floor = np.column_stack([x, y, np.zeros(x.size)])[~under]
+    upper = np.column_stack([x, y, np.full(x.size, 3.0)])[(x > 4.4) | (y > 2.0)]
+    roof = np.column_stack([x, y, np.full(x.size, 5.6)])
+    stairs = []
+    for i in range(15):
+        u, v = (axis.ravel() for axis in np.meshgrid(np.arange(0, 0.28, step / 2), np.arange(0.0, 1.6, step)))
+        stairs.append(np.column_stack([0.2 + 0.28 * i + u, v, np.full(u.size, 0.2 * (i + 1))]))
+        stairs.append(np.column_stack([np.full(u.size, 0.2 + 0.28 * i), v, 0.2 * i + u * 0.2 / 0.28]))
+    return np.concatenate([floor, upper, roof, *stairs])
+
+
+def test_a_change_that_cuts_the_stair_cuts_the_storeys_apart():
+    cloud = two_storeys()
+    scene = gpdf.build_scene(cloud)
+    assert len(scene.surfaces) > 1
+    assert gpdf.plan(scene, (6.0, 1.0, 0.0), (6.0, 3.0, 3.0)).status is gpdf.Status.OK
+    gone = (scene.points[:, 0] > 1.6) & (scene.points[:, 0] < 2.6) & (scene.points[:, 1] < 1.7)
+    gone &= (scene.points[:, 2] > 0.5) & (scene.points[:, 2] < 2.8)
+    cut = scene.update(remove=gone)
+    assert_equal_scenes(cut, gpdf.build_scene(cut.points), "human")
+    assert gpdf.plan(cut, (6.0, 1.0, 0.0), (6.0, 3.0, 3.0)).status is not gpdf.Status.OK
+    back = cut.update(insert=scene.points[gone])
+    assert_equal_scenes(back, gpdf.build_scene(back.points), "human")
+    assert gpdf.plan(back, (6.0, 1.0, 0.0), (6.0, 3.0, 3.0)).status is gpdf.Status.OK
+
+
+def test_a_scan_beyond_the_map_or_of_much_of_it_is_built_as_a_whole(office):
+    scene = gpdf.build_scene(office.points)
+    x, y = np.meshgrid(np.arange(6.0, 7.0, 0.05), np.arange(0.0, 1.0, 0.05))
+    grown = scene.update(insert=np.column_stack([x.ravel(), y.ravel(), np.zeros(x.size)]))
+    assert grown.drift == 0.0
+    assert_equal_scenes(grown, gpdf.build_scene(grown.points))
+    halved = scene.update(remove=np.arange(0, len(scene.points), 2))
+    assert halved.drift == 0.0
+    assert_equal_scenes(halved, gpdf.build_scene(halved.points))
+
+
+def test_a_noisy_scene_is_built_as_a_whole():
+    made = SCENES["office"](np.random.default_rng(0), noise=0.03, spacing=0.1)
+    scene = gpdf.build_scene(made.points, made.ground)
+    assert scene.noise > 0.02
+    assert scene.update(remove=[0]).drift == 0.0
+
+
+def test_a_free_space_of_two_versions_ago_is_taken_over(office):
+    scene = gpdf.build_scene(office.points, office.ground)
+    scene.free_space("human")
+    for low in ((2.0, 2.0, 0.02), (3.0, 1.0, 0.02)):
+        points = box(low, np.add(low, (0.4, 0.4, 1.0)), 1000)
+        scene = scene.update(insert=points, ground=np.zeros(len(points), dtype=bool))
+    assert scene.drift > 0.0
+    assert_equal_scenes(scene, gpdf.build_scene(scene.points, scene.ground), "human")
+
+
+def test_a_change_of_nothing_is_a_version_like_the_last(office):
+    scene = gpdf.build_scene(office.points, office.ground)
+    same = scene.update()
+    assert (same.version, same.digest) == (2, scene.digest)
+    assert same.ground_fields == scene.ground_fields

@@ -20,6 +20,8 @@ VERBS: dict[str, tuple[str, str]] = {
     "serve": ("gpdf_service.service.serve_verb", "run the map service and the planner service"),
     "scene build": ("gpdf_service.cli.scene_build", "build a scene file from a point cloud"),
     "scene info": ("gpdf_service.cli.scene_info", "say what is in a scene or a cloud"),
+    "scene crop": ("gpdf_service.cli.scene_crop", "cut a part out of a scene or a cloud"),
+    "scene merge": ("gpdf_service.cli.scene_merge", "make one scene of several scenes or clouds"),
     "plan": ("gpdf_service.cli.plan", "plan in a scene or a cloud, without a service"),
     "client": ("gpdf_client.cli", "ask a running service"),
     "drive": ("gpdf_service.cli.drive", "drive a robot, or a simulated one, along a planned trajectory"),

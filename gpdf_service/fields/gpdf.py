@@ -163,6 +163,15 @@ class Gpdf:
             raise FieldError("remove", "all points", "A field needs at least one point; drop the field instead.")
         return self._changed(keep, np.zeros((0, self.points.shape[1])), np.zeros(0))
 
+    def replace(self, gone: BoolArray, points: FloatArray) -> Gpdf:
+        """The field without the points where `gone`, shape (n,), and with `points`, (k, dim) [m], in one solve.
+
+        The new points must be half the spacing or more from all that stay, and from each other.
+        """
+        if gone.all():
+            raise FieldError("replace", "all points", "A field that keeps nothing is a new one; fit it.")
+        return self._changed(~gone, points, np.zeros(len(points)))
+
     def over(self, domain: Domain) -> Gpdf:
         """The same field with another domain."""
         own = self.tree, self.alpha, self.gap, self.noise

@@ -1,11 +1,16 @@
 """From a cloud to ground, levels and what stops a body on them."""
 
+from gpdf_service.perception.change import Perceived as Perceived
+from gpdf_service.perception.change import WholeError as WholeError
+from gpdf_service.perception.change import change as change
+from gpdf_service.perception.change import changed_cells as changed_cells
 from gpdf_service.perception.cure import cure_and_segment as cure_and_segment
 from gpdf_service.perception.levels import GroundLevel as GroundLevel
 from gpdf_service.perception.levels import Levels as Levels
 from gpdf_service.perception.levels import Portal as Portal
 from gpdf_service.perception.levels import build_levels as build_levels
 from gpdf_service.perception.levels import count_undecided as count_undecided
+from gpdf_service.perception.levels import survey_levels as survey_levels
 from gpdf_service.perception.limits import GroundLimits as GroundLimits
 from gpdf_service.perception.limits import ObstacleKind as ObstacleKind
 from gpdf_service.perception.obstacles import Obstacles as Obstacles

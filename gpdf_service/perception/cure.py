@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from gpdf_service.config import PerceptionConfig
 from gpdf_service.fields import Cured, estimate_noise, estimate_spacing, find_loose, onto_surface, uncured
-from gpdf_service.perception.segment import segment_ground
+from gpdf_service.perception.segment import Segmentation, segment
 from gpdf_service.types import BoolArray, FloatArray
 
 _SAMPLE = 60_000
@@ -17,7 +19,23 @@ _COLUMN = 1.0
 """[m] Width of the columns that the sample is made of: several times the largest neighbourhood of 5 cm noise."""
 
 
-def cure_and_segment(points: FloatArray, ground: BoolArray | None, config: PerceptionConfig) -> tuple[Cured, BoolArray]:
+class Found(NamedTuple):
+    """The ground of a cloud.
+
+    Attributes:
+        cured: The cloud without its noise.
+        ground: Which of its points are ground, shape (n,); a stray point is not.
+        as_it_was: Whether the cloud was clean enough to stay as it was.
+        segmentation: What the ground of a clean cloud without labels was found from.
+    """
+
+    cured: Cured
+    ground: BoolArray
+    as_it_was: bool
+    segmentation: Segmentation | None = None
+
+
+def cure_and_segment(points: FloatArray, ground: BoolArray | None, config: PerceptionConfig) -> Found:
     """Move the points of a noisy cloud onto their surfaces, and tell ground from the rest.
 
     At the foot of a wall a neighbourhood holds both floor and wall, and its plane is neither. So ground and the rest
@@ -27,36 +45,37 @@ def cure_and_segment(points: FloatArray, ground: BoolArray | None, config: Perce
         points: The cloud [m], shape (n, 3).
         ground: Labels, shape (n,); our own segmentation where not given.
         config: Limits.
-
-    Returns:
-        The cured cloud and which of its points are ground, shape (n,); a stray point is not.
     """
     sample = _columns(points)
     spacing = estimate_spacing(sample)
     noise = estimate_noise(sample, spacing)
     if noise <= max(config.negligible_noise, _SEEN * spacing):
-        return uncured(points, noise), segment_ground(points, config) if ground is None else ground
+        clean = uncured(points, noise)
+        if ground is not None:
+            return Found(clean, ground, as_it_was=True)
+        ground, segmentation = segment(points, config)
+        return Found(clean, ground, as_it_was=True, segmentation=segmentation)
     stray = None
     if ground is None:
         moved, _ = onto_surface(points, spacing, noise)
         stray = find_loose(moved, noise, spacing)
         ground = np.zeros(len(points), dtype=bool)
-        ground[~stray] = segment_ground(moved[~stray], config)
+        ground[~stray] = segment(moved[~stray], config)[0]
     cured = uncured(points.copy(), noise)
     for part, level in ((ground, True), (~ground, False)):
         if part.any():
             own = points[part]
             cured.points[part], cured.noise[part] = onto_surface(own, estimate_spacing(own), noise, level=level)
     cured = cured._replace(stray=find_loose(cured.points, noise, spacing) if stray is None else stray)
-    return cured, ground & ~cured.stray
+    return Found(cured, ground & ~cured.stray, as_it_was=False)
 
 
 def _columns(points: FloatArray) -> FloatArray:
     """The points of some columns, picked at random, as dense as the cloud itself."""
     if len(points) <= _SAMPLE:
         return points
-    column = np.floor((points[:, :2] - points[:, :2].min(axis=0)) / _COLUMN).astype(np.int64)
-    key = column[:, 0] * (column[:, 1].max() + 1) + column[:, 1]
+    x, y = (np.floor((points[:, k] - points[:, k].min()) / _COLUMN).astype(np.int64) for k in (0, 1))
+    key = x * (int(y.max()) + 1) + y
     count = np.bincount(key)
     order = np.random.default_rng(0).permutation(len(count))
     picked = np.zeros(len(count), dtype=bool)

@@ -3,14 +3,20 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from gpdf_service.config import PerceptionConfig
+from gpdf_service.perception.columns import bounds_of, by_cell, column_floors, column_order, pairs_near
 from gpdf_service.types import BoolArray, FloatArray, IntArray
 
 MIN_CELL = 0.05
 """[m] Finer than a wheel or a foot feels, and a quarter of the smallest body's radius."""
+STEP = 0.1 * MIN_CELL
+"""[m] What is measured of a whole cloud counts in steps: its cells then stay when a part of it changes."""
 _SAMPLE = 4000
 _COLUMN = 0.5
 """[m] Wide enough to hold several floor points of any cloud that a body can be planned in."""
@@ -23,19 +29,29 @@ def cell_width_of(points: FloatArray) -> float:
     `_COLUMN` wide are looked at, which are floor nearly everywhere. At 1.5 × their spacing s (the mean distance to the
     k-th neighbour is s √(k/π)) one cell in ten of a Poisson sample stays empty, which the height map closes.
     """
-    column = np.floor((points[:, :2] - points[:, :2].min(axis=0)) / _COLUMN).astype(np.int64)
-    key = column[:, 0] * (column[:, 1].max() + 1) + column[:, 1]
-    order = np.lexsort((points[:, 2], key))
-    first = np.flatnonzero(np.diff(key[order], prepend=-1))
-    count = np.diff(np.append(first, len(key)))
-    floor = points[order[first + count // 20], 2]  # the 5th percentile: below it, reflections
-    low = points[order][np.abs(points[order, 2] - np.repeat(floor, count)) <= MIN_CELL]
+    corner, _ = bounds_of(points, np.ones(len(points), dtype=bool))
+    x, y = (np.floor((points[:, k] - corner[k]) / _COLUMN).astype(np.int64) for k in (0, 1))
+    key = x * (int(y.max()) + 1) + y
+    z = np.ascontiguousarray(points[:, 2])
+    start, order = by_cell(key, int(key.max()) + 1)
+    floor = column_floors(start, order, z, 0.05)  # the 5th percentile: below it, reflections
+    low = points[np.abs(z - floor[key]) <= MIN_CELL]
     k = min(8, len(low) - 1)
     if k < 1:
         return MIN_CELL
     picked = low[:: max(1, len(low) // _SAMPLE)]
     distance = cKDTree(low).query(picked, k=k + 1, workers=-1)[0][:, k]
-    return max(MIN_CELL, 1.5 * float(np.median(distance)) * float(np.sqrt(np.pi / k)))
+    return max(MIN_CELL, in_steps(1.5 * float(np.median(distance)) * float(np.sqrt(np.pi / k))))
+
+
+def in_steps(length: float, step: float = STEP) -> float:
+    """A measured length rounded up to whole steps [m]: a cloud that changes a little is measured as before."""
+    return float(np.ceil(round(length / step, 6))) * step
+
+
+def layer_gap(width: float, config: PerceptionConfig) -> float:
+    """Room between two layers of columns that are `width` wide [m]."""
+    return max(config.min_headroom, 1.5 * width)
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,7 +66,7 @@ class Layers:
         height: Height of its surface [m], shape (k,).
         thickness: Between its lowest and highest point [m], shape (k,).
         headroom: Free height above it [m], inf under the open sky, shape (k,).
-        node_of_point: Node of each input point, shape (n,).
+        node_of_point: Node of each input point, shape (n,); of none, (0,), where the layers are kept without points.
         start: First node of each cell, shape (cells + 1,).
     """
 
@@ -77,17 +93,45 @@ class Layers:
         return a, np.repeat(first, count) + within
 
 
-def build_layers(points: FloatArray, cell_width: float, gap: float, noise: float = 0.0) -> Layers:
+def grid_of(low: FloatArray, high: FloatArray, cell_width: float) -> tuple[FloatArray, tuple[int, int]]:
+    """Lower corner [m] and shape of the grid over points between `low` and `high` [m].
+
+    Centres lie at multiples of the width, so that they stay when the cloud grows; a ring of them is empty: unknown.
+    """
+    origin: FloatArray = (np.floor(low[:2] / cell_width) - 1.5) * cell_width
+    shape = np.floor((high[:2] - origin) / cell_width).astype(np.int64) + 2
+    return origin, (int(shape[0]), int(shape[1]))
+
+
+def splice_layers(layers: Layers, changed: BoolArray, fresh: Layers | None) -> Layers:
+    """Layers with all nodes of the `changed` cells, shape (cells,), replaced by those of `fresh` on the same grid."""
+    stay = ~changed[layers.cell]
+
+    def both(name: str) -> NDArray[Any]:
+        parts = [getattr(layers, name)[stay]] + ([] if fresh is None else [getattr(fresh, name)])
+        return np.concatenate(parts)
+
+    order = np.argsort(both("cell"), kind="stable")
+    cell = both("cell")[order]
+    start = np.concatenate([[0], np.cumsum(np.bincount(cell, minlength=layers.shape[0] * layers.shape[1]))])
+    height, thickness, headroom = (both(name)[order] for name in ("height", "thickness", "headroom"))
+    parts = cell, height, thickness, headroom, np.zeros(0, np.int64), start
+    return Layers(layers.origin, layers.cell_width, layers.shape, *parts)
+
+
+def build_layers(
+    points: FloatArray, cell_width: float, gap: float, noise: float = 0.0, *, like: Layers | None = None
+) -> Layers:
     """Cut the columns of `points`, shape (n, 3), wherever neighbours in height are more than `gap` apart [m].
 
-    A surface is as thick as its slope and four standard deviations of the `noise` [m] make it.
+    A surface is as thick as its slope and four standard deviations of the `noise` [m] make it. The grid is that of
+    `like`, which must hold all points, or as large as the points ask for.
     """
-    # Centres lie at multiples of the width, so that they stay when the cloud grows; a ring of them is empty: unknown.
-    origin = (np.floor(points[:, :2].min(axis=0) / cell_width) - 1.5) * cell_width
-    index = np.floor((points[:, :2] - origin) / cell_width).astype(np.int64)
-    shape = (int(index[:, 0].max()) + 2, int(index[:, 1].max()) + 2)
+    xy = points[:, :2]
+    origin, shape = grid_of(xy.min(axis=0), xy.max(axis=0), cell_width) if like is None else (like.origin, like.shape)
+    index = np.floor((xy - origin) / cell_width).astype(np.int64)
     cell = index[:, 0] * shape[1] + index[:, 1]
-    order = np.lexsort((points[:, 2], cell))
+    order, _ = column_order(cell, np.ascontiguousarray(points[:, 2]), shape[0] * shape[1])
     cell, z = cell[order], points[order, 2]
     fresh = np.ones(len(z), dtype=bool)
     fresh[1:] = (np.diff(cell) != 0) | (np.diff(z) > gap)
@@ -110,11 +154,10 @@ def connect(
     layers: Layers, keep: BoolArray, limit: FloatArray | float, offsets: tuple[tuple[int, int], ...]
 ) -> tuple[IntArray, IntArray]:
     """Pairs of kept neighbours whose heights differ by at most `limit` [m] (one number, or one a node)."""
-    found = []
-    for offset in offsets:
-        a, b = layers.neighbours(offset)
-        rise = np.abs(layers.height[a] - layers.height[b])
-        allowed = limit if isinstance(limit, float) else np.minimum(limit[a], limit[b])
-        near = keep[a] & keep[b] & (rise <= allowed * (np.hypot(*offset) if isinstance(limit, float) else 1.0))
-        found.append((a[near], b[near]))
+    uniform = isinstance(limit, float)
+    limits = np.full(len(keep), limit) if uniform else np.asarray(limit)
+    grid = layers.cell, layers.start, layers.shape, layers.height
+    found = [
+        pairs_near(*grid, keep, limits, offset, float(np.hypot(*offset)) if uniform else 1.0) for offset in offsets
+    ]
     return np.concatenate([a for a, _ in found]), np.concatenate([b for _, b in found])

@@ -10,8 +10,10 @@ from scipy import ndimage
 
 from gpdf_service.config import PerceptionConfig
 from gpdf_service.errors import NoGroundError
-from gpdf_service.perception.layers import Layers, build_layers, cell_width_of, connect
-from gpdf_service.perception.limits import GroundLimits, find_limits
+from gpdf_service.fields.threads import run_chunked
+from gpdf_service.perception.columns import lowest_above
+from gpdf_service.perception.layers import Layers, build_layers, cell_width_of, connect, layer_gap
+from gpdf_service.perception.limits import GroundLimits, Measured, find_limits, step_and_slope
 from gpdf_service.perception.segment import HALF, LEAST_SCATTER, components, over_ground
 from gpdf_service.perception.surface import OBSERVED, UNKNOWN, HeightMap, fill_holes, find_voids, without_enclosed
 from gpdf_service.types import BoolArray, FloatArray, IntArray
@@ -67,16 +69,42 @@ class Levels:
     portals: tuple[Portal, ...]
 
 
-def build_levels(
-    points: FloatArray, ground: BoolArray, config: PerceptionConfig, *, grid: HeightMap | None = None
-) -> Levels:
-    """Build the sheets from labelled points.
+Voids = tuple[BoolArray, BoolArray, BoolArray]
+"""Where the scanner saw through a level's unknown cells, where they are pits, where a pit's walls are; see `find_voids`."""
+
+
+@dataclass(frozen=True, slots=True)
+class Survey:
+    """What levels were made of, kept for the next version of a scene.
+
+    Attributes:
+        layers: Of the ground points.
+        stray: Which points of the cloud count for nothing, shape (n,).
+        voids: One a level.
+        measured: Steps and slopes of each level.
+    """
+
+    layers: Layers
+    stray: BoolArray
+    voids: tuple[Voids, ...]
+    measured: tuple[Measured, ...]
+
+
+def build_levels(points: FloatArray, ground: BoolArray, config: PerceptionConfig) -> Levels:
+    """The sheets of labelled points, see `survey_levels`."""
+    return survey_levels(points, ground, config)[0]
+
+
+def survey_levels(
+    points: FloatArray, ground: BoolArray, config: PerceptionConfig, *, width: float | None = None
+) -> tuple[Levels, Survey]:
+    """Build the sheets from labelled points, and say what they were made of.
 
     Args:
         points: The cloud [m], shape (n, 3).
         ground: Which points are ground, shape (n,).
         config: Limits.
-        grid: Cells as wide as its are used, so that a scene which changes keeps its cells.
+        width: Of the cells [m]; measured on the ground when not given.
 
     Raises:
         NoGroundError: no point is ground.
@@ -85,21 +113,32 @@ def build_levels(
         raise NoGroundError(
             "ground", "no point of the cloud is labelled ground", "Check the labels, or leave them out."
         )
-    width = cell_width_of(points[ground]) if grid is None else grid.cell_width
-    kept = ~find_strays(points, max(ALONE, 3.0 * width))
-    points, ground = points[kept | ground], ground[kept | ground]
-    layers = build_layers(points[ground], width, max(config.min_headroom, 1.5 * width))
+    width = cell_width_of(points[ground]) if width is None else width
+    stray = find_strays(points, alone(width)) & ~ground
+    points, ground = points[~stray], ground[~stray]
+    layers = build_layers(points[ground], width, layer_gap(width, config))
     sheets = split_sheets(layers, config)
-    surfaces = tuple(_build_level(points, ground, layers, sheet, config) for sheet in sheets)
+    made = [_build_level(points, ground, layers, sheet, config) for sheet in sheets]
+    levels = Levels(tuple(level for level, _, _ in made), find_portals(layers, sheets))
+    return levels, Survey(layers, stray, tuple(voids for _, voids, _ in made), tuple(found for _, _, found in made))
+
+
+def find_portals(layers: Layers, sheets: list[IntArray]) -> tuple[Portal, ...]:
+    """Where sheets are the same ground."""
     portals = []
     for a in range(len(sheets)):
         for b in range(a + 1, len(sheets)):
-            both = np.intersect1d(sheets[a], sheets[b])
+            both = np.intersect1d(sheets[a], sheets[b], assume_unique=True)
             if len(both):
                 flat = np.column_stack(np.divmod(layers.cell[both], layers.shape[1]))
-                centres = layers.origin + (flat + 0.5) * width
+                centres = layers.origin + (flat + 0.5) * layers.cell_width
                 portals.append(Portal(a, b, np.column_stack([centres, layers.height[both]])))
-    return Levels(surfaces, tuple(portals))
+    return tuple(portals)
+
+
+def alone(width: float) -> float:
+    """Width of the voxels that a stray point is alone in [m], beside cells of `width`."""
+    return max(ALONE, 3.0 * width)
 
 
 def count_undecided(level: GroundLevel, noise: float = 0.0) -> int:
@@ -116,9 +155,10 @@ def count_undecided(level: GroundLevel, noise: float = 0.0) -> int:
 
 def find_strays(points: FloatArray, width: float) -> BoolArray:
     """Which points (n, 3) have no other in their voxel of `width` [m] or in the 26 around it, shape (n,)."""
-    index = np.floor((points - points.min(axis=0)) / width).astype(np.int64) + 1
-    size = index.max(axis=0) + 2
-    key = (index[:, 0] * size[1] + index[:, 1]) * size[2] + index[:, 2]
+    axes = [np.floor(points[:, k] / width).astype(np.int64) for k in range(3)]
+    x, y, z = (axis - (axis.min() - 1) for axis in axes)
+    size = [int(axis.max()) + 2 for axis in (x, y, z)]
+    key = (x * size[1] + y) * size[2] + z
     voxels, row, count = np.unique(key, return_index=True, return_counts=True)
     single = voxels[count == 1]
     alone = np.ones(len(single), dtype=bool)
@@ -220,45 +260,68 @@ def _grow(layers: Layers, a: IntArray, b: IntArray, nodes: IntArray) -> IntArray
 
 def _build_level(
     points: FloatArray, ground: BoolArray, layers: Layers, nodes: IntArray, config: PerceptionConfig
-) -> GroundLevel:
-    height = np.full(layers.shape[0] * layers.shape[1], np.nan, np.float32)
-    height[layers.cell[nodes]] = layers.height[nodes]
-    height = height.reshape(layers.shape)
-    state = np.where(np.isnan(height), UNKNOWN, OBSERVED).astype(np.uint8)
-    surface = HeightMap(layers.origin, layers.cell_width, height, state)
+) -> tuple[GroundLevel, Voids, Measured]:
+    seen = sheet_surface(layers, nodes)
     inside = np.zeros(len(layers.cell), dtype=bool)
     inside[nodes] = True
     mine = ground.copy()
     mine[ground] = inside[layers.node_of_point]
     rest = points[~mine]
-    other = _within_reach(rest, surface)
-    ix, iy, _ = surface.cells(other)
-    lowest = np.full(layers.shape, np.inf)
+    other = within_reach(rest, seen)
+    voids = find_voids(seen, rest, config.max_step)
+    surface, material = complete(seen, other, voids, config)
+    measured = step_and_slope(surface)
+    limits = find_limits(surface, material, measured)
+    return make_level(surface, other, find_ledges(surface, points[ground], other), limits), voids, measured
+
+
+def sheet_surface(layers: Layers, nodes: IntArray) -> HeightMap:
+    """The ground of a sheet as it was seen."""
+    height = np.full(layers.shape[0] * layers.shape[1], np.nan, np.float32)
+    height[layers.cell[nodes]] = layers.height[nodes]
+    height = height.reshape(layers.shape)
+    state = np.where(np.isnan(height), UNKNOWN, OBSERVED).astype(np.uint8)
+    return HeightMap(layers.origin, layers.cell_width, height, state)
+
+
+def complete(seen: HeightMap, other: FloatArray, voids: Voids, config: PerceptionConfig) -> tuple[HeightMap, BoolArray]:
+    """The ground with what its surroundings and the `other` points (m, 3) explain, and where material is on it."""
+    ix, iy, _ = seen.cells(other)
+    lowest = np.full(seen.height.shape, np.inf)
     np.minimum.at(lowest, (ix, iy), other[:, 2])
-    surface = fill_holes(surface, lowest, *find_voids(surface, rest, config.max_step))
+    surface = fill_holes(seen, lowest, *voids)
     beside = ndimage.maximum_filter(np.where(surface.state != UNKNOWN, surface.height, -np.inf), size=3)
     # Only material that the lowest body cannot pass under guards an edge by itself.
     material = lowest <= beside + config.min_headroom
-    surface = without_enclosed(surface, material)
-    limits = find_limits(surface, material)
+    return without_enclosed(surface, material), material
+
+
+def make_level(surface: HeightMap, other: FloatArray, ledge: NDArray[np.float32], limits: GroundLimits) -> GroundLevel:
+    """A level of its parts."""
     known = surface.state != UNKNOWN
-    ledge = _ledges(surface, points[ground], other)
     return GroundLevel(surface, surface.centres(known), surface.state[known] != OBSERVED, other, ledge, limits)
 
 
-def _ledges(surface: HeightMap, ground: FloatArray, other: FloatArray) -> NDArray[np.float32]:
+def find_ledges(surface: HeightMap, ground: FloatArray, other: FloatArray) -> NDArray[np.float32]:
     """`next_above` by the `ground` points of this sheet, for those `other` points that can be a step's face."""
-    high = ndimage.maximum_filter(np.where(surface.state != UNKNOWN, surface.height, -np.inf), size=5)
+    high = high_ground(surface)
 
     def low(points: FloatArray) -> BoolArray:
         ix, iy, inside = surface.cells(points)
         beneath: BoolArray = inside & (points[:, 2] <= high[ix, iy] + surface.cell_width)
         return beneath
 
-    asked = low(other)
+    asked, ground = low(other), ground[low(ground)]
     ledge = np.full(len(other), np.inf, np.float32)
-    ledge[asked] = next_above(ground[low(ground)], other[asked])
+    if len(ground) and asked.any():
+        ledge[asked] = next_above(ground, other[asked])
     return ledge
+
+
+def high_ground(surface: HeightMap) -> FloatArray:
+    """Height of the highest ground within two cells [m], shape (nx, ny), -inf where there is none."""
+    high: FloatArray = ndimage.maximum_filter(np.where(surface.state != UNKNOWN, surface.height, -np.inf), size=5)
+    return high
 
 
 def next_above(ground: FloatArray, points: FloatArray) -> NDArray[np.float32]:
@@ -268,26 +331,28 @@ def next_above(ground: FloatArray, points: FloatArray) -> NDArray[np.float32]:
     higher one, never for a lower one, and inf stands where nothing was found. Shape (m,) [m].
     """
     width = 0.5 * FACE
-    origin = ground[:, :2].min(axis=0) - 3.0 * width
-    at, asked = (np.floor((part[:, :2] - origin) / width).astype(np.int64) for part in (ground, points))
+    at, asked = (np.floor(part[:, :2] / width).astype(np.int64) for part in (ground, points))
+    corner = at.min(axis=0) - 3
+    at, asked = at - corner, asked - corner
     stride = int(at[:, 1].max()) + 4
     key = at[:, 0] * stride + at[:, 1]
     order = np.lexsort((ground[:, 2], key))
     first = np.flatnonzero(np.diff(key[order], prepend=-1))
-    cells, ends = key[order[first]], (order[first], order[np.append(first[1:], len(order)) - 1])
+    last = np.append(first[1:], len(order)) - 1
+    rows = order[np.column_stack([first, last]).ravel()]
     here = asked[:, 0] * stride + np.clip(asked[:, 1], 0, stride - 1)
-    best = np.full(len(points), np.inf, np.float32)
-    for step in (i * stride + j for i in range(-2, 3) for j in range(-2, 3)):
-        found = np.minimum(np.searchsorted(cells, here + step), len(cells) - 1)
-        for end in ends:
-            beside = ground[end[found]]
-            near = (cells[found] == here + step) & (np.hypot(*(beside[:, :2] - points[:, :2]).T) <= FACE)
-            above = near & (beside[:, 2] >= points[:, 2] - LEAST_OBSTACLE)
-            best = np.minimum(best, np.where(above, beside[:, 2], np.inf)).astype(np.float32)
-    return best
+
+    best = np.full(len(points), np.inf)
+    keys, ends = key[rows], np.ascontiguousarray(ground[rows])
+
+    def look(a: int, b: int) -> None:
+        best[a:b] = lowest_above(keys, ends, points[a:b], here[a:b], stride, FACE, LEAST_OBSTACLE)
+
+    run_chunked(look, len(points))
+    return best.astype(np.float32)
 
 
-def _within_reach(points: FloatArray, surface: HeightMap) -> FloatArray:
+def within_reach(points: FloatArray, surface: HeightMap) -> FloatArray:
     """Points between a cell under the lowest known ground near them and `TALLEST` over the highest."""
     size = 2 * int(np.ceil(OVERLAP / surface.cell_width)) + 1
     known = surface.state != UNKNOWN

@@ -27,6 +27,10 @@ class ObstacleKind(IntEnum):
     UNKNOWN = 3
 
 
+Measured = tuple[FloatArray, FloatArray]
+"""Height of the step [m] and slope of the ground [rad] at each cell, each of shape (nx, ny)."""
+
+
 @dataclass(frozen=True, slots=True)
 class GroundLimits:
     """Places where the ground stops bodies whose limit is below `value`.
@@ -42,9 +46,15 @@ class GroundLimits:
     value: FloatArray
 
 
-def find_limits(surface: HeightMap, material: BoolArray) -> GroundLimits:
-    """Find the limits of one piece of ground; `material` are the cells that hold other points, shape (nx, ny)."""
-    step, slope = step_and_slope(surface)
+def find_limits(surface: HeightMap, material: BoolArray, measured: Measured | None = None) -> GroundLimits:
+    """Find the limits of one piece of ground.
+
+    Args:
+        surface: The ground.
+        material: Cells that hold other points, shape (nx, ny).
+        measured: Its `step_and_slope`, where they are known.
+    """
+    step, slope = measured or step_and_slope(surface)
     known = surface.state != UNKNOWN
     edge = ndimage.binary_dilation(known, np.ones((3, 3))) & ~known & ~material
     beside = ndimage.maximum_filter(np.where(known, surface.height, -np.inf), size=3)
@@ -62,7 +72,33 @@ def find_limits(surface: HeightMap, material: BoolArray) -> GroundLimits:
     )
 
 
-def step_and_slope(surface: HeightMap) -> tuple[FloatArray, FloatArray]:
+def limits_reach(surface: HeightMap) -> int:
+    """Cells within which the ground decides on the limits of a cell: the slope's reach and three medians."""
+    return max(1, round(FOOT / surface.cell_width)) + 5
+
+
+def change_step_and_slope(surface: HeightMap, changed: BoolArray, step: FloatArray, slope: FloatArray) -> Measured:
+    """`step_and_slope` of ground that has other heights in the `changed` cells; `step` and `slope` are those before."""
+    if not changed.any():
+        return step, slope
+    reach = limits_reach(surface)
+    inner, outer = window(changed, reach), window(changed, 2 * reach)
+    part = HeightMap(surface.origin, surface.cell_width, surface.height[outer], surface.state[outer])
+    within = tuple(slice(i.start - o.start, i.stop - o.start) for i, o in zip(inner, outer, strict=True))
+    now = step.copy(), slope.copy()
+    for whole, made in zip(now, step_and_slope(part), strict=True):
+        whole[inner] = made[within]
+    return now
+
+
+def window(cells: BoolArray, by: int) -> tuple[slice, slice]:
+    """The rows and columns that hold all `cells`, shape (nx, ny), and `by` cells more on each side."""
+    spans = (np.flatnonzero(cells.any(axis=axis)) for axis in (1, 0))
+    x, y = (slice(max(int(s[0]) - by, 0), min(int(s[-1]) + 1 + by, n)) for s, n in zip(spans, cells.shape, strict=True))
+    return x, y
+
+
+def step_and_slope(surface: HeightMap) -> Measured:
     """Height of the step [m] and slope of the ground [rad] at each cell, shape (nx, ny); 0 where unknown.
 
     The slope along an axis is the smaller of the rises to either side, over a foot's length or over one cell, whichever

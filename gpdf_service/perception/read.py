@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import zipfile
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,6 +14,7 @@ from numpy.typing import ArrayLike
 
 from gpdf_service.errors import CloudError
 from gpdf_service.perception.bag import read_bag
+from gpdf_service.perception.stream import VoxelSieve, chunks_of
 from gpdf_service.types import BoolArray, FloatArray
 
 LAS_GROUND = 2
@@ -56,11 +58,11 @@ def check_points(points: ArrayLike) -> FloatArray:
         raise CloudError("point cloud", f"an array of shape {made.shape}", "Pass an array of shape (n, 3): x, y, z.")
     if len(made) == 0:
         raise CloudError("point cloud", "it is empty", "Pass at least the points of a floor.")
-    bad = ~np.isfinite(made).all(axis=1)
-    if bad.any():
+    if not np.isfinite(made).all():
+        bad = ~np.isfinite(made).all(axis=1)
         found = f"{int(bad.sum())} of {len(made)} points are not finite, the first in row {int(bad.argmax())}"
         raise CloudError("point cloud", found, "Remove them: points = points[np.isfinite(points).all(axis=1)].")
-    extent = float(np.ptp(made[:, :2], axis=0).max())
+    extent = max(float(np.ptp(made[:, k])) for k in (0, 1))
     if extent > MAX_EXTENT:
         found = f"it is {extent:.0f} wide, more than {MAX_EXTENT:.0f} m"
         raise CloudError("point cloud", found, "Is it in millimetres? Divide by 1000; or crop it.")
@@ -68,14 +70,20 @@ def check_points(points: ArrayLike) -> FloatArray:
 
 
 def read_cloud(
-    path: str | os.PathLike[str], *, ground_label: int | None = None, topic: str | None = None
+    path: str | os.PathLike[str],
+    *,
+    ground_label: int | None = None,
+    topic: str | None = None,
+    thin: float | None = None,
 ) -> PointCloud:
-    """Read a cloud by its suffix; a folder is a rosbag2.
+    """Read a cloud by its suffix; a folder is a rosbag2, or holds the tiles of one cloud.
 
     Args:
         path: The file.
         ground_label: The label that means ground (.npz `label`, LAS class); by name or standard if not given.
         topic: Where a bag has clouds on several topics, the one to take.
+        thin: Keep one point of each voxel of this width [m], and read in chunks: only what is kept is ever in memory
+            (but for text and compressed .pcd files, which are read at once). A folder of tiles needs it.
 
     Raises:
         CloudError: the file is missing, of an unknown kind, damaged, empty, or lacks a column.
@@ -87,6 +95,12 @@ def read_cloud(
         if not file.exists():
             raise CloudError(f"bag {file}", "there is no such file", "Check the path.")
         return PointCloud(check_points(read_bag(file, topic)))
+    if thin is not None:
+        return _read_thinned(file, ground_label, thin)
+    if file.is_dir():
+        raise CloudError(
+            f"folder {file}", "it is no rosbag2", "Of a cloud in tiles say how far to thin it: --thin 0.03."
+        )
     reader = _READERS.get(file.suffix.lower())
     if reader is None:
         raise CloudError(
@@ -102,6 +116,39 @@ def read_cloud(
 
 
 Read = tuple[FloatArray, BoolArray | None]
+
+
+def _read_thinned(path: Path, ground_label: int | None, width: float) -> PointCloud:
+    files = sorted(f for f in path.iterdir() if f.suffix.lower() in _READERS) if path.is_dir() else [path]
+    if not files:
+        raise CloudError(f"folder {path}", "no tile is in it", f"Tiles are {' '.join(_READERS)}.")
+    sieve = VoxelSieve(width)
+    for file in files:
+        try:
+            chunks, marks = chunks_of(file) if file.is_file() else None, _ground_marks(file, ground_label)
+            for points, labels in [] if chunks is None else chunks:
+                sieve.add(points, None if labels is None or marks is None else np.isin(labels, marks).astype(np.int64))
+        except (OSError, ValueError, RuntimeError, EOFError, KeyError, zipfile.BadZipFile) as error:
+            raise CloudError(f"cloud {file}", f"it cannot be read ({error})", "Is the file complete?") from error
+        if chunks is None:
+            whole = read_cloud(file, ground_label=ground_label)
+            sieve.add(whole.points, None if whole.ground is None else whole.ground.astype(np.int64))
+    points, marked = sieve.result()
+    ground = None if marked is None or not marked.any() else marked.astype(bool)
+    if ground_label is not None and ground is None:
+        raise CloudError(f"cloud {path}", f"no point is labelled {ground_label!r}", "Name the right label.")
+    return PointCloud(check_points(points), ground)
+
+
+def _ground_marks(path: Path, ground_label: int | None) -> list[int] | None:
+    """The labels that mean ground in a file; None where it has none."""
+    if ground_label is not None or path.suffix.lower() in (".las", ".laz"):
+        return [LAS_GROUND if ground_label is None else ground_label]
+    if path.suffix.lower() != ".npz":
+        return None
+    with np.load(path, allow_pickle=False) as stored:
+        classes = [str(name).lower() for name in stored["classes"]] if "classes" in stored.files else []
+    return [i for i, name in enumerate(classes) if name in GROUND_CLASSES] or None
 
 
 def _read_npz(path: Path, ground_label: int | None) -> Read:

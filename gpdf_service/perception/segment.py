@@ -11,7 +11,8 @@ from scipy.sparse.csgraph import connected_components
 
 from gpdf_service.config import PerceptionConfig
 from gpdf_service.errors import NoGroundError
-from gpdf_service.perception.layers import Layers, build_layers, cell_width_of, connect
+from gpdf_service.perception.columns import medians_around, next_below
+from gpdf_service.perception.layers import Layers, build_layers, cell_width_of, connect, in_steps, layer_gap
 from gpdf_service.perception.read import check_points
 from gpdf_service.types import BoolArray, FloatArray, IntArray
 
@@ -51,31 +52,73 @@ def segment_ground(points: ArrayLike, config: PerceptionConfig | None = None) ->
         CloudError: the cloud cannot be used.
         NoGroundError: nothing in it is walkable.
     """
-    config = config or PerceptionConfig()
-    cloud = check_points(points)
-    width = cell_width_of(cloud)
-    layers, ground, smooth, deviation = _layers_with_ground(cloud, width, 0.0, config)
-    if (wider := float(np.sqrt(NOISY * deviation * width))) > width:
-        layers, ground, smooth, deviation = _layers_with_ground(cloud, wider, deviation, config)
-    node = layers.node_of_point
-    scatter = max(LEAST_SCATTER, 3.0 * deviation)
-    beside = _ground_beside(layers, ground, smooth, scatter)
-    low, high = _across(layers, ground, smooth, config)
-    z = cloud[:, 2]
-    mask: BoolArray = ground[node] & (z >= low[node] - scatter) & (z <= high[node] + scatter)
-    mask |= np.abs(z - beside[node]) <= scatter
-    return mask
+    return segment(check_points(points), config or PerceptionConfig())[0]
 
 
-def _layers_with_ground(
-    cloud: FloatArray, width: float, noise: float, config: PerceptionConfig
-) -> tuple[Layers, BoolArray, FloatArray, float]:
-    """Layers, which of their nodes are ground, their height smoothed, and the scatter of the points around it [m]."""
-    layers = build_layers(cloud, width, max(config.min_headroom, 1.5 * width), noise)
+@dataclass(frozen=True, slots=True)
+class Segmentation:
+    """What was found of the columns of a cloud.
+
+    Attributes:
+        layers: Their nodes.
+        low: Lowest that the ground is within each node's cell [m], inf where the node is none, shape (k,).
+        high: Highest, -inf where the node is none.
+        beside: Height of the ground beside a node that may reach into its cell [m], inf where there is none.
+        deviation: Standard deviation of the points of the ground around it [m].
+    """
+
+    layers: Layers
+    low: FloatArray
+    high: FloatArray
+    beside: FloatArray
+    deviation: float
+
+    @property
+    def scatter(self) -> float:
+        """How near to the ground a point of it is [m]."""
+        return max(LEAST_SCATTER, in_steps(3.0 * self.deviation))
+
+    def holds(self, z: FloatArray, node: IntArray) -> BoolArray:
+        """Whether points at heights `z` [m] in the nodes `node` are ground, shape (n,)."""
+        on: BoolArray = (z >= self.low[node] - self.scatter) & (z <= self.high[node] + self.scatter)
+        return on | (np.abs(z - self.beside[node]) <= self.scatter)
+
+
+def segment(cloud: FloatArray, config: PerceptionConfig) -> tuple[BoolArray, Segmentation | None]:
+    """`segment_ground` of points (n, 3) that have been checked: which are ground, and what that was found from.
+
+    None where the ground is so rough or noisy that a second look with wider cells was needed.
+    """
+    z, width = cloud[:, 2], cell_width_of(cloud)
+    layers = build_layers(cloud, width, layer_gap(width, config))
+    found = segment_layers(layers, config, z)
+    wider = float(np.sqrt(NOISY * found.deviation * width))
+    if wider <= width:
+        return found.holds(z, layers.node_of_point), found
+    layers = build_layers(cloud, wider, layer_gap(wider, config), found.deviation)
+    return segment_layers(layers, config, z, found.deviation).holds(z, layers.node_of_point), None
+
+
+def segment_layers(
+    layers: Layers, config: PerceptionConfig, z: FloatArray | None = None, noise: float = 0.0, deviation: float = 0.0
+) -> Segmentation:
+    """Find the ground in the layers.
+
+    Args:
+        layers: Of a cloud.
+        config: Limits.
+        z: Heights of the points of the layers [m], shape (n,), that tell the deviation; else it is as given.
+        noise: Standard deviation of the points that the layers allow for [m].
+        deviation: Of the points of the ground around it [m].
+    """
     ground = find_ground(layers, config, noise)
-    smooth, node = _smoothed(layers, ground), layers.node_of_point
-    on = ground[node]
-    return layers, ground, smooth, 1.4826 * float(np.median(np.abs(cloud[on, 2] - smooth[node[on]])))
+    smooth = _smoothed(layers, ground)
+    if z is not None:
+        on = ground[layers.node_of_point]
+        deviation = 1.4826 * float(np.median(np.abs(z[on] - smooth[layers.node_of_point[on]])))
+    low, high = _across(layers, ground, smooth, config)
+    found = Segmentation(layers, low, high, np.full(len(low), np.inf), deviation)
+    return replace(found, beside=_ground_beside(layers, ground, smooth, found.scatter))
 
 
 def _across(
@@ -88,7 +131,7 @@ def _across(
     for node in (a, b):
         np.minimum.at(low, node, middle)
         np.maximum.at(high, node, middle)
-    return low, high
+    return np.where(ground, low, np.inf), np.where(ground, high, -np.inf)
 
 
 def _ground_beside(layers: Layers, ground: BoolArray, smooth: FloatArray, scatter: float) -> FloatArray:
@@ -109,15 +152,7 @@ def _ground_beside(layers: Layers, ground: BoolArray, smooth: FloatArray, scatte
 def _smoothed(layers: Layers, ground: BoolArray) -> FloatArray:
     """Median height of each ground node and its neighbours on the same slope: a wheel on the floor does not lift it."""
     a, b = connect(layers, ground, 2.0 * layers.cell_width, HALF)
-    nodes = np.flatnonzero(ground)
-    owner = np.concatenate([nodes, a, b])
-    value = layers.height[np.concatenate([nodes, b, a])]
-    order = np.lexsort((value, owner))
-    first = np.flatnonzero(np.diff(owner[order], prepend=-1))
-    count = np.diff(np.append(first, len(order)))
-    smooth = layers.height.copy()
-    smooth[owner[order[first]]] = value[order[first + (count - 1) // 2]]
-    return smooth
+    return medians_around(layers.height, ground, a, b)
 
 
 def find_ground(layers: Layers, config: PerceptionConfig, noise: float = 0.0) -> BoolArray:
@@ -379,10 +414,8 @@ def _shapes(layers: Layers, wide: BoolArray, patch: IntArray, config: Perception
 
 def over_ground(layers: Layers, ground: BoolArray, headroom: float) -> BoolArray:
     """Nodes with ground under them at less than `headroom` [m]: with that of a body that steps, benches and tables."""
-    index = np.arange(len(ground))
-    last = np.concatenate([[-1], np.maximum.accumulate(np.where(ground, index, -1))[:-1]])
-    beneath = (last >= 0) & (layers.cell[last] == layers.cell)
-    over: BoolArray = beneath & (layers.height - layers.height[last] <= headroom)
+    below = next_below(layers.cell, ground)
+    over: BoolArray = (below >= 0) & (layers.height - layers.height[below] <= headroom)
     return over
 
 

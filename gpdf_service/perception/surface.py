@@ -58,10 +58,10 @@ class HeightMap:
 
     def cells(self, xy: FloatArray) -> tuple[NDArray[np.int64], NDArray[np.int64], BoolArray]:
         """Cell of each place, shape (m, ≥ 2), clipped to the grid, and whether it was inside."""
-        index = np.floor((xy[:, :2] - self.origin) / self.cell_width).astype(np.int64)
-        inside: BoolArray = np.logical_and.reduce((index >= 0) & (index < self.height.shape), axis=1)
-        ix = np.clip(index[:, 0], 0, self.height.shape[0] - 1)
-        return ix, np.clip(index[:, 1], 0, self.height.shape[1] - 1), inside
+        ix, iy = (np.floor((xy[:, k] - self.origin[k]) / self.cell_width).astype(np.int64) for k in (0, 1))
+        nx, ny = self.height.shape
+        inside: BoolArray = (ix >= 0) & (ix < nx) & (iy >= 0) & (iy < ny)
+        return np.clip(ix, 0, nx - 1), np.clip(iy, 0, ny - 1), inside
 
     def contains(self, queries: FloatArray) -> BoolArray:
         """Whether the ground is known under each place, shape (m, 2 or 3)."""
@@ -104,14 +104,17 @@ def _height_at(height: NDArray[np.float32], origin: FloatArray, width: float, xy
     return made
 
 
-def fill_holes(surface: HeightMap, lowest: FloatArray, seen_through: BoolArray, pit: BoolArray) -> HeightMap:
+def fill_holes(
+    surface: HeightMap, lowest: FloatArray, seen_through: BoolArray, pit: BoolArray, walls: BoolArray
+) -> HeightMap:
     """Infer ground where its surroundings explain it, and mark it.
 
     A hole is a connected set of unknown cells bounded by known ground and things (cells whose `lowest` other point is
     under a ceiling's height, inf where there is none), shut off from the map's rim, with no place further than
     `MAX_HOLE_RADIUS` from seen ground, and with the ground around it on one plane within a cell's slope or higher: an
-    edge that drops is not bridged. Nor is what was `seen_through`, or a `pit`, see `find_voids`. Under a thing it is
-    filled only where ground was seen beneath its rim. A notch in a flight is filled with the treads beside it.
+    edge that drops is not bridged. Nor is what was `seen_through`, a `pit`, or a hole with `walls` going down from its
+    rim, see `find_voids`. Under a thing it is filled only where ground was seen beneath its rim. A notch in a flight is
+    filled with the treads beside it.
     """
     known = surface.state == OBSERVED
     height, state = surface.height.copy(), surface.state.copy()
@@ -121,7 +124,7 @@ def fill_holes(surface: HeightMap, lowest: FloatArray, seen_through: BoolArray, 
     _fill_gaps(height, state, ~known, distance, nearest, surface.cell_width)
     _fill_notches(height, state, seen_through, distance, surface.cell_width)
     known = state != UNKNOWN
-    void = seen_through | pit
+    void = seen_through | pit | _walled_down(surface, walls)
     _fill(height, state, ~known & ~material, known, distance, surface.cell_width, void, OPEN_SHARE)
     solid = state != UNKNOWN  # then the ground that carries the furniture itself
     under = ~solid & (distance <= MAX_HOLE_RADIUS) & material & _seen_hollow(~solid & material, known & material)
@@ -147,12 +150,12 @@ def _seen_hollow(things: BoolArray, overhung: BoolArray) -> BoolArray:
     return result
 
 
-def find_voids(surface: HeightMap, points: FloatArray, max_step: float) -> tuple[BoolArray, BoolArray]:
+def find_voids(surface: HeightMap, points: FloatArray, max_step: float) -> tuple[BoolArray, BoolArray, BoolArray]:
     """Unknown cells whose highest point of `points` (n, 3) lies over `max_step` under the ground beside them.
 
     Returns:
-        Where the scanner saw through, further down than a floor is thick; and where the bottom of a pit is seen, which
-        is no ceiling because no storey is under it, or of its walls at least their upper end. Both (nx, ny).
+        Where the scanner saw through, further down than a floor is thick; where the bottom of a pit is seen, which is
+        no ceiling because no storey is under it; and where the upper end of a pit's walls is. All (nx, ny).
     """
     unknown = surface.state == UNKNOWN
     cells, nearest = ndimage.distance_transform_edt(unknown, return_indices=True)
@@ -168,24 +171,31 @@ def find_voids(surface: HeightMap, points: FloatArray, max_step: float) -> tuple
     seen = np.isfinite(top)
     depth = np.where(seen, beside - top, 0.0)
     pit = (depth > max_step) & (depth <= SLAB) & (np.where(seen, top - bottom, 0.0) < STOREY)
-    return depth > SLAB, pit | _walled_down(surface, points)
+    return depth > SLAB, pit, _walls_down(surface, points)
 
 
-def _walled_down(surface: HeightMap, points: FloatArray) -> BoolArray:
-    """Holes with `points` (n, 3) right under their rim: nobody sees into a floor.
+def _walls_down(surface: HeightMap, points: FloatArray) -> BoolArray:
+    """Cells of a hole or beside one with `points` (n, 3) right under the ground: nobody sees into a floor.
 
     A step up at the rim is none: the lowest ground within two cells counts.
     """
     unknown = surface.state == UNKNOWN
-    label, count = ndimage.label(unknown)
-    hole = ndimage.maximum_filter(label, size=3)
-    rim = np.bincount(hole[~unknown], minlength=count + 1)
     floor = ndimage.minimum_filter(np.where(unknown, np.inf, surface.height), size=5)
     ix, iy, inside = surface.cells(points)
     depth = floor[ix, iy] - points[:, 2]
-    wall = inside & (hole[ix, iy] > 0) & (depth > surface.cell_width) & (depth <= WALL_CELLS * surface.cell_width)
+    wall = inside & (depth > surface.cell_width) & (depth <= WALL_CELLS * surface.cell_width)
     walls = np.zeros(unknown.shape, dtype=bool)
     walls[ix[wall], iy[wall]] = True
+    walls &= ndimage.binary_dilation(unknown, np.ones((3, 3)))
+    return walls
+
+
+def _walled_down(surface: HeightMap, walls: BoolArray) -> BoolArray:
+    """Holes with `walls` under more of their rim than a scan's noise explains."""
+    unknown = surface.state == UNKNOWN
+    label, count = ndimage.label(unknown)
+    hole = ndimage.maximum_filter(label, size=3)
+    rim = np.bincount(hole[~unknown], minlength=count + 1)
     pit = np.bincount(hole[walls], minlength=count + 1) > (1.0 - RING_SHARE) * rim
     result: BoolArray = pit[label] & unknown
     return result

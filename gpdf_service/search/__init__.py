@@ -1,5 +1,6 @@
 """Quadtree of the free space, connectivity graph, A*."""
 
+from gpdf_service.search.change import change_free_space as change_free_space
 from gpdf_service.search.free_space import FreeSpace as FreeSpace
 from gpdf_service.search.free_space import build_free_space as build_free_space
 from gpdf_service.search.graph import Graph as Graph

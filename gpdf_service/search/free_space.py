@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,6 +15,23 @@ from gpdf_service.perception.limits import step_and_slope
 from gpdf_service.search.graph import Graph, assemble, find_edges
 from gpdf_service.search.quadtree import Quadtree, build_quadtree
 from gpdf_service.types import Agent, FloatArray, IntArray
+
+Edges = tuple[IntArray, FloatArray]
+
+
+@dataclass(frozen=True, slots=True)
+class LevelSpace:
+    """One level of a free space; the attributes are those of `FreeSpace`."""
+
+    surface: HeightMap
+    ground_field: Gpdf
+    step: FloatArray
+    slope: FloatArray
+    obstacles: Obstacles
+    tree: Tree
+    obstacle_field: Gpdf
+    quadtree: Quadtree
+    edges: Edges
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,6 +52,7 @@ class FreeSpace:
         exact_fields: The same places as fields, for compiled loops.
         obstacle_fields: Obstacle GPDFs, 2D.
         quadtrees: Free leaves.
+        edges: Neighbouring leaves of each level: their pairs and crossings, see `find_edges`.
         offsets: First graph node of each level's leaves.
         graph: All free leaves, connected.
     """
@@ -50,6 +69,7 @@ class FreeSpace:
     exact_fields: tuple[FieldArrays, ...]
     obstacle_fields: tuple[Gpdf, ...]
     quadtrees: tuple[Quadtree, ...]
+    edges: tuple[Edges, ...]
     offsets: tuple[int, ...]
     graph: Graph
 
@@ -69,44 +89,67 @@ def build_free_space(
     noise: float = 0.0,
 ) -> FreeSpace:
     """Find what stops the body, fit its Obstacle GPDFs, build quadtrees and graph; `noise` is the cloud's [m]."""
+    reach, radius = reach_of(agent, config, noise)
+    made = []
+    for level, ground_field in zip(levels.levels, ground_fields, strict=True):
+        obstacles = obstacles_of(level, agent, noise)
+        tree = build_tree(obstacles.points[:, :2])
+        field = fit_obstacle_field(obstacles, level.surface, agent, config, field_config)
+        quadtree = build_quadtree(level.surface, tree, radius)
+        edges = find_edges(quadtree, tree, radius)
+        limits = step_and_slope(level.surface)
+        made.append(LevelSpace(level.surface, ground_field, *limits, obstacles, tree, field, quadtree, edges))
+    return join_levels(agent, reach, radius, made, levels)
+
+
+def reach_of(agent: Agent, config: SearchConfig, noise: float) -> tuple[float, float]:
+    """How far the body's centre keeps from obstacles: at least, and while searching [m]."""
     reach = agent.disc_radius + config.noise_margin * noise
-    radius = reach + config.margin
-    surfaces = tuple(level.surface for level in levels.levels)
-    obstacles = tuple(obstacles_of(level, agent, noise) for level in levels.levels)
-    trees = tuple(build_tree(found.points[:, :2]) for found in obstacles)
+    return reach, reach + config.margin
+
+
+def fit_obstacle_field(
+    obstacles: Obstacles, surface: HeightMap, agent: Agent, config: SearchConfig, field_config: FieldConfig
+) -> Gpdf:
+    """The Obstacle GPDF of one level."""
     spacing = agent.disc_radius * config.field_spacing
-    fields = tuple(
-        fit_gpdf(found.points[:, :2], config=field_config, domain=surface, spacing=spacing)
-        for found, surface in zip(obstacles, surfaces, strict=True)
-    )
-    quadtrees = tuple(build_quadtree(surface, tree, radius) for surface, tree in zip(surfaces, trees, strict=True))
-    limits = [step_and_slope(surface) for surface in surfaces]
+    return fit_gpdf(obstacles.points[:, :2], config=field_config, domain=surface, spacing=spacing)
+
+
+def join_levels(agent: Agent, reach: float, radius: float, parts: Sequence[LevelSpace], levels: Levels) -> FreeSpace:
+    """The free space of all levels, with one graph."""
+    quadtrees = tuple(part.quadtree for part in parts)
+    edges = tuple(part.edges for part in parts)
     offsets = tuple(int(n) for n in np.cumsum([0, *(len(tree.size) for tree in quadtrees[:-1])]))
     return FreeSpace(
         agent,
         reach,
         radius,
-        surfaces,
-        ground_fields,
-        tuple(step for step, _ in limits),
-        tuple(slope for _, slope in limits),
-        obstacles,
-        trees,
-        tuple(nearest_only(tree) for tree in trees),
-        fields,
+        tuple(part.surface for part in parts),
+        tuple(part.ground_field for part in parts),
+        tuple(part.step for part in parts),
+        tuple(part.slope for part in parts),
+        tuple(part.obstacles for part in parts),
+        tuple(part.tree for part in parts),
+        tuple(nearest_only(part.tree) for part in parts),
+        tuple(part.obstacle_field for part in parts),
         quadtrees,
+        edges,
         offsets,
-        _connect(levels, quadtrees, trees, offsets, radius),
+        _connect(levels, quadtrees, edges, offsets, radius),
     )
 
 
 def _connect(
-    levels: Levels, quadtrees: tuple[Quadtree, ...], trees: tuple[Tree, ...], offsets: tuple[int, ...], radius: float
+    levels: Levels,
+    quadtrees: tuple[Quadtree, ...],
+    edges: tuple[Edges, ...],
+    offsets: tuple[int, ...],
+    radius: float,
 ) -> Graph:
     """One graph over all levels: sides shared by leaves, and portals where two levels are the same ground."""
     pairs, vias = [], []
-    for quadtree, tree, offset in zip(quadtrees, trees, offsets, strict=True):
-        ends, via = find_edges(quadtree, tree, radius)
+    for (ends, via), offset in zip(edges, offsets, strict=True):
         pairs.append(ends + offset)
         vias.append(via)
     for portal in levels.portals:

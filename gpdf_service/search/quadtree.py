@@ -188,3 +188,113 @@ def _split(
         state[count] = 0 if not seen or distance < radius else (2 if whole else 1)
         count += 1
     return count
+
+
+_ROUNDING = 1e-9
+"""[m] Far more than two ways to compute a distance differ by, far less than matters."""
+
+
+def change_quadtree(
+    old: Quadtree, surface: HeightMap, obstacles: Tree, radius: float, places: Tree | None, changed: BoolArray
+) -> Quadtree:
+    """The tree that `build_quadtree` makes, from the one before.
+
+    A node's distance to the obstacles is another only if a place that changed is as near as its old distance, which a
+    leaf knows, and which is less than the radius and half the diagonal where the node was split. All else is copied.
+
+    Args:
+        old: The tree before, over a surface of the same grid.
+        surface: The level's ground.
+        obstacles: All obstacle places now [m].
+        radius: Least distance of the body's centre from any of them [m].
+        places: The obstacle places that came or went [m]; None where there are none.
+        changed: Cells that became known or unknown, shape (nx, ny).
+    """
+    extent = surface.cell_width * max(surface.height.shape)
+    depth = max(0, int(np.ceil(np.log2(extent / MIN_WIDTH))))
+    known = surface.state.astype(np.uint8)
+    state = old.free.astype(np.uint8) + old.whole
+    capacity = 2 * len(old.size) + (1 << 16)
+    while True:
+        corner, size = np.zeros((capacity, 2), np.int64), np.zeros(capacity, np.int64)
+        clearance, fresh = np.zeros(capacity), np.zeros(capacity, np.uint8)
+        count = _split_again(
+            (old.size, old.clearance, state, old.code),
+            (obstacles, obstacles if places is None else places, places is not None),
+            (surface.origin, MIN_WIDTH, depth, radius, surface.cell_width),
+            known,
+            changed,
+            (corner, size, clearance, fresh),
+        )
+        if count >= 0:
+            break
+        capacity *= 4
+    corner, size, clearance, fresh = corner[:count], size[:count], clearance[:count], fresh[:count]
+    origin = np.asarray(surface.origin, dtype=np.float64)
+    return Quadtree(origin, MIN_WIDTH, corner, size, clearance, fresh > 0, fresh == 2, morton(corner))
+
+
+@njit(cache=True, nogil=True)
+def _split_again(
+    old: tuple[IntArray, FloatArray, NDArray[np.uint8], IntArray],
+    trees: tuple[Tree, Tree, bool],
+    measures: tuple[FloatArray, float, int, float, float],
+    known: NDArray[np.uint8],
+    changed: BoolArray,
+    made: tuple[IntArray, IntArray, FloatArray, NDArray[np.uint8]],
+) -> int:
+    """`_split` that copies what is as it was. Nodes come in Morton order; `first` is a node's first old leaf, or −1."""
+    size_was, clearance_was, state_was, code_was = old
+    obstacles, places, moved = trees
+    origin, width, depth, radius, cell_width = measures
+    corner, size, clearance, state = made
+    stack, bound = np.empty((4 * depth + 4, 4), np.int64), np.empty(4 * depth + 4)
+    stack[0, 0], stack[0, 1], stack[0, 2], stack[0, 3] = 0, 0, 1 << depth, 0
+    bound[0] = -np.inf if moved else np.inf  # a place that changed is no nearer to the node's centre
+    top, count, x = 1, 0, np.empty(2)
+    while top > 0:
+        top -= 1
+        i, j, n, first = stack[top]
+        nearest = bound[top]
+        x[0], x[1] = origin[0] + (i + 0.5 * n) * width, origin[1] + (j + 0.5 * n) * width
+        ix, iy = int((x[0] - origin[0]) / cell_width), int((x[1] - origin[1]) / cell_width)
+        within = 0 <= ix < known.shape[0] and 0 <= iy < known.shape[1]
+        half_diagonal = 0.5 * sqrt(2.0) * n * width
+        leaf = first >= 0 and size_was[first] == n
+        if first >= 0:
+            reach = (clearance_was[first] if leaf else radius + half_diagonal) + _ROUNDING
+            if nearest <= reach:
+                nearest = nearest_one(places, x)[0]
+            split = not leaf and nearest > reach
+            copied = leaf and nearest > reach and not (within and changed[ix, iy])
+        else:
+            split, copied = False, False
+        if copied:
+            if count == len(size):
+                return -1
+            corner[count, 0], corner[count, 1], size[count] = i, j, n
+            clearance[count], state[count] = clearance_was[first], state_was[first]
+            count += 1
+            continue
+        distance = 0.0
+        if not split:
+            distance = nearest_one(obstacles, x)[0]
+            split = distance - half_diagonal < radius and n > 1 and distance + half_diagonal >= radius
+        if split:
+            h = n // 2
+            for k in range(3, -1, -1):
+                stack[top, 0], stack[top, 1], stack[top, 2] = i + (k >> 1) * h, j + (k & 1) * h, h
+                stack[top, 3] = -1
+                if first >= 0 and not leaf:
+                    stack[top, 3] = np.searchsorted(code_was, code_was[first] + k * h * h)
+                bound[top] = nearest - 0.5 * half_diagonal
+                top += 1
+            continue
+        if count == len(size):
+            return -1
+        seen = within and known[ix, iy] > 0
+        corner[count, 0], corner[count, 1], size[count] = i, j, n
+        clearance[count] = distance
+        state[count] = 0 if not seen or distance < radius else (2 if distance - half_diagonal >= radius else 1)
+        count += 1
+    return count

@@ -1,0 +1,30 @@
+"""`gpdf scene merge FILE FILE … --out FILE`."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from gpdf_service.cli.inputs import add_build_arguments, open_one, progress_bar, read_config, save_scene
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the verb's options."""
+    parser.add_argument("inputs", type=Path, nargs="+", help="clouds or scenes in one frame; two or more")
+    add_build_arguments(parser)
+    parser.add_argument("--out", type=Path, required=True, help="the scene file to write")
+    parser.add_argument("--json", action="store_true", help="print the result as JSON")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Put together, build, save, say what is in it."""
+    from gpdf_service.combine import merge_scenes
+    from gpdf_service.errors import CloudError
+
+    if len(args.inputs) < 2:
+        raise CloudError("merge", f"{len(args.inputs)} input", "Name two clouds or scenes, or more.")
+    scenes = [open_one(path, args) for path in args.inputs]
+    config = None if args.config is None else read_config(args.config)
+    with progress_bar() as progress:
+        made = merge_scenes(scenes, config, progress)
+    return save_scene(made, args.out, as_json=args.json)

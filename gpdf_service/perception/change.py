@@ -1,0 +1,353 @@
+"""What a change of a clean cloud does to its ground and its levels: only what it touches is looked at again.
+
+What a cell holds depends on the points of its column and on cells within a known reach. So cells whose input changed
+are marked, marks are widened by the reach of each stage, and only the points in marked cells are read again. What
+depends on connections (which surfaces are ground, which are one sheet, what a hole is shut off by) is decided anew from
+the cells of the whole scene, not from a window of it. So the result is that of the whole cloud by construction.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from gpdf_service.config import PerceptionConfig
+from gpdf_service.perception.columns import bounds_of, rows_in_box, rows_in_cells
+from gpdf_service.perception.layers import Layers, build_layers, grid_of, layer_gap, splice_layers
+from gpdf_service.perception.levels import (
+    FACE,
+    OVERLAP,
+    GroundLevel,
+    Levels,
+    Survey,
+    Voids,
+    alone,
+    complete,
+    find_ledges,
+    find_portals,
+    find_strays,
+    high_ground,
+    make_level,
+    sheet_surface,
+    split_sheets,
+    within_reach,
+)
+from gpdf_service.perception.limits import Measured, change_step_and_slope, find_limits, limits_reach
+from gpdf_service.perception.segment import Segmentation, segment_layers
+from gpdf_service.perception.surface import OBSERVED, HeightMap, find_voids
+from gpdf_service.types import BoolArray, FloatArray, IntArray
+
+
+@dataclass(frozen=True, slots=True)
+class Perceived:
+    """All that is known of a clean cloud; what a change starts from.
+
+    Attributes:
+        points: The cloud [m], shape (n, 3).
+        ground: Which points are ground, shape (n,).
+        segmentation: What the ground was found from; None where it was given.
+        levels: The sheets of ground.
+        survey: What they were made of.
+        touched: After a change, for each level the cells in which anything of it is another than before; None where it
+            is as it was.
+    """
+
+    points: FloatArray
+    ground: BoolArray
+    segmentation: Segmentation | None
+    levels: Levels
+    survey: Survey
+    touched: tuple[BoolArray | None, ...] = ()
+
+    def lasting(self) -> Perceived:
+        """The same without what only the build needed."""
+        found, none = self.segmentation, np.zeros(0, np.int64)
+        return replace(
+            self,
+            segmentation=found and replace(found, layers=replace(found.layers, node_of_point=none)),
+            survey=replace(self.survey, layers=replace(self.survey.layers, node_of_point=none)),
+        )
+
+
+class WholeError(Exception):
+    """The change asks for a look at the whole cloud."""
+
+
+def change(
+    old: Perceived, cloud: FloatArray, keep: BoolArray, labels: BoolArray | None, config: PerceptionConfig
+) -> Perceived:
+    """What is known after a change.
+
+    Args:
+        old: What was known.
+        cloud: The points that stay and, after them, those that are new [m], shape (n, 3).
+        keep: Which of the old points stay, shape (m,).
+        labels: Which points of `cloud` are ground; None where the segmentation says so.
+        config: Limits.
+
+    Raises:
+        WholeError: the cloud has other bounds, or another number of levels; build it as a whole.
+        NoGroundError: nothing in it is walkable.
+    """
+    fresh = len(cloud) - int(np.count_nonzero(keep))
+    places = np.concatenate([old.points[~keep], cloud[len(cloud) - fresh :]])
+    if len(places) == 0:
+        return replace(old, touched=tuple(None for _ in old.levels.levels))
+    known = _Cloud(cloud, places)
+    before = np.concatenate([old.ground[keep], np.zeros(fresh, dtype=bool)])
+    segmentation, ground = old.segmentation, labels
+    if ground is None:
+        if segmentation is None:
+            raise WholeError
+        segmentation, ground = _change_segmentation(segmentation, known, before, places, config)
+    places = np.concatenate([places, cloud[before != ground]])
+    stray = np.concatenate([old.survey.stray[keep], np.zeros(fresh, dtype=bool)])
+    again = _change_strays(stray, known, ground, places, alone(old.survey.layers.cell_width))
+    places = np.concatenate([places, cloud[again != stray]])
+    _check_grid(cloud, ground, old.survey.layers)
+    levels, survey, touched = _change_levels(old, known, ground, again, places, config)
+    return Perceived(cloud, ground, segmentation, levels, survey, touched)
+
+
+def _cells_of(places: FloatArray, layers: Layers) -> BoolArray:
+    """Cells that hold any of `places`, shape (nx, ny)."""
+    index = np.floor((places[:, :2] - layers.origin) / layers.cell_width).astype(np.int64)
+    index = index[np.logical_and.reduce((index >= 0) & (index < layers.shape), axis=1)]
+    found = np.zeros(layers.shape, dtype=bool)
+    found[index[:, 0], index[:, 1]] = True
+    return found
+
+
+def _check_grid(cloud: FloatArray, chosen: BoolArray, layers: Layers) -> None:
+    """The `chosen` points must have the grid that they had: all else would be moved."""
+    if not chosen.any():
+        raise WholeError
+    origin, shape = grid_of(*bounds_of(cloud, chosen), layers.cell_width)
+    if (origin != layers.origin).any() or shape != layers.shape:
+        raise WholeError
+
+
+class _Cloud:
+    """The changed cloud, with the points around the change at hand: they are asked for again and again.
+
+    Attributes:
+        points: All [m], shape (n, 3).
+        low: Lower corner of what is at hand [m], shape (2,).
+        high: Upper corner [m], shape (2,).
+    """
+
+    def __init__(self, points: FloatArray, places: FloatArray) -> None:
+        self.points = points
+        self.low, self.high = places[:, :2].min(axis=0) - _AT_HAND, places[:, :2].max(axis=0) + _AT_HAND
+        self._rows: IntArray = rows_in_box(points, self.low, self.high)
+        self._near = points[self._rows]
+
+    def rows_in(self, grid: Layers | HeightMap, wanted: BoolArray) -> IntArray:
+        """Rows of the points in the `wanted` cells of a grid, shape (nx, ny); sorted."""
+        along, across = (np.flatnonzero(wanted.any(axis=axis)) for axis in (1, 0))
+        if len(along) == 0:
+            return np.zeros(0, np.int64)
+        low = grid.origin + grid.cell_width * np.array([along[0] - 1, across[0] - 1])
+        high = grid.origin + grid.cell_width * np.array([along[-1] + 2, across[-1] + 2])
+        if (low >= self.low).all() and (high <= self.high).all():
+            return self._rows[rows_in_cells(self._near, grid.origin, grid.cell_width, wanted)]
+        whole: IntArray = rows_in_cells(self.points, grid.origin, grid.cell_width, wanted)
+        return whole
+
+
+_AT_HAND = 4.0 * OVERLAP
+"""[m] Around a change; what a change of the ground makes look at again lies within 1.5 times the overlap of sheets."""
+
+
+def widened(cells: BoolArray, by: int) -> BoolArray:
+    """The cells and all within `by` cells of them along each axis."""
+    made: BoolArray = ndimage.maximum_filter(cells, size=2 * by + 1, mode="constant")
+    return made
+
+
+def _columns(cloud: _Cloud, rows: IntArray, layers: Layers, config: PerceptionConfig) -> Layers:
+    """Layers of whole columns, the points `rows` of `cloud`, on the grid of `layers`."""
+    return build_layers(cloud.points[rows], layers.cell_width, layer_gap(layers.cell_width, config), like=layers)
+
+
+def _change_layers(layers: Layers, cloud: _Cloud, rows: IntArray, cells: BoolArray, config: PerceptionConfig) -> Layers:
+    fresh = _columns(cloud, rows, layers, config) if len(rows) else None
+    return splice_layers(layers, cells.ravel(), fresh)
+
+
+def _nodes_of(local: Layers, whole: Layers) -> IntArray:
+    """Node in `whole` of each point that `local`, some of its columns, was built from."""
+    nodes = whole.start[local.cell] + np.arange(len(local.cell)) - local.start[local.cell]
+    made: IntArray = nodes[local.node_of_point]
+    return made
+
+
+def _change_segmentation(
+    old: Segmentation, cloud: _Cloud, before: BoolArray, places: FloatArray, config: PerceptionConfig
+) -> tuple[Segmentation, BoolArray]:
+    """The segmentation of the changed cloud, and its ground, where `before` is what it was, shape (n,)."""
+    _check_grid(cloud.points, np.ones(len(cloud.points), dtype=bool), old.layers)
+    cells = _cells_of(places, old.layers)
+    layers = _change_layers(old.layers, cloud, cloud.rows_in(old.layers, cells), cells, config)
+    found = segment_layers(layers, config, deviation=old.deviation)
+    stay, now = ~cells.ravel()[old.layers.cell], ~cells.ravel()[layers.cell]
+    for name in ("low", "high", "beside"):
+        cells.ravel()[layers.cell[now][getattr(old, name)[stay] != getattr(found, name)[now]]] = True
+    rows = cloud.rows_in(layers, cells)
+    ground = before.copy()
+    if len(rows):
+        ground[rows] = found.holds(cloud.points[rows, 2], _nodes_of(_columns(cloud, rows, layers, config), layers))
+    return found, ground
+
+
+def _change_strays(stray: BoolArray, cloud: _Cloud, ground: BoolArray, places: FloatArray, width: float) -> BoolArray:
+    """Stray points, where those in voxels near `places` may be others than before; see `find_strays`."""
+    voxel = np.floor(places[:, :2] / width)
+    low, high = voxel.min(axis=0), voxel.max(axis=0) + 1.0
+    near = rows_in_box(cloud.points, (low - 3.0) * width, (high + 3.0) * width)
+    column = np.floor(cloud.points[near, :2] / width)
+    sure = np.logical_and.reduce((column >= low - 1.0) & (column < high + 1.0), axis=1)
+    made = stray.copy()
+    made[near[sure]] = find_strays(cloud.points[near], width)[sure]
+    return made & ~ground
+
+
+def _change_levels(
+    old: Perceived,
+    cloud: _Cloud,
+    ground: BoolArray,
+    stray: BoolArray,
+    places: FloatArray,
+    config: PerceptionConfig,
+) -> tuple[Levels, Survey, tuple[BoolArray | None, ...]]:
+    layers = old.survey.layers
+    cells = _cells_of(places, layers)
+    rows = cloud.rows_in(layers, cells)
+    rows = rows[ground[rows]]
+    layers = _change_layers(layers, cloud, rows, cells, config)
+    sheets = split_sheets(layers, config)
+    if len(sheets) != len(old.levels.levels):
+        raise WholeError
+    made = []
+    for i, sheet in enumerate(sheets):
+        inside = np.zeros(len(layers.cell), dtype=bool)
+        inside[sheet] = True
+        part = _Part(cloud, ground, stray, layers, inside, sheet_surface(layers, sheet), cells)
+        made.append(_change_level(old.levels.levels[i], old.survey.voids[i], old.survey.measured[i], part, config))
+    levels = Levels(tuple(level for level, _, _, _ in made), find_portals(layers, sheets))
+    survey = Survey(layers, stray, tuple(voids for _, voids, _, _ in made), tuple(found for _, _, found, _ in made))
+    return levels, survey, tuple(touched for _, _, _, touched in made)
+
+
+@dataclass(frozen=True, slots=True)
+class _Part:
+    """What one level is made of: cloud, labels, strays, ground layers, the sheet's nodes and cells, changed columns."""
+
+    cloud: _Cloud
+    ground: BoolArray
+    stray: BoolArray
+    layers: Layers
+    inside: BoolArray
+    seen: HeightMap
+    cells: BoolArray
+
+    def rest(self, cells: BoolArray, config: PerceptionConfig) -> FloatArray:
+        """Points in `cells` that are not of this sheet."""
+        rows = self.cloud.rows_in(self.layers, cells)
+        rows = rows[~self.stray[rows]]
+        mine = self.ground[rows]
+        if mine.any():
+            mine[mine] = self.inside[_nodes_of(_columns(self.cloud, rows[mine], self.layers, config), self.layers)]
+        rest: FloatArray = self.cloud.points[rows[~mine]]
+        return rest
+
+
+def _change_level(
+    old: GroundLevel, voids: Voids, measured: Measured, part: _Part, config: PerceptionConfig
+) -> tuple[GroundLevel, Voids, Measured, BoolArray | None]:
+    was = np.where(old.surface.state == OBSERVED, old.surface.height, np.float32(np.nan))
+    moved = _differ(was, part.seen.height)
+    cells = part.cells | widened(moved, int(np.ceil(OVERLAP / part.seen.cell_width)) + 1)
+    rest = part.rest(cells, config)
+    fresh = within_reach(rest, part.seen)
+    found = find_voids(part.seen, rest, config.max_step)
+    now = np.where(cells, found[0], voids[0]), np.where(cells, found[1], voids[1]), np.where(cells, found[2], voids[2])
+    stay = ~cells[old.surface.cells(old.other_points)[:2]]
+    other = np.concatenate([old.other_points[stay], fresh])
+    ledge = np.concatenate([old.ledge[stay], np.full(len(fresh), np.inf, np.float32)])
+    surface, limits = old.surface, old.limits
+    swapped = _other_cells(surface, old.other_points[~stay], fresh)
+    if moved.any() or swapped.any() or any((a != b).any() for a, b in zip(now, voids, strict=True)):
+        surface, material = complete(part.seen, other, now, config)
+        measured = change_step_and_slope(surface, _changed(old.surface, surface), *measured)
+        limits = find_limits(surface, material, measured)
+    ledge = _change_ledges(part, surface, other, ledge, cells | _ledge_cells(part, old.surface, surface))
+    kept = int(np.count_nonzero(stay))
+    stepped = _cells_of(other[:kept][old.ledge[stay] != ledge[:kept]], part.layers)
+    before, after = _with(old.other_points[~stay], old.ledge[~stay]), _with(fresh, ledge[kept:])
+    stepped |= _other_cells(surface, before, after)
+    touched = widened(stepped, 1) | widened(_changed(old.surface, surface), limits_reach(surface))
+    if not touched.any():
+        return old, voids, measured, None
+    return make_level(surface, other, ledge, limits), now, measured, touched
+
+
+def _with(points: FloatArray, values: NDArray[np.float32]) -> FloatArray:
+    made: FloatArray = np.column_stack([points, values])
+    return made
+
+
+def _other_cells(surface: HeightMap, was: FloatArray, now: FloatArray) -> BoolArray:
+    """Cells that hold other points than before: rows of x, y, z and what else tells them apart."""
+    both = np.concatenate([was, now])
+    mixed = (both.view(np.uint64) * _MIX[: both.shape[1]]).sum(axis=1, dtype=np.uint64)
+    _, kind = np.unique(mixed ^ (mixed >> np.uint64(29)), return_inverse=True)
+    more = np.bincount(kind[len(was) :], minlength=len(kind)) - np.bincount(kind[: len(was)], minlength=len(kind))
+    found = np.zeros(surface.height.shape, dtype=bool)
+    ix, iy, _ = surface.cells(both[more[kind] != 0])
+    found[ix, iy] = True
+    return found
+
+
+_MIX = np.array([0x9E3779B97F4A7C15, 0xC2B2AE3D27D4EB4F, 0x165667B19E3779F9, 0xD6E8FEB86659FD93], dtype=np.uint64)
+"""Odd numbers without a pattern: two points get one sum of products with a chance of 2⁻⁶⁴."""
+
+
+def _ledge_cells(part: _Part, old: HeightMap, new: HeightMap) -> BoolArray:
+    """Cells in which a ledge can be another than before."""
+    return widened(part.cells | (high_ground(old) != high_ground(new)), _ledge_reach(new))
+
+
+def _ledge_reach(surface: HeightMap) -> int:
+    return int(np.ceil(2.0 * FACE / surface.cell_width)) + 1
+
+
+def _change_ledges(
+    part: _Part, surface: HeightMap, other: FloatArray, ledge: NDArray[np.float32], cells: BoolArray
+) -> NDArray[np.float32]:
+    asked = cells[surface.cells(other)[:2]]
+    rows = part.cloud.rows_in(part.layers, widened(cells, _ledge_reach(surface)))
+    made = ledge.copy()
+    made[asked] = find_ledges(surface, part.cloud.points[rows[part.ground[rows]]], other[asked])
+    return made
+
+
+def _differ(a: NDArray[np.float32], b: NDArray[np.float32]) -> BoolArray:
+    """Where two height maps are not the same."""
+    differ: BoolArray = ~((a == b) | (np.isnan(a) & np.isnan(b)))
+    return differ
+
+
+def _changed(old: HeightMap, new: HeightMap) -> BoolArray:
+    cells: BoolArray = _differ(old.height, new.height) | (old.state != new.state)
+    return cells
+
+
+def changed_cells(old: HeightMap, new: HeightMap) -> BoolArray | None:
+    """Cells in which the ground is another, shape (nx, ny); None where the grid is another."""
+    if old.height.shape != new.height.shape or old.cell_width != new.cell_width or (old.origin != new.origin).any():
+        return None
+    return _changed(old, new)

@@ -1,0 +1,227 @@
+"""Compiled loops over the columns of a grid: points in the order of their columns, and pairs of neighbouring layers."""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+from gpdf_service.fields.threads import run_chunked
+from gpdf_service.types import BoolArray, FloatArray, IntArray
+
+_FEW = 32
+"""Points that are sorted faster by insertion than by a call."""
+
+
+def column_order(cell: IntArray, z: FloatArray, cells: int) -> tuple[IntArray, IntArray]:
+    """Order of points by their cell and, within a cell, upward; equal heights stay in their order.
+
+    Args:
+        cell: Cell of each point, shape (n,).
+        z: Height of each point [m], shape (n,).
+        cells: How many cells there are.
+
+    Returns:
+        The order, shape (n,), and where each cell begins in it, shape (cells + 1,).
+    """
+    start, order = by_cell(cell, cells)
+    run_chunked(lambda a, b: _sort_columns(start, z, order, a, b), cells)
+    return order, start
+
+
+@njit(cache=True, nogil=True)
+def by_cell(cell: IntArray, cells: int) -> tuple[IntArray, IntArray]:
+    """Where each of the cells begins, shape (cells + 1,), in the order of the points by cell, shape (n,)."""
+    start, order = np.zeros(cells + 1, np.int64), np.empty(len(cell), np.int64)
+    for c in cell:
+        start[c + 1] += 1
+    for c in range(cells):
+        start[c + 1] += start[c]
+    place = start[:-1].copy()
+    for i in range(len(cell)):
+        order[place[cell[i]]] = i
+        place[cell[i]] += 1
+    return start, order
+
+
+@njit(cache=True, nogil=True)
+def _sort_columns(start: IntArray, z: FloatArray, order: IntArray, begin: int, end: int) -> None:
+    for c in range(begin, end):
+        a, b = start[c], start[c + 1]
+        if b - a > _FEW:
+            rows = order[a:b].copy()
+            order[a:b] = rows[np.argsort(z[rows], kind="mergesort")]
+            continue
+        for i in range(a + 1, b):
+            row, j = order[i], i
+            while j > a and z[order[j - 1]] > z[row]:
+                order[j] = order[j - 1]
+                j -= 1
+            order[j] = row
+
+
+@njit(cache=True, nogil=True)
+def pairs_near(
+    cell: IntArray,
+    start: IntArray,
+    shape: tuple[int, int],
+    height: FloatArray,
+    keep: BoolArray,
+    limit: FloatArray,
+    offset: tuple[int, int],
+    factor: float,
+) -> tuple[IntArray, IntArray]:
+    """Pairs of kept nodes (a, b), b's cell at `offset` from a's, whose heights differ by at most `factor` × `limit`."""
+    capacity, used = len(cell) + 16, 0
+    one, other = np.empty(capacity, np.int64), np.empty(capacity, np.int64)
+    for a in range(len(cell)):
+        x, y = cell[a] // shape[1] + offset[0], cell[a] % shape[1] + offset[1]
+        if not keep[a] or x < 0 or y < 0 or x >= shape[0] or y >= shape[1]:
+            continue
+        there = x * shape[1] + y
+        for b in range(start[there], start[there + 1]):
+            if not keep[b] or abs(height[a] - height[b]) > factor * min(limit[a], limit[b]):
+                continue
+            if used == capacity:
+                capacity *= 2
+                one, other = _longer(one, capacity), _longer(other, capacity)
+            one[used], other[used] = a, b
+            used += 1
+    return one[:used], other[:used]
+
+
+@njit(cache=True, nogil=True)
+def _longer(values: IntArray, capacity: int) -> IntArray:
+    made = np.empty(capacity, np.int64)
+    made[: len(values)] = values
+    return made
+
+
+@njit(cache=True, nogil=True)
+def medians_around(height: FloatArray, keep: BoolArray, a: IntArray, b: IntArray) -> FloatArray:
+    """Lower median of the heights of each kept node and those that the pairs (a, b) join it to; others as they are."""
+    start = np.zeros(len(height) + 1, np.int64)
+    for i in range(len(height)):
+        start[i + 1] = keep[i]
+    for e in range(len(a)):
+        start[a[e] + 1] += 1
+        start[b[e] + 1] += 1
+    for i in range(len(height)):
+        start[i + 1] += start[i]
+    values, place = np.empty(start[-1]), start[:-1].copy()
+    for i in range(len(height)):
+        if keep[i]:
+            values[place[i]] = height[i]
+            place[i] += 1
+    for e in range(len(a)):
+        values[place[a[e]]], values[place[b[e]]] = height[b[e]], height[a[e]]
+        place[a[e]] += 1
+        place[b[e]] += 1
+    made = height.copy()
+    for i in range(len(height)):
+        if keep[i]:
+            _sort(values, start[i], start[i + 1])
+            made[i] = values[(start[i] + start[i + 1] - 1) // 2]
+    return made
+
+
+@njit(cache=True, nogil=True)
+def _sort(values: FloatArray, begin: int, end: int) -> None:
+    """Put the few values from `begin` to `end` in order, by insertion."""
+    for i in range(begin + 1, end):
+        value, j = values[i], i
+        while j > begin and values[j - 1] > value:
+            values[j] = values[j - 1]
+            j -= 1
+        values[j] = value
+
+
+@njit(cache=True, nogil=True)
+def next_below(cell: IntArray, keep: BoolArray) -> IntArray:
+    """The next kept node below each node in its column, -1 where there is none; nodes sorted by cell and upward."""
+    below, last = np.full(len(cell), -1), -1
+    for i in range(len(cell)):
+        if last >= 0 and cell[last] == cell[i]:
+            below[i] = last
+        if keep[i]:
+            last = i
+    return below
+
+
+@njit(cache=True, nogil=True)
+def rows_in_cells(points: FloatArray, origin: FloatArray, cell_width: float, wanted: BoolArray) -> IntArray:
+    """Rows of the points (n, 3) in the `wanted` cells, shape (nx, ny), of a grid; sorted."""
+    found, used = np.empty(1024, np.int64), 0
+    for row in range(len(points)):
+        i = int(np.floor((points[row, 0] - origin[0]) / cell_width))
+        j = int(np.floor((points[row, 1] - origin[1]) / cell_width))
+        if 0 <= i < wanted.shape[0] and 0 <= j < wanted.shape[1] and wanted[i, j]:
+            if used == len(found):
+                found = _longer(found, 2 * used)
+            found[used] = row
+            used += 1
+    return found[:used]
+
+
+@njit(cache=True, nogil=True)
+def rows_in_box(points: FloatArray, low: FloatArray, high: FloatArray) -> IntArray:
+    """Rows of the points (n, 3) between `low` and `high` in plan, shape (2,); sorted."""
+    found, used = np.empty(1024, np.int64), 0
+    for row in range(len(points)):
+        x, y = points[row, 0], points[row, 1]
+        if low[0] <= x <= high[0] and low[1] <= y <= high[1]:
+            if used == len(found):
+                found = _longer(found, 2 * used)
+            found[used] = row
+            used += 1
+    return found[:used]
+
+
+@njit(cache=True, nogil=True)
+def bounds_of(points: FloatArray, chosen: BoolArray) -> tuple[FloatArray, FloatArray]:
+    """Least and greatest (x, y) [m] of the `chosen` points, of shape (n, 3)."""
+    low, high = np.full(2, np.inf), np.full(2, -np.inf)
+    for row in range(len(points)):
+        if chosen[row]:
+            for k in range(2):
+                low[k], high[k] = min(low[k], points[row, k]), max(high[k], points[row, k])
+    return low, high
+
+
+@njit(cache=True, nogil=True)
+def column_floors(start: IntArray, order: IntArray, z: FloatArray, share: float) -> FloatArray:
+    """Height under which a `share` of the points of each column lies [m], shape (cells,); NaN in an empty one."""
+    floor = np.full(len(start) - 1, np.nan)
+    for c in range(len(floor)):
+        count = start[c + 1] - start[c]
+        if count > 0:
+            at = int(share * count)
+            floor[c] = np.partition(z[order[start[c] : start[c + 1]]], at)[at]
+    return floor
+
+
+@njit(cache=True, nogil=True)
+def lowest_above(
+    keys: IntArray, ends: FloatArray, points: FloatArray, asked: IntArray, stride: int, reach: float, slack: float
+) -> FloatArray:
+    """Least height of the `ends` that are within `reach` of each point in plan and at most `slack` under it [m].
+
+    Args:
+        keys: Cell of each of the ends, ascending, shape (e,).
+        ends: Points (e, 3) [m].
+        points: Shape (m, 3) [m].
+        asked: Cell of each point, shape (m,); two cells to all sides of it are looked at.
+        stride: Cells of a row of the grid.
+        reach: [m].
+        slack: [m].
+    """
+    best = np.full(len(points), np.inf)
+    for i in range(len(points)):
+        for step in range(-2, 3):
+            first = asked[i] + step * stride - 2
+            for e in range(np.searchsorted(keys, first), len(keys)):
+                if keys[e] > first + 4:
+                    break
+                near = np.hypot(ends[e, 0] - points[i, 0], ends[e, 1] - points[i, 1]) <= reach
+                if near and points[i, 2] - slack <= ends[e, 2] < best[i]:
+                    best[i] = ends[e, 2]
+    return best

@@ -1,0 +1,175 @@
+"""The free space of a scene that changed, from the one before: only what the change touches is built again."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from gpdf_service.config import FieldConfig, SearchConfig
+from gpdf_service.fields import Gpdf, build_tree, thin
+from gpdf_service.perception import GroundLevel, GroundLimits, HeightMap, Levels, Obstacles, obstacles_of
+from gpdf_service.perception.change import changed_cells, widened
+from gpdf_service.perception.limits import change_step_and_slope, window
+from gpdf_service.perception.surface import UNKNOWN
+from gpdf_service.search.free_space import (
+    FreeSpace,
+    LevelSpace,
+    fit_obstacle_field,
+    join_levels,
+    reach_of,
+)
+from gpdf_service.search.graph import find_edges
+from gpdf_service.search.quadtree import change_quadtree
+from gpdf_service.types import BoolArray, FloatArray
+
+
+def change_free_space(
+    old: FreeSpace,
+    levels: Levels,
+    ground_fields: tuple[Gpdf, ...],
+    touched: Sequence[BoolArray | None],
+    config: SearchConfig,
+    field_config: FieldConfig,
+    *,
+    noise: float = 0.0,
+) -> FreeSpace:
+    """The free space that `build_free_space` makes, from the one before.
+
+    Args:
+        old: The free space before, over the same grids.
+        levels: The levels now.
+        ground_fields: Ground GPDFs, 3D.
+        touched: The cells of each level in which anything is another than before; None where nothing is.
+        config: Margins.
+        field_config: Of the Obstacle GPDFs.
+        noise: Of the cloud [m].
+    """
+    made = []
+    for i, (level, field, cells) in enumerate(zip(levels.levels, ground_fields, touched, strict=True)):
+        was = LevelSpace(
+            old.surfaces[i],
+            field,
+            old.steps[i],
+            old.slopes[i],
+            old.obstacles[i],
+            old.trees[i],
+            old.obstacle_fields[i],
+            old.quadtrees[i],
+            old.edges[i],
+        )
+        made.append(was if cells is None else _change_level(was, level, cells, old, config, field_config, noise))
+    return join_levels(old.agent, *reach_of(old.agent, config, noise), made, levels)
+
+
+def _change_level(
+    was: LevelSpace,
+    level: GroundLevel,
+    touched: BoolArray,
+    old: FreeSpace,
+    config: SearchConfig,
+    field_config: FieldConfig,
+    noise: float,
+) -> LevelSpace:
+    surface, agent, radius = level.surface, old.agent, old.radius
+    ground = changed_cells(was.surface, surface)
+    assert ground is not None  # a scene of another grid is built as a whole
+    # What stands on the ground is judged by the ground within a radius, what shuts that off, and the ground there.
+    reach = int(np.ceil(3.0 * agent.disc_radius / surface.cell_width)) + 6
+    region = widened(touched, reach)
+    found = obstacles_of(_part(level, region, reach), agent, noise)
+    inside = region[surface.cells(found.points)[:2]]
+    stay = ~region[surface.cells(was.obstacles.points)[:2]]
+    gone, fresh = was.obstacles.points[~stay], found.points[inside]
+    obstacles = Obstacles(
+        np.concatenate([was.obstacles.points[stay], fresh]),
+        np.concatenate([was.obstacles.kind[stay], found.kind[inside]]),
+    )
+    step, slope = change_step_and_slope(surface, ground, was.step, was.slope)
+    places = _difference(gone[:, :2], fresh[:, :2])
+    known = (was.surface.state != UNKNOWN) != (surface.state != UNKNOWN)
+    part = replace(was, surface=surface, step=step, slope=slope, obstacles=obstacles)
+    if len(places) == 0 and not known.any():
+        return replace(part, tree=build_tree(obstacles.points[:, :2]), obstacle_field=was.obstacle_field.over(surface))
+    tree = build_tree(obstacles.points[:, :2])
+    quadtree = change_quadtree(was.quadtree, surface, tree, radius, build_tree(places) if len(places) else None, known)
+    field = _change_field(was, obstacles, places, config.field_spacing * agent.disc_radius)
+    if field is None:
+        field = fit_obstacle_field(obstacles, surface, agent, config, field_config)
+    return replace(
+        part,
+        tree=tree,
+        obstacle_field=field.over(surface),
+        quadtree=quadtree,
+        edges=find_edges(quadtree, tree, radius),
+    )
+
+
+def _part(level: GroundLevel, region: BoolArray, reach: int) -> GroundLevel:
+    """What of a level decides on the obstacles in `region`."""
+    surface = level.surface
+    box = window(region, reach)
+    corner = surface.origin + np.array([box[0].start, box[1].start]) * surface.cell_width
+    wanted = np.zeros_like(region)
+    wanted[box] = True
+    other = wanted[surface.cells(level.other_points)[:2]]
+    limit = wanted[surface.cells(level.limits.points)[:2]]
+    limits = level.limits
+    return replace(
+        level,
+        surface=HeightMap(corner, surface.cell_width, surface.height[box], surface.state[box]),
+        other_points=level.other_points[other],
+        ledge=level.ledge[other],
+        limits=GroundLimits(limits.points[limit], limits.kind[limit], limits.value[limit]),
+    )
+
+
+def _difference(a: FloatArray, b: FloatArray) -> FloatArray:
+    """The rows of (n, 2) and (m, 2) that only one of the two has."""
+    both = np.concatenate([np.unique(a, axis=0), np.unique(b, axis=0)])
+    rows, count = np.unique(both, axis=0, return_counts=True)
+    only: FloatArray = rows[count == 1]
+    return only
+
+
+def _change_field(was: LevelSpace, obstacles: Obstacles, places: FloatArray, spacing: float) -> Gpdf | None:
+    """The Obstacle GPDF with the points thinned again where places came or went; None where it must be fitted anew.
+
+    The fit thins its points by cells of 0.95 spacings from the corner of all: only the cells with a change in them can
+    have another point.
+    """
+    if len(places) == 0:
+        return was.obstacle_field
+    plan, width = obstacles.points[:, :2], 0.95 * spacing
+    corner = plan.min(axis=0)
+    if (corner != was.obstacles.points[:, :2].min(axis=0)).any():
+        return None
+    cells = np.floor((places - corner) / width).astype(np.int64)
+    low, high = cells.min(axis=0), cells.max(axis=0) + 1
+    wanted = np.zeros(high - low, dtype=bool)
+    wanted[tuple((cells - low).T)] = True
+    if (cells == 0).all(axis=1).any():
+        return None
+
+    def within(points: FloatArray) -> BoolArray:
+        cell = np.floor((points - corner) / width).astype(np.int64)
+        inside: BoolArray = np.logical_and.reduce((cell >= low) & (cell < high), axis=1)
+        inside[inside] = wanted[tuple((cell[inside] - low).T)]
+        return inside
+
+    near = plan[within(plan)]
+    rows = thin(np.concatenate([[corner], near]), width)  # the corner makes the cells those of all points
+    fresh, gone = near[rows[rows > 0] - 1], within(was.obstacle_field.points)
+    if gone.mean() > 0.5 or len(fresh) > 0.5 * len(gone):
+        return None
+    keep = _among(was.obstacle_field.points[gone], fresh)
+    again = ~_among(fresh, was.obstacle_field.points[gone])
+    gone[gone] = ~keep
+    return was.obstacle_field.replace(gone, fresh[again])
+
+
+def _among(rows: FloatArray, others: FloatArray) -> BoolArray:
+    """Which of the rows (n, 2) are among the others (m, 2)."""
+    a, b = (np.ascontiguousarray(each).view([("", np.float64)] * 2).ravel() for each in (rows, others))
+    return np.isin(a, b)
