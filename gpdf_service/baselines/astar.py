@@ -28,7 +28,7 @@ def find_astar_path(world: FlatWorld) -> FloatArray | None:
     edges = find_path(graph, a, b)
     through = np.stack([graph.via[edges], graph.position[graph.other[edges]]], axis=1).reshape(-1, 2)
     path = np.vstack([world.start, graph.position[a], through, world.goal])
-    kept: FloatArray = path[shortcut(path, world.tree, world.radius)]
+    kept: FloatArray = path[shortcut(path, world.tree, world.radius, world.surface)]
     return kept
 
 

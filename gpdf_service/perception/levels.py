@@ -70,7 +70,7 @@ class Levels:
 
 
 Voids = tuple[BoolArray, BoolArray, BoolArray]
-"""Where the scanner saw through a level's unknown cells, where they are pits, where a pit's walls are; see `find_voids`."""
+"""Where the scanner saw through a level's unknown cells, where they are pits, and a pit's walls; see `find_voids`."""
 
 
 @dataclass(frozen=True, slots=True)

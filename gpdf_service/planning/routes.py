@@ -40,7 +40,10 @@ def find_routes(space: FreeSpace, ends: Ends) -> list[Route]:
         if goal is None or find_cut(space, stops) is not None:
             continue
         legs = [leg for a, b in pairwise(stops) for leg in _route(space, a, b)]
-        pulled = [(on, path[shortcut(path, space.trees[on], _radius(space, on, path))]) for on, path in legs]
+        pulled = [
+            (on, path[shortcut(path, space.trees[on], _radius(space, on, path), space.surfaces[on])])
+            for on, path in legs
+        ]
         routes.append(Route(pulled, number))
     return sorted(routes, key=lambda route: route.length)
 

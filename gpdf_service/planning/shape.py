@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
 from gpdf_service.fields import FieldArrays, Gpdf, Tree
 from gpdf_service.fields.traversal import sample_at
 from gpdf_service.fields.tree import make_scratch
 from gpdf_service.perception import HeightMap
+from gpdf_service.perception.surface import UNKNOWN
 from gpdf_service.search import is_clear
 from gpdf_service.types import FloatArray, IntArray
 
@@ -16,37 +18,65 @@ HEIGHT_SHARE = 0.1
 """[-] How far the top may be off the body height, Uttsha et al. 2024, feasibility study."""
 _UPRIGHT_SHARE = 0.09
 """[-] The same over the contact point, less what the ground between its points is off: a hundredth of the height."""
+LOOKS = 8.0
+"""[1/cell] How often a line is asked for its ground: it cannot cut more than a corner of a cell unseen."""
 _NEWTON_STEPS = 4
 _STANDS = 1e-3
 """[m] A top this near to its height stands: a tenth of what the lowest body may be off."""
 
 
-@njit(cache=True, nogil=True)
-def shortcut(path: FloatArray, obstacles: Tree, radius: float) -> IntArray:
-    """Rows of a path in plan, shape (n, 2), that a string pulled along it keeps: each leg is proven clear.
+def shortcut(path: FloatArray, obstacles: Tree, radius: float, surface: HeightMap) -> IntArray:
+    """Rows of a path in plan, shape (n, 2), that a string pulled along it keeps.
 
-    Greedy with doubling: from each kept waypoint the furthest clear one that doubling and halving find.
+    Each leg is proven clear of obstacles by `radius` [m], and lies on known ground: the path may lead around a hole.
     """
+    return _shortcut(path, obstacles, radius, surface.state, surface.origin, surface.cell_width)
+
+
+@njit(cache=True, nogil=True)
+def _shortcut(
+    path: FloatArray, obstacles: Tree, radius: float, state: NDArray[np.uint8], origin: FloatArray, width: float
+) -> IntArray:
+    """Greedy with doubling: from each kept waypoint the furthest that doubling and halving find to be joined."""
     kept = [0]
     here = 0
     last = path.shape[0] - 1
+    ground = state, origin, width
     while here < last:
         good, leap = here + 1, 2
-        while here + leap <= last and is_clear(obstacles, path[here], path[here + leap], radius):
+        while here + leap <= last and _joined(path[here], path[here + leap], obstacles, radius, ground):
             good = here + leap
             leap *= 2
         bad = min(here + leap, last + 1)
-        if good < last and is_clear(obstacles, path[here], path[last], radius):
+        if good < last and _joined(path[here], path[last], obstacles, radius, ground):
             good, bad = last, last + 1
         while bad - good > 1:
             middle = (good + bad) // 2
-            if is_clear(obstacles, path[here], path[middle], radius):
+            if _joined(path[here], path[middle], obstacles, radius, ground):
                 good = middle
             else:
                 bad = middle
         kept.append(good)
         here = good
     return np.array(kept)
+
+
+@njit(cache=True, nogil=True)
+def _joined(
+    a: FloatArray, b: FloatArray, obstacles: Tree, radius: float, ground: tuple[NDArray[np.uint8], FloatArray, float]
+) -> bool:
+    """Whether the segment ab is clear and on known ground, looked at `LOOKS` times a cell."""
+    if not is_clear(obstacles, a, b, radius):
+        return False
+    state, origin, width = ground
+    count = int(np.ceil(LOOKS * np.sqrt((b[0] - a[0]) ** 2 + (b[1] - a[1]) ** 2) / width)) + 1
+    for k in range(count + 1):
+        t = k / count
+        i = int(np.floor((a[0] + t * (b[0] - a[0]) - origin[0]) / width))
+        j = int(np.floor((a[1] + t * (b[1] - a[1]) - origin[1]) / width))
+        if not (0 <= i < state.shape[0] and 0 <= j < state.shape[1]) or state[i, j] == UNKNOWN:
+            return False
+    return True
 
 
 @njit(cache=True, nogil=True)
