@@ -34,8 +34,9 @@ system:
 demo: install
 	.venv/bin/gpdf demo --out out
 
+# On two cores at once; the kernels are compiled by then if `make check` ran before.
 test: install
-	$(PY) -m pytest -m "not browser"
+	$(PY) -m pytest -m "not browser" -n 2 --dist loadscope
 
 test-page: install
 	$(PY) -m pytest -m browser
