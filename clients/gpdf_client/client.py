@@ -94,6 +94,7 @@ def client_config(endpoint: str) -> zenoh.Config:
     config.insert_json5("mode", '"client"')
     config.insert_json5("connect/endpoints", json.dumps([endpoint]))
     config.insert_json5("scouting/multicast/enabled", "false")
+    config.insert_json5("transport/shared_memory/enabled", "false")  # its pool is a third of a light client's memory
     return config
 
 
