@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import atexit
 import contextlib
 import json
 import math
@@ -128,11 +129,14 @@ class Client:
         until = time.monotonic() + timeout_s
         while True:
             try:
-                return cls(zenoh.open(config))
+                session = zenoh.open(config)
             except zenoh.ZError as error:
                 if time.monotonic() > until:
                     raise UnavailableError(f"no service at {endpoint} ({error}). Start one: gpdf serve …") from error
                 time.sleep(BACK_OFF_S)
+            else:
+                atexit.register(session.close)  # an interpreter that ends before its session hangs
+                return cls(session)
 
     @property
     def session(self) -> zenoh.Session:
@@ -141,6 +145,7 @@ class Client:
 
     def close(self) -> None:
         """End the connection."""
+        atexit.unregister(self._session.close)
         self._session.close()  # type: ignore[no-untyped-call]
 
     def __enter__(self) -> Client:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import random
 import threading
 from collections.abc import Collection
@@ -22,7 +23,9 @@ class Planners:
         self._load: dict[str, float] = {}
         self._rng = rng
         self._lock = threading.Lock()
-        self._subscriber = session.liveliness().declare_subscriber(f"{keys.ALIVE}/*", self._seen, history=True)
+        self._subscriber = session.liveliness().declare_subscriber(f"{keys.ALIVE}/*", history=True)
+        # Zenoh's own thread for a callback would keep an interpreter from ending.
+        threading.Thread(target=self._follow, name="gpdf-planners", daemon=True).start()
 
     def alive(self) -> list[str]:
         """Ids of those that are there."""
@@ -40,6 +43,11 @@ class Planners:
         with self._lock:
             if planner in self._load:
                 self._load[planner] = load
+
+    def _follow(self) -> None:
+        with contextlib.suppress(zenoh.ZError):  # the session has ended
+            for sample in self._subscriber:
+                self._seen(sample)
 
     def _seen(self, sample: zenoh.Sample) -> None:
         planner = str(sample.key_expr).rpartition("/")[2]

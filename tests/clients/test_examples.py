@@ -127,6 +127,13 @@ def test_the_light_client_is_light(endpoint, capsys):
     assert not {"scipy", "numba", "open3d", "mcap", "matplotlib", "gpdf_service"} & set(modules)
 
 
+def test_a_program_that_forgets_to_close_ends(endpoint):
+    code = "import sys, gpdf_client; client = gpdf_client.Client.connect(sys.argv[1]); print(sorted(client.scenes()))"
+    done = subprocess.run([sys.executable, "-c", code, endpoint], capture_output=True, text=True, timeout=60)
+    assert done.returncode == 0, done.stderr
+    assert "office" in done.stdout
+
+
 def test_upload_parts_are_small_enough_for_one_request():
     from gpdf_client.client import PART_POINTS
     from gpdf_schemas import MAX_REQUEST_BYTES, Array, UploadRequest, encode
