@@ -9,7 +9,7 @@ from numba import njit
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from gpdf_service.types import BoolArray, FloatArray
+from gpdf_service.types import BoolArray, FloatArray, IntArray
 
 UNKNOWN, OBSERVED, INFERRED = 0, 1, 2
 GAP_CELLS = 4
@@ -161,6 +161,7 @@ def find_voids(surface: HeightMap, points: FloatArray, max_step: float) -> tuple
     cells, nearest = ndimage.distance_transform_edt(unknown, return_indices=True)
     asked = unknown & (cells * surface.cell_width <= MAX_HOLE_RADIUS)
     ix, iy, inside = surface.cells(points)
+    walls = _walls_down(surface, ix[inside], iy[inside], points[inside, 2])
     kept = inside & asked[ix, iy]
     ix, iy, z = ix[kept], iy[kept], points[kept, 2]
     beside = surface.height[nearest[0], nearest[1]]
@@ -171,19 +172,18 @@ def find_voids(surface: HeightMap, points: FloatArray, max_step: float) -> tuple
     seen = np.isfinite(top)
     depth = np.where(seen, beside - top, 0.0)
     pit = (depth > max_step) & (depth <= SLAB) & (np.where(seen, top - bottom, 0.0) < STOREY)
-    return depth > SLAB, pit, _walls_down(surface, points)
+    return depth > SLAB, pit, walls
 
 
-def _walls_down(surface: HeightMap, points: FloatArray) -> BoolArray:
-    """Cells of a hole or beside one with `points` (n, 3) right under the ground: nobody sees into a floor.
+def _walls_down(surface: HeightMap, ix: IntArray, iy: IntArray, z: FloatArray) -> BoolArray:
+    """Cells of a hole or beside one with a point at (ix, iy, z), each (n,), right under the ground: no floor.
 
     A step up at the rim is none: the lowest ground within two cells counts.
     """
     unknown = surface.state == UNKNOWN
     floor = ndimage.minimum_filter(np.where(unknown, np.inf, surface.height), size=5)
-    ix, iy, inside = surface.cells(points)
-    depth = floor[ix, iy] - points[:, 2]
-    wall = inside & (depth > surface.cell_width) & (depth <= WALL_CELLS * surface.cell_width)
+    depth = floor[ix, iy] - z
+    wall = (depth > surface.cell_width) & (depth <= WALL_CELLS * surface.cell_width)
     walls = np.zeros(unknown.shape, dtype=bool)
     walls[ix[wall], iy[wall]] = True
     walls &= ndimage.binary_dilation(unknown, np.ones((3, 3)))
