@@ -33,6 +33,10 @@ ENOUGH_ROOM = 0.5
 """[m] Clearance that is shown as blue: half a body's width more than is needed."""
 METHODS = {"dual_gpdf": (0, 114, 178), "single_gpdf": (230, 159, 0), "astar": (204, 121, 167), "prm": (0, 158, 115)}
 """The paper's four methods."""
+BODIES = {"roomba": (0, 158, 115), "spot": (230, 159, 0), "pepper": (204, 121, 167), "human": (0, 114, 178)}
+"""The paper's four."""
+OWN_BODY = (86, 180, 233)
+"""One with measures of its own beside them."""
 WARNING = (213, 94, 0)
 """A path that nobody has proven: vermilion, and dashed."""
 DROPPED = (230, 159, 0)

@@ -1,21 +1,16 @@
-"""What every part of the page has at hand, and small tools for what its widgets do."""
+"""What every part of the page has at hand."""
 
 from __future__ import annotations
 
-import tempfile
-from collections.abc import Callable
 from dataclasses import dataclass, field
-from pathlib import Path
-from typing import Any, TypeVar
 
 import viser
 
+from gpdf_service.viewer.body import Body
 from gpdf_service.viewer.frame import Frame
 from gpdf_service.viewer.link import Link
 from gpdf_service.viewer.panel import Panel
 from gpdf_service.viewer.worker import Worker
-
-T = TypeVar("T")
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,20 +33,7 @@ class Desk:
     plans: Worker
     frame: Frame = field(default_factory=Frame)
 
-
-def by_hand(act: Callable[[], None]) -> Callable[[viser.GuiEvent[Any]], None]:
-    """Act only when a person changed a widget, not the page itself."""
-
-    def on_update(event: viser.GuiEvent[Any]) -> None:
-        if event.client is not None:
-            act()
-
-    return on_update
-
-
-def with_file(file: viser.UploadedFile, read: Callable[[Path], T]) -> T:
-    """Let something that reads files read what the browser sent."""
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / Path(file.name).name
-        path.write_bytes(file.content)
-        return read(path)
+    @property
+    def body(self) -> Body:
+        """The body that is planned for."""
+        return self.panel.plan.body

@@ -12,8 +12,9 @@ from gpdf_schemas import Cylinder, MovingObstacle
 
 from gpdf_service.types import Agent, FloatArray
 from gpdf_service.viewer import colours
-from gpdf_service.viewer.desk import Desk, by_hand
-from gpdf_service.viewer.panel import put
+from gpdf_service.viewer.desk import Desk
+from gpdf_service.viewer.path_layers import disc_centres
+from gpdf_service.viewer.widgets import by_hand, put
 
 HEIGHT = 1.8
 """[m] Of what is dropped: as tall as a person who stands in the way."""
@@ -91,16 +92,15 @@ class Drops:
 
 def room_beside(obstacles: Sequence[MovingObstacle], path: Trajectory, agent: Agent) -> FloatArray:
     """Distance in plan from the body's side to the nearest obstacle at each waypoint [m], shape (n,); inf for none."""
-    nearest = np.full(len(path.ground), np.inf)
+    discs = disc_centres(path, agent)
     foot = path.ground[:, 2]
+    nearest = np.full(len(foot), np.inf)
     for obstacle in obstacles:
+        pillars = [] if obstacle.points is None else [(place, 0.0, 0.0) for place in obstacle.points.unpack()]
         if (cylinder := obstacle.cylinder) is not None:
-            gap = np.hypot(*(path.ground[:, :2] - cylinder.base[:2]).T) - cylinder.radius
-            beside = (cylinder.base[2] < foot + agent.height) & (cylinder.base[2] + cylinder.height > foot)
+            pillars.append((np.array(cylinder.base), cylinder.radius, cylinder.height))
+        for base, radius, height in pillars:
+            gap = np.linalg.norm(discs[:, :, :2] - base[:2], axis=2).min(axis=0) - radius
+            beside = (base[2] < foot + agent.height) & (base[2] + height > foot)
             nearest = np.minimum(nearest, np.where(beside, gap, np.inf))
-        if obstacle.points is not None:
-            for point in obstacle.points.unpack():
-                gap = np.hypot(*(path.ground[:, :2] - point[:2]).T)
-                beside = (point[2] > foot) & (point[2] < foot + agent.height)
-                nearest = np.minimum(nearest, np.where(beside, gap, np.inf))
-    return np.maximum(nearest - agent.radius, 0.0)
+    return np.maximum(nearest - agent.disc_radius, 0.0)

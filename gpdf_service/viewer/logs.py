@@ -11,11 +11,11 @@ from gpdf_schemas import PlanReply, PlanRequest
 
 from gpdf_service.types import AGENTS, Agent
 from gpdf_service.viewer import words
-from gpdf_service.viewer.desk import Desk, by_hand, with_file
+from gpdf_service.viewer.desk import Desk
 from gpdf_service.viewer.map_control import MapControl
-from gpdf_service.viewer.panel import put
 from gpdf_service.viewer.planning import Plans
 from gpdf_service.viewer.scenes import Scenes
+from gpdf_service.viewer.widgets import by_hand, put, with_file
 
 
 class Logs:
@@ -73,8 +73,7 @@ class Logs:
         for name, place in (("start", request.start), ("goal", request.goal)):
             self._plans.set_end(name, self._map.on_ground(place))
         self._plans.drops.replace(request.obstacles)
-        if isinstance(request.agent, str):
-            put(self._desk.panel.plan.agent, request.agent)
+        self._desk.body.show(agent)
         self._plans.show(to_result(reply), request.scene, agent, None)
 
     def _leave_wrong_scene(self, request: PlanRequest, reply: PlanReply) -> str:

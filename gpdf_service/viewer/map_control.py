@@ -10,7 +10,8 @@ from gpdf_service.types import FloatArray
 from gpdf_service.viewer import colours, words
 from gpdf_service.viewer.desk import Desk
 from gpdf_service.viewer.map_layers import MapLayers, View
-from gpdf_service.viewer.panel import ALL_LEVELS, SLICES, gradient, legend, put
+from gpdf_service.viewer.panel import ALL_LEVELS, SLICES, gradient, legend
+from gpdf_service.viewer.widgets import put
 
 CAMERA = np.array([0.0, -0.25, 0.55])
 """From the middle of the ground to the camera, in diagonals of the ground."""
@@ -108,7 +109,7 @@ class MapControl:
             def progress(share: float, what: str = what) -> None:
                 panel.say_work(f"{self._scene}: {what} …", share)
 
-            self.layers.fetch(client, self._scene, what, panel.plan.agent.value, self._cell_width, progress)
+            self.layers.fetch(client, self._scene, what, self._desk.body.wire, self._cell_width, progress)
             self.layers.draw(what)
         panel.say_work("")
 
@@ -142,7 +143,7 @@ class MapControl:
             self.layers.no_slice()
             scale.visible = False
             return
-        agent, height = self._desk.panel.plan.agent.value, self._tab.height.value
+        agent, height = self._desk.body.wire, self._tab.height.value
         low, high = self.layers.slice(self._desk.link.client, self._scene, field, agent, height)
         scale.content = gradient(colours.VIRIDIS, f"{low:.0f} m", f"{high:.1f} m, a line each 0.25 m")
         scale.visible = True

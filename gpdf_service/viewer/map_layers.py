@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import viser
@@ -96,7 +97,13 @@ class MapLayers:
                 self._handles.pop(what).remove()
 
     def fetch(
-        self, client: Client, scene: str, what: str, agent: str, cell_width: float, progress: Callable[[float], None]
+        self,
+        client: Client,
+        scene: str,
+        what: str,
+        agent: str | dict[str, Any],
+        cell_width: float,
+        progress: Callable[[float], None],
     ) -> None:
         """Get one layer from the service, unless it is there."""
         if what in self._drawings:
@@ -177,7 +184,9 @@ class MapLayers:
         each = np.repeat(shades, 4, axis=0)[:, None].repeat(2, axis=1)
         return self._scene.add_line_segments("/map/leaves", sides, each, thickness=1.0, thickness_units="screen")
 
-    def slice(self, client: Client, scene: str, field: str, agent: str, height: float) -> tuple[float, float]:
+    def slice(
+        self, client: Client, scene: str, field: str, agent: str | dict[str, Any], height: float
+    ) -> tuple[float, float]:
         """Ask a field on a level plane, and show it as a coloured image with a line each `ISO_STEP`.
 
         Args:

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import viser
 
-from gpdf_service.types import AGENTS, FloatArray
+from gpdf_service.types import FloatArray
 from gpdf_service.viewer import colours
+from gpdf_service.viewer.body import Body
 from gpdf_service.viewer.profile import ProfileCharts
+from gpdf_service.viewer.widgets import put
 
 if TYPE_CHECKING:
     from viser._gui_handles import GuiProgressBarHandle
@@ -38,13 +40,14 @@ class DropTools:
 class PlanTab:
     """Ask for a path, and read the answer."""
 
-    agent: viser.GuiDropdownHandle[str]
+    body: Body
     method: viser.GuiDropdownHandle[str]
     sets: viser.GuiButtonGroupHandle
     drops: DropTools
     next: viser.GuiMarkdownHandle
     plan: viser.GuiButtonHandle
-    compare: viser.GuiButtonHandle
+    compare_methods: viser.GuiButtonHandle
+    compare_bodies: viser.GuiButtonHandle
     clear: viser.GuiButtonHandle
     answer: viser.GuiMarkdownHandle
     table: viser.GuiHtmlHandle
@@ -137,20 +140,16 @@ def build_panel(gui: viser.GuiApi) -> Panel:
     return Panel(link, scene, bar, work, plan, shown, load, log)
 
 
-def put(widget: Any, value: Any) -> None:  # noqa: ANN401 - viser's setters have a type that mypy cannot read
-    """Set what a widget shows."""
-    widget.value = value
-
-
 def _plan_tab(gui: viser.GuiApi) -> PlanTab:
     return PlanTab(
-        agent=gui.add_dropdown("Body", tuple(AGENTS), initial_value="human"),
+        body=Body(gui),
         method=gui.add_dropdown("Method", METHODS),
         sets=gui.add_button_group("Next click", CLICKS),
         drops=_drop_tools(gui),
         next=gui.add_markdown(""),
         plan=gui.add_button("Plan", disabled=True),
-        compare=gui.add_button("Compare the methods", disabled=True, color="gray"),
+        compare_methods=gui.add_button("Compare the methods", disabled=True, color="gray"),
+        compare_bodies=gui.add_button("Compare the bodies", disabled=True, color="gray"),
         clear=gui.add_button("Clear", color="gray"),
         answer=gui.add_markdown(""),
         table=gui.add_html("", visible=False),

@@ -89,13 +89,15 @@ class PathLayers:
         along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
         count = max(2, int(along[-1] / max(GHOST_STEP, 1.5 * agent.radius)) + 1)
         rows = np.searchsorted(along, np.linspace(0.0, along[-1], count)).clip(0, len(along) - 1)
-        vertices, faces = _cylinder()
+        vertices, faces = _outline(agent)
+        turns = np.zeros((count, 4))
+        turns[:, 0], turns[:, 3] = np.cos(0.5 * path.headings[rows]), np.sin(0.5 * path.headings[rows])
         self._paths.append(
             self._scene.add_batched_meshes_simple(
                 "/plan/sweep",
-                vertices * [GHOST_SHARE * agent.radius, GHOST_SHARE * agent.radius, agent.height],
+                vertices * [GHOST_SHARE, GHOST_SHARE, 1.0],
                 faces,
-                np.tile([1.0, 0.0, 0.0, 0.0], (count, 1)),
+                turns,
                 points[rows],
                 batched_colors=shades if shades.ndim == 1 else shades[rows],
                 opacity=GHOST_OPACITY,
@@ -104,8 +106,7 @@ class PathLayers:
                 lod="off",
             )
         )
-        size = np.array([agent.radius, agent.radius, agent.height])
-        self._body = self._scene.add_mesh_simple("/plan/body", vertices * size, faces, color=BODY, cast_shadow=False)
+        self._body = self._scene.add_mesh_simple("/plan/body", vertices, faces, color=BODY, cast_shadow=False)
         self._paths.append(self._body)
         self._moving = path
         self.move(0.0)
@@ -117,6 +118,8 @@ class PathLayers:
             return
         place = np.array([np.interp(time, path.times, path.ground[:, k]) for k in range(3)])
         body.position = self._frame.to_page(place)
+        heading = np.interp(time, path.times, np.unwrap(path.headings))
+        body.wxyz = (float(np.cos(0.5 * heading)), 0.0, 0.0, float(np.sin(0.5 * heading)))
 
 
 def dashes(points: FloatArray) -> FloatArray:
@@ -125,6 +128,21 @@ def dashes(points: FloatArray) -> FloatArray:
     ends = np.linspace(0.0, along[-1], 2 * max(1, round(along[-1] / (2 * DASH))) + 2)
     places = np.column_stack([np.interp(ends, along, channel) for channel in points.T])
     return places.reshape(-1, 2, 3)
+
+
+def disc_centres(path: Trajectory, agent: Agent) -> FloatArray:
+    """Where the centres of the body's discs are on the ground at each waypoint [m], shape (discs, n, 3)."""
+    forward = np.column_stack([np.cos(path.headings), np.sin(path.headings), np.zeros(len(path.headings))])
+    places: FloatArray = path.ground + agent.offsets[:, None, None] * forward
+    return places
+
+
+def _outline(agent: Agent) -> tuple[FloatArray, np.ndarray]:  # type: ignore[type-arg]
+    """Vertices [m] and faces of a body that faces along x: a cylinder a disc."""
+    vertices, faces = _cylinder()
+    size = np.array([agent.disc_radius, agent.disc_radius, agent.height])
+    discs = [vertices * size + [offset, 0.0, 0.0] for offset in agent.offsets]
+    return np.concatenate(discs), np.concatenate([faces + i * len(vertices) for i in range(len(discs))])
 
 
 def _cylinder() -> tuple[FloatArray, np.ndarray]:  # type: ignore[type-arg]

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import time
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import viser
@@ -10,16 +12,26 @@ from gpdf_client import ClientError, PlanResult, Status, UnavailableError
 
 from gpdf_service.types import AGENTS, Agent, FloatArray
 from gpdf_service.viewer import colours, words
-from gpdf_service.viewer.desk import Desk, by_hand
+from gpdf_service.viewer.desk import Desk
 from gpdf_service.viewer.drops import Drops, room_beside
 from gpdf_service.viewer.map_control import MapControl
-from gpdf_service.viewer.panel import METHODS, OBSTACLE, put
+from gpdf_service.viewer.panel import METHODS, OBSTACLE
 from gpdf_service.viewer.path_layers import PathLayers
 from gpdf_service.viewer.profile import known_clearance, profile_of
 from gpdf_service.viewer.scenes import Scenes
+from gpdf_service.viewer.widgets import by_hand, put
 
 PLAN_DEADLINE_S = 30.0
 """[s] The first plan of a body waits until the service knows where it fits."""
+
+
+@dataclass(frozen=True, slots=True)
+class Way:
+    """How to plan: for which body, as a request names it, by which method; and the colour of the path."""
+
+    body: str | dict[str, Any]
+    method: str
+    colour: tuple[int, int, int] = colours.NOWHERE
 
 
 class Plans:
@@ -33,11 +45,12 @@ class Plans:
         self.drops = Drops(desk, self._replan)
         tab = self._tab
         desk.server.scene.on_click()(self._click)
-        tab.agent.on_update(by_hand(self._change_body))
+        tab.body.on_change(self._change_body)
         tab.method.on_update(by_hand(self._replan))
         tab.sets.on_click(lambda event: self._set_next(str(event.target.value)))
         tab.plan.on_click(lambda _: self.plan_soon())
-        tab.compare.on_click(lambda _: desk.plans.do("plan", self._compare))
+        tab.compare_methods.on_click(lambda _: desk.plans.do("plan", self._compare_methods))
+        tab.compare_bodies.on_click(lambda _: desk.plans.do("plan", self._compare_bodies))
         tab.clear.on_click(lambda _: desk.plans.do("plan", self.clear))
         tab.time.on_update(lambda _: self.paths.move(tab.time.value))
         self._say_next()
@@ -111,7 +124,8 @@ class Plans:
         ends = self.ends
         given = [f"{name} ({at[0]:.2f}, {at[1]:.2f}, {at[2]:.2f})" for name, at in ends.items() if at is not None]
         self._tab.next.content = " → ".join(given) + ("\n\n" if given else "") + f"Click the ground: **{self.next}**"
-        self._tab.plan.disabled = self._tab.compare.disabled = not self._ready
+        for button in (self._tab.plan, self._tab.compare_methods, self._tab.compare_bodies):
+            button.disabled = not self._ready
 
     @property
     def _ready(self) -> bool:
@@ -132,7 +146,7 @@ class Plans:
         if self._ready:
             self.plan_soon()
 
-    def _ask(self, method: str) -> tuple[PlanResult, float]:
+    def _ask(self, way: Way) -> tuple[PlanResult, float]:
         start, goal = self.ends["start"], self.ends["goal"]
         if start is None or goal is None:
             raise ValueError("Click a start and a goal first.")
@@ -141,8 +155,8 @@ class Plans:
             self._scenes.shown[0],
             start.tolist(),
             goal.tolist(),
-            self._tab.agent.value,
-            method=method,
+            way.body,
+            method=way.method,
             deadline_s=PLAN_DEADLINE_S,
             obstacles=list(self.drops.obstacles.values()),
         )
@@ -151,29 +165,43 @@ class Plans:
     def _plan(self) -> None:
         self._desk.panel.say_answer("Planning …")
         self._clear_path()
-        result, seconds = self._ask(self._tab.method.value)
+        agent = self._desk.body.agent
+        result, seconds = self._ask(Way(self._desk.body.wire, self._tab.method.value))
         scene = self._scenes.shown[0]
-        self.show(result, scene, AGENTS[self._tab.agent.value], seconds)
+        self.show(result, scene, agent, seconds)
         if result.scene_version not in (0, self._scenes.facts.get(scene, {}).get("version")):
             self._scenes.look_soon()  # somebody replaced the scene
 
-    def _compare(self) -> None:
+    def _compare_methods(self) -> None:
+        body = self._desk.body.wire
+        self._compare("method", {name: Way(body, name, colours.METHODS[name]) for name in METHODS})
+
+    def _compare_bodies(self) -> None:
+        method, own = self._tab.method.value, self._desk.body
+        ways = {name: Way(name, method, colours.BODIES[name]) for name in AGENTS}
+        if own.wire != own.agent.name:
+            ways[own.agent.name] = Way(own.wire, method, colours.OWN_BODY)
+        self._compare("body", ways)
+
+    def _compare(self, what: str, ways: dict[str, Way]) -> None:
         self._clear_path()
         results: dict[str, PlanResult | str] = {}
         times: dict[str, float] = {}
-        for storey, method in enumerate(METHODS):
-            self._desk.panel.say_answer(f"Planning with {method} …")
+        for storey, (name, way) in enumerate(ways.items()):
+            self._desk.panel.say_answer(f"Planning: {name} …")
             try:
-                result, times[method] = self._ask(method)
+                result, times[name] = self._ask(way)
             except ClientError as error:
                 if isinstance(error, UnavailableError):
                     raise
-                results[method] = str(error)
+                results[name] = str(error)
                 continue
-            results[method] = result
+            results[name] = result
             if result.trajectory is not None:
-                shade, proven = np.array(colours.METHODS[method], np.uint8), result.status is Status.OK
-                self.paths.add_line(method, result.trajectory, shade, dashed=not proven, storey=storey)
+                shade, proven = np.array(way.colour, np.uint8), result.status is Status.OK
+                self.paths.add_line(name, result.trajectory, shade, dashed=not proven, storey=storey)
         self._desk.panel.say_answer("")
-        self._tab.table.content = words.comparison(results, times)
+        self._tab.table.content = words.comparison(
+            what, results, times, {name: way.colour for name, way in ways.items()}
+        )
         self._tab.table.visible = True

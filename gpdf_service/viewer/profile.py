@@ -13,6 +13,7 @@ from viser import uplot
 from gpdf_service.types import Agent, FloatArray
 from gpdf_service.viewer.colours import METHODS, css
 from gpdf_service.viewer.link import Link
+from gpdf_service.viewer.path_layers import disc_centres
 
 CHART_HEIGHT = 165
 """[px]"""
@@ -32,8 +33,11 @@ class Profile:
 
 def clearance_along(client: Client, scene: str, path: Trajectory, agent: Agent) -> FloatArray:
     """Room beside the body at each waypoint, as the Obstacle GPDF has it [m]; 0 where the field says nothing."""
-    found = client.distance(scene, "obstacle", path.ground, dataclasses.asdict(agent))
-    return np.where(found.valid, np.maximum(0.0, found.distance - agent.radius), 0.0)
+    discs = disc_centres(path, agent)
+    found = client.distance(scene, "obstacle", discs.reshape(-1, 3), dataclasses.asdict(agent))
+    room = np.where(found.valid, np.maximum(0.0, found.distance - agent.disc_radius), 0.0)
+    least: FloatArray = room.reshape(discs.shape[:2]).min(axis=0)
+    return least
 
 
 def profile_of(path: Trajectory, clearance: FloatArray) -> Profile:

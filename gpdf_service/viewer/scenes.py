@@ -11,9 +11,10 @@ from gpdf_client import Client
 from gpdf_schemas import LoadRequest, SceneReply, Status, keys
 
 from gpdf_service.types import FloatArray
-from gpdf_service.viewer.desk import Desk, by_hand, with_file
+from gpdf_service.viewer.desk import Desk
 from gpdf_service.viewer.map_control import MapControl
-from gpdf_service.viewer.panel import NO_SCENE, put
+from gpdf_service.viewer.panel import NO_SCENE
+from gpdf_service.viewer.widgets import by_hand, put, with_file
 
 BUILD_POLL_S = 0.3
 """[s] Between two looks at a build."""
@@ -98,7 +99,7 @@ class Scenes:
 
     def _prepare(self) -> None:
         """Let the service find out where the body fits before the first plan needs it."""
-        self._desk.link.client.draw(self.shown[0], "leaves", self._desk.panel.plan.agent.value, limit=1)
+        self._desk.link.client.draw(self.shown[0], "leaves", self._desk.body.wire, limit=1)
 
     def _await_build(self, client: Client, name: str) -> None:
         say = self._desk.panel.say_work

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from html import escape
 
 from gpdf_client import PlanResult, Status
 
-from gpdf_service.viewer.colours import METHODS, NOWHERE, WARNING, css
+from gpdf_service.viewer.colours import WARNING, css
 
-HEADS = ("method", "status", "length [m]", "least room [m]", "on the way [s]", "answer [s]")
+HEADS = ("status", "length [m]", "least room [m]", "on the way [s]", "answer [s]")
 
 
 def answer(result: PlanResult) -> str:
@@ -41,13 +41,25 @@ def details(result: PlanResult, seconds: float | None) -> str:
     return "\n".join(lines) + f"\n\n{took}{stages}"
 
 
-def comparison(results: dict[str, PlanResult | str], times: dict[str, float]) -> str:
-    """An HTML table of methods in their colours; a text stands for one that the service refused."""
+def comparison(
+    what: str,
+    results: dict[str, PlanResult | str],
+    times: dict[str, float],
+    shades: Mapping[str, tuple[int, int, int]],
+) -> str:
+    """An HTML table of plans.
+
+    Args:
+        what: Of what they are compared: "method", "body".
+        results: By name; a text stands for one that the service refused.
+        times: Until the answer [s], by name.
+        shades: Colours of their paths, by name.
+    """
     rows, notes = [], []
     for name, result in results.items():
-        method = f"<b style='color:{css(METHODS.get(name, NOWHERE))}'>&#9632;</b> {escape(name)}"
+        named = f"<b style='color:{css(shades[name])}'>&#9632;</b> {escape(name)}"
         if isinstance(result, str):
-            rows.append([method, "refused"])
+            rows.append([named, "refused"])
             notes.append(f"{name}: {result}")
             continue
         path, proof, proven = result.trajectory, result.certificate, result.status is Status.OK
@@ -55,14 +67,15 @@ def comparison(results: dict[str, PlanResult | str], times: dict[str, float]) ->
         numbers = ["", "", ""]
         if path is not None and proof is not None:
             numbers = [f"{path.length:.2f}", f"{proof.min_clearance:.2f}", f"{path.duration:.1f}"]
-        rows.append([method, status, *numbers, f"{times[name]:.2f}"])
+        rows.append([named, status, *numbers, f"{times[name]:.2f}"])
         if not proven:
             warning = "⚠ Dashed: do not follow it. " if path is not None else ""
             subject = "" if result.message.startswith(name) else f"{name}: "
             notes.append(f"{warning}{subject}{result.message}")
     lines = "".join(_row("td", row) for row in rows)
     said = "".join(f"<p style='margin:0.5em 0 0'>{escape(note)}</p>" for note in notes)
-    return f"<div style='padding:0 1em 0.5em;font-size:0.75em'><table>{_row('th', HEADS)}{lines}</table>{said}</div>"
+    head = _row("th", (what, *HEADS))
+    return f"<div style='padding:0 1em 0.5em;font-size:0.75em'><table>{head}{lines}</table>{said}</div>"
 
 
 def _row(kind: str, cells: Sequence[str]) -> str:

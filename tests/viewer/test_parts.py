@@ -16,7 +16,7 @@ from gpdf_service.viewer import colours, words
 from gpdf_service.viewer.drops import room_beside
 from gpdf_service.viewer.link import Link
 from gpdf_service.viewer.map_layers import View
-from gpdf_service.viewer.path_layers import DASH, dashes
+from gpdf_service.viewer.path_layers import DASH, dashes, disc_centres
 from gpdf_service.viewer.profile import profile_of
 from gpdf_service.viewer.worker import Worker
 
@@ -126,7 +126,7 @@ def test_a_path_that_is_not_proven_is_not_to_be_followed():
 
 def test_a_comparison_has_a_row_for_each_method_also_for_a_refused_one():
     results = {"a": GOOD, "b": BAD, "c": UNPROVEN, "d": "unknown <method>"}
-    text = words.comparison(results, {"a": 0.01, "b": 0.02, "c": 0.03})
+    text = words.comparison("method", results, {"a": 0.01, "b": 0.02, "c": 0.03}, dict.fromkeys(results, (0, 0, 0)))
     head, a, b, c, d = re.findall("<tr>.*?</tr>", text)
     assert "least room" in head
     assert "5.00" in a
@@ -146,6 +146,24 @@ def test_room_beside_dropped_obstacles_is_that_of_the_nearest_at_the_bodys_heigh
     room = room_beside([post, lamp, dust], path, agent)
     np.testing.assert_allclose(room, [0.75 - agent.radius, 0.9 - agent.radius])
     assert np.isinf(room_beside([], path, agent)).all()
+
+
+def test_a_body_of_discs_has_the_room_of_its_nearest_disc():
+    way = Trajectory(*(np.array([[0.0, 0.0, z], [2.0, 0.0, z]]) for z in (0.7, 0.0)), np.array([0.0, 2.0]), np.zeros(2))
+    spot = dataclasses.replace(AGENTS["spot"], discs=6)
+    ahead, beside = (
+        MovingObstacle(id=name, cylinder=Cylinder(base, 0.1, 1.0))
+        for name, base in (("1", (3.0, 0.0, 0.0)), ("2", (0.0, 0.5, 0.0)))
+    )
+    discs = disc_centres(way, spot)
+    assert discs.shape == (6, 2, 3)
+    np.testing.assert_allclose(discs[:, 1, 0] - 2.0, spot.offsets)
+    tip = spot.offsets[-1] + spot.disc_radius
+    np.testing.assert_allclose(room_beside([ahead], way, spot), [3.0 - 0.1 - tip, 1.0 - 0.1 - tip])
+    near = np.hypot(spot.offsets[3], 0.5) - 0.1 - spot.disc_radius
+    np.testing.assert_allclose(room_beside([beside], way, spot)[0], near)
+    turned = dataclasses.replace(way, headings=np.full(2, np.pi / 2))
+    np.testing.assert_allclose(disc_centres(turned, spot)[-1, 0], [0.0, spot.offsets[-1], 0.0], atol=1e-12)
 
 
 def test_dashes_lie_on_the_line_and_leave_half_of_it_out():
