@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from page import draw_page
 from PIL import Image
 
 import gpdf_service as gpdf
@@ -38,6 +39,8 @@ def main() -> None:
         path = FOLDER / f"{name}.png"
         draw(made, scene, path)
         _shrink(path)
+    draw_page(scene, FOLDER / "page.png")
+    _shrink(FOLDER / "page.png")
     for name in ("office", "cluttered_office"):
         made = SCENES[name](np.random.default_rng(0))
         scene = gpdf.build_scene(made.points, made.ground)
