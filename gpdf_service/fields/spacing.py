@@ -8,9 +8,12 @@ import numpy as np
 from numba import njit
 from scipy.spatial import cKDTree
 
-from gpdf_service.fields.shapes import add, fit_axis, fit_plane
+from gpdf_service.fields.edge import fit_pair, from_half
+from gpdf_service.fields.heights import quadric_rest
+from gpdf_service.fields.noise import EDGE
+from gpdf_service.fields.shapes import MOST, add, fit_axis, fit_plane, gather
 from gpdf_service.fields.threads import run_chunked
-from gpdf_service.fields.tree import Tree, from_root, make_scratch, next_leaf, place_of
+from gpdf_service.fields.tree import Tree
 from gpdf_service.types import FloatArray, IntArray
 
 SAMPLE = 4000
@@ -48,6 +51,8 @@ def local_shape(tree: Tree, rows: IntArray, spacing: float, noise: FloatArray) -
     return discs
 
 
+_BENT = 40.0
+"""[-] Ratio of two variances beyond which no edge is within a spacing."""
 _REACH = 3.0
 """[-] Spacings: 28 points on an even surface; their number is then known to a fifth."""
 
@@ -63,27 +68,24 @@ def _shape_range(
     noise: FloatArray,
     discs: FloatArray,
 ) -> None:
-    blocks, boxes, limit, solid = tree.blocks, tree.boxes, radius * radius, tree.points.shape[1] == 3
-    stack, bound, near = make_scratch()
+    solid, near, side, pair = tree.points.shape[1] == 3, np.zeros((MOST, 3)), np.zeros(MOST, np.int64), np.zeros((3, 9))
     moments, mean, normal, axis = np.zeros(10), np.zeros(3), np.zeros(3), np.zeros(3)
     for r in range(begin, end):
-        x = x0, x1, x2 = place_of(tree.points[rows[r]])
+        count = gather(tree, tree.points[rows[r]], radius, near)
         moments[:] = 0.0
-        top = from_root(stack, bound)
-        while True:
-            leaf, _, top = next_leaf(boxes, x, x, limit, stack, bound, near, top)
-            if leaf < 0:
-                break
-            for j in range(tree.begin[leaf + 1] - tree.begin[leaf]):
-                a, b, c = blocks[leaf, 0, j] - x0, blocks[leaf, 1, j] - x1, blocks[leaf, 2, j] - x2
-                if a * a + b * b + c * c <= limit:
-                    add(moments, a, b, c)
+        for i in range(count):
+            add(moments, near[i, 0], near[i, 1], near[i, 2])
         low, middle, high = fit_plane(moments, mean, normal)
         gap = max(radius * sqrt(pi / moments[0]) if solid else 2.0 * radius / moments[0], spacing)
         if not solid:  # a line in the plane: its normal lies in it
             fit_axis(moments, high, axis)
             normal[0], normal[1], normal[2] = -axis[1], axis[0], 0.0
             low, middle = max(middle, 0.0), high
+        elif _BENT * low > middle and low > noise[r] ** 2:
+            rest = fit_pair(near, count, normal, side, pair)
+            if rest < EDGE * quadric_rest(near, count, normal):
+                k = 0 if from_half(pair, 0, mean * 0.0) <= from_half(pair, 1, mean * 0.0) else 1
+                normal[:] = pair[k, 3:6]
         discs[r, :3], discs[r, 4] = normal, gap
         wide = min(0.5 * gap, sqrt(max(middle, 0.0))) * (1.0 - low / middle) if middle > low else 0.0
         discs[r, 3] = max(wide - 2.0 * noise[r], 0.0)
