@@ -59,8 +59,8 @@ class Gpdf:
     Attributes:
         tree: The points that it was fitted to, in a k-d tree [m].
         alpha: (K + σ² I)⁻¹ 1, in the tree's order, shape (n,).
-        gap: How far apart the points are around each one [m], shape (n,).
-        noise: Standard deviation of each point along the surface's normal, with what the surface bends [m], shape (n,).
+        discs: The surface that each point stands for, shape (n, 6): `local_shape`.
+        noise: Standard deviation of each point along the surface's normal [m], shape (n,).
         length_scale: l of the kernel [m].
         noise_variance: σ² of the occupancy [-].
         spacing: Distance between neighbouring points that the field resolves [m].
@@ -71,17 +71,17 @@ class Gpdf:
         self,
         tree: Tree,
         alpha: FloatArray,
-        gap: FloatArray,
+        discs: FloatArray,
         noise: FloatArray,
         length_scale: float,
         noise_variance: float,
         spacing: float,
         domain: Domain | None = None,
     ) -> None:
-        self.tree, self.alpha, self.gap, self.noise = tree, alpha, gap, noise
+        self.tree, self.alpha, self.discs, self.noise = tree, alpha, discs, noise
         self.length_scale, self.noise_variance, self.spacing = length_scale, noise_variance, spacing
         self.domain: Domain = Box(tree.points) if domain is None else domain
-        self._gap2, self._weights = gap**2, by_leaf(tree, alpha)
+        self._weights, self._off = by_leaf(tree, alpha), np.hypot(noise, discs[:, 5])
 
     @property
     def points(self) -> FloatArray:
@@ -92,20 +92,21 @@ class Gpdf:
     def arrays(self) -> FieldArrays:
         """What a compiled loop needs for `traversal.sample_at`."""
         tree = self.tree
-        return FieldArrays(tree.begin, tree.blocks, tree.boxes, self._weights, self._gap2, self.length_scale)
+        return FieldArrays(tree.begin, tree.blocks, tree.boxes, self._weights, self.discs, self.length_scale)
 
     @property
     def nbytes(self) -> int:
         """Memory that the field holds [bytes]."""
-        held = [*self.tree, *self.arrays[:-1], self.alpha, self.gap, self.noise]
+        held = [*self.tree, *self.arrays[:-1], self.alpha, self.noise, self._off]
         return sum({id(array): array.nbytes for array in held}.values())
 
     def query(self, queries: ArrayLike) -> FieldSample:
         """Distance to the surface, its gradient, validity and standard deviation.
 
-        The distance lies between √(δ − g²) and √δ, where δ is the squared distance to the nearest point and g the gap
-        around that point: it never claims more room than there is to the nearest measured point. The standard deviation
-        is that point's noise and half of what the bracket leaves open.
+        The distance lies between √(δ − g²), where δ is the squared distance to the nearest point and g the gap around
+        that point, and the distance to the disc of half a gap around it: it never claims more room than there is to the
+        nearest measured point. The standard deviation is that point's noise, how far the surface bends there, and half
+        of what the bracket leaves open.
 
         Args:
             queries: Shape (m, dim) [m]. A row that is not finite is not valid.
@@ -117,7 +118,7 @@ class Gpdf:
         count = len(asked)
         distance, deviation, gradient = np.empty(count), np.empty(count), np.empty_like(asked)
         own = self.arrays, asked, spatial_order(asked)
-        run_chunked(lambda a, b: sample_range(*own, a, b, self.noise, distance, gradient, deviation), count)
+        run_chunked(lambda a, b: sample_range(*own, a, b, self._off, distance, gradient, deviation), count)
         valid = finite & self.domain.contains(asked) & np.isfinite(deviation)
         distance[~valid], gradient[~valid], deviation[~valid] = 0.0, 0.0, np.inf
         return FieldSample(distance, gradient, valid, deviation)
@@ -174,7 +175,7 @@ class Gpdf:
 
     def over(self, domain: Domain) -> Gpdf:
         """The same field with another domain."""
-        own = self.tree, self.alpha, self.gap, self.noise
+        own = self.tree, self.alpha, self.discs, self.noise
         return Gpdf(*own, self.length_scale, self.noise_variance, self.spacing, domain)
 
     def _changed(self, keep: BoolArray, added: FloatArray, noise: FloatArray) -> Gpdf:
@@ -195,11 +196,10 @@ class Gpdf:
         rows = np.flatnonzero(touched)
         if len(rows):
             alpha[rows] = solve_rows(tree, rows, alpha, self.length_scale, self.noise_variance)
-        gap = np.empty(len(source))
-        gap[old] = self.gap[source[old]]
-        gap[rows], relief = local_shape(tree, rows, self.spacing)
-        own[rows] = np.maximum(own[rows], relief)
-        return Gpdf(tree, alpha, gap, own, self.length_scale, self.noise_variance, self.spacing, self.domain)
+        discs = np.empty((len(source), 6))
+        discs[old] = self.discs[source[old]]
+        discs[rows] = local_shape(tree, rows, self.spacing, own[rows])
+        return Gpdf(tree, alpha, discs, own, self.length_scale, self.noise_variance, self.spacing, self.domain)
 
     def _check(self, queries: ArrayLike) -> tuple[FloatArray, BoolArray]:
         asked = _real("field query", queries)
@@ -214,7 +214,7 @@ class Gpdf:
     def to_arrays(self) -> dict[str, NDArray[Any]]:
         """All that `from_arrays` needs, as arrays."""
         scalars = np.array([self.length_scale, self.noise_variance, self.spacing])
-        own = {"alpha": self.alpha, "gap": self.gap, "noise": self.noise}
+        own = {"alpha": self.alpha, "discs": self.discs, "noise": self.noise}
         lasting = {key: getattr(self.tree, key) for key in _TREE}
         return {**lasting, **own, "scalars": scalars}
 
@@ -223,7 +223,7 @@ class Gpdf:
         """Restore a field; nothing is fitted."""
         tree = tree_of(*(arrays[key] for key in _TREE))
         length_scale, noise_variance, spacing = (float(value) for value in arrays["scalars"])
-        own = arrays["alpha"], arrays["gap"], arrays["noise"]
+        own = arrays["alpha"], arrays["discs"], arrays["noise"]
         return cls(tree, *own, length_scale, noise_variance, spacing, domain)
 
 
@@ -271,9 +271,9 @@ def fit_gpdf(
     tree = build_tree(data[rows])
     length_scale = config.length_scale_factor * spacing
     alpha = solve_all(tree, length_scale, config.noise_variance)
-    gap, relief = local_shape(tree, np.arange(len(rows)), spacing)
-    own = np.hypot(own[rows][tree.order], relief)
-    return Gpdf(tree, alpha, gap, own, length_scale, config.noise_variance, spacing, domain)
+    own = own[rows][tree.order]
+    discs = local_shape(tree, np.arange(len(rows)), spacing, own)
+    return Gpdf(tree, alpha, discs, own, length_scale, config.noise_variance, spacing, domain)
 
 
 def _real(asked: str, values: ArrayLike) -> FloatArray:

@@ -22,7 +22,7 @@ _WIDE = 4.0
 """[-] Ratio of two variances at which it is a plane: twice as wide as it is thick."""
 _TOLD = 16
 """Neighbours that tell a shape: of fewer, one in ten of a ball looks like a plane."""
-_EDGE = 0.6
+EDGE = 0.6
 """[-] Variance about two half planes over that about a quadric, below which it is an edge; noise alone gives 0.75."""
 _SHEETS = 0.2
 """[-] Variance within two sheets over that of one, below which they are two; noise alone gives 0.36."""
@@ -73,7 +73,7 @@ def _noise_range(tree: Tree, places: FloatArray, begin: int, end: int, radii: Fl
                 variance = quadric_rest(near, found, normal) / (count - 6.0)
                 edge = fit_pair(near, found, normal, side, pair) / (count - 6.0)
                 sheets = split_sheets(near, found, normal, mean)
-                if edge < _EDGE * variance:
+                if edge < EDGE * variance:
                     variance = edge
                 if sheets < _SHEETS * low:
                     variance = min(variance, sheets)

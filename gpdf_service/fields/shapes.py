@@ -33,7 +33,7 @@ def gather(tree: Tree, x: FloatArray, radius: float, near: FloatArray) -> int:
         if leaf < 0:
             break
         for j in range(tree.begin[leaf + 1] - tree.begin[leaf]):
-            a, b, c = blocks[leaf, 0, j] - x[0], blocks[leaf, 1, j] - x[1], blocks[leaf, 2, j] - x[2]
+            a, b, c = blocks[leaf, 0, j] - place[0], blocks[leaf, 1, j] - place[1], blocks[leaf, 2, j] - place[2]
             if a * a + b * b + c * c <= limit and found < MOST:
                 near[found, 0], near[found, 1], near[found, 2] = a, b, c
                 found += 1

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
-from math import sqrt
+from math import pi, sqrt
 
 import numpy as np
 from numba import njit
 from scipy.spatial import cKDTree
 
-from gpdf_service.fields.shapes import add, fit_plane
+from gpdf_service.fields.edge import fit_pair, from_half
+from gpdf_service.fields.heights import quadric_rest
+from gpdf_service.fields.noise import EDGE
+from gpdf_service.fields.shapes import MOST, add, fit_axis, fit_plane, gather
 from gpdf_service.fields.threads import run_chunked
-from gpdf_service.fields.tree import Tree, from_root, make_scratch, next_leaf, place_of
+from gpdf_service.fields.tree import Tree
 from gpdf_service.types import FloatArray, IntArray
 
 SAMPLE = 4000
@@ -31,48 +34,63 @@ def estimate_spacing(points: FloatArray) -> float:
     return float(np.median(distance) * np.sqrt(np.pi / k))
 
 
-def local_shape(tree: Tree, rows: IntArray, spacing: float) -> tuple[FloatArray, FloatArray]:
-    """Distance between neighbours on the surface around each of `rows` and how far it bends between them [m]; (k,).
+def local_shape(tree: Tree, rows: IntArray, spacing: float, noise: FloatArray) -> FloatArray:
+    """The surface around each of `rows`: a disc (normal, radius, gap, bend) [m], shape (k, 6).
 
-    The distance, at least `spacing`, is told by the number of points within `_REACH` spacings, itself included: in 3D a
-    surface of one point every s² has π r²/s² of them, in 2D a line has 2 r/s. The bend is half of the thickness there:
+    A point stands for the surface up to half of the gap around it, the distance between neighbours on the surface. Its
+    disc is smaller where the neighbourhood is nearly as thick as wide, no wider than that (a cable has none), and
+    smaller by two deviations of `noise`, shape (k,) [m]: a point that may be so much too near needs none. The gap, at
+    least `spacing`, is told by the number of points within `_REACH` spacings, itself included: in 3D a surface of one
+    point every s² has π r²/s² of them, in 2D a line has 2 r/s. The bend is half of the thickness there:
     0 on a plane, 0.3 spacings at a right-angled edge, whose true place may be that far beyond the nearest point. So may
     a rim be: there the neighbours' mean is more than chance aside.
     """
     radius = _REACH * spacing
-    count, relief = np.zeros(len(rows)), np.zeros(len(rows))
-    run_chunked(lambda a, b: _shape_range(tree, rows, a, b, radius, count, relief), len(rows))
-    even = radius * np.sqrt(np.pi / count) if tree.points.shape[1] == 3 else 2.0 * radius / count
-    return np.maximum(even, spacing), 0.5 * relief
+    discs = np.zeros((len(rows), 6))
+    run_chunked(lambda a, b: _shape_range(tree, rows, a, b, radius, spacing, noise, discs), len(rows))
+    return discs
 
 
+_BENT = 40.0
+"""[-] Ratio of two variances beyond which no edge is within a spacing."""
 _REACH = 3.0
 """[-] Spacings: 28 points on an even surface; their number is then known to a fifth."""
 
 
 @njit(cache=True, nogil=True)
 def _shape_range(
-    tree: Tree, rows: IntArray, begin: int, end: int, radius: float, count: FloatArray, relief: FloatArray
+    tree: Tree,
+    rows: IntArray,
+    begin: int,
+    end: int,
+    radius: float,
+    spacing: float,
+    noise: FloatArray,
+    discs: FloatArray,
 ) -> None:
-    blocks, boxes, limit, solid = tree.blocks, tree.boxes, radius * radius, tree.points.shape[1] == 3
-    stack, bound, near = make_scratch()
-    moments, mean, normal = np.zeros(10), np.zeros(3), np.zeros(3)
+    solid, near, side, pair = tree.points.shape[1] == 3, np.zeros((MOST, 3)), np.zeros(MOST, np.int64), np.zeros((3, 9))
+    moments, mean, normal, axis = np.zeros(10), np.zeros(3), np.zeros(3), np.zeros(3)
     for r in range(begin, end):
-        x = x0, x1, x2 = place_of(tree.points[rows[r]])
+        count = gather(tree, tree.points[rows[r]], radius, near)
         moments[:] = 0.0
-        top = from_root(stack, bound)
-        while True:
-            leaf, _, top = next_leaf(boxes, x, x, limit, stack, bound, near, top)
-            if leaf < 0:
-                break
-            for j in range(tree.begin[leaf + 1] - tree.begin[leaf]):
-                a, b, c = blocks[leaf, 0, j] - x0, blocks[leaf, 1, j] - x1, blocks[leaf, 2, j] - x2
-                if a * a + b * b + c * c <= limit:
-                    add(moments, a, b, c)
-        count[r] = moments[0]
-        low, middle, _ = fit_plane(moments, mean, normal)
+        for i in range(count):
+            add(moments, near[i, 0], near[i, 1], near[i, 2])
+        low, middle, high = fit_plane(moments, mean, normal)
+        gap = max(radius * sqrt(pi / moments[0]) if solid else 2.0 * radius / moments[0], spacing)
+        if not solid:  # a line in the plane: its normal lies in it
+            fit_axis(moments, high, axis)
+            normal[0], normal[1], normal[2] = -axis[1], axis[0], 0.0
+            low, middle = max(middle, 0.0), high
+        elif _BENT * low > middle and low > noise[r] ** 2:
+            rest = fit_pair(near, count, normal, side, pair)
+            if rest < EDGE * quadric_rest(near, count, normal):
+                k = 0 if from_half(pair, 0, mean * 0.0) <= from_half(pair, 1, mean * 0.0) else 1
+                normal[:] = pair[k, 3:6]
+        discs[r, :3], discs[r, 4] = normal, gap
+        wide = min(0.5 * gap, sqrt(max(middle, 0.0))) * (1.0 - low / middle) if middle > low else 0.0
+        discs[r, 3] = max(wide - 2.0 * noise[r], 0.0)
         aside = max(sqrt(mean[0] ** 2 + mean[1] ** 2 + mean[2] ** 2) - 0.25 * radius, 0.0)
-        relief[r] = sqrt((low if solid else max(middle, 0.0)) + aside * aside)
+        discs[r, 5] = 0.5 * sqrt(low + aside * aside)
 
 
 def thin(points: FloatArray, cell: float) -> IntArray:

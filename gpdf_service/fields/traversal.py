@@ -38,14 +38,14 @@ _STEEPEST = CUT_RADIUS**2 / 2.0 + 1.0
 
 
 class FieldArrays(NamedTuple):
-    """All that a compiled loop needs to ask a field: of the tree, and α and the squared gap around each point.
+    """All that a compiled loop needs to ask a field: of the tree, and α and the disc around each point.
 
     Attributes:
         begin: First row of each leaf, and n, shape (leaves + 1,).
         blocks: The leaves' points [m], shape (leaves, 3, 32).
         boxes: The nodes' boxes [m], shape (nodes, 6, 8).
         weights: α of the leaves' points, 0 for what is repeated, shape (leaves, 32).
-        gap2: [m²], shape (n,).
+        discs: `spacing.local_shape`, shape (n, 6).
         length_scale: [m].
     """
 
@@ -53,14 +53,14 @@ class FieldArrays(NamedTuple):
     blocks: FloatArray
     boxes: FloatArray
     weights: FloatArray
-    gap2: FloatArray
+    discs: FloatArray
     length_scale: float
 
 
 def nearest_only(tree: Tree) -> FieldArrays:
     """A field without a Gaussian process: the exact distance to the nearest point."""
     nothing, short = np.zeros((len(tree.begin) - 1, LEAF_SIZE)), np.finfo(float).tiny ** 0.25
-    return FieldArrays(tree.begin, tree.blocks, tree.boxes, nothing, np.zeros(len(tree.points)), short)
+    return FieldArrays(tree.begin, tree.blocks, tree.boxes, nothing, np.zeros((len(tree.points), 6)), short)
 
 
 @njit(cache=True, nogil=True)
@@ -156,7 +156,7 @@ def sample(
     blocks: FloatArray,
     boxes: FloatArray,
     weights: FloatArray,
-    gap2: FloatArray,
+    discs: FloatArray,
     length_scale: float,
     x: Place,
     stack: IntArray,
@@ -165,35 +165,52 @@ def sample(
 ) -> tuple[float, int, float, Place]:
     """Distance at one place, the row of the nearest point, how much less the distance may be [m], and the gradient.
 
-    The bracket: never more room than to the nearest point, √δ; never less than √(δ − gap²), the least that a surface
-    through points no further apart than the gap allows. Where the sums say nothing (S ≤ 0, or more room than to the
-    nearest point) that point gives the direction: an edge, whose true place may be a gap beyond that point. A place
-    that is no place (NaN, or so far that squares overflow) has no room at all.
+    The bracket: never more room than to the disc around the nearest point, which is never further than that point, √δ;
+    never less than √(δ − gap²), the least that a surface through points no further apart than the gap allows. Where the
+    sums say nothing (S ≤ 0, or more room than to the disc) the disc gives the direction: near the surface, or at an
+    edge. Without a disc that one's true place may be a gap beyond the point. A place that is no place (NaN, or so far
+    that squares overflow) has no room at all.
     """
     delta, leaf, j, total, (g0, g1, g2) = walk(blocks, boxes, weights, length_scale, x, stack, bound, near)
     if delta == np.inf:
         return 0.0, 0, np.inf, (0.0, 0.0, 0.0)
-    gap = gap2[begin[leaf] + j]
+    row = begin[leaf] + j
+    gap = discs[row, 4]
+    off = x[0] - blocks[leaf, 0, j], x[1] - blocks[leaf, 1, j], x[2] - blocks[leaf, 2, j]
+    away = from_disc(discs, row, off)
+    least2 = min(away[0] * away[0] + away[1] * away[1] + away[2] * away[2], delta)
     distance2 = delta - 2.0 * length_scale * length_scale * log(total) if total > 0.0 else delta
-    floor2 = max(delta - gap, 0.0)
-    inside = total > 0.0 and distance2 <= delta
-    distance = sqrt(min(max(distance2, floor2), delta))
+    floor2 = min(max(delta - gap * gap, 0.0), least2)
+    inside = total > 0.0 and distance2 <= least2
+    distance = sqrt(min(max(distance2, floor2), least2))
     if inside:
         g0, g1, g2 = -g0 / total, -g1 / total, -g2 / total
     else:
-        g0, g1, g2 = x[0] - blocks[leaf, 0, j], x[1] - blocks[leaf, 1, j], x[2] - blocks[leaf, 2, j]
+        g0, g1, g2 = away
     norm = max(distance, sqrt(g0 * g0 + g1 * g1 + g2 * g2))
     scale = 1.0 / norm if norm > 0.0 else 0.0
-    slack = sqrt(delta) - sqrt(floor2) if inside else min(distance, sqrt(gap))
-    return distance, begin[leaf] + j, slack, (scale * g0, scale * g1, scale * g2)
+    told = inside or discs[row, 3] > 0.0
+    slack = sqrt(delta) - sqrt(floor2) if told else min(distance, gap)
+    return distance, row, slack, (scale * g0, scale * g1, scale * g2)
+
+
+@njit(cache=True, nogil=True, inline="always")
+def from_disc(discs: FloatArray, row: int, off: Place) -> Place:
+    """What is left of an offset from a point [m] when it starts at the nearest place of the disc around that point."""
+    n0, n1, n2, radius = discs[row, 0], discs[row, 1], discs[row, 2], discs[row, 3]
+    high = off[0] * n0 + off[1] * n1 + off[2] * n2
+    s0, s1, s2 = off[0] - high * n0, off[1] - high * n1, off[2] - high * n2
+    aside = sqrt(s0 * s0 + s1 * s1 + s2 * s2)
+    rest = 1.0 - radius / aside if aside > radius else 0.0
+    return high * n0 + rest * s0, high * n1 + rest * s1, high * n2 + rest * s2
 
 
 @njit(cache=True, nogil=True)
 def sample_at(field: FieldArrays, x: Place, scratch: Scratch, gradient: FloatArray) -> float:
     """Distance at one place [m]; writes the gradient, shape (dim,)."""
-    begin, blocks, boxes, weights, gap2, length_scale = field
+    begin, blocks, boxes, weights, discs, length_scale = field
     stack, bound, near = scratch
-    distance, _, _, slope = sample(begin, blocks, boxes, weights, gap2, length_scale, x, stack, bound, near)
+    distance, _, _, slope = sample(begin, blocks, boxes, weights, discs, length_scale, x, stack, bound, near)
     for k in range(len(gradient)):
         gradient[k] = slope[k]
     return distance
@@ -212,14 +229,14 @@ def sample_range(
     deviation: FloatArray,
 ) -> None:
     """`sample` for the queries order[first..last]; the deviation is the nearest point's noise and half the bracket."""
-    begin, blocks, boxes, weights, gap2, length_scale = field
+    begin, blocks, boxes, weights, discs, length_scale = field
     stack, bound, near = make_scratch()
     dim = queries.shape[1]
     for q in range(first, last):
         i = order[q]
         x = queries[i, 0], queries[i, 1], queries[i, 2] if dim == 3 else 0.0
         distance[i], row, slack, slope = sample(
-            begin, blocks, boxes, weights, gap2, length_scale, x, stack, bound, near
+            begin, blocks, boxes, weights, discs, length_scale, x, stack, bound, near
         )
         deviation[i] = sqrt(noise[row] ** 2 + 0.25 * slack * slack)
         for k in range(dim):

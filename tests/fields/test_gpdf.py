@@ -108,6 +108,8 @@ def test_log_domain_equals_the_plain_formula(rng):
     alpha = np.linalg.solve(K + field.noise_variance * np.eye(60), np.ones(60))
     o = np.exp(-((queries[:, None] - points[None]) ** 2).sum(-1) / (2 * l**2)) @ alpha
     plain = np.sqrt(np.maximum(-2 * l**2 * np.log(o), 0))
+    bare = field.discs * [1, 1, 1, 0, 1, 1]  # no radius: the bracket begins at the points
+    field = Gpdf(field.tree, field.alpha, bare, field.noise, l, field.noise_variance, field.spacing)
     sample = field.query(queries).distance
     free = np.abs(sample - field.nearest(queries)) > 1e-6  # where the bracket did not clip
     assert free.sum() > 30
@@ -251,7 +253,7 @@ def from_scratch(field):
     tree = build_tree(np.ascontiguousarray(field.points))
     alpha = solve_all(tree, field.length_scale, field.noise_variance)
     constants = field.length_scale, field.noise_variance, field.spacing, field.domain
-    return Gpdf(tree, alpha, field.gap[tree.order], field.noise[tree.order], *constants)
+    return Gpdf(tree, alpha, field.discs[tree.order], field.noise[tree.order], *constants)
 
 
 def test_insert_and_remove_equal_a_fit_from_scratch(room, rng):
