@@ -21,7 +21,9 @@ from numpy.typing import NDArray
 
 from gpdf_service.errors import SceneFileError
 
-SCHEMA_VERSION = 3
+SCHEMA_VERSION = 4
+READABLE = 3, 4
+"""Version 3 knows no steps and slopes of the ground, and no free spaces: `load_scene` measures the former."""
 _META = "meta"
 
 Arrays = dict[str, NDArray[Any]]
@@ -59,10 +61,16 @@ def read_arrays(path: str | os.PathLike[str]) -> tuple[Arrays, dict[str, Any]]:
         meta = json.loads(bytes(arrays.pop(_META)))
     except (zipfile.BadZipFile, ValueError, KeyError, EOFError, OSError, TypeError) as error:
         raise SceneFileError(asked, f"it is damaged or no scene ({error})", "Build the scene again.") from error
-    if meta.get("schema_version") != SCHEMA_VERSION:
-        found = f"it has schema version {meta.get('schema_version')}, this program reads {SCHEMA_VERSION}"
+    if meta.get("schema_version") not in READABLE:
+        read = " and ".join(map(str, READABLE))
+        found = f"it has schema version {meta.get('schema_version')}, this program reads {read}"
         raise SceneFileError(asked, found, "Build the scene again from its cloud.")
     return arrays, meta
+
+
+def under(prefix: str, arrays: Mapping[str, NDArray[Any]]) -> Arrays:
+    """The arrays whose names begin with `prefix`, by what follows it."""
+    return {key.removeprefix(prefix): value for key, value in arrays.items() if key.startswith(prefix)}
 
 
 def flatten(value: object, prefix: str) -> Arrays:

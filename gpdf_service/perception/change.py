@@ -35,7 +35,7 @@ from gpdf_service.perception.levels import (
     split_sheets,
     within_reach,
 )
-from gpdf_service.perception.limits import Measured, change_step_and_slope, find_limits, limits_reach
+from gpdf_service.perception.limits import change_step_and_slope, find_limits, limits_reach
 from gpdf_service.perception.segment import Segmentation, segment_layers
 from gpdf_service.perception.surface import OBSERVED, HeightMap, find_voids
 from gpdf_service.types import BoolArray, FloatArray, IntArray
@@ -236,10 +236,9 @@ def _change_levels(
         inside = np.zeros(len(layers.cell), dtype=bool)
         inside[sheet] = True
         part = _Part(cloud, ground, stray, layers, inside, sheet_surface(layers, sheet), cells)
-        made.append(_change_level(old.levels.levels[i], old.survey.voids[i], old.survey.measured[i], part, config))
-    levels = Levels(tuple(level for level, _, _, _ in made), find_portals(layers, sheets))
-    survey = Survey(layers, stray, tuple(voids for _, voids, _, _ in made), tuple(found for _, _, found, _ in made))
-    return levels, survey, tuple(touched for _, _, _, touched in made)
+        made.append(_change_level(old.levels.levels[i], old.survey.voids[i], part, config))
+    levels = Levels(tuple(level for level, _, _ in made), find_portals(layers, sheets))
+    return levels, Survey(layers, stray, tuple(voids for _, voids, _ in made)), tuple(cells for _, _, cells in made)
 
 
 @dataclass(frozen=True, slots=True)
@@ -266,8 +265,8 @@ class _Part:
 
 
 def _change_level(
-    old: GroundLevel, voids: Voids, measured: Measured, part: _Part, config: PerceptionConfig
-) -> tuple[GroundLevel, Voids, Measured, BoolArray | None]:
+    old: GroundLevel, voids: Voids, part: _Part, config: PerceptionConfig
+) -> tuple[GroundLevel, Voids, BoolArray | None]:
     was = np.where(old.surface.state == OBSERVED, old.surface.height, np.float32(np.nan))
     moved = _differ(was, part.seen.height)
     cells = part.cells | widened(moved, int(np.ceil(OVERLAP / part.seen.cell_width)) + 1)
@@ -278,7 +277,7 @@ def _change_level(
     stay = ~cells[old.surface.cells(old.other_points)[:2]]
     other = np.concatenate([old.other_points[stay], fresh])
     ledge = np.concatenate([old.ledge[stay], np.full(len(fresh), np.inf, np.float32)])
-    surface, limits = old.surface, old.limits
+    surface, limits, measured = old.surface, old.limits, old.measured
     swapped = _other_cells(surface, old.other_points[~stay], fresh)
     if moved.any() or swapped.any() or any((a != b).any() for a, b in zip(now, voids, strict=True)):
         surface, material = complete(part.seen, other, now, config)
@@ -291,8 +290,8 @@ def _change_level(
     stepped |= _other_cells(surface, before, after)
     touched = widened(stepped, 1) | widened(_changed(old.surface, surface), limits_reach(surface))
     if not touched.any():
-        return old, voids, measured, None
-    return make_level(surface, other, ledge, limits), now, measured, touched
+        return old, voids, None
+    return make_level(surface, other, ledge, limits, measured), now, touched
 
 
 def _with(points: FloatArray, values: NDArray[np.float32]) -> FloatArray:

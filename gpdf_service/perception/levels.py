@@ -42,6 +42,7 @@ class GroundLevel:
         ledge: Height of the lowest point of this ground that is as high as each of them, within `FACE` in plan [m],
             shape (m,), inf where there is none: a step's face has the step's top beside it.
         limits: Where the ground itself stops a body.
+        measured: Steps and slopes of the ground, the same for all bodies.
     """
 
     surface: HeightMap
@@ -50,6 +51,7 @@ class GroundLevel:
     other_points: FloatArray
     ledge: NDArray[np.float32]
     limits: GroundLimits
+    measured: Measured
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,13 +83,11 @@ class Survey:
         layers: Of the ground points.
         stray: Which points of the cloud count for nothing, shape (n,).
         voids: One a level.
-        measured: Steps and slopes of each level.
     """
 
     layers: Layers
     stray: BoolArray
     voids: tuple[Voids, ...]
-    measured: tuple[Measured, ...]
 
 
 def build_levels(points: FloatArray, ground: BoolArray, config: PerceptionConfig) -> Levels:
@@ -119,8 +119,8 @@ def survey_levels(
     layers = build_layers(points[ground], width, layer_gap(width, config))
     sheets = split_sheets(layers, config)
     made = [_build_level(points, ground, layers, sheet, config) for sheet in sheets]
-    levels = Levels(tuple(level for level, _, _ in made), find_portals(layers, sheets))
-    return levels, Survey(layers, stray, tuple(voids for _, voids, _ in made), tuple(found for _, _, found in made))
+    levels = Levels(tuple(level for level, _ in made), find_portals(layers, sheets))
+    return levels, Survey(layers, stray, tuple(voids for _, voids in made))
 
 
 def find_portals(layers: Layers, sheets: list[IntArray]) -> tuple[Portal, ...]:
@@ -260,7 +260,7 @@ def _grow(layers: Layers, a: IntArray, b: IntArray, nodes: IntArray) -> IntArray
 
 def _build_level(
     points: FloatArray, ground: BoolArray, layers: Layers, nodes: IntArray, config: PerceptionConfig
-) -> tuple[GroundLevel, Voids, Measured]:
+) -> tuple[GroundLevel, Voids]:
     seen = sheet_surface(layers, nodes)
     inside = np.zeros(len(layers.cell), dtype=bool)
     inside[nodes] = True
@@ -272,7 +272,7 @@ def _build_level(
     surface, material = complete(seen, other, voids, config)
     measured = step_and_slope(surface)
     limits = find_limits(surface, material, measured)
-    return make_level(surface, other, find_ledges(surface, points[ground], other), limits), voids, measured
+    return make_level(surface, other, find_ledges(surface, points[ground], other), limits, measured), voids
 
 
 def sheet_surface(layers: Layers, nodes: IntArray) -> HeightMap:
@@ -296,10 +296,13 @@ def complete(seen: HeightMap, other: FloatArray, voids: Voids, config: Perceptio
     return without_enclosed(surface, material), material
 
 
-def make_level(surface: HeightMap, other: FloatArray, ledge: NDArray[np.float32], limits: GroundLimits) -> GroundLevel:
+def make_level(
+    surface: HeightMap, other: FloatArray, ledge: NDArray[np.float32], limits: GroundLimits, measured: Measured
+) -> GroundLevel:
     """A level of its parts."""
     known = surface.state != UNKNOWN
-    return GroundLevel(surface, surface.centres(known), surface.state[known] != OBSERVED, other, ledge, limits)
+    inferred = surface.state[known] != OBSERVED
+    return GroundLevel(surface, surface.centres(known), inferred, other, ledge, limits, measured)
 
 
 def find_ledges(surface: HeightMap, ground: FloatArray, other: FloatArray) -> NDArray[np.float32]:

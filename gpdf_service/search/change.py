@@ -10,8 +10,8 @@ import numpy as np
 from gpdf_service.config import FieldConfig, SearchConfig
 from gpdf_service.fields import Gpdf, build_tree, thin
 from gpdf_service.perception import GroundLevel, GroundLimits, HeightMap, Levels, Obstacles, obstacles_of
-from gpdf_service.perception.change import changed_cells, widened
-from gpdf_service.perception.limits import change_step_and_slope, window
+from gpdf_service.perception.change import widened
+from gpdf_service.perception.limits import window
 from gpdf_service.perception.surface import UNKNOWN
 from gpdf_service.search.free_space import (
     FreeSpace,
@@ -51,8 +51,7 @@ def change_free_space(
         was = LevelSpace(
             old.surfaces[i],
             field,
-            old.steps[i],
-            old.slopes[i],
+            level.measured,
             old.obstacles[i],
             old.trees[i],
             old.obstacle_fields[i],
@@ -73,8 +72,6 @@ def _change_level(
     noise: float,
 ) -> LevelSpace:
     surface, agent, radius = level.surface, old.agent, old.radius
-    ground = changed_cells(was.surface, surface)
-    assert ground is not None  # a scene of another grid is built as a whole
     # What stands on the ground is judged by the ground within a radius, what shuts that off, and the ground there.
     reach = int(np.ceil(3.0 * agent.disc_radius / surface.cell_width)) + 6
     region = widened(touched, reach)
@@ -86,10 +83,9 @@ def _change_level(
         np.concatenate([was.obstacles.points[stay], fresh]),
         np.concatenate([was.obstacles.kind[stay], found.kind[inside]]),
     )
-    step, slope = change_step_and_slope(surface, ground, was.step, was.slope)
     places = _difference(gone[:, :2], fresh[:, :2])
     known = (was.surface.state != UNKNOWN) != (surface.state != UNKNOWN)
-    part = replace(was, surface=surface, step=step, slope=slope, obstacles=obstacles)
+    part = replace(was, surface=surface, measured=level.measured, obstacles=obstacles)
     if len(places) == 0 and not known.any():
         return replace(part, tree=build_tree(obstacles.points[:, :2]), obstacle_field=was.obstacle_field.over(surface))
     tree = build_tree(obstacles.points[:, :2])
