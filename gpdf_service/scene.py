@@ -9,7 +9,7 @@ import threading
 from collections import OrderedDict
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
@@ -205,7 +205,7 @@ class Scene:
         self.perceived, self.drift = perceived, drift
         self._spaces: OrderedDict[Agent, FreeSpace] = OrderedDict()
         self._former: dict[Agent, tuple[FreeSpace, Touched]] = {}
-        self._stored: dict[Agent, Arrays] = {}
+        self._stored: dict[Agent, Callable[[], Arrays]] = {}  # read from the scene's file
         self._lock = threading.Lock()
         self._building: dict[Agent, threading.Lock] = {}
 
@@ -249,7 +249,7 @@ class Scene:
         parts = self.levels, self.ground_fields
         config = self.config.search, self.config.fields
         if (stored := self._stored.get(body)) is not None:
-            return from_arrays(stored, body, *parts, self.config.search, self.noise)
+            return from_arrays(stored(), body, *parts, self.config.search, self.noise)
         former = self._former.get(body)
         if former is not None:
             space, touched = former
@@ -406,10 +406,10 @@ class Scene:
             arrays |= {f"ground_fields/{i}/{key}": value for key, value in field.to_arrays().items()}
         with self._lock:
             spaces, stored = dict(self._spaces), dict(self._stored)
-        ready = {**stored, **{agent: to_arrays(space) for agent, space in spaces.items()}}
-        agents = list(ready)[-MAX_CACHED_AGENTS:]
+        agents = list({**stored, **spaces})[-MAX_CACHED_AGENTS:]
         for i, agent in enumerate(agents):
-            arrays |= {f"agents/{i}/{key}": value for key, value in ready[agent].items()}
+            found = to_arrays(spaces[agent]) if agent in spaces else stored[agent]()
+            arrays |= {f"agents/{i}/{key}": value for key, value in found.items()}
         known = {"version": self.version, "noise": self.noise, "labelled": self.labelled}
         bodies = [dataclasses.asdict(agent) for agent in agents]
         write_arrays(path, arrays, {**known, "config": dataclasses.asdict(self.config), "agents": bodies})
@@ -439,7 +439,7 @@ def load_scene(path: str | os.PathLike[str]) -> Scene:
     Raises:
         SceneFileError: the file is missing, damaged, or of another version.
     """
-    arrays, meta = read_arrays(path)
+    arrays, meta, later = read_arrays(path, later="agents/")
     if meta["schema_version"] == 3:
         _measure_ground(arrays)
     levels: Levels = restore(Levels, arrays, "levels")
@@ -457,7 +457,7 @@ def load_scene(path: str | os.PathLike[str]) -> Scene:
         bool(meta["labelled"]),
     )
     bodies = enumerate(meta.get("agents", ()))
-    scene._stored = {Agent(**body): under(f"agents/{i}/", arrays) for i, body in bodies}
+    scene._stored = {Agent(**body): partial(later.under, f"agents/{i}/") for i, body in bodies}
     return scene
 
 
