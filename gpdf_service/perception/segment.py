@@ -6,13 +6,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.sparse import csr_matrix
-from scipy.sparse.csgraph import connected_components
 
 from gpdf_service.config import PerceptionConfig
 from gpdf_service.errors import NoGroundError
 from gpdf_service.perception.columns import medians_around, next_below
 from gpdf_service.perception.layers import Layers, build_layers, cell_width_of, connect, in_steps, layer_gap
+from gpdf_service.perception.nodes import components, drops_beside, half_way, lowest_beside, stepped
 from gpdf_service.perception.read import check_points
 from gpdf_service.types import BoolArray, FloatArray, IntArray
 
@@ -127,10 +126,7 @@ def _across(
     """Lowest and highest the ground is within each ground node's cell: half-way to its neighbours on the same slope."""
     rise = layers.cell_width * float(np.tan(config.steepest))
     a, b = connect(replace(layers, height=smooth), ground, rise, HALF)
-    low, high, middle = smooth.copy(), smooth.copy(), 0.5 * (smooth[a] + smooth[b])
-    for node in (a, b):
-        np.minimum.at(low, node, middle)
-        np.maximum.at(high, node, middle)
+    low, high = half_way(smooth, a, b)
     return np.where(ground, low, np.inf), np.where(ground, high, -np.inf)
 
 
@@ -140,13 +136,8 @@ def _ground_beside(layers: Layers, ground: BoolArray, smooth: FloatArray, scatte
     The foot of a wall or of a table's leg shares its cell with the floor that it stands on, and the end of a stair's
     tread with the face of the next one.
     """
-    beside = np.full(len(ground), np.inf)
-    for offset in HALF:
-        for one, other in (pair := layers.neighbours(offset), pair[::-1]):
-            a, b = one[ground[one]], other[ground[one]]
-            fits = np.abs(smooth[a] - layers.height[b]) <= layers.thickness[b] + scatter
-            np.minimum.at(beside, b[fits], smooth[a[fits]])
-    return beside
+    grid = layers.cell, layers.start, layers.shape
+    return lowest_beside(*grid, ground, smooth, layers.height, layers.thickness + scatter)
 
 
 def _smoothed(layers: Layers, ground: BoolArray) -> FloatArray:
@@ -210,9 +201,8 @@ def _roofs(
     off = ground & ~main
     inside = off[a] & off[b]
     piece = components(a[inside], b[inside], len(ground))
-    joined = np.zeros(len(ground), dtype=bool)
-    joined[a[main[b]]] = joined[b[main[a]]] = True
-    count = [np.bincount(piece[off & kind], minlength=piece.max() + 1) for kind in (joined, _drops(layers, config))]
+    beside = stepped(main, a, b)
+    count = [np.bincount(piece[off & kind], minlength=piece.max() + 1) for kind in (beside, _drops(layers, config))]
     roof: BoolArray = off & (count[0] < ROOF_SHARE * (count[0] + count[1]))[piece]
     return roof
 
@@ -232,9 +222,7 @@ def _within_reach(
     while True:
         reach = flat & seen[piece]
         for _ in range(rings + 1):
-            grown = reach.copy()
-            grown[a[reach[b]]] = grown[b[reach[a]]] = True
-            reach = grown
+            reach = stepped(reach, a, b)
         fresh = np.unique(piece[reach & flat & ~seen[piece]])
         if not len(fresh):
             return flat & seen[piece]
@@ -266,15 +254,8 @@ def _slope(layers: Layers, ground: BoolArray, config: PerceptionConfig) -> Float
 def _drops(layers: Layers, config: PerceptionConfig) -> BoolArray:
     """Nodes beside which, in one direction, nothing goes on and something is seen more than a step further down."""
     rise = layers.cell_width * float(np.tan(config.steepest))
-    drops = np.zeros(len(layers.cell), dtype=bool)
-    for offset in HALF:
-        for one, other in (pair := layers.neighbours(offset), pair[::-1]):
-            over = layers.height[one] - layers.height[other]
-            level, down = np.zeros_like(drops), np.zeros_like(drops)
-            level[one[np.abs(over) <= rise * np.hypot(*offset)]] = True
-            down[one[(over + layers.thickness[other] > config.max_step) & (over > -config.max_step)]] = True
-            drops |= down & ~level
-    return drops
+    grid = layers.cell, layers.start, layers.shape
+    return drops_beside(*grid, layers.height, layers.thickness, rise, config.max_step)
 
 
 def _patches(core: BoolArray, keep: BoolArray, a: IntArray, b: IntArray) -> tuple[BoolArray, IntArray]:
@@ -417,10 +398,3 @@ def over_ground(layers: Layers, ground: BoolArray, headroom: float) -> BoolArray
     below = next_below(layers.cell, ground)
     over: BoolArray = (below >= 0) & (layers.height - layers.height[below] <= headroom)
     return over
-
-
-def components(a: IntArray, b: IntArray, count: int) -> IntArray:
-    """Connected component of each of `count` nodes under the undirected edges (a, b), shape (count,)."""
-    graph = csr_matrix((np.ones(len(a), dtype=np.int8), (a, b)), shape=(count, count))
-    label: IntArray = connected_components(graph, directed=False)[1].astype(np.int64)
-    return label
