@@ -73,19 +73,21 @@ def pairs_near(
     """Pairs of kept nodes (a, b), b's cell at `offset` from a's, whose heights differ by at most `factor` × `limit`."""
     capacity, used = len(cell) + 16, 0
     one, other = np.empty(capacity, np.int64), np.empty(capacity, np.int64)
-    for a in range(len(cell)):
-        x, y = cell[a] // shape[1] + offset[0], cell[a] % shape[1] + offset[1]
-        if not keep[a] or x < 0 or y < 0 or x >= shape[0] or y >= shape[1]:
-            continue
-        there = x * shape[1] + y
-        for b in range(start[there], start[there + 1]):
-            if not keep[b] or abs(height[a] - height[b]) > factor * min(limit[a], limit[b]):
-                continue
-            if used == capacity:
-                capacity *= 2
-                one, other = _longer(one, capacity), _longer(other, capacity)
-            one[used], other[used] = a, b
-            used += 1
+    dx, dy = offset
+    for x in range(max(0, -dx), min(shape[0], shape[0] - dx)):
+        for y in range(max(0, -dy), min(shape[1], shape[1] - dy)):
+            here, there = x * shape[1] + y, (x + dx) * shape[1] + y + dy
+            for a in range(start[here], start[here + 1]):
+                if not keep[a]:
+                    continue
+                for b in range(start[there], start[there + 1]):
+                    if not keep[b] or abs(height[a] - height[b]) > factor * min(limit[a], limit[b]):
+                        continue
+                    if used == capacity:
+                        capacity *= 2
+                        one, other = _longer(one, capacity), _longer(other, capacity)
+                    one[used], other[used] = a, b
+                    used += 1
     return one[:used], other[:used]
 
 

@@ -58,7 +58,6 @@ def half_way(height: FloatArray, a: IntArray, b: IntArray) -> tuple[FloatArray, 
 
 @njit(cache=True, nogil=True)
 def lowest_beside(
-    cell: IntArray,
     start: IntArray,
     shape: tuple[int, int],
     ground: BoolArray,
@@ -67,20 +66,23 @@ def lowest_beside(
     slack: FloatArray,
 ) -> FloatArray:
     """Least `smooth` height of `ground` in the cells around each node within `slack` of its `height`; inf if none."""
-    beside = np.full(len(cell), np.inf)
-    for i in range(len(cell)):
-        for dx, dy in AROUND:
-            x, y = cell[i] // shape[1] + dx, cell[i] % shape[1] + dy
-            if 0 <= x < shape[0] and 0 <= y < shape[1]:
-                there = x * shape[1] + y
+    beside = np.full(len(height), np.inf)
+    for x in range(shape[0]):
+        for y in range(shape[1]):
+            for dx, dy in AROUND:
+                if not (0 <= x + dx < shape[0] and 0 <= y + dy < shape[1]):
+                    continue
+                here, there = x * shape[1] + y, (x + dx) * shape[1] + y + dy
                 for j in range(start[there], start[there + 1]):
-                    if ground[j] and abs(smooth[j] - height[i]) <= slack[i]:
-                        beside[i] = min(beside[i], smooth[j])
+                    for i in range(start[here], start[here + 1] if ground[j] else 0):
+                        if abs(smooth[j] - height[i]) <= slack[i]:
+                            beside[i] = min(beside[i], smooth[j])
     return beside
 
 
 @njit(cache=True, nogil=True)
 def drops_beside(
+    nodes: IntArray,
     cell: IntArray,
     start: IntArray,
     shape: tuple[int, int],
@@ -89,19 +91,33 @@ def drops_beside(
     rise: float,
     max_step: float,
 ) -> BoolArray:
-    """Nodes in one direction of which nothing goes on within `rise`, and something is over `max_step` further down."""
+    """Which `nodes` have a direction in which nothing goes on within `rise` and something is over `max_step` lower."""
     drops = np.zeros(len(cell), np.bool_)
-    for i in range(len(cell)):
+    for i in nodes:
+        x, y = cell[i] // shape[1], cell[i] % shape[1]
         for dx, dy in AROUND:
-            x, y = cell[i] // shape[1] + dx, cell[i] % shape[1] + dy
-            if 0 <= x < shape[0] and 0 <= y < shape[1]:
-                there, level, down = x * shape[1] + y, False, False
-                for j in range(start[there], start[there + 1]):
-                    over = height[i] - height[j]
-                    level |= abs(over) <= rise * np.hypot(dx, dy)
-                    down |= over + thickness[j] > max_step and over > -max_step
-                drops[i] |= down and not level
+            if not (0 <= x + dx < shape[0] and 0 <= y + dy < shape[1]):
+                continue
+            there, level, down = (x + dx) * shape[1] + y + dy, False, False
+            for j in range(start[there], start[there + 1]):
+                over = height[i] - height[j]
+                level |= abs(over) <= rise * np.hypot(dx, dy)
+                down |= over + thickness[j] > max_step and over > -max_step
+            drops[i] |= down and not level
     return drops
+
+
+@njit(cache=True, nogil=True)
+def nodes_over(nodes: IntArray, cell: IntArray, height: FloatArray, keep: BoolArray, headroom: float) -> BoolArray:
+    """Which of the `nodes` have a kept node next below them in their cell at `headroom` or less, shape (m,)."""
+    over = np.zeros(len(nodes), np.bool_)
+    for k in range(len(nodes)):
+        i = nodes[k]
+        below = i - 1
+        while below >= 0 and cell[below] == cell[i] and not keep[below]:
+            below -= 1
+        over[k] = below >= 0 and cell[below] == cell[i] and height[i] - height[below] <= headroom
+    return over
 
 
 @njit(cache=True, nogil=True)

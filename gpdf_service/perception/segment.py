@@ -9,9 +9,9 @@ from numpy.typing import ArrayLike
 
 from gpdf_service.config import PerceptionConfig
 from gpdf_service.errors import NoGroundError
-from gpdf_service.perception.columns import medians_around, next_below
+from gpdf_service.perception.columns import by_cell, medians_around, next_below
 from gpdf_service.perception.layers import Layers, build_layers, cell_width_of, connect, in_steps, layer_gap
-from gpdf_service.perception.nodes import components, drops_beside, half_way, lowest_beside, stepped
+from gpdf_service.perception.nodes import components, drops_beside, half_way, lowest_beside, nodes_over, stepped
 from gpdf_service.perception.read import check_points
 from gpdf_service.types import BoolArray, FloatArray, IntArray
 
@@ -136,8 +136,7 @@ def _ground_beside(layers: Layers, ground: BoolArray, smooth: FloatArray, scatte
     The foot of a wall or of a table's leg shares its cell with the floor that it stands on, and the end of a stair's
     tread with the face of the next one.
     """
-    grid = layers.cell, layers.start, layers.shape
-    return lowest_beside(*grid, ground, smooth, layers.height, layers.thickness + scatter)
+    return lowest_beside(layers.start, layers.shape, ground, smooth, layers.height, layers.thickness + scatter)
 
 
 def _smoothed(layers: Layers, ground: BoolArray) -> FloatArray:
@@ -202,7 +201,9 @@ def _roofs(
     inside = off[a] & off[b]
     piece = components(a[inside], b[inside], len(ground))
     beside = stepped(main, a, b)
-    count = [np.bincount(piece[off & kind], minlength=piece.max() + 1) for kind in (beside, _drops(layers, config))]
+    count = [
+        np.bincount(piece[off & kind], minlength=piece.max() + 1) for kind in (beside, _drops(layers, off, config))
+    ]
     roof: BoolArray = off & (count[0] < ROOF_SHARE * (count[0] + count[1]))[piece]
     return roof
 
@@ -251,11 +252,11 @@ def _slope(layers: Layers, ground: BoolArray, config: PerceptionConfig) -> Float
     return made
 
 
-def _drops(layers: Layers, config: PerceptionConfig) -> BoolArray:
-    """Nodes beside which, in one direction, nothing goes on and something is seen more than a step further down."""
+def _drops(layers: Layers, among: BoolArray, config: PerceptionConfig) -> BoolArray:
+    """Which nodes, of `among`, have nothing go on in one direction, and something more than a step further down."""
     rise = layers.cell_width * float(np.tan(config.steepest))
     grid = layers.cell, layers.start, layers.shape
-    return drops_beside(*grid, layers.height, layers.thickness, rise, config.max_step)
+    return drops_beside(np.flatnonzero(among), *grid, layers.height, layers.thickness, rise, config.max_step)
 
 
 def _patches(core: BoolArray, keep: BoolArray, a: IntArray, b: IntArray) -> tuple[BoolArray, IntArray]:
@@ -333,12 +334,16 @@ def _spread(
     a stair's tread shares its cells with the tread below.
     """
     size = np.bincount(patch[inner], minlength=len(seen))
+    start, members = by_cell(patch, len(seen))
+    ground = ground.copy()
     while len(fresh := _beside(ground, patch, joins, seen)):
-        nodes = wide & np.isin(patch, fresh)
-        over = nodes & inner & over_ground(layers, ground, config.step_headroom)
-        refused = np.bincount(patch[over], minlength=len(seen)) > OVER_SHARE * size
+        nodes = np.concatenate([members[start[i] : start[i + 1]] for i in fresh])
+        nodes = nodes[wide[nodes]]
+        own = np.searchsorted(fresh, patch[nodes])
+        over = inner[nodes] & nodes_over(nodes, layers.cell, layers.height, ground, config.step_headroom)
+        refused = np.bincount(own[over], minlength=len(fresh)) > OVER_SHARE * size[fresh]
         seen[fresh] = True
-        ground = ground | (nodes & ~refused[patch])
+        ground[nodes[~refused[own]]] = True
     ground = _without_dead_ends(ground, patch, joins)
     return ground & ~over_ground(layers, ground, config.step_headroom)
 
@@ -348,15 +353,13 @@ def _level_of_furniture(layers: Layers, wide: BoolArray, patch: IntArray) -> Flo
 
     A sofa's low front edge must not make its back a platform.
     """
-    nodes = np.flatnonzero(wide)
+    count = np.bincount(patch[wide], minlength=patch.max() + 1)
+    nodes = np.flatnonzero(wide & (count * layers.cell_width**2 <= TABLE_AREA)[patch])
     order = nodes[np.lexsort((layers.height[nodes], patch[nodes]))]
     first = np.flatnonzero(np.diff(patch[order], prepend=-1))
-    count = np.diff(np.append(first, len(order)))
-    small = count * layers.cell_width**2 <= TABLE_AREA
+    each = np.diff(np.append(first, len(order)))
     level = layers.height.copy()
-    level[order] = np.where(
-        np.repeat(small, count), np.repeat(layers.height[order[first + count // 2]], count), layers.height[order]
-    )
+    level[order] = np.repeat(layers.height[order[first + each // 2]], each)
     return level
 
 
