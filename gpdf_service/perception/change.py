@@ -274,7 +274,7 @@ def _change_level(
     fresh = within_reach(rest, part.seen)
     found = find_voids(part.seen, rest, config.max_step)
     now = np.where(cells, found[0], voids[0]), np.where(cells, found[1], voids[1]), np.where(cells, found[2], voids[2])
-    stay = ~cells[old.surface.cells(old.other_points)[:2]]
+    stay = _outside(old.other_points, old.surface, cells)
     other = np.concatenate([old.other_points[stay], fresh])
     ledge = np.concatenate([old.ledge[stay], np.full(len(fresh), np.inf, np.float32)])
     surface, limits, measured = old.surface, old.limits, old.measured
@@ -294,6 +294,13 @@ def _change_level(
     return make_level(surface, other, ledge, limits, measured), now, touched
 
 
+def _outside(points: FloatArray, surface: HeightMap, cells: BoolArray) -> BoolArray:
+    """Which of the points (n, 3) are not in `cells`, shape (n,)."""
+    outside = np.ones(len(points), dtype=bool)
+    outside[rows_in_cells(points, surface.origin, surface.cell_width, cells)] = False
+    return outside
+
+
 def _with(points: FloatArray, values: NDArray[np.float32]) -> FloatArray:
     made: FloatArray = np.column_stack([points, values])
     return made
@@ -302,13 +309,19 @@ def _with(points: FloatArray, values: NDArray[np.float32]) -> FloatArray:
 def _other_cells(surface: HeightMap, was: FloatArray, now: FloatArray) -> BoolArray:
     """Cells that hold other points than before: rows of x, y, z and what else tells them apart."""
     both = np.concatenate([was, now])
-    mixed = (both.view(np.uint64) * _MIX[: both.shape[1]]).sum(axis=1, dtype=np.uint64)
-    _, kind = np.unique(mixed ^ (mixed >> np.uint64(29)), return_inverse=True)
+    _, kind = np.unique(hashed(both), return_inverse=True)
     more = np.bincount(kind[len(was) :], minlength=len(kind)) - np.bincount(kind[: len(was)], minlength=len(kind))
     found = np.zeros(surface.height.shape, dtype=bool)
     ix, iy, _ = surface.cells(both[more[kind] != 0])
     found[ix, iy] = True
     return found
+
+
+def hashed(rows: FloatArray) -> NDArray[np.uint64]:
+    """One number for each row of up to four columns, shape (n,): the same for the same row."""
+    mixed = (rows.view(np.uint64) * _MIX[: rows.shape[1]]).sum(axis=1, dtype=np.uint64)
+    made: NDArray[np.uint64] = mixed ^ (mixed >> np.uint64(29))
+    return made
 
 
 _MIX = np.array([0x9E3779B97F4A7C15, 0xC2B2AE3D27D4EB4F, 0x165667B19E3779F9, 0xD6E8FEB86659FD93], dtype=np.uint64)
@@ -327,7 +340,7 @@ def _ledge_reach(surface: HeightMap) -> int:
 def _change_ledges(
     part: _Part, surface: HeightMap, other: FloatArray, ledge: NDArray[np.float32], cells: BoolArray
 ) -> NDArray[np.float32]:
-    asked = cells[surface.cells(other)[:2]]
+    asked = ~_outside(other, surface, cells)
     rows = part.cloud.rows_in(part.layers, widened(cells, _ledge_reach(surface)))
     made = ledge.copy()
     made[asked] = find_ledges(surface, part.cloud.points[rows[part.ground[rows]]], other[asked])

@@ -153,7 +153,16 @@ def next_below(cell: IntArray, keep: BoolArray) -> IntArray:
 def rows_in_cells(points: FloatArray, origin: FloatArray, cell_width: float, wanted: BoolArray) -> IntArray:
     """Rows of the points (n, 3) in the `wanted` cells, shape (nx, ny), of a grid; sorted."""
     found, used = np.empty(1024, np.int64), 0
+    low, high = np.full(2, np.inf), np.full(2, -np.inf)  # [m] around the cells: most points are seen to lie outside
+    for i in range(wanted.shape[0]):
+        for j in range(wanted.shape[1]):
+            if wanted[i, j]:
+                low[0], high[0] = min(low[0], i - 1), max(high[0], i + 2)
+                low[1], high[1] = min(low[1], j - 1), max(high[1], j + 2)
+    low, high = origin + low * cell_width, origin + high * cell_width
     for row in range(len(points)):
+        if not (low[0] <= points[row, 0] <= high[0] and low[1] <= points[row, 1] <= high[1]):
+            continue
         i = int(np.floor((points[row, 0] - origin[0]) / cell_width))
         j = int(np.floor((points[row, 1] - origin[1]) / cell_width))
         if 0 <= i < wanted.shape[0] and 0 <= j < wanted.shape[1] and wanted[i, j]:

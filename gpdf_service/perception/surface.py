@@ -211,10 +211,9 @@ def _fill_gaps(
     cell_width: float,
 ) -> None:
     """Fill single cells that the scan's spacing left empty, with the ground beside them: also at a step's edge."""
-    label = ndimage.label(holes)[0]
-    widest = ndimage.maximum(distance, label, np.arange(1, label.max() + 1))
-    size = np.bincount(label.ravel())[1:]
-    small = np.isin(label, 1 + np.flatnonzero((np.asarray(widest) <= cell_width) & (size <= GAP_CELLS)))
+    label, count = ndimage.label(holes)
+    size, wide = (np.bincount(label[cells], minlength=count + 1) for cells in (holes, holes & (distance > cell_width)))
+    small = holes & ((size <= GAP_CELLS) & (wide == 0))[label]
     height[small] = height[nearest[0][small], nearest[1][small]]
     state[small] = INFERRED
 

@@ -8,9 +8,9 @@ from dataclasses import replace
 import numpy as np
 
 from gpdf_service.config import FieldConfig, SearchConfig
-from gpdf_service.fields import Gpdf, build_tree, thin
+from gpdf_service.fields import Gpdf, Tree, build_tree, change_tree, thin
 from gpdf_service.perception import GroundLevel, GroundLimits, HeightMap, Levels, Obstacles, obstacles_of
-from gpdf_service.perception.change import widened
+from gpdf_service.perception.change import hashed, widened
 from gpdf_service.perception.limits import window
 from gpdf_service.perception.surface import UNKNOWN
 from gpdf_service.search.free_space import (
@@ -20,7 +20,7 @@ from gpdf_service.search.free_space import (
     join_levels,
     reach_of,
 )
-from gpdf_service.search.graph import find_edges
+from gpdf_service.search.graph import change_edges
 from gpdf_service.search.quadtree import change_quadtree
 from gpdf_service.types import BoolArray, FloatArray
 
@@ -79,6 +79,7 @@ def _change_level(
     inside = region[surface.cells(found.points)[:2]]
     stay = ~region[surface.cells(was.obstacles.points)[:2]]
     gone, fresh = was.obstacles.points[~stay], found.points[inside]
+    tree = _change_tree(was.tree, stay, fresh[:, :2])
     obstacles = Obstacles(
         np.concatenate([was.obstacles.points[stay], fresh]),
         np.concatenate([was.obstacles.kind[stay], found.kind[inside]]),
@@ -87,8 +88,7 @@ def _change_level(
     known = (was.surface.state != UNKNOWN) != (surface.state != UNKNOWN)
     part = replace(was, surface=surface, measured=level.measured, obstacles=obstacles)
     if len(places) == 0 and not known.any():
-        return replace(part, tree=build_tree(obstacles.points[:, :2]), obstacle_field=was.obstacle_field.over(surface))
-    tree = build_tree(obstacles.points[:, :2])
+        return replace(part, tree=tree, obstacle_field=was.obstacle_field.over(surface))
     quadtree = change_quadtree(was.quadtree, surface, tree, radius, build_tree(places) if len(places) else None, known)
     field = _change_field(was, obstacles, places, config.field_spacing * agent.disc_radius)
     if field is None:
@@ -98,8 +98,18 @@ def _change_level(
         tree=tree,
         obstacle_field=field.over(surface),
         quadtree=quadtree,
-        edges=find_edges(quadtree, tree, radius),
+        edges=change_edges(was.quadtree, was.edges, quadtree, tree, radius, places),
     )
+
+
+def _change_tree(tree: Tree, stay: BoolArray, fresh: FloatArray) -> Tree:
+    """The tree over the points that `stay`, shape (n,), of those it was built of, and the `fresh` ones after them."""
+    if not stay.any():
+        return build_tree(fresh)
+    made, source = change_tree(tree, stay[tree.order], np.ascontiguousarray(fresh))
+    row = np.cumsum(stay) - 1
+    order = np.where(source >= 0, row[tree.order[source]], row[-1] - source)  # −1 − a fresh row, after the last
+    return made._replace(order=order)
 
 
 def _part(level: GroundLevel, region: BoolArray, reach: int) -> GroundLevel:
@@ -123,9 +133,9 @@ def _part(level: GroundLevel, region: BoolArray, reach: int) -> GroundLevel:
 
 def _difference(a: FloatArray, b: FloatArray) -> FloatArray:
     """The rows of (n, 2) and (m, 2) that only one of the two has."""
-    both = np.concatenate([np.unique(a, axis=0), np.unique(b, axis=0)])
-    rows, count = np.unique(both, axis=0, return_counts=True)
-    only: FloatArray = rows[count == 1]
+    _, row, kind = np.unique(hashed(both := np.concatenate([a, b])), return_index=True, return_inverse=True)
+    held = [np.bincount(part, minlength=len(row)) > 0 for part in (kind[: len(a)], kind[len(a) :])]
+    only: FloatArray = both[row[held[0] != held[1]]]
     return only
 
 

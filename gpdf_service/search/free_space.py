@@ -12,11 +12,9 @@ from gpdf_service.fields import FieldArrays, Gpdf, Tree, build_tree, find_neares
 from gpdf_service.fields.traversal import nearest_only
 from gpdf_service.perception import HeightMap, Levels, Obstacles, obstacles_of
 from gpdf_service.perception.limits import Measured
-from gpdf_service.search.graph import Graph, assemble, find_edges
+from gpdf_service.search.graph import Edges, Graph, assemble, find_edges
 from gpdf_service.search.quadtree import Quadtree, build_quadtree
 from gpdf_service.types import Agent, FloatArray, IntArray
-
-Edges = tuple[IntArray, FloatArray]
 
 
 @dataclass(frozen=True, slots=True)
