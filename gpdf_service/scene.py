@@ -9,7 +9,7 @@ import threading
 from collections import OrderedDict
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
@@ -35,9 +35,10 @@ from gpdf_service.perception import (
     survey_levels,
 )
 from gpdf_service.perception.layers import in_steps
+from gpdf_service.perception.limits import step_and_slope
 from gpdf_service.perception.surface import UNKNOWN
-from gpdf_service.search import FreeSpace, build_free_space, change_free_space
-from gpdf_service.store import flatten, read_arrays, restore, write_arrays
+from gpdf_service.search import FreeSpace, build_free_space, change_free_space, from_arrays, to_arrays
+from gpdf_service.store import Arrays, flatten, read_arrays, restore, under, write_arrays
 from gpdf_service.types import Agent, BoolArray, FieldSample, FloatArray, IntArray, resolve_agent
 
 Progress = Callable[[str, float], None]
@@ -204,6 +205,7 @@ class Scene:
         self.perceived, self.drift = perceived, drift
         self._spaces: OrderedDict[Agent, FreeSpace] = OrderedDict()
         self._former: dict[Agent, tuple[FreeSpace, Touched]] = {}
+        self._stored: dict[Agent, Callable[[], Arrays]] = {}  # read from the scene's file
         self._lock = threading.Lock()
         self._building: dict[Agent, threading.Lock] = {}
 
@@ -237,6 +239,7 @@ class Scene:
             with self._lock:
                 self._spaces[body] = space
                 self._former.pop(body, None)
+                self._stored.pop(body, None)
                 self._building.pop(body, None)
                 while len(self._spaces) > MAX_CACHED_AGENTS:
                     self._spaces.popitem(last=False)
@@ -245,6 +248,8 @@ class Scene:
     def _make_space(self, body: Agent) -> FreeSpace:
         parts = self.levels, self.ground_fields
         config = self.config.search, self.config.fields
+        if (stored := self._stored.get(body)) is not None:
+            return from_arrays(stored(), body, *parts, self.config.search, self.noise)
         former = self._former.get(body)
         if former is not None:
             space, touched = former
@@ -357,6 +362,7 @@ class Scene:
         with self._lock:
             self._spaces.clear()
             self._former.clear()
+            self._stored.clear()
 
     @cached_property
     def whole_field(self) -> Gpdf:
@@ -372,7 +378,9 @@ class Scene:
 
     def info(self) -> dict[str, Any]:
         """Facts about the scene, ready for JSON."""
-        return {**self._lasting_facts, "version": self.version, "agents_ready": [agent.name for agent in self._spaces]}
+        with self._lock:
+            ready = [agent.name for agent in {**self._stored, **self._spaces}]
+        return {**self._lasting_facts, "version": self.version, "agents_ready": ready}
 
     @cached_property
     def _lasting_facts(self) -> dict[str, Any]:
@@ -392,13 +400,19 @@ class Scene:
         }
 
     def save(self, path: str | os.PathLike[str]) -> None:
-        """Write the scene to one file, atomically."""
+        """Write the scene to one file, atomically, with the free spaces that are ready: `MAX_CACHED_AGENTS` at most."""
         arrays = {"points": self.points, "ground": self.ground, **flatten(self.levels, "levels")}
         for i, field in enumerate(self.ground_fields):
             arrays |= {f"ground_fields/{i}/{key}": value for key, value in field.to_arrays().items()}
+        with self._lock:
+            spaces, stored = dict(self._spaces), dict(self._stored)
+        agents = list({**stored, **spaces})[-MAX_CACHED_AGENTS:]
+        for i, agent in enumerate(agents):
+            found = to_arrays(spaces[agent]) if agent in spaces else stored[agent]()
+            arrays |= {f"agents/{i}/{key}": value for key, value in found.items()}
         known = {"version": self.version, "noise": self.noise, "labelled": self.labelled}
-        meta = {**known, "config": dataclasses.asdict(self.config)}
-        write_arrays(path, arrays, meta)
+        bodies = [dataclasses.asdict(agent) for agent in agents]
+        write_arrays(path, arrays, {**known, "config": dataclasses.asdict(self.config), "agents": bodies})
 
 
 def _level_info(index: int, level: Any, field: Gpdf) -> dict[str, Any]:  # noqa: ANN401
@@ -425,14 +439,14 @@ def load_scene(path: str | os.PathLike[str]) -> Scene:
     Raises:
         SceneFileError: the file is missing, damaged, or of another version.
     """
-    arrays, meta = read_arrays(path)
+    arrays, meta, later = read_arrays(path, later="agents/")
+    if meta["schema_version"] == 3:
+        _measure_ground(arrays)
     levels: Levels = restore(Levels, arrays, "levels")
     fields = []
     for i, level in enumerate(levels.levels):
-        prefix = f"ground_fields/{i}/"
-        stored = {key.removeprefix(prefix): value for key, value in arrays.items() if key.startswith(prefix)}
-        fields.append(Gpdf.from_arrays(stored, domain=level.surface))
-    return Scene(
+        fields.append(Gpdf.from_arrays(under(f"ground_fields/{i}/", arrays), domain=level.surface))
+    scene = Scene(
         arrays["points"],
         arrays["ground"],
         levels,
@@ -442,6 +456,17 @@ def load_scene(path: str | os.PathLike[str]) -> Scene:
         float(meta["noise"]),
         bool(meta["labelled"]),
     )
+    bodies = enumerate(meta.get("agents", ()))
+    scene._stored = {Agent(**body): partial(later.under, f"agents/{i}/") for i, body in bodies}
+    return scene
+
+
+def _measure_ground(arrays: Arrays) -> None:
+    """Put in the steps and slopes of each level, which a file of schema version 3 does not have."""
+    i = 0
+    while any(key.startswith(prefix := f"levels/levels/{i}/") for key in arrays):
+        arrays |= flatten(step_and_slope(restore(HeightMap, arrays, f"{prefix}surface")), f"{prefix}measured")
+        i += 1
 
 
 def assemble_scene(

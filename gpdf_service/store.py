@@ -12,17 +12,24 @@ import tempfile
 import types
 import typing
 import zipfile
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.lib.npyio import NpzFile
 from numpy.typing import NDArray
 
 from gpdf_service.errors import SceneFileError
 
-SCHEMA_VERSION = 3
+SCHEMA_VERSION = 4
+READABLE = 3, 4
+"""Version 3 knows no steps and slopes of the ground, and no free spaces: `load_scene` measures the former."""
 _META = "meta"
+_CHUNK = 2**20
+"""[bytes]"""
+_DAMAGE = zipfile.BadZipFile, ValueError, KeyError, EOFError, OSError, TypeError, AttributeError
+"""What reading raises when the bytes are not those of a scene."""
 
 Arrays = dict[str, NDArray[Any]]
 
@@ -43,8 +50,39 @@ def write_arrays(path: str | os.PathLike[str], arrays: Mapping[str, NDArray[Any]
         raise
 
 
-def read_arrays(path: str | os.PathLike[str]) -> tuple[Arrays, dict[str, Any]]:
+class Later:
+    """Arrays of a file, read when they are asked for: of the file that was opened, even if it is replaced since."""
+
+    def __init__(self, stored: NpzFile, path: Path) -> None:
+        self._stored, self._path = stored, path
+
+    def under(self, prefix: str) -> Arrays:
+        """The arrays whose names begin with `prefix`, by what follows it.
+
+        Raises:
+            SceneFileError: the file was written over, or is damaged by now.
+        """
+        try:
+            names = [key for key in self._stored.files if key.startswith(prefix)]
+            return {key.removeprefix(prefix): self._stored[key] for key in names}
+        except _DAMAGE as error:
+            raise _damaged(self._path, error) from error
+
+    def check(self, names: Iterable[str]) -> None:
+        """Compare arrays with their checksums, without memory for them."""
+        assert self._stored.zip is not None
+        for name in names:
+            with self._stored.zip.open(f"{name}.npy") as file:
+                while file.read(_CHUNK):
+                    pass
+
+
+def read_arrays(path: str | os.PathLike[str], later: str | None = None) -> tuple[Arrays, dict[str, Any], Later]:
     """Read what `write_arrays` wrote.
+
+    Args:
+        path: The file.
+        later: Arrays whose names begin with this are checked, but read only when they are asked for.
 
     Raises:
         SceneFileError: the file is missing, damaged, no scene, or of another schema version.
@@ -54,15 +92,27 @@ def read_arrays(path: str | os.PathLike[str]) -> tuple[Arrays, dict[str, Any]]:
     if not target.is_file():
         raise SceneFileError(asked, "there is no such file", "Build it first: gpdf scene build CLOUD --out FILE.")
     try:
-        with np.load(target, allow_pickle=False) as stored:
-            arrays = {key: stored[key] for key in stored.files}
+        stored = np.load(target, allow_pickle=False)
+        shelved = {key for key in stored.files if later and key.startswith(later)}
+        arrays = {key: stored[key] for key in stored.files if key not in shelved}
+        (rest := Later(stored, target)).check(shelved)
         meta = json.loads(bytes(arrays.pop(_META)))
-    except (zipfile.BadZipFile, ValueError, KeyError, EOFError, OSError, TypeError) as error:
-        raise SceneFileError(asked, f"it is damaged or no scene ({error})", "Build the scene again.") from error
-    if meta.get("schema_version") != SCHEMA_VERSION:
-        found = f"it has schema version {meta.get('schema_version')}, this program reads {SCHEMA_VERSION}"
+    except _DAMAGE as error:
+        raise _damaged(target, error) from error
+    if meta.get("schema_version") not in READABLE:
+        read = " and ".join(map(str, READABLE))
+        found = f"it has schema version {meta.get('schema_version')}, this program reads {read}"
         raise SceneFileError(asked, found, "Build the scene again from its cloud.")
-    return arrays, meta
+    return arrays, meta, rest
+
+
+def _damaged(path: Path, error: Exception) -> SceneFileError:
+    return SceneFileError(f"scene file {path}", f"it is damaged or no scene ({error})", "Build the scene again.")
+
+
+def under(prefix: str, arrays: Mapping[str, NDArray[Any]]) -> Arrays:
+    """The arrays whose names begin with `prefix`, by what follows it."""
+    return {key.removeprefix(prefix): value for key, value in arrays.items() if key.startswith(prefix)}
 
 
 def flatten(value: object, prefix: str) -> Arrays:

@@ -17,7 +17,7 @@ ALLOWED = {
     "fields": BASE,
     "perception": BASE | {"fields"},
     "synthetic": BASE,
-    "search": BASE | {"fields", "perception"},
+    "search": BASE | {"fields", "perception", "store"},
     "planning": BASE | {"fields", "perception", "search"},
     "scene": BASE | {"fields", "perception", "search", "store"},
     "baselines": BASE | {"fields", "perception", "search", "planning", "scene"},

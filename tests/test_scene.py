@@ -7,6 +7,7 @@ import gpdf_service as gpdf
 from gpdf_service.errors import CloudError, FieldError, SceneFileError
 from gpdf_service.perception import HeightMap
 from gpdf_service.scene import level_under
+from gpdf_service.store import read_arrays, write_arrays
 
 
 def test_a_saved_scene_answers_the_same_and_fits_nothing(office, tmp_path, monkeypatch):
@@ -24,14 +25,76 @@ def test_a_saved_scene_answers_the_same_and_fits_nothing(office, tmp_path, monke
 
 
 def test_a_scene_file_without_a_part_is_refused(office, tmp_path):
-    from gpdf_service.store import read_arrays, write_arrays
-
     office[1].save(tmp_path / "a.gpdf")
-    arrays, meta = read_arrays(tmp_path / "a.gpdf")
+    arrays, meta, _ = read_arrays(tmp_path / "a.gpdf")
     del arrays["levels/levels/0/surface/height"]
     write_arrays(tmp_path / "b.gpdf", arrays, meta)
     with pytest.raises(SceneFileError, match="height"):
         gpdf.load_scene(tmp_path / "b.gpdf")
+
+
+def graph_of(scene, agent):
+    graph = scene.free_space(agent).graph
+    return graph.position, graph.level, graph.first, graph.other, graph.via, graph.cost, graph.component
+
+
+def test_a_scene_file_keeps_the_free_spaces_that_are_ready(office, tmp_path, monkeypatch):
+    made, scene = office
+    scene.forget_agents()
+    before = {name: gpdf.plan(scene, made.start, made.goal, name) for name in ("human", "roomba")}
+    scene.save(tmp_path / "a.gpdf")
+    gpdf.load_scene(tmp_path / "a.gpdf").save(tmp_path / "b.gpdf")  # also what nobody asked for in between
+    for searched in ("build_quadtree", "find_edges", "build_tree", "fit_gpdf", "obstacles_of"):
+        monkeypatch.setattr(f"gpdf_service.search.free_space.{searched}", None)
+    back = gpdf.load_scene(tmp_path / "b.gpdf")
+    assert back.info()["agents_ready"] == ["human", "roomba"]
+    for name, result in before.items():
+        for ours, theirs in zip(graph_of(back, name), graph_of(scene, name), strict=True):
+            np.testing.assert_array_equal(ours, theirs)
+        after = gpdf.plan(back, made.start, made.goal, name)
+        np.testing.assert_array_equal(after.trajectory.positions, result.trajectory.positions)
+    back.forget_agents()
+    assert back.info()["agents_ready"] == []
+
+
+def test_a_scene_file_keeps_no_more_free_spaces_than_a_scene(office, tmp_path, monkeypatch):
+    scene = office[1]
+    scene.forget_agents()
+    scene.free_space("human")
+    scene.save(tmp_path / "a.gpdf")
+    back = gpdf.load_scene(tmp_path / "a.gpdf")
+    monkeypatch.setattr("gpdf_service.scene.MAX_CACHED_AGENTS", 1)
+    back.free_space("roomba")
+    back.save(tmp_path / "b.gpdf")
+    assert gpdf.load_scene(tmp_path / "b.gpdf").info()["agents_ready"] == ["roomba"]
+
+
+def test_a_free_space_with_a_part_missing_is_an_error(office, tmp_path):
+    scene = office[1]
+    scene.forget_agents()
+    scene.free_space("human")
+    scene.save(tmp_path / "a.gpdf")
+    arrays, meta, _ = read_arrays(tmp_path / "a.gpdf")
+    del arrays["agents/0/0/order"]
+    write_arrays(tmp_path / "b.gpdf", arrays, meta)
+    with pytest.raises(SceneFileError, match="order"):
+        gpdf.load_scene(tmp_path / "b.gpdf").free_space("human")
+
+
+def test_a_file_of_the_version_before_is_read(office, tmp_path, monkeypatch):
+    made, scene = office
+    scene.forget_agents()
+    scene.save(tmp_path / "a.gpdf")
+    arrays, meta, _ = read_arrays(tmp_path / "a.gpdf")
+    old = {key: value for key, value in arrays.items() if "/measured/" not in key}
+    assert len(old) < len(arrays)
+    del meta["schema_version"], meta["agents"]
+    monkeypatch.setattr("gpdf_service.store.SCHEMA_VERSION", 3)
+    write_arrays(tmp_path / "b.gpdf", old, meta)
+    back = gpdf.load_scene(tmp_path / "b.gpdf")
+    for level, other in zip(back.levels.levels, scene.levels.levels, strict=True):
+        np.testing.assert_array_equal(level.measured, other.measured)
+    assert gpdf.plan(back, made.start, made.goal, "human").status is gpdf.Status.OK
 
 
 def test_the_obstacle_field_is_close_to_the_truth_and_on_the_safe_side(office):

@@ -26,7 +26,7 @@ def example():
 
 def test_nested_dataclasses_come_back_equal(tmp_path):
     write_arrays(tmp_path / "a.gpdf", flatten(example(), "x"), {"version": 3})
-    arrays, meta = read_arrays(tmp_path / "a.gpdf")
+    arrays, meta, _ = read_arrays(tmp_path / "a.gpdf")
     back = restore(Outer, arrays, "x")
     assert meta["version"] == 3
     assert len(back.parts) == 2
@@ -72,3 +72,31 @@ def test_a_failed_write_leaves_the_old_file(tmp_path):
         write_arrays(path, {"a": np.array([object()])}, {})
     assert read_arrays(path)[0]["a"].tolist() == [1, 1]
     assert [p.name for p in tmp_path.iterdir()] == ["a.gpdf"]
+
+
+def test_what_is_read_later_is_checked_at_once_and_outlives_the_file(tmp_path):
+    path = tmp_path / "a.gpdf"
+    write_arrays(path, {"now": np.ones(2), "then/a": np.arange(5.0)}, {})
+    arrays, _, later = read_arrays(path, later="then/")
+    assert list(arrays) == ["now"]
+    write_arrays(path, {"now": np.zeros(2)}, {})
+    assert later.under("then/")["a"].tolist() == [0, 1, 2, 3, 4]
+
+
+def test_damage_in_what_is_read_later_is_refused_at_once(tmp_path):
+    path = tmp_path / "a.gpdf"
+    write_arrays(path, {"now": np.ones(2), "then": np.arange(3000.0)}, {})
+    raw = bytearray(path.read_bytes())
+    raw[len(raw) // 2] ^= 0xFF
+    path.write_bytes(raw)
+    with pytest.raises(SceneFileError, match="damaged"):
+        read_arrays(path, later="then")
+
+
+def test_a_file_that_was_written_over_since_is_an_error_and_no_answer(tmp_path):
+    path = tmp_path / "a.gpdf"
+    write_arrays(path, {"now": np.ones(2), "then/a": np.arange(30000.0)}, {})
+    later = read_arrays(path, later="then/")[2]
+    path.write_bytes(b"x" * len(path.read_bytes()))
+    with pytest.raises(SceneFileError, match="damaged"):
+        later.under("then/")

@@ -8,6 +8,7 @@ from collections.abc import Callable
 
 import numpy as np
 
+from gpdf_service.bench.build_scale import measure
 from gpdf_service.bench.plotting import add_plot_argument, draw_rows
 from gpdf_service.bench.report import add_scene_arguments, clouds, show
 from gpdf_service.perception.read import import_open3d
@@ -23,12 +24,20 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_scene_arguments(parser, ["office", "cluttered_office"])
     parser.add_argument("--agent", default="human", help="the body whose free space is built too")
     add_plot_argument(parser)
+    parser.add_argument(
+        "--scale", type=int, nargs="*", help="time and memory against the number of points instead: N …"
+    )
+    parser.add_argument("--tiles", action="store_true", help="with --scale: the points in files, thinned while read")
     parser.add_argument("--repeat", type=int, default=3, help="the median of this many, after one to warm up")
 
 
 def run(args: argparse.Namespace) -> int:
-    """Measure every scene."""
+    """Measure every scene, or every size."""
     rows = []
+    if args.scale is not None:
+        counts = args.scale or (300_000, 1_000_000, 3_000_000)
+        show([measure(count, tiled=args.tiles) for count in counts], as_json=args.json)
+        return 0
     for name, points, _ in clouds(args):
         build = _median(lambda points=points: build_scene(points), args.repeat)  # type: ignore[misc]
         scene = build_scene(points)

@@ -14,7 +14,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the verb's options."""
     add_cloud_arguments(parser)
     parser.add_argument("--out", type=Path, help="the scene file; the cloud's name with .gpdf when not given")
-    parser.add_argument("--agent", action="append", default=[], help="find its free space too; not kept (repeatable)")
+    parser.add_argument(
+        "--agent", action="append", default=[], help="find its free space too, and keep it in the file (repeatable)"
+    )
     parser.add_argument("--json", action="store_true", help="print the result as JSON")
 
 

@@ -18,3 +18,5 @@ from gpdf_service.fields.traversal import nearest_one as nearest_one
 from gpdf_service.fields.traversal import sample_at as sample_at
 from gpdf_service.fields.tree import Tree as Tree
 from gpdf_service.fields.tree import build_tree as build_tree
+from gpdf_service.fields.tree import change_tree as change_tree
+from gpdf_service.fields.tree import tree_of as tree_of

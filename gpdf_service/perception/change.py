@@ -35,7 +35,7 @@ from gpdf_service.perception.levels import (
     split_sheets,
     within_reach,
 )
-from gpdf_service.perception.limits import Measured, change_step_and_slope, find_limits, limits_reach
+from gpdf_service.perception.limits import change_step_and_slope, find_limits, limits_reach
 from gpdf_service.perception.segment import Segmentation, segment_layers
 from gpdf_service.perception.surface import OBSERVED, HeightMap, find_voids
 from gpdf_service.types import BoolArray, FloatArray, IntArray
@@ -236,10 +236,9 @@ def _change_levels(
         inside = np.zeros(len(layers.cell), dtype=bool)
         inside[sheet] = True
         part = _Part(cloud, ground, stray, layers, inside, sheet_surface(layers, sheet), cells)
-        made.append(_change_level(old.levels.levels[i], old.survey.voids[i], old.survey.measured[i], part, config))
-    levels = Levels(tuple(level for level, _, _, _ in made), find_portals(layers, sheets))
-    survey = Survey(layers, stray, tuple(voids for _, voids, _, _ in made), tuple(found for _, _, found, _ in made))
-    return levels, survey, tuple(touched for _, _, _, touched in made)
+        made.append(_change_level(old.levels.levels[i], old.survey.voids[i], part, config))
+    levels = Levels(tuple(level for level, _, _ in made), find_portals(layers, sheets))
+    return levels, Survey(layers, stray, tuple(voids for _, voids, _ in made)), tuple(cells for _, _, cells in made)
 
 
 @dataclass(frozen=True, slots=True)
@@ -266,8 +265,8 @@ class _Part:
 
 
 def _change_level(
-    old: GroundLevel, voids: Voids, measured: Measured, part: _Part, config: PerceptionConfig
-) -> tuple[GroundLevel, Voids, Measured, BoolArray | None]:
+    old: GroundLevel, voids: Voids, part: _Part, config: PerceptionConfig
+) -> tuple[GroundLevel, Voids, BoolArray | None]:
     was = np.where(old.surface.state == OBSERVED, old.surface.height, np.float32(np.nan))
     moved = _differ(was, part.seen.height)
     cells = part.cells | widened(moved, int(np.ceil(OVERLAP / part.seen.cell_width)) + 1)
@@ -275,10 +274,10 @@ def _change_level(
     fresh = within_reach(rest, part.seen)
     found = find_voids(part.seen, rest, config.max_step)
     now = np.where(cells, found[0], voids[0]), np.where(cells, found[1], voids[1]), np.where(cells, found[2], voids[2])
-    stay = ~cells[old.surface.cells(old.other_points)[:2]]
+    stay = _outside(old.other_points, old.surface, cells)
     other = np.concatenate([old.other_points[stay], fresh])
     ledge = np.concatenate([old.ledge[stay], np.full(len(fresh), np.inf, np.float32)])
-    surface, limits = old.surface, old.limits
+    surface, limits, measured = old.surface, old.limits, old.measured
     swapped = _other_cells(surface, old.other_points[~stay], fresh)
     if moved.any() or swapped.any() or any((a != b).any() for a, b in zip(now, voids, strict=True)):
         surface, material = complete(part.seen, other, now, config)
@@ -291,8 +290,15 @@ def _change_level(
     stepped |= _other_cells(surface, before, after)
     touched = widened(stepped, 1) | widened(_changed(old.surface, surface), limits_reach(surface))
     if not touched.any():
-        return old, voids, measured, None
-    return make_level(surface, other, ledge, limits), now, measured, touched
+        return old, voids, None
+    return make_level(surface, other, ledge, limits, measured), now, touched
+
+
+def _outside(points: FloatArray, surface: HeightMap, cells: BoolArray) -> BoolArray:
+    """Which of the points (n, 3) are not in `cells`, shape (n,)."""
+    outside = np.ones(len(points), dtype=bool)
+    outside[rows_in_cells(points, surface.origin, surface.cell_width, cells)] = False
+    return outside
 
 
 def _with(points: FloatArray, values: NDArray[np.float32]) -> FloatArray:
@@ -303,13 +309,19 @@ def _with(points: FloatArray, values: NDArray[np.float32]) -> FloatArray:
 def _other_cells(surface: HeightMap, was: FloatArray, now: FloatArray) -> BoolArray:
     """Cells that hold other points than before: rows of x, y, z and what else tells them apart."""
     both = np.concatenate([was, now])
-    mixed = (both.view(np.uint64) * _MIX[: both.shape[1]]).sum(axis=1, dtype=np.uint64)
-    _, kind = np.unique(mixed ^ (mixed >> np.uint64(29)), return_inverse=True)
+    _, kind = np.unique(hashed(both), return_inverse=True)
     more = np.bincount(kind[len(was) :], minlength=len(kind)) - np.bincount(kind[: len(was)], minlength=len(kind))
     found = np.zeros(surface.height.shape, dtype=bool)
     ix, iy, _ = surface.cells(both[more[kind] != 0])
     found[ix, iy] = True
     return found
+
+
+def hashed(rows: FloatArray) -> NDArray[np.uint64]:
+    """One number for each row of up to four columns, shape (n,): the same for the same row."""
+    mixed = (rows.view(np.uint64) * _MIX[: rows.shape[1]]).sum(axis=1, dtype=np.uint64)
+    made: NDArray[np.uint64] = mixed ^ (mixed >> np.uint64(29))
+    return made
 
 
 _MIX = np.array([0x9E3779B97F4A7C15, 0xC2B2AE3D27D4EB4F, 0x165667B19E3779F9, 0xD6E8FEB86659FD93], dtype=np.uint64)
@@ -328,7 +340,7 @@ def _ledge_reach(surface: HeightMap) -> int:
 def _change_ledges(
     part: _Part, surface: HeightMap, other: FloatArray, ledge: NDArray[np.float32], cells: BoolArray
 ) -> NDArray[np.float32]:
-    asked = cells[surface.cells(other)[:2]]
+    asked = ~_outside(other, surface, cells)
     rows = part.cloud.rows_in(part.layers, widened(cells, _ledge_reach(surface)))
     made = ledge.copy()
     made[asked] = find_ledges(surface, part.cloud.points[rows[part.ground[rows]]], other[asked])

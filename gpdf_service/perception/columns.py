@@ -73,19 +73,21 @@ def pairs_near(
     """Pairs of kept nodes (a, b), b's cell at `offset` from a's, whose heights differ by at most `factor` × `limit`."""
     capacity, used = len(cell) + 16, 0
     one, other = np.empty(capacity, np.int64), np.empty(capacity, np.int64)
-    for a in range(len(cell)):
-        x, y = cell[a] // shape[1] + offset[0], cell[a] % shape[1] + offset[1]
-        if not keep[a] or x < 0 or y < 0 or x >= shape[0] or y >= shape[1]:
-            continue
-        there = x * shape[1] + y
-        for b in range(start[there], start[there + 1]):
-            if not keep[b] or abs(height[a] - height[b]) > factor * min(limit[a], limit[b]):
-                continue
-            if used == capacity:
-                capacity *= 2
-                one, other = _longer(one, capacity), _longer(other, capacity)
-            one[used], other[used] = a, b
-            used += 1
+    dx, dy = offset
+    for x in range(max(0, -dx), min(shape[0], shape[0] - dx)):
+        for y in range(max(0, -dy), min(shape[1], shape[1] - dy)):
+            here, there = x * shape[1] + y, (x + dx) * shape[1] + y + dy
+            for a in range(start[here], start[here + 1]):
+                if not keep[a]:
+                    continue
+                for b in range(start[there], start[there + 1]):
+                    if not keep[b] or abs(height[a] - height[b]) > factor * min(limit[a], limit[b]):
+                        continue
+                    if used == capacity:
+                        capacity *= 2
+                        one, other = _longer(one, capacity), _longer(other, capacity)
+                    one[used], other[used] = a, b
+                    used += 1
     return one[:used], other[:used]
 
 
@@ -151,7 +153,16 @@ def next_below(cell: IntArray, keep: BoolArray) -> IntArray:
 def rows_in_cells(points: FloatArray, origin: FloatArray, cell_width: float, wanted: BoolArray) -> IntArray:
     """Rows of the points (n, 3) in the `wanted` cells, shape (nx, ny), of a grid; sorted."""
     found, used = np.empty(1024, np.int64), 0
+    low, high = np.full(2, np.inf), np.full(2, -np.inf)  # [m] around the cells: most points are seen to lie outside
+    for i in range(wanted.shape[0]):
+        for j in range(wanted.shape[1]):
+            if wanted[i, j]:
+                low[0], high[0] = min(low[0], i - 1), max(high[0], i + 2)
+                low[1], high[1] = min(low[1], j - 1), max(high[1], j + 2)
+    low, high = origin + low * cell_width, origin + high * cell_width
     for row in range(len(points)):
+        if not (low[0] <= points[row, 0] <= high[0] and low[1] <= points[row, 1] <= high[1]):
+            continue
         i = int(np.floor((points[row, 0] - origin[0]) / cell_width))
         j = int(np.floor((points[row, 1] - origin[1]) / cell_width))
         if 0 <= i < wanted.shape[0] and 0 <= j < wanted.shape[1] and wanted[i, j]:

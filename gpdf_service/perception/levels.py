@@ -11,10 +11,11 @@ from scipy import ndimage
 from gpdf_service.config import PerceptionConfig
 from gpdf_service.errors import NoGroundError
 from gpdf_service.fields.threads import run_chunked
-from gpdf_service.perception.columns import lowest_above
+from gpdf_service.perception.columns import by_cell, lowest_above
 from gpdf_service.perception.layers import Layers, build_layers, cell_width_of, connect, layer_gap
 from gpdf_service.perception.limits import GroundLimits, Measured, find_limits, step_and_slope
-from gpdf_service.perception.segment import HALF, LEAST_SCATTER, components, over_ground
+from gpdf_service.perception.nodes import components, grown_sheet
+from gpdf_service.perception.segment import HALF, LEAST_SCATTER, over_ground
 from gpdf_service.perception.surface import OBSERVED, UNKNOWN, HeightMap, fill_holes, find_voids, without_enclosed
 from gpdf_service.types import BoolArray, FloatArray, IntArray
 
@@ -42,6 +43,7 @@ class GroundLevel:
         ledge: Height of the lowest point of this ground that is as high as each of them, within `FACE` in plan [m],
             shape (m,), inf where there is none: a step's face has the step's top beside it.
         limits: Where the ground itself stops a body.
+        measured: Steps and slopes of the ground, the same for all bodies.
     """
 
     surface: HeightMap
@@ -50,6 +52,7 @@ class GroundLevel:
     other_points: FloatArray
     ledge: NDArray[np.float32]
     limits: GroundLimits
+    measured: Measured
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,13 +84,11 @@ class Survey:
         layers: Of the ground points.
         stray: Which points of the cloud count for nothing, shape (n,).
         voids: One a level.
-        measured: Steps and slopes of each level.
     """
 
     layers: Layers
     stray: BoolArray
     voids: tuple[Voids, ...]
-    measured: tuple[Measured, ...]
 
 
 def build_levels(points: FloatArray, ground: BoolArray, config: PerceptionConfig) -> Levels:
@@ -119,8 +120,8 @@ def survey_levels(
     layers = build_layers(points[ground], width, layer_gap(width, config))
     sheets = split_sheets(layers, config)
     made = [_build_level(points, ground, layers, sheet, config) for sheet in sheets]
-    levels = Levels(tuple(level for level, _, _ in made), find_portals(layers, sheets))
-    return levels, Survey(layers, stray, tuple(voids for _, voids, _ in made), tuple(found for _, _, found in made))
+    levels = Levels(tuple(level for level, _ in made), find_portals(layers, sheets))
+    return levels, Survey(layers, stray, tuple(voids for _, voids in made))
 
 
 def find_portals(layers: Layers, sheets: list[IntArray]) -> tuple[Portal, ...]:
@@ -181,23 +182,25 @@ def split_sheets(layers: Layers, config: PerceptionConfig) -> list[IntArray]:
         return [np.flatnonzero(keep)]
     smooth = components(*connect(layers, keep, layers.cell_width, HALF), count)
     a, b = connect(layers, keep, np.full(count, config.max_step), HALF)
+    a, b = a[across := smooth[a] != smooth[b]], b[across]
     sheet_of = np.full(count, -1)
-    order = np.argsort(-np.bincount(smooth, weights=keep))
-    order = order[np.bincount(smooth, weights=keep)[order] > 0]
-    members = np.split(np.argsort(smooth, kind="stable"), np.cumsum(np.bincount(smooth))[:-1])
+    size = np.bincount(smooth, weights=keep)
+    order = np.argsort(-size)
+    start, members = by_cell(smooth, len(size))
     sheets = 0
-    taken: list[set[int]] = []
-    for seed in order:
+    for seed in order[size[order] > 0]:
+        own = members[start[seed] : start[seed + 1]]
         # A piece can lie over itself, as two floors with a gentle stair do: the lowest of it first, then what is left.
-        while len(left := members[seed][sheet_of[members[seed]] < 0]):
+        while len(left := own[sheet_of[own] < 0]):
             nodes = _first_of_each_cell(layers, left)
             sheet_of[nodes] = sheets
-            taken.append(set(layers.cell[nodes].tolist()))
-            _attach(layers, a, b, smooth, members, sheet_of, sheets, taken[-1])
+            _attach(layers, a, b, smooth, start, members, sheet_of, sheets)
             sheets += 1
     least = max(9, int(0.001 * count))  # a patch smaller than three cells square holds no foot
     made = [np.flatnonzero(sheet_of == i) for i in range(sheets)]
-    return [_grow(layers, a, b, nodes) for nodes in made if len(nodes) >= least]
+    grid, rings = (layers.cell, layers.start, layers.shape, layers.height), int(np.ceil(OVERLAP / layers.cell_width))
+    large = [nodes for nodes in made if len(nodes) >= least]
+    return [np.flatnonzero(grown_sheet(*grid, keep, nodes, config.max_step, rings)) for nodes in large]
 
 
 def _under_step(layers: Layers, max_step: float) -> BoolArray:
@@ -221,46 +224,33 @@ def _attach(
     a: IntArray,
     b: IntArray,
     smooth: IntArray,
-    members: list[IntArray],
+    start: IntArray,
+    members: IntArray,
     sheet_of: IntArray,
     sheet: int,
-    taken: set[int],
 ) -> None:
     """Add to a sheet, one after another, the smooth pieces beside it that do not lie over it."""
+    taken = np.zeros(layers.shape[0] * layers.shape[1], dtype=bool)
+    taken[layers.cell[sheet_of == sheet]] = True
     while True:
         here, there = sheet_of[a] == sheet, sheet_of[b] == sheet
         pieces = np.unique(np.concatenate([smooth[b[here & (sheet_of[b] < 0)]], smooth[a[there & (sheet_of[a] < 0)]]]))
         grown = False
         for piece in pieces:
-            nodes = members[piece][sheet_of[members[piece]] < 0]
-            cells = layers.cell[nodes].tolist()
-            if taken.isdisjoint(cells) and len(set(cells)) == len(cells):
+            nodes = members[start[piece] : start[piece + 1]]
+            nodes = nodes[sheet_of[nodes] < 0]
+            cells = layers.cell[nodes]  # ascending, as nodes are
+            if not taken[cells].any() and (np.diff(cells) > 0).all():
                 sheet_of[nodes] = sheet
-                taken.update(cells)
+                taken[cells] = True
                 grown = True
         if not grown:
             return
 
 
-def _grow(layers: Layers, a: IntArray, b: IntArray, nodes: IntArray) -> IntArray:
-    """Let a sheet reach into its neighbours, without lying over itself."""
-    inside = np.zeros(len(layers.cell), dtype=bool)
-    inside[nodes] = True
-    used = np.zeros(layers.shape[0] * layers.shape[1], dtype=bool)
-    used[layers.cell[nodes]] = True
-    for _ in range(int(np.ceil(OVERLAP / layers.cell_width))):
-        fresh = np.concatenate([b[inside[a] & ~inside[b]], a[inside[b] & ~inside[a]]])
-        fresh = _first_of_each_cell(layers, fresh[~used[layers.cell[fresh]]])
-        if len(fresh) == 0:
-            break
-        inside[fresh] = True
-        used[layers.cell[fresh]] = True
-    return np.flatnonzero(inside)
-
-
 def _build_level(
     points: FloatArray, ground: BoolArray, layers: Layers, nodes: IntArray, config: PerceptionConfig
-) -> tuple[GroundLevel, Voids, Measured]:
+) -> tuple[GroundLevel, Voids]:
     seen = sheet_surface(layers, nodes)
     inside = np.zeros(len(layers.cell), dtype=bool)
     inside[nodes] = True
@@ -272,7 +262,7 @@ def _build_level(
     surface, material = complete(seen, other, voids, config)
     measured = step_and_slope(surface)
     limits = find_limits(surface, material, measured)
-    return make_level(surface, other, find_ledges(surface, points[ground], other), limits), voids, measured
+    return make_level(surface, other, find_ledges(surface, points[ground], other), limits, measured), voids
 
 
 def sheet_surface(layers: Layers, nodes: IntArray) -> HeightMap:
@@ -296,10 +286,13 @@ def complete(seen: HeightMap, other: FloatArray, voids: Voids, config: Perceptio
     return without_enclosed(surface, material), material
 
 
-def make_level(surface: HeightMap, other: FloatArray, ledge: NDArray[np.float32], limits: GroundLimits) -> GroundLevel:
+def make_level(
+    surface: HeightMap, other: FloatArray, ledge: NDArray[np.float32], limits: GroundLimits, measured: Measured
+) -> GroundLevel:
     """A level of its parts."""
     known = surface.state != UNKNOWN
-    return GroundLevel(surface, surface.centres(known), surface.state[known] != OBSERVED, other, ledge, limits)
+    inferred = surface.state[known] != OBSERVED
+    return GroundLevel(surface, surface.centres(known), inferred, other, ledge, limits, measured)
 
 
 def find_ledges(surface: HeightMap, ground: FloatArray, other: FloatArray) -> NDArray[np.float32]:

@@ -6,13 +6,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.sparse import csr_matrix
-from scipy.sparse.csgraph import connected_components
 
 from gpdf_service.config import PerceptionConfig
 from gpdf_service.errors import NoGroundError
-from gpdf_service.perception.columns import medians_around, next_below
+from gpdf_service.perception.columns import by_cell, medians_around, next_below
 from gpdf_service.perception.layers import Layers, build_layers, cell_width_of, connect, in_steps, layer_gap
+from gpdf_service.perception.nodes import components, drops_beside, half_way, lowest_beside, nodes_over, stepped
 from gpdf_service.perception.read import check_points
 from gpdf_service.types import BoolArray, FloatArray, IntArray
 
@@ -127,10 +126,7 @@ def _across(
     """Lowest and highest the ground is within each ground node's cell: half-way to its neighbours on the same slope."""
     rise = layers.cell_width * float(np.tan(config.steepest))
     a, b = connect(replace(layers, height=smooth), ground, rise, HALF)
-    low, high, middle = smooth.copy(), smooth.copy(), 0.5 * (smooth[a] + smooth[b])
-    for node in (a, b):
-        np.minimum.at(low, node, middle)
-        np.maximum.at(high, node, middle)
+    low, high = half_way(smooth, a, b)
     return np.where(ground, low, np.inf), np.where(ground, high, -np.inf)
 
 
@@ -140,13 +136,7 @@ def _ground_beside(layers: Layers, ground: BoolArray, smooth: FloatArray, scatte
     The foot of a wall or of a table's leg shares its cell with the floor that it stands on, and the end of a stair's
     tread with the face of the next one.
     """
-    beside = np.full(len(ground), np.inf)
-    for offset in HALF:
-        for one, other in (pair := layers.neighbours(offset), pair[::-1]):
-            a, b = one[ground[one]], other[ground[one]]
-            fits = np.abs(smooth[a] - layers.height[b]) <= layers.thickness[b] + scatter
-            np.minimum.at(beside, b[fits], smooth[a[fits]])
-    return beside
+    return lowest_beside(layers.start, layers.shape, ground, smooth, layers.height, layers.thickness + scatter)
 
 
 def _smoothed(layers: Layers, ground: BoolArray) -> FloatArray:
@@ -210,9 +200,10 @@ def _roofs(
     off = ground & ~main
     inside = off[a] & off[b]
     piece = components(a[inside], b[inside], len(ground))
-    joined = np.zeros(len(ground), dtype=bool)
-    joined[a[main[b]]] = joined[b[main[a]]] = True
-    count = [np.bincount(piece[off & kind], minlength=piece.max() + 1) for kind in (joined, _drops(layers, config))]
+    beside = stepped(main, a, b)
+    count = [
+        np.bincount(piece[off & kind], minlength=piece.max() + 1) for kind in (beside, _drops(layers, off, config))
+    ]
     roof: BoolArray = off & (count[0] < ROOF_SHARE * (count[0] + count[1]))[piece]
     return roof
 
@@ -232,9 +223,7 @@ def _within_reach(
     while True:
         reach = flat & seen[piece]
         for _ in range(rings + 1):
-            grown = reach.copy()
-            grown[a[reach[b]]] = grown[b[reach[a]]] = True
-            reach = grown
+            reach = stepped(reach, a, b)
         fresh = np.unique(piece[reach & flat & ~seen[piece]])
         if not len(fresh):
             return flat & seen[piece]
@@ -263,18 +252,11 @@ def _slope(layers: Layers, ground: BoolArray, config: PerceptionConfig) -> Float
     return made
 
 
-def _drops(layers: Layers, config: PerceptionConfig) -> BoolArray:
-    """Nodes beside which, in one direction, nothing goes on and something is seen more than a step further down."""
+def _drops(layers: Layers, among: BoolArray, config: PerceptionConfig) -> BoolArray:
+    """Which nodes, of `among`, have nothing go on in one direction, and something more than a step further down."""
     rise = layers.cell_width * float(np.tan(config.steepest))
-    drops = np.zeros(len(layers.cell), dtype=bool)
-    for offset in HALF:
-        for one, other in (pair := layers.neighbours(offset), pair[::-1]):
-            over = layers.height[one] - layers.height[other]
-            level, down = np.zeros_like(drops), np.zeros_like(drops)
-            level[one[np.abs(over) <= rise * np.hypot(*offset)]] = True
-            down[one[(over + layers.thickness[other] > config.max_step) & (over > -config.max_step)]] = True
-            drops |= down & ~level
-    return drops
+    grid = layers.cell, layers.start, layers.shape
+    return drops_beside(np.flatnonzero(among), *grid, layers.height, layers.thickness, rise, config.max_step)
 
 
 def _patches(core: BoolArray, keep: BoolArray, a: IntArray, b: IntArray) -> tuple[BoolArray, IntArray]:
@@ -352,12 +334,16 @@ def _spread(
     a stair's tread shares its cells with the tread below.
     """
     size = np.bincount(patch[inner], minlength=len(seen))
+    start, members = by_cell(patch, len(seen))
+    ground = ground.copy()
     while len(fresh := _beside(ground, patch, joins, seen)):
-        nodes = wide & np.isin(patch, fresh)
-        over = nodes & inner & over_ground(layers, ground, config.step_headroom)
-        refused = np.bincount(patch[over], minlength=len(seen)) > OVER_SHARE * size
+        nodes = np.concatenate([members[start[i] : start[i + 1]] for i in fresh])
+        nodes = nodes[wide[nodes]]
+        own = np.searchsorted(fresh, patch[nodes])
+        over = inner[nodes] & nodes_over(nodes, layers.cell, layers.height, ground, config.step_headroom)
+        refused = np.bincount(own[over], minlength=len(fresh)) > OVER_SHARE * size[fresh]
         seen[fresh] = True
-        ground = ground | (nodes & ~refused[patch])
+        ground[nodes[~refused[own]]] = True
     ground = _without_dead_ends(ground, patch, joins)
     return ground & ~over_ground(layers, ground, config.step_headroom)
 
@@ -367,15 +353,13 @@ def _level_of_furniture(layers: Layers, wide: BoolArray, patch: IntArray) -> Flo
 
     A sofa's low front edge must not make its back a platform.
     """
-    nodes = np.flatnonzero(wide)
+    count = np.bincount(patch[wide], minlength=patch.max() + 1)
+    nodes = np.flatnonzero(wide & (count * layers.cell_width**2 <= TABLE_AREA)[patch])
     order = nodes[np.lexsort((layers.height[nodes], patch[nodes]))]
     first = np.flatnonzero(np.diff(patch[order], prepend=-1))
-    count = np.diff(np.append(first, len(order)))
-    small = count * layers.cell_width**2 <= TABLE_AREA
+    each = np.diff(np.append(first, len(order)))
     level = layers.height.copy()
-    level[order] = np.where(
-        np.repeat(small, count), np.repeat(layers.height[order[first + count // 2]], count), layers.height[order]
-    )
+    level[order] = np.repeat(layers.height[order[first + each // 2]], each)
     return level
 
 
@@ -417,10 +401,3 @@ def over_ground(layers: Layers, ground: BoolArray, headroom: float) -> BoolArray
     below = next_below(layers.cell, ground)
     over: BoolArray = (below >= 0) & (layers.height - layers.height[below] <= headroom)
     return over
-
-
-def components(a: IntArray, b: IntArray, count: int) -> IntArray:
-    """Connected component of each of `count` nodes under the undirected edges (a, b), shape (count,)."""
-    graph = csr_matrix((np.ones(len(a), dtype=np.int8), (a, b)), shape=(count, count))
-    label: IntArray = connected_components(graph, directed=False)[1].astype(np.int64)
-    return label

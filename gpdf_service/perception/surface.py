@@ -9,6 +9,7 @@ from numba import njit
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from gpdf_service.perception.columns import by_cell
 from gpdf_service.types import BoolArray, FloatArray, IntArray
 
 UNKNOWN, OBSERVED, INFERRED = 0, 1, 2
@@ -210,10 +211,9 @@ def _fill_gaps(
     cell_width: float,
 ) -> None:
     """Fill single cells that the scan's spacing left empty, with the ground beside them: also at a step's edge."""
-    label = ndimage.label(holes)[0]
-    widest = ndimage.maximum(distance, label, np.arange(1, label.max() + 1))
-    size = np.bincount(label.ravel())[1:]
-    small = np.isin(label, 1 + np.flatnonzero((np.asarray(widest) <= cell_width) & (size <= GAP_CELLS)))
+    label, count = ndimage.label(holes)
+    size, wide = (np.bincount(label[cells], minlength=count + 1) for cells in (holes, holes & (distance > cell_width)))
+    small = holes & ((size <= GAP_CELLS) & (wide == 0))[label]
     height[small] = height[nearest[0][small], nearest[1][small]]
     state[small] = INFERRED
 
@@ -272,29 +272,68 @@ def _fill(
     share: float,
 ) -> None:
     """Fill each of the `holes` with the plane of the `known` ground around, if that is at least `share` of its rim."""
-    label = ndimage.label(holes)[0]
-    rim = np.unique(np.concatenate([label[0], label[-1], label[:, 0], label[:, -1]]))
-    for i, box in enumerate(ndimage.find_objects(label), start=1):
-        inner = label[box] == i
-        if i in rim or distance[box][inner].max() > MAX_HOLE_RADIUS:
+    label, count = ndimage.label(holes)
+    start, order = by_cell(label.ravel().astype(np.int64), count + 1)
+    _fill_labelled(height, state, label, start, order, known, distance, cell_width, void, share)
+
+
+@njit(cache=True, nogil=True)
+def _fill_labelled(
+    height: NDArray[np.float32],
+    state: NDArray[np.uint8],
+    label: NDArray[np.int32],
+    start: IntArray,
+    order: IntArray,
+    known: BoolArray,
+    distance: FloatArray,
+    cell_width: float,
+    void: BoolArray,
+    share: float,
+) -> None:
+    """`_fill` of the holes 1, 2 …, the flat cells of each in `order` from `start`."""
+    nx, ny = label.shape
+    met = np.zeros((nx, ny), np.int64)  # the last hole around which a cell was looked at
+    for hole in range(1, len(start) - 1):
+        cells = order[start[hole] : start[hole + 1]]
+        shut = True
+        for c in cells:
+            x, y = c // ny, c % ny
+            rim = x == 0 or y == 0 or x == nx - 1 or y == ny - 1
+            shut &= not (rim or void[x, y] or distance[x, y] > MAX_HOLE_RADIUS)
+        if not shut:
             continue
-        grown = tuple(slice(max(s.start - 2, 0), s.stop + 2) for s in box)
-        inner = label[grown] == i
-        ring = ndimage.binary_dilation(inner, np.ones((3, 3)), iterations=2) & known[grown]
-        beside = ndimage.binary_dilation(inner) & ~inner
-        if ring.sum() < 3 or void[grown][inner].any() or known[grown][beside].mean() < share:
+        left, top = cells[0] // ny, cells[0] % ny
+        ring, heights = np.ones((25 * len(cells), 3)), np.empty(25 * len(cells))
+        count, beside, ground = 0, 0, 0
+        for c in cells:
+            x, y = c // ny, c % ny
+            for u in range(max(x - 2, 0), min(x + 3, nx)):
+                for v in range(max(y - 2, 0), min(y + 3, ny)):
+                    if label[u, v] == hole:
+                        continue
+                    if known[u, v] and met[u, v] < 2 * hole:
+                        ring[count, 0], ring[count, 1], heights[count] = u - left, v - top, height[u, v]
+                        count += 1
+                    met[u, v] = max(met[u, v], 2 * hole)
+                    if abs(u - x) + abs(v - y) == 1 and met[u, v] == 2 * hole:
+                        met[u, v] = 2 * hole + 1
+                        beside += 1
+                        ground += known[u, v]
+        if count < 3 or ground < share * beside:
             continue
-        ring_at, ring_height = np.argwhere(ring).astype(float), height[grown][ring].astype(float)
-        design = np.column_stack([ring_at, np.ones(len(ring_at))])
-        on = ring_height <= np.median(ring_height) + cell_width
+        design, heights = ring[:count], heights[:count]
+        on = heights <= np.median(heights) + cell_width
+        plane, over = np.zeros(3), heights
         for _ in range(2):  # what stands on the ground beside the hole, a box or a step up, is no part of it
-            plane = np.linalg.lstsq(design[on], ring_height[on], rcond=None)[0]
-            over = ring_height - design @ plane
+            plane = np.linalg.lstsq(design[on], heights[on], np.finfo(np.float64).eps * count)[0]
+            over = heights - design @ plane
             on = np.abs(over) <= cell_width
         if on.mean() < PLANE_SHARE or (over < -cell_width).mean() > 1.0 - RING_SHARE:
             continue
-        height[grown][inner] = np.column_stack([np.argwhere(inner), np.ones(int(inner.sum()))]) @ plane
-        state[grown][inner] = INFERRED
+        for c in cells:
+            x, y = c // ny, c % ny
+            height[x, y] = (x - left) * plane[0] + (y - top) * plane[1] + plane[2]
+            state[x, y] = INFERRED
 
 
 def without_enclosed(surface: HeightMap, low: BoolArray) -> HeightMap:

@@ -8,10 +8,10 @@ from dataclasses import replace
 import numpy as np
 
 from gpdf_service.config import FieldConfig, SearchConfig
-from gpdf_service.fields import Gpdf, build_tree, thin
+from gpdf_service.fields import Gpdf, Tree, build_tree, change_tree, thin
 from gpdf_service.perception import GroundLevel, GroundLimits, HeightMap, Levels, Obstacles, obstacles_of
-from gpdf_service.perception.change import changed_cells, widened
-from gpdf_service.perception.limits import change_step_and_slope, window
+from gpdf_service.perception.change import hashed, widened
+from gpdf_service.perception.limits import window
 from gpdf_service.perception.surface import UNKNOWN
 from gpdf_service.search.free_space import (
     FreeSpace,
@@ -20,7 +20,7 @@ from gpdf_service.search.free_space import (
     join_levels,
     reach_of,
 )
-from gpdf_service.search.graph import find_edges
+from gpdf_service.search.graph import change_edges
 from gpdf_service.search.quadtree import change_quadtree
 from gpdf_service.types import BoolArray, FloatArray
 
@@ -51,8 +51,7 @@ def change_free_space(
         was = LevelSpace(
             old.surfaces[i],
             field,
-            old.steps[i],
-            old.slopes[i],
+            level.measured,
             old.obstacles[i],
             old.trees[i],
             old.obstacle_fields[i],
@@ -73,8 +72,6 @@ def _change_level(
     noise: float,
 ) -> LevelSpace:
     surface, agent, radius = level.surface, old.agent, old.radius
-    ground = changed_cells(was.surface, surface)
-    assert ground is not None  # a scene of another grid is built as a whole
     # What stands on the ground is judged by the ground within a radius, what shuts that off, and the ground there.
     reach = int(np.ceil(3.0 * agent.disc_radius / surface.cell_width)) + 6
     region = widened(touched, reach)
@@ -82,17 +79,16 @@ def _change_level(
     inside = region[surface.cells(found.points)[:2]]
     stay = ~region[surface.cells(was.obstacles.points)[:2]]
     gone, fresh = was.obstacles.points[~stay], found.points[inside]
+    tree = _change_tree(was.tree, stay, fresh[:, :2])
     obstacles = Obstacles(
         np.concatenate([was.obstacles.points[stay], fresh]),
         np.concatenate([was.obstacles.kind[stay], found.kind[inside]]),
     )
-    step, slope = change_step_and_slope(surface, ground, was.step, was.slope)
     places = _difference(gone[:, :2], fresh[:, :2])
     known = (was.surface.state != UNKNOWN) != (surface.state != UNKNOWN)
-    part = replace(was, surface=surface, step=step, slope=slope, obstacles=obstacles)
+    part = replace(was, surface=surface, measured=level.measured, obstacles=obstacles)
     if len(places) == 0 and not known.any():
-        return replace(part, tree=build_tree(obstacles.points[:, :2]), obstacle_field=was.obstacle_field.over(surface))
-    tree = build_tree(obstacles.points[:, :2])
+        return replace(part, tree=tree, obstacle_field=was.obstacle_field.over(surface))
     quadtree = change_quadtree(was.quadtree, surface, tree, radius, build_tree(places) if len(places) else None, known)
     field = _change_field(was, obstacles, places, config.field_spacing * agent.disc_radius)
     if field is None:
@@ -102,8 +98,18 @@ def _change_level(
         tree=tree,
         obstacle_field=field.over(surface),
         quadtree=quadtree,
-        edges=find_edges(quadtree, tree, radius),
+        edges=change_edges(was.quadtree, was.edges, quadtree, tree, radius, places),
     )
+
+
+def _change_tree(tree: Tree, stay: BoolArray, fresh: FloatArray) -> Tree:
+    """The tree over the points that `stay`, shape (n,), of those it was built of, and the `fresh` ones after them."""
+    if not stay.any():
+        return build_tree(fresh)
+    made, source = change_tree(tree, stay[tree.order], np.ascontiguousarray(fresh))
+    row = np.cumsum(stay) - 1
+    order = np.where(source >= 0, row[tree.order[source]], row[-1] - source)  # −1 − a fresh row, after the last
+    return made._replace(order=order)
 
 
 def _part(level: GroundLevel, region: BoolArray, reach: int) -> GroundLevel:
@@ -127,9 +133,9 @@ def _part(level: GroundLevel, region: BoolArray, reach: int) -> GroundLevel:
 
 def _difference(a: FloatArray, b: FloatArray) -> FloatArray:
     """The rows of (n, 2) and (m, 2) that only one of the two has."""
-    both = np.concatenate([np.unique(a, axis=0), np.unique(b, axis=0)])
-    rows, count = np.unique(both, axis=0, return_counts=True)
-    only: FloatArray = rows[count == 1]
+    _, row, kind = np.unique(hashed(both := np.concatenate([a, b])), return_index=True, return_inverse=True)
+    held = [np.bincount(part, minlength=len(row)) > 0 for part in (kind[: len(a)], kind[len(a) :])]
+    only: FloatArray = both[row[held[0] != held[1]]]
     return only
 
 

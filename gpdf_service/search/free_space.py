@@ -11,12 +11,10 @@ from gpdf_service.config import FieldConfig, SearchConfig
 from gpdf_service.fields import FieldArrays, Gpdf, Tree, build_tree, find_nearest, fit_gpdf
 from gpdf_service.fields.traversal import nearest_only
 from gpdf_service.perception import HeightMap, Levels, Obstacles, obstacles_of
-from gpdf_service.perception.limits import step_and_slope
-from gpdf_service.search.graph import Graph, assemble, find_edges
+from gpdf_service.perception.limits import Measured
+from gpdf_service.search.graph import Edges, Graph, assemble, find_edges
 from gpdf_service.search.quadtree import Quadtree, build_quadtree
 from gpdf_service.types import Agent, FloatArray, IntArray
-
-Edges = tuple[IntArray, FloatArray]
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,8 +23,7 @@ class LevelSpace:
 
     surface: HeightMap
     ground_field: Gpdf
-    step: FloatArray
-    slope: FloatArray
+    measured: Measured
     obstacles: Obstacles
     tree: Tree
     obstacle_field: Gpdf
@@ -97,8 +94,7 @@ def build_free_space(
         field = fit_obstacle_field(obstacles, level.surface, agent, config, field_config)
         quadtree = build_quadtree(level.surface, tree, radius)
         edges = find_edges(quadtree, tree, radius)
-        limits = step_and_slope(level.surface)
-        made.append(LevelSpace(level.surface, ground_field, *limits, obstacles, tree, field, quadtree, edges))
+        made.append(LevelSpace(level.surface, ground_field, level.measured, obstacles, tree, field, quadtree, edges))
     return join_levels(agent, reach, radius, made, levels)
 
 
@@ -127,8 +123,8 @@ def join_levels(agent: Agent, reach: float, radius: float, parts: Sequence[Level
         radius,
         tuple(part.surface for part in parts),
         tuple(part.ground_field for part in parts),
-        tuple(part.step for part in parts),
-        tuple(part.slope for part in parts),
+        tuple(part.measured[0] for part in parts),
+        tuple(part.measured[1] for part in parts),
         tuple(part.obstacles for part in parts),
         tuple(part.tree for part in parts),
         tuple(nearest_only(part.tree) for part in parts),

@@ -13,7 +13,7 @@ from scipy.sparse.csgraph import connected_components
 
 from gpdf_service.fields import Tree, nearest_one
 from gpdf_service.search.quadtree import Quadtree
-from gpdf_service.types import FloatArray, IntArray
+from gpdf_service.types import BoolArray, FloatArray, IntArray
 
 RESOLUTION = 1e-3
 """[m] A segment is called blocked when a piece of this length cannot be proven clear."""
@@ -83,13 +83,17 @@ def _proven(
     return good
 
 
-def find_edges(tree: Quadtree, obstacles: Tree, radius: float) -> tuple[IntArray, FloatArray]:
+Edges = tuple[IntArray, FloatArray]
+"""Pairs of leaves, shape (e, 2), and where they cross from one to the other (x, y) [m], shape (e, 2)."""
+
+
+def find_edges(tree: Quadtree, obstacles: Tree, radius: float, among: BoolArray | None = None) -> Edges:
     """Pairs of free leaves that share a side, with a proven passage: ends (e, 2) and crossings (e, 2) [m].
 
     Every leaf looks once across each of its four sides; the leaf found there is larger, or as large, and then the pair
-    is kept once. So each pair of neighbours is found, in time n log n.
+    is kept once. So each pair of neighbours is found, in time n log n. Only leaves `among`, shape (k,), look, if given.
     """
-    leaves = np.flatnonzero(tree.free)
+    leaves = np.flatnonzero(tree.free if among is None else tree.free & among)
     corner, size = tree.corner[leaves], tree.size[leaves]
     ends, vias = [], []
     for axis in (0, 1):
@@ -106,6 +110,40 @@ def find_edges(tree: Quadtree, obstacles: Tree, radius: float) -> tuple[IntArray
     pairs, via = np.concatenate(ends), np.concatenate(vias)
     good = _proven(obstacles, tree.center, via, tree.whole.astype(np.int64), pairs, radius) == 1
     return pairs[good], via[good]
+
+
+def change_edges(
+    old: Quadtree, edges: Edges, tree: Quadtree, obstacles: Tree, radius: float, places: FloatArray
+) -> Edges:
+    """`find_edges` of a tree that was changed, from those of the `old` one: only leaves at the change look again.
+
+    What proves an edge are obstacles within the radius and a leaf's width. So it stands where both leaves are as they
+    were, and the `places`, shape (k, 2) [m], where obstacles came or went, are further away.
+    """
+    at = np.minimum(np.searchsorted(old.code, tree.code), len(old.code) - 1)
+    same = np.logical_and.reduce(
+        [getattr(old, key)[at] == getattr(tree, key) for key in ("code", "size", "free", "whole")]
+    )
+    if len(places):
+        reach = (radius + 3.0 * np.sqrt(2.0) * tree.half_size)[:, None]
+        low, high = places.min(axis=0) - reach, places.max(axis=0) + reach
+        same &= tree.whole | ~np.logical_and.reduce((tree.center >= low) & (tree.center <= high), axis=1)
+    if same.all():
+        return edges
+    far = tree.corner + tree.size[:, None]
+    low, high = tree.corner[~same].min(axis=0), far[~same].max(axis=0)
+    again = np.logical_and.reduce((far >= low) & (tree.corner <= high), axis=1)
+    now = np.searchsorted(tree.code, old.code)  # of the leaves that stay, the others are not asked for
+    kept = np.zeros(len(old.code), dtype=bool)
+    kept[at[~again]] = True
+    stay = kept[edges[0][:, 0]]
+    ends, via = find_edges(tree, obstacles, radius, again)
+    ends, via = np.concatenate([now[edges[0][stay]], ends]), np.concatenate([edges[1][stay], via])
+    off = via - tree.center[ends[:, 0]]
+    across = np.abs(off[:, 1]) > np.abs(off[:, 0])
+    side = np.where(across, 2 + (off[:, 1] > 0.0), off[:, 0] > 0.0)
+    order = np.argsort(side * len(tree.code) + ends[:, 0], kind="stable")  # as `find_edges` lists them
+    return ends[order], via[order]
 
 
 def assemble(

@@ -1,0 +1,166 @@
+"""Compiled loops over the nodes of layered columns, their neighbours, and the pairs that join them."""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+from gpdf_service.types import BoolArray, FloatArray, IntArray
+
+AROUND = ((-1, -1), (-1, 0), (-1, 1), (0, -1), (0, 1), (1, -1), (1, 0), (1, 1))
+"""The eight cells around one."""
+
+
+@njit(cache=True, nogil=True)
+def components(a: IntArray, b: IntArray, count: int) -> IntArray:
+    """Connected component of each of `count` nodes under the pairs (a, b), numbered by their first nodes."""
+    parent = np.arange(count)
+    for e in range(len(a)):
+        i, j = a[e], b[e]
+        while parent[i] != i:
+            parent[i] = parent[parent[i]]
+            i = parent[i]
+        while parent[j] != j:
+            parent[j] = parent[parent[j]]
+            j = parent[j]
+        parent[max(i, j)] = min(i, j)
+    label, used = np.empty(count, np.int64), 0
+    for i in range(count):  # a parent comes before its children
+        if parent[i] == i:
+            label[i] = used
+            used += 1
+        else:
+            label[i] = label[parent[i]]
+    return label
+
+
+@njit(cache=True, nogil=True)
+def stepped(reach: BoolArray, a: IntArray, b: IntArray) -> BoolArray:
+    """`reach`, shape (k,), and the nodes that a pair (a, b) joins to it."""
+    grown = reach.copy()
+    for e in range(len(a)):
+        grown[a[e]] |= reach[b[e]]
+        grown[b[e]] |= reach[a[e]]
+    return grown
+
+
+@njit(cache=True, nogil=True)
+def half_way(height: FloatArray, a: IntArray, b: IntArray) -> tuple[FloatArray, FloatArray]:
+    """Lowest and highest of each node's height [m] and the means with the nodes that the pairs (a, b) join to it."""
+    low, high = height.copy(), height.copy()
+    for e in range(len(a)):
+        i, j = a[e], b[e]
+        middle = 0.5 * (height[i] + height[j])
+        low[i], low[j] = min(low[i], middle), min(low[j], middle)
+        high[i], high[j] = max(high[i], middle), max(high[j], middle)
+    return low, high
+
+
+@njit(cache=True, nogil=True)
+def lowest_beside(
+    start: IntArray,
+    shape: tuple[int, int],
+    ground: BoolArray,
+    smooth: FloatArray,
+    height: FloatArray,
+    slack: FloatArray,
+) -> FloatArray:
+    """Least `smooth` height of `ground` in the cells around each node within `slack` of its `height`; inf if none."""
+    beside = np.full(len(height), np.inf)
+    for x in range(shape[0]):
+        for y in range(shape[1]):
+            for dx, dy in AROUND:
+                if not (0 <= x + dx < shape[0] and 0 <= y + dy < shape[1]):
+                    continue
+                here, there = x * shape[1] + y, (x + dx) * shape[1] + y + dy
+                for j in range(start[there], start[there + 1]):
+                    for i in range(start[here], start[here + 1] if ground[j] else 0):
+                        if abs(smooth[j] - height[i]) <= slack[i]:
+                            beside[i] = min(beside[i], smooth[j])
+    return beside
+
+
+@njit(cache=True, nogil=True)
+def drops_beside(
+    nodes: IntArray,
+    cell: IntArray,
+    start: IntArray,
+    shape: tuple[int, int],
+    height: FloatArray,
+    thickness: FloatArray,
+    rise: float,
+    max_step: float,
+) -> BoolArray:
+    """Which `nodes` have a direction in which nothing goes on within `rise` and something is over `max_step` lower."""
+    drops = np.zeros(len(cell), np.bool_)
+    for i in nodes:
+        x, y = cell[i] // shape[1], cell[i] % shape[1]
+        for dx, dy in AROUND:
+            if not (0 <= x + dx < shape[0] and 0 <= y + dy < shape[1]):
+                continue
+            there, level, down = (x + dx) * shape[1] + y + dy, False, False
+            for j in range(start[there], start[there + 1]):
+                over = height[i] - height[j]
+                level |= abs(over) <= rise * np.hypot(dx, dy)
+                down |= over + thickness[j] > max_step and over > -max_step
+            drops[i] |= down and not level
+    return drops
+
+
+@njit(cache=True, nogil=True)
+def nodes_over(nodes: IntArray, cell: IntArray, height: FloatArray, keep: BoolArray, headroom: float) -> BoolArray:
+    """Which of the `nodes` have a kept node next below them in their cell at `headroom` or less, shape (m,)."""
+    over = np.zeros(len(nodes), np.bool_)
+    for k in range(len(nodes)):
+        i = nodes[k]
+        below = i - 1
+        while below >= 0 and cell[below] == cell[i] and not keep[below]:
+            below -= 1
+        over[k] = below >= 0 and cell[below] == cell[i] and height[i] - height[below] <= headroom
+    return over
+
+
+@njit(cache=True, nogil=True)
+def grown_sheet(
+    cell: IntArray,
+    start: IntArray,
+    shape: tuple[int, int],
+    height: FloatArray,
+    keep: BoolArray,
+    nodes: IntArray,
+    max_step: float,
+    rings: int,
+) -> BoolArray:
+    """`nodes`, and around them `rings` of kept nodes in cells that hold none yet, each within a step of the last ring.
+
+    In each cell the lowest node that can be reached is taken.
+    """
+    inside, used = np.zeros(len(cell), np.bool_), np.zeros(shape[0] * shape[1], np.bool_)
+    for i in nodes:
+        inside[i] = True
+        used[cell[i]] = True
+    ring = nodes
+    for _ in range(rings):
+        found = np.full(len(ring) * 8, -1)
+        count = 0
+        taken = np.empty(0, np.int64)
+        for i in ring:
+            for dx, dy in AROUND:
+                x, y = cell[i] // shape[1] + dx, cell[i] % shape[1] + dy
+                if not (0 <= x < shape[0] and 0 <= y < shape[1]) or used[x * shape[1] + y]:
+                    continue
+                for j in range(start[x * shape[1] + y], start[x * shape[1] + y + 1]):
+                    if keep[j] and abs(height[i] - height[j]) <= max_step:
+                        found[count] = j
+                        count += 1
+                        break
+        taken = np.sort(found[:count])
+        count = 0
+        for j in taken:
+            if not used[cell[j]]:
+                used[cell[j]] = True
+                inside[j] = True
+                found[count] = j
+                count += 1
+        ring = found[:count].copy()
+    return inside
