@@ -28,6 +28,8 @@ from gpdf_service.synthetic import SCENES
 from gpdf_service.types import AGENTS, Agent, BoolArray, FloatArray, PlanResult, Status
 
 CLOUDS = {".ply", ".pcd", ".xyz", ".npz", ".las", ".laz"}
+LOST = 3.0
+"""[-] Standard deviations of the noise: what is no higher over the ground looks like the noise of the ground."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -150,8 +152,7 @@ def _compare(place: _Place, agent: str, methods: list[Method], queries: int) -> 
     solvable = np.array([brute.solves(*pair) for pair in pairs])
     rows: list[Row] = []
     for method in methods:
-        label = f"{place.name} {agent} {method}"
-        row = _measure(place.scene, place.judge, body, method, pairs, solvable, label=label)
+        row = _measure(place, body, method, pairs, solvable)
         rows.append({"scene": place.name, "agent": agent, "method": method, "noise_m": place.noise, **row})
     return rows
 
@@ -189,9 +190,8 @@ class _Answer:
     seconds: float
 
 
-def _measure(
-    scene: Scene, judge: Judge, agent: Agent, method: Method, pairs: FloatArray, solvable: BoolArray, *, label: str
-) -> Row:
+def _measure(place: _Place, agent: Agent, method: Method, pairs: FloatArray, solvable: BoolArray) -> Row:
+    scene, judge, label = place.scene, place.judge, f"{place.name} {agent.name} {method}"
     plan(scene, pairs[0, 0], pairs[0, 1], agent, method=method)  # fields and graphs are built on first use
     answers = []
     for start, goal in tqdm(pairs, desc=label, disable=not sys.stderr.isatty()):
@@ -204,6 +204,12 @@ def _measure(
             answers.append(_Answer(result, judge.judge_waypoints(path, agent), judge.judge(path, agent), seconds))
     ok = np.array([answer.result.status is Status.OK for answer in answers])
     strict = [answer.strict for answer, good in zip(answers, ok, strict=True) if good and answer.strict is not None]
+    touched = [
+        {"start": start.tolist(), "goal": goal.tolist(), "deep_m": answer.strict.penetration}
+        | {"height_m": judge.height_of_touched(path, agent)}
+        for answer, good, (start, goal) in zip(answers, ok, pairs, strict=True)
+        if good and answer.strict and not answer.strict.collision_free and (path := answer.result.trajectory)
+    ]
     seconds_all = [answer.seconds for answer in answers]
     return {
         "queries": len(pairs),
@@ -217,11 +223,8 @@ def _measure(
             for answer, (start, goal), can in zip(answers, pairs, solvable, strict=True)
             if can and answer.result.status is not Status.OK
         ],
-        "touched": [
-            {"start": start.tolist(), "goal": goal.tolist(), "deep_m": answer.strict.penetration}
-            for answer, (start, goal) in zip(answers, pairs, strict=True)
-            if answer.result.status is Status.OK and answer.strict is not None and not answer.strict.collision_free
-        ],
+        "touched": touched,
+        "low_in_ok": sum(case["height_m"] <= LOST * place.noise for case in touched),
         "statuses": dict(Counter(answer.result.status.value for answer in answers)),
         "collisions_in_ok": sum(not verdict.collision_free for verdict in strict),
         "infeasible_in_ok": sum(not verdict.feasible for verdict in strict),
@@ -234,15 +237,22 @@ def _measure(
 
 
 def _rates(how: str, verdicts: list[Verdict | None]) -> Row:
-    """The paper's measures over the solvable queries; a query without a path is neither collision-free nor feasible."""
+    """The paper's measures over the solvable queries, a refusal being a failure; and over those that got a path."""
     paths = [verdict for verdict in verdicts if verdict is not None]
-    share = 100.0 / max(len(verdicts), 1)
+    free, feasible = (sum(getattr(v, name) for v in paths) for name in ("collision_free", "feasible"))
     return {
-        f"{how}_collision_free": share * sum(verdict.collision_free for verdict in paths) if verdicts else None,
-        f"{how}_feasible": share * sum(verdict.feasible for verdict in paths) if verdicts else None,
+        f"{how}_collision_free": _share(free, len(verdicts)),
+        f"{how}_collision_free_of_paths": _share(free, len(paths)),
+        f"{how}_feasible": _share(feasible, len(verdicts)),
+        f"{how}_feasible_of_paths": _share(feasible, len(paths)),
         f"{how}_ground_m": _mean([verdict.mean_ground_distance for verdict in paths]),
         f"{how}_obstacles_m": _mean([verdict.mean_obstacle_distance for verdict in paths]),
     }
+
+
+def _share(some: int, of: int) -> float | None:
+    """In percent."""
+    return 100.0 * some / of if of else None
 
 
 def _mean(values: list[float]) -> float | None:
