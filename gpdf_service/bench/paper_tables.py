@@ -63,7 +63,7 @@ def to_markdown(rows: Sequence[Row], noise: float) -> str:
         "that a brute-force search on the true geometry solves, a refusal being a failure; the second is of those",
         "that got a path. In brackets, the paper's. PRM and A* keep the body's radius here, and the one field sees all",
         "of the body, which lifts them over the paper's; scenes stand in for its data sets. `low_in_ok`: of the",
-        "collisions in OK answers, those with nothing higher than three standard deviations of the noise over the ground.",
+        "collisions in OK answers, those with nothing higher over the ground than three deviations of the noise.",
     ]
     for title, key, printed, form in TABLES:
         for how, words in JUDGED.items():
