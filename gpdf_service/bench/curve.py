@@ -7,6 +7,8 @@ straight, and the same path can be asked for in a short hall and in a long one.
 from __future__ import annotations
 
 import time
+from collections.abc import Sequence
+from pathlib import Path
 
 import numpy as np
 
@@ -35,7 +37,13 @@ CLUTTER = (50.0, 20.0, 10.0, 5.0, 2.5)
 SPACING = 0.1
 """[m] Between points: a kilometre has a million and a half."""
 END = 1.0
-"""[m] From a hall's end to the nearest start or goal."""
+"""[m] From a hall's end to the nearest start or goal; these move as far at most where they are in a wall."""
+PANELS = {
+    "path": ("walked_m", "length of the path [m], in the longest hall"),
+    "map": ("map_m", f"length of the hall [m], paths of {SHORT:g} m"),
+    "clutter": ("walls_per_100m", f"walls in {MEDIUM:g} m, paths of as much"),
+}
+"""Of the picture: what each sweep is drawn over."""
 
 
 def measure_curve(agent: Agent, longest: float, repeats: int, rng: np.random.Generator) -> list[Row]:
@@ -43,14 +51,14 @@ def measure_curve(agent: Agent, longest: float, repeats: int, rng: np.random.Gen
 
     Args:
         agent: The body.
-        longest: Path and map [m].
+        longest: Path and map, no shorter than the path that is asked for in all maps [m].
         repeats: Paths in each row, at different places.
         rng: Places of the walls and of the paths.
     """
     lengths = [length for length in STEPS if length < longest] + [longest]
     halls = {length: build_hall(length + 2 * END, EVERY, rng) for length in lengths if length >= SHORT}
     long = halls[longest]
-    rows = [{"sweep": "path"} | _measure(long, longest, length, agent, repeats, rng) for length in lengths]
+    rows: list[Row] = [{"sweep": "path"} | _measure(long, longest, length, agent, repeats, rng) for length in lengths]
     rows += [{"sweep": "map"} | _measure(hall, size, SHORT, agent, repeats, rng) for size, hall in halls.items()]
     for every in CLUTTER:
         hall, length = build_hall(MEDIUM + 2 * END, every, rng), min(MEDIUM, longest)
@@ -76,7 +84,7 @@ def _measure(scene: Scene, size: float, length: float, agent: Agent, repeats: in
         ends = (begin, 0.5 * WIDTH), (begin + length, 0.5 * WIDTH)
         for counts in (False, True):
             began = time.process_time()
-            result = plan(scene, *ends, agent)
+            result = plan(scene, *ends, agent, snap=END)
             if counts:
                 seconds.append(time.process_time() - began)
                 results.append(result)
@@ -91,3 +99,25 @@ def _measure(scene: Scene, size: float, length: float, agent: Agent, repeats: in
         "cpu_ms": 1e3 * float(np.median(seconds)),
         "least_room_m": min((r.certificate.min_clearance for r in ok if r.certificate), default=None),
     }
+
+
+def draw_curve(path: Path, rows: Sequence[Row]) -> None:
+    """Draw the processor time of a plan over each sweep."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(13, 4.2), layout="constrained")
+    for axes, (sweep, (column, label)) in zip(
+        figure.subplots(1, len(PANELS), sharey=True), PANELS.items(), strict=True
+    ):
+        shown = [row for row in rows if row["sweep"] == sweep and row["ok"]]
+        axes.loglog([row[column] for row in shown], [row["cpu_ms"] for row in shown], "o-", color="#0072B2")
+        for row in shown:
+            at = row[column], row["cpu_ms"]
+            axes.annotate(f"{row['cpu_ms']:.3g}", at, (0, 7), textcoords="offset points", ha="center", fontsize=9)
+        axes.set(xlabel=label)
+        axes.margins(0.12, 0.15)
+        axes.grid(which="both", alpha=0.25)
+    figure.axes[0].set_ylabel("processor time of a plan [ms]")
+    path.parent.mkdir(parents=True, exist_ok=True)
+    FigureCanvasAgg(figure).print_png(str(path))  # type: ignore[no-untyped-call]
