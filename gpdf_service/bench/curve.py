@@ -115,6 +115,8 @@ def draw_curve(path: Path, rows: Sequence[Row]) -> None:
         for row in shown:
             at = row[column], row["cpu_ms"]
             axes.annotate(f"{row['cpu_ms']:.3g}", at, (0, 7), textcoords="offset points", ha="center", fontsize=9)
+        axes.set_xticks([row[column] for row in shown], [f"{row[column]:.4g}" for row in shown])
+        axes.set_xticks([], minor=True)
         axes.set(xlabel=label)
         axes.margins(0.12, 0.15)
         axes.grid(which="both", alpha=0.25)
