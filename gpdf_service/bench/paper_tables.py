@@ -78,7 +78,7 @@ def to_markdown(rows: Sequence[Row], noise: float) -> str:
 
 ANSWERS = (
     "agent", "scene", "method", "queries", "solvable", "answered", "ok", "ok_of_solvable",
-    "collisions_in_ok", "low_in_ok", "infeasible_in_ok", "deepest_in_ok_m", "p50_ms", "p99_ms",
+    "collisions_in_ok", "low_in_ok", "infeasible_in_ok", "deepest_in_ok_m", "p50_cpu_ms", "p99_cpu_ms",
 )  # fmt: skip
 
 
