@@ -112,7 +112,7 @@ def draw(
     solid.set(xlabel="x [m]", ylabel="y [m]", zlabel="z [m]", xlim=(low[0], high[0]), ylim=(low[1], high[1]))
     solid.set_box_aspect(np.maximum(high - low, 2.5), zoom=1.1)
     solid.view_init(elev=38, azim=-65)
-    above.set(xlabel="x [m]", ylabel="y [m]", aspect="equal", title="from above")
+    above.set(aspect="equal", title="from above: x to the right, y upwards [m]")
     beside.set(xlabel="along the path [m]: the body's top, and dotted the ground under it", ylabel="z [m]")
     figure.legend(*above.get_legend_handles_labels(), loc="outside lower center", ncols=2, fontsize=9)
     FigureCanvasAgg(figure).print_png(str(path))  # type: ignore[no-untyped-call]

@@ -71,8 +71,9 @@ def to_markdown(rows: Sequence[Row], noise: float) -> str:
             lines += [
                 _line(*cells) for cells in _cells(rows, f"{how}_{key}", printed if how == "waypoints" else {}, form)
             ]
-    lines += ["", "**Answers**", "", _line(*ANSWERS), "|---" * len(ANSWERS) + "|"]
-    lines += [_line(*(_text(row.get(name)) for name in ANSWERS)) for row in rows]
+    names = [name for name in ANSWERS if any(name in row for row in rows)]
+    lines += ["", "**Answers**", "", _line(*names), "|---" * len(names) + "|"]
+    lines += [_line(*(_text(row.get(name)) for name in names)) for row in rows]
     return "\n".join(lines) + "\n"
 
 
