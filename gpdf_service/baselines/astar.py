@@ -6,34 +6,31 @@ import numpy as np
 
 from gpdf_service.baselines.flat import FlatWorld
 from gpdf_service.planning.shape import shortcut
-from gpdf_service.search import Quadtree, build_quadtree, find_path, is_clear
-from gpdf_service.search.graph import assemble, find_edges
+from gpdf_service.search import find_path, is_clear
 from gpdf_service.types import FloatArray
 
 NEAREST_LEAVES = 32
 """Free leaves that are tried, the nearest first, to enter the graph from a place that lies in none."""
 
 
-def find_astar_path(world: FlatWorld) -> FloatArray | None:
+def find_astar_path(world: FlatWorld, start: FloatArray, goal: FloatArray) -> FloatArray | None:
     """Places in plan from start to goal, shape (n, 2) [m]; none if the graph does not join them."""
-    if is_clear(world.tree, world.start, world.goal, world.radius):
-        return np.array([world.start, world.goal])
-    leaves = build_quadtree(world.surface, world.tree, world.radius)
-    pairs, via = find_edges(leaves, world.tree, world.radius)
-    levels = np.zeros(len(leaves.size), dtype=np.int64)
-    graph = assemble(leaves.center, levels, leaves.clearance, pairs, via, world.radius)
-    a, b = _enter(world, leaves, world.start), _enter(world, leaves, world.goal)
+    if is_clear(world.tree, start, goal, world.radius):
+        return np.array([start, goal])
+    graph = world.graph
+    a, b = _enter(world, start), _enter(world, goal)
     if a is None or b is None or graph.component[a] != graph.component[b]:
         return None
     edges = find_path(graph, a, b)
     through = np.stack([graph.via[edges], graph.position[graph.other[edges]]], axis=1).reshape(-1, 2)
-    path = np.vstack([world.start, graph.position[a], through, world.goal])
+    path = np.vstack([start, graph.position[a], through, goal])
     kept: FloatArray = path[shortcut(path, world.tree, world.radius, world.surface)]
     return kept
 
 
-def _enter(world: FlatWorld, leaves: Quadtree, xy: FloatArray) -> int | None:
+def _enter(world: FlatWorld, xy: FloatArray) -> int | None:
     """The nearest free leaf whose centre is reached from `xy` on a clear line."""
+    leaves = world.leaves
     free = np.flatnonzero(leaves.free)
     gap = np.linalg.norm(leaves.center[free] - xy, axis=1) - leaves.half_size[free]
     for leaf in free[np.argsort(gap)[:NEAREST_LEAVES]]:

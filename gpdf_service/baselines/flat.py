@@ -7,44 +7,82 @@ ground that nobody has seen is not free.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
+from weakref import WeakKeyDictionary
 
 import numpy as np
 
+from gpdf_service.baselines.occupancy import Occupancy, build_occupancy
 from gpdf_service.fields import Tree, build_tree, find_nearest
-from gpdf_service.perception import HeightMap, ObstacleKind
+from gpdf_service.perception import HeightMap, ObstacleKind, Obstacles
 from gpdf_service.planning.endpoints import SAME_GROUND, Endpoint, Refusal, find_endpoint
-from gpdf_service.search import FreeSpace
-from gpdf_service.types import FloatArray, Status
+from gpdf_service.scene import Scene
+from gpdf_service.search import FreeSpace, Quadtree, build_quadtree
+from gpdf_service.search.graph import Graph, assemble, find_edges
+from gpdf_service.types import Agent, FloatArray, Status
 
 FAR = 1e6
 """[m] Where the one obstacle of an empty world stands: a tree needs a point, and nobody gets there."""
+_MADE: WeakKeyDictionary[Scene, tuple[Agent, tuple[FlatWorld, ...]]] = WeakKeyDictionary()
+"""Of each scene, as long as it lives, what its last body's queries made: the planner's free space is kept, too."""
 NO_NODE = -1
 """An end that is in no leaf of the planner's own graph; the baselines have their own."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class FlatWorld:
-    """One level as the planar baselines see it.
+    """One level as the planar baselines see it; what they make of it is kept for the next query.
 
     Attributes:
         surface: Where ground is known; its height is not looked at.
         points: Obstacle points, and the rim of the known ground, in plan [m], shape (n, 2).
-        tree: The same, for exact distances.
         radius: Kept from every one of them by the body's centre [m].
-        start: In plan [m], shape (2,).
-        goal: The same.
     """
 
     surface: HeightMap
     points: FloatArray
-    tree: Tree
     radius: float
-    start: FloatArray
-    goal: FloatArray
+
+    @cached_property
+    def tree(self) -> Tree:
+        """The points, for exact distances."""
+        return build_tree(self.points)
+
+    @cached_property
+    def leaves(self) -> Quadtree:
+        """Free leaves of the quadtree."""
+        return build_quadtree(self.surface, self.tree, self.radius)
+
+    @cached_property
+    def graph(self) -> Graph:
+        """The free leaves, joined."""
+        leaves = self.leaves
+        pairs, via = find_edges(leaves, self.tree, self.radius)
+        levels = np.zeros(len(leaves.size), dtype=np.int64)
+        return assemble(leaves.center, levels, leaves.clearance, pairs, via, self.radius)
+
+    @cached_property
+    def occupancy(self) -> Occupancy:
+        """The binary grid, inflated by the radius."""
+        return build_occupancy(self.surface, self.points, self.radius)
 
 
-def find_end(space: FreeSpace, place: FloatArray, name: str) -> Endpoint | Refusal:
+def flat_worlds(scene: Scene, agent: Agent) -> tuple[FlatWorld, ...]:
+    """The levels of a scene, each flat, made once for a scene and a body."""
+    kept, worlds = _MADE.get(scene, (None, ()))
+    if kept != agent:
+        space = scene.free_space(agent)
+        worlds = tuple(
+            FlatWorld(surface, _seen(obstacles), space.radius)
+            for surface, obstacles in zip(space.surfaces, space.obstacles, strict=True)
+        )
+        _MADE[scene] = agent, worlds
+    return worlds
+
+
+def find_end(space: FreeSpace, worlds: Sequence[FlatWorld], place: FloatArray, name: str) -> Endpoint | Refusal:
     """Check a place as the planner does, but for the steps and slopes that a flat world has not."""
     found = find_endpoint(space, place, name)
     if isinstance(found, Endpoint) or found.status not in (Status.START_OCCUPIED, Status.GOAL_OCCUPIED):
@@ -53,19 +91,12 @@ def find_end(space: FreeSpace, place: FloatArray, name: str) -> Endpoint | Refus
     for level, surface in enumerate(space.surfaces):
         height = float(surface.height_at(xy)[0])
         here = not np.isnan(height) and (len(place) == 2 or abs(height - place[2]) <= SAME_GROUND)
-        if here and find_nearest(build_tree(_seen(space, level)), xy)[0][0] >= space.agent.radius:
+        if here and find_nearest(worlds[level].tree, xy)[0][0] >= space.agent.radius:
             return Endpoint(xy[0], level, NO_NODE)
     return found
 
 
-def flatten_world(space: FreeSpace, start: Endpoint, goal: Endpoint) -> FlatWorld:
-    """Project the level of the start."""
-    points = _seen(space, start.level)
-    return FlatWorld(space.surfaces[start.level], points, build_tree(points), space.radius, start.xy, goal.xy)
-
-
-def _seen(space: FreeSpace, level: int) -> FloatArray:
+def _seen(obstacles: Obstacles) -> FloatArray:
     """Of what stops the body on a level, all but steps and slopes, in plan [m], shape (n, 2)."""
-    obstacles = space.obstacles[level]
     seen = (obstacles.kind == ObstacleKind.MATERIAL) | (obstacles.kind == ObstacleKind.UNKNOWN)
     return np.ascontiguousarray(obstacles.points[seen, :2]) if seen.any() else np.full((1, 2), FAR)

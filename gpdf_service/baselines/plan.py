@@ -10,7 +10,7 @@ from typing import Literal
 import numpy as np
 
 from gpdf_service.baselines.astar import find_astar_path
-from gpdf_service.baselines.flat import find_end, flatten_world
+from gpdf_service.baselines.flat import find_end, flat_worlds
 from gpdf_service.baselines.prm import SECONDS, find_prm_path
 from gpdf_service.baselines.single_gpdf import optimize_in_one_field
 from gpdf_service.planning.certificate import HEIGHT_SHARE, certify
@@ -52,20 +52,22 @@ def plan_baseline(
     """
     began = clock()
     space = scene.free_space(agent)
-    ends = find_end(space, start, "start"), find_end(space, goal, "goal")
+    worlds = flat_worlds(scene, agent)
+    ends = find_end(space, worlds, start, "start"), find_end(space, worlds, goal, "goal")
     for end in ends:
         if isinstance(end, Refusal):
             return PlanResult(end.status, end.message, timings={"total": clock() - began})
     a, b = (end for end in ends if isinstance(end, Endpoint))
     if a.level != b.level:
         return PlanResult(Status.NO_VALID_PATH, f"{method} plans in one plane, and the goal is on another storey.")
-    world = flatten_world(space, a, b)
+    world = worlds[a.level]
     seconds = SECONDS if deadline is None else min(SECONDS, deadline - clock())
-    stands = np.array_equal(world.start, world.goal)
+    stands = np.array_equal(a.xy, b.xy)
     if stands:
-        path: FloatArray | None = np.array([world.start, world.goal])
+        path: FloatArray | None = np.array([a.xy, b.xy])
     else:
-        path = find_prm_path(world, max(seconds, 0.0)) if method == "prm" else find_astar_path(world)
+        sampled = method == "prm"
+        path = find_prm_path(world, a.xy, b.xy, max(seconds, 0.0)) if sampled else find_astar_path(world, a.xy, b.xy)
     if deadline is not None and clock() > deadline:
         return PlanResult(Status.TIMEOUT, f"the deadline passed while {method} searched. Allow more time.")
     if path is None:
@@ -74,7 +76,8 @@ def plan_baseline(
     top = _lift(scene, space, a, path)
     if method == "single_gpdf" and not stands:
         spacing = max(scene.config.planning.waypoint_spacing, agent.radius / 4)
-        top = optimize_in_one_field(resample(top, spacing), scene.whole_field, agent.radius, scene.config.planning)
+        shape = agent.height, agent.radius
+        top = optimize_in_one_field(resample(top, spacing), scene.whole_field, *shape, scene.config.planning)
     result = _certified(space, a.level, subdivide(_distinct(top), scene.config.planning.waypoint_spacing), method)
     return dataclasses.replace(result, timings={"total": clock() - began})
 

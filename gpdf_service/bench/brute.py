@@ -25,7 +25,7 @@ CELL = 0.02
 MAX_CELLS = 4_000_000
 """On maps larger than 40 × 40 m the cells grow with the map, and the room asked for with them."""
 LEAST_ROOM = 0.01
-"""[m] Beyond the body's radius; one standard deviation of the noise comes on top."""
+"""[m] Beyond the body's radius, and over its head; one standard deviation of the noise comes on top."""
 LAYERS = 3
 """Storeys over one place."""
 STOREY = 0.6
@@ -66,7 +66,8 @@ class BruteForce:
         _raise_ground(floor, self.origin, self.cell, _reach(floor), self.height, np.full((*shape, LAYERS), inf))
         far = agent.radius + self.room
         self.clearance = np.full((*shape, LAYERS), far, np.float32)
-        stops = _material(points[~ground], self.height, self.origin, self.cell, agent.height, agent.max_step)
+        tall = agent.height + LEAST_ROOM + noise
+        stops = _material(points[~ground], self.height, self.origin, self.cell, tall, agent.max_step)
         for places in (stops, self._edges(), _steep(floor, agent.max_slope)):
             _keep_off(places, self.origin, self.cell, far, self.height, self.clearance)
         known = ~np.isnan(self.height)
@@ -80,7 +81,7 @@ class BruteForce:
         return a >= 0 and a == b
 
     def random_pairs(self, count: int, rng: np.random.Generator) -> FloatArray:
-        """Starts and goals where the body stands free, without any extra room: (count, 2, 3) [m], z of the ground.
+        """Starts and goals where the body stands, without extra room beside it: (count, 2, 3) [m], z of its ground.
 
         None at all, shape (0, 2, 3), where it stands nowhere.
         """

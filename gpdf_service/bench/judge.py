@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import cKDTree
 
-from gpdf_service.types import Agent, BoolArray, FloatArray, Trajectory
+from gpdf_service.types import Agent, BoolArray, FloatArray, IntArray, Trajectory
 
 STEP = 0.01
 """[m] No part of the body moves further between two looks; a body of 17 cm radius cannot jump over anything."""
@@ -105,9 +105,7 @@ class Judge:
 
     def penetration(self, contact: FloatArray, agent: Agent, heading: float = 0.0) -> float:
         """How deep the worst point is in a body at `contact` (3,) [m] facing `heading` [rad]; 0 if none is in it."""
-        reach = max(agent.radius, _reach(agent))
-        near = self.other[self.other_tree.query_ball_point(contact[:2], reach)]
-        hit = self._hits(near, contact, agent)[:, :2] - contact[:2]
+        hit = self.other[self._hits(contact, agent), :2] - contact[:2]
         if len(hit) == 0:
             return 0.0
         if agent.discs == 1:
@@ -116,11 +114,19 @@ class Judge:
         depth = np.minimum(0.5 * agent.length - np.abs(ahead), 0.5 * agent.width - np.abs(aside))
         return max(0.0, float(depth.max()))
 
-    def _hits(self, points: FloatArray, centre: FloatArray, agent: Agent) -> FloatArray:
-        """Points at the height of the body that are not the face of a step that the body takes."""
-        over = points[:, 2] - centre[2]
-        inside = points[(over > SCATTER) & (over < (1.0 - HEAD) * agent.height)]
-        hits: FloatArray = inside[[not self._is_face(point, centre[2], agent.max_step) for point in inside]]
+    def height_of_touched(self, trajectory: Trajectory, agent: Agent) -> float:
+        """How high over the ground beside it the highest point is that the standing cylinder touches [m]; 0 if none."""
+        rows = np.concatenate([self._hits(pose, agent) for pose in _dense(trajectory.ground)])
+        return float(self.over_ground[rows].max(initial=0.0))
+
+    def _hits(self, contact: FloatArray, agent: Agent) -> IntArray:
+        """Which points beside a contact are at the height of the body, and no face of a step that it takes."""
+        near = self.other_tree.query_ball_point(contact[:2], max(agent.radius, _reach(agent)))
+        rows = np.array(near, dtype=np.int64)
+        over = self.other[rows, 2] - contact[2]
+        inside = rows[(over > SCATTER) & (over < (1.0 - HEAD) * agent.height)]
+        faces = [self._is_face(point, contact[2], agent.max_step) for point in self.other[inside]]
+        hits: IntArray = inside[~np.array(faces, dtype=bool)]
         return hits
 
     def _is_face(self, point: FloatArray, contact: float, max_step: float) -> bool:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from textwrap import fill
 from typing import Any
@@ -29,6 +30,10 @@ METHOD_COLOURS: dict[Method, str] = {
 """The paper's blue, cyan, red and green, as the colour-blind can tell them apart."""
 AGENT_COLOURS = {"roomba": "#D55E00", "spot": "#E69F00", "pepper": "#0072B2", "human": "#009E73"}
 """The paper's red, yellow, blue and green."""
+BODIES = {**AGENTS, "spot": replace(AGENTS["spot"], discs=6)}
+"""Spot as long and narrow as it is: as the cylinder around it, it would hardly get anywhere in these scenes."""
+WIDEST, NARROWER = 4.4, 0.8
+"""[pt] Width of the first line, and how much less each next one is: paths over each other are all seen."""
 FIGURES = {
     "office": "Fig. 4, Office 1 with step and hanging ball",
     "stair": "Fig. 5 (a), urban circuit",
@@ -67,7 +72,7 @@ def draw_scene_pictures(
     folder.mkdir(parents=True, exist_ok=True)
     start, goal = _places(name, points, ground, seed)
     methods = {method: plan(scene, start, goal, "human", method=method) for method in METHOD_COLOURS}
-    agents = {agent: plan(scene, start, goal, agent) for agent in AGENT_COLOURS}
+    agents = {agent: plan(scene, start, goal, BODIES[agent]) for agent in AGENT_COLOURS}
     made = [folder / f"{name}_methods.png", folder / f"{name}_bodies.png"]
     shown, heights = _shown(points, ground)
     draw(made[0], shown, heights, methods, METHOD_COLOURS, f"{name}: four methods, human. {_like(FIGURES, name)}")
@@ -94,8 +99,8 @@ def draw(
     far = (points[:, 1] > points[:, 1].min() + WALL) & (points[:, 0] < points[:, 0].max() - WALL)
     solid.scatter(*points[far].T, s=4, alpha=0.4, **{**style, "c": heights[far]})
     above.scatter(*points[:, :2].T, s=2, alpha=0.5, **style)
-    for name, result in results.items():
-        line = {"color": colours[name], "label": _label(name, result), "lw": 2.2, "zorder": 10}
+    for i, (name, result) in enumerate(results.items()):
+        line = {"color": colours[name], "label": _label(name, result), "lw": WIDEST - NARROWER * i, "zorder": 10}
         line["ls"] = "-" if result.status is Status.OK else "--"
         tops = np.full((1, 3), np.nan) if result.trajectory is None else result.trajectory.positions
         solid.plot(*tops.T, **line)
@@ -107,7 +112,7 @@ def draw(
     solid.set(xlabel="x [m]", ylabel="y [m]", zlabel="z [m]", xlim=(low[0], high[0]), ylim=(low[1], high[1]))
     solid.set_box_aspect(np.maximum(high - low, 2.5), zoom=1.1)
     solid.view_init(elev=38, azim=-65)
-    above.set(xlabel="x [m]", ylabel="y [m]", aspect="equal", title="from above")
+    above.set(aspect="equal", title="from above: x to the right, y upwards [m]")
     beside.set(xlabel="along the path [m]: the body's top, and dotted the ground under it", ylabel="z [m]")
     figure.legend(*above.get_legend_handles_labels(), loc="outside lower center", ncols=2, fontsize=9)
     FigureCanvasAgg(figure).print_png(str(path))  # type: ignore[no-untyped-call]

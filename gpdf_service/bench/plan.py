@@ -12,6 +12,7 @@ from collections import Counter
 import numpy as np
 
 from gpdf_service.bench.brute import BruteForce
+from gpdf_service.bench.curve import STEPS, draw_curve, measure_curve
 from gpdf_service.bench.judge import Judge
 from gpdf_service.bench.peers import compare
 from gpdf_service.bench.plotting import add_plot_argument, draw_rows
@@ -20,6 +21,8 @@ from gpdf_service.pipeline import build_scene, plan
 from gpdf_service.scene import Scene
 from gpdf_service.types import AGENTS, Agent, FloatArray, Status
 
+REPEATS = 5
+"""Paths in each row of the curve."""
 PANELS = {
     "queries": ("queries", "solvable", "ok_of_solvable", "certified", "collisions"),
     "time [ms]": ("p50_ms", "p99_ms"),
@@ -37,12 +40,21 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--peers", type=int, default=5, help="queries on which OMPL's planners run beside; 0 for none")
     parser.add_argument(
+        "--curve",
+        type=float,
+        nargs="?",
+        const=max(STEPS),
+        help="how time grows with path, map and clutter, up to so many metres, and nothing else",
+    )
+    parser.add_argument(
         "--ignore-labels", action="store_true", help="plan on our own segmentation, judge by the labels"
     )
 
 
 def run(args: argparse.Namespace) -> int:
-    """Exit code 0 if no certified path was judged a collision."""
+    """Exit code 0 if no certified path was judged a collision; of the curve, if every path was found."""
+    if args.curve:
+        return _curve(args)
     rows: list[Row] = []
     peers: list[Row] = []
     for name, points, ground in clouds(args):
@@ -63,6 +75,17 @@ def run(args: argparse.Namespace) -> int:
     if args.plot:
         draw_rows(args.plot, rows, PANELS, by=("scene", "agent"), title="Random queries, judged by the true obstacles")
     return 0 if all(row["collisions"] == 0 for row in rows) else 1
+
+
+def _curve(args: argparse.Namespace) -> int:
+    rng = np.random.default_rng(args.seed)
+    rows: list[Row] = []
+    for agent in args.agent or ["human"]:
+        rows += [{"agent": agent} | row for row in measure_curve(AGENTS[agent], args.curve, REPEATS, rng)]
+    show(rows, as_json=args.json)
+    if args.plot:
+        draw_curve(args.plot, rows)
+    return 0 if all(row["ok"] == row["queries"] for row in rows) else 1
 
 
 def random_places(scene: Scene, agent: Agent, count: int, rng: np.random.Generator) -> FloatArray:

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 import gpdf_service as gpdf
-from gpdf_service.baselines.single_gpdf import cost_in_one_field
+from gpdf_service.baselines.single_gpdf import body_points, cost_in_one_field, solve_metric
 from gpdf_service.pipeline import Method
 from gpdf_service.synthetic import SCENES, Box, World
 from gpdf_service.types import FieldSample
@@ -76,12 +76,40 @@ def test_a_planar_baseline_stays_in_the_plane_of_the_start_and_keeps_the_radius(
     assert result.trajectory.length > 4.0  # around the couch
 
 
-def test_one_field_at_head_height_does_not_see_the_couch(cluttered):
+def test_one_field_goes_around_the_couch(cluttered):
     made, scene = cluttered
     result = gpdf.plan(scene, made.start, made.goal, "human", method="single_gpdf")
-    assert result.status is gpdf.Status.UNCERTIFIED
-    assert result.trajectory.length < 3.0
-    assert "touch an obstacle" in result.certificate.reason
+    assert result.trajectory.length > 4.0
+
+
+def test_the_bodys_spheres_are_within_it_and_stand_clear_of_the_ground():
+    below = body_points(2.0, 0.25, 0.25)
+    assert len(below) > 1
+    assert np.diff(below).max() <= 0.25 + 1e-9
+    assert (below[0], 2.0 - below[-1]) == pytest.approx((0.25, 0.5))
+    np.testing.assert_array_equal(body_points(0.1, 0.17, 0.17), [0.0])
+
+
+@pytest.mark.parametrize("count", [2, 3, 4, 9])
+def test_the_metric_is_solved_for_paths_of_any_length(count):
+    gradient = np.zeros((count, 3))
+    gradient[1:-1] = np.random.default_rng(0).uniform(-1, 1, (count - 2, 3))
+    step = solve_metric(gradient)
+    np.testing.assert_allclose(2 * step[1:-1] - step[:-2] - step[2:], gradient[1:-1], atol=1e-12)
+
+
+@pytest.mark.parametrize("method", BASELINES)
+def test_a_step_aside_is_a_path(empty_room, method):
+    result = gpdf.plan(empty_room, (2, 2), (2.2, 2.1), "spot", method=method)
+    assert result.trajectory is not None
+
+
+@pytest.mark.parametrize("method", BASELINES)
+def test_a_bodys_worlds_are_not_taken_for_anothers(cluttered, method):
+    made, scene = cluttered
+    again = [gpdf.plan(scene, made.start, made.goal, body, method=method) for body in ("human", "roomba", "human")]
+    assert again[0].certificate.min_clearance == pytest.approx(again[2].certificate.min_clearance, abs=0.3)
+    assert again[1].trajectory.length < again[0].trajectory.length or method == "single_gpdf"
 
 
 def test_one_field_lifts_the_roomba_off_the_floor(empty_room):
@@ -168,7 +196,14 @@ class Wall:
 def test_the_gradient_in_one_field_is_that_of_its_cost(distance):
     xi = np.column_stack([np.linspace(0, 1, 11), np.full(11, distance), np.ones(11)])
     xi[1:-1] += np.random.default_rng(0).uniform(-0.03, 0.03, (9, 3))
-    weigh = {"spacing": 0.1, "field": Wall(), "radius": 0.25, "epsilon": 0.25, "smoothness_weight": 0.4}
+    weigh = {
+        "spacing": 0.1,
+        "field": Wall(),
+        "below": np.array([0.2, 0.5]),
+        "radius": 0.25,
+        "epsilon": 0.25,
+        "smoothness_weight": 0.4,
+    }
     _, gradient = cost_in_one_field(xi, **weigh)
     for i, k in itertools.product(range(1, 10), range(3)):
         step = np.zeros_like(xi)

@@ -17,6 +17,7 @@ def evaluated(tmp_path_factory, office):
     labels = {"label": made.ground.astype(int), "classes": np.array(["other", "ground"])}
     np.savez(folder / "cloud.npz", xyz=made.points, **labels)
     words = ["bench", "paper", "--scene", f"office={folder / 'cloud.npz'}", "--agent", "human", "--queries", "8"]
+    words += ["--keep", str(folder / "kept")]
     outputs = ["--json", str(folder / "rows.json"), "--markdown", str(folder / "tables.md"), "--png", str(folder)]
     assert main([*words, "--noise", "0", *outputs]) == 0
     return folder, json.loads((folder / "rows.json").read_text())
@@ -42,8 +43,28 @@ def test_the_tables_stand_beside_the_papers_numbers(evaluated):
     text = (evaluated[0] / "tables.md").read_text()
     lines = [line for line in text.splitlines() if line.startswith("| human | office (Office 1)")]
     assert len(lines) == 4
-    assert [cell in lines[0] for cell in ("(60)", "(71)", "(98)", "100 (100)")] == [True] * 4
+    assert [cell in lines[0] for cell in ("(60)", "(71)", "(98)", "100 · 100 (100)")] == [True] * 4
     assert "(0.286)" in lines[3]
+
+
+def test_what_is_kept_is_not_made_again_unless_other_things_are_asked(evaluated, capsys):
+    folder, rows = evaluated
+    file = folder / "kept" / "office_human.json"
+    kept = json.loads(file.read_text())
+    assert kept["rows"] == rows
+    words = ["bench", "paper", "--scene", f"office={folder / 'cloud.npz'}", "--agent", "human", "--noise", "0"]
+    words += ["--keep", str(folder / "kept"), "--json", "--queries"]
+    file.write_text(json.dumps(kept | {"rows": [{**rows[-1], "p50_cpu_ms": -1.0}]}))
+    assert main([*words, "8"]) == 0
+    assert [row["p50_cpu_ms"] for row in json.loads(capsys.readouterr().out)] == [-1.0]
+    assert main([*words, "1"]) == 0
+    assert [row["queries"] for row in json.loads(capsys.readouterr().out)] == [1] * 4
+
+
+def test_scenes_in_processes_are_told_in_their_order(capsys):
+    words = ["bench", "paper", "--agent", "human", "--method", "astar", "--queries", "2", "--noise", "0", "--jobs", "2"]
+    assert main([*words, "--scene", "cluttered_office", "--scene", "office", "--json"]) == 0
+    assert [row["scene"] for row in json.loads(capsys.readouterr().out)] == ["cluttered_office", "office"]
 
 
 def test_the_pictures_are_drawn(evaluated):
