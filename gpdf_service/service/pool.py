@@ -17,10 +17,9 @@ import threading
 import time
 from collections.abc import Mapping
 from multiprocessing.connection import Connection
-from pathlib import Path
 
 import msgspec
-from gpdf_schemas import Array, DistanceRequest, PlanRequest, Status, encode
+from gpdf_schemas import Array, Status, encode
 
 from gpdf_service.service.answers import RefusedError
 from gpdf_service.service.moving import Living
@@ -61,6 +60,7 @@ class Ask(msgspec.Struct, frozen=True):
         key: What is asked, one of `gpdf_schemas.keys`.
         request: Its bytes.
         received: From when on its deadline counts, on `time.monotonic` [s].
+        load: Of the service.
         scene: Name of its scene.
         file: Where the scene is.
         moving: What moves in it; None: as before.
@@ -69,9 +69,10 @@ class Ask(msgspec.Struct, frozen=True):
     key: str
     request: bytes
     received: float
+    load: float
     scene: str
     file: str
-    moving: list[Seen] | None
+    moving: list[Seen] | None = None
 
 
 class _Process:
@@ -100,14 +101,12 @@ class _Process:
         """Until it can be asked."""
         self._pipe.recv_bytes()
 
-    def ask(
-        self, key: str, request: bytes, received: float, name: str, file: Path, living: Mapping[str, Living]
-    ) -> bytes:
+    def ask(self, ask: Ask, living: Mapping[str, Living]) -> bytes:
         """The bytes that it answers with."""
         numbers = tuple(one.number for one in living.values())
-        moving = None if self._told.get(name, ()) == numbers else [_seen(*item) for item in living.items()]
-        self._pipe.send_bytes(encode(Ask(key, request, received, name, str(file), moving)))
-        self._told[name] = numbers
+        moving = None if self._told.get(ask.scene, ()) == numbers else [_seen(*item) for item in living.items()]
+        self._pipe.send_bytes(encode(msgspec.structs.replace(ask, moving=moving)))
+        self._told[ask.scene] = numbers
         return self._pipe.recv_bytes()
 
     def wait(self) -> int:
@@ -154,27 +153,17 @@ class Pool:
         with self._lock:
             return [process.pid for process in self._alive.values()]
 
-    def ask(
-        self,
-        key: str,
-        request: PlanRequest | DistanceRequest,
-        file: Path,
-        living: Mapping[str, Living],
-        until: float,
-    ) -> bytes:
+    def ask(self, ask: Ask, living: Mapping[str, Living], until: float) -> bytes:
         """The reply's bytes of whichever process is free first; none if it cannot read the scene's file.
 
         Args:
-            key: What is asked.
-            request: Its message.
-            file: Where its scene is.
+            ask: What is asked.
             living: What moves in it, by id.
             until: When the answer is too late, on `time.monotonic` [s].
 
         Raises:
             RefusedError: no process was free in time.
         """
-        data, received = encode(request), until - request.deadline_s
         for _ in range(TRIES):
             try:
                 process = self._idle.get(timeout=max(0.0, until - time.monotonic()))
@@ -182,7 +171,7 @@ class Pool:
                 words = "no process was free to plan before the deadline. Ask again, or give more time."
                 raise RefusedError(Status.TIMEOUT, words) from error
             try:
-                answer = process.ask(key, data, received, request.scene, file, living)
+                answer = process.ask(ask, living)
             except (EOFError, OSError):  # it has died, and is not put back
                 continue
             except BaseException:  # whatever it was, the next request must not read this one's answer

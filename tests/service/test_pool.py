@@ -59,14 +59,15 @@ def distances(pool, file, living=None, deadline_s=PATIENCE_S):
     request = DistanceRequest(
         scene="x", field="obstacle", points=Array.pack(PLACES), agent="roomba", deadline_s=deadline_s
     )
-    found = pool.ask(keys.DISTANCE, request, file, living or {}, time.monotonic() + deadline_s)
+    ask = Ask(keys.DISTANCE, encode(request), time.monotonic(), 0.5, "x", str(file))
+    found = pool.ask(ask, living or {}, time.monotonic() + deadline_s)
     return decode(found, DistanceReply) if found else None
 
 
 def test_a_process_answers_as_we_would(pool, files, office):
     reply = distances(pool, files / "office.gpdf")
     here = office[1].obstacle_field("roomba").query(PLACES)
-    assert (reply.status, reply.planner) == ("OK", "me")
+    assert (reply.status, reply.planner, reply.load) == ("OK", "me", 0.5)
     np.testing.assert_array_equal(reply.distance.unpack(), here.distance)
 
 
@@ -131,7 +132,7 @@ def test_a_process_lets_go_of_a_scene_whose_file_is_gone(files, tmp_path, monkey
     desk, file = Desk(SETTINGS), tmp_path / "x@1.gpdf"
     file.write_bytes((files / "office.gpdf").read_bytes())
     request = encode(DistanceRequest(scene="x", field="obstacle", points=Array.pack(PLACES), agent="roomba"))
-    ask = Ask(keys.DISTANCE, request, time.monotonic(), "x", str(file), None)
+    ask = Ask(keys.DISTANCE, request, time.monotonic(), 0.0, "x", str(file))
     assert decode(desk.answer(ask), DistanceReply).status == "OK"
     desk.tidy()
     assert desk.scenes == ["x"]
@@ -153,7 +154,7 @@ def test_a_new_version_of_a_scene_does_not_make_a_process_forget_what_moves_in_i
     )
 
     def distance(file, moving):
-        ask = Ask(keys.DISTANCE, request, time.monotonic(), "x", str(file), moving)
+        ask = Ask(keys.DISTANCE, request, time.monotonic(), 0.0, "x", str(file), moving)
         return decode(desk.answer(ask), DistanceReply).distance.unpack()[0]
 
     before = distance(first, None)
