@@ -10,7 +10,9 @@ import contextlib
 import logging
 import os
 import queue
+import select
 import socket
+import struct
 import subprocess
 import sys
 import threading
@@ -19,6 +21,7 @@ from collections.abc import Mapping
 from multiprocessing.connection import Connection
 
 import msgspec
+import psutil
 from gpdf_schemas import Array, Status, encode
 
 from gpdf_service.service.answers import RefusedError
@@ -31,6 +34,8 @@ READY = b"ready"
 """The first message of a process."""
 TRIES = 3
 """Processes that may die over one request before it is refused: it may be what kills them."""
+STALL_S = 3.0
+"""[s] In which one that was asked uses some of the processor; one that does not hangs, and is ended like a dead one."""
 RESTART_S = 1.0
 """[s] Between beginnings of a process that dies."""
 
@@ -89,7 +94,10 @@ class _Process:
                 pass_fds=[theirs.fileno()],
                 process_group=0,  # Ctrl-C at a terminal is for the service, which answers first what waits
             )
+            ours.setsockopt(socket.SOL_SOCKET, socket.SO_SNDTIMEO, struct.pack("ll", int(STALL_S), 0))
             self._pipe = Connection(os.dup(ours.fileno()))
+        self._answered = select.poll()
+        self._answered.register(self._pipe, select.POLLIN)
         self._told: dict[str, tuple[int, ...]] = {}
 
     @property
@@ -101,13 +109,34 @@ class _Process:
         """Until it can be asked."""
         self._pipe.recv_bytes()
 
-    def ask(self, ask: Ask, living: Mapping[str, Living]) -> bytes:
-        """The bytes that it answers with."""
+    def tell(self, ask: Ask, living: Mapping[str, Living]) -> None:
+        """Ask it; `hear` next."""
         numbers = tuple(one.number for one in living.values())
         moving = None if self._told.get(ask.scene, ()) == numbers else [_seen(*item) for item in living.items()]
         self._pipe.send_bytes(encode(msgspec.structs.replace(ask, moving=moving)))
         self._told[ask.scene] = numbers
+
+    def hear(self) -> bytes:
+        """The bytes that it answers with.
+
+        Raises:
+            TimeoutError: it hangs.
+        """
+        spent = -1.0
+        while not self._answered.poll(1e3 * STALL_S):
+            before, spent = spent, self._cpu_s()
+            if spent == before:
+                words = f"process {self.pid} was asked to plan and hangs"
+                log.error(words)
+                raise TimeoutError(words)
         return self._pipe.recv_bytes()
+
+    def _cpu_s(self) -> float:
+        try:
+            times = psutil.Process(self.pid).cpu_times()
+        except psutil.NoSuchProcess:  # the pipe says so, too
+            return -1.0
+        return float(times.user + times.system)
 
     def wait(self) -> int:
         """Until it has ended."""
@@ -148,6 +177,11 @@ class Pool:
         return self._ready.is_set()
 
     @property
+    def idle(self) -> int:
+        """How many wait to be asked; one that has just died among them."""
+        return self._idle.qsize()
+
+    @property
     def pids(self) -> list[int]:
         """The system's numbers of those that run."""
         with self._lock:
@@ -164,15 +198,21 @@ class Pool:
         Raises:
             RefusedError: no process was free in time.
         """
-        for _ in range(TRIES):
+        died = 0
+        while died < TRIES:
             try:
                 process = self._idle.get(timeout=max(0.0, until - time.monotonic()))
             except queue.Empty as error:
                 words = "no process was free to plan before the deadline. Ask again, or give more time."
                 raise RefusedError(Status.TIMEOUT, words) from error
+            told = False
             try:
-                answer = process.ask(ask, living)
-            except (EOFError, OSError):  # it has died, and is not put back
+                process.tell(ask, living)
+                told = True
+                answer = process.hear()
+            except (EOFError, OSError):  # it is not put back
+                process.kill()
+                died += told  # else it had died before, which is not this request's doing
                 continue
             except BaseException:  # whatever it was, the next request must not read this one's answer
                 process.kill()

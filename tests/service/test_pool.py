@@ -110,6 +110,35 @@ def test_a_process_that_is_killed_is_begun_anew(pool, files):
     assert pool.restarts == restarts + 2
 
 
+def test_processes_that_died_while_they_waited_are_not_blamed_on_the_next_request(pool, files, monkeypatch):
+    monkeypatch.setattr("gpdf_service.service.pool.TRIES", 1)
+    wait_for(lambda: len(pool.pids) == 2 and pool.idle == 2)
+    before = pool.pids
+    for pid in before:
+        os.kill(pid, signal.SIGKILL)
+    wait_for(lambda: not set(pool.pids) & set(before))
+    assert distances(pool, files / "office.gpdf").status == "OK"
+
+
+def test_what_moves_is_known_to_the_processes_that_come_after_those_that_died(pool, files):
+    pillar = np.column_stack([np.tile(PLACES[0], (20, 1)), np.linspace(0, 1, 20)])
+    living = {"a": Living(pillar, time.monotonic() + 3600, 8)}
+    wait_for(lambda: len(pool.pids) == 2)
+    for pid in pool.pids:
+        os.kill(pid, signal.SIGKILL)
+    for _ in range(4):
+        assert distances(pool, files / "office.gpdf", living).distance.unpack()[0] < 0.05
+
+
+def test_a_process_that_hangs_is_ended_and_its_request_goes_to_another(pool, files):
+    wait_for(lambda: len(pool.pids) == 2 and pool.idle == 2)
+    before = pool.pids
+    for pid in before:
+        os.kill(pid, signal.SIGSTOP)
+    assert distances(pool, files / "office.gpdf").status == "OK"
+    wait_for(lambda: len(pool.pids) == 2 and not set(pool.pids) & set(before))
+
+
 def test_a_request_that_no_process_takes_in_time_is_refused(files):
     nobody = Pool(1, SETTINGS)
     with pytest.raises(RefusedError, match="no process was free") as refused:
