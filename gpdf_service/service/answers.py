@@ -5,18 +5,21 @@ from __future__ import annotations
 import logging
 import time
 from collections.abc import Callable
-from typing import Any
+from typing import Any, TypeVar
 
 import msgspec
-from gpdf_schemas import MAX_REQUEST_BYTES, DecodeError, Reply, Status, decode
+from gpdf_schemas import MAX_REQUEST_BYTES, DecodeError, Reply, Status, decode, encode
 
 from gpdf_service.errors import GpdfError
 from gpdf_service.service.scenes import FullError
 
 log = logging.getLogger(__name__)
 
-Answers = dict[str, tuple[type[Any], type[Reply], Callable[[Any], Reply]]]
-"""By key: the request's type, the reply's, and what makes one of the other."""
+T = TypeVar("T")
+Answer = tuple[type[Any], type[Reply], Callable[[Any], T]]
+"""The request's type, the reply's, and what makes one of the other: a reply, or the bytes of one."""
+Answers = dict[str, Answer[Reply]]
+"""By key."""
 
 
 class RefusedError(Exception):
@@ -27,26 +30,28 @@ class RefusedError(Exception):
         self.status = status
 
 
-def refuse(kind: type[Reply], planner: str, status: Status, message: str, request_id: str = "") -> Reply:
+def refuse(
+    kind: type[Reply], planner: str, status: Status, message: str, request_id: str = "", load: float = 0.0
+) -> Reply:
     """A reply that only says why there is none."""
-    return kind(request_id=request_id, status=status, message=message, planner=planner)
+    return kind(request_id=request_id, status=status, message=message, planner=planner, load=load)
 
 
-def answer(answers: Answers, planner: str, key: str, payload: bytes, received: float) -> Reply:
-    """Answer one request; never raises.
+def answer(by: Answer[Reply | bytes], planner: str, payload: bytes, received: float, load: float) -> bytes:
+    """Answer one request with the reply's bytes; never raises.
 
     Args:
-        answers: What each key does.
+        by: What the key that was asked does; bytes are given back as they are.
         planner: Id of the service.
-        key: The key that was asked.
         payload: The request's bytes.
         received: When it arrived, on `time.monotonic` [s]; its deadline counts from there.
+        load: Of the service.
     """
-    request_kind, reply_kind, handle = answers[key]
+    request_kind, reply_kind, handle = by
     request_id = ""
 
-    def no(status: Status, message: str) -> Reply:
-        return refuse(reply_kind, planner, status, message, request_id)
+    def no(status: Status, message: str) -> bytes:
+        return encode(refuse(reply_kind, planner, status, message, request_id, load))
 
     try:
         request = decode(payload, request_kind, limit=MAX_REQUEST_BYTES)
@@ -56,7 +61,9 @@ def answer(answers: Answers, planner: str, key: str, payload: bytes, received: f
             words = f"the request waited {waited:.2f} s, its deadline was {request.deadline_s:.2f} s. Ask later."
             return no(Status.TIMEOUT, words)
         reply = handle(msgspec.structs.replace(request, deadline_s=request.deadline_s - waited))
-        return msgspec.structs.replace(reply, timings={**reply.timings, "waited": waited})
+        if isinstance(reply, bytes):
+            return reply
+        return encode(msgspec.structs.replace(reply, timings={**reply.timings, "waited": waited}, load=load))
     except (DecodeError, ValueError) as error:
         return no(Status.INVALID_REQUEST, str(error))
     except RefusedError as error:
@@ -66,5 +73,5 @@ def answer(answers: Answers, planner: str, key: str, payload: bytes, received: f
     except GpdfError as error:
         return no(Status.INVALID_REQUEST, str(error))
     except Exception:
-        log.exception("request %s on %s", request_id, key)
+        log.exception("a %s, request_id %r", request_kind.__name__, request_id)
         return no(Status.INTERNAL, "the service failed; its log says more.")

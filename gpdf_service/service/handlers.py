@@ -5,8 +5,9 @@ from __future__ import annotations
 import os
 import time
 from collections.abc import Callable
-from typing import Any, TypeVar
+from typing import Any
 
+import msgspec
 from gpdf_schemas import (
     Array,
     DistanceReply,
@@ -29,22 +30,24 @@ from gpdf_schemas import (
     UpdateRequest,
     UploadRequest,
     decode,
+    encode,
     keys,
 )
 
 from gpdf_service.errors import RequestError, SceneFileError
 from gpdf_service.scene import Scene
-from gpdf_service.service.answers import Answers, RefusedError, answer, refuse
+from gpdf_service.service.answers import Answer, Answers, RefusedError, answer, refuse
 from gpdf_service.service.drawing import draw_part
 from gpdf_service.service.in_use import InUse
 from gpdf_service.service.moving import Moving
 from gpdf_service.service.places import Named
 from gpdf_service.service.planning import LARGEST_BODY, Planning, agent_of, to_trajectory
-from gpdf_service.service.pool import Pool
+from gpdf_service.service.pool import Ask, Pool
 from gpdf_service.service.scenes import Entry, Shelf, describe
-from gpdf_service.types import BoolArray, FloatArray, resolve_agent
+from gpdf_service.types import BoolArray, FloatArray, Trajectory, resolve_agent
 
-R = TypeVar("R", bound=Reply)
+PLANNER_KEYS = keys.PLAN, keys.DISTANCE
+"""What a planner answers."""
 PART_BYTES = 1_000_000
 """Of a scene file in one reply: a small request behind it waits a few milliseconds."""
 
@@ -85,7 +88,7 @@ class Handlers:
         """What a planner answers."""
         return {
             keys.PLAN: (PlanRequest, PlanReply, self.plan),
-            keys.DISTANCE: (DistanceRequest, DistanceReply, self.distance),
+            keys.DISTANCE: (DistanceRequest, DistanceReply, self._planning.distance),
         }
 
     @property
@@ -104,38 +107,60 @@ class Handlers:
             keys.SCENE_DRAW: (DrawRequest, DrawReply, self.draw),
         }
 
-    def answer(self, key: str, payload: bytes, received: float) -> Reply:
-        """Answer one request; never raises. It arrived at `received`, on `time.monotonic` [s]."""
-        return answer(self.by_key, self.planner_id, key, payload, received)
+    def answer(self, key: str, payload: bytes, received: float, load: float = 0.0) -> bytes:
+        """The reply's bytes to one request; never raises.
 
-    def refuse(self, key: str, status: Status, message: str) -> Reply:
+        Args:
+            key: What is asked.
+            payload: The request's bytes.
+            received: When it arrived, on `time.monotonic` [s].
+            load: Of the service.
+        """
+        request_kind, reply_kind, handle = self.by_key[key]
+
+        def by_process(request: PlanRequest | DistanceRequest) -> Reply | bytes:
+            return self._by_process(Ask(key, payload, received, load, request.scene, ""), request) or handle(request)
+
+        hands_over = self._pool is not None and key in PLANNER_KEYS
+        by: Answer[Reply | bytes] = request_kind, reply_kind, by_process if hands_over else handle
+        return answer(by, self.planner_id, payload, received, load)
+
+    def refuse(self, key: str, status: Status, message: str, load: float) -> bytes:
         """A reply to what was asked by a key that only says why there is none."""
-        return refuse(self.by_key[key][1], self.planner_id, status, message)
+        return encode(refuse(self.by_key[key][1], self.planner_id, status, message, load=load))
 
-    def plan(self, request: PlanRequest) -> PlanReply:
-        """A trajectory; it is remembered, so that who follows it is told when something cuts it."""
-        reply = self._planned(keys.PLAN, request, PlanReply)
-        if reply.trajectory is not None and reply.status is Status.OK:
-            body = resolve_agent(agent_of(request.agent))
-            self.in_use.remember(request.scene, request.request_id, body, to_trajectory(reply.trajectory))
-        return reply
-
-    def distance(self, request: DistanceRequest) -> DistanceReply:
-        """Distances of a field."""
-        return self._planned(keys.DISTANCE, request, DistanceReply)
-
-    def _planned(self, key: str, request: PlanRequest | DistanceRequest, kind: type[R]) -> R:
-        """By one of the processes, which load the scene from its file; here, where there are none, or no such file."""
+    def _by_process(self, ask: Ask, request: PlanRequest | DistanceRequest) -> bytes:
+        """The reply's bytes by one of the processes; none if there is no file that they could load the scene from."""
+        assert self._pool is not None
         until = time.monotonic() + request.deadline_s
         entry = self._ready(request.scene, request.deadline_s)
-        while self._pool is not None and (file := entry.file) is not None:
-            found = self._pool.ask(key, request, file, self.moving.living(request.scene), until)
-            if found:
-                return decode(found, kind)
+        while (file := entry.file) is not None:
+            moving = self.moving.living(request.scene)
+            if found := self._pool.ask(msgspec.structs.replace(ask, file=str(file)), moving, until):
+                if isinstance(request, PlanRequest) and decode(found, Reply).status is Status.OK:
+                    self._remember(request, lambda: decode(found, PlanReply))
+                return found
             if entry.file == file:  # it is there and cannot be read: who tries here, learns why
                 break
-        made: R = self._planning.answers[key][2](request)  # type: ignore[assignment]
-        return made
+        return b""
+
+    def plan(self, request: PlanRequest) -> PlanReply:
+        """A trajectory, planned in this process."""
+        reply = self._planning.plan(request)
+        if reply.status is Status.OK:
+            self._remember(request, lambda: reply)
+        return reply
+
+    def _remember(self, request: PlanRequest, reply: Callable[[], PlanReply]) -> None:
+        """Who follows what was given out is told when something cuts it; nothing is reckoned unless something moves."""
+
+        def trajectory() -> Trajectory:
+            message = reply().trajectory
+            assert message is not None
+            return to_trajectory(message)
+
+        body = resolve_agent(agent_of(request.agent))
+        self.in_use.remember(request.scene, request.request_id, body, trajectory)
 
     def scenes(self, request: SceneRequest) -> ScenesReply:
         """Facts of all scenes."""

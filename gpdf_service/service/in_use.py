@@ -8,6 +8,7 @@ import time
 from collections import deque
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from gpdf_schemas import TrajectoryCut
@@ -31,14 +32,26 @@ Clock = Callable[[], float]
 
 
 @dataclass(frozen=True, slots=True)
-class _InUse:
-    scene: str
-    request_id: str
-    agent: Agent
+class _Swept:
     ground: FloatArray  # contact points, closely spaced, (n, 3)
     discs: FloatArray  # the body's discs there, (n, k, 3)
     times: FloatArray  # since the start [s], (n,)
     until: float
+
+
+@dataclass(frozen=True)
+class _InUse:
+    scene: str
+    request_id: str
+    agent: Agent
+    given: float
+    trajectory: Callable[[], Trajectory]
+
+    @cached_property
+    def swept(self) -> _Swept:
+        """Reckoned on first use: where nothing moves, a plan pays nothing for it."""
+        trajectory = self.trajectory()
+        return _Swept(*_dense(trajectory, self.agent), self.given + PATIENCE * trajectory.duration + GRACE_S)
 
 
 class InUse:
@@ -77,13 +90,12 @@ class InUse:
         if self._thread.ident is not None:
             self._thread.join()
 
-    def remember(self, scene: str, request_id: str, agent: Agent, trajectory: Trajectory) -> None:
-        """A trajectory was given out; what came while it was planned is looked at, too."""
-        ground, discs, times = _dense(trajectory, agent)
-        until = self._clock() + PATIENCE * trajectory.duration + GRACE_S
+    def remember(self, scene: str, request_id: str, agent: Agent, trajectory: Callable[[], Trajectory]) -> None:
+        """A trajectory was given out, asked for once something moves; what came while it was planned counts, too."""
         with self._lock:
-            self._known.append(_InUse(scene, request_id, agent, ground, discs, times, until))
-        self.look(scene)
+            self._known.append(_InUse(scene, request_id, agent, self._clock(), trajectory))
+        if self._points_of(scene):
+            self.look(scene)
 
     def look(self, scene: str) -> None:
         """Something has changed in a scene; returns at once."""
@@ -94,14 +106,14 @@ class InUse:
     def cuts(self, scene: str) -> list[TrajectoryCut]:
         """The trajectories of a scene that are cut now."""
         with self._lock:
-            now = self._clock()
-            in_use = [used for used in self._known if used.scene == scene and used.until > now]
-        points = self._points_of(scene) if in_use else {}
-        found = (self._cut(used, points) for used in in_use if points)
+            known = [used for used in self._known if used.scene == scene]
+        now, points = self._clock(), self._points_of(scene) if known else {}
+        found = (self._cut(used, points) for used in known if points and used.swept.until > now)
         return [cut for cut in found if cut is not None]
 
     def _cut(self, used: _InUse, obstacles: Mapping[str, FloatArray]) -> TrajectoryCut | None:
-        first = {id_: _first_touch(used, points) for id_, points in obstacles.items()}
+        swept = used.swept
+        first = {id_: _first_touch(swept, used.agent, points) for id_, points in obstacles.items()}
         met = {id_: index for id_, index in first.items() if index is not None}
         if not met:
             return None
@@ -111,8 +123,8 @@ class InUse:
             request_id=used.request_id,
             planner=self._planner,
             obstacles=sorted(met),
-            time=float(used.times[index]),
-            at=used.ground[index].tolist(),
+            time=float(swept.times[index]),
+            at=swept.ground[index].tolist(),
         )
 
     def _run(self) -> None:
@@ -141,10 +153,9 @@ def _dense(trajectory: Trajectory, agent: Agent) -> tuple[FloatArray, FloatArray
     return dense[:, :3], discs, np.interp(at, knots, trajectory.times)
 
 
-def _first_touch(used: _InUse, points: FloatArray) -> int | None:
+def _first_touch(swept: _Swept, agent: Agent, points: FloatArray) -> int | None:
     """Where the body, upright on its contact point, first meets one of the points (k, 3)."""
-    discs, agent = used.discs.reshape(-1, 3), used.agent
-    radius = agent.disc_radius
+    discs, radius = swept.discs.reshape(-1, 3), agent.disc_radius
     low, high = discs.min(axis=0) - radius, discs.max(axis=0) + radius + [0.0, 0.0, agent.height]
     points = points[((points >= low) & (points <= high)).all(axis=1)]
     if not len(points):

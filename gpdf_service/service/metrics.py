@@ -9,7 +9,7 @@ from collections.abc import Sequence
 
 import numpy as np
 import psutil
-from gpdf_schemas import Reply
+from gpdf_schemas import Status
 
 WINDOW = 1000
 """Answers that the latencies are taken from."""
@@ -26,10 +26,10 @@ class Metrics:
         self._bad = 0
         self._lock = threading.Lock()
 
-    def count(self, reply: Reply, seconds: float) -> None:
+    def count(self, status: Status, seconds: float) -> None:
         """One answer, and how long it took from the request's arrival [s]."""
         with self._lock:
-            self._answers[reply.status.value] += 1
+            self._answers[status.value] += 1
             self._seconds.append(seconds)
 
     def count_bad_publication(self) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import select
 import signal
 import sys
 import time
@@ -9,7 +10,7 @@ from multiprocessing.connection import Connection
 from pathlib import Path
 
 import msgspec
-from gpdf_schemas import decode, encode
+from gpdf_schemas import decode
 
 from gpdf_service.errors import SceneFileError
 from gpdf_service.service.answers import answer
@@ -53,7 +54,7 @@ class Desk:
             self._shelf.scene(self._shelf.hold(ask.scene, Path(ask.file)))
         except SceneFileError:
             return b""
-        return encode(answer(self._planning.answers, self._planner, ask.key, ask.request, ask.received))
+        return answer(self._planning.answers[ask.key], self._planner, ask.request, ask.received, ask.load)
 
     def tidy(self) -> None:
         """Let go of scenes that are unloaded or replaced (their files are gone), and of what is too much."""
@@ -66,10 +67,12 @@ class Desk:
 
 def serve(pipe: Connection, desk: Desk) -> None:
     """Answer until the other end is closed."""
+    waiting = select.poll()
+    waiting.register(pipe, select.POLLIN)
     try:
         pipe.send_bytes(READY)
         while True:
-            if pipe.poll(TIDY_S):
+            if waiting.poll(1e3 * TIDY_S):
                 pipe.send_bytes(desk.answer(decode(pipe.recv_bytes(), Ask)))
             desk.tidy()
     except (EOFError, OSError):  # the service has ended, however it did

@@ -10,17 +10,19 @@ import contextlib
 import logging
 import os
 import queue
+import select
 import socket
+import struct
 import subprocess
 import sys
 import threading
 import time
 from collections.abc import Mapping
 from multiprocessing.connection import Connection
-from pathlib import Path
 
 import msgspec
-from gpdf_schemas import Array, DistanceRequest, PlanRequest, Status, encode
+import psutil
+from gpdf_schemas import Array, Status, encode
 
 from gpdf_service.service.answers import RefusedError
 from gpdf_service.service.moving import Living
@@ -32,6 +34,8 @@ READY = b"ready"
 """The first message of a process."""
 TRIES = 3
 """Processes that may die over one request before it is refused: it may be what kills them."""
+STALL_S = 3.0
+"""[s] In which one that was asked uses some of the processor; one that does not hangs, and is ended like a dead one."""
 RESTART_S = 1.0
 """[s] Between beginnings of a process that dies."""
 
@@ -61,6 +65,7 @@ class Ask(msgspec.Struct, frozen=True):
         key: What is asked, one of `gpdf_schemas.keys`.
         request: Its bytes.
         received: From when on its deadline counts, on `time.monotonic` [s].
+        load: Of the service.
         scene: Name of its scene.
         file: Where the scene is.
         moving: What moves in it; None: as before.
@@ -69,9 +74,10 @@ class Ask(msgspec.Struct, frozen=True):
     key: str
     request: bytes
     received: float
+    load: float
     scene: str
     file: str
-    moving: list[Seen] | None
+    moving: list[Seen] | None = None
 
 
 class _Process:
@@ -88,7 +94,10 @@ class _Process:
                 pass_fds=[theirs.fileno()],
                 process_group=0,  # Ctrl-C at a terminal is for the service, which answers first what waits
             )
+            ours.setsockopt(socket.SOL_SOCKET, socket.SO_SNDTIMEO, struct.pack("ll", int(STALL_S), 0))
             self._pipe = Connection(os.dup(ours.fileno()))
+        self._answered = select.poll()
+        self._answered.register(self._pipe, select.POLLIN)
         self._told: dict[str, tuple[int, ...]] = {}
 
     @property
@@ -100,15 +109,34 @@ class _Process:
         """Until it can be asked."""
         self._pipe.recv_bytes()
 
-    def ask(
-        self, key: str, request: bytes, received: float, name: str, file: Path, living: Mapping[str, Living]
-    ) -> bytes:
-        """The bytes that it answers with."""
+    def tell(self, ask: Ask, living: Mapping[str, Living]) -> None:
+        """Ask it; `hear` next."""
         numbers = tuple(one.number for one in living.values())
-        moving = None if self._told.get(name, ()) == numbers else [_seen(*item) for item in living.items()]
-        self._pipe.send_bytes(encode(Ask(key, request, received, name, str(file), moving)))
-        self._told[name] = numbers
+        moving = None if self._told.get(ask.scene, ()) == numbers else [_seen(*item) for item in living.items()]
+        self._pipe.send_bytes(encode(msgspec.structs.replace(ask, moving=moving)))
+        self._told[ask.scene] = numbers
+
+    def hear(self) -> bytes:
+        """The bytes that it answers with.
+
+        Raises:
+            TimeoutError: it hangs.
+        """
+        spent = -1.0
+        while not self._answered.poll(1e3 * STALL_S):
+            before, spent = spent, self._cpu_s()
+            if spent == before:
+                words = f"process {self.pid} was asked to plan and hangs"
+                log.error(words)
+                raise TimeoutError(words)
         return self._pipe.recv_bytes()
+
+    def _cpu_s(self) -> float:
+        try:
+            times = psutil.Process(self.pid).cpu_times()
+        except psutil.NoSuchProcess:  # the pipe says so, too
+            return -1.0
+        return float(times.user + times.system)
 
     def wait(self) -> int:
         """Until it has ended."""
@@ -149,41 +177,42 @@ class Pool:
         return self._ready.is_set()
 
     @property
+    def idle(self) -> int:
+        """How many wait to be asked; one that has just died among them."""
+        return self._idle.qsize()
+
+    @property
     def pids(self) -> list[int]:
         """The system's numbers of those that run."""
         with self._lock:
             return [process.pid for process in self._alive.values()]
 
-    def ask(
-        self,
-        key: str,
-        request: PlanRequest | DistanceRequest,
-        file: Path,
-        living: Mapping[str, Living],
-        until: float,
-    ) -> bytes:
+    def ask(self, ask: Ask, living: Mapping[str, Living], until: float) -> bytes:
         """The reply's bytes of whichever process is free first; none if it cannot read the scene's file.
 
         Args:
-            key: What is asked.
-            request: Its message.
-            file: Where its scene is.
+            ask: What is asked.
             living: What moves in it, by id.
             until: When the answer is too late, on `time.monotonic` [s].
 
         Raises:
             RefusedError: no process was free in time.
         """
-        data, received = encode(request), until - request.deadline_s
-        for _ in range(TRIES):
+        died = 0
+        while died < TRIES:
             try:
                 process = self._idle.get(timeout=max(0.0, until - time.monotonic()))
             except queue.Empty as error:
                 words = "no process was free to plan before the deadline. Ask again, or give more time."
                 raise RefusedError(Status.TIMEOUT, words) from error
+            told = False
             try:
-                answer = process.ask(key, data, received, request.scene, file, living)
-            except (EOFError, OSError):  # it has died, and is not put back
+                process.tell(ask, living)
+                told = True
+                answer = process.hear()
+            except (EOFError, OSError):  # it is not put back
+                process.kill()
+                died += told  # else it had died before, which is not this request's doing
                 continue
             except BaseException:  # whatever it was, the next request must not read this one's answer
                 process.kill()

@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from gpdf_schemas import PlanReply
+from gpdf_schemas import PlanReply, decode
 from numpy.typing import NDArray
 
 from gpdf_service import __version__
@@ -122,10 +122,16 @@ class Recorder:
         except queue.Full:
             self._count_lost(1)
 
-    def plan(self, reply: PlanReply, stamp_ns: int) -> None:
-        """Record for viewers what became of a request, and its trajectory, but no uncertified one."""
+    def plan(self, data: bytes, stamp_ns: int) -> None:
+        """Record for viewers what became of a request, and its trajectory, but no uncertified one.
+
+        Args:
+            data: The `PlanReply`'s bytes.
+            stamp_ns: When it was answered [ns].
+        """
 
         def write(segment: Segment) -> None:
+            reply = decode(data, PlanReply)
             segment.draw("/words", words(reply, stamp_ns), stamp_ns)
             if reply.trajectory is not None and reply.status == "OK":
                 path, headings = reply.trajectory.positions.unpack(), reply.trajectory.headings.unpack()

@@ -9,7 +9,7 @@ import time
 from collections.abc import Sequence
 from pathlib import Path
 
-from gpdf_schemas import PlanReply, encode, keys
+from gpdf_schemas import PlanReply, decode, encode, keys
 from tqdm import tqdm
 
 from gpdf_service.errors import RequestError, SceneFileError
@@ -73,9 +73,8 @@ class InProcess:
     def _ask(self, plan: Planned) -> PlanReply:
         scene = self.scene_of(plan)
         planning = Planning(lambda name, timeout_s: scene, self._moving, "replay")
-        reply = answer(planning.answers, "replay", keys.PLAN, encode(plan.request), time.monotonic())
-        assert isinstance(reply, PlanReply)
-        return reply
+        by = planning.answers[keys.PLAN]
+        return decode(answer(by, "replay", encode(plan.request), time.monotonic(), 0.0), PlanReply)
 
 
 def _read(path: Path) -> Scene:

@@ -15,12 +15,10 @@ from importlib.metadata import version
 from pathlib import Path
 from types import TracebackType
 
-import msgspec
 import zenoh
 from gpdf_schemas import (
     MAX_REQUEST_BYTES,
     MovingObstacles,
-    PlanReply,
     Reply,
     SceneChanged,
     Status,
@@ -286,27 +284,28 @@ class Server:
 
     def _refuse(self, job: _Job, status: Status, words: str) -> None:
         """Answer at once, in Zenoh's callback."""
-        self._reply(job, self.handlers.refuse(job.key, status, words), patient=False)
+        self._reply(job, self.handlers.refuse(job.key, status, words, self.load), patient=False)
 
     def _work(self) -> None:
         while (job := self._jobs.get()) is not None:
             try:
-                self._reply(job, self.handlers.answer(job.key, job.payload, job.received))
+                self._reply(job, self.handlers.answer(job.key, job.payload, job.received, self.load))
             except Exception:
                 log.exception("reply on %s", job.key)
             finally:
                 self._jobs.done()
 
-    def _reply(self, job: _Job, reply: Reply, *, patient: bool = True) -> None:
-        data = encode(msgspec.structs.replace(reply, load=self.load))
+    def _reply(self, job: _Job, data: bytes, *, patient: bool = True) -> None:
         stamp = time.time_ns()
         if job.key != keys.SCENE_DRAW:  # megabytes that the scene's digest, which is in the log, stands for
             self.recorder.exchange(job.key, job.payload, data, job.received_ns, stamp, patient=patient)
-        self.metrics.count(reply, time.monotonic() - job.received)  # who has the answer finds it counted
+        self.metrics.count(
+            decode(data, Reply).status, time.monotonic() - job.received
+        )  # who has the answer finds it counted
         with job.query:  # dropped after the reply, or the client waits for its time-out
             job.query.reply(job.wire_key, data)
-        if isinstance(reply, PlanReply):
-            self.recorder.plan(reply, stamp)
+        if job.key == keys.PLAN:
+            self.recorder.plan(data, stamp)
 
     def _answer_status(self, query: zenoh.Query) -> None:
         """Answered in the callback itself: a service whose queue is full is asked first of all how it is."""

@@ -78,8 +78,8 @@ def test_a_described_body_of_no_earthly_size_is_refused(tmp_path, office):
     body |= {"speed": 1.0, "acceleration": 1.0, "turn_rate": 1.0}
     for change in ({"width": 1e-9}, {"length": 1e9}, {"height": 0.0}, {"width": True}, {"speed": -1.0}):
         request = {"scene": "office", "start": [1.0, 1.0], "goal": [2.0, 1.0], "agent": body | change}
-        reply = Handlers(shelf, "").answer(keys.PLAN, msgpack.packb(request), time.monotonic())
-        assert reply.status == "INVALID_REQUEST"
+        reply = msgpack.unpackb(Handlers(shelf, "").answer(keys.PLAN, msgpack.packb(request), time.monotonic()))
+        assert reply["status"] == "INVALID_REQUEST"
     shelf.close()
 
 

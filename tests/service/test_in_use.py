@@ -28,7 +28,7 @@ def straight(length=4.0, agent="human", duration=8.0):
 
 def in_use(points, agent="human", clock=lambda: 0.0, **more):
     made = InUse(lambda scene: {"x": np.atleast_2d(points).astype(float)}, lambda cut: None, "me", clock)
-    made.remember("hall", "1", gpdf.AGENTS[agent], straight(agent=agent, **more))
+    made.remember("hall", "1", gpdf.AGENTS[agent], lambda: straight(agent=agent, **more))
     return made
 
 
@@ -60,7 +60,7 @@ def test_a_body_of_discs_is_cut_by_what_its_footprint_meets_turning_too():
     )
     for point, when in (((3.0, 1.8, 0.5), None), ((3.0, 1.55, 0.5), 3.0), ((5.0, 1.95, 0.5), 9.7)):
         used = InUse(lambda scene, at=point: {"x": np.array([at])}, lambda cut: None)
-        used.remember("hall", "1", spot, path)
+        used.remember("hall", "1", spot, lambda path=path: path)
         times = [cut.time for cut in used.cuts("hall")]
         assert times == ([] if when is None else [pytest.approx(when, abs=0.3)]), point
 
@@ -79,7 +79,7 @@ def test_a_trajectory_is_in_use_for_a_while_and_in_its_scene():
 def test_only_so_many_are_remembered():
     used = in_use((3.0, 1.5, 0.5))
     for i in range(MOST):
-        used.remember("hall", f"later {i}", gpdf.AGENTS["human"], straight())
+        used.remember("hall", f"later {i}", gpdf.AGENTS["human"], straight)
     assert len(used.cuts("hall")) == MOST
     assert "1" not in {cut.request_id for cut in used.cuts("hall")}
 
@@ -93,7 +93,7 @@ def test_a_plan_round_something_is_not_cut_by_it(agent):
         path = gpdf.plan(hall.with_obstacles(points), START, GOAL, agent)
         assert path.status == "OK"
         used = InUse(lambda scene, points=points: {"x": points}, lambda cut: None)
-        used.remember("hall", "1", gpdf.AGENTS[agent], path.trajectory)
+        used.remember("hall", "1", gpdf.AGENTS[agent], lambda path=path: path.trajectory)
         assert used.cuts("hall") == []
 
 

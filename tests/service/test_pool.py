@@ -59,14 +59,15 @@ def distances(pool, file, living=None, deadline_s=PATIENCE_S):
     request = DistanceRequest(
         scene="x", field="obstacle", points=Array.pack(PLACES), agent="roomba", deadline_s=deadline_s
     )
-    found = pool.ask(keys.DISTANCE, request, file, living or {}, time.monotonic() + deadline_s)
+    ask = Ask(keys.DISTANCE, encode(request), time.monotonic(), 0.5, "x", str(file))
+    found = pool.ask(ask, living or {}, time.monotonic() + deadline_s)
     return decode(found, DistanceReply) if found else None
 
 
 def test_a_process_answers_as_we_would(pool, files, office):
     reply = distances(pool, files / "office.gpdf")
     here = office[1].obstacle_field("roomba").query(PLACES)
-    assert (reply.status, reply.planner) == ("OK", "me")
+    assert (reply.status, reply.planner, reply.load) == ("OK", "me", 0.5)
     np.testing.assert_array_equal(reply.distance.unpack(), here.distance)
 
 
@@ -109,6 +110,35 @@ def test_a_process_that_is_killed_is_begun_anew(pool, files):
     assert pool.restarts == restarts + 2
 
 
+def test_processes_that_died_while_they_waited_are_not_blamed_on_the_next_request(pool, files, monkeypatch):
+    monkeypatch.setattr("gpdf_service.service.pool.TRIES", 1)
+    wait_for(lambda: len(pool.pids) == 2 and pool.idle == 2)
+    before = pool.pids
+    for pid in before:
+        os.kill(pid, signal.SIGKILL)
+    wait_for(lambda: not set(pool.pids) & set(before))
+    assert distances(pool, files / "office.gpdf").status == "OK"
+
+
+def test_what_moves_is_known_to_the_processes_that_come_after_those_that_died(pool, files):
+    pillar = np.column_stack([np.tile(PLACES[0], (20, 1)), np.linspace(0, 1, 20)])
+    living = {"a": Living(pillar, time.monotonic() + 3600, 8)}
+    wait_for(lambda: len(pool.pids) == 2)
+    for pid in pool.pids:
+        os.kill(pid, signal.SIGKILL)
+    for _ in range(4):
+        assert distances(pool, files / "office.gpdf", living).distance.unpack()[0] < 0.05
+
+
+def test_a_process_that_hangs_is_ended_and_its_request_goes_to_another(pool, files):
+    wait_for(lambda: len(pool.pids) == 2 and pool.idle == 2)
+    before = pool.pids
+    for pid in before:
+        os.kill(pid, signal.SIGSTOP)
+    assert distances(pool, files / "office.gpdf").status == "OK"
+    wait_for(lambda: len(pool.pids) == 2 and not set(pool.pids) & set(before))
+
+
 def test_a_request_that_no_process_takes_in_time_is_refused(files):
     nobody = Pool(1, SETTINGS)
     with pytest.raises(RefusedError, match="no process was free") as refused:
@@ -131,7 +161,7 @@ def test_a_process_lets_go_of_a_scene_whose_file_is_gone(files, tmp_path, monkey
     desk, file = Desk(SETTINGS), tmp_path / "x@1.gpdf"
     file.write_bytes((files / "office.gpdf").read_bytes())
     request = encode(DistanceRequest(scene="x", field="obstacle", points=Array.pack(PLACES), agent="roomba"))
-    ask = Ask(keys.DISTANCE, request, time.monotonic(), "x", str(file), None)
+    ask = Ask(keys.DISTANCE, request, time.monotonic(), 0.0, "x", str(file))
     assert decode(desk.answer(ask), DistanceReply).status == "OK"
     desk.tidy()
     assert desk.scenes == ["x"]
@@ -153,7 +183,7 @@ def test_a_new_version_of_a_scene_does_not_make_a_process_forget_what_moves_in_i
     )
 
     def distance(file, moving):
-        ask = Ask(keys.DISTANCE, request, time.monotonic(), "x", str(file), moving)
+        ask = Ask(keys.DISTANCE, request, time.monotonic(), 0.0, "x", str(file), moving)
         return decode(desk.answer(ask), DistanceReply).distance.unpack()[0]
 
     before = distance(first, None)

@@ -207,10 +207,10 @@ def test_a_full_queue_is_busy_and_everybody_gets_an_answer(clouds, tmp_path, fre
     with Server(Options(free_endpoint, clouds, tmp_path, 1, queue=2)) as server:
         answer = server.handlers.answer
 
-        def slow(key, payload, received):
+        def slow(*asked):
             inside.set()
             gate.wait(30)
-            return answer(key, payload, received)
+            return answer(*asked)
 
         monkeypatch.setattr(server.handlers, "answer", slow)
         replies, lock = [], threading.Lock()
