@@ -48,7 +48,6 @@ def main() -> None:
         _shrink(path)
     draw_page(scene, FOLDER / "page.png")
     _shrink(FOLDER / "page.png")
-    for name in ("office", "cluttered_office"):
     for name in SCENES:
         made = SCENES[name](np.random.default_rng(0))
         scene = gpdf.build_scene(made.points, made.ground)
