@@ -84,3 +84,9 @@ def test_where_it_lets_a_body_stand_there_truly_is_room(agent, seed):
     places = brute.random_pairs(200, np.random.default_rng(seed)).reshape(-1, 3)
     truth = room.truth.body_clearance(places, body.radius, body.height, body.max_step)
     assert truth.min() > -0.02  # a grid cell; the scan's points stand 3 cm apart
+
+
+@pytest.mark.parametrize(("room", "noise", "fits"), [(0.03, 0.0, True), (0.03, 0.05, False), (0.08, 0.05, True)])
+def test_a_lintel_is_passed_exactly_when_the_extra_room_is_over_the_head_too(room, noise, fits):
+    lintel = Box((3.0, 0.0, AGENTS["pepper"].height + room), (3.2, 4.0, 2.4))
+    assert solves(brute_of(World((6.0, 4.0, 2.6), (lintel,)), "pepper", noise), (1, 2), (5, 2)) == fits

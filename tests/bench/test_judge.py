@@ -68,3 +68,11 @@ def test_a_head_that_brushes_a_lintel_within_the_scan_s_own_error_does_not_hit_i
     low, high = (judge_of(Box((2.9, 0.0, z), (3.1, 4.0, 2.4))) for z in (1.96, 1.99))
     assert not low.judge(path, AGENTS["human"]).collision_free
     assert high.judge(path, AGENTS["human"]).collision_free
+
+
+def test_what_is_touched_is_told_by_its_height_over_the_ground():
+    judge = judge_of(Box((2.5, 1.5, 0.0), (3.5, 2.5, 0.12)))
+    path = path_of([(1, 2, 0), (5, 2, 0)], [(1, 2, 2), (5, 2, 2)])
+    assert judge.height_of_touched(path, AGENTS["human"]) == pytest.approx(0.12, abs=0.01)
+    aside = path_of([(1, 0.5, 0), (5, 0.5, 0)], [(1, 0.5, 2), (5, 0.5, 2)])
+    assert judge.height_of_touched(aside, AGENTS["human"]) == 0.0
