@@ -180,7 +180,8 @@ def find_ground(layers: Layers, config: PerceptionConfig, noise: float = 0.0) ->
     seen[storeys] = True
     ground = wide & seen[patch]
     while True:
-        ground = _spread(layers, config, ground, wide, smooth == 8, patch, joins, seen)
+        low = _under_furniture(ground, wide & ~ground, core, a, b)
+        ground = _spread(layers, config, ground, low, wide, smooth == 8, patch, joins, seen)
         reached = _under_furniture(ground, wide & seen[patch] & ~ground, core, a, b)
         seen[patch[reached & wide]] = True
         if not _beside(reached, patch, joins, seen).any():
@@ -340,6 +341,7 @@ def _spread(
     layers: Layers,
     config: PerceptionConfig,
     ground: BoolArray,
+    low: BoolArray,
     wide: BoolArray,
     inner: BoolArray,
     patch: IntArray,
@@ -349,12 +351,14 @@ def _spread(
     """Grow over steps; patches that were looked at are marked in `seen`.
 
     `inner` nodes have all eight neighbours on their slope. Only they say whether a patch lies over ground: the edge of
-    a stair's tread shares its cells with the tread below.
+    a stair's tread shares its cells with the tread below. What a body stands on, by itself, is no platform over the
+    ground with `low` room, either: a coffee table; a stair's treads may be.
     """
+    under = over_ground(layers, low, config.step_headroom) & joins.standable[patch]
     size = np.bincount(patch[inner], minlength=len(seen))
     while len(fresh := _beside(ground, patch, joins, seen)):
         nodes = wide & np.isin(patch, fresh)
-        over = nodes & inner & over_ground(layers, ground, config.step_headroom)
+        over = nodes & inner & (under | over_ground(layers, ground, config.step_headroom))
         refused = np.bincount(patch[over], minlength=len(seen)) > OVER_SHARE * size
         seen[fresh] = True
         ground = ground | (nodes & ~refused[patch])
