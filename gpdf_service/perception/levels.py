@@ -16,7 +16,15 @@ from gpdf_service.perception.layers import Layers, build_layers, cell_width_of, 
 from gpdf_service.perception.limits import GroundLimits, Measured, find_limits, step_and_slope
 from gpdf_service.perception.nodes import components, grown_sheet
 from gpdf_service.perception.segment import HALF, LEAST_SCATTER, over_ground
-from gpdf_service.perception.surface import OBSERVED, UNKNOWN, HeightMap, fill_holes, find_voids, without_enclosed
+from gpdf_service.perception.surface import (
+    NOTCH_DEPTH,
+    OBSERVED,
+    UNKNOWN,
+    HeightMap,
+    fill_holes,
+    find_voids,
+    without_enclosed,
+)
 from gpdf_service.types import BoolArray, FloatArray, IntArray
 
 OVERLAP = 1.2
@@ -281,9 +289,17 @@ def complete(seen: HeightMap, other: FloatArray, voids: Voids, config: Perceptio
     np.minimum.at(lowest, (ix, iy), other[:, 2])
     surface = fill_holes(seen, lowest, *voids)
     beside = ndimage.maximum_filter(np.where(surface.state != UNKNOWN, surface.height, -np.inf), size=3)
-    # Only material that the lowest body cannot pass under guards an edge by itself.
-    material = lowest <= beside + config.min_headroom
-    return without_enclosed(surface, material), material
+    # Only material that the lowest body cannot pass under guards an edge by itself. The wall of a drop does not; but
+    # what is seen below a shadow in a stair, where treads are near, is the stair.
+    known, near = surface.state != UNKNOWN, 2 * int(np.ceil(NOTCH_DEPTH / seen.cell_width)) + 1
+    foot = ndimage.minimum_filter(np.where(known, surface.height, np.inf), size=near)
+    top = ndimage.maximum_filter(np.where(known, surface.height, -np.inf), size=near)
+    shut, stair = lowest <= beside + config.min_headroom, top - foot > 2.0 * seen.cell_width
+    z = other[:, 2]
+    guard = (z > foot[ix, iy] + LEAST_OBSTACLE) & (z <= beside[ix, iy] + config.min_headroom)
+    guarded = shut & stair
+    guarded[ix[guard], iy[guard]] = True
+    return without_enclosed(surface, shut), guarded
 
 
 def make_level(

@@ -170,7 +170,8 @@ def find_ground(layers: Layers, config: PerceptionConfig, noise: float = 0.0) ->
     seen[storeys] = True
     ground = wide & seen[patch]
     while True:
-        ground = _spread(layers, config, ground, wide, smooth == 8, patch, joins, seen)
+        low = _under_furniture(ground, wide & ~ground, core, a, b)
+        ground = _spread(layers, config, ground, low, wide, smooth == 8, patch, joins, seen)
         reached = _under_furniture(ground, wide & seen[patch] & ~ground, core, a, b)
         seen[patch[reached & wide]] = True
         if not _beside(reached, patch, joins, seen).any():
@@ -322,6 +323,7 @@ def _spread(
     layers: Layers,
     config: PerceptionConfig,
     ground: BoolArray,
+    low: BoolArray,
     wide: BoolArray,
     inner: BoolArray,
     patch: IntArray,
@@ -331,8 +333,10 @@ def _spread(
     """Grow over steps; patches that were looked at are marked in `seen`.
 
     `inner` nodes have all eight neighbours on their slope. Only they say whether a patch lies over ground: the edge of
-    a stair's tread shares its cells with the tread below.
+    a stair's tread shares its cells with the tread below. What a body stands on, by itself, is no platform over the
+    ground with `low` room, either: a coffee table; a stair's treads may be.
     """
+    under = over_ground(layers, low, config.step_headroom) & joins.standable[patch]
     size = np.bincount(patch[inner], minlength=len(seen))
     start, members = by_cell(patch, len(seen))
     ground = ground.copy()
@@ -340,8 +344,8 @@ def _spread(
         nodes = np.concatenate([members[start[i] : start[i + 1]] for i in fresh])
         nodes = nodes[wide[nodes]]
         own = np.searchsorted(fresh, patch[nodes])
-        over = inner[nodes] & nodes_over(nodes, layers.cell, layers.height, ground, config.step_headroom)
-        refused = np.bincount(own[over], minlength=len(fresh)) > OVER_SHARE * size[fresh]
+        over = under[nodes] | nodes_over(nodes, layers.cell, layers.height, ground, config.step_headroom)
+        refused = np.bincount(own[inner[nodes] & over], minlength=len(fresh)) > OVER_SHARE * size[fresh]
         seen[fresh] = True
         ground[nodes[~refused[own]]] = True
     ground = _without_dead_ends(ground, patch, joins)

@@ -132,6 +132,31 @@ def test_a_platform_stops_the_roomba_and_not_the_human():
     assert near["roomba"] > 200
 
 
+def test_a_low_table_over_seen_floor_is_no_platform():
+    world = World((5.0, 5.0, 2.5), (Box((2.0, 2.0, 0.22), (3.2, 2.9, 0.25)),))
+    points, _ = scan_of(world)
+    found = segment_ground(points)
+    top = (np.abs(points - (2.6, 2.45, 0.25)) < (0.5, 0.35, 0.01)).all(axis=1)
+    beneath = (np.abs(points - (2.6, 2.45, 0.0)) < (0.5, 0.35, 0.01)).all(axis=1)
+    assert top.sum() > 100
+    assert not found[top].any()
+    assert found[beneath].all()
+
+
+def test_the_face_of_a_drop_does_not_guard_its_edge():
+    step = 0.04
+    x, y = np.mgrid[0.0:2.0:step, 0.0:4.0:step].reshape(2, -1)
+    upper = np.column_stack([x, y, np.zeros(x.size)])
+    y, z = np.mgrid[0.0:4.0:step, -1.02:-0.01:step].reshape(2, -1)
+    face = np.column_stack([np.full(y.size, 2.03), y, z])
+    cloud = np.vstack([upper, face])
+    level = build_levels(cloud, np.arange(len(cloud)) < len(upper), CONFIG).levels[0]
+    edge = obstacles_of(level, AGENTS["roomba"]).points
+    edge = edge[(np.abs(edge[:, 0] - 2.0) < 0.2) & (edge[:, 1] > 0.5) & (edge[:, 1] < 3.5)]
+    assert np.diff(np.sort(edge[:, 1])).max() < AGENTS["roomba"].radius
+    assert len(edge) > 30
+
+
 def test_a_board_stops_only_bodies_that_reach_it():
     level = level_of(World((5.0, 5.0, 2.5), (Box((2.0, 2.0, 1.0), (3.0, 3.0, 1.1)),)))
     counts = {name: (obstacles_of(level, AGENTS[name]).points[:, 2] > 0.95).sum() for name in AGENTS}
