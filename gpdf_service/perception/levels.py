@@ -96,7 +96,7 @@ def build_levels(points: FloatArray, ground: BoolArray, config: PerceptionConfig
 
 
 def survey_levels(
-    points: FloatArray, ground: BoolArray, config: PerceptionConfig, *, width: float | None = None
+    points: FloatArray, ground: BoolArray, config: PerceptionConfig, *, width: float | None = None, noise: float = 0.0
 ) -> tuple[Levels, Survey]:
     """Build the sheets from labelled points, and say what they were made of.
 
@@ -105,6 +105,7 @@ def survey_levels(
         ground: Which points are ground, shape (n,).
         config: Limits.
         width: Of the cells [m]; measured on the ground when not given.
+        noise: Standard deviation that the points had before they were cured [m].
 
     Raises:
         NoGroundError: no point is ground.
@@ -118,7 +119,7 @@ def survey_levels(
     points, ground = points[~stray], ground[~stray]
     layers = build_layers(points[ground], width, layer_gap(width, config))
     sheets = split_sheets(layers, config)
-    made = [_build_level(points, ground, layers, sheet, config) for sheet in sheets]
+    made = [_build_level(points, ground, layers, sheet, config, noise) for sheet in sheets]
     levels = Levels(tuple(level for level, _, _ in made), find_portals(layers, sheets))
     return levels, Survey(layers, stray, tuple(voids for _, voids, _ in made), tuple(found for _, _, found in made))
 
@@ -259,7 +260,7 @@ def _grow(layers: Layers, a: IntArray, b: IntArray, nodes: IntArray) -> IntArray
 
 
 def _build_level(
-    points: FloatArray, ground: BoolArray, layers: Layers, nodes: IntArray, config: PerceptionConfig
+    points: FloatArray, ground: BoolArray, layers: Layers, nodes: IntArray, config: PerceptionConfig, noise: float
 ) -> tuple[GroundLevel, Voids, Measured]:
     seen = sheet_surface(layers, nodes)
     inside = np.zeros(len(layers.cell), dtype=bool)
@@ -272,7 +273,8 @@ def _build_level(
     surface, material = complete(seen, other, voids, config)
     measured = step_and_slope(surface)
     limits = find_limits(surface, material, measured)
-    return make_level(surface, other, find_ledges(surface, points[ground], other), limits), voids, measured
+    ledge = find_ledges(surface, points[ground], other, noise)
+    return make_level(surface, other, ledge, limits), voids, measured
 
 
 def sheet_surface(layers: Layers, nodes: IntArray) -> HeightMap:
@@ -302,19 +304,23 @@ def make_level(surface: HeightMap, other: FloatArray, ledge: NDArray[np.float32]
     return GroundLevel(surface, surface.centres(known), surface.state[known] != OBSERVED, other, ledge, limits)
 
 
-def find_ledges(surface: HeightMap, ground: FloatArray, other: FloatArray) -> NDArray[np.float32]:
-    """`next_above` by the `ground` points of this sheet, for those `other` points that can be a step's face."""
+def find_ledges(surface: HeightMap, ground: FloatArray, other: FloatArray, noise: float = 0.0) -> NDArray[np.float32]:
+    """`next_above` by the `ground` points of this sheet, for those `other` points that can be a step's face.
+
+    No cure takes the `noise` [m] along a face out of it: its upper rim stands over the ground behind it by as much.
+    """
+    scatter = max(LEAST_OBSTACLE, noise)
     high = high_ground(surface)
 
     def low(points: FloatArray) -> BoolArray:
         ix, iy, inside = surface.cells(points)
-        beneath: BoolArray = inside & (points[:, 2] <= high[ix, iy] + surface.cell_width)
+        beneath: BoolArray = inside & (points[:, 2] <= high[ix, iy] + max(surface.cell_width, scatter))
         return beneath
 
     asked, ground = low(other), ground[low(ground)]
     ledge = np.full(len(other), np.inf, np.float32)
     if len(ground) and asked.any():
-        ledge[asked] = next_above(ground, other[asked])
+        ledge[asked] = next_above(ground, other[asked], scatter)
     return ledge
 
 
@@ -324,8 +330,10 @@ def high_ground(surface: HeightMap) -> FloatArray:
     return high
 
 
-def next_above(ground: FloatArray, points: FloatArray) -> NDArray[np.float32]:
+def next_above(ground: FloatArray, points: FloatArray, scatter: float = LEAST_OBSTACLE) -> NDArray[np.float32]:
     """Height of the lowest `ground` point (n, 3) that is as high as each of `points` (m, 3) and within `FACE` in plan.
+
+    As high is within the `scatter` of the points [m].
 
     Of each cell half as wide only the highest and the lowest ground point are looked at: so a step can be taken for a
     higher one, never for a lower one, and inf stands where nothing was found. Shape (m,) [m].
@@ -346,7 +354,7 @@ def next_above(ground: FloatArray, points: FloatArray) -> NDArray[np.float32]:
     keys, ends = key[rows], np.ascontiguousarray(ground[rows])
 
     def look(a: int, b: int) -> None:
-        best[a:b] = lowest_above(keys, ends, points[a:b], here[a:b], stride, FACE, LEAST_OBSTACLE)
+        best[a:b] = lowest_above(keys, ends, points[a:b], here[a:b], stride, FACE, scatter)
 
     run_chunked(look, len(points))
     return best.astype(np.float32)

@@ -253,6 +253,13 @@ def test_the_ground_next_above_is_the_lowest_that_is_near_and_high_enough():
     assert found == pytest.approx([0.2, 0.4, np.inf, np.inf])
 
 
+def test_the_rim_of_a_noisy_face_is_the_faces_and_what_is_higher_is_not():
+    ground = np.array([[0.0, 0.0, 0.0], [0.05, 0.0, 0.35]])
+    rim = np.array([[0.0, 0.0, 0.39], [0.0, 0.0, 0.41]])
+    assert next_above(ground, rim) == pytest.approx([np.inf, np.inf])
+    assert next_above(ground, rim, 0.05) == pytest.approx([0.35, np.inf])
+
+
 def test_a_floating_point_stops_nobody_and_a_cable_does():
     points, ground = scan_of(World((5.0, 5.0, 2.5), (), ceiling=False))
     cable = np.column_stack([np.full(25, 1.5), np.full(25, 2.5), np.arange(25) * 0.04 + 1.2])
