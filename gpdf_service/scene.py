@@ -485,7 +485,9 @@ def assemble_scene(
     kept = ~cured.stray
     points, labelled = (cured.points, ground) if kept.all() else (cured.points[kept], ground[kept])
     width = None if segmentation is None else segmentation.layers.cell_width
-    levels, survey = survey_levels(points, labelled, config.perception, width=width)
+    levels, survey = survey_levels(
+        points, labelled, config.perception, width=width, noise=0.0 if found.as_it_was else cured.measured
+    )
     progress("fit ground fields", 0.7)
     old = () if like is None else tuple(zip(like.ground_fields, like.levels.levels, strict=True))
     fields = tuple(

@@ -7,13 +7,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
+from scipy.spatial import cKDTree
 
 from gpdf_service.config import PerceptionConfig
 from gpdf_service.errors import NoGroundError
 from gpdf_service.fields.threads import run_chunked
 from gpdf_service.perception.columns import by_cell, lowest_above
 from gpdf_service.perception.layers import Layers, build_layers, cell_width_of, connect, layer_gap
-from gpdf_service.perception.limits import GroundLimits, Measured, find_limits, step_and_slope
+from gpdf_service.perception.limits import GroundLimits, Measured, find_limits, median_of, neighbourhood, step_and_slope
 from gpdf_service.perception.nodes import components, grown_sheet
 from gpdf_service.perception.segment import HALF, LEAST_SCATTER, over_ground
 from gpdf_service.perception.surface import (
@@ -35,6 +36,10 @@ LEAST_OBSTACLE = 0.015
 """[m] What stands out of the ground by less stops no body here: the smallest `max_step`, and the scatter of a scan."""
 ALONE = 0.25
 """[m] A point with no other in the voxels of this width around its own is a reflection; even a thin cable has more."""
+RESOLVED_STEP = 3.0
+"""[-] A lower step over the noise may be an unlucky cell of a cured floor, if it is of one cell."""
+RIM_SHARE = 0.25
+"""[-] Of the points of a face under its edge that may be over it: noise makes 0.05, a lip of 1.5 deviations more."""
 TALLEST = 3.0
 """[m] Material higher than this over the ground is out of every body's reach."""
 
@@ -105,7 +110,7 @@ def build_levels(points: FloatArray, ground: BoolArray, config: PerceptionConfig
 
 
 def survey_levels(
-    points: FloatArray, ground: BoolArray, config: PerceptionConfig, *, width: float | None = None
+    points: FloatArray, ground: BoolArray, config: PerceptionConfig, *, width: float | None = None, noise: float = 0.0
 ) -> tuple[Levels, Survey]:
     """Build the sheets from labelled points, and say what they were made of.
 
@@ -114,6 +119,7 @@ def survey_levels(
         ground: Which points are ground, shape (n,).
         config: Limits.
         width: Of the cells [m]; measured on the ground when not given.
+        noise: Standard deviation that the points had before they were cured [m].
 
     Raises:
         NoGroundError: no point is ground.
@@ -127,7 +133,7 @@ def survey_levels(
     points, ground = points[~stray], ground[~stray]
     layers = build_layers(points[ground], width, layer_gap(width, config))
     sheets = split_sheets(layers, config)
-    made = [_build_level(points, ground, layers, sheet, config) for sheet in sheets]
+    made = [_build_level(points, ground, layers, sheet, config, noise) for sheet in sheets]
     levels = Levels(tuple(level for level, _ in made), find_portals(layers, sheets))
     return levels, Survey(layers, stray, tuple(voids for _, voids in made))
 
@@ -257,9 +263,9 @@ def _attach(
 
 
 def _build_level(
-    points: FloatArray, ground: BoolArray, layers: Layers, nodes: IntArray, config: PerceptionConfig
+    points: FloatArray, ground: BoolArray, layers: Layers, nodes: IntArray, config: PerceptionConfig, noise: float
 ) -> tuple[GroundLevel, Voids]:
-    seen = sheet_surface(layers, nodes)
+    seen = without_outliers(sheet_surface(layers, nodes), RESOLVED_STEP * noise)
     inside = np.zeros(len(layers.cell), dtype=bool)
     inside[nodes] = True
     mine = ground.copy()
@@ -270,7 +276,8 @@ def _build_level(
     surface, material = complete(seen, other, voids, config)
     measured = step_and_slope(surface)
     limits = find_limits(surface, material, measured)
-    return make_level(surface, other, find_ledges(surface, points[ground], other), limits, measured), voids
+    ledge = find_ledges(surface, points[ground], other, noise)
+    return make_level(surface, other, ledge, limits, measured), voids
 
 
 def sheet_surface(layers: Layers, nodes: IntArray) -> HeightMap:
@@ -280,6 +287,23 @@ def sheet_surface(layers: Layers, nodes: IntArray) -> HeightMap:
     height = height.reshape(layers.shape)
     state = np.where(np.isnan(height), UNKNOWN, OBSERVED).astype(np.uint8)
     return HeightMap(layers.origin, layers.cell_width, height, state)
+
+
+def without_outliers(surface: HeightMap, most: float) -> HeightMap:
+    """Cells that are off the median of their neighbourhood by `most` [m] at most take it if they are off it alone.
+
+    A cell that fewer than three of its neighbours are with, nearer to it than to the median, is no corner of a step.
+    """
+    if most == 0.0:
+        return surface
+    around = neighbourhood(surface)
+    median = median_of(around, surface)
+    own = surface.height.astype(np.float64)
+    with_it = (np.abs(around - own) < np.abs(around - median)).sum(axis=0) - (
+        own != median
+    )  # itself is one of the nine
+    alone = (with_it < 3) & (np.abs(own - median) <= most)
+    return HeightMap(surface.origin, surface.cell_width, np.where(alone, median, own).astype(np.float32), surface.state)
 
 
 def complete(seen: HeightMap, other: FloatArray, voids: Voids, config: PerceptionConfig) -> tuple[HeightMap, BoolArray]:
@@ -311,20 +335,48 @@ def make_level(
     return GroundLevel(surface, surface.centres(known), inferred, other, ledge, limits, measured)
 
 
-def find_ledges(surface: HeightMap, ground: FloatArray, other: FloatArray) -> NDArray[np.float32]:
-    """`next_above` by the `ground` points of this sheet, for those `other` points that can be a step's face."""
+def find_ledges(surface: HeightMap, ground: FloatArray, other: FloatArray, noise: float = 0.0) -> NDArray[np.float32]:
+    """`next_above` by the `ground` points of this sheet, for those `other` points that can be a step's face.
+
+    No cure takes the `noise` [m] along a face out of it: its upper rim stands over the ground behind it by as much.
+    """
+    scatter = max(LEAST_OBSTACLE, noise)
+    reach = max(surface.cell_width, RESOLVED_STEP * noise)
     high = high_ground(surface)
 
     def low(points: FloatArray) -> BoolArray:
         ix, iy, inside = surface.cells(points)
-        beneath: BoolArray = inside & (points[:, 2] <= high[ix, iy] + surface.cell_width)
+        beneath: BoolArray = inside & (points[:, 2] <= high[ix, iy] + reach)
         return beneath
 
     asked, ground = low(other), ground[low(ground)]
     ledge = np.full(len(other), np.inf, np.float32)
     if len(ground) and asked.any():
-        ledge[asked] = next_above(ground, other[asked])
+        ledge[asked] = next_above(ground, other[asked], scatter)
+    if noise > 0.0 and len(ground):
+        _add_rims(ledge, asked, ground, other, noise)
     return ledge
+
+
+def _add_rims(
+    ledge: NDArray[np.float32], asked: BoolArray, ground: FloatArray, other: FloatArray, noise: float
+) -> None:
+    """Give points over a step's edge its `ledge`, where they are so few beside those of its face that noise made them.
+
+    Over one deviation are 0.08 of the points of a face's last deviation, under its edge are 1.6 down to two deviations.
+    """
+    rows = np.flatnonzero(asked & np.isinf(ledge))
+    rim = next_above(ground, other[rows], RESOLVED_STEP * noise)
+    rows, rim = rows[np.isfinite(rim)], rim[np.isfinite(rim)]
+    if len(rows) == 0:
+        return
+    beside = cKDTree(other[asked, :2]).query_ball_point(other[rows, :2], FACE)
+    z = other[asked, 2]
+    for row, edge, near in zip(rows, rim, beside, strict=True):
+        over = (z[near] - edge) / noise
+        face = np.count_nonzero((over > -2.0) & (over <= 0.0))
+        if np.count_nonzero(over > 1.0) <= RIM_SHARE * face:
+            ledge[row] = edge
 
 
 def high_ground(surface: HeightMap) -> FloatArray:
@@ -333,8 +385,10 @@ def high_ground(surface: HeightMap) -> FloatArray:
     return high
 
 
-def next_above(ground: FloatArray, points: FloatArray) -> NDArray[np.float32]:
+def next_above(ground: FloatArray, points: FloatArray, scatter: float = LEAST_OBSTACLE) -> NDArray[np.float32]:
     """Height of the lowest `ground` point (n, 3) that is as high as each of `points` (m, 3) and within `FACE` in plan.
+
+    As high is within the `scatter` of the points [m].
 
     Of each cell half as wide only the highest and the lowest ground point are looked at: so a step can be taken for a
     higher one, never for a lower one, and inf stands where nothing was found. Shape (m,) [m].
@@ -355,7 +409,7 @@ def next_above(ground: FloatArray, points: FloatArray) -> NDArray[np.float32]:
     keys, ends = key[rows], np.ascontiguousarray(ground[rows])
 
     def look(a: int, b: int) -> None:
-        best[a:b] = lowest_above(keys, ends, points[a:b], here[a:b], stride, FACE, LEAST_OBSTACLE)
+        best[a:b] = lowest_above(keys, ends, points[a:b], here[a:b], stride, FACE, scatter)
 
     run_chunked(look, len(points))
     return best.astype(np.float32)

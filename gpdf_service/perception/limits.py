@@ -106,7 +106,7 @@ def step_and_slope(surface: HeightMap) -> Measured:
     neighbour to neighbour, less what the slope around explains: a scanned step's face lies in one cell, whose own
     height says little.
     """
-    height = _median3(surface)
+    height = median_of(neighbourhood(surface), surface)
     width = surface.cell_width
     reach = max(1, round(FOOT / width))
     gradient2, short2 = np.zeros_like(height), np.zeros_like(height)
@@ -132,12 +132,17 @@ def step_and_slope(surface: HeightMap) -> Measured:
     return np.where(known, step, 0.0), np.where(known, slope, 0.0)
 
 
-def _median3(surface: HeightMap) -> FloatArray:
+def neighbourhood(surface: HeightMap) -> FloatArray:
+    """Heights of each cell and its eight neighbours, shape (9, nx, ny), NaN where unknown."""
+    height = surface.height.astype(np.float64)
+    return np.stack([_shift(_shift(height, i, 0), j, 1) for i in (-1, 0, 1) for j in (-1, 0, 1)])
+
+
+def median_of(around: FloatArray, surface: HeightMap) -> FloatArray:
     """Heights after a 3 × 3 median over the known cells: takes single outliers, keeps edges."""
-    stack = [_shift(_shift(surface.height.astype(np.float64), i, 0), j, 1) for i in (-1, 0, 1) for j in (-1, 0, 1)]
     known = surface.state != UNKNOWN
     median = np.full(surface.height.shape, np.nan)
-    median[known] = np.nanmedian(np.stack([part[known] for part in stack]), axis=0)
+    median[known] = np.nanmedian(around[:, known], axis=0)
     return median
 
 

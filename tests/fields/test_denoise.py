@@ -3,7 +3,7 @@ import pytest
 from scipy.stats import special_ortho_group
 
 from gpdf_service.bench.surfaces import SURFACES
-from gpdf_service.fields import denoise, estimate_noise, estimate_spacing, fit_gpdf
+from gpdf_service.fields import denoise, estimate_noise, estimate_spacing, fit_gpdf, onto_surface
 
 
 def noisy(name, sigma, count=20_000):
@@ -112,3 +112,14 @@ def test_the_truth_lies_within_two_standard_deviations(name, sigma):
     sample = field.query(queries)
     error = np.abs(sample.distance - SURFACES[name].distance(queries))
     assert (error <= 2 * sample.deviation)[sample.valid].mean() > 0.95
+
+
+def test_a_pole_thinner_than_the_noise_is_not_cured_into_its_axis():
+    rng = np.random.default_rng(1)
+    radius, noise, count = 0.04, 0.05, 400
+    angle = rng.uniform(0.0, 2.0 * np.pi, count)
+    pole = np.column_stack([radius * np.cos(angle), radius * np.sin(angle), rng.uniform(0.0, 1.5, count)])
+    moved, _ = onto_surface(pole + rng.normal(0.0, noise, pole.shape), 0.03, noise)
+    inner = (moved[:, 2] > 0.3) & (moved[:, 2] < 1.2)
+    assert np.quantile(np.linalg.norm(moved[inner, :2], axis=1), 0.1) > radius - noise / 2  # what plans keep away
+    assert np.median(np.linalg.norm(moved[inner, :2], axis=1)) > radius

@@ -5,7 +5,7 @@ from gpdf_service import build_scene, plan
 from gpdf_service.config import PerceptionConfig
 from gpdf_service.errors import NoGroundError
 from gpdf_service.perception import ObstacleKind, build_levels, obstacles_of, read_cloud, segment_ground
-from gpdf_service.perception.levels import find_strays, next_above
+from gpdf_service.perception.levels import find_ledges, find_strays, next_above, without_outliers
 from gpdf_service.perception.limits import step_and_slope
 from gpdf_service.perception.surface import INFERRED, OBSERVED, UNKNOWN, HeightMap
 from gpdf_service.synthetic import SCENES, Box, World, ramp, random_room
@@ -276,6 +276,44 @@ def test_the_ground_next_above_is_the_lowest_that_is_near_and_high_enough():
     ground = np.array([[0.0, 0.0, 0.0], [0.05, 0.0, 0.2], [0.0, 0.06, 0.4], [0.2, 0.0, 0.15]])
     found = next_above(ground, np.array([[0.0, 0.0, 0.1], [0.0, 0.0, 0.3], [0.0, 0.0, 0.5], [5.0, 5.0, 0.0]]))
     assert found == pytest.approx([0.2, 0.4, np.inf, np.inf])
+
+
+def test_the_rim_of_a_noisy_face_is_the_faces_and_what_is_higher_is_not():
+    ground = np.array([[0.0, 0.0, 0.0], [0.05, 0.0, 0.35]])
+    rim = np.array([[0.0, 0.0, 0.39], [0.0, 0.0, 0.41]])
+    assert next_above(ground, rim) == pytest.approx([np.inf, np.inf])
+    assert next_above(ground, rim, 0.05) == pytest.approx([0.35, np.inf])
+
+
+def test_single_cells_of_a_noisy_floor_are_no_steps_and_corners_stay():
+    height = np.zeros((12, 12), np.float32)
+    height[6:, 6:] = 0.1
+    height[2, 2], height[9, 2] = 0.03, 0.3
+    surface = HeightMap(np.zeros(2), 0.05, height.copy(), np.full((12, 12), OBSERVED, np.uint8))
+    assert without_outliers(surface, 0.0) is surface
+    height[2, 2] = 0.0  # 0.3 m are no noise of 5 cm
+    assert (without_outliers(surface, 0.15).height == height).all()
+
+
+def test_a_noisy_rim_over_a_platform_is_its_face_and_a_lip_is_not():
+    rng = np.random.default_rng(0)
+    noise, top = 0.05, 0.35
+    grid = np.stack(np.meshgrid(np.arange(40), np.arange(40), indexing="ij"), -1).reshape(-1, 2) * 0.05 + 0.025
+    ground = np.column_stack([grid, np.where(grid[:, 0] < 1.0, 0.0, top)])
+    height = ground[:, 2].reshape(40, 40).astype(np.float32)
+    surface = HeightMap(np.zeros(2), 0.05, height, np.full(height.shape, OBSERVED, np.uint8))
+
+    def wall(high: float) -> np.ndarray:
+        side = np.column_stack([np.ones(20 * 66), rng.uniform(0, 2, 20 * 66), rng.uniform(0, high, 20 * 66)])
+        return side + [0, 0, 1] * rng.normal(0, noise, (len(side), 1))
+
+    rim, lip = wall(top), wall(top + 3 * noise)
+    over = rim[:, 2] > top + noise
+    assert over.sum() > 10
+    assert np.isinf(find_ledges(surface, ground, rim)[over]).all()
+    assert np.isfinite(find_ledges(surface, ground, rim, noise)[over]).mean() > 0.9
+    over = lip[:, 2] > top + noise
+    assert np.isinf(find_ledges(surface, ground, lip, noise)[over]).all()
 
 
 def test_a_floating_point_stops_nobody_and_a_cable_does():
