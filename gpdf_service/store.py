@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from gpdf_service.errors import SceneFileError
 
-SCHEMA_VERSION = 3
+SCHEMA_VERSION = 4
 _META = "meta"
 
 Arrays = dict[str, NDArray[Any]]
