@@ -35,7 +35,6 @@ from gpdf_service.perception import (
     survey_levels,
 )
 from gpdf_service.perception.layers import in_steps
-from gpdf_service.perception.limits import step_and_slope
 from gpdf_service.perception.surface import UNKNOWN
 from gpdf_service.search import FreeSpace, build_free_space, change_free_space, from_arrays, to_arrays
 from gpdf_service.store import Arrays, flatten, read_arrays, restore, under, write_arrays
@@ -440,8 +439,6 @@ def load_scene(path: str | os.PathLike[str]) -> Scene:
         SceneFileError: the file is missing, damaged, or of another version.
     """
     arrays, meta, later = read_arrays(path, later="agents/")
-    if meta["schema_version"] == 3:
-        _measure_ground(arrays)
     levels: Levels = restore(Levels, arrays, "levels")
     fields = []
     for i, level in enumerate(levels.levels):
@@ -459,14 +456,6 @@ def load_scene(path: str | os.PathLike[str]) -> Scene:
     bodies = enumerate(meta.get("agents", ()))
     scene._stored = {Agent(**body): partial(later.under, f"agents/{i}/") for i, body in bodies}
     return scene
-
-
-def _measure_ground(arrays: Arrays) -> None:
-    """Put in the steps and slopes of each level, which a file of schema version 3 does not have."""
-    i = 0
-    while any(key.startswith(prefix := f"levels/levels/{i}/") for key in arrays):
-        arrays |= flatten(step_and_slope(restore(HeightMap, arrays, f"{prefix}surface")), f"{prefix}measured")
-        i += 1
 
 
 def assemble_scene(

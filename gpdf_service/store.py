@@ -23,8 +23,6 @@ from numpy.typing import NDArray
 from gpdf_service.errors import SceneFileError
 
 SCHEMA_VERSION = 4
-READABLE = 3, 4
-"""Version 3 knows no steps and slopes of the ground, and no free spaces: `load_scene` measures the former."""
 _META = "meta"
 _CHUNK = 2**20
 """[bytes]"""
@@ -99,9 +97,8 @@ def read_arrays(path: str | os.PathLike[str], later: str | None = None) -> tuple
         meta = json.loads(bytes(arrays.pop(_META)))
     except _DAMAGE as error:
         raise _damaged(target, error) from error
-    if meta.get("schema_version") not in READABLE:
-        read = " and ".join(map(str, READABLE))
-        found = f"it has schema version {meta.get('schema_version')}, this program reads {read}"
+    if meta.get("schema_version") != SCHEMA_VERSION:
+        found = f"it has schema version {meta.get('schema_version')}, this program reads {SCHEMA_VERSION}"
         raise SceneFileError(asked, found, "Build the scene again from its cloud.")
     return arrays, meta, rest
 

@@ -81,22 +81,6 @@ def test_a_free_space_with_a_part_missing_is_an_error(office, tmp_path):
         gpdf.load_scene(tmp_path / "b.gpdf").free_space("human")
 
 
-def test_a_file_of_the_version_before_is_read(office, tmp_path, monkeypatch):
-    made, scene = office
-    scene.forget_agents()
-    scene.save(tmp_path / "a.gpdf")
-    arrays, meta, _ = read_arrays(tmp_path / "a.gpdf")
-    old = {key: value for key, value in arrays.items() if "/measured/" not in key}
-    assert len(old) < len(arrays)
-    del meta["schema_version"], meta["agents"]
-    monkeypatch.setattr("gpdf_service.store.SCHEMA_VERSION", 3)
-    write_arrays(tmp_path / "b.gpdf", old, meta)
-    back = gpdf.load_scene(tmp_path / "b.gpdf")
-    for level, other in zip(back.levels.levels, scene.levels.levels, strict=True):
-        np.testing.assert_array_equal(level.measured, other.measured)
-    assert gpdf.plan(back, made.start, made.goal, "human").status is gpdf.Status.OK
-
-
 def test_the_obstacle_field_is_close_to_the_truth_and_on_the_safe_side(office):
     made, scene = office
     rng = np.random.default_rng(0)

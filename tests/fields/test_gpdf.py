@@ -2,6 +2,8 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
+from gpdf_service.bench.field import in_bands
+from gpdf_service.bench.surfaces import SURFACES
 from gpdf_service.errors import FieldError
 from gpdf_service.fields import (
     Gpdf,
@@ -328,3 +330,29 @@ def test_where_nothing_is_valid_the_deviation_is_endless(floor):
     sample = floor.query([[1e4, 0, 0], [3.0, 3.0, 1.0]])
     assert np.isinf(sample.deviation[0])
     assert 0 < sample.deviation[1] < floor.spacing
+
+
+@pytest.mark.parametrize("name", ["stairs", "step", "corner", "sphere", "board", "pole"])
+def test_on_clean_points_the_field_says_at_most_half_a_spacing_too_much(name):
+    rng, surface = np.random.default_rng(3), SURFACES[name]
+    points = surface.sample(20_000, rng)
+    field = fit_gpdf(points)
+    for _, asked, real in in_bands(surface, points, 300, rng):
+        assert (field.query(asked).distance - real).max() <= 0.5 * field.spacing
+
+
+def test_beside_an_evenly_sampled_plane_the_distance_is_exact_and_finite_differences_agree(rng):
+    grid = np.stack(np.meshgrid(np.arange(60), np.arange(60)), axis=-1).reshape(-1, 2) * 0.05
+    field = fit_gpdf(np.column_stack([grid, np.zeros(3600)]))
+    asked = np.column_stack([rng.uniform(1, 2, (500, 2)), rng.uniform(0.02, 0.05, 500)])
+    sample = field.query(asked)
+    assert np.quantile(np.abs(sample.distance - asked[:, 2]), 0.95) < 0.02 * field.spacing
+    assert (sample.distance <= field.nearest(asked)).all()
+    h = 1e-6
+    smooth = np.ones(500, dtype=bool)
+    for axis, step in enumerate(np.eye(3) * h):
+        ahead, behind = field.query(asked + step).distance, field.query(asked - step).distance
+        smooth &= np.abs(ahead + behind - 2 * sample.distance) < 1e-9
+        difference = (ahead - behind) / (2 * h)
+        assert np.quantile(np.abs(difference - sample.gradient[:, axis])[smooth], 0.95) < 1e-5
+    assert smooth.mean() > 0.8

@@ -124,3 +124,27 @@ def test_a_surface_bends_at_an_edge_and_ends_at_a_rim_and_does_neither_elsewhere
     assert np.median(bend[inner & (far < 0.3 * spacing)]) == pytest.approx(0.3 * spacing, rel=0.3)
     assert np.median(bend[inner & (far > 0.3) & (far < 0.7)]) < 0.05 * spacing
     assert np.median(bend[inner & (far > 1 - 0.3 * spacing)]) > 0.15 * spacing
+
+
+def test_a_disc_is_half_a_gap_wide_on_a_surface_and_neither_on_a_cable_nor_under_noise(rng):
+    spacing = 0.05
+    grid = np.stack(np.meshgrid(np.arange(40), np.arange(40)), axis=-1).reshape(-1, 2) * spacing
+    floor = build_tree(np.column_stack([grid, np.zeros(1600)]))
+    inner = (np.abs(floor.points[:, :2] - 1.0) < 0.7).all(axis=1)
+    disc = local_shape(floor, np.arange(1600), spacing, np.zeros(1600))[inner]
+    np.testing.assert_allclose(np.abs(disc[:, 2]), 1.0)
+    np.testing.assert_allclose(disc[:, 3], 0.5 * disc[:, 4])
+    assert (local_shape(floor, np.arange(1600), spacing, np.full(1600, spacing))[:, 3] == 0).all()
+    cable = build_tree(np.outer(np.arange(100.0) * spacing, [0.0, 0.6, 0.8]))
+    assert (local_shape(cable, np.arange(100), spacing, np.zeros(100))[:, 3] < 1e-3 * spacing).all()
+
+
+def test_at_an_edge_a_disc_lies_in_the_half_plane_of_its_point(rng):
+    x, y = rng.uniform(-1, 1, (2, 1600))
+    turn = np.linalg.qr(rng.normal(size=(3, 3)))[0]
+    tree = build_tree(np.column_stack([np.minimum(x, 0.0), y, np.minimum(-x, 0.0)]) @ turn.T)
+    x, y, z = (tree.points @ turn).T
+    near = (np.abs(y) < 0.7) & (np.maximum(-x, -z) < 0.1)
+    normal = local_shape(tree, np.arange(1600), 0.05, np.zeros(1600))[near, :3] @ turn
+    across = np.where((x < z)[near], np.abs(normal[:, 2]), np.abs(normal[:, 0]))
+    assert np.mean(across > 0.99) > 0.9
