@@ -323,11 +323,14 @@ def _fill_labelled(
             continue
         design, heights = ring[:count], heights[:count]
         on = heights <= np.median(heights) + cell_width
-        plane, over = np.zeros(3), heights
+        plane: FloatArray = np.zeros(3)
+        over: FloatArray = heights
         for _ in range(2):  # what stands on the ground beside the hole, a box or a step up, is no part of it
             plane = np.linalg.lstsq(design[on], heights[on], np.finfo(np.float64).eps * count)[0]
-            over = heights - design @ plane
+            over = (heights - design @ plane).astype(np.float64)
             on = np.abs(over) <= cell_width
+            if not on.any():
+                break
         if on.mean() < PLANE_SHARE or (over < -cell_width).mean() > 1.0 - RING_SHARE:
             continue
         for c in cells:
