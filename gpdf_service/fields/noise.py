@@ -26,6 +26,8 @@ EDGE = 0.6
 """[-] Variance about two half planes over that about a quadric, below which it is an edge; noise alone gives 0.75."""
 _SHEETS = 0.2
 """[-] Variance within two sheets over that of one, below which they are two; noise alone gives 0.36."""
+_AT_ONCE = 4
+"""Radii that are looked at in one walk: most places are told by the first four."""
 _SAMPLE = 1000
 """Points that the noise is estimated from: its error is then some per cent."""
 
@@ -57,30 +59,34 @@ def _lower(freedom: float) -> float:
 
 @njit(cache=True, nogil=True)
 def _noise_range(tree: Tree, places: FloatArray, begin: int, end: int, radii: FloatArray, noise: FloatArray) -> None:
+    """The larger radii are looked at only where the smaller ones do not tell: they hold most of the points."""
     moments, mean, normal, near = np.zeros((len(radii), 10)), np.zeros(3), np.zeros(3), np.zeros((MOST, 3))
     side, pair = np.zeros(MOST, np.int64), np.zeros((3, 9))
     for i in range(begin, end):
-        sum_rings(tree, places[i], radii, normal * 0.0, 0.0, moments)
-        wide = 0
-        for j in range(len(radii)):
-            count = moments[j, 0]
-            if count < _TOLD or count > MOST:
-                continue
-            low, middle, high = fit_plane(moments[j], mean, normal)
-            wide = wide + 1 if middle > _WIDE * low else 0
-            if wide == 2:
-                found = gather(tree, places[i], radii[j], near)
-                variance = quadric_rest(near, found, normal) / (count - 6.0)
-                edge = fit_pair(near, found, normal, side, pair) / (count - 6.0)
-                sheets = split_sheets(near, found, normal, mean)
-                if edge < EDGE * variance:
-                    variance = edge
-                if sheets < _SHEETS * low:
-                    variance = min(variance, sheets)
-                noise[i] = sqrt(variance / _lower(count - 6.0))
-                break
-            if high > LONG * middle:
-                found = gather(tree, places[i], radii[j], near)
-                fit_axis(moments[j], high, normal)
-                noise[i] = sqrt(fit_ring(near, found, mean, normal)[1] / _lower(count - 6.0))
-                break
+        first, wide = 0, 0
+        while first < len(radii) and np.isnan(noise[i]) and (first == 0 or moments[first - 1, 0] <= MOST):
+            last = min(first + _AT_ONCE, len(radii))
+            sum_rings(tree, places[i], radii[:last], normal * 0.0, 0.0, moments[:last])
+            for j in range(first, last):
+                count = moments[j, 0]
+                if count < _TOLD or count > MOST:
+                    continue
+                low, middle, high = fit_plane(moments[j], mean, normal)
+                wide = wide + 1 if middle > _WIDE * low else 0
+                if wide == 2:
+                    found = gather(tree, places[i], radii[j], near)
+                    variance = quadric_rest(near, found, normal) / (count - 6.0)
+                    edge = fit_pair(near, found, normal, side, pair) / (count - 6.0)
+                    sheets = split_sheets(near, found, normal, mean)
+                    if edge < EDGE * variance:
+                        variance = edge
+                    if sheets < _SHEETS * low:
+                        variance = min(variance, sheets)
+                    noise[i] = sqrt(variance / _lower(count - 6.0))
+                    break
+                if high > LONG * middle:
+                    found = gather(tree, places[i], radii[j], near)
+                    fit_axis(moments[j], high, normal)
+                    noise[i] = sqrt(fit_ring(near, found, mean, normal)[1] / _lower(count - 6.0))
+                    break
+            first = last

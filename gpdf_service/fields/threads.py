@@ -10,6 +10,7 @@ from itertools import pairwise
 from typing import TypeVar
 
 T = TypeVar("T")
+S = TypeVar("S")
 MIN_CHUNK = 256
 """Fewer queries than this finish sooner (about 1 ms) than a second thread wakes and returns."""
 
@@ -33,6 +34,13 @@ def run_chunked(kernel: Callable[[int, int], None], count: int) -> None:
     bounds = [count * i // chunks for i in range(chunks + 1)]
     for future in [_pool().submit(kernel, a, b) for a, b in pairwise(bounds)]:
         future.result()
+
+
+def run_beside(one: Callable[[], T], other: Callable[[], S]) -> tuple[T, S]:
+    """What both return; `other` runs in a thread of its own, because both may use the pool."""
+    with ThreadPoolExecutor(1, "gpdf-beside") as side:
+        future = side.submit(other)
+        return one(), future.result()
 
 
 def run_parallel(work: Callable[[T], None], items: Iterable[T]) -> None:

@@ -143,7 +143,6 @@ def grown_sheet(
     for _ in range(rings):
         found = np.full(len(ring) * 8, -1)
         count = 0
-        taken = np.empty(0, np.int64)
         for i in ring:
             for dx, dy in AROUND:
                 x, y = cell[i] // shape[1] + dx, cell[i] % shape[1] + dy
@@ -156,11 +155,11 @@ def grown_sheet(
                         break
         taken = np.sort(found[:count])
         count = 0
-        for j in taken:
-            if not used[cell[j]]:
-                used[cell[j]] = True
-                inside[j] = True
-                found[count] = j
+        for node in taken:
+            if not used[cell[node]]:
+                used[cell[node]] = True
+                inside[node] = True
+                found[count] = node
                 count += 1
         ring = found[:count].copy()
     return inside

@@ -37,6 +37,7 @@ WALL_CELLS = 3.0
 """[cells] The wall of a pit is seen within these under its rim; the underside of a floor is deeper."""
 CEILING = 1.9
 """[m] What is higher over the ground beside is a ceiling or a lamp, no furniture whose shadow is the hole."""
+_ROUNDING = float(np.finfo(np.float64).eps)
 MAX_HOLE_RADIUS = 1.0
 """[m] A hole is filled if no place in it is further from seen ground: a scanner's blind spot, the shadow of a desk."""
 
@@ -323,11 +324,14 @@ def _fill_labelled(
             continue
         design, heights = ring[:count], heights[:count]
         on = heights <= np.median(heights) + cell_width
-        plane, over = np.zeros(3), heights
+        plane: FloatArray = np.zeros(3)
+        over: FloatArray = heights
         for _ in range(2):  # what stands on the ground beside the hole, a box or a step up, is no part of it
-            plane = np.linalg.lstsq(design[on], heights[on], np.finfo(np.float64).eps * count)[0]
+            plane = np.linalg.lstsq(design[on], heights[on], _ROUNDING * count)[0].astype(np.float64)
             over = heights - design @ plane
             on = np.abs(over) <= cell_width
+            if not on.any():
+                break
         if on.mean() < PLANE_SHARE or (over < -cell_width).mean() > 1.0 - RING_SHARE:
             continue
         for c in cells:

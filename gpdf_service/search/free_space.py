@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
 from gpdf_service.config import FieldConfig, SearchConfig
 from gpdf_service.fields import FieldArrays, Gpdf, Tree, build_tree, find_nearest, fit_gpdf
+from gpdf_service.fields.threads import run_beside
 from gpdf_service.fields.traversal import nearest_only
 from gpdf_service.perception import HeightMap, Levels, Obstacles, obstacles_of
 from gpdf_service.perception.limits import Measured
@@ -91,11 +93,17 @@ def build_free_space(
     for level, ground_field in zip(levels.levels, ground_fields, strict=True):
         obstacles = obstacles_of(level, agent, noise)
         tree = build_tree(obstacles.points[:, :2])
-        field = fit_obstacle_field(obstacles, level.surface, agent, config, field_config)
-        quadtree = build_quadtree(level.surface, tree, radius)
-        edges = find_edges(quadtree, tree, radius)
+        (quadtree, edges), field = run_beside(
+            partial(_leaves_and_edges, level.surface, tree, radius),
+            partial(fit_obstacle_field, obstacles, level.surface, agent, config, field_config),
+        )
         made.append(LevelSpace(level.surface, ground_field, level.measured, obstacles, tree, field, quadtree, edges))
     return join_levels(agent, reach, radius, made, levels)
+
+
+def _leaves_and_edges(surface: HeightMap, obstacles: Tree, radius: float) -> tuple[Quadtree, Edges]:
+    quadtree = build_quadtree(surface, obstacles, radius)
+    return quadtree, find_edges(quadtree, obstacles, radius)
 
 
 def reach_of(agent: Agent, config: SearchConfig, noise: float) -> tuple[float, float]:

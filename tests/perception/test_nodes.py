@@ -1,0 +1,109 @@
+"""The compiled loops over nodes against the obvious ones."""
+
+import numpy as np
+import pytest
+from scipy.sparse import csr_matrix
+from scipy.sparse.csgraph import connected_components
+
+from gpdf_service.perception.layers import build_layers
+from gpdf_service.perception.nodes import (
+    AROUND,
+    components,
+    drops_beside,
+    grown_sheet,
+    half_way,
+    lowest_beside,
+    nodes_over,
+    stepped,
+)
+
+
+@pytest.fixture(scope="module")
+def layers():
+    points = np.random.default_rng(0).uniform([0, 0, 0], [3, 3, 2], (900, 3))
+    return build_layers(points, 0.25, 0.3)
+
+
+def pairs(layers):
+    """All pairs (i, j) of nodes in neighbouring cells, with the direction from i to j."""
+    for offset in AROUND:
+        for i, j in zip(*layers.neighbours(offset), strict=True):
+            yield i, j, offset
+
+
+def test_components_are_those_of_scipy_numbered_by_their_first_nodes():
+    rng = np.random.default_rng(1)
+    for count, edges in ((1, 0), (50, 0), (300, 120), (300, 600)):
+        a, b = rng.integers(0, count, (2, edges))
+        graph = csr_matrix((np.ones(edges), (a, b)), shape=(count, count))
+        found = components(a, b, count)
+        np.testing.assert_array_equal(found, connected_components(graph, directed=False)[1])
+        assert (np.diff(np.unique(found, return_index=True)[1]) > 0).all()
+
+
+def test_a_step_reaches_both_ways_and_no_further():
+    reach = np.array([True, False, False, False])
+    a, b = np.array([1, 1, 3]), np.array([0, 2, 2])
+    np.testing.assert_array_equal(stepped(reach, a, b), [True, True, False, False])
+    np.testing.assert_array_equal(stepped(stepped(reach, a, b), a, b), [True, True, True, False])
+
+
+def test_half_way_is_between_the_extreme_neighbours():
+    low, high = half_way(np.array([0.0, 2.0, 5.0]), np.array([0, 1]), np.array([1, 2]))
+    np.testing.assert_array_equal(low, [0.0, 1.0, 3.5])
+    np.testing.assert_array_equal(high, [1.0, 3.5, 5.0])
+
+
+def test_the_lowest_ground_beside_is_that_of_all_pairs(layers):
+    rng = np.random.default_rng(2)
+    ground, slack = rng.random(len(layers.cell)) < 0.3, rng.uniform(0.1, 0.5, len(layers.cell))
+    expected = np.full(len(layers.cell), np.inf)
+    for i, j, _ in pairs(layers):
+        if ground[j] and abs(layers.height[j] - layers.height[i]) <= slack[i]:
+            expected[i] = min(expected[i], layers.height[j])
+    found = lowest_beside(layers.start, layers.shape, ground, layers.height, layers.height, slack)
+    np.testing.assert_array_equal(found, expected)
+    assert 0 < np.isfinite(found).sum() < len(found)
+
+
+def test_a_drop_is_a_direction_in_which_all_is_lower(layers):
+    rise, max_step, nodes = 0.2, 0.35, np.arange(0, len(layers.cell), 2)
+    level, down = set(), set()
+    for i, j, offset in pairs(layers):
+        over = layers.height[i] - layers.height[j]
+        if abs(over) <= rise * np.hypot(*offset):
+            level.add((i, offset))
+        if over + layers.thickness[j] > max_step and over > -max_step:
+            down.add((i, offset))
+    expected = np.isin(np.arange(len(layers.cell)), [i for i, _ in down - level]) & (
+        np.arange(len(layers.cell)) % 2 == 0
+    )
+    grid = layers.cell, layers.start, layers.shape, layers.height, layers.thickness
+    np.testing.assert_array_equal(drops_beside(nodes, *grid, rise, max_step), expected)
+    assert expected.any()
+
+
+def test_what_is_over_a_node_has_a_kept_one_below_it_in_its_cell(layers):
+    keep = np.random.default_rng(3).random(len(layers.cell)) < 0.4
+    nodes = np.arange(len(layers.cell))
+    expected = []
+    for i in nodes:
+        below = [j for j in range(i) if keep[j] and layers.cell[j] == layers.cell[i]]
+        expected.append(bool(below) and layers.height[i] - layers.height[below[-1]] <= 0.8)
+    np.testing.assert_array_equal(nodes_over(nodes, layers.cell, layers.height, keep, 0.8), expected)
+    assert any(expected)
+
+
+def test_a_sheet_grows_by_its_rings_and_never_over_itself(layers):
+    keep = np.ones(len(layers.cell), dtype=bool)
+    first = np.flatnonzero(layers.cell == layers.cell[len(layers.cell) // 2])[:1]
+    grid = layers.cell, layers.start, layers.shape, layers.height
+    sizes = []
+    for rings in (0, 1, 3):
+        inside = np.flatnonzero(grown_sheet(*grid, keep, first, 0.3, rings))
+        x, y = np.divmod(layers.cell[inside], layers.shape[1])
+        assert len(np.unique(layers.cell[inside])) == len(inside)
+        assert max(np.ptp(x), np.ptp(y)) <= 2 * rings
+        sizes.append(len(inside))
+    assert sizes[0] == 1
+    assert sizes[0] < sizes[1] < sizes[2]
