@@ -53,7 +53,7 @@ ENGLISH = Words(
         Kind.TURN_SOON: "{where}, turn {side}.",
         Kind.GO_ON: "Good. Straight on, {distance}.",
         Kind.RESUME: "Go on.",
-        Kind.NARROW: "Narrow passage ahead, {width} centimetres.",
+        Kind.NARROW: "Narrow passage ahead, {width} centimetres. Go slowly.",
         Kind.HEAD: "Mind your head, obstacle on the {side}.",
         Kind.RAMP: "{where}, ramp {vertical}.",
         Kind.BEAR: "Keep {side}.",
@@ -78,7 +78,7 @@ GERMAN = Words(
         Kind.TURN_SOON: "{where} Drehung {side}.",
         Kind.GO_ON: "Gut. Geradeaus, {distance}.",
         Kind.RESUME: "Weiter.",
-        Kind.NARROW: "Engstelle voraus, {width} Zentimeter.",
+        Kind.NARROW: "Engstelle voraus, {width} Zentimeter. Gehen Sie langsam.",
         Kind.HEAD: "Vorsicht, Hindernis in Kopfhöhe {side}.",
         Kind.RAMP: "{where} Rampe {vertical}.",
         Kind.BEAR: "Halten Sie sich {side}.",
@@ -108,6 +108,8 @@ def phrase(instruction: Instruction, language: str = "en", unit: str = "metres")
         width=5 * int(20 * instruction.amount + 1e-6),
         count=instruction.count,
     )
+    if instruction.ends:
+        return f"{words.sentences[Kind.STAIRS_END]} {sentence}"
     return words.after.format(sentence=sentence[0].lower() + sentence[1:]) if instruction.after else sentence
 
 

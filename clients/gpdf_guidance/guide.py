@@ -226,7 +226,12 @@ class Guide:
         """What stops the feet for a moment only is no news; who was told to stop is told to go on."""
         waited = 0.0 if self._waiting.since is None else self._clock - self._waiting.since
         patient = WAITING if self.felt else {}
-        worth = tuple(one for one in advice.instructions if waited >= patient.get(one.kind, 0.0))
+        worth = tuple(
+            one
+            for one in advice.instructions
+            if waited >= patient.get(one.kind, 0.0)
+            and not (self.felt and one.kind is Kind.TURN_BACK)  # the cue has led back before it is said
+        )
         walks = advice.action in (CueAction.GO, CueAction.SLOW)
         resume = (Instruction(Kind.RESUME, Urgency.DANGER),) if self._told_to_stop and walks else ()
         return resume + worth

@@ -20,7 +20,7 @@ Room = Callable[[FloatArray], FloatArray]
 SPACING = 0.1
 """[m] Between samples of a route: half of what a person sways."""
 FINER = 5
-"""Places a sample (odd) at which the room on the path itself is asked for: in the tightest way each is near its disc."""
+"""Places a sample (odd) at which the room on the path itself is asked for: what juts out 1 cm is seen."""
 MARGIN = 0.1
 """[m] Room that a corridor leaves beside it: a swinging arm; in a tight place half of the path's own room."""
 WIDEST = 0.8
