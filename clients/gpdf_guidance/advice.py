@@ -115,7 +115,7 @@ class Instruction:
         distance: Along the way to there [m].
         amount: As in `Feature`; for turns the angle to the left [rad].
         count: Number of steps.
-        after: It comes after stairs that the person has not left yet.
+        after: So far behind the end of stairs that the person has not left yet [m]; None if it is not behind any.
         ends: The stairs before it end here: that is told with it.
     """
 
@@ -125,7 +125,7 @@ class Instruction:
     distance: float = 0.0
     amount: float = 0.0
     count: int = 1
-    after: bool = False
+    after: float | None = None
     ends: bool = False
 
 
@@ -316,10 +316,10 @@ def _ahead(route: Route, progress: Progress) -> list[Instruction]:
         kind, urgency, window = _SOON[feature.kind]
         distance, place = feature.start - progress.s, _place(route, feature.start)
         is_step = feature.kind in (FeatureKind.STEP, FeatureKind.STAIRS)
-        after = climbed is not None and climbed.start < feature.start
-        if after and climbed is not None and is_step and feature.start - climbed.end >= LANDING:
-            continue  # told with that one's end
-        soon = window[0] <= distance <= (ON_STAIRS if after else window[1])
+        after = _behind(climbed, feature)
+        if is_step and after is not None and after >= LANDING:
+            continue  # told with the end of those stairs
+        soon = window[0] <= distance <= (window[1] if after is None else ON_STAIRS)
         if soon or (is_step and 0.0 <= distance < window[0]):  # late is better than never
             ends = is_step and left is not None and LANDING <= feature.start - left.end <= window[1]
             told = Instruction(kind, urgency, place, distance, feature.amount, feature.count, after, ends)
@@ -327,3 +327,10 @@ def _ahead(route: Route, progress: Progress) -> list[Instruction]:
     if left is not None and not any(one.ends for one in said):
         said.append(Instruction(Kind.STAIRS_END, Urgency.ACT, _place(route, left.end)))
     return said
+
+
+def _behind(climbed: Feature | None, feature: Feature) -> float | None:
+    """How far a feature is behind stairs [m]; a turn at their last step is made after it. None if it is not."""
+    if climbed is None or climbed is feature or feature.start < climbed.end - TURN_WINDOW[0]:
+        return None
+    return max(0.0, feature.start - climbed.end)

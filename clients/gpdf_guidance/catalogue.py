@@ -98,10 +98,12 @@ def phrase(instruction: Instruction, language: str = "en", unit: str = "metres")
         language: One of `LANGUAGES`.
         unit: "metres" or "steps".
     """
-    words = LANGUAGES[language]
-    sentence = words.sentences[instruction.kind].format(
-        distance=_distance(instruction.distance, words, unit),
-        where=_where(instruction.distance, words, unit),
+    words, after = LANGUAGES[language], instruction.after
+    metres = instruction.distance if after is None else after
+    at_once = instruction.kind is Kind.TURN_SOON and after is not None and after < HALF
+    sentence = words.sentences[Kind.TURN_NOW if at_once else instruction.kind].format(
+        distance=_distance(metres, words, unit),
+        where=_where(metres, words, unit),
         side=_side(instruction, words),
         vertical=words.up if instruction.amount > 0 else words.down,
         height=round(100 * abs(instruction.amount)),
@@ -110,7 +112,7 @@ def phrase(instruction: Instruction, language: str = "en", unit: str = "metres")
     )
     if instruction.ends:
         return f"{words.sentences[Kind.STAIRS_END]} {sentence}"
-    return words.after.format(sentence=sentence[0].lower() + sentence[1:]) if instruction.after else sentence
+    return sentence if after is None else words.after.format(sentence=sentence)
 
 
 def _where(metres: float, words: Words, unit: str) -> str:

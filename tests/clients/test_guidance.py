@@ -11,7 +11,7 @@ from gpdf_guidance import LANGUAGES, Announcer, Errors, Instruction, Kind, Pose,
 from gpdf_guidance import phrase as say
 from gpdf_guidance.advice import BLIND, PACES, POSE_AGE, SWAY, UNRELIABLE
 from gpdf_guidance.belief import believe
-from gpdf_guidance.features import FeatureKind, find_ramps, find_steps, find_turns
+from gpdf_guidance.features import Feature, FeatureKind, find_ramps, find_steps, find_turns
 from gpdf_guidance.guide import PERSON
 from gpdf_guidance.voice import Voice
 from gpdf_schemas import CueAction, CueMessage
@@ -341,9 +341,12 @@ def test_sentences_say_what_matters():
     assert say(near, "de", "steps") == "Direkt vor Ihnen Stufe abwärts, 17 Zentimeter."
     stairs = Instruction(Kind.STAIRS, Urgency.ACT, distance=1.0, amount=0.17, count=12)
     assert say(stairs) == "In 1 metre, stairs up, 12 steps."
-    later = dataclasses.replace(stairs, after=True)
-    assert say(later) == "After these stairs: in 1 metre, stairs up, 12 steps."
-    assert say(later, "de") == "Nach dieser Treppe: in 1 Meter Treppe aufwärts, 12 Stufen."
+    later = dataclasses.replace(stairs, distance=1.5, after=1.0)  # counted from where those end
+    assert say(later) == "After these stairs: In 1 metre, stairs up, 12 steps."
+    assert say(later, "de") == "Nach dieser Treppe: In 1 Meter Treppe aufwärts, 12 Stufen."
+    turn = Instruction(Kind.TURN_SOON, Urgency.PREPARE, distance=1.5, amount=1.5, after=0.1)
+    assert say(turn) == "After these stairs: Turn left."
+    assert say(turn, "de") == "Nach dieser Treppe: Drehung links."
     ending = dataclasses.replace(stairs, ends=True)
     assert say(ending) == "The stairs end. In 1 metre, stairs up, 12 steps."
     assert say(ending, "de") == "Ende der Treppe. In 1 Meter Treppe aufwärts, 12 Stufen."
@@ -374,9 +377,18 @@ def test_a_flight_right_behind_a_short_landing_is_told_of_before():
     route, end = two_flights(landing=0.9)
     (told,) = advise(route, Pose((end - 0.3, 0.0, 0.5), 0.0, 0.0), 0.0, near=end - 0.3).instructions
     assert told.kind is Kind.STAIRS
-    assert told.after
+    assert told.after == pytest.approx(0.9, abs=0.05)
     assert not told.ends
     assert Kind.STAIRS_END in kinds(advise(route, Pose((end + 0.1, 0.0, 0.68), 0.0, 0.0), 0.0, near=end))
+
+
+def test_what_lies_on_stairs_is_not_told_as_if_it_came_behind_them():
+    route, end = two_flights(landing=1.6)
+    head = [Feature(FeatureKind.HEAD, at, at + 0.2, 1.0) for at in (end - 0.6, end + 0.4)]
+    route = dataclasses.replace(route, features=(*route.features, *head))
+    found = advise(route, Pose((end - 0.8, 0.0, 0.35), 0.0, 0.0), 0.0, near=end - 0.8).instructions
+    afters = [one.after for one in found if one.kind is Kind.HEAD]
+    assert afters == [None, pytest.approx(0.4, abs=0.01)]
 
 
 def test_a_neck_as_wide_as_a_person_needs_has_no_gap():
