@@ -14,7 +14,7 @@ import numpy as np
 from gpdf_schemas import CueAction
 from numpy.typing import NDArray
 
-from gpdf_guidance.features import TURN, Feature, FeatureKind, wrap
+from gpdf_guidance.features import TREAD, TURN, Feature, FeatureKind, wrap
 from gpdf_guidance.route import Pose, Progress, Route
 
 FloatArray = NDArray[np.float64]
@@ -331,6 +331,6 @@ def _ahead(route: Route, progress: Progress) -> list[Instruction]:
 
 def _behind(climbed: Feature | None, feature: Feature) -> float | None:
     """How far a feature is behind stairs [m]; a turn at their last step is made after it. None if it is not."""
-    if climbed is None or climbed is feature or feature.start < climbed.end - TURN_WINDOW[0]:
+    if climbed is None or climbed is feature or feature.start < climbed.end - TREAD:
         return None
     return max(0.0, feature.start - climbed.end)
