@@ -384,7 +384,7 @@ def test_a_flight_right_behind_a_short_landing_is_told_of_before():
 
 def test_what_lies_on_stairs_is_not_told_as_if_it_came_behind_them():
     route, end = two_flights(landing=1.6)
-    head = [Feature(FeatureKind.HEAD, at, at + 0.2, 1.0) for at in (end - 0.7, end + 0.4)]
+    head = [Feature(FeatureKind.HEAD, at, at + 0.2, 1.0) for at in (end - 0.65, end + 0.4)]
     route = dataclasses.replace(route, features=(*route.features, *head))
     found = advise(route, Pose((end - 0.8, 0.0, 0.35), 0.0, 0.0), 0.0, near=end - 0.8).instructions
     afters = [one.after for one in found if one.kind is Kind.HEAD]
