@@ -386,7 +386,8 @@ def test_what_lies_on_stairs_is_not_told_as_if_it_came_behind_them():
     route, end = two_flights(landing=1.6)
     head = [Feature(FeatureKind.HEAD, at, at + 0.2, 1.0) for at in (end - 0.65, end + 0.4)]
     route = dataclasses.replace(route, features=(*route.features, *head))
-    found = advise(route, Pose((end - 0.8, 0.0, 0.35), 0.0, 0.0), 0.0, near=end - 0.8).instructions
+    here = end - 0.85
+    found = advise(route, Pose(tuple(route.at(here)), 0.0, 0.0), 0.0, near=here).instructions
     afters = [one.after for one in found if one.kind is Kind.HEAD]
     assert afters == [None, pytest.approx(0.4, abs=0.01)]
 
