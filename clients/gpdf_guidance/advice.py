@@ -14,7 +14,7 @@ import numpy as np
 from gpdf_schemas import CueAction
 from numpy.typing import NDArray
 
-from gpdf_guidance.features import TURN, Feature, FeatureKind, wrap
+from gpdf_guidance.features import TREAD, TURN, Feature, FeatureKind, wrap
 from gpdf_guidance.route import Pose, Progress, Route
 
 FloatArray = NDArray[np.float64]
@@ -55,6 +55,10 @@ STEP_WINDOW = (1.0, 2.8)
 """[m] Steps and stairs are told of this far before: not too late to find with the cane, not too early to count on."""
 ON_STAIRS = 1.6
 """[m] What comes after a stair is told of from here: two stairs are not mixed up."""
+LANDING = STEP_WINDOW[0] + 0.1
+"""[m] What is this far behind a stair is told of where the stair ends, in the same breath, and still soon enough."""
+OFF_STAIRS = 0.6
+"""[m] A stair's end is told of until here: two short paces."""
 TURN_WINDOW = (0.3, 2.5)
 """[m] The same for turns."""
 OTHER_WINDOW = (0.0, 2.5)
@@ -111,7 +115,8 @@ class Instruction:
         distance: Along the way to there [m].
         amount: As in `Feature`; for turns the angle to the left [rad].
         count: Number of steps.
-        after: It comes after stairs that the person has not left yet.
+        after: So far behind the end of stairs that the person has not left yet [m]; None if it is not behind any.
+        ends: The stairs before it end here: that is told with it.
     """
 
     kind: Kind
@@ -120,7 +125,8 @@ class Instruction:
     distance: float = 0.0
     amount: float = 0.0
     count: int = 1
-    after: bool = False
+    after: float | None = None
+    ends: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -259,7 +265,7 @@ def _turning(route: Route, progress: Progress, direction: float, action: CueActi
     """Turns at this place: to be made, over-turned, or made."""
     here = _place(route, progress.s)
     turn = next((f for f in route.features if f.kind is FeatureKind.TURN and _at(f, progress.s)), None)
-    if turn is not None and direction * turn.amount < 0 and abs(direction) > STRAIGHT:
+    if turn is not None and direction * turn.amount < 0 and STRAIGHT < abs(direction) < ON_THE_SPOT:
         return [Instruction(Kind.TURN_BACK, Urgency.PREPARE, _place(route, turn.start), amount=direction)]
     if action is CueAction.TURN and abs(direction) >= TURN:
         return [Instruction(Kind.TURN_NOW, Urgency.ACT, here, amount=direction)]
@@ -302,16 +308,29 @@ def is_hidden_step(one: Instruction) -> bool:
 
 def _ahead(route: Route, progress: Progress) -> list[Instruction]:
     """What comes soon, and the end of a stair."""
-    said = []
-    stairs = [f for f in route.features if f.kind is FeatureKind.STAIRS and f.end > progress.s]
+    said: list[Instruction] = []
+    stairs = [f for f in route.features if f.kind is FeatureKind.STAIRS]
+    climbed = next((f for f in stairs if f.end > progress.s), None)
+    left = next((f for f in stairs if f.end <= progress.s <= f.end + OFF_STAIRS), None)
     for feature in route.features:
         kind, urgency, window = _SOON[feature.kind]
         distance, place = feature.start - progress.s, _place(route, feature.start)
-        late = feature.kind in (FeatureKind.STEP, FeatureKind.STAIRS) and 0.0 <= distance < window[0]
-        after = any(f.start < feature.start for f in stairs)
-        soon = window[0] <= distance <= (ON_STAIRS if after else window[1])
-        if soon or late:  # late is better than never
-            said.append(Instruction(kind, urgency, place, distance, feature.amount, feature.count, after))
-        if feature.kind is FeatureKind.STAIRS and feature.end <= progress.s <= feature.end + 0.6:
-            said.append(Instruction(Kind.STAIRS_END, Urgency.ACT, _place(route, feature.end)))
+        is_step = feature.kind in (FeatureKind.STEP, FeatureKind.STAIRS)
+        after = _behind(climbed, feature)
+        if is_step and after is not None and after >= LANDING:
+            continue  # told with the end of those stairs
+        soon = window[0] <= distance <= (window[1] if after is None else ON_STAIRS)
+        if soon or (is_step and 0.0 <= distance < window[0]):  # late is better than never
+            ends = is_step and left is not None and LANDING <= feature.start - left.end <= window[1]
+            told = Instruction(kind, urgency, place, distance, feature.amount, feature.count, after, ends)
+            said.append(told)
+    if left is not None and not any(one.ends for one in said):
+        said.append(Instruction(Kind.STAIRS_END, Urgency.ACT, _place(route, left.end)))
     return said
+
+
+def _behind(climbed: Feature | None, feature: Feature) -> float | None:
+    """How far a feature is behind stairs [m]; a turn at their last step is made after it. None if it is not."""
+    if climbed is None or climbed is feature or feature.start < climbed.end - TREAD:
+        return None
+    return max(0.0, feature.start - climbed.end)

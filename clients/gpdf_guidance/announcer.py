@@ -14,6 +14,8 @@ SAVED = 1.5
 """Instructions that can be saved up."""
 DEBT = -3.0
 """Instructions that urgent ones can borrow."""
+NEEDED = {Urgency.INFORM: 1.0, Urgency.PREPARE: 0.0, Urgency.ACT: -float("inf"), Urgency.DANGER: -float("inf")}
+"""Instructions that must be saved up to say one: what prepares may come right after one that was urgent."""
 AGAIN = {Urgency.DANGER: 8.0, Urgency.ACT: 12.0}
 """[s] What is dangerous or to be done now is said again after this if it is still so; the rest is said once."""
 SAME = 0.8
@@ -41,7 +43,7 @@ class Announcer:
     def __init__(self, say: Callable[[Instruction], str]) -> None:
         self._say = say
         self._said: list[_Said] = []
-        self._tokens = 0.0
+        self._tokens = 1.0
         self._then: float | None = None
         self._quiet_at, self._speaking = -float("inf"), Urgency.INFORM
 
@@ -54,8 +56,7 @@ class Announcer:
         """
         self._earn(now)
         for instruction in instructions:
-            urgent = instruction.urgency >= Urgency.ACT
-            affordable = self._tokens >= 1.0 or urgent
+            affordable = self._tokens >= NEEDED[instruction.urgency]
             silent = now >= self._quiet_at or instruction.urgency > self._speaking
             if affordable and silent and self._due(instruction, now):
                 return self._speak(instruction, now)

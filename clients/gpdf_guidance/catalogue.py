@@ -53,7 +53,7 @@ ENGLISH = Words(
         Kind.TURN_SOON: "{where}, turn {side}.",
         Kind.GO_ON: "Good. Straight on, {distance}.",
         Kind.RESUME: "Go on.",
-        Kind.NARROW: "Narrow passage ahead, {width} centimetres.",
+        Kind.NARROW: "Narrow passage ahead, {width} centimetres. Go slowly.",
         Kind.HEAD: "Mind your head, obstacle on the {side}.",
         Kind.RAMP: "{where}, ramp {vertical}.",
         Kind.BEAR: "Keep {side}.",
@@ -78,7 +78,7 @@ GERMAN = Words(
         Kind.TURN_SOON: "{where} Drehung {side}.",
         Kind.GO_ON: "Gut. Geradeaus, {distance}.",
         Kind.RESUME: "Weiter.",
-        Kind.NARROW: "Engstelle voraus, {width} Zentimeter.",
+        Kind.NARROW: "Engstelle voraus, {width} Zentimeter. Gehen Sie langsam.",
         Kind.HEAD: "Vorsicht, Hindernis in Kopfhöhe {side}.",
         Kind.RAMP: "{where} Rampe {vertical}.",
         Kind.BEAR: "Halten Sie sich {side}.",
@@ -98,17 +98,21 @@ def phrase(instruction: Instruction, language: str = "en", unit: str = "metres")
         language: One of `LANGUAGES`.
         unit: "metres" or "steps".
     """
-    words = LANGUAGES[language]
-    sentence = words.sentences[instruction.kind].format(
-        distance=_distance(instruction.distance, words, unit),
-        where=_where(instruction.distance, words, unit),
+    words, after = LANGUAGES[language], instruction.after
+    metres = instruction.distance if after is None else after
+    at_once = instruction.kind is Kind.TURN_SOON and after is not None and after < HALF
+    sentence = words.sentences[Kind.TURN_NOW if at_once else instruction.kind].format(
+        distance=_distance(metres, words, unit),
+        where=_where(metres, words, unit),
         side=_side(instruction, words),
         vertical=words.up if instruction.amount > 0 else words.down,
         height=round(100 * abs(instruction.amount)),
         width=5 * int(20 * instruction.amount + 1e-6),
         count=instruction.count,
     )
-    return words.after.format(sentence=sentence[0].lower() + sentence[1:]) if instruction.after else sentence
+    if instruction.ends:
+        return f"{words.sentences[Kind.STAIRS_END]} {sentence}"
+    return sentence if after is None else words.after.format(sentence=sentence)
 
 
 def _where(metres: float, words: Words, unit: str) -> str:

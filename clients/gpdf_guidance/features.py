@@ -20,6 +20,8 @@ STRAIGHTEN = 0.15
 """[m] A path is taken as the straight pieces that stay this close to it."""
 ONE_TURN = 1.0
 """[m] Bends to the same side that are closer are one turn."""
+LARGEST_TURN = radians(120)
+"""[rad] A curve that turns further is two turns: who is told to turn around does so on the spot."""
 LEAST_STEP = 0.04
 """[m] A lower edge is not felt as a step."""
 STEEPEST_RAMP = 0.7
@@ -32,8 +34,8 @@ RAMP = 0.05
 """[-] Rise over run (3°) that is felt as a ramp."""
 RAMP_LENGTH = 1.0
 """[m] A shorter one is not worth a word."""
-NARROW = 0.9
-"""[m] A passage narrower than this: a door's width, elbows touch."""
+NARROW = 0.8
+"""[m] A passage narrower than this: less than a hand's breadth and a half beside the elbows, so one is led slowly."""
 HEAD_ROOM = 0.5
 """[m] An obstacle at head height is told of when it is this close to the body's side."""
 HEAD_EXCESS = 0.15
@@ -112,7 +114,8 @@ def find_turns(xy: FloatArray, s: FloatArray) -> list[Feature]:
     for row, angle in zip(corners[1:-1], np.diff(bearing), strict=True):
         turn, place = wrap(float(angle)), float(s[row])
         last = bends[-1] if bends else None
-        if last is not None and last.amount * turn > 0 and place - last.end < ONE_TURN:
+        same = last is not None and last.amount * turn > 0 and place - last.end < ONE_TURN
+        if last is not None and same and abs(last.amount + turn) <= LARGEST_TURN:
             bends[-1] = Feature(last.kind, last.start, place, last.amount + turn)
         else:
             bends.append(Feature(FeatureKind.BEAR, place, place, turn))

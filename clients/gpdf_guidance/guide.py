@@ -13,8 +13,9 @@ from gpdf_client import Client, ClientError, ServiceError, Status, Trajectory
 from gpdf_schemas import CueAction, CueMessage
 from numpy.typing import NDArray
 
-from gpdf_guidance.advice import Advice, Instruction, Kind, Urgency, advise, is_hidden_step, stop
+from gpdf_guidance.advice import BLIND, PACES, Advice, Instruction, Kind, Urgency, advise, is_hidden_step, stop
 from gpdf_guidance.announcer import Announcer
+from gpdf_guidance.belief import Belief, believe
 from gpdf_guidance.catalogue import phrase
 from gpdf_guidance.route import Pose, Progress, Route, build_route
 from gpdf_guidance.trust import doubt
@@ -56,6 +57,8 @@ WAITING = {Kind.STOP_LOST: 2.0, Kind.STOP_OFF_WAY: 2.0, Kind.STOP_UNRELIABLE: 0.
 that are missing mostly come again; those that cannot be true are spoken of within half a second."""
 STOPS = (*WAITING, Kind.STOP_ALONE, Kind.STOP_OBSTACLE)
 """After these a person waits to be told to go on."""
+BRAKES = PACES[0] / BLIND
+"""[m/s²] A pace that was told is thought to last this long after a slower one."""
 PULSE = 0.5
 """[s] For the planner to say that it is there: many times what it needs; with `PULSE_EVERY`, a stop within a second."""
 
@@ -156,6 +159,8 @@ class Guide:
         self._s, self._waiting, self._told_to_stop = 0.0, _Waiting(), False
         self._moved, self._moved_at = 0.0, np.full(2, np.inf)
         self._trusted: Pose | None = None
+        self._belief: Belief | None = None
+        self._pace = 0.0
         self._off_way, self._alone, self._version = False, False, 0
         self.felt = True
         self._then, self._clock = float("inf"), 0.0  # time that goes back is none
@@ -175,7 +180,8 @@ class Guide:
             pose: The newest pose; None before the first.
             now: On the clock of its stamp [s].
         """
-        self._clock, self._then = self._clock + max(0.0, now - self._then), now
+        went_on = max(0.0, now - self._then)
+        self._clock, self._then = self._clock + went_on, now
         advice = self._advise(pose, now)
         self._notice(advice)
         said = self._announcer.choose(self._worth_saying(advice), self._clock)
@@ -183,6 +189,7 @@ class Guide:
             self._told_to_stop = said[0].kind in STOPS
         if any(is_hidden_step(one) and not self._announcer.has_told(one, self._clock) for one in advice.instructions):
             advice = replace(advice, action=CueAction.STOP, pace=0.0)  # nobody goes towards a step unheard
+        self._pace = max(advice.pace, self._pace - BRAKES * went_on)
         cue = CueMessage(
             action=advice.action,
             direction=advice.direction,
@@ -204,12 +211,14 @@ class Guide:
             return stop(here, Instruction(Kind.STOP_LOST, Urgency.DANGER))
         if (reason := doubt(pose, self._trusted, now)) is not None:
             return stop(here, reason)
+        if self._belief is None or pose is not self._trusted:
+            self._belief = believe(self._belief, pose, self._pace)
         self._trusted = pose
         if self.route is None:
             return Advice(here, CueAction.STOP)
         if self._version > self.route.version:
             return stop(here, Instruction(Kind.STOP_OFF_WAY, Urgency.DANGER), off_way=True)
-        advice = advise(self.route, pose, now, near=self._s, obstacles=self.obstacles)
+        advice = advise(self.route, self._belief.pose, now, near=self._s, obstacles=self.obstacles)
         self._s = advice.progress.s
         return advice
 
@@ -217,7 +226,12 @@ class Guide:
         """What stops the feet for a moment only is no news; who was told to stop is told to go on."""
         waited = 0.0 if self._waiting.since is None else self._clock - self._waiting.since
         patient = WAITING if self.felt else {}
-        worth = tuple(one for one in advice.instructions if waited >= patient.get(one.kind, 0.0))
+        worth = tuple(
+            one
+            for one in advice.instructions
+            if waited >= patient.get(one.kind, 0.0)
+            and not (self.felt and one.kind is Kind.TURN_BACK)  # the cue has led back before it is said
+        )
         walks = advice.action in (CueAction.GO, CueAction.SLOW)
         resume = (Instruction(Kind.RESUME, Urgency.DANGER),) if self._told_to_stop and walks else ()
         return resume + worth

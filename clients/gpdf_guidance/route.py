@@ -19,6 +19,8 @@ Room = Callable[[FloatArray], FloatArray]
 
 SPACING = 0.1
 """[m] Between samples of a route: half of what a person sways."""
+FINER = 5
+"""Places a sample (odd) at which the room on the path itself is asked for: what juts out 1 cm is seen."""
 MARGIN = 0.1
 """[m] Room that a corridor leaves beside it: a swinging arm; in a tight place half of the path's own room."""
 WIDEST = 0.8
@@ -159,15 +161,15 @@ def build_route(
     heading = np.interp(s, rough, np.unwrap(trajectory.headings))
     free = _scan(ground, heading, room)
     middle = free.shape[1] // 2
-    margin = np.clip(0.5 * free[:, middle], 0.0, MARGIN)
-    left, right = _reach(free[:, middle:], margin), _reach(free[:, middle::-1], margin)
+    clear = _least_room(s, np.column_stack([trajectory.ground, rough]), room)
+    margin = np.clip(0.5 * clear, 0.0, MARGIN)
+    disc = np.maximum(clear - margin, 0.0)
+    left, right = (np.maximum(_reach(side, margin), disc) for side in (free[:, middle:], free[:, middle::-1]))
     over = _scan(ground, heading, room_low) - free if room_low is not None else np.zeros_like(free)
     features = find_features(
         _plan_and_height(trajectory.ground, rough), s, heading, left + right + 2 * (radius + margin), free, over, facing
     )
-    clear = free[:, middle]
-    disc, shift = np.maximum(clear - margin, 0.0), _shift(left, right)
-    return Route(ground, s, heading, clear, disc, left, right, shift, features, radius, version)
+    return Route(ground, s, heading, clear, disc, left, right, _shift(left, right), features, radius, version)
 
 
 def _plan_and_height(ground: FloatArray, s: FloatArray) -> FloatArray:
@@ -177,6 +179,15 @@ def _plan_and_height(ground: FloatArray, s: FloatArray) -> FloatArray:
 
 def _arc_length(ground: FloatArray) -> FloatArray:
     return np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(ground[:, :2], axis=0).T))])
+
+
+def _least_room(s: FloatArray, rough: FloatArray, room: Room) -> FloatArray:
+    """Free room on the path around each sample, halfway to the next ones: what juts out between them counts."""
+    fine = np.linspace(s[0], s[-1], FINER * (len(s) - 1) + 1)
+    around = room(np.column_stack([np.interp(fine, rough[:, 3], rough[:, k]) for k in range(3)]))
+    padded = np.pad(around, FINER // 2, mode="edge")
+    least: FloatArray = np.lib.stride_tricks.sliding_window_view(padded, FINER)[::FINER].min(axis=1)
+    return least
 
 
 def _scan(ground: FloatArray, heading: FloatArray, room: Room) -> FloatArray:
