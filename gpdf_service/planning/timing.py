@@ -20,6 +20,8 @@ RAMP = 0.4
 """[s] First window: the jerk is at most 2 a / RAMP; a person takes a third of a second to start a step."""
 BLEND = 0.2
 """[s] Second window: half of the first takes the corners off the acceleration."""
+STILL = 1e-6
+"""[m] Who goes less stands: no sensor tells."""
 TICK = 0.005
 """[s] Grid of the windows: between its knots a body strays by 2 µm."""
 GRID = 0.02
@@ -41,7 +43,7 @@ def time_path(positions: FloatArray, agent: Agent, limit: FloatArray | None = No
         limit: Highest speed at each waypoint [m/s], shape (n,); none but the agent's where it is not given.
     """
     step = np.linalg.norm(np.diff(positions, axis=0), axis=1)
-    if not step.any():
+    if step.sum() < STILL:
         return np.linspace(0.0, STANDING, len(positions)), np.zeros(len(positions))
     along = np.concatenate([[0.0], np.cumsum(step)])
     highest = np.full(len(along), agent.speed) if limit is None else limit
@@ -62,7 +64,7 @@ def _time(
     after = np.minimum(np.maximum(np.searchsorted(along, s), 1), len(along) - 1)
     highest = np.minimum(np.minimum(limit[after - 1], limit[after]), most)
     segment = np.minimum(np.maximum(np.searchsorted(along, s, side="right") - 1, 0), len(direction) - 1)
-    heading = _mean_around(direction[segment], int(np.ceil(LOOK / s[1])))
+    heading = _mean_around(direction[segment], int(np.ceil(min(LOOK / s[1], count))))  # a short path has few places
     for i in range(count):
         before, next_ = max(i - 1, 0), min(i + 1, count - 1)
         curvature = abs(heading[next_] - heading[before]) / (s[next_] - s[before])

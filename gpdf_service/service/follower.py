@@ -61,7 +61,7 @@ class Follower:
     def look_for(self, name: str, timeout_s: float) -> None:
         """Look whether the map has a scene that is not here; return when it is here, or is not there, or it is late."""
         asked = time.monotonic()
-        if self._busy.acquire(timeout=max(0.0, timeout_s)):
+        if self._busy.acquire(timeout=min(max(0.0, timeout_s), threading.TIMEOUT_MAX)):
             try:
                 if self._looked < asked:  # nobody has looked since
                     self._sync()

@@ -201,7 +201,7 @@ class Pool:
         died = 0
         while died < TRIES:
             try:
-                process = self._idle.get(timeout=max(0.0, until - time.monotonic()))
+                process = self._idle.get(timeout=min(max(0.0, until - time.monotonic()), threading.TIMEOUT_MAX))
             except queue.Empty as error:
                 words = "no process was free to plan before the deadline. Ask again, or give more time."
                 raise RefusedError(Status.TIMEOUT, words) from error

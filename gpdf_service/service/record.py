@@ -136,6 +136,12 @@ def prune(folder: Path, *, keep_bytes: float, keep_s: float) -> list[Path]:
     return gone
 
 
+def is_live(path: Path) -> bool:
+    """Whether a service writes a log now."""
+    with path.open("rb") as file:
+        return not _lock(file)
+
+
 def _lock(file: BinaryIO) -> bool:
     """Whether nobody writes it; it is ours until it is closed."""
     try:

@@ -50,13 +50,22 @@ class InProcess:
         Raises:
             RequestError: it is not given.
         """
-        name = plan.request.scene
-        digest = self._digests.get((name, plan.reply.scene_version), "")
-        scene = self._named.get(name) or self._found.get(digest)
+        scene = self._scene(plan)
         if scene is None:
+            name, digest = plan.request.scene, self._digest(plan)
             words = f"Name it with --scene {name}=CLOUD, or give the folder of the scene with the hash {digest or '?'}."
             raise RequestError("replay", f"the log's scene {name!r} is not given", words)
         return scene
+
+    def knows(self, plan: Planned) -> bool:
+        """Whether the scene that a plan was made in is given."""
+        return self._scene(plan) is not None
+
+    def _scene(self, plan: Planned) -> Scene | None:
+        return self._named.get(plan.request.scene) or self._found.get(self._digest(plan))
+
+    def _digest(self, plan: Planned) -> str:
+        return self._digests.get((plan.request.scene, plan.reply.scene_version), "")
 
     def ask_all(self, events: Sequence[Planned | Moved]) -> list[PlanReply]:
         """The replies of today to all plans, as if each came at its recorded time."""

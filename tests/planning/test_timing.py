@@ -95,3 +95,11 @@ def test_a_narrow_door_is_passed_slowly():
     middle = 0.5 * (path.ground[1:, 0] + path.ground[:-1, 0])
     assert speed[np.abs(middle - 3.1) < 0.1].max() < 0.65 * AGENTS["human"].speed
     assert speed.max() > 0.9 * AGENTS["human"].speed
+
+
+@pytest.mark.parametrize("length", [1e-300, 1e-12, 1e-8, 2e-6, 1e-3])
+def test_a_goal_that_differs_from_the_start_in_a_last_digit_is_timed_in_little_memory(length):
+    times, headings = time_path(np.array([[0.0, 0.0, 0.0], [length, 0.0, 0.0]]), gpdf.AGENTS["roomba"])
+    assert np.isfinite(times).all()
+    assert times[1] > times[0]
+    np.testing.assert_allclose(headings, 0.0, atol=1e-9)

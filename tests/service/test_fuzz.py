@@ -76,7 +76,8 @@ def test_a_described_body_of_no_earthly_size_is_refused(tmp_path, office):
     shelf._builder.submit(lambda: None).result(30)
     body = {"name": "x", "height": 1.0, "width": 0.5, "length": 0.5, "max_step": 0.1, "max_slope": 0.1}
     body |= {"speed": 1.0, "acceleration": 1.0, "turn_rate": 1.0}
-    for change in ({"width": 1e-9}, {"length": 1e9}, {"height": 0.0}, {"width": True}, {"speed": -1.0}):
+    slow = [{key: value} for key in ("speed", "acceleration", "turn_rate") for value in (1e-6, 5e-324, 1e308)]
+    for change in ({"width": 1e-9}, {"length": 1e9}, {"height": 0.0}, {"width": True}, {"speed": -1.0}, *slow):
         request = {"scene": "office", "start": [1.0, 1.0], "goal": [2.0, 1.0], "agent": body | change}
         reply = msgpack.unpackb(Handlers(shelf, "").answer(keys.PLAN, msgpack.packb(request), time.monotonic()))
         assert reply["status"] == "INVALID_REQUEST"

@@ -147,6 +147,10 @@ def test_a_request_that_no_process_takes_in_time_is_refused(files):
     nobody.close()
 
 
+def test_a_deadline_beyond_what_the_system_can_wait_is_a_deadline(pool, files):
+    assert distances(pool, files / "office.gpdf", deadline_s=1e308).status == "OK"
+
+
 def test_a_closed_pool_leaves_no_process(files):
     made = Pool(1, SETTINGS)
     made.start()

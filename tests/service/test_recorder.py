@@ -14,6 +14,7 @@ from gpdf_client import Client
 from gpdf_schemas import keys
 from mcap.reader import make_reader
 
+from gpdf_service.cli import main
 from gpdf_service.service.record import BROKEN, check, prune, records_of, repair, repair_folder
 from gpdf_service.service.recorder import Recorder
 from gpdf_service.service.replay import recorded_plans
@@ -187,6 +188,24 @@ def test_what_a_crash_left_is_kept_beside_the_mended_log(tmp_path):
         assert repair(path).complete
         assert path.with_name(path.name + name).read_bytes() == broken
     assert not list(tmp_path.glob("*.repairing"))
+
+
+def test_a_folder_of_logs_is_checked_and_mended_but_none_that_a_service_writes(tmp_path, capsys):
+    live = Recorder(Options(log_dir=tmp_path, log_sync="each"), "live", {})
+    live.exchange("k", b"", b"1", 0, 0)
+    cut = tmp_path / "cut.mcap"
+    cut.write_bytes(live.path.read_bytes())
+    before = live.path.read_bytes()
+    assert main(["record", "check", str(tmp_path)]) == 1
+    assert "being written" in capsys.readouterr().out
+    assert main(["record", "check", "--repair", "--json", str(tmp_path)]) == 0
+    rows = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+    assert [(row["complete"], row["live"]) for row in rows] == [(True, False), (False, True)]
+    assert live.path.read_bytes() == before
+    live.close()
+    assert check(live.path).complete
+    (tmp_path / "none").mkdir()
+    assert main(["record", "check", str(tmp_path), str(tmp_path / "none")]) == 1
 
 
 def test_a_plan_is_in_the_log_when_the_process_is_killed_after_its_answer(tmp_path, free_endpoint, office):

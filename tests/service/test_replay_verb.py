@@ -50,6 +50,19 @@ def test_a_log_is_replayed_with_the_scene_of_its_hash_wherever_that_is(logged, t
     assert main(["replay", str(log), "--scenes-dir", str(moved)]) == 0
 
 
+def test_what_was_planned_in_a_version_that_is_not_given_is_left_out_and_told(logged, tmp_path, free_endpoint, capsys):
+    folder, made = logged[1].parent, np.array([[3.0, 4.5, z] for z in np.linspace(0.0, 0.5, 30)])
+    with Server(Options(free_endpoint, folder, tmp_path / "log", 1)) as server, Client.connect(free_endpoint) as client:
+        client.load_scene("office", "office.gpdf")
+        client.plan("office", (1.0, 1.0), (2.0, 1.0), "roomba")
+        client.update_scene("office", made)
+        client.plan("office", (1.0, 1.0), (2.0, 1.0), "roomba")
+    assert main(["replay", str(server.log_path), "--scenes-dir", str(folder)]) == 1
+    said = capsys.readouterr()
+    assert "1 of 1 plans are identical" in said.out
+    assert "1 plans were not asked again" in said.err
+
+
 def test_what_moved_moves_again_at_its_recorded_time(office, free_endpoint, tmp_path):
     made, scene = office
     scene.save(tmp_path / "office.gpdf")
