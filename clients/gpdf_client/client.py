@@ -240,8 +240,9 @@ class Client:
         reply = self.ask_planner(keys.DISTANCE, request, DistanceReply, deadline_s)
         if reply.distance is None or reply.gradient is None or reply.valid is None:
             raise ServiceError(reply)
-        parts = unpack(reply.distance), unpack(reply.gradient), unpack(reply.valid) > 0
-        return Distances(*parts, reply.scene_version)
+        distance, valid = unpack(reply.distance), unpack(reply.valid) > 0
+        deviation = np.full(len(distance), np.inf) if reply.deviation is None else unpack(reply.deviation)
+        return Distances(distance, unpack(reply.gradient), valid, deviation, reply.scene_version)
 
     def draw(
         self,

@@ -74,11 +74,21 @@ class PlanResult:
 
 @dataclass(frozen=True, slots=True)
 class Distances:
-    """Distances (m,) [m], gradients (m, dim), validity (m,); where not valid the distance is 0."""
+    """What a field says at m places.
+
+    Attributes:
+        distance: To the nearest surface [m], shape (m,); 0 where it is not valid.
+        gradient: Of the distance, shape (m, dim).
+        valid: Whether the data supports an answer, shape (m,).
+        deviation: Standard deviation of the distance [m], shape (m,): the truth lies within two of them in at least
+            95 % of queries; infinite where the answer is not valid, or the service does not say.
+        scene_version: Of the scene that was asked.
+    """
 
     distance: FloatArray
     gradient: FloatArray
     valid: NDArray[np.bool_]
+    deviation: FloatArray
     scene_version: int = 0
 
 

@@ -107,6 +107,7 @@ class Planning:
             distance=Array.pack(sample.distance),
             gradient=Array.pack(sample.gradient),
             valid=Array.pack(sample.valid, "f4"),
+            deviation=Array.pack(sample.deviation, "f4"),
         )
 
 

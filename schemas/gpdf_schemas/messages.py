@@ -216,11 +216,15 @@ class DistanceRequest(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class DistanceReply(Reply, frozen=True, kw_only=True):
-    """Distances (m,) [m], gradients (m, 2 or 3), and validity as 0 or 1 (m,); where not valid the distance is 0."""
+    """Distances (m,) [m], gradients (m, 2 or 3), validity as 0 or 1 (m,), and standard deviations (m,) [m].
+
+    Where it is not valid the distance is 0 and the deviation infinite; the truth lies within two deviations.
+    """
 
     distance: Array | None = None
     gradient: Array | None = None
     valid: Array | None = None
+    deviation: Array | None = None
 
 
 class SceneRequest(msgspec.Struct, frozen=True, kw_only=True):

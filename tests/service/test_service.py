@@ -86,6 +86,7 @@ def test_distances_over_zenoh_are_those_in_process(running, office):
     over, inside = client.distance("office", "ground", points), office[1].ground_field.query(points)
     np.testing.assert_allclose(over.distance, inside.distance, rtol=1e-12)  # another process compiles for itself
     np.testing.assert_array_equal(over.valid, inside.valid)
+    np.testing.assert_allclose(over.deviation, inside.deviation, rtol=1e-6)
     flat = client.distance("office", "obstacle", points[:, :2], "roomba")
     ours = office[1].obstacle_field("roomba").query(points[:, :2]).distance
     np.testing.assert_allclose(flat.distance, ours, rtol=1e-12)
