@@ -135,8 +135,9 @@ class Client:
                     raise UnavailableError(f"no service at {endpoint} ({error}). Start one: gpdf serve …") from error
                 time.sleep(BACK_OFF_S)
             else:
-                atexit.register(session.close)  # an interpreter that ends before its session hangs
-                return cls(session)
+                client = cls(session)
+                atexit.register(client.close)  # an interpreter that ends before its session hangs
+                return client
 
     @property
     def session(self) -> zenoh.Session:
@@ -145,8 +146,9 @@ class Client:
 
     def close(self) -> None:
         """End the connection."""
-        atexit.unregister(self._session.close)
+        atexit.unregister(self.close)
         self._session.close()  # type: ignore[no-untyped-call]
+        self._planners.join()
 
     def __enter__(self) -> Client:
         return self
@@ -241,7 +243,7 @@ class Client:
         if reply.distance is None or reply.gradient is None or reply.valid is None:
             raise ServiceError(reply)
         distance, valid = unpack(reply.distance), unpack(reply.valid) > 0
-        deviation = np.full(len(distance), np.inf) if reply.deviation is None else unpack(reply.deviation)
+        deviation = np.where(valid, np.inf if reply.deviation is None else unpack(reply.deviation), np.inf)
         return Distances(distance, unpack(reply.gradient), valid, deviation, reply.scene_version)
 
     def draw(

@@ -25,7 +25,12 @@ class Planners:
         self._lock = threading.Lock()
         self._subscriber = session.liveliness().declare_subscriber(f"{keys.ALIVE}/*", history=True)
         # Zenoh's own thread for a callback would keep an interpreter from ending.
-        threading.Thread(target=self._follow, name="gpdf-planners", daemon=True).start()
+        self._thread = threading.Thread(target=self._follow, name="gpdf-planners", daemon=True)
+        self._thread.start()
+
+    def join(self) -> None:
+        """Wait for the thread, once the session is closed: one that is inside Zenoh when Python ends aborts it."""
+        self._thread.join()
 
     def alive(self) -> list[str]:
         """Ids of those that are there."""

@@ -107,7 +107,7 @@ class Planning:
             distance=Array.pack(sample.distance),
             gradient=Array.pack(sample.gradient),
             valid=Array.pack(sample.valid, "f4"),
-            deviation=Array.pack(sample.deviation, "f4"),
+            deviation=Array.pack(np.where(sample.valid, sample.deviation, 0.0), "f4"),
         )
 
 

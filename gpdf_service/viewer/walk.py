@@ -45,7 +45,8 @@ def draw_walk(
         plan.plot([], [], " ", label=f"{i}: {said.time:.1f} s  {said.text}")
         side.axvline(said.time, color=COLOURS[3], lw=0.8)
     plan.plot(*walk.places[0, :2], "o", ms=10, mfc="white", mec="black", label="start")
-    plan.plot(*routes[-1].ground[-1, :2], "*", ms=15, mfc="white", mec="black", label="goal")
+    for route in routes[-1:]:
+        plan.plot(*route.ground[-1, :2], "*", ms=15, mfc="white", mec="black", label="goal")
     plan.set(xlabel="x [m]", ylabel="y [m]", aspect="equal", title=title)
     plan.legend(loc="upper left", bbox_to_anchor=(1.02, 1.0), fontsize=9)
     side.set(xlabel="time [s]", ylabel="z of the ground [m]", title="height, and when something was said")

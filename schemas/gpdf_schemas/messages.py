@@ -218,7 +218,7 @@ class DistanceRequest(msgspec.Struct, frozen=True, kw_only=True):
 class DistanceReply(Reply, frozen=True, kw_only=True):
     """Distances (m,) [m], gradients (m, 2 or 3), validity as 0 or 1 (m,), and standard deviations (m,) [m].
 
-    Where it is not valid the distance is 0 and the deviation infinite; the truth lies within two deviations.
+    Where it is not valid distance and deviation are 0 and say nothing; elsewhere the truth lies within two deviations.
     """
 
     distance: Array | None = None

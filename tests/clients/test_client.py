@@ -2,6 +2,7 @@
 
 import inspect
 import json
+import threading
 from contextlib import contextmanager
 
 import gpdf_schemas
@@ -103,6 +104,15 @@ def test_a_deadline_that_is_none_is_an_invalid_request(free_endpoint, deadline_s
         with pytest.raises(InvalidRequestError, match="positive, finite"):
             client.plan("a", (0, 0), (1, 1), deadline_s=deadline_s)
         assert asked == []
+
+
+def test_a_closed_client_leaves_no_thread_behind(free_endpoint):
+    """One that is inside Zenoh when Python ends aborts the program."""
+    with answering(free_endpoint, keys.PLAN, [b""]):
+        before = set(threading.enumerate())
+        with Client.connect(free_endpoint):
+            assert set(threading.enumerate()) - before
+        assert set(threading.enumerate()) == before
 
 
 def test_nobody_there_is_unavailable(free_endpoint):
