@@ -24,6 +24,8 @@ NOISY = 2.8
 each the median of its points, stay under the steepest slope: w tan(0.7) ≥ 2 · √2 · 1.25 σ (w₀ / 1.5) / w."""
 OVER_SHARE = 0.2
 """Share of a patch that may lie over other ground: a scan's stray points, not a table."""
+TABLE_OVER_SHARE = 0.05
+"""The same of what is no larger than a table and stood on: the floor seen below one side of it; noise makes none."""
 TABLE_AREA = 4.0
 """[m²] Furniture is no larger than a conference table for eight."""
 BULK_SHARE = 0.3
@@ -336,6 +338,8 @@ def _spread(
     a stair's tread shares its cells with the tread below. What a body stands on, by itself, is no platform over the
     ground with `low` room, either: a coffee table; a stair's treads may be.
     """
+    area = np.bincount(patch[wide], minlength=len(seen)) * layers.cell_width**2
+    share = np.where(joins.standable & (area <= TABLE_AREA), TABLE_OVER_SHARE, OVER_SHARE)
     under = over_ground(layers, low, config.step_headroom) & joins.standable[patch]
     size = np.bincount(patch[inner], minlength=len(seen))
     start, members = by_cell(patch, len(seen))
@@ -345,7 +349,7 @@ def _spread(
         nodes = nodes[wide[nodes]]
         own = np.searchsorted(fresh, patch[nodes])
         over = under[nodes] | nodes_over(nodes, layers.cell, layers.height, ground, config.step_headroom)
-        refused = np.bincount(own[inner[nodes] & over], minlength=len(fresh)) > OVER_SHARE * size[fresh]
+        refused = np.bincount(own[inner[nodes] & over], minlength=len(fresh)) > (share * size)[fresh]
         seen[fresh] = True
         ground[nodes[~refused[own]]] = True
     ground = _without_dead_ends(ground, patch, joins)

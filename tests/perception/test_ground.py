@@ -143,6 +143,15 @@ def test_a_low_table_over_seen_floor_is_no_platform():
     assert found[beneath].all()
 
 
+def test_a_low_table_is_no_platform_when_the_floor_was_seen_below_one_side_alone():
+    points, _ = scan_of(World((5.0, 5.0, 2.5), (Box((2.0, 2.0, 0.22), (3.2, 2.9, 0.25)),)))
+    beneath = (points[:, 0] > 2.2) & (np.abs(points - (2.6, 2.45, 0.1)) < (0.6, 0.45, 0.14)).all(axis=1)
+    points = points[~beneath]
+    top = (np.abs(points - (2.6, 2.45, 0.25)) < (0.5, 0.35, 0.01)).all(axis=1)
+    assert top.sum() > 100
+    assert not segment_ground(points)[top].any()
+
+
 def test_the_face_of_a_drop_does_not_guard_its_edge():
     step = 0.04
     x, y = np.mgrid[0.0:2.0:step, 0.0:4.0:step].reshape(2, -1)
