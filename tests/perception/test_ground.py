@@ -104,6 +104,17 @@ def test_a_pit_is_not_bridged_when_only_its_walls_were_seen(turn, seen):
     assert surface.contains(np.array([[2.0, 2.0]]))[0]
 
 
+def test_a_pit_of_whose_walls_only_the_upper_end_was_seen_is_not_bridged():
+    x, y = (axis.ravel() for axis in np.meshgrid(np.arange(0.01, 6.0, 0.02), np.arange(0.01, 6.0, 0.02)))
+    hole = (x > 2.5) & (x < 2.92) & (y > 2.5) & (y < 2.92)
+    floor = np.column_stack([x[~hole], y[~hole], np.zeros(np.count_nonzero(~hole))])
+    across, down = np.mgrid[2.5:2.92:0.02, -0.085:-0.02:0.01].reshape(2, -1)
+    far = np.column_stack([across, np.full(across.size, 2.915), down])
+    cloud = np.vstack([floor, far, far[:, [1, 0, 2]]])
+    surface = build_levels(cloud, segment_ground(cloud), CONFIG).levels[0].surface
+    assert not surface.contains(np.array([[2.7, 2.7]])).any()
+
+
 def test_the_inside_of_a_cupboard_is_not_called_free():
     level = level_of(World((5.0, 5.0, 2.5), (Box((2.0, 2.0, 0.0), (3.0, 2.8, 1.8)),)))
     assert not level.surface.contains(np.array([[2.5, 2.4]])).any()
