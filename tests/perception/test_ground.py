@@ -179,6 +179,18 @@ def test_a_low_table_is_no_platform_when_the_floor_was_seen_below_one_side_alone
     assert not segment_ground(points)[top].any()
 
 
+@pytest.mark.parametrize("seed", range(4))
+def test_a_board_that_joins_scraps_of_a_thin_scan_is_no_tread_and_a_sill_between_two_floors_is(seed):
+    rng = np.random.default_rng(seed)
+    x, y = rng.uniform(0.0, 6.0, (2, 90000))
+    thin = (np.abs(y - 3.0) < 0.8) & (rng.random(len(x)) > 0.15)
+    narrow = np.abs(y - 3.0) < 0.1
+    x, y, narrow = x[~thin | narrow], y[~thin | narrow], narrow[~thin | narrow]
+    for thing, kept in ((narrow & (np.abs(x - 3.0) < 1.0), False), (narrow, True)):
+        found = segment_ground(np.column_stack([x, y, np.where(thing, 0.15, 0.0)]))
+        assert found[thing].mean() == pytest.approx(float(kept), abs=0.1)
+
+
 def test_the_face_of_a_drop_does_not_guard_its_edge():
     step = 0.04
     x, y = np.mgrid[0.0:2.0:step, 0.0:4.0:step].reshape(2, -1)
