@@ -13,6 +13,7 @@ from gpdf_service.config import PerceptionConfig
 from gpdf_service.errors import NoGroundError
 from gpdf_service.fields.threads import run_chunked
 from gpdf_service.perception.columns import by_cell, lowest_above
+from gpdf_service.perception.hidden import find_faces, without_hidden
 from gpdf_service.perception.layers import Layers, build_layers, cell_width_of, connect, layer_gap
 from gpdf_service.perception.limits import GroundLimits, Measured, find_limits, median_of, neighbourhood, step_and_slope
 from gpdf_service.perception.nodes import components, grown_sheet
@@ -323,7 +324,9 @@ def complete(seen: HeightMap, other: FloatArray, voids: Voids, config: Perceptio
     guard = (z > foot[ix, iy] + LEAST_OBSTACLE) & (z <= beside[ix, iy] + config.min_headroom)
     guarded = shut & stair
     guarded[ix[guard], iy[guard]] = True
-    return without_enclosed(surface, shut), guarded
+    surface = without_enclosed(surface, shut)
+    front = find_faces(surface, other, config.min_headroom) & ~stair  # a flight's treads were seen up to its walls
+    return without_hidden(surface, lowest, front), guarded
 
 
 def make_level(

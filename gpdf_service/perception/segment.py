@@ -24,6 +24,8 @@ NOISY = 2.8
 each the median of its points, stay under the steepest slope: w tan(0.7) ≥ 2 · √2 · 1.25 σ (w₀ / 1.5) / w."""
 OVER_SHARE = 0.2
 """Share of a patch that may lie over other ground: a scan's stray points, not a table."""
+TABLE_OVER_SHARE = 0.05
+"""The same of what is no larger than a table and stood on: the floor seen below one side of it; noise makes none."""
 TABLE_AREA = 4.0
 """[m²] Furniture is no larger than a conference table for eight."""
 BULK_SHARE = 0.3
@@ -336,6 +338,8 @@ def _spread(
     a stair's tread shares its cells with the tread below. What a body stands on, by itself, is no platform over the
     ground with `low` room, either: a coffee table; a stair's treads may be.
     """
+    area = np.bincount(patch[wide], minlength=len(seen)) * layers.cell_width**2
+    share = np.where(joins.standable & (area <= TABLE_AREA), TABLE_OVER_SHARE, OVER_SHARE)
     under = over_ground(layers, low, config.step_headroom) & joins.standable[patch]
     size = np.bincount(patch[inner], minlength=len(seen))
     start, members = by_cell(patch, len(seen))
@@ -345,10 +349,10 @@ def _spread(
         nodes = nodes[wide[nodes]]
         own = np.searchsorted(fresh, patch[nodes])
         over = under[nodes] | nodes_over(nodes, layers.cell, layers.height, ground, config.step_headroom)
-        refused = np.bincount(own[inner[nodes] & over], minlength=len(fresh)) > OVER_SHARE * size[fresh]
+        refused = np.bincount(own[inner[nodes] & over], minlength=len(fresh)) > (share * size)[fresh]
         seen[fresh] = True
         ground[nodes[~refused[own]]] = True
-    ground = _without_dead_ends(ground, patch, joins)
+    ground = _without_dead_ends(layers, ground, patch, joins)
     return ground & ~over_ground(layers, ground, config.step_headroom)
 
 
@@ -367,15 +371,20 @@ def _level_of_furniture(layers: Layers, wide: BoolArray, patch: IntArray) -> Flo
     return level
 
 
-def _without_dead_ends(ground: BoolArray, patch: IntArray, joins: _Joins) -> BoolArray:
-    """Drop treads that lead nowhere: a stair's tread joins two pieces of ground, a box on the floor joins one."""
+def _without_dead_ends(layers: Layers, ground: BoolArray, patch: IntArray, joins: _Joins) -> BoolArray:
+    """Drop treads that lead nowhere: a stair's tread joins ground above to ground below, a sill joins two floors.
+
+    A box on the floor joins one, and a board beside which the scan of the floor has gaps joins it to scraps.
+    """
     a, b, standable = joins.a, joins.b, joins.standable
+    level = np.bincount(patch, layers.height) / np.maximum(np.bincount(patch), 1)
     while True:
         here = ground[a] & ground[b]
         pairs = np.unique(np.column_stack([patch[a[here]], patch[b[here]]]), axis=0)
-        pairs = np.unique(np.concatenate([pairs, pairs[:, ::-1]]), axis=0)
-        joined = np.bincount(pairs[:, 0], minlength=len(standable))
-        dead = ground & ~standable[patch] & (joined[patch] < 2)
+        one, other = np.unique(np.concatenate([pairs, pairs[:, ::-1]]), axis=0).T
+        up = level[other] > level[one]
+        above, below, floors = (np.bincount(one[kind], minlength=len(level)) for kind in (up, ~up, standable[other]))
+        dead = ground & (~standable & ((above == 0) | (below == 0)) & (floors < 2))[patch]
         if not dead.any():
             return ground
         ground = ground & ~dead

@@ -180,10 +180,12 @@ def find_voids(surface: HeightMap, points: FloatArray, max_step: float) -> tuple
 def _walls_down(surface: HeightMap, ix: IntArray, iy: IntArray, z: FloatArray) -> BoolArray:
     """Cells of a hole or beside one with a point at (ix, iy, z), each (n,), right under the ground: no floor.
 
-    A step up at the rim is none: the lowest ground within two cells counts.
+    A step up at the rim is none: the lowest ground within two cells counts. But a rim's cell that holds the wall's
+    upper end, too, lies as deep as that: of each cell and those around it the highest ground counts.
     """
     unknown = surface.state == UNKNOWN
-    floor = ndimage.minimum_filter(np.where(unknown, np.inf, surface.height), size=5)
+    rim = ndimage.maximum_filter(np.where(unknown, -np.inf, surface.height), size=3)
+    floor = ndimage.minimum_filter(np.where(unknown, np.inf, rim), size=5)
     depth = floor[ix, iy] - z
     wall = (depth > surface.cell_width) & (depth <= WALL_CELLS * surface.cell_width)
     walls = np.zeros(unknown.shape, dtype=bool)

@@ -104,6 +104,17 @@ def test_a_pit_is_not_bridged_when_only_its_walls_were_seen(turn, seen):
     assert surface.contains(np.array([[2.0, 2.0]]))[0]
 
 
+def test_a_pit_of_whose_walls_only_the_upper_end_was_seen_is_not_bridged():
+    x, y = (axis.ravel() for axis in np.meshgrid(np.arange(0.01, 6.0, 0.02), np.arange(0.01, 6.0, 0.02)))
+    hole = (x > 2.5) & (x < 2.92) & (y > 2.5) & (y < 2.92)
+    floor = np.column_stack([x[~hole], y[~hole], np.zeros(np.count_nonzero(~hole))])
+    across, down = np.mgrid[2.5:2.92:0.02, -0.085:-0.02:0.01].reshape(2, -1)
+    far = np.column_stack([across, np.full(across.size, 2.915), down])
+    cloud = np.vstack([floor, far, far[:, [1, 0, 2]]])
+    surface = build_levels(cloud, segment_ground(cloud), CONFIG).levels[0].surface
+    assert not surface.contains(np.array([[2.7, 2.7]])).any()
+
+
 def test_the_inside_of_a_cupboard_is_not_called_free():
     level = level_of(World((5.0, 5.0, 2.5), (Box((2.0, 2.0, 0.0), (3.0, 2.8, 1.8)),)))
     assert not level.surface.contains(np.array([[2.5, 2.4]])).any()
@@ -120,6 +131,22 @@ def test_a_large_unseen_place_stays_unknown_and_stops_everybody():
     rim = rim[(np.abs(rim[:, :2] - 4) < 3.5).all(axis=1)]  # not the outer walls'
     assert len(rim) > 100
     assert (np.hypot(rim[:, 0] - 4, rim[:, 1] - 4) < 2.1).all()
+
+
+def test_unknown_ground_begins_at_its_border_and_not_inside():
+    points, ground = scan_of(World((8.0, 8.0, 2.5), (), ceiling=False))
+    hole = (np.abs(points[:, :2] - 4.025) < (1.5, 2.0)).all(axis=1)
+    level = build_levels(points[~hole], ground[~hole], CONFIG).levels[0]
+    surface, limits = level.surface, level.limits
+    rim = limits.points[limits.kind == ObstacleKind.UNKNOWN]
+    rim = rim[(np.abs(rim[:, :2] - 4.0) < 3.0).all(axis=1)]
+    x, y = np.meshgrid(np.arange(2.0, 6.0, 0.01), np.arange(1.5, 6.5, 0.01))
+    unknown = np.column_stack([x.ravel(), y.ravel()])
+    unknown = unknown[~surface.contains(unknown)]
+    place = np.array([[4.0, 1.7], [2.2, 4.0]])
+    nearest = [np.hypot(*(part[:, None, :2] - place).transpose(2, 0, 1)).min(axis=0) for part in (rim, unknown)]
+    np.testing.assert_allclose(*nearest, atol=0.012)
+    assert rim[:, 2] == pytest.approx(0.0, abs=0.01)
 
 
 def test_a_platform_stops_the_roomba_and_not_the_human():
@@ -141,6 +168,27 @@ def test_a_low_table_over_seen_floor_is_no_platform():
     assert top.sum() > 100
     assert not found[top].any()
     assert found[beneath].all()
+
+
+def test_a_low_table_is_no_platform_when_the_floor_was_seen_below_one_side_alone():
+    points, _ = scan_of(World((5.0, 5.0, 2.5), (Box((2.0, 2.0, 0.22), (3.2, 2.9, 0.25)),)))
+    beneath = (points[:, 0] > 2.2) & (np.abs(points - (2.6, 2.45, 0.1)) < (0.6, 0.45, 0.14)).all(axis=1)
+    points = points[~beneath]
+    top = (np.abs(points - (2.6, 2.45, 0.25)) < (0.5, 0.35, 0.01)).all(axis=1)
+    assert top.sum() > 100
+    assert not segment_ground(points)[top].any()
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_board_that_joins_scraps_of_a_thin_scan_is_no_tread_and_a_sill_between_two_floors_is(seed):
+    rng = np.random.default_rng(seed)
+    x, y = rng.uniform(0.0, 6.0, (2, 90000))
+    thin = (np.abs(y - 3.0) < 0.8) & (rng.random(len(x)) > 0.15)
+    narrow = np.abs(y - 3.0) < 0.1
+    x, y, narrow = x[~thin | narrow], y[~thin | narrow], narrow[~thin | narrow]
+    for thing, kept in ((narrow & (np.abs(x - 3.0) < 1.0), False), (narrow, True)):
+        found = segment_ground(np.column_stack([x, y, np.where(thing, 0.15, 0.0)]))
+        assert found[thing].mean() == pytest.approx(float(kept), abs=0.1)
 
 
 def test_the_face_of_a_drop_does_not_guard_its_edge():

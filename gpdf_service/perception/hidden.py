@@ -1,0 +1,67 @@
+"""Inferred ground on which the unseen back of a thing may stand: a scan shows fronts."""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from gpdf_service.perception.surface import CEILING, INFERRED, MAX_HOLE_RADIUS, OBSERVED, UNKNOWN, HeightMap
+from gpdf_service.types import BoolArray, FloatArray
+
+
+def without_hidden(surface: HeightMap, lowest: FloatArray, face: BoolArray) -> HeightMap:
+    """Take back inferred ground that a thing of which only a front was seen may stand on.
+
+    How deep the thing is nobody knows; but where ground or a top was seen it is not. So any disc in the unseen that
+    touches the front may belong to it: behind a trunk as deep as it is wide, behind a long wall up to half-way to the
+    seen ground and as far beyond. Discs of one cell are the scan's spacing.
+
+    Args:
+        surface: After `fill_holes`.
+        lowest: Of the other points in each cell [m], inf where there is none, shape (nx, ny).
+        face: Cells in which material goes up from the ground, see `find_faces`.
+    """
+    beside = ndimage.maximum_filter(np.where(surface.state != UNKNOWN, surface.height, -np.inf), size=3)
+    top = np.isfinite(lowest) & (lowest < beside + CEILING)
+    clear = ((surface.state == OBSERVED) | top) & ~face
+    room: FloatArray = ndimage.distance_transform_edt(~clear)
+    front: FloatArray = ndimage.distance_transform_edt(~face) if face.any() else np.full(face.shape, np.inf)
+    shown = (room > 1.0) & (room <= MAX_HOLE_RADIUS / surface.cell_width) & (front <= room + 1.0)
+    hidden = _discs(np.argwhere(shown), room) & (surface.state == INFERRED)
+    height = np.where(hidden, np.float32(np.nan), surface.height)
+    return HeightMap(
+        surface.origin, surface.cell_width, height, np.where(hidden, UNKNOWN, surface.state).astype(np.uint8)
+    )
+
+
+def find_faces(surface: HeightMap, other: FloatArray, headroom: float) -> BoolArray:
+    """Cells in which the `other` points (m, 3) go up, without a gap, from the ground to twice the `headroom` [m].
+
+    A step's face ends at the ground above it; what has a gap is a table's edge. Shape (nx, ny).
+    """
+    beside = ndimage.maximum_filter(np.where(surface.state != UNKNOWN, surface.height, -np.inf), size=5)
+    ix, iy, _ = surface.cells(other)
+    over = other[:, 2] - beside[ix, iy]
+    face = np.ones(surface.state.shape, dtype=bool)
+    for slice_ in ((over > 0.0) & (over <= headroom), (over > headroom) & (over <= 2.0 * headroom)):
+        holds = np.zeros(face.shape, dtype=bool)
+        holds[ix[slice_], iy[slice_]] = True
+        face &= holds
+    return face
+
+
+@njit(cache=True, nogil=True)
+def _discs(centres: NDArray[np.int64], radius: FloatArray) -> BoolArray:
+    """Cells nearer to any of the `centres`, shape (k, 2), than its `radius` [cells], shape (nx, ny)."""
+    nx, ny = radius.shape
+    covered = np.zeros((nx, ny), np.bool_)
+    for k in range(len(centres)):
+        x, y = centres[k, 0], centres[k, 1]
+        reach = radius[x, y]
+        far = int(reach)
+        for u in range(max(x - far, 0), min(x + far + 1, nx)):
+            for v in range(max(y - far, 0), min(y + far + 1, ny)):
+                covered[u, v] |= (u - x) ** 2 + (v - y) ** 2 < reach * reach
+    return covered

@@ -1,0 +1,71 @@
+"""A scan shows fronts: what stands behind them, nobody knows."""
+
+import numpy as np
+import pytest
+
+from gpdf_service.config import PerceptionConfig
+from gpdf_service.perception.levels import build_levels
+from gpdf_service.perception.surface import INFERRED
+
+
+def floor_without(shadow):
+    """A floor of 6 × 6 m in which `shadow` of x and y was not seen."""
+    x, y = (axis.ravel() for axis in np.meshgrid(*2 * [np.arange(0.01, 6.0, 0.02)], indexing="ij"))
+    seen = ~shadow(x, y)
+    return np.column_stack([x[seen], y[seen], np.zeros(seen.sum())])
+
+
+def surface_of(floor, things):
+    cloud = np.concatenate([floor, things])
+    return build_levels(cloud, np.arange(len(cloud)) < len(floor), PerceptionConfig()).levels[0].surface
+
+
+def state_at(surface, x, y):
+    ix, iy, _ = surface.cells(np.array([[x, y]]))
+    return surface.state[ix[0], iy[0]]
+
+
+def upright(x, y, height=1.8):
+    """Points over places in plan, from the floor up."""
+    z = np.arange(0.03, height, 0.02)
+    return np.column_stack([np.repeat(x, len(z)), np.repeat(y, len(z)), np.tile(z, len(x))])
+
+
+def test_in_the_shadow_of_a_wall_nothing_is_ground_and_the_same_hole_in_the_open_is():
+    def hole(x, y):
+        return (np.abs(x - 2.0) < 1.0) & (np.abs(y - 3.25) < 0.25)
+
+    along = np.arange(1.0, 3.0, 0.02)
+    behind, alone = (
+        surface_of(floor_without(hole), wall)
+        for wall in (upright(along, np.full(len(along), 2.99)), upright(along, np.full(len(along), 1.01)))
+    )
+    for y in (3.1, 3.25, 3.4):
+        assert not behind.contains(np.array([[2.0, y]]))[0]
+        assert state_at(alone, 2.0, y) == INFERRED
+
+
+def test_behind_a_trunk_the_ground_is_inferred_again_beyond_what_it_can_be_deep():
+    radius, angle = 0.15, np.arange(-np.pi, 0.0, 0.1)
+    trunk = upright(3.0 + radius * np.cos(angle), 3.0 + radius * np.sin(angle))
+    surface = surface_of(
+        floor_without(
+            lambda x, y: (np.hypot(x - 3.0, y - 3.0) < radius) | ((np.abs(x - 3.0) < radius) & (y > 3.0) & (y < 4.0))
+        ),
+        trunk,
+    )
+    back = np.array([[3.0, y] for y in (3.0, 3.05, 3.1)])
+    assert not surface.contains(back).any()
+    assert state_at(surface, 3.0, 3.6) == INFERRED
+
+
+@pytest.mark.parametrize("depth", [0.4, 0.6])
+def test_behind_a_box_whose_top_was_seen_the_shadow_is_inferred(depth):
+    def hidden(x, y):
+        return (np.abs(x - 3.0) < 0.5) & (y > 2.0) & (y < 2.0 + depth + 0.5)
+
+    along, up = np.arange(2.5, 3.5, 0.02), np.arange(2.0, 2.0 + depth, 0.02)
+    x, y = (axis.ravel() for axis in np.meshgrid(along, up))
+    top = np.column_stack([x, y, np.full(x.size, 0.5)])
+    box = np.concatenate([upright(along, np.full(len(along), 2.0), 0.5), top])
+    assert state_at(surface_of(floor_without(hidden), box), 3.0, 2.0 + depth + 0.25) == INFERRED
