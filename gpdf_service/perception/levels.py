@@ -18,6 +18,7 @@ from gpdf_service.perception.layers import Layers, build_layers, cell_width_of, 
 from gpdf_service.perception.limits import GroundLimits, Measured, find_limits, median_of, neighbourhood, step_and_slope
 from gpdf_service.perception.nodes import components, grown_sheet
 from gpdf_service.perception.segment import HALF, LEAST_SCATTER, over_ground
+from gpdf_service.perception.smooth import smooth
 from gpdf_service.perception.surface import (
     NOTCH_DEPTH,
     OBSERVED,
@@ -266,7 +267,7 @@ def _attach(
 def _build_level(
     points: FloatArray, ground: BoolArray, layers: Layers, nodes: IntArray, config: PerceptionConfig, noise: float
 ) -> tuple[GroundLevel, Voids]:
-    seen = without_outliers(sheet_surface(layers, nodes), RESOLVED_STEP * noise)
+    seen = smooth(without_outliers(sheet_surface(layers, nodes), RESOLVED_STEP * noise), noise)
     inside = np.zeros(len(layers.cell), dtype=bool)
     inside[nodes] = True
     mine = ground.copy()

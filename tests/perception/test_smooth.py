@@ -1,0 +1,62 @@
+"""Heights of noisy ground: the error at a rim, and what must stay as it is."""
+
+import numpy as np
+import pytest
+
+import gpdf_service as gpdf
+from gpdf_service.perception.smooth import smooth
+from gpdf_service.perception.surface import OBSERVED, UNKNOWN, HeightMap
+
+WIDTH = 0.05
+NOISE = 0.05
+
+
+def ground(height):
+    state = np.where(np.isnan(height), UNKNOWN, OBSERVED).astype(np.uint8)
+    return HeightMap(np.zeros(2), WIDTH, height.astype(np.float32), state)
+
+
+def cells(count=60):
+    return np.mgrid[0:count, 0:count] * WIDTH
+
+
+def test_clean_ground_is_not_touched():
+    surface = ground(np.random.default_rng(0).normal(0.0, 0.01, (20, 20)))
+    assert smooth(surface, 0.0) is surface
+
+
+def test_a_tilted_rim_of_a_platform_takes_the_height_of_what_is_behind_it():
+    x, y = cells()
+    rise = np.where(x >= 1.5, 0.35, 0.0)
+    tilt = np.where(
+        (x >= 1.5) & (x < 1.7) & (np.abs(y - 1.5) < 0.15), 0.025 * (1.7 - x) / 0.2, 0.0
+    )  # as a plane of few points leaves it
+    made = smooth(ground(rise + tilt), NOISE).height
+    assert np.abs(made - rise).max() < 0.5 * tilt.max()
+    assert np.abs(np.diff(made, axis=0)).max() > 0.34  # the edge is sharp
+
+
+def test_a_plane_stays_and_unknown_cells_stay_unknown():
+    x, y = cells()
+    plane = 0.2 * x - 0.1 * y
+    plane[20:30, 20:30] = np.nan
+    np.testing.assert_allclose(smooth(ground(plane), NOISE).height, plane, atol=1e-5)
+
+
+def test_what_bends_more_than_the_noise_hides_stays_as_it_is():
+    x, y = cells()
+    hill = ((x - 1.5) ** 2 + (y - 1.5) ** 2) / (2.0 * 1.5)  # 1.5 m of radius: 11 cm lower at the plane's end
+    inner = np.s_[15:45, 15:45]
+    assert np.abs(smooth(ground(hill), NOISE).height - hill)[inner].max() < 0.2 * NOISE
+
+
+@pytest.mark.parametrize("seed", [4, 6, 7])
+def test_a_platform_that_a_human_takes_is_one_at_5_cm_of_noise(seed):
+    rng = np.random.default_rng(seed)
+    xy = rng.uniform(0.0, 3.0, (10_000, 2))
+    on = (np.abs(xy - 1.5) < 0.6).all(axis=1)
+    points = np.column_stack([xy, np.where(on, 0.35, 0.0)])
+    scene = gpdf.build_scene(points + rng.normal(0.0, NOISE, points.shape), np.ones(len(points), dtype=bool))
+    steps = scene.free_space("human").steps[0]
+    assert 0.33 < np.quantile(steps[steps > 0.2], 0.5) < 0.37
+    assert steps.max() < 0.37  # with rims as they were cured these three read 0.372 to 0.385 m
