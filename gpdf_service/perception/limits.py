@@ -57,38 +57,19 @@ def find_limits(surface: HeightMap, material: BoolArray, measured: Measured | No
     step, slope = measured or step_and_slope(surface)
     known = surface.state != UNKNOWN
     edge = ndimage.binary_dilation(known, np.ones((3, 3))) & ~known & ~material
-    ends = _ends(surface, known, edge)
+    beside = ndimage.maximum_filter(np.where(known, surface.height, -np.inf), size=3)
+    edge_map = HeightMap(surface.origin, surface.cell_width, np.where(edge, beside, np.nan), surface.state)
     stepped, sloped = known & (step > LEAST_STEP), known & (slope > 0.0)
     parts = [
         (surface.centres(stepped), ObstacleKind.STEP, step[stepped]),
         (surface.centres(sloped), ObstacleKind.SLOPE, slope[sloped]),
-        (ends, ObstacleKind.UNKNOWN, np.full(len(ends), np.inf)),
+        (edge_map.centres(edge), ObstacleKind.UNKNOWN, np.full(int(edge.sum()), np.inf)),
     ]
     return GroundLimits(
         np.concatenate([points for points, _, _ in parts]),
         np.concatenate([np.full(len(points), int(kind), np.uint8) for points, kind, _ in parts]),
         np.concatenate([value for _, _, value in parts]),
     )
-
-
-def _ends(surface: HeightMap, known: BoolArray, edge: BoolArray) -> FloatArray:
-    """Where the known ground ends at cells of its `edge`, at the height of the ground there, shape (k, 3) [m].
-
-    The middle of each side between the two; a corner where they share no side. What is unknown begins there and not at
-    the cell's centre.
-    """
-    height = np.where(known, surface.height, np.nan)
-    found, sides = [], np.zeros(edge.shape, dtype=bool)
-    for i, j in ((1, 0), (-1, 0), (0, 1), (0, -1), (1, 1), (1, -1), (-1, 1), (-1, -1)):
-        beside = _shift(_shift(height, -i, 0), -j, 1)
-        ends = edge & ~np.isnan(beside)
-        if i and j:
-            ends &= ~sides
-        else:
-            sides |= ends
-        at = np.argwhere(ends) + 0.5 + 0.5 * np.array([i, j])
-        found.append(np.column_stack([surface.origin + at * surface.cell_width, beside[ends]]))
-    return np.concatenate(found)
 
 
 def limits_reach(surface: HeightMap) -> int:

@@ -352,7 +352,7 @@ def _spread(
         refused = np.bincount(own[inner[nodes] & over], minlength=len(fresh)) > (share * size)[fresh]
         seen[fresh] = True
         ground[nodes[~refused[own]]] = True
-    ground = _without_dead_ends(layers, ground, patch, joins)
+    ground = _without_dead_ends(layers, config, ground, patch, joins)
     return ground & ~over_ground(layers, ground, config.step_headroom)
 
 
@@ -371,20 +371,26 @@ def _level_of_furniture(layers: Layers, wide: BoolArray, patch: IntArray) -> Flo
     return level
 
 
-def _without_dead_ends(layers: Layers, ground: BoolArray, patch: IntArray, joins: _Joins) -> BoolArray:
+def _without_dead_ends(
+    layers: Layers, config: PerceptionConfig, ground: BoolArray, patch: IntArray, joins: _Joins
+) -> BoolArray:
     """Drop treads that lead nowhere: a stair's tread joins ground above to ground below, a sill joins two floors.
 
-    A box on the floor joins one, and a board beside which the scan of the floor has gaps joins it to scraps.
+    A box on the floor joins one; so does a board, but where the scan of the floor has gaps it joins it to scraps.
     """
     a, b, standable = joins.a, joins.b, joins.standable
     level = np.bincount(patch, layers.height) / np.maximum(np.bincount(patch), 1)
+    rise = layers.cell_width * float(np.tan(config.steepest))
     while True:
         here = ground[a] & ground[b]
         pairs = np.unique(np.column_stack([patch[a[here]], patch[b[here]]]), axis=0)
         one, other = np.unique(np.concatenate([pairs, pairs[:, ::-1]]), axis=0).T
-        up = level[other] > level[one]
-        above, below, floors = (np.bincount(one[kind], minlength=len(level)) for kind in (up, ~up, standable[other]))
-        dead = ground & (~standable & ((above == 0) | (below == 0)) & (floors < 2))[patch]
+        stepped_down = level[one] - level[other] > rise
+        joined, below, floors = (
+            np.bincount(one[kind], minlength=len(level)) for kind in (one >= 0, stepped_down, standable[other])
+        )
+        leads = (joined >= 2) & ((below < joined) | (floors >= 2))
+        dead = ground & (~standable & ~leads)[patch]
         if not dead.any():
             return ground
         ground = ground & ~dead

@@ -133,22 +133,6 @@ def test_a_large_unseen_place_stays_unknown_and_stops_everybody():
     assert (np.hypot(rim[:, 0] - 4, rim[:, 1] - 4) < 2.1).all()
 
 
-def test_unknown_ground_begins_at_its_border_and_not_inside():
-    points, ground = scan_of(World((8.0, 8.0, 2.5), (), ceiling=False))
-    hole = (np.abs(points[:, :2] - 4.025) < (1.5, 2.0)).all(axis=1)
-    level = build_levels(points[~hole], ground[~hole], CONFIG).levels[0]
-    surface, limits = level.surface, level.limits
-    rim = limits.points[limits.kind == ObstacleKind.UNKNOWN]
-    rim = rim[(np.abs(rim[:, :2] - 4.0) < 3.0).all(axis=1)]
-    x, y = np.meshgrid(np.arange(2.0, 6.0, 0.01), np.arange(1.5, 6.5, 0.01))
-    unknown = np.column_stack([x.ravel(), y.ravel()])
-    unknown = unknown[~surface.contains(unknown)]
-    place = np.array([[4.0, 1.7], [2.2, 4.0]])
-    nearest = [np.hypot(*(part[:, None, :2] - place).transpose(2, 0, 1)).min(axis=0) for part in (rim, unknown)]
-    np.testing.assert_allclose(*nearest, atol=0.012)
-    assert rim[:, 2] == pytest.approx(0.0, abs=0.01)
-
-
 def test_a_platform_stops_the_roomba_and_not_the_human():
     level = level_of(World((5.0, 5.0, 2.5), (Box((2.0, 2.0, 0.0), (3.2, 3.4, 0.3), walkable=True),)))
     near = {}
