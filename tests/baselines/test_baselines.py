@@ -122,7 +122,7 @@ def test_one_field_lifts_the_roomba_off_the_floor(empty_room):
 def test_ends_and_walls_are_told_as_the_planner_tells_them(method):
     scene = scene_of(World((8.0, 6.0, 2.6), (Box((3.0, 0.0, 0.0), (3.2, 6.0, 2.6)),)))
     assert gpdf.plan(scene, (1, 1), (7, 5), "roomba", method=method).status is gpdf.Status.NO_VALID_PATH
-    assert gpdf.plan(scene, (1, 1), (3.1, 3), "roomba", method=method).status is gpdf.Status.GOAL_OCCUPIED
+    assert gpdf.plan(scene, (1, 1), (2.9, 3), "roomba", method=method).status is gpdf.Status.GOAL_OCCUPIED
     assert gpdf.plan(scene, (-9, 1), (2, 3), "roomba", method=method).status is gpdf.Status.START_OUTSIDE_MAP
 
 
