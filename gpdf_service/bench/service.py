@@ -60,8 +60,9 @@ def run(args: argparse.Namespace) -> int:
         crowd = overload(service, args.clients, OVER * double["plans_per_s"], args.seconds)
     speed = {"ratio": double["plans_per_s"] / single["plans_per_s"]}
     speed |= {f"{name}_{n}": row[name] for n, row in ((1, single), (cores, double)) for name in row}
-    for row in (wire, speed, crowd):
-        show([row | {"load_average": os.getloadavg()[0]}], as_json=args.json)
+    rows = [row | {"load_average": os.getloadavg()[0]} for row in (wire, speed, crowd)]
+    for part in [rows] if args.json else [[row] for row in rows]:
+        show(part, as_json=args.json)
     if args.plot:
         panels = {"time of a plan [ms]": [name for name in wire if name.endswith("_ms")]}
         draw_rows(args.plot, [wire], panels, title=f"What the wire adds, {args.count} plans")
