@@ -190,7 +190,10 @@ def find_strays(points: FloatArray, width: float) -> BoolArray:
 
 
 def split_sheets(layers: Layers, config: PerceptionConfig) -> list[IntArray]:
-    """Nodes of each sheet: no sheet has two nodes in one cell; sheets overlap by `OVERLAP` where they meet."""
+    """Nodes of each sheet: no sheet has two nodes in one cell; sheets overlap by `OVERLAP` where they meet.
+
+    The lowest comes first, by the median of its heights.
+    """
     count = len(layers.cell)
     keep = ~_under_step(layers, config.max_step)
     keep &= ~over_ground(layers, keep, config.step_headroom)
@@ -215,7 +218,7 @@ def split_sheets(layers: Layers, config: PerceptionConfig) -> list[IntArray]:
     least = max(9, int(0.001 * count))  # a patch smaller than three cells square holds no foot
     made = [np.flatnonzero(sheet_of == i) for i in range(sheets)]
     grid, rings = (layers.cell, layers.start, layers.shape, layers.height), int(np.ceil(OVERLAP / layers.cell_width))
-    large = [nodes for nodes in made if len(nodes) >= least]
+    large = sorted((n for n in made if len(n) >= least), key=lambda nodes: float(np.median(layers.height[nodes])))
     return [np.flatnonzero(grown_sheet(*grid, keep, nodes, config.max_step, rings)) for nodes in large]
 
 
