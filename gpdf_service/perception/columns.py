@@ -242,17 +242,67 @@ def rows_in_cells(points: FloatArray, origin: FloatArray, cell_width: float, wan
 
 
 @njit(cache=True, nogil=True)
+def rows_of_cells(wanted: BoolArray, start: IntArray, order: IntArray) -> IntArray:
+    """Rows of the points in the `wanted` cells, of points that are in `order` by cell."""
+    count = 0
+    for c in range(len(wanted)):
+        count += start[c + 1] - start[c] if wanted[c] else 0
+    rows, used = np.empty(count, np.int64), 0
+    for c in range(len(wanted)):
+        for i in range(start[c], start[c + 1] if wanted[c] else 0):
+            rows[used] = order[i]
+            used += 1
+    return rows
+
+
+@njit(cache=True, nogil=True)
 def rows_in_box(points: FloatArray, low: FloatArray, high: FloatArray) -> IntArray:
     """Rows of the points (n, 3) between `low` and `high` in plan, shape (2,); sorted."""
-    found, used = np.empty(1024, np.int64), 0
-    for row in range(len(points)):
+    found, used = np.empty(len(points) + 1, np.int64), 0
+    left, right, near, far = low[0], high[0], low[1], high[1]
+    for row in range(len(points)):  # no branch: half of all would be guessed wrong
         x, y = points[row, 0], points[row, 1]
-        if low[0] <= x <= high[0] and low[1] <= y <= high[1]:
-            if used == len(found):
-                found = _longer(found, 2 * used)
-            found[used] = row
+        found[used] = row
+        used += int((x >= left) & (x <= right) & (y >= near) & (y <= far))
+    return found[:used].copy()
+
+
+@njit(cache=True, nogil=True)
+def without_rows(points: FloatArray, keep: BoolArray, fresh: FloatArray) -> FloatArray:
+    """The points (n, 3) to `keep`, and the `fresh` ones (k, 3) after them."""
+    count = 0
+    for i in range(len(keep)):
+        count += keep[i]
+    made, used = np.empty((count + len(fresh), 3)), 0
+    for i in range(len(points)):
+        if keep[i]:
+            for k in range(3):
+                made[used, k] = points[i, k]
             used += 1
-    return found[:used]
+    made[count:] = fresh
+    return made
+
+
+@njit(cache=True, nogil=True)
+def extent_in(cell: IntArray, z: FloatArray, low: FloatArray, high: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Lowest and highest z of the points in each cell that are over its `low` and not over its `high`; inf, −inf."""
+    least, most = np.full(len(low), np.inf), np.full(len(low), -np.inf)
+    for i in range(len(cell)):
+        c = cell[i]
+        if low[c] < z[i] <= high[c]:
+            least[c], most[c] = min(least[c], z[i]), max(most[c], z[i])
+    return least, most
+
+
+@njit(cache=True, nogil=True)
+def bounds_where(points: FloatArray, chosen: BoolArray) -> tuple[FloatArray, FloatArray]:
+    """Least and greatest (x, y) [m] of the `chosen` points, of shape (n, 3)."""
+    left, right, near, far = np.inf, -np.inf, np.inf, -np.inf
+    for row in range(len(points)):
+        if chosen[row]:
+            x, y = points[row, 0], points[row, 1]
+            left, right, near, far = min(left, x), max(right, x), min(near, y), max(far, y)
+    return np.array([left, near]), np.array([right, far])
 
 
 @njit(cache=True, nogil=True)

@@ -51,14 +51,14 @@ def cell_width_of(points: FloatArray) -> float:
     k = min(8, len(low) - 1)
     if k < 1:
         return MIN_CELL
-    low = points[low]
-    start, order = by_cell(cells_of(low, corner, _COLUMN, shape), shape[0] * shape[1])
+    floor_points = points[low]
+    start, order = by_cell(key[low], shape[0] * shape[1])
     step = max(1, len(low) // _SAMPLE)
     place = np.empty(len(low), np.int64)
     place[order] = np.arange(len(low))
-    distance = float(np.median(kth_beside(low, start, order, shape, place[::step], k)))
+    distance = float(np.median(kth_beside(floor_points, start, order, shape, place[::step], k)))
     if distance > _COLUMN:
-        distance = float(np.median(cKDTree(low).query(low[::step], k=k + 1, workers=-1)[0][:, k]))
+        distance = float(np.median(cKDTree(floor_points).query(floor_points[::step], k=k + 1, workers=-1)[0][:, k]))
     return max(MIN_CELL, in_steps(1.5 * distance * float(np.sqrt(np.pi / k))))
 
 
