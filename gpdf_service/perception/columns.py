@@ -112,33 +112,39 @@ def cut_columns(
 
 @njit(cache=True, nogil=True)
 def pairs_near(
-    cell: IntArray,
     start: IntArray,
     shape: tuple[int, int],
     height: FloatArray,
     keep: BoolArray,
     limit: FloatArray,
-    offset: tuple[int, int],
-    factor: float,
+    offsets: tuple[tuple[int, int], ...],
+    factors: FloatArray,
 ) -> tuple[IntArray, IntArray]:
-    """Pairs of kept nodes (a, b), b's cell at `offset` from a's, whose heights differ by at most `factor` × `limit`."""
-    capacity, used = len(cell) + 16, 0
+    """Pairs of kept nodes (a, b), b's cell at one of the `offsets` from a's, whose heights differ by little.
+
+    That is by at most the `limit` of either, shape (k,), or (1,) for all [m], times the offset's factor.
+    """
+    capacity, used, uniform = 4 * len(height) + 16, 0, len(limit) == 1
     one, other = np.empty(capacity, np.int64), np.empty(capacity, np.int64)
-    dx, dy = offset
-    for x in range(max(0, -dx), min(shape[0], shape[0] - dx)):
-        for y in range(max(0, -dy), min(shape[1], shape[1] - dy)):
-            here, there = x * shape[1] + y, (x + dx) * shape[1] + y + dy
-            for a in range(start[here], start[here + 1]):
-                if not keep[a]:
-                    continue
-                for b in range(start[there], start[there + 1]):
-                    if not keep[b] or abs(height[a] - height[b]) > factor * min(limit[a], limit[b]):
+    for k in range(len(offsets)):
+        dx, dy = offsets[k]
+        for x in range(max(0, -dx), min(shape[0], shape[0] - dx)):
+            for y in range(max(0, -dy), min(shape[1], shape[1] - dy)):
+                here, there = x * shape[1] + y, (x + dx) * shape[1] + y + dy
+                for a in range(start[here], start[here + 1]):
+                    if not keep[a]:
                         continue
-                    if used == capacity:
-                        capacity *= 2
-                        one, other = _longer(one, capacity), _longer(other, capacity)
-                    one[used], other[used] = a, b
-                    used += 1
+                    for b in range(start[there], start[there + 1]):
+                        if not keep[b]:
+                            continue
+                        most = limit[0] if uniform else min(limit[a], limit[b])
+                        if abs(height[a] - height[b]) > factors[k] * most:
+                            continue
+                        if used == capacity:
+                            capacity *= 2
+                            one, other = _longer(one, capacity), _longer(other, capacity)
+                        one[used], other[used] = a, b
+                        used += 1
     return one[:used], other[:used]
 
 

@@ -161,10 +161,9 @@ def connect(
     layers: Layers, keep: BoolArray, limit: FloatArray | float, offsets: tuple[tuple[int, int], ...]
 ) -> tuple[IntArray, IntArray]:
     """Pairs of kept neighbours whose heights differ by at most `limit` [m] (one number, or one a node)."""
-    uniform = isinstance(limit, float)
-    limits = np.full(len(keep), limit) if uniform else np.asarray(limit)
-    grid = layers.cell, layers.start, layers.shape, layers.height
-    found = [
-        pairs_near(*grid, keep, limits, offset, float(np.hypot(*offset)) if uniform else 1.0) for offset in offsets
-    ]
-    return np.concatenate([a for a, _ in found]), np.concatenate([b for _, b in found])
+    limits, factors = np.atleast_1d(np.asarray(limit, dtype=np.float64)), np.ones(len(offsets))
+    if len(limits) == 1:
+        factors = np.hypot(*np.array(offsets, dtype=np.float64).T)
+    grid = layers.start, layers.shape, layers.height
+    pairs: tuple[IntArray, IntArray] = pairs_near(*grid, keep, limits, offsets, factors)
+    return pairs

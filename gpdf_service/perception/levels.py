@@ -16,7 +16,7 @@ from gpdf_service.perception.columns import by_cell, cells_of, ends_of_runs, ext
 from gpdf_service.perception.hidden import find_faces, without_hidden
 from gpdf_service.perception.layers import Layers, build_layers, cell_width_of, connect, layer_gap
 from gpdf_service.perception.limits import GroundLimits, Measured, find_limits, neighbourhood, smoothed, step_and_slope
-from gpdf_service.perception.nodes import components, grown_sheet
+from gpdf_service.perception.nodes import components, degrees, grown_sheet, pairs_across
 from gpdf_service.perception.segment import HALF, LEAST_SCATTER, over_ground
 from gpdf_service.perception.smooth import smooth
 from gpdf_service.perception.strays import find_strays
@@ -188,9 +188,8 @@ def split_sheets(layers: Layers, config: PerceptionConfig) -> list[IntArray]:
     keep &= ~over_ground(layers, keep, config.step_headroom)
     if len(np.unique(layers.cell[keep])) == keep.sum():
         return [np.flatnonzero(keep)]
-    smooth = components(*connect(layers, keep, layers.cell_width, HALF), count)
-    a, b = connect(layers, keep, np.full(count, config.max_step), HALF)
-    a, b = a[across := smooth[a] != smooth[b]], b[across]
+    smooth = components(*connect(layers, keep, layers.cell_width, HALF), keep)
+    a, b = pairs_across(*connect(layers, keep, np.full(count, config.max_step), HALF), smooth)
     sheet_of = np.full(count, -1)
     size = np.bincount(smooth, weights=keep)
     order = np.argsort(-size)
@@ -216,8 +215,7 @@ def _under_step(layers: Layers, max_step: float) -> BoolArray:
 
     A single point over the floor goes on nowhere.
     """
-    a, b = connect(layers, np.ones(len(layers.cell), dtype=bool), layers.cell_width, HALF)
-    beside = np.bincount(a, minlength=len(layers.cell)) + np.bincount(b, minlength=len(layers.cell))
+    beside = degrees(*connect(layers, np.ones(len(layers.cell), dtype=bool), layers.cell_width, HALF), len(layers.cell))
     foot = np.zeros(len(layers.cell), dtype=bool)
     foot[:-1] = (np.diff(layers.cell) == 0) & (np.diff(layers.height) <= max_step) & (beside[1:] > 1)
     return foot
