@@ -19,6 +19,7 @@ from gpdf_service.perception.columns import (
     bounds_of,
     bounds_where,
     by_cell,
+    cells_in_box,
     rows_in_box,
     rows_in_cells,
     rows_of_cells,
@@ -197,11 +198,8 @@ class _Cloud:
             first, last = (np.floor((end - grid.origin) / grid.cell_width).astype(int) for end in (self.low, self.high))
             first, last = np.clip(first, 0, shape), np.clip(last + 1, 0, shape)
             box = slice(first[0], last[0]), slice(first[1], last[1])
-            index = np.floor((self._near[:, :2] - grid.origin) / grid.cell_width).astype(np.int64)
-            inside = np.logical_and.reduce((index >= first) & (index < last), axis=1)
-            size = last - first
-            flat = np.where(inside, (index[:, 0] - first[0]) * size[1] + index[:, 1] - first[1], size.prod())
-            self._sorted[key] = box, *by_cell(flat, int(size.prod()) + 1)
+            flat = cells_in_box(self._near, grid.origin, grid.cell_width, first, last)
+            self._sorted[key] = box, *by_cell(flat, int((last - first).prod()) + 1)
         return self._sorted[key]
 
 

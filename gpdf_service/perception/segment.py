@@ -311,8 +311,9 @@ def _joins(layers: Layers, config: PerceptionConfig, wide: BoolArray, patch: Int
 
 def _beside(ground: BoolArray, patch: IntArray, joins: _Joins, seen: BoolArray) -> IntArray:
     """Patches not yet seen that a step joins to the ground."""
-    found: IntArray = np.unique(patch[joins.b[ground[joins.a] & ~seen[patch[joins.b]]]])
-    return found
+    found = np.zeros(len(seen), dtype=bool)
+    found[patch[joins.b[ground[joins.a]]]] = True
+    return np.flatnonzero(found & ~seen)
 
 
 def _spread(
@@ -376,9 +377,9 @@ def _without_dead_ends(
     level = np.bincount(patch, layers.height) / np.maximum(np.bincount(patch), 1)
     rise = layers.cell_width * float(np.tan(config.steepest))
     while True:
-        here = ground[a] & ground[b]
-        pairs = np.unique(np.column_stack([patch[a[here]], patch[b[here]]]), axis=0)
-        one, other = np.unique(np.concatenate([pairs, pairs[:, ::-1]]), axis=0).T
+        here, count = ground[a] & ground[b], len(level)
+        one, other = patch[a[here]], patch[b[here]]
+        one, other = np.divmod(np.unique(np.concatenate([one * count + other, other * count + one])), count)
         stepped_down = level[one] - level[other] > rise
         joined, below, floors = (
             np.bincount(one[kind], minlength=len(level)) for kind in (one >= 0, stepped_down, standable[other])

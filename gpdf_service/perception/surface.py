@@ -297,38 +297,54 @@ def _fill_notches(
     grid at an angle stays as it was seen.
     """
     open_ = (state == UNKNOWN) & ~void & (distance <= NOTCH_DEPTH)
-    filled = np.full(height.shape, np.nan, np.float32)
-    for axis in (0, 1):
-        ahead, behind, gap = _known_beside(height, axis)
-        low, high, run = np.fmin(ahead, behind), np.fmax(ahead, behind), gap * cell_width
-        flight = open_ & (run <= NOTCH_SPAN) & (high - low > 2.0 * cell_width) & (high - low <= STEEPEST_FLIGHT * run)
-        for tread in _known_beside(height, 1 - axis, NOTCH_DEPTH / cell_width)[:2]:
-            between = (tread > low + 0.5 * cell_width) & (tread < high - 0.5 * cell_width)
-            filled = np.where(flight & between & np.isnan(filled), tread, filled)
+    filled = _treads(height, open_, np.float32(cell_width), cell_width)
     explained = ~np.isnan(filled)
     height[explained] = filled[explained]
     state[explained] = INFERRED
 
 
-def _known_beside(
-    height: NDArray[np.float32], axis: int, reach: float = np.inf
-) -> tuple[NDArray[np.float32], NDArray[np.float32], FloatArray]:
-    """Heights of the nearest known cells before and after each cell along `axis`, and the cells between the two.
+@njit(cache=True, nogil=True)
+def _treads(
+    height: NDArray[np.float32], open_: BoolArray, rounded: np.float32, cell_width: float
+) -> NDArray[np.float32]:
+    """Height of the tread beside each `open_` cell that lies in a flight, NaN elsewhere.
 
-    NaN where there is none within `reach` cells.
+    `rounded` is the width of a cell as heights are kept.
     """
-    before, back = _last_known(height, axis)
-    after, on = (np.flip(part, axis) for part in _last_known(np.flip(height, axis), axis))
-    nan = np.float32(np.nan)
-    return np.where(back <= reach, before, nan), np.where(on <= reach, after, nan), back + on
+    (nx, ny), most = height.shape, int(NOTCH_SPAN / cell_width) + 1
+    filled = np.full((nx, ny), np.float32(np.nan), np.float32)
+    for x in range(nx):
+        for y in range(ny):
+            if not open_[x, y]:
+                continue
+            for axis in range(2):
+                dx, dy = 1 - axis, axis
+                ahead, on = _next_known(height, x, y, -dx, -dy, most)
+                behind, back = _next_known(height, x, y, dx, dy, most)
+                if on == 0 or back == 0:
+                    continue
+                run, low, high = (on + back) * cell_width, min(ahead, behind), max(ahead, behind)
+                rise = float(high - low)
+                if not (run <= NOTCH_SPAN and rise > 2.0 * rounded and rise <= STEEPEST_FLIGHT * run):
+                    continue
+                for way in (-1, 1):
+                    tread, beside = _next_known(height, x, y, way * dy, way * dx, int(NOTCH_DEPTH / cell_width))
+                    between = tread > low + np.float32(0.5) * rounded and tread < high - np.float32(0.5) * rounded
+                    if beside > 0 and between and np.isnan(filled[x, y]):
+                        filled[x, y] = tread
+    return filled
 
 
-def _last_known(height: NDArray[np.float32], axis: int) -> tuple[NDArray[np.float32], FloatArray]:
-    """Height of the last known cell before each cell along `axis`, NaN if none, and how many cells back it is."""
-    along = np.arange(height.shape[axis]).reshape((-1, 1) if axis == 0 else (1, -1))
-    at = np.maximum.accumulate(np.where(np.isnan(height), -1, along), axis=axis)
-    value = np.where(at >= 0, np.take_along_axis(height, np.maximum(at, 0), axis), np.float32(np.nan))
-    return value, np.where(at >= 0, along - at, np.inf)
+@njit(cache=True, nogil=True)
+def _next_known(height: NDArray[np.float32], x: int, y: int, dx: int, dy: int, most: int) -> tuple[np.float32, int]:
+    """Height of the next known cell from (x, y) on in a direction, and how many cells away; 0 if none within `most`."""
+    for step in range(1, most + 1):
+        u, v = x + step * dx, y + step * dy
+        if not (0 <= u < height.shape[0] and 0 <= v < height.shape[1]):
+            break
+        if not np.isnan(height[u, v]):
+            return height[u, v], step
+    return np.float32(np.nan), 0
 
 
 def _fill(
