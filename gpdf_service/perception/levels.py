@@ -306,23 +306,44 @@ def complete(
 
     The others must lie on the grid; `near` is `nearest_seen`, where that is known.
     """
-    shape, z = seen.state.shape, np.ascontiguousarray(other[:, 2])
-    cell = cells_of(other, np.asarray(seen.origin), seen.cell_width, (shape[0], shape[1]))
-    ends = np.full(seen.state.size, np.inf)
-    lowest = extent_in(cell, z, -ends, ends)[0].reshape(shape)
+    cell, z, lowest = in_cells(other, seen)
     surface = fill_holes(seen, lowest, *voids, near=near)
-    known, reach = surface.state != UNKNOWN, 2 * int(np.ceil(NOTCH_DEPTH / seen.cell_width)) + 1
-    high, low = np.where(known, surface.height, -np.inf), np.where(known, surface.height, np.inf)
-    beside = ndimage.maximum_filter(high, size=3) + config.min_headroom
-    # Only material that the lowest body cannot pass under guards an edge by itself. The wall of a drop does not; but
-    # what is seen below a shadow in a stair, where treads are near, is the stair.
-    foot = ndimage.minimum_filter(low, size=reach)
-    shut, stair = lowest <= beside, ndimage.maximum_filter(high, size=reach) - foot > 2.0 * seen.cell_width
-    guard = extent_in(cell, z, *((part).ravel().astype(np.float64) for part in (foot + LEAST_OBSTACLE, beside)))[0]
-    guarded = (shut & stair) | np.isfinite(guard).reshape(shape)
+    shut, stair, guarded = guard_edges(surface, lowest, cell, z, config.min_headroom)
     surface = without_enclosed(surface, shut)
     front = find_faces(surface, cell, z, config.min_headroom) & ~stair  # a flight's treads were seen up to its walls
     return without_hidden(surface, lowest, front), guarded
+
+
+def in_cells(other: FloatArray, surface: HeightMap) -> tuple[IntArray, FloatArray, FloatArray]:
+    """Flat cell and height [m] of each of the `other` points (m, 3), and the lowest of each cell [m], (nx, ny)."""
+    shape, z = surface.state.shape, np.ascontiguousarray(other[:, 2])
+    cell = cells_of(other, np.asarray(surface.origin), surface.cell_width, (shape[0], shape[1]))
+    ends = np.full(surface.state.size, np.inf)
+    return cell, z, extent_in(cell, z, -ends, ends)[0].reshape(shape)
+
+
+def guard_edges(
+    surface: HeightMap, lowest: FloatArray, cell: IntArray, z: FloatArray, headroom: float
+) -> tuple[BoolArray, BoolArray, BoolArray]:
+    """Cells with material under the `headroom` [m], those of stairs, and those where material guards an edge by itself.
+
+    That is only what the lowest body cannot pass under. The wall of a drop does not; but what is seen below a shadow in
+    a stair, where treads are near, is the stair.
+
+    Args:
+        surface: The ground.
+        lowest: Of the other points in each cell [m], shape (nx, ny).
+        cell: Flat cell of each other point, shape (m,).
+        z: Its height [m], shape (m,).
+        headroom: Of the lowest body [m].
+    """
+    known, reach = surface.state != UNKNOWN, 2 * int(np.ceil(NOTCH_DEPTH / surface.cell_width)) + 1
+    high, low = np.where(known, surface.height, -np.inf), np.where(known, surface.height, np.inf)
+    beside, foot = ndimage.maximum_filter(high, size=3) + headroom, ndimage.minimum_filter(low, size=reach)
+    shut, stair = lowest <= beside, ndimage.maximum_filter(high, size=reach) - foot > 2.0 * surface.cell_width
+    ends = ((foot + LEAST_OBSTACLE).ravel().astype(np.float64), beside.ravel().astype(np.float64))
+    guard: BoolArray = np.isfinite(extent_in(cell, z, *ends)[0]).reshape(known.shape)
+    return shut, stair, (shut & stair) | guard
 
 
 def make_level(
