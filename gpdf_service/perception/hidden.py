@@ -40,7 +40,8 @@ def without_hidden(surface: HeightMap, lowest: FloatArray, face: BoolArray) -> H
 def find_faces(surface: HeightMap, cell: IntArray, z: FloatArray, headroom: float) -> BoolArray:
     """Cells in which other points go up, without a gap, from the ground to twice the `headroom` [m], shape (nx, ny).
 
-    A step's face ends at the ground above it; what has a gap is a table's edge.
+    A step's face ends at the ground above it; what has a gap is a table's edge; two points at much the same height go
+    nowhere.
 
     Args:
         surface: The ground.
@@ -51,7 +52,7 @@ def find_faces(surface: HeightMap, cell: IntArray, z: FloatArray, headroom: floa
     known = surface.state != UNKNOWN
     beside = ndimage.maximum_filter(np.where(known, surface.height, -np.inf), size=5).astype(np.float64).ravel()
     low, high = extent_in(cell, z, beside, beside + 2.0 * headroom)
-    face: BoolArray = (low <= beside + headroom) & (high > beside + headroom)
+    face: BoolArray = (low <= beside + headroom) & (high > beside + headroom) & (high - low >= headroom)
     return face.reshape(known.shape)
 
 
