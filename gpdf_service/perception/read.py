@@ -32,6 +32,8 @@ SYSTEM_LIBRARIES = {
 }
 """What Open3D's shared library links against, and the Debian and Ubuntu package of each."""
 APT = f"sudo apt-get install {' '.join(SYSTEM_LIBRARIES.values())}"
+COARSEST = 0.01
+"""[m] Between two numbers of single precision as large as a coordinate; more, and walls are where no wall is."""
 MAX_EXTENT = 5000.0
 """[m] No place that one plans in on foot is wider; a room in millimetres is."""
 
@@ -48,7 +50,8 @@ def check_points(points: ArrayLike) -> FloatArray:
     """Points as float64 of shape (n, 3), or a clear refusal.
 
     Raises:
-        CloudError: another shape, empty, not finite, or too wide to be in metres.
+        CloudError: another shape, empty, not finite, too wide to be in metres, or rounded to single precision far from
+            the origin.
     """
     try:
         made = np.ascontiguousarray(points, dtype=np.float64)
@@ -66,6 +69,10 @@ def check_points(points: ArrayLike) -> FloatArray:
     if extent > MAX_EXTENT:
         found = f"it is {extent:.0f} wide, more than {MAX_EXTENT:.0f} m"
         raise CloudError("point cloud", found, "Is it in millimetres? Divide by 1000; or crop it.")
+    step = float(np.spacing(np.float32(np.abs(made).max())))
+    if step > COARSEST and np.array_equal(made, made.astype(np.float32)):
+        found = f"coordinates of {np.abs(made).max():.0f} m in single precision, which are rounded to {step:.2g} m"
+        raise CloudError("point cloud", found, "Take the origin near the points before they are stored as float32.")
     return made
 
 

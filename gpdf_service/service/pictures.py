@@ -49,11 +49,12 @@ def line(path: FloatArray, stamp_ns: int) -> PointCloud:
 def words(reply: PlanReply, stamp_ns: int) -> Log:
     """What became of a request, in a line."""
     level = {Status.OK: Log.INFO, Status.INTERNAL: Log.ERROR}.get(reply.status, Log.WARNING)
-    said = [f"{reply.status.value} {reply.request_id}", reply.message]
+    said = [f"{reply.scene}: {reply.status.value}", reply.message]
     if reply.trajectory is not None and reply.certificate is not None:
         steps = np.diff(reply.trajectory.positions.unpack(), axis=0)
         length, room = np.linalg.norm(steps, axis=1).sum(), reply.certificate.min_clearance
         said.append(f"{length:.2f} m in {reply.trajectory.times.unpack()[-1]:.1f} s, {room:.3f} m of room")
-    message = Log(level=level, message=": ".join(part for part in said if part), name=f"plan in {reply.scene}")
+    said.append(f"request {reply.request_id}")
+    message = Log(level=level, message=", ".join(part for part in said if part), name=f"plan in {reply.scene}")
     message.timestamp.FromNanoseconds(stamp_ns)
     return message

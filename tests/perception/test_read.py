@@ -74,8 +74,14 @@ def test_files_that_cannot_be_used_are_refused_in_words(tmp_path):
         ("hello", "no array of numbers"),
         ([[0.0, 0.0, np.nan], [0.0, 0.0, 0.0]], "1 of 2 points are not finite"),
         (POINTS * [6000.0, 1.0, 1.0], "millimetres"),
+        (np.add(POINTS, [0.0, 5_600_000.0, 0.0]).astype(np.float32), "rounded to 0.5 m"),
     ],
 )
 def test_points_that_cannot_be_used_are_refused_in_words(points, message):
     with pytest.raises(CloudError, match=message):
         check_points(points)
+
+
+def test_points_far_from_the_origin_are_taken_in_double_precision():
+    far = np.add(POINTS, [500_000.123, 5_600_000.123, 100.0])
+    np.testing.assert_array_equal(check_points(far), far)

@@ -267,8 +267,8 @@ def test_the_log_holds_the_bytes_of_the_wire_and_draws_in_viewers(clouds, tmp_pa
     dots = np.frombuffer(decoded["/path/office"].data, "<f4").reshape(-1, 3)
     np.testing.assert_allclose(dots[[0, -1]], xyz[[0, -1]], atol=1e-6)
     assert np.linalg.norm(np.diff(dots, axis=0), axis=1).max() < 0.03
-    assert decoded["/words"].message.startswith("OK one: ")
-    assert " m of room" in decoded["/words"].message
+    assert decoded["/words"].message.startswith("office: OK, ")
+    assert decoded["/words"].message.endswith(" m of room, request one")
     (pair,) = recorded_plans(path)
     result = compare(*pair, reply)
     assert result.same
