@@ -52,13 +52,14 @@ def cell_width_of(points: FloatArray) -> float:
     if k < 1:
         return MIN_CELL
     floor_points = points[low]
-    start, order = by_cell(key[low], shape[0] * shape[1])
-    step = max(1, len(low) // _SAMPLE)
-    place = np.empty(len(low), np.int64)
-    place[order] = np.arange(len(low))
-    distance = float(np.median(kth_beside(floor_points, start, order, shape, place[::step], k)))
+    columns = by_cell(key[low], shape[0] * shape[1])
+    picked = np.arange(0, len(low), max(1, len(low) // _SAMPLE))
+    each = np.empty(len(picked))
+    own = floor_points, columns, (corner, _COLUMN, shape), picked, k
+    run_chunked(lambda a, b: kth_beside(*own, a, b, each), len(picked))
+    distance = float(np.median(each))
     if distance > _COLUMN:
-        distance = float(np.median(cKDTree(floor_points).query(floor_points[::step], k=k + 1, workers=-1)[0][:, k]))
+        distance = float(np.median(cKDTree(floor_points).query(floor_points[picked], k=k + 1, workers=-1)[0][:, k]))
     return max(MIN_CELL, in_steps(1.5 * distance * float(np.sqrt(np.pi / k))))
 
 

@@ -12,7 +12,15 @@ from scipy.spatial import cKDTree
 from gpdf_service.config import PerceptionConfig
 from gpdf_service.errors import NoGroundError
 from gpdf_service.fields.threads import run_chunked
-from gpdf_service.perception.columns import by_cell, cells_of, ends_of_runs, extent_in, lowest_above, rows_in_cells
+from gpdf_service.perception.columns import (
+    by_cell,
+    cells_of,
+    chosen_rows,
+    ends_of_runs,
+    extent_in,
+    lowest_above,
+    rows_in_cells,
+)
 from gpdf_service.perception.hidden import find_faces, without_hidden
 from gpdf_service.perception.layers import Layers, build_layers, cell_width_of, connect, layer_gap
 from gpdf_service.perception.limits import GroundLimits, Measured, find_limits, neighbourhood, smoothed, step_and_slope
@@ -140,10 +148,12 @@ def survey_levels(
         )
     width = cell_width_of(points[ground]) if width is None else width
     stray = find_strays(points, alone(width)) & ~ground
-    points, ground = points[~stray], ground[~stray]
-    layers = build_layers(points[ground], width, layer_gap(width, config))
+    if stray.any():
+        points, ground = chosen_rows(points, ~stray), ground[~stray]
+    floor = chosen_rows(points, ground)
+    layers = build_layers(floor, width, layer_gap(width, config))
     sheets = split_sheets(layers, config)
-    made = [_build_level(points, ground, layers, sheet, config, noise) for sheet in sheets]
+    made = [_build_level(points, ground, floor, layers, sheet, config, noise) for sheet in sheets]
     levels = Levels(tuple(level for level, _ in made), find_portals(layers, sheets))
     return levels, Survey(layers, stray, tuple(voids for _, voids in made))
 
@@ -255,21 +265,28 @@ def _attach(
 
 
 def _build_level(
-    points: FloatArray, ground: BoolArray, layers: Layers, nodes: IntArray, config: PerceptionConfig, noise: float
+    points: FloatArray,
+    ground: BoolArray,
+    floor: FloatArray,
+    layers: Layers,
+    nodes: IntArray,
+    config: PerceptionConfig,
+    noise: float,
 ) -> tuple[GroundLevel, Voids]:
+    """The sheet of these nodes, of the layers of the `floor`: those of the points that are ground."""
     seen = smooth(without_outliers(sheet_surface(layers, nodes), RESOLVED_STEP * noise), noise)
     inside = np.zeros(len(layers.cell), dtype=bool)
     inside[nodes] = True
     mine = ground.copy()
     mine[ground] = inside[layers.node_of_point]
-    rest = points[~mine]
+    rest = chosen_rows(points, ~mine)
     other = within_reach(rest, seen)
     near = nearest_seen(seen)
     voids = find_voids(seen, rest, config.max_step, near)
     surface, material = complete(seen, other, voids, config, near)
     measured = step_and_slope(surface)
     limits = find_limits(surface, material, measured)
-    ledge = find_ledges(surface, points[ground], other, noise)
+    ledge = find_ledges(surface, floor, other, noise)
     return make_level(surface, other, ledge, limits, measured), voids
 
 
@@ -461,8 +478,7 @@ def within_reach(points: FloatArray, surface: HeightMap, box: Box = WHOLE) -> Fl
     low, high = lowest_and_highest(surface, box)
     ix, iy, inside = surface.cells(points)
     z = points[:, 2]
-    near: FloatArray = points[inside & (z >= low[ix, iy] - surface.cell_width) & (z <= high[ix, iy] + TALLEST)]
-    return near
+    return chosen_rows(points, inside & (z >= low[ix, iy] - surface.cell_width) & (z <= high[ix, iy] + TALLEST))
 
 
 def lowest_and_highest(surface: HeightMap, box: Box = WHOLE) -> tuple[FloatArray, FloatArray]:
