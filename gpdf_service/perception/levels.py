@@ -196,7 +196,7 @@ def split_sheets(layers: Layers, config: PerceptionConfig) -> list[IntArray]:
     count = len(layers.cell)
     keep = ~_under_step(layers, config.max_step)
     keep &= ~over_ground(layers, keep, config.step_headroom)
-    if len(np.unique(layers.cell[keep])) == keep.sum():
+    if (np.diff(layers.cell[keep]) > 0).all():
         return [np.flatnonzero(keep)]
     smooth = components(*connect(layers, keep, layers.cell_width, HALF), keep)
     a, b = pairs_across(*connect(layers, keep, np.full(count, config.max_step), HALF), smooth)
