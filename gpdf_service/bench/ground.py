@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from gpdf_service.bench.ablation import ablation
 from gpdf_service.bench.report import Row, show
 from gpdf_service.perception import read_cloud, segment_ground
 from gpdf_service.synthetic import SCENES, SyntheticScene, ramp, random_room
@@ -27,11 +28,19 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--noise", action="append", type=float, help="of each coordinate [m]; 0.01 and 0.05 if not given"
     )
     parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument(
+        "--ablation", action="store_true", help="what the cure of noise and the filling of holes change, in scans"
+    )
     parser.add_argument("--json", action="store_true", help="print the rows as JSON")
 
 
 def run(args: argparse.Namespace) -> int:
-    """Measure labelled clouds, then synthetic scenes at every noise."""
+    """Measure labelled clouds, then synthetic scenes at every noise; or what parts of the build change."""
+    if args.ablation:
+        show(
+            [row for noise in args.noise or [0.0, 0.02, 0.05] for row in ablation(args.seed, noise)], as_json=args.json
+        )
+        return 0
     rows: list[Row] = []
     for path in args.scene or []:
         cloud = read_cloud(path)

@@ -60,34 +60,91 @@ def _sort_columns(start: IntArray, z: FloatArray, order: IntArray, begin: int, e
 
 
 @njit(cache=True, nogil=True)
+def count_nodes(start: IntArray, z: FloatArray, gap: float) -> IntArray:
+    """First node of each column, shape (cells + 1,): columns of sorted heights are cut where they leave a `gap` [m]."""
+    first = np.zeros(len(start), np.int64)
+    for c in range(len(start) - 1):
+        first[c + 1] = first[c]
+        for i in range(start[c], start[c + 1]):
+            first[c + 1] += i == start[c] or z[i] - z[i - 1] > gap
+    return first
+
+
+@njit(cache=True, nogil=True)
+def cut_columns(
+    start: IntArray,
+    order: IntArray,
+    z: FloatArray,
+    gap: float,
+    flat: float,
+    first: IntArray,
+    begin: int,
+    end: int,
+    made: tuple[IntArray, FloatArray, FloatArray, FloatArray, IntArray],
+) -> None:
+    """Fill cell, height, thickness and headroom of the nodes of the columns from `begin` to `end`, and their points'.
+
+    Args:
+        start: Where each column begins in `order` and in `z`.
+        order: Rows of the points, by column and upward.
+        z: Their heights in that order [m].
+        gap: That parts two nodes [m].
+        flat: Thickness up to which a node's height is its median; of a thicker one, a step's face, its top [m].
+        first: `count_nodes`.
+        begin: First column.
+        end: Behind the last.
+        made: Where they are written; last, for each point its node.
+    """
+    cell, height, thickness, headroom, node_of_point = made
+    for c in range(begin, end):
+        node, i = first[c], start[c]
+        while i < start[c + 1]:
+            last = i
+            while last + 1 < start[c + 1] and z[last + 1] - z[last] <= gap:
+                last += 1
+            for e in range(i, last + 1):
+                node_of_point[order[e]] = node
+            cell[node], thickness[node] = c, z[last] - z[i]
+            height[node] = z[(i + last) // 2] if thickness[node] <= flat else z[last]
+            headroom[node] = z[last + 1] - z[last] if last + 1 < start[c + 1] else np.inf
+            node, i = node + 1, last + 1
+
+
+@njit(cache=True, nogil=True)
 def pairs_near(
-    cell: IntArray,
     start: IntArray,
     shape: tuple[int, int],
     height: FloatArray,
     keep: BoolArray,
     limit: FloatArray,
-    offset: tuple[int, int],
-    factor: float,
+    offsets: tuple[tuple[int, int], ...],
+    factors: FloatArray,
 ) -> tuple[IntArray, IntArray]:
-    """Pairs of kept nodes (a, b), b's cell at `offset` from a's, whose heights differ by at most `factor` × `limit`."""
-    capacity, used = len(cell) + 16, 0
+    """Pairs of kept nodes (a, b), b's cell at one of the `offsets` from a's, whose heights differ by little.
+
+    That is by at most the `limit` of either, shape (k,), or (1,) for all [m], times the offset's factor.
+    """
+    capacity, used, uniform = 4 * len(height) + 16, 0, len(limit) == 1
     one, other = np.empty(capacity, np.int64), np.empty(capacity, np.int64)
-    dx, dy = offset
-    for x in range(max(0, -dx), min(shape[0], shape[0] - dx)):
-        for y in range(max(0, -dy), min(shape[1], shape[1] - dy)):
-            here, there = x * shape[1] + y, (x + dx) * shape[1] + y + dy
-            for a in range(start[here], start[here + 1]):
-                if not keep[a]:
-                    continue
-                for b in range(start[there], start[there + 1]):
-                    if not keep[b] or abs(height[a] - height[b]) > factor * min(limit[a], limit[b]):
+    for k in range(len(offsets)):
+        dx, dy = offsets[k]
+        for x in range(max(0, -dx), min(shape[0], shape[0] - dx)):
+            for y in range(max(0, -dy), min(shape[1], shape[1] - dy)):
+                here, there = x * shape[1] + y, (x + dx) * shape[1] + y + dy
+                for a in range(start[here], start[here + 1]):
+                    if not keep[a]:
                         continue
-                    if used == capacity:
-                        capacity *= 2
-                        one, other = _longer(one, capacity), _longer(other, capacity)
-                    one[used], other[used] = a, b
-                    used += 1
+                    for b in range(start[there], start[there + 1]):
+                        if not keep[b]:
+                            continue
+                        most = limit[0] if uniform else min(limit[a], limit[b])
+                        if abs(height[a] - height[b]) > factors[k] * most:
+                            continue
+                        if used == capacity:
+                            capacity *= 2
+                            one, other = _longer(one, capacity), _longer(other, capacity)
+                        one[used], other[used] = a, b
+                        used += 1
     return one[:used], other[:used]
 
 
@@ -150,6 +207,23 @@ def next_below(cell: IntArray, keep: BoolArray) -> IntArray:
 
 
 @njit(cache=True, nogil=True)
+def spliced(changed: BoolArray, start: IntArray, fresh: IntArray) -> tuple[IntArray, IntArray]:
+    """Where the nodes of columns come from when the `changed` ones are taken from others.
+
+    Returns:
+        First node of each column, shape (cells + 1,), and for each node its number before or −1 − its fresh number.
+    """
+    first = np.zeros(len(start), np.int64)
+    for c in range(len(changed)):
+        first[c + 1] = first[c] + (fresh[c + 1] - fresh[c] if changed[c] else start[c + 1] - start[c])
+    source = np.empty(first[-1], np.int64)
+    for c in range(len(changed)):
+        for i in range(first[c + 1] - first[c]):
+            source[first[c] + i] = -1 - fresh[c] - i if changed[c] else start[c] + i
+    return first, source
+
+
+@njit(cache=True, nogil=True)
 def rows_in_cells(points: FloatArray, origin: FloatArray, cell_width: float, wanted: BoolArray) -> IntArray:
     """Rows of the points (n, 3) in the `wanted` cells, shape (nx, ny), of a grid; sorted."""
     found, used = np.empty(1024, np.int64), 0
@@ -174,40 +248,201 @@ def rows_in_cells(points: FloatArray, origin: FloatArray, cell_width: float, wan
 
 
 @njit(cache=True, nogil=True)
+def rows_of_cells(wanted: BoolArray, start: IntArray, order: IntArray) -> IntArray:
+    """Rows of the points in the `wanted` cells, of points that are in `order` by cell."""
+    count = 0
+    for c in range(len(wanted)):
+        count += start[c + 1] - start[c] if wanted[c] else 0
+    rows, used = np.empty(count, np.int64), 0
+    for c in range(len(wanted)):
+        for i in range(start[c], start[c + 1] if wanted[c] else 0):
+            rows[used] = order[i]
+            used += 1
+    return rows
+
+
+@njit(cache=True, nogil=True)
 def rows_in_box(points: FloatArray, low: FloatArray, high: FloatArray) -> IntArray:
     """Rows of the points (n, 3) between `low` and `high` in plan, shape (2,); sorted."""
-    found, used = np.empty(1024, np.int64), 0
-    for row in range(len(points)):
+    found, used = np.empty(len(points) + 1, np.int64), 0
+    left, right, near, far = low[0], high[0], low[1], high[1]
+    for row in range(len(points)):  # no branch: half of all would be guessed wrong
         x, y = points[row, 0], points[row, 1]
-        if low[0] <= x <= high[0] and low[1] <= y <= high[1]:
-            if used == len(found):
-                found = _longer(found, 2 * used)
-            found[used] = row
-            used += 1
-    return found[:used]
+        found[used] = row
+        used += int((x >= left) & (x <= right) & (y >= near) & (y <= far))
+    return found[:used].copy()
+
+
+def chosen_rows(points: FloatArray, chosen: BoolArray) -> FloatArray:
+    """The points (n, 3) that are `chosen`, shape (n,), four times as fast as by NumPy."""
+    made: FloatArray = without_rows(points, chosen, np.zeros((0, 3)))
+    return made
 
 
 @njit(cache=True, nogil=True)
-def bounds_of(points: FloatArray, chosen: BoolArray) -> tuple[FloatArray, FloatArray]:
+def without_rows(points: FloatArray, keep: BoolArray, fresh: FloatArray) -> FloatArray:
+    """The points (n, 3) to `keep`, and the `fresh` ones (k, 3) after them."""
+    count = 0
+    for i in range(len(keep)):
+        count += keep[i]
+    made, used = np.empty((count + len(fresh), 3)), 0
+    for i in range(len(points)):
+        if keep[i]:
+            for k in range(3):
+                made[used, k] = points[i, k]
+            used += 1
+    made[count:] = fresh
+    return made
+
+
+@njit(cache=True, nogil=True)
+def extent_in(cell: IntArray, z: FloatArray, low: FloatArray, high: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Lowest and highest z of the points in each cell that are over its `low` and not over its `high`; inf, −inf."""
+    least, most = np.full(len(low), np.inf), np.full(len(low), -np.inf)
+    for i in range(len(cell)):
+        c = cell[i]
+        if low[c] < z[i] <= high[c]:
+            least[c], most[c] = min(least[c], z[i]), max(most[c], z[i])
+    return least, most
+
+
+@njit(cache=True, nogil=True)
+def bounds_where(points: FloatArray, chosen: BoolArray) -> tuple[FloatArray, FloatArray]:
     """Least and greatest (x, y) [m] of the `chosen` points, of shape (n, 3)."""
-    low, high = np.full(2, np.inf), np.full(2, -np.inf)
+    left, right, near, far = np.inf, -np.inf, np.inf, -np.inf
     for row in range(len(points)):
         if chosen[row]:
-            for k in range(2):
-                low[k], high[k] = min(low[k], points[row, k]), max(high[k], points[row, k])
-    return low, high
+            x, y = points[row, 0], points[row, 1]
+            left, right, near, far = min(left, x), max(right, x), min(near, y), max(far, y)
+    return np.array([left, near]), np.array([right, far])
 
 
 @njit(cache=True, nogil=True)
+def bounds_of(points: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Least and greatest (x, y) [m] of points (n, 3)."""
+    left, right, near, far = np.inf, -np.inf, np.inf, -np.inf
+    for row in range(len(points)):
+        x, y = points[row, 0], points[row, 1]
+        left, right, near, far = min(left, x), max(right, x), min(near, y), max(far, y)
+    return np.array([left, near]), np.array([right, far])
+
+
+def cells_of(points: FloatArray, origin: FloatArray, width: float, shape: tuple[int, int]) -> IntArray:
+    """Flat cell of each point (n, 3), which must lie on the grid, shape (n,)."""
+    cell = np.empty(len(points), np.int64)
+    run_chunked(lambda a, b: _cells_range(points, origin, width, shape[1], a, b, cell), len(points))
+    return cell
+
+
+@njit(cache=True, nogil=True)
+def _cells_range(
+    points: FloatArray, origin: FloatArray, width: float, ny: int, begin: int, end: int, cell: IntArray
+) -> None:
+    for i in range(begin, end):
+        x, y = np.floor((points[i, 0] - origin[0]) / width), np.floor((points[i, 1] - origin[1]) / width)
+        cell[i] = int(x) * ny + int(y)
+
+
+@njit(cache=True, nogil=True)
+def cells_in_box(points: FloatArray, origin: FloatArray, width: float, first: IntArray, last: IntArray) -> IntArray:
+    """Flat cell of each point (n, 3) in a box of cells, from `first` to `last`; those outside are in one more."""
+    cell, wide = np.empty(len(points), np.int64), last[1] - first[1]
+    for i in range(len(points)):
+        x, y = int(np.floor((points[i, 0] - origin[0]) / width)), int(np.floor((points[i, 1] - origin[1]) / width))
+        inside = first[0] <= x < last[0] and first[1] <= y < last[1]
+        cell[i] = (x - first[0]) * wide + y - first[1] if inside else (last[0] - first[0]) * wide
+    return cell
+
+
 def column_floors(start: IntArray, order: IntArray, z: FloatArray, share: float) -> FloatArray:
     """Height under which a `share` of the points of each column lies [m], shape (cells,); NaN in an empty one."""
     floor = np.full(len(start) - 1, np.nan)
-    for c in range(len(floor)):
+    run_chunked(lambda a, b: _floors_range(start, order, z, share, a, b, floor), len(floor))
+    return floor
+
+
+@njit(cache=True, nogil=True)
+def _floors_range(
+    start: IntArray, order: IntArray, z: FloatArray, share: float, begin: int, end: int, floor: FloatArray
+) -> None:
+    for c in range(begin, end):
         count = start[c + 1] - start[c]
         if count > 0:
             at = int(share * count)
             floor[c] = np.partition(z[order[start[c] : start[c + 1]]], at)[at]
-    return floor
+
+
+@njit(cache=True, nogil=True)
+def kth_beside(
+    points: FloatArray,
+    columns: tuple[IntArray, IntArray],
+    grid: tuple[FloatArray, float, tuple[int, int]],
+    picked: IntArray,
+    k: int,
+    begin: int,
+    end: int,
+    distance: FloatArray,
+) -> None:
+    """Distance of each `picked` row to its `k`-th neighbour in its column and those around [m].
+
+    What is no further than a column is wide is exact, for all columns are looked at that may hold a nearer one.
+
+    Args:
+        points: Shape (n, 3) [m].
+        columns: Where each column begins, and the rows in that order.
+        grid: Lower corner [m], width [m] and shape of the columns.
+        picked: Rows, shape (m,).
+        k: Which neighbour.
+        begin: First of the picked ones to look at.
+        end: Behind the last.
+        distance: Where it is written, shape (m,).
+    """
+    (start, order), (corner, width, shape), near = columns, grid, np.empty(k + 1)
+    for i in range(begin, end):
+        row = picked[i]
+        at_x, at_y = (points[row, 0] - corner[0]) / width, (points[row, 1] - corner[1]) / width
+        x, y = int(np.floor(at_x)), int(np.floor(at_y))
+        near[:] = np.inf
+        for dx, dy in _OWN_FIRST:
+            u, v = x + dx, y + dy
+            if not (0 <= u < shape[0] and 0 <= v < shape[1]):
+                continue
+            off = max(u - at_x, at_x - u - 1.0, 0.0) ** 2 + max(v - at_y, at_y - v - 1.0, 0.0) ** 2
+            if off * width**2 >= near[k]:
+                continue
+            for e in range(start[u * shape[1] + v], start[u * shape[1] + v + 1]):
+                other, square = order[e], 0.0
+                for axis in range(3):
+                    square += (points[other, axis] - points[row, axis]) ** 2
+                at = k
+                if square >= near[at]:
+                    continue
+                while at > 0 and near[at - 1] > square:
+                    near[at] = near[at - 1]
+                    at -= 1
+                near[at] = square
+        distance[i] = np.sqrt(near[k])
+
+
+_OWN_FIRST = ((0, 0), (-1, 0), (1, 0), (0, -1), (0, 1), (-1, -1), (-1, 1), (1, -1), (1, 1))
+
+
+@njit(cache=True, nogil=True)
+def ends_of_runs(key: IntArray, order: IntArray, z: FloatArray) -> IntArray:
+    """Rows of the lowest and the highest z of each run of equal keys in `order`: of equal ones the first, the last."""
+    ends, used = np.empty(2 * len(order), np.int64), 0
+    for i in range(len(order)):
+        row = order[i]
+        if i == 0 or key[row] != key[ends[used - 1]]:
+            ends[used] = ends[used + 1] = row
+            used += 2
+            continue
+        low, high = ends[used - 2], ends[used - 1]
+        if z[row] < z[low] or (z[row] == z[low] and row < low):
+            ends[used - 2] = row
+        if z[row] > z[high] or (z[row] == z[high] and row > high):
+            ends[used - 1] = row
+    return ends[:used].copy()
 
 
 @njit(cache=True, nogil=True)

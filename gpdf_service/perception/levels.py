@@ -12,20 +12,34 @@ from scipy.spatial import cKDTree
 from gpdf_service.config import PerceptionConfig
 from gpdf_service.errors import NoGroundError
 from gpdf_service.fields.threads import run_chunked
-from gpdf_service.perception.columns import by_cell, lowest_above
+from gpdf_service.perception.columns import (
+    by_cell,
+    cells_of,
+    chosen_rows,
+    ends_of_runs,
+    extent_in,
+    lowest_above,
+    rows_in_cells,
+)
 from gpdf_service.perception.hidden import find_faces, without_hidden
 from gpdf_service.perception.layers import Layers, build_layers, cell_width_of, connect, layer_gap
-from gpdf_service.perception.limits import GroundLimits, Measured, find_limits, median_of, neighbourhood, step_and_slope
-from gpdf_service.perception.nodes import components, grown_sheet
+from gpdf_service.perception.limits import GroundLimits, Measured, find_limits, neighbourhood, smoothed, step_and_slope
+from gpdf_service.perception.nodes import components, degrees, grown_sheet, pairs_across
 from gpdf_service.perception.segment import HALF, LEAST_SCATTER, over_ground
 from gpdf_service.perception.smooth import smooth
+from gpdf_service.perception.strays import find_strays
 from gpdf_service.perception.surface import (
     NOTCH_DEPTH,
     OBSERVED,
     UNKNOWN,
+    WHOLE,
+    Box,
     HeightMap,
+    Nearest,
     fill_holes,
     find_voids,
+    nearest_seen,
+    spread,
     without_enclosed,
 )
 from gpdf_service.types import BoolArray, FloatArray, IntArray
@@ -38,6 +52,8 @@ LEAST_OBSTACLE = 0.015
 """[m] What stands out of the ground by less stops no body here: the smallest `max_step`, and the scatter of a scan."""
 ALONE = 0.25
 """[m] A point with no other in the voxels of this width around its own is a reflection; even a thin cable has more."""
+HIGH = 2
+"""Cells around one whose ground says how high a step there can be."""
 RESOLVED_STEP = 3.0
 """[-] A lower step over the noise may be an unlucky cell of a cured floor, if it is of one cell."""
 RIM_SHARE = 0.25
@@ -132,10 +148,12 @@ def survey_levels(
         )
     width = cell_width_of(points[ground]) if width is None else width
     stray = find_strays(points, alone(width)) & ~ground
-    points, ground = points[~stray], ground[~stray]
-    layers = build_layers(points[ground], width, layer_gap(width, config))
+    if stray.any():
+        points, ground = chosen_rows(points, ~stray), ground[~stray]
+    floor = chosen_rows(points, ground)
+    layers = build_layers(floor, width, layer_gap(width, config))
     sheets = split_sheets(layers, config)
-    made = [_build_level(points, ground, layers, sheet, config, noise) for sheet in sheets]
+    made = [_build_level(points, ground, floor, layers, sheet, config, noise) for sheet in sheets]
     levels = Levels(tuple(level for level, _ in made), find_portals(layers, sheets))
     return levels, Survey(layers, stray, tuple(voids for _, voids in made))
 
@@ -170,35 +188,18 @@ def count_undecided(level: GroundLevel, noise: float = 0.0) -> int:
     return int(np.count_nonzero(off <= 2.0 * max(LEAST_SCATTER, 3.0 * noise)))
 
 
-def find_strays(points: FloatArray, width: float) -> BoolArray:
-    """Which points (n, 3) have no other in their voxel of `width` [m] or in the 26 around it, shape (n,)."""
-    axes = [np.floor(points[:, k] / width).astype(np.int64) for k in range(3)]
-    x, y, z = (axis - (axis.min() - 1) for axis in axes)
-    size = [int(axis.max()) + 2 for axis in (x, y, z)]
-    key = (x * size[1] + y) * size[2] + z
-    voxels, row, count = np.unique(key, return_index=True, return_counts=True)
-    single = voxels[count == 1]
-    alone = np.ones(len(single), dtype=bool)
-    for i in (-1, 0, 1):
-        for step in (i * size[1] * size[2] + np.arange(-1, 2)[:, None] * size[2] + np.arange(-1, 2)).ravel():
-            if step:
-                at = np.minimum(np.searchsorted(voxels, single + step), len(voxels) - 1)
-                alone &= voxels[at] != single + step
-    stray = np.zeros(len(points), dtype=bool)
-    stray[row[count == 1][alone]] = True
-    return stray
-
-
 def split_sheets(layers: Layers, config: PerceptionConfig) -> list[IntArray]:
-    """Nodes of each sheet: no sheet has two nodes in one cell; sheets overlap by `OVERLAP` where they meet."""
+    """Nodes of each sheet: no sheet has two nodes in one cell; sheets overlap by `OVERLAP` where they meet.
+
+    The lowest comes first, by the median of its heights.
+    """
     count = len(layers.cell)
     keep = ~_under_step(layers, config.max_step)
     keep &= ~over_ground(layers, keep, config.step_headroom)
     if len(np.unique(layers.cell[keep])) == keep.sum():
         return [np.flatnonzero(keep)]
-    smooth = components(*connect(layers, keep, layers.cell_width, HALF), count)
-    a, b = connect(layers, keep, np.full(count, config.max_step), HALF)
-    a, b = a[across := smooth[a] != smooth[b]], b[across]
+    smooth = components(*connect(layers, keep, layers.cell_width, HALF), keep)
+    a, b = pairs_across(*connect(layers, keep, np.full(count, config.max_step), HALF), smooth)
     sheet_of = np.full(count, -1)
     size = np.bincount(smooth, weights=keep)
     order = np.argsort(-size)
@@ -215,7 +216,7 @@ def split_sheets(layers: Layers, config: PerceptionConfig) -> list[IntArray]:
     least = max(9, int(0.001 * count))  # a patch smaller than three cells square holds no foot
     made = [np.flatnonzero(sheet_of == i) for i in range(sheets)]
     grid, rings = (layers.cell, layers.start, layers.shape, layers.height), int(np.ceil(OVERLAP / layers.cell_width))
-    large = [nodes for nodes in made if len(nodes) >= least]
+    large = sorted((n for n in made if len(n) >= least), key=lambda nodes: float(np.median(layers.height[nodes])))
     return [np.flatnonzero(grown_sheet(*grid, keep, nodes, config.max_step, rings)) for nodes in large]
 
 
@@ -224,8 +225,7 @@ def _under_step(layers: Layers, max_step: float) -> BoolArray:
 
     A single point over the floor goes on nowhere.
     """
-    a, b = connect(layers, np.ones(len(layers.cell), dtype=bool), layers.cell_width, HALF)
-    beside = np.bincount(a, minlength=len(layers.cell)) + np.bincount(b, minlength=len(layers.cell))
+    beside = degrees(*connect(layers, np.ones(len(layers.cell), dtype=bool), layers.cell_width, HALF), len(layers.cell))
     foot = np.zeros(len(layers.cell), dtype=bool)
     foot[:-1] = (np.diff(layers.cell) == 0) & (np.diff(layers.height) <= max_step) & (beside[1:] > 1)
     return foot
@@ -265,20 +265,28 @@ def _attach(
 
 
 def _build_level(
-    points: FloatArray, ground: BoolArray, layers: Layers, nodes: IntArray, config: PerceptionConfig, noise: float
+    points: FloatArray,
+    ground: BoolArray,
+    floor: FloatArray,
+    layers: Layers,
+    nodes: IntArray,
+    config: PerceptionConfig,
+    noise: float,
 ) -> tuple[GroundLevel, Voids]:
+    """The sheet of these nodes, of the layers of the `floor`: those of the points that are ground."""
     seen = smooth(without_outliers(sheet_surface(layers, nodes), RESOLVED_STEP * noise), noise)
     inside = np.zeros(len(layers.cell), dtype=bool)
     inside[nodes] = True
     mine = ground.copy()
     mine[ground] = inside[layers.node_of_point]
-    rest = points[~mine]
+    rest = chosen_rows(points, ~mine)
     other = within_reach(rest, seen)
-    voids = find_voids(seen, rest, config.max_step)
-    surface, material = complete(seen, other, voids, config)
+    near = nearest_seen(seen)
+    voids = find_voids(seen, rest, config.max_step, near)
+    surface, material = complete(seen, other, voids, config, near)
     measured = step_and_slope(surface)
     limits = find_limits(surface, material, measured)
-    ledge = find_ledges(surface, points[ground], other, noise)
+    ledge = find_ledges(surface, floor, other, noise)
     return make_level(surface, other, ledge, limits, measured), voids
 
 
@@ -299,7 +307,7 @@ def without_outliers(surface: HeightMap, most: float) -> HeightMap:
     if most == 0.0:
         return surface
     around = neighbourhood(surface)
-    median = median_of(around, surface)
+    median = smoothed(surface)
     own = surface.height.astype(np.float64)
     with_it = (np.abs(around - own) < np.abs(around - median)).sum(axis=0) - (
         own != median
@@ -308,26 +316,64 @@ def without_outliers(surface: HeightMap, most: float) -> HeightMap:
     return HeightMap(surface.origin, surface.cell_width, np.where(alone, median, own).astype(np.float32), surface.state)
 
 
-def complete(seen: HeightMap, other: FloatArray, voids: Voids, config: PerceptionConfig) -> tuple[HeightMap, BoolArray]:
-    """The ground with what its surroundings and the `other` points (m, 3) explain, and where material is on it."""
-    ix, iy, _ = seen.cells(other)
-    lowest = np.full(seen.height.shape, np.inf)
-    np.minimum.at(lowest, (ix, iy), other[:, 2])
-    surface = fill_holes(seen, lowest, *voids)
-    beside = ndimage.maximum_filter(np.where(surface.state != UNKNOWN, surface.height, -np.inf), size=3)
-    # Only material that the lowest body cannot pass under guards an edge by itself. The wall of a drop does not; but
-    # what is seen below a shadow in a stair, where treads are near, is the stair.
-    known, near = surface.state != UNKNOWN, 2 * int(np.ceil(NOTCH_DEPTH / seen.cell_width)) + 1
-    foot = ndimage.minimum_filter(np.where(known, surface.height, np.inf), size=near)
-    top = ndimage.maximum_filter(np.where(known, surface.height, -np.inf), size=near)
-    shut, stair = lowest <= beside + config.min_headroom, top - foot > 2.0 * seen.cell_width
-    z = other[:, 2]
-    guard = (z > foot[ix, iy] + LEAST_OBSTACLE) & (z <= beside[ix, iy] + config.min_headroom)
-    guarded = shut & stair
-    guarded[ix[guard], iy[guard]] = True
+def complete(
+    seen: HeightMap, other: FloatArray, voids: Voids, config: PerceptionConfig, near: Nearest | None = None
+) -> tuple[HeightMap, BoolArray]:
+    """The ground with what its surroundings and the `other` points (m, 3) explain, and where material is on it.
+
+    The others must lie on the grid; `near` is `nearest_seen`, where that is known.
+    """
+    near = near or nearest_seen(seen)
+    cell, z, lowest = in_cells(other, seen)
+    things = lowest_thing(cell, z, near)
+    surface = fill_holes(seen, things, *voids, near=near)
+    shut, stair, guarded = guard_edges(surface, things, cell, z, config.min_headroom)
     surface = without_enclosed(surface, shut)
-    front = find_faces(surface, other, config.min_headroom) & ~stair  # a flight's treads were seen up to its walls
+    front = find_faces(surface, cell, z, config.min_headroom) & ~stair  # a flight's treads were seen up to its walls
     return without_hidden(surface, lowest, front), guarded
+
+
+def in_cells(other: FloatArray, surface: HeightMap) -> tuple[IntArray, FloatArray, FloatArray]:
+    """Flat cell and height [m] of each of the `other` points (m, 3), and the lowest of each cell [m], (nx, ny)."""
+    shape, z = surface.state.shape, np.ascontiguousarray(other[:, 2])
+    cell = cells_of(other, np.asarray(surface.origin), surface.cell_width, (shape[0], shape[1]))
+    ends = np.full(surface.state.size, np.inf)
+    return cell, z, extent_in(cell, z, -ends, ends)[0].reshape(shape)
+
+
+def lowest_thing(cell: IntArray, z: FloatArray, near: Nearest) -> FloatArray:
+    """Height of the lowest point of each cell that is not on the level of the seen ground next to it [m], (nx, ny).
+
+    What is, in a scanner's blind spot, is a scrap of its floor too small to be told for ground by itself.
+    """
+    floor, none = np.nan_to_num(near.height.astype(np.float64), nan=-np.inf).ravel(), np.full(near.height.size, np.inf)
+    over = extent_in(cell, z, floor + LEAST_OBSTACLE, none)[0]
+    under = extent_in(cell, z, -none, floor - LEAST_OBSTACLE)[0]
+    return np.minimum(over, under).reshape(near.height.shape)
+
+
+def guard_edges(
+    surface: HeightMap, lowest: FloatArray, cell: IntArray, z: FloatArray, headroom: float
+) -> tuple[BoolArray, BoolArray, BoolArray]:
+    """Cells with material under the `headroom` [m], those of stairs, and those where material guards an edge by itself.
+
+    That is only what the lowest body cannot pass under. The wall of a drop does not; but what is seen below a shadow in
+    a stair, where treads are near, is the stair.
+
+    Args:
+        surface: The ground.
+        lowest: `lowest_thing` [m], shape (nx, ny).
+        cell: Flat cell of each other point, shape (m,).
+        z: Its height [m], shape (m,).
+        headroom: Of the lowest body [m].
+    """
+    known, reach = surface.state != UNKNOWN, 2 * int(np.ceil(NOTCH_DEPTH / surface.cell_width)) + 1
+    high, low = np.where(known, surface.height, -np.inf), np.where(known, surface.height, np.inf)
+    beside, foot = ndimage.maximum_filter(high, size=3) + headroom, ndimage.minimum_filter(low, size=reach)
+    shut, stair = lowest <= beside, ndimage.maximum_filter(high, size=reach) - foot > 2.0 * surface.cell_width
+    ends = ((foot + LEAST_OBSTACLE).ravel().astype(np.float64), beside.ravel().astype(np.float64))
+    guard: BoolArray = np.isfinite(extent_in(cell, z, *ends)[0]).reshape(known.shape)
+    return shut, stair, (shut & stair) | guard
 
 
 def make_level(
@@ -353,7 +399,13 @@ def find_ledges(surface: HeightMap, ground: FloatArray, other: FloatArray, noise
         beneath: BoolArray = inside & (points[:, 2] <= high[ix, iy] + reach)
         return beneath
 
-    asked, ground = low(other), ground[low(ground)]
+    asked = low(other)
+    ix, iy, _ = surface.cells(other[asked])
+    beside = np.zeros(surface.state.shape, dtype=bool)
+    beside[ix, iy] = True
+    beside = ndimage.maximum_filter(beside, size=2 * int(np.ceil(1.5 * FACE / surface.cell_width)) + 1)
+    ground = ground[rows_in_cells(ground, surface.origin, surface.cell_width, beside)]
+    ground = ground[low(ground)]
     ledge = np.full(len(other), np.inf, np.float32)
     if len(ground) and asked.any():
         ledge[asked] = next_above(ground, other[asked], scatter)
@@ -384,8 +436,9 @@ def _add_rims(
 
 
 def high_ground(surface: HeightMap) -> FloatArray:
-    """Height of the highest ground within two cells [m], shape (nx, ny), -inf where there is none."""
-    high: FloatArray = ndimage.maximum_filter(np.where(surface.state != UNKNOWN, surface.height, -np.inf), size=5)
+    """Height of the highest ground within `HIGH` cells [m], shape (nx, ny), -inf where there is none."""
+    height = np.where(surface.state != UNKNOWN, surface.height, -np.inf)
+    high: FloatArray = ndimage.maximum_filter(height, size=2 * HIGH + 1)
     return high
 
 
@@ -403,10 +456,8 @@ def next_above(ground: FloatArray, points: FloatArray, scatter: float = LEAST_OB
     at, asked = at - corner, asked - corner
     stride = int(at[:, 1].max()) + 4
     key = at[:, 0] * stride + at[:, 1]
-    order = np.lexsort((ground[:, 2], key))
-    first = np.flatnonzero(np.diff(key[order], prepend=-1))
-    last = np.append(first[1:], len(order)) - 1
-    rows = order[np.column_stack([first, last]).ravel()]
+    order = np.argsort(key)
+    rows = ends_of_runs(key, order, ground[:, 2])
     here = asked[:, 0] * stride + np.clip(asked[:, 1], 0, stride - 1)
 
     best = np.full(len(points), np.inf)
@@ -419,13 +470,21 @@ def next_above(ground: FloatArray, points: FloatArray, scatter: float = LEAST_OB
     return best.astype(np.float32)
 
 
-def within_reach(points: FloatArray, surface: HeightMap) -> FloatArray:
-    """Points between a cell under the lowest known ground near them and `TALLEST` over the highest."""
-    size = 2 * int(np.ceil(OVERLAP / surface.cell_width)) + 1
-    known = surface.state != UNKNOWN
-    high = ndimage.maximum_filter(np.where(known, surface.height, -np.inf), size=size)
-    low = ndimage.minimum_filter(np.where(known, surface.height, np.inf), size=size)
+def within_reach(points: FloatArray, surface: HeightMap, box: Box = WHOLE) -> FloatArray:
+    """Points between a cell under the lowest known ground near them and `TALLEST` over the highest.
+
+    The `box` of cells holds all points, and `OVERLAP` around them.
+    """
+    low, high = lowest_and_highest(surface, box)
     ix, iy, inside = surface.cells(points)
     z = points[:, 2]
-    near: FloatArray = points[inside & (z >= low[ix, iy] - surface.cell_width) & (z <= high[ix, iy] + TALLEST)]
-    return near
+    return chosen_rows(points, inside & (z >= low[ix, iy] - surface.cell_width) & (z <= high[ix, iy] + TALLEST))
+
+
+def lowest_and_highest(surface: HeightMap, box: Box = WHOLE) -> tuple[FloatArray, FloatArray]:
+    """Height of the lowest and of the highest known ground within `OVERLAP` [m], shape (nx, ny), in a box of cells."""
+    size, shape = 2 * int(np.ceil(OVERLAP / surface.cell_width)) + 1, surface.state.shape
+    known, height = surface.state[box] != UNKNOWN, surface.height[box]
+    low = ndimage.minimum_filter(np.where(known, height, np.inf), size=size)
+    high = ndimage.maximum_filter(np.where(known, height, -np.inf), size=size)
+    return spread(low, box, shape, np.inf), spread(high, box, shape, -np.inf)

@@ -12,6 +12,7 @@ from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import connected_components
 
 from gpdf_service.fields import Tree, nearest_one
+from gpdf_service.fields.threads import run_chunked
 from gpdf_service.search.quadtree import Quadtree
 from gpdf_service.types import BoolArray, FloatArray, IntArray
 
@@ -49,38 +50,49 @@ def is_clear(obstacles: Tree, a: FloatArray, b: FloatArray, radius: float) -> bo
     Distances are 1-Lipschitz, so ab is clear by at least (d(a) + d(b) − |ab|) / 2; if that does not settle it, halve.
     """
     stack = np.empty((64, 2, 2))
+    room = np.empty((64, 2))  # at both ends
     stack[0, 0], stack[0, 1] = a, b
-    top = 1
+    room[0, 0], room[0, 1] = nearest_one(obstacles, a)[0], nearest_one(obstacles, b)[0]
+    if room[0].min() < radius:
+        return False
+    top, middle = 1, np.empty(2)
     while top > 0:
         top -= 1
-        p, q = stack[top, 0].copy(), stack[top, 1].copy()
-        da, db = nearest_one(obstacles, p)[0], nearest_one(obstacles, q)[0]
-        if da < radius or db < radius:
-            return False
-        length = sqrt((p[0] - q[0]) ** 2 + (p[1] - q[1]) ** 2)
-        if da + db - length >= 2.0 * radius:
+        dx, dy = stack[top, 1, 0] - stack[top, 0, 0], stack[top, 1, 1] - stack[top, 0, 1]
+        length = sqrt(dx * dx + dy * dy)
+        if room[top, 0] + room[top, 1] - length >= 2.0 * radius:
             continue
         if length <= RESOLUTION:
             return False
-        middle = 0.5 * (p + q)
-        stack[top, 0], stack[top, 1] = p, middle
-        stack[top + 1, 0], stack[top + 1, 1] = middle, q
+        middle[0], middle[1] = stack[top, 0, 0] + 0.5 * dx, stack[top, 0, 1] + 0.5 * dy
+        between = nearest_one(obstacles, middle)[0]
+        if between < radius:
+            return False
+        stack[top + 1, 0], stack[top + 1, 1] = middle, stack[top, 1]
+        room[top + 1, 0], room[top + 1, 1] = between, room[top, 1]
+        stack[top, 1], room[top, 1] = middle, between
         top += 2
     return True
 
 
 @njit(cache=True, nogil=True)
 def _proven(
-    obstacles: Tree, center: FloatArray, via: FloatArray, whole: IntArray, ends: IntArray, radius: float
-) -> IntArray:
+    obstacles: Tree,
+    center: FloatArray,
+    via: FloatArray,
+    whole: BoolArray,
+    ends: IntArray,
+    radius: float,
+    begin: int,
+    end: int,
+    good: BoolArray,
+) -> None:
     """Which edges are clear from centre to crossing to centre; a wholly free leaf is convex and needs no look."""
-    good = np.zeros(len(ends), np.int64)
-    for e in range(len(ends)):
+    for e in range(begin, end):
         a, b = ends[e, 0], ends[e, 1]
-        good[e] = (whole[a] == 1 or is_clear(obstacles, center[a], via[e], radius)) and (
-            whole[b] == 1 or is_clear(obstacles, via[e], center[b], radius)
+        good[e] = (whole[a] or is_clear(obstacles, center[a], via[e], radius)) and (
+            whole[b] or is_clear(obstacles, via[e], center[b], radius)
         )
-    return good
 
 
 Edges = tuple[IntArray, FloatArray]
@@ -94,7 +106,7 @@ def find_edges(tree: Quadtree, obstacles: Tree, radius: float, among: BoolArray 
     is kept once. So each pair of neighbours is found, in time n log n. Only leaves `among`, shape (k,), look, if given.
     """
     leaves = np.flatnonzero(tree.free if among is None else tree.free & among)
-    corner, size = tree.corner[leaves], tree.size[leaves]
+    corner, size, center, half = tree.corner[leaves], tree.size[leaves], tree.center, tree.half_size[leaves]
     ends, vias = [], []
     for axis in (0, 1):
         for side in (-1, 1):
@@ -103,12 +115,13 @@ def find_edges(tree: Quadtree, obstacles: Tree, radius: float, among: BoolArray 
             found = tree.find_cell(probe)
             larger = (found >= 0) & tree.free[found] & (tree.size[found] >= size)
             once = larger & ((tree.size[found] > size) | (side > 0))
-            via = tree.center[leaves]
-            via[:, axis] += side * tree.half_size[leaves]
+            via = center[leaves]
+            via[:, axis] += side * half
             ends.append(np.column_stack([leaves[once], found[once]]))
             vias.append(via[once])
     pairs, via = np.concatenate(ends), np.concatenate(vias)
-    good = _proven(obstacles, tree.center, via, tree.whole.astype(np.int64), pairs, radius) == 1
+    good, own = np.zeros(len(pairs), dtype=bool), (obstacles, center, via, tree.whole, pairs, radius)
+    run_chunked(lambda a, b: _proven(*own, a, b, good), len(pairs))
     return pairs[good], via[good]
 
 
