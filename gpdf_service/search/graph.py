@@ -11,12 +11,10 @@ from numba import njit
 from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import connected_components
 
-from gpdf_service.fields import Tree, nearest_one
+from gpdf_service.fields import Tree
+from gpdf_service.search.motion import is_clear
 from gpdf_service.search.quadtree import Quadtree
 from gpdf_service.types import BoolArray, FloatArray, IntArray
-
-RESOLUTION = 1e-3
-"""[m] A segment is called blocked when a piece of this length cannot be proven clear."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,33 +38,6 @@ class Graph:
     via: FloatArray
     cost: FloatArray
     component: IntArray
-
-
-@njit(cache=True, nogil=True)
-def is_clear(obstacles: Tree, a: FloatArray, b: FloatArray, radius: float) -> bool:
-    """Whether the whole segment ab keeps `radius` from every obstacle.
-
-    Distances are 1-Lipschitz, so ab is clear by at least (d(a) + d(b) − |ab|) / 2; if that does not settle it, halve.
-    """
-    stack = np.empty((64, 2, 2))
-    stack[0, 0], stack[0, 1] = a, b
-    top = 1
-    while top > 0:
-        top -= 1
-        p, q = stack[top, 0].copy(), stack[top, 1].copy()
-        da, db = nearest_one(obstacles, p)[0], nearest_one(obstacles, q)[0]
-        if da < radius or db < radius:
-            return False
-        length = sqrt((p[0] - q[0]) ** 2 + (p[1] - q[1]) ** 2)
-        if da + db - length >= 2.0 * radius:
-            continue
-        if length <= RESOLUTION:
-            return False
-        middle = 0.5 * (p + q)
-        stack[top, 0], stack[top, 1] = p, middle
-        stack[top + 1, 0], stack[top + 1, 1] = middle, q
-        top += 2
-    return True
 
 
 @njit(cache=True, nogil=True)
