@@ -368,6 +368,7 @@ def _add_rims(
     """Give points over a step's edge its `ledge`, where they are so few beside those of its face that noise made them.
 
     Over one deviation are 0.08 of the points of a face's last deviation, under its edge are 1.6 down to two deviations.
+    A point is no witness for itself: where a face has five points, one of them over its edge is no lip.
     """
     rows = np.flatnonzero(asked & np.isinf(ledge))
     rim = next_above(ground, other[rows], RESOLVED_STEP * noise)
@@ -379,7 +380,7 @@ def _add_rims(
     for row, edge, near in zip(rows, rim, beside, strict=True):
         over = (z[near] - edge) / noise
         face = np.count_nonzero((over > -2.0) & (over <= 0.0))
-        if np.count_nonzero(over > 1.0) <= RIM_SHARE * face:
+        if face > 0 and np.count_nonzero(over > 1.0) - 1 <= RIM_SHARE * face:
             ledge[row] = edge
 
 
