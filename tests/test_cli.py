@@ -1,4 +1,5 @@
 import json
+import re
 import subprocess
 import sys
 
@@ -6,6 +7,7 @@ import numpy as np
 import pytest
 
 from gpdf_service.cli import VERBS, find_verb, main
+from gpdf_service.types import AGENTS
 
 
 def write_room(path, with_labels=True):
@@ -82,6 +84,41 @@ def test_build_info_and_plan_agree(tmp_path, capsys):
     np.testing.assert_allclose(result["trajectory"]["ground"][0][:2], [1, 1], atol=1e-6)
     np.testing.assert_allclose(result["trajectory"]["ground"][-1][:2], [4, 3], atol=1e-6)
     assert picture.read_bytes().startswith(b"\x89PNG")
+
+
+@pytest.mark.parametrize("agent", ["human", "roomba"])
+def test_the_places_that_info_names_can_be_planned_between(agent, tmp_path, capsys):
+    room = write_room(tmp_path / "room.npz")
+    assert main(["scene", "info", str(room), "--agent", agent]) == 0
+    *_, free, command = capsys.readouterr().out.splitlines()
+    area = float(re.search(r"free ([\d.]+) m² in 1 piece", free)[1])
+    radius = AGENTS[agent].disc_radius
+    assert area == pytest.approx((5 - 2 * radius) * (4 - 2 * radius), rel=0.1)  # less what the margin takes
+    words = command.split()
+    assert words[:2] == ["try", "gpdf"]
+    assert main([*words[2:-2], "--json"]) == 0
+    reply = json.loads(capsys.readouterr().out)
+    assert reply["status"] == "OK"
+    assert reply["length"] > 2.0
+
+
+def test_info_of_a_body_that_fits_nowhere_names_no_places(tmp_path, capsys):
+    x, y = np.meshgrid(np.arange(0, 6, 0.05), np.arange(0, 0.35, 0.05))  # a plank narrower than a person
+    points = np.column_stack([x.ravel(), y.ravel(), np.zeros(x.size)])
+    np.savez(tmp_path / "plank.npz", xyz=points, label=np.zeros(x.size, int), classes=np.array(["floor"]))
+    assert main(["scene", "info", str(tmp_path / "plank.npz"), "--agent", "human", "--json"]) == 0
+    reach = json.loads(capsys.readouterr().out)["reach"]
+    assert reach["free_area"] == 0.0
+    assert reach["start"] is None
+    assert main(["scene", "info", str(tmp_path / "plank.npz"), "--agent", "human"]) == 0
+    assert "try" not in capsys.readouterr().out
+
+
+def test_a_cloud_too_narrow_to_stand_on_is_not_called_badly_labelled(tmp_path, capsys):
+    x, y = np.meshgrid(np.arange(0, 6, 0.05), np.arange(0, 0.35, 0.05))
+    np.savez(tmp_path / "plank.npz", xyz=np.column_stack([x.ravel(), y.ravel(), np.zeros(x.size)]))
+    assert main(["scene", "info", str(tmp_path / "plank.npz")]) == 1
+    assert "wide and level enough to stand on" in capsys.readouterr().err
 
 
 def test_a_plan_that_fails_exits_with_one_and_says_why(tmp_path, capsys):

@@ -1,9 +1,13 @@
 """What somebody reads whose installation is not complete: the one command that mends it."""
 
+import contextlib
+import os
+import pty
 import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from gpdf_service.cli import main
@@ -67,3 +71,26 @@ def test_makefile_dockerfile_and_message_name_the_same_packages():
     for name in ("Makefile", "docker/Dockerfile"):
         text = (root / name).read_text()
         assert [package for package in SYSTEM_LIBRARIES.values() if package not in text] == []
+
+
+def test_a_terminal_is_told_once_why_the_first_run_takes_longer(tmp_path):
+    x, y = np.meshgrid(np.arange(0, 2, 0.05), np.arange(0, 2, 0.05))
+    np.savez(tmp_path / "floor.npz", xyz=np.column_stack([x.ravel(), y.ravel(), np.zeros(x.size)]))
+    words = [sys.executable, "-m", "gpdf_service.cli", "scene", "info", "floor.npz"]
+    fresh = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path / "cache")}
+    said = []
+    for environment in (fresh, fresh):
+        ours, theirs = pty.openpty()
+        subprocess.run(words, stderr=theirs, stdout=subprocess.DEVNULL, cwd=tmp_path, env=environment, check=True)
+        os.close(theirs)
+        said.append(_all_of(ours).count("compiling for this machine, once"))
+    assert said == [1, 0]
+
+
+def _all_of(terminal):
+    text = b""
+    with contextlib.suppress(OSError):  # nobody holds its other end: it is read to the end
+        while part := os.read(terminal, 4096):
+            text += part
+    os.close(terminal)
+    return text.decode()

@@ -6,16 +6,15 @@ import argparse
 import time
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from scipy.spatial import cKDTree
 
-from gpdf_service.bench.field_peers import DENSE, EXACT, PEERS, Ours
+from gpdf_service.bench.field_peers import DENSE, EXACT, PEERS, Field, Ours
 from gpdf_service.bench.report import Row, show
 from gpdf_service.bench.surfaces import SURFACES, Surface
 from gpdf_service.fields import fit_gpdf
-from gpdf_service.types import BoolArray, FloatArray
+from gpdf_service.types import FloatArray
 
 BANDS = (0.02, 0.1, 0.5, 2.0, 5.0)
 """[m] Edges of the distance bands."""
@@ -62,33 +61,31 @@ def measure(name: str, count: int, queries: int, noise: float, peers: list[str])
     surface = SURFACES[name]
     clean = surface.sample(count, rng)
     points = clean + rng.normal(size=clean.shape) * noise
-    fit_gpdf(points[:100])  # compiled before the clock starts
-    fields: dict[str, Any] = {}
-    fit: dict[str, float] = {}
-    for method in ["gpdf", *peers]:
+    fit_gpdf(points[:100]).query(points[:100])  # compiled before the clock starts
+    began = time.perf_counter()
+    ours = Ours(points)
+    fields: dict[str, Field] = {"gpdf": ours}
+    fit = {"gpdf": time.perf_counter() - began}
+    for method in peers:
         began = time.perf_counter()
-        fields[method] = Ours(points) if method == "gpdf" else PEERS[method](points, fields["gpdf"].spacing)
+        fields[method] = PEERS[method](points, ours.spacing)
         fit[method] = time.perf_counter() - began
     rows = []
     for band, asked, real in in_bands(surface, clean, queries, rng):
-        sample = fields["gpdf"].field.query(asked)
-        covered = np.abs(sample.distance - real)[sample.valid] <= 2 * sample.deviation[sample.valid]
+        true = slope(surface, asked)
         for method, field in fields.items():
             began = time.perf_counter()
             distance, gradient = field.query(asked)
             took = time.perf_counter() - began
             row = {"surface": name, "noise_m": noise, "band_m": band, "method": method, "queries": len(asked)}
-            row |= errors(distance, real, sample.valid if method == "gpdf" else np.isfinite(distance))
-            row |= {"us": 1e6 * took / len(asked), "fit_s": fit[method]}
-            if method == "gpdf":
+            row |= errors(distance - real, angle(gradient, true))
+            row |= {"us": 1e6 * took / len(asked), "fit_s": fit[method], "bytes_a_point": field.bytes}
+            if field is ours:
+                deviation = ours.field.query(asked).deviation
+                told = np.isfinite(distance)
                 row |= {
-                    "spacing_m": field.spacing,
-                    "bytes_a_point": field.bytes,
-                    "within_2_sigma": float(covered.mean()),
-                }
-                row |= {
-                    "angle_deg": angle(gradient, surface, asked, sample.valid),
-                    "invalid": float(np.mean(~sample.valid)),
+                    "spacing_m": ours.spacing,
+                    "within_2_sigma": float(np.mean(np.abs(distance - real)[told] <= 2 * deviation[told])),
                 }
             rows.append(row)
     return rows
@@ -111,26 +108,36 @@ def in_bands(
             yield f"{near}-{far}", asked[inside], real[inside]
 
 
-def errors(distance: FloatArray, real: FloatArray, valid: Any) -> Row:  # noqa: ANN401 - a mask
-    """Error statistics over the valid answers [m]."""
-    error = (distance - real)[valid]
-    return {
-        "rmse_m": float(np.sqrt(np.mean(error**2))),
-        "bias_m": float(error.mean()),
-        "p99_m": float(np.quantile(np.abs(error), 0.99)),
-        "worst_over_m": float(error.max()),
-    }
+def errors(error: FloatArray, angles: FloatArray) -> Row:
+    """What is said of a method: of its answers' errors [m], NaN where it gave none, and of its gradients' [deg]."""
+    told = np.isfinite(error)
+    row: Row = {"invalid": float(np.mean(~told))}
+    if told.any():
+        error = error[told]
+        row |= {
+            "rmse_m": float(np.sqrt(np.mean(error**2))),
+            "bias_m": float(error.mean()),
+            "p99_m": float(np.quantile(np.abs(error), 0.99)),
+            "worst_over_m": float(error.max()),
+            "angle_deg": float(np.median(angles[told])),
+        }
+    return row
 
 
-def angle(gradient: FloatArray, surface: Surface, asked: FloatArray, valid: BoolArray) -> float:
-    """Median angle between the gradient and that of the true distance [deg]."""
+def slope(surface: Surface, asked: FloatArray) -> FloatArray:
+    """Gradient of the true distance, shape (m, 3)."""
     h = 1e-5  # [m] central differences of a closed form: errors of 1e-9
-    true = np.column_stack(
+    return np.column_stack(
         [(surface.distance(asked + e) - surface.distance(asked - e)) / (2 * h) for e in np.eye(3) * h]
     )
+
+
+def angle(gradient: FloatArray, true: FloatArray) -> FloatArray:
+    """Angle between two gradients, shape (m,) [deg]."""
     cosine = np.einsum("ij,ij->i", gradient, true)
-    cosine = cosine / np.maximum(np.linalg.norm(gradient, axis=1) * np.linalg.norm(true, axis=1), 1e-12)
-    return float(np.degrees(np.median(np.arccos(np.clip(cosine[valid], -1, 1)))))
+    cosine /= np.maximum(np.linalg.norm(gradient, axis=1) * np.linalg.norm(true, axis=1), np.finfo(float).tiny)
+    degrees: FloatArray = np.degrees(np.arccos(np.clip(cosine, -1, 1)))
+    return degrees
 
 
 def measure_time(count: int) -> Row:
@@ -191,7 +198,9 @@ def _plot(rows: list[Row], path: Path) -> None:
             for method in dict.fromkeys(row["method"] for row in here):
                 mine = [row for row in here if row["method"] == method]
                 middle = [float(np.mean([float(edge) for edge in row["band_m"].split("-")])) for row in mine]
-                axes.plot(middle, [row["rmse_m"] for row in mine], "o-", label=method, color=colours[method], ms=3)
+                axes.plot(
+                    middle, [row.get("rmse_m", np.nan) for row in mine], "o-", label=method, color=colours[method], ms=3
+                )
             axes.set(xscale="log", yscale="log", title=f"{surface}, noise {100 * noise:g} cm")
             axes.grid(alpha=0.3)
     for axes in grid[-1]:

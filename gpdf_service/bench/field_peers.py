@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Callable
+from typing import Any, Protocol
 
 import numpy as np
 from scipy import ndimage
@@ -12,12 +13,22 @@ from scipy.spatial.distance import cdist
 from gpdf_service.fields import denoise, fit_gpdf
 from gpdf_service.types import FloatArray
 
-Answer = tuple[FloatArray, FloatArray | None]
-"""Distance [m], shape (m,), and gradient, shape (m, 3)."""
+Answer = tuple[FloatArray, FloatArray]
+"""Distance [m], shape (m,), NaN where the method has no number to give; gradient, shape (m, 3), of any length."""
 EXACT = 2_500
 """Points beyond which a dense matrix is not solved here: 50 MB."""
 _VOXELS = 30_000_000
 """Cells of the Euclidean distance transform: 0.5 GB."""
+
+
+class Field(Protocol):
+    """What is measured."""
+
+    bytes: float
+    """Memory that it keeps for each point."""
+
+    def query(self, queries: FloatArray) -> Answer:
+        """Distance and gradient at queries, shape (m, 3)."""
 
 
 class Ours:
@@ -31,9 +42,9 @@ class Ours:
         self.spacing = self.field.spacing
 
     def query(self, queries: FloatArray) -> Answer:
-        """Distance and gradient, 0 where not valid."""
+        """Distance and gradient where they are valid."""
         sample = self.field.query(queries)
-        return sample.distance, sample.gradient
+        return np.where(sample.valid, sample.distance, np.nan), sample.gradient
 
 
 class Nearest:
@@ -41,10 +52,12 @@ class Nearest:
 
     def __init__(self, points: FloatArray, spacing: float) -> None:
         self.points, self.tree = points, cKDTree(points)
+        self.bytes = (points.nbytes + self.tree.indices.nbytes) / len(points)
 
     def query(self, queries: FloatArray) -> Answer:
-        """Distance alone."""
-        return self.tree.query(queries, workers=2)[0], None
+        """Distance to the nearest point, and the way from it."""
+        distance, nearest = self.tree.query(queries, workers=2)
+        return distance, queries - self.points[nearest]
 
 
 class _Dense:
@@ -54,12 +67,17 @@ class _Dense:
 
     def __init__(self, points: FloatArray, spacing: float) -> None:
         self.points, self.l = points, 1.5 * spacing
+        self.bytes = 8.0 * (len(points) + 4)  # a row of the factor, the place and its weight
         self.fit()
 
     def kernel(self, d: FloatArray) -> FloatArray:
         """Squared exponential."""
         k: FloatArray = np.exp(-(d**2) / (2 * self.l**2))
         return k
+
+    def fall(self, d: FloatArray) -> FloatArray:
+        """−(dk/dd) / d, up to a factor: what the points weigh in the gradient."""
+        return self.kernel(d)
 
     def fit(self) -> None:
         """α = (K + σ² I)⁻¹ 1."""
@@ -72,13 +90,23 @@ class _Dense:
         return o
 
     def revert(self, o: FloatArray) -> FloatArray:
-        """Distance from occupancy; 0 where it is not in (0, 1]: there is no number to give."""
-        return np.where(o > 0, np.sqrt(np.maximum(-2 * self.l**2 * np.log(np.maximum(o, 1e-300)), 0)), 0.0)
+        """Distance from an occupancy above 0."""
+        distance: FloatArray = np.sqrt(np.maximum(-2 * self.l**2 * np.log(o), 0))
+        return distance
 
     def query(self, queries: FloatArray) -> Answer:
-        """Distance, in parts that fit into memory."""
+        """Distance and gradient, in parts that fit into memory."""
         parts = np.array_split(queries, max(1, len(queries) // 500))
-        return self.revert(np.concatenate([self.occupancy(part) for part in parts])), None
+        o = np.concatenate([self.occupancy(part) for part in parts])
+        distance = np.full(len(o), np.nan)  # at and below 0 the logarithm has no number
+        distance[o > 0] = self.revert(o[o > 0])
+        return distance, np.concatenate([self.gradient(part) for part in parts])
+
+    def gradient(self, queries: FloatArray) -> FloatArray:
+        """Against the occupancy's, which is the distance's up to its length."""
+        weight = self.fall(cdist(queries, self.points)) * self.alpha
+        gradient: FloatArray = weight.sum(axis=1)[:, None] * queries - weight @ self.points
+        return gradient
 
 
 class Plain(_Dense):
@@ -95,6 +123,7 @@ class ScikitLearn(_Dense):
 
         self.model: Any = GaussianProcessRegressor(RBF(self.l), alpha=self.noise_variance, optimizer=None)
         self.model.fit(self.points, np.ones(len(self.points)))
+        self.alpha = self.model.alpha_
 
     def occupancy(self, queries: FloatArray) -> FloatArray:
         """The posterior mean."""
@@ -110,9 +139,15 @@ class LogGpis(_Dense):
         k: FloatArray = (1 + r) * np.exp(-r)
         return k
 
+    def fall(self, d: FloatArray) -> FloatArray:
+        """Of Matérn 3/2."""
+        fall: FloatArray = np.exp(-np.sqrt(3) * d / self.l)
+        return fall
+
     def revert(self, o: FloatArray) -> FloatArray:
         """Equation 7 of its paper."""
-        return np.where(o > 0, np.maximum(-np.log(np.maximum(o, 1e-300)) * self.l / np.sqrt(3), 0), 0.0)
+        distance: FloatArray = np.maximum(-np.log(o) * self.l / np.sqrt(3), 0)
+        return distance
 
 
 class Voxels:
@@ -125,12 +160,25 @@ class Voxels:
         full = np.ones(np.ceil((high - low) / self.width).astype(int) + 1, dtype=bool)
         full[tuple(np.round((points - low) / self.width).astype(int).T)] = False
         self.grid = ndimage.distance_transform_edt(full).astype(np.float32) * self.width
+        self.bytes = self.grid.nbytes / len(points)
 
     def query(self, queries: FloatArray) -> Answer:
-        """Distance alone."""
+        """Interpolated distance, and its central differences over a cell."""
+        half = np.eye(3) * self.width / 2
+        return self.at(queries), np.column_stack([self.at(queries + e) - self.at(queries - e) for e in half])
+
+    def at(self, queries: FloatArray) -> FloatArray:
+        """The distance between the cells' centres."""
         place = ((queries - self.low) / self.width).T
-        return ndimage.map_coordinates(self.grid, place, order=1, mode="nearest").astype(np.float64), None
+        distance: FloatArray = ndimage.map_coordinates(self.grid, place, float, order=1, mode="nearest")
+        return distance
 
 
-PEERS = {"nearest": Nearest, "voxels": Voxels, "plain": Plain, "scikit_learn": ScikitLearn, "log_gpis": LogGpis}
+PEERS: dict[str, Callable[[FloatArray, float], Field]] = {
+    "nearest": Nearest,
+    "voxels": Voxels,
+    "plain": Plain,
+    "scikit_learn": ScikitLearn,
+    "log_gpis": LogGpis,
+}
 DENSE = {"plain", "scikit_learn", "log_gpis"}

@@ -83,6 +83,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     args: argparse.Namespace | None = None
     try:
         args = parser_of(verb).parse_args(_joined(words[len(verb.split()) :]))
+        if "numba" in sys.modules and sys.stderr.isatty():  # loaded by the verb's module, or not at all
+            import_module("gpdf_service.cli.compiling").tell_of_compiling()
         return int(import_module(VERBS[verb][0]).run(args))
     except ModuleNotFoundError as error:
         missing = (error.name or "").partition(".")[0]

@@ -159,5 +159,5 @@ def _print_next(out: Path) -> None:
     pictures = " ".join(str(path) for path in sorted(out.glob("*.png")))
     print(f"\npictures: {pictures}\nlog:      {log} (opens in Foxglove and Rerun)\n\nTry next:")
     print(f"  .venv/bin/gpdf replay {log} --scene office={out}/office.npz")
-    print("  .venv/bin/gpdf plan YOUR_CLOUD.ply --start 1,1 --goal 5,4 --agent human --png plan.png")
+    print("  .venv/bin/gpdf scene info YOUR_CLOUD.ply --agent human --png cloud.png")
     print(f"  .venv/bin/gpdf serve office={out}/office.npz stair={out}/stair.npz")

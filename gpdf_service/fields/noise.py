@@ -36,7 +36,8 @@ def estimate_noise(points: FloatArray, spacing: float) -> float:
     """Standard deviation of the points along the surface's normal [m]; points of shape (n, 3).
 
     What is left of the smallest neighbourhood that shows its shape: a plane, an edge, two sheets or a pole. So the
-    corners of a clean cloud are no noise, nor is the thickness of a board.
+    corners of a clean cloud are no noise, nor is the thickness of a board. A cloud so dense that most
+    such neighbourhoods hold more points than are looked at is thinned first.
     """
     if len(points) < _TOLD or spacing <= 0.0:
         return 0.0
@@ -47,6 +48,8 @@ def estimate_noise(points: FloatArray, spacing: float) -> float:
     tree = build_tree(points)
     run_chunked(lambda a, b: _noise_range(tree, picked, a, b, radii, noise), len(picked))
     found = noise[np.isfinite(noise)]
+    if np.isinf(noise).sum() > len(found):
+        return estimate_noise(rng.choice(points, len(points) // 4, replace=False), 2.0 * spacing)
     return float(np.quantile(found, 0.25)) if len(found) else 0.0
 
 
@@ -59,18 +62,24 @@ def _lower(freedom: float) -> float:
 
 @njit(cache=True, nogil=True)
 def _noise_range(tree: Tree, places: FloatArray, begin: int, end: int, radii: FloatArray, noise: FloatArray) -> None:
-    """The larger radii are looked at only where the smaller ones do not tell: they hold most of the points."""
+    """The larger radii are looked at only where the smaller ones do not tell: they hold most of the points.
+
+    `noise`, NaN before, stays so where no radius tells, and is inf where the next one holds too many points.
+    """
     moments, mean, normal, near = np.zeros((len(radii), 10)), np.zeros(3), np.zeros(3), np.zeros((MOST, 3))
     side, pair = np.zeros(MOST, np.int64), np.zeros((3, 9))
     for i in range(begin, end):
         first, wide = 0, 0
-        while first < len(radii) and np.isnan(noise[i]) and (first == 0 or moments[first - 1, 0] <= MOST):
+        while first < len(radii) and np.isnan(noise[i]):
             last = min(first + _AT_ONCE, len(radii))
             sum_rings(tree, places[i], radii[:last], normal * 0.0, 0.0, moments[:last])
             for j in range(first, last):
                 count = moments[j, 0]
-                if count < _TOLD or count > MOST:
+                if count < _TOLD:
                     continue
+                if count > MOST:
+                    noise[i] = np.inf
+                    break
                 low, middle, high = fit_plane(moments[j], mean, normal)
                 wide = wide + 1 if middle > _WIDE * low else 0
                 if wide == 2:

@@ -28,7 +28,6 @@ from gpdf_service.perception.levels import (
     complete,
     find_ledges,
     find_portals,
-    find_strays,
     high_ground,
     make_level,
     sheet_surface,
@@ -37,6 +36,7 @@ from gpdf_service.perception.levels import (
 )
 from gpdf_service.perception.limits import change_step_and_slope, find_limits, limits_reach
 from gpdf_service.perception.segment import Segmentation, segment_layers
+from gpdf_service.perception.strays import find_strays
 from gpdf_service.perception.surface import OBSERVED, HeightMap, find_voids
 from gpdf_service.types import BoolArray, FloatArray, IntArray
 
@@ -125,7 +125,7 @@ def _check_grid(cloud: FloatArray, chosen: BoolArray, layers: Layers) -> None:
     """The `chosen` points must have the grid that they had: all else would be moved."""
     if not chosen.any():
         raise WholeError
-    origin, shape = grid_of(*bounds_of(cloud, chosen), layers.cell_width)
+    origin, shape = grid_of(*bounds_of(cloud if chosen.all() else cloud[chosen]), layers.cell_width)
     if (origin != layers.origin).any() or shape != layers.shape:
         raise WholeError
 

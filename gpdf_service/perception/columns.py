@@ -60,6 +60,57 @@ def _sort_columns(start: IntArray, z: FloatArray, order: IntArray, begin: int, e
 
 
 @njit(cache=True, nogil=True)
+def count_nodes(start: IntArray, z: FloatArray, gap: float) -> IntArray:
+    """First node of each column, shape (cells + 1,): columns of sorted heights are cut where they leave a `gap` [m]."""
+    first = np.zeros(len(start), np.int64)
+    for c in range(len(start) - 1):
+        first[c + 1] = first[c]
+        for i in range(start[c], start[c + 1]):
+            first[c + 1] += i == start[c] or z[i] - z[i - 1] > gap
+    return first
+
+
+@njit(cache=True, nogil=True)
+def cut_columns(
+    start: IntArray,
+    order: IntArray,
+    z: FloatArray,
+    gap: float,
+    flat: float,
+    first: IntArray,
+    begin: int,
+    end: int,
+    made: tuple[IntArray, FloatArray, FloatArray, FloatArray, IntArray],
+) -> None:
+    """Fill cell, height, thickness and headroom of the nodes of the columns from `begin` to `end`, and their points'.
+
+    Args:
+        start: Where each column begins in `order` and in `z`.
+        order: Rows of the points, by column and upward.
+        z: Their heights in that order [m].
+        gap: That parts two nodes [m].
+        flat: Thickness up to which a node's height is its median; of a thicker one, a step's face, its top [m].
+        first: `count_nodes`.
+        begin: First column.
+        end: Behind the last.
+        made: Where they are written; last, for each point its node.
+    """
+    cell, height, thickness, headroom, node_of_point = made
+    for c in range(begin, end):
+        node, i = first[c], start[c]
+        while i < start[c + 1]:
+            last = i
+            while last + 1 < start[c + 1] and z[last + 1] - z[last] <= gap:
+                last += 1
+            for e in range(i, last + 1):
+                node_of_point[order[e]] = node
+            cell[node], thickness[node] = c, z[last] - z[i]
+            height[node] = z[(i + last) // 2] if thickness[node] <= flat else z[last]
+            headroom[node] = z[last + 1] - z[last] if last + 1 < start[c + 1] else np.inf
+            node, i = node + 1, last + 1
+
+
+@njit(cache=True, nogil=True)
 def pairs_near(
     cell: IntArray,
     start: IntArray,
@@ -150,6 +201,23 @@ def next_below(cell: IntArray, keep: BoolArray) -> IntArray:
 
 
 @njit(cache=True, nogil=True)
+def spliced(changed: BoolArray, start: IntArray, fresh: IntArray) -> tuple[IntArray, IntArray]:
+    """Where the nodes of columns come from when the `changed` ones are taken from others.
+
+    Returns:
+        First node of each column, shape (cells + 1,), and for each node its number before or −1 − its fresh number.
+    """
+    first = np.zeros(len(start), np.int64)
+    for c in range(len(changed)):
+        first[c + 1] = first[c] + (fresh[c + 1] - fresh[c] if changed[c] else start[c + 1] - start[c])
+    source = np.empty(first[-1], np.int64)
+    for c in range(len(changed)):
+        for i in range(first[c + 1] - first[c]):
+            source[first[c] + i] = -1 - fresh[c] - i if changed[c] else start[c] + i
+    return first, source
+
+
+@njit(cache=True, nogil=True)
 def rows_in_cells(points: FloatArray, origin: FloatArray, cell_width: float, wanted: BoolArray) -> IntArray:
     """Rows of the points (n, 3) in the `wanted` cells, shape (nx, ny), of a grid; sorted."""
     found, used = np.empty(1024, np.int64), 0
@@ -188,26 +256,96 @@ def rows_in_box(points: FloatArray, low: FloatArray, high: FloatArray) -> IntArr
 
 
 @njit(cache=True, nogil=True)
-def bounds_of(points: FloatArray, chosen: BoolArray) -> tuple[FloatArray, FloatArray]:
-    """Least and greatest (x, y) [m] of the `chosen` points, of shape (n, 3)."""
-    low, high = np.full(2, np.inf), np.full(2, -np.inf)
+def bounds_of(points: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Least and greatest (x, y) [m] of points (n, 3)."""
+    left, right, near, far = np.inf, -np.inf, np.inf, -np.inf
     for row in range(len(points)):
-        if chosen[row]:
-            for k in range(2):
-                low[k], high[k] = min(low[k], points[row, k]), max(high[k], points[row, k])
-    return low, high
+        x, y = points[row, 0], points[row, 1]
+        left, right, near, far = min(left, x), max(right, x), min(near, y), max(far, y)
+    return np.array([left, near]), np.array([right, far])
+
+
+def cells_of(points: FloatArray, origin: FloatArray, width: float, shape: tuple[int, int]) -> IntArray:
+    """Flat cell of each point (n, 3), which must lie on the grid, shape (n,)."""
+    cell = np.empty(len(points), np.int64)
+    run_chunked(lambda a, b: _cells_range(points, origin, width, shape[1], a, b, cell), len(points))
+    return cell
 
 
 @njit(cache=True, nogil=True)
+def _cells_range(
+    points: FloatArray, origin: FloatArray, width: float, ny: int, begin: int, end: int, cell: IntArray
+) -> None:
+    for i in range(begin, end):
+        x, y = np.floor((points[i, 0] - origin[0]) / width), np.floor((points[i, 1] - origin[1]) / width)
+        cell[i] = int(x) * ny + int(y)
+
+
 def column_floors(start: IntArray, order: IntArray, z: FloatArray, share: float) -> FloatArray:
     """Height under which a `share` of the points of each column lies [m], shape (cells,); NaN in an empty one."""
     floor = np.full(len(start) - 1, np.nan)
-    for c in range(len(floor)):
+    run_chunked(lambda a, b: _floors_range(start, order, z, share, a, b, floor), len(floor))
+    return floor
+
+
+@njit(cache=True, nogil=True)
+def _floors_range(
+    start: IntArray, order: IntArray, z: FloatArray, share: float, begin: int, end: int, floor: FloatArray
+) -> None:
+    for c in range(begin, end):
         count = start[c + 1] - start[c]
         if count > 0:
             at = int(share * count)
             floor[c] = np.partition(z[order[start[c] : start[c + 1]]], at)[at]
-    return floor
+
+
+@njit(cache=True, nogil=True)
+def kth_beside(
+    points: FloatArray, start: IntArray, order: IntArray, shape: tuple[int, int], picked: IntArray, k: int
+) -> FloatArray:
+    """Distance of each `picked` place of `order` to its `k`-th neighbour in its column and those around [m].
+
+    What is no further than a column is wide is exact, for all columns are looked at that may hold a nearer one.
+    """
+    distance, near = np.empty(len(picked)), np.empty(k + 1)
+    for i in range(len(picked)):
+        row = order[picked[i]]
+        own = np.searchsorted(start, picked[i], side="right") - 1
+        x, y = own // shape[1], own % shape[1]
+        near[:] = np.inf
+        for u in range(max(x - 1, 0), min(x + 2, shape[0])):
+            for v in range(max(y - 1, 0), min(y + 2, shape[1])):
+                for e in range(start[u * shape[1] + v], start[u * shape[1] + v + 1]):
+                    other, square = order[e], 0.0
+                    for axis in range(3):
+                        square += (points[other, axis] - points[row, axis]) ** 2
+                    at = k
+                    if square >= near[at]:
+                        continue
+                    while at > 0 and near[at - 1] > square:
+                        near[at] = near[at - 1]
+                        at -= 1
+                    near[at] = square
+        distance[i] = np.sqrt(near[k])
+    return distance
+
+
+@njit(cache=True, nogil=True)
+def ends_of_runs(key: IntArray, order: IntArray, z: FloatArray) -> IntArray:
+    """Rows of the lowest and the highest z of each run of equal keys in `order`: of equal ones the first, the last."""
+    ends, used = np.empty(2 * len(order), np.int64), 0
+    for i in range(len(order)):
+        row = order[i]
+        if i == 0 or key[row] != key[ends[used - 1]]:
+            ends[used] = ends[used + 1] = row
+            used += 2
+            continue
+        low, high = ends[used - 2], ends[used - 1]
+        if z[row] < z[low] or (z[row] == z[low] and row < low):
+            ends[used - 2] = row
+        if z[row] > z[high] or (z[row] == z[high] and row > high):
+            ends[used - 1] = row
+    return ends[:used].copy()
 
 
 @njit(cache=True, nogil=True)

@@ -10,7 +10,19 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from gpdf_service.config import PerceptionConfig
-from gpdf_service.perception.columns import bounds_of, by_cell, column_floors, column_order, pairs_near
+from gpdf_service.fields.threads import run_chunked
+from gpdf_service.perception.columns import (
+    bounds_of,
+    by_cell,
+    cells_of,
+    column_floors,
+    column_order,
+    count_nodes,
+    cut_columns,
+    kth_beside,
+    pairs_near,
+    spliced,
+)
 from gpdf_service.types import BoolArray, FloatArray, IntArray
 
 MIN_CELL = 0.05
@@ -29,19 +41,25 @@ def cell_width_of(points: FloatArray) -> float:
     `_COLUMN` wide are looked at, which are floor nearly everywhere. At 1.5 × their spacing s (the mean distance to the
     k-th neighbour is s √(k/π)) one cell in ten of a Poisson sample stays empty, which the height map closes.
     """
-    corner, _ = bounds_of(points, np.ones(len(points), dtype=bool))
-    x, y = (np.floor((points[:, k] - corner[k]) / _COLUMN).astype(np.int64) for k in (0, 1))
-    key = x * (int(y.max()) + 1) + y
+    corner, far = bounds_of(points)
+    x, y = np.floor((far - corner) / _COLUMN).astype(np.int64) + 1
+    shape = int(x), int(y)
+    key = cells_of(points, corner, _COLUMN, shape)
     z = np.ascontiguousarray(points[:, 2])
-    start, order = by_cell(key, int(key.max()) + 1)
-    floor = column_floors(start, order, z, 0.05)  # the 5th percentile: below it, reflections
-    low = points[np.abs(z - floor[key]) <= MIN_CELL]
+    floor = column_floors(*by_cell(key, shape[0] * shape[1]), z, 0.05)  # the 5th percentile: below it, reflections
+    low = np.flatnonzero(np.abs(z - floor[key]) <= MIN_CELL)
     k = min(8, len(low) - 1)
     if k < 1:
         return MIN_CELL
-    picked = low[:: max(1, len(low) // _SAMPLE)]
-    distance = cKDTree(low).query(picked, k=k + 1, workers=-1)[0][:, k]
-    return max(MIN_CELL, in_steps(1.5 * float(np.median(distance)) * float(np.sqrt(np.pi / k))))
+    low = points[low]
+    start, order = by_cell(cells_of(low, corner, _COLUMN, shape), shape[0] * shape[1])
+    step = max(1, len(low) // _SAMPLE)
+    place = np.empty(len(low), np.int64)
+    place[order] = np.arange(len(low))
+    distance = float(np.median(kth_beside(low, start, order, shape, place[::step], k)))
+    if distance > _COLUMN:
+        distance = float(np.median(cKDTree(low).query(low[::step], k=k + 1, workers=-1)[0][:, k]))
+    return max(MIN_CELL, in_steps(1.5 * distance * float(np.sqrt(np.pi / k))))
 
 
 def in_steps(length: float, step: float = STEP) -> float:
@@ -105,17 +123,17 @@ def grid_of(low: FloatArray, high: FloatArray, cell_width: float) -> tuple[Float
 
 def splice_layers(layers: Layers, changed: BoolArray, fresh: Layers | None) -> Layers:
     """Layers with all nodes of the `changed` cells, shape (cells,), replaced by those of `fresh` on the same grid."""
-    stay = ~changed[layers.cell]
+    first = np.zeros_like(layers.start) if fresh is None else fresh.start
+    start, source = spliced(changed, layers.start, first)
+    new, old = np.flatnonzero(source < 0), np.maximum(source, 0)
 
     def both(name: str) -> NDArray[Any]:
-        parts = [getattr(layers, name)[stay]] + ([] if fresh is None else [getattr(fresh, name)])
-        return np.concatenate(parts)
+        made: NDArray[Any] = getattr(layers, name)[old]
+        if fresh is not None:
+            made[new] = getattr(fresh, name)[-1 - source[new]]
+        return made
 
-    order = np.argsort(both("cell"), kind="stable")
-    cell = both("cell")[order]
-    start = np.concatenate([[0], np.cumsum(np.bincount(cell, minlength=layers.shape[0] * layers.shape[1]))])
-    height, thickness, headroom = (both(name)[order] for name in ("height", "thickness", "headroom"))
-    parts = cell, height, thickness, headroom, np.zeros(0, np.int64), start
+    parts = (*(both(name) for name in ("cell", "height", "thickness", "headroom")), np.zeros(0, np.int64), start)
     return Layers(layers.origin, layers.cell_width, layers.shape, *parts)
 
 
@@ -127,27 +145,16 @@ def build_layers(
     A surface is as thick as its slope and four standard deviations of the `noise` [m] make it. The grid is that of
     `like`, which must hold all points, or as large as the points ask for.
     """
-    xy = points[:, :2]
-    origin, shape = grid_of(xy.min(axis=0), xy.max(axis=0), cell_width) if like is None else (like.origin, like.shape)
-    index = np.floor((xy - origin) / cell_width).astype(np.int64)
-    cell = index[:, 0] * shape[1] + index[:, 1]
-    order, _ = column_order(cell, np.ascontiguousarray(points[:, 2]), shape[0] * shape[1])
-    cell, z = cell[order], points[order, 2]
-    fresh = np.ones(len(z), dtype=bool)
-    fresh[1:] = (np.diff(cell) != 0) | (np.diff(z) > gap)
-    first = np.flatnonzero(fresh)
-    last = np.concatenate([first[1:], [len(z)]]) - 1
-    thickness = z[last] - z[first]
-    # Flat or sloping ground: the median. A step's face: its top.
-    flat = thickness <= 2.0 * cell_width + 4.0 * noise
-    height = np.where(flat, z[(first + last) // 2], z[last])
-    headroom = np.full(len(first), np.inf)
-    same = cell[first[1:]] == cell[first[:-1]]
-    headroom[:-1][same] = (z[first[1:]] - z[last[:-1]])[same]
-    node_of_point = np.empty(len(z), np.int64)
-    node_of_point[order] = np.cumsum(fresh) - 1
-    start = np.searchsorted(cell[first], np.arange(shape[0] * shape[1] + 1))
-    return Layers(origin, cell_width, shape, cell[first], height, thickness, headroom, node_of_point, start)
+    origin, shape = grid_of(*bounds_of(points), cell_width) if like is None else (like.origin, like.shape)
+    cells = shape[0] * shape[1]
+    cell = cells_of(points, origin, cell_width, shape)
+    order, start = column_order(cell, np.ascontiguousarray(points[:, 2]), cells)
+    z, flat = points[order, 2], 2.0 * cell_width + 4.0 * noise
+    first = count_nodes(start, z, gap)
+    count = int(first[-1])
+    made = np.empty(count, np.int64), np.empty(count), np.empty(count), np.empty(count), np.empty(len(z), np.int64)
+    run_chunked(lambda a, b: cut_columns(start, order, z, gap, flat, first, a, b, made), cells)
+    return Layers(origin, cell_width, shape, *made, first)
 
 
 def connect(

@@ -12,13 +12,14 @@ from scipy.spatial import cKDTree
 from gpdf_service.config import PerceptionConfig
 from gpdf_service.errors import NoGroundError
 from gpdf_service.fields.threads import run_chunked
-from gpdf_service.perception.columns import by_cell, lowest_above
+from gpdf_service.perception.columns import by_cell, ends_of_runs, lowest_above, rows_in_cells
 from gpdf_service.perception.hidden import find_faces, without_hidden
 from gpdf_service.perception.layers import Layers, build_layers, cell_width_of, connect, layer_gap
-from gpdf_service.perception.limits import GroundLimits, Measured, find_limits, median_of, neighbourhood, step_and_slope
+from gpdf_service.perception.limits import GroundLimits, Measured, find_limits, neighbourhood, smoothed, step_and_slope
 from gpdf_service.perception.nodes import components, grown_sheet
 from gpdf_service.perception.segment import HALF, LEAST_SCATTER, over_ground
 from gpdf_service.perception.smooth import smooth
+from gpdf_service.perception.strays import find_strays
 from gpdf_service.perception.surface import (
     NOTCH_DEPTH,
     OBSERVED,
@@ -170,27 +171,11 @@ def count_undecided(level: GroundLevel, noise: float = 0.0) -> int:
     return int(np.count_nonzero(off <= 2.0 * max(LEAST_SCATTER, 3.0 * noise)))
 
 
-def find_strays(points: FloatArray, width: float) -> BoolArray:
-    """Which points (n, 3) have no other in their voxel of `width` [m] or in the 26 around it, shape (n,)."""
-    axes = [np.floor(points[:, k] / width).astype(np.int64) for k in range(3)]
-    x, y, z = (axis - (axis.min() - 1) for axis in axes)
-    size = [int(axis.max()) + 2 for axis in (x, y, z)]
-    key = (x * size[1] + y) * size[2] + z
-    voxels, row, count = np.unique(key, return_index=True, return_counts=True)
-    single = voxels[count == 1]
-    alone = np.ones(len(single), dtype=bool)
-    for i in (-1, 0, 1):
-        for step in (i * size[1] * size[2] + np.arange(-1, 2)[:, None] * size[2] + np.arange(-1, 2)).ravel():
-            if step:
-                at = np.minimum(np.searchsorted(voxels, single + step), len(voxels) - 1)
-                alone &= voxels[at] != single + step
-    stray = np.zeros(len(points), dtype=bool)
-    stray[row[count == 1][alone]] = True
-    return stray
-
-
 def split_sheets(layers: Layers, config: PerceptionConfig) -> list[IntArray]:
-    """Nodes of each sheet: no sheet has two nodes in one cell; sheets overlap by `OVERLAP` where they meet."""
+    """Nodes of each sheet: no sheet has two nodes in one cell; sheets overlap by `OVERLAP` where they meet.
+
+    The lowest comes first, by the median of its heights.
+    """
     count = len(layers.cell)
     keep = ~_under_step(layers, config.max_step)
     keep &= ~over_ground(layers, keep, config.step_headroom)
@@ -215,7 +200,7 @@ def split_sheets(layers: Layers, config: PerceptionConfig) -> list[IntArray]:
     least = max(9, int(0.001 * count))  # a patch smaller than three cells square holds no foot
     made = [np.flatnonzero(sheet_of == i) for i in range(sheets)]
     grid, rings = (layers.cell, layers.start, layers.shape, layers.height), int(np.ceil(OVERLAP / layers.cell_width))
-    large = [nodes for nodes in made if len(nodes) >= least]
+    large = sorted((n for n in made if len(n) >= least), key=lambda nodes: float(np.median(layers.height[nodes])))
     return [np.flatnonzero(grown_sheet(*grid, keep, nodes, config.max_step, rings)) for nodes in large]
 
 
@@ -299,7 +284,7 @@ def without_outliers(surface: HeightMap, most: float) -> HeightMap:
     if most == 0.0:
         return surface
     around = neighbourhood(surface)
-    median = median_of(around, surface)
+    median = smoothed(surface)
     own = surface.height.astype(np.float64)
     with_it = (np.abs(around - own) < np.abs(around - median)).sum(axis=0) - (
         own != median
@@ -353,7 +338,13 @@ def find_ledges(surface: HeightMap, ground: FloatArray, other: FloatArray, noise
         beneath: BoolArray = inside & (points[:, 2] <= high[ix, iy] + reach)
         return beneath
 
-    asked, ground = low(other), ground[low(ground)]
+    asked = low(other)
+    ix, iy, _ = surface.cells(other[asked])
+    beside = np.zeros(surface.state.shape, dtype=bool)
+    beside[ix, iy] = True
+    beside = ndimage.maximum_filter(beside, size=2 * int(np.ceil(1.5 * FACE / surface.cell_width)) + 1)
+    ground = ground[rows_in_cells(ground, surface.origin, surface.cell_width, beside)]
+    ground = ground[low(ground)]
     ledge = np.full(len(other), np.inf, np.float32)
     if len(ground) and asked.any():
         ledge[asked] = next_above(ground, other[asked], scatter)
@@ -404,10 +395,8 @@ def next_above(ground: FloatArray, points: FloatArray, scatter: float = LEAST_OB
     at, asked = at - corner, asked - corner
     stride = int(at[:, 1].max()) + 4
     key = at[:, 0] * stride + at[:, 1]
-    order = np.lexsort((ground[:, 2], key))
-    first = np.flatnonzero(np.diff(key[order], prepend=-1))
-    last = np.append(first[1:], len(order)) - 1
-    rows = order[np.column_stack([first, last]).ravel()]
+    order = np.argsort(key)
+    rows = ends_of_runs(key, order, ground[:, 2])
     here = asked[:, 0] * stride + np.clip(asked[:, 1], 0, stride - 1)
 
     best = np.full(len(points), np.inf)

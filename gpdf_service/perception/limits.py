@@ -6,9 +6,11 @@ from dataclasses import dataclass
 from enum import IntEnum
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from gpdf_service.fields.threads import run_chunked
 from gpdf_service.perception.surface import UNKNOWN, HeightMap
 from gpdf_service.types import BoolArray, FloatArray
 
@@ -106,7 +108,8 @@ def step_and_slope(surface: HeightMap) -> Measured:
     neighbour to neighbour, less what the slope around explains: a scanned step's face lies in one cell, whose own
     height says little.
     """
-    height = median_of(neighbourhood(surface), surface)
+    known = surface.state != UNKNOWN
+    height = smoothed(surface)
     width = surface.cell_width
     reach = max(1, round(FOOT / width))
     gradient2, short2 = np.zeros_like(height), np.zeros_like(height)
@@ -123,12 +126,11 @@ def step_and_slope(surface: HeightMap) -> Measured:
         )
         next_ = np.abs(_shift(height, -1, axis) - height), np.abs(height - _shift(height, 1, axis))
         short2 += np.nan_to_num(np.fmin(*next_) / width) ** 2
-        usual = ndimage.median_filter(np.nan_to_num(rise / (reach * width)), size=5)
+        usual = median_around(np.nan_to_num(rise / (reach * width)), 2, known)
         excess = np.fmax(across - 2.0 * width * usual, one - width * usual)
         step = np.fmax(step, np.nan_to_num(excess))
-    flatter = np.minimum(ndimage.median_filter(gradient2, size=3), ndimage.median_filter(short2, size=3))
+    flatter = np.minimum(median_around(gradient2, 1, known), median_around(short2, 1, known))
     slope = np.arctan(np.sqrt(flatter))
-    known = surface.state != UNKNOWN
     return np.where(known, step, 0.0), np.where(known, slope, 0.0)
 
 
@@ -138,12 +140,46 @@ def neighbourhood(surface: HeightMap) -> FloatArray:
     return np.stack([_shift(_shift(height, i, 0), j, 1) for i in (-1, 0, 1) for j in (-1, 0, 1)])
 
 
-def median_of(around: FloatArray, surface: HeightMap) -> FloatArray:
+def smoothed(surface: HeightMap) -> FloatArray:
     """Heights after a 3 × 3 median over the known cells: takes single outliers, keeps edges."""
     known = surface.state != UNKNOWN
-    median = np.full(surface.height.shape, np.nan)
-    median[known] = np.nanmedian(around[:, known], axis=0)
-    return median
+    return median_around(np.where(known, surface.height, np.nan).astype(np.float64), 1, known)
+
+
+def median_around(values: FloatArray, reach: int, wanted: BoolArray) -> FloatArray:
+    """Median of the values, shape (nx, ny), within `reach` cells along each axis of the `wanted` cells; else NaN.
+
+    A NaN counts for nothing; beyond the rim the values are mirrored.
+    """
+    made = np.full(values.shape, np.nan)
+    run_chunked(lambda a, b: _medians(values, reach, wanted, a, b, made), values.size)
+    return made
+
+
+@njit(cache=True, nogil=True)
+def _medians(values: FloatArray, reach: int, wanted: BoolArray, begin: int, end: int, made: FloatArray) -> None:
+    nx, ny = values.shape
+    few = np.empty((2 * reach + 1) ** 2)
+    for cell in range(begin, end):
+        x, y = cell // ny, cell % ny
+        if not wanted[x, y]:
+            continue
+        count = 0
+        for i in range(x - reach, x + reach + 1):
+            u = -1 - i if i < 0 else (2 * nx - 1 - i if i >= nx else i)
+            for j in range(y - reach, y + reach + 1):
+                v = -1 - j if j < 0 else (2 * ny - 1 - j if j >= ny else j)
+                value = values[u, v]
+                if np.isnan(value):
+                    continue
+                at = count
+                while at > 0 and few[at - 1] > value:
+                    few[at] = few[at - 1]
+                    at -= 1
+                few[at] = value
+                count += 1
+        if count > 0:
+            made[x, y] = 0.5 * (few[(count - 1) // 2] + few[count // 2])
 
 
 def _shift(values: NDArray[np.floating], by: int, axis: int) -> FloatArray:

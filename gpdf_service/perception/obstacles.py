@@ -5,9 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from gpdf_service.fields.threads import run_chunked
 from gpdf_service.perception.levels import FACE, LEAST_OBSTACLE, GroundLevel
 from gpdf_service.perception.limits import ObstacleKind
 from gpdf_service.perception.surface import INFERRED, UNKNOWN, HeightMap
@@ -70,23 +72,46 @@ def _is_face(level: GroundLevel, rows: IntArray, max_step: float, least: float) 
     A face lies between the ground next below it and the ground next above it. Cells can be wider than a tread, so the
     upper one must be a point of the ground right beside; or inferred, as a tread in a shadow is.
     """
-    surface, z = level.surface, level.other_points[rows, 2]
-    ix, iy, _ = surface.cells(level.other_points[rows])
-    known = np.pad(np.where(surface.state != UNKNOWN, surface.height, np.nan), 1, constant_values=np.nan)
-    inferred = np.pad(surface.state == INFERRED, 1)
-    foot, lowest, ledge = np.full(len(rows), -np.inf), np.full(len(rows), np.inf), level.ledge[rows].astype(np.float64)
-    for i in (0, 1, 2):
-        for j in (0, 1, 2):
-            beside = known[ix + i, iy + j]
-            lowest = np.fmin(lowest, beside)
-            foot = np.where(beside <= z, np.maximum(foot, beside), foot)
-            if surface.cell_width <= FACE or i == j == 1:
-                tread = inferred[ix + i, iy + j] & (beside >= z - least)
-                ledge = np.where(tread, np.minimum(ledge, beside), ledge)
-    foot = np.maximum(foot, lowest)
-    on_ground = np.isfinite(foot)
-    face: BoolArray = on_ground & ((z <= lowest + least) | (ledge <= np.where(on_ground, foot, 0.0) + max_step))
+    surface, points, near = level.surface, level.other_points[rows], level.surface.cell_width <= FACE
+    ix, iy, _ = surface.cells(points)
+    known = np.where(surface.state != UNKNOWN, surface.height, np.float32(np.nan))
+    inferred, ledge, face = surface.state == INFERRED, level.ledge[rows], np.zeros(len(rows), dtype=bool)
+    run_chunked(
+        lambda a, b: _faces(points, ix, iy, known, inferred, ledge, near, max_step, least, a, b, face), len(rows)
+    )
     return face
+
+
+@njit(cache=True, nogil=True)
+def _faces(
+    points: FloatArray,
+    ix: IntArray,
+    iy: IntArray,
+    known: NDArray[np.float32],
+    inferred: BoolArray,
+    ledges: NDArray[np.float32],
+    near: bool,
+    max_step: float,
+    least: float,
+    begin: int,
+    end: int,
+    face: BoolArray,
+) -> None:
+    """`_is_face`; a tread in a shadow counts in the cells around if they are `near`, else in the point's own."""
+    for m in range(begin, end):
+        z, foot, lowest, ledge = points[m, 2], -np.inf, np.inf, float(ledges[m])
+        for i in range(max(ix[m] - 1, 0), min(ix[m] + 2, known.shape[0])):
+            for j in range(max(iy[m] - 1, 0), min(iy[m] + 2, known.shape[1])):
+                beside = float(known[i, j])
+                if np.isnan(beside):
+                    continue
+                lowest = min(lowest, beside)
+                if beside <= z:
+                    foot = max(foot, beside)
+                if inferred[i, j] and beside >= z - least and (near or (i == ix[m] and j == iy[m])):
+                    ledge = min(ledge, beside)
+        foot = max(foot, lowest)
+        face[m] = np.isfinite(foot) and (z <= lowest + least or ledge <= foot + max_step)
 
 
 def _disc(radius: float, surface: HeightMap) -> BoolArray:

@@ -17,6 +17,8 @@ from gpdf_service.types import BoolArray, FloatArray, IntArray
 
 HALF = ((1, 0), (0, 1), (1, 1), (1, -1))
 """Half of a cell's eight neighbours: each pair of cells once."""
+NOWHERE = ("ground", "no surface in the cloud is wide and level enough to stand on", "Is z up?")
+"""What was looked for, what was found, what to try."""
 LEAST_SCATTER = 0.02
 """[m] Scatter of a good scanner's floor; three robust standard deviations of the residuals where that is more."""
 NOISY = 2.8
@@ -159,7 +161,7 @@ def find_ground(layers: Layers, config: PerceptionConfig, noise: float = 0.0) ->
     smooth = np.bincount(a, minlength=len(surface)) + np.bincount(b, minlength=len(surface))
     core = surface & (smooth >= 5)  # what a strip two cells wide has: a tread is that wide, a wall's top is not
     if not core.any():
-        raise NoGroundError("ground", "no surface in the cloud is wide and level enough to stand on", "Is z up?")
+        raise NoGroundError(*NOWHERE)
     roomy = layers.headroom >= config.step_headroom
     wide, patch = _patches(core, surface & roomy, a, b)
     size = np.bincount(patch[wide], minlength=patch.max() + 1)
@@ -179,9 +181,11 @@ def find_ground(layers: Layers, config: PerceptionConfig, noise: float = 0.0) ->
         if not _beside(reached, patch, joins, seen).any():
             break
         ground = reached
-    return reached & ~_roofs(
-        layers, reached, [wide & (patch == i) for i in storeys], (a, b), (joins.a, joins.b), config
-    )
+    parts = [wide & (patch == i) for i in storeys]
+    found: BoolArray = reached & ~_roofs(layers, reached, parts, (a, b), (joins.a, joins.b), config)
+    if not found.any():
+        raise NoGroundError(*NOWHERE)
+    return found
 
 
 def _roofs(

@@ -60,10 +60,11 @@ class HeightMap:
 
     def cells(self, xy: FloatArray) -> tuple[NDArray[np.int64], NDArray[np.int64], BoolArray]:
         """Cell of each place, shape (m, ≥ 2), clipped to the grid, and whether it was inside."""
-        ix, iy = (np.floor((xy[:, k] - self.origin[k]) / self.cell_width).astype(np.int64) for k in (0, 1))
         nx, ny = self.height.shape
-        inside: BoolArray = (ix >= 0) & (ix < nx) & (iy >= 0) & (iy < ny)
-        return np.clip(ix, 0, nx - 1), np.clip(iy, 0, ny - 1), inside
+        found: tuple[NDArray[np.int64], NDArray[np.int64], BoolArray] = _cells(
+            np.asarray(xy, dtype=np.float64), np.asarray(self.origin, dtype=np.float64), self.cell_width, nx, ny
+        )
+        return found
 
     def contains(self, queries: FloatArray) -> BoolArray:
         """Whether the ground is known under each place, shape (m, 2 or 3)."""
@@ -85,6 +86,21 @@ class HeightMap:
         """Centres of the cells in `mask`, shape (nx, ny), with their height: (k, 3) [m]."""
         index = np.argwhere(mask)
         return np.column_stack([self.origin + (index + 0.5) * self.cell_width, self.height[mask].astype(np.float64)])
+
+
+@njit(cache=True, nogil=True)
+def _cells(
+    xy: FloatArray, origin: FloatArray, width: float, nx: int, ny: int
+) -> tuple[NDArray[np.int64], NDArray[np.int64], BoolArray]:
+    ix, iy, inside = np.zeros(len(xy), np.int64), np.zeros(len(xy), np.int64), np.zeros(len(xy), np.bool_)
+    for m in range(len(xy)):
+        x, y = np.floor((xy[m, 0] - origin[0]) / width), np.floor((xy[m, 1] - origin[1]) / width)
+        inside[m] = 0.0 <= x < nx and 0.0 <= y < ny
+        if x > 0.0:  # what is no number stays in the first cell
+            ix[m] = int(min(x, nx - 1.0))
+        if y > 0.0:
+            iy[m] = int(min(y, ny - 1.0))
+    return ix, iy, inside
 
 
 @njit(cache=True, nogil=True)

@@ -10,3 +10,5 @@ from gpdf_service.search.keep import to_arrays as to_arrays
 from gpdf_service.search.motion import is_clear as is_clear
 from gpdf_service.search.quadtree import Quadtree as Quadtree
 from gpdf_service.search.quadtree import build_quadtree as build_quadtree
+from gpdf_service.search.reach import Reach as Reach
+from gpdf_service.search.reach import find_reach as find_reach

@@ -12,6 +12,7 @@ from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import connected_components
 
 from gpdf_service.fields import Tree
+from gpdf_service.fields.threads import run_chunked
 from gpdf_service.search.motion import is_clear
 from gpdf_service.search.quadtree import Quadtree
 from gpdf_service.types import BoolArray, FloatArray, IntArray
@@ -42,16 +43,22 @@ class Graph:
 
 @njit(cache=True, nogil=True)
 def _proven(
-    obstacles: Tree, center: FloatArray, via: FloatArray, whole: IntArray, ends: IntArray, radius: float
-) -> IntArray:
+    obstacles: Tree,
+    center: FloatArray,
+    via: FloatArray,
+    whole: BoolArray,
+    ends: IntArray,
+    radius: float,
+    begin: int,
+    end: int,
+    good: BoolArray,
+) -> None:
     """Which edges are clear from centre to crossing to centre; a wholly free leaf is convex and needs no look."""
-    good = np.zeros(len(ends), np.int64)
-    for e in range(len(ends)):
+    for e in range(begin, end):
         a, b = ends[e, 0], ends[e, 1]
-        good[e] = (whole[a] == 1 or is_clear(obstacles, center[a], via[e], radius)) and (
-            whole[b] == 1 or is_clear(obstacles, via[e], center[b], radius)
+        good[e] = (whole[a] or is_clear(obstacles, center[a], via[e], radius)) and (
+            whole[b] or is_clear(obstacles, via[e], center[b], radius)
         )
-    return good
 
 
 Edges = tuple[IntArray, FloatArray]
@@ -65,7 +72,7 @@ def find_edges(tree: Quadtree, obstacles: Tree, radius: float, among: BoolArray 
     is kept once. So each pair of neighbours is found, in time n log n. Only leaves `among`, shape (k,), look, if given.
     """
     leaves = np.flatnonzero(tree.free if among is None else tree.free & among)
-    corner, size = tree.corner[leaves], tree.size[leaves]
+    corner, size, center, half = tree.corner[leaves], tree.size[leaves], tree.center, tree.half_size[leaves]
     ends, vias = [], []
     for axis in (0, 1):
         for side in (-1, 1):
@@ -74,12 +81,13 @@ def find_edges(tree: Quadtree, obstacles: Tree, radius: float, among: BoolArray 
             found = tree.find_cell(probe)
             larger = (found >= 0) & tree.free[found] & (tree.size[found] >= size)
             once = larger & ((tree.size[found] > size) | (side > 0))
-            via = tree.center[leaves]
-            via[:, axis] += side * tree.half_size[leaves]
+            via = center[leaves]
+            via[:, axis] += side * half
             ends.append(np.column_stack([leaves[once], found[once]]))
             vias.append(via[once])
     pairs, via = np.concatenate(ends), np.concatenate(vias)
-    good = _proven(obstacles, tree.center, via, tree.whole.astype(np.int64), pairs, radius) == 1
+    good, own = np.zeros(len(pairs), dtype=bool), (obstacles, center, via, tree.whole, pairs, radius)
+    run_chunked(lambda a, b: _proven(*own, a, b, good), len(pairs))
     return pairs[good], via[good]
 
 

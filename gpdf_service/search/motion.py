@@ -52,19 +52,21 @@ def _is_disc_clear(obstacles: Tree, a: FloatArray, b: FloatArray, offset: float,
         room[0, end] = disc_distance(obstacles, stack[0, end], offset)
         if room[0, end] < radius:
             return False
-    top = 1
+    top, middle = 1, np.empty(3)
     while top > 0:
         top -= 1
-        p, q, dp, dq = stack[top, 0].copy(), stack[top, 1].copy(), room[top, 0], room[top, 1]
-        moved = hypot(q[0] - p[0], q[1] - p[1]) + abs(offset * (q[2] - p[2]))
-        if dp + dq - moved >= 2.0 * radius:
+        moved = hypot(stack[top, 1, 0] - stack[top, 0, 0], stack[top, 1, 1] - stack[top, 0, 1])
+        moved += abs(offset * (stack[top, 1, 2] - stack[top, 0, 2]))
+        if room[top, 0] + room[top, 1] - moved >= 2.0 * radius:
             continue
-        middle = 0.5 * (p + q)
-        dm = disc_distance(obstacles, middle, offset)
-        if dm < radius or moved <= RESOLUTION:
+        for k in range(3):
+            middle[k] = 0.5 * (stack[top, 0, k] + stack[top, 1, k])
+        between = disc_distance(obstacles, middle, offset)
+        if between < radius or moved <= RESOLUTION:
             return False
-        stack[top, 0], stack[top, 1], room[top, 0], room[top, 1] = p, middle, dp, dm
-        stack[top + 1, 0], stack[top + 1, 1], room[top + 1, 0], room[top + 1, 1] = middle, q, dm, dq
+        stack[top + 1, 0], stack[top + 1, 1] = middle, stack[top, 1]
+        room[top + 1, 0], room[top + 1, 1] = between, room[top, 1]
+        stack[top, 1], room[top, 1] = middle, between
         top += 2
     return True
 

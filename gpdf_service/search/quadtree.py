@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from math import sqrt
+from typing import Any
 
 import numpy as np
 from numba import njit
@@ -108,86 +109,9 @@ def build_quadtree(surface: HeightMap, obstacles: Tree, radius: float) -> Quadtr
         obstacles: All obstacle places of the body in plan [m].
         radius: Least distance of the body's centre from any of them [m].
     """
-    extent = surface.cell_width * max(surface.height.shape)
-    depth = max(0, int(np.ceil(np.log2(extent / MIN_WIDTH))))
-    capacity = 1 << 16
-    while True:
-        corner, size = np.zeros((capacity, 2), np.int64), np.zeros(capacity, np.int64)
-        clearance, state = np.zeros(capacity), np.zeros(capacity, np.uint8)
-        known = surface.state.astype(np.uint8)
-        count = _split(
-            obstacles,
-            surface.origin,
-            MIN_WIDTH,
-            depth,
-            radius,
-            known,
-            surface.cell_width,
-            corner,
-            size,
-            clearance,
-            state,
-        )
-        if count >= 0:
-            break
-        capacity *= 4
-    code = morton(corner[:count])
-    order = np.argsort(code)
-    state = state[:count][order]
-    return Quadtree(
-        np.asarray(surface.origin, dtype=np.float64),
-        MIN_WIDTH,
-        corner[:count][order],
-        size[:count][order],
-        clearance[:count][order],
-        state > 0,
-        state == 2,
-        code[order],
-    )
-
-
-@njit(cache=True, nogil=True)
-def _split(
-    obstacles: Tree,
-    origin: FloatArray,
-    width: float,
-    depth: int,
-    radius: float,
-    known: NDArray[np.uint8],
-    cell_width: float,
-    corner: IntArray,
-    size: IntArray,
-    clearance: FloatArray,
-    state: NDArray[np.uint8],
-) -> int:
-    """Fill the leaves; returns how many, -1 if the arrays are too short. State: 0 blocked, 1 centre free, 2 whole."""
-    stack = np.empty((4 * depth + 4, 3), np.int64)
-    stack[0, 0], stack[0, 1], stack[0, 2] = 0, 0, 1 << depth
-    top, count = 1, 0
-    x = np.empty(2)
-    while top > 0:
-        top -= 1
-        i, j, n = stack[top]
-        x[0], x[1] = origin[0] + (i + 0.5 * n) * width, origin[1] + (j + 0.5 * n) * width
-        ix, iy = int((x[0] - origin[0]) / cell_width), int((x[1] - origin[1]) / cell_width)
-        seen = 0 <= ix < known.shape[0] and 0 <= iy < known.shape[1] and known[ix, iy] > 0
-        distance, _ = nearest_one(obstacles, x)
-        half_diagonal = 0.5 * sqrt(2.0) * n * width
-        whole = distance - half_diagonal >= radius
-        if not whole and n > 1 and distance + half_diagonal >= radius:
-            h = n // 2
-            for a in range(2):
-                for b in range(2):
-                    stack[top, 0], stack[top, 1], stack[top, 2] = i + a * h, j + b * h, h
-                    top += 1
-            continue
-        if count == corner.shape[0]:
-            return -1
-        corner[count, 0], corner[count, 1], size[count] = i, j, n
-        clearance[count] = distance
-        state[count] = 0 if not seen or distance < radius else (2 if whole else 1)
-        count += 1
-    return count
+    none = np.zeros(0, np.int64)
+    nothing = none, np.zeros(0), np.zeros(0, np.uint8), none
+    return _grow(nothing, surface, obstacles, radius, None, np.zeros(surface.state.shape, dtype=bool))
 
 
 _ROUNDING = 1e-9
@@ -210,48 +134,52 @@ def change_quadtree(
         places: The obstacle places that came or went [m]; None where there are none.
         changed: Cells that became known or unknown, shape (nx, ny).
     """
+    state = old.free.astype(np.uint8) + old.whole
+    return _grow((old.size, old.clearance, state, old.code), surface, obstacles, radius, places, changed)
+
+
+Leaves = tuple[IntArray, FloatArray, NDArray[np.uint8], IntArray]
+"""Size, clearance, state (0 blocked, 1 centre free, 2 whole) and Morton code of the leaves of a tree."""
+
+
+def _grow(
+    old: Leaves, surface: HeightMap, obstacles: Tree, radius: float, places: Tree | None, changed: BoolArray
+) -> Quadtree:
     extent = surface.cell_width * max(surface.height.shape)
     depth = max(0, int(np.ceil(np.log2(extent / MIN_WIDTH))))
-    known = surface.state.astype(np.uint8)
-    state = old.free.astype(np.uint8) + old.whole
-    capacity = 2 * len(old.size) + (1 << 16)
-    while True:
-        corner, size = np.zeros((capacity, 2), np.int64), np.zeros(capacity, np.int64)
-        clearance, fresh = np.zeros(capacity), np.zeros(capacity, np.uint8)
-        count = _split_again(
-            (old.size, old.clearance, state, old.code),
-            (obstacles, obstacles if places is None else places, places is not None),
-            (surface.origin, MIN_WIDTH, depth, radius, surface.cell_width),
-            known,
-            changed,
-            (corner, size, clearance, fresh),
-        )
-        if count >= 0:
-            break
-        capacity *= 4
-    corner, size, clearance, fresh = corner[:count], size[:count], clearance[:count], fresh[:count]
     origin = np.asarray(surface.origin, dtype=np.float64)
-    return Quadtree(origin, MIN_WIDTH, corner, size, clearance, fresh > 0, fresh == 2, morton(corner))
+    corner, size, clearance, state = _split(
+        old,
+        (obstacles, obstacles if places is None else places, places is not None),
+        (origin, MIN_WIDTH, depth, radius, surface.cell_width),
+        surface.state.astype(np.uint8),
+        changed,
+    )
+    return Quadtree(origin, MIN_WIDTH, corner, size, clearance, state > 0, state == 2, morton(corner))
 
 
 @njit(cache=True, nogil=True)
-def _split_again(
-    old: tuple[IntArray, FloatArray, NDArray[np.uint8], IntArray],
+def _split(
+    old: Leaves,
     trees: tuple[Tree, Tree, bool],
     measures: tuple[FloatArray, float, int, float, float],
     known: NDArray[np.uint8],
     changed: BoolArray,
-    made: tuple[IntArray, IntArray, FloatArray, NDArray[np.uint8]],
-) -> int:
-    """`_split` that copies what is as it was. Nodes come in Morton order; `first` is a node's first old leaf, or −1."""
+) -> tuple[IntArray, IntArray, FloatArray, NDArray[np.uint8]]:
+    """Corner, size, clearance and state of the leaves, in Morton order; what is as it was is copied from `old`.
+
+    A node's `first` is its first old leaf, or −1 where there was none inside.
+    """
     size_was, clearance_was, state_was, code_was = old
     obstacles, places, moved = trees
     origin, width, depth, radius, cell_width = measures
-    corner, size, clearance, state = made
+    capacity, count = 2 * len(size_was) + (1 << 14), 0
+    corner, size = np.empty((capacity, 2), np.int64), np.empty(capacity, np.int64)
+    clearance, state = np.empty(capacity), np.empty(capacity, np.uint8)
     stack, bound = np.empty((4 * depth + 4, 4), np.int64), np.empty(4 * depth + 4)
-    stack[0, 0], stack[0, 1], stack[0, 2], stack[0, 3] = 0, 0, 1 << depth, 0
+    stack[0, 0], stack[0, 1], stack[0, 2], stack[0, 3] = 0, 0, 1 << depth, 0 if len(size_was) > 0 else -1
     bound[0] = -np.inf if moved else np.inf  # a place that changed is no nearer to the node's centre
-    top, count, x = 1, 0, np.empty(2)
+    top, x = 1, np.empty(2)
     while top > 0:
         top -= 1
         i, j, n, first = stack[top]
@@ -261,23 +189,15 @@ def _split_again(
         within = 0 <= ix < known.shape[0] and 0 <= iy < known.shape[1]
         half_diagonal = 0.5 * sqrt(2.0) * n * width
         leaf = first >= 0 and size_was[first] == n
+        split, copied = False, False
         if first >= 0:
             reach = (clearance_was[first] if leaf else radius + half_diagonal) + _ROUNDING
             if nearest <= reach:
                 nearest = nearest_one(places, x)[0]
             split = not leaf and nearest > reach
             copied = leaf and nearest > reach and not (within and changed[ix, iy])
-        else:
-            split, copied = False, False
-        if copied:
-            if count == len(size):
-                return -1
-            corner[count, 0], corner[count, 1], size[count] = i, j, n
-            clearance[count], state[count] = clearance_was[first], state_was[first]
-            count += 1
-            continue
-        distance = 0.0
-        if not split:
+        distance = clearance_was[first] if copied else 0.0
+        if not split and not copied:
             distance = nearest_one(obstacles, x)[0]
             split = distance - half_diagonal < radius and n > 1 and distance + half_diagonal >= radius
         if split:
@@ -290,11 +210,22 @@ def _split_again(
                 bound[top] = nearest - 0.5 * half_diagonal
                 top += 1
             continue
-        if count == len(size):
-            return -1
-        seen = within and known[ix, iy] > 0
-        corner[count, 0], corner[count, 1], size[count] = i, j, n
-        clearance[count] = distance
-        state[count] = 0 if not seen or distance < radius else (2 if distance - half_diagonal >= radius else 1)
+        if count == capacity:
+            capacity *= 2
+            corner, size = _longer(corner, capacity), _longer(size, capacity)
+            clearance, state = _longer(clearance, capacity), _longer(state, capacity)
+        corner[count, 0], corner[count, 1], size[count], clearance[count] = i, j, n, distance
+        if copied:
+            state[count] = state_was[first]
+        else:
+            seen = within and known[ix, iy] > 0
+            state[count] = 0 if not seen or distance < radius else (2 if distance - half_diagonal >= radius else 1)
         count += 1
-    return count
+    return corner[:count].copy(), size[:count].copy(), clearance[:count].copy(), state[:count].copy()
+
+
+@njit(cache=True, nogil=True)
+def _longer(values: NDArray[Any], capacity: int) -> NDArray[Any]:
+    made = np.empty((capacity, *values.shape[1:]), values.dtype)
+    made[: len(values)] = values
+    return made

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.collections import PatchCollection
-from matplotlib.colors import LinearSegmentedColormap, ListedColormap
+from matplotlib.colors import LinearSegmentedColormap, ListedColormap, to_rgba
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch, Rectangle
 
@@ -35,6 +35,8 @@ LINE_WIDTH = 2.0
 """[pt]"""
 FIELD_PIXELS = 240
 """Samples of the distance field along the longer side of a picture: finer than it is printed."""
+LEAF_PIXELS = 1600
+"""Pixels of the quadtree along that side: two for one that is printed, so that every leaf's edge is seen."""
 CLOUD_POINTS = 60_000
 """Points of the cloud that a picture draws: more cannot be told apart on it."""
 
@@ -105,7 +107,7 @@ def draw_scene(scene: Scene, agent: str | Agent, path: str | os.PathLike[str]) -
         inferred = np.where(surface.state == INFERRED, 1.0, np.nan)
         shade = ListedColormap([INFERRED_COLOUR])
         axes.imshow(inferred.T, origin="lower", extent=extent, cmap=shade, alpha=0.7, interpolation="nearest")
-        _draw_quadtree(axes, scene, body, i, filled=True)
+        _draw_quadtree(axes, scene, body, i, (FITS, FITS_EDGE), 0.4)
         _draw_obstacles(axes, scene, body, i)
         axes.set(xlabel="x [m]", ylabel="y [m]", aspect="equal", title=f"level {i} as the {body.name} finds it")
         named = [
@@ -143,28 +145,45 @@ def _level_of(scene: Scene, trajectory: Trajectory | None) -> int:
 
 
 def _draw_field(figure: Figure, axes: Any, scene: Scene, agent: Agent, level: int) -> None:  # noqa: ANN401
+    places, extent = _pixels(scene, level, FIELD_PIXELS)
+    sample = scene.free_space(agent).obstacle_fields[level].query(places.reshape(-1, 2))
+    distance = np.where(sample.valid, sample.distance, np.nan).reshape(places.shape[:2])
+    image = axes.imshow(distance, origin="lower", extent=extent, cmap="cividis", alpha=0.8)
+    figure.colorbar(image, ax=axes, label=f"distance to what stops the {agent.name} [m]", shrink=0.7)
+    _draw_quadtree(axes, scene, agent, level, (None, "white"), 0.3)
+
+
+def _pixels(scene: Scene, level: int, count: int) -> tuple[FloatArray, tuple[float, float, float, float]]:
+    """Centres of square pixels over a level (rows, columns, 2) [m], `count` along the longer side, and their extent."""
     surface = scene.surfaces[level]
     size = surface.cell_width * np.array(surface.height.shape)
-    step = size.max() / FIELD_PIXELS
-    x = np.arange(surface.origin[0] + step / 2, surface.origin[0] + size[0], step)
-    y = np.arange(surface.origin[1] + step / 2, surface.origin[1] + size[1], step)
-    queries = np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1).reshape(-1, 2)
-    sample = scene.free_space(agent).obstacle_fields[level].query(queries)
-    distance = np.where(sample.valid, sample.distance, np.nan).reshape(len(x), len(y))
-    image = axes.imshow(distance.T, origin="lower", extent=_extent(surface.origin, size), cmap="cividis", alpha=0.8)
-    figure.colorbar(image, ax=axes, label=f"distance to what stops the {agent.name} [m]", shrink=0.7)
-    _draw_quadtree(axes, scene, agent, level)
+    step = size.max() / count
+    columns, rows = np.ceil(size / step - 1e-9).astype(int)
+    x, y = (surface.origin[k] + (np.arange(n) + 0.5) * step for k, n in ((0, columns), (1, rows)))
+    return np.stack(np.meshgrid(x, y), axis=-1), _extent(surface.origin, step * np.array([columns, rows]))
 
 
-def _draw_quadtree(axes: Any, scene: Scene, agent: Agent, level: int, *, filled: bool = False) -> None:  # noqa: ANN401
+def _draw_quadtree(
+    axes: Any,  # noqa: ANN401
+    scene: Scene,
+    agent: Agent,
+    level: int,
+    colours: tuple[str | None, str],
+    alpha: float,
+) -> None:
+    """The leaves in which the body may be, filled and edged with `colours`; as an image, for a million are as quick."""
     tree = scene.free_space(agent).quadtrees[level]
-    corners = tree.center[tree.free] - tree.half_size[tree.free, None]
-    widths = 2 * tree.half_size[tree.free]
-    squares = [Rectangle(tuple(c), w, w) for c, w in zip(corners, widths, strict=True)]
-    if filled:
-        axes.add_collection(PatchCollection(squares, facecolor=FITS, edgecolor=FITS_EDGE, linewidth=0.2, alpha=0.4))
-    else:
-        axes.add_collection(PatchCollection(squares, facecolor="none", edgecolor="white", linewidth=0.25, alpha=0.6))
+    places, extent = _pixels(scene, level, LEAF_PIXELS)
+    leaf = tree.find(places.reshape(-1, 2)).reshape(places.shape[:2])
+    free = (leaf >= 0) & tree.free[leaf]
+    edge = np.zeros_like(free)
+    edge[1:] |= leaf[1:] != leaf[:-1]
+    edge[:, 1:] |= leaf[:, 1:] != leaf[:, :-1]
+    shown = np.zeros((*leaf.shape, 4))
+    for mask, colour in ((free, colours[0]), (free & edge, colours[1])):
+        if colour is not None:
+            shown[mask] = to_rgba(colour, alpha)
+    axes.imshow(shown, origin="lower", extent=extent)
 
 
 def _draw_obstacles(axes: Any, scene: Scene, agent: Agent, level: int) -> None:  # noqa: ANN401

@@ -19,6 +19,13 @@ def test_the_noise_is_found_without_being_told(name, sigma):
     assert estimate_noise(points, estimate_spacing(points)) == pytest.approx(sigma, rel=0.25)
 
 
+@pytest.mark.parametrize("name", ["pole", "stairs", "sphere"])
+def test_a_dense_cloud_is_not_called_clean_because_its_neighbourhoods_are_large(name):
+    """200 points of a thin thing in a ball of the noise's size: no neighbourhood small enough to look at shows it."""
+    _, points, _ = noisy(name, 0.05, 80_000)
+    assert 0.045 < estimate_noise(points, estimate_spacing(points)) < 0.065  # a ramp of treads adds to it
+
+
 @pytest.mark.parametrize(("name", "share"), [("plane", 0.3), ("corner", 0.35), ("sphere", 0.45), ("terrain", 0.4)])
 @pytest.mark.parametrize("sigma", [0.02, 0.05])
 def test_points_come_back_to_their_surface(name, share, sigma):

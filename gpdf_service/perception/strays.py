@@ -1,0 +1,58 @@
+"""Points with nothing beside them: reflections."""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+from gpdf_service.fields.threads import run_chunked
+from gpdf_service.perception.columns import bounds_of, by_cell
+from gpdf_service.types import BoolArray, FloatArray, IntArray
+
+
+def find_strays(points: FloatArray, width: float) -> BoolArray:
+    """Which points (n, 3) have no other in their voxel of `width` [m] or in the 26 around it, shape (n,)."""
+    stray = np.zeros(len(points), dtype=bool)
+    if len(points) == 0:
+        return stray
+    low, high = (np.floor(corner / width).astype(np.int64) for corner in bounds_of(points))
+    nx, ny = (int(n) for n in high - low + 1)
+    cell = np.empty(len(points), np.int64)
+    run_chunked(lambda a, b: _columns_range(points, width, low, ny, a, b, cell), len(points))
+    start, order = by_cell(cell, nx * ny)
+    level = np.floor(points[order, 2] / width)
+    run_chunked(lambda a, b: _strays_range(start, order, level, nx, ny, a, b, stray), nx * ny)
+    return stray
+
+
+@njit(cache=True, nogil=True)
+def _columns_range(
+    points: FloatArray, width: float, low: IntArray, ny: int, begin: int, end: int, cell: IntArray
+) -> None:
+    for i in range(begin, end):  # voxels are counted from the frame's origin, so that a part of a cloud has the same
+        x, y = int(np.floor(points[i, 0] / width)), int(np.floor(points[i, 1] / width))
+        cell[i] = (x - low[0]) * ny + y - low[1]
+
+
+@njit(cache=True, nogil=True)
+def _strays_range(
+    start: IntArray, order: IntArray, level: FloatArray, nx: int, ny: int, begin: int, end: int, stray: BoolArray
+) -> None:
+    """Nearly every point finds another in its own column after a few looks."""
+    for own in range(begin, end):
+        for i in range(start[own], start[own + 1]):
+            if _beside(level, i + 1, start[own + 1], level[i]) or _beside(level, start[own], i, level[i]):
+                continue
+            alone = True
+            for x in range(max(own // ny - 1, 0), min(own // ny + 2, nx)):
+                for y in range(max(own % ny - 1, 0), min(own % ny + 2, ny)):
+                    c = x * ny + y
+                    alone = alone and (c == own or not _beside(level, start[c], start[c + 1], level[i]))
+            stray[order[i]] = alone
+
+
+@njit(cache=True, nogil=True)
+def _beside(level: FloatArray, begin: int, end: int, own: float) -> bool:
+    while begin < end and abs(level[begin] - own) > 1.0:
+        begin += 1
+    return begin < end
