@@ -18,7 +18,7 @@ from gpdf_service.perception.layers import Layers, build_layers, cell_width_of, 
 from gpdf_service.perception.limits import GroundLimits, Measured, find_limits, neighbourhood, smoothed, step_and_slope
 from gpdf_service.perception.nodes import components, grown_sheet
 from gpdf_service.perception.segment import HALF, LEAST_SCATTER, over_ground
-from gpdf_service.perception.smooth import smooth
+from gpdf_service.perception.smooth import smooth, to_centres
 from gpdf_service.perception.strays import find_strays
 from gpdf_service.perception.surface import (
     NOTCH_DEPTH,
@@ -252,7 +252,7 @@ def _attach(
 def _build_level(
     points: FloatArray, ground: BoolArray, layers: Layers, nodes: IntArray, config: PerceptionConfig, noise: float
 ) -> tuple[GroundLevel, Voids]:
-    seen = smooth(without_outliers(sheet_surface(layers, nodes), RESOLVED_STEP * noise), noise)
+    seen = sheet_surface(layers, nodes, noise)
     inside = np.zeros(len(layers.cell), dtype=bool)
     inside[nodes] = True
     mine = ground.copy()
@@ -267,13 +267,17 @@ def _build_level(
     return make_level(surface, other, ledge, limits, measured), voids
 
 
-def sheet_surface(layers: Layers, nodes: IntArray) -> HeightMap:
-    """The ground of a sheet as it was seen."""
-    height = np.full(layers.shape[0] * layers.shape[1], np.nan, np.float32)
-    height[layers.cell[nodes]] = layers.height[nodes]
-    height = height.reshape(layers.shape)
+def sheet_surface(layers: Layers, nodes: IntArray, noise: float = 0.0) -> HeightMap:
+    """The ground of a sheet as it was seen, at the centres of its cells; the `noise` is that before the cure [m]."""
+    height = np.full(layers.shape, np.nan, np.float32)
+    off = np.zeros((*layers.shape, 2))
+    cell = np.divmod(layers.cell[nodes], layers.shape[1])
+    height[cell] = layers.height[nodes]
+    off[cell] = layers.place[nodes] - layers.origin - (np.column_stack(cell) + 0.5) * layers.cell_width
     state = np.where(np.isnan(height), UNKNOWN, OBSERVED).astype(np.uint8)
-    return HeightMap(layers.origin, layers.cell_width, height, state)
+    surface = without_outliers(HeightMap(layers.origin, layers.cell_width, height, state), RESOLVED_STEP * noise)
+    off[surface.height != height] = 0.0  # a median's place is the middle of its cells
+    return smooth(to_centres(surface, off, noise), noise)
 
 
 def without_outliers(surface: HeightMap, most: float) -> HeightMap:
