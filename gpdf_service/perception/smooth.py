@@ -27,9 +27,9 @@ _BESIDE = 2
 """Cells from a rim that a step is read over: its own two sides and one more."""
 _FEWEST = 9
 """Cells that a plane needs: three square."""
-_FINE = 0.001
-"""[m] What the plane of a cell and its neighbours may leave (root mean square) where there is no noise: a sill of 5 mm
-across them, or a kink of 5°, leaves more."""
+_FINE = 0.002
+"""[m] What the plane of a cell and its neighbours may leave (root mean square) where there is no noise: a sill of 1 cm
+across them, or a kink of 10° between finest cells, leaves more."""
 _AROUND = 5
 """Of a cell and its eight neighbours that a plane needs: two more than it has numbers, so that what is off shows."""
 _ASKEW = 1e-3
