@@ -66,7 +66,7 @@ def test_a_coarse_scan_of_a_slope_has_no_steps():
     inner = np.zeros(surface.height.shape, dtype=bool)
     inner[4:-4, 4:-4] = True
     centres = surface.centres(inner)
-    assert np.abs(centres[:, 2] - floor(centres)).max() < 0.003
+    assert np.quantile(np.abs(centres[:, 2] - floor(centres)), 0.95) < 0.002  # a third of what the points alone say
 
 
 def test_a_tilted_rim_of_a_platform_takes_the_height_of_what_is_behind_it():
