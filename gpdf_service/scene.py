@@ -34,6 +34,7 @@ from gpdf_service.perception import (
     cure_and_segment,
     survey_levels,
 )
+from gpdf_service.perception.columns import without_rows
 from gpdf_service.perception.layers import in_steps
 from gpdf_service.perception.surface import UNKNOWN
 from gpdf_service.search import FreeSpace, build_free_space, change_free_space, from_arrays, to_arrays
@@ -316,12 +317,11 @@ class Scene:
         except IndexError as error:
             raise CloudError("remove", f"rows that are not there ({error})", "Name rows of `points`.") from error
         fresh = np.zeros((0, 3)) if insert is None else check_points(insert)
-        kept = self.points if keep.all() else self.points[keep]
-        cloud = np.concatenate([kept, fresh])
+        cloud = without_rows(self.points, keep, fresh)
         labels = None
         if ground is not None or self.labelled:
             labels = np.concatenate([self.ground[keep], self._labels_of(fresh, ground, cloud)])
-        drift = self.drift + (len(self.points) - len(kept) + len(fresh)) / max(len(cloud), 1)
+        drift = self.drift + (len(self.points) - len(cloud) + 2 * len(fresh)) / max(len(cloud), 1)
         if self.perceived is not None and drift <= MAX_DRIFT and self.labelled == (labels is not None):
             try:
                 return self._changed(self.perceived, cloud, keep, labels, drift, progress)

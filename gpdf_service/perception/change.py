@@ -15,10 +15,20 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from gpdf_service.config import PerceptionConfig
-from gpdf_service.perception.columns import bounds_of, rows_in_box, rows_in_cells
+from gpdf_service.perception.columns import (
+    bounds_of,
+    bounds_where,
+    by_cell,
+    cells_in_box,
+    rows_in_box,
+    rows_in_cells,
+    rows_of_cells,
+    without_rows,
+)
 from gpdf_service.perception.layers import Layers, build_layers, grid_of, layer_gap, splice_layers
 from gpdf_service.perception.levels import (
     FACE,
+    HIGH,
     OVERLAP,
     GroundLevel,
     Levels,
@@ -28,16 +38,24 @@ from gpdf_service.perception.levels import (
     complete,
     find_ledges,
     find_portals,
-    high_ground,
+    lowest_and_highest,
     make_level,
     sheet_surface,
     split_sheets,
     within_reach,
 )
-from gpdf_service.perception.limits import change_step_and_slope, find_limits, limits_reach
+from gpdf_service.perception.limits import change_step_and_slope, find_limits, limits_reach, window
 from gpdf_service.perception.segment import Segmentation, segment_layers
 from gpdf_service.perception.strays import find_strays
-from gpdf_service.perception.surface import OBSERVED, HeightMap, find_voids
+from gpdf_service.perception.surface import (
+    MAX_HOLE_RADIUS,
+    OBSERVED,
+    UNKNOWN,
+    Box,
+    HeightMap,
+    find_voids,
+    nearest_seen,
+)
 from gpdf_service.types import BoolArray, FloatArray, IntArray
 
 
@@ -96,7 +114,7 @@ def change(
     places = np.concatenate([old.points[~keep], cloud[len(cloud) - fresh :]])
     if len(places) == 0:
         return replace(old, touched=tuple(None for _ in old.levels.levels))
-    known = _Cloud(cloud, places)
+    known = _Cloud(cloud, places[:, :2].min(axis=0) - _AT_HAND, places[:, :2].max(axis=0) + _AT_HAND)
     before = np.concatenate([old.ground[keep], np.zeros(fresh, dtype=bool)])
     segmentation, ground = old.segmentation, labels
     if ground is None:
@@ -107,7 +125,7 @@ def change(
     stray = np.concatenate([old.survey.stray[keep], np.zeros(fresh, dtype=bool)])
     again = _change_strays(stray, known, ground, places, alone(old.survey.layers.cell_width))
     places = np.concatenate([places, cloud[again != stray]])
-    _check_grid(cloud, ground, old.survey.layers)
+    _check_grid(cloud, ground, old.survey.layers, places)
     levels, survey, touched = _change_levels(old, known, ground, again, places, config)
     return Perceived(cloud, ground, segmentation, levels, survey, touched)
 
@@ -121,17 +139,24 @@ def _cells_of(places: FloatArray, layers: Layers) -> BoolArray:
     return found
 
 
-def _check_grid(cloud: FloatArray, chosen: BoolArray, layers: Layers) -> None:
-    """The `chosen` points must have the grid that they had: all else would be moved."""
-    if not chosen.any():
+def _check_grid(cloud: FloatArray, chosen: BoolArray | None, layers: Layers, places: FloatArray) -> None:
+    """The `chosen` points must have the grid that they had, or all else would be moved: all, if there is no choice."""
+    index = np.floor((places[:, :2] - layers.origin) / layers.cell_width)
+    if ((index >= _RIM) & (index < np.array(layers.shape) - _RIM)).all():
+        return
+    if chosen is not None and not chosen.any():
         raise WholeError
-    origin, shape = grid_of(*bounds_of(cloud if chosen.all() else cloud[chosen]), layers.cell_width)
+    origin, shape = grid_of(*(bounds_of(cloud) if chosen is None else bounds_where(cloud, chosen)), layers.cell_width)
     if (origin != layers.origin).any() or shape != layers.shape:
         raise WholeError
 
 
+_RIM = 3
+"""Cells at a grid's rim that hold the outermost points: see `grid_of`."""
+
+
 class _Cloud:
-    """The changed cloud, with the points around the change at hand: they are asked for again and again.
+    """The changed cloud, with the points around the change at hand by their cells: they are asked for again and again.
 
     Attributes:
         points: All [m], shape (n, 3).
@@ -139,23 +164,43 @@ class _Cloud:
         high: Upper corner [m], shape (2,).
     """
 
-    def __init__(self, points: FloatArray, places: FloatArray) -> None:
-        self.points = points
-        self.low, self.high = places[:, :2].min(axis=0) - _AT_HAND, places[:, :2].max(axis=0) + _AT_HAND
-        self._rows: IntArray = rows_in_box(points, self.low, self.high)
+    def __init__(self, points: FloatArray, low: FloatArray, high: FloatArray) -> None:
+        self.points, self.low, self.high = points, low, high
+        self._rows: IntArray = rows_in_box(points, low, high)
         self._near = points[self._rows]
+        self._sorted: dict[bytes, tuple[tuple[slice, slice], IntArray, IntArray]] = {}
 
     def rows_in(self, grid: Layers | HeightMap, wanted: BoolArray) -> IntArray:
         """Rows of the points in the `wanted` cells of a grid, shape (nx, ny); sorted."""
-        along, across = (np.flatnonzero(wanted.any(axis=axis)) for axis in (1, 0))
-        if len(along) == 0:
+        if not wanted.any():
             return np.zeros(0, np.int64)
-        low = grid.origin + grid.cell_width * np.array([along[0] - 1, across[0] - 1])
-        high = grid.origin + grid.cell_width * np.array([along[-1] + 2, across[-1] + 2])
-        if (low >= self.low).all() and (high <= self.high).all():
-            return self._rows[rows_in_cells(self._near, grid.origin, grid.cell_width, wanted)]
-        whole: IntArray = rows_in_cells(self.points, grid.origin, grid.cell_width, wanted)
-        return whole
+        box = window(wanted, 1)
+        low, high = (grid.origin + grid.cell_width * np.array([side.start, side.stop]) for side in box)
+        if self.low[0] > low[0] or self.low[1] > high[0] or self.high[0] < low[1] or self.high[1] < high[1]:
+            whole: IntArray = rows_in_cells(self.points, grid.origin, grid.cell_width, wanted)
+            return whole
+        at_hand, start, order = self._by_cell(grid, wanted.shape)
+        return np.sort(self._rows[rows_of_cells(wanted[at_hand].ravel(), start, order)])
+
+    def rows_in_box(self, low: FloatArray, high: FloatArray) -> IntArray:
+        """Rows of the points between `low` and `high` in plan [m], shape (2,); sorted."""
+        if (low < self.low).any() or (high > self.high).any():
+            whole: IntArray = rows_in_box(self.points, low, high)
+            return whole
+        return self._rows[rows_in_box(self._near, low, high)]
+
+    def _by_cell(
+        self, grid: Layers | HeightMap, shape: tuple[int, ...]
+    ) -> tuple[tuple[slice, slice], IntArray, IntArray]:
+        """The box of cells at hand, where each begins, and the points at hand in their order."""
+        key = grid.origin.tobytes()
+        if key not in self._sorted:
+            first, last = (np.floor((end - grid.origin) / grid.cell_width).astype(int) for end in (self.low, self.high))
+            first, last = np.clip(first, 0, shape), np.clip(last + 1, 0, shape)
+            box = slice(first[0], last[0]), slice(first[1], last[1])
+            flat = cells_in_box(self._near, grid.origin, grid.cell_width, first, last)
+            self._sorted[key] = box, *by_cell(flat, int((last - first).prod()) + 1)
+        return self._sorted[key]
 
 
 _AT_HAND = 4.0 * OVERLAP
@@ -164,7 +209,10 @@ _AT_HAND = 4.0 * OVERLAP
 
 def widened(cells: BoolArray, by: int) -> BoolArray:
     """The cells and all within `by` cells of them along each axis."""
-    made: BoolArray = ndimage.maximum_filter(cells, size=2 * by + 1, mode="constant")
+    made = np.zeros_like(cells)
+    if cells.any():
+        box = window(cells, by)
+        made[box] = ndimage.maximum_filter(cells[box], size=2 * by + 1, mode="constant")
     return made
 
 
@@ -189,7 +237,7 @@ def _change_segmentation(
     old: Segmentation, cloud: _Cloud, before: BoolArray, places: FloatArray, config: PerceptionConfig
 ) -> tuple[Segmentation, BoolArray]:
     """The segmentation of the changed cloud, and its ground, where `before` is what it was, shape (n,)."""
-    _check_grid(cloud.points, np.ones(len(cloud.points), dtype=bool), old.layers)
+    _check_grid(cloud.points, None, old.layers, places)
     cells = _cells_of(places, old.layers)
     layers = _change_layers(old.layers, cloud, cloud.rows_in(old.layers, cells), cells, config)
     found = segment_layers(layers, config, deviation=old.deviation)
@@ -207,7 +255,7 @@ def _change_strays(stray: BoolArray, cloud: _Cloud, ground: BoolArray, places: F
     """Stray points, where those in voxels near `places` may be others than before; see `find_strays`."""
     voxel = np.floor(places[:, :2] / width)
     low, high = voxel.min(axis=0), voxel.max(axis=0) + 1.0
-    near = rows_in_box(cloud.points, (low - 3.0) * width, (high + 3.0) * width)
+    near = cloud.rows_in_box((low - 3.0) * width, (high + 3.0) * width)
     column = np.floor(cloud.points[near, :2] / width)
     sure = np.logical_and.reduce((column >= low - 1.0) & (column < high + 1.0), axis=1)
     made = stray.copy()
@@ -267,38 +315,67 @@ class _Part:
 def _change_level(
     old: GroundLevel, voids: Voids, part: _Part, config: PerceptionConfig
 ) -> tuple[GroundLevel, Voids, BoolArray | None]:
-    was = np.where(old.surface.state == OBSERVED, old.surface.height, np.float32(np.nan))
-    moved = _differ(was, part.seen.height)
-    cells = part.cells | widened(moved, int(np.ceil(OVERLAP / part.seen.cell_width)) + 1)
-    rest = part.rest(cells, config)
-    fresh = within_reach(rest, part.seen)
-    found = find_voids(part.seen, rest, config.max_step)
-    now = np.where(cells, found[0], voids[0]), np.where(cells, found[1], voids[1]), np.where(cells, found[2], voids[2])
-    stay = _outside(old.other_points, old.surface, cells)
-    other = np.concatenate([old.other_points[stay], fresh])
-    ledge = np.concatenate([old.ledge[stay], np.full(len(fresh), np.inf, np.float32)])
+    width, seen = part.seen.cell_width, part.seen
+    state = np.where(old.surface.state == OBSERVED, old.surface.state, UNKNOWN).astype(np.uint8)
+    was = replace(old.surface, height=np.where(state == OBSERVED, old.surface.height, np.float32(np.nan)), state=state)
+    moved = _differ(was.height, seen.height)
+    cells = part.cells | _felt(was, seen, moved)
+    box, rest = _around(cells, width), part.rest(cells, config)
+    fresh = within_reach(rest, seen, box)
+    now = _change_voids(voids, cells, find_voids(seen, rest, config.max_step, box=box))
+    gone = rows_in_cells(old.other_points, seen.origin, width, cells)
+    other, ledge = old.other_points, old.ledge
+    swapped = _other_cells(seen, other[gone], fresh)
+    before = _with(other[gone], ledge[gone])
+    if swapped.any():
+        stay = np.ones(len(other), dtype=bool)
+        stay[gone] = False
+        other = without_rows(other, stay, fresh)
+        ledge = np.concatenate([ledge[stay], np.full(len(fresh), np.inf, np.float32)])
     surface, limits, measured = old.surface, old.limits, old.measured
-    swapped = _other_cells(surface, old.other_points[~stay], fresh)
     if moved.any() or swapped.any() or any((a != b).any() for a, b in zip(now, voids, strict=True)):
-        surface, material = complete(part.seen, other, now, config)
+        surface, material = complete(seen, other, now, config)
         measured = change_step_and_slope(surface, _changed(old.surface, surface), *measured)
         limits = find_limits(surface, material, measured)
-    ledge = _change_ledges(part, surface, other, ledge, cells | _ledge_cells(part, old.surface, surface))
-    kept = int(np.count_nonzero(stay))
-    stepped = _cells_of(other[:kept][old.ledge[stay] != ledge[:kept]], part.layers)
-    before, after = _with(old.other_points[~stay], old.ledge[~stay]), _with(fresh, ledge[kept:])
-    stepped |= _other_cells(surface, before, after)
+    asked = rows_in_cells(other, surface.origin, width, cells | _ledge_cells(part, old.surface, surface))
+    found = _ledges_of(part, surface, other[asked])
+    after = rows_in_cells(other, surface.origin, width, cells)
+    stepped = _cells_of(other[asked][ledge[asked] != found], part.layers) & ~cells
+    ledge = ledge.copy()
+    ledge[asked] = found
+    stepped |= _other_cells(surface, before, _with(other[after], ledge[after]))
     touched = widened(stepped, 1) | widened(_changed(old.surface, surface), limits_reach(surface))
     if not touched.any():
         return old, voids, None
     return make_level(surface, other, ledge, limits, measured), now, touched
 
 
-def _outside(points: FloatArray, surface: HeightMap, cells: BoolArray) -> BoolArray:
-    """Which of the points (n, 3) are not in `cells`, shape (n,)."""
-    outside = np.ones(len(points), dtype=bool)
-    outside[rows_in_cells(points, surface.origin, surface.cell_width, cells)] = False
-    return outside
+def _around(cells: BoolArray, width: float) -> Box:
+    """The cells whose ground says what the points in `cells` are to a level, of cells `width` wide [m]."""
+    return window(cells, int(np.ceil(max(OVERLAP, MAX_HOLE_RADIUS) / width)) + _FILTERS)
+
+
+_FILTERS = 4
+"""Cells that two filters after another reach."""
+
+
+def _felt(was: HeightMap, now: HeightMap, moved: BoolArray) -> BoolArray:
+    """Cells whose points can be something else to a level because its ground `moved` near them."""
+    if not moved.any():
+        return moved
+    box = _around(widened(moved, int(np.ceil(MAX_HOLE_RADIUS / now.cell_width))), now.cell_width)
+    reach = [lowest_and_highest(surface, box) for surface in (was, now)]
+    near = [nearest_seen(surface, box) for surface in (was, now)]
+    hole = [(part.distance <= MAX_HOLE_RADIUS) & (part.distance > 0.0) for part in near]
+    felt = (reach[0][0] != reach[1][0]) | (reach[0][1] != reach[1][1]) | (hole[0] != hole[1])
+    felt |= (hole[0] | hole[1]) & _differ(near[0].height, near[1].height)
+    made: BoolArray = felt | widened(moved, _FILTERS)
+    return made
+
+
+def _change_voids(voids: Voids, cells: BoolArray, found: Voids) -> Voids:
+    through, pit, walls = (np.where(cells, new, old) for old, new in zip(voids, found, strict=True))
+    return through, pit, walls
 
 
 def _with(points: FloatArray, values: NDArray[np.float32]) -> FloatArray:
@@ -330,21 +407,18 @@ _MIX = np.array([0x9E3779B97F4A7C15, 0xC2B2AE3D27D4EB4F, 0x165667B19E3779F9, 0xD
 
 def _ledge_cells(part: _Part, old: HeightMap, new: HeightMap) -> BoolArray:
     """Cells in which a ledge can be another than before."""
-    return widened(part.cells | (high_ground(old) != high_ground(new)), _ledge_reach(new))
+    return widened(part.cells | widened(_changed(old, new), HIGH), _ledge_reach(new))
 
 
 def _ledge_reach(surface: HeightMap) -> int:
     return int(np.ceil(2.0 * FACE / surface.cell_width)) + 1
 
 
-def _change_ledges(
-    part: _Part, surface: HeightMap, other: FloatArray, ledge: NDArray[np.float32], cells: BoolArray
-) -> NDArray[np.float32]:
-    asked = ~_outside(other, surface, cells)
+def _ledges_of(part: _Part, surface: HeightMap, other: FloatArray) -> NDArray[np.float32]:
+    cells = np.zeros(surface.state.shape, dtype=bool)
+    cells[surface.cells(other)[:2]] = True
     rows = part.cloud.rows_in(part.layers, widened(cells, _ledge_reach(surface)))
-    made = ledge.copy()
-    made[asked] = find_ledges(surface, part.cloud.points[rows[part.ground[rows]]], other[asked])
-    return made
+    return find_ledges(surface, part.cloud.points[rows[part.ground[rows]]], other)
 
 
 def _differ(a: NDArray[np.float32], b: NDArray[np.float32]) -> BoolArray:

@@ -113,33 +113,39 @@ def cut_columns(
 
 @njit(cache=True, nogil=True)
 def pairs_near(
-    cell: IntArray,
     start: IntArray,
     shape: tuple[int, int],
     height: FloatArray,
     keep: BoolArray,
     limit: FloatArray,
-    offset: tuple[int, int],
-    factor: float,
+    offsets: tuple[tuple[int, int], ...],
+    factors: FloatArray,
 ) -> tuple[IntArray, IntArray]:
-    """Pairs of kept nodes (a, b), b's cell at `offset` from a's, whose heights differ by at most `factor` × `limit`."""
-    capacity, used = len(cell) + 16, 0
+    """Pairs of kept nodes (a, b), b's cell at one of the `offsets` from a's, whose heights differ by little.
+
+    That is by at most the `limit` of either, shape (k,), or (1,) for all [m], times the offset's factor.
+    """
+    capacity, used, uniform = 4 * len(height) + 16, 0, len(limit) == 1
     one, other = np.empty(capacity, np.int64), np.empty(capacity, np.int64)
-    dx, dy = offset
-    for x in range(max(0, -dx), min(shape[0], shape[0] - dx)):
-        for y in range(max(0, -dy), min(shape[1], shape[1] - dy)):
-            here, there = x * shape[1] + y, (x + dx) * shape[1] + y + dy
-            for a in range(start[here], start[here + 1]):
-                if not keep[a]:
-                    continue
-                for b in range(start[there], start[there + 1]):
-                    if not keep[b] or abs(height[a] - height[b]) > factor * min(limit[a], limit[b]):
+    for k in range(len(offsets)):
+        dx, dy = offsets[k]
+        for x in range(max(0, -dx), min(shape[0], shape[0] - dx)):
+            for y in range(max(0, -dy), min(shape[1], shape[1] - dy)):
+                here, there = x * shape[1] + y, (x + dx) * shape[1] + y + dy
+                for a in range(start[here], start[here + 1]):
+                    if not keep[a]:
                         continue
-                    if used == capacity:
-                        capacity *= 2
-                        one, other = _longer(one, capacity), _longer(other, capacity)
-                    one[used], other[used] = a, b
-                    used += 1
+                    for b in range(start[there], start[there + 1]):
+                        if not keep[b]:
+                            continue
+                        most = limit[0] if uniform else min(limit[a], limit[b])
+                        if abs(height[a] - height[b]) > factors[k] * most:
+                            continue
+                        if used == capacity:
+                            capacity *= 2
+                            one, other = _longer(one, capacity), _longer(other, capacity)
+                        one[used], other[used] = a, b
+                        used += 1
     return one[:used], other[:used]
 
 
@@ -243,17 +249,67 @@ def rows_in_cells(points: FloatArray, origin: FloatArray, cell_width: float, wan
 
 
 @njit(cache=True, nogil=True)
+def rows_of_cells(wanted: BoolArray, start: IntArray, order: IntArray) -> IntArray:
+    """Rows of the points in the `wanted` cells, of points that are in `order` by cell."""
+    count = 0
+    for c in range(len(wanted)):
+        count += start[c + 1] - start[c] if wanted[c] else 0
+    rows, used = np.empty(count, np.int64), 0
+    for c in range(len(wanted)):
+        for i in range(start[c], start[c + 1] if wanted[c] else 0):
+            rows[used] = order[i]
+            used += 1
+    return rows
+
+
+@njit(cache=True, nogil=True)
 def rows_in_box(points: FloatArray, low: FloatArray, high: FloatArray) -> IntArray:
     """Rows of the points (n, 3) between `low` and `high` in plan, shape (2,); sorted."""
-    found, used = np.empty(1024, np.int64), 0
-    for row in range(len(points)):
+    found, used = np.empty(len(points) + 1, np.int64), 0
+    left, right, near, far = low[0], high[0], low[1], high[1]
+    for row in range(len(points)):  # no branch: half of all would be guessed wrong
         x, y = points[row, 0], points[row, 1]
-        if low[0] <= x <= high[0] and low[1] <= y <= high[1]:
-            if used == len(found):
-                found = _longer(found, 2 * used)
-            found[used] = row
+        found[used] = row
+        used += int((x >= left) & (x <= right) & (y >= near) & (y <= far))
+    return found[:used].copy()
+
+
+@njit(cache=True, nogil=True)
+def without_rows(points: FloatArray, keep: BoolArray, fresh: FloatArray) -> FloatArray:
+    """The points (n, 3) to `keep`, and the `fresh` ones (k, 3) after them."""
+    count = 0
+    for i in range(len(keep)):
+        count += keep[i]
+    made, used = np.empty((count + len(fresh), 3)), 0
+    for i in range(len(points)):
+        if keep[i]:
+            for k in range(3):
+                made[used, k] = points[i, k]
             used += 1
-    return found[:used]
+    made[count:] = fresh
+    return made
+
+
+@njit(cache=True, nogil=True)
+def extent_in(cell: IntArray, z: FloatArray, low: FloatArray, high: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Lowest and highest z of the points in each cell that are over its `low` and not over its `high`; inf, −inf."""
+    least, most = np.full(len(low), np.inf), np.full(len(low), -np.inf)
+    for i in range(len(cell)):
+        c = cell[i]
+        if low[c] < z[i] <= high[c]:
+            least[c], most[c] = min(least[c], z[i]), max(most[c], z[i])
+    return least, most
+
+
+@njit(cache=True, nogil=True)
+def bounds_where(points: FloatArray, chosen: BoolArray) -> tuple[FloatArray, FloatArray]:
+    """Least and greatest (x, y) [m] of the `chosen` points, of shape (n, 3)."""
+    left, right, near, far = np.inf, -np.inf, np.inf, -np.inf
+    for row in range(len(points)):
+        if chosen[row]:
+            x, y = points[row, 0], points[row, 1]
+            left, right, near, far = min(left, x), max(right, x), min(near, y), max(far, y)
+    return np.array([left, near]), np.array([right, far])
 
 
 @njit(cache=True, nogil=True)
@@ -280,6 +336,17 @@ def _cells_range(
     for i in range(begin, end):
         x, y = np.floor((points[i, 0] - origin[0]) / width), np.floor((points[i, 1] - origin[1]) / width)
         cell[i] = int(x) * ny + int(y)
+
+
+@njit(cache=True, nogil=True)
+def cells_in_box(points: FloatArray, origin: FloatArray, width: float, first: IntArray, last: IntArray) -> IntArray:
+    """Flat cell of each point (n, 3) in a box of cells, from `first` to `last`; those outside are in one more."""
+    cell, wide = np.empty(len(points), np.int64), last[1] - first[1]
+    for i in range(len(points)):
+        x, y = int(np.floor((points[i, 0] - origin[0]) / width)), int(np.floor((points[i, 1] - origin[1]) / width))
+        inside = first[0] <= x < last[0] and first[1] <= y < last[1]
+        cell[i] = (x - first[0]) * wide + y - first[1] if inside else (last[0] - first[0]) * wide
+    return cell
 
 
 def column_floors(start: IntArray, order: IntArray, z: FloatArray, share: float) -> FloatArray:

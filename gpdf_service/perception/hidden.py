@@ -7,8 +7,9 @@ from numba import njit
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from gpdf_service.perception.columns import extent_in
 from gpdf_service.perception.surface import CEILING, INFERRED, MAX_HOLE_RADIUS, OBSERVED, UNKNOWN, HeightMap
-from gpdf_service.types import BoolArray, FloatArray
+from gpdf_service.types import BoolArray, FloatArray, IntArray
 
 
 def without_hidden(surface: HeightMap, lowest: FloatArray, face: BoolArray) -> HeightMap:
@@ -36,20 +37,22 @@ def without_hidden(surface: HeightMap, lowest: FloatArray, face: BoolArray) -> H
     )
 
 
-def find_faces(surface: HeightMap, other: FloatArray, headroom: float) -> BoolArray:
-    """Cells in which the `other` points (m, 3) go up, without a gap, from the ground to twice the `headroom` [m].
+def find_faces(surface: HeightMap, cell: IntArray, z: FloatArray, headroom: float) -> BoolArray:
+    """Cells in which other points go up, without a gap, from the ground to twice the `headroom` [m], shape (nx, ny).
 
-    A step's face ends at the ground above it; what has a gap is a table's edge. Shape (nx, ny).
+    A step's face ends at the ground above it; what has a gap is a table's edge.
+
+    Args:
+        surface: The ground.
+        cell: Flat cell of each of the points, shape (m,).
+        z: Their heights [m], shape (m,).
+        headroom: [m].
     """
-    beside = ndimage.maximum_filter(np.where(surface.state != UNKNOWN, surface.height, -np.inf), size=5)
-    ix, iy, _ = surface.cells(other)
-    over = other[:, 2] - beside[ix, iy]
-    face = np.ones(surface.state.shape, dtype=bool)
-    for slice_ in ((over > 0.0) & (over <= headroom), (over > headroom) & (over <= 2.0 * headroom)):
-        holds = np.zeros(face.shape, dtype=bool)
-        holds[ix[slice_], iy[slice_]] = True
-        face &= holds
-    return face
+    known = surface.state != UNKNOWN
+    beside = ndimage.maximum_filter(np.where(known, surface.height, -np.inf), size=5).astype(np.float64).ravel()
+    low, high = extent_in(cell, z, beside, beside + 2.0 * headroom)
+    face: BoolArray = (low <= beside + headroom) & (high > beside + headroom)
+    return face.reshape(known.shape)
 
 
 @njit(cache=True, nogil=True)

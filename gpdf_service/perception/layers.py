@@ -51,14 +51,14 @@ def cell_width_of(points: FloatArray) -> float:
     k = min(8, len(low) - 1)
     if k < 1:
         return MIN_CELL
-    low = points[low]
-    start, order = by_cell(cells_of(low, corner, _COLUMN, shape), shape[0] * shape[1])
+    floor_points = points[low]
+    start, order = by_cell(key[low], shape[0] * shape[1])
     step = max(1, len(low) // _SAMPLE)
     place = np.empty(len(low), np.int64)
     place[order] = np.arange(len(low))
-    distance = float(np.median(kth_beside(low, start, order, shape, place[::step], k)))
+    distance = float(np.median(kth_beside(floor_points, start, order, shape, place[::step], k)))
     if distance > _COLUMN:
-        distance = float(np.median(cKDTree(low).query(low[::step], k=k + 1, workers=-1)[0][:, k]))
+        distance = float(np.median(cKDTree(floor_points).query(floor_points[::step], k=k + 1, workers=-1)[0][:, k]))
     return max(MIN_CELL, in_steps(1.5 * distance * float(np.sqrt(np.pi / k))))
 
 
@@ -168,10 +168,9 @@ def connect(
     layers: Layers, keep: BoolArray, limit: FloatArray | float, offsets: tuple[tuple[int, int], ...]
 ) -> tuple[IntArray, IntArray]:
     """Pairs of kept neighbours whose heights differ by at most `limit` [m] (one number, or one a node)."""
-    uniform = isinstance(limit, float)
-    limits = np.full(len(keep), limit) if uniform else np.asarray(limit)
-    grid = layers.cell, layers.start, layers.shape, layers.height
-    found = [
-        pairs_near(*grid, keep, limits, offset, float(np.hypot(*offset)) if uniform else 1.0) for offset in offsets
-    ]
-    return np.concatenate([a for a, _ in found]), np.concatenate([b for _, b in found])
+    limits, factors = np.atleast_1d(np.asarray(limit, dtype=np.float64)), np.ones(len(offsets))
+    if len(limits) == 1:
+        factors = np.hypot(*np.array(offsets, dtype=np.float64).T)
+    grid = layers.start, layers.shape, layers.height
+    pairs: tuple[IntArray, IntArray] = pairs_near(*grid, keep, limits, offsets, factors)
+    return pairs

@@ -12,11 +12,11 @@ from scipy.spatial import cKDTree
 from gpdf_service.config import PerceptionConfig
 from gpdf_service.errors import NoGroundError
 from gpdf_service.fields.threads import run_chunked
-from gpdf_service.perception.columns import by_cell, ends_of_runs, lowest_above, rows_in_cells
+from gpdf_service.perception.columns import by_cell, cells_of, ends_of_runs, extent_in, lowest_above, rows_in_cells
 from gpdf_service.perception.hidden import find_faces, without_hidden
 from gpdf_service.perception.layers import Layers, build_layers, cell_width_of, connect, layer_gap
 from gpdf_service.perception.limits import GroundLimits, Measured, find_limits, neighbourhood, smoothed, step_and_slope
-from gpdf_service.perception.nodes import components, grown_sheet
+from gpdf_service.perception.nodes import components, degrees, grown_sheet, pairs_across
 from gpdf_service.perception.segment import HALF, LEAST_SCATTER, over_ground
 from gpdf_service.perception.smooth import smooth, to_centres
 from gpdf_service.perception.strays import find_strays
@@ -24,9 +24,14 @@ from gpdf_service.perception.surface import (
     NOTCH_DEPTH,
     OBSERVED,
     UNKNOWN,
+    WHOLE,
+    Box,
     HeightMap,
+    Nearest,
     fill_holes,
     find_voids,
+    nearest_seen,
+    spread,
     without_enclosed,
 )
 from gpdf_service.types import BoolArray, FloatArray, IntArray
@@ -39,6 +44,8 @@ LEAST_OBSTACLE = 0.015
 """[m] What stands out of the ground by less stops no body here: the smallest `max_step`, and the scatter of a scan."""
 ALONE = 0.25
 """[m] A point with no other in the voxels of this width around its own is a reflection; even a thin cable has more."""
+HIGH = 2
+"""Cells around one whose ground says how high a step there can be."""
 RESOLVED_STEP = 3.0
 """[-] A lower step over the noise may be an unlucky cell of a cured floor, if it is of one cell."""
 RIM_SHARE = 0.25
@@ -181,9 +188,8 @@ def split_sheets(layers: Layers, config: PerceptionConfig) -> list[IntArray]:
     keep &= ~over_ground(layers, keep, config.step_headroom)
     if len(np.unique(layers.cell[keep])) == keep.sum():
         return [np.flatnonzero(keep)]
-    smooth = components(*connect(layers, keep, layers.cell_width, HALF), count)
-    a, b = connect(layers, keep, np.full(count, config.max_step), HALF)
-    a, b = a[across := smooth[a] != smooth[b]], b[across]
+    smooth = components(*connect(layers, keep, layers.cell_width, HALF), keep)
+    a, b = pairs_across(*connect(layers, keep, np.full(count, config.max_step), HALF), smooth)
     sheet_of = np.full(count, -1)
     size = np.bincount(smooth, weights=keep)
     order = np.argsort(-size)
@@ -209,8 +215,7 @@ def _under_step(layers: Layers, max_step: float) -> BoolArray:
 
     A single point over the floor goes on nowhere.
     """
-    a, b = connect(layers, np.ones(len(layers.cell), dtype=bool), layers.cell_width, HALF)
-    beside = np.bincount(a, minlength=len(layers.cell)) + np.bincount(b, minlength=len(layers.cell))
+    beside = degrees(*connect(layers, np.ones(len(layers.cell), dtype=bool), layers.cell_width, HALF), len(layers.cell))
     foot = np.zeros(len(layers.cell), dtype=bool)
     foot[:-1] = (np.diff(layers.cell) == 0) & (np.diff(layers.height) <= max_step) & (beside[1:] > 1)
     return foot
@@ -259,8 +264,9 @@ def _build_level(
     mine[ground] = inside[layers.node_of_point]
     rest = points[~mine]
     other = within_reach(rest, seen)
-    voids = find_voids(seen, rest, config.max_step)
-    surface, material = complete(seen, other, voids, config)
+    near = nearest_seen(seen)
+    voids = find_voids(seen, rest, config.max_step, near)
+    surface, material = complete(seen, other, voids, config, near)
     measured = step_and_slope(surface)
     limits = find_limits(surface, material, measured)
     ledge = find_ledges(surface, points[ground], other, noise)
@@ -297,25 +303,29 @@ def without_outliers(surface: HeightMap, most: float) -> HeightMap:
     return HeightMap(surface.origin, surface.cell_width, np.where(alone, median, own).astype(np.float32), surface.state)
 
 
-def complete(seen: HeightMap, other: FloatArray, voids: Voids, config: PerceptionConfig) -> tuple[HeightMap, BoolArray]:
-    """The ground with what its surroundings and the `other` points (m, 3) explain, and where material is on it."""
-    ix, iy, _ = seen.cells(other)
-    lowest = np.full(seen.height.shape, np.inf)
-    np.minimum.at(lowest, (ix, iy), other[:, 2])
-    surface = fill_holes(seen, lowest, *voids)
-    beside = ndimage.maximum_filter(np.where(surface.state != UNKNOWN, surface.height, -np.inf), size=3)
+def complete(
+    seen: HeightMap, other: FloatArray, voids: Voids, config: PerceptionConfig, near: Nearest | None = None
+) -> tuple[HeightMap, BoolArray]:
+    """The ground with what its surroundings and the `other` points (m, 3) explain, and where material is on it.
+
+    The others must lie on the grid; `near` is `nearest_seen`, where that is known.
+    """
+    shape, z = seen.state.shape, np.ascontiguousarray(other[:, 2])
+    cell = cells_of(other, np.asarray(seen.origin), seen.cell_width, (shape[0], shape[1]))
+    ends = np.full(seen.state.size, np.inf)
+    lowest = extent_in(cell, z, -ends, ends)[0].reshape(shape)
+    surface = fill_holes(seen, lowest, *voids, near=near)
+    known, reach = surface.state != UNKNOWN, 2 * int(np.ceil(NOTCH_DEPTH / seen.cell_width)) + 1
+    high, low = np.where(known, surface.height, -np.inf), np.where(known, surface.height, np.inf)
+    beside = ndimage.maximum_filter(high, size=3) + config.min_headroom
     # Only material that the lowest body cannot pass under guards an edge by itself. The wall of a drop does not; but
     # what is seen below a shadow in a stair, where treads are near, is the stair.
-    known, near = surface.state != UNKNOWN, 2 * int(np.ceil(NOTCH_DEPTH / seen.cell_width)) + 1
-    foot = ndimage.minimum_filter(np.where(known, surface.height, np.inf), size=near)
-    top = ndimage.maximum_filter(np.where(known, surface.height, -np.inf), size=near)
-    shut, stair = lowest <= beside + config.min_headroom, top - foot > 2.0 * seen.cell_width
-    z = other[:, 2]
-    guard = (z > foot[ix, iy] + LEAST_OBSTACLE) & (z <= beside[ix, iy] + config.min_headroom)
-    guarded = shut & stair
-    guarded[ix[guard], iy[guard]] = True
+    foot = ndimage.minimum_filter(low, size=reach)
+    shut, stair = lowest <= beside, ndimage.maximum_filter(high, size=reach) - foot > 2.0 * seen.cell_width
+    guard = extent_in(cell, z, *((part).ravel().astype(np.float64) for part in (foot + LEAST_OBSTACLE, beside)))[0]
+    guarded = (shut & stair) | np.isfinite(guard).reshape(shape)
     surface = without_enclosed(surface, shut)
-    front = find_faces(surface, other, config.min_headroom) & ~stair  # a flight's treads were seen up to its walls
+    front = find_faces(surface, cell, z, config.min_headroom) & ~stair  # a flight's treads were seen up to its walls
     return without_hidden(surface, lowest, front), guarded
 
 
@@ -380,8 +390,9 @@ def _add_rims(
 
 
 def high_ground(surface: HeightMap) -> FloatArray:
-    """Height of the highest ground within two cells [m], shape (nx, ny), -inf where there is none."""
-    high: FloatArray = ndimage.maximum_filter(np.where(surface.state != UNKNOWN, surface.height, -np.inf), size=5)
+    """Height of the highest ground within `HIGH` cells [m], shape (nx, ny), -inf where there is none."""
+    height = np.where(surface.state != UNKNOWN, surface.height, -np.inf)
+    high: FloatArray = ndimage.maximum_filter(height, size=2 * HIGH + 1)
     return high
 
 
@@ -413,13 +424,22 @@ def next_above(ground: FloatArray, points: FloatArray, scatter: float = LEAST_OB
     return best.astype(np.float32)
 
 
-def within_reach(points: FloatArray, surface: HeightMap) -> FloatArray:
-    """Points between a cell under the lowest known ground near them and `TALLEST` over the highest."""
-    size = 2 * int(np.ceil(OVERLAP / surface.cell_width)) + 1
-    known = surface.state != UNKNOWN
-    high = ndimage.maximum_filter(np.where(known, surface.height, -np.inf), size=size)
-    low = ndimage.minimum_filter(np.where(known, surface.height, np.inf), size=size)
+def within_reach(points: FloatArray, surface: HeightMap, box: Box = WHOLE) -> FloatArray:
+    """Points between a cell under the lowest known ground near them and `TALLEST` over the highest.
+
+    The `box` of cells holds all points, and `OVERLAP` around them.
+    """
+    low, high = lowest_and_highest(surface, box)
     ix, iy, inside = surface.cells(points)
     z = points[:, 2]
     near: FloatArray = points[inside & (z >= low[ix, iy] - surface.cell_width) & (z <= high[ix, iy] + TALLEST)]
     return near
+
+
+def lowest_and_highest(surface: HeightMap, box: Box = WHOLE) -> tuple[FloatArray, FloatArray]:
+    """Height of the lowest and of the highest known ground within `OVERLAP` [m], shape (nx, ny), in a box of cells."""
+    size, shape = 2 * int(np.ceil(OVERLAP / surface.cell_width)) + 1, surface.state.shape
+    known, height = surface.state[box] != UNKNOWN, surface.height[box]
+    low = ndimage.minimum_filter(np.where(known, height, np.inf), size=size)
+    high = ndimage.maximum_filter(np.where(known, height, -np.inf), size=size)
+    return spread(low, box, shape, np.inf), spread(high, box, shape, -np.inf)

@@ -12,11 +12,17 @@ AROUND = ((-1, -1), (-1, 0), (-1, 1), (0, -1), (0, 1), (1, -1), (1, 0), (1, 1))
 
 
 @njit(cache=True, nogil=True)
-def components(a: IntArray, b: IntArray, count: int) -> IntArray:
-    """Connected component of each of `count` nodes under the pairs (a, b), numbered by their first nodes."""
+def components(a: IntArray, b: IntArray, among: BoolArray) -> IntArray:
+    """Connected component of each node, shape (k,), numbered by their first nodes.
+
+    The pairs (a, b) of which both are `among` join them; any other node is one by itself.
+    """
+    count = len(among)
     parent = np.arange(count)
     for e in range(len(a)):
         i, j = a[e], b[e]
+        if not (among[i] and among[j]):
+            continue
         while parent[i] != i:
             parent[i] = parent[parent[i]]
             i = parent[i]
@@ -32,6 +38,83 @@ def components(a: IntArray, b: IntArray, count: int) -> IntArray:
         else:
             label[i] = label[parent[i]]
     return label
+
+
+@njit(cache=True, nogil=True)
+def pieces_with(label: IntArray, seeds: BoolArray, among: BoolArray) -> BoolArray:
+    """Which nodes `among` all have the `label` of one of the `seeds`, shape (k,)."""
+    held = np.zeros(len(label), np.bool_)
+    for i in range(len(label)):
+        if seeds[i]:
+            held[label[i]] = True
+    made = np.zeros(len(label), np.bool_)
+    for i in range(len(label)):
+        made[i] = among[i] and held[label[i]]
+    return made
+
+
+@njit(cache=True, nogil=True)
+def pairs_within(a: IntArray, b: IntArray, among: BoolArray, both: bool) -> tuple[IntArray, IntArray]:
+    """The pairs of which `both`, or at least one, are `among` the nodes."""
+    one, other, used = np.empty(len(a) + 1, np.int64), np.empty(len(a) + 1, np.int64), 0
+    for e in range(len(a)):
+        one[used], other[used] = a[e], b[e]
+        used += int(among[a[e]] and among[b[e]] if both else among[a[e]] or among[b[e]])
+    return one[:used].copy(), other[:used].copy()
+
+
+@njit(cache=True, nogil=True)
+def pairs_across(a: IntArray, b: IntArray, label: IntArray) -> tuple[IntArray, IntArray]:
+    """The pairs whose nodes have another `label` each."""
+    one, other, used = np.empty(len(a) + 1, np.int64), np.empty(len(a) + 1, np.int64), 0
+    for e in range(len(a)):
+        one[used], other[used] = a[e], b[e]
+        used += int(label[a[e]] != label[b[e]])
+    return one[:used].copy(), other[:used].copy()
+
+
+@njit(cache=True, nogil=True)
+def degrees(a: IntArray, b: IntArray, count: int) -> IntArray:
+    """How many of the pairs (a, b) each of `count` nodes is in."""
+    degree = np.zeros(count, np.int64)
+    for e in range(len(a)):
+        degree[a[e]] += 1
+        degree[b[e]] += 1
+    return degree
+
+
+@njit(cache=True, nogil=True)
+def add_rims(a: IntArray, b: IntArray, core: BoolArray, keep: BoolArray, wide: BoolArray, patch: IntArray) -> None:
+    """Add to the `wide` nodes, and to their patches, those to `keep` that a pair (a, b) joins to a core node."""
+    for one, other in ((a, b), (b, a)):
+        before = wide.copy()
+        for e in range(len(one)):
+            i, j = one[e], other[e]
+            if core[i] and keep[i] and keep[j] and not before[j]:
+                wide[j], patch[j] = True, patch[i]
+
+
+@njit(cache=True, nogil=True)
+def mean_gradients(height: FloatArray, cell: IntArray, ny: int, a: IntArray, b: IntArray) -> FloatArray:
+    """Length of the mean rise [m a cell] of each node and of those that the pairs (a, b) join it to, shape (k,)."""
+    count = len(height)
+    own, sides = np.zeros((count, 2)), np.zeros((count, 2))
+    for e in range(len(a)):
+        i, j = a[e], b[e]
+        if cell[j] - cell[i] != ny and cell[j] - cell[i] != 1:  # beside each other across a corner
+            continue
+        axis, up = int(cell[j] - cell[i] == 1), height[j] - height[i]
+        for node in (i, j):
+            own[node, axis] += up
+            sides[node, axis] += 1.0
+    own /= np.maximum(sides, 1.0)
+    total, around = own.copy(), np.ones(count)
+    for e in range(len(a)):
+        for i, j in ((a[e], b[e]), (b[e], a[e])):
+            total[i, 0] += own[j, 0]
+            total[i, 1] += own[j, 1]
+            around[i] += 1.0
+    return np.sqrt(total[:, 0] ** 2 + total[:, 1] ** 2) / around
 
 
 @njit(cache=True, nogil=True)

@@ -11,7 +11,20 @@ from gpdf_service.config import PerceptionConfig
 from gpdf_service.errors import NoGroundError
 from gpdf_service.perception.columns import by_cell, medians_around, next_below
 from gpdf_service.perception.layers import Layers, build_layers, cell_width_of, connect, in_steps, layer_gap
-from gpdf_service.perception.nodes import components, drops_beside, half_way, lowest_beside, nodes_over, stepped
+from gpdf_service.perception.nodes import (
+    add_rims,
+    components,
+    degrees,
+    drops_beside,
+    half_way,
+    lowest_beside,
+    mean_gradients,
+    nodes_over,
+    pairs_across,
+    pairs_within,
+    pieces_with,
+    stepped,
+)
 from gpdf_service.perception.read import check_points
 from gpdf_service.types import BoolArray, FloatArray, IntArray
 
@@ -158,7 +171,7 @@ def find_ground(layers: Layers, config: PerceptionConfig, noise: float = 0.0) ->
     surface = layers.thickness <= config.max_step + 4.0 * noise  # a step's face, from the lowest point to the highest
     rise = layers.cell_width * float(np.tan(config.steepest))
     a, b = connect(layers, surface, rise, HALF)
-    smooth = np.bincount(a, minlength=len(surface)) + np.bincount(b, minlength=len(surface))
+    smooth = degrees(a, b, len(surface))
     core = surface & (smooth >= 5)  # what a strip two cells wide has: a tread is that wide, a wall's top is not
     if not core.any():
         raise NoGroundError(*NOWHERE)
@@ -200,13 +213,11 @@ def _roofs(
 
     A pitched roof whose eaves a terrace reaches is such a piece. A steep bank has ground above and below.
     """
-    a, b = (np.concatenate([one, other]) for one, other in zip(smooth, steps, strict=True))
-    near = ground[a] & ground[b]
-    a, b = a[near], b[near]
+    parts = (pairs_within(*pairs, ground, True) for pairs in (smooth, steps))
+    a, b = (np.concatenate(ends) for ends in zip(*parts, strict=True))
     main = _within_reach(layers, ground, storeys, a, b, config)
     off = ground & ~main
-    inside = off[a] & off[b]
-    piece = components(a[inside], b[inside], len(ground))
+    piece = components(a, b, off)
     beside = stepped(main, a, b)
     count = [
         np.bincount(piece[off & kind], minlength=piece.max() + 1) for kind in (beside, _drops(layers, off, config))
@@ -220,12 +231,12 @@ def _within_reach(
 ) -> BoolArray:
     """Nodes level enough to stand on that are reached from the storeys; over steps, too, that coarse cells rounded."""
     flat = ground & (_slope(layers, ground, config) <= config.standable_slope)
-    inside = flat[a] & flat[b]
-    piece = components(a[inside], b[inside], len(ground))
+    piece = components(a, b, flat)
     seen = np.zeros(piece.max() + 1, dtype=bool)
     for storey in storeys:
         if (storey & flat).any():
             seen[np.bincount(piece[storey & flat]).argmax()] = True
+    a, b = pairs_within(a, b, ~(flat & seen[piece]), False)
     rings = max(1, round(config.max_step / (layers.cell_width * float(np.tan(config.steepest)))))
     while True:
         reach = flat & seen[piece]
@@ -239,23 +250,11 @@ def _within_reach(
 
 def _slope(layers: Layers, ground: BoolArray, config: PerceptionConfig) -> FloatArray:
     """Slope at each ground node [rad], of the mean gradient of it and its neighbours on the same slope."""
-    rise, count = 2.0 * layers.cell_width * float(np.tan(config.steepest)), len(ground)  # or noise would flatten it
-    a, b = connect(layers, ground, rise, HALF)
-
-    def mean(one: IntArray, other: IntArray, ahead: FloatArray, behind: FloatArray) -> FloatArray:
-        total = np.bincount(one, ahead, count) + np.bincount(other, behind, count)
-        result: FloatArray = total / np.maximum(
-            np.bincount(one, minlength=count) + np.bincount(other, minlength=count), 1
-        )
-        return result
-
-    square = np.zeros(count)
-    for axis in HALF[:2]:
-        one, other = connect(layers, ground, rise, (axis,))
-        up = (layers.height[other] - layers.height[one]) / layers.cell_width
-        own = mean(one, other, up, up)
-        square += mean(np.append(a, np.arange(count)), b, own[np.append(b, np.arange(count))], own[a]) ** 2
-    made: FloatArray = np.arctan(np.sqrt(square))
+    rise = 2.0 * layers.cell_width * float(np.tan(config.steepest))  # or noise would flatten it
+    pairs = connect(layers, ground, rise, HALF)
+    made: FloatArray = np.arctan(
+        mean_gradients(layers.height, layers.cell, layers.shape[1], *pairs) / layers.cell_width
+    )
     return made
 
 
@@ -269,12 +268,8 @@ def _drops(layers: Layers, among: BoolArray, config: PerceptionConfig) -> BoolAr
 def _patches(core: BoolArray, keep: BoolArray, a: IntArray, b: IntArray) -> tuple[BoolArray, IntArray]:
     """Connected `core` nodes among those to `keep`, each patch with its rim: which nodes are in one, and in which."""
     wide = core & keep
-    inner = wide[a] & wide[b]
-    patch = components(a[inner], b[inner], len(core))
-    for one, other in ((a, b), (b, a)):
-        rim = core[one] & keep[one] & keep[other] & ~wide[other]
-        wide[other[rim]] = True
-        patch[other[rim]] = patch[one[rim]]
+    patch = components(a, b, wide)
+    add_rims(a, b, core, keep, wide, patch)
     return wide, patch
 
 
@@ -284,12 +279,8 @@ def _under_furniture(ground: BoolArray, apart: BoolArray, core: BoolArray, a: In
     Nothing is entered from there over a step: what is low beside a stair's tread is its soffit.
     """
     free = ground | (core & ~apart)
-    inside = free[a] & free[b]
-    label = components(a[inside], b[inside], len(free))
-    reached = np.zeros(label.max() + 1, dtype=bool)
-    reached[label[ground]] = True
-    result: BoolArray = free & reached[label]
-    return result
+    reached: BoolArray = pieces_with(components(a, b, free), ground, free)
+    return reached
 
 
 def _is_storey(layers: Layers, nodes: BoolArray, bulk: BoolArray, config: PerceptionConfig) -> bool:
@@ -311,9 +302,8 @@ class _Joins:
 
 def _joins(layers: Layers, config: PerceptionConfig, wide: BoolArray, patch: IntArray) -> _Joins:
     standable, tread = _shapes(layers, wide, patch, config)
-    a, b = connect(layers, wide, np.full(len(wide), config.max_step), HALF)
-    across = patch[a] != patch[b]
-    a, b = np.concatenate([a[across], b[across]]), np.concatenate([b[across], a[across]])
+    a, b = pairs_across(*connect(layers, wide, np.full(len(wide), config.max_step), HALF), patch)
+    a, b = np.concatenate([a, b]), np.concatenate([b, a])
     rise = np.abs(layers.height[a] - _level_of_furniture(layers, wide, patch)[b])
     allowed = np.where(standable[patch[b]], config.max_step, np.where(tread[patch[b]], config.stair_step, -1.0))
     return _Joins(a[rise <= allowed], b[rise <= allowed], standable)
@@ -321,8 +311,9 @@ def _joins(layers: Layers, config: PerceptionConfig, wide: BoolArray, patch: Int
 
 def _beside(ground: BoolArray, patch: IntArray, joins: _Joins, seen: BoolArray) -> IntArray:
     """Patches not yet seen that a step joins to the ground."""
-    found: IntArray = np.unique(patch[joins.b[ground[joins.a] & ~seen[patch[joins.b]]]])
-    return found
+    found = np.zeros(len(seen), dtype=bool)
+    found[patch[joins.b[ground[joins.a]]]] = True
+    return np.flatnonzero(found & ~seen)
 
 
 def _spread(
@@ -386,9 +377,9 @@ def _without_dead_ends(
     level = np.bincount(patch, layers.height) / np.maximum(np.bincount(patch), 1)
     rise = layers.cell_width * float(np.tan(config.steepest))
     while True:
-        here = ground[a] & ground[b]
-        pairs = np.unique(np.column_stack([patch[a[here]], patch[b[here]]]), axis=0)
-        one, other = np.unique(np.concatenate([pairs, pairs[:, ::-1]]), axis=0).T
+        here, count = ground[a] & ground[b], len(level)
+        one, other = patch[a[here]], patch[b[here]]
+        one, other = np.divmod(np.unique(np.concatenate([one * count + other, other * count + one])), count)
         stepped_down = level[one] - level[other] > rise
         joined, below, floors = (
             np.bincount(one[kind], minlength=len(level)) for kind in (one >= 0, stepped_down, standable[other])

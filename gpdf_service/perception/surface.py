@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from gpdf_service.perception.columns import by_cell
+from gpdf_service.perception.columns import by_cell, extent_in
 from gpdf_service.types import BoolArray, FloatArray, IntArray
 
 UNKNOWN, OBSERVED, INFERRED = 0, 1, 2
@@ -40,6 +41,12 @@ CEILING = 1.9
 _ROUNDING = float(np.finfo(np.float64).eps)
 MAX_HOLE_RADIUS = 1.0
 """[m] A hole is filled if no place in it is further from seen ground: a scanner's blind spot, the shadow of a desk."""
+
+
+Scalar = TypeVar("Scalar", bound=np.generic)
+Box = tuple[slice, slice]
+"""Rows and columns of a grid."""
+WHOLE: Box = (slice(None), slice(None))
 
 
 @dataclass(frozen=True, slots=True)
@@ -122,8 +129,44 @@ def _height_at(height: NDArray[np.float32], origin: FloatArray, width: float, xy
     return made
 
 
+class Nearest(NamedTuple):
+    """For each cell the seen ground nearest to it.
+
+    Attributes:
+        distance: To it [m], inf where nothing was seen, shape (nx, ny).
+        height: Of it [m], NaN where nothing was seen, shape (nx, ny).
+    """
+
+    distance: FloatArray
+    height: NDArray[np.float32]
+
+
+def nearest_seen(surface: HeightMap, box: Box = WHOLE) -> Nearest:
+    """The nearest seen ground of a height map, in a `box` of its cells; there is none outside."""
+    unknown = surface.state[box] != OBSERVED
+    if unknown.all():
+        return Nearest(np.full(surface.state.shape, np.inf), np.full(surface.state.shape, np.nan, surface.height.dtype))
+    cells, row = ndimage.distance_transform_edt(unknown, return_indices=True)
+    shape, height = surface.state.shape, surface.height[box][row[0], row[1]]
+    return Nearest(spread(cells * surface.cell_width, box, shape, np.inf), spread(height, box, shape, np.nan))
+
+
+def spread(part: NDArray[Scalar], box: Box, shape: tuple[int, ...], outside: float) -> NDArray[Scalar]:
+    """The cells of a box in a grid of that shape; a filter over a change needs no more than a box around it."""
+    if box is WHOLE:
+        return part
+    made = np.full(shape, outside, part.dtype)
+    made[box] = part
+    return made
+
+
 def fill_holes(
-    surface: HeightMap, lowest: FloatArray, seen_through: BoolArray, pit: BoolArray, walls: BoolArray
+    surface: HeightMap,
+    lowest: FloatArray,
+    seen_through: BoolArray,
+    pit: BoolArray,
+    walls: BoolArray,
+    near: Nearest | None = None,
 ) -> HeightMap:
     """Infer ground where its surroundings explain it, and mark it.
 
@@ -136,10 +179,9 @@ def fill_holes(
     """
     known = surface.state == OBSERVED
     height, state = surface.height.copy(), surface.state.copy()
-    cells, nearest = ndimage.distance_transform_edt(~known, return_indices=True)
-    distance = cells * surface.cell_width
-    material = lowest < surface.height[nearest[0], nearest[1]] + CEILING
-    _fill_gaps(height, state, ~known, distance, nearest, surface.cell_width)
+    distance, beside = near or nearest_seen(surface)
+    material = lowest < beside + CEILING
+    _fill_gaps(height, state, ~known, distance, beside, surface.cell_width)
     _fill_notches(height, state, seen_through, distance, surface.cell_width)
     known = state != UNKNOWN
     void = seen_through | pit | _walled_down(surface, walls)
@@ -147,7 +189,7 @@ def fill_holes(
     solid = state != UNKNOWN  # then the ground that carries the furniture itself
     under = ~solid & (distance <= MAX_HOLE_RADIUS) & material & _seen_hollow(~solid & material, known & material)
     _fill(height, state, under, solid, distance, surface.cell_width, void, SHUT_SHARE)
-    _fill_gaps(height, state, state == UNKNOWN, distance, nearest, surface.cell_width)  # what is left of larger ones
+    _fill_gaps(height, state, state == UNKNOWN, distance, beside, surface.cell_width)  # what is left of larger ones
     return HeightMap(surface.origin, surface.cell_width, height, state)
 
 
@@ -168,46 +210,55 @@ def _seen_hollow(things: BoolArray, overhung: BoolArray) -> BoolArray:
     return result
 
 
-def find_voids(surface: HeightMap, points: FloatArray, max_step: float) -> tuple[BoolArray, BoolArray, BoolArray]:
+def find_voids(
+    surface: HeightMap, points: FloatArray, max_step: float, near: Nearest | None = None, box: Box = WHOLE
+) -> tuple[BoolArray, BoolArray, BoolArray]:
     """Unknown cells whose highest point of `points` (n, 3) lies over `max_step` under the ground beside them.
+
+    Args:
+        surface: The ground as it was seen.
+        points: What else was seen [m], shape (n, 3).
+        max_step: [m].
+        near: `nearest_seen` of the surface, where it is known.
+        box: Cells that hold all points, and `MAX_HOLE_RADIUS` around them.
 
     Returns:
         Where the scanner saw through, further down than a floor is thick; where the bottom of a pit is seen, which is
         no ceiling because no storey is under it; and where the upper end of a pit's walls is. All (nx, ny).
     """
-    unknown = surface.state == UNKNOWN
-    cells, nearest = ndimage.distance_transform_edt(unknown, return_indices=True)
-    asked = unknown & (cells * surface.cell_width <= MAX_HOLE_RADIUS)
+    distance, beside = near or nearest_seen(surface, box)
+    asked = (surface.state == UNKNOWN) & (distance <= MAX_HOLE_RADIUS)
     ix, iy, inside = surface.cells(points)
-    walls = _walls_down(surface, ix[inside], iy[inside], points[inside, 2])
-    kept = inside & asked[ix, iy]
-    ix, iy, z = ix[kept], iy[kept], points[kept, 2]
-    beside = surface.height[nearest[0], nearest[1]]
-    under = z < beside[ix, iy] + surface.cell_width
-    top, bottom = np.full(unknown.shape, -np.inf), np.full(unknown.shape, np.inf)
-    np.maximum.at(top, (ix[under], iy[under]), z[under])
-    np.minimum.at(bottom, (ix[under], iy[under]), z[under])
+    z, cell = points[inside, 2], (ix * asked.shape[1] + iy)[inside]
+    walls = _walls_down(surface, cell, z, box)
+    high = _under(np.where(asked, beside + np.float32(surface.cell_width), -np.inf))
+    found = extent_in(cell, z, np.full(asked.size, -np.inf), high)
+    bottom, top = (part.reshape(asked.shape) for part in found)
     seen = np.isfinite(top)
     depth = np.where(seen, beside - top, 0.0)
     pit = (depth > max_step) & (depth <= SLAB) & (np.where(seen, top - bottom, 0.0) < STOREY)
     return depth > SLAB, pit, walls
 
 
-def _walls_down(surface: HeightMap, ix: IntArray, iy: IntArray, z: FloatArray) -> BoolArray:
-    """Cells of a hole or beside one with a point at (ix, iy, z), each (n,), right under the ground: no floor.
+def _walls_down(surface: HeightMap, cell: IntArray, z: FloatArray, box: Box) -> BoolArray:
+    """Cells of a hole or beside one with a point right under the ground, no floor: `z` [m] in the flat `cell`, (n,).
 
     A step up at the rim is none: the lowest ground within two cells counts. But a rim's cell that holds the wall's
     upper end, too, lies as deep as that: of each cell and those around it the highest ground counts.
     """
-    unknown = surface.state == UNKNOWN
-    rim = ndimage.maximum_filter(np.where(unknown, -np.inf, surface.height), size=3)
-    floor = ndimage.minimum_filter(np.where(unknown, np.inf, rim), size=5)
-    depth = floor[ix, iy] - z
-    wall = (depth > surface.cell_width) & (depth <= WALL_CELLS * surface.cell_width)
-    walls = np.zeros(unknown.shape, dtype=bool)
-    walls[ix[wall], iy[wall]] = True
-    walls &= ndimage.binary_dilation(unknown, np.ones((3, 3)))
+    shape, unknown = surface.state.shape, surface.state[box] == UNKNOWN
+    rim = ndimage.maximum_filter(np.where(unknown, -np.inf, surface.height[box]), size=3)
+    floor = spread(ndimage.minimum_filter(np.where(unknown, np.inf, rim), size=5), box, shape, -np.inf)
+    low, high = (_under(floor - cells * surface.cell_width) for cells in (WALL_CELLS, 1.0))
+    walls: BoolArray = np.isfinite(extent_in(cell, z, low, high)[0]).reshape(shape)
+    walls[box] &= ndimage.binary_dilation(unknown, np.ones((3, 3)))
     return walls
+
+
+def _under(heights: FloatArray) -> FloatArray:
+    """The next smaller numbers, flat: what is not over them is under the heights."""
+    made: FloatArray = np.nextafter(heights.astype(np.float64), -np.inf).ravel()
+    return made
 
 
 def _walled_down(surface: HeightMap, walls: BoolArray) -> BoolArray:
@@ -226,14 +277,14 @@ def _fill_gaps(
     state: NDArray[np.uint8],
     holes: BoolArray,
     distance: FloatArray,
-    nearest: NDArray[np.int32],
+    beside: NDArray[np.float32],
     cell_width: float,
 ) -> None:
     """Fill single cells that the scan's spacing left empty, with the ground beside them: also at a step's edge."""
     label, count = ndimage.label(holes)
     size, wide = (np.bincount(label[cells], minlength=count + 1) for cells in (holes, holes & (distance > cell_width)))
     small = holes & ((size <= GAP_CELLS) & (wide == 0))[label]
-    height[small] = height[nearest[0][small], nearest[1][small]]
+    height[small] = beside[small]
     state[small] = INFERRED
 
 
@@ -246,38 +297,54 @@ def _fill_notches(
     grid at an angle stays as it was seen.
     """
     open_ = (state == UNKNOWN) & ~void & (distance <= NOTCH_DEPTH)
-    filled = np.full(height.shape, np.nan, np.float32)
-    for axis in (0, 1):
-        ahead, behind, gap = _known_beside(height, axis)
-        low, high, run = np.fmin(ahead, behind), np.fmax(ahead, behind), gap * cell_width
-        flight = open_ & (run <= NOTCH_SPAN) & (high - low > 2.0 * cell_width) & (high - low <= STEEPEST_FLIGHT * run)
-        for tread in _known_beside(height, 1 - axis, NOTCH_DEPTH / cell_width)[:2]:
-            between = (tread > low + 0.5 * cell_width) & (tread < high - 0.5 * cell_width)
-            filled = np.where(flight & between & np.isnan(filled), tread, filled)
+    filled = _treads(height, open_, np.float32(cell_width), cell_width)
     explained = ~np.isnan(filled)
     height[explained] = filled[explained]
     state[explained] = INFERRED
 
 
-def _known_beside(
-    height: NDArray[np.float32], axis: int, reach: float = np.inf
-) -> tuple[NDArray[np.float32], NDArray[np.float32], FloatArray]:
-    """Heights of the nearest known cells before and after each cell along `axis`, and the cells between the two.
+@njit(cache=True, nogil=True)
+def _treads(
+    height: NDArray[np.float32], open_: BoolArray, rounded: np.float32, cell_width: float
+) -> NDArray[np.float32]:
+    """Height of the tread beside each `open_` cell that lies in a flight, NaN elsewhere.
 
-    NaN where there is none within `reach` cells.
+    `rounded` is the width of a cell as heights are kept.
     """
-    before, back = _last_known(height, axis)
-    after, on = (np.flip(part, axis) for part in _last_known(np.flip(height, axis), axis))
-    nan = np.float32(np.nan)
-    return np.where(back <= reach, before, nan), np.where(on <= reach, after, nan), back + on
+    (nx, ny), most = height.shape, int(NOTCH_SPAN / cell_width) + 1
+    filled = np.full((nx, ny), np.float32(np.nan), np.float32)
+    for x in range(nx):
+        for y in range(ny):
+            if not open_[x, y]:
+                continue
+            for axis in range(2):
+                dx, dy = 1 - axis, axis
+                ahead, on = _next_known(height, x, y, -dx, -dy, most)
+                behind, back = _next_known(height, x, y, dx, dy, most)
+                if on == 0 or back == 0:
+                    continue
+                run, low, high = (on + back) * cell_width, min(ahead, behind), max(ahead, behind)
+                rise = float(high - low)
+                if not (run <= NOTCH_SPAN and rise > 2.0 * rounded and rise <= STEEPEST_FLIGHT * run):
+                    continue
+                for way in (-1, 1):
+                    tread, beside = _next_known(height, x, y, way * dy, way * dx, int(NOTCH_DEPTH / cell_width))
+                    between = tread > low + np.float32(0.5) * rounded and tread < high - np.float32(0.5) * rounded
+                    if beside > 0 and between and np.isnan(filled[x, y]):
+                        filled[x, y] = tread
+    return filled
 
 
-def _last_known(height: NDArray[np.float32], axis: int) -> tuple[NDArray[np.float32], FloatArray]:
-    """Height of the last known cell before each cell along `axis`, NaN if none, and how many cells back it is."""
-    along = np.arange(height.shape[axis]).reshape((-1, 1) if axis == 0 else (1, -1))
-    at = np.maximum.accumulate(np.where(np.isnan(height), -1, along), axis=axis)
-    value = np.where(at >= 0, np.take_along_axis(height, np.maximum(at, 0), axis), np.float32(np.nan))
-    return value, np.where(at >= 0, along - at, np.inf)
+@njit(cache=True, nogil=True)
+def _next_known(height: NDArray[np.float32], x: int, y: int, dx: int, dy: int, most: int) -> tuple[np.float32, int]:
+    """Height of the next known cell from (x, y) on in a direction, and how many cells away; 0 if none within `most`."""
+    for step in range(1, most + 1):
+        u, v = x + step * dx, y + step * dy
+        if not (0 <= u < height.shape[0] and 0 <= v < height.shape[1]):
+            break
+        if not np.isnan(height[u, v]):
+            return height[u, v], step
+    return np.float32(np.nan), 0
 
 
 def _fill(
