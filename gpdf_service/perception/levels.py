@@ -276,7 +276,7 @@ def _build_level(
 def sheet_surface(layers: Layers, nodes: IntArray, noise: float = 0.0) -> HeightMap:
     """The ground of a sheet as it was seen, at the centres of its cells; the `noise` is that before the cure [m]."""
     height = np.full(layers.shape, np.nan, np.float32)
-    off = np.zeros((*layers.shape, 2))
+    off = np.zeros((*layers.shape, 2), np.float32)
     cell = np.divmod(layers.cell[nodes], layers.shape[1])
     height[cell] = layers.height[nodes]
     off[cell] = layers.place[nodes] - layers.origin - (np.column_stack(cell) + 0.5) * layers.cell_width

@@ -14,7 +14,6 @@ from numba import njit
 from numpy.typing import NDArray
 
 from gpdf_service.perception.surface import HeightMap
-from gpdf_service.types import FloatArray
 
 _REACH = 11.4
 """[-] Radius of the plane over the noise: that of the largest neighbourhood that a point is cured by."""
@@ -36,7 +35,7 @@ _ASKEW = 1e-3
 """[-] Places nearer to one line have no slope across it: their spread about it over that along it, squared."""
 
 
-def to_centres(surface: HeightMap, off: FloatArray, noise: float = 0.0) -> HeightMap:
+def to_centres(surface: HeightMap, off: NDArray[np.float32], noise: float = 0.0) -> HeightMap:
     """Each cell's height on the plane through its own and its neighbours' points, at the cell's centre.
 
     Least squares over those of the nine that differ from its own by less than a cell's width, or the noise. A step
@@ -93,7 +92,7 @@ def _at_rim(height: NDArray[np.float32], i: int, j: int, same: float) -> bool:
 
 @njit(cache=True, nogil=True)
 def _at_centres(
-    height: NDArray[np.float32], off: FloatArray, width: float, same: float, flat: float
+    height: NDArray[np.float32], off: NDArray[np.float32], width: float, same: float, flat: float
 ) -> NDArray[np.float32]:
     made = height.copy()
     for i in range(height.shape[0]):

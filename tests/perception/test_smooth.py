@@ -32,7 +32,7 @@ def test_clean_ground_is_not_touched():
 @pytest.mark.parametrize("noise", [0.0, NOISE])
 def test_a_slope_sampled_beside_the_cells_centres_has_its_height_at_the_centres(noise):
     x, y = cells()
-    off = np.random.default_rng(1).uniform(-0.5 * WIDTH, 0.5 * WIDTH, (*x.shape, 2))
+    off = np.random.default_rng(1).uniform(-0.5 * WIDTH, 0.5 * WIDTH, (*x.shape, 2)).astype(np.float32)
     sampled = 0.25 * (x + off[..., 0]) - 0.1 * (y + off[..., 1])
     sampled[20:30, 20:30] = np.nan
     made = to_centres(ground(sampled), off, noise).height
@@ -48,7 +48,7 @@ def test_a_slope_sampled_beside_the_cells_centres_has_its_height_at_the_centres(
 def test_a_step_stays_as_high_and_as_sharp_as_it_was(step):
     x, _ = cells()
     height = np.where(x >= 1.5, step, 0.0).astype(np.float32)
-    off = np.random.default_rng(2).uniform(-0.5 * WIDTH, 0.5 * WIDTH, (*x.shape, 2))
+    off = np.random.default_rng(2).uniform(-0.5 * WIDTH, 0.5 * WIDTH, (*x.shape, 2)).astype(np.float32)
     np.testing.assert_allclose(to_centres(ground(height), off).height, height, atol=1e-6)
 
 
