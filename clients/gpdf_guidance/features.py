@@ -145,6 +145,18 @@ def _straight_pieces(xy: FloatArray) -> list[int]:
 
 def find_steps(z: FloatArray, s: FloatArray) -> list[Feature]:
     """Single steps and stairs: where the ground rises or falls more steeply than anybody stands on."""
+    found: list[Feature] = []
+    for flight in find_flights(z, s):
+        if len(flight) < FLIGHT:
+            found += flight
+        else:
+            rise = float(np.mean([step.amount for step in flight]))
+            found.append(Feature(FeatureKind.STAIRS, flight[0].start, flight[-1].end, rise, len(flight)))
+    return found
+
+
+def find_flights(z: FloatArray, s: FloatArray) -> list[list[Feature]]:
+    """The steps of a path, those of one flight together."""
     steps: list[Feature] = []
     for first, last in _runs(_is_face(z, s)):
         for a, b in _same_sign(z, first, last):
@@ -158,14 +170,7 @@ def find_steps(z: FloatArray, s: FloatArray) -> list[Feature]:
             flights[-1].append(step)
         else:
             flights.append([step])
-    found: list[Feature] = []
-    for flight in flights:
-        if len(flight) < FLIGHT:
-            found += flight
-        else:
-            rise = float(np.mean([step.amount for step in flight]))
-            found.append(Feature(FeatureKind.STAIRS, flight[0].start, flight[-1].end, rise, len(flight)))
-    return found
+    return flights
 
 
 def _is_face(z: FloatArray, s: FloatArray) -> NDArray[np.bool_]:

@@ -9,7 +9,7 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-from gpdf_client import Client, ClientError, ServiceError, Status, Trajectory
+from gpdf_client import Client, ClientError, PlanResult, ServiceError, Status, Trajectory
 from gpdf_schemas import CueAction, CueMessage
 from numpy.typing import NDArray
 
@@ -17,7 +17,8 @@ from gpdf_guidance.advice import BLIND, PACES, Advice, Instruction, Kind, Urgenc
 from gpdf_guidance.announcer import Announcer
 from gpdf_guidance.belief import Belief, believe
 from gpdf_guidance.catalogue import phrase
-from gpdf_guidance.route import Pose, Progress, Route, build_route
+from gpdf_guidance.route import SQUARE, Pose, Progress, Route, arc_length, build_route
+from gpdf_guidance.stairs import find_stairs, obliqueness, places_to_stand
 from gpdf_guidance.trust import doubt
 
 FloatArray = NDArray[np.float64]
@@ -40,6 +41,8 @@ HIP = 1.0
 """[m] What a cane finds ends here."""
 LEAST_ROOM = 0.08
 """[m] On each side of the body, away from both ends: who sways more than this would touch."""
+ROOM_TO_STAND = 0.05
+"""[m] A place to go through needs this much more than the body: the search keeps its own margin."""
 ENDS = 1.0
 """[m] A chair that one gets up from, a door that one goes to: there one is led through less."""
 STALLED = 30.0
@@ -93,20 +96,39 @@ class Planner:
 
     def route(self, pose: Pose, goal: Sequence[float]) -> tuple[Route | None, str]:
         """The route from a pose, or why there is none."""
-        why = ""
+        why, oblique = "", None
         for width in WIDTHS:
             try:
-                result = self._client.plan(self.scene, pose.position, goal, {**PERSON, "width": width})
+                result, square = self._plan(pose, goal, {**PERSON, "width": width})
                 why = result.message
                 if result.status is Status.OK and result.trajectory is not None:
                     route = self._build(result.trajectory, pose, result.scene_version)
-                    tight = too_tight(route)
-                    return (None, tight) if tight else (route, "")
+                    if tight := too_tight(route):
+                        return oblique, "" if oblique else tight
+                    if square:
+                        return route, ""
+                    oblique = oblique or route
             except ServiceError as error:  # it failed for this width
                 why = str(error)
             except ClientError as error:
                 return None, str(error)
-        return None, why
+        return oblique, "" if oblique else why
+
+    def _plan(self, pose: Pose, goal: Sequence[float], body: dict[str, Any]) -> tuple[PlanResult, bool]:
+        """A way, through the places before and behind its stairs; and whether all of them are met squarely."""
+        result = self._client.plan(self.scene, pose.position, goal, body)
+        if result.status is not Status.OK or result.trajectory is None:
+            return result, False
+        path, s = result.trajectory.ground, arc_length(result.trajectory.ground)
+        flights = find_stairs(path, s, self._field)
+        if obliqueness(path, s, flights) <= SQUARE:
+            return result, True
+        via = places_to_stand(path, s, flights, lambda places: self._room(body, places) - ROOM_TO_STAND)
+        again = self._client.plan(self.scene, pose.position, goal, body, via=[place.tolist() for place in via])
+        if again.status is not Status.OK or again.trajectory is None:
+            return result, False
+        path, s = again.trajectory.ground, arc_length(again.trajectory.ground)
+        return again, obliqueness(path, s, find_stairs(path, s, self._field)) <= SQUARE
 
     def pulse(self) -> int | None:
         """The scene's version, as a sign that whoever plans in it is there; None without one within `PULSE`."""
@@ -115,10 +137,16 @@ class Planner:
         except ClientError:
             return None
 
+    def _field(self, places: FloatArray) -> tuple[FloatArray, FloatArray]:
+        found = self._client.distance(self.scene, "ground", places)
+        return np.where(found.valid, found.distance, np.inf), found.gradient
+
     def _build(self, trajectory: Trajectory, pose: Pose, version: int) -> Route:
         room, low = partial(self._room, PERSON), partial(self._room, {**PERSON, "name": "to the hip", "height": HIP})
         radius = PERSON["width"] / 2
-        return build_route(trajectory, room, facing=pose.heading, room_low=low, radius=radius, version=version)
+        return build_route(
+            trajectory, room, facing=pose.heading, room_low=low, radius=radius, field=self._field, version=version
+        )
 
     def _room(self, body: dict[str, Any], places: FloatArray) -> FloatArray:
         found = self._client.distance(self.scene, "obstacle", places, body)

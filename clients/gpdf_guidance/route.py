@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from math import isfinite
+from math import isfinite, radians
 
 import numpy as np
 from gpdf_client import Trajectory
 from numpy.typing import NDArray
 
-from gpdf_guidance.features import Feature, find_features
+from gpdf_guidance.features import Feature, find_features, wrap
+from gpdf_guidance.stairs import Field, Flight, find_stairs
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
@@ -27,6 +28,14 @@ WIDEST = 0.8
 """[m] A corridor is looked for this far to either side; more changes no instruction."""
 ELBOW_ROOM = 0.35
 """[m] To either side of the body a person walks at ease."""
+FOOTING = 0.15
+"""[m] Half of a stance: so far from an edge beside one the middle of the body stays."""
+GATE = 0.2
+"""[m] To either side of the line in which stairs are begun and left; what a person sways in a pace, and a pose scatters."""
+SQUARE = radians(20)
+"""[rad] A path that crosses an edge within this of square is in the line of the stairs."""
+INTO_STAIRS = 0.6
+"""[m] The line goes on over the first treads, and begins before the last ones: two of them."""
 BACK, AHEAD = 1.5, 2.5
 """[m] A pose is looked for this far behind and ahead of the last one: a path that passes itself is not confused."""
 
@@ -70,6 +79,7 @@ class Route:
         features: What a person is told of, in order.
         radius: Of the person's body [m].
         version: Of the scene that it was planned in.
+        flights: Stairs, and how they are met squarely.
     """
 
     ground: FloatArray
@@ -83,6 +93,7 @@ class Route:
     features: tuple[Feature, ...]
     radius: float
     version: int = 0
+    flights: tuple[Flight, ...] = ()
 
     @property
     def length(self) -> float:
@@ -143,6 +154,7 @@ def build_route(
     facing: float | None = None,
     room_low: Room | None = None,
     radius: float,
+    field: Field | None = None,
     version: int = 0,
 ) -> Route:
     """Build the route of a trajectory.
@@ -153,9 +165,10 @@ def build_route(
         facing: Where the person looks before the first step [rad]; the turn into the path is the first feature.
         room_low: The same for a body that ends at the hip: what it has more is head-height obstacles.
         radius: Of the person's body [m].
+        field: The ground's; without it nothing is known of how stairs lie.
         version: Of the scene that the trajectory was planned in.
     """
-    rough = _arc_length(trajectory.ground)
+    rough = arc_length(trajectory.ground)
     s = np.linspace(0.0, rough[-1], max(3, round(rough[-1] / SPACING) + 1))
     ground = np.column_stack([np.interp(s, rough, trajectory.ground[:, k]) for k in range(3)])
     heading = np.interp(s, rough, np.unwrap(trajectory.headings))
@@ -165,11 +178,15 @@ def build_route(
     margin = np.clip(0.5 * clear, 0.0, MARGIN)
     disc = np.maximum(clear - margin, 0.0)
     left, right = (np.maximum(_reach(side, margin), disc) for side in (free[:, middle:], free[:, middle::-1]))
+    flights = find_stairs(trajectory.ground, rough, field) if field is not None else ()
+    if field is not None and flights:
+        disc, left, right = _on_own_ground(ground, s, heading, flights, field, (disc, left, right))
+        disc, left, right = (_through_gates(width, s, heading, flights) for width in (disc, left, right))
     over = _scan(ground, heading, room_low) - free if room_low is not None else np.zeros_like(free)
     features = find_features(
         _plan_and_height(trajectory.ground, rough), s, heading, left + right + 2 * (radius + margin), free, over, facing
     )
-    return Route(ground, s, heading, clear, disc, left, right, _shift(left, right), features, radius, version)
+    return Route(ground, s, heading, clear, disc, left, right, _shift(left, right), features, radius, version, flights)
 
 
 def _plan_and_height(ground: FloatArray, s: FloatArray) -> FloatArray:
@@ -177,7 +194,8 @@ def _plan_and_height(ground: FloatArray, s: FloatArray) -> FloatArray:
     return np.column_stack([ground, s])
 
 
-def _arc_length(ground: FloatArray) -> FloatArray:
+def arc_length(ground: FloatArray) -> FloatArray:
+    """Arc length in plan of contact points (n, 3) [m], shape (n,)."""
     return np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(ground[:, :2], axis=0).T))])
 
 
@@ -205,6 +223,51 @@ def _reach(free: FloatArray, margin: FloatArray) -> FloatArray:
     first = np.where(blocked.any(axis=1), blocked.argmax(axis=1), free.shape[1])
     reach: FloatArray = (first - 1) * SPACING / 2
     return reach
+
+
+def _on_own_ground(
+    ground: FloatArray,
+    s: FloatArray,
+    heading: FloatArray,
+    flights: tuple[Flight, ...],
+    field: Field,
+    widths: tuple[FloatArray, FloatArray, FloatArray],
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Disc, left and right of a corridor without ground of another height than the path's, near stairs.
+
+    A body that climbs them may stand on the lowest tread from its side, or with half a foot over the rim of a landing;
+    a person who cannot see may not.
+    """
+    disc, left, right = (width.copy() for width in widths)
+    near = np.any([(s >= f.start - AHEAD) & (s <= f.end + AHEAD) for f in flights], axis=0)
+    other = 0.5 * min(abs(flight.rise) for flight in flights)  # half a step is another ground
+    for quarter in range(4):
+        level = other - _scan(ground[near], heading[near] + quarter * np.pi / 4, lambda places: field(places)[0])
+        middle = level.shape[1] // 2
+        reach_left, reach_right = (_footing(side) for side in (level[:, middle:], level[:, middle::-1]))
+        disc[near] = np.minimum(disc[near], np.minimum(reach_left, reach_right))
+        if quarter == 0:
+            left[near], right[near] = np.minimum(left[near], reach_left), np.minimum(right[near], reach_right)
+    return disc, left, right
+
+
+def _footing(level: FloatArray) -> FloatArray:
+    """How far one may stand aside on one ground [m], shape (n,); infinite where no edge was found."""
+    reach = _reach(level, np.zeros(len(level)))
+    return np.where(reach >= WIDEST - 1e-9, np.inf, reach - np.minimum(FOOTING, 0.5 * reach))
+
+
+def _through_gates(width: FloatArray, s: FloatArray, heading: FloatArray, flights: tuple[Flight, ...]) -> FloatArray:
+    """A corridor's width, at most `GATE` where the path is straight before, on and behind the ends of stairs."""
+    narrowed = width.copy()
+    for flight in flights:
+        for edge, facing, sign in ((flight.start, flight.enter, 1.0), (flight.end, flight.leave, -1.0)):
+            inward = sign * (s - edge)
+            straight = np.abs([wrap(angle - facing) for angle in heading]) <= SQUARE
+            bent = inward[(inward < 0.0) & ~straight].max(initial=-np.inf)
+            gate = (inward > max(bent, -AHEAD)) & (inward <= INTO_STAIRS)
+            narrowed[gate] = np.minimum(narrowed[gate], GATE)
+    return narrowed
 
 
 def _shift(left: FloatArray, right: FloatArray) -> FloatArray:

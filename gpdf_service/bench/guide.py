@@ -68,7 +68,7 @@ def run(args: argparse.Namespace) -> int:
         try:
             with serving(name, points, ground) as (server, client):
                 for one in walk_all(server, client, name, args.count, args.seed):
-                    walks.append(one)  # noqa: PERF402  # what was walked is kept when the next one fails
+                    walks.append(one)  # what was walked is kept when the next one fails
                 found = live(client, server.options.endpoint, name, walks, args.live) if args.live and walks else {}
         except ClientError as error:  # the walks until then count, and those in the other scenes
             found = {"failed": str(error)}

@@ -1,0 +1,127 @@
+"""How a person meets stairs: square to the first edge, and off the last one straight on.
+
+Who cannot see stops at the foot, faces the stairs, and finds the first edge with the cane. A path that is the shortest
+comes onto them in a curve, over a corner of the lowest tread. So a way over stairs is asked for once more, through a
+place before each flight and one behind it, in its line.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from math import atan2, cos, hypot, sin
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gpdf_guidance.features import FLIGHT, Feature, find_flights, wrap
+
+FloatArray = NDArray[np.float64]
+Field = Callable[[FloatArray], tuple[FloatArray, FloatArray]]
+"""Distance (m,) and its gradient (m, 3) to the ground at (m, 3); infinite where nothing is known."""
+
+FEET = (0.6, 0.45, 0.3)
+"""[m] One stands this far before the first edge: a pace, at least what the toes need; the most that has room."""
+ENDS = 3
+"""Steps at each end from which a flight's direction there is taken: a scan's single step is 10° wrong, a winder's turns."""
+BESIDE = (0.05, 0.08, 0.11)
+"""[m] Before a step's face, half-way up, the nearest ground is that face: less than a tread's depth, more than noise."""
+STRAIGHT_FLIGHT = np.radians(30)
+"""[rad] A flight that turns by less has one line; more are winders, which are met where the path meets them."""
+
+
+@dataclass(frozen=True, slots=True)
+class Flight:
+    """Stairs on a path.
+
+    Attributes:
+        start: Arc length of the first edge [m].
+        end: Of the last one [m].
+        enter: Direction in which one walks square over the first edge [rad].
+        leave: The same of the last one.
+        rise: Mean height of a step, negative going down [m].
+    """
+
+    start: float
+    end: float
+    enter: float
+    leave: float
+    rise: float
+
+
+def find_stairs(path: FloatArray, s: FloatArray, field: Field) -> tuple[Flight, ...]:
+    """The flights on a path, contact points (n, 3) at arc lengths (n,), with the directions of their ends."""
+    flights = [steps for steps in find_flights(path[:, 2], s) if len(steps) >= FLIGHT]
+    return tuple(
+        Flight(
+            steps[0].start,
+            steps[-1].end,
+            _facing(path, s, steps[:ENDS], field),
+            _facing(path, s, steps[-ENDS:], field),
+            float(np.mean([step.amount for step in steps])),
+        )
+        for steps in flights
+    )
+
+
+def _facing(path: FloatArray, s: FloatArray, steps: list[Feature], field: Field) -> float:
+    """Square to the faces of some steps, as one walks [rad]; along the path where the field knows no face."""
+    up = float(np.sign(steps[0].amount))
+    beside = np.array([step.start - up * back for step in steps for back in BESIDE])
+    places = np.column_stack([np.interp(beside, s, path[:, k]) for k in range(3)])
+    places[:, 2] += np.repeat([0.5 * abs(step.amount) for step in steps], len(BESIDE))
+    distance, gradient = field(places)
+    away = gradient[np.isfinite(distance), :2].sum(axis=0)  # down the stairs
+    along = at(path, s, steps[-1].end + BESIDE[-1]) - at(path, s, steps[0].start - BESIDE[-1])
+    face = -up * away
+    return atan2(face[1], face[0]) if face @ along[:2] > 0.0 else atan2(along[1], along[0])
+
+
+def at(path: FloatArray, s: FloatArray, where: float) -> FloatArray:
+    """The contact point at an arc length, shape (3,)."""
+    return np.array([np.interp(where, s, path[:, k]) for k in range(3)])
+
+
+def obliqueness(path: FloatArray, s: FloatArray, flights: tuple[Flight, ...]) -> float:
+    """How far from square the path crosses the first or last edge of a flight, at worst [rad]."""
+    edges = [edge for flight in flights for edge in ((flight.start, flight.enter), (flight.end, flight.leave))]
+    moves = [at(path, s, where + BESIDE[-1]) - at(path, s, where - BESIDE[-1]) for where, _ in edges]
+    off = [abs(wrap(atan2(move[1], move[0]) - facing)) for move, (_, facing) in zip(moves, edges, strict=True)]
+    return max(off, default=0.0)
+
+
+def places_to_stand(
+    path: FloatArray, s: FloatArray, flights: tuple[Flight, ...], clearance: Callable[[FloatArray], FloatArray]
+) -> list[FloatArray]:
+    """Before and behind each flight a place in its line, (3,) each, in order; left out where there is no room for one.
+
+    Args:
+        path: Contact points [m], shape (n, 3).
+        s: Their arc lengths [m].
+        flights: On it.
+        clearance: Room that a body has at places (m, 3), less what it needs [m].
+    """
+    places: list[FloatArray] = []
+    for i, flight in enumerate(flights):
+        before = flight.start - flights[i - 1].end if i > 0 else 2 * flight.start
+        behind = flights[i + 1].start - flight.end if i + 1 < len(flights) else 2 * (float(s[-1]) - flight.end)
+        foot, head = _in_line(path, s, flight)
+        for edge, facing, sign, gap in ((foot, flight.enter, -1.0, before), (head, flight.leave, 1.0, behind)):
+            feet = np.array([back for back in FEET if back <= 0.5 * gap])
+            steps = sign * feet[:, None] * np.array([cos(facing), sin(facing), 0.0])
+            free = np.flatnonzero(clearance(edge + steps) >= 0.0) if len(feet) else []
+            places += [edge + steps[free[0]]] if len(free) else []
+    return places
+
+
+def _in_line(path: FloatArray, s: FloatArray, flight: Flight) -> tuple[FloatArray, FloatArray]:
+    """The ends of a flight's line on the ground before and behind it: of a straight one, through its middle's place."""
+    ends = [at(path, s, flight.start - BESIDE[-1]), at(path, s, flight.end + BESIDE[-1])]
+    on_edge = [at(path, s, flight.start), at(path, s, flight.end)]
+    if abs(wrap(flight.leave - flight.enter)) < STRAIGHT_FLIGHT:
+        middle = at(path, s, 0.5 * (flight.start + flight.end))
+        line = np.array([cos(flight.enter) + cos(flight.leave), sin(flight.enter) + sin(flight.leave)])
+        line /= hypot(*line)
+        on_edge = [np.array([*(middle[:2] + ((edge - middle)[:2] @ line) * line), 0.0]) for edge in on_edge]
+    foot, head = (np.array([*edge[:2], end[2]]) for edge, end in zip(on_edge, ends, strict=True))
+    return foot, head
