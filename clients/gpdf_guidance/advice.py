@@ -15,7 +15,7 @@ from gpdf_schemas import CueAction
 from numpy.typing import NDArray
 
 from gpdf_guidance.features import TREAD, TURN, Feature, FeatureKind, wrap
-from gpdf_guidance.route import Pose, Progress, Route
+from gpdf_guidance.route import SQUARE, Pose, Progress, Route
 
 FloatArray = NDArray[np.float64]
 
@@ -49,6 +49,12 @@ POSE_SLACK = 0.03
 """[m] A pose may be this far out of the corridor by its own error alone."""
 ARRIVED = 0.4
 """[m] From the goal: an arm reaches it."""
+AT_EDGE = 0.35
+"""[m] Half a pace: so near to an edge of stairs a person stays square to it."""
+TOES = 0.25
+"""[m] From the middle of the body to the tips of the shoes, and a hand's breadth."""
+SQUARE_ON = radians(12)
+"""[rad] Towards the middle of the stairs one may be led by this; `SQUARE` is this and a course's sway."""
 NEAR_STEP = 1.2
 """[m] Before a step or a stair one goes slowly: a pace and a half."""
 STEP_WINDOW = (1.0, 2.8)
@@ -167,9 +173,9 @@ def advise(route: Route, pose: Pose, now: float, *, near: float, obstacles: Floa
     if not route.inside(place[None], progress.s, POSE_SLACK)[0]:
         off = Instruction(Kind.STOP_OFF_WAY, Urgency.DANGER)
         return stop(progress, off, off_way=True)
-    direction = aim(route, pose, progress)
+    direction, askew = _square(route, pose, progress, aim(route, pose, progress))
     pace = min(safe_pace(route, pose, progress, direction), _pace_before_steps(route, progress))
-    action = _action(direction, pace)
+    action = _action(direction, 0.0 if askew else pace)
     said = _turning(route, progress, direction, action)
     if action is not CueAction.TURN:  # who turns on the spot does not know yet where "ahead" is
         said += _ahead(route, progress)
@@ -227,6 +233,25 @@ def aim(route: Route, pose: Pose, progress: Progress) -> float:
     paces = np.array([_pace_for(length) for length in reach])
     best = int(np.where(straight, paces, -1.0).argmax()) if straight.any() else len(bearings) - 1
     return wrap(float(bearings[best]) - pose.heading)
+
+
+def _square(route: Route, pose: Pose, progress: Progress, direction: float) -> tuple[float, bool]:
+    """At the first and the last edge of stairs, a direction that is square over it but for `SQUARE_ON`.
+
+    The flag says to turn there on the spot. Who is beside the line is led back to it first.
+    """
+    for flight in route.flights:
+        for edge, facing in ((flight.start, flight.enter), (flight.end, flight.leave)):
+            if edge - AT_EDGE <= progress.s <= edge + AT_EDGE:
+                square = wrap(facing - pose.heading)
+                bent = square + float(np.clip(wrap(direction - square), -SQUARE_ON, SQUARE_ON))
+                fan = pose.heading + bent + np.array([-SWAY, 0.0, SWAY])
+                if _pace_for(float(_clear(route, pose, progress, fan).min())) > 0.0:
+                    return bent, progress.s < edge and abs(square) > SQUARE
+                if progress.s < edge:
+                    aside = route.middle_at(max(progress.s, edge - TOES)) - np.array(pose.position[:2])
+                    return wrap(float(np.arctan2(aside[1], aside[0])) - pose.heading), False
+    return direction, False
 
 
 def safe_pace(route: Route, pose: Pose, progress: Progress, direction: float) -> float:

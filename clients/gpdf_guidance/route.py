@@ -29,9 +29,13 @@ WIDEST = 0.8
 ELBOW_ROOM = 0.35
 """[m] To either side of the body a person walks at ease."""
 FOOTING = 0.15
-"""[m] Half of a stance: so far from an edge beside one the middle of the body stays."""
+"""[m] Half of a stance: on stairs the middle of the body stays so far from their sides."""
+OTHER_GROUND = 0.7
+"""[-] A share of a step: what is this far from the ground of a place is another tread or floor, not a field's error."""
+KEEP_OFF = 0.35
+"""[m] Half a pace: elsewhere one keeps so far from the edges of stairs, but in their line."""
 GATE = 0.2
-"""[m] To either side of the line in which stairs are begun and left; what a person sways in a pace, and a pose scatters."""
+"""[m] To either side of the line in which stairs are begun and left: the sway of a pace, the scatter of a pose."""
 SQUARE = radians(20)
 """[rad] A path that crosses an edge within this of square is in the line of the stairs."""
 INTO_STAIRS = 0.6
@@ -180,7 +184,9 @@ def build_route(
     left, right = (np.maximum(_reach(side, margin), disc) for side in (free[:, middle:], free[:, middle::-1]))
     flights = find_stairs(trajectory.ground, rough, field) if field is not None else ()
     if field is not None and flights:
-        disc, left, right = _on_own_ground(ground, s, heading, flights, field, (disc, left, right))
+        nearest = np.abs(rough[None, :] - s[:, None]).argmin(axis=1)  # half-way up a step is no ground
+        standing = np.column_stack([ground[:, :2], trajectory.ground[nearest, 2]])
+        disc, left, right = _on_own_ground(standing, s, heading, flights, field, (disc, left, right))
         disc, left, right = (_through_gates(width, s, heading, flights) for width in (disc, left, right))
     over = _scan(ground, heading, room_low) - free if room_low is not None else np.zeros_like(free)
     features = find_features(
@@ -240,21 +246,21 @@ def _on_own_ground(
     """
     disc, left, right = (width.copy() for width in widths)
     near = np.any([(s >= f.start - AHEAD) & (s <= f.end + AHEAD) for f in flights], axis=0)
-    other = 0.5 * min(abs(flight.rise) for flight in flights)  # half a step is another ground
+    on = np.any([(s >= f.start) & (s <= f.end) for f in flights], axis=0)
+    keep_off = np.where(on, FOOTING, KEEP_OFF)[near]
+    other = OTHER_GROUND * min(abs(flight.rise) for flight in flights)
     for quarter in range(4):
         level = other - _scan(ground[near], heading[near] + quarter * np.pi / 4, lambda places: field(places)[0])
         middle = level.shape[1] // 2
-        reach_left, reach_right = (_footing(side) for side in (level[:, middle:], level[:, middle::-1]))
-        disc[near] = np.minimum(disc[near], np.minimum(reach_left, reach_right))
+        reaches = [_reach(side, np.zeros(len(keep_off))) for side in (level[:, middle:], level[:, middle::-1])]
+        footing = [
+            np.where(reach >= WIDEST - 1e-9, np.inf, reach - np.minimum(keep_off + other, 0.5 * reach))
+            for reach in reaches
+        ]
+        disc[near] = np.minimum(disc[near], np.minimum(*footing))
         if quarter == 0:
-            left[near], right[near] = np.minimum(left[near], reach_left), np.minimum(right[near], reach_right)
+            left[near], right[near] = np.minimum(left[near], footing[0]), np.minimum(right[near], footing[1])
     return disc, left, right
-
-
-def _footing(level: FloatArray) -> FloatArray:
-    """How far one may stand aside on one ground [m], shape (n,); infinite where no edge was found."""
-    reach = _reach(level, np.zeros(len(level)))
-    return np.where(reach >= WIDEST - 1e-9, np.inf, reach - np.minimum(FOOTING, 0.5 * reach))
 
 
 def _through_gates(width: FloatArray, s: FloatArray, heading: FloatArray, flights: tuple[Flight, ...]) -> FloatArray:

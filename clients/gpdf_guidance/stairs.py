@@ -14,18 +14,20 @@ from math import atan2, cos, hypot, sin
 import numpy as np
 from numpy.typing import NDArray
 
-from gpdf_guidance.features import FLIGHT, Feature, find_flights, wrap
+from gpdf_guidance.features import Feature, find_flights, wrap
 
 FloatArray = NDArray[np.float64]
 Field = Callable[[FloatArray], tuple[FloatArray, FloatArray]]
 """Distance (m,) and its gradient (m, 3) to the ground at (m, 3); infinite where nothing is known."""
 
+LEAST_EDGE = 0.1
+"""[m] A first step that is lower is a sill, which one may cross at any angle."""
 FEET = (0.6, 0.45, 0.3)
 """[m] One stands this far before the first edge: a pace, at least what the toes need; the most that has room."""
 ENDS = 3
-"""Steps at each end from which a flight's direction there is taken: a scan's single step is 10° wrong, a winder's turns."""
+"""Steps at each end that say a flight's direction there: of a scan's single one it is 10° wrong, and winders turn."""
 BESIDE = (0.05, 0.08, 0.11)
-"""[m] Before a step's face, half-way up, the nearest ground is that face: less than a tread's depth, more than noise."""
+"""[m] So far before a step's face, half-way up, the nearest ground is that face: within a tread, beyond its noise."""
 STRAIGHT_FLIGHT = np.radians(30)
 """[rad] A flight that turns by less has one line; more are winders, which are met where the path meets them."""
 
@@ -51,7 +53,7 @@ class Flight:
 
 def find_stairs(path: FloatArray, s: FloatArray, field: Field) -> tuple[Flight, ...]:
     """The flights on a path, contact points (n, 3) at arc lengths (n,), with the directions of their ends."""
-    flights = [steps for steps in find_flights(path[:, 2], s) if len(steps) >= FLIGHT]
+    flights = [steps for steps in find_flights(path[:, 2], s) if abs(steps[0].amount) >= LEAST_EDGE]
     return tuple(
         Flight(
             steps[0].start,
@@ -109,8 +111,8 @@ def places_to_stand(
         for edge, facing, sign, gap in ((foot, flight.enter, -1.0, before), (head, flight.leave, 1.0, behind)):
             feet = np.array([back for back in FEET if back <= 0.5 * gap])
             steps = sign * feet[:, None] * np.array([cos(facing), sin(facing), 0.0])
-            free = np.flatnonzero(clearance(edge + steps) >= 0.0) if len(feet) else []
-            places += [edge + steps[free[0]]] if len(free) else []
+            if len(feet) and len(free := np.flatnonzero(clearance(edge + steps) >= 0.0)):
+                places.append(edge + steps[free[0]])
     return places
 
 
