@@ -216,10 +216,16 @@ def _least_room(s: FloatArray, rough: FloatArray, room: Room) -> FloatArray:
 
 def _scan(ground: FloatArray, heading: FloatArray, room: Room) -> FloatArray:
     """Free room at offsets from right to left of each sample, shape (n, k), k odd."""
+    places = _places_beside(ground, heading)
+    return room(places.reshape(-1, 3)).reshape(places.shape[:2])
+
+
+def _places_beside(ground: FloatArray, heading: FloatArray) -> FloatArray:
+    """Places from right to left of each sample, up to `WIDEST`, shape (n, k, 3), k odd."""
     offsets = np.arange(-round(WIDEST / SPACING * 2), round(WIDEST / SPACING * 2) + 1) * SPACING / 2
     normal = np.column_stack([-np.sin(heading), np.cos(heading), np.zeros(len(heading))])
-    places = ground[:, None, :] + offsets[None, :, None] * normal[:, None, :]
-    return room(places.reshape(-1, 3)).reshape(len(ground), len(offsets))
+    places: FloatArray = ground[:, None, :] + offsets[None, :, None] * normal[:, None, :]
+    return places
 
 
 def _reach(free: FloatArray, margin: FloatArray) -> FloatArray:
@@ -246,20 +252,22 @@ def _on_own_ground(
     """
     disc, left, right = (width.copy() for width in widths)
     near = np.any([(s >= f.start - AHEAD) & (s <= f.end + AHEAD) for f in flights], axis=0)
-    on = np.any([(s >= f.start) & (s <= f.end) for f in flights], axis=0)
-    keep_off = np.where(on, FOOTING, KEEP_OFF)[near]
-    other = OTHER_GROUND * min(abs(flight.rise) for flight in flights)
-    for quarter in range(4):
-        level = other - _scan(ground[near], heading[near] + quarter * np.pi / 4, lambda places: field(places)[0])
-        middle = level.shape[1] // 2
-        reaches = [_reach(side, np.zeros(len(keep_off))) for side in (level[:, middle:], level[:, middle::-1])]
-        footing = [
-            np.where(reach >= WIDEST - 1e-9, np.inf, reach - np.minimum(keep_off + other, 0.5 * reach))
-            for reach in reaches
-        ]
-        disc[near] = np.minimum(disc[near], np.minimum(*footing))
-        if quarter == 0:
-            left[near], right[near] = np.minimum(left[near], footing[0]), np.minimum(right[near], footing[1])
+    on = np.any([(s >= f.start) & (s <= f.end) for f in flights], axis=0)[near]
+    keep_off, here = np.where(on, FOOTING, KEEP_OFF), ground[near]
+    step = min(abs(flight.rise) for flight in flights)
+    around = [_places_beside(here, heading[near] + angle) for angle in np.linspace(0.0, np.pi, 4, endpoint=False)]
+    places = np.concatenate(around, axis=1)
+    other = field(places.reshape(-1, 3))[0].reshape(places.shape[:2]) > OTHER_GROUND * step
+    edges = places[other]
+    for row, (place, off) in enumerate(zip(here, keep_off + OTHER_GROUND * step, strict=True)):
+        beside = edges[np.abs(edges[:, 2] - place[2]) < 0.5 * step, :2] - place[:2]
+        gap = float(np.hypot(*beside.T).min(initial=np.inf))
+        disc[np.flatnonzero(near)[row]] = min(disc[near][row], max(gap - off, 0.5 * gap))
+    middle = around[0].shape[1] // 2
+    for side, columns in ((left, slice(middle, 2 * middle + 1)), (right, slice(middle, None, -1))):
+        reach = _reach(np.where(other[:, columns], -1.0, 1.0), np.zeros(len(here)))
+        footing = np.maximum(reach - keep_off - OTHER_GROUND * step, 0.5 * reach)
+        side[near] = np.where(reach < WIDEST - 1e-9, np.minimum(side[near], footing), side[near])
     return disc, left, right
 
 
