@@ -15,7 +15,8 @@ from gpdf_schemas import CueAction
 from numpy.typing import NDArray
 
 from gpdf_guidance.features import TREAD, TURN, Feature, FeatureKind, wrap
-from gpdf_guidance.route import SQUARE, Pose, Progress, Route
+from gpdf_guidance.route import Pose, Progress, Route
+from gpdf_guidance.stairs import SQUARE
 
 FloatArray = NDArray[np.float64]
 

@@ -17,8 +17,8 @@ from gpdf_guidance.advice import BLIND, PACES, Advice, Instruction, Kind, Urgenc
 from gpdf_guidance.announcer import Announcer
 from gpdf_guidance.belief import Belief, believe
 from gpdf_guidance.catalogue import phrase
-from gpdf_guidance.route import SQUARE, Pose, Progress, Route, arc_length, build_route
-from gpdf_guidance.stairs import find_stairs, obliqueness, places_to_stand
+from gpdf_guidance.route import Pose, Progress, Route, arc_length, build_route
+from gpdf_guidance.stairs import SQUARE, find_stairs, obliqueness, places_to_stand
 from gpdf_guidance.trust import doubt
 
 FloatArray = NDArray[np.float64]

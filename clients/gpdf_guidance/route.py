@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from math import isfinite, radians
+from math import isfinite
 
 import numpy as np
 from gpdf_client import Trajectory
 from numpy.typing import NDArray
 
 from gpdf_guidance.features import Feature, find_features, wrap
-from gpdf_guidance.stairs import Field, Flight, find_stairs
+from gpdf_guidance.stairs import GATE, SQUARE, Field, Flight, as_walked, find_stairs
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
@@ -34,10 +34,6 @@ OTHER_GROUND = 0.7
 """[-] A share of a step: what is this far from the ground of a place is another tread or floor, not a field's error."""
 KEEP_OFF = 0.35
 """[m] Half a pace: elsewhere one keeps so far from the edges of stairs, but in their line."""
-GATE = 0.2
-"""[m] To either side of the line in which stairs are begun and left: the sway of a pace, the scatter of a pose."""
-SQUARE = radians(20)
-"""[rad] A path that crosses an edge within this of square is in the line of the stairs."""
 INTO_STAIRS = 0.6
 """[m] The line goes on over the first treads, and begins before the last ones: two of them."""
 BACK, AHEAD = 1.5, 2.5
@@ -183,6 +179,7 @@ def build_route(
     disc = np.maximum(clear - margin, 0.0)
     left, right = (np.maximum(_reach(side, margin), disc) for side in (free[:, middle:], free[:, middle::-1]))
     flights = find_stairs(trajectory.ground, rough, field) if field is not None else ()
+    flights = as_walked(trajectory.ground, rough, flights)
     if field is not None and flights:
         nearest = np.abs(rough[None, :] - s[:, None]).argmin(axis=1)  # half-way up a step is no ground
         standing = np.column_stack([ground[:, :2], trajectory.ground[nearest, 2]])

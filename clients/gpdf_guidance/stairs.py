@@ -8,7 +8,7 @@ place before each flight and one behind it, in its line.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import atan2, cos, hypot, sin
 
 import numpy as np
@@ -28,6 +28,10 @@ ENDS = 3
 """Steps at each end that say a flight's direction there: of a scan's single one it is 10° wrong, and winders turn."""
 BESIDE = (0.05, 0.08, 0.11)
 """[m] So far before a step's face, half-way up, the nearest ground is that face: within a tread, beyond its noise."""
+GATE = 0.2
+"""[m] To either side of the line in which stairs are begun and left: the sway of a pace, the scatter of a pose."""
+SQUARE = np.radians(20)
+"""[rad] A path that crosses an edge within this of square is in the line of the stairs."""
 STRAIGHT_FLIGHT = np.radians(30)
 """[rad] A flight that turns by less has one line; more are winders, which are met where the path meets them."""
 
@@ -53,29 +57,34 @@ class Flight:
 
 def find_stairs(path: FloatArray, s: FloatArray, field: Field) -> tuple[Flight, ...]:
     """The flights on a path, contact points (n, 3) at arc lengths (n,), with the directions of their ends."""
-    flights = [steps for steps in find_flights(path[:, 2], s) if abs(steps[0].amount) >= LEAST_EDGE]
-    return tuple(
-        Flight(
-            steps[0].start,
-            steps[-1].end,
-            _facing(path, s, steps[:ENDS], field),
-            _facing(path, s, steps[-ENDS:], field),
-            float(np.mean([step.amount for step in steps])),
-        )
-        for steps in flights
-    )
+    found = []
+    for steps in find_flights(path[:, 2], s):
+        if abs(steps[0].amount) >= LEAST_EDGE:
+            faces = _faces(path, s, steps, field)
+            enter, leave = (_facing(path, s, steps[rows], faces[rows]) for rows in (slice(ENDS), slice(-ENDS, None)))
+            if abs(wrap(leave - enter)) < STRAIGHT_FLIGHT:
+                enter = leave = _facing(path, s, steps, faces)
+            rise = float(np.mean([step.amount for step in steps]))
+            found.append(Flight(steps[0].start, steps[-1].end, enter, leave, rise))
+    return tuple(found)
 
 
-def _facing(path: FloatArray, s: FloatArray, steps: list[Feature], field: Field) -> float:
-    """Square to the faces of some steps, as one walks [rad]; along the path where the field knows no face."""
+def _faces(path: FloatArray, s: FloatArray, steps: list[Feature], field: Field) -> FloatArray:
+    """Square to the face of each step, as one walks over it; shorter where the field is unsure, shape (k, 2)."""
     up = float(np.sign(steps[0].amount))
     beside = np.array([step.start - up * back for step in steps for back in BESIDE])
     places = np.column_stack([np.interp(beside, s, path[:, k]) for k in range(3)])
     places[:, 2] += np.repeat([0.5 * abs(step.amount) for step in steps], len(BESIDE))
     distance, gradient = field(places)
-    away = gradient[np.isfinite(distance), :2].sum(axis=0)  # down the stairs
+    away = np.where(np.isfinite(distance)[:, None], gradient[:, :2], 0.0)  # down the stairs
+    faces: FloatArray = -up * away.reshape(len(steps), len(BESIDE), 2).sum(axis=1)
+    return faces
+
+
+def _facing(path: FloatArray, s: FloatArray, steps: list[Feature], faces: FloatArray) -> float:
+    """Square to some steps [rad]; along the path where the field knows no face."""
+    face = faces.sum(axis=0)
     along = at(path, s, steps[-1].end + BESIDE[-1]) - at(path, s, steps[0].start - BESIDE[-1])
-    face = -up * away
     return atan2(face[1], face[0]) if face @ along[:2] > 0.0 else atan2(along[1], along[0])
 
 
@@ -87,9 +96,24 @@ def at(path: FloatArray, s: FloatArray, where: float) -> FloatArray:
 def obliqueness(path: FloatArray, s: FloatArray, flights: tuple[Flight, ...]) -> float:
     """How far from square the path crosses the first or last edge of a flight, at worst [rad]."""
     edges = [edge for flight in flights for edge in ((flight.start, flight.enter), (flight.end, flight.leave))]
-    moves = [at(path, s, where + BESIDE[-1]) - at(path, s, where - BESIDE[-1]) for where, _ in edges]
-    off = [abs(wrap(atan2(move[1], move[0]) - facing)) for move, (_, facing) in zip(moves, edges, strict=True)]
-    return max(off, default=0.0)
+    return max((abs(wrap(_crossed(path, s, edge) - facing)) for edge, facing in edges), default=0.0)
+
+
+def as_walked(path: FloatArray, s: FloatArray, flights: tuple[Flight, ...]) -> tuple[Flight, ...]:
+    """The flights, met as the path does where it could not be square."""
+    walked = []
+    for flight in flights:
+        start, end = _crossed(path, s, flight.start), _crossed(path, s, flight.end)
+        enter = flight.enter if abs(wrap(start - flight.enter)) <= SQUARE else start
+        leave = flight.leave if abs(wrap(end - flight.leave)) <= SQUARE else end
+        walked.append(replace(flight, enter=enter, leave=leave))
+    return tuple(walked)
+
+
+def _crossed(path: FloatArray, s: FloatArray, edge: float) -> float:
+    """The direction in which a path crosses an edge [rad]."""
+    move = at(path, s, edge + BESIDE[-1]) - at(path, s, edge - BESIDE[-1])
+    return atan2(move[1], move[0])
 
 
 def places_to_stand(
@@ -105,15 +129,24 @@ def places_to_stand(
     """
     places: list[FloatArray] = []
     for i, flight in enumerate(flights):
-        before = flight.start - flights[i - 1].end if i > 0 else 2 * flight.start
+        before = flight.start - flights[i - 1].end if i > 0 else np.inf
         behind = flights[i + 1].start - flight.end if i + 1 < len(flights) else 2 * (float(s[-1]) - flight.end)
         foot, head = _in_line(path, s, flight)
+        if i == 0 and _is_in_line(path[0], foot, flight.enter):
+            before = 0.0
         for edge, facing, sign, gap in ((foot, flight.enter, -1.0, before), (head, flight.leave, 1.0, behind)):
             feet = np.array([back for back in FEET if back <= 0.5 * gap])
             steps = sign * feet[:, None] * np.array([cos(facing), sin(facing), 0.0])
             if len(feet) and len(free := np.flatnonzero(clearance(edge + steps) >= 0.0)):
                 places.append(edge + steps[free[0]])
     return places
+
+
+def _is_in_line(place: FloatArray, foot: FloatArray, facing: float) -> bool:
+    """Whether one who stands at a place is where the stairs are begun."""
+    ahead = (foot - place)[:2] @ np.array([cos(facing), sin(facing)])
+    aside = (foot - place)[:2] @ np.array([-sin(facing), cos(facing)])
+    return bool(abs(aside) <= GATE and ahead <= FEET[0])
 
 
 def _in_line(path: FloatArray, s: FloatArray, flight: Flight) -> tuple[FloatArray, FloatArray]:
