@@ -176,7 +176,7 @@ def advise(route: Route, pose: Pose, now: float, *, near: float, obstacles: Floa
         return stop(progress, off, off_way=True)
     direction, askew = _square(route, pose, progress, aim(route, pose, progress))
     pace = min(safe_pace(route, pose, progress, direction), _pace_before_steps(route, progress))
-    action = _action(direction, 0.0 if askew else pace)
+    action = _action(direction, 0.0 if askew else pace, SQUARE if _by_stairs(route, progress) else ON_THE_SPOT)
     said = _turning(route, progress, direction, action)
     if action is not CueAction.TURN:  # who turns on the spot does not know yet where "ahead" is
         said += _ahead(route, progress)
@@ -202,8 +202,8 @@ def stop(progress: Progress, reason: Instruction, *, off_way: bool = False) -> A
     return Advice(progress, CueAction.STOP, urgency=1.0, off_way=off_way, instructions=(reason,))
 
 
-def _action(direction: float, pace: float) -> CueAction:
-    if abs(direction) >= ON_THE_SPOT or pace == 0.0:
+def _action(direction: float, pace: float, on_the_spot: float) -> CueAction:
+    if abs(direction) >= on_the_spot or pace == 0.0:
         return CueAction.TURN if abs(direction) > FACING else CueAction.STOP
     return CueAction.GO if pace == PACES[0] else CueAction.SLOW
 
@@ -253,6 +253,12 @@ def _square(route: Route, pose: Pose, progress: Progress, direction: float) -> t
                     aside = route.middle_at(max(progress.s, edge - TOES)) - np.array(pose.position[:2])
                     return wrap(float(np.arctan2(aside[1], aside[0])) - pose.heading), False
     return direction, False
+
+
+def _by_stairs(route: Route, progress: Progress) -> bool:
+    """Whether an edge of stairs is so near that nobody walks in a curve."""
+    edges = [edge for flight in route.flights for edge in (flight.start, flight.end)]
+    return any(abs(edge - progress.s) <= NEAR_STEP for edge in edges)
 
 
 def safe_pace(route: Route, pose: Pose, progress: Progress, direction: float) -> float:
