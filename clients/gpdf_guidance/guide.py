@@ -13,10 +13,12 @@ from gpdf_client import Client, ClientError, PlanResult, ServiceError, Status, T
 from gpdf_schemas import CueAction, CueMessage
 from numpy.typing import NDArray
 
-from gpdf_guidance.advice import BLIND, PACES, Advice, Instruction, Kind, Urgency, advise, is_hidden_step, stop
+from gpdf_guidance.advice import BLIND, PACES, Advice, advise, stop
+from gpdf_guidance.ahead import is_hidden_step
 from gpdf_guidance.announcer import Announcer
 from gpdf_guidance.belief import Belief, believe
 from gpdf_guidance.catalogue import phrase
+from gpdf_guidance.instruction import Instruction, Kind, Urgency
 from gpdf_guidance.route import Pose, Progress, Route, arc_length, build_route
 from gpdf_guidance.stairs import SQUARE, find_stairs, obliqueness, places_to_stand
 from gpdf_guidance.trust import doubt
@@ -257,12 +259,18 @@ class Guide:
         worth = tuple(
             one
             for one in advice.instructions
-            if waited >= patient.get(one.kind, 0.0)
-            and not (self.felt and one.kind is Kind.TURN_BACK)  # the cue has led back before it is said
+            if waited >= patient.get(one.kind, 0.0) and not (self.felt and self._is_felt(one))
         )
         walks = advice.action in (CueAction.GO, CueAction.SLOW)
         resume = (Instruction(Kind.RESUME, Urgency.DANGER),) if self._told_to_stop and walks else ()
         return resume + worth
+
+    def _is_felt(self, one: Instruction) -> bool:
+        """Whether the cue alone says enough: it leads back before that is said, and it says when to turn, once told."""
+        told = replace(one, kind=Kind.TURN_SOON)
+        return one.kind is Kind.TURN_BACK or (
+            one.kind is Kind.TURN_NOW and self._announcer.has_begun(told, self._clock)
+        )
 
     def _notice(self, advice: Advice) -> None:
         """Arrival, and how long the person has been kept from walking."""

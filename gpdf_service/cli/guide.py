@@ -19,7 +19,7 @@ from gpdf_client import Client, ClientError
 from gpdf_client.cli import PLACE_HELP, named_place
 from gpdf_client.client import DEFAULT_ENDPOINT
 from gpdf_guidance import LANGUAGES, Guide, Outcome, Planner, Walk, Walker, simulate
-from gpdf_guidance.advice import Instruction
+from gpdf_guidance.instruction import Instruction
 from gpdf_guidance.live import LiveGuide, Told, open_session, to_json
 from gpdf_guidance.voice import Voice
 from numpy.typing import NDArray
