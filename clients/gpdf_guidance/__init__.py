@@ -5,6 +5,7 @@ from gpdf_guidance.advice import advise as advise
 from gpdf_guidance.announcer import Announcer as Announcer
 from gpdf_guidance.catalogue import LANGUAGES as LANGUAGES
 from gpdf_guidance.catalogue import phrase as phrase
+from gpdf_guidance.guide import PERSON as PERSON
 from gpdf_guidance.guide import Guide as Guide
 from gpdf_guidance.guide import Outcome as Outcome
 from gpdf_guidance.guide import Planner as Planner

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from functools import partial
@@ -37,8 +37,8 @@ PERSON: dict[str, Any] = {
     "turn_rate": 1.5,
 }
 """Measures of the service's "human" at a pace with a cane."""
-WIDTHS = (1.0, 0.8, 0.66, 0.5)
-"""[m] A way is asked for with elbow room first; less is taken only where there is no other."""
+WIDER = (0.25, 0.15, 0.08, 0.0)
+"""[m] On each side of the body a way is asked for with elbow room first; less is taken only where there is no other."""
 HIP = 1.0
 """[m] What a cane finds ends here."""
 LEAST_ROOM = 0.08
@@ -91,17 +91,18 @@ class Planner:
     Args:
         client: Connection to the service.
         scene: Name of the scene.
+        person: Measures of the body, as a plan request takes them; with what it carries, and a little to spare.
     """
 
-    def __init__(self, client: Client, scene: str) -> None:
-        self._client, self.scene = client, scene
+    def __init__(self, client: Client, scene: str, person: Mapping[str, Any] = PERSON) -> None:
+        self._client, self.scene, self.person = client, scene, dict(person)
 
     def route(self, pose: Pose, goal: Sequence[float]) -> tuple[Route | None, str]:
         """The route from a pose, or why there is none."""
         why, oblique = "", None
-        for width in WIDTHS:
+        for wider in WIDER:
             try:
-                result, square = self._plan(pose, goal, {**PERSON, "width": width})
+                result, square = self._plan(pose, goal, {**self.person, "width": self.person["width"] + 2 * wider})
                 why = result.message
                 if result.status is Status.OK and result.trajectory is not None:
                     route = self._build(result.trajectory, pose, result.scene_version)
@@ -144,8 +145,8 @@ class Planner:
         return np.where(found.valid, found.distance, np.inf), found.gradient
 
     def _build(self, trajectory: Trajectory, pose: Pose, version: int) -> Route:
-        room, low = partial(self._room, PERSON), partial(self._room, {**PERSON, "name": "to the hip", "height": HIP})
-        radius = PERSON["width"] / 2
+        hip = {**self.person, "name": "to the hip", "height": HIP}
+        room, low, radius = partial(self._room, self.person), partial(self._room, hip), self.person["width"] / 2
         return build_route(
             trajectory, room, facing=pose.heading, room_low=low, radius=radius, field=self._field, version=version
         )
