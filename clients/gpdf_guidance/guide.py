@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from functools import partial
+from math import inf
 from typing import Any
 
 import numpy as np
@@ -43,8 +44,8 @@ HIP = 1.0
 """[m] What a cane finds ends here."""
 LEAST_ROOM = 0.08
 """[m] On each side of the body, away from both ends: who sways more than this would touch."""
-ROOM_TO_STAND = 0.05
-"""[m] A place to go through needs this much more than the body: the search keeps its own margin."""
+ROUNDS = 4
+"""Plans at most: a way that crosses a corner of the stairs shows their line roughly, one in that line exactly."""
 ENDS = 1.0
 """[m] A chair that one gets up from, a door that one goes to: there one is led through less."""
 STALLED = 30.0
@@ -99,39 +100,41 @@ class Planner:
 
     def route(self, pose: Pose, goal: Sequence[float]) -> tuple[Route | None, str]:
         """The route from a pose, or why there is none."""
-        why, oblique = "", None
+        why, best, askew = "", None, inf
         for wider in WIDER:
             try:
-                result, square = self._plan(pose, goal, {**self.person, "width": self.person["width"] + 2 * wider})
+                result, oblique = self._plan(pose, goal, {**self.person, "width": self.person["width"] + 2 * wider})
                 why = result.message
-                if result.status is Status.OK and result.trajectory is not None:
+                if result.status is Status.OK and result.trajectory is not None and oblique < askew:
                     route = self._build(result.trajectory, pose, result.scene_version)
-                    if tight := too_tight(route):
-                        return oblique, "" if oblique else tight
-                    if square:
-                        return route, ""
-                    oblique = oblique or route
+                    if why := too_tight(route):
+                        break
+                    best, askew = route, oblique
+                    if oblique <= SQUARE:
+                        break
             except ServiceError as error:  # it failed for this width
                 why = str(error)
             except ClientError as error:
                 return None, str(error)
-        return oblique, "" if oblique else why
+        return best, "" if best else why
 
-    def _plan(self, pose: Pose, goal: Sequence[float], body: dict[str, Any]) -> tuple[PlanResult, bool]:
-        """A way, through the places before and behind its stairs; and whether all of them are met squarely."""
-        result = self._client.plan(self.scene, pose.position, goal, body)
-        if result.status is not Status.OK or result.trajectory is None:
-            return result, False
-        path, s = result.trajectory.ground, arc_length(result.trajectory.ground)
-        flights = find_stairs(path, s, self._field)
-        if obliqueness(path, s, flights) <= SQUARE:
-            return result, True
-        via = places_to_stand(path, s, flights, lambda places: self._room(body, places) - ROOM_TO_STAND)
-        again = self._client.plan(self.scene, pose.position, goal, body, via=[place.tolist() for place in via])
-        if again.status is not Status.OK or again.trajectory is None:
-            return result, False
-        path, s = again.trajectory.ground, arc_length(again.trajectory.ground)
-        return again, obliqueness(path, s, find_stairs(path, s, self._field)) <= SQUARE
+    def _plan(self, pose: Pose, goal: Sequence[float], body: dict[str, Any]) -> tuple[PlanResult, float]:
+        """A way, through the places before and behind its stairs, and how far from square it meets them [rad]."""
+        found: list[tuple[float, PlanResult]] = []
+        via: list[list[float]] = []
+        for _ in range(ROUNDS):
+            result = self._client.plan(self.scene, pose.position, goal, body, via=via)
+            if result.status is not Status.OK or result.trajectory is None:
+                break
+            path, s = result.trajectory.ground, arc_length(result.trajectory.ground)
+            flights = find_stairs(path, s, self._field)
+            found.append((obliqueness(path, s, flights), result))
+            if found[-1][0] <= SQUARE:
+                break
+            room = partial(self._room, body)
+            via = [place.tolist() for place in places_to_stand(path, s, flights, room)]
+        oblique, best = min(found, key=lambda one: one[0], default=(inf, result))
+        return best, oblique
 
     def pulse(self) -> int | None:
         """The scene's version, as a sign that whoever plans in it is there; None without one within `PULSE`."""

@@ -20,6 +20,8 @@ FloatArray = NDArray[np.float64]
 Field = Callable[[FloatArray], tuple[FloatArray, FloatArray]]
 """Distance (m,) and its gradient (m, 3) to the ground at (m, 3); infinite where nothing is known."""
 
+ROOM_TO_STAND = 0.05
+"""[m] A place to go through needs this much beside the body: the search keeps a margin of its own."""
 LEAST_EDGE = 0.1
 """[m] A first step that is lower is a sill, which one may cross at any angle."""
 FEET = (0.6, 0.45, 0.3)
@@ -117,7 +119,7 @@ def _crossed(path: FloatArray, s: FloatArray, edge: float) -> float:
 
 
 def places_to_stand(
-    path: FloatArray, s: FloatArray, flights: tuple[Flight, ...], clearance: Callable[[FloatArray], FloatArray]
+    path: FloatArray, s: FloatArray, flights: tuple[Flight, ...], room: Callable[[FloatArray], FloatArray]
 ) -> list[FloatArray]:
     """Before and behind each flight a place in its line, (3,) each, in order; left out where there is no room for one.
 
@@ -125,7 +127,7 @@ def places_to_stand(
         path: Contact points [m], shape (n, 3).
         s: Their arc lengths [m].
         flights: On it.
-        clearance: Room that a body has at places (m, 3), less what it needs [m].
+        room: That the body has at places (m, 3) [m].
     """
     places: list[FloatArray] = []
     for i, flight in enumerate(flights):
@@ -137,7 +139,7 @@ def places_to_stand(
         for edge, facing, sign, gap in ((foot, flight.enter, -1.0, before), (head, flight.leave, 1.0, behind)):
             feet = np.array([back for back in FEET if back <= 0.5 * gap])
             steps = sign * feet[:, None] * np.array([cos(facing), sin(facing), 0.0])
-            if len(feet) and len(free := np.flatnonzero(clearance(edge + steps) >= 0.0)):
+            if len(feet) and len(free := np.flatnonzero(room(edge + steps) >= ROOM_TO_STAND)):
                 places.append(edge + steps[free[0]])
     return places
 

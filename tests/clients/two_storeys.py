@@ -48,7 +48,7 @@ def make_house(rng, spacing=0.06):
         Box((begin + i * depth, 0.0, 0.0), (begin + (i + 1) * depth, width, (i + 1) * rise), walkable=True)
         for i in range(treads)
     ]
-    slabs = [((0.0, width), SIZE), ((0.0, 0.0), (begin, width)), ((end, 0.0), (SIZE[0], width))]
+    slabs = [((0.0, width), SIZE), ((0.0, 0.0), (begin - 0.6, width)), ((end, 0.0), (SIZE[0], width))]  # headroom
     shapes += [Box((*low, storey - 0.2), (*high, storey), walkable=True) for low, high in slabs]
     shapes += table(4.5, 3.8, 1.6, 0.8)
     if rng.random() < 0.5:
