@@ -48,6 +48,8 @@ class Flight:
         enter: Direction in which one walks square over the first edge [rad].
         leave: The same of the last one.
         rise: Mean height of a step, negative going down [m].
+        foot: Place on the first edge in the line of the stairs (x, y) [m].
+        head: The same on the last one.
     """
 
     start: float
@@ -55,39 +57,64 @@ class Flight:
     enter: float
     leave: float
     rise: float
+    foot: tuple[float, float]
+    head: tuple[float, float]
 
 
 def find_stairs(path: FloatArray, s: FloatArray, field: Field) -> tuple[Flight, ...]:
     """The flights on a path, contact points (n, 3) at arc lengths (n,), with the directions of their ends."""
-    found = []
-    for steps in find_flights(path[:, 2], s):
-        if abs(steps[0].amount) >= LEAST_EDGE:
-            faces = _faces(path, s, steps, field)
-            enter, leave = (_facing(path, s, steps[rows], faces[rows]) for rows in (slice(ENDS), slice(-ENDS, None)))
-            if abs(wrap(leave - enter)) < STRAIGHT_FLIGHT:
-                enter = leave = _facing(path, s, steps, faces)
-            rise = float(np.mean([step.amount for step in steps]))
-            found.append(Flight(steps[0].start, steps[-1].end, enter, leave, rise))
-    return tuple(found)
+    flights = [steps for steps in find_flights(path[:, 2], s) if abs(steps[0].amount) >= LEAST_EDGE]
+    return tuple(_flight(path, s, steps, field) for steps in flights)
 
 
-def _faces(path: FloatArray, s: FloatArray, steps: list[Feature], field: Field) -> FloatArray:
-    """Square to the face of each step, as one walks over it; shorter where the field is unsure, shape (k, 2)."""
+def _flight(path: FloatArray, s: FloatArray, steps: list[Feature], field: Field) -> Flight:
+    """A straight flight has the line that its middle shows, wherever the path begins and leaves it.
+
+    Beside a corner of a tread the nearest ground is the corner, so the ends are looked at again in that line; where it
+    does not meet them squarely either, they are winders, and are met where the path meets them.
+    """
+    edges = np.array([at(path, s, step.start)[:2] for step in steps])
+    along = at(path, s, steps[-1].end + BESIDE[-1]) - at(path, s, steps[0].start - BESIDE[-1])
+    quarter = len(steps) // 4
+    on_path = _faces(path, s, steps, edges, _tangents(path, s, steps), field)
+    line = _unit(on_path[quarter : len(steps) - quarter].sum(axis=0), along[:2])
+    middle = at(path, s, 0.5 * (steps[0].start + steps[-1].end))[:2]
+    in_line = middle + ((edges - middle) @ line)[:, None] * line
+    faces = _faces(path, s, steps, in_line, np.tile(line, (len(steps), 1)), field)
+    ends = [_unit(faces[rows].sum(axis=0), line) for rows in (slice(ENDS), slice(-ENDS, None))]
+    if min(float(end @ line) for end in ends) > cos(STRAIGHT_FLIGHT):
+        edges, ends = in_line, [_unit(faces.sum(axis=0), line)] * 2
+    else:
+        ends = [_unit(on_path[rows].sum(axis=0), along[:2]) for rows in (slice(ENDS), slice(-ENDS, None))]
+    enter, leave = (atan2(end[1], end[0]) for end in ends)
+    rise = float(np.mean([step.amount for step in steps]))
+    foot, head = ((float(x), float(y)) for x, y in edges[[0, -1]])
+    return Flight(steps[0].start, steps[-1].end, enter, leave, rise, foot, head)
+
+
+def _faces(
+    path: FloatArray, s: FloatArray, steps: list[Feature], edges: FloatArray, ways: FloatArray, field: Field
+) -> FloatArray:
+    """Square to each step's face at a place on its edge, as one walks; shorter where the field is unsure, (k, 2)."""
     up = float(np.sign(steps[0].amount))
-    beside = np.array([step.start - up * back for step in steps for back in BESIDE])
-    places = np.column_stack([np.interp(beside, s, path[:, k]) for k in range(3)])
-    places[:, 2] += np.repeat([0.5 * abs(step.amount) for step in steps], len(BESIDE))
-    distance, gradient = field(places)
+    height = np.array([at(path, s, step.start - up * BESIDE[-1])[2] + 0.5 * abs(step.amount) for step in steps])
+    places = edges[:, None, :] - up * np.array(BESIDE)[:, None] * ways[:, None, :]
+    z = np.broadcast_to(height[:, None, None], (*places.shape[:2], 1))
+    distance, gradient = field(np.concatenate([places, z], axis=2).reshape(-1, 3))
     away = np.where(np.isfinite(distance)[:, None], gradient[:, :2], 0.0)  # down the stairs
     faces: FloatArray = -up * away.reshape(len(steps), len(BESIDE), 2).sum(axis=1)
     return faces
 
 
-def _facing(path: FloatArray, s: FloatArray, steps: list[Feature], faces: FloatArray) -> float:
-    """Square to some steps [rad]; along the path where the field knows no face."""
-    face = faces.sum(axis=0)
-    along = at(path, s, steps[-1].end + BESIDE[-1]) - at(path, s, steps[0].start - BESIDE[-1])
-    return atan2(face[1], face[0]) if face @ along[:2] > 0.0 else atan2(along[1], along[0])
+def _tangents(path: FloatArray, s: FloatArray, steps: list[Feature]) -> FloatArray:
+    moves = [at(path, s, step.start + BESIDE[-1]) - at(path, s, step.start - BESIDE[-1]) for step in steps]
+    return np.array([_unit(move[:2], move[:2]) for move in moves])
+
+
+def _unit(vector: FloatArray, otherwise: FloatArray) -> FloatArray:
+    """The direction of a vector; of the other one where it points backwards, or nowhere."""
+    chosen = vector if vector @ otherwise > 0.0 else otherwise
+    return chosen / max(hypot(*chosen), 1e-9)
 
 
 def at(path: FloatArray, s: FloatArray, where: float) -> FloatArray:
@@ -133,7 +160,8 @@ def places_to_stand(
     for i, flight in enumerate(flights):
         before = flight.start - flights[i - 1].end if i > 0 else np.inf
         behind = flights[i + 1].start - flight.end if i + 1 < len(flights) else 2 * (float(s[-1]) - flight.end)
-        foot, head = _in_line(path, s, flight)
+        foot = np.array([*flight.foot, at(path, s, flight.start - BESIDE[-1])[2]])
+        head = np.array([*flight.head, at(path, s, flight.end + BESIDE[-1])[2]])
         if i == 0 and _is_in_line(path[0], foot, flight.enter):
             before = 0.0
         for edge, facing, sign, gap in ((foot, flight.enter, -1.0, before), (head, flight.leave, 1.0, behind)):
@@ -149,16 +177,3 @@ def _is_in_line(place: FloatArray, foot: FloatArray, facing: float) -> bool:
     ahead = (foot - place)[:2] @ np.array([cos(facing), sin(facing)])
     aside = (foot - place)[:2] @ np.array([-sin(facing), cos(facing)])
     return bool(abs(aside) <= GATE and ahead <= FEET[0])
-
-
-def _in_line(path: FloatArray, s: FloatArray, flight: Flight) -> tuple[FloatArray, FloatArray]:
-    """The ends of a flight's line on the ground before and behind it: of a straight one, through its middle's place."""
-    ends = [at(path, s, flight.start - BESIDE[-1]), at(path, s, flight.end + BESIDE[-1])]
-    on_edge = [at(path, s, flight.start), at(path, s, flight.end)]
-    if abs(wrap(flight.leave - flight.enter)) < STRAIGHT_FLIGHT:
-        middle = at(path, s, 0.5 * (flight.start + flight.end))
-        line = np.array([cos(flight.enter) + cos(flight.leave), sin(flight.enter) + sin(flight.leave)])
-        line /= hypot(*line)
-        on_edge = [np.array([*(middle[:2] + ((edge - middle)[:2] @ line) * line), 0.0]) for edge in on_edge]
-    foot, head = (np.array([*edge[:2], end[2]]) for edge, end in zip(on_edge, ends, strict=True))
-    return foot, head
