@@ -94,6 +94,15 @@ def test_single_steps_keep_their_height_and_direction():
     assert (up.start, down.start) == (pytest.approx(2.0, abs=0.06), pytest.approx(4.0, abs=0.06))
 
 
+def test_an_edge_that_two_levels_see_a_cell_apart_is_one_step():
+    s = np.linspace(0, 4, 161)
+    z = -0.17 * np.searchsorted([1.0, 1.3, 1.6, 1.9, 2.2], s)
+    z[np.abs(s - 1.7) < 0.06] += [0.17, 0.17, 0.0, 0.0, 0.0]  # the upper tread once more, behind its edge
+    (stairs,) = find_steps(z, s)
+    assert (stairs.kind, stairs.count) == (FeatureKind.STAIRS, 5)
+    assert stairs.amount == pytest.approx(-0.17)
+
+
 def test_stairs_are_counted_and_a_landing_parts_them():
     s = np.linspace(0, 10, 401)
     edges = np.concatenate([1 + 0.29 * np.arange(10), 5.5 + 0.29 * np.arange(7)])
