@@ -13,7 +13,7 @@ import numpy as np
 from gpdf_schemas import CueAction
 from numpy.typing import NDArray
 
-from gpdf_guidance.ahead import ON_THE_SPOT, find_ahead, find_turning
+from gpdf_guidance.ahead import ARRIVED, ON_THE_SPOT, find_ahead, find_turning
 from gpdf_guidance.features import FeatureKind, wrap
 from gpdf_guidance.instruction import Instruction, Kind, Urgency
 from gpdf_guidance.route import Pose, Progress, Route
@@ -45,8 +45,6 @@ FACING = radians(3)
 """[rad] In a tight place one turns until one faces the way by this."""
 POSE_SLACK = 0.03
 """[m] A pose may be this far out of the corridor by its own error alone."""
-ARRIVED = 0.4
-"""[m] From the goal: an arm reaches it."""
 AT_EDGE = 0.35
 """[m] Half a pace: so near to an edge of stairs a person stays square to it."""
 TOES = 0.25
@@ -94,7 +92,7 @@ def advise(route: Route, pose: Pose, now: float, *, near: float, obstacles: Floa
     left = route.length - progress.s
     place = np.array(pose.position[:2])
     if left < ARRIVED and np.hypot(*(route.ground[-1, :2] - place)) < ARRIVED:
-        done = Instruction(Kind.ARRIVED, Urgency.ACT)
+        done = Instruction(Kind.ARRIVED, Urgency.DANGER)  # it ends whatever is being said
         return Advice(progress, CueAction.ARRIVED, instructions=(done,))
     if obstacles is not None and (gap := _obstacle_ahead(route, progress, obstacles)) < STOP_BEFORE:
         return stop(progress, Instruction(Kind.STOP_OBSTACLE, Urgency.DANGER, distance=gap))

@@ -12,6 +12,8 @@ from gpdf_guidance.route import Progress, Route
 
 ON_THE_SPOT = radians(40)
 """[rad] From this on one turns before one walks."""
+ARRIVED = 0.4
+"""[m] From the goal: an arm reaches it."""
 STRAIGHT = radians(10)
 """[rad] Nobody feels a smaller error of direction."""
 STEP_WINDOW = (1.0, 2.8)
@@ -89,7 +91,7 @@ def find_ahead(route: Route, progress: Progress) -> list[Instruction]:
         ends = left is not None and _is_told_with_the_end(left, feature)
         if after is not None and _is_told_with_the_end(climbed, feature):
             continue
-        if feature.kind is FeatureKind.TURN and not ends and _leads_to_steps(route, feature):
+        if feature.kind is FeatureKind.TURN and _needs_no_word(route, feature, ends):
             continue
         soon = window[0] <= distance <= (window[1] if after is None else ON_STAIRS)
         if soon or (is_step and 0.0 <= distance < window[0]) or (ends and distance > 0.0):  # late is better than never
@@ -112,8 +114,11 @@ def _is_told_with_the_end(stairs: Feature | None, feature: Feature) -> bool:
     return feature.kind is FeatureKind.TURN and -TREAD <= behind <= TO_STEPS
 
 
-def _leads_to_steps(route: Route, turn: Feature) -> bool:
-    return any(f.kind in STEPS and turn.start <= f.start <= turn.end + TO_STEPS for f in route.features)
+def _needs_no_word(route: Route, turn: Feature, ends: bool) -> bool:
+    """Whether a turn is told with the steps that it leads to, or one has arrived before it."""
+    if turn.start > route.length - ARRIVED:
+        return True
+    return not ends and any(f.kind in STEPS and turn.start <= f.start <= turn.end + TO_STEPS for f in route.features)
 
 
 def _turn_before(route: Route, progress: Progress, steps: Feature) -> Instruction | None:
