@@ -15,7 +15,7 @@ from itertools import islice
 from pathlib import Path
 
 import numpy as np
-from gpdf_client import Client
+from gpdf_client import Client, ClientError
 from gpdf_guidance import Guide, Kind, Outcome, Planner, Walk, Walker, simulate
 from gpdf_guidance.features import FeatureKind
 from gpdf_guidance.guide import LEAST_ROOM, PERSON
@@ -63,16 +63,24 @@ def run(args: argparse.Namespace) -> int:
     rows: list[Row] = []
     everything: list[Guided] = []
     for name, points, ground in clouds(args):
-        with serving(name, points, ground) as (server, client):
-            walks = walk_all(server, client, name, args.count, args.seed)
-            cues = live(client, server.options.endpoint, name, walks, args.live) if args.live and walks else {}
+        walks: list[Guided] = []
+        found: Row = {}
+        try:
+            with serving(name, points, ground) as (server, client):
+                for one in walk_all(server, client, name, args.count, args.seed):
+                    walks.append(one)  # what was walked is kept when the next one fails
+                found = live(client, server.options.endpoint, name, walks, args.live) if args.live and walks else {}
+        except ClientError as error:  # the walks until then count, and those in the other scenes
+            found = {"failed": str(error)}
         everything += walks
-        rows.append({"scene": name, **summary(walks), **cues})
-    rows.append({"scene": "all", **summary(everything)})
+        rows.append({"scene": name, **summary(walks), **found})
+    total = summary(everything)
+    rows.append({"scene": "all", **total})
     show(rows, as_json=args.json)
     if args.plot:
         draw_rows(args.plot, rows, PANELS, by=("scene",), title=f"{args.count} guided walks in each scene")
-    return 0 if rows[-1]["contacts"] == 0 and rows[-1]["arrived"] + rows[-1]["safe_stops"] == rows[-1]["walks"] else 1
+    ended = total["arrived"] + total["safe_stops"] == total["walks"]
+    return 0 if total["contacts"] == 0 and ended and not any("failed" in row for row in rows) else 1
 
 
 @contextmanager
@@ -88,23 +96,21 @@ def serving(name: str, points: FloatArray, ground: BoolArray | None) -> Iterator
             yield server, client
 
 
-def walk_all(server: Server, client: Client, name: str, count: int, seed: int) -> list[Guided]:
-    """Walk between `count` random pairs of places."""
+def walk_all(server: Server, client: Client, name: str, count: int, seed: int) -> Iterator[Guided]:
+    """Walk between `count` random pairs of places, one after the other."""
     entry = server.shelf.get(name)
     assert entry is not None
     assert entry.scene is not None
     scene, rng = entry.scene, np.random.default_rng(seed)
     world = WalkedWorld.of(scene.points, scene.ground)
     pairs = islice(connected_pairs(client, scene, name, count, rng), count)
-    walks: list[Guided] = []
     for start, goal in tqdm(pairs, desc=name, total=count, disable=None):
         world.fell = False
         z = float(world.judge.ground[world.judge.ground_plan.query(start)[1], 2])
         heading = float(rng.uniform(-np.pi, np.pi))
         walker = Walker(np.array([*start, z]), heading, world.ground_height, rng)
         guide = Guide(Planner(client, name), goal.tolist())
-        walks.append((simulate(guide, walker, world), guide))
-    return walks
+        yield simulate(guide, walker, world), guide
 
 
 def connected_pairs(
