@@ -2,7 +2,6 @@
 
 from gpdf_service.fields.denoise import Cured as Cured
 from gpdf_service.fields.denoise import denoise as denoise
-from gpdf_service.fields.denoise import find_beyond as find_beyond
 from gpdf_service.fields.denoise import find_loose as find_loose
 from gpdf_service.fields.denoise import onto_surface as onto_surface
 from gpdf_service.fields.denoise import uncured as uncured

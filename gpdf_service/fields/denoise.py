@@ -69,15 +69,6 @@ _SURE = 2.0
 """[-] Standard errors to the safe side that a pole's radius is taken at: it is the only shape that can shrink."""
 _LONELY = 2.0
 """[-] Distance to the points beside over what it is for those: a quarter of the density is no surface."""
-_BESIDE = 1.5
-"""[-] Radius over the noise within which points are counted to tell where a surface ends."""
-_NEAR = 3.0
-"""[-] How far the noise carries a point beyond that end, over the noise."""
-_END = 0.25
-"""[-] Of the most points that are beside another one near by: at a sheet's corner a quarter, at its rim a half, at a
-box's corner three quarters; a bar as thin as a quarter of the noise has as many."""
-_CROWD = 100
-"""Points near by that are asked how many are beside them."""
 _SEED = 8_128
 """Of the points that are left out: another one than synthetic clouds are made with, or the choice follows the shape."""
 _NEGLIGIBLE = 0.05
@@ -115,7 +106,7 @@ def denoise(points: FloatArray) -> Cured:
     if noise <= _NEGLIGIBLE * spacing:
         return uncured(points, noise)
     moved, left = onto_surface(points, spacing, noise)
-    return Cured(moved, left, find_loose(moved, noise, spacing) | find_beyond(moved, noise, spacing), noise)
+    return Cured(moved, left, find_loose(moved, noise, spacing), noise)
 
 
 def onto_surface(
@@ -206,29 +197,6 @@ def find_loose(points: FloatArray, noise: float, spacing: float) -> BoolArray:
     if len(alone):
         stray[alone] = tree.query(points[alone], k=FEWEST + 1, workers=-1)[0][:, -1] <= 3.0 * radius
     return stray
-
-
-def find_beyond(points: FloatArray, noise: float, spacing: float) -> BoolArray:
-    """Points beyond the end of a surface, shape (n,), where the noise carried them along it: no cure takes that out.
-
-    There are fewer of them the further they are, and the last one would stop a body. So what has less than `_END` of
-    the neighbours that others near by have is no surface: at any true end there are more.
-
-    Args:
-        points: Cured [m], shape (n, 3).
-        noise: Standard deviation before the cure [m].
-        spacing: Between neighbours on a surface [m].
-    """
-    radius = max(_BESIDE * noise, 2.0 * spacing)
-    near = radius * _NEAR / _BESIDE
-    beside = cKDTree(points).query_ball_point(points, radius, return_length=True, workers=-1)
-    crowd = np.random.default_rng(_SEED).random(len(points)) < _CROWD / (np.pi * (near / spacing) ** 2)
-    few = np.flatnonzero(beside < _END * beside[crowd].max(initial=0))
-    around = cKDTree(points[crowd]).query_ball_point(points[few], near, workers=-1)
-    beyond = np.zeros(len(points), dtype=bool)
-    most, few_have = beside[crowd], beside[few]
-    beyond[few] = few_have < _END * np.array([most[rows].max(initial=0) for rows in around])
-    return beyond
 
 
 @njit(cache=True, nogil=True)

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from gpdf_service.config import PerceptionConfig
-from gpdf_service.fields import Cured, estimate_noise, estimate_spacing, find_beyond, find_loose, onto_surface, uncured
+from gpdf_service.fields import Cured, estimate_noise, estimate_spacing, find_loose, onto_surface, uncured
 from gpdf_service.perception.segment import Segmentation, segment
 from gpdf_service.types import BoolArray, FloatArray
 
@@ -66,10 +66,7 @@ def cure_and_segment(points: FloatArray, ground: BoolArray | None, config: Perce
         if part.any():
             own = points[part]
             cured.points[part], cured.noise[part] = onto_surface(own, estimate_spacing(own), noise, level=level)
-    stray = find_loose(cured.points, noise, spacing) if stray is None else stray
-    rest = np.flatnonzero(~ground)
-    stray[rest[find_beyond(cured.points[rest], noise, spacing)]] = True
-    cured = cured._replace(stray=stray)
+    cured = cured._replace(stray=find_loose(cured.points, noise, spacing) if stray is None else stray)
     return Found(cured, ground & ~cured.stray, as_it_was=False)
 
 

@@ -3,7 +3,7 @@ import pytest
 from scipy.stats import special_ortho_group
 
 from gpdf_service.bench.surfaces import SURFACES
-from gpdf_service.fields import denoise, estimate_noise, estimate_spacing, find_beyond, fit_gpdf, onto_surface
+from gpdf_service.fields import denoise, estimate_noise, estimate_spacing, fit_gpdf, onto_surface
 
 
 def noisy(name, sigma, count=20_000):
@@ -130,25 +130,3 @@ def test_a_pole_thinner_than_the_noise_is_not_cured_into_its_axis():
     inner = (moved[:, 2] > 0.3) & (moved[:, 2] < 1.2)
     assert np.quantile(np.linalg.norm(moved[inner, :2], axis=1), 0.1) > radius - noise / 2  # what plans keep away
     assert np.median(np.linalg.norm(moved[inner, :2], axis=1)) > radius
-
-
-def test_what_the_noise_carries_beyond_a_rim_is_dropped_and_nothing_inside_the_true_one():
-    rng, sigma = np.random.default_rng(0), 0.05
-    clean = np.column_stack([rng.uniform([0.0, 0.0], [1.2, 0.8], (10_000, 2)), np.full(10_000, 0.7)])  # a table's top
-    points = clean + [1.0, 1.0, 0.2] * rng.normal(0.0, sigma, clean.shape)  # cured across, not along
-    beyond = find_beyond(points, sigma, 0.01)
-    out = np.maximum(points[:, :2] - [1.2, 0.8], -points[:, :2]).max(axis=1)
-    assert (out > 2.0 * sigma).sum() > 10
-    assert beyond[out > 2.0 * sigma].mean() > 0.9
-    assert not beyond[out < 0.0].any()
-
-
-def test_a_rod_that_sticks_out_of_a_box_keeps_all_of_its_length():
-    rng, sigma = np.random.default_rng(1), 0.05
-    side = np.column_stack([np.zeros(3_000), rng.uniform(0.0, 1.0, (3_000, 2))])
-    turn, along = rng.uniform(0.0, 2.0 * np.pi, 300), rng.uniform(0.0, 0.4, 300)
-    rod = np.column_stack([along, 0.5 + 0.025 * np.cos(turn), 0.5 + 0.025 * np.sin(turn)])
-    points = np.concatenate([side, rod])
-    points += 0.2 * sigma * rng.normal(size=points.shape)
-    beyond = find_beyond(points, sigma, 0.02)
-    assert not beyond[len(side) :].any()
