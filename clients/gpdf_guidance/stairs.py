@@ -157,8 +157,10 @@ def _crossed(path: FloatArray, s: FloatArray, edge: float) -> float:
 
 def places_to_stand(
     path: FloatArray, s: FloatArray, flights: tuple[Flight, ...], room: Callable[[FloatArray], FloatArray]
-) -> list[FloatArray]:
-    """Before and behind each flight a place in its line, (3,) each, in order; left out where there is no room for one.
+) -> list[tuple[FloatArray, bool]]:
+    """Before and behind each flight a place in its line, (3,), in order; left out where there is no room for one.
+
+    With each, whether the way from there leads over stairs.
 
     Args:
         path: Contact points [m], shape (n, 3).
@@ -166,7 +168,7 @@ def places_to_stand(
         flights: On it.
         room: That the body has at places (m, 3) [m].
     """
-    places: list[FloatArray] = []
+    places: list[tuple[FloatArray, bool]] = []
     for i, flight in enumerate(flights):
         before = flight.start - flights[i - 1].end if i > 0 else np.inf
         behind = flights[i + 1].start - flight.end if i + 1 < len(flights) else 2 * (float(s[-1]) - flight.end)
@@ -179,5 +181,5 @@ def places_to_stand(
             feet = np.array([back for back in FEET if back <= 0.5 * gap])
             steps = sign * feet[:, None] * np.array([cos(facing), sin(facing), 0.0])
             if len(feet) and len(free := np.flatnonzero(room(edge + steps) >= ROOM_TO_STAND)):
-                places.append(edge + steps[free[0]])
+                places.append((edge + steps[free[0]], sign < 0.0))
     return places

@@ -570,11 +570,12 @@ def test_the_places_before_and_behind_stairs_are_in_their_line_and_have_room():
     path[:, 2] = 0.17 * np.searchsorted(3.0 + 0.3 * np.arange(5), path[:, 0])
     s = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(path[:, :2], axis=0).T))])
     flights = find_stairs(path, s, stairs_along_x)
-    foot, head = places_to_stand(path, s, flights, lambda places: np.full(len(places), 1.0))
+    (foot, climbs), (head, on) = places_to_stand(path, s, flights, lambda places: np.full(len(places), 1.0))
     assert foot == pytest.approx([2.4, -0.12, 0.0], abs=0.03)
+    assert (climbs, on) == (True, False)
     assert head == pytest.approx([4.8, -0.12, 0.85], abs=0.03)
     nearer, _ = places_to_stand(path, s, flights, lambda places: places[:, 0] - 2.48)
-    assert nearer[0] == pytest.approx(2.55, abs=0.03)
+    assert nearer[0][0] == pytest.approx(2.55, abs=0.03)
     assert len(places_to_stand(path, s, flights, lambda places: np.full(len(places), -1.0))) == 0
 
 
