@@ -27,7 +27,7 @@ ELBOW_ROOM = 0.35
 """[m] To either side of the body a person walks at ease."""
 FOOTING = 0.15
 """[m] Half of a stance: on stairs the middle of the body stays so far from their sides."""
-OTHER_GROUND = 0.7
+OTHER_GROUND = 0.4
 """[-] A share of a step: what is this far from the ground of a place is another tread or floor, not a field's error."""
 KEEP_OFF = 0.35
 """[m] Half a pace: elsewhere one keeps so far from the edges of stairs, but in their line."""
