@@ -170,7 +170,7 @@ def _square(route: Route, pose: Pose, progress: Progress, direction: float) -> t
         comes = 0.0 <= flight.start - progress.s <= LOOK_AHEAD[0] and abs(aside) <= WIDEST
         if comes and 0.0 <= ahead <= AT_EDGE:
             bent = _bent(pose, flight.enter, direction)
-            if abs(aside) <= GATE:
+            if abs(aside) <= (GATE if _is_walkable(route, pose, progress, bent) else 0.5 * GATE):
                 return bent, abs(wrap(flight.enter - pose.heading)) > SQUARE
             back = (wrap(flight.enter + atan2(-aside, min(ahead - foot, 0.0)) - pose.heading) for foot in FEET[::-1])
             return next((one for one in back if _is_walkable(route, pose, progress, one)), direction), False

@@ -108,14 +108,14 @@ class Planner:
                 result = self._client.plan(self.scene, pose.position, goal, body)
                 why = result.message
                 if result.status is Status.OK and result.trajectory is not None:
-                    trajectory, oblique = self._squared(result.trajectory, body)
-                    if oblique >= askew:
-                        continue
-                    route = self._build(trajectory, pose, result.scene_version)
-                    if why := too_tight(route):
-                        break
-                    best, askew = route, oblique
-                    if oblique <= SQUARE:
+                    ways = self._squared(result.trajectory, body)
+                    routes = ((self._build(way, pose, result.scene_version), oblique) for way, oblique in ways)
+                    route, oblique = next(((one, o) for one, o in routes if not too_tight(one)), (None, inf))
+                    if route is None and best is None:
+                        return None, too_tight(self._build(result.trajectory, pose, result.scene_version))
+                    if oblique < askew:
+                        best, askew = route, oblique
+                    if route is None or oblique <= SQUARE:
                         break
             except ServiceError as error:  # it failed for this width
                 why = str(error)
@@ -123,8 +123,8 @@ class Planner:
                 return None, str(error)
         return best, "" if best else why
 
-    def _squared(self, trajectory: Trajectory, body: dict[str, Any]) -> tuple[Trajectory, float]:
-        """A way that meets its stairs as squarely as can be, and how far from square it does [rad]."""
+    def _squared(self, trajectory: Trajectory, body: dict[str, Any]) -> list[tuple[Trajectory, float]]:
+        """This way and others that meet its stairs more squarely, and how far from square [rad], the least first."""
         found: list[tuple[float, Trajectory]] = []
         for _ in range(ROUNDS):
             path, s = trajectory.ground, arc_length(trajectory.ground)
@@ -134,8 +134,7 @@ class Planner:
             if found[-1][0] <= SQUARE or (again := self._through(path[0], stops, path[-1], body)) is None:
                 break
             trajectory = again
-        oblique, best = min(found, key=lambda one: one[0])
-        return best, oblique
+        return [(way, oblique) for oblique, way in sorted(found, key=lambda one: one[0])]
 
     def _through(
         self, start: FloatArray, stops: list[tuple[FloatArray, bool]], goal: FloatArray, body: dict[str, Any]
