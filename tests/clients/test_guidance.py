@@ -13,6 +13,7 @@ from gpdf_guidance.advice import BLIND, PACES, POSE_AGE, SWAY, UNRELIABLE
 from gpdf_guidance.belief import believe
 from gpdf_guidance.features import Feature, FeatureKind, find_ramps, find_steps, find_turns
 from gpdf_guidance.guide import PERSON
+from gpdf_guidance.route import join
 from gpdf_guidance.stairs import find_stairs, obliqueness, places_to_stand
 from gpdf_guidance.voice import Voice
 from gpdf_schemas import CueAction, CueMessage
@@ -610,3 +611,13 @@ def test_who_stands_beside_the_line_before_stairs_is_led_back_to_it_first():
     route = build_route(trajectory(path), wide, radius=RADIUS, field=stairs_along_x)
     advice = advise(route, pose(2.8, 0.22, 0), 0.0, near=2.8)
     assert advice.direction < -np.pi / 4  # to the right, not over the edge
+
+
+def test_legs_are_joined_into_one_trajectory_whose_times_go_on():
+    first, second = trajectory(line((0, 0), (1, 0))), trajectory(line((1, 0), (1, 2)))
+    whole = join([first, second])
+    assert whole.length == pytest.approx(3.0)
+    assert whole.duration == pytest.approx(first.duration + second.duration)
+    assert (np.diff(whole.times) > 0).all()
+    np.testing.assert_array_equal(whole.ground[[0, -1], :2], [[0, 0], [1, 2]])
+    assert np.hypot(*np.diff(whole.ground[:, :2], axis=0).T).min() > 0.01  # the place where they meet stands in it once
