@@ -538,6 +538,16 @@ def test_a_turn_to_stairs_is_told_with_them_and_a_turn_behind_them_with_their_en
     assert say(behind) == "The stairs end. Turn left."
 
 
+def test_of_two_turns_before_stairs_the_second_one_is_not_told_before_the_first_is_made():
+    risers = 3.6 + 0.3 * np.arange(5)
+    path = line((0, 0), (1.7, 0), (1.7, 1.5), (6, 1.5), spacing=0.01, z=lambda s: 0.17 * np.searchsorted(risers, s))
+    route = build_route(trajectory(path), wide, radius=RADIUS)
+    assert kinds(advise(route, pose(0.8, -0.3, 30), 0.0, near=0.8)) == [Kind.TURN_SOON]
+    between = Pose((1.7, 0.4, 0.0), np.pi / 2, 0.0)
+    (told,) = (one for one in advise(route, between, 0.0, near=2.1).instructions if one.kind is Kind.STAIRS)
+    assert told.first.distance == pytest.approx(1.1, abs=0.1)
+
+
 def stairs_along_x(places):
     """The ground of five steps of 0.17 m at x = 3, 3.3 … between y = -0.5 and 0.5, and the floor around them."""
     far, low, high = 99.0, 3.0 + 0.3 * np.arange(5), 0.17 * np.arange(1, 6)
