@@ -102,7 +102,8 @@ def find_ahead(route: Route, progress: Progress) -> list[Instruction]:
             urgency = Urgency.ACT if ends else urgency
             said.append(Instruction(kind, urgency, place, distance, feature.amount, feature.count, after, ends, first))
     if left is not None and not any(one.ends for one in said):
-        said.append(Instruction(Kind.STAIRS_END, Urgency.ACT, _place(route, left.end)))
+        turn = next((f.start for f in route.features if _is_told_with_the_end(left, f)), left.end)
+        said.append(Instruction(Kind.STAIRS_END, Urgency.ACT, _place(route, turn)))
     return said
 
 

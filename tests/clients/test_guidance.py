@@ -538,6 +538,19 @@ def test_a_turn_to_stairs_is_told_with_them_and_a_turn_behind_them_with_their_en
     assert say(behind) == "The stairs end. Turn left."
 
 
+def test_what_was_told_in_one_breath_is_not_told_again():
+    route, risers = round_a_corner_to_stairs()
+    off = Pose((2.0, risers[-1] - 1.9, 0.17 * 5), np.pi / 2, 0.0)
+    past = Pose((1.9, 2.2, 0.17 * 5), np.pi, 0.0)
+    voice = announcer()
+    said = [
+        voice.choose(advise(route, where, 0.0, near=s).instructions, t)
+        for where, s, t in ((off, 3.8, 0), (past, 4.25, 3))
+    ]
+    assert said[0][0].ends
+    assert said[1] is None
+
+
 def test_of_two_turns_before_stairs_the_second_one_is_not_told_before_the_first_is_made():
     risers = 3.6 + 0.3 * np.arange(5)
     path = line((0, 0), (1.7, 0), (1.7, 1.5), (6, 1.5), spacing=0.01, z=lambda s: 0.17 * np.searchsorted(risers, s))
