@@ -162,7 +162,8 @@ def _from_ground(places: FloatArray, heights: FloatArray, field: Field) -> Float
 
 def _nearest_edge(ground: FloatArray, edges: FloatArray, step: float) -> FloatArray:
     """Distance in plan of each place (n, 3) to the nearest of (k, 3) that is other ground for its height [m]."""
-    away = np.hypot(*(ground[:, None, :2] - edges[None, :, :2]).transpose(2, 0, 1))
-    same = np.abs(ground[:, None, 2] - edges[None, :, 2]) < 0.5 * step
-    nearest: FloatArray = np.where(same, away, np.inf).min(axis=1, initial=np.inf)
+    nearest = np.empty(len(ground))
+    for row, (x, y, z) in enumerate(ground):  # not all pairs at once: that takes a wearable's memory
+        same = np.abs(edges[:, 2] - z) < 0.5 * step
+        nearest[row] = np.hypot(edges[same, 0] - x, edges[same, 1] - y).min(initial=np.inf)
     return nearest
