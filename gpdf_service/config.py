@@ -67,14 +67,27 @@ class PlanningConfig:
 
     preferred_clearance: float = 1.0
     """[-] Room that a path wants beside the body, over its radius: as much again as it needs."""
-    smoothness_weight: float = 0.4
-    """[-] λ_s; λ_o = λ_g = 1. Below them, as the paper asks: 1 m of path is worth 40 cm of missing room."""
+    corner_room: float = 0.5
+    """[-] Share of the preferred clearance that a path keeps round a sharp corner; nearer to 1, it goes wider there and
+    bends more where it passes between things."""
     max_iterations: int = 100
     """[-] Steps of CHOMP, refused ones too; most paths rest after 5 to 10."""
     tolerance: float = 3e-4
     """[-] Share of the cost that a step must win for CHOMP to go on; a tenth of it wins another 0.03 %."""
     waypoint_spacing: float = 0.05
     """[m] Between waypoints of the result: a walker's sway, and the finest cell of the ground."""
+
+    def __post_init__(self) -> None:
+        if not self.corner_room < 1.0:
+            raise ConfigError("config.planning.corner_room", f"{self.corner_room!r}", "It must be less than 1.")
+
+    def smoothness_weight(self, radius: float) -> float:
+        """λ_s [m] of a body of that radius [m]; λ_o = λ_g = 1.
+
+        Round a corner the path is an arc that its tension λ_s / (radius + d) pulls in, and the obstacle cost pushes
+        out with 1 − d / ε, at the room d; ε is the preferred clearance. They are equal where d is `corner_room` of ε.
+        """
+        return (1.0 - self.corner_room) * radius * (1.0 + self.corner_room * self.preferred_clearance)
 
 
 @dataclass(frozen=True, slots=True)

@@ -7,15 +7,18 @@ ever come again. So a lost pose, a late reaction and a bent course have all been
 from __future__ import annotations
 
 from dataclasses import dataclass
-from enum import IntEnum, StrEnum
-from math import radians
+from math import atan2, radians
 
 import numpy as np
 from gpdf_schemas import CueAction
 from numpy.typing import NDArray
 
-from gpdf_guidance.features import TREAD, TURN, Feature, FeatureKind, wrap
+from gpdf_guidance.ahead import ARRIVED, ON_THE_SPOT, find_ahead, find_turning
+from gpdf_guidance.corridor import WIDEST
+from gpdf_guidance.features import FeatureKind, wrap
+from gpdf_guidance.instruction import Instruction, Kind, Urgency
 from gpdf_guidance.route import Pose, Progress, Route
+from gpdf_guidance.stairs import FEET, GATE, SQUARE
 
 FloatArray = NDArray[np.float64]
 
@@ -39,94 +42,22 @@ LOOK_AHEAD = (1.5, 1.2, 0.9, 0.7, 0.5, 0.35, 0.2)
 """[m] Along the path to the place that one walks towards; the furthest that is reached straight."""
 RAY_STEPS = 14
 """Steps of 6 cm along which the corridor is looked at; the slowest pace takes two of them."""
-ON_THE_SPOT = radians(40)
-"""[rad] From this on one turns before one walks."""
-STRAIGHT = radians(10)
-"""[rad] Nobody feels a smaller error of direction."""
 FACING = radians(3)
 """[rad] In a tight place one turns until one faces the way by this."""
 POSE_SLACK = 0.03
 """[m] A pose may be this far out of the corridor by its own error alone."""
-ARRIVED = 0.4
-"""[m] From the goal: an arm reaches it."""
+AT_EDGE = 0.35
+"""[m] Half a pace: so near to an edge of stairs a person stays square to it."""
+SQUARE_ON = radians(12)
+"""[rad] Towards the middle of the stairs one may be led by this; `SQUARE` is this and a course's sway."""
 NEAR_STEP = 1.2
 """[m] Before a step or a stair one goes slowly: a pace and a half."""
-STEP_WINDOW = (1.0, 2.8)
-"""[m] Steps and stairs are told of this far before: not too late to find with the cane, not too early to count on."""
-ON_STAIRS = 1.6
-"""[m] What comes after a stair is told of from here: two stairs are not mixed up."""
-LANDING = STEP_WINDOW[0] + 0.1
-"""[m] What is this far behind a stair is told of where the stair ends, in the same breath, and still soon enough."""
-OFF_STAIRS = 0.6
-"""[m] A stair's end is told of until here: two short paces."""
-TURN_WINDOW = (0.3, 2.5)
-"""[m] The same for turns."""
-OTHER_WINDOW = (0.0, 2.5)
-"""[m] The same for the rest."""
 STOP_BEFORE = 2.0
 """[m] An obstacle that is new on the path stops from here: BLIND at full pace, and as much again."""
 BODY_HEIGHT = 2.0
 """[m] Of a person with a hat."""
 LEAST_OBSTACLE = 0.05
 """[m] What is lower is no obstacle to a foot."""
-
-
-class Urgency(IntEnum):
-    """How soon something must be said."""
-
-    INFORM = 0
-    PREPARE = 1
-    ACT = 2
-    DANGER = 3
-
-
-class Kind(StrEnum):
-    """What is said; the message catalogue has a sentence for each."""
-
-    STOP_LOST = "stop_lost"
-    STOP_UNRELIABLE = "stop_unreliable"
-    STOP_ALONE = "stop_alone"
-    STOP_OBSTACLE = "stop_obstacle"
-    STOP_OFF_WAY = "stop_off_way"
-    GAVE_UP = "gave_up"
-    ARRIVED = "arrived"
-    STEP = "step"
-    STAIRS = "stairs"
-    STAIRS_END = "stairs_end"
-    TURN_NOW = "turn_now"
-    TURN_BACK = "turn_back"
-    TURN_SOON = "turn_soon"
-    GO_ON = "go_on"
-    RESUME = "resume"
-    NARROW = "narrow"
-    HEAD = "head"
-    RAMP = "ramp"
-    BEAR = "bear"
-
-
-@dataclass(frozen=True, slots=True)
-class Instruction:
-    """One thing to say.
-
-    Attributes:
-        kind: What.
-        urgency: How soon.
-        place: Where what it speaks of is (x, y) [m], so that the same thing is not said twice.
-        distance: Along the way to there [m].
-        amount: As in `Feature`; for turns the angle to the left [rad].
-        count: Number of steps.
-        after: So far behind the end of stairs that the person has not left yet [m]; None if it is not behind any.
-        ends: The stairs before it end here: that is told with it.
-    """
-
-    kind: Kind
-    urgency: Urgency
-    place: tuple[float, float] = (0.0, 0.0)
-    distance: float = 0.0
-    amount: float = 0.0
-    count: int = 1
-    after: float | None = None
-    ends: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -160,26 +91,26 @@ def advise(route: Route, pose: Pose, now: float, *, near: float, obstacles: Floa
     left = route.length - progress.s
     place = np.array(pose.position[:2])
     if left < ARRIVED and np.hypot(*(route.ground[-1, :2] - place)) < ARRIVED:
-        done = Instruction(Kind.ARRIVED, Urgency.ACT)
+        done = Instruction(Kind.ARRIVED, Urgency.DANGER)  # it ends whatever is being said
         return Advice(progress, CueAction.ARRIVED, instructions=(done,))
     if obstacles is not None and (gap := _obstacle_ahead(route, progress, obstacles)) < STOP_BEFORE:
         return stop(progress, Instruction(Kind.STOP_OBSTACLE, Urgency.DANGER, distance=gap))
     if not route.inside(place[None], progress.s, POSE_SLACK)[0]:
         off = Instruction(Kind.STOP_OFF_WAY, Urgency.DANGER)
         return stop(progress, off, off_way=True)
-    direction = aim(route, pose, progress)
+    direction, askew = _square(route, pose, progress, aim(route, pose, progress))
     pace = min(safe_pace(route, pose, progress, direction), _pace_before_steps(route, progress))
-    action = _action(direction, pace)
-    said = _turning(route, progress, direction, action)
-    if action is not CueAction.TURN:  # who turns on the spot does not know yet where "ahead" is
-        said += _ahead(route, progress)
+    action = _action(direction, 0.0 if askew else pace, SQUARE if _by_stairs(route, progress) else ON_THE_SPOT)
+    ahead, turns = find_ahead(route, progress), action is CueAction.TURN
+    ahead = [one for one in ahead if one.leaves_stairs or not turns]  # who turns does not know yet where "ahead" is
+    said = find_turning(route, progress, direction, action) + ahead
     urgency = min(1.0, abs(direction) / ON_THE_SPOT)
     pace = 0.0 if action is CueAction.TURN else pace
     return Advice(progress, action, direction, pace, urgency, instructions=tuple(sorted(said, key=_first)))
 
 
-def _first(instruction: Instruction) -> tuple[int, float]:
-    return -instruction.urgency, instruction.distance
+def _first(instruction: Instruction) -> tuple[int, bool, float]:
+    return -instruction.urgency, not instruction.leaves_stairs, instruction.distance
 
 
 def distrust(pose: Pose, now: float) -> Instruction | None:
@@ -195,8 +126,8 @@ def stop(progress: Progress, reason: Instruction, *, off_way: bool = False) -> A
     return Advice(progress, CueAction.STOP, urgency=1.0, off_way=off_way, instructions=(reason,))
 
 
-def _action(direction: float, pace: float) -> CueAction:
-    if abs(direction) >= ON_THE_SPOT or pace == 0.0:
+def _action(direction: float, pace: float, on_the_spot: float) -> CueAction:
+    if abs(direction) >= on_the_spot or pace == 0.0:
         return CueAction.TURN if abs(direction) > FACING else CueAction.STOP
     return CueAction.GO if pace == PACES[0] else CueAction.SLOW
 
@@ -229,6 +160,44 @@ def aim(route: Route, pose: Pose, progress: Progress) -> float:
     return wrap(float(bearings[best]) - pose.heading)
 
 
+def _square(route: Route, pose: Pose, progress: Progress, direction: float) -> tuple[float, bool]:
+    """At the first and the last edge of stairs, a direction that is square over it but for `SQUARE_ON`.
+
+    The flag says to turn there on the spot. Who is beside the line is led back to it first.
+    """
+    for flight in route.flights:
+        ahead, aside = flight.before(*pose.position[:2])
+        comes = 0.0 <= flight.start - progress.s <= LOOK_AHEAD[0] and abs(aside) <= WIDEST
+        if comes and 0.0 <= ahead <= AT_EDGE:
+            bent = _bent(pose, flight.enter, direction)
+            if abs(aside) <= (GATE if _is_walkable(route, pose, progress, bent) else 0.5 * GATE):
+                return bent, abs(wrap(flight.enter - pose.heading)) > SQUARE
+            back = (wrap(flight.enter + atan2(-aside, min(ahead - foot, 0.0)) - pose.heading) for foot in FEET[::-1])
+            return next((one for one in back if _is_walkable(route, pose, progress, one)), direction), False
+        for edge, facing in ((flight.start, flight.enter), (flight.end, flight.leave)):
+            if abs(progress.s - edge) <= AT_EDGE and not comes:
+                bent = _bent(pose, facing, direction)
+                return (bent if _is_walkable(route, pose, progress, bent) else direction), False
+    return direction, False
+
+
+def _bent(pose: Pose, facing: float, direction: float) -> float:
+    """A direction as close to the wanted one as `SQUARE_ON` allows."""
+    square = wrap(facing - pose.heading)
+    return square + float(np.clip(wrap(direction - square), -SQUARE_ON, SQUARE_ON))
+
+
+def _is_walkable(route: Route, pose: Pose, progress: Progress, direction: float) -> bool:
+    fan = pose.heading + direction + np.array([-SWAY, 0.0, SWAY])
+    return _pace_for(float(_clear(route, pose, progress, fan).min())) > 0.0
+
+
+def _by_stairs(route: Route, progress: Progress) -> bool:
+    """Whether an edge of stairs is so near that nobody walks in a curve."""
+    edges = [edge for flight in route.flights for edge in (flight.start, flight.end)]
+    return any(abs(edge - progress.s) <= NEAR_STEP for edge in edges)
+
+
 def safe_pace(route: Route, pose: Pose, progress: Progress, direction: float) -> float:
     """The fastest of `PACES` at which a person who hears nothing more stops inside the corridor; 0 where none is.
 
@@ -259,78 +228,3 @@ def _pace_before_steps(route: Route, progress: Progress) -> float:
         for f in route.features
     )
     return PACES[1] if near else PACES[0]
-
-
-def _turning(route: Route, progress: Progress, direction: float, action: CueAction) -> list[Instruction]:
-    """Turns at this place: to be made, over-turned, or made."""
-    here = _place(route, progress.s)
-    turn = next((f for f in route.features if f.kind is FeatureKind.TURN and _at(f, progress.s)), None)
-    if turn is not None and direction * turn.amount < 0 and STRAIGHT < abs(direction) < ON_THE_SPOT:
-        return [Instruction(Kind.TURN_BACK, Urgency.PREPARE, _place(route, turn.start), amount=direction)]
-    if action is CueAction.TURN and abs(direction) >= TURN:
-        return [Instruction(Kind.TURN_NOW, Urgency.ACT, here, amount=direction)]
-    if turn is not None and progress.s >= turn.end and abs(direction) <= STRAIGHT:
-        straight = _straight_length(route, progress.s)
-        return [Instruction(Kind.GO_ON, Urgency.INFORM, _place(route, turn.start), straight)]
-    return []
-
-
-def _place(route: Route, s: float) -> tuple[float, float]:
-    x, y, _ = route.at(s).tolist()
-    return x, y
-
-
-def _at(turn: Feature, s: float) -> bool:
-    return turn.start - TURN_WINDOW[0] <= s <= turn.end + 2 * TURN_WINDOW[0]
-
-
-def _straight_length(route: Route, s: float) -> float:
-    """Until the next turn, step or end [m]."""
-    kinds = (FeatureKind.TURN, FeatureKind.STEP, FeatureKind.STAIRS)
-    return min([f.start for f in route.features if f.kind in kinds and f.start > s + 0.5] + [route.length]) - s
-
-
-_SOON: dict[FeatureKind, tuple[Kind, Urgency, tuple[float, float]]] = {
-    FeatureKind.STEP: (Kind.STEP, Urgency.ACT, STEP_WINDOW),
-    FeatureKind.STAIRS: (Kind.STAIRS, Urgency.ACT, STEP_WINDOW),
-    FeatureKind.TURN: (Kind.TURN_SOON, Urgency.PREPARE, TURN_WINDOW),
-    FeatureKind.NARROW: (Kind.NARROW, Urgency.PREPARE, OTHER_WINDOW),
-    FeatureKind.HEAD: (Kind.HEAD, Urgency.PREPARE, OTHER_WINDOW),
-    FeatureKind.RAMP: (Kind.RAMP, Urgency.INFORM, OTHER_WINDOW),
-    FeatureKind.BEAR: (Kind.BEAR, Urgency.INFORM, OTHER_WINDOW),
-}
-
-
-def is_hidden_step(one: Instruction) -> bool:
-    """Whether it tells of a step or stairs that come too soon to go on while it is spoken."""
-    return one.kind in (Kind.STEP, Kind.STAIRS) and one.distance < STEP_WINDOW[0]
-
-
-def _ahead(route: Route, progress: Progress) -> list[Instruction]:
-    """What comes soon, and the end of a stair."""
-    said: list[Instruction] = []
-    stairs = [f for f in route.features if f.kind is FeatureKind.STAIRS]
-    climbed = next((f for f in stairs if f.end > progress.s), None)
-    left = next((f for f in stairs if f.end <= progress.s <= f.end + OFF_STAIRS), None)
-    for feature in route.features:
-        kind, urgency, window = _SOON[feature.kind]
-        distance, place = feature.start - progress.s, _place(route, feature.start)
-        is_step = feature.kind in (FeatureKind.STEP, FeatureKind.STAIRS)
-        after = _behind(climbed, feature)
-        if is_step and after is not None and after >= LANDING:
-            continue  # told with the end of those stairs
-        soon = window[0] <= distance <= (window[1] if after is None else ON_STAIRS)
-        if soon or (is_step and 0.0 <= distance < window[0]):  # late is better than never
-            ends = is_step and left is not None and LANDING <= feature.start - left.end <= window[1]
-            told = Instruction(kind, urgency, place, distance, feature.amount, feature.count, after, ends)
-            said.append(told)
-    if left is not None and not any(one.ends for one in said):
-        said.append(Instruction(Kind.STAIRS_END, Urgency.ACT, _place(route, left.end)))
-    return said
-
-
-def _behind(climbed: Feature | None, feature: Feature) -> float | None:
-    """How far a feature is behind stairs [m]; a turn at their last step is made after it. None if it is not."""
-    if climbed is None or climbed is feature or feature.start < climbed.end - TREAD:
-        return None
-    return max(0.0, feature.start - climbed.end)

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from math import hypot
+from dataclasses import dataclass, replace
+from math import hypot, inf
 
-from gpdf_guidance.advice import Instruction, Kind, Urgency
+from gpdf_guidance.instruction import Instruction, Kind, Urgency
 
 PER_MINUTE = 5.0
 """[1/min] Instructions that the budget earns: under the 8 that people bear for long, since urgent ones may borrow."""
@@ -14,10 +14,12 @@ SAVED = 1.5
 """Instructions that can be saved up."""
 DEBT = -3.0
 """Instructions that urgent ones can borrow."""
-NEEDED = {Urgency.INFORM: 1.0, Urgency.PREPARE: 0.0, Urgency.ACT: -float("inf"), Urgency.DANGER: -float("inf")}
+NEEDED = {Urgency.INFORM: 1.0, Urgency.PREPARE: 0.0, Urgency.ACT: -inf, Urgency.DANGER: -inf}
 """Instructions that must be saved up to say one: what prepares may come right after one that was urgent."""
 AGAIN = {Urgency.DANGER: 8.0, Urgency.ACT: 12.0}
 """[s] What is dangerous or to be done now is said again after this if it is still so; the rest is said once."""
+STEPS_AGAIN = 30.0
+"""[s] A step that one still stands before is told of again after this: by then it may be forgotten."""
 SAME = 0.8
 """[m] What is of one kind and this close is the same thing, also after another way has been planned."""
 WORD = 0.33
@@ -45,7 +47,7 @@ class Announcer:
         self._said: list[_Said] = []
         self._tokens = 1.0
         self._then: float | None = None
-        self._quiet_at, self._speaking = -float("inf"), Urgency.INFORM
+        self._quiet_at, self._speaking = -inf, Urgency.INFORM
 
     def choose(self, instructions: Sequence[Instruction], now: float) -> tuple[Instruction, str] | None:
         """The most urgent that is due, in words; None to be silent.
@@ -71,8 +73,13 @@ class Announcer:
         """Whether this has been said to the end."""
         return any(now >= said.end for said in self._said if _same(said.instruction, instruction))
 
+    def has_begun(self, instruction: Instruction, now: float) -> bool:
+        """Whether the saying of this began within the time after which it would be said again."""
+        again = AGAIN[Urgency.ACT]
+        return any(now - said.time < again for said in self._said if _same(said.instruction, instruction))
+
     def _due(self, instruction: Instruction, now: float) -> bool:
-        again = AGAIN.get(instruction.urgency, float("inf"))
+        again = STEPS_AGAIN if instruction.kind in (Kind.STEP, Kind.STAIRS) else AGAIN.get(instruction.urgency, inf)
         return all(now - said.time >= again for said in self._said if _same(said.instruction, instruction))
 
     def _speak(self, instruction: Instruction, now: float) -> tuple[Instruction, str]:
@@ -80,7 +87,9 @@ class Announcer:
         self._said = [said for said in self._said if said.end <= now and not _takes_back(instruction, said.instruction)]
         self._tokens = max(DEBT, self._tokens - 1.0)
         self._quiet_at, self._speaking = now + WORD * len(text.split()), instruction.urgency
-        self._said.append(_Said(instruction, now, self._quiet_at))
+        told = [instruction] if instruction.first is None else [instruction.first, instruction]
+        told += [replace(instruction, kind=Kind.STAIRS_END)] if instruction.ends else []
+        self._said += [_Said(one, now, self._quiet_at) for one in told]
         return instruction, text
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from math import degrees
 
-from gpdf_guidance.advice import Instruction, Kind
+from gpdf_guidance.instruction import Instruction, Kind
 
 STEP_LENGTH = 0.65
 """[m] Of a person who walks with a cane."""
@@ -34,6 +34,7 @@ class Words:
     within: str
     right_ahead: str
     after: str
+    then: str
 
 
 ENGLISH = Words(
@@ -59,7 +60,7 @@ ENGLISH = Words(
         Kind.BEAR: "Keep {side}.",
     },
     "left", "right", "slightly {side}", "around", "up", "down", "metre", "metres", "step", "steps", ".",
-    "In {distance}", "Right ahead", "After these stairs: {sentence}",
+    "In {distance}", "Right ahead", "After these stairs: {sentence}", "Then",
 )  # fmt: skip
 GERMAN = Words(
     {
@@ -85,7 +86,7 @@ GERMAN = Words(
     },
     "links", "rechts", "leicht {side}", "ganz herum", "aufwärts", "abwärts", "Meter", "Metern",
     "Schritt", "Schritten", ",",
-    "In {distance}", "Direkt vor Ihnen", "Nach dieser Treppe: {sentence}",
+    "In {distance}", "Direkt vor Ihnen", "Nach dieser Treppe: {sentence}", "Dann",
 )  # fmt: skip
 LANGUAGES = {"en": ENGLISH, "de": GERMAN}
 
@@ -100,16 +101,18 @@ def phrase(instruction: Instruction, language: str = "en", unit: str = "metres")
     """
     words, after = LANGUAGES[language], instruction.after
     metres = instruction.distance if after is None else after
-    at_once = instruction.kind is Kind.TURN_SOON and after is not None and after < HALF
+    at_once = instruction.kind is Kind.TURN_SOON and instruction.ends and metres < HALF
     sentence = words.sentences[Kind.TURN_NOW if at_once else instruction.kind].format(
         distance=_distance(metres, words, unit),
-        where=_where(metres, words, unit),
+        where=words.then if instruction.first is not None else _where(metres, words, unit),
         side=_side(instruction, words),
         vertical=words.up if instruction.amount > 0 else words.down,
         height=round(100 * abs(instruction.amount)),
         width=5 * int(20 * instruction.amount + 1e-6),
         count=instruction.count,
     )
+    if instruction.first is not None:
+        sentence = f"{phrase(instruction.first, language, unit)} {sentence}"
     if instruction.ends:
         return f"{words.sentences[Kind.STAIRS_END]} {sentence}"
     return sentence if after is None else words.after.format(sentence=sentence)

@@ -24,6 +24,8 @@ LARGEST_TURN = radians(120)
 """[rad] A curve that turns further is two turns: who is told to turn around does so on the spot."""
 LEAST_STEP = 0.04
 """[m] A lower edge is not felt as a step."""
+FOOT = 0.15
+"""[m] No three steps are within this."""
 STEEPEST_RAMP = 0.7
 """[-] Rise over run (35°): steeper than people stand on, so it is a step's face."""
 TREAD = 0.6
@@ -145,12 +147,27 @@ def _straight_pieces(xy: FloatArray) -> list[int]:
 
 def find_steps(z: FloatArray, s: FloatArray) -> list[Feature]:
     """Single steps and stairs: where the ground rises or falls more steeply than anybody stands on."""
+    found: list[Feature] = []
+    for flight in find_flights(z, s):
+        if len(flight) < FLIGHT:
+            found += flight
+        else:
+            rise = float(np.mean([step.amount for step in flight]))
+            found.append(Feature(FeatureKind.STAIRS, flight[0].start, flight[-1].end, rise, len(flight)))
+    return found
+
+
+def find_flights(z: FloatArray, s: FloatArray) -> list[list[Feature]]:
+    """The steps of a path, those of one flight together."""
     steps: list[Feature] = []
     for first, last in _runs(_is_face(z, s)):
         for a, b in _same_sign(z, first, last):
             rise = float(z[b] - z[a])
-            if abs(rise) >= LEAST_STEP:
-                steps.append(Feature(FeatureKind.STEP, float(s[a] + s[b]) / 2, float(s[a] + s[b]) / 2, rise))
+            place = float(s[a] + s[b]) / 2
+            if _repeats(steps, place, rise):
+                steps.pop()
+            elif abs(rise) >= LEAST_STEP:
+                steps.append(Feature(FeatureKind.STEP, place, place, rise))
     flights: list[list[Feature]] = []
     for step in steps:
         joins = flights and step.start - flights[-1][-1].start <= TREAD and step.amount * flights[-1][-1].amount > 0
@@ -158,14 +175,14 @@ def find_steps(z: FloatArray, s: FloatArray) -> list[Feature]:
             flights[-1].append(step)
         else:
             flights.append([step])
-    found: list[Feature] = []
-    for flight in flights:
-        if len(flight) < FLIGHT:
-            found += flight
-        else:
-            rise = float(np.mean([step.amount for step in flight]))
-            found.append(Feature(FeatureKind.STAIRS, flight[0].start, flight[-1].end, rise, len(flight)))
-    return found
+    return flights
+
+
+def _repeats(steps: list[Feature], place: float, rise: float) -> bool:
+    """Whether a step is the last but one again, the last one back up: two levels that meet see it a cell apart."""
+    if len(steps) < 2 or place - steps[-2].start >= FOOT:
+        return False
+    return max(abs(steps[-2].amount - rise), abs(steps[-1].amount + rise)) < LEAST_STEP
 
 
 def _is_face(z: FloatArray, s: FloatArray) -> NDArray[np.bool_]:

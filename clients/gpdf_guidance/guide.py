@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from functools import partial
+from itertools import pairwise
+from math import inf
 from typing import Any
 
 import numpy as np
@@ -13,11 +15,14 @@ from gpdf_client import Client, ClientError, ServiceError, Status, Trajectory
 from gpdf_schemas import CueAction, CueMessage
 from numpy.typing import NDArray
 
-from gpdf_guidance.advice import BLIND, PACES, Advice, Instruction, Kind, Urgency, advise, is_hidden_step, stop
+from gpdf_guidance.advice import BLIND, PACES, Advice, advise, stop
+from gpdf_guidance.ahead import is_hidden_step
 from gpdf_guidance.announcer import Announcer
 from gpdf_guidance.belief import Belief, believe
 from gpdf_guidance.catalogue import phrase
-from gpdf_guidance.route import Pose, Progress, Route, build_route
+from gpdf_guidance.instruction import Instruction, Kind, Urgency
+from gpdf_guidance.route import Pose, Progress, Route, arc_length, build_route, join
+from gpdf_guidance.stairs import LEAST_EDGE, SQUARE, find_stairs, obliqueness, places_to_stand
 from gpdf_guidance.trust import doubt
 
 FloatArray = NDArray[np.float64]
@@ -34,12 +39,14 @@ PERSON: dict[str, Any] = {
     "turn_rate": 1.5,
 }
 """Measures of the service's "human" at a pace with a cane."""
-WIDTHS = (1.0, 0.8, 0.66, 0.5)
-"""[m] A way is asked for with elbow room first; less is taken only where there is no other."""
+WIDER = (0.25, 0.15, 0.08, 0.0)
+"""[m] On each side of the body a way is asked for with elbow room first; less is taken only where there is no other."""
 HIP = 1.0
 """[m] What a cane finds ends here."""
 LEAST_ROOM = 0.08
 """[m] On each side of the body, away from both ends: who sways more than this would touch."""
+ROUNDS = 4
+"""Ways at most: one that crosses a corner of the stairs shows their line roughly, one in that line exactly."""
 ENDS = 1.0
 """[m] A chair that one gets up from, a door that one goes to: there one is led through less."""
 STALLED = 30.0
@@ -86,27 +93,63 @@ class Planner:
     Args:
         client: Connection to the service.
         scene: Name of the scene.
+        person: Measures of the body, as a plan request takes them; with what it carries, and a little to spare.
     """
 
-    def __init__(self, client: Client, scene: str) -> None:
-        self._client, self.scene = client, scene
+    def __init__(self, client: Client, scene: str, person: Mapping[str, Any] = PERSON) -> None:
+        self._client, self.scene, self.person = client, scene, dict(person)
 
     def route(self, pose: Pose, goal: Sequence[float]) -> tuple[Route | None, str]:
         """The route from a pose, or why there is none."""
-        why = ""
-        for width in WIDTHS:
+        why, best, askew = "", None, inf
+        for wider in WIDER:
             try:
-                result = self._client.plan(self.scene, pose.position, goal, {**PERSON, "width": width})
+                body = {**self.person, "width": self.person["width"] + 2 * wider}
+                result = self._client.plan(self.scene, pose.position, goal, body)
                 why = result.message
                 if result.status is Status.OK and result.trajectory is not None:
-                    route = self._build(result.trajectory, pose, result.scene_version)
-                    tight = too_tight(route)
-                    return (None, tight) if tight else (route, "")
+                    ways = self._squared(result.trajectory, body)
+                    routes = ((self._build(way, pose, result.scene_version), oblique) for way, oblique in ways)
+                    route, oblique = next(((one, o) for one, o in routes if not too_tight(one)), (None, inf))
+                    if route is None and best is None:
+                        return None, too_tight(self._build(result.trajectory, pose, result.scene_version))
+                    if oblique < askew:
+                        best, askew = route, oblique
+                    if route is None or oblique <= SQUARE:
+                        break
             except ServiceError as error:  # it failed for this width
                 why = str(error)
             except ClientError as error:
                 return None, str(error)
-        return None, why
+        return best, "" if best else why
+
+    def _squared(self, trajectory: Trajectory, body: dict[str, Any]) -> list[tuple[Trajectory, float]]:
+        """This way and others that meet its stairs more squarely, and how far from square [rad], the least first."""
+        found: list[tuple[float, Trajectory]] = []
+        for _ in range(ROUNDS):
+            path, s = trajectory.ground, arc_length(trajectory.ground)
+            flights = find_stairs(path, s, self._field)
+            found.append((obliqueness(path, s, flights), trajectory))
+            stops = places_to_stand(path, s, flights, partial(self._room, body))
+            if found[-1][0] <= SQUARE or (again := self._through(path[0], stops, path[-1], body)) is None:
+                break
+            trajectory = again
+        return [(way, oblique) for oblique, way in sorted(found, key=lambda one: one[0])]
+
+    def _through(
+        self, start: FloatArray, stops: list[tuple[FloatArray, bool]], goal: FloatArray, body: dict[str, Any]
+    ) -> Trajectory | None:
+        """A way through places, from one to the next; where it need not climb, it does not touch a step."""
+        level = {**body, "name": "on the level", "max_step": LEAST_EDGE}
+        legs: list[Trajectory] = []
+        for (a, climbs), (b, begins) in pairwise([(start, False), *stops, (goal, True)]):
+            bodies = [body] if climbs or not begins else [level, body]
+            tries = (self._client.plan(self.scene, a.tolist(), b.tolist(), one) for one in bodies)
+            leg = next((one.trajectory for one in tries if one.status is Status.OK and one.trajectory), None)
+            if leg is None:
+                return None
+            legs.append(leg)
+        return join(legs)
 
     def pulse(self) -> int | None:
         """The scene's version, as a sign that whoever plans in it is there; None without one within `PULSE`."""
@@ -115,10 +158,16 @@ class Planner:
         except ClientError:
             return None
 
+    def _field(self, places: FloatArray) -> tuple[FloatArray, FloatArray]:
+        found = self._client.distance(self.scene, "ground", places)
+        return np.where(found.valid, found.distance, np.inf), found.gradient
+
     def _build(self, trajectory: Trajectory, pose: Pose, version: int) -> Route:
-        room, low = partial(self._room, PERSON), partial(self._room, {**PERSON, "name": "to the hip", "height": HIP})
-        radius = PERSON["width"] / 2
-        return build_route(trajectory, room, facing=pose.heading, room_low=low, radius=radius, version=version)
+        hip = {**self.person, "name": "to the hip", "height": HIP}
+        room, low, radius = partial(self._room, self.person), partial(self._room, hip), self.person["width"] / 2
+        return build_route(
+            trajectory, room, facing=pose.heading, room_low=low, radius=radius, field=self._field, version=version
+        )
 
     def _room(self, body: dict[str, Any], places: FloatArray) -> FloatArray:
         found = self._client.distance(self.scene, "obstacle", places, body)
@@ -229,12 +278,18 @@ class Guide:
         worth = tuple(
             one
             for one in advice.instructions
-            if waited >= patient.get(one.kind, 0.0)
-            and not (self.felt and one.kind is Kind.TURN_BACK)  # the cue has led back before it is said
+            if waited >= patient.get(one.kind, 0.0) and not (self.felt and self._is_felt(one))
         )
         walks = advice.action in (CueAction.GO, CueAction.SLOW)
         resume = (Instruction(Kind.RESUME, Urgency.DANGER),) if self._told_to_stop and walks else ()
         return resume + worth
+
+    def _is_felt(self, one: Instruction) -> bool:
+        """Whether the cue alone says enough: it leads back before that is said, and it says when to turn, once told."""
+        told = replace(one, kind=Kind.TURN_SOON)
+        return one.kind is Kind.TURN_BACK or (
+            one.kind is Kind.TURN_NOW and self._announcer.has_begun(told, self._clock)
+        )
 
     def _notice(self, advice: Advice) -> None:
         """Arrival, and how long the person has been kept from walking."""

@@ -18,8 +18,8 @@ from gpdf_schemas import CueMessage, DecodeError, MovingObstacles, PoseMessage, 
 from gpdf_schemas.moving import points_of, stacked
 from numpy.typing import NDArray
 
-from gpdf_guidance.advice import Instruction
 from gpdf_guidance.guide import Guide, Outcome
+from gpdf_guidance.instruction import Instruction
 from gpdf_guidance.route import Pose, Route
 
 CUE_PERIOD = 0.1

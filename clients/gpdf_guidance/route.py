@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from math import isfinite
 
@@ -10,23 +9,23 @@ import numpy as np
 from gpdf_client import Trajectory
 from numpy.typing import NDArray
 
+from gpdf_guidance.corridor import (
+    SPACING,
+    Room,
+    least_room,
+    margin_of,
+    middle_of,
+    on_own_ground,
+    scan,
+    through_gates,
+    where_there_is_room,
+)
 from gpdf_guidance.features import Feature, find_features
+from gpdf_guidance.stairs import Field, Flight, as_walked, find_stairs
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
-Room = Callable[[FloatArray], FloatArray]
-"""Free room around a body that stands at (m, 3): distance to what stops it less its radius [m], shape (m,)."""
 
-SPACING = 0.1
-"""[m] Between samples of a route: half of what a person sways."""
-FINER = 5
-"""Places a sample (odd) at which the room on the path itself is asked for: what juts out 1 cm is seen."""
-MARGIN = 0.1
-"""[m] Room that a corridor leaves beside it: a swinging arm; in a tight place half of the path's own room."""
-WIDEST = 0.8
-"""[m] A corridor is looked for this far to either side; more changes no instruction."""
-ELBOW_ROOM = 0.35
-"""[m] To either side of the body a person walks at ease."""
 BACK, AHEAD = 1.5, 2.5
 """[m] A pose is looked for this far behind and ahead of the last one: a path that passes itself is not confused."""
 
@@ -70,6 +69,7 @@ class Route:
         features: What a person is told of, in order.
         radius: Of the person's body [m].
         version: Of the scene that it was planned in.
+        flights: Stairs, and how they are met squarely.
     """
 
     ground: FloatArray
@@ -83,6 +83,7 @@ class Route:
     features: tuple[Feature, ...]
     radius: float
     version: int = 0
+    flights: tuple[Flight, ...] = ()
 
     @property
     def length(self) -> float:
@@ -143,6 +144,7 @@ def build_route(
     facing: float | None = None,
     room_low: Room | None = None,
     radius: float,
+    field: Field | None = None,
     version: int = 0,
 ) -> Route:
     """Build the route of a trajectory.
@@ -153,62 +155,40 @@ def build_route(
         facing: Where the person looks before the first step [rad]; the turn into the path is the first feature.
         room_low: The same for a body that ends at the hip: what it has more is head-height obstacles.
         radius: Of the person's body [m].
+        field: The ground's; without it nothing is known of how stairs lie.
         version: Of the scene that the trajectory was planned in.
     """
-    rough = _arc_length(trajectory.ground)
+    rough = arc_length(trajectory.ground)
     s = np.linspace(0.0, rough[-1], max(3, round(rough[-1] / SPACING) + 1))
     ground = np.column_stack([np.interp(s, rough, trajectory.ground[:, k]) for k in range(3)])
     heading = np.interp(s, rough, np.unwrap(trajectory.headings))
-    free = _scan(ground, heading, room)
-    middle = free.shape[1] // 2
-    clear = _least_room(s, np.column_stack([trajectory.ground, rough]), room)
-    margin = np.clip(0.5 * clear, 0.0, MARGIN)
-    disc = np.maximum(clear - margin, 0.0)
-    left, right = (np.maximum(_reach(side, margin), disc) for side in (free[:, middle:], free[:, middle::-1]))
-    over = _scan(ground, heading, room_low) - free if room_low is not None else np.zeros_like(free)
-    features = find_features(
-        _plan_and_height(trajectory.ground, rough), s, heading, left + right + 2 * (radius + margin), free, over, facing
-    )
-    return Route(ground, s, heading, clear, disc, left, right, _shift(left, right), features, radius, version)
+    free = scan(ground, heading, room)
+    clear = least_room(s, trajectory.ground, rough, room)
+    corridor = where_there_is_room(free, clear)
+    width = corridor.left + corridor.right + 2 * (radius + margin_of(clear))
+    flights: tuple[Flight, ...] = ()
+    if field is not None and (flights := find_stairs(trajectory.ground, rough, field)):
+        flights = as_walked(trajectory.ground, rough, flights)
+        nearest = np.abs(rough[None, :] - s[:, None]).argmin(axis=1)  # half-way up a step is no ground
+        standing = np.column_stack([ground[:, :2], trajectory.ground[nearest, 2]])
+        corridor = on_own_ground(corridor, standing, s, heading, flights, field)
+        corridor = through_gates(corridor, s, heading, flights)
+    over = scan(ground, heading, room_low) - free if room_low is not None else np.zeros_like(free)
+    features = find_features(np.column_stack([trajectory.ground, rough]), s, heading, width, free, over, facing)
+    return Route(ground, s, heading, clear, *corridor, middle_of(corridor), features, radius, version, flights)
 
 
-def _plan_and_height(ground: FloatArray, s: FloatArray) -> FloatArray:
-    """(n, 4): x, y, z, arc length."""
-    return np.column_stack([ground, s])
-
-
-def _arc_length(ground: FloatArray) -> FloatArray:
+def arc_length(ground: FloatArray) -> FloatArray:
+    """Arc length in plan of contact points (n, 3) [m], shape (n,)."""
     return np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(ground[:, :2], axis=0).T))])
 
 
-def _least_room(s: FloatArray, rough: FloatArray, room: Room) -> FloatArray:
-    """Free room on the path around each sample, halfway to the next ones: what juts out between them counts."""
-    fine = np.linspace(s[0], s[-1], FINER * (len(s) - 1) + 1)
-    around = room(np.column_stack([np.interp(fine, rough[:, 3], rough[:, k]) for k in range(3)]))
-    padded = np.pad(around, FINER // 2, mode="edge")
-    least: FloatArray = np.lib.stride_tricks.sliding_window_view(padded, FINER)[::FINER].min(axis=1)
-    return least
-
-
-def _scan(ground: FloatArray, heading: FloatArray, room: Room) -> FloatArray:
-    """Free room at offsets from right to left of each sample, shape (n, k), k odd."""
-    offsets = np.arange(-round(WIDEST / SPACING * 2), round(WIDEST / SPACING * 2) + 1) * SPACING / 2
-    normal = np.column_stack([-np.sin(heading), np.cos(heading), np.zeros(len(heading))])
-    places = ground[:, None, :] + offsets[None, :, None] * normal[:, None, :]
-    return room(places.reshape(-1, 3)).reshape(len(ground), len(offsets))
-
-
-def _reach(free: FloatArray, margin: FloatArray) -> FloatArray:
-    """How far from the first column all leave the margin [m], shape (n,)."""
-    blocked = free < margin[:, None]
-    blocked[:, 0] = False  # the path itself is certified
-    first = np.where(blocked.any(axis=1), blocked.argmax(axis=1), free.shape[1])
-    reach: FloatArray = (first - 1) * SPACING / 2
-    return reach
-
-
-def _shift(left: FloatArray, right: FloatArray) -> FloatArray:
-    """How far to the left of the path there is `ELBOW_ROOM` on both sides, or as much on one as on the other [m]."""
-    lack_left, lack_right = np.maximum(ELBOW_ROOM - left, 0.0), np.maximum(ELBOW_ROOM - right, 0.0)
-    shift: FloatArray = np.clip(0.5 * (left - right), -lack_left, lack_right)
-    return shift
+def join(legs: list[Trajectory]) -> Trajectory:
+    """One trajectory of several, each of which begins where the one before it ends."""
+    ends = np.cumsum([0.0, *(leg.duration for leg in legs)])
+    times = [leg.times - leg.times[0] + end for leg, end in zip(legs, ends, strict=False)]
+    parts = [(leg.positions, leg.ground, time, leg.headings) for leg, time in zip(legs, times, strict=True)]
+    joined = [
+        np.concatenate([part[1 if i else 0 :] for i, part in enumerate(column)]) for column in zip(*parts, strict=True)
+    ]
+    return Trajectory(*joined)

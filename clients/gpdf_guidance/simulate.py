@@ -9,8 +9,8 @@ import numpy as np
 from gpdf_schemas import CueAction
 from numpy.typing import NDArray
 
-from gpdf_guidance.advice import Instruction
 from gpdf_guidance.guide import Guide, Outcome
+from gpdf_guidance.instruction import Instruction
 from gpdf_guidance.route import Pose
 from gpdf_guidance.walker import Walker
 

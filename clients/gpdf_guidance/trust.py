@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from math import hypot
 
-from gpdf_guidance.advice import BLIND, PACES, UNRELIABLE, Instruction, Kind, Urgency, distrust
+from gpdf_guidance.advice import BLIND, PACES, UNRELIABLE, distrust
+from gpdf_guidance.instruction import Instruction, Kind, Urgency
 from gpdf_guidance.route import Pose
 
 HURRY = 1.5

@@ -40,14 +40,14 @@ def optimize_in_one_field(
         config: Weights and limits.
     """
     spacing = float(np.linalg.norm(np.diff(xi, axis=0), axis=1).mean())
-    epsilon = config.preferred_clearance * radius
+    epsilon, weight = config.preferred_clearance * radius, config.smoothness_weight(radius)
     below = body_points(height, radius, epsilon)
 
     def evaluate(xi: FloatArray) -> CostAndGradient:
-        return cost_in_one_field(xi, spacing, field, below, radius, epsilon, config.smoothness_weight)
+        return cost_in_one_field(xi, spacing, field, below, radius, epsilon, weight)
 
     cost, gradient = evaluate(xi)
-    rate = 0.1 * spacing / config.smoothness_weight  # well below the step that solves the smoothness term alone
+    rate = 0.1 * spacing / weight  # well below the step that solves the smoothness term alone
     for _ in range(config.max_iterations):
         step = solve_metric(gradient)
         largest = float(np.abs(step).max())

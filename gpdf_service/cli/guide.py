@@ -18,8 +18,8 @@ import zenoh
 from gpdf_client import Client, ClientError
 from gpdf_client.cli import PLACE_HELP, named_place
 from gpdf_client.client import DEFAULT_ENDPOINT
-from gpdf_guidance import LANGUAGES, Guide, Outcome, Planner, Walk, Walker, simulate
-from gpdf_guidance.advice import Instruction
+from gpdf_guidance import LANGUAGES, PERSON, Guide, Outcome, Planner, Walk, Walker, simulate
+from gpdf_guidance.instruction import Instruction
 from gpdf_guidance.live import LiveGuide, Told, open_session, to_json
 from gpdf_guidance.voice import Voice
 from numpy.typing import NDArray
@@ -33,6 +33,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--goal", type=named_place, required=True, help=PLACE_HELP)
     parser.add_argument("--endpoint", default=DEFAULT_ENDPOINT, help="the service")
     parser.add_argument("--name", default="person", help="poses come on gpdf/v1/pose/NAME, cues go to gpdf/v1/cue/NAME")
+    parser.add_argument(
+        "--width", type=float, default=PERSON["width"], help="of the person, elbows and bag included [m]"
+    )
+    parser.add_argument("--height", type=float, default=PERSON["height"], help="of the person with a hat [m]")
     parser.add_argument("--language", choices=LANGUAGES, default="en")
     parser.add_argument("--unit", choices=["metres", "steps"], default="metres", help="of distances")
     parser.add_argument("--speak", action="store_true", help="speak through espeak-ng")
@@ -58,7 +62,8 @@ def run(args: argparse.Namespace) -> int:
         with open_session(args.endpoint) as session:
             client = Client(session)
             client.info(args.scene)  # a scene that is not there is said at once
-            guide = Guide(Planner(client, args.scene), client.where(args.scene, args.goal), args.language, args.unit)
+            planner = Planner(client, args.scene, {**PERSON, "width": args.width, "height": args.height})
+            guide = Guide(planner, client.where(args.scene, args.goal), args.language, args.unit)
             return (
                 _simulated(args, client, guide)
                 if args.simulate
@@ -91,12 +96,12 @@ def _told(args: argparse.Namespace, voice: Voice | None) -> Told:
 
 
 def _simulated(args: argparse.Namespace, client: Client, guide: Guide) -> int:
-    first = client.plan(args.scene, args.start, args.goal)
+    first = client.plan(args.scene, args.start, args.goal, guide.planner.person)
     if first.trajectory is None:
         print(f"gpdf guide: {first.status}: {first.message}", file=sys.stderr)
         return 1
     rng = np.random.default_rng(args.seed)
-    world = _truth(args.truth) if args.truth else None
+    world = _truth(args.truth, guide.planner.person) if args.truth else None
     ground = world.ground_height if world is not None else lambda position: _route_height(guide, position)
     walker = Walker(first.trajectory.ground[0], float(rng.uniform(-np.pi, np.pi)), ground, rng)
     walk = simulate(guide, walker, world)
@@ -111,13 +116,16 @@ def _simulated(args: argparse.Namespace, client: Client, guide: Guide) -> int:
     return 0 if walk.outcome is Outcome.ARRIVED and not contact else 1
 
 
-def _truth(name: str) -> Any:  # noqa: ANN401 - imported only here
+def _truth(name: str, person: dict[str, Any]) -> Any:  # noqa: ANN401 - imported only here
     from gpdf_service.bench.report import read_scene
     from gpdf_service.bench.walks import WalkedWorld
     from gpdf_service.perception import segment_ground
+    from gpdf_service.types import Agent
 
     _, points, ground = read_scene(name)
-    return WalkedWorld.of(points, segment_ground(points) if ground is None else ground)
+    world = WalkedWorld.of(points, segment_ground(points) if ground is None else ground)
+    world.agent = Agent(**person)
+    return world
 
 
 def _route_height(guide: Guide, position: FloatArray) -> float:

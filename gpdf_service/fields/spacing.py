@@ -97,12 +97,45 @@ def thin(points: FloatArray, cell: float) -> IntArray:
     """Rows of the point nearest to the mean of each cubic cell: real points, no averages; (k,), sorted."""
     if cell <= 0:
         return np.unique(points, axis=0, return_index=True)[1].astype(np.int64)
-    key = np.floor((points - points.min(axis=0)) / cell).astype(np.int64)
-    sizes = key.max(axis=0) + 1
-    flat = np.ravel_multi_index(tuple(key.T), tuple(sizes))
-    _, inverse, count = np.unique(flat, return_inverse=True, return_counts=True)
-    mean = np.stack([np.bincount(inverse, weights=column) / count for column in points.T], axis=1)
-    off = ((points - mean[inverse]) ** 2).sum(axis=1)
-    order = np.lexsort((off, inverse))
-    first = np.concatenate([[0], np.cumsum(count)[:-1]])
-    return np.sort(order[first]).astype(np.int64)
+    flat = _flat_cells(points, cell)
+    rows: IntArray = np.sort(_nearest_to_means(points, flat, np.argsort(flat)))
+    return rows
+
+
+@njit(cache=True, nogil=True)
+def _flat_cells(points: FloatArray, cell: float) -> IntArray:
+    """A number for the cubic cell of each point, counted from their lower corner."""
+    dim, flat = points.shape[1], np.zeros(len(points), np.int64)
+    for k in range(dim):
+        low, high = np.inf, -np.inf
+        for i in range(len(points)):
+            low, high = min(low, points[i, k]), max(high, points[i, k])
+        cells = int(np.floor((high - low) / cell)) + 1
+        for i in range(len(points)):
+            flat[i] = flat[i] * cells + int(np.floor((points[i, k] - low) / cell))
+    return flat
+
+
+@njit(cache=True, nogil=True)
+def _nearest_to_means(points: FloatArray, flat: IntArray, order: IntArray) -> IntArray:
+    """The row nearest to the mean of each run of equal cells in `order`; of two as near the first."""
+    dim, mean = points.shape[1], np.zeros(3)
+    found, used, begin = np.empty(len(order), np.int64), 0, 0
+    while begin < len(order):
+        end = begin + 1
+        while end < len(order) and flat[order[end]] == flat[order[begin]]:
+            end += 1
+        rows = np.sort(order[begin:end])
+        mean[:] = 0.0
+        for row in rows:
+            for k in range(dim):
+                mean[k] += points[row, k]
+        best = np.inf
+        for row in rows:
+            off = 0.0
+            for k in range(dim):
+                off += (points[row, k] - mean[k] / len(rows)) ** 2
+            if off < best:
+                best, found[used] = off, row
+        used, begin = used + 1, end
+    return found[:used].copy()

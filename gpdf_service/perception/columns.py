@@ -80,9 +80,9 @@ def cut_columns(
     first: IntArray,
     begin: int,
     end: int,
-    made: tuple[IntArray, FloatArray, FloatArray, FloatArray, IntArray],
+    made: tuple[IntArray, IntArray, FloatArray, FloatArray, FloatArray, IntArray],
 ) -> None:
-    """Fill cell, height, thickness and headroom of the nodes of the columns from `begin` to `end`, and their points'.
+    """Fill cell, row, height, thickness, headroom of the nodes of the columns from `begin` to `end`, and their points'.
 
     Args:
         start: Where each column begins in `order` and in `z`.
@@ -93,9 +93,9 @@ def cut_columns(
         first: `count_nodes`.
         begin: First column.
         end: Behind the last.
-        made: Where they are written; last, for each point its node.
+        made: Where they are written; the row is that of the point whose height it is, the last is each point's node.
     """
-    cell, height, thickness, headroom, node_of_point = made
+    cell, row, height, thickness, headroom, node_of_point = made
     for c in range(begin, end):
         node, i = first[c], start[c]
         while i < start[c + 1]:
@@ -105,7 +105,8 @@ def cut_columns(
             for e in range(i, last + 1):
                 node_of_point[order[e]] = node
             cell[node], thickness[node] = c, z[last] - z[i]
-            height[node] = z[(i + last) // 2] if thickness[node] <= flat else z[last]
+            chosen = (i + last) // 2 if thickness[node] <= flat else last
+            row[node], height[node] = order[chosen], z[chosen]
             headroom[node] = z[last + 1] - z[last] if last + 1 < start[c + 1] else np.inf
             node, i = node + 1, last + 1
 

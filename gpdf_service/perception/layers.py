@@ -82,6 +82,7 @@ class Layers:
         cell_width: [m].
         shape: Cells along x and y.
         cell: Flat cell index of each node, shape (k,).
+        place: Where in plan the point lies whose height it is [m], shape (k, 2).
         height: Height of its surface [m], shape (k,).
         thickness: Between its lowest and highest point [m], shape (k,).
         headroom: Free height above it [m], inf under the open sky, shape (k,).
@@ -93,6 +94,7 @@ class Layers:
     cell_width: float
     shape: tuple[int, int]
     cell: IntArray
+    place: FloatArray
     height: FloatArray
     thickness: FloatArray
     headroom: FloatArray
@@ -134,7 +136,11 @@ def splice_layers(layers: Layers, changed: BoolArray, fresh: Layers | None) -> L
             made[new] = getattr(fresh, name)[-1 - source[new]]
         return made
 
-    parts = (*(both(name) for name in ("cell", "height", "thickness", "headroom")), np.zeros(0, np.int64), start)
+    parts = (
+        *(both(name) for name in ("cell", "place", "height", "thickness", "headroom")),
+        np.zeros(0, np.int64),
+        start,
+    )
     return Layers(layers.origin, layers.cell_width, layers.shape, *parts)
 
 
@@ -153,9 +159,10 @@ def build_layers(
     z, flat = points[order, 2], 2.0 * cell_width + 4.0 * noise
     first = count_nodes(start, z, gap)
     count = int(first[-1])
-    made = np.empty(count, np.int64), np.empty(count), np.empty(count), np.empty(count), np.empty(len(z), np.int64)
+    cell_of, row = np.empty(count, np.int64), np.empty(count, np.int64)
+    made = cell_of, row, np.empty(count), np.empty(count), np.empty(count), np.empty(len(z), np.int64)
     run_chunked(lambda a, b: cut_columns(start, order, z, gap, flat, first, a, b, made), cells)
-    return Layers(origin, cell_width, shape, *made, first)
+    return Layers(origin, cell_width, shape, cell_of, points[row, :2], *made[2:], first)
 
 
 def connect(

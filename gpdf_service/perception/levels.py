@@ -26,7 +26,7 @@ from gpdf_service.perception.layers import Layers, build_layers, cell_width_of, 
 from gpdf_service.perception.limits import GroundLimits, Measured, find_limits, neighbourhood, smoothed, step_and_slope
 from gpdf_service.perception.nodes import components, degrees, grown_sheet, pairs_across
 from gpdf_service.perception.segment import HALF, LEAST_SCATTER, over_ground
-from gpdf_service.perception.smooth import smooth
+from gpdf_service.perception.smooth import smooth, to_centres
 from gpdf_service.perception.strays import find_strays
 from gpdf_service.perception.surface import (
     NOTCH_DEPTH,
@@ -274,7 +274,7 @@ def _build_level(
     noise: float,
 ) -> tuple[GroundLevel, Voids]:
     """The sheet of these nodes, of the layers of the `floor`: those of the points that are ground."""
-    seen = smooth(without_outliers(sheet_surface(layers, nodes), RESOLVED_STEP * noise), noise)
+    seen = sheet_surface(layers, nodes, noise)
     inside = np.zeros(len(layers.cell), dtype=bool)
     inside[nodes] = True
     mine = ground.copy()
@@ -290,13 +290,17 @@ def _build_level(
     return make_level(surface, other, ledge, limits, measured), voids
 
 
-def sheet_surface(layers: Layers, nodes: IntArray) -> HeightMap:
-    """The ground of a sheet as it was seen."""
-    height = np.full(layers.shape[0] * layers.shape[1], np.nan, np.float32)
-    height[layers.cell[nodes]] = layers.height[nodes]
-    height = height.reshape(layers.shape)
+def sheet_surface(layers: Layers, nodes: IntArray, noise: float = 0.0) -> HeightMap:
+    """The ground of a sheet as it was seen, at the centres of its cells; the `noise` is that before the cure [m]."""
+    height = np.full(layers.shape, np.nan, np.float32)
+    off = np.zeros((*layers.shape, 2), np.float32)
+    cell = np.divmod(layers.cell[nodes], layers.shape[1])
+    height[cell] = layers.height[nodes]
+    off[cell] = layers.place[nodes] - layers.origin - (np.column_stack(cell) + 0.5) * layers.cell_width
     state = np.where(np.isnan(height), UNKNOWN, OBSERVED).astype(np.uint8)
-    return HeightMap(layers.origin, layers.cell_width, height, state)
+    surface = without_outliers(HeightMap(layers.origin, layers.cell_width, height, state), RESOLVED_STEP * noise)
+    off[surface.height != height] = 0.0  # a median's place is the middle of its cells
+    return smooth(to_centres(surface, off, noise), noise)
 
 
 def without_outliers(surface: HeightMap, most: float) -> HeightMap:
@@ -407,6 +411,7 @@ def _add_rims(
     """Give points over a step's edge its `ledge`, where they are so few beside those of its face that noise made them.
 
     Over one deviation are 0.08 of the points of a face's last deviation, under its edge are 1.6 down to two deviations.
+    A point is no witness for itself: where a face has five points, one of them over its edge is no lip.
     """
     rows = np.flatnonzero(asked & np.isinf(ledge))
     rim = next_above(ground, other[rows], RESOLVED_STEP * noise)
@@ -418,7 +423,7 @@ def _add_rims(
     for row, edge, near in zip(rows, rim, beside, strict=True):
         over = (z[near] - edge) / noise
         face = np.count_nonzero((over > -2.0) & (over <= 0.0))
-        if np.count_nonzero(over > 1.0) <= RIM_SHARE * face:
+        if face > 0 and np.count_nonzero(over > 1.0) - 1 <= RIM_SHARE * face:
             ledge[row] = edge
 
 

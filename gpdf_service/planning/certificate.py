@@ -14,7 +14,7 @@ import numpy as np
 from gpdf_service.perception.limits import LEAST_STEP
 from gpdf_service.planning.footprint import disc_places, travel_headings
 from gpdf_service.search import FreeSpace
-from gpdf_service.search.lattice import least_distance
+from gpdf_service.search.motion import least_distance
 from gpdf_service.types import Certificate, FloatArray, IntArray
 
 RESOLUTION = 1e-3

@@ -15,7 +15,8 @@ import numpy as np
 from numba import njit
 
 from gpdf_service.fields import FieldArrays
-from gpdf_service.planning.costs import CENTRE, Discs, Memo, ground_cost, make_memo, obstacle_cost, smoothness_cost
+from gpdf_service.planning.costs import Discs, Memo, ground_cost, make_memo, obstacle_cost, smoothness_cost
+from gpdf_service.search.motion import CENTRE
 from gpdf_service.types import FloatArray
 
 _DESCENT = 1e-4

@@ -18,10 +18,6 @@ OFF = 2e-5
 d to a place is d + g·s + s² / 2d at most, so within s² ≤ 2d × `OFF` (9 mm at 2 m, 3 mm at 25 cm)."""
 
 
-CENTRE = np.zeros(1)
-"""[m] A cylinder is one disc, at the body's centre."""
-
-
 class Discs(NamedTuple):
     """A body in plan: where its discs are, ahead of its centre [m], shape (k,), and their radius [m]."""
 

@@ -16,7 +16,7 @@ from numba import njit
 from scipy import ndimage
 from scipy.spatial import cKDTree
 
-from gpdf_service.perception import HeightMap, ObstacleKind
+from gpdf_service.perception import ObstacleKind
 from gpdf_service.perception.levels import LEAST_OBSTACLE
 from gpdf_service.perception.surface import UNKNOWN
 from gpdf_service.planning.certificate import min_distance
@@ -145,7 +145,7 @@ def _lay_grid(space: FreeSpace) -> _Grid:
     height = np.stack([np.kron(surface.height, np.ones((fine, fine))) for surface in space.surfaces])
     grid = _Grid(first.origin, first.cell_width / fine, height, np.full((len(Cut), *height.shape), np.inf))
     for level, found in enumerate(space.obstacles):
-        cut = _cuts(space.surfaces[level], found.points, found.kind.astype(np.int64))
+        cut = _cuts(space, level)
         ij = np.floor((found.points[:, :2] - grid.origin) / grid.width).astype(np.int64)
         ij = np.clip(ij, 0, np.array(height.shape[1:]) - 1)
         for kind in Cut:
@@ -156,15 +156,18 @@ def _lay_grid(space: FreeSpace) -> _Grid:
     return grid
 
 
-def _cuts(surface: HeightMap, points: FloatArray, kind: IntArray) -> IntArray:
-    """The `Cut` of each obstacle point: its kind; material may be a step's face, or only too low for a tall body."""
+def _cuts(space: FreeSpace, level: int) -> IntArray:
+    """The `Cut` of each obstacle point of a level: its kind; material may be a step's face, or only too low."""
+    surface, found = space.surfaces[level], space.obstacles[level]
+    points, kind = found.points, found.kind.astype(np.int64)
     ground = ndimage.maximum_filter(np.where(surface.state != UNKNOWN, surface.height, -np.inf), size=3)
     ix, iy, _ = surface.cells(points)
     over = points[:, 2] - ground[ix, iy]
     seen = (kind == ObstacleKind.MATERIAL) & np.isfinite(over)
     table = np.array([Cut.SOLID, Cut.STEP, Cut.SLOPE, Cut.UNKNOWN])
     made = np.where(seen & (over > LOWEST_BODY), Cut.HEIGHT, table[kind])
-    return np.where(seen & (over <= LEAST_OBSTACLE), Cut.STEP, made)
+    too_high = space.steps[level][ix, iy] > space.agent.max_step
+    return np.where(seen & (over <= LEAST_OBSTACLE) & too_high, Cut.STEP, made)
 
 
 def _opened(grid: _Grid, cuts: tuple[Cut, ...]) -> tuple[FloatArray, BoolArray]:
@@ -253,7 +256,7 @@ def _met(space: FreeSpace, grid: _Grid, path: IntArray, cut: Cut, start: Endpoin
     shut = np.flatnonzero(shut & beyond if (shut & beyond).any() else shut)
     level = int(path[shut[0], 0])
     surface, found = space.surfaces[level], space.obstacles[level]
-    points = found.points[_cuts(surface, found.points, found.kind.astype(np.int64)) == cut]
+    points = found.points[_cuts(space, level) == cut]
     one = points[np.linalg.norm(points[:, :2] - xy[shut[0]], axis=1).argmin()]
     at = np.append(one[:2], surface.height_at(one[None, :2]))
     crossed = xy[shut[path[shut, 0] == level]]

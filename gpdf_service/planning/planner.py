@@ -168,7 +168,7 @@ def _bend(
         height=agent.height,
         epsilon=config.preferred_clearance * agent.disc_radius,
         wall=WALL if strict else 0.0,
-        smoothness_weight=config.smoothness_weight,
+        smoothness_weight=config.smoothness_weight(agent.disc_radius),
         max_iterations=config.max_iterations,
         tolerance=config.tolerance,
     )

@@ -12,6 +12,7 @@ from gpdf_service.fields.tree import make_scratch
 from gpdf_service.perception import HeightMap
 from gpdf_service.perception.surface import UNKNOWN
 from gpdf_service.search import is_clear
+from gpdf_service.search.motion import CENTRE, is_leap_clear
 from gpdf_service.types import FloatArray, IntArray
 
 HEIGHT_SHARE = 0.1
@@ -25,34 +26,38 @@ _STANDS = 1e-3
 """[m] A top this near to its height stands: a tenth of what the lowest body may be off."""
 
 
-def shortcut(path: FloatArray, obstacles: Tree, radius: float, surface: HeightMap) -> IntArray:
-    """Rows of a path in plan, shape (n, 2), that a string pulled along it keeps.
+def shortcut(
+    path: FloatArray, obstacles: Tree, radius: float, surface: HeightMap, offsets: FloatArray = CENTRE
+) -> IntArray:
+    """Rows of a way over places (n, 2), or over poses (n, 3) of a body of discs, that a string pulled along it keeps.
 
     Each leg is proven clear of obstacles by `radius` [m], and lies on known ground: the path may lead around a hole.
+    A leg between poses is a turn on the spot, a straight piece, and a turn.
     """
-    return _shortcut(path, obstacles, radius, surface.state, surface.origin, surface.cell_width)
+    return _shortcut(path, obstacles, radius, offsets, (surface.state, surface.origin, surface.cell_width))
+
+
+_Ground = tuple[NDArray[np.uint8], FloatArray, float]
+"""State, origin and width of the cells of a height map."""
 
 
 @njit(cache=True, nogil=True)
-def _shortcut(
-    path: FloatArray, obstacles: Tree, radius: float, state: NDArray[np.uint8], origin: FloatArray, width: float
-) -> IntArray:
-    """Greedy with doubling: from each kept waypoint the furthest that doubling and halving find to be joined."""
+def _shortcut(path: FloatArray, obstacles: Tree, radius: float, offsets: FloatArray, ground: _Ground) -> IntArray:
+    """Greedy with doubling: from each kept row the furthest that doubling and halving find to be joined."""
     kept = [0]
     here = 0
     last = path.shape[0] - 1
-    ground = state, origin, width
     while here < last:
         good, leap = here + 1, 2
-        while here + leap <= last and _joined(path[here], path[here + leap], obstacles, radius, ground):
+        while here + leap <= last and _joined(path[here], path[here + leap], obstacles, radius, offsets, ground):
             good = here + leap
             leap *= 2
         bad = min(here + leap, last + 1)
-        if good < last and _joined(path[here], path[last], obstacles, radius, ground):
+        if good < last and _joined(path[here], path[last], obstacles, radius, offsets, ground):
             good, bad = last, last + 1
         while bad - good > 1:
             middle = (good + bad) // 2
-            if _joined(path[here], path[middle], obstacles, radius, ground):
+            if _joined(path[here], path[middle], obstacles, radius, offsets, ground):
                 good = middle
             else:
                 bad = middle
@@ -62,11 +67,10 @@ def _shortcut(
 
 
 @njit(cache=True, nogil=True)
-def _joined(
-    a: FloatArray, b: FloatArray, obstacles: Tree, radius: float, ground: tuple[NDArray[np.uint8], FloatArray, float]
-) -> bool:
-    """Whether the segment ab is clear and on known ground, looked at `LOOKS` times a cell."""
-    if not is_clear(obstacles, a, b, radius):
+def _joined(a: FloatArray, b: FloatArray, obstacles: Tree, radius: float, offsets: FloatArray, ground: _Ground) -> bool:
+    """Whether the leg from a to b is clear and on known ground, looked at `LOOKS` times a cell."""
+    clear = is_clear(obstacles, a, b, radius) if len(a) == 2 else is_leap_clear(obstacles, a, b, offsets, radius)
+    if not clear:
         return False
     state, origin, width = ground
     count = int(np.ceil(LOOKS * np.sqrt((b[0] - a[0]) ** 2 + (b[1] - a[1]) ** 2) / width)) + 1

@@ -6,21 +6,14 @@ from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
-from numba import njit
 
-from gpdf_service.fields import Tree
 from gpdf_service.planning.routes import Leg, Route
+from gpdf_service.planning.shape import shortcut
 from gpdf_service.planning.timing import time_path
 from gpdf_service.search import FreeSpace
-from gpdf_service.search.lattice import (
-    MOST_POSES,
-    POSES_PER_SECOND,
-    PoseSearch,
-    find_poses,
-    is_motion_clear,
-    turned,
-)
-from gpdf_service.types import Agent, FloatArray, IntArray, Status
+from gpdf_service.search.lattice import MOST_POSES, POSES_PER_SECOND, PoseSearch, find_poses
+from gpdf_service.search.motion import leap
+from gpdf_service.types import Agent, FloatArray, Status
 
 Facing = tuple[float | None, float | None]
 """Where a body faces at the start and at the goal [rad]; None leaves it free."""
@@ -51,11 +44,11 @@ def turn_route(space: FreeSpace, route: Route, seconds: float, facing: Facing = 
     most = min(MOST_POSES, int(POSES_PER_SECOND * max(0.0, min(seconds, MOST_POSES))))
     for n, (level, path) in enumerate(route.legs, start=1):
         start, goal = _end(path[0], heading), _end(path[-1], facing[1] if n == len(route.legs) else None)
-        tree, offsets = space.trees[level], space.agent.offsets
-        found = find_poses(tree, space.surfaces[level], start, goal, offsets, space.radius, most=most)
+        body = space.agent.offsets, space.radius
+        found = find_poses(space.trees[level], space.surfaces[level], start, goal, *body, most=most)
         if not found.reached:
             return _stuck(space, level, found)
-        legs.append((level, pull(found.poses, tree, offsets, space.radius)))
+        legs.append((level, _pull(space, level, found.poses)))
         heading = float(legs[-1][1][-1, 2])
     return replace(route, legs=legs)
 
@@ -77,58 +70,16 @@ def _stuck(space: FreeSpace, level: int, found: PoseSearch) -> Stuck:
     return Stuck(Status.NO_VALID_PATH, f"{words} A shorter body, or one that is narrow all around, may pass.", at)
 
 
-def pull(poses: FloatArray, obstacles: Tree, offsets: FloatArray, radius: float) -> FloatArray:
+def _pull(space: FreeSpace, level: int, poses: FloatArray) -> FloatArray:
     """A way over poses, (n, 3), pulled straight: turn on the spot, go straight ahead, turn again; θ unwrapped."""
-    kept = _shortcut(poses, obstacles, offsets, radius)
+    kept = shortcut(poses, space.trees[level], space.radius, space.surfaces[level], space.agent.offsets)
     parts = [poses[:1]]
     for a, b in pairwise(kept):
-        parts.append(_leap(poses[a], poses[b]) if b - a > 1 else poses[[b]])
+        parts.append(leap(poses[a], poses[b]) if b - a > 1 else poses[[b]])
     made = np.concatenate(parts)
     made[:, 2] = np.unwrap(made[:, 2])
     distinct: FloatArray = made[np.concatenate([[True], np.abs(np.diff(made, axis=0)).max(axis=1) > 1e-9])]
     return distinct
-
-
-@njit(cache=True, nogil=True)
-def _leap(a: FloatArray, b: FloatArray) -> FloatArray:
-    """From pose a to pose b by a turn, a straight piece and a turn: the three poses after a."""
-    made = np.empty((3, 3))
-    made[0] = turned(a, np.arctan2(b[1] - a[1], b[0] - a[0]))
-    made[1, :2], made[1, 2] = b[:2], made[0, 2]
-    made[2] = turned(made[1], b[2])
-    return made
-
-
-@njit(cache=True, nogil=True)
-def _is_leap_clear(obstacles: Tree, a: FloatArray, b: FloatArray, offsets: FloatArray, radius: float) -> bool:
-    before = a
-    for after in _leap(a, b):
-        if not is_motion_clear(obstacles, before, after, offsets, radius):
-            return False
-        before = after
-    return True
-
-
-@njit(cache=True, nogil=True)
-def _shortcut(poses: FloatArray, obstacles: Tree, offsets: FloatArray, radius: float) -> IntArray:
-    """Rows that are kept: from each one the furthest that doubling and halving leap to."""
-    kept = [0]
-    here, last = 0, poses.shape[0] - 1
-    while here < last:
-        good, leap = here + 1, 2
-        while here + leap <= last and _is_leap_clear(obstacles, poses[here], poses[here + leap], offsets, radius):
-            good = here + leap
-            leap *= 2
-        bad = min(here + leap, last + 1)
-        while bad - good > 1:
-            middle = (good + bad) // 2
-            if _is_leap_clear(obstacles, poses[here], poses[middle], offsets, radius):
-                good = middle
-            else:
-                bad = middle
-        kept.append(good)
-        here = good
-    return np.array(kept)
 
 
 def time_poses(

@@ -5,9 +5,9 @@ from gpdf_service.search.free_space import FreeSpace as FreeSpace
 from gpdf_service.search.free_space import build_free_space as build_free_space
 from gpdf_service.search.graph import Graph as Graph
 from gpdf_service.search.graph import find_path as find_path
-from gpdf_service.search.graph import is_clear as is_clear
 from gpdf_service.search.keep import from_arrays as from_arrays
 from gpdf_service.search.keep import to_arrays as to_arrays
+from gpdf_service.search.motion import is_clear as is_clear
 from gpdf_service.search.quadtree import Quadtree as Quadtree
 from gpdf_service.search.quadtree import build_quadtree as build_quadtree
 from gpdf_service.search.reach import Reach as Reach

@@ -11,13 +11,11 @@ from numba import njit
 from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import connected_components
 
-from gpdf_service.fields import Tree, nearest_one
+from gpdf_service.fields import Tree
 from gpdf_service.fields.threads import run_chunked
+from gpdf_service.search.motion import is_clear
 from gpdf_service.search.quadtree import Quadtree
 from gpdf_service.types import BoolArray, FloatArray, IntArray
-
-RESOLUTION = 1e-3
-"""[m] A segment is called blocked when a piece of this length cannot be proven clear."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,38 +39,6 @@ class Graph:
     via: FloatArray
     cost: FloatArray
     component: IntArray
-
-
-@njit(cache=True, nogil=True)
-def is_clear(obstacles: Tree, a: FloatArray, b: FloatArray, radius: float) -> bool:
-    """Whether the whole segment ab keeps `radius` from every obstacle.
-
-    Distances are 1-Lipschitz, so ab is clear by at least (d(a) + d(b) − |ab|) / 2; if that does not settle it, halve.
-    """
-    stack = np.empty((64, 2, 2))
-    room = np.empty((64, 2))  # at both ends
-    stack[0, 0], stack[0, 1] = a, b
-    room[0, 0], room[0, 1] = nearest_one(obstacles, a)[0], nearest_one(obstacles, b)[0]
-    if room[0].min() < radius:
-        return False
-    top, middle = 1, np.empty(2)
-    while top > 0:
-        top -= 1
-        dx, dy = stack[top, 1, 0] - stack[top, 0, 0], stack[top, 1, 1] - stack[top, 0, 1]
-        length = sqrt(dx * dx + dy * dy)
-        if room[top, 0] + room[top, 1] - length >= 2.0 * radius:
-            continue
-        if length <= RESOLUTION:
-            return False
-        middle[0], middle[1] = stack[top, 0, 0] + 0.5 * dx, stack[top, 0, 1] + 0.5 * dy
-        between = nearest_one(obstacles, middle)[0]
-        if between < radius:
-            return False
-        stack[top + 1, 0], stack[top + 1, 1] = middle, stack[top, 1]
-        room[top + 1, 0], room[top + 1, 1] = between, room[top, 1]
-        stack[top, 1], room[top, 1] = middle, between
-        top += 2
-    return True
 
 
 @njit(cache=True, nogil=True)

@@ -1,15 +1,14 @@
 """A* over poses (x, y, θ) of a body that must face the right way to pass: forward, aslant, and turns on the spot.
 
-Poses lie on a grid. A motion is allowed if it is proven clear for every disc: one that lies o ahead of the body's
-centre moves by at most |ab| + |o| |Δθ| on the way from a to b, and distances are 1-Lipschitz. A way costs as far as the
-body's end goes on it, up to twice that where there is little room; a flood in plan from the goal is the guide.
+Poses lie on a grid. A motion is allowed if it is proven clear for every disc. A way costs as far as the body's end goes
+on it, up to twice that where there is little room; a flood in plan from the goal is the guide.
 """
 
 from __future__ import annotations
 
 import heapq
 from dataclasses import dataclass
-from math import atan2, ceil, cos, hypot, pi, sin
+from math import atan2, ceil, hypot, pi
 from typing import NamedTuple
 
 import numpy as np
@@ -18,7 +17,7 @@ from numba import njit
 from gpdf_service.fields import Tree, nearest_one
 from gpdf_service.perception import HeightMap
 from gpdf_service.perception.surface import UNKNOWN
-from gpdf_service.search.graph import RESOLUTION
+from gpdf_service.search.motion import disc_distance, is_motion_clear, turned
 from gpdf_service.types import BoolArray, FloatArray, IntArray
 
 CELL_SHARE = 0.25
@@ -80,83 +79,6 @@ class _Moves(NamedTuple):
     change: IntArray
     moved: FloatArray
     cost: FloatArray
-
-
-@njit(cache=True, nogil=True)
-def disc_distance(obstacles: Tree, pose: FloatArray, offset: float) -> float:
-    """Distance from the centre of the disc that lies `offset` ahead of a pose (3,) to the nearest obstacle [m]."""
-    place = np.empty(2)
-    place[0], place[1] = pose[0] + offset * cos(pose[2]), pose[1] + offset * sin(pose[2])
-    return float(nearest_one(obstacles, place)[0])
-
-
-@njit(cache=True, nogil=True)
-def least_distance(
-    obstacles: Tree, poses: FloatArray, offsets: FloatArray, resolution: float
-) -> tuple[float, FloatArray]:
-    """Lower bound of the distance of all discs to the obstacles on a way through poses (n, 3) [m], and where (2,) [m].
-
-    The body moves evenly from pose to pose. The bound is within `resolution` of the least that was found.
-    """
-    at = np.zeros((len(offsets), len(poses)))
-    best, found, disc = np.inf, poses[0].copy(), 0.0
-    for k in range(len(offsets)):
-        for i in range(len(poses)):
-            at[k, i] = disc_distance(obstacles, poses[i], offsets[k])
-            if at[k, i] < best:
-                best, disc, found[:] = at[k, i], offsets[k], poses[i]
-    stack, room = np.empty((64, 2, 3)), np.empty((64, 2))
-    for k in range(len(offsets)):
-        for i in range(len(poses) - 1):
-            stack[0, 0], stack[0, 1], room[0, 0], room[0, 1], top = poses[i], poses[i + 1], at[k, i], at[k, i + 1], 1
-            while top > 0:
-                top -= 1
-                p, q, dp, dq = stack[top, 0].copy(), stack[top, 1].copy(), room[top, 0], room[top, 1]
-                moved = hypot(q[0] - p[0], q[1] - p[1]) + abs(offsets[k] * (q[2] - p[2]))
-                if 0.5 * (dp + dq - moved) >= best - resolution:
-                    continue
-                middle = 0.5 * (p + q)
-                dm = disc_distance(obstacles, middle, offsets[k])
-                if dm < best:
-                    best, disc, found[:] = dm, offsets[k], middle
-                stack[top, 0], stack[top, 1], room[top, 0], room[top, 1] = p, middle, dp, dm
-                stack[top + 1, 0], stack[top + 1, 1], room[top + 1, 0], room[top + 1, 1] = middle, q, dm, dq
-                top += 2
-    where = np.array([found[0] + disc * cos(found[2]), found[1] + disc * sin(found[2])])
-    return best - resolution, where
-
-
-@njit(cache=True, nogil=True)
-def is_motion_clear(obstacles: Tree, a: FloatArray, b: FloatArray, offsets: FloatArray, radius: float) -> bool:
-    """Whether all discs keep `radius` from every obstacle while the body moves evenly from pose a to pose b, (3,)."""
-    stack = np.empty((64, 2, 3))
-    for offset in offsets:
-        stack[0, 0], stack[0, 1] = a, b
-        top = 1
-        while top > 0:
-            top -= 1
-            p, q = stack[top, 0].copy(), stack[top, 1].copy()
-            dp, dq = disc_distance(obstacles, p, offset), disc_distance(obstacles, q, offset)
-            if dp < radius or dq < radius:
-                return False
-            moved = hypot(q[0] - p[0], q[1] - p[1]) + abs(offset * (q[2] - p[2]))
-            if dp + dq - moved >= 2.0 * radius:
-                continue
-            if moved <= RESOLUTION:
-                return False
-            middle = 0.5 * (p + q)
-            stack[top, 0], stack[top, 1] = p, middle
-            stack[top + 1, 0], stack[top + 1, 1] = middle, q
-            top += 2
-    return True
-
-
-@njit(cache=True, nogil=True)
-def turned(pose: FloatArray, heading: float) -> FloatArray:
-    """The pose turned on the spot to `heading`, the short way round."""
-    made = pose.copy()
-    made[2] += (heading - pose[2] + pi) % (2.0 * pi) - pi
-    return made
 
 
 def find_poses(

@@ -13,6 +13,8 @@ from gpdf_guidance.advice import BLIND, PACES, POSE_AGE, SWAY, UNRELIABLE
 from gpdf_guidance.belief import believe
 from gpdf_guidance.features import Feature, FeatureKind, find_ramps, find_steps, find_turns
 from gpdf_guidance.guide import PERSON
+from gpdf_guidance.route import join
+from gpdf_guidance.stairs import find_stairs, obliqueness, places_to_stand
 from gpdf_guidance.voice import Voice
 from gpdf_schemas import CueAction, CueMessage
 
@@ -91,6 +93,15 @@ def test_single_steps_keep_their_height_and_direction():
     assert (up.kind, down.kind) == (FeatureKind.STEP, FeatureKind.STEP)
     assert (up.amount, down.amount) == (pytest.approx(0.17), pytest.approx(-0.3))
     assert (up.start, down.start) == (pytest.approx(2.0, abs=0.06), pytest.approx(4.0, abs=0.06))
+
+
+def test_an_edge_that_two_levels_see_a_cell_apart_is_one_step():
+    s = np.linspace(0, 4, 161)
+    z = -0.17 * np.searchsorted([1.0, 1.3, 1.6, 1.9, 2.2], s)
+    z[np.abs(s - 1.7) < 0.06] += [0.17, 0.17, 0.0, 0.0, 0.0]  # the upper tread once more, behind its edge
+    (stairs,) = find_steps(z, s)
+    assert (stairs.kind, stairs.count) == (FeatureKind.STAIRS, 5)
+    assert stairs.amount == pytest.approx(-0.17)
 
 
 def test_stairs_are_counted_and_a_landing_parts_them():
@@ -344,9 +355,12 @@ def test_sentences_say_what_matters():
     later = dataclasses.replace(stairs, distance=1.5, after=1.0)  # counted from where those end
     assert say(later) == "After these stairs: In 1 metre, stairs up, 12 steps."
     assert say(later, "de") == "Nach dieser Treppe: In 1 Meter Treppe aufwärts, 12 Stufen."
-    turn = Instruction(Kind.TURN_SOON, Urgency.PREPARE, distance=1.5, amount=1.5, after=0.1)
-    assert say(turn) == "After these stairs: Turn left."
-    assert say(turn, "de") == "Nach dieser Treppe: Drehung links."
+    turn = Instruction(Kind.TURN_SOON, Urgency.ACT, distance=0.4, amount=1.5, ends=True)
+    assert say(turn) == "The stairs end. Turn left."
+    assert say(turn, "de") == "Ende der Treppe. Drehung links."
+    leading = dataclasses.replace(stairs, distance=2.6, first=dataclasses.replace(turn, distance=2.1, ends=False))
+    assert say(leading) == "In 2 metres, turn left. Then, stairs up, 12 steps."
+    assert say(leading, "de") == "In 2 Metern Drehung links. Dann Treppe aufwärts, 12 Stufen."
     ending = dataclasses.replace(stairs, ends=True)
     assert say(ending) == "The stairs end. In 1 metre, stairs up, 12 steps."
     assert say(ending, "de") == "Ende der Treppe. In 1 Meter Treppe aufwärts, 12 Stufen."
@@ -501,3 +515,132 @@ def test_the_walkers_sensor_drops_out_and_comes_back():
     assert 0.02 < np.mean(missing) < 0.3
     assert not missing[-1] or not all(missing[-40:])
     assert not any(walker(EXACT).pose(tick / 10, 0.1) is None for tick in range(100))
+
+
+def round_a_corner_to_stairs(**options):
+    """A stair of five steps, its line turned by 90° from the way to it and from the way behind it; z and the route."""
+    risers = 2.5 + 0.3 * np.arange(5)
+    path = line((0, 0), (2, 0), (2, 2.2), (0, 2.2), spacing=0.01, z=lambda s: 0.17 * np.searchsorted(risers, s))
+    return build_route(trajectory(path), wide, radius=RADIUS, **options), risers
+
+
+def test_a_turn_to_stairs_is_told_with_them_and_a_turn_behind_them_with_their_end():
+    route, risers = round_a_corner_to_stairs()
+    (before,) = advise(route, pose(0.0, 0), 0.0, near=0.0).instructions
+    assert (before.kind, before.first.kind, before.count) == (Kind.STAIRS, Kind.TURN_SOON, 5)
+    assert before.distance == pytest.approx(2.5, abs=0.05)
+    assert before.first.distance == pytest.approx(2.0, abs=0.1)
+    on = Pose((2.0, 1.5, 0.17 * 4), np.pi / 2, 0.0)
+    assert advise(route, on, 0.0, near=3.5).instructions == ()
+    off = Pose((2.0, risers[-1] - 1.9, 0.17 * 5), np.pi / 2, 0.0)
+    behind = advise(route, off, 0.0, near=3.8).instructions[0]
+    assert (behind.kind, behind.ends, behind.urgency) == (Kind.TURN_SOON, True, Urgency.ACT)
+    assert say(behind) == "The stairs end. Turn left."
+
+
+def test_what_was_told_in_one_breath_is_not_told_again():
+    route, risers = round_a_corner_to_stairs()
+    off = Pose((2.0, risers[-1] - 1.9, 0.17 * 5), np.pi / 2, 0.0)
+    past = Pose((1.9, 2.2, 0.17 * 5), np.pi, 0.0)
+    voice = announcer()
+    said = [
+        voice.choose(advise(route, where, 0.0, near=s).instructions, t)
+        for where, s, t in ((off, 3.8, 0), (past, 4.25, 3))
+    ]
+    assert said[0][0].ends
+    assert said[1] is None
+
+
+def test_of_two_turns_before_stairs_the_second_one_is_not_told_before_the_first_is_made():
+    risers = 3.6 + 0.3 * np.arange(5)
+    path = line((0, 0), (1.7, 0), (1.7, 1.5), (6, 1.5), spacing=0.01, z=lambda s: 0.17 * np.searchsorted(risers, s))
+    route = build_route(trajectory(path), wide, radius=RADIUS)
+    assert kinds(advise(route, pose(0.8, -0.3, 30), 0.0, near=0.8)) == [Kind.TURN_SOON]
+    between = Pose((1.7, 0.4, 0.0), np.pi / 2, 0.0)
+    (told,) = (one for one in advise(route, between, 0.0, near=2.1).instructions if one.kind is Kind.STAIRS)
+    assert told.first.distance == pytest.approx(1.1, abs=0.1)
+
+
+def stairs_along_x(places):
+    """The ground of five steps of 0.17 m at x = 3, 3.3 … between y = -0.5 and 0.5, and the floor around them."""
+    far, low, high = 99.0, 3.0 + 0.3 * np.arange(5), 0.17 * np.arange(1, 6)
+    boxes = [((-far, -far, 0), (3, far, 0)), ((-far, 0.5, 0), (far, far, 0)), ((-far, -far, 0), (far, -0.5, 0))]
+    for x, end, z in zip(low, [*low[1:], far], high, strict=True):
+        boxes += [((x, -0.5, z), (end, 0.5, z)), ((x, -0.5, z - 0.17), (x, 0.5, z))]  # a tread and its riser
+    away = np.array([places - np.clip(places, *box) for box in boxes])
+    distances = np.linalg.norm(away, axis=2)
+    nearest = away[distances.argmin(axis=0), np.arange(len(places))]
+    distance = distances.min(axis=0)
+    return distance, nearest / np.maximum(distance, 1e-9)[:, None]
+
+
+@pytest.mark.parametrize("slope", [0.0, 0.3, -0.3])
+def test_the_direction_of_stairs_is_square_to_their_steps_whatever_the_path_does(slope):
+    path = line((0, -4 * slope), (8, 4 * slope), spacing=0.02)
+    for up in (1, -1):
+        walked = path[::up].copy()
+        walked[:, 2] = 0.17 * np.searchsorted(3.0 + 0.3 * np.arange(5), walked[:, 0])
+        s = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(walked[:, :2], axis=0).T))])
+        (flight,) = find_stairs(walked, s, stairs_along_x)
+        square = 0.0 if up == 1 else np.pi
+        assert np.cos(flight.enter - square) > 0.999
+        assert np.cos(flight.leave - square) > 0.999
+        assert flight.rise == pytest.approx(0.17 * up)
+        assert obliqueness(walked, s, (flight,)) == pytest.approx(abs(np.arctan(slope)), abs=0.03)
+
+
+def test_the_places_before_and_behind_stairs_are_in_their_line_and_have_room():
+    path = line((0, -1.2), (8, 1.2), spacing=0.02)
+    path[:, 2] = 0.17 * np.searchsorted(3.0 + 0.3 * np.arange(5), path[:, 0])
+    s = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(path[:, :2], axis=0).T))])
+    flights = find_stairs(path, s, stairs_along_x)
+    (foot, climbs), (head, on) = places_to_stand(path, s, flights, lambda places: np.full(len(places), 1.0))
+    assert foot == pytest.approx([2.4, -0.12, 0.0], abs=0.03)
+    assert (climbs, on) == (True, False)
+    assert head == pytest.approx([4.8, -0.12, 0.85], abs=0.03)
+    nearer, _ = places_to_stand(path, s, flights, lambda places: places[:, 0] - 2.48)
+    assert nearer[0][0] == pytest.approx(2.55, abs=0.03)
+    assert len(places_to_stand(path, s, flights, lambda places: np.full(len(places), -1.0))) == 0
+
+
+def test_the_corridor_leads_onto_stairs_in_their_line_and_nowhere_from_their_side():
+    path = line((0, 0), (8, 0), spacing=0.02)
+    path[:, 2] = 0.17 * np.searchsorted(3.0 + 0.3 * np.arange(5), path[:, 0])
+    route = build_route(trajectory(path), wide, radius=RADIUS, field=stairs_along_x)
+    before, on, side = np.array([[2.9, 0.15]]), np.array([[3.15, 0.15]]), np.array([[3.15, 0.4]])
+    assert route.inside(before, 2.8)[0]
+    assert route.inside(on, 3.0)[0]
+    assert not route.inside(side, 3.0)[0]
+    assert not route.inside(np.array([[2.9, 0.6]]), 2.8)[0]
+    assert route.inside(np.array([[1.5, 0.6]]), 1.5)[0]  # away from them it is as wide as ever
+    past = build_route(trajectory(line((0, 0.9), (8, 0.9))), wide, radius=RADIUS, field=stairs_along_x)
+    assert past.inside(np.array([[3.15, 0.4]]), 3.1)[0]  # no stairs on the way: nothing is looked for
+
+
+@pytest.mark.parametrize("askew", [30, -30, 90])
+def test_who_stands_askew_before_stairs_turns_to_them_first(askew):
+    path = line((0, 0), (8, 0), spacing=0.02)
+    path[:, 2] = 0.17 * np.searchsorted(3.0 + 0.3 * np.arange(5), path[:, 0])
+    route = build_route(trajectory(path), wide, radius=RADIUS, field=stairs_along_x)
+    advice = advise(route, pose(2.8, 0.05, askew), 0.0, near=2.8)
+    assert advice.action is CueAction.TURN
+    assert np.degrees(advice.direction) == pytest.approx(-askew, abs=13)
+    assert advise(route, pose(2.8, 0.05, 5), 0.0, near=2.8).action is CueAction.SLOW
+
+
+def test_who_stands_beside_the_line_before_stairs_is_led_back_to_it_first():
+    path = line((0, 0), (8, 0), spacing=0.02)
+    path[:, 2] = 0.17 * np.searchsorted(3.0 + 0.3 * np.arange(5), path[:, 0])
+    route = build_route(trajectory(path), wide, radius=RADIUS, field=stairs_along_x)
+    advice = advise(route, pose(2.8, 0.22, 0), 0.0, near=2.8)
+    assert advice.direction < -np.pi / 4  # to the right, not over the edge
+
+
+def test_legs_are_joined_into_one_trajectory_whose_times_go_on():
+    first, second = trajectory(line((0, 0), (1, 0))), trajectory(line((1, 0), (1, 2)))
+    whole = join([first, second])
+    assert whole.length == pytest.approx(3.0)
+    assert whole.duration == pytest.approx(first.duration + second.duration)
+    assert (np.diff(whole.times) > 0).all()
+    np.testing.assert_array_equal(whole.ground[[0, -1], :2], [[0, 0], [1, 2]])
+    assert np.hypot(*np.diff(whole.ground[:, :2], axis=0).T).min() > 0.01  # the place where they meet stands in it once

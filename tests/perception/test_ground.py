@@ -349,6 +349,20 @@ def test_a_noisy_rim_over_a_platform_is_its_face_and_a_lip_is_not():
     assert np.isinf(find_ledges(surface, ground, lip, noise)[over]).all()
 
 
+def test_one_point_over_a_thinly_seen_face_is_its_rim_and_two_things_on_it_are_none():
+    noise, top = 0.02, 0.17
+    grid = np.stack(np.meshgrid(np.arange(40), np.arange(40), indexing="ij"), -1).reshape(-1, 2) * 0.05 + 0.025
+    ground = np.column_stack([grid, np.where(grid[:, 0] < 1.0, 0.0, top)])
+    height = ground[:, 2].reshape(40, 40).astype(np.float32)
+    surface = HeightMap(np.zeros(2), 0.05, height, np.full(height.shape, OBSERVED, np.uint8))
+    face = np.array([[1.0, 0.92 + 0.04 * k, top - 0.01 * (1 + k % 3)] for k in range(5)])
+    over = np.array([[1.0, 1.0, top + 0.045]])
+    more = over + np.array([[0.0, 0.03, 0.0], [0.0, -0.03, 0.0]])
+    assert find_ledges(surface, ground, np.concatenate([over, face]), noise)[0] == pytest.approx(top)
+    assert np.isinf(find_ledges(surface, ground, np.concatenate([over, more, face]), noise)[:3]).all()
+    assert np.isinf(find_ledges(surface, ground, over, noise)).all()  # no face: it stands on the platform
+
+
 def test_a_floating_point_stops_nobody_and_a_cable_does():
     points, ground = scan_of(World((5.0, 5.0, 2.5), (), ceiling=False))
     cable = np.column_stack([np.full(25, 1.5), np.full(25, 2.5), np.arange(25) * 0.04 + 1.2])

@@ -2,9 +2,13 @@
 
 import numpy as np
 import pytest
+from scipy import ndimage
 
 import gpdf_service as gpdf
-from gpdf_service.perception.smooth import smooth
+from gpdf_service.config import PerceptionConfig
+from gpdf_service.perception import build_levels
+from gpdf_service.perception.limits import step_and_slope
+from gpdf_service.perception.smooth import smooth, to_centres
 from gpdf_service.perception.surface import OBSERVED, UNKNOWN, HeightMap
 
 WIDTH = 0.05
@@ -23,6 +27,46 @@ def cells(count=60):
 def test_clean_ground_is_not_touched():
     surface = ground(np.random.default_rng(0).normal(0.0, 0.01, (20, 20)))
     assert smooth(surface, 0.0) is surface
+
+
+@pytest.mark.parametrize("noise", [0.0, NOISE])
+def test_a_slope_sampled_beside_the_cells_centres_has_its_height_at_the_centres(noise):
+    x, y = cells()
+    off = np.random.default_rng(1).uniform(-0.5 * WIDTH, 0.5 * WIDTH, (*x.shape, 2)).astype(np.float32)
+    sampled = 0.25 * (x + off[..., 0]) - 0.1 * (y + off[..., 1])
+    sampled[20:30, 20:30] = np.nan
+    made = to_centres(ground(sampled), off, noise).height
+    known = ~np.isnan(sampled)
+    held = known & (ndimage.uniform_filter(known.astype(float), size=3, mode="constant") > 4.5 / 9.0)
+    assert held.sum() > known.sum() - 10  # the corners of the map have four cells
+    assert np.abs(sampled - 0.25 * x + 0.1 * y)[held].max() > 0.008
+    assert np.abs(made - 0.25 * x + 0.1 * y)[held].max() < 1e-4
+    assert np.isnan(made[~known]).all()
+
+
+@pytest.mark.parametrize("step", [0.02, 0.05, 0.3])
+def test_a_step_stays_as_high_and_as_sharp_as_it_was(step):
+    x, _ = cells()
+    height = np.where(x >= 1.5, step, 0.0).astype(np.float32)
+    off = np.random.default_rng(2).uniform(-0.5 * WIDTH, 0.5 * WIDTH, (*x.shape, 2)).astype(np.float32)
+    np.testing.assert_allclose(to_centres(ground(height), off).height, height, atol=1e-6)
+
+
+def test_a_coarse_scan_of_a_slope_has_no_steps():
+    rng = np.random.default_rng(3)
+    xy = np.mgrid[0:6:0.06, 0:6:0.06].reshape(2, -1).T
+    xy += rng.uniform(-0.03, 0.03, xy.shape)
+
+    def floor(xy):
+        return 0.25 * xy[:, 0] + 0.05 * np.sin(2.0 * xy[:, 1])
+
+    points = np.column_stack([xy, floor(xy)])
+    surface = build_levels(points, np.ones(len(points), dtype=bool), PerceptionConfig()).levels[0].surface
+    assert step_and_slope(surface)[0][4:-4, 4:-4].max() < 0.02
+    inner = np.zeros(surface.height.shape, dtype=bool)
+    inner[4:-4, 4:-4] = True
+    centres = surface.centres(inner)
+    assert np.quantile(np.abs(centres[:, 2] - floor(centres)), 0.95) < 0.002  # a third of what the points alone say
 
 
 def test_a_tilted_rim_of_a_platform_takes_the_height_of_what_is_behind_it():

@@ -8,10 +8,11 @@ from gpdf_service.bench.judge import Judge
 from gpdf_service.bench.plan import random_places
 from gpdf_service.errors import RequestError
 from gpdf_service.planning.certificate import certify, min_distance
-from gpdf_service.planning.costs import CENTRE, Discs, make_memo, obstacle_cost
+from gpdf_service.planning.costs import Discs, make_memo, obstacle_cost
 from gpdf_service.planning.footprint import disc_places, face, travel_headings
 from gpdf_service.planning.turning import time_poses
-from gpdf_service.search.lattice import find_poses, is_motion_clear
+from gpdf_service.search.lattice import find_poses
+from gpdf_service.search.motion import CENTRE, is_motion_clear
 from gpdf_service.synthetic import Box, Pillar, World, random_room
 from gpdf_service.types import AGENTS
 

@@ -7,6 +7,7 @@ import pytest
 import gpdf_service as gpdf
 from gpdf_service.bench.judge import Judge
 from gpdf_service.bench.plan import random_places
+from gpdf_service.config import Config
 from gpdf_service.errors import RequestError, UnknownAgentError
 from gpdf_service.planning.certificate import certify, min_distance
 from gpdf_service.planning.chomp import optimize, solve_banded
@@ -217,3 +218,25 @@ def test_no_certified_path_in_a_random_room_touches_anything(seed, name):
             assert verdict.collision_free, (start, goal, verdict)
             assert verdict.feasible, (start, goal, verdict)
     assert certified > 0
+
+
+def half_walled(width=8.0):
+    """A floor with a thin wall from one side to its middle, 5 cm between points."""
+    x, y = np.meshgrid(np.arange(0, width, 0.05), np.arange(0, width, 0.05))
+    floor = np.column_stack([x.ravel(), y.ravel(), np.zeros(x.size)])
+    along, z = np.meshgrid(np.arange(0, width / 2, 0.05), np.arange(0.05, 2.0, 0.05))
+    wall = np.column_stack([np.full(along.size, width / 2), along.ravel(), z.ravel()])
+    return np.concatenate([floor, wall]), np.arange(len(floor) + len(wall)) < len(floor)
+
+
+@pytest.mark.parametrize("name", ["roomba", "human", "spot"])
+def test_round_a_corner_a_path_keeps_its_share_of_the_room_it_wants(name):
+    points, ground = half_walled()
+    agent, kept = AGENTS[name], []
+    for share in (0.5, 0.8):
+        config = Config.from_mapping({"planning": {"corner_room": share}})
+        result = gpdf.plan(gpdf.build_scene(points, ground, config), (2.5, 2.0), (5.5, 2.0), agent)
+        assert result.status is gpdf.Status.OK
+        kept.append(result.certificate.min_clearance / agent.disc_radius)
+    assert 0.45 < kept[0] < 0.75  # of the preferred clearance, which is one radius; it rests before it is taut
+    assert max(0.75, kept[0] + 0.1) < kept[1] < 1.0

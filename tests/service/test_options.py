@@ -22,7 +22,7 @@ log_dir = "file"
 connect = ["tcp/a:1", "tcp/b:2"]
 
 [planning]
-smoothness_weight = 0.7
+corner_room = 0.7
 """
 
 
@@ -38,7 +38,7 @@ def test_flags_win_over_the_environment_and_that_over_the_file(file):
     options, config = gather(file, environment, {"log_dir": "flag", "workers": None})
     assert (options.workers, options.queue, options.log_dir) == (3, 60, Path("flag"))
     assert options.connect == ("tcp/a:1", "tcp/b:2")
-    assert config.planning.smoothness_weight == 0.7
+    assert config.planning.corner_room == 0.7
 
 
 def test_nothing_needs_to_be_set():
@@ -99,7 +99,7 @@ def test_serve_prints_its_effective_configuration(file, capsys, monkeypatch):
     text = capsys.readouterr().out
     assert "queue = 60" in text
     assert "workers = 7" in text
-    assert "smoothness_weight = 0.7" in text
+    assert "corner_room = 0.7" in text
 
 
 def test_a_wrong_option_ends_the_command_with_words(tmp_path):

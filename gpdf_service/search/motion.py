@@ -1,0 +1,136 @@
+"""Motions proven over their whole length, against the obstacle points themselves.
+
+A pose is (x, y, θ). A disc that lies o ahead of the body's centre moves by at most |ab| + |o| |Δθ| while the body moves
+evenly from pose a to pose b, and distances are 1-Lipschitz: it keeps at least (d(a) + d(b) − |ab| − |o| |Δθ|) / 2 of
+room. Where that does not settle it, halve. A place (x, y) is a pose of a single disc, which faces nowhere.
+"""
+
+from __future__ import annotations
+
+from math import cos, hypot, pi, sin
+
+import numpy as np
+from numba import njit
+
+from gpdf_service.fields import Tree, nearest_one
+from gpdf_service.types import FloatArray
+
+RESOLUTION = 1e-3
+"""[m] A motion is called blocked when a piece of this length cannot be proven clear."""
+CENTRE = np.zeros(1)
+"""[m] Where the disc of a cylinder lies, ahead of its centre."""
+
+
+@njit(cache=True, nogil=True)
+def disc_distance(obstacles: Tree, pose: FloatArray, offset: float) -> float:
+    """Distance from the centre of the disc that lies `offset` ahead of a pose (3,) to the nearest obstacle [m]."""
+    place = np.empty(2)
+    place[0], place[1] = pose[0] + offset * cos(pose[2]), pose[1] + offset * sin(pose[2])
+    return float(nearest_one(obstacles, place)[0])
+
+
+@njit(cache=True, nogil=True)
+def is_clear(obstacles: Tree, a: FloatArray, b: FloatArray, radius: float) -> bool:
+    """Whether the whole segment from place a to place b, (2,), keeps `radius` from every obstacle."""
+    return _is_disc_clear(obstacles, a, b, 0.0, radius)
+
+
+@njit(cache=True, nogil=True)
+def is_motion_clear(obstacles: Tree, a: FloatArray, b: FloatArray, offsets: FloatArray, radius: float) -> bool:
+    """Whether all discs keep `radius` from every obstacle while the body moves evenly from pose a to pose b, (3,)."""
+    for offset in offsets:  # noqa: SIM110 - compiled
+        if not _is_disc_clear(obstacles, a, b, offset, radius):
+            return False
+    return True
+
+
+@njit(cache=True, nogil=True)
+def _is_disc_clear(obstacles: Tree, a: FloatArray, b: FloatArray, offset: float, radius: float) -> bool:
+    stack, room = np.zeros((64, 2, 3)), np.empty((64, 2))
+    stack[0, 0, : len(a)], stack[0, 1, : len(b)] = a, b
+    for end in (0, 1):
+        room[0, end] = disc_distance(obstacles, stack[0, end], offset)
+        if room[0, end] < radius:
+            return False
+    top, middle = 1, np.empty(3)
+    while top > 0:
+        top -= 1
+        moved = hypot(stack[top, 1, 0] - stack[top, 0, 0], stack[top, 1, 1] - stack[top, 0, 1])
+        moved += abs(offset * (stack[top, 1, 2] - stack[top, 0, 2]))
+        if room[top, 0] + room[top, 1] - moved >= 2.0 * radius:
+            continue
+        for k in range(3):
+            middle[k] = 0.5 * (stack[top, 0, k] + stack[top, 1, k])
+        between = disc_distance(obstacles, middle, offset)
+        if between < radius or moved <= RESOLUTION:
+            return False
+        stack[top + 1, 0], stack[top + 1, 1] = middle, stack[top, 1]
+        room[top + 1, 0], room[top + 1, 1] = between, room[top, 1]
+        stack[top, 1], room[top, 1] = middle, between
+        top += 2
+    return True
+
+
+@njit(cache=True, nogil=True)
+def least_distance(
+    obstacles: Tree, poses: FloatArray, offsets: FloatArray, resolution: float
+) -> tuple[float, FloatArray]:
+    """Lower bound of the distance of all discs to the obstacles on a way through poses (n, 3) [m], and where (2,) [m].
+
+    The body moves evenly from pose to pose. The bound is within `resolution` of the least that was found.
+    """
+    at = np.zeros((len(offsets), len(poses)))
+    best, found, disc = np.inf, poses[0].copy(), 0.0
+    for k in range(len(offsets)):
+        for i in range(len(poses)):
+            at[k, i] = disc_distance(obstacles, poses[i], offsets[k])
+            if at[k, i] < best:
+                best, disc, found[:] = at[k, i], offsets[k], poses[i]
+    stack, room = np.empty((64, 2, 3)), np.empty((64, 2))
+    for k in range(len(offsets)):
+        for i in range(len(poses) - 1):
+            stack[0, 0], stack[0, 1], room[0, 0], room[0, 1], top = poses[i], poses[i + 1], at[k, i], at[k, i + 1], 1
+            while top > 0:
+                top -= 1
+                p, q, dp, dq = stack[top, 0].copy(), stack[top, 1].copy(), room[top, 0], room[top, 1]
+                moved = hypot(q[0] - p[0], q[1] - p[1]) + abs(offsets[k] * (q[2] - p[2]))
+                if 0.5 * (dp + dq - moved) >= best - resolution:
+                    continue
+                middle = 0.5 * (p + q)
+                dm = disc_distance(obstacles, middle, offsets[k])
+                if dm < best:
+                    best, disc, found[:] = dm, offsets[k], middle
+                stack[top, 0], stack[top, 1], room[top, 0], room[top, 1] = p, middle, dp, dm
+                stack[top + 1, 0], stack[top + 1, 1], room[top + 1, 0], room[top + 1, 1] = middle, q, dm, dq
+                top += 2
+    where = np.array([found[0] + disc * cos(found[2]), found[1] + disc * sin(found[2])])
+    return best - resolution, where
+
+
+@njit(cache=True, nogil=True)
+def turned(pose: FloatArray, heading: float) -> FloatArray:
+    """The pose turned on the spot to `heading`, the short way round."""
+    made = pose.copy()
+    made[2] += (heading - pose[2] + pi) % (2.0 * pi) - pi
+    return made
+
+
+@njit(cache=True, nogil=True)
+def leap(a: FloatArray, b: FloatArray) -> FloatArray:
+    """From pose a to pose b by a turn, a straight piece and a turn: the three poses after a."""
+    made = np.empty((3, 3))
+    made[0] = turned(a, np.arctan2(b[1] - a[1], b[0] - a[0]))
+    made[1, :2], made[1, 2] = b[:2], made[0, 2]
+    made[2] = turned(made[1], b[2])
+    return made
+
+
+@njit(cache=True, nogil=True)
+def is_leap_clear(obstacles: Tree, a: FloatArray, b: FloatArray, offsets: FloatArray, radius: float) -> bool:
+    """Whether the body may go from pose a to pose b by a `leap`."""
+    before = a
+    for after in leap(a, b):
+        if not is_motion_clear(obstacles, before, after, offsets, radius):
+            return False
+        before = after
+    return True

@@ -1,0 +1,41 @@
+"""Stairs are met squarely: in houses that nobody has seen before, up and down."""
+
+import socket
+
+import numpy as np
+import pytest
+from gpdf_client import Client
+from gpdf_guidance import Guide, Kind, Outcome, Planner, Walker, simulate
+
+from gpdf_service.bench.walks import WalkedWorld
+from gpdf_service.service.server import Options, Server
+from tests.clients.two_storeys import make_house
+
+LARGEST_ASKEW = np.radians(25)  # the foot still points over the edge
+
+
+@pytest.fixture(scope="module", params=[0, 1, 2])
+def house(request, tmp_path_factory):
+    made, folder = make_house(np.random.default_rng(request.param)), tmp_path_factory.mktemp("house")
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        address = f"tcp/127.0.0.1:{probe.getsockname()[1]}"
+    with Server(Options(address, folder, folder, 1)), Client.connect(address) as client:
+        client.load_scene("house", upload=made.points, ground=made.ground)
+        yield made, client
+
+
+@pytest.mark.parametrize("down", [False, True], ids=["up", "down"])
+def test_stairs_are_begun_and_left_in_their_line(house, down):
+    made, client = house
+    start, goal = (made.high, made.low) if down else (made.low, made.high)
+    world, rng = WalkedWorld.of(made.points, made.ground), np.random.default_rng(0)
+    walker = Walker(start.copy(), rng.uniform(-np.pi, np.pi), world.ground_height, rng)
+    walk = simulate(Guide(Planner(client, "house"), goal.tolist()), walker, world)
+    assert (walk.outcome, walk.reason, walk.penetration) == (Outcome.ARRIVED, "", 0.0)
+    assert abs(walk.places[-1, 2] - goal[2]) < 0.01
+    aside, askew = made.crossings(walk.places)
+    assert max(aside) < made.half_width - 0.15  # half a stance
+    assert max(askew) < LARGEST_ASKEW
+    (told,) = (said.instruction for said in walk.said if said.instruction.kind is Kind.STAIRS)
+    assert 1.0 <= told.distance <= 3.0
