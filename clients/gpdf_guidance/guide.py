@@ -180,9 +180,10 @@ def too_tight(route: Route) -> str:
     between = (route.s > ENDS) & (route.s < route.length - ENDS)
     if not between.any() or (room := float(route.room[between].min())) >= LEAST_ROOM:
         return ""
-    width = 200 * (route.radius + room)
-    needed = 200 * (route.radius + LEAST_ROOM)
-    return f"the only way is {width:.0f} cm wide at its narrowest, and {needed:.0f} cm are needed."
+    return (
+        f"the best way found leaves {100 * max(room, 0.0):.0f} cm beside the person at its narrowest, "
+        f"and {100 * LEAST_ROOM:.0f} cm are needed."
+    )
 
 
 class Guide:
