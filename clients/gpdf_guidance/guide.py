@@ -103,25 +103,34 @@ class Planner:
         """The route from a pose, or why there is none."""
         why, best, askew = "", None, inf
         for wider in WIDER:
+            body = {**self.person, "width": self.person["width"] + 2 * wider}
             try:
-                body = {**self.person, "width": self.person["width"] + 2 * wider}
                 result = self._client.plan(self.scene, pose.position, goal, body)
-                why = result.message
-                if result.status is Status.OK and result.trajectory is not None:
-                    ways = self._squared(result.trajectory, body)
-                    routes = ((self._build(way, pose, result.scene_version), oblique) for way, oblique in ways)
-                    route, oblique = next(((one, o) for one, o in routes if not too_tight(one)), (None, inf))
-                    if route is None and best is None:
-                        return None, too_tight(self._build(result.trajectory, pose, result.scene_version))
-                    if oblique < askew:
-                        best, askew = route, oblique
-                    if route is None or oblique <= SQUARE:
-                        break
+                if result.status is not Status.OK or result.trajectory is None:
+                    why = result.message
+                    continue
+                route, oblique, why = self._squarest(result.trajectory, body, pose, result.scene_version)
             except ServiceError as error:  # it failed for this width
                 why = str(error)
+                continue
             except ClientError as error:
                 return None, str(error)
+            if oblique < askew:
+                best, askew = route, oblique
+            if route is None or oblique <= SQUARE:  # with less width there is less room
+                break
         return best, "" if best else why
+
+    def _squarest(
+        self, trajectory: Trajectory, body: dict[str, Any], pose: Pose, version: int
+    ) -> tuple[Route | None, float, str]:
+        """Of a way and those that meet its stairs more squarely the best with room enough; how oblique; why none."""
+        tight = ""
+        for way, oblique in self._squared(trajectory, body):
+            route = self._build(way, pose, version)
+            if not (tight := too_tight(route)):
+                return route, oblique, ""
+        return None, inf, tight
 
     def _squared(self, trajectory: Trajectory, body: dict[str, Any]) -> list[tuple[Trajectory, float]]:
         """This way and others that meet its stairs more squarely, and how far from square [rad], the least first."""
