@@ -154,7 +154,9 @@ class Planner:
         for (a, climbs), (b, begins) in pairwise([(start, False), *stops, (goal, True)]):
             bodies = [body] if climbs or not begins else [level, body]
             tries = (self._client.plan(self.scene, a.tolist(), b.tolist(), one) for one in bodies)
-            leg = next((one.trajectory for one in tries if one.status is Status.OK and one.trajectory), None)
+            found = [one.trajectory for one in tries if one.status is Status.OK and one.trajectory]
+            roomy = (one for one in found if self._room(self.person, one.ground).min() >= LEAST_ROOM)
+            leg = next(roomy, found[-1] if found else None)
             if leg is None:
                 return None
             legs.append(leg)
