@@ -103,25 +103,34 @@ class Planner:
         """The route from a pose, or why there is none."""
         why, best, askew = "", None, inf
         for wider in WIDER:
+            body = {**self.person, "width": self.person["width"] + 2 * wider}
             try:
-                body = {**self.person, "width": self.person["width"] + 2 * wider}
                 result = self._client.plan(self.scene, pose.position, goal, body)
-                why = result.message
-                if result.status is Status.OK and result.trajectory is not None:
-                    ways = self._squared(result.trajectory, body)
-                    routes = ((self._build(way, pose, result.scene_version), oblique) for way, oblique in ways)
-                    route, oblique = next(((one, o) for one, o in routes if not too_tight(one)), (None, inf))
-                    if route is None and best is None:
-                        return None, too_tight(self._build(result.trajectory, pose, result.scene_version))
-                    if oblique < askew:
-                        best, askew = route, oblique
-                    if route is None or oblique <= SQUARE:
-                        break
+                if result.status is not Status.OK or result.trajectory is None:
+                    why = result.message
+                    continue
+                route, oblique, why = self._squarest(result.trajectory, body, pose, result.scene_version)
             except ServiceError as error:  # it failed for this width
                 why = str(error)
+                continue
             except ClientError as error:
                 return None, str(error)
+            if oblique < askew:
+                best, askew = route, oblique
+            if route is None or oblique <= SQUARE:  # with less width there is less room
+                break
         return best, "" if best else why
+
+    def _squarest(
+        self, trajectory: Trajectory, body: dict[str, Any], pose: Pose, version: int
+    ) -> tuple[Route | None, float, str]:
+        """Of a way and those that meet its stairs more squarely the best with room enough; how oblique; why none."""
+        tight = ""
+        for way, oblique in self._squared(trajectory, body):
+            route = self._build(way, pose, version)
+            if not (tight := too_tight(route)):
+                return route, oblique, ""
+        return None, inf, tight
 
     def _squared(self, trajectory: Trajectory, body: dict[str, Any]) -> list[tuple[Trajectory, float]]:
         """This way and others that meet its stairs more squarely, and how far from square [rad], the least first."""
@@ -145,7 +154,9 @@ class Planner:
         for (a, climbs), (b, begins) in pairwise([(start, False), *stops, (goal, True)]):
             bodies = [body] if climbs or not begins else [level, body]
             tries = (self._client.plan(self.scene, a.tolist(), b.tolist(), one) for one in bodies)
-            leg = next((one.trajectory for one in tries if one.status is Status.OK and one.trajectory), None)
+            found = [one.trajectory for one in tries if one.status is Status.OK and one.trajectory]
+            roomy = (one for one in found if self._room(self.person, one.ground).min() >= LEAST_ROOM)
+            leg = next(roomy, found[-1] if found else None)
             if leg is None:
                 return None
             legs.append(leg)
@@ -180,9 +191,10 @@ def too_tight(route: Route) -> str:
     between = (route.s > ENDS) & (route.s < route.length - ENDS)
     if not between.any() or (room := float(route.room[between].min())) >= LEAST_ROOM:
         return ""
-    width = 200 * (route.radius + room)
-    needed = 200 * (route.radius + LEAST_ROOM)
-    return f"the only way is {width:.0f} cm wide at its narrowest, and {needed:.0f} cm are needed."
+    return (
+        f"the best way found leaves {100 * max(room, 0.0):.0f} cm beside the person at its narrowest, "
+        f"and {100 * LEAST_ROOM:.0f} cm are needed."
+    )
 
 
 class Guide:

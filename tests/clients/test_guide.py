@@ -256,12 +256,12 @@ def test_what_hangs_beside_the_way_is_a_feature(client):
     assert abs(route.at(head.start)[1] - 2.45) < 0.8
 
 
-def test_a_way_that_is_too_tight_is_refused_with_its_width(client):
+def test_a_way_that_is_too_tight_is_refused_with_its_room(client):
     planner = Planner(client, "office")
     route, _ = planner.route(Pose((0.9, 0.9, 0.0), 0.0, 0.0), (5.4, 3.4))
     assert too_tight(route) == ""
     tight = dataclasses.replace(route, room=np.where(np.abs(route.s - 3) < 0.2, 0.05, route.room))
-    assert "60 cm wide" in too_tight(tight)
+    assert "5 cm beside the person" in too_tight(tight)
     at_the_goal = dataclasses.replace(route, room=np.where(route.s > route.length - 0.5, 0.01, route.room))
     assert too_tight(at_the_goal) == ""
 
