@@ -192,6 +192,7 @@ def test_a_change_that_cuts_the_stair_cuts_the_storeys_apart():
     cloud = two_storeys()
     scene = gpdf.build_scene(cloud)
     assert len(scene.surfaces) > 1
+    assert (np.diff([np.nanmedian(surface.height) for surface in scene.surfaces]) >= 0.0).all()  # level 0 is the lowest
     assert gpdf.plan(scene, (6.0, 1.0, 0.0), (6.0, 3.0, 3.0)).status is gpdf.Status.OK
     gone = (scene.points[:, 0] > 1.6) & (scene.points[:, 0] < 2.6) & (scene.points[:, 1] < 1.7)
     gone &= (scene.points[:, 2] > 0.5) & (scene.points[:, 2] < 2.8)

@@ -8,7 +8,7 @@ endpoint = sys.argv[1] if len(sys.argv) > 1 else "tcp/127.0.0.1:7447"
 with Client.connect(endpoint) as client:
     client.set_place("office", "entrance", (1.0, 1.0))
     client.set_place("office", "kitchen", (5.0, 3.3))
-    print(", ".join(f"{name} at {x}, {y}" for name, (x, y) in client.places("office").items()))
+    print(", ".join(f"{name} at {place}" for name, place in client.places("office").items()))
     print(client.plan("office", start="entrance", goal="kitchen").status)
     print("the kitchen is at", client.where("office", "kitchen"))
     print("left:", client.remove_place("office", "kitchen"))

@@ -93,7 +93,10 @@ def client_config(endpoint: str) -> zenoh.Config:
     """Zenoh's configuration of a client that talks to `endpoint` and looks for nobody else."""
     config = zenoh.Config()
     config.insert_json5("mode", '"client"')
-    config.insert_json5("connect/endpoints", json.dumps([endpoint]))
+    try:
+        config.insert_json5("connect/endpoints", json.dumps([endpoint]))
+    except zenoh.ZError as error:
+        raise UnavailableError(f"{endpoint!r} is no endpoint. Give one like tcp/127.0.0.1:7447.") from error
     config.insert_json5("scouting/multicast/enabled", "false")
     config.insert_json5("transport/shared_memory/enabled", "false")  # its pool is a third of a light client's memory
     return config
@@ -123,9 +126,12 @@ class Client:
             config: A Zenoh configuration of your own (credentials, certificates); `endpoint` is not looked at then.
 
         Raises:
-            UnavailableError: nothing listens there.
+            UnavailableError: nothing listens there, or it is no endpoint.
         """
-        config = config or client_config(endpoint)
+        if config is None:
+            config = client_config(endpoint)
+        else:
+            endpoint = config.get_json("connect/endpoints")
         until = time.monotonic() + timeout_s
         while True:
             try:
@@ -305,9 +311,14 @@ class Client:
 
         Raises:
             UnknownPlaceError: the scene has no place of that name.
+            InvalidRequestError: it is neither numbers nor a name.
         """
         if not isinstance(place, str):
-            return [float(v) for v in place]
+            try:
+                return [float(v) for v in place]
+            except (TypeError, ValueError) as error:
+                words = f"{place!r} is no place. Pass (x, y) or (x, y, z) in metres, or the name of one."
+                raise InvalidRequestError(Reply(status=Status.INVALID_REQUEST, message=words, scene=scene)) from error
         places = self.places(scene)
         if place not in places:
             words = f"there is no place {place!r} in scene {scene!r}. Known: {', '.join(sorted(places)) or 'none'}."
@@ -533,7 +544,12 @@ class Client:
 
     def _try(self, key: str, payload: bytes, kind: type[R], timeout_s: float) -> R | None:
         """Ask once; None if nobody answered."""
-        for answer in self._session.get(key, payload=payload, attachment=self._id, timeout=min(timeout_s, LONGEST_S)):
+        wait = min(timeout_s, LONGEST_S)
+        try:
+            answers = self._session.get(key, payload=payload, attachment=self._id, timeout=wait)
+        except zenoh.ZError as error:
+            raise UnavailableError(f"{key} cannot be asked: {error}.") from error
+        for answer in answers:
             if answer.ok is not None:  # not Zenoh's own time-out
                 return _decode(answer.ok.payload.to_bytes(), kind)
         return None

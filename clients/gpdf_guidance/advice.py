@@ -7,17 +7,18 @@ ever come again. So a lost pose, a late reaction and a bent course have all been
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import radians
+from math import atan2, radians
 
 import numpy as np
 from gpdf_schemas import CueAction
 from numpy.typing import NDArray
 
 from gpdf_guidance.ahead import ARRIVED, ON_THE_SPOT, find_ahead, find_turning
+from gpdf_guidance.corridor import WIDEST
 from gpdf_guidance.features import FeatureKind, wrap
 from gpdf_guidance.instruction import Instruction, Kind, Urgency
 from gpdf_guidance.route import Pose, Progress, Route
-from gpdf_guidance.stairs import SQUARE
+from gpdf_guidance.stairs import FEET, GATE, SQUARE
 
 FloatArray = NDArray[np.float64]
 
@@ -47,8 +48,6 @@ POSE_SLACK = 0.03
 """[m] A pose may be this far out of the corridor by its own error alone."""
 AT_EDGE = 0.35
 """[m] Half a pace: so near to an edge of stairs a person stays square to it."""
-TOES = 0.25
-"""[m] From the middle of the body to the tips of the shoes, and a hand's breadth."""
 SQUARE_ON = radians(12)
 """[rad] Towards the middle of the stairs one may be led by this; `SQUARE` is this and a course's sway."""
 NEAR_STEP = 1.2
@@ -167,17 +166,30 @@ def _square(route: Route, pose: Pose, progress: Progress, direction: float) -> t
     The flag says to turn there on the spot. Who is beside the line is led back to it first.
     """
     for flight in route.flights:
+        ahead, aside = flight.before(*pose.position[:2])
+        comes = 0.0 <= flight.start - progress.s <= LOOK_AHEAD[0] and abs(aside) <= WIDEST
+        if comes and 0.0 <= ahead <= AT_EDGE:
+            bent = _bent(pose, flight.enter, direction)
+            if abs(aside) <= (GATE if _is_walkable(route, pose, progress, bent) else 0.5 * GATE):
+                return bent, abs(wrap(flight.enter - pose.heading)) > SQUARE
+            back = (wrap(flight.enter + atan2(-aside, min(ahead - foot, 0.0)) - pose.heading) for foot in FEET[::-1])
+            return next((one for one in back if _is_walkable(route, pose, progress, one)), direction), False
         for edge, facing in ((flight.start, flight.enter), (flight.end, flight.leave)):
-            if edge - AT_EDGE <= progress.s <= edge + AT_EDGE:
-                square = wrap(facing - pose.heading)
-                bent = square + float(np.clip(wrap(direction - square), -SQUARE_ON, SQUARE_ON))
-                fan = pose.heading + bent + np.array([-SWAY, 0.0, SWAY])
-                if _pace_for(float(_clear(route, pose, progress, fan).min())) > 0.0:
-                    return bent, progress.s < edge and abs(square) > SQUARE
-                if progress.s < edge:
-                    aside = route.middle_at(max(progress.s, edge - TOES)) - np.array(pose.position[:2])
-                    return wrap(float(np.arctan2(aside[1], aside[0])) - pose.heading), False
+            if abs(progress.s - edge) <= AT_EDGE and not comes:
+                bent = _bent(pose, facing, direction)
+                return (bent if _is_walkable(route, pose, progress, bent) else direction), False
     return direction, False
+
+
+def _bent(pose: Pose, facing: float, direction: float) -> float:
+    """A direction as close to the wanted one as `SQUARE_ON` allows."""
+    square = wrap(facing - pose.heading)
+    return square + float(np.clip(wrap(direction - square), -SQUARE_ON, SQUARE_ON))
+
+
+def _is_walkable(route: Route, pose: Pose, progress: Progress, direction: float) -> bool:
+    fan = pose.heading + direction + np.array([-SWAY, 0.0, SWAY])
+    return _pace_for(float(_clear(route, pose, progress, fan).min())) > 0.0
 
 
 def _by_stairs(route: Route, progress: Progress) -> bool:

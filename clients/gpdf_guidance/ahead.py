@@ -19,7 +19,7 @@ STRAIGHT = radians(10)
 STEP_WINDOW = (1.0, 2.8)
 """[m] Steps and stairs are told of this far before: not too late to find with the cane, not too early to count on."""
 ON_STAIRS = 1.6
-"""[m] What comes after a stair is told of from here: two stairs are not mixed up."""
+"""[m] What comes after a stair, or a turn before one, is told of from here: two of them are not mixed up."""
 LANDING = STEP_WINDOW[0] + 0.1
 """[m] What is this far behind a stair is told of where the stair ends, in the same breath, and still soon enough."""
 OFF_STAIRS = 0.6
@@ -89,10 +89,12 @@ def find_ahead(route: Route, progress: Progress) -> list[Instruction]:
         distance, after = feature.start - progress.s, _behind(climbed, feature)
         is_step = feature.kind in STEPS
         ends = left is not None and _is_told_with_the_end(left, feature)
-        if after is not None and _is_told_with_the_end(climbed, feature):
-            continue
+        if after is not None and (feature.kind is FeatureKind.TURN or _is_told_with_the_end(climbed, feature)):
+            continue  # it is time for them when the stairs end
         if feature.kind is FeatureKind.TURN and _needs_no_word(route, feature, ends):
             continue
+        if is_step and distance > ON_STAIRS and _turns_before(route, progress, feature) > 1:
+            continue  # one turn after the other
         soon = window[0] <= distance <= (window[1] if after is None else ON_STAIRS)
         if soon or (is_step and 0.0 <= distance < window[0]) or (ends and distance > 0.0):  # late is better than never
             first = _turn_before(route, progress, feature) if is_step else None
@@ -100,7 +102,8 @@ def find_ahead(route: Route, progress: Progress) -> list[Instruction]:
             urgency = Urgency.ACT if ends else urgency
             said.append(Instruction(kind, urgency, place, distance, feature.amount, feature.count, after, ends, first))
     if left is not None and not any(one.ends for one in said):
-        said.append(Instruction(Kind.STAIRS_END, Urgency.ACT, _place(route, left.end)))
+        turn = next((f.start for f in route.features if _is_told_with_the_end(left, f)), left.end)
+        said.append(Instruction(Kind.STAIRS_END, Urgency.ACT, _place(route, turn)))
     return said
 
 
@@ -119,6 +122,12 @@ def _needs_no_word(route: Route, turn: Feature, ends: bool) -> bool:
     if turn.start > route.length - ARRIVED:
         return True
     return not ends and any(f.kind in STEPS and turn.start <= f.start <= turn.end + TO_STEPS for f in route.features)
+
+
+def _turns_before(route: Route, progress: Progress, steps: Feature) -> int:
+    """How many turns are to be made before a step or stairs."""
+    places = [f.start for f in route.features if f.kind is FeatureKind.TURN]
+    return sum(progress.s < place <= steps.start for place in places)
 
 
 def _turn_before(route: Route, progress: Progress, steps: Feature) -> Instruction | None:

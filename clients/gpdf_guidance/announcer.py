@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import hypot, inf
 
 from gpdf_guidance.instruction import Instruction, Kind, Urgency
@@ -87,7 +87,8 @@ class Announcer:
         self._said = [said for said in self._said if said.end <= now and not _takes_back(instruction, said.instruction)]
         self._tokens = max(DEBT, self._tokens - 1.0)
         self._quiet_at, self._speaking = now + WORD * len(text.split()), instruction.urgency
-        told = (instruction,) if instruction.first is None else (instruction.first, instruction)
+        told = [instruction] if instruction.first is None else [instruction.first, instruction]
+        told += [replace(instruction, kind=Kind.STAIRS_END)] if instruction.ends else []
         self._said += [_Said(one, now, self._quiet_at) for one in told]
         return instruction, text
 

@@ -27,8 +27,9 @@ ELBOW_ROOM = 0.35
 """[m] To either side of the body a person walks at ease."""
 FOOTING = 0.15
 """[m] Half of a stance: on stairs the middle of the body stays so far from their sides."""
-OTHER_GROUND = 0.7
-"""[-] A share of a step: what is this far from the ground of a place is another tread or floor, not a field's error."""
+OTHER_GROUND, OTHER_TREAD = 0.4, 0.7
+"""[-] A share of a step: what is this far from the ground of a place is another floor; from a tread, which is rough at
+its own edges, another one."""
 KEEP_OFF = 0.35
 """[m] Half a pace: elsewhere one keeps so far from the edges of stairs, but in their line."""
 INTO_STAIRS = 0.6
@@ -97,12 +98,14 @@ def on_own_ground(
     a person who cannot see may not.
     """
     near = np.any([(s >= f.start - BESIDE_STAIRS) & (s <= f.end + BESIDE_STAIRS) for f in flights], axis=0)
-    on = np.any([(s >= f.start) & (s <= f.end) for f in flights], axis=0)[near]
+    on = np.any([(s >= f.start - SPACING) & (s <= f.end + SPACING) for f in flights], axis=0)[near]
     step = min(abs(flight.rise) for flight in flights)
-    keep_off = np.where(on, FOOTING, KEEP_OFF) + OTHER_GROUND * step  # an edge is seen that far behind itself
+    least = step * np.where(on, OTHER_TREAD, OTHER_GROUND)
+    keep_off = np.where(on, FOOTING, KEEP_OFF) + least  # an edge is seen that far behind itself
     angles = np.linspace(0.0, np.pi, DIRECTIONS, endpoint=False)
     places = np.stack([_places_beside(ground[near], heading[near] + angle) for angle in angles])
-    other = field(places.reshape(-1, 3))[0].reshape(places.shape[:3]) > OTHER_GROUND * step
+    away = [_from_ground(places, np.interp(s[near] + shift, s, ground[:, 2]), field) for shift in (-SPACING, SPACING)]
+    other = np.minimum(*away) > least[:, None]  # at a step's face, its foot and its tread are both own ground
     gap = _nearest_edge(ground[near], places[other], step)
     middle = places.shape[2] // 2
     sides = [_reach(other[0, :, middle:]), _reach(other[0, :, middle::-1])]
@@ -150,9 +153,17 @@ def _reach(blocked: NDArray[np.bool_]) -> FloatArray:
     return reach
 
 
+def _from_ground(places: FloatArray, heights: FloatArray, field: Field) -> FloatArray:
+    """Distance to the ground of places (d, n, k, 3) at other heights (n,) [m], shape (d, n, k)."""
+    moved = places.copy()
+    moved[..., 2] = heights[:, None]
+    return field(moved.reshape(-1, 3))[0].reshape(places.shape[:3])
+
+
 def _nearest_edge(ground: FloatArray, edges: FloatArray, step: float) -> FloatArray:
     """Distance in plan of each place (n, 3) to the nearest of (k, 3) that is other ground for its height [m]."""
-    away = np.hypot(*(ground[:, None, :2] - edges[None, :, :2]).transpose(2, 0, 1))
-    same = np.abs(ground[:, None, 2] - edges[None, :, 2]) < 0.5 * step
-    nearest: FloatArray = np.where(same, away, np.inf).min(axis=1, initial=np.inf)
+    nearest = np.empty(len(ground))
+    for row, (x, y, z) in enumerate(ground):  # not all pairs at once: that takes a wearable's memory
+        same = np.abs(edges[:, 2] - z) < 0.5 * step
+        nearest[row] = np.hypot(edges[same, 0] - x, edges[same, 1] - y).min(initial=np.inf)
     return nearest

@@ -25,7 +25,7 @@ LARGEST_TURN = radians(120)
 LEAST_STEP = 0.04
 """[m] A lower edge is not felt as a step."""
 FOOT = 0.15
-"""[m] On ground that is shorter nobody can stand."""
+"""[m] No three steps are within this."""
 STEEPEST_RAMP = 0.7
 """[-] Rise over run (35°): steeper than people stand on, so it is a step's face."""
 TREAD = 0.6
@@ -164,8 +164,8 @@ def find_flights(z: FloatArray, s: FloatArray) -> list[list[Feature]]:
         for a, b in _same_sign(z, first, last):
             rise = float(z[b] - z[a])
             place = float(s[a] + s[b]) / 2
-            if steps and place - steps[-1].start < FOOT and abs(steps[-1].amount + rise) < LEAST_STEP:
-                steps.pop()  # up and down again: where two levels meet, they see an edge a cell apart
+            if _repeats(steps, place, rise):
+                steps.pop()
             elif abs(rise) >= LEAST_STEP:
                 steps.append(Feature(FeatureKind.STEP, place, place, rise))
     flights: list[list[Feature]] = []
@@ -176,6 +176,13 @@ def find_flights(z: FloatArray, s: FloatArray) -> list[list[Feature]]:
         else:
             flights.append([step])
     return flights
+
+
+def _repeats(steps: list[Feature], place: float, rise: float) -> bool:
+    """Whether a step is the last but one again, the last one back up: two levels that meet see it a cell apart."""
+    if len(steps) < 2 or place - steps[-2].start >= FOOT:
+        return False
+    return max(abs(steps[-2].amount - rise), abs(steps[-1].amount + rise)) < LEAST_STEP
 
 
 def _is_face(z: FloatArray, s: FloatArray) -> NDArray[np.bool_]:

@@ -6,11 +6,12 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from functools import partial
+from itertools import pairwise
 from math import inf
 from typing import Any
 
 import numpy as np
-from gpdf_client import Client, ClientError, PlanResult, ServiceError, Status, Trajectory
+from gpdf_client import Client, ClientError, ServiceError, Status, Trajectory
 from gpdf_schemas import CueAction, CueMessage
 from numpy.typing import NDArray
 
@@ -20,8 +21,8 @@ from gpdf_guidance.announcer import Announcer
 from gpdf_guidance.belief import Belief, believe
 from gpdf_guidance.catalogue import phrase
 from gpdf_guidance.instruction import Instruction, Kind, Urgency
-from gpdf_guidance.route import Pose, Progress, Route, arc_length, build_route
-from gpdf_guidance.stairs import SQUARE, find_stairs, obliqueness, places_to_stand
+from gpdf_guidance.route import Pose, Progress, Route, arc_length, build_route, join
+from gpdf_guidance.stairs import LEAST_EDGE, SQUARE, find_stairs, obliqueness, places_to_stand
 from gpdf_guidance.trust import doubt
 
 FloatArray = NDArray[np.float64]
@@ -45,7 +46,7 @@ HIP = 1.0
 LEAST_ROOM = 0.08
 """[m] On each side of the body, away from both ends: who sways more than this would touch."""
 ROUNDS = 4
-"""Plans at most: a way that crosses a corner of the stairs shows their line roughly, one in that line exactly."""
+"""Ways at most: one that crosses a corner of the stairs shows their line roughly, one in that line exactly."""
 ENDS = 1.0
 """[m] A chair that one gets up from, a door that one goes to: there one is led through less."""
 STALLED = 30.0
@@ -103,14 +104,18 @@ class Planner:
         why, best, askew = "", None, inf
         for wider in WIDER:
             try:
-                result, oblique = self._plan(pose, goal, {**self.person, "width": self.person["width"] + 2 * wider})
+                body = {**self.person, "width": self.person["width"] + 2 * wider}
+                result = self._client.plan(self.scene, pose.position, goal, body)
                 why = result.message
-                if result.status is Status.OK and result.trajectory is not None and oblique < askew:
-                    route = self._build(result.trajectory, pose, result.scene_version)
-                    if why := too_tight(route):
-                        break
-                    best, askew = route, oblique
-                    if oblique <= SQUARE:
+                if result.status is Status.OK and result.trajectory is not None:
+                    ways = self._squared(result.trajectory, body)
+                    routes = ((self._build(way, pose, result.scene_version), oblique) for way, oblique in ways)
+                    route, oblique = next(((one, o) for one, o in routes if not too_tight(one)), (None, inf))
+                    if route is None and best is None:
+                        return None, too_tight(self._build(result.trajectory, pose, result.scene_version))
+                    if oblique < askew:
+                        best, askew = route, oblique
+                    if route is None or oblique <= SQUARE:
                         break
             except ServiceError as error:  # it failed for this width
                 why = str(error)
@@ -118,23 +123,33 @@ class Planner:
                 return None, str(error)
         return best, "" if best else why
 
-    def _plan(self, pose: Pose, goal: Sequence[float], body: dict[str, Any]) -> tuple[PlanResult, float]:
-        """A way, through the places before and behind its stairs, and how far from square it meets them [rad]."""
-        found: list[tuple[float, PlanResult]] = []
-        via: list[list[float]] = []
+    def _squared(self, trajectory: Trajectory, body: dict[str, Any]) -> list[tuple[Trajectory, float]]:
+        """This way and others that meet its stairs more squarely, and how far from square [rad], the least first."""
+        found: list[tuple[float, Trajectory]] = []
         for _ in range(ROUNDS):
-            result = self._client.plan(self.scene, pose.position, goal, body, via=via)
-            if result.status is not Status.OK or result.trajectory is None:
-                break
-            path, s = result.trajectory.ground, arc_length(result.trajectory.ground)
+            path, s = trajectory.ground, arc_length(trajectory.ground)
             flights = find_stairs(path, s, self._field)
-            found.append((obliqueness(path, s, flights), result))
-            if found[-1][0] <= SQUARE:
+            found.append((obliqueness(path, s, flights), trajectory))
+            stops = places_to_stand(path, s, flights, partial(self._room, body))
+            if found[-1][0] <= SQUARE or (again := self._through(path[0], stops, path[-1], body)) is None:
                 break
-            room = partial(self._room, body)
-            via = [place.tolist() for place in places_to_stand(path, s, flights, room)]
-        oblique, best = min(found, key=lambda one: one[0], default=(inf, result))
-        return best, oblique
+            trajectory = again
+        return [(way, oblique) for oblique, way in sorted(found, key=lambda one: one[0])]
+
+    def _through(
+        self, start: FloatArray, stops: list[tuple[FloatArray, bool]], goal: FloatArray, body: dict[str, Any]
+    ) -> Trajectory | None:
+        """A way through places, from one to the next; where it need not climb, it does not touch a step."""
+        level = {**body, "name": "on the level", "max_step": LEAST_EDGE}
+        legs: list[Trajectory] = []
+        for (a, climbs), (b, begins) in pairwise([(start, False), *stops, (goal, True)]):
+            bodies = [body] if climbs or not begins else [level, body]
+            tries = (self._client.plan(self.scene, a.tolist(), b.tolist(), one) for one in bodies)
+            leg = next((one.trajectory for one in tries if one.status is Status.OK and one.trajectory), None)
+            if leg is None:
+                return None
+            legs.append(leg)
+        return join(legs)
 
     def pulse(self) -> int | None:
         """The scene's version, as a sign that whoever plans in it is there; None without one within `PULSE`."""

@@ -181,3 +181,14 @@ def build_route(
 def arc_length(ground: FloatArray) -> FloatArray:
     """Arc length in plan of contact points (n, 3) [m], shape (n,)."""
     return np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(ground[:, :2], axis=0).T))])
+
+
+def join(legs: list[Trajectory]) -> Trajectory:
+    """One trajectory of several, each of which begins where the one before it ends."""
+    ends = np.cumsum([0.0, *(leg.duration for leg in legs)])
+    times = [leg.times - leg.times[0] + end for leg, end in zip(legs, ends, strict=False)]
+    parts = [(leg.positions, leg.ground, time, leg.headings) for leg, time in zip(legs, times, strict=True)]
+    joined = [
+        np.concatenate([part[1 if i else 0 :] for i, part in enumerate(column)]) for column in zip(*parts, strict=True)
+    ]
+    return Trajectory(*joined)

@@ -60,6 +60,12 @@ class Flight:
     foot: tuple[float, float]
     head: tuple[float, float]
 
+    def before(self, x: float, y: float) -> tuple[float, float]:
+        """How far a place is before the first edge [m], and how far to the left of the line [m]."""
+        ahead, aside = self.foot[0] - x, self.foot[1] - y
+        c, s = cos(self.enter), sin(self.enter)
+        return ahead * c + aside * s, ahead * s - aside * c
+
 
 def find_stairs(path: FloatArray, s: FloatArray, field: Field) -> tuple[Flight, ...]:
     """The flights on a path, contact points (n, 3) at arc lengths (n,), with the directions of their ends."""
@@ -133,9 +139,13 @@ def as_walked(path: FloatArray, s: FloatArray, flights: tuple[Flight, ...]) -> t
     walked = []
     for flight in flights:
         start, end = _crossed(path, s, flight.start), _crossed(path, s, flight.end)
-        enter = flight.enter if abs(wrap(start - flight.enter)) <= SQUARE else start
-        leave = flight.leave if abs(wrap(end - flight.leave)) <= SQUARE else end
-        walked.append(replace(flight, enter=enter, leave=leave))
+        if abs(wrap(start - flight.enter)) > SQUARE:
+            x, y, _ = at(path, s, flight.start).tolist()
+            flight = replace(flight, enter=start, foot=(x, y))
+        if abs(wrap(end - flight.leave)) > SQUARE:
+            x, y, _ = at(path, s, flight.end).tolist()
+            flight = replace(flight, leave=end, head=(x, y))
+        walked.append(flight)
     return tuple(walked)
 
 
@@ -147,8 +157,10 @@ def _crossed(path: FloatArray, s: FloatArray, edge: float) -> float:
 
 def places_to_stand(
     path: FloatArray, s: FloatArray, flights: tuple[Flight, ...], room: Callable[[FloatArray], FloatArray]
-) -> list[FloatArray]:
-    """Before and behind each flight a place in its line, (3,) each, in order; left out where there is no room for one.
+) -> list[tuple[FloatArray, bool]]:
+    """Before and behind each flight a place in its line, (3,), in order; left out where there is no room for one.
+
+    With each, whether the way from there leads over stairs.
 
     Args:
         path: Contact points [m], shape (n, 3).
@@ -156,24 +168,18 @@ def places_to_stand(
         flights: On it.
         room: That the body has at places (m, 3) [m].
     """
-    places: list[FloatArray] = []
+    places: list[tuple[FloatArray, bool]] = []
     for i, flight in enumerate(flights):
         before = flight.start - flights[i - 1].end if i > 0 else np.inf
         behind = flights[i + 1].start - flight.end if i + 1 < len(flights) else 2 * (float(s[-1]) - flight.end)
         foot = np.array([*flight.foot, at(path, s, flight.start - BESIDE[-1])[2]])
         head = np.array([*flight.head, at(path, s, flight.end + BESIDE[-1])[2]])
-        if i == 0 and _is_in_line(path[0], foot, flight.enter):
-            before = 0.0
+        ahead, aside = flight.before(*path[0, :2])
+        if i == 0 and ahead <= FEET[0] and abs(aside) <= GATE:
+            before = 0.0  # one who stands there already
         for edge, facing, sign, gap in ((foot, flight.enter, -1.0, before), (head, flight.leave, 1.0, behind)):
             feet = np.array([back for back in FEET if back <= 0.5 * gap])
             steps = sign * feet[:, None] * np.array([cos(facing), sin(facing), 0.0])
             if len(feet) and len(free := np.flatnonzero(room(edge + steps) >= ROOM_TO_STAND)):
-                places.append(edge + steps[free[0]])
+                places.append((edge + steps[free[0]], sign < 0.0))
     return places
-
-
-def _is_in_line(place: FloatArray, foot: FloatArray, facing: float) -> bool:
-    """Whether one who stands at a place is where the stairs are begun."""
-    ahead = (foot - place)[:2] @ np.array([cos(facing), sin(facing)])
-    aside = (foot - place)[:2] @ np.array([-sin(facing), cos(facing)])
-    return bool(abs(aside) <= GATE and ahead <= FEET[0])

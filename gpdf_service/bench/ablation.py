@@ -9,9 +9,9 @@ import numpy as np
 
 from gpdf_service.bench.report import Row
 from gpdf_service.config import Config, PerceptionConfig
-from gpdf_service.perception.levels import Levels, guard_edges, in_cells, lowest_thing, make_level
+from gpdf_service.perception.levels import Levels, guard_edges, in_cells, make_level
 from gpdf_service.perception.limits import find_limits, step_and_slope
-from gpdf_service.perception.surface import INFERRED, UNKNOWN, nearest_seen
+from gpdf_service.perception.surface import INFERRED, UNKNOWN
 from gpdf_service.pipeline import build_scene
 from gpdf_service.scene import Scene
 from gpdf_service.synthetic import SCENES, SyntheticScene, ramp, random_room
@@ -57,9 +57,8 @@ def without_filling(scene: Scene) -> Scene:
         surface, guessed = level.surface, level.surface.state == INFERRED
         height = np.where(guessed, np.float32(np.nan), surface.height)
         seen = replace(surface, height=height, state=np.where(guessed, UNKNOWN, surface.state).astype(np.uint8))
-        cell, z, _ = in_cells(level.other_points, seen)
-        things = lowest_thing(cell, z, nearest_seen(seen))
-        material = guard_edges(seen, things, cell, z, scene.config.perception.min_headroom)[2]
+        cell, z, lowest = in_cells(level.other_points, seen)
+        material = guard_edges(seen, lowest, cell, z, scene.config.perception.min_headroom)[2]
         measured = step_and_slope(seen)
         made.append(make_level(seen, level.other_points, level.ledge, find_limits(seen, material, measured), measured))
     levels = Levels(tuple(made), scene.levels.portals)

@@ -20,7 +20,7 @@ from gpdf_service.fields.edge import fit_pair, from_half, onto_half
 from gpdf_service.fields.heights import Sums, fit_heights, make_sums, quadric_rest, sum_heights
 from gpdf_service.fields.noise import GROWTH, LONG, estimate_noise
 from gpdf_service.fields.order import spatial_order
-from gpdf_service.fields.shapes import FEWEST, MOST, add, fit_axis, fit_plane, fit_ring, gather, sum_rings
+from gpdf_service.fields.shapes import FEWEST, MOST, fit_axis, fit_plane, fit_ring, gather, sum_rings
 from gpdf_service.fields.spacing import estimate_spacing
 from gpdf_service.fields.threads import run_chunked
 from gpdf_service.fields.tree import Tree, build_tree
@@ -363,18 +363,16 @@ def _pole(
     tree: Tree, centre: FloatArray, x: FloatArray, radii: FloatArray, sigma: float, near: FloatArray, place: FloatArray
 ) -> float:
     """Write where on a pole x lies; the standard error, 0 if it is no pole."""
-    mean, axis, moments = np.zeros(3), np.zeros(3), np.zeros(10)
-    for radius in radii[::-1]:
-        count = gather(tree, centre, radius, near)
-        if count < 2 * FEWEST:
+    mean, axis, moments = np.zeros(3), np.zeros(3), np.zeros((len(radii), 10))
+    sum_rings(tree, centre, radii, axis, 0.0, moments)
+    for j in range(len(radii) - 1, -1, -1):
+        if moments[j, 0] < 2 * FEWEST:
             continue
-        moments[:] = 0.0
-        for i in range(count):
-            add(moments, near[i, 0], near[i, 1], near[i, 2])
-        low, middle, high = fit_plane(moments, mean, axis)
+        low, middle, high = fit_plane(moments[j], mean, axis)
         if high <= _LENGTH * middle or middle > _CLEARLY * low:
             continue
-        fit_axis(moments, high, axis)
+        count = gather(tree, centre, radii[j], near)
+        fit_axis(moments[j], high, axis)
         square, variance = fit_ring(near, count, mean, axis)
         square = max(square, _widest(square + 2.0 * variance - 2.0 * sigma**2, sigma, count))
         if abs(variance / sigma**2 - 1.0) > 2.0 * _THICK * sqrt(2.0 / count):

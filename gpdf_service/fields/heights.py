@@ -18,13 +18,13 @@ class Sums(NamedTuple):
 
     Attributes:
         number: Of points, shape (scales,).
-        products: Of (1, x, y, x², xy, y²) with itself, shape (scales, 6, 6).
-        heights: Of it with h, shape (scales, 6).
+        moments: Of the products of two of 1, x, y, x², xy, y²: 1, x, y, x², xy, y², x³, …, y⁴, shape (scales, 15).
+        heights: Of the first six with h, shape (scales, 6).
         square: Sum of h², shape (scales,).
     """
 
     number: FloatArray
-    products: FloatArray
+    moments: FloatArray
     heights: FloatArray
     square: FloatArray
 
@@ -32,7 +32,7 @@ class Sums(NamedTuple):
 @njit(cache=True, nogil=True)
 def make_sums(scales: int) -> Sums:
     """Room for the sums; made once a batch."""
-    return Sums(np.zeros(scales), np.zeros((scales, 6, 6)), np.zeros((scales, 6)), np.zeros(scales))
+    return Sums(np.zeros(scales), np.zeros((scales, 15)), np.zeros((scales, 6)), np.zeros(scales))
 
 
 @njit(cache=True, nogil=True)
@@ -42,8 +42,8 @@ def sum_heights(tree: Tree, x: FloatArray, normal: FloatArray, radii: FloatArray
     stack, bound, near_box = make_scratch()
     first, second = np.zeros(3), np.zeros(3)
     tangents(normal, first, second)
-    number, products, heights, square = sums
-    number[:], products[:], heights[:], square[:] = 0.0, 0.0, 0.0, 0.0
+    number, moments, heights, square = sums
+    number[:], moments[:], heights[:], square[:] = 0.0, 0.0, 0.0, 0.0
     place, top = place_of(x), from_root(stack, bound)
     while True:
         leaf, _, top = next_leaf(boxes, place, place, limit, stack, bound, near_box, top)
@@ -64,19 +64,42 @@ def sum_heights(tree: Tree, x: FloatArray, normal: FloatArray, radii: FloatArray
         number[ring] += number[ring - 1]
         square[ring] += square[ring - 1]
         heights[ring] += heights[ring - 1]
-        products[ring] += products[ring - 1]
+        moments[ring] += moments[ring - 1]
 
 
 @njit(cache=True, nogil=True)
 def add_height(sums: Sums, ring: int, u: float, v: float, h: float) -> None:
     """Add the height h at (u, v)."""
-    basis = (1.0, u, v, u * u, u * v, v * v)
+    uu, uv, vv = u * u, u * v, v * v
+    m, t = sums.moments, sums.heights
     sums.number[ring] += 1.0
     sums.square[ring] += h * h
-    for k in range(6):
-        sums.heights[ring, k] += basis[k] * h
-        for l in range(k + 1):
-            sums.products[ring, k, l] += basis[k] * basis[l]
+    m[ring, 0] += 1.0
+    m[ring, 1] += u
+    m[ring, 2] += v
+    m[ring, 3] += uu
+    m[ring, 4] += uv
+    m[ring, 5] += vv
+    m[ring, 6] += uu * u
+    m[ring, 7] += uu * v
+    m[ring, 8] += u * vv
+    m[ring, 9] += vv * v
+    m[ring, 10] += uu * uu
+    m[ring, 11] += uu * uv
+    m[ring, 12] += uu * vv
+    m[ring, 13] += uv * vv
+    m[ring, 14] += vv * vv
+    t[ring, 0] += h
+    t[ring, 1] += u * h
+    t[ring, 2] += v * h
+    t[ring, 3] += uu * h
+    t[ring, 4] += uv * h
+    t[ring, 5] += vv * h
+
+
+_PRODUCT = ((0,), (1, 3), (2, 4, 5), (3, 6, 7, 10), (4, 7, 8, 11, 12), (5, 8, 9, 12, 13, 14))
+"""Which moment the product of two of the six terms is."""
+_TABLE = np.array([[row[l] if l < len(row) else -1 for l in range(6)] for row in _PRODUCT])
 
 
 @njit(cache=True, nogil=True)
@@ -113,7 +136,7 @@ def fit_heights(sums: Sums, scale: int) -> tuple[Height, Height]:
     plane = (0.0, 0.0, np.inf)
     for k in range(6):
         for l in range(k + 1):
-            part = sums.products[scale, k, l]
+            part = sums.moments[scale, _TABLE[k, l]]
             for m in range(l):
                 part -= L[k, m] * L[l, m]
             if l < k:

@@ -16,11 +16,26 @@ def morton(cell: IntArray, bits: int = 30) -> IntArray:
     """Interleave the low `bits` of each row, shape (m, dim) → (m,): cells of one quadtree node are one range."""
     dim = cell.shape[1]
     code = np.zeros(len(cell), np.int64)
+    if dim == 2:
+        low = (np.int64(1) << bits) - 1
+        for i in range(len(cell)):
+            code[i] = _apart(cell[i, 0] & low) << 1 | _apart(cell[i, 1] & low)
+        return code
     for i in range(len(cell)):
         for bit in range(bits):
             for axis in range(dim):
                 code[i] |= ((cell[i, axis] >> bit) & 1) << (dim * bit + dim - 1 - axis)
     return code
+
+
+@njit(cache=True, nogil=True)
+def _apart(value: int) -> int:
+    """The bits of a number below 2³¹ with a zero before each."""
+    value = (value | value << 16) & 0x0000FFFF0000FFFF
+    value = (value | value << 8) & 0x00FF00FF00FF00FF
+    value = (value | value << 4) & 0x0F0F0F0F0F0F0F0F
+    value = (value | value << 2) & 0x3333333333333333
+    return (value | value << 1) & 0x5555555555555555
 
 
 def spatial_order(places: FloatArray) -> IntArray:

@@ -196,7 +196,7 @@ def split_sheets(layers: Layers, config: PerceptionConfig) -> list[IntArray]:
     count = len(layers.cell)
     keep = ~_under_step(layers, config.max_step)
     keep &= ~over_ground(layers, keep, config.step_headroom)
-    if len(np.unique(layers.cell[keep])) == keep.sum():
+    if (np.diff(layers.cell[keep]) > 0).all():
         return [np.flatnonzero(keep)]
     smooth = components(*connect(layers, keep, layers.cell_width, HALF), keep)
     a, b = pairs_across(*connect(layers, keep, np.full(count, config.max_step), HALF), smooth)
@@ -327,11 +327,9 @@ def complete(
 
     The others must lie on the grid; `near` is `nearest_seen`, where that is known.
     """
-    near = near or nearest_seen(seen)
     cell, z, lowest = in_cells(other, seen)
-    things = lowest_thing(cell, z, near)
-    surface = fill_holes(seen, things, *voids, near=near)
-    shut, stair, guarded = guard_edges(surface, things, cell, z, config.min_headroom)
+    surface = fill_holes(seen, lowest, *voids, near=near)
+    shut, stair, guarded = guard_edges(surface, lowest, cell, z, config.min_headroom)
     surface = without_enclosed(surface, shut)
     front = find_faces(surface, cell, z, config.min_headroom) & ~stair  # a flight's treads were seen up to its walls
     return without_hidden(surface, lowest, front), guarded
@@ -345,17 +343,6 @@ def in_cells(other: FloatArray, surface: HeightMap) -> tuple[IntArray, FloatArra
     return cell, z, extent_in(cell, z, -ends, ends)[0].reshape(shape)
 
 
-def lowest_thing(cell: IntArray, z: FloatArray, near: Nearest) -> FloatArray:
-    """Height of the lowest point of each cell that is not on the level of the seen ground next to it [m], (nx, ny).
-
-    What is, in a scanner's blind spot, is a scrap of its floor too small to be told for ground by itself.
-    """
-    floor, none = np.nan_to_num(near.height.astype(np.float64), nan=-np.inf).ravel(), np.full(near.height.size, np.inf)
-    over = extent_in(cell, z, floor + LEAST_OBSTACLE, none)[0]
-    under = extent_in(cell, z, -none, floor - LEAST_OBSTACLE)[0]
-    return np.minimum(over, under).reshape(near.height.shape)
-
-
 def guard_edges(
     surface: HeightMap, lowest: FloatArray, cell: IntArray, z: FloatArray, headroom: float
 ) -> tuple[BoolArray, BoolArray, BoolArray]:
@@ -366,7 +353,7 @@ def guard_edges(
 
     Args:
         surface: The ground.
-        lowest: `lowest_thing` [m], shape (nx, ny).
+        lowest: Of the other points in each cell [m], shape (nx, ny).
         cell: Flat cell of each other point, shape (m,).
         z: Its height [m], shape (m,).
         headroom: Of the lowest body [m].

@@ -242,7 +242,7 @@ def _within_reach(
         reach = flat & seen[piece]
         for _ in range(rings + 1):
             reach = stepped(reach, a, b)
-        fresh = np.unique(piece[reach & flat & ~seen[piece]])
+        fresh = piece[reach & flat & ~seen[piece]]
         if not len(fresh):
             return flat & seen[piece]
         seen[fresh] = True

@@ -434,9 +434,10 @@ def without_enclosed(surface: HeightMap, low: BoolArray) -> HeightMap:
         surface: After `fill_holes`.
         low: Cells with material that the lowest body cannot pass under, shape (nx, ny).
     """
-    label = ndimage.label((surface.state != UNKNOWN) & ~low)[0]
-    seen = np.unique(label[(surface.state == OBSERVED) & ~low])
-    enclosed = (surface.state == INFERRED) & ~low & ~np.isin(label, seen)
+    label, count = ndimage.label((surface.state != UNKNOWN) & ~low)
+    seen = np.zeros(count + 1, dtype=bool)
+    seen[label[(surface.state == OBSERVED) & ~low]] = True
+    enclosed = (surface.state == INFERRED) & ~low & ~seen[label]
     height = np.where(enclosed, np.float32(np.nan), surface.height)
     state = np.where(enclosed, UNKNOWN, surface.state).astype(np.uint8)
     return HeightMap(surface.origin, surface.cell_width, height, state)

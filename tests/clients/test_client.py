@@ -10,6 +10,7 @@ import msgpack
 import pytest
 import zenoh
 from gpdf_client import AsyncClient, Client, ClientError, DecodeError, InvalidRequestError, UnavailableError
+from gpdf_client.client import client_config
 from gpdf_schemas import Array, DistanceReply, PlanReply, Status, TrajectoryMessage, encode, keys
 
 
@@ -118,12 +119,26 @@ def test_a_closed_client_leaves_no_thread_behind(free_endpoint):
 def test_nobody_there_is_unavailable(free_endpoint):
     with pytest.raises(UnavailableError, match="gpdf serve"):
         Client.connect(free_endpoint, timeout_s=0.1)
+    with pytest.raises(UnavailableError, match=free_endpoint):  # the endpoint that was asked for, not the default one
+        Client.connect(config=client_config(free_endpoint), timeout_s=0.1)
     with (
         answering(free_endpoint, keys.PLAN, [None]),
         Client.connect(free_endpoint) as client,
         pytest.raises(UnavailableError, match="Is the service running"),
     ):
         client.plan("a", (0, 0), (1, 1), deadline_s=0.3)
+
+
+def test_a_slip_is_an_error_of_the_client_that_says_what_to_pass(free_endpoint):
+    with pytest.raises(ClientError, match="is no endpoint"):
+        Client.connect("127.0.0.1:7447")
+    with answering(free_endpoint, keys.PLAN, []):
+        client = Client.connect(free_endpoint)
+        with pytest.raises(InvalidRequestError, match="is no place"):
+            client.plan("a", (0, 0), (1, 1), via=(3, 1))  # one place where a list of them belongs
+        client.close()
+        with pytest.raises(UnavailableError, match="closed"):
+            client.plan("a", (0, 0), (1, 1))
 
 
 def test_the_asyncio_client_has_every_call_with_the_same_arguments():

@@ -54,7 +54,7 @@ SAID = {
     "guide": ["arrived"],
     "obstacles": ["cut by dog after", "round it"],
     "places": [
-        "entrance at 1.0, 1.0, kitchen at 5.0, 3.3\nOK",
+        "entrance at [1.0, 1.0], kitchen at [5.0, 3.3]\nOK",
         "UNKNOWN_PLACE: there is no place 'kitchen'",
         "Known: entrance",
     ],

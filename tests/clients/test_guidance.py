@@ -13,6 +13,7 @@ from gpdf_guidance.advice import BLIND, PACES, POSE_AGE, SWAY, UNRELIABLE
 from gpdf_guidance.belief import believe
 from gpdf_guidance.features import Feature, FeatureKind, find_ramps, find_steps, find_turns
 from gpdf_guidance.guide import PERSON
+from gpdf_guidance.route import join
 from gpdf_guidance.stairs import find_stairs, obliqueness, places_to_stand
 from gpdf_guidance.voice import Voice
 from gpdf_schemas import CueAction, CueMessage
@@ -537,6 +538,29 @@ def test_a_turn_to_stairs_is_told_with_them_and_a_turn_behind_them_with_their_en
     assert say(behind) == "The stairs end. Turn left."
 
 
+def test_what_was_told_in_one_breath_is_not_told_again():
+    route, risers = round_a_corner_to_stairs()
+    off = Pose((2.0, risers[-1] - 1.9, 0.17 * 5), np.pi / 2, 0.0)
+    past = Pose((1.9, 2.2, 0.17 * 5), np.pi, 0.0)
+    voice = announcer()
+    said = [
+        voice.choose(advise(route, where, 0.0, near=s).instructions, t)
+        for where, s, t in ((off, 3.8, 0), (past, 4.25, 3))
+    ]
+    assert said[0][0].ends
+    assert said[1] is None
+
+
+def test_of_two_turns_before_stairs_the_second_one_is_not_told_before_the_first_is_made():
+    risers = 3.6 + 0.3 * np.arange(5)
+    path = line((0, 0), (1.7, 0), (1.7, 1.5), (6, 1.5), spacing=0.01, z=lambda s: 0.17 * np.searchsorted(risers, s))
+    route = build_route(trajectory(path), wide, radius=RADIUS)
+    assert kinds(advise(route, pose(0.8, -0.3, 30), 0.0, near=0.8)) == [Kind.TURN_SOON]
+    between = Pose((1.7, 0.4, 0.0), np.pi / 2, 0.0)
+    (told,) = (one for one in advise(route, between, 0.0, near=2.1).instructions if one.kind is Kind.STAIRS)
+    assert told.first.distance == pytest.approx(1.1, abs=0.1)
+
+
 def stairs_along_x(places):
     """The ground of five steps of 0.17 m at x = 3, 3.3 … between y = -0.5 and 0.5, and the floor around them."""
     far, low, high = 99.0, 3.0 + 0.3 * np.arange(5), 0.17 * np.arange(1, 6)
@@ -570,11 +594,12 @@ def test_the_places_before_and_behind_stairs_are_in_their_line_and_have_room():
     path[:, 2] = 0.17 * np.searchsorted(3.0 + 0.3 * np.arange(5), path[:, 0])
     s = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(path[:, :2], axis=0).T))])
     flights = find_stairs(path, s, stairs_along_x)
-    foot, head = places_to_stand(path, s, flights, lambda places: np.full(len(places), 1.0))
+    (foot, climbs), (head, on) = places_to_stand(path, s, flights, lambda places: np.full(len(places), 1.0))
     assert foot == pytest.approx([2.4, -0.12, 0.0], abs=0.03)
+    assert (climbs, on) == (True, False)
     assert head == pytest.approx([4.8, -0.12, 0.85], abs=0.03)
     nearer, _ = places_to_stand(path, s, flights, lambda places: places[:, 0] - 2.48)
-    assert nearer[0] == pytest.approx(2.55, abs=0.03)
+    assert nearer[0][0] == pytest.approx(2.55, abs=0.03)
     assert len(places_to_stand(path, s, flights, lambda places: np.full(len(places), -1.0))) == 0
 
 
@@ -609,3 +634,13 @@ def test_who_stands_beside_the_line_before_stairs_is_led_back_to_it_first():
     route = build_route(trajectory(path), wide, radius=RADIUS, field=stairs_along_x)
     advice = advise(route, pose(2.8, 0.22, 0), 0.0, near=2.8)
     assert advice.direction < -np.pi / 4  # to the right, not over the edge
+
+
+def test_legs_are_joined_into_one_trajectory_whose_times_go_on():
+    first, second = trajectory(line((0, 0), (1, 0))), trajectory(line((1, 0), (1, 2)))
+    whole = join([first, second])
+    assert whole.length == pytest.approx(3.0)
+    assert whole.duration == pytest.approx(first.duration + second.duration)
+    assert (np.diff(whole.times) > 0).all()
+    np.testing.assert_array_equal(whole.ground[[0, -1], :2], [[0, 0], [1, 2]])
+    assert np.hypot(*np.diff(whole.ground[:, :2], axis=0).T).min() > 0.01  # the place where they meet stands in it once

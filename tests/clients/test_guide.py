@@ -14,7 +14,7 @@ import msgpack
 import numpy as np
 import pytest
 from gpdf_client import Client
-from gpdf_guidance import Errors, Guide, Kind, Outcome, Planner, Pose, Urgency, Walker, simulate
+from gpdf_guidance import PERSON, Errors, Guide, Kind, Outcome, Planner, Pose, Urgency, Walker, simulate
 from gpdf_guidance.advice import BLIND, PACES
 from gpdf_guidance.features import FeatureKind
 from gpdf_guidance.guide import LOST, too_tight
@@ -219,6 +219,15 @@ def test_a_planner_that_does_not_answer_is_a_stop_and_a_new_scene_another_way(cl
     assert guide.wants_route(Pose((0.9, 0.9, 0.0), 0.6, 3.2), 3.2)
 
 
+def test_a_way_is_planned_for_the_person_that_is_led(client):
+    here, goal = Pose((0.9, 0.9, 0.0), 0.6, 0.0), (5.4, 3.4)
+    slim, _ = Planner(client, "office", {**PERSON, "width": 0.4}).route(here, goal)
+    assert slim.radius == 0.2
+    wide, why = Planner(client, "office", {**PERSON, "width": 3.0}).route(here, goal)
+    assert wide is None
+    assert "1.50 m" in why
+
+
 def test_nobody_plans_for_a_scene_that_is_not_there(client):
     assert Planner(client, "nowhere").pulse() is None
     route, why = Planner(client, "nowhere").route(Pose((0.0, 0.0, 0.0), 0.0, 0.0), (1.0, 1.0))
@@ -406,7 +415,7 @@ def test_the_command_line_guides_a_simulated_person(endpoint, made, tmp_path, ca
     assert {"stairs", "arrived"} <= {line["kind"] for line in said}
     assert (result["outcome"], result["contact"]) == ("arrived", False)
     assert (tmp_path / "walk.png").read_bytes().startswith(b"\x89PNG")
-    assert main(words) == 0  # the same without the truth
+    assert main([*words, "--width", "0.6", "--height", "1.9"]) == 0  # the same without the truth, for another person
     assert json.loads(capsys.readouterr().out.splitlines()[-1])["contact"] is None
 
 

@@ -69,3 +69,17 @@ def test_behind_a_box_whose_top_was_seen_the_shadow_is_inferred(depth):
     top = np.column_stack([x, y, np.full(x.size, 0.5)])
     box = np.concatenate([upright(along, np.full(len(along), 2.0), 0.5), top])
     assert state_at(surface_of(floor_without(hidden), box), 3.0, 2.0 + depth + 0.25) == INFERRED
+
+
+def test_a_blind_disc_with_single_points_at_one_height_over_it_is_inferred():
+    """Points at much the same height go nowhere: they are no front of which the back was not seen."""
+
+    def disc(x, y):
+        return np.hypot(x - 3.0, y - 3.0) < 0.6
+
+    few = np.array([[2.8, 3.2, 0.095], [2.81, 3.2, 0.105], [2.82, 3.2, 0.11]])
+    surface = surface_of(floor_without(disc), few)
+    for x, y in ((3.0, 3.0), (2.8, 3.2), (3.3, 2.8), (2.6, 3.0)):
+        assert state_at(surface, x, y) == INFERRED
+    front = surface_of(floor_without(disc), upright(np.array([2.8, 2.8, 2.8]), np.array([3.18, 3.2, 3.22]), 0.3))
+    assert not front.contains(np.array([[3.0, 3.0]]))[0]

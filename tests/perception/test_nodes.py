@@ -5,17 +5,23 @@ import pytest
 from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import connected_components
 
-from gpdf_service.perception.layers import build_layers
+from gpdf_service.perception.layers import build_layers, connect
 from gpdf_service.perception.nodes import (
     AROUND,
     components,
+    degrees,
     drops_beside,
     grown_sheet,
     half_way,
     lowest_beside,
+    mean_gradients,
     nodes_over,
+    pairs_across,
+    pairs_within,
+    pieces_with,
     stepped,
 )
+from gpdf_service.perception.segment import HALF
 
 
 @pytest.fixture(scope="module")
@@ -36,9 +42,39 @@ def test_components_are_those_of_scipy_numbered_by_their_first_nodes():
     for count, edges in ((1, 0), (50, 0), (300, 120), (300, 600)):
         a, b = rng.integers(0, count, (2, edges))
         graph = csr_matrix((np.ones(edges), (a, b)), shape=(count, count))
-        found = components(a, b, count)
+        found = components(a, b, np.ones(count, dtype=bool))
         np.testing.assert_array_equal(found, connected_components(graph, directed=False)[1])
         assert (np.diff(np.unique(found, return_index=True)[1]) > 0).all()
+
+
+def test_components_among_some_nodes_leave_the_others_alone():
+    rng = np.random.default_rng(1)
+    (a, b), among = rng.integers(0, 200, (2, 400)), rng.random(200) < 0.5
+    inside = among[a] & among[b]
+    np.testing.assert_array_equal(components(a, b, among), components(a[inside], b[inside], np.ones(200, dtype=bool)))
+
+
+def test_pairs_are_chosen_and_counted_as_by_masks():
+    rng = np.random.default_rng(2)
+    (a, b), among, label = rng.integers(0, 50, (2, 300)), rng.random(50) < 0.4, rng.integers(0, 4, 50)
+    for found, mask in (
+        (pairs_within(a, b, among, True), among[a] & among[b]),
+        (pairs_within(a, b, among, False), among[a] | among[b]),
+        (pairs_across(a, b, label), label[a] != label[b]),
+    ):
+        np.testing.assert_array_equal(found, (a[mask], b[mask]))
+    np.testing.assert_array_equal(degrees(a, b, 50), np.bincount(np.concatenate([a, b]), minlength=50))
+    seeds = rng.random(50) < 0.1
+    np.testing.assert_array_equal(pieces_with(label, seeds, among), among & np.isin(label, label[seeds]))
+
+
+def test_the_mean_gradient_of_a_plane_is_its_slope():
+    x, y = np.meshgrid(np.arange(0.05, 2.0, 0.1), np.arange(0.05, 2.0, 0.1))
+    plane = np.column_stack([x.ravel(), y.ravel(), 0.3 * x.ravel() - 0.1 * y.ravel()])
+    layers = build_layers(plane, 0.1, 0.5)
+    a, b = connect(layers, np.ones(len(layers.cell), dtype=bool), 1.0, HALF)
+    found = mean_gradients(layers.height, layers.cell, layers.shape[1], a, b)
+    np.testing.assert_allclose(found, 0.1 * np.hypot(0.3, 0.1))
 
 
 def test_a_step_reaches_both_ways_and_no_further():

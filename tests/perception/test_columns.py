@@ -1,0 +1,147 @@
+"""The compiled loops over points and cells against the obvious ones."""
+
+import numpy as np
+import pytest
+from scipy import ndimage
+from scipy.spatial import cKDTree
+
+from gpdf_service.perception.columns import (
+    bounds_of,
+    bounds_where,
+    by_cell,
+    cells_of,
+    chosen_rows,
+    ends_of_runs,
+    extent_in,
+    kth_beside,
+    rows_in_box,
+    rows_of_cells,
+    without_rows,
+)
+from gpdf_service.perception.layers import build_layers, splice_layers
+from gpdf_service.perception.limits import median_around
+from gpdf_service.perception.strays import find_strays
+from gpdf_service.perception.surface import HeightMap
+
+CORNER, WIDTH, SHAPE = np.array([-1.0, -2.0]), 0.3, (21, 14)
+
+
+@pytest.fixture(scope="module")
+def points():
+    return np.random.default_rng(0).uniform([-0.9, -1.9, 0.0], [5.0, 2.0, 2.0], (4000, 3))
+
+
+def test_cells_boxes_and_bounds_are_those_of_numpy(points):
+    x, y = np.floor((points[:, :2] - CORNER) / WIDTH).astype(int).T
+    cell = cells_of(points, CORNER, WIDTH, SHAPE)
+    np.testing.assert_array_equal(cell, x * SHAPE[1] + y)
+    low, high = np.array([0.0, -1.0]), np.array([2.0, 1.0])
+    inside = np.flatnonzero(((points[:, :2] >= low) & (points[:, :2] <= high)).all(axis=1))
+    np.testing.assert_array_equal(rows_in_box(points, low, high), inside)
+    chosen = points[:, 2] > 1.0
+    np.testing.assert_array_equal(bounds_of(points), (points[:, :2].min(axis=0), points[:, :2].max(axis=0)))
+    np.testing.assert_array_equal(bounds_where(points, chosen), bounds_of(points[chosen]))
+    np.testing.assert_array_equal(chosen_rows(points, chosen), points[chosen])
+    np.testing.assert_array_equal(
+        without_rows(points, chosen, points[:5]), np.concatenate([points[chosen], points[:5]])
+    )
+    wanted = np.random.default_rng(1).random(SHAPE[0] * SHAPE[1]) < 0.2
+    rows = rows_of_cells(wanted, *by_cell(cell, wanted.size))
+    np.testing.assert_array_equal(np.sort(rows), np.flatnonzero(wanted[cell]))
+
+
+def test_a_place_outside_a_height_map_has_the_cell_next_to_it_and_no_number_has_the_first():
+    surface = HeightMap(np.zeros(2), 0.5, np.zeros((4, 3), np.float32), np.ones((4, 3), np.uint8))
+    ix, iy, inside = surface.cells(np.array([[0.7, 0.2], [-3.0, 9.0], [1e30, 1.4], [np.nan, 0.6]]))
+    assert ix.tolist() == [1, 0, 3, 0]
+    assert iy.tolist() == [0, 2, 2, 1]
+    assert inside.tolist() == [True, False, False, False]
+
+
+def test_the_extent_of_a_cell_is_over_its_low_and_not_over_its_high(points):
+    cell, z = np.arange(4) % 2, np.array([0.0, 0.5, 1.0, 1.5])
+    low, high = extent_in(cell, z, np.array([0.0, 0.5]), np.array([1.0, np.inf]))
+    assert (low.tolist(), high.tolist()) == ([1.0, 1.5], [1.0, 1.5])
+    low, high = extent_in(cell, z, np.full(2, 5.0), np.full(2, 6.0))
+    assert np.isposinf(low).all()
+    assert np.isneginf(high).all()
+
+
+def test_the_kth_neighbour_is_that_of_a_tree(points):
+    cell = cells_of(points, CORNER, WIDTH, SHAPE)
+    picked, found = np.arange(0, len(points), 7), np.empty(len(range(0, len(points), 7)))
+    kth_beside(points, by_cell(cell, SHAPE[0] * SHAPE[1]), (CORNER, WIDTH, SHAPE), picked, 4, 0, len(picked), found)
+    true = cKDTree(points).query(points[picked], k=5)[0][:, 4]
+    near = true <= WIDTH
+    assert near.mean() > 0.5
+    np.testing.assert_allclose(found[near], true[near])
+    assert (found[~near] > WIDTH).all()
+
+
+def test_the_ends_of_runs_are_the_lowest_first_and_the_highest_last():
+    key, z = np.array([2, 1, 2, 1, 2]), np.array([0.3, 0.1, 0.3, 0.1, 0.2])
+    ends = ends_of_runs(key, np.array([3, 1, 4, 2, 0]), z)
+    assert ends.tolist() == [1, 3, 4, 2]
+
+
+def test_columns_are_cut_as_by_hand():
+    rng = np.random.default_rng(3)
+    points = rng.uniform([0, 0, 0], [2, 2, 3], (500, 3))
+    layers = build_layers(points, 0.25, 0.2, 0.01)
+    x, y = np.floor((points[:, :2] - layers.origin) / 0.25).astype(int).T
+    cell, node = x * layers.shape[1] + y, 0
+    for column in np.unique(cell):
+        rows = np.flatnonzero(cell == column)
+        rows = rows[np.argsort(points[rows, 2])]
+        parts = np.split(rows, np.flatnonzero(np.diff(points[rows, 2]) > 0.2) + 1)
+        for part, above in zip(parts, [*parts[1:], None], strict=True):
+            z = points[part, 2]
+            assert layers.cell[node] == column
+            assert (layers.node_of_point[part] == node).all()
+            assert layers.thickness[node] == z[-1] - z[0]
+            assert layers.height[node] == (z[(len(z) - 1) // 2] if z[-1] - z[0] <= 0.54 else z[-1])
+            assert layers.headroom[node] == (np.inf if above is None else points[above[0], 2] - z[-1])
+            node += 1
+    assert node == len(layers.cell)
+    np.testing.assert_array_equal(np.diff(layers.start), np.bincount(layers.cell, minlength=len(layers.start) - 1))
+
+
+def test_spliced_layers_are_those_of_all_points():
+    rng = np.random.default_rng(4)
+    old, new = rng.uniform([0, 0, 0], [2, 2, 3], (2, 800, 3))
+    first = build_layers(old, 0.25, 0.2)
+    changed = rng.random(first.shape[0] * first.shape[1]) < 0.3
+
+    def cells(points):
+        return cells_of(points, first.origin, 0.25, first.shape)
+
+    mixed = np.concatenate([old[~changed[cells(old)]], new[changed[cells(new)]]])
+    fresh = build_layers(new[changed[cells(new)]], 0.25, 0.2, like=first)
+    made, true = splice_layers(first, changed, fresh), build_layers(mixed, 0.25, 0.2, like=first)
+    for name in ("cell", "height", "thickness", "headroom", "start"):
+        np.testing.assert_array_equal(getattr(made, name), getattr(true, name))
+
+
+def test_strays_are_those_with_empty_voxels_around():
+    rng = np.random.default_rng(5)
+    points = np.concatenate([rng.uniform(-2, 2, (300, 3)), rng.uniform(-9, 9, (200, 3))])
+    voxel = np.floor(points / 0.25)
+    apart = np.abs(voxel[:, None] - voxel[None]).max(axis=2)
+    expected = (apart <= 1).sum(axis=1) == 1
+    assert 0 < expected.sum() < len(points)
+    np.testing.assert_array_equal(find_strays(points, 0.25), expected)
+    assert len(find_strays(np.zeros((0, 3)), 0.25)) == 0
+
+
+def test_medians_are_those_of_scipy_and_what_is_unknown_counts_for_nothing():
+    rng = np.random.default_rng(6)
+    values = rng.normal(size=(30, 20))
+    wanted = rng.random(values.shape) < 0.7
+    for reach in (1, 2):
+        found = median_around(values, reach, wanted)
+        np.testing.assert_array_equal(found[wanted], ndimage.median_filter(values, size=2 * reach + 1)[wanted])
+        assert np.isnan(found[~wanted]).all()
+    values[rng.random(values.shape) < 0.4] = np.nan
+    found = median_around(values, 1, np.ones(values.shape, dtype=bool))
+    for i, j in ((5, 5), (12, 7), (20, 15)):
+        assert found[i, j] == np.nanmedian(values[i - 1 : i + 2, j - 1 : j + 2])
