@@ -11,6 +11,7 @@ from gpdf_service.perception import ObstacleKind
 from gpdf_service.perception.surface import UNKNOWN
 from gpdf_service.planning.footprint import disc_places
 from gpdf_service.search import FreeSpace, is_clear
+from gpdf_service.search.motion import RESOLUTION
 from gpdf_service.types import FloatArray, PlanOptions, Status
 
 SAME_GROUND = 0.5
@@ -184,7 +185,8 @@ def _connect(space: FreeSpace, level: int, xy: FloatArray) -> int:
     half = 0.5 * tree.width * tree.size[free]
     center = tree.origin + tree.corner[free] * tree.width + half[:, None]
     gap = np.linalg.norm(center - xy, axis=1) - half
-    radius = min(space.radius, float(space.clearance(level, xy[None])[0][0]) - 1e-9)  # it may start closer
+    room = float(space.clearance(level, xy[None])[0][0]) - RESOLUTION  # with less, only straight away is proven
+    radius = min(space.radius, max(space.reach, room))
     for row in np.argsort(gap)[:32]:
         if is_clear(space.trees[level], xy, center[row], radius):
             return int(free[row]) + space.offsets[level]

@@ -10,6 +10,7 @@ import numpy as np
 from gpdf_service.planning.endpoints import Endpoint, Ends
 from gpdf_service.planning.shape import is_path_clear, shortcut
 from gpdf_service.search import FreeSpace, find_path
+from gpdf_service.search.motion import RESOLUTION
 from gpdf_service.types import FloatArray
 
 Leg = tuple[int, FloatArray]
@@ -114,4 +115,4 @@ def _distinct(path: FloatArray) -> FloatArray:
 def _radius(space: FreeSpace, level: int, path: FloatArray) -> float:
     """The search's radius; the body's own where an end lies closer than the margin."""
     ends = space.clearance(level, path[[0, -1]])[0]
-    return min(space.radius, max(space.reach, float(ends.min()) - 1e-9))
+    return min(space.radius, max(space.reach, float(ends.min()) - RESOLUTION))

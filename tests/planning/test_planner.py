@@ -240,3 +240,20 @@ def test_round_a_corner_a_path_keeps_its_share_of_the_room_it_wants(name):
         kept.append(result.certificate.min_clearance / agent.disc_radius)
     assert 0.45 < kept[0] < 0.75  # of the preferred clearance, which is one radius; it rests before it is taut
     assert max(0.75, kept[0] + 0.1) < kept[1] < 1.0
+
+
+def test_a_body_leaves_a_place_where_it_just_fits(office):
+    """A millimetre beside what stops it: only the ways straight out are proven with all of the room that is there."""
+    scene, rng = office[1], np.random.default_rng(1)
+    space = scene.free_space("human")
+    places = rng.uniform([0.3, 0.3], [5.7, 4.7], (400, 2))
+    room = space.clearance(0, places)[0] - space.reach
+    inside, outside = places[(room < 0.0) & (room > -0.1)], places[room > 0.1]
+    assert len(inside) > 11
+    for a in inside[:12]:
+        b = outside[np.linalg.norm(outside - a, axis=1).argmin()]
+        line = a + np.linspace(0.0, 1.0, 20_001)[:, None] * (b - a)
+        just = line[np.abs(space.clearance(0, line)[0] - space.reach - 0.0012).argmin()]
+        result = gpdf.plan(scene, just, b, "human")
+        assert result.status is gpdf.Status.OK, result.message
+        assert result.certificate.min_clearance >= 0.0
