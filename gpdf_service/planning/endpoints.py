@@ -12,7 +12,7 @@ from gpdf_service.perception.surface import UNKNOWN
 from gpdf_service.planning.footprint import disc_places
 from gpdf_service.search import FreeSpace, is_clear
 from gpdf_service.search.motion import RESOLUTION
-from gpdf_service.types import FloatArray, PlanOptions, Status
+from gpdf_service.types import FloatArray, IntArray, PlanOptions, Status
 
 SAME_GROUND = 0.5
 """[m] A given height means the level within this of it: half of the least headroom between two storeys is far more."""
@@ -126,6 +126,7 @@ def find_endpoint(space: FreeSpace, place: FloatArray, name: str) -> Endpoint | 
         return Refusal(Status.AMBIGUOUS_LEVEL, words)
     else:
         level = int(there[0])
+    level = _roomiest(space, there[np.abs(heights[there] - heights[level]) <= space.surfaces[level].cell_width], xy)
     distance, kind = space.clearance(level, xy)
     if distance[0] < space.reach:
         what = REASONS[ObstacleKind(int(kind[0]))]
@@ -144,6 +145,11 @@ def find_endpoint(space: FreeSpace, place: FloatArray, name: str) -> Endpoint | 
     if node < 0:
         return Refusal(occupied, f"the {space.agent.name} cannot leave the {name} {_at(place)} in any direction.")
     return Endpoint(xy[0], level, node)
+
+
+def _roomiest(space: FreeSpace, levels: IntArray, xy: FloatArray) -> int:
+    """Of levels that are the same ground at a place, (1, 2), the one with most room: sheets end where others go on."""
+    return int(max(levels, key=lambda level: float(space.clearance(int(level), xy)[0][0])))
 
 
 def _faces_somewhere(space: FreeSpace, level: int, xy: FloatArray, room: float) -> bool:

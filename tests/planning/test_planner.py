@@ -14,6 +14,7 @@ from gpdf_service.planning.chomp import optimize, solve_banded
 from gpdf_service.planning.shape import resample
 from gpdf_service.synthetic import SCENES, Box, World, random_room
 from gpdf_service.types import AGENTS
+from tests.clients.two_storeys import make_house
 
 
 def scene_of(world, seed=0, spacing=0.05):
@@ -257,3 +258,13 @@ def test_a_body_leaves_a_place_where_it_just_fits(office):
         result = gpdf.plan(scene, just, b, "human")
         assert result.status is gpdf.Status.OK, result.message
         assert result.certificate.min_clearance >= 0.0
+
+
+def test_where_two_levels_are_the_same_ground_a_place_has_the_room_of_the_roomier_one():
+    house = make_house(np.random.default_rng(0))
+    scene = gpdf.build_scene(house.points, house.ground)
+    assert len(scene.surfaces) > 1
+    ahead = np.array([np.cos(house.up), np.sin(house.up), 0.0])
+    for behind in np.arange(0.3, 1.0, 0.1):  # on the upper floor, where the sheet of the stair ends
+        result = gpdf.plan(scene, house.head + behind * ahead, house.high, "human")
+        assert (result.status, result.message) == (gpdf.Status.OK, "")
