@@ -37,5 +37,5 @@ def test_stairs_are_begun_and_left_in_their_line(house, down):
     aside, askew = made.crossings(walk.places)
     assert max(aside) < made.half_width - 0.15  # half a stance
     assert max(askew) < LARGEST_ASKEW
-    (told,) = (said.instruction for said in walk.said if said.instruction.kind is Kind.STAIRS)
-    assert 1.0 <= told.distance <= 3.0
+    first = next(said.instruction for said in walk.said if said.instruction.kind is Kind.STAIRS)
+    assert 1.0 <= first.distance <= 3.0  # it may be said again at the foot
