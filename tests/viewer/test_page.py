@@ -138,7 +138,7 @@ def test_a_body_with_measures_of_its_own(operator):
     height.fill("0.1")
     height.press("Enter")
     until(lambda: path_on_screen(operator) is not None and path_on_screen(operator)[:, 2].max() < 0.1)
-    assert operator.web.get_by_label("Body", exact=True).input_value() == "own"
+    until(lambda: operator.web.get_by_label("Body", exact=True).input_value() == "own")
     assert operator.page.desk.body.wire["max_step"] == 0.1
     operator.presses("Compare the bodies")
     rows = operator.web.get_by_role("row")
