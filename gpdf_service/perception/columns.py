@@ -448,9 +448,9 @@ def ends_of_runs(key: IntArray, order: IntArray, z: FloatArray) -> IntArray:
 
 @njit(cache=True, nogil=True)
 def lowest_above(
-    keys: IntArray, ends: FloatArray, points: FloatArray, asked: IntArray, stride: int, reach: float, slack: float
+    keys: IntArray, ends: FloatArray, points: FloatArray, asked: IntArray, stride: int, reach: float, least: FloatArray
 ) -> FloatArray:
-    """Least height of the `ends` that are within `reach` of each point in plan and at most `slack` under it [m].
+    """Least height of the `ends` that are within `reach` of each point in plan and no lower than its `least` [m].
 
     Args:
         keys: Cell of each of the ends, ascending, shape (e,).
@@ -459,7 +459,7 @@ def lowest_above(
         asked: Cell of each point, shape (m,); two cells to all sides of it are looked at.
         stride: Cells of a row of the grid.
         reach: [m].
-        slack: [m].
+        least: [m], shape (m,).
     """
     best = np.full(len(points), np.inf)
     for i in range(len(points)):
@@ -469,6 +469,6 @@ def lowest_above(
                 if keys[e] > first + 4:
                     break
                 near = np.hypot(ends[e, 0] - points[i, 0], ends[e, 1] - points[i, 1]) <= reach
-                if near and points[i, 2] - slack <= ends[e, 2] < best[i]:
+                if near and least[i] <= ends[e, 2] < best[i]:
                     best[i] = ends[e, 2]
     return best

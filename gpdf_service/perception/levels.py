@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from math import ceil
 
 import numpy as np
 from numpy.typing import NDArray
@@ -381,7 +382,6 @@ def find_ledges(surface: HeightMap, ground: FloatArray, other: FloatArray, noise
 
     No cure takes the `noise` [m] along a face out of it: its upper rim stands over the ground behind it by as much.
     """
-    scatter = max(LEAST_OBSTACLE, noise)
     reach = max(surface.cell_width, RESOLVED_STEP * noise)
     high = high_ground(surface)
 
@@ -399,7 +399,10 @@ def find_ledges(surface: HeightMap, ground: FloatArray, other: FloatArray, noise
     ground = ground[low(ground)]
     ledge = np.full(len(other), np.inf, np.float32)
     if len(ground) and asked.any():
-        ledge[asked] = next_above(ground, other[asked], scatter)
+        z = other[asked, 2]
+        ledge[asked] = next_above(
+            ground, other[asked], np.maximum(z - LEAST_OBSTACLE, step_over(surface, noise)[ix, iy])
+        )
     if noise > 0.0 and len(ground):
         _add_rims(ledge, asked, ground, other, noise)
     return ledge
@@ -408,22 +411,26 @@ def find_ledges(surface: HeightMap, ground: FloatArray, other: FloatArray, noise
 def _add_rims(
     ledge: NDArray[np.float32], asked: BoolArray, ground: FloatArray, other: FloatArray, noise: float
 ) -> None:
-    """Give points over a step's edge its `ledge`, where they are so few beside those of its face that noise made them.
+    """Give points over a step's edge its `ledge`: within a deviation, or so few beside its face that noise made them.
 
     Over one deviation are 0.08 of the points of a face's last deviation, under its edge are 1.6 down to two deviations.
     A point is no witness for itself: where a face has five points, one of them over its edge is no lip.
     """
     rows = np.flatnonzero(asked & np.isinf(ledge))
-    rim = next_above(ground, other[rows], RESOLVED_STEP * noise)
-    rows, rim = rows[np.isfinite(rim)], rim[np.isfinite(rim)]
+    upside_down = np.array([1.0, 1.0, -1.0])
+    edges = -next_above(ground * upside_down, other[rows] * upside_down, -other[rows, 2])
+    over = other[rows, 2] - edges
+    ledge[rows[over <= noise]] = edges[over <= noise]
+    rim = (over > noise) & (over <= RESOLVED_STEP * noise)
+    rows, edges = rows[rim], edges[rim]
     if len(rows) == 0:
         return
     beside = cKDTree(other[asked, :2]).query_ball_point(other[rows, :2], FACE)
     z = other[asked, 2]
-    for row, edge, near in zip(rows, rim, beside, strict=True):
-        over = (z[near] - edge) / noise
-        face = np.count_nonzero((over > -2.0) & (over <= 0.0))
-        if face > 0 and np.count_nonzero(over > 1.0) - 1 <= RIM_SHARE * face:
+    for row, edge, near in zip(rows, edges, beside, strict=True):
+        above = (z[near] - edge) / noise
+        face = np.count_nonzero((above > -2.0) & (above <= 0.0))
+        if face > 0 and np.count_nonzero(above > 1.0) - 1 <= RIM_SHARE * face:
             ledge[row] = edge
 
 
@@ -434,10 +441,21 @@ def high_ground(surface: HeightMap) -> FloatArray:
     return high
 
 
-def next_above(ground: FloatArray, points: FloatArray, scatter: float = LEAST_OBSTACLE) -> NDArray[np.float32]:
-    """Height of the lowest `ground` point (n, 3) that is as high as each of `points` (m, 3) and within `FACE` in plan.
+def step_over(surface: HeightMap, noise: float) -> FloatArray:
+    """How high ground is that is a step over the lowest around each cell [m], shape (nx, ny); a lower one is none."""
+    low = np.where(surface.state != UNKNOWN, surface.height, np.inf)
+    rings = astray(surface, noise)
+    found: FloatArray = ndimage.minimum_filter(low, size=2 * rings + 1) + max(LEAST_OBSTACLE, noise)
+    return found
 
-    As high is within the `scatter` of the points [m].
+
+def astray(surface: HeightMap, noise: float) -> int:
+    """How many cells a point of a step's face may lie from the ground under or over it."""
+    return max(1, ceil(RESOLVED_STEP * noise / surface.cell_width))
+
+
+def next_above(ground: FloatArray, points: FloatArray, least: FloatArray) -> NDArray[np.float32]:
+    """Height of the lowest `ground` point (n, 3) over `least` (m,) and within `FACE` in plan of the `points` (m, 3).
 
     Of each cell half as wide only the highest and the lowest ground point are looked at: so a step can be taken for a
     higher one, never for a lower one, and inf stands where nothing was found. Shape (m,) [m].
@@ -456,7 +474,7 @@ def next_above(ground: FloatArray, points: FloatArray, scatter: float = LEAST_OB
     keys, ends = key[rows], np.ascontiguousarray(ground[rows])
 
     def look(a: int, b: int) -> None:
-        best[a:b] = lowest_above(keys, ends, points[a:b], here[a:b], stride, FACE, scatter)
+        best[a:b] = lowest_above(keys, ends, points[a:b], here[a:b], stride, FACE, least[a:b])
 
     run_chunked(look, len(points))
     return best.astype(np.float32)

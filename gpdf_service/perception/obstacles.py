@@ -10,13 +10,15 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from gpdf_service.fields.threads import run_chunked
-from gpdf_service.perception.levels import FACE, LEAST_OBSTACLE, GroundLevel
+from gpdf_service.perception.levels import FACE, LEAST_OBSTACLE, GroundLevel, astray
 from gpdf_service.perception.limits import ObstacleKind
 from gpdf_service.perception.surface import INFERRED, UNKNOWN, HeightMap
 from gpdf_service.types import Agent, BoolArray, FloatArray, IntArray
 
 HEADROOM_SHARE = 0.01
 """[-] How well a scan knows the room over the ground, over the body's height: 2 cm for a person, 1 mm for a Roomba."""
+_SURELY = 2.0
+"""[-] Standard deviations by which what is no ground must be measured lower than an obstacle is, not to be one."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,7 +48,7 @@ def obstacles_of(level: GroundLevel, agent: Agent, noise: float = 0.0) -> Obstac
 
 def _material(level: GroundLevel, agent: Agent, noise: float) -> BoolArray:
     surface, points = level.surface, level.other_points
-    least = max(LEAST_OBSTACLE, noise)
+    least = max(LEAST_OBSTACLE, _SURELY * noise)
     known = surface.state != UNKNOWN
     top = np.where(known, surface.height, -np.inf)
     bottom = np.where(known, surface.height, np.inf)
@@ -55,7 +57,7 @@ def _material(level: GroundLevel, agent: Agent, noise: float) -> BoolArray:
     z, tall = points[:, 2], (1.0 - HEADROOM_SHARE) * agent.height + noise
     lowest = ndimage.minimum_filter(bottom, footprint=disc)[ix, iy]
     stops = (z < ndimage.maximum_filter(top, footprint=disc)[ix, iy] + tall) & (z >= lowest - least)
-    stops[stops] = ~_is_face(level, np.flatnonzero(stops), agent.max_step, least)
+    stops[stops] = ~_is_face(level, np.flatnonzero(stops), agent.max_step, noise)
     # Beside a step the question is which ground the body stands on; not on what stops it wherever it stands.
     always = stops & (z < lowest + tall)
     free = np.ones(known.shape, dtype=bool)
@@ -66,18 +68,21 @@ def _material(level: GroundLevel, agent: Agent, noise: float) -> BoolArray:
     return found
 
 
-def _is_face(level: GroundLevel, rows: IntArray, max_step: float, least: float) -> BoolArray:
+def _is_face(level: GroundLevel, rows: IntArray, max_step: float, noise: float) -> BoolArray:
     """Which of the points belong to the ground: its scatter, or the face of a step that the body takes.
 
-    A face lies between the ground next below it and the ground next above it. Cells can be wider than a tread, so the
-    upper one must be a point of the ground right beside; or inferred, as a tread in a shadow is.
+    A face lies between two pieces of ground, the upper one beside it and no lower than it, the lower one not far: noise
+    moves a point off its face by some deviations. Cells can be wider than a tread, so the upper one must be a point of
+    the ground right beside; or inferred, as a tread in a shadow is. Ground that is no step over any other is no upper
+    one: what stands on a floor is not the floor's face, however low it is.
     """
     surface, points, near = level.surface, level.other_points[rows], level.surface.cell_width <= FACE
     ix, iy, _ = surface.cells(points)
     known = np.where(surface.state != UNKNOWN, surface.height, np.float32(np.nan))
     inferred, ledge, face = surface.state == INFERRED, level.ledge[rows], np.zeros(len(rows), dtype=bool)
+    rings = astray(surface, noise)
     run_chunked(
-        lambda a, b: _faces(points, ix, iy, known, inferred, ledge, near, max_step, least, a, b, face), len(rows)
+        lambda a, b: _faces(points, ix, iy, known, inferred, ledge, near, rings, max_step, noise, a, b, face), len(rows)
     )
     return face
 
@@ -91,27 +96,37 @@ def _faces(
     inferred: BoolArray,
     ledges: NDArray[np.float32],
     near: bool,
+    rings: int,
     max_step: float,
-    least: float,
+    noise: float,
     begin: int,
     end: int,
     face: BoolArray,
 ) -> None:
     """`_is_face`; a tread in a shadow counts in the cells around if they are `near`, else in the point's own."""
+    nx, ny = known.shape
+    step = max(LEAST_OBSTACLE, noise)
     for m in range(begin, end):
-        z, foot, lowest, ledge = points[m, 2], -np.inf, np.inf, float(ledges[m])
-        for i in range(max(ix[m] - 1, 0), min(ix[m] + 2, known.shape[0])):
-            for j in range(max(iy[m] - 1, 0), min(iy[m] + 2, known.shape[1])):
+        z, ledge, under, over, lowest, foot = points[m, 2], float(ledges[m]), np.inf, -np.inf, np.inf, -np.inf
+        around = known[max(ix[m] - rings, 0) : ix[m] + rings + 1, max(iy[m] - rings, 0) : iy[m] + rings + 1].ravel()
+        for height in around:  # NaN, where it is unknown, compares false
+            if height < under:
+                under = float(height)
+            if height > over:
+                over = float(height)
+        for i in range(max(ix[m] - 1, 0), min(ix[m] + 2, nx)):
+            for j in range(max(iy[m] - 1, 0), min(iy[m] + 2, ny)):
                 beside = float(known[i, j])
-                if np.isnan(beside):
-                    continue
-                lowest = min(lowest, beside)
-                if beside <= z:
-                    foot = max(foot, beside)
-                if inferred[i, j] and beside >= z - least and (near or (i == ix[m] and j == iy[m])):
-                    ledge = min(ledge, beside)
-        foot = max(foot, lowest)
-        face[m] = np.isfinite(foot) and (z <= lowest + least or ledge <= foot + max_step)
+                if beside < lowest:
+                    lowest = beside
+                own = near or (i == ix[m] and j == iy[m])
+                if inferred[i, j] and own and max(z - step, under + step) <= beside < ledge:
+                    ledge = beside
+        for height in around:
+            if foot < height <= ledge - step:
+                foot = float(height)
+        scatter = step if over - under > step else LEAST_OBSTACLE - _SURELY * noise
+        face[m] = ledge <= foot + max_step or (np.isfinite(lowest) and z <= lowest + scatter)
 
 
 def _disc(radius: float, surface: HeightMap) -> BoolArray:

@@ -5,7 +5,7 @@ from gpdf_service import build_scene, plan
 from gpdf_service.config import PerceptionConfig
 from gpdf_service.errors import NoGroundError
 from gpdf_service.perception import ObstacleKind, build_levels, obstacles_of, read_cloud, segment_ground
-from gpdf_service.perception.levels import find_ledges, next_above, without_outliers
+from gpdf_service.perception.levels import find_ledges, next_above, survey_levels, without_outliers
 from gpdf_service.perception.limits import step_and_slope
 from gpdf_service.perception.strays import find_strays
 from gpdf_service.perception.surface import INFERRED, OBSERVED, UNKNOWN, HeightMap
@@ -307,15 +307,43 @@ def test_on_coarse_cells_a_bump_beside_a_low_step_is_no_step_face():
 
 def test_the_ground_next_above_is_the_lowest_that_is_near_and_high_enough():
     ground = np.array([[0.0, 0.0, 0.0], [0.05, 0.0, 0.2], [0.0, 0.06, 0.4], [0.2, 0.0, 0.15]])
-    found = next_above(ground, np.array([[0.0, 0.0, 0.1], [0.0, 0.0, 0.3], [0.0, 0.0, 0.5], [5.0, 5.0, 0.0]]))
+    places = np.array([[0.0, 0.0, 0.1], [0.0, 0.0, 0.3], [0.0, 0.0, 0.5], [5.0, 5.0, 0.0]])
+    found = next_above(ground, places, places[:, 2])
     assert found == pytest.approx([0.2, 0.4, np.inf, np.inf])
 
 
 def test_the_rim_of_a_noisy_face_is_the_faces_and_what_is_higher_is_not():
     ground = np.array([[0.0, 0.0, 0.0], [0.05, 0.0, 0.35]])
     rim = np.array([[0.0, 0.0, 0.39], [0.0, 0.0, 0.41]])
-    assert next_above(ground, rim) == pytest.approx([np.inf, np.inf])
-    assert next_above(ground, rim, 0.05) == pytest.approx([0.35, np.inf])
+    assert next_above(ground, rim, rim[:, 2]) == pytest.approx([np.inf, np.inf])
+    assert next_above(ground, rim, rim[:, 2] - 0.05) == pytest.approx([0.35, np.inf])
+
+
+def test_what_stands_where_no_ground_is_known_is_no_face():
+    x, y = (a.ravel() for a in np.meshgrid(np.arange(0, 4, 0.05), np.arange(0, 4, 0.05)))
+    floor = np.column_stack([x, y, np.zeros(len(x))])[(x < 2.0) | (y > 3.5)]
+    wall = np.column_stack([np.full(40, 2.2), np.linspace(0.5, 2.5, 40), np.linspace(0.1, 1.9, 40)])
+    cloud = np.concatenate([floor, wall])
+    level = build_levels(cloud, np.arange(len(cloud)) < len(floor), CONFIG).levels[0]
+    ix, iy, inside = level.surface.cells(wall)
+    assert inside.all() and (level.surface.state[ix, iy] == UNKNOWN).all()
+    found = obstacles_of(level, AGENTS["human"])
+    assert (found.kind == ObstacleKind.MATERIAL).sum() == len(wall)
+
+
+@pytest.mark.parametrize("noise", [0.02, 0.05])
+def test_what_is_labelled_as_no_ground_is_no_noise_of_the_floor_however_low_it_is(noise):
+    rng = np.random.default_rng(0)
+    x, y = (a.ravel() for a in np.meshgrid(np.arange(0, 4, 0.05), np.arange(0, 4, 0.05)))
+    floor = np.column_stack([x, y, rng.normal(0.0, 0.2 * noise, len(x))])  # what the cure leaves
+    things = np.array([[1.0, 1.0, 0.8 * noise], [2.0, 3.0, -0.5 * noise], [3.0, 1.0, 0.02]])
+    far_below = np.array([[2.0, 2.0, -3.0 * noise]])
+    cloud = np.concatenate([floor, things, far_below])
+    level = survey_levels(cloud, np.arange(len(cloud)) < len(floor), CONFIG, noise=noise)[0].levels[0]
+    found = obstacles_of(level, AGENTS["human"], noise)
+    material = found.points[found.kind == ObstacleKind.MATERIAL]
+    assert sorted(material[:, 0]) == pytest.approx([1.0, 2.0, 3.0])
+    assert not (np.abs(material[:, 1] - 2.0) < 0.1).any()
 
 
 def test_single_cells_of_a_noisy_floor_are_no_steps_and_corners_stay():
