@@ -110,7 +110,10 @@ def plan(
             raise RequestError("method", f"{method!r} with options of the planner", words)
         return plan_baseline(scene, *ends, body, method, deadline=deadline, clock=clock)
     space = scene.free_space(body)
-    return plan_path(space, *ends, scene.config.planning, options=options, deadline=deadline, clock=clock)
+    result = plan_path(space, *ends, scene.config.planning, options=options, deadline=deadline, clock=clock)
+    if result.certificate is None:
+        return result
+    return replace(result, certificate=replace(result.certificate, hidden_height=scene.hidden_height))
 
 
 def _check_options(

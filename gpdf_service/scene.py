@@ -18,7 +18,7 @@ from scipy.ndimage import binary_fill_holes
 
 from gpdf_service.config import Config
 from gpdf_service.errors import CloudError, FieldError
-from gpdf_service.fields import Gpdf, fit_gpdf
+from gpdf_service.fields import FAR, Gpdf, fit_gpdf
 from gpdf_service.fields.spacing import estimate_spacing, thin
 from gpdf_service.perception import (
     GroundLevel,
@@ -36,6 +36,8 @@ from gpdf_service.perception import (
 )
 from gpdf_service.perception.columns import without_rows
 from gpdf_service.perception.layers import in_steps
+from gpdf_service.perception.levels import LEAST_OBSTACLE
+from gpdf_service.perception.segment import LEAST_SCATTER
 from gpdf_service.perception.surface import UNKNOWN
 from gpdf_service.search import FreeSpace, build_free_space, change_free_space, from_arrays, to_arrays
 from gpdf_service.store import Arrays, flatten, read_arrays, restore, under, write_arrays
@@ -213,6 +215,15 @@ class Scene:
     def surfaces(self) -> tuple[HeightMap, ...]:
         """The ground of each level as a height map."""
         return tuple(level.surface for level in self.levels.levels)
+
+    @property
+    def hidden_height(self) -> float:
+        """How high over the ground a thing can stand without being seen [m].
+
+        Labels tell a thing from the ground however low it is. Without them what lies within the ground's scatter is
+        ground, and so is a single point that noise can have lifted off it: the cure puts it back there.
+        """
+        return LEAST_OBSTACLE if self.labelled else max(LEAST_SCATTER, FAR * self.noise)
 
     @property
     def ground_field(self) -> GroundField:
@@ -396,6 +407,7 @@ class Scene:
             "levels": [_level_info(i, self.levels.levels[i], self.ground_fields[i]) for i in range(len(self.surfaces))],
             "portals": len(self.levels.portals),
             "noise": self.noise,
+            "hidden_height": self.hidden_height,
         }
 
     def save(self, path: str | os.PathLike[str]) -> None:

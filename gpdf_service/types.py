@@ -219,6 +219,8 @@ class Certificate:
         max_slope: Steepest ground stood on [rad].
         holds: Whether every limit of the body is kept; a result is OK only if it does.
         reason: In words, the first limit that is broken; empty when `holds`.
+        hidden_height: What stands no higher than this over the ground may be on the way unseen [m]: where our own
+            segmentation found the ground, low things look like its scatter, and single points like its noise.
     """
 
     min_clearance: float
@@ -229,6 +231,7 @@ class Certificate:
     max_slope: float
     holds: bool
     reason: str = ""
+    hidden_height: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)

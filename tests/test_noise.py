@@ -66,6 +66,28 @@ def test_no_plan_in_a_noisy_scene_touches_the_clean_one(made, scene, clean, agen
     assert all(judge.judge(answer.trajectory, body).collision_free for answer in good)
 
 
+def test_what_can_be_hidden_is_said(noisy, unlabelled, clean):
+    assert noisy.hidden_height == clean.hidden_height < 0.02  # labels tell what is low
+    assert 3 * NOISE < unlabelled.hidden_height < 5 * NOISE
+    result = gpdf.plan(unlabelled, (0.9, 0.9), (5.4, 0.9))
+    assert result.certificate.hidden_height == unlabelled.info()["hidden_height"] == unlabelled.hidden_height
+
+
+@pytest.mark.slow
+def test_low_things_that_the_labels_tell_stop_a_body_in_a_noisy_scene(made):
+    rng = np.random.default_rng(7)
+    low = np.repeat(np.column_stack([rng.uniform(0.5, 4.5, (25, 2)), rng.uniform(0.03, 0.12, 25)]), 5, axis=0)
+    low[:, :2] += rng.uniform(-0.03, 0.03, (len(low), 2))
+    points = np.concatenate([made.points, low])
+    ground = np.append(made.ground, np.zeros(len(low), dtype=bool))
+    noisy = gpdf.build_scene(points + rng.normal(size=points.shape) * NOISE, ground)
+    clean, judge, body = gpdf.build_scene(points, ground), Judge(points, ground), gpdf.AGENTS["human"]
+    answers = [gpdf.plan(noisy, a, b, body) for a, b in random_places(clean, body, 40, rng)]
+    good = [answer for answer in answers if answer.status is gpdf.Status.OK]
+    assert len(good) >= 10
+    assert all(judge.judge(answer.trajectory, body).collision_free for answer in good)
+
+
 def test_moving_obstacles_do_not_make_a_noisy_scene_a_clean_one(noisy):
     assert noisy.with_obstacles(np.array([[2.0, 2.0, 1.0]])).noise == noisy.noise
 

@@ -62,8 +62,9 @@ def to_markdown(rows: Sequence[Row], noise: float) -> str:
         f"Input with {100 * noise:.0f} cm of noise, judged against the clean cloud. The first rate is of the queries",
         "that a brute-force search on the true geometry solves, a refusal being a failure; the second is of those",
         "that got a path. In brackets, the paper's. PRM and A* keep the body's radius here, and the one field sees all",
-        "of the body, which lifts them over the paper's; scenes stand in for its data sets. `low_in_ok`: of the",
-        "collisions in OK answers, those with nothing higher over the ground than three deviations of the noise.",
+        "of the body, which lifts them over the paper's; scenes stand in for its data sets. As in the paper, the",
+        "ground is given: labels, or our segmentation of the clean cloud; with `--ignore-labels`, of the noisy one.",
+        "`low_in_ok`: collisions in OK answers with nothing higher than the certificate's `hidden_height`.",
     ]
     for title, key, printed, form in TABLES:
         for how, words in JUDGED.items():

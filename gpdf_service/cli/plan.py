@@ -59,6 +59,11 @@ def run(args: argparse.Namespace) -> int:
                 f"{result.trajectory.length:.2f} m in {result.trajectory.duration:.1f} s, "
                 f"clearance at least {result.certificate.min_clearance:.3f} m, planned in {1000 * seconds:.0f} ms"
             )
+            if scene.noise > 0.0 and not scene.labelled:
+                hidden = 100 * result.certificate.hidden_height
+                print(
+                    f"the cloud is noisy: what is no higher than {hidden:.0f} cm over the ground may be missing from it"
+                )
     return 0 if result.status is Status.OK else 1
 
 

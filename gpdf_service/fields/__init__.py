@@ -1,5 +1,6 @@
 """Gaussian-process distance fields: distance and gradient for the price of a nearest-neighbour query."""
 
+from gpdf_service.fields.denoise import FAR as FAR
 from gpdf_service.fields.denoise import Cured as Cured
 from gpdf_service.fields.denoise import denoise as denoise
 from gpdf_service.fields.denoise import find_loose as find_loose

@@ -42,7 +42,7 @@ _CLEARLY = 2.5
 """[-] Ratio of two variances at which a neighbourhood is wider than thick."""
 _EXTREME = 1.5
 """[-] Standard deviation of a point that was not moved over the noise: the nearest of many is an extreme one."""
-_FAR = 4.0
+FAR = 4.0
 """[-] Standard deviations: a point further off a plane is not of it, whatever it is."""
 _SLAB = 3.5
 """[-] Standard deviations to either side of a point that its surface is looked for in, once its normal is known: what
@@ -166,7 +166,7 @@ def _follow(
     normal = normals[nearest]
     across = np.einsum("ij,ij->i", aside, normal)
     place = np.where(normal.any(axis=1)[:, None], points[rows] - across[:, None] * normal, moved[nearest])
-    close = (off <= _FAR * noise + spacing) & (np.linalg.norm(place - points[rows], axis=1) <= _FAR * noise)
+    close = (off <= FAR * noise + spacing) & (np.linalg.norm(place - points[rows], axis=1) <= FAR * noise)
     moved[rows[close]], left[rows[close]] = place[close], left[nearest[close]]
 
 
@@ -232,7 +232,7 @@ def _approach_range(
             aside = max(mean[0] ** 2 + mean[1] ** 2 + mean[2] ** 2 - across * across, 0.0)
             error = sigma * sqrt((1.0 + aside / middle) / count)
             shift = across / slant
-            if abs(shift) > _FAR * sigma:  # not a point of that plane
+            if abs(shift) > FAR * sigma:  # not a point of that plane
                 break
             low_end, high_end = max(low_end, shift - _AGREE * error), min(high_end, shift + _AGREE * error)
             if low_end > high_end:
@@ -280,7 +280,7 @@ def _settle_range(
                 edge = _pole(wide, centre, x, radii, sigma, near, place)
             error = edge if edge > 0.0 else error
         place += centre
-        if error > 0.0 and _apart(place, points[i]) <= _FAR * sigma:
+        if error > 0.0 and _apart(place, points[i]) <= FAR * sigma:
             moved[i], left[i] = place, _BIAS * error
 
 

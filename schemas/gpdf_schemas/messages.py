@@ -159,6 +159,7 @@ class CertificateMessage(msgspec.Struct, frozen=True):
     max_slope: float
     holds: bool
     reason: str = ""
+    hidden_height: float = 0.0
 
 
 class Reply(msgspec.Struct, frozen=True, kw_only=True):

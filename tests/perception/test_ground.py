@@ -326,7 +326,8 @@ def test_what_stands_where_no_ground_is_known_is_no_face():
     cloud = np.concatenate([floor, wall])
     level = build_levels(cloud, np.arange(len(cloud)) < len(floor), CONFIG).levels[0]
     ix, iy, inside = level.surface.cells(wall)
-    assert inside.all() and (level.surface.state[ix, iy] == UNKNOWN).all()
+    assert inside.all()
+    assert (level.surface.state[ix, iy] == UNKNOWN).all()
     found = obstacles_of(level, AGENTS["human"])
     assert (found.kind == ObstacleKind.MATERIAL).sum() == len(wall)
 

@@ -59,6 +59,7 @@ def test_a_plan_over_zenoh_is_the_plan_in_process(running, office):
     np.testing.assert_allclose(over.trajectory.times, inside.trajectory.times, atol=1e-6)
     assert over.certificate.min_clearance == pytest.approx(inside.certificate.min_clearance, abs=1e-6)
     assert over.certificate.holds
+    assert over.certificate.hidden_height == inside.certificate.hidden_height > 0
 
 
 def test_the_options_of_a_plan_go_over_zenoh(running, office):
