@@ -49,6 +49,8 @@ MAX_CACHED_AGENTS = 16
 """Free spaces kept for one scene; the least recently used goes first. A fleet has few kinds of body."""
 MAX_DRIFT = 0.05
 """[-] Share of the points that may change before spacing and noise, medians over the whole cloud, are measured anew."""
+SUNK = 2.0
+"""[-] Standard deviations that noise can have sunk a point: further once in forty times."""
 NOISE_STEP = 0.001
 """[m] Noise counts in steps, so that a cloud which changes a little is as noisy as before."""
 
@@ -221,9 +223,9 @@ class Scene:
         """How high over the ground a thing can stand without being seen [m].
 
         Labels tell a thing from the ground however low it is. Without them what lies within the ground's scatter is
-        ground, and so is a single point that noise can have lifted off it: the cure puts it back there.
+        ground, and so are single points that noise can have lifted off it; it can have sunk these, too.
         """
-        return LEAST_OBSTACLE if self.labelled else max(LEAST_SCATTER, FAR * self.noise)
+        return LEAST_OBSTACLE if self.labelled else max(LEAST_SCATTER, (FAR + SUNK) * self.noise)
 
     @property
     def ground_field(self) -> GroundField:

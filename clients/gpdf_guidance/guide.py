@@ -15,7 +15,7 @@ from gpdf_client import Client, ClientError, ServiceError, Status, Trajectory
 from gpdf_schemas import CueAction, CueMessage
 from numpy.typing import NDArray
 
-from gpdf_guidance.advice import BLIND, PACES, Advice, advise, stop
+from gpdf_guidance.advice import BLIND, LEAST_OBSTACLE, PACES, Advice, advise, stop
 from gpdf_guidance.ahead import is_hidden_step
 from gpdf_guidance.announcer import Announcer
 from gpdf_guidance.belief import Belief, believe
@@ -110,6 +110,8 @@ class Planner:
                     why = result.message
                     continue
                 route, oblique, why = self._squarest(result.trajectory, body, pose, result.scene_version)
+                if route is not None and result.certificate is not None:
+                    route = replace(route, hidden_height=result.certificate.hidden_height)
             except ServiceError as error:  # it failed for this width
                 why = str(error)
                 continue
@@ -294,7 +296,11 @@ class Guide:
         )
         walks = advice.action in (CueAction.GO, CueAction.SLOW)
         resume = (Instruction(Kind.RESUME, Urgency.DANGER),) if self._told_to_stop and walks else ()
-        return resume + worth
+        hidden = 0.0 if self.route is None else self.route.hidden_height
+        low = (
+            (Instruction(Kind.LOW_UNSEEN, Urgency.PREPARE, amount=hidden),) if hidden > LEAST_OBSTACLE and walks else ()
+        )
+        return resume + worth + low
 
     def _is_felt(self, one: Instruction) -> bool:
         """Whether the cue alone says enough: it leads back before that is said, and it says when to turn, once told."""

@@ -37,6 +37,7 @@ class Kind(StrEnum):
     HEAD = "head"
     RAMP = "ramp"
     BEAR = "bear"
+    LOW_UNSEEN = "low_unseen"
 
 
 @dataclass(frozen=True, slots=True)

@@ -70,6 +70,7 @@ class Route:
         radius: Of the person's body [m].
         version: Of the scene that it was planned in.
         flights: Stairs, and how they are met squarely.
+        hidden_height: What stands no higher than this over the ground may be on the way unseen [m].
     """
 
     ground: FloatArray
@@ -84,6 +85,7 @@ class Route:
     radius: float
     version: int = 0
     flights: tuple[Flight, ...] = ()
+    hidden_height: float = 0.0
 
     @property
     def length(self) -> float:

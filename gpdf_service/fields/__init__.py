@@ -3,6 +3,7 @@
 from gpdf_service.fields.denoise import FAR as FAR
 from gpdf_service.fields.denoise import Cured as Cured
 from gpdf_service.fields.denoise import denoise as denoise
+from gpdf_service.fields.denoise import find_lifted as find_lifted
 from gpdf_service.fields.denoise import find_loose as find_loose
 from gpdf_service.fields.denoise import onto_surface as onto_surface
 from gpdf_service.fields.denoise import uncured as uncured

@@ -69,6 +69,8 @@ _SURE = 2.0
 """[-] Standard errors to the safe side that a pole's radius is taken at: it is the only shape that can shrink."""
 _LONELY = 2.0
 """[-] Distance to the points beside over what it is for those: a quarter of the density is no surface."""
+_WITNESSES = 24
+"""Points beside one that say whether they are a thing: by then it shows from one standard deviation on."""
 _SEED = 8_128
 """Of the points that are left out: another one than synthetic clouds are made with, or the choice follows the shape."""
 _NEGLIGIBLE = 0.05
@@ -197,6 +199,39 @@ def find_loose(points: FloatArray, noise: float, spacing: float) -> BoolArray:
     if len(alone):
         stray[alone] = tree.query(points[alone], k=FEWEST + 1, workers=-1)[0][:, -1] <= 3.0 * radius
     return stray
+
+
+def find_lifted(points: FloatArray, ground: BoolArray, noise: float, spacing: float) -> BoolArray:
+    """Points that noise can have lifted off the `ground`, shape (n,), or sunk under it.
+
+    In a million points of a floor a thousand are more than three deviations off it. But they are alone, or as often
+    under it as over it: a thing is where the mean height of those beside is more than it can be by chance. Beside is as
+    in `find_loose`.
+
+    Args:
+        points: Cured [m], shape (n, 3), z up.
+        ground: Which of them are ground, shape (n,).
+        noise: Standard deviation before the cure [m].
+        spacing: Between neighbours on a surface [m].
+    """
+    lifted, rest = np.zeros(len(points), dtype=bool), np.flatnonzero(~ground)
+    if len(rest) == 0 or len(rest) == len(points):
+        return lifted
+    floor = points[ground]
+    off, nearest = cKDTree(floor).query(points[rest], distance_upper_bound=FAR * noise + spacing, workers=-1)
+    low = np.isfinite(off)
+    rest, height = rest[low], points[rest[low], 2] - floor[nearest[low], 2]
+    if len(rest) == 0:
+        return lifted
+    radius = max(0.5 * RESOLVED * noise, 2.0 * spacing)
+    count = min(_WITNESSES, len(rest))
+    beside = cKDTree(points[rest]).query(points[rest], k=count, distance_upper_bound=radius, workers=-1)[1]
+    beside = beside.reshape(len(rest), count)
+    is_one = beside < len(rest)
+    number = is_one.sum(axis=1)
+    total = np.where(is_one, np.append(height, 0.0)[beside], 0.0).sum(axis=1)
+    lifted[rest] = np.abs(total) <= FAR * noise * np.sqrt(number)
+    return lifted
 
 
 @njit(cache=True, nogil=True)

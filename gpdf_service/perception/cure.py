@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from gpdf_service.config import PerceptionConfig
-from gpdf_service.fields import Cured, estimate_noise, estimate_spacing, find_loose, onto_surface, uncured
+from gpdf_service.fields import Cured, estimate_noise, estimate_spacing, find_lifted, find_loose, onto_surface, uncured
 from gpdf_service.perception.segment import Segmentation, segment
 from gpdf_service.types import BoolArray, FloatArray
 
@@ -55,7 +55,7 @@ def cure_and_segment(points: FloatArray, ground: BoolArray | None, config: Perce
             return Found(clean, ground, as_it_was=True)
         ground, segmentation = segment(points, config)
         return Found(clean, ground, as_it_was=True, segmentation=segmentation)
-    stray = None
+    stray, labelled = None, ground is not None
     if ground is None:
         moved, _ = onto_surface(points, spacing, noise)
         stray = find_loose(moved, noise, spacing)
@@ -66,7 +66,11 @@ def cure_and_segment(points: FloatArray, ground: BoolArray | None, config: Perce
         if part.any():
             own = points[part]
             cured.points[part], cured.noise[part] = onto_surface(own, estimate_spacing(own), noise, level=level)
-    cured = cured._replace(stray=find_loose(cured.points, noise, spacing) if stray is None else stray)
+    if stray is None:
+        stray = find_loose(cured.points, noise, spacing)
+    if not labelled:
+        stray |= find_lifted(cured.points, ground, noise, spacing)
+    cured = cured._replace(stray=stray)
     return Found(cured, ground & ~cured.stray, as_it_was=False)
 
 

@@ -81,6 +81,21 @@ def test_people_with_errors_cross_the_office_without_a_contact(client, made, see
     assert walk.said[-1].instruction.kind is Kind.ARRIVED
 
 
+def test_in_a_noisy_map_without_labels_one_hears_once_how_low_things_may_be_missing(client, made):
+    points = made["cow_and_lady"].points
+    noisy = points + np.random.default_rng(0).normal(0.0, 0.03, points.shape)
+    client.load_scene("noisy", upload=noisy)
+    world = WalkedWorld.of(points, made["cow_and_lady"].ground)
+    for name, heard in (("noisy", 1), ("cow_and_lady", 0)):
+        walker = Walker(np.array([1.0, 1.0, 0.0]), 0.5, world.ground_height, np.random.default_rng(0))
+        walk = simulate(Guide(Planner(client, name), (7.0, 5.0)), walker, world)
+        assert walk.outcome is Outcome.ARRIVED
+        told = [said for said in walk.said if said.instruction.kind is Kind.LOW_UNSEEN]
+        assert len(told) == heard
+        assert all(0.15 < said.instruction.amount < 0.21 for said in told)
+        assert all("centimetres" in said.text for said in told)
+
+
 @pytest.mark.parametrize("down", [False, True], ids=["up", "down"])
 def test_the_stairs_are_told_with_their_steps_before_they_come(client, made, down):
     foot, head = (0.6, 0.8, 0.0), (9.6, 0.8, 3.4)

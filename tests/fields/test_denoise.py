@@ -3,7 +3,7 @@ import pytest
 from scipy.stats import special_ortho_group
 
 from gpdf_service.bench.surfaces import SURFACES
-from gpdf_service.fields import denoise, estimate_noise, estimate_spacing, fit_gpdf, onto_surface
+from gpdf_service.fields import denoise, estimate_noise, estimate_spacing, find_lifted, fit_gpdf, onto_surface
 
 
 def noisy(name, sigma, count=20_000):
@@ -130,3 +130,22 @@ def test_a_pole_thinner_than_the_noise_is_not_cured_into_its_axis():
     inner = (moved[:, 2] > 0.3) & (moved[:, 2] < 1.2)
     assert np.quantile(np.linalg.norm(moved[inner, :2], axis=1), 0.1) > radius - noise / 2  # what plans keep away
     assert np.median(np.linalg.norm(moved[inner, :2], axis=1)) > radius
+
+
+@pytest.mark.parametrize("noise", [0.02, 0.05])
+def test_what_noise_lifted_off_a_floor_is_told_from_a_low_thing(noise):
+    rng = np.random.default_rng(0)
+    x, y = (a.ravel() for a in np.meshgrid(np.arange(0, 6, 0.03), np.arange(0, 6, 0.03)))
+    floor = np.column_stack([x, y, np.zeros(len(x))])
+    outliers = floor[rng.choice(len(floor), 400, replace=False)]
+    outliers[:, 2] = rng.choice([-1, 1], 400) * rng.uniform(1.0, 4.0, 400) * noise
+    thing = np.column_stack([rng.uniform(2.0, 2.2, (30, 2)), rng.normal(2.0, 1.0, 30) * noise])
+    points = np.concatenate([floor, outliers, thing])
+    far = np.linalg.norm(outliers[:, :2] - 2.1, axis=1) > 0.5
+    lifted = find_lifted(points, np.arange(len(points)) < len(floor), noise, 0.03)
+    assert not lifted[: len(floor)].any()
+    assert lifted[len(floor) : -30][far].mean() > 0.95
+    assert not lifted[-30:].any()
+    none, all_of_them = np.zeros(len(points), dtype=bool), np.ones(len(points), dtype=bool)
+    assert not find_lifted(points, none, noise, 0.03).any()
+    assert not find_lifted(points, all_of_them, noise, 0.03).any()
