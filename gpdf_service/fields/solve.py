@@ -2,7 +2,7 @@
 
 K⁻¹ forgets what is far, so a piece with a halo around it is enough: pieces are independent, solved in parallel, and
 none is larger than `PIECE`, so the time grows with the points and the memory does not. A change of the points is solved
-by the same routine, for the rows that it touches.
+by the same routine, for the rows that it touches; what is known beyond them takes the place of the halo.
 """
 
 from __future__ import annotations
@@ -29,22 +29,24 @@ _TOLERANCE = 1e-4
 
 def solve_all(tree: Tree, length_scale: float, noise_variance: float) -> FloatArray:
     """α of every row of `tree.points`, shape (n,)."""
-    alpha = np.full(len(tree.points), np.nan)
-    made = np.empty_like(alpha)
+    unknown = np.full(len(tree.points), np.nan)
+    made = np.empty_like(unknown)
 
     def one(rows: IntArray) -> None:
-        made[rows] = solve_rows(tree, rows, alpha, length_scale, noise_variance)
+        together = rows if len(rows) == len(made) else within(tree, rows, HALO * length_scale)
+        solved = solve_rows(tree, together, unknown, length_scale, noise_variance)
+        made[rows] = solved[np.searchsorted(together, rows)]
 
     run_parallel(one, np.array_split(np.arange(len(made)), -(-len(made) // PIECE)))
     return made
 
 
 def solve_rows(tree: Tree, rows: IntArray, alpha: FloatArray, length_scale: float, noise_variance: float) -> FloatArray:
-    """α of `rows`, shape (k,), solved together with their halo, whose own α is thrown away.
+    """α of `rows`, shape (k,), where the others keep theirs.
 
     Args:
         tree: All points.
-        rows: Which of them.
+        rows: Which of them, sorted.
         alpha: What is known of the others, shape (n,); NaN where nothing is.
         length_scale: [m].
         noise_variance: σ² [-].
@@ -52,15 +54,13 @@ def solve_rows(tree: Tree, rows: IntArray, alpha: FloatArray, length_scale: floa
     Raises:
         FieldError: the solve did not converge.
     """
-    together = rows if len(rows) == len(tree.points) else within(tree, rows, HALO * length_scale)
     place: NDArray[np.int32] = np.full(len(tree.points), -1, np.int32)
-    place[together] = np.arange(len(together))
-    start, column, weight, right, guess = _assemble(tree, together, place, alpha, length_scale, noise_variance)
+    place[rows] = np.arange(len(rows))
+    start, column, weight, right, guess = _assemble(tree, rows, place, alpha, length_scale, noise_variance)
     solved, converged = _conjugate_gradients(start, column, weight, noise_variance, right, guess)
     if not converged:
         raise FieldError("fit", "the solve did not converge", "Raise fields.noise_variance.")
-    made: FloatArray = solved[place[rows]]
-    return made
+    return solved
 
 
 def within(tree: Tree, rows: IntArray, radius: float) -> IntArray:
