@@ -174,7 +174,7 @@ def sample(
     delta, leaf, j, total, (g0, g1, g2) = walk(blocks, boxes, weights, length_scale, x, stack, bound, near)
     if delta == np.inf:
         return 0.0, 0, np.inf, (0.0, 0.0, 0.0)
-    row = begin[leaf] + j
+    row = min(begin[leaf] + j, begin[leaf + 1] - 1)  # a copy of the last point stands for it
     gap = discs[row, 4]
     off = x[0] - blocks[leaf, 0, j], x[1] - blocks[leaf, 1, j], x[2] - blocks[leaf, 2, j]
     away = from_disc(discs, row, off)
@@ -269,7 +269,7 @@ def _nearest(
             break
         least, j = nearest_in(blocks, leaf, x0, x1, x2)
         if least < delta:
-            delta, row = least, begin[leaf] + j
+            delta, row = least, min(begin[leaf] + j, begin[leaf + 1] - 1)
     return sqrt(delta) if delta < np.inf else 0.0, row
 
 
