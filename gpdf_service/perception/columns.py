@@ -132,20 +132,18 @@ def pairs_near(
         for x in range(max(0, -dx), min(shape[0], shape[0] - dx)):
             for y in range(max(0, -dy), min(shape[1], shape[1] - dy)):
                 here, there = x * shape[1] + y, (x + dx) * shape[1] + y + dy
-                for a in range(start[here], start[here + 1]):
+                most = (start[here + 1] - start[here]) * (start[there + 1] - start[there])
+                if used + most > capacity:
+                    capacity = 2 * capacity + most
+                    one, other = _longer(one, capacity), _longer(other, capacity)
+                for a in range(start[here], start[here + 1] if most > 0 else 0):
                     if not keep[a]:
                         continue
-                    for b in range(start[there], start[there + 1]):
-                        if not keep[b]:
-                            continue
-                        most = limit[0] if uniform else min(limit[a], limit[b])
-                        if abs(height[a] - height[b]) > factors[k] * most:
-                            continue
-                        if used == capacity:
-                            capacity *= 2
-                            one, other = _longer(one, capacity), _longer(other, capacity)
+                    own = limit[0] if uniform else limit[a]
+                    for b in range(start[there], start[there + 1]):  # written, and kept or not: a guess would be wrong
                         one[used], other[used] = a, b
-                        used += 1
+                        apart = factors[k] * (own if uniform else min(own, limit[b]))
+                        used += int(keep[b] & (abs(height[a] - height[b]) <= apart))
     return one[:used], other[:used]
 
 

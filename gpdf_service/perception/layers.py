@@ -144,6 +144,19 @@ def splice_layers(layers: Layers, changed: BoolArray, fresh: Layers | None) -> L
     return Layers(layers.origin, layers.cell_width, layers.shape, *parts)
 
 
+def crop_layers(layers: Layers, box: tuple[slice, slice]) -> tuple[Layers, IntArray]:
+    """The layers of a box of cells, without points, and which nodes of all they are, shape (k,)."""
+    flat = np.arange(layers.shape[0] * layers.shape[1]).reshape(layers.shape)[box]
+    count = layers.start[flat + 1] - layers.start[flat]
+    start = np.concatenate([[0], np.cumsum(count)])
+    cell = np.repeat(np.arange(flat.size), count.ravel())
+    nodes = layers.start[flat.ravel()[cell]] + np.arange(len(cell)) - start[cell]
+    origin = layers.origin + layers.cell_width * np.array([box[0].start, box[1].start])
+    own = (getattr(layers, name)[nodes] for name in ("place", "height", "thickness", "headroom"))
+    nothing = np.zeros(0, np.int64)
+    return Layers(origin, layers.cell_width, (flat.shape[0], flat.shape[1]), cell, *own, nothing, start), nodes
+
+
 def build_layers(
     points: FloatArray, cell_width: float, gap: float, noise: float = 0.0, *, like: Layers | None = None
 ) -> Layers:

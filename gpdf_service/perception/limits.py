@@ -100,6 +100,15 @@ def window(cells: BoolArray, by: int) -> tuple[slice, slice]:
     return x, y
 
 
+def widened(cells: BoolArray, by: int) -> BoolArray:
+    """The cells and all within `by` cells of them along each axis."""
+    made = np.zeros_like(cells)
+    if cells.any():
+        box = window(cells, by)
+        made[box] = ndimage.maximum_filter(cells[box], size=2 * by + 1, mode="constant")
+    return made
+
+
 def step_and_slope(surface: HeightMap) -> Measured:
     """Height of the step [m] and slope of the ground [rad] at each cell, shape (nx, ny); 0 where unknown.
 

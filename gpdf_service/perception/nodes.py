@@ -41,15 +41,31 @@ def components(a: IntArray, b: IntArray, among: BoolArray) -> IntArray:
 
 
 @njit(cache=True, nogil=True)
-def pieces_with(label: IntArray, seeds: BoolArray, among: BoolArray) -> BoolArray:
-    """Which nodes `among` all have the `label` of one of the `seeds`, shape (k,)."""
-    held = np.zeros(len(label), np.bool_)
-    for i in range(len(label)):
-        if seeds[i]:
-            held[label[i]] = True
-    made = np.zeros(len(label), np.bool_)
-    for i in range(len(label)):
-        made[i] = among[i] and held[label[i]]
+def joined_to(seeds: BoolArray, among: BoolArray, a: IntArray, b: IntArray) -> BoolArray:
+    """The `seeds`, shape (k,), and the nodes `among` all that pairs (a, b) of both join to them, one after another.
+
+    All seeds are one node, the first: so only pairs with an end that is no seed are looked at.
+    """
+    kind = seeds.astype(np.uint8)
+    parent = np.arange(len(seeds) + 1)
+    for i in range(len(seeds)):
+        kind[i] += among[i] or seeds[i]
+    for e in range(len(a)):
+        one, other = kind[a[e]], kind[b[e]]
+        if one == 0 or other == 0 or one + other == 4:
+            continue
+        i, j = a[e] + 1 if one == 1 else 0, b[e] + 1 if other == 1 else 0
+        while parent[i] != i:
+            parent[i] = parent[parent[i]]
+            i = parent[i]
+        while parent[j] != j:
+            parent[j] = parent[parent[j]]
+            j = parent[j]
+        parent[max(i, j)] = min(i, j)
+    made = seeds.copy()
+    for i in range(len(seeds)):  # a parent comes before its children
+        parent[i + 1] = parent[parent[i + 1]]
+        made[i] |= parent[i + 1] == 0
     return made
 
 

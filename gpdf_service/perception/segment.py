@@ -10,19 +10,28 @@ from numpy.typing import ArrayLike
 from gpdf_service.config import PerceptionConfig
 from gpdf_service.errors import NoGroundError
 from gpdf_service.perception.columns import by_cell, medians_around, next_below
-from gpdf_service.perception.layers import Layers, build_layers, cell_width_of, connect, in_steps, layer_gap
+from gpdf_service.perception.layers import (
+    Layers,
+    build_layers,
+    cell_width_of,
+    connect,
+    crop_layers,
+    in_steps,
+    layer_gap,
+)
+from gpdf_service.perception.limits import widened, window
 from gpdf_service.perception.nodes import (
     add_rims,
     components,
     degrees,
     drops_beside,
     half_way,
+    joined_to,
     lowest_beside,
     mean_gradients,
     nodes_over,
     pairs_across,
     pairs_within,
-    pieces_with,
     stepped,
 )
 from gpdf_service.perception.read import check_points
@@ -92,7 +101,7 @@ class Segmentation:
     @property
     def scatter(self) -> float:
         """How near to the ground a point of it is [m]."""
-        return max(LEAST_SCATTER, in_steps(3.0 * self.deviation))
+        return scatter_of(self.deviation)
 
     def holds(self, z: FloatArray, node: IntArray) -> BoolArray:
         """Whether points at heights `z` [m] in the nodes `node` are ground, shape (n,)."""
@@ -132,9 +141,48 @@ def segment_layers(
     if z is not None:
         on = ground[layers.node_of_point]
         deviation = 1.4826 * float(np.median(np.abs(z[on] - smooth[layers.node_of_point[on]])))
-    low, high = _across(layers, ground, smooth, config)
-    found = Segmentation(layers, low, high, np.full(len(low), np.inf), deviation)
-    return replace(found, beside=_ground_beside(layers, ground, smooth, found.scatter))
+    return Segmentation(layers, *_extents(layers, ground, smooth, scatter_of(deviation), config), deviation)
+
+
+def change_segmentation(
+    old: Segmentation, layers: Layers, cells: BoolArray, config: PerceptionConfig
+) -> tuple[Segmentation, BoolArray]:
+    """`segment_layers` of `layers` that differ from the `old` ones in the columns `cells`, shape (nx, ny).
+
+    Which nodes are ground is decided from all; how high the ground is at a node by its neighbours and theirs.
+
+    Returns:
+        The segmentation, and the cells whose points can be something else by it, shape (nx, ny).
+    """
+    ground = find_ground(layers, config)
+    stay, now = ~cells.ravel()[old.layers.cell], ~cells.ravel()[layers.cell]
+    felt = cells.copy()
+    felt.ravel()[layers.cell[now][ground[now] != np.isfinite(old.low[stay])]] = True
+    felt = widened(felt, 2)
+    part, nodes = crop_layers(layers, window(felt, 2))
+    inside = felt.ravel()[layers.cell[nodes]]
+    fresh = _extents(part, ground[nodes], _smoothed(part, ground[nodes]), old.scatter, config)
+    other, made = cells.copy(), []
+    for before, again in zip((old.low, old.high, old.beside), fresh, strict=True):
+        values = np.empty(len(layers.cell))
+        values[now] = before[stay]
+        differ = nodes[inside & (values[nodes] != again)]
+        values[nodes[inside]] = again[inside]
+        other.ravel()[layers.cell[differ]] = True
+        made.append(values)
+    return Segmentation(layers, *made, old.deviation), other
+
+
+def scatter_of(deviation: float) -> float:
+    """How near to the ground a point of it is [m], where the ground's have this standard deviation [m]."""
+    return max(LEAST_SCATTER, in_steps(3.0 * deviation))
+
+
+def _extents(
+    layers: Layers, ground: BoolArray, smooth: FloatArray, scatter: float, config: PerceptionConfig
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """`low`, `high` and `beside` of a `Segmentation`."""
+    return *_across(layers, ground, smooth, config), _ground_beside(layers, ground, smooth, scatter)
 
 
 def _across(
@@ -278,8 +326,7 @@ def _under_furniture(ground: BoolArray, apart: BoolArray, core: BoolArray, a: In
 
     Nothing is entered from there over a step: what is low beside a stair's tread is its soffit.
     """
-    free = ground | (core & ~apart)
-    reached: BoolArray = pieces_with(components(a, b, free), ground, free)
+    reached: BoolArray = joined_to(ground, core & ~apart, a, b)
     return reached
 
 

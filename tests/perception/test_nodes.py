@@ -13,12 +13,12 @@ from gpdf_service.perception.nodes import (
     drops_beside,
     grown_sheet,
     half_way,
+    joined_to,
     lowest_beside,
     mean_gradients,
     nodes_over,
     pairs_across,
     pairs_within,
-    pieces_with,
     stepped,
 )
 from gpdf_service.perception.segment import HALF
@@ -65,7 +65,10 @@ def test_pairs_are_chosen_and_counted_as_by_masks():
         np.testing.assert_array_equal(found, (a[mask], b[mask]))
     np.testing.assert_array_equal(degrees(a, b, 50), np.bincount(np.concatenate([a, b]), minlength=50))
     seeds = rng.random(50) < 0.1
-    np.testing.assert_array_equal(pieces_with(label, seeds, among), among & np.isin(label, label[seeds]))
+    label = components(a, b, among | seeds)
+    joined = (among | seeds) & np.isin(label, label[seeds])
+    np.testing.assert_array_equal(joined_to(seeds, among, a, b), joined)
+    assert joined.sum() > seeds.sum()
 
 
 def test_the_mean_gradient_of_a_plane_is_its_slope():
