@@ -34,13 +34,11 @@ from gpdf_service.perception.levels import (
     Survey,
     Voids,
     alone,
-    change_sheet,
     complete,
     find_ledges,
     find_portals,
     lowest_and_highest,
     make_level,
-    same_sheets,
     sheet_surface,
     split_sheets,
     within_reach,
@@ -265,22 +263,18 @@ def _change_levels(
     rows = cloud.rows_in(layers, cells)
     rows = rows[ground[rows]]
     layers = _change_layers(layers, cloud, rows, cells, config)
-    sheets, same = old.survey.sheets, same_sheets(old.survey.sheets, old.survey.layers, layers, cells, config)
-    if not same:
-        sheets = split_sheets(layers, config)
+    sheets = split_sheets(layers, config)
     if len(sheets) != len(old.levels.levels):
         raise WholeError
     made = []
     for level, voids, sheet in zip(old.levels.levels, old.survey.voids, sheets, strict=True):
         inside = np.zeros(len(layers.cell), dtype=bool)
         inside[sheet] = True
-        was = _seen_of(level.surface)
-        seen = change_sheet(was, layers, sheet, cells) if same else sheet_surface(layers, sheet)
-        part = _Part(cloud, ground, stray, layers, inside, was, seen, cells)
+        part = _Part(cloud, ground, stray, layers, inside, sheet_surface(layers, sheet), cells)
         made.append(_change_level(level, voids, part, config))
     levels = Levels(tuple(level for level, _, _ in made), find_portals(layers, sheets))
     voids_now, touched = tuple(voids for _, voids, _ in made), tuple(cells for _, _, cells in made)
-    return levels, Survey(layers, sheets, stray, voids_now), touched
+    return levels, Survey(layers, stray, voids_now), touched
 
 
 def _seen_of(surface: HeightMap) -> HeightMap:
@@ -299,7 +293,6 @@ class _Part:
     stray: BoolArray
     layers: Layers
     inside: BoolArray
-    was: HeightMap
     seen: HeightMap
     cells: BoolArray
 
@@ -318,8 +311,9 @@ def _change_level(
     old: GroundLevel, voids: Voids, part: _Part, config: PerceptionConfig
 ) -> tuple[GroundLevel, Voids, BoolArray | None]:
     width, seen = part.seen.cell_width, part.seen
-    moved = _differ(part.was.height, seen.height)
-    cells = part.cells | _felt(part.was, seen, moved)
+    was = _seen_of(old.surface)
+    moved = _differ(was.height, seen.height)
+    cells = part.cells | _felt(was, seen, moved)
     box, rest = _around(cells, width), part.rest(cells, config)
     fresh = within_reach(rest, seen, box)
     now = _change_voids(voids, cells, find_voids(seen, rest, config.max_step, box=box))

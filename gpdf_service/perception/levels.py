@@ -22,17 +22,8 @@ from gpdf_service.perception.columns import (
     rows_in_cells,
 )
 from gpdf_service.perception.hidden import find_faces, without_hidden
-from gpdf_service.perception.layers import Layers, build_layers, cell_width_of, connect, crop_layers, layer_gap
-from gpdf_service.perception.limits import (
-    GroundLimits,
-    Measured,
-    find_limits,
-    neighbourhood,
-    smoothed,
-    step_and_slope,
-    widened,
-    window,
-)
+from gpdf_service.perception.layers import Layers, build_layers, cell_width_of, connect, layer_gap
+from gpdf_service.perception.limits import GroundLimits, Measured, find_limits, neighbourhood, smoothed, step_and_slope
 from gpdf_service.perception.nodes import components, degrees, grown_sheet, pairs_across
 from gpdf_service.perception.segment import HALF, LEAST_SCATTER, over_ground
 from gpdf_service.perception.smooth import smooth, to_centres
@@ -122,13 +113,11 @@ class Survey:
 
     Attributes:
         layers: Of the ground points.
-        sheets: Their nodes that are in each level.
         stray: Which points of the cloud count for nothing, shape (n,).
         voids: One a level.
     """
 
     layers: Layers
-    sheets: list[IntArray]
     stray: BoolArray
     voids: tuple[Voids, ...]
 
@@ -166,7 +155,7 @@ def survey_levels(
     sheets = split_sheets(layers, config)
     made = [_build_level(points, ground, floor, layers, sheet, config, noise) for sheet in sheets]
     levels = Levels(tuple(level for level, _ in made), find_portals(layers, sheets))
-    return levels, Survey(layers, sheets, stray, tuple(voids for _, voids in made))
+    return levels, Survey(layers, stray, tuple(voids for _, voids in made))
 
 
 def find_portals(layers: Layers, sheets: list[IntArray]) -> tuple[Portal, ...]:
@@ -208,12 +197,12 @@ def split_sheets(layers: Layers, config: PerceptionConfig) -> list[IntArray]:
     The lowest comes first, by the median of its heights.
     """
     count = len(layers.cell)
-    keep = _kept(layers, config)
+    keep = ~_under_step(layers, config.max_step)
+    keep &= ~over_ground(layers, keep, config.step_headroom)
     if (np.diff(layers.cell[keep]) > 0).all():
         return [np.flatnonzero(keep)]
-    level, step = _ways(layers, keep, config)
-    smooth = components(*level, keep)
-    a, b = pairs_across(*step, smooth)
+    smooth = components(*connect(layers, keep, layers.cell_width, HALF), keep)
+    a, b = pairs_across(*connect(layers, keep, np.full(count, config.max_step), HALF), smooth)
     sheet_of = np.full(count, -1)
     size = np.bincount(smooth, weights=keep)
     order = np.argsort(-size)
@@ -232,44 +221,6 @@ def split_sheets(layers: Layers, config: PerceptionConfig) -> list[IntArray]:
     grid, rings = (layers.cell, layers.start, layers.shape, layers.height), int(np.ceil(OVERLAP / layers.cell_width))
     large = sorted((n for n in made if len(n) >= least), key=lambda nodes: float(np.median(layers.height[nodes])))
     return [np.flatnonzero(grown_sheet(*grid, keep, nodes, config.max_step, rings)) for nodes in large]
-
-
-def same_sheets(
-    sheets: list[IntArray], old: Layers, layers: Layers, changed: BoolArray, config: PerceptionConfig
-) -> bool:
-    """Whether `layers` that differ from the `old` ones in the `changed` columns, (nx, ny), have the `sheets` of those.
-
-    They have if every column has as many nodes, and each is joined to the same ones: nothing else is asked of heights
-    but which sheet is the lowest.
-    """
-    one, other = (crop_layers(each, window(changed, 2))[0] for each in (old, layers))
-    if not np.array_equal(one.start, other.start):
-        return False
-    for each in zip(*(_relations(part, config) for part in (one, other)), strict=True):
-        if not np.array_equal(*each):
-            return False
-    return bool((np.diff([float(np.median(layers.height[nodes])) for nodes in sheets]) > 0.0).all())
-
-
-def _relations(layers: Layers, config: PerceptionConfig) -> tuple[NDArray[np.generic], ...]:
-    keep = _kept(layers, config)
-    level, step = _ways(layers, keep, config)
-    return keep, *level, *step
-
-
-def _kept(layers: Layers, config: PerceptionConfig) -> BoolArray:
-    """Nodes that can be ground of a sheet."""
-    keep = ~_under_step(layers, config.max_step)
-    return keep & ~over_ground(layers, keep, config.step_headroom)
-
-
-Pairs = tuple[IntArray, IntArray]
-
-
-def _ways(layers: Layers, keep: BoolArray, config: PerceptionConfig) -> tuple[Pairs, Pairs]:
-    """Pairs of nodes to keep: on the same slope, and within a step."""
-    step = np.full(len(layers.cell), config.max_step)
-    return connect(layers, keep, layers.cell_width, HALF), connect(layers, keep, step, HALF)
 
 
 def _under_step(layers: Layers, max_step: float) -> BoolArray:
@@ -353,26 +304,6 @@ def sheet_surface(layers: Layers, nodes: IntArray, noise: float = 0.0) -> Height
     surface = without_outliers(HeightMap(layers.origin, layers.cell_width, height, state), RESOLVED_STEP * noise)
     off[surface.height != height] = 0.0  # a median's place is the middle of its cells
     return smooth(to_centres(surface, off, noise), noise)
-
-
-def change_sheet(was: HeightMap, layers: Layers, nodes: IntArray, changed: BoolArray) -> HeightMap:
-    """`sheet_surface` of clean nodes that differ from those before in the `changed` columns, shape (nx, ny).
-
-    Args:
-        was: What was seen before.
-        layers: The nodes of all sheets.
-        nodes: Those of this one, as many in each column as before.
-        changed: Shape (nx, ny).
-    """
-    felt = widened(changed, 1)  # by a plane through a cell and its neighbours
-    box = window(felt, 1)
-    part, own = crop_layers(layers, box)
-    inside = np.zeros(len(layers.cell), dtype=bool)
-    inside[nodes] = True
-    again = sheet_surface(part, np.flatnonzero(inside[own]))
-    height = was.height.copy()
-    height[box][felt[box]] = again.height[felt[box]]
-    return HeightMap(was.origin, was.cell_width, height, was.state)
 
 
 def without_outliers(surface: HeightMap, most: float) -> HeightMap:
