@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from gpdf_service.errors import FieldError
 from gpdf_service.fields.threads import run_parallel
 from gpdf_service.fields.traversal import CUT_RADIUS, decay
-from gpdf_service.fields.tree import LEAF_SIZE, Tree, from_root, lesser, make_scratch, next_leaf, place_of
+from gpdf_service.fields.tree import LEAF_SIZE, VECTORS, Tree, from_root, lesser, make_scratch, next_leaf, place_of
 from gpdf_service.types import BoolArray, FloatArray, IntArray
 
 HALO = 9.0
@@ -180,28 +180,86 @@ def _conjugate_gradients(
     right: FloatArray,
     x: FloatArray,
 ) -> tuple[FloatArray, bool]:
-    """Solve (K + σ² I) x = b from the guess `x` until ‖r‖ ≤ `_TOLERANCE` ‖1‖."""
-    r, Kp = right.copy(), np.empty(len(right))
+    """Solve (K + σ² I) x = b from the guess `x` until ‖r‖ ≤ `_TOLERANCE` ‖1‖.
+
+    Each leaf is solved by itself in every step (block Jacobi): half as many steps are needed.
+    """
+    r, Kp, z = right.copy(), np.empty(len(right)), np.empty(len(right))
+    blocks = _invert_blocks(start, column, weight, noise_variance)
     _apply(start, column, weight, noise_variance, x, Kp)
     rr = 0.0
     for i in range(len(r)):
         r[i] -= Kp[i]
         rr += r[i] * r[i]
-    p = r.copy()
-    enough = _TOLERANCE * _TOLERANCE * len(r)
+    p = np.zeros(len(right))
+    enough, rz = _TOLERANCE * _TOLERANCE * len(r), 1.0
     for _ in range(20 * int(np.sqrt(len(r))) + 200):
         if rr <= enough:
             return x, True
-        step = rr / _apply(start, column, weight, noise_variance, p, Kp)
-        fresh = 0.0
+        fresh = _solve_blocks(blocks, r, z)
+        for i in range(len(r)):
+            p[i] = z[i] + (fresh / rz) * p[i]
+        rz = fresh
+        step = rz / _apply(start, column, weight, noise_variance, p, Kp)
+        rr = 0.0
         for i in range(len(r)):
             x[i] += step * p[i]
             r[i] -= step * Kp[i]
-            fresh += r[i] * r[i]
-        for i in range(len(r)):
-            p[i] = r[i] + (fresh / rr) * p[i]
-        rr = fresh
+            rr += r[i] * r[i]
     return x, rr <= enough
+
+
+@njit(cache=True, nogil=True)
+def _invert_blocks(
+    start: IntArray, column: NDArray[np.uint32], weight: NDArray[np.float32], noise_variance: float
+) -> NDArray[np.float32]:
+    """A⁻¹ = L⁻ᵀ L⁻¹ of the blocks A of `LEAF_SIZE` rows on the diagonal of K + σ² I; beyond the last row it is I."""
+    count = len(start) - 1
+    made = np.zeros((-(-count // LEAF_SIZE), LEAF_SIZE, LEAF_SIZE), np.float32)
+    upper, inverse = np.empty((LEAF_SIZE, LEAF_SIZE)), np.empty((LEAF_SIZE, LEAF_SIZE))
+    for b in range(len(made)):
+        first, last = b * LEAF_SIZE, min((b + 1) * LEAF_SIZE, count)
+        upper[:], inverse[:] = 0.0, 0.0
+        for i in range(LEAF_SIZE):
+            upper[i, i], inverse[i, i] = 1.0 + noise_variance if first + i < last else 1.0, 1.0
+        for r in range(first, last):
+            for e in range(start[r], start[r + 1]):
+                if column[e] < last:
+                    upper[r - first, column[e] - first] = weight[e]
+        for k in range(LEAF_SIZE):
+            upper[k] /= np.sqrt(max(upper[k, k], noise_variance))
+            for j in range(k + 1, LEAF_SIZE):
+                for i in range(j, LEAF_SIZE):
+                    upper[j, i] -= upper[k, j] * upper[k, i]
+        for k in range(LEAF_SIZE):
+            for m in range(k):
+                for i in range(m + 1):
+                    inverse[k, i] -= upper[m, k] * inverse[m, i]
+            inverse[k] /= upper[k, k]
+        upper[:] = 0.0
+        for k in range(LEAF_SIZE):
+            for i in range(k + 1):
+                for j in range(k + 1):
+                    upper[i, j] += inverse[k, i] * inverse[k, j]
+        made[b] = upper
+    return made
+
+
+@njit(cache=True, nogil=True, fastmath=VECTORS)
+def _solve_blocks(blocks: NDArray[np.float32], r: FloatArray, z: FloatArray) -> float:
+    """Write z = A⁻¹ r, block by block; gives z · r."""
+    product, solved = 0.0, np.empty(LEAF_SIZE, np.float32)
+    for b in range(len(blocks)):
+        first = b * LEAF_SIZE
+        solved[:] = 0.0
+        for k in range(min(LEAF_SIZE, len(r) - first)):
+            own = np.float32(r[first + k])
+            for i in range(LEAF_SIZE):
+                solved[i] += own * blocks[b, k, i]
+        for i in range(min(LEAF_SIZE, len(r) - first)):
+            z[first + i] = solved[i]
+            product += z[first + i] * r[first + i]
+    return product
 
 
 @njit(cache=True, nogil=True)
