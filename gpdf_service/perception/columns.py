@@ -326,6 +326,18 @@ def bounds_of(points: FloatArray) -> tuple[FloatArray, FloatArray]:
     return np.array([left, near]), np.array([right, far])
 
 
+@njit(cache=True, nogil=True)
+def extent_of(points: FloatArray) -> tuple[float, float]:
+    """How wide points (n, 3) are in x or y, and the largest of all coordinates, inf if any is not finite."""
+    low, high, most = np.full(3, np.inf), np.full(3, -np.inf), 0.0
+    for row in range(len(points)):
+        for k in range(3):
+            value = points[row, k]
+            low[k], high[k] = min(low[k], value), max(high[k], value)
+            most = max(most, abs(value)) if np.isfinite(value) else np.inf
+    return max(high[0] - low[0], high[1] - low[1]), most
+
+
 def cells_of(points: FloatArray, origin: FloatArray, width: float, shape: tuple[int, int]) -> IntArray:
     """Flat cell of each point (n, 3), which must lie on the grid, shape (n,)."""
     cell = np.empty(len(points), np.int64)
