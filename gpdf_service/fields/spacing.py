@@ -30,7 +30,8 @@ def estimate_spacing(points: FloatArray) -> float:
     if k < 1:
         return 0.0
     picked = points[:: max(1, len(points) // SAMPLE)]
-    distance = cKDTree(points).query(picked, k=k + 1, workers=-1)[0][:, k]
+    tree = cKDTree(points, balanced_tree=False, compact_nodes=False)  # half the time for as many queries
+    distance = tree.query(picked, k=k + 1, workers=-1)[0][:, k]
     return float(np.median(distance) * np.sqrt(np.pi / k))
 
 
