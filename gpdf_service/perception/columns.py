@@ -117,33 +117,45 @@ def pairs_near(
     shape: tuple[int, int],
     height: FloatArray,
     keep: BoolArray,
-    limit: FloatArray,
+    most: FloatArray,
     offsets: tuple[tuple[int, int], ...],
-    factors: FloatArray,
-) -> tuple[IntArray, IntArray]:
+) -> tuple[IntArray, IntArray, IntArray]:
     """Pairs of kept nodes (a, b), b's cell at one of the `offsets` from a's, whose heights differ by little.
 
-    That is by at most the `limit` of either, shape (k,), or (1,) for all [m], times the offset's factor.
+    That is by at most `most` [m], one number an offset. The third of what is returned is where each offset's begin.
     """
-    capacity, used, uniform = 4 * len(height) + 16, 0, len(limit) == 1
+    capacity, used, first = 4 * len(height) + 16, 0, np.zeros(len(offsets) + 1, np.int64)
     one, other = np.empty(capacity, np.int64), np.empty(capacity, np.int64)
     for k in range(len(offsets)):
         dx, dy = offsets[k]
         for x in range(max(0, -dx), min(shape[0], shape[0] - dx)):
             for y in range(max(0, -dy), min(shape[1], shape[1] - dy)):
                 here, there = x * shape[1] + y, (x + dx) * shape[1] + y + dy
-                most = (start[here + 1] - start[here]) * (start[there + 1] - start[there])
-                if used + most > capacity:
-                    capacity = 2 * capacity + most
+                more = (start[here + 1] - start[here]) * (start[there + 1] - start[there])
+                if used + more > capacity:
+                    capacity = 2 * capacity + more
                     one, other = _longer(one, capacity), _longer(other, capacity)
-                for a in range(start[here], start[here + 1] if most > 0 else 0):
+                for a in range(start[here], start[here + 1] if more > 0 else 0):
                     if not keep[a]:
                         continue
-                    own = limit[0] if uniform else limit[a]
                     for b in range(start[there], start[there + 1]):  # written, and kept or not: a guess would be wrong
                         one[used], other[used] = a, b
-                        apart = factors[k] * (own if uniform else min(own, limit[b]))
-                        used += int(keep[b] & (abs(height[a] - height[b]) <= apart))
+                        used += int(keep[b] & (abs(height[a] - height[b]) <= most[k]))
+        first[k + 1] = used
+    return one[:used], other[:used], first
+
+
+@njit(cache=True, nogil=True)
+def pairs_among(
+    a: IntArray, b: IntArray, first: IntArray, height: FloatArray, keep: BoolArray, most: FloatArray
+) -> tuple[IntArray, IntArray]:
+    """What `pairs_near` finds for other nodes to keep and smaller limits, from the pairs that it found."""
+    one, other, used = np.empty(len(a) + 1, np.int64), np.empty(len(a) + 1, np.int64), 0
+    for k in range(len(most)):
+        for e in range(first[k], first[k + 1]):
+            i, j = a[e], b[e]
+            one[used], other[used] = i, j
+            used += int(keep[i] & keep[j] & (abs(height[i] - height[j]) <= most[k]))
     return one[:used], other[:used]
 
 

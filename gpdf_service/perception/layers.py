@@ -20,6 +20,7 @@ from gpdf_service.perception.columns import (
     count_nodes,
     cut_columns,
     kth_beside,
+    pairs_among,
     pairs_near,
     spliced,
 )
@@ -178,13 +179,48 @@ def build_layers(
     return Layers(origin, cell_width, shape, cell_of, points[row, :2], *made[2:], first)
 
 
-def connect(
-    layers: Layers, keep: BoolArray, limit: FloatArray | float, offsets: tuple[tuple[int, int], ...]
-) -> tuple[IntArray, IntArray]:
-    """Pairs of kept neighbours whose heights differ by at most `limit` [m] (one number, or one a node)."""
-    limits, factors = np.atleast_1d(np.asarray(limit, dtype=np.float64)), np.ones(len(offsets))
-    if len(limits) == 1:
-        factors = np.hypot(*np.array(offsets, dtype=np.float64).T)
-    grid = layers.start, layers.shape, layers.height
-    pairs: tuple[IntArray, IntArray] = pairs_near(*grid, keep, limits, offsets, factors)
-    return pairs
+HALF = ((1, 0), (0, 1), (1, 1), (1, -1))
+"""Half of a cell's eight neighbours: each pair of cells once."""
+_APART = np.hypot(*np.array(HALF, dtype=np.float64).T)
+Pairs = tuple[IntArray, IntArray]
+
+
+@dataclass(frozen=True, slots=True)
+class Beside:
+    """Pairs of nodes in neighbouring cells, from which those among some nodes and within some rise are taken.
+
+    Attributes:
+        layers: The nodes.
+        a: Node of each pair, those of each of the `HALF` after another, shape (e,).
+        b: The other one, shape (e,).
+        first: Where each of the `HALF` begins, shape (5,).
+    """
+
+    layers: Layers
+    a: IntArray
+    b: IntArray
+    first: IntArray
+
+    def slopes(self, keep: BoolArray, rise: float) -> Pairs:
+        """Pairs of nodes to keep with at most `rise` [m] a cell between them."""
+        return self._within(keep, rise * _APART)
+
+    def steps(self, keep: BoolArray, rise: float) -> Pairs:
+        """Pairs of nodes to keep with at most `rise` [m] between them."""
+        return self._within(keep, np.full(len(HALF), rise))
+
+    def _within(self, keep: BoolArray, most: FloatArray) -> Pairs:
+        found: Pairs = pairs_among(self.a, self.b, self.first, self.layers.height, keep, most)
+        return found
+
+
+def beside(layers: Layers, rise: float) -> Beside:
+    """All pairs with at most `rise` [m] between them."""
+    every = np.ones(len(layers.cell), dtype=bool)
+    return Beside(layers, *pairs_near(layers.start, layers.shape, layers.height, every, np.full(len(HALF), rise), HALF))
+
+
+def connect(layers: Layers, keep: BoolArray, rise: float) -> Pairs:
+    """Pairs of kept nodes in neighbouring cells with at most `rise` [m] a cell between them."""
+    a, b, _ = pairs_near(layers.start, layers.shape, layers.height, keep, rise * _APART, HALF)
+    return a, b

@@ -11,7 +11,9 @@ from gpdf_service.config import PerceptionConfig
 from gpdf_service.errors import NoGroundError
 from gpdf_service.perception.columns import by_cell, medians_around, next_below
 from gpdf_service.perception.layers import (
+    Beside,
     Layers,
+    beside,
     build_layers,
     cell_width_of,
     connect,
@@ -37,8 +39,6 @@ from gpdf_service.perception.nodes import (
 from gpdf_service.perception.read import check_points
 from gpdf_service.types import BoolArray, FloatArray, IntArray
 
-HALF = ((1, 0), (0, 1), (1, 1), (1, -1))
-"""Half of a cell's eight neighbours: each pair of cells once."""
 NOWHERE = ("ground", "no surface in the cloud is wide and level enough to stand on", "Is z up?")
 """What was looked for, what was found, what to try."""
 LEAST_SCATTER = 0.02
@@ -190,7 +190,7 @@ def _across(
 ) -> tuple[FloatArray, FloatArray]:
     """Lowest and highest the ground is within each ground node's cell: half-way to its neighbours on the same slope."""
     rise = layers.cell_width * float(np.tan(config.steepest))
-    a, b = connect(replace(layers, height=smooth), ground, rise, HALF)
+    a, b = connect(replace(layers, height=smooth), ground, rise)
     low, high = half_way(smooth, a, b)
     return np.where(ground, low, np.inf), np.where(ground, high, -np.inf)
 
@@ -206,7 +206,7 @@ def _ground_beside(layers: Layers, ground: BoolArray, smooth: FloatArray, scatte
 
 def _smoothed(layers: Layers, ground: BoolArray) -> FloatArray:
     """Median height of each ground node and its neighbours on the same slope: a wheel on the floor does not lift it."""
-    a, b = connect(layers, ground, 2.0 * layers.cell_width, HALF)
+    a, b = connect(layers, ground, 2.0 * layers.cell_width)
     return medians_around(layers.height, ground, a, b)
 
 
@@ -218,7 +218,8 @@ def find_ground(layers: Layers, config: PerceptionConfig, noise: float = 0.0) ->
     """
     surface = layers.thickness <= config.max_step + 4.0 * noise  # a step's face, from the lowest point to the highest
     rise = layers.cell_width * float(np.tan(config.steepest))
-    a, b = connect(layers, surface, rise, HALF)
+    near = beside(layers, max(config.max_step, 3.0 * rise))  # as much as is asked for: 2 √2 for the slope
+    a, b = near.slopes(surface, rise)
     smooth = degrees(a, b, len(surface))
     core = surface & (smooth >= 5)  # what a strip two cells wide has: a tread is that wide, a wall's top is not
     if not core.any():
@@ -230,7 +231,7 @@ def find_ground(layers: Layers, config: PerceptionConfig, noise: float = 0.0) ->
     height = {i: float(np.median(layers.height[wide & (patch == i)])) for i in large}
     bulk = min(large, key=height.__getitem__)
     storeys = [i for i in large if i == bulk or _is_storey(layers, wide & (patch == i), wide & (patch == bulk), config)]
-    joins = _joins(layers, config, wide, patch)
+    joins = _joins(near, config, wide, patch)
     seen = np.zeros(patch.max() + 1, dtype=bool)
     seen[storeys] = True
     ground = wide & seen[patch]
@@ -243,14 +244,14 @@ def find_ground(layers: Layers, config: PerceptionConfig, noise: float = 0.0) ->
             break
         ground = reached
     parts = [wide & (patch == i) for i in storeys]
-    found: BoolArray = reached & ~_roofs(layers, reached, parts, (a, b), (joins.a, joins.b), config)
+    found: BoolArray = reached & ~_roofs(near, reached, parts, (a, b), (joins.a, joins.b), config)
     if not found.any():
         raise NoGroundError(*NOWHERE)
     return found
 
 
 def _roofs(
-    layers: Layers,
+    near: Beside,
     ground: BoolArray,
     storeys: list[BoolArray],
     smooth: tuple[IntArray, IntArray],
@@ -263,29 +264,29 @@ def _roofs(
     """
     parts = (pairs_within(*pairs, ground, True) for pairs in (smooth, steps))
     a, b = (np.concatenate(ends) for ends in zip(*parts, strict=True))
-    main = _within_reach(layers, ground, storeys, a, b, config)
+    main = _within_reach(near, ground, storeys, a, b, config)
     off = ground & ~main
     piece = components(a, b, off)
-    beside = stepped(main, a, b)
+    level = stepped(main, a, b)
     count = [
-        np.bincount(piece[off & kind], minlength=piece.max() + 1) for kind in (beside, _drops(layers, off, config))
+        np.bincount(piece[off & kind], minlength=piece.max() + 1) for kind in (level, _drops(near.layers, off, config))
     ]
     roof: BoolArray = off & (count[0] < ROOF_SHARE * (count[0] + count[1]))[piece]
     return roof
 
 
 def _within_reach(
-    layers: Layers, ground: BoolArray, storeys: list[BoolArray], a: IntArray, b: IntArray, config: PerceptionConfig
+    near: Beside, ground: BoolArray, storeys: list[BoolArray], a: IntArray, b: IntArray, config: PerceptionConfig
 ) -> BoolArray:
     """Nodes level enough to stand on that are reached from the storeys; over steps, too, that coarse cells rounded."""
-    flat = ground & (_slope(layers, ground, config) <= config.standable_slope)
+    flat = ground & (_slope(near, ground, config) <= config.standable_slope)
     piece = components(a, b, flat)
     seen = np.zeros(piece.max() + 1, dtype=bool)
     for storey in storeys:
         if (storey & flat).any():
             seen[np.bincount(piece[storey & flat]).argmax()] = True
     a, b = pairs_within(a, b, ~(flat & seen[piece]), False)
-    rings = max(1, round(config.max_step / (layers.cell_width * float(np.tan(config.steepest)))))
+    rings = max(1, round(config.max_step / (near.layers.cell_width * float(np.tan(config.steepest)))))
     while True:
         reach = flat & seen[piece]
         for _ in range(rings + 1):
@@ -296,10 +297,11 @@ def _within_reach(
         seen[fresh] = True
 
 
-def _slope(layers: Layers, ground: BoolArray, config: PerceptionConfig) -> FloatArray:
+def _slope(near: Beside, ground: BoolArray, config: PerceptionConfig) -> FloatArray:
     """Slope at each ground node [rad], of the mean gradient of it and its neighbours on the same slope."""
+    layers = near.layers
     rise = 2.0 * layers.cell_width * float(np.tan(config.steepest))  # or noise would flatten it
-    pairs = connect(layers, ground, rise, HALF)
+    pairs = near.slopes(ground, rise)
     made: FloatArray = np.arctan(
         mean_gradients(layers.height, layers.cell, layers.shape[1], *pairs) / layers.cell_width
     )
@@ -347,9 +349,10 @@ class _Joins:
     standable: BoolArray
 
 
-def _joins(layers: Layers, config: PerceptionConfig, wide: BoolArray, patch: IntArray) -> _Joins:
+def _joins(near: Beside, config: PerceptionConfig, wide: BoolArray, patch: IntArray) -> _Joins:
+    layers = near.layers
     standable, tread = _shapes(layers, wide, patch, config)
-    a, b = pairs_across(*connect(layers, wide, np.full(len(wide), config.max_step), HALF), patch)
+    a, b = pairs_across(*near.steps(wide, config.max_step), patch)
     a, b = np.concatenate([a, b]), np.concatenate([b, a])
     rise = np.abs(layers.height[a] - _level_of_furniture(layers, wide, patch)[b])
     allowed = np.where(standable[patch[b]], config.max_step, np.where(tread[patch[b]], config.stair_step, -1.0))

@@ -21,7 +21,6 @@ from gpdf_service.perception.nodes import (
     pairs_within,
     stepped,
 )
-from gpdf_service.perception.segment import HALF
 
 
 @pytest.fixture(scope="module")
@@ -75,7 +74,7 @@ def test_the_mean_gradient_of_a_plane_is_its_slope():
     x, y = np.meshgrid(np.arange(0.05, 2.0, 0.1), np.arange(0.05, 2.0, 0.1))
     plane = np.column_stack([x.ravel(), y.ravel(), 0.3 * x.ravel() - 0.1 * y.ravel()])
     layers = build_layers(plane, 0.1, 0.5)
-    a, b = connect(layers, np.ones(len(layers.cell), dtype=bool), 1.0, HALF)
+    a, b = connect(layers, np.ones(len(layers.cell), dtype=bool), 1.0)
     found = mean_gradients(layers.height, layers.cell, layers.shape[1], a, b)
     np.testing.assert_allclose(found, 0.1 * np.hypot(0.3, 0.1))
 
