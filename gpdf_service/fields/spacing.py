@@ -125,7 +125,7 @@ _ROUNDING = 1e-6
 def _is_before(points: FloatArray, one: int, other: int) -> bool:
     for k in range(points.shape[1]):
         if points[one, k] != points[other, k]:
-            return points[one, k] < points[other, k]
+            return bool(points[one, k] < points[other, k])
     return False
 
 

@@ -153,8 +153,8 @@ def crop_layers(layers: Layers, box: tuple[slice, slice]) -> tuple[Layers, IntAr
     cell = np.repeat(np.arange(flat.size), count.ravel())
     nodes = layers.start[flat.ravel()[cell]] + np.arange(len(cell)) - start[cell]
     origin = layers.origin + layers.cell_width * np.array([box[0].start, box[1].start])
-    own = (getattr(layers, name)[nodes] for name in ("place", "height", "thickness", "headroom"))
-    nothing = np.zeros(0, np.int64)
+    own = layers.place[nodes], layers.height[nodes], layers.thickness[nodes], layers.headroom[nodes]
+    nothing: IntArray = np.zeros(0, np.int64)
     return Layers(origin, layers.cell_width, (flat.shape[0], flat.shape[1]), cell, *own, nothing, start), nodes
 
 

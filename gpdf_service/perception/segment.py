@@ -170,7 +170,8 @@ def change_segmentation(
         values[nodes[inside]] = again[inside]
         other.ravel()[layers.cell[differ]] = True
         made.append(values)
-    return Segmentation(layers, *made, old.deviation), other
+    low, high, beneath = made
+    return Segmentation(layers, low, high, beneath, old.deviation), other
 
 
 def scatter_of(deviation: float) -> float:
