@@ -58,7 +58,7 @@ def find_limits(surface: HeightMap, material: BoolArray, measured: Measured | No
     """
     step, slope = measured or step_and_slope(surface)
     known = surface.state != UNKNOWN
-    edge = ndimage.binary_dilation(known, np.ones((3, 3))) & ~known & ~material
+    edge = ndimage.maximum_filter(known, size=3, mode="constant") & ~known & ~material
     beside = ndimage.maximum_filter(np.where(known, surface.height, -np.inf), size=3)
     edge_map = HeightMap(surface.origin, surface.cell_width, np.where(edge, beside, np.nan), surface.state)
     stepped, sloped = known & (step > LEAST_STEP), known & (slope > 0.0)

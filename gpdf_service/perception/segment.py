@@ -236,10 +236,11 @@ def find_ground(layers: Layers, config: PerceptionConfig, noise: float = 0.0) ->
     seen = np.zeros(patch.max() + 1, dtype=bool)
     seen[storeys] = True
     ground = wide & seen[patch]
+    loose = pairs_within(a, b, ~ground, False)  # what is ground at first is ground or out of reach
     while True:
-        low = _under_furniture(ground, wide & ~ground, core, a, b)
+        low = _under_furniture(ground, wide & ~ground, core, *loose)
         ground = _spread(layers, config, ground, low, wide, smooth == 8, patch, joins, seen)
-        reached = _under_furniture(ground, wide & seen[patch] & ~ground, core, a, b)
+        reached = _under_furniture(ground, wide & seen[patch] & ~ground, core, *loose)
         seen[patch[reached & wide]] = True
         if not _beside(reached, patch, joins, seen).any():
             break
