@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
 from gpdf_service.fields.threads import run_chunked
 from gpdf_service.types import BoolArray, FloatArray, IntArray
@@ -203,6 +204,29 @@ def _sort(values: FloatArray, begin: int, end: int) -> None:
             values[j] = values[j - 1]
             j -= 1
         values[j] = value
+
+
+@njit(cache=True, nogil=True)
+def heights_in_plan(
+    cell: IntArray,
+    nodes: IntArray,
+    height: FloatArray,
+    place: FloatArray,
+    origin: FloatArray,
+    width: float,
+    shape: tuple[int, int],
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Height [m] of the one of the `nodes` in each cell, NaN where there is none, and its place from the cell's centre.
+
+    Shapes (nx, ny) and (nx, ny, 2).
+    """
+    made, off = np.full(shape, np.nan, np.float32), np.zeros((*shape, 2), np.float32)
+    for i in nodes:
+        x, y = cell[i] // shape[1], cell[i] % shape[1]
+        made[x, y] = height[i]
+        off[x, y, 0] = place[i, 0] - origin[0] - (x + 0.5) * width
+        off[x, y, 1] = place[i, 1] - origin[1] - (y + 0.5) * width
+    return made, off
 
 
 @njit(cache=True, nogil=True)

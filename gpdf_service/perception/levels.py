@@ -18,6 +18,7 @@ from gpdf_service.perception.columns import (
     chosen_rows,
     ends_of_runs,
     extent_in,
+    heights_in_plan,
     lowest_above,
     rows_in_cells,
 )
@@ -297,14 +298,13 @@ def _build_level(
 
 def sheet_surface(layers: Layers, nodes: IntArray, noise: float = 0.0) -> HeightMap:
     """The ground of a sheet as it was seen, at the centres of its cells; the `noise` is that before the cure [m]."""
-    height = np.full(layers.shape, np.nan, np.float32)
-    off = np.zeros((*layers.shape, 2), np.float32)
-    cell = np.divmod(layers.cell[nodes], layers.shape[1])
-    height[cell] = layers.height[nodes]
-    off[cell] = layers.place[nodes] - layers.origin - (np.column_stack(cell) + 0.5) * layers.cell_width
+    grid = layers.origin, layers.cell_width, layers.shape
+    height, off = heights_in_plan(layers.cell, nodes, layers.height, layers.place, *grid)
     state = np.where(np.isnan(height), UNKNOWN, OBSERVED).astype(np.uint8)
-    surface = without_outliers(HeightMap(layers.origin, layers.cell_width, height, state), RESOLVED_STEP * noise)
-    off[surface.height != height] = 0.0  # a median's place is the middle of its cells
+    seen = HeightMap(layers.origin, layers.cell_width, height, state)
+    surface = without_outliers(seen, RESOLVED_STEP * noise)
+    if surface is not seen:
+        off[surface.height != height] = 0.0  # a median's place is the middle of its cells
     return smooth(to_centres(surface, off, noise), noise)
 
 

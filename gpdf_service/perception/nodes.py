@@ -90,6 +90,22 @@ def pairs_across(a: IntArray, b: IntArray, label: IntArray) -> tuple[IntArray, I
 
 
 @njit(cache=True, nogil=True)
+def plan_sums(cell: IntArray, ny: int, among: BoolArray, label: IntArray, labels: int) -> FloatArray:
+    """Sums of 1, x, y, x², y², xy of the cells of the nodes `among` all with each label, shape (labels, 6)."""
+    sums = np.zeros((labels, 6))
+    for i in range(len(cell)):
+        if among[i]:
+            x, y, own = float(cell[i] // ny), float(cell[i] % ny), sums[label[i]]
+            own[0] += 1.0
+            own[1] += x
+            own[2] += y
+            own[3] += x * x
+            own[4] += y * y
+            own[5] += x * y
+    return sums
+
+
+@njit(cache=True, nogil=True)
 def degrees(a: IntArray, b: IntArray, count: int) -> IntArray:
     """How many of the pairs (a, b) each of `count` nodes is in."""
     degree = np.zeros(count, np.int64)

@@ -34,6 +34,7 @@ from gpdf_service.perception.nodes import (
     nodes_over,
     pairs_across,
     pairs_within,
+    plan_sums,
     stepped,
 )
 from gpdf_service.perception.read import check_points
@@ -445,16 +446,9 @@ def _without_dead_ends(
 
 def _shapes(layers: Layers, wide: BoolArray, patch: IntArray, config: PerceptionConfig) -> tuple[BoolArray, BoolArray]:
     """Which patches a body stands on, and which are long enough for a stair's tread, by their principal extents."""
-    x, y = np.divmod(layers.cell, layers.shape[1]) + np.zeros((2, 1))
-    weight = wide.astype(float)
-    count = np.maximum(np.bincount(patch, weight), 1.0)
-
-    def mean(values: FloatArray) -> FloatArray:
-        result: FloatArray = np.bincount(patch, weight * values) / count
-        return result
-
-    xx, yy = mean(x * x) - mean(x) ** 2, mean(y * y) - mean(y) ** 2
-    xy = mean(x * y) - mean(x) * mean(y)
+    sums = plan_sums(layers.cell, layers.shape[1], wide, patch, int(patch.max()) + 1)
+    x, y, xx, yy, xy = sums[:, 1:].T / np.maximum(sums[:, 0], 1.0)
+    xx, yy, xy = xx - x**2, yy - y**2, xy - x * y
     middle, radius = 0.5 * (xx + yy), np.hypot(0.5 * (xx - yy), xy)
     # A uniform strip of length L has variance L²/12; a cell more, because cells have a width.
     length = (np.sqrt(12.0 * (middle + radius)) + 1.0) * layers.cell_width
