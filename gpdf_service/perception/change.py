@@ -163,11 +163,20 @@ class _Cloud:
         high: Upper corner [m], shape (2,).
     """
 
-    def __init__(self, points: FloatArray, low: FloatArray, high: FloatArray) -> None:
+    def __init__(self, points: FloatArray, low: FloatArray, high: FloatArray, rows: IntArray | None = None) -> None:
         self.points, self.low, self.high = points, low, high
-        self._rows: IntArray = rows_in_box(points, low, high)
+        self._rows: IntArray = rows_in_box(points, low, high) if rows is None else rows
         self._near = points[self._rows]
         self._sorted: dict[bytes, tuple[tuple[slice, slice], IntArray, IntArray]] = {}
+
+    def without(self, gone: IntArray, fresh: FloatArray) -> _Cloud:
+        """The cloud without the rows that are `gone`, sorted, and with `fresh` points (k, 3) after the others."""
+        stay = np.ones(len(self.points), dtype=bool)
+        stay[gone] = False
+        points = without_rows(self.points, stay, fresh)
+        rows = self._rows[stay[self._rows]]
+        rows = np.concatenate([rows - np.searchsorted(gone, rows), np.arange(len(points) - len(fresh), len(points))])
+        return _Cloud(points, self.low, self.high, rows)
 
     def rows_in(self, grid: Layers | HeightMap, wanted: BoolArray) -> IntArray:
         """Rows of the points in the `wanted` cells of a grid, shape (nx, ny); sorted."""
@@ -323,11 +332,9 @@ def _change_level(
     swapped = _other_cells(seen, other[gone], fresh)
     before = _with(other[gone], ledge[gone])
     if swapped.any():
-        stay = np.ones(len(other), dtype=bool)
-        stay[gone] = False
-        other = without_rows(other, stay, fresh)
-        held = _Cloud(other, held.low, held.high)
-        ledge = np.concatenate([ledge[stay], np.full(len(fresh), np.inf, np.float32)])
+        held = held.without(gone, fresh)
+        other = held.points
+        ledge = np.concatenate([np.delete(ledge, gone), np.full(len(fresh), np.inf, np.float32)])
     surface, limits, measured = old.surface, old.limits, old.measured
     if moved.any() or swapped.any() or any((a != b).any() for a, b in zip(now, voids, strict=True)):
         surface, material = complete(seen, other, now, config)

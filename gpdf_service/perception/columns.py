@@ -299,13 +299,20 @@ def rows_of_cells(wanted: BoolArray, start: IntArray, order: IntArray) -> IntArr
 @njit(cache=True, nogil=True)
 def rows_in_box(points: FloatArray, low: FloatArray, high: FloatArray) -> IntArray:
     """Rows of the points (n, 3) between `low` and `high` in plan, shape (2,); sorted."""
-    found, used = np.empty(len(points) + 1, np.int64), 0
+    found, used = np.empty(2 * _BLOCK, np.int64), 0
     left, right, near, far = low[0], high[0], low[1], high[1]
-    for row in range(len(points)):  # no branch: half of all would be guessed wrong
-        x, y = points[row, 0], points[row, 1]
-        found[used] = row
-        used += int((x >= left) & (x <= right) & (y >= near) & (y <= far))
+    for begin in range(0, len(points), _BLOCK):
+        if used + _BLOCK > len(found):
+            found = _longer(found, 2 * len(found))
+        for row in range(begin, min(begin + _BLOCK, len(points))):  # no branch: half of all would be guessed wrong
+            x, y = points[row, 0], points[row, 1]
+            found[used] = row
+            used += int((x >= left) & (x <= right) & (y >= near) & (y <= far))
     return found[:used].copy()
+
+
+_BLOCK = 4096
+"""Rows for which room is made at once: what is found is few, and memory that nobody touches costs nothing."""
 
 
 def chosen_rows(points: FloatArray, chosen: BoolArray) -> FloatArray:
