@@ -21,6 +21,7 @@ from gpdf_service.perception.columns import (
     cut_columns,
     kth_beside,
     pairs_among,
+    pairs_beside,
     pairs_near,
     spliced,
 )
@@ -216,11 +217,10 @@ class Beside:
 
 def beside(layers: Layers, rise: float) -> Beside:
     """All pairs with at most `rise` [m] between them."""
-    every = np.ones(len(layers.cell), dtype=bool)
-    return Beside(layers, *pairs_near(layers.start, layers.shape, layers.height, every, np.full(len(HALF), rise), HALF))
+    return Beside(layers, *pairs_beside(layers.start, layers.shape, layers.height, rise, HALF))
 
 
 def connect(layers: Layers, keep: BoolArray, rise: float) -> Pairs:
     """Pairs of kept nodes in neighbouring cells with at most `rise` [m] a cell between them."""
-    a, b, _ = pairs_near(layers.start, layers.shape, layers.height, keep, rise * _APART, HALF)
-    return a, b
+    pairs: Pairs = pairs_near(layers.start, layers.shape, layers.height, keep, rise * _APART, HALF)
+    return pairs
