@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
@@ -9,6 +11,8 @@ from numpy.typing import NDArray
 from gpdf_service.fields.threads import run_chunked
 from gpdf_service.types import BoolArray, FloatArray, IntArray
 
+INDEX: Any = np.int32
+"""Kind of the numbers of nodes in pairs, which are many: half of the memory."""
 _FEW = 32
 """Points that are sorted faster by insertion than by a call."""
 
@@ -126,7 +130,7 @@ def pairs_near(
     That is by at most `most` [m], one number an offset.
     """
     capacity, used = 4 * len(height) + 16, 0
-    one, other = np.empty(capacity, np.int32), np.empty(capacity, np.int32)  # half of the memory that is touched
+    one, other = np.empty(capacity, INDEX), np.empty(capacity, INDEX)
     for k in range(len(offsets)):
         dx, dy = offsets[k]
         for x in range(max(0, -dx), min(shape[0], shape[0] - dx)):
@@ -154,7 +158,7 @@ def pairs_beside(
     The heights of a column must ascend: so what is too low or too high for one node is passed over.
     """
     capacity, used, first = 4 * len(height) + 16, 0, np.zeros(len(offsets) + 1, np.int64)
-    one, other = np.empty(capacity, np.int32), np.empty(capacity, np.int32)
+    one, other = np.empty(capacity, INDEX), np.empty(capacity, INDEX)
     for k in range(len(offsets)):
         dx, dy = offsets[k]
         for x in range(max(0, -dx), min(shape[0], shape[0] - dx)):
@@ -181,7 +185,7 @@ def pairs_among(
     a: IntArray, b: IntArray, first: IntArray, height: FloatArray, keep: BoolArray, most: FloatArray
 ) -> tuple[IntArray, IntArray]:
     """What `pairs_near` finds for other nodes to keep and smaller limits, from the pairs that it found."""
-    one, other, used = np.empty(len(a) + 1, np.int32), np.empty(len(a) + 1, np.int32), 0
+    one, other, used = np.empty(len(a) + 1, INDEX), np.empty(len(a) + 1, INDEX), 0
     for k in range(len(most)):
         for e in range(first[k], first[k + 1]):
             i, j = a[e], b[e]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
+from gpdf_service.perception.columns import INDEX
 from gpdf_service.types import BoolArray, FloatArray, IntArray
 
 AROUND = ((-1, -1), (-1, 0), (-1, 1), (0, -1), (0, 1), (1, -1), (1, 0), (1, 1))
@@ -72,7 +73,7 @@ def joined_to(seeds: BoolArray, among: BoolArray, a: IntArray, b: IntArray) -> B
 @njit(cache=True, nogil=True)
 def pairs_within(a: IntArray, b: IntArray, among: BoolArray, both: bool) -> tuple[IntArray, IntArray]:
     """The pairs of which `both`, or at least one, are `among` the nodes."""
-    one, other, used = np.empty(len(a) + 1, np.int32), np.empty(len(a) + 1, np.int32), 0
+    one, other, used = np.empty(len(a) + 1, INDEX), np.empty(len(a) + 1, INDEX), 0
     for e in range(len(a)):
         one[used], other[used] = a[e], b[e]
         used += int(among[a[e]] and among[b[e]] if both else among[a[e]] or among[b[e]])
@@ -82,7 +83,7 @@ def pairs_within(a: IntArray, b: IntArray, among: BoolArray, both: bool) -> tupl
 @njit(cache=True, nogil=True)
 def pairs_across(a: IntArray, b: IntArray, label: IntArray) -> tuple[IntArray, IntArray]:
     """The pairs whose nodes have another `label` each."""
-    one, other, used = np.empty(len(a) + 1, np.int32), np.empty(len(a) + 1, np.int32), 0
+    one, other, used = np.empty(len(a) + 1, INDEX), np.empty(len(a) + 1, INDEX), 0
     for e in range(len(a)):
         one[used], other[used] = a[e], b[e]
         used += int(label[a[e]] != label[b[e]])
