@@ -174,7 +174,7 @@ def sample(
     delta, leaf, j, total, (g0, g1, g2) = walk(blocks, boxes, weights, length_scale, x, stack, bound, near)
     if delta == np.inf:
         return 0.0, 0, np.inf, (0.0, 0.0, 0.0)
-    row = begin[leaf] + j
+    row = min(begin[leaf] + j, begin[leaf + 1] - 1)  # a copy of the last point stands for it
     gap = discs[row, 4]
     off = x[0] - blocks[leaf, 0, j], x[1] - blocks[leaf, 1, j], x[2] - blocks[leaf, 2, j]
     away = from_disc(discs, row, off)
@@ -246,8 +246,13 @@ def sample_range(
 @njit(cache=True, nogil=True)
 def nearest_one(tree: Tree, x: FloatArray) -> tuple[float, int]:
     """Exact nearest point: its distance [m], 0 from what is no place, and its row in `tree.points`."""
-    stack, bound, near = make_scratch()
-    return _nearest(tree.begin, tree.blocks, tree.boxes, place_of(x), stack, bound, near)
+    return nearest_with(tree, x, make_scratch())
+
+
+@njit(cache=True, nogil=True)
+def nearest_with(tree: Tree, x: FloatArray, scratch: Scratch) -> tuple[float, int]:
+    """`nearest_one` for a loop, which makes the scratch once."""
+    return _nearest(tree.begin, tree.blocks, tree.boxes, place_of(x), scratch.stack, scratch.bound, scratch.near)
 
 
 @njit(cache=True, nogil=True, fastmath=VECTORS)
@@ -269,7 +274,7 @@ def _nearest(
             break
         least, j = nearest_in(blocks, leaf, x0, x1, x2)
         if least < delta:
-            delta, row = least, begin[leaf] + j
+            delta, row = least, min(begin[leaf] + j, begin[leaf + 1] - 1)
     return sqrt(delta) if delta < np.inf else 0.0, row
 
 

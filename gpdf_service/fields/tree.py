@@ -103,7 +103,11 @@ def change_tree(tree: Tree, keep: BoolArray, added: FloatArray) -> tuple[Tree, I
 
 @njit(cache=True, nogil=True)
 def _arrange(points: FloatArray, order: IntArray, room: int) -> None:
-    """Order the points so that every run that a node stands for is compact: halves of its children, then theirs."""
+    """Order the points so that every run that a node stands for is compact: halves of its children, then theirs.
+
+    The coordinates go along with the order: so what is compared lies side by side, however many there are.
+    """
+    along = points.T.copy()
     todo = [(0, len(points), room)]
     while todo:
         a, b, room = todo.pop()
@@ -112,31 +116,34 @@ def _arrange(points: FloatArray, order: IntArray, room: int) -> None:
         if b - a <= LEAF_SIZE:
             continue
         axis, widest = 0, -1.0
-        for k in range(points.shape[1]):
+        for k in range(len(along)):
             low, high = np.inf, -np.inf
             for i in range(a, b):
-                low, high = min(low, points[order[i], k]), max(high, points[order[i], k])
+                low, high = min(low, along[k, i]), max(high, along[k, i])
             if high - low > widest:
                 axis, widest = k, high - low
         children = (b - a + room - 1) // room
         middle = a + (children + 1) // 2 * room
-        _select(points, order, axis, a, b - 1, middle)
+        _select(along, order, axis, a, b - 1, middle)
         todo.append((a, middle, room))
         todo.append((middle, b, room))
 
 
 @njit(cache=True, nogil=True)
-def _select(points: FloatArray, order: IntArray, axis: int, left: int, right: int, target: int) -> None:
-    """Hoare's quickselect: put the `target`-th smallest along `axis` in its place within order[left..right]."""
+def _select(along: FloatArray, order: IntArray, axis: int, left: int, right: int, target: int) -> None:
+    """Hoare's quickselect: put the `target`-th smallest along `axis` in its place within columns left..right."""
+    key = along[axis]
     while left < right:
-        pivot = points[order[(left + right) // 2], axis]
+        pivot = key[(left + right) // 2]
         i, j = left, right
         while i <= j:
-            while points[order[i], axis] < pivot:
+            while key[i] < pivot:
                 i += 1
-            while points[order[j], axis] > pivot:
+            while key[j] > pivot:
                 j -= 1
             if i <= j:
+                for k in range(len(along)):
+                    along[k, i], along[k, j] = along[k, j], along[k, i]
                 order[i], order[j] = order[j], order[i]
                 i += 1
                 j -= 1

@@ -12,7 +12,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage
 
 from gpdf_service.config import PerceptionConfig
 from gpdf_service.perception.columns import (
@@ -44,8 +43,8 @@ from gpdf_service.perception.levels import (
     split_sheets,
     within_reach,
 )
-from gpdf_service.perception.limits import change_step_and_slope, find_limits, limits_reach, window
-from gpdf_service.perception.segment import Segmentation, segment_layers
+from gpdf_service.perception.limits import change_step_and_slope, find_limits, limits_reach, widened, window
+from gpdf_service.perception.segment import Segmentation, change_segmentation
 from gpdf_service.perception.strays import find_strays
 from gpdf_service.perception.surface import (
     MAX_HOLE_RADIUS,
@@ -164,11 +163,20 @@ class _Cloud:
         high: Upper corner [m], shape (2,).
     """
 
-    def __init__(self, points: FloatArray, low: FloatArray, high: FloatArray) -> None:
+    def __init__(self, points: FloatArray, low: FloatArray, high: FloatArray, rows: IntArray | None = None) -> None:
         self.points, self.low, self.high = points, low, high
-        self._rows: IntArray = rows_in_box(points, low, high)
+        self._rows: IntArray = rows_in_box(points, low, high) if rows is None else rows
         self._near = points[self._rows]
         self._sorted: dict[bytes, tuple[tuple[slice, slice], IntArray, IntArray]] = {}
+
+    def without(self, gone: IntArray, fresh: FloatArray) -> _Cloud:
+        """The cloud without the rows that are `gone`, sorted, and with `fresh` points (k, 3) after the others."""
+        stay = np.ones(len(self.points), dtype=bool)
+        stay[gone] = False
+        points = without_rows(self.points, stay, fresh)
+        rows = self._rows[stay[self._rows]]
+        rows = np.concatenate([rows - np.searchsorted(gone, rows), np.arange(len(points) - len(fresh), len(points))])
+        return _Cloud(points, self.low, self.high, rows)
 
     def rows_in(self, grid: Layers | HeightMap, wanted: BoolArray) -> IntArray:
         """Rows of the points in the `wanted` cells of a grid, shape (nx, ny); sorted."""
@@ -207,15 +215,6 @@ _AT_HAND = 4.0 * OVERLAP
 """[m] Around a change; what a change of the ground makes look at again lies within 1.5 times the overlap of sheets."""
 
 
-def widened(cells: BoolArray, by: int) -> BoolArray:
-    """The cells and all within `by` cells of them along each axis."""
-    made = np.zeros_like(cells)
-    if cells.any():
-        box = window(cells, by)
-        made[box] = ndimage.maximum_filter(cells[box], size=2 * by + 1, mode="constant")
-    return made
-
-
 def _columns(cloud: _Cloud, rows: IntArray, layers: Layers, config: PerceptionConfig) -> Layers:
     """Layers of whole columns, the points `rows` of `cloud`, on the grid of `layers`."""
     return build_layers(cloud.points[rows], layers.cell_width, layer_gap(layers.cell_width, config), like=layers)
@@ -240,10 +239,7 @@ def _change_segmentation(
     _check_grid(cloud.points, None, old.layers, places)
     cells = _cells_of(places, old.layers)
     layers = _change_layers(old.layers, cloud, cloud.rows_in(old.layers, cells), cells, config)
-    found = segment_layers(layers, config, deviation=old.deviation)
-    stay, now = ~cells.ravel()[old.layers.cell], ~cells.ravel()[layers.cell]
-    for name in ("low", "high", "beside"):
-        cells.ravel()[layers.cell[now][getattr(old, name)[stay] != getattr(found, name)[now]]] = True
+    found, cells = change_segmentation(old, layers, cells, config)
     rows = cloud.rows_in(layers, cells)
     ground = before.copy()
     if len(rows):
@@ -280,18 +276,26 @@ def _change_levels(
     if len(sheets) != len(old.levels.levels):
         raise WholeError
     made = []
-    for i, sheet in enumerate(sheets):
+    for level, voids, sheet in zip(old.levels.levels, old.survey.voids, sheets, strict=True):
         inside = np.zeros(len(layers.cell), dtype=bool)
         inside[sheet] = True
         part = _Part(cloud, ground, stray, layers, inside, sheet_surface(layers, sheet), cells)
-        made.append(_change_level(old.levels.levels[i], old.survey.voids[i], part, config))
+        made.append(_change_level(level, voids, part, config))
     levels = Levels(tuple(level for level, _, _ in made), find_portals(layers, sheets))
-    return levels, Survey(layers, stray, tuple(voids for _, voids, _ in made)), tuple(cells for _, _, cells in made)
+    voids_now, touched = tuple(voids for _, voids, _ in made), tuple(cells for _, _, cells in made)
+    return levels, Survey(layers, stray, voids_now), touched
+
+
+def _seen_of(surface: HeightMap) -> HeightMap:
+    """The ground as it was seen, without what was inferred."""
+    seen = surface.state == OBSERVED
+    height = np.where(seen, surface.height, np.float32(np.nan))
+    return replace(surface, height=height, state=np.where(seen, OBSERVED, UNKNOWN).astype(np.uint8))
 
 
 @dataclass(frozen=True, slots=True)
 class _Part:
-    """What one level is made of: cloud, labels, strays, ground layers, the sheet's nodes and cells, changed columns."""
+    """What one level is made of: cloud, labels, strays, ground layers, its nodes, its ground, changed columns."""
 
     cloud: _Cloud
     ground: BoolArray
@@ -316,30 +320,29 @@ def _change_level(
     old: GroundLevel, voids: Voids, part: _Part, config: PerceptionConfig
 ) -> tuple[GroundLevel, Voids, BoolArray | None]:
     width, seen = part.seen.cell_width, part.seen
-    state = np.where(old.surface.state == OBSERVED, old.surface.state, UNKNOWN).astype(np.uint8)
-    was = replace(old.surface, height=np.where(state == OBSERVED, old.surface.height, np.float32(np.nan)), state=state)
+    was = _seen_of(old.surface)
     moved = _differ(was.height, seen.height)
     cells = part.cells | _felt(was, seen, moved)
     box, rest = _around(cells, width), part.rest(cells, config)
     fresh = within_reach(rest, seen, box)
     now = _change_voids(voids, cells, find_voids(seen, rest, config.max_step, box=box))
-    gone = rows_in_cells(old.other_points, seen.origin, width, cells)
+    held = _Cloud(old.other_points, part.cloud.low, part.cloud.high)
+    gone = held.rows_in(seen, cells)
     other, ledge = old.other_points, old.ledge
     swapped = _other_cells(seen, other[gone], fresh)
     before = _with(other[gone], ledge[gone])
     if swapped.any():
-        stay = np.ones(len(other), dtype=bool)
-        stay[gone] = False
-        other = without_rows(other, stay, fresh)
-        ledge = np.concatenate([ledge[stay], np.full(len(fresh), np.inf, np.float32)])
+        held = held.without(gone, fresh)
+        other = held.points
+        ledge = np.concatenate([np.delete(ledge, gone), np.full(len(fresh), np.inf, np.float32)])
     surface, limits, measured = old.surface, old.limits, old.measured
     if moved.any() or swapped.any() or any((a != b).any() for a, b in zip(now, voids, strict=True)):
         surface, material = complete(seen, other, now, config)
         measured = change_step_and_slope(surface, _changed(old.surface, surface), *measured)
         limits = find_limits(surface, material, measured)
-    asked = rows_in_cells(other, surface.origin, width, cells | _ledge_cells(part, old.surface, surface))
+    asked = held.rows_in(surface, cells | _ledge_cells(part, old.surface, surface))
     found = _ledges_of(part, surface, other[asked])
-    after = rows_in_cells(other, surface.origin, width, cells)
+    after = asked[cells[surface.cells(other[asked])[:2]]]
     stepped = _cells_of(other[asked][ledge[asked] != found], part.layers) & ~cells
     ledge = ledge.copy()
     ledge[asked] = found

@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
 from gpdf_service.fields.threads import run_chunked
 from gpdf_service.types import BoolArray, FloatArray, IntArray
 
+INDEX: Any = np.int32
+"""Kind of the numbers of nodes in pairs, which are many: half of the memory."""
 _FEW = 32
 """Points that are sorted faster by insertion than by a call."""
 
@@ -117,41 +122,81 @@ def pairs_near(
     shape: tuple[int, int],
     height: FloatArray,
     keep: BoolArray,
-    limit: FloatArray,
+    most: FloatArray,
     offsets: tuple[tuple[int, int], ...],
-    factors: FloatArray,
 ) -> tuple[IntArray, IntArray]:
     """Pairs of kept nodes (a, b), b's cell at one of the `offsets` from a's, whose heights differ by little.
 
-    That is by at most the `limit` of either, shape (k,), or (1,) for all [m], times the offset's factor.
+    That is by at most `most` [m], one number an offset.
     """
-    capacity, used, uniform = 4 * len(height) + 16, 0, len(limit) == 1
-    one, other = np.empty(capacity, np.int64), np.empty(capacity, np.int64)
+    capacity, used = 4 * len(height) + 16, 0
+    one, other = np.empty(capacity, INDEX), np.empty(capacity, INDEX)
     for k in range(len(offsets)):
         dx, dy = offsets[k]
         for x in range(max(0, -dx), min(shape[0], shape[0] - dx)):
             for y in range(max(0, -dy), min(shape[1], shape[1] - dy)):
                 here, there = x * shape[1] + y, (x + dx) * shape[1] + y + dy
-                for a in range(start[here], start[here + 1]):
+                more = (start[here + 1] - start[here]) * (start[there + 1] - start[there])
+                if used + more > capacity:
+                    capacity = 2 * capacity + more
+                    one, other = _longer(one, capacity), _longer(other, capacity)
+                for a in range(start[here], start[here + 1] if more > 0 else 0):
                     if not keep[a]:
                         continue
-                    for b in range(start[there], start[there + 1]):
-                        if not keep[b]:
-                            continue
-                        most = limit[0] if uniform else min(limit[a], limit[b])
-                        if abs(height[a] - height[b]) > factors[k] * most:
-                            continue
-                        if used == capacity:
-                            capacity *= 2
-                            one, other = _longer(one, capacity), _longer(other, capacity)
+                    for b in range(start[there], start[there + 1]):  # written, and kept or not: a guess would be wrong
                         one[used], other[used] = a, b
-                        used += 1
+                        used += int(keep[b] & (abs(height[a] - height[b]) <= most[k]))
+    return one[:used], other[:used]
+
+
+@njit(cache=True, nogil=True)
+def pairs_beside(
+    start: IntArray, shape: tuple[int, int], height: FloatArray, most: float, offsets: tuple[tuple[int, int], ...]
+) -> tuple[IntArray, IntArray, IntArray]:
+    """What `pairs_near` finds if all are kept, and where the pairs of each offset begin, shape (offsets + 1,).
+
+    The heights of a column must ascend: so what is too low or too high for one node is passed over.
+    """
+    capacity, used, first = 4 * len(height) + 16, 0, np.zeros(len(offsets) + 1, np.int64)
+    one, other = np.empty(capacity, INDEX), np.empty(capacity, INDEX)
+    for k in range(len(offsets)):
+        dx, dy = offsets[k]
+        for x in range(max(0, -dx), min(shape[0], shape[0] - dx)):
+            for y in range(max(0, -dy), min(shape[1], shape[1] - dy)):
+                here, there = x * shape[1] + y, (x + dx) * shape[1] + y + dy
+                low, end = start[there], start[there + 1]
+                more = (start[here + 1] - start[here]) * (end - low)
+                if used + more > capacity:
+                    capacity = 2 * capacity + more
+                    one, other = _longer(one, capacity), _longer(other, capacity)
+                for a in range(start[here], start[here + 1]):
+                    while low < end and height[a] - height[low] > most:
+                        low += 1
+                    b = low
+                    while b < end and height[b] - height[a] <= most:
+                        one[used], other[used] = a, b
+                        used, b = used + 1, b + 1
+        first[k + 1] = used
+    return one[:used], other[:used], first
+
+
+@njit(cache=True, nogil=True)
+def pairs_among(
+    a: IntArray, b: IntArray, first: IntArray, height: FloatArray, keep: BoolArray, most: FloatArray
+) -> tuple[IntArray, IntArray]:
+    """What `pairs_near` finds for other nodes to keep and smaller limits, from the pairs that it found."""
+    one, other, used = np.empty(len(a) + 1, INDEX), np.empty(len(a) + 1, INDEX), 0
+    for k in range(len(most)):
+        for e in range(first[k], first[k + 1]):
+            i, j = a[e], b[e]
+            one[used], other[used] = i, j
+            used += int(keep[i] & keep[j] & (abs(height[i] - height[j]) <= most[k]))
     return one[:used], other[:used]
 
 
 @njit(cache=True, nogil=True)
 def _longer(values: IntArray, capacity: int) -> IntArray:
-    made = np.empty(capacity, np.int64)
+    made = np.empty(capacity, values.dtype)
     made[: len(values)] = values
     return made
 
@@ -193,6 +238,29 @@ def _sort(values: FloatArray, begin: int, end: int) -> None:
             values[j] = values[j - 1]
             j -= 1
         values[j] = value
+
+
+@njit(cache=True, nogil=True)
+def heights_in_plan(
+    cell: IntArray,
+    nodes: IntArray,
+    height: FloatArray,
+    place: FloatArray,
+    origin: FloatArray,
+    width: float,
+    shape: tuple[int, int],
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Height [m] of the one of the `nodes` in each cell, NaN where there is none, and its place from the cell's centre.
+
+    Shapes (nx, ny) and (nx, ny, 2).
+    """
+    made, off = np.full(shape, np.nan, np.float32), np.zeros((*shape, 2), np.float32)
+    for i in nodes:
+        x, y = cell[i] // shape[1], cell[i] % shape[1]
+        made[x, y] = height[i]
+        off[x, y, 0] = place[i, 0] - origin[0] - (x + 0.5) * width
+        off[x, y, 1] = place[i, 1] - origin[1] - (y + 0.5) * width
+    return made, off
 
 
 @njit(cache=True, nogil=True)
@@ -265,13 +333,20 @@ def rows_of_cells(wanted: BoolArray, start: IntArray, order: IntArray) -> IntArr
 @njit(cache=True, nogil=True)
 def rows_in_box(points: FloatArray, low: FloatArray, high: FloatArray) -> IntArray:
     """Rows of the points (n, 3) between `low` and `high` in plan, shape (2,); sorted."""
-    found, used = np.empty(len(points) + 1, np.int64), 0
+    found, used = np.empty(2 * _BLOCK, np.int64), 0
     left, right, near, far = low[0], high[0], low[1], high[1]
-    for row in range(len(points)):  # no branch: half of all would be guessed wrong
-        x, y = points[row, 0], points[row, 1]
-        found[used] = row
-        used += int((x >= left) & (x <= right) & (y >= near) & (y <= far))
+    for begin in range(0, len(points), _BLOCK):
+        if used + _BLOCK > len(found):
+            found = _longer(found, 2 * len(found))
+        for row in range(begin, min(begin + _BLOCK, len(points))):  # no branch: half of all would be guessed wrong
+            x, y = points[row, 0], points[row, 1]
+            found[used] = row
+            used += int((x >= left) & (x <= right) & (y >= near) & (y <= far))
     return found[:used].copy()
+
+
+_BLOCK = 4096
+"""Rows for which room is made at once: what is found is few, and memory that nobody touches costs nothing."""
 
 
 def chosen_rows(points: FloatArray, chosen: BoolArray) -> FloatArray:
@@ -326,6 +401,18 @@ def bounds_of(points: FloatArray) -> tuple[FloatArray, FloatArray]:
         x, y = points[row, 0], points[row, 1]
         left, right, near, far = min(left, x), max(right, x), min(near, y), max(far, y)
     return np.array([left, near]), np.array([right, far])
+
+
+@njit(cache=True, nogil=True)
+def extent_of(points: FloatArray) -> tuple[float, float]:
+    """How wide points (n, 3) are in x or y, and the largest of all coordinates, inf if any is not finite."""
+    low, high, most = np.full(3, np.inf), np.full(3, -np.inf), 0.0
+    for row in range(len(points)):
+        for k in range(3):
+            value = points[row, k]
+            low[k], high[k] = min(low[k], value), max(high[k], value)
+            most = max(most, abs(value)) if np.isfinite(value) else np.inf
+    return max(high[0] - low[0], high[1] - low[1]), most
 
 
 def cells_of(points: FloatArray, origin: FloatArray, width: float, shape: tuple[int, int]) -> IntArray:

@@ -30,7 +30,8 @@ def without_hidden(surface: HeightMap, lowest: FloatArray, face: BoolArray) -> H
     room: FloatArray = ndimage.distance_transform_edt(~clear)
     front: FloatArray = ndimage.distance_transform_edt(~face) if face.any() else np.full(face.shape, np.inf)
     shown = (room > 1.0) & (room <= MAX_HOLE_RADIUS / surface.cell_width) & (front <= room + 1.0)
-    hidden = _discs(np.argwhere(shown), room) & (surface.state == INFERRED)
+    inferred = surface.state == INFERRED
+    hidden = _discs(np.argwhere(shown), room, inferred) & inferred
     height = np.where(hidden, np.float32(np.nan), surface.height)
     return HeightMap(
         surface.origin, surface.cell_width, height, np.where(hidden, UNKNOWN, surface.state).astype(np.uint8)
@@ -57,15 +58,24 @@ def find_faces(surface: HeightMap, cell: IntArray, z: FloatArray, headroom: floa
 
 
 @njit(cache=True, nogil=True)
-def _discs(centres: NDArray[np.int64], radius: FloatArray) -> BoolArray:
-    """Cells nearer to any of the `centres`, shape (k, 2), than its `radius` [cells], shape (nx, ny)."""
+def _discs(centres: NDArray[np.int64], radius: FloatArray, asked: BoolArray) -> BoolArray:
+    """Cells nearer to any of the `centres`, shape (k, 2), than its `radius` [cells], shape (nx, ny), of those `asked`.
+
+    A disc in whose square no cell is asked for is passed over: `within` counts them from the corner on.
+    """
     nx, ny = radius.shape
-    covered = np.zeros((nx, ny), np.bool_)
+    covered, within = np.zeros((nx, ny), np.bool_), np.zeros((nx + 1, ny + 1), np.int64)
+    for u in range(nx):
+        for v in range(ny):
+            within[u + 1, v + 1] = within[u, v + 1] + within[u + 1, v] - within[u, v] + asked[u, v]
     for k in range(len(centres)):
         x, y = centres[k, 0], centres[k, 1]
         reach = radius[x, y]
         far = int(reach)
-        for u in range(max(x - far, 0), min(x + far + 1, nx)):
-            for v in range(max(y - far, 0), min(y + far + 1, ny)):
+        left, right, near, behind = max(x - far, 0), min(x + far + 1, nx), max(y - far, 0), min(y + far + 1, ny)
+        if within[right, behind] - within[left, behind] - within[right, near] + within[left, near] == 0:
+            continue
+        for u in range(left, right):
+            for v in range(near, behind):
                 covered[u, v] |= (u - x) ** 2 + (v - y) ** 2 < reach * reach
     return covered

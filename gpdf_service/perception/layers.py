@@ -20,6 +20,8 @@ from gpdf_service.perception.columns import (
     count_nodes,
     cut_columns,
     kth_beside,
+    pairs_among,
+    pairs_beside,
     pairs_near,
     spliced,
 )
@@ -144,6 +146,19 @@ def splice_layers(layers: Layers, changed: BoolArray, fresh: Layers | None) -> L
     return Layers(layers.origin, layers.cell_width, layers.shape, *parts)
 
 
+def crop_layers(layers: Layers, box: tuple[slice, slice]) -> tuple[Layers, IntArray]:
+    """The layers of a box of cells, without points, and which nodes of all they are, shape (k,)."""
+    flat = np.arange(layers.shape[0] * layers.shape[1]).reshape(layers.shape)[box]
+    count = layers.start[flat + 1] - layers.start[flat]
+    start = np.concatenate([[0], np.cumsum(count)])
+    cell = np.repeat(np.arange(flat.size), count.ravel())
+    nodes = layers.start[flat.ravel()[cell]] + np.arange(len(cell)) - start[cell]
+    origin = layers.origin + layers.cell_width * np.array([box[0].start, box[1].start])
+    own = layers.place[nodes], layers.height[nodes], layers.thickness[nodes], layers.headroom[nodes]
+    nothing: IntArray = np.zeros(0, np.int64)
+    return Layers(origin, layers.cell_width, (flat.shape[0], flat.shape[1]), cell, *own, nothing, start), nodes
+
+
 def build_layers(
     points: FloatArray, cell_width: float, gap: float, noise: float = 0.0, *, like: Layers | None = None
 ) -> Layers:
@@ -165,13 +180,47 @@ def build_layers(
     return Layers(origin, cell_width, shape, cell_of, points[row, :2], *made[2:], first)
 
 
-def connect(
-    layers: Layers, keep: BoolArray, limit: FloatArray | float, offsets: tuple[tuple[int, int], ...]
-) -> tuple[IntArray, IntArray]:
-    """Pairs of kept neighbours whose heights differ by at most `limit` [m] (one number, or one a node)."""
-    limits, factors = np.atleast_1d(np.asarray(limit, dtype=np.float64)), np.ones(len(offsets))
-    if len(limits) == 1:
-        factors = np.hypot(*np.array(offsets, dtype=np.float64).T)
-    grid = layers.start, layers.shape, layers.height
-    pairs: tuple[IntArray, IntArray] = pairs_near(*grid, keep, limits, offsets, factors)
+HALF = ((1, 0), (0, 1), (1, 1), (1, -1))
+"""Half of a cell's eight neighbours: each pair of cells once."""
+_APART = np.hypot(*np.array(HALF, dtype=np.float64).T)
+Pairs = tuple[IntArray, IntArray]
+
+
+@dataclass(frozen=True, slots=True)
+class Beside:
+    """Pairs of nodes in neighbouring cells, from which those among some nodes and within some rise are taken.
+
+    Attributes:
+        layers: The nodes.
+        a: Node of each pair, those of each of the `HALF` after another, shape (e,).
+        b: The other one, shape (e,).
+        first: Where each of the `HALF` begins, shape (5,).
+    """
+
+    layers: Layers
+    a: IntArray
+    b: IntArray
+    first: IntArray
+
+    def slopes(self, keep: BoolArray, rise: float) -> Pairs:
+        """Pairs of nodes to keep with at most `rise` [m] a cell between them."""
+        return self._within(keep, rise * _APART)
+
+    def steps(self, keep: BoolArray, rise: float) -> Pairs:
+        """Pairs of nodes to keep with at most `rise` [m] between them."""
+        return self._within(keep, np.full(len(HALF), rise))
+
+    def _within(self, keep: BoolArray, most: FloatArray) -> Pairs:
+        found: Pairs = pairs_among(self.a, self.b, self.first, self.layers.height, keep, most)
+        return found
+
+
+def beside(layers: Layers, rise: float) -> Beside:
+    """All pairs with at most `rise` [m] between them."""
+    return Beside(layers, *pairs_beside(layers.start, layers.shape, layers.height, rise, HALF))
+
+
+def connect(layers: Layers, keep: BoolArray, rise: float) -> Pairs:
+    """Pairs of kept nodes in neighbouring cells with at most `rise` [m] a cell between them."""
+    pairs: Pairs = pairs_near(layers.start, layers.shape, layers.height, keep, rise * _APART, HALF)
     return pairs

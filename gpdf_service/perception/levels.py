@@ -19,14 +19,15 @@ from gpdf_service.perception.columns import (
     chosen_rows,
     ends_of_runs,
     extent_in,
+    heights_in_plan,
     lowest_above,
     rows_in_cells,
 )
 from gpdf_service.perception.hidden import find_faces, without_hidden
-from gpdf_service.perception.layers import Layers, build_layers, cell_width_of, connect, layer_gap
+from gpdf_service.perception.layers import Beside, Layers, beside, build_layers, cell_width_of, layer_gap
 from gpdf_service.perception.limits import GroundLimits, Measured, find_limits, neighbourhood, smoothed, step_and_slope
 from gpdf_service.perception.nodes import components, degrees, grown_sheet, pairs_across
-from gpdf_service.perception.segment import HALF, LEAST_SCATTER, over_ground
+from gpdf_service.perception.segment import LEAST_SCATTER, over_ground
 from gpdf_service.perception.smooth import smooth, to_centres
 from gpdf_service.perception.strays import find_strays
 from gpdf_service.perception.surface import (
@@ -162,9 +163,12 @@ def survey_levels(
 def find_portals(layers: Layers, sheets: list[IntArray]) -> tuple[Portal, ...]:
     """Where sheets are the same ground."""
     portals = []
+    inside = np.zeros((len(sheets), len(layers.cell)), dtype=bool)
+    for a, sheet in enumerate(sheets):
+        inside[a, sheet] = True
     for a in range(len(sheets)):
         for b in range(a + 1, len(sheets)):
-            both = np.intersect1d(sheets[a], sheets[b], assume_unique=True)
+            both = sheets[b][inside[a, sheets[b]]]
             if len(both):
                 flat = np.column_stack(np.divmod(layers.cell[both], layers.shape[1]))
                 centres = layers.origin + (flat + 0.5) * layers.cell_width
@@ -195,12 +199,13 @@ def split_sheets(layers: Layers, config: PerceptionConfig) -> list[IntArray]:
     The lowest comes first, by the median of its heights.
     """
     count = len(layers.cell)
-    keep = ~_under_step(layers, config.max_step)
+    near = beside(layers, max(config.max_step, np.sqrt(2.0) * layers.cell_width))
+    keep = ~_under_step(near, config.max_step)
     keep &= ~over_ground(layers, keep, config.step_headroom)
     if (np.diff(layers.cell[keep]) > 0).all():
         return [np.flatnonzero(keep)]
-    smooth = components(*connect(layers, keep, layers.cell_width, HALF), keep)
-    a, b = pairs_across(*connect(layers, keep, np.full(count, config.max_step), HALF), smooth)
+    smooth = components(*near.slopes(keep, layers.cell_width), keep)
+    a, b = pairs_across(*near.steps(keep, config.max_step), smooth)
     sheet_of = np.full(count, -1)
     size = np.bincount(smooth, weights=keep)
     order = np.argsort(-size)
@@ -221,14 +226,15 @@ def split_sheets(layers: Layers, config: PerceptionConfig) -> list[IntArray]:
     return [np.flatnonzero(grown_sheet(*grid, keep, nodes, config.max_step, rings)) for nodes in large]
 
 
-def _under_step(layers: Layers, max_step: float) -> BoolArray:
+def _under_step(near: Beside, max_step: float) -> BoolArray:
     """Nodes at the foot of a step whose top is in the same cell, and goes on beside it: such a cell is the step's top.
 
     A single point over the floor goes on nowhere.
     """
-    beside = degrees(*connect(layers, np.ones(len(layers.cell), dtype=bool), layers.cell_width, HALF), len(layers.cell))
+    layers = near.layers
+    joined = degrees(*near.slopes(np.ones(len(layers.cell), dtype=bool), layers.cell_width), len(layers.cell))
     foot = np.zeros(len(layers.cell), dtype=bool)
-    foot[:-1] = (np.diff(layers.cell) == 0) & (np.diff(layers.height) <= max_step) & (beside[1:] > 1)
+    foot[:-1] = (np.diff(layers.cell) == 0) & (np.diff(layers.height) <= max_step) & (joined[1:] > 1)
     return foot
 
 
@@ -293,14 +299,13 @@ def _build_level(
 
 def sheet_surface(layers: Layers, nodes: IntArray, noise: float = 0.0) -> HeightMap:
     """The ground of a sheet as it was seen, at the centres of its cells; the `noise` is that before the cure [m]."""
-    height = np.full(layers.shape, np.nan, np.float32)
-    off = np.zeros((*layers.shape, 2), np.float32)
-    cell = np.divmod(layers.cell[nodes], layers.shape[1])
-    height[cell] = layers.height[nodes]
-    off[cell] = layers.place[nodes] - layers.origin - (np.column_stack(cell) + 0.5) * layers.cell_width
+    grid = layers.origin, layers.cell_width, layers.shape
+    height, off = heights_in_plan(layers.cell, nodes, layers.height, layers.place, *grid)
     state = np.where(np.isnan(height), UNKNOWN, OBSERVED).astype(np.uint8)
-    surface = without_outliers(HeightMap(layers.origin, layers.cell_width, height, state), RESOLVED_STEP * noise)
-    off[surface.height != height] = 0.0  # a median's place is the middle of its cells
+    seen = HeightMap(layers.origin, layers.cell_width, height, state)
+    surface = without_outliers(seen, RESOLVED_STEP * noise)
+    if surface is not seen:
+        off[surface.height != height] = 0.0  # a median's place is the middle of its cells
     return smooth(to_centres(surface, off, noise), noise)
 
 

@@ -58,7 +58,7 @@ def find_limits(surface: HeightMap, material: BoolArray, measured: Measured | No
     """
     step, slope = measured or step_and_slope(surface)
     known = surface.state != UNKNOWN
-    edge = ndimage.binary_dilation(known, np.ones((3, 3))) & ~known & ~material
+    edge = ndimage.maximum_filter(known, size=3, mode="constant") & ~known & ~material
     beside = ndimage.maximum_filter(np.where(known, surface.height, -np.inf), size=3)
     edge_map = HeightMap(surface.origin, surface.cell_width, np.where(edge, beside, np.nan), surface.state)
     stepped, sloped = known & (step > LEAST_STEP), known & (slope > 0.0)
@@ -98,6 +98,15 @@ def window(cells: BoolArray, by: int) -> tuple[slice, slice]:
     spans = (np.flatnonzero(cells.any(axis=axis)) for axis in (1, 0))
     x, y = (slice(max(int(s[0]) - by, 0), min(int(s[-1]) + 1 + by, n)) for s, n in zip(spans, cells.shape, strict=True))
     return x, y
+
+
+def widened(cells: BoolArray, by: int) -> BoolArray:
+    """The cells and all within `by` cells of them along each axis."""
+    made = np.zeros_like(cells)
+    if cells.any():
+        box = window(cells, by)
+        made[box] = ndimage.maximum_filter(cells[box], size=2 * by + 1, mode="constant")
+    return made
 
 
 def step_and_slope(surface: HeightMap) -> Measured:
@@ -158,6 +167,7 @@ def median_around(values: FloatArray, reach: int, wanted: BoolArray) -> FloatArr
 
 @njit(cache=True, nogil=True)
 def _medians(values: FloatArray, reach: int, wanted: BoolArray, begin: int, end: int, made: FloatArray) -> None:
+    """The value that at most k others are under and more than k are not over is told in vectors, without a branch."""
     nx, ny = values.shape
     few = np.empty((2 * reach + 1) ** 2)
     for cell in range(begin, end):
@@ -165,21 +175,28 @@ def _medians(values: FloatArray, reach: int, wanted: BoolArray, begin: int, end:
         if not wanted[x, y]:
             continue
         count = 0
+        few[:] = np.inf
         for i in range(x - reach, x + reach + 1):
             u = -1 - i if i < 0 else (2 * nx - 1 - i if i >= nx else i)
             for j in range(y - reach, y + reach + 1):
                 v = -1 - j if j < 0 else (2 * ny - 1 - j if j >= ny else j)
-                value = values[u, v]
-                if np.isnan(value):
-                    continue
-                at = count
-                while at > 0 and few[at - 1] > value:
-                    few[at] = few[at - 1]
-                    at -= 1
-                few[at] = value
-                count += 1
-        if count > 0:
-            made[x, y] = 0.5 * (few[(count - 1) // 2] + few[count // 2])
+                few[count] = values[u, v]
+                count += int(not np.isnan(values[u, v]))
+        if count < len(few):
+            few[count] = np.inf
+        lower, upper, found = np.nan, np.nan, 0
+        for i in range(count):
+            under, most = 0, 0
+            for j in range(len(few)):
+                under += few[j] < few[i]
+                most += few[j] <= few[i]
+            if under <= (count - 1) // 2 < most:
+                lower, found = few[i], found | 1
+            if under <= count // 2 < most:
+                upper, found = few[i], found | 2
+            if found == 3:
+                break
+        made[x, y] = 0.5 * (lower + upper)
 
 
 def _shift(values: NDArray[np.floating], by: int, axis: int) -> FloatArray:

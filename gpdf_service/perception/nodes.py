@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
+from gpdf_service.perception.columns import INDEX
 from gpdf_service.types import BoolArray, FloatArray, IntArray
 
 AROUND = ((-1, -1), (-1, 0), (-1, 1), (0, -1), (0, 1), (1, -1), (1, 0), (1, 1))
@@ -41,22 +42,38 @@ def components(a: IntArray, b: IntArray, among: BoolArray) -> IntArray:
 
 
 @njit(cache=True, nogil=True)
-def pieces_with(label: IntArray, seeds: BoolArray, among: BoolArray) -> BoolArray:
-    """Which nodes `among` all have the `label` of one of the `seeds`, shape (k,)."""
-    held = np.zeros(len(label), np.bool_)
-    for i in range(len(label)):
-        if seeds[i]:
-            held[label[i]] = True
-    made = np.zeros(len(label), np.bool_)
-    for i in range(len(label)):
-        made[i] = among[i] and held[label[i]]
+def joined_to(seeds: BoolArray, among: BoolArray, a: IntArray, b: IntArray) -> BoolArray:
+    """The `seeds`, shape (k,), and the nodes `among` all that pairs (a, b) of both join to them, one after another.
+
+    All seeds are one node, the first: so only pairs with an end that is no seed are looked at.
+    """
+    kind = seeds.astype(np.uint8)
+    parent = np.arange(len(seeds) + 1)
+    for i in range(len(seeds)):
+        kind[i] += among[i] or seeds[i]
+    for e in range(len(a)):
+        one, other = kind[a[e]], kind[b[e]]
+        if one == 0 or other == 0 or one + other == 4:
+            continue
+        i, j = a[e] + 1 if one == 1 else 0, b[e] + 1 if other == 1 else 0
+        while parent[i] != i:
+            parent[i] = parent[parent[i]]
+            i = parent[i]
+        while parent[j] != j:
+            parent[j] = parent[parent[j]]
+            j = parent[j]
+        parent[max(i, j)] = min(i, j)
+    made = seeds.copy()
+    for i in range(len(seeds)):  # a parent comes before its children
+        parent[i + 1] = parent[parent[i + 1]]
+        made[i] |= parent[i + 1] == 0
     return made
 
 
 @njit(cache=True, nogil=True)
 def pairs_within(a: IntArray, b: IntArray, among: BoolArray, both: bool) -> tuple[IntArray, IntArray]:
     """The pairs of which `both`, or at least one, are `among` the nodes."""
-    one, other, used = np.empty(len(a) + 1, np.int64), np.empty(len(a) + 1, np.int64), 0
+    one, other, used = np.empty(len(a) + 1, INDEX), np.empty(len(a) + 1, INDEX), 0
     for e in range(len(a)):
         one[used], other[used] = a[e], b[e]
         used += int(among[a[e]] and among[b[e]] if both else among[a[e]] or among[b[e]])
@@ -66,11 +83,27 @@ def pairs_within(a: IntArray, b: IntArray, among: BoolArray, both: bool) -> tupl
 @njit(cache=True, nogil=True)
 def pairs_across(a: IntArray, b: IntArray, label: IntArray) -> tuple[IntArray, IntArray]:
     """The pairs whose nodes have another `label` each."""
-    one, other, used = np.empty(len(a) + 1, np.int64), np.empty(len(a) + 1, np.int64), 0
+    one, other, used = np.empty(len(a) + 1, INDEX), np.empty(len(a) + 1, INDEX), 0
     for e in range(len(a)):
         one[used], other[used] = a[e], b[e]
         used += int(label[a[e]] != label[b[e]])
     return one[:used].copy(), other[:used].copy()
+
+
+@njit(cache=True, nogil=True)
+def plan_sums(cell: IntArray, ny: int, among: BoolArray, label: IntArray, labels: int) -> FloatArray:
+    """Sums of 1, x, y, x², y², xy of the cells of the nodes `among` all with each label, shape (labels, 6)."""
+    sums = np.zeros((labels, 6))
+    for i in range(len(cell)):
+        if among[i]:
+            x, y, own = float(cell[i] // ny), float(cell[i] % ny), sums[label[i]]
+            own[0] += 1.0
+            own[1] += x
+            own[2] += y
+            own[3] += x * x
+            own[4] += y * y
+            own[5] += x * y
+    return sums
 
 
 @njit(cache=True, nogil=True)

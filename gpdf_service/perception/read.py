@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike
 
 from gpdf_service.errors import CloudError
 from gpdf_service.perception.bag import read_bag
+from gpdf_service.perception.columns import extent_of
 from gpdf_service.perception.stream import VoxelSieve, chunks_of
 from gpdf_service.types import BoolArray, FloatArray
 
@@ -61,17 +62,17 @@ def check_points(points: ArrayLike) -> FloatArray:
         raise CloudError("point cloud", f"an array of shape {made.shape}", "Pass an array of shape (n, 3): x, y, z.")
     if len(made) == 0:
         raise CloudError("point cloud", "it is empty", "Pass at least the points of a floor.")
-    if not np.isfinite(made).all():
+    extent, farthest = extent_of(made)
+    if not np.isfinite(farthest):
         bad = ~np.isfinite(made).all(axis=1)
         found = f"{int(bad.sum())} of {len(made)} points are not finite, the first in row {int(bad.argmax())}"
         raise CloudError("point cloud", found, "Remove them: points = points[np.isfinite(points).all(axis=1)].")
-    extent = max(float(np.ptp(made[:, k])) for k in (0, 1))
     if extent > MAX_EXTENT:
         found = f"it is {extent:.0f} wide, more than {MAX_EXTENT:.0f} m"
         raise CloudError("point cloud", found, "Is it in millimetres? Divide by 1000; or crop it.")
-    step = float(np.spacing(np.float32(np.abs(made).max())))
+    step = float(np.spacing(np.float32(farthest)))
     if step > COARSEST and np.array_equal(made, made.astype(np.float32)):
-        found = f"coordinates of {np.abs(made).max():.0f} m in single precision, which are rounded to {step:.2g} m"
+        found = f"coordinates of {farthest:.0f} m in single precision, which are rounded to {step:.2g} m"
         raise CloudError("point cloud", found, "Take the origin near the points before they are stored as float32.")
     return made
 

@@ -10,26 +10,36 @@ from numpy.typing import ArrayLike
 from gpdf_service.config import PerceptionConfig
 from gpdf_service.errors import NoGroundError
 from gpdf_service.perception.columns import by_cell, medians_around, next_below
-from gpdf_service.perception.layers import Layers, build_layers, cell_width_of, connect, in_steps, layer_gap
+from gpdf_service.perception.layers import (
+    Beside,
+    Layers,
+    beside,
+    build_layers,
+    cell_width_of,
+    connect,
+    crop_layers,
+    in_steps,
+    layer_gap,
+)
+from gpdf_service.perception.limits import widened, window
 from gpdf_service.perception.nodes import (
     add_rims,
     components,
     degrees,
     drops_beside,
     half_way,
+    joined_to,
     lowest_beside,
     mean_gradients,
     nodes_over,
     pairs_across,
     pairs_within,
-    pieces_with,
+    plan_sums,
     stepped,
 )
 from gpdf_service.perception.read import check_points
 from gpdf_service.types import BoolArray, FloatArray, IntArray
 
-HALF = ((1, 0), (0, 1), (1, 1), (1, -1))
-"""Half of a cell's eight neighbours: each pair of cells once."""
 NOWHERE = ("ground", "no surface in the cloud is wide and level enough to stand on", "Is z up?")
 """What was looked for, what was found, what to try."""
 LEAST_SCATTER = 0.02
@@ -92,7 +102,7 @@ class Segmentation:
     @property
     def scatter(self) -> float:
         """How near to the ground a point of it is [m]."""
-        return max(LEAST_SCATTER, in_steps(3.0 * self.deviation))
+        return scatter_of(self.deviation)
 
     def holds(self, z: FloatArray, node: IntArray) -> BoolArray:
         """Whether points at heights `z` [m] in the nodes `node` are ground, shape (n,)."""
@@ -132,9 +142,49 @@ def segment_layers(
     if z is not None:
         on = ground[layers.node_of_point]
         deviation = 1.4826 * float(np.median(np.abs(z[on] - smooth[layers.node_of_point[on]])))
-    low, high = _across(layers, ground, smooth, config)
-    found = Segmentation(layers, low, high, np.full(len(low), np.inf), deviation)
-    return replace(found, beside=_ground_beside(layers, ground, smooth, found.scatter))
+    return Segmentation(layers, *_extents(layers, ground, smooth, scatter_of(deviation), config), deviation)
+
+
+def change_segmentation(
+    old: Segmentation, layers: Layers, cells: BoolArray, config: PerceptionConfig
+) -> tuple[Segmentation, BoolArray]:
+    """`segment_layers` of `layers` that differ from the `old` ones in the columns `cells`, shape (nx, ny).
+
+    Which nodes are ground is decided from all; how high the ground is at a node by its neighbours and theirs.
+
+    Returns:
+        The segmentation, and the cells whose points can be something else by it, shape (nx, ny).
+    """
+    ground = find_ground(layers, config)
+    stay, now = ~cells.ravel()[old.layers.cell], ~cells.ravel()[layers.cell]
+    felt = cells.copy()
+    felt.ravel()[layers.cell[now][ground[now] != np.isfinite(old.low[stay])]] = True
+    felt = widened(felt, 2)
+    part, nodes = crop_layers(layers, window(felt, 2))
+    inside = felt.ravel()[layers.cell[nodes]]
+    fresh = _extents(part, ground[nodes], _smoothed(part, ground[nodes]), old.scatter, config)
+    other, made = cells.copy(), []
+    for before, again in zip((old.low, old.high, old.beside), fresh, strict=True):
+        values = np.empty(len(layers.cell))
+        values[now] = before[stay]
+        differ = nodes[inside & (values[nodes] != again)]
+        values[nodes[inside]] = again[inside]
+        other.ravel()[layers.cell[differ]] = True
+        made.append(values)
+    low, high, beneath = made
+    return Segmentation(layers, low, high, beneath, old.deviation), other
+
+
+def scatter_of(deviation: float) -> float:
+    """How near to the ground a point of it is [m], where the ground's have this standard deviation [m]."""
+    return max(LEAST_SCATTER, in_steps(3.0 * deviation))
+
+
+def _extents(
+    layers: Layers, ground: BoolArray, smooth: FloatArray, scatter: float, config: PerceptionConfig
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """`low`, `high` and `beside` of a `Segmentation`."""
+    return *_across(layers, ground, smooth, config), _ground_beside(layers, ground, smooth, scatter)
 
 
 def _across(
@@ -142,7 +192,7 @@ def _across(
 ) -> tuple[FloatArray, FloatArray]:
     """Lowest and highest the ground is within each ground node's cell: half-way to its neighbours on the same slope."""
     rise = layers.cell_width * float(np.tan(config.steepest))
-    a, b = connect(replace(layers, height=smooth), ground, rise, HALF)
+    a, b = connect(replace(layers, height=smooth), ground, rise)
     low, high = half_way(smooth, a, b)
     return np.where(ground, low, np.inf), np.where(ground, high, -np.inf)
 
@@ -158,7 +208,7 @@ def _ground_beside(layers: Layers, ground: BoolArray, smooth: FloatArray, scatte
 
 def _smoothed(layers: Layers, ground: BoolArray) -> FloatArray:
     """Median height of each ground node and its neighbours on the same slope: a wheel on the floor does not lift it."""
-    a, b = connect(layers, ground, 2.0 * layers.cell_width, HALF)
+    a, b = connect(layers, ground, 2.0 * layers.cell_width)
     return medians_around(layers.height, ground, a, b)
 
 
@@ -170,7 +220,8 @@ def find_ground(layers: Layers, config: PerceptionConfig, noise: float = 0.0) ->
     """
     surface = layers.thickness <= config.max_step + 4.0 * noise  # a step's face, from the lowest point to the highest
     rise = layers.cell_width * float(np.tan(config.steepest))
-    a, b = connect(layers, surface, rise, HALF)
+    near = beside(layers, max(config.max_step, 3.0 * rise))  # as much as is asked for: 2 √2 for the slope
+    a, b = near.slopes(surface, rise)
     smooth = degrees(a, b, len(surface))
     core = surface & (smooth >= 5)  # what a strip two cells wide has: a tread is that wide, a wall's top is not
     if not core.any():
@@ -182,27 +233,28 @@ def find_ground(layers: Layers, config: PerceptionConfig, noise: float = 0.0) ->
     height = {i: float(np.median(layers.height[wide & (patch == i)])) for i in large}
     bulk = min(large, key=height.__getitem__)
     storeys = [i for i in large if i == bulk or _is_storey(layers, wide & (patch == i), wide & (patch == bulk), config)]
-    joins = _joins(layers, config, wide, patch)
+    joins = _joins(near, config, wide, patch)
     seen = np.zeros(patch.max() + 1, dtype=bool)
     seen[storeys] = True
     ground = wide & seen[patch]
+    loose = pairs_within(a, b, ~ground, False)  # what is ground at first is ground or out of reach
     while True:
-        low = _under_furniture(ground, wide & ~ground, core, a, b)
+        low = _under_furniture(ground, wide & ~ground, core, *loose)
         ground = _spread(layers, config, ground, low, wide, smooth == 8, patch, joins, seen)
-        reached = _under_furniture(ground, wide & seen[patch] & ~ground, core, a, b)
+        reached = _under_furniture(ground, wide & seen[patch] & ~ground, core, *loose)
         seen[patch[reached & wide]] = True
         if not _beside(reached, patch, joins, seen).any():
             break
         ground = reached
     parts = [wide & (patch == i) for i in storeys]
-    found: BoolArray = reached & ~_roofs(layers, reached, parts, (a, b), (joins.a, joins.b), config)
+    found: BoolArray = reached & ~_roofs(near, reached, parts, (a, b), (joins.a, joins.b), config)
     if not found.any():
         raise NoGroundError(*NOWHERE)
     return found
 
 
 def _roofs(
-    layers: Layers,
+    near: Beside,
     ground: BoolArray,
     storeys: list[BoolArray],
     smooth: tuple[IntArray, IntArray],
@@ -215,29 +267,29 @@ def _roofs(
     """
     parts = (pairs_within(*pairs, ground, True) for pairs in (smooth, steps))
     a, b = (np.concatenate(ends) for ends in zip(*parts, strict=True))
-    main = _within_reach(layers, ground, storeys, a, b, config)
+    main = _within_reach(near, ground, storeys, a, b, config)
     off = ground & ~main
     piece = components(a, b, off)
-    beside = stepped(main, a, b)
+    level = stepped(main, a, b)
     count = [
-        np.bincount(piece[off & kind], minlength=piece.max() + 1) for kind in (beside, _drops(layers, off, config))
+        np.bincount(piece[off & kind], minlength=piece.max() + 1) for kind in (level, _drops(near.layers, off, config))
     ]
     roof: BoolArray = off & (count[0] < ROOF_SHARE * (count[0] + count[1]))[piece]
     return roof
 
 
 def _within_reach(
-    layers: Layers, ground: BoolArray, storeys: list[BoolArray], a: IntArray, b: IntArray, config: PerceptionConfig
+    near: Beside, ground: BoolArray, storeys: list[BoolArray], a: IntArray, b: IntArray, config: PerceptionConfig
 ) -> BoolArray:
     """Nodes level enough to stand on that are reached from the storeys; over steps, too, that coarse cells rounded."""
-    flat = ground & (_slope(layers, ground, config) <= config.standable_slope)
+    flat = ground & (_slope(near, ground, config) <= config.standable_slope)
     piece = components(a, b, flat)
     seen = np.zeros(piece.max() + 1, dtype=bool)
     for storey in storeys:
         if (storey & flat).any():
             seen[np.bincount(piece[storey & flat]).argmax()] = True
     a, b = pairs_within(a, b, ~(flat & seen[piece]), False)
-    rings = max(1, round(config.max_step / (layers.cell_width * float(np.tan(config.steepest)))))
+    rings = max(1, round(config.max_step / (near.layers.cell_width * float(np.tan(config.steepest)))))
     while True:
         reach = flat & seen[piece]
         for _ in range(rings + 1):
@@ -248,10 +300,11 @@ def _within_reach(
         seen[fresh] = True
 
 
-def _slope(layers: Layers, ground: BoolArray, config: PerceptionConfig) -> FloatArray:
+def _slope(near: Beside, ground: BoolArray, config: PerceptionConfig) -> FloatArray:
     """Slope at each ground node [rad], of the mean gradient of it and its neighbours on the same slope."""
+    layers = near.layers
     rise = 2.0 * layers.cell_width * float(np.tan(config.steepest))  # or noise would flatten it
-    pairs = connect(layers, ground, rise, HALF)
+    pairs = near.slopes(ground, rise)
     made: FloatArray = np.arctan(
         mean_gradients(layers.height, layers.cell, layers.shape[1], *pairs) / layers.cell_width
     )
@@ -278,8 +331,7 @@ def _under_furniture(ground: BoolArray, apart: BoolArray, core: BoolArray, a: In
 
     Nothing is entered from there over a step: what is low beside a stair's tread is its soffit.
     """
-    free = ground | (core & ~apart)
-    reached: BoolArray = pieces_with(components(a, b, free), ground, free)
+    reached: BoolArray = joined_to(ground, core & ~apart, a, b)
     return reached
 
 
@@ -300,9 +352,10 @@ class _Joins:
     standable: BoolArray
 
 
-def _joins(layers: Layers, config: PerceptionConfig, wide: BoolArray, patch: IntArray) -> _Joins:
+def _joins(near: Beside, config: PerceptionConfig, wide: BoolArray, patch: IntArray) -> _Joins:
+    layers = near.layers
     standable, tread = _shapes(layers, wide, patch, config)
-    a, b = pairs_across(*connect(layers, wide, np.full(len(wide), config.max_step), HALF), patch)
+    a, b = pairs_across(*near.steps(wide, config.max_step), patch)
     a, b = np.concatenate([a, b]), np.concatenate([b, a])
     rise = np.abs(layers.height[a] - _level_of_furniture(layers, wide, patch)[b])
     allowed = np.where(standable[patch[b]], config.max_step, np.where(tread[patch[b]], config.stair_step, -1.0))
@@ -393,16 +446,9 @@ def _without_dead_ends(
 
 def _shapes(layers: Layers, wide: BoolArray, patch: IntArray, config: PerceptionConfig) -> tuple[BoolArray, BoolArray]:
     """Which patches a body stands on, and which are long enough for a stair's tread, by their principal extents."""
-    x, y = np.divmod(layers.cell, layers.shape[1]) + np.zeros((2, 1))
-    weight = wide.astype(float)
-    count = np.maximum(np.bincount(patch, weight), 1.0)
-
-    def mean(values: FloatArray) -> FloatArray:
-        result: FloatArray = np.bincount(patch, weight * values) / count
-        return result
-
-    xx, yy = mean(x * x) - mean(x) ** 2, mean(y * y) - mean(y) ** 2
-    xy = mean(x * y) - mean(x) * mean(y)
+    sums = plan_sums(layers.cell, layers.shape[1], wide, patch, int(patch.max()) + 1)
+    x, y, xx, yy, xy = sums[:, 1:].T / np.maximum(sums[:, 0], 1.0)
+    xx, yy, xy = xx - x**2, yy - y**2, xy - x * y
     middle, radius = 0.5 * (xx + yy), np.hypot(0.5 * (xx - yy), xy)
     # A uniform strip of length L has variance L²/12; a cell more, because cells have a width.
     length = (np.sqrt(12.0 * (middle + radius)) + 1.0) * layers.cell_width

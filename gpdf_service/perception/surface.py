@@ -200,10 +200,11 @@ def _seen_hollow(things: BoolArray, overhung: BoolArray) -> BoolArray:
     height map, may be solid.
     """
     label, count = ndimage.label(things, np.ones((3, 3)))
-    inner = ndimage.binary_erosion(overhung | things, np.ones((3, 3))) & overhung
-    near = ndimage.binary_dilation(inner, np.ones((3, 3)), iterations=2)
+    inner = ndimage.minimum_filter(overhung | things, size=3, mode="constant") & overhung
+    near = ndimage.maximum_filter(inner, size=5, mode="constant")
     hollow = np.ones(count + 1, dtype=bool)
-    hollow[label[ndimage.binary_opening(things, np.ones((3, 3)))]] = False
+    mass = ndimage.minimum_filter(things, size=3, mode="constant")
+    hollow[label[ndimage.maximum_filter(mass, size=3, mode="constant")]] = False
     hollow[label[near & things]] = True
     hollow[0] = False
     result: BoolArray = hollow[label]
@@ -251,7 +252,7 @@ def _walls_down(surface: HeightMap, cell: IntArray, z: FloatArray, box: Box) -> 
     floor = spread(ndimage.minimum_filter(np.where(unknown, np.inf, rim), size=5), box, shape, -np.inf)
     low, high = (_under(floor - cells * surface.cell_width) for cells in (WALL_CELLS, 1.0))
     walls: BoolArray = np.isfinite(extent_in(cell, z, low, high)[0]).reshape(shape)
-    walls[box] &= ndimage.binary_dilation(unknown, np.ones((3, 3)))
+    walls[box] &= ndimage.maximum_filter(unknown, size=3, mode="constant")
     return walls
 
 

@@ -10,8 +10,8 @@ import numpy as np
 from gpdf_service.config import FieldConfig, SearchConfig
 from gpdf_service.fields import Gpdf, Tree, build_tree, change_tree, thin
 from gpdf_service.perception import GroundLevel, GroundLimits, HeightMap, Levels, Obstacles, obstacles_of
-from gpdf_service.perception.change import hashed, widened
-from gpdf_service.perception.limits import window
+from gpdf_service.perception.change import hashed
+from gpdf_service.perception.limits import widened, window
 from gpdf_service.perception.surface import UNKNOWN
 from gpdf_service.search.free_space import (
     FreeSpace,

@@ -46,19 +46,23 @@ def _proven(
     obstacles: Tree,
     center: FloatArray,
     via: FloatArray,
-    whole: BoolArray,
+    room: FloatArray,
     ends: IntArray,
     radius: float,
     begin: int,
     end: int,
     good: BoolArray,
 ) -> None:
-    """Which edges are clear from centre to crossing to centre; a wholly free leaf is convex and needs no look."""
+    """Which edges are clear from centre to crossing to centre.
+
+    Of each leaf the `room` is how far a place may be from its centre and still be clear [m], inf where all of it is: a
+    wholly free leaf is convex.
+    """
     for e in range(begin, end):
-        a, b = ends[e, 0], ends[e, 1]
-        good[e] = (whole[a] or is_clear(obstacles, center[a], via[e], radius)) and (
-            whole[b] or is_clear(obstacles, via[e], center[b], radius)
-        )
+        good[e] = True
+        for leaf in ends[e]:
+            far = sqrt((via[e, 0] - center[leaf, 0]) ** 2 + (via[e, 1] - center[leaf, 1]) ** 2)
+            good[e] &= room[leaf] >= far or is_clear(obstacles, center[leaf], via[e], radius)
 
 
 Edges = tuple[IntArray, FloatArray]
@@ -86,7 +90,8 @@ def find_edges(tree: Quadtree, obstacles: Tree, radius: float, among: BoolArray 
             ends.append(np.column_stack([leaves[once], found[once]]))
             vias.append(via[once])
     pairs, via = np.concatenate(ends), np.concatenate(vias)
-    good, own = np.zeros(len(pairs), dtype=bool), (obstacles, center, via, tree.whole, pairs, radius)
+    room = np.where(tree.whole, np.inf, tree.clearance - radius)
+    good, own = np.zeros(len(pairs), dtype=bool), (obstacles, center, via, room, pairs, radius)
     run_chunked(lambda a, b: _proven(*own, a, b, good), len(pairs))
     return pairs[good], via[good]
 

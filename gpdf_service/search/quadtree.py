@@ -14,7 +14,9 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from gpdf_service.fields import Tree, morton, nearest_one
+from gpdf_service.fields import Tree, morton
+from gpdf_service.fields.traversal import nearest_with
+from gpdf_service.fields.tree import make_scratch
 from gpdf_service.perception import HeightMap
 from gpdf_service.types import BoolArray, FloatArray, IntArray
 
@@ -179,7 +181,7 @@ def _split(
     stack, bound = np.empty((4 * depth + 4, 4), np.int64), np.empty(4 * depth + 4)
     stack[0, 0], stack[0, 1], stack[0, 2], stack[0, 3] = 0, 0, 1 << depth, 0 if len(size_was) > 0 else -1
     bound[0] = -np.inf if moved else np.inf  # a place that changed is no nearer to the node's centre
-    top, x = 1, np.empty(2)
+    top, x, scratch = 1, np.empty(2), make_scratch()
     while top > 0:
         top -= 1
         i, j, n, first = stack[top]
@@ -193,12 +195,12 @@ def _split(
         if first >= 0:
             reach = (clearance_was[first] if leaf else radius + half_diagonal) + _ROUNDING
             if nearest <= reach:
-                nearest = nearest_one(places, x)[0]
+                nearest = nearest_with(places, x, scratch)[0]
             split = not leaf and nearest > reach
             copied = leaf and nearest > reach and not (within and changed[ix, iy])
         distance = clearance_was[first] if copied else 0.0
         if not split and not copied:
-            distance = nearest_one(obstacles, x)[0]
+            distance = nearest_with(obstacles, x, scratch)[0]
             split = distance - half_diagonal < radius and n > 1 and distance + half_diagonal >= radius
         if split:
             h = n // 2

@@ -5,7 +5,8 @@ import pytest
 from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import connected_components
 
-from gpdf_service.perception.layers import build_layers, connect
+from gpdf_service.perception.columns import heights_in_plan
+from gpdf_service.perception.layers import HALF, beside, build_layers, connect, crop_layers
 from gpdf_service.perception.nodes import (
     AROUND,
     components,
@@ -13,15 +14,15 @@ from gpdf_service.perception.nodes import (
     drops_beside,
     grown_sheet,
     half_way,
+    joined_to,
     lowest_beside,
     mean_gradients,
     nodes_over,
     pairs_across,
     pairs_within,
-    pieces_with,
+    plan_sums,
     stepped,
 )
-from gpdf_service.perception.segment import HALF
 
 
 @pytest.fixture(scope="module")
@@ -65,14 +66,60 @@ def test_pairs_are_chosen_and_counted_as_by_masks():
         np.testing.assert_array_equal(found, (a[mask], b[mask]))
     np.testing.assert_array_equal(degrees(a, b, 50), np.bincount(np.concatenate([a, b]), minlength=50))
     seeds = rng.random(50) < 0.1
-    np.testing.assert_array_equal(pieces_with(label, seeds, among), among & np.isin(label, label[seeds]))
+    label = components(a, b, among | seeds)
+    joined = (among | seeds) & np.isin(label, label[seeds])
+    np.testing.assert_array_equal(joined_to(seeds, among, a, b), joined)
+    assert joined.sum() > seeds.sum()
+
+
+def test_pairs_taken_from_all_neighbours_are_those_that_are_looked_for(layers):
+    keep = np.random.default_rng(3).random(len(layers.cell)) < 0.7
+    near = beside(layers, 0.3)
+    sloped, stepped_over = near.slopes(keep, 0.2), near.steps(keep, 0.3)
+    a, b = np.array([(i, j) for i, j, offset in pairs(layers) if offset in set(HALF)]).T
+    far = np.hypot(*(np.divmod(layers.cell[b], layers.shape[1]) - np.array(np.divmod(layers.cell[a], layers.shape[1]))))
+    rise, both = np.abs(layers.height[a] - layers.height[b]), keep[a] & keep[b]
+    for found, least in ((sloped, both & (rise <= 0.2 * far)), (stepped_over, both & (rise <= 0.3))):
+        assert least.any()
+        assert set(zip(*found, strict=True)) == set(zip(a[least], b[least], strict=True))
+    for one, other in zip(sloped, connect(layers, keep, 0.2), strict=True):
+        np.testing.assert_array_equal(one, other)
+
+
+def test_sums_in_plan_and_heights_in_plan_are_those_of_numpy(layers):
+    rng = np.random.default_rng(4)
+    keep, label = rng.random(len(layers.cell)) < 0.5, rng.integers(0, 5, len(layers.cell))
+    x, y = np.divmod(layers.cell, layers.shape[1])
+    sums = plan_sums(layers.cell, layers.shape[1], keep, label, 5)
+    for k, values in enumerate((np.ones(len(x)), x, y, x * x, y * y, x * y)):
+        np.testing.assert_array_equal(sums[:, k], np.bincount(label, values * keep, minlength=5))
+    nodes = np.unique(layers.cell, return_index=True)[1]
+    grid = layers.origin, layers.cell_width, layers.shape
+    height, off = heights_in_plan(layers.cell, nodes, layers.height, layers.place, *grid)
+    np.testing.assert_array_equal(height[x[nodes], y[nodes]], layers.height[nodes].astype(np.float32))
+    assert np.isfinite(height).sum() == len(nodes)
+    assert np.abs(off).max() <= 0.5 * layers.cell_width + 1e-6
+    centre = layers.origin + (np.column_stack([x, y])[nodes] + 0.5) * layers.cell_width
+    np.testing.assert_allclose(centre + off[x[nodes], y[nodes]], layers.place[nodes], atol=1e-6)
+
+
+def test_the_layers_of_a_box_are_those_of_its_columns(layers):
+    box = slice(2, 7), slice(3, 9)
+    part, nodes = crop_layers(layers, box)
+    x, y = np.divmod(layers.cell, layers.shape[1])
+    inside = (x >= 2) & (x < 7) & (y >= 3) & (y < 9)
+    np.testing.assert_array_equal(nodes, np.flatnonzero(inside))
+    np.testing.assert_array_equal(part.cell, (x[inside] - 2) * 6 + y[inside] - 3)
+    np.testing.assert_array_equal(part.height, layers.height[inside])
+    np.testing.assert_array_equal(np.diff(part.start), np.bincount(part.cell, minlength=30))
+    np.testing.assert_allclose(part.origin, layers.origin + np.array([2, 3]) * layers.cell_width)
 
 
 def test_the_mean_gradient_of_a_plane_is_its_slope():
     x, y = np.meshgrid(np.arange(0.05, 2.0, 0.1), np.arange(0.05, 2.0, 0.1))
     plane = np.column_stack([x.ravel(), y.ravel(), 0.3 * x.ravel() - 0.1 * y.ravel()])
     layers = build_layers(plane, 0.1, 0.5)
-    a, b = connect(layers, np.ones(len(layers.cell), dtype=bool), 1.0, HALF)
+    a, b = connect(layers, np.ones(len(layers.cell), dtype=bool), 1.0)
     found = mean_gradients(layers.height, layers.cell, layers.shape[1], a, b)
     np.testing.assert_allclose(found, 0.1 * np.hypot(0.3, 0.1))
 
