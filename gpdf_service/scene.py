@@ -36,7 +36,7 @@ from gpdf_service.perception import (
 )
 from gpdf_service.perception.columns import without_rows
 from gpdf_service.perception.layers import in_steps
-from gpdf_service.perception.surface import UNKNOWN
+from gpdf_service.perception.surface import UNKNOWN, is_same_ground
 from gpdf_service.search import FreeSpace, build_free_space, change_free_space, from_arrays, to_arrays
 from gpdf_service.store import Arrays, flatten, read_arrays, restore, under, write_arrays
 from gpdf_service.types import Agent, BoolArray, FieldSample, FloatArray, IntArray, resolve_agent
@@ -83,7 +83,7 @@ def levels_at(surfaces: tuple[HeightMap, ...], points: FloatArray) -> BoolArray:
     level = np.where(np.isfinite(points).all(axis=1), level_under(surfaces, points + np.array([0.0, 0.0, RISER])), -1)
     heights = np.stack([surface.height_at(points[:, :2]) for surface in surfaces])
     chosen = np.take_along_axis(heights, np.maximum(level, 0)[None], axis=0)
-    same: BoolArray = (level >= 0) & (np.abs(heights - chosen) <= surfaces[0].cell_width)
+    same: BoolArray = (level >= 0) & is_same_ground(heights, chosen, surfaces[0].cell_width)
     return same
 
 

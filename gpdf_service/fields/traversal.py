@@ -246,8 +246,14 @@ def sample_range(
 @njit(cache=True, nogil=True)
 def nearest_one(tree: Tree, x: FloatArray) -> tuple[float, int]:
     """Exact nearest point: its distance [m], 0 from what is no place, and its row in `tree.points`."""
-    stack, bound, near = make_scratch()
-    return _nearest(tree.begin, tree.blocks, tree.boxes, place_of(x), stack, bound, near)
+    return nearest_at(tree, place_of(x), make_scratch())
+
+
+@njit(cache=True, nogil=True)
+def nearest_at(tree: Tree, x: Place, scratch: Scratch) -> tuple[float, int]:
+    """`nearest_one` for who asks often: making the scratch takes a third of the time."""
+    stack, bound, near = scratch
+    return _nearest(tree.begin, tree.blocks, tree.boxes, x, stack, bound, near)
 
 
 @njit(cache=True, nogil=True, fastmath=VECTORS)

@@ -16,7 +16,7 @@ from gpdf_service.config import PlanningConfig
 from gpdf_service.planning.certificate import certify
 from gpdf_service.planning.chomp import ChompResult, optimize
 from gpdf_service.planning.endpoints import Ends, Refusal, find_ends
-from gpdf_service.planning.footprint import disc_places, face
+from gpdf_service.planning.footprint import face
 from gpdf_service.planning.no_path import explain_no_path
 from gpdf_service.planning.routes import Leg, Route, find_cut, find_routes, take_up
 from gpdf_service.planning.shape import resample, spline, stand_up
@@ -82,7 +82,8 @@ def plan_path(
             certificate = certify(space, top, contact, level, headings)
             first = first or certificate
             if certificate.holds:
-                limit = _speed_limit(space, contact, level, headings, config.preferred_clearance)
+                poses = np.column_stack([contact[:, :2], headings])
+                limit = speed_limit(space, poses, level, config.preferred_clearance * space.agent.disc_radius)
                 trajectory = Trajectory(top, contact, *time_poses(top, headings, space.agent, limit))
                 timings = {"search": searched - began, "optimise": clock() - searched, "total": clock() - began}
                 details = candidate.details | {"nodes": float(len(space.graph.position))}
@@ -207,14 +208,3 @@ def _stand(
     if keep.sum() < 2:  # start is goal: stand there
         keep[-1] = True
     return contact[keep], top[keep], on[keep], heading[keep]
-
-
-def _speed_limit(
-    space: FreeSpace, contact: FloatArray, level: IntArray, headings: FloatArray, preferred: float
-) -> FloatArray:
-    """Highest speed at each contact point [m/s]: what the disc in the tightest place allows."""
-    agent = space.agent
-    poses = np.column_stack([contact[:, :2], headings])
-    discs = [np.column_stack([disc_places(poses, offset), contact[:, 2]]) for offset in agent.offsets]
-    slowest: FloatArray = np.min([speed_limit(space, disc, level, preferred * agent.disc_radius) for disc in discs], 0)
-    return slowest

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
+from numba import njit
 
 from gpdf_service.planning.endpoints import Endpoint, Ends
 from gpdf_service.planning.shape import is_path_clear, shortcut
@@ -15,6 +16,8 @@ from gpdf_service.types import FloatArray
 
 Leg = tuple[int, FloatArray]
 """A piece of the path on one level: level, places in plan (n, 2)."""
+SAME = 1e-9
+"""[m] Places nearer together are one."""
 NEAR = 0.5
 """[m] A way known from before is taken up if the start and the goal are this near to it: less than a stride."""
 
@@ -103,13 +106,14 @@ def _route(space: FreeSpace, start: Endpoint, goal: Endpoint) -> list[Leg]:
     return [(int(on), _distinct(places[a : b + 1])) for on, (a, b) in zip(levels, pairwise(cuts), strict=True)]
 
 
+@njit(cache=True, nogil=True)
 def _distinct(path: FloatArray) -> FloatArray:
     """Without places that repeat the one before; two rows at least, the ends kept."""
-    moved = np.linalg.norm(np.diff(path, axis=0), axis=1) > 1e-9
-    if not moved.any():
-        moved[-1] = True
-    distinct: FloatArray = path[np.concatenate([[True], moved])]
-    return distinct
+    keep = np.ones(len(path), np.bool_)
+    for i in range(1, len(path)):
+        keep[i] = np.sqrt(((path[i] - path[i - 1]) ** 2).sum()) > SAME
+    keep[-1] |= keep.sum() == 1
+    return path[keep]
 
 
 def _radius(space: FreeSpace, level: int, path: FloatArray) -> float:

@@ -76,9 +76,18 @@ class Quadtree:
 
     def find_cell(self, cell: IntArray) -> IntArray:
         """Leaf that holds each smallest cell, shape (m, 2); -1 outside the root."""
-        inside = np.logical_and.reduce((cell >= 0) & (cell < self.side), axis=1)
-        code = morton(np.where(inside[:, None], cell, 0))
-        return np.where(inside, np.searchsorted(self.code, code, side="right") - 1, -1)
+        found: IntArray = _find(self.code, self.side, cell)
+        return found
+
+
+@njit(cache=True, nogil=True)
+def _find(code: IntArray, side: int, cell: IntArray) -> IntArray:
+    """See `Quadtree.find_cell`."""
+    leaf = np.searchsorted(code, morton(cell), side="right") - 1
+    for i in range(len(cell)):
+        if not (0 <= cell[i, 0] < side and 0 <= cell[i, 1] < side):
+            leaf[i] = -1
+    return leaf
 
 
 @njit(cache=True, nogil=True)
