@@ -44,15 +44,15 @@ def _shortcut(path: FloatArray, obstacles: Tree, radius: float, offsets: FloatAr
     last = path.shape[0] - 1
     while here < last:
         good, leap = here + 1, 2
-        while here + leap <= last and _joined(path[here], path[here + leap], obstacles, radius, offsets, ground):
+        while here + leap <= last and is_joined(path[here], path[here + leap], obstacles, radius, offsets, ground):
             good = here + leap
             leap *= 2
         bad = min(here + leap, last + 1)
-        if good < last and _joined(path[here], path[last], obstacles, radius, offsets, ground):
+        if good < last and is_joined(path[here], path[last], obstacles, radius, offsets, ground):
             good, bad = last, last + 1
         while bad - good > 1:
             middle = (good + bad) // 2
-            if _joined(path[here], path[middle], obstacles, radius, offsets, ground):
+            if is_joined(path[here], path[middle], obstacles, radius, offsets, ground):
                 good = middle
             else:
                 bad = middle
@@ -62,7 +62,7 @@ def _shortcut(path: FloatArray, obstacles: Tree, radius: float, offsets: FloatAr
 
 
 @njit(cache=True, nogil=True)
-def _joined(a: FloatArray, b: FloatArray, obstacles: Tree, radius: float, offsets: FloatArray, ground: Cells) -> bool:
+def is_joined(a: FloatArray, b: FloatArray, obstacles: Tree, radius: float, offsets: FloatArray, ground: Cells) -> bool:
     """Whether the leg from a to b is clear and on known ground, looked at `LOOKS` times a cell."""
     clear = is_clear(obstacles, a, b, radius) if len(a) == 2 else is_leap_clear(obstacles, a, b, offsets, radius)
     if not clear:

@@ -17,7 +17,7 @@ from gpdf_service.perception.surface import Cells, cell_of
 from gpdf_service.planning.footprint import directions
 from gpdf_service.planning.shape import lengths
 from gpdf_service.search import FreeSpace
-from gpdf_service.search.motion import disc_distance
+from gpdf_service.search.motion import disc_distance, farthest_moved
 from gpdf_service.types import Agent, FloatArray, IntArray
 
 STANDING = 1e-3
@@ -105,9 +105,15 @@ def _slow_down(
     """Lower the `share` of the speed where one of the discs, of the poses on that level, asks for care."""
     poses, level, on, offsets = places
     scratch, cells = make_scratch(), int(np.ceil(radius / ground.width))
-    for i in range(len(poses)):
-        for offset in offsets if level[i] == on else offsets[:0]:
-            near = (disc_distance(obstacles, poses[i], offset, scratch) - reach) / preferred
+    for offset in offsets:
+        room, before = -np.inf, 0  # there is at least so much, since that pose
+        for i in range(len(poses)):
+            if level[i] != on:
+                continue
+            room -= farthest_moved(poses[before], poses[i], offset)
+            if room < preferred:
+                room = disc_distance(obstacles, poses[i], offset, scratch) - reach
+            before, near = i, min(room / preferred, 1.0)
             x, y = poses[i, 0] + offset * np.cos(poses[i, 2]), poses[i, 1] + offset * np.sin(poses[i, 2])
             if _is_stepped(ground, steps, x, y, cells):
                 near = 0.0

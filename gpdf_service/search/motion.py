@@ -57,7 +57,7 @@ def _is_disc_clear(obstacles: Tree, a: FloatArray, b: FloatArray, offset: float,
     top, middle = 1, np.empty(3)
     while top > 0:
         top -= 1
-        moved = _moved(stack[top], offset)
+        moved = farthest_moved(stack[top, 0], stack[top, 1], offset)
         if room[top, 0] + room[top, 1] - moved >= 2.0 * radius:
             continue
         if moved <= RESOLUTION or _halve(obstacles, stack, room, top, middle, offset, scratch) < radius:
@@ -67,10 +67,9 @@ def _is_disc_clear(obstacles: Tree, a: FloatArray, b: FloatArray, offset: float,
 
 
 @njit(cache=True, nogil=True)
-def _moved(ends: FloatArray, offset: float) -> float:
-    """How far a disc moves at most from the first to the second of two poses (2, 3) [m]."""
-    straight = hypot(ends[1, 0] - ends[0, 0], ends[1, 1] - ends[0, 1])
-    return straight + abs(offset * (ends[1, 2] - ends[0, 2]))
+def farthest_moved(a: FloatArray, b: FloatArray, offset: float) -> float:
+    """How far the disc that lies `offset` ahead moves at most from pose a to pose b, (3,) [m]."""
+    return float(hypot(b[0] - a[0], b[1] - a[1]) + abs(offset * (b[2] - a[2])))
 
 
 @njit(cache=True, nogil=True)
@@ -104,6 +103,9 @@ def least_distance(
     best, found, disc = np.inf, poses[0].copy(), 0.0
     for k in range(len(offsets)):
         for i in range(len(poses)):
+            at[k, i] = at[k, i - 1] - farthest_moved(poses[i - 1], poses[i], offsets[k]) if i > 0 else -np.inf
+            if at[k, i] >= best:  # at least so far away, which is all that needs to be known
+                continue
             at[k, i] = disc_distance(obstacles, poses[i], offsets[k], scratch)
             if at[k, i] < best:
                 best, disc, found[:] = at[k, i], offsets[k], poses[i]
@@ -113,7 +115,10 @@ def least_distance(
             stack[0, 0], stack[0, 1], room[0, 0], room[0, 1], top = poses[i], poses[i + 1], at[k, i], at[k, i + 1], 1
             while top > 0:
                 top -= 1
-                if 0.5 * (room[top, 0] + room[top, 1] - _moved(stack[top], offsets[k])) >= best - resolution:
+                if (
+                    0.5 * (room[top, 0] + room[top, 1] - farthest_moved(stack[top, 0], stack[top, 1], offsets[k]))
+                    >= best - resolution
+                ):
                     continue
                 between = _halve(obstacles, stack, room, top, middle, offsets[k], scratch)
                 if between < best:
