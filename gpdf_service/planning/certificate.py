@@ -24,6 +24,8 @@ from gpdf_service.types import Certificate, FloatArray, IntArray
 
 RESOLUTION = 1e-3
 """[m] How closely the least clearance is known."""
+FINEST = 1e-5
+"""[m] The same of a path with so little room that a millimetre decides: of an end where the body just fits."""
 SAMPLE = 0.01
 """[m] Ground and height are looked at this often: a fifth of the finest cell."""
 HEIGHT_EVERY = 3
@@ -33,7 +35,7 @@ HEIGHT_SHARE = 0.1
 
 
 def min_distance(
-    space: FreeSpace, level: int, path: FloatArray, headings: FloatArray | None = None
+    space: FreeSpace, level: int, path: FloatArray, headings: FloatArray | None = None, resolution: float = RESOLUTION
 ) -> tuple[float, FloatArray]:
     """Lower bound of the distance from a path to the obstacles of a level [m], and where it is reached (2,) [m].
 
@@ -43,10 +45,11 @@ def min_distance(
         path: A polyline in plan [m], shape (n, 2).
         headings: Where the body faces at its corners, turning evenly between them [rad], shape (n,): then the distance
             is that of the centres of all its discs; of the polyline alone where they are not given.
+        resolution: How closely it is known [m].
     """
     offsets = np.zeros(1) if headings is None else space.agent.offsets
     poses = np.column_stack([path, np.zeros(len(path)) if headings is None else headings])
-    return least_distance(space.trees[level], poses, offsets, RESOLUTION)
+    return least_distance(space.trees[level], poses, offsets, resolution)
 
 
 def certify(
@@ -74,6 +77,8 @@ def certify(
     for part, on in _runs(level):
         path = ground[part]
         least, at = min_distance(space, on, path[:, :2], headings[part])
+        if least < space.reach <= least + RESOLUTION:
+            least, at = min_distance(space, on, path[:, :2], headings[part], FINEST)
         if least - space.reach < clearance:
             clearance = least - space.reach
             where = np.append(at, path[np.linalg.norm(path[:, :2] - at, axis=1).argmin(), 2])
