@@ -21,7 +21,7 @@ def without_hidden(surface: HeightMap, lowest: FloatArray, face: BoolArray) -> H
     How deep the thing is nobody knows; but where ground or a top was seen it is not. So any disc in the unseen that
     touches the front may belong to it: behind a trunk as deep as it is wide, behind a long wall up to half-way to the
     seen ground and as far beyond. Discs of one cell are the scan's spacing, and so is a cell of which all four
-    neighbours were seen.
+    neighbours were seen, as ground or as the front.
 
     Args:
         surface: After `fill_holes`.
@@ -34,7 +34,7 @@ def without_hidden(surface: HeightMap, lowest: FloatArray, face: BoolArray) -> H
     room: FloatArray = ndimage.distance_transform_edt(~clear)
     front: FloatArray = ndimage.distance_transform_edt(~face) if face.any() else np.full(face.shape, np.inf)
     shown = (room > 1.0) & (room <= MAX_HOLE_RADIUS / surface.cell_width) & (front <= room + 1.0)
-    wide = ndimage.binary_dilation(surface.state != OBSERVED, _BESIDE)
+    wide = ndimage.binary_dilation((surface.state != OBSERVED) & ~face, _BESIDE)
     hidden = _discs(np.argwhere(shown), room) & (surface.state == INFERRED) & wide
     height = np.where(hidden, np.float32(np.nan), surface.height)
     return HeightMap(
