@@ -268,3 +268,19 @@ def test_where_two_levels_are_the_same_ground_a_place_has_the_room_of_the_roomie
     for behind in np.arange(0.3, 1.0, 0.1):  # on the upper floor, where the sheet of the stair ends
         result = gpdf.plan(scene, house.head + behind * ahead, house.high, "human")
         assert (result.status, result.message) == (gpdf.Status.OK, "")
+
+
+def test_who_stands_where_two_levels_are_the_same_ground_stands_on_both():
+    house = make_house(np.random.default_rng(0))
+    scene = gpdf.build_scene(house.points, house.ground)
+    way = gpdf.plan(scene, house.low, house.high, "human").trajectory.ground
+    heights = np.stack([surface.height_at(way[:, :2]) for surface in scene.surfaces])
+    common = way[(np.abs(heights - way[:, 2]) < 0.01).sum(axis=0) > 1]
+    assert len(common) > 20
+    for place in common[::20]:
+        post = place + np.column_stack([np.zeros((30, 2)), np.arange(0.05, 1.55, 0.05)])
+        result = gpdf.plan(scene.with_obstacles(post), house.low, house.high, "human")
+        if result.status is gpdf.Status.OK:
+            ground = result.trajectory.ground
+            beside = np.abs(ground[:, 2] - place[2]) < 1.0
+            assert np.linalg.norm(ground[beside, :2] - place[:2], axis=1).min() >= AGENTS["human"].radius - 1e-3
