@@ -136,7 +136,8 @@ def _candidates(
         bent = [_bend(space, level, path, config, strict) for level, path in legs]
         runs = [run for _, run in bent if run is not None]
         most = max((len(run.costs) for run in runs), default=0)
-        costs = np.sum([np.pad(run.costs, (0, most - len(run.costs)), "edge") for run in runs], axis=0) + np.zeros(most)
+        steps = np.arange(most)  # a piece that came to rest keeps its cost
+        costs = sum((run.costs[np.minimum(steps, len(run.costs) - 1)] for run in runs), np.zeros(most))
         details = {
             "iterations": float(sum(run.iterations for run in runs)),
             "evaluations": float(sum(run.evaluations for run in runs)),
@@ -197,12 +198,11 @@ def _stand(
         levels.append(np.full(len(poses), level))
         headings.append(poses[:, 2])
     contact, top, on, heading = np.vstack(contacts), np.vstack(tops), np.concatenate(levels), np.concatenate(headings)
-    row = np.arange(len(contact))
     if agent.discs > 1:
         turned = [(0, facing[0]), *enumerate(heading), (-1, facing[1])]
-        row = np.array([row[i] for i, angle in turned if angle is not None])
+        row = np.array([i % len(contact) for i, angle in turned if angle is not None])
         heading = np.unwrap([angle for _, angle in turned if angle is not None])
-    contact, top, on = contact[row], top[row], on[row]
+        contact, top, on = contact[row], top[row], on[row]
     moved = np.linalg.norm(np.diff(contact[:, :2], axis=0), axis=1) + agent.offsets[-1] * np.abs(np.diff(heading))
     keep = np.concatenate([[True], moved > 1e-9])
     if keep.sum() < 2:  # start is goal: stand there

@@ -6,10 +6,9 @@ import numpy as np
 from numba import njit
 
 from gpdf_service.fields import FieldArrays, Gpdf, Tree
-from gpdf_service.fields.traversal import sample_at
-from gpdf_service.fields.tree import make_scratch
 from gpdf_service.perception import HeightMap
 from gpdf_service.perception.surface import Cells, height_of, is_known
+from gpdf_service.planning.costs import make_memo, recall
 from gpdf_service.search import is_clear
 from gpdf_service.search.motion import CENTRE, is_leap_clear
 from gpdf_service.types import FloatArray, IntArray
@@ -166,15 +165,15 @@ def stand_up(xy: FloatArray, surface: HeightMap, field: Gpdf, height: float) -> 
 def _stand(xy: FloatArray, ground: Cells, field: FieldArrays, height: float) -> tuple[FloatArray, FloatArray]:
     """See `stand_up`; each top starts from what the one before it was lifted by."""
     contact, top = np.empty((len(xy), 3)), np.empty((len(xy), 3))
-    scratch, slope, least, most = make_scratch(), np.zeros(3), -_UPRIGHT_SHARE * height, _UPRIGHT_SHARE * height
+    memo, least, most = make_memo(1, 3), -_UPRIGHT_SHARE * height, _UPRIGHT_SHARE * height
     lift = 0.0
     for i in range(len(xy)):
         x, y = xy[i, 0], xy[i, 1]
         floor = height_of(ground, x, y)
         contact[i, 0], contact[i, 1], contact[i, 2] = x, y, floor
         for _ in range(0 if np.isnan(floor) else _NEWTON_STEPS):
-            distance = sample_at(field, (x, y, floor + height + lift), scratch, slope)
-            off = (height - distance) * max(slope[2], 0.0)
+            top[i, 0], top[i, 1], top[i, 2] = x, y, floor + height + lift
+            off = (height - recall(field, top[i], memo, 0, np.inf, _STANDS)) * max(memo.slope[0, 2], 0.0)
             if abs(off) < _STANDS:
                 break
             lift = min(max(lift + off, least), most)
