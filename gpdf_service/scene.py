@@ -36,9 +36,9 @@ from gpdf_service.perception import (
 )
 from gpdf_service.perception.columns import without_rows
 from gpdf_service.perception.layers import in_steps
-from gpdf_service.perception.levels import LEAST_OBSTACLE
+from gpdf_service.perception.levels import LEAST_OBSTACLE, within_reach
 from gpdf_service.perception.segment import LEAST_SCATTER
-from gpdf_service.perception.surface import UNKNOWN
+from gpdf_service.perception.surface import UNKNOWN, is_same_ground
 from gpdf_service.search import FreeSpace, build_free_space, change_free_space, from_arrays, to_arrays
 from gpdf_service.store import Arrays, flatten, read_arrays, restore, under, write_arrays
 from gpdf_service.types import Agent, BoolArray, FieldSample, FloatArray, IntArray, resolve_agent
@@ -87,7 +87,7 @@ def levels_at(surfaces: tuple[HeightMap, ...], points: FloatArray) -> BoolArray:
     level = np.where(np.isfinite(points).all(axis=1), level_under(surfaces, points + np.array([0.0, 0.0, RISER])), -1)
     heights = np.stack([surface.height_at(points[:, :2]) for surface in surfaces])
     chosen = np.take_along_axis(heights, np.maximum(level, 0)[None], axis=0)
-    same: BoolArray = (level >= 0) & (np.abs(heights - chosen) <= surfaces[0].cell_width)
+    same: BoolArray = (level >= 0) & is_same_ground(heights, chosen, surfaces[0].cell_width)
     return same
 
 
@@ -105,6 +105,13 @@ def _asked(queries: FloatArray, dims: tuple[int, ...]) -> FloatArray:
         shapes = " or ".join(f"(m, {dim})" for dim in dims)
         raise FieldError("field query", f"queries of shape {queries.shape}", f"Pass an array of shape {shapes}.")
     return queries
+
+
+def _with(level: GroundLevel, points: FloatArray) -> GroundLevel:
+    """The level with more material on it."""
+    near = within_reach(points, level.surface)
+    ledge = np.append(level.ledge, np.full(len(near), np.inf, np.float32))  # no step's face
+    return dataclasses.replace(level, other_points=np.concatenate([level.other_points, near]), ledge=ledge)
 
 
 @dataclass(frozen=True, slots=True)
@@ -284,19 +291,12 @@ class Scene:
         certificate all know of the points.
 
         Args:
-            points: Where something is [m], shape (k, 3), dense enough that no body fits between two; those over no
-                known ground are left out, since nobody may be there anyway.
+            points: Where something is [m], shape (k, 3), dense enough that no body fits between two. As with what was
+                scanned, each level looks at all that is in reach of its ground: where two sheets are the same ground,
+                what stands there stands on both.
         """
-        on = level_under(self.surfaces, _asked(points, (3,)))
-        levels = tuple(
-            dataclasses.replace(
-                level,
-                other_points=np.concatenate([level.other_points, points[on == i]]),
-                ledge=np.append(level.ledge, np.full(np.count_nonzero(on == i), np.inf, np.float32)),  # no step's face
-            )
-            for i, level in enumerate(self.levels.levels)
-        )
-        changed = dataclasses.replace(self.levels, levels=levels)
+        asked = _asked(points, (3,))
+        changed = dataclasses.replace(self.levels, levels=tuple(_with(level, asked) for level in self.levels.levels))
         fixed = self.ground_fields, self.config, self.version, self.noise, self.labelled
         return Scene(self.points, self.ground, changed, *fixed)
 

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
+from functools import lru_cache
 from math import hypot, radians
 from typing import Protocol
 
@@ -21,6 +22,12 @@ BoolArray = NDArray[np.bool_]
 
 MOST_DISCS = 32
 """Each costs a query of the field at every waypoint; a body 16 times as long as wide is covered twice as finely."""
+
+
+@lru_cache(maxsize=64)
+def _offsets(length: float, discs: int) -> FloatArray:
+    """`Agent.offsets`: asked for several times a plan, always the same."""
+    return length * ((np.arange(discs) + 0.5) / discs - 0.5)
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,7 +87,7 @@ class Agent:
     @property
     def offsets(self) -> FloatArray:
         """Where the discs' centres are, forward of the body's [m], shape (discs,)."""
-        return self.length * ((np.arange(self.discs) + 0.5) / self.discs - 0.5)
+        return _offsets(self.length, self.discs)
 
     @property
     def cylinder(self) -> Agent:

@@ -12,7 +12,7 @@ from pathlib import Path
 
 FOLDER = Path(__file__).parent.parent / "measured"
 COMMANDS = {
-    "plan": "bench plan --count 50 --peers 0",
+    "plan": "bench plan --count 100 --peers 0",
     "build": "bench build",
     "field": "bench field --surface plane --surface stairs --noise 0 --noise 0.02",
     "service": "bench service",

@@ -26,13 +26,13 @@ class WalkedWorld:
     """
 
     judge: Judge
-    agent: Agent = AGENTS["human"]
+    agent: Agent
     fell: bool = False
 
     @classmethod
-    def of(cls, points: FloatArray, ground: BoolArray) -> WalkedWorld:
-        """From a clean cloud and its labels."""
-        return cls(Judge(points, ground))
+    def of(cls, points: FloatArray, ground: BoolArray, agent: Agent = AGENTS["human"]) -> WalkedWorld:
+        """From a clean cloud and its labels, for a walker with these measures."""
+        return cls(Judge(points, ground), agent)
 
     def ground_height(self, position: FloatArray) -> float:
         """Height of the ground under (x, y), on the storey of z [m]."""

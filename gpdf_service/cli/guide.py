@@ -123,9 +123,7 @@ def _truth(name: str, person: dict[str, Any]) -> Any:  # noqa: ANN401 - imported
     from gpdf_service.types import Agent
 
     _, points, ground = read_scene(name)
-    world = WalkedWorld.of(points, segment_ground(points) if ground is None else ground)
-    world.agent = Agent(**person)
-    return world
+    return WalkedWorld.of(points, segment_ground(points) if ground is None else ground, Agent(**person))
 
 
 def _route_height(guide: Guide, position: FloatArray) -> float:

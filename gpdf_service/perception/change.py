@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 from gpdf_service.config import PerceptionConfig
 from gpdf_service.perception.columns import (
     bounds_of,
-    bounds_where,
     by_cell,
     cells_in_box,
     rows_in_box,
@@ -145,7 +144,7 @@ def _check_grid(cloud: FloatArray, chosen: BoolArray | None, layers: Layers, pla
         return
     if chosen is not None and not chosen.any():
         raise WholeError
-    origin, shape = grid_of(*(bounds_of(cloud) if chosen is None else bounds_where(cloud, chosen)), layers.cell_width)
+    origin, shape = grid_of(*bounds_of(cloud, chosen), layers.cell_width)
     if (origin != layers.origin).any() or shape != layers.shape:
         raise WholeError
 

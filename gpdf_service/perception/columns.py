@@ -383,21 +383,12 @@ def extent_in(cell: IntArray, z: FloatArray, low: FloatArray, high: FloatArray) 
 
 
 @njit(cache=True, nogil=True)
-def bounds_where(points: FloatArray, chosen: BoolArray) -> tuple[FloatArray, FloatArray]:
-    """Least and greatest (x, y) [m] of the `chosen` points, of shape (n, 3)."""
+def bounds_of(points: FloatArray, chosen: BoolArray | None = None) -> tuple[FloatArray, FloatArray]:
+    """Least and greatest (x, y) [m] of points (n, 3), of the `chosen` ones where they are given."""
     left, right, near, far = np.inf, -np.inf, np.inf, -np.inf
     for row in range(len(points)):
-        if chosen[row]:
-            x, y = points[row, 0], points[row, 1]
-            left, right, near, far = min(left, x), max(right, x), min(near, y), max(far, y)
-    return np.array([left, near]), np.array([right, far])
-
-
-@njit(cache=True, nogil=True)
-def bounds_of(points: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Least and greatest (x, y) [m] of points (n, 3)."""
-    left, right, near, far = np.inf, -np.inf, np.inf, -np.inf
-    for row in range(len(points)):
+        if chosen is not None and not chosen[row]:
+            continue
         x, y = points[row, 0], points[row, 1]
         left, right, near, far = min(left, x), max(right, x), min(near, y), max(far, y)
     return np.array([left, near]), np.array([right, far])

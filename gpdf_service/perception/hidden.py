@@ -11,13 +11,17 @@ from gpdf_service.perception.columns import extent_in
 from gpdf_service.perception.surface import CEILING, INFERRED, MAX_HOLE_RADIUS, OBSERVED, UNKNOWN, HeightMap
 from gpdf_service.types import BoolArray, FloatArray, IntArray
 
+_BESIDE = np.array([[0, 1, 0], [1, 0, 1], [0, 1, 0]], dtype=bool)
+"""The four neighbours of a cell, without itself."""
+
 
 def without_hidden(surface: HeightMap, lowest: FloatArray, face: BoolArray) -> HeightMap:
     """Take back inferred ground that a thing of which only a front was seen may stand on.
 
     How deep the thing is nobody knows; but where ground or a top was seen it is not. So any disc in the unseen that
     touches the front may belong to it: behind a trunk as deep as it is wide, behind a long wall up to half-way to the
-    seen ground and as far beyond. Discs of one cell are the scan's spacing.
+    seen ground and as far beyond. Discs of one cell are the scan's spacing, and so is a cell of which all four
+    neighbours were seen, as ground or as the front.
 
     Args:
         surface: After `fill_holes`.
@@ -30,8 +34,9 @@ def without_hidden(surface: HeightMap, lowest: FloatArray, face: BoolArray) -> H
     room: FloatArray = ndimage.distance_transform_edt(~clear)
     front: FloatArray = ndimage.distance_transform_edt(~face) if face.any() else np.full(face.shape, np.inf)
     shown = (room > 1.0) & (room <= MAX_HOLE_RADIUS / surface.cell_width) & (front <= room + 1.0)
-    inferred = surface.state == INFERRED
-    hidden = _discs(np.argwhere(shown), room, inferred) & inferred
+    wide = ndimage.binary_dilation((surface.state != OBSERVED) & ~face, _BESIDE)
+    asked = (surface.state == INFERRED) & wide
+    hidden = _discs(np.argwhere(shown), room, asked) & asked
     height = np.where(hidden, np.float32(np.nan), surface.height)
     return HeightMap(
         surface.origin, surface.cell_width, height, np.where(hidden, UNKNOWN, surface.state).astype(np.uint8)

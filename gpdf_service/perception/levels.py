@@ -354,8 +354,8 @@ def guard_edges(
 ) -> tuple[BoolArray, BoolArray, BoolArray]:
     """Cells with material under the `headroom` [m], those of stairs, and those where material guards an edge by itself.
 
-    That is only what the lowest body cannot pass under. The wall of a drop does not; but what is seen below a shadow in
-    a stair, where treads are near, is the stair.
+    What is under a floor shuts nothing off. By itself guards only what the lowest body cannot pass under. The wall of a
+    drop does not; but what is seen below a shadow in a stair, where treads are near, is the stair.
 
     Args:
         surface: The ground.
@@ -368,9 +368,13 @@ def guard_edges(
     high, low = np.where(known, surface.height, -np.inf), np.where(known, surface.height, np.inf)
     beside, foot = ndimage.maximum_filter(high, size=3) + headroom, ndimage.minimum_filter(low, size=reach)
     shut, stair = lowest <= beside, ndimage.maximum_filter(high, size=reach) - foot > 2.0 * surface.cell_width
-    ends = ((foot + LEAST_OBSTACLE).ravel().astype(np.float64), beside.ravel().astype(np.float64))
-    guard: BoolArray = np.isfinite(extent_in(cell, z, *ends)[0]).reshape(known.shape)
-    return shut, stair, (shut & stair) | guard
+
+    def between(low: NDArray[np.floating], high: NDArray[np.floating]) -> BoolArray:
+        ends = extent_in(cell, z, *(end.ravel().astype(np.float64) for end in (low, high)))
+        return np.isfinite(ends[0]).reshape(known.shape)
+
+    guard = (shut & stair) | between(foot + LEAST_OBSTACLE, beside)
+    return shut & between(foot - LEAST_OBSTACLE, beside), stair, guard
 
 
 def make_level(

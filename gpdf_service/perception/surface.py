@@ -44,9 +44,20 @@ MAX_HOLE_RADIUS = 1.0
 
 
 Scalar = TypeVar("Scalar", bound=np.generic)
+Heights = float | FloatArray
+"""Of one place or many [m]."""
 Box = tuple[slice, slice]
 """Rows and columns of a grid."""
 WHOLE: Box = (slice(None), slice(None))
+
+
+class Cells(NamedTuple):
+    """A height map for compiled loops; the fields are those of `HeightMap`."""
+
+    height: NDArray[np.float32]
+    state: NDArray[np.uint8]
+    origin: FloatArray
+    width: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,6 +75,11 @@ class HeightMap:
     cell_width: float
     height: NDArray[np.float32]
     state: NDArray[np.uint8]
+
+    @property
+    def arrays(self) -> Cells:
+        """What a compiled loop needs for `cell_of`, `is_known` and `height_of`."""
+        return Cells(self.height, self.state, np.asarray(self.origin, dtype=np.float64), self.cell_width)
 
     def cells(self, xy: FloatArray) -> tuple[NDArray[np.int64], NDArray[np.int64], BoolArray]:
         """Cell of each place, shape (m, ≥ 2), clipped to the grid, and whether it was inside."""
@@ -84,15 +100,18 @@ class HeightMap:
 
         Bilinear between the four centres around a place where they lie on one slope; across a step, the cell's own.
         """
-        heights: FloatArray = _height_at(
-            self.height, np.asarray(self.origin, dtype=np.float64), self.cell_width, np.asarray(xy, dtype=np.float64)
-        )
+        heights: FloatArray = _height_at(self.arrays, np.asarray(xy, dtype=np.float64))
         return heights
 
     def centres(self, mask: BoolArray) -> FloatArray:
         """Centres of the cells in `mask`, shape (nx, ny), with their height: (k, 3) [m]."""
         index = np.argwhere(mask)
         return np.column_stack([self.origin + (index + 0.5) * self.cell_width, self.height[mask].astype(np.float64)])
+
+
+def is_same_ground(height: Heights, other: Heights, cell_width: float) -> NDArray[np.bool_] | np.bool_:
+    """Whether two levels are one ground where they have these heights [m], NaN where one has none."""
+    return np.abs(height - other) <= cell_width
 
 
 @njit(cache=True, nogil=True)
@@ -111,21 +130,44 @@ def _cells(
 
 
 @njit(cache=True, nogil=True)
-def _height_at(height: NDArray[np.float32], origin: FloatArray, width: float, xy: FloatArray) -> FloatArray:
-    made = np.full(len(xy), np.nan)
-    corners = np.empty(4)
+def cell_of(ground: Cells, x: float, y: float) -> tuple[int, int]:
+    """The cell of a place; (−1, −1) outside the grid, and for what is no place."""
+    u, v = (x - ground.origin[0]) / ground.width, (y - ground.origin[1]) / ground.width
+    if not (0.0 <= u < ground.state.shape[0] and 0.0 <= v < ground.state.shape[1]):
+        return -1, -1
+    return int(u), int(v)
+
+
+@njit(cache=True, nogil=True)
+def is_known(ground: Cells, x: float, y: float) -> bool:
+    """Whether the ground is known under a place."""
+    i, j = cell_of(ground, x, y)
+    return i >= 0 and ground.state[i, j] != UNKNOWN
+
+
+@njit(cache=True, nogil=True)
+def _height_at(ground: Cells, xy: FloatArray) -> FloatArray:
+    made = np.empty(len(xy))
     for m in range(len(xy)):
-        x, y = (xy[m, 0] - origin[0]) / width, (xy[m, 1] - origin[1]) / width
-        if not (0.0 <= x < height.shape[0] and 0.0 <= y < height.shape[1]):
-            continue
-        made[m] = height[int(x), int(y)]
-        i, j = max(0, min(int(x - 0.5), height.shape[0] - 2)), max(0, min(int(y - 0.5), height.shape[1] - 2))
-        corners[0], corners[1] = height[i, j], height[i, j + 1]
-        corners[2], corners[3] = height[i + 1, j], height[i + 1, j + 1]
-        if not np.isnan(made[m]) and corners.max() - corners.min() <= width * np.sqrt(2.0):  # a NaN compares false
-            u, v = max(0.0, min(x - 0.5 - i, 1.0)), max(0.0, min(y - 0.5 - j, 1.0))
-            made[m] = (1.0 - u) * ((1.0 - v) * corners[0] + v * corners[1])
-            made[m] += u * ((1.0 - v) * corners[2] + v * corners[3])
+        made[m] = height_of(ground, xy[m, 0], xy[m, 1])
+    return made
+
+
+@njit(cache=True, nogil=True)
+def height_of(ground: Cells, x: float, y: float) -> float:
+    """`HeightMap.height_at` of one place."""
+    height, origin, width = ground.height, ground.origin, ground.width
+    x, y = (x - origin[0]) / width, (y - origin[1]) / width
+    if not (0.0 <= x < height.shape[0] and 0.0 <= y < height.shape[1]):
+        return np.nan
+    own = float(height[int(x), int(y)])
+    i, j = max(0, min(int(x - 0.5), height.shape[0] - 2)), max(0, min(int(y - 0.5), height.shape[1] - 2))
+    a, b, c, d = float(height[i, j]), float(height[i, j + 1]), float(height[i + 1, j]), float(height[i + 1, j + 1])
+    spread = max(max(a, b), max(c, d)) - min(min(a, b), min(c, d))
+    if np.isnan(own + a + b + c + d) or spread > width * np.sqrt(2.0):
+        return own
+    u, v = max(0.0, min(x - 0.5 - i, 1.0)), max(0.0, min(y - 0.5 - j, 1.0))
+    made: float = (1.0 - u) * ((1.0 - v) * a + v * b) + u * ((1.0 - v) * c + v * d)
     return made
 
 

@@ -8,17 +8,24 @@ body's centre moves by at most |ab| + |o| |Δθ| while the body goes from a to b
 from __future__ import annotations
 
 from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
+from numba import njit
 
+from gpdf_service.fields import FieldArrays, sample_at
+from gpdf_service.fields.tree import make_scratch
 from gpdf_service.perception.limits import LEAST_STEP
-from gpdf_service.planning.footprint import disc_places, travel_headings
+from gpdf_service.perception.surface import UNKNOWN, Cells, cell_of, is_known
+from gpdf_service.planning.footprint import travel_headings
 from gpdf_service.search import FreeSpace
 from gpdf_service.search.motion import least_distance
 from gpdf_service.types import Certificate, FloatArray, IntArray
 
 RESOLUTION = 1e-3
 """[m] How closely the least clearance is known."""
+FINEST = 1e-5
+"""[m] The same of a path with so little room that a millimetre decides: of an end where the body just fits."""
 SAMPLE = 0.01
 """[m] Ground and height are looked at this often: a fifth of the finest cell."""
 HEIGHT_EVERY = 3
@@ -28,7 +35,7 @@ HEIGHT_SHARE = 0.1
 
 
 def min_distance(
-    space: FreeSpace, level: int, path: FloatArray, headings: FloatArray | None = None
+    space: FreeSpace, level: int, path: FloatArray, headings: FloatArray | None = None, resolution: float = RESOLUTION
 ) -> tuple[float, FloatArray]:
     """Lower bound of the distance from a path to the obstacles of a level [m], and where it is reached (2,) [m].
 
@@ -38,10 +45,11 @@ def min_distance(
         path: A polyline in plan [m], shape (n, 2).
         headings: Where the body faces at its corners, turning evenly between them [rad], shape (n,): then the distance
             is that of the centres of all its discs; of the polyline alone where they are not given.
+        resolution: How closely it is known [m].
     """
     offsets = np.zeros(1) if headings is None else space.agent.offsets
     poses = np.column_stack([path, np.zeros(len(path)) if headings is None else headings])
-    return least_distance(space.trees[level], poses, offsets, RESOLUTION)
+    return least_distance(space.trees[level], poses, offsets, resolution)
 
 
 def certify(
@@ -69,22 +77,16 @@ def certify(
     for part, on in _runs(level):
         path = ground[part]
         least, at = min_distance(space, on, path[:, :2], headings[part])
+        if least < space.reach <= least + RESOLUTION:
+            least, at = min_distance(space, on, path[:, :2], headings[part], FINEST)
         if least - space.reach < clearance:
             clearance = least - space.reach
             where = np.append(at, path[np.linalg.norm(path[:, :2] - at, axis=1).argmin(), 2])
-        dense, tops = _resample(path, positions[part])
-        surface = space.surfaces[on]
-        poses = np.column_stack([path[:, :2], headings[part]])
-        centres = [disc_places(poses, offset) for offset in agent.offsets]
-        unknown |= not bool(surface.contains(np.vstack([dense[:, :2], *centres])).all())
-        looked = np.unique(np.append(np.arange(0, len(tops), HEIGHT_EVERY), len(tops) - 1))
-        sample = space.ground_fields[on].query(tops[looked])
-        upright = np.abs(tops[looked, 2] - dense[looked, 2] - agent.height)
-        off = np.minimum(upright, np.where(sample.valid, np.abs(sample.distance - agent.height), np.inf))
-        if off.max() > deviation:
-            deviation, off_at = float(off.max()), dense[looked[int(off.argmax())]]
-        ix, iy, _ = surface.cells(dense)
-        step, slope = max(step, float(space.steps[on][ix, iy].max())), max(slope, float(space.slopes[on][ix, iy].max()))
+        ground_is = space.surfaces[on].arrays, space.steps[on], space.slopes[on], space.ground_fields[on].arrays
+        seen = _look(path, positions[part], headings[part], agent.offsets, agent.height, *ground_is)
+        unknown, step, slope = unknown or seen.unknown, max(step, seen.step), max(slope, seen.slope)
+        if seen.deviation > deviation:
+            deviation, off_at = seen.deviation, seen.off_at
     reason = ""
     if clearance < 0:
         reason = f"the body would touch an obstacle: {-1000 * clearance:.0f} mm too little room at {_at(where)}"
@@ -108,15 +110,55 @@ def _runs(level: IntArray) -> list[tuple[slice, int]]:
     ]
 
 
-def _resample(path: FloatArray, tops: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Contact points and tops at most `SAMPLE` apart."""
-    length = np.nan_to_num(np.linalg.norm(np.diff(tops, axis=0), axis=1))  # NaN: over no known ground
-    count = np.maximum(1, np.ceil(length / SAMPLE).astype(int))
-    segment = np.repeat(np.arange(len(length)), count)
-    t = (np.arange(len(segment)) - np.repeat(np.cumsum(count) - count, count)) / np.repeat(count, count)
-    t = t[:, None]
-    dense = [p[segment] * (1 - t) + p[segment + 1] * t for p in (path, tops)]
-    return np.vstack([dense[0], path[-1:]]), np.vstack([dense[1], tops[-1:]])
+class _Seen(NamedTuple):
+    """Of the ground under a piece of the path, and of the top over it; what they are is said at `Certificate`."""
+
+    unknown: bool
+    deviation: float
+    off_at: FloatArray
+    step: float
+    slope: float
+
+
+@njit(cache=True, nogil=True)
+def _look(
+    path: FloatArray,
+    tops: FloatArray,
+    headings: FloatArray,
+    offsets: FloatArray,
+    height: float,
+    ground: Cells,
+    steps: FloatArray,
+    slopes: FloatArray,
+    field: FieldArrays,
+) -> _Seen:
+    """Look at a piece of the path every `SAMPLE`, and at the height of the top in every `HEIGHT_EVERY`-th of these."""
+    unknown, deviation, step, slope = False, 0.0, 0.0, 0.0
+    off_at, at, top, along, scratch = path[0].copy(), np.empty(3), np.empty(3), np.empty(3), make_scratch()
+    looks, last = 0, len(path) - 2
+    for i in range(len(path) - 1):
+        length = np.sqrt(((tops[i + 1] - tops[i]) ** 2).sum())
+        count = max(1, int(np.ceil(length / SAMPLE))) if length < np.inf else 1  # NaN: over no known ground
+        for k in range(count + (i == last)):
+            at[:] = path[i] + k / count * (path[i + 1] - path[i])
+            top[:] = tops[i] + k / count * (tops[i + 1] - tops[i])
+            u, v = cell_of(ground, at[0], at[1])
+            known = u >= 0 and ground.state[u, v] != UNKNOWN
+            unknown = unknown or not known
+            if known:
+                step, slope = max(step, steps[u, v]), max(slope, slopes[u, v])
+            off = abs(top[2] - at[2] - height)
+            if (looks % HEIGHT_EVERY == 0 or (i == last and k == count)) and off > deviation:
+                if known:  # the ground's field is asked only where the path is as far off as it was found to be
+                    off = min(off, abs(sample_at(field, (top[0], top[1], top[2]), scratch, along) - height))
+                if off > deviation:
+                    deviation, off_at[:] = off, at
+            looks += 1
+    for i in range(len(path)):
+        for offset in offsets:
+            x, y = path[i, 0] + offset * np.cos(headings[i]), path[i, 1] + offset * np.sin(headings[i])
+            unknown = unknown or not is_known(ground, x, y)
+    return _Seen(unknown, deviation, off_at, step, slope)
 
 
 def _at(place: FloatArray) -> str:

@@ -2,8 +2,8 @@
 
 ξ ← ξ − η H ∇U(ξ). The paper's H is A⁻¹, A the smoothness metric (second differences, fixed ends): a step bends the
 whole path. Here H⁻¹ is λ_s A and the curvature of the two other costs along their gradients (Gauss and Newton): a step
-bends the path as far as what is beside it lets it. η is 1 and halved until the cost falls, so it never rises on an
-accepted step.
+bends the path as far as what is beside it lets it. η is 1 at most, twice what it was before, and made smaller until
+the cost falls: so it never rises on an accepted step. Where no step promises to win the tolerance, none is looked for.
 """
 
 from __future__ import annotations
@@ -21,6 +21,8 @@ from gpdf_service.types import FloatArray
 
 _DESCENT = 1e-4
 """[-] Share of the fall that the slope promises which a step must bring (Armijo)."""
+_SHORTEST = 0.1
+"""[-] A refused step is made shorter as the parabola through what is known says, but not by more than this."""
 _STILL = 1e-5
 """[m] Smaller steps move nothing."""
 
@@ -169,13 +171,16 @@ def _descend(
             slope, largest = (direction * gradient).sum(), np.abs(direction).max()
             if largest == 0.0:
                 return count, tried, True
-            rate = min(1.0, 0.5 * epsilon / largest)  # no waypoint jumps across half of what it wants to keep
+            rate = min(
+                1.0, 2.0 * rate, 0.5 * epsilon / largest
+            )  # no waypoint jumps across half of what it wants to keep
         trial = xi - rate * direction
         trial_cost = _cost(trial, *given, gradient, band)
         fresh = trial_cost <= cost - _DESCENT * rate * slope
         if not fresh:
-            rate *= 0.5
-            if rate * largest < _STILL:
+            parabola = 0.5 * slope * rate / (trial_cost - cost + slope * rate)  # its least, of the step that was tried
+            rate *= min(max(parabola, _SHORTEST), 0.5)
+            if rate * largest < _STILL or rate * slope < tolerance * cost:
                 return count, tried + 1, True
             continue
         fall = cost - trial_cost

@@ -48,8 +48,8 @@ def make_memo(count: int, dim: int) -> Memo:
 
 
 @njit(cache=True, nogil=True)
-def recall(field: FieldArrays, x: FloatArray, memo: Memo, i: int, enough: float) -> float:
-    """Distance at x, the i-th place that is remembered, and its gradient in `memo.slope[i]`.
+def recall(field: FieldArrays, x: FloatArray, memo: Memo, i: int, enough: float, off: float = OFF) -> float:
+    """Distance at x, the i-th place that is remembered, to `off`, and its gradient in `memo.slope[i]`.
 
     Distances are 1-Lipschitz: where the one from before says that there is `enough`, that is returned.
     """
@@ -59,7 +59,7 @@ def recall(field: FieldArrays, x: FloatArray, memo: Memo, i: int, enough: float)
         step = x[k] - memo.place[i, k]
         moved2 += step * step
         along += memo.slope[i, k] * step
-    if moved2 <= 2.0 * OFF * memo.distance[i]:
+    if moved2 <= 2.0 * off * memo.distance[i]:
         return float(memo.distance[i] + along)
     if memo.distance[i] - sqrt(moved2) >= enough:  # a NaN compares false
         return enough

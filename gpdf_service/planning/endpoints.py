@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from math import isnan
 
 import numpy as np
 from scipy import ndimage
 
 from gpdf_service.perception import ObstacleKind
-from gpdf_service.perception.surface import UNKNOWN
+from gpdf_service.perception.surface import UNKNOWN, is_same_ground
 from gpdf_service.planning.footprint import disc_places
 from gpdf_service.search import FreeSpace, is_clear
 from gpdf_service.search.motion import RESOLUTION
-from gpdf_service.types import FloatArray, IntArray, PlanOptions, Status
+from gpdf_service.types import FloatArray, PlanOptions, Status
 
 SAME_GROUND = 0.5
 """[m] A given height means the level within this of it: half of the least headroom between two storeys is far more."""
@@ -106,9 +107,9 @@ def find_endpoint(space: FreeSpace, place: FloatArray, name: str) -> Endpoint | 
     outside = Status.START_OUTSIDE_MAP if name == "start" else Status.GOAL_OUTSIDE_MAP
     occupied = Status.START_OCCUPIED if name == "start" else Status.GOAL_OCCUPIED
     xy = place[None, :2]
-    heights = np.array([float(surface.height_at(xy)[0]) for surface in space.surfaces])
-    there = np.flatnonzero(~np.isnan(heights))
-    if len(there) == 0:
+    over = [float(surface.height_at(xy)[0]) for surface in space.surfaces]
+    heights = {level: z for level, z in enumerate(over) if not isnan(z)}
+    if not heights:
         near = _nearest_free(space, place)
         hint = "" if near is None else f" The nearest free place is {_at(near)}."
         if any(_shut_in(space, level, xy) for level in range(len(space.surfaces))):
@@ -116,40 +117,45 @@ def find_endpoint(space: FreeSpace, place: FloatArray, name: str) -> Endpoint | 
             return Refusal(occupied, words + hint, near)
         words = f"no ground is known at the {name} {_at(place)}. Choose a place on the mapped ground."
         return Refusal(outside, words + hint, near)
-    found = ", ".join(f"{heights[i]:.2f}" for i in there)
+    found = ", ".join(f"{z:.2f}" for z in heights.values())
+    level = min(heights, key=lambda one: abs(heights[one] - place[2]) if len(place) == 3 else one)
     if len(place) == 3:
-        level = int(there[np.abs(heights[there] - place[2]).argmin()])
         if abs(heights[level] - place[2]) > SAME_GROUND:
             return Refusal(outside, f"the ground at the {name} {_at(place)} is at z = {found} m, not {place[2]:.2f} m.")
-    elif np.ptp(heights[there]) > SAME_GROUND:
+    elif max(heights.values()) - min(heights.values()) > SAME_GROUND:
         words = f"there is ground at z = {found} m under the {name} {_at(place)}. Give its z."
         return Refusal(Status.AMBIGUOUS_LEVEL, words)
-    else:
-        level = int(there[0])
-    level = _roomiest(space, there[np.abs(heights[there] - heights[level]) <= space.surfaces[level].cell_width], xy)
-    distance, kind = space.clearance(level, xy)
-    if distance[0] < space.reach:
-        what = REASONS[ObstacleKind(int(kind[0]))]
+    width = space.surfaces[level].cell_width
+    same = [one for one, z in heights.items() if is_same_ground(z, heights[level], width)]
+    room, kind, level = _roomiest(space, same, xy)
+    if room < space.reach:
+        what = REASONS[ObstacleKind(kind)]
         near = _nearest_free(space, np.array([*xy[0], heights[level]]))
         hint = "" if near is None else f" The nearest free place is {_at(near)}."
         words = (
             f"the {space.agent.name} (radius {space.agent.disc_radius:.2f} m) does not fit at the {name} {_at(place)}: "
         )
-        return Refusal(occupied, f"{words}{what} is {distance[0]:.2f} m from its centre.{hint}", near)
-    if not _faces_somewhere(space, level, xy[0], float(distance[0])):
+        return Refusal(occupied, f"{words}{what} is {room:.2f} m from its centre.{hint}", near)
+    if not _faces_somewhere(space, level, xy[0], room):
         words = (
             f"the {space.agent.name} ({space.agent.length:.2f} m long) fits at the {name} {_at(place)} in no direction."
         )
         return Refusal(occupied, words)
-    node = _connect(space, level, xy[0])
+    node = _connect(space, level, xy[0], room)
     if node < 0:
         return Refusal(occupied, f"the {space.agent.name} cannot leave the {name} {_at(place)} in any direction.")
     return Endpoint(xy[0], level, node)
 
 
-def _roomiest(space: FreeSpace, levels: IntArray, xy: FloatArray) -> int:
-    """Of levels that are the same ground at a place, (1, 2), the one with most room: sheets end where others go on."""
-    return int(max(levels, key=lambda level: float(space.clearance(int(level), xy)[0][0])))
+def _roomiest(space: FreeSpace, levels: list[int], xy: FloatArray) -> tuple[float, int, int]:
+    """Room at a place, (1, 2), on the roomiest of levels that are the same ground there: sheets end where others go on.
+
+    Returns:
+        Distance to the nearest obstacle [m], its kind, and the level; of equal ones the lowest.
+    """
+    found = [(space.clearance(level, xy), level) for level in levels]
+    (distance, kind), level = max(found, key=lambda one: float(one[0][0][0]))
+    return float(distance[0]), int(kind[0]), level
 
 
 def _faces_somewhere(space: FreeSpace, level: int, xy: FloatArray, room: float) -> bool:
@@ -180,8 +186,8 @@ def _shut_in(space: FreeSpace, level: int, xy: FloatArray) -> bool:
     return bool(label[ix[0], iy[0]] not in rim)
 
 
-def _connect(space: FreeSpace, level: int, xy: FloatArray) -> int:
-    """The graph node of a free leaf whose centre is reached from `xy` on a clear line; -1 if there is none."""
+def _connect(space: FreeSpace, level: int, xy: FloatArray, room: float) -> int:
+    """The graph node of a free leaf whose centre is reached on a clear line from `xy`, with `room` [m]; -1 if none."""
     tree = space.quadtrees[level]
     leaf = int(tree.find(xy[None])[0])
     if leaf >= 0 and tree.whole[leaf]:
@@ -191,8 +197,7 @@ def _connect(space: FreeSpace, level: int, xy: FloatArray) -> int:
     half = 0.5 * tree.width * tree.size[free]
     center = tree.origin + tree.corner[free] * tree.width + half[:, None]
     gap = np.linalg.norm(center - xy, axis=1) - half
-    room = float(space.clearance(level, xy[None])[0][0]) - RESOLUTION  # with less, only straight away is proven
-    radius = min(space.radius, max(space.reach, room))
+    radius = min(space.radius, max(space.reach, room - RESOLUTION))  # with all of it, only straight away is proven
     for row in np.argsort(gap)[:32]:
         if is_clear(space.trees[level], xy, center[row], radius):
             return int(free[row]) + space.offsets[level]

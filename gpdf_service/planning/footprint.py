@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from math import atan2, pi
+
 import numpy as np
+from numba import njit
 
 from gpdf_service.planning.shape import subdivide
 from gpdf_service.types import Agent, FloatArray
@@ -14,11 +17,23 @@ def disc_places(poses: FloatArray, offset: FloatArray) -> FloatArray:
     return places
 
 
+@njit(cache=True, nogil=True)
+def directions(path: FloatArray) -> FloatArray:
+    """Direction of each segment of a path, shape (n, 2 or more), unwrapped [rad], shape (n − 1,)."""
+    made = np.empty(len(path) - 1)
+    for i in range(len(made)):
+        made[i] = atan2(path[i + 1, 1] - path[i, 1], path[i + 1, 0] - path[i, 0])
+        if i > 0:
+            made[i] += 2.0 * pi * np.round((made[i - 1] - made[i]) / (2.0 * pi))
+    return made
+
+
+@njit(cache=True, nogil=True)
 def travel_headings(path: FloatArray) -> FloatArray:
     """Direction of travel at each place of a path, shape (n, 2 or more), unwrapped [rad]: half-way round a corner."""
-    step = np.diff(path[:, :2], axis=0)
-    direction = np.unwrap(np.arctan2(step[:, 1], step[:, 0]))
-    return np.concatenate([direction[:1], 0.5 * (direction[1:] + direction[:-1]), direction[-1:]])
+    direction, headings = directions(path), np.empty(len(path))
+    headings[0], headings[1:-1], headings[-1] = direction[0], 0.5 * (direction[1:] + direction[:-1]), direction[-1]
+    return headings
 
 
 def face(path: FloatArray, agent: Agent, spacing: float) -> FloatArray:

@@ -16,7 +16,7 @@ from gpdf_service.config import PlanningConfig
 from gpdf_service.planning.certificate import certify
 from gpdf_service.planning.chomp import ChompResult, optimize
 from gpdf_service.planning.endpoints import Ends, Refusal, find_ends
-from gpdf_service.planning.footprint import disc_places, face
+from gpdf_service.planning.footprint import face
 from gpdf_service.planning.no_path import explain_no_path
 from gpdf_service.planning.routes import Leg, Route, find_cut, find_routes, take_up
 from gpdf_service.planning.shape import resample, spline, stand_up
@@ -82,7 +82,8 @@ def plan_path(
             certificate = certify(space, top, contact, level, headings)
             first = first or certificate
             if certificate.holds:
-                limit = _speed_limit(space, contact, level, headings, config.preferred_clearance)
+                poses = np.column_stack([contact[:, :2], headings])
+                limit = speed_limit(space, poses, level, config.preferred_clearance * space.agent.disc_radius)
                 trajectory = Trajectory(top, contact, *time_poses(top, headings, space.agent, limit))
                 timings = {"search": searched - began, "optimise": clock() - searched, "total": clock() - began}
                 details = candidate.details | {"nodes": float(len(space.graph.position))}
@@ -135,7 +136,8 @@ def _candidates(
         bent = [_bend(space, level, path, config, strict) for level, path in legs]
         runs = [run for _, run in bent if run is not None]
         most = max((len(run.costs) for run in runs), default=0)
-        costs = np.sum([np.pad(run.costs, (0, most - len(run.costs)), "edge") for run in runs], axis=0) + np.zeros(most)
+        steps = np.arange(most)  # a piece that came to rest keeps its cost
+        costs = sum((run.costs[np.minimum(steps, len(run.costs) - 1)] for run in runs), np.zeros(most))
         details = {
             "iterations": float(sum(run.iterations for run in runs)),
             "evaluations": float(sum(run.evaluations for run in runs)),
@@ -196,25 +198,13 @@ def _stand(
         levels.append(np.full(len(poses), level))
         headings.append(poses[:, 2])
     contact, top, on, heading = np.vstack(contacts), np.vstack(tops), np.concatenate(levels), np.concatenate(headings)
-    row = np.arange(len(contact))
     if agent.discs > 1:
         turned = [(0, facing[0]), *enumerate(heading), (-1, facing[1])]
-        row = np.array([row[i] for i, angle in turned if angle is not None])
+        row = np.array([i % len(contact) for i, angle in turned if angle is not None])
         heading = np.unwrap([angle for _, angle in turned if angle is not None])
-    contact, top, on = contact[row], top[row], on[row]
+        contact, top, on = contact[row], top[row], on[row]
     moved = np.linalg.norm(np.diff(contact[:, :2], axis=0), axis=1) + agent.offsets[-1] * np.abs(np.diff(heading))
     keep = np.concatenate([[True], moved > 1e-9])
     if keep.sum() < 2:  # start is goal: stand there
         keep[-1] = True
     return contact[keep], top[keep], on[keep], heading[keep]
-
-
-def _speed_limit(
-    space: FreeSpace, contact: FloatArray, level: IntArray, headings: FloatArray, preferred: float
-) -> FloatArray:
-    """Highest speed at each contact point [m/s]: what the disc in the tightest place allows."""
-    agent = space.agent
-    poses = np.column_stack([contact[:, :2], headings])
-    discs = [np.column_stack([disc_places(poses, offset), contact[:, 2]]) for offset in agent.offsets]
-    slowest: FloatArray = np.min([speed_limit(space, disc, level, preferred * agent.disc_radius) for disc in discs], 0)
-    return slowest

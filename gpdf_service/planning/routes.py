@@ -6,15 +6,18 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
+from numba import njit
 
 from gpdf_service.planning.endpoints import Endpoint, Ends
-from gpdf_service.planning.shape import is_path_clear, shortcut
+from gpdf_service.planning.shape import is_joined, is_path_clear, shortcut
 from gpdf_service.search import FreeSpace, find_path
-from gpdf_service.search.motion import RESOLUTION
+from gpdf_service.search.motion import CENTRE, RESOLUTION
 from gpdf_service.types import FloatArray
 
 Leg = tuple[int, FloatArray]
 """A piece of the path on one level: level, places in plan (n, 2)."""
+SAME = 1e-9
+"""[m] Places nearer together are one."""
 NEAR = 0.5
 """[m] A way known from before is taken up if the start and the goal are this near to it: less than a stride."""
 
@@ -40,12 +43,7 @@ def find_routes(space: FreeSpace, ends: Ends) -> list[Route]:
         stops = [ends.start, *ends.via, *([goal] if goal else [])]
         if goal is None or find_cut(space, stops) is not None:
             continue
-        legs = [leg for a, b in pairwise(stops) for leg in _route(space, a, b)]
-        pulled = [
-            (on, path[shortcut(path, space.trees[on], _radius(space, on, path), space.surfaces[on])])
-            for on, path in legs
-        ]
-        routes.append(Route(pulled, number))
+        routes.append(Route([leg for a, b in pairwise(stops) for leg in _route(space, a, b)], number))
     return sorted(routes, key=lambda route: route.length)
 
 
@@ -91,7 +89,9 @@ def _floor(space: FreeSpace, end: Endpoint) -> float:
 
 
 def _route(space: FreeSpace, start: Endpoint, goal: Endpoint) -> list[Leg]:
-    """A* through the graph, as places in plan, cut where the path changes level."""
+    """Straight, where that is clear; else as A* goes through the graph, cut where the way changes level, and pulled."""
+    if start.level == goal.level and _is_straight(space, start, goal):
+        return [(start.level, np.stack([start.xy, goal.xy]))]
     graph = space.graph
     edges = find_path(graph, start.node, goal.node)
     nodes = np.concatenate([[start.node], graph.other[edges]])
@@ -100,16 +100,31 @@ def _route(space: FreeSpace, start: Endpoint, goal: Endpoint) -> list[Leg]:
     crossing = np.flatnonzero(np.diff(graph.level[nodes]))
     cuts = [0, *(2 * crossing + 2).tolist(), len(places) - 1]
     levels = graph.level[nodes[[0, *(crossing + 1).tolist()]]]
-    return [(int(on), _distinct(places[a : b + 1])) for on, (a, b) in zip(levels, pairwise(cuts), strict=True)]
+    return [
+        _pull(space, int(on), _distinct(places[a : b + 1])) for on, (a, b) in zip(levels, pairwise(cuts), strict=True)
+    ]
 
 
+def _is_straight(space: FreeSpace, start: Endpoint, goal: Endpoint) -> bool:
+    """Whether the body can go straight from start to goal, on one level: then no graph is asked."""
+    obstacles, ground = space.trees[start.level], space.surfaces[start.level].arrays
+    radius = _radius(space, start.level, np.stack([start.xy, goal.xy]))
+    return bool(is_joined(start.xy, goal.xy, obstacles, radius, CENTRE, ground))
+
+
+def _pull(space: FreeSpace, level: int, path: FloatArray) -> Leg:
+    """A leg pulled straight."""
+    return level, path[shortcut(path, space.trees[level], _radius(space, level, path), space.surfaces[level])]
+
+
+@njit(cache=True, nogil=True)
 def _distinct(path: FloatArray) -> FloatArray:
     """Without places that repeat the one before; two rows at least, the ends kept."""
-    moved = np.linalg.norm(np.diff(path, axis=0), axis=1) > 1e-9
-    if not moved.any():
-        moved[-1] = True
-    distinct: FloatArray = path[np.concatenate([[True], moved])]
-    return distinct
+    keep = np.ones(len(path), np.bool_)
+    for i in range(1, len(path)):
+        keep[i] = np.sqrt(((path[i] - path[i - 1]) ** 2).sum()) > SAME
+    keep[-1] |= keep.sum() == 1
+    return path[keep]
 
 
 def _radius(space: FreeSpace, level: int, path: FloatArray) -> float:

@@ -4,13 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
 from gpdf_service.fields import FieldArrays, Gpdf, Tree
-from gpdf_service.fields.traversal import sample_at
-from gpdf_service.fields.tree import make_scratch
 from gpdf_service.perception import HeightMap
-from gpdf_service.perception.surface import UNKNOWN
+from gpdf_service.perception.surface import Cells, height_of, is_known
+from gpdf_service.planning.costs import make_memo, recall
 from gpdf_service.search import is_clear
 from gpdf_service.search.motion import CENTRE, is_leap_clear
 from gpdf_service.types import FloatArray, IntArray
@@ -34,30 +32,26 @@ def shortcut(
     Each leg is proven clear of obstacles by `radius` [m], and lies on known ground: the path may lead around a hole.
     A leg between poses is a turn on the spot, a straight piece, and a turn.
     """
-    return _shortcut(path, obstacles, radius, offsets, (surface.state, surface.origin, surface.cell_width))
-
-
-_Ground = tuple[NDArray[np.uint8], FloatArray, float]
-"""State, origin and width of the cells of a height map."""
+    return _shortcut(path, obstacles, radius, offsets, surface.arrays)
 
 
 @njit(cache=True, nogil=True)
-def _shortcut(path: FloatArray, obstacles: Tree, radius: float, offsets: FloatArray, ground: _Ground) -> IntArray:
+def _shortcut(path: FloatArray, obstacles: Tree, radius: float, offsets: FloatArray, ground: Cells) -> IntArray:
     """Greedy with doubling: from each kept row the furthest that doubling and halving find to be joined."""
     kept = [0]
     here = 0
     last = path.shape[0] - 1
     while here < last:
         good, leap = here + 1, 2
-        while here + leap <= last and _joined(path[here], path[here + leap], obstacles, radius, offsets, ground):
+        while here + leap <= last and is_joined(path[here], path[here + leap], obstacles, radius, offsets, ground):
             good = here + leap
             leap *= 2
         bad = min(here + leap, last + 1)
-        if good < last and _joined(path[here], path[last], obstacles, radius, offsets, ground):
+        if good < last and is_joined(path[here], path[last], obstacles, radius, offsets, ground):
             good, bad = last, last + 1
         while bad - good > 1:
             middle = (good + bad) // 2
-            if _joined(path[here], path[middle], obstacles, radius, offsets, ground):
+            if is_joined(path[here], path[middle], obstacles, radius, offsets, ground):
                 good = middle
             else:
                 bad = middle
@@ -67,18 +61,15 @@ def _shortcut(path: FloatArray, obstacles: Tree, radius: float, offsets: FloatAr
 
 
 @njit(cache=True, nogil=True)
-def _joined(a: FloatArray, b: FloatArray, obstacles: Tree, radius: float, offsets: FloatArray, ground: _Ground) -> bool:
+def is_joined(a: FloatArray, b: FloatArray, obstacles: Tree, radius: float, offsets: FloatArray, ground: Cells) -> bool:
     """Whether the leg from a to b is clear and on known ground, looked at `LOOKS` times a cell."""
     clear = is_clear(obstacles, a, b, radius) if len(a) == 2 else is_leap_clear(obstacles, a, b, offsets, radius)
     if not clear:
         return False
-    state, origin, width = ground
-    count = int(np.ceil(LOOKS * np.sqrt((b[0] - a[0]) ** 2 + (b[1] - a[1]) ** 2) / width)) + 1
+    count = int(np.ceil(LOOKS * np.sqrt((b[0] - a[0]) ** 2 + (b[1] - a[1]) ** 2) / ground.width)) + 1
     for k in range(count + 1):
         t = k / count
-        i = int(np.floor((a[0] + t * (b[0] - a[0]) - origin[0]) / width))
-        j = int(np.floor((a[1] + t * (b[1] - a[1]) - origin[1]) / width))
-        if not (0 <= i < state.shape[0] and 0 <= j < state.shape[1]) or state[i, j] == UNKNOWN:
+        if not is_known(ground, a[0] + t * (b[0] - a[0]), a[1] + t * (b[1] - a[1])):
             return False
     return True
 
@@ -95,7 +86,7 @@ def is_path_clear(path: FloatArray, obstacles: Tree, radius: float) -> bool:
 @njit(cache=True, nogil=True)
 def resample(path: FloatArray, spacing: float) -> FloatArray:
     """Waypoints evenly along a polyline, shape (n, dim), at most `spacing` apart, ends kept; at least 3 rows."""
-    along = _along(path)
+    along = lengths(path)
     at = np.linspace(0.0, along[-1], max(3, int(np.ceil(along[-1] / spacing)) + 1))
     places = np.empty((len(at), path.shape[1]))
     for k in range(path.shape[1]):
@@ -104,7 +95,7 @@ def resample(path: FloatArray, spacing: float) -> FloatArray:
 
 
 @njit(cache=True, nogil=True)
-def _along(path: FloatArray) -> FloatArray:
+def lengths(path: FloatArray) -> FloatArray:
     """Length of a polyline, shape (n, dim), up to each corner."""
     along = np.zeros(len(path))
     for i in range(1, len(path)):
@@ -112,13 +103,19 @@ def _along(path: FloatArray) -> FloatArray:
     return along
 
 
+@njit(cache=True, nogil=True)
 def subdivide(path: FloatArray, spacing: float) -> FloatArray:
     """The same polyline with its corners, and waypoints at most `spacing` apart."""
-    step = np.diff(path, axis=0)
-    count = np.maximum(1, np.ceil(np.linalg.norm(step, axis=1) / spacing).astype(np.int64))
-    segment = np.repeat(np.arange(len(step)), count)
-    share = (np.arange(len(segment)) - np.repeat(np.cumsum(count) - count, count)) / count[segment]
-    return np.vstack([path[segment] + share[:, None] * step[segment], path[-1:]])
+    count = np.empty(len(path) - 1, np.int64)
+    for i in range(len(count)):
+        count[i] = max(1, int(np.ceil(np.sqrt(((path[i + 1] - path[i]) ** 2).sum()) / spacing)))
+    made, row = np.empty((count.sum() + 1, path.shape[1])), 0
+    for i in range(len(count)):
+        for k in range(count[i]):
+            made[row] = path[i] + k / count[i] * (path[i + 1] - path[i])
+            row += 1
+    made[row] = path[-1]
+    return made
 
 
 @njit(cache=True, nogil=True)
@@ -130,7 +127,7 @@ def spline(path: FloatArray, spacing: float) -> FloatArray:
     n = len(path)
     if n < 3:
         return path
-    along = _along(path)
+    along = lengths(path)
     h = np.diff(along)
     bend, ratio = np.zeros((n, 2)), np.zeros(n)  # second derivatives, by Thomas' algorithm
     for i in range(1, n - 1):
@@ -160,25 +157,25 @@ def stand_up(xy: FloatArray, surface: HeightMap, field: Gpdf, height: float) -> 
     the body height over the contact point: before a step that surface rises long before the ground does, and beside a
     flight or under a floor the nearest ground is another one. What lies beside counts less, what is overhead nothing.
     """
-    floor = surface.height_at(xy)
-    z = _top_over(xy, floor, field.arrays, height)
-    return np.column_stack([xy, floor]), np.column_stack([xy, z])
+    stood: tuple[FloatArray, FloatArray] = _stand(xy, surface.arrays, field.arrays, height)
+    return stood
 
 
 @njit(cache=True, nogil=True)
-def _top_over(xy: FloatArray, floor: FloatArray, field: FieldArrays, height: float) -> FloatArray:
-    """Height of the body's top at each place; each starts from what the one before it was lifted by."""
-    top = np.full(len(xy), np.nan)
-    scratch, slope, least, most = make_scratch(), np.zeros(3), -_UPRIGHT_SHARE * height, _UPRIGHT_SHARE * height
+def _stand(xy: FloatArray, ground: Cells, field: FieldArrays, height: float) -> tuple[FloatArray, FloatArray]:
+    """See `stand_up`; each top starts from what the one before it was lifted by."""
+    contact, top = np.empty((len(xy), 3)), np.empty((len(xy), 3))
+    memo, least, most = make_memo(1, 3), -_UPRIGHT_SHARE * height, _UPRIGHT_SHARE * height
     lift = 0.0
     for i in range(len(xy)):
-        if np.isnan(floor[i]):
-            continue
-        for _ in range(_NEWTON_STEPS):
-            distance = sample_at(field, (xy[i, 0], xy[i, 1], floor[i] + height + lift), scratch, slope)
-            off = (height - distance) * max(slope[2], 0.0)
+        x, y = xy[i, 0], xy[i, 1]
+        floor = height_of(ground, x, y)
+        contact[i, 0], contact[i, 1], contact[i, 2] = x, y, floor
+        for _ in range(0 if np.isnan(floor) else _NEWTON_STEPS):
+            top[i, 0], top[i, 1], top[i, 2] = x, y, floor + height + lift
+            off = (height - recall(field, top[i], memo, 0, np.inf, _STANDS)) * max(memo.slope[0, 2], 0.0)
             if abs(off) < _STANDS:
                 break
             lift = min(max(lift + off, least), most)
-        top[i] = floor[i] + height + lift
-    return top
+        top[i, 0], top[i, 1], top[i, 2] = x, y, floor + height + lift
+    return contact, top

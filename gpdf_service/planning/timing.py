@@ -11,7 +11,13 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
+from gpdf_service.fields import Tree
+from gpdf_service.fields.tree import make_scratch
+from gpdf_service.perception.surface import Cells, cell_of
+from gpdf_service.planning.footprint import directions
+from gpdf_service.planning.shape import lengths
 from gpdf_service.search import FreeSpace
+from gpdf_service.search.motion import disc_distance, farthest_moved
 from gpdf_service.types import Agent, FloatArray, IntArray
 
 STANDING = 1e-3
@@ -42,23 +48,19 @@ def time_path(positions: FloatArray, agent: Agent, limit: FloatArray | None = No
         agent: Its speed v, acceleration a (along and across: v² κ ≤ a) and turn rate (v κ).
         limit: Highest speed at each waypoint [m/s], shape (n,); none but the agent's where it is not given.
     """
-    step = np.linalg.norm(np.diff(positions, axis=0), axis=1)
-    if step.sum() < STILL:
-        return np.linspace(0.0, STANDING, len(positions)), np.zeros(len(positions))
-    along = np.concatenate([[0.0], np.cumsum(step)])
-    highest = np.full(len(along), agent.speed) if limit is None else limit
-    direction = np.unwrap(np.arctan2(np.diff(positions[:, 1]), np.diff(positions[:, 0])))
-    made: tuple[FloatArray, FloatArray] = _time(
-        along, direction, highest, agent.speed, agent.acceleration, agent.turn_rate
-    )
+    highest = np.full(len(positions), agent.speed) if limit is None else limit
+    made: tuple[FloatArray, FloatArray] = _time(positions, highest, agent.speed, agent.acceleration, agent.turn_rate)
     return made
 
 
 @njit(cache=True, nogil=True)
 def _time(
-    along: FloatArray, direction: FloatArray, limit: FloatArray, most: float, acceleration: float, turn_rate: float
+    positions: FloatArray, limit: FloatArray, most: float, acceleration: float, turn_rate: float
 ) -> tuple[FloatArray, FloatArray]:
-    """Times and headings at `along`, of segments that lead in `direction` [rad], with a speed `limit` at their ends."""
+    """See `time_path`."""
+    along, direction = lengths(positions), directions(positions)
+    if along[-1] < STILL:
+        return np.linspace(0.0, STANDING, len(positions)), np.zeros(len(positions))
     count = max(64, int(np.ceil(along[-1] / GRID))) + 1
     s = np.linspace(0.0, along[-1], count)
     after = np.minimum(np.maximum(np.searchsorted(along, s), 1), len(along) - 1)
@@ -76,29 +78,57 @@ def _time(
     return _smooth(s, speed, along), np.interp(along, s, heading)
 
 
-def speed_limit(space: FreeSpace, ground: FloatArray, level: IntArray, preferred: float) -> FloatArray:
-    """Highest speed at each contact point [m/s]: less on steps, and with less room than the `preferred` [m]."""
+def speed_limit(space: FreeSpace, poses: FloatArray, level: IntArray, preferred: float) -> FloatArray:
+    """Highest speed at each pose (x, y, θ), (n, 3) [m/s]: less on steps, and with less room than `preferred` [m].
+
+    The disc in the tightest place tells.
+    """
     agent = space.agent
-    share = np.ones(len(ground))
-    for on in np.unique(level):
-        mine = level == on
-        room = space.clearance(int(on), ground[mine, :2])[0] - space.reach
-        near = np.clip(room / preferred, 0.0, 1.0)
-        surface = space.surfaces[on]
-        cells = int(np.ceil(agent.radius / surface.cell_width))
-        ix, iy, _ = surface.cells(ground[mine])
-        stepped = _around(space.steps[on], ix, iy, cells) > NOTICED_STEP
-        share[mine] = np.where(stepped, CARE, CARE + (1.0 - CARE) * near)
+    share = np.ones(len(poses))
+    for on in set(level.tolist()):
+        ground, places = space.surfaces[on].arrays, (poses, level, on, agent.offsets)
+        _slow_down(space.trees[on], ground, space.steps[on], places, space.reach, preferred, agent.radius, share)
     return agent.speed * share
 
 
 @njit(cache=True, nogil=True)
-def _around(values: FloatArray, ix: IntArray, iy: IntArray, reach: int) -> FloatArray:
-    """Largest value within `reach` cells of each cell."""
-    largest = np.zeros(len(ix))
-    for k in range(len(ix)):
-        largest[k] = values[max(ix[k] - reach, 0) : ix[k] + reach + 1, max(iy[k] - reach, 0) : iy[k] + reach + 1].max()
-    return largest
+def _slow_down(
+    obstacles: Tree,
+    ground: Cells,
+    steps: FloatArray,
+    places: tuple[FloatArray, IntArray, int, FloatArray],
+    reach: float,
+    preferred: float,
+    radius: float,
+    share: FloatArray,
+) -> None:
+    """Lower the `share` of the speed where one of the discs, of the poses on that level, asks for care."""
+    poses, level, on, offsets = places
+    scratch, cells = make_scratch(), int(np.ceil(radius / ground.width))
+    for offset in offsets:
+        room, before = -np.inf, 0  # there is at least so much, since that pose
+        for i in range(len(poses)):
+            if level[i] != on:
+                continue
+            room -= farthest_moved(poses[before], poses[i], offset)
+            if room < preferred:
+                room = disc_distance(obstacles, poses[i], offset, scratch) - reach
+            before, near = i, min(room / preferred, 1.0)
+            x, y = poses[i, 0] + offset * np.cos(poses[i, 2]), poses[i, 1] + offset * np.sin(poses[i, 2])
+            if _is_stepped(ground, steps, x, y, cells):
+                near = 0.0
+            share[i] = min(share[i], CARE + (1.0 - CARE) * max(near, 0.0))
+
+
+@njit(cache=True, nogil=True)
+def _is_stepped(ground: Cells, steps: FloatArray, x: float, y: float, reach: int) -> bool:
+    """Whether a step that is noticed is within `reach` cells of a place."""
+    u, v = cell_of(ground, x, y)
+    for i in range(max(u - reach, 0), min(u + reach + 1, steps.shape[0]) if u >= 0 else 0):
+        for j in range(max(v - reach, 0), min(v + reach + 1, steps.shape[1])):
+            if steps[i, j] > NOTICED_STEP:
+                return True
+    return False
 
 
 @njit(cache=True, nogil=True)

@@ -15,8 +15,9 @@ import numpy as np
 from numba import njit
 
 from gpdf_service.fields import Tree, nearest_one
+from gpdf_service.fields.tree import Scratch, make_scratch
 from gpdf_service.perception import HeightMap
-from gpdf_service.perception.surface import UNKNOWN
+from gpdf_service.perception.surface import Cells, is_known
 from gpdf_service.search.motion import disc_distance, is_motion_clear, turned
 from gpdf_service.types import BoolArray, FloatArray, IntArray
 
@@ -63,14 +64,6 @@ class _Grid(NamedTuple):
     origin: FloatArray
     width: float
     turn: float
-
-
-class _Ground(NamedTuple):
-    """Lower corner of the ground's cells [m], their width [m], and which are known."""
-
-    origin: FloatArray
-    width: float
-    known: BoolArray
 
 
 class _Moves(NamedTuple):
@@ -130,8 +123,7 @@ def _find(
     extent = surface.cell_width * np.array(surface.height.shape)
     shape = first + np.ceil((surface.origin + extent - start[:2]) / width).astype(np.int64) + 1
     grid = _Grid(start[:2] - first * width, width, 2.0 * pi / turns)
-    ground = _Ground(np.asarray(surface.origin, dtype=np.float64), surface.cell_width, surface.state != UNKNOWN)
-    guide = _flood(obstacles, ground, grid, (int(shape[0]), int(shape[1])), radius, first, goal[:2])
+    guide = _flood(obstacles, surface.arrays, grid, (int(shape[0]), int(shape[1])), radius, first, goal[:2])
     away = _turns_to(obstacles, np.append(start[:2], start[2:]), grid.turn, body)
     states, reached, given_up = _search(obstacles, guide, grid, _moves(grid, body), first, away, goal, body, most)
     poses = np.column_stack([grid.origin + states[:, :2] * width, states[:, 2] * grid.turn])
@@ -191,7 +183,7 @@ def _weight(room: float, radius: float) -> float:
 @njit(cache=True, nogil=True)
 def _flood(
     obstacles: Tree,
-    ground: _Ground,
+    ground: Cells,
     grid: _Grid,
     shape: tuple[int, int],
     radius: float,
@@ -221,12 +213,9 @@ def _flood(
 
 
 @njit(cache=True, nogil=True)
-def _room_on(obstacles: Tree, ground: _Ground, place: FloatArray) -> float:
+def _room_on(obstacles: Tree, ground: Cells, place: FloatArray) -> float:
     """Distance from a place in plan to the nearest obstacle [m]; 0 where no ground is known."""
-    u, v = np.floor((place - ground.origin) / ground.width)
-    if not (0 <= u < ground.known.shape[0] and 0 <= v < ground.known.shape[1] and ground.known[int(u), int(v)]):
-        return 0.0
-    return float(nearest_one(obstacles, place)[0])
+    return float(nearest_one(obstacles, place)[0]) if is_known(ground, place[0], place[1]) else 0.0
 
 
 @njit(cache=True, nogil=True)
@@ -253,7 +242,7 @@ def _search(
     frontier = [(away[h] + GREED * guide[first[0], first[1]], h) for h in range(turns) if away[h] < np.inf]
     heapq.heapify(frontier)
     best, nearest, reached, looked = -1, np.inf, False, 0
-    a, b = np.empty(3), np.empty(3)
+    a, b, scratch = np.empty(3), np.empty(3), make_scratch()
     while len(frontier) > 0 and looked < most and not reached:
         estimate, state = heapq.heappop(frontier)
         s, h = state // turns, state % turns
@@ -267,7 +256,7 @@ def _search(
         if _arrives(obstacles, a, goal, grid.width, body):
             best, reached = state, True
             continue
-        here = _room(obstacles, a, body, room[s], h)
+        here = _room(obstacles, a, body, room[s], h, scratch)
         for m in range(moves.cost.shape[1]):
             u, v = i + moves.change[h, m, 0], j + moves.change[h, m, 1]
             if moves.cost[h, m] == np.inf or not (0 <= u < guide.shape[0] and 0 <= v < guide.shape[1]):
@@ -284,7 +273,7 @@ def _search(
                 continue
             b[0], b[1] = grid.origin[0] + u * grid.width, grid.origin[1] + v * grid.width
             b[2] = (h + moves.change[h, m, 2]) * grid.turn
-            there = _room(obstacles, b, body, room[t], to)
+            there = _room(obstacles, b, body, room[t], to, scratch)
             further = cost[s, h] + moves.cost[h, m] * _weight(min(here, there), body.radius)
             if there < 0.0 or further >= cost[t, to]:
                 continue
@@ -296,12 +285,12 @@ def _search(
 
 
 @njit(cache=True, nogil=True)
-def _room(obstacles: Tree, pose: FloatArray, body: _Body, known: FloatArray, h: int) -> float:
+def _room(obstacles: Tree, pose: FloatArray, body: _Body, known: FloatArray, h: int, scratch: Scratch) -> float:
     """Room beside the body at a pose [m], negative where it does not fit; looked for once, then known[h]."""
     if np.isnan(known[h]):
         known[h] = np.inf
         for offset in body.offsets:
-            known[h] = min(known[h], disc_distance(obstacles, pose, offset) - body.radius)
+            known[h] = min(known[h], disc_distance(obstacles, pose, offset, scratch) - body.radius)
             if known[h] < 0.0:
                 break
     return float(known[h])

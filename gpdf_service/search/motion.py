@@ -12,7 +12,9 @@ from math import cos, hypot, pi, sin
 import numpy as np
 from numba import njit
 
-from gpdf_service.fields import Tree, nearest_one
+from gpdf_service.fields import Tree
+from gpdf_service.fields.traversal import nearest_at
+from gpdf_service.fields.tree import Scratch, make_scratch
 from gpdf_service.types import FloatArray
 
 RESOLUTION = 1e-3
@@ -22,11 +24,10 @@ CENTRE = np.zeros(1)
 
 
 @njit(cache=True, nogil=True)
-def disc_distance(obstacles: Tree, pose: FloatArray, offset: float) -> float:
+def disc_distance(obstacles: Tree, pose: FloatArray, offset: float, scratch: Scratch) -> float:
     """Distance from the centre of the disc that lies `offset` ahead of a pose (3,) to the nearest obstacle [m]."""
-    place = np.empty(2)
-    place[0], place[1] = pose[0] + offset * cos(pose[2]), pose[1] + offset * sin(pose[2])
-    return float(nearest_one(obstacles, place)[0])
+    place = pose[0] + offset * cos(pose[2]), pose[1] + offset * sin(pose[2]), 0.0
+    return float(nearest_at(obstacles, place, scratch)[0])
 
 
 @njit(cache=True, nogil=True)
@@ -46,29 +47,48 @@ def is_motion_clear(obstacles: Tree, a: FloatArray, b: FloatArray, offsets: Floa
 
 @njit(cache=True, nogil=True)
 def _is_disc_clear(obstacles: Tree, a: FloatArray, b: FloatArray, offset: float, radius: float) -> bool:
-    stack, room = np.zeros((64, 2, 3)), np.empty((64, 2))
+    stack, room, scratch = np.empty((64, 2, 3)), np.empty((64, 2)), make_scratch()
+    stack[0] = 0.0
     stack[0, 0, : len(a)], stack[0, 1, : len(b)] = a, b
     for end in (0, 1):
-        room[0, end] = disc_distance(obstacles, stack[0, end], offset)
+        room[0, end] = disc_distance(obstacles, stack[0, end], offset, scratch)
         if room[0, end] < radius:
             return False
     top, middle = 1, np.empty(3)
     while top > 0:
         top -= 1
-        moved = hypot(stack[top, 1, 0] - stack[top, 0, 0], stack[top, 1, 1] - stack[top, 0, 1])
-        moved += abs(offset * (stack[top, 1, 2] - stack[top, 0, 2]))
+        moved = farthest_moved(stack[top, 0], stack[top, 1], offset)
         if room[top, 0] + room[top, 1] - moved >= 2.0 * radius:
             continue
-        for k in range(3):
-            middle[k] = 0.5 * (stack[top, 0, k] + stack[top, 1, k])
-        between = disc_distance(obstacles, middle, offset)
-        if between < radius or moved <= RESOLUTION:
+        if moved <= RESOLUTION or _halve(obstacles, stack, room, top, middle, offset, scratch) < radius:
             return False
-        stack[top + 1, 0], stack[top + 1, 1] = middle, stack[top, 1]
-        room[top + 1, 0], room[top + 1, 1] = between, room[top, 1]
-        stack[top, 1], room[top, 1] = middle, between
         top += 2
     return True
+
+
+@njit(cache=True, nogil=True)
+def farthest_moved(a: FloatArray, b: FloatArray, offset: float) -> float:
+    """How far the disc that lies `offset` ahead moves at most from pose a to pose b, (3,) [m]."""
+    return float(hypot(b[0] - a[0], b[1] - a[1]) + abs(offset * (b[2] - a[2])))
+
+
+@njit(cache=True, nogil=True)
+def _halve(
+    obstacles: Tree,
+    stack: FloatArray,
+    room: FloatArray,
+    top: int,
+    middle: FloatArray,
+    offset: float,
+    scratch: Scratch,
+) -> float:
+    """Put both halves of the piece at `top` there and behind it; the distance at the `middle`, which is written [m]."""
+    for k in range(3):
+        middle[k] = 0.5 * (stack[top, 0, k] + stack[top, 1, k])
+        stack[top + 1, 0, k], stack[top + 1, 1, k], stack[top, 1, k] = middle[k], stack[top, 1, k], middle[k]
+    between: float = disc_distance(obstacles, middle, offset, scratch)
+    room[top + 1, 0], room[top + 1, 1], room[top, 1] = between, room[top, 1], between
+    return between
 
 
 @njit(cache=True, nogil=True)
@@ -79,29 +99,30 @@ def least_distance(
 
     The body moves evenly from pose to pose. The bound is within `resolution` of the least that was found.
     """
-    at = np.zeros((len(offsets), len(poses)))
+    at, scratch = np.zeros((len(offsets), len(poses))), make_scratch()
     best, found, disc = np.inf, poses[0].copy(), 0.0
     for k in range(len(offsets)):
         for i in range(len(poses)):
-            at[k, i] = disc_distance(obstacles, poses[i], offsets[k])
+            at[k, i] = at[k, i - 1] - farthest_moved(poses[i - 1], poses[i], offsets[k]) if i > 0 else -np.inf
+            if at[k, i] >= best:  # at least so far away, which is all that needs to be known
+                continue
+            at[k, i] = disc_distance(obstacles, poses[i], offsets[k], scratch)
             if at[k, i] < best:
                 best, disc, found[:] = at[k, i], offsets[k], poses[i]
-    stack, room = np.empty((64, 2, 3)), np.empty((64, 2))
+    stack, room, middle = np.empty((64, 2, 3)), np.empty((64, 2)), np.empty(3)
     for k in range(len(offsets)):
         for i in range(len(poses) - 1):
             stack[0, 0], stack[0, 1], room[0, 0], room[0, 1], top = poses[i], poses[i + 1], at[k, i], at[k, i + 1], 1
             while top > 0:
                 top -= 1
-                p, q, dp, dq = stack[top, 0].copy(), stack[top, 1].copy(), room[top, 0], room[top, 1]
-                moved = hypot(q[0] - p[0], q[1] - p[1]) + abs(offsets[k] * (q[2] - p[2]))
-                if 0.5 * (dp + dq - moved) >= best - resolution:
+                if (
+                    0.5 * (room[top, 0] + room[top, 1] - farthest_moved(stack[top, 0], stack[top, 1], offsets[k]))
+                    >= best - resolution
+                ):
                     continue
-                middle = 0.5 * (p + q)
-                dm = disc_distance(obstacles, middle, offsets[k])
-                if dm < best:
-                    best, disc, found[:] = dm, offsets[k], middle
-                stack[top, 0], stack[top, 1], room[top, 0], room[top, 1] = p, middle, dp, dm
-                stack[top + 1, 0], stack[top + 1, 1], room[top + 1, 0], room[top + 1, 1] = middle, q, dm, dq
+                between = _halve(obstacles, stack, room, top, middle, offsets[k], scratch)
+                if between < best:
+                    best, disc, found[:] = between, offsets[k], middle
                 top += 2
     where = np.array([found[0] + disc * cos(found[2]), found[1] + disc * sin(found[2])])
     return best - resolution, where

@@ -15,8 +15,8 @@ from numba import njit
 from numpy.typing import NDArray
 
 from gpdf_service.fields import Tree, morton
-from gpdf_service.fields.traversal import nearest_with
-from gpdf_service.fields.tree import make_scratch
+from gpdf_service.fields.traversal import nearest_at
+from gpdf_service.fields.tree import make_scratch, place_of
 from gpdf_service.perception import HeightMap
 from gpdf_service.types import BoolArray, FloatArray, IntArray
 
@@ -78,9 +78,18 @@ class Quadtree:
 
     def find_cell(self, cell: IntArray) -> IntArray:
         """Leaf that holds each smallest cell, shape (m, 2); -1 outside the root."""
-        inside = np.logical_and.reduce((cell >= 0) & (cell < self.side), axis=1)
-        code = morton(np.where(inside[:, None], cell, 0))
-        return np.where(inside, np.searchsorted(self.code, code, side="right") - 1, -1)
+        found: IntArray = _find(self.code, self.side, cell)
+        return found
+
+
+@njit(cache=True, nogil=True)
+def _find(code: IntArray, side: int, cell: IntArray) -> IntArray:
+    """See `Quadtree.find_cell`."""
+    leaf = np.searchsorted(code, morton(cell), side="right") - 1
+    for i in range(len(cell)):
+        if not (0 <= cell[i, 0] < side and 0 <= cell[i, 1] < side):
+            leaf[i] = -1
+    return leaf
 
 
 @njit(cache=True, nogil=True)
@@ -195,12 +204,12 @@ def _split(
         if first >= 0:
             reach = (clearance_was[first] if leaf else radius + half_diagonal) + _ROUNDING
             if nearest <= reach:
-                nearest = nearest_with(places, x, scratch)[0]
+                nearest = nearest_at(places, place_of(x), scratch)[0]
             split = not leaf and nearest > reach
             copied = leaf and nearest > reach and not (within and changed[ix, iy])
         distance = clearance_was[first] if copied else 0.0
         if not split and not copied:
-            distance = nearest_with(obstacles, x, scratch)[0]
+            distance = nearest_at(obstacles, place_of(x), scratch)[0]
             split = distance - half_diagonal < radius and n > 1 and distance + half_diagonal >= radius
         if split:
             h = n // 2

@@ -7,7 +7,6 @@ from scipy.spatial import cKDTree
 
 from gpdf_service.perception.columns import (
     bounds_of,
-    bounds_where,
     by_cell,
     cells_of,
     chosen_rows,
@@ -40,7 +39,7 @@ def test_cells_boxes_and_bounds_are_those_of_numpy(points):
     np.testing.assert_array_equal(rows_in_box(points, low, high), inside)
     chosen = points[:, 2] > 1.0
     np.testing.assert_array_equal(bounds_of(points), (points[:, :2].min(axis=0), points[:, :2].max(axis=0)))
-    np.testing.assert_array_equal(bounds_where(points, chosen), bounds_of(points[chosen]))
+    np.testing.assert_array_equal(bounds_of(points, chosen), bounds_of(points[chosen]))
     np.testing.assert_array_equal(chosen_rows(points, chosen), points[chosen])
     np.testing.assert_array_equal(
         without_rows(points, chosen, points[:5]), np.concatenate([points[chosen], points[:5]])

@@ -1,5 +1,6 @@
 import numpy as np
 import pytest
+from scipy import ndimage
 
 from gpdf_service import build_scene, plan
 from gpdf_service.config import PerceptionConfig
@@ -11,6 +12,7 @@ from gpdf_service.perception.strays import find_strays
 from gpdf_service.perception.surface import INFERRED, OBSERVED, UNKNOWN, HeightMap
 from gpdf_service.synthetic import SCENES, Box, World, ramp, random_room
 from gpdf_service.types import AGENTS, Status
+from tests.clients.two_storeys import make_house
 
 CONFIG = PerceptionConfig()
 
@@ -511,3 +513,12 @@ def test_every_blocked_leaf_says_why():
     named = distance < space.radius
     assert (named | ~surface.contains(blocked)).all()
     assert {ObstacleKind(int(one)) for one in np.unique(kind[named])} >= {ObstacleKind.MATERIAL, ObstacleKind.STEP}
+
+
+def test_a_cell_that_the_scan_missed_in_a_floor_over_another_is_ground_whatever_is_under_it():
+    house = make_house(np.random.default_rng(1))
+    scene = build_scene(house.points, house.ground)
+    for surface in scene.surfaces:
+        beside = ndimage.binary_erosion(surface.state == OBSERVED, np.array([[1, 1, 1], [1, 0, 1], [1, 1, 1]]))
+        assert beside.sum() > (beside & (surface.state == OBSERVED)).sum()  # there are such cells
+        assert not (beside & (surface.state == UNKNOWN)).any()

@@ -45,6 +45,21 @@ def test_in_the_shadow_of_a_wall_nothing_is_ground_and_the_same_hole_in_the_open
         assert state_at(alone, 2.0, y) == INFERRED
 
 
+def test_a_single_cell_that_the_scan_missed_before_a_wall_hides_nothing():
+    along = np.arange(0.02, 6.0, 0.02)
+    wall = upright(along, np.full(len(along), 5.99))
+    seen = surface_of(floor_without(lambda x, y: np.zeros(len(x), dtype=bool)), wall)
+    i, j, _ = seen.cells(np.array([[3.0, 5.99]]))
+    low = seen.origin + np.array([i[0], j[0] - 1]) * seen.cell_width
+
+    def missed(x, y):
+        cell = np.floor((np.column_stack([x, y]) - low) / seen.cell_width)
+        return (cell == 0).all(axis=1)
+
+    surface = surface_of(floor_without(missed), wall)
+    assert surface.state[i[0], j[0] - 1] == INFERRED
+
+
 def test_behind_a_trunk_the_ground_is_inferred_again_beyond_what_it_can_be_deep():
     radius, angle = 0.15, np.arange(-np.pi, 0.0, 0.1)
     trunk = upright(3.0 + radius * np.cos(angle), 3.0 + radius * np.sin(angle))

@@ -243,7 +243,8 @@ def test_round_a_corner_a_path_keeps_its_share_of_the_room_it_wants(name):
     assert max(0.75, kept[0] + 0.1) < kept[1] < 1.0
 
 
-def test_a_body_leaves_a_place_where_it_just_fits(office):
+@pytest.mark.parametrize("spare", [0.0012, 0.0003])
+def test_a_body_leaves_a_place_where_it_just_fits(office, spare):
     """A millimetre beside what stops it: only the ways straight out are proven with all of the room that is there."""
     scene, rng = office[1], np.random.default_rng(1)
     space = scene.free_space("human")
@@ -254,7 +255,7 @@ def test_a_body_leaves_a_place_where_it_just_fits(office):
     for a in inside[:12]:
         b = outside[np.linalg.norm(outside - a, axis=1).argmin()]
         line = a + np.linspace(0.0, 1.0, 20_001)[:, None] * (b - a)
-        just = line[np.abs(space.clearance(0, line)[0] - space.reach - 0.0012).argmin()]
+        just = line[np.abs(space.clearance(0, line)[0] - space.reach - spare).argmin()]
         result = gpdf.plan(scene, just, b, "human")
         assert result.status is gpdf.Status.OK, result.message
         assert result.certificate.min_clearance >= 0.0
@@ -268,3 +269,19 @@ def test_where_two_levels_are_the_same_ground_a_place_has_the_room_of_the_roomie
     for behind in np.arange(0.3, 1.0, 0.1):  # on the upper floor, where the sheet of the stair ends
         result = gpdf.plan(scene, house.head + behind * ahead, house.high, "human")
         assert (result.status, result.message) == (gpdf.Status.OK, "")
+
+
+def test_who_stands_where_two_levels_are_the_same_ground_stands_on_both():
+    house = make_house(np.random.default_rng(0))
+    scene = gpdf.build_scene(house.points, house.ground)
+    way = gpdf.plan(scene, house.low, house.high, "human").trajectory.ground
+    heights = np.stack([surface.height_at(way[:, :2]) for surface in scene.surfaces])
+    common = way[(np.abs(heights - way[:, 2]) < 0.01).sum(axis=0) > 1]
+    assert len(common) > 20
+    for place in common[::20]:
+        post = place + np.column_stack([np.zeros((30, 2)), np.arange(0.05, 1.55, 0.05)])
+        result = gpdf.plan(scene.with_obstacles(post), house.low, house.high, "human")
+        if result.status is gpdf.Status.OK:
+            ground = result.trajectory.ground
+            beside = np.abs(ground[:, 2] - place[2]) < 1.0
+            assert np.linalg.norm(ground[beside, :2] - place[:2], axis=1).min() >= AGENTS["human"].radius - 1e-3
