@@ -217,20 +217,16 @@ def find_lifted(points: FloatArray, ground: BoolArray, noise: float, spacing: fl
     lifted, rest = np.zeros(len(points), dtype=bool), np.flatnonzero(~ground)
     if len(rest) == 0 or len(rest) == len(points):
         return lifted
-    floor = points[ground]
-    off, nearest = cKDTree(floor).query(points[rest], distance_upper_bound=FAR * noise + spacing, workers=-1)
-    low = np.isfinite(off)
-    rest, height = rest[low], points[rest[low], 2] - floor[nearest[low], 2]
-    if len(rest) == 0:
-        return lifted
+    floor, near = points[ground], FAR * noise + spacing
+    off, nearest = cKDTree(floor).query(points[rest], distance_upper_bound=near, workers=-1)
+    low = np.flatnonzero(np.isfinite(off))
+    height = np.full(len(rest) + 1, near)  # of what is further off: it is no noise, but a witness
+    height[low] = points[rest[low], 2] - floor[nearest[low], 2]
+    height[-1] = 0.0  # of nothing beside
     radius = max(0.5 * RESOLVED * noise, 2.0 * spacing)
-    count = min(_WITNESSES, len(rest))
-    beside = cKDTree(points[rest]).query(points[rest], k=count, distance_upper_bound=radius, workers=-1)[1]
-    beside = beside.reshape(len(rest), count)
-    is_one = beside < len(rest)
-    number = is_one.sum(axis=1)
-    total = np.where(is_one, np.append(height, 0.0)[beside], 0.0).sum(axis=1)
-    lifted[rest] = np.abs(total) <= FAR * noise * np.sqrt(number)
+    beside = cKDTree(points[rest]).query(points[rest[low]], k=_WITNESSES, distance_upper_bound=radius, workers=-1)[1]
+    number = (beside < len(rest)).sum(axis=1)
+    lifted[rest[low]] = np.abs(height[beside].sum(axis=1)) <= FAR * noise * np.sqrt(number)
     return lifted
 
 

@@ -13,8 +13,9 @@ from gpdf_service.types import BoolArray, FloatArray
 
 _SAMPLE = 60_000
 """Points that say how noisy a cloud is: enough for a thousand neighbourhoods."""
-_SEEN = 0.25
-"""[-] Noise over spacing below which it cannot be told from the shape of things: a plane of few points cuts corners."""
+_SEEN, _SEEN_APART = 0.25, 0.1
+"""[-] Noise over spacing below which it cannot be told from the shape of things: a plane of few points cuts corners.
+Labels tell treads from risers and floors from feet; what is left of scans that are clean is less than a tenth."""
 _COLUMN = 1.0
 """[m] Width of the columns that the sample is made of: several times the largest neighbourhood of 5 cm noise."""
 
@@ -49,7 +50,8 @@ def cure_and_segment(points: FloatArray, ground: BoolArray | None, config: Perce
     sample = _columns(points)
     spacing = estimate_spacing(sample)
     noise = estimate_noise(sample, spacing)
-    if noise <= max(config.negligible_noise, _SEEN * spacing):
+    seen = _SEEN if ground is None else _SEEN_APART
+    if noise <= max(config.negligible_noise, seen * spacing):
         clean = uncured(points, noise)
         if ground is not None:
             return Found(clean, ground, as_it_was=True)
