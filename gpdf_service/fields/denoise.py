@@ -206,7 +206,7 @@ def find_lifted(points: FloatArray, ground: BoolArray, noise: float, spacing: fl
 
     In a million points of a floor a thousand are more than three deviations off it. But they are alone, or as often
     under it as over it: a thing is where the mean height of those beside is more than it can be by chance. Beside is as
-    in `find_loose`.
+    in `find_loose`. What has no ground right under it was not lifted off any: on the flank of a rock it is beside it.
 
     Args:
         points: Cured [m], shape (n, 3), z up.
@@ -219,9 +219,10 @@ def find_lifted(points: FloatArray, ground: BoolArray, noise: float, spacing: fl
         return lifted
     floor, near = points[ground], FAR * noise + spacing
     off, nearest = cKDTree(floor).query(points[rest], distance_upper_bound=near, workers=-1)
-    low = np.flatnonzero(np.isfinite(off))
-    height = np.full(len(rest) + 1, near)  # of what is further off: it is no noise, but a witness
-    height[low] = points[rest[low], 2] - floor[nearest[low], 2]
+    apart = points[rest] - floor[np.minimum(nearest, len(floor) - 1)]
+    low = np.flatnonzero(np.isfinite(off) & (np.hypot(apart[:, 0], apart[:, 1]) <= spacing))
+    height = np.full(len(rest) + 1, near)  # of what has no ground under it: it is no noise, but a witness
+    height[low] = apart[low, 2]
     height[-1] = 0.0  # of nothing beside
     radius = max(0.5 * RESOLVED * noise, 2.0 * spacing)
     beside = cKDTree(points[rest]).query(points[rest[low]], k=_WITNESSES, distance_upper_bound=radius, workers=-1)[1]
