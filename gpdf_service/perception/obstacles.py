@@ -73,8 +73,8 @@ def _is_face(level: GroundLevel, rows: IntArray, max_step: float, noise: float) 
 
     A face lies between two pieces of ground, the upper one beside it and no lower than it, the lower one not far: noise
     moves a point off its face by some deviations. Cells can be wider than a tread, so the upper one must be a point of
-    the ground right beside; or inferred, as a tread in a shadow is. Ground that is no step over any other is no upper
-    one: what stands on a floor is not the floor's face, however low it is.
+    the ground right beside; or inferred, as a tread in a shadow is, which has no scatter of its own. Ground that is no
+    step over any other is no upper one: what stands on a floor is not the floor's face, however low it is.
     """
     surface, points, near = level.surface, level.other_points[rows], level.surface.cell_width <= FACE
     ix, iy, _ = surface.cells(points)
@@ -120,7 +120,7 @@ def _faces(
                 if beside < lowest:
                     lowest = beside
                 own = near or (i == ix[m] and j == iy[m])
-                if inferred[i, j] and own and max(z - step, under + step) <= beside < ledge:
+                if inferred[i, j] and own and max(z - noise, under + step) <= beside < ledge:
                     ledge = beside
         for height in around:
             if foot < height <= ledge - step:
