@@ -57,7 +57,7 @@ def cure_and_segment(points: FloatArray, ground: BoolArray | None, config: Perce
             return Found(clean, ground, as_it_was=True)
         ground, segmentation = segment(points, config)
         return Found(clean, ground, as_it_was=True, segmentation=segmentation)
-    stray, labelled = None, ground is not None
+    stray = None
     if ground is None:
         moved, _ = onto_surface(points, spacing, noise)
         stray = find_loose(moved, noise, spacing)
@@ -68,9 +68,9 @@ def cure_and_segment(points: FloatArray, ground: BoolArray | None, config: Perce
         if part.any():
             own = points[part]
             cured.points[part], cured.noise[part] = onto_surface(own, estimate_spacing(own), noise, level=level)
-    if stray is None:
+    if stray is None:  # the labels have told ground from the rest
         stray = find_loose(cured.points, noise, spacing)
-    if not labelled:
+    else:
         stray |= find_lifted(cured.points, ground, noise, spacing)
     cured = cured._replace(stray=stray)
     return Found(cured, ground & ~cured.stray, as_it_was=False)

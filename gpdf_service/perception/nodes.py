@@ -13,6 +13,18 @@ AROUND = ((-1, -1), (-1, 0), (-1, 1), (0, -1), (0, 1), (1, -1), (1, 0), (1, 1))
 
 
 @njit(cache=True, nogil=True)
+def _unite(parent: IntArray, i: int, j: int) -> None:
+    """Make one tree of those of i and j; the lower root stays, and both ways up are halved."""
+    while parent[i] != i:
+        parent[i] = parent[parent[i]]
+        i = parent[i]
+    while parent[j] != j:
+        parent[j] = parent[parent[j]]
+        j = parent[j]
+    parent[max(i, j)] = min(i, j)
+
+
+@njit(cache=True, nogil=True)
 def components(a: IntArray, b: IntArray, among: BoolArray) -> IntArray:
     """Connected component of each node, shape (k,), numbered by their first nodes.
 
@@ -24,13 +36,7 @@ def components(a: IntArray, b: IntArray, among: BoolArray) -> IntArray:
         i, j = a[e], b[e]
         if not (among[i] and among[j]):
             continue
-        while parent[i] != i:
-            parent[i] = parent[parent[i]]
-            i = parent[i]
-        while parent[j] != j:
-            parent[j] = parent[parent[j]]
-            j = parent[j]
-        parent[max(i, j)] = min(i, j)
+        _unite(parent, i, j)
     label, used = np.empty(count, np.int64), 0
     for i in range(count):  # a parent comes before its children
         if parent[i] == i:
@@ -56,13 +62,7 @@ def joined_to(seeds: BoolArray, among: BoolArray, a: IntArray, b: IntArray) -> B
         if one == 0 or other == 0 or one + other == 4:
             continue
         i, j = a[e] + 1 if one == 1 else 0, b[e] + 1 if other == 1 else 0
-        while parent[i] != i:
-            parent[i] = parent[parent[i]]
-            i = parent[i]
-        while parent[j] != j:
-            parent[j] = parent[parent[j]]
-            j = parent[j]
-        parent[max(i, j)] = min(i, j)
+        _unite(parent, i, j)
     made = seeds.copy()
     for i in range(len(seeds)):  # a parent comes before its children
         parent[i + 1] = parent[parent[i + 1]]
