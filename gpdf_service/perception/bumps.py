@@ -13,7 +13,7 @@ from numba import njit
 from gpdf_service.config import PerceptionConfig
 from gpdf_service.fields.threads import run_chunked
 from gpdf_service.perception.layers import Beside
-from gpdf_service.perception.nodes import components, extents_in_plan
+from gpdf_service.perception.nodes import components, extents_in_plan, pairs_within
 from gpdf_service.types import BoolArray, FloatArray, IntArray
 
 LEAST_BUMP = 0.02
@@ -41,18 +41,26 @@ def low_things(near: Beside, ground: BoolArray, config: PerceptionConfig) -> Boo
     raised = np.zeros(len(ground))
     run_chunked(lambda a, b: _raise(nodes[a:b], *grid, reach, config.max_step, raised), len(nodes))
     bump = raised > LEAST_BUMP
-    if not bump.any():
-        return bump
     a, b = near.slopes(bump, layers.cell_width * float(np.tan(config.steepest)))
     bump &= raised > ROUGH * _around(np.flatnonzero(bump), *grid, components(a, b, bump), raised, 2 * reach)
-    piece = components(a, b, bump)
-    length, depth = extents_in_plan(layers.cell, layers.shape[1], bump, piece, layers.cell_width)
+    if not bump.any():
+        return bump
+    low = np.flatnonzero(bump)
+    piece = np.unique(components(a, b, bump)[low], return_inverse=True)[1]
+    length, depth = extents_in_plan(layers.cell[low], layers.shape[1], bump[low], piece, layers.cell_width)
     stays = (length >= config.standing_width) & (length >= LONG * depth)
-    a, b = near.steps(ground, config.max_step)
-    for one, other in ((a, b), (b, a)):
-        up = bump[one] & ~bump[other] & (layers.height[other] - layers.height[one] > LEAST_BUMP)
-        stays[piece[one[up]]] = True
-    return bump & ~stays[piece]
+    stays[piece[np.searchsorted(low, _below_ground(near, bump, ground, config.max_step))]] = True
+    bump[low] = ~stays[piece]
+    return bump
+
+
+def _below_ground(near: Beside, bump: BoolArray, ground: BoolArray, max_step: float) -> IntArray:
+    """Nodes of the bumps that a step joins to ground which is higher and no bump."""
+    a, b = pairs_within(*near.steps(ground, max_step), bump, False)
+    a, b = np.concatenate([a, b]), np.concatenate([b, a])
+    height = near.layers.height
+    found: IntArray = a[bump[a] & ~bump[b] & (height[b] - height[a] > LEAST_BUMP)]
+    return found
 
 
 @njit(cache=True, nogil=True)
@@ -77,7 +85,10 @@ def _raise(
     most: float,
     raised: FloatArray,
 ) -> None:
-    """How much higher each node is than the ground to both sides of it, in the direction in which that is most [m]."""
+    """How much higher each node is than the ground to both sides of it, in the direction in which that is most [m].
+
+    What is so little that neither it nor a quartile of such tells a bump is not looked at closer.
+    """
     for i in nodes:
         x, y, level = cell[i] // shape[1], cell[i] % shape[1], height[i]
         for dx, dy in _LINES:
@@ -94,9 +105,10 @@ def _raise(
                     if j >= 0:
                         lowest = min(lowest, height[j])
                 least = min(least, level - lowest)
-                if least <= raised[i]:
+                if least <= max(raised[i], LEAST_BUMP / ROUGH):
                     break
-            raised[i] = max(raised[i], least)
+            else:
+                raised[i] = least
 
 
 @njit(cache=True, nogil=True)
