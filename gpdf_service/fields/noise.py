@@ -32,12 +32,17 @@ _SAMPLE = 1000
 """Points that the noise is estimated from: its error is then some per cent."""
 
 
-def estimate_noise(points: FloatArray, spacing: float) -> float:
+def estimate_noise(points: FloatArray, spacing: float, *, sheets: bool = True) -> float:
     """Standard deviation of the points along the surface's normal [m]; points of shape (n, 3).
 
     What is left of the smallest neighbourhood that shows its shape: a plane, an edge, two sheets or a pole. So the
     corners of a clean cloud are no noise, nor is the thickness of a board. A cloud so dense that most
     such neighbourhoods hold more points than are looked at is thinned first.
+
+    Args:
+        points: The cloud [m].
+        spacing: Between its points [m].
+        sheets: Whether two sheets on each other can both be there.
     """
     if len(points) < _TOLD or spacing <= 0.0:
         return 0.0
@@ -46,10 +51,11 @@ def estimate_noise(points: FloatArray, spacing: float) -> float:
     noise = np.full(len(picked), np.nan)
     radii: FloatArray = 2.0 * spacing * GROWTH ** np.arange(16.0)
     tree = build_tree(points)
-    run_chunked(lambda a, b: _noise_range(tree, picked, a, b, radii, noise), len(picked))
+    run_chunked(lambda a, b: _noise_range(tree, picked, a, b, radii, sheets, noise), len(picked))
     found = noise[np.isfinite(noise)]
     if np.isinf(noise).sum() > len(found):
-        return estimate_noise(rng.choice(points, len(points) // 4, replace=False), 2.0 * spacing)
+        thinner = rng.choice(points, len(points) // 4, replace=False)
+        return estimate_noise(thinner, 2.0 * spacing, sheets=sheets)
     return float(np.quantile(found, 0.25)) if len(found) else 0.0
 
 
@@ -61,7 +67,9 @@ def _lower(freedom: float) -> float:
 
 
 @njit(cache=True, nogil=True)
-def _noise_range(tree: Tree, places: FloatArray, begin: int, end: int, radii: FloatArray, noise: FloatArray) -> None:
+def _noise_range(
+    tree: Tree, places: FloatArray, begin: int, end: int, radii: FloatArray, sheets: bool, noise: FloatArray
+) -> None:
     """The larger radii are looked at only where the smaller ones do not tell: they hold most of the points.
 
     `noise`, NaN before, stays so where no radius tells, and is inf where the next one holds too many points.
@@ -86,11 +94,11 @@ def _noise_range(tree: Tree, places: FloatArray, begin: int, end: int, radii: Fl
                     found = gather(tree, places[i], radii[j], near)
                     variance = quadric_rest(near, found, normal) / (count - 6.0)
                     edge = fit_pair(near, found, normal, side, pair) / (count - 6.0)
-                    sheets = split_sheets(near, found, normal, mean)
                     if edge < EDGE * variance:
                         variance = edge
-                    if sheets < _SHEETS * low:
-                        variance = min(variance, sheets)
+                    within = split_sheets(near, found, normal, mean) if sheets else np.inf
+                    if within < _SHEETS * low:
+                        variance = min(variance, within)
                     noise[i] = sqrt(variance / _lower(count - 6.0))
                     break
                 if high > LONG * middle:
