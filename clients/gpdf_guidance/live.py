@@ -15,7 +15,7 @@ import msgspec
 import numpy as np
 import zenoh
 from gpdf_schemas import CueMessage, DecodeError, MovingObstacles, PoseMessage, decode, encode, keys
-from gpdf_schemas.moving import points_of, stacked
+from gpdf_schemas.moving import MAX_POINTS, points_of, stacked
 from numpy.typing import NDArray
 
 from gpdf_guidance.guide import Guide, Outcome
@@ -151,10 +151,13 @@ class LiveGuide:
     def _take_obstacles(self, sample: zenoh.Sample) -> None:
         """Zenoh's callback: what moves in the scene. One that has no sense does not hide the others."""
         seen: Seen = {}
+        room = MAX_POINTS
         with suppress(DecodeError):
             for obstacle in decode(sample.payload.to_bytes(), MovingObstacles).obstacles:
                 with suppress(ValueError):
-                    seen[obstacle.id] = points_of(obstacle), time.monotonic() + obstacle.lifetime_s
+                    points = points_of(obstacle, room)
+                    seen[obstacle.id] = points, time.monotonic() + obstacle.lifetime_s
+                    room -= len(points)
         self._put(seen)
 
     def _put(self, message: Pose | Seen) -> None:
