@@ -41,10 +41,10 @@ from gpdf_service.service.drawing import draw_part
 from gpdf_service.service.in_use import InUse
 from gpdf_service.service.moving import Moving
 from gpdf_service.service.places import Named
-from gpdf_service.service.planning import LARGEST_BODY, Planning, agent_of, to_trajectory
+from gpdf_service.service.planning import Planning, agent_of, to_trajectory
 from gpdf_service.service.pool import Ask, Pool
 from gpdf_service.service.scenes import Entry, Shelf, describe
-from gpdf_service.types import BoolArray, FloatArray, Trajectory, resolve_agent
+from gpdf_service.types import LARGEST_BODY, BoolArray, FloatArray, Trajectory, resolve_agent
 
 PLANNER_KEYS = keys.PLAN, keys.DISTANCE
 """What a planner answers."""
