@@ -18,6 +18,7 @@ from tqdm import tqdm
 
 from gpdf_service.scene import Scene
 from gpdf_service.service.planning import agent_of
+from gpdf_service.service.record import is_log
 from gpdf_service.service.replay import Moved, Planned, compare, recorded_events
 from gpdf_service.service.replay_inside import InProcess
 from gpdf_service.types import PlanResult
@@ -45,6 +46,9 @@ def run(args: argparse.Namespace) -> int:
     """Exit code 0 if every plan was asked again and every answer is the same."""
     if not args.log.is_file():
         print(f"gpdf: there is no log {args.log}", file=sys.stderr)
+        return 1
+    if not is_log(args.log):
+        print(f"gpdf: {args.log} is no log", file=sys.stderr)
         return 1
     if args.png and not (args.scene or args.scenes_dir):
         print("gpdf: --png draws on a scene: name it with --scene NAME=CLOUD or --scenes-dir", file=sys.stderr)
