@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import argparse
 import json
+import signal
 import sys
+import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -96,7 +98,9 @@ def _live(client: Client, scene: str, args: argparse.Namespace) -> dict[str, Any
             print(words, file=sys.stderr)
         told = words
 
-    drive_live(driver, client.session, args.name, on_step=tell)
+    stop = threading.Event()
+    signal.signal(signal.SIGTERM, lambda *_: stop.set())  # the last commands are to stand, as after Ctrl-C
+    drive_live(driver, client.session, args.name, stop=stop, on_step=tell)
     return {"state": driver.state.value, "reason": driver.reason, "plans": driver.plans}
 
 
