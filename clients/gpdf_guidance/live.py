@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import queue
 import time
 from collections.abc import Callable
@@ -34,15 +33,6 @@ Told = Callable[[float, Instruction, str], None]
 Seen = dict[str, tuple[NDArray[np.float64], float]]
 """Points [m] and when they are not believed any more, on `time.monotonic` [s], by the obstacle's id."""
 Planned = tuple[Route | None, str]
-
-
-def open_session(endpoint: str) -> zenoh.Session:
-    """A Zenoh session with a service's endpoint, to share with `gpdf_client.Client`."""
-    config = zenoh.Config()
-    config.insert_json5("mode", '"client"')
-    config.insert_json5("connect/endpoints", json.dumps([endpoint]))
-    config.insert_json5("scouting/multicast/enabled", "false")
-    return zenoh.open(config)
 
 
 class LiveGuide:

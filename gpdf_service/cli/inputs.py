@@ -92,14 +92,3 @@ def save_scene(scene: Scene, path: Path, *, as_json: bool) -> int:
     else:
         print(f"{path}: {info['points']} points ({info['ground_points']} ground), {len(info['levels'])} level(s)")
     return 0
-
-
-def place(text: str) -> tuple[float, ...]:
-    """Parse `x,y` or `x,y,z`."""
-    try:
-        parts = tuple(float(part) for part in text.split(","))
-    except ValueError:
-        parts = ()
-    if len(parts) not in (2, 3):
-        raise argparse.ArgumentTypeError(f"{text!r} is no place: write x,y or x,y,z in metres")
-    return parts
