@@ -12,7 +12,7 @@ from gpdf_service.planning.shape import shortcut
 from gpdf_service.planning.timing import time_path
 from gpdf_service.planning.words import place_words
 from gpdf_service.search import FreeSpace
-from gpdf_service.search.lattice import MOST_POSES, POSES_PER_SECOND, PoseSearch, find_poses
+from gpdf_service.search.lattice import MOST_POSES, POSES_PER_SECOND, PoseSearch, find_poses, moving
 from gpdf_service.search.motion import leap
 from gpdf_service.types import Agent, FloatArray, Status
 
@@ -77,8 +77,7 @@ def _pull(space: FreeSpace, level: int, poses: FloatArray) -> FloatArray:
         parts.append(leap(poses[a], poses[b]) if b - a > 1 else poses[[b]])
     made = np.concatenate(parts)
     made[:, 2] = np.unwrap(made[:, 2])
-    distinct: FloatArray = made[np.concatenate([[True], np.abs(np.diff(made, axis=0)).max(axis=1) > 1e-9])]
-    return distinct
+    return moving(made)
 
 
 def time_poses(
