@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import dataclasses
+import tomllib
 import typing
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 from gpdf_service.errors import ConfigError
@@ -107,6 +109,18 @@ class Config:
             ConfigError: an unknown key, a wrong type or a value out of range.
         """
         return _build(cls, values, "config")
+
+
+def read_tables(file: Path) -> dict[str, Any]:
+    """What a TOML file holds, for `Config.from_mapping`.
+
+    Raises:
+        ConfigError: it is not there, cannot be read, or is no TOML.
+    """
+    try:
+        return tomllib.loads(file.read_text())
+    except (OSError, ValueError) as error:
+        raise ConfigError(f"configuration {file}", str(error), "Give a readable TOML file.") from error
 
 
 T = typing.TypeVar("T")

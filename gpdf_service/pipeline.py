@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from numbers import Real
 from typing import Literal, get_args
 
 import numpy as np
@@ -12,12 +13,12 @@ from numpy.typing import ArrayLike
 
 from gpdf_service.baselines import plan_baseline
 from gpdf_service.config import Config
-from gpdf_service.errors import RequestError
+from gpdf_service.errors import ConfigError, RequestError
 from gpdf_service.perception import check_labels, check_points
 from gpdf_service.planning import plan_path
 from gpdf_service.scene import Progress as Progress
 from gpdf_service.scene import Scene, assemble_scene
-from gpdf_service.types import Agent, FloatArray, PlanOptions, PlanResult, Trajectory, resolve_agent
+from gpdf_service.types import Agent, FloatArray, PlanOptions, PlanResult, Trajectory, is_number, resolve_agent
 
 Method = Literal["dual_gpdf", "single_gpdf", "astar", "prm"]
 Place = Sequence[float] | FloatArray
@@ -42,10 +43,13 @@ def build_scene(
         progress: Called as the work goes on.
 
     Raises:
+        ConfigError: `config` is no `Config`.
         CloudError: the cloud cannot be used (empty, not finite, wrong shape, wrong unit).
         NoGroundError: no walkable ground was found.
     """
-    config = config or Config()
+    config = Config() if config is None else config
+    if not isinstance(config, Config):
+        raise ConfigError("config", f"a {type(config).__name__}", "Pass a gpdf.Config; Config.from_mapping makes one.")
     cloud = check_points(points)
     labels = None if ground is None else check_labels(ground, len(cloud))
     return assemble_scene(cloud, labels, config, progress=progress)
@@ -100,7 +104,7 @@ def plan(
     options = _check_options(via, other_goals, snap, warm_start)
     facing = _check_heading(start_heading, "start_heading"), _check_heading(goal_heading, "goal_heading")
     options = replace(options, start_heading=facing[0], goal_heading=facing[1])
-    if deadline_s is not None and not deadline_s > 0:
+    if deadline_s is not None and not (isinstance(deadline_s, Real) and deadline_s > 0):
         raise RequestError("deadline_s", f"{deadline_s!r}", "It must be a positive number of seconds.")
     deadline = None if deadline_s is None else clock() + deadline_s
     if method != "dual_gpdf":
@@ -119,37 +123,51 @@ def plan(
 def _check_options(
     via: Sequence[Place], other_goals: Sequence[Place], snap: float, warm_start: Trajectory | FloatArray | None
 ) -> PlanOptions:
-    for name, places in (("via", via), ("other_goals", other_goals)):
-        if len(places) > MOST_PLACES:
-            raise RequestError(name, f"{len(places)} places", f"Give at most {MOST_PLACES}.")
-    if not 0 <= snap < np.inf:
+    if not is_number(snap) or snap < 0:
         raise RequestError("snap", f"{snap!r}", "It must be a finite number of metres, 0 or more.")
-    known = warm_start.ground if isinstance(warm_start, Trajectory) else warm_start
-    if known is not None:
-        known = np.asarray(known, dtype=np.float64)
-        if known.ndim != 2 or known.shape[1] != 3 or len(known) < 2 or not np.isfinite(known).all():
-            raise RequestError("warm_start", f"an array of shape {known.shape}", "Pass contact points, (n ≥ 2, 3).")
-        if len(via):
-            raise RequestError("warm_start", "together with via points", "Give one or the other.")
     return PlanOptions(
-        tuple(_check_place(place, f"via point {n}") for n, place in enumerate(via, start=1)),
-        tuple(_check_place(place, f"other goal {n}") for n, place in enumerate(other_goals, start=1)),
+        _check_places(via, "via", "via point"),
+        _check_places(other_goals, "other_goals", "other goal"),
         float(snap),
-        known,
+        None if warm_start is None else _check_warm_start(warm_start, via),
     )
 
 
+def _check_places(places: Sequence[Place], name: str, each: str) -> tuple[FloatArray, ...]:
+    if not isinstance(places, Sequence | np.ndarray) or isinstance(places, str):
+        raise RequestError(name, f"{places!r}", "Pass a list of places.")
+    if len(places) > MOST_PLACES:
+        raise RequestError(name, f"{len(places)} places", f"Give at most {MOST_PLACES}.")
+    return tuple(_check_place(place, f"{each} {n}") for n, place in enumerate(places, start=1))
+
+
+def _check_warm_start(warm_start: Trajectory | FloatArray, via: Sequence[Place]) -> FloatArray:
+    known = _floats(warm_start.ground if isinstance(warm_start, Trajectory) else warm_start)
+    if known is None or known.ndim != 2 or known.shape[1] != 3 or len(known) < 2:
+        found = "no array of finite numbers" if known is None else f"an array of shape {known.shape}"
+        raise RequestError("warm_start", found, "Pass contact points, (n ≥ 2, 3).")
+    if len(via):
+        raise RequestError("warm_start", "together with via points", "Give one or the other.")
+    return known
+
+
 def _check_heading(heading: float | None, name: str) -> float | None:
-    if heading is not None and not np.isfinite(heading):
+    if heading is not None and not is_number(heading):
         raise RequestError(name, f"{heading!r}", "It must be a finite number of radians.")
     return heading
 
 
 def _check_place(place: Place, name: str) -> FloatArray:
-    try:
-        made = np.asarray(place, dtype=np.float64)
-    except (TypeError, ValueError) as error:
-        raise RequestError(name, f"{place!r}", "Pass (x, y) or (x, y, z) in metres.") from error
-    if made.shape not in ((2,), (3,)) or not np.isfinite(made).all():
+    made = _floats(place)
+    if made is None or made.shape not in ((2,), (3,)):
         raise RequestError(name, f"{place!r}", "Pass (x, y) or (x, y, z): finite numbers in metres.")
     return made
+
+
+def _floats(values: object) -> FloatArray | None:
+    """An array of finite numbers, if they are that."""
+    try:
+        made = np.asarray(values, dtype=np.float64)
+    except (TypeError, ValueError):
+        return None
+    return made if np.isfinite(made).all() else None

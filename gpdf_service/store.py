@@ -13,6 +13,7 @@ import types
 import typing
 import zipfile
 from collections.abc import Iterable, Mapping
+from errno import ENOENT
 from pathlib import Path
 from typing import Any
 
@@ -33,10 +34,16 @@ Arrays = dict[str, NDArray[Any]]
 
 
 def write_arrays(path: str | os.PathLike[str], arrays: Mapping[str, NDArray[Any]], meta: Mapping[str, Any]) -> None:
-    """Write `arrays` and `meta` (JSON) to `path`: complete under that name, or not there at all."""
+    """Write `arrays` and `meta` (JSON) to `path`: complete under that name, or not there at all.
+
+    Raises:
+        OSError: it cannot be written there.
+    """
     target = Path(path)
+    if not target.parent.is_dir() or target.is_dir():
+        raise FileNotFoundError(ENOENT, "no file can be written there", str(target))
     header = np.frombuffer(json.dumps({"schema_version": SCHEMA_VERSION, **meta}).encode(), np.uint8)
-    handle, temporary = tempfile.mkstemp(dir=target.parent or ".", prefix=f".{target.name}.")
+    handle, temporary = tempfile.mkstemp(dir=target.parent, prefix=f".{target.name}.")
     try:
         with os.fdopen(handle, "wb") as file:
             np.savez(file, allow_pickle=False, **{_META: header, **arrays})

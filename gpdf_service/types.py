@@ -8,7 +8,8 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from functools import lru_cache
-from math import hypot, radians
+from math import hypot, isfinite, radians
+from numbers import Integral, Real
 from typing import Protocol
 
 import numpy as np
@@ -20,8 +21,23 @@ FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 BoolArray = NDArray[np.bool_]
 
+SMALLEST_BODY, LARGEST_BODY = 0.05, 5.0
+"""[m] Of a body that can be planned for: the finest cell of the ground, and a lorry. Free space of a body a tenth as
+wide costs a hundred times the memory, so that one request could take all there is."""
+SLOWEST, FASTEST = 0.01, 100.0
+"""[m/s], [m/s²], [rad/s] Of such a body: a snail, and a racing car. Time stamps of 5 m at a micrometre a second would
+take 8 GB."""
+_LIMITS = {
+    **dict.fromkeys(("height", "width", "length"), (SMALLEST_BODY, LARGEST_BODY)),
+    **dict.fromkeys(("speed", "acceleration", "turn_rate"), (SLOWEST, FASTEST)),
+}
 MOST_DISCS = 32
 """Each costs a query of the field at every waypoint; a body 16 times as long as wide is covered twice as finely."""
+
+
+def is_number(value: object) -> bool:
+    """Whether it is a finite real number; True and False are none."""
+    return isinstance(value, Real) and not isinstance(value, bool) and isfinite(value)
 
 
 @lru_cache(maxsize=64)
@@ -63,15 +79,17 @@ class Agent:
     discs: int = 1
 
     def __post_init__(self) -> None:
-        for key in ("height", "width", "length", "speed", "acceleration", "turn_rate"):
+        for key in (*_LIMITS, "max_step", "max_slope"):
             value = getattr(self, key)
-            if not (np.isfinite(value) and value > 0):
-                raise RequestError(f"agent {self.name!r}", f"{key} = {value!r}", "It must be a positive number.")
-        if not (np.isfinite(self.max_step) and self.max_step >= 0):
-            raise RequestError(f"agent {self.name!r}", f"max_step = {self.max_step!r}", "It must be ≥ 0 m.")
-        if not 0 <= self.max_slope < np.pi / 2:
+            if not is_number(value) or value < 0 or (value == 0 and key in _LIMITS):
+                least = "more than 0" if key in _LIMITS else "0 or more"
+                raise RequestError(
+                    f"agent {self.name!r}", f"{key} = {value!r}", f"It must be a finite number, {least}."
+                )
+            object.__setattr__(self, key, float(value))  # to compiled code an integer is another type
+        if self.max_slope >= np.pi / 2:
             raise RequestError(f"agent {self.name!r}", f"max_slope = {self.max_slope!r}", "It is in radians, 0 to π/2.")
-        if not 1 <= self.discs <= MOST_DISCS:
+        if not (isinstance(self.discs, Integral) and is_number(self.discs) and 1 <= self.discs <= MOST_DISCS):
             raise RequestError(f"agent {self.name!r}", f"discs = {self.discs!r}", f"Give 1 to {MOST_DISCS}.")
 
     @property
@@ -112,16 +130,20 @@ AGENTS: dict[str, Agent] = {
 
 
 def resolve_agent(agent: str | Agent) -> Agent:
-    """Look an agent up by name; an `Agent` passes through.
+    """Look an agent up by name; an `Agent` passes through, if it is one that can be planned for.
 
     Raises:
+        RequestError: its measures are beyond what can be planned for.
         UnknownAgentError: no agent has that name.
     """
-    if isinstance(agent, Agent):
-        return agent
-    if agent not in AGENTS:
-        raise UnknownAgentError(agent, AGENTS)
-    return AGENTS[agent]
+    if not isinstance(agent, Agent):
+        if not isinstance(agent, str) or agent not in AGENTS:
+            raise UnknownAgentError(agent, AGENTS)
+        return AGENTS[agent]
+    for key, (least, most) in _LIMITS.items():
+        if not least <= getattr(agent, key) <= most:
+            raise RequestError(f"agent {agent.name!r}", f"{key} = {getattr(agent, key)!r}", f"Give {least} to {most}.")
+    return agent
 
 
 @dataclass(frozen=True, slots=True)

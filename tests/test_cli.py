@@ -147,6 +147,28 @@ def test_bad_input_exits_with_one_and_a_typed_error(tmp_path, capsys):
     assert json.loads(capsys.readouterr().out)["error"] == "SceneFileError"
 
 
+def test_files_that_cannot_be_read_or_written_are_said_without_a_traceback(tmp_path, capsys):
+    cloud, nowhere = str(write_room(tmp_path / "room.npz")), str(tmp_path / "none" / "x")
+    (tmp_path / "bad.toml").write_text("[perception")
+    for words in (
+        ["scene", "build", cloud, "--out", f"{nowhere}.gpdf"],
+        ["scene", "info", cloud, "--png", f"{nowhere}.png"],
+        ["scene", "info", cloud, "--config", f"{nowhere}.toml"],
+        ["scene", "info", cloud, "--config", str(tmp_path / "bad.toml")],
+        ["record", "check", "--repair", cloud],
+        ["replay", cloud],
+    ):
+        assert main(words) == 1
+        said = capsys.readouterr().err
+        assert words[-1] in said
+        assert said.startswith("gpdf: ")
+
+
+def test_options_of_a_build_are_refused_for_a_scene_that_is_built(tmp_path, capsys):
+    assert main(["scene", "info", str(tmp_path / "x.gpdf"), "--ground-label", "0"]) == 1
+    assert "--ground-label: the scene" in capsys.readouterr().err
+
+
 def test_a_place_that_is_no_place_is_a_usage_error(tmp_path):
     with pytest.raises(SystemExit) as stop:
         main(["plan", "x.npz", "--start", "here", "--goal", "1,1"])

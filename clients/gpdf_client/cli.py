@@ -14,15 +14,33 @@ import numpy as np
 import zenoh
 
 from gpdf_client.client import DEFAULT_ENDPOINT, Client
-from gpdf_client.results import ClientError
+from gpdf_client.results import ClientError, UnavailableError
 
 PLACE_HELP = "a named place, or x,y or x,y,z of the ground there [m]"
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the sub-verbs."""
+def add_connection(parser: argparse.ArgumentParser) -> None:
+    """Declare where the service is, for `connect`."""
     parser.add_argument("--endpoint", default=DEFAULT_ENDPOINT, help="the service")
     parser.add_argument("--zenoh", help="a Zenoh configuration (JSON5) with credentials; it names the endpoint, too")
+
+
+def connect(args: argparse.Namespace) -> Client:
+    """A connection to the service that the arguments name.
+
+    Raises:
+        ClientError: nothing answers there, or the configuration cannot be read.
+    """
+    try:
+        config = zenoh.Config.from_file(args.zenoh) if args.zenoh else None
+    except zenoh.ZError as error:
+        raise UnavailableError(f"{args.zenoh} is no Zenoh configuration ({error}).") from error
+    return Client.connect(args.endpoint, config=config)
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the sub-verbs."""
+    add_connection(parser)
     verbs = parser.add_subparsers(dest="verb", required=True)
 
     def verb(name: str, text: str, act: Callable[[Client, argparse.Namespace], Any]) -> argparse.ArgumentParser:
@@ -78,8 +96,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Ask; exit code 0 only if the service did what was asked."""
     try:
-        config = zenoh.Config.from_file(args.zenoh) if args.zenoh else None
-        with Client.connect(args.endpoint, config=config) as client:
+        with connect(args) as client:
             result = args.act(client, args)
     except (ClientError, OSError, ValueError) as error:
         print(f"gpdf: {error}", file=sys.stderr)
@@ -152,17 +169,17 @@ def _distance(client: Client, args: argparse.Namespace) -> dict[str, Any]:
     return {"distance": float(found.distance[0]), "valid": bool(found.valid[0])}
 
 
-def named_place(text: str) -> str | list[float]:
+def named_place(text: str) -> str | tuple[float, ...]:
     """Parse `x,y`, `x,y,z` or the name of a place, which has no comma."""
     return place(text) if "," in text else text
 
 
-def place(text: str) -> list[float]:
+def place(text: str) -> tuple[float, ...]:
     """Parse `x,y` or `x,y,z`."""
     try:
-        parts = [float(part) for part in text.split(",")]
+        parts = tuple(float(part) for part in text.split(","))
     except ValueError:
-        parts = []
+        parts = ()
     if len(parts) not in (2, 3):
         raise argparse.ArgumentTypeError(f"{text!r} is no place: write x,y or x,y,z in metres")
     return parts

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import queue
 import time
 from collections.abc import Callable
@@ -15,7 +14,7 @@ import msgspec
 import numpy as np
 import zenoh
 from gpdf_schemas import CueMessage, DecodeError, MovingObstacles, PoseMessage, decode, encode, keys
-from gpdf_schemas.moving import points_of, stacked
+from gpdf_schemas.moving import MAX_POINTS, points_of, stacked
 from numpy.typing import NDArray
 
 from gpdf_guidance.guide import Guide, Outcome
@@ -34,15 +33,6 @@ Told = Callable[[float, Instruction, str], None]
 Seen = dict[str, tuple[NDArray[np.float64], float]]
 """Points [m] and when they are not believed any more, on `time.monotonic` [s], by the obstacle's id."""
 Planned = tuple[Route | None, str]
-
-
-def open_session(endpoint: str) -> zenoh.Session:
-    """A Zenoh session with a service's endpoint, to share with `gpdf_client.Client`."""
-    config = zenoh.Config()
-    config.insert_json5("mode", '"client"')
-    config.insert_json5("connect/endpoints", json.dumps([endpoint]))
-    config.insert_json5("scouting/multicast/enabled", "false")
-    return zenoh.open(config)
 
 
 class LiveGuide:
@@ -151,10 +141,13 @@ class LiveGuide:
     def _take_obstacles(self, sample: zenoh.Sample) -> None:
         """Zenoh's callback: what moves in the scene. One that has no sense does not hide the others."""
         seen: Seen = {}
+        room = MAX_POINTS
         with suppress(DecodeError):
             for obstacle in decode(sample.payload.to_bytes(), MovingObstacles).obstacles:
                 with suppress(ValueError):
-                    seen[obstacle.id] = points_of(obstacle), time.monotonic() + obstacle.lifetime_s
+                    points = points_of(obstacle, room)
+                    seen[obstacle.id] = points, time.monotonic() + obstacle.lifetime_s
+                    room -= len(points)
         self._put(seen)
 
     def _put(self, message: Pose | Seen) -> None:

@@ -46,10 +46,6 @@ class Velocity:
         """Along the ground [m/s]."""
         return hypot(self.forward, self.left)
 
-    def scaled(self, share: float) -> Velocity:
-        """The same motion at a share of its pace."""
-        return Velocity(share * self.forward, share * self.left, share * self.turn)
-
 
 STOP = Velocity()
 

@@ -93,7 +93,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         package = BRINGS.get(missing, "gpdf-service[server]")
         print(f"gpdf {verb} needs {missing}: pip install '{package}'", file=sys.stderr)
         return 1
-    except GpdfError as error:
+    except (GpdfError, OSError) as error:  # OSError: a file that cannot be written, a disk that is full
         return _report(error, as_json=getattr(args, "json", False))
     except KeyboardInterrupt:
         return 130
@@ -118,7 +118,7 @@ def _joined(words: Sequence[str]) -> list[str]:
     return joined
 
 
-def _report(error: GpdfError, *, as_json: bool) -> int:
+def _report(error: Exception, *, as_json: bool) -> int:
     if as_json:
         print(json.dumps({"error": type(error).__name__, "message": str(error)}))
     print(f"gpdf: {error}", file=sys.stderr)

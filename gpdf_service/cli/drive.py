@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import argparse
 import json
+import signal
 import sys
+import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -12,8 +14,7 @@ from typing import Any
 
 import numpy as np
 from gpdf_client import Client, ClientError
-from gpdf_client.cli import PLACE_HELP, named_place
-from gpdf_client.client import DEFAULT_ENDPOINT
+from gpdf_client.cli import PLACE_HELP, add_connection, connect, named_place
 from gpdf_robot import BODIES, Body, Drive, Driver, Errors, Pose, SimulatedRobot, State, drive_live, simulate
 from gpdf_robot.driver import DELAY_S
 from gpdf_robot.live import velocity_message
@@ -33,7 +34,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--agent", default="roomba", choices=BODIES, help="the robot's body")
     parser.add_argument("--name", default="robot", help=f"the robot's name: {keys.POSE}/NAME, {keys.VELOCITY}/NAME")
     parser.add_argument("--delay", type=float, default=DELAY_S, help="from a command to its effect [s]")
-    parser.add_argument("--endpoint", default=DEFAULT_ENDPOINT, help="the service")
+    add_connection(parser)
     parser.add_argument("--simulate", action="store_true", help="drive a simulated robot, in simulated time")
     parser.add_argument("--seed", type=int, default=0, help="of the simulated robot's errors")
     parser.add_argument("--json", action="store_true", help="print the result as JSON")
@@ -46,7 +47,7 @@ def run(args: argparse.Namespace) -> int:
         print("gpdf drive: --simulate needs --start; without it there is no --start and no --png", file=sys.stderr)
         return 2
     try:
-        with _service(args) as (endpoint, scene), Client.connect(endpoint) as client:
+        with _service(args) as scene, connect(args) as client:
             client.wait_for_scene(scene)
             args.goal = client.where(scene, args.goal)
             args.start = args.start and client.where(scene, args.start)
@@ -67,11 +68,11 @@ def run(args: argparse.Namespace) -> int:
 
 
 @contextmanager
-def _service(args: argparse.Namespace) -> Iterator[tuple[str, str]]:
-    """Endpoint and name of the scene; a service of its own where the scene is a file."""
+def _service(args: argparse.Namespace) -> Iterator[str]:
+    """Name of the scene; where it is a file, in a service of its own, which the arguments then name."""
     cloud = Path(args.scene)
     if not cloud.is_file():
-        yield args.endpoint, args.scene
+        yield args.scene
         return
     import socket
     from tempfile import TemporaryDirectory
@@ -80,9 +81,9 @@ def _service(args: argparse.Namespace) -> Iterator[tuple[str, str]]:
 
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
-        endpoint = f"tcp/127.0.0.1:{probe.getsockname()[1]}"
-    with TemporaryDirectory() as log, Server(Options(endpoint, Path(log), Path(log)), [("scene", cloud)]):
-        yield endpoint, "scene"
+        args.endpoint, args.zenoh = f"tcp/127.0.0.1:{probe.getsockname()[1]}", None
+    with TemporaryDirectory() as log, Server(Options(args.endpoint, Path(log), Path(log)), [("scene", cloud)]):
+        yield "scene"
 
 
 def _live(client: Client, scene: str, args: argparse.Namespace) -> dict[str, Any]:
@@ -96,7 +97,9 @@ def _live(client: Client, scene: str, args: argparse.Namespace) -> dict[str, Any
             print(words, file=sys.stderr)
         told = words
 
-    drive_live(driver, client.session, args.name, on_step=tell)
+    stop = threading.Event()
+    signal.signal(signal.SIGTERM, lambda *_: stop.set())  # the last commands are to stand, as after Ctrl-C
+    drive_live(driver, client.session, args.name, stop=stop, on_step=tell)
     return {"state": driver.state.value, "reason": driver.reason, "plans": driver.plans}
 
 

@@ -14,13 +14,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import zenoh
 from gpdf_client import Client, ClientError
-from gpdf_client.cli import PLACE_HELP, named_place
-from gpdf_client.client import DEFAULT_ENDPOINT
+from gpdf_client.cli import PLACE_HELP, add_connection, connect, named_place
 from gpdf_guidance import LANGUAGES, PERSON, Guide, Outcome, Planner, Walk, Walker, simulate
 from gpdf_guidance.instruction import Instruction
-from gpdf_guidance.live import LiveGuide, Told, open_session, to_json
+from gpdf_guidance.live import LiveGuide, Told, to_json
 from gpdf_guidance.voice import Voice
 from numpy.typing import NDArray
 
@@ -31,7 +29,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the verb's options."""
     parser.add_argument("scene", help="name of a scene of the service")
     parser.add_argument("--goal", type=named_place, required=True, help=PLACE_HELP)
-    parser.add_argument("--endpoint", default=DEFAULT_ENDPOINT, help="the service")
+    add_connection(parser)
     parser.add_argument("--name", default="person", help="poses come on gpdf/v1/pose/NAME, cues go to gpdf/v1/cue/NAME")
     parser.add_argument(
         "--width", type=float, default=PERSON["width"], help="of the person, elbows and bag included [m]"
@@ -59,19 +57,15 @@ def run(args: argparse.Namespace) -> int:
         return 2
     try:
         voice = Voice(args.language) if args.speak else None
-        with open_session(args.endpoint) as session:
-            client = Client(session)
+        with connect(args) as client:
             client.info(args.scene)  # a scene that is not there is said at once
             planner = Planner(client, args.scene, {**PERSON, "width": args.width, "height": args.height})
             guide = Guide(planner, client.where(args.scene, args.goal), args.language, args.unit)
             return (
                 _simulated(args, client, guide)
                 if args.simulate
-                else _live(args, LiveGuide(session, guide, args.name, _told(args, voice)), guide)
+                else _live(args, LiveGuide(client.session, guide, args.name, _told(args, voice)), guide)
             )
-    except zenoh.ZError as error:
-        print(f"gpdf guide: no service at {args.endpoint} ({error}). Start one: gpdf serve …", file=sys.stderr)
-        return 1
     except (ClientError, FileNotFoundError) as error:
         print(f"gpdf guide: {error}", file=sys.stderr)
         return 1

@@ -11,12 +11,15 @@ from pathlib import Path
 
 from tqdm import tqdm
 
-from gpdf_service.config import Config
+from gpdf_service.config import Config, read_tables
+from gpdf_service.errors import ConfigError
 from gpdf_service.perception import read_cloud
 from gpdf_service.pipeline import build_scene
 from gpdf_service.scene import Progress, Scene, load_scene
 
 SCENE_SUFFIX = ".gpdf"
+BUILDING = ("ground_label", "topic", "thin", "ignore_labels", "config")
+"""Options that say how a cloud is read and built: a scene file knows nothing of them any more."""
 
 
 def add_cloud_arguments(parser: argparse.ArgumentParser) -> None:
@@ -42,9 +45,7 @@ def add_build_arguments(parser: argparse.ArgumentParser) -> None:
 
 def read_config(path: Path | None) -> Config:
     """Settings from a TOML file; the defaults without one."""
-    import tomllib
-
-    return Config() if path is None else Config.from_mapping(tomllib.loads(path.read_text()))
+    return Config() if path is None else Config.from_mapping(read_tables(path))
 
 
 @contextmanager
@@ -60,7 +61,15 @@ def progress_bar() -> Iterator[Progress]:
 
 
 def open_scene(args: argparse.Namespace) -> Scene:
-    """Load the scene file, or read the cloud and build its scene, that the arguments name."""
+    """Load the scene file, or read the cloud and build its scene, that the arguments name.
+
+    Raises:
+        ConfigError: the input is a scene file, and the arguments say how to build one.
+    """
+    asked = [name for name in BUILDING if getattr(args, name) is not None and getattr(args, name) is not False]
+    if asked and args.input.suffix == SCENE_SUFFIX:
+        flag = f"--{asked[0].replace('_', '-')}"
+        raise ConfigError(flag, f"the scene {args.input} is built already", "Give its cloud instead.")
     return open_one(args.input, args)
 
 
@@ -83,14 +92,3 @@ def save_scene(scene: Scene, path: Path, *, as_json: bool) -> int:
     else:
         print(f"{path}: {info['points']} points ({info['ground_points']} ground), {len(info['levels'])} level(s)")
     return 0
-
-
-def place(text: str) -> tuple[float, ...]:
-    """Parse `x,y` or `x,y,z`."""
-    try:
-        parts = tuple(float(part) for part in text.split(","))
-    except ValueError:
-        parts = ()
-    if len(parts) not in (2, 3):
-        raise argparse.ArgumentTypeError(f"{text!r} is no place: write x,y or x,y,z in metres")
-    return parts

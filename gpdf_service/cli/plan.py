@@ -9,7 +9,9 @@ import time
 from pathlib import Path
 from typing import Any, get_args
 
-from gpdf_service.cli.inputs import add_cloud_arguments, open_scene, place
+from gpdf_client.cli import place
+
+from gpdf_service.cli.inputs import add_cloud_arguments, open_scene
 from gpdf_service.pipeline import Method, plan
 from gpdf_service.types import PlanResult, Status, resolve_agent
 

@@ -10,7 +10,7 @@ import threading
 
 import zenoh
 from gpdf_client import Client, ClientError
-from gpdf_client.client import DEFAULT_ENDPOINT
+from gpdf_client.cli import add_connection, connect
 from gpdf_ros2 import Bridge, Dialect, Names
 
 
@@ -19,7 +19,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     names = Names()
     parser.add_argument("scene", help="a scene of the service")
     parser.add_argument("--agent", default="roomba", help="the robot's body")
-    parser.add_argument("--endpoint", default=DEFAULT_ENDPOINT, help="the service")
+    add_connection(parser)
     parser.add_argument("--ros-endpoint", help="the router of rmw_zenoh, or the bridge; the service's when not given")
     parser.add_argument("--dialect", default=Dialect.RMW_ZENOH, choices=list(Dialect), type=Dialect)
     parser.add_argument("--domain", type=int, default=0, help="ROS_DOMAIN_ID")
@@ -39,8 +39,8 @@ def run(args: argparse.Namespace) -> int:
     names = Names(args.goal_topic, args.pose_topic, args.path_topic, args.cloud_topic, args.frame)
     try:
         with (
-            Client.connect(args.endpoint) as client,
-            Client.connect(args.ros_endpoint or args.endpoint) as ros,
+            connect(args) as client,
+            Client.connect(args.ros_endpoint) if args.ros_endpoint else connect(args) as ros,
             Bridge(client, ros.session, args.scene, args.agent, names=names, dialect=args.dialect, domain=args.domain),
         ):
             stop.wait()

@@ -68,7 +68,7 @@ def check_points(points: ArrayLike) -> FloatArray:
         found = f"{int(bad.sum())} of {len(made)} points are not finite, the first in row {int(bad.argmax())}"
         raise CloudError("point cloud", found, "Remove them: points = points[np.isfinite(points).all(axis=1)].")
     if extent > MAX_EXTENT:
-        found = f"it is {extent:.0f} wide, more than {MAX_EXTENT:.0f} m"
+        found = f"it is {extent:.6g} wide, more than {MAX_EXTENT:.0f} m"
         raise CloudError("point cloud", found, "Is it in millimetres? Divide by 1000; or crop it.")
     step = float(np.spacing(np.float32(farthest)))
     if step > COARSEST and np.array_equal(made, made.astype(np.float32)):
@@ -247,7 +247,10 @@ def check_labels(ground: ArrayLike, count: int) -> BoolArray:
     Raises:
         CloudError: another type or shape.
     """
-    labels = np.asarray(ground)
+    try:
+        labels = np.asarray(ground)
+    except ValueError as error:
+        raise CloudError("ground labels", f"no array ({error})", f"Pass booleans of shape ({count},).") from error
     if labels.dtype != np.bool_ or labels.shape != (count,):
         found = f"an array of {labels.dtype} of shape {labels.shape}"
         raise CloudError("ground labels", found, f"Pass booleans of shape ({count},), one for each point.")

@@ -18,6 +18,7 @@ from gpdf_service.fields.tree import make_scratch
 from gpdf_service.perception.limits import LEAST_STEP
 from gpdf_service.perception.surface import UNKNOWN, Cells, cell_of, is_known
 from gpdf_service.planning.footprint import travel_headings
+from gpdf_service.planning.words import place_words
 from gpdf_service.search import FreeSpace
 from gpdf_service.search.motion import least_distance
 from gpdf_service.types import Certificate, FloatArray, IntArray
@@ -89,7 +90,7 @@ def certify(
             deviation, off_at = seen.deviation, seen.off_at
     reason = ""
     if clearance < 0:
-        reason = f"the body would touch an obstacle: {-1000 * clearance:.0f} mm too little room at {_at(where)}"
+        reason = f"the body would touch an obstacle: {-1000 * clearance:.0f} mm too little room at {place_words(where)}"
     elif unknown:
         reason = "the path leaves the known ground"
     elif step > max(agent.max_step, LEAST_STEP):
@@ -159,7 +160,3 @@ def _look(
             x, y = path[i, 0] + offset * np.cos(headings[i]), path[i, 1] + offset * np.sin(headings[i])
             unknown = unknown or not is_known(ground, x, y)
     return _Seen(unknown, deviation, off_at, step, slope)
-
-
-def _at(place: FloatArray) -> str:
-    return "(" + ", ".join(f"{value:.2f}" for value in place) + ")"

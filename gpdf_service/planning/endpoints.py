@@ -11,6 +11,7 @@ from scipy import ndimage
 from gpdf_service.perception import ObstacleKind
 from gpdf_service.perception.surface import UNKNOWN, is_same_ground
 from gpdf_service.planning.footprint import disc_places
+from gpdf_service.planning.words import metres, place_words
 from gpdf_service.search import FreeSpace, is_clear
 from gpdf_service.search.motion import RESOLUTION
 from gpdf_service.types import FloatArray, PlanOptions, Status
@@ -99,7 +100,7 @@ def _snap(
     moved = find_endpoint(space, near, name)
     if isinstance(moved, Refusal):
         return found
-    return moved, f"The {name} was moved {np.linalg.norm(near[:2] - place[:2]):.2f} m to {_at(near)}."
+    return moved, f"The {name} was moved {np.linalg.norm(near[:2] - place[:2]):.2f} m to {place_words(near)}."
 
 
 def find_endpoint(space: FreeSpace, place: FloatArray, name: str) -> Endpoint | Refusal:
@@ -111,19 +112,21 @@ def find_endpoint(space: FreeSpace, place: FloatArray, name: str) -> Endpoint | 
     heights = {level: z for level, z in enumerate(over) if not isnan(z)}
     if not heights:
         near = _nearest_free(space, place)
-        hint = "" if near is None else f" The nearest free place is {_at(near)}."
+        hint = "" if near is None else f" The nearest free place is {place_words(near)}."
         if any(_shut_in(space, level, xy) for level in range(len(space.surfaces))):
-            words = f"the {name} {_at(place)} is inside something, or on ground that nobody has seen."
+            words = f"the {name} {place_words(place)} is inside something, or on ground that nobody has seen."
             return Refusal(occupied, words + hint, near)
-        words = f"no ground is known at the {name} {_at(place)}. Choose a place on the mapped ground."
+        words = f"no ground is known at the {name} {place_words(place)}. Choose a place on the mapped ground."
         return Refusal(outside, words + hint, near)
     found = ", ".join(f"{z:.2f}" for z in heights.values())
     level = min(heights, key=lambda one: abs(heights[one] - place[2]) if len(place) == 3 else one)
     if len(place) == 3:
         if abs(heights[level] - place[2]) > SAME_GROUND:
-            return Refusal(outside, f"the ground at the {name} {_at(place)} is at z = {found} m, not {place[2]:.2f} m.")
+            return Refusal(
+                outside, f"the ground at the {name} {place_words(place)} is at z = {found} m, not {metres(place[2])} m."
+            )
     elif max(heights.values()) - min(heights.values()) > SAME_GROUND:
-        words = f"there is ground at z = {found} m under the {name} {_at(place)}. Give its z."
+        words = f"there is ground at z = {found} m under the {name} {place_words(place)}. Give its z."
         return Refusal(Status.AMBIGUOUS_LEVEL, words)
     width = space.surfaces[level].cell_width
     same = [one for one, z in heights.items() if is_same_ground(z, heights[level], width)]
@@ -131,19 +134,18 @@ def find_endpoint(space: FreeSpace, place: FloatArray, name: str) -> Endpoint | 
     if room < space.reach:
         what = REASONS[ObstacleKind(kind)]
         near = _nearest_free(space, np.array([*xy[0], heights[level]]))
-        hint = "" if near is None else f" The nearest free place is {_at(near)}."
-        words = (
-            f"the {space.agent.name} (radius {space.agent.disc_radius:.2f} m) does not fit at the {name} {_at(place)}: "
-        )
+        hint = "" if near is None else f" The nearest free place is {place_words(near)}."
+        body = f"the {space.agent.name} (radius {space.agent.disc_radius:.2f} m)"
+        words = f"{body} does not fit at the {name} {place_words(place)}: "
         return Refusal(occupied, f"{words}{what} is {room:.2f} m from its centre.{hint}", near)
     if not _faces_somewhere(space, level, xy[0], room):
-        words = (
-            f"the {space.agent.name} ({space.agent.length:.2f} m long) fits at the {name} {_at(place)} in no direction."
-        )
-        return Refusal(occupied, words)
+        body = f"the {space.agent.name} ({space.agent.length:.2f} m long)"
+        return Refusal(occupied, f"{body} fits at the {name} {place_words(place)} in no direction.")
     node = _connect(space, level, xy[0], room)
     if node < 0:
-        return Refusal(occupied, f"the {space.agent.name} cannot leave the {name} {_at(place)} in any direction.")
+        return Refusal(
+            occupied, f"the {space.agent.name} cannot leave the {name} {place_words(place)} in any direction."
+        )
     return Endpoint(xy[0], level, node)
 
 
@@ -247,7 +249,3 @@ def _nearest_within(
     far = np.where(np.isnan(z), np.inf, far)
     row = int(far.argmin())
     return (float(far[row]), np.append(nearest[row], z[row])) if np.isfinite(far[row]) else None
-
-
-def _at(place: FloatArray) -> str:
-    return "(" + ", ".join(f"{value:z.2f}" for value in place) + ")"

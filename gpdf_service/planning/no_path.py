@@ -21,6 +21,7 @@ from gpdf_service.perception.levels import LEAST_OBSTACLE
 from gpdf_service.perception.surface import UNKNOWN
 from gpdf_service.planning.certificate import min_distance
 from gpdf_service.planning.endpoints import Endpoint
+from gpdf_service.planning.words import place_words
 from gpdf_service.search import FreeSpace
 from gpdf_service.types import BoolArray, FloatArray, IntArray
 
@@ -98,7 +99,7 @@ def explain_no_path(space: FreeSpace, start: Endpoint, goal: Endpoint) -> NoPath
         path = _way(grid, ends, grid.distance.min(axis=0), narrow, ~np.isnan(grid.height))
         least, at = _exact_width(space, grid, path)
         width = min(least, radius)
-        words = f"a passage at {_words(at)} takes a body with a radius of {width:.2f} m, not one of {radius:.2f} m"
+        words = f"a passage at {place_words(at)} takes a body with a radius of {width:.2f} m, not one of {radius:.2f} m"
         if width >= LEAST_RADIUS:
             found.append(("width", at, words, width))
     for cut in (Cut.HEIGHT, Cut.STEP, Cut.SLOPE, Cut.UNKNOWN):
@@ -262,7 +263,7 @@ def _met(space: FreeSpace, grid: _Grid, path: IntArray, cut: Cut, start: Endpoin
     crossed = xy[shut[path[shut, 0] == level]]
     near = cKDTree(crossed).query(points[:, :2], distance_upper_bound=space.reach)[0] < np.inf
     worst = float(_values(space, level, np.vstack([points[near], one]), cut).max())
-    where = _words(at)
+    where = place_words(at)
     return at, {
         Cut.SOLID: f"an obstacle closes the way at {where}",
         Cut.HEIGHT: f"there are {-worst:.2f} m of headroom at {where}, and it is {agent.height:.2f} m tall",
@@ -284,10 +285,6 @@ def _values(space: FreeSpace, level: int, points: FloatArray, cut: Cut) -> Float
     ground = ndimage.maximum_filter(np.where(surface.state != UNKNOWN, surface.height, -np.inf), size=3)
     headroom: FloatArray = ground[ix, iy] - points[:, 2]
     return headroom
-
-
-def _words(place: FloatArray) -> str:
-    return "(" + ", ".join(f"{value:.2f}" for value in place if np.isfinite(value)) + ")"
 
 
 @njit(cache=True, nogil=True)

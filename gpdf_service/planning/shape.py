@@ -13,10 +13,9 @@ from gpdf_service.search import is_clear
 from gpdf_service.search.motion import CENTRE, is_leap_clear
 from gpdf_service.types import FloatArray, IntArray
 
-HEIGHT_SHARE = 0.1
-"""[-] How far the top may be off the body height, Uttsha et al. 2024, feasibility study."""
 _UPRIGHT_SHARE = 0.09
-"""[-] The same over the contact point, less what the ground between its points is off: a hundredth of the height."""
+"""[-] How far the top may be off the body height over the contact point: a tenth (Uttsha et al. 2024, feasibility
+study), less what the ground between its points is off, a hundredth."""
 LOOKS = 8.0
 """[1/cell] How often a line is asked for its ground: it cannot cut more than a corner of a cell unseen."""
 _NEWTON_STEPS = 4

@@ -10,8 +10,9 @@ import numpy as np
 from gpdf_service.planning.routes import Leg, Route
 from gpdf_service.planning.shape import shortcut
 from gpdf_service.planning.timing import time_path
+from gpdf_service.planning.words import place_words
 from gpdf_service.search import FreeSpace
-from gpdf_service.search.lattice import MOST_POSES, POSES_PER_SECOND, PoseSearch, find_poses
+from gpdf_service.search.lattice import MOST_POSES, POSES_PER_SECOND, PoseSearch, find_poses, moving
 from gpdf_service.search.motion import leap
 from gpdf_service.types import Agent, FloatArray, Status
 
@@ -60,13 +61,11 @@ def _end(place: FloatArray, heading: float | None) -> FloatArray:
 def _stuck(space: FreeSpace, level: int, found: PoseSearch) -> Stuck:
     agent, xy = space.agent, found.poses[-1, :2]
     at = np.append(xy, space.surfaces[level].height_at(xy[None]))
-    place = ", ".join(f"{value:.2f}" for value in xy)
+    place = place_words(xy)
     if found.given_up:
-        words = (
-            f"the {agent.name} had come as near as ({place}) when the search for a way was given up. Allow more time."
-        )
+        words = f"the {agent.name} had come as near as {place} when the search for a way was given up. Allow more time."
         return Stuck(Status.TIMEOUT, words, at)
-    words = f"the {agent.name} cannot get there: it is {agent.length:.2f} m long and does not get round at ({place})."
+    words = f"the {agent.name} cannot get there: it is {agent.length:.2f} m long and does not get round at {place}."
     return Stuck(Status.NO_VALID_PATH, f"{words} A shorter body, or one that is narrow all around, may pass.", at)
 
 
@@ -78,8 +77,7 @@ def _pull(space: FreeSpace, level: int, poses: FloatArray) -> FloatArray:
         parts.append(leap(poses[a], poses[b]) if b - a > 1 else poses[[b]])
     made = np.concatenate(parts)
     made[:, 2] = np.unwrap(made[:, 2])
-    distinct: FloatArray = made[np.concatenate([[True], np.abs(np.diff(made, axis=0)).max(axis=1) > 1e-9])]
-    return distinct
+    return moving(made)
 
 
 def time_poses(

@@ -19,7 +19,7 @@ from gpdf_service.fields.tree import Scratch, make_scratch
 from gpdf_service.perception import HeightMap
 from gpdf_service.perception.surface import Cells, is_known
 from gpdf_service.search.motion import disc_distance, is_motion_clear, turned
-from gpdf_service.types import BoolArray, FloatArray, IntArray
+from gpdf_service.types import FloatArray, IntArray
 
 CELL_SHARE = 0.25
 """[-] Grid width over the discs' radius: a gap is found that leaves the discs a quarter of it on either side."""
@@ -133,14 +133,15 @@ def _find(
     last = np.append(goal[:2], goal[2] if len(goal) == 3 else poses[-1, 2])[None]
     made = np.concatenate([begin, poses, end, last])
     made[:, 2] = np.unwrap(made[:, 2])
-    return PoseSearch(made[_moving(made)], True)
+    return PoseSearch(moving(made), True)
 
 
-def _moving(poses: FloatArray) -> BoolArray:
-    """Without poses that repeat the one before; two at least."""
-    moving = np.concatenate([[True], np.abs(np.diff(poses, axis=0)).max(axis=1) > 1e-9])
-    moving[-1] |= not moving[1:].any()
-    return moving
+def moving(poses: FloatArray) -> FloatArray:
+    """The poses without those that repeat the one before; two at least."""
+    keep = np.concatenate([[True], np.abs(np.diff(poses, axis=0)).max(axis=1) > 1e-9])
+    keep[-1] |= not keep[1:].any()
+    kept: FloatArray = poses[keep]
+    return kept
 
 
 def _moves(grid: _Grid, body: _Body) -> _Moves:

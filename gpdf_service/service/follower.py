@@ -58,8 +58,8 @@ class Follower:
         self._news.set()
         self._thread.join()
 
-    def look_for(self, name: str, timeout_s: float) -> None:
-        """Look whether the map has a scene that is not here; return when it is here, or is not there, or it is late."""
+    def look_for(self, timeout_s: float) -> None:
+        """Bring the shelf up to date; return when it is, or after `timeout_s`."""
         asked = time.monotonic()
         if self._busy.acquire(timeout=min(max(0.0, timeout_s), threading.TIMEOUT_MAX)):
             try:

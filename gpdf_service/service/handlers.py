@@ -41,10 +41,10 @@ from gpdf_service.service.drawing import draw_part
 from gpdf_service.service.in_use import InUse
 from gpdf_service.service.moving import Moving
 from gpdf_service.service.places import Named
-from gpdf_service.service.planning import LARGEST_BODY, Planning, agent_of, to_trajectory
+from gpdf_service.service.planning import Planning, agent_of, to_trajectory
 from gpdf_service.service.pool import Ask, Pool
 from gpdf_service.service.scenes import Entry, Shelf, describe
-from gpdf_service.types import BoolArray, FloatArray, Trajectory, resolve_agent
+from gpdf_service.types import LARGEST_BODY, BoolArray, FloatArray, Trajectory, resolve_agent
 
 PLANNER_KEYS = keys.PLAN, keys.DISTANCE
 """What a planner answers."""
@@ -59,7 +59,7 @@ class Handlers:
         shelf: The scenes.
         planner_id: The service's id.
         on_unload: Told the name of a scene that was unloaded.
-        look_for: Asked to get a scene that is not on the shelf, within some seconds.
+        look_for: Asked to bring the shelf up to date when a scene is not on it, within some seconds.
         on_cut: Told of trajectories that something that moves has cut.
         pool: Processes that plan; without them, plans are made here.
     """
@@ -69,7 +69,7 @@ class Handlers:
         shelf: Shelf,
         planner_id: str,
         on_unload: Callable[[str], None] = lambda name: None,
-        look_for: Callable[[str, float], None] = lambda name, timeout_s: None,
+        look_for: Callable[[float], None] = lambda timeout_s: None,
         on_cut: Callable[[TrajectoryCut], None] = lambda cut: None,
         pool: Pool | None = None,
     ) -> None:
@@ -292,7 +292,7 @@ class Handlers:
         """A scene that has a complete version."""
         entry = self.shelf.get(name)
         if entry is None or not (entry.ready or entry.building):
-            self._look_for(name, timeout_s)
+            self._look_for(timeout_s)
             entry = self.shelf.get(name)
         if entry is None:
             raise RefusedError(Status.UNKNOWN_SCENE, self._unknown(name))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import threading
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 from gpdf_schemas import MovingObstacle
@@ -16,6 +16,8 @@ from gpdf_service.types import FloatArray
 
 MAX_LIFETIME_S = 3600.0
 """[s] What is there for longer belongs into the map."""
+MAX_IN_ALL = 50 * MAX_POINTS
+"""Points that move in all scenes together, 0.25 GB: anybody may publish under any scene's name, loaded or not yet."""
 Clock = Callable[[], float]
 
 
@@ -52,23 +54,28 @@ class Moving:
         """Take what somebody saw; each takes the place of the one before with its id.
 
         Raises:
-            ValueError: one has no sense (the others are taken), or all together have too many points (none is).
+            ValueError: one has no sense or no room (the others are taken), or there is too much in the scene or in all
+                scenes together (none is taken).
         """
         now = self._clock()
-        seen, wrong = {}, []
+        seen, wrong, room = {}, [], MAX_POINTS
         for obstacle in obstacles:
             until = now + min(obstacle.lifetime_s, MAX_LIFETIME_S)
             try:
-                seen[obstacle.id] = Living(points_of(obstacle), until, next(self._numbers))
+                points = points_of(obstacle, room)
             except ValueError as error:
                 wrong.append(str(error))
+            else:
+                seen[obstacle.id] = Living(points, until, next(self._numbers))
+                room -= len(points)
         with self._lock:
-            living = {**self._alive(scene, now), **seen}
-            living = {id_: one for id_, one in living.items() if one.until > now}
-            if sum(len(one.points) for one in living.values()) > MAX_POINTS:
+            known = {name: found for name in self._living if (found := self._alive(name, now))}
+            living = {id_: one for id_, one in {**known.pop(scene, {}), **seen}.items() if one.until > now}
+            if _size(living) > MAX_POINTS:
                 raise ValueError(f"scene {scene!r} would have more than {MAX_POINTS} points that move. Thin them.")
-            self._living[scene] = living
-            self._living = {name: found for name, found in self._living.items() if found}
+            if living and _size(living) + sum(map(_size, known.values())) > MAX_IN_ALL:
+                raise ValueError(f"scene {scene!r} and all others would have more than {MAX_IN_ALL} points that move.")
+            self._living = {**known, scene: living} if living else known
         if wrong:
             raise ValueError(" ".join(wrong))
 
@@ -91,10 +98,11 @@ class Moving:
                     self._merged.pop(name, None)
         if not more:
             return known[2]
-        points = stacked([points_of(obstacle) for obstacle in more])
-        if len(points) > MAX_POINTS:
-            raise ValueError(f"the request has {len(points)} points that move, at most {MAX_POINTS}. Thin them.")
-        return known[2].with_obstacles(points)
+        parts, room = list[FloatArray](), MAX_POINTS
+        for obstacle in more:
+            parts.append(points_of(obstacle, room))
+            room -= len(parts[-1])
+        return known[2].with_obstacles(stacked(parts))
 
     def living(self, scene: str) -> dict[str, Living]:
         """What moves in a scene now, by the obstacle's id."""
@@ -123,3 +131,8 @@ class Moving:
 
     def _alive(self, scene: str, now: float) -> dict[str, Living]:
         return {id_: one for id_, one in self._living.get(scene, {}).items() if one.until > now}
+
+
+def _size(living: Mapping[str, Living]) -> int:
+    """Points to hold; an obstacle without any takes room, too."""
+    return sum(max(1, len(one.points)) for one in living.values())

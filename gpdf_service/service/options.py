@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import json
-import tomllib
 import typing
 from collections.abc import Mapping
 from pathlib import Path
@@ -13,7 +12,7 @@ from typing import Annotated, Any, Literal
 import msgspec
 from msgspec import Meta
 
-from gpdf_service.config import Config
+from gpdf_service.config import Config, read_tables
 from gpdf_service.errors import ConfigError
 from gpdf_service.fields.threads import worker_count
 
@@ -89,7 +88,7 @@ def gather(file: Path | None, environment: Mapping[str, str], flags: Mapping[str
     Raises:
         ConfigError: an unknown key, a wrong type or a value out of range; the file is not there or no TOML.
     """
-    tables = {} if file is None else _read(file)
+    tables = {} if file is None else read_tables(file)
     given = tables.pop(TABLE, {})
     if not isinstance(given, dict):
         raise ConfigError(TABLE, f"{given!r}", "It must be a table of keys and values.")
@@ -118,13 +117,6 @@ def to_toml(values: Mapping[str, Mapping[str, Any]]) -> str:
         (name, (f"{key} = {json.dumps(value)}" for key, value in table.items())) for name, table in values.items()
     )
     return "\n\n".join(f"[{name}]\n" + "\n".join(lines) for name, lines in tables)
-
-
-def _read(file: Path) -> dict[str, Any]:
-    try:
-        return tomllib.loads(file.read_text())
-    except (OSError, ValueError) as error:
-        raise ConfigError(f"configuration {file}", str(error), "Give a readable TOML file.") from error
 
 
 def _ours(name: str) -> bool:

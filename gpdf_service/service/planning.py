@@ -24,17 +24,10 @@ from gpdf_service.pipeline import plan
 from gpdf_service.scene import Scene
 from gpdf_service.service.answers import Answers
 from gpdf_service.service.moving import Moving
-from gpdf_service.types import Agent, PlanResult, Trajectory
+from gpdf_service.types import Agent, PlanResult, Trajectory, resolve_agent
 
 MAX_DISTANCE_POINTS = 100_000
 """Places in one distance request: 4 MiB holds 170 k of them."""
-
-SMALLEST_BODY, LARGEST_BODY = 0.05, 5.0
-"""[m] Of a body that a request describes: the finest cell of the ground, and a lorry. Free space of a body a tenth as
-wide costs a hundred times the memory, so that one request could take all there is."""
-SLOWEST, FASTEST = 0.01, 100.0
-"""[m/s], [m/s²], [rad/s] Of such a body: a snail, and a racing car. Time stamps of 5 m at a micrometre a second would
-take 8 GB."""
 
 
 class Planning:
@@ -123,19 +116,7 @@ def agent_of(agent: str | dict[str, Any]) -> str | Agent:
             f"a map with {', '.join(sorted(map(str, agent)))}",
             f"Give all of {', '.join(needed)}; discs if any.",
         )
-    numbers = {key: value for key, value in agent.items() if key not in ("name", "discs")}
-    discs = agent.get("discs", 1)
-    if not isinstance(discs, int) or isinstance(discs, bool):
-        raise RequestError("agent", f"discs = {discs!r}", "Give how many as an integer.")
-    if not all(isinstance(value, int | float) and not isinstance(value, bool) for value in numbers.values()):
-        raise RequestError("agent", "a measure that is no number", "Give metres, radians and seconds as numbers.")
-    for key in ("height", "width", "length"):
-        if not SMALLEST_BODY <= numbers[key] <= LARGEST_BODY:
-            raise RequestError("agent", f"{key} = {numbers[key]!r}", f"Give {SMALLEST_BODY} to {LARGEST_BODY} m.")
-    for key in ("speed", "acceleration", "turn_rate"):
-        if not SLOWEST <= numbers[key] <= FASTEST:
-            raise RequestError("agent", f"{key} = {numbers[key]!r}", f"Give {SLOWEST} to {FASTEST}.")
-    return Agent(name=str(agent["name"]), **{key: float(value) for key, value in numbers.items()}, discs=discs)
+    return resolve_agent(Agent(**{**agent, "name": str(agent["name"])}))
 
 
 def to_trajectory(message: TrajectoryMessage) -> Trajectory:

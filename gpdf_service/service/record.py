@@ -40,6 +40,12 @@ def records_of(path: Path) -> Iterator[McapRecord]:
             return
 
 
+def is_log(path: Path) -> bool:
+    """Whether a file is a log as far as it goes; one that a crash left empty is."""
+    with path.open("rb") as file:
+        return MCAP0_MAGIC.startswith(file.read(len(MCAP0_MAGIC)))
+
+
 def _ends_well(path: Path) -> bool:
     """Whether the file ends with the format's magic, as readers that seek the index from the end demand."""
     with path.open("rb") as file:

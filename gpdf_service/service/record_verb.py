@@ -7,7 +7,7 @@ import json
 import sys
 from pathlib import Path
 
-from gpdf_service.service.record import check, is_live, repair
+from gpdf_service.service.record import check, is_live, is_log, repair
 
 LOGS = "*.mcap"
 
@@ -34,6 +34,9 @@ def _logs(path: Path) -> list[Path]:
 def _check(log: Path, *, mend: bool, as_json: bool) -> bool:
     if not log.is_file():
         print(f"gpdf: there is no log {log}", file=sys.stderr)
+        return False
+    if not is_log(log):  # --repair must not put an empty log in the place of somebody's file
+        print(f"gpdf: {log} is no log", file=sys.stderr)
         return False
     live, found = is_live(log), check(log)  # never mended while a service writes it: it would write on beside
     if mend and not live and not found.complete:

@@ -11,13 +11,14 @@ from pathlib import Path
 from typing import cast
 
 from gpdf_client import Client, ClientError
-from gpdf_client.client import DEFAULT_ENDPOINT
+from gpdf_client.cli import add_connection, connect
 from gpdf_client.results import to_result
 from gpdf_schemas import PlanReply, Status, keys
 from tqdm import tqdm
 
 from gpdf_service.scene import Scene
 from gpdf_service.service.planning import agent_of
+from gpdf_service.service.record import is_log
 from gpdf_service.service.replay import Moved, Planned, compare, recorded_events
 from gpdf_service.service.replay_inside import InProcess
 from gpdf_service.types import PlanResult
@@ -26,7 +27,7 @@ from gpdf_service.types import PlanResult
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the verb's options."""
     parser.add_argument("log", type=Path, help="a log (.mcap)")
-    parser.add_argument("--endpoint", default=DEFAULT_ENDPOINT, help="the service to ask")
+    add_connection(parser)
     parser.add_argument("--scene", action="append", default=[], metavar="NAME=CLOUD", help="plan in process with it")
     parser.add_argument(
         "--scenes-dir", type=Path, help="plan in process with this folder's scenes (.gpdf) of the same hash"
@@ -46,6 +47,9 @@ def run(args: argparse.Namespace) -> int:
     if not args.log.is_file():
         print(f"gpdf: there is no log {args.log}", file=sys.stderr)
         return 1
+    if not is_log(args.log):
+        print(f"gpdf: {args.log} is no log", file=sys.stderr)
+        return 1
     if args.png and not (args.scene or args.scenes_dir):
         print("gpdf: --png draws on a scene: name it with --scene NAME=CLOUD or --scenes-dir", file=sys.stderr)
         return 1
@@ -61,7 +65,7 @@ def run(args: argparse.Namespace) -> int:
                 again.scene_of(asked[0])  # says what is missing
             replies = again.ask_all([event for event in events if isinstance(event, Moved) or again.knows(event)])
         else:
-            with Client.connect(args.endpoint) as client:
+            with connect(args) as client:
                 replies = _over_zenoh(client, plans, at_recorded_speed=args.recorded_speed)
     except ClientError as error:
         print(f"gpdf: {error}", file=sys.stderr)

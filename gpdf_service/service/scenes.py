@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from gpdf_service.config import Config
-from gpdf_service.errors import GpdfError, SceneFileError
+from gpdf_service.errors import GpdfError, RequestError, SceneFileError
 from gpdf_service.perception import read_cloud
 from gpdf_service.pipeline import Progress, build_scene
 from gpdf_service.scene import Scene, load_scene
@@ -29,6 +29,10 @@ log = logging.getLogger(__name__)
 NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,63}")
 MAX_WAITING_POINTS = 5_000_000
 """Of changes to one scene that wait for the build of its next version: a minute of a laser scanner."""
+MAX_CLOUD_POINTS = 20_000_000
+"""Of uploaded clouds that wait for their builds, 0.5 GB: as much as one upload may have."""
+MAX_SCENES = 1000
+"""Scenes at once: the floors of a town's houses; each has a line in every list, and a file."""
 Build = Callable[[Progress], Scene]
 
 
@@ -102,7 +106,7 @@ class Shelf:
         self._config, self._memory_bytes = config, memory_bytes
         self._entries: dict[str, Entry] = {}
         self._uploads = Uploads()
-        self._version = 0
+        self._version = self._cloud_points = 0  # points of uploads that wait for their builds
         self._lock = threading.Lock()
         self._builder = ThreadPoolExecutor(1, thread_name_prefix="gpdf-build")
         self._on_ready = on_ready
@@ -199,13 +203,16 @@ class Shelf:
             inside: Refuse what lies outside the scenes folder (requests); False for the operator's command line.
 
         Raises:
-            ValueError: the name is no name, or the file is not there.
+            RequestError: the name is none, or there are too many scenes.
+            ValueError: the file is not there.
         """
+        self._admit(name)
         path = (self.scenes_dir / file).resolve() if inside else Path(file)
         if inside and not path.is_relative_to(self.scenes_dir):
             raise ValueError(f"file {str(file)!r} lies outside the scenes folder. Name a file in it.")
         if not _is_file(path):
-            raise ValueError(f"file {str(file)!r} is not in the scenes folder. Put it there, or upload the points.")
+            words = "is not in the scenes folder. Put it there, or upload the points." if inside else "is not there."
+            raise ValueError(f"file {str(file)!r} {words}")
 
         def build(progress: Progress) -> Scene:
             progress("read the file", 0.0)
@@ -222,13 +229,38 @@ class Shelf:
         """Take one part of an upload; True when it was the last, and the build has begun.
 
         Raises:
+            FullError: too many points wait for a build already; this part is not taken.
+            RequestError: the name is none, or there are too many scenes.
             ValueError: the part does not fit.
         """
+        self._admit(name)
+        if self._cloud_points + len(points) > MAX_CLOUD_POINTS:
+            raise FullError(f"scene {name!r}", "clouds come faster than they are built", "Send it again in a moment.")
         whole = self._uploads.add(f"{name}/{upload_id}", part, parts, points, ground)
         if whole is None:
             return False
-        self._start(name, lambda progress: build_scene(*whole, self._config, progress=progress))
+        self._wait_for_build(len(whole[0]))
+
+        def build(progress: Progress) -> Scene:
+            self._wait_for_build(-len(whole[0]))
+            return build_scene(*whole, self._config, progress=progress)
+
+        self._start(name, build)
         return True
+
+    def _wait_for_build(self, points: int) -> None:
+        """So many more points wait, or less."""
+        with self._lock:
+            self._cloud_points += points
+
+    def _admit(self, name: str) -> None:
+        """Refuse what is no name, and a scene too many, before there is any work for it."""
+        if not NAME.fullmatch(name):
+            words = "Use letters, digits, '_', '-' and '.', at most 64."
+            raise RequestError("scene", f"{name[:100]!r} is no name", words)
+        with self._lock:
+            if name not in self._entries and len(self._entries) >= MAX_SCENES:
+                raise RequestError("scene", f"there are {MAX_SCENES} already", "Unload one that nobody needs.")
 
     def add_change(
         self, name: str, upload_id: str, part: int, parts: int, points: FloatArray, gone: BoolArray, radius: float
@@ -280,8 +312,6 @@ class Shelf:
             return self._entries.pop(name, None) is not None
 
     def _start(self, name: str, build: Build, file: Path | None = None) -> None:
-        if not NAME.fullmatch(name):
-            raise ValueError(f"{name!r} is no name for a scene. Use letters, digits, '_', '-' and '.', at most 64.")
         with self._lock:
             entry = self._entries.setdefault(name, Entry())
             entry.pending += 1

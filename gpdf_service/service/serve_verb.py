@@ -11,7 +11,7 @@ from pathlib import Path
 
 import zenoh
 
-from gpdf_service.errors import ConfigError
+from gpdf_service.errors import ConfigError, GpdfError
 from gpdf_service.service.logs import set_up
 from gpdf_service.service.options import ENVIRONMENT, Options, descriptions, gather, plain, to_toml
 from gpdf_service.service.record import repair_folder
@@ -59,7 +59,7 @@ def run(args: argparse.Namespace) -> int:
     except zenoh.ZError as error:
         log.error("cannot listen on %s: %s. Is another service running there?", options.endpoint, error)
         return 1
-    except ValueError as error:
+    except (GpdfError, ValueError) as error:
         log.error("%s", error)
         return 1
     return 0

@@ -257,9 +257,9 @@ class Server:
         if self._session is not None and self.options.role != "planner":
             self._session.put(keys.changed(news.scene), encode(news))
 
-    def _look_for(self, name: str, timeout_s: float) -> None:
+    def _look_for(self, timeout_s: float) -> None:
         if self._follower is not None:
-            self._follower.look_for(name, timeout_s)
+            self._follower.look_for(timeout_s)
 
     def _take(self, key: str, wire_key: str, query: zenoh.Query) -> None:
         """Zenoh's callback: runs serially, so it only hands over; what is too long or too much is answered here."""

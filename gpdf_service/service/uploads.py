@@ -44,6 +44,8 @@ class Uploads:
             if len(kept) < parts:
                 return None
             del self._kept[key]
+        if max(kept) >= parts:
+            raise ValueError(f"part {max(kept)} came before, now there are to be {parts} parts. Send it again.")
         return _joined([kept[i] for i in range(parts)])
 
     def _make_room(self, key: str) -> None:

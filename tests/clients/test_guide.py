@@ -13,12 +13,14 @@ from pathlib import Path
 import msgpack
 import numpy as np
 import pytest
+import zenoh
 from gpdf_client import Client
+from gpdf_client.client import client_config
 from gpdf_guidance import PERSON, Errors, Guide, Kind, Outcome, Planner, Pose, Urgency, Walker, simulate
 from gpdf_guidance.advice import BLIND, PACES
 from gpdf_guidance.features import FeatureKind
 from gpdf_guidance.guide import LOST, too_tight
-from gpdf_guidance.live import LiveGuide, open_session
+from gpdf_guidance.live import LiveGuide
 from gpdf_schemas import (
     Array,
     CueAction,
@@ -38,6 +40,10 @@ from gpdf_service.service.server import Options, Server
 from gpdf_service.synthetic import SCENES
 
 NAMES = ("office", "stair", "cow_and_lady")
+
+
+def open_session(endpoint):
+    return zenoh.open(client_config(endpoint))
 
 
 @pytest.fixture(scope="module")

@@ -1,5 +1,6 @@
 """The examples of docker/security, as they are but for their paths and ports, with the real service and client."""
 
+import queue
 import re
 import shutil
 import subprocess
@@ -58,6 +59,29 @@ def test_nobody_enters_without_a_password_or_with_a_wrong_one(guarded):
         Client.connect(endpoint, timeout_s=REFUSED_S)
     with pytest.raises(UnavailableError):
         as_user("stranger", folder, endpoint)
+
+
+def test_a_guide_leads_its_own_person_and_nobody_else(guarded):
+    _, endpoint, folder = guarded
+    heard = queue.Queue()
+    with as_user("guide", folder, endpoint) as guide, as_user("operator", folder, endpoint) as body:
+        listening = [
+            guide.session.declare_subscriber(f"{keys.POSE}/*", lambda sample: heard.put(str(sample.key_expr))),
+            guide.session.declare_subscriber(f"{keys.POSE}/guide", lambda sample: heard.put(str(sample.key_expr))),
+            body.session.declare_subscriber(f"{keys.CUE}/*", lambda sample: heard.put(str(sample.key_expr))),
+        ]
+        until = time.monotonic() + 30
+        while heard.empty():  # until the subscriptions have reached the router
+            assert time.monotonic() < until
+            for name in ("other", "guide"):
+                body.session.put(f"{keys.POSE}/{name}", b"")
+            time.sleep(0.05)
+        for name in ("other", "guide"):
+            guide.session.put(f"{keys.CUE}/{name}", b"")
+        told = set()
+        while told != {f"{keys.POSE}/guide", f"{keys.CUE}/guide"}:
+            told.add(heard.get(timeout=30))
+        assert len(listening) == 3
 
 
 def test_a_guide_may_plan_and_look_and_nothing_else(guarded, office):

@@ -1,4 +1,5 @@
 import time
+import tracemalloc
 from itertools import pairwise
 
 import msgspec
@@ -118,6 +119,45 @@ def test_one_obstacle_of_no_sense_does_not_hide_the_others_of_its_message(hall):
     with pytest.raises(ValueError, match="neither"):
         moving.publish("hall", [MovingObstacle(id="x"), person(3.0, 1.5, lifetime_s=60)])
     assert len(moving.merged("hall", hall).levels.levels[0].other_points) > 0
+
+
+def test_a_short_message_does_not_become_gigabytes(hall):
+    largest = Cylinder((3.0, 1.5, 0.0), 10.0, 10.0)
+    crowd = [MovingObstacle(id=str(i), cylinder=largest, lifetime_s=60) for i in range(100)]  # 16 GB of points
+    tracemalloc.start()
+    for take in (Moving().publish, lambda name, more: Moving().merged(name, hall, more)):
+        with pytest.raises(ValueError, match="room for 200000"):
+            take("hall", crowd)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < 50e6
+
+
+def test_what_does_not_fit_any_more_is_refused_and_what_fits_is_taken():
+    moving, half = Moving(), Array.pack(np.zeros((MAX_POINTS // 2 + 1, 3)))
+    first, second, small = (MovingObstacle(id=id_, points=half, lifetime_s=60) for id_ in ("first", "second", "small"))
+    small = msgspec.structs.replace(small, points=Array.pack(np.zeros((1, 3))))
+    with pytest.raises(ValueError, match="'second'"):
+        moving.publish("hall", [first, second, small])
+    assert set(moving.living("hall")) == {"first", "small"}
+    with pytest.raises(ValueError, match="Thin"):
+        moving.publish("hall", [second])
+    assert set(moving.living("hall")) == {"first", "small"}
+
+
+def test_scenes_that_nobody_loaded_do_not_fill_the_memory(monkeypatch):
+    monkeypatch.setattr("gpdf_service.service.moving.MAX_IN_ALL", 3)
+    now = [0.0]
+    moving = Moving(lambda: now[0])
+    nothing = MovingObstacle(id="x", points=Array.pack(np.zeros((0, 3))), lifetime_s=10)
+    for name in "abc":
+        moving.publish(name, [nothing])
+    moving.publish("c", [nothing])
+    with pytest.raises(ValueError, match="all others"):
+        moving.publish("d", [nothing])
+    now[0] = 11.0
+    moving.publish("d", [nothing])
+    assert set(moving._living) == {"d"}  # what ended is forgotten, also where nobody looks
 
 
 def test_a_cylinders_points_are_not_inside_it_and_leave_no_gap():

@@ -429,6 +429,40 @@ def test_versions_of_a_name_never_come_again(running, tmp_path, clouds):
     assert versions == sorted(set(versions))
 
 
+def test_parts_that_do_not_fit_together_are_refused_in_words(tmp_path):
+    from gpdf_service.service.scenes import Shelf
+
+    shelf, points = Shelf(tmp_path), np.zeros((4, 3))
+    for part in (0, 5):
+        assert not shelf.add_part("x", "a", part, 10, points, None)
+    with pytest.raises(ValueError, match="to be 3 parts"):
+        shelf.add_part("x", "a", 1, 3, points, None)
+    with pytest.raises(gpdf.errors.RequestError, match="no name"):  # before millions of points were sent
+        shelf.add_part("../x", "a", 0, 10, points, None)
+    shelf.close()
+
+
+def test_uploads_that_wait_for_their_builds_and_names_of_scenes_are_bounded(tmp_path, monkeypatch):
+    from gpdf_service.service import scenes
+
+    monkeypatch.setattr(scenes, "MAX_CLOUD_POINTS", 10)
+    monkeypatch.setattr(scenes, "MAX_SCENES", 2)
+    go_on = threading.Event()
+    monkeypatch.setattr(scenes, "build_scene", lambda *_, **__: go_on.wait(30))
+    shelf, points = scenes.Shelf(tmp_path), np.zeros((4, 3))
+    shelf._builder.submit(go_on.wait, 30)
+    for name in "ab":
+        assert shelf.add_part(name, "u", 0, 1, points, None)
+    with pytest.raises(scenes.FullError, match="faster"):
+        shelf.add_part("a", "u", 0, 1, points, None)
+    with pytest.raises(gpdf.errors.RequestError, match="Unload one"):
+        shelf.add_part("c", "u", 0, 1, points, None)
+    go_on.set()
+    shelf.settle()
+    assert shelf.add_part("a", "u", 0, 1, points, None)
+    shelf.close()
+
+
 def test_an_upload_that_made_room_is_refused_not_forgotten(tmp_path, monkeypatch):
     from gpdf_service.service.scenes import Shelf
 
