@@ -95,3 +95,17 @@ def test_moving_obstacles_do_not_make_a_noisy_scene_a_clean_one(noisy):
 def test_the_noise_is_kept_in_the_file(noisy, tmp_path):
     noisy.save(tmp_path / "scene.gpdf")
     assert gpdf.load_scene(tmp_path / "scene.gpdf").noise == noisy.noise
+
+
+@pytest.mark.parametrize("labelled", [True, False])
+@pytest.mark.parametrize("offset", [0.02, 0.04])
+def test_scans_that_do_not_fit_on_each_other_have_one_floor(offset, labelled):
+    made = SCENES["cluttered_office"](np.random.default_rng(0))
+    rng = np.random.default_rng(1)
+    scans = [made.points + rng.normal(0.0, 0.003, made.points.shape) for _ in range(2)]
+    scans[1] += [0.01, -0.01, offset]
+    scene = gpdf.build_scene(np.concatenate(scans), np.tile(made.ground, 2) if labelled else None)
+    assert scene.noise == pytest.approx(0.5 * offset, rel=0.4)  # it was 0: two sheets on each other
+    for agent in ("human", "roomba"):
+        answers = [gpdf.plan(scene, *way, agent) for way in ((made.start, made.goal), (made.goal, made.start))]
+        assert [answer.status for answer in answers] == [gpdf.Status.OK] * 2
