@@ -10,7 +10,7 @@ from numba import njit
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from gpdf_service.perception.columns import by_cell, extent_in
+from gpdf_service.perception.columns import by_cell, cells_in_box, extent_in
 from gpdf_service.types import BoolArray, FloatArray, IntArray
 
 UNKNOWN, OBSERVED, INFERRED = 0, 1, 2
@@ -49,6 +49,12 @@ Heights = float | FloatArray
 Box = tuple[slice, slice]
 """Rows and columns of a grid."""
 WHOLE: Box = (slice(None), slice(None))
+NOWHERE: Box = (slice(0, 0), slice(0, 0))
+
+
+def corner_of(box: Box) -> tuple[int, int]:
+    """Its first cell."""
+    return box[0].start or 0, box[1].start or 0
 
 
 class Cells(NamedTuple):
@@ -107,6 +113,32 @@ class HeightMap:
         """Centres of the cells in `mask`, shape (nx, ny), with their height: (k, 3) [m]."""
         index = np.argwhere(mask)
         return np.column_stack([self.origin + (index + 0.5) * self.cell_width, self.height[mask].astype(np.float64)])
+
+
+def changed(old: HeightMap, new: HeightMap) -> BoolArray:
+    """Cells in which the ground is another, shape (nx, ny), of two maps on one grid."""
+    cells: BoolArray = differ(old.height, new.height) | (old.state != new.state)
+    return cells
+
+
+def differ(a: NDArray[np.float32], b: NDArray[np.float32]) -> BoolArray:
+    """Where heights are not the same, shape (nx, ny)."""
+    cells: BoolArray = ~((a == b) | (np.isnan(a) & np.isnan(b)))
+    return cells
+
+
+def cropped(surface: HeightMap, box: Box) -> HeightMap:
+    """A box of cells of a height map."""
+    origin = surface.origin + surface.cell_width * np.array(corner_of(box))
+    return HeightMap(origin, surface.cell_width, surface.height[box], surface.state[box])
+
+
+def cells_within(points: FloatArray, surface: HeightMap, box: Box = WHOLE) -> IntArray:
+    """Flat cell in a box of the grid of each point, shape (n,); one more than there are for those outside."""
+    first = corner_of(box)
+    last = np.add(first, surface.state[box].shape)
+    cell: IntArray = cells_in_box(points, surface.origin, surface.cell_width, np.array(first), last)
+    return cell
 
 
 def is_same_ground(height: Heights, other: Heights, cell_width: float) -> NDArray[np.bool_] | np.bool_:
@@ -172,7 +204,7 @@ def height_of(ground: Cells, x: float, y: float) -> float:
 
 
 class Nearest(NamedTuple):
-    """For each cell the seen ground nearest to it.
+    """For each cell of a box the seen ground nearest to it.
 
     Attributes:
         distance: To it [m], inf where nothing was seen, shape (nx, ny).
@@ -187,19 +219,9 @@ def nearest_seen(surface: HeightMap, box: Box = WHOLE) -> Nearest:
     """The nearest seen ground of a height map, in a `box` of its cells; there is none outside."""
     unknown = surface.state[box] != OBSERVED
     if unknown.all():
-        return Nearest(np.full(surface.state.shape, np.inf), np.full(surface.state.shape, np.nan, surface.height.dtype))
+        return Nearest(np.full(unknown.shape, np.inf), np.full(unknown.shape, np.nan, surface.height.dtype))
     cells, row = ndimage.distance_transform_edt(unknown, return_indices=True)
-    shape, height = surface.state.shape, surface.height[box][row[0], row[1]]
-    return Nearest(spread(cells * surface.cell_width, box, shape, np.inf), spread(height, box, shape, np.nan))
-
-
-def spread(part: NDArray[Scalar], box: Box, shape: tuple[int, ...], outside: float) -> NDArray[Scalar]:
-    """The cells of a box in a grid of that shape; a filter over a change needs no more than a box around it."""
-    if box is WHOLE:
-        return part
-    made = np.full(shape, outside, part.dtype)
-    made[box] = part
-    return made
+    return Nearest(cells * surface.cell_width, surface.height[box][row[0], row[1]])
 
 
 def fill_holes(
@@ -262,45 +284,51 @@ def find_voids(
         surface: The ground as it was seen.
         points: What else was seen [m], shape (n, 3).
         max_step: [m].
-        near: `nearest_seen` of the surface, where it is known.
+        near: `nearest_seen` of the surface in the box, where it is known.
         box: Cells that hold all points, and `MAX_HOLE_RADIUS` around them.
 
     Returns:
         Where the scanner saw through, further down than a floor is thick; where the bottom of a pit is seen, which is
-        no ceiling because no storey is under it; and where the upper end of a pit's walls is. All (nx, ny).
+        no ceiling because no storey is under it; and where the upper end of a pit's walls is. All (nx, ny) of the box.
     """
     distance, beside = near or nearest_seen(surface, box)
-    asked = (surface.state == UNKNOWN) & (distance <= MAX_HOLE_RADIUS)
-    ix, iy, inside = surface.cells(points)
-    z, cell = points[inside, 2], (ix * asked.shape[1] + iy)[inside]
-    walls = _walls_down(surface, cell, z, box)
-    high = _under(np.where(asked, beside + np.float32(surface.cell_width), -np.inf))
-    found = extent_in(cell, z, np.full(asked.size, -np.inf), high)
-    bottom, top = (part.reshape(asked.shape) for part in found)
+    part = cropped(surface, box)
+    asked = (part.state == UNKNOWN) & (distance <= MAX_HOLE_RADIUS)
+    cell, z = cells_within(points, surface, box), np.ascontiguousarray(points[:, 2])
+    walls = _walls_down(part, cell, z)
+    high = np.where(asked, beside + np.float32(surface.cell_width), -np.inf)
+    bottom, top = extent_within(cell, z, np.full(asked.shape, -np.inf), _under(high))
     seen = np.isfinite(top)
     depth = np.where(seen, beside - top, 0.0)
     pit = (depth > max_step) & (depth <= SLAB) & (np.where(seen, top - bottom, 0.0) < STOREY)
     return depth > SLAB, pit, walls
 
 
-def _walls_down(surface: HeightMap, cell: IntArray, z: FloatArray, box: Box) -> BoolArray:
+def extent_within(cell: IntArray, z: FloatArray, low: FloatArray, high: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """`extent_in` of cells on a grid, shape (nx, ny); points of the cell after the last one are in none."""
+    ends = (np.append(end, -np.inf) for end in (low, high))
+    least, most = extent_in(cell, z, *ends)
+    return least[:-1].reshape(low.shape), most[:-1].reshape(low.shape)
+
+
+def _walls_down(surface: HeightMap, cell: IntArray, z: FloatArray) -> BoolArray:
     """Cells of a hole or beside one with a point right under the ground, no floor: `z` [m] in the flat `cell`, (n,).
 
     A step up at the rim is none: the lowest ground within two cells counts. But a rim's cell that holds the wall's
     upper end, too, lies as deep as that: of each cell and those around it the highest ground counts.
     """
-    shape, unknown = surface.state.shape, surface.state[box] == UNKNOWN
-    rim = ndimage.maximum_filter(np.where(unknown, -np.inf, surface.height[box]), size=3)
-    floor = spread(ndimage.minimum_filter(np.where(unknown, np.inf, rim), size=5), box, shape, -np.inf)
+    unknown = surface.state == UNKNOWN
+    rim = ndimage.maximum_filter(np.where(unknown, -np.inf, surface.height), size=3)
+    floor = ndimage.minimum_filter(np.where(unknown, np.inf, rim), size=5)
     low, high = (_under(floor - cells * surface.cell_width) for cells in (WALL_CELLS, 1.0))
-    walls: BoolArray = np.isfinite(extent_in(cell, z, low, high)[0]).reshape(shape)
-    walls[box] &= ndimage.maximum_filter(unknown, size=3, mode="constant")
+    walls: BoolArray = np.isfinite(extent_within(cell, z, low, high)[0])
+    walls &= ndimage.maximum_filter(unknown, size=3, mode="constant")
     return walls
 
 
 def _under(heights: FloatArray) -> FloatArray:
-    """The next smaller numbers, flat: what is not over them is under the heights."""
-    made: FloatArray = np.nextafter(heights.astype(np.float64), -np.inf).ravel()
+    """The next smaller numbers: what is not over them is under the heights."""
+    made: FloatArray = np.nextafter(heights.astype(np.float64), -np.inf)
     return made
 
 
