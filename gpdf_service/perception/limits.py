@@ -105,9 +105,28 @@ def pasted_ground(whole: HeightMap, part: HeightMap, inner: Box, outer: Box) -> 
 
 def window(cells: BoolArray, by: int) -> Box:
     """The rows and columns that hold all `cells`, shape (nx, ny), and `by` cells more on each side."""
-    spans = (np.flatnonzero(cells.any(axis=axis)) for axis in (1, 0))
-    x, y = (slice(max(int(s[0]) - by, 0), min(int(s[-1]) + 1 + by, n)) for s, n in zip(spans, cells.shape, strict=True))
-    return x, y
+    left, right, near, far = _span(cells)
+    nx, ny = cells.shape
+    return slice(max(left - by, 0), min(right + by, nx)), slice(max(near - by, 0), min(far + by, ny))
+
+
+@njit(cache=True, nogil=True)
+def _span(cells: BoolArray) -> tuple[int, int, int, int]:
+    """First row and behind the last, first column and behind the last of the cells."""
+    left, right, near, far = cells.shape[0], 0, cells.shape[1], 0
+    for x in range(cells.shape[0]):
+        row = cells[x]
+        first = 0
+        while first < len(row) and not row[first]:
+            first += 1
+        if first == len(row):
+            continue
+        last = len(row)
+        while not row[last - 1]:
+            last -= 1
+        left, right = min(left, x), x + 1
+        near, far = min(near, first), max(far, last)
+    return left, right, near, far
 
 
 def widened(cells: BoolArray, by: int) -> BoolArray:
