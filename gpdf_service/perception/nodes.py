@@ -106,6 +106,22 @@ def plan_sums(cell: IntArray, ny: int, among: BoolArray, label: IntArray, labels
     return sums
 
 
+def extents_in_plan(
+    cell: IntArray, ny: int, among: BoolArray, label: IntArray, width: float
+) -> tuple[FloatArray, FloatArray]:
+    """Length and depth of what the nodes `among` all with each label cover, along their principal axes [m].
+
+    A uniform strip of length L has variance L²/12; a cell more, because cells have a `width` [m].
+    """
+    sums = plan_sums(cell, ny, among, label, int(label.max()) + 1)
+    x, y, xx, yy, xy = sums[:, 1:].T / np.maximum(sums[:, 0], 1.0)
+    xx, yy, xy = xx - x**2, yy - y**2, xy - x * y
+    middle, radius = 0.5 * (xx + yy), np.hypot(0.5 * (xx - yy), xy)
+    length = (np.sqrt(12.0 * (middle + radius)) + 1.0) * width
+    depth = (np.sqrt(12.0 * np.maximum(middle - radius, 0.0)) + 1.0) * width
+    return length, depth
+
+
 @njit(cache=True, nogil=True)
 def degrees(a: IntArray, b: IntArray, count: int) -> IntArray:
     """How many of the pairs (a, b) each of `count` nodes is in."""

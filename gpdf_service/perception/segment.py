@@ -9,6 +9,7 @@ from numpy.typing import ArrayLike
 
 from gpdf_service.config import PerceptionConfig
 from gpdf_service.errors import NoGroundError
+from gpdf_service.perception.bumps import low_things
 from gpdf_service.perception.columns import by_cell, medians_around, next_below
 from gpdf_service.perception.layers import (
     Beside,
@@ -27,6 +28,7 @@ from gpdf_service.perception.nodes import (
     components,
     degrees,
     drops_beside,
+    extents_in_plan,
     half_way,
     joined_to,
     lowest_beside,
@@ -34,7 +36,6 @@ from gpdf_service.perception.nodes import (
     nodes_over,
     pairs_across,
     pairs_within,
-    plan_sums,
     stepped,
 )
 from gpdf_service.perception.read import check_points
@@ -248,6 +249,7 @@ def find_ground(layers: Layers, config: PerceptionConfig, noise: float = 0.0) ->
         ground = reached
     parts = [wide & (patch == i) for i in storeys]
     found: BoolArray = reached & ~_roofs(near, reached, parts, (a, b), (joins.a, joins.b), config)
+    found &= ~low_things(near, found, config)
     if not found.any():
         raise NoGroundError(*NOWHERE)
     return found
@@ -446,13 +448,7 @@ def _without_dead_ends(
 
 def _shapes(layers: Layers, wide: BoolArray, patch: IntArray, config: PerceptionConfig) -> tuple[BoolArray, BoolArray]:
     """Which patches a body stands on, and which are long enough for a stair's tread, by their principal extents."""
-    sums = plan_sums(layers.cell, layers.shape[1], wide, patch, int(patch.max()) + 1)
-    x, y, xx, yy, xy = sums[:, 1:].T / np.maximum(sums[:, 0], 1.0)
-    xx, yy, xy = xx - x**2, yy - y**2, xy - x * y
-    middle, radius = 0.5 * (xx + yy), np.hypot(0.5 * (xx - yy), xy)
-    # A uniform strip of length L has variance L²/12; a cell more, because cells have a width.
-    length = (np.sqrt(12.0 * (middle + radius)) + 1.0) * layers.cell_width
-    depth = (np.sqrt(12.0 * np.maximum(middle - radius, 0.0)) + 1.0) * layers.cell_width
+    length, depth = extents_in_plan(layers.cell, layers.shape[1], wide, patch, layers.cell_width)
     return depth >= config.standing_width, (length >= config.tread_length) & (depth >= config.tread_depth)
 
 

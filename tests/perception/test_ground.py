@@ -522,3 +522,37 @@ def test_a_cell_that_the_scan_missed_in_a_floor_over_another_is_ground_whatever_
         beside = ndimage.binary_erosion(surface.state == OBSERVED, np.array([[1, 1, 1], [1, 0, 1], [1, 1, 1]]))
         assert beside.sum() > (beside & (surface.state == OBSERVED)).sum()  # there are such cells
         assert not (beside & (surface.state == UNKNOWN)).any()
+
+
+def swivel_chair(x, y, turn):
+    """The foot of one: five arms of 30 cm, 5 cm wide and 3 to 7 cm over the floor."""
+    arms = []
+    for angle in turn + 2.0 * np.pi * np.arange(5) / 5.0:
+        along = np.linspace(0.05, 0.3, 60)[:, None] * [np.cos(angle), np.sin(angle)]
+        across = np.linspace(-0.025, 0.025, 6)[:, None] * [-np.sin(angle), np.cos(angle)]
+        top = (along[:, None] + across[None] + [x, y]).reshape(-1, 2)
+        away = np.hypot(*(top - [x, y]).T)
+        arms += [np.column_stack([top, z + 0.07 - 0.13 * away]) for z in (0.0, -0.03)]
+    return np.concatenate(arms)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_the_foot_of_a_chair_is_no_ground_and_a_sill_or_a_bump_across_the_way_is(seed):
+    rng = np.random.default_rng(seed)
+    sill = Box((3.0, 0.0, 0.0), (3.12, 3.0, 0.06), walkable=True)
+    hump = [Box((x, 0.0, 0.0), (x + 0.1, 3.0, h), walkable=True) for x, h in ((4.5, 0.03), (4.6, 0.05), (4.7, 0.03))]
+    floor, labels = scan_of(World((6.0, 3.0, 2.5), (sill, *hump)), 0.03, 0.002, seed)
+    feet = np.concatenate([swivel_chair(1.0, y, rng.uniform(0, 1.2)) for y in (0.8, 2.2)])
+    points = np.concatenate([floor, feet])
+    found, high = segment_ground(points), feet[:, 2] > 0.02
+    assert found[len(floor) :][high].mean() < 0.05  # 0.29 by slope alone
+    assert found[: len(floor)][labels].mean() > 0.98
+    assert plan(build_scene(points), (0.4, 1.5, 0), (5.6, 1.5, 0), "human").status == Status.OK
+
+
+def test_rubble_is_ground_though_all_of_it_are_bumps():
+    rng = np.random.default_rng(0)
+    xy = rng.uniform(0, 8, (80_000, 2))
+    relief = ndimage.gaussian_filter(rng.normal(size=(160, 160)), 2.0)
+    z = 0.03 / relief.std() * ndimage.map_coordinates(relief, 20.0 * xy.T, order=1)
+    assert segment_ground(np.column_stack([xy, z])).mean() > 0.99

@@ -1,0 +1,134 @@
+"""Low things that the ground was joined up to without a step: the feet of a chair, a bag, the base of a lamp.
+
+A foot of 6 cm in a floor of 5 cm cells is a slope like any other. What tells it from ground is its size: it falls off
+to either side within the width of a person, so nobody stands on it. A sill, or a bump across a road, does so, too, but
+on and on; rough ground does so everywhere; a narrow tread leads further up.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+from gpdf_service.config import PerceptionConfig
+from gpdf_service.fields.threads import run_chunked
+from gpdf_service.perception.layers import Beside
+from gpdf_service.perception.nodes import components, extents_in_plan
+from gpdf_service.types import BoolArray, FloatArray, IntArray
+
+LEAST_BUMP = 0.02
+"""[m] What a wheel rolls over and a good scanner's floor may be off by."""
+ROUGH = 4.0
+"""[-] Over the upper quartile of the bumps around: 99 % of those of rubble are less than 3.6 of it, whatever its relief
+(2 to 5 cm, correlated over 5 to 15 cm)."""
+LONG = 3.0
+"""[-] Length over depth of what crosses the way, a sill or a ridge; what stands about is rounder."""
+_LINES = ((1, 0), (0, 1), (1, 1), (1, -1))
+
+
+def low_things(near: Beside, ground: BoolArray, config: PerceptionConfig) -> BoolArray:
+    """Which nodes of the `ground`, shape (k,), are narrow bumps on it, and not of its own roughness.
+
+    Args:
+        near: The nodes and their pairs.
+        ground: Which are ground.
+        config: Limits.
+    """
+    layers = near.layers
+    reach = max(1, int(0.5 * config.standing_width / layers.cell_width))
+    grid = layers.cell, layers.start, layers.shape, layers.height, ground
+    nodes = np.flatnonzero(ground)
+    raised = np.zeros(len(ground))
+    run_chunked(lambda a, b: _raise(nodes[a:b], *grid, reach, config.max_step, raised), len(nodes))
+    bump = raised > LEAST_BUMP
+    if not bump.any():
+        return bump
+    a, b = near.slopes(bump, layers.cell_width * float(np.tan(config.steepest)))
+    bump &= raised > ROUGH * _around(np.flatnonzero(bump), *grid, components(a, b, bump), raised, 2 * reach)
+    piece = components(a, b, bump)
+    length, depth = extents_in_plan(layers.cell, layers.shape[1], bump, piece, layers.cell_width)
+    stays = (length >= config.standing_width) & (length >= LONG * depth)
+    a, b = near.steps(ground, config.max_step)
+    for one, other in ((a, b), (b, a)):
+        up = bump[one] & ~bump[other] & (layers.height[other] - layers.height[one] > LEAST_BUMP)
+        stays[piece[one[up]]] = True
+    return bump & ~stays[piece]
+
+
+@njit(cache=True, nogil=True)
+def _nearest(first: int, last: int, height: FloatArray, ground: BoolArray, level: float, most: float) -> int:
+    """The ground node among those of a cell that is nearest to a level, within `most` [m], or -1."""
+    best, found = most, -1
+    for j in range(first, last):
+        if ground[j] and abs(height[j] - level) <= best:
+            best, found = abs(height[j] - level), j
+    return found
+
+
+@njit(cache=True, nogil=True)
+def _raise(
+    nodes: IntArray,
+    cell: IntArray,
+    start: IntArray,
+    shape: tuple[int, int],
+    height: FloatArray,
+    ground: BoolArray,
+    reach: int,
+    most: float,
+    raised: FloatArray,
+) -> None:
+    """How much higher each node is than the ground to both sides of it, in the direction in which that is most [m]."""
+    for i in nodes:
+        x, y, level = cell[i] // shape[1], cell[i] % shape[1], height[i]
+        for dx, dy in _LINES:
+            cells = reach if dx * dy == 0 else max(1, int(0.7071 * reach))
+            least = np.inf
+            for side in (-1, 1):
+                lowest = level
+                for k in range(1, cells + 1):
+                    u, v = x + side * k * dx, y + side * k * dy
+                    if not (0 <= u < shape[0] and 0 <= v < shape[1]):
+                        break
+                    there = u * shape[1] + v
+                    j = _nearest(start[there], start[there + 1], height, ground, level, most)
+                    if j >= 0:
+                        lowest = min(lowest, height[j])
+                least = min(least, level - lowest)
+                if least <= raised[i]:
+                    break
+            raised[i] = max(raised[i], least)
+
+
+@njit(cache=True, nogil=True)
+def _around(
+    nodes: IntArray,
+    cell: IntArray,
+    start: IntArray,
+    shape: tuple[int, int],
+    height: FloatArray,
+    ground: BoolArray,
+    piece: IntArray,
+    raised: FloatArray,
+    reach: int,
+) -> FloatArray:
+    """Upper quartile of what the ground is `raised` at and around the piece of each of the `nodes` [m], shape (k,)."""
+    box = np.empty((len(cell), 4), np.int64)
+    for i in nodes:
+        box[piece[i]] = shape[0], -1, shape[1], -1
+    for i in nodes:
+        x, y, own = cell[i] // shape[1], cell[i] % shape[1], box[piece[i]]
+        own[0], own[1], own[2], own[3] = min(own[0], x), max(own[1], x), min(own[2], y), max(own[3], y)
+    made, done = np.zeros(len(cell)), np.full(len(cell), -1.0)
+    for i in nodes:
+        own = box[piece[i]]
+        if done[piece[i]] < 0.0:
+            values = []
+            for x in range(max(0, own[0] - reach), min(shape[0], own[1] + reach + 1)):
+                for y in range(max(0, own[2] - reach), min(shape[1], own[3] + reach + 1)):
+                    there = x * shape[1] + y
+                    j = _nearest(start[there], start[there + 1], height, ground, height[i], np.inf)
+                    if j >= 0:
+                        values.append(raised[j])
+            done[piece[i]] = np.quantile(np.array(values), 0.75)
+        made[i] = done[piece[i]]
+    return made
