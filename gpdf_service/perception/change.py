@@ -24,7 +24,7 @@ from gpdf_service.perception.columns import (
     rows_of_cells,
     without_rows,
 )
-from gpdf_service.perception.layers import Layers, build_layers, grid_of, layer_gap, splice_layers
+from gpdf_service.perception.layers import Layers, beside_now, build_layers, grid_of, layer_gap, splice_layers
 from gpdf_service.perception.levels import (
     FACE,
     HIGH,
@@ -40,6 +40,7 @@ from gpdf_service.perception.levels import (
     find_portals,
     lowest_and_highest,
     make_level,
+    rise_of_sheets,
     sheet_surface,
     split_sheets,
     within_reach,
@@ -91,12 +92,11 @@ class Perceived:
 
     def lasting(self) -> Perceived:
         """The same without what only the build needed."""
-        found, none = self.segmentation, np.zeros(0, np.int64)
-        return replace(
-            self,
-            segmentation=found and replace(found, layers=replace(found.layers, node_of_point=none)),
-            survey=replace(self.survey, layers=replace(self.survey.layers, node_of_point=none)),
-        )
+        found, survey = self.segmentation, replace(self.survey, near=self.survey.near.lasting())
+        if found is not None:
+            near = found.found.near.lasting()
+            found = replace(found, layers=near.layers, found=found.found._replace(near=near))
+        return replace(self, segmentation=found, survey=survey)
 
 
 class WholeError(Exception):
@@ -282,7 +282,8 @@ def _change_levels(
     rows = cloud.rows_in(layers, cells)
     rows = rows[ground[rows]]
     layers = _change_layers(layers, cloud, rows, cells, config)
-    sheets = split_sheets(layers, config)
+    near = beside_now(old.survey.near, layers, rise_of_sheets(layers, config), cells)
+    sheets = split_sheets(near, config)
     if len(sheets) != len(old.levels.levels):
         raise WholeError
     stay, now = ~cells.ravel()[old.survey.layers.cell], ~cells.ravel()[layers.cell]
@@ -294,7 +295,7 @@ def _change_levels(
         part = _Part(cloud, ground, stray, layers, inside, _change_seen(was, layers, inside, moved), cells)
         made.append(_change_level(level, was, old.survey.voids[i], old.survey.completions[i], part, config))
     known, voids, completions, touched = zip(*made, strict=True)
-    return Levels(known, find_portals(layers, sheets)), Survey(layers, stray, sheets, voids, completions), touched
+    return Levels(known, find_portals(layers, sheets)), Survey(near, stray, sheets, voids, completions), touched
 
 
 def _change_seen(was: HeightMap, layers: Layers, inside: BoolArray, moved: BoolArray) -> HeightMap:

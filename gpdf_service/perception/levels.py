@@ -150,18 +150,23 @@ class Survey:
     """What levels were made of, kept for the next version of a scene.
 
     Attributes:
-        layers: Of the ground points.
+        near: Layers of the ground points, and pairs of their nodes.
         stray: Which points of the cloud count for nothing, shape (n,).
         sheets: Which nodes are of each level, shape (k,).
         voids: One a level.
         completions: One a level.
     """
 
-    layers: Layers
+    near: Beside
     stray: BoolArray
     sheets: tuple[BoolArray, ...]
     voids: tuple[Voids, ...]
     completions: tuple[Completion, ...]
+
+    @property
+    def layers(self) -> Layers:
+        """Of the ground points."""
+        return self.near.layers
 
 
 def build_levels(points: FloatArray, ground: BoolArray, config: PerceptionConfig) -> Levels:
@@ -194,10 +199,11 @@ def survey_levels(
         points, ground = chosen_rows(points, ~stray), ground[~stray]
     floor = chosen_rows(points, ground)
     layers = build_layers(floor, width, layer_gap(width, config))
-    sheets = split_sheets(layers, config)
+    near = beside(layers, rise_of_sheets(layers, config))
+    sheets = split_sheets(near, config)
     made = [_build_level(points, ground, floor, layers, sheet, config, noise) for sheet in sheets]
     levels, voids, completions = zip(*made, strict=True)
-    return Levels(levels, find_portals(layers, sheets)), Survey(layers, stray, sheets, voids, completions)
+    return Levels(levels, find_portals(layers, sheets)), Survey(near, stray, sheets, voids, completions)
 
 
 def find_portals(layers: Layers, sheets: tuple[BoolArray, ...]) -> tuple[Portal, ...]:
@@ -230,13 +236,13 @@ def count_undecided(level: GroundLevel, noise: float = 0.0) -> int:
     return int(np.count_nonzero(off <= 2.0 * max(LEAST_SCATTER, 3.0 * noise)))
 
 
-def split_sheets(layers: Layers, config: PerceptionConfig) -> tuple[BoolArray, ...]:
+def split_sheets(near: Beside, config: PerceptionConfig) -> tuple[BoolArray, ...]:
     """Which nodes are of each sheet: no sheet has two nodes in one cell; sheets overlap by `OVERLAP` where they meet.
 
     The lowest comes first, by the median of its heights.
     """
+    layers = near.layers
     count = len(layers.cell)
-    near = beside(layers, max(config.max_step, np.sqrt(2.0) * layers.cell_width))
     keep = ~_under_step(near, config.max_step)
     keep &= ~over_ground(layers, keep, config.step_headroom)
     if (np.diff(layers.cell[keep]) > 0).all():
@@ -261,6 +267,11 @@ def split_sheets(layers: Layers, config: PerceptionConfig) -> tuple[BoolArray, .
     grid, rings = (layers.cell, layers.start, layers.shape, layers.height), int(np.ceil(OVERLAP / layers.cell_width))
     large = sorted((n for n in made if len(n) >= least), key=lambda nodes: float(np.median(layers.height[nodes])))
     return tuple(grown_sheet(*grid, keep, nodes, config.max_step, rings) for nodes in large)
+
+
+def rise_of_sheets(layers: Layers, config: PerceptionConfig) -> float:
+    """Between the nodes of pairs that `split_sheets` asks for, at most: a step, or a cell's diagonal [m]."""
+    return max(config.max_step, float(np.sqrt(2.0)) * layers.cell_width)
 
 
 def _under_step(near: Beside, max_step: float) -> BoolArray:

@@ -91,6 +91,33 @@ def pairs_across(a: IntArray, b: IntArray, label: IntArray) -> tuple[IntArray, I
 
 
 @njit(cache=True, nogil=True)
+def pairs_around(
+    nodes: IntArray,
+    cell: IntArray,
+    start: IntArray,
+    shape: tuple[int, int],
+    height: FloatArray,
+    keep: BoolArray,
+    slope: float,
+    step: float,
+) -> tuple[IntArray, IntArray]:
+    """Pairs of a row of `nodes` and a kept node in a cell around its own, within `slope` a cell and a `step` [m]."""
+    one, other = [0 for _ in range(0)], [0 for _ in range(0)]
+    for n in range(len(nodes)):
+        i = nodes[n]
+        x, y = cell[i] // shape[1], cell[i] % shape[1]
+        for dx, dy in AROUND:
+            if not (0 <= x + dx < shape[0] and 0 <= y + dy < shape[1]):
+                continue
+            there = (x + dx) * shape[1] + y + dy
+            for j in range(start[there], start[there + 1]):
+                if keep[j] and abs(height[i] - height[j]) <= slope * np.hypot(dx, dy) + step:
+                    one.append(n)
+                    other.append(j)
+    return np.array(one, np.int64), np.array(other, np.int64)
+
+
+@njit(cache=True, nogil=True)
 def plan_sums(cell: IntArray, ny: int, among: BoolArray, label: IntArray, labels: int) -> FloatArray:
     """Sums of 1, x, y, x², y², xy of the cells of the nodes `among` all with each label, shape (labels, 6)."""
     sums = np.zeros((labels, 6))

@@ -3,18 +3,20 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from gpdf_service.config import PerceptionConfig
 from gpdf_service.errors import NoGroundError
-from gpdf_service.perception.bumps import low_things
+from gpdf_service.perception.bumps import low_things, raised_over_sides
 from gpdf_service.perception.columns import by_cell, medians_around, next_below
 from gpdf_service.perception.layers import (
     Beside,
     Layers,
     beside,
+    beside_now,
     build_layers,
     cell_width_of,
     connect,
@@ -82,6 +84,20 @@ def segment_ground(points: ArrayLike, config: PerceptionConfig | None = None) ->
     return segment(check_points(points), config or PerceptionConfig())[0]
 
 
+class Found(NamedTuple):
+    """What the ground of some nodes was found from.
+
+    Attributes:
+        near: Their pairs.
+        ground: Which are ground or a low thing on it, shape (k,).
+        raised: `raised_over_sides` of that [m], shape (k,).
+    """
+
+    near: Beside
+    ground: BoolArray
+    raised: FloatArray
+
+
 @dataclass(frozen=True, slots=True)
 class Segmentation:
     """What was found of the columns of a cloud.
@@ -91,6 +107,7 @@ class Segmentation:
         low: Lowest that the ground is within each node's cell [m], inf where the node is none, shape (k,).
         high: Highest, -inf where the node is none.
         beside: Height of the ground beside a node that may reach into its cell [m], inf where there is none.
+        found: What its ground was found from.
         deviation: Standard deviation of the points of the ground around it [m].
     """
 
@@ -98,6 +115,7 @@ class Segmentation:
     low: FloatArray
     high: FloatArray
     beside: FloatArray
+    found: Found
     deviation: float
 
     @property
@@ -138,12 +156,12 @@ def segment_layers(
         noise: Standard deviation of the points that the layers allow for [m].
         deviation: Of the points of the ground around it [m].
     """
-    ground = find_ground(layers, config, noise)
+    ground, found = find_ground(layers, config, noise)
     smooth = _smoothed(layers, ground)
     if z is not None:
         on = ground[layers.node_of_point]
         deviation = 1.4826 * float(np.median(np.abs(z[on] - smooth[layers.node_of_point[on]])))
-    return Segmentation(layers, *_extents(layers, ground, smooth, scatter_of(deviation), config), deviation)
+    return Segmentation(layers, *_extents(layers, ground, smooth, scatter_of(deviation), config), found, deviation)
 
 
 def change_segmentation(
@@ -156,8 +174,11 @@ def change_segmentation(
     Returns:
         The segmentation, and the cells whose points can be something else by it, shape (nx, ny).
     """
-    ground = find_ground(layers, config)
     stay, now = ~cells.ravel()[old.layers.cell], ~cells.ravel()[layers.cell]
+    before, raised = np.zeros(len(layers.cell), dtype=bool), np.full(len(layers.cell), np.nan)
+    before[now], raised[now] = old.found.ground[stay], old.found.raised[stay]
+    near = beside_now(old.found.near, layers, _rise_of_steps(layers, config), cells)
+    ground, found = find_ground(layers, config, known=Found(near, before, raised))
     felt = cells.copy()
     felt.ravel()[layers.cell[now][ground[now] != np.isfinite(old.low[stay])]] = True
     felt = widened(felt, 2)
@@ -173,7 +194,7 @@ def change_segmentation(
         other.ravel()[layers.cell[differ]] = True
         made.append(values)
     low, high, beneath = made
-    return Segmentation(layers, low, high, beneath, old.deviation), other
+    return Segmentation(layers, low, high, beneath, found, old.deviation), other
 
 
 def scatter_of(deviation: float) -> float:
@@ -213,15 +234,17 @@ def _smoothed(layers: Layers, ground: BoolArray) -> FloatArray:
     return medians_around(layers.height, ground, a, b)
 
 
-def find_ground(layers: Layers, config: PerceptionConfig, noise: float = 0.0) -> BoolArray:
-    """Which nodes are ground, shape (k,).
+def find_ground(
+    layers: Layers, config: PerceptionConfig, noise: float = 0.0, known: Found | None = None
+) -> tuple[BoolArray, Found]:
+    """Which nodes are ground, shape (k,), and what that was found from: what is `known` of an earlier version.
 
     Patches are sets of nodes joined by walkable slopes. From the bulk, the ground grows patch by patch over steps that
     a body takes, to patches that a foot fits on and that do not lie, as a bench does, over ground already found.
     """
     surface = layers.thickness <= config.max_step + 4.0 * noise  # a step's face, from the lowest point to the highest
     rise = layers.cell_width * float(np.tan(config.steepest))
-    near = beside(layers, max(config.max_step, 3.0 * rise))  # as much as is asked for: 2 √2 for the slope
+    near = beside(layers, _rise_of_steps(layers, config)) if known is None else known.near
     a, b = near.slopes(surface, rise)
     smooth = degrees(a, b, len(surface))
     core = surface & (smooth >= 5)  # what a strip two cells wide has: a tread is that wide, a wall's top is not
@@ -249,10 +272,16 @@ def find_ground(layers: Layers, config: PerceptionConfig, noise: float = 0.0) ->
         ground = reached
     parts = [wide & (patch == i) for i in storeys]
     found: BoolArray = reached & ~_roofs(near, reached, parts, (a, b), (joins.a, joins.b), config)
-    found &= ~low_things(near, found, config)
-    if not found.any():
+    raised = raised_over_sides(layers, found, config, known and known[1:])
+    ground = found & ~low_things(layers, found, raised, config)
+    if not ground.any():
         raise NoGroundError(*NOWHERE)
-    return found
+    return ground, Found(near, found, raised)
+
+
+def _rise_of_steps(layers: Layers, config: PerceptionConfig) -> float:
+    """As much as is asked for between two nodes: a step, or 2 √2 of the slope of a cell [m]."""
+    return max(config.max_step, 3.0 * layers.cell_width * float(np.tan(config.steepest)))
 
 
 def _roofs(
