@@ -242,13 +242,24 @@ def numbers_now(changed: BoolArray, start: IntArray, now: IntArray) -> IntArray:
 
 @njit(cache=True, nogil=True)
 def pairs_among(
-    a: IntArray, b: IntArray, first: IntArray, height: FloatArray, keep: BoolArray, most: FloatArray
+    a: IntArray,
+    b: IntArray,
+    first: IntArray,
+    height: FloatArray,
+    keep: BoolArray,
+    most: FloatArray,
+    label: IntArray | None = None,
 ) -> tuple[IntArray, IntArray]:
-    """What `pairs_near` finds for other nodes to keep and smaller limits, from the pairs that it found."""
+    """What `pairs_near` finds for other nodes to keep and smaller limits, from the pairs that it found.
+
+    With a `label` of each node, the pairs whose nodes have another one each.
+    """
     one, other, used = np.empty(len(a) + 1, INDEX), np.empty(len(a) + 1, INDEX), 0
     for k in range(len(most)):
         for e in range(first[k], first[k + 1]):
             i, j = a[e], b[e]
+            if label is not None and label[i] == label[j]:
+                continue
             one[used], other[used] = i, j
             used += int(keep[i] & keep[j] & (abs(height[i] - height[j]) <= most[k]))
     return one[:used], other[:used]
@@ -325,18 +336,6 @@ def heights_in_plan(
             off[u, v, 0] = place[i, 0] - origin[0] - (x + 0.5) * width
             off[u, v, 1] = place[i, 1] - origin[1] - (y + 0.5) * width
     return made, off
-
-
-@njit(cache=True, nogil=True)
-def next_below(cell: IntArray, keep: BoolArray) -> IntArray:
-    """The next kept node below each node in its column, -1 where there is none; nodes sorted by cell and upward."""
-    below, last = np.full(len(cell), -1), -1
-    for i in range(len(cell)):
-        if last >= 0 and cell[last] == cell[i]:
-            below[i] = last
-        if keep[i]:
-            last = i
-    return below
 
 
 @njit(cache=True, nogil=True)

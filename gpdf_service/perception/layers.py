@@ -208,16 +208,16 @@ class Beside:
         """Pairs of nodes to keep with at most `rise` [m] a cell between them."""
         return self._within(keep, rise * _APART)
 
-    def steps(self, keep: BoolArray, rise: float) -> Pairs:
-        """Pairs of nodes to keep with at most `rise` [m] between them."""
-        return self._within(keep, np.full(len(HALF), rise))
+    def steps(self, keep: BoolArray, rise: float, label: IntArray | None = None) -> Pairs:
+        """Pairs of nodes to keep with at most `rise` [m] between them, and another `label` each if they have one."""
+        return self._within(keep, np.full(len(HALF), rise), label)
 
     def lasting(self) -> Beside:
         """The same without the points."""
         return replace(self, layers=replace(self.layers, node_of_point=np.zeros(0, np.int64)))
 
-    def _within(self, keep: BoolArray, most: FloatArray) -> Pairs:
-        found: Pairs = pairs_among(self.a, self.b, self.first, self.layers.height, keep, most)
+    def _within(self, keep: BoolArray, most: FloatArray, label: IntArray | None = None) -> Pairs:
+        found: Pairs = pairs_among(self.a, self.b, self.first, self.layers.height, keep, most, label)
         return found
 
 

@@ -35,7 +35,7 @@ from gpdf_service.perception.limits import (
     step_and_slope,
     window,
 )
-from gpdf_service.perception.nodes import components, degrees, grown_sheet, pairs_across
+from gpdf_service.perception.nodes import components, degrees, grown_sheet
 from gpdf_service.perception.segment import LEAST_SCATTER, over_ground
 from gpdf_service.perception.smooth import smooth, to_centres
 from gpdf_service.perception.strays import find_strays
@@ -248,7 +248,7 @@ def split_sheets(near: Beside, config: PerceptionConfig) -> tuple[BoolArray, ...
     if (np.diff(layers.cell[keep]) > 0).all():
         return (keep,)
     smooth = components(*near.slopes(keep, layers.cell_width), keep)
-    a, b = pairs_across(*near.steps(keep, config.max_step), smooth)
+    a, b = near.steps(keep, config.max_step, smooth)
     sheet_of = np.full(count, -1)
     size = np.bincount(smooth, weights=keep)
     order = np.argsort(-size)

@@ -81,16 +81,6 @@ def pairs_within(a: IntArray, b: IntArray, among: BoolArray, both: bool) -> tupl
 
 
 @njit(cache=True, nogil=True)
-def pairs_across(a: IntArray, b: IntArray, label: IntArray) -> tuple[IntArray, IntArray]:
-    """The pairs whose nodes have another `label` each."""
-    one, other, used = np.empty(len(a) + 1, INDEX), np.empty(len(a) + 1, INDEX), 0
-    for e in range(len(a)):
-        one[used], other[used] = a[e], b[e]
-        used += int(label[a[e]] != label[b[e]])
-    return one[:used].copy(), other[:used].copy()
-
-
-@njit(cache=True, nogil=True)
 def pairs_around(
     nodes: IntArray,
     cell: IntArray,
@@ -150,6 +140,17 @@ def extents_in_plan(
 
 
 @njit(cache=True, nogil=True)
+def medians_of(height: FloatArray, start: IntArray, members: IntArray, asked: BoolArray) -> FloatArray:
+    """Upper median of the heights of the members of each set that is `asked` for, NaN of the others."""
+    made = np.full(len(asked), np.nan)
+    for i in range(len(asked)):
+        if asked[i]:
+            count = start[i + 1] - start[i]
+            made[i] = np.partition(height[members[start[i] : start[i + 1]]], count // 2)[count // 2]
+    return made
+
+
+@njit(cache=True, nogil=True)
 def degrees(a: IntArray, b: IntArray, count: int) -> IntArray:
     """How many of the pairs (a, b) each of `count` nodes is in."""
     degree = np.zeros(count, np.int64)
@@ -166,7 +167,7 @@ def add_rims(a: IntArray, b: IntArray, core: BoolArray, keep: BoolArray, wide: B
         before = wide.copy()
         for e in range(len(one)):
             i, j = one[e], other[e]
-            if core[i] and keep[i] and keep[j] and not before[j]:
+            if not before[j] and keep[j] and core[i] and keep[i]:
                 wide[j], patch[j] = True, patch[i]
 
 
@@ -264,6 +265,20 @@ def drops_beside(
                 down |= over + thickness[j] > max_step and over > -max_step
             drops[i] |= down and not level
     return drops
+
+
+@njit(cache=True, nogil=True)
+def over_kept(cell: IntArray, height: FloatArray, keep: BoolArray, headroom: float) -> BoolArray:
+    """Which nodes have a kept node next below them in their cell at `headroom` or less [m], shape (k,).
+
+    Nodes are sorted by cell and upward.
+    """
+    over, last = np.zeros(len(cell), np.bool_), -1
+    for i in range(len(cell)):
+        over[i] = last >= 0 and cell[last] == cell[i] and height[i] - height[last] <= headroom
+        if keep[i]:
+            last = i
+    return over
 
 
 @njit(cache=True, nogil=True)

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 from gpdf_service.config import PerceptionConfig
 from gpdf_service.errors import NoGroundError
 from gpdf_service.perception.bumps import low_things, raised_over_sides
-from gpdf_service.perception.columns import by_cell, medians_around, next_below
+from gpdf_service.perception.columns import by_cell, medians_around
 from gpdf_service.perception.layers import (
     Beside,
     Layers,
@@ -35,8 +35,9 @@ from gpdf_service.perception.nodes import (
     joined_to,
     lowest_beside,
     mean_gradients,
+    medians_of,
     nodes_over,
-    pairs_across,
+    over_kept,
     pairs_within,
     stepped,
 )
@@ -264,7 +265,7 @@ def find_ground(
     loose = pairs_within(a, b, ~ground, False)  # what is ground at first is ground or out of reach
     while True:
         low = _under_furniture(ground, wide & ~ground, core, *loose)
-        ground = _spread(layers, config, ground, low, wide, smooth == 8, patch, joins, seen)
+        ground = _spread(layers, config, ground, low, smooth == 8, patch, joins, seen)
         reached = _under_furniture(ground, wide & seen[patch] & ~ground, core, *loose)
         seen[patch[reached & wide]] = True
         if not _beside(reached, patch, joins, seen).any():
@@ -350,11 +351,17 @@ def _drops(layers: Layers, among: BoolArray, config: PerceptionConfig) -> BoolAr
 
 
 def _patches(core: BoolArray, keep: BoolArray, a: IntArray, b: IntArray) -> tuple[BoolArray, IntArray]:
-    """Connected `core` nodes among those to `keep`, each patch with its rim: which nodes are in one, and in which."""
+    """Connected `core` nodes among those to `keep`, each patch with its rim: which nodes are in one, and in which.
+
+    Patches are numbered by their first nodes; those that are in none have the number after the last.
+    """
     wide = core & keep
     patch = components(a, b, wide)
     add_rims(a, b, core, keep, wide, patch)
-    return wide, patch
+    used = np.zeros(len(patch) + 1, dtype=bool)
+    used[patch[wide]] = True
+    number = np.cumsum(used) - 1  # what is in no patch has the number after the last one
+    return wide, np.where(wide, number[patch], number[-1] + 1)
 
 
 def _under_furniture(ground: BoolArray, apart: BoolArray, core: BoolArray, a: IntArray, b: IntArray) -> BoolArray:
@@ -376,21 +383,39 @@ def _is_storey(layers: Layers, nodes: BoolArray, bulk: BoolArray, config: Percep
 
 @dataclass(frozen=True, slots=True)
 class _Joins:
-    """Steps from node `a` up or down to node `b` of another patch, and which patches a body stands on."""
+    """Steps from node `a` up or down to node `b` of another patch, and what the patches are.
+
+    Attributes:
+        a: Nodes.
+        b: Nodes.
+        standable: Which patches a body stands on.
+        area: Of each patch [m²].
+        level: Its mean height [m].
+        start: Where the nodes of each patch begin in `members`.
+        members: Nodes, by patch.
+    """
 
     a: IntArray
     b: IntArray
     standable: BoolArray
+    area: FloatArray
+    level: FloatArray
+    start: IntArray
+    members: IntArray
 
 
 def _joins(near: Beside, config: PerceptionConfig, wide: BoolArray, patch: IntArray) -> _Joins:
     layers = near.layers
     standable, tread = _shapes(layers, wide, patch, config)
-    a, b = pairs_across(*near.steps(wide, config.max_step), patch)
+    start, members = by_cell(patch, len(standable))
+    count = np.bincount(patch[wide], minlength=len(standable))
+    area = count * layers.cell_width**2
+    level = np.bincount(patch, layers.height, len(count)) / np.maximum(count, 1)
+    a, b = near.steps(wide, config.max_step, patch)
     a, b = np.concatenate([a, b]), np.concatenate([b, a])
-    rise = np.abs(layers.height[a] - _level_of_furniture(layers, wide, patch)[b])
+    rise = np.abs(layers.height[a] - _level_of_furniture(layers, area <= TABLE_AREA, start, members, patch, b))
     allowed = np.where(standable[patch[b]], config.max_step, np.where(tread[patch[b]], config.stair_step, -1.0))
-    return _Joins(a[rise <= allowed], b[rise <= allowed], standable)
+    return _Joins(a[rise <= allowed], b[rise <= allowed], standable, area, level, start, members)
 
 
 def _beside(ground: BoolArray, patch: IntArray, joins: _Joins, seen: BoolArray) -> IntArray:
@@ -405,7 +430,6 @@ def _spread(
     config: PerceptionConfig,
     ground: BoolArray,
     low: BoolArray,
-    wide: BoolArray,
     inner: BoolArray,
     patch: IntArray,
     joins: _Joins,
@@ -417,15 +441,12 @@ def _spread(
     a stair's tread shares its cells with the tread below. What a body stands on, by itself, is no platform over the
     ground with `low` room, either: a coffee table; a stair's treads may be.
     """
-    area = np.bincount(patch[wide], minlength=len(seen)) * layers.cell_width**2
-    share = np.where(joins.standable & (area <= TABLE_AREA), TABLE_OVER_SHARE, OVER_SHARE)
+    share = np.where(joins.standable & (joins.area <= TABLE_AREA), TABLE_OVER_SHARE, OVER_SHARE)
     under = over_ground(layers, low, config.step_headroom) & joins.standable[patch]
     size = np.bincount(patch[inner], minlength=len(seen))
-    start, members = by_cell(patch, len(seen))
     ground = ground.copy()
     while len(fresh := _beside(ground, patch, joins, seen)):
-        nodes = np.concatenate([members[start[i] : start[i + 1]] for i in fresh])
-        nodes = nodes[wide[nodes]]
+        nodes = np.concatenate([joins.members[joins.start[i] : joins.start[i + 1]] for i in fresh])
         own = np.searchsorted(fresh, patch[nodes])
         over = under[nodes] | nodes_over(nodes, layers.cell, layers.height, ground, config.step_headroom)
         refused = np.bincount(own[inner[nodes] & over], minlength=len(fresh)) > (share * size)[fresh]
@@ -435,19 +456,17 @@ def _spread(
     return ground & ~over_ground(layers, ground, config.step_headroom)
 
 
-def _level_of_furniture(layers: Layers, wide: BoolArray, patch: IntArray) -> FloatArray:
-    """Height that counts for a step onto each node: of a piece no larger than a table its median, else its own.
+def _level_of_furniture(
+    layers: Layers, small: BoolArray, start: IntArray, members: IntArray, patch: IntArray, nodes: IntArray
+) -> FloatArray:
+    """Height that counts for a step onto each of the `nodes`: of a `small` patch its median, else its own.
 
     A sofa's low front edge must not make its back a platform.
     """
-    count = np.bincount(patch[wide], minlength=patch.max() + 1)
-    nodes = np.flatnonzero(wide & (count * layers.cell_width**2 <= TABLE_AREA)[patch])
-    order = nodes[np.lexsort((layers.height[nodes], patch[nodes]))]
-    first = np.flatnonzero(np.diff(patch[order], prepend=-1))
-    each = np.diff(np.append(first, len(order)))
-    level = layers.height.copy()
-    level[order] = np.repeat(layers.height[order[first + each // 2]], each)
-    return level
+    asked = np.zeros(len(small), dtype=bool)
+    asked[patch[nodes]] = True
+    level = medians_of(layers.height, start, members, asked & small)[patch[nodes]]
+    return np.where(np.isnan(level), layers.height[nodes], level)
 
 
 def _without_dead_ends(
@@ -458,7 +477,7 @@ def _without_dead_ends(
     A box on the floor joins one; so does a board, but where the scan of the floor has gaps it joins it to scraps.
     """
     a, b, standable = joins.a, joins.b, joins.standable
-    level = np.bincount(patch, layers.height) / np.maximum(np.bincount(patch), 1)
+    level = joins.level
     rise = layers.cell_width * float(np.tan(config.steepest))
     while True:
         here, count = ground[a] & ground[b], len(level)
@@ -483,6 +502,5 @@ def _shapes(layers: Layers, wide: BoolArray, patch: IntArray, config: Perception
 
 def over_ground(layers: Layers, ground: BoolArray, headroom: float) -> BoolArray:
     """Nodes with ground under them at less than `headroom` [m]: with that of a body that steps, benches and tables."""
-    below = next_below(layers.cell, ground)
-    over: BoolArray = (below >= 0) & (layers.height - layers.height[below] <= headroom)
+    over: BoolArray = over_kept(layers.cell, layers.height, ground, headroom)
     return over

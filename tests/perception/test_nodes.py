@@ -18,7 +18,6 @@ from gpdf_service.perception.nodes import (
     lowest_beside,
     mean_gradients,
     nodes_over,
-    pairs_across,
     pairs_within,
     plan_sums,
     stepped,
@@ -57,11 +56,10 @@ def test_components_among_some_nodes_leave_the_others_alone():
 
 def test_pairs_are_chosen_and_counted_as_by_masks():
     rng = np.random.default_rng(2)
-    (a, b), among, label = rng.integers(0, 50, (2, 300)), rng.random(50) < 0.4, rng.integers(0, 4, 50)
+    (a, b), among = rng.integers(0, 50, (2, 300)), rng.random(50) < 0.4
     for found, mask in (
         (pairs_within(a, b, among, True), among[a] & among[b]),
         (pairs_within(a, b, among, False), among[a] | among[b]),
-        (pairs_across(a, b, label), label[a] != label[b]),
     ):
         np.testing.assert_array_equal(found, (a[mask], b[mask]))
     np.testing.assert_array_equal(degrees(a, b, 50), np.bincount(np.concatenate([a, b]), minlength=50))
@@ -82,6 +80,10 @@ def test_pairs_taken_from_all_neighbours_are_those_that_are_looked_for(layers):
     for found, least in ((sloped, both & (rise <= 0.2 * far)), (stepped_over, both & (rise <= 0.3))):
         assert least.any()
         assert set(zip(*found, strict=True)) == set(zip(a[least], b[least], strict=True))
+    label = np.random.default_rng(4).integers(0, 3, len(layers.cell))
+    a, b = stepped_over
+    for one, other in zip(near.steps(keep, 0.3, label), (a, b), strict=True):
+        np.testing.assert_array_equal(one, other[label[a] != label[b]])
     for one, other in zip(sloped, connect(layers, keep, 0.2), strict=True):
         np.testing.assert_array_equal(one, other)
 
