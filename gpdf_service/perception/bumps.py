@@ -66,13 +66,18 @@ def raised_over_sides(
     raised, asked = np.zeros(len(ground)), ground
     if known is not None:
         before, old = known
-        other = np.zeros(layers.shape, dtype=bool)
-        other.ravel()[layers.cell[(before != ground) | np.isnan(old)]] = True
-        felt = widened(other, reach).ravel()[layers.cell]
+        felt = cells_around(layers, (before != ground) | np.isnan(old), reach).ravel()[layers.cell]
         raised, asked = np.where(felt, 0.0, old), ground & felt
     nodes, grid = np.flatnonzero(asked), (layers.cell, layers.start, layers.shape, layers.height, ground)
     run_chunked(lambda a, b: _raise(nodes[a:b], *grid, reach, config.max_step, raised), len(nodes))
     return raised
+
+
+def cells_around(layers: Layers, nodes: BoolArray, by: int) -> BoolArray:
+    """Cells within `by` cells of those of the nodes, shape (nx, ny)."""
+    cells = np.zeros(layers.shape, dtype=bool)
+    cells.ravel()[layers.cell[nodes]] = True
+    return widened(cells, by)
 
 
 def _reach(layers: Layers, config: PerceptionConfig) -> int:
@@ -111,7 +116,10 @@ def _raise(
     most: float,
     raised: FloatArray,
 ) -> None:
-    """How much higher each node is than the ground to both sides of it, in the direction in which that is most [m]."""
+    """How much higher each node is than the ground to both sides of it, in the direction in which that is most [m].
+
+    What is so little that neither it nor a quartile of such tells a bump is not looked at closer.
+    """
     for i in nodes:
         x, y, level = cell[i] // shape[1], cell[i] % shape[1], height[i]
         for dx, dy in _LINES:
@@ -128,9 +136,10 @@ def _raise(
                     if j >= 0:
                         lowest = min(lowest, height[j])
                 least = min(least, level - lowest)
-                if least <= raised[i]:
+                if least <= max(raised[i], LEAST_BUMP / ROUGH):
                     break
-            raised[i] = max(raised[i], least)
+            else:
+                raised[i] = least
 
 
 @njit(cache=True, nogil=True)

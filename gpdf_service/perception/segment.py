@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 
 from gpdf_service.config import PerceptionConfig
 from gpdf_service.errors import NoGroundError
-from gpdf_service.perception.bumps import low_things, raised_over_sides
+from gpdf_service.perception.bumps import cells_around, low_things, raised_over_sides
 from gpdf_service.perception.columns import by_cell, medians_around
 from gpdf_service.perception.layers import (
     Beside,
@@ -90,13 +90,24 @@ class Found(NamedTuple):
 
     Attributes:
         near: Their pairs.
+        reached: Which the ground was joined up to, shape (k,).
+        slope: Of those [rad], shape (k,).
         ground: Which are ground or a low thing on it, shape (k,).
         raised: `raised_over_sides` of that [m], shape (k,).
     """
 
     near: Beside
+    reached: BoolArray
+    slope: FloatArray
     ground: BoolArray
     raised: FloatArray
+
+    def spliced(self, near: Beside, stay: BoolArray, now: BoolArray) -> Found:
+        """What is known of the nodes of `near`, which `now`, shape (k,), are those that `stay`; NaN of the others."""
+        made = Found(near, np.zeros_like(now), np.full(len(now), np.nan), np.zeros_like(now), np.full(len(now), np.nan))
+        for old, new in zip(self[1:], made[1:], strict=True):
+            new[now] = old[stay]
+        return made
 
 
 @dataclass(frozen=True, slots=True)
@@ -176,10 +187,8 @@ def change_segmentation(
         The segmentation, and the cells whose points can be something else by it, shape (nx, ny).
     """
     stay, now = ~cells.ravel()[old.layers.cell], ~cells.ravel()[layers.cell]
-    before, raised = np.zeros(len(layers.cell), dtype=bool), np.full(len(layers.cell), np.nan)
-    before[now], raised[now] = old.found.ground[stay], old.found.raised[stay]
     near = beside_now(old.found.near, layers, _rise_of_steps(layers, config), cells)
-    ground, found = find_ground(layers, config, known=Found(near, before, raised))
+    ground, found = find_ground(layers, config, known=old.found.spliced(near, stay, now))
     felt = cells.copy()
     felt.ravel()[layers.cell[now][ground[now] != np.isfinite(old.low[stay])]] = True
     felt = widened(felt, 2)
@@ -272,12 +281,14 @@ def find_ground(
             break
         ground = reached
     parts = [wide & (patch == i) for i in storeys]
-    found: BoolArray = reached & ~_roofs(near, reached, parts, (a, b), (joins.a, joins.b), config)
-    raised = raised_over_sides(layers, found, config, known and known[1:])
+    slope = _slope(near, reached, config, known and known[1:3])
+    level = reached & (slope <= config.standable_slope)
+    found: BoolArray = reached & ~_roofs(near, reached, level, parts, (a, b), (joins.a, joins.b), config)
+    raised = raised_over_sides(layers, found, config, known and known[3:])
     ground = found & ~low_things(layers, found, raised, config)
     if not ground.any():
         raise NoGroundError(*NOWHERE)
-    return ground, Found(near, found, raised)
+    return ground, Found(near, reached, slope, found, raised)
 
 
 def _rise_of_steps(layers: Layers, config: PerceptionConfig) -> float:
@@ -288,6 +299,7 @@ def _rise_of_steps(layers: Layers, config: PerceptionConfig) -> float:
 def _roofs(
     near: Beside,
     ground: BoolArray,
+    flat: BoolArray,
     storeys: list[BoolArray],
     smooth: tuple[IntArray, IntArray],
     steps: tuple[IntArray, IntArray],
@@ -299,7 +311,7 @@ def _roofs(
     """
     parts = (pairs_within(*pairs, ground, True) for pairs in (smooth, steps))
     a, b = (np.concatenate(ends) for ends in zip(*parts, strict=True))
-    main = _within_reach(near, ground, storeys, a, b, config)
+    main = _within_reach(near, flat, storeys, a, b, config)
     off = ground & ~main
     piece = components(a, b, off)
     level = stepped(main, a, b)
@@ -311,10 +323,9 @@ def _roofs(
 
 
 def _within_reach(
-    near: Beside, ground: BoolArray, storeys: list[BoolArray], a: IntArray, b: IntArray, config: PerceptionConfig
+    near: Beside, flat: BoolArray, storeys: list[BoolArray], a: IntArray, b: IntArray, config: PerceptionConfig
 ) -> BoolArray:
-    """Nodes level enough to stand on that are reached from the storeys; over steps, too, that coarse cells rounded."""
-    flat = ground & (_slope(near, ground, config) <= config.standable_slope)
+    """Nodes `flat` enough to stand on that are reached from the storeys; over steps, too, that coarse cells rounded."""
     piece = components(a, b, flat)
     seen = np.zeros(piece.max() + 1, dtype=bool)
     for storey in storeys:
@@ -332,14 +343,31 @@ def _within_reach(
         seen[fresh] = True
 
 
-def _slope(near: Beside, ground: BoolArray, config: PerceptionConfig) -> FloatArray:
-    """Slope at each ground node [rad], of the mean gradient of it and its neighbours on the same slope."""
+def _slope(
+    near: Beside, ground: BoolArray, config: PerceptionConfig, known: tuple[BoolArray, FloatArray] | None = None
+) -> FloatArray:
+    """Slope at each ground node [rad], of the mean gradient of it and its neighbours on the same slope.
+
+    What was found of another ground is `known`, NaN for nodes that were none: neighbours of neighbours decide on it.
+    """
     layers = near.layers
     rise = 2.0 * layers.cell_width * float(np.tan(config.steepest))  # or noise would flatten it
-    pairs = near.slopes(ground, rise)
-    made: FloatArray = np.arctan(
-        mean_gradients(layers.height, layers.cell, layers.shape[1], *pairs) / layers.cell_width
-    )
+    if known is None:
+        return _slopes(layers, near.slopes(ground, rise))
+    before, slope = known
+    felt = cells_around(layers, (before != ground) | np.isnan(slope), 2)
+    if not felt.any():
+        return slope
+    part, nodes = crop_layers(layers, window(felt, 2))
+    inside, made = felt.ravel()[layers.cell[nodes]], slope.copy()
+    made[nodes[inside]] = _slopes(part, connect(part, ground[nodes], rise))[inside]
+    return made
+
+
+def _slopes(layers: Layers, pairs: tuple[IntArray, IntArray]) -> FloatArray:
+    """Slope at each node [rad], where the pairs are those on the same slope."""
+    gradient = mean_gradients(layers.height, layers.cell, layers.shape[1], *pairs)
+    made: FloatArray = np.arctan(gradient / layers.cell_width)
     return made
 
 
@@ -409,13 +437,13 @@ def _joins(near: Beside, config: PerceptionConfig, wide: BoolArray, patch: IntAr
     standable, tread = _shapes(layers, wide, patch, config)
     start, members = by_cell(patch, len(standable))
     count = np.bincount(patch[wide], minlength=len(standable))
-    area = count * layers.cell_width**2
-    level = np.bincount(patch, layers.height, len(count)) / np.maximum(count, 1)
+    area = np.asarray(count * layers.cell_width**2, dtype=np.float64)
+    level: FloatArray = np.bincount(patch, layers.height, len(count)).astype(np.float64)
     a, b = near.steps(wide, config.max_step, patch)
     a, b = np.concatenate([a, b]), np.concatenate([b, a])
     rise = np.abs(layers.height[a] - _level_of_furniture(layers, area <= TABLE_AREA, start, members, patch, b))
     allowed = np.where(standable[patch[b]], config.max_step, np.where(tread[patch[b]], config.stair_step, -1.0))
-    return _Joins(a[rise <= allowed], b[rise <= allowed], standable, area, level, start, members)
+    return _Joins(a[rise <= allowed], b[rise <= allowed], standable, area, level / np.maximum(count, 1), start, members)
 
 
 def _beside(ground: BoolArray, patch: IntArray, joins: _Joins, seen: BoolArray) -> IntArray:
