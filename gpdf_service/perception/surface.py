@@ -10,7 +10,7 @@ from numba import njit
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from gpdf_service.perception.columns import by_cell, cells_in_box, extent_in
+from gpdf_service.perception.columns import cells_in_box, extent_in
 from gpdf_service.types import BoolArray, FloatArray, IntArray
 
 UNKNOWN, OBSERVED, INFERRED = 0, 1, 2
@@ -38,6 +38,8 @@ WALL_CELLS = 3.0
 """[cells] The wall of a pit is seen within these under its rim; the underside of a floor is deeper."""
 CEILING = 1.9
 """[m] What is higher over the ground beside is a ceiling or a lamp, no furniture whose shadow is the hole."""
+_SIDES = ((-1, 0), (1, 0), (0, -1), (0, 1))
+"""The four neighbours of a cell."""
 _ROUNDING = float(np.finfo(np.float64).eps)
 MAX_HOLE_RADIUS = 1.0
 """[m] A hole is filled if no place in it is further from seen ground: a scanner's blind spot, the shadow of a desk."""
@@ -264,15 +266,35 @@ def _seen_hollow(things: BoolArray, overhung: BoolArray) -> BoolArray:
     height map, may be solid.
     """
     label, count = ndimage.label(things, np.ones((3, 3)))
-    inner = ndimage.minimum_filter(overhung | things, size=3, mode="constant") & overhung
-    near = ndimage.maximum_filter(inner, size=5, mode="constant")
     hollow = np.ones(count + 1, dtype=bool)
-    mass = ndimage.minimum_filter(things, size=3, mode="constant")
-    hollow[label[ndimage.maximum_filter(mass, size=3, mode="constant")]] = False
-    hollow[label[near & things]] = True
     hollow[0] = False
+    _tell_hollow(things, overhung, label, hollow)
     result: BoolArray = hollow[label]
     return result
+
+
+@njit(cache=True, nogil=True)
+def _tell_hollow(things: BoolArray, overhung: BoolArray, label: NDArray[np.int32], hollow: BoolArray) -> None:
+    """Labels of masses become false, and true again if a cell within two of theirs is overhung and has no rim."""
+    nx, ny = things.shape
+    for mass in (True, False):
+        for x in range(1, nx - 1):
+            for y in range(1, ny - 1):
+                if not (things[x, y] if mass else overhung[x, y]):
+                    continue
+                inner = True
+                for u in range(x - 1, x + 2):
+                    for v in range(y - 1, y + 2):
+                        inner &= things[u, v] or (overhung[u, v] and not mass)
+                if not inner:
+                    continue
+                if mass:
+                    hollow[label[x, y]] = False
+                    continue
+                for u in range(max(x - 2, 0), min(x + 3, nx)):
+                    for v in range(max(y - 2, 0), min(y + 3, ny)):
+                        if things[u, v]:
+                            hollow[label[u, v]] = True
 
 
 def find_voids(
@@ -352,11 +374,38 @@ def _fill_gaps(
     cell_width: float,
 ) -> None:
     """Fill single cells that the scan's spacing left empty, with the ground beside them: also at a step's edge."""
-    label, count = ndimage.label(holes)
-    size, wide = (np.bincount(label[cells], minlength=count + 1) for cells in (holes, holes & (distance > cell_width)))
-    small = holes & ((size <= GAP_CELLS) & (wide == 0))[label]
+    small = _small(holes, distance, cell_width)
     height[small] = beside[small]
     state[small] = INFERRED
+
+
+@njit(cache=True, nogil=True)
+def _small(holes: BoolArray, distance: FloatArray, cell_width: float) -> BoolArray:
+    """Connected cells of holes that are `GAP_CELLS` at most, none further than a cell from seen ground."""
+    (nx, ny), small, cells = holes.shape, np.zeros(holes.shape, np.bool_), np.empty((GAP_CELLS + 4, 2), np.int64)
+    for x in range(nx):
+        for y in range(ny):
+            if not holes[x, y] or small[x, y]:
+                continue
+            cells[0], count, looked, gap = (x, y), 1, 0, True
+            while gap and looked < count:
+                i, j = cells[looked]
+                looked += 1
+                gap = distance[i, j] <= cell_width
+                for dx, dy in _SIDES:
+                    u, v = i + dx, j + dy
+                    if not (0 <= u < nx and 0 <= v < ny and holes[u, v]):
+                        continue
+                    met = False
+                    for k in range(count):
+                        met |= cells[k, 0] == u and cells[k, 1] == v
+                    if not met:
+                        cells[count] = u, v
+                        count += 1
+                gap &= count <= GAP_CELLS
+            for k in range(count if gap else 0):
+                small[cells[k, 0], cells[k, 1]] = True
+    return small
 
 
 def _fill_notches(
@@ -418,6 +467,7 @@ def _next_known(height: NDArray[np.float32], x: int, y: int, dx: int, dy: int, m
     return np.float32(np.nan), 0
 
 
+@njit(cache=True, nogil=True)
 def _fill(
     height: NDArray[np.float32],
     state: NDArray[np.uint8],
@@ -428,37 +478,34 @@ def _fill(
     void: BoolArray,
     share: float,
 ) -> None:
-    """Fill each of the `holes` with the plane of the `known` ground around, if that is at least `share` of its rim."""
-    label, count = ndimage.label(holes)
-    start, order = by_cell(label.ravel().astype(np.int64), count + 1)
-    _fill_labelled(height, state, label, start, order, known, distance, cell_width, void, share)
+    """Fill each of the `holes` with the plane of the `known` ground around, if that is at least `share` of its rim.
 
-
-@njit(cache=True, nogil=True)
-def _fill_labelled(
-    height: NDArray[np.float32],
-    state: NDArray[np.uint8],
-    label: NDArray[np.int32],
-    start: IntArray,
-    order: IntArray,
-    known: BoolArray,
-    distance: FloatArray,
-    cell_width: float,
-    void: BoolArray,
-    share: float,
-) -> None:
-    """`_fill` of the holes 1, 2 …, the flat cells of each in `order` from `start`."""
-    nx, ny = label.shape
+    Of what is further from seen ground than a hole may be it is enough to know that it is beside one.
+    """
+    nx, ny = holes.shape
     met = np.zeros((nx, ny), np.int64)  # the last hole around which a cell was looked at
-    for hole in range(1, len(start) - 1):
-        cells = order[start[hole] : start[hole + 1]]
-        shut = True
-        for c in cells:
-            x, y = c // ny, c % ny
-            rim = x == 0 or y == 0 or x == nx - 1 or y == ny - 1
-            shut &= not (rim or void[x, y] or distance[x, y] > MAX_HOLE_RADIUS)
+    label, queue, last, hole = np.zeros((nx, ny), np.int32), np.empty(nx * ny, np.int64), 0, 0
+    for corner in range(nx * ny):
+        x, y = corner // ny, corner % ny
+        if not holes[x, y] or label[x, y] > 0 or distance[x, y] > MAX_HOLE_RADIUS:
+            continue
+        first, looked, shut, hole = last, last, True, hole + 1
+        label[x, y], queue[last], last = hole, corner, last + 1
+        while looked < last:
+            x, y = queue[looked] // ny, queue[looked] % ny
+            looked += 1
+            shut &= not (x == 0 or y == 0 or x == nx - 1 or y == ny - 1 or void[x, y])
+            for dx, dy in _SIDES:
+                u, v = x + dx, y + dy
+                if not (0 <= u < nx and 0 <= v < ny and holes[u, v]) or label[u, v] > 0:
+                    continue
+                if distance[u, v] > MAX_HOLE_RADIUS:
+                    shut = False
+                    continue
+                label[u, v], queue[last], last = hole, u * ny + v, last + 1
         if not shut:
             continue
+        cells = np.sort(queue[first:last])
         left, top = cells[0] // ny, cells[0] % ny
         ring, heights = np.ones((25 * len(cells), 3)), np.empty(25 * len(cells))
         count, beside, ground = 0, 0, 0
