@@ -596,7 +596,7 @@ def within_reach(points: FloatArray, surface: HeightMap, box: Box = WHOLE) -> Fl
 
     The `box` of cells holds all points, and `OVERLAP` around them.
     """
-    low, high = (np.append(part, np.nan) for part in lowest_and_highest(surface, box))
+    low, high = (np.append(part, part.dtype.type(np.nan)) for part in lowest_and_highest(surface, box))
     cell, z = cells_within(points, surface, box), points[:, 2]
     return chosen_rows(points, (z >= low[cell] - surface.cell_width) & (z <= high[cell] + TALLEST))
 
