@@ -16,6 +16,8 @@ from gpdf_service.types import BoolArray, FloatArray
 
 RAISED = 0.04
 """[m] Ground this far over the floor is a platform, a tread or a ramp; less is lost in a scan's noise."""
+CELL = 0.05
+"""[m] Of the overlap by area."""
 HIGH = 0.3
 """[m] What is no ground and lies this far over the lowest ground, level, is a seat or a table top."""
 
@@ -64,13 +66,14 @@ def _made(count: int, seed: int, noise: float) -> dict[str, list[SyntheticScene]
 
 def measure(clouds: list[tuple[FloatArray, BoolArray, float]]) -> Row:
     """Shares over all points of several clouds (points, true labels, height of the floor)."""
-    true, found, raised, high, seconds = [], [], [], [], 0.0
+    true, found, raised, high, seconds, cells = [], [], [], [], 0.0, np.zeros(2)
     for points, ground, floor in clouds:
         began = time.perf_counter()
         found.append(segment_ground(points))
         seconds += time.perf_counter() - began
         over = points[:, 2] - floor
         true.append(ground)
+        cells += _shared_cells(points, ground, found[-1])
         raised.append(ground & (over > RAISED))
         high.append(~ground & (over > HIGH))
     mask, is_ground = np.concatenate(found), np.concatenate(true)
@@ -78,9 +81,17 @@ def measure(clouds: list[tuple[FloatArray, BoolArray, float]]) -> Row:
     return {
         "points": len(mask),
         "iou": float((mask & is_ground).sum() / (mask | is_ground).sum()),
+        "iou_area": float(cells[0] / cells[1]),
         "recall": float(mask[is_ground].mean()),
         "precision": float(is_ground[mask].mean()),
         "raised_recall": float(mask[up].mean()) if up.any() else float("nan"),
         "furniture_as_ground": float(mask[furniture].mean()) if furniture.any() else 0.0,
         "seconds": seconds,
     }
+
+
+def _shared_cells(points: FloatArray, true: BoolArray, found: BoolArray) -> FloatArray:
+    """How many cells of `CELL` hold ground by both masks, and by either: each place counts once, however dense."""
+    cell = np.floor(points[:, :2] / CELL).astype(np.int64)
+    one, other = ({*map(tuple, np.unique(cell[mask], axis=0).tolist())} for mask in (true, found))
+    return np.array([len(one & other), len(one | other)], dtype=np.float64)

@@ -165,7 +165,9 @@ def _draw(folder: Path, place: _Place, rows: list[Row], seed: int) -> None:
     draw_scene_pictures(place.name, place.scene, place.points, place.truth, folder, seed)
     for row in rows:
         if row["method"] == "dual_gpdf" and row["refused"]:
-            draw_refused(folder / f"{place.name}_{row['agent']}_refused.png", place.points, place.truth, row)
+            draw_refused(
+                folder / f"{place.name}_{row['agent']}_refused.png", place.scene, place.points, place.truth, row
+            )
 
 
 def _scenes(words: list[str]) -> list[tuple[str, Path | None]]:
@@ -221,7 +223,7 @@ def _measure(place: _Place, agent: Agent, method: Method, pairs: FloatArray, sol
         "ok_of_solvable": int((ok & solvable).sum()),
         "refused": [
             {"start": start.tolist(), "goal": goal.tolist(), "status": answer.result.status.value}
-            | {"message": answer.result.message}
+            | {"message": answer.result.message, "at": _refused_at(answer.result, start, goal).tolist()}
             for answer, (start, goal), can in zip(answers, pairs, solvable, strict=True)
             if can and answer.result.status is not Status.OK
         ],
@@ -236,6 +238,12 @@ def _measure(place: _Place, agent: Agent, method: Method, pairs: FloatArray, sol
         "p50_cpu_ms": 1e3 * float(np.median(seconds_all)),
         "p99_cpu_ms": 1e3 * float(np.quantile(seconds_all, 0.99)),
     }
+
+
+def _refused_at(result: PlanResult, start: FloatArray, goal: FloatArray) -> FloatArray:
+    """Where a query was refused [m]: at one of its ends, or where the limits cut them apart."""
+    end = goal if result.status.value.startswith("GOAL") else start
+    return np.array([result.details.get(f"cut_{axis}", z) for axis, z in zip("xyz", end, strict=True)])
 
 
 def _rates(how: str, verdicts: list[Verdict | None]) -> Row:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
+from math import ceil
 from pathlib import Path
 from textwrap import fill
 from typing import Any
@@ -11,11 +12,14 @@ from typing import Any
 import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Circle
 from scipy.spatial import cKDTree
 
-from gpdf_service.bench.brute import BruteForce
+from gpdf_service.bench.brute import LEAST_ROOM, BruteForce
 from gpdf_service.bench.paper_tables import TITLES
 from gpdf_service.bench.report import Row
+from gpdf_service.perception import ObstacleKind
 from gpdf_service.pipeline import Method, plan
 from gpdf_service.scene import Scene
 from gpdf_service.synthetic import SCENES
@@ -50,8 +54,12 @@ CEILING = 2.2
 """[m] What is higher over the ground is not drawn: one looks in from above."""
 CLOUD_POINTS = 25_000
 """Points of the cloud in a picture: more hide the paths."""
-MAX_REFUSED = 15
-"""Refused queries in a picture: more than that have one cause, and hide each other."""
+PANELS = 6
+"""Refused queries beside each other in a picture."""
+PANEL = 0.6
+"""[m] Half of the width of a panel: a doorway, and what is beside it."""
+KIND_COLOURS = ("#D55E00", "#0072B2", "#E69F00", "#CC79A7")
+"""Of material, steps, slopes and unknown ground."""
 PAIRS = 30
 """Random pairs of which the furthest apart is drawn, where a scene has no start and goal of its own."""
 
@@ -118,25 +126,37 @@ def draw(
     FigureCanvasAgg(figure).print_png(str(path))  # type: ignore[no-untyped-call]
 
 
-def draw_refused(path: Path, points: FloatArray, ground: BoolArray, row: Row) -> None:
-    """Draw the solvable queries that were not answered with OK, numbered, each with what the planner said."""
-    figure = Figure(figsize=(16, 9), layout="constrained")
-    grid = figure.add_gridspec(1, 2, width_ratios=(3, 2))
-    above: Any = figure.add_subplot(grid[0])
-    said: Any = figure.add_subplot(grid[1])
-    shown, heights = _shown(points, ground)
-    above.scatter(*shown[:, :2].T, s=2, alpha=0.5, c=heights, cmap="Greys", vmin=-2.5, vmax=2.5, linewidths=0)
-    lines = []
-    for i, query in enumerate(row["refused"][:MAX_REFUSED], start=1):
-        start, goal = np.array(query["start"])[:2], np.array(query["goal"])[:2]
-        above.annotate("", goal, start, arrowprops={"arrowstyle": "->", "color": "#D55E00", "alpha": 0.7})
-        above.annotate(str(i), start, color="#0072B2", fontsize=12, weight="bold")
-        lines.append(fill(f"{i}. {query['status']}: {query['message']}", 70))
-    above.set(xlabel="x [m]", ylabel="y [m]", aspect="equal")
-    said.text(0.0, 1.0, "\n".join(lines), va="top", fontsize=8, parse_math=False)
-    said.set_axis_off()
-    count, solvable = len(row["refused"]), row["solvable"]
-    figure.suptitle(f"{row['scene']}, {row['agent']}: {count} of {solvable} solvable queries were refused")
+def draw_refused(path: Path, scene: Scene, points: FloatArray, ground: BoolArray, row: Row) -> None:
+    """Draw each solvable query that was not answered with OK where it was refused, with what the planner said.
+
+    Grey: what truly is there as high as the body. Coloured: what the planner, which had the noisy cloud, took to be
+    there. The body, and dashed the extra room that it truly has.
+    """
+    body, refused = AGENTS[row["agent"]], row["refused"]
+    room = body.cylinder.radius + LEAST_ROOM + row["noise_m"]
+    half = max(PANEL, 3.0 * room)
+    figure = Figure(figsize=(3.4 * PANELS, 4.5 * ceil(len(refused) / PANELS)), layout="constrained")
+    space = scene.free_space(body)
+    things = points[~ground]
+    for i, query in enumerate(refused):
+        axes: Any = figure.add_subplot(ceil(len(refused) / PANELS), PANELS, i + 1)
+        at = np.array(query["at"])
+        over = things[:, 2] - at[2]
+        shown = things[(over > body.max_step) & (over < body.height) & (np.abs(things[:, :2] - at[:2]) < half).all(1)]
+        axes.scatter(*shown[:, :2].T, s=3, c="#999999", linewidths=0)
+        for obstacles in space.obstacles:
+            near = (np.abs(obstacles.points[:, :2] - at[:2]) < half).all(1)
+            colours = np.array(KIND_COLOURS)[obstacles.kind[near]]
+            axes.scatter(*obstacles.points[near, :2].T, s=5, c=colours, linewidths=0)
+        axes.add_patch(Circle((at[0], at[1]), body.cylinder.radius, color="#009E73", alpha=0.3))
+        axes.add_patch(Circle((at[0], at[1]), room, fill=False, ls="--"))
+        axes.set(aspect="equal", xlim=at[0] + [-half, half], ylim=at[1] + [-half, half])
+        axes.set_title(fill(f"{query['status']}: {query['message']}", 56), fontsize=7, parse_math=False)
+        axes.tick_params(labelsize=6)
+    kinds = zip(KIND_COLOURS, ObstacleKind, strict=True)
+    dots = [Line2D([], [], ls="", marker="o", color=colour, label=kind.name.lower()) for colour, kind in kinds]
+    figure.legend(handles=dots, ncols=len(dots), loc="outside lower center")
+    figure.suptitle(f"{row['scene']}, {body.name}: {len(refused)} of {row['solvable']} solvable queries were refused")
     FigureCanvasAgg(figure).print_png(str(path))  # type: ignore[no-untyped-call]
 
 

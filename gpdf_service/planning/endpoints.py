@@ -250,4 +250,4 @@ def _nearest_within(
 
 
 def _at(place: FloatArray) -> str:
-    return "(" + ", ".join(f"{value:.2f}" for value in place) + ")"
+    return "(" + ", ".join(f"{value:z.2f}" for value in place) + ")"

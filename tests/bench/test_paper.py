@@ -2,7 +2,9 @@ import json
 
 import numpy as np
 import pytest
+from matplotlib.image import imread
 
+from gpdf_service.bench.paper_pictures import draw_refused
 from gpdf_service.bench.paper_tables import METHODS, to_markdown
 from gpdf_service.bench.peers import compare
 from gpdf_service.bench.plan import random_places
@@ -109,3 +111,20 @@ def test_a_scene_without_room_fails_and_the_others_are_still_told(tmp_path, caps
     said = capsys.readouterr()
     assert "no place in crawl where the human can stand" in said.err
     assert [row["scene"] for row in json.loads(said.out)] == ["open"]
+
+
+def test_what_was_refused_is_drawn_where_it_was_refused(office, tmp_path):
+    made, scene = office
+    query = {"status": "START_OCCUPIED", "message": "an obstacle is 0.02 m from its centre", "at": [0.1, 2.0, 0.0]}
+    row = {"scene": "office", "agent": "roomba", "noise_m": 0.0, "solvable": 7}
+    free = {**query, "at": [3.0, 2.5, 0.0]}
+    for name, refused in {"one": [query], "free": [free], "seven": [query] * 7}.items():
+        draw_refused(tmp_path / f"{name}.png", scene, made.points, made.ground, {**row, "refused": refused})
+    one, empty, seven = (imread(tmp_path / f"{name}.png")[..., :3] for name in ("one", "free", "seven"))
+    assert seven.shape[0] == 2 * one.shape[0]
+    material = np.array([0xD5, 0x5E, 0x00]) / 255
+    assert material_pixels(one, material) > material_pixels(empty, material)
+
+
+def material_pixels(picture, colour):
+    return (np.abs(picture - colour) < 0.01).all(axis=-1).sum()
