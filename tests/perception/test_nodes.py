@@ -6,7 +6,7 @@ from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import connected_components
 
 from gpdf_service.perception.columns import heights_in_plan
-from gpdf_service.perception.layers import HALF, beside, build_layers, connect, crop_layers
+from gpdf_service.perception.layers import HALF, beside, beside_now, build_layers, connect, crop_layers, splice_layers
 from gpdf_service.perception.nodes import (
     AROUND,
     components,
@@ -17,6 +17,7 @@ from gpdf_service.perception.nodes import (
     joined_to,
     lowest_beside,
     mean_gradients,
+    medians_of,
     nodes_over,
     pairs_within,
     plan_sums,
@@ -86,6 +87,25 @@ def test_pairs_taken_from_all_neighbours_are_those_that_are_looked_for(layers):
         np.testing.assert_array_equal(one, other[label[a] != label[b]])
     for one, other in zip(sloped, connect(layers, keep, 0.2), strict=True):
         np.testing.assert_array_equal(one, other)
+
+
+def test_pairs_of_changed_columns_are_spliced_into_those_of_the_others(layers):
+    rng = np.random.default_rng(6)
+    points = np.column_stack([rng.uniform(0.0, 3.0, (300, 2)), rng.uniform(0.0, 2.0, 300)])
+    other = build_layers(points, layers.cell_width, 0.3, like=layers)
+    cells = rng.random(layers.shape) < 0.3
+    now = splice_layers(layers, cells.ravel(), other)
+    made, expected = beside_now(beside(layers, 0.3), now, 0.3, cells), beside(now, 0.3)
+    assert len(expected.a) > 100
+    for name in ("a", "b", "first"):
+        np.testing.assert_array_equal(getattr(made, name), getattr(expected, name))
+
+
+def test_medians_of_sets_are_the_upper_ones():
+    rng = np.random.default_rng(8)
+    height, start, members = rng.random(30), np.array([0, 1, 3, 30]), rng.permutation(30)
+    found = medians_of(height, start, members, np.array([True, True, False]))
+    np.testing.assert_array_equal(found, [height[members[0]], height[members[1:3]].max(), np.nan])
 
 
 def test_sums_in_plan_and_heights_in_plan_are_those_of_numpy(layers):
