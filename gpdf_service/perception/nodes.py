@@ -14,14 +14,15 @@ AROUND = ((-1, -1), (-1, 0), (-1, 1), (0, -1), (0, 1), (1, -1), (1, 0), (1, 1))
 
 @njit(cache=True, nogil=True)
 def _unite(parent: IntArray, i: int, j: int) -> None:
-    """Make one tree of those of i and j; the lower root stays, and both ways up are halved."""
-    while parent[i] != i:
-        parent[i] = parent[parent[i]]
-        i = parent[i]
-    while parent[j] != j:
-        parent[j] = parent[parent[j]]
-        j = parent[j]
-    parent[max(i, j)] = min(i, j)
+    """Make one tree of those of i and j (Rem): who climbs, from the higher parent, gets the other's lower one."""
+    p, q = parent[i], parent[j]
+    while p != q:
+        if p < q:
+            i, j, p, q = j, i, q, p
+        parent[i] = q
+        if i == p:
+            return
+        i, p = p, parent[p]
 
 
 @njit(cache=True, nogil=True)
@@ -31,7 +32,7 @@ def components(a: IntArray, b: IntArray, among: BoolArray) -> IntArray:
     The pairs (a, b) of which both are `among` join them; any other node is one by itself.
     """
     count = len(among)
-    parent = np.arange(count)
+    parent = np.arange(count).astype(INDEX)
     for e in range(len(a)):
         i, j = a[e], b[e]
         if not (among[i] and among[j]):
@@ -54,7 +55,7 @@ def joined_to(seeds: BoolArray, among: BoolArray, a: IntArray, b: IntArray) -> B
     All seeds are one node, the first: so only pairs with an end that is no seed are looked at.
     """
     kind = seeds.astype(np.uint8)
-    parent = np.arange(len(seeds) + 1)
+    parent = np.arange(len(seeds) + 1).astype(INDEX)
     for i in range(len(seeds)):
         kind[i] += among[i] or seeds[i]
     for e in range(len(a)):
