@@ -263,10 +263,10 @@ def find_ground(
     roomy = layers.headroom >= config.step_headroom
     wide, patch = _patches(core, surface & roomy, a, b)
     size = np.bincount(patch[wide], minlength=patch.max() + 1)
-    large = np.flatnonzero(size >= BULK_SHARE * size.max())
-    height = {i: float(np.median(layers.height[wide & (patch == i)])) for i in large}
+    large = {int(i): patch == i for i in np.flatnonzero(size >= BULK_SHARE * size.max())}
+    height = {i: float(np.median(layers.height[nodes])) for i, nodes in large.items()}
     bulk = min(large, key=height.__getitem__)
-    storeys = [i for i in large if i == bulk or _is_storey(layers, wide & (patch == i), wide & (patch == bulk), config)]
+    storeys = [i for i, nodes in large.items() if i == bulk or _is_storey(layers, nodes, large[bulk], config)]
     joins = _joins(near, config, wide, patch)
     seen = np.zeros(patch.max() + 1, dtype=bool)
     seen[storeys] = True
@@ -280,7 +280,7 @@ def find_ground(
         if not _beside(reached, patch, joins, seen).any():
             break
         ground = reached
-    parts = [wide & (patch == i) for i in storeys]
+    parts = [large[i] for i in storeys]
     slope = _slope(near, reached, config, known and known[1:3])
     level = reached & (slope <= config.standable_slope)
     found: BoolArray = reached & ~_roofs(near, reached, level, parts, (a, b), (joins.a, joins.b), config)

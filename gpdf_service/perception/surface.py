@@ -385,7 +385,7 @@ def _small(holes: BoolArray, distance: FloatArray, cell_width: float) -> BoolArr
     (nx, ny), small, cells = holes.shape, np.zeros(holes.shape, np.bool_), np.empty((GAP_CELLS + 4, 2), np.int64)
     for x in range(nx):
         for y in range(ny):
-            if not holes[x, y] or small[x, y]:
+            if not holes[x, y] or small[x, y] or distance[x, y] > cell_width:
                 continue
             cells[0], count, looked, gap = (x, y), 1, 0, True
             while gap and looked < count:
