@@ -204,6 +204,22 @@ def test_a_change_that_cuts_the_stair_cuts_the_storeys_apart():
     assert gpdf.plan(back, (6.0, 1.0, 0.0), (6.0, 3.0, 3.0)).status is gpdf.Status.OK
 
 
+def test_a_change_that_takes_away_ground_far_from_it_finds_all_of_that():
+    x, y = (axis.ravel() for axis in np.meshgrid(np.arange(-2, 16, 0.05), np.arange(0, 9, 0.05)))
+    terrace = (x > 0.0) & (x < 15.0) & (y > 4.0) & (y < 6.0)
+    ramp = (x > 0.0) & (x < 1.5) & (y >= 3.0) & (y <= 4.0)
+    shown = terrace | ramp | (x <= 0.0) | (y < 3.0) | (y > 7.0)
+    z = np.where(terrace, 0.6, np.where(ramp, 0.6 * (y - 3.0), 0.0))
+    scene = gpdf.build_scene(np.column_stack([x, y - 100.0, z])[shown])
+    far = scene.points[:, 2] == 0.6
+    assert scene.ground[far].all()
+    gone = (scene.points[:, 2] > 0.15) & (scene.points[:, 2] < 0.45)
+    cut = scene.update(remove=gone)
+    assert cut.drift > 0.0
+    assert not cut.ground[far[~gone]].any()
+    assert_equal_scenes(cut, gpdf.build_scene(cut.points))
+
+
 def test_a_scan_beyond_the_map_or_of_much_of_it_is_built_as_a_whole(office):
     scene = gpdf.build_scene(office.points)
     x, y = np.meshgrid(np.arange(6.0, 7.0, 0.05), np.arange(0.0, 1.0, 0.05))

@@ -12,8 +12,9 @@ from numba import njit
 
 from gpdf_service.config import PerceptionConfig
 from gpdf_service.fields.threads import run_chunked
-from gpdf_service.perception.layers import Beside
-from gpdf_service.perception.nodes import components, extents_in_plan, pairs_within
+from gpdf_service.perception.layers import Layers
+from gpdf_service.perception.limits import widened
+from gpdf_service.perception.nodes import components, extents_in_plan, pairs_around
 from gpdf_service.types import BoolArray, FloatArray, IntArray
 
 LEAST_BUMP = 0.02
@@ -26,41 +27,71 @@ LONG = 3.0
 _LINES = ((1, 0), (0, 1), (1, 1), (1, -1))
 
 
-def low_things(near: Beside, ground: BoolArray, config: PerceptionConfig) -> BoolArray:
+def low_things(layers: Layers, ground: BoolArray, raised: FloatArray, config: PerceptionConfig) -> BoolArray:
     """Which nodes of the `ground`, shape (k,), are narrow bumps on it, and not of its own roughness.
 
     Args:
-        near: The nodes and their pairs.
+        layers: The nodes.
         ground: Which are ground.
+        raised: `raised_over_sides`.
         config: Limits.
     """
-    layers = near.layers
-    reach = max(1, int(0.5 * config.standing_width / layers.cell_width))
-    grid = layers.cell, layers.start, layers.shape, layers.height, ground
-    nodes = np.flatnonzero(ground)
-    raised = np.zeros(len(ground))
-    run_chunked(lambda a, b: _raise(nodes[a:b], *grid, reach, config.max_step, raised), len(nodes))
-    bump = raised > LEAST_BUMP
-    a, b = near.slopes(bump, layers.cell_width * float(np.tan(config.steepest)))
-    bump &= raised > ROUGH * _around(np.flatnonzero(bump), *grid, components(a, b, bump), raised, 2 * reach)
-    if not bump.any():
-        return bump
-    low = np.flatnonzero(bump)
-    piece = np.unique(components(a, b, bump)[low], return_inverse=True)[1]
-    length, depth = extents_in_plan(layers.cell[low], layers.shape[1], bump[low], piece, layers.cell_width)
+    grid = layers.cell, layers.start, layers.shape, layers.height
+    slope, found = layers.cell_width * float(np.tan(config.steepest)), raised > LEAST_BUMP
+    nodes = np.flatnonzero(found)
+    around = _around(nodes, *grid, ground, _pieces(nodes, grid, found, slope), raised, 2 * _reach(layers, config))
+    nodes = nodes[raised[nodes] > ROUGH * around]
+    found = np.zeros_like(ground)
+    found[nodes] = True
+    if len(nodes) == 0:
+        return found
+    piece = _pieces(nodes, grid, found, slope)
+    length, depth = extents_in_plan(layers.cell[nodes], layers.shape[1], found[nodes], piece, layers.cell_width)
     stays = (length >= config.standing_width) & (length >= LONG * depth)
-    stays[piece[np.searchsorted(low, _below_ground(near, bump, ground, config.max_step))]] = True
-    bump[low] = ~stays[piece]
-    return bump
-
-
-def _below_ground(near: Beside, bump: BoolArray, ground: BoolArray, max_step: float) -> IntArray:
-    """Nodes of the bumps that a step joins to ground which is higher and no bump."""
-    a, b = pairs_within(*near.steps(ground, max_step), bump, False)
-    a, b = np.concatenate([a, b]), np.concatenate([b, a])
-    height = near.layers.height
-    found: IntArray = a[bump[a] & ~bump[b] & (height[b] - height[a] > LEAST_BUMP)]
+    a, b = pairs_around(nodes, *grid, ground & ~found, 0.0, config.max_step)
+    stays[piece[a[layers.height[b] - layers.height[nodes[a]] > LEAST_BUMP]]] = True
+    found[nodes[stays[piece]]] = False
     return found
+
+
+def raised_over_sides(
+    layers: Layers, ground: BoolArray, config: PerceptionConfig, known: tuple[BoolArray, FloatArray] | None = None
+) -> FloatArray:
+    """How much higher each node of the `ground` is than the ground to both sides of it [m], shape (k,).
+
+    What was found of another `ground` is `known`, NaN for nodes that were none: it is as it was where no ground within
+    the reach of a foot is another.
+    """
+    reach = _reach(layers, config)
+    raised, asked = np.zeros(len(ground)), ground
+    if known is not None:
+        before, old = known
+        felt = cells_around(layers, (before != ground) | np.isnan(old), reach).ravel()[layers.cell]
+        raised, asked = np.where(felt, 0.0, old), ground & felt
+    nodes, grid = np.flatnonzero(asked), (layers.cell, layers.start, layers.shape, layers.height, ground)
+    run_chunked(lambda a, b: _raise(nodes[a:b], *grid, reach, config.max_step, raised), len(nodes))
+    return raised
+
+
+def cells_around(layers: Layers, nodes: BoolArray, by: int) -> BoolArray:
+    """Cells within `by` cells of those of the nodes, shape (nx, ny)."""
+    cells = np.zeros(layers.shape, dtype=bool)
+    cells.ravel()[layers.cell[nodes]] = True
+    return widened(cells, by)
+
+
+def _reach(layers: Layers, config: PerceptionConfig) -> int:
+    """Cells to either side that are as wide as half a person."""
+    return max(1, int(0.5 * config.standing_width / layers.cell_width))
+
+
+def _pieces(
+    nodes: IntArray, grid: tuple[IntArray, IntArray, tuple[int, int], FloatArray], found: BoolArray, slope: float
+) -> IntArray:
+    """Connected piece of each of the `nodes`, shape (m,), which are all that are `found`, shape (k,)."""
+    a, b = pairs_around(nodes, *grid, found, slope, 0.0)
+    pieces: IntArray = components(a, np.searchsorted(nodes, b), found[nodes])
+    return pieces
 
 
 @njit(cache=True, nogil=True)
@@ -123,17 +154,18 @@ def _around(
     raised: FloatArray,
     reach: int,
 ) -> FloatArray:
-    """Upper quartile of what the ground is `raised` at and around the piece of each of the `nodes` [m], shape (k,)."""
-    box = np.empty((len(cell), 4), np.int64)
-    for i in nodes:
-        box[piece[i]] = shape[0], -1, shape[1], -1
-    for i in nodes:
-        x, y, own = cell[i] // shape[1], cell[i] % shape[1], box[piece[i]]
+    """Upper quartile of what the ground is `raised` at and around the piece of each of the `nodes` [m], shape (m,)."""
+    box = np.empty((len(nodes), 4), np.int64)
+    for n in range(len(nodes)):
+        box[n] = shape[0], -1, shape[1], -1
+    for n in range(len(nodes)):
+        i = nodes[n]
+        x, y, own = cell[i] // shape[1], cell[i] % shape[1], box[piece[n]]
         own[0], own[1], own[2], own[3] = min(own[0], x), max(own[1], x), min(own[2], y), max(own[3], y)
-    made, done = np.zeros(len(cell)), np.full(len(cell), -1.0)
-    for i in nodes:
-        own = box[piece[i]]
-        if done[piece[i]] < 0.0:
+    made, done = np.zeros(len(nodes)), np.full(len(nodes), -1.0)
+    for n in range(len(nodes)):
+        i, own = nodes[n], box[piece[n]]
+        if done[piece[n]] < 0.0:
             values = []
             for x in range(max(0, own[0] - reach), min(shape[0], own[1] + reach + 1)):
                 for y in range(max(0, own[2] - reach), min(shape[1], own[3] + reach + 1)):
@@ -141,6 +173,6 @@ def _around(
                     j = _nearest(start[there], start[there + 1], height, ground, height[i], np.inf)
                     if j >= 0:
                         values.append(raised[j])
-            done[piece[i]] = np.quantile(np.array(values), 0.75)
-        made[i] = done[piece[i]]
+            done[piece[n]] = np.quantile(np.array(values), 0.75)
+        made[n] = done[piece[n]]
     return made

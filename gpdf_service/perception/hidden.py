@@ -7,10 +7,19 @@ from numba import njit
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from gpdf_service.perception.columns import extent_in
-from gpdf_service.perception.surface import CEILING, INFERRED, MAX_HOLE_RADIUS, OBSERVED, UNKNOWN, HeightMap
+from gpdf_service.perception.surface import (
+    CEILING,
+    INFERRED,
+    MAX_HOLE_RADIUS,
+    OBSERVED,
+    UNKNOWN,
+    HeightMap,
+    extent_within,
+)
 from gpdf_service.types import BoolArray, FloatArray, IntArray
 
+FACE_REACH = 2
+"""Cells within which the ground decides on a face."""
 _BESIDE = np.array([[0, 1, 0], [1, 0, 1], [0, 1, 0]], dtype=bool)
 """The four neighbours of a cell, without itself."""
 
@@ -31,8 +40,7 @@ def without_hidden(surface: HeightMap, lowest: FloatArray, face: BoolArray) -> H
     beside = ndimage.maximum_filter(np.where(surface.state != UNKNOWN, surface.height, -np.inf), size=3)
     top = np.isfinite(lowest) & (lowest < beside + CEILING)
     clear = ((surface.state == OBSERVED) | top) & ~face
-    room: FloatArray = ndimage.distance_transform_edt(~clear)
-    front: FloatArray = ndimage.distance_transform_edt(~face) if face.any() else np.full(face.shape, np.inf)
+    room, front = _distance(clear), _distance(face)
     shown = (room > 1.0) & (room <= MAX_HOLE_RADIUS / surface.cell_width) & (front <= room + 1.0)
     wide = ndimage.binary_dilation((surface.state != OBSERVED) & ~face, _BESIDE)
     asked = (surface.state == INFERRED) & wide
@@ -41,6 +49,12 @@ def without_hidden(surface: HeightMap, lowest: FloatArray, face: BoolArray) -> H
     return HeightMap(
         surface.origin, surface.cell_width, height, np.where(hidden, UNKNOWN, surface.state).astype(np.uint8)
     )
+
+
+def _distance(cells: BoolArray) -> FloatArray:
+    """To the nearest of the cells [cells], shape (nx, ny), inf where there is none."""
+    found: FloatArray = ndimage.distance_transform_edt(~cells) if cells.any() else np.full(cells.shape, np.inf)
+    return found
 
 
 def find_faces(surface: HeightMap, cell: IntArray, z: FloatArray, headroom: float) -> BoolArray:
@@ -56,10 +70,15 @@ def find_faces(surface: HeightMap, cell: IntArray, z: FloatArray, headroom: floa
         headroom: [m].
     """
     known = surface.state != UNKNOWN
-    beside = ndimage.maximum_filter(np.where(known, surface.height, -np.inf), size=5).astype(np.float64).ravel()
-    low, high = extent_in(cell, z, beside, beside + 2.0 * headroom)
+    beside = ndimage.maximum_filter(np.where(known, surface.height, -np.inf), size=2 * FACE_REACH + 1).astype(float)
+    low, high = extent_within(cell, z, beside, beside + 2.0 * headroom)
     face: BoolArray = (low <= beside + headroom) & (high > beside + headroom) & (high - low >= headroom)
-    return face.reshape(known.shape)
+    return face
+
+
+def hidden_reach(surface: HeightMap) -> int:
+    """Cells within which it is decided whether a thing may stand there: a disc's radius, its room, and its face."""
+    return 2 * int(np.ceil(MAX_HOLE_RADIUS / surface.cell_width)) + 3
 
 
 @njit(cache=True, nogil=True)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -20,10 +20,12 @@ from gpdf_service.perception.columns import (
     count_nodes,
     cut_columns,
     kth_beside,
+    numbers_now,
     pairs_among,
     pairs_beside,
     pairs_near,
     spliced,
+    spliced_pairs,
 )
 from gpdf_service.types import BoolArray, FloatArray, IntArray
 
@@ -206,18 +208,35 @@ class Beside:
         """Pairs of nodes to keep with at most `rise` [m] a cell between them."""
         return self._within(keep, rise * _APART)
 
-    def steps(self, keep: BoolArray, rise: float) -> Pairs:
-        """Pairs of nodes to keep with at most `rise` [m] between them."""
-        return self._within(keep, np.full(len(HALF), rise))
+    def steps(self, keep: BoolArray, rise: float, label: IntArray | None = None) -> Pairs:
+        """Pairs of nodes to keep with at most `rise` [m] between them, and another `label` each if they have one."""
+        return self._within(keep, np.full(len(HALF), rise), label)
 
-    def _within(self, keep: BoolArray, most: FloatArray) -> Pairs:
-        found: Pairs = pairs_among(self.a, self.b, self.first, self.layers.height, keep, most)
+    def lasting(self) -> Beside:
+        """The same without the points."""
+        return replace(self, layers=replace(self.layers, node_of_point=np.zeros(0, np.int64)))
+
+    def _within(self, keep: BoolArray, most: FloatArray, label: IntArray | None = None) -> Pairs:
+        found: Pairs = pairs_among(self.a, self.b, self.first, self.layers.height, keep, most, label)
         return found
 
 
 def beside(layers: Layers, rise: float) -> Beside:
     """All pairs with at most `rise` [m] between them."""
-    return Beside(layers, *pairs_beside(layers.start, layers.shape, layers.height, rise, HALF))
+    return Beside(layers, *_pairs_at(layers, rise, np.ones(layers.shape, dtype=bool)))
+
+
+def beside_now(near: Beside, layers: Layers, rise: float, cells: BoolArray) -> Beside:
+    """`beside` of `layers` that are those of `near` but for the columns `cells`, shape (nx, ny)."""
+    number = numbers_now(cells.ravel(), near.layers.start, layers.start)
+    return Beside(layers, *spliced_pairs((near.a, near.b, near.first), _pairs_at(layers, rise, cells), number))
+
+
+def _pairs_at(layers: Layers, rise: float, cells: BoolArray) -> tuple[IntArray, IntArray, IntArray]:
+    found: tuple[IntArray, IntArray, IntArray] = pairs_beside(
+        layers.start, layers.shape, layers.height, rise, HALF, cells.ravel()
+    )
+    return found
 
 
 def connect(layers: Layers, keep: BoolArray, rise: float) -> Pairs:

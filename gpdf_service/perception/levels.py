@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 from math import ceil
 
 import numpy as np
@@ -15,33 +16,45 @@ from gpdf_service.errors import NoGroundError
 from gpdf_service.fields.threads import run_chunked
 from gpdf_service.perception.columns import (
     by_cell,
-    cells_of,
     chosen_rows,
     ends_of_runs,
-    extent_in,
     heights_in_plan,
     lowest_above,
     rows_in_cells,
 )
-from gpdf_service.perception.hidden import find_faces, without_hidden
+from gpdf_service.perception.hidden import FACE_REACH, find_faces, hidden_reach, without_hidden
 from gpdf_service.perception.layers import Beside, Layers, beside, build_layers, cell_width_of, layer_gap
-from gpdf_service.perception.limits import GroundLimits, Measured, find_limits, neighbourhood, smoothed, step_and_slope
-from gpdf_service.perception.nodes import components, degrees, grown_sheet, pairs_across
+from gpdf_service.perception.limits import (
+    GroundLimits,
+    Measured,
+    find_limits,
+    neighbourhood,
+    pasted,
+    pasted_ground,
+    smoothed,
+    step_and_slope,
+    window,
+)
+from gpdf_service.perception.nodes import components, degrees, grown_sheet
 from gpdf_service.perception.segment import LEAST_SCATTER, over_ground
 from gpdf_service.perception.smooth import smooth, to_centres
 from gpdf_service.perception.strays import find_strays
 from gpdf_service.perception.surface import (
     NOTCH_DEPTH,
+    NOWHERE,
     OBSERVED,
     UNKNOWN,
     WHOLE,
     Box,
     HeightMap,
     Nearest,
+    cells_within,
+    changed,
+    cropped,
+    extent_within,
     fill_holes,
     find_voids,
     nearest_seen,
-    spread,
     without_enclosed,
 )
 from gpdf_service.types import BoolArray, FloatArray, IntArray
@@ -110,18 +123,50 @@ Voids = tuple[BoolArray, BoolArray, BoolArray]
 
 
 @dataclass(frozen=True, slots=True)
+class Completion:
+    """How the ground of a level was completed, see `complete`.
+
+    Attributes:
+        lowest: Of the other points in each cell [m], inf where there is none, shape (nx, ny).
+        filled: After `fill_holes`.
+        shut: Cells with material under the lowest body's headroom, shape (nx, ny).
+        stair: Cells of stairs, shape (nx, ny).
+        guarded: Cells in which material guards an edge by itself, shape (nx, ny).
+        opened: After `without_enclosed`.
+        face: Cells in which material goes up from the ground, shape (nx, ny).
+    """
+
+    lowest: FloatArray
+    filled: HeightMap
+    shut: BoolArray
+    stair: BoolArray
+    guarded: BoolArray
+    opened: HeightMap
+    face: BoolArray
+
+
+@dataclass(frozen=True, slots=True)
 class Survey:
     """What levels were made of, kept for the next version of a scene.
 
     Attributes:
-        layers: Of the ground points.
+        near: Layers of the ground points, and pairs of their nodes.
         stray: Which points of the cloud count for nothing, shape (n,).
+        sheets: Which nodes are of each level, shape (k,).
         voids: One a level.
+        completions: One a level.
     """
 
-    layers: Layers
+    near: Beside
     stray: BoolArray
+    sheets: tuple[BoolArray, ...]
     voids: tuple[Voids, ...]
+    completions: tuple[Completion, ...]
+
+    @property
+    def layers(self) -> Layers:
+        """Of the ground points."""
+        return self.near.layers
 
 
 def build_levels(points: FloatArray, ground: BoolArray, config: PerceptionConfig) -> Levels:
@@ -154,21 +199,19 @@ def survey_levels(
         points, ground = chosen_rows(points, ~stray), ground[~stray]
     floor = chosen_rows(points, ground)
     layers = build_layers(floor, width, layer_gap(width, config))
-    sheets = split_sheets(layers, config)
+    near = beside(layers, rise_of_sheets(layers, config))
+    sheets = split_sheets(near, config)
     made = [_build_level(points, ground, floor, layers, sheet, config, noise) for sheet in sheets]
-    levels = Levels(tuple(level for level, _ in made), find_portals(layers, sheets))
-    return levels, Survey(layers, stray, tuple(voids for _, voids in made))
+    levels, voids, completions = zip(*made, strict=True)
+    return Levels(levels, find_portals(layers, sheets)), Survey(near, stray, sheets, voids, completions)
 
 
-def find_portals(layers: Layers, sheets: list[IntArray]) -> tuple[Portal, ...]:
+def find_portals(layers: Layers, sheets: tuple[BoolArray, ...]) -> tuple[Portal, ...]:
     """Where sheets are the same ground."""
     portals = []
-    inside = np.zeros((len(sheets), len(layers.cell)), dtype=bool)
-    for a, sheet in enumerate(sheets):
-        inside[a, sheet] = True
     for a in range(len(sheets)):
         for b in range(a + 1, len(sheets)):
-            both = sheets[b][inside[a, sheets[b]]]
+            both = np.flatnonzero(sheets[a] & sheets[b])
             if len(both):
                 flat = np.column_stack(np.divmod(layers.cell[both], layers.shape[1]))
                 centres = layers.origin + (flat + 0.5) * layers.cell_width
@@ -193,19 +236,19 @@ def count_undecided(level: GroundLevel, noise: float = 0.0) -> int:
     return int(np.count_nonzero(off <= 2.0 * max(LEAST_SCATTER, 3.0 * noise)))
 
 
-def split_sheets(layers: Layers, config: PerceptionConfig) -> list[IntArray]:
-    """Nodes of each sheet: no sheet has two nodes in one cell; sheets overlap by `OVERLAP` where they meet.
+def split_sheets(near: Beside, config: PerceptionConfig) -> tuple[BoolArray, ...]:
+    """Which nodes are of each sheet: no sheet has two nodes in one cell; sheets overlap by `OVERLAP` where they meet.
 
     The lowest comes first, by the median of its heights.
     """
+    layers = near.layers
     count = len(layers.cell)
-    near = beside(layers, max(config.max_step, np.sqrt(2.0) * layers.cell_width))
     keep = ~_under_step(near, config.max_step)
     keep &= ~over_ground(layers, keep, config.step_headroom)
     if (np.diff(layers.cell[keep]) > 0).all():
-        return [np.flatnonzero(keep)]
+        return (keep,)
     smooth = components(*near.slopes(keep, layers.cell_width), keep)
-    a, b = pairs_across(*near.steps(keep, config.max_step), smooth)
+    a, b = near.steps(keep, config.max_step, smooth)
     sheet_of = np.full(count, -1)
     size = np.bincount(smooth, weights=keep)
     order = np.argsort(-size)
@@ -223,7 +266,12 @@ def split_sheets(layers: Layers, config: PerceptionConfig) -> list[IntArray]:
     made = [np.flatnonzero(sheet_of == i) for i in range(sheets)]
     grid, rings = (layers.cell, layers.start, layers.shape, layers.height), int(np.ceil(OVERLAP / layers.cell_width))
     large = sorted((n for n in made if len(n) >= least), key=lambda nodes: float(np.median(layers.height[nodes])))
-    return [np.flatnonzero(grown_sheet(*grid, keep, nodes, config.max_step, rings)) for nodes in large]
+    return tuple(grown_sheet(*grid, keep, nodes, config.max_step, rings) for nodes in large)
+
+
+def rise_of_sheets(layers: Layers, config: PerceptionConfig) -> float:
+    """Between the nodes of pairs that `split_sheets` asks for, at most: a step, or a cell's diagonal [m]."""
+    return max(config.max_step, float(np.sqrt(2.0)) * layers.cell_width)
 
 
 def _under_step(near: Beside, max_step: float) -> BoolArray:
@@ -276,33 +324,36 @@ def _build_level(
     ground: BoolArray,
     floor: FloatArray,
     layers: Layers,
-    nodes: IntArray,
+    inside: BoolArray,
     config: PerceptionConfig,
     noise: float,
-) -> tuple[GroundLevel, Voids]:
+) -> tuple[GroundLevel, Voids, Completion]:
     """The sheet of these nodes, of the layers of the `floor`: those of the points that are ground."""
-    seen = sheet_surface(layers, nodes, noise)
-    inside = np.zeros(len(layers.cell), dtype=bool)
-    inside[nodes] = True
+    seen = sheet_surface(layers, np.flatnonzero(inside), noise)
     mine = ground.copy()
     mine[ground] = inside[layers.node_of_point]
     rest = chosen_rows(points, ~mine)
     other = within_reach(rest, seen)
     near = nearest_seen(seen)
     voids = find_voids(seen, rest, config.max_step, near)
-    surface, material = complete(seen, other, voids, config, near)
+    surface, completion = complete(seen, other, voids, config, near)
     measured = step_and_slope(surface)
-    limits = find_limits(surface, material, measured)
+    limits = find_limits(surface, completion.guarded, measured)
     ledge = find_ledges(surface, floor, other, noise)
-    return make_level(surface, other, ledge, limits, measured), voids
+    return make_level(surface, other, ledge, limits, measured), voids, completion
 
 
-def sheet_surface(layers: Layers, nodes: IntArray, noise: float = 0.0) -> HeightMap:
-    """The ground of a sheet as it was seen, at the centres of its cells; the `noise` is that before the cure [m]."""
-    grid = layers.origin, layers.cell_width, layers.shape
+def sheet_surface(layers: Layers, nodes: IntArray, noise: float = 0.0, box: Box | None = None) -> HeightMap:
+    """The ground of a sheet as it was seen, at the centres of its cells; the `noise` is that before the cure [m].
+
+    Of a `box` of cells, which is right but for those at its rim.
+    """
+    first, last = ((0, 0), layers.shape) if box is None else ((s.start for s in box), (s.stop for s in box))
+    (x, y), (u, v) = first, last
+    grid = layers.origin, layers.cell_width, layers.shape[1], (x, y), (u - x, v - y)
     height, off = heights_in_plan(layers.cell, nodes, layers.height, layers.place, *grid)
     state = np.where(np.isnan(height), UNKNOWN, OBSERVED).astype(np.uint8)
-    seen = HeightMap(layers.origin, layers.cell_width, height, state)
+    seen = HeightMap(layers.origin + layers.cell_width * np.array([x, y]), layers.cell_width, height, state)
     surface = without_outliers(seen, RESOLVED_STEP * noise)
     if surface is not seen:
         off[surface.height != height] = 0.0  # a median's place is the middle of its cells
@@ -328,25 +379,77 @@ def without_outliers(surface: HeightMap, most: float) -> HeightMap:
 
 def complete(
     seen: HeightMap, other: FloatArray, voids: Voids, config: PerceptionConfig, near: Nearest | None = None
-) -> tuple[HeightMap, BoolArray]:
-    """The ground with what its surroundings and the `other` points (m, 3) explain, and where material is on it.
+) -> tuple[HeightMap, Completion]:
+    """The ground with what its surroundings and the `other` points (m, 3) explain, and what that was made of.
 
     The others must lie on the grid; `near` is `nearest_seen`, where that is known.
     """
     cell, z, lowest = in_cells(other, seen)
-    surface = fill_holes(seen, lowest, *voids, near=near)
-    shut, stair, guarded = guard_edges(surface, lowest, cell, z, config.min_headroom)
-    surface = without_enclosed(surface, shut)
-    front = find_faces(surface, cell, z, config.min_headroom) & ~stair  # a flight's treads were seen up to its walls
-    return without_hidden(surface, lowest, front), guarded
+    filled = fill_holes(seen, lowest, *voids, near=near)
+    shut, stair, guarded = guard_edges(filled, lowest, cell, z, config.min_headroom)
+    opened = without_enclosed(filled, shut)
+    face = find_faces(opened, cell, z, config.min_headroom) & ~stair  # a flight's treads were seen up to its walls
+    return without_hidden(opened, lowest, face), Completion(lowest, filled, shut, stair, guarded, opened, face)
 
 
-def in_cells(other: FloatArray, surface: HeightMap) -> tuple[IntArray, FloatArray, FloatArray]:
-    """Flat cell and height [m] of each of the `other` points (m, 3), and the lowest of each cell [m], (nx, ny)."""
-    shape, z = surface.state.shape, np.ascontiguousarray(other[:, 2])
-    cell = cells_of(other, np.asarray(surface.origin), surface.cell_width, (shape[0], shape[1]))
-    ends = np.full(surface.state.size, np.inf)
-    return cell, z, extent_in(cell, z, -ends, ends)[0].reshape(shape)
+def complete_again(
+    surface: HeightMap,
+    was: Completion,
+    seen: HeightMap,
+    held: Callable[[Box], FloatArray],
+    voids: Voids,
+    swapped: BoolArray,
+    config: PerceptionConfig,
+) -> tuple[HeightMap, Completion]:
+    """`complete` of ground that was another, or that had others in the cells `swapped`, shape (nx, ny).
+
+    Holes are filled anew in the whole level. What edges, faces and things that may stand behind them make of a cell
+    is decided by what is within a known reach of it, so it is looked at again only that far around what differs.
+
+    Args:
+        surface: What was made of it before.
+        was: How.
+        seen: `complete`.
+        held: The other points in a box of cells.
+        voids: `complete`.
+        swapped: Cells that hold other points than before.
+        config: Limits.
+    """
+    box, lowest, headroom = window(swapped, 0) if swapped.any() else NOWHERE, was.lowest.copy(), config.min_headroom
+    lowest[box] = in_cells(held(box), seen, box)[2]
+    filled = fill_holes(seen, lowest, *voids)
+    other = swapped | changed(was.filled, filled)
+    if not other.any():
+        return surface, replace(was, lowest=lowest)
+    reach = notch_reach(seen)
+    inner, outer = window(other, reach), window(other, 2 * reach)
+    cell, z, _ = in_cells(held(outer), seen, outer)
+    edges = guard_edges(cropped(filled, outer), lowest[outer], cell, z, headroom)
+    shut, stair, guarded = (
+        pasted(old, new, inner, outer) for old, new in zip((was.shut, was.stair, was.guarded), edges, strict=True)
+    )
+    opened = without_enclosed(filled, shut)
+    other |= changed(was.opened, opened) | (stair != was.stair)
+    inner, outer = window(other, FACE_REACH), window(other, 2 * FACE_REACH)
+    cell, z, _ = in_cells(held(outer), seen, outer)
+    face = pasted(was.face, find_faces(cropped(opened, outer), cell, z, headroom) & ~stair[outer], inner, outer)
+    other |= face != was.face
+    inner, outer = window(other, hidden_reach(seen)), window(other, 2 * hidden_reach(seen))
+    part = without_hidden(cropped(opened, outer), lowest[outer], face[outer])
+    made = Completion(lowest, filled, shut, stair, guarded, opened, face)
+    return pasted_ground(surface, part, inner, outer), made
+
+
+def in_cells(other: FloatArray, surface: HeightMap, box: Box = WHOLE) -> tuple[IntArray, FloatArray, FloatArray]:
+    """Flat cell in a box and height [m] of each of the `other` points (m, 3), and the lowest of each cell [m]."""
+    cell, z = cells_within(other, surface, box), np.ascontiguousarray(other[:, 2])
+    ends = np.full(surface.state[box].shape, np.inf)
+    return cell, z, extent_within(cell, z, -ends, ends)[0]
+
+
+def notch_reach(surface: HeightMap) -> int:
+    """Cells within which the ground decides what guards an edge."""
+    return int(np.ceil(NOTCH_DEPTH / surface.cell_width))
 
 
 def guard_edges(
@@ -364,14 +467,13 @@ def guard_edges(
         z: Its height [m], shape (m,).
         headroom: Of the lowest body [m].
     """
-    known, reach = surface.state != UNKNOWN, 2 * int(np.ceil(NOTCH_DEPTH / surface.cell_width)) + 1
+    known, reach = surface.state != UNKNOWN, 2 * notch_reach(surface) + 1
     high, low = np.where(known, surface.height, -np.inf), np.where(known, surface.height, np.inf)
     beside, foot = ndimage.maximum_filter(high, size=3) + headroom, ndimage.minimum_filter(low, size=reach)
     shut, stair = lowest <= beside, ndimage.maximum_filter(high, size=reach) - foot > 2.0 * surface.cell_width
 
     def between(low: NDArray[np.floating], high: NDArray[np.floating]) -> BoolArray:
-        ends = extent_in(cell, z, *(end.ravel().astype(np.float64) for end in (low, high)))
-        return np.isfinite(ends[0]).reshape(known.shape)
+        return np.isfinite(extent_within(cell, z, low.astype(np.float64), high.astype(np.float64))[0])
 
     guard = (shut & stair) | between(foot + LEAST_OBSTACLE, beside)
     return shut & between(foot - LEAST_OBSTACLE, beside), stair, guard
@@ -494,16 +596,15 @@ def within_reach(points: FloatArray, surface: HeightMap, box: Box = WHOLE) -> Fl
 
     The `box` of cells holds all points, and `OVERLAP` around them.
     """
-    low, high = lowest_and_highest(surface, box)
-    ix, iy, inside = surface.cells(points)
-    z = points[:, 2]
-    return chosen_rows(points, inside & (z >= low[ix, iy] - surface.cell_width) & (z <= high[ix, iy] + TALLEST))
+    low, high = (np.append(part, part.dtype.type(np.nan)) for part in lowest_and_highest(surface, box))
+    cell, z = cells_within(points, surface, box), points[:, 2]
+    return chosen_rows(points, (z >= low[cell] - surface.cell_width) & (z <= high[cell] + TALLEST))
 
 
 def lowest_and_highest(surface: HeightMap, box: Box = WHOLE) -> tuple[FloatArray, FloatArray]:
     """Height of the lowest and of the highest known ground within `OVERLAP` [m], shape (nx, ny), in a box of cells."""
-    size, shape = 2 * int(np.ceil(OVERLAP / surface.cell_width)) + 1, surface.state.shape
+    size = 2 * int(np.ceil(OVERLAP / surface.cell_width)) + 1
     known, height = surface.state[box] != UNKNOWN, surface.height[box]
     low = ndimage.minimum_filter(np.where(known, height, np.inf), size=size)
     high = ndimage.maximum_filter(np.where(known, height, -np.inf), size=size)
-    return spread(low, box, shape, np.inf), spread(high, box, shape, -np.inf)
+    return low, high

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from gpdf_service.fields.threads import run_chunked
-from gpdf_service.perception.surface import UNKNOWN, HeightMap
+from gpdf_service.perception.surface import UNKNOWN, Box, HeightMap, Scalar
 from gpdf_service.types import BoolArray, FloatArray
 
 FOOT = 0.1
@@ -86,18 +86,47 @@ def change_step_and_slope(surface: HeightMap, changed: BoolArray, step: FloatArr
     reach = limits_reach(surface)
     inner, outer = window(changed, reach), window(changed, 2 * reach)
     part = HeightMap(surface.origin, surface.cell_width, surface.height[outer], surface.state[outer])
-    within = tuple(slice(i.start - o.start, i.stop - o.start) for i, o in zip(inner, outer, strict=True))
-    now = step.copy(), slope.copy()
-    for whole, made in zip(now, step_and_slope(part), strict=True):
-        whole[inner] = made[within]
-    return now
+    steps, slopes = step_and_slope(part)
+    return pasted(step, steps, inner, outer), pasted(slope, slopes, inner, outer)
 
 
-def window(cells: BoolArray, by: int) -> tuple[slice, slice]:
+def pasted(whole: NDArray[Scalar], part: NDArray[Scalar], inner: Box, outer: Box) -> NDArray[Scalar]:
+    """A grid with the cells of the `inner` box from a `part` of it, which is that of the `outer` box."""
+    made = whole.copy()
+    made[inner] = part[tuple(slice(i.start - o.start, i.stop - o.start) for i, o in zip(inner, outer, strict=True))]
+    return made
+
+
+def pasted_ground(whole: HeightMap, part: HeightMap, inner: Box, outer: Box) -> HeightMap:
+    """`pasted` of a height map."""
+    height, state = pasted(whole.height, part.height, inner, outer), pasted(whole.state, part.state, inner, outer)
+    return HeightMap(whole.origin, whole.cell_width, height, state)
+
+
+def window(cells: BoolArray, by: int) -> Box:
     """The rows and columns that hold all `cells`, shape (nx, ny), and `by` cells more on each side."""
-    spans = (np.flatnonzero(cells.any(axis=axis)) for axis in (1, 0))
-    x, y = (slice(max(int(s[0]) - by, 0), min(int(s[-1]) + 1 + by, n)) for s, n in zip(spans, cells.shape, strict=True))
-    return x, y
+    left, right, near, far = _span(cells)
+    nx, ny = cells.shape
+    return slice(max(left - by, 0), min(right + by, nx)), slice(max(near - by, 0), min(far + by, ny))
+
+
+@njit(cache=True, nogil=True)
+def _span(cells: BoolArray) -> tuple[int, int, int, int]:
+    """First row and behind the last, first column and behind the last of the cells."""
+    left, right, near, far = cells.shape[0], 0, cells.shape[1], 0
+    for x in range(cells.shape[0]):
+        row = cells[x]
+        first = 0
+        while first < len(row) and not row[first]:
+            first += 1
+        if first == len(row):
+            continue
+        last = len(row)
+        while not row[last - 1]:
+            last -= 1
+        left, right = min(left, x), x + 1
+        near, far = min(near, first), max(far, last)
+    return left, right, near, far
 
 
 def widened(cells: BoolArray, by: int) -> BoolArray:

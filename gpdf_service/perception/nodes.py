@@ -14,14 +14,15 @@ AROUND = ((-1, -1), (-1, 0), (-1, 1), (0, -1), (0, 1), (1, -1), (1, 0), (1, 1))
 
 @njit(cache=True, nogil=True)
 def _unite(parent: IntArray, i: int, j: int) -> None:
-    """Make one tree of those of i and j; the lower root stays, and both ways up are halved."""
-    while parent[i] != i:
-        parent[i] = parent[parent[i]]
-        i = parent[i]
-    while parent[j] != j:
-        parent[j] = parent[parent[j]]
-        j = parent[j]
-    parent[max(i, j)] = min(i, j)
+    """Make one tree of those of i and j (Rem): who climbs, from the higher parent, gets the other's lower one."""
+    p, q = parent[i], parent[j]
+    while p != q:
+        if p < q:
+            i, j, p, q = j, i, q, p
+        parent[i] = q
+        if i == p:
+            return
+        i, p = p, parent[p]
 
 
 @njit(cache=True, nogil=True)
@@ -31,7 +32,7 @@ def components(a: IntArray, b: IntArray, among: BoolArray) -> IntArray:
     The pairs (a, b) of which both are `among` join them; any other node is one by itself.
     """
     count = len(among)
-    parent = np.arange(count)
+    parent = np.arange(count).astype(INDEX)
     for e in range(len(a)):
         i, j = a[e], b[e]
         if not (among[i] and among[j]):
@@ -54,7 +55,7 @@ def joined_to(seeds: BoolArray, among: BoolArray, a: IntArray, b: IntArray) -> B
     All seeds are one node, the first: so only pairs with an end that is no seed are looked at.
     """
     kind = seeds.astype(np.uint8)
-    parent = np.arange(len(seeds) + 1)
+    parent = np.arange(len(seeds) + 1).astype(INDEX)
     for i in range(len(seeds)):
         kind[i] += among[i] or seeds[i]
     for e in range(len(a)):
@@ -81,13 +82,30 @@ def pairs_within(a: IntArray, b: IntArray, among: BoolArray, both: bool) -> tupl
 
 
 @njit(cache=True, nogil=True)
-def pairs_across(a: IntArray, b: IntArray, label: IntArray) -> tuple[IntArray, IntArray]:
-    """The pairs whose nodes have another `label` each."""
-    one, other, used = np.empty(len(a) + 1, INDEX), np.empty(len(a) + 1, INDEX), 0
-    for e in range(len(a)):
-        one[used], other[used] = a[e], b[e]
-        used += int(label[a[e]] != label[b[e]])
-    return one[:used].copy(), other[:used].copy()
+def pairs_around(
+    nodes: IntArray,
+    cell: IntArray,
+    start: IntArray,
+    shape: tuple[int, int],
+    height: FloatArray,
+    keep: BoolArray,
+    slope: float,
+    step: float,
+) -> tuple[IntArray, IntArray]:
+    """Pairs of a row of `nodes` and a kept node in a cell around its own, within `slope` a cell and a `step` [m]."""
+    one, other = [0 for _ in range(0)], [0 for _ in range(0)]
+    for n in range(len(nodes)):
+        i = nodes[n]
+        x, y = cell[i] // shape[1], cell[i] % shape[1]
+        for dx, dy in AROUND:
+            if not (0 <= x + dx < shape[0] and 0 <= y + dy < shape[1]):
+                continue
+            there = (x + dx) * shape[1] + y + dy
+            for j in range(start[there], start[there + 1]):
+                if keep[j] and abs(height[i] - height[j]) <= slope * np.hypot(dx, dy) + step:
+                    one.append(n)
+                    other.append(j)
+    return np.array(one, np.int64), np.array(other, np.int64)
 
 
 @njit(cache=True, nogil=True)
@@ -123,6 +141,17 @@ def extents_in_plan(
 
 
 @njit(cache=True, nogil=True)
+def medians_of(height: FloatArray, start: IntArray, members: IntArray, asked: BoolArray) -> FloatArray:
+    """Upper median of the heights of the members of each set that is `asked` for, NaN of the others."""
+    made = np.full(len(asked), np.nan)
+    for i in range(len(asked)):
+        if asked[i]:
+            count = start[i + 1] - start[i]
+            made[i] = np.partition(height[members[start[i] : start[i + 1]]], count // 2)[count // 2]
+    return made
+
+
+@njit(cache=True, nogil=True)
 def degrees(a: IntArray, b: IntArray, count: int) -> IntArray:
     """How many of the pairs (a, b) each of `count` nodes is in."""
     degree = np.zeros(count, np.int64)
@@ -139,7 +168,7 @@ def add_rims(a: IntArray, b: IntArray, core: BoolArray, keep: BoolArray, wide: B
         before = wide.copy()
         for e in range(len(one)):
             i, j = one[e], other[e]
-            if core[i] and keep[i] and keep[j] and not before[j]:
+            if not before[j] and keep[j] and core[i] and keep[i]:
                 wide[j], patch[j] = True, patch[i]
 
 
@@ -237,6 +266,20 @@ def drops_beside(
                 down |= over + thickness[j] > max_step and over > -max_step
             drops[i] |= down and not level
     return drops
+
+
+@njit(cache=True, nogil=True)
+def over_kept(cell: IntArray, height: FloatArray, keep: BoolArray, headroom: float) -> BoolArray:
+    """Which nodes have a kept node next below them in their cell at `headroom` or less [m], shape (k,).
+
+    Nodes are sorted by cell and upward.
+    """
+    over, last = np.zeros(len(cell), np.bool_), -1
+    for i in range(len(cell)):
+        over[i] = last >= 0 and cell[last] == cell[i] and height[i] - height[last] <= headroom
+        if keep[i]:
+            last = i
+    return over
 
 
 @njit(cache=True, nogil=True)

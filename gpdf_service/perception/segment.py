@@ -3,18 +3,20 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from gpdf_service.config import PerceptionConfig
 from gpdf_service.errors import NoGroundError
-from gpdf_service.perception.bumps import low_things
-from gpdf_service.perception.columns import by_cell, medians_around, next_below
+from gpdf_service.perception.bumps import cells_around, low_things, raised_over_sides
+from gpdf_service.perception.columns import by_cell, medians_around
 from gpdf_service.perception.layers import (
     Beside,
     Layers,
     beside,
+    beside_now,
     build_layers,
     cell_width_of,
     connect,
@@ -33,8 +35,9 @@ from gpdf_service.perception.nodes import (
     joined_to,
     lowest_beside,
     mean_gradients,
+    medians_of,
     nodes_over,
-    pairs_across,
+    over_kept,
     pairs_within,
     stepped,
 )
@@ -82,6 +85,31 @@ def segment_ground(points: ArrayLike, config: PerceptionConfig | None = None) ->
     return segment(check_points(points), config or PerceptionConfig())[0]
 
 
+class Found(NamedTuple):
+    """What the ground of some nodes was found from.
+
+    Attributes:
+        near: Their pairs.
+        reached: Which the ground was joined up to, shape (k,).
+        slope: Of those [rad], shape (k,).
+        ground: Which are ground or a low thing on it, shape (k,).
+        raised: `raised_over_sides` of that [m], shape (k,).
+    """
+
+    near: Beside
+    reached: BoolArray
+    slope: FloatArray
+    ground: BoolArray
+    raised: FloatArray
+
+    def spliced(self, near: Beside, stay: BoolArray, now: BoolArray) -> Found:
+        """What is known of the nodes of `near`, which `now`, shape (k,), are those that `stay`; NaN of the others."""
+        made = Found(near, np.zeros_like(now), np.full(len(now), np.nan), np.zeros_like(now), np.full(len(now), np.nan))
+        for old, new in zip(self[1:], made[1:], strict=True):
+            new[now] = old[stay]
+        return made
+
+
 @dataclass(frozen=True, slots=True)
 class Segmentation:
     """What was found of the columns of a cloud.
@@ -91,6 +119,7 @@ class Segmentation:
         low: Lowest that the ground is within each node's cell [m], inf where the node is none, shape (k,).
         high: Highest, -inf where the node is none.
         beside: Height of the ground beside a node that may reach into its cell [m], inf where there is none.
+        found: What its ground was found from.
         deviation: Standard deviation of the points of the ground around it [m].
     """
 
@@ -98,6 +127,7 @@ class Segmentation:
     low: FloatArray
     high: FloatArray
     beside: FloatArray
+    found: Found
     deviation: float
 
     @property
@@ -138,12 +168,12 @@ def segment_layers(
         noise: Standard deviation of the points that the layers allow for [m].
         deviation: Of the points of the ground around it [m].
     """
-    ground = find_ground(layers, config, noise)
+    ground, found = find_ground(layers, config, noise)
     smooth = _smoothed(layers, ground)
     if z is not None:
         on = ground[layers.node_of_point]
         deviation = 1.4826 * float(np.median(np.abs(z[on] - smooth[layers.node_of_point[on]])))
-    return Segmentation(layers, *_extents(layers, ground, smooth, scatter_of(deviation), config), deviation)
+    return Segmentation(layers, *_extents(layers, ground, smooth, scatter_of(deviation), config), found, deviation)
 
 
 def change_segmentation(
@@ -156,8 +186,9 @@ def change_segmentation(
     Returns:
         The segmentation, and the cells whose points can be something else by it, shape (nx, ny).
     """
-    ground = find_ground(layers, config)
     stay, now = ~cells.ravel()[old.layers.cell], ~cells.ravel()[layers.cell]
+    near = beside_now(old.found.near, layers, _rise_of_steps(layers, config), cells)
+    ground, found = find_ground(layers, config, known=old.found.spliced(near, stay, now))
     felt = cells.copy()
     felt.ravel()[layers.cell[now][ground[now] != np.isfinite(old.low[stay])]] = True
     felt = widened(felt, 2)
@@ -173,7 +204,7 @@ def change_segmentation(
         other.ravel()[layers.cell[differ]] = True
         made.append(values)
     low, high, beneath = made
-    return Segmentation(layers, low, high, beneath, old.deviation), other
+    return Segmentation(layers, low, high, beneath, found, old.deviation), other
 
 
 def scatter_of(deviation: float) -> float:
@@ -213,15 +244,17 @@ def _smoothed(layers: Layers, ground: BoolArray) -> FloatArray:
     return medians_around(layers.height, ground, a, b)
 
 
-def find_ground(layers: Layers, config: PerceptionConfig, noise: float = 0.0) -> BoolArray:
-    """Which nodes are ground, shape (k,).
+def find_ground(
+    layers: Layers, config: PerceptionConfig, noise: float = 0.0, known: Found | None = None
+) -> tuple[BoolArray, Found]:
+    """Which nodes are ground, shape (k,), and what that was found from: what is `known` of an earlier version.
 
     Patches are sets of nodes joined by walkable slopes. From the bulk, the ground grows patch by patch over steps that
     a body takes, to patches that a foot fits on and that do not lie, as a bench does, over ground already found.
     """
     surface = layers.thickness <= config.max_step + 4.0 * noise  # a step's face, from the lowest point to the highest
     rise = layers.cell_width * float(np.tan(config.steepest))
-    near = beside(layers, max(config.max_step, 3.0 * rise))  # as much as is asked for: 2 √2 for the slope
+    near = beside(layers, _rise_of_steps(layers, config)) if known is None else known.near
     a, b = near.slopes(surface, rise)
     smooth = degrees(a, b, len(surface))
     core = surface & (smooth >= 5)  # what a strip two cells wide has: a tread is that wide, a wall's top is not
@@ -230,10 +263,10 @@ def find_ground(layers: Layers, config: PerceptionConfig, noise: float = 0.0) ->
     roomy = layers.headroom >= config.step_headroom
     wide, patch = _patches(core, surface & roomy, a, b)
     size = np.bincount(patch[wide], minlength=patch.max() + 1)
-    large = np.flatnonzero(size >= BULK_SHARE * size.max())
-    height = {i: float(np.median(layers.height[wide & (patch == i)])) for i in large}
+    large = {int(i): patch == i for i in np.flatnonzero(size >= BULK_SHARE * size.max())}
+    height = {i: float(np.median(layers.height[nodes])) for i, nodes in large.items()}
     bulk = min(large, key=height.__getitem__)
-    storeys = [i for i in large if i == bulk or _is_storey(layers, wide & (patch == i), wide & (patch == bulk), config)]
+    storeys = [i for i, nodes in large.items() if i == bulk or _is_storey(layers, nodes, large[bulk], config)]
     joins = _joins(near, config, wide, patch)
     seen = np.zeros(patch.max() + 1, dtype=bool)
     seen[storeys] = True
@@ -241,23 +274,32 @@ def find_ground(layers: Layers, config: PerceptionConfig, noise: float = 0.0) ->
     loose = pairs_within(a, b, ~ground, False)  # what is ground at first is ground or out of reach
     while True:
         low = _under_furniture(ground, wide & ~ground, core, *loose)
-        ground = _spread(layers, config, ground, low, wide, smooth == 8, patch, joins, seen)
+        ground = _spread(layers, config, ground, low, smooth == 8, patch, joins, seen)
         reached = _under_furniture(ground, wide & seen[patch] & ~ground, core, *loose)
         seen[patch[reached & wide]] = True
         if not _beside(reached, patch, joins, seen).any():
             break
         ground = reached
-    parts = [wide & (patch == i) for i in storeys]
-    found: BoolArray = reached & ~_roofs(near, reached, parts, (a, b), (joins.a, joins.b), config)
-    found &= ~low_things(near, found, config)
-    if not found.any():
+    parts = [large[i] for i in storeys]
+    slope = _slope(near, reached, config, known and known[1:3])
+    level = reached & (slope <= config.standable_slope)
+    found: BoolArray = reached & ~_roofs(near, reached, level, parts, (a, b), (joins.a, joins.b), config)
+    raised = raised_over_sides(layers, found, config, known and known[3:])
+    ground = found & ~low_things(layers, found, raised, config)
+    if not ground.any():
         raise NoGroundError(*NOWHERE)
-    return found
+    return ground, Found(near, reached, slope, found, raised)
+
+
+def _rise_of_steps(layers: Layers, config: PerceptionConfig) -> float:
+    """As much as is asked for between two nodes: a step, or 2 √2 of the slope of a cell [m]."""
+    return max(config.max_step, 3.0 * layers.cell_width * float(np.tan(config.steepest)))
 
 
 def _roofs(
     near: Beside,
     ground: BoolArray,
+    flat: BoolArray,
     storeys: list[BoolArray],
     smooth: tuple[IntArray, IntArray],
     steps: tuple[IntArray, IntArray],
@@ -269,7 +311,7 @@ def _roofs(
     """
     parts = (pairs_within(*pairs, ground, True) for pairs in (smooth, steps))
     a, b = (np.concatenate(ends) for ends in zip(*parts, strict=True))
-    main = _within_reach(near, ground, storeys, a, b, config)
+    main = _within_reach(near, flat, storeys, a, b, config)
     off = ground & ~main
     piece = components(a, b, off)
     level = stepped(main, a, b)
@@ -281,10 +323,9 @@ def _roofs(
 
 
 def _within_reach(
-    near: Beside, ground: BoolArray, storeys: list[BoolArray], a: IntArray, b: IntArray, config: PerceptionConfig
+    near: Beside, flat: BoolArray, storeys: list[BoolArray], a: IntArray, b: IntArray, config: PerceptionConfig
 ) -> BoolArray:
-    """Nodes level enough to stand on that are reached from the storeys; over steps, too, that coarse cells rounded."""
-    flat = ground & (_slope(near, ground, config) <= config.standable_slope)
+    """Nodes `flat` enough to stand on that are reached from the storeys; over steps, too, that coarse cells rounded."""
     piece = components(a, b, flat)
     seen = np.zeros(piece.max() + 1, dtype=bool)
     for storey in storeys:
@@ -302,14 +343,31 @@ def _within_reach(
         seen[fresh] = True
 
 
-def _slope(near: Beside, ground: BoolArray, config: PerceptionConfig) -> FloatArray:
-    """Slope at each ground node [rad], of the mean gradient of it and its neighbours on the same slope."""
+def _slope(
+    near: Beside, ground: BoolArray, config: PerceptionConfig, known: tuple[BoolArray, FloatArray] | None = None
+) -> FloatArray:
+    """Slope at each ground node [rad], of the mean gradient of it and its neighbours on the same slope.
+
+    What was found of another ground is `known`, NaN for nodes that were none: neighbours of neighbours decide on it.
+    """
     layers = near.layers
     rise = 2.0 * layers.cell_width * float(np.tan(config.steepest))  # or noise would flatten it
-    pairs = near.slopes(ground, rise)
-    made: FloatArray = np.arctan(
-        mean_gradients(layers.height, layers.cell, layers.shape[1], *pairs) / layers.cell_width
-    )
+    if known is None:
+        return _slopes(layers, near.slopes(ground, rise))
+    before, slope = known
+    felt = cells_around(layers, (before != ground) | np.isnan(slope), 2)
+    if not felt.any():
+        return slope
+    part, nodes = crop_layers(layers, window(felt, 2))
+    inside, made = felt.ravel()[layers.cell[nodes]], slope.copy()
+    made[nodes[inside]] = _slopes(part, connect(part, ground[nodes], rise))[inside]
+    return made
+
+
+def _slopes(layers: Layers, pairs: tuple[IntArray, IntArray]) -> FloatArray:
+    """Slope at each node [rad], where the pairs are those on the same slope."""
+    gradient = mean_gradients(layers.height, layers.cell, layers.shape[1], *pairs)
+    made: FloatArray = np.arctan(gradient / layers.cell_width)
     return made
 
 
@@ -321,11 +379,17 @@ def _drops(layers: Layers, among: BoolArray, config: PerceptionConfig) -> BoolAr
 
 
 def _patches(core: BoolArray, keep: BoolArray, a: IntArray, b: IntArray) -> tuple[BoolArray, IntArray]:
-    """Connected `core` nodes among those to `keep`, each patch with its rim: which nodes are in one, and in which."""
+    """Connected `core` nodes among those to `keep`, each patch with its rim: which nodes are in one, and in which.
+
+    Patches are numbered by their first nodes; those that are in none have the number after the last.
+    """
     wide = core & keep
     patch = components(a, b, wide)
     add_rims(a, b, core, keep, wide, patch)
-    return wide, patch
+    used = np.zeros(len(patch) + 1, dtype=bool)
+    used[patch[wide]] = True
+    number = np.cumsum(used) - 1  # what is in no patch has the number after the last one
+    return wide, np.where(wide, number[patch], number[-1] + 1)
 
 
 def _under_furniture(ground: BoolArray, apart: BoolArray, core: BoolArray, a: IntArray, b: IntArray) -> BoolArray:
@@ -347,21 +411,39 @@ def _is_storey(layers: Layers, nodes: BoolArray, bulk: BoolArray, config: Percep
 
 @dataclass(frozen=True, slots=True)
 class _Joins:
-    """Steps from node `a` up or down to node `b` of another patch, and which patches a body stands on."""
+    """Steps from node `a` up or down to node `b` of another patch, and what the patches are.
+
+    Attributes:
+        a: Nodes.
+        b: Nodes.
+        standable: Which patches a body stands on.
+        area: Of each patch [m²].
+        level: Its mean height [m].
+        start: Where the nodes of each patch begin in `members`.
+        members: Nodes, by patch.
+    """
 
     a: IntArray
     b: IntArray
     standable: BoolArray
+    area: FloatArray
+    level: FloatArray
+    start: IntArray
+    members: IntArray
 
 
 def _joins(near: Beside, config: PerceptionConfig, wide: BoolArray, patch: IntArray) -> _Joins:
     layers = near.layers
     standable, tread = _shapes(layers, wide, patch, config)
-    a, b = pairs_across(*near.steps(wide, config.max_step), patch)
+    start, members = by_cell(patch, len(standable))
+    count = np.bincount(patch[wide], minlength=len(standable))
+    area = np.asarray(count * layers.cell_width**2, dtype=np.float64)
+    level: FloatArray = np.bincount(patch, layers.height, len(count)).astype(np.float64)
+    a, b = near.steps(wide, config.max_step, patch)
     a, b = np.concatenate([a, b]), np.concatenate([b, a])
-    rise = np.abs(layers.height[a] - _level_of_furniture(layers, wide, patch)[b])
+    rise = np.abs(layers.height[a] - _level_of_furniture(layers, area <= TABLE_AREA, start, members, patch, b))
     allowed = np.where(standable[patch[b]], config.max_step, np.where(tread[patch[b]], config.stair_step, -1.0))
-    return _Joins(a[rise <= allowed], b[rise <= allowed], standable)
+    return _Joins(a[rise <= allowed], b[rise <= allowed], standable, area, level / np.maximum(count, 1), start, members)
 
 
 def _beside(ground: BoolArray, patch: IntArray, joins: _Joins, seen: BoolArray) -> IntArray:
@@ -376,7 +458,6 @@ def _spread(
     config: PerceptionConfig,
     ground: BoolArray,
     low: BoolArray,
-    wide: BoolArray,
     inner: BoolArray,
     patch: IntArray,
     joins: _Joins,
@@ -388,15 +469,12 @@ def _spread(
     a stair's tread shares its cells with the tread below. What a body stands on, by itself, is no platform over the
     ground with `low` room, either: a coffee table; a stair's treads may be.
     """
-    area = np.bincount(patch[wide], minlength=len(seen)) * layers.cell_width**2
-    share = np.where(joins.standable & (area <= TABLE_AREA), TABLE_OVER_SHARE, OVER_SHARE)
+    share = np.where(joins.standable & (joins.area <= TABLE_AREA), TABLE_OVER_SHARE, OVER_SHARE)
     under = over_ground(layers, low, config.step_headroom) & joins.standable[patch]
     size = np.bincount(patch[inner], minlength=len(seen))
-    start, members = by_cell(patch, len(seen))
     ground = ground.copy()
     while len(fresh := _beside(ground, patch, joins, seen)):
-        nodes = np.concatenate([members[start[i] : start[i + 1]] for i in fresh])
-        nodes = nodes[wide[nodes]]
+        nodes = np.concatenate([joins.members[joins.start[i] : joins.start[i + 1]] for i in fresh])
         own = np.searchsorted(fresh, patch[nodes])
         over = under[nodes] | nodes_over(nodes, layers.cell, layers.height, ground, config.step_headroom)
         refused = np.bincount(own[inner[nodes] & over], minlength=len(fresh)) > (share * size)[fresh]
@@ -406,19 +484,17 @@ def _spread(
     return ground & ~over_ground(layers, ground, config.step_headroom)
 
 
-def _level_of_furniture(layers: Layers, wide: BoolArray, patch: IntArray) -> FloatArray:
-    """Height that counts for a step onto each node: of a piece no larger than a table its median, else its own.
+def _level_of_furniture(
+    layers: Layers, small: BoolArray, start: IntArray, members: IntArray, patch: IntArray, nodes: IntArray
+) -> FloatArray:
+    """Height that counts for a step onto each of the `nodes`: of a `small` patch its median, else its own.
 
     A sofa's low front edge must not make its back a platform.
     """
-    count = np.bincount(patch[wide], minlength=patch.max() + 1)
-    nodes = np.flatnonzero(wide & (count * layers.cell_width**2 <= TABLE_AREA)[patch])
-    order = nodes[np.lexsort((layers.height[nodes], patch[nodes]))]
-    first = np.flatnonzero(np.diff(patch[order], prepend=-1))
-    each = np.diff(np.append(first, len(order)))
-    level = layers.height.copy()
-    level[order] = np.repeat(layers.height[order[first + each // 2]], each)
-    return level
+    asked = np.zeros(len(small), dtype=bool)
+    asked[patch[nodes]] = True
+    level = medians_of(layers.height, start, members, asked & small)[patch[nodes]]
+    return np.where(np.isnan(level), layers.height[nodes], level)
 
 
 def _without_dead_ends(
@@ -429,7 +505,7 @@ def _without_dead_ends(
     A box on the floor joins one; so does a board, but where the scan of the floor has gaps it joins it to scraps.
     """
     a, b, standable = joins.a, joins.b, joins.standable
-    level = np.bincount(patch, layers.height) / np.maximum(np.bincount(patch), 1)
+    level = joins.level
     rise = layers.cell_width * float(np.tan(config.steepest))
     while True:
         here, count = ground[a] & ground[b], len(level)
@@ -454,6 +530,5 @@ def _shapes(layers: Layers, wide: BoolArray, patch: IntArray, config: Perception
 
 def over_ground(layers: Layers, ground: BoolArray, headroom: float) -> BoolArray:
     """Nodes with ground under them at less than `headroom` [m]: with that of a body that steps, benches and tables."""
-    below = next_below(layers.cell, ground)
-    over: BoolArray = (below >= 0) & (layers.height - layers.height[below] <= headroom)
+    over: BoolArray = over_kept(layers.cell, layers.height, ground, headroom)
     return over

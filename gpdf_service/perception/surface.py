@@ -10,7 +10,7 @@ from numba import njit
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from gpdf_service.perception.columns import by_cell, extent_in
+from gpdf_service.perception.columns import cells_in_box, extent_in
 from gpdf_service.types import BoolArray, FloatArray, IntArray
 
 UNKNOWN, OBSERVED, INFERRED = 0, 1, 2
@@ -38,6 +38,8 @@ WALL_CELLS = 3.0
 """[cells] The wall of a pit is seen within these under its rim; the underside of a floor is deeper."""
 CEILING = 1.9
 """[m] What is higher over the ground beside is a ceiling or a lamp, no furniture whose shadow is the hole."""
+_SIDES = ((-1, 0), (1, 0), (0, -1), (0, 1))
+"""The four neighbours of a cell."""
 _ROUNDING = float(np.finfo(np.float64).eps)
 MAX_HOLE_RADIUS = 1.0
 """[m] A hole is filled if no place in it is further from seen ground: a scanner's blind spot, the shadow of a desk."""
@@ -49,6 +51,12 @@ Heights = float | FloatArray
 Box = tuple[slice, slice]
 """Rows and columns of a grid."""
 WHOLE: Box = (slice(None), slice(None))
+NOWHERE: Box = (slice(0, 0), slice(0, 0))
+
+
+def corner_of(box: Box) -> tuple[int, int]:
+    """Its first cell."""
+    return box[0].start or 0, box[1].start or 0
 
 
 class Cells(NamedTuple):
@@ -107,6 +115,32 @@ class HeightMap:
         """Centres of the cells in `mask`, shape (nx, ny), with their height: (k, 3) [m]."""
         index = np.argwhere(mask)
         return np.column_stack([self.origin + (index + 0.5) * self.cell_width, self.height[mask].astype(np.float64)])
+
+
+def changed(old: HeightMap, new: HeightMap) -> BoolArray:
+    """Cells in which the ground is another, shape (nx, ny), of two maps on one grid."""
+    cells: BoolArray = differ(old.height, new.height) | (old.state != new.state)
+    return cells
+
+
+def differ(a: NDArray[np.float32], b: NDArray[np.float32]) -> BoolArray:
+    """Where heights are not the same, shape (nx, ny)."""
+    cells: BoolArray = ~((a == b) | (np.isnan(a) & np.isnan(b)))
+    return cells
+
+
+def cropped(surface: HeightMap, box: Box) -> HeightMap:
+    """A box of cells of a height map."""
+    origin = surface.origin + surface.cell_width * np.array(corner_of(box))
+    return HeightMap(origin, surface.cell_width, surface.height[box], surface.state[box])
+
+
+def cells_within(points: FloatArray, surface: HeightMap, box: Box = WHOLE) -> IntArray:
+    """Flat cell in a box of the grid of each point, shape (n,); one more than there are for those outside."""
+    first = corner_of(box)
+    last = np.add(first, surface.state[box].shape)
+    cell: IntArray = cells_in_box(points, surface.origin, surface.cell_width, np.array(first), last)
+    return cell
 
 
 def is_same_ground(height: Heights, other: Heights, cell_width: float) -> NDArray[np.bool_] | np.bool_:
@@ -172,7 +206,7 @@ def height_of(ground: Cells, x: float, y: float) -> float:
 
 
 class Nearest(NamedTuple):
-    """For each cell the seen ground nearest to it.
+    """For each cell of a box the seen ground nearest to it.
 
     Attributes:
         distance: To it [m], inf where nothing was seen, shape (nx, ny).
@@ -187,19 +221,9 @@ def nearest_seen(surface: HeightMap, box: Box = WHOLE) -> Nearest:
     """The nearest seen ground of a height map, in a `box` of its cells; there is none outside."""
     unknown = surface.state[box] != OBSERVED
     if unknown.all():
-        return Nearest(np.full(surface.state.shape, np.inf), np.full(surface.state.shape, np.nan, surface.height.dtype))
+        return Nearest(np.full(unknown.shape, np.inf), np.full(unknown.shape, np.nan, surface.height.dtype))
     cells, row = ndimage.distance_transform_edt(unknown, return_indices=True)
-    shape, height = surface.state.shape, surface.height[box][row[0], row[1]]
-    return Nearest(spread(cells * surface.cell_width, box, shape, np.inf), spread(height, box, shape, np.nan))
-
-
-def spread(part: NDArray[Scalar], box: Box, shape: tuple[int, ...], outside: float) -> NDArray[Scalar]:
-    """The cells of a box in a grid of that shape; a filter over a change needs no more than a box around it."""
-    if box is WHOLE:
-        return part
-    made = np.full(shape, outside, part.dtype)
-    made[box] = part
-    return made
+    return Nearest(cells * surface.cell_width, surface.height[box][row[0], row[1]])
 
 
 def fill_holes(
@@ -242,15 +266,35 @@ def _seen_hollow(things: BoolArray, overhung: BoolArray) -> BoolArray:
     height map, may be solid.
     """
     label, count = ndimage.label(things, np.ones((3, 3)))
-    inner = ndimage.minimum_filter(overhung | things, size=3, mode="constant") & overhung
-    near = ndimage.maximum_filter(inner, size=5, mode="constant")
     hollow = np.ones(count + 1, dtype=bool)
-    mass = ndimage.minimum_filter(things, size=3, mode="constant")
-    hollow[label[ndimage.maximum_filter(mass, size=3, mode="constant")]] = False
-    hollow[label[near & things]] = True
     hollow[0] = False
+    _tell_hollow(things, overhung, label, hollow)
     result: BoolArray = hollow[label]
     return result
+
+
+@njit(cache=True, nogil=True)
+def _tell_hollow(things: BoolArray, overhung: BoolArray, label: NDArray[np.int32], hollow: BoolArray) -> None:
+    """Labels of masses become false, and true again if a cell within two of theirs is overhung and has no rim."""
+    nx, ny = things.shape
+    for mass in (True, False):
+        for x in range(1, nx - 1):
+            for y in range(1, ny - 1):
+                if not (things[x, y] if mass else overhung[x, y]):
+                    continue
+                inner = True
+                for u in range(x - 1, x + 2):
+                    for v in range(y - 1, y + 2):
+                        inner &= things[u, v] or (overhung[u, v] and not mass)
+                if not inner:
+                    continue
+                if mass:
+                    hollow[label[x, y]] = False
+                    continue
+                for u in range(max(x - 2, 0), min(x + 3, nx)):
+                    for v in range(max(y - 2, 0), min(y + 3, ny)):
+                        if things[u, v]:
+                            hollow[label[u, v]] = True
 
 
 def find_voids(
@@ -262,45 +306,51 @@ def find_voids(
         surface: The ground as it was seen.
         points: What else was seen [m], shape (n, 3).
         max_step: [m].
-        near: `nearest_seen` of the surface, where it is known.
+        near: `nearest_seen` of the surface in the box, where it is known.
         box: Cells that hold all points, and `MAX_HOLE_RADIUS` around them.
 
     Returns:
         Where the scanner saw through, further down than a floor is thick; where the bottom of a pit is seen, which is
-        no ceiling because no storey is under it; and where the upper end of a pit's walls is. All (nx, ny).
+        no ceiling because no storey is under it; and where the upper end of a pit's walls is. All (nx, ny) of the box.
     """
     distance, beside = near or nearest_seen(surface, box)
-    asked = (surface.state == UNKNOWN) & (distance <= MAX_HOLE_RADIUS)
-    ix, iy, inside = surface.cells(points)
-    z, cell = points[inside, 2], (ix * asked.shape[1] + iy)[inside]
-    walls = _walls_down(surface, cell, z, box)
-    high = _under(np.where(asked, beside + np.float32(surface.cell_width), -np.inf))
-    found = extent_in(cell, z, np.full(asked.size, -np.inf), high)
-    bottom, top = (part.reshape(asked.shape) for part in found)
+    part = cropped(surface, box)
+    asked = (part.state == UNKNOWN) & (distance <= MAX_HOLE_RADIUS)
+    cell, z = cells_within(points, surface, box), np.ascontiguousarray(points[:, 2])
+    walls = _walls_down(part, cell, z)
+    high = np.where(asked, beside + np.float32(surface.cell_width), -np.inf)
+    bottom, top = extent_within(cell, z, np.full(asked.shape, -np.inf), _under(high))
     seen = np.isfinite(top)
     depth = np.where(seen, beside - top, 0.0)
     pit = (depth > max_step) & (depth <= SLAB) & (np.where(seen, top - bottom, 0.0) < STOREY)
     return depth > SLAB, pit, walls
 
 
-def _walls_down(surface: HeightMap, cell: IntArray, z: FloatArray, box: Box) -> BoolArray:
+def extent_within(cell: IntArray, z: FloatArray, low: FloatArray, high: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """`extent_in` of cells on a grid, shape (nx, ny); points of the cell after the last one are in none."""
+    ends = (np.append(end, -np.inf) for end in (low, high))
+    least, most = extent_in(cell, z, *ends)
+    return least[:-1].reshape(low.shape), most[:-1].reshape(low.shape)
+
+
+def _walls_down(surface: HeightMap, cell: IntArray, z: FloatArray) -> BoolArray:
     """Cells of a hole or beside one with a point right under the ground, no floor: `z` [m] in the flat `cell`, (n,).
 
     A step up at the rim is none: the lowest ground within two cells counts. But a rim's cell that holds the wall's
     upper end, too, lies as deep as that: of each cell and those around it the highest ground counts.
     """
-    shape, unknown = surface.state.shape, surface.state[box] == UNKNOWN
-    rim = ndimage.maximum_filter(np.where(unknown, -np.inf, surface.height[box]), size=3)
-    floor = spread(ndimage.minimum_filter(np.where(unknown, np.inf, rim), size=5), box, shape, -np.inf)
+    unknown = surface.state == UNKNOWN
+    rim = ndimage.maximum_filter(np.where(unknown, -np.inf, surface.height), size=3)
+    floor = ndimage.minimum_filter(np.where(unknown, np.inf, rim), size=5)
     low, high = (_under(floor - cells * surface.cell_width) for cells in (WALL_CELLS, 1.0))
-    walls: BoolArray = np.isfinite(extent_in(cell, z, low, high)[0]).reshape(shape)
-    walls[box] &= ndimage.maximum_filter(unknown, size=3, mode="constant")
+    walls: BoolArray = np.isfinite(extent_within(cell, z, low, high)[0])
+    walls &= ndimage.maximum_filter(unknown, size=3, mode="constant")
     return walls
 
 
 def _under(heights: FloatArray) -> FloatArray:
-    """The next smaller numbers, flat: what is not over them is under the heights."""
-    made: FloatArray = np.nextafter(heights.astype(np.float64), -np.inf).ravel()
+    """The next smaller numbers: what is not over them is under the heights."""
+    made: FloatArray = np.nextafter(heights.astype(np.float64), -np.inf)
     return made
 
 
@@ -324,11 +374,38 @@ def _fill_gaps(
     cell_width: float,
 ) -> None:
     """Fill single cells that the scan's spacing left empty, with the ground beside them: also at a step's edge."""
-    label, count = ndimage.label(holes)
-    size, wide = (np.bincount(label[cells], minlength=count + 1) for cells in (holes, holes & (distance > cell_width)))
-    small = holes & ((size <= GAP_CELLS) & (wide == 0))[label]
+    small = _small(holes, distance, cell_width)
     height[small] = beside[small]
     state[small] = INFERRED
+
+
+@njit(cache=True, nogil=True)
+def _small(holes: BoolArray, distance: FloatArray, cell_width: float) -> BoolArray:
+    """Connected cells of holes that are `GAP_CELLS` at most, none further than a cell from seen ground."""
+    (nx, ny), small, cells = holes.shape, np.zeros(holes.shape, np.bool_), np.empty((GAP_CELLS + 4, 2), np.int64)
+    for x in range(nx):
+        for y in range(ny):
+            if not holes[x, y] or small[x, y] or distance[x, y] > cell_width:
+                continue
+            cells[0], count, looked, gap = (x, y), 1, 0, True
+            while gap and looked < count:
+                i, j = cells[looked]
+                looked += 1
+                gap = distance[i, j] <= cell_width
+                for dx, dy in _SIDES:
+                    u, v = i + dx, j + dy
+                    if not (0 <= u < nx and 0 <= v < ny and holes[u, v]):
+                        continue
+                    met = False
+                    for k in range(count):
+                        met |= cells[k, 0] == u and cells[k, 1] == v
+                    if not met:
+                        cells[count] = u, v
+                        count += 1
+                gap &= count <= GAP_CELLS
+            for k in range(count if gap else 0):
+                small[cells[k, 0], cells[k, 1]] = True
+    return small
 
 
 def _fill_notches(
@@ -390,6 +467,7 @@ def _next_known(height: NDArray[np.float32], x: int, y: int, dx: int, dy: int, m
     return np.float32(np.nan), 0
 
 
+@njit(cache=True, nogil=True)
 def _fill(
     height: NDArray[np.float32],
     state: NDArray[np.uint8],
@@ -400,37 +478,34 @@ def _fill(
     void: BoolArray,
     share: float,
 ) -> None:
-    """Fill each of the `holes` with the plane of the `known` ground around, if that is at least `share` of its rim."""
-    label, count = ndimage.label(holes)
-    start, order = by_cell(label.ravel().astype(np.int64), count + 1)
-    _fill_labelled(height, state, label, start, order, known, distance, cell_width, void, share)
+    """Fill each of the `holes` with the plane of the `known` ground around, if that is at least `share` of its rim.
 
-
-@njit(cache=True, nogil=True)
-def _fill_labelled(
-    height: NDArray[np.float32],
-    state: NDArray[np.uint8],
-    label: NDArray[np.int32],
-    start: IntArray,
-    order: IntArray,
-    known: BoolArray,
-    distance: FloatArray,
-    cell_width: float,
-    void: BoolArray,
-    share: float,
-) -> None:
-    """`_fill` of the holes 1, 2 …, the flat cells of each in `order` from `start`."""
-    nx, ny = label.shape
+    Of what is further from seen ground than a hole may be it is enough to know that it is beside one.
+    """
+    nx, ny = holes.shape
     met = np.zeros((nx, ny), np.int64)  # the last hole around which a cell was looked at
-    for hole in range(1, len(start) - 1):
-        cells = order[start[hole] : start[hole + 1]]
-        shut = True
-        for c in cells:
-            x, y = c // ny, c % ny
-            rim = x == 0 or y == 0 or x == nx - 1 or y == ny - 1
-            shut &= not (rim or void[x, y] or distance[x, y] > MAX_HOLE_RADIUS)
+    label, queue, last, hole = np.zeros((nx, ny), np.int32), np.empty(nx * ny, np.int64), 0, 0
+    for corner in range(nx * ny):
+        x, y = corner // ny, corner % ny
+        if not holes[x, y] or label[x, y] > 0 or distance[x, y] > MAX_HOLE_RADIUS:
+            continue
+        first, looked, shut, hole = last, last, True, hole + 1
+        label[x, y], queue[last], last = hole, corner, last + 1
+        while looked < last:
+            x, y = queue[looked] // ny, queue[looked] % ny
+            looked += 1
+            shut &= not (x == 0 or y == 0 or x == nx - 1 or y == ny - 1 or void[x, y])
+            for dx, dy in _SIDES:
+                u, v = x + dx, y + dy
+                if not (0 <= u < nx and 0 <= v < ny and holes[u, v]) or label[u, v] > 0:
+                    continue
+                if distance[u, v] > MAX_HOLE_RADIUS:
+                    shut = False
+                    continue
+                label[u, v], queue[last], last = hole, u * ny + v, last + 1
         if not shut:
             continue
+        cells = np.sort(queue[first:last])
         left, top = cells[0] // ny, cells[0] % ny
         ring, heights = np.ones((25 * len(cells), 3)), np.empty(25 * len(cells))
         count, beside, ground = 0, 0, 0

@@ -6,7 +6,7 @@ from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import connected_components
 
 from gpdf_service.perception.columns import heights_in_plan
-from gpdf_service.perception.layers import HALF, beside, build_layers, connect, crop_layers
+from gpdf_service.perception.layers import HALF, beside, beside_now, build_layers, connect, crop_layers, splice_layers
 from gpdf_service.perception.nodes import (
     AROUND,
     components,
@@ -17,8 +17,8 @@ from gpdf_service.perception.nodes import (
     joined_to,
     lowest_beside,
     mean_gradients,
+    medians_of,
     nodes_over,
-    pairs_across,
     pairs_within,
     plan_sums,
     stepped,
@@ -57,11 +57,10 @@ def test_components_among_some_nodes_leave_the_others_alone():
 
 def test_pairs_are_chosen_and_counted_as_by_masks():
     rng = np.random.default_rng(2)
-    (a, b), among, label = rng.integers(0, 50, (2, 300)), rng.random(50) < 0.4, rng.integers(0, 4, 50)
+    (a, b), among = rng.integers(0, 50, (2, 300)), rng.random(50) < 0.4
     for found, mask in (
         (pairs_within(a, b, among, True), among[a] & among[b]),
         (pairs_within(a, b, among, False), among[a] | among[b]),
-        (pairs_across(a, b, label), label[a] != label[b]),
     ):
         np.testing.assert_array_equal(found, (a[mask], b[mask]))
     np.testing.assert_array_equal(degrees(a, b, 50), np.bincount(np.concatenate([a, b]), minlength=50))
@@ -82,8 +81,31 @@ def test_pairs_taken_from_all_neighbours_are_those_that_are_looked_for(layers):
     for found, least in ((sloped, both & (rise <= 0.2 * far)), (stepped_over, both & (rise <= 0.3))):
         assert least.any()
         assert set(zip(*found, strict=True)) == set(zip(a[least], b[least], strict=True))
+    label = np.random.default_rng(4).integers(0, 3, len(layers.cell))
+    a, b = stepped_over
+    for one, other in zip(near.steps(keep, 0.3, label), (a, b), strict=True):
+        np.testing.assert_array_equal(one, other[label[a] != label[b]])
     for one, other in zip(sloped, connect(layers, keep, 0.2), strict=True):
         np.testing.assert_array_equal(one, other)
+
+
+def test_pairs_of_changed_columns_are_spliced_into_those_of_the_others(layers):
+    rng = np.random.default_rng(6)
+    points = np.column_stack([rng.uniform(0.0, 3.0, (300, 2)), rng.uniform(0.0, 2.0, 300)])
+    other = build_layers(points, layers.cell_width, 0.3, like=layers)
+    cells = rng.random(layers.shape) < 0.3
+    now = splice_layers(layers, cells.ravel(), other)
+    made, expected = beside_now(beside(layers, 0.3), now, 0.3, cells), beside(now, 0.3)
+    assert len(expected.a) > 100
+    for name in ("a", "b", "first"):
+        np.testing.assert_array_equal(getattr(made, name), getattr(expected, name))
+
+
+def test_medians_of_sets_are_the_upper_ones():
+    rng = np.random.default_rng(8)
+    height, start, members = rng.random(30), np.array([0, 1, 3, 30]), rng.permutation(30)
+    found = medians_of(height, start, members, np.array([True, True, False]))
+    np.testing.assert_array_equal(found, [height[members[0]], height[members[1:3]].max(), np.nan])
 
 
 def test_sums_in_plan_and_heights_in_plan_are_those_of_numpy(layers):
@@ -94,8 +116,11 @@ def test_sums_in_plan_and_heights_in_plan_are_those_of_numpy(layers):
     for k, values in enumerate((np.ones(len(x)), x, y, x * x, y * y, x * y)):
         np.testing.assert_array_equal(sums[:, k], np.bincount(label, values * keep, minlength=5))
     nodes = np.unique(layers.cell, return_index=True)[1]
-    grid = layers.origin, layers.cell_width, layers.shape
-    height, off = heights_in_plan(layers.cell, nodes, layers.height, layers.place, *grid)
+    grid = layers.origin, layers.cell_width, layers.shape[1]
+    height, off = heights_in_plan(layers.cell, nodes, layers.height, layers.place, *grid, (0, 0), layers.shape)
+    box = heights_in_plan(layers.cell, nodes, layers.height, layers.place, *grid, (2, 3), (4, 5))
+    np.testing.assert_array_equal(box[0], height[2:6, 3:8])
+    np.testing.assert_array_equal(box[1], off[2:6, 3:8])
     np.testing.assert_array_equal(height[x[nodes], y[nodes]], layers.height[nodes].astype(np.float32))
     assert np.isfinite(height).sum() == len(nodes)
     assert np.abs(off).max() <= 0.5 * layers.cell_width + 1e-6
