@@ -1,0 +1,246 @@
+"""Level treads with straight, parallel edges, fitted to noisy ground that looks like a ramp.
+
+Noise of σ blurs a stair's profile along the slope, but not along its edges: there a tread is known from hundreds of
+points. With edges a_k and heights h_k, u along the slope, and Φ the normal distribution, a point's height has the density
+
+    p(z | u) = Σ_k [Φ((u − a_{k−1}) / σ) − Φ((u − a_k) / σ)] N(z; h_k, σ²).
+
+All edges, heights, the direction and σ are fitted at once, by scoring. Treads are told only if they explain the points as
+much better than a smooth slope of any roughness as such treads would, and if every piece of each is level: rubble is not.
+"""
+
+from __future__ import annotations
+
+from math import cos, erf, exp, log, pi, sin, sqrt
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+
+from gpdf_service.types import FloatArray
+
+_NEAR = 5.0
+"""[-] Standard deviations beyond which an edge is not felt."""
+_OUTLIER = 1e-4
+"""[-] Density of what is of no tread, in 1 / σ: that of a point 4 σ off its tread."""
+_RISES: FloatArray = np.arange(0.12, 0.231, 0.005)
+"""[m] Rises that stairs are built with: starts of the fit, which leaves every edge and height free."""
+_PHASES = 8
+"""Starts a rise: an edge is then within a sixteenth of a run, and the fit finds it."""
+_TRIED = 1500
+"""Points that the starts are compared by."""
+_REFINED = 3
+"""Starts that are refined."""
+_TURNS = 40
+_SETTLED = 2e-4
+"""[m] Change of an edge or a height at which the fit has ended."""
+_STRIDE = 0.6
+"""[-] Largest change of an edge in one turn, in σ: beyond it the curve is not the one that was measured."""
+_KNOWN = 0.1
+"""[-] How well the noise is known; a fit that needs more is none."""
+_LEAST_RUN, _LEAST_RISE = 3.0, 2.0
+"""[-] Of a tread over σ: a plateau beyond the blur of both edges, and a step that shows in it."""
+_FEWEST_EDGES = 3
+"""Two whole treads: one step alone has no run, and the cure of edges finds it."""
+_GAIN = 0.5
+"""[-] Least share of the log likelihood ratio that such treads would have over a slope: terraces have less."""
+_SURELY = 12.0
+"""[-] Least log likelihood ratio over a slope, beyond one a number that is fitted."""
+_PIECE = 0.25
+"""[m] Length of the pieces along an edge that have to be level: a foot."""
+_PIECE_POINTS = 12
+"""Points that tell whether a piece is level."""
+_LEVEL = 4.0
+"""[-] Standard errors by which one of many pieces may be off: one flight in a hundred has such a piece by chance."""
+_DRAWS = 8
+"""Draws from the model that say what treads would have gained."""
+
+
+class Treads(NamedTuple):
+    """A flight: u = x cos(angle) + y sin(angle).
+
+    Attributes:
+        angle: Of the way up, across the edges [rad].
+        edges: Where each riser is, along the way up [m], shape (k,), rising.
+        heights: Of the treads [m], shape (k + 1,), from below the first edge to beyond the last.
+        sigma: Standard deviation of the points about it [m].
+    """
+
+    angle: float
+    edges: FloatArray
+    heights: FloatArray
+    sigma: float
+
+    def along(self, points: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Places along the way up and along the edges [m], each of shape (n,), of `points` (n, 2) or (n, 3)."""
+        c, s = cos(self.angle), sin(self.angle)
+        return c * points[:, 0] + s * points[:, 1], c * points[:, 1] - s * points[:, 0]
+
+    def height_at(self, u: FloatArray) -> FloatArray:
+        """Height of the tread [m] at places `u` along the way up, shape (n,)."""
+        height: FloatArray = self.heights[np.searchsorted(self.edges, u)]
+        return height
+
+
+def fit_treads(points: FloatArray, noise: float, slope: FloatArray, floor: float, ceiling: float) -> Treads | None:
+    """The treads that explain `points`, shape (n, 3) [m], about the origin; none if anything smooth or rough may be.
+
+    Args:
+        points: Ground, as it was measured, all of one flight with some of the level ground at its ends.
+        noise: Standard deviation of the points [m].
+        slope: The ramp that they look like, z = a x + b y + c, shape (3,).
+        floor: Height of the lowest tread [m], about.
+        ceiling: Height of the highest [m], about.
+    """
+    best, found = -np.inf, None
+    for start in _starts(points, noise, slope, floor, ceiling):
+        treads, likelihood = _refined(points, start, noise)
+        if likelihood > best:
+            best, found = likelihood, treads
+    return found if found is not None and _holds(points, found, noise) else None
+
+
+def _starts(points: FloatArray, noise: float, slope: FloatArray, floor: float, ceiling: float) -> list[Treads]:
+    """The likeliest of the regular flights along the ramp."""
+    some = points[np.random.default_rng(0).permutation(len(points))[:_TRIED]]
+    steep, angle = float(np.hypot(slope[0], slope[1])), float(np.arctan2(slope[1], slope[0]))
+    tried = []
+    for rise in _RISES:
+        for phase in np.arange(_PHASES) / _PHASES:
+            first = int(np.ceil(floor / rise - phase - 1.0))
+            heights = (np.arange(first, int(np.floor(ceiling / rise - phase)) + 1) + phase + 0.5) * rise
+            if len(heights) > _FEWEST_EDGES:
+                start = Treads(angle, (heights[1:] - 0.5 * rise - slope[2]) / steep, heights, noise)
+                tried.append((float(_likelihood(some, *start)[0].sum()), start))
+    tried.sort(key=lambda one: -one[0])
+    return [start for _, start in tried[:_REFINED]]
+
+
+def _refined(points: FloatArray, treads: Treads, noise: float) -> tuple[Treads, float]:
+    """The likeliest treads near these, and their log likelihood; -inf if edges cross."""
+    edges, heights, angle, sigma = treads.edges.copy(), treads.heights.copy(), treads.angle, treads.sigma
+    k, likelihood = len(edges), -np.inf
+    for _ in range(_TURNS):
+        likelihood, score, fisher = _score(points, angle, edges, heights, sigma)
+        fisher[np.diag_indices(len(fisher))] += 1e-9 * np.trace(fisher)
+        step = np.linalg.solve(fisher, score)
+        step *= min(1.0, _STRIDE * noise / max(float(np.abs(step[: 2 * k + 1]).max()), 1e-12))
+        edges, heights, angle = edges + step[:k], heights + step[k : 2 * k + 1], angle + float(step[-2])
+        sigma = float(np.clip(sigma * exp(step[-1]), noise / (1.0 + _KNOWN), noise * (1.0 + _KNOWN)))
+        if (np.diff(edges) <= 0.0).any():
+            return treads, -np.inf
+        if float(np.abs(step[: 2 * k + 1]).max()) < _SETTLED:
+            break
+    made = Treads(angle, edges, heights, sigma)
+    return made, float(_likelihood(points, *made)[0].sum())
+
+
+def _holds(points: FloatArray, treads: Treads, noise: float) -> bool:
+    """Whether treads are the only good explanation: resolved, clearly better than a slope, and level in every piece."""
+    if np.diff(treads.edges).min() < _LEAST_RUN * noise or np.diff(treads.heights).min() < _LEAST_RISE * noise:
+        return False
+    return _clearly(points, treads) and _uneven(points, treads) <= _LEVEL
+
+
+def _clearly(points: FloatArray, treads: Treads) -> bool:
+    """Whether they gain over a smooth slope of any roughness what such treads would, between the outer edges."""
+    u, v = treads.along(points)
+    inner = (u > treads.edges[0]) & (u < treads.edges[-1])
+    points, u, v = points[inner], u[inner], v[inner]
+    if len(points) <= 2 * _PIECE_POINTS:
+        return False
+    centre, half = (u.max() + u.min()) / 2.0, (u.max() - u.min()) / 2.0
+    a, b = (u - centre) / half, (v - v.mean()) / half
+    smooth = np.linalg.qr(np.stack([a**0, a, b, a * a, a * b, b * b, a**3, a * a * b, a * b * b, b**3], axis=1))[0]
+
+    def gain(z: FloatArray) -> float:
+        rest = float(((z - smooth @ (smooth.T @ z)) ** 2).mean())
+        log_smooth = -0.5 * len(z) * (log(2.0 * pi * rest) + 1.0)
+        return float(_likelihood(np.column_stack([points[:, :2], z]), *treads)[0].sum()) - log_smooth
+
+    rng = np.random.default_rng(0)
+    expected = float(np.mean([gain(_drawn(u, treads, rng)) for _ in range(_DRAWS)]))
+    return gain(points[:, 2]) >= max(_GAIN * expected, _SURELY + 2.0 * len(treads.edges))
+
+
+def _drawn(u: FloatArray, treads: Treads, rng: np.random.Generator) -> FloatArray:
+    """Heights that points measured at u along the way up would have."""
+    true = u + rng.normal(0.0, treads.sigma, len(u))
+    heights: FloatArray = treads.height_at(true) + rng.normal(0.0, treads.sigma, len(u))
+    return heights
+
+
+def _uneven(points: FloatArray, treads: Treads) -> float:
+    """The most that a piece of a tread, half of it long up and a foot along its edge, is off it, in standard errors."""
+    u, v = treads.along(points)
+    off = _likelihood(points, *treads)[1]
+    middles = 0.5 * (treads.edges[1:] + treads.edges[:-1])
+    cuts = np.sort(np.concatenate([treads.edges, middles]))
+    row, column = np.searchsorted(cuts, u), np.floor((v - v.min()) / _PIECE).astype(np.int64)
+    _, piece = np.unique(row * (column.max() + 1) + column, return_inverse=True)
+    number, total, square = (np.bincount(piece, weights) for weights in (None, off, off * off))
+    told = number >= _PIECE_POINTS
+    return float(np.max(np.abs(total[told]) / np.sqrt(square[told]), initial=0.0))
+
+
+@njit(cache=True, nogil=True)
+def _phi(t: float) -> float:
+    return 0.5 * (1.0 + erf(t * 0.7071067811865476))
+
+
+@njit(cache=True, nogil=True)
+def _likelihood(
+    points: FloatArray, angle: float, edges: FloatArray, heights: FloatArray, sigma: float
+) -> tuple[FloatArray, FloatArray]:
+    """Log density of each point's height, shape (n,), and how far it is over its treads, in σ, shape (n,)."""
+    density, off = np.empty(len(points)), np.empty(len(points))
+    c, s, peak = cos(angle), sin(angle), 1.0 / (sqrt(2.0 * pi) * sigma)
+    for i in range(len(points)):
+        u, z = c * points[i, 0] + s * points[i, 1], points[i, 2]
+        p, mean, before = _OUTLIER / sigma, 0.0, 1.0
+        for k in range(np.searchsorted(edges, u - _NEAR * sigma), len(heights)):
+            after = _phi((u - edges[k]) / sigma) if k < len(edges) and edges[k] < u + _NEAR * sigma else 0.0
+            t = (z - heights[k]) / sigma
+            part = (before - after) * peak * exp(-0.5 * t * t)
+            p, mean, before = p + part, mean + part * t, after
+            if after == 0.0:
+                break
+        density[i], off[i] = log(p), mean / p
+    return density, off
+
+
+@njit(cache=True, nogil=True)
+def _score(
+    points: FloatArray, angle: float, edges: FloatArray, heights: FloatArray, sigma: float
+) -> tuple[float, FloatArray, FloatArray]:
+    """Log likelihood, its derivatives by edges, heights, angle and log σ, and the sum of their products."""
+    k, n = len(edges), 2 * len(edges) + 3
+    total, score, fisher, mine, used = 0.0, np.zeros(n), np.zeros((n, n)), np.zeros(n), np.zeros(n, np.int64)
+    c, s, peak = cos(angle), sin(angle), 1.0 / (sqrt(2.0 * pi) * sigma)
+    for i in range(len(points)):
+        x, y, z = points[i, 0], points[i, 1], points[i, 2]
+        u, v = c * x + s * y, c * y - s * x
+        p, before, turn, widen, count = _OUTLIER / sigma, 1.0, 0.0, 0.0, 0
+        for j in range(np.searchsorted(edges, u - _NEAR * sigma), k + 1):
+            t = (z - heights[j]) / sigma
+            g = peak * exp(-0.5 * t * t)
+            beyond = j == k or edges[j] >= u + _NEAR * sigma
+            r = 0.0 if beyond else (u - edges[j]) / sigma
+            after = 0.0 if beyond else _phi(r)
+            part = (before - after) * g
+            p, before = p + part, after
+            mine[k + j], used[count] = part * t / sigma, k + j
+            widen, count = widen + part * (t * t - 1.0), count + 1
+            if beyond:
+                break
+            over = (z - heights[j + 1]) / sigma
+            rise = exp(-0.5 * r * r) / sqrt(2.0 * pi) * (peak * exp(-0.5 * over * over) - g)
+            mine[j], used[count] = -rise / sigma, j
+            turn, widen, count = turn + v * rise / sigma, widen - r * rise, count + 1
+        mine[n - 2], used[count], mine[n - 1], used[count + 1] = turn, n - 2, widen, n - 1
+        total += log(p)
+        for a in range(count + 2):
+            score[used[a]] += mine[used[a]] / p
+            for b in range(count + 2):
+                fisher[used[a], used[b]] += mine[used[a]] * mine[used[b]] / (p * p)
+    return total, score, fisher
