@@ -27,8 +27,8 @@ _RISES: FloatArray = np.arange(0.12, 0.231, 0.005)
 """[m] Rises that stairs are built with: starts of the fit, which leaves every edge and height free."""
 _PHASES = 8
 """Starts a rise: an edge is then within a sixteenth of a run, and the fit finds it."""
-_TRIED = 1500
-"""Points that the starts are compared by."""
+_TRIED, _SOME = 600, 1500
+"""Points that the starts are compared by, and those that say whether a flight is worth all points."""
 _REFINED = 3
 """Starts that are refined."""
 _TURNS = 40
@@ -92,17 +92,18 @@ def fit_treads(points: FloatArray, noise: float, slope: FloatArray, floor: float
         floor: Height of the lowest tread [m], about.
         ceiling: Height of the highest [m], about.
     """
-    best, found = -np.inf, None
-    for start in _starts(points, noise, slope, floor, ceiling):
-        treads, likelihood = _refined(points, start, noise)
-        if likelihood > best:
-            best, found = likelihood, treads
-    return found if found is not None and _holds(points, found, noise) else None
+    order = np.random.default_rng(0).permutation(len(points))
+    some = points[order[:_SOME]]
+    starts = _starts(points[order[:_TRIED]], noise, slope, floor, ceiling)
+    likely = max((_refined(some, start, noise) for start in starts), key=lambda one: one[1], default=None)
+    if likely is None or likely[1] == -np.inf or not _clearly(some, likely[0]):
+        return None
+    found, likelihood = _refined(points, likely[0], noise)
+    return found if likelihood > -np.inf and _holds(points, found, noise) else None
 
 
 def _starts(points: FloatArray, noise: float, slope: FloatArray, floor: float, ceiling: float) -> list[Treads]:
     """The likeliest of the regular flights along the ramp."""
-    some = points[np.random.default_rng(0).permutation(len(points))[:_TRIED]]
     steep, angle = float(np.hypot(slope[0], slope[1])), float(np.arctan2(slope[1], slope[0]))
     tried = []
     for rise in _RISES:
@@ -111,7 +112,7 @@ def _starts(points: FloatArray, noise: float, slope: FloatArray, floor: float, c
             heights = (np.arange(first, int(np.floor(ceiling / rise - phase)) + 1) + phase + 0.5) * rise
             if len(heights) > _FEWEST_EDGES:
                 start = Treads(angle, (heights[1:] - 0.5 * rise - slope[2]) / steep, heights, noise)
-                tried.append((float(_likelihood(some, *start)[0].sum()), start))
+                tried.append((float(_likelihood(points, *start)[0].sum()), start))
     tried.sort(key=lambda one: -one[0])
     return [start for _, start in tried[:_REFINED]]
 

@@ -1,0 +1,261 @@
+"""Where noisy ground may hide the treads of a stair, and its points set onto them.
+
+The cure at a place sees half a metre all around: of a stair under 5 cm of noise that is half a ramp, steeper than people
+stand on. So where ground is as steep as stairs are, it is looked at along its edges, whole flights at once: `treads`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from math import ceil
+from typing import NamedTuple
+
+import numpy as np
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import cKDTree
+
+from gpdf_service.fields.treads import Treads, fit_treads
+from gpdf_service.types import BoolArray, FloatArray, IntArray
+
+_VOXEL = 0.2
+"""[m] Ground is averaged over this before its slope is looked at: less than a tread."""
+_AROUND = 0.5
+"""[m] Radius of the plane that says how steep it is: three treads."""
+_BESIDE = 40
+"""Voxels within it."""
+_SHALLOW, _STEEP = 0.3, 1.1
+"""[-] Slopes of the shallowest and the steepest stairs: 12 cm on 40 cm, and 22 cm on 20 cm."""
+_TURN = 0.94
+"""[-] Cosine of the most (20°) that the way up turns between two voxels of one flight."""
+_LONGEST, _WIDEST = 3.0, 1.7
+"""[m] Of a piece that is fitted as one: a flight of ten treads, and as wide as two people; longer ones are cut."""
+_LEAST_VOXELS = 6
+"""Of a flight: two treads of half a metre."""
+_TALLEST = 0.25
+"""[m] Rise of a step; ground further off the ramp is another flight."""
+_OFF = 3.5
+"""[-] Standard deviations: a point further off a stair is not of it."""
+_HIDDEN = 0.6
+"""[-] Standard deviation that stays on the points, over the noise; as in `denoise`, relief within it passes for noise."""
+_FOOT = 0.15
+"""[m] To either side along an edge: points of a riser there say together whether it is one."""
+_SURE = 3.5
+"""[-] Standard errors by which a riser's points may be off it together."""
+_EDGE = 0.01
+"""[m] How well an edge is known."""
+_FEWEST = 12
+"""Points that tell a riser from a thing."""
+
+
+class Flight(NamedTuple):
+    """Treads about an origin in plan, shape (2,) [m], from `low` to `high`: along the way up, and along the edges."""
+
+    treads: Treads
+    origin: FloatArray
+    low: tuple[float, float]
+    high: tuple[float, float]
+
+    def within(self, points: FloatArray) -> tuple[IntArray, FloatArray, FloatArray]:
+        """The rows of `points` (n, 3) over or under it, and their places up and along its edges [m]."""
+        u, v = self.treads.along(points[:, :2] - self.origin)
+        rows = np.flatnonzero((u >= self.low[0]) & (u <= self.high[0]) & (v >= self.low[1]) & (v <= self.high[1]))
+        return rows, u[rows], v[rows]
+
+
+def onto_treads(points: FloatArray, noise: float, moved: FloatArray, left: FloatArray) -> list[Flight]:
+    """Set those of the ground `points`, shape (n, 3) [m], that are on a flight's treads onto them.
+
+    Args:
+        points: Ground as it was measured.
+        noise: Its standard deviation [m].
+        moved: The same points, cured, to be written to.
+        left: Standard deviation left on each [m], shape (n,), to be written to.
+
+    Returns:
+        The flights.
+    """
+    flights = []
+    for piece in _steep_pieces(points):
+        flight = _fitted(points, piece, noise)
+        if flight is None:
+            continue
+        rows, u, _ = flight.within(points)
+        z, reach = points[rows, 2], _OFF * noise
+        mine = z >= flight.treads.height_at(u - reach) - reach
+        mine &= z <= flight.treads.height_at(u + reach) + reach
+        moved[rows[mine], :2] = points[rows[mine], :2]
+        moved[rows[mine], 2] = flight.treads.height_at(u[mine])
+        left[rows[mine]] = _HIDDEN * noise
+        flights.append(flight)
+    return flights
+
+
+def onto_risers(flight: Flight, points: FloatArray, noise: float, moved: FloatArray, left: FloatArray) -> None:
+    """Set those of the other `points`, shape (n, 3) [m], that are of a riser of the `flight` onto it.
+
+    A point is of the nearest riser if that is near, and if those beside it along the edge lie together as a riser's do:
+    as often before it as behind it, not thicker than the noise, and not higher. A thing on a tread is before it.
+    `moved` and `left` are as in `onto_treads`.
+    """
+    rows, u, v = flight.within(points)
+    edges, heights = flight.treads.edges, flight.treads.heights
+    if len(rows) == 0:
+        return
+    off, z = u[:, None] - edges, points[rows, 2, None]
+    beyond = np.maximum(np.maximum(heights[:-1] - z, z - heights[1:]), 0.0)
+    nearest = np.hypot(off, beyond).argmin(axis=1)
+    at = np.arange(len(rows))
+    off, over = off[at, nearest], points[rows, 2] - heights[nearest]
+    rise = heights[nearest + 1] - heights[nearest]
+    near = np.hypot(off, beyond[at, nearest]) <= _OFF * noise
+    for k in range(len(edges)):
+        mine = np.flatnonzero(near & (nearest == k))
+        mine = mine[np.argsort(v[mine])]
+        mine = mine[
+            _as_riser(
+                v[mine], off[mine], over[mine] / rise[mine], flight.treads.sigma, float(heights[k + 1] - heights[k])
+            )
+        ]
+        c, s = np.cos(flight.treads.angle), np.sin(flight.treads.angle)
+        place = np.column_stack([c * edges[k] - s * v[mine], s * edges[k] + c * v[mine]])
+        moved[rows[mine], :2] = place + flight.origin
+        moved[rows[mine], 2] = np.clip(points[rows[mine], 2], heights[k], heights[k + 1])
+        left[rows[mine]] = _HIDDEN * noise
+
+
+def _as_riser(v: FloatArray, off: FloatArray, share: FloatArray, sigma: float, rise: float) -> BoolArray:
+    """Which of a riser's points, in order along its edge, lie among others as a riser's do.
+
+    Args:
+        v: Along the edge [m], shape (n,), rising.
+        off: Before or behind the riser [m], shape (n,).
+        share: Height over its foot, of its `rise`, shape (n,).
+        sigma: Standard deviation of the points [m].
+        rise: Its height [m].
+    """
+    begin, end = np.searchsorted(v, v - _FOOT), np.searchsorted(v, v + _FOOT, side="right")
+    number = np.maximum(end - begin, 1)
+
+    def mean(values: FloatArray) -> FloatArray:
+        sums = np.concatenate([[0.0], np.cumsum(values)])
+        found: FloatArray = (sums[end] - sums[begin]) / number
+        return found
+
+    level = np.abs(mean(off)) <= _SURE * np.sqrt(sigma**2 / number + _EDGE**2)
+    thin = mean(off * off) <= sigma**2 * (1.0 + _SURE * np.sqrt(2.0 / number)) + _EDGE**2
+    low = mean(share) <= 0.5 + _SURE * np.sqrt((1.0 / 12.0 + (sigma / rise) ** 2) / number)
+    found: BoolArray = level & thin & low & (number >= _FEWEST)
+    return found
+
+
+class _Piece(NamedTuple):
+    """A part of steep ground: the way up (2,), from low to high up and aside, and on which sides it goes on."""
+
+    way: FloatArray
+    low: FloatArray
+    high: FloatArray
+    ramp: FloatArray
+    goes_on: tuple[bool, bool]
+
+
+def _steep_pieces(points: FloatArray) -> Iterator[_Piece]:
+    """Parts of the ground that are as steep as stairs, one way up, cut to what is fitted as one."""
+    key = np.floor((points - points.min(axis=0)) / _VOXEL).astype(np.int64)
+    size = key.max(axis=0) + 1
+    _, voxel, count = np.unique(
+        (key[:, 0] * size[1] + key[:, 1]) * size[2] + key[:, 2], return_inverse=True, return_counts=True
+    )
+    means = np.stack([np.bincount(voxel, column) / count for column in points.T], axis=1)
+    gradient = _gradients(means, count.astype(np.float64))
+    slope = np.hypot(gradient[:, 0], gradient[:, 1])
+    steep = np.flatnonzero((slope >= _SHALLOW) & (slope <= _STEEP))
+    if len(steep) < _LEAST_VOXELS:
+        return
+    ways = gradient[steep] / slope[steep, None]
+    pairs = cKDTree(means[steep]).query_pairs(2.0 * _VOXEL, output_type="ndarray")
+    pairs = pairs[np.einsum("ij,ij->i", ways[pairs[:, 0]], ways[pairs[:, 1]]) >= _TURN]
+    graph = coo_matrix((np.ones(len(pairs), np.int8), (pairs[:, 0], pairs[:, 1])), shape=(len(steep), len(steep)))
+    label = connected_components(graph, directed=False)[1]
+    for part in np.flatnonzero(np.bincount(label) >= _LEAST_VOXELS):
+        mine = label == part
+        yield from _cut(means[steep[mine]], gradient[steep[mine]])
+
+
+def _gradients(means: FloatArray, weight: FloatArray) -> FloatArray:
+    """Gradient of the plane through the means, shape (m, 3) [m], around each, shape (m, 2); 0 where there is none."""
+    reach, beside = cKDTree(means).query(means, k=min(_BESIDE, len(means)), distance_upper_bound=_AROUND)
+    weight = np.append(weight, 0.0)[beside]
+    offset = np.append(means, [[0.0, 0.0, 0.0]], axis=0)[beside]
+    total = np.maximum(weight.sum(axis=1), 1.0)
+    offset = offset - np.einsum("ij,ijk->ik", weight, offset)[:, None] / total[:, None, None]
+    moments = np.einsum("ij,ijk,ijl->ikl", weight, offset, offset) / total[:, None, None]
+    xx, xy, yy, xz, yz = (moments[:, a, b] for a, b in ((0, 0), (0, 1), (1, 1), (0, 2), (1, 2)))
+    whole = xx * yy - xy * xy
+    known = (whole > 1e-2 * (xx + yy) ** 2) & (np.isfinite(reach).sum(axis=1) >= 4)
+    whole = np.where(known, whole, 1.0)
+    gradient = np.stack([xz * yy - yz * xy, yz * xx - xz * xy], axis=1) / whole[:, None]
+    found: FloatArray = np.where(known[:, None], gradient, 0.0)
+    return found
+
+
+def _cut(means: FloatArray, gradient: FloatArray) -> Iterator[_Piece]:
+    """Pieces of one steep part, from the means and gradients of its voxels."""
+    way = gradient.mean(axis=0)
+    way = way / max(float(np.hypot(*way)), 1e-12)
+    u, v = means[:, :2] @ way, means[:, :2] @ np.array([-way[1], way[0]])
+    low, high = np.array([u.min(), v.min()]) - 0.5 * _VOXEL, np.array([u.max(), v.max()]) + 0.5 * _VOXEL
+    rows, columns = ceil((high[0] - low[0]) / _LONGEST), ceil((high[1] - low[1]) / _WIDEST)
+    size = (high - low) / [rows, columns]
+    row = np.minimum(((u - low[0]) / size[0]).astype(np.int64), rows - 1)
+    column = np.minimum(((v - low[1]) / size[1]).astype(np.int64), columns - 1)
+    for i in range(rows):
+        for j in range(columns):
+            mine = (row == i) & (column == j)
+            if mine.sum() < _LEAST_VOXELS:
+                continue
+            design = np.column_stack([u[mine], np.ones(int(mine.sum()))])
+            ramp = np.linalg.lstsq(design, means[mine, 2], rcond=None)[0]
+            corner = low + size * [i, j]
+            yield _Piece(way, corner, corner + size, ramp, (i > 0, i < rows - 1))
+
+
+def _fitted(points: FloatArray, piece: _Piece, noise: float) -> Flight | None:
+    """The flight of a piece, if it is one."""
+    u, v = points[:, :2] @ piece.way, points[:, :2] @ np.array([-piece.way[1], piece.way[0]])
+    inside = (u >= piece.low[0] - _AROUND) & (u <= piece.high[0] + _AROUND)
+    inside &= (v >= piece.low[1] - _OFF * noise) & (v <= piece.high[1] + _OFF * noise)
+    inside = np.flatnonzero(inside)
+    ramp = piece.ramp[0] * np.clip(u[inside], piece.low[0], piece.high[0]) + piece.ramp[1]
+    inside = inside[np.abs(points[inside, 2] - ramp) <= _TALLEST + _OFF * noise]
+    own = inside[(u[inside] >= piece.low[0]) & (u[inside] <= piece.high[0])]
+    if len(own) < _BESIDE:
+        return None
+    origin = points[own, :2].mean(axis=0)
+    design = np.column_stack([points[own, :2] - origin, np.ones(len(own))])
+    slope = np.linalg.lstsq(design, points[own, 2], rcond=None)[0]
+    if not _SHALLOW <= np.hypot(slope[0], slope[1]) <= _STEEP:
+        return None
+    end = 0.5 * _AROUND
+    floor, ceiling = (
+        points[inside[beyond], 2] for beyond in (u[inside] < piece.low[0] - end, u[inside] > piece.high[0] + end)
+    )
+    bottom, top = (piece.ramp[0] * place + piece.ramp[1] for place in (piece.low[0] - _AROUND, piece.high[0] + _AROUND))
+    near = np.column_stack([points[inside, :2] - origin, points[inside, 2]])
+    treads = fit_treads(
+        near,
+        noise,
+        slope,
+        float(np.median(floor)) if len(floor) else bottom,
+        float(np.median(ceiling)) if len(ceiling) else top,
+    )
+    if treads is None:
+        return None
+    a, b = treads.along(near)
+    low, high = max(a.min(), treads.edges[0] - _AROUND), min(a.max(), treads.edges[-1] + _AROUND)
+    middle = float(origin @ piece.way)
+    if piece.goes_on[0]:
+        low = max(low, piece.low[0] - middle)
+    if piece.goes_on[1]:
+        high = min(high, piece.high[0] - middle)
+    return Flight(treads, origin, (float(low), float(b.min())), (float(high), float(b.max())))
