@@ -1,7 +1,7 @@
 """Where noisy ground may hide the treads of a stair, and its points set onto them.
 
-The cure at a place sees half a metre all around: of a stair under 5 cm of noise that is half a ramp, steeper than people
-stand on. So where ground is as steep as stairs are, it is looked at along its edges, whole flights at once: `treads`.
+The cure at a place sees half a metre all around: of a stair under 5 cm of noise that is half a ramp, steeper than
+people stand on. So where ground is as steep as stairs are, it is looked at along its edges, a whole flight at once.
 """
 
 from __future__ import annotations
@@ -37,9 +37,9 @@ _TALLEST = 0.25
 _OFF = 3.5
 """[-] Standard deviations: a point further off a stair is not of it."""
 _HIDDEN = 0.6
-"""[-] Standard deviation that stays on the points, over the noise; as in `denoise`, relief within it passes for noise."""
+"""[-] Standard deviation left on the points over the noise: as in `denoise`, relief within it passes for noise."""
 _FOOT = 0.15
-"""[m] To either side along an edge: points of a riser there say together whether it is one."""
+"""[m] To either side along an edge, or twice that to one: points of a riser there say together whether it is one."""
 _SURE = 3.5
 """[-] Standard errors by which a riser's points may be off it together."""
 _EDGE = 0.01
@@ -127,6 +127,8 @@ def onto_risers(flight: Flight, points: FloatArray, noise: float, moved: FloatAr
 def _as_riser(v: FloatArray, off: FloatArray, share: FloatArray, sigma: float, rise: float) -> BoolArray:
     """Which of a riser's points, in order along its edge, lie among others as a riser's do.
 
+    The others are those to either side, or, beside a wall or a thing, those to one.
+
     Args:
         v: Along the edge [m], shape (n,), rising.
         off: Before or behind the riser [m], shape (n,).
@@ -134,18 +136,18 @@ def _as_riser(v: FloatArray, off: FloatArray, share: FloatArray, sigma: float, r
         sigma: Standard deviation of the points [m].
         rise: Its height [m].
     """
-    begin, end = np.searchsorted(v, v - _FOOT), np.searchsorted(v, v + _FOOT, side="right")
-    number = np.maximum(end - begin, 1)
-
-    def mean(values: FloatArray) -> FloatArray:
-        sums = np.concatenate([[0.0], np.cumsum(values)])
-        found: FloatArray = (sums[end] - sums[begin]) / number
-        return found
-
-    level = np.abs(mean(off)) <= _SURE * np.sqrt(sigma**2 / number + _EDGE**2)
-    thin = mean(off * off) <= sigma**2 * (1.0 + _SURE * np.sqrt(2.0 / number)) + _EDGE**2
-    low = mean(share) <= 0.5 + _SURE * np.sqrt((1.0 / 12.0 + (sigma / rise) ** 2) / number)
-    found: BoolArray = level & thin & low & (number >= _FEWEST)
+    sums = np.cumsum(np.stack([np.ones_like(v), off, off * off, share]), axis=1)
+    sums = np.concatenate([np.zeros((4, 1)), sums], axis=1)
+    found = np.zeros(len(v), dtype=bool)
+    for before, behind in ((_FOOT, _FOOT), (2.0 * _FOOT, 0.0), (0.0, 2.0 * _FOOT)):
+        begin, end = np.searchsorted(v, v - before), np.searchsorted(v, v + behind, side="right")
+        number, *totals = sums[:, end] - sums[:, begin]
+        mean, square, middle = totals / np.maximum(number, 1.0)
+        few = 1.0 / np.maximum(number, 1.0)
+        level = np.abs(mean) <= _SURE * np.sqrt(sigma**2 * few + _EDGE**2)
+        thin = square <= sigma**2 * (1.0 + _SURE * np.sqrt(2.0 * few)) + _EDGE**2
+        low = middle <= 0.5 + _SURE * np.sqrt((1.0 / 12.0 + (sigma / rise) ** 2) * few)
+        found |= level & thin & low & (number >= _FEWEST)
     return found
 
 

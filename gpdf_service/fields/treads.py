@@ -1,12 +1,14 @@
 """Level treads with straight, parallel edges, fitted to noisy ground that looks like a ramp.
 
 Noise of σ blurs a stair's profile along the slope, but not along its edges: there a tread is known from hundreds of
-points. With edges a_k and heights h_k, u along the slope, and Φ the normal distribution, a point's height has the density
+points. With edges a_k and heights h_k, u along the slope, and Φ the normal distribution, a point's height has the
+density
 
     p(z | u) = Σ_k [Φ((u − a_{k−1}) / σ) − Φ((u − a_k) / σ)] N(z; h_k, σ²).
 
-All edges, heights, the direction and σ are fitted at once, by scoring. Treads are told only if they explain the points as
-much better than a smooth slope of any roughness as such treads would, and if every piece of each is level: rubble is not.
+All edges, heights, the direction and σ are fitted at once, by scoring. Treads are told only if they explain the points
+as much better than a smooth slope of any roughness as such treads would, and if every piece of each is level: rubble is
+not.
 """
 
 from __future__ import annotations
@@ -120,9 +122,9 @@ def _starts(points: FloatArray, noise: float, slope: FloatArray, floor: float, c
 def _refined(points: FloatArray, treads: Treads, noise: float) -> tuple[Treads, float]:
     """The likeliest treads near these, and their log likelihood; -inf if edges cross."""
     edges, heights, angle, sigma = treads.edges.copy(), treads.heights.copy(), treads.angle, treads.sigma
-    k, likelihood = len(edges), -np.inf
+    k = len(edges)
     for _ in range(_TURNS):
-        likelihood, score, fisher = _score(points, angle, edges, heights, sigma)
+        score, fisher = _score(points, angle, edges, heights, sigma)
         fisher[np.diag_indices(len(fisher))] += 1e-9 * np.trace(fisher)
         step = np.linalg.solve(fisher, score)
         step *= min(1.0, _STRIDE * noise / max(float(np.abs(step[: 2 * k + 1]).max()), 1e-12))
@@ -213,10 +215,10 @@ def _likelihood(
 @njit(cache=True, nogil=True)
 def _score(
     points: FloatArray, angle: float, edges: FloatArray, heights: FloatArray, sigma: float
-) -> tuple[float, FloatArray, FloatArray]:
-    """Log likelihood, its derivatives by edges, heights, angle and log σ, and the sum of their products."""
+) -> tuple[FloatArray, FloatArray]:
+    """Derivatives of the log likelihood by edges, heights, angle and log σ, and the sum of their products."""
     k, n = len(edges), 2 * len(edges) + 3
-    total, score, fisher, mine, used = 0.0, np.zeros(n), np.zeros((n, n)), np.zeros(n), np.zeros(n, np.int64)
+    score, fisher, mine, used = np.zeros(n), np.zeros((n, n)), np.zeros(n), np.zeros(n, np.int64)
     c, s, peak = cos(angle), sin(angle), 1.0 / (sqrt(2.0 * pi) * sigma)
     for i in range(len(points)):
         x, y, z = points[i, 0], points[i, 1], points[i, 2]
@@ -239,9 +241,8 @@ def _score(
             mine[j], used[count] = -rise / sigma, j
             turn, widen, count = turn + v * rise / sigma, widen - r * rise, count + 1
         mine[n - 2], used[count], mine[n - 1], used[count + 1] = turn, n - 2, widen, n - 1
-        total += log(p)
         for a in range(count + 2):
             score[used[a]] += mine[used[a]] / p
             for b in range(count + 2):
                 fisher[used[a], used[b]] += mine[used[a]] * mine[used[b]] / (p * p)
-    return total, score, fisher
+    return score, fisher
