@@ -15,7 +15,7 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
-from gpdf_service.fields.treads import Treads, fit_treads
+from gpdf_service.fields.treads import EDGE_ERROR, Treads, log_density, look_for_treads, settle_treads
 from gpdf_service.types import BoolArray, FloatArray, IntArray
 
 _VOXEL = 0.2
@@ -28,8 +28,14 @@ _SHALLOW, _STEEP = 0.3, 1.1
 """[-] Slopes of the shallowest and the steepest stairs: 12 cm on 40 cm, and 22 cm on 20 cm."""
 _TURN = 0.94
 """[-] Cosine of the most (20°) that the way up turns between two voxels of one flight."""
-_LONGEST, _WIDEST = 3.0, 1.7
-"""[m] Of a piece that is fitted as one: a flight of ten treads, and as wide as two people; longer ones are cut."""
+_LONGEST, _WIDEST = 3.0, 5.0
+"""[m] Of a piece that is fitted as one: a flight of ten treads, as wide as any stairs in a house; more is cut."""
+_CORE = 0.7
+"""[m] Width in which a flight is looked for: less than any stair's."""
+_TURNS: FloatArray = np.radians(np.arange(-25.0, 25.1, 2.5))
+"""[rad] How far the way up may be from the slope: what is beside an open stair pulls at it."""
+_SLICE = 0.1
+"""[m] By which a flight grows along its edges."""
 _LEAST_VOXELS = 6
 """Of a flight: two treads of half a metre."""
 _TALLEST = 0.25
@@ -42,8 +48,6 @@ _FOOT = 0.15
 """[m] To either side along an edge, or twice that to one: points of a riser there say together whether it is one."""
 _SURE = 3.5
 """[-] Standard errors by which a riser's points may be off it together."""
-_EDGE = 0.01
-"""[m] How well an edge is known."""
 _FEWEST = 12
 """Points that tell a riser from a thing."""
 
@@ -76,10 +80,7 @@ def onto_treads(points: FloatArray, noise: float, moved: FloatArray, left: Float
         The flights.
     """
     flights = []
-    for piece in _steep_pieces(points):
-        flight = _fitted(points, piece, noise)
-        if flight is None:
-            continue
+    for flight in _flights(points, noise):
         rows, u, _ = flight.within(points)
         z, reach = points[rows, 2], _OFF * noise
         mine = z >= flight.treads.height_at(u - reach) - reach
@@ -144,8 +145,8 @@ def _as_riser(v: FloatArray, off: FloatArray, share: FloatArray, sigma: float, r
         number, *totals = sums[:, end] - sums[:, begin]
         mean, square, middle = totals / np.maximum(number, 1.0)
         few = 1.0 / np.maximum(number, 1.0)
-        level = np.abs(mean) <= _SURE * np.sqrt(sigma**2 * few + _EDGE**2)
-        thin = square <= sigma**2 * (1.0 + _SURE * np.sqrt(2.0 * few)) + _EDGE**2
+        level = np.abs(mean) <= _SURE * np.sqrt(sigma**2 * few + EDGE_ERROR**2)
+        thin = square <= sigma**2 * (1.0 + _SURE * np.sqrt(2.0 * few)) + EDGE_ERROR**2
         low = middle <= 0.5 + _SURE * np.sqrt((1.0 / 12.0 + (sigma / rise) ** 2) * few)
         found |= level & thin & low & (number >= _FEWEST)
     return found
@@ -222,42 +223,93 @@ def _cut(means: FloatArray, gradient: FloatArray) -> Iterator[_Piece]:
             yield _Piece(way, corner, corner + size, ramp, (i > 0, i < rows - 1))
 
 
-def _fitted(points: FloatArray, piece: _Piece, noise: float) -> Flight | None:
-    """The flight of a piece, if it is one."""
-    u, v = points[:, :2] @ piece.way, points[:, :2] @ np.array([-piece.way[1], piece.way[0]])
-    inside = (u >= piece.low[0] - _AROUND) & (u <= piece.high[0] + _AROUND)
-    inside &= (v >= piece.low[1] - _OFF * noise) & (v <= piece.high[1] + _OFF * noise)
-    inside = np.flatnonzero(inside)
-    ramp = piece.ramp[0] * np.clip(u[inside], piece.low[0], piece.high[0]) + piece.ramp[1]
-    inside = inside[np.abs(points[inside, 2] - ramp) <= _TALLEST + _OFF * noise]
-    own = inside[(u[inside] >= piece.low[0]) & (u[inside] <= piece.high[0])]
-    if len(own) < _BESIDE:
+def _flights(points: FloatArray, noise: float) -> Iterator[Flight]:
+    """All flights of the ground, each looked for in cores beside each other, and grown along its edges."""
+    for piece in _steep_pieces(points):
+        side, found = np.array([-piece.way[1], piece.way[0]]), list[Flight]()
+        width = piece.high[1] - piece.low[1]
+        number = max(1, ceil((width - _CORE) / (0.7 * _CORE)) + 1)
+        for aside in piece.low[1] + width * (np.arange(number) + 0.5) / number:
+            origin = 0.5 * (piece.low[0] + piece.high[0]) * piece.way + aside * side
+            if any(len(flight.within(np.append(origin, 0.0)[None])[0]) for flight in found):
+                continue
+            flight = _fitted(points, piece, origin, noise)
+            if flight is not None:
+                found.append(flight)
+                yield flight
+
+
+def _fitted(points: FloatArray, piece: _Piece, origin: FloatArray, noise: float) -> Flight | None:
+    """The flight through `origin`, shape (2,) [m], if there is one."""
+    half, wide = 0.5 * (piece.high[0] - piece.low[0]), float(piece.high[1] - piece.low[1])
+    near = points[(np.abs(points[:, :2] - origin) <= half + wide + _AROUND).all(axis=1)] - np.append(origin, 0.0)
+    ramp = piece.ramp[0] * np.clip(near[:, :2] @ piece.way, -half, half) + piece.ramp[0] * (origin @ piece.way)
+    near = near[np.abs(near[:, 2] - ramp - piece.ramp[1]) <= _TALLEST + _OFF * noise]
+    way = _way_up(near[np.hypot(near[:, 0], near[:, 1]) <= _CORE], piece.way, noise)
+    u, v = near[:, :2] @ way, near[:, :2] @ np.array([-way[1], way[0]])
+    near, u, v = (part[np.abs(u) <= half + _AROUND] for part in (near, u, v))
+    core = np.abs(v) <= 0.5 * _CORE
+    own = core & (np.abs(u) <= half)
+    if own.sum() < _BESIDE:
         return None
-    origin = points[own, :2].mean(axis=0)
-    design = np.column_stack([points[own, :2] - origin, np.ones(len(own))])
-    slope = np.linalg.lstsq(design, points[own, 2], rcond=None)[0]
-    if not _SHALLOW <= np.hypot(slope[0], slope[1]) <= _STEEP:
+    slope, height = np.polyfit(u[own], near[own, 2], 1)
+    if not _SHALLOW <= slope <= _STEEP:
         return None
-    end = 0.5 * _AROUND
+    end = half + 0.5 * _AROUND
+    ends = [near[core & beyond, 2] for beyond in (u < -end, u > end)]
     floor, ceiling = (
-        points[inside[beyond], 2] for beyond in (u[inside] < piece.low[0] - end, u[inside] > piece.high[0] + end)
+        float(np.median(z)) if len(z) else height + slope * side * half
+        for z, side in zip(ends, (-1.0, 1.0), strict=True)
     )
-    bottom, top = (piece.ramp[0] * place + piece.ramp[1] for place in (piece.low[0] - _AROUND, piece.high[0] + _AROUND))
-    near = np.column_stack([points[inside, :2] - origin, points[inside, 2]])
-    treads = fit_treads(
-        near,
-        noise,
-        slope,
-        float(np.median(floor)) if len(floor) else bottom,
-        float(np.median(ceiling)) if len(ceiling) else top,
-    )
+    treads = look_for_treads(near[core], noise, np.append(slope * way, height), floor, ceiling)
     if treads is None:
         return None
-    a, b = treads.along(near)
-    low, high = max(a.min(), treads.edges[0] - _AROUND), min(a.max(), treads.edges[-1] + _AROUND)
-    middle = float(origin @ piece.way)
-    if piece.goes_on[0]:
-        low = max(low, piece.low[0] - middle)
-    if piece.goes_on[1]:
-        high = min(high, piece.high[0] - middle)
-    return Flight(treads, origin, (float(low), float(b.min())), (float(high), float(b.max())))
+    grown = _grown(near, treads)
+    for part in (grown, core):
+        settled = settle_treads(near[part], treads, noise)
+        if settled is not None:
+            return _bounded(near[part], settled, origin, half, piece.goes_on)
+    return None
+
+
+def _way_up(points: FloatArray, way: FloatArray, noise: float) -> FloatArray:
+    """The direction near `way` across which `points` about the origin are the most level."""
+    best, found = np.inf, way
+    for turn in _TURNS:
+        c, s = np.cos(turn), np.sin(turn)
+        tried = np.array([c * way[0] - s * way[1], s * way[0] + c * way[1]])
+        strip = np.floor((points[:, :2] @ tried + 2.0 * _CORE) / noise).astype(np.int64)
+        number, total = np.bincount(strip), np.bincount(strip, points[:, 2])
+        rest = -float((total**2 / np.maximum(number, 1)).sum())
+        if rest < best:
+            best, found = rest, tried
+    return found
+
+
+def _grown(points: FloatArray, treads: Treads) -> BoolArray:
+    """Which of the `points` are of a core's treads, as far along the edges as these go on."""
+    _, v = treads.along(points)
+    density = log_density(points, treads)
+    core = np.abs(v) <= 0.5 * _CORE
+    usual, spread = float(density[core].mean()), float(density[core].std())
+    ends = []
+    for side in (-1.0, 1.0):
+        end = 0.5 * _CORE
+        while True:
+            slice_ = density[(side * v > end) & (side * v <= end + _SLICE)]
+            if len(slice_) >= _FEWEST and slice_.mean() < usual - _SURE * spread / np.sqrt(len(slice_)):
+                break
+            end += _SLICE
+            if len(slice_) < _FEWEST:
+                break
+        ends.append(end)
+    grown: BoolArray = (v >= -ends[0]) & (v <= ends[1])
+    return grown
+
+
+def _bounded(points: FloatArray, treads: Treads, origin: FloatArray, half: float, goes_on: tuple[bool, bool]) -> Flight:
+    """A flight as far as its `points` and its piece, `half` [m] to either side, go."""
+    u, v = treads.along(points)
+    low = max(float(u.min()), treads.edges[0] - _AROUND, -half if goes_on[0] else -np.inf)
+    high = min(float(u.max()), treads.edges[-1] + _AROUND, half if goes_on[1] else np.inf)
+    return Flight(treads, origin, (low, float(v.min())), (high, float(v.max())))

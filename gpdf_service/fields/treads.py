@@ -29,8 +29,8 @@ _RISES: FloatArray = np.arange(0.12, 0.231, 0.005)
 """[m] Rises that stairs are built with: starts of the fit, which leaves every edge and height free."""
 _PHASES = 8
 """Starts a rise: an edge is then within a sixteenth of a run, and the fit finds it."""
-_TRIED, _SOME = 600, 1500
-"""Points that the starts are compared by, and those that say whether a flight is worth all points."""
+_TRIED = 600
+"""Points that the starts are compared by: regular treads then gain 20 to 80 over a slope, rubble at most -14."""
 _REFINED = 3
 """Starts that are refined."""
 _TURNS = 40
@@ -48,6 +48,8 @@ _GAIN = 0.5
 """[-] Least share of the log likelihood ratio that such treads would have over a slope: terraces have less."""
 _SURELY = 12.0
 """[-] Least log likelihood ratio over a slope, beyond one a number that is fitted."""
+EDGE_ERROR = 0.01
+"""[m] Largest standard error of an edge: a foot and a cane find it within 3 cm."""
 _PIECE = 0.25
 """[m] Length of the pieces along an edge that have to be level: a foot."""
 _PIECE_POINTS = 12
@@ -84,24 +86,43 @@ class Treads(NamedTuple):
         return height
 
 
-def fit_treads(points: FloatArray, noise: float, slope: FloatArray, floor: float, ceiling: float) -> Treads | None:
-    """The treads that explain `points`, shape (n, 3) [m], about the origin; none if anything smooth or rough may be.
+def look_for_treads(points: FloatArray, noise: float, slope: FloatArray, floor: float, ceiling: float) -> Treads | None:
+    """Treads that may explain `points`, shape (n, 3) [m], about the origin; none where a regular flight is no likelier.
 
     Args:
-        points: Ground, as it was measured, all of one flight with some of the level ground at its ends.
+        points: Ground, as it was measured, of one flight with some of the level ground at its ends.
         noise: Standard deviation of the points [m].
         slope: The ramp that they look like, z = a x + b y + c, shape (3,).
         floor: Height of the lowest tread [m], about.
         ceiling: Height of the highest [m], about.
     """
-    order = np.random.default_rng(0).permutation(len(points))
-    some = points[order[:_SOME]]
-    starts = _starts(points[order[:_TRIED]], noise, slope, floor, ceiling)
-    likely = max((_refined(some, start, noise) for start in starts), key=lambda one: one[1], default=None)
-    if likely is None or likely[1] == -np.inf or not _clearly(some, likely[0]):
+    some = points[np.random.default_rng(0).permutation(len(points))[:_TRIED]]
+    starts = _starts(some, noise, slope, floor, ceiling)
+    if not starts or _gain_over_slope(some, starts[0]) <= 0.0:
         return None
-    found, likelihood = _refined(points, likely[0], noise)
-    return found if likelihood > -np.inf and _holds(points, found, noise) else None
+    refined = [_refined(points, start, noise) for start in starts]
+    treads, likelihood = max(refined, key=lambda one: one[1])
+    return treads if likelihood > -np.inf else None
+
+
+def settle_treads(points: FloatArray, treads: Treads, noise: float) -> Treads | None:
+    """The treads near these that explain all of `points`; none if anything smooth or rough may be.
+
+    They must be resolved, known well, a clearly better explanation than a slope, and level in every piece.
+    """
+    treads, likelihood = _refined(points, treads, noise)
+    if likelihood == -np.inf:
+        return None
+    if np.diff(treads.edges).min() < _LEAST_RUN * noise or np.diff(treads.heights).min() < _LEAST_RISE * noise:
+        return None
+    error = np.sqrt(np.diag(np.linalg.inv(_score(points, *treads)[1])))[: len(treads.edges)]
+    sound = bool(error.max() <= EDGE_ERROR) and _clearly(points, treads) and _uneven(points, treads) <= _LEVEL
+    return treads if sound else None
+
+
+def log_density(points: FloatArray, treads: Treads) -> FloatArray:
+    """Log density of the height of each of the `points`, shape (n, 3), about the origin."""
+    return _likelihood(points, *treads)[0]
 
 
 def _starts(points: FloatArray, noise: float, slope: FloatArray, floor: float, ceiling: float) -> list[Treads]:
@@ -138,32 +159,27 @@ def _refined(points: FloatArray, treads: Treads, noise: float) -> tuple[Treads, 
     return made, float(_likelihood(points, *made)[0].sum())
 
 
-def _holds(points: FloatArray, treads: Treads, noise: float) -> bool:
-    """Whether treads are the only good explanation: resolved, clearly better than a slope, and level in every piece."""
-    if np.diff(treads.edges).min() < _LEAST_RUN * noise or np.diff(treads.heights).min() < _LEAST_RISE * noise:
-        return False
-    return _clearly(points, treads) and _uneven(points, treads) <= _LEVEL
-
-
 def _clearly(points: FloatArray, treads: Treads) -> bool:
-    """Whether they gain over a smooth slope of any roughness what such treads would, between the outer edges."""
+    """Whether they gain over a slope what such treads would."""
+    u, _ = treads.along(points)
+    rng = np.random.default_rng(0)
+    drawn = [np.column_stack([points[:, :2], _drawn(u, treads, rng)]) for _ in range(_DRAWS)]
+    expected = float(np.mean([_gain_over_slope(one, treads) for one in drawn]))
+    return _gain_over_slope(points, treads) >= max(_GAIN * expected, _SURELY + 2.0 * len(treads.edges))
+
+
+def _gain_over_slope(points: FloatArray, treads: Treads) -> float:
+    """Log likelihood of the treads over that of a smooth slope of any roughness, between the outer edges."""
     u, v = treads.along(points)
     inner = (u > treads.edges[0]) & (u < treads.edges[-1])
     points, u, v = points[inner], u[inner], v[inner]
     if len(points) <= 2 * _PIECE_POINTS:
-        return False
-    centre, half = (u.max() + u.min()) / 2.0, (u.max() - u.min()) / 2.0
-    a, b = (u - centre) / half, (v - v.mean()) / half
-    smooth = np.linalg.qr(np.stack([a**0, a, b, a * a, a * b, b * b, a**3, a * a * b, a * b * b, b**3], axis=1))[0]
-
-    def gain(z: FloatArray) -> float:
-        rest = float(((z - smooth @ (smooth.T @ z)) ** 2).mean())
-        log_smooth = -0.5 * len(z) * (log(2.0 * pi * rest) + 1.0)
-        return float(_likelihood(np.column_stack([points[:, :2], z]), *treads)[0].sum()) - log_smooth
-
-    rng = np.random.default_rng(0)
-    expected = float(np.mean([gain(_drawn(u, treads, rng)) for _ in range(_DRAWS)]))
-    return gain(points[:, 2]) >= max(_GAIN * expected, _SURELY + 2.0 * len(treads.edges))
+        return -np.inf
+    a, b = ((w - w.mean()) / max(float(np.ptp(w)), 1e-9) for w in (u, v))
+    terms = np.stack([a**0, a, b, a * a, a * b, b * b, a**3, a * a * b, a * b * b, b**3], axis=1)
+    smooth, z = np.linalg.qr(terms)[0], points[:, 2]
+    rest = float(((z - smooth @ (smooth.T @ z)) ** 2).mean())
+    return float(log_density(points, treads).sum()) + 0.5 * len(z) * (log(2.0 * pi * rest) + 1.0)
 
 
 def _drawn(u: FloatArray, treads: Treads, rng: np.random.Generator) -> FloatArray:
