@@ -46,6 +46,8 @@ _HIDDEN = 0.6
 """[-] Standard deviation left on the points over the noise: as in `denoise`, relief within it passes for noise."""
 _FOOT = 0.15
 """[m] To either side along an edge, or twice that to one: points of a riser there say together whether it is one."""
+_WALL = 5.0
+"""[-] Standard deviations from the last ground points, 2.5 beyond a wall, to where no point of the wall is."""
 _SURE = 3.5
 """[-] Standard errors by which a riser's points may be off it together."""
 _FEWEST = 12
@@ -60,10 +62,14 @@ class Flight(NamedTuple):
     low: tuple[float, float]
     high: tuple[float, float]
 
-    def within(self, points: FloatArray) -> tuple[IntArray, FloatArray, FloatArray]:
-        """The rows of `points` (n, 3) over or under it, and their places up and along its edges [m]."""
+    def within(self, points: FloatArray, beyond: float = 0.0) -> tuple[IntArray, FloatArray, FloatArray]:
+        """The rows of `points` (n, 3) over or under it, and their places up and along its edges [m].
+
+        With those up to `beyond` [m] before and behind it.
+        """
         u, v = self.treads.along(points[:, :2] - self.origin)
-        rows = np.flatnonzero((u >= self.low[0]) & (u <= self.high[0]) & (v >= self.low[1]) & (v <= self.high[1]))
+        inside = (u >= self.low[0] - beyond) & (u <= self.high[0] + beyond)
+        rows = np.flatnonzero(inside & (v >= self.low[1]) & (v <= self.high[1]))
         return rows, u[rows], v[rows]
 
 
@@ -99,36 +105,34 @@ def onto_risers(flight: Flight, points: FloatArray, noise: float, moved: FloatAr
     as often before it as behind it, not thicker than the noise, and not higher. A thing on a tread is before it.
     `moved` and `left` are as in `onto_treads`.
     """
-    rows, u, v = flight.within(points)
-    edges, heights = flight.treads.edges, flight.treads.heights
+    reach, (angle, edges, heights, sigma) = _OFF * noise, flight.treads
+    rows, u, v = flight.within(points, reach)
     if len(rows) == 0:
         return
-    off, z = u[:, None] - edges, points[rows, 2, None]
-    beyond = np.maximum(np.maximum(heights[:-1] - z, z - heights[1:]), 0.0)
-    nearest = np.hypot(off, beyond).argmin(axis=1)
-    at = np.arange(len(rows))
-    off, over = off[at, nearest], points[rows, 2] - heights[nearest]
-    rise = heights[nearest + 1] - heights[nearest]
-    near = np.hypot(off, beyond[at, nearest]) <= _OFF * noise
-    for k in range(len(edges)):
-        mine = np.flatnonzero(near & (nearest == k))
-        mine = mine[np.argsort(v[mine])]
-        mine = mine[
-            _as_riser(
-                v[mine], off[mine], over[mine] / rise[mine], flight.treads.sigma, float(heights[k + 1] - heights[k])
-            )
-        ]
-        c, s = np.cos(flight.treads.angle), np.sin(flight.treads.angle)
-        place = np.column_stack([c * edges[k] - s * v[mine], s * edges[k] + c * v[mine]])
-        moved[rows[mine], :2] = place + flight.origin
-        moved[rows[mine], 2] = np.clip(points[rows[mine], 2], heights[k], heights[k + 1])
+    order = np.argsort(v)
+    rows, u, v = rows[order], u[order], v[order]
+    z = points[rows, 2]
+    off = u[:, None] - edges
+    over = np.maximum(np.maximum(heights[:-1] - z[:, None], z[:, None] - heights[1:]), 0.0)
+    distance = np.hypot(off, over)
+    nearest = np.where(distance.min(axis=1) <= reach, distance.argmin(axis=1), -1)
+    for k in np.flatnonzero((edges >= flight.low[0]) & (edges <= flight.high[0])):
+        mine = np.flatnonzero(nearest == k)
+        rise = float(heights[k + 1] - heights[k])
+        share = (z[mine] - heights[k]) / rise
+        mine = mine[_as_riser(v[mine], off[mine, k], share, sigma, rise, (flight.low[1], flight.high[1]))]
+        way, side = np.array([np.cos(angle), np.sin(angle)]), np.array([-np.sin(angle), np.cos(angle)])
+        moved[rows[mine], :2] = flight.origin + edges[k] * way + v[mine, None] * side
+        moved[rows[mine], 2] = np.clip(z[mine], heights[k], heights[k + 1])
         left[rows[mine]] = _HIDDEN * noise
 
 
-def _as_riser(v: FloatArray, off: FloatArray, share: FloatArray, sigma: float, rise: float) -> BoolArray:
+def _as_riser(
+    v: FloatArray, off: FloatArray, share: FloatArray, sigma: float, rise: float, ends: tuple[float, float]
+) -> BoolArray:
     """Which of a riser's points, in order along its edge, lie among others as a riser's do.
 
-    The others are those to either side, or, beside a wall or a thing, those to one.
+    The others are those to either side, or, near the flight's ends, where a wall can be, those further in.
 
     Args:
         v: Along the edge [m], shape (n,), rising.
@@ -136,11 +140,17 @@ def _as_riser(v: FloatArray, off: FloatArray, share: FloatArray, sigma: float, r
         share: Height over its foot, of its `rise`, shape (n,).
         sigma: Standard deviation of the points [m].
         rise: Its height [m].
+        ends: Of the flight along its edges [m].
     """
     sums = np.cumsum(np.stack([np.ones_like(v), off, off * off, share]), axis=1)
     sums = np.concatenate([np.zeros((4, 1)), sums], axis=1)
     found = np.zeros(len(v), dtype=bool)
-    for before, behind in ((_FOOT, _FOOT), (2.0 * _FOOT, 0.0), (0.0, 2.0 * _FOOT)):
+    side = _FOOT + _WALL * sigma
+    for before, behind, where in (
+        (_FOOT, _FOOT, np.ones_like(found)),
+        (2.0 * _FOOT, 0.0, v > ends[1] - side),
+        (0.0, 2.0 * _FOOT, v < ends[0] + side),
+    ):
         begin, end = np.searchsorted(v, v - before), np.searchsorted(v, v + behind, side="right")
         number, *totals = sums[:, end] - sums[:, begin]
         mean, square, middle = totals / np.maximum(number, 1.0)
@@ -148,7 +158,7 @@ def _as_riser(v: FloatArray, off: FloatArray, share: FloatArray, sigma: float, r
         level = np.abs(mean) <= _SURE * np.sqrt(sigma**2 * few + EDGE_ERROR**2)
         thin = square <= sigma**2 * (1.0 + _SURE * np.sqrt(2.0 * few)) + EDGE_ERROR**2
         low = middle <= 0.5 + _SURE * np.sqrt((1.0 / 12.0 + (sigma / rise) ** 2) * few)
-        found |= level & thin & low & (number >= _FEWEST)
+        found |= where & level & thin & low & (number >= _FEWEST)
     return found
 
 
