@@ -32,8 +32,8 @@ _LONGEST, _WIDEST = 3.0, 5.0
 """[m] Of a piece that is fitted as one: a flight of ten treads, as wide as any stairs in a house; more is cut."""
 _CORE = 0.7
 """[m] Width in which a flight is looked for: less than any stair's."""
-_TURNS: FloatArray = np.radians(np.arange(-25.0, 25.1, 2.5))
-"""[rad] How far the way up may be from the slope: what is beside an open stair pulls at it."""
+_DISC, _TRIES = 0.4, 3
+"""[m] Radius of the plane that says which way a core goes up, and how many places are compared for one core."""
 _SLICE = 0.1
 """[m] By which a flight grows along its edges."""
 _LEAST_VOXELS = 6
@@ -236,26 +236,50 @@ def _cut(means: FloatArray, gradient: FloatArray) -> Iterator[_Piece]:
 def _flights(points: FloatArray, noise: float) -> Iterator[Flight]:
     """All flights of the ground, each looked for in cores beside each other, and grown along its edges."""
     for piece in _steep_pieces(points):
-        side, found = np.array([-piece.way[1], piece.way[0]]), list[Flight]()
-        width = piece.high[1] - piece.low[1]
-        number = max(1, ceil((width - _CORE) / (0.7 * _CORE)) + 1)
-        for aside in piece.low[1] + width * (np.arange(number) + 0.5) / number:
-            origin = 0.5 * (piece.low[0] + piece.high[0]) * piece.way + aside * side
+        u, v = points[:, :2] @ piece.way, points[:, :2] @ np.array([-piece.way[1], piece.way[0]])
+        ramp = piece.ramp[0] * np.clip(u, piece.low[0], piece.high[0]) + piece.ramp[1]
+        near = np.abs(points[:, 2] - ramp) <= _TALLEST + _OFF * noise
+        for w, low, high in zip((u, v), piece.low, piece.high, strict=True):
+            near &= (w >= low - _CORE) & (w <= high + _CORE)
+        found = list[Flight]()
+        for origin, way in _cores(points[near], piece):
             if any(len(flight.within(np.append(origin, 0.0)[None])[0]) for flight in found):
                 continue
-            flight = _fitted(points, piece, origin, noise)
+            flight = _fitted(points[near], piece, origin, way, noise)
             if flight is not None:
                 found.append(flight)
                 yield flight
 
 
-def _fitted(points: FloatArray, piece: _Piece, origin: FloatArray, noise: float) -> Flight | None:
-    """The flight through `origin`, shape (2,) [m], if there is one."""
-    half, wide = 0.5 * (piece.high[0] - piece.low[0]), float(piece.high[1] - piece.low[1])
-    near = points[(np.abs(points[:, :2] - origin) <= half + wide + _AROUND).all(axis=1)] - np.append(origin, 0.0)
-    ramp = piece.ramp[0] * np.clip(near[:, :2] @ piece.way, -half, half) + piece.ramp[0] * (origin @ piece.way)
-    near = near[np.abs(near[:, 2] - ramp - piece.ramp[1]) <= _TALLEST + _OFF * noise]
-    way = _way_up(near[np.hypot(near[:, 0], near[:, 1]) <= _CORE], piece.way, noise)
+def _cores(points: FloatArray, piece: _Piece) -> Iterator[tuple[FloatArray, FloatArray]]:
+    """Places on a piece, shape (2,) [m], and the way up there: of some beside each other the one most like a plane.
+
+    The way up is that of the plane through what is around: treads lean a plane along the slope, never across it.
+    """
+    side, width = np.array([-piece.way[1], piece.way[0]]), piece.high[1] - piece.low[1]
+    blocks = ceil(width / _CORE)
+    asides = piece.low[1] + width * (np.arange(_TRIES * blocks) + 0.5) / (_TRIES * blocks)
+    for block in asides.reshape(blocks, _TRIES):
+        least, best = np.inf, None
+        for aside in block:
+            origin = 0.5 * (piece.low[0] + piece.high[0]) * piece.way + aside * side
+            offset = points[:, :2] - origin
+            near = np.hypot(offset[:, 0], offset[:, 1]) <= _DISC
+            if near.sum() < _BESIDE:
+                continue
+            design = np.column_stack([offset[near], np.ones(int(near.sum()))])
+            plane, _, rank, _ = np.linalg.lstsq(design, points[near, 2], rcond=None)
+            rest = float(((points[near, 2] - design @ plane) ** 2).mean())
+            steep = float(np.hypot(plane[0], plane[1]))
+            if rank == 3 and _SHALLOW <= steep <= _STEEP and rest < least:
+                least, best = rest, (origin, plane[:2] / steep)
+        if best is not None:
+            yield best
+
+
+def _fitted(points: FloatArray, piece: _Piece, origin: FloatArray, way: FloatArray, noise: float) -> Flight | None:
+    """The flight through `origin`, shape (2,) [m], if there is one whose way up is about `way`, shape (2,)."""
+    half, near = 0.5 * (piece.high[0] - piece.low[0]), points - np.append(origin, 0.0)
     u, v = near[:, :2] @ way, near[:, :2] @ np.array([-way[1], way[0]])
     near, u, v = (part[np.abs(u) <= half + _AROUND] for part in (near, u, v))
     core = np.abs(v) <= 0.5 * _CORE
@@ -280,20 +304,6 @@ def _fitted(points: FloatArray, piece: _Piece, origin: FloatArray, noise: float)
         if settled is not None:
             return _bounded(near[part], settled, origin, half, piece.goes_on)
     return None
-
-
-def _way_up(points: FloatArray, way: FloatArray, noise: float) -> FloatArray:
-    """The direction near `way` across which `points` about the origin are the most level."""
-    best, found = np.inf, way
-    for turn in _TURNS:
-        c, s = np.cos(turn), np.sin(turn)
-        tried = np.array([c * way[0] - s * way[1], s * way[0] + c * way[1]])
-        strip = np.floor((points[:, :2] @ tried + 2.0 * _CORE) / noise).astype(np.int64)
-        number, total = np.bincount(strip), np.bincount(strip, points[:, 2])
-        rest = -float((total**2 / np.maximum(number, 1)).sum())
-        if rest < best:
-            best, found = rest, tried
-    return found
 
 
 def _grown(points: FloatArray, treads: Treads) -> BoolArray:
