@@ -72,6 +72,11 @@ class Flight(NamedTuple):
         rows = np.flatnonzero(inside & (v >= self.low[1]) & (v <= self.high[1]))
         return rows, u[rows], v[rows]
 
+    def reaches(self, place: FloatArray) -> bool:
+        """Whether a core at `place`, shape (2,) [m], would be of this flight."""
+        v = float(self.treads.along((place - self.origin)[None])[1][0])
+        return self.low[1] - _DISC <= v <= self.high[1] + _DISC
+
 
 def onto_treads(points: FloatArray, noise: float, moved: FloatArray, left: FloatArray) -> list[Flight]:
     """Set those of the ground `points`, shape (n, 3) [m], that are on a flight's treads onto them.
@@ -243,7 +248,7 @@ def _flights(points: FloatArray, noise: float) -> Iterator[Flight]:
             near &= (w >= low - _CORE) & (w <= high + _CORE)
         found = list[Flight]()
         for origin, way in _cores(points[near], piece):
-            if any(len(flight.within(np.append(origin, 0.0)[None])[0]) for flight in found):
+            if any(flight.reaches(origin) for flight in found):
                 continue
             flight = _fitted(points[near], piece, origin, way, noise)
             if flight is not None:
