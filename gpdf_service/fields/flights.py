@@ -262,19 +262,21 @@ def _cores(points: FloatArray, piece: _Piece) -> Iterator[tuple[FloatArray, Floa
     The way up is that of the plane through what is around: treads lean a plane along the slope, never across it.
     """
     side, width = np.array([-piece.way[1], piece.way[0]]), piece.high[1] - piece.low[1]
+    order = np.argsort(points[:, :2] @ side)
+    points, v = points[order], points[order, :2] @ side
     blocks = ceil(width / _CORE)
     asides = piece.low[1] + width * (np.arange(_TRIES * blocks) + 0.5) / (_TRIES * blocks)
     for block in asides.reshape(blocks, _TRIES):
         least, best = np.inf, None
         for aside in block:
             origin = 0.5 * (piece.low[0] + piece.high[0]) * piece.way + aside * side
-            offset = points[:, :2] - origin
-            near = np.hypot(offset[:, 0], offset[:, 1]) <= _DISC
-            if near.sum() < _BESIDE:
+            beside = points[np.searchsorted(v, aside - _DISC) : np.searchsorted(v, aside + _DISC)]
+            near = beside[np.hypot(*(beside[:, :2] - origin).T) <= _DISC]
+            if len(near) < _BESIDE:
                 continue
-            design = np.column_stack([offset[near], np.ones(int(near.sum()))])
-            plane, _, rank, _ = np.linalg.lstsq(design, points[near, 2], rcond=None)
-            rest = float(((points[near, 2] - design @ plane) ** 2).mean())
+            design = np.column_stack([near[:, :2] - origin, np.ones(len(near))])
+            plane, _, rank, _ = np.linalg.lstsq(design, near[:, 2], rcond=None)
+            rest = float(((near[:, 2] - design @ plane) ** 2).mean())
             steep = float(np.hypot(plane[0], plane[1]))
             if rank == 3 and _SHALLOW <= steep <= _STEEP and rest < least:
                 least, best = rest, (origin, plane[:2] / steep)
