@@ -7,6 +7,7 @@ import gpdf_service as gpdf
 from gpdf_service.bench.judge import Judge
 from gpdf_service.bench.plan import random_places
 from gpdf_service.synthetic import SCENES
+from gpdf_service.synthetic.world import Box, World
 
 NOISE = 0.05
 
@@ -95,3 +96,15 @@ def test_moving_obstacles_do_not_make_a_noisy_scene_a_clean_one(noisy):
 def test_the_noise_is_kept_in_the_file(noisy, tmp_path):
     noisy.save(tmp_path / "scene.gpdf")
     assert gpdf.load_scene(tmp_path / "scene.gpdf").noise == noisy.noise
+
+
+def test_a_stair_under_noise_is_walked_up_and_its_treads_are_where_they_are():
+    treads = tuple(Box((1.0 + 0.29 * k, 0.0, 0.0), (4.5, 1.1, 0.17 * (k + 1)), walkable=True) for k in range(5))
+    points, ground = World((4.5, 1.1, 3.2), treads, ceiling=False).sample(0.03, np.random.default_rng(0))
+    noise = np.random.default_rng(1).normal(size=points.shape) * NOISE
+    scene = gpdf.build_scene(points + noise, ground)
+    middles = np.column_stack([1.145 + 0.29 * np.arange(4), np.full(4, 0.55)])
+    np.testing.assert_allclose(scene.surfaces[0].height_at(middles), 0.17 * np.arange(1, 5), atol=0.015)
+    result = gpdf.plan(scene, (0.5, 0.55), (3.8, 0.55), agent="human")
+    assert result.status is gpdf.Status.OK
+    assert Judge(points, ground).judge(result.trajectory, gpdf.AGENTS["human"]).collision_free
