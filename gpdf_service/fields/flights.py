@@ -179,12 +179,16 @@ class _Piece(NamedTuple):
 
 def _steep_pieces(points: FloatArray) -> Iterator[_Piece]:
     """Parts of the ground that are as steep as stairs, one way up, cut to what is fitted as one."""
+    if len(points) < _BESIDE:
+        return
     key = np.floor((points - points.min(axis=0)) / _VOXEL).astype(np.int64)
     size = key.max(axis=0) + 1
     _, voxel, count = np.unique(
         (key[:, 0] * size[1] + key[:, 1]) * size[2] + key[:, 2], return_inverse=True, return_counts=True
     )
     means = np.stack([np.bincount(voxel, column) / count for column in points.T], axis=1)
+    if len(means) < _LEAST_VOXELS:
+        return
     gradient = _gradients(means, count.astype(np.float64))
     slope = np.hypot(gradient[:, 0], gradient[:, 1])
     steep = np.flatnonzero((slope >= _SHALLOW) & (slope <= _STEEP))

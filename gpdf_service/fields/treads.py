@@ -42,6 +42,8 @@ _STRIDE = 0.6
 """[-] Largest change of an edge in one turn, in σ: beyond it the curve is not the one that was measured."""
 _KNOWN = 0.1
 """[-] How well the noise is known; a fit that needs more is none."""
+_NOTHING = 1e-6
+"""[1/m²] What is known of a flight without points."""
 _LEAST_RUN, _LEAST_RISE = 3.0, 2.0
 """[-] Of a tread over σ: a plateau beyond the blur of both edges, and a step that shows in it."""
 _FEWEST_EDGES = 3
@@ -118,7 +120,7 @@ def settle_treads(points: FloatArray, treads: Treads, noise: float) -> Treads | 
         return None
     if np.diff(treads.edges).min() < _LEAST_RUN * noise or np.diff(treads.heights).min() < _LEAST_RISE * noise:
         return None
-    error = np.sqrt(np.diag(np.linalg.inv(_score(points, *treads)[1])))[: len(treads.edges)]
+    error = np.sqrt(np.diag(np.linalg.inv(_regular(_score(points, *treads)[1]))))[: len(treads.edges)]
     sound = bool(error.max() <= EDGE_ERROR) and _clearly(points, treads) and _uneven(points, treads) <= _LEVEL
     return treads if sound else None
 
@@ -149,17 +151,22 @@ def _refined(points: FloatArray, treads: Treads, noise: float) -> tuple[Treads, 
     k = len(edges)
     for _ in range(_TURNS):
         score, fisher = _score(points, angle, edges, heights, sigma)
-        fisher[np.diag_indices(len(fisher))] += 1e-9 * np.trace(fisher)
-        step = np.linalg.solve(fisher, score)
-        step *= min(1.0, _STRIDE * noise / max(float(np.abs(step[: 2 * k + 1]).max()), 1e-12))
+        step = np.linalg.solve(_regular(fisher), score)
+        step *= min(1.0, _STRIDE * noise / max(float(np.abs(step[:-1]).max()), 1e-12))
         edges, heights, angle = edges + step[:k], heights + step[k : 2 * k + 1], angle + float(step[-2])
         sigma = float(np.clip(sigma * exp(step[-1]), noise / (1.0 + _KNOWN), noise * (1.0 + _KNOWN)))
         if (np.diff(edges) <= 0.0).any():
             return treads, -np.inf
-        if float(np.abs(step[: 2 * k + 1]).max()) < _SETTLED:
+        if float(np.abs(step[:-1]).max()) < _SETTLED:
             break
     made = Treads(angle, edges, heights, sigma)
     return made, float(_likelihood(points, *made)[0].sum())
+
+
+def _regular(fisher: FloatArray) -> FloatArray:
+    """A matrix that has an inverse, in which what no point tells of is not known at all."""
+    made: FloatArray = fisher + (1e-9 * float(np.trace(fisher)) + _NOTHING) * np.eye(len(fisher))
+    return made
 
 
 def _clearly(points: FloatArray, treads: Treads) -> bool:

@@ -119,3 +119,13 @@ def test_risers_are_set_and_things_on_treads_are_not() -> None:
     off = np.abs(moved[far & (left > 0.0), :1] - EDGES).min(axis=1)
     assert off.max() < 0.02
     assert (left[thing] > 0.0).mean() < 0.1
+
+
+@pytest.mark.parametrize("count", [0, 1, 40, 300])
+def test_few_points_are_no_flight(count: int) -> None:
+    rng = np.random.default_rng(5)
+    clean = stair(rng)[:count]
+    flights, moved, left = cured(clean + rng.normal(0.0, NOISE, clean.shape))
+    assert flights == []
+    assert not left.any()
+    assert len(moved) == count
