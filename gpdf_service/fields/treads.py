@@ -19,7 +19,7 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-from gpdf_service.types import FloatArray
+from gpdf_service.types import FloatArray, IntArray
 
 _NEAR = 5.0
 """[-] Standard deviations beyond which an edge is not felt."""
@@ -200,16 +200,28 @@ def _drawn(u: FloatArray, treads: Treads, rng: np.random.Generator) -> FloatArra
 
 
 def _uneven(points: FloatArray, treads: Treads) -> float:
-    """The most that a piece of a tread, half of it long up and a foot along its edge, is off it, in standard errors."""
+    """The most that a piece of a tread or an edge is off it, or that the edges turn, in standard errors.
+
+    A piece is half a tread long and a foot wide along its edge. Edges turn as χ² with one degree of freedom each.
+    """
     u, v = treads.along(points)
-    off = _likelihood(points, *treads)[1]
+    _, off, push = _likelihood(points, *treads)
     middles = 0.5 * (treads.edges[1:] + treads.edges[:-1])
-    cuts = np.sort(np.concatenate([treads.edges, middles]))
-    row, column = np.searchsorted(cuts, u), np.floor((v - v.min()) / _PIECE).astype(np.int64)
-    _, piece = np.unique(row * (column.max() + 1) + column, return_inverse=True)
-    number, total, square = (np.bincount(piece, weights) for weights in (None, off, off * off))
+    half, edge = np.searchsorted(np.sort(np.concatenate([treads.edges, middles])), u), np.searchsorted(middles, u)
+    column = np.floor((v - v.min()) / _PIECE).astype(np.int64)
+    pieces = [_errors(row * (column.max() + 1) + column, value) for row, value in ((half, off), (edge, push))]
+    turns = _errors(edge, push * (v - v.mean()))
+    turned = float((turns**2).sum() - len(turns)) / sqrt(2.0 * len(turns))
+    return max(turned, *(float(np.abs(errors).max(initial=0.0)) for errors in pieces))
+
+
+def _errors(group: IntArray, values: FloatArray) -> FloatArray:
+    """Sums over the groups of at least `_PIECE_POINTS` of values that are 0 on average, in standard errors."""
+    _, group = np.unique(group, return_inverse=True)
+    number, total, square = (np.bincount(group, weights) for weights in (None, values, values * values))
     told = number >= _PIECE_POINTS
-    return float(np.max(np.abs(total[told]) / np.sqrt(square[told]), initial=0.0))
+    errors: FloatArray = total[told] / np.sqrt(np.maximum(square[told], _NOTHING))
+    return errors
 
 
 @njit(cache=True, nogil=True)
@@ -220,22 +232,26 @@ def _phi(t: float) -> float:
 @njit(cache=True, nogil=True)
 def _likelihood(
     points: FloatArray, angle: float, edges: FloatArray, heights: FloatArray, sigma: float
-) -> tuple[FloatArray, FloatArray]:
-    """Log density of each point's height, shape (n,), and how far it is over its treads, in σ, shape (n,)."""
-    density, off = np.empty(len(points)), np.empty(len(points))
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Log density of each point's height, what it is over its treads in σ, and how it pulls at edges; (n,) each."""
+    density, off, push = np.empty(len(points)), np.empty(len(points)), np.empty(len(points))
     c, s, peak = cos(angle), sin(angle), 1.0 / (sqrt(2.0 * pi) * sigma)
     for i in range(len(points)):
         u, z = c * points[i, 0] + s * points[i, 1], points[i, 2]
-        p, mean, before = _OUTLIER / sigma, 0.0, 1.0
+        p, mean, slope, before, last = _OUTLIER / sigma, 0.0, 0.0, 1.0, 0.0
         for k in range(np.searchsorted(edges, u - _NEAR * sigma), len(heights)):
-            after = _phi((u - edges[k]) / sigma) if k < len(edges) and edges[k] < u + _NEAR * sigma else 0.0
+            beyond = k == len(edges) or edges[k] >= u + _NEAR * sigma
+            r = 0.0 if beyond else (u - edges[k]) / sigma
+            after, bell = (0.0, 0.0) if beyond else (_phi(r), exp(-0.5 * r * r))
             t = (z - heights[k]) / sigma
-            part = (before - after) * peak * exp(-0.5 * t * t)
-            p, mean, before = p + part, mean + part * t, after
-            if after == 0.0:
+            g = peak * exp(-0.5 * t * t)
+            p, mean = p + (before - after) * g, mean + (before - after) * g * t
+            slope += (last - bell) * g
+            if beyond:
                 break
-        density[i], off[i] = log(p), mean / p
-    return density, off
+            before, last = after, bell
+        density[i], off[i], push[i] = log(p), mean / p, slope / p
+    return density, off, push
 
 
 @njit(cache=True, nogil=True)
