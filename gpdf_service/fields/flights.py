@@ -28,8 +28,8 @@ _SHALLOW, _STEEP = 0.3, 1.1
 """[-] Slopes of the shallowest and the steepest stairs: 12 cm on 40 cm, and 22 cm on 20 cm."""
 _TURN = 0.94
 """[-] Cosine of the most (20°) that the way up turns between two voxels of one flight."""
-_LONGEST, _WIDEST = 3.0, 5.0
-"""[m] Of a piece that is fitted as one: a flight of ten treads, as wide as any stairs in a house; more is cut."""
+_LONGEST, _WIDEST = 4.0, 5.0
+"""[m] Of a piece that is fitted as one: a flight of a storey, as wide as any stairs in a house; more is cut."""
 _CORE = 0.7
 """[m] Width in which a flight is looked for: less than any stair's."""
 _DISC, _TRIES = 0.4, 3

@@ -58,8 +58,8 @@ _PIECE = 0.25
 """[m] Length of the pieces along an edge that have to be level: a foot."""
 _PIECE_POINTS = 12
 """Points that tell whether a piece is level."""
-_LEVEL = 4.0
-"""[-] Standard errors by which one of many pieces may be off: one flight in a hundred has such a piece by chance."""
+_LEVEL = 4.5
+"""[-] Standard errors by which one of some hundred pieces may be off: one flight in a thousand has such by chance."""
 _DRAWS = 8
 """Draws from the model that say what treads would have gained."""
 
@@ -105,9 +105,14 @@ def look_for_treads(points: FloatArray, noise: float, slope: FloatArray, floor: 
     starts = _starts(some, blur, slope, floor, ceiling)
     if not starts or _gain_over_slope(some, starts[0]) <= 0.0:
         return None
-    refined = [_refined(points, _refined(points, start, blur)[0], noise) for start in starts]
-    treads, likelihood = max(refined, key=lambda one: one[1])
-    return treads if likelihood > -np.inf else None
+    likely, best = None, -np.inf
+    for start in starts:
+        treads = _resolved(_refined(points, start, blur)[0], blur)
+        treads, likelihood = _refined(points, _resolved(_refined(points, treads, noise)[0], noise), noise)
+        likelihood -= len(treads.edges) * log(len(points))  # half of it for each of two numbers: Schwarz 1978
+        if likelihood > best:
+            likely, best = treads, likelihood
+    return likely
 
 
 def settle_treads(points: FloatArray, treads: Treads, noise: float) -> Treads | None:
@@ -161,6 +166,22 @@ def _refined(points: FloatArray, treads: Treads, noise: float) -> tuple[Treads, 
             break
     made = Treads(angle, edges, heights, sigma)
     return made, float(_likelihood(points, *made)[0].sum())
+
+
+def _resolved(treads: Treads, noise: float) -> Treads:
+    """The same without steps that are too low and treads that are too short to be seen in the noise."""
+    edges, heights = treads.edges.copy(), treads.heights.copy()
+    while len(edges) > _FEWEST_EDGES:
+        step, tread = int(np.diff(heights).argmin()), int(np.diff(edges).argmin())
+        if heights[step + 1] - heights[step] < _LEAST_RISE * noise:
+            heights[step] = 0.5 * (heights[step] + heights[step + 1])
+            edges, heights = np.delete(edges, step), np.delete(heights, step + 1)
+        elif edges[tread + 1] - edges[tread] < _LEAST_RUN * noise:
+            edges[tread] = 0.5 * (edges[tread] + edges[tread + 1])
+            edges, heights = np.delete(edges, tread + 1), np.delete(heights, tread + 1)
+        else:
+            break
+    return Treads(treads.angle, edges, heights, treads.sigma)
 
 
 def _regular(fisher: FloatArray) -> FloatArray:
