@@ -7,6 +7,7 @@ import gpdf_service as gpdf
 from gpdf_service.bench.judge import Judge
 from gpdf_service.bench.plan import random_places
 from gpdf_service.synthetic import SCENES
+from gpdf_service.synthetic.world import Box, World
 
 NOISE = 0.05
 
@@ -97,10 +98,9 @@ def test_the_noise_is_kept_in_the_file(noisy, tmp_path):
     assert gpdf.load_scene(tmp_path / "scene.gpdf").noise == noisy.noise
 
 
-@pytest.mark.parametrize("labelled", [True, False])
-@pytest.mark.parametrize("offset", [0.02, 0.04])
+@pytest.mark.parametrize(("offset", "labelled"), [(0.02, False), (0.04, True)])
 def test_scans_that_do_not_fit_on_each_other_have_one_floor(offset, labelled):
-    made = SCENES["cluttered_office"](np.random.default_rng(0))
+    made = SCENES["cluttered_office"](np.random.default_rng(0), spacing=0.05)
     rng = np.random.default_rng(1)
     scans = [made.points + rng.normal(0.0, 0.003, made.points.shape) for _ in range(2)]
     scans[1] += [0.01, -0.01, offset]
@@ -109,3 +109,15 @@ def test_scans_that_do_not_fit_on_each_other_have_one_floor(offset, labelled):
     for agent in ("human", "roomba"):
         answers = [gpdf.plan(scene, *way, agent) for way in ((made.start, made.goal), (made.goal, made.start))]
         assert [answer.status for answer in answers] == [gpdf.Status.OK] * 2
+
+
+def test_a_stair_under_noise_is_walked_up_and_its_treads_are_where_they_are():
+    treads = tuple(Box((1.0 + 0.29 * k, 0.0, 0.0), (4.5, 1.1, 0.17 * (k + 1)), walkable=True) for k in range(5))
+    points, ground = World((4.5, 1.1, 3.2), treads, ceiling=False).sample(0.03, np.random.default_rng(0))
+    noise = np.random.default_rng(1).normal(size=points.shape) * NOISE
+    scene = gpdf.build_scene(points + noise, ground)
+    middles = np.column_stack([1.145 + 0.29 * np.arange(4), np.full(4, 0.55)])
+    np.testing.assert_allclose(scene.surfaces[0].height_at(middles), 0.17 * np.arange(1, 5), atol=0.015)
+    result = gpdf.plan(scene, (0.5, 0.55), (3.8, 0.55), agent="human")
+    assert result.status is gpdf.Status.OK
+    assert Judge(points, ground).judge(result.trajectory, gpdf.AGENTS["human"]).collision_free

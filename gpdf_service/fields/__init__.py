@@ -7,6 +7,9 @@ from gpdf_service.fields.denoise import find_lifted as find_lifted
 from gpdf_service.fields.denoise import find_loose as find_loose
 from gpdf_service.fields.denoise import onto_surface as onto_surface
 from gpdf_service.fields.denoise import uncured as uncured
+from gpdf_service.fields.flights import Flight as Flight
+from gpdf_service.fields.flights import onto_risers as onto_risers
+from gpdf_service.fields.flights import onto_treads as onto_treads
 from gpdf_service.fields.gpdf import Domain as Domain
 from gpdf_service.fields.gpdf import Gpdf as Gpdf
 from gpdf_service.fields.gpdf import find_nearest as find_nearest

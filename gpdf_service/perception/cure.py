@@ -8,7 +8,18 @@ import numpy as np
 
 from gpdf_service.config import PerceptionConfig
 from gpdf_service.errors import NoGroundError
-from gpdf_service.fields import Cured, estimate_noise, estimate_spacing, find_lifted, find_loose, onto_surface, uncured
+from gpdf_service.fields import (
+    Cured,
+    Flight,
+    estimate_noise,
+    estimate_spacing,
+    find_lifted,
+    find_loose,
+    onto_risers,
+    onto_surface,
+    onto_treads,
+    uncured,
+)
 from gpdf_service.perception.segment import Segmentation, segment
 from gpdf_service.types import BoolArray, FloatArray
 
@@ -70,10 +81,17 @@ def cure_and_segment(points: FloatArray, ground: BoolArray | None, config: Perce
         ground = np.zeros(len(points), dtype=bool)
         ground[~stray] = segment(moved[~stray], config)[0]
     cured = uncured(points.copy(), noise)
+    flights: list[Flight] = []
     for part, level in ((ground, True), (~ground, False)):
         if part.any():
             own = points[part]
-            cured.points[part], cured.noise[part] = onto_surface(own, estimate_spacing(own), noise, level=level)
+            moved, left = onto_surface(own, estimate_spacing(own), noise, level=level)
+            if level:
+                flights = onto_treads(own, noise, moved, left)
+            else:
+                for flight in flights:
+                    onto_risers(flight, own, noise, moved, left)
+            cured.points[part], cured.noise[part] = moved, left
     if stray is None:  # the labels have told ground from the rest
         stray = find_loose(cured.points, noise, spacing)
     else:

@@ -1,0 +1,346 @@
+"""Where noisy ground may hide the treads of a stair, and its points set onto them.
+
+The cure at a place sees half a metre all around: of a stair under 5 cm of noise that is half a ramp, steeper than
+people stand on. So where ground is as steep as stairs are, it is looked at along its edges, a whole flight at once.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from math import ceil
+from typing import NamedTuple
+
+import numpy as np
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import cKDTree
+
+from gpdf_service.fields.treads import EDGE_ERROR, Treads, log_density, look_for_treads, settle_treads
+from gpdf_service.types import BoolArray, FloatArray, IntArray
+
+_VOXEL = 0.2
+"""[m] Ground is averaged over this before its slope is looked at: less than a tread."""
+_AROUND = 0.5
+"""[m] Radius of the plane that says how steep it is: three treads."""
+_BESIDE = 40
+"""Voxels within it."""
+_SHALLOW, _STEEP = 0.3, 1.1
+"""[-] Slopes of the shallowest and the steepest stairs: 12 cm on 40 cm, and 22 cm on 20 cm."""
+_TURN = 0.94
+"""[-] Cosine of the most (20°) that the way up turns between two voxels of one flight."""
+_LONGEST, _WIDEST = 4.0, 5.0
+"""[m] Of a piece that is fitted as one: a flight of a storey, as wide as any stairs in a house; more is cut."""
+_CORE = 0.7
+"""[m] Width in which a flight is looked for: less than any stair's."""
+_DISC, _TRIES = 0.4, 3
+"""[m] Radius of the plane that says which way a core goes up, and how many places are compared for one core."""
+_SLICE = 0.1
+"""[m] By which a flight grows along its edges."""
+_LEAST_VOXELS = 6
+"""Of a flight: two treads of half a metre."""
+_TALLEST = 0.25
+"""[m] Rise of a step; ground further off the ramp is another flight."""
+_OFF = 3.5
+"""[-] Standard deviations: a point further off a stair is not of it."""
+_HIDDEN = 0.6
+"""[-] Standard deviation left on the points over the noise: as in `denoise`, relief within it passes for noise."""
+_FOOT = 0.15
+"""[m] To either side along an edge, or twice that to one: points of a riser there say together whether it is one."""
+_WALL = 5.0
+"""[-] Standard deviations from the last ground points, 2.5 beyond a wall, to where no point of the wall is."""
+_SURE = 3.5
+"""[-] Standard errors by which a riser's points may be off it together."""
+_FEWEST = 12
+"""Points that tell a riser from a thing."""
+
+
+class Flight(NamedTuple):
+    """Treads about an origin in plan, shape (2,) [m], from `low` to `high`: along the way up, and along the edges."""
+
+    treads: Treads
+    origin: FloatArray
+    low: tuple[float, float]
+    high: tuple[float, float]
+
+    def within(self, points: FloatArray, beyond: float = 0.0) -> tuple[IntArray, FloatArray, FloatArray]:
+        """The rows of `points` (n, 3) over or under it, and their places up and along its edges [m].
+
+        With those up to `beyond` [m] before and behind it.
+        """
+        u, v = self.treads.along(points[:, :2] - self.origin)
+        inside = (u >= self.low[0] - beyond) & (u <= self.high[0] + beyond)
+        rows = np.flatnonzero(inside & (v >= self.low[1]) & (v <= self.high[1]))
+        return rows, u[rows], v[rows]
+
+    def reaches(self, place: FloatArray) -> bool:
+        """Whether a core at `place`, shape (2,) [m], would be of this flight."""
+        v = float(self.treads.along((place - self.origin)[None])[1][0])
+        return self.low[1] - _DISC <= v <= self.high[1] + _DISC
+
+
+def onto_treads(points: FloatArray, noise: float, moved: FloatArray, left: FloatArray) -> list[Flight]:
+    """Set those of the ground `points`, shape (n, 3) [m], that are on a flight's treads onto them.
+
+    Args:
+        points: Ground as it was measured.
+        noise: Its standard deviation [m].
+        moved: The same points, cured, to be written to.
+        left: Standard deviation left on each [m], shape (n,), to be written to.
+
+    Returns:
+        The flights.
+    """
+    flights = []
+    for flight in _flights(points, noise):
+        rows, u, _ = flight.within(points)
+        z, reach = points[rows, 2], _OFF * noise
+        mine = z >= flight.treads.height_at(u - reach) - reach
+        mine &= z <= flight.treads.height_at(u + reach) + reach
+        moved[rows[mine], :2] = points[rows[mine], :2]
+        moved[rows[mine], 2] = flight.treads.height_at(u[mine])
+        left[rows[mine]] = _HIDDEN * noise
+        flights.append(flight)
+    return flights
+
+
+def onto_risers(flight: Flight, points: FloatArray, noise: float, moved: FloatArray, left: FloatArray) -> None:
+    """Set those of the other `points`, shape (n, 3) [m], that are of a riser of the `flight` onto it.
+
+    A point is of the nearest riser if that is near, and if those beside it along the edge lie together as a riser's do:
+    as often before it as behind it, not thicker than the noise, and not higher. A thing on a tread is before it.
+    `moved` and `left` are as in `onto_treads`.
+    """
+    reach, (angle, edges, heights, sigma) = _OFF * noise, flight.treads
+    rows, u, v = flight.within(points, reach)
+    if len(rows) == 0:
+        return
+    order = np.argsort(v)
+    rows, u, v = rows[order], u[order], v[order]
+    z = points[rows, 2]
+    off = u[:, None] - edges
+    over = np.maximum(np.maximum(heights[:-1] - z[:, None], z[:, None] - heights[1:]), 0.0)
+    distance = np.hypot(off, over)
+    nearest = np.where(distance.min(axis=1) <= reach, distance.argmin(axis=1), -1)
+    for k in np.flatnonzero((edges >= flight.low[0]) & (edges <= flight.high[0])):
+        mine = np.flatnonzero(nearest == k)
+        rise = float(heights[k + 1] - heights[k])
+        share = (z[mine] - heights[k]) / rise
+        mine = mine[_as_riser(v[mine], off[mine, k], share, sigma, rise, (flight.low[1], flight.high[1]))]
+        way, side = np.array([np.cos(angle), np.sin(angle)]), np.array([-np.sin(angle), np.cos(angle)])
+        moved[rows[mine], :2] = flight.origin + edges[k] * way + v[mine, None] * side
+        moved[rows[mine], 2] = np.clip(z[mine], heights[k], heights[k + 1])
+        left[rows[mine]] = _HIDDEN * noise
+
+
+def _as_riser(
+    v: FloatArray, off: FloatArray, share: FloatArray, sigma: float, rise: float, ends: tuple[float, float]
+) -> BoolArray:
+    """Which of a riser's points, in order along its edge, lie among others as a riser's do.
+
+    The others are those to either side, or, near the flight's ends, where a wall can be, those further in.
+
+    Args:
+        v: Along the edge [m], shape (n,), rising.
+        off: Before or behind the riser [m], shape (n,).
+        share: Height over its foot, of its `rise`, shape (n,).
+        sigma: Standard deviation of the points [m].
+        rise: Its height [m].
+        ends: Of the flight along its edges [m].
+    """
+    sums = np.cumsum(np.stack([np.ones_like(v), off, off * off, share]), axis=1)
+    sums = np.concatenate([np.zeros((4, 1)), sums], axis=1)
+    found = np.zeros(len(v), dtype=bool)
+    side = _FOOT + _WALL * sigma
+    for before, behind, where in (
+        (_FOOT, _FOOT, np.ones_like(found)),
+        (2.0 * _FOOT, 0.0, v > ends[1] - side),
+        (0.0, 2.0 * _FOOT, v < ends[0] + side),
+    ):
+        begin, end = np.searchsorted(v, v - before), np.searchsorted(v, v + behind, side="right")
+        number, *totals = sums[:, end] - sums[:, begin]
+        mean, square, middle = totals / np.maximum(number, 1.0)
+        few = 1.0 / np.maximum(number, 1.0)
+        level = np.abs(mean) <= _SURE * np.sqrt(sigma**2 * few + EDGE_ERROR**2)
+        thin = square <= sigma**2 * (1.0 + _SURE * np.sqrt(2.0 * few)) + EDGE_ERROR**2
+        low = middle <= 0.5 + _SURE * np.sqrt((1.0 / 12.0 + (sigma / rise) ** 2) * few)
+        found |= where & level & thin & low & (number >= _FEWEST)
+    return found
+
+
+class _Piece(NamedTuple):
+    """A part of steep ground: the way up (2,), from low to high up and aside, and on which sides it goes on."""
+
+    way: FloatArray
+    low: FloatArray
+    high: FloatArray
+    ramp: FloatArray
+    goes_on: tuple[bool, bool]
+
+
+def _steep_pieces(points: FloatArray) -> Iterator[_Piece]:
+    """Parts of the ground that are as steep as stairs, one way up, cut to what is fitted as one."""
+    if len(points) < _BESIDE:
+        return
+    key = np.floor((points - points.min(axis=0)) / _VOXEL).astype(np.int64)
+    size = key.max(axis=0) + 1
+    _, voxel, count = np.unique(
+        (key[:, 0] * size[1] + key[:, 1]) * size[2] + key[:, 2], return_inverse=True, return_counts=True
+    )
+    means = np.stack([np.bincount(voxel, column) / count for column in points.T], axis=1)
+    if len(means) < _LEAST_VOXELS:
+        return
+    gradient = _gradients(means, count.astype(np.float64))
+    slope = np.hypot(gradient[:, 0], gradient[:, 1])
+    steep = np.flatnonzero((slope >= _SHALLOW) & (slope <= _STEEP))
+    if len(steep) < _LEAST_VOXELS:
+        return
+    ways = gradient[steep] / slope[steep, None]
+    pairs = cKDTree(means[steep]).query_pairs(2.0 * _VOXEL, output_type="ndarray")
+    pairs = pairs[np.einsum("ij,ij->i", ways[pairs[:, 0]], ways[pairs[:, 1]]) >= _TURN]
+    graph = coo_matrix((np.ones(len(pairs), np.int8), (pairs[:, 0], pairs[:, 1])), shape=(len(steep), len(steep)))
+    label = connected_components(graph, directed=False)[1]
+    for part in np.flatnonzero(np.bincount(label) >= _LEAST_VOXELS):
+        mine = label == part
+        yield from _cut(means[steep[mine]], gradient[steep[mine]])
+
+
+def _gradients(means: FloatArray, weight: FloatArray) -> FloatArray:
+    """Gradient of the plane through the means, shape (m, 3) [m], around each, shape (m, 2); 0 where there is none."""
+    reach, beside = cKDTree(means).query(means, k=min(_BESIDE, len(means)), distance_upper_bound=_AROUND)
+    weight = np.append(weight, 0.0)[beside]
+    offset = np.append(means, [[0.0, 0.0, 0.0]], axis=0)[beside]
+    total = np.maximum(weight.sum(axis=1), 1.0)
+    offset = offset - np.einsum("ij,ijk->ik", weight, offset)[:, None] / total[:, None, None]
+    moments = np.einsum("ij,ijk,ijl->ikl", weight, offset, offset) / total[:, None, None]
+    xx, xy, yy, xz, yz = (moments[:, a, b] for a, b in ((0, 0), (0, 1), (1, 1), (0, 2), (1, 2)))
+    whole = xx * yy - xy * xy
+    known = (whole > 1e-2 * (xx + yy) ** 2) & (np.isfinite(reach).sum(axis=1) >= 4)
+    whole = np.where(known, whole, 1.0)
+    gradient = np.stack([xz * yy - yz * xy, yz * xx - xz * xy], axis=1) / whole[:, None]
+    found: FloatArray = np.where(known[:, None], gradient, 0.0)
+    return found
+
+
+def _cut(means: FloatArray, gradient: FloatArray) -> Iterator[_Piece]:
+    """Pieces of one steep part, from the means and gradients of its voxels."""
+    way = gradient.mean(axis=0)
+    way = way / max(float(np.hypot(*way)), 1e-12)
+    u, v = means[:, :2] @ way, means[:, :2] @ np.array([-way[1], way[0]])
+    low, high = np.array([u.min(), v.min()]) - 0.5 * _VOXEL, np.array([u.max(), v.max()]) + 0.5 * _VOXEL
+    rows, columns = ceil((high[0] - low[0]) / _LONGEST), ceil((high[1] - low[1]) / _WIDEST)
+    size = (high - low) / [rows, columns]
+    row = np.minimum(((u - low[0]) / size[0]).astype(np.int64), rows - 1)
+    column = np.minimum(((v - low[1]) / size[1]).astype(np.int64), columns - 1)
+    for i in range(rows):
+        for j in range(columns):
+            mine = (row == i) & (column == j)
+            if mine.sum() < _LEAST_VOXELS:
+                continue
+            design = np.column_stack([u[mine], np.ones(int(mine.sum()))])
+            ramp = np.linalg.lstsq(design, means[mine, 2], rcond=None)[0]
+            corner = low + size * [i, j]
+            yield _Piece(way, corner, corner + size, ramp, (i > 0, i < rows - 1))
+
+
+def _flights(points: FloatArray, noise: float) -> Iterator[Flight]:
+    """All flights of the ground, each looked for in cores beside each other, and grown along its edges."""
+    for piece in _steep_pieces(points):
+        u, v = points[:, :2] @ piece.way, points[:, :2] @ np.array([-piece.way[1], piece.way[0]])
+        ramp = piece.ramp[0] * np.clip(u, piece.low[0], piece.high[0]) + piece.ramp[1]
+        near = np.abs(points[:, 2] - ramp) <= _TALLEST + _OFF * noise
+        for w, low, high in zip((u, v), piece.low, piece.high, strict=True):
+            near &= (w >= low - _CORE) & (w <= high + _CORE)
+        found = list[Flight]()
+        for origin, way in _cores(points[near], piece):
+            if any(flight.reaches(origin) for flight in found):
+                continue
+            flight = _fitted(points[near], piece, origin, way, noise)
+            if flight is not None:
+                found.append(flight)
+                yield flight
+
+
+def _cores(points: FloatArray, piece: _Piece) -> Iterator[tuple[FloatArray, FloatArray]]:
+    """Places on a piece, shape (2,) [m], and the way up there: of some beside each other the one most like a plane.
+
+    The way up is that of the plane through what is around: treads lean a plane along the slope, never across it.
+    """
+    side, width = np.array([-piece.way[1], piece.way[0]]), piece.high[1] - piece.low[1]
+    order = np.argsort(points[:, :2] @ side)
+    points, v = points[order], points[order, :2] @ side
+    blocks = ceil(width / _CORE)
+    asides = piece.low[1] + width * (np.arange(_TRIES * blocks) + 0.5) / (_TRIES * blocks)
+    for block in asides.reshape(blocks, _TRIES):
+        least, best = np.inf, None
+        for aside in block:
+            origin = 0.5 * (piece.low[0] + piece.high[0]) * piece.way + aside * side
+            beside = points[np.searchsorted(v, aside - _DISC) : np.searchsorted(v, aside + _DISC)]
+            near = beside[np.hypot(*(beside[:, :2] - origin).T) <= _DISC]
+            if len(near) < _BESIDE:
+                continue
+            design = np.column_stack([near[:, :2] - origin, np.ones(len(near))])
+            plane, _, rank, _ = np.linalg.lstsq(design, near[:, 2], rcond=None)
+            rest = float(((near[:, 2] - design @ plane) ** 2).mean())
+            steep = float(np.hypot(plane[0], plane[1]))
+            if rank == 3 and _SHALLOW <= steep <= _STEEP and rest < least:
+                least, best = rest, (origin, plane[:2] / steep)
+        if best is not None:
+            yield best
+
+
+def _fitted(points: FloatArray, piece: _Piece, origin: FloatArray, way: FloatArray, noise: float) -> Flight | None:
+    """The flight through `origin`, shape (2,) [m], if there is one whose way up is about `way`, shape (2,)."""
+    half, near = 0.5 * (piece.high[0] - piece.low[0]), points - np.append(origin, 0.0)
+    u, v = near[:, :2] @ way, near[:, :2] @ np.array([-way[1], way[0]])
+    near, u, v = (part[np.abs(u) <= half + _AROUND] for part in (near, u, v))
+    core = np.abs(v) <= 0.5 * _CORE
+    own = core & (np.abs(u) <= half)
+    if own.sum() < _BESIDE:
+        return None
+    slope, height = np.polyfit(u[own], near[own, 2], 1)
+    if not _SHALLOW <= slope <= _STEEP:
+        return None
+    end = half + 0.5 * _AROUND
+    ends = [near[core & beyond, 2] for beyond in (u < -end, u > end)]
+    floor, ceiling = (
+        float(np.median(z)) if len(z) else height + slope * side * half
+        for z, side in zip(ends, (-1.0, 1.0), strict=True)
+    )
+    treads = look_for_treads(near[core], noise, np.append(slope * way, height), floor, ceiling)
+    if treads is None:
+        return None
+    grown = _grown(near, treads)
+    for part in (grown, core):
+        settled = settle_treads(near[part], treads, noise)
+        if settled is not None:
+            return _bounded(near[part], settled, origin, half, piece.goes_on)
+    return None
+
+
+def _grown(points: FloatArray, treads: Treads) -> BoolArray:
+    """Which of the `points` are of a core's treads, as far along the edges as these go on."""
+    _, v = treads.along(points)
+    density = log_density(points, treads)
+    core = np.abs(v) <= 0.5 * _CORE
+    usual, spread = float(density[core].mean()), float(density[core].std())
+    ends = []
+    for side in (-1.0, 1.0):
+        end = 0.5 * _CORE
+        while True:
+            slice_ = density[(side * v > end) & (side * v <= end + _SLICE)]
+            if len(slice_) >= _FEWEST and slice_.mean() < usual - _SURE * spread / np.sqrt(len(slice_)):
+                break
+            end += _SLICE
+            if len(slice_) < _FEWEST:
+                break
+        ends.append(end)
+    grown: BoolArray = (v >= -ends[0]) & (v <= ends[1])
+    return grown
+
+
+def _bounded(points: FloatArray, treads: Treads, origin: FloatArray, half: float, goes_on: tuple[bool, bool]) -> Flight:
+    """A flight as far as its `points` and its piece, `half` [m] to either side, go."""
+    u, v = treads.along(points)
+    low = max(float(u.min()), treads.edges[0] - _AROUND, -half if goes_on[0] else -np.inf)
+    high = min(float(u.max()), treads.edges[-1] + _AROUND, half if goes_on[1] else np.inf)
+    return Flight(treads, origin, (low, float(v.min())), (high, float(v.max())))
