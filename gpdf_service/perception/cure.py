@@ -80,24 +80,31 @@ def cure_and_segment(points: FloatArray, ground: BoolArray | None, config: Perce
         stray = find_loose(moved, noise, spacing)
         ground = np.zeros(len(points), dtype=bool)
         ground[~stray] = segment(moved[~stray], config)[0]
-    cured = uncured(points.copy(), noise)
-    flights: list[Flight] = []
-    for part, level in ((ground, True), (~ground, False)):
-        if part.any():
-            own = points[part]
-            moved, left = onto_surface(own, estimate_spacing(own), noise, level=level)
-            if level:
-                flights = onto_treads(own, noise, moved, left)
-            else:
-                for flight in flights:
-                    onto_risers(flight, own, noise, moved, left)
-            cured.points[part], cured.noise[part] = moved, left
+    cured = _cure_apart(points, ground, noise)
     if stray is None:  # the labels have told ground from the rest
         stray = find_loose(cured.points, noise, spacing)
     else:
         stray |= find_lifted(cured.points, ground, noise, spacing)
     cured = cured._replace(stray=stray)
     return Found(cured, ground & ~cured.stray, as_it_was=False)
+
+
+def _cure_apart(points: FloatArray, ground: BoolArray, noise: float) -> Cured:
+    """The ground, with stairs on their treads; then the rest, with what is between two treads on their risers."""
+    cured = uncured(points.copy(), noise)
+    flights: list[Flight] = []
+    for part in (ground, ~ground):
+        if not part.any():
+            continue
+        own = points[part]
+        moved, left = onto_surface(own, estimate_spacing(own), noise, level=part is ground)
+        if part is ground:
+            flights = onto_treads(own, noise, moved, left)
+        else:
+            for flight in flights:
+                onto_risers(flight, own, noise, moved, left)
+        cured.points[part], cured.noise[part] = moved, left
+    return cured
 
 
 def _first_look(points: FloatArray, config: PerceptionConfig, noisy: bool) -> tuple[BoolArray, Segmentation | None]:
