@@ -16,6 +16,7 @@ from gpdf_service.perception.limits import ObstacleKind as ObstacleKind
 from gpdf_service.perception.obstacles import Obstacles as Obstacles
 from gpdf_service.perception.obstacles import obstacles_of as obstacles_of
 from gpdf_service.perception.read import PointCloud as PointCloud
+from gpdf_service.perception.read import check_finite as check_finite
 from gpdf_service.perception.read import check_labels as check_labels
 from gpdf_service.perception.read import check_points as check_points
 from gpdf_service.perception.read import read_cloud as read_cloud
