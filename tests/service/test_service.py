@@ -457,9 +457,16 @@ def test_uploads_that_wait_for_their_builds_and_names_of_scenes_are_bounded(tmp_
         shelf.add_part("a", "u", 0, 1, points, None)
     with pytest.raises(gpdf.errors.RequestError, match="Unload one"):
         shelf.add_part("c", "u", 0, 1, points, None)
+    (tmp_path / "a.npz").touch()
+    monkeypatch.setattr(scenes, "MAX_BUILDS", 3)
+    shelf.load_file("a", "a.npz")
+    with pytest.raises(scenes.FullError, match="3 builds are waiting"):
+        shelf.load_file("a", "a.npz")
     go_on.set()
     shelf.settle()
     assert shelf.add_part("a", "u", 0, 1, points, None)
+    with pytest.raises(ValueError, match="too long"):
+        shelf.add_part("a", "u" * 1000, 0, 2, points, None)
     shelf.close()
 
 
