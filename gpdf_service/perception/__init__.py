@@ -8,7 +8,6 @@ from gpdf_service.perception.cure import cure_and_segment as cure_and_segment
 from gpdf_service.perception.levels import GroundLevel as GroundLevel
 from gpdf_service.perception.levels import Levels as Levels
 from gpdf_service.perception.levels import Portal as Portal
-from gpdf_service.perception.levels import build_levels as build_levels
 from gpdf_service.perception.levels import count_undecided as count_undecided
 from gpdf_service.perception.levels import survey_levels as survey_levels
 from gpdf_service.perception.limits import GroundLimits as GroundLimits

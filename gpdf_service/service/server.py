@@ -106,11 +106,6 @@ class Server:
         self._queryables: list[zenoh.Queryable[None]] = []
 
     @property
-    def log_path(self) -> Path:
-        """The log that is being written, or was last."""
-        return self.recorder.path
-
-    @property
     def processes(self) -> list[int]:
         """The system's numbers of the processes that plan for this one."""
         return [] if self._pool is None else self._pool.pids

@@ -177,7 +177,7 @@ def test_what_is_published_for_scenes_that_nobody_loaded_is_kept_and_not_recorde
         while not server.handlers.moving.living("later"):
             assert time.monotonic() < until
         assert server.status().metrics["bad_publications"] == 1  # no scene can have a name with a blank
-    topics = {record.topic for record in records_of(server.log_path) if isinstance(record, Channel)}
+    topics = {record.topic for record in records_of(server.recorder.path) if isinstance(record, Channel)}
     assert not {topic for topic in topics if "later" in topic or "not yet" in topic}
 
 
