@@ -28,6 +28,7 @@ from gpdf_service.perception import (
     WholeError,
     change,
     changed_cells,
+    check_finite,
     check_labels,
     check_points,
     count_undecided,
@@ -284,7 +285,7 @@ class Scene:
                 before[body] = space, tuple(_either(a, b) for a, b in zip(earlier, touched, strict=True))
         return before
 
-    def with_obstacles(self, points: FloatArray) -> Scene:
+    def with_obstacles(self, points: ArrayLike) -> Scene:
         """This scene with more in it than was scanned: people, doors, whatever moves.
 
         The ground stays as it is and is shared; free spaces are built anew on first use, so that field, search and
@@ -294,8 +295,11 @@ class Scene:
             points: Where something is [m], shape (k, 3), dense enough that no body fits between two. As with what was
                 scanned, each level looks at all that is in reach of its ground: where two sheets are the same ground,
                 what stands there stands on both.
+
+        Raises:
+            CloudError: points of another shape, or not finite: where they are dropped nothing would be in the way.
         """
-        asked = _asked(points, (3,))
+        asked = check_finite(points)
         changed = dataclasses.replace(self.levels, levels=tuple(_with(level, asked) for level in self.levels.levels))
         fixed = self.ground_fields, self.config, self.version, self.noise, self.labelled
         return Scene(self.points, self.ground, changed, *fixed)
@@ -330,6 +334,8 @@ class Scene:
         except IndexError as error:
             raise CloudError("remove", f"rows that are not there ({error})", "Name rows of `points`.") from error
         fresh = np.zeros((0, 3)) if insert is None else check_points(insert)
+        if not keep.any() and not len(fresh):
+            raise CloudError("update", "no point would be left", "Keep some, or build another scene.")
         cloud = without_rows(self.points, keep, fresh)
         labels = None
         if ground is not None or self.labelled:
@@ -366,6 +372,8 @@ class Scene:
 
     def _labels_of(self, fresh: FloatArray, ground: ArrayLike | None, cloud: FloatArray) -> BoolArray:
         if ground is None:
+            if not len(fresh):
+                return np.zeros(0, dtype=bool)
             return cure_and_segment(cloud, None, self.config.perception).ground[len(cloud) - len(fresh) :]
         return check_labels(ground, len(fresh))
 

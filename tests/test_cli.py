@@ -164,6 +164,13 @@ def test_files_that_cannot_be_read_or_written_are_said_without_a_traceback(tmp_p
         assert said.startswith("gpdf: ")
 
 
+@pytest.mark.parametrize("verb", ["build", "crop --box 0,0,1,1", "merge x.npz"])
+def test_a_folder_that_is_not_there_is_told_before_the_work(tmp_path, capsys, monkeypatch, verb):
+    monkeypatch.setattr("gpdf_service.cli.inputs.read_cloud", None)
+    assert main(["scene", *verb.split(), "x.npz", "--out", str(tmp_path / "none" / "x.gpdf")]) == 1
+    assert "its folder is not there" in capsys.readouterr().err
+
+
 def test_options_of_a_build_are_refused_for_a_scene_that_is_built(tmp_path, capsys):
     assert main(["scene", "info", str(tmp_path / "x.gpdf"), "--ground-label", "0"]) == 1
     assert "--ground-label: the scene" in capsys.readouterr().err

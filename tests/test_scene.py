@@ -115,6 +115,18 @@ def test_fields_refuse_queries_of_another_shape(office):
         office[1].obstacle_field("human").query([0.0, 0.0])
 
 
+@pytest.mark.parametrize("points", [np.full((3, 3), np.nan), [[1.0, 1.0, np.inf]], np.zeros((3, 2)), "here"])
+def test_obstacles_that_would_be_dropped_are_refused(office, points):
+    with pytest.raises(CloudError):
+        office[1].with_obstacles(points)
+
+
+def test_no_obstacles_are_none(office):
+    assert office[1].with_obstacles(np.zeros((0, 3))).levels.levels[0].other_points.shape == (
+        office[1].levels.levels[0].other_points.shape
+    )
+
+
 def test_the_level_is_the_highest_ground_under_a_point():
     def flat(z):
         return HeightMap(np.zeros(2), 0.1, np.full((10, 10), z, "f4"), np.ones((10, 10), "u1"))

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import gpdf_service as gpdf
-from gpdf_service.errors import CloudError
+from gpdf_service.errors import CloudError, NoGroundError
 from gpdf_service.synthetic import SCENES
 from gpdf_service.synthetic.scenes import cave, ramp, random_room, stair
 from gpdf_service.synthetic.world import Box
@@ -91,6 +91,20 @@ def test_a_change_that_cannot_be_made_is_refused_and_loses_nothing(office, chang
     with pytest.raises(CloudError, match=message):
         office.update(**change)
     assert office.version == 1
+
+
+def test_a_removal_that_leaves_nothing_to_stand_on_is_refused_and_loses_nothing(office):
+    with pytest.raises(CloudError, match="no point would be left"):
+        office.update(remove=np.ones(len(office.points), dtype=bool))
+    with pytest.raises(NoGroundError, match="labelled ground"):
+        office.update(remove=office.ground)
+    assert office.version == 1
+
+
+def test_a_removal_alone_segments_nothing_in_a_labelled_scene(office, monkeypatch):
+    expected = gpdf.build_scene(office.points[5000:], office.ground[5000:])
+    monkeypatch.setattr("gpdf_service.perception.cure.segment", None)
+    np.testing.assert_array_equal(office.update(remove=np.arange(5000)).ground, expected.ground)
 
 
 def in_order(rows):

@@ -25,17 +25,25 @@ def add_connection(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--zenoh", help="a Zenoh configuration (JSON5) with credentials; it names the endpoint, too")
 
 
+def read_credentials(args: argparse.Namespace) -> zenoh.Config | None:
+    """The configuration that the arguments name, if any.
+
+    Raises:
+        ClientError: it cannot be read.
+    """
+    try:
+        return zenoh.Config.from_file(args.zenoh) if args.zenoh else None
+    except zenoh.ZError as error:
+        raise UnavailableError(f"{args.zenoh} is no Zenoh configuration ({error}).") from error
+
+
 def connect(args: argparse.Namespace) -> Client:
     """A connection to the service that the arguments name.
 
     Raises:
         ClientError: nothing answers there, or the configuration cannot be read.
     """
-    try:
-        config = zenoh.Config.from_file(args.zenoh) if args.zenoh else None
-    except zenoh.ZError as error:
-        raise UnavailableError(f"{args.zenoh} is no Zenoh configuration ({error}).") from error
-    return Client.connect(args.endpoint, config=config)
+    return Client.connect(args.endpoint, config=read_credentials(args))
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

@@ -83,6 +83,16 @@ def open_one(path: Path, args: argparse.Namespace) -> Scene:
         return build_scene(cloud.points, ground, read_config(args.config), progress=progress)
 
 
+def check_out(path: Path) -> None:
+    """Refuse a file that cannot be written before the work on it.
+
+    Raises:
+        ConfigError: its folder is not there.
+    """
+    if not path.absolute().parent.is_dir():
+        raise ConfigError(f"--out {path}", "its folder is not there", "Make it, or name another.")
+
+
 def save_scene(scene: Scene, path: Path, *, as_json: bool) -> int:
     """Save a scene that was made, and say what is in it; returns the exit code."""
     scene.save(path)

@@ -7,7 +7,7 @@ import json
 import time
 from pathlib import Path
 
-from gpdf_service.cli.inputs import SCENE_SUFFIX, add_cloud_arguments, open_scene
+from gpdf_service.cli.inputs import SCENE_SUFFIX, add_cloud_arguments, check_out, open_scene
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -22,6 +22,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Build, save, say what was built."""
+    if args.out:
+        check_out(args.out)
     began = time.perf_counter()
     scene = open_scene(args)
     for agent in args.agent:

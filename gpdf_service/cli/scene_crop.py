@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from gpdf_service.cli.inputs import add_cloud_arguments, open_scene, progress_bar, save_scene
+from gpdf_service.cli.inputs import add_cloud_arguments, check_out, open_scene, progress_bar, save_scene
 from gpdf_service.types import FloatArray
 
 
@@ -25,6 +25,7 @@ def run(args: argparse.Namespace) -> int:
     """Cut out, build, save, say what is in it."""
     from gpdf_service.combine import crop_scene, within_box, within_polygon
 
+    check_out(args.out)
     scene = open_scene(args)
     if args.box:
         half = len(args.box) // 2

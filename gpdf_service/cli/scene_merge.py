@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from gpdf_service.cli.inputs import add_build_arguments, open_one, progress_bar, read_config, save_scene
+from gpdf_service.cli.inputs import add_build_arguments, check_out, open_one, progress_bar, read_config, save_scene
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -23,6 +23,7 @@ def run(args: argparse.Namespace) -> int:
 
     if len(args.inputs) < 2:
         raise CloudError("merge", f"{len(args.inputs)} input", "Name two clouds or scenes, or more.")
+    check_out(args.out)
     scenes = [open_one(path, args) for path in args.inputs]
     config = None if args.config is None else read_config(args.config)
     with progress_bar() as progress:

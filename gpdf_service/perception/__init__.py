@@ -8,7 +8,6 @@ from gpdf_service.perception.cure import cure_and_segment as cure_and_segment
 from gpdf_service.perception.levels import GroundLevel as GroundLevel
 from gpdf_service.perception.levels import Levels as Levels
 from gpdf_service.perception.levels import Portal as Portal
-from gpdf_service.perception.levels import build_levels as build_levels
 from gpdf_service.perception.levels import count_undecided as count_undecided
 from gpdf_service.perception.levels import survey_levels as survey_levels
 from gpdf_service.perception.limits import GroundLimits as GroundLimits
@@ -16,6 +15,7 @@ from gpdf_service.perception.limits import ObstacleKind as ObstacleKind
 from gpdf_service.perception.obstacles import Obstacles as Obstacles
 from gpdf_service.perception.obstacles import obstacles_of as obstacles_of
 from gpdf_service.perception.read import PointCloud as PointCloud
+from gpdf_service.perception.read import check_finite as check_finite
 from gpdf_service.perception.read import check_labels as check_labels
 from gpdf_service.perception.read import check_points as check_points
 from gpdf_service.perception.read import read_cloud as read_cloud

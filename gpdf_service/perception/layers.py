@@ -105,18 +105,6 @@ class Layers:
     node_of_point: IntArray
     start: IntArray
 
-    def neighbours(self, offset: tuple[int, int]) -> tuple[IntArray, IntArray]:
-        """All pairs of nodes (a, b) where b's cell lies at `offset` cells from a's."""
-        x, y = np.divmod(self.cell, self.shape[1])
-        x, y = x + offset[0], y + offset[1]
-        inside = (x >= 0) & (x < self.shape[0]) & (y >= 0) & (y < self.shape[1])
-        a = np.flatnonzero(inside)
-        target = x[a] * self.shape[1] + y[a]
-        first, count = self.start[target], self.start[target + 1] - self.start[target]
-        a = np.repeat(a, count)
-        within = np.arange(len(a)) - np.repeat(np.cumsum(count) - count, count)
-        return a, np.repeat(first, count) + within
-
 
 def grid_of(low: FloatArray, high: FloatArray, cell_width: float) -> tuple[FloatArray, tuple[int, int]]:
     """Lower corner [m] and shape of the grid over points between `low` and `high` [m].

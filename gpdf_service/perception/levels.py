@@ -169,11 +169,6 @@ class Survey:
         return self.near.layers
 
 
-def build_levels(points: FloatArray, ground: BoolArray, config: PerceptionConfig) -> Levels:
-    """The sheets of labelled points, see `survey_levels`."""
-    return survey_levels(points, ground, config)[0]
-
-
 def survey_levels(
     points: FloatArray, ground: BoolArray, config: PerceptionConfig, *, width: float | None = None, noise: float = 0.0
 ) -> tuple[Levels, Survey]:

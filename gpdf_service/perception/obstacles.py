@@ -55,15 +55,15 @@ def _material(level: GroundLevel, agent: Agent, noise: float) -> BoolArray:
     disc = _disc(agent.cylinder.radius + surface.cell_width, surface)
     ix, iy, _ = surface.cells(points)
     z, tall = points[:, 2], (1.0 - HEADROOM_SHARE) * agent.height + noise
-    lowest = ndimage.minimum_filter(bottom, footprint=disc)[ix, iy]
-    stops = (z < ndimage.maximum_filter(top, footprint=disc)[ix, iy] + tall) & (z >= lowest - least)
+    lowest = -highest_within(-bottom, disc)[ix, iy]
+    stops = (z < highest_within(top, disc)[ix, iy] + tall) & (z >= lowest - least)
     stops[stops] = ~_is_face(level, np.flatnonzero(stops), agent.max_step, noise)
     # Beside a step the question is which ground the body stands on; not on what stops it wherever it stands.
     always = stops & (z < lowest + tall)
     free = np.ones(known.shape, dtype=bool)
     free[ix[always], iy[always]] = False
     shut = (ndimage.distance_transform_edt(free) + np.sqrt(2.0)) * surface.cell_width < agent.disc_radius
-    stands = ndimage.maximum_filter(np.where(shut, -np.inf, top), footprint=disc)[ix, iy]
+    stands = highest_within(np.where(shut, -np.inf, top), disc)[ix, iy]
     found: BoolArray = stops & (always | (z < stands + tall))
     return found
 
@@ -134,3 +134,27 @@ def _disc(radius: float, surface: HeightMap) -> BoolArray:
     x, y = np.mgrid[-cells : cells + 1, -cells : cells + 1] * surface.cell_width
     inside: BoolArray = np.hypot(x, y) <= radius
     return inside
+
+
+def highest_within(heights: NDArray[np.floating], disc: BoolArray) -> NDArray[np.floating]:
+    """The highest of `heights`, shape (nx, ny), in a `disc` round each cell: its rows, widened as they grow.
+
+    The work is that of the disc's radius times the map, not of its area.
+    """
+    cells, widened, half = len(disc) // 2, heights.copy(), 0
+    found = np.full_like(heights, -np.inf)
+    for row in range(cells, -1, -1):
+        width = np.count_nonzero(disc[cells + row])
+        while half < width // 2:
+            half += 1
+            _lift(widened.T, heights.T, half)
+        if width:
+            _lift(found, widened, row)
+    return found
+
+
+def _lift(low: NDArray[np.floating], high: NDArray[np.floating], rows: int) -> None:
+    """Lift `low` to what `high` is so many rows before and behind."""
+    left = max(len(low) - rows, 0)
+    np.maximum(low[rows:], high[:left], out=low[rows:])
+    np.maximum(low[:left], high[rows:], out=low[:left])

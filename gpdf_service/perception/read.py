@@ -47,12 +47,11 @@ class PointCloud:
     ground: BoolArray | None = None
 
 
-def check_points(points: ArrayLike) -> FloatArray:
-    """Points as float64 of shape (n, 3), or a clear refusal.
+def check_finite(points: ArrayLike) -> FloatArray:
+    """Points as float64 of shape (n, 3), n = 0 as well, or a clear refusal.
 
     Raises:
-        CloudError: another shape, empty, not finite, too wide to be in metres, or rounded to single precision far from
-            the origin.
+        CloudError: another shape, or not finite.
     """
     try:
         made = np.ascontiguousarray(points, dtype=np.float64)
@@ -60,13 +59,24 @@ def check_points(points: ArrayLike) -> FloatArray:
         raise CloudError("point cloud", f"no array of numbers ({error})", "Pass an array of shape (n, 3).") from error
     if made.ndim != 2 or made.shape[1] != 3:
         raise CloudError("point cloud", f"an array of shape {made.shape}", "Pass an array of shape (n, 3): x, y, z.")
-    if len(made) == 0:
-        raise CloudError("point cloud", "it is empty", "Pass at least the points of a floor.")
-    extent, farthest = extent_of(made)
-    if not np.isfinite(farthest):
+    if not np.isfinite(extent_of(made)[1]):
         bad = ~np.isfinite(made).all(axis=1)
         found = f"{int(bad.sum())} of {len(made)} points are not finite, the first in row {int(bad.argmax())}"
         raise CloudError("point cloud", found, "Remove them: points = points[np.isfinite(points).all(axis=1)].")
+    return made
+
+
+def check_points(points: ArrayLike) -> FloatArray:
+    """Points as float64 of shape (n, 3), or a clear refusal.
+
+    Raises:
+        CloudError: another shape, empty, not finite, too wide to be in metres, or rounded to single precision far from
+            the origin.
+    """
+    made = check_finite(points)
+    if len(made) == 0:
+        raise CloudError("point cloud", "it is empty", "Pass at least the points of a floor.")
+    extent, farthest = extent_of(made)
     if extent > MAX_EXTENT:
         found = f"it is {extent:.6g} wide, more than {MAX_EXTENT:.0f} m"
         raise CloudError("point cloud", found, "Is it in millimetres? Divide by 1000; or crop it.")

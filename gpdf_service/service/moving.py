@@ -18,6 +18,8 @@ MAX_LIFETIME_S = 3600.0
 """[s] What is there for longer belongs into the map."""
 MAX_IN_ALL = 50 * MAX_POINTS
 """Points that move in all scenes together, 0.25 GB: anybody may publish under any scene's name, loaded or not yet."""
+MAX_ID = 256
+"""[characters] Of an obstacle's name: four times a UUID."""
 Clock = Callable[[], float]
 
 
@@ -60,6 +62,9 @@ class Moving:
         now = self._clock()
         seen, wrong, room = {}, [], MAX_POINTS
         for obstacle in obstacles:
+            if len(obstacle.id) > MAX_ID:
+                wrong.append(f"an obstacle's id has {len(obstacle.id)} characters, at most {MAX_ID} are taken.")
+                continue
             until = now + min(obstacle.lifetime_s, MAX_LIFETIME_S)
             try:
                 points = points_of(obstacle, room)

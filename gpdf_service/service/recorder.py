@@ -31,8 +31,11 @@ from gpdf_service.types import FloatArray
 
 log = logging.getLogger(__name__)
 
-QUEUE_SIZE = 4096
-"""Messages waiting for the disk; beyond, the service waits for the log rather than answer unrecorded."""
+QUEUE_BYTES = 64 << 20
+"""Of messages that wait for the disk, 16 of the largest; beyond, the service waits for the log rather than answer
+unrecorded."""
+TASK_BYTES = 1 << 14
+"""That a message counts for beside its data, so that 4096 small ones are as many as may wait."""
 BATCH = 256
 """Messages that share one flush when each is flushed."""
 GATHER_S = 0.01
@@ -53,7 +56,32 @@ DAY_S = 86_400.0
 @dataclass(frozen=True, slots=True)
 class _Task:
     write: Callable[[Segment], None]
+    size: int = 0  # bytes of its data
     done: threading.Event = field(default_factory=threading.Event)
+
+
+class _Backlog(queue.Queue[_Task | None]):
+    """Tasks in order; its size is in bytes."""
+
+    def _init(self, maxsize: int) -> None:
+        super()._init(maxsize)
+        self._bytes = 0
+
+    def _qsize(self) -> int:
+        return self._bytes
+
+    def _put(self, item: _Task | None) -> None:
+        super()._put(item)
+        self._bytes += _weight(item)
+
+    def _get(self) -> _Task | None:
+        item: _Task | None = super()._get()
+        self._bytes -= _weight(item)
+        return item
+
+
+def _weight(task: _Task | None) -> int:
+    return TASK_BYTES + (0 if task is None else task.size)
 
 
 class Recorder:
@@ -71,7 +99,7 @@ class Recorder:
         self._flushed = self._retry = self._complained = -float("inf")
         self._counting = threading.Lock()
         self._scenes: dict[str, Callable[[Segment], None]] = {}
-        self._queue: queue.Queue[_Task | None] = queue.Queue(QUEUE_SIZE)
+        self._queue = _Backlog(QUEUE_BYTES)
         self._segment: Segment | None = None
         try:
             self._segment = self._begin()  # a folder that cannot be written is told at the start
@@ -104,7 +132,7 @@ class Recorder:
             segment.write(f"{key}/request", request, received_ns)
             segment.write(f"{key}/reply", reply, replied_ns)
 
-        task = _Task(write)
+        task = _Task(write, len(request) + len(reply))
         if not patient:
             self._put_if_room(task)
             return
@@ -114,7 +142,7 @@ class Recorder:
 
     def publication(self, key: str, data: bytes, stamp_ns: int) -> None:
         """Record what somebody published; lost, and counted, where the log is behind."""
-        self._put_if_room(_Task(lambda segment: segment.write(key, data, stamp_ns)))
+        self._put_if_room(_Task(lambda segment: segment.write(key, data, stamp_ns), len(data)))
 
     def _put_if_room(self, task: _Task) -> None:
         try:
@@ -138,12 +166,16 @@ class Recorder:
                 segment.draw(f"/plan/{reply.scene}", poses(path, headings, stamp_ns), stamp_ns)
                 segment.draw(f"/path/{reply.scene}", line(path, stamp_ns), stamp_ns)
 
-        self._queue.put(_Task(write))
+        self._queue.put(_Task(write, len(data)))
 
     def moving(self, scene: str, points: FloatArray, stamp_ns: int) -> None:
         """Record for viewers what moves in a scene now, thinned."""
         picked = _thinned(points)
-        self._put_if_room(_Task(lambda segment: segment.draw(f"/moving/{scene}", cloud(picked, stamp_ns), stamp_ns)))
+
+        def write(segment: Segment) -> None:
+            segment.draw(f"/moving/{scene}", cloud(picked, stamp_ns), stamp_ns)
+
+        self._put_if_room(_Task(write, picked.nbytes))
 
     def scene(self, name: str, points: FloatArray, facts: Mapping[str, Any]) -> None:
         """Record a scene's facts and, thinned, its cloud for viewers: now, and at the head of each file to come."""
@@ -158,7 +190,7 @@ class Recorder:
             self._scenes[name] = write
             write(segment)
 
-        self._queue.put(_Task(first))
+        self._queue.put(_Task(first, picked.nbytes))
 
     def forget(self, name: str) -> None:
         """Keep a scene out of the files to come."""
@@ -199,8 +231,10 @@ class Recorder:
             batch.append(self._queue.get(timeout=min(WAKE_S, self.options.flush_s or WAKE_S)))
             if self.options.flush_s:
                 time.sleep(GATHER_S)
-            while len(batch) < BATCH:
+            held = _weight(batch[0])
+            while len(batch) < BATCH and held < QUEUE_BYTES:
                 batch.append(self._queue.get_nowait())
+                held += _weight(batch[-1])
         return batch
 
     def _record(self, tasks: list[_Task]) -> None:

@@ -33,6 +33,8 @@ MAX_CLOUD_POINTS = 20_000_000
 """Of uploaded clouds that wait for their builds, 0.5 GB: as much as one upload may have."""
 MAX_SCENES = 1000
 """Scenes at once: the floors of a town's houses; each has a line in every list, and a file."""
+MAX_BUILDS = 2 * MAX_SCENES
+"""That wait or run: every scene and its next version."""
 Build = Callable[[Progress], Scene]
 
 
@@ -106,7 +108,7 @@ class Shelf:
         self._config, self._memory_bytes = config, memory_bytes
         self._entries: dict[str, Entry] = {}
         self._uploads = Uploads()
-        self._version = self._cloud_points = 0  # points of uploads that wait for their builds
+        self._version = self._builds = self._cloud_points = 0  # points of uploads that wait for their builds
         self._lock = threading.Lock()
         self._builder = ThreadPoolExecutor(1, thread_name_prefix="gpdf-build")
         self._on_ready = on_ready
@@ -203,6 +205,7 @@ class Shelf:
             inside: Refuse what lies outside the scenes folder (requests); False for the operator's command line.
 
         Raises:
+            FullError: too many builds wait already.
             RequestError: the name is none, or there are too many scenes.
             ValueError: the file is not there.
         """
@@ -229,7 +232,7 @@ class Shelf:
         """Take one part of an upload; True when it was the last, and the build has begun.
 
         Raises:
-            FullError: too many points wait for a build already; this part is not taken.
+            FullError: too many points or builds wait already; this part is not taken.
             RequestError: the name is none, or there are too many scenes.
             ValueError: the part does not fit.
         """
@@ -261,6 +264,8 @@ class Shelf:
         with self._lock:
             if name not in self._entries and len(self._entries) >= MAX_SCENES:
                 raise RequestError("scene", f"there are {MAX_SCENES} already", "Unload one that nobody needs.")
+            if self._builds >= MAX_BUILDS:
+                raise FullError(f"scene {name!r}", f"{MAX_BUILDS} builds are waiting", "Send it again in a moment.")
 
     def add_change(
         self, name: str, upload_id: str, part: int, parts: int, points: FloatArray, gone: BoolArray, radius: float
@@ -316,6 +321,7 @@ class Shelf:
             entry = self._entries.setdefault(name, Entry())
             entry.pending += 1
             entry.error = ""
+            self._builds += 1
         self._builder.submit(self._build, name, entry, build, file)
 
     def _build(self, name: str, entry: Entry, build: Build, file: Path | None) -> None:
@@ -329,6 +335,9 @@ class Shelf:
             self._fail(entry, "the build failed inside the service; its log says more.")
         else:
             self._finish(name, entry, scene, file)
+        finally:
+            with self._lock:
+                self._builds -= 1
 
     def _fail(self, entry: Entry, why: str) -> None:
         with self._lock:

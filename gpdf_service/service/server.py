@@ -43,7 +43,7 @@ from gpdf_service.service.options import plain
 from gpdf_service.service.pool import Pool, Settings
 from gpdf_service.service.prometheus import Endpoint
 from gpdf_service.service.recorder import Recorder
-from gpdf_service.service.scenes import Shelf
+from gpdf_service.service.scenes import NAME, Shelf
 
 log = logging.getLogger(__name__)
 
@@ -104,11 +104,6 @@ class Server:
         self._follower: Follower | None = None
         self._tokens: list[zenoh.LivelinessToken] = []  # dropped, they would be undeclared
         self._queryables: list[zenoh.Queryable[None]] = []
-
-    @property
-    def log_path(self) -> Path:
-        """The log that is being written, or was last."""
-        return self.recorder.path
 
     @property
     def processes(self) -> list[int]:
@@ -238,18 +233,24 @@ class Server:
         self.recorder.publication(key, data, time.time_ns())
 
     def _hear_of_obstacles(self, sample: zenoh.Sample) -> None:
-        """Zenoh's callback: what was published on a scene's key; what cannot be read is told on stderr alone."""
+        """Zenoh's callback: what was published on a scene's key; what cannot be read is told on stderr alone.
+
+        Of a scene that nobody loaded it is kept, if not for long, but not recorded: strangers' names fill no disk.
+        """
         key, stamp = str(sample.key_expr), time.time_ns()
         scene = key.split("/")[-2]
         try:
+            if not NAME.fullmatch(scene):
+                raise ValueError("no scene can have that name")
             if len(sample.payload) > MAX_REQUEST_BYTES:
                 raise ValueError(f"{len(sample.payload)} bytes, at most {MAX_REQUEST_BYTES} are taken")
             data = sample.payload.to_bytes()
             self.handlers.moving.publish(scene, decode(data, MovingObstacles).obstacles)
-            self.recorder.publication(key, data, stamp)
-            self.recorder.moving(scene, stacked(list(self.handlers.moving.points(scene).values())), stamp)
+            if self.shelf.get(scene) is not None:
+                self.recorder.publication(key, data, stamp)
+                self.recorder.moving(scene, stacked(list(self.handlers.moving.points(scene).values())), stamp)
         except ValueError as error:
-            log.warning("obstacles on %s: %s", key, error)
+            log.warning("obstacles on %s: %s", key[:200], error)
             self.metrics.count_bad_publication()
         self.handlers.in_use.look(scene)
 

@@ -12,6 +12,8 @@ MAX_UPLOAD_POINTS = 20_000_000
 """Points that one upload may have: 0.5 GB."""
 MAX_UPLOADS = 64
 """Unfinished uploads that are kept at once."""
+MAX_KEY = 256
+"""[characters] Of an upload's key: a scene's name, and four times a UUID."""
 Part = tuple[FloatArray, BoolArray | None]
 
 
@@ -30,6 +32,8 @@ class Uploads:
         """
         if not 0 <= part < parts or parts > MAX_UPLOAD_POINTS:
             raise ValueError(f"part {part} of {parts} is none. Parts count from 0.")
+        if len(key) > MAX_KEY:
+            raise ValueError(f"an upload_id of {len(key)} characters is too long. Send a short one.")
         if len(points) == 0:
             raise ValueError(f"part {part} has no points. Send at least one a part.")
         with self._lock:

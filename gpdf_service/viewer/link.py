@@ -5,6 +5,7 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable
 
+import zenoh
 from gpdf_client import Client, UnavailableError
 
 TRY_S = 1.0
@@ -17,10 +18,12 @@ class Link:
     Args:
         endpoint: Where the service listens.
         on_change: Told whether a service is there, each time that this changes or another one answers.
+        config: Zenoh's, with credentials; it names the endpoint, too.
     """
 
-    def __init__(self, endpoint: str, on_change: Callable[[bool], None]) -> None:
-        self.endpoint, self._on_change = endpoint, on_change
+    def __init__(self, endpoint: str, on_change: Callable[[bool], None], config: zenoh.Config | None = None) -> None:
+        self.endpoint = endpoint if config is None else config.get_json("connect/endpoints")
+        self._on_change, self._config = on_change, config
         self._services: set[str] = set()
         self._client: Client | None = None
         self._closing = threading.Event()
@@ -52,7 +55,7 @@ class Link:
     def _look(self) -> None:
         while not self._closing.is_set():
             try:
-                self._client = Client.connect(self.endpoint, timeout_s=TRY_S)
+                self._client = Client.connect(self.endpoint, timeout_s=TRY_S, config=self._config)
             except UnavailableError:
                 continue
             self._client.watch(self._hear)

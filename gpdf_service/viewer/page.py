@@ -10,6 +10,7 @@ import threading
 from pathlib import Path
 
 import viser
+import zenoh
 
 from gpdf_service.viewer.desk import Desk
 from gpdf_service.viewer.link import Link
@@ -40,13 +41,20 @@ class Page:
         server: Where the page is served.
         endpoint: Of the planning service.
         log_path: A log to open at once.
+        config: Zenoh's, with credentials; it names the endpoint, too.
     """
 
-    def __init__(self, server: viser.ViserServer, endpoint: str, log_path: Path | None = None) -> None:
+    def __init__(
+        self,
+        server: viser.ViserServer,
+        endpoint: str,
+        log_path: Path | None = None,
+        config: zenoh.Config | None = None,
+    ) -> None:
         server.scene.world_axes.visible = False
         panel = self.panel = build_panel(server.gui)
         workers = Worker("gpdf-maps", panel.say_work), Worker("gpdf-plans", panel.say_answer)
-        self.desk = Desk(server, panel, Link(endpoint, self._on_service), *workers)
+        self.desk = Desk(server, panel, Link(endpoint, self._on_service, config), *workers)
         self.map = MapControl(self.desk)
         self.scenes = Scenes(self.desk, self.map, on_new=lambda: self.plans.clear())
         self.plans = Plans(self.desk, self.map, self.scenes)

@@ -11,7 +11,8 @@ import socket
 import threading
 from pathlib import Path
 
-from gpdf_client.client import DEFAULT_ENDPOINT
+from gpdf_client import ClientError
+from gpdf_client.cli import add_connection, read_credentials
 
 DEFAULT_PORT = 8080
 WAKE_S = 0.5
@@ -20,7 +21,7 @@ WAKE_S = 0.5
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the verb's options."""
-    parser.add_argument("--endpoint", default=DEFAULT_ENDPOINT, help="the service to show")
+    add_connection(parser)
     parser.add_argument("--host", default="127.0.0.1", help="address to serve the page on; any other needs the link")
     parser.add_argument("--port", type=int, default=DEFAULT_PORT, help="port to serve the page on")
     parser.add_argument("--log", type=Path, help="a log (.mcap) to open at once")
@@ -36,6 +37,11 @@ def run(args: argparse.Namespace) -> int:
     if args.log is not None and not args.log.is_file():
         print(f"gpdf: there is no log {args.log}")
         return 1
+    try:
+        config = read_credentials(args)
+    except ClientError as error:
+        print(f"gpdf: {error}")
+        return 1
     stop = threading.Event()
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: stop.set())
@@ -44,7 +50,7 @@ def run(args: argparse.Namespace) -> int:
         return 1
     gated = not _is_loopback(args.host)
     server = Server("127.0.0.1", _free_port() if gated else args.port, label="gpdf", verbose=False)
-    page = Page(server, args.endpoint, args.log)
+    page = Page(server, args.endpoint, args.log, config)
     link = f"http://{args.host}:{args.port}/"
     gate = None
     if gated:

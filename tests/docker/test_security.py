@@ -16,6 +16,7 @@ from gpdf_schemas import Cylinder, FileReply, FileRequest, MovingObstacle, keys
 
 from gpdf_service.service.options import ENVIRONMENT, descriptions
 from gpdf_service.service.server import Options, Server
+from gpdf_service.viewer.link import Link
 
 DOCKER = Path(__file__).parent.parent.parent / "docker"
 REFUSED_S = 1.0
@@ -51,6 +52,19 @@ def guarded(tmp_path, free_endpoint, office):
     with Server(options, [("office", tmp_path / "office.gpdf")]) as server:
         server.shelf.settle()
         yield server, free_endpoint, tmp_path
+
+
+def test_the_operators_page_has_credentials(guarded):
+    _, endpoint, folder = guarded
+    as_user("operator", folder, endpoint).close()  # writes its configuration
+    heard = queue.Queue()
+    link = Link("", heard.put, zenoh.Config.from_file(str(folder / "operator.json5")))
+    link.start()
+    try:
+        assert heard.get(timeout=30)
+        assert set(link.client.scenes()) == {"office"}
+    finally:
+        link.close()
 
 
 def test_nobody_enters_without_a_password_or_with_a_wrong_one(guarded):

@@ -5,7 +5,7 @@ from scipy import ndimage
 from gpdf_service import build_scene, plan
 from gpdf_service.config import PerceptionConfig
 from gpdf_service.errors import NoGroundError
-from gpdf_service.perception import ObstacleKind, build_levels, obstacles_of, read_cloud, segment_ground
+from gpdf_service.perception import ObstacleKind, obstacles_of, read_cloud, segment_ground
 from gpdf_service.perception.levels import find_ledges, next_above, survey_levels, without_outliers
 from gpdf_service.perception.limits import step_and_slope
 from gpdf_service.perception.strays import find_strays
@@ -23,7 +23,7 @@ def scan_of(world, spacing=0.04, noise=0.0, seed=0):
 
 def level_of(world, **options):
     points, ground = scan_of(world, **options)
-    levels = build_levels(points, ground, CONFIG).levels
+    levels = survey_levels(points, ground, CONFIG)[0].levels
     assert len(levels) == 1
     return levels[0]
 
@@ -59,7 +59,7 @@ def test_a_wall_alone_has_no_ground():
 
 def test_labels_without_ground_are_refused():
     with pytest.raises(NoGroundError):
-        build_levels(np.zeros((5, 3)), np.zeros(5, dtype=bool), CONFIG)
+        survey_levels(np.zeros((5, 3)), np.zeros(5, dtype=bool), CONFIG)[0]
 
 
 def test_the_real_office_keeps_its_floor_and_drops_its_tables(scan):
@@ -73,7 +73,7 @@ def test_the_real_office_keeps_its_floor_and_drops_its_tables(scan):
 def test_height_map_is_the_true_ground():
     rng = np.random.default_rng(5)
     scene = SCENES["cave"](rng)
-    level = build_levels(scene.points, scene.ground, CONFIG).levels[0]
+    level = survey_levels(scene.points, scene.ground, CONFIG)[0].levels[0]
     xy = rng.uniform([1, 1], [19, 11], (2000, 2))
     truth, found = scene.truth.ground_height(xy), level.surface.height_at(xy)
     both = ~np.isnan(truth) & ~np.isnan(found)
@@ -84,7 +84,7 @@ def test_height_map_is_the_true_ground():
 def test_a_hole_in_the_floor_is_inferred_and_one_at_the_rim_is_not():
     points, ground = scan_of(World((5.0, 5.0, 2.5), (), ceiling=False))
     hole = np.hypot(points[:, 0] - 2.5, points[:, 1] - 2.5) < 0.5
-    level = build_levels(points[~hole], ground[~hole], CONFIG).levels[0]
+    level = survey_levels(points[~hole], ground[~hole], CONFIG)[0].levels[0]
     ix, iy, _ = level.surface.cells(np.array([[2.5, 2.5], [1.0, 1.0], [5.3, 2.5]]))
     assert level.surface.state[ix[:2], iy[:2]].tolist() == [INFERRED, OBSERVED]
     assert level.surface.height_at(np.array([[2.5, 2.5]]))[0] == pytest.approx(0.0, abs=0.01)
@@ -102,7 +102,7 @@ def test_a_pit_is_not_bridged_when_only_its_walls_were_seen(turn, seen):
     below = {"one wall": wall, "all walls": np.vstack(walls), "a reflection": wall[len(wall) // 2 :][8:10]}[seen]
     inside = (np.abs((points - (3.0, 3.0, 0.0)) @ rotation) < (0.5, 0.4, 0.1)).all(axis=1)
     cloud = np.vstack([points[~inside], below @ rotation.T + (3.0, 3.0, 0.0)])
-    surface = build_levels(cloud, segment_ground(cloud), CONFIG).levels[0].surface
+    surface = survey_levels(cloud, segment_ground(cloud), CONFIG)[0].levels[0].surface
     assert surface.contains(np.array([[3.0, 3.0]]))[0] == (seen == "a reflection")
     assert surface.contains(np.array([[2.0, 2.0]]))[0]
 
@@ -114,7 +114,7 @@ def test_a_pit_of_whose_walls_only_the_upper_end_was_seen_is_not_bridged():
     across, down = np.mgrid[2.5:2.92:0.02, -0.085:-0.02:0.01].reshape(2, -1)
     far = np.column_stack([across, np.full(across.size, 2.915), down])
     cloud = np.vstack([floor, far, far[:, [1, 0, 2]]])
-    surface = build_levels(cloud, segment_ground(cloud), CONFIG).levels[0].surface
+    surface = survey_levels(cloud, segment_ground(cloud), CONFIG)[0].levels[0].surface
     assert not surface.contains(np.array([[2.7, 2.7]])).any()
 
 
@@ -127,7 +127,7 @@ def test_the_inside_of_a_cupboard_is_not_called_free():
 def test_a_large_unseen_place_stays_unknown_and_stops_everybody():
     points, ground = scan_of(World((8.0, 8.0, 2.5), (), ceiling=False))
     hole = np.hypot(points[:, 0] - 4, points[:, 1] - 4) < 2.0
-    level = build_levels(points[~hole], ground[~hole], CONFIG).levels[0]
+    level = survey_levels(points[~hole], ground[~hole], CONFIG)[0].levels[0]
     assert not level.surface.contains(np.array([[4.0, 4.0]])).any()
     found = obstacles_of(level, AGENTS["roomba"])
     rim = found.points[found.kind == ObstacleKind.UNKNOWN]
@@ -185,7 +185,7 @@ def test_the_face_of_a_drop_does_not_guard_its_edge():
     y, z = np.mgrid[0.0:4.0:step, -1.02:-0.01:step].reshape(2, -1)
     face = np.column_stack([np.full(y.size, 2.03), y, z])
     cloud = np.vstack([upper, face])
-    level = build_levels(cloud, np.arange(len(cloud)) < len(upper), CONFIG).levels[0]
+    level = survey_levels(cloud, np.arange(len(cloud)) < len(upper), CONFIG)[0].levels[0]
     edge = obstacles_of(level, AGENTS["roomba"]).points
     edge = edge[(np.abs(edge[:, 0] - 2.0) < 0.2) & (edge[:, 1] > 0.5) & (edge[:, 1] < 3.5)]
     assert np.diff(np.sort(edge[:, 1])).max() < AGENTS["roomba"].radius
@@ -291,7 +291,7 @@ def test_nothing_is_inferred_over_a_hatch_that_was_seen_through():
     points, ground = scan_of(World((5.0, 5.0, 2.5), (), ceiling=False))
     hatch = (np.abs(points[:, :2] - 2.5) < 0.4).all(axis=1)
     below = np.where(hatch[:, None], points - [0, 0, 3.0], points)
-    level = build_levels(below, ground & ~hatch, CONFIG).levels[0]
+    level = survey_levels(below, ground & ~hatch, CONFIG)[0].levels[0]
     assert not level.surface.contains(np.array([[2.5, 2.5]])).any()
 
 
@@ -301,7 +301,7 @@ def test_on_coarse_cells_a_bump_beside_a_low_step_is_no_step_face():
     floor = np.column_stack([x, y, np.where(x > 3.0, 0.12, 0.0)])
     bump = np.array([[2.85, 3.05, 0.06], [2.87, 3.1, 0.06]])  # 15 cm before the step, at half its height
     cloud = np.concatenate([floor, bump])
-    level = build_levels(cloud, np.arange(len(cloud)) < len(floor), CONFIG).levels[0]
+    level = survey_levels(cloud, np.arange(len(cloud)) < len(floor), CONFIG)[0].levels[0]
     assert level.surface.cell_width > 0.12
     found = obstacles_of(level, AGENTS["human"])
     assert (found.kind == ObstacleKind.MATERIAL).sum() == 2
@@ -326,7 +326,7 @@ def test_what_stands_where_no_ground_is_known_is_no_face():
     floor = np.column_stack([x, y, np.zeros(len(x))])[(x < 2.0) | (y > 3.5)]
     wall = np.column_stack([np.full(40, 2.2), np.linspace(0.5, 2.5, 40), np.linspace(0.1, 1.9, 40)])
     cloud = np.concatenate([floor, wall])
-    level = build_levels(cloud, np.arange(len(cloud)) < len(floor), CONFIG).levels[0]
+    level = survey_levels(cloud, np.arange(len(cloud)) < len(floor), CONFIG)[0].levels[0]
     ix, iy, inside = level.surface.cells(wall)
     assert inside.all()
     assert (level.surface.state[ix, iy] == UNKNOWN).all()
@@ -399,7 +399,7 @@ def test_a_floating_point_stops_nobody_and_a_cable_does():
     cable = np.column_stack([np.full(25, 1.5), np.full(25, 2.5), np.arange(25) * 0.04 + 1.2])
     cloud = np.concatenate([points, [[3.5, 2.5, 1.2]], cable])
     assert np.flatnonzero(find_strays(cloud, 0.25)).tolist() == [len(points)]
-    level = build_levels(cloud, np.append(ground, np.zeros(26, dtype=bool)), CONFIG).levels[0]
+    level = survey_levels(cloud, np.append(ground, np.zeros(26, dtype=bool)), CONFIG)[0].levels[0]
     at = obstacles_of(level, AGENTS["human"]).points
     assert np.hypot(*(at[:, :2] - [1.5, 2.5]).T).min() == 0.0
     assert np.hypot(*(at[:, :2] - [3.5, 2.5]).T).min() > 1.0
@@ -462,7 +462,7 @@ def test_a_tread_is_ground_to_its_end_and_its_risers_are_joined_to_it():
     scene = SCENES["stair"](np.random.default_rng(1), 0.01)
     found = segment_ground(scene.points)
     assert found[scene.ground].mean() > 0.98
-    surface = build_levels(scene.points, scene.ground, CONFIG).levels[0].surface
+    surface = survey_levels(scene.points, scene.ground, CONFIG)[0].levels[0].surface
     foot, head = (surface.height_at(np.array([[x, 0.8]]))[0] for x in (2.1, 4.4))
     assert (foot, head) == pytest.approx((0.17, 1.53), abs=0.02)
 
@@ -476,7 +476,7 @@ def test_nothing_is_inferred_under_a_rock_that_was_seen_from_above_alone():
     points = lawn(np.random.default_rng(0))
     rock = (np.abs(points[:, :2] - 3.0) < 0.5).all(axis=1)
     points[rock, 2] = 0.8
-    surface = build_levels(points, ~rock, CONFIG).levels[0].surface
+    surface = survey_levels(points, ~rock, CONFIG)[0].levels[0].surface
     assert not surface.contains(np.array([[3.0, 3.0]])).any()
 
 
@@ -488,7 +488,7 @@ def test_the_floor_goes_on_through_a_hole_beside_a_low_box_and_not_through_one_t
     z, angle = (axis.ravel() for axis in np.meshgrid(np.arange(0.0, 1.5, 0.03), np.arange(0.5, 6.0, 0.05)))
     wall = np.column_stack([1.0 + 0.37 * np.cos(angle), 5.0 + 0.37 * np.sin(angle), z])
     cloud = np.concatenate([points[~hole], wall])
-    surface = build_levels(cloud, np.arange(len(cloud)) < len(cloud) - len(wall), CONFIG).levels[0].surface
+    surface = survey_levels(cloud, np.arange(len(cloud)) < len(cloud) - len(wall), CONFIG)[0].levels[0].surface
     assert surface.height_at(np.array([[3.0, 3.0]])) == pytest.approx(0.0, abs=0.02)
     assert not surface.contains(np.array([[1.0, 5.0]])).any()
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from gpdf_service.config import PerceptionConfig
-from gpdf_service.perception.levels import build_levels
+from gpdf_service.perception.levels import survey_levels
 from gpdf_service.perception.surface import INFERRED
 
 
@@ -17,7 +17,7 @@ def floor_without(shadow):
 
 def surface_of(floor, things):
     cloud = np.concatenate([floor, things])
-    return build_levels(cloud, np.arange(len(cloud)) < len(floor), PerceptionConfig()).levels[0].surface
+    return survey_levels(cloud, np.arange(len(cloud)) < len(floor), PerceptionConfig())[0].levels[0].surface
 
 
 def state_at(surface, x, y):

@@ -6,7 +6,7 @@ from scipy import ndimage
 
 import gpdf_service as gpdf
 from gpdf_service.config import PerceptionConfig
-from gpdf_service.perception import build_levels
+from gpdf_service.perception import survey_levels
 from gpdf_service.perception.limits import step_and_slope
 from gpdf_service.perception.smooth import smooth, to_centres
 from gpdf_service.perception.surface import OBSERVED, UNKNOWN, HeightMap
@@ -61,7 +61,7 @@ def test_a_coarse_scan_of_a_slope_has_no_steps():
         return 0.25 * xy[:, 0] + 0.05 * np.sin(2.0 * xy[:, 1])
 
     points = np.column_stack([xy, floor(xy)])
-    surface = build_levels(points, np.ones(len(points), dtype=bool), PerceptionConfig()).levels[0].surface
+    surface = survey_levels(points, np.ones(len(points), dtype=bool), PerceptionConfig())[0].levels[0].surface
     assert step_and_slope(surface)[0][4:-4, 4:-4].max() < 0.02
     inner = np.zeros(surface.height.shape, dtype=bool)
     inner[4:-4, 4:-4] = True

@@ -107,6 +107,18 @@ def test_a_trajectory_that_is_blocked_or_leads_elsewhere_is_not_taken_up(room):
         assert result.details["warm"] == 0.0
 
 
+def test_a_way_that_sweeps_more_ground_than_there_is_is_not_taken_up(room):
+    """It costs as much as it is long, whatever the deadline: 4 MiB of it are 170 km."""
+    first = gpdf.plan(room, (1, 1), (7, 5)).trajectory.ground
+    to_and_fro = np.concatenate([first, first[::-1]])
+    again = {
+        laps: gpdf.plan(room, (1, 1), (7, 5), warm_start=np.concatenate([*[to_and_fro] * laps, first]))
+        for laps in (0, 50)
+    }
+    assert {laps: result.details["warm"] for laps, result in again.items()} == {0: 1.0, 50: 0.0}
+    assert again[50].status is gpdf.Status.OK
+
+
 def test_a_trajectory_over_two_storeys_is_taken_up():
     made = SCENES["stair"](np.random.default_rng(0))
     scene = gpdf.build_scene(made.points, made.ground)

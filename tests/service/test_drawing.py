@@ -106,6 +106,6 @@ def test_drawings_are_not_in_the_log(office, free_endpoint, tmp_path):
         client.load_scene("office", "office.gpdf")
         client.draw("office", "cloud")
         client.scenes()
-    topics = {record.topic for record in records_of(server.log_path) if isinstance(record, Channel)}
+    topics = {record.topic for record in records_of(server.recorder.path) if isinstance(record, Channel)}
     assert f"{keys.SCENES}/request" in topics
     assert not any(topic.startswith(keys.SCENE_DRAW) for topic in topics)

@@ -8,9 +8,11 @@ import pytest
 from gpdf_client import Client, InvalidRequestError
 from gpdf_schemas import Array, Cylinder, MovingObstacle, keys
 from gpdf_schemas.moving import MAX_POINTS, points_of
+from mcap.records import Channel
 
 import gpdf_service as gpdf
 from gpdf_service.service.moving import Moving
+from gpdf_service.service.record import records_of
 from gpdf_service.service.server import Options, Server
 
 START, GOAL = (1.0, 1.5), (5.0, 1.5)
@@ -158,6 +160,25 @@ def test_scenes_that_nobody_loaded_do_not_fill_the_memory(monkeypatch):
     now[0] = 11.0
     moving.publish("d", [nothing])
     assert set(moving._living) == {"d"}  # what ended is forgotten, also where nobody looks
+
+
+def test_an_obstacle_with_a_name_of_megabytes_is_refused_and_the_others_are_taken():
+    moving = Moving()
+    with pytest.raises(ValueError, match="1000 characters"):
+        moving.publish("hall", [msgspec.structs.replace(person(1.0, 1.0), id=id_) for id_ in ("x" * 1000, "y")])
+    assert set(moving.living("hall")) == {"y"}
+
+
+def test_what_is_published_for_scenes_that_nobody_loaded_is_kept_and_not_recorded(tmp_path, free_endpoint):
+    with Server(Options(free_endpoint, tmp_path, tmp_path, 1)) as server, Client.connect(free_endpoint) as client:
+        client.publish_obstacles("not yet", [person(3.0, 1.9, lifetime_s=60)])
+        client.publish_obstacles("later", [person(3.0, 1.9, lifetime_s=60)])
+        until = time.monotonic() + 30
+        while not server.handlers.moving.living("later"):
+            assert time.monotonic() < until
+        assert server.status().metrics["bad_publications"] == 1  # no scene can have a name with a blank
+    topics = {record.topic for record in records_of(server.recorder.path) if isinstance(record, Channel)}
+    assert not {topic for topic in topics if "later" in topic or "not yet" in topic}
 
 
 def test_a_cylinders_points_are_not_inside_it_and_leave_no_gap():

@@ -114,7 +114,7 @@ def test_the_log_says_what_wrote_it(tmp_path, free_endpoint, office):
     options = Options(free_endpoint, tmp_path, tmp_path / "log", 1, queue=77)
     with Server(options, [("office", tmp_path / "office.gpdf")]) as server:
         server.shelf._builder.submit(lambda: None).result(60)
-    with server.log_path.open("rb") as file:
+    with server.recorder.path.open("rb") as file:
         found = {record.name: record.metadata for record in make_reader(file).iter_metadata()}
     assert json.loads(found["gpdf"]["config"])["serve"]["queue"] == 77
     assert json.loads(found["gpdf"]["config"])["planning"] == plain(options, Config())["planning"]

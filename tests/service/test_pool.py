@@ -235,7 +235,7 @@ def test_a_process_dies_under_load_and_not_even_a_client_that_asks_once_sees_it(
             thread.join(PATIENCE_S)
         assert server.status().metrics["process_restarts"] == 2
     assert set(seen) == {"OK"}
-    assert len(list(recorded_plans(server.log_path))) == len(seen)  # each once
+    assert len(list(recorded_plans(server.recorder.path))) == len(seen)  # each once
 
 
 def test_a_scene_that_the_disk_did_not_take_is_planned_in_all_the_same(

@@ -221,8 +221,11 @@ def test_a_plan_is_in_the_log_when_the_process_is_killed_after_its_answer(tmp_pa
     assert len(list(recorded_plans(log))) == 3
 
 
-def test_who_must_not_wait_for_a_log_that_is_behind_goes_on_and_the_loss_is_counted(tmp_path, monkeypatch):
-    monkeypatch.setattr("gpdf_service.service.recorder.QUEUE_SIZE", 2)
+@pytest.mark.parametrize("body", [b"", BLOB])
+def test_who_must_not_wait_for_a_log_that_is_behind_goes_on_and_the_loss_is_counted(tmp_path, monkeypatch, body):
+    """What waits is bounded by its bytes: two messages, whether they are small or large."""
+    monkeypatch.setattr("gpdf_service.service.recorder.TASK_BYTES", 100)
+    monkeypatch.setattr("gpdf_service.service.recorder.QUEUE_BYTES", 2 * (100 + len(body)))
     gate, inside = threading.Event(), threading.Event()
     write = Segment.write
 
@@ -233,12 +236,12 @@ def test_who_must_not_wait_for_a_log_that_is_behind_goes_on_and_the_loss_is_coun
 
     monkeypatch.setattr(Segment, "write", slow)
     recorder = Recorder(Options(log_dir=tmp_path, log_sync="each"), "x", {})
-    recorder.exchange("k", b"", b"0", 0, 0, patient=False)
+    recorder.exchange("k", b"", b"0" + body, 0, 0, patient=False)
     assert inside.wait(30)  # the writer is held by the first; two more fit
     for i in range(1, 6):
-        recorder.exchange("k", b"", bytes([48 + i]), 0, 0, patient=False)
+        recorder.exchange("k", b"", bytes([48 + i]) + body, 0, 0, patient=False)
     recorder.publication("p", b"", 0)
     assert recorder.lost == 4
     gate.set()
     recorder.close()
-    assert [data for data in messages(tmp_path) if data] == [b"0", b"1", b"2"]
+    assert [data for data in messages(tmp_path) if data] == [digit + body for digit in (b"0", b"1", b"2")]

@@ -18,7 +18,7 @@ def logged(office, free_endpoint, tmp_path):
     with Server(Options(free_endpoint, tmp_path, tmp_path, 1)) as server, Client.connect(free_endpoint) as client:
         client.load_scene("office", "office.gpdf")
         client.plan("office", made.start, made.goal, "roomba", request_id="one")
-    return server.log_path, tmp_path / "office.gpdf"
+    return server.recorder.path, tmp_path / "office.gpdf"
 
 
 def test_a_replayed_plan_is_drawn_beside_the_recorded_one(logged, tmp_path, capsys):
@@ -57,7 +57,7 @@ def test_what_was_planned_in_a_version_that_is_not_given_is_left_out_and_told(lo
         client.plan("office", (1.0, 1.0), (2.0, 1.0), "roomba")
         client.update_scene("office", made)
         client.plan("office", (1.0, 1.0), (2.0, 1.0), "roomba")
-    assert main(["replay", str(server.log_path), "--scenes-dir", str(folder)]) == 1
+    assert main(["replay", str(server.recorder.path), "--scenes-dir", str(folder)]) == 1
     said = capsys.readouterr()
     assert "1 of 1 plans are identical" in said.out
     assert "1 plans were not asked again" in said.err
@@ -82,7 +82,7 @@ def test_what_moved_moves_again_at_its_recorded_time(office, free_endpoint, tmp_
             assert time.monotonic() < until
             time.sleep(0.1)
         client.plan("office", made.start, made.goal, "roomba")
-    assert main(["replay", str(server.log_path), "--scene", f"office={tmp_path}/office.gpdf"]) == 0
+    assert main(["replay", str(server.recorder.path), "--scene", f"office={tmp_path}/office.gpdf"]) == 0
 
 
 def test_a_service_is_asked_no_faster_than_it_was_and_one_that_is_gone_is_told(logged, free_endpoint, capsys, tmp_path):
@@ -97,7 +97,7 @@ def test_a_service_is_asked_no_faster_than_it_was_and_one_that_is_gone_is_told(l
     with Server(Options(free_endpoint, tmp_path, tmp_path / "more", 1)) as again:  # it has the scene from before
         again.shelf.settle()
         began = time.monotonic()
-        assert main(["replay", str(server.log_path), "--endpoint", free_endpoint, "--recorded-speed"]) == 0
+        assert main(["replay", str(server.recorder.path), "--endpoint", free_endpoint, "--recorded-speed"]) == 0
         assert time.monotonic() - began > 1.0
     assert "3 of 3 plans are identical" in capsys.readouterr().out
     assert main(["replay", str(log), "--endpoint", free_endpoint]) == 1

@@ -245,7 +245,7 @@ def test_the_log_holds_the_bytes_of_the_wire_and_draws_in_viewers(clouds, tmp_pa
         with Client.connect(free_endpoint) as client:
             client.load_scene("office", "office.gpdf")
         (answer,) = ask_raw(free_endpoint, keys.PLAN, request)
-        path = server.log_path
+        path = server.recorder.path
     with path.open("rb") as file:
         found = {}
         for schema, channel, message in make_reader(file).iter_messages():
@@ -358,8 +358,8 @@ def test_a_second_service_leaves_the_log_of_the_running_one_alone(clouds, tmp_pa
             finally:
                 second.kill()
         client.plan("office", made.start, made.goal, "roomba", request_id="after")
-    assert check(server.log_path).complete
-    assert [request.request_id for request, _ in recorded_plans(server.log_path)] == ["after"]
+    assert check(server.recorder.path).complete
+    assert [request.request_id for request, _ in recorded_plans(server.recorder.path)] == ["after"]
 
 
 def test_a_log_that_is_cut_anywhere_is_mended(tmp_path):
@@ -457,9 +457,16 @@ def test_uploads_that_wait_for_their_builds_and_names_of_scenes_are_bounded(tmp_
         shelf.add_part("a", "u", 0, 1, points, None)
     with pytest.raises(gpdf.errors.RequestError, match="Unload one"):
         shelf.add_part("c", "u", 0, 1, points, None)
+    (tmp_path / "a.npz").touch()
+    monkeypatch.setattr(scenes, "MAX_BUILDS", 3)
+    shelf.load_file("a", "a.npz")
+    with pytest.raises(scenes.FullError, match="3 builds are waiting"):
+        shelf.load_file("a", "a.npz")
     go_on.set()
     shelf.settle()
     assert shelf.add_part("a", "u", 0, 1, points, None)
+    with pytest.raises(ValueError, match="too long"):
+        shelf.add_part("a", "u" * 1000, 0, 2, points, None)
     shelf.close()
 
 

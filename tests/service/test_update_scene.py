@@ -41,6 +41,13 @@ def serving(hall, tmp_path, free_endpoint):
         yield server, client
 
 
+def test_a_change_that_takes_everything_away_is_refused_in_words_and_the_scene_stays(serving, hall):
+    _, client = serving
+    with pytest.raises(ServiceError, match="no point would be left"):
+        client.update_scene("hall", remove=np.array([[3.0, 1.5, 0.0]]), radius=5.0)
+    assert client.scenes()["hall"]["points"] == len(hall.points)
+
+
 def test_a_scan_closes_the_way_and_its_end_opens_it_again(serving, hall, monkeypatch):
     monkeypatch.setattr("gpdf_client.client.PART_POINTS", 1000)
     _, client = serving
