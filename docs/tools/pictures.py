@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
+from shutil import copyfile
+from tempfile import TemporaryDirectory
 
 import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -13,6 +15,7 @@ from PIL import Image
 
 import gpdf_service as gpdf
 from gpdf_service.bench.paper_pictures import draw_scene_pictures
+from gpdf_service.cli import main as command_line
 from gpdf_service.synthetic import SCENES, SyntheticScene
 from gpdf_service.synthetic.world import Box, World
 from gpdf_service.viewer.picture import COLOURS, draw_plans, draw_scene
@@ -53,6 +56,7 @@ def main() -> None:
         scene = gpdf.build_scene(made.points, made.ground)
         for path in draw_scene_pictures(name, scene, made.points, made.ground, FOLDER, seed=0):
             _shrink(path) if path.name in SHOWN else path.unlink()
+    _refused(FOLDER / "refused.png")
 
 
 def _free_space(agent: str) -> Callable[[SyntheticScene, gpdf.Scene, Path], None]:
@@ -152,6 +156,16 @@ def _noise(made: SyntheticScene, scene: gpdf.Scene, path: Path) -> None:
     axes.set(xlabel="true height over the floor [m]", ylabel="mean error [cm]", title="a floor with 3 cm of noise")
     axes.legend(fontsize=8)
     _save(figure, path)
+
+
+def _refused(path: Path) -> None:
+    """What a human was refused in the cluttered office under noise, as `gpdf bench paper --png` draws it."""
+    with TemporaryDirectory() as folder:
+        words = ["--scene", "cluttered_office", "--agent", "human", "--method", "dual_gpdf", "--png", folder]
+        if command_line(["bench", "paper", *words, "--json", f"{folder}/rows.json"]) != 0:
+            raise SystemExit("a path was judged a collision")
+        copyfile(Path(folder) / "cluttered_office_human_refused.png", path)
+    _shrink(path)
 
 
 def _figure(width: float, height: float) -> tuple[Figure, object]:
