@@ -60,7 +60,7 @@ _SPLIT = 1.0 / 3.0
 the nearer one: 0.25 in 99 of 100 planes of 120 points, half of them in a right angle. A floor so split has a step."""
 _THICK = 2.5
 """[-] Standard errors by which the variance about a shape may exceed the noise's: more, and it is another shape."""
-_HIDDEN = 0.6
+HIDDEN = 0.6
 """[-] Least standard deviation left over the noise: relief within it passes for noise. The tips of a stair that looks
 like a ramp with 4/3 of the true noise are 1.15 of it off that ramp, the faces of a board less."""
 _LENGTH = 2.0
@@ -142,7 +142,7 @@ def onto_surface(
         len(order),
     )
     _follow(points, moved, left, normals, noise, spacing)
-    return moved, np.maximum(left, _HIDDEN * noise)
+    return moved, np.maximum(left, HIDDEN * noise)
 
 
 def _follow(

@@ -15,6 +15,7 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
+from gpdf_service.fields.denoise import HIDDEN
 from gpdf_service.fields.treads import EDGE_ERROR, Treads, log_density, look_for_treads, settle_treads
 from gpdf_service.types import BoolArray, FloatArray, IntArray
 
@@ -42,8 +43,6 @@ _TALLEST = 0.25
 """[m] Rise of a step; ground further off the ramp is another flight."""
 _OFF = 3.5
 """[-] Standard deviations: a point further off a stair is not of it."""
-_HIDDEN = 0.6
-"""[-] Standard deviation left on the points over the noise: as in `denoise`, relief within it passes for noise."""
 _FOOT = 0.15
 """[m] To either side along an edge, or twice that to one: points of a riser there say together whether it is one."""
 _WALL = 5.0
@@ -98,7 +97,7 @@ def onto_treads(points: FloatArray, noise: float, moved: FloatArray, left: Float
         mine &= z <= flight.treads.height_at(u + reach) + reach
         moved[rows[mine], :2] = points[rows[mine], :2]
         moved[rows[mine], 2] = flight.treads.height_at(u[mine])
-        left[rows[mine]] = _HIDDEN * noise
+        left[rows[mine]] = HIDDEN * noise
         flights.append(flight)
     return flights
 
@@ -129,7 +128,7 @@ def onto_risers(flight: Flight, points: FloatArray, noise: float, moved: FloatAr
         way, side = np.array([np.cos(angle), np.sin(angle)]), np.array([-np.sin(angle), np.cos(angle)])
         moved[rows[mine], :2] = flight.origin + edges[k] * way + v[mine, None] * side
         moved[rows[mine], 2] = np.clip(z[mine], heights[k], heights[k + 1])
-        left[rows[mine]] = _HIDDEN * noise
+        left[rows[mine]] = HIDDEN * noise
 
 
 def _as_riser(

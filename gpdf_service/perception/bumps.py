@@ -12,7 +12,7 @@ from numba import njit
 
 from gpdf_service.config import PerceptionConfig
 from gpdf_service.fields.threads import run_chunked
-from gpdf_service.perception.layers import Layers
+from gpdf_service.perception.layers import HALF, Layers
 from gpdf_service.perception.limits import widened
 from gpdf_service.perception.nodes import components, extents_in_plan, pairs_around
 from gpdf_service.types import BoolArray, FloatArray, IntArray
@@ -24,7 +24,6 @@ ROUGH = 4.0
 (2 to 5 cm, correlated over 5 to 15 cm)."""
 LONG = 3.0
 """[-] Length over depth of what crosses the way, a sill or a ridge; what stands about is rounder."""
-_LINES = ((1, 0), (0, 1), (1, 1), (1, -1))
 
 
 def low_things(layers: Layers, ground: BoolArray, raised: FloatArray, config: PerceptionConfig) -> BoolArray:
@@ -122,7 +121,7 @@ def _raise(
     """
     for i in nodes:
         x, y, level = cell[i] // shape[1], cell[i] % shape[1], height[i]
-        for dx, dy in _LINES:
+        for dx, dy in HALF:
             cells = reach if dx * dy == 0 else max(1, int(0.7071 * reach))
             least = np.inf
             for side in (-1, 1):

@@ -65,11 +65,12 @@ def cure_and_segment(points: FloatArray, ground: BoolArray | None, config: Perce
         config: Limits.
     """
     picked = _columns(points)
-    spacing = estimate_spacing(points[picked])
-    noise = estimate_noise(points[picked], spacing)
+    sample = points[picked]
+    spacing = estimate_spacing(sample)
+    noise = estimate_noise(sample, spacing)
     least = max(config.negligible_noise, (_SEEN if ground is None else _SEEN_APART) * spacing)
     first, segmentation = (ground, None) if ground is not None else _first_look(points, config, noise > least)
-    double = estimate_noise(points[picked & first], spacing, sheets=False)
+    double = estimate_noise(sample[first[picked]], spacing, sheets=False)
     if double > max(_DOUBLE * noise, least):
         noise = double
     if noise <= least:

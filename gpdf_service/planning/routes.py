@@ -8,7 +8,6 @@ from itertools import pairwise
 import numpy as np
 from numba import njit
 
-from gpdf_service.perception.surface import UNKNOWN
 from gpdf_service.planning.endpoints import Endpoint, Ends
 from gpdf_service.planning.shape import is_joined, is_path_clear, shortcut
 from gpdf_service.search import FreeSpace, find_path
@@ -71,7 +70,7 @@ def take_up(space: FreeSpace, ends: Ends, known: FloatArray) -> Route | None:
     if gap[first] > NEAR:
         return None
     inner = known[first + 1 : -1]
-    if np.linalg.norm(np.diff(inner[:, :2], axis=0), axis=1).sum() > _longest(space):
+    if np.linalg.norm(np.diff(inner[:, :2], axis=0), axis=1).sum() > space.longest:
         return None
     heights = np.stack([surface.height_at(inner[:, :2]) for surface in space.surfaces])
     off = np.abs(np.where(np.isnan(heights), np.inf, heights) - inner[:, 2])
@@ -81,12 +80,6 @@ def take_up(space: FreeSpace, ends: Ends, known: FloatArray) -> Route | None:
     legs = _cut_by_level(np.vstack([ends.start.xy, inner[:, :2], goal.xy]), level)
     clear = all(is_path_clear(path, space.trees[on], _radius(space, on, path)) for on, path in legs)
     return Route(legs, number, warm=True) if clear else None
-
-
-def _longest(space: FreeSpace) -> float:
-    """Length [m] of a way that sweeps all ground once: where one comes back beside itself, there is a shorter one."""
-    area = sum(np.count_nonzero(surface.state != UNKNOWN) * surface.cell_width**2 for surface in space.surfaces)
-    return float(area) / (2.0 * space.agent.disc_radius)
 
 
 def _cut_by_level(path: FloatArray, level: list[int]) -> list[Leg]:

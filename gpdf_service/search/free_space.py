@@ -14,6 +14,7 @@ from gpdf_service.fields.threads import run_beside
 from gpdf_service.fields.traversal import nearest_only
 from gpdf_service.perception import HeightMap, Levels, Obstacles, obstacles_of
 from gpdf_service.perception.limits import Measured
+from gpdf_service.perception.surface import UNKNOWN
 from gpdf_service.search.graph import Edges, Graph, assemble, find_edges
 from gpdf_service.search.quadtree import Quadtree, build_quadtree
 from gpdf_service.types import Agent, FloatArray, IntArray
@@ -54,6 +55,8 @@ class FreeSpace:
         edges: Neighbouring leaves of each level: their pairs and crossings, see `find_edges`.
         offsets: First graph node of each level's leaves.
         graph: All free leaves, connected.
+        longest: Length of a way that sweeps all ground once [m]: where one comes back beside itself, there is a
+            shorter one.
     """
 
     agent: Agent
@@ -71,6 +74,7 @@ class FreeSpace:
     edges: tuple[Edges, ...]
     offsets: tuple[int, ...]
     graph: Graph
+    longest: float
 
     def clearance(self, level: int, xy: FloatArray) -> tuple[FloatArray, IntArray]:
         """Exact distance from places in plan, shape (m, 2), to the nearest obstacle [m], and its kind, shape (m,)."""
@@ -125,11 +129,13 @@ def join_levels(agent: Agent, reach: float, radius: float, parts: Sequence[Level
     quadtrees = tuple(part.quadtree for part in parts)
     edges = tuple(part.edges for part in parts)
     offsets = tuple(int(n) for n in np.cumsum([0, *(len(tree.size) for tree in quadtrees[:-1])]))
+    surfaces = tuple(part.surface for part in parts)
+    area = sum(np.count_nonzero(surface.state != UNKNOWN) * surface.cell_width**2 for surface in surfaces)
     return FreeSpace(
         agent,
         reach,
         radius,
-        tuple(part.surface for part in parts),
+        surfaces,
         tuple(part.ground_field for part in parts),
         tuple(part.measured[0] for part in parts),
         tuple(part.measured[1] for part in parts),
@@ -141,6 +147,7 @@ def join_levels(agent: Agent, reach: float, radius: float, parts: Sequence[Level
         edges,
         offsets,
         _connect(levels, quadtrees, edges, offsets, radius),
+        float(area) / (2.0 * agent.disc_radius),
     )
 
 
