@@ -12,6 +12,9 @@ from typing import Any
 
 from gpdf_service.errors import ConfigError
 
+SERVICE_TABLE = "serve"
+"""The table of a configuration file that says how to serve; the others say how to build and plan."""
+
 
 @dataclass(frozen=True, slots=True)
 class PerceptionConfig:

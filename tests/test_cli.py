@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from gpdf_service.cli import VERBS, find_verb, main
+from gpdf_service.cli.inputs import read_config
 from gpdf_service.types import AGENTS
 
 
@@ -162,6 +163,13 @@ def test_files_that_cannot_be_read_or_written_are_said_without_a_traceback(tmp_p
         said = capsys.readouterr().err
         assert words[-1] in said
         assert said.startswith("gpdf: ")
+
+
+def test_the_file_that_says_how_to_serve_says_how_to_build_as_well(tmp_path, capsys):
+    assert main(["serve", "--print-config"]) == 0
+    file = tmp_path / "all.toml"
+    file.write_text(capsys.readouterr().out.replace("max_step = 0.37", "max_step = 0.2"))
+    assert read_config(file).perception.max_step == 0.2
 
 
 @pytest.mark.parametrize("verb", ["build", "crop --box 0,0,1,1", "merge x.npz"])

@@ -11,7 +11,7 @@ from pathlib import Path
 
 from tqdm import tqdm
 
-from gpdf_service.config import Config, read_tables
+from gpdf_service.config import SERVICE_TABLE, Config, read_tables
 from gpdf_service.errors import ConfigError
 from gpdf_service.perception import read_cloud
 from gpdf_service.pipeline import build_scene
@@ -44,8 +44,10 @@ def add_build_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def read_config(path: Path | None) -> Config:
-    """Settings from a TOML file; the defaults without one."""
-    return Config() if path is None else Config.from_mapping(read_tables(path))
+    """Settings from a TOML file, the service's own too; the defaults without one."""
+    tables = {} if path is None else read_tables(path)
+    tables.pop(SERVICE_TABLE, None)
+    return Config.from_mapping(tables)
 
 
 @contextmanager

@@ -12,15 +12,13 @@ from typing import Annotated, Any, Literal
 import msgspec
 from msgspec import Meta
 
-from gpdf_service.config import Config, read_tables
+from gpdf_service.config import SERVICE_TABLE, Config, read_tables
 from gpdf_service.errors import ConfigError
 from gpdf_service.fields.threads import worker_count
 
 DEFAULT_ENDPOINT = "tcp/127.0.0.1:7447"
 ENVIRONMENT = "GPDF_"
 """What the name of an option starts with in the environment: GPDF_LOG_DIR, GPDF_WORKERS, …"""
-TABLE = "serve"
-"""The file's table of these options; its other tables are those of `gpdf_service.config`."""
 
 Count = Annotated[int, Meta(ge=1)]
 Amount = Annotated[float, Meta(gt=0)]
@@ -89,9 +87,9 @@ def gather(file: Path | None, environment: Mapping[str, str], flags: Mapping[str
         ConfigError: an unknown key, a wrong type or a value out of range; the file is not there or no TOML.
     """
     tables = {} if file is None else read_tables(file)
-    given = tables.pop(TABLE, {})
+    given = tables.pop(SERVICE_TABLE, {})
     if not isinstance(given, dict):
-        raise ConfigError(TABLE, f"{given!r}", "It must be a table of keys and values.")
+        raise ConfigError(SERVICE_TABLE, f"{given!r}", "It must be a table of keys and values.")
     named = {name.removeprefix(ENVIRONMENT).lower(): text for name, text in environment.items() if _ours(name)}
     values = given | named | {name: value for name, value in flags.items() if value is not None}
     if isinstance(values.get("connect"), str):
@@ -99,7 +97,7 @@ def gather(file: Path | None, environment: Mapping[str, str], flags: Mapping[str
     try:
         options = msgspec.convert(values, Options, strict=False, dec_hook=lambda kind, value: kind(value))
     except (msgspec.ValidationError, TypeError) as error:
-        raise ConfigError(TABLE, str(error), f"Options: {', '.join(Options.__struct_fields__)}.") from error
+        raise ConfigError(SERVICE_TABLE, str(error), f"Options: {', '.join(Options.__struct_fields__)}.") from error
     if options.role == "planner" and not options.connect:
         raise ConfigError("serve.connect", "a planner without a map service", "Say where it is: --connect ENDPOINT.")
     return options, Config.from_mapping(tables)
@@ -108,7 +106,10 @@ def gather(file: Path | None, environment: Mapping[str, str], flags: Mapping[str
 def plain(options: Options, config: Config) -> dict[str, Any]:
     """Both as nested mappings, ready for JSON or TOML; what is not set is left out."""
     made = msgspec.to_builtins(options, enc_hook=str)
-    return {TABLE: {name: value for name, value in made.items() if value is not None}, **dataclasses.asdict(config)}
+    return {
+        SERVICE_TABLE: {name: value for name, value in made.items() if value is not None},
+        **dataclasses.asdict(config),
+    }
 
 
 def to_toml(values: Mapping[str, Mapping[str, Any]]) -> str:

@@ -8,6 +8,7 @@ import logging
 import secrets
 import signal
 import socket
+import sys
 import threading
 from pathlib import Path
 
@@ -35,18 +36,19 @@ def run(args: argparse.Namespace) -> int:
     logging.basicConfig(level=logging.INFO, format="%(asctime)s %(levelname)s %(name)s: %(message)s")
     logging.getLogger("websockets").setLevel(logging.WARNING)
     if args.log is not None and not args.log.is_file():
-        print(f"gpdf: there is no log {args.log}")
+        print(f"gpdf: there is no log {args.log}", file=sys.stderr)
         return 1
     try:
         config = read_credentials(args)
     except ClientError as error:
-        print(f"gpdf: {error}")
+        print(f"gpdf: {error}", file=sys.stderr)
         return 1
     stop = threading.Event()
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: stop.set())
     if not _is_free(args.host, args.port):
-        print(f"gpdf: cannot listen on {args.host}:{args.port}. Is another page running there? Try --port.")
+        told = f"gpdf: cannot listen on {args.host}:{args.port}. Is another page running there? Try --port."
+        print(told, file=sys.stderr)
         return 1
     gated = not _is_loopback(args.host)
     server = Server("127.0.0.1", _free_port() if gated else args.port, label="gpdf", verbose=False)

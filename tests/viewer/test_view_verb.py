@@ -81,7 +81,7 @@ def test_a_log_that_is_not_there_and_a_port_that_is_taken_are_failures(tmp_path,
         taken.bind(("127.0.0.1", 0))
         taken.listen()
         assert main(["view", "--port", str(taken.getsockname()[1])]) == 1
-    said = capsys.readouterr().out
+    said = capsys.readouterr().err
     assert "no log" in said
     assert "none.json5 is no Zenoh configuration" in said
     assert "cannot listen" in said
