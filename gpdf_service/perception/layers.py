@@ -173,8 +173,8 @@ def build_layers(
     origin, shape = grid_of(*bounds_of(points), cell_width) if like is None else (like.origin, like.shape)
     cells = shape[0] * shape[1]
     cell = cells_of(points, origin, cell_width, shape)
-    order, start = column_order(cell, np.ascontiguousarray(points[:, 2]), cells)
-    z, flat = points[order, 2], 2.0 * cell_width + 4.0 * noise
+    start, order, z = column_order(cell, points, cells)
+    flat = 2.0 * cell_width + 4.0 * noise
     first = count_nodes(start, z, gap)
     count = int(first[-1])
     cell_of, row = np.empty(count, np.int64), np.empty(count, np.int64)
