@@ -488,15 +488,29 @@ def _cells_range(
         cell[i] = int(x) * ny + int(y)
 
 
-@njit(cache=True, nogil=True)
 def cells_in_box(points: FloatArray, origin: FloatArray, width: float, first: IntArray, last: IntArray) -> IntArray:
     """Flat cell of each point (n, 3) in a box of cells, from `first` to `last`; those outside are in one more."""
-    cell, wide = np.empty(len(points), np.int64), last[1] - first[1]
-    for i in range(len(points)):
+    cell = np.empty(len(points), np.int64)
+    run_chunked(lambda a, b: _box_range(points, origin, width, first, last, a, b, cell), len(points))
+    return cell
+
+
+@njit(cache=True, nogil=True)
+def _box_range(
+    points: FloatArray,
+    origin: FloatArray,
+    width: float,
+    first: IntArray,
+    last: IntArray,
+    begin: int,
+    end: int,
+    cell: IntArray,
+) -> None:
+    wide = last[1] - first[1]
+    for i in range(begin, end):
         x, y = int(np.floor((points[i, 0] - origin[0]) / width)), int(np.floor((points[i, 1] - origin[1]) / width))
         inside = first[0] <= x < last[0] and first[1] <= y < last[1]
         cell[i] = (x - first[0]) * wide + y - first[1] if inside else (last[0] - first[0]) * wide
-    return cell
 
 
 def column_floors(start: IntArray, order: IntArray, z: FloatArray, share: float) -> FloatArray:
