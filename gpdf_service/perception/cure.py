@@ -22,7 +22,7 @@ from gpdf_service.fields import (
     uncured,
 )
 from gpdf_service.fields.threads import run_beside
-from gpdf_service.perception.columns import bounds_of, cells_of
+from gpdf_service.perception.columns import bounds_of, cells_of, chosen_rows
 from gpdf_service.perception.layers import columns_over
 from gpdf_service.perception.segment import Segmentation, segment
 from gpdf_service.types import BoolArray, FloatArray
@@ -74,7 +74,7 @@ def cure_and_segment(points: FloatArray, ground: BoolArray | None, config: Perce
     least = max(config.negligible_noise, (_SEEN if ground is None else _SEEN_APART) * spacing)
     if refused is not None and noise <= least:
         raise refused
-    double = estimate_noise(points[picked & first], spacing, sheets=False)
+    double = estimate_noise(chosen_rows(points, picked & first), spacing, sheets=False)
     if double > max(_DOUBLE * noise, least):
         noise = double
     if noise <= least:
@@ -115,7 +115,7 @@ def _cure_apart(points: FloatArray, ground: BoolArray, noise: float) -> Cured:
 def _told(points: FloatArray) -> tuple[BoolArray, float, float]:
     """A sample of the cloud, shape (n,), its spacing and its noise [m]."""
     picked = _columns(points)
-    sample = points[picked]
+    sample = chosen_rows(points, picked)
     spacing = estimate_spacing(sample)
     return picked, spacing, estimate_noise(sample, spacing)
 

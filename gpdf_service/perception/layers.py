@@ -15,6 +15,7 @@ from gpdf_service.perception.columns import (
     bounds_of,
     by_cell,
     cells_of,
+    chosen_rows,
     column_floors,
     column_order,
     count_nodes,
@@ -50,12 +51,11 @@ def cell_width_of(points: FloatArray) -> float:
     key = cells_of(points, corner, _COLUMN, shape)
     z = np.ascontiguousarray(points[:, 2])
     floor = column_floors(*by_cell(key, shape[0] * shape[1]), z, 0.05)  # the 5th percentile: below it, reflections
-    low = np.flatnonzero(np.abs(z - floor[key]) <= MIN_CELL)
-    k = min(8, len(low) - 1)
+    floor_points = chosen_rows(points, np.abs(z - floor[key]) <= MIN_CELL)
+    k = min(8, len(floor_points) - 1)
     if k < 1:
         return MIN_CELL
-    floor_points = points[low]
-    picked = np.arange(0, len(low), max(1, len(low) // _SAMPLE))
+    picked = np.arange(0, len(floor_points), max(1, len(floor_points) // _SAMPLE))
     distance = _median_to(k, floor_points, picked, corner, far, 2.0 * MIN_CELL)
     if distance > 2.0 * MIN_CELL:
         distance = _median_to(k, floor_points, picked, corner, far, _COLUMN)

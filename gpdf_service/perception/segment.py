@@ -39,6 +39,7 @@ from gpdf_service.perception.nodes import (
     mean_gradients,
     medians_of,
     nodes_over,
+    off_ground,
     over_kept,
     pairs_within,
     stepped,
@@ -175,8 +176,7 @@ def segment_layers(
     ground, found = find_ground(layers, config, noise)
     smooth = _smoothed(layers, ground)
     if z is not None:
-        on = ground[layers.node_of_point]
-        deviation = 1.4826 * float(np.median(np.abs(z[on] - smooth[layers.node_of_point[on]])))
+        deviation = 1.4826 * float(np.median(off_ground(z, layers.node_of_point, ground, smooth)))
     return Segmentation(layers, *_extents(layers, ground, smooth, scatter_of(deviation), config), found, deviation)
 
 
