@@ -14,7 +14,7 @@ from gpdf_service.fields.noise import EDGE
 from gpdf_service.fields.order import corners_of, order_by
 from gpdf_service.fields.shapes import MOST, add, fit_axis, fit_plane, gather
 from gpdf_service.fields.threads import run_chunked
-from gpdf_service.fields.tree import Tree
+from gpdf_service.fields.tree import Tree, make_scratch
 from gpdf_service.types import FloatArray, IntArray
 
 SAMPLE = 4000
@@ -72,8 +72,9 @@ def _shape_range(
 ) -> None:
     solid, near, side, pair = tree.points.shape[1] == 3, np.zeros((MOST, 3)), np.zeros(MOST, np.int64), np.zeros((3, 9))
     moments, mean, normal, axis = np.zeros(10), np.zeros(3), np.zeros(3), np.zeros(3)
+    scratch = make_scratch()
     for r in range(begin, end):
-        count = gather(tree, tree.points[rows[r]], radius, near)
+        count = gather(tree, tree.points[rows[r]], radius, near, scratch)
         moments[:] = 0.0
         for i in range(count):
             add(moments, near[i, 0], near[i, 1], near[i, 2])

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from gpdf_service.fields.threads import run_chunked
+from gpdf_service.perception.columns import chosen_rows
 from gpdf_service.perception.levels import FACE, LEAST_OBSTACLE, GroundLevel, astray
 from gpdf_service.perception.limits import ObstacleKind
 from gpdf_service.perception.surface import INFERRED, UNKNOWN, HeightMap
@@ -41,7 +42,7 @@ def obstacles_of(level: GroundLevel, agent: Agent, noise: float = 0.0) -> Obstac
     reach = np.array([0.0, agent.max_step, agent.max_slope, -np.inf])[limits.kind]
     stops = limits.value > reach
     return Obstacles(
-        np.concatenate([level.other_points[touched], limits.points[stops]]),
+        np.concatenate([chosen_rows(level.other_points, touched), limits.points[stops]]),
         np.concatenate([np.full(int(touched.sum()), int(ObstacleKind.MATERIAL), np.uint8), limits.kind[stops]]),
     )
 
@@ -57,7 +58,7 @@ def _material(level: GroundLevel, agent: Agent, noise: float) -> BoolArray:
     z, tall = points[:, 2], (1.0 - HEADROOM_SHARE) * agent.height + noise
     lowest = -highest_within(-bottom, disc)[ix, iy]
     stops = (z < highest_within(top, disc)[ix, iy] + tall) & (z >= lowest - least)
-    stops[stops] = ~_is_face(level, np.flatnonzero(stops), agent.max_step, noise)
+    stops[stops] = ~_is_face(level, stops, agent.max_step, noise)
     # Beside a step the question is which ground the body stands on; not on what stops it wherever it stands.
     always = stops & (z < lowest + tall)
     free = np.ones(known.shape, dtype=bool)
@@ -68,21 +69,22 @@ def _material(level: GroundLevel, agent: Agent, noise: float) -> BoolArray:
     return found
 
 
-def _is_face(level: GroundLevel, rows: IntArray, max_step: float, noise: float) -> BoolArray:
-    """Which of the points belong to the ground: its scatter, or the face of a step that the body takes.
+def _is_face(level: GroundLevel, asked: BoolArray, max_step: float, noise: float) -> BoolArray:
+    """Which of the `asked` points belong to the ground: its scatter, or the face of a step that the body takes.
 
     A face lies between two pieces of ground, the upper one beside it and no lower than it, the lower one not far: noise
     moves a point off its face by some deviations. Cells can be wider than a tread, so the upper one must be a point of
     the ground right beside; or inferred, as a tread in a shadow is, which has no scatter of its own. Ground that is no
     step over any other is no upper one: what stands on a floor is not the floor's face, however low it is.
     """
-    surface, points, near = level.surface, level.other_points[rows], level.surface.cell_width <= FACE
+    surface, points, near = level.surface, chosen_rows(level.other_points, asked), level.surface.cell_width <= FACE
     ix, iy, _ = surface.cells(points)
     known = np.where(surface.state != UNKNOWN, surface.height, np.float32(np.nan))
-    inferred, ledge, face = surface.state == INFERRED, level.ledge[rows], np.zeros(len(rows), dtype=bool)
+    inferred, ledge, face = surface.state == INFERRED, level.ledge[asked], np.zeros(len(points), dtype=bool)
     rings = astray(surface, noise)
     run_chunked(
-        lambda a, b: _faces(points, ix, iy, known, inferred, ledge, near, rings, max_step, noise, a, b, face), len(rows)
+        lambda a, b: _faces(points, ix, iy, known, inferred, ledge, near, rings, max_step, noise, a, b, face),
+        len(points),
     )
     return face
 
