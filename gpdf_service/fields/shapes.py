@@ -11,7 +11,7 @@ from math import acos, cos, pi, sqrt
 import numpy as np
 from numba import njit
 
-from gpdf_service.fields.tree import Tree, from_root, make_scratch, next_leaf, place_of
+from gpdf_service.fields.tree import Scratch, Tree, from_root, make_scratch, next_leaf, place_of
 from gpdf_service.types import FloatArray
 
 FEWEST = 8
@@ -23,10 +23,10 @@ TURNS = 6
 
 
 @njit(cache=True, nogil=True)
-def gather(tree: Tree, x: FloatArray, radius: float, near: FloatArray) -> int:
+def gather(tree: Tree, x: FloatArray, radius: float, near: FloatArray, scratch: Scratch | None = None) -> int:
     """Write the offsets of the points within `radius` [m] of x into `near`, shape (MOST, 3); how many there are."""
     blocks, boxes, found, limit = tree.blocks, tree.boxes, 0, radius * radius
-    stack, bound, near_box = make_scratch()
+    stack, bound, near_box = make_scratch() if scratch is None else scratch
     place, top = place_of(x), from_root(stack, bound)
     while True:
         leaf, _, top = next_leaf(boxes, place, place, limit, stack, bound, near_box, top)

@@ -338,3 +338,31 @@ def grown_sheet(
                 count += 1
         ring = found[:count].copy()
     return inside
+
+
+@njit(cache=True, nogil=True)
+def held_by(
+    z: FloatArray,
+    node: IntArray,
+    low: FloatArray,
+    high: FloatArray,
+    beside: FloatArray,
+    scatter: float,
+    begin: int,
+    end: int,
+    held: BoolArray,
+) -> None:
+    """Whether points at heights `z` in the nodes `node` are within `scatter` of the ground there, or `beside` [m]."""
+    for i in range(begin, end):
+        n = node[i]
+        held[i] = low[n] - scatter <= z[i] <= high[n] + scatter or abs(z[i] - beside[n]) <= scatter
+
+
+@njit(cache=True, nogil=True)
+def off_ground(z: FloatArray, node: IntArray, ground: BoolArray, smooth: FloatArray) -> FloatArray:
+    """How far the points at heights `z` in those of the nodes `node` that are `ground` are off its height [m]."""
+    found, used = np.empty(len(z)), 0
+    for i in range(len(z)):
+        found[used] = abs(z[i] - smooth[node[i]])
+        used += int(ground[node[i]])
+    return found[:used]

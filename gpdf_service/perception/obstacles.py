@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from gpdf_service.fields.threads import run_chunked
+from gpdf_service.perception.columns import chosen_rows
 from gpdf_service.perception.levels import FACE, LEAST_OBSTACLE, GroundLevel, astray
 from gpdf_service.perception.limits import ObstacleKind
 from gpdf_service.perception.surface import INFERRED, UNKNOWN, HeightMap
@@ -41,7 +42,7 @@ def obstacles_of(level: GroundLevel, agent: Agent, noise: float = 0.0) -> Obstac
     reach = np.array([0.0, agent.max_step, agent.max_slope, -np.inf])[limits.kind]
     stops = limits.value > reach
     return Obstacles(
-        np.concatenate([level.other_points[touched], limits.points[stops]]),
+        np.concatenate([chosen_rows(level.other_points, touched), limits.points[stops]]),
         np.concatenate([np.full(int(touched.sum()), int(ObstacleKind.MATERIAL), np.uint8), limits.kind[stops]]),
     )
 
@@ -57,7 +58,7 @@ def _material(level: GroundLevel, agent: Agent, noise: float) -> BoolArray:
     z, tall = points[:, 2], (1.0 - HEADROOM_SHARE) * agent.height + noise
     lowest = -highest_within(-bottom, disc)[ix, iy]
     stops = (z < highest_within(top, disc)[ix, iy] + tall) & (z >= lowest - least)
-    stops[stops] = ~_is_face(level, np.flatnonzero(stops), agent.max_step, noise)
+    stops[stops] = ~_is_face(level, stops, agent.max_step, noise)
     # Beside a step the question is which ground the body stands on; not on what stops it wherever it stands.
     always = stops & (z < lowest + tall)
     free = np.ones(known.shape, dtype=bool)
@@ -68,21 +69,22 @@ def _material(level: GroundLevel, agent: Agent, noise: float) -> BoolArray:
     return found
 
 
-def _is_face(level: GroundLevel, rows: IntArray, max_step: float, noise: float) -> BoolArray:
-    """Which of the points belong to the ground: its scatter, or the face of a step that the body takes.
+def _is_face(level: GroundLevel, asked: BoolArray, max_step: float, noise: float) -> BoolArray:
+    """Which of the `asked` points belong to the ground: its scatter, or the face of a step that the body takes.
 
     A face lies between two pieces of ground, the upper one beside it and no lower than it, the lower one not far: noise
     moves a point off its face by some deviations. Cells can be wider than a tread, so the upper one must be a point of
     the ground right beside; or inferred, as a tread in a shadow is, which has no scatter of its own. Ground that is no
     step over any other is no upper one: what stands on a floor is not the floor's face, however low it is.
     """
-    surface, points, near = level.surface, level.other_points[rows], level.surface.cell_width <= FACE
+    surface, points, near = level.surface, chosen_rows(level.other_points, asked), level.surface.cell_width <= FACE
     ix, iy, _ = surface.cells(points)
     known = np.where(surface.state != UNKNOWN, surface.height, np.float32(np.nan))
-    inferred, ledge, face = surface.state == INFERRED, level.ledge[rows], np.zeros(len(rows), dtype=bool)
+    inferred, ledge, face = surface.state == INFERRED, level.ledge[asked], np.zeros(len(points), dtype=bool)
     rings = astray(surface, noise)
     run_chunked(
-        lambda a, b: _faces(points, ix, iy, known, inferred, ledge, near, rings, max_step, noise, a, b, face), len(rows)
+        lambda a, b: _faces(points, ix, iy, known, inferred, ledge, near, rings, max_step, noise, a, b, face),
+        len(points),
     )
     return face
 
@@ -108,12 +110,15 @@ def _faces(
     step = max(LEAST_OBSTACLE, noise)
     for m in range(begin, end):
         z, ledge, under, over, lowest, foot = points[m, 2], float(ledges[m]), np.inf, -np.inf, np.inf, -np.inf
-        around = known[max(ix[m] - rings, 0) : ix[m] + rings + 1, max(iy[m] - rings, 0) : iy[m] + rings + 1].ravel()
-        for height in around:  # NaN, where it is unknown, compares false
-            if height < under:
-                under = float(height)
-            if height > over:
-                over = float(height)
+        left, right = max(ix[m] - rings, 0), min(ix[m] + rings + 1, nx)
+        front, back = max(iy[m] - rings, 0), min(iy[m] + rings + 1, ny)
+        for i in range(left, right):
+            for j in range(front, back):
+                height = float(known[i, j])  # NaN, where it is unknown, compares false
+                if height < under:
+                    under = height
+                if height > over:
+                    over = height
         for i in range(max(ix[m] - 1, 0), min(ix[m] + 2, nx)):
             for j in range(max(iy[m] - 1, 0), min(iy[m] + 2, ny)):
                 beside = float(known[i, j])
@@ -122,9 +127,11 @@ def _faces(
                 own = near or (i == ix[m] and j == iy[m])
                 if inferred[i, j] and own and max(z - noise, under + step) <= beside < ledge:
                     ledge = beside
-        for height in around:
-            if foot < height <= ledge - step:
-                foot = float(height)
+        for i in range(left, right):
+            for j in range(front, back):
+                height = float(known[i, j])
+                if foot < height <= ledge - step:
+                    foot = height
         scatter = step if over - under > step else LEAST_OBSTACLE - _SURELY * noise
         face[m] = ledge <= foot + max_step or (np.isfinite(lowest) and z <= lowest + scatter)
 

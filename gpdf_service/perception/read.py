@@ -53,17 +53,23 @@ def check_finite(points: ArrayLike) -> FloatArray:
     Raises:
         CloudError: another shape, or not finite.
     """
+    return _checked(points)[0]
+
+
+def _checked(points: ArrayLike) -> tuple[FloatArray, float, float]:
+    """`check_finite`, and `extent_of` them."""
     try:
         made = np.ascontiguousarray(points, dtype=np.float64)
     except (TypeError, ValueError) as error:
         raise CloudError("point cloud", f"no array of numbers ({error})", "Pass an array of shape (n, 3).") from error
     if made.ndim != 2 or made.shape[1] != 3:
         raise CloudError("point cloud", f"an array of shape {made.shape}", "Pass an array of shape (n, 3): x, y, z.")
-    if not np.isfinite(extent_of(made)[1]):
+    extent, farthest = extent_of(made)
+    if not np.isfinite(farthest):
         bad = ~np.isfinite(made).all(axis=1)
         found = f"{int(bad.sum())} of {len(made)} points are not finite, the first in row {int(bad.argmax())}"
         raise CloudError("point cloud", found, "Remove them: points = points[np.isfinite(points).all(axis=1)].")
-    return made
+    return made, extent, farthest
 
 
 def check_points(points: ArrayLike) -> FloatArray:
@@ -73,10 +79,9 @@ def check_points(points: ArrayLike) -> FloatArray:
         CloudError: another shape, empty, not finite, too wide to be in metres, or rounded to single precision far from
             the origin.
     """
-    made = check_finite(points)
+    made, extent, farthest = _checked(points)
     if len(made) == 0:
         raise CloudError("point cloud", "it is empty", "Pass at least the points of a floor.")
-    extent, farthest = extent_of(made)
     if extent > MAX_EXTENT:
         found = f"it is {extent:.6g} wide, more than {MAX_EXTENT:.0f} m"
         raise CloudError("point cloud", found, "Is it in millimetres? Divide by 1000; or crop it.")

@@ -13,6 +13,7 @@ from scipy.sparse.csgraph import connected_components
 
 from gpdf_service.fields import Tree
 from gpdf_service.fields.threads import run_chunked
+from gpdf_service.perception.columns import by_cell
 from gpdf_service.search.motion import is_clear
 from gpdf_service.search.quadtree import Quadtree
 from gpdf_service.types import BoolArray, FloatArray, IntArray
@@ -141,14 +142,13 @@ def assemble(
     length = np.linalg.norm(position[pairs[:, 0]] - via, axis=1) + np.linalg.norm(position[pairs[:, 1]] - via, axis=1)
     room = np.minimum(clearance[pairs[:, 0]], clearance[pairs[:, 1]]) - radius
     cost = length * (1.0 + np.clip(1.0 - room / radius, 0.0, 1.0))
-    source = np.concatenate([pairs[:, 0], pairs[:, 1]])
-    order = np.argsort(source, kind="stable")
     count = len(position)
+    first, order = by_cell(np.concatenate([pairs[:, 0], pairs[:, 1]]), count)
     links = csr_matrix((np.ones(len(pairs), np.int8), (pairs[:, 0], pairs[:, 1])), shape=(count, count))
     return Graph(
         np.ascontiguousarray(position),
         level,
-        np.searchsorted(source[order], np.arange(count + 1)),
+        first,
         np.concatenate([pairs[:, 1], pairs[:, 0]])[order],
         np.concatenate([via, via])[order],
         np.concatenate([cost, cost])[order],
