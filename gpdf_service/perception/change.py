@@ -19,9 +19,11 @@ from gpdf_service.perception.columns import (
     bounds_of,
     by_cell,
     cells_in_box,
+    more_now,
     rows_in_box,
     rows_in_cells,
     rows_of_cells,
+    taken,
     without_rows,
 )
 from gpdf_service.perception.layers import Layers, beside_now, build_layers, grid_of, layer_gap, splice_layers
@@ -57,6 +59,7 @@ from gpdf_service.perception.segment import Segmentation, change_segmentation
 from gpdf_service.perception.strays import find_strays
 from gpdf_service.perception.surface import (
     MAX_HOLE_RADIUS,
+    NOWHERE,
     OBSERVED,
     UNKNOWN,
     Box,
@@ -120,7 +123,7 @@ def change(
         NoGroundError: nothing in it is walkable.
     """
     fresh = len(cloud) - int(np.count_nonzero(keep))
-    places = np.concatenate([old.points[~keep], cloud[len(cloud) - fresh :]])
+    places = np.concatenate([taken(old.points, np.flatnonzero(~keep)), cloud[len(cloud) - fresh :]])
     if len(places) == 0:
         return replace(old, touched=tuple(None for _ in old.levels.levels))
     known = _Cloud(cloud, places[:, :2].min(axis=0) - _AT_HAND, places[:, :2].max(axis=0) + _AT_HAND)
@@ -130,10 +133,10 @@ def change(
         if segmentation is None:
             raise WholeError
         segmentation, ground = _change_segmentation(segmentation, known, before, places, config)
-    places = np.concatenate([places, cloud[before != ground]])
+    places = np.concatenate([places, cloud[np.flatnonzero(before != ground)]])
     stray = np.concatenate([old.survey.stray[keep], np.zeros(fresh, dtype=bool)])
     again = _change_strays(stray, known, ground, places, alone(old.survey.layers.cell_width))
-    places = np.concatenate([places, cloud[again != stray]])
+    places = np.concatenate([places, cloud[np.flatnonzero(again != stray)]])
     _check_grid(cloud, ground, old.survey.layers, places)
     levels, survey, touched = _change_levels(old, known, ground, again, places, config)
     return Perceived(cloud, ground, segmentation, levels, survey, touched)
@@ -176,7 +179,7 @@ class _Cloud:
     def __init__(self, points: FloatArray, low: FloatArray, high: FloatArray, rows: IntArray | None = None) -> None:
         self.points, self.low, self.high = points, low, high
         self._rows: IntArray = rows_in_box(points, low, high) if rows is None else rows
-        self._near = points[self._rows]
+        self._near = taken(points, self._rows)
         self._sorted: dict[bytes, tuple[tuple[slice, slice], IntArray, IntArray]] = {}
 
     def without(self, gone: IntArray, fresh: FloatArray) -> _Cloud:
@@ -198,7 +201,7 @@ class _Cloud:
             whole: IntArray = rows_in_cells(self.points, grid.origin, grid.cell_width, wanted)
             return whole
         at_hand, start, order = self._by_cell(grid, wanted.shape)
-        return np.sort(self._rows[rows_of_cells(wanted[at_hand].ravel(), start, order)])
+        return self._rows[rows_of_cells(wanted[at_hand].ravel(), start, order)]
 
     def rows_in_box(self, low: FloatArray, high: FloatArray) -> IntArray:
         """Rows of the points between `low` and `high` in plan [m], shape (2,); sorted."""
@@ -422,10 +425,8 @@ def _with(points: FloatArray, values: NDArray[np.float32]) -> FloatArray:
 def _other_cells(surface: HeightMap, was: FloatArray, now: FloatArray) -> BoolArray:
     """Cells that hold other points than before: rows of x, y, z and what else tells them apart."""
     both = np.concatenate([was, now])
-    _, kind = np.unique(hashed(both), return_inverse=True)
-    more = np.bincount(kind[len(was) :], minlength=len(kind)) - np.bincount(kind[: len(was)], minlength=len(kind))
     found = np.zeros(surface.height.shape, dtype=bool)
-    ix, iy, _ = surface.cells(both[more[kind] != 0])
+    ix, iy, _ = surface.cells(both[more_now(hashed(both), len(was)) != 0])
     found[ix, iy] = True
     return found
 
@@ -453,8 +454,10 @@ def _ledge_reach(surface: HeightMap) -> int:
 def _ledges_of(part: _Part, surface: HeightMap, other: FloatArray) -> NDArray[np.float32]:
     cells = np.zeros(surface.state.shape, dtype=bool)
     cells[surface.cells(other)[:2]] = True
-    rows = part.cloud.rows_in(part.layers, widened(cells, _ledge_reach(surface)))
-    return find_ledges(surface, part.cloud.points[rows[part.ground[rows]]], other)
+    reach = _ledge_reach(surface)
+    rows = part.cloud.rows_in(part.layers, widened(cells, reach))
+    box = window(cells, reach + HIGH) if len(other) else NOWHERE
+    return find_ledges(surface, part.cloud.points[rows[part.ground[rows]]], other, box=box)
 
 
 def changed_cells(old: HeightMap, new: HeightMap) -> BoolArray | None:

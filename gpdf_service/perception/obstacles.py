@@ -108,12 +108,17 @@ def _faces(
     step = max(LEAST_OBSTACLE, noise)
     for m in range(begin, end):
         z, ledge, under, over, lowest, foot = points[m, 2], float(ledges[m]), np.inf, -np.inf, np.inf, -np.inf
-        around = known[max(ix[m] - rings, 0) : ix[m] + rings + 1, max(iy[m] - rings, 0) : iy[m] + rings + 1].ravel()
-        for height in around:  # NaN, where it is unknown, compares false
-            if height < under:
-                under = float(height)
-            if height > over:
-                over = float(height)
+        rows, columns = (
+            range(max(ix[m] - rings, 0), min(ix[m] + rings + 1, nx)),
+            range(max(iy[m] - rings, 0), min(iy[m] + rings + 1, ny)),
+        )
+        for i in rows:
+            for j in columns:
+                height = float(known[i, j])
+                if height < under:  # NaN, where it is unknown, compares false
+                    under = height
+                if height > over:
+                    over = height
         for i in range(max(ix[m] - 1, 0), min(ix[m] + 2, nx)):
             for j in range(max(iy[m] - 1, 0), min(iy[m] + 2, ny)):
                 beside = float(known[i, j])
@@ -122,9 +127,10 @@ def _faces(
                 own = near or (i == ix[m] and j == iy[m])
                 if inferred[i, j] and own and max(z - noise, under + step) <= beside < ledge:
                     ledge = beside
-        for height in around:
-            if foot < height <= ledge - step:
-                foot = float(height)
+        for i in rows:
+            for j in columns:
+                if foot < known[i, j] <= ledge - step:
+                    foot = float(known[i, j])
         scatter = step if over - under > step else LEAST_OBSTACLE - _SURELY * noise
         face[m] = ledge <= foot + max_step or (np.isfinite(lowest) and z <= lowest + scatter)
 

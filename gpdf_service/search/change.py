@@ -11,7 +11,7 @@ from gpdf_service.config import FieldConfig, SearchConfig
 from gpdf_service.fields import Gpdf, Tree, build_tree, change_tree, thin
 from gpdf_service.perception import GroundLevel, GroundLimits, HeightMap, Levels, Obstacles, obstacles_of
 from gpdf_service.perception.change import hashed
-from gpdf_service.perception.columns import bounds_of, rows_in_cells, without_rows
+from gpdf_service.perception.columns import bounds_of, more_now, rows_in_cells, taken, without_rows
 from gpdf_service.perception.limits import widened, window
 from gpdf_service.perception.surface import UNKNOWN
 from gpdf_service.search.free_space import (
@@ -131,17 +131,16 @@ def _part(level: GroundLevel, region: BoolArray, reach: int) -> GroundLevel:
     return replace(
         level,
         surface=HeightMap(corner, surface.cell_width, surface.height[box], surface.state[box]),
-        other_points=level.other_points[other],
+        other_points=taken(level.other_points, other),
         ledge=level.ledge[other],
         limits=GroundLimits(limits.points[limit], limits.kind[limit], limits.value[limit]),
     )
 
 
 def _difference(a: FloatArray, b: FloatArray) -> FloatArray:
-    """The rows of (n, 2) and (m, 2) that only one of the two has."""
-    _, row, kind = np.unique(hashed(both := np.concatenate([a, b])), return_index=True, return_inverse=True)
-    held = [np.bincount(part, minlength=len(row)) > 0 for part in (kind[: len(a)], kind[len(a) :])]
-    only: FloatArray = both[row[held[0] != held[1]]]
+    """The rows of (n, 2) and (m, 2) that one of the two has more often."""
+    both = np.concatenate([a, b])
+    only: FloatArray = both[more_now(hashed(both), len(a)) != 0]
     return only
 
 

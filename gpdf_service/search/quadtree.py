@@ -52,7 +52,7 @@ class Quadtree:
     @property
     def center(self) -> FloatArray:
         """Centres of the leaves [m], shape (k, 2)."""
-        made: FloatArray = self.origin + (self.corner + 0.5 * self.size[:, None]) * self.width
+        made: FloatArray = _centers(self.origin, self.width, self.corner, self.size)
         return made
 
     @property
@@ -86,6 +86,15 @@ class Quadtree:
         """Which leaves are among the `leaves`, shape (k,), or share a side or a corner with one of them."""
         found: BoolArray = _touching(self.code, self.side, self.corner, self.size, leaves)
         return found
+
+
+@njit(cache=True, nogil=True)
+def _centers(origin: FloatArray, width: float, corner: IntArray, size: IntArray) -> FloatArray:
+    made = np.empty((len(size), 2))
+    for i in range(len(size)):
+        for k in range(2):
+            made[i, k] = origin[k] + (corner[i, k] + 0.5 * size[i]) * width
+    return made
 
 
 @njit(cache=True, nogil=True)
