@@ -20,6 +20,7 @@ from gpdf_service.config import Config
 from gpdf_service.errors import CloudError, FieldError
 from gpdf_service.fields import FAR, Gpdf, fit_gpdf
 from gpdf_service.fields.spacing import estimate_spacing, thin
+from gpdf_service.fields.threads import run_parallel
 from gpdf_service.perception import (
     GroundLevel,
     HeightMap,
@@ -360,10 +361,13 @@ class Scene:
         progress("change levels", 0.0)
         now = change(perceived, cloud, keep, labels, self.config.perception)
         progress("change ground fields", 0.5)
-        fields = tuple(
-            field if new is old else _change_ground(field, old, new, self.config)
-            for field, old, new in zip(self.ground_fields, self.levels.levels, now.levels.levels, strict=True)
-        )
+
+        def one(level: tuple[Gpdf, GroundLevel, GroundLevel]) -> Gpdf:
+            field, old, new = level
+            return field if new is old else _change_ground(field, old, new, self.config)
+
+        levels = zip(self.ground_fields, self.levels.levels, now.levels.levels, strict=True)
+        fields = tuple(run_parallel(one, levels))
         progress("ready", 1.0)
         known = self.version + 1, self.noise, self.labelled
         scene = Scene(cloud, now.ground, now.levels, fields, self.config, *known, now, drift)

@@ -6,7 +6,6 @@ import os
 from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
 from functools import lru_cache
-from itertools import pairwise
 from typing import TypeVar
 
 T = TypeVar("T")
@@ -27,28 +26,35 @@ def worker_count() -> int:
 
 def run_chunked(kernel: Callable[[int, int], None], count: int) -> None:
     """Call `kernel(begin, end)` over ranges that tile `range(count)`, on all cores when there is enough to do."""
-    chunks = min(4 * worker_count(), count // MIN_CHUNK)
-    if chunks < 2 or worker_count() == 1:
-        kernel(0, count)
-        return
-    bounds = [count * i // chunks for i in range(chunks + 1)]
-    for future in [_pool().submit(kernel, a, b) for a, b in pairwise(bounds)]:
-        future.result()
+    chunks = max(1, min(4 * worker_count(), count // MIN_CHUNK))
+    run_parallel(lambda i: kernel(count * i // chunks, count * (i + 1) // chunks), range(chunks))
 
 
 def run_beside(one: Callable[[], T], other: Callable[[], S]) -> tuple[T, S]:
-    """What both return; `other` runs in a thread of its own, because both may use the pool."""
-    with ThreadPoolExecutor(1, "gpdf-beside") as side:
-        future = side.submit(other)
-        return one(), future.result()
+    """What both return; `other` runs in the pool, or after the first one where that is busy."""
+    future = _pool().submit(other)
+    first = one()
+    return first, other() if future.cancel() else future.result()
 
 
-def run_parallel(work: Callable[[T], None], items: Iterable[T]) -> None:
-    """Call `work` for every item, on all cores; the first error is raised."""
+def run_parallel(work: Callable[[T], S], items: Iterable[T]) -> list[S]:
+    """What `work` returns for every item, made on all cores; an error is raised.
+
+    The caller works, too, and does not wait for a helper that has not begun: so work may itself be split in the pool.
+    """
     items = list(items)
-    if len(items) < 2:
-        for item in items:
-            work(item)
-        return
-    for future in [_pool().submit(work, item) for item in items]:
-        future.result()
+    made: dict[int, S] = {}
+    left = iter(range(len(items)))  # its next() is atomic
+
+    def drain() -> None:
+        for i in left:
+            made[i] = work(items[i])
+
+    helpers = [_pool().submit(drain) for _ in range(min(worker_count(), len(items)) - 1)]
+    try:
+        drain()
+    finally:
+        for helper in helpers:
+            if not helper.cancel():
+                helper.result()
+    return [made[i] for i in range(len(items))]

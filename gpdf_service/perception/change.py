@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gpdf_service.config import PerceptionConfig
+from gpdf_service.fields.threads import run_parallel
 from gpdf_service.perception.columns import (
     bounds_of,
     by_cell,
@@ -290,14 +291,15 @@ def _change_levels(
     if len(sheets) != len(old.levels.levels):
         raise WholeError
     stay, now = ~cells.ravel()[old.survey.layers.cell], ~cells.ravel()[layers.cell]
-    made = []
-    for i, (level, inside) in enumerate(zip(old.levels.levels, sheets, strict=True)):
-        moved = cells.copy()  # cells that may hold another node of the sheet
-        moved.ravel()[layers.cell[now][inside[now] != old.survey.sheets[i][stay]]] = True
+
+    def one(i: int) -> tuple[GroundLevel, Voids, Completion, BoolArray | None]:
+        level, inside, moved = old.levels.levels[i], sheets[i], cells.copy()
+        moved.ravel()[layers.cell[now][inside[now] != old.survey.sheets[i][stay]]] = True  # maybe another node of it
         was = _seen_of(level.surface)
         part = _Part(cloud, ground, stray, layers, inside, _change_seen(was, layers, inside, moved), cells)
-        made.append(_change_level(level, was, old.survey.voids[i], old.survey.completions[i], part, config))
-    known, voids, completions, touched = zip(*made, strict=True)
+        return _change_level(level, was, old.survey.voids[i], old.survey.completions[i], part, config)
+
+    known, voids, completions, touched = zip(*run_parallel(one, range(len(sheets))), strict=True)
     return Levels(known, find_portals(layers, sheets)), Survey(near, stray, sheets, voids, completions), touched
 
 

@@ -108,14 +108,12 @@ def _faces(
     step = max(LEAST_OBSTACLE, noise)
     for m in range(begin, end):
         z, ledge, under, over, lowest, foot = points[m, 2], float(ledges[m]), np.inf, -np.inf, np.inf, -np.inf
-        rows, columns = (
-            range(max(ix[m] - rings, 0), min(ix[m] + rings + 1, nx)),
-            range(max(iy[m] - rings, 0), min(iy[m] + rings + 1, ny)),
-        )
-        for i in rows:
-            for j in columns:
-                height = float(known[i, j])
-                if height < under:  # NaN, where it is unknown, compares false
+        left, right = max(ix[m] - rings, 0), min(ix[m] + rings + 1, nx)
+        front, back = max(iy[m] - rings, 0), min(iy[m] + rings + 1, ny)
+        for i in range(left, right):
+            for j in range(front, back):
+                height = float(known[i, j])  # NaN, where it is unknown, compares false
+                if height < under:
                     under = height
                 if height > over:
                     over = height
@@ -127,10 +125,11 @@ def _faces(
                 own = near or (i == ix[m] and j == iy[m])
                 if inferred[i, j] and own and max(z - noise, under + step) <= beside < ledge:
                     ledge = beside
-        for i in rows:
-            for j in columns:
-                if foot < known[i, j] <= ledge - step:
-                    foot = float(known[i, j])
+        for i in range(left, right):
+            for j in range(front, back):
+                height = float(known[i, j])
+                if foot < height <= ledge - step:
+                    foot = height
         scatter = step if over - under > step else LEAST_OBSTACLE - _SURELY * noise
         face[m] = ledge <= foot + max_step or (np.isfinite(lowest) and z <= lowest + scatter)
 

@@ -9,6 +9,7 @@ import numpy as np
 
 from gpdf_service.config import FieldConfig, SearchConfig
 from gpdf_service.fields import Gpdf, Tree, build_tree, change_tree, thin
+from gpdf_service.fields.threads import run_parallel
 from gpdf_service.perception import GroundLevel, GroundLimits, HeightMap, Levels, Obstacles, obstacles_of
 from gpdf_service.perception.change import hashed
 from gpdf_service.perception.columns import bounds_of, more_now, rows_in_cells, taken, without_rows
@@ -47,19 +48,14 @@ def change_free_space(
         field_config: Of the Obstacle GPDFs.
         noise: Of the cloud [m].
     """
-    made = []
-    for i, (level, field, cells) in enumerate(zip(levels.levels, ground_fields, touched, strict=True)):
-        was = LevelSpace(
-            old.surfaces[i],
-            field,
-            level.measured,
-            old.obstacles[i],
-            old.trees[i],
-            old.obstacle_fields[i],
-            old.quadtrees[i],
-            old.edges[i],
-        )
-        made.append(was if cells is None else _change_level(was, level, cells, old, config, field_config, noise))
+
+    def one(i: int) -> LevelSpace:
+        level, cells, parts = levels.levels[i], touched[i], (old.obstacles, old.trees, old.obstacle_fields)
+        ground = old.surfaces[i], ground_fields[i], level.measured
+        was = LevelSpace(*ground, *(part[i] for part in parts), old.quadtrees[i], old.edges[i])
+        return was if cells is None else _change_level(was, level, cells, old, config, field_config, noise)
+
+    made = run_parallel(one, range(len(touched)))
     return join_levels(old.agent, *reach_of(old.agent, config, noise), made, levels)
 
 
