@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from gpdf_service.config import FieldConfig
 from gpdf_service.errors import FieldError
-from gpdf_service.fields.order import spatial_order
+from gpdf_service.fields.order import corners_of, spatial_order
 from gpdf_service.fields.solve import HALO, solve_all, solve_rows, within
 from gpdf_service.fields.spacing import estimate_spacing, local_shape, thin
 from gpdf_service.fields.threads import run_chunked
@@ -308,7 +308,8 @@ def _check_noise(noise: ArrayLike, count: int) -> FloatArray:
 
 
 def _check_extent(data: FloatArray, spacing: float) -> None:
-    extent = float(np.ptp(data, axis=0).max())
+    low, high = corners_of(data)
+    extent = float((high - low).max())
     if extent > _CELLS * spacing > 0.0:
         found = f"points {extent:g} m apart with a spacing of {spacing:g} m"
         raise FieldError("fit", found, "Take out what is far from everything else.")

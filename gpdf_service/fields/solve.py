@@ -1,13 +1,15 @@
 """α = (K + σ² I)⁻¹ 1, by conjugate gradients on pieces of the tree.
 
-K⁻¹ forgets what is far, so a piece with a halo around it is enough: pieces are independent, solved in parallel, and
-none is larger than `PIECE`, so the time grows with the points and the memory does not. A change of the points is solved
-by the same routine, for the rows that it touches; what is known beyond them takes the place of the halo.
+K⁻¹ forgets what is far, so a piece with a halo around it is enough: pieces are independent, and none is larger than
+`PIECE`, so the time grows with the points and the memory does not. A change of the points is solved by the same
+routine, for the rows that it touches; what is known beyond them takes the place of the halo. A piece's rows are shared
+out in parts, which all cores work on: what is in a part is stored once, what is between two parts by each of them.
 """
 
 from __future__ import annotations
 
-from typing import Any
+from itertools import pairwise
+from typing import Any, NamedTuple
 
 import numpy as np
 from numba import njit
@@ -23,6 +25,8 @@ HALO = 9.0
 """[-] Width of the halo in length scales: two cuts of the kernel; α is then within 1e-3 of that of one piece."""
 PIECE = 100_000
 """Points solved at once: the halo adds a tenth to them, and half of their matrix takes 50 MB."""
+PART = 6000
+"""Rows of a part, at most: a room has four; a step over one takes as long as ten wake-ups, and few pairs leave it."""
 _TOLERANCE = 1e-5
 """Relative residual of the solve. With 1e-4 the distance is off by under 0.01 mm, but by 1.2 mm right at the surface,
 where it is the root of a difference (at two in 10⁵ places within 2 cm of a floor); with 1e-5 by 0.25 mm."""
@@ -32,14 +36,29 @@ def solve_all(tree: Tree, length_scale: float, noise_variance: float) -> FloatAr
     """α of every row of `tree.points`, shape (n,)."""
     unknown = np.full(len(tree.points), np.nan)
     made = np.empty_like(unknown)
-
-    def one(rows: IntArray) -> None:
+    for rows in np.array_split(np.arange(len(made)), -(-len(made) // PIECE)):
         together = rows if len(rows) == len(made) else within(tree, rows, HALO * length_scale)
         solved = solve_rows(tree, together, unknown, length_scale, noise_variance)
         made[rows] = solved[np.searchsorted(together, rows)]
-
-    run_parallel(one, np.array_split(np.arange(len(made)), -(-len(made) // PIECE)))
     return made
+
+
+class Part(NamedTuple):
+    """Some rows of K + σ² I.
+
+    Attributes:
+        begin: The first of them.
+        start: Where each row begins, shape (k + 1,).
+        column: Above the diagonal, and in the rows of other parts.
+        weight: What stands there.
+        blocks: Inverses of its `LEAF_SIZE` rows on the diagonal, one after another.
+    """
+
+    begin: int
+    start: IntArray
+    column: NDArray[np.uint32]
+    weight: NDArray[np.float32]
+    blocks: NDArray[np.float32]
 
 
 def solve_rows(tree: Tree, rows: IntArray, alpha: FloatArray, length_scale: float, noise_variance: float) -> FloatArray:
@@ -57,11 +76,12 @@ def solve_rows(tree: Tree, rows: IntArray, alpha: FloatArray, length_scale: floa
     """
     place: NDArray[np.int32] = np.full(len(tree.points), -1, np.int32)
     place[rows] = np.arange(len(rows))
-    start, column, weight, right, guess = _assemble(tree, rows, place, alpha, length_scale, noise_variance)
-    solved, converged = _conjugate_gradients(start, column, weight, noise_variance, right, guess)
-    if not converged:
-        raise FieldError("fit", "the solve did not converge", "Raise fields.noise_variance.")
-    return solved
+    right, guess = np.ones(len(rows)), np.empty(len(rows))
+    own = tree, rows, place, alpha, length_scale, noise_variance, right, guess
+    leaves = -(-len(rows) // LEAF_SIZE)
+    bounds = np.minimum(np.linspace(0, leaves, -(-len(rows) // PART) + 1).astype(np.int64) * LEAF_SIZE, len(rows))
+    parts = run_parallel(lambda ends: _assemble(*own, *ends), list(pairwise(bounds)))
+    return _conjugate_gradients(parts, noise_variance, right, guess)
 
 
 def within(tree: Tree, rows: IntArray, radius: float) -> IntArray:
@@ -93,23 +113,32 @@ def _mark(tree: Tree, rows: IntArray, radius: float, found: BoolArray) -> None:
 
 @njit(cache=True, nogil=True)
 def _assemble(
-    tree: Tree, rows: IntArray, place: NDArray[np.int32], alpha: FloatArray, length_scale: float, noise_variance: float
-) -> tuple[IntArray, NDArray[np.uint32], NDArray[np.float32], FloatArray, FloatArray]:
-    """K above its diagonal as compressed rows, the right-hand side less what the points outside add, and a guess.
+    tree: Tree,
+    rows: IntArray,
+    place: NDArray[np.int32],
+    alpha: FloatArray,
+    length_scale: float,
+    noise_variance: float,
+    right: FloatArray,
+    guess: FloatArray,
+    begin: int,
+    end: int,
+) -> Part:
+    """The rows from `begin` to `end`; takes off the right-hand side what the points outside add, and writes a guess.
 
     The guess is α on even ground, one over the sum of the row of K + σ² I; so is an α outside that is not known. A
-    leaf whose points are all among `rows` needs no look from a later leaf: K is symmetric.
+    leaf whose points are all in this part needs no look from a later leaf: K is symmetric.
     """
     blocks, boxes = tree.blocks, tree.boxes
     rate, reach = 1.0 / (2.0 * length_scale * length_scale), (CUT_RADIUS * length_scale) ** 2
-    start = np.zeros(len(rows) + 1, np.int64)
-    capacity = 64 * len(rows) + 1024
+    start = np.zeros(end - begin + 1, np.int64)
+    capacity = 64 * (end - begin) + 1024
     column, weight = np.empty(capacity, np.uint32), np.empty(capacity, np.float32)
-    right, total, unknown = np.ones(len(rows)), np.full(len(rows), noise_variance + 1.0), np.zeros(len(rows))
+    total, unknown = np.full(end - begin, noise_variance + 1.0), np.zeros(end - begin)
     stack, bound, near = make_scratch()
-    values, inner = np.empty(LEAF_SIZE, np.float32), _inner_leaves(tree.begin, place)
+    values, inner = np.empty(LEAF_SIZE, np.float32), _inner_leaves(tree.begin, place, begin, end)
     used, own = 0, 0
-    for r in range(len(rows)):
+    for r in range(begin, end):
         x = x0, x1, x2 = place_of(tree.points[rows[r]])
         while tree.begin[own + 1] <= rows[r]:
             own += 1
@@ -132,35 +161,40 @@ def _assemble(
                 for j in range(rows[r] + 1 - first if leaf == own else 0, count):
                     other = place[first] + j  # written, and kept or not: a guess would be wrong every third time
                     column[used], weight[used] = other, values[j]
-                    total[r] += values[j]
-                    total[other] += values[j]
+                    total[r - begin] += values[j]
+                    total[other - begin] += values[j]
                     used += int(values[j] > 0.0)
                 continue
             for j in range(count):
                 i, value = first + j, values[j]
-                if place[i] > r and value > 0.0:
-                    column[used], weight[used] = place[i], value
-                    total[r] += value
-                    total[place[i]] += value
+                other = place[i]
+                if begin <= other <= r or value == 0.0:
+                    continue
+                total[r - begin] += value
+                if other >= 0:
+                    column[used], weight[used] = other, value
                     used += 1
-                elif place[i] < 0:
-                    total[r] += value
-                    if np.isnan(alpha[i]):
-                        unknown[r] += value
-                    else:
-                        right[r] -= value * alpha[i]
-        start[r + 1] = used
-    guess = 1.0 / total
-    return start, column[:used], weight[:used], right - unknown * guess, guess
+                    if begin <= other < end:
+                        total[other - begin] += value
+                elif np.isnan(alpha[i]):
+                    unknown[r - begin] += value
+                else:
+                    right[r] -= value * alpha[i]
+        start[r - begin + 1] = used
+    for r in range(begin, end):
+        guess[r] = 1.0 / total[r - begin]
+        right[r] -= unknown[r - begin] * guess[r]
+    column, weight = column[:used], weight[:used]
+    return Part(begin, start, column, weight, _invert_blocks(begin, start, column, weight, noise_variance))
 
 
 @njit(cache=True, nogil=True)
-def _inner_leaves(begin: IntArray, place: NDArray[np.int32]) -> BoolArray:
-    """Leaves whose points all have a place, which then are one after another."""
-    inner = np.zeros(len(begin) - 1, np.bool_)
+def _inner_leaves(first: IntArray, place: NDArray[np.int32], begin: int, end: int) -> BoolArray:
+    """Leaves whose points all have a place from `begin` to `end`, which then are one after another."""
+    inner = np.zeros(len(first) - 1, np.bool_)
     for leaf in range(len(inner)):
-        a, b = begin[leaf], begin[leaf + 1] - 1
-        inner[leaf] = b >= a and place[a] >= 0 and place[b] - place[a] == b - a
+        a, b = first[leaf], first[leaf + 1] - 1
+        inner[leaf] = b >= a and place[a] >= begin and place[b] - place[a] == b - a and place[b] < end
     return inner
 
 
@@ -171,77 +205,74 @@ def _grown(values: NDArray[Any], capacity: int) -> NDArray[Any]:
     return more
 
 
-@njit(cache=True, nogil=True)
-def _conjugate_gradients(
-    start: IntArray,
-    column: NDArray[np.uint32],
-    weight: NDArray[np.float32],
-    noise_variance: float,
-    right: FloatArray,
-    x: FloatArray,
-) -> tuple[FloatArray, bool]:
-    """Solve (K + σ² I) x = b from the guess `x` until ‖r‖ ≤ `_TOLERANCE` ‖1‖.
+def _conjugate_gradients(parts: list[Part], noise_variance: float, right: FloatArray, guess: FloatArray) -> FloatArray:
+    """Solve (K + σ² I) x = b from a guess until ‖r‖ ≤ `_TOLERANCE` ‖1‖.
 
     Each leaf is solved by itself in every step (block Jacobi): half as many steps are needed.
     """
-    r, Kp, z = right.copy(), np.empty(len(right)), np.empty(len(right))
-    blocks = _invert_blocks(start, column, weight, noise_variance)
-    _apply(start, column, weight, noise_variance, x, Kp)
-    rr = 0.0
-    for i in range(len(r)):
-        r[i] -= Kp[i]
-        rr += r[i] * r[i]
-    p = np.zeros(len(right))
-    enough, rz = _TOLERANCE * _TOLERANCE * len(r), 1.0
-    for _ in range(20 * int(np.sqrt(len(r))) + 200):
+    x, p, z, Kp = guess, np.zeros_like(guess), np.empty_like(guess), np.empty_like(guess)
+
+    def apply(to: FloatArray) -> float:
+        return sum(run_parallel(lambda part: _apply(part, noise_variance, to, Kp), parts))
+
+    apply(x)
+    r, step, rz, enough = right - Kp, 0.0, np.inf, _TOLERANCE * _TOLERANCE * len(x)
+    for _ in range(20 * int(np.sqrt(len(x))) + 200):
+        sums = run_parallel(lambda part: _descend(part, step, p, Kp, x, r, z), parts)  # noqa: B023
+        rr, fresh = (sum(each) for each in zip(*sums, strict=True))
         if rr <= enough:
-            return x, True
-        fresh = _solve_blocks(blocks, r, z)
-        for i in range(len(r)):
-            p[i] = z[i] + (fresh / rz) * p[i]
-        rz = fresh
-        step = rz / _apply(start, column, weight, noise_variance, p, Kp)
-        rr = 0.0
-        for i in range(len(r)):
-            x[i] += step * p[i]
-            r[i] -= step * Kp[i]
-            rr += r[i] * r[i]
-    return x, rr <= enough
+            return x
+        p *= fresh / rz
+        p += z
+        rz, step = fresh, fresh / apply(p)
+    raise FieldError("fit", "the solve did not converge", "Raise fields.noise_variance.")
+
+
+@njit(cache=True, nogil=True)
+def _descend(
+    part: Part, step: float, p: FloatArray, Kp: FloatArray, x: FloatArray, r: FloatArray, z: FloatArray
+) -> tuple[float, float]:
+    """A step along p in the rows of a part, and what each leaf by itself would do next, z = A⁻¹ r; r · r and z · r."""
+    begin, end, rr = part.begin, part.begin + len(part.start) - 1, 0.0
+    for i in range(begin, end):
+        x[i] += step * p[i]
+        r[i] -= step * Kp[i]
+        rr += r[i] * r[i]
+    return rr, _solve_blocks(part.blocks, r[begin:end], z[begin:end])
 
 
 @njit(cache=True, nogil=True)
 def _invert_blocks(
-    start: IntArray, column: NDArray[np.uint32], weight: NDArray[np.float32], noise_variance: float
+    begin: int, start: IntArray, column: NDArray[np.uint32], weight: NDArray[np.float32], noise_variance: float
 ) -> NDArray[np.float32]:
-    """A⁻¹ = L⁻ᵀ L⁻¹ of the blocks A of `LEAF_SIZE` rows on the diagonal of K + σ² I; beyond the last row it is I."""
+    """The blocks of `LEAF_SIZE` rows on the diagonal of K + σ² I, inverted by Gauss and Jordan's elimination.
+
+    Beyond the last row a block is I. Such a matrix needs no search for pivots.
+    """
     count = len(start) - 1
-    made = np.zeros((-(-count // LEAF_SIZE), LEAF_SIZE, LEAF_SIZE), np.float32)
-    upper, inverse = np.empty((LEAF_SIZE, LEAF_SIZE)), np.empty((LEAF_SIZE, LEAF_SIZE))
+    made = np.empty((-(-count // LEAF_SIZE), LEAF_SIZE, LEAF_SIZE), np.float32)
+    block, pivot = np.empty((LEAF_SIZE, LEAF_SIZE)), np.empty(LEAF_SIZE)
     for b in range(len(made)):
         first, last = b * LEAF_SIZE, min((b + 1) * LEAF_SIZE, count)
-        upper[:], inverse[:] = 0.0, 0.0
+        block[:] = 0.0
         for i in range(LEAF_SIZE):
-            upper[i, i], inverse[i, i] = 1.0 + noise_variance if first + i < last else 1.0, 1.0
+            block[i, i] = 1.0 + noise_variance if first + i < last else 1.0
         for r in range(first, last):
             for e in range(start[r], start[r + 1]):
-                if column[e] < last:
-                    upper[r - first, column[e] - first] = weight[e]
+                if begin + first <= column[e] < begin + last:
+                    i = column[e] - begin - first
+                    block[r - first, i] = block[i, r - first] = weight[e]
         for k in range(LEAF_SIZE):
-            upper[k] /= np.sqrt(max(upper[k, k], noise_variance))
-            for j in range(k + 1, LEAF_SIZE):
-                for i in range(j, LEAF_SIZE):
-                    upper[j, i] -= upper[k, j] * upper[k, i]
-        for k in range(LEAF_SIZE):
-            for m in range(k):
-                for i in range(m + 1):
-                    inverse[k, i] -= upper[m, k] * inverse[m, i]
-            inverse[k] /= upper[k, k]
-        upper[:] = 0.0
-        for k in range(LEAF_SIZE):
-            for i in range(k + 1):
-                for j in range(k + 1):
-                    upper[i, j] += inverse[k, i] * inverse[k, j]
-        made[b] = upper
+            scale, block[k, k] = 1.0 / max(block[k, k], noise_variance), 1.0
+            pivot[:] = scale * block[k]
+            block[k] = 0.0
+            for i in range(LEAF_SIZE):
+                factor = block[i, k]
+                block[i, k] = 0.0
+                for j in range(LEAF_SIZE):
+                    block[i, j] -= factor * pivot[j]
+            block[k] = pivot
+        made[b] = block
     return made
 
 
@@ -263,25 +294,25 @@ def _solve_blocks(blocks: NDArray[np.float32], r: FloatArray, z: FloatArray) -> 
 
 
 @njit(cache=True, nogil=True)
-def _apply(
-    start: IntArray,
-    column: NDArray[np.uint32],
-    weight: NDArray[np.float32],
-    noise_variance: float,
-    p: FloatArray,
-    Kp: FloatArray,
-) -> float:
-    """Write (K + σ² I) p; gives p · that. A loop: NumPy's dot product wakes threads that then spin for nothing."""
-    product = 0.0
-    for i in range(len(p)):
-        Kp[i] = (1.0 + noise_variance) * p[i]
-    for i in range(len(p)):
+def _apply(part: Part, noise_variance: float, p: FloatArray, Kp: FloatArray) -> float:
+    """Write the rows of a part of (K + σ² I) p; gives p · that, summed over them.
+
+    A loop: NumPy's dot product wakes threads that then spin for nothing. What a pair with another part adds there is
+    worked out there, and here falls behind the last row.
+    """
+    begin, start, column, weight = part.begin, part.start, part.column, part.weight
+    count, product = len(start) - 1, 0.0
+    own = np.zeros(count + 1)
+    for i in range(count):
+        own[i] = (1.0 + noise_variance) * p[begin + i]
+    for i in range(count):
         total = 0.0
         for e in range(start[i], start[i + 1]):
             j = column[e]
             total += weight[e] * p[j]
-            Kp[j] += weight[e] * p[i]
-        Kp[i] += total
-    for i in range(len(p)):
-        product += Kp[i] * p[i]
+            own[min(np.uint32(j - begin), np.uint32(count))] += weight[e] * p[begin + i]
+        own[i] += total
+    for i in range(count):
+        Kp[begin + i] = own[i]
+        product += own[i] * p[begin + i]
     return product

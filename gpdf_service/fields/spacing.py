@@ -11,6 +11,7 @@ from scipy.spatial import cKDTree
 from gpdf_service.fields.edge import fit_pair, from_half
 from gpdf_service.fields.heights import quadric_rest
 from gpdf_service.fields.noise import EDGE
+from gpdf_service.fields.order import corners_of, order_by
 from gpdf_service.fields.shapes import MOST, add, fit_axis, fit_plane, gather
 from gpdf_service.fields.threads import run_chunked
 from gpdf_service.fields.tree import Tree
@@ -99,19 +100,16 @@ def thin(points: FloatArray, cell: float) -> IntArray:
     if cell <= 0:
         return np.unique(points, axis=0, return_index=True)[1].astype(np.int64)
     flat = _flat_cells(points, cell)
-    rows: IntArray = np.sort(_nearest_to_means(points, flat, np.argsort(flat)))
+    rows: IntArray = np.sort(_nearest_to_means(points, flat, order_by(flat)))
     return rows
 
 
 @njit(cache=True, nogil=True)
 def _flat_cells(points: FloatArray, cell: float) -> IntArray:
     """A number for the cubic cell of each point, counted from their lower corner."""
-    dim, flat = points.shape[1], np.zeros(len(points), np.int64)
-    for k in range(dim):
-        low, high = np.inf, -np.inf
-        for i in range(len(points)):
-            low, high = min(low, points[i, k]), max(high, points[i, k])
-        cells = int(np.floor((high - low) / cell)) + 1
+    flat, (lowest, highest) = np.zeros(len(points), np.int64), corners_of(points)
+    for k in range(points.shape[1]):
+        low, cells = lowest[k], int(np.floor((highest[k] - lowest[k]) / cell)) + 1
         for i in range(len(points)):
             flat[i] = flat[i] * cells + int(np.floor((points[i, k] - low) / cell))
     return flat
@@ -131,7 +129,7 @@ def _is_before(points: FloatArray, one: int, other: int) -> bool:
 
 @njit(cache=True, nogil=True)
 def _nearest_to_means(points: FloatArray, flat: IntArray, order: IntArray) -> IntArray:
-    """The row nearest to the mean of each run of equal cells in `order`.
+    """The row nearest to the mean of each run of equal cells in `order`, which keeps that of the rows within a cell.
 
     Two points are as near to their mean: of those within rounding the one that is least in x, then y, z, whichever came
     first.
@@ -142,7 +140,7 @@ def _nearest_to_means(points: FloatArray, flat: IntArray, order: IntArray) -> In
         end = begin + 1
         while end < len(order) and flat[order[end]] == flat[order[begin]]:
             end += 1
-        rows = np.sort(order[begin:end])
+        rows = order[begin:end]
         mean[:] = 0.0
         for row in rows:
             for k in range(dim):

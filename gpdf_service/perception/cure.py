@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -20,6 +21,7 @@ from gpdf_service.fields import (
     onto_treads,
     uncured,
 )
+from gpdf_service.fields.threads import run_beside
 from gpdf_service.perception.segment import Segmentation, segment
 from gpdf_service.types import BoolArray, FloatArray
 
@@ -64,13 +66,13 @@ def cure_and_segment(points: FloatArray, ground: BoolArray | None, config: Perce
         ground: Labels, shape (n,); our own segmentation where not given.
         config: Limits.
     """
-    picked = _columns(points)
-    sample = points[picked]
-    spacing = estimate_spacing(sample)
-    noise = estimate_noise(sample, spacing)
+    (first, segmentation, refused), (picked, spacing, noise) = run_beside(
+        partial(_first_look, points, ground, config), partial(_told, points)
+    )
     least = max(config.negligible_noise, (_SEEN if ground is None else _SEEN_APART) * spacing)
-    first, segmentation = (ground, None) if ground is not None else _first_look(points, config, noise > least)
-    double = estimate_noise(sample[first[picked]], spacing, sheets=False)
+    if refused is not None and noise <= least:
+        raise refused
+    double = estimate_noise(points[picked & first], spacing, sheets=False)
     if double > max(_DOUBLE * noise, least):
         noise = double
     if noise <= least:
@@ -108,14 +110,22 @@ def _cure_apart(points: FloatArray, ground: BoolArray, noise: float) -> Cured:
     return cured
 
 
-def _first_look(points: FloatArray, config: PerceptionConfig, noisy: bool) -> tuple[BoolArray, Segmentation | None]:
-    """The ground of a cloud as it is; none where that is too `noisy` to show it."""
+def _told(points: FloatArray) -> tuple[BoolArray, float, float]:
+    """A sample of the cloud, shape (n,), its spacing and its noise [m]."""
+    picked = _columns(points)
+    sample = points[picked]
+    spacing = estimate_spacing(sample)
+    return picked, spacing, estimate_noise(sample, spacing)
+
+
+def _first_look(
+    points: FloatArray, ground: BoolArray | None, config: PerceptionConfig
+) -> tuple[BoolArray, Segmentation | None, NoGroundError | None]:
+    """The ground of a cloud as it is; none, and why, where noise may hide it."""
     try:
-        return segment(points, config)
-    except NoGroundError:
-        if not noisy:
-            raise
-        return np.zeros(len(points), dtype=bool), None
+        return (*segment(points, config), None) if ground is None else (ground, None, None)
+    except NoGroundError as error:
+        return np.zeros(len(points), dtype=bool), None, error
 
 
 def _columns(points: FloatArray) -> BoolArray:

@@ -45,8 +45,7 @@ def cell_width_of(points: FloatArray) -> float:
     k-th neighbour is s √(k/π)) one cell in ten of a Poisson sample stays empty, which the height map closes.
     """
     corner, far = bounds_of(points)
-    x, y = np.floor((far - corner) / _COLUMN).astype(np.int64) + 1
-    shape = int(x), int(y)
+    shape = _columns_over(corner, far, _COLUMN)
     key = cells_of(points, corner, _COLUMN, shape)
     z = np.ascontiguousarray(points[:, 2])
     floor = column_floors(*by_cell(key, shape[0] * shape[1]), z, 0.05)  # the 5th percentile: below it, reflections
@@ -55,15 +54,29 @@ def cell_width_of(points: FloatArray) -> float:
     if k < 1:
         return MIN_CELL
     floor_points = points[low]
-    columns = by_cell(key[low], shape[0] * shape[1])
     picked = np.arange(0, len(low), max(1, len(low) // _SAMPLE))
-    each = np.empty(len(picked))
-    own = floor_points, columns, (corner, _COLUMN, shape), picked, k
-    run_chunked(lambda a, b: kth_beside(*own, a, b, each), len(picked))
-    distance = float(np.median(each))
+    distance = _median_to(k, floor_points, picked, corner, far, 2.0 * MIN_CELL)
+    if distance > 2.0 * MIN_CELL:
+        distance = _median_to(k, floor_points, picked, corner, far, _COLUMN)
     if distance > _COLUMN:
         distance = float(np.median(cKDTree(floor_points).query(floor_points[picked], k=k + 1, workers=-1)[0][:, k]))
     return max(MIN_CELL, in_steps(1.5 * distance * float(np.sqrt(np.pi / k))))
+
+
+def _columns_over(corner: FloatArray, far: FloatArray, width: float) -> tuple[int, int]:
+    x, y = np.floor((far - corner) / width).astype(np.int64) + 1
+    return int(x), int(y)
+
+
+def _median_to(
+    k: int, points: FloatArray, picked: IntArray, corner: FloatArray, far: FloatArray, width: float
+) -> float:
+    """Median distance of the `picked` points to their `k`-th neighbour [m]; exact if it is at most `width`."""
+    shape, each = _columns_over(corner, far, width), np.empty(len(picked))
+    columns = by_cell(cells_of(points, corner, width, shape), shape[0] * shape[1])
+    own = points, columns, (corner, width, shape), picked, k
+    run_chunked(lambda a, b: kth_beside(*own, a, b, each), len(picked))
+    return float(np.median(each))
 
 
 def in_steps(length: float, step: float = STEP) -> float:

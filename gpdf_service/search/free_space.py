@@ -96,18 +96,18 @@ def build_free_space(
     made = []
     for level, ground_field in zip(levels.levels, ground_fields, strict=True):
         obstacles = obstacles_of(level, agent, noise)
-        tree = build_tree(obstacles.points[:, :2])
-        (quadtree, edges), field = run_beside(
-            partial(_leaves_and_edges, level.surface, tree, radius),
+        (tree, quadtree, edges), field = run_beside(
+            partial(_leaves_and_edges, obstacles, level.surface, radius),
             partial(fit_obstacle_field, obstacles, level.surface, agent, config, field_config),
         )
         made.append(LevelSpace(level.surface, ground_field, level.measured, obstacles, tree, field, quadtree, edges))
     return join_levels(agent, reach, radius, made, levels)
 
 
-def _leaves_and_edges(surface: HeightMap, obstacles: Tree, radius: float) -> tuple[Quadtree, Edges]:
-    quadtree = build_quadtree(surface, obstacles, radius)
-    return quadtree, find_edges(quadtree, obstacles, radius)
+def _leaves_and_edges(obstacles: Obstacles, surface: HeightMap, radius: float) -> tuple[Tree, Quadtree, Edges]:
+    tree = build_tree(obstacles.points[:, :2])
+    quadtree = build_quadtree(surface, tree, radius)
+    return tree, quadtree, find_edges(quadtree, tree, radius)
 
 
 def reach_of(agent: Agent, config: SearchConfig, noise: float) -> tuple[float, float]:
