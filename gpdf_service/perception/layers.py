@@ -132,10 +132,13 @@ def splice_layers(layers: Layers, changed: BoolArray, fresh: Layers | None) -> L
     """Layers with all nodes of the `changed` cells, shape (cells,), replaced by those of `fresh` on the same grid."""
     first = np.zeros_like(layers.start) if fresh is None else fresh.start
     start, source = spliced(changed, layers.start, first)
-    names = "cell", "place", "height", "thickness", "headroom"
-    both = [(getattr(layers, name), getattr(layers if fresh is None else fresh, name)) for name in names]
-    parts = [values_spliced(old, new, source) for old, new in both]
-    return Layers(layers.origin, layers.cell_width, layers.shape, *parts, np.zeros(0, np.int64), start)
+    new, nothing = layers if fresh is None else fresh, np.zeros(0, np.int64)
+    cell, place, height, thickness, headroom = (
+        values_spliced(getattr(layers, name), getattr(new, name), source)
+        for name in ("cell", "place", "height", "thickness", "headroom")
+    )
+    grid = layers.origin, layers.cell_width, layers.shape
+    return Layers(*grid, cell, place, height, thickness, headroom, nothing, start)
 
 
 def crop_layers(layers: Layers, box: tuple[slice, slice]) -> tuple[Layers, IntArray]:

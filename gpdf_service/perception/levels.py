@@ -502,9 +502,9 @@ def find_ledges(
     cell = cell[asked]
     beside = np.zeros(part.state.shape, dtype=bool)
     beside.ravel()[cell] = True
-    beside = np.append(widened(beside, int(np.ceil(1.5 * FACE / surface.cell_width))), False)
+    near = np.append(widened(beside, int(np.ceil(1.5 * FACE / surface.cell_width))), np.zeros(1, dtype=bool))
     lies_low, at = low(ground)
-    ground = ground[lies_low & beside[at]]
+    ground = ground[lies_low & near[at]]
     ledge = np.full(len(other), np.inf, np.float32)
     if len(ground) and asked.any():
         least = np.maximum(other[asked, 2] - LEAST_OBSTACLE, step_over(part, noise).ravel()[cell])

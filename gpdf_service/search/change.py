@@ -50,9 +50,17 @@ def change_free_space(
     """
 
     def one(i: int) -> LevelSpace:
-        level, cells, parts = levels.levels[i], touched[i], (old.obstacles, old.trees, old.obstacle_fields)
-        ground = old.surfaces[i], ground_fields[i], level.measured
-        was = LevelSpace(*ground, *(part[i] for part in parts), old.quadtrees[i], old.edges[i])
+        level, cells = levels.levels[i], touched[i]
+        was = LevelSpace(
+            old.surfaces[i],
+            ground_fields[i],
+            level.measured,
+            old.obstacles[i],
+            old.trees[i],
+            old.obstacle_fields[i],
+            old.quadtrees[i],
+            old.edges[i],
+        )
         return was if cells is None else _change_level(was, level, cells, old, config, field_config, noise)
 
     made = run_parallel(one, range(len(touched)))
