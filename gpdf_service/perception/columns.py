@@ -356,7 +356,7 @@ def spliced(changed: BoolArray, start: IntArray, fresh: IntArray) -> tuple[IntAr
 
 
 @njit(cache=True, nogil=True)
-def values_spliced(old: FloatArray, fresh: FloatArray, source: IntArray) -> FloatArray:
+def values_spliced(old: NDArray[Any], fresh: NDArray[Any], source: IntArray) -> NDArray[Any]:
     """Of each node its value before or, where its `source` is −1 − a number, the fresh one of that number."""
     made = np.empty((len(source), *old.shape[1:]), old.dtype)
     for i in range(len(source)):
