@@ -338,7 +338,7 @@ class _Part:
         mine = self.ground[rows]
         if mine.any():
             mine[mine] = self.inside[_nodes_of(_columns(self.cloud, rows[mine], self.layers, config), self.layers)]
-        rest: FloatArray = self.cloud.points[rows[~mine]]
+        rest: FloatArray = taken(self.cloud.points, rows[~mine])
         return rest
 
 
@@ -384,7 +384,7 @@ def _in_box(cloud: _Cloud, surface: HeightMap, box: Box) -> FloatArray:
     """The points in a box of cells."""
     cells = np.zeros(surface.state.shape, dtype=bool)
     cells[box] = True
-    return cloud.points[cloud.rows_in(surface, cells)]
+    return taken(cloud.points, cloud.rows_in(surface, cells))
 
 
 def _around(cells: BoolArray, width: float) -> Box:

@@ -392,9 +392,7 @@ def rows_in_cells(points: FloatArray, origin: FloatArray, cell_width: float, wan
                 low[0], high[0] = min(low[0], i - 1), max(high[0], i + 2)
                 low[1], high[1] = min(low[1], j - 1), max(high[1], j + 2)
     low, high = origin + low * cell_width, origin + high * cell_width
-    for row in range(len(points)):
-        if not (low[0] <= points[row, 0] <= high[0] and low[1] <= points[row, 1] <= high[1]):
-            continue
+    for row in rows_in_box(points, low, high):
         i = int(np.floor((points[row, 0] - origin[0]) / cell_width))
         j = int(np.floor((points[row, 1] - origin[1]) / cell_width))
         if 0 <= i < wanted.shape[0] and 0 <= j < wanted.shape[1] and wanted[i, j]:

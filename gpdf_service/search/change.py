@@ -24,7 +24,7 @@ from gpdf_service.search.free_space import (
 )
 from gpdf_service.search.graph import change_edges
 from gpdf_service.search.quadtree import change_quadtree
-from gpdf_service.types import BoolArray, FloatArray
+from gpdf_service.types import BoolArray, FloatArray, IntArray
 
 
 def change_free_space(
@@ -82,15 +82,17 @@ def _change_level(
     region = widened(touched, reach)
     found = obstacles_of(_part(level, region, reach), agent, noise)
     inside, lost = (rows_in_cells(each.points, *_grid(surface), region) for each in (found, was.obstacles))
+    both = np.concatenate([_rows(was.obstacles, lost), _rows(found, inside)])
+    other = more_now(hashed(both), len(lost)) != 0
+    lost, inside, places = lost[other[: len(lost)]], inside[other[len(lost) :]], both[other, :2].copy()
     stay = np.ones(len(was.obstacles.points), dtype=bool)
     stay[lost] = False
-    gone, fresh = was.obstacles.points[lost], found.points[inside]
+    fresh = found.points[inside]
     tree = _change_tree(was.tree, stay, fresh[:, :2])
     obstacles = Obstacles(
         without_rows(was.obstacles.points, stay, fresh),
         np.concatenate([was.obstacles.kind[stay], found.kind[inside]]),
     )
-    places = _difference(gone[:, :2], fresh[:, :2])
     known = (was.surface.state != UNKNOWN) != (surface.state != UNKNOWN)
     part = replace(was, surface=surface, measured=level.measured, obstacles=obstacles)
     if len(places) == 0 and not known.any():
@@ -107,6 +109,12 @@ def _change_level(
         quadtree=quadtree,
         edges=change_edges(was.quadtree, was.edges, quadtree, tree, radius, around),
     )
+
+
+def _rows(obstacles: Obstacles, rows: IntArray) -> FloatArray:
+    """Some obstacles as rows of x, y, z [m] and kind, shape (k, 4)."""
+    made: FloatArray = np.column_stack([obstacles.points[rows], obstacles.kind[rows]])
+    return made
 
 
 def _grid(surface: HeightMap) -> tuple[FloatArray, float]:
@@ -139,13 +147,6 @@ def _part(level: GroundLevel, region: BoolArray, reach: int) -> GroundLevel:
         ledge=level.ledge[other],
         limits=GroundLimits(limits.points[limit], limits.kind[limit], limits.value[limit]),
     )
-
-
-def _difference(a: FloatArray, b: FloatArray) -> FloatArray:
-    """The rows of (n, 2) and (m, 2) that one of the two has more often."""
-    both = np.concatenate([a, b])
-    only: FloatArray = both[more_now(hashed(both), len(a)) != 0]
-    return only
 
 
 def _change_field(was: LevelSpace, obstacles: Obstacles, places: FloatArray, spacing: float) -> Gpdf | None:
