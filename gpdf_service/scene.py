@@ -522,10 +522,12 @@ def assemble_scene(
     )
     progress("fit ground fields", 0.7)
     old = () if like is None else tuple(zip(like.ground_fields, like.levels.levels, strict=True))
-    fields = tuple(
-        _change_ground(*old[i], level, config) if i < len(old) else _fit_ground(level, config)
-        for i, level in enumerate(levels.levels)
-    )
+
+    def fit(i: int) -> Gpdf:
+        level = levels.levels[i]
+        return _change_ground(*old[i], level, config) if i < len(old) else _fit_ground(level, config)
+
+    fields = tuple(run_parallel(fit, range(len(levels.levels))))
     progress("ready", 1.0)
     noise = cured.measured if cured.measured > config.perception.negligible_noise else 0.0
     version = 1 if like is None else like.version + 1

@@ -48,14 +48,16 @@ class Part(NamedTuple):
 
     Attributes:
         begin: The first of them.
-        start: Where each row begins, shape (k + 1,).
-        column: Above the diagonal, and in the rows of other parts.
+        start: Where what stands in each row begins, shape (k + 1,).
+        middle: Where what stands in the columns of other parts begins, shape (k,).
+        column: Above the diagonal, counted from `begin`; the columns of other parts, counted from 0, come after these.
         weight: What stands there.
         blocks: Inverses of its `LEAF_SIZE` rows on the diagonal, one after another.
     """
 
     begin: int
     start: IntArray
+    middle: IntArray
     column: NDArray[np.uint32]
     weight: NDArray[np.float32]
     blocks: NDArray[np.float32]
@@ -131,16 +133,17 @@ def _assemble(
     """
     blocks, boxes = tree.blocks, tree.boxes
     rate, reach = 1.0 / (2.0 * length_scale * length_scale), (CUT_RADIUS * length_scale) ** 2
-    start = np.zeros(end - begin + 1, np.int64)
-    capacity = 64 * (end - begin) + 1024
+    size = end - begin
+    start, middle, capacity = np.zeros(size + 1, np.int64), np.zeros(size, np.int64), 64 * size + 1024
     column, weight = np.empty(capacity, np.uint32), np.empty(capacity, np.float32)
-    total, unknown = np.full(end - begin, noise_variance + 1.0), np.zeros(end - begin)
+    total, unknown = np.full(size, noise_variance + 1.0), np.zeros(size)
     stack, bound, near = make_scratch()
     values, inner = np.empty(LEAF_SIZE, np.float32), _inner_leaves(tree.begin, place, begin, end)
     used, own = 0, 0
-    for r in range(begin, end):
-        x = x0, x1, x2 = place_of(tree.points[rows[r]])
-        while tree.begin[own + 1] <= rows[r]:
+    for r in range(size):
+        row, mine, apart = rows[begin + r], total[r], False
+        x = x0, x1, x2 = place_of(tree.points[row])
+        while tree.begin[own + 1] <= row:
             own += 1
         top = from_root(stack, bound)
         while True:
@@ -158,34 +161,49 @@ def _assemble(
                 column, weight = _grown(column, capacity), _grown(weight, capacity)
             first, count = tree.begin[leaf], tree.begin[leaf + 1] - tree.begin[leaf]
             if inner[leaf]:
-                for j in range(rows[r] + 1 - first if leaf == own else 0, count):
-                    other = place[first] + j  # written, and kept or not: a guess would be wrong every third time
+                for j in range(row + 1 - first if leaf == own else 0, count):
+                    other = place[first] - begin + j  # written, and kept or not: a guess would be wrong too often
                     column[used], weight[used] = other, values[j]
-                    total[r - begin] += values[j]
-                    total[other - begin] += values[j]
+                    mine += values[j]
+                    total[other] += values[j]
                     used += int(values[j] > 0.0)
                 continue
             for j in range(count):
                 i, value = first + j, values[j]
-                other = place[i]
-                if begin <= other <= r or value == 0.0:
+                other = place[i] - begin
+                if 0 <= other <= r or value == 0.0:
                     continue
-                total[r - begin] += value
-                if other >= 0:
+                mine += value
+                if 0 <= other < size:
                     column[used], weight[used] = other, value
+                    total[other] += value
                     used += 1
-                    if begin <= other < end:
-                        total[other - begin] += value
+                elif place[i] >= 0:
+                    column[used], weight[used] = size + place[i], value
+                    used, apart = used + 1, True
                 elif np.isnan(alpha[i]):
-                    unknown[r - begin] += value
+                    unknown[r] += value
                 else:
-                    right[r] -= value * alpha[i]
-        start[r - begin + 1] = used
-    for r in range(begin, end):
-        guess[r] = 1.0 / total[r - begin]
-        right[r] -= unknown[r - begin] * guess[r]
+                    right[begin + r] -= value * alpha[i]
+        total[r], start[r + 1] = mine, used
+        middle[r] = _own_first(column, weight, start[r], used, size) if apart else used
+    for r in range(size):
+        guess[begin + r] = 1.0 / total[r]
+        right[begin + r] -= unknown[r] * guess[begin + r]
     column, weight = column[:used], weight[:used]
-    return Part(begin, start, column, weight, _invert_blocks(begin, start, column, weight, noise_variance))
+    return Part(begin, start, middle, column, weight, _invert_blocks(start, middle, column, weight, noise_variance))
+
+
+@njit(cache=True, nogil=True)
+def _own_first(column: NDArray[np.uint32], weight: NDArray[np.float32], first: int, last: int, size: int) -> int:
+    """Put the columns of a row that are less than `size` before the others; where these begin."""
+    middle = first
+    for e in range(first, last):
+        if column[e] < size:
+            column[middle], column[e] = column[e], column[middle]
+            weight[middle], weight[e] = weight[e], weight[middle]
+            middle += 1
+    return middle
 
 
 @njit(cache=True, nogil=True)
@@ -233,17 +251,22 @@ def _descend(
     part: Part, step: float, p: FloatArray, Kp: FloatArray, x: FloatArray, r: FloatArray, z: FloatArray
 ) -> tuple[float, float]:
     """A step along p in the rows of a part, and what each leaf by itself would do next, z = A⁻¹ r; r · r and z · r."""
-    begin, end, rr = part.begin, part.begin + len(part.start) - 1, 0.0
-    for i in range(begin, end):
+    own, rr = slice(part.begin, part.begin + len(part.middle)), 0.0
+    p, Kp, x, r, z = p[own], Kp[own], x[own], r[own], z[own]
+    for i in range(len(r)):
         x[i] += step * p[i]
         r[i] -= step * Kp[i]
         rr += r[i] * r[i]
-    return rr, _solve_blocks(part.blocks, r[begin:end], z[begin:end])
+    return rr, _solve_blocks(part.blocks, r, z)
 
 
 @njit(cache=True, nogil=True)
 def _invert_blocks(
-    begin: int, start: IntArray, column: NDArray[np.uint32], weight: NDArray[np.float32], noise_variance: float
+    start: IntArray,
+    middle: IntArray,
+    column: NDArray[np.uint32],
+    weight: NDArray[np.float32],
+    noise_variance: float,
 ) -> NDArray[np.float32]:
     """The blocks of `LEAF_SIZE` rows on the diagonal of K + σ² I, inverted by Gauss and Jordan's elimination.
 
@@ -258,10 +281,9 @@ def _invert_blocks(
         for i in range(LEAF_SIZE):
             block[i, i] = 1.0 + noise_variance if first + i < last else 1.0
         for r in range(first, last):
-            for e in range(start[r], start[r + 1]):
-                if begin + first <= column[e] < begin + last:
-                    i = column[e] - begin - first
-                    block[r - first, i] = block[i, r - first] = weight[e]
+            for e in range(start[r], middle[r]):
+                if column[e] < last:
+                    block[r - first, column[e] - first] = block[column[e] - first, r - first] = weight[e]
         for k in range(LEAF_SIZE):
             scale, block[k, k] = 1.0 / max(block[k, k], noise_variance), 1.0
             pivot[:] = scale * block[k]
@@ -297,22 +319,22 @@ def _solve_blocks(blocks: NDArray[np.float32], r: FloatArray, z: FloatArray) -> 
 def _apply(part: Part, noise_variance: float, p: FloatArray, Kp: FloatArray) -> float:
     """Write the rows of a part of (K + σ² I) p; gives p · that, summed over them.
 
-    A loop: NumPy's dot product wakes threads that then spin for nothing. What a pair with another part adds there is
-    worked out there, and here falls behind the last row.
+    A loop: NumPy's dot product wakes threads that then spin for nothing.
     """
-    begin, start, column, weight = part.begin, part.start, part.column, part.weight
-    count, product = len(start) - 1, 0.0
-    own = np.zeros(count + 1)
+    start, middle, column, weight = part.start, part.middle, part.column, part.weight
+    count, product = len(middle), 0.0
+    own, mine = p[part.begin : part.begin + count], Kp[part.begin : part.begin + count]
     for i in range(count):
-        own[i] = (1.0 + noise_variance) * p[begin + i]
+        mine[i] = (1.0 + noise_variance) * own[i]
     for i in range(count):
         total = 0.0
-        for e in range(start[i], start[i + 1]):
+        for e in range(start[i], middle[i]):
             j = column[e]
-            total += weight[e] * p[j]
-            own[min(np.uint32(j - begin), np.uint32(count))] += weight[e] * p[begin + i]
-        own[i] += total
+            total += weight[e] * own[j]
+            mine[j] += weight[e] * own[i]
+        for e in range(middle[i], start[i + 1]):
+            total += weight[e] * p[column[e] - count]
+        mine[i] += total
     for i in range(count):
-        Kp[begin + i] = own[i]
-        product += own[i] * p[begin + i]
+        product += mine[i] * own[i]
     return product

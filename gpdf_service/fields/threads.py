@@ -43,6 +43,8 @@ def run_parallel(work: Callable[[T], S], items: Iterable[T]) -> list[S]:
     The caller works, too, and does not wait for a helper that has not begun: so work may itself be split in the pool.
     """
     items = list(items)
+    if len(items) < 2:
+        return [work(item) for item in items]
     made: dict[int, S] = {}
     left = iter(range(len(items)))  # its next() is atomic
 

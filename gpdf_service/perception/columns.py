@@ -17,20 +17,21 @@ _FEW = 32
 """Points that are sorted faster by insertion than by a call."""
 
 
-def column_order(cell: IntArray, z: FloatArray, cells: int) -> tuple[IntArray, IntArray]:
+def column_order(cell: IntArray, points: FloatArray, cells: int) -> tuple[IntArray, IntArray, FloatArray]:
     """Order of points by their cell and, within a cell, upward; equal heights stay in their order.
 
     Args:
         cell: Cell of each point, shape (n,).
-        z: Height of each point [m], shape (n,).
+        points: Shape (n, 3) [m].
         cells: How many cells there are.
 
     Returns:
-        The order, shape (n,), and where each cell begins in it, shape (cells + 1,).
+        Where each cell begins in the order, shape (cells + 1,), the order, and the heights in it [m], shape (n,).
     """
     start, order = by_cell(cell, cells)
-    run_chunked(lambda a, b: _sort_columns(start, z, order, a, b), cells)
-    return order, start
+    z = np.empty(len(order))
+    run_chunked(lambda a, b: _sort_columns(start, points, order, z, a, b), cells)
+    return start, order, z
 
 
 @njit(cache=True, nogil=True)
@@ -49,19 +50,21 @@ def by_cell(cell: IntArray, cells: int) -> tuple[IntArray, IntArray]:
 
 
 @njit(cache=True, nogil=True)
-def _sort_columns(start: IntArray, z: FloatArray, order: IntArray, begin: int, end: int) -> None:
+def _sort_columns(start: IntArray, points: FloatArray, order: IntArray, z: FloatArray, begin: int, end: int) -> None:
     for c in range(begin, end):
         a, b = start[c], start[c + 1]
+        for i in range(a, b):
+            z[i] = points[order[i], 2]
         if b - a > _FEW:
-            rows = order[a:b].copy()
-            order[a:b] = rows[np.argsort(z[rows], kind="mergesort")]
+            upward = np.argsort(z[a:b], kind="mergesort")
+            z[a:b], order[a:b] = z[a:b][upward], order[a:b][upward]
             continue
         for i in range(a + 1, b):
-            row, j = order[i], i
-            while j > a and z[order[j - 1]] > z[row]:
-                order[j] = order[j - 1]
+            row, height, j = order[i], z[i], i
+            while j > a and z[j - 1] > height:
+                order[j], z[j] = order[j - 1], z[j - 1]
                 j -= 1
-            order[j] = row
+            order[j], z[j] = row, height
 
 
 @njit(cache=True, nogil=True)
@@ -515,15 +518,29 @@ def _cells_range(
         cell[i] = int(x) * ny + int(y)
 
 
-@njit(cache=True, nogil=True)
 def cells_in_box(points: FloatArray, origin: FloatArray, width: float, first: IntArray, last: IntArray) -> IntArray:
     """Flat cell of each point (n, 3) in a box of cells, from `first` to `last`; those outside are in one more."""
-    cell, wide = np.empty(len(points), np.int64), last[1] - first[1]
-    for i in range(len(points)):
+    cell = np.empty(len(points), np.int64)
+    run_chunked(lambda a, b: _box_range(points, origin, width, first, last, a, b, cell), len(points))
+    return cell
+
+
+@njit(cache=True, nogil=True)
+def _box_range(
+    points: FloatArray,
+    origin: FloatArray,
+    width: float,
+    first: IntArray,
+    last: IntArray,
+    begin: int,
+    end: int,
+    cell: IntArray,
+) -> None:
+    wide = last[1] - first[1]
+    for i in range(begin, end):
         x, y = int(np.floor((points[i, 0] - origin[0]) / width)), int(np.floor((points[i, 1] - origin[1]) / width))
         inside = first[0] <= x < last[0] and first[1] <= y < last[1]
         cell[i] = (x - first[0]) * wide + y - first[1] if inside else (last[0] - first[0]) * wide
-    return cell
 
 
 def column_floors(start: IntArray, order: IntArray, z: FloatArray, share: float) -> FloatArray:

@@ -22,6 +22,8 @@ from gpdf_service.fields import (
     uncured,
 )
 from gpdf_service.fields.threads import run_beside
+from gpdf_service.perception.columns import bounds_of, cells_of
+from gpdf_service.perception.layers import columns_over
 from gpdf_service.perception.segment import Segmentation, segment
 from gpdf_service.types import BoolArray, FloatArray
 
@@ -135,8 +137,8 @@ def _columns(points: FloatArray) -> BoolArray:
     """Which points are in some columns that are picked at random, where they are as dense as the cloud itself."""
     if len(points) <= _SAMPLE:
         return np.ones(len(points), dtype=bool)
-    x, y = (np.floor((points[:, k] - points[:, k].min()) / _COLUMN).astype(np.int64) for k in (0, 1))
-    key = x * (int(y.max()) + 1) + y
+    corner, far = bounds_of(points)
+    key = cells_of(points, corner, _COLUMN, columns_over(corner, far, _COLUMN))
     count = np.bincount(key)
     order = np.random.default_rng(0).permutation(len(count))
     picked = np.zeros(len(count), dtype=bool)

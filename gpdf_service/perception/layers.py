@@ -45,7 +45,7 @@ def cell_width_of(points: FloatArray) -> float:
     k-th neighbour is s √(k/π)) one cell in ten of a Poisson sample stays empty, which the height map closes.
     """
     corner, far = bounds_of(points)
-    shape = _columns_over(corner, far, _COLUMN)
+    shape = columns_over(corner, far, _COLUMN)
     key = cells_of(points, corner, _COLUMN, shape)
     z = np.ascontiguousarray(points[:, 2])
     floor = column_floors(*by_cell(key, shape[0] * shape[1]), z, 0.05)  # the 5th percentile: below it, reflections
@@ -63,7 +63,8 @@ def cell_width_of(points: FloatArray) -> float:
     return max(MIN_CELL, in_steps(1.5 * distance * float(np.sqrt(np.pi / k))))
 
 
-def _columns_over(corner: FloatArray, far: FloatArray, width: float) -> tuple[int, int]:
+def columns_over(corner: FloatArray, far: FloatArray, width: float) -> tuple[int, int]:
+    """How many columns of `width` there are from one corner to the other [m]."""
     x, y = np.floor((far - corner) / width).astype(np.int64) + 1
     return int(x), int(y)
 
@@ -72,7 +73,7 @@ def _median_to(
     k: int, points: FloatArray, picked: IntArray, corner: FloatArray, far: FloatArray, width: float
 ) -> float:
     """Median distance of the `picked` points to their `k`-th neighbour [m]; exact if it is at most `width`."""
-    shape, each = _columns_over(corner, far, width), np.empty(len(picked))
+    shape, each = columns_over(corner, far, width), np.empty(len(picked))
     columns = by_cell(cells_of(points, corner, width, shape), shape[0] * shape[1])
     own = points, columns, (corner, width, shape), picked, k
     run_chunked(lambda a, b: kth_beside(*own, a, b, each), len(picked))
@@ -165,8 +166,8 @@ def build_layers(
     origin, shape = grid_of(*bounds_of(points), cell_width) if like is None else (like.origin, like.shape)
     cells = shape[0] * shape[1]
     cell = cells_of(points, origin, cell_width, shape)
-    order, start = column_order(cell, np.ascontiguousarray(points[:, 2]), cells)
-    z, flat = points[order, 2], 2.0 * cell_width + 4.0 * noise
+    start, order, z = column_order(cell, points, cells)
+    flat = 2.0 * cell_width + 4.0 * noise
     first = count_nodes(start, z, gap)
     count = int(first[-1])
     cell_of, row = np.empty(count, np.int64), np.empty(count, np.int64)

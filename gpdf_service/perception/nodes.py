@@ -338,3 +338,21 @@ def grown_sheet(
                 count += 1
         ring = found[:count].copy()
     return inside
+
+
+@njit(cache=True, nogil=True)
+def held_by(
+    z: FloatArray,
+    node: IntArray,
+    low: FloatArray,
+    high: FloatArray,
+    beside: FloatArray,
+    scatter: float,
+    begin: int,
+    end: int,
+    held: BoolArray,
+) -> None:
+    """Whether points at heights `z` in the nodes `node` are within `scatter` of the ground there, or `beside` [m]."""
+    for i in range(begin, end):
+        n = node[i]
+        held[i] = low[n] - scatter <= z[i] <= high[n] + scatter or abs(z[i] - beside[n]) <= scatter

@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike
 
 from gpdf_service.config import PerceptionConfig
 from gpdf_service.errors import NoGroundError
+from gpdf_service.fields.threads import run_chunked
 from gpdf_service.perception.bumps import cells_around, low_things, raised_over_sides
 from gpdf_service.perception.columns import by_cell, medians_around
 from gpdf_service.perception.layers import (
@@ -32,6 +33,7 @@ from gpdf_service.perception.nodes import (
     drops_beside,
     extents_in_plan,
     half_way,
+    held_by,
     joined_to,
     lowest_beside,
     mean_gradients,
@@ -137,8 +139,10 @@ class Segmentation:
 
     def holds(self, z: FloatArray, node: IntArray) -> BoolArray:
         """Whether points at heights `z` [m] in the nodes `node` are ground, shape (n,)."""
-        on: BoolArray = (z >= self.low[node] - self.scatter) & (z <= self.high[node] + self.scatter)
-        return on | (np.abs(z - self.beside[node]) <= self.scatter)
+        held = np.empty(len(z), dtype=bool)
+        own = z, node, self.low, self.high, self.beside, self.scatter
+        run_chunked(lambda a, b: held_by(*own, a, b, held), len(z))
+        return held
 
 
 def segment(

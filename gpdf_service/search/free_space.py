@@ -10,9 +10,9 @@ import numpy as np
 
 from gpdf_service.config import FieldConfig, SearchConfig
 from gpdf_service.fields import FieldArrays, Gpdf, Tree, build_tree, find_nearest, fit_gpdf
-from gpdf_service.fields.threads import run_beside
+from gpdf_service.fields.threads import run_beside, run_parallel
 from gpdf_service.fields.traversal import nearest_only
-from gpdf_service.perception import HeightMap, Levels, Obstacles, obstacles_of
+from gpdf_service.perception import GroundLevel, HeightMap, Levels, Obstacles, obstacles_of
 from gpdf_service.perception.limits import Measured
 from gpdf_service.perception.surface import UNKNOWN
 from gpdf_service.search.graph import Edges, Graph, assemble, find_edges
@@ -93,14 +93,16 @@ def build_free_space(
 ) -> FreeSpace:
     """Find what stops the body, fit its Obstacle GPDFs, build quadtrees and graph; `noise` is the cloud's [m]."""
     reach, radius = reach_of(agent, config, noise)
-    made = []
-    for level, ground_field in zip(levels.levels, ground_fields, strict=True):
+
+    def one(level: GroundLevel, ground_field: Gpdf) -> LevelSpace:
         obstacles = obstacles_of(level, agent, noise)
         (tree, quadtree, edges), field = run_beside(
             partial(_leaves_and_edges, obstacles, level.surface, radius),
             partial(fit_obstacle_field, obstacles, level.surface, agent, config, field_config),
         )
-        made.append(LevelSpace(level.surface, ground_field, level.measured, obstacles, tree, field, quadtree, edges))
+        return LevelSpace(level.surface, ground_field, level.measured, obstacles, tree, field, quadtree, edges)
+
+    made = run_parallel(lambda i: one(levels.levels[i], ground_fields[i]), range(len(ground_fields)))
     return join_levels(agent, reach, radius, made, levels)
 
 

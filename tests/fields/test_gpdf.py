@@ -348,6 +348,16 @@ def test_pieces_and_their_halos_equal_one_solve(room, monkeypatch):
     np.testing.assert_allclose(pieces.query(queries).distance, room.query(queries).distance, atol=5e-4)
 
 
+def test_parts_of_a_piece_equal_one_solve_and_do_not_ask_how_many_cores_there_are(room, monkeypatch):
+    solved = []
+    for rows, cores in ((10**9, 1), (1000, 1), (1000, 7)):
+        monkeypatch.setattr("gpdf_service.fields.solve.PART", rows)
+        monkeypatch.setattr("gpdf_service.fields.threads.worker_count", lambda cores=cores: cores)
+        solved.append(solve_all(room.tree, room.length_scale, room.noise_variance))
+    np.testing.assert_allclose(solved[1], solved[0], atol=1e-6)
+    np.testing.assert_array_equal(solved[1], solved[2])
+
+
 def test_a_field_takes_less_than_200_bytes_a_point(room):
     assert 50 * len(room.points) < room.nbytes < 200 * len(room.points)
 
