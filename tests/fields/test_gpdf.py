@@ -332,6 +332,20 @@ def test_a_copy_that_fills_up_a_leaf_stands_for_the_last_point_of_it(rng):
     np.testing.assert_allclose(rounded.query(nearer).deviation, field.query(nearer).deviation, atol=1e-9)
 
 
+def test_the_disc_of_a_point_at_an_edge_does_not_hang_on_the_order_of_the_points(rng):
+    """A lattice is cut in two right through a row, and both half planes go through the points of an edge."""
+    along, up = (axis.ravel() for axis in np.meshgrid(0.05 * np.arange(21), 0.05 * np.arange(1, 21)))
+    floor, slope = np.column_stack([-up, along, 0.0 * up]), np.column_stack([up, along, 2.0 * up])
+    points = np.concatenate([floor, slope, np.column_stack([0.0 * along[:21], along[:21], 0.0 * along[:21]])])
+    discs = []
+    for _ in range(5):
+        order = rng.permutation(len(points))
+        field = fit_gpdf(points[order], spacing=0.05)
+        discs.append(field.discs[np.lexsort(field.points.T)])
+    for again in discs[1:]:
+        np.testing.assert_allclose(np.abs(again), np.abs(discs[0]), atol=1e-9)  # a normal may face either way
+
+
 def test_all_points_cannot_be_removed(room):
     with pytest.raises(FieldError, match="at least one point"):
         room.remove(np.arange(len(room.points)))
