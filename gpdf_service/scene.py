@@ -228,6 +228,16 @@ class Scene:
         return tuple(level.surface for level in self.levels.levels)
 
     @property
+    def resolution(self) -> float | None:
+        """Width of the cells that the next versions keep [m]; none where noise or rough ground asks for each its own.
+
+        They keep it until `MAX_DRIFT` of the points have changed: a measured width has steps, and a cloud beside one
+        must not take another grid with each chair that is moved.
+        """
+        clean = self.perceived is not None and (self.labelled or self.perceived.segmentation is not None)
+        return self.surfaces[0].cell_width if clean else None
+
+    @property
     def hidden_height(self) -> float:
         """How high over the ground a thing can stand without being seen [m].
 
@@ -347,7 +357,10 @@ class Scene:
                 return self._changed(self.perceived, cloud, keep, labels, drift, progress)
             except WholeError:
                 pass
-        return assemble_scene(cloud, labels, self.config, like=self, progress=progress)
+        width = self.resolution if drift <= MAX_DRIFT else None
+        scene = assemble_scene(cloud, labels, self.config, like=self, width=width, progress=progress)
+        scene.drift = 0.0 if width is None else drift
+        return scene
 
     def _changed(
         self,
@@ -361,10 +374,13 @@ class Scene:
         progress("change levels", 0.0)
         now = change(perceived, cloud, keep, labels, self.config.perception)
         progress("change ground fields", 0.5)
-        fields = tuple(
-            field if new is old else _change_ground(field, old, new, self.config)
-            for field, old, new in zip(self.ground_fields, self.levels.levels, now.levels.levels, strict=True)
-        )
+
+        def one(level: tuple[Gpdf, GroundLevel, GroundLevel]) -> Gpdf:
+            field, old, new = level
+            return field if new is old else _change_ground(field, old, new, self.config)
+
+        levels = zip(self.ground_fields, self.levels.levels, now.levels.levels, strict=True)
+        fields = tuple(run_parallel(one, levels))
         progress("ready", 1.0)
         known = self.version + 1, self.noise, self.labelled
         scene = Scene(cloud, now.ground, now.levels, fields, self.config, *known, now, drift)
@@ -487,16 +503,20 @@ def assemble_scene(
     config: Config,
     *,
     like: Scene | None = None,
+    width: float | None = None,
     progress: Progress = lambda stage, done: None,
 ) -> Scene:
-    """Ground, levels and Ground GPDFs of a cloud; what is as it was in the scene `like` is taken over from it."""
+    """Ground, levels and Ground GPDFs of a cloud; what is as it was in the scene `like` is taken over from it.
+
+    The `width` of the cells [m] is measured when it is not given.
+    """
     progress("segment ground", 0.0)
-    found = cure_and_segment(cloud, labels, config.perception)
+    found = cure_and_segment(cloud, labels, config.perception, width)
     cured, ground, segmentation = found.cured, found.ground, found.segmentation
     progress("build levels", 0.4)
     kept = ~cured.stray
     points, labelled = (cured.points, ground) if kept.all() else (cured.points[kept], ground[kept])
-    width = None if segmentation is None else segmentation.layers.cell_width
+    width = width if segmentation is None else segmentation.layers.cell_width
     levels, survey = survey_levels(
         points, labelled, config.perception, width=width, noise=0.0 if found.as_it_was else cured.measured
     )

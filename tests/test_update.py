@@ -5,6 +5,8 @@ import pytest
 
 import gpdf_service as gpdf
 from gpdf_service.errors import CloudError, NoGroundError
+from gpdf_service.perception.layers import cell_width_of
+from gpdf_service.scene import assemble_scene
 from gpdf_service.synthetic import SCENES
 from gpdf_service.synthetic.scenes import cave, ramp, random_room, stair
 from gpdf_service.synthetic.world import Box
@@ -163,6 +165,12 @@ def random_change(scene, rng):
     return change
 
 
+def from_scratch(scene):
+    """The scene of the same points and labels, at the same resolution."""
+    labels = scene.ground if scene.labelled else None
+    return assemble_scene(scene.points, labels, scene.config, width=scene.resolution)
+
+
 @pytest.mark.parametrize(
     ("made", "labelled", "agents"),
     [
@@ -181,9 +189,35 @@ def test_random_changes_equal_a_scene_from_scratch(made, labelled, agents):
         scene.free_space(agent)
     for _ in range(3):
         changed = scene.update(**random_change(scene, rng))
-        assert changed.drift > scene.drift  # only what the change touches was looked at
-        assert_equal_scenes(changed, gpdf.build_scene(changed.points, changed.ground if labelled else None), *agents)
+        assert changed.perceived.touched  # only what the change touches was looked at
+        assert_equal_scenes(changed, from_scratch(changed), *agents)
         scene = changed
+
+
+def test_a_scene_keeps_its_resolution_until_much_of_it_has_changed():
+    """The width of its cells is measured in steps of 5 mm, and a few points can take it over one."""
+    plan = np.random.default_rng(3).uniform(0.0, 6.0, (4000, 2))
+
+    def floor(scale):
+        return np.column_stack([scale * plan, np.zeros(len(plan))])
+
+    low, high = 1.0, 1.2
+    width = cell_width_of(floor(low))
+    assert cell_width_of(floor(high)) > width
+    while high - low > 1e-5:
+        middle = 0.5 * (low + high)
+        low, high = (low, middle) if cell_width_of(floor(middle)) > width else (middle, high)
+    scene = gpdf.build_scene(floor(low))
+    gone = (np.abs(scene.points[:, :2] - 3.0) < 0.5).all(axis=1)
+    assert cell_width_of(scene.points[~gone]) > width
+    thinner = scene.update(remove=gone)
+    beyond = thinner.update(insert=[[-0.3, 0.1, 0.0]])
+    assert thinner.perceived.touched
+    assert not beyond.perceived.touched  # the map has other bounds: all was looked at
+    for changed in (thinner, beyond):
+        assert changed.resolution == width
+        assert_equal_scenes(changed, from_scratch(changed))
+    assert beyond.update(remove=np.arange(200)).resolution > width
 
 
 def two_storeys():
@@ -211,7 +245,7 @@ def test_a_change_that_cuts_the_stair_cuts_the_storeys_apart():
     gone = (scene.points[:, 0] > 1.6) & (scene.points[:, 0] < 2.6) & (scene.points[:, 1] < 1.7)
     gone &= (scene.points[:, 2] > 0.5) & (scene.points[:, 2] < 2.8)
     cut = scene.update(remove=gone)
-    assert_equal_scenes(cut, gpdf.build_scene(cut.points), "human")
+    assert_equal_scenes(cut, from_scratch(cut), "human")
     assert gpdf.plan(cut, (6.0, 1.0, 0.0), (6.0, 3.0, 3.0)).status is not gpdf.Status.OK
     back = cut.update(insert=scene.points[gone])
     assert_equal_scenes(back, gpdf.build_scene(back.points), "human")
@@ -238,8 +272,8 @@ def test_a_scan_beyond_the_map_or_of_much_of_it_is_built_as_a_whole(office):
     scene = gpdf.build_scene(office.points)
     x, y = np.meshgrid(np.arange(6.0, 7.0, 0.05), np.arange(0.0, 1.0, 0.05))
     grown = scene.update(insert=np.column_stack([x.ravel(), y.ravel(), np.zeros(x.size)]))
-    assert grown.drift == 0.0
-    assert_equal_scenes(grown, gpdf.build_scene(grown.points))
+    assert not grown.perceived.touched
+    assert_equal_scenes(grown, from_scratch(grown))
     halved = scene.update(remove=np.arange(0, len(scene.points), 2))
     assert halved.drift == 0.0
     assert_equal_scenes(halved, gpdf.build_scene(halved.points))

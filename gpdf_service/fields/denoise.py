@@ -16,7 +16,7 @@ import numpy as np
 from numba import njit
 from scipy.spatial import cKDTree
 
-from gpdf_service.fields.edge import fit_pair, from_half, onto_half
+from gpdf_service.fields.edge import fit_pair, nearest_half, onto_half
 from gpdf_service.fields.heights import Sums, fit_heights, make_sums, quadric_rest, sum_heights
 from gpdf_service.fields.noise import GROWTH, LONG, estimate_noise
 from gpdf_service.fields.order import spatial_order
@@ -373,7 +373,7 @@ def _edge(
         return 0.0
     if rest + max(_CURVED, _SPLIT * count) * sigma**2 > quadric_rest(near, count, normal):
         return 0.0
-    k = 0 if from_half(pair, 0, x) <= from_half(pair, 1, x) else 1
+    k = nearest_half(pair, x)
     onto_half(pair, k, x, place)
     aside = (place[0] - pair[k, 0]) ** 2 + (place[1] - pair[k, 1]) ** 2 + (place[2] - pair[k, 2]) ** 2
     return sigma * sqrt((1.0 + aside / pair[k, 7]) / pair[k, 6])

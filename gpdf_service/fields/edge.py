@@ -18,6 +18,8 @@ _PARALLEL = 0.2
 """[-] Sine of an angle (12°) below which two planes are taken for parallel: where they meet is not known."""
 _FOLD = 0.7
 """[-] Cosine of the least angle (45°) between two half planes."""
+_EQUAL = 1e-9
+"""[m] Lengths that differ by less are equal: else the order of a sum decides, which is that of the tree."""
 _STARTS = 4
 """Directions along which a neighbourhood is cut in two at first: 45° apart, so one of them is within 23° of an edge."""
 
@@ -42,9 +44,9 @@ def fit_pair(near: FloatArray, count: int, normal: FloatArray, side: IntArray, p
         for i in range(count):
             middle += (near[i, 0] * cut[0] + near[i, 1] * cut[1] + near[i, 2] * cut[2]) / count
         for i in range(count):
-            side[i] = near[i, 0] * cut[0] + near[i, 1] * cut[1] + near[i, 2] * cut[2] > middle
+            side[i] = near[i, 0] * cut[0] + near[i, 1] * cut[1] + near[i, 2] * cut[2] > middle + _EQUAL
         left = _by_turns(near, count, side, mine)
-        if left < best:
+        if left < best - _EQUAL**2:
             best = left
             pair[:] = mine
     return best
@@ -66,10 +68,10 @@ def _by_turns(near: FloatArray, count: int, side: IntArray, pair: FloatArray) ->
             return np.inf
         left, changed = 0.0, 0
         for i in range(count):
-            a, b = from_half(pair, 0, near[i]), from_half(pair, 1, near[i])
-            changed += (b < a) != side[i]
-            side[i] = b < a
-            left += min(a, b)
+            nearest = nearest_half(pair, near[i])
+            changed += nearest != side[i]
+            side[i] = nearest
+            left += from_half(pair, nearest, near[i])
         if changed == 0:
             break
     return left
@@ -120,6 +122,21 @@ def from_half(pair: FloatArray, k: int, x: FloatArray) -> float:
     a = n[0] * (x[0] - pair[k, 0]) + n[1] * (x[1] - pair[k, 1]) + n[2] * (x[2] - pair[k, 2])
     s = min(beside(pair, k, x), 0.0)
     return float(a * a + s * s)
+
+
+@njit(cache=True, nogil=True)
+def is_more_level(pair: FloatArray, k: int) -> bool:
+    """Whether half plane k leans less than the other one, or as much and more along x."""
+    n, o = pair[k, 3:6], pair[1 - k, 3:6]
+    lean = abs(n[2]) - abs(o[2])
+    return bool(lean > _EQUAL or (lean >= -_EQUAL and abs(n[0]) > abs(o[0]) + _EQUAL))
+
+
+@njit(cache=True, nogil=True)
+def nearest_half(pair: FloatArray, x: FloatArray) -> int:
+    """The half plane that is nearer to x; on the line where they meet the more level one."""
+    more = from_half(pair, 1, x) - from_half(pair, 0, x)
+    return int(more < -(_EQUAL**2) or (more <= _EQUAL**2 and is_more_level(pair, 1)))
 
 
 @njit(cache=True, nogil=True)

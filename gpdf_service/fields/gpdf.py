@@ -184,10 +184,9 @@ class Gpdf:
         reach = HALO * self.length_scale
         gone = within(self.tree, np.flatnonzero(~keep), reach)  # rows of the old tree whose α feels the loss
         tree, source = change_tree(self.tree, keep, added)
-        old = source >= 0
-        alpha, own = np.full(len(source), np.nan), np.zeros(len(source))
-        alpha[old], own[old] = self.alpha[source[old]], self.noise[source[old]]
-        own[~old] = noise[-1 - source[~old]]
+        old, at = source >= 0, np.maximum(source, 0)  # what is taken for a new point is overwritten
+        alpha, own, discs = self.alpha[at], self.noise[at], self.discs[at]
+        alpha[~old], own[~old] = np.nan, noise[-1 - source[~old]]
         felt = np.zeros(len(self.points), dtype=bool)
         felt[gone] = True
         touched = ~old
@@ -196,8 +195,6 @@ class Gpdf:
         rows = np.flatnonzero(touched)
         if len(rows):
             alpha[rows] = solve_rows(tree, rows, alpha, self.length_scale, self.noise_variance)
-        discs = np.empty((len(source), 6))
-        discs[old] = self.discs[source[old]]
         discs[rows] = local_shape(tree, rows, self.spacing, own[rows])
         return Gpdf(tree, alpha, discs, own, self.length_scale, self.noise_variance, self.spacing, self.domain)
 

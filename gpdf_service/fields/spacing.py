@@ -8,7 +8,7 @@ import numpy as np
 from numba import njit
 from scipy.spatial import cKDTree
 
-from gpdf_service.fields.edge import fit_pair, from_half
+from gpdf_service.fields.edge import fit_pair, nearest_half
 from gpdf_service.fields.heights import quadric_rest
 from gpdf_service.fields.noise import EDGE
 from gpdf_service.fields.order import corners_of, order_by
@@ -87,8 +87,7 @@ def _shape_range(
         elif _BENT * low > middle and low > noise[r] ** 2:
             rest = fit_pair(near, count, normal, side, pair)
             if rest < EDGE * quadric_rest(near, count, normal):
-                k = 0 if from_half(pair, 0, mean * 0.0) <= from_half(pair, 1, mean * 0.0) else 1
-                normal[:] = pair[k, 3:6]
+                normal[:] = pair[nearest_half(pair, mean * 0.0), 3:6]
         discs[r, :3], discs[r, 4] = normal, gap
         wide = min(0.5 * gap, sqrt(max(middle, 0.0))) * (1.0 - low / middle) if middle > low else 0.0
         discs[r, 3] = max(wide - 2.0 * noise[r], 0.0)

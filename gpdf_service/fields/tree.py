@@ -88,9 +88,7 @@ def change_tree(tree: Tree, keep: BoolArray, added: FloatArray) -> tuple[Tree, I
     Returns:
         The tree, and where each of its rows comes from: a row of the old tree, or −1 − a row of `added`.
     """
-    begin = np.concatenate([[0], np.cumsum(keep)])[tree.begin]
-    source = np.flatnonzero(keep)
-    points = tree.points[source]
+    points, source, begin = _kept(tree.points, keep, tree.begin)
     if len(added):
         fresh = build_tree(added)
         points, source = np.concatenate([points, fresh.points]), np.concatenate([source, -1 - fresh.order])
@@ -99,6 +97,22 @@ def change_tree(tree: Tree, keep: BoolArray, added: FloatArray) -> tuple[Tree, I
         built = build_tree(points)
         return built, source[built.order]
     return tree_of(points, np.arange(len(points)), begin), source
+
+
+@njit(cache=True, nogil=True)
+def _kept(points: FloatArray, keep: BoolArray, begin: IntArray) -> tuple[FloatArray, IntArray, IntArray]:
+    """The points to keep, their rows, and where each leaf begins among them."""
+    count = np.count_nonzero(keep)
+    made, source, first, used = np.empty((count, points.shape[1])), np.empty(count, np.int64), np.zeros_like(begin), 0
+    for leaf in range(len(begin) - 1):
+        for i in range(begin[leaf], begin[leaf + 1]):
+            if keep[i]:
+                for k in range(points.shape[1]):
+                    made[used, k] = points[i, k]
+                source[used] = i
+                used += 1
+        first[leaf + 1] = used
+    return made, source, first
 
 
 @njit(cache=True, nogil=True)

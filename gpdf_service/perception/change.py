@@ -15,13 +15,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gpdf_service.config import PerceptionConfig
+from gpdf_service.fields.threads import run_parallel
 from gpdf_service.perception.columns import (
     bounds_of,
     by_cell,
     cells_in_box,
+    more_now,
     rows_in_box,
     rows_in_cells,
     rows_of_cells,
+    taken,
     without_rows,
 )
 from gpdf_service.perception.layers import Layers, beside_now, build_layers, grid_of, layer_gap, splice_layers
@@ -57,6 +60,7 @@ from gpdf_service.perception.segment import Segmentation, change_segmentation
 from gpdf_service.perception.strays import find_strays
 from gpdf_service.perception.surface import (
     MAX_HOLE_RADIUS,
+    NOWHERE,
     OBSERVED,
     UNKNOWN,
     Box,
@@ -120,7 +124,7 @@ def change(
         NoGroundError: nothing in it is walkable.
     """
     fresh = len(cloud) - int(np.count_nonzero(keep))
-    places = np.concatenate([old.points[~keep], cloud[len(cloud) - fresh :]])
+    places = np.concatenate([taken(old.points, np.flatnonzero(~keep)), cloud[len(cloud) - fresh :]])
     if len(places) == 0:
         return replace(old, touched=tuple(None for _ in old.levels.levels))
     known = _Cloud(cloud, places[:, :2].min(axis=0) - _AT_HAND, places[:, :2].max(axis=0) + _AT_HAND)
@@ -130,10 +134,10 @@ def change(
         if segmentation is None:
             raise WholeError
         segmentation, ground = _change_segmentation(segmentation, known, before, places, config)
-    places = np.concatenate([places, cloud[before != ground]])
+    places = np.concatenate([places, cloud[np.flatnonzero(before != ground)]])
     stray = np.concatenate([old.survey.stray[keep], np.zeros(fresh, dtype=bool)])
     again = _change_strays(stray, known, ground, places, alone(old.survey.layers.cell_width))
-    places = np.concatenate([places, cloud[again != stray]])
+    places = np.concatenate([places, cloud[np.flatnonzero(again != stray)]])
     _check_grid(cloud, ground, old.survey.layers, places)
     levels, survey, touched = _change_levels(old, known, ground, again, places, config)
     return Perceived(cloud, ground, segmentation, levels, survey, touched)
@@ -176,7 +180,7 @@ class _Cloud:
     def __init__(self, points: FloatArray, low: FloatArray, high: FloatArray, rows: IntArray | None = None) -> None:
         self.points, self.low, self.high = points, low, high
         self._rows: IntArray = rows_in_box(points, low, high) if rows is None else rows
-        self._near = points[self._rows]
+        self._near = taken(points, self._rows)
         self._sorted: dict[bytes, tuple[tuple[slice, slice], IntArray, IntArray]] = {}
 
     def without(self, gone: IntArray, fresh: FloatArray) -> _Cloud:
@@ -198,7 +202,7 @@ class _Cloud:
             whole: IntArray = rows_in_cells(self.points, grid.origin, grid.cell_width, wanted)
             return whole
         at_hand, start, order = self._by_cell(grid, wanted.shape)
-        return np.sort(self._rows[rows_of_cells(wanted[at_hand].ravel(), start, order)])
+        return self._rows[rows_of_cells(wanted[at_hand].ravel(), start, order)]
 
     def rows_in_box(self, low: FloatArray, high: FloatArray) -> IntArray:
         """Rows of the points between `low` and `high` in plan [m], shape (2,); sorted."""
@@ -287,14 +291,15 @@ def _change_levels(
     if len(sheets) != len(old.levels.levels):
         raise WholeError
     stay, now = ~cells.ravel()[old.survey.layers.cell], ~cells.ravel()[layers.cell]
-    made = []
-    for i, (level, inside) in enumerate(zip(old.levels.levels, sheets, strict=True)):
-        moved = cells.copy()  # cells that may hold another node of the sheet
-        moved.ravel()[layers.cell[now][inside[now] != old.survey.sheets[i][stay]]] = True
+
+    def one(i: int) -> tuple[GroundLevel, Voids, Completion, BoolArray | None]:
+        level, inside, moved = old.levels.levels[i], sheets[i], cells.copy()
+        moved.ravel()[layers.cell[now][inside[now] != old.survey.sheets[i][stay]]] = True  # maybe another node of it
         was = _seen_of(level.surface)
         part = _Part(cloud, ground, stray, layers, inside, _change_seen(was, layers, inside, moved), cells)
-        made.append(_change_level(level, was, old.survey.voids[i], old.survey.completions[i], part, config))
-    known, voids, completions, touched = zip(*made, strict=True)
+        return _change_level(level, was, old.survey.voids[i], old.survey.completions[i], part, config)
+
+    known, voids, completions, touched = zip(*run_parallel(one, range(len(sheets))), strict=True)
     return Levels(known, find_portals(layers, sheets)), Survey(near, stray, sheets, voids, completions), touched
 
 
@@ -333,7 +338,7 @@ class _Part:
         mine = self.ground[rows]
         if mine.any():
             mine[mine] = self.inside[_nodes_of(_columns(self.cloud, rows[mine], self.layers, config), self.layers)]
-        rest: FloatArray = self.cloud.points[rows[~mine]]
+        rest: FloatArray = taken(self.cloud.points, rows[~mine])
         return rest
 
 
@@ -379,7 +384,7 @@ def _in_box(cloud: _Cloud, surface: HeightMap, box: Box) -> FloatArray:
     """The points in a box of cells."""
     cells = np.zeros(surface.state.shape, dtype=bool)
     cells[box] = True
-    return cloud.points[cloud.rows_in(surface, cells)]
+    return taken(cloud.points, cloud.rows_in(surface, cells))
 
 
 def _around(cells: BoolArray, width: float) -> Box:
@@ -422,10 +427,8 @@ def _with(points: FloatArray, values: NDArray[np.float32]) -> FloatArray:
 def _other_cells(surface: HeightMap, was: FloatArray, now: FloatArray) -> BoolArray:
     """Cells that hold other points than before: rows of x, y, z and what else tells them apart."""
     both = np.concatenate([was, now])
-    _, kind = np.unique(hashed(both), return_inverse=True)
-    more = np.bincount(kind[len(was) :], minlength=len(kind)) - np.bincount(kind[: len(was)], minlength=len(kind))
     found = np.zeros(surface.height.shape, dtype=bool)
-    ix, iy, _ = surface.cells(both[more[kind] != 0])
+    ix, iy, _ = surface.cells(both[more_now(hashed(both), len(was)) != 0])
     found[ix, iy] = True
     return found
 
@@ -453,8 +456,10 @@ def _ledge_reach(surface: HeightMap) -> int:
 def _ledges_of(part: _Part, surface: HeightMap, other: FloatArray) -> NDArray[np.float32]:
     cells = np.zeros(surface.state.shape, dtype=bool)
     cells[surface.cells(other)[:2]] = True
-    rows = part.cloud.rows_in(part.layers, widened(cells, _ledge_reach(surface)))
-    return find_ledges(surface, part.cloud.points[rows[part.ground[rows]]], other)
+    reach = _ledge_reach(surface)
+    rows = part.cloud.rows_in(part.layers, widened(cells, reach))
+    box = window(cells, reach + HIGH) if len(other) else NOWHERE
+    return find_ledges(surface, part.cloud.points[rows[part.ground[rows]]], other, box=box)
 
 
 def changed_cells(old: HeightMap, new: HeightMap) -> BoolArray | None:

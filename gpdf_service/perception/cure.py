@@ -55,7 +55,9 @@ class Found(NamedTuple):
     segmentation: Segmentation | None = None
 
 
-def cure_and_segment(points: FloatArray, ground: BoolArray | None, config: PerceptionConfig) -> Found:
+def cure_and_segment(
+    points: FloatArray, ground: BoolArray | None, config: PerceptionConfig, width: float | None = None
+) -> Found:
     """Move the points of a noisy cloud onto their surfaces, and tell ground from the rest.
 
     At the foot of a wall a neighbourhood holds both floor and wall, and its plane is neither. So ground and the rest
@@ -67,9 +69,10 @@ def cure_and_segment(points: FloatArray, ground: BoolArray | None, config: Perce
         points: The cloud [m], shape (n, 3).
         ground: Labels, shape (n,); our own segmentation where not given.
         config: Limits.
+        width: Of the cells that a clean cloud is segmented in [m]; measured when not given.
     """
     (first, segmentation, refused), (picked, spacing, noise) = run_beside(
-        partial(_first_look, points, ground, config), partial(_told, points)
+        partial(_first_look, points, ground, config, width), partial(_told, points)
     )
     least = max(config.negligible_noise, (_SEEN if ground is None else _SEEN_APART) * spacing)
     if refused is not None and noise <= least:
@@ -121,11 +124,11 @@ def _told(points: FloatArray) -> tuple[BoolArray, float, float]:
 
 
 def _first_look(
-    points: FloatArray, ground: BoolArray | None, config: PerceptionConfig
+    points: FloatArray, ground: BoolArray | None, config: PerceptionConfig, width: float | None
 ) -> tuple[BoolArray, Segmentation | None, NoGroundError | None]:
     """The ground of a cloud as it is; none, and why, where noise may hide it."""
     try:
-        return (*segment(points, config), None) if ground is None else (ground, None, None)
+        return (*segment(points, config, width), None) if ground is None else (ground, None, None)
     except NoGroundError as error:
         return np.zeros(len(points), dtype=bool), None, error
 

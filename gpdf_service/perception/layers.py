@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from gpdf_service.config import PerceptionConfig
@@ -27,6 +25,7 @@ from gpdf_service.perception.columns import (
     pairs_near,
     spliced,
     spliced_pairs,
+    values_spliced,
 )
 from gpdf_service.types import BoolArray, FloatArray, IntArray
 
@@ -134,20 +133,13 @@ def splice_layers(layers: Layers, changed: BoolArray, fresh: Layers | None) -> L
     """Layers with all nodes of the `changed` cells, shape (cells,), replaced by those of `fresh` on the same grid."""
     first = np.zeros_like(layers.start) if fresh is None else fresh.start
     start, source = spliced(changed, layers.start, first)
-    new, old = np.flatnonzero(source < 0), np.maximum(source, 0)
-
-    def both(name: str) -> NDArray[Any]:
-        made: NDArray[Any] = getattr(layers, name)[old]
-        if fresh is not None:
-            made[new] = getattr(fresh, name)[-1 - source[new]]
-        return made
-
-    parts = (
-        *(both(name) for name in ("cell", "place", "height", "thickness", "headroom")),
-        np.zeros(0, np.int64),
-        start,
+    new, nothing = layers if fresh is None else fresh, np.zeros(0, np.int64)
+    cell, place, height, thickness, headroom = (
+        values_spliced(getattr(layers, name), getattr(new, name), source)
+        for name in ("cell", "place", "height", "thickness", "headroom")
     )
-    return Layers(layers.origin, layers.cell_width, layers.shape, *parts)
+    grid = layers.origin, layers.cell_width, layers.shape
+    return Layers(*grid, cell, place, height, thickness, headroom, nothing, start)
 
 
 def crop_layers(layers: Layers, box: tuple[slice, slice]) -> tuple[Layers, IntArray]:

@@ -20,7 +20,6 @@ from gpdf_service.perception.columns import (
     ends_of_runs,
     heights_in_plan,
     lowest_above,
-    rows_in_cells,
 )
 from gpdf_service.perception.hidden import FACE_REACH, find_faces, hidden_reach, without_hidden
 from gpdf_service.perception.layers import Beside, Layers, beside, build_layers, cell_width_of, layer_gap
@@ -33,6 +32,7 @@ from gpdf_service.perception.limits import (
     pasted_ground,
     smoothed,
     step_and_slope,
+    widened,
     window,
 )
 from gpdf_service.perception.nodes import components, degrees, grown_sheet
@@ -483,32 +483,32 @@ def make_level(
     return GroundLevel(surface, surface.centres(known), inferred, other, ledge, limits, measured)
 
 
-def find_ledges(surface: HeightMap, ground: FloatArray, other: FloatArray, noise: float = 0.0) -> NDArray[np.float32]:
+def find_ledges(
+    surface: HeightMap, ground: FloatArray, other: FloatArray, noise: float = 0.0, box: Box = WHOLE
+) -> NDArray[np.float32]:
     """`next_above` by the `ground` points of this sheet, for those `other` points that can be a step's face.
 
     No cure takes the `noise` [m] along a face out of it: its upper rim stands over the ground behind it by as much.
+    The `box` of cells holds all `other` points, and what is within twice `FACE` and `HIGH` cells of them.
     """
-    reach = max(surface.cell_width, RESOLVED_STEP * noise)
-    high = high_ground(surface)
+    reach, part = max(surface.cell_width, RESOLVED_STEP * noise), cropped(surface, box)
+    high = np.append(high_ground(part), -np.inf)  # nothing is low outside of the box
 
-    def low(points: FloatArray) -> BoolArray:
-        ix, iy, inside = surface.cells(points)
-        beneath: BoolArray = inside & (points[:, 2] <= high[ix, iy] + reach)
-        return beneath
+    def low(points: FloatArray) -> tuple[BoolArray, IntArray]:
+        cell = cells_within(points, surface, box)
+        return points[:, 2] <= high[cell] + reach, cell
 
-    asked = low(other)
-    ix, iy, _ = surface.cells(other[asked])
-    beside = np.zeros(surface.state.shape, dtype=bool)
-    beside[ix, iy] = True
-    beside = ndimage.maximum_filter(beside, size=2 * int(np.ceil(1.5 * FACE / surface.cell_width)) + 1)
-    ground = ground[rows_in_cells(ground, surface.origin, surface.cell_width, beside)]
-    ground = ground[low(ground)]
+    asked, cell = low(other)
+    cell = cell[asked]
+    beside = np.zeros(part.state.shape, dtype=bool)
+    beside.ravel()[cell] = True
+    near = np.append(widened(beside, int(np.ceil(1.5 * FACE / surface.cell_width))), np.zeros(1, dtype=bool))
+    lies_low, at = low(ground)
+    ground = ground[lies_low & near[at]]
     ledge = np.full(len(other), np.inf, np.float32)
     if len(ground) and asked.any():
-        z = other[asked, 2]
-        ledge[asked] = next_above(
-            ground, other[asked], np.maximum(z - LEAST_OBSTACLE, step_over(surface, noise)[ix, iy])
-        )
+        least = np.maximum(other[asked, 2] - LEAST_OBSTACLE, step_over(part, noise).ravel()[cell])
+        ledge[asked] = next_above(ground, other[asked], least)
     if noise > 0.0 and len(ground):
         _add_rims(ledge, asked, ground, other, noise)
     return ledge

@@ -105,13 +105,13 @@ def pasted_ground(whole: HeightMap, part: HeightMap, inner: Box, outer: Box) -> 
 
 def window(cells: BoolArray, by: int) -> Box:
     """The rows and columns that hold all `cells`, shape (nx, ny), and `by` cells more on each side."""
-    left, right, near, far = _span(cells)
+    left, right, near, far = span(cells)
     nx, ny = cells.shape
     return slice(max(left - by, 0), min(right + by, nx)), slice(max(near - by, 0), min(far + by, ny))
 
 
 @njit(cache=True, nogil=True)
-def _span(cells: BoolArray) -> tuple[int, int, int, int]:
+def span(cells: BoolArray) -> tuple[int, int, int, int]:
     """First row and behind the last, first column and behind the last of the cells."""
     left, right, near, far = cells.shape[0], 0, cells.shape[1], 0
     for x in range(cells.shape[0]):

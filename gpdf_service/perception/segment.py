@@ -146,12 +146,15 @@ class Segmentation:
         return held
 
 
-def segment(cloud: FloatArray, config: PerceptionConfig) -> tuple[BoolArray, Segmentation | None]:
+def segment(
+    cloud: FloatArray, config: PerceptionConfig, width: float | None = None
+) -> tuple[BoolArray, Segmentation | None]:
     """`segment_ground` of points (n, 3) that have been checked: which are ground, and what that was found from.
 
-    None where the ground is so rough or noisy that a second look with wider cells was needed.
+    The cells' width [m] is measured when it is not given. None where the ground is so rough or noisy that a second look
+    with wider cells was needed.
     """
-    z, width = cloud[:, 2], cell_width_of(cloud)
+    z, width = cloud[:, 2], cell_width_of(cloud) if width is None else width
     layers = build_layers(cloud, width, layer_gap(width, config))
     found = segment_layers(layers, config, z)
     wider = float(np.sqrt(NOISY * found.deviation * width))

@@ -113,8 +113,8 @@ class HeightMap:
 
     def centres(self, mask: BoolArray) -> FloatArray:
         """Centres of the cells in `mask`, shape (nx, ny), with their height: (k, 3) [m]."""
-        index = np.argwhere(mask)
-        return np.column_stack([self.origin + (index + 0.5) * self.cell_width, self.height[mask].astype(np.float64)])
+        found: FloatArray = _centres(self.arrays, mask)
+        return found
 
 
 def changed(old: HeightMap, new: HeightMap) -> BoolArray:
@@ -161,6 +161,19 @@ def _cells(
         if y > 0.0:
             iy[m] = int(min(y, ny - 1.0))
     return ix, iy, inside
+
+
+@njit(cache=True, nogil=True)
+def _centres(ground: Cells, mask: BoolArray) -> FloatArray:
+    made, used = np.empty((np.count_nonzero(mask), 3)), 0
+    for x in range(mask.shape[0]):
+        for y in range(mask.shape[1]):
+            if mask[x, y]:
+                made[used, 0] = ground.origin[0] + (x + 0.5) * ground.width
+                made[used, 1] = ground.origin[1] + (y + 0.5) * ground.width
+                made[used, 2] = ground.height[x, y]
+                used += 1
+    return made
 
 
 @njit(cache=True, nogil=True)

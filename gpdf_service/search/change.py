@@ -9,8 +9,10 @@ import numpy as np
 
 from gpdf_service.config import FieldConfig, SearchConfig
 from gpdf_service.fields import Gpdf, Tree, build_tree, change_tree, thin
+from gpdf_service.fields.threads import run_parallel
 from gpdf_service.perception import GroundLevel, GroundLimits, HeightMap, Levels, Obstacles, obstacles_of
 from gpdf_service.perception.change import hashed
+from gpdf_service.perception.columns import bounds_of, more_now, rows_in_cells, taken, without_rows
 from gpdf_service.perception.limits import widened, window
 from gpdf_service.perception.surface import UNKNOWN
 from gpdf_service.search.free_space import (
@@ -22,7 +24,7 @@ from gpdf_service.search.free_space import (
 )
 from gpdf_service.search.graph import change_edges
 from gpdf_service.search.quadtree import change_quadtree
-from gpdf_service.types import BoolArray, FloatArray
+from gpdf_service.types import BoolArray, FloatArray, IntArray
 
 
 def change_free_space(
@@ -46,11 +48,12 @@ def change_free_space(
         field_config: Of the Obstacle GPDFs.
         noise: Of the cloud [m].
     """
-    made = []
-    for i, (level, field, cells) in enumerate(zip(levels.levels, ground_fields, touched, strict=True)):
+
+    def one(i: int) -> LevelSpace:
+        level, cells = levels.levels[i], touched[i]
         was = LevelSpace(
             old.surfaces[i],
-            field,
+            ground_fields[i],
             level.measured,
             old.obstacles[i],
             old.trees[i],
@@ -58,7 +61,9 @@ def change_free_space(
             old.quadtrees[i],
             old.edges[i],
         )
-        made.append(was if cells is None else _change_level(was, level, cells, old, config, field_config, noise))
+        return was if cells is None else _change_level(was, level, cells, old, config, field_config, noise)
+
+    made = run_parallel(one, range(len(touched)))
     return join_levels(old.agent, *reach_of(old.agent, config, noise), made, levels)
 
 
@@ -76,20 +81,24 @@ def _change_level(
     reach = int(np.ceil(3.0 * agent.disc_radius / surface.cell_width)) + 6
     region = widened(touched, reach)
     found = obstacles_of(_part(level, region, reach), agent, noise)
-    inside = region[surface.cells(found.points)[:2]]
-    stay = ~region[surface.cells(was.obstacles.points)[:2]]
-    gone, fresh = was.obstacles.points[~stay], found.points[inside]
+    inside, lost = (rows_in_cells(each.points, *_grid(surface), region) for each in (found, was.obstacles))
+    both = np.concatenate([_rows(was.obstacles, lost), _rows(found, inside)])
+    other = more_now(hashed(both), len(lost)) != 0
+    lost, inside, places = lost[other[: len(lost)]], inside[other[len(lost) :]], both[other, :2].copy()
+    stay = np.ones(len(was.obstacles.points), dtype=bool)
+    stay[lost] = False
+    fresh = found.points[inside]
     tree = _change_tree(was.tree, stay, fresh[:, :2])
     obstacles = Obstacles(
-        np.concatenate([was.obstacles.points[stay], fresh]),
+        without_rows(was.obstacles.points, stay, fresh),
         np.concatenate([was.obstacles.kind[stay], found.kind[inside]]),
     )
-    places = _difference(gone[:, :2], fresh[:, :2])
     known = (was.surface.state != UNKNOWN) != (surface.state != UNKNOWN)
     part = replace(was, surface=surface, measured=level.measured, obstacles=obstacles)
     if len(places) == 0 and not known.any():
         return replace(part, tree=tree, obstacle_field=was.obstacle_field.over(surface))
-    quadtree = change_quadtree(was.quadtree, surface, tree, radius, build_tree(places) if len(places) else None, known)
+    around = build_tree(places) if len(places) else None
+    quadtree = change_quadtree(was.quadtree, surface, tree, radius, around, known)
     field = _change_field(was, obstacles, places, config.field_spacing * agent.disc_radius)
     if field is None:
         field = fit_obstacle_field(obstacles, surface, agent, config, field_config)
@@ -98,8 +107,18 @@ def _change_level(
         tree=tree,
         obstacle_field=field.over(surface),
         quadtree=quadtree,
-        edges=change_edges(was.quadtree, was.edges, quadtree, tree, radius, places),
+        edges=change_edges(was.quadtree, was.edges, quadtree, tree, radius, around),
     )
+
+
+def _rows(obstacles: Obstacles, rows: IntArray) -> FloatArray:
+    """Some obstacles as rows of x, y, z [m] and kind, shape (k, 4)."""
+    made: FloatArray = np.column_stack([obstacles.points[rows], obstacles.kind[rows]])
+    return made
+
+
+def _grid(surface: HeightMap) -> tuple[FloatArray, float]:
+    return np.asarray(surface.origin, dtype=np.float64), surface.cell_width
 
 
 def _change_tree(tree: Tree, stay: BoolArray, fresh: FloatArray) -> Tree:
@@ -119,24 +138,15 @@ def _part(level: GroundLevel, region: BoolArray, reach: int) -> GroundLevel:
     corner = surface.origin + np.array([box[0].start, box[1].start]) * surface.cell_width
     wanted = np.zeros_like(region)
     wanted[box] = True
-    other = wanted[surface.cells(level.other_points)[:2]]
-    limit = wanted[surface.cells(level.limits.points)[:2]]
     limits = level.limits
+    other, limit = (rows_in_cells(each, *_grid(surface), wanted) for each in (level.other_points, limits.points))
     return replace(
         level,
         surface=HeightMap(corner, surface.cell_width, surface.height[box], surface.state[box]),
-        other_points=level.other_points[other],
+        other_points=taken(level.other_points, other),
         ledge=level.ledge[other],
         limits=GroundLimits(limits.points[limit], limits.kind[limit], limits.value[limit]),
     )
-
-
-def _difference(a: FloatArray, b: FloatArray) -> FloatArray:
-    """The rows of (n, 2) and (m, 2) that only one of the two has."""
-    _, row, kind = np.unique(hashed(both := np.concatenate([a, b])), return_index=True, return_inverse=True)
-    held = [np.bincount(part, minlength=len(row)) > 0 for part in (kind[: len(a)], kind[len(a) :])]
-    only: FloatArray = both[row[held[0] != held[1]]]
-    return only
 
 
 def _change_field(was: LevelSpace, obstacles: Obstacles, places: FloatArray, spacing: float) -> Gpdf | None:
@@ -147,32 +157,23 @@ def _change_field(was: LevelSpace, obstacles: Obstacles, places: FloatArray, spa
     """
     if len(places) == 0:
         return was.obstacle_field
-    plan, width = obstacles.points[:, :2], 0.95 * spacing
-    corner = plan.min(axis=0)
-    if (corner != was.obstacles.points[:, :2].min(axis=0)).any():
+    width, corner = 0.95 * spacing, bounds_of(obstacles.points)[0]
+    if (corner != bounds_of(was.obstacles.points)[0]).any():
         return None
     cells = np.floor((places - corner) / width).astype(np.int64)
-    low, high = cells.min(axis=0), cells.max(axis=0) + 1
-    wanted = np.zeros(high - low, dtype=bool)
-    wanted[tuple((cells - low).T)] = True
-    if (cells == 0).all(axis=1).any():
+    wanted = np.zeros(cells.max(axis=0) + 1, dtype=bool)
+    wanted[tuple(cells.T)] = True
+    if wanted[0, 0]:
         return None
-
-    def within(points: FloatArray) -> BoolArray:
-        cell = np.floor((points - corner) / width).astype(np.int64)
-        inside: BoolArray = np.logical_and.reduce((cell >= low) & (cell < high), axis=1)
-        inside[inside] = wanted[tuple((cell[inside] - low).T)]
-        return inside
-
-    near = plan[within(plan)]
+    near = obstacles.points[rows_in_cells(obstacles.points, corner, width, wanted), :2]
     rows = thin(np.concatenate([[corner], near]), width)  # the corner makes the cells those of all points
-    fresh, gone = near[rows[rows > 0] - 1], within(was.obstacle_field.points)
-    if gone.mean() > 0.5 or len(fresh) > 0.5 * len(gone):
+    fresh, points = near[rows[rows > 0] - 1], was.obstacle_field.points
+    lost = rows_in_cells(points, corner, width, wanted)
+    if max(len(lost), len(fresh)) > 0.5 * len(points):
         return None
-    keep = _among(was.obstacle_field.points[gone], fresh)
-    again = ~_among(fresh, was.obstacle_field.points[gone])
-    gone[gone] = ~keep
-    return was.obstacle_field.replace(gone, fresh[again])
+    gone = np.zeros(len(points), dtype=bool)
+    gone[lost[~_among(points[lost], fresh)]] = True
+    return was.obstacle_field.replace(gone, fresh[~_among(fresh, points[lost])])
 
 
 def _among(rows: FloatArray, others: FloatArray) -> BoolArray:

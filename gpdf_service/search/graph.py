@@ -8,12 +8,12 @@ from math import sqrt
 
 import numpy as np
 from numba import njit
-from scipy.sparse import csr_matrix
-from scipy.sparse.csgraph import connected_components
 
 from gpdf_service.fields import Tree
 from gpdf_service.fields.threads import run_chunked
-from gpdf_service.perception.columns import by_cell
+from gpdf_service.fields.traversal import nearest_at
+from gpdf_service.fields.tree import make_scratch, place_of
+from gpdf_service.perception.nodes import components
 from gpdf_service.search.motion import is_clear
 from gpdf_service.search.quadtree import Quadtree
 from gpdf_service.types import BoolArray, FloatArray, IntArray
@@ -70,13 +70,14 @@ Edges = tuple[IntArray, FloatArray]
 """Pairs of leaves, shape (e, 2), and where they cross from one to the other (x, y) [m], shape (e, 2)."""
 
 
-def find_edges(tree: Quadtree, obstacles: Tree, radius: float, among: BoolArray | None = None) -> Edges:
+def find_edges(tree: Quadtree, obstacles: Tree, radius: float, of: BoolArray | None = None) -> Edges:
     """Pairs of free leaves that share a side, with a proven passage: ends (e, 2) and crossings (e, 2) [m].
 
     Every leaf looks once across each of its four sides; the leaf found there is larger, or as large, and then the pair
-    is kept once. So each pair of neighbours is found, in time n log n. Only leaves `among`, shape (k,), look, if given.
+    is kept once. So each pair of neighbours is found, in time n log n. Only pairs with a leaf `of` these, shape (k,),
+    if they are given: then only those and the leaves that touch them look.
     """
-    leaves = np.flatnonzero(tree.free if among is None else tree.free & among)
+    leaves = np.flatnonzero(tree.free if of is None else tree.free & tree.touching(of))
     corner, size, center, half = tree.corner[leaves], tree.size[leaves], tree.center, tree.half_size[leaves]
     ends, vias = [], []
     for axis in (0, 1):
@@ -86,6 +87,8 @@ def find_edges(tree: Quadtree, obstacles: Tree, radius: float, among: BoolArray 
             found = tree.find_cell(probe)
             larger = (found >= 0) & tree.free[found] & (tree.size[found] >= size)
             once = larger & ((tree.size[found] > size) | (side > 0))
+            if of is not None:
+                once &= of[leaves] | of[found]
             via = center[leaves]
             via[:, axis] += side * half
             ends.append(np.column_stack([leaves[once], found[once]]))
@@ -98,37 +101,90 @@ def find_edges(tree: Quadtree, obstacles: Tree, radius: float, among: BoolArray 
 
 
 def change_edges(
-    old: Quadtree, edges: Edges, tree: Quadtree, obstacles: Tree, radius: float, places: FloatArray
+    old: Quadtree, edges: Edges, tree: Quadtree, obstacles: Tree, radius: float, places: Tree | None
 ) -> Edges:
     """`find_edges` of a tree that was changed, from those of the `old` one: only leaves at the change look again.
 
-    What proves an edge are obstacles within the radius and a leaf's width. So it stands where both leaves are as they
-    were, and the `places`, shape (k, 2) [m], where obstacles came or went, are further away.
+    What proves an edge are obstacles within the radius of its way through its two leaves. So it stands where both are
+    as they were, and none of the `places` where obstacles came or went is that near.
     """
-    at = np.minimum(np.searchsorted(old.code, tree.code), len(old.code) - 1)
-    same = np.logical_and.reduce(
-        [getattr(old, key)[at] == getattr(tree, key) for key in ("code", "size", "free", "whole")]
-    )
-    if len(places):
-        reach = (radius + 3.0 * np.sqrt(2.0) * tree.half_size)[:, None]
-        low, high = places.min(axis=0) - reach, places.max(axis=0) + reach
-        same &= tree.whole | ~np.logical_and.reduce((tree.center >= low) & (tree.center <= high), axis=1)
+    now, same = _same_leaves(*(np.ascontiguousarray(getattr(each, key)) for each in (old, tree) for key in _LEAF))
+    if places is not None:
+        _feel(places, tree.center, tree.half_size, tree.free & ~tree.whole, radius, same)
     if same.all():
         return edges
-    far = tree.corner + tree.size[:, None]
-    low, high = tree.corner[~same].min(axis=0), far[~same].max(axis=0)
-    again = np.logical_and.reduce((far >= low) & (tree.corner <= high), axis=1)
-    now = np.searchsorted(tree.code, old.code)  # of the leaves that stay, the others are not asked for
-    kept = np.zeros(len(old.code), dtype=bool)
-    kept[at[~again]] = True
-    stay = kept[edges[0][:, 0]]
-    ends, via = find_edges(tree, obstacles, radius, again)
-    ends, via = np.concatenate([now[edges[0][stay]], ends]), np.concatenate([edges[1][stay], via])
-    off = via - tree.center[ends[:, 0]]
-    across = np.abs(off[:, 1]) > np.abs(off[:, 0])
-    side = np.where(across, 2 + (off[:, 1] > 0.0), off[:, 0] > 0.0)
-    order = np.argsort(side * len(tree.code) + ends[:, 0], kind="stable")  # as `find_edges` lists them
-    return ends[order], via[order]
+    ends, via = _merged_edges(now, same, edges, find_edges(tree, obstacles, radius, ~same), tree.center)
+    return ends, via
+
+
+_LEAF = "code", "size", "free", "whole"
+"""What tells a leaf."""
+
+
+@njit(cache=True, nogil=True)
+def _same_leaves(
+    code_was: IntArray,
+    size_was: IntArray,
+    free_was: BoolArray,
+    whole_was: BoolArray,
+    code: IntArray,
+    size: IntArray,
+    free: BoolArray,
+    whole: BoolArray,
+) -> tuple[IntArray, BoolArray]:
+    """Number now of each leaf that was, −1 where it is another, and which of the leaves now are as they were."""
+    now, same, i = np.full(len(code_was), -1), np.zeros(len(code), np.bool_), 0
+    for j in range(len(code_was)):
+        while i < len(code) and code[i] < code_was[j]:
+            i += 1
+        if i == len(code):
+            break
+        if code[i] == code_was[j] and size[i] == size_was[j] and free[i] == free_was[j] and whole[i] == whole_was[j]:
+            now[j], same[i] = i, True
+    return now, same
+
+
+@njit(cache=True, nogil=True)
+def _feel(
+    places: Tree, center: FloatArray, half_size: FloatArray, asked: BoolArray, radius: float, same: BoolArray
+) -> None:
+    """Leaves of those `asked` are not the `same` if a place is within the radius of one of theirs, or little more."""
+    scratch, low, high = make_scratch(), np.empty(2), np.empty(2)
+    for k in range(2):
+        low[k], high[k] = places.points[:, k].min(), places.points[:, k].max()
+    for i in range(len(asked)):
+        if not (asked[i] and same[i]):
+            continue
+        reach = radius + 3.0 * half_size[i]  # twice half the diagonal: more than the resolution of a proof
+        near = low[0] - reach <= center[i, 0] <= high[0] + reach and low[1] - reach <= center[i, 1] <= high[1] + reach
+        same[i] = not (near and nearest_at(places, place_of(center[i]), scratch)[0] <= reach)
+
+
+@njit(cache=True, nogil=True)
+def _merged_edges(now: IntArray, same: BoolArray, old: Edges, fresh: Edges, center: FloatArray) -> Edges:
+    """The old edges between leaves that are the `same`, and the fresh ones, in the order of `find_edges`."""
+    size, used, f = len(old[0]) + len(fresh[0]), 0, 0
+    ends, via = np.empty((size, 2), np.int64), np.empty((size, 2))
+    for e in range(len(old[0]) + 1):
+        last = e == len(old[0])
+        a, b = (0, 0) if last else (now[old[0][e, 0]], now[old[0][e, 1]])
+        if a < 0 or b < 0 or not (last or (same[a] and same[b])):
+            continue
+        rank = (4, 0) if last else (_side(old[1][e], center[a]), a)
+        while f < len(fresh[0]) and (_side(fresh[1][f], center[fresh[0][f, 0]]), fresh[0][f, 0]) < rank:
+            ends[used], via[used] = fresh[0][f], fresh[1][f]
+            used, f = used + 1, f + 1
+        if not last:
+            ends[used, 0], ends[used, 1], via[used] = a, b, old[1][e]
+            used += 1
+    return ends[:used].copy(), via[:used].copy()
+
+
+@njit(cache=True, nogil=True)
+def _side(via: FloatArray, center: FloatArray) -> int:
+    """Across which side of a leaf an edge goes, as `find_edges` looks at them."""
+    x, y = via[0] - center[0], via[1] - center[1]
+    return 2 + int(y > 0.0) if abs(y) > abs(x) else int(x > 0.0)
 
 
 def assemble(
@@ -139,21 +195,41 @@ def assemble(
     An edge costs its length times 1 + max(0, 1 − (d − r)/r): up to twice where the body brushes past, once where there
     is as much room beside it as half its width. The factor is at least 1, so the Euclidean heuristic stays admissible.
     """
-    length = np.linalg.norm(position[pairs[:, 0]] - via, axis=1) + np.linalg.norm(position[pairs[:, 1]] - via, axis=1)
-    room = np.minimum(clearance[pairs[:, 0]], clearance[pairs[:, 1]]) - radius
-    cost = length * (1.0 + np.clip(1.0 - room / radius, 0.0, 1.0))
-    count = len(position)
-    first, order = by_cell(np.concatenate([pairs[:, 0], pairs[:, 1]]), count)
-    links = csr_matrix((np.ones(len(pairs), np.int8), (pairs[:, 0], pairs[:, 1])), shape=(count, count))
-    return Graph(
-        np.ascontiguousarray(position),
-        level,
-        first,
-        np.concatenate([pairs[:, 1], pairs[:, 0]])[order],
-        np.concatenate([via, via])[order],
-        np.concatenate([cost, cost])[order],
-        connected_components(links, directed=False)[1].astype(np.int64),
+    rows = _rows(position, clearance, pairs, via, radius)
+    component = components(pairs[:, 0], pairs[:, 1], np.ones(len(position), dtype=bool))
+    return Graph(np.ascontiguousarray(position), level, *rows, component)
+
+
+@njit(cache=True, nogil=True)
+def _rows(
+    position: FloatArray, clearance: FloatArray, pairs: IntArray, via: FloatArray, radius: float
+) -> tuple[IntArray, IntArray, FloatArray, FloatArray]:
+    """First edge of each node, far end, crossing and cost of each edge."""
+    count, size = len(position), 2 * len(pairs)
+    first, other, crossing, cost = (
+        np.zeros(count + 1, np.int64),
+        np.empty(size, np.int64),
+        np.empty((size, 2)),
+        np.empty(size),
     )
+    for a, b in pairs:
+        first[a + 1] += 1
+        first[b + 1] += 1
+    for i in range(count):
+        first[i + 1] += first[i]
+    place = first[:-1].copy()
+    for end in range(2):
+        for e in range(len(pairs)):
+            a, b = pairs[e, end], pairs[e, 1 - end]
+            length = 0.0
+            for leaf in pairs[e]:
+                length += sqrt((position[leaf, 0] - via[e, 0]) ** 2 + (position[leaf, 1] - via[e, 1]) ** 2)
+            room = min(clearance[a], clearance[b]) - radius
+            at = place[a]
+            place[a] += 1
+            other[at], crossing[at, 0], crossing[at, 1] = b, via[e, 0], via[e, 1]
+            cost[at] = length * (1.0 + min(max(1.0 - room / radius, 0.0), 1.0))
+    return first, other, crossing, cost
 
 
 def find_path(graph: Graph, start: int, goal: int) -> IntArray:

@@ -18,6 +18,7 @@ from gpdf_service.fields import Tree, morton
 from gpdf_service.fields.traversal import nearest_at
 from gpdf_service.fields.tree import make_scratch, place_of
 from gpdf_service.perception import HeightMap
+from gpdf_service.perception.limits import span
 from gpdf_service.types import BoolArray, FloatArray, IntArray
 
 MIN_WIDTH = 0.014
@@ -51,7 +52,7 @@ class Quadtree:
     @property
     def center(self) -> FloatArray:
         """Centres of the leaves [m], shape (k, 2)."""
-        made: FloatArray = self.origin + (self.corner + 0.5 * self.size[:, None]) * self.width
+        made: FloatArray = _centers(self.origin, self.width, self.corner, self.size)
         return made
 
     @property
@@ -80,6 +81,29 @@ class Quadtree:
         """Leaf that holds each smallest cell, shape (m, 2); -1 outside the root."""
         found: IntArray = _find(self.code, self.side, cell)
         return found
+
+    def touching(self, leaves: BoolArray) -> BoolArray:
+        """Which leaves are among the `leaves`, shape (k,), or share a side or a corner with one of them."""
+        found: BoolArray = _touching(self.code, self.side, self.corner, self.size, leaves)
+        return found
+
+
+@njit(cache=True, nogil=True)
+def _centers(origin: FloatArray, width: float, corner: IntArray, size: IntArray) -> FloatArray:
+    made = np.empty((len(size), 2))
+    for i in range(len(size)):
+        for k in range(2):
+            made[i, k] = origin[k] + (corner[i, k] + 0.5 * size[i]) * width
+    return made
+
+
+@njit(cache=True, nogil=True)
+def _touching(code: IntArray, side: int, corner: IntArray, size: IntArray, leaves: BoolArray) -> BoolArray:
+    found = np.zeros(len(leaves), np.bool_)
+    for i in np.flatnonzero(leaves):
+        for j in _within(code, side, corner[i] - 0.5, corner[i] + size[i] + 0.5):
+            found[j] = True
+    return found
 
 
 @njit(cache=True, nogil=True)
@@ -121,7 +145,7 @@ def build_quadtree(surface: HeightMap, obstacles: Tree, radius: float) -> Quadtr
         radius: Least distance of the body's centre from any of them [m].
     """
     none = np.zeros(0, np.int64)
-    nothing = none, np.zeros(0), np.zeros(0, np.uint8), none
+    nothing = np.zeros((0, 2), np.int64), none, np.zeros(0), np.zeros(0, np.uint8), none
     return _grow(nothing, surface, obstacles, radius, None, np.zeros(surface.state.shape, dtype=bool))
 
 
@@ -135,7 +159,8 @@ def change_quadtree(
     """The tree that `build_quadtree` makes, from the one before.
 
     A node's distance to the obstacles is another only if a place that changed is as near as its old distance, which a
-    leaf knows, and which is less than the radius and half the diagonal where the node was split. All else is copied.
+    leaf knows, and which is less than the radius and half the diagonal where the node was split; that of what is in it
+    is at most half a diagonal more, from a centre half a diagonal nearer. All else is copied.
 
     Args:
         old: The tree before, over a surface of the same grid.
@@ -146,11 +171,11 @@ def change_quadtree(
         changed: Cells that became known or unknown, shape (nx, ny).
     """
     state = old.free.astype(np.uint8) + old.whole
-    return _grow((old.size, old.clearance, state, old.code), surface, obstacles, radius, places, changed)
+    return _grow((old.corner, old.size, old.clearance, state, old.code), surface, obstacles, radius, places, changed)
 
 
-Leaves = tuple[IntArray, FloatArray, NDArray[np.uint8], IntArray]
-"""Size, clearance, state (0 blocked, 1 centre free, 2 whole) and Morton code of the leaves of a tree."""
+Leaves = tuple[IntArray, IntArray, FloatArray, NDArray[np.uint8], IntArray]
+"""Corner, size, clearance, state (0 blocked, 1 centre free, 2 whole) and Morton code of the leaves of a tree."""
 
 
 def _grow(
@@ -181,9 +206,10 @@ def _split(
 
     A node's `first` is its first old leaf, or −1 where there was none inside.
     """
-    size_was, clearance_was, state_was, code_was = old
+    corner_was, size_was, clearance_was, state_was, code_was = old
     obstacles, places, moved = trees
     origin, width, depth, radius, cell_width = measures
+    cells = span(changed)  # rows and columns of the cells that changed
     capacity, count = 2 * len(size_was) + (1 << 14), 0
     corner, size = np.empty((capacity, 2), np.int64), np.empty(capacity, np.int64)
     clearance, state = np.empty(capacity), np.empty(capacity, np.uint8)
@@ -207,6 +233,18 @@ def _split(
                 nearest = nearest_at(places, place_of(x), scratch)[0]
             split = not leaf and nearest > reach
             copied = leaf and nearest > reach and not (within and changed[ix, iy])
+            if split and nearest > reach + 2.0 * half_diagonal and _apart(i, j, n, width / cell_width, cells):
+                last = np.searchsorted(code_was, code_was[first] + n * n)
+                more = last - first
+                while count + more > capacity:
+                    capacity *= 2
+                    corner, size = _longer(corner, capacity), _longer(size, capacity)
+                    clearance, state = _longer(clearance, capacity), _longer(state, capacity)
+                corner[count : count + more], size[count : count + more] = corner_was[first:last], size_was[first:last]
+                clearance[count : count + more] = clearance_was[first:last]
+                state[count : count + more] = state_was[first:last]
+                count += more
+                continue
         distance = clearance_was[first] if copied else 0.0
         if not split and not copied:
             distance = nearest_at(obstacles, place_of(x), scratch)[0]
@@ -233,6 +271,13 @@ def _split(
             state[count] = 0 if not seen or distance < radius else (2 if distance - half_diagonal >= radius else 1)
         count += 1
     return corner[:count].copy(), size[:count].copy(), clearance[:count].copy(), state[:count].copy()
+
+
+@njit(cache=True, nogil=True)
+def _apart(i: int, j: int, n: int, share: float, cells: tuple[int, int, int, int]) -> bool:
+    """Whether a node of n × n smallest cells, each this share of a cell of the ground wide, holds none of the cells."""
+    left, right, near, far = cells
+    return (i + n) * share <= left - 1 or i * share >= right + 1 or (j + n) * share <= near - 1 or j * share >= far + 1
 
 
 @njit(cache=True, nogil=True)

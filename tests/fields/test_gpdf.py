@@ -314,6 +314,38 @@ def test_a_tree_changed_many_times_finds_what_scipy_finds(rng, dim):
     assert (np.diff(sizes) < 0).any()
 
 
+def test_a_copy_that_fills_up_a_leaf_stands_for_the_last_point_of_it(rng):
+    """However its distance is rounded: here a copy is nearer than the point itself by what a sum may be off."""
+    few = np.column_stack([0.05 * np.arange(20), np.zeros(20)])
+    field = fit_gpdf(few, spacing=0.05).insert(np.add(few, (0.0, 5.0)))
+    tree = field.tree
+    assert tree.begin.tolist() == [0, 20, 40]
+    last, noise = tree.points[19], np.where(np.arange(40) == 20, 10.0, 0.0)
+    query = last + rng.normal(size=(100, 2)) * 1e-3
+    blocks = tree.blocks.copy()
+    blocks[0, 0, 20:] += np.copysign(1e-12, query[0, 0] - last[0])
+    fitted = field.length_scale, field.noise_variance, field.spacing
+    rounded = Gpdf(tree._replace(blocks=blocks), field.alpha, field.discs, noise, *fitted)
+    nearer = query[np.abs(query[:, 0] - blocks[0, 0, 20]) < np.abs(query[:, 0] - last[0])]
+    assert len(nearer) > 20
+    assert set(find_nearest(rounded.tree, nearer)[1]) == {19}
+    np.testing.assert_allclose(rounded.query(nearer).deviation, field.query(nearer).deviation, atol=1e-9)
+
+
+def test_the_disc_of_a_point_at_an_edge_does_not_hang_on_the_order_of_the_points(rng):
+    """A lattice is cut in two right through a row, and both half planes go through the points of an edge."""
+    along, up = (axis.ravel() for axis in np.meshgrid(0.05 * np.arange(21), 0.05 * np.arange(1, 21)))
+    floor, slope = np.column_stack([-up, along, 0.0 * up]), np.column_stack([up, along, 2.0 * up])
+    points = np.concatenate([floor, slope, np.column_stack([0.0 * along[:21], along[:21], 0.0 * along[:21]])])
+    discs = []
+    for _ in range(5):
+        order = rng.permutation(len(points))
+        field = fit_gpdf(points[order], spacing=0.05)
+        discs.append(field.discs[np.lexsort(field.points.T)])
+    for again in discs[1:]:
+        np.testing.assert_allclose(np.abs(again), np.abs(discs[0]), atol=1e-9)  # a normal may face either way
+
+
 def test_all_points_cannot_be_removed(room):
     with pytest.raises(FieldError, match="at least one point"):
         room.remove(np.arange(len(room.points)))

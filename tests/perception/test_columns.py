@@ -13,8 +13,11 @@ from gpdf_service.perception.columns import (
     ends_of_runs,
     extent_in,
     kth_beside,
+    more_now,
     rows_in_box,
+    rows_in_cells,
     rows_of_cells,
+    taken,
     without_rows,
 )
 from gpdf_service.perception.layers import build_layers, splice_layers
@@ -46,7 +49,17 @@ def test_cells_boxes_and_bounds_are_those_of_numpy(points):
     )
     wanted = np.random.default_rng(1).random(SHAPE[0] * SHAPE[1]) < 0.2
     rows = rows_of_cells(wanted, *by_cell(cell, wanted.size))
-    np.testing.assert_array_equal(np.sort(rows), np.flatnonzero(wanted[cell]))
+    np.testing.assert_array_equal(rows, np.flatnonzero(wanted[cell]))
+    np.testing.assert_array_equal(rows_in_cells(points, CORNER, WIDTH, wanted.reshape(SHAPE)), rows)
+    assert len(rows_in_cells(points, CORNER, WIDTH, np.zeros(SHAPE, dtype=bool))) == 0
+    np.testing.assert_array_equal(taken(points, rows), points[rows])
+
+
+def test_what_is_there_more_often_now_is_counted():
+    key = np.random.default_rng(0).integers(0, 60, 300).astype(np.uint64) << np.uint64(40)  # none differ in a low bit
+    before, after = key[:120].tolist(), key[120:].tolist()
+    assert more_now(key, 120).tolist() == [after.count(k) - before.count(k) for k in key.tolist()]
+    assert more_now(key[:0], 0).tolist() == []
 
 
 def test_a_place_outside_a_height_map_has_the_cell_next_to_it_and_no_number_has_the_first():

@@ -5,6 +5,7 @@ from scipy.sparse.csgraph import dijkstra
 
 from gpdf_service.fields import morton
 from gpdf_service.search import find_path, is_clear
+from gpdf_service.search.graph import find_edges
 
 
 @pytest.fixture(scope="module")
@@ -55,6 +56,17 @@ def test_edges_are_symmetric_and_clear(space):
         t = np.linspace(0, 1, 20)[:, None]
         line = np.vstack([a + t * (via - a), via + t * (b - via)])
         assert (space.clearance(0, line)[0] >= space.radius - 1e-9).all()
+
+
+def test_the_edges_of_some_leaves_are_those_of_all_that_have_one_of_them(space):
+    tree, obstacles = space.quadtrees[0], space.trees[0]
+    some = np.random.default_rng(4).random(len(tree.size)) < 0.01
+    pairs, via = find_edges(tree, obstacles, space.radius, some)
+    every, across = find_edges(tree, obstacles, space.radius)
+    wanted = some[every].any(axis=1)
+    assert 0 < wanted.sum() < len(every)
+    np.testing.assert_array_equal(pairs, every[wanted])
+    np.testing.assert_array_equal(via, across[wanted])
 
 
 def test_a_star_costs_what_dijkstra_costs(space):
