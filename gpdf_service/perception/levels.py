@@ -331,7 +331,7 @@ def _build_level(
     other = within_reach(rest, seen)
     near = nearest_seen(seen)
     voids = find_voids(seen, rest, config.max_step, near)
-    surface, completion = complete(seen, other, voids, config, near)
+    surface, completion = complete(seen, other, voids, config, near, noise)
     measured = step_and_slope(surface)
     limits = find_limits(surface, completion.guarded, measured)
     ledge = find_ledges(surface, floor, other, noise)
@@ -373,14 +373,19 @@ def without_outliers(surface: HeightMap, most: float) -> HeightMap:
 
 
 def complete(
-    seen: HeightMap, other: FloatArray, voids: Voids, config: PerceptionConfig, near: Nearest | None = None
+    seen: HeightMap,
+    other: FloatArray,
+    voids: Voids,
+    config: PerceptionConfig,
+    near: Nearest | None = None,
+    noise: float = 0.0,
 ) -> tuple[HeightMap, Completion]:
     """The ground with what its surroundings and the `other` points (m, 3) explain, and what that was made of.
 
-    The others must lie on the grid; `near` is `nearest_seen`, where that is known.
+    The others must lie on the grid; `near` is `nearest_seen`, where that is known; the `noise` [m] was cured.
     """
     cell, z, lowest = in_cells(other, seen)
-    filled = fill_holes(seen, lowest, *voids, near=near)
+    filled = fill_holes(seen, lowest, *voids, near=near, noise=noise)
     shut, stair, guarded = guard_edges(filled, lowest, cell, z, config.min_headroom)
     opened = without_enclosed(filled, shut)
     face = find_faces(opened, cell, z, config.min_headroom) & ~stair  # a flight's treads were seen up to its walls
