@@ -37,7 +37,7 @@ from gpdf_service.perception.limits import (
 )
 from gpdf_service.perception.nodes import components, degrees, grown_sheet
 from gpdf_service.perception.segment import LEAST_SCATTER, over_ground
-from gpdf_service.perception.smooth import smooth, to_centres
+from gpdf_service.perception.smooth import RESOLVED_STEP, smooth, to_centres
 from gpdf_service.perception.strays import find_strays
 from gpdf_service.perception.surface import (
     NOTCH_DEPTH,
@@ -69,8 +69,6 @@ ALONE = 0.25
 """[m] A point with no other in the voxels of this width around its own is a reflection; even a thin cable has more."""
 HIGH = 2
 """Cells around one whose ground says how high a step there can be."""
-RESOLVED_STEP = 3.0
-"""[-] A lower step over the noise may be an unlucky cell of a cured floor, if it is of one cell."""
 RIM_SHARE = 0.25
 """[-] Of the points of a face under its edge that may be over it: noise makes 0.05, a lip of 1.5 deviations more."""
 TALLEST = 3.0

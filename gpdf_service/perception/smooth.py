@@ -20,6 +20,8 @@ _REACH = 11.4
 """[-] Radius of the plane over the noise: that of the largest neighbourhood that a point is cured by."""
 _SAME = 1.0
 """[-] Heights further apart, over the noise, are two surfaces: cured cells are off by a fifth of it."""
+RESOLVED_STEP = 3.0
+"""[-] A lower step over the noise may be an unlucky cell of a cured floor, if it is of one cell."""
 _BESIDE = 2
 """Cells from a rim that a step is read over: its own two sides and one more."""
 _FEWEST = 9
@@ -30,7 +32,8 @@ def to_centres(surface: HeightMap, off: NDArray[np.float32], noise: float = 0.0)
     """Each cell's height on the plane through its own and its neighbours' points, at the cell's centre.
 
     Least squares over those of the nine that differ from its own by less than a cell's width, or the noise. A step
-    leaves more than `FINE` and `FLAT` σ: what is no plane stays as it is.
+    leaves more than `FINE` and `FLAT` σ: what is no plane stays as it is. But where the eight around are on one plane,
+    and the cell alone is off it by no more than an unlucky cure leaves, it takes their plane.
 
     Args:
         surface: The ground as it was seen.
@@ -38,7 +41,8 @@ def to_centres(surface: HeightMap, off: NDArray[np.float32], noise: float = 0.0)
         noise: Standard deviation σ of the points before they were cured [m].
     """
     same, flat = max(surface.cell_width, _SAME * noise), max(FINE, FLAT * noise)
-    return replace(surface, height=_at_centres(surface.height, off, surface.cell_width, same, flat))
+    made = _at_centres(surface.height, off, surface.cell_width, same, flat, RESOLVED_STEP * noise)
+    return replace(surface, height=made)
 
 
 def smooth(surface: HeightMap, noise: float) -> HeightMap:
@@ -83,20 +87,24 @@ def _at_rim(height: NDArray[np.float32], i: int, j: int, same: float) -> bool:
 
 @njit(cache=True, nogil=True)
 def _at_centres(
-    height: NDArray[np.float32], off: NDArray[np.float32], width: float, same: float, flat: float
+    height: NDArray[np.float32], off: NDArray[np.float32], width: float, same: float, flat: float, unlucky: float
 ) -> NDArray[np.float32]:
     made = height.copy()
     for i in range(height.shape[0]):
         for j in range(height.shape[1]):
             if np.isnan(height[i, j]):
                 continue
-            sums = NOTHING
+            around = NOTHING
             for k in range(max(i - 1, 0), min(i + 2, height.shape[0])):
                 for m in range(max(j - 1, 0), min(j + 2, height.shape[1])):
                     rise = float(height[k, m]) - float(height[i, j])
-                    if abs(rise) <= same:  # a NaN compares false
-                        sums = add_place(sums, (k - i) * width + off[k, m, 0], (m - j) * width + off[k, m, 1], rise)
-            shift, rest = plane_of(sums, AROUND)
+                    if abs(rise) <= same and (k != i or m != j):  # a NaN compares false
+                        around = add_place(around, (k - i) * width + off[k, m, 0], (m - j) * width + off[k, m, 1], rise)
+            shift, rest = plane_of(add_place(around, float(off[i, j, 0]), float(off[i, j, 1]), 0.0), AROUND)
+            if rest > flat and unlucky > 0.0:
+                shift, rest = plane_of(around, AROUND)
+                if abs(shift) > unlucky:
+                    continue
             if rest <= flat:
                 made[i, j] += shift
     return made
