@@ -37,7 +37,7 @@ from gpdf_service.perception.limits import (
 )
 from gpdf_service.perception.nodes import components, degrees, grown_sheet
 from gpdf_service.perception.segment import LEAST_SCATTER, over_ground
-from gpdf_service.perception.smooth import RESOLVED_STEP, smooth, to_centres
+from gpdf_service.perception.smooth import RESOLVED_STEP, smooth, to_centres, without_unlucky
 from gpdf_service.perception.strays import find_strays
 from gpdf_service.perception.surface import (
     NOTCH_DEPTH,
@@ -350,7 +350,7 @@ def sheet_surface(layers: Layers, nodes: IntArray, noise: float = 0.0, box: Box 
     surface = without_outliers(seen, RESOLVED_STEP * noise)
     if surface is not seen:
         off[surface.height != height] = 0.0  # a median's place is the middle of its cells
-    return smooth(to_centres(surface, off, noise), noise)
+    return smooth(without_unlucky(to_centres(surface, off, noise), noise), noise)
 
 
 def without_outliers(surface: HeightMap, most: float) -> HeightMap:

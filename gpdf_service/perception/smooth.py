@@ -7,17 +7,15 @@ between them, which reads as a step; and the cure of a point at a rim sees half 
 from __future__ import annotations
 
 from dataclasses import replace
-from math import ceil
+from math import ceil, sqrt
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from gpdf_service.perception.planes import AROUND, FINE, FLAT, NOTHING, add_place, plane_of
+from gpdf_service.perception.bend import FINE, FLAT, REACH, bend_at, make_room, reach_of
 from gpdf_service.perception.surface import HeightMap
 
-_REACH = 11.4
-"""[-] Radius of the plane over the noise: that of the largest neighbourhood that a point is cured by."""
 _SAME = 1.0
 """[-] Heights further apart, over the noise, are two surfaces: cured cells are off by a fifth of it."""
 RESOLVED_STEP = 3.0
@@ -26,14 +24,17 @@ _BESIDE = 2
 """Cells from a rim that a step is read over: its own two sides and one more."""
 _FEWEST = 9
 """Cells that a plane needs: three square."""
+_AROUND = 5
+"""Of a cell and its eight neighbours that a plane needs: two more than it has numbers, so that what is off shows."""
+_ASKEW = 1e-3
+"""[-] Places nearer to one line have no slope across it: their spread about it over that along it, squared."""
 
 
 def to_centres(surface: HeightMap, off: NDArray[np.float32], noise: float = 0.0) -> HeightMap:
     """Each cell's height on the plane through its own and its neighbours' points, at the cell's centre.
 
     Least squares over those of the nine that differ from its own by less than a cell's width, or the noise. A step
-    leaves more than `FINE` and `FLAT` σ: what is no plane stays as it is. But where the eight around are on one plane,
-    and the cell alone is off it by no more than an unlucky cure leaves, it takes their plane.
+    leaves more than `FINE` and `FLAT` σ: what is no plane stays as it is.
 
     Args:
         surface: The ground as it was seen.
@@ -41,14 +42,13 @@ def to_centres(surface: HeightMap, off: NDArray[np.float32], noise: float = 0.0)
         noise: Standard deviation σ of the points before they were cured [m].
     """
     same, flat = max(surface.cell_width, _SAME * noise), max(FINE, FLAT * noise)
-    made = _at_centres(surface.height, off, surface.cell_width, same, flat, RESOLVED_STEP * noise)
-    return replace(surface, height=made)
+    return replace(surface, height=_at_centres(surface.height, off, surface.cell_width, same, flat))
 
 
 def smooth(surface: HeightMap, noise: float) -> HeightMap:
     """Each cell at a rim on the plane through the heights of its surface around it, where they are one.
 
-    h(x) = a + b·x by least squares over the cells within `_REACH` σ whose height is within σ of its own. A step's
+    h(x) = a + b·x by least squares over the cells within `REACH` σ whose height is within σ of its own. A step's
     height is the difference of two rims, and at a rim half of the plane is missing: the error of a small disc's plane
     is largest there. What is no plane stays as it is, and so does what
     is at no rim: at the foot of a ramp a plane is off by a centimetre.
@@ -59,8 +59,43 @@ def smooth(surface: HeightMap, noise: float) -> HeightMap:
     """
     if noise == 0.0:
         return surface
-    reach = ceil(_REACH * noise / surface.cell_width)
+    reach = ceil(REACH * noise / surface.cell_width)
     return replace(surface, height=_planes(surface.height, reach, _SAME * noise, FLAT * noise))
+
+
+def without_unlucky(surface: HeightMap, noise: float) -> HeightMap:
+    """A cell that is alone off the quadric through all others around takes that: a median does not tell it on a slope.
+
+    Args:
+        surface: The ground as it was seen, cured.
+        noise: Standard deviation σ of the points before the cure [m]; 0 leaves everything as it is.
+    """
+    if noise == 0.0:
+        return surface
+    reach = reach_of(surface.cell_width, noise)
+    return replace(surface, height=_lucky(surface.height, reach, FLAT * noise, RESOLVED_STEP * noise))
+
+
+@njit(cache=True, nogil=True)
+def _lucky(height: NDArray[np.float32], reach: int, flat: float, unlucky: float) -> NDArray[np.float32]:
+    made, sums = height.copy(), make_room()
+    for i in range(height.shape[0]):
+        for j in range(height.shape[1]):
+            if _stands_out(height, i, j, flat):
+                shift, smooth = bend_at(height, i, j, reach, float(height[i, j]), flat, sums)
+                if smooth and abs(shift) <= unlucky:
+                    made[i, j] += shift
+    return made
+
+
+@njit(cache=True, nogil=True)
+def _stands_out(height: NDArray[np.float32], i: int, j: int, flat: float) -> bool:
+    """Whether a cell is off the middle between two opposite neighbours by more than `flat` [m], both ways."""
+    if not (0 < i < height.shape[0] - 1 and 0 < j < height.shape[1] - 1):
+        return False
+    off = abs(height[i, j] - 0.5 * (height[i - 1, j] + height[i + 1, j]))
+    aside = abs(height[i, j] - 0.5 * (height[i, j - 1] + height[i, j + 1]))
+    return bool(off > flat and aside > flat)  # a NaN compares false
 
 
 @njit(cache=True, nogil=True)
@@ -87,24 +122,20 @@ def _at_rim(height: NDArray[np.float32], i: int, j: int, same: float) -> bool:
 
 @njit(cache=True, nogil=True)
 def _at_centres(
-    height: NDArray[np.float32], off: NDArray[np.float32], width: float, same: float, flat: float, unlucky: float
+    height: NDArray[np.float32], off: NDArray[np.float32], width: float, same: float, flat: float
 ) -> NDArray[np.float32]:
     made = height.copy()
     for i in range(height.shape[0]):
         for j in range(height.shape[1]):
             if np.isnan(height[i, j]):
                 continue
-            around = NOTHING
+            sums = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
             for k in range(max(i - 1, 0), min(i + 2, height.shape[0])):
                 for m in range(max(j - 1, 0), min(j + 2, height.shape[1])):
                     rise = float(height[k, m]) - float(height[i, j])
-                    if abs(rise) <= same and (k != i or m != j):  # a NaN compares false
-                        around = add_place(around, (k - i) * width + off[k, m, 0], (m - j) * width + off[k, m, 1], rise)
-            shift, rest = plane_of(add_place(around, float(off[i, j, 0]), float(off[i, j, 1]), 0.0), AROUND)
-            if rest > flat and unlucky > 0.0:
-                shift, rest = plane_of(around, AROUND)
-                if abs(shift) > unlucky:
-                    continue
+                    if abs(rise) <= same:  # a NaN compares false
+                        sums = _with(sums, (k - i) * width + off[k, m, 0], (m - j) * width + off[k, m, 1], rise)
+            shift, rest = _plane(sums, _AROUND)
             if rest <= flat:
                 made[i, j] += shift
     return made
@@ -113,10 +144,37 @@ def _at_centres(
 @njit(cache=True, nogil=True)
 def _fit(height: NDArray[np.float32], i: int, j: int, reach: int, same: float) -> tuple[float, float]:
     """Height of the plane over the cell's own and the root mean square about it [m]; inf for the second if none."""
-    sums = NOTHING
+    sums = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
     for k in range(max(i - reach, 0), min(i + reach + 1, height.shape[0])):
         for m in range(max(j - reach, 0), min(j + reach + 1, height.shape[1])):
             a, b, c = float(k - i), float(m - j), float(height[k, m]) - float(height[i, j])
             if abs(c) <= same and a * a + b * b <= reach * reach:  # a NaN compares false
-                sums = add_place(sums, a, b, c)
-    return plane_of(sums, _FEWEST)
+                sums = _with(sums, a, b, c)
+    return _plane(sums, _FEWEST)
+
+
+_Sums = tuple[float, float, float, float, float, float, float, float, float, float]
+"""Of 1, x, y, z, x², y², z², xy, xz, yz."""
+
+
+@njit(cache=True, nogil=True)
+def _with(sums: _Sums, x: float, y: float, z: float) -> _Sums:
+    n, sx, sy, sz, xx, yy, zz, xy, xz, yz = sums
+    n, sx, sy, sz = n + 1.0, sx + x, sy + y, sz + z
+    return n, sx, sy, sz, xx + x * x, yy + y * y, zz + z * z, xy + x * y, xz + x * z, yz + y * z
+
+
+@njit(cache=True, nogil=True)
+def _plane(sums: _Sums, fewest: int) -> tuple[float, float]:
+    """Height at (0, 0) of the least-squares plane, and the root mean square about it; inf if places carry none."""
+    n, x, y, z, xx, yy, zz, xy, xz, yz = sums
+    if n < fewest:
+        return 0.0, np.inf
+    xx, yy, zz = xx - x * x / n, yy - y * y / n, zz - z * z / n
+    xy, xz, yz = xy - x * y / n, xz - x * z / n, yz - y * z / n
+    whole = xx * yy - xy * xy
+    if whole <= _ASKEW * xx * yy:
+        return 0.0, np.inf
+    slope_x, slope_y = (xz * yy - yz * xy) / whole, (yz * xx - xz * xy) / whole
+    rest = max(zz - slope_x * xz - slope_y * yz, 0.0)
+    return (z - slope_x * x - slope_y * y) / n, sqrt(rest / n)

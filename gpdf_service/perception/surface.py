@@ -10,8 +10,8 @@ from numba import njit
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from gpdf_service.perception.bend import FINE, FLAT, bend_at, make_room, reach_of
 from gpdf_service.perception.columns import cells_in_box, extent_in
-from gpdf_service.perception.planes import AROUND, FINE, FLAT, NOTHING, add_place, plane_of
 from gpdf_service.types import BoolArray, FloatArray, IntArray
 
 UNKNOWN, OBSERVED, INFERRED = 0, 1, 2
@@ -383,31 +383,25 @@ def _fill_gaps(
 
 
 def _in_gaps(surface: HeightMap, beside: NDArray[np.float32], noise: float) -> NDArray[np.float32]:
-    """Height of each unknown cell if it is a gap: on the plane of the seen cells around it, or of the one `beside`."""
-    width = surface.cell_width
-    made: NDArray[np.float32] = _on_planes(surface.height, beside, max(width, noise), max(FINE, FLAT * noise))
+    """Height of each unknown cell if it is a gap: of the smooth ground around it, or of the cell `beside`.
+
+    On a slope the latter makes a step that nobody saw. But where the cure has blurred a step to a slope, it shows it.
+    """
+    reach = reach_of(surface.cell_width, noise)
+    made: NDArray[np.float32] = _on_bends(surface.height, beside, reach, max(FINE, FLAT * noise))
     return made
 
 
 @njit(cache=True, nogil=True)
-def _on_planes(
-    height: NDArray[np.float32], beside: NDArray[np.float32], same: float, flat: float
-) -> NDArray[np.float32]:
-    """`beside`, or the plane through those of the eight around that are the `same` ground, if it is `flat` [m]."""
-    made = beside.copy()
+def _on_bends(height: NDArray[np.float32], beside: NDArray[np.float32], reach: int, flat: float) -> NDArray[np.float32]:
+    """`beside`, or of the quadric through the seen cells around where it is `flat` [m]; of cells beside seen ones."""
+    made, sums = beside.copy(), make_room()
     for i in range(1, height.shape[0] - 1):
         for j in range(1, height.shape[1] - 1):
-            if not np.isnan(height[i, j]) or np.isnan(beside[i, j]):
-                continue
-            sums = NOTHING
-            for k in range(-1, 2):
-                for m in range(-1, 2):
-                    rise = float(height[i + k, j + m]) - float(beside[i, j])
-                    if abs(rise) <= same:  # a NaN compares false
-                        sums = add_place(sums, float(k), float(m), rise)
-            shift, rest = plane_of(sums, AROUND)
-            if rest <= flat:
-                made[i, j] += shift
+            if np.isnan(height[i, j]) and not np.isnan(height[i - 1 : i + 2, j - 1 : j + 2]).all():
+                shift, smooth = bend_at(height, i, j, reach, float(beside[i, j]), flat, sums)
+                if smooth:
+                    made[i, j] += shift
     return made
 
 
