@@ -80,7 +80,7 @@ def test_what_is_touched_is_told_by_its_height_over_the_ground():
 
 @pytest.mark.parametrize(("over", "feasible"), [(0.0, True), (0.006, True), (0.02, False), (-0.013, False)])
 def test_between_the_points_of_a_slope_the_ground_is_known(over, feasible):
-    """At 6 cm from point to point on 20° the nearest of them is up to 3 cm lower or higher than the ground in between."""
+    """At 6 cm from point to point on 20° the nearest of them is a centimetre lower or higher than the ground."""
     slope, agent = np.tan(np.radians(20.0)), AGENTS["roomba"]
     world = World((4.0, 4.0, 2.6), (), floor=lambda xy: slope * xy[:, 0], ceiling=False)
     judge = Judge(*world.sample(0.06, np.random.default_rng(0)))
