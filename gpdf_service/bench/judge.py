@@ -26,6 +26,9 @@ HEAD = 0.01
 """[-] How well a scan knows the room over the ground, over the body's height."""
 NEAR = 8
 """Ground points around a contact; the one straightest under the body is the ground that it stands on."""
+PLANAR = 0.002
+"""[m] Where they are off one plane by no more (root mean square), it is known between them, too: on a slope of 20°,
+3 cm beside a point, the ground is 1 cm higher, which is all that a Roomba's top may be off."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,7 +38,7 @@ class Verdict:
     Attributes:
         penetration: How deep the worst point of the cloud is in the body's cylinder [m]; 0 when it is collision-free.
         collision_free: No point of the cloud is in the cylinder, anywhere on the path.
-        feasible: The top of the body is within ±10 % of its height from the nearest ground point, or from the one
+        feasible: The top of the body is within ±10 % of its height from the nearest ground point, or from the ground
             under it, everywhere on the path.
         mean_ground_distance: Mean distance of the body's top to the nearest ground point [m].
         mean_obstacle_distance: Mean distance in plan of the body's axis to the nearest point over the ground and within
@@ -87,10 +90,16 @@ class Judge:
         return Verdict(deepest, deepest == 0.0, feasible, float(distance.mean()), room)
 
     def _ground_under(self, top: FloatArray, height: float) -> FloatArray:
-        """Height of the ground point under a body's top, of the storey that it stands on."""
+        """Height of the ground under a body's top, of the storey it stands on: on the plane there, or of a point."""
         near = self.ground[self.ground_tree.query(top - np.array([0.0, 0.0, height]), k=NEAR)[1]]
         under = np.linalg.norm(near[..., :2] - top[:, None, :2], axis=-1).argmin(axis=1)
-        z: FloatArray = near[np.arange(len(top)), under, 2]
+        middle = near.mean(axis=1, keepdims=True)
+        aside, rise = (near - middle)[..., :2], (near - middle)[..., 2:]
+        across = aside.transpose(0, 2, 1)
+        gradient = np.linalg.solve(across @ aside + 1e-9 * np.eye(2), across @ rise)
+        off = np.sqrt(((rise - aside @ gradient) ** 2).mean(axis=(1, 2)))
+        plane = middle[:, 0, 2] + ((top[:, None, :2] - middle[..., :2]) @ gradient)[:, 0, 0]
+        z: FloatArray = np.where(off <= PLANAR, plane, near[np.arange(len(top)), under, 2])
         return z
 
     def _room(self, places: FloatArray, agent: Agent) -> FloatArray:

@@ -37,7 +37,7 @@ from gpdf_service.perception.limits import (
 )
 from gpdf_service.perception.nodes import components, degrees, grown_sheet
 from gpdf_service.perception.segment import LEAST_SCATTER, over_ground
-from gpdf_service.perception.smooth import smooth, to_centres
+from gpdf_service.perception.smooth import RESOLVED_STEP, smooth, to_centres, without_unlucky
 from gpdf_service.perception.strays import find_strays
 from gpdf_service.perception.surface import (
     NOTCH_DEPTH,
@@ -69,8 +69,6 @@ ALONE = 0.25
 """[m] A point with no other in the voxels of this width around its own is a reflection; even a thin cable has more."""
 HIGH = 2
 """Cells around one whose ground says how high a step there can be."""
-RESOLVED_STEP = 3.0
-"""[-] A lower step over the noise may be an unlucky cell of a cured floor, if it is of one cell."""
 RIM_SHARE = 0.25
 """[-] Of the points of a face under its edge that may be over it: noise makes 0.05, a lip of 1.5 deviations more."""
 TALLEST = 3.0
@@ -331,7 +329,7 @@ def _build_level(
     other = within_reach(rest, seen)
     near = nearest_seen(seen)
     voids = find_voids(seen, rest, config.max_step, near)
-    surface, completion = complete(seen, other, voids, config, near)
+    surface, completion = complete(seen, other, voids, config, near, noise)
     measured = step_and_slope(surface)
     limits = find_limits(surface, completion.guarded, measured)
     ledge = find_ledges(surface, floor, other, noise)
@@ -352,7 +350,7 @@ def sheet_surface(layers: Layers, nodes: IntArray, noise: float = 0.0, box: Box 
     surface = without_outliers(seen, RESOLVED_STEP * noise)
     if surface is not seen:
         off[surface.height != height] = 0.0  # a median's place is the middle of its cells
-    return smooth(to_centres(surface, off, noise), noise)
+    return smooth(without_unlucky(to_centres(surface, off, noise), noise), noise)
 
 
 def without_outliers(surface: HeightMap, most: float) -> HeightMap:
@@ -373,14 +371,19 @@ def without_outliers(surface: HeightMap, most: float) -> HeightMap:
 
 
 def complete(
-    seen: HeightMap, other: FloatArray, voids: Voids, config: PerceptionConfig, near: Nearest | None = None
+    seen: HeightMap,
+    other: FloatArray,
+    voids: Voids,
+    config: PerceptionConfig,
+    near: Nearest | None = None,
+    noise: float = 0.0,
 ) -> tuple[HeightMap, Completion]:
     """The ground with what its surroundings and the `other` points (m, 3) explain, and what that was made of.
 
-    The others must lie on the grid; `near` is `nearest_seen`, where that is known.
+    The others must lie on the grid; `near` is `nearest_seen`, where that is known; the `noise` [m] was cured.
     """
     cell, z, lowest = in_cells(other, seen)
-    filled = fill_holes(seen, lowest, *voids, near=near)
+    filled = fill_holes(seen, lowest, *voids, near=near, noise=noise)
     shut, stair, guarded = guard_edges(filled, lowest, cell, z, config.min_headroom)
     opened = without_enclosed(filled, shut)
     face = find_faces(opened, cell, z, config.min_headroom) & ~stair  # a flight's treads were seen up to its walls

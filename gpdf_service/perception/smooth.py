@@ -13,22 +13,19 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from gpdf_service.perception.bend import FINE, FLAT, REACH, bend_at, make_room, reach_of
 from gpdf_service.perception.surface import HeightMap
 
-_REACH = 11.4
-"""[-] Radius of the plane over the noise: that of the largest neighbourhood that a point is cured by."""
 _SAME = 1.0
 """[-] Heights further apart, over the noise, are two surfaces: cured cells are off by a fifth of it."""
-_FLAT = 0.1
-"""[-] Root mean square of what the plane leaves, over the noise, above which the ground is no plane: twice what the
-cure leaves of a floor. With 0.2 a cave's floor had 2 mm more error at its 99 % than without, with 0.1 none."""
+RESOLVED_STEP = 3.0
+"""[-] A lower step over the noise may be an unlucky cell of a cured floor, if it is of one cell."""
+_TOGETHER = 2
+"""Unlucky cells side by side: of two, the one that is further off stands out first, then the other."""
 _BESIDE = 2
 """Cells from a rim that a step is read over: its own two sides and one more."""
 _FEWEST = 9
 """Cells that a plane needs: three square."""
-_FINE = 0.002
-"""[m] What the plane of a cell and its neighbours may leave (root mean square) where there is no noise: a sill of 1 cm
-across them, or a kink of 10° between finest cells, leaves more."""
 _AROUND = 5
 """Of a cell and its eight neighbours that a plane needs: two more than it has numbers, so that what is off shows."""
 _ASKEW = 1e-3
@@ -39,21 +36,21 @@ def to_centres(surface: HeightMap, off: NDArray[np.float32], noise: float = 0.0)
     """Each cell's height on the plane through its own and its neighbours' points, at the cell's centre.
 
     Least squares over those of the nine that differ from its own by less than a cell's width, or the noise. A step
-    leaves more than `_FINE` and `_FLAT` σ: what is no plane stays as it is.
+    leaves more than `FINE` and `FLAT` σ: what is no plane stays as it is.
 
     Args:
         surface: The ground as it was seen.
         off: Where the point lies whose height a cell has, from the cell's centre [m], shape (nx, ny, 2).
         noise: Standard deviation σ of the points before they were cured [m].
     """
-    same, flat = max(surface.cell_width, _SAME * noise), max(_FINE, _FLAT * noise)
+    same, flat = max(surface.cell_width, _SAME * noise), max(FINE, FLAT * noise)
     return replace(surface, height=_at_centres(surface.height, off, surface.cell_width, same, flat))
 
 
 def smooth(surface: HeightMap, noise: float) -> HeightMap:
     """Each cell at a rim on the plane through the heights of its surface around it, where they are one.
 
-    h(x) = a + b·x by least squares over the cells within `_REACH` σ whose height is within σ of its own. A step's
+    h(x) = a + b·x by least squares over the cells within `REACH` σ whose height is within σ of its own. A step's
     height is the difference of two rims, and at a rim half of the plane is missing: the error of a small disc's plane
     is largest there. What is no plane stays as it is, and so does what
     is at no rim: at the foot of a ramp a plane is off by a centimetre.
@@ -64,8 +61,45 @@ def smooth(surface: HeightMap, noise: float) -> HeightMap:
     """
     if noise == 0.0:
         return surface
-    reach = ceil(_REACH * noise / surface.cell_width)
-    return replace(surface, height=_planes(surface.height, reach, _SAME * noise, _FLAT * noise))
+    reach = ceil(REACH * noise / surface.cell_width)
+    return replace(surface, height=_planes(surface.height, reach, _SAME * noise, FLAT * noise))
+
+
+def without_unlucky(surface: HeightMap, noise: float) -> HeightMap:
+    """A cell that is alone off the quadric through all others around takes that: a median does not tell it on a slope.
+
+    Args:
+        surface: The ground as it was seen, cured.
+        noise: Standard deviation σ of the points before the cure [m]; 0 leaves everything as it is.
+    """
+    if noise == 0.0:
+        return surface
+    reach, height = reach_of(surface.cell_width, noise), surface.height
+    for _ in range(_TOGETHER):
+        height = _lucky(height, reach, FLAT * noise, RESOLVED_STEP * noise)
+    return replace(surface, height=height)
+
+
+@njit(cache=True, nogil=True)
+def _lucky(height: NDArray[np.float32], reach: int, flat: float, unlucky: float) -> NDArray[np.float32]:
+    made, sums = height.copy(), make_room()
+    for i in range(height.shape[0]):
+        for j in range(height.shape[1]):
+            if _stands_out(height, i, j, flat):
+                shift, smooth = bend_at(height, i, j, reach, float(height[i, j]), flat, sums)
+                if smooth and abs(shift) <= unlucky:
+                    made[i, j] += shift
+    return made
+
+
+@njit(cache=True, nogil=True)
+def _stands_out(height: NDArray[np.float32], i: int, j: int, flat: float) -> bool:
+    """Whether a cell is off the middle between two opposite neighbours by more than `flat` [m], both ways."""
+    if not (0 < i < height.shape[0] - 1 and 0 < j < height.shape[1] - 1):
+        return False
+    off = abs(height[i, j] - 0.5 * (height[i - 1, j] + height[i + 1, j]))
+    aside = abs(height[i, j] - 0.5 * (height[i, j - 1] + height[i, j + 1]))
+    return bool(off > flat and aside > flat)  # a NaN compares false
 
 
 @njit(cache=True, nogil=True)

@@ -10,6 +10,7 @@ from numba import njit
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from gpdf_service.perception.bend import FINE, FLAT, bend_at, make_room, reach_of
 from gpdf_service.perception.columns import cells_in_box, extent_in
 from gpdf_service.types import BoolArray, FloatArray, IntArray
 
@@ -246,6 +247,7 @@ def fill_holes(
     pit: BoolArray,
     walls: BoolArray,
     near: Nearest | None = None,
+    noise: float = 0.0,
 ) -> HeightMap:
     """Infer ground where its surroundings explain it, and mark it.
 
@@ -254,13 +256,14 @@ def fill_holes(
     `MAX_HOLE_RADIUS` from seen ground, and with the ground around it on one plane within a cell's slope or higher: an
     edge that drops is not bridged. Nor is what was `seen_through`, a `pit`, or a hole with `walls` going down from its
     rim, see `find_voids`. Under a thing it is filled only where ground was seen beneath its rim. A notch in a flight is
-    filled with the treads beside it.
+    filled with the treads beside it. Standard deviation of the points before they were cured: `noise` [m].
     """
     known = surface.state == OBSERVED
     height, state = surface.height.copy(), surface.state.copy()
     distance, beside = near or nearest_seen(surface)
     material = lowest < beside + CEILING
-    _fill_gaps(height, state, ~known, distance, beside, surface.cell_width)
+    gap = _in_gaps(surface, beside, noise)
+    _fill_gaps(height, state, ~known, distance, gap, surface.cell_width)
     _fill_notches(height, state, seen_through, distance, surface.cell_width)
     known = state != UNKNOWN
     void = seen_through | pit | _walled_down(surface, walls)
@@ -268,7 +271,7 @@ def fill_holes(
     solid = state != UNKNOWN  # then the ground that carries the furniture itself
     under = ~solid & (distance <= MAX_HOLE_RADIUS) & material & _seen_hollow(~solid & material, known & material)
     _fill(height, state, under, solid, distance, surface.cell_width, void, SHUT_SHARE)
-    _fill_gaps(height, state, state == UNKNOWN, distance, beside, surface.cell_width)  # what is left of larger ones
+    _fill_gaps(height, state, state == UNKNOWN, distance, gap, surface.cell_width)  # what is left of larger ones
     return HeightMap(surface.origin, surface.cell_width, height, state)
 
 
@@ -383,13 +386,36 @@ def _fill_gaps(
     state: NDArray[np.uint8],
     holes: BoolArray,
     distance: FloatArray,
-    beside: NDArray[np.float32],
+    gap: NDArray[np.float32],
     cell_width: float,
 ) -> None:
-    """Fill single cells that the scan's spacing left empty, with the ground beside them: also at a step's edge."""
+    """Fill single cells that the scan's spacing left empty with their heights as a `gap`: also at a step's edge."""
     small = _small(holes, distance, cell_width)
-    height[small] = beside[small]
+    height[small] = gap[small]
     state[small] = INFERRED
+
+
+def _in_gaps(surface: HeightMap, beside: NDArray[np.float32], noise: float) -> NDArray[np.float32]:
+    """Height of each unknown cell if it is a gap: of the smooth ground around it, or of the cell `beside`.
+
+    On a slope the latter makes a step that nobody saw. But where the cure has blurred a step to a slope, it shows it.
+    """
+    reach = reach_of(surface.cell_width, noise)
+    made: NDArray[np.float32] = _on_bends(surface.height, beside, reach, max(FINE, FLAT * noise))
+    return made
+
+
+@njit(cache=True, nogil=True)
+def _on_bends(height: NDArray[np.float32], beside: NDArray[np.float32], reach: int, flat: float) -> NDArray[np.float32]:
+    """`beside`, or of the quadric through the seen cells around where it is `flat` [m]; of cells beside seen ones."""
+    made, sums = beside.copy(), make_room()
+    for i in range(1, height.shape[0] - 1):
+        for j in range(1, height.shape[1] - 1):
+            if np.isnan(height[i, j]) and not np.isnan(height[i - 1 : i + 2, j - 1 : j + 2]).all():
+                shift, smooth = bend_at(height, i, j, reach, float(beside[i, j]), flat, sums)
+                if smooth:
+                    made[i, j] += shift
+    return made
 
 
 @njit(cache=True, nogil=True)

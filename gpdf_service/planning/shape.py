@@ -152,9 +152,11 @@ def spline(path: FloatArray, spacing: float) -> FloatArray:
 def stand_up(xy: FloatArray, surface: HeightMap, field: Gpdf, height: float) -> tuple[FloatArray, FloatArray]:
     """Contact points and the body's top over them, both (n, 3).
 
-    The top is where d_g = h, as in the paper (Newton steps along z; on level ground one), but always within a tenth of
-    the body height over the contact point: before a step that surface rises long before the ground does, and beside a
+    The top is where d_g = h, as in the paper (Newton steps along z; on level ground one), but within a tenth of the
+    body height over the contact point: before a step that surface rises long before the ground does, and beside a
     flight or under a floor the nearest ground is another one. What lies beside counts less, what is overhead nothing.
+    Only where the path takes a step that is higher than both tenths does the top rise before it as that surface does:
+    no other way over it keeps the body's height from the ground all along.
     """
     stood: tuple[FloatArray, FloatArray] = _stand(xy, surface.arrays, field.arrays, height)
     return stood
@@ -177,4 +179,28 @@ def _stand(xy: FloatArray, ground: Cells, field: FieldArrays, height: float) -> 
                 break
             lift = min(max(lift + off, least), most)
         top[i, 0], top[i, 1], top[i, 2] = x, y, floor + height + lift
+    for i in range(1, len(xy)):
+        rise = contact[i, 2] - contact[i - 1, 2]
+        if abs(rise) > most - least:
+            _lift(contact, top, i - 1 if rise > 0.0 else i, -1 if rise > 0.0 else 1, abs(rise), field, height)
     return contact, top
+
+
+@njit(cache=True, nogil=True)
+def _lift(
+    contact: FloatArray, top: FloatArray, foot: int, away: int, rise: float, field: FieldArrays, height: float
+) -> None:
+    """Lift the tops from the foot of a step `away` from it to where d_g = h, as far as that is over them."""
+    memo, highest, i = make_memo(1, 3), contact[foot, 2] + rise + height, foot
+    z = highest
+    while 0 <= i < len(top):
+        for _ in range(_NEWTON_STEPS):
+            place = np.array([top[i, 0], top[i, 1], z])
+            off = (height - recall(field, place, memo, 0, np.inf, _STANDS)) / max(memo.slope[0, 2], 0.5)
+            z = min(z + off, highest)
+            if abs(off) < _STANDS:
+                break
+        if not z > top[i, 2] + _STANDS:
+            break
+        top[i, 2] = z
+        i += away

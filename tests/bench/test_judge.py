@@ -76,3 +76,17 @@ def test_what_is_touched_is_told_by_its_height_over_the_ground():
     assert judge.height_of_touched(path, AGENTS["human"]) == pytest.approx(0.12, abs=0.01)
     aside = path_of([(1, 0.5, 0), (5, 0.5, 0)], [(1, 0.5, 2), (5, 0.5, 2)])
     assert judge.height_of_touched(aside, AGENTS["human"]) == 0.0
+
+
+@pytest.mark.parametrize(("over", "feasible"), [(0.0, True), (0.006, True), (0.02, False), (-0.013, False)])
+def test_between_the_points_of_a_slope_the_ground_is_known(over, feasible):
+    """At 6 cm from point to point on 20° the nearest of them is a centimetre lower or higher than the ground."""
+    slope, agent = np.tan(np.radians(20.0)), AGENTS["roomba"]
+    world = World((4.0, 4.0, 2.6), (), floor=lambda xy: slope * xy[:, 0], ceiling=False)
+    judge = Judge(*world.sample(0.06, np.random.default_rng(0)))
+    xy = np.random.default_rng(1).uniform(1.0, 3.0, (100, 2))
+    contact = np.column_stack([xy, world.ground_height(xy)])
+    top = contact + np.array([0.0, 0.0, 0.1 + over])
+    verdicts = [judge.judge_waypoints(path_of([c, c], [t, t]), agent) for c, t in zip(contact, top, strict=True)]
+    share = np.mean([verdict.feasible for verdict in verdicts])
+    assert share == 1.0 if feasible else share < 0.3  # or near enough to some point: the paper's measure

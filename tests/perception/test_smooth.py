@@ -8,8 +8,8 @@ import gpdf_service as gpdf
 from gpdf_service.config import PerceptionConfig
 from gpdf_service.perception import survey_levels
 from gpdf_service.perception.limits import step_and_slope
-from gpdf_service.perception.smooth import smooth, to_centres
-from gpdf_service.perception.surface import OBSERVED, UNKNOWN, HeightMap
+from gpdf_service.perception.smooth import smooth, to_centres, without_unlucky
+from gpdf_service.perception.surface import OBSERVED, UNKNOWN, HeightMap, fill_holes
 
 WIDTH = 0.05
 NOISE = 0.05
@@ -112,3 +112,59 @@ def test_ground_at_no_rim_keeps_its_heights():
     x, _ = cells()
     ramp = 0.1 * np.maximum(x - 1.5, 0.0)
     np.testing.assert_array_equal(smooth(ground(ramp), NOISE).height, ramp.astype(np.float32))
+
+
+def fill_gaps(height, noise=0.0):
+    nothing = np.zeros(height.shape, dtype=bool)
+    return fill_holes(ground(height), np.full(height.shape, np.inf), nothing, nothing, nothing, noise=noise).height
+
+
+@pytest.mark.parametrize("noise", [0.0, NOISE])
+def test_an_empty_cell_of_a_slope_lies_on_it(noise):
+    x, y = cells()
+    slope = 0.3 * x - 0.2 * y
+    gaps = np.zeros(x.shape, dtype=bool)
+    gaps[2:-2, 2:-2] = np.random.default_rng(4).random((56, 56)) < 0.1
+    made = fill_gaps(np.where(gaps, np.nan, slope), noise)
+    assert not np.isnan(made).any()
+    assert (np.abs(made - slope)[gaps] < 1e-4).mean() > 0.99  # of those at the rim too few are known
+    assert (step_and_slope(ground(made))[0] > 0.01).sum() < 10
+
+
+@pytest.mark.parametrize(("step", "noise"), [(0.02, 0.0), (0.025, NOISE), (0.05, NOISE), (0.3, NOISE)])
+def test_an_empty_cell_beside_a_step_lies_on_one_of_its_sides(step, noise):
+    x, _ = cells()
+    height = np.where(x >= 1.5, step, 0.0)
+    gaps = np.zeros(x.shape, dtype=bool)
+    gaps[28:32, 3:-3:4] = True
+    made = fill_gaps(np.where(gaps, np.nan, height), noise)
+    assert np.minimum(np.abs(made), np.abs(made - step))[gaps].max() < 1e-6
+    assert (np.abs(np.diff(made, axis=0)) > 0.9 * step).any(axis=0).all()
+
+
+def test_a_gap_where_a_step_was_blurred_to_a_slope_is_not_smoothed_over():
+    x, _ = cells()
+    blurred = np.clip((x - 1.4) / 0.2, 0.0, 1.0) * 0.04
+    gaps = np.zeros(x.shape, dtype=bool)
+    for begin in range(4, 56, 8):
+        gaps[30, begin : begin + 3] = True
+    made = fill_gaps(np.where(gaps, np.nan, blurred), 0.02)
+    assert (
+        np.abs(np.diff(made, axis=0))[:, 5:56:8].max(axis=0).min() > 0.019
+    )  # a Roomba's step, seen by chance; it stays one
+
+
+def test_a_cell_alone_off_a_slope_takes_it_and_a_thing_of_several_cells_stays():
+    x, y = cells()
+    slope = 0.3 * x - 0.2 * y + 0.05 * (x - 1.5) ** 2
+    height = slope.copy()
+    height[10::8, 10::8] += 0.025
+    made = without_unlucky(ground(height), NOISE).height
+    assert np.abs(made - slope).max() < 0.004
+    sill = slope + 0.03 * (np.arange(60) == 30)[:, None]
+    box = slope.copy()
+    box[28:31, 28:31] += 0.05
+    for real in (sill, box, np.where(x > 1.5, slope + 0.04, slope)):
+        assert np.abs(without_unlucky(ground(real), NOISE).height - real).max() < 0.004
+    clean = ground(height)
+    assert without_unlucky(clean, 0.0) is clean

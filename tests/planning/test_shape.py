@@ -1,0 +1,27 @@
+"""The body's top over a path: at its height over the ground, all along."""
+
+import numpy as np
+import pytest
+
+import gpdf_service as gpdf
+from gpdf_service.bench.judge import Judge
+from gpdf_service.synthetic.world import Box, World
+from gpdf_service.types import AGENTS
+
+
+@pytest.mark.parametrize("rise", [0.17, 0.35])  # of the 0.7 m of a Spot
+@pytest.mark.parametrize("down", [False, True])
+def test_a_low_body_keeps_its_height_over_a_step_that_is_half_of_it(rise, down):
+    world = World((6.0, 3.0, 2.6), (Box((3.0, 0.0, 0.0), (6.0, 3.0, rise), walkable=True),), ceiling=False)
+    points, ground = world.sample(0.03, np.random.default_rng(0))
+    ends = np.array([[1.0, 1.5], [5.0, 1.6]])
+    result = gpdf.plan(gpdf.build_scene(points, ground), *(ends[::-1] if down else ends), agent="spot")
+    assert result.status is gpdf.Status.OK
+    verdict = Judge(points, ground).judge(result.trajectory, AGENTS["spot"])
+    assert verdict.feasible
+    assert verdict.collision_free
+    assert result.certificate.max_height_deviation < 0.07
+    over = result.trajectory.positions[:, 2] - result.trajectory.ground[:, 2] - AGENTS["spot"].height
+    far = np.abs(result.trajectory.ground[:, 0] - 3.0) > 0.7
+    assert over[~far].max() > 0.1  # before the edge it rises with what it will stand on
+    assert np.abs(over[far]).max() < 0.01
