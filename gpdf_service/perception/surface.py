@@ -585,7 +585,8 @@ def _fill(
 def without_enclosed(surface: HeightMap, low: BoolArray) -> HeightMap:
     """Take back inferred ground that material at ground level shuts off from all seen ground: a cupboard's inside.
 
-    Nobody has seen that it is hollow, so it is not called free.
+    Nobody has seen that it is hollow, so it is not called free. What is no wider than a gap is left: things around it
+    keep every body out, and the face of a step, which noise spreads over some cells of its top, does not have to.
 
     Args:
         surface: After `fill_holes`.
@@ -594,7 +595,8 @@ def without_enclosed(surface: HeightMap, low: BoolArray) -> HeightMap:
     label, count = ndimage.label((surface.state != UNKNOWN) & ~low)
     seen = np.zeros(count + 1, dtype=bool)
     seen[label[(surface.state == OBSERVED) & ~low]] = True
-    enclosed = (surface.state == INFERRED) & ~low & ~seen[label]
+    wide = np.bincount(label.ravel()) > GAP_CELLS
+    enclosed = (surface.state == INFERRED) & ~low & (wide & ~seen)[label]
     height = np.where(enclosed, np.float32(np.nan), surface.height)
     state = np.where(enclosed, UNKNOWN, surface.state).astype(np.uint8)
     return HeightMap(surface.origin, surface.cell_width, height, state)
