@@ -141,12 +141,11 @@ def onto_surface(
         )
 
     settle(order)
-    import os
-    if os.environ.get("AGAIN"):
-        rows, nearest, place = beside_surface(points, moved, left, normals, noise, spacing)
-        centre[rows], normals[rows] = place, normals[nearest]
-        moved[rows], left[rows] = points[rows], EXTREME * noise
-        settle(rows)
+    # Once more from where its surface is: one in a hundred is too far off to see it.
+    rows, nearest, place = beside_surface(points, moved, left, normals, noise, spacing)
+    centre[rows], normals[rows] = place, normals[nearest]
+    moved[rows], left[rows] = points[rows], EXTREME * noise
+    settle(rows)
     settle_rests(points, moved, left, normals, noise, spacing, picked)
     return moved, np.maximum(left, HIDDEN * noise)
 
@@ -154,7 +153,8 @@ def onto_surface(
 def _pick(number: int, spacing: float, radius: float, count: int) -> BoolArray:
     """As many of `number` points of a surface as leave about `count` within `radius` [m], shape (number,)."""
     share = count / (np.pi * (radius / spacing) ** 2)
-    return np.random.default_rng(_SEED).random(number) < share
+    picked: BoolArray = np.random.default_rng(_SEED).random(number) < share
+    return picked
 
 
 def find_loose(points: FloatArray, noise: float, spacing: float) -> BoolArray:

@@ -57,7 +57,7 @@ def settle_rests(
         spacing: Between neighbours on a surface [m].
         picked: Points that are enough to take means over, shape (n,).
     """
-    rows, nearest, place = beside_surface(points, moved, left, normals, noise, spacing)
+    rows, _, place = beside_surface(points, moved, left, normals, noise, spacing)
     if len(rows) == 0:
         return
     home = moved.copy()
