@@ -20,7 +20,7 @@ from gpdf_service.fields.edge import fit_pair, from_half, onto_half
 from gpdf_service.fields.heights import Sums, fit_heights, make_sums, quadric_rest, sum_heights
 from gpdf_service.fields.noise import GROWTH, LONG, estimate_noise
 from gpdf_service.fields.order import spatial_order
-from gpdf_service.fields.rests import EXTREME, FAR, beside_surface, settle_rests
+from gpdf_service.fields.rests import EXTREME, FAR, beside_surface, follow_nearest, settle_rests
 from gpdf_service.fields.shapes import FEWEST, MOST, fit_axis, fit_plane, fit_ring, gather, sum_rings
 from gpdf_service.fields.spacing import estimate_spacing
 from gpdf_service.fields.threads import run_chunked
@@ -141,12 +141,14 @@ def onto_surface(
         )
 
     settle(order)
-    # Once more from where its surface is: one in a hundred is too far off to see it.
-    rows, nearest, place = beside_surface(points, moved, left, normals, noise, spacing)
-    centre[rows], normals[rows] = place, normals[nearest]
-    moved[rows], left[rows] = points[rows], EXTREME * noise
-    settle(rows)
-    settle_rests(points, moved, left, normals, noise, spacing, picked)
+    if level:
+        follow_nearest(points, moved, left, normals, noise, spacing)
+    else:  # once more from where its surface is: one in a hundred is too far off to see it
+        rows, nearest, place = beside_surface(points, moved, left, normals, noise, spacing)
+        centre[rows], normals[rows] = place, normals[nearest]
+        moved[rows], left[rows] = points[rows], EXTREME * noise
+        settle(rows)
+        settle_rests(points, moved, left, normals, noise, spacing, picked)
     return moved, np.maximum(left, HIDDEN * noise)
 
 

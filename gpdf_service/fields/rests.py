@@ -58,8 +58,11 @@ def settle_rests(
         picked: Points that are enough to take means over, shape (n,).
     """
     rows, _, place = beside_surface(points, moved, left, normals, noise, spacing)
-    if len(rows) == 0:
+    length = np.linalg.norm(points[rows] - place, axis=1)
+    near = length <= FAR * noise
+    if not near.any():
         return
+    rows, place, length = rows[near], place[near], np.maximum(length[near], 1e-12)
     home = moved.copy()
     home[rows] = place
     mean, error = _mean_rests(points, home, picked, noise, max(noise, spacing))
@@ -69,12 +72,31 @@ def settle_rests(
     out = np.flatnonzero(cured & (np.abs(along) > _SWALLOWED * error))
     moved[out] += along[out, None] * normals[out]
     aside = points[rows] - place
-    length = np.maximum(np.linalg.norm(aside, axis=1), 1e-12)
     out_by = np.einsum("ij,ij->i", mean[rows], aside) / length
-    noisy = (out_by <= FAR * error[rows]) & (length <= FAR * noise)
+    noisy = out_by <= FAR * error[rows]
     rows, share = rows[noisy], (out_by + _SURE * error[rows])[noisy] / length[noisy]
     moved[rows] = place[noisy] + np.clip(share, 0.0, 1.0)[:, None] * aside[noisy]
     left[rows] = np.minimum(_BIAS * error[rows], EXTREME * noise)
+
+
+def follow_nearest(
+    points: FloatArray, moved: FloatArray, left: FloatArray, normals: FloatArray, noise: float, spacing: float
+) -> None:
+    """Move each point whose surroundings were cured and which itself was not, or elsewhere, onto the nearest's plane.
+
+    For ground, which stays smooth so: a mean of few points is a step. The arguments are those of `settle_rests`.
+    """
+    rows, nearest, _ = beside_surface(points, moved, left, normals, noise, spacing)
+    lost = np.zeros(len(points), dtype=bool)
+    lost[rows] = True
+    around = cKDTree(points).query(points[rows], k=2 * FEWEST, workers=-1)[1]
+    lone = lost[around].mean(axis=1) < 0.5
+    rows, nearest = rows[lone], nearest[lone]
+    normal = normals[nearest]
+    across = np.einsum("ij,ij->i", points[rows] - moved[nearest], normal)
+    place = np.where(normal.any(axis=1)[:, None], points[rows] - across[:, None] * normal, moved[nearest])
+    close = np.linalg.norm(place - points[rows], axis=1) <= FAR * noise
+    moved[rows[close]], left[rows[close]] = place[close], left[nearest[close]]
 
 
 def beside_surface(
