@@ -60,8 +60,6 @@ def settle_rests(
     rows, _, place = beside_surface(points, moved, left, normals, noise, spacing)
     length = np.linalg.norm(points[rows] - place, axis=1)
     near = length <= FAR * noise
-    if not near.any():
-        return
     rows, place, length = rows[near], place[near], np.maximum(length[near], 1e-12)
     home = moved.copy()
     home[rows] = place
@@ -71,6 +69,7 @@ def settle_rests(
     cured[rows] = False
     out = np.flatnonzero(cured & (np.abs(along) > _SWALLOWED * error))
     moved[out] += along[out, None] * normals[out]
+    left[out] = np.maximum(left[out], np.minimum(_BIAS * error[out], EXTREME * noise))
     aside = points[rows] - place
     out_by = np.einsum("ij,ij->i", mean[rows], aside) / length
     noisy = out_by <= FAR * error[rows]
