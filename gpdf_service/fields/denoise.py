@@ -144,7 +144,7 @@ def onto_surface(
     if level:
         follow_nearest(points, moved, left, normals, noise, spacing)
     else:  # once more from where its surface is: one in a hundred is too far off to see it
-        rows, nearest, place = beside_surface(points, moved, left, normals, noise, spacing)
+        _, rows, nearest, place = beside_surface(points, moved, left, normals, noise, spacing)
         centre[rows], normals[rows] = place, normals[nearest]
         moved[rows], left[rows] = points[rows], EXTREME * noise
         settle(rows)

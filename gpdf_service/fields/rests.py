@@ -57,7 +57,7 @@ def settle_rests(
         spacing: Between neighbours on a surface [m].
         picked: Points that are enough to take means over, shape (n,).
     """
-    rows, _, place = beside_surface(points, moved, left, normals, noise, spacing)
+    _, rows, _, place = beside_surface(points, moved, left, normals, noise, spacing)
     length = np.linalg.norm(points[rows] - place, axis=1)
     near = length <= FAR * noise
     rows, place, length = rows[near], place[near], np.maximum(length[near], 1e-12)
@@ -85,9 +85,7 @@ def follow_nearest(
 
     For ground, which stays smooth so: a mean of few points is a step. The arguments are those of `settle_rests`.
     """
-    rows, nearest, _ = beside_surface(points, moved, left, normals, noise, spacing)
-    lost = np.zeros(len(points), dtype=bool)
-    lost[rows] = True
+    lost, rows, nearest, _ = beside_surface(points, moved, left, normals, noise, spacing)
     around = cKDTree(points).query(points[rows], k=2 * FEWEST, workers=-1)[1]
     lone = lost[around].mean(axis=1) < 0.5
     rows, nearest = rows[lone], nearest[lone]
@@ -100,19 +98,19 @@ def follow_nearest(
 
 def beside_surface(
     points: FloatArray, moved: FloatArray, left: FloatArray, normals: FloatArray, noise: float, spacing: float
-) -> tuple[IntArray, IntArray, FloatArray]:
-    """The points that were not cured, or elsewhere than those beside, and are near one that was.
+) -> tuple[BoolArray, IntArray, IntArray, FloatArray]:
+    """The points that were not cured, or elsewhere than those beside, and of them those near one that was.
 
     Returns:
-        Their rows, shape (k,); the row of the nearest that was cured, shape (k,); and where they are on its plane, no
-        further from it than the spacing [m], shape (k, 3).
+        Which were not, shape (n,); the rows of those near, shape (k,); the row of the nearest that was cured, shape
+        (k,); and where they are on its plane, no further from it than the spacing [m], shape (k, 3).
     """
     cured = np.flatnonzero(left < EXTREME * noise)
+    others = np.ones(len(points), dtype=bool)
     if len(cured) <= FEWEST:
-        return cured[:0], cured[:0], points[:0]
+        return others, cured[:0], cured[:0], points[:0]
     reach, near = cKDTree(moved[cured]).query(moved[cured], k=FEWEST, workers=-1)
     sound = cured[reach[:, -1] <= _LONELY * np.median(reach[near, -1], axis=1)]
-    others = np.ones(len(points), dtype=bool)
     others[sound] = False
     rows = np.flatnonzero(others)
     off, nearest = cKDTree(moved[sound]).query(points[rows], workers=-1)
@@ -122,7 +120,7 @@ def beside_surface(
     aside -= np.einsum("ij,ij->i", aside, normal)[:, None] * normal
     aside[~normal.any(axis=1)] = 0.0  # of a pole
     aside *= np.minimum(1.0, spacing / np.maximum(np.linalg.norm(aside, axis=1), 1e-12))[:, None]
-    return rows, nearest, moved[nearest] + aside
+    return others, rows, nearest, moved[nearest] + aside
 
 
 def _mean_rests(
