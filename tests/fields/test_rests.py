@@ -50,10 +50,10 @@ def test_what_a_plane_has_swallowed_comes_out_of_it_and_the_rest_stays():
 
 
 @pytest.mark.parametrize("noise", [0.01, 0.02, 0.05])
-def test_a_cable_before_a_wall_is_kept(noise):
+def test_a_pole_before_a_wall_is_kept(noise):
     rng = np.random.default_rng(5)
     clean, points = wall(rng, noise)
-    cable = np.column_stack([np.full(70, 4.0 * noise), np.zeros(70), rng.uniform(-1, 1, 70)])
-    points = np.concatenate([points, cable + rng.normal(size=cable.shape) * noise])
+    pole = np.column_stack([np.full(280, 4.0 * noise), np.zeros(280), rng.uniform(-1, 1, 280)])
+    points = np.concatenate([points, pole + rng.normal(size=pole.shape) * noise])
     moved, _ = onto_surface(points, SPACING, noise)
-    assert np.median(moved[len(clean) :, 0]) > 3.0 * noise
+    assert (moved[len(clean) :, 0] > 2.5 * noise).mean() > 0.85
