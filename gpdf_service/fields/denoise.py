@@ -68,8 +68,8 @@ _WITNESSES = 24
 """Points beside one that say whether they are a thing: by then it shows from one standard deviation on."""
 _SEED = 8_128
 """Of the points that are left out: another one than synthetic clouds are made with, or the choice follows the shape."""
-_NEGLIGIBLE = 0.1
-"""[-] Noise over spacing below which the gaps between the points hide it: a clean board shows 0.07."""
+_NEGLIGIBLE = 0.05
+"""[-] Noise over spacing below which the gaps between the points hide it."""
 
 
 class Cured(NamedTuple):
@@ -107,7 +107,7 @@ def denoise(points: FloatArray) -> Cured:
 
 
 def onto_surface(
-    points: FloatArray, spacing: float, noise: float, *, level: bool = False
+    points: FloatArray, spacing: float, noise: float, *, level: bool = False, things: bool = False
 ) -> tuple[FloatArray, FloatArray]:
     """Points on the surface [m], shape (n, 3), and the standard deviation left [m], shape (n,).
 
@@ -116,6 +116,8 @@ def onto_surface(
         spacing: Between neighbours on a surface [m].
         noise: Standard deviation of the points [m].
         level: Whether the surface is known to be more level than upright, as ground is: its steps then stay sharp.
+        things: Whether these are things without ground: what no shape explains then goes to the mean of what is beside,
+            and not onto its plane. On a floor such means are steps.
     """
     least = max(RESOLVED * noise, 3.0 * spacing)
     radii: FloatArray = least * GROWTH ** np.arange(float(_SCALES))
@@ -141,7 +143,7 @@ def onto_surface(
         )
 
     settle(order)
-    if level:
+    if not things:
         follow_nearest(points, moved, left, normals, noise, spacing)
     else:  # once more from where its surface is: one in a hundred is too far off to see it
         _, rows, nearest, place = beside_surface(points, moved, left, normals, noise, spacing)

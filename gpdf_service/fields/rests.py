@@ -28,10 +28,9 @@ _REACH = 3.0
 """[-] Widths of the Gaussian window within which it counts."""
 _SWALLOWED = 3.0
 """[-] Standard errors of a mean offset beyond which a shape has swallowed something: noise does so once in 400."""
-_SURE = 2.0
-"""[-] Standard errors beyond the mean, to the safe side, that a point which no shape explains is put at."""
-_BIAS = 3.0
-"""[-] Standard deviation left over the standard error of the mean, as of a plane."""
+_SURE = 3.0
+"""[-] Standard errors beyond the mean, to the safe side, that a point which no shape explains is put at, and deviation
+that is left of it over that error: a corner sticks out of its mean."""
 
 
 def settle_rests(
@@ -69,13 +68,13 @@ def settle_rests(
     cured[rows] = False
     out = np.flatnonzero(cured & (np.abs(along) > _SWALLOWED * error))
     moved[out] += along[out, None] * normals[out]
-    left[out] = np.maximum(left[out], np.minimum(_BIAS * error[out], EXTREME * noise))
+    left[out] = np.maximum(left[out], np.minimum(_SURE * error[out], EXTREME * noise))
     aside = points[rows] - place
     out_by = np.einsum("ij,ij->i", mean[rows], aside) / length
     noisy = out_by <= FAR * error[rows]
     rows, share = rows[noisy], (out_by + _SURE * error[rows])[noisy] / length[noisy]
     moved[rows] = place[noisy] + np.clip(share, 0.0, 1.0)[:, None] * aside[noisy]
-    left[rows] = np.minimum(_BIAS * error[rows], EXTREME * noise)
+    left[rows] = np.minimum(_SURE * error[rows], EXTREME * noise)
 
 
 def follow_nearest(

@@ -31,7 +31,7 @@ def test_an_outlier_comes_to_its_wall_and_a_rod_before_the_wall_stays(noise):
     points = np.concatenate([points, outlier, rod])
     lost = np.arange(len(points)) >= len(clean)
     moved = settled(points, np.concatenate([clean, outlier, rod]), lost, noise)
-    assert moved[len(clean), 0] < 1.2 * noise
+    assert moved[len(clean), 0] < 1.5 * noise
     kept = (moved[len(clean) + 1 :] == rod).all(axis=1)
     assert kept.mean() > 0.85
     assert np.diff(np.sort(rod[kept, 2])).max() < 0.25  # a person is twice as wide
@@ -55,5 +55,5 @@ def test_a_pole_before_a_wall_is_kept(noise):
     clean, points = wall(rng, noise)
     pole = np.column_stack([np.full(280, 4.0 * noise), np.zeros(280), rng.uniform(-1, 1, 280)])
     points = np.concatenate([points, pole + rng.normal(size=pole.shape) * noise])
-    moved, _ = onto_surface(points, SPACING, noise)
+    moved, _ = onto_surface(points, SPACING, noise, things=True)
     assert (moved[len(clean) :, 0] > 2.5 * noise).mean() > 0.85
