@@ -117,7 +117,7 @@ def onto_surface(
         noise: Standard deviation of the points [m].
         level: Whether the surface is known to be more level than upright, as ground is: its steps then stay sharp.
         things: Whether these are things without ground: what no shape explains then goes to the mean of what is beside,
-            and not onto its plane. On a floor such means are steps.
+            and not onto its plane, if the noise is wide enough to hold several points. On a floor such means are steps.
     """
     least = max(RESOLVED * noise, 3.0 * spacing)
     radii: FloatArray = least * GROWTH ** np.arange(float(_SCALES))
@@ -143,7 +143,7 @@ def onto_surface(
         )
 
     settle(order)
-    if not things:
+    if not things or noise < spacing:
         follow_nearest(points, moved, left, normals, noise, spacing)
     else:  # once more from where its surface is: one in a hundred is too far off to see it
         _, rows, nearest, place = beside_surface(points, moved, left, normals, noise, spacing)
