@@ -1,6 +1,5 @@
 """Gaussian-process distance fields: distance and gradient for the price of a nearest-neighbour query."""
 
-from gpdf_service.fields.denoise import FAR as FAR
 from gpdf_service.fields.denoise import Cured as Cured
 from gpdf_service.fields.denoise import denoise as denoise
 from gpdf_service.fields.denoise import find_lifted as find_lifted
@@ -16,6 +15,7 @@ from gpdf_service.fields.gpdf import find_nearest as find_nearest
 from gpdf_service.fields.gpdf import fit_gpdf as fit_gpdf
 from gpdf_service.fields.noise import estimate_noise as estimate_noise
 from gpdf_service.fields.order import morton as morton
+from gpdf_service.fields.rests import FAR as FAR
 from gpdf_service.fields.spacing import estimate_spacing as estimate_spacing
 from gpdf_service.fields.spacing import thin as thin
 from gpdf_service.fields.traversal import FieldArrays as FieldArrays

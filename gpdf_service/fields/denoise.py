@@ -20,6 +20,7 @@ from gpdf_service.fields.edge import fit_pair, nearest_half, onto_half
 from gpdf_service.fields.heights import Sums, fit_heights, make_sums, quadric_rest, sum_heights
 from gpdf_service.fields.noise import GROWTH, LONG, estimate_noise
 from gpdf_service.fields.order import spatial_order
+from gpdf_service.fields.rests import EXTREME, FAR, beside_surface, follow_nearest, settle_rests
 from gpdf_service.fields.shapes import FEWEST, MOST, fit_axis, fit_plane, fit_ring, gather, sum_rings
 from gpdf_service.fields.spacing import estimate_spacing
 from gpdf_service.fields.threads import run_chunked
@@ -40,10 +41,6 @@ _BIAS = 3.0
 square of the radius, so planes that agree within one error each may both be off by five; two deviations cover that."""
 _CLEARLY = 2.5
 """[-] Ratio of two variances at which a neighbourhood is wider than thick."""
-_EXTREME = 1.5
-"""[-] Standard deviation of a point that was not moved over the noise: the nearest of many is an extreme one."""
-FAR = 4.0
-"""[-] Standard deviations: a point further off a plane is not of it, whatever it is."""
 _SLAB = 3.5
 """[-] Standard deviations to either side of a point that its surface is looked for in, once its normal is known: what
 is further off is another surface."""
@@ -67,8 +64,6 @@ _LENGTH = 2.0
 """[-] Ratio of two variances at which the axis of a pole is known: a ring then has to explain the rest."""
 _SURE = 2.0
 """[-] Standard errors to the safe side that a pole's radius is taken at: it is the only shape that can shrink."""
-_LONELY = 2.0
-"""[-] Distance to the points beside over what it is for those: a quarter of the density is no surface."""
 _WITNESSES = 24
 """Points beside one that say whether they are a thing: by then it shows from one standard deviation on."""
 _SEED = 8_128
@@ -112,7 +107,7 @@ def denoise(points: FloatArray) -> Cured:
 
 
 def onto_surface(
-    points: FloatArray, spacing: float, noise: float, *, level: bool = False
+    points: FloatArray, spacing: float, noise: float, *, level: bool = False, things: bool = False
 ) -> tuple[FloatArray, FloatArray]:
     """Points on the surface [m], shape (n, 3), and the standard deviation left [m], shape (n,).
 
@@ -121,11 +116,14 @@ def onto_surface(
         spacing: Between neighbours on a surface [m].
         noise: Standard deviation of the points [m].
         level: Whether the surface is known to be more level than upright, as ground is: its steps then stay sharp.
+        things: Whether these are things without ground: what no shape explains then goes to the mean of what is beside,
+            and not onto its plane, if the noise is wide enough to hold several points. On a floor such means are steps.
     """
     least = max(RESOLVED * noise, 3.0 * spacing)
     radii: FloatArray = least * GROWTH ** np.arange(float(_SCALES))
-    wide = _thinned(points, spacing, radii[-1], _ENOUGH)
-    close = _thinned(points, spacing, radii[0], _CLOSE)
+    wide = build_tree(points[_pick(len(points), spacing, radii[-1], _ENOUGH)])
+    picked = _pick(len(points), spacing, radii[0], _CLOSE)
+    close = build_tree(points[picked])
     normals = np.zeros_like(points)
     normals[:, 2] = float(level)
     order = spatial_order(points)
@@ -136,46 +134,31 @@ def onto_surface(
             lambda a, b: _approach_range(wide, before, order[a:b], radii[:_FIRST_SCALES], noise, centre, normals),  # noqa: B023
             len(order),
         )
-    moved, left = points.copy(), np.full(len(points), _EXTREME * noise)
-    run_chunked(
-        lambda a, b: _settle_range(wide, close, points, centre, order[a:b], radii, noise, normals, moved, left),
-        len(order),
-    )
-    _follow(points, moved, left, normals, noise, spacing)
+    moved, left = points.copy(), np.full(len(points), EXTREME * noise)
+
+    def settle(rows: IntArray) -> None:
+        run_chunked(
+            lambda a, b: _settle_range(wide, close, points, centre, rows[a:b], radii, noise, normals, moved, left),
+            len(rows),
+        )
+
+    settle(order)
+    if not things or noise < spacing:
+        follow_nearest(points, moved, left, normals, noise, spacing)
+    else:  # once more from where its surface is: one in a hundred is too far off to see it
+        _, rows, nearest, place = beside_surface(points, moved, left, normals, noise, spacing)
+        centre[rows], normals[rows] = place, normals[nearest]
+        moved[rows], left[rows] = points[rows], EXTREME * noise
+        settle(rows)
+        settle_rests(points, moved, left, normals, noise, spacing, picked)
     return moved, np.maximum(left, HIDDEN * noise)
 
 
-def _follow(
-    points: FloatArray, moved: FloatArray, left: FloatArray, normals: FloatArray, noise: float, spacing: float
-) -> None:
-    """Move each point whose surroundings were cured and which itself was not, or elsewhere, onto the nearest's plane.
-
-    One in a hundred is unlucky, and the nearest of many such outliers is what a far query would see.
-    """
-    cured = np.flatnonzero(left < _EXTREME * noise)
-    if len(cured) <= FEWEST:
-        return
-    reach, beside = cKDTree(moved[cured]).query(moved[cured], k=FEWEST, workers=-1)
-    sound = reach[:, -1] <= _LONELY * np.median(reach[beside, -1], axis=1)
-    lost = np.ones(len(points), dtype=bool)
-    lost[cured[sound]] = False
-    rows = np.flatnonzero(lost)
-    around = cKDTree(points).query(points[rows], k=2 * FEWEST, workers=-1)[1]
-    rows = rows[lost[around].mean(axis=1) < 0.5]
-    off, nearest = cKDTree(moved[cured[sound]]).query(points[rows], workers=-1)
-    nearest = cured[sound][nearest]
-    aside = points[rows] - moved[nearest]
-    normal = normals[nearest]
-    across = np.einsum("ij,ij->i", aside, normal)
-    place = np.where(normal.any(axis=1)[:, None], points[rows] - across[:, None] * normal, moved[nearest])
-    close = (off <= FAR * noise + spacing) & (np.linalg.norm(place - points[rows], axis=1) <= FAR * noise)
-    moved[rows[close]], left[rows[close]] = place[close], left[nearest[close]]
-
-
-def _thinned(points: FloatArray, spacing: float, radius: float, count: int) -> Tree:
-    """As many of the points as leave about `count` within `radius` [m]."""
+def _pick(number: int, spacing: float, radius: float, count: int) -> BoolArray:
+    """As many of `number` points of a surface as leave about `count` within `radius` [m], shape (number,)."""
     share = count / (np.pi * (radius / spacing) ** 2)
-    return build_tree(points if share >= 1.0 else points[np.random.default_rng(_SEED).random(len(points)) < share])
+    picked: BoolArray = np.random.default_rng(_SEED).random(number) < share
+    return picked
 
 
 def find_loose(points: FloatArray, noise: float, spacing: float) -> BoolArray:

@@ -105,7 +105,7 @@ def _cure_apart(points: FloatArray, ground: BoolArray, noise: float) -> Cured:
         if not part.any():
             continue
         own = points[part]
-        moved, left = onto_surface(own, estimate_spacing(own), noise, level=part is ground)
+        moved, left = onto_surface(own, estimate_spacing(own), noise, level=part is ground, things=part is not ground)
         if part is ground:
             flights = onto_treads(own, noise, moved, left)
         else:
