@@ -159,12 +159,12 @@ def _noise(made: SyntheticScene, scene: gpdf.Scene, path: Path) -> None:
 
 
 def _refused(path: Path) -> None:
-    """What a human was refused in the cluttered office under noise, as `gpdf bench paper --png` draws it."""
+    """What a human was refused beside the cow and the lady under noise, as `gpdf bench paper --png` draws it."""
     with TemporaryDirectory() as folder:
-        words = ["--scene", "cluttered_office", "--agent", "human", "--method", "dual_gpdf", "--png", folder]
+        words = ["--scene", "cow_and_lady", "--agent", "human", "--method", "dual_gpdf", "--png", folder]
         if command_line(["bench", "paper", *words, "--json", f"{folder}/rows.json"]) != 0:
             raise SystemExit("a path was judged a collision")
-        copyfile(Path(folder) / "cluttered_office_human_refused.png", path)
+        copyfile(Path(folder) / "cow_and_lady_human_refused.png", path)
     _shrink(path)
 
 
