@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.sparse import coo_array
 
 from gpdf_service.config import PerceptionConfig
 from gpdf_service.errors import NoGroundError
@@ -16,6 +17,7 @@ from gpdf_service.perception.columns import by_cell, medians_around
 from gpdf_service.perception.layers import (
     Beside,
     Layers,
+    Pairs,
     beside,
     beside_now,
     build_layers,
@@ -274,7 +276,8 @@ def find_ground(
     height = {i: float(np.median(layers.height[nodes])) for i, nodes in large.items()}
     bulk = min(large, key=height.__getitem__)
     storeys = [i for i, nodes in large.items() if i == bulk or _is_storey(layers, nodes, large[bulk], config)]
-    joins = _joins(near, config, wide, patch)
+    under, below = _undersides(layers, surface & ~wide, wide, patch, (a, b), config)
+    joins = _joins(near, config, wide, patch, below)
     seen = np.zeros(patch.max() + 1, dtype=bool)
     seen[storeys] = True
     ground = wide & seen[patch]
@@ -282,7 +285,9 @@ def find_ground(
     while True:
         low = _under_furniture(ground, wide & ~ground, core, *loose)
         ground = _spread(layers, config, ground, low, smooth == 8, patch, joins, seen)
-        reached = _under_furniture(ground, wide & seen[patch] & ~ground, core, *loose)
+        apart = wide & seen[patch] & ~ground
+        apart[:-1] |= under[:-1] & ground[1:]
+        reached = _under_furniture(ground, apart, core, *loose)
         seen[patch[reached & wide]] = True
         if not _beside(reached, patch, joins, seen).any():
             break
@@ -439,7 +444,8 @@ class _Joins:
     members: IntArray
 
 
-def _joins(near: Beside, config: PerceptionConfig, wide: BoolArray, patch: IntArray) -> _Joins:
+def _joins(near: Beside, config: PerceptionConfig, wide: BoolArray, patch: IntArray, below: IntArray) -> _Joins:
+    """The steps between the patches, but for those that `_undersides` tells of."""
     layers = near.layers
     standable, tread = _shapes(layers, wide, patch, config)
     start, members = by_cell(patch, len(standable))
@@ -450,7 +456,48 @@ def _joins(near: Beside, config: PerceptionConfig, wide: BoolArray, patch: IntAr
     a, b = np.concatenate([a, b]), np.concatenate([b, a])
     rise = np.abs(layers.height[a] - _level_of_furniture(layers, area <= TABLE_AREA, start, members, patch, b))
     allowed = np.where(standable[patch[b]], config.max_step, np.where(tread[patch[b]], config.stair_step, -1.0))
-    return _Joins(a[rise <= allowed], b[rise <= allowed], standable, area, level / np.maximum(count, 1), start, members)
+    join = (rise <= allowed) & ~np.isin(patch[b] * len(standable) + patch[a], below)
+    return _Joins(a[join], b[join], standable, area, level / np.maximum(count, 1), start, members)
+
+
+def _undersides(
+    layers: Layers, hidden: BoolArray, wide: BoolArray, patch: IntArray, smooth: Pairs, config: PerceptionConfig
+) -> tuple[BoolArray, IntArray]:
+    """Where slabs that a body may stand on are seen from below, and which patches are that, seen through a hole in the scan of their tops.
+
+    Such a surface is the next below nodes of patches, by no more than a step, as wide as a body (a stair's tread goes
+    on beneath the next one by its nosing alone), and most of it has something below it: the floor has not.
+
+    Returns:
+        Which of the `hidden` nodes are of undersides, shape (k,), and pairs of patches: the number of one that is an
+        underside, times the count of all, plus that of one that lies on its slab.
+    """
+    count, below = int(patch.max()) + 1, np.r_[False, layers.cell[1:] == layers.cell[:-1]]
+    rows = np.flatnonzero(hidden[:-1] & wide[1:] & below[1:])
+    rows = rows[layers.height[rows + 1] - layers.height[rows] <= config.max_step]
+    under = np.zeros(len(wide), dtype=bool)
+    under[rows] = True
+    part = np.full(len(wide), len(rows))
+    part[rows] = np.unique(components(*smooth, under)[rows], return_inverse=True)[1]
+    depth = extents_in_plan(layers.cell, layers.shape[1], under, part, layers.cell_width)[1]
+    slab = (depth >= config.standing_width)[part[rows]] & _mostly(below, part, under)[part[rows]]
+    under[rows] = slab
+    rows = rows[slab]
+    a, b = (np.concatenate(ends) for ends in zip(smooth, smooth[::-1], strict=True))
+    beside = wide[a] & under[b] & _mostly(below, patch, wide)[patch[a]]
+    lower, upper = (
+        coo_array((np.ones(len(i), dtype=bool), (i, j)), (count, len(depth))).tocsr()
+        for i, j in ((patch[a[beside]], part[b[beside]]), (patch[rows + 1], part[rows]))
+    )
+    lower, upper = (lower @ upper.T).nonzero()
+    return under, lower.astype(np.int64) * count + upper
+
+
+def _mostly(true: BoolArray, label: IntArray, among: BoolArray) -> BoolArray:
+    """For which labels it is true of at least half of the nodes `among` all."""
+    count = np.bincount(label[among], minlength=label.max() + 1)
+    held: BoolArray = 2 * np.bincount(label[among & true], minlength=len(count)) >= np.maximum(count, 1)
+    return held
 
 
 def _beside(ground: BoolArray, patch: IntArray, joins: _Joins, seen: BoolArray) -> IntArray:
