@@ -22,7 +22,7 @@ from gpdf_service.perception.columns import (
     lowest_above,
 )
 from gpdf_service.perception.hidden import FACE_REACH, find_faces, hidden_reach, without_hidden
-from gpdf_service.perception.layers import Beside, Layers, beside, build_layers, cell_width_of, layer_gap
+from gpdf_service.perception.layers import Beside, Layers, Pairs, beside, build_layers, cell_width_of, layer_gap
 from gpdf_service.perception.limits import (
     GroundLimits,
     Measured,
@@ -35,7 +35,7 @@ from gpdf_service.perception.limits import (
     widened,
     window,
 )
-from gpdf_service.perception.nodes import components, degrees, grown_sheet
+from gpdf_service.perception.nodes import components, degrees, grown_sheet, mark_nearest
 from gpdf_service.perception.segment import LEAST_SCATTER, over_ground
 from gpdf_service.perception.smooth import RESOLVED_STEP, smooth, to_centres, without_unlucky
 from gpdf_service.perception.strays import find_strays
@@ -240,22 +240,21 @@ def split_sheets(near: Beside, config: PerceptionConfig) -> tuple[BoolArray, ...
     keep &= ~over_ground(layers, keep, config.step_headroom)
     if (np.diff(layers.cell[keep]) > 0).all():
         return (keep,)
-    smooth = components(*near.slopes(keep, layers.cell_width), keep)
+    slopes = near.slopes(keep, layers.cell_width)
+    smooth = components(*slopes, keep)
     a, b = near.steps(keep, config.max_step, smooth)
     sheet_of = np.full(count, -1)
     size = np.bincount(smooth, weights=keep)
     order = np.argsort(-size)
     start, members = by_cell(smooth, len(size))
+    least = max(9, int(0.001 * count))  # a patch smaller than three cells square holds no foot
     sheets = 0
     for seed in order[size[order] > 0]:
         own = members[start[seed] : start[seed + 1]]
-        # A piece can lie over itself, as two floors with a gentle stair do: the lowest of it first, then what is left.
         while len(left := own[sheet_of[own] < 0]):
-            nodes = _first_of_each_cell(layers, left)
-            sheet_of[nodes] = sheets
+            sheet_of[_lowest_of(layers, left, slopes, least)] = sheets
             _attach(layers, a, b, smooth, start, members, sheet_of, sheets)
             sheets += 1
-    least = max(9, int(0.001 * count))  # a patch smaller than three cells square holds no foot
     made = [np.flatnonzero(sheet_of == i) for i in range(sheets)]
     grid, rings = (layers.cell, layers.start, layers.shape, layers.height), int(np.ceil(OVERLAP / layers.cell_width))
     large = sorted((n for n in made if len(n) >= least), key=lambda nodes: float(np.median(layers.height[nodes])))
@@ -279,8 +278,28 @@ def _under_step(near: Beside, max_step: float) -> BoolArray:
     return foot
 
 
-def _first_of_each_cell(layers: Layers, nodes: IntArray) -> IntArray:
-    return nodes[np.unique(layers.cell[nodes], return_index=True)[1]]
+def _lowest_of(layers: Layers, piece: IntArray, slopes: Pairs, least: int) -> IntArray:
+    """The nodes of a smooth piece on its lowest floor: all of them, or the floor below where it lies over itself.
+
+    So do two floors that a ramp or a gentle stair joins. A node that is alone in its cell is of the floor to which the
+    way over the piece is shorter: the upper floor over a hole in the scan of the lower one stays the upper floor, and
+    half of the ramp is of either. What is joined to the floor only over others is left for them. Fewer nodes than the
+    `least` that lie over others are no floor.
+    """
+    over = np.r_[False, np.diff(layers.cell[piece]) == 0]
+    mark = np.full(len(layers.cell), -1, dtype=np.int8)
+    mark[piece[over]] = 2
+    part = components(*slopes, mark == 2)[piece]
+    floor = over & (np.bincount(part[over], minlength=part.max() + 1) >= least)[part]
+    if not floor.any():
+        lowest: IntArray = piece[~over]
+        return lowest
+    mark[piece] = np.where(floor, 2, np.where(over, -1, np.where(np.r_[floor[1:], False], 1, 0)))
+    mark_nearest(*slopes, mark)
+    low = mark == 1
+    part = components(*slopes, low)[piece]
+    floors: IntArray = piece[low[piece] & (part == np.bincount(part[low[piece]]).argmax())]
+    return floors
 
 
 def _attach(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
 from gpdf_service.perception.columns import INDEX
 from gpdf_service.types import BoolArray, FloatArray, IntArray
@@ -69,6 +70,33 @@ def joined_to(seeds: BoolArray, among: BoolArray, a: IntArray, b: IntArray) -> B
         parent[i + 1] = parent[parent[i + 1]]
         made[i] |= parent[i + 1] == 0
     return made
+
+
+@njit(cache=True, nogil=True)
+def mark_nearest(a: IntArray, b: IntArray, mark: NDArray[np.int8]) -> None:
+    """Give each node marked 0 the mark of the one over 0 that the fewest pairs (a, b) join it to; -1 joins nothing."""
+    start = np.zeros(len(mark) + 1, np.int64)
+    for e in range(len(a)):
+        if mark[a[e]] >= 0 and mark[b[e]] >= 0:
+            start[a[e] + 1] += 1
+            start[b[e] + 1] += 1
+    start = np.cumsum(start)
+    place, other = start[:-1].copy(), np.empty(start[-1], INDEX)
+    for e in range(len(a)):
+        i, j = a[e], b[e]
+        if mark[i] >= 0 and mark[j] >= 0:
+            other[place[i]], other[place[j]] = j, i
+            place[i] += 1
+            place[j] += 1
+    ring = np.flatnonzero(mark > 0)
+    while len(ring):
+        found = [0 for _ in range(0)]
+        for i in ring:
+            for e in range(start[i], start[i + 1]):
+                if mark[other[e]] == 0:
+                    mark[other[e]] = mark[i]
+                    found.append(other[e])
+        ring = np.array(found, np.int64)
 
 
 @njit(cache=True, nogil=True)

@@ -463,9 +463,9 @@ def _joins(near: Beside, config: PerceptionConfig, wide: BoolArray, patch: IntAr
 def _undersides(
     layers: Layers, hidden: BoolArray, wide: BoolArray, patch: IntArray, smooth: Pairs, config: PerceptionConfig
 ) -> tuple[BoolArray, IntArray]:
-    """Where slabs that a body may stand on are seen from below, and which patches are that, seen through a hole in the scan of their tops.
+    """Where slabs are seen from below, and which patches are that, seen through a hole in the scan of a slab's top.
 
-    Such a surface is the next below nodes of patches, by no more than a step, as wide as a body (a stair's tread goes
+    An underside is the next below nodes of patches, by no more than a step, as wide as a body (a stair's tread goes
     on beneath the next one by its nosing alone), and most of it has something below it: the floor has not.
 
     Returns:

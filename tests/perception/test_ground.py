@@ -446,6 +446,36 @@ def test_two_floors_that_a_gentle_stair_joins_are_two_levels():
     assert plan(scene, (3.0, 3.0, 2.8), (4.0, 3.0, 2.8)).status is Status.OK
 
 
+def car_park():
+    """Two decks 2.9 m apart, 25 cm thick, that a ramp joins, as scanners on each saw them, which are blind below."""
+    x, y = (axis.ravel() for axis in np.meshgrid(np.arange(0.0, 16.0, 0.05), np.arange(0.0, 6.0, 0.05)))
+    deck, ramp = x < 8.0, (x >= 8.0) & (y < 3.0)
+    blind = np.hypot(x - 4.0, y - 4.0) < 0.6
+    surfaces = [
+        (~(ramp & (x < 14.0)) & ~blind, 0.0 * x),
+        (ramp & (x < 14.0), 2.9 * (14.0 - x) / 6.0),
+        (deck & (np.hypot(x - 4.0, y - 1.5) > 0.6), 0.0 * x + 2.9),
+        (deck, 0.0 * x + 2.65),
+    ]
+    return np.concatenate([np.column_stack([x[seen], y[seen], z[seen]]) for seen, z in surfaces])
+
+
+def test_a_slab_seen_from_below_through_the_hole_in_the_scan_of_its_top_is_no_ground():
+    scene = build_scene(car_park())
+    heights = np.concatenate([surface.height_at(np.array([[4.0, 1.5]])) for surface in scene.surfaces])
+    assert np.nanmin(np.abs(heights - 2.65)) > 0.2
+    assert np.nanmin(np.abs(heights - 2.9)) < 0.01  # the slab is there: its top is inferred
+    assert plan(scene, (4.0, 0.6, 2.9), (4.0, 2.4, 2.9)).status is Status.OK
+
+
+def test_a_hole_in_the_scan_of_a_floor_below_another_that_a_ramp_joins_is_filled():
+    scene = build_scene(car_park())
+    heights = np.concatenate([surface.height_at(np.array([[4.0, 4.0]])) for surface in scene.surfaces])
+    assert np.nanmin(np.abs(heights)) < 0.01
+    assert plan(scene, (3.0, 4.0, 0.0), (5.0, 4.0, 0.0)).status is Status.OK
+    assert plan(scene, (3.0, 4.0, 0.0), (5.0, 4.0, 2.9)).status is Status.OK  # over the ramp
+
+
 def hillside_with_a_house(pitch):
     """A lawn, a terrace 1.8 m over it behind a bank of 24°, and a house whose roof of `pitch` begins at the terrace."""
     rng = np.random.default_rng(0)
