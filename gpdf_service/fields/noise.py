@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from math import sqrt
+from statistics import NormalDist
 
 import numpy as np
 from numba import njit
@@ -28,11 +29,14 @@ _SHEETS = 0.2
 """[-] Variance within two sheets over that of one, below which they are two; noise alone gives 0.36."""
 _AT_ONCE = 4
 """Radii that are looked at in one walk: most places are told by the first four."""
+CLEAN, TYPICAL = 0.25, 0.5
+"""[-] Quantiles of what is told at single places. Most of a clean cloud may be shapes that look like noise. Of a noisy
+one, the middle: a beam's noise is along the beam, so far floors have little of it, and the floor at the scanner all."""
 _SAMPLE = 1000
 """Points that the noise is estimated from: its error is then some per cent."""
 
 
-def estimate_noise(points: FloatArray, spacing: float, *, sheets: bool = True) -> float:
+def estimate_noise(points: FloatArray, spacing: float, *, sheets: bool = True, share: float = CLEAN) -> float:
     """Standard deviation of the points along the surface's normal [m]; points of shape (n, 3).
 
     What is left of the smallest neighbourhood that shows its shape: a plane, an edge, two sheets or a pole. So the
@@ -43,6 +47,7 @@ def estimate_noise(points: FloatArray, spacing: float, *, sheets: bool = True) -
         points: The cloud [m].
         spacing: Between its points [m].
         sheets: Whether two sheets on each other can both be there.
+        share: Of the places that have less noise: `CLEAN`, or `TYPICAL` where noise is not the same everywhere.
     """
     if len(points) < _TOLD or spacing <= 0.0:
         return 0.0
@@ -51,24 +56,25 @@ def estimate_noise(points: FloatArray, spacing: float, *, sheets: bool = True) -
     noise = np.full(len(picked), np.nan)
     radii: FloatArray = 2.0 * spacing * GROWTH ** np.arange(16.0)
     tree = build_tree(points)
-    run_chunked(lambda a, b: _noise_range(tree, picked, a, b, radii, sheets, noise), len(picked))
+    z = NormalDist().inv_cdf(share)
+    run_chunked(lambda a, b: _noise_range(tree, picked, a, b, radii, sheets, z, noise), len(picked))
     found = noise[np.isfinite(noise)]
     if np.isinf(noise).sum() > len(found):
         thinner = rng.choice(points, len(points) // 4, replace=False)
-        return estimate_noise(thinner, 2.0 * spacing, sheets=sheets)
-    return float(np.quantile(found, 0.25)) if len(found) else 0.0
+        return estimate_noise(thinner, 2.0 * spacing, sheets=sheets, share=share)
+    return float(np.quantile(found, share)) if len(found) else 0.0
 
 
 @njit(cache=True, nogil=True)
-def _lower(freedom: float) -> float:
-    """Lower quartile of χ²/ν with ν degrees of freedom; Wilson and Hilferty 1931."""
+def _quantile(freedom: float, z: float) -> float:
+    """Quantile of χ²/ν with ν degrees of freedom, where the normal one is `z`; Wilson and Hilferty 1931."""
     part = 2.0 / (9.0 * freedom)
-    return (1.0 - part - 0.674 * sqrt(part)) ** 3
+    return (1.0 - part + z * sqrt(part)) ** 3
 
 
 @njit(cache=True, nogil=True)
 def _noise_range(
-    tree: Tree, places: FloatArray, begin: int, end: int, radii: FloatArray, sheets: bool, noise: FloatArray
+    tree: Tree, places: FloatArray, begin: int, end: int, radii: FloatArray, sheets: bool, z: float, noise: FloatArray
 ) -> None:
     """The larger radii are looked at only where the smaller ones do not tell: they hold most of the points.
 
@@ -99,11 +105,11 @@ def _noise_range(
                     within = split_sheets(near, found, normal, mean) if sheets else np.inf
                     if within < _SHEETS * low:
                         variance = min(variance, within)
-                    noise[i] = sqrt(variance / _lower(count - 6.0))
+                    noise[i] = sqrt(variance / _quantile(count - 6.0, z))
                     break
                 if high > LONG * middle:
                     found = gather(tree, places[i], radii[j], near)
                     fit_axis(moments[j], high, normal)
-                    noise[i] = sqrt(fit_ring(near, found, mean, normal)[1] / _lower(count - 6.0))
+                    noise[i] = sqrt(fit_ring(near, found, mean, normal)[1] / _quantile(count - 6.0, z))
                     break
             first = last
