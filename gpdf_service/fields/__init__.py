@@ -13,7 +13,6 @@ from gpdf_service.fields.gpdf import Domain as Domain
 from gpdf_service.fields.gpdf import Gpdf as Gpdf
 from gpdf_service.fields.gpdf import find_nearest as find_nearest
 from gpdf_service.fields.gpdf import fit_gpdf as fit_gpdf
-from gpdf_service.fields.noise import TYPICAL as TYPICAL
 from gpdf_service.fields.noise import estimate_noise as estimate_noise
 from gpdf_service.fields.order import morton as morton
 from gpdf_service.fields.rests import FAR as FAR

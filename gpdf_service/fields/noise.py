@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from math import sqrt
-from statistics import NormalDist
 
 import numpy as np
 from numba import njit
@@ -29,25 +28,22 @@ _SHEETS = 0.2
 """[-] Variance within two sheets over that of one, below which they are two; noise alone gives 0.36."""
 _AT_ONCE = 4
 """Radii that are looked at in one walk: most places are told by the first four."""
-CLEAN, TYPICAL = 0.25, 0.5
-"""[-] Quantiles of what is told at single places. Most of a clean cloud may be shapes that look like noise. Of a noisy
-one, the middle: a beam's noise is along the beam, so far floors have little of it, and the floor at the scanner all."""
 _SAMPLE = 1000
 """Points that the noise is estimated from: its error is then some per cent."""
 
 
-def estimate_noise(points: FloatArray, spacing: float, *, sheets: bool = True, share: float = CLEAN) -> float:
+def estimate_noise(points: FloatArray, spacing: float, *, sheets: bool = True) -> float:
     """Standard deviation of the points along the surface's normal [m]; points of shape (n, 3).
 
     What is left of the smallest neighbourhood that shows its shape: a plane, an edge, two sheets or a pole. So the
-    corners of a clean cloud are no noise, nor is the thickness of a board. A cloud so dense that most
-    such neighbourhoods hold more points than are looked at is thinned first.
+    corners of a clean cloud are no noise, nor is the thickness of a board. The median of all places, because a beam's
+    noise is along the beam: a floor far from the scanner shows little of it, one right below it all. A cloud so dense
+    that most such neighbourhoods hold more points than are looked at is thinned first.
 
     Args:
         points: The cloud [m].
         spacing: Between its points [m].
         sheets: Whether two sheets on each other can both be there.
-        share: Of the places that have less noise: `CLEAN`, or `TYPICAL` where noise is not the same everywhere.
     """
     if len(points) < _TOLD or spacing <= 0.0:
         return 0.0
@@ -56,25 +52,23 @@ def estimate_noise(points: FloatArray, spacing: float, *, sheets: bool = True, s
     noise = np.full(len(picked), np.nan)
     radii: FloatArray = 2.0 * spacing * GROWTH ** np.arange(16.0)
     tree = build_tree(points)
-    z = NormalDist().inv_cdf(share)
-    run_chunked(lambda a, b: _noise_range(tree, picked, a, b, radii, sheets, z, noise), len(picked))
+    run_chunked(lambda a, b: _noise_range(tree, picked, a, b, radii, sheets, noise), len(picked))
     found = noise[np.isfinite(noise)]
     if np.isinf(noise).sum() > len(found):
         thinner = rng.choice(points, len(points) // 4, replace=False)
-        return estimate_noise(thinner, 2.0 * spacing, sheets=sheets, share=share)
-    return float(np.quantile(found, share)) if len(found) else 0.0
+        return estimate_noise(thinner, 2.0 * spacing, sheets=sheets)
+    return float(np.median(found)) if len(found) else 0.0
 
 
 @njit(cache=True, nogil=True)
-def _quantile(freedom: float, z: float) -> float:
-    """Quantile of χ²/ν with ν degrees of freedom, where the normal one is `z`; Wilson and Hilferty 1931."""
-    part = 2.0 / (9.0 * freedom)
-    return (1.0 - part + z * sqrt(part)) ** 3
+def _middle(freedom: float) -> float:
+    """Median of χ²/ν with ν degrees of freedom; Wilson and Hilferty 1931."""
+    return (1.0 - 2.0 / (9.0 * freedom)) ** 3
 
 
 @njit(cache=True, nogil=True)
 def _noise_range(
-    tree: Tree, places: FloatArray, begin: int, end: int, radii: FloatArray, sheets: bool, z: float, noise: FloatArray
+    tree: Tree, places: FloatArray, begin: int, end: int, radii: FloatArray, sheets: bool, noise: FloatArray
 ) -> None:
     """The larger radii are looked at only where the smaller ones do not tell: they hold most of the points.
 
@@ -105,11 +99,11 @@ def _noise_range(
                     within = split_sheets(near, found, normal, mean) if sheets else np.inf
                     if within < _SHEETS * low:
                         variance = min(variance, within)
-                    noise[i] = sqrt(variance / _quantile(count - 6.0, z))
+                    noise[i] = sqrt(variance / _middle(count - 6.0))
                     break
                 if high > LONG * middle:
                     found = gather(tree, places[i], radii[j], near)
                     fit_axis(moments[j], high, normal)
-                    noise[i] = sqrt(fit_ring(near, found, mean, normal)[1] / _quantile(count - 6.0, z))
+                    noise[i] = sqrt(fit_ring(near, found, mean, normal)[1] / _middle(count - 6.0))
                     break
             first = last

@@ -10,7 +10,6 @@ import numpy as np
 from gpdf_service.config import PerceptionConfig
 from gpdf_service.errors import NoGroundError
 from gpdf_service.fields import (
-    TYPICAL,
     Cured,
     Flight,
     estimate_noise,
@@ -79,11 +78,10 @@ def cure_and_segment(
     if refused is not None and noise <= least:
         raise refused
     double = estimate_noise(chosen_rows(points, picked & first), spacing, sheets=False)
-    sheets = double <= max(_DOUBLE * noise, least)
-    if sheets and noise <= least:
+    if double > max(_DOUBLE * noise, least):
+        noise = double
+    if noise <= least:
         return Found(uncured(points, noise), first, as_it_was=True, segmentation=segmentation)
-    sample = chosen_rows(points, picked if sheets else picked & first)
-    noise = estimate_noise(sample, spacing, sheets=sheets, share=TYPICAL)
     stray = None
     if ground is None:
         moved, _ = onto_surface(points, spacing, noise)
