@@ -14,6 +14,7 @@ from scipy.spatial import cKDTree
 from gpdf_service.config import PerceptionConfig
 from gpdf_service.errors import NoGroundError
 from gpdf_service.fields.threads import run_chunked
+from gpdf_service.perception.beside import Beside, beside
 from gpdf_service.perception.columns import (
     by_cell,
     chosen_rows,
@@ -22,7 +23,7 @@ from gpdf_service.perception.columns import (
     lowest_above,
 )
 from gpdf_service.perception.hidden import FACE_REACH, find_faces, hidden_reach, without_hidden
-from gpdf_service.perception.layers import Beside, Layers, beside, build_layers, cell_width_of, layer_gap
+from gpdf_service.perception.layers import Layers, build_layers, cell_width_of, layer_gap
 from gpdf_service.perception.limits import (
     GroundLimits,
     Measured,
@@ -35,7 +36,7 @@ from gpdf_service.perception.limits import (
     widened,
     window,
 )
-from gpdf_service.perception.nodes import components, degrees, grown_sheet
+from gpdf_service.perception.nodes import grown_sheet, pairs_within
 from gpdf_service.perception.segment import LEAST_SCATTER, over_ground
 from gpdf_service.perception.smooth import RESOLVED_STEP, smooth, to_centres, without_unlucky
 from gpdf_service.perception.strays import find_strays
@@ -240,8 +241,8 @@ def split_sheets(near: Beside, config: PerceptionConfig) -> tuple[BoolArray, ...
     keep &= ~over_ground(layers, keep, config.step_headroom)
     if (np.diff(layers.cell[keep]) > 0).all():
         return (keep,)
-    smooth = components(*near.slopes(keep, layers.cell_width), keep)
-    a, b = near.steps(keep, config.max_step, smooth)
+    smooth, _, steps = near.pieces(keep, layers.cell_width, None, keep, config.max_step)
+    a, b = pairs_within(*steps, keep, True, smooth)
     sheet_of = np.full(count, -1)
     size = np.bincount(smooth, weights=keep)
     order = np.argsort(-size)
@@ -273,7 +274,7 @@ def _under_step(near: Beside, max_step: float) -> BoolArray:
     A single point over the floor goes on nowhere.
     """
     layers = near.layers
-    joined = degrees(*near.slopes(np.ones(len(layers.cell), dtype=bool), layers.cell_width), len(layers.cell))
+    joined = near.degrees(np.ones(len(layers.cell), dtype=bool), layers.cell_width)
     foot = np.zeros(len(layers.cell), dtype=bool)
     foot[:-1] = (np.diff(layers.cell) == 0) & (np.diff(layers.height) <= max_step) & (joined[1:] > 1)
     return foot
