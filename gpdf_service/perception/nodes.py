@@ -166,15 +166,13 @@ def joined_to(seeds: BoolArray, among: BoolArray, piece: IntArray, a: IntArray, 
             parent[piece[i] + 1] = 0
     for e in range(len(a)):
         i, j = a[e], b[e]
-        if (seeds[i] or among[i]) and (seeds[j] or among[j]):
-            i, j = piece[i] + 1, piece[j] + 1
-            if parent[i] != parent[j]:
-                _unite(parent, i, j)
+        if (among[i] & (seeds[j] | among[j])) | (among[j] & seeds[i]):
+            _unite(parent, piece[i] + 1, piece[j] + 1)
     for i in range(len(parent)):  # a parent comes before its children
         parent[i] = parent[parent[i]]
     made = seeds.copy()
     for i in range(len(seeds)):
-        made[i] |= among[i] and parent[piece[i] + 1] == 0
+        made[i] |= among[i] & (parent[piece[i] + 1] == 0)
     return made
 
 

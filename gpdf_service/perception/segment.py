@@ -272,7 +272,7 @@ def find_ground(
     seen = np.zeros(len(joins.size), dtype=bool)
     seen[storeys] = True
     ground = wide & seen[patch]
-    loose = pairs_within(*loose, core | wide, True)
+    loose = pairs_within(*pairs_within(*loose, core | wide, True), ~ground, False)  # that is so, or out of reach
     # Without a step the ground reaches where only a low body fits. Nothing is entered from there over a step: what is
     # low beside a stair's tread is its soffit. Patches not yet seen are no ground, so each of their pieces is one node.
     while True:
