@@ -116,7 +116,7 @@ def pieces_in(
     for i in range(count):  # a parent comes before its children
         root[i] = root[root[i]]
     left, right, found, steps = np.empty(size, INDEX), np.empty(size, INDEX), 0, np.zeros_like(first)
-    for k in range(len(apart)):
+    for k in range(len(apart) if step > 0.0 else 0):
         for e in range(first[k], first[k + 1]):
             i, j = a[e], b[e]
             over, both = abs(height[i] - height[j]), kind[i] & kind[j]
