@@ -28,7 +28,16 @@ from gpdf_service.perception.columns import (
     taken,
     without_rows,
 )
-from gpdf_service.perception.layers import Layers, build_layers, carried, grid_of, kept_nodes, layer_gap, splice_layers
+from gpdf_service.perception.layers import (
+    Layers,
+    build_layers,
+    carried,
+    grid_of,
+    kept_nodes,
+    layer_gap,
+    same_nodes,
+    splice_layers,
+)
 from gpdf_service.perception.levels import (
     FACE,
     HIGH,
@@ -287,8 +296,10 @@ def _change_levels(
     rows = cloud.rows_in(layers, cells)
     rows = rows[ground[rows]]
     layers = _change_layers(layers, cloud, rows, cells, config)
-    near = beside_now(old.survey.near, layers, rise_of_sheets(layers, config), cells)
-    sheets = split_sheets(near, config)
+    near, sheets = old.survey.near, old.survey.sheets
+    if not same_nodes(layers, near.layers):  # as where something was put onto the ground
+        near = beside_now(near, layers, rise_of_sheets(layers, config), cells)
+        sheets = split_sheets(near, config)
     if len(sheets) != len(old.levels.levels):
         raise WholeError
     kept = kept_nodes(old.survey.layers, layers, cells)

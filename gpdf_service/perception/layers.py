@@ -127,14 +127,22 @@ def grid_of(low: FloatArray, high: FloatArray, cell_width: float) -> tuple[Float
     return origin, (int(shape[0]), int(shape[1]))
 
 
+_OWN = "cell", "place", "height", "thickness", "headroom"
+"""What is told of each node."""
+
+
+def same_nodes(one: Layers, other: Layers) -> bool:
+    """Whether two layers on the same grid hold the same nodes."""
+    return all(np.array_equal(getattr(one, name), getattr(other, name)) for name in _OWN)
+
+
 def splice_layers(layers: Layers, changed: BoolArray, fresh: Layers | None) -> Layers:
     """Layers with all nodes of the `changed` cells, shape (cells,), replaced by those of `fresh` on the same grid."""
     first = np.zeros_like(layers.start) if fresh is None else fresh.start
     start, source = spliced(changed, layers.start, first)
     new, nothing = layers if fresh is None else fresh, np.zeros(0, np.int64)
     cell, place, height, thickness, headroom = (
-        values_spliced(getattr(layers, name), getattr(new, name), source)
-        for name in ("cell", "place", "height", "thickness", "headroom")
+        values_spliced(getattr(layers, name), getattr(new, name), source) for name in _OWN
     )
     grid = layers.origin, layers.cell_width, layers.shape
     return Layers(*grid, cell, place, height, thickness, headroom, nothing, start)
