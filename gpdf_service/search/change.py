@@ -127,7 +127,8 @@ def _change_tree(tree: Tree, stay: BoolArray, fresh: FloatArray) -> Tree:
         return build_tree(fresh)
     made, source = change_tree(tree, stay[tree.order], np.ascontiguousarray(fresh))
     row = np.cumsum(stay) - 1
-    order = np.where(source >= 0, row[tree.order[source]], row[-1] - source)  # −1 − a fresh row, after the last
+    before = row[tree.order[np.maximum(source, 0)]]
+    order = np.where(source >= 0, before, row[-1] - source)  # −1 − a fresh row, after the last
     return made._replace(order=order)
 
 
