@@ -194,6 +194,19 @@ def test_random_changes_equal_a_scene_from_scratch(made, labelled, agents):
         scene = changed
 
 
+def test_more_obstacles_than_there_were_can_come_at_once():
+    plan = np.random.default_rng(3).uniform(0.0, 6.0, (40_000, 2))
+    floor = np.column_stack([plan, np.zeros(len(plan))])
+    points = np.concatenate([floor, box((1.0, 1.0, 0.1), (1.2, 1.2, 1.0), 30)])
+    scene = gpdf.build_scene(points, np.arange(len(points)) < len(floor))
+    before = len(scene.free_space("human").obstacles[0].points)
+    fresh = box((3.0, 3.0, 0.1), (4.0, 4.0, 1.0), 900)
+    changed = scene.update(insert=fresh, ground=np.zeros(len(fresh), dtype=bool))
+    assert changed.perceived.touched
+    assert before < len(fresh)
+    assert_equal_scenes(changed, from_scratch(changed), "human")
+
+
 def test_a_scene_keeps_its_resolution_until_much_of_it_has_changed():
     """The width of its cells is measured in steps of 5 mm, and a few points can take it over one."""
     plan = np.random.default_rng(3).uniform(0.0, 6.0, (4000, 2))

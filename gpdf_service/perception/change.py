@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from gpdf_service.config import PerceptionConfig
 from gpdf_service.fields.threads import run_parallel
+from gpdf_service.perception.beside import beside_now
 from gpdf_service.perception.columns import (
     bounds_of,
     by_cell,
@@ -27,7 +28,16 @@ from gpdf_service.perception.columns import (
     taken,
     without_rows,
 )
-from gpdf_service.perception.layers import Layers, beside_now, build_layers, grid_of, layer_gap, splice_layers
+from gpdf_service.perception.layers import (
+    Layers,
+    build_layers,
+    carried,
+    grid_of,
+    kept_nodes,
+    layer_gap,
+    same_nodes,
+    splice_layers,
+)
 from gpdf_service.perception.levels import (
     FACE,
     HIGH,
@@ -286,15 +296,17 @@ def _change_levels(
     rows = cloud.rows_in(layers, cells)
     rows = rows[ground[rows]]
     layers = _change_layers(layers, cloud, rows, cells, config)
-    near = beside_now(old.survey.near, layers, rise_of_sheets(layers, config), cells)
-    sheets = split_sheets(near, config)
+    near, sheets = old.survey.near, old.survey.sheets
+    if not same_nodes(layers, near.layers):  # as where something was put onto the ground
+        near = beside_now(near, layers, rise_of_sheets(layers, config), cells)
+        sheets = split_sheets(near, config)
     if len(sheets) != len(old.levels.levels):
         raise WholeError
-    stay, now = ~cells.ravel()[old.survey.layers.cell], ~cells.ravel()[layers.cell]
+    kept = kept_nodes(old.survey.layers, layers, cells)
 
     def one(i: int) -> tuple[GroundLevel, Voids, Completion, BoolArray | None]:
         level, inside, moved = old.levels.levels[i], sheets[i], cells.copy()
-        moved.ravel()[layers.cell[now][inside[now] != old.survey.sheets[i][stay]]] = True  # maybe another node of it
+        moved.ravel()[layers.cell[inside != carried(old.survey.sheets[i], kept)]] = True  # maybe another node of it
         was = _seen_of(level.surface)
         part = _Part(cloud, ground, stray, layers, inside, _change_seen(was, layers, inside, moved), cells)
         return _change_level(level, was, old.survey.voids[i], old.survey.completions[i], part, config)

@@ -8,7 +8,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from gpdf_service.fields.threads import run_chunked
+from gpdf_service.fields.threads import run_chunked, run_parallel
 from gpdf_service.types import BoolArray, FloatArray, IntArray
 
 INDEX: Any = np.int32
@@ -159,113 +159,36 @@ def pairs_beside(
     height: FloatArray,
     most: float,
     offsets: tuple[tuple[int, int], ...],
-    cells: BoolArray,
+    begin: int,
+    end: int,
 ) -> tuple[IntArray, IntArray, IntArray]:
     """What `pairs_near` finds if all are kept, and where the pairs of each offset begin, shape (offsets + 1,).
 
-    Of each pair one node or both are in the flat `cells`. The heights of a column must ascend: so what is too low or
-    too high for one node is passed over.
+    Of the nodes a in the rows of cells from `begin` to `end`; nodes count from the first of these. The heights of a
+    column must ascend: so what is too low or too high for one node is passed over.
     """
-    first = np.zeros(len(offsets) + 1, np.int64)
-    capacity, used = 16, 0
-    for c in range(len(cells)):
-        capacity += 4 * (start[c + 1] - start[c]) if cells[c] else 0
+    first, base = np.zeros(len(offsets) + 1, np.int64), start[begin * shape[1]]
+    capacity, used = 4 * (start[end * shape[1]] - base) + 16, 0
     one, other = np.empty(capacity, INDEX), np.empty(capacity, INDEX)
     for k in range(len(offsets)):
         dx, dy = offsets[k]
-        for x in range(max(0, -dx), min(shape[0], shape[0] - dx)):
+        for x in range(max(begin, -dx), min(end, shape[0] - dx)):
             for y in range(max(0, -dy), min(shape[1], shape[1] - dy)):
                 here, there = x * shape[1] + y, (x + dx) * shape[1] + y + dy
-                if not (cells[here] or cells[there]):
-                    continue
-                low, end = start[there], start[there + 1]
-                more = (start[here + 1] - start[here]) * (end - low)
+                low, last = start[there], start[there + 1]
+                more = (start[here + 1] - start[here]) * (last - low)
                 if used + more > capacity:
                     capacity = 2 * capacity + more
                     one, other = _longer(one, capacity), _longer(other, capacity)
                 for a in range(start[here], start[here + 1]):
-                    while low < end and height[a] - height[low] > most:
+                    while low < last and height[a] - height[low] > most:
                         low += 1
                     b = low
-                    while b < end and height[b] - height[a] <= most:
-                        one[used], other[used] = a, b
+                    while b < last and height[b] - height[a] <= most:
+                        one[used], other[used] = a - base, b - base
                         used, b = used + 1, b + 1
         first[k + 1] = used
-    return one[:used], other[:used], first
-
-
-@njit(cache=True, nogil=True)
-def spliced_pairs(
-    old: tuple[IntArray, IntArray, IntArray],
-    fresh: tuple[IntArray, IntArray, IntArray],
-    number: IntArray,
-) -> tuple[IntArray, IntArray, IntArray]:
-    """`pairs_beside` of nodes of which some columns are others: its order is that of a, then of b, and so it is here.
-
-    Args:
-        old: Pairs of the nodes before.
-        fresh: Pairs with a node in a changed column.
-        number: Of each old node now, ascending; -1 in a changed column.
-    """
-    size = len(old[0]) + len(fresh[0]) + 1
-    one, other, used, first = np.empty(size, INDEX), np.empty(size, INDEX), 0, np.zeros_like(old[2])
-    for k in range(len(first) - 1):
-        f, end = fresh[2][k], fresh[2][k + 1]
-        for e in range(old[2][k], old[2][k + 1]):
-            a, b = number[old[0][e]], number[old[1][e]]
-            if a < 0 or b < 0:
-                continue
-            while f < end and (fresh[0][f] < a or (fresh[0][f] == a and fresh[1][f] < b)):
-                one[used], other[used] = fresh[0][f], fresh[1][f]
-                used, f = used + 1, f + 1
-            one[used], other[used] = a, b
-            used += 1
-        for e in range(f, end):
-            one[used], other[used] = fresh[0][e], fresh[1][e]
-            used += 1
-        first[k + 1] = used
-    return one[:used], other[:used], first
-
-
-@njit(cache=True, nogil=True)
-def numbers_now(changed: BoolArray, start: IntArray, now: IntArray) -> IntArray:
-    """Number of each node after the `changed` columns were taken from others, -1 in those.
-
-    Args:
-        changed: Shape (cells,).
-        start: First node of each column before, shape (cells + 1,).
-        now: The same after.
-    """
-    number = np.full(start[-1], -1, INDEX)
-    for c in range(len(changed)):
-        for i in range(0 if changed[c] else start[c + 1] - start[c]):
-            number[start[c] + i] = now[c] + i
-    return number
-
-
-@njit(cache=True, nogil=True)
-def pairs_among(
-    a: IntArray,
-    b: IntArray,
-    first: IntArray,
-    height: FloatArray,
-    keep: BoolArray,
-    most: FloatArray,
-    label: IntArray | None = None,
-) -> tuple[IntArray, IntArray]:
-    """What `pairs_near` finds for other nodes to keep and smaller limits, from the pairs that it found.
-
-    With a `label` of each node, the pairs whose nodes have another one each.
-    """
-    one, other, used = np.empty(len(a) + 1, INDEX), np.empty(len(a) + 1, INDEX), 0
-    for k in range(len(most)):
-        for e in range(first[k], first[k + 1]):
-            i, j = a[e], b[e]
-            if label is not None and label[i] == label[j]:
-                continue
-            one[used], other[used] = i, j
-            used += int(keep[i] & keep[j] & (abs(height[i] - height[j]) <= most[k]))
-    return one[:used], other[:used]
+    return one[:used].copy(), other[:used].copy(), first
 
 
 @njit(cache=True, nogil=True)
@@ -395,7 +318,7 @@ def rows_in_cells(points: FloatArray, origin: FloatArray, cell_width: float, wan
                 low[0], high[0] = min(low[0], i - 1), max(high[0], i + 2)
                 low[1], high[1] = min(low[1], j - 1), max(high[1], j + 2)
     low, high = origin + low * cell_width, origin + high * cell_width
-    for row in rows_in_box(points, low, high):
+    for row in _rows_between(points, low, high, 0, len(points)):
         i = int(np.floor((points[row, 0] - origin[0]) / cell_width))
         j = int(np.floor((points[row, 1] - origin[1]) / cell_width))
         if 0 <= i < wanted.shape[0] and 0 <= j < wanted.shape[1] and wanted[i, j]:
@@ -416,15 +339,24 @@ def rows_of_cells(wanted: BoolArray, start: IntArray, order: IntArray) -> IntArr
     return np.flatnonzero(found)
 
 
-@njit(cache=True, nogil=True)
 def rows_in_box(points: FloatArray, low: FloatArray, high: FloatArray) -> IntArray:
     """Rows of the points (n, 3) between `low` and `high` in plan, shape (2,); sorted."""
-    found, used = np.empty(2 * _BLOCK, np.int64), 0
+    begin = range(0, max(len(points), 1), _SHARE)
+    return np.concatenate(run_parallel(lambda row: _rows_between(points, low, high, row, row + _SHARE), begin))
+
+
+_SHARE = 1 << 17
+"""Rows that a core looks through at once: 3 MB, which takes as long as five wake-ups."""
+
+
+@njit(cache=True, nogil=True)
+def _rows_between(points: FloatArray, low: FloatArray, high: FloatArray, first: int, last: int) -> IntArray:
+    found, used, last = np.empty(2 * _BLOCK, np.int64), 0, min(last, len(points))
     left, right, near, far = low[0], high[0], low[1], high[1]
-    for begin in range(0, len(points), _BLOCK):
+    for begin in range(first, last, _BLOCK):
         if used + _BLOCK > len(found):
             found = _longer(found, 2 * len(found))
-        for row in range(begin, min(begin + _BLOCK, len(points))):  # no branch: half of all would be guessed wrong
+        for row in range(begin, min(begin + _BLOCK, last)):  # no branch: half of all would be guessed wrong
             x, y = points[row, 0], points[row, 1]
             found[used] = row
             used += int((x >= left) & (x <= right) & (y >= near) & (y <= far))

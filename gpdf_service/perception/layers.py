@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from gpdf_service.config import PerceptionConfig
@@ -19,12 +21,8 @@ from gpdf_service.perception.columns import (
     count_nodes,
     cut_columns,
     kth_beside,
-    numbers_now,
-    pairs_among,
-    pairs_beside,
     pairs_near,
     spliced,
-    spliced_pairs,
     values_spliced,
 )
 from gpdf_service.types import BoolArray, FloatArray, IntArray
@@ -129,17 +127,37 @@ def grid_of(low: FloatArray, high: FloatArray, cell_width: float) -> tuple[Float
     return origin, (int(shape[0]), int(shape[1]))
 
 
+_OWN = "cell", "place", "height", "thickness", "headroom"
+"""What is told of each node."""
+
+
+def same_nodes(one: Layers, other: Layers) -> bool:
+    """Whether two layers on the same grid hold the same nodes."""
+    return all(np.array_equal(getattr(one, name), getattr(other, name)) for name in _OWN)
+
+
 def splice_layers(layers: Layers, changed: BoolArray, fresh: Layers | None) -> Layers:
     """Layers with all nodes of the `changed` cells, shape (cells,), replaced by those of `fresh` on the same grid."""
     first = np.zeros_like(layers.start) if fresh is None else fresh.start
     start, source = spliced(changed, layers.start, first)
     new, nothing = layers if fresh is None else fresh, np.zeros(0, np.int64)
     cell, place, height, thickness, headroom = (
-        values_spliced(getattr(layers, name), getattr(new, name), source)
-        for name in ("cell", "place", "height", "thickness", "headroom")
+        values_spliced(getattr(layers, name), getattr(new, name), source) for name in _OWN
     )
     grid = layers.origin, layers.cell_width, layers.shape
     return Layers(*grid, cell, place, height, thickness, headroom, nothing, start)
+
+
+def kept_nodes(old: Layers, layers: Layers, cells: BoolArray) -> IntArray:
+    """Which of the `old` nodes each one is, -1 in the columns `cells`, which are others than before, shape (k,)."""
+    return np.maximum(spliced(cells.ravel(), old.start, layers.start)[1], -1)
+
+
+def carried(values: NDArray[Any], kept: IntArray) -> NDArray[Any]:
+    """The values of the nodes before, `kept_nodes`; of those that were none NaN, or false."""
+    nothing = np.full(1, False if values.dtype == bool else np.nan, values.dtype)
+    made: NDArray[Any] = values_spliced(values, nothing, kept)
+    return made
 
 
 def crop_layers(layers: Layers, box: tuple[slice, slice]) -> tuple[Layers, IntArray]:
@@ -178,62 +196,12 @@ def build_layers(
 
 HALF = ((1, 0), (0, 1), (1, 1), (1, -1))
 """Half of a cell's eight neighbours: each pair of cells once."""
-_APART = np.hypot(*np.array(HALF, dtype=np.float64).T)
+APART = np.hypot(*np.array(HALF, dtype=np.float64).T)
+"""How many cells they are away."""
 Pairs = tuple[IntArray, IntArray]
-
-
-@dataclass(frozen=True, slots=True)
-class Beside:
-    """Pairs of nodes in neighbouring cells, from which those among some nodes and within some rise are taken.
-
-    Attributes:
-        layers: The nodes.
-        a: Node of each pair, those of each of the `HALF` after another, shape (e,).
-        b: The other one, shape (e,).
-        first: Where each of the `HALF` begins, shape (5,).
-    """
-
-    layers: Layers
-    a: IntArray
-    b: IntArray
-    first: IntArray
-
-    def slopes(self, keep: BoolArray, rise: float) -> Pairs:
-        """Pairs of nodes to keep with at most `rise` [m] a cell between them."""
-        return self._within(keep, rise * _APART)
-
-    def steps(self, keep: BoolArray, rise: float, label: IntArray | None = None) -> Pairs:
-        """Pairs of nodes to keep with at most `rise` [m] between them, and another `label` each if they have one."""
-        return self._within(keep, np.full(len(HALF), rise), label)
-
-    def lasting(self) -> Beside:
-        """The same without the points."""
-        return replace(self, layers=replace(self.layers, node_of_point=np.zeros(0, np.int64)))
-
-    def _within(self, keep: BoolArray, most: FloatArray, label: IntArray | None = None) -> Pairs:
-        found: Pairs = pairs_among(self.a, self.b, self.first, self.layers.height, keep, most, label)
-        return found
-
-
-def beside(layers: Layers, rise: float) -> Beside:
-    """All pairs with at most `rise` [m] between them."""
-    return Beside(layers, *_pairs_at(layers, rise, np.ones(layers.shape, dtype=bool)))
-
-
-def beside_now(near: Beside, layers: Layers, rise: float, cells: BoolArray) -> Beside:
-    """`beside` of `layers` that are those of `near` but for the columns `cells`, shape (nx, ny)."""
-    number = numbers_now(cells.ravel(), near.layers.start, layers.start)
-    return Beside(layers, *spliced_pairs((near.a, near.b, near.first), _pairs_at(layers, rise, cells), number))
-
-
-def _pairs_at(layers: Layers, rise: float, cells: BoolArray) -> tuple[IntArray, IntArray, IntArray]:
-    found: tuple[IntArray, IntArray, IntArray] = pairs_beside(
-        layers.start, layers.shape, layers.height, rise, HALF, cells.ravel()
-    )
-    return found
 
 
 def connect(layers: Layers, keep: BoolArray, rise: float) -> Pairs:
     """Pairs of kept nodes in neighbouring cells with at most `rise` [m] a cell between them."""
-    pairs: Pairs = pairs_near(layers.start, layers.shape, layers.height, keep, rise * _APART, HALF)
+    pairs: Pairs = pairs_near(layers.start, layers.shape, layers.height, keep, rise * APART, HALF)
     return pairs

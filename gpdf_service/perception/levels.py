@@ -14,6 +14,7 @@ from scipy.spatial import cKDTree
 from gpdf_service.config import PerceptionConfig
 from gpdf_service.errors import NoGroundError
 from gpdf_service.fields.threads import run_chunked
+from gpdf_service.perception.beside import Beside, beside
 from gpdf_service.perception.columns import (
     by_cell,
     chosen_rows,
@@ -22,7 +23,7 @@ from gpdf_service.perception.columns import (
     lowest_above,
 )
 from gpdf_service.perception.hidden import FACE_REACH, find_faces, hidden_reach, without_hidden
-from gpdf_service.perception.layers import Beside, Layers, Pairs, beside, build_layers, cell_width_of, layer_gap
+from gpdf_service.perception.layers import Layers, build_layers, cell_width_of, connect, layer_gap
 from gpdf_service.perception.limits import (
     GroundLimits,
     Measured,
@@ -35,7 +36,7 @@ from gpdf_service.perception.limits import (
     widened,
     window,
 )
-from gpdf_service.perception.nodes import components, degrees, grown_sheet, mark_nearest
+from gpdf_service.perception.nodes import components, grown_sheet, mark_nearest, pairs_within
 from gpdf_service.perception.segment import LEAST_SCATTER, over_ground
 from gpdf_service.perception.smooth import RESOLVED_STEP, smooth, to_centres, without_unlucky
 from gpdf_service.perception.strays import find_strays
@@ -240,9 +241,8 @@ def split_sheets(near: Beside, config: PerceptionConfig) -> tuple[BoolArray, ...
     keep &= ~over_ground(layers, keep, config.step_headroom)
     if (np.diff(layers.cell[keep]) > 0).all():
         return (keep,)
-    slopes = near.slopes(keep, layers.cell_width)
-    smooth = components(*slopes, keep)
-    a, b = near.steps(keep, config.max_step, smooth)
+    smooth, _, steps = near.pieces(keep, layers.cell_width, None, keep, config.max_step)
+    a, b = pairs_within(*steps, keep, True, smooth)
     sheet_of = np.full(count, -1)
     size = np.bincount(smooth, weights=keep)
     order = np.argsort(-size)
@@ -252,7 +252,7 @@ def split_sheets(near: Beside, config: PerceptionConfig) -> tuple[BoolArray, ...
     for seed in order[size[order] > 0]:
         own = members[start[seed] : start[seed + 1]]
         while len(left := own[sheet_of[own] < 0]):
-            sheet_of[_lowest_of(layers, left, slopes, least)] = sheets
+            sheet_of[_lowest_of(layers, left, least)] = sheets
             _attach(layers, a, b, smooth, start, members, sheet_of, sheets)
             sheets += 1
     made = [np.flatnonzero(sheet_of == i) for i in range(sheets)]
@@ -272,13 +272,13 @@ def _under_step(near: Beside, max_step: float) -> BoolArray:
     A single point over the floor goes on nowhere.
     """
     layers = near.layers
-    joined = degrees(*near.slopes(np.ones(len(layers.cell), dtype=bool), layers.cell_width), len(layers.cell))
+    joined = near.degrees(np.ones(len(layers.cell), dtype=bool), layers.cell_width)
     foot = np.zeros(len(layers.cell), dtype=bool)
     foot[:-1] = (np.diff(layers.cell) == 0) & (np.diff(layers.height) <= max_step) & (joined[1:] > 1)
     return foot
 
 
-def _lowest_of(layers: Layers, piece: IntArray, slopes: Pairs, least: int) -> IntArray:
+def _lowest_of(layers: Layers, piece: IntArray, least: int) -> IntArray:
     """The nodes of a smooth piece on its lowest floor: all of them, or the floor below where it lies over itself.
 
     So do two floors that a ramp or a gentle stair joins. A node that is alone in its cell is of the floor to which the
@@ -287,8 +287,11 @@ def _lowest_of(layers: Layers, piece: IntArray, slopes: Pairs, least: int) -> In
     `least` that lie over others are no floor.
     """
     over = np.r_[False, np.diff(layers.cell[piece]) == 0]
+    if not over.any():
+        return piece
     mark = np.full(len(layers.cell), -1, dtype=np.int8)
-    mark[piece[over]] = 2
+    mark[piece] = np.where(over, 2, 0)
+    slopes = connect(layers, mark >= 0, layers.cell_width)
     part = components(*slopes, mark == 2)[piece]
     floor = over & (np.bincount(part[over], minlength=part.max() + 1) >= least)[part]
     if not floor.any():

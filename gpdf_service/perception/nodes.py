@@ -39,8 +39,14 @@ def components(a: IntArray, b: IntArray, among: BoolArray) -> IntArray:
         if not (among[i] and among[j]):
             continue
         _unite(parent, i, j)
-    label, used = np.empty(count, np.int64), 0
-    for i in range(count):  # a parent comes before its children
+    return numbered(parent)
+
+
+@njit(cache=True, nogil=True)
+def numbered(parent: IntArray) -> IntArray:
+    """Number of each node's tree, by their first nodes: a parent comes before its children."""
+    label, used = np.empty(len(parent), np.int64), 0
+    for i in range(len(parent)):
         if parent[i] == i:
             label[i] = used
             used += 1
@@ -50,25 +56,123 @@ def components(a: IntArray, b: IntArray, among: BoolArray) -> IntArray:
 
 
 @njit(cache=True, nogil=True)
-def joined_to(seeds: BoolArray, among: BoolArray, a: IntArray, b: IntArray) -> BoolArray:
+def put_in(parent: IntArray, part: IntArray, begin: int) -> None:
+    """Write the trees of some nodes, which are numbered from the first of them, `begin`, into those of all."""
+    for i in range(len(part)):
+        parent[begin + i] = begin + part[i]
+
+
+@njit(cache=True, nogil=True)
+def unite_all(parent: IntArray, a: IntArray, b: IntArray, begin: int) -> None:
+    """Make one tree each of those that the pairs (a, b) join; nodes are numbered from `begin`."""
+    for e in range(len(a)):
+        _unite(parent, begin + a[e], begin + b[e])
+
+
+@njit(cache=True, nogil=True)
+def pieces_in(
+    a: IntArray,
+    b: IntArray,
+    first: IntArray,
+    height: FloatArray,
+    count: int,
+    apart: FloatArray,
+    kind: NDArray[np.uint8],
+    rise: float,
+    step: float,
+) -> tuple[IntArray, IntArray, IntArray, IntArray, IntArray, IntArray, IntArray, IntArray, IntArray]:
+    """What is joined in a strip, and the pairs that tell what else is; see `Beside.pieces`.
+
+    Args:
+        a: Its own node of each pair.
+        b: The other one; from `count` on in the row behind the strip.
+        first: Where the pairs of each offset begin.
+        height: Of the nodes [m].
+        count: How many of them are the strip's own.
+        apart: Cells between the nodes of a pair with each offset.
+        kind: Bits that tell whether a node is inner (1), and whether its slopes (2) and steps (4) are asked for.
+        rise: Of slopes [m a cell].
+        step: [m].
+
+    Returns:
+        First node of each own node's piece; inner pairs with the row behind; and twice, for slopes and steps, the pairs
+        and where those of each offset begin.
+    """
+    root, size = np.arange(count).astype(INDEX), len(a) + 1
+    across, behind, crossing = np.empty(size, INDEX), np.empty(size, INDEX), 0
+    one, other, used, slopes = np.empty(size, INDEX), np.empty(size, INDEX), 0, np.zeros_like(first)
+    for k in range(len(apart)):
+        for e in range(first[k], first[k + 1]):
+            i, j = a[e], b[e]
+            both = int(kind[i] & kind[j]) * int(abs(height[i] - height[j]) <= rise * apart[k])
+            one[used], other[used] = i, j
+            used += int(both & 3 == 2)
+            if both & 1 and j < count:
+                _unite(root, i, j)
+            elif both & 1:
+                across[crossing], behind[crossing] = i, j
+                crossing += 1
+        slopes[k + 1] = used
+    for i in range(count):  # a parent comes before its children
+        root[i] = root[root[i]]
+    left, right, found, steps = np.empty(size, INDEX), np.empty(size, INDEX), 0, np.zeros_like(first)
+    for k in range(len(apart) if step > 0.0 else 0):
+        for e in range(first[k], first[k + 1]):
+            i, j = a[e], b[e]
+            over, both = abs(height[i] - height[j]), kind[i] & kind[j]
+            joined = root[i] == root[j] if j < count else both & 1 and over <= rise * apart[k]
+            left[found], right[found] = i, j
+            found += int(both & 4 > 0) * int(over <= step) * int(not joined)
+        steps[k + 1] = found
+    inner, sloped = (across[:crossing].copy(), behind[:crossing].copy()), (one[:used].copy(), other[:used].copy())
+    return root, *inner, *sloped, slopes, left[:found].copy(), right[:found].copy(), steps
+
+
+@njit(cache=True, nogil=True)
+def degrees_in(
+    a: IntArray,
+    b: IntArray,
+    first: IntArray,
+    height: FloatArray,
+    count: int,
+    apart: FloatArray,
+    keep: NDArray[np.uint8],
+    rise: float,
+) -> IntArray:
+    """How many of a strip's pairs with at most `rise` [m] a cell between nodes to keep each node is in.
+
+    See `pieces_in`; the row behind is among the nodes.
+    """
+    degree = np.zeros(len(height), np.int64)
+    for k in range(len(apart)):
+        for e in range(first[k], first[k + 1]):
+            i, j = a[e], b[e]
+            near = int(keep[i] & keep[j]) * int(abs(height[i] - height[j]) <= rise * apart[k])
+            degree[i] += near
+            degree[j] += near
+    return degree
+
+
+@njit(cache=True, nogil=True)
+def joined_to(seeds: BoolArray, among: BoolArray, piece: IntArray, a: IntArray, b: IntArray) -> BoolArray:
     """The `seeds`, shape (k,), and the nodes `among` all that pairs (a, b) of both join to them, one after another.
 
-    All seeds are one node, the first: so only pairs with an end that is no seed are looked at.
+    Nodes of a `piece` are joined. All pieces with a seed are one node, the first: so only pairs with an end in another
+    are looked at.
     """
-    kind = seeds.astype(np.uint8)
-    parent = np.arange(len(seeds) + 1).astype(INDEX)
+    parent = np.arange(piece.max() + 2).astype(INDEX)
     for i in range(len(seeds)):
-        kind[i] += among[i] or seeds[i]
+        if seeds[i]:
+            parent[piece[i] + 1] = 0
     for e in range(len(a)):
-        one, other = kind[a[e]], kind[b[e]]
-        if one == 0 or other == 0 or one + other == 4:
-            continue
-        i, j = a[e] + 1 if one == 1 else 0, b[e] + 1 if other == 1 else 0
-        _unite(parent, i, j)
+        i, j = a[e], b[e]
+        if (among[i] & (seeds[j] | among[j])) | (among[j] & seeds[i]):
+            _unite(parent, piece[i] + 1, piece[j] + 1)
+    for i in range(len(parent)):  # a parent comes before its children
+        parent[i] = parent[parent[i]]
     made = seeds.copy()
-    for i in range(len(seeds)):  # a parent comes before its children
-        parent[i + 1] = parent[parent[i + 1]]
-        made[i] |= parent[i + 1] == 0
+    for i in range(len(seeds)):
+        made[i] |= among[i] & (parent[piece[i] + 1] == 0)
     return made
 
 
@@ -100,12 +204,15 @@ def mark_nearest(a: IntArray, b: IntArray, mark: NDArray[np.int8]) -> None:
 
 
 @njit(cache=True, nogil=True)
-def pairs_within(a: IntArray, b: IntArray, among: BoolArray, both: bool) -> tuple[IntArray, IntArray]:
-    """The pairs of which `both`, or at least one, are `among` the nodes."""
+def pairs_within(
+    a: IntArray, b: IntArray, among: BoolArray, both: bool, label: IntArray | None = None
+) -> tuple[IntArray, IntArray]:
+    """The pairs of which `both`, or at least one, are `among` the nodes; with another `label` each if they have one."""
     one, other, used = np.empty(len(a) + 1, INDEX), np.empty(len(a) + 1, INDEX), 0
     for e in range(len(a)):
         one[used], other[used] = a[e], b[e]
-        used += int(among[a[e]] and among[b[e]] if both else among[a[e]] or among[b[e]])
+        good = among[a[e]] and among[b[e]] if both else among[a[e]] or among[b[e]]
+        used += int(good and (label is None or label[a[e]] != label[b[e]]))
     return one[:used].copy(), other[:used].copy()
 
 
@@ -180,24 +287,28 @@ def medians_of(height: FloatArray, start: IntArray, members: IntArray, asked: Bo
 
 
 @njit(cache=True, nogil=True)
-def degrees(a: IntArray, b: IntArray, count: int) -> IntArray:
-    """How many of the pairs (a, b) each of `count` nodes is in."""
-    degree = np.zeros(count, np.int64)
-    for e in range(len(a)):
-        degree[a[e]] += 1
-        degree[b[e]] += 1
-    return degree
+def with_rims(
+    core: BoolArray, keep: BoolArray, piece: IntArray, a: IntArray, b: IntArray
+) -> tuple[BoolArray, IntArray]:
+    """The pieces of core nodes among those to `keep`, each patch with its rim: which nodes are in one, and in which.
 
-
-@njit(cache=True, nogil=True)
-def add_rims(a: IntArray, b: IntArray, core: BoolArray, keep: BoolArray, wide: BoolArray, patch: IntArray) -> None:
-    """Add to the `wide` nodes, and to their patches, those to `keep` that a pair (a, b) joins to a core node."""
+    The rim are nodes to keep that a pair (a, b) joins to a core node. Patches are numbered by their first nodes; those
+    that are in none have the number after the last.
+    """
+    wide, patch, used = core & keep, piece.copy(), 0
     for one, other in ((a, b), (b, a)):
         before = wide.copy()
         for e in range(len(one)):
             i, j = one[e], other[e]
             if not before[j] and keep[j] and core[i] and keep[i]:
                 wide[j], patch[j] = True, patch[i]
+    number = np.full(len(patch), -1)
+    for i in range(len(patch)):
+        if wide[i] and number[patch[i]] < 0:
+            number[patch[i]], used = used, used + 1
+    for i in range(len(patch)):
+        patch[i] = number[patch[i]] if wide[i] else used
+    return wide, patch
 
 
 @njit(cache=True, nogil=True)

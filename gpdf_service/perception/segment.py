@@ -12,26 +12,24 @@ from scipy.sparse import coo_array
 from gpdf_service.config import PerceptionConfig
 from gpdf_service.errors import NoGroundError
 from gpdf_service.fields.threads import run_chunked
+from gpdf_service.perception.beside import Beside, beside, beside_now
 from gpdf_service.perception.bumps import cells_around, low_things, raised_over_sides
 from gpdf_service.perception.columns import by_cell, medians_around
 from gpdf_service.perception.layers import (
-    Beside,
     Layers,
     Pairs,
-    beside,
-    beside_now,
     build_layers,
+    carried,
     cell_width_of,
     connect,
     crop_layers,
     in_steps,
+    kept_nodes,
     layer_gap,
 )
 from gpdf_service.perception.limits import widened, window
 from gpdf_service.perception.nodes import (
-    add_rims,
     components,
-    degrees,
     drops_beside,
     extents_in_plan,
     half_way,
@@ -45,6 +43,7 @@ from gpdf_service.perception.nodes import (
     over_kept,
     pairs_within,
     stepped,
+    with_rims,
 )
 from gpdf_service.perception.read import check_points
 from gpdf_service.types import BoolArray, FloatArray, IntArray
@@ -107,12 +106,9 @@ class Found(NamedTuple):
     ground: BoolArray
     raised: FloatArray
 
-    def spliced(self, near: Beside, stay: BoolArray, now: BoolArray) -> Found:
-        """What is known of the nodes of `near`, which `now`, shape (k,), are those that `stay`; NaN of the others."""
-        made = Found(near, np.zeros_like(now), np.full(len(now), np.nan), np.zeros_like(now), np.full(len(now), np.nan))
-        for old, new in zip(self[1:], made[1:], strict=True):
-            new[now] = old[stay]
-        return made
+    def carried(self, near: Beside, kept: IntArray) -> Found:
+        """What is known of the nodes of `near`, which are those that were `kept`; NaN of the others."""
+        return Found(near, *(carried(values, kept) for values in self[1:]))
 
 
 @dataclass(frozen=True, slots=True)
@@ -195,24 +191,22 @@ def change_segmentation(
     Returns:
         The segmentation, and the cells whose points can be something else by it, shape (nx, ny).
     """
-    stay, now = ~cells.ravel()[old.layers.cell], ~cells.ravel()[layers.cell]
+    kept = kept_nodes(old.layers, layers, cells)
     near = beside_now(old.found.near, layers, _rise_of_steps(layers, config), cells)
-    ground, found = find_ground(layers, config, known=old.found.spliced(near, stay, now))
+    ground, found = find_ground(layers, config, known=old.found.carried(near, kept))
+    values = [carried(before, kept) for before in (old.low, old.high, old.beside)]
     felt = cells.copy()
-    felt.ravel()[layers.cell[now][ground[now] != np.isfinite(old.low[stay])]] = True
+    felt.ravel()[layers.cell[ground != np.isfinite(values[0])]] = True
     felt = widened(felt, 2)
     part, nodes = crop_layers(layers, window(felt, 2))
     inside = felt.ravel()[layers.cell[nodes]]
     fresh = _extents(part, ground[nodes], _smoothed(part, ground[nodes]), old.scatter, config)
-    other, made = cells.copy(), []
-    for before, again in zip((old.low, old.high, old.beside), fresh, strict=True):
-        values = np.empty(len(layers.cell))
-        values[now] = before[stay]
-        differ = nodes[inside & (values[nodes] != again)]
-        values[nodes[inside]] = again[inside]
+    other = cells.copy()
+    for made, again in zip(values, fresh, strict=True):
+        differ = nodes[inside & (made[nodes] != again)]
+        made[nodes[inside]] = again[inside]
         other.ravel()[layers.cell[differ]] = True
-        made.append(values)
-    low, high, beneath = made
+    low, high, beneath = values
     return Segmentation(layers, low, high, beneath, found, old.deviation), other
 
 
@@ -264,38 +258,38 @@ def find_ground(
     surface = layers.thickness <= config.max_step + 4.0 * noise  # a step's face, from the lowest point to the highest
     rise = layers.cell_width * float(np.tan(config.steepest))
     near = beside(layers, _rise_of_steps(layers, config)) if known is None else known.near
-    a, b = near.slopes(surface, rise)
-    smooth = degrees(a, b, len(surface))
+    smooth = near.degrees(surface, rise)
     core = surface & (smooth >= 5)  # what a strip two cells wide has: a tread is that wide, a wall's top is not
     if not core.any():
         raise NoGroundError(*NOWHERE)
-    roomy = layers.headroom >= config.step_headroom
-    wide, patch = _patches(core, surface & roomy, a, b)
-    size = np.bincount(patch[wide], minlength=patch.max() + 1)
-    large = {int(i): patch == i for i in np.flatnonzero(size >= BULK_SHARE * size.max())}
+    keep = surface & (layers.headroom >= config.step_headroom)
+    piece, loose, steps = near.pieces(core & keep, rise, surface, keep, config.max_step)
+    wide, patch = with_rims(core, keep, piece, *loose)
+    under, below = _undersides(layers, surface & ~wide, wide, patch, loose, config)
+    joins = _joins(layers, config, wide, smooth == 8, patch, pairs_within(*steps, wide, True, patch), below)
+    large = {int(i): joins.nodes_of(int(i)) for i in np.flatnonzero(joins.size >= BULK_SHARE * joins.size.max())}
     height = {i: float(np.median(layers.height[nodes])) for i, nodes in large.items()}
     bulk = min(large, key=height.__getitem__)
-    storeys = [i for i, nodes in large.items() if i == bulk or _is_storey(layers, nodes, large[bulk], config)]
-    under, below = _undersides(layers, surface & ~wide, wide, patch, (a, b), config)
-    joins = _joins(near, config, wide, patch, below)
-    seen = np.zeros(patch.max() + 1, dtype=bool)
+    storeys = [i for i, nodes in large.items() if i == bulk or _is_storey(layers, nodes, patch == bulk, config)]
+    seen = np.zeros(len(joins.size), dtype=bool)
     seen[storeys] = True
     ground = wide & seen[patch]
-    loose = pairs_within(a, b, ~ground, False)  # what is ground at first is ground or out of reach
+    loose = pairs_within(*pairs_within(*loose, core | wide, True), ~ground, False)  # that is so, or out of reach
+    # Without a step the ground reaches where only a low body fits. Nothing is entered from there over a step: what is
+    # low beside a stair's tread is its soffit. Patches not yet seen are no ground, so each of their pieces is one node.
     while True:
-        low = _under_furniture(ground, wide & ~ground, core, *loose)
-        ground = _spread(layers, config, ground, low, smooth == 8, patch, joins, seen)
-        apart = wide & seen[patch] & ~ground
-        apart[:-1] |= under[:-1] & ground[1:]
-        reached = _under_furniture(ground, apart, core, *loose)
+        low = joined_to(ground, core & ~wide, piece, *loose)
+        ground = _spread(layers, config, ground, low, patch, joins, seen)
+        among = core & ~(wide & seen[patch])
+        among[:-1] &= ~(under[:-1] & ground[1:])
+        reached = joined_to(ground, among, piece, *loose)  # and what lies behind
         seen[patch[reached & wide]] = True
-        if not _beside(reached, patch, joins, seen).any():
+        if not len(_beside(reached, joins, seen)):
             break
         ground = reached
-    parts = [large[i] for i in storeys]
-    slope = _slope(near, reached, config, known and known[1:3])
+    slope = _slope(layers, reached, config, known and known[1:3])
     level = reached & (slope <= config.standable_slope)
-    found: BoolArray = reached & ~_roofs(near, reached, level, parts, (a, b), (joins.a, joins.b), config)
+    found: BoolArray = reached & ~_roofs(near, reached, level, [large[i] for i in storeys], joins, config)
     raised = raised_over_sides(layers, found, config, known and known[3:])
     ground = found & ~low_things(layers, found, raised, config)
     if not ground.any():
@@ -312,21 +306,27 @@ def _roofs(
     near: Beside,
     ground: BoolArray,
     flat: BoolArray,
-    storeys: list[BoolArray],
-    smooth: tuple[IntArray, IntArray],
-    steps: tuple[IntArray, IntArray],
+    storeys: list[IntArray],
+    joins: _Joins,
     config: PerceptionConfig,
 ) -> BoolArray:
     """Nodes of pieces reached only over ground too steep to stand on, and that end in the air nearly all round.
 
     A pitched roof whose eaves a terrace reaches is such a piece. A steep bank has ground above and below.
     """
-    parts = (pairs_within(*pairs, ground, True) for pairs in (smooth, steps))
-    a, b = (np.concatenate(ends) for ends in zip(*parts, strict=True))
-    main = _within_reach(near, flat, storeys, a, b, config)
+    rise = near.layers.cell_width * float(np.tan(config.steepest))
+    steps = pairs_within(joins.a, joins.b, ground, True)
+    piece, loose, _ = near.pieces(flat, rise, ground, more=pairs_within(*steps, flat, True))
+    a, b = (np.concatenate(ends) for ends in zip(loose, steps, strict=True))
+    main = _within_reach(near, flat, storeys, piece, a, b, config)
     off = ground & ~main
-    piece = components(a, b, off)
+    if not off.any():
+        return off
+    a, b = pairs_within(a, b, off, False)
     level = stepped(main, a, b)
+    apart = np.zeros(piece.max() + 1, dtype=bool)
+    apart[piece[off]] = True
+    piece = components(piece[a], piece[b], apart)[piece]
     count = [
         np.bincount(piece[off & kind], minlength=piece.max() + 1) for kind in (level, _drops(near.layers, off, config))
     ]
@@ -335,14 +335,19 @@ def _roofs(
 
 
 def _within_reach(
-    near: Beside, flat: BoolArray, storeys: list[BoolArray], a: IntArray, b: IntArray, config: PerceptionConfig
+    near: Beside,
+    flat: BoolArray,
+    storeys: list[IntArray],
+    piece: IntArray,
+    a: IntArray,
+    b: IntArray,
+    config: PerceptionConfig,
 ) -> BoolArray:
     """Nodes `flat` enough to stand on that are reached from the storeys; over steps, too, that coarse cells rounded."""
-    piece = components(a, b, flat)
     seen = np.zeros(piece.max() + 1, dtype=bool)
     for storey in storeys:
-        if (storey & flat).any():
-            seen[np.bincount(piece[storey & flat]).argmax()] = True
+        if flat[storey].any():
+            seen[np.bincount(piece[storey[flat[storey]]]).argmax()] = True
     a, b = pairs_within(a, b, ~(flat & seen[piece]), False)
     rings = max(1, round(config.max_step / (near.layers.cell_width * float(np.tan(config.steepest)))))
     while True:
@@ -356,16 +361,15 @@ def _within_reach(
 
 
 def _slope(
-    near: Beside, ground: BoolArray, config: PerceptionConfig, known: tuple[BoolArray, FloatArray] | None = None
+    layers: Layers, ground: BoolArray, config: PerceptionConfig, known: tuple[BoolArray, FloatArray] | None = None
 ) -> FloatArray:
     """Slope at each ground node [rad], of the mean gradient of it and its neighbours on the same slope.
 
     What was found of another ground is `known`, NaN for nodes that were none: neighbours of neighbours decide on it.
     """
-    layers = near.layers
     rise = 2.0 * layers.cell_width * float(np.tan(config.steepest))  # or noise would flatten it
     if known is None:
-        return _slopes(layers, near.slopes(ground, rise))
+        return _slopes(layers, connect(layers, ground, rise))
     before, slope = known
     felt = cells_around(layers, (before != ground) | np.isnan(slope), 2)
     if not felt.any():
@@ -390,34 +394,11 @@ def _drops(layers: Layers, among: BoolArray, config: PerceptionConfig) -> BoolAr
     return drops_beside(np.flatnonzero(among), *grid, layers.height, layers.thickness, rise, config.max_step)
 
 
-def _patches(core: BoolArray, keep: BoolArray, a: IntArray, b: IntArray) -> tuple[BoolArray, IntArray]:
-    """Connected `core` nodes among those to `keep`, each patch with its rim: which nodes are in one, and in which.
-
-    Patches are numbered by their first nodes; those that are in none have the number after the last.
-    """
-    wide = core & keep
-    patch = components(a, b, wide)
-    add_rims(a, b, core, keep, wide, patch)
-    used = np.zeros(len(patch) + 1, dtype=bool)
-    used[patch[wide]] = True
-    number = np.cumsum(used) - 1  # what is in no patch has the number after the last one
-    return wide, np.where(wide, number[patch], number[-1] + 1)
-
-
-def _under_furniture(ground: BoolArray, apart: BoolArray, core: BoolArray, a: IntArray, b: IntArray) -> BoolArray:
-    """Let the ground reach, without a step, where only a low body fits, and what lies behind; not onto `apart`.
-
-    Nothing is entered from there over a step: what is low beside a stair's tread is its soffit.
-    """
-    reached: BoolArray = joined_to(ground, core & ~apart, a, b)
-    return reached
-
-
-def _is_storey(layers: Layers, nodes: BoolArray, bulk: BoolArray, config: PerceptionConfig) -> bool:
+def _is_storey(layers: Layers, nodes: IntArray, bulk: BoolArray, config: PerceptionConfig) -> bool:
     """Whether a large surface is a floor by itself: under a ceiling, and as far over the ground; a roof has the sky."""
     room = layers.headroom[nodes]
     covered = (room >= config.storey_headroom) & np.isfinite(room)
-    over = over_ground(layers, bulk, config.storey_headroom)[nodes]
+    over = nodes_over(nodes, layers.cell, layers.height, bulk, config.storey_headroom)
     return bool(covered.mean() >= COVERED_SHARE and over.mean() <= OVER_SHARE)
 
 
@@ -428,8 +409,11 @@ class _Joins:
     Attributes:
         a: Nodes.
         b: Nodes.
+        to: Their patches.
         standable: Which patches a body stands on.
-        area: Of each patch [m²].
+        small: Which are no larger than a table.
+        size: How many nodes each patch has.
+        inner: Nodes with all eight neighbours on their slope, shape (k,).
         level: Its mean height [m].
         start: Where the nodes of each patch begin in `members`.
         members: Nodes, by patch.
@@ -437,27 +421,41 @@ class _Joins:
 
     a: IntArray
     b: IntArray
+    to: IntArray
     standable: BoolArray
-    area: FloatArray
+    small: BoolArray
+    size: IntArray
+    inner: BoolArray
     level: FloatArray
     start: IntArray
     members: IntArray
 
+    def nodes_of(self, patch: int) -> IntArray:
+        """Nodes of a patch, sorted."""
+        return self.members[self.start[patch] : self.start[patch + 1]]
 
-def _joins(near: Beside, config: PerceptionConfig, wide: BoolArray, patch: IntArray, below: IntArray) -> _Joins:
-    """The steps between the patches, but for those that `_undersides` tells of."""
-    layers = near.layers
+
+def _joins(
+    layers: Layers,
+    config: PerceptionConfig,
+    wide: BoolArray,
+    inner: BoolArray,
+    patch: IntArray,
+    steps: Pairs,
+    below: IntArray,
+) -> _Joins:
+    """The steps between the patches, but for those down to a patch that `below` tells of, as `_undersides` does."""
     standable, tread = _shapes(layers, wide, patch, config)
     start, members = by_cell(patch, len(standable))
     count = np.bincount(patch[wide], minlength=len(standable))
-    area = np.asarray(count * layers.cell_width**2, dtype=np.float64)
+    small = count * layers.cell_width**2 <= TABLE_AREA
     level: FloatArray = np.bincount(patch, layers.height, len(count)).astype(np.float64)
-    a, b = near.steps(wide, config.max_step, patch)
-    a, b = np.concatenate([a, b]), np.concatenate([b, a])
-    rise = np.abs(layers.height[a] - _level_of_furniture(layers, area <= TABLE_AREA, start, members, patch, b))
+    a, b = np.concatenate(steps), np.concatenate(steps[::-1])
+    rise = np.abs(layers.height[a] - _level_of_furniture(layers, small, start, members, patch, b))
     allowed = np.where(standable[patch[b]], config.max_step, np.where(tread[patch[b]], config.stair_step, -1.0))
     join = (rise <= allowed) & ~np.isin(patch[b] * len(standable) + patch[a], below)
-    return _Joins(a[join], b[join], standable, area, level / np.maximum(count, 1), start, members)
+    a, b, mean = a[join], b[join], level / np.maximum(count, 1)
+    return _Joins(a, b, patch[b], standable, small, count, inner, mean, start, members)
 
 
 def _undersides(
@@ -500,10 +498,10 @@ def _mostly(true: BoolArray, label: IntArray, among: BoolArray) -> BoolArray:
     return held
 
 
-def _beside(ground: BoolArray, patch: IntArray, joins: _Joins, seen: BoolArray) -> IntArray:
+def _beside(ground: BoolArray, joins: _Joins, seen: BoolArray) -> IntArray:
     """Patches not yet seen that a step joins to the ground."""
     found = np.zeros(len(seen), dtype=bool)
-    found[patch[joins.b[ground[joins.a]]]] = True
+    found[joins.to[ground[joins.a]]] = True
     return np.flatnonzero(found & ~seen)
 
 
@@ -512,7 +510,6 @@ def _spread(
     config: PerceptionConfig,
     ground: BoolArray,
     low: BoolArray,
-    inner: BoolArray,
     patch: IntArray,
     joins: _Joins,
     seen: BoolArray,
@@ -523,19 +520,20 @@ def _spread(
     a stair's tread shares its cells with the tread below. What a body stands on, by itself, is no platform over the
     ground with `low` room, either: a coffee table; a stair's treads may be.
     """
-    share = np.where(joins.standable & (joins.area <= TABLE_AREA), TABLE_OVER_SHARE, OVER_SHARE)
-    under = over_ground(layers, low, config.step_headroom) & joins.standable[patch]
-    size = np.bincount(patch[inner], minlength=len(seen))
+    share, inner = np.where(joins.standable & joins.small, TABLE_OVER_SHARE, OVER_SHARE), joins.inner
+    grid, headroom = (layers.cell, layers.height), config.step_headroom
     ground = ground.copy()
-    while len(fresh := _beside(ground, patch, joins, seen)):
-        nodes = np.concatenate([joins.members[joins.start[i] : joins.start[i + 1]] for i in fresh])
-        own = np.searchsorted(fresh, patch[nodes])
-        over = under[nodes] | nodes_over(nodes, layers.cell, layers.height, ground, config.step_headroom)
-        refused = np.bincount(own[inner[nodes] & over], minlength=len(fresh)) > (share * size)[fresh]
+    while len(fresh := _beside(ground, joins, seen)):
+        nodes = np.concatenate([joins.nodes_of(i) for i in fresh])
+        own = np.repeat(np.arange(len(fresh)), joins.size[fresh])
+        over = nodes_over(nodes, *grid, low, headroom) & joins.standable[patch[nodes]]
+        over = inner[nodes] & (over | nodes_over(nodes, *grid, ground, headroom))
+        size = np.bincount(own[inner[nodes]], minlength=len(fresh))
+        refused = np.bincount(own[over], minlength=len(fresh)) > share[fresh] * size
         seen[fresh] = True
         ground[nodes[~refused[own]]] = True
     ground = _without_dead_ends(layers, config, ground, patch, joins)
-    return ground & ~over_ground(layers, ground, config.step_headroom)
+    return ground & ~over_ground(layers, ground, headroom)
 
 
 def _level_of_furniture(
@@ -560,7 +558,9 @@ def _without_dead_ends(
     """
     a, b, standable = joins.a, joins.b, joins.standable
     level = joins.level
-    rise = layers.cell_width * float(np.tan(config.steepest))
+    rise, narrow = layers.cell_width * float(np.tan(config.steepest)), ~standable[patch]
+    a, b = pairs_within(a, b, narrow, False)
+    left, ground = np.flatnonzero(ground & narrow), ground.copy()
     while True:
         here, count = ground[a] & ground[b], len(level)
         one, other = patch[a[here]], patch[b[here]]
@@ -570,10 +570,11 @@ def _without_dead_ends(
             np.bincount(one[kind], minlength=len(level)) for kind in (one >= 0, stepped_down, standable[other])
         )
         leads = (joined >= 2) & ((below < joined) | (floors >= 2))
-        dead = ground & (~standable & ~leads)[patch]
+        dead = ~leads[patch[left]]
         if not dead.any():
             return ground
-        ground = ground & ~dead
+        ground[left[dead]] = False
+        left = left[~dead]
 
 
 def _shapes(layers: Layers, wide: BoolArray, patch: IntArray, config: PerceptionConfig) -> tuple[BoolArray, BoolArray]:

@@ -9,7 +9,7 @@ import numpy as np
 
 from gpdf_service.config import FieldConfig, SearchConfig
 from gpdf_service.fields import Gpdf, Tree, build_tree, change_tree, thin
-from gpdf_service.fields.threads import run_parallel
+from gpdf_service.fields.threads import run_beside, run_parallel
 from gpdf_service.perception import GroundLevel, GroundLimits, HeightMap, Levels, Obstacles, obstacles_of
 from gpdf_service.perception.change import hashed
 from gpdf_service.perception.columns import bounds_of, more_now, rows_in_cells, taken, without_rows
@@ -22,8 +22,8 @@ from gpdf_service.search.free_space import (
     join_levels,
     reach_of,
 )
-from gpdf_service.search.graph import change_edges
-from gpdf_service.search.quadtree import change_quadtree
+from gpdf_service.search.graph import Edges, change_edges
+from gpdf_service.search.quadtree import Quadtree, change_quadtree
 from gpdf_service.types import BoolArray, FloatArray, IntArray
 
 
@@ -97,18 +97,18 @@ def _change_level(
     part = replace(was, surface=surface, measured=level.measured, obstacles=obstacles)
     if len(places) == 0 and not known.any():
         return replace(part, tree=tree, obstacle_field=was.obstacle_field.over(surface))
-    around = build_tree(places) if len(places) else None
-    quadtree = change_quadtree(was.quadtree, surface, tree, radius, around, known)
-    field = _change_field(was, obstacles, places, config.field_spacing * agent.disc_radius)
-    if field is None:
-        field = fit_obstacle_field(obstacles, surface, agent, config, field_config)
-    return replace(
-        part,
-        tree=tree,
-        obstacle_field=field.over(surface),
-        quadtree=quadtree,
-        edges=change_edges(was.quadtree, was.edges, quadtree, tree, radius, around),
-    )
+
+    def leaves_and_edges() -> tuple[Quadtree, Edges]:
+        around = build_tree(places) if len(places) else None
+        quadtree = change_quadtree(was.quadtree, surface, tree, radius, around, known)
+        return quadtree, change_edges(was.quadtree, was.edges, quadtree, tree, radius, around)
+
+    def field() -> Gpdf:
+        made = _change_field(was, obstacles, places, config.field_spacing * agent.disc_radius)
+        return fit_obstacle_field(obstacles, surface, agent, config, field_config) if made is None else made
+
+    (quadtree, edges), obstacle_field = run_beside(leaves_and_edges, field)
+    return replace(part, tree=tree, obstacle_field=obstacle_field.over(surface), quadtree=quadtree, edges=edges)
 
 
 def _rows(obstacles: Obstacles, rows: IntArray) -> FloatArray:
@@ -127,7 +127,8 @@ def _change_tree(tree: Tree, stay: BoolArray, fresh: FloatArray) -> Tree:
         return build_tree(fresh)
     made, source = change_tree(tree, stay[tree.order], np.ascontiguousarray(fresh))
     row = np.cumsum(stay) - 1
-    order = np.where(source >= 0, row[tree.order[source]], row[-1] - source)  # −1 − a fresh row, after the last
+    before = row[tree.order[np.maximum(source, 0)]]
+    order = np.where(source >= 0, before, row[-1] - source)  # −1 − a fresh row, after the last
     return made._replace(order=order)
 
 

@@ -217,18 +217,18 @@ def _rows(
         first[b + 1] += 1
     for i in range(count):
         first[i + 1] += first[i]
-    place = first[:-1].copy()
+    place, costs = first[:-1].copy(), np.empty(len(pairs))
     for end in range(2):
         for e in range(len(pairs)):
             a, b = pairs[e, end], pairs[e, 1 - end]
-            length = 0.0
-            for leaf in pairs[e]:
-                length += sqrt((position[leaf, 0] - via[e, 0]) ** 2 + (position[leaf, 1] - via[e, 1]) ** 2)
-            room = min(clearance[a], clearance[b]) - radius
+            if end == 0:
+                length = sqrt((position[a, 0] - via[e, 0]) ** 2 + (position[a, 1] - via[e, 1]) ** 2)
+                length += sqrt((position[b, 0] - via[e, 0]) ** 2 + (position[b, 1] - via[e, 1]) ** 2)
+                room = min(clearance[a], clearance[b]) - radius
+                costs[e] = length * (1.0 + min(max(1.0 - room / radius, 0.0), 1.0))
             at = place[a]
             place[a] += 1
-            other[at], crossing[at, 0], crossing[at, 1] = b, via[e, 0], via[e, 1]
-            cost[at] = length * (1.0 + min(max(1.0 - room / radius, 0.0), 1.0))
+            other[at], crossing[at, 0], crossing[at, 1], cost[at] = b, via[e, 0], via[e, 1], costs[e]
     return first, other, crossing, cost
 
 

@@ -5,12 +5,12 @@ import pytest
 from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import connected_components
 
+from gpdf_service.perception.beside import beside, beside_now
 from gpdf_service.perception.columns import heights_in_plan
-from gpdf_service.perception.layers import HALF, beside, beside_now, build_layers, connect, crop_layers, splice_layers
+from gpdf_service.perception.layers import HALF, build_layers, connect, crop_layers, splice_layers
 from gpdf_service.perception.nodes import (
     AROUND,
     components,
-    degrees,
     drops_beside,
     grown_sheet,
     half_way,
@@ -57,50 +57,80 @@ def test_components_among_some_nodes_leave_the_others_alone():
     np.testing.assert_array_equal(components(a, b, among), components(a[inside], b[inside], np.ones(200, dtype=bool)))
 
 
-def test_pairs_are_chosen_and_counted_as_by_masks():
+def test_pairs_are_chosen_and_joined_as_by_masks():
     rng = np.random.default_rng(2)
-    (a, b), among = rng.integers(0, 50, (2, 300)), rng.random(50) < 0.4
+    (a, b), among, own = rng.integers(0, 50, (2, 300)), rng.random(50) < 0.4, np.arange(50)
     for found, mask in (
         (pairs_within(a, b, among, True), among[a] & among[b]),
         (pairs_within(a, b, among, False), among[a] | among[b]),
+        (pairs_within(a, b, among, True, own % 3), among[a] & among[b] & (a % 3 != b % 3)),
     ):
         np.testing.assert_array_equal(found, (a[mask], b[mask]))
-    np.testing.assert_array_equal(degrees(a, b, 50), np.bincount(np.concatenate([a, b]), minlength=50))
     seeds = rng.random(50) < 0.1
     label = components(a, b, among | seeds)
     joined = (among | seeds) & np.isin(label, label[seeds])
-    np.testing.assert_array_equal(joined_to(seeds, among, a, b), joined)
+    np.testing.assert_array_equal(joined_to(seeds, among, own, a, b), joined)
     assert joined.sum() > seeds.sum()
 
 
-def test_pairs_taken_from_all_neighbours_are_those_that_are_looked_for(layers):
-    keep = np.random.default_rng(3).random(len(layers.cell)) < 0.7
-    near = beside(layers, 0.3)
-    sloped, stepped_over = near.slopes(keep, 0.2), near.steps(keep, 0.3)
-    a, b = np.array([(i, j) for i, j, offset in pairs(layers) if offset in set(HALF)]).T
-    far = np.hypot(*(np.divmod(layers.cell[b], layers.shape[1]) - np.array(np.divmod(layers.cell[a], layers.shape[1]))))
-    rise, both = np.abs(layers.height[a] - layers.height[b]), keep[a] & keep[b]
-    for found, least in ((sloped, both & (rise <= 0.2 * far)), (stepped_over, both & (rise <= 0.3))):
-        assert least.any()
-        assert set(zip(*found, strict=True)) == set(zip(a[least], b[least], strict=True))
-    label = np.random.default_rng(4).integers(0, 3, len(layers.cell))
-    a, b = stepped_over
-    for one, other in zip(near.steps(keep, 0.3, label), (a, b), strict=True):
-        np.testing.assert_array_equal(one, other[label[a] != label[b]])
-    for one, other in zip(sloped, connect(layers, keep, 0.2), strict=True):
-        np.testing.assert_array_equal(one, other)
+def test_what_is_of_one_piece_is_joined_without_a_pair():
+    seeds, among = np.arange(6) == 0, np.array([False, True, True, True, False, True])
+    piece, a, b = np.array([0, 1, 2, 2, 2, 3]), np.array([0, 1, 4]), np.array([1, 2, 5])
+    np.testing.assert_array_equal(joined_to(seeds, among, piece, a, b), [True, True, True, True, False, False])
 
 
-def test_pairs_of_changed_columns_are_spliced_into_those_of_the_others(layers):
+@pytest.fixture(scope="module")
+def strips():
+    """Layers of three strips."""
+    points = np.random.default_rng(0).uniform([0, 0, 0], [9, 1, 2], (900, 3))
+    return build_layers(points, 0.25, 0.3)
+
+
+def answers(near, layers, seed=3):
+    rng = np.random.default_rng(seed)
+    keep = rng.random(len(layers.cell)) < 0.8
+    inner = keep & (rng.random(len(layers.cell)) < 0.7)
+    return keep, inner, near.degrees(keep, 0.2), near.pieces(inner, 0.2, keep, keep, 0.3)
+
+
+def test_pieces_and_the_pairs_beside_them_are_those_of_all_pairs(strips):
+    near = beside(strips, 0.3)
+    assert len(near.strips) == 3
+    keep, inner, degree, (piece, sloped, stepped_over) = answers(near, strips)
+    a, b = np.array([(i, j) for i, j, offset in pairs(strips) if offset in set(HALF)]).T
+    far = np.hypot(*(np.divmod(strips.cell[b], strips.shape[1]) - np.array(np.divmod(strips.cell[a], strips.shape[1]))))
+    rise, both, joined = np.abs(strips.height[a] - strips.height[b]), keep[a] & keep[b], inner[a] & inner[b]
+    slope = both & (rise <= 0.2 * far)
+    np.testing.assert_array_equal(degree, np.bincount(np.concatenate([a[slope], b[slope]]), minlength=len(keep)))
+    np.testing.assert_array_equal(piece, components(a[slope], b[slope], inner))
+    assert set(zip(*sloped, strict=True)) == set(zip(a[slope & ~joined], b[slope & ~joined], strict=True))
+    step = both & (rise <= 0.3) & (piece[a] != piece[b])
+    assert set(zip(*stepped_over, strict=True)) >= set(zip(a[step], b[step], strict=True))
+    assert len(stepped_over[0]) < 1.1 * step.sum()
+    found, order = set(zip(*sloped, strict=True)), zip(*connect(strips, keep, 0.2), strict=True)
+    assert [pair for pair in order if pair in found] == list(zip(*sloped, strict=True))
+    ends = np.flatnonzero(inner)[[0, -1]]
+    assert piece[ends[0]] != piece[ends[1]]
+    together = near.pieces(inner, 0.2, more=(ends[:1], ends[1:]))[0]
+    assert together[ends[0]] == together[ends[1]]
+
+
+def test_a_change_of_columns_asks_only_the_strips_that_it_touches(strips):
     rng = np.random.default_rng(6)
-    points = np.column_stack([rng.uniform(0.0, 3.0, (300, 2)), rng.uniform(0.0, 2.0, 300)])
-    other = build_layers(points, layers.cell_width, 0.3, like=layers)
-    cells = rng.random(layers.shape) < 0.3
-    now = splice_layers(layers, cells.ravel(), other)
-    made, expected = beside_now(beside(layers, 0.3), now, 0.3, cells), beside(now, 0.3)
-    assert len(expected.a) > 100
-    for name in ("a", "b", "first"):
-        np.testing.assert_array_equal(getattr(made, name), getattr(expected, name))
+    points = np.column_stack([rng.uniform(0.0, 9.0, 300), rng.uniform(0.0, 1.0, 300), rng.uniform(0.0, 2.0, 300)])
+    other = build_layers(points, strips.cell_width, 0.3, like=strips)
+    near, cells = beside(strips, 0.3), rng.random(strips.shape) < 0.3
+    answers(near, strips)
+    cells[:17] = False
+    now = splice_layers(strips, cells.ravel(), other)
+    made, expected = beside_now(near, now, 0.3, cells), beside(now, 0.3)
+    assert [one is other for one, other in zip(made.strips, near.strips, strict=True)] == [True, False, False]
+    for seed in (3, 4):
+        ours, theirs = answers(made, now, seed), answers(expected, now, seed)
+        np.testing.assert_array_equal(ours[2], theirs[2])
+        np.testing.assert_array_equal(ours[3][0], theirs[3][0])
+        for k in (1, 2):
+            np.testing.assert_array_equal(ours[3][k], theirs[3][k])
 
 
 def test_medians_of_sets_are_the_upper_ones():
