@@ -121,77 +121,59 @@ def cut_columns(
 
 @njit(cache=True, nogil=True)
 def pairs_near(
-    start: IntArray,
-    shape: tuple[int, int],
-    height: FloatArray,
-    keep: BoolArray,
-    most: FloatArray,
-    offsets: tuple[tuple[int, int], ...],
+    start: IntArray, shape: tuple[int, int], height: FloatArray, keep: BoolArray, most: float, offset: tuple[int, int]
 ) -> tuple[IntArray, IntArray]:
-    """Pairs of kept nodes (a, b), b's cell at one of the `offsets` from a's, whose heights differ by little.
-
-    That is by at most `most` [m], one number an offset.
-    """
-    capacity, used = 4 * len(height) + 16, 0
+    """Pairs of kept nodes (a, b), b's cell at an `offset` from a's, whose heights differ by at most `most` [m]."""
+    capacity, used = len(height) + 16, 0
     one, other = np.empty(capacity, INDEX), np.empty(capacity, INDEX)
-    for k in range(len(offsets)):
-        dx, dy = offsets[k]
-        for x in range(max(0, -dx), min(shape[0], shape[0] - dx)):
-            for y in range(max(0, -dy), min(shape[1], shape[1] - dy)):
-                here, there = x * shape[1] + y, (x + dx) * shape[1] + y + dy
-                more = (start[here + 1] - start[here]) * (start[there + 1] - start[there])
-                if used + more > capacity:
-                    capacity = 2 * capacity + more
-                    one, other = _longer(one, capacity), _longer(other, capacity)
-                for a in range(start[here], start[here + 1] if more > 0 else 0):
-                    if not keep[a]:
-                        continue
-                    for b in range(start[there], start[there + 1]):  # written, and kept or not: a guess would be wrong
-                        one[used], other[used] = a, b
-                        used += int(keep[b] & (abs(height[a] - height[b]) <= most[k]))
+    dx, dy = offset
+    for x in range(max(0, -dx), min(shape[0], shape[0] - dx)):
+        for y in range(max(0, -dy), min(shape[1], shape[1] - dy)):
+            here, there = x * shape[1] + y, (x + dx) * shape[1] + y + dy
+            more = (start[here + 1] - start[here]) * (start[there + 1] - start[there])
+            if used + more > capacity:
+                capacity = 2 * capacity + more
+                one, other = _longer(one, capacity), _longer(other, capacity)
+            for a in range(start[here], start[here + 1] if more > 0 else 0):
+                if not keep[a]:
+                    continue
+                for b in range(start[there], start[there + 1]):  # written, and kept or not: a guess would be wrong
+                    one[used], other[used] = a, b
+                    used += int(keep[b] & (abs(height[a] - height[b]) <= most))
     return one[:used], other[:used]
 
 
 @njit(cache=True, nogil=True)
 def pairs_beside(
-    start: IntArray,
-    shape: tuple[int, int],
-    height: FloatArray,
-    most: float,
-    offsets: tuple[tuple[int, int], ...],
-    cells: BoolArray,
-) -> tuple[IntArray, IntArray, IntArray]:
-    """What `pairs_near` finds if all are kept, and where the pairs of each offset begin, shape (offsets + 1,).
+    start: IntArray, shape: tuple[int, int], height: FloatArray, most: float, offset: tuple[int, int], cells: BoolArray
+) -> tuple[IntArray, IntArray]:
+    """What `pairs_near` finds if all are kept; of each pair one node or both are in the flat `cells`.
 
-    Of each pair one node or both are in the flat `cells`. The heights of a column must ascend: so what is too low or
-    too high for one node is passed over.
+    The heights of a column must ascend: so what is too low or too high for one node is passed over.
     """
-    first = np.zeros(len(offsets) + 1, np.int64)
     capacity, used = 16, 0
     for c in range(len(cells)):
-        capacity += 4 * (start[c + 1] - start[c]) if cells[c] else 0
+        capacity += start[c + 1] - start[c] if cells[c] else 0
     one, other = np.empty(capacity, INDEX), np.empty(capacity, INDEX)
-    for k in range(len(offsets)):
-        dx, dy = offsets[k]
-        for x in range(max(0, -dx), min(shape[0], shape[0] - dx)):
-            for y in range(max(0, -dy), min(shape[1], shape[1] - dy)):
-                here, there = x * shape[1] + y, (x + dx) * shape[1] + y + dy
-                if not (cells[here] or cells[there]):
-                    continue
-                low, end = start[there], start[there + 1]
-                more = (start[here + 1] - start[here]) * (end - low)
-                if used + more > capacity:
-                    capacity = 2 * capacity + more
-                    one, other = _longer(one, capacity), _longer(other, capacity)
-                for a in range(start[here], start[here + 1]):
-                    while low < end and height[a] - height[low] > most:
-                        low += 1
-                    b = low
-                    while b < end and height[b] - height[a] <= most:
-                        one[used], other[used] = a, b
-                        used, b = used + 1, b + 1
-        first[k + 1] = used
-    return one[:used], other[:used], first
+    dx, dy = offset
+    for x in range(max(0, -dx), min(shape[0], shape[0] - dx)):
+        for y in range(max(0, -dy), min(shape[1], shape[1] - dy)):
+            here, there = x * shape[1] + y, (x + dx) * shape[1] + y + dy
+            if not (cells[here] or cells[there]):
+                continue
+            low, end = start[there], start[there + 1]
+            more = (start[here + 1] - start[here]) * (end - low)
+            if used + more > capacity:
+                capacity = 2 * capacity + more
+                one, other = _longer(one, capacity), _longer(other, capacity)
+            for a in range(start[here], start[here + 1]):
+                while low < end and height[a] - height[low] > most:
+                    low += 1
+                b = low
+                while b < end and height[b] - height[a] <= most:
+                    one[used], other[used] = a, b
+                    used, b = used + 1, b + 1
+    return one[:used], other[:used]
 
 
 @njit(cache=True, nogil=True)
@@ -476,6 +458,15 @@ def extent_in(cell: IntArray, z: FloatArray, low: FloatArray, high: FloatArray) 
         if low[c] < z[i] <= high[c]:
             least[c], most[c] = min(least[c], z[i]), max(most[c], z[i])
     return least, most
+
+
+@njit(cache=True, nogil=True)
+def between_range(
+    cell: IntArray, z: FloatArray, low: FloatArray, high: FloatArray, begin: int, end: int, found: BoolArray
+) -> None:
+    """Write which points from `begin` to `end` are over the `low` of their cell and not over its `high`."""
+    for i in range(begin, end):
+        found[i] = low[cell[i]] < z[i] <= high[cell[i]]
 
 
 @njit(cache=True, nogil=True)

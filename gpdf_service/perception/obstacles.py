@@ -13,7 +13,7 @@ from gpdf_service.fields.threads import run_chunked
 from gpdf_service.perception.columns import chosen_rows
 from gpdf_service.perception.levels import FACE, LEAST_OBSTACLE, GroundLevel, astray
 from gpdf_service.perception.limits import ObstacleKind
-from gpdf_service.perception.surface import INFERRED, UNKNOWN, HeightMap
+from gpdf_service.perception.surface import INFERRED, UNKNOWN, HeightMap, between, cells_within, under
 from gpdf_service.types import Agent, BoolArray, FloatArray, IntArray
 
 HEADROOM_SHARE = 0.01
@@ -54,19 +54,19 @@ def _material(level: GroundLevel, agent: Agent, noise: float) -> BoolArray:
     top = np.where(known, surface.height, -np.inf)
     bottom = np.where(known, surface.height, np.inf)
     disc = _disc(agent.cylinder.radius + surface.cell_width, surface)
-    ix, iy, _ = surface.cells(points)
-    z, tall = points[:, 2], (1.0 - HEADROOM_SHARE) * agent.height + noise
-    lowest = -highest_within(-bottom, disc)[ix, iy]
-    stops = (z < highest_within(top, disc)[ix, iy] + tall) & (z >= lowest - least)
+    tall = (1.0 - HEADROOM_SHARE) * agent.height + noise
+    lowest, cell, z = -highest_within(-bottom, disc), cells_within(points, surface), points[:, 2]
+    stops = between(cell, z, under(lowest - least), under(highest_within(top, disc) + tall))
     stops[stops] = ~_is_face(level, stops, agent.max_step, noise)
+    cell, z = cell[stops], z[stops]
     # Beside a step the question is which ground the body stands on; not on what stops it wherever it stands.
-    always = stops & (z < lowest + tall)
+    always = between(cell, z, np.full_like(lowest, -np.inf), under(lowest + tall))
     free = np.ones(known.shape, dtype=bool)
-    free[ix[always], iy[always]] = False
+    free.ravel()[cell[always]] = False
     shut = (ndimage.distance_transform_edt(free) + np.sqrt(2.0)) * surface.cell_width < agent.disc_radius
-    stands = highest_within(np.where(shut, -np.inf, top), disc)[ix, iy]
-    found: BoolArray = stops & (always | (z < stands + tall))
-    return found
+    stands = under(highest_within(np.where(shut, -np.inf, top), disc) + tall)
+    stops[stops] = always | between(cell, z, np.full_like(stands, -np.inf), stands)
+    return stops
 
 
 def _is_face(level: GroundLevel, asked: BoolArray, max_step: float, noise: float) -> BoolArray:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -10,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from gpdf_service.config import PerceptionConfig
 from gpdf_service.errors import NoGroundError
-from gpdf_service.fields.threads import run_chunked
+from gpdf_service.fields.threads import run_beside, run_chunked
 from gpdf_service.perception.bumps import cells_around, low_things, raised_over_sides
 from gpdf_service.perception.columns import by_cell, medians_around
 from gpdf_service.perception.layers import (
@@ -223,7 +224,10 @@ def _extents(
     layers: Layers, ground: BoolArray, smooth: FloatArray, scatter: float, config: PerceptionConfig
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """`low`, `high` and `beside` of a `Segmentation`."""
-    return *_across(layers, ground, smooth, config), _ground_beside(layers, ground, smooth, scatter)
+    beneath, across = run_beside(
+        partial(_ground_beside, layers, ground, smooth, scatter), partial(_across, layers, ground, smooth, config)
+    )
+    return *across, beneath
 
 
 def _across(

@@ -10,8 +10,9 @@ from numba import njit
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from gpdf_service.fields.threads import run_chunked
 from gpdf_service.perception.bend import FINE, FLAT, bend_at, make_room, reach_of
-from gpdf_service.perception.columns import cells_in_box, extent_in
+from gpdf_service.perception.columns import between_range, cells_in_box, extent_in
 from gpdf_service.types import BoolArray, FloatArray, IntArray
 
 UNKNOWN, OBSERVED, INFERRED = 0, 1, 2
@@ -314,7 +315,12 @@ def _tell_hollow(things: BoolArray, overhung: BoolArray, label: NDArray[np.int32
 
 
 def find_voids(
-    surface: HeightMap, points: FloatArray, max_step: float, near: Nearest | None = None, box: Box = WHOLE
+    surface: HeightMap,
+    points: FloatArray,
+    max_step: float,
+    near: Nearest | None = None,
+    box: Box = WHOLE,
+    cell: IntArray | None = None,
 ) -> tuple[BoolArray, BoolArray, BoolArray]:
     """Unknown cells whose highest point of `points` (n, 3) lies over `max_step` under the ground beside them.
 
@@ -324,6 +330,7 @@ def find_voids(
         max_step: [m].
         near: `nearest_seen` of the surface in the box, where it is known.
         box: Cells that hold all points, and `MAX_HOLE_RADIUS` around them.
+        cell: `cells_within` of the points, where it is known, shape (n,).
 
     Returns:
         Where the scanner saw through, further down than a floor is thick; where the bottom of a pit is seen, which is
@@ -332,10 +339,10 @@ def find_voids(
     distance, beside = near or nearest_seen(surface, box)
     part = cropped(surface, box)
     asked = (part.state == UNKNOWN) & (distance <= MAX_HOLE_RADIUS)
-    cell, z = cells_within(points, surface, box), np.ascontiguousarray(points[:, 2])
+    cell, z = cells_within(points, surface, box) if cell is None else cell, points[:, 2]
     walls = _walls_down(part, cell, z)
     high = np.where(asked, beside + np.float32(surface.cell_width), -np.inf)
-    bottom, top = extent_within(cell, z, np.full(asked.shape, -np.inf), _under(high))
+    bottom, top = extent_within(cell, z, np.full(asked.shape, -np.inf), under(high))
     seen = np.isfinite(top)
     depth = np.where(seen, beside - top, 0.0)
     pit = (depth > max_step) & (depth <= SLAB) & (np.where(seen, top - bottom, 0.0) < STOREY)
@@ -349,6 +356,14 @@ def extent_within(cell: IntArray, z: FloatArray, low: FloatArray, high: FloatArr
     return least[:-1].reshape(low.shape), most[:-1].reshape(low.shape)
 
 
+def between(cell: IntArray, z: FloatArray, low: FloatArray, high: FloatArray) -> BoolArray:
+    """Which points are over the `low` of their cell and not over its `high`, shape (n,): see `extent_within`."""
+    found = np.empty(len(cell), dtype=bool)
+    own = cell, z, *(np.append(end, end.dtype.type(-np.inf)) for end in (low, high))
+    run_chunked(lambda a, b: between_range(*own, a, b, found), len(cell))
+    return found
+
+
 def _walls_down(surface: HeightMap, cell: IntArray, z: FloatArray) -> BoolArray:
     """Cells of a hole or beside one with a point right under the ground, no floor: `z` [m] in the flat `cell`, (n,).
 
@@ -358,13 +373,13 @@ def _walls_down(surface: HeightMap, cell: IntArray, z: FloatArray) -> BoolArray:
     unknown = surface.state == UNKNOWN
     rim = ndimage.maximum_filter(np.where(unknown, -np.inf, surface.height), size=3)
     floor = ndimage.minimum_filter(np.where(unknown, np.inf, rim), size=5)
-    low, high = (_under(floor - cells * surface.cell_width) for cells in (WALL_CELLS, 1.0))
+    low, high = (under(floor - cells * surface.cell_width) for cells in (WALL_CELLS, 1.0))
     walls: BoolArray = np.isfinite(extent_within(cell, z, low, high)[0])
     walls &= ndimage.maximum_filter(unknown, size=3, mode="constant")
     return walls
 
 
-def _under(heights: FloatArray) -> FloatArray:
+def under(heights: FloatArray) -> FloatArray:
     """The next smaller numbers: what is not over them is under the heights."""
     made: FloatArray = np.nextafter(heights.astype(np.float64), -np.inf)
     return made
