@@ -439,14 +439,13 @@ def without_rows(points: FloatArray, keep: BoolArray, fresh: FloatArray) -> Floa
     count = 0
     for i in range(len(keep)):
         count += keep[i]
-    made, used = np.empty((count + len(fresh), 3)), 0
+    made, used = np.empty((count + len(fresh) + 1, 3)), 0
     for i in range(len(points)):
-        if keep[i]:
-            for k in range(3):
-                made[used, k] = points[i, k]
-            used += 1
-    made[count:] = fresh
-    return made
+        for k in range(3):  # written, and kept or not: a guess would be wrong
+            made[used, k] = points[i, k]
+        used += keep[i]
+    made[count : count + len(fresh)] = fresh
+    return made[: count + len(fresh)]
 
 
 @njit(cache=True, nogil=True)

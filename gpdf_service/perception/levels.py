@@ -123,6 +123,10 @@ Voids = tuple[BoolArray, BoolArray, BoolArray]
 """Where the scanner saw through a level's unknown cells, where they are pits, and a pit's walls; see `find_voids`."""
 
 
+Held = tuple[IntArray, FloatArray, FloatArray]
+"""Flat cell and height [m] of each other point, shape (m,), and the lowest of each cell [m]: see `in_cells`."""
+
+
 @dataclass(frozen=True, slots=True)
 class Completion:
     """How the ground of a level was completed, see `complete`.
@@ -335,12 +339,16 @@ def _build_level(
     cell = cells_within(points, seen)
     cell[gone] = seen.state.size  # as those outside: in no cell
 
+    def reach() -> tuple[FloatArray, Held]:
+        other = within_reach(points, seen, cell=cell)
+        return other, in_cells(other, seen)
+
     def look_through() -> tuple[Nearest, Voids]:
         near = nearest_seen(seen)
         return near, find_voids(seen, points, config.max_step, near, cell=cell)
 
-    other, (near, voids) = run_beside(partial(within_reach, points, seen, cell=cell), look_through)
-    surface, completion = complete(seen, other, voids, config, near, noise)
+    (other, held), (near, voids) = run_beside(reach, look_through)
+    surface, completion = complete(seen, held, voids, config, near, noise)
 
     def measure() -> tuple[Measured, GroundLimits]:
         measured = step_and_slope(surface)
@@ -385,18 +393,13 @@ def without_outliers(surface: HeightMap, most: float) -> HeightMap:
 
 
 def complete(
-    seen: HeightMap,
-    other: FloatArray,
-    voids: Voids,
-    config: PerceptionConfig,
-    near: Nearest | None = None,
-    noise: float = 0.0,
+    seen: HeightMap, held: Held, voids: Voids, config: PerceptionConfig, near: Nearest, noise: float
 ) -> tuple[HeightMap, Completion]:
-    """The ground with what its surroundings and the `other` points (m, 3) explain, and what that was made of.
+    """The ground with what its surroundings and the other points `held` explain, and what that was made of.
 
-    The others must lie on the grid; `near` is `nearest_seen`, where that is known; the `noise` [m] was cured.
+    Where the ground was seen is `near`, see `nearest_seen`; the `noise` [m] was cured.
     """
-    cell, z, lowest = in_cells(other, seen)
+    cell, z, lowest = held
     filled = fill_holes(seen, lowest, *voids, near=near, noise=noise)
     shut, stair, guarded = guard_edges(filled, lowest, cell, z, config.min_headroom)
     opened = without_enclosed(filled, shut)
@@ -452,7 +455,7 @@ def complete_again(
     return pasted_ground(surface, part, inner, outer), made
 
 
-def in_cells(other: FloatArray, surface: HeightMap, box: Box = WHOLE) -> tuple[IntArray, FloatArray, FloatArray]:
+def in_cells(other: FloatArray, surface: HeightMap, box: Box = WHOLE) -> Held:
     """Flat cell in a box and height [m] of each of the `other` points (m, 3), and the lowest of each cell [m]."""
     cell, z = cells_within(other, surface, box), np.ascontiguousarray(other[:, 2])
     ends = np.full(surface.state[box].shape, np.inf)
@@ -484,11 +487,11 @@ def guard_edges(
     beside, foot = ndimage.maximum_filter(high, size=3) + headroom, ndimage.minimum_filter(low, size=reach)
     shut, stair = lowest <= beside, ndimage.maximum_filter(high, size=reach) - foot > 2.0 * surface.cell_width
 
-    def between(low: NDArray[np.floating], high: NDArray[np.floating]) -> BoolArray:
-        return np.isfinite(extent_within(cell, z, low.astype(np.float64), high.astype(np.float64))[0])
+    def held_over(rise: float) -> BoolArray:
+        return np.isfinite(extent_within(cell, z, (foot + rise).astype(np.float64), beside.astype(np.float64))[0])
 
-    guard = (shut & stair) | between(foot + LEAST_OBSTACLE, beside)
-    return shut & between(foot - LEAST_OBSTACLE, beside), stair, guard
+    shuts, guards = run_parallel(held_over, (-LEAST_OBSTACLE, LEAST_OBSTACLE))
+    return shut & shuts, stair, (shut & stair) | guards
 
 
 def make_level(
@@ -599,9 +602,7 @@ def next_above(ground: FloatArray, points: FloatArray, least: FloatArray) -> NDA
     return best.astype(np.float32)
 
 
-def within_reach(
-    points: FloatArray, surface: HeightMap, box: Box = WHOLE, cell: IntArray | None = None
-) -> FloatArray:
+def within_reach(points: FloatArray, surface: HeightMap, box: Box = WHOLE, cell: IntArray | None = None) -> FloatArray:
     """Points between a cell under the lowest known ground near them and `TALLEST` over the highest.
 
     The `box` of cells holds all points, and `OVERLAP` around them; `cell` is their `cells_within`, if it is known.

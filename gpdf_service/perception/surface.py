@@ -356,11 +356,11 @@ def extent_within(cell: IntArray, z: FloatArray, low: FloatArray, high: FloatArr
     return least[:-1].reshape(low.shape), most[:-1].reshape(low.shape)
 
 
-def between(cell: IntArray, z: FloatArray, low: FloatArray, high: FloatArray) -> BoolArray:
+def between(cell: IntArray, z: FloatArray, low: NDArray[np.floating], high: NDArray[np.floating]) -> BoolArray:
     """Which points are over the `low` of their cell and not over its `high`, shape (n,): see `extent_within`."""
     found = np.empty(len(cell), dtype=bool)
-    own = cell, z, *(np.append(end, end.dtype.type(-np.inf)) for end in (low, high))
-    run_chunked(lambda a, b: between_range(*own, a, b, found), len(cell))
+    least, most = (np.append(end, end.dtype.type(-np.inf)) for end in (low, high))
+    run_chunked(lambda a, b: between_range(cell, z, least, most, a, b, found), len(cell))
     return found
 
 
@@ -379,7 +379,7 @@ def _walls_down(surface: HeightMap, cell: IntArray, z: FloatArray) -> BoolArray:
     return walls
 
 
-def under(heights: FloatArray) -> FloatArray:
+def under(heights: NDArray[np.floating]) -> FloatArray:
     """The next smaller numbers: what is not over them is under the heights."""
     made: FloatArray = np.nextafter(heights.astype(np.float64), -np.inf)
     return made
@@ -415,22 +415,26 @@ def _in_gaps(surface: HeightMap, beside: NDArray[np.float32], noise: float) -> N
 
     On a slope the latter makes a step that nobody saw. But where the cure has blurred a step to a slope, it shows it.
     """
-    reach = reach_of(surface.cell_width, noise)
-    made: NDArray[np.float32] = _on_bends(surface.height, beside, reach, max(FINE, FLAT * noise))
+    own = surface.height, reach_of(surface.cell_width, noise), max(FINE, FLAT * noise)
+    made = beside.copy()
+    run_chunked(lambda a, b: _onto_bends(*own, a, b, made), made.size)
     return made
 
 
 @njit(cache=True, nogil=True)
-def _on_bends(height: NDArray[np.float32], beside: NDArray[np.float32], reach: int, flat: float) -> NDArray[np.float32]:
-    """`beside`, or of the quadric through the seen cells around where it is `flat` [m]; of cells beside seen ones."""
-    made, sums = beside.copy(), make_room()
-    for i in range(1, height.shape[0] - 1):
-        for j in range(1, height.shape[1] - 1):
-            if np.isnan(height[i, j]) and not np.isnan(height[i - 1 : i + 2, j - 1 : j + 2]).all():
-                shift, smooth = bend_at(height, i, j, reach, float(beside[i, j]), flat, sums)
-                if smooth:
-                    made[i, j] += shift
-    return made
+def _onto_bends(
+    height: NDArray[np.float32], reach: int, flat: float, begin: int, end: int, made: NDArray[np.float32]
+) -> None:
+    """Put cells beside seen ones onto the quadric through the seen cells around where it is `flat` [m]."""
+    (nx, ny), sums = height.shape, make_room()
+    for cell in range(begin, end):
+        i, j = cell // ny, cell % ny
+        if not (0 < i < nx - 1 and 0 < j < ny - 1 and np.isnan(height[i, j])):
+            continue
+        if not np.isnan(height[i - 1 : i + 2, j - 1 : j + 2]).all():
+            shift, smooth = bend_at(height, i, j, reach, float(made[i, j]), flat, sums)
+            if smooth:
+                made[i, j] += shift
 
 
 @njit(cache=True, nogil=True)
