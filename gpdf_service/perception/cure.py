@@ -12,6 +12,7 @@ from gpdf_service.errors import NoGroundError
 from gpdf_service.fields import (
     Cured,
     Flight,
+    build_tree,
     estimate_noise,
     estimate_spacing,
     find_lifted,
@@ -119,8 +120,9 @@ def _told(points: FloatArray) -> tuple[BoolArray, float, float]:
     """A sample of the cloud, shape (n,), its spacing and its noise [m]."""
     picked = _columns(points)
     sample = chosen_rows(points, picked)
-    spacing = estimate_spacing(sample)
-    return picked, spacing, estimate_noise(sample, spacing)
+    tree = build_tree(sample)
+    spacing = estimate_spacing(sample, tree)
+    return picked, spacing, estimate_noise(sample, spacing, tree=tree)
 
 
 def _first_look(

@@ -351,16 +351,14 @@ def find_voids(
 
 def extent_within(cell: IntArray, z: FloatArray, low: FloatArray, high: FloatArray) -> tuple[FloatArray, FloatArray]:
     """`extent_in` of cells on a grid, shape (nx, ny); points of the cell after the last one are in none."""
-    ends = (np.append(end, -np.inf) for end in (low, high))
-    least, most = extent_in(cell, z, *ends)
-    return least[:-1].reshape(low.shape), most[:-1].reshape(low.shape)
+    least, most = extent_in(cell, z, low.ravel(), high.ravel())
+    return least.reshape(low.shape), most.reshape(low.shape)
 
 
 def between(cell: IntArray, z: FloatArray, low: NDArray[np.floating], high: NDArray[np.floating]) -> BoolArray:
     """Which points are over the `low` of their cell and not over its `high`, shape (n,): see `extent_within`."""
     found = np.empty(len(cell), dtype=bool)
-    least, most = (np.append(end, end.dtype.type(-np.inf)) for end in (low, high))
-    run_chunked(lambda a, b: between_range(cell, z, least, most, a, b, found), len(cell))
+    run_chunked(lambda a, b: between_range(cell, z, low.ravel(), high.ravel(), a, b, found), len(cell))
     return found
 
 
