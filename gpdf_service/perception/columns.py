@@ -8,7 +8,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from gpdf_service.fields.threads import run_chunked
+from gpdf_service.fields.threads import run_chunked, run_parallel
 from gpdf_service.types import BoolArray, FloatArray, IntArray
 
 INDEX: Any = np.int32
@@ -123,11 +123,29 @@ def cut_columns(
             node, i = node + 1, last + 1
 
 
-@njit(cache=True, nogil=True)
 def pairs_near(
+    start: IntArray,
+    shape: tuple[int, int],
+    height: FloatArray,
+    keep: BoolArray,
+    most: FloatArray,
+    offsets: tuple[tuple[int, int], ...],
+) -> tuple[IntArray, IntArray]:
+    """Pairs of kept nodes (a, b), b's cell at one of the `offsets` from a's, whose heights differ by little.
+
+    That is by at most `most` [m], one number an offset.
+    """
+    own = start, shape, height, keep
+    found = run_parallel(lambda k: _pairs_at(*own, float(most[k]), offsets[k]), range(len(offsets)))
+    a, b = (np.concatenate(ends) for ends in zip(*found, strict=True))
+    return a, b
+
+
+@njit(cache=True, nogil=True)
+def _pairs_at(
     start: IntArray, shape: tuple[int, int], height: FloatArray, keep: BoolArray, most: float, offset: tuple[int, int]
 ) -> tuple[IntArray, IntArray]:
-    """Pairs of kept nodes (a, b), b's cell at an `offset` from a's, whose heights differ by at most `most` [m]."""
+    """`pairs_near` with one offset."""
     capacity, used = len(height) + 16, 0
     one, other = np.empty(capacity, INDEX), np.empty(capacity, INDEX)
     dx, dy = offset
@@ -149,35 +167,44 @@ def pairs_near(
 
 @njit(cache=True, nogil=True)
 def pairs_beside(
-    start: IntArray, shape: tuple[int, int], height: FloatArray, most: float, offset: tuple[int, int], cells: BoolArray
-) -> tuple[IntArray, IntArray]:
-    """What `pairs_near` finds if all are kept; of each pair one node or both are in the flat `cells`.
+    start: IntArray,
+    shape: tuple[int, int],
+    height: FloatArray,
+    most: float,
+    offsets: tuple[tuple[int, int], ...],
+    cells: BoolArray,
+) -> tuple[IntArray, IntArray, IntArray]:
+    """What `pairs_near` finds if all are kept, and where the pairs of each offset begin, shape (offsets + 1,).
 
-    The heights of a column must ascend: so what is too low or too high for one node is passed over.
+    Of each pair one node or both are in the flat `cells`. The heights of a column must ascend: so what is too low or
+    too high for one node is passed over.
     """
+    first = np.zeros(len(offsets) + 1, np.int64)
     capacity, used = 16, 0
     for c in range(len(cells)):
-        capacity += start[c + 1] - start[c] if cells[c] else 0
+        capacity += 4 * (start[c + 1] - start[c]) if cells[c] else 0
     one, other = np.empty(capacity, INDEX), np.empty(capacity, INDEX)
-    dx, dy = offset
-    for x in range(max(0, -dx), min(shape[0], shape[0] - dx)):
-        for y in range(max(0, -dy), min(shape[1], shape[1] - dy)):
-            here, there = x * shape[1] + y, (x + dx) * shape[1] + y + dy
-            if not (cells[here] or cells[there]):
-                continue
-            low, end = start[there], start[there + 1]
-            more = (start[here + 1] - start[here]) * (end - low)
-            if used + more > capacity:
-                capacity = 2 * capacity + more
-                one, other = _longer(one, capacity), _longer(other, capacity)
-            for a in range(start[here], start[here + 1]):
-                while low < end and height[a] - height[low] > most:
-                    low += 1
-                b = low
-                while b < end and height[b] - height[a] <= most:
-                    one[used], other[used] = a, b
-                    used, b = used + 1, b + 1
-    return one[:used], other[:used]
+    for k in range(len(offsets)):
+        dx, dy = offsets[k]
+        for x in range(max(0, -dx), min(shape[0], shape[0] - dx)):
+            for y in range(max(0, -dy), min(shape[1], shape[1] - dy)):
+                here, there = x * shape[1] + y, (x + dx) * shape[1] + y + dy
+                if not (cells[here] or cells[there]):
+                    continue
+                low, end = start[there], start[there + 1]
+                more = (start[here + 1] - start[here]) * (end - low)
+                if used + more > capacity:
+                    capacity = 2 * capacity + more
+                    one, other = _longer(one, capacity), _longer(other, capacity)
+                for a in range(start[here], start[here + 1]):
+                    while low < end and height[a] - height[low] > most:
+                        low += 1
+                    b = low
+                    while b < end and height[b] - height[a] <= most:
+                        one[used], other[used] = a, b
+                        used, b = used + 1, b + 1
+        first[k + 1] = used
+    return one[:used], other[:used], first
 
 
 @njit(cache=True, nogil=True)

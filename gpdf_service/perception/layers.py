@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.spatial import cKDTree
 
 from gpdf_service.config import PerceptionConfig
-from gpdf_service.fields.threads import run_chunked, run_parallel
+from gpdf_service.fields.threads import run_chunked
 from gpdf_service.perception.columns import (
     bounds_of,
     by_cell,
@@ -228,20 +227,13 @@ def beside_now(near: Beside, layers: Layers, rise: float, cells: BoolArray) -> B
 
 
 def _pairs_at(layers: Layers, rise: float, cells: BoolArray) -> tuple[IntArray, IntArray, IntArray]:
-    own = layers.start, layers.shape, layers.height, rise
-    a, b, count = _one_after_another(lambda offset: pairs_beside(*own, offset, cells.ravel()))
-    return a, b, np.concatenate([[0], np.cumsum(count)])
-
-
-def _one_after_another(find: Callable[[tuple[int, int]], Pairs]) -> tuple[IntArray, IntArray, IntArray]:
-    """The pairs that are found at each of the `HALF`, and how many."""
-    found = run_parallel(find, HALF)
-    a, b = (np.concatenate(ends) for ends in zip(*found, strict=True))
-    return a, b, np.array([len(one) for one, _ in found])
+    found: tuple[IntArray, IntArray, IntArray] = pairs_beside(
+        layers.start, layers.shape, layers.height, rise, HALF, cells.ravel()
+    )
+    return found
 
 
 def connect(layers: Layers, keep: BoolArray, rise: float) -> Pairs:
     """Pairs of kept nodes in neighbouring cells with at most `rise` [m] a cell between them."""
-    own = layers.start, layers.shape, layers.height, keep
-    a, b, _ = _one_after_another(lambda offset: pairs_near(*own, rise * float(np.hypot(*offset)), offset))
-    return a, b
+    pairs: Pairs = pairs_near(layers.start, layers.shape, layers.height, keep, rise * _APART, HALF)
+    return pairs

@@ -86,7 +86,8 @@ def segment_ground(points: ArrayLike, config: PerceptionConfig | None = None) ->
         CloudError: the cloud cannot be used.
         NoGroundError: nothing in it is walkable.
     """
-    return segment(check_points(points), config or PerceptionConfig())[0]
+    cloud, config = check_points(points), config or PerceptionConfig()
+    return segment(cloud, first_layers(cloud, config), config)[0]
 
 
 class Found(NamedTuple):
@@ -147,16 +148,18 @@ class Segmentation:
         return held
 
 
-def segment(
-    cloud: FloatArray, config: PerceptionConfig, width: float | None = None
-) -> tuple[BoolArray, Segmentation | None]:
-    """`segment_ground` of points (n, 3) that have been checked: which are ground, and what that was found from.
+def first_layers(cloud: FloatArray, config: PerceptionConfig, width: float | None = None) -> Layers:
+    """Layers of a whole cloud (n, 3) for a first look; the cells' width [m] is measured when it is not given."""
+    width = cell_width_of(cloud) if width is None else width
+    return build_layers(cloud, width, layer_gap(width, config))
 
-    The cells' width [m] is measured when it is not given. None where the ground is so rough or noisy that a second look
-    with wider cells was needed.
+
+def segment(cloud: FloatArray, layers: Layers, config: PerceptionConfig) -> tuple[BoolArray, Segmentation | None]:
+    """`segment_ground` of points (n, 3) in their `first_layers`: which are ground, and what that was found from.
+
+    None where the ground is so rough or noisy that a second look with wider cells was needed.
     """
-    z, width = cloud[:, 2], cell_width_of(cloud) if width is None else width
-    layers = build_layers(cloud, width, layer_gap(width, config))
+    z, width = cloud[:, 2], layers.cell_width
     found = segment_layers(layers, config, z)
     wider = float(np.sqrt(NOISY * found.deviation * width))
     if wider <= width:
