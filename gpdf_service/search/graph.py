@@ -10,7 +10,7 @@ import numpy as np
 from numba import njit
 
 from gpdf_service.fields import Tree
-from gpdf_service.fields.threads import run_chunked, run_parallel
+from gpdf_service.fields.threads import run_chunked
 from gpdf_service.fields.traversal import nearest_at
 from gpdf_service.fields.tree import make_scratch, place_of
 from gpdf_service.perception.nodes import components
@@ -78,28 +78,26 @@ def find_edges(tree: Quadtree, obstacles: Tree, radius: float, of: BoolArray | N
     if they are given: then only those and the leaves that touch them look.
     """
     leaves = np.flatnonzero(tree.free if of is None else tree.free & tree.touching(of))
-    found = run_parallel(lambda way: _across(tree, leaves, *way, of), ((0, -1), (0, 1), (1, -1), (1, 1)))
-    pairs, via = (np.concatenate(parts) for parts in zip(*found, strict=True))
-    del found  # a tenth of what a build of many points needs at its peak
+    corner, size, center, half = tree.corner[leaves], tree.size[leaves], tree.center, tree.half_size[leaves]
+    ends, vias = [], []
+    for axis in (0, 1):
+        for side in (-1, 1):
+            probe = corner + size[:, None] // 2
+            probe[:, axis] = corner[:, axis] + (size if side > 0 else -1)
+            found = tree.find_cell(probe)
+            larger = (found >= 0) & tree.free[found] & (tree.size[found] >= size)
+            once = larger & ((tree.size[found] > size) | (side > 0))
+            if of is not None:
+                once &= of[leaves] | of[found]
+            via = center[leaves]
+            via[:, axis] += side * half
+            ends.append(np.column_stack([leaves[once], found[once]]))
+            vias.append(via[once])
+    pairs, via = np.concatenate(ends), np.concatenate(vias)
     room = np.where(tree.whole, np.inf, tree.clearance - radius)
-    good, own = np.zeros(len(pairs), dtype=bool), (obstacles, tree.center, via, room, pairs, radius)
+    good, own = np.zeros(len(pairs), dtype=bool), (obstacles, center, via, room, pairs, radius)
     run_chunked(lambda a, b: _proven(*own, a, b, good), len(pairs))
     return pairs[good], via[good]
-
-
-def _across(tree: Quadtree, leaves: IntArray, axis: int, side: int, of: BoolArray | None) -> Edges:
-    """What `leaves` find across one of their sides."""
-    corner, size, half = tree.corner[leaves], tree.size[leaves], tree.half_size[leaves]
-    probe = corner + size[:, None] // 2
-    probe[:, axis] = corner[:, axis] + (size if side > 0 else -1)
-    found = tree.find_cell(probe)
-    larger = (found >= 0) & tree.free[found] & (tree.size[found] >= size)
-    once = larger & ((tree.size[found] > size) | (side > 0))
-    if of is not None:
-        once &= of[leaves] | of[found]
-    via = tree.center[leaves[once]]
-    via[:, axis] += side * half[once]
-    return np.column_stack([leaves[once], found[once]]), via
 
 
 def change_edges(
