@@ -258,14 +258,15 @@ def fit_gpdf(
         raise FieldError("fit", "no points", "A field needs at least one point on a surface.")
     own = _check_noise(noise, len(data))
     estimated = spacing is None
-    spacing = estimate_spacing(data) if spacing is None else float(spacing)
+    tree = build_tree(data) if spacing is None else None
+    spacing = estimate_spacing(data, tree) if spacing is None else float(spacing)
     if not (estimated or spacing > 0.0):
         raise FieldError("fit", f"a spacing of {spacing:g} m", "Pass a positive one, or none.")
     _check_extent(data, spacing)
     rows = thin(data, spacing * (0.5 if estimated else 0.95))  # a grid of that spacing keeps all its points
     if spacing <= 0.0:
         spacing = 1e-3  # [m] a single place has no spacing; a millimetre is below what any scanner resolves
-    tree = build_tree(data[rows])
+    tree = build_tree(data[rows]) if tree is None or len(rows) < len(data) else tree
     length_scale = config.length_scale_factor * spacing
     alpha = solve_all(tree, length_scale, config.noise_variance)
     own = own[rows][tree.order]

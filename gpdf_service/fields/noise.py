@@ -32,7 +32,7 @@ _SAMPLE = 1000
 """Points that the noise is estimated from: its error is then some per cent."""
 
 
-def estimate_noise(points: FloatArray, spacing: float, *, sheets: bool = True) -> float:
+def estimate_noise(points: FloatArray, spacing: float, *, sheets: bool = True, tree: Tree | None = None) -> float:
     """Standard deviation of the points along the surface's normal [m]; points of shape (n, 3).
 
     What is left of the smallest neighbourhood that shows its shape: a plane, an edge, two sheets or a pole. So the
@@ -44,6 +44,7 @@ def estimate_noise(points: FloatArray, spacing: float, *, sheets: bool = True) -
         points: The cloud [m].
         spacing: Between its points [m].
         sheets: Whether two sheets on each other can both be there.
+        tree: Over the points, where there is one.
     """
     if len(points) < _TOLD or spacing <= 0.0:
         return 0.0
@@ -51,7 +52,7 @@ def estimate_noise(points: FloatArray, spacing: float, *, sheets: bool = True) -
     picked = points[rng.choice(len(points), min(_SAMPLE, len(points)), replace=False)]
     noise = np.full(len(picked), np.nan)
     radii: FloatArray = 2.0 * spacing * GROWTH ** np.arange(16.0)
-    tree = build_tree(points)
+    tree = build_tree(points) if tree is None else tree
     run_chunked(lambda a, b: _noise_range(tree, picked, a, b, radii, sheets, noise), len(picked))
     found = noise[np.isfinite(noise)]
     if np.isinf(noise).sum() > len(found):

@@ -6,7 +6,6 @@ from math import pi, sqrt
 
 import numpy as np
 from numba import njit
-from scipy.spatial import cKDTree
 
 from gpdf_service.fields.edge import fit_pair, nearest_half
 from gpdf_service.fields.heights import quadric_rest
@@ -14,26 +13,54 @@ from gpdf_service.fields.noise import EDGE
 from gpdf_service.fields.order import corners_of, order_by
 from gpdf_service.fields.shapes import MOST, add, fit_axis, fit_plane, gather
 from gpdf_service.fields.threads import run_chunked
-from gpdf_service.fields.tree import Tree, make_scratch
+from gpdf_service.fields.tree import Tree, build_tree, from_root, make_scratch, next_leaf, place_of
 from gpdf_service.types import FloatArray, IntArray
 
 SAMPLE = 4000
 """Points whose neighbours are looked at: the median's error is then about 1 %."""
 
 
-def estimate_spacing(points: FloatArray) -> float:
+def estimate_spacing(points: FloatArray, tree: Tree | None = None) -> float:
     """Median distance between neighbours on the same surface [m]; 0 when all points are equal.
 
     The distance to the k-th neighbour on a surface with one point every s² is s √(k/π): k = 8 evens out scan lines.
+
+    Args:
+        points: Shape (n, 2) or (n, 3) [m].
+        tree: Over the points, where there is one.
     """
-    points = np.asarray(points, dtype=np.float64)
     k = min(8, len(points) - 1)
     if k < 1:
         return 0.0
-    picked = points[:: max(1, len(points) // SAMPLE)]
-    tree = cKDTree(points, balanced_tree=False, compact_nodes=False)  # half the time for as many queries
-    distance = tree.query(picked, k=k + 1, workers=-1)[0][:, k]
+    tree = build_tree(points) if tree is None else tree
+    picked = np.ascontiguousarray(points[:: max(1, len(points) // SAMPLE)], dtype=np.float64)
+    distance = np.empty(len(picked))
+    run_chunked(lambda a, b: _kth_range(tree, picked, k, a, b, distance), len(picked))
     return float(np.median(distance) * np.sqrt(np.pi / k))
+
+
+@njit(cache=True, nogil=True)
+def _kth_range(tree: Tree, places: FloatArray, k: int, begin: int, end: int, distance: FloatArray) -> None:
+    """Distance from each place to its k-th neighbour [m], where the place itself is the 0th."""
+    (stack, bound, near_box), near = make_scratch(), np.empty(k + 1)
+    for i in range(begin, end):
+        x, top = place_of(places[i]), from_root(stack, bound)
+        near[:] = np.inf
+        while True:
+            leaf, _, top = next_leaf(tree.boxes, x, x, near[k], stack, bound, near_box, top)
+            if leaf < 0:
+                break
+            for j in range(tree.begin[leaf + 1] - tree.begin[leaf]):
+                block, at, square = tree.blocks[leaf], k, 0.0
+                for axis in range(3):
+                    square += (block[axis, j] - x[axis]) ** 2
+                if square >= near[k]:
+                    continue
+                while at > 0 and near[at - 1] > square:
+                    near[at] = near[at - 1]
+                    at -= 1
+                near[at] = square
+        distance[i] = sqrt(near[k])
 
 
 def local_shape(tree: Tree, rows: IntArray, spacing: float, noise: FloatArray) -> FloatArray:

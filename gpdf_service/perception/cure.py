@@ -12,6 +12,7 @@ from gpdf_service.errors import NoGroundError
 from gpdf_service.fields import (
     Cured,
     Flight,
+    build_tree,
     estimate_noise,
     estimate_spacing,
     find_lifted,
@@ -23,8 +24,8 @@ from gpdf_service.fields import (
 )
 from gpdf_service.fields.threads import run_beside
 from gpdf_service.perception.columns import bounds_of, cells_of, chosen_rows
-from gpdf_service.perception.layers import columns_over
-from gpdf_service.perception.segment import Segmentation, segment
+from gpdf_service.perception.layers import Layers, columns_over
+from gpdf_service.perception.segment import Segmentation, first_layers, segment
 from gpdf_service.types import BoolArray, FloatArray
 
 _SAMPLE = 60_000
@@ -71,8 +72,9 @@ def cure_and_segment(
         config: Limits.
         width: Of the cells that a clean cloud is segmented in [m]; measured when not given.
     """
+    given = first_layers(points, config, width) if ground is None else ground
     (first, segmentation, refused), (picked, spacing, noise) = run_beside(
-        partial(_first_look, points, ground, config, width), partial(_told, points)
+        partial(_first_look, points, given, config), partial(_told, points)
     )
     least = max(config.negligible_noise, (_SEEN if ground is None else _SEEN_APART) * spacing)
     if refused is not None and noise <= least:
@@ -87,7 +89,8 @@ def cure_and_segment(
         moved, _ = onto_surface(points, spacing, noise)
         stray = find_loose(moved, noise, spacing)
         ground = np.zeros(len(points), dtype=bool)
-        ground[~stray] = segment(moved[~stray], config)[0]
+        kept = chosen_rows(moved, ~stray)
+        ground[~stray] = segment(kept, first_layers(kept, config), config)[0]
     cured = _cure_apart(points, ground, noise)
     if stray is None:  # the labels have told ground from the rest
         stray = find_loose(cured.points, noise, spacing)
@@ -119,16 +122,19 @@ def _told(points: FloatArray) -> tuple[BoolArray, float, float]:
     """A sample of the cloud, shape (n,), its spacing and its noise [m]."""
     picked = _columns(points)
     sample = chosen_rows(points, picked)
-    spacing = estimate_spacing(sample)
-    return picked, spacing, estimate_noise(sample, spacing)
+    tree = build_tree(sample)
+    spacing = estimate_spacing(sample, tree)
+    return picked, spacing, estimate_noise(sample, spacing, tree=tree)
 
 
 def _first_look(
-    points: FloatArray, ground: BoolArray | None, config: PerceptionConfig, width: float | None
+    points: FloatArray, given: BoolArray | Layers, config: PerceptionConfig
 ) -> tuple[BoolArray, Segmentation | None, NoGroundError | None]:
-    """The ground of a cloud as it is; none, and why, where noise may hide it."""
+    """The ground of a cloud as it is, by labels or found in its layers; none, and why, where noise may hide it."""
+    if not isinstance(given, Layers):
+        return given, None, None
     try:
-        return (*segment(points, config, width), None) if ground is None else (ground, None, None)
+        return (*segment(points, given, config), None)
     except NoGroundError as error:
         return np.zeros(len(points), dtype=bool), None, error
 

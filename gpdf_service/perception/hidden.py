@@ -7,6 +7,7 @@ from numba import njit
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from gpdf_service.fields.threads import run_parallel
 from gpdf_service.perception.surface import (
     CEILING,
     INFERRED,
@@ -40,7 +41,7 @@ def without_hidden(surface: HeightMap, lowest: FloatArray, face: BoolArray) -> H
     beside = ndimage.maximum_filter(np.where(surface.state != UNKNOWN, surface.height, -np.inf), size=3)
     top = np.isfinite(lowest) & (lowest < beside + CEILING)
     clear = ((surface.state == OBSERVED) | top) & ~face
-    room, front = _distance(clear), _distance(face)
+    room, front = run_parallel(_distance, (clear, face))
     shown = (room > 1.0) & (room <= MAX_HOLE_RADIUS / surface.cell_width) & (front <= room + 1.0)
     wide = ndimage.binary_dilation((surface.state != OBSERVED) & ~face, _BESIDE)
     asked = (surface.state == INFERRED) & wide

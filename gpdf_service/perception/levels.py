@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 from math import ceil
 
 import numpy as np
@@ -13,7 +14,7 @@ from scipy.spatial import cKDTree
 
 from gpdf_service.config import PerceptionConfig
 from gpdf_service.errors import NoGroundError
-from gpdf_service.fields.threads import run_chunked
+from gpdf_service.fields.threads import run_beside, run_chunked, run_parallel
 from gpdf_service.perception.beside import Beside, beside
 from gpdf_service.perception.columns import (
     by_cell,
@@ -49,6 +50,7 @@ from gpdf_service.perception.surface import (
     Box,
     HeightMap,
     Nearest,
+    between,
     cells_within,
     changed,
     cropped,
@@ -56,6 +58,7 @@ from gpdf_service.perception.surface import (
     fill_holes,
     find_voids,
     nearest_seen,
+    under,
     without_enclosed,
 )
 from gpdf_service.types import BoolArray, FloatArray, IntArray
@@ -119,6 +122,10 @@ class Levels:
 
 Voids = tuple[BoolArray, BoolArray, BoolArray]
 """Where the scanner saw through a level's unknown cells, where they are pits, and a pit's walls; see `find_voids`."""
+
+
+Held = tuple[IntArray, FloatArray, FloatArray]
+"""Flat cell and height [m] of each other point, shape (m,), and the lowest of each cell [m]: see `in_cells`."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -187,17 +194,20 @@ def survey_levels(
         raise NoGroundError(
             "ground", "no point of the cloud is labelled ground", "Check the labels, or leave them out."
         )
-    width = cell_width_of(points[ground]) if width is None else width
-    stray = find_strays(points, alone(width)) & ~ground
-    if stray.any():
-        points, ground = chosen_rows(points, ~stray), ground[~stray]
     floor = chosen_rows(points, ground)
-    layers = build_layers(floor, width, layer_gap(width, config))
-    near = beside(layers, rise_of_sheets(layers, config))
-    sheets = split_sheets(near, config)
-    made = [_build_level(points, ground, floor, layers, sheet, config, noise) for sheet in sheets]
+    width = cell_width_of(floor) if width is None else width
+
+    def find_sheets() -> tuple[Beside, tuple[BoolArray, ...]]:
+        layers = build_layers(floor, width, layer_gap(width, config))
+        near = beside(layers, rise_of_sheets(layers, config))
+        return near, split_sheets(near, config)
+
+    (near, sheets), alone_ = run_beside(find_sheets, partial(find_strays, points, alone(width)))
+    stray = alone_ & ~ground
+    own = points, ground, stray, floor, near.layers
+    made = run_parallel(lambda sheet: _build_level(*own, sheet, config, noise), sheets)
     levels, voids, completions = zip(*made, strict=True)
-    return Levels(levels, find_portals(layers, sheets)), Survey(near, stray, sheets, voids, completions)
+    return Levels(levels, find_portals(near.layers, sheets)), Survey(near, stray, sheets, voids, completions)
 
 
 def find_portals(layers: Layers, sheets: tuple[BoolArray, ...]) -> tuple[Portal, ...]:
@@ -337,6 +347,7 @@ def _attach(
 def _build_level(
     points: FloatArray,
     ground: BoolArray,
+    stray: BoolArray,
     floor: FloatArray,
     layers: Layers,
     inside: BoolArray,
@@ -345,16 +356,27 @@ def _build_level(
 ) -> tuple[GroundLevel, Voids, Completion]:
     """The sheet of these nodes, of the layers of the `floor`: those of the points that are ground."""
     seen = sheet_surface(layers, np.flatnonzero(inside), noise)
-    mine = ground.copy()
-    mine[ground] = inside[layers.node_of_point]
-    rest = chosen_rows(points, ~mine)
-    other = within_reach(rest, seen)
-    near = nearest_seen(seen)
-    voids = find_voids(seen, rest, config.max_step, near)
-    surface, completion = complete(seen, other, voids, config, near, noise)
-    measured = step_and_slope(surface)
-    limits = find_limits(surface, completion.guarded, measured)
-    ledge = find_ledges(surface, floor, other, noise)
+    gone = stray.copy()
+    gone[ground] = inside[layers.node_of_point]
+    cell = cells_within(points, seen)
+    cell[gone] = seen.state.size  # as those outside: in no cell
+
+    def reach() -> tuple[FloatArray, Held]:
+        other = within_reach(points, seen, cell=cell)
+        return other, in_cells(other, seen)
+
+    def look_through() -> tuple[Nearest, Voids]:
+        near = nearest_seen(seen)
+        return near, find_voids(seen, points, config.max_step, near, cell=cell)
+
+    (other, held), (near, voids) = run_beside(reach, look_through)
+    surface, completion = complete(seen, held, voids, config, near, noise)
+
+    def measure() -> tuple[Measured, GroundLimits]:
+        measured = step_and_slope(surface)
+        return measured, find_limits(surface, completion.guarded, measured)
+
+    ledge, (measured, limits) = run_beside(partial(find_ledges, surface, floor, other, noise), measure)
     return make_level(surface, other, ledge, limits, measured), voids, completion
 
 
@@ -393,18 +415,13 @@ def without_outliers(surface: HeightMap, most: float) -> HeightMap:
 
 
 def complete(
-    seen: HeightMap,
-    other: FloatArray,
-    voids: Voids,
-    config: PerceptionConfig,
-    near: Nearest | None = None,
-    noise: float = 0.0,
+    seen: HeightMap, held: Held, voids: Voids, config: PerceptionConfig, near: Nearest, noise: float
 ) -> tuple[HeightMap, Completion]:
-    """The ground with what its surroundings and the `other` points (m, 3) explain, and what that was made of.
+    """The ground with what its surroundings and the other points `held` explain, and what that was made of.
 
-    The others must lie on the grid; `near` is `nearest_seen`, where that is known; the `noise` [m] was cured.
+    Where the ground was seen is `near`, see `nearest_seen`; the `noise` [m] was cured.
     """
-    cell, z, lowest = in_cells(other, seen)
+    cell, z, lowest = held
     filled = fill_holes(seen, lowest, *voids, near=near, noise=noise)
     shut, stair, guarded = guard_edges(filled, lowest, cell, z, config.min_headroom)
     opened = without_enclosed(filled, shut)
@@ -460,7 +477,7 @@ def complete_again(
     return pasted_ground(surface, part, inner, outer), made
 
 
-def in_cells(other: FloatArray, surface: HeightMap, box: Box = WHOLE) -> tuple[IntArray, FloatArray, FloatArray]:
+def in_cells(other: FloatArray, surface: HeightMap, box: Box = WHOLE) -> Held:
     """Flat cell in a box and height [m] of each of the `other` points (m, 3), and the lowest of each cell [m]."""
     cell, z = cells_within(other, surface, box), np.ascontiguousarray(other[:, 2])
     ends = np.full(surface.state[box].shape, np.inf)
@@ -492,11 +509,11 @@ def guard_edges(
     beside, foot = ndimage.maximum_filter(high, size=3) + headroom, ndimage.minimum_filter(low, size=reach)
     shut, stair = lowest <= beside, ndimage.maximum_filter(high, size=reach) - foot > 2.0 * surface.cell_width
 
-    def between(low: NDArray[np.floating], high: NDArray[np.floating]) -> BoolArray:
-        return np.isfinite(extent_within(cell, z, low.astype(np.float64), high.astype(np.float64))[0])
+    def held_over(rise: float) -> BoolArray:
+        return np.isfinite(extent_within(cell, z, (foot + rise).astype(np.float64), beside.astype(np.float64))[0])
 
-    guard = (shut & stair) | between(foot + LEAST_OBSTACLE, beside)
-    return shut & between(foot - LEAST_OBSTACLE, beside), stair, guard
+    shuts, guards = run_parallel(held_over, (-LEAST_OBSTACLE, LEAST_OBSTACLE))
+    return shut & shuts, stair, (shut & stair) | guards
 
 
 def make_level(
@@ -517,23 +534,19 @@ def find_ledges(
     The `box` of cells holds all `other` points, and what is within twice `FACE` and `HIGH` cells of them.
     """
     reach, part = max(surface.cell_width, RESOLVED_STEP * noise), cropped(surface, box)
-    high = np.append(high_ground(part), -np.inf)  # nothing is low outside of the box
-
-    def low(points: FloatArray) -> tuple[BoolArray, IntArray]:
-        cell = cells_within(points, surface, box)
-        return points[:, 2] <= high[cell] + reach, cell
-
-    asked, cell = low(other)
-    cell = cell[asked]
+    high = high_ground(part) + reach
+    cell = cells_within(other, surface, box)
+    asked = between(cell, other[:, 2], np.full_like(high, -np.inf), high)
+    cell, low = cell[asked], chosen_rows(other, asked)
     beside = np.zeros(part.state.shape, dtype=bool)
     beside.ravel()[cell] = True
-    near = np.append(widened(beside, int(np.ceil(1.5 * FACE / surface.cell_width))), np.zeros(1, dtype=bool))
-    lies_low, at = low(ground)
-    ground = ground[lies_low & near[at]]
+    near = widened(beside, int(np.ceil(1.5 * FACE / surface.cell_width)))
+    at = cells_within(ground, surface, box)
+    ground = chosen_rows(ground, between(at, ground[:, 2], np.full_like(high, -np.inf), np.where(near, high, -np.inf)))
     ledge = np.full(len(other), np.inf, np.float32)
-    if len(ground) and asked.any():
-        least = np.maximum(other[asked, 2] - LEAST_OBSTACLE, step_over(part, noise).ravel()[cell])
-        ledge[asked] = next_above(ground, other[asked], least)
+    if len(ground) and len(low):
+        least = np.maximum(low[:, 2] - LEAST_OBSTACLE, step_over(part, noise).ravel()[cell])
+        ledge[asked] = next_above(ground, low, least)
     if noise > 0.0 and len(ground):
         _add_rims(ledge, asked, ground, other, noise)
     return ledge
@@ -611,14 +624,14 @@ def next_above(ground: FloatArray, points: FloatArray, least: FloatArray) -> NDA
     return best.astype(np.float32)
 
 
-def within_reach(points: FloatArray, surface: HeightMap, box: Box = WHOLE) -> FloatArray:
+def within_reach(points: FloatArray, surface: HeightMap, box: Box = WHOLE, cell: IntArray | None = None) -> FloatArray:
     """Points between a cell under the lowest known ground near them and `TALLEST` over the highest.
 
-    The `box` of cells holds all points, and `OVERLAP` around them.
+    The `box` of cells holds all points, and `OVERLAP` around them; `cell` is their `cells_within`, if it is known.
     """
-    low, high = (np.append(part, part.dtype.type(np.nan)) for part in lowest_and_highest(surface, box))
-    cell, z = cells_within(points, surface, box), points[:, 2]
-    return chosen_rows(points, (z >= low[cell] - surface.cell_width) & (z <= high[cell] + TALLEST))
+    low, high = lowest_and_highest(surface, box)
+    cell = cells_within(points, surface, box) if cell is None else cell
+    return chosen_rows(points, between(cell, points[:, 2], under(low - surface.cell_width), high + TALLEST))
 
 
 def lowest_and_highest(surface: HeightMap, box: Box = WHOLE) -> tuple[FloatArray, FloatArray]:

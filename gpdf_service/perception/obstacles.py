@@ -9,11 +9,11 @@ from numba import njit
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from gpdf_service.fields.threads import run_chunked
-from gpdf_service.perception.columns import chosen_rows
+from gpdf_service.fields.threads import run_chunked, run_parallel
+from gpdf_service.perception.columns import chosen_rows, without_rows
 from gpdf_service.perception.levels import FACE, LEAST_OBSTACLE, GroundLevel, astray
 from gpdf_service.perception.limits import ObstacleKind
-from gpdf_service.perception.surface import INFERRED, UNKNOWN, HeightMap
+from gpdf_service.perception.surface import INFERRED, UNKNOWN, HeightMap, between, cells_within, under
 from gpdf_service.types import Agent, BoolArray, FloatArray, IntArray
 
 HEADROOM_SHARE = 0.01
@@ -41,10 +41,10 @@ def obstacles_of(level: GroundLevel, agent: Agent, noise: float = 0.0) -> Obstac
     limits = level.limits
     reach = np.array([0.0, agent.max_step, agent.max_slope, -np.inf])[limits.kind]
     stops = limits.value > reach
-    return Obstacles(
-        np.concatenate([chosen_rows(level.other_points, touched), limits.points[stops]]),
-        np.concatenate([np.full(int(touched.sum()), int(ObstacleKind.MATERIAL), np.uint8), limits.kind[stops]]),
-    )
+    points = without_rows(level.other_points, touched, chosen_rows(limits.points, stops))
+    kind = np.full(len(points), int(ObstacleKind.MATERIAL), np.uint8)
+    kind[np.count_nonzero(touched) :] = limits.kind[stops]
+    return Obstacles(points, kind)
 
 
 def _material(level: GroundLevel, agent: Agent, noise: float) -> BoolArray:
@@ -54,49 +54,47 @@ def _material(level: GroundLevel, agent: Agent, noise: float) -> BoolArray:
     top = np.where(known, surface.height, -np.inf)
     bottom = np.where(known, surface.height, np.inf)
     disc = _disc(agent.cylinder.radius + surface.cell_width, surface)
-    ix, iy, _ = surface.cells(points)
-    z, tall = points[:, 2], (1.0 - HEADROOM_SHARE) * agent.height + noise
-    lowest = -highest_within(-bottom, disc)[ix, iy]
-    stops = (z < highest_within(top, disc)[ix, iy] + tall) & (z >= lowest - least)
-    stops[stops] = ~_is_face(level, stops, agent.max_step, noise)
+    tall = (1.0 - HEADROOM_SHARE) * agent.height + noise
+    highest, lowest = run_parallel(lambda heights: highest_within(heights, disc), (top, -bottom))
+    lowest, cell, z = -lowest, cells_within(points, surface), points[:, 2]
+    stops = between(cell, z, under(lowest - least), under(highest + tall))
+    rows = np.flatnonzero(stops)
+    stops[rows] = ~_is_face(level, rows, cell, agent.max_step, noise)
+    cell, z = cell[stops], z[stops]
     # Beside a step the question is which ground the body stands on; not on what stops it wherever it stands.
-    always = stops & (z < lowest + tall)
+    always = between(cell, z, np.full_like(lowest, -np.inf), under(lowest + tall))
     free = np.ones(known.shape, dtype=bool)
-    free[ix[always], iy[always]] = False
+    free.ravel()[cell[always]] = False
     shut = (ndimage.distance_transform_edt(free) + np.sqrt(2.0)) * surface.cell_width < agent.disc_radius
-    stands = highest_within(np.where(shut, -np.inf, top), disc)[ix, iy]
-    found: BoolArray = stops & (always | (z < stands + tall))
-    return found
+    stands = under(highest_within(np.where(shut, -np.inf, top), disc) + tall)
+    stops[stops] = always | between(cell, z, np.full_like(stands, -np.inf), stands)
+    return stops
 
 
-def _is_face(level: GroundLevel, asked: BoolArray, max_step: float, noise: float) -> BoolArray:
-    """Which of the `asked` points belong to the ground: its scatter, or the face of a step that the body takes.
+def _is_face(level: GroundLevel, rows: IntArray, cell: IntArray, max_step: float, noise: float) -> BoolArray:
+    """Which points in these `rows` belong to the ground: its scatter, or the face of a step that the body takes.
 
     A face lies between two pieces of ground, the upper one beside it and no lower than it, the lower one not far: noise
     moves a point off its face by some deviations. Cells can be wider than a tread, so the upper one must be a point of
     the ground right beside; or inferred, as a tread in a shadow is, which has no scatter of its own. Ground that is no
     step over any other is no upper one: what stands on a floor is not the floor's face, however low it is.
     """
-    surface, points, near = level.surface, chosen_rows(level.other_points, asked), level.surface.cell_width <= FACE
-    ix, iy, _ = surface.cells(points)
+    surface, near = level.surface, level.surface.cell_width <= FACE
     known = np.where(surface.state != UNKNOWN, surface.height, np.float32(np.nan))
-    inferred, ledge, face = surface.state == INFERRED, level.ledge[asked], np.zeros(len(points), dtype=bool)
-    rings = astray(surface, noise)
-    run_chunked(
-        lambda a, b: _faces(points, ix, iy, known, inferred, ledge, near, rings, max_step, noise, a, b, face),
-        len(points),
-    )
+    own = level.other_points, cell, level.ledge, known, surface.state == INFERRED, near, astray(surface, noise)
+    face = np.zeros(len(rows), dtype=bool)
+    run_chunked(lambda a, b: _faces(rows, *own, max_step, noise, a, b, face), len(rows))
     return face
 
 
 @njit(cache=True, nogil=True)
 def _faces(
+    rows: IntArray,
     points: FloatArray,
-    ix: IntArray,
-    iy: IntArray,
+    cell: IntArray,
+    ledges: NDArray[np.float32],
     known: NDArray[np.float32],
     inferred: BoolArray,
-    ledges: NDArray[np.float32],
     near: bool,
     rings: int,
     max_step: float,
@@ -109,9 +107,11 @@ def _faces(
     nx, ny = known.shape
     step = max(LEAST_OBSTACLE, noise)
     for m in range(begin, end):
-        z, ledge, under, over, lowest, foot = points[m, 2], float(ledges[m]), np.inf, -np.inf, np.inf, -np.inf
-        left, right = max(ix[m] - rings, 0), min(ix[m] + rings + 1, nx)
-        front, back = max(iy[m] - rings, 0), min(iy[m] + rings + 1, ny)
+        row = rows[m]
+        x, y, z, ledge = cell[row] // ny, cell[row] % ny, points[row, 2], float(ledges[row])
+        under, over, lowest, foot = np.inf, -np.inf, np.inf, -np.inf
+        left, right = max(x - rings, 0), min(x + rings + 1, nx)
+        front, back = max(y - rings, 0), min(y + rings + 1, ny)
         for i in range(left, right):
             for j in range(front, back):
                 height = float(known[i, j])  # NaN, where it is unknown, compares false
@@ -119,12 +119,12 @@ def _faces(
                     under = height
                 if height > over:
                     over = height
-        for i in range(max(ix[m] - 1, 0), min(ix[m] + 2, nx)):
-            for j in range(max(iy[m] - 1, 0), min(iy[m] + 2, ny)):
+        for i in range(max(x - 1, 0), min(x + 2, nx)):
+            for j in range(max(y - 1, 0), min(y + 2, ny)):
                 beside = float(known[i, j])
                 if beside < lowest:
                     lowest = beside
-                own = near or (i == ix[m] and j == iy[m])
+                own = near or (i == x and j == y)
                 if inferred[i, j] and own and max(z - noise, under + step) <= beside < ledge:
                     ledge = beside
         for i in range(left, right):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -11,7 +12,7 @@ from scipy.sparse import coo_array
 
 from gpdf_service.config import PerceptionConfig
 from gpdf_service.errors import NoGroundError
-from gpdf_service.fields.threads import run_chunked
+from gpdf_service.fields.threads import run_beside, run_chunked
 from gpdf_service.perception.beside import Beside, beside, beside_now
 from gpdf_service.perception.bumps import cells_around, low_things, raised_over_sides
 from gpdf_service.perception.columns import by_cell, medians_around
@@ -86,7 +87,8 @@ def segment_ground(points: ArrayLike, config: PerceptionConfig | None = None) ->
         CloudError: the cloud cannot be used.
         NoGroundError: nothing in it is walkable.
     """
-    return segment(check_points(points), config or PerceptionConfig())[0]
+    cloud, config = check_points(points), config or PerceptionConfig()
+    return segment(cloud, first_layers(cloud, config), config)[0]
 
 
 class Found(NamedTuple):
@@ -144,16 +146,18 @@ class Segmentation:
         return held
 
 
-def segment(
-    cloud: FloatArray, config: PerceptionConfig, width: float | None = None
-) -> tuple[BoolArray, Segmentation | None]:
-    """`segment_ground` of points (n, 3) that have been checked: which are ground, and what that was found from.
+def first_layers(cloud: FloatArray, config: PerceptionConfig, width: float | None = None) -> Layers:
+    """Layers of a whole cloud (n, 3) for a first look; the cells' width [m] is measured when it is not given."""
+    width = cell_width_of(cloud) if width is None else width
+    return build_layers(cloud, width, layer_gap(width, config))
 
-    The cells' width [m] is measured when it is not given. None where the ground is so rough or noisy that a second look
-    with wider cells was needed.
+
+def segment(cloud: FloatArray, layers: Layers, config: PerceptionConfig) -> tuple[BoolArray, Segmentation | None]:
+    """`segment_ground` of points (n, 3) in their `first_layers`: which are ground, and what that was found from.
+
+    None where the ground is so rough or noisy that a second look with wider cells was needed.
     """
-    z, width = cloud[:, 2], cell_width_of(cloud) if width is None else width
-    layers = build_layers(cloud, width, layer_gap(width, config))
+    z, width = cloud[:, 2], layers.cell_width
     found = segment_layers(layers, config, z)
     wider = float(np.sqrt(NOISY * found.deviation * width))
     if wider <= width:
@@ -219,7 +223,10 @@ def _extents(
     layers: Layers, ground: BoolArray, smooth: FloatArray, scatter: float, config: PerceptionConfig
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """`low`, `high` and `beside` of a `Segmentation`."""
-    return *_across(layers, ground, smooth, config), _ground_beside(layers, ground, smooth, scatter)
+    beneath, across = run_beside(
+        partial(_ground_beside, layers, ground, smooth, scatter), partial(_across, layers, ground, smooth, config)
+    )
+    return *across, beneath
 
 
 def _across(

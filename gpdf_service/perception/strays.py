@@ -20,7 +20,8 @@ def find_strays(points: FloatArray, width: float) -> BoolArray:
     cell = np.empty(len(points), np.int64)
     run_chunked(lambda a, b: _columns_range(points, width, low, ny, a, b, cell), len(points))
     start, order = by_cell(cell, nx * ny)
-    level = np.floor(points[order, 2] / width)
+    level = np.empty(len(points))
+    run_chunked(lambda a, b: _levels_range(points, order, width, a, b, level), len(points))
     run_chunked(lambda a, b: _strays_range(start, order, level, nx, ny, a, b, stray), nx * ny)
     return stray
 
@@ -32,6 +33,12 @@ def _columns_range(
     for i in range(begin, end):  # voxels are counted from the frame's origin, so that a part of a cloud has the same
         x, y = int(np.floor(points[i, 0] / width)), int(np.floor(points[i, 1] / width))
         cell[i] = (x - low[0]) * ny + y - low[1]
+
+
+@njit(cache=True, nogil=True)
+def _levels_range(points: FloatArray, order: IntArray, width: float, begin: int, end: int, level: FloatArray) -> None:
+    for i in range(begin, end):
+        level[i] = np.floor(points[order[i], 2] / width)
 
 
 @njit(cache=True, nogil=True)

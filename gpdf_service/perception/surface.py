@@ -10,8 +10,9 @@ from numba import njit
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from gpdf_service.fields.threads import run_chunked
 from gpdf_service.perception.bend import FINE, FLAT, bend_at, make_room, reach_of
-from gpdf_service.perception.columns import cells_in_box, extent_in
+from gpdf_service.perception.columns import between_range, cells_in_box, extent_in
 from gpdf_service.types import BoolArray, FloatArray, IntArray
 
 UNKNOWN, OBSERVED, INFERRED = 0, 1, 2
@@ -314,7 +315,12 @@ def _tell_hollow(things: BoolArray, overhung: BoolArray, label: NDArray[np.int32
 
 
 def find_voids(
-    surface: HeightMap, points: FloatArray, max_step: float, near: Nearest | None = None, box: Box = WHOLE
+    surface: HeightMap,
+    points: FloatArray,
+    max_step: float,
+    near: Nearest | None = None,
+    box: Box = WHOLE,
+    cell: IntArray | None = None,
 ) -> tuple[BoolArray, BoolArray, BoolArray]:
     """Unknown cells whose highest point of `points` (n, 3) lies over `max_step` under the ground beside them.
 
@@ -324,6 +330,7 @@ def find_voids(
         max_step: [m].
         near: `nearest_seen` of the surface in the box, where it is known.
         box: Cells that hold all points, and `MAX_HOLE_RADIUS` around them.
+        cell: `cells_within` of the points, where it is known, shape (n,).
 
     Returns:
         Where the scanner saw through, further down than a floor is thick; where the bottom of a pit is seen, which is
@@ -332,10 +339,10 @@ def find_voids(
     distance, beside = near or nearest_seen(surface, box)
     part = cropped(surface, box)
     asked = (part.state == UNKNOWN) & (distance <= MAX_HOLE_RADIUS)
-    cell, z = cells_within(points, surface, box), np.ascontiguousarray(points[:, 2])
+    cell, z = cells_within(points, surface, box) if cell is None else cell, points[:, 2]
     walls = _walls_down(part, cell, z)
     high = np.where(asked, beside + np.float32(surface.cell_width), -np.inf)
-    bottom, top = extent_within(cell, z, np.full(asked.shape, -np.inf), _under(high))
+    bottom, top = extent_within(cell, z, np.full(asked.shape, -np.inf), under(high))
     seen = np.isfinite(top)
     depth = np.where(seen, beside - top, 0.0)
     pit = (depth > max_step) & (depth <= SLAB) & (np.where(seen, top - bottom, 0.0) < STOREY)
@@ -344,9 +351,15 @@ def find_voids(
 
 def extent_within(cell: IntArray, z: FloatArray, low: FloatArray, high: FloatArray) -> tuple[FloatArray, FloatArray]:
     """`extent_in` of cells on a grid, shape (nx, ny); points of the cell after the last one are in none."""
-    ends = (np.append(end, -np.inf) for end in (low, high))
-    least, most = extent_in(cell, z, *ends)
-    return least[:-1].reshape(low.shape), most[:-1].reshape(low.shape)
+    least, most = extent_in(cell, z, low.ravel(), high.ravel())
+    return least.reshape(low.shape), most.reshape(low.shape)
+
+
+def between(cell: IntArray, z: FloatArray, low: NDArray[np.floating], high: NDArray[np.floating]) -> BoolArray:
+    """Which points are over the `low` of their cell and not over its `high`, shape (n,): see `extent_within`."""
+    found = np.empty(len(cell), dtype=bool)
+    run_chunked(lambda a, b: between_range(cell, z, low.ravel(), high.ravel(), a, b, found), len(cell))
+    return found
 
 
 def _walls_down(surface: HeightMap, cell: IntArray, z: FloatArray) -> BoolArray:
@@ -358,13 +371,13 @@ def _walls_down(surface: HeightMap, cell: IntArray, z: FloatArray) -> BoolArray:
     unknown = surface.state == UNKNOWN
     rim = ndimage.maximum_filter(np.where(unknown, -np.inf, surface.height), size=3)
     floor = ndimage.minimum_filter(np.where(unknown, np.inf, rim), size=5)
-    low, high = (_under(floor - cells * surface.cell_width) for cells in (WALL_CELLS, 1.0))
+    low, high = (under(floor - cells * surface.cell_width) for cells in (WALL_CELLS, 1.0))
     walls: BoolArray = np.isfinite(extent_within(cell, z, low, high)[0])
     walls &= ndimage.maximum_filter(unknown, size=3, mode="constant")
     return walls
 
 
-def _under(heights: FloatArray) -> FloatArray:
+def under(heights: NDArray[np.floating]) -> FloatArray:
     """The next smaller numbers: what is not over them is under the heights."""
     made: FloatArray = np.nextafter(heights.astype(np.float64), -np.inf)
     return made
@@ -400,22 +413,26 @@ def _in_gaps(surface: HeightMap, beside: NDArray[np.float32], noise: float) -> N
 
     On a slope the latter makes a step that nobody saw. But where the cure has blurred a step to a slope, it shows it.
     """
-    reach = reach_of(surface.cell_width, noise)
-    made: NDArray[np.float32] = _on_bends(surface.height, beside, reach, max(FINE, FLAT * noise))
+    own = surface.height, reach_of(surface.cell_width, noise), max(FINE, FLAT * noise)
+    made = beside.copy()
+    run_chunked(lambda a, b: _onto_bends(*own, a, b, made), made.size)
     return made
 
 
 @njit(cache=True, nogil=True)
-def _on_bends(height: NDArray[np.float32], beside: NDArray[np.float32], reach: int, flat: float) -> NDArray[np.float32]:
-    """`beside`, or of the quadric through the seen cells around where it is `flat` [m]; of cells beside seen ones."""
-    made, sums = beside.copy(), make_room()
-    for i in range(1, height.shape[0] - 1):
-        for j in range(1, height.shape[1] - 1):
-            if np.isnan(height[i, j]) and not np.isnan(height[i - 1 : i + 2, j - 1 : j + 2]).all():
-                shift, smooth = bend_at(height, i, j, reach, float(beside[i, j]), flat, sums)
-                if smooth:
-                    made[i, j] += shift
-    return made
+def _onto_bends(
+    height: NDArray[np.float32], reach: int, flat: float, begin: int, end: int, made: NDArray[np.float32]
+) -> None:
+    """Put cells beside seen ones onto the quadric through the seen cells around where it is `flat` [m]."""
+    (nx, ny), sums = height.shape, make_room()
+    for cell in range(begin, end):
+        i, j = cell // ny, cell % ny
+        if not (0 < i < nx - 1 and 0 < j < ny - 1 and np.isnan(height[i, j])):
+            continue
+        if not np.isnan(height[i - 1 : i + 2, j - 1 : j + 2]).all():
+            shift, smooth = bend_at(height, i, j, reach, float(made[i, j]), flat, sums)
+            if smooth:
+                made[i, j] += shift
 
 
 @njit(cache=True, nogil=True)

@@ -36,6 +36,13 @@ def over(rng, low, high, count=2000):
     return np.column_stack([rng.uniform(1, 5, (count, 2)), rng.uniform(low, high, count)])
 
 
+@pytest.mark.parametrize("dim", [2, 3])
+def test_the_spacing_is_told_by_exact_neighbours_whoever_builds_the_tree(dim):
+    points = np.random.default_rng(dim).normal(size=(3000, dim))
+    true = np.median(cKDTree(points).query(points, k=9)[0][:, 8]) * np.sqrt(np.pi / 8)
+    assert estimate_spacing(points) == estimate_spacing(points, build_tree(points)) == pytest.approx(true, rel=1e-12)
+
+
 def test_distance_over_a_plane_is_its_height(floor, rng):
     queries = over(rng, 0.3, 3.0)
     error = floor.query(queries).distance - queries[:, 2]

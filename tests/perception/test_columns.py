@@ -21,9 +21,10 @@ from gpdf_service.perception.columns import (
     without_rows,
 )
 from gpdf_service.perception.layers import build_layers, splice_layers
+from gpdf_service.perception.levels import within_reach
 from gpdf_service.perception.limits import median_around
 from gpdf_service.perception.strays import find_strays
-from gpdf_service.perception.surface import HeightMap
+from gpdf_service.perception.surface import HeightMap, between, cells_within, extent_within, find_voids
 
 CORNER, WIDTH, SHAPE = np.array([-1.0, -2.0]), 0.3, (21, 14)
 
@@ -53,6 +54,35 @@ def test_cells_boxes_and_bounds_are_those_of_numpy(points):
     np.testing.assert_array_equal(rows_in_cells(points, CORNER, WIDTH, wanted.reshape(SHAPE)), rows)
     assert len(rows_in_cells(points, CORNER, WIDTH, np.zeros(SHAPE, dtype=bool))) == 0
     np.testing.assert_array_equal(taken(points, rows), points[rows])
+
+
+def test_points_are_between_the_bounds_of_their_cells_and_outside_of_the_grid_in_none(points):
+    rng, z = np.random.default_rng(3), points[:, 2]
+    cell = rng.integers(0, 13, len(points))  # twelve cells, and outside
+    low, high = rng.uniform(0.0, 1.0, (3, 4)), rng.uniform(1.0, 2.0, (3, 4))
+    own = np.minimum(cell, 11)
+    expected = (cell < 12) & (z > low.ravel()[own]) & (z <= high.ravel()[own])
+    np.testing.assert_array_equal(between(cell, z, low, high), expected)
+    least, most = extent_within(cell, z, low, high)
+    for c in range(12):
+        held = z[expected & (cell == c)]
+        assert (least.ravel()[c], most.ravel()[c]) == (held.min(), held.max())
+
+
+def test_points_that_are_in_no_cell_are_to_a_level_as_if_they_were_not_there(points):
+    rng = np.random.default_rng(4)
+    height = rng.uniform(0.9, 1.1, SHAPE).astype(np.float32)
+    height[5:12, 4:9] = np.nan
+    surface = HeightMap(CORNER, WIDTH, height, np.isfinite(height).astype(np.uint8))
+    gone = rng.random(len(points)) < 0.5
+    cell, rest = cells_within(points, surface), points[~gone]
+    cell[gone] = surface.state.size
+    found = within_reach(points, surface, cell=cell)
+    assert 0 < len(found) < len(rest)
+    np.testing.assert_array_equal(found, within_reach(rest, surface))
+    voids = find_voids(surface, points, 0.2, cell=cell), find_voids(surface, rest, 0.2)
+    for one, other in zip(*voids, strict=True):
+        np.testing.assert_array_equal(one, other)
 
 
 def test_what_is_there_more_often_now_is_counted():
