@@ -296,7 +296,8 @@ def _lowest_of(layers: Layers, piece: IntArray, least: int) -> IntArray:
     half of the ramp is of either. What is joined to the floor only over others is left for them. Fewer nodes than the
     `least` that lie over others are no floor.
     """
-    over = np.r_[False, np.diff(layers.cell[piece]) == 0]
+    cell = layers.cell[piece]
+    over = np.r_[False, np.diff(cell) == 0]
     if not over.any():
         return piece
     mark = np.full(len(layers.cell), -1, dtype=np.int8)
@@ -307,7 +308,7 @@ def _lowest_of(layers: Layers, piece: IntArray, least: int) -> IntArray:
     if not floor.any():
         lowest: IntArray = piece[~over]
         return lowest
-    mark[piece] = np.where(floor, 2, np.where(over, -1, np.where(np.r_[floor[1:], False], 1, 0)))
+    mark[piece] = np.where(floor, 2, np.where(over, -1, np.isin(cell, cell[floor])))
     mark_nearest(*slopes, mark)
     low = mark == 1
     part = components(*slopes, low)[piece]
