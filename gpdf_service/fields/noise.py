@@ -36,9 +36,8 @@ def estimate_noise(points: FloatArray, spacing: float, *, sheets: bool = True, t
     """Standard deviation of the points along the surface's normal [m]; points of shape (n, 3).
 
     What is left of the smallest neighbourhood that shows its shape: a plane, an edge, two sheets or a pole. So the
-    corners of a clean cloud are no noise, nor is the thickness of a board. The median of all places, because a beam's
-    noise is along the beam: a floor far from the scanner shows little of it, one right below it all. A cloud so dense
-    that most such neighbourhoods hold more points than are looked at is thinned first.
+    corners of a clean cloud are no noise, nor is the thickness of a board. A cloud so dense that most
+    such neighbourhoods hold more points than are looked at is thinned first.
 
     Args:
         points: The cloud [m].
@@ -58,13 +57,14 @@ def estimate_noise(points: FloatArray, spacing: float, *, sheets: bool = True, t
     if np.isinf(noise).sum() > len(found):
         thinner = rng.choice(points, len(points) // 4, replace=False)
         return estimate_noise(thinner, 2.0 * spacing, sheets=sheets)
-    return float(np.median(found)) if len(found) else 0.0
+    return float(np.quantile(found, 0.25)) if len(found) else 0.0
 
 
 @njit(cache=True, nogil=True)
-def _middle(freedom: float) -> float:
-    """Median of χ²/ν with ν degrees of freedom; Wilson and Hilferty 1931."""
-    return (1.0 - 2.0 / (9.0 * freedom)) ** 3
+def _lower(freedom: float) -> float:
+    """Lower quartile of χ²/ν with ν degrees of freedom; Wilson and Hilferty 1931."""
+    part = 2.0 / (9.0 * freedom)
+    return (1.0 - part - 0.674 * sqrt(part)) ** 3
 
 
 @njit(cache=True, nogil=True)
@@ -100,11 +100,11 @@ def _noise_range(
                     within = split_sheets(near, found, normal, mean) if sheets else np.inf
                     if within < _SHEETS * low:
                         variance = min(variance, within)
-                    noise[i] = sqrt(variance / _middle(count - 6.0))
+                    noise[i] = sqrt(variance / _lower(count - 6.0))
                     break
                 if high > LONG * middle:
                     found = gather(tree, places[i], radii[j], near)
                     fit_axis(moments[j], high, normal)
-                    noise[i] = sqrt(fit_ring(near, found, mean, normal)[1] / _middle(count - 6.0))
+                    noise[i] = sqrt(fit_ring(near, found, mean, normal)[1] / _lower(count - 6.0))
                     break
             first = last
