@@ -482,13 +482,16 @@ def _undersides(
     rows = rows[layers.height[rows + 1] - layers.height[rows] <= config.max_step]
     under = np.zeros(len(wide), dtype=bool)
     under[rows] = True
+    a, b = pairs_within(*smooth, under, False)
     part = np.full(len(wide), len(rows))
-    part[rows] = np.unique(components(*smooth, under)[rows], return_inverse=True)[1]
+    part[rows] = np.unique(components(a, b, under)[rows], return_inverse=True)[1]
     depth = extents_in_plan(layers.cell, layers.shape[1], under, part, layers.cell_width)[1]
     slab = (depth >= config.standing_width)[part[rows]] & _mostly(below, part, under)[part[rows]]
     under[rows] = slab
     rows = rows[slab]
-    a, b = (np.concatenate(ends) for ends in zip(smooth, smooth[::-1], strict=True))
+    if not len(rows):
+        return under, rows
+    a, b = np.concatenate([a, b]), np.concatenate([b, a])
     beside = wide[a] & under[b] & _mostly(below, patch, wide)[patch[a]]
     lower, upper = (
         coo_array((np.ones(len(i), dtype=bool), (i, j)), (count, len(depth))).tocsr()
