@@ -24,7 +24,7 @@ from gpdf_service.perception.columns import (
     lowest_above,
 )
 from gpdf_service.perception.hidden import FACE_REACH, find_faces, hidden_reach, without_hidden
-from gpdf_service.perception.layers import Layers, build_layers, cell_width_of, connect, layer_gap
+from gpdf_service.perception.layers import Layers, build_layers, cell_width_of, layer_gap
 from gpdf_service.perception.limits import (
     GroundLimits,
     Measured,
@@ -37,7 +37,7 @@ from gpdf_service.perception.limits import (
     widened,
     window,
 )
-from gpdf_service.perception.nodes import components, grown_sheet, mark_nearest, pairs_within
+from gpdf_service.perception.nodes import grown_sheet, pairs_within
 from gpdf_service.perception.segment import LEAST_SCATTER, over_ground
 from gpdf_service.perception.smooth import RESOLVED_STEP, smooth, to_centres, without_unlucky
 from gpdf_service.perception.strays import find_strays
@@ -261,8 +261,9 @@ def split_sheets(near: Beside, config: PerceptionConfig) -> tuple[BoolArray, ...
     sheets = 0
     for seed in order[size[order] > 0]:
         own = members[start[seed] : start[seed + 1]]
+        # A piece can lie over itself, as two floors with a gentle stair do: the lowest of it first, then what is left.
         while len(left := own[sheet_of[own] < 0]):
-            sheet_of[_lowest_of(layers, left, least)] = sheets
+            sheet_of[_first_of_each_cell(layers, left)] = sheets
             _attach(layers, a, b, smooth, start, members, sheet_of, sheets)
             sheets += 1
     made = [np.flatnonzero(sheet_of == i) for i in range(sheets)]
@@ -288,32 +289,8 @@ def _under_step(near: Beside, max_step: float) -> BoolArray:
     return foot
 
 
-def _lowest_of(layers: Layers, piece: IntArray, least: int) -> IntArray:
-    """The nodes of a smooth piece on its lowest floor: all of them, or the floor below where it lies over itself.
-
-    So do two floors that a ramp or a gentle stair joins. A node that is alone in its cell is of the floor to which the
-    way over the piece is shorter: the upper floor over a hole in the scan of the lower one stays the upper floor, and
-    half of the ramp is of either. What is joined to the floor only over others is left for them. Fewer nodes than the
-    `least` that lie over others are no floor.
-    """
-    cell = layers.cell[piece]
-    over = np.r_[False, np.diff(cell) == 0]
-    if not over.any():
-        return piece
-    mark = np.full(len(layers.cell), -1, dtype=np.int8)
-    mark[piece] = np.where(over, 2, 0)
-    slopes = connect(layers, mark >= 0, layers.cell_width)
-    part = components(*slopes, mark == 2)[piece]
-    floor = over & (np.bincount(part[over], minlength=part.max() + 1) >= least)[part]
-    if not floor.any():
-        lowest: IntArray = piece[~over]
-        return lowest
-    mark[piece] = np.where(floor, 2, np.where(over, -1, np.isin(cell, cell[floor])))
-    mark_nearest(*slopes, mark)
-    low = mark == 1
-    part = components(*slopes, low)[piece]
-    floors: IntArray = piece[low[piece] & (part == np.bincount(part[low[piece]]).argmax())]
-    return floors
+def _first_of_each_cell(layers: Layers, nodes: IntArray) -> IntArray:
+    return nodes[np.unique(layers.cell[nodes], return_index=True)[1]]
 
 
 def _attach(
