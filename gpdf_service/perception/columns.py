@@ -89,6 +89,7 @@ def cut_columns(
     z: FloatArray,
     gap: float,
     flat: float,
+    board: float,
     first: IntArray,
     begin: int,
     end: int,
@@ -102,6 +103,7 @@ def cut_columns(
         z: Their heights in that order [m].
         gap: That parts two nodes [m].
         flat: Thickness up to which a node's height is its median; of a thicker one, a step's face, its top [m].
+        board: Room between the faces of a board, at least: what lies over another node may have been seen on both [m].
         first: `count_nodes`.
         begin: First column.
         end: Behind the last.
@@ -117,10 +119,26 @@ def cut_columns(
             for e in range(i, last + 1):
                 node_of_point[order[e]] = node
             cell[node], thickness[node] = c, z[last] - z[i]
-            chosen = (i + last) // 2 if thickness[node] <= flat else last
+            low = i
+            if i > start[c] and thickness[node] <= flat:
+                low = _top_of_board(z, i, last, board)
+            chosen = (low + last) // 2 if thickness[node] <= flat else last
             row[node], height[node] = order[chosen], z[chosen]
             headroom[node] = z[last + 1] - z[last] if last + 1 < start[c + 1] else np.inf
             node, i = node + 1, last + 1
+
+
+@njit(cache=True, nogil=True)
+def _top_of_board(z: FloatArray, first: int, last: int, board: float) -> int:
+    """The first of the heights over the widest room between those from `first` to `last`, if that is a `board` [m].
+
+    One alone is no face.
+    """
+    top = first
+    for e in range(first, last - 1):
+        if z[e + 1] - z[e] > board:
+            top, board = e + 1, z[e + 1] - z[e]
+    return top
 
 
 def pairs_near(

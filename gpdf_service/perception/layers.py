@@ -31,6 +31,8 @@ MIN_CELL = 0.05
 """[m] Finer than a wheel or a foot feels, and a quarter of the smallest body's radius."""
 STEP = 0.1 * MIN_CELL
 """[m] What is measured of a whole cloud counts in steps: its cells then stay when a part of it changes."""
+BOARD = 0.02
+"""[m] Thinnest board that a tread is made of, less what a good scanner scatters."""
 _SAMPLE = 4000
 _COLUMN = 0.5
 """[m] Wide enough to hold several floor points of any cloud that a body can be planned in."""
@@ -185,12 +187,12 @@ def build_layers(
     cells = shape[0] * shape[1]
     cell = cells_of(points, origin, cell_width, shape)
     start, order, z = column_order(cell, points, cells)
-    flat = 2.0 * cell_width + 4.0 * noise
+    flat, board = 2.0 * cell_width + 4.0 * noise, BOARD + 4.0 * noise
     first = count_nodes(start, z, gap)
     count = int(first[-1])
     cell_of, row = np.empty(count, np.int64), np.empty(count, np.int64)
     made = cell_of, row, np.empty(count), np.empty(count), np.empty(count), np.empty(len(z), np.int64)
-    run_chunked(lambda a, b: cut_columns(start, order, z, gap, flat, first, a, b, made), cells)
+    run_chunked(lambda a, b: cut_columns(start, order, z, gap, flat, board, first, a, b, made), cells)
     return Layers(origin, cell_width, shape, cell_of, points[row, :2], *made[2:], first)
 
 

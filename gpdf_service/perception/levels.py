@@ -37,8 +37,8 @@ from gpdf_service.perception.limits import (
     widened,
     window,
 )
-from gpdf_service.perception.nodes import grown_sheet, pairs_within
-from gpdf_service.perception.segment import LEAST_SCATTER, over_ground
+from gpdf_service.perception.nodes import extents_in_plan, grown_sheet, pairs_within, whole_around
+from gpdf_service.perception.segment import LEAST_SCATTER, OVER_SHARE
 from gpdf_service.perception.smooth import RESOLVED_STEP, smooth, to_centres, without_unlucky
 from gpdf_service.perception.strays import find_strays
 from gpdf_service.perception.surface import (
@@ -247,8 +247,7 @@ def split_sheets(near: Beside, config: PerceptionConfig) -> tuple[BoolArray, ...
     """
     layers = near.layers
     count = len(layers.cell)
-    keep = ~_under_step(near, config.max_step)
-    keep &= ~over_ground(layers, keep, config.step_headroom)
+    keep = ~_under_step(near, config.step_headroom)
     if (np.diff(layers.cell[keep]) > 0).all():
         return (keep,)
     smooth, _, steps = near.pieces(keep, layers.cell_width, None, keep, config.max_step)
@@ -262,14 +261,45 @@ def split_sheets(near: Beside, config: PerceptionConfig) -> tuple[BoolArray, ...
     for seed in order[size[order] > 0]:
         own = members[start[seed] : start[seed + 1]]
         # A piece can lie over itself, as two floors with a gentle stair do: the lowest of it first, then what is left.
-        while len(left := own[sheet_of[own] < 0]):
+        left = own[sheet_of[own] < 0]
+        while len(left) >= (least if len(left) < len(own) else 1):
             sheet_of[_first_of_each_cell(layers, left)] = sheets
             _attach(layers, a, b, smooth, start, members, sheet_of, sheets)
             sheets += 1
+            left = own[sheet_of[own] < 0]
     made = [np.flatnonzero(sheet_of == i) for i in range(sheets)]
     grid, rings = (layers.cell, layers.start, layers.shape, layers.height), int(np.ceil(OVERLAP / layers.cell_width))
-    large = sorted((n for n in made if len(n) >= least), key=lambda nodes: float(np.median(layers.height[nodes])))
-    return tuple(grown_sheet(*grid, keep, nodes, config.max_step, rings) for nodes in large)
+    grown = [grown_sheet(*grid, keep, nodes, config.max_step, rings) for nodes in made if len(nodes) >= least]
+    grown += _seams(near, keep, grown, config, rings)
+    return tuple(sorted(grown, key=lambda inside: float(np.median(layers.height[inside]))))
+
+
+def _seams(
+    near: Beside, keep: BoolArray, sheets: list[BoolArray], config: PerceptionConfig, rings: int
+) -> list[BoolArray]:
+    """Further sheets, so that a body finds all ground around each place in one of them.
+
+    A sheet that lies over its own end has no room to reach into the next: the upper floor's, which goes down a stair
+    of open treads and ends at its foot under that floor.
+    """
+    layers = near.layers
+    grid = layers.cell, layers.start, layers.shape, layers.height
+
+    def wide(nodes: BoolArray, least: float) -> tuple[IntArray, IntArray]:
+        """Pieces of nodes joined by steps, and which of them are so deep [m]."""
+        piece = near.pieces(nodes, config.max_step, None, nodes, config.max_step)[0]
+        depth = extents_in_plan(layers.cell, layers.shape[1], nodes, piece, layers.cell_width)[1]
+        return piece, np.flatnonzero(depth >= least)
+
+    left = keep.copy()
+    for sheet in sheets:
+        beyond = keep & ~sheet
+        piece, deep = wide(beyond, config.tread_depth)
+        beyond &= np.isin(piece, deep)
+        left &= ~whole_around(*grid, sheet, beyond, config.max_step, rings // 2)
+    piece, deep = wide(left, config.tread_depth)
+    seams = [_first_of_each_cell(layers, np.flatnonzero(left & (piece == label))) for label in deep]
+    return [grown_sheet(*grid, keep, nodes, config.max_step, rings) for nodes in seams]
 
 
 def rise_of_sheets(layers: Layers, config: PerceptionConfig) -> float:
@@ -312,11 +342,11 @@ def _attach(
         grown = False
         for piece in pieces:
             nodes = members[start[piece] : start[piece + 1]]
-            nodes = nodes[sheet_of[nodes] < 0]
-            cells = layers.cell[nodes]  # ascending, as nodes are
-            if not taken[cells].any() and (np.diff(cells) > 0).all():
-                sheet_of[nodes] = sheet
-                taken[cells] = True
+            left = nodes[sheet_of[nodes] < 0]
+            free = _first_of_each_cell(layers, left[~taken[layers.cell[left]]])
+            if len(free) and len(left) - len(free) <= OVER_SHARE * len(left):
+                sheet_of[free] = sheet
+                taken[layers.cell[free]] = True
                 grown = True
         if not grown:
             return

@@ -453,6 +453,51 @@ def grown_sheet(
 
 
 @njit(cache=True, nogil=True)
+def whole_around(
+    cell: IntArray,
+    start: IntArray,
+    shape: tuple[int, int],
+    height: FloatArray,
+    inside: BoolArray,
+    beyond: BoolArray,
+    max_step: float,
+    rings: int,
+) -> BoolArray:
+    """Which nodes `inside` a sheet have no end of it within `rings` of them: nodes `beyond` it a step beside.
+
+    There is no end where the sheet has another node in that cell that is a step away, too.
+    """
+    end = np.zeros(len(cell), np.bool_)
+    for i in np.flatnonzero(inside):
+        for dx, dy in AROUND:
+            x, y = cell[i] // shape[1] + dx, cell[i] % shape[1] + dy
+            if not (0 <= x < shape[0] and 0 <= y < shape[1]):
+                continue
+            kept, had = False, False
+            for j in range(start[x * shape[1] + y], start[x * shape[1] + y + 1]):
+                if abs(height[i] - height[j]) <= max_step:
+                    kept |= beyond[j]
+                    had |= inside[j]
+            end[i] |= kept and not had
+    ring = np.flatnonzero(end)
+    for _ in range(rings):
+        found = np.full(len(ring) * 8, -1)
+        count = 0
+        for i in ring:
+            for dx, dy in AROUND:
+                x, y = cell[i] // shape[1] + dx, cell[i] % shape[1] + dy
+                if not (0 <= x < shape[0] and 0 <= y < shape[1]):
+                    continue
+                for j in range(start[x * shape[1] + y], start[x * shape[1] + y + 1]):
+                    if inside[j] and not end[j] and abs(height[i] - height[j]) <= max_step:
+                        end[j] = True
+                        found[count] = j
+                        count += 1
+        ring = found[:count].copy()
+    return inside & ~end
+
+
+@njit(cache=True, nogil=True)
 def held_by(
     z: FloatArray,
     node: IntArray,
