@@ -261,7 +261,7 @@ def _change_segmentation(
 ) -> tuple[Segmentation, BoolArray]:
     """The segmentation of the changed cloud, and its ground, where `before` is what it was, shape (n,)."""
     _check_grid(cloud.points, None, old.layers, places)
-    cells = _cells_of(places, old.layers)
+    cells = widened(_cells_of(places, old.layers), 1)  # a node's height asks those beside
     layers = _change_layers(old.layers, cloud, cloud.rows_in(old.layers, cells), cells, config)
     found, cells = change_segmentation(old, layers, cells, config)
     rows = cloud.rows_in(layers, cells)
@@ -292,7 +292,7 @@ def _change_levels(
     config: PerceptionConfig,
 ) -> tuple[Levels, Survey, tuple[BoolArray | None, ...]]:
     layers = old.survey.layers
-    cells = _cells_of(places, layers)
+    cells = widened(_cells_of(places, layers), 1)
     rows = cloud.rows_in(layers, cells)
     rows = rows[ground[rows]]
     layers = _change_layers(layers, cloud, rows, cells, config)

@@ -93,23 +93,24 @@ def cut_columns(
     first: IntArray,
     begin: int,
     end: int,
-    made: tuple[IntArray, IntArray, FloatArray, FloatArray, FloatArray, IntArray],
+    made: tuple[IntArray, IntArray, FloatArray, FloatArray, FloatArray, FloatArray, IntArray],
 ) -> None:
-    """Fill cell, row, height, thickness, headroom of the nodes of the columns from `begin` to `end`, and their points'.
+    """Fill cell, row, middle, face, thickness, headroom of the nodes of the columns from `begin` to `end`, and their points'.
 
     Args:
         start: Where each column begins in `order` and in `z`.
         order: Rows of the points, by column and upward.
         z: Their heights in that order [m].
         gap: That parts two nodes [m].
-        flat: Thickness up to which a node's height is its median; of a thicker one, a step's face, its top [m].
+        flat: Thickness up to which a node's middle is its median; of a thicker one, a step's face, its top [m].
         board: Room between the faces of a board, at least: what lies over another node may have been seen on both [m].
+            Then the `face` is the median of what is over that room.
         first: `count_nodes`.
         begin: First column.
         end: Behind the last.
         made: Where they are written; the row is that of the point whose height it is, the last is each point's node.
     """
-    cell, row, height, thickness, headroom, node_of_point = made
+    cell, row, middle, face, thickness, headroom, node_of_point = made
     for c in range(begin, end):
         node, i = first[c], start[c]
         while i < start[c + 1]:
@@ -119,11 +120,11 @@ def cut_columns(
             for e in range(i, last + 1):
                 node_of_point[order[e]] = node
             cell[node], thickness[node] = c, z[last] - z[i]
-            low = i
+            chosen = (i + last) // 2 if thickness[node] <= flat else last
+            row[node], middle[node], face[node] = order[chosen], z[chosen], np.nan
             if i > start[c] and thickness[node] <= flat:
-                low = _top_of_board(z, i, last, board)
-            chosen = (low + last) // 2 if thickness[node] <= flat else last
-            row[node], height[node] = order[chosen], z[chosen]
+                top = _top_of_board(z, i, last, board)
+                face[node] = z[(top + last) // 2] if top > i else np.nan
             headroom[node] = z[last + 1] - z[last] if last + 1 < start[c + 1] else np.inf
             node, i = node + 1, last + 1
 
@@ -139,6 +140,31 @@ def _top_of_board(z: FloatArray, first: int, last: int, board: float) -> int:
         if z[e + 1] - z[e] > board:
             top, board = e + 1, z[e + 1] - z[e]
     return top
+
+
+@njit(cache=True, nogil=True)
+def tops_of_boards(
+    cell: IntArray, start: IntArray, shape: tuple[int, int], middle: FloatArray, face: FloatArray, near: float
+) -> FloatArray:
+    """Heights of nodes [m], shape (k,): the `face` of those that three others beside lie `near` [m], else the `middle`.
+
+    A board goes on in two directions; points of a riser over its tread, with room between by chance, along a line.
+    """
+    height = middle.copy()
+    for i in range(len(cell)):
+        if np.isnan(face[i]):
+            continue
+        x, y, beside = cell[i] // shape[1], cell[i] % shape[1], 0
+        for u in range(max(x - 1, 0), min(x + 2, shape[0])):
+            for v in range(max(y - 1, 0), min(y + 2, shape[1])):
+                for j in range(start[u * shape[1] + v], start[u * shape[1] + v + 1]):
+                    top = middle[j] if np.isnan(face[j]) else face[j]
+                    if j != i and abs(top - face[i]) <= near:
+                        beside += 1
+                        break
+        if beside >= 3:
+            height[i] = face[i]
+    return height
 
 
 def pairs_near(

@@ -23,6 +23,7 @@ from gpdf_service.perception.columns import (
     kth_beside,
     pairs_near,
     spliced,
+    tops_of_boards,
     values_spliced,
 )
 from gpdf_service.types import BoolArray, FloatArray, IntArray
@@ -98,11 +99,14 @@ class Layers:
         origin: Lower corner of the grid [m], shape (2,).
         cell_width: [m].
         shape: Cells along x and y.
+        board: Least room between the two faces of a board [m].
         cell: Flat cell index of each node, shape (k,).
         place: Where in plan the point lies whose height it is [m], shape (k, 2).
         height: Height of its surface [m], shape (k,).
         thickness: Between its lowest and highest point [m], shape (k,).
         headroom: Free height above it [m], inf under the open sky, shape (k,).
+        middle: Height of its middle point, or of a step's face its highest [m], shape (k,).
+        face: Of the middle of what may be the upper face of a board, seen on both [m], shape (k,), NaN of no such node.
         node_of_point: Node of each input point, shape (n,); of none, (0,), where the layers are kept without points.
         start: First node of each cell, shape (cells + 1,).
     """
@@ -110,11 +114,14 @@ class Layers:
     origin: FloatArray
     cell_width: float
     shape: tuple[int, int]
+    board: float
     cell: IntArray
     place: FloatArray
     height: FloatArray
     thickness: FloatArray
     headroom: FloatArray
+    middle: FloatArray
+    face: FloatArray
     node_of_point: IntArray
     start: IntArray
 
@@ -129,7 +136,7 @@ def grid_of(low: FloatArray, high: FloatArray, cell_width: float) -> tuple[Float
     return origin, (int(shape[0]), int(shape[1]))
 
 
-_OWN = "cell", "place", "height", "thickness", "headroom"
+_OWN = "cell", "place", "height", "thickness", "headroom", "middle", "face"
 """What is told of each node."""
 
 
@@ -143,11 +150,12 @@ def splice_layers(layers: Layers, changed: BoolArray, fresh: Layers | None) -> L
     first = np.zeros_like(layers.start) if fresh is None else fresh.start
     start, source = spliced(changed, layers.start, first)
     new, nothing = layers if fresh is None else fresh, np.zeros(0, np.int64)
-    cell, place, height, thickness, headroom = (
+    cell, place, _, thickness, headroom, middle, face = (
         values_spliced(getattr(layers, name), getattr(new, name), source) for name in _OWN
     )
-    grid = layers.origin, layers.cell_width, layers.shape
-    return Layers(*grid, cell, place, height, thickness, headroom, nothing, start)
+    height = tops_of_boards(cell, start, layers.shape, middle, face, layers.board)
+    grid = layers.origin, layers.cell_width, layers.shape, layers.board
+    return Layers(*grid, cell, place, height, thickness, headroom, middle, face, nothing, start)
 
 
 def kept_nodes(old: Layers, layers: Layers, cells: BoolArray) -> IntArray:
@@ -170,9 +178,9 @@ def crop_layers(layers: Layers, box: tuple[slice, slice]) -> tuple[Layers, IntAr
     cell = np.repeat(np.arange(flat.size), count.ravel())
     nodes = layers.start[flat.ravel()[cell]] + np.arange(len(cell)) - start[cell]
     origin = layers.origin + layers.cell_width * np.array([box[0].start, box[1].start])
-    own = layers.place[nodes], layers.height[nodes], layers.thickness[nodes], layers.headroom[nodes]
+    own = (getattr(layers, name)[nodes] for name in _OWN[1:])
     nothing: IntArray = np.zeros(0, np.int64)
-    return Layers(origin, layers.cell_width, (flat.shape[0], flat.shape[1]), cell, *own, nothing, start), nodes
+    return Layers(origin, layers.cell_width, flat.shape, layers.board, cell, *own, nothing, start), nodes
 
 
 def build_layers(
@@ -191,9 +199,12 @@ def build_layers(
     first = count_nodes(start, z, gap)
     count = int(first[-1])
     cell_of, row = np.empty(count, np.int64), np.empty(count, np.int64)
-    made = cell_of, row, np.empty(count), np.empty(count), np.empty(count), np.empty(len(z), np.int64)
+    made = cell_of, row, *(np.empty(count) for _ in range(4)), np.empty(len(z), np.int64)
     run_chunked(lambda a, b: cut_columns(start, order, z, gap, flat, board, first, a, b, made), cells)
-    return Layers(origin, cell_width, shape, cell_of, points[row, :2], *made[2:], first)
+    middle, face, thickness, headroom, node = made[2:]
+    height = tops_of_boards(cell_of, first, shape, middle, face, board)
+    own = cell_of, points[row, :2], height, thickness, headroom, middle, face
+    return Layers(origin, cell_width, shape, board, *own, node, first)
 
 
 HALF = ((1, 0), (0, 1), (1, 1), (1, -1))

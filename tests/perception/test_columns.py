@@ -141,7 +141,7 @@ def test_columns_are_cut_as_by_hand():
             assert layers.cell[node] == column
             assert (layers.node_of_point[part] == node).all()
             assert layers.thickness[node] == z[-1] - z[0]
-            assert layers.height[node] == (z[(len(z) - 1) // 2] if z[-1] - z[0] <= 0.54 else z[-1])
+            assert layers.middle[node] == (z[(len(z) - 1) // 2] if z[-1] - z[0] <= 0.54 else z[-1])
             assert layers.headroom[node] == (np.inf if above is None else points[above[0], 2] - z[-1])
             node += 1
     assert node == len(layers.cell)
