@@ -95,7 +95,7 @@ def cut_columns(
     end: int,
     made: tuple[IntArray, IntArray, FloatArray, FloatArray, FloatArray, FloatArray, IntArray],
 ) -> None:
-    """Fill cell, row, middle, face, thickness, headroom of the nodes of the columns from `begin` to `end`, and their points'.
+    """Fill what nodes of the columns from `begin` to `end` are, in the order of `made`.
 
     Args:
         start: Where each column begins in `order` and in `z`.
@@ -104,11 +104,12 @@ def cut_columns(
         gap: That parts two nodes [m].
         flat: Thickness up to which a node's middle is its median; of a thicker one, a step's face, its top [m].
         board: Room between the faces of a board, at least: what lies over another node may have been seen on both [m].
-            Then the `face` is the median of what is over that room.
+            Then the face is the median of what is over that room.
         first: `count_nodes`.
         begin: First column.
         end: Behind the last.
-        made: Where they are written; the row is that of the point whose height it is, the last is each point's node.
+        made: Of each node its cell, the row of the point in its middle, that one's height, its face, thickness and
+            headroom; and each point's node.
     """
     cell, row, middle, face, thickness, headroom, node_of_point = made
     for c in range(begin, end):

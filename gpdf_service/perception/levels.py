@@ -51,6 +51,7 @@ from gpdf_service.perception.surface import (
     HeightMap,
     Nearest,
     between,
+    between_treads,
     cells_within,
     changed,
     cropped,
@@ -503,7 +504,7 @@ def guard_edges(
     """Cells with material under the `headroom` [m], those of stairs, and those where material guards an edge by itself.
 
     What is under a floor shuts nothing off. By itself guards only what the lowest body cannot pass under. The wall of a
-    drop does not; but what is seen below a shadow in a stair, where treads are near, is the stair.
+    drop does not; but what is seen below a shadow in a stair, with treads on either side, is the stair.
 
     Args:
         surface: The ground.
@@ -521,7 +522,8 @@ def guard_edges(
         return np.isfinite(extent_within(cell, z, (foot + rise).astype(np.float64), beside.astype(np.float64))[0])
 
     shuts, guards = run_parallel(held_over, (-LEAST_OBSTACLE, LEAST_OBSTACLE))
-    return shut & shuts, stair, (shut & stair) | guards
+    bitten = shut & stair & ~known
+    return shut & shuts, stair, guards | between_treads(surface, bitten)
 
 
 def make_level(

@@ -30,6 +30,8 @@ NOTCH_SPAN = 1.0
 """[m] Longest piece of a flight that a shadow bites out: five treads."""
 STEEPEST_FLIGHT = 1.3
 """[-] Rise over run of the steepest stair, 52°; what rises more between two pieces of ground is another storey."""
+RISER = 0.25
+"""[m] Highest that two treads beside each other differ: building codes say 0.19 to 0.22."""
 NOTCH_DEPTH = 0.35
 """[m] How far a shadow is filled beside seen treads: less than half of the narrowest stair."""
 SLAB = 1.0
@@ -509,6 +511,33 @@ def _treads(
                     if beside > 0 and between and np.isnan(filled[x, y]):
                         filled[x, y] = tread
     return filled
+
+
+def between_treads(surface: HeightMap, asked: BoolArray) -> BoolArray:
+    """Which of the `asked` cells, shape (nx, ny), have ground at hand on both sides that one flight joins.
+
+    The open side of a flight has none, or that of the floor below.
+    """
+    found = np.zeros_like(asked)
+    _between_treads(
+        surface.height, np.argwhere(asked), int(NOTCH_DEPTH / surface.cell_width), surface.cell_width, found
+    )
+    return found
+
+
+@njit(cache=True, nogil=True)
+def _between_treads(
+    height: NDArray[np.float32], asked: IntArray, most: int, cell_width: float, found: BoolArray
+) -> None:
+    """Mark the `asked` cells, shape (k, 2), between ground within `most` cells each way along a line."""
+    for k in range(len(asked)):
+        x, y = asked[k]
+        for dx, dy in ((1, 0), (0, 1), (1, 1), (1, -1)):
+            ahead, on = _next_known(height, x, y, dx, dy, most)
+            behind, back = _next_known(height, x, y, -dx, -dy, most)
+            if on > 0 and back > 0:
+                run = float(on + back) * cell_width * np.hypot(dx, dy)
+                found[x, y] |= abs(ahead - behind) <= max(RISER, STEEPEST_FLIGHT * run)
 
 
 @njit(cache=True, nogil=True)
