@@ -178,9 +178,9 @@ def crop_layers(layers: Layers, box: tuple[slice, slice]) -> tuple[Layers, IntAr
     cell = np.repeat(np.arange(flat.size), count.ravel())
     nodes = layers.start[flat.ravel()[cell]] + np.arange(len(cell)) - start[cell]
     origin = layers.origin + layers.cell_width * np.array([box[0].start, box[1].start])
-    own = (getattr(layers, name)[nodes] for name in _OWN[1:])
-    nothing: IntArray = np.zeros(0, np.int64)
-    return Layers(origin, layers.cell_width, flat.shape, layers.board, cell, *own, nothing, start), nodes
+    place, height, thickness, headroom, middle, face = (getattr(layers, name)[nodes] for name in _OWN[1:])
+    own = cell, place, height, thickness, headroom, middle, face, np.zeros(0, np.int64)
+    return Layers(origin, layers.cell_width, (flat.shape[0], flat.shape[1]), layers.board, *own, start), nodes
 
 
 def build_layers(
@@ -199,9 +199,10 @@ def build_layers(
     first = count_nodes(start, z, gap)
     count = int(first[-1])
     cell_of, row = np.empty(count, np.int64), np.empty(count, np.int64)
-    made = cell_of, row, *(np.empty(count) for _ in range(4)), np.empty(len(z), np.int64)
+    middle, face, thickness, headroom = np.empty(count), np.empty(count), np.empty(count), np.empty(count)
+    node = np.empty(len(z), np.int64)
+    made = cell_of, row, middle, face, thickness, headroom, node
     run_chunked(lambda a, b: cut_columns(start, order, z, gap, flat, board, first, a, b, made), cells)
-    middle, face, thickness, headroom, node = made[2:]
     height = tops_of_boards(cell_of, first, shape, middle, face, board)
     own = cell_of, points[row, :2], height, thickness, headroom, middle, face
     return Layers(origin, cell_width, shape, board, *own, node, first)

@@ -286,20 +286,18 @@ def _seams(
     layers = near.layers
     grid = layers.cell, layers.start, layers.shape, layers.height
 
-    def wide(nodes: BoolArray, least: float) -> tuple[IntArray, IntArray]:
-        """Pieces of nodes joined by steps, and which of them are so deep [m]."""
+    def pieces(nodes: BoolArray) -> tuple[IntArray, BoolArray]:
+        """Pieces of nodes that steps join, and which of them a foot fits on: a rim of single cells is no ground."""
         piece = near.pieces(nodes, config.max_step, None, nodes, config.max_step)[0]
         depth = extents_in_plan(layers.cell, layers.shape[1], nodes, piece, layers.cell_width)[1]
-        return piece, np.flatnonzero(depth >= least)
+        return piece, depth >= config.tread_depth
 
     left = keep.copy()
     for sheet in sheets:
-        beyond = keep & ~sheet
-        piece, deep = wide(beyond, config.tread_depth)
-        beyond &= np.isin(piece, deep)
-        left &= ~whole_around(*grid, sheet, beyond, config.max_step, rings // 2)
-    piece, deep = wide(left, config.tread_depth)
-    seams = [_first_of_each_cell(layers, np.flatnonzero(left & (piece == label))) for label in deep]
+        piece, deep = pieces(keep & ~sheet)
+        left &= ~whole_around(*grid, sheet, keep & ~sheet & deep[piece], config.max_step, rings // 2)
+    piece, deep = pieces(left)
+    seams = [_first_of_each_cell(layers, np.flatnonzero(left & (piece == label))) for label in np.flatnonzero(deep)]
     return [grown_sheet(*grid, keep, nodes, config.max_step, rings) for nodes in seams]
 
 
@@ -308,15 +306,16 @@ def rise_of_sheets(layers: Layers, config: PerceptionConfig) -> float:
     return max(config.max_step, float(np.sqrt(2.0)) * layers.cell_width)
 
 
-def _under_step(near: Beside, max_step: float) -> BoolArray:
+def _under_step(near: Beside, headroom: float) -> BoolArray:
     """Nodes at the foot of a step whose top is in the same cell, and goes on beside it: such a cell is the step's top.
 
-    A single point over the floor goes on nowhere.
+    So is that of an open tread with less than the `headroom` [m] under it. A single point over the floor goes on
+    nowhere.
     """
     layers = near.layers
     joined = near.degrees(np.ones(len(layers.cell), dtype=bool), layers.cell_width)
     foot = np.zeros(len(layers.cell), dtype=bool)
-    foot[:-1] = (np.diff(layers.cell) == 0) & (np.diff(layers.height) <= max_step) & (joined[1:] > 1)
+    foot[:-1] = (np.diff(layers.cell) == 0) & (np.diff(layers.height) <= headroom) & (joined[1:] > 1)
     return foot
 
 

@@ -468,6 +468,38 @@ def test_a_slab_seen_from_below_through_the_hole_in_the_scan_of_its_top_is_no_gr
     assert plan(scene, (4.0, 0.6, 2.9), (4.0, 2.4, 2.9)).status is Status.OK
 
 
+def open_flight():
+    """A floor under a slab 2.88 m higher, and an open flight of 15 treads, 5 cm thick, from one to the other.
+
+    The floor below it, and the treads' undersides, were seen; the slab begins over the second tread.
+    """
+    rng = np.random.default_rng(0)
+
+    def face(low, high, z):
+        x, y = (axis.ravel() for axis in np.meshgrid(*(np.arange(a, b, 0.025) for a, b in zip(low, high, strict=True))))
+        return np.column_stack([x, y, np.full(x.size, z)]) + rng.uniform(-0.01, 0.01, (x.size, 3)) * [1, 1, 0.4]
+
+    parts = [face((0, 0), (9, 5), 0.0), face((5.9, 0), (9, 5), 2.88)]
+    for low, high in (((0, 0), (2.4, 5)), ((2.4, 0), (5.9, 1)), ((2.4, 3), (5.9, 5))):
+        parts += [face(low, high, 2.88), face(low, high, 2.63)]
+    for i in range(15):
+        low, high = (2.0 + 0.26 * i, 1.5), (2.0 + 0.26 * (i + 1) + 0.02, 2.5)
+        parts += [face(low, high, 0.18 * (i + 1)), face(low, high, 0.18 * (i + 1) - 0.05)]
+    return np.concatenate(parts)
+
+
+def test_a_flight_of_open_treads_under_its_own_upper_floor_is_climbed_but_not_beside_its_open_side():
+    scene = build_scene(open_flight())
+    up = plan(scene, (1.0, 2.0, 0.0), (7.0, 2.0, 2.88), "human")
+    assert up.status is Status.OK, up.message
+    assert plan(scene, (7.0, 2.0, 2.88), (1.0, 2.0, 0.0), "human").status is Status.OK
+    for i in range(2, 14):
+        x, z = 2.13 + 0.26 * i, 0.18 * (i + 1)
+        assert plan(scene, (x, 2.0, z), (1.0, 2.0, 0.0), "human").status is Status.OK, i
+        for y in (1.56, 2.44):
+            assert plan(scene, (x, y, z), (1.0, 2.0, 0.0), "human").status is Status.START_OCCUPIED, (i, y)
+
+
 def hillside_with_a_house(pitch):
     """A lawn, a terrace 1.8 m over it behind a bank of 24°, and a house whose roof of `pitch` begins at the terrace."""
     rng = np.random.default_rng(0)
