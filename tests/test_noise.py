@@ -121,3 +121,18 @@ def test_a_stair_under_noise_is_walked_up_and_its_treads_are_where_they_are():
     result = gpdf.plan(scene, (0.5, 0.55), (3.8, 0.55), agent="human")
     assert result.status is gpdf.Status.OK
     assert Judge(points, ground).judge(result.trajectory, gpdf.AGENTS["human"]).collision_free
+
+
+def test_a_floor_that_a_scanner_has_looked_straight_down_on_is_as_free_as_that_far_off():
+    rng = np.random.default_rng(0)
+    floor = np.column_stack([rng.uniform(0.0, [8.0, 3.0], (26_000, 2)), np.zeros(26_000)])
+    scanner = np.column_stack([rng.uniform(0.0, [2.0, 3.0], (26_000, 2)), np.full(26_000, 1.6)])
+    beam = (floor - scanner) / np.linalg.norm(floor - scanner, axis=1, keepdims=True)
+    points = floor + beam * rng.normal(0.0, 0.015, (26_000, 1))
+    below = points[points[:, 0] < 1.5, 2].std()
+    assert points[points[:, 0] > 6.0, 2].std() < 0.4 * below
+    scene = gpdf.build_scene(points)
+    assert scene.noise == pytest.approx(below, rel=0.25)
+    space = scene.free_space("roomba")
+    clearance, _ = space.clearance(0, rng.uniform([0.5, 0.5], [7.5, 2.5], (2000, 2)))
+    assert (clearance >= space.reach).mean() > 0.8  # 0.45 by the noise of the places that show least of it

@@ -8,7 +8,7 @@ import numpy as np
 from numba import njit
 
 from gpdf_service.fields.edge import fit_pair
-from gpdf_service.fields.heights import quadric_rest
+from gpdf_service.fields.heights import fit_heights, make_sums, quadric_rest, sum_heights
 from gpdf_service.fields.shapes import MOST, fit_axis, fit_plane, fit_ring, gather, split_sheets, sum_rings
 from gpdf_service.fields.threads import run_chunked
 from gpdf_service.fields.tree import Tree, build_tree
@@ -26,6 +26,11 @@ EDGE = 0.6
 """[-] Variance about two half planes over that about a quadric, below which it is an edge; noise alone gives 0.75."""
 _SHEETS = 0.2
 """[-] Variance within two sheets over that of one, below which they are two; noise alone gives 0.36."""
+_LARGER = 1.7
+"""[-] Radius of the larger neighbourhood over that of the smallest that shows its shape: three times the area."""
+_ALIKE = 1.5
+"""[-] Variance about a quadric in the larger one over that in the smaller from which on it is relief: what bends leaves
+1.7⁶ times as much, noise 1 ± 0.3, so that one place in twenty of it is lost."""
 _AT_ONCE = 4
 """Radii that are looked at in one walk: most places are told by the first four."""
 _SAMPLE = 1000
@@ -36,8 +41,12 @@ def estimate_noise(points: FloatArray, spacing: float, *, sheets: bool = True, t
     """Standard deviation of the points along the surface's normal [m]; points of shape (n, 3).
 
     What is left of the smallest neighbourhood that shows its shape: a plane, an edge, two sheets or a pole. So the
-    corners of a clean cloud are no noise, nor is the thickness of a board. A cloud so dense that most
-    such neighbourhoods hold more points than are looked at is thinned first.
+    corners of a clean cloud are no noise, nor is the thickness of a board. A place shows noise where a quadric leaves
+    no more of a larger neighbourhood: what bends, or is rough, leaves more. Noise need not be the same everywhere (a
+    beam's is along the beam: all of it where a scanner looks straight onto a floor, little where it grazes one), so it
+    is that of the upper quartile of these places. Where they are not most of all, relief may pass for noise, and it
+    is that of the lower quartile of all. A cloud so dense that most such neighbourhoods hold more points than are
+    looked at is thinned first.
 
     Args:
         points: The cloud [m].
@@ -49,37 +58,47 @@ def estimate_noise(points: FloatArray, spacing: float, *, sheets: bool = True, t
         return 0.0
     rng = np.random.default_rng(0)
     picked = points[rng.choice(len(points), min(_SAMPLE, len(points)), replace=False)]
-    noise = np.full(len(picked), np.nan)
+    rest, shown = np.full((2, len(picked)), np.nan)
     radii: FloatArray = 2.0 * spacing * GROWTH ** np.arange(16.0)
     tree = build_tree(points) if tree is None else tree
-    run_chunked(lambda a, b: _noise_range(tree, picked, a, b, radii, sheets, noise), len(picked))
-    found = noise[np.isfinite(noise)]
-    if np.isinf(noise).sum() > len(found):
+    run_chunked(lambda a, b: _noise_range(tree, picked, a, b, radii, sheets, rest, shown), len(picked))
+    told, sure = rest[np.isfinite(rest)], shown[np.isfinite(shown)]
+    if np.isinf(rest).sum() > len(told):
         thinner = rng.choice(points, len(points) // 4, replace=False)
         return estimate_noise(thinner, 2.0 * spacing, sheets=sheets)
-    return float(np.quantile(found, 0.25)) if len(found) else 0.0
+    if 2 * len(sure) > len(told):
+        return float(np.quantile(sure, 0.75))
+    return float(np.quantile(told, 0.25)) if len(told) else 0.0
 
 
 @njit(cache=True, nogil=True)
-def _lower(freedom: float) -> float:
-    """Lower quartile of χ²/ν with ν degrees of freedom; Wilson and Hilferty 1931."""
+def _quartile(freedom: float, side: float) -> float:
+    """Lower (`side` −1) or upper (1) quartile of χ²/ν with ν degrees of freedom; Wilson and Hilferty 1931."""
     part = 2.0 / (9.0 * freedom)
-    return (1.0 - part - 0.674 * sqrt(part)) ** 3
+    return (1.0 - part + side * 0.674 * sqrt(part)) ** 3
 
 
 @njit(cache=True, nogil=True)
 def _noise_range(
-    tree: Tree, places: FloatArray, begin: int, end: int, radii: FloatArray, sheets: bool, noise: FloatArray
+    tree: Tree,
+    places: FloatArray,
+    begin: int,
+    end: int,
+    radii: FloatArray,
+    sheets: bool,
+    rest: FloatArray,
+    shown: FloatArray,
 ) -> None:
     """The larger radii are looked at only where the smaller ones do not tell: they hold most of the points.
 
-    `noise`, NaN before, stays so where no radius tells, and is inf where the next one holds too many points.
+    The `rest`, NaN before, stays so where no radius tells, and is inf where the next one holds too many points; what is
+    `shown` to be noise, NaN before, stays so elsewhere. Each is such that its quartile is the deviation [m].
     """
     moments, mean, normal, near = np.zeros((len(radii), 10)), np.zeros(3), np.zeros(3), np.zeros((MOST, 3))
-    side, pair = np.zeros(MOST, np.int64), np.zeros((3, 9))
+    side, pair, sums = np.zeros(MOST, np.int64), np.zeros((3, 9)), make_sums(1)
     for i in range(begin, end):
         first, wide = 0, 0
-        while first < len(radii) and np.isnan(noise[i]):
+        while first < len(radii) and np.isnan(rest[i]):
             last = min(first + _AT_ONCE, len(radii))
             sum_rings(tree, places[i], radii[:last], normal * 0.0, 0.0, moments[:last])
             for j in range(first, last):
@@ -87,7 +106,7 @@ def _noise_range(
                 if count < _TOLD:
                     continue
                 if count > MOST:
-                    noise[i] = np.inf
+                    rest[i] = np.inf
                     break
                 low, middle, high = fit_plane(moments[j], mean, normal)
                 wide = wide + 1 if middle > _WIDE * low else 0
@@ -100,11 +119,14 @@ def _noise_range(
                     within = split_sheets(near, found, normal, mean) if sheets else np.inf
                     if within < _SHEETS * low:
                         variance = min(variance, within)
-                    noise[i] = sqrt(variance / _lower(count - 6.0))
+                    rest[i] = sqrt(variance / _quartile(count - 6.0, -1.0))
+                    sum_heights(tree, places[i], normal, _LARGER * radii[j : j + 1], np.inf, sums)
+                    if fit_heights(sums, 0)[1][2] < _ALIKE * variance * (sums.number[0] - 6.0):
+                        shown[i] = sqrt(variance / _quartile(count - 6.0, 1.0))
                     break
                 if high > LONG * middle:
                     found = gather(tree, places[i], radii[j], near)
                     fit_axis(moments[j], high, normal)
-                    noise[i] = sqrt(fit_ring(near, found, mean, normal)[1] / _lower(count - 6.0))
+                    rest[i] = sqrt(fit_ring(near, found, mean, normal)[1] / _quartile(count - 6.0, -1.0))
                     break
             first = last
