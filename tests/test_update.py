@@ -233,6 +233,16 @@ def test_a_scene_keeps_its_resolution_until_much_of_it_has_changed():
     assert beyond.update(remove=np.arange(200)).resolution > width
 
 
+def test_a_ground_field_resolves_the_same_however_much_of_the_ground_is_steep():
+    x, y = (axis.ravel() for axis in np.meshgrid(np.arange(0, 7.9, 0.04), np.arange(0, 5, 0.04)))
+    scene = gpdf.build_scene(np.column_stack([x, y, 0.4 * np.maximum(4.0 - x, 0.0)]))
+    changed = scene.update(remove=(np.abs(scene.points[:, 0] - 2.0) < 0.9) & (scene.points[:, 1] < 1.0))
+    assert changed.perceived.touched
+    again = from_scratch(changed)
+    assert changed.ground_fields[0].spacing == again.ground_fields[0].spacing
+    assert_equal_scenes(changed, again)
+
+
 def two_storeys():
     """A hall with an upper floor over half of it, which only a stair joins."""
     step = 0.05
