@@ -33,7 +33,6 @@ from gpdf_service.perception.layers import (
     build_layers,
     carried,
     grid_of,
-    kept_nodes,
     layer_gap,
     same_nodes,
     splice_layers,
@@ -302,11 +301,11 @@ def _change_levels(
         sheets = split_sheets(near, config)
     if len(sheets) != len(old.levels.levels):
         raise WholeError
-    kept = kept_nodes(old.survey.layers, layers, cells)
 
     def one(i: int) -> tuple[GroundLevel, Voids, Completion, BoolArray | None]:
         level, inside, moved = old.levels.levels[i], sheets[i], cells.copy()
-        moved.ravel()[layers.cell[inside != carried(old.survey.sheets[i], kept)]] = True  # maybe another node of it
+        before = carried(old.survey.sheets[i], old.survey.layers, layers, cells)
+        moved.ravel()[layers.cell[inside != before]] = True  # maybe another node of it
         was = _seen_of(level.surface)
         part = _Part(cloud, ground, stray, layers, inside, _change_seen(was, layers, inside, moved), cells)
         return _change_level(level, was, old.survey.voids[i], old.survey.completions[i], part, config)

@@ -277,30 +277,37 @@ def heights_in_plan(
     return made, off
 
 
-@njit(cache=True, nogil=True)
-def spliced(changed: BoolArray, start: IntArray, fresh: IntArray) -> tuple[IntArray, IntArray]:
-    """Where the nodes of columns come from when the `changed` ones are taken from others.
+def starts_spliced(changed: BoolArray, start: IntArray, fresh: IntArray) -> IntArray:
+    """Where each cell begins, shape (cells + 1,), when what is in the `changed` ones is taken from others."""
+    return np.concatenate([[0], np.cumsum(np.where(changed, np.diff(fresh), np.diff(start)))])
 
-    Returns:
-        First node of each column, shape (cells + 1,), and for each node its number before or −1 − its fresh number.
+
+def values_spliced(
+    changed: BoolArray, old: NDArray[Any], start: IntArray, new: NDArray[Any], fresh: IntArray, first: IntArray
+) -> NDArray[Any]:
+    """The `old` values by cell, where each begins at its `start`, but in the `changed` cells the new ones, at `fresh`.
+
+    Where each begins then is `first`: `starts_spliced`.
     """
-    first = np.zeros(len(start), np.int64)
-    for c in range(len(changed)):
-        first[c + 1] = first[c] + (fresh[c + 1] - fresh[c] if changed[c] else start[c + 1] - start[c])
-    source = np.empty(first[-1], np.int64)
-    for c in range(len(changed)):
-        for i in range(first[c + 1] - first[c]):
-            source[first[c] + i] = -1 - fresh[c] - i if changed[c] else start[c] + i
-    return first, source
+    made = np.empty((first[-1], *old.shape[1:]), old.dtype)
+    put_cells(~changed, old, start, made, first)
+    put_cells(changed, new, fresh, made, first)
+    return made
 
 
 @njit(cache=True, nogil=True)
-def values_spliced(old: NDArray[Any], fresh: NDArray[Any], source: IntArray) -> NDArray[Any]:
-    """Of each node its value before or, where its `source` is −1 − a number, the fresh one of that number."""
-    made = np.empty((len(source), *old.shape[1:]), old.dtype)
-    for i in range(len(source)):
-        made[i] = old[source[i]] if source[i] >= 0 else fresh[-1 - source[i]]
-    return made
+def put_cells(cells: BoolArray, values: NDArray[Any], start: IntArray, made: NDArray[Any], first: IntArray) -> None:
+    """Copy the values of what is in the `cells`, which begin at their `start`, to where they begin in `made`: `first`.
+
+    Cells beside each other are copied at once.
+    """
+    end = 0
+    while end < len(cells):
+        begin = end
+        while end < len(cells) and cells[end] == cells[begin]:
+            end += 1
+        if cells[begin]:
+            made[first[begin] : first[end]] = values[start[begin] : start[end]]
 
 
 @njit(cache=True, nogil=True)

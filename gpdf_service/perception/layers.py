@@ -22,7 +22,8 @@ from gpdf_service.perception.columns import (
     cut_columns,
     kth_beside,
     pairs_near,
-    spliced,
+    put_cells,
+    starts_spliced,
     values_spliced,
 )
 from gpdf_service.types import BoolArray, FloatArray, IntArray
@@ -138,25 +139,19 @@ def same_nodes(one: Layers, other: Layers) -> bool:
 
 def splice_layers(layers: Layers, changed: BoolArray, fresh: Layers | None) -> Layers:
     """Layers with all nodes of the `changed` cells, shape (cells,), replaced by those of `fresh` on the same grid."""
-    first = np.zeros_like(layers.start) if fresh is None else fresh.start
-    start, source = spliced(changed, layers.start, first)
-    new, nothing = layers if fresh is None else fresh, np.zeros(0, np.int64)
+    new, begin = (layers, np.zeros_like(layers.start)) if fresh is None else (fresh, fresh.start)
+    start = starts_spliced(changed, layers.start, begin)
     cell, place, height, thickness, headroom = (
-        values_spliced(getattr(layers, name), getattr(new, name), source) for name in _OWN
+        values_spliced(changed, getattr(layers, name), layers.start, getattr(new, name), begin, start) for name in _OWN
     )
-    grid = layers.origin, layers.cell_width, layers.shape
+    grid, nothing = (layers.origin, layers.cell_width, layers.shape), np.zeros(0, np.int64)
     return Layers(*grid, cell, place, height, thickness, headroom, nothing, start)
 
 
-def kept_nodes(old: Layers, layers: Layers, cells: BoolArray) -> IntArray:
-    """Which of the `old` nodes each one is, -1 in the columns `cells`, which are others than before, shape (k,)."""
-    return np.maximum(spliced(cells.ravel(), old.start, layers.start)[1], -1)
-
-
-def carried(values: NDArray[Any], kept: IntArray) -> NDArray[Any]:
-    """The values of the nodes before, `kept_nodes`; of those that were none NaN, or false."""
-    nothing = np.full(1, False if values.dtype == bool else np.nan, values.dtype)
-    made: NDArray[Any] = values_spliced(values, nothing, kept)
+def carried(values: NDArray[Any], old: Layers, layers: Layers, cells: BoolArray) -> NDArray[Any]:
+    """The values of the nodes before; of those in the columns `cells`, (nx, ny), which were others, NaN, or false."""
+    made = np.full(len(layers.cell), False if values.dtype == bool else np.nan, values.dtype)
+    put_cells(~cells.ravel(), values, old.start, made, layers.start)
     return made
 
 
