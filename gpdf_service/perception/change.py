@@ -22,11 +22,13 @@ from gpdf_service.perception.columns import (
     by_cell,
     cells_in_box,
     more_now,
+    rows_by_cell,
     rows_in_box,
     rows_in_cells,
     rows_of_cells,
+    starts_spliced,
     taken,
-    without_rows,
+    values_spliced,
 )
 from gpdf_service.perception.layers import (
     Layers,
@@ -50,6 +52,7 @@ from gpdf_service.perception.levels import (
     complete_again,
     find_ledges,
     find_portals,
+    in_order,
     lowest_and_highest,
     make_level,
     rise_of_sheets,
@@ -186,20 +189,11 @@ class _Cloud:
         high: Upper corner [m], shape (2,).
     """
 
-    def __init__(self, points: FloatArray, low: FloatArray, high: FloatArray, rows: IntArray | None = None) -> None:
+    def __init__(self, points: FloatArray, low: FloatArray, high: FloatArray) -> None:
         self.points, self.low, self.high = points, low, high
-        self._rows: IntArray = rows_in_box(points, low, high) if rows is None else rows
+        self._rows: IntArray = rows_in_box(points, low, high)
         self._near = taken(points, self._rows)
         self._sorted: dict[bytes, tuple[tuple[slice, slice], IntArray, IntArray]] = {}
-
-    def without(self, gone: IntArray, fresh: FloatArray) -> _Cloud:
-        """The cloud without the rows that are `gone`, sorted, and with `fresh` points (k, 3) after the others."""
-        stay = np.ones(len(self.points), dtype=bool)
-        stay[gone] = False
-        points = without_rows(self.points, stay, fresh)
-        rows = self._rows[stay[self._rows]]
-        rows = np.concatenate([rows - np.searchsorted(gone, rows), np.arange(len(points) - len(fresh), len(points))])
-        return _Cloud(points, self.low, self.high, rows)
 
     def rows_in(self, grid: Layers | HeightMap, wanted: BoolArray) -> IntArray:
         """Rows of the points in the `wanted` cells of a grid, shape (nx, ny); sorted."""
@@ -302,16 +296,18 @@ def _change_levels(
     if len(sheets) != len(old.levels.levels):
         raise WholeError
 
-    def one(i: int) -> tuple[GroundLevel, Voids, Completion, BoolArray | None]:
+    def one(i: int) -> tuple[GroundLevel, Voids, Completion, IntArray, BoolArray | None]:
         level, inside, moved = old.levels.levels[i], sheets[i], cells.copy()
         before = carried(old.survey.sheets[i], old.survey.layers, layers, cells)
         moved.ravel()[layers.cell[inside != before]] = True  # maybe another node of it
         was = _seen_of(level.surface)
         part = _Part(cloud, ground, stray, layers, inside, _change_seen(was, layers, inside, moved), cells)
-        return _change_level(level, was, old.survey.voids[i], old.survey.completions[i], part, config)
+        survey = old.survey
+        return _change_level(level, was, survey.voids[i], survey.completions[i], survey.first[i], part, config)
 
-    known, voids, completions, touched = zip(*run_parallel(one, range(len(sheets))), strict=True)
-    return Levels(known, find_portals(layers, sheets)), Survey(near, stray, sheets, voids, completions), touched
+    known, voids, completions, first, touched = zip(*run_parallel(one, range(len(sheets))), strict=True)
+    survey = Survey(near, stray, sheets, voids, completions, first)
+    return Levels(known, find_portals(layers, sheets)), survey, touched
 
 
 def _change_seen(was: HeightMap, layers: Layers, inside: BoolArray, moved: BoolArray) -> HeightMap:
@@ -354,31 +350,37 @@ class _Part:
 
 
 def _change_level(
-    old: GroundLevel, was: HeightMap, voids: Voids, completion: Completion, part: _Part, config: PerceptionConfig
-) -> tuple[GroundLevel, Voids, Completion, BoolArray | None]:
+    old: GroundLevel,
+    was: HeightMap,
+    voids: Voids,
+    completion: Completion,
+    first: IntArray,
+    part: _Part,
+    config: PerceptionConfig,
+) -> tuple[GroundLevel, Voids, Completion, IntArray, BoolArray | None]:
     width, seen = part.seen.cell_width, part.seen
     moved = differ(was.height, seen.height)
     cells = part.cells | _felt(was, seen, moved)
     box, rest = _around(cells, width), part.rest(cells, config)
     fresh = within_reach(rest, seen, box)
     now = _change_voids(voids, cells, find_voids(seen, rest, config.max_step, box=box), box)
-    held = _Cloud(old.other_points, part.cloud.low, part.cloud.high)
-    gone = held.rows_in(seen, cells)
-    other, ledge = old.other_points, old.ledge
+    other, ledge, begin = old.other_points, old.ledge, first
+    gone = rows_by_cell(cells, first)
     swapped = _other_cells(seen, other[gone], fresh)
     before = _with(other[gone], ledge[gone])
     if swapped.any():
-        held = held.without(gone, fresh)
-        other = held.points
-        ledge = np.concatenate([np.delete(ledge, gone), np.full(len(fresh), np.inf, np.float32)])
+        (fresh, new), flat = in_order(fresh, seen), cells.ravel()
+        begin = starts_spliced(flat, first, new)
+        other = values_spliced(flat, other, first, fresh, new, begin)
+        ledge = values_spliced(flat, ledge, first, np.full(len(fresh), np.inf, np.float32), new, begin)
     surface, limits, measured = old.surface, old.limits, old.measured
     if moved.any() or swapped.any() or any((a != b).any() for a, b in zip(now, voids, strict=True)):
-        at_hand = partial(_in_box, held, seen)
+        at_hand = partial(_in_box, other, begin, seen)
         surface, completion = complete_again(surface, completion, seen, at_hand, now, swapped, config)
         measured = change_step_and_slope(surface, changed(old.surface, surface), *measured)
         limits = find_limits(surface, completion.guarded, measured)
     other_ground = changed(old.surface, surface)
-    asked = held.rows_in(surface, cells | _ledge_cells(part, surface, other_ground))
+    asked = rows_by_cell(cells | _ledge_cells(part, surface, other_ground), begin)
     found = _ledges_of(part, surface, other[asked])
     after = asked[cells[surface.cells(other[asked])[:2]]]
     stepped = _cells_of(other[asked][ledge[asked] != found], part.layers) & ~cells
@@ -387,15 +389,15 @@ def _change_level(
     stepped |= _other_cells(surface, before, _with(other[after], ledge[after]))
     touched = widened(stepped, 1) | widened(other_ground, limits_reach(surface))
     if not touched.any():
-        return old, voids, completion, None
-    return make_level(surface, other, ledge, limits, measured), now, completion, touched
+        return old, voids, completion, first, None
+    return make_level(surface, other, ledge, limits, measured), now, completion, begin, touched
 
 
-def _in_box(cloud: _Cloud, surface: HeightMap, box: Box) -> FloatArray:
-    """The points in a box of cells."""
+def _in_box(points: FloatArray, first: IntArray, surface: HeightMap, box: Box) -> FloatArray:
+    """The points in a box of cells, of points by cell."""
     cells = np.zeros(surface.state.shape, dtype=bool)
     cells[box] = True
-    return taken(cloud.points, cloud.rows_in(surface, cells))
+    return taken(points, rows_by_cell(cells, first))
 
 
 def _around(cells: BoolArray, width: float) -> Box:

@@ -359,6 +359,14 @@ def rows_of_cells(wanted: BoolArray, start: IntArray, order: IntArray) -> IntArr
     return np.flatnonzero(found)
 
 
+def rows_by_cell(wanted: BoolArray, start: IntArray) -> IntArray:
+    """Rows of the points in the `wanted` cells, shape (nx, ny), of points by cell, where each begins at its `start`."""
+    cells = np.flatnonzero(wanted)
+    count = start[cells + 1] - start[cells]
+    before = np.concatenate([[0], np.cumsum(count)])
+    return np.repeat(start[cells] - before[:-1], count) + np.arange(before[-1])
+
+
 def rows_in_box(points: FloatArray, low: FloatArray, high: FloatArray) -> IntArray:
     """Rows of the points (n, 3) between `low` and `high` in plan, shape (2,); sorted."""
     begin = range(0, max(len(points), 1), _SHARE)

@@ -22,6 +22,7 @@ from gpdf_service.perception.columns import (
     ends_of_runs,
     heights_in_plan,
     lowest_above,
+    taken,
 )
 from gpdf_service.perception.hidden import FACE_REACH, find_faces, hidden_reach, without_hidden
 from gpdf_service.perception.layers import Layers, build_layers, cell_width_of, layer_gap
@@ -161,6 +162,7 @@ class Survey:
         sheets: Which nodes are of each level, shape (k,).
         voids: One a level.
         completions: One a level.
+        first: For each level where the other points of each cell begin, shape (cells + 1,): they are in this order.
     """
 
     near: Beside
@@ -168,6 +170,7 @@ class Survey:
     sheets: tuple[BoolArray, ...]
     voids: tuple[Voids, ...]
     completions: tuple[Completion, ...]
+    first: tuple[IntArray, ...]
 
     @property
     def layers(self) -> Layers:
@@ -206,8 +209,8 @@ def survey_levels(
     stray = alone_ & ~ground
     own = points, ground, stray, floor, near.layers
     made = run_parallel(lambda sheet: _build_level(*own, sheet, config, noise), sheets)
-    levels, voids, completions = zip(*made, strict=True)
-    return Levels(levels, find_portals(near.layers, sheets)), Survey(near, stray, sheets, voids, completions)
+    levels, voids, completions, first = zip(*made, strict=True)
+    return Levels(levels, find_portals(near.layers, sheets)), Survey(near, stray, sheets, voids, completions, first)
 
 
 def find_portals(layers: Layers, sheets: tuple[BoolArray, ...]) -> tuple[Portal, ...]:
@@ -331,7 +334,7 @@ def _build_level(
     inside: BoolArray,
     config: PerceptionConfig,
     noise: float,
-) -> tuple[GroundLevel, Voids, Completion]:
+) -> tuple[GroundLevel, Voids, Completion, IntArray]:
     """The sheet of these nodes, of the layers of the `floor`: those of the points that are ground."""
     seen = sheet_surface(layers, np.flatnonzero(inside), noise)
     gone = stray.copy()
@@ -339,15 +342,15 @@ def _build_level(
     cell = cells_within(points, seen)
     cell[gone] = seen.state.size  # as those outside: in no cell
 
-    def reach() -> tuple[FloatArray, Held]:
-        other = within_reach(points, seen, cell=cell)
-        return other, in_cells(other, seen)
+    def reach() -> tuple[FloatArray, IntArray, Held]:
+        other, first = in_order(within_reach(points, seen, cell=cell), seen)
+        return other, first, in_cells(other, seen)
 
     def look_through() -> tuple[Nearest, Voids]:
         near = nearest_seen(seen)
         return near, find_voids(seen, points, config.max_step, near, cell=cell)
 
-    (other, held), (near, voids) = run_beside(reach, look_through)
+    (other, first, held), (near, voids) = run_beside(reach, look_through)
     surface, completion = complete(seen, held, voids, config, near, noise)
 
     def measure() -> tuple[Measured, GroundLimits]:
@@ -355,7 +358,7 @@ def _build_level(
         return measured, find_limits(surface, completion.guarded, measured)
 
     ledge, (measured, limits) = run_beside(partial(find_ledges, surface, floor, other, noise), measure)
-    return make_level(surface, other, ledge, limits, measured), voids, completion
+    return make_level(surface, other, ledge, limits, measured), voids, completion, first
 
 
 def sheet_surface(layers: Layers, nodes: IntArray, noise: float = 0.0, box: Box | None = None) -> HeightMap:
@@ -453,6 +456,12 @@ def complete_again(
     part = without_hidden(cropped(opened, outer), lowest[outer], face[outer])
     made = Completion(lowest, filled, shut, stair, guarded, opened, face)
     return pasted_ground(surface, part, inner, outer), made
+
+
+def in_order(other: FloatArray, surface: HeightMap) -> tuple[FloatArray, IntArray]:
+    """The `other` points (m, 3) in the order of their cells, and where each cell begins, shape (cells + 1,)."""
+    first, order = by_cell(cells_within(other, surface), surface.state.size)
+    return taken(other, order), first
 
 
 def in_cells(other: FloatArray, surface: HeightMap, box: Box = WHOLE) -> Held:
