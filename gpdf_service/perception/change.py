@@ -26,6 +26,7 @@ from gpdf_service.perception.columns import (
     rows_in_box,
     rows_in_cells,
     rows_of_cells,
+    runs_of,
     starts_spliced,
     taken,
     values_spliced,
@@ -35,6 +36,7 @@ from gpdf_service.perception.layers import (
     build_layers,
     carried,
     grid_of,
+    kept_nodes,
     layer_gap,
     same_nodes,
     splice_layers,
@@ -295,11 +297,11 @@ def _change_levels(
         sheets = split_sheets(near, config)
     if len(sheets) != len(old.levels.levels):
         raise WholeError
+    kept = kept_nodes(old.survey.layers, layers, cells)
 
     def one(i: int) -> tuple[GroundLevel, Voids, Completion, IntArray, BoolArray | None]:
         level, inside, moved = old.levels.levels[i], sheets[i], cells.copy()
-        before = carried(old.survey.sheets[i], old.survey.layers, layers, cells)
-        moved.ravel()[layers.cell[inside != before]] = True  # maybe another node of it
+        moved.ravel()[layers.cell[inside != carried(old.survey.sheets[i], kept)]] = True  # maybe another node of it
         was = _seen_of(level.surface)
         part = _Part(cloud, ground, stray, layers, inside, _change_seen(was, layers, inside, moved), cells)
         survey = old.survey
@@ -370,9 +372,9 @@ def _change_level(
     before = _with(other[gone], ledge[gone])
     if swapped.any():
         (fresh, new), flat = in_order(fresh, seen), cells.ravel()
-        begin = starts_spliced(flat, first, new)
-        other = values_spliced(flat, other, first, fresh, new, begin)
-        ledge = values_spliced(flat, ledge, first, np.full(len(fresh), np.inf, np.float32), new, begin)
+        begin, runs = starts_spliced(flat, first, new), runs_of(flat, first, new)
+        other = values_spliced(runs, other, fresh)
+        ledge = values_spliced(runs, ledge, np.full(len(fresh), np.inf, np.float32))
     surface, limits, measured = old.surface, old.limits, old.measured
     if moved.any() or swapped.any() or any((a != b).any() for a, b in zip(now, voids, strict=True)):
         at_hand = partial(_in_box, other, begin, seen)

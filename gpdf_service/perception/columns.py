@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -277,37 +278,25 @@ def heights_in_plan(
     return made, off
 
 
+Runs = list[tuple[bool, slice]]
+"""Cells beside each other that all changed, or none of them, one run after another, and where their values lie."""
+
+
+def runs_of(changed: BoolArray, start: IntArray, fresh: IntArray) -> Runs:
+    """Runs of cells, shape (cells,): what is in the `changed` ones begins at `fresh`, (cells + 1,), else at `start`."""
+    ends = [0, *(np.flatnonzero(changed[1:] != changed[:-1]) + 1), len(changed)]
+    found = [(bool(changed[a]), fresh if changed[a] else start, a, b) for a, b in pairwise(ends)]
+    return [(other, slice(int(place[a]), int(place[b]))) for other, place, a, b in found]
+
+
 def starts_spliced(changed: BoolArray, start: IntArray, fresh: IntArray) -> IntArray:
     """Where each cell begins, shape (cells + 1,), when what is in the `changed` ones is taken from others."""
     return np.concatenate([[0], np.cumsum(np.where(changed, np.diff(fresh), np.diff(start)))])
 
 
-def values_spliced(
-    changed: BoolArray, old: NDArray[Any], start: IntArray, new: NDArray[Any], fresh: IntArray, first: IntArray
-) -> NDArray[Any]:
-    """The `old` values by cell, where each begins at its `start`, but in the `changed` cells the new ones, at `fresh`.
-
-    Where each begins then is `first`: `starts_spliced`.
-    """
-    made = np.empty((first[-1], *old.shape[1:]), old.dtype)
-    put_cells(~changed, old, start, made, first)
-    put_cells(changed, new, fresh, made, first)
-    return made
-
-
-@njit(cache=True, nogil=True)
-def put_cells(cells: BoolArray, values: NDArray[Any], start: IntArray, made: NDArray[Any], first: IntArray) -> None:
-    """Copy the values of what is in the `cells`, which begin at their `start`, to where they begin in `made`: `first`.
-
-    Cells beside each other are copied at once.
-    """
-    end = 0
-    while end < len(cells):
-        begin = end
-        while end < len(cells) and cells[end] == cells[begin]:
-            end += 1
-        if cells[begin]:
-            made[first[begin] : first[end]] = values[start[begin] : start[end]]
+def values_spliced(runs: Runs, old: NDArray[Any], new: NDArray[Any]) -> NDArray[Any]:
+    """The `old` values by cell, but of the cells that changed the `new` ones."""
+    return np.concatenate([(new if changed else old)[part] for changed, part in runs])
 
 
 @njit(cache=True, nogil=True)

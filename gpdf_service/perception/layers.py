@@ -12,6 +12,7 @@ from scipy.spatial import cKDTree
 from gpdf_service.config import PerceptionConfig
 from gpdf_service.fields.threads import run_chunked
 from gpdf_service.perception.columns import (
+    Runs,
     bounds_of,
     by_cell,
     cells_of,
@@ -22,7 +23,7 @@ from gpdf_service.perception.columns import (
     cut_columns,
     kth_beside,
     pairs_near,
-    put_cells,
+    runs_of,
     starts_spliced,
     values_spliced,
 )
@@ -140,19 +141,23 @@ def same_nodes(one: Layers, other: Layers) -> bool:
 def splice_layers(layers: Layers, changed: BoolArray, fresh: Layers | None) -> Layers:
     """Layers with all nodes of the `changed` cells, shape (cells,), replaced by those of `fresh` on the same grid."""
     new, begin = (layers, np.zeros_like(layers.start)) if fresh is None else (fresh, fresh.start)
-    start = starts_spliced(changed, layers.start, begin)
+    start, runs = starts_spliced(changed, layers.start, begin), runs_of(changed, layers.start, begin)
     cell, place, height, thickness, headroom = (
-        values_spliced(changed, getattr(layers, name), layers.start, getattr(new, name), begin, start) for name in _OWN
+        values_spliced(runs, getattr(layers, name), getattr(new, name)) for name in _OWN
     )
     grid, nothing = (layers.origin, layers.cell_width, layers.shape), np.zeros(0, np.int64)
     return Layers(*grid, cell, place, height, thickness, headroom, nothing, start)
 
 
-def carried(values: NDArray[Any], old: Layers, layers: Layers, cells: BoolArray) -> NDArray[Any]:
-    """The values of the nodes before; of those in the columns `cells`, (nx, ny), which were others, NaN, or false."""
-    made = np.full(len(layers.cell), False if values.dtype == bool else np.nan, values.dtype)
-    put_cells(~cells.ravel(), values, old.start, made, layers.start)
-    return made
+def kept_nodes(old: Layers, layers: Layers, cells: BoolArray) -> Runs:
+    """Nodes of `layers` that are those of the `old` ones, but in the columns `cells`, shape (nx, ny)."""
+    return runs_of(cells.ravel(), old.start, layers.start)
+
+
+def carried(values: NDArray[Any], kept: Runs) -> NDArray[Any]:
+    """The values of the nodes before, `kept_nodes`; of those that were none NaN, or false."""
+    nothing = np.full(max(part.stop for _, part in kept), False if values.dtype == bool else np.nan, values.dtype)
+    return values_spliced(kept, values, nothing)
 
 
 def crop_layers(layers: Layers, box: tuple[slice, slice]) -> tuple[Layers, IntArray]:

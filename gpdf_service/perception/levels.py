@@ -272,7 +272,7 @@ def split_sheets(near: Beside, config: PerceptionConfig) -> tuple[BoolArray, ...
     made = [np.flatnonzero(sheet_of == i) for i in range(sheets)]
     grid, rings = (layers.cell, layers.start, layers.shape, layers.height), int(np.ceil(OVERLAP / layers.cell_width))
     large = sorted((n for n in made if len(n) >= least), key=lambda nodes: float(np.median(layers.height[nodes])))
-    return tuple(grown_sheet(*grid, keep, nodes, config.max_step, rings) for nodes in large)
+    return tuple(run_parallel(lambda nodes: grown_sheet(*grid, keep, nodes, config.max_step, rings), large))
 
 
 def rise_of_sheets(layers: Layers, config: PerceptionConfig) -> float:

@@ -15,7 +15,7 @@ from gpdf_service.errors import NoGroundError
 from gpdf_service.fields.threads import run_beside, run_chunked
 from gpdf_service.perception.beside import Beside, beside, beside_now
 from gpdf_service.perception.bumps import cells_around, low_things, raised_over_sides
-from gpdf_service.perception.columns import by_cell, medians_around
+from gpdf_service.perception.columns import Runs, by_cell, medians_around
 from gpdf_service.perception.layers import (
     Layers,
     Pairs,
@@ -25,6 +25,7 @@ from gpdf_service.perception.layers import (
     connect,
     crop_layers,
     in_steps,
+    kept_nodes,
     layer_gap,
 )
 from gpdf_service.perception.limits import widened, window
@@ -107,9 +108,9 @@ class Found(NamedTuple):
     ground: BoolArray
     raised: FloatArray
 
-    def carried(self, near: Beside, cells: BoolArray) -> Found:
-        """What is known of the nodes of `near`, which are those of before but in the `cells`; NaN of the others."""
-        return Found(near, *(carried(values, self.near.layers, near.layers, cells) for values in self[1:]))
+    def carried(self, near: Beside, kept: Runs) -> Found:
+        """What is known of the nodes of `near`, which are those that were `kept`; NaN of the others."""
+        return Found(near, *(carried(values, kept) for values in self[1:]))
 
 
 @dataclass(frozen=True, slots=True)
@@ -194,9 +195,10 @@ def change_segmentation(
     Returns:
         The segmentation, and the cells whose points can be something else by it, shape (nx, ny).
     """
+    kept = kept_nodes(old.layers, layers, cells)
     near = beside_now(old.found.near, layers, _rise_of_steps(layers, config), cells)
-    ground, found = find_ground(layers, config, known=old.found.carried(near, cells))
-    values = [carried(before, old.layers, layers, cells) for before in (old.low, old.high, old.beside)]
+    ground, found = find_ground(layers, config, known=old.found.carried(near, kept))
+    values = [carried(before, kept) for before in (old.low, old.high, old.beside)]
     felt = cells.copy()
     felt.ravel()[layers.cell[ground != np.isfinite(values[0])]] = True
     felt = widened(felt, 2)
