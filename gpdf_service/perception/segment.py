@@ -100,6 +100,7 @@ class Found(NamedTuple):
         slope: Of those [rad], shape (k,).
         ground: Which are ground or a low thing on it, shape (k,).
         raised: `raised_over_sides` of that [m], shape (k,).
+        rough: Around low things [m], see `low_things`, shape (k,).
     """
 
     near: Beside
@@ -107,6 +108,7 @@ class Found(NamedTuple):
     slope: FloatArray
     ground: BoolArray
     raised: FloatArray
+    rough: FloatArray
 
     def carried(self, near: Beside, kept: Runs) -> Found:
         """What is known of the nodes of `near`, which are those that were `kept`; NaN of the others."""
@@ -197,7 +199,7 @@ def change_segmentation(
     """
     kept = kept_nodes(old.layers, layers, cells)
     near = beside_now(old.found.near, layers, _rise_of_steps(layers, config), cells)
-    ground, found = find_ground(layers, config, known=old.found.carried(near, kept))
+    ground, found = find_ground(layers, config, known=(old.found.carried(near, kept), cells))
     values = [carried(before, kept) for before in (old.low, old.high, old.beside)]
     felt = cells.copy()
     felt.ravel()[layers.cell[ground != np.isfinite(values[0])]] = True
@@ -255,16 +257,18 @@ def _smoothed(layers: Layers, ground: BoolArray) -> FloatArray:
 
 
 def find_ground(
-    layers: Layers, config: PerceptionConfig, noise: float = 0.0, known: Found | None = None
+    layers: Layers, config: PerceptionConfig, noise: float = 0.0, known: tuple[Found, BoolArray] | None = None
 ) -> tuple[BoolArray, Found]:
     """Which nodes are ground, shape (k,), and what that was found from: what is `known` of an earlier version.
+
+    That has other nodes in some columns, shape (nx, ny).
 
     Patches are sets of nodes joined by walkable slopes. From the bulk, the ground grows patch by patch over steps that
     a body takes, to patches that a foot fits on and that do not lie, as a bench does, over ground already found.
     """
     surface = layers.thickness <= config.max_step + 4.0 * noise  # a step's face, from the lowest point to the highest
     rise = layers.cell_width * float(np.tan(config.steepest))
-    near = beside(layers, _rise_of_steps(layers, config)) if known is None else known.near
+    near = beside(layers, _rise_of_steps(layers, config)) if known is None else known[0].near
     smooth = near.degrees(surface, rise)
     core = surface & (smooth >= 5)  # what a strip two cells wide has: a tread is that wide, a wall's top is not
     if not core.any():
@@ -294,14 +298,16 @@ def find_ground(
         if not len(_beside(reached, joins, seen)):
             break
         ground = reached
-    slope = _slope(layers, reached, config, known and known[1:3])
+    slope = _slope(layers, reached, config, known)
     level = reached & (slope <= config.standable_slope)
     found: BoolArray = reached & ~_roofs(near, reached, level, [large[i] for i in storeys], joins, config)
-    raised = raised_over_sides(layers, found, config, known and known[3:])
-    ground = found & ~low_things(layers, found, raised, config)
+    before = known and (*known[0][3:], known[1])
+    raised = raised_over_sides(layers, found, config, before)
+    low, rough = low_things(layers, found, raised, config, before)
+    ground = found & ~low
     if not ground.any():
         raise NoGroundError(*NOWHERE)
-    return ground, Found(near, reached, slope, found, raised)
+    return ground, Found(near, reached, slope, found, raised, rough)
 
 
 def _rise_of_steps(layers: Layers, config: PerceptionConfig) -> float:
@@ -368,17 +374,17 @@ def _within_reach(
 
 
 def _slope(
-    layers: Layers, ground: BoolArray, config: PerceptionConfig, known: tuple[BoolArray, FloatArray] | None = None
+    layers: Layers, ground: BoolArray, config: PerceptionConfig, known: tuple[Found, BoolArray] | None = None
 ) -> FloatArray:
     """Slope at each ground node [rad], of the mean gradient of it and its neighbours on the same slope.
 
-    What was found of another ground is `known`, NaN for nodes that were none: neighbours of neighbours decide on it.
+    What was found of another ground, and of other nodes in some cells, is `known`: neighbours of neighbours decide.
     """
     rise = 2.0 * layers.cell_width * float(np.tan(config.steepest))  # or noise would flatten it
     if known is None:
         return _slopes(layers, connect(layers, ground, rise))
-    before, slope = known
-    felt = cells_around(layers, (before != ground) | np.isnan(slope), 2)
+    (_, before, slope, *_), cells = known
+    felt = cells_around(layers, before != ground, 2, cells)
     if not felt.any():
         return slope
     part, nodes = crop_layers(layers, window(felt, 2))
