@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gpdf_service.config import PerceptionConfig
-from gpdf_service.fields.threads import run_parallel
+from gpdf_service.fields.threads import run_beside, run_parallel
 from gpdf_service.perception.beside import beside_now
 from gpdf_service.perception.columns import (
     bounds_of,
@@ -63,6 +63,8 @@ from gpdf_service.perception.levels import (
     within_reach,
 )
 from gpdf_service.perception.limits import (
+    GroundLimits,
+    Measured,
     change_step_and_slope,
     find_limits,
     limits_reach,
@@ -375,15 +377,21 @@ def _change_level(
         begin, runs = starts_spliced(flat, first, new), runs_of(flat, first, new)
         other = values_spliced(runs, other, fresh)
         ledge = values_spliced(runs, ledge, np.full(len(fresh), np.inf, np.float32))
-    surface, limits, measured = old.surface, old.limits, old.measured
-    if moved.any() or swapped.any() or any((a != b).any() for a, b in zip(now, voids, strict=True)):
+    surface = old.surface
+    again = moved.any() or swapped.any() or any((a != b).any() for a, b in zip(now, voids, strict=True))
+    if again:
         at_hand = partial(_in_box, other, begin, seen)
         surface, completion = complete_again(surface, completion, seen, at_hand, now, swapped, config)
-        measured = change_step_and_slope(surface, changed(old.surface, surface), *measured)
-        limits = find_limits(surface, completion.guarded, measured)
     other_ground = changed(old.surface, surface)
+
+    def measure() -> tuple[Measured, GroundLimits]:
+        if not again:
+            return old.measured, old.limits
+        measured = change_step_and_slope(surface, other_ground, *old.measured)
+        return measured, find_limits(surface, completion.guarded, measured)
+
     asked = rows_by_cell(cells | _ledge_cells(part, surface, other_ground), begin)
-    found = _ledges_of(part, surface, other[asked])
+    (measured, limits), found = run_beside(measure, partial(_ledges_of, part, surface, other[asked]))
     after = asked[cells[surface.cells(other[asked])[:2]]]
     stepped = _cells_of(other[asked][ledge[asked] != found], part.layers) & ~cells
     ledge = ledge.copy()

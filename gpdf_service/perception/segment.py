@@ -276,8 +276,11 @@ def find_ground(
     keep = surface & (layers.headroom >= config.step_headroom)
     piece, loose, steps = near.pieces(core & keep, rise, surface, keep, config.max_step)
     wide, patch = with_rims(core, keep, piece, *loose)
-    under, below = _undersides(layers, surface & ~wide, wide, patch, loose, config)
-    joins = _joins(layers, config, wide, smooth == 8, patch, pairs_within(*steps, wide, True, patch), below)
+    (under, below), joins = run_beside(
+        partial(_undersides, layers, surface & ~wide, wide, patch, loose, config),
+        partial(_joins, layers, config, wide, smooth == 8, patch, pairs_within(*steps, wide, True, patch)),
+    )
+    joins = joins.but(below, patch)
     large = {int(i): joins.nodes_of(int(i)) for i in np.flatnonzero(joins.size >= BULK_SHARE * joins.size.max())}
     height = {i: float(np.median(layers.height[nodes])) for i, nodes in large.items()}
     bulk = min(large, key=height.__getitem__)
@@ -447,6 +450,13 @@ class _Joins:
         """Nodes of a patch, sorted."""
         return self.members[self.start[patch] : self.start[patch + 1]]
 
+    def but(self, below: IntArray, patch: IntArray) -> _Joins:
+        """Without steps down to a patch that `below` tells of, as `_undersides` does, each node being of a `patch`."""
+        if not len(below):
+            return self
+        good = ~np.isin(self.to * len(self.size) + patch[self.a], below)
+        return replace(self, a=self.a[good], b=self.b[good], to=self.to[good])
+
 
 def _joins(
     layers: Layers,
@@ -455,9 +465,8 @@ def _joins(
     inner: BoolArray,
     patch: IntArray,
     steps: Pairs,
-    below: IntArray,
 ) -> _Joins:
-    """The steps between the patches, but for those down to a patch that `below` tells of, as `_undersides` does."""
+    """The steps between the patches."""
     standable, tread = _shapes(layers, wide, patch, config)
     start, members = by_cell(patch, len(standable))
     count = np.bincount(patch[wide], minlength=len(standable))
@@ -466,7 +475,7 @@ def _joins(
     a, b = np.concatenate(steps), np.concatenate(steps[::-1])
     rise = np.abs(layers.height[a] - _level_of_furniture(layers, small, start, members, patch, b))
     allowed = np.where(standable[patch[b]], config.max_step, np.where(tread[patch[b]], config.stair_step, -1.0))
-    join = (rise <= allowed) & ~np.isin(patch[b] * len(standable) + patch[a], below)
+    join = rise <= allowed
     a, b, mean = a[join], b[join], level / np.maximum(count, 1)
     return _Joins(a, b, patch[b], standable, small, count, inner, mean, start, members)
 
