@@ -238,7 +238,7 @@ _AT_HAND = 3.0 * OVERLAP
 
 def _columns(cloud: _Cloud, rows: IntArray, layers: Layers, config: PerceptionConfig) -> Layers:
     """Layers of whole columns, the points `rows` of `cloud`, on the grid of `layers`."""
-    return build_layers(cloud.points[rows], layers.cell_width, layer_gap(layers.cell_width, config), like=layers)
+    return build_layers(taken(cloud.points, rows), layers.cell_width, layer_gap(layers.cell_width, config), like=layers)
 
 
 def _change_layers(layers: Layers, cloud: _Cloud, rows: IntArray, cells: BoolArray, config: PerceptionConfig) -> Layers:
@@ -273,10 +273,11 @@ def _change_strays(stray: BoolArray, cloud: _Cloud, ground: BoolArray, places: F
     voxel = np.floor(places[:, :2] / width)
     low, high = voxel.min(axis=0), voxel.max(axis=0) + 1.0
     near = cloud.rows_in_box((low - 3.0) * width, (high + 3.0) * width)
-    column = np.floor(cloud.points[near, :2] / width)
+    points = taken(cloud.points, near)
+    column = np.floor(points[:, :2] / width)
     sure = np.logical_and.reduce((column >= low - 1.0) & (column < high + 1.0), axis=1)
     made = stray.copy()
-    made[near[sure]] = find_strays(cloud.points[near], width)[sure]
+    made[near[sure]] = find_strays(points, width)[sure]
     return made & ~ground
 
 
@@ -370,8 +371,9 @@ def _change_level(
     now = _change_voids(voids, cells, find_voids(seen, rest, config.max_step, box=box), box)
     other, ledge, begin = old.other_points, old.ledge, first
     gone = rows_by_cell(cells, first)
-    swapped = _other_cells(seen, other[gone], fresh)
-    before = _with(other[gone], ledge[gone])
+    lost = taken(other, gone)
+    swapped = _other_cells(seen, lost, fresh)
+    before = _with(lost, ledge[gone])
     if swapped.any():
         (fresh, new), flat = in_order(fresh, seen), cells.ravel()
         begin, runs = starts_spliced(flat, first, new), runs_of(flat, first, new)
@@ -391,12 +393,13 @@ def _change_level(
         return measured, find_limits(surface, completion.guarded, measured)
 
     asked = rows_by_cell(cells | _ledge_cells(part, surface, other_ground), begin)
-    (measured, limits), found = run_beside(measure, partial(_ledges_of, part, surface, other[asked]))
-    after = asked[cells[surface.cells(other[asked])[:2]]]
-    stepped = _cells_of(other[asked][ledge[asked] != found], part.layers) & ~cells
+    places = taken(other, asked)
+    (measured, limits), found = run_beside(measure, partial(_ledges_of, part, surface, places))
+    after = cells[surface.cells(places)[:2]]
+    stepped = _cells_of(places[ledge[asked] != found], part.layers) & ~cells
+    stepped |= _other_cells(surface, before, _with(places[after], found[after]))
     ledge = ledge.copy()
     ledge[asked] = found
-    stepped |= _other_cells(surface, before, _with(other[after], ledge[after]))
     touched = widened(stepped, 1) | widened(other_ground, limits_reach(surface))
     if not touched.any():
         return old, voids, completion, first, None
@@ -482,7 +485,7 @@ def _ledges_of(part: _Part, surface: HeightMap, other: FloatArray) -> NDArray[np
     reach = _ledge_reach(surface)
     rows = part.cloud.rows_in(part.layers, widened(cells, reach))
     box = window(cells, reach + HIGH) if len(other) else NOWHERE
-    return find_ledges(surface, part.cloud.points[rows[part.ground[rows]]], other, box=box)
+    return find_ledges(surface, taken(part.cloud.points, rows[part.ground[rows]]), other, box=box)
 
 
 def changed_cells(old: HeightMap, new: HeightMap) -> BoolArray | None:
