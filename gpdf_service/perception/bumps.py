@@ -194,7 +194,7 @@ def _around(
             near, far = max(0, own[2] - reach), min(shape[1], own[3] + reach + 1)
             if not other[left:right, near:far].any():
                 done[piece[n]] = before[i]
-        if done[piece[n]] < 0.0:
+        if not done[piece[n]] >= 0.0:  # nor was it known
             values = []
             for x in range(left, right):
                 for y in range(near, far):
