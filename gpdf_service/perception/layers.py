@@ -182,15 +182,18 @@ def build_layers(
     `like`, which must hold all points, or as large as the points ask for.
     """
     origin, shape = grid_of(*bounds_of(points), cell_width) if like is None else (like.origin, like.shape)
-    cells = shape[0] * shape[1]
     cell = cells_of(points, origin, cell_width, shape)
-    start, order, z = column_order(cell, points, cells)
+    low, high = (int(cell.min()), int(cell.max()) + 1) if len(cell) else (0, 0)  # a few columns cost what they are
+    cell -= low
+    start, order, z = column_order(cell, points, high - low)
     flat = 2.0 * cell_width + 4.0 * noise
     first = count_nodes(start, z, gap)
     count = int(first[-1])
     cell_of, row = np.empty(count, np.int64), np.empty(count, np.int64)
     made = cell_of, row, np.empty(count), np.empty(count), np.empty(count), np.empty(len(z), np.int64)
-    run_chunked(lambda a, b: cut_columns(start, order, z, gap, flat, first, a, b, made), cells)
+    run_chunked(lambda a, b: cut_columns(start, order, z, gap, flat, first, a, b, made), high - low)
+    cell_of += low
+    first = np.concatenate([np.zeros(low, np.int64), first, np.full(shape[0] * shape[1] - high, count)])
     return Layers(origin, cell_width, shape, cell_of, points[row, :2], *made[2:], first)
 
 
