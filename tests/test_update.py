@@ -140,6 +140,23 @@ def assert_equal_scenes(one, other, *agents):
         np.testing.assert_array_equal(ours.graph.other, theirs.graph.other)
 
 
+def assert_equal_findings(one, other):
+    """What the ground was found from, from which the next version starts."""
+    for name in ("reached", "slope", "ground", "raised", "rough"):
+        ours, theirs = (getattr(scene.perceived.segmentation.found, name) for scene in (one, other))
+        np.testing.assert_array_equal(ours, theirs, name)
+
+
+def test_slopes_beside_columns_that_are_empty_now_are_those_of_a_scene_from_scratch():
+    scene = gpdf.build_scene(cave(np.random.default_rng(0)).points)
+    rng = np.random.default_rng(1)
+    for _ in range(4):
+        place, half = scene.points[rng.integers(len(scene.points)), :2], rng.uniform(0.2, 0.5)
+        scene = scene.update(remove=(np.abs(scene.points[:, :2] - place) < half).all(axis=1))
+        assert scene.perceived.touched
+        assert_equal_findings(scene, from_scratch(scene))
+
+
 def assert_equal_fields(ours, theirs, queries):
     a, b = ours.query(queries), theirs.query(queries)
     np.testing.assert_array_equal(a.valid, b.valid)
@@ -190,7 +207,10 @@ def test_random_changes_equal_a_scene_from_scratch(made, labelled, agents):
     for _ in range(3):
         changed = scene.update(**random_change(scene, rng))
         assert changed.perceived.touched  # only what the change touches was looked at
-        assert_equal_scenes(changed, from_scratch(changed), *agents)
+        again = from_scratch(changed)
+        assert_equal_scenes(changed, again, *agents)
+        if not labelled:
+            assert_equal_findings(changed, again)
         scene = changed
 
 
@@ -231,6 +251,16 @@ def test_a_scene_keeps_its_resolution_until_much_of_it_has_changed():
         assert changed.resolution == width
         assert_equal_scenes(changed, from_scratch(changed))
     assert beyond.update(remove=np.arange(200)).resolution > width
+
+
+def test_a_ground_field_resolves_the_same_however_much_of_the_ground_is_steep():
+    x, y = (axis.ravel() for axis in np.meshgrid(np.arange(0, 7.9, 0.04), np.arange(0, 5, 0.04)))
+    scene = gpdf.build_scene(np.column_stack([x, y, 0.4 * np.maximum(4.0 - x, 0.0)]))
+    changed = scene.update(remove=(np.abs(scene.points[:, 0] - 2.0) < 0.9) & (scene.points[:, 1] < 1.0))
+    assert changed.perceived.touched
+    again = from_scratch(changed)
+    assert changed.ground_fields[0].spacing == again.ground_fields[0].spacing
+    assert_equal_scenes(changed, again)
 
 
 def two_storeys():

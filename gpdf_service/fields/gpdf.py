@@ -15,7 +15,7 @@ from gpdf_service.config import FieldConfig
 from gpdf_service.errors import FieldError
 from gpdf_service.fields.order import corners_of, spatial_order
 from gpdf_service.fields.solve import HALO, solve_all, solve_rows, within
-from gpdf_service.fields.spacing import estimate_spacing, local_shape, thin
+from gpdf_service.fields.spacing import REACH, estimate_spacing, local_shape, thin
 from gpdf_service.fields.threads import run_chunked
 from gpdf_service.fields.traversal import FieldArrays, by_leaf, nearest_range, sample_range
 from gpdf_service.fields.tree import Tree, build_tree, change_tree, tree_of
@@ -181,21 +181,23 @@ class Gpdf:
     def _changed(self, keep: BoolArray, added: FloatArray, noise: FloatArray) -> Gpdf:
         if keep.all() and len(added) == 0:
             return self
-        reach = HALO * self.length_scale
-        gone = within(self.tree, np.flatnonzero(~keep), reach)  # rows of the old tree whose α feels the loss
         tree, source = change_tree(self.tree, keep, added)
         old, at = source >= 0, np.maximum(source, 0)  # what is taken for a new point is overwritten
         alpha, own, discs = self.alpha[at], self.noise[at], self.discs[at]
         alpha[~old], own[~old] = np.nan, noise[-1 - source[~old]]
-        felt = np.zeros(len(self.points), dtype=bool)
-        felt[gone] = True
-        touched = ~old
-        touched[old] |= felt[source[old]]
-        touched[within(tree, np.flatnonzero(~old), reach)] = True
-        rows = np.flatnonzero(touched)
+
+        def around(radius: float) -> IntArray:
+            """Rows within the radius of a point that came or went."""
+            lost, felt = np.zeros(len(self.points), dtype=bool), ~old
+            lost[within(self.tree, np.flatnonzero(~keep), radius)] = True
+            felt[old] |= lost[source[old]]
+            felt[within(tree, np.flatnonzero(~old), radius)] = True
+            return np.flatnonzero(felt)
+
+        rows, shaped = around(HALO * self.length_scale), around(REACH * self.spacing)
         if len(rows):
             alpha[rows] = solve_rows(tree, rows, alpha, self.length_scale, self.noise_variance)
-        discs[rows] = local_shape(tree, rows, self.spacing, own[rows])
+        discs[shaped] = local_shape(tree, shaped, self.spacing, own[shaped])
         return Gpdf(tree, alpha, discs, own, self.length_scale, self.noise_variance, self.spacing, self.domain)
 
     def _check(self, queries: ArrayLike) -> tuple[FloatArray, BoolArray]:

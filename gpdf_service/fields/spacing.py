@@ -69,12 +69,12 @@ def local_shape(tree: Tree, rows: IntArray, spacing: float, noise: FloatArray) -
     A point stands for the surface up to half of the gap around it, the distance between neighbours on the surface. Its
     disc is smaller where the neighbourhood is nearly as thick as wide, no wider than that (a cable has none), and
     smaller by two deviations of `noise`, shape (k,) [m]: a point that may be so much too near needs none. The gap, at
-    least `spacing`, is told by the number of points within `_REACH` spacings, itself included: in 3D a surface of one
+    least `spacing`, is told by the number of points within `REACH` spacings, itself included: in 3D a surface of one
     point every s² has π r²/s² of them, in 2D a line has 2 r/s. The bend is half of the thickness there:
     0 on a plane, 0.3 spacings at a right-angled edge, whose true place may be that far beyond the nearest point. So may
     a rim be: there the neighbours' mean is more than chance aside.
     """
-    radius = _REACH * spacing
+    radius = REACH * spacing
     discs = np.zeros((len(rows), 6))
     run_chunked(lambda a, b: _shape_range(tree, rows, a, b, radius, spacing, noise, discs), len(rows))
     return discs
@@ -82,7 +82,7 @@ def local_shape(tree: Tree, rows: IntArray, spacing: float, noise: FloatArray) -
 
 _BENT = 40.0
 """[-] Ratio of two variances beyond which no edge is within a spacing."""
-_REACH = 3.0
+REACH = 3.0
 """[-] Spacings: 28 points on an even surface; their number is then known to a fifth."""
 
 

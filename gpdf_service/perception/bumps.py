@@ -25,8 +25,18 @@ ROUGH = 4.0
 LONG = 3.0
 """[-] Length over depth of what crosses the way, a sill or a ridge; what stands about is rounder."""
 
+Former = tuple[BoolArray, FloatArray, FloatArray, BoolArray]
+"""Of the nodes of the version before which were ground, how far they were raised and how rough it was around low things
+[m], NaN of those that are new, shape (k,), and the cells that had other nodes, shape (nx, ny)."""
 
-def low_things(layers: Layers, ground: BoolArray, raised: FloatArray, config: PerceptionConfig) -> BoolArray:
+
+def low_things(
+    layers: Layers,
+    ground: BoolArray,
+    raised: FloatArray,
+    config: PerceptionConfig,
+    known: Former | None = None,
+) -> tuple[BoolArray, FloatArray]:
     """Which nodes of the `ground`, shape (k,), are narrow bumps on it, and not of its own roughness.
 
     Args:
@@ -34,49 +44,59 @@ def low_things(layers: Layers, ground: BoolArray, raised: FloatArray, config: Pe
         ground: Which are ground.
         raised: `raised_over_sides`.
         config: Limits.
+        known: Of the version before.
+
+    Returns:
+        Which they are, and the roughness around each bump [m], NaN elsewhere; both (k,).
     """
     grid = layers.cell, layers.start, layers.shape, layers.height
     slope, found = layers.cell_width * float(np.tan(config.steepest)), raised > LEAST_BUMP
     nodes = np.flatnonzero(found)
-    around = _around(nodes, *grid, ground, _pieces(nodes, grid, found, slope), raised, 2 * _reach(layers, config))
+    rough, other = np.full(len(ground), np.nan), np.ones(layers.shape, dtype=bool)
+    if known is not None:
+        other = cells_around(layers, (known[0] != ground) | (known[1] != raised), 0, known[3])
+        rough = known[2].copy()
+    reach = 2 * _reach(layers, config)
+    around = _around(nodes, *grid, ground, _pieces(nodes, grid, found, slope), raised, reach, other, rough)
+    rough[:] = np.nan
+    rough[nodes] = around
     nodes = nodes[raised[nodes] > ROUGH * around]
     found = np.zeros_like(ground)
     found[nodes] = True
     if len(nodes) == 0:
-        return found
+        return found, rough
     piece = _pieces(nodes, grid, found, slope)
     length, depth = extents_in_plan(layers.cell[nodes], layers.shape[1], found[nodes], piece, layers.cell_width)
     stays = (length >= config.standing_width) & (length >= LONG * depth)
     a, b = pairs_around(nodes, *grid, ground & ~found, 0.0, config.max_step)
     stays[piece[a[layers.height[b] - layers.height[nodes[a]] > LEAST_BUMP]]] = True
     found[nodes[stays[piece]]] = False
-    return found
+    return found, rough
 
 
 def raised_over_sides(
-    layers: Layers, ground: BoolArray, config: PerceptionConfig, known: tuple[BoolArray, FloatArray] | None = None
+    layers: Layers, ground: BoolArray, config: PerceptionConfig, known: Former | None = None
 ) -> FloatArray:
     """How much higher each node of the `ground` is than the ground to both sides of it [m], shape (k,).
 
-    What was found of another `ground` is `known`, NaN for nodes that were none: it is as it was where no ground within
-    the reach of a foot is another.
+    It is as it was in the version before, if that is `known`, where no ground within the reach of a foot is another.
     """
     reach = _reach(layers, config)
     raised, asked = np.zeros(len(ground)), ground
     if known is not None:
-        before, old = known
-        felt = cells_around(layers, (before != ground) | np.isnan(old), reach).ravel()[layers.cell]
+        before, old, _, cells = known
+        felt = cells_around(layers, before != ground, reach, cells).ravel()[layers.cell]
         raised, asked = np.where(felt, 0.0, old), ground & felt
     nodes, grid = np.flatnonzero(asked), (layers.cell, layers.start, layers.shape, layers.height, ground)
     run_chunked(lambda a, b: _raise(nodes[a:b], *grid, reach, config.max_step, raised), len(nodes))
     return raised
 
 
-def cells_around(layers: Layers, nodes: BoolArray, by: int) -> BoolArray:
-    """Cells within `by` cells of those of the nodes, shape (nx, ny)."""
-    cells = np.zeros(layers.shape, dtype=bool)
-    cells.ravel()[layers.cell[nodes]] = True
-    return widened(cells, by)
+def cells_around(layers: Layers, nodes: BoolArray, by: int, cells: BoolArray) -> BoolArray:
+    """Cells within `by` cells of those of the nodes, or of the `cells`, which may hold none now, shape (nx, ny)."""
+    found = cells.copy()
+    found.ravel()[layers.cell[nodes]] = True
+    return widened(found, by)
 
 
 def _reach(layers: Layers, config: PerceptionConfig) -> int:
@@ -152,8 +172,13 @@ def _around(
     piece: IntArray,
     raised: FloatArray,
     reach: int,
+    other: BoolArray,
+    before: FloatArray,
 ) -> FloatArray:
-    """Upper quartile of what the ground is `raised` at and around the piece of each of the `nodes` [m], shape (m,)."""
+    """Upper quartile of what the ground is `raised` at and around the piece of each of the `nodes` [m], shape (m,).
+
+    It is as `before`, shape (k,), where none of the cells is an `other` than then, shape (nx, ny).
+    """
     box = np.empty((len(nodes), 4), np.int64)
     for n in range(len(nodes)):
         box[n] = shape[0], -1, shape[1], -1
@@ -165,9 +190,14 @@ def _around(
     for n in range(len(nodes)):
         i, own = nodes[n], box[piece[n]]
         if done[piece[n]] < 0.0:
+            left, right = max(0, own[0] - reach), min(shape[0], own[1] + reach + 1)
+            near, far = max(0, own[2] - reach), min(shape[1], own[3] + reach + 1)
+            if not other[left:right, near:far].any():
+                done[piece[n]] = before[i]
+        if not done[piece[n]] >= 0.0:  # nor was it known
             values = []
-            for x in range(max(0, own[0] - reach), min(shape[0], own[1] + reach + 1)):
-                for y in range(max(0, own[2] - reach), min(shape[1], own[3] + reach + 1)):
+            for x in range(left, right):
+                for y in range(near, far):
                     there = x * shape[1] + y
                     j = _nearest(start[there], start[there + 1], height, ground, height[i], np.inf)
                     if j >= 0:

@@ -15,18 +15,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gpdf_service.config import PerceptionConfig
-from gpdf_service.fields.threads import run_parallel
+from gpdf_service.fields.threads import run_beside, run_parallel
 from gpdf_service.perception.beside import beside_now
 from gpdf_service.perception.columns import (
     bounds_of,
     by_cell,
     cells_in_box,
     more_now,
+    rows_by_cell,
     rows_in_box,
     rows_in_cells,
     rows_of_cells,
+    runs_of,
+    starts_spliced,
     taken,
-    without_rows,
+    values_spliced,
 )
 from gpdf_service.perception.layers import (
     Layers,
@@ -51,6 +54,7 @@ from gpdf_service.perception.levels import (
     complete_again,
     find_ledges,
     find_portals,
+    in_order,
     lowest_and_highest,
     make_level,
     rise_of_sheets,
@@ -59,6 +63,8 @@ from gpdf_service.perception.levels import (
     within_reach,
 )
 from gpdf_service.perception.limits import (
+    GroundLimits,
+    Measured,
     change_step_and_slope,
     find_limits,
     limits_reach,
@@ -187,20 +193,11 @@ class _Cloud:
         high: Upper corner [m], shape (2,).
     """
 
-    def __init__(self, points: FloatArray, low: FloatArray, high: FloatArray, rows: IntArray | None = None) -> None:
+    def __init__(self, points: FloatArray, low: FloatArray, high: FloatArray) -> None:
         self.points, self.low, self.high = points, low, high
-        self._rows: IntArray = rows_in_box(points, low, high) if rows is None else rows
+        self._rows: IntArray = rows_in_box(points, low, high)
         self._near = taken(points, self._rows)
         self._sorted: dict[bytes, tuple[tuple[slice, slice], IntArray, IntArray]] = {}
-
-    def without(self, gone: IntArray, fresh: FloatArray) -> _Cloud:
-        """The cloud without the rows that are `gone`, sorted, and with `fresh` points (k, 3) after the others."""
-        stay = np.ones(len(self.points), dtype=bool)
-        stay[gone] = False
-        points = without_rows(self.points, stay, fresh)
-        rows = self._rows[stay[self._rows]]
-        rows = np.concatenate([rows - np.searchsorted(gone, rows), np.arange(len(points) - len(fresh), len(points))])
-        return _Cloud(points, self.low, self.high, rows)
 
     def rows_in(self, grid: Layers | HeightMap, wanted: BoolArray) -> IntArray:
         """Rows of the points in the `wanted` cells of a grid, shape (nx, ny); sorted."""
@@ -241,7 +238,7 @@ _AT_HAND = 3.0 * OVERLAP
 
 def _columns(cloud: _Cloud, rows: IntArray, layers: Layers, config: PerceptionConfig) -> Layers:
     """Layers of whole columns, the points `rows` of `cloud`, on the grid of `layers`."""
-    return build_layers(cloud.points[rows], layers.cell_width, layer_gap(layers.cell_width, config), like=layers)
+    return build_layers(taken(cloud.points, rows), layers.cell_width, layer_gap(layers.cell_width, config), like=layers)
 
 
 def _change_layers(layers: Layers, cloud: _Cloud, rows: IntArray, cells: BoolArray, config: PerceptionConfig) -> Layers:
@@ -276,10 +273,11 @@ def _change_strays(stray: BoolArray, cloud: _Cloud, ground: BoolArray, places: F
     voxel = np.floor(places[:, :2] / width)
     low, high = voxel.min(axis=0), voxel.max(axis=0) + 1.0
     near = cloud.rows_in_box((low - 3.0) * width, (high + 3.0) * width)
-    column = np.floor(cloud.points[near, :2] / width)
+    points = taken(cloud.points, near)
+    column = np.floor(points[:, :2] / width)
     sure = np.logical_and.reduce((column >= low - 1.0) & (column < high + 1.0), axis=1)
     made = stray.copy()
-    made[near[sure]] = find_strays(cloud.points[near], width)[sure]
+    made[near[sure]] = find_strays(points, width)[sure]
     return made & ~ground
 
 
@@ -304,15 +302,17 @@ def _change_levels(
         raise WholeError
     kept = kept_nodes(old.survey.layers, layers, cells)
 
-    def one(i: int) -> tuple[GroundLevel, Voids, Completion, BoolArray | None]:
+    def one(i: int) -> tuple[GroundLevel, Voids, Completion, IntArray, BoolArray | None]:
         level, inside, moved = old.levels.levels[i], sheets[i], cells.copy()
         moved.ravel()[layers.cell[inside != carried(old.survey.sheets[i], kept)]] = True  # maybe another node of it
         was = _seen_of(level.surface)
         part = _Part(cloud, ground, stray, layers, inside, _change_seen(was, layers, inside, moved), cells)
-        return _change_level(level, was, old.survey.voids[i], old.survey.completions[i], part, config)
+        survey = old.survey
+        return _change_level(level, was, survey.voids[i], survey.completions[i], survey.first[i], part, config)
 
-    known, voids, completions, touched = zip(*run_parallel(one, range(len(sheets))), strict=True)
-    return Levels(known, find_portals(layers, sheets)), Survey(near, stray, sheets, voids, completions), touched
+    known, voids, completions, first, touched = zip(*run_parallel(one, range(len(sheets))), strict=True)
+    survey = Survey(near, stray, sheets, voids, completions, first)
+    return Levels(known, find_portals(layers, sheets)), survey, touched
 
 
 def _change_seen(was: HeightMap, layers: Layers, inside: BoolArray, moved: BoolArray) -> HeightMap:
@@ -355,48 +355,62 @@ class _Part:
 
 
 def _change_level(
-    old: GroundLevel, was: HeightMap, voids: Voids, completion: Completion, part: _Part, config: PerceptionConfig
-) -> tuple[GroundLevel, Voids, Completion, BoolArray | None]:
+    old: GroundLevel,
+    was: HeightMap,
+    voids: Voids,
+    completion: Completion,
+    first: IntArray,
+    part: _Part,
+    config: PerceptionConfig,
+) -> tuple[GroundLevel, Voids, Completion, IntArray, BoolArray | None]:
     width, seen = part.seen.cell_width, part.seen
     moved = differ(was.height, seen.height)
     cells = part.cells | _felt(was, seen, moved)
     box, rest = _around(cells, width), part.rest(cells, config)
     fresh = within_reach(rest, seen, box)
     now = _change_voids(voids, cells, find_voids(seen, rest, config.max_step, box=box), box)
-    held = _Cloud(old.other_points, part.cloud.low, part.cloud.high)
-    gone = held.rows_in(seen, cells)
-    other, ledge = old.other_points, old.ledge
-    swapped = _other_cells(seen, other[gone], fresh)
-    before = _with(other[gone], ledge[gone])
+    other, ledge, begin = old.other_points, old.ledge, first
+    gone = rows_by_cell(cells, first)
+    lost = taken(other, gone)
+    swapped = _other_cells(seen, lost, fresh)
+    before = _with(lost, ledge[gone])
     if swapped.any():
-        held = held.without(gone, fresh)
-        other = held.points
-        ledge = np.concatenate([np.delete(ledge, gone), np.full(len(fresh), np.inf, np.float32)])
-    surface, limits, measured = old.surface, old.limits, old.measured
-    if moved.any() or swapped.any() or any((a != b).any() for a, b in zip(now, voids, strict=True)):
-        at_hand = partial(_in_box, held, seen)
+        (fresh, new), flat = in_order(fresh, seen), cells.ravel()
+        begin, runs = starts_spliced(flat, first, new), runs_of(flat, first, new)
+        other = values_spliced(runs, other, fresh)
+        ledge = values_spliced(runs, ledge, np.full(len(fresh), np.inf, np.float32))
+    surface = old.surface
+    again = moved.any() or swapped.any() or any((a != b).any() for a, b in zip(now, voids, strict=True))
+    if again:
+        at_hand = partial(_in_box, other, begin, seen)
         surface, completion = complete_again(surface, completion, seen, at_hand, now, swapped, config)
-        measured = change_step_and_slope(surface, changed(old.surface, surface), *measured)
-        limits = find_limits(surface, completion.guarded, measured)
     other_ground = changed(old.surface, surface)
-    asked = held.rows_in(surface, cells | _ledge_cells(part, surface, other_ground))
-    found = _ledges_of(part, surface, other[asked])
-    after = asked[cells[surface.cells(other[asked])[:2]]]
-    stepped = _cells_of(other[asked][ledge[asked] != found], part.layers) & ~cells
+
+    def measure() -> tuple[Measured, GroundLimits]:
+        if not again:
+            return old.measured, old.limits
+        measured = change_step_and_slope(surface, other_ground, *old.measured)
+        return measured, find_limits(surface, completion.guarded, measured)
+
+    asked = rows_by_cell(cells | _ledge_cells(part, surface, other_ground), begin)
+    places = taken(other, asked)
+    (measured, limits), found = run_beside(measure, partial(_ledges_of, part, surface, places))
+    after = cells[surface.cells(places)[:2]]
+    stepped = _cells_of(places[ledge[asked] != found], part.layers) & ~cells
+    stepped |= _other_cells(surface, before, _with(places[after], found[after]))
     ledge = ledge.copy()
     ledge[asked] = found
-    stepped |= _other_cells(surface, before, _with(other[after], ledge[after]))
     touched = widened(stepped, 1) | widened(other_ground, limits_reach(surface))
     if not touched.any():
-        return old, voids, completion, None
-    return make_level(surface, other, ledge, limits, measured), now, completion, touched
+        return old, voids, completion, first, None
+    return make_level(surface, other, ledge, limits, measured), now, completion, begin, touched
 
 
-def _in_box(cloud: _Cloud, surface: HeightMap, box: Box) -> FloatArray:
-    """The points in a box of cells."""
+def _in_box(points: FloatArray, first: IntArray, surface: HeightMap, box: Box) -> FloatArray:
+    """The points in a box of cells, of points by cell."""
     cells = np.zeros(surface.state.shape, dtype=bool)
     cells[box] = True
-    return taken(cloud.points, cloud.rows_in(surface, cells))
+    return taken(points, rows_by_cell(cells, first))
 
 
 def _around(cells: BoolArray, width: float) -> Box:
@@ -471,7 +485,7 @@ def _ledges_of(part: _Part, surface: HeightMap, other: FloatArray) -> NDArray[np
     reach = _ledge_reach(surface)
     rows = part.cloud.rows_in(part.layers, widened(cells, reach))
     box = window(cells, reach + HIGH) if len(other) else NOWHERE
-    return find_ledges(surface, part.cloud.points[rows[part.ground[rows]]], other, box=box)
+    return find_ledges(surface, taken(part.cloud.points, rows[part.ground[rows]]), other, box=box)
 
 
 def changed_cells(old: HeightMap, new: HeightMap) -> BoolArray | None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -322,30 +323,25 @@ def heights_in_plan(
     return made, off
 
 
-@njit(cache=True, nogil=True)
-def spliced(changed: BoolArray, start: IntArray, fresh: IntArray) -> tuple[IntArray, IntArray]:
-    """Where the nodes of columns come from when the `changed` ones are taken from others.
-
-    Returns:
-        First node of each column, shape (cells + 1,), and for each node its number before or −1 − its fresh number.
-    """
-    first = np.zeros(len(start), np.int64)
-    for c in range(len(changed)):
-        first[c + 1] = first[c] + (fresh[c + 1] - fresh[c] if changed[c] else start[c + 1] - start[c])
-    source = np.empty(first[-1], np.int64)
-    for c in range(len(changed)):
-        for i in range(first[c + 1] - first[c]):
-            source[first[c] + i] = -1 - fresh[c] - i if changed[c] else start[c] + i
-    return first, source
+Runs = list[tuple[bool, slice]]
+"""Cells beside each other that all changed, or none of them, one run after another, and where their values lie."""
 
 
-@njit(cache=True, nogil=True)
-def values_spliced(old: NDArray[Any], fresh: NDArray[Any], source: IntArray) -> NDArray[Any]:
-    """Of each node its value before or, where its `source` is −1 − a number, the fresh one of that number."""
-    made = np.empty((len(source), *old.shape[1:]), old.dtype)
-    for i in range(len(source)):
-        made[i] = old[source[i]] if source[i] >= 0 else fresh[-1 - source[i]]
-    return made
+def runs_of(changed: BoolArray, start: IntArray, fresh: IntArray) -> Runs:
+    """Runs of cells, shape (cells,): what is in the `changed` ones begins at `fresh`, (cells + 1,), else at `start`."""
+    ends = [0, *(np.flatnonzero(changed[1:] != changed[:-1]) + 1), len(changed)]
+    found = [(bool(changed[a]), fresh if changed[a] else start, a, b) for a, b in pairwise(ends)]
+    return [(other, slice(int(place[a]), int(place[b]))) for other, place, a, b in found]
+
+
+def starts_spliced(changed: BoolArray, start: IntArray, fresh: IntArray) -> IntArray:
+    """Where each cell begins, shape (cells + 1,), when what is in the `changed` ones is taken from others."""
+    return np.concatenate([[0], np.cumsum(np.where(changed, np.diff(fresh), np.diff(start)))])
+
+
+def values_spliced(runs: Runs, old: NDArray[Any], new: NDArray[Any]) -> NDArray[Any]:
+    """The `old` values by cell, but of the cells that changed the `new` ones."""
+    return np.concatenate([(new if changed else old)[part] for changed, part in runs])
 
 
 @njit(cache=True, nogil=True)
@@ -395,6 +391,14 @@ def rows_of_cells(wanted: BoolArray, start: IntArray, order: IntArray) -> IntArr
         for i in range(start[c], start[c + 1] if wanted[c] else 0):
             found[order[i]] = True
     return np.flatnonzero(found)
+
+
+def rows_by_cell(wanted: BoolArray, start: IntArray) -> IntArray:
+    """Rows of the points in the `wanted` cells, shape (nx, ny), of points by cell, where each begins at its `start`."""
+    cells = np.flatnonzero(wanted)
+    count = start[cells + 1] - start[cells]
+    before = np.concatenate([[0], np.cumsum(count)])
+    return np.repeat(start[cells] - before[:-1], count) + np.arange(before[-1])
 
 
 def rows_in_box(points: FloatArray, low: FloatArray, high: FloatArray) -> IntArray:

@@ -7,7 +7,7 @@ from numba import njit
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from gpdf_service.fields.threads import run_parallel
+from gpdf_service.perception.nearest import nearest_of
 from gpdf_service.perception.surface import (
     CEILING,
     INFERRED,
@@ -41,7 +41,7 @@ def without_hidden(surface: HeightMap, lowest: FloatArray, face: BoolArray) -> H
     beside = ndimage.maximum_filter(np.where(surface.state != UNKNOWN, surface.height, -np.inf), size=3)
     top = np.isfinite(lowest) & (lowest < beside + CEILING)
     clear = ((surface.state == OBSERVED) | top) & ~face
-    room, front = run_parallel(_distance, (clear, face))
+    room, front = nearest_of(clear)[0], nearest_of(face)[0]
     shown = (room > 1.0) & (room <= MAX_HOLE_RADIUS / surface.cell_width) & (front <= room + 1.0)
     wide = ndimage.binary_dilation((surface.state != OBSERVED) & ~face, _BESIDE)
     asked = (surface.state == INFERRED) & wide
@@ -50,12 +50,6 @@ def without_hidden(surface: HeightMap, lowest: FloatArray, face: BoolArray) -> H
     return HeightMap(
         surface.origin, surface.cell_width, height, np.where(hidden, UNKNOWN, surface.state).astype(np.uint8)
     )
-
-
-def _distance(cells: BoolArray) -> FloatArray:
-    """To the nearest of the cells [cells], shape (nx, ny), inf where there is none."""
-    found: FloatArray = ndimage.distance_transform_edt(~cells) if cells.any() else np.full(cells.shape, np.inf)
-    return found
 
 
 def find_faces(surface: HeightMap, cell: IntArray, z: FloatArray, headroom: float) -> BoolArray:

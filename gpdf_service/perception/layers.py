@@ -12,6 +12,7 @@ from scipy.spatial import cKDTree
 from gpdf_service.config import PerceptionConfig
 from gpdf_service.fields.threads import run_chunked
 from gpdf_service.perception.columns import (
+    Runs,
     bounds_of,
     by_cell,
     cells_of,
@@ -22,7 +23,8 @@ from gpdf_service.perception.columns import (
     cut_columns,
     kth_beside,
     pairs_near,
-    spliced,
+    runs_of,
+    starts_spliced,
     tops_of_boards,
     values_spliced,
 )
@@ -147,27 +149,25 @@ def same_nodes(one: Layers, other: Layers) -> bool:
 
 def splice_layers(layers: Layers, changed: BoolArray, fresh: Layers | None) -> Layers:
     """Layers with all nodes of the `changed` cells, shape (cells,), replaced by those of `fresh` on the same grid."""
-    first = np.zeros_like(layers.start) if fresh is None else fresh.start
-    start, source = spliced(changed, layers.start, first)
-    new, nothing = layers if fresh is None else fresh, np.zeros(0, np.int64)
+    new, begin = (layers, np.zeros_like(layers.start)) if fresh is None else (fresh, fresh.start)
+    start, runs = starts_spliced(changed, layers.start, begin), runs_of(changed, layers.start, begin)
     cell, place, _, thickness, headroom, middle, face = (
-        values_spliced(getattr(layers, name), getattr(new, name), source) for name in _OWN
+        values_spliced(runs, getattr(layers, name), getattr(new, name)) for name in _OWN
     )
     height = tops_of_boards(cell, start, layers.shape, middle, face, layers.board)
-    grid = layers.origin, layers.cell_width, layers.shape, layers.board
+    grid, nothing = (layers.origin, layers.cell_width, layers.shape, layers.board), np.zeros(0, np.int64)
     return Layers(*grid, cell, place, height, thickness, headroom, middle, face, nothing, start)
 
 
-def kept_nodes(old: Layers, layers: Layers, cells: BoolArray) -> IntArray:
-    """Which of the `old` nodes each one is, -1 in the columns `cells`, which are others than before, shape (k,)."""
-    return np.maximum(spliced(cells.ravel(), old.start, layers.start)[1], -1)
+def kept_nodes(old: Layers, layers: Layers, cells: BoolArray) -> Runs:
+    """Nodes of `layers` that are those of the `old` ones, but in the columns `cells`, shape (nx, ny)."""
+    return runs_of(cells.ravel(), old.start, layers.start)
 
 
-def carried(values: NDArray[Any], kept: IntArray) -> NDArray[Any]:
+def carried(values: NDArray[Any], kept: Runs) -> NDArray[Any]:
     """The values of the nodes before, `kept_nodes`; of those that were none NaN, or false."""
-    nothing = np.full(1, False if values.dtype == bool else np.nan, values.dtype)
-    made: NDArray[Any] = values_spliced(values, nothing, kept)
-    return made
+    nothing = np.full(max(part.stop for _, part in kept), False if values.dtype == bool else np.nan, values.dtype)
+    return values_spliced(kept, values, nothing)
 
 
 def crop_layers(layers: Layers, box: tuple[slice, slice]) -> tuple[Layers, IntArray]:
@@ -192,9 +192,10 @@ def build_layers(
     `like`, which must hold all points, or as large as the points ask for.
     """
     origin, shape = grid_of(*bounds_of(points), cell_width) if like is None else (like.origin, like.shape)
-    cells = shape[0] * shape[1]
     cell = cells_of(points, origin, cell_width, shape)
-    start, order, z = column_order(cell, points, cells)
+    low, high = (int(cell.min()), int(cell.max()) + 1) if len(cell) else (0, 0)  # a few columns cost what they are
+    cell -= low
+    start, order, z = column_order(cell, points, high - low)
     flat, board = 2.0 * cell_width + 4.0 * noise, BOARD + 4.0 * noise
     first = count_nodes(start, z, gap)
     count = int(first[-1])
@@ -202,7 +203,9 @@ def build_layers(
     middle, face, thickness, headroom = np.empty(count), np.empty(count), np.empty(count), np.empty(count)
     node = np.empty(len(z), np.int64)
     made = cell_of, row, middle, face, thickness, headroom, node
-    run_chunked(lambda a, b: cut_columns(start, order, z, gap, flat, board, first, a, b, made), cells)
+    run_chunked(lambda a, b: cut_columns(start, order, z, gap, flat, board, first, a, b, made), high - low)
+    cell_of += low
+    first = np.concatenate([np.zeros(low, np.int64), first, np.full(shape[0] * shape[1] - high, count)])
     height = tops_of_boards(cell_of, first, shape, middle, face, board)
     own = cell_of, points[row, :2], height, thickness, headroom, middle, face
     return Layers(origin, cell_width, shape, board, *own, node, first)

@@ -22,6 +22,7 @@ from gpdf_service.perception.columns import (
     ends_of_runs,
     heights_in_plan,
     lowest_above,
+    taken,
 )
 from gpdf_service.perception.hidden import FACE_REACH, find_faces, hidden_reach, without_hidden
 from gpdf_service.perception.layers import Layers, build_layers, cell_width_of, layer_gap
@@ -162,6 +163,7 @@ class Survey:
         sheets: Which nodes are of each level, shape (k,).
         voids: One a level.
         completions: One a level.
+        first: For each level where the other points of each cell begin, shape (cells + 1,): they are in this order.
     """
 
     near: Beside
@@ -169,6 +171,7 @@ class Survey:
     sheets: tuple[BoolArray, ...]
     voids: tuple[Voids, ...]
     completions: tuple[Completion, ...]
+    first: tuple[IntArray, ...]
 
     @property
     def layers(self) -> Layers:
@@ -207,8 +210,8 @@ def survey_levels(
     stray = alone_ & ~ground
     own = points, ground, stray, floor, near.layers
     made = run_parallel(lambda sheet: _build_level(*own, sheet, config, noise), sheets)
-    levels, voids, completions = zip(*made, strict=True)
-    return Levels(levels, find_portals(near.layers, sheets)), Survey(near, stray, sheets, voids, completions)
+    levels, voids, completions, first = zip(*made, strict=True)
+    return Levels(levels, find_portals(near.layers, sheets)), Survey(near, stray, sheets, voids, completions, first)
 
 
 def find_portals(layers: Layers, sheets: tuple[BoolArray, ...]) -> tuple[Portal, ...]:
@@ -270,15 +273,19 @@ def split_sheets(near: Beside, config: PerceptionConfig) -> tuple[BoolArray, ...
             left = own[sheet_of[own] < 0]
     made = [np.flatnonzero(sheet_of == i) for i in range(sheets)]
     grid, rings = (layers.cell, layers.start, layers.shape, layers.height), int(np.ceil(OVERLAP / layers.cell_width))
-    grown = [grown_sheet(*grid, keep, nodes, config.max_step, rings) for nodes in made if len(nodes) >= least]
-    grown += _seams(near, keep, grown, config, rings)
+
+    def grow(nodes: IntArray) -> BoolArray:
+        return grown_sheet(*grid, keep, nodes, config.max_step, rings)
+
+    grown = run_parallel(grow, [nodes for nodes in made if len(nodes) >= least])
+    grown = [*grown, *run_parallel(grow, _seams(near, keep, grown, config, rings))]
     return tuple(sorted(grown, key=lambda inside: float(np.median(layers.height[inside]))))
 
 
 def _seams(
     near: Beside, keep: BoolArray, sheets: list[BoolArray], config: PerceptionConfig, rings: int
-) -> list[BoolArray]:
-    """Further sheets, so that a body finds all ground around each place in one of them.
+) -> list[IntArray]:
+    """Nodes of further sheets, so that a body finds all ground around each place in one of them.
 
     A sheet that lies over its own end has no room to reach into the next: the upper floor's, which goes down a stair
     of open treads and ends at its foot under that floor.
@@ -297,8 +304,7 @@ def _seams(
         piece, deep = pieces(keep & ~sheet)
         left &= ~whole_around(*grid, sheet, keep & ~sheet & deep[piece], config.max_step, rings // 2)
     piece, deep = pieces(left)
-    seams = [_first_of_each_cell(layers, np.flatnonzero(left & (piece == label))) for label in np.flatnonzero(deep)]
-    return [grown_sheet(*grid, keep, nodes, config.max_step, rings) for nodes in seams]
+    return [_first_of_each_cell(layers, np.flatnonzero(left & (piece == label))) for label in np.flatnonzero(deep)]
 
 
 def rise_of_sheets(layers: Layers, config: PerceptionConfig) -> float:
@@ -361,7 +367,7 @@ def _build_level(
     inside: BoolArray,
     config: PerceptionConfig,
     noise: float,
-) -> tuple[GroundLevel, Voids, Completion]:
+) -> tuple[GroundLevel, Voids, Completion, IntArray]:
     """The sheet of these nodes, of the layers of the `floor`: those of the points that are ground."""
     seen = sheet_surface(layers, np.flatnonzero(inside), noise)
     gone = stray.copy()
@@ -369,15 +375,15 @@ def _build_level(
     cell = cells_within(points, seen)
     cell[gone] = seen.state.size  # as those outside: in no cell
 
-    def reach() -> tuple[FloatArray, Held]:
-        other = within_reach(points, seen, cell=cell)
-        return other, in_cells(other, seen)
+    def reach() -> tuple[FloatArray, IntArray, Held]:
+        other, first = in_order(within_reach(points, seen, cell=cell), seen)
+        return other, first, in_cells(other, seen)
 
     def look_through() -> tuple[Nearest, Voids]:
         near = nearest_seen(seen)
         return near, find_voids(seen, points, config.max_step, near, cell=cell)
 
-    (other, held), (near, voids) = run_beside(reach, look_through)
+    (other, first, held), (near, voids) = run_beside(reach, look_through)
     surface, completion = complete(seen, held, voids, config, near, noise)
 
     def measure() -> tuple[Measured, GroundLimits]:
@@ -385,7 +391,7 @@ def _build_level(
         return measured, find_limits(surface, completion.guarded, measured)
 
     ledge, (measured, limits) = run_beside(partial(find_ledges, surface, floor, other, noise), measure)
-    return make_level(surface, other, ledge, limits, measured), voids, completion
+    return make_level(surface, other, ledge, limits, measured), voids, completion, first
 
 
 def sheet_surface(layers: Layers, nodes: IntArray, noise: float = 0.0, box: Box | None = None) -> HeightMap:
@@ -483,6 +489,12 @@ def complete_again(
     part = without_hidden(cropped(opened, outer), lowest[outer], face[outer])
     made = Completion(lowest, filled, shut, stair, guarded, opened, face)
     return pasted_ground(surface, part, inner, outer), made
+
+
+def in_order(other: FloatArray, surface: HeightMap) -> tuple[FloatArray, IntArray]:
+    """The `other` points (m, 3) in the order of their cells, and where each cell begins, shape (cells + 1,)."""
+    first, order = by_cell(cells_within(other, surface), surface.state.size)
+    return taken(other, order), first
 
 
 def in_cells(other: FloatArray, surface: HeightMap, box: Box = WHOLE) -> Held:

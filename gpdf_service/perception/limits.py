@@ -115,13 +115,14 @@ def span(cells: BoolArray) -> tuple[int, int, int, int]:
     """First row and behind the last, first column and behind the last of the cells."""
     left, right, near, far = cells.shape[0], 0, cells.shape[1], 0
     for x in range(cells.shape[0]):
-        row = cells[x]
-        first = 0
-        while first < len(row) and not row[first]:
-            first += 1
-        if first == len(row):
+        row, some = cells[x], False
+        for y in range(len(row)):  # no way out: so it is done in vectors
+            some |= row[y]
+        if not some:
             continue
-        last = len(row)
+        first, last = 0, len(row)
+        while not row[first]:
+            first += 1
         while not row[last - 1]:
             last -= 1
         left, right = min(left, x), x + 1

@@ -7,12 +7,12 @@ from dataclasses import dataclass
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
-from scipy import ndimage
 
 from gpdf_service.fields.threads import run_chunked, run_parallel
 from gpdf_service.perception.columns import chosen_rows, without_rows
 from gpdf_service.perception.levels import FACE, LEAST_OBSTACLE, GroundLevel, astray
 from gpdf_service.perception.limits import ObstacleKind
+from gpdf_service.perception.nearest import nearest_of
 from gpdf_service.perception.surface import INFERRED, UNKNOWN, HeightMap, between, cells_within, under
 from gpdf_service.types import Agent, BoolArray, FloatArray, IntArray
 
@@ -63,9 +63,9 @@ def _material(level: GroundLevel, agent: Agent, noise: float) -> BoolArray:
     cell, z = cell[stops], z[stops]
     # Beside a step the question is which ground the body stands on; not on what stops it wherever it stands.
     always = between(cell, z, np.full_like(lowest, -np.inf), under(lowest + tall))
-    free = np.ones(known.shape, dtype=bool)
-    free.ravel()[cell[always]] = False
-    shut = (ndimage.distance_transform_edt(free) + np.sqrt(2.0)) * surface.cell_width < agent.disc_radius
+    taken = np.zeros(known.shape, dtype=bool)
+    taken.ravel()[cell[always]] = True
+    shut = (nearest_of(taken)[0] + np.sqrt(2.0)) * surface.cell_width < agent.disc_radius
     stands = under(highest_within(np.where(shut, -np.inf, top), disc) + tall)
     stops[stops] = always | between(cell, z, np.full_like(stands, -np.inf), stands)
     return stops

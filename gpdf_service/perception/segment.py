@@ -15,7 +15,7 @@ from gpdf_service.errors import NoGroundError
 from gpdf_service.fields.threads import run_beside, run_chunked
 from gpdf_service.perception.beside import Beside, beside, beside_now
 from gpdf_service.perception.bumps import cells_around, low_things, raised_over_sides
-from gpdf_service.perception.columns import by_cell, medians_around
+from gpdf_service.perception.columns import Runs, by_cell, medians_around
 from gpdf_service.perception.layers import (
     Layers,
     Pairs,
@@ -100,6 +100,7 @@ class Found(NamedTuple):
         slope: Of those [rad], shape (k,).
         ground: Which are ground or a low thing on it, shape (k,).
         raised: `raised_over_sides` of that [m], shape (k,).
+        rough: Around low things [m], see `low_things`, shape (k,).
     """
 
     near: Beside
@@ -107,8 +108,9 @@ class Found(NamedTuple):
     slope: FloatArray
     ground: BoolArray
     raised: FloatArray
+    rough: FloatArray
 
-    def carried(self, near: Beside, kept: IntArray) -> Found:
+    def carried(self, near: Beside, kept: Runs) -> Found:
         """What is known of the nodes of `near`, which are those that were `kept`; NaN of the others."""
         return Found(near, *(carried(values, kept) for values in self[1:]))
 
@@ -197,7 +199,7 @@ def change_segmentation(
     """
     kept = kept_nodes(old.layers, layers, cells)
     near = beside_now(old.found.near, layers, _rise_of_steps(layers, config), cells)
-    ground, found = find_ground(layers, config, known=old.found.carried(near, kept))
+    ground, found = find_ground(layers, config, known=(old.found.carried(near, kept), cells))
     values = [carried(before, kept) for before in (old.low, old.high, old.beside)]
     felt = cells.copy()
     felt.ravel()[layers.cell[ground != np.isfinite(values[0])]] = True
@@ -255,16 +257,18 @@ def _smoothed(layers: Layers, ground: BoolArray) -> FloatArray:
 
 
 def find_ground(
-    layers: Layers, config: PerceptionConfig, noise: float = 0.0, known: Found | None = None
+    layers: Layers, config: PerceptionConfig, noise: float = 0.0, known: tuple[Found, BoolArray] | None = None
 ) -> tuple[BoolArray, Found]:
     """Which nodes are ground, shape (k,), and what that was found from: what is `known` of an earlier version.
+
+    That has other nodes in some columns, shape (nx, ny).
 
     Patches are sets of nodes joined by walkable slopes. From the bulk, the ground grows patch by patch over steps that
     a body takes, to patches that a foot fits on and that do not lie, as a bench does, over ground already found.
     """
     surface = layers.thickness <= config.max_step + 4.0 * noise  # a step's face, from the lowest point to the highest
     rise = layers.cell_width * float(np.tan(config.steepest))
-    near = beside(layers, _rise_of_steps(layers, config)) if known is None else known.near
+    near = beside(layers, _rise_of_steps(layers, config)) if known is None else known[0].near
     smooth = near.degrees(surface, rise)
     core = surface & (smooth >= 5)  # what a strip two cells wide has: a tread is that wide, a wall's top is not
     if not core.any():
@@ -272,8 +276,11 @@ def find_ground(
     keep = surface & (layers.headroom >= config.step_headroom)
     piece, loose, steps = near.pieces(core & keep, rise, surface, keep, config.max_step)
     wide, patch = with_rims(core, keep, piece, *loose)
-    under, below = _undersides(layers, surface & ~wide, wide, patch, loose, config)
-    joins = _joins(layers, config, wide, smooth == 8, patch, pairs_within(*steps, wide, True, patch), below)
+    (under, below), joins = run_beside(
+        partial(_undersides, layers, surface & ~wide, wide, patch, loose, config),
+        partial(_joins, layers, config, wide, smooth == 8, patch, pairs_within(*steps, wide, True, patch)),
+    )
+    joins = joins.but(below, patch)
     large = {int(i): joins.nodes_of(int(i)) for i in np.flatnonzero(joins.size >= BULK_SHARE * joins.size.max())}
     height = {i: float(np.median(layers.height[nodes])) for i, nodes in large.items()}
     bulk = min(large, key=height.__getitem__)
@@ -294,14 +301,16 @@ def find_ground(
         if not len(_beside(reached, joins, seen)):
             break
         ground = reached
-    slope = _slope(layers, reached, config, known and known[1:3])
+    slope = _slope(layers, reached, config, known)
     level = reached & (slope <= config.standable_slope)
     found: BoolArray = reached & ~_roofs(near, reached, level, [large[i] for i in storeys], joins, config)
-    raised = raised_over_sides(layers, found, config, known and known[3:])
-    ground = found & ~low_things(layers, found, raised, config)
+    before = known and (*known[0][3:], known[1])
+    raised = raised_over_sides(layers, found, config, before)
+    low, rough = low_things(layers, found, raised, config, before)
+    ground = found & ~low
     if not ground.any():
         raise NoGroundError(*NOWHERE)
-    return ground, Found(near, reached, slope, found, raised)
+    return ground, Found(near, reached, slope, found, raised, rough)
 
 
 def _rise_of_steps(layers: Layers, config: PerceptionConfig) -> float:
@@ -368,17 +377,17 @@ def _within_reach(
 
 
 def _slope(
-    layers: Layers, ground: BoolArray, config: PerceptionConfig, known: tuple[BoolArray, FloatArray] | None = None
+    layers: Layers, ground: BoolArray, config: PerceptionConfig, known: tuple[Found, BoolArray] | None = None
 ) -> FloatArray:
     """Slope at each ground node [rad], of the mean gradient of it and its neighbours on the same slope.
 
-    What was found of another ground is `known`, NaN for nodes that were none: neighbours of neighbours decide on it.
+    What was found of another ground, and of other nodes in some cells, is `known`: neighbours of neighbours decide.
     """
     rise = 2.0 * layers.cell_width * float(np.tan(config.steepest))  # or noise would flatten it
     if known is None:
         return _slopes(layers, connect(layers, ground, rise))
-    before, slope = known
-    felt = cells_around(layers, (before != ground) | np.isnan(slope), 2)
+    (_, before, slope, *_), cells = known
+    felt = cells_around(layers, before != ground, 2, cells)
     if not felt.any():
         return slope
     part, nodes = crop_layers(layers, window(felt, 2))
@@ -441,6 +450,13 @@ class _Joins:
         """Nodes of a patch, sorted."""
         return self.members[self.start[patch] : self.start[patch + 1]]
 
+    def but(self, below: IntArray, patch: IntArray) -> _Joins:
+        """Without steps down to a patch that `below` tells of, as `_undersides` does, each node being of a `patch`."""
+        if not len(below):
+            return self
+        good = ~np.isin(self.to * len(self.size) + patch[self.a], below)
+        return replace(self, a=self.a[good], b=self.b[good], to=self.to[good])
+
 
 def _joins(
     layers: Layers,
@@ -449,9 +465,8 @@ def _joins(
     inner: BoolArray,
     patch: IntArray,
     steps: Pairs,
-    below: IntArray,
 ) -> _Joins:
-    """The steps between the patches, but for those down to a patch that `below` tells of, as `_undersides` does."""
+    """The steps between the patches."""
     standable, tread = _shapes(layers, wide, patch, config)
     start, members = by_cell(patch, len(standable))
     count = np.bincount(patch[wide], minlength=len(standable))
@@ -460,7 +475,7 @@ def _joins(
     a, b = np.concatenate(steps), np.concatenate(steps[::-1])
     rise = np.abs(layers.height[a] - _level_of_furniture(layers, small, start, members, patch, b))
     allowed = np.where(standable[patch[b]], config.max_step, np.where(tread[patch[b]], config.stair_step, -1.0))
-    join = (rise <= allowed) & ~np.isin(patch[b] * len(standable) + patch[a], below)
+    join = rise <= allowed
     a, b, mean = a[join], b[join], level / np.maximum(count, 1)
     return _Joins(a, b, patch[b], standable, small, count, inner, mean, start, members)
 

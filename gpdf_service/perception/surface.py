@@ -13,6 +13,7 @@ from scipy import ndimage
 from gpdf_service.fields.threads import run_chunked
 from gpdf_service.perception.bend import FINE, FLAT, bend_at, make_room, reach_of
 from gpdf_service.perception.columns import between_range, cells_in_box, extent_in
+from gpdf_service.perception.nearest import nearest_of
 from gpdf_service.types import BoolArray, FloatArray, IntArray
 
 UNKNOWN, OBSERVED, INFERRED = 0, 1, 2
@@ -236,11 +237,9 @@ class Nearest(NamedTuple):
 
 def nearest_seen(surface: HeightMap, box: Box = WHOLE) -> Nearest:
     """The nearest seen ground of a height map, in a `box` of its cells; there is none outside."""
-    unknown = surface.state[box] != OBSERVED
-    if unknown.all():
-        return Nearest(np.full(unknown.shape, np.inf), np.full(unknown.shape, np.nan, surface.height.dtype))
-    cells, row = ndimage.distance_transform_edt(unknown, return_indices=True)
-    return Nearest(cells * surface.cell_width, surface.height[box][row[0], row[1]])
+    distance, index = nearest_of(surface.state[box] == OBSERVED)
+    height = surface.height[box].ravel()[index]  # of the last cell where there is none: then all are NaN
+    return Nearest(distance * surface.cell_width, height)
 
 
 def fill_holes(
@@ -263,10 +262,10 @@ def fill_holes(
     """
     known = surface.state == OBSERVED
     height, state = surface.height.copy(), surface.state.copy()
-    distance, beside = near or nearest_seen(surface)
+    near = near or nearest_seen(surface)
+    distance, beside = near
     material = lowest < beside + CEILING
-    gap = _in_gaps(surface, beside, noise)
-    _fill_gaps(height, state, ~known, distance, gap, surface.cell_width)
+    _fill_gaps(height, state, ~known, surface, near, noise)
     _fill_notches(height, state, seen_through, distance, surface.cell_width)
     known = state != UNKNOWN
     void = seen_through | pit | _walled_down(surface, walls)
@@ -274,7 +273,7 @@ def fill_holes(
     solid = state != UNKNOWN  # then the ground that carries the furniture itself
     under = ~solid & (distance <= MAX_HOLE_RADIUS) & material & _seen_hollow(~solid & material, known & material)
     _fill(height, state, under, solid, distance, surface.cell_width, void, SHUT_SHARE)
-    _fill_gaps(height, state, state == UNKNOWN, distance, gap, surface.cell_width)  # what is left of larger ones
+    _fill_gaps(height, state, state == UNKNOWN, surface, near, noise)  # what is left of larger ones
     return HeightMap(surface.origin, surface.cell_width, height, state)
 
 
@@ -389,52 +388,67 @@ def _walled_down(surface: HeightMap, walls: BoolArray) -> BoolArray:
     """Holes with `walls` under more of their rim than a scan's noise explains."""
     unknown = surface.state == UNKNOWN
     label, count = ndimage.label(unknown)
-    hole = ndimage.maximum_filter(label, size=3)
-    rim = np.bincount(hole[~unknown], minlength=count + 1)
-    pit = np.bincount(hole[walls], minlength=count + 1) > (1.0 - RING_SHARE) * rim
-    result: BoolArray = pit[label] & unknown
+    rim, pit = _rims(label, walls, count + 1)
+    result: BoolArray = (pit > (1.0 - RING_SHARE) * rim)[label] & unknown
     return result
+
+
+@njit(cache=True, nogil=True)
+def _rims(label: NDArray[np.int32], walls: BoolArray, labels: int) -> tuple[IntArray, IntArray]:
+    """Cells of the rim of each hole, and `walls` in or around it; what is at two holes is at the last one."""
+    nx, ny = label.shape
+    rim, pit = np.zeros(labels, np.int64), np.zeros(labels, np.int64)
+    for x in range(nx):
+        for y in range(ny):
+            if label[x, y] > 0 and not walls[x, y]:
+                continue
+            hole = 0
+            for u in range(max(x - 1, 0), min(x + 2, nx)):
+                for v in range(max(y - 1, 0), min(y + 2, ny)):
+                    hole = max(hole, label[u, v])
+            rim[hole] += int(label[x, y] == 0)
+            pit[hole] += int(walls[x, y])
+    return rim, pit
 
 
 def _fill_gaps(
     height: NDArray[np.float32],
     state: NDArray[np.uint8],
     holes: BoolArray,
-    distance: FloatArray,
-    gap: NDArray[np.float32],
-    cell_width: float,
+    surface: HeightMap,
+    near: Nearest,
+    noise: float,
 ) -> None:
-    """Fill single cells that the scan's spacing left empty with their heights as a `gap`: also at a step's edge."""
-    small = _small(holes, distance, cell_width)
-    height[small] = gap[small]
-    state[small] = INFERRED
+    """Fill single cells that the scan's spacing left empty, also at a step's edge.
 
-
-def _in_gaps(surface: HeightMap, beside: NDArray[np.float32], noise: float) -> NDArray[np.float32]:
-    """Height of each unknown cell if it is a gap: of the smooth ground around it, or of the cell `beside`.
-
-    On a slope the latter makes a step that nobody saw. But where the cure has blurred a step to a slope, it shows it.
+    Each is of the smooth ground around it, or as high as the cell beside it. On a slope the latter makes a step that
+    nobody saw. But where the cure has blurred a step to a slope, it shows it.
     """
-    own = surface.height, reach_of(surface.cell_width, noise), max(FINE, FLAT * noise)
-    made = beside.copy()
-    run_chunked(lambda a, b: _onto_bends(*own, a, b, made), made.size)
-    return made
+    small = np.flatnonzero(_small(holes, near.distance, surface.cell_width))
+    own = surface.height, reach_of(surface.cell_width, noise), max(FINE, FLAT * noise), small
+    made = near.height.ravel()[small]
+    run_chunked(lambda a, b: _onto_bends(*own, a, b, made), len(small))
+    height.ravel()[small], state.ravel()[small] = made, INFERRED
 
 
 @njit(cache=True, nogil=True)
 def _onto_bends(
-    height: NDArray[np.float32], reach: int, flat: float, begin: int, end: int, made: NDArray[np.float32]
+    height: NDArray[np.float32],
+    reach: int,
+    flat: float,
+    cells: IntArray,
+    begin: int,
+    end: int,
+    made: NDArray[np.float32],
 ) -> None:
-    """Put cells beside seen ones onto the quadric through the seen cells around where it is `flat` [m]."""
+    """Put `cells` that are not at the rim onto the quadric through the seen cells around where it is `flat` [m]."""
     (nx, ny), sums = height.shape, make_room()
-    for cell in range(begin, end):
-        i, j = cell // ny, cell % ny
-        if not (0 < i < nx - 1 and 0 < j < ny - 1 and np.isnan(height[i, j])):
-            continue
-        if not np.isnan(height[i - 1 : i + 2, j - 1 : j + 2]).all():
-            shift, smooth = bend_at(height, i, j, reach, float(made[i, j]), flat, sums)
+    for k in range(begin, end):
+        i, j = cells[k] // ny, cells[k] % ny
+        if 0 < i < nx - 1 and 0 < j < ny - 1:
+            shift, smooth = bend_at(height, i, j, reach, float(made[k]), flat, sums)
             if smooth:
-                made[i, j] += shift
+                made[k] += shift
 
 
 @njit(cache=True, nogil=True)
@@ -498,7 +512,7 @@ def _treads(
             for axis in range(2):
                 dx, dy = 1 - axis, axis
                 ahead, on = _next_known(height, x, y, -dx, -dy, most)
-                behind, back = _next_known(height, x, y, dx, dy, most)
+                behind, back = _next_known(height, x, y, dx, dy, most - on) if on > 0 else (ahead, 0)
                 if on == 0 or back == 0:
                     continue
                 run, low, high = (on + back) * cell_width, min(ahead, behind), max(ahead, behind)

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
+from numba import njit
 
 from gpdf_service.config import FieldConfig, SearchConfig
 from gpdf_service.fields import Gpdf, Tree, build_tree, change_tree, thin
@@ -126,10 +127,25 @@ def _change_tree(tree: Tree, stay: BoolArray, fresh: FloatArray) -> Tree:
     if not stay.any():
         return build_tree(fresh)
     made, source = change_tree(tree, stay[tree.order], np.ascontiguousarray(fresh))
-    row = np.cumsum(stay) - 1
-    before = row[tree.order[np.maximum(source, 0)]]
-    order = np.where(source >= 0, before, row[-1] - source)  # −1 − a fresh row, after the last
-    return made._replace(order=order)
+    return made._replace(order=_rows_now(stay, tree.order, source))
+
+
+@njit(cache=True, nogil=True)
+def _rows_now(stay: BoolArray, order: IntArray, source: IntArray) -> IntArray:
+    """Row of each point of a tree: of those that `stay` of the former ones, shape (n,), and of fresh ones after them.
+
+    Args:
+        stay: Which stay.
+        order: Former row of each point of the former tree.
+        source: Which of these each point is, or −1 − its number among the fresh ones.
+    """
+    row, made, last = np.empty(len(stay), np.int64), np.empty(len(source), np.int64), 0
+    for i in range(len(stay)):
+        row[i] = last
+        last += stay[i]
+    for i in range(len(source)):
+        made[i] = row[order[source[i]]] if source[i] >= 0 else last - 1 - source[i]
+    return made
 
 
 def _part(level: GroundLevel, region: BoolArray, reach: int) -> GroundLevel:
