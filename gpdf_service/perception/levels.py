@@ -25,7 +25,7 @@ from gpdf_service.perception.columns import (
     taken,
 )
 from gpdf_service.perception.hidden import FACE_REACH, find_faces, hidden_reach, without_hidden
-from gpdf_service.perception.layers import Layers, build_layers, cell_width_of, layer_gap
+from gpdf_service.perception.layers import Layers, build_layers, cell_width_of, connect, layer_gap
 from gpdf_service.perception.limits import (
     GroundLimits,
     Measured,
@@ -38,8 +38,15 @@ from gpdf_service.perception.limits import (
     widened,
     window,
 )
-from gpdf_service.perception.nodes import extents_in_plan, grown_sheet, pairs_within, whole_around
-from gpdf_service.perception.segment import LEAST_SCATTER, OVER_SHARE
+from gpdf_service.perception.nodes import (
+    components,
+    extents_in_plan,
+    grown_sheet,
+    mark_nearest,
+    pairs_within,
+    whole_around,
+)
+from gpdf_service.perception.segment import LEAST_SCATTER
 from gpdf_service.perception.smooth import RESOLVED_STEP, smooth, to_centres, without_unlucky
 from gpdf_service.perception.strays import find_strays
 from gpdf_service.perception.surface import (
@@ -264,10 +271,9 @@ def split_sheets(near: Beside, config: PerceptionConfig) -> tuple[BoolArray, ...
     sheets = 0
     for seed in order[size[order] > 0]:
         own = members[start[seed] : start[seed + 1]]
-        # A piece can lie over itself, as two floors with a gentle stair do: the lowest of it first, then what is left.
         left = own[sheet_of[own] < 0]
         while len(left) >= (least if len(left) < len(own) else 1):
-            sheet_of[_first_of_each_cell(layers, left)] = sheets
+            sheet_of[_lowest_of(layers, left, least)] = sheets
             _attach(layers, a, b, smooth, start, members, sheet_of, sheets)
             sheets += 1
             left = own[sheet_of[own] < 0]
@@ -329,6 +335,34 @@ def _first_of_each_cell(layers: Layers, nodes: IntArray) -> IntArray:
     return nodes[np.unique(layers.cell[nodes], return_index=True)[1]]
 
 
+def _lowest_of(layers: Layers, piece: IntArray, least: int) -> IntArray:
+    """The nodes of a smooth piece on its lowest floor: all of them, or the floor below where it lies over itself.
+
+    So do two floors that a ramp or a gentle stair joins. A node that is alone in its cell is of the floor to which the
+    way over the piece is shorter: the upper floor over a hole in the scan of the lower one stays the upper floor, and
+    half of the ramp is of either. What is joined to the floor only over others is left for them. Fewer nodes than the
+    `least` that lie over others are no floor.
+    """
+    cell = layers.cell[piece]
+    over = np.r_[False, np.diff(cell) == 0]
+    if not over.any():
+        return piece
+    mark = np.full(len(layers.cell), -1, dtype=np.int8)
+    mark[piece] = np.where(over, 2, 0)
+    slopes = connect(layers, mark >= 0, layers.cell_width)
+    part = components(*slopes, mark == 2)[piece]
+    floor = over & (np.bincount(part[over], minlength=part.max() + 1) >= least)[part]
+    if not floor.any():
+        lowest: IntArray = piece[~over]
+        return lowest
+    mark[piece] = np.where(floor, 2, np.where(over, -1, np.isin(cell, cell[floor])))
+    mark_nearest(*slopes, mark)
+    low = mark == 1
+    part = components(*slopes, low)[piece]
+    floors: IntArray = piece[low[piece] & (part == np.bincount(part[low[piece]]).argmax())]
+    return floors
+
+
 def _attach(
     layers: Layers,
     a: IntArray,
@@ -348,11 +382,11 @@ def _attach(
         grown = False
         for piece in pieces:
             nodes = members[start[piece] : start[piece + 1]]
-            left = nodes[sheet_of[nodes] < 0]
-            free = _first_of_each_cell(layers, left[~taken[layers.cell[left]]])
-            if len(free) and len(left) - len(free) <= OVER_SHARE * len(left):
-                sheet_of[free] = sheet
-                taken[layers.cell[free]] = True
+            nodes = nodes[sheet_of[nodes] < 0]
+            cells = layers.cell[nodes]  # ascending, as nodes are
+            if not taken[cells].any() and (np.diff(cells) > 0).all():
+                sheet_of[nodes] = sheet
+                taken[cells] = True
                 grown = True
         if not grown:
             return

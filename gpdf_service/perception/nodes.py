@@ -177,6 +177,33 @@ def joined_to(seeds: BoolArray, among: BoolArray, piece: IntArray, a: IntArray, 
 
 
 @njit(cache=True, nogil=True)
+def mark_nearest(a: IntArray, b: IntArray, mark: NDArray[np.int8]) -> None:
+    """Give each node marked 0 the mark of the one over 0 that the fewest pairs (a, b) join it to; -1 joins nothing."""
+    start = np.zeros(len(mark) + 1, np.int64)
+    for e in range(len(a)):
+        if mark[a[e]] >= 0 and mark[b[e]] >= 0:
+            start[a[e] + 1] += 1
+            start[b[e] + 1] += 1
+    start = np.cumsum(start)
+    place, other = start[:-1].copy(), np.empty(start[-1], INDEX)
+    for e in range(len(a)):
+        i, j = a[e], b[e]
+        if mark[i] >= 0 and mark[j] >= 0:
+            other[place[i]], other[place[j]] = j, i
+            place[i] += 1
+            place[j] += 1
+    ring = np.flatnonzero(mark > 0)
+    while len(ring):
+        found = [0 for _ in range(0)]
+        for i in ring:
+            for e in range(start[i], start[i + 1]):
+                if mark[other[e]] == 0:
+                    mark[other[e]] = mark[i]
+                    found.append(other[e])
+        ring = np.array(found, np.int64)
+
+
+@njit(cache=True, nogil=True)
 def pairs_within(
     a: IntArray, b: IntArray, among: BoolArray, both: bool, label: IntArray | None = None
 ) -> tuple[IntArray, IntArray]:

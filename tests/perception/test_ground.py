@@ -468,6 +468,14 @@ def test_a_slab_seen_from_below_through_the_hole_in_the_scan_of_its_top_is_no_gr
     assert plan(scene, (4.0, 0.6, 2.9), (4.0, 2.4, 2.9)).status is Status.OK
 
 
+def test_a_hole_in_the_scan_of_a_floor_below_another_that_a_ramp_joins_is_filled():
+    scene = build_scene(car_park())
+    heights = np.concatenate([surface.height_at(np.array([[4.0, 4.0]])) for surface in scene.surfaces])
+    assert np.nanmin(np.abs(heights)) < 0.01
+    assert plan(scene, (3.0, 4.0, 0.0), (5.0, 4.0, 0.0)).status is Status.OK
+    assert plan(scene, (3.0, 4.0, 0.0), (5.0, 4.0, 2.9)).status is Status.OK  # over the ramp
+
+
 def open_flight():
     """A floor under a slab 2.88 m higher, and an open flight of 15 treads, 5 cm thick, from one to the other.
 
