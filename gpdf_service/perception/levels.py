@@ -46,7 +46,7 @@ from gpdf_service.perception.nodes import (
     pairs_within,
     whole_around,
 )
-from gpdf_service.perception.segment import LEAST_SCATTER
+from gpdf_service.perception.segment import LEAST_SCATTER, over_ground
 from gpdf_service.perception.smooth import RESOLVED_STEP, smooth, to_centres, without_unlucky
 from gpdf_service.perception.strays import find_strays
 from gpdf_service.perception.surface import (
@@ -259,6 +259,7 @@ def split_sheets(near: Beside, config: PerceptionConfig) -> tuple[BoolArray, ...
     layers = near.layers
     count = len(layers.cell)
     keep = ~_under_step(near, config.step_headroom)
+    keep &= ~over_ground(layers, keep, config.step_headroom)  # what goes on nowhere
     if (np.diff(layers.cell[keep]) > 0).all():
         return (keep,)
     smooth, _, steps = near.pieces(keep, layers.cell_width, None, keep, config.max_step)
@@ -284,7 +285,8 @@ def split_sheets(near: Beside, config: PerceptionConfig) -> tuple[BoolArray, ...
         return grown_sheet(*grid, keep, nodes, config.max_step, rings)
 
     grown = run_parallel(grow, [nodes for nodes in made if len(nodes) >= least])
-    grown = [*grown, *run_parallel(grow, _seams(near, keep, grown, config, rings))]
+    seams = run_parallel(grow, _seams(near, keep, grown, config, rings))
+    grown = [*grown, *(inside for inside in seams if np.count_nonzero(inside) >= least)]
     return tuple(sorted(grown, key=lambda inside: float(np.median(layers.height[inside]))))
 
 
