@@ -146,14 +146,21 @@ def _top_of_board(z: FloatArray, first: int, last: int, board: float) -> int:
 
 @njit(cache=True, nogil=True)
 def tops_of_boards(
-    cell: IntArray, start: IntArray, shape: tuple[int, int], middle: FloatArray, face: FloatArray, near: float
+    nodes: IntArray,
+    cell: IntArray,
+    start: IntArray,
+    shape: tuple[int, int],
+    middle: FloatArray,
+    face: FloatArray,
+    near: float,
 ) -> FloatArray:
-    """Heights of nodes [m], shape (k,): the `face` of those that three others beside lie `near` [m], else the `middle`.
+    """Heights of `nodes` [m], shape (m,): the `face` of those that three others beside lie `near` [m], or the `middle`.
 
     A board goes on in two directions; points of a riser over its tread, with room between by chance, along a line.
     """
-    height = middle.copy()
-    for i in range(len(cell)):
+    height = middle[nodes]
+    for n in range(len(nodes)):
+        i = nodes[n]
         if np.isnan(face[i]):
             continue
         x, y, beside = cell[i] // shape[1], cell[i] % shape[1], 0
@@ -165,7 +172,7 @@ def tops_of_boards(
                         beside += 1
                         break
         if beside >= 3:
-            height[i] = face[i]
+            height[n] = face[i]
     return height
 
 

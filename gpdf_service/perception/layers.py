@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -23,11 +23,13 @@ from gpdf_service.perception.columns import (
     cut_columns,
     kth_beside,
     pairs_near,
+    rows_by_cell,
     runs_of,
     starts_spliced,
     tops_of_boards,
     values_spliced,
 )
+from gpdf_service.perception.limits import widened
 from gpdf_service.types import BoolArray, FloatArray, IntArray
 
 MIN_CELL = 0.05
@@ -140,6 +142,8 @@ def grid_of(low: FloatArray, high: FloatArray, cell_width: float) -> tuple[Float
 
 _OWN = "cell", "place", "height", "thickness", "headroom", "middle", "face"
 """What is told of each node."""
+_NO_POINTS: IntArray = np.zeros(0, np.int64)
+"""`node_of_point` of layers that are kept without points."""
 
 
 def same_nodes(one: Layers, other: Layers) -> bool:
@@ -151,12 +155,11 @@ def splice_layers(layers: Layers, changed: BoolArray, fresh: Layers | None) -> L
     """Layers with all nodes of the `changed` cells, shape (cells,), replaced by those of `fresh` on the same grid."""
     new, begin = (layers, np.zeros_like(layers.start)) if fresh is None else (fresh, fresh.start)
     start, runs = starts_spliced(changed, layers.start, begin), runs_of(changed, layers.start, begin)
-    cell, place, _, thickness, headroom, middle, face = (
-        values_spliced(runs, getattr(layers, name), getattr(new, name)) for name in _OWN
-    )
-    height = tops_of_boards(cell, start, layers.shape, middle, face, layers.board)
-    grid, nothing = (layers.origin, layers.cell_width, layers.shape, layers.board), np.zeros(0, np.int64)
-    return Layers(*grid, cell, place, height, thickness, headroom, middle, face, nothing, start)
+    own: dict[str, Any] = {name: values_spliced(runs, getattr(layers, name), getattr(new, name)) for name in _OWN}
+    nodes = rows_by_cell(widened(changed.reshape(layers.shape), 1), start)  # what lies beside a board says if it is one
+    grid = own["cell"], start, layers.shape, own["middle"], own["face"], layers.board
+    own["height"][nodes] = tops_of_boards(nodes, *grid)
+    return replace(layers, **own, node_of_point=_NO_POINTS, start=start)
 
 
 def kept_nodes(old: Layers, layers: Layers, cells: BoolArray) -> Runs:
@@ -166,8 +169,10 @@ def kept_nodes(old: Layers, layers: Layers, cells: BoolArray) -> Runs:
 
 def carried(values: NDArray[Any], kept: Runs) -> NDArray[Any]:
     """The values of the nodes before, `kept_nodes`; of those that were none NaN, or false."""
-    nothing = np.full(max(part.stop for _, part in kept), False if values.dtype == bool else np.nan, values.dtype)
-    return values_spliced(kept, values, nothing)
+    nothing = False if values.dtype == bool else np.nan
+    return np.concatenate(
+        [np.full(part.stop - part.start, nothing, values.dtype) if new else values[part] for new, part in kept]
+    )
 
 
 def crop_layers(layers: Layers, box: tuple[slice, slice]) -> tuple[Layers, IntArray]:
@@ -178,9 +183,8 @@ def crop_layers(layers: Layers, box: tuple[slice, slice]) -> tuple[Layers, IntAr
     cell = np.repeat(np.arange(flat.size), count.ravel())
     nodes = layers.start[flat.ravel()[cell]] + np.arange(len(cell)) - start[cell]
     origin = layers.origin + layers.cell_width * np.array([box[0].start, box[1].start])
-    place, height, thickness, headroom, middle, face = (getattr(layers, name)[nodes] for name in _OWN[1:])
-    own = cell, place, height, thickness, headroom, middle, face, np.zeros(0, np.int64)
-    return Layers(origin, layers.cell_width, (flat.shape[0], flat.shape[1]), layers.board, *own, start), nodes
+    own: dict[str, Any] = {name: getattr(layers, name)[nodes] for name in _OWN} | {"cell": cell}
+    return replace(layers, origin=origin, shape=flat.shape, **own, node_of_point=_NO_POINTS, start=start), nodes
 
 
 def build_layers(
@@ -206,7 +210,7 @@ def build_layers(
     run_chunked(lambda a, b: cut_columns(start, order, z, gap, flat, board, first, a, b, made), high - low)
     cell_of += low
     first = np.concatenate([np.zeros(low, np.int64), first, np.full(shape[0] * shape[1] - high, count)])
-    height = tops_of_boards(cell_of, first, shape, middle, face, board)
+    height = tops_of_boards(np.arange(count), cell_of, first, shape, middle, face, board)
     own = cell_of, points[row, :2], height, thickness, headroom, middle, face
     return Layers(origin, cell_width, shape, board, *own, node, first)
 
