@@ -78,13 +78,13 @@ from gpdf_service.perception.surface import (
     MAX_HOLE_RADIUS,
     NOWHERE,
     OBSERVED,
-    UNKNOWN,
     Box,
     HeightMap,
     changed,
     differ,
     find_voids,
     nearest_seen,
+    without,
 )
 from gpdf_service.types import BoolArray, FloatArray, IntArray
 
@@ -305,7 +305,7 @@ def _change_levels(
     def one(i: int) -> tuple[GroundLevel, Voids, Completion, IntArray, BoolArray | None]:
         level, inside, moved = old.levels.levels[i], sheets[i], cells.copy()
         moved.ravel()[layers.cell[inside != carried(old.survey.sheets[i], kept)]] = True  # maybe another node of it
-        was = _seen_of(level.surface)
+        was = without(level.surface, level.surface.state != OBSERVED)  # as it was seen
         part = _Part(cloud, ground, stray, layers, inside, _change_seen(was, layers, inside, moved), cells)
         survey = old.survey
         return _change_level(level, was, survey.voids[i], survey.completions[i], survey.first[i], part, config)
@@ -324,16 +324,19 @@ def _change_seen(was: HeightMap, layers: Layers, inside: BoolArray, moved: BoolA
     return pasted_ground(was, part, inner, outer)
 
 
-def _seen_of(surface: HeightMap) -> HeightMap:
-    """The ground as it was seen, without what was inferred."""
-    seen = surface.state == OBSERVED
-    height = np.where(seen, surface.height, np.float32(np.nan))
-    return replace(surface, height=height, state=np.where(seen, OBSERVED, UNKNOWN).astype(np.uint8))
-
-
 @dataclass(frozen=True, slots=True)
 class _Part:
-    """What one level is made of: cloud, labels, strays, ground layers, its nodes, its ground, changed columns."""
+    """What one level is made of.
+
+    Attributes:
+        cloud: After the change.
+        ground: Which of its points are ground, shape (n,).
+        stray: Which count for nothing, shape (n,).
+        layers: Of the ground points.
+        inside: Which of their nodes are of this level, shape (k,).
+        seen: Its ground as it was seen.
+        cells: Columns that hold other points than before, and those beside, shape (nx, ny).
+    """
 
     cloud: _Cloud
     ground: BoolArray
@@ -373,7 +376,7 @@ def _change_level(
     gone = rows_by_cell(cells, first)
     lost = taken(other, gone)
     swapped = _other_cells(seen, lost, fresh)
-    before = _with(lost, ledge[gone])
+    before = np.column_stack([lost, ledge[gone]])
     if swapped.any():
         (fresh, new), flat = in_order(fresh, seen), cells.ravel()
         begin, runs = starts_spliced(flat, first, new), runs_of(flat, first, new)
@@ -397,7 +400,7 @@ def _change_level(
     (measured, limits), found = run_beside(measure, partial(_ledges_of, part, surface, places))
     after = cells[surface.cells(places)[:2]]
     stepped = _cells_of(places[ledge[asked] != found], part.layers) & ~cells
-    stepped |= _other_cells(surface, before, _with(places[after], found[after]))
+    stepped |= _other_cells(surface, before, np.column_stack([places[after], found[after]]))
     ledge = ledge.copy()
     ledge[asked] = found
     touched = widened(stepped, 1) | widened(other_ground, limits_reach(surface))
@@ -443,11 +446,6 @@ def _change_voids(voids: Voids, cells: BoolArray, found: Voids, box: Box) -> Voi
         whole[box] = np.where(cells[box], part, whole[box])
     through, pit, walls = made
     return through, pit, walls
-
-
-def _with(points: FloatArray, values: NDArray[np.float32]) -> FloatArray:
-    made: FloatArray = np.column_stack([points, values])
-    return made
 
 
 def _other_cells(surface: HeightMap, was: FloatArray, now: FloatArray) -> BoolArray:

@@ -16,6 +16,7 @@ from gpdf_service.perception.surface import (
     UNKNOWN,
     HeightMap,
     extent_within,
+    without,
 )
 from gpdf_service.types import BoolArray, FloatArray, IntArray
 
@@ -45,11 +46,7 @@ def without_hidden(surface: HeightMap, lowest: FloatArray, face: BoolArray) -> H
     shown = (room > 1.0) & (room <= MAX_HOLE_RADIUS / surface.cell_width) & (front <= room + 1.0)
     wide = ndimage.binary_dilation((surface.state != OBSERVED) & ~face, _BESIDE)
     asked = (surface.state == INFERRED) & wide
-    hidden = _discs(np.argwhere(shown), room, asked) & asked
-    height = np.where(hidden, np.float32(np.nan), surface.height)
-    return HeightMap(
-        surface.origin, surface.cell_width, height, np.where(hidden, UNKNOWN, surface.state).astype(np.uint8)
-    )
+    return without(surface, _discs(np.argwhere(shown), room, asked) & asked)
 
 
 def find_faces(surface: HeightMap, cell: IntArray, z: FloatArray, headroom: float) -> BoolArray:

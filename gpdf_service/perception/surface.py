@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple, TypeVar
 
 import numpy as np
@@ -46,6 +46,7 @@ CEILING = 1.9
 _SIDES = ((-1, 0), (1, 0), (0, -1), (0, 1))
 """The four neighbours of a cell."""
 _ROUNDING = float(np.finfo(np.float64).eps)
+"""[-] Of a least-squares fit, a row: a singular value below this times the rows over the largest counts as 0."""
 MAX_HOLE_RADIUS = 1.0
 """[m] A hole is filled if no place in it is further from seen ground: a scanner's blind spot, the shadow of a desk."""
 
@@ -132,6 +133,12 @@ def differ(a: NDArray[np.float32], b: NDArray[np.float32]) -> BoolArray:
     """Where heights are not the same, shape (nx, ny)."""
     cells: BoolArray = ~((a == b) | (np.isnan(a) & np.isnan(b)))
     return cells
+
+
+def without(surface: HeightMap, cells: BoolArray) -> HeightMap:
+    """The height map with nothing known of the `cells`, shape (nx, ny)."""
+    height = np.where(cells, np.float32(np.nan), surface.height)
+    return replace(surface, height=height, state=np.where(cells, UNKNOWN, surface.state).astype(np.uint8))
 
 
 def cropped(surface: HeightMap, box: Box) -> HeightMap:
@@ -274,7 +281,7 @@ def fill_holes(
     under = ~solid & (distance <= MAX_HOLE_RADIUS) & material & _seen_hollow(~solid & material, known & material)
     _fill(height, state, under, solid, distance, surface.cell_width, void, SHUT_SHARE)
     _fill_gaps(height, state, state == UNKNOWN, surface, near, noise)  # what is left of larger ones
-    return HeightMap(surface.origin, surface.cell_width, height, state)
+    return replace(surface, height=height, state=state)
 
 
 def _seen_hollow(things: BoolArray, overhung: BoolArray) -> BoolArray:
@@ -509,15 +516,10 @@ def _treads(
         for y in range(ny):
             if not open_[x, y]:
                 continue
-            for axis in range(2):
-                dx, dy = 1 - axis, axis
-                ahead, on = _next_known(height, x, y, -dx, -dy, most)
-                behind, back = _next_known(height, x, y, dx, dy, most - on) if on > 0 else (ahead, 0)
-                if on == 0 or back == 0:
-                    continue
-                run, low, high = (on + back) * cell_width, min(ahead, behind), max(ahead, behind)
-                rise = float(high - low)
-                if not (run <= NOTCH_SPAN and rise > 2.0 * rounded and rise <= STEEPEST_FLIGHT * run):
+            for dx, dy in ((1, 0), (0, 1)):
+                low, high, steps = _both_sides(height, x, y, dx, dy, most)
+                run, rise = steps * cell_width, float(high - low)
+                if not (0.0 < run <= NOTCH_SPAN and 2.0 * rounded < rise <= STEEPEST_FLIGHT * run):
                     continue
                 for way in (-1, 1):
                     tread, beside = _next_known(height, x, y, way * dy, way * dx, int(NOTCH_DEPTH / cell_width))
@@ -547,11 +549,22 @@ def _between_treads(
     for k in range(len(asked)):
         x, y = asked[k]
         for dx, dy in ((1, 0), (0, 1), (1, 1), (1, -1)):
-            ahead, on = _next_known(height, x, y, dx, dy, most)
-            behind, back = _next_known(height, x, y, -dx, -dy, most)
-            if on > 0 and back > 0:
-                run = float(on + back) * cell_width * np.hypot(dx, dy)
-                found[x, y] |= abs(ahead - behind) <= max(RISER, STEEPEST_FLIGHT * run)
+            low, high, steps = _both_sides(height, x, y, dx, dy, most)
+            run = steps * cell_width * np.hypot(dx, dy)
+            found[x, y] |= steps > 0 and high - low <= max(RISER, STEEPEST_FLIGHT * run)
+
+
+@njit(cache=True, nogil=True)
+def _both_sides(
+    height: NDArray[np.float32], x: int, y: int, dx: int, dy: int, most: int
+) -> tuple[np.float32, np.float32, int]:
+    """Heights of the next known cells before and behind (x, y) on a line, the lower first, and the steps between them.
+
+    There are 0 steps where one of the two is more than `most` away.
+    """
+    ahead, on = _next_known(height, x, y, dx, dy, most)
+    behind, back = _next_known(height, x, y, -dx, -dy, most) if on > 0 else (ahead, 0)
+    return min(ahead, behind), max(ahead, behind), on + back if back > 0 else 0
 
 
 @njit(cache=True, nogil=True)
@@ -656,7 +669,4 @@ def without_enclosed(surface: HeightMap, low: BoolArray) -> HeightMap:
     seen = np.zeros(count + 1, dtype=bool)
     seen[label[(surface.state == OBSERVED) & ~low]] = True
     wide = np.bincount(label.ravel()) > GAP_CELLS
-    enclosed = (surface.state == INFERRED) & ~low & (wide & ~seen)[label]
-    height = np.where(enclosed, np.float32(np.nan), surface.height)
-    state = np.where(enclosed, UNKNOWN, surface.state).astype(np.uint8)
-    return HeightMap(surface.origin, surface.cell_width, height, state)
+    return without(surface, (surface.state == INFERRED) & ~low & (wide & ~seen)[label])
