@@ -17,8 +17,8 @@ from numpy.typing import ArrayLike
 from scipy.ndimage import binary_fill_holes
 
 from gpdf_service.config import Config
-from gpdf_service.errors import CloudError, FieldError
-from gpdf_service.fields import FAR, Gpdf, fit_gpdf
+from gpdf_service.errors import CloudError
+from gpdf_service.fields import FAR, Gpdf, check_queries, fit_gpdf
 from gpdf_service.fields.spacing import estimate_spacing, thin
 from gpdf_service.fields.threads import run_parallel
 from gpdf_service.perception import (
@@ -36,11 +36,11 @@ from gpdf_service.perception import (
     cure_and_segment,
     survey_levels,
 )
-from gpdf_service.perception.columns import without_rows
+from gpdf_service.perception.columns import chosen_rows
 from gpdf_service.perception.layers import in_steps
 from gpdf_service.perception.levels import LEAST_OBSTACLE, within_reach
 from gpdf_service.perception.segment import LEAST_SCATTER
-from gpdf_service.perception.surface import UNKNOWN, is_same_ground
+from gpdf_service.perception.surface import INFERRED, UNKNOWN, is_same_ground
 from gpdf_service.search import FreeSpace, build_free_space, change_free_space, from_arrays, to_arrays
 from gpdf_service.store import Arrays, flatten, read_arrays, restore, under, write_arrays
 from gpdf_service.types import Agent, BoolArray, FieldSample, FloatArray, IntArray, resolve_agent
@@ -105,15 +105,7 @@ def whole_spacing(points: FloatArray) -> float:
     return spacing
 
 
-def _asked(queries: FloatArray, dims: tuple[int, ...]) -> FloatArray:
-    queries = np.asarray(queries, dtype=np.float64)
-    if queries.ndim != 2 or queries.shape[1] not in dims:
-        shapes = " or ".join(f"(m, {dim})" for dim in dims)
-        raise FieldError("field query", f"queries of shape {queries.shape}", f"Pass an array of shape {shapes}.")
-    return queries
-
-
-def _with(level: GroundLevel, points: FloatArray) -> GroundLevel:
+def _with_material(level: GroundLevel, points: FloatArray) -> GroundLevel:
     """The level with more material on it."""
     near = within_reach(points, level.surface)
     ledge = np.append(level.ledge, np.full(len(near), np.inf, np.float32))  # no step's face
@@ -129,11 +121,11 @@ class GroundField:
 
     def query(self, queries: FloatArray) -> FieldSample:
         """Distance to the ground, gradient (m, 3) and validity at `queries`, shape (m, 3) [m]."""
-        queries = _asked(queries, (3,))
+        queries = check_queries(queries, (3,))
         if len(self.fields) == 1:
             return self.fields[0].query(queries)
         level = np.where(np.isfinite(queries).all(axis=1), level_under(self.surfaces, queries), -1)
-        return _gather(queries, [(level == i, field, queries) for i, field in enumerate(self.fields)])
+        return _gather(queries, self.fields, level == np.arange(len(self.fields))[:, None])
 
 
 @dataclass(frozen=True, slots=True)
@@ -152,10 +144,9 @@ class ObstacleField:
                 Where two levels are the same ground, each is clear on its own, so the larger answer counts: a sheet
                 ends in the middle of a stair that the other one goes on.
         """
-        queries = _asked(queries, (2, 3))
+        queries = check_queries(queries, (2, 3))
         if queries.shape[1] == 3:
-            on = levels_at(self.surfaces, queries)
-            return _gather(queries[:, :2], [(on[i], field, queries[:, :2]) for i, field in enumerate(self.fields)])
+            return _gather(queries[:, :2], self.fields, levels_at(self.surfaces, queries))
         answers = [field.query(queries) for field in self.fields]
         distance = np.stack([np.where(a.valid, a.distance, np.inf) for a in answers])
         best = distance.argmin(axis=0)
@@ -166,12 +157,13 @@ class ObstacleField:
         return FieldSample(np.where(valid, distance[best, rows], 0.0), gradient, valid, deviation)
 
 
-def _gather(queries: FloatArray, parts: list[tuple[BoolArray, Gpdf, FloatArray]]) -> FieldSample:
+def _gather(queries: FloatArray, fields: tuple[Gpdf, ...], on: BoolArray) -> FieldSample:
+    """The largest of the answers of those levels that each query is `on`, shape (levels, m); not valid on none."""
     count = len(queries)
     made = FieldSample(np.zeros(count), np.zeros_like(queries), np.zeros(count, dtype=bool), np.full(count, np.inf))
-    for mask, field, asked in parts:
+    for mask, field in zip(on, fields, strict=True):
         if mask.any():
-            sample = field.query(asked[mask])
+            sample = field.query(queries[mask])
             better = sample.valid & (sample.distance >= made.distance[mask])
             rows = np.flatnonzero(mask)[better]
             made.distance[rows], made.gradient[rows] = sample.distance[better], sample.gradient[better]
@@ -184,6 +176,7 @@ Touched = tuple[BoolArray | None, ...]
 
 
 def _either(a: BoolArray | None, b: BoolArray | None) -> BoolArray | None:
+    """Cells that are among those of either, None where neither has any."""
     return (a if b is None else b) if a is None or b is None else a | b
 
 
@@ -315,7 +308,9 @@ class Scene:
             CloudError: points of another shape, or not finite: where they are dropped nothing would be in the way.
         """
         asked = check_finite(points)
-        changed = dataclasses.replace(self.levels, levels=tuple(_with(level, asked) for level in self.levels.levels))
+        changed = dataclasses.replace(
+            self.levels, levels=tuple(_with_material(level, asked) for level in self.levels.levels)
+        )
         fixed = self.ground_fields, self.config, self.version, self.noise, self.labelled
         return Scene(self.points, self.ground, changed, *fixed)
 
@@ -351,7 +346,7 @@ class Scene:
         fresh = np.zeros((0, 3)) if insert is None else check_points(insert)
         if not keep.any() and not len(fresh):
             raise CloudError("update", "no point would be left", "Keep some, or build another scene.")
-        cloud = without_rows(self.points, keep, fresh)
+        cloud = chosen_rows(self.points, keep, fresh)
         labels = None
         if ground is not None or self.labelled:
             labels = np.concatenate([self.ground[keep], self._labels_of(fresh, ground, cloud)])
@@ -457,16 +452,17 @@ class Scene:
         write_arrays(path, arrays, {**known, "config": dataclasses.asdict(self.config), "agents": bodies})
 
 
-def _level_info(index: int, level: Any, field: Gpdf) -> dict[str, Any]:  # noqa: ANN401
-    surface: HeightMap = level.surface
+def _level_info(index: int, level: GroundLevel, field: Gpdf) -> dict[str, Any]:
+    """Facts about one level, ready for JSON: areas in m², lengths in m."""
+    surface = level.surface
     cell_area = surface.cell_width**2
-    known = surface.state > 0
+    known = surface.state != UNKNOWN
     return {
         "level": index,
         "height": [float(np.nanmin(surface.height)), float(np.nanmax(surface.height))],
         "cell_width": float(surface.cell_width),
         "known_area": float(known.sum() * cell_area),
-        "inferred_area": float((surface.state == 2).sum() * cell_area),
+        "inferred_area": float((surface.state == INFERRED).sum() * cell_area),
         "undecided_area": float((binary_fill_holes(known) & ~known).sum() * cell_area),
         "other_points": len(level.other_points),
         "limits": len(level.limits.points),
@@ -542,6 +538,7 @@ def assemble_scene(
 
 
 def _fit_ground(level: GroundLevel, config: Config) -> Gpdf:
+    """The level's Ground GPDF, over all of its known cells."""
     spacing = GROUND_SPACING * level.surface.cell_width
     return fit_gpdf(level.ground_points, config=config.fields, domain=level.surface, spacing=spacing)
 

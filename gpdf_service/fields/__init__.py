@@ -11,6 +11,7 @@ from gpdf_service.fields.flights import onto_risers as onto_risers
 from gpdf_service.fields.flights import onto_treads as onto_treads
 from gpdf_service.fields.gpdf import Domain as Domain
 from gpdf_service.fields.gpdf import Gpdf as Gpdf
+from gpdf_service.fields.gpdf import check_queries as check_queries
 from gpdf_service.fields.gpdf import find_nearest as find_nearest
 from gpdf_service.fields.gpdf import fit_gpdf as fit_gpdf
 from gpdf_service.fields.noise import estimate_noise as estimate_noise

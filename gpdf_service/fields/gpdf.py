@@ -201,10 +201,7 @@ class Gpdf:
         return Gpdf(tree, alpha, discs, own, self.length_scale, self.noise_variance, self.spacing, self.domain)
 
     def _check(self, queries: ArrayLike) -> tuple[FloatArray, BoolArray]:
-        asked = _real("field query", queries)
-        dim = self.points.shape[1]
-        if asked.ndim != 2 or asked.shape[1] != dim:
-            raise FieldError("field query", f"queries of shape {asked.shape}", f"Pass an array of shape (m, {dim}).")
+        asked = check_queries(queries, (self.points.shape[1],))
         if np.isfinite(asked).all():
             return asked, np.ones(len(asked), dtype=bool)
         finite: BoolArray = np.logical_and.reduce(np.isfinite(asked), axis=1)
@@ -285,6 +282,19 @@ def _real(asked: str, values: ArrayLike) -> FloatArray:
         return np.asarray(made, dtype=np.float64, order="C")
     except (TypeError, ValueError) as error:
         raise FieldError(asked, f"what is no array of numbers ({error})", "Pass an array of real numbers.") from error
+
+
+def check_queries(queries: ArrayLike, dims: tuple[int, ...]) -> FloatArray:
+    """Queries of any of these dimensions as floats, shape (m, dim).
+
+    Raises:
+        FieldError: another shape, or no numbers.
+    """
+    asked = _real("field query", queries)
+    if asked.ndim != 2 or asked.shape[1] not in dims:
+        shapes = " or ".join(f"(m, {dim})" for dim in dims)
+        raise FieldError("field query", f"queries of shape {asked.shape}", f"Pass an array of shape {shapes}.")
+    return asked
 
 
 def _check_points(points: ArrayLike, dim: int | None) -> FloatArray:

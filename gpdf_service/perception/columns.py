@@ -432,14 +432,9 @@ def _rows_between(points: FloatArray, low: FloatArray, high: FloatArray, first: 
     return found[:used].copy()
 
 
+_NO_POINTS: FloatArray = np.zeros((0, 3))
 _BLOCK = 4096
 """Rows for which room is made at once: what is found is few, and memory that nobody touches costs nothing."""
-
-
-def chosen_rows(points: FloatArray, chosen: BoolArray) -> FloatArray:
-    """The points (n, 3) that are `chosen`, shape (n,), four times as fast as by NumPy."""
-    made: FloatArray = without_rows(points, chosen, np.zeros((0, 3)))
-    return made
 
 
 @njit(cache=True, nogil=True)
@@ -452,11 +447,11 @@ def taken(points: FloatArray, rows: IntArray) -> FloatArray:
     return made
 
 
-def without_rows(points: FloatArray, keep: BoolArray, fresh: FloatArray) -> FloatArray:
-    """The points (n, 3) to `keep`, and the `fresh` ones (k, 3) after them."""
-    count = np.count_nonzero(keep)
+def chosen_rows(points: FloatArray, chosen: BoolArray, fresh: FloatArray = _NO_POINTS) -> FloatArray:
+    """The points (n, 3) that are `chosen`, and the `fresh` ones (k, 3) after them, four times as fast as by NumPy."""
+    count = np.count_nonzero(chosen)
     made = np.empty((count + len(fresh) + 1, 3))  # by NumPy, which asks for large pages: a quarter of the time
-    _keep_rows(points, keep, made)
+    _keep_rows(points, chosen, made)
     made[count:-1] = fresh
     return made[:-1]
 

@@ -9,7 +9,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from gpdf_service.fields.threads import run_chunked, run_parallel
-from gpdf_service.perception.columns import chosen_rows, without_rows
+from gpdf_service.perception.columns import chosen_rows
 from gpdf_service.perception.levels import FACE, LEAST_OBSTACLE, GroundLevel, astray
 from gpdf_service.perception.limits import ObstacleKind
 from gpdf_service.perception.nearest import nearest_of
@@ -41,7 +41,7 @@ def obstacles_of(level: GroundLevel, agent: Agent, noise: float = 0.0) -> Obstac
     limits = level.limits
     reach = np.array([0.0, agent.max_step, agent.max_slope, -np.inf])[limits.kind]
     stops = limits.value > reach
-    points = without_rows(level.other_points, touched, chosen_rows(limits.points, stops))
+    points = chosen_rows(level.other_points, touched, chosen_rows(limits.points, stops))
     kind = np.full(len(points), int(ObstacleKind.MATERIAL), np.uint8)
     kind[np.count_nonzero(touched) :] = limits.kind[stops]
     return Obstacles(points, kind)

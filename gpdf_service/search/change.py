@@ -13,7 +13,7 @@ from gpdf_service.fields import Gpdf, Tree, build_tree, change_tree, thin
 from gpdf_service.fields.threads import run_beside, run_parallel
 from gpdf_service.perception import GroundLevel, GroundLimits, HeightMap, Levels, Obstacles, obstacles_of
 from gpdf_service.perception.change import hashed
-from gpdf_service.perception.columns import bounds_of, more_now, rows_in_cells, taken, without_rows
+from gpdf_service.perception.columns import bounds_of, chosen_rows, more_now, rows_in_cells, taken
 from gpdf_service.perception.limits import widened, window
 from gpdf_service.perception.surface import UNKNOWN
 from gpdf_service.search.free_space import (
@@ -91,7 +91,7 @@ def _change_level(
     fresh = found.points[inside]
     tree = _change_tree(was.tree, stay, fresh[:, :2])
     obstacles = Obstacles(
-        without_rows(was.obstacles.points, stay, fresh),
+        chosen_rows(was.obstacles.points, stay, fresh),
         np.concatenate([was.obstacles.kind[stay], found.kind[inside]]),
     )
     known = (was.surface.state != UNKNOWN) != (surface.state != UNKNOWN)

@@ -18,7 +18,6 @@ from gpdf_service.perception.columns import (
     rows_in_cells,
     rows_of_cells,
     taken,
-    without_rows,
 )
 from gpdf_service.perception.layers import build_layers, splice_layers
 from gpdf_service.perception.levels import within_reach
@@ -45,9 +44,7 @@ def test_cells_boxes_and_bounds_are_those_of_numpy(points):
     np.testing.assert_array_equal(bounds_of(points), (points[:, :2].min(axis=0), points[:, :2].max(axis=0)))
     np.testing.assert_array_equal(bounds_of(points, chosen), bounds_of(points[chosen]))
     np.testing.assert_array_equal(chosen_rows(points, chosen), points[chosen])
-    np.testing.assert_array_equal(
-        without_rows(points, chosen, points[:5]), np.concatenate([points[chosen], points[:5]])
-    )
+    np.testing.assert_array_equal(chosen_rows(points, chosen, points[:5]), np.concatenate([points[chosen], points[:5]]))
     wanted = np.random.default_rng(1).random(SHAPE[0] * SHAPE[1]) < 0.2
     rows = rows_of_cells(wanted, *by_cell(cell, wanted.size))
     np.testing.assert_array_equal(rows, np.flatnonzero(wanted[cell]))
