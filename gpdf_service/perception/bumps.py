@@ -7,6 +7,8 @@ on and on; rough ground does so everywhere; a narrow tread leads further up.
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from numba import njit
 
@@ -25,9 +27,21 @@ ROUGH = 4.0
 LONG = 3.0
 """[-] Length over depth of what crosses the way, a sill or a ridge; what stands about is rounder."""
 
-Former = tuple[BoolArray, FloatArray, FloatArray, BoolArray]
-"""Of the nodes of the version before which were ground, how far they were raised and how rough it was around low things
-[m], NaN of those that are new, shape (k,), and the cells that had other nodes, shape (nx, ny)."""
+
+class Former(NamedTuple):
+    """What was found of the nodes in the version before.
+
+    Attributes:
+        ground: Which were ground, shape (k,).
+        raised: How far they were raised [m], NaN of those that are new, shape (k,).
+        rough: How rough it was around low things [m], NaN elsewhere, shape (k,).
+        cells: Those that had other nodes, shape (nx, ny).
+    """
+
+    ground: BoolArray
+    raised: FloatArray
+    rough: FloatArray
+    cells: BoolArray
 
 
 def low_things(
@@ -54,8 +68,8 @@ def low_things(
     nodes = np.flatnonzero(found)
     rough, other = np.full(len(ground), np.nan), np.ones(layers.shape, dtype=bool)
     if known is not None:
-        other = cells_around(layers, (known[0] != ground) | (known[1] != raised), 0, known[3])
-        rough = known[2].copy()
+        other = cells_around(layers, (known.ground != ground) | (known.raised != raised), 0, known.cells)
+        rough = known.rough.copy()
     reach = 2 * _reach(layers, config)
     around = _around(nodes, *grid, ground, _pieces(nodes, grid, found, slope), raised, reach, other, rough)
     rough[:] = np.nan
@@ -84,9 +98,8 @@ def raised_over_sides(
     reach = _reach(layers, config)
     raised, asked = np.zeros(len(ground)), ground
     if known is not None:
-        before, old, _, cells = known
-        felt = cells_around(layers, before != ground, reach, cells).ravel()[layers.cell]
-        raised, asked = np.where(felt, 0.0, old), ground & felt
+        felt = cells_around(layers, known.ground != ground, reach, known.cells).ravel()[layers.cell]
+        raised, asked = np.where(felt, 0.0, known.raised), ground & felt
     nodes, grid = np.flatnonzero(asked), (layers.cell, layers.start, layers.shape, layers.height, ground)
     run_chunked(lambda a, b: _raise(nodes[a:b], *grid, reach, config.max_step, raised), len(nodes))
     return raised
@@ -142,7 +155,7 @@ def _raise(
     for i in nodes:
         x, y, level = cell[i] // shape[1], cell[i] % shape[1], height[i]
         for dx, dy in HALF:
-            cells = reach if dx * dy == 0 else max(1, int(0.7071 * reach))
+            cells = reach if dx * dy == 0 else max(1, int(np.sqrt(0.5) * reach))
             least = np.inf
             for side in (-1, 1):
                 lowest = level

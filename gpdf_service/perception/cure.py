@@ -40,8 +40,8 @@ _COLUMN = 1.0
 """[m] Width of the columns that the sample is made of: several times the largest neighbourhood of 5 cm noise."""
 
 
-class Found(NamedTuple):
-    """The ground of a cloud.
+class CuredGround(NamedTuple):
+    """The ground of a cloud whose noise was taken out.
 
     Attributes:
         cured: The cloud without its noise.
@@ -58,7 +58,7 @@ class Found(NamedTuple):
 
 def cure_and_segment(
     points: FloatArray, ground: BoolArray | None, config: PerceptionConfig, width: float | None = None
-) -> Found:
+) -> CuredGround:
     """Move the points of a noisy cloud onto their surfaces, and tell ground from the rest.
 
     At the foot of a wall a neighbourhood holds both floor and wall, and its plane is neither. So ground and the rest
@@ -83,7 +83,7 @@ def cure_and_segment(
     if double > max(_DOUBLE * noise, least):
         noise = double
     if noise <= least:
-        return Found(uncured(points, noise), first, as_it_was=True, segmentation=segmentation)
+        return CuredGround(uncured(points, noise), first, as_it_was=True, segmentation=segmentation)
     stray = None
     if ground is None:
         moved, _ = onto_surface(points, spacing, noise)
@@ -97,7 +97,7 @@ def cure_and_segment(
     else:
         stray |= find_lifted(cured.points, ground, noise, spacing)
     cured = cured._replace(stray=stray)
-    return Found(cured, ground & ~cured.stray, as_it_was=False)
+    return CuredGround(cured, ground & ~cured.stray, as_it_was=False)
 
 
 def _cure_apart(points: FloatArray, ground: BoolArray, noise: float) -> Cured:

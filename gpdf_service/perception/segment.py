@@ -14,7 +14,7 @@ from gpdf_service.config import PerceptionConfig
 from gpdf_service.errors import NoGroundError
 from gpdf_service.fields.threads import run_beside, run_chunked
 from gpdf_service.perception.beside import Beside, beside, beside_now
-from gpdf_service.perception.bumps import cells_around, low_things, raised_over_sides
+from gpdf_service.perception.bumps import Former, cells_around, low_things, raised_over_sides
 from gpdf_service.perception.columns import Runs, by_cell, medians_around
 from gpdf_service.perception.layers import (
     Layers,
@@ -49,8 +49,10 @@ from gpdf_service.perception.nodes import (
 from gpdf_service.perception.read import check_points
 from gpdf_service.types import BoolArray, FloatArray, IntArray
 
-NOWHERE = ("ground", "no surface in the cloud is wide and level enough to stand on", "Is z up?")
+NO_SURFACE = ("ground", "no surface in the cloud is wide and level enough to stand on", "Is z up?")
 """What was looked for, what was found, what to try."""
+ROBUST = 1.4826
+"""[-] Standard deviation over the median of what normal residuals are off by."""
 LEAST_SCATTER = 0.02
 """[m] Scatter of a good scanner's floor; three robust standard deviations of the residuals where that is more."""
 NOISY = 2.8
@@ -183,7 +185,7 @@ def segment_layers(
     ground, found = find_ground(layers, config, noise)
     smooth = _smoothed(layers, ground)
     if z is not None:
-        deviation = 1.4826 * float(np.median(off_ground(z, layers.node_of_point, ground, smooth)))
+        deviation = ROBUST * float(np.median(off_ground(z, layers.node_of_point, ground, smooth)))
     return Segmentation(layers, *_extents(layers, ground, smooth, scatter_of(deviation), config), found, deviation)
 
 
@@ -272,7 +274,7 @@ def find_ground(
     smooth = near.degrees(surface, rise)
     core = surface & (smooth >= 5)  # what a strip two cells wide has: a tread is that wide, a wall's top is not
     if not core.any():
-        raise NoGroundError(*NOWHERE)
+        raise NoGroundError(*NO_SURFACE)
     keep = surface & (layers.headroom >= config.step_headroom)
     piece, loose, steps = near.pieces(core & keep, rise, surface, keep, config.max_step)
     wide, patch = with_rims(core, keep, piece, *loose)
@@ -298,18 +300,18 @@ def find_ground(
         among[:-1] &= ~(under[:-1] & ground[1:])
         reached = joined_to(ground, among, piece, *loose)  # and what lies behind
         seen[patch[reached & wide]] = True
-        if not len(_beside(reached, joins, seen)):
+        if not len(_next_patches(reached, joins, seen)):
             break
         ground = reached
     slope = _slope(layers, reached, config, known)
     level = reached & (slope <= config.standable_slope)
     found: BoolArray = reached & ~_roofs(near, reached, level, [large[i] for i in storeys], joins, config)
-    before = known and (*known[0][3:], known[1])
+    before = None if known is None else Former(known[0].ground, known[0].raised, known[0].rough, known[1])
     raised = raised_over_sides(layers, found, config, before)
     low, rough = low_things(layers, found, raised, config, before)
     ground = found & ~low
     if not ground.any():
-        raise NoGroundError(*NOWHERE)
+        raise NoGroundError(*NO_SURFACE)
     return ground, Found(near, reached, slope, found, raised, rough)
 
 
@@ -386,12 +388,12 @@ def _slope(
     rise = 2.0 * layers.cell_width * float(np.tan(config.steepest))  # or noise would flatten it
     if known is None:
         return _slopes(layers, connect(layers, ground, rise))
-    (_, before, slope, *_), cells = known
-    felt = cells_around(layers, before != ground, 2, cells)
+    before, cells = known
+    felt = cells_around(layers, before.reached != ground, 2, cells)
     if not felt.any():
-        return slope
+        return before.slope
     part, nodes = crop_layers(layers, window(felt, 2))
-    inside, made = felt.ravel()[layers.cell[nodes]], slope.copy()
+    inside, made = felt.ravel()[layers.cell[nodes]], before.slope.copy()
     made[nodes[inside]] = _slopes(part, connect(part, ground[nodes], rise))[inside]
     return made
 
@@ -523,7 +525,7 @@ def _mostly(true: BoolArray, label: IntArray, among: BoolArray) -> BoolArray:
     return held
 
 
-def _beside(ground: BoolArray, joins: _Joins, seen: BoolArray) -> IntArray:
+def _next_patches(ground: BoolArray, joins: _Joins, seen: BoolArray) -> IntArray:
     """Patches not yet seen that a step joins to the ground."""
     found = np.zeros(len(seen), dtype=bool)
     found[joins.to[ground[joins.a]]] = True
@@ -548,7 +550,7 @@ def _spread(
     share, inner = np.where(joins.standable & joins.small, TABLE_OVER_SHARE, OVER_SHARE), joins.inner
     grid, headroom = (layers.cell, layers.height), config.step_headroom
     ground = ground.copy()
-    while len(fresh := _beside(ground, joins, seen)):
+    while len(fresh := _next_patches(ground, joins, seen)):
         nodes = np.concatenate([joins.nodes_of(i) for i in fresh])
         own = np.repeat(np.arange(len(fresh)), joins.size[fresh])
         over = nodes_over(nodes, *grid, low, headroom) & joins.standable[patch[nodes]]
