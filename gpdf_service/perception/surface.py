@@ -263,9 +263,17 @@ def fill_holes(
     A hole is a connected set of unknown cells bounded by known ground and things (cells whose `lowest` other point is
     under a ceiling's height, inf where there is none), shut off from the map's rim, with no place further than
     `MAX_HOLE_RADIUS` from seen ground, and with the ground around it on one plane within a cell's slope or higher: an
-    edge that drops is not bridged. Nor is what was `seen_through`, a `pit`, or a hole with `walls` going down from its
-    rim, see `find_voids`. Under a thing it is filled only where ground was seen beneath its rim. A notch in a flight is
-    filled with the treads beside it. Standard deviation of the points before they were cured: `noise` [m].
+    edge that drops is not bridged. Nor is a void. Under a thing it is filled only where ground was seen beneath its
+    rim. A notch in a flight is filled with the treads beside it.
+
+    Args:
+        surface: The ground as it was seen.
+        lowest: Of the other points in each cell [m], inf where there is none, shape (nx, ny).
+        seen_through: See `find_voids`.
+        pit: See `find_voids`.
+        walls: See `find_voids`.
+        near: `nearest_seen` of the surface, where it is known.
+        noise: Standard deviation of the points before they were cured [m].
     """
     known = surface.state == OBSERVED
     height, state = surface.height.copy(), surface.state.copy()
@@ -590,69 +598,116 @@ def _fill(
     void: BoolArray,
     share: float,
 ) -> None:
-    """Fill each of the `holes` with the plane of the `known` ground around, if that is at least `share` of its rim.
-
-    Of what is further from seen ground than a hole may be it is enough to know that it is beside one.
-    """
+    """Fill each of the `holes` with the plane of the `known` ground around, if that is at least `share` of its rim."""
     nx, ny = holes.shape
-    met = np.zeros((nx, ny), np.int64)  # the last hole around which a cell was looked at
+    met = np.zeros((nx, ny), np.int64)
     label, queue, last, hole = np.zeros((nx, ny), np.int32), np.empty(nx * ny, np.int64), 0, 0
     for corner in range(nx * ny):
         x, y = corner // ny, corner % ny
         if not holes[x, y] or label[x, y] > 0 or distance[x, y] > MAX_HOLE_RADIUS:
             continue
-        first, looked, shut, hole = last, last, True, hole + 1
-        label[x, y], queue[last], last = hole, corner, last + 1
-        while looked < last:
-            x, y = queue[looked] // ny, queue[looked] % ny
-            looked += 1
-            shut &= not (x == 0 or y == 0 or x == nx - 1 or y == ny - 1 or void[x, y])
-            for dx, dy in _SIDES:
-                u, v = x + dx, y + dy
-                if not (0 <= u < nx and 0 <= v < ny and holes[u, v]) or label[u, v] > 0:
-                    continue
-                if distance[u, v] > MAX_HOLE_RADIUS:
-                    shut = False
-                    continue
-                label[u, v], queue[last], last = hole, u * ny + v, last + 1
+        first, hole = last, hole + 1
+        label[x, y], queue[last] = hole, corner
+        last, shut = _walk_hole(holes, distance, void, hole, label, queue, last)
         if not shut:
             continue
         cells = np.sort(queue[first:last])
-        left, top = cells[0] // ny, cells[0] % ny
-        ring, heights = np.ones((25 * len(cells), 3)), np.empty(25 * len(cells))
-        count, beside, ground = 0, 0, 0
-        for c in cells:
-            x, y = c // ny, c % ny
-            for u in range(max(x - 2, 0), min(x + 3, nx)):
-                for v in range(max(y - 2, 0), min(y + 3, ny)):
-                    if label[u, v] == hole:
-                        continue
-                    if known[u, v] and met[u, v] < 2 * hole:
-                        ring[count, 0], ring[count, 1], heights[count] = u - left, v - top, height[u, v]
-                        count += 1
-                    met[u, v] = max(met[u, v], 2 * hole)
-                    if abs(u - x) + abs(v - y) == 1 and met[u, v] == 2 * hole:
-                        met[u, v] = 2 * hole + 1
-                        beside += 1
-                        ground += known[u, v]
-        if count < 3 or ground < share * beside:
+        places, heights, ground = _ring(cells, hole, label, known, height, met)
+        if len(heights) < 3 or ground < share:
             continue
-        design, heights = ring[:count], heights[:count]
-        on = heights <= np.median(heights) + cell_width
-        plane: FloatArray = np.zeros(3)
-        over: FloatArray = heights
-        for _ in range(2):  # what stands on the ground beside the hole, a box or a step up, is no part of it
-            plane = np.linalg.lstsq(design[on], heights[on], _ROUNDING * count)[0].astype(np.float64)
-            over = heights - design @ plane
-            on = np.abs(over) <= cell_width
-            if not on.any():
-                break
-        if on.mean() < PLANE_SHARE or (over < -cell_width).mean() > 1.0 - RING_SHARE:
+        plane, held = _plane_under(places, heights, cell_width)
+        if not held:
             continue
         for c in cells:
             x, y = c // ny, c % ny
-            height[x, y] = (x - left) * plane[0] + (y - top) * plane[1] + plane[2]
+            height[x, y] = (x - cells[0] // ny) * plane[0] + (y - cells[0] % ny) * plane[1] + plane[2]
             state[x, y] = INFERRED
+
+
+@njit(cache=True, nogil=True)
+def _walk_hole(
+    holes: BoolArray,
+    distance: FloatArray,
+    void: BoolArray,
+    hole: int,
+    label: NDArray[np.int32],
+    queue: IntArray,
+    looked: int,
+) -> tuple[int, bool]:
+    """Put the cells joined to the one that is `looked` at first behind it in the `queue`, and `label` them as a `hole`.
+
+    Of what is further from seen ground than a hole may be it is enough to know that it is beside one.
+
+    Returns:
+        Where the queue ends, and whether no such cell, no void and no rim of the map is at the hole.
+    """
+    (nx, ny), last, shut = holes.shape, looked + 1, True
+    while looked < last:
+        x, y = queue[looked] // ny, queue[looked] % ny
+        looked += 1
+        shut &= not (x == 0 or y == 0 or x == nx - 1 or y == ny - 1 or void[x, y])
+        for dx, dy in _SIDES:
+            u, v = x + dx, y + dy
+            if not (0 <= u < nx and 0 <= v < ny and holes[u, v]) or label[u, v] > 0:
+                continue
+            if distance[u, v] > MAX_HOLE_RADIUS:
+                shut = False
+                continue
+            label[u, v], queue[last], last = hole, u * ny + v, last + 1
+    return last, shut
+
+
+@njit(cache=True, nogil=True)
+def _ring(
+    cells: IntArray,
+    hole: int,
+    label: NDArray[np.int32],
+    known: BoolArray,
+    height: NDArray[np.float32],
+    met: IntArray,
+) -> tuple[FloatArray, FloatArray, float]:
+    """Places (x, y, 1) of the known cells within two of a hole's, from its first one on, and their heights [m].
+
+    Also the share of the cells right beside the hole that are known. What was `met` around it is marked by twice its
+    number, and right beside it by one more.
+    """
+    nx, ny = label.shape
+    ring, heights = np.ones((25 * len(cells), 3)), np.empty(25 * len(cells))  # of each cell the 5 × 5 around, at most
+    count, beside, ground = 0, 0, 0
+    for c in cells:
+        x, y = c // ny, c % ny
+        for u in range(max(x - 2, 0), min(x + 3, nx)):
+            for v in range(max(y - 2, 0), min(y + 3, ny)):
+                if label[u, v] == hole:
+                    continue
+                if known[u, v] and met[u, v] < 2 * hole:
+                    ring[count, 0], ring[count, 1] = u - cells[0] // ny, v - cells[0] % ny
+                    heights[count] = height[u, v]
+                    count += 1
+                met[u, v] = max(met[u, v], 2 * hole)
+                if abs(u - x) + abs(v - y) == 1 and met[u, v] == 2 * hole:
+                    met[u, v] = 2 * hole + 1
+                    beside += 1
+                    ground += known[u, v]
+    return ring[:count], heights[:count], ground / max(beside, 1)
+
+
+@njit(cache=True, nogil=True)
+def _plane_under(places: FloatArray, heights: FloatArray, cell_width: float) -> tuple[FloatArray, bool]:
+    """The plane that most of the ground around a hole lies on or over, and whether there is one.
+
+    What stands on the ground beside the hole, a box or a step up, is no part of it.
+    """
+    on = heights <= np.median(heights) + cell_width
+    plane: FloatArray = np.zeros(3)
+    over: FloatArray = heights
+    for _ in range(2):
+        plane = np.linalg.lstsq(places[on], heights[on], _ROUNDING * len(heights))[0].astype(np.float64)
+        over = heights - places @ plane
+        on = np.abs(over) <= cell_width
+        if not on.any():
+            break
+    return plane, on.mean() >= PLANE_SHARE and (over < -cell_width).mean() <= 1.0 - RING_SHARE
 
 
 def without_enclosed(surface: HeightMap, low: BoolArray) -> HeightMap:
