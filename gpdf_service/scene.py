@@ -26,6 +26,7 @@ from gpdf_service.perception import (
     HeightMap,
     Levels,
     Perceived,
+    Touched,
     WholeError,
     change,
     changed_cells,
@@ -169,10 +170,6 @@ def _gather(queries: FloatArray, fields: tuple[Gpdf, ...], on: BoolArray) -> Fie
             made.distance[rows], made.gradient[rows] = sample.distance[better], sample.gradient[better]
             made.valid[rows], made.deviation[rows] = True, sample.deviation[better]
     return made
-
-
-Touched = tuple[BoolArray | None, ...]
-"""For each level the cells in which anything is another than before, None where nothing is."""
 
 
 def _either(a: BoolArray | None, b: BoolArray | None) -> BoolArray | None:

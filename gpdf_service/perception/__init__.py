@@ -1,6 +1,7 @@
 """From a cloud to ground, levels and what stops a body on them."""
 
 from gpdf_service.perception.change import Perceived as Perceived
+from gpdf_service.perception.change import Touched as Touched
 from gpdf_service.perception.change import WholeError as WholeError
 from gpdf_service.perception.change import change as change
 from gpdf_service.perception.change import changed_cells as changed_cells

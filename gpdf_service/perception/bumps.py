@@ -14,8 +14,7 @@ from numba import njit
 
 from gpdf_service.config import PerceptionConfig
 from gpdf_service.fields.threads import run_chunked
-from gpdf_service.perception.layers import HALF, Layers
-from gpdf_service.perception.limits import widened
+from gpdf_service.perception.layers import HALF, Layers, cells_around
 from gpdf_service.perception.nodes import components, extents_in_plan, pairs_around
 from gpdf_service.types import BoolArray, FloatArray, IntArray
 
@@ -103,13 +102,6 @@ def raised_over_sides(
     nodes, grid = np.flatnonzero(asked), (layers.cell, layers.start, layers.shape, layers.height, ground)
     run_chunked(lambda a, b: _raise(nodes[a:b], *grid, reach, config.max_step, raised), len(nodes))
     return raised
-
-
-def cells_around(layers: Layers, nodes: BoolArray, by: int, cells: BoolArray) -> BoolArray:
-    """Cells within `by` cells of those of the nodes, or of the `cells`, which may hold none now, shape (nx, ny)."""
-    found = cells.copy()
-    found.ravel()[layers.cell[nodes]] = True
-    return widened(found, by)
 
 
 def _reach(layers: Layers, config: PerceptionConfig) -> int:

@@ -35,6 +35,7 @@ from gpdf_service.perception.layers import (
     Layers,
     build_layers,
     carried,
+    cells_around,
     grid_of,
     kept_nodes,
     layer_gap,
@@ -88,6 +89,9 @@ from gpdf_service.perception.surface import (
 )
 from gpdf_service.types import BoolArray, FloatArray, IntArray
 
+Touched = tuple[BoolArray | None, ...]
+"""For each level the cells in which anything is another than before, shape (nx, ny), None where nothing is."""
+
 
 @dataclass(frozen=True, slots=True)
 class Perceived:
@@ -99,8 +103,7 @@ class Perceived:
         segmentation: What the ground was found from; None where it was given.
         levels: The sheets of ground.
         survey: What they were made of.
-        touched: After a change, for each level the cells in which anything of it is another than before; None where it
-            is as it was.
+        touched: Where the last change made anything another; empty after a build.
     """
 
     points: FloatArray
@@ -108,7 +111,7 @@ class Perceived:
     segmentation: Segmentation | None
     levels: Levels
     survey: Survey
-    touched: tuple[BoolArray | None, ...] = ()
+    touched: Touched = ()
 
     def lasting(self) -> Perceived:
         """The same without what only the build needed."""
@@ -159,7 +162,7 @@ def change(
     return Perceived(cloud, ground, segmentation, levels, survey, touched)
 
 
-def _cells_of(places: FloatArray, layers: Layers) -> BoolArray:
+def _cells_with(places: FloatArray, layers: Layers) -> BoolArray:
     """Cells that hold any of `places`, shape (nx, ny)."""
     index = np.floor((places[:, :2] - layers.origin) / layers.cell_width).astype(np.int64)
     index = index[np.logical_and.reduce((index >= 0) & (index < layers.shape), axis=1)]
@@ -258,7 +261,7 @@ def _change_segmentation(
 ) -> tuple[Segmentation, BoolArray]:
     """The segmentation of the changed cloud, and its ground, where `before` is what it was, shape (n,)."""
     _check_grid(cloud.points, None, old.layers, places)
-    cells = widened(_cells_of(places, old.layers), 1)  # a node's height asks those beside
+    cells = widened(_cells_with(places, old.layers), 1)  # a node's height asks those beside
     layers = _change_layers(old.layers, cloud, cloud.rows_in(old.layers, cells), cells, config)
     found, cells = change_segmentation(old, layers, cells, config)
     rows = cloud.rows_in(layers, cells)
@@ -274,7 +277,7 @@ def _change_strays(stray: BoolArray, cloud: _Cloud, ground: BoolArray, places: F
     low, high = voxel.min(axis=0), voxel.max(axis=0) + 1.0
     near = cloud.rows_in_box((low - 3.0) * width, (high + 3.0) * width)
     points = taken(cloud.points, near)
-    column = np.floor(points[:, :2] / width)
+    column = np.floor(points[:, :2] / width)  # one on, another may be alone now, and asks one further
     sure = np.logical_and.reduce((column >= low - 1.0) & (column < high + 1.0), axis=1)
     made = stray.copy()
     made[near[sure]] = find_strays(points, width)[sure]
@@ -288,9 +291,9 @@ def _change_levels(
     stray: BoolArray,
     places: FloatArray,
     config: PerceptionConfig,
-) -> tuple[Levels, Survey, tuple[BoolArray | None, ...]]:
+) -> tuple[Levels, Survey, Touched]:
     layers = old.survey.layers
-    cells = widened(_cells_of(places, layers), 1)
+    cells = widened(_cells_with(places, layers), 1)
     rows = cloud.rows_in(layers, cells)
     rows = rows[ground[rows]]
     layers = _change_layers(layers, cloud, rows, cells, config)
@@ -303,8 +306,8 @@ def _change_levels(
     kept = kept_nodes(old.survey.layers, layers, cells)
 
     def one(i: int) -> tuple[GroundLevel, Voids, Completion, IntArray, BoolArray | None]:
-        level, inside, moved = old.levels.levels[i], sheets[i], cells.copy()
-        moved.ravel()[layers.cell[inside != carried(old.survey.sheets[i], kept)]] = True  # maybe another node of it
+        level, inside = old.levels.levels[i], sheets[i]
+        moved = cells_around(layers, inside != carried(old.survey.sheets[i], kept), 0, cells)  # maybe other nodes of it
         was = without(level.surface, level.surface.state != OBSERVED)  # as it was seen
         part = _Part(cloud, ground, stray, layers, inside, _change_seen(was, layers, inside, moved), cells)
         survey = old.survey
@@ -399,7 +402,7 @@ def _change_level(
     places = taken(other, asked)
     (measured, limits), found = run_beside(measure, partial(_ledges_of, part, surface, places))
     after = cells[surface.cells(places)[:2]]
-    stepped = _cells_of(places[ledge[asked] != found], part.layers) & ~cells
+    stepped = _cells_with(places[ledge[asked] != found], part.layers) & ~cells
     stepped |= _other_cells(surface, before, np.column_stack([places[after], found[after]]))
     ledge = ledge.copy()
     ledge[asked] = found

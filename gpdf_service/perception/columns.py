@@ -634,6 +634,7 @@ def kth_beside(
 
 
 _OWN_FIRST = ((0, 0), (-1, 0), (1, 0), (0, -1), (0, 1), (-1, -1), (-1, 1), (1, -1), (1, 1))
+"""A column and those around it, the one that likely holds the nearest neighbours first: most others are passed over."""
 
 
 @njit(cache=True, nogil=True)

@@ -74,7 +74,7 @@ def cure_and_segment(
     """
     given = first_layers(points, config, width) if ground is None else ground
     (first, segmentation, refused), (picked, spacing, noise) = run_beside(
-        partial(_first_look, points, given, config), partial(_told, points)
+        partial(_first_look, points, given, config), partial(_measure, points)
     )
     least = max(config.negligible_noise, (_SEEN if ground is None else _SEEN_APART) * spacing)
     if refused is not None and noise <= least:
@@ -104,12 +104,12 @@ def _cure_apart(points: FloatArray, ground: BoolArray, noise: float) -> Cured:
     """The ground, with stairs on their treads; then the rest, with what is between two treads on their risers."""
     cured = uncured(points.copy(), noise)
     flights: list[Flight] = []
-    for part in (ground, ~ground):
+    for part, is_ground in ((ground, True), (~ground, False)):
         if not part.any():
             continue
         own = points[part]
-        moved, left = onto_surface(own, estimate_spacing(own), noise, level=part is ground, things=part is not ground)
-        if part is ground:
+        moved, left = onto_surface(own, estimate_spacing(own), noise, level=is_ground, things=not is_ground)
+        if is_ground:
             flights = onto_treads(own, noise, moved, left)
         else:
             for flight in flights:
@@ -118,8 +118,8 @@ def _cure_apart(points: FloatArray, ground: BoolArray, noise: float) -> Cured:
     return cured
 
 
-def _told(points: FloatArray) -> tuple[BoolArray, float, float]:
-    """A sample of the cloud, shape (n,), its spacing and its noise [m]."""
+def _measure(points: FloatArray) -> tuple[BoolArray, float, float]:
+    """Which points are a sample of the cloud, shape (n,), and its spacing and its noise [m]."""
     picked = _columns(points)
     sample = chosen_rows(points, picked)
     tree = build_tree(sample)

@@ -38,7 +38,14 @@ STEP = 0.1 * MIN_CELL
 """[m] What is measured of a whole cloud counts in steps: its cells then stay when a part of it changes."""
 BOARD = 0.02
 """[m] Thinnest board that a tread is made of, less what a good scanner scatters."""
+SPREAD = 4.0
+"""[-] Thickness that noise adds to a surface over its standard deviation: nearly all of its points are within two."""
 _SAMPLE = 4000
+"""Points of a floor whose neighbours are looked at: the median's error is then about 1 %."""
+_NEIGHBOUR = 8
+"""Which neighbour's distance tells the spacing: how near the first few are is mostly chance."""
+_REFLECTED = 0.05
+"""[-] Of the points of a column, those that may lie under its floor: reflections."""
 _COLUMN = 0.5
 """[m] Wide enough to hold several floor points of any cloud that a body can be planned in."""
 
@@ -54,9 +61,9 @@ def cell_width_of(points: FloatArray) -> float:
     shape = columns_over(corner, far, _COLUMN)
     key = cells_of(points, corner, _COLUMN, shape)
     z = np.ascontiguousarray(points[:, 2])
-    floor = column_floors(*by_cell(key, shape[0] * shape[1]), z, 0.05)  # the 5th percentile: below it, reflections
+    floor = column_floors(*by_cell(key, shape[0] * shape[1]), z, _REFLECTED)
     floor_points = chosen_rows(points, np.abs(z - floor[key]) <= MIN_CELL)
-    k = min(8, len(floor_points) - 1)
+    k = min(_NEIGHBOUR, len(floor_points) - 1)
     if k < 1:
         return MIN_CELL
     picked = np.arange(0, len(floor_points), max(1, len(floor_points) // _SAMPLE))
@@ -175,6 +182,13 @@ def carried(values: NDArray[Any], kept: Runs) -> NDArray[Any]:
     )
 
 
+def cells_around(layers: Layers, nodes: BoolArray, by: int, cells: BoolArray) -> BoolArray:
+    """Cells within `by` cells of those of the nodes, or of the `cells`, which may hold none now, shape (nx, ny)."""
+    found = cells.copy()
+    found.ravel()[layers.cell[nodes]] = True
+    return widened(found, by)
+
+
 def crop_layers(layers: Layers, box: tuple[slice, slice]) -> tuple[Layers, IntArray]:
     """The layers of a box of cells, without points, and which nodes of all they are, shape (k,)."""
     flat = np.arange(layers.shape[0] * layers.shape[1]).reshape(layers.shape)[box]
@@ -192,7 +206,7 @@ def build_layers(
 ) -> Layers:
     """Cut the columns of `points`, shape (n, 3), wherever neighbours in height are more than `gap` apart [m].
 
-    A surface is as thick as its slope and four standard deviations of the `noise` [m] make it. The grid is that of
+    A surface is as thick as its slope and `SPREAD` standard deviations of the `noise` [m] make it. The grid is that of
     `like`, which must hold all points, or as large as the points ask for.
     """
     origin, shape = grid_of(*bounds_of(points), cell_width) if like is None else (like.origin, like.shape)
@@ -200,7 +214,7 @@ def build_layers(
     low, high = (int(cell.min()), int(cell.max()) + 1) if len(cell) else (0, 0)  # a few columns cost what they are
     cell -= low
     start, order, z = column_order(cell, points, high - low)
-    flat, board = 2.0 * cell_width + 4.0 * noise, BOARD + 4.0 * noise
+    flat, board = 2.0 * cell_width + SPREAD * noise, BOARD + SPREAD * noise
     first = count_nodes(start, z, gap)
     count = int(first[-1])
     cell_of, row = np.empty(count, np.int64), np.empty(count, np.int64)

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import os
 import zipfile
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from gpdf_service.errors import CloudError
 from gpdf_service.perception.bag import read_bag
@@ -139,6 +139,7 @@ def read_cloud(
 
 
 Read = tuple[FloatArray, BoolArray | None]
+"""What `PointCloud` holds."""
 
 
 def _read_thinned(path: Path, ground_label: int | None, width: float) -> PointCloud:
@@ -170,8 +171,13 @@ def _ground_marks(path: Path, ground_label: int | None) -> list[int] | None:
     if path.suffix.lower() != ".npz":
         return None
     with np.load(path, allow_pickle=False) as stored:
-        classes = [str(name).lower() for name in stored["classes"]] if "classes" in stored.files else []
-    return [i for i, name in enumerate(classes) if name in GROUND_CLASSES] or None
+        return list(_ground_classes(stored)) or None
+
+
+def _ground_classes(stored: Mapping[str, NDArray[Any]]) -> dict[int, str]:
+    """The labels of an .npz file whose classes are called ground, and how."""
+    classes = [str(name).lower() for name in stored["classes"]] if "classes" in stored else []
+    return {i: name for i, name in enumerate(classes) if name in GROUND_CLASSES}
 
 
 def _read_npz(path: Path, ground_label: int | None) -> Read:
@@ -182,15 +188,14 @@ def _read_npz(path: Path, ground_label: int | None) -> Read:
             raise CloudError(f"cloud {path}", found, "Store the points as 'xyz', shape (n, 3).")
         points = stored[key].astype(np.float64)
         label = stored["label"] if "label" in stored.files else None
-        classes = [str(name).lower() for name in stored["classes"]] if "classes" in stored.files else []
+        named = _ground_classes(stored)
     if ground_label is not None:
         if label is None:
             raise CloudError(f"cloud {path}", "it has no column label", "Leave --ground-label out.")
         return points, _labelled(label == ground_label, points, path, ground_label)
-    named = [i for i, name in enumerate(classes) if name in GROUND_CLASSES]
     if label is None or not named:
         return points, None
-    return points, _labelled(np.isin(label, named), points, path, classes[named[0]])
+    return points, _labelled(np.isin(label, list(named)), points, path, next(iter(named.values())))
 
 
 def _labelled(ground: BoolArray, points: FloatArray, path: Path, label: object) -> BoolArray:

@@ -14,21 +14,23 @@ from gpdf_service.config import PerceptionConfig
 from gpdf_service.errors import NoGroundError
 from gpdf_service.fields.threads import run_beside, run_chunked
 from gpdf_service.perception.beside import Beside, beside, beside_now
-from gpdf_service.perception.bumps import Former, cells_around, low_things, raised_over_sides
+from gpdf_service.perception.bumps import Former, low_things, raised_over_sides
 from gpdf_service.perception.columns import Runs, by_cell, medians_around
 from gpdf_service.perception.layers import (
+    SPREAD,
     Layers,
     Pairs,
     build_layers,
     carried,
     cell_width_of,
+    cells_around,
     connect,
     crop_layers,
     in_steps,
     kept_nodes,
     layer_gap,
 )
-from gpdf_service.perception.limits import widened, window
+from gpdf_service.perception.limits import window
 from gpdf_service.perception.nodes import (
     components,
     drops_beside,
@@ -203,9 +205,7 @@ def change_segmentation(
     near = beside_now(old.found.near, layers, _rise_of_steps(layers, config), cells)
     ground, found = find_ground(layers, config, known=(old.found.carried(near, kept), cells))
     values = [carried(before, kept) for before in (old.low, old.high, old.beside)]
-    felt = cells.copy()
-    felt.ravel()[layers.cell[ground != np.isfinite(values[0])]] = True
-    felt = widened(felt, 2)
+    felt = cells_around(layers, ground != np.isfinite(values[0]), 2, cells)
     part, nodes = crop_layers(layers, window(felt, 2))
     inside = felt.ravel()[layers.cell[nodes]]
     fresh = _extents(part, ground[nodes], _smoothed(part, ground[nodes]), old.scatter, config)
@@ -268,7 +268,7 @@ def find_ground(
     Patches are sets of nodes joined by walkable slopes. From the bulk, the ground grows patch by patch over steps that
     a body takes, to patches that a foot fits on and that do not lie, as a bench does, over ground already found.
     """
-    surface = layers.thickness <= config.max_step + 4.0 * noise  # a step's face, from the lowest point to the highest
+    surface = layers.thickness <= config.max_step + SPREAD * noise  # with the face of a step in it, too
     rise = layers.cell_width * float(np.tan(config.steepest))
     near = beside(layers, _rise_of_steps(layers, config)) if known is None else known[0].near
     smooth = near.degrees(surface, rise)

@@ -31,6 +31,10 @@ _AROUND = 5
 _ASKEW = 1e-3
 """[-] Places nearer to one line have no slope across it: their spread about it over that along it, squared."""
 
+_Sums = tuple[float, float, float, float, float, float, float, float, float, float]
+"""Of 1, x, y, z, x², y², z², xy, xz, yz."""
+_OF_NONE: _Sums = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+
 
 def to_centres(surface: HeightMap, off: NDArray[np.float32], noise: float = 0.0) -> HeightMap:
     """Each cell's height on the plane through its own and its neighbours' points, at the cell's centre.
@@ -52,8 +56,8 @@ def smooth(surface: HeightMap, noise: float) -> HeightMap:
 
     h(x) = a + b·x by least squares over the cells within `REACH` σ whose height is within σ of its own. A step's
     height is the difference of two rims, and at a rim half of the plane is missing: the error of a small disc's plane
-    is largest there. What is no plane stays as it is, and so does what
-    is at no rim: at the foot of a ramp a plane is off by a centimetre.
+    is largest there. What is no plane stays as it is, and so does what is at no rim: at the foot of a ramp a plane is
+    off by a centimetre.
 
     Args:
         surface: The ground as it was seen, cured.
@@ -133,7 +137,7 @@ def _at_centres(
         for j in range(height.shape[1]):
             if np.isnan(height[i, j]):
                 continue
-            sums = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+            sums = _OF_NONE
             for k in range(max(i - 1, 0), min(i + 2, height.shape[0])):
                 for m in range(max(j - 1, 0), min(j + 2, height.shape[1])):
                     rise = float(height[k, m]) - float(height[i, j])
@@ -148,17 +152,13 @@ def _at_centres(
 @njit(cache=True, nogil=True)
 def _fit(height: NDArray[np.float32], i: int, j: int, reach: int, same: float) -> tuple[float, float]:
     """Height of the plane over the cell's own and the root mean square about it [m]; inf for the second if none."""
-    sums = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+    sums = _OF_NONE
     for k in range(max(i - reach, 0), min(i + reach + 1, height.shape[0])):
         for m in range(max(j - reach, 0), min(j + reach + 1, height.shape[1])):
             a, b, c = float(k - i), float(m - j), float(height[k, m]) - float(height[i, j])
             if abs(c) <= same and a * a + b * b <= reach * reach:  # a NaN compares false
                 sums = _with(sums, a, b, c)
     return _plane(sums, _FEWEST)
-
-
-_Sums = tuple[float, float, float, float, float, float, float, float, float, float]
-"""Of 1, x, y, z, x², y², z², xy, xz, yz."""
 
 
 @njit(cache=True, nogil=True)

@@ -18,7 +18,9 @@ from gpdf_service.types import FloatArray, IntArray
 
 CHUNK = 1_000_000
 """Points read at once: 24 MB, and several times that while they are sorted."""
-_REACH = 1 << 20
+_BITS = 21
+"""Of a key for each axis: three fit into 64."""
+_REACH = 1 << (_BITS - 1)
 """Voxels to either side of the first point that a key has room for: 20 km at 2 cm."""
 
 Chunk = tuple[FloatArray, NDArray[np.integer] | None]
@@ -65,7 +67,7 @@ class VoxelSieve:
         if voxel.min() < 0 or voxel.max() >= 2 * _REACH:
             far = float(np.abs(voxel - _REACH).max() * self.width)
             raise CloudError("thin", f"points {far:.0f} m apart", "Take wider voxels, or a part of the cloud.")
-        key: IntArray = (voxel[:, 0] << 42) | (voxel[:, 1] << 21) | voxel[:, 2]
+        key: IntArray = (voxel[:, 0] << 2 * _BITS) | (voxel[:, 1] << _BITS) | voxel[:, 2]
         return key
 
     def result(self) -> tuple[FloatArray, IntArray | None]:
@@ -126,6 +128,9 @@ _PLY_TYPES = {
     **{"double": "f8", "int8": "i1", "uint8": "u1", "int16": "i2", "uint16": "u2", "int32": "i4", "uint32": "u4"},
     **{"float32": "f4", "float64": "f8"},
 }
+"""What a .ply file calls its kinds of numbers, and what NumPy does."""
+_HEADER = 1000, 10_000
+"""Lines of a header, and characters of one, that are looked at; what goes on without an end is none."""
 Layout = tuple[int, int, np.dtype[np.void]]
 """First byte, number and kind of the records of a binary file."""
 
@@ -134,8 +139,8 @@ def _ply_layout(path: Path) -> Layout | None:
     with path.open("rb") as file:
         fields: list[tuple[str, str]] = []
         order, count, elements = "", 0, 0
-        for _ in range(1000):
-            words = file.readline(1000).decode("ascii", "replace").split()
+        for _ in range(_HEADER[0]):
+            words = file.readline(_HEADER[1]).decode("ascii", "replace").split()
             if not words or words[0] == "end_header":
                 break
             if words[0] == "format":
@@ -153,8 +158,8 @@ def _ply_layout(path: Path) -> Layout | None:
 def _pcd_layout(path: Path) -> Layout | None:
     with path.open("rb") as file:
         header: dict[str, list[str]] = {}
-        for _ in range(100):
-            words = file.readline(10_000).decode("ascii", "replace").split()
+        for _ in range(_HEADER[0]):
+            words = file.readline(_HEADER[1]).decode("ascii", "replace").split()
             if words:
                 header[words[0]] = words[1:]
             if words[:1] == ["DATA"]:
