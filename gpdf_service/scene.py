@@ -347,7 +347,7 @@ class Scene:
         labels = None
         if ground is not None or self.labelled:
             labels = np.concatenate([self.ground[keep], self._labels_of(fresh, ground, cloud)])
-        drift = self.drift + (len(self.points) - len(cloud) + 2 * len(fresh)) / max(len(cloud), 1)
+        drift = self.drift + (np.count_nonzero(~keep) + len(fresh)) / len(cloud)
         if self.perceived is not None and drift <= MAX_DRIFT and self.labelled == (labels is not None):
             try:
                 return self._changed(self.perceived, cloud, keep, labels, drift, progress)

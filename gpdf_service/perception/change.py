@@ -200,7 +200,7 @@ class _Cloud:
         self.points, self.low, self.high = points, low, high
         self._rows: IntArray = rows_in_box(points, low, high)
         self._near = taken(points, self._rows)
-        self._sorted: dict[bytes, tuple[tuple[slice, slice], IntArray, IntArray]] = {}
+        self._sorted: dict[bytes, tuple[Box, IntArray, IntArray]] = {}
 
     def rows_in(self, grid: Layers | HeightMap, wanted: BoolArray) -> IntArray:
         """Rows of the points in the `wanted` cells of a grid, shape (nx, ny); sorted."""
@@ -221,9 +221,7 @@ class _Cloud:
             return whole
         return self._rows[rows_in_box(self._near, low, high)]
 
-    def _by_cell(
-        self, grid: Layers | HeightMap, shape: tuple[int, ...]
-    ) -> tuple[tuple[slice, slice], IntArray, IntArray]:
+    def _by_cell(self, grid: Layers | HeightMap, shape: tuple[int, ...]) -> tuple[Box, IntArray, IntArray]:
         """The box of cells at hand, where each begins, and the points at hand in their order."""
         key = grid.origin.tobytes()
         if key not in self._sorted:

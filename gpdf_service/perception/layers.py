@@ -30,6 +30,7 @@ from gpdf_service.perception.columns import (
     values_spliced,
 )
 from gpdf_service.perception.limits import widened
+from gpdf_service.perception.surface import Box, corner_of
 from gpdf_service.types import BoolArray, FloatArray, IntArray
 
 MIN_CELL = 0.05
@@ -189,14 +190,14 @@ def cells_around(layers: Layers, nodes: BoolArray, by: int, cells: BoolArray) ->
     return widened(found, by)
 
 
-def crop_layers(layers: Layers, box: tuple[slice, slice]) -> tuple[Layers, IntArray]:
+def crop_layers(layers: Layers, box: Box) -> tuple[Layers, IntArray]:
     """The layers of a box of cells, without points, and which nodes of all they are, shape (k,)."""
     flat = np.arange(layers.shape[0] * layers.shape[1]).reshape(layers.shape)[box]
     count = layers.start[flat + 1] - layers.start[flat]
     start = np.concatenate([[0], np.cumsum(count)])
     cell = np.repeat(np.arange(flat.size), count.ravel())
     nodes = layers.start[flat.ravel()[cell]] + np.arange(len(cell)) - start[cell]
-    origin = layers.origin + layers.cell_width * np.array([box[0].start, box[1].start])
+    origin = layers.origin + layers.cell_width * np.array(corner_of(box))
     own: dict[str, Any] = {name: getattr(layers, name)[nodes] for name in _OWN} | {"cell": cell}
     return replace(layers, origin=origin, shape=flat.shape, **own, node_of_point=_NO_POINTS, start=start), nodes
 

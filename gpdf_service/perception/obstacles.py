@@ -48,6 +48,7 @@ def obstacles_of(level: GroundLevel, agent: Agent, noise: float = 0.0) -> Obstac
 
 
 def _material(level: GroundLevel, agent: Agent, noise: float) -> BoolArray:
+    """Which of the other points of the level stop the `agent`, shape (m,); see `obstacles_of`."""
     surface, points = level.surface, level.other_points
     least = max(LEAST_OBSTACLE, _SURELY * noise)
     known = surface.state != UNKNOWN
@@ -137,6 +138,7 @@ def _faces(
 
 
 def _disc(radius: float, surface: HeightMap) -> BoolArray:
+    """Cells within `radius` [m] of the one in the middle, as wide as those of the surface."""
     cells = int(np.ceil(radius / surface.cell_width))
     x, y = np.mgrid[-cells : cells + 1, -cells : cells + 1] * surface.cell_width
     inside: BoolArray = np.hypot(x, y) <= radius

@@ -398,7 +398,7 @@ def _slope(
     return made
 
 
-def _slopes(layers: Layers, pairs: tuple[IntArray, IntArray]) -> FloatArray:
+def _slopes(layers: Layers, pairs: Pairs) -> FloatArray:
     """Slope at each node [rad], where the pairs are those on the same slope."""
     gradient = mean_gradients(layers.height, layers.cell, layers.shape[1], *pairs)
     made: FloatArray = np.arctan(gradient / layers.cell_width)

@@ -525,7 +525,7 @@ def _treads(
             if not open_[x, y]:
                 continue
             for dx, dy in ((1, 0), (0, 1)):
-                low, high, steps = _both_sides(height, x, y, dx, dy, most)
+                low, high, steps = _both_sides(height, x, y, dx, dy, most, most)
                 run, rise = steps * cell_width, float(high - low)
                 if not (0.0 < run <= NOTCH_SPAN and 2.0 * rounded < rise <= STEEPEST_FLIGHT * run):
                     continue
@@ -557,21 +557,21 @@ def _between_treads(
     for k in range(len(asked)):
         x, y = asked[k]
         for dx, dy in ((1, 0), (0, 1), (1, 1), (1, -1)):
-            low, high, steps = _both_sides(height, x, y, dx, dy, most)
+            low, high, steps = _both_sides(height, x, y, dx, dy, most, 2 * most)
             run = steps * cell_width * np.hypot(dx, dy)
             found[x, y] |= steps > 0 and high - low <= max(RISER, STEEPEST_FLIGHT * run)
 
 
 @njit(cache=True, nogil=True)
 def _both_sides(
-    height: NDArray[np.float32], x: int, y: int, dx: int, dy: int, most: int
+    height: NDArray[np.float32], x: int, y: int, dx: int, dy: int, most: int, span: int
 ) -> tuple[np.float32, np.float32, int]:
     """Heights of the next known cells before and behind (x, y) on a line, the lower first, and the steps between them.
 
-    There are 0 steps where one of the two is more than `most` away.
+    There are 0 steps where one of the two is more than `most` away, or both more than a `span` apart.
     """
     ahead, on = _next_known(height, x, y, dx, dy, most)
-    behind, back = _next_known(height, x, y, -dx, -dy, most) if on > 0 else (ahead, 0)
+    behind, back = _next_known(height, x, y, -dx, -dy, min(most, span - on)) if on > 0 else (ahead, 0)
     return min(ahead, behind), max(ahead, behind), on + back if back > 0 else 0
 
 
@@ -618,9 +618,10 @@ def _fill(
         plane, held = _plane_under(places, heights, cell_width)
         if not held:
             continue
+        left, top = cells[0] // ny, cells[0] % ny
         for c in cells:
             x, y = c // ny, c % ny
-            height[x, y] = (x - cells[0] // ny) * plane[0] + (y - cells[0] % ny) * plane[1] + plane[2]
+            height[x, y] = (x - left) * plane[0] + (y - top) * plane[1] + plane[2]
             state[x, y] = INFERRED
 
 
@@ -672,6 +673,7 @@ def _ring(
     number, and right beside it by one more.
     """
     nx, ny = label.shape
+    left, top = cells[0] // ny, cells[0] % ny
     ring, heights = np.ones((25 * len(cells), 3)), np.empty(25 * len(cells))  # of each cell the 5 × 5 around, at most
     count, beside, ground = 0, 0, 0
     for c in cells:
@@ -681,8 +683,7 @@ def _ring(
                 if label[u, v] == hole:
                     continue
                 if known[u, v] and met[u, v] < 2 * hole:
-                    ring[count, 0], ring[count, 1] = u - cells[0] // ny, v - cells[0] % ny
-                    heights[count] = height[u, v]
+                    ring[count, 0], ring[count, 1], heights[count] = u - left, v - top, height[u, v]
                     count += 1
                 met[u, v] = max(met[u, v], 2 * hole)
                 if abs(u - x) + abs(v - y) == 1 and met[u, v] == 2 * hole:
