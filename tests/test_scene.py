@@ -109,6 +109,8 @@ def test_fields_say_nothing_outside_the_map(office):
 
 
 def test_fields_refuse_queries_of_another_shape(office):
+    with pytest.raises(FieldError, match="no array of numbers"):
+        office[1].obstacle_field("human").query([["left", "right"]])
     with pytest.raises(FieldError):
         office[1].ground_field.query([[0.0, 0.0]])
     with pytest.raises(FieldError):

@@ -431,12 +431,12 @@ def _felt(was: HeightMap, now: HeightMap, moved: BoolArray) -> BoolArray:
     if not moved.any():
         return moved
     box = _around(widened(moved, int(np.ceil(MAX_HOLE_RADIUS / now.cell_width))), now.cell_width)
-    reach = [lowest_and_highest(surface, box) for surface in (was, now)]
-    near = [nearest_seen(surface, box) for surface in (was, now)]
-    hole = [(part.distance <= MAX_HOLE_RADIUS) & (part.distance > 0.0) for part in near]
+    (low, high), (low_now, high_now) = (lowest_and_highest(surface, box) for surface in (was, now))
+    near, near_now = (nearest_seen(surface, box) for surface in (was, now))
+    hole, hole_now = ((part.distance <= MAX_HOLE_RADIUS) & (part.distance > 0.0) for part in (near, near_now))
     felt = widened(moved, _FILTERS)
-    felt[box] |= (reach[0][0] != reach[1][0]) | (reach[0][1] != reach[1][1]) | (hole[0] != hole[1])
-    felt[box] |= (hole[0] | hole[1]) & differ(near[0].height, near[1].height)
+    felt[box] |= (low != low_now) | (high != high_now) | (hole != hole_now)
+    felt[box] |= (hole | hole_now) & differ(near.height, near_now.height)
     return felt
 
 

@@ -161,6 +161,19 @@ def test_spliced_layers_are_those_of_all_points():
         np.testing.assert_array_equal(getattr(made, name), getattr(true, name))
 
 
+def test_where_a_board_ends_is_told_beside_the_column_that_changed():
+    place = 0.25 * np.argwhere(np.ones((3, 3)))
+    old = np.concatenate([np.column_stack([place, np.full(9, z)]) for z in (0.0, 0.5, 0.5, 0.5, 0.55, 0.55, 0.55)])
+    gone = (old[:, :2] == 0.25).all(axis=1) & (old[:, 2] > 0.0)
+    first = build_layers(old, 0.25, 0.2)
+    changed = np.isin(np.arange(len(first.start) - 1), cells_of(old[gone], first.origin, 0.25, first.shape))
+    floor = old[(old[:, :2] == 0.25).all(axis=1) & ~gone]
+    made = splice_layers(first, changed, build_layers(floor, 0.25, 0.2, like=first))
+    np.testing.assert_array_equal(made.height, build_layers(old[~gone], 0.25, 0.2, like=first).height)
+    assert (first.height == 0.55).sum() == 9
+    assert (made.height == 0.5).sum() == 4  # the corners: beside two others
+
+
 def test_strays_are_those_with_empty_voxels_around():
     rng = np.random.default_rng(5)
     points = np.concatenate([rng.uniform(-2, 2, (300, 3)), rng.uniform(-9, 9, (200, 3))])
