@@ -58,7 +58,7 @@ def without_filling(scene: Scene) -> Scene:
         height = np.where(guessed, np.float32(np.nan), surface.height)
         seen = replace(surface, height=height, state=np.where(guessed, UNKNOWN, surface.state).astype(np.uint8))
         cell, z, lowest = in_cells(level.other_points, seen)
-        material = guard_edges(seen, lowest, cell, z, scene.config.perception.min_headroom)[2]
+        material = guard_edges(seen, lowest, cell, z, scene.config.perception)[2]
         measured = step_and_slope(seen)
         made.append(make_level(seen, level.other_points, level.ledge, find_limits(seen, material, measured), measured))
     levels = Levels(tuple(made), scene.levels.portals)

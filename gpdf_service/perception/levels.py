@@ -473,7 +473,7 @@ def complete(
     """
     cell, z, lowest = held
     filled = fill_holes(seen, lowest, *voids, near=near, noise=noise)
-    shut, stair, guarded = guard_edges(filled, lowest, cell, z, config.min_headroom)
+    shut, stair, guarded = guard_edges(filled, lowest, cell, z, config)
     opened = without_enclosed(filled, shut)
     face = find_faces(opened, cell, z, config.min_headroom) & ~stair  # a flight's treads were seen up to its walls
     return without_hidden(opened, lowest, face), Completion(lowest, filled, shut, stair, guarded, opened, face)
@@ -511,7 +511,7 @@ def complete_again(
     reach = notch_reach(seen)
     inner, outer = window(other, reach), window(other, 2 * reach)
     cell, z, _ = in_cells(held(outer), seen, outer)
-    edges = guard_edges(cropped(filled, outer), lowest[outer], cell, z, headroom)
+    edges = guard_edges(cropped(filled, outer), lowest[outer], cell, z, config)
     shut, stair, guarded = (
         pasted(old, new, inner, outer) for old, new in zip((was.shut, was.stair, was.guarded), edges, strict=True)
     )
@@ -546,9 +546,9 @@ def notch_reach(surface: HeightMap) -> int:
 
 
 def guard_edges(
-    surface: HeightMap, lowest: FloatArray, cell: IntArray, z: FloatArray, headroom: float
+    surface: HeightMap, lowest: FloatArray, cell: IntArray, z: FloatArray, config: PerceptionConfig
 ) -> tuple[BoolArray, BoolArray, BoolArray]:
-    """Cells with material under the `headroom` [m], those of stairs, and those where material guards an edge by itself.
+    """Cells with material under the least headroom, those of stairs, and those where material guards an edge by itself.
 
     What is under a floor shuts nothing off. By itself guards only what the lowest body cannot pass under. The wall of a
     drop does not; but what is seen below a shadow in a stair, with treads on either side, is the stair.
@@ -558,11 +558,11 @@ def guard_edges(
         lowest: Of the other points in each cell [m], shape (nx, ny).
         cell: Flat cell of each other point, shape (m,).
         z: Its height [m], shape (m,).
-        headroom: Of the lowest body [m].
+        config: Limits.
     """
     known, reach = surface.state != UNKNOWN, 2 * notch_reach(surface) + 1
     high, low = np.where(known, surface.height, -np.inf), np.where(known, surface.height, np.inf)
-    beside, foot = ndimage.maximum_filter(high, size=3) + headroom, ndimage.minimum_filter(low, size=reach)
+    beside, foot = ndimage.maximum_filter(high, size=3) + config.min_headroom, ndimage.minimum_filter(low, size=reach)
     shut, stair = lowest <= beside, ndimage.maximum_filter(high, size=reach) - foot > 2.0 * surface.cell_width
 
     def held_over(rise: float) -> BoolArray:
@@ -570,7 +570,7 @@ def guard_edges(
 
     shuts, guards = run_parallel(held_over, (-LEAST_OBSTACLE, LEAST_OBSTACLE))
     bitten = shut & stair & ~known
-    return shut & shuts, stair, guards | between_treads(surface, bitten)
+    return shut & shuts, stair, guards | between_treads(surface, bitten, config.stair_step)
 
 
 def make_level(

@@ -31,8 +31,6 @@ NOTCH_SPAN = 1.0
 """[m] Longest piece of a flight that a shadow bites out: five treads."""
 STEEPEST_FLIGHT = 1.3
 """[-] Rise over run of the steepest stair, 52°; what rises more between two pieces of ground is another storey."""
-RISER = 0.25
-"""[m] Highest that two treads beside each other differ: building codes say 0.19 to 0.22."""
 NOTCH_DEPTH = 0.35
 """[m] How far a shadow is filled beside seen treads: less than half of the narrowest stair."""
 SLAB = 1.0
@@ -537,21 +535,20 @@ def _treads(
     return filled
 
 
-def between_treads(surface: HeightMap, asked: BoolArray) -> BoolArray:
+def between_treads(surface: HeightMap, asked: BoolArray, stair_step: float) -> BoolArray:
     """Which of the `asked` cells, shape (nx, ny), have ground at hand on both sides that one flight joins.
 
-    The open side of a flight has none, or that of the floor below.
+    The open side of a flight has none, or that of the floor below. Two treads beside each other differ by `stair_step`
+    at most [m].
     """
-    found = np.zeros_like(asked)
-    _between_treads(
-        surface.height, np.argwhere(asked), int(NOTCH_DEPTH / surface.cell_width), surface.cell_width, found
-    )
+    found, most = np.zeros_like(asked), int(NOTCH_DEPTH / surface.cell_width)
+    _between_treads(surface.height, np.argwhere(asked), most, surface.cell_width, stair_step, found)
     return found
 
 
 @njit(cache=True, nogil=True)
 def _between_treads(
-    height: NDArray[np.float32], asked: IntArray, most: int, cell_width: float, found: BoolArray
+    height: NDArray[np.float32], asked: IntArray, most: int, cell_width: float, stair_step: float, found: BoolArray
 ) -> None:
     """Mark the `asked` cells, shape (k, 2), between ground within `most` cells each way along a line."""
     for k in range(len(asked)):
@@ -559,7 +556,7 @@ def _between_treads(
         for dx, dy in ((1, 0), (0, 1), (1, 1), (1, -1)):
             low, high, steps = _both_sides(height, x, y, dx, dy, most, 2 * most)
             run = steps * cell_width * np.hypot(dx, dy)
-            found[x, y] |= steps > 0 and high - low <= max(RISER, STEEPEST_FLIGHT * run)
+            found[x, y] |= steps > 0 and high - low <= max(stair_step, STEEPEST_FLIGHT * run)
 
 
 @njit(cache=True, nogil=True)
