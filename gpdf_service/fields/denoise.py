@@ -24,7 +24,7 @@ from gpdf_service.fields.rests import EXTREME, FAR, beside_surface, follow_neare
 from gpdf_service.fields.shapes import FEWEST, MOST, fit_axis, fit_plane, fit_ring, gather, sum_rings
 from gpdf_service.fields.spacing import estimate_spacing
 from gpdf_service.fields.threads import run_chunked
-from gpdf_service.fields.tree import Tree, build_tree
+from gpdf_service.fields.tree import Look, Tree, build_tree, make_look
 from gpdf_service.types import BoolArray, FloatArray, IntArray
 
 RESOLVED = 4.0
@@ -226,8 +226,9 @@ def _approach_range(
 ) -> None:
     """Bring each point near its surface, and find that one's normal: the largest plane that agrees with the smaller."""
     moments, mean, normal, first = np.zeros((len(radii), 10)), np.zeros(3), np.zeros(3), np.zeros(3)
+    look = make_look()
     for i in rows:
-        sum_rings(tree, points[i], radii, normals[i], _SLAB * sigma, moments)
+        sum_rings(tree, points[i], radii, normals[i], _SLAB * sigma, moments, look)
         low_end, high_end, chosen = -np.inf, np.inf, -1
         for j in range(len(radii)):
             count = moments[j, 0]
@@ -273,26 +274,26 @@ def _settle_range(
     left: FloatArray,
 ) -> None:
     """Move each point of `rows` onto the shape that explains its neighbourhood; leave it where none does."""
-    sums, one, near = make_sums(len(radii)), make_sums(1), np.zeros((MOST, 3))
+    sums, one, near, look = make_sums(len(radii)), make_sums(1), np.zeros((MOST, 3)), make_look()
     side, pair, place = np.zeros(MOST, np.int64), np.zeros((3, 9)), np.zeros(3)
     for i in rows:
         centre, normal = centres[i], normals[i]
         error, bent = 0.0, True
         if normal[0] ** 2 + normal[1] ** 2 + normal[2] ** 2 > 0.5:
-            sum_heights(close, centre, normal, radii[:1], _SLAB * sigma, one)
+            sum_heights(close, centre, normal, radii[:1], _SLAB * sigma, one, look)
             shift, error, bent = _largest(one, sigma)
             if error > 0.0 and not bent:
-                sum_heights(wide, centre, normal, radii, _SLAB * sigma, sums)
+                sum_heights(wide, centre, normal, radii, _SLAB * sigma, sums, look)
                 further = _largest(sums, sigma)
                 if 0.0 < further[1] < error:
                     shift, error = further[0], further[1]
             place[:] = shift * normal
         if bent:
             x = points[i] - centre
-            count = gather(close, centre, radii[0], near)
-            edge = _edge(near, count, x, normal, sigma, side, pair, place)
+            count = gather(close, centre, radii[0], near, look)
+            edge = _edge(near, count, x, normal, sigma, side, pair, one, place)
             if edge == 0.0:
-                edge = _pole(wide, centre, x, radii, sigma, near, place)
+                edge = _pole(wide, centre, x, radii, sigma, near, look, place)
             error = edge if edge > 0.0 else error
         place += centre
         if error > 0.0 and _apart(place, points[i]) <= FAR * sigma:
@@ -342,6 +343,7 @@ def _edge(
     sigma: float,
     side: IntArray,
     pair: FloatArray,
+    sums: Sums,
     place: FloatArray,
 ) -> float:
     """Write where on an edge of two half planes x lies; the standard error, 0 if it is no edge.
@@ -350,11 +352,12 @@ def _edge(
     """
     if count < 3 * FEWEST:
         return 0.0
-    freedom = count - 6.0
-    rest = fit_pair(near, count, normal, side, pair)
-    if rest > freedom * sigma**2 * (1.0 + _THICK * sqrt(2.0 / freedom)):
+    freedom, more = count - 6.0, max(_CURVED, _SPLIT * count) * sigma**2
+    bent = quadric_rest(near, count, normal, sums)
+    if more > bent:
         return 0.0
-    if rest + max(_CURVED, _SPLIT * count) * sigma**2 > quadric_rest(near, count, normal):
+    rest = fit_pair(near, count, normal, side, pair)
+    if rest > freedom * sigma**2 * (1.0 + _THICK * sqrt(2.0 / freedom)) or rest + more > bent:
         return 0.0
     k = nearest_half(pair, x)
     onto_half(pair, k, x, place)
@@ -375,18 +378,25 @@ def _widest(square: float, sigma: float, count: int) -> float:
 
 @njit(cache=True, nogil=True)
 def _pole(
-    tree: Tree, centre: FloatArray, x: FloatArray, radii: FloatArray, sigma: float, near: FloatArray, place: FloatArray
+    tree: Tree,
+    centre: FloatArray,
+    x: FloatArray,
+    radii: FloatArray,
+    sigma: float,
+    near: FloatArray,
+    look: Look,
+    place: FloatArray,
 ) -> float:
     """Write where on a pole x lies; the standard error, 0 if it is no pole."""
     mean, axis, moments = np.zeros(3), np.zeros(3), np.zeros((len(radii), 10))
-    sum_rings(tree, centre, radii, axis, 0.0, moments)
+    sum_rings(tree, centre, radii, axis, 0.0, moments, look)
     for j in range(len(radii) - 1, -1, -1):
         if moments[j, 0] < 2 * FEWEST:
             continue
         low, middle, high = fit_plane(moments[j], mean, axis)
         if high <= _LENGTH * middle or middle > _CLEARLY * low:
             continue
-        count = gather(tree, centre, radii[j], near)
+        count = gather(tree, centre, radii[j], near, look)
         fit_axis(moments[j], high, axis)
         square, variance = fit_ring(near, count, mean, axis)
         square = max(square, _widest(square + 2.0 * variance - 2.0 * sigma**2, sigma, count))

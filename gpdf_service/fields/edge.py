@@ -36,15 +36,15 @@ def fit_pair(near: FloatArray, count: int, normal: FloatArray, side: IntArray, p
         pair: Where the best is written, shape (3, 9): `_meet`.
     """
     best = np.inf
-    first, second, mine = np.zeros(3), np.zeros(3), np.zeros((3, 9))
-    tangents(normal, first, second)
+    mine = np.zeros((3, 9))
+    ux, uy, uz, vx, vy, vz = tangents(normal)
     for start in range(_STARTS):
-        cut = first * cos(pi * start / _STARTS) + second * cos(pi * start / _STARTS - pi / 2.0)
-        middle = 0.0
+        u, v, middle = cos(pi * start / _STARTS), cos(pi * start / _STARTS - pi / 2.0), 0.0
+        a, b, c = ux * u + vx * v, uy * u + vy * v, uz * u + vz * v
         for i in range(count):
-            middle += (near[i, 0] * cut[0] + near[i, 1] * cut[1] + near[i, 2] * cut[2]) / count
+            middle += (near[i, 0] * a + near[i, 1] * b + near[i, 2] * c) / count
         for i in range(count):
-            side[i] = near[i, 0] * cut[0] + near[i, 1] * cut[1] + near[i, 2] * cut[2] > middle + _EQUAL
+            side[i] = near[i, 0] * a + near[i, 1] * b + near[i, 2] * c > middle + _EQUAL
         left = _by_turns(near, count, side, mine)
         if left < best - _EQUAL**2:
             best = left

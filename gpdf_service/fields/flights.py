@@ -7,6 +7,7 @@ people stand on. So where ground is as steep as stairs are, it is looked at alon
 from __future__ import annotations
 
 from collections.abc import Iterator
+from itertools import product
 from math import ceil
 from typing import NamedTuple
 
@@ -175,6 +176,12 @@ class _Piece(NamedTuple):
     ramp: FloatArray
     goes_on: tuple[bool, bool]
 
+    @property
+    def reach(self) -> tuple[tuple[float, float], tuple[float, float]]:
+        """From where to where it is looked for, along the way up and aside [m]: a core beyond its voxels."""
+        (u, v), (up, aside) = self.low - _CORE, self.high + _CORE
+        return (float(u), float(up)), (float(v), float(aside))
+
 
 def _steep_pieces(points: FloatArray) -> Iterator[_Piece]:
     """Parts of the ground that are as steep as stairs, one way up, cut to what is fitted as one."""
@@ -243,17 +250,23 @@ def _cut(means: FloatArray, gradient: FloatArray) -> Iterator[_Piece]:
 
 def _flights(points: FloatArray, noise: float) -> Iterator[Flight]:
     """All flights of the ground, each looked for in cores beside each other, and grown along its edges."""
+    order = np.argsort(points[:, 0], kind="stable")
+    sorted_x = points[order, 0]
     for piece in _steep_pieces(points):
-        u, v = points[:, :2] @ piece.way, points[:, :2] @ np.array([-piece.way[1], piece.way[0]])
+        axes = np.stack([piece.way, [-piece.way[1], piece.way[0]]])
+        ends = [low * axes[0, 0] + high * axes[1, 0] for low, high in product(*piece.reach)]
+        rows = np.sort(order[np.searchsorted(sorted_x, min(ends)) : np.searchsorted(sorted_x, max(ends), side="right")])
+        near = points[rows]
+        u, v = near[:, :2] @ axes[0], near[:, :2] @ axes[1]
         ramp = piece.ramp[0] * np.clip(u, piece.low[0], piece.high[0]) + piece.ramp[1]
-        near = np.abs(points[:, 2] - ramp) <= _TALLEST + _OFF * noise
-        for w, low, high in zip((u, v), piece.low, piece.high, strict=True):
-            near &= (w >= low - _CORE) & (w <= high + _CORE)
-        found = list[Flight]()
-        for origin, way in _cores(points[near], piece):
+        mine = np.abs(near[:, 2] - ramp) <= _TALLEST + _OFF * noise
+        for w, (low, high) in zip((u, v), piece.reach, strict=True):
+            mine &= (w >= low) & (w <= high)
+        near, found = near[mine], list[Flight]()
+        for origin, way in _cores(near, piece):
             if any(flight.reaches(origin) for flight in found):
                 continue
-            flight = _fitted(points[near], piece, origin, way, noise)
+            flight = _fitted(near, piece, origin, way, noise)
             if flight is not None:
                 found.append(flight)
                 yield flight

@@ -8,8 +8,8 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-from gpdf_service.fields.shapes import tangents
-from gpdf_service.fields.tree import Tree, from_root, make_scratch, next_leaf, place_of
+from gpdf_service.fields.shapes import ring_of, tangents
+from gpdf_service.fields.tree import Look, Tree, from_root, next_leaf, place_of, rows_within
 from gpdf_service.types import FloatArray
 
 
@@ -21,80 +21,84 @@ class Sums(NamedTuple):
         moments: Of the products of two of 1, x, y, x², xy, y²: 1, x, y, x², xy, y², x³, …, y⁴, shape (scales, 15).
         heights: Of the first six with h, shape (scales, 6).
         square: Sum of h², shape (scales,).
+        factor: Room for a fit, shape (8, 6).
     """
 
     number: FloatArray
     moments: FloatArray
     heights: FloatArray
     square: FloatArray
+    factor: FloatArray
 
 
 @njit(cache=True, nogil=True)
 def make_sums(scales: int) -> Sums:
     """Room for the sums; made once a batch."""
-    return Sums(np.zeros(scales), np.zeros((scales, 15)), np.zeros((scales, 6)), np.zeros(scales))
+    return Sums(np.zeros(scales), np.zeros((scales, 15)), np.zeros((scales, 6)), np.zeros(scales), np.zeros((8, 6)))
 
 
 @njit(cache=True, nogil=True)
-def sum_heights(tree: Tree, x: FloatArray, normal: FloatArray, radii: FloatArray, half: float, sums: Sums) -> None:
+def sum_heights(
+    tree: Tree, x: FloatArray, normal: FloatArray, radii: FloatArray, half: float, sums: Sums, look: Look
+) -> None:
     """Fill the sums of the points around x, `half` [m] to either side along `normal`; x and y in units of radii[-1]."""
-    blocks, boxes, limit, unit = tree.blocks, tree.boxes, radii[-1] ** 2, 1.0 / radii[-1]
-    stack, bound, near_box = make_scratch()
-    first, second = np.zeros(3), np.zeros(3)
-    tangents(normal, first, second)
-    number, moments, heights, square = sums
-    number[:], moments[:], heights[:], square[:] = 0.0, 0.0, 0.0, 0.0
+    boxes, limit, unit = tree.boxes, radii[-1] ** 2, 1.0 / radii[-1]
+    stack, bound, near_box = look.walk
+    nx, ny, nz = normal[0], normal[1], normal[2]
+    ux, uy, uz, vx, vy, vz = tangents(normal)
+    clear(sums)
     place, top = place_of(x), from_root(stack, bound)
     while True:
         leaf, _, top = next_leaf(boxes, place, place, limit, stack, bound, near_box, top)
         if leaf < 0:
             break
-        for j in range(tree.begin[leaf + 1] - tree.begin[leaf]):
-            a, b, c = blocks[leaf, 0, j] - x[0], blocks[leaf, 1, j] - x[1], blocks[leaf, 2, j] - x[2]
-            off, h = a * a + b * b + c * c, a * normal[0] + b * normal[1] + c * normal[2]
-            if off > limit or abs(h) > half:
-                continue
-            ring = 0
-            while off > radii[ring] ** 2:
-                ring += 1
-            u = (a * first[0] + b * first[1] + c * first[2]) * unit
-            v = (a * second[0] + b * second[1] + c * second[2]) * unit
-            add_height(sums, ring, u, v, h)
+        for j in look.row[: rows_within(tree, leaf, place, limit, look)]:
+            a, b, c = look.offset[0, j], look.offset[1, j], look.offset[2, j]
+            h = a * nx + b * ny + c * nz
+            if abs(h) <= half:
+                u, v = (a * ux + b * uy + c * uz) * unit, (a * vx + b * vy + c * vz) * unit
+                add_height(sums, ring_of(look.square[j], radii), u, v, h)
     for ring in range(1, len(radii)):
-        number[ring] += number[ring - 1]
-        square[ring] += square[ring - 1]
-        heights[ring] += heights[ring - 1]
-        moments[ring] += moments[ring - 1]
+        sums.number[ring] += sums.number[ring - 1]
+        sums.square[ring] += sums.square[ring - 1]
+        sums.heights[ring] += sums.heights[ring - 1]
+        sums.moments[ring] += sums.moments[ring - 1]
+
+
+@njit(cache=True, nogil=True)
+def clear(sums: Sums) -> None:
+    """Begin anew."""
+    sums.number[:], sums.moments[:], sums.heights[:], sums.square[:] = 0.0, 0.0, 0.0, 0.0
 
 
 @njit(cache=True, nogil=True)
 def add_height(sums: Sums, ring: int, u: float, v: float, h: float) -> None:
     """Add the height h at (u, v)."""
     uu, uv, vv = u * u, u * v, v * v
-    m, t = sums.moments, sums.heights
+    m, t = sums.moments[ring], sums.heights[ring]
     sums.number[ring] += 1.0
     sums.square[ring] += h * h
-    m[ring, 0] += 1.0
-    m[ring, 1] += u
-    m[ring, 2] += v
-    m[ring, 3] += uu
-    m[ring, 4] += uv
-    m[ring, 5] += vv
-    m[ring, 6] += uu * u
-    m[ring, 7] += uu * v
-    m[ring, 8] += u * vv
-    m[ring, 9] += vv * v
-    m[ring, 10] += uu * uu
-    m[ring, 11] += uu * uv
-    m[ring, 12] += uu * vv
-    m[ring, 13] += uv * vv
-    m[ring, 14] += vv * vv
-    t[ring, 0] += h
-    t[ring, 1] += u * h
-    t[ring, 2] += v * h
-    t[ring, 3] += uu * h
-    t[ring, 4] += uv * h
-    t[ring, 5] += vv * h
+    m[0] += 1.0
+    m[1] += u
+    m[2] += v
+    m[3] += uu
+    m[4] += uv
+    m[5] += vv
+    m[6] += uu * u
+    m[7] += uu * v
+    m[8] += u * vv
+    m[9] += vv * v
+    m[10] += uu * uu
+    m[11] += uu * uv
+    m[12] += uu * vv
+    m[13] += uv * vv
+    m[14] += vv * vv
+    t[0] += h
+    t[1] += u * h
+    t[2] += v * h
+    t[3] += uu * h
+    t[4] += uv * h
+    t[5] += vv * h
 
 
 _PRODUCT = ((0,), (1, 3), (2, 4, 5), (3, 6, 7, 10), (4, 7, 8, 11, 12), (5, 8, 9, 12, 13, 14))
@@ -103,20 +107,18 @@ _TABLE = np.array([[row[l] if l < len(row) else -1 for l in range(6)] for row in
 
 
 @njit(cache=True, nogil=True)
-def quadric_rest(near: FloatArray, count: int, normal: FloatArray) -> float:
+def quadric_rest(near: FloatArray, count: int, normal: FloatArray, sums: Sums) -> float:
     """Squares [m²] that a quadric over the plane across `normal` leaves of the first `count` rows of `near`."""
-    first, second, sums = np.zeros(3), np.zeros(3), make_sums(1)
-    tangents(normal, first, second)
+    nx, ny, nz = normal[0], normal[1], normal[2]
+    ux, uy, uz, vx, vy, vz = tangents(normal)
+    clear(sums)
     far = 1e-12
     for i in range(count):
         far = max(far, sqrt(near[i, 0] ** 2 + near[i, 1] ** 2 + near[i, 2] ** 2))
     for i in range(count):
-        u, v, h = 0.0, 0.0, 0.0
-        for k in range(3):
-            u += near[i, k] * first[k] / far
-            v += near[i, k] * second[k] / far
-            h += near[i, k] * normal[k]
-        add_height(sums, 0, u, v, h)
+        a, b, c = near[i, 0], near[i, 1], near[i, 2]
+        u, v = a * ux / far + b * uy / far + c * uz / far, a * vx / far + b * vy / far + c * vz / far
+        add_height(sums, 0, u, v, a * nx + b * ny + c * nz)
     return fit_heights(sums, 0)[1][2]
 
 
@@ -131,7 +133,7 @@ def fit_heights(sums: Sums, scale: int) -> tuple[Height, Height]:
     With the Cholesky factor L of the products, z = L⁻¹ heights and w = L⁻¹ (1, 0, …): the height at the origin is w·z,
     its variance w·w, and each z² is what its term takes off the squares. The first three terms are the plane.
     """
-    L, z, w = np.zeros((6, 6)), np.zeros(6), np.zeros(6)
+    L = sums.factor
     height, variance, left = 0.0, 0.0, sums.square[scale]
     plane = (0.0, 0.0, np.inf)
     for k in range(6):
@@ -145,12 +147,12 @@ def fit_heights(sums: Sums, scale: int) -> tuple[Height, Height]:
                 return plane, (0.0, 0.0, np.inf)
             else:
                 L[k, k] = sqrt(part)
-        z[k], w[k] = sums.heights[scale, k], 1.0 if k == 0 else 0.0
+        L[6, k], L[7, k] = sums.heights[scale, k], 1.0 if k == 0 else 0.0
         for m in range(k):
-            z[k] -= L[k, m] * z[m]
-            w[k] -= L[k, m] * w[m]
-        z[k], w[k] = z[k] / L[k, k], w[k] / L[k, k]
-        height, variance, left = height + w[k] * z[k], variance + w[k] ** 2, left - z[k] ** 2
+            L[6, k] -= L[k, m] * L[6, m]
+            L[7, k] -= L[k, m] * L[7, m]
+        L[6, k], L[7, k] = L[6, k] / L[k, k], L[7, k] / L[k, k]
+        height, variance, left = height + L[7, k] * L[6, k], variance + L[7, k] ** 2, left - L[6, k] ** 2
         if k == 2:
             plane = (height, variance, max(left, 0.0))
     return plane, (height, variance, max(left, 0.0))

@@ -11,7 +11,7 @@ from gpdf_service.fields.edge import fit_pair
 from gpdf_service.fields.heights import fit_heights, make_sums, quadric_rest, sum_heights
 from gpdf_service.fields.shapes import MOST, fit_axis, fit_plane, fit_ring, gather, split_sheets, sum_rings
 from gpdf_service.fields.threads import run_chunked
-from gpdf_service.fields.tree import Tree, build_tree
+from gpdf_service.fields.tree import Tree, build_tree, make_look
 from gpdf_service.types import FloatArray
 
 GROWTH = 1.3
@@ -95,12 +95,12 @@ def _noise_range(
     `shown` to be noise, NaN before, stays so elsewhere. Each is such that its quartile is the deviation [m].
     """
     moments, mean, normal, near = np.zeros((len(radii), 10)), np.zeros(3), np.zeros(3), np.zeros((MOST, 3))
-    side, pair, sums = np.zeros(MOST, np.int64), np.zeros((3, 9)), make_sums(1)
+    side, pair, sums, look = np.zeros(MOST, np.int64), np.zeros((3, 9)), make_sums(1), make_look()
     for i in range(begin, end):
         first, wide = 0, 0
         while first < len(radii) and np.isnan(rest[i]):
             last = min(first + _AT_ONCE, len(radii))
-            sum_rings(tree, places[i], radii[:last], normal * 0.0, 0.0, moments[:last])
+            sum_rings(tree, places[i], radii[:last], normal * 0.0, 0.0, moments[:last], look)
             for j in range(first, last):
                 count = moments[j, 0]
                 if count < _TOLD:
@@ -111,8 +111,8 @@ def _noise_range(
                 low, middle, high = fit_plane(moments[j], mean, normal)
                 wide = wide + 1 if middle > _WIDE * low else 0
                 if wide == 2:
-                    found = gather(tree, places[i], radii[j], near)
-                    variance = quadric_rest(near, found, normal) / (count - 6.0)
+                    found = gather(tree, places[i], radii[j], near, look)
+                    variance = quadric_rest(near, found, normal, sums) / (count - 6.0)
                     edge = fit_pair(near, found, normal, side, pair) / (count - 6.0)
                     if edge < EDGE * variance:
                         variance = edge
@@ -120,12 +120,12 @@ def _noise_range(
                     if within < _SHEETS * low:
                         variance = min(variance, within)
                     rest[i] = sqrt(variance / _quartile(count - 6.0, -1.0))
-                    sum_heights(tree, places[i], normal, _LARGER * radii[j : j + 1], np.inf, sums)
+                    sum_heights(tree, places[i], normal, _LARGER * radii[j : j + 1], np.inf, sums, look)
                     if fit_heights(sums, 0)[1][2] < _ALIKE * variance * (sums.number[0] - 6.0):
                         shown[i] = sqrt(variance / _quartile(count - 6.0, 1.0))
                     break
                 if high > LONG * middle:
-                    found = gather(tree, places[i], radii[j], near)
+                    found = gather(tree, places[i], radii[j], near, look)
                     fit_axis(moments[j], high, normal)
                     rest[i] = sqrt(fit_ring(near, found, mean, normal)[1] / _quartile(count - 6.0, -1.0))
                     break

@@ -11,7 +11,7 @@ from math import acos, cos, pi, sqrt
 import numpy as np
 from numba import njit
 
-from gpdf_service.fields.tree import Scratch, Tree, from_root, make_scratch, next_leaf, place_of
+from gpdf_service.fields.tree import Look, Tree, from_root, next_leaf, place_of, rows_within
 from gpdf_service.types import FloatArray
 
 FEWEST = 8
@@ -23,20 +23,18 @@ TURNS = 6
 
 
 @njit(cache=True, nogil=True)
-def gather(tree: Tree, x: FloatArray, radius: float, near: FloatArray, scratch: Scratch | None = None) -> int:
+def gather(tree: Tree, x: FloatArray, radius: float, near: FloatArray, look: Look) -> int:
     """Write the offsets of the points within `radius` [m] of x into `near`, shape (MOST, 3); how many there are."""
-    blocks, boxes, found, limit = tree.blocks, tree.boxes, 0, radius * radius
-    stack, bound, near_box = make_scratch() if scratch is None else scratch
+    boxes, found, limit = tree.boxes, 0, radius * radius
+    stack, bound, near_box = look.walk
     place, top = place_of(x), from_root(stack, bound)
     while True:
         leaf, _, top = next_leaf(boxes, place, place, limit, stack, bound, near_box, top)
         if leaf < 0:
             break
-        for j in range(tree.begin[leaf + 1] - tree.begin[leaf]):
-            a, b, c = blocks[leaf, 0, j] - place[0], blocks[leaf, 1, j] - place[1], blocks[leaf, 2, j] - place[2]
-            if a * a + b * b + c * c <= limit and found < MOST:
-                near[found, 0], near[found, 1], near[found, 2] = a, b, c
-                found += 1
+        for j in look.row[: min(rows_within(tree, leaf, place, limit, look), MOST - found)]:
+            near[found, 0], near[found, 1], near[found, 2] = look.offset[0, j], look.offset[1, j], look.offset[2, j]
+            found += 1
     return found
 
 
@@ -56,30 +54,35 @@ def add(m: FloatArray, a: float, b: float, c: float) -> None:
 
 
 @njit(cache=True, nogil=True)
+def ring_of(square: float, radii: FloatArray) -> int:
+    """Which is the first of the radii that are not less than √`square`: without a branch, for it is by chance."""
+    ring = 0
+    for k in range(len(radii) - 1):
+        ring += square > radii[k] ** 2
+    return ring
+
+
+@njit(cache=True, nogil=True)
 def sum_rings(
-    tree: Tree, x: FloatArray, radii: FloatArray, normal: FloatArray, half: float, moments: FloatArray
+    tree: Tree, x: FloatArray, radii: FloatArray, normal: FloatArray, half: float, moments: FloatArray, look: Look
 ) -> None:
     """Sums over the neighbours within each radius, shape (scales, 10): 1, the offset from x and its products.
 
     Of the neighbours only those in the slab around x across `normal`, `half` [m] to either side; all if it is zero.
     """
-    blocks, boxes, limit = tree.blocks, tree.boxes, radii[-1] ** 2
-    stack, bound, near_box = make_scratch()
+    boxes, limit = tree.boxes, radii[-1] ** 2
+    stack, bound, near_box = look.walk
+    nx, ny, nz = normal[0], normal[1], normal[2]
     moments[:] = 0.0
     place, top = place_of(x), from_root(stack, bound)
     while True:
         leaf, _, top = next_leaf(boxes, place, place, limit, stack, bound, near_box, top)
         if leaf < 0:
             break
-        for j in range(tree.begin[leaf + 1] - tree.begin[leaf]):
-            a, b, c = blocks[leaf, 0, j] - x[0], blocks[leaf, 1, j] - x[1], blocks[leaf, 2, j] - x[2]
-            square = a * a + b * b + c * c
-            if square > limit or abs(a * normal[0] + b * normal[1] + c * normal[2]) > half:
-                continue
-            ring = 0
-            while square > radii[ring] ** 2:
-                ring += 1
-            add(moments[ring], a, b, c)
+        for j in look.row[: rows_within(tree, leaf, place, limit, look)]:
+            a, b, c = look.offset[0, j], look.offset[1, j], look.offset[2, j]
+            if abs(a * nx + b * ny + c * nz) <= half:
+                add(moments[ring_of(look.square[j], radii)], a, b, c)
     for ring in range(1, len(radii)):
         moments[ring] += moments[ring - 1]
 
@@ -173,14 +176,13 @@ def fit_axis(m: FloatArray, value: float, axis: FloatArray) -> None:
 
 
 @njit(cache=True, nogil=True)
-def tangents(normal: FloatArray, first: FloatArray, second: FloatArray) -> None:
-    """Write two unit vectors across `normal` and each other."""
-    lean = 0 if abs(normal[0]) < 0.6 else 1
-    for k in range(3):
-        first[k] = (1.0 if k == lean else 0.0) - normal[lean] * normal[k]
-    length = sqrt(first[0] ** 2 + first[1] ** 2 + first[2] ** 2)
-    for k in range(3):
-        first[k] /= length
-    for k in range(3):
-        a, b = (k + 1) % 3, (k + 2) % 3
-        second[k] = normal[a] * first[b] - normal[b] * first[a]
+def tangents(normal: FloatArray) -> tuple[float, float, float, float, float, float]:
+    """Two unit vectors across `normal` and each other."""
+    nx, ny, nz = normal[0], normal[1], normal[2]
+    if abs(nx) < 0.6:
+        a, b, c = 1.0 - nx * nx, 0.0 - nx * ny, 0.0 - nx * nz
+    else:
+        a, b, c = 0.0 - ny * nx, 1.0 - ny * ny, 0.0 - ny * nz
+    length = sqrt(a**2 + b**2 + c**2)
+    a, b, c = a / length, b / length, c / length
+    return a, b, c, ny * c - nz * b, nz * a - nx * c, nx * b - ny * a

@@ -8,12 +8,12 @@ import numpy as np
 from numba import njit
 
 from gpdf_service.fields.edge import fit_pair, nearest_half
-from gpdf_service.fields.heights import quadric_rest
+from gpdf_service.fields.heights import make_sums, quadric_rest
 from gpdf_service.fields.noise import EDGE
 from gpdf_service.fields.order import corners_of, order_by
 from gpdf_service.fields.shapes import MOST, add, fit_axis, fit_plane, gather
 from gpdf_service.fields.threads import run_chunked
-from gpdf_service.fields.tree import Tree, build_tree, from_root, make_scratch, next_leaf, place_of
+from gpdf_service.fields.tree import Tree, build_tree, from_root, make_look, make_scratch, next_leaf, place_of
 from gpdf_service.types import FloatArray, IntArray
 
 SAMPLE = 4000
@@ -99,9 +99,9 @@ def _shape_range(
 ) -> None:
     solid, near, side, pair = tree.points.shape[1] == 3, np.zeros((MOST, 3)), np.zeros(MOST, np.int64), np.zeros((3, 9))
     moments, mean, normal, axis = np.zeros(10), np.zeros(3), np.zeros(3), np.zeros(3)
-    scratch = make_scratch()
+    look, sums = make_look(), make_sums(1)
     for r in range(begin, end):
-        count = gather(tree, tree.points[rows[r]], radius, near, scratch)
+        count = gather(tree, tree.points[rows[r]], radius, near, look)
         moments[:] = 0.0
         for i in range(count):
             add(moments, near[i, 0], near[i, 1], near[i, 2])
@@ -113,7 +113,7 @@ def _shape_range(
             low, middle = max(middle, 0.0), high
         elif _BENT * low > middle and low > noise[r] ** 2:
             rest = fit_pair(near, count, normal, side, pair)
-            if rest < EDGE * quadric_rest(near, count, normal):
+            if rest < EDGE * quadric_rest(near, count, normal, sums):
                 normal[:] = pair[nearest_half(pair, mean * 0.0), 3:6]
         discs[r, :3], discs[r, 4] = normal, gap
         wide = min(0.5 * gap, sqrt(max(middle, 0.0))) * (1.0 - low / middle) if middle > low else 0.0

@@ -53,6 +53,22 @@ class Scratch(NamedTuple):
     near: FloatArray
 
 
+class Look(NamedTuple):
+    """What looking at all points around a place needs: a walk, and the points of one leaf as that place sees them.
+
+    Attributes:
+        walk: Of the tree.
+        offset: Of each point from the place [m], shape (3, 32).
+        square: Its squared distance [m²], shape (32,).
+        row: Those that are near, in front; shape (32,).
+    """
+
+    walk: Scratch
+    offset: FloatArray
+    square: FloatArray
+    row: IntArray
+
+
 def build_tree(points: FloatArray) -> Tree:
     """Build the tree over `points`, shape (n, dim), n ≥ 1: O(n log n), cut near the median of the longest side."""
     points = np.ascontiguousarray(points, dtype=np.float64)
@@ -197,6 +213,12 @@ def make_scratch() -> Scratch:
 
 
 @njit(cache=True, nogil=True)
+def make_look() -> Look:
+    """Room for one look at a time; made once a batch."""
+    return Look(make_scratch(), np.empty((3, LEAF_SIZE)), np.empty(LEAF_SIZE), np.empty(LEAF_SIZE, np.int64))
+
+
+@njit(cache=True, nogil=True)
 def place_of(x: FloatArray) -> Place:
     """A row of 2 or 3 coordinates as a place."""
     return x[0], x[1], x[2] if len(x) == 3 else 0.0
@@ -257,6 +279,21 @@ def next_leaf(
                 stack[at], bound[at] = FANOUT * node + 1 + k, distance2
                 top += 1
     return -1, np.inf, 0
+
+
+@njit(cache=True, nogil=True)
+def rows_within(tree: Tree, leaf: int, x: Place, limit: float, look: Look) -> int:
+    """Write which of a leaf's points are within √`limit` of x; how many they are."""
+    offset, square, row = look.offset, look.square, look.row
+    for j in range(LEAF_SIZE):
+        a, b, c = tree.blocks[leaf, 0, j] - x[0], tree.blocks[leaf, 1, j] - x[1], tree.blocks[leaf, 2, j] - x[2]
+        offset[0, j], offset[1, j], offset[2, j] = a, b, c
+        square[j] = a * a + b * b + c * c
+    count = 0
+    for j in range(tree.begin[leaf + 1] - tree.begin[leaf]):
+        row[count] = j
+        count += square[j] <= limit
+    return count
 
 
 @njit(cache=True, nogil=True, inline="always")

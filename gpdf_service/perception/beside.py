@@ -1,7 +1,7 @@
 """Which nodes of layered columns lie beside each other, in strips of the grid: a change asks only those it touches.
 
-A strip numbers its nodes from its first one, so it is the same wherever it comes in the whole. What it was asked last
-it remembers, with what was given for its nodes: where both are as they were, so is the answer.
+A strip numbers its nodes from its first one, so it is the same wherever it comes in the whole. What it was asked in the
+version before it remembers, with what was given for its nodes: where both are as they were, so is the answer.
 """
 
 from __future__ import annotations
@@ -21,6 +21,8 @@ from gpdf_service.types import BoolArray, FloatArray, IntArray
 
 ROWS = 16
 """Of cells a strip: about a metre. What changes in a room touches two or three."""
+Answers = dict[tuple[Any, ...], Any]
+"""By the question's name, its limits, and the bytes that were given for the nodes."""
 NO_PAIRS: Pairs = np.zeros(0, INDEX), np.zeros(0, INDEX)
 
 
@@ -34,7 +36,8 @@ class Strip:
         a: Its own node of each pair, those of each of the `HALF` after another, shape (e,).
         b: The other one, shape (e,).
         first: Where each of the `HALF` begins, shape (5,).
-        known: To each question the last one's data, shape (k,), and the answer.
+        known: What it was asked in this version.
+        before: What it was asked in the version before.
     """
 
     count: int
@@ -42,7 +45,8 @@ class Strip:
     a: IntArray
     b: IntArray
     first: IntArray
-    known: dict[tuple[Any, ...], tuple[NDArray[np.uint8], Any]]
+    known: Answers
+    before: Answers
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,16 +110,16 @@ class Beside:
     def _ask(self, question: Callable[..., Any], given: NDArray[np.uint8], *limits: float) -> list[tuple[int, Any]]:
         """The first node of each strip, and its answer."""
         begin = np.cumsum([0, *(strip.count for strip in self.strips)])
-        key = question.__name__, *limits
 
         def one(i: int) -> tuple[int, Any]:
             strip = self.strips[i]
             own = given[begin[i] : begin[i] + len(strip.height)]
-            known = strip.known.get(key)
-            if known is None or not np.array_equal(known[0], own):
-                pairs = strip.a, strip.b, strip.first
-                known = strip.known[key] = own.copy(), question(*pairs, strip.height, strip.count, APART, own, *limits)
-            return int(begin[i]), known[1]
+            key = question.__name__, *limits, own.tobytes()
+            answer = strip.known.get(key, strip.before.get(key))
+            if answer is None:
+                answer = question(strip.a, strip.b, strip.first, strip.height, strip.count, APART, own, *limits)
+            strip.known[key] = answer
+            return int(begin[i]), answer
 
         return run_parallel(one, range(len(self.strips)))
 
@@ -142,7 +146,9 @@ def beside_now(near: Beside, layers: Layers, rise: float, cells: BoolArray) -> B
     """`beside` of `layers` that are those of `near` but for the columns `cells`, shape (nx, ny)."""
     rows: BoolArray = np.logical_or.reduce(cells, axis=1)
     strips = (
-        _strip(layers, rise, ROWS * i) if rows[ROWS * i : ROWS * (i + 1) + 1].any() else strip
+        _strip(layers, rise, ROWS * i)
+        if rows[ROWS * i : ROWS * (i + 1) + 1].any()
+        else replace(strip, known={}, before=strip.known)
         for i, strip in enumerate(near.strips)
     )
     return Beside(layers, tuple(strips))
@@ -154,4 +160,4 @@ def _strip(layers: Layers, rise: float, row: int) -> Strip:
     last, behind = min(row + ROWS, nx), min(row + ROWS + 1, nx)
     begin, own, end = (int(start[x * ny]) for x in (row, last, behind))
     pairs = pairs_beside(start, layers.shape, layers.height, rise, HALF, row, last)
-    return Strip(own - begin, layers.height[begin:end].copy(), *pairs, {})
+    return Strip(own - begin, layers.height[begin:end].copy(), *pairs, {}, {})

@@ -6,7 +6,7 @@ from gpdf_service.fields.edge import fit_pair, from_half, onto_half
 from gpdf_service.fields.heights import fit_heights, make_sums, quadric_rest, sum_heights
 from gpdf_service.fields.shapes import MOST, add, fit_plane, fit_ring, split_sheets
 from gpdf_service.fields.spacing import local_shape
-from gpdf_service.fields.tree import build_tree
+from gpdf_service.fields.tree import build_tree, make_look
 
 UP = np.array([0.0, 0.0, 1.0])
 
@@ -39,7 +39,7 @@ def edge(rng, count, noise):
 def test_a_quadric_and_its_plane_equal_numpys_least_squares(rng):
     points = np.column_stack([rng.uniform(-1, 1, (200, 2)), rng.normal(size=200)])
     sums = make_sums(1)
-    sum_heights(build_tree(points), np.zeros(3), UP, np.array([1.5]), 9.0, sums)
+    sum_heights(build_tree(points), np.zeros(3), UP, np.array([1.5]), 9.0, sums, make_look())
     inside = points[np.linalg.norm(points, axis=1) <= 1.5]
     assert sums.number[0] == len(inside) > 100
     x, y, h = inside.T
@@ -49,13 +49,13 @@ def test_a_quadric_and_its_plane_equal_numpys_least_squares(rng):
         solution, rest, *_ = np.linalg.lstsq(own, h, rcond=None)
         np.testing.assert_allclose(found, [solution[0], np.linalg.inv(own.T @ own)[0, 0], rest[0]], rtol=1e-9)
     near, count = rows(inside)
-    assert quadric_rest(near, count, UP) == pytest.approx(fit_heights(sums, 0)[1][2])
+    assert quadric_rest(near, count, UP, make_sums(1)) == pytest.approx(fit_heights(sums, 0)[1][2])
 
 
 def test_too_few_points_have_no_quadric():
     sums = make_sums(1)
     points = np.column_stack([np.linspace(-1, 1, 30), np.zeros(30), np.zeros(30)])
-    sum_heights(build_tree(points), np.zeros(3), UP, np.array([2.0]), 9.0, sums)
+    sum_heights(build_tree(points), np.zeros(3), UP, np.array([2.0]), 9.0, sums, make_look())
     assert np.isinf(fit_heights(sums, 0)[1][2])
 
 
@@ -67,14 +67,14 @@ def test_two_half_planes_explain_an_edge_wherever_it_lies_and_a_quadric_does_not
     bisector = R @ np.array([1.0, 0, 1.0]) / np.sqrt(2)
     left, _ = pair_of(near[:count], bisector)
     assert left / (count - 6) < 1.3 * noise**2
-    assert quadric_rest(near, count, bisector) > 2 * left
+    assert quadric_rest(near, count, bisector, make_sums(1)) > 2 * left
 
 
 def test_a_noisy_plane_is_no_edge(rng):
     plane = np.column_stack([rng.uniform(-1, 1, (200, 2)), rng.normal(size=200) * 0.2])
     near, count = rows(plane)
     left, _ = pair_of(plane, UP)
-    assert not left < 0.7 * quadric_rest(near, count, UP)
+    assert not left < 0.7 * quadric_rest(near, count, UP, make_sums(1))
 
 
 def test_a_point_beyond_an_edge_comes_to_the_edge_and_no_further(rng):

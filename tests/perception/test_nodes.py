@@ -1,5 +1,7 @@
 """The compiled loops over nodes against the obvious ones."""
 
+from unittest.mock import Mock
+
 import numpy as np
 import pytest
 from scipy.sparse import csr_matrix
@@ -124,13 +126,25 @@ def test_a_change_of_columns_asks_only_the_strips_that_it_touches(strips):
     cells[:17] = False
     now = splice_layers(strips, cells.ravel(), other)
     made, expected = beside_now(near, now, 0.3, cells), beside(now, 0.3)
-    assert [one is other for one, other in zip(made.strips, near.strips, strict=True)] == [True, False, False]
+    assert [one.a is other.a for one, other in zip(made.strips, near.strips, strict=True)] == [True, False, False]
     for seed in (3, 4):
         ours, theirs = answers(made, now, seed), answers(expected, now, seed)
         np.testing.assert_array_equal(ours[2], theirs[2])
         np.testing.assert_array_equal(ours[3][0], theirs[3][0])
         for k in (1, 2):
             np.testing.assert_array_equal(ours[3][k], theirs[3][k])
+
+
+def test_each_answer_of_the_version_before_is_remembered_and_none_older(strips, monkeypatch):
+    near, none = beside(strips, 0.3), np.zeros(strips.shape, dtype=bool)
+    before = [answers(near, strips, seed) for seed in (3, 4, 5)]
+    now = beside_now(near, strips, 0.3, none)
+    monkeypatch.setattr("gpdf_service.perception.beside.pieces_in", named := Mock(__name__="pieces_in"))
+    for seed in (3, 5):  # one sheet's question comes after another's
+        np.testing.assert_array_equal(answers(now, strips, seed)[3][0], before[seed - 3][3][0])
+    assert not named.called
+    later = beside_now(now, strips, 0.3, none)
+    assert all(len(strip.before) == 4 and not strip.known for strip in later.strips)
 
 
 def test_medians_of_sets_are_the_upper_ones():
