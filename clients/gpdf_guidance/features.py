@@ -30,8 +30,8 @@ STEEPEST_RAMP = 0.7
 """[-] Rise over run (35°): steeper than people stand on, so it is a step's face."""
 TREAD = 0.6
 """[m] Steps that are closer belong to one flight of stairs."""
-FLIGHT = 3
-"""Steps from which it is a stair."""
+FLIGHT = 2
+"""Steps from which it is a stair: the second one of two is told of with the first."""
 RAMP = 0.05
 """[-] Rise over run (3°) that is felt as a ramp."""
 RAMP_LENGTH = 1.0
