@@ -167,8 +167,8 @@ def _square(route: Route, pose: Pose, progress: Progress, direction: float) -> t
     """
     for flight in route.flights:
         ahead, aside = flight.before(*pose.position[:2])
-        comes = 0.0 <= flight.start - progress.s <= LOOK_AHEAD[0] and abs(aside) <= WIDEST and ahead >= 0.0
-        if comes and ahead <= AT_EDGE:
+        comes = 0.0 <= flight.start - progress.s <= LOOK_AHEAD[0] and abs(aside) <= WIDEST
+        if comes and 0.0 <= ahead <= AT_EDGE:
             bent = _bent(pose, flight.enter, direction)
             if abs(aside) <= (GATE if _is_walkable(route, pose, progress, bent) else 0.5 * GATE):
                 return bent, abs(wrap(flight.enter - pose.heading)) > SQUARE

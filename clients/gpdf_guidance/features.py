@@ -24,8 +24,8 @@ LARGEST_TURN = radians(120)
 """[rad] A curve that turns further is two turns: who is told to turn around does so on the spot."""
 LEAST_STEP = 0.04
 """[m] A lower edge is not felt as a step."""
-FOOT = 0.15
-"""[m] No three steps are within this."""
+FOOT = 0.25
+"""[m] A foot's length: no three steps, up and down, are within this."""
 STEEPEST_RAMP = 0.7
 """[-] Rise over run (35°): steeper than people stand on, so it is a step's face."""
 TREAD = 0.6

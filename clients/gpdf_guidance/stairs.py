@@ -120,9 +120,9 @@ def _goes_on(
 def _flight(path: FloatArray, s: FloatArray, steps: list[Feature], field: Field, room: Room) -> Flight:
     """A straight flight has the line that its middle shows, wherever the path begins and leaves it.
 
-    Beside a corner of a tread the nearest ground is the corner, so the ends are looked at again in that line; where it
-    does not meet them squarely either, they are winders, and are met where the path meets them. The faces say only
-    roughly where a flight leads to, and the path not where its middle is: its sides do.
+    The faces say only roughly where it leads to, and the path not where its middle is: its sides do. Beside a corner of
+    a tread the nearest ground is the corner, so the ends are looked at again in that line; where it does not meet them
+    squarely either, they are winders, and are met where the path meets them.
     """
     edges = np.array([at(path, s, step.start)[:2] for step in steps])
     along = at(path, s, steps[-1].end + BESIDE[-1]) - at(path, s, steps[0].start - BESIDE[-1])
@@ -130,13 +130,11 @@ def _flight(path: FloatArray, s: FloatArray, steps: list[Feature], field: Field,
     on_path = _faces(path, s, steps, edges, _tangents(path, s, steps), field)
     line = _unit(on_path[quarter : len(steps) - quarter].sum(axis=0), along[:2])
     middle = at(path, s, 0.5 * (steps[0].start + steps[-1].end))[:2]
-    in_line = middle + ((edges - middle) @ line)[:, None] * line
+    in_line, line = _with_most_room(path, s, steps, middle + ((edges - middle) @ line)[:, None] * line, line, room)
     faces = _faces(path, s, steps, in_line, np.tile(line, (len(steps), 1)), field)
     ends = [_unit(faces[rows].sum(axis=0), line) for rows in (slice(ENDS), slice(-ENDS, None))]
     if min(float(end @ line) for end in ends) > cos(STRAIGHT_FLIGHT):
-        line = _unit(faces.sum(axis=0), line)
-        edges, line = _with_most_room(path, s, steps, middle + ((edges - middle) @ line)[:, None] * line, line, room)
-        ends = [line, line]
+        edges, ends = in_line, [line, line]
     else:
         ends = [_unit(on_path[rows].sum(axis=0), along[:2]) for rows in (slice(ENDS), slice(-ENDS, None))]
     enter, leave = (atan2(end[1], end[0]) for end in ends)

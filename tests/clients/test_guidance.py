@@ -95,10 +95,11 @@ def test_single_steps_keep_their_height_and_direction():
     assert (up.start, down.start) == (pytest.approx(2.0, abs=0.06), pytest.approx(4.0, abs=0.06))
 
 
-def test_an_edge_that_two_levels_see_a_cell_apart_is_one_step():
+@pytest.mark.parametrize("once_more", [(1.64, 1.68), (1.7, 1.79)], ids=["a cell", "the corner of a tread"])
+def test_an_edge_that_is_crossed_twice_within_a_foot_is_one_step(once_more):
     s = np.linspace(0, 4, 161)
     z = -0.17 * np.searchsorted([1.0, 1.3, 1.6, 1.9, 2.2], s)
-    z[np.abs(s - 1.7) < 0.06] += [0.17, 0.17, 0.0, 0.0, 0.0]  # the upper tread once more, behind its edge
+    z[(s > once_more[0]) & (s < once_more[1])] += 0.17  # the upper tread, behind its edge
     (stairs,) = find_steps(z, s)
     assert (stairs.kind, stairs.count) == (FeatureKind.STAIRS, 5)
     assert stairs.amount == pytest.approx(-0.17)
