@@ -714,6 +714,21 @@ def test_who_stands_askew_before_stairs_turns_to_them_first(askew):
     assert advise(route, pose(2.8, 0.05, 5), 0.0, near=2.8).action is CueAction.SLOW
 
 
+@pytest.mark.parametrize("heading", [-30, 0, 12, 30])
+def test_nobody_is_sent_off_the_last_tread_to_its_side(heading):
+    path = line((0, 0), (4.3, 0), (4.3, 4), spacing=0.02)
+    path[:, 2] = 0.17 * np.searchsorted(3.0 + 0.3 * np.arange(5), path[:, 0])
+
+    def room(places):  # walls beside the stairs, a hall behind them
+        return np.where(places[:, 0] < 4.2, 0.5 - np.abs(places[:, 1]) - RADIUS, 2.0)
+
+    route = build_route(trajectory(path), room, radius=RADIUS, field=stairs_along_x)
+    for x, y in [(x, y) for x in (4.0, 4.1, 4.15, 4.18) for y in (-0.15, -0.1, 0.0, 0.1, 0.15)]:
+        advice = advise(route, Pose((x, y, 0.17 * 4), np.radians(heading), 0.0), 0.0, near=x)
+        if advice.action is not CueAction.STOP:
+            assert abs(heading + np.degrees(advice.direction)) <= 20 + 1e-6
+
+
 def test_who_stands_beside_the_line_before_stairs_is_led_back_to_it_first():
     path = line((0, 0), (8, 0), spacing=0.02)
     path[:, 2] = 0.17 * np.searchsorted(3.0 + 0.3 * np.arange(5), path[:, 0])
