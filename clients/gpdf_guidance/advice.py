@@ -161,7 +161,7 @@ def aim(route: Route, pose: Pose, progress: Progress) -> float:
 
 
 def _square(route: Route, pose: Pose, progress: Progress, direction: float) -> tuple[float, bool]:
-    """At the first and the last edge of stairs, a direction that is square over it but for `SQUARE_ON`.
+    """At the first and the last edge of stairs, a direction that is square over it but for `SQUARE_ON`, or `SQUARE`.
 
     The flag says to turn there on the spot. Who is beside the line is led back to it first.
     """
@@ -176,15 +176,15 @@ def _square(route: Route, pose: Pose, progress: Progress, direction: float) -> t
             return next((one for one in back if _is_walkable(route, pose, progress, one)), direction), False
         for edge, facing in ((flight.start, flight.enter), (flight.end, flight.leave)):
             if abs(progress.s - edge) <= AT_EDGE and not comes:
-                bent = _bent(pose, facing, direction)
-                return (bent if _is_walkable(route, pose, progress, bent) else direction), False
+                bent, most = (_bent(pose, facing, direction, most) for most in (SQUARE_ON, SQUARE))
+                return (bent if _is_walkable(route, pose, progress, bent) else most), False
     return direction, False
 
 
-def _bent(pose: Pose, facing: float, direction: float) -> float:
-    """A direction as close to the wanted one as `SQUARE_ON` allows."""
+def _bent(pose: Pose, facing: float, direction: float, most: float = SQUARE_ON) -> float:
+    """A direction as close to the wanted one as is `most` from square [rad]."""
     square = wrap(facing - pose.heading)
-    return square + float(np.clip(wrap(direction - square), -SQUARE_ON, SQUARE_ON))
+    return square + float(np.clip(wrap(direction - square), -most, most))
 
 
 def _is_walkable(route: Route, pose: Pose, progress: Progress, direction: float) -> bool:

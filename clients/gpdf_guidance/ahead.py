@@ -41,8 +41,8 @@ def find_turning(route: Route, progress: Progress, direction: float, action: Cue
     if action is CueAction.TURN and abs(direction) >= TURN:
         place = _place(route, progress.s if turn is None else turn.start)
         return [Instruction(Kind.TURN_NOW, Urgency.ACT, place, amount=direction)]
-    if turn is not None and progress.s >= turn.end and abs(direction) <= STRAIGHT:
-        straight = _straight_length(route, progress.s)
+    straight = _straight_length(route, progress.s)
+    if turn is not None and progress.s >= turn.end and abs(direction) <= STRAIGHT and straight >= TO_STEPS:
         return [Instruction(Kind.GO_ON, Urgency.INFORM, _place(route, turn.start), straight)]
     return []
 
@@ -57,9 +57,10 @@ def _at(turn: Feature, s: float) -> bool:
 
 
 def _straight_length(route: Route, s: float) -> float:
-    """Until the next turn, step or end [m]."""
-    kinds = (FeatureKind.TURN, *STEPS)
-    return min([f.start for f in route.features if f.kind in kinds and f.start > s + 0.5] + [route.length]) - s
+    """Until the next turn, step or end [m]; 0 on stairs."""
+    turns = [f.start for f in route.features if f.kind is FeatureKind.TURN and f.start > s + TURN_WINDOW[0]]
+    steps = [max(f.start, s) for f in route.features if f.kind in STEPS and f.end >= s]
+    return min(turns + steps + [route.length]) - s
 
 
 _SOON: dict[FeatureKind, tuple[Kind, Urgency, tuple[float, float]]] = {

@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from math import hypot, inf
 
+from gpdf_guidance.features import TREAD
 from gpdf_guidance.instruction import Instruction, Kind, Urgency
 
 PER_MINUTE = 5.0
@@ -22,6 +23,8 @@ STEPS_AGAIN = 30.0
 """[s] A step that one still stands before is told of again after this: by then it may be forgotten."""
 SAME = 0.8
 """[m] What is of one kind and this close is the same thing, also after another way has been planned."""
+SAME_STEP = 0.5 * TREAD
+"""[m] The same for a single step: another one may be a tread away."""
 WORD = 0.33
 """[s] A spoken word takes."""
 
@@ -100,4 +103,7 @@ def _takes_back(new: Instruction, old: Instruction) -> bool:
 
 
 def _same(a: Instruction, b: Instruction) -> bool:
-    return a.kind is b.kind and hypot(a.place[0] - b.place[0], a.place[1] - b.place[1]) < SAME
+    if a.kind is not b.kind or (a.kind in (Kind.STEP, Kind.STAIRS) and a.amount * b.amount < 0.0):
+        return False  # up and down a sill
+    away = hypot(a.place[0] - b.place[0], a.place[1] - b.place[1])
+    return away < (SAME_STEP if a.kind is Kind.STEP else SAME)

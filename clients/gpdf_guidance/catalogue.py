@@ -121,18 +121,18 @@ def phrase(instruction: Instruction, language: str = "en", unit: str = "metres")
 
 
 def _where(metres: float, words: Words, unit: str) -> str:
-    """How far it is to something, never more than it is: who expects a step too late falls."""
-    least = STEP_LENGTH if unit == "steps" else HALF
-    if metres < least:
+    if metres < (STEP_LENGTH if unit == "steps" else HALF):
         return words.right_ahead
-    return words.within.format(distance=_distance(least * int(metres / least + 1e-6), words, unit))
+    return words.within.format(distance=_distance(metres, words, unit))
 
 
 def _distance(metres: float, words: Words, unit: str) -> str:
+    """How far it is to something, never more than it is: who expects a step too late falls."""
+    metres += 1e-6
     if unit == "steps":
-        count = max(1, round(metres / STEP_LENGTH))
+        count = max(1, int(metres / STEP_LENGTH))
         return f"{count} {words.step if count == 1 else words.steps}"
-    halves = max(1, round(metres / HALF)) if metres < 3 else 2 * round(metres)
+    halves = max(1, int(metres / HALF)) if metres < 3 else 2 * int(metres)
     number = f"{halves // 2}" if halves % 2 == 0 else f"{halves / 2:.1f}".replace(".", words.point)
     return f"{number} {words.metre if halves == 2 else words.metres}"
 

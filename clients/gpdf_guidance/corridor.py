@@ -2,19 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gpdf_guidance.features import wrap
-from gpdf_guidance.stairs import GATE, SQUARE, Field, Flight
+from gpdf_guidance.stairs import ELBOW_ROOM, GATE, OTHER_GROUND, SQUARE, Field, Flight, Room
 
 FloatArray = NDArray[np.float64]
-Room = Callable[[FloatArray], FloatArray]
-"""Free room around a body that stands at (m, 3): distance to what stops it less its radius [m], shape (m,)."""
-
 SPACING = 0.1
 """[m] Between samples of a route: half of what a person sways."""
 FINER = 5
@@ -23,13 +19,10 @@ MARGIN = 0.1
 """[m] Room that a corridor leaves beside it: a swinging arm; in a tight place half of the path's own room."""
 WIDEST = 0.8
 """[m] A corridor is looked for this far to either side; more changes no instruction."""
-ELBOW_ROOM = 0.35
-"""[m] To either side of the body a person walks at ease."""
 FOOTING = 0.15
 """[m] Half of a stance: on stairs the middle of the body stays so far from their sides."""
-OTHER_GROUND, OTHER_TREAD = 0.4, 0.7
-"""[-] A share of a step: what is this far from the ground of a place is another floor; from a tread, which is rough at
-its own edges, another one."""
+OTHER_TREAD = 0.7
+"""[-] A share of a step: what is this far from a tread, which is rough at its own edges, is another one."""
 KEEP_OFF = 0.35
 """[m] Half a pace: elsewhere one keeps so far from the edges of stairs, but in their line."""
 INTO_STAIRS = 0.6

@@ -24,14 +24,14 @@ LARGEST_TURN = radians(120)
 """[rad] A curve that turns further is two turns: who is told to turn around does so on the spot."""
 LEAST_STEP = 0.04
 """[m] A lower edge is not felt as a step."""
-FOOT = 0.15
-"""[m] No three steps are within this."""
+FOOT = 0.25
+"""[m] A foot's length: no three steps, up and down, are within this."""
 STEEPEST_RAMP = 0.7
 """[-] Rise over run (35°): steeper than people stand on, so it is a step's face."""
 TREAD = 0.6
 """[m] Steps that are closer belong to one flight of stairs."""
-FLIGHT = 3
-"""Steps from which it is a stair."""
+FLIGHT = 2
+"""Steps from which it is a stair: the second one of two is told of with the first."""
 RAMP = 0.05
 """[-] Rise over run (3°) that is felt as a ramp."""
 RAMP_LENGTH = 1.0

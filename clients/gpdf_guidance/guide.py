@@ -139,7 +139,7 @@ class Planner:
         found: list[tuple[float, Trajectory]] = []
         for _ in range(ROUNDS):
             path, s = trajectory.ground, arc_length(trajectory.ground)
-            flights = find_stairs(path, s, self._field)
+            flights = find_stairs(path, s, self._field, partial(self._room, self.person))
             found.append((obliqueness(path, s, flights), trajectory))
             stops = places_to_stand(path, s, flights, partial(self._room, body))
             if found[-1][0] <= SQUARE or (again := self._through(path[0], stops, path[-1], body)) is None:
@@ -194,7 +194,7 @@ def too_tight(route: Route) -> str:
     if not between.any() or (room := float(route.room[between].min())) >= LEAST_ROOM:
         return ""
     return (
-        f"the best way found leaves {100 * max(room, 0.0):.0f} cm beside the person at its narrowest, "
+        f"the best way found leaves {int(100 * max(room, 0.0))} cm beside the person at its narrowest, "
         f"and {100 * LEAST_ROOM:.0f} cm are needed."
     )
 

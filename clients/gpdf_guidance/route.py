@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 
 from gpdf_guidance.corridor import (
     SPACING,
-    Room,
     least_room,
     margin_of,
     middle_of,
@@ -21,7 +20,7 @@ from gpdf_guidance.corridor import (
     where_there_is_room,
 )
 from gpdf_guidance.features import Feature, find_features
-from gpdf_guidance.stairs import Field, Flight, as_walked, find_stairs
+from gpdf_guidance.stairs import Field, Flight, Room, as_walked, find_stairs
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
@@ -169,7 +168,7 @@ def build_route(
     corridor = where_there_is_room(free, clear)
     width = corridor.left + corridor.right + 2 * (radius + margin_of(clear))
     flights: tuple[Flight, ...] = ()
-    if field is not None and (flights := find_stairs(trajectory.ground, rough, field)):
+    if field is not None and (flights := find_stairs(trajectory.ground, rough, field, room)):
         flights = as_walked(trajectory.ground, rough, flights)
         nearest = np.abs(rough[None, :] - s[:, None]).argmin(axis=1)  # half-way up a step is no ground
         standing = np.column_stack([ground[:, :2], trajectory.ground[nearest, 2]])

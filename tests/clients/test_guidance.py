@@ -95,10 +95,11 @@ def test_single_steps_keep_their_height_and_direction():
     assert (up.start, down.start) == (pytest.approx(2.0, abs=0.06), pytest.approx(4.0, abs=0.06))
 
 
-def test_an_edge_that_two_levels_see_a_cell_apart_is_one_step():
+@pytest.mark.parametrize("once_more", [(1.64, 1.68), (1.7, 1.79)], ids=["a cell", "the corner of a tread"])
+def test_an_edge_that_is_crossed_twice_within_a_foot_is_one_step(once_more):
     s = np.linspace(0, 4, 161)
     z = -0.17 * np.searchsorted([1.0, 1.3, 1.6, 1.9, 2.2], s)
-    z[np.abs(s - 1.7) < 0.06] += [0.17, 0.17, 0.0, 0.0, 0.0]  # the upper tread once more, behind its edge
+    z[(s > once_more[0]) & (s < once_more[1])] += 0.17  # the upper tread, behind its edge
     (stairs,) = find_steps(z, s)
     assert (stairs.kind, stairs.count) == (FeatureKind.STAIRS, 5)
     assert stairs.amount == pytest.approx(-0.17)
@@ -115,6 +116,24 @@ def test_stairs_are_counted_and_a_landing_parts_them():
     assert [one.count for one in down] == [10, 7]
     assert down[0].amount == pytest.approx(-0.17)
     assert find_ramps(z, s) == []
+
+
+def test_two_steps_are_told_of_together():
+    s = np.linspace(0, 4, 161)
+    (stairs,) = find_steps(-0.17 * np.searchsorted([1.0, 1.3], s), s)
+    assert (stairs.kind, stairs.count) == (FeatureKind.STAIRS, 2)
+
+
+@pytest.mark.parametrize(("second", "height"), [(5.7, 0.3), (5.3, 0.0)], ids=["a deep tread", "a sill"])
+def test_every_step_is_told_of_though_another_one_is_near(second, height):
+    path = line((0, 0), (8, 0), z=lambda s: np.where(s > second, height, np.where(s > 5.0, 0.15, 0.0)))
+    route, voice = build_route(trajectory(path), wide, radius=RADIUS), announcer()
+    said = [
+        voice.choose(advise(route, Pose((s, 0.0, 0.0), 0.0, 0.0), 0.0, near=s).instructions, 10 * s)
+        for s in np.arange(2.0, 5.0, 0.1)
+    ]
+    told = [one[0].amount for one in said if one is not None and one[0].kind is Kind.STEP]
+    assert told == pytest.approx([0.15, height - 0.15], abs=0.01)
 
 
 def test_a_ramp_is_no_step_and_a_floor_is_no_ramp():
@@ -234,6 +253,14 @@ def test_a_turn_is_announced_before_and_confirmed_after_and_corrected():
     assert back.amount < 0  # to the right
 
 
+@pytest.mark.parametrize(("steps", "told"), [(0.4, None), (2.3, 2.1)])
+def test_after_a_turn_one_hears_how_far_it_is_to_the_next_step(steps, told):
+    path = line((0, 0), (4, 0), (4, 6), z=lambda s: np.where(s > 4.0 + steps, 0.17, 0.0))
+    route = build_route(trajectory(path), wide, radius=RADIUS)
+    on = [one for one in advise(route, pose(4, 0.2, 90), 0.0, near=4.2).instructions if one.kind is Kind.GO_ON]
+    assert [one.distance for one in on] == ([] if told is None else [pytest.approx(told, abs=0.1)])
+
+
 def test_the_turn_before_the_first_step_is_told():
     route = straight(facing=np.radians(120))
     advice = advise(route, pose(0, 0, 120), 0.0, near=0.0)
@@ -347,6 +374,9 @@ def test_sentences_say_what_matters():
     assert say(step) == "In 2 metres, step down, 17 centimetres."  # never further than it is
     assert say(step, unit="steps") == "In 3 steps, step down, 17 centimetres."
     assert say(step, "de") == "In 2 Metern Stufe abwärts, 17 Zentimeter."
+    straight_on = Instruction(Kind.GO_ON, Urgency.INFORM, distance=3.8)
+    assert say(straight_on) == "Good. Straight on, 3 metres."
+    assert say(straight_on, unit="steps") == "Good. Straight on, 5 steps."  # the sixth is not whole
     near = dataclasses.replace(step, distance=0.3)
     assert say(near) == "Right ahead, step down, 17 centimetres."
     assert say(near, "de", "steps") == "Direkt vor Ihnen Stufe abwärts, 17 Zentimeter."
@@ -581,7 +611,7 @@ def test_the_direction_of_stairs_is_square_to_their_steps_whatever_the_path_does
         walked = path[::up].copy()
         walked[:, 2] = 0.17 * np.searchsorted(3.0 + 0.3 * np.arange(5), walked[:, 0])
         s = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(walked[:, :2], axis=0).T))])
-        (flight,) = find_stairs(walked, s, stairs_along_x)
+        (flight,) = find_stairs(walked, s, stairs_along_x, wide)
         square = 0.0 if up == 1 else np.pi
         assert np.cos(flight.enter - square) > 0.999
         assert np.cos(flight.leave - square) > 0.999
@@ -593,7 +623,7 @@ def test_the_places_before_and_behind_stairs_are_in_their_line_and_have_room():
     path = line((0, -1.2), (8, 1.2), spacing=0.02)
     path[:, 2] = 0.17 * np.searchsorted(3.0 + 0.3 * np.arange(5), path[:, 0])
     s = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(path[:, :2], axis=0).T))])
-    flights = find_stairs(path, s, stairs_along_x)
+    flights = find_stairs(path, s, stairs_along_x, wide)
     (foot, climbs), (head, on) = places_to_stand(path, s, flights, lambda places: np.full(len(places), 1.0))
     assert foot == pytest.approx([2.4, -0.12, 0.0], abs=0.03)
     assert (climbs, on) == (True, False)
@@ -601,6 +631,62 @@ def test_the_places_before_and_behind_stairs_are_in_their_line_and_have_room():
     nearer, _ = places_to_stand(path, s, flights, lambda places: places[:, 0] - 2.48)
     assert nearer[0][0] == pytest.approx(2.55, abs=0.03)
     assert len(places_to_stand(path, s, flights, lambda places: np.full(len(places), -1.0))) == 0
+
+
+def turned(field, angle):
+    """A ground field whose gradient is wrong, as that of a coarse stair is."""
+    c, s = np.cos(angle), np.sin(angle)
+
+    def wrong(places):
+        distance, gradient = field(places)
+        return distance, gradient @ np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
+
+    return wrong
+
+
+@pytest.mark.parametrize("aside", [-0.2, -0.07, 0.0, 0.07, 0.2])
+@pytest.mark.parametrize("wrong", [-5, 0, 5])
+def test_the_line_of_stairs_is_their_middle_though_the_path_is_beside_it_and_the_faces_are_rough(aside, wrong):
+    path = line((0, aside), (9, aside), spacing=0.02)
+    path[:, 2] = 0.17 * np.searchsorted(3.0 + 0.3 * np.arange(12), path[:, 0])
+    s = path[:, 0]
+
+    def stairs(places):  # twelve steps of the same line
+        distance, gradient = stairs_along_x(places - [1.2, 0.0, 4 * 0.17])
+        return distance, gradient
+
+    def room(places):  # an open side, a wall, and a post beside one tread
+        sides = 0.5 - np.abs(places[:, 1])
+        return np.minimum(sides, np.hypot(places[:, 0] - 4.0, places[:, 1] - 0.4)) - RADIUS
+
+    (flight,) = find_stairs(path, s, turned(stairs, np.radians(wrong)), room)
+    assert flight.foot == pytest.approx([3.0, 0.0], abs=0.035)
+    assert flight.head == pytest.approx([6.3, 0.0], abs=0.035)
+    assert abs(np.degrees(flight.enter)) < 1.0
+    places = places_to_stand(path, s, (flight,), lambda places: 0.12 - np.abs(places[:, 1]))
+    assert len(places) == 2  # in a passage that leaves 7 cm to either side
+
+
+def test_a_path_that_goes_aside_on_a_tread_is_on_one_flight_and_one_over_a_landing_on_two():
+    def walked(*corners):
+        path = line(*corners, spacing=0.02)
+        tread = np.searchsorted(3.0 + 0.3 * np.arange(5), path[:, 0])
+        path[:, 2] = 0.17 * np.where(np.abs(path[:, 1]) < 0.5, tread, 0)
+        return path, np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(path[:, :2], axis=0).T))])
+
+    for order in (1, -1):
+        path, s = walked(*[(0, 0.4), (3.15, 0.4), (3.15, -0.4), (6, -0.4)][::order])
+        (flight,) = find_stairs(path, s, stairs_along_x, wide)
+        assert np.ptp([flight.foot[0], flight.head[0]]) == pytest.approx(1.2, abs=0.05)
+
+    def landing(places):  # five steps, a metre of landing, five steps
+        return stairs_along_x(places - np.where(places[:, :1] > 4.6, [2.2, 0.0, 5 * 0.17], 0.0))
+
+    path = line((0, 0), (9, 0), spacing=0.02)
+    path[:, 2] = 0.17 * np.searchsorted(
+        np.concatenate([3.0 + 0.3 * np.arange(5), 5.2 + 0.3 * np.arange(5)]), path[:, 0]
+    )
+    assert len(find_stairs(path, path[:, 0], landing, wide)) == 2
 
 
 def test_the_corridor_leads_onto_stairs_in_their_line_and_nowhere_from_their_side():
@@ -626,6 +712,21 @@ def test_who_stands_askew_before_stairs_turns_to_them_first(askew):
     assert advice.action is CueAction.TURN
     assert np.degrees(advice.direction) == pytest.approx(-askew, abs=13)
     assert advise(route, pose(2.8, 0.05, 5), 0.0, near=2.8).action is CueAction.SLOW
+
+
+@pytest.mark.parametrize("heading", [-30, 0, 12, 30])
+def test_nobody_is_sent_off_the_last_tread_to_its_side(heading):
+    path = line((0, 0), (4.3, 0), (4.3, 4), spacing=0.02)
+    path[:, 2] = 0.17 * np.searchsorted(3.0 + 0.3 * np.arange(5), path[:, 0])
+
+    def room(places):  # walls beside the stairs, a hall behind them
+        return np.where(places[:, 0] < 4.2, 0.5 - np.abs(places[:, 1]) - RADIUS, 2.0)
+
+    route = build_route(trajectory(path), room, radius=RADIUS, field=stairs_along_x)
+    for x, y in [(x, y) for x in (4.0, 4.1, 4.15, 4.18) for y in (-0.15, -0.1, 0.0, 0.1, 0.15)]:
+        advice = advise(route, Pose((x, y, 0.17 * 4), np.radians(heading), 0.0), 0.0, near=x)
+        if advice.action is not CueAction.STOP:
+            assert abs(heading + np.degrees(advice.direction)) <= 20 + 1e-6
 
 
 def test_who_stands_beside_the_line_before_stairs_is_led_back_to_it_first():

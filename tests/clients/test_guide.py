@@ -130,6 +130,17 @@ def test_the_judge_of_the_walks_sees_contacts_and_falls(made):
     assert world.penetration(np.array([0.9, 0.9, 0.0])) == np.inf
 
 
+def test_under_the_rim_of_an_upper_floor_nobody_stands_on_it_and_over_it_one_falls():
+    x, y = np.mgrid[-1:1:0.1, -1:1:0.1].reshape(2, -1)
+    low = np.column_stack([x + 0.05, y + 0.05, 0 * x])
+    x, y = np.mgrid[0:1:0.02, -1:1:0.02].reshape(2, -1)
+    points = np.concatenate([low, np.column_stack([x, y, 0 * x + 2.5]), [[0.0, 0.0, 5.0]]])
+    world = WalkedWorld.of(points, np.arange(len(points)) < len(points) - 1)
+    assert (world.ground_height(np.array([0.1, 0.1, 0.0])), world.fell) == (0.0, False)  # the nearest eight are above
+    assert (world.ground_height(np.array([0.1, 0.1, 2.5])), world.fell) == (2.5, False)
+    assert (world.ground_height(np.array([-0.3, 0.1, 2.5])), world.fell) == (0.0, True)
+
+
 def test_no_way_is_a_safe_stop_with_the_reason(client, made):
     guide, walker, world = setting(client, made, "office", (0.9, 0.9, 0.0), (40.0, 2.0))
     walk = simulate(guide, walker, world)
