@@ -46,7 +46,7 @@ from gpdf_service.perception.nodes import (
     pairs_within,
     whole_around,
 )
-from gpdf_service.perception.segment import LEAST_SCATTER, over_ground
+from gpdf_service.perception.segment import LEAST_SCATTER, over_ground, with_gaps
 from gpdf_service.perception.smooth import RESOLVED_STEP, smooth, to_centres, without_unlucky
 from gpdf_service.perception.strays import find_strays
 from gpdf_service.perception.surface import (
@@ -263,7 +263,7 @@ def split_sheets(near: Beside, config: PerceptionConfig) -> tuple[BoolArray, ...
     if (np.diff(layers.cell[keep]) > 0).all():
         return (keep,)
     smooth, _, steps = near.pieces(keep, layers.cell_width, None, keep, config.max_step)
-    a, b = pairs_within(*steps, keep, True, smooth)
+    a, b = pairs_within(*with_gaps(layers, steps, keep, config), keep, True, smooth)
     sheet_of = np.full(count, -1)
     size = np.bincount(smooth, weights=keep)
     order = np.argsort(-size)
@@ -472,7 +472,7 @@ def complete(
     Where the ground was seen is `near`, see `nearest_seen`; the `noise` [m] was cured.
     """
     cell, z, lowest = held
-    filled = fill_holes(seen, lowest, *voids, near=near, noise=noise)
+    filled = fill_holes(seen, lowest, *voids, near=near, noise=noise, config=config)
     shut, stair, guarded = guard_edges(filled, lowest, cell, z, config)
     opened = without_enclosed(filled, shut)
     face = find_faces(opened, cell, z, config.min_headroom) & ~stair  # a flight's treads were seen up to its walls
@@ -504,7 +504,7 @@ def complete_again(
     """
     box, lowest, headroom = window(swapped, 0) if swapped.any() else NOWHERE, was.lowest.copy(), config.min_headroom
     lowest[box] = in_cells(held(box), seen, box)[2]
-    filled = fill_holes(seen, lowest, *voids)
+    filled = fill_holes(seen, lowest, *voids, config=config)
     other = swapped | changed(was.filled, filled)
     if not other.any():
         return surface, replace(was, lowest=lowest)

@@ -27,6 +27,42 @@ def _unite(parent: IntArray, i: int, j: int) -> None:
 
 
 @njit(cache=True, nogil=True)
+def pairs_over_gaps(
+    start: IntArray,
+    shape: tuple[int, int],
+    height: FloatArray,
+    keep: BoolArray,
+    rise: float,
+    reach: float,
+    offsets: tuple[tuple[int, int], ...],
+) -> tuple[IntArray, IntArray]:
+    """Pairs of kept nodes within `rise` [m] that a gap parts: up to `reach` cells of which nothing was seen as low.
+
+    The nose of a tread hides the back of the next one; a hole that one looks through into something is no gap.
+    """
+    one, other = [INDEX(0) for _ in range(0)], [INDEX(0) for _ in range(0)]
+    for x in range(shape[0]):
+        for y in range(shape[1]):
+            for a in range(start[x * shape[1] + y], start[x * shape[1] + y + 1]):
+                if not keep[a]:
+                    continue
+                for dx, dy in offsets:
+                    for far in range(1, int(reach / np.hypot(dx, dy)) + 2):
+                        u, v = x + far * dx, y + far * dy
+                        if not (0 <= u < shape[0] and 0 <= v < shape[1]):
+                            break
+                        begin, end = start[u * shape[1] + v], start[u * shape[1] + v + 1]
+                        if begin == end or height[begin] > height[a] + rise:
+                            continue
+                        for b in range(begin, end if far > 1 else begin):
+                            if keep[b] and abs(height[a] - height[b]) <= rise:
+                                one.append(INDEX(a))
+                                other.append(INDEX(b))
+                        break
+    return np.array(one, INDEX), np.array(other, INDEX)
+
+
+@njit(cache=True, nogil=True)
 def components(a: IntArray, b: IntArray, among: BoolArray) -> IntArray:
     """Connected component of each node, shape (k,), numbered by their first nodes.
 

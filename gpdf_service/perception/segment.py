@@ -17,6 +17,7 @@ from gpdf_service.perception.beside import Beside, beside, beside_now
 from gpdf_service.perception.bumps import Former, low_things, raised_over_sides
 from gpdf_service.perception.columns import Runs, by_cell, medians_around
 from gpdf_service.perception.layers import (
+    HALF,
     SPREAD,
     Layers,
     Pairs,
@@ -44,6 +45,7 @@ from gpdf_service.perception.nodes import (
     nodes_over,
     off_ground,
     over_kept,
+    pairs_over_gaps,
     pairs_within,
     stepped,
     with_rims,
@@ -280,7 +282,15 @@ def find_ground(
     wide, patch = with_rims(core, keep, piece, *loose)
     (under, below), joins = run_beside(
         partial(_undersides, layers, surface & ~wide, wide, patch, loose, config),
-        partial(_joins, layers, config, wide, smooth == 8, patch, pairs_within(*steps, wide, True, patch)),
+        partial(
+            _joins,
+            layers,
+            config,
+            wide,
+            smooth == 8,
+            patch,
+            pairs_within(*with_gaps(layers, steps, wide, config), wide, True, patch),
+        ),
     )
     joins = joins.but(below, patch)
     large = {int(i): joins.nodes_of(int(i)) for i in np.flatnonzero(joins.size >= BULK_SHARE * joins.size.max())}
@@ -313,6 +323,13 @@ def find_ground(
     if not ground.any():
         raise NoGroundError(*NO_SURFACE)
     return ground, Found(near, reached, slope, found, raised, rough)
+
+
+def with_gaps(layers: Layers, steps: Pairs, keep: BoolArray, config: PerceptionConfig) -> Pairs:
+    """The `steps`, and those between kept nodes that a gap parts: less than a foot fits in, see `pairs_over_gaps`."""
+    reach = config.tread_depth / layers.cell_width
+    a, b = pairs_over_gaps(layers.start, layers.shape, layers.height, keep, config.max_step, reach, HALF)
+    return np.concatenate([steps[0], a]), np.concatenate([steps[1], b])
 
 
 def _rise_of_steps(layers: Layers, config: PerceptionConfig) -> float:

@@ -10,6 +10,7 @@ from numba import njit
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from gpdf_service.config import PerceptionConfig
 from gpdf_service.fields.threads import run_chunked
 from gpdf_service.perception.bend import FINE, FLAT, bend_at, make_room, reach_of
 from gpdf_service.perception.columns import between_range, cells_in_box, extent_in
@@ -255,6 +256,7 @@ def fill_holes(
     walls: BoolArray,
     near: Nearest | None = None,
     noise: float = 0.0,
+    config: PerceptionConfig | None = None,
 ) -> HeightMap:
     """Infer ground where its surroundings explain it, and mark it.
 
@@ -262,7 +264,7 @@ def fill_holes(
     under a ceiling's height, inf where there is none), shut off from the map's rim, with no place further than
     `MAX_HOLE_RADIUS` from seen ground, and with the ground around it on one plane within a cell's slope or higher: an
     edge that drops is not bridged. Nor is a void. Under a thing it is filled only where ground was seen beneath its
-    rim. A notch in a flight is filled with the treads beside it.
+    rim. A notch in a flight is filled with the treads beside it, and the gap between two treads with the lower one.
 
     Args:
         surface: The ground as it was seen.
@@ -272,14 +274,16 @@ def fill_holes(
         walls: See `find_voids`.
         near: `nearest_seen` of the surface, where it is known.
         noise: Standard deviation of the points before they were cured [m].
+        config: Limits of a flight's treads.
     """
+    config = config or PerceptionConfig()
     known = surface.state == OBSERVED
     height, state = surface.height.copy(), surface.state.copy()
     near = near or nearest_seen(surface)
     distance, beside = near
     material = lowest < beside + CEILING
     _fill_gaps(height, state, ~known, surface, near, noise)
-    _fill_notches(height, state, seen_through, distance, surface.cell_width)
+    _fill_notches(height, state, seen_through, distance, surface.cell_width, config)
     known = state != UNKNOWN
     void = seen_through | pit | _walled_down(surface, walls)
     _fill(height, state, ~known & ~material, known, distance, surface.cell_width, void, OPEN_SHARE)
@@ -494,15 +498,21 @@ def _small(holes: BoolArray, distance: FloatArray, cell_width: float) -> BoolArr
 
 
 def _fill_notches(
-    height: NDArray[np.float32], state: NDArray[np.uint8], void: BoolArray, distance: FloatArray, cell_width: float
+    height: NDArray[np.float32],
+    state: NDArray[np.uint8],
+    void: BoolArray,
+    distance: FloatArray,
+    cell_width: float,
+    config: PerceptionConfig,
 ) -> None:
     """Fill what a shadow bites out of a flight: uphill and downhill there is ground, and the tread itself beside.
 
-    On the level this is left to `_fill`: there the edge of a platform looks the same. A flight that lies across the
-    grid at an angle stays as it was seen.
+    The whole back of a tread is hidden by the nose of the next one: such a gap is the lower tread's, where a third
+    tread shows that they are a flight. On the level this is left to `_fill`: there the edge of a platform looks the
+    same. A notch in a flight that lies across the grid at an angle stays as it was seen.
     """
     open_ = (state == UNKNOWN) & ~void & (distance <= NOTCH_DEPTH)
-    filled = _treads(height, open_, np.float32(cell_width), cell_width)
+    filled = _treads(height, open_, np.float32(cell_width), cell_width, config.tread_depth, config.stair_step)
     explained = ~np.isnan(filled)
     height[explained] = filled[explained]
     state[explained] = INFERRED
@@ -510,13 +520,19 @@ def _fill_notches(
 
 @njit(cache=True, nogil=True)
 def _treads(
-    height: NDArray[np.float32], open_: BoolArray, rounded: np.float32, cell_width: float
+    height: NDArray[np.float32],
+    open_: BoolArray,
+    rounded: np.float32,
+    cell_width: float,
+    tread_depth: float,
+    stair_step: float,
 ) -> NDArray[np.float32]:
-    """Height of the tread beside each `open_` cell that lies in a flight, NaN elsewhere.
+    """Height of the tread of each `open_` cell that lies in a flight, NaN elsewhere.
 
     `rounded` is the width of a cell as heights are kept.
     """
-    (nx, ny), most = height.shape, int(NOTCH_SPAN / cell_width) + 1
+    (nx, ny), most, least = height.shape, int(NOTCH_SPAN / cell_width) + 1, 2.0 * cell_width
+    depth, foot = int(NOTCH_DEPTH / cell_width), int(tread_depth / cell_width)
     filled = np.full((nx, ny), np.float32(np.nan), np.float32)
     for x in range(nx):
         for y in range(ny):
@@ -525,14 +541,45 @@ def _treads(
             for dx, dy in ((1, 0), (0, 1)):
                 low, high, steps = _both_sides(height, x, y, dx, dy, most, most)
                 run, rise = steps * cell_width, float(high - low)
-                if not (0.0 < run <= NOTCH_SPAN and 2.0 * rounded < rise <= STEEPEST_FLIGHT * run):
+                if not (0.0 < run <= NOTCH_SPAN and rise > least):
                     continue
                 for way in (-1, 1):
-                    tread, beside = _next_known(height, x, y, way * dy, way * dx, int(NOTCH_DEPTH / cell_width))
+                    tread, beside = _next_known(height, x, y, way * dy, way * dx, depth)
                     between = tread > low + np.float32(0.5) * rounded and tread < high - np.float32(0.5) * rounded
-                    if beside > 0 and between and np.isnan(filled[x, y]):
+                    explained = beside > 0 and between and rise <= STEEPEST_FLIGHT * run
+                    if explained and np.isnan(filled[x, y]):
                         filled[x, y] = tread
+                gap = np.isnan(filled[x, y]) and steps <= foot + 1 and rise <= stair_step
+                if gap and _goes_on(height, x, y, dx, dy, least, stair_step, foot, 2 * depth):
+                    filled[x, y] = low
     return filled
+
+
+@njit(cache=True, nogil=True)
+def _goes_on(
+    height: NDArray[np.float32], x: int, y: int, dx: int, dy: int, least: float, most: float, gap: int, span: int
+) -> bool:
+    """Whether beyond one of the two treads beside (x, y) on a line there is a third, one step further on.
+
+    A step is from `least` to `most` [m] high. No more than `gap` cells in a row are unknown, of a `span` of them.
+    """
+    for way in (-1, 1):
+        here, first = _next_known(height, x, y, way * dx, way * dy, gap)
+        there, _ = _next_known(height, x, y, -way * dx, -way * dy, gap)
+        up, unknown = here > there, 0
+        for step in range(first, span):
+            u, v = x + way * step * dx, y + way * step * dy
+            if not (0 <= u < height.shape[0] and 0 <= v < height.shape[1]) or unknown > gap:
+                break
+            if np.isnan(height[u, v]):
+                unknown += 1
+                continue
+            rise, unknown = (height[u, v] - here) if up else (here - height[u, v]), 0
+            if rise > least:
+                if rise <= most:
+                    return True
+                break
+    return False
 
 
 def between_treads(surface: HeightMap, asked: BoolArray, stair_step: float) -> BoolArray:
