@@ -46,7 +46,7 @@ from gpdf_service.perception.nodes import (
     pairs_within,
     whole_around,
 )
-from gpdf_service.perception.segment import LEAST_SCATTER, over_ground, with_gaps
+from gpdf_service.perception.segment import LEAST_SCATTER, over_ground, steps_over_gaps
 from gpdf_service.perception.smooth import RESOLVED_STEP, smooth, to_centres, without_unlucky
 from gpdf_service.perception.strays import find_strays
 from gpdf_service.perception.surface import (
@@ -263,7 +263,8 @@ def split_sheets(near: Beside, config: PerceptionConfig) -> tuple[BoolArray, ...
     if (np.diff(layers.cell[keep]) > 0).all():
         return (keep,)
     smooth, _, steps = near.pieces(keep, layers.cell_width, None, keep, config.max_step)
-    a, b = pairs_within(*with_gaps(layers, steps, keep, config), keep, True, smooth)
+    over = steps_over_gaps(layers, keep, smooth, config)[0]
+    a, b = (np.concatenate(ends) for ends in zip(pairs_within(*steps, keep, True, smooth), over, strict=True))
     sheet_of = np.full(count, -1)
     size = np.bincount(smooth, weights=keep)
     order = np.argsort(-size)

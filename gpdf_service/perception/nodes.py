@@ -35,12 +35,16 @@ def pairs_over_gaps(
     rise: float,
     reach: float,
     offsets: tuple[tuple[int, int], ...],
-) -> tuple[IntArray, IntArray]:
+) -> tuple[IntArray, IntArray, FloatArray]:
     """Pairs of kept nodes within `rise` [m] that a gap parts: up to `reach` cells of which nothing was seen as low.
 
     The nose of a tread hides the back of the next one; a hole that one looks through into something is no gap.
+
+    Returns:
+        The pairs, and how wide the gap between each is [cells].
     """
     one, other = [INDEX(0) for _ in range(0)], [INDEX(0) for _ in range(0)]
+    wide = [0.0 for _ in range(0)]
     for x in range(shape[0]):
         for y in range(shape[1]):
             for a in range(start[x * shape[1] + y], start[x * shape[1] + y + 1]):
@@ -58,8 +62,9 @@ def pairs_over_gaps(
                             if keep[b] and abs(height[a] - height[b]) <= rise:
                                 one.append(INDEX(a))
                                 other.append(INDEX(b))
+                                wide.append((far - 1) * np.hypot(dx, dy))
                         break
-    return np.array(one, INDEX), np.array(other, INDEX)
+    return np.array(one, INDEX), np.array(other, INDEX), np.array(wide)
 
 
 @njit(cache=True, nogil=True)

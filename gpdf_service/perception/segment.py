@@ -282,15 +282,7 @@ def find_ground(
     wide, patch = with_rims(core, keep, piece, *loose)
     (under, below), joins = run_beside(
         partial(_undersides, layers, surface & ~wide, wide, patch, loose, config),
-        partial(
-            _joins,
-            layers,
-            config,
-            wide,
-            smooth == 8,
-            patch,
-            pairs_within(*with_gaps(layers, steps, wide, config), wide, True, patch),
-        ),
+        partial(_joins, layers, config, wide, smooth == 8, patch, pairs_within(*steps, wide, True, patch)),
     )
     joins = joins.but(below, patch)
     large = {int(i): joins.nodes_of(int(i)) for i in np.flatnonzero(joins.size >= BULK_SHARE * joins.size.max())}
@@ -325,11 +317,17 @@ def find_ground(
     return ground, Found(near, reached, slope, found, raised, rough)
 
 
-def with_gaps(layers: Layers, steps: Pairs, keep: BoolArray, config: PerceptionConfig) -> Pairs:
-    """The `steps`, and those between kept nodes that a gap parts: less than a foot fits in, see `pairs_over_gaps`."""
+def steps_over_gaps(
+    layers: Layers, keep: BoolArray, label: IntArray, config: PerceptionConfig
+) -> tuple[Pairs, FloatArray]:
+    """Steps between kept nodes with another `label` each that a gap parts, and how wide it is [m].
+
+    Less than a foot fits in; see `pairs_over_gaps`.
+    """
     reach = config.tread_depth / layers.cell_width
-    a, b = pairs_over_gaps(layers.start, layers.shape, layers.height, keep, config.max_step, reach, HALF)
-    return np.concatenate([steps[0], a]), np.concatenate([steps[1], b])
+    a, b, wide = pairs_over_gaps(layers.start, layers.shape, layers.height, keep, config.max_step, reach, HALF)
+    other = label[a] != label[b]
+    return (a[other], b[other]), wide[other] * layers.cell_width
 
 
 def _rise_of_steps(layers: Layers, config: PerceptionConfig) -> float:
@@ -486,12 +484,13 @@ def _joins(
     steps: Pairs,
 ) -> _Joins:
     """The steps between the patches."""
-    standable, tread = _shapes(layers, wide, patch, config)
+    gaps, hidden = steps_over_gaps(layers, wide, patch, config)
+    standable, tread = _shapes(layers, wide, patch, gaps, hidden, config)
     start, members = by_cell(patch, len(standable))
     count = np.bincount(patch[wide], minlength=len(standable))
     small = count * layers.cell_width**2 <= TABLE_AREA
     level: FloatArray = np.bincount(patch, layers.height, len(count)).astype(np.float64)
-    a, b = np.concatenate(steps), np.concatenate(steps[::-1])
+    a, b = np.concatenate([*steps, *gaps]), np.concatenate([*steps[::-1], *gaps[::-1]])
     rise = np.abs(layers.height[a] - _level_of_furniture(layers, small, start, members, patch, b))
     allowed = np.where(standable[patch[b]], config.max_step, np.where(tread[patch[b]], config.stair_step, -1.0))
     join = rise <= allowed
@@ -566,7 +565,7 @@ def _spread(
     """
     share, inner = np.where(joins.standable & joins.small, TABLE_OVER_SHARE, OVER_SHARE), joins.inner
     grid, headroom = (layers.cell, layers.height), config.step_headroom
-    ground = ground.copy()
+    before, ground = ground, ground.copy()
     while len(fresh := _next_patches(ground, joins, seen)):
         nodes = np.concatenate([joins.nodes_of(i) for i in fresh])
         own = np.repeat(np.arange(len(fresh)), joins.size[fresh])
@@ -576,7 +575,7 @@ def _spread(
         refused = np.bincount(own[over], minlength=len(fresh)) > share[fresh] * size
         seen[fresh] = True
         ground[nodes[~refused[own]]] = True
-    ground = _without_dead_ends(layers, config, ground, patch, joins)
+    ground = _without_dead_ends(layers, config, ground, before, patch, joins)
     return ground & ~over_ground(layers, ground, headroom)
 
 
@@ -594,17 +593,18 @@ def _level_of_furniture(
 
 
 def _without_dead_ends(
-    layers: Layers, config: PerceptionConfig, ground: BoolArray, patch: IntArray, joins: _Joins
+    layers: Layers, config: PerceptionConfig, ground: BoolArray, before: BoolArray, patch: IntArray, joins: _Joins
 ) -> BoolArray:
     """Drop treads that lead nowhere: a stair's tread joins ground above to ground below, a sill joins two floors.
 
-    A box on the floor joins one; so does a board, but where the scan of the floor has gaps it joins it to scraps.
+    A box on the floor joins one; so does a board, but where the scan of the floor has gaps it joins it to scraps. What
+    was ground `before` stays: scraps of the floor behind a desk lead nowhere, too.
     """
     a, b, standable = joins.a, joins.b, joins.standable
     level = joins.level
     rise, narrow = layers.cell_width * float(np.tan(config.steepest)), ~standable[patch]
     a, b = pairs_within(a, b, narrow, False)
-    left, ground = np.flatnonzero(ground & narrow), ground.copy()
+    left, ground = np.flatnonzero(ground & narrow & ~before), ground.copy()
     while True:
         here, count = ground[a] & ground[b], len(level)
         one, other = patch[a[here]], patch[b[here]]
@@ -621,10 +621,19 @@ def _without_dead_ends(
         left = left[~dead]
 
 
-def _shapes(layers: Layers, wide: BoolArray, patch: IntArray, config: PerceptionConfig) -> tuple[BoolArray, BoolArray]:
-    """Which patches a body stands on, and which are long enough for a stair's tread, by their principal extents."""
+def _shapes(
+    layers: Layers, wide: BoolArray, patch: IntArray, gaps: Pairs, hidden: FloatArray, config: PerceptionConfig
+) -> tuple[BoolArray, BoolArray]:
+    """Which patches a body stands on, and which are as large as a stair's tread, by their principal extents.
+
+    What is `hidden` of a tread, the width of the gap under a higher one [m], is a part of it.
+    """
     length, depth = extents_in_plan(layers.cell, layers.shape[1], wide, patch, layers.cell_width)
-    return depth >= config.standing_width, (length >= config.tread_length) & (depth >= config.tread_depth)
+    a, b = gaps
+    behind = np.zeros(len(depth))
+    np.maximum.at(behind, patch[np.where(layers.height[a] < layers.height[b], a, b)], hidden)
+    treads = (length >= config.tread_length) & (depth + behind >= config.tread_depth)
+    return depth >= config.standing_width, treads
 
 
 def over_ground(layers: Layers, ground: BoolArray, headroom: float) -> BoolArray:

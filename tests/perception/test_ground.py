@@ -629,3 +629,51 @@ def test_rubble_is_ground_though_all_of_it_are_bumps():
     relief = ndimage.gaussian_filter(rng.normal(size=(160, 160)), 2.0)
     z = 0.03 / relief.std() * ndimage.map_coordinates(relief, 20.0 * xy.T, order=1)
     assert segment_ground(np.column_stack([xy, z])).mean() > 0.99
+
+
+def flight_seen_from_above(hidden):
+    """A closed flight of 14 treads between walls; of some treads the back is `hidden` by the nose above, x from 2 m."""
+    rng = np.random.default_rng(0)
+
+    def sheet(low, high, z):
+        count = int(np.prod(np.subtract(high, low)) / 0.02**2)
+        return np.column_stack([rng.uniform(low, high, (count, 2)), np.full(count, z)])
+
+    treads = []
+    for i in range(14):
+        x = 2.0 + 0.28 * i
+        end = x + 0.28 - (hidden if i in (4, 5, 9) else 0.0)
+        treads.append(sheet((x, 1.4), (end, 2.6), 0.18 * (i + 1)))
+    head = 2.0 + 0.28 * 14
+    floors = [sheet((0.0, 0.0), (2.0, 4.0), 0.0), sheet((head, 0.0), (head + 2.0, 4.0), 0.18 * 14)]
+    count = int(0.28 * 14 * 3.0 / 0.02**2)
+    walls = [
+        np.column_stack([rng.uniform(2.0, head, count), np.full(count, y), rng.uniform(0.0, 3.0, count) + 0.5])
+        for y in (1.4, 2.6)
+    ]
+    return np.concatenate([*treads, *floors, *walls]) + rng.normal(0.0, 0.002, (1, 3))
+
+
+def test_what_the_nose_above_hides_of_a_tread_is_inferred_as_its_back():
+    scene = build_scene(flight_seen_from_above(0.16))
+    for i in (4, 5, 9):
+        place = np.array([[2.0 + 0.28 * i + 0.2, 2.0]])
+        known = [s for s in scene.surfaces if not np.isnan(s.height_at(place)[0])]
+        assert known, i
+        for surface in known:
+            ix, iy, _ = surface.cells(place)
+            assert surface.state[ix[0], iy[0]] == INFERRED
+            assert surface.height_at(place)[0] == pytest.approx(0.18 * (i + 1), abs=0.01)  # the lower tread
+    assert plan(scene, (1.0, 2.0, 0.0), (7.0, 2.0, 2.52), "human").status is Status.OK
+    assert plan(scene, (7.0, 2.0, 2.52), (1.0, 2.0, 0.0), "human").status is Status.OK
+
+
+def test_a_gap_wider_than_a_foot_or_under_a_single_step_stays_unknown():
+    wide = build_scene(flight_seen_from_above(0.26))
+    refused = Status.NO_VALID_PATH, Status.GOAL_OUTSIDE_MAP
+    assert plan(wide, (1.0, 2.0, 0.0), (7.0, 2.0, 2.52), "human").status in refused
+    rng = np.random.default_rng(0)
+    x, y = rng.uniform(0.0, 8.0, 60000), rng.uniform(0.0, 3.0, 60000)
+    seen = (x < 4.0) | (x > 4.16)  # beyond it a platform, 18 cm high
+    step = build_scene(np.column_stack([x, y, 0.18 * (x > 4.1)])[seen])
+    assert all(np.isnan(s.height_at(np.array([[4.1, 1.5]]))[0]) for s in step.surfaces)
