@@ -33,38 +33,41 @@ def pairs_over_gaps(
     height: FloatArray,
     keep: BoolArray,
     rise: float,
-    reach: float,
-    offsets: tuple[tuple[int, int], ...],
-) -> tuple[IntArray, IntArray, FloatArray]:
-    """Pairs of kept nodes within `rise` [m] that a gap parts: up to `reach` cells of which nothing was seen as low.
+    offset: tuple[int, int],
+    most: int,
+) -> tuple[IntArray, IntArray, IntArray]:
+    """Pairs of kept nodes within `rise` [m] that a gap parts: up to `most` cells of which nothing was seen as low.
 
-    The nose of a tread hides the back of the next one; a hole that one looks through into something is no gap.
+    The nose of a tread hides the back of the next one; a hole that one looks through into something is no gap. The
+    `offset` is that of neighbouring cells on the line.
 
     Returns:
-        The pairs, and how wide the gap between each is [cells].
+        The pairs, and how many cells the gap between each has.
     """
-    one, other = [INDEX(0) for _ in range(0)], [INDEX(0) for _ in range(0)]
-    wide = [0.0 for _ in range(0)]
-    for x in range(shape[0]):
-        for y in range(shape[1]):
-            for a in range(start[x * shape[1] + y], start[x * shape[1] + y + 1]):
-                if not keep[a]:
+    one, other, wide = [INDEX(0) for _ in range(0)], [INDEX(0) for _ in range(0)], [0 for _ in range(0)]
+    (nx, ny), (dx, dy) = shape, offset
+    for x in range(max(0, -dx), min(nx, nx - dx)):
+        for y in range(max(0, -dy), min(ny, ny - dy)):
+            here, there = x * ny + y, (x + dx) * ny + y + dy
+            begin = start[there]
+            lowest = height[begin] if begin < start[there + 1] else np.inf
+            for a in range(start[here], start[here + 1]):
+                if not keep[a] or lowest <= height[a] + rise:
                     continue
-                for dx, dy in offsets:
-                    for far in range(1, int(reach / np.hypot(dx, dy)) + 2):
-                        u, v = x + far * dx, y + far * dy
-                        if not (0 <= u < shape[0] and 0 <= v < shape[1]):
-                            break
-                        begin, end = start[u * shape[1] + v], start[u * shape[1] + v + 1]
-                        if begin == end or height[begin] > height[a] + rise:
-                            continue
-                        for b in range(begin, end if far > 1 else begin):
-                            if keep[b] and abs(height[a] - height[b]) <= rise:
-                                one.append(INDEX(a))
-                                other.append(INDEX(b))
-                                wide.append((far - 1) * np.hypot(dx, dy))
+                for far in range(2, most + 2):
+                    u, v = x + far * dx, y + far * dy
+                    if not (0 <= u < nx and 0 <= v < ny):
                         break
-    return np.array(one, INDEX), np.array(other, INDEX), np.array(wide)
+                    begin, end = start[u * ny + v], start[u * ny + v + 1]
+                    if begin == end or height[begin] > height[a] + rise:
+                        continue
+                    for b in range(begin, end):
+                        if keep[b] and abs(height[a] - height[b]) <= rise:
+                            one.append(INDEX(a))
+                            other.append(INDEX(b))
+                            wide.append(far - 1)
+                    break
+    return np.array(one, INDEX), np.array(other, INDEX), np.array(wide, np.int64)
 
 
 @njit(cache=True, nogil=True)

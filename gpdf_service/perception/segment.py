@@ -12,11 +12,12 @@ from scipy.sparse import coo_array
 
 from gpdf_service.config import PerceptionConfig
 from gpdf_service.errors import NoGroundError
-from gpdf_service.fields.threads import run_beside, run_chunked
+from gpdf_service.fields.threads import run_beside, run_chunked, run_parallel
 from gpdf_service.perception.beside import Beside, beside, beside_now
 from gpdf_service.perception.bumps import Former, low_things, raised_over_sides
 from gpdf_service.perception.columns import Runs, by_cell, medians_around
 from gpdf_service.perception.layers import (
+    APART,
     HALF,
     SPREAD,
     Layers,
@@ -285,6 +286,7 @@ def find_ground(
         partial(_joins, layers, config, wide, smooth == 8, patch, pairs_within(*steps, wide, True, patch)),
     )
     joins = joins.but(below, patch)
+    plain = joins.beside()
     large = {int(i): joins.nodes_of(int(i)) for i in np.flatnonzero(joins.size >= BULK_SHARE * joins.size.max())}
     height = {i: float(np.median(layers.height[nodes])) for i, nodes in large.items()}
     bulk = min(large, key=height.__getitem__)
@@ -302,7 +304,7 @@ def find_ground(
         among[:-1] &= ~(under[:-1] & ground[1:])
         reached = joined_to(ground, among, piece, *loose)  # and what lies behind
         seen[patch[reached & wide]] = True
-        if not len(_next_patches(reached, joins, seen)):
+        if not len(_next_patches(reached, plain, seen)):
             break
         ground = reached
     slope = _slope(layers, reached, config, known)
@@ -324,8 +326,12 @@ def steps_over_gaps(
 
     Less than a foot fits in; see `pairs_over_gaps`.
     """
-    reach = config.tread_depth / layers.cell_width
-    a, b, wide = pairs_over_gaps(layers.start, layers.shape, layers.height, keep, config.max_step, reach, HALF)
+    own, reach = (layers.start, layers.shape, layers.height, keep, config.max_step), config.tread_depth
+    found = run_parallel(
+        lambda k: pairs_over_gaps(*own, HALF[k], int(reach / (APART[k] * layers.cell_width))), range(len(HALF))
+    )
+    a, b = (np.concatenate(ends) for ends in zip(*(pairs[:2] for pairs in found), strict=True))
+    wide = np.concatenate([pairs[2] * APART[k] for k, pairs in enumerate(found)])
     other = label[a] != label[b]
     return (a[other], b[other]), wide[other] * layers.cell_width
 
@@ -443,6 +449,7 @@ class _Joins:
         a: Nodes.
         b: Nodes.
         to: Their patches.
+        over: Which are over a gap.
         standable: Which patches a body stands on.
         small: Which are no larger than a table.
         size: How many nodes each patch has.
@@ -455,6 +462,7 @@ class _Joins:
     a: IntArray
     b: IntArray
     to: IntArray
+    over: BoolArray
     standable: BoolArray
     small: BoolArray
     size: IntArray
@@ -471,8 +479,14 @@ class _Joins:
         """Without steps down to a patch that `below` tells of, as `_undersides` does, each node being of a `patch`."""
         if not len(below):
             return self
-        good = ~np.isin(self.to * len(self.size) + patch[self.a], below)
-        return replace(self, a=self.a[good], b=self.b[good], to=self.to[good])
+        return self._chosen(~np.isin(self.to * len(self.size) + patch[self.a], below))
+
+    def beside(self) -> _Joins:
+        """Without those over gaps."""
+        return self._chosen(~self.over)
+
+    def _chosen(self, good: BoolArray) -> _Joins:
+        return replace(self, a=self.a[good], b=self.b[good], to=self.to[good], over=self.over[good])
 
 
 def _joins(
@@ -483,7 +497,7 @@ def _joins(
     patch: IntArray,
     steps: Pairs,
 ) -> _Joins:
-    """The steps between the patches."""
+    """The steps between the patches, those over gaps last."""
     gaps, hidden = steps_over_gaps(layers, wide, patch, config)
     standable, tread = _shapes(layers, wide, patch, gaps, hidden, config)
     start, members = by_cell(patch, len(standable))
@@ -491,11 +505,12 @@ def _joins(
     small = count * layers.cell_width**2 <= TABLE_AREA
     level: FloatArray = np.bincount(patch, layers.height, len(count)).astype(np.float64)
     a, b = np.concatenate([*steps, *gaps]), np.concatenate([*steps[::-1], *gaps[::-1]])
+    over = np.arange(len(a)) >= 2 * len(steps[0])
     rise = np.abs(layers.height[a] - _level_of_furniture(layers, small, start, members, patch, b))
     allowed = np.where(standable[patch[b]], config.max_step, np.where(tread[patch[b]], config.stair_step, -1.0))
     join = rise <= allowed
     a, b, mean = a[join], b[join], level / np.maximum(count, 1)
-    return _Joins(a, b, patch[b], standable, small, count, inner, mean, start, members)
+    return _Joins(a, b, patch[b], over[join], standable, small, count, inner, mean, start, members)
 
 
 def _undersides(
@@ -565,7 +580,7 @@ def _spread(
     """
     share, inner = np.where(joins.standable & joins.small, TABLE_OVER_SHARE, OVER_SHARE), joins.inner
     grid, headroom = (layers.cell, layers.height), config.step_headroom
-    before, ground = ground, ground.copy()
+    ground = ground.copy()
     while len(fresh := _next_patches(ground, joins, seen)):
         nodes = np.concatenate([joins.nodes_of(i) for i in fresh])
         own = np.repeat(np.arange(len(fresh)), joins.size[fresh])
@@ -575,7 +590,7 @@ def _spread(
         refused = np.bincount(own[over], minlength=len(fresh)) > share[fresh] * size
         seen[fresh] = True
         ground[nodes[~refused[own]]] = True
-    ground = _without_dead_ends(layers, config, ground, before, patch, joins)
+    ground = _without_dead_ends(layers, config, ground, patch, joins)
     return ground & ~over_ground(layers, ground, headroom)
 
 
@@ -593,18 +608,17 @@ def _level_of_furniture(
 
 
 def _without_dead_ends(
-    layers: Layers, config: PerceptionConfig, ground: BoolArray, before: BoolArray, patch: IntArray, joins: _Joins
+    layers: Layers, config: PerceptionConfig, ground: BoolArray, patch: IntArray, joins: _Joins
 ) -> BoolArray:
     """Drop treads that lead nowhere: a stair's tread joins ground above to ground below, a sill joins two floors.
 
-    A box on the floor joins one; so does a board, but where the scan of the floor has gaps it joins it to scraps. What
-    was ground `before` stays: scraps of the floor behind a desk lead nowhere, too.
+    A box on the floor joins one; so does a board, but where the scan of the floor has gaps it joins it to scraps.
     """
     a, b, standable = joins.a, joins.b, joins.standable
     level = joins.level
     rise, narrow = layers.cell_width * float(np.tan(config.steepest)), ~standable[patch]
     a, b = pairs_within(a, b, narrow, False)
-    left, ground = np.flatnonzero(ground & narrow & ~before), ground.copy()
+    left, ground = np.flatnonzero(ground & narrow), ground.copy()
     while True:
         here, count = ground[a] & ground[b], len(level)
         one, other = patch[a[here]], patch[b[here]]
