@@ -304,7 +304,7 @@ def find_ground(
         among[:-1] &= ~(under[:-1] & ground[1:])
         reached = joined_to(ground, among, piece, *loose)  # and what lies behind
         seen[patch[reached & wide]] = True
-        if not len(_next_patches(reached, plain, seen)):
+        if not len(_next_patches(reached, plain, seen)):  # what is behind leads nowhere by itself: no round for gaps
             break
         ground = reached
     slope = _slope(layers, reached, config, known)
