@@ -37,9 +37,9 @@ from gpdf_service.perception import (
     cure_and_segment,
     survey_levels,
 )
-from gpdf_service.perception.columns import chosen_rows
 from gpdf_service.perception.layers import in_steps
 from gpdf_service.perception.levels import LEAST_OBSTACLE, within_reach
+from gpdf_service.perception.rows import chosen_rows
 from gpdf_service.perception.segment import LEAST_SCATTER
 from gpdf_service.perception.surface import INFERRED, UNKNOWN, is_same_ground
 from gpdf_service.search import FreeSpace, build_free_space, change_free_space, from_arrays, to_arrays

@@ -14,9 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gpdf_service.fields.threads import run_parallel
-from gpdf_service.perception.columns import INDEX, pairs_beside
 from gpdf_service.perception.layers import APART, HALF, Layers, Pairs
 from gpdf_service.perception.nodes import degrees_in, numbered, pieces_in, put_in, unite_all
+from gpdf_service.perception.pairs import INDEX, pairs_beside
 from gpdf_service.types import BoolArray, FloatArray, IntArray
 
 ROWS = 16

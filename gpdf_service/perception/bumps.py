@@ -15,7 +15,8 @@ from numba import njit
 from gpdf_service.config import PerceptionConfig
 from gpdf_service.fields.threads import run_chunked
 from gpdf_service.perception.layers import HALF, Layers, cells_around
-from gpdf_service.perception.nodes import components, extents_in_plan, pairs_around
+from gpdf_service.perception.nodes import components, extents_in_plan
+from gpdf_service.perception.pairs import pairs_around
 from gpdf_service.types import BoolArray, FloatArray, IntArray
 
 LEAST_BUMP = 0.02

@@ -17,20 +17,9 @@ from numpy.typing import NDArray
 from gpdf_service.config import PerceptionConfig
 from gpdf_service.fields.threads import run_beside, run_parallel
 from gpdf_service.perception.beside import beside_now
-from gpdf_service.perception.columns import (
-    bounds_of,
-    by_cell,
-    cells_in_box,
-    more_now,
-    rows_by_cell,
-    rows_in_box,
-    rows_in_cells,
-    rows_of_cells,
-    runs_of,
-    starts_spliced,
-    taken,
-    values_spliced,
-)
+from gpdf_service.perception.boxes import NOWHERE, Box, widened, window
+from gpdf_service.perception.columns import by_cell, runs_of, starts_spliced, values_spliced
+from gpdf_service.perception.holes import MAX_HOLE_RADIUS, find_voids
 from gpdf_service.perception.layers import (
     Layers,
     build_layers,
@@ -45,7 +34,6 @@ from gpdf_service.perception.layers import (
 from gpdf_service.perception.levels import (
     FACE,
     HIGH,
-    OVERLAP,
     Completion,
     GroundLevel,
     Levels,
@@ -58,35 +46,24 @@ from gpdf_service.perception.levels import (
     in_order,
     lowest_and_highest,
     make_level,
-    rise_of_sheets,
     sheet_surface,
-    split_sheets,
     within_reach,
 )
-from gpdf_service.perception.limits import (
-    GroundLimits,
-    Measured,
-    change_step_and_slope,
-    find_limits,
-    limits_reach,
-    pasted_ground,
-    widened,
-    window,
+from gpdf_service.perception.limits import GroundLimits, Measured, change_step_and_slope, find_limits, limits_reach
+from gpdf_service.perception.rows import (
+    bounds_of,
+    cells_in_box,
+    more_now,
+    rows_by_cell,
+    rows_in_box,
+    rows_in_cells,
+    rows_of_cells,
+    taken,
 )
 from gpdf_service.perception.segment import Segmentation, change_segmentation
+from gpdf_service.perception.sheets import OVERLAP, rise_of_sheets, split_sheets
 from gpdf_service.perception.strays import find_strays
-from gpdf_service.perception.surface import (
-    MAX_HOLE_RADIUS,
-    NOWHERE,
-    OBSERVED,
-    Box,
-    HeightMap,
-    changed,
-    differ,
-    find_voids,
-    nearest_seen,
-    without,
-)
+from gpdf_service.perception.surface import OBSERVED, HeightMap, changed, differ, nearest_seen, pasted_ground, without
 from gpdf_service.types import BoolArray, FloatArray, IntArray
 
 Touched = tuple[BoolArray | None, ...]

@@ -23,8 +23,8 @@ from gpdf_service.fields import (
     uncured,
 )
 from gpdf_service.fields.threads import run_beside
-from gpdf_service.perception.columns import bounds_of, cells_of, chosen_rows
 from gpdf_service.perception.layers import Layers, columns_over
+from gpdf_service.perception.rows import bounds_of, cells_of, chosen_rows
 from gpdf_service.perception.segment import Segmentation, first_layers, segment
 from gpdf_service.types import BoolArray, FloatArray
 

@@ -7,17 +7,10 @@ from numba import njit
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from gpdf_service.perception.holes import CEILING, MAX_HOLE_RADIUS
 from gpdf_service.perception.nearest import nearest_of
-from gpdf_service.perception.surface import (
-    CEILING,
-    INFERRED,
-    MAX_HOLE_RADIUS,
-    OBSERVED,
-    UNKNOWN,
-    HeightMap,
-    extent_within,
-    without,
-)
+from gpdf_service.perception.rows import extent_within
+from gpdf_service.perception.surface import INFERRED, OBSERVED, UNKNOWN, HeightMap, without
 from gpdf_service.types import BoolArray, FloatArray, IntArray
 
 FACE_REACH = 2

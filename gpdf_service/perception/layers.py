@@ -11,26 +11,22 @@ from scipy.spatial import cKDTree
 
 from gpdf_service.config import PerceptionConfig
 from gpdf_service.fields.threads import run_chunked
+from gpdf_service.perception.boxes import Box, corner_of, widened
 from gpdf_service.perception.columns import (
     Runs,
-    bounds_of,
     by_cell,
-    cells_of,
-    chosen_rows,
     column_floors,
     column_order,
     count_nodes,
     cut_columns,
     kth_beside,
-    pairs_near,
-    rows_by_cell,
     runs_of,
     starts_spliced,
     tops_of_boards,
     values_spliced,
 )
-from gpdf_service.perception.limits import widened
-from gpdf_service.perception.surface import Box, corner_of
+from gpdf_service.perception.pairs import pairs_near
+from gpdf_service.perception.rows import bounds_of, cells_of, chosen_rows, rows_by_cell
 from gpdf_service.types import BoolArray, FloatArray, IntArray
 
 MIN_CELL = 0.05

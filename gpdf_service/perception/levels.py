@@ -1,4 +1,4 @@
-"""The ground as single-valued sheets, one a storey, with what a body could touch on each and where they meet."""
+"""Levels: each sheet of the ground with what a body could touch on it, and where they meet."""
 
 from __future__ import annotations
 
@@ -16,64 +16,31 @@ from gpdf_service.config import PerceptionConfig
 from gpdf_service.errors import NoGroundError
 from gpdf_service.fields.threads import run_beside, run_chunked, run_parallel
 from gpdf_service.perception.beside import Beside, beside
-from gpdf_service.perception.columns import (
-    by_cell,
-    chosen_rows,
-    ends_of_runs,
-    heights_in_plan,
-    lowest_above,
-    taken,
-)
+from gpdf_service.perception.boxes import NOWHERE, WHOLE, Box, pasted, widened, window
+from gpdf_service.perception.columns import by_cell, ends_of_runs, heights_in_plan, lowest_above
 from gpdf_service.perception.hidden import FACE_REACH, find_faces, hidden_reach, without_hidden
-from gpdf_service.perception.layers import Layers, build_layers, cell_width_of, connect, layer_gap
-from gpdf_service.perception.limits import (
-    GroundLimits,
-    Measured,
-    find_limits,
-    neighbourhood,
-    pasted,
-    pasted_ground,
-    smoothed,
-    step_and_slope,
-    widened,
-    window,
-)
-from gpdf_service.perception.nodes import (
-    components,
-    extents_in_plan,
-    grown_sheet,
-    mark_nearest,
-    pairs_within,
-    whole_around,
-)
-from gpdf_service.perception.segment import LEAST_SCATTER, over_ground, steps_over_gaps
+from gpdf_service.perception.holes import fill_holes, find_voids, without_enclosed
+from gpdf_service.perception.layers import Layers, build_layers, cell_width_of, layer_gap
+from gpdf_service.perception.limits import GroundLimits, Measured, find_limits, neighbourhood, smoothed, step_and_slope
+from gpdf_service.perception.notches import NOTCH_DEPTH, between_treads
+from gpdf_service.perception.rows import between, chosen_rows, extent_within, taken, under
+from gpdf_service.perception.segment import LEAST_SCATTER
+from gpdf_service.perception.sheets import OVERLAP, rise_of_sheets, split_sheets
 from gpdf_service.perception.smooth import RESOLVED_STEP, smooth, to_centres, without_unlucky
 from gpdf_service.perception.strays import find_strays
 from gpdf_service.perception.surface import (
-    NOTCH_DEPTH,
-    NOWHERE,
     OBSERVED,
     UNKNOWN,
-    WHOLE,
-    Box,
     HeightMap,
     Nearest,
-    between,
-    between_treads,
     cells_within,
     changed,
     cropped,
-    extent_within,
-    fill_holes,
-    find_voids,
     nearest_seen,
-    under,
-    without_enclosed,
+    pasted_ground,
 )
 from gpdf_service.types import BoolArray, FloatArray, IntArray
 
-OVERLAP = 1.2
-"""[m] How far a sheet reaches into the next: twice the largest body's radius, so that a body fits where they meet."""
 FACE = 0.1
 """[m] A step's face has the step's top within this in plan: half the depth of a stair's tread, and a scan's spacing."""
 LEAST_OBSTACLE = 0.015
@@ -131,8 +98,6 @@ class Levels:
 
 Voids = tuple[BoolArray, BoolArray, BoolArray]
 """Where the scanner saw through a level's unknown cells, where they are pits, and a pit's walls; see `find_voids`."""
-
-
 Held = tuple[IntArray, FloatArray, FloatArray]
 """Flat cell and height [m] of each other point, shape (m,), and the lowest of each cell [m]: see `in_cells`."""
 
@@ -251,150 +216,6 @@ def count_undecided(level: GroundLevel, noise: float = 0.0) -> int:
     return int(np.count_nonzero(off <= 2.0 * max(LEAST_SCATTER, 3.0 * noise)))
 
 
-def split_sheets(near: Beside, config: PerceptionConfig) -> tuple[BoolArray, ...]:
-    """Which nodes are of each sheet: no sheet has two nodes in one cell; sheets overlap by `OVERLAP` where they meet.
-
-    The lowest comes first, by the median of its heights.
-    """
-    layers = near.layers
-    count = len(layers.cell)
-    keep = ~_under_step(near, config.step_headroom)
-    keep &= ~over_ground(layers, keep, config.step_headroom)  # what goes on nowhere
-    if (np.diff(layers.cell[keep]) > 0).all():
-        return (keep,)
-    smooth, _, steps = near.pieces(keep, layers.cell_width, None, keep, config.max_step)
-    over = steps_over_gaps(layers, keep, smooth, config)[0]
-    a, b = (np.concatenate(ends) for ends in zip(pairs_within(*steps, keep, True, smooth), over, strict=True))
-    sheet_of = np.full(count, -1)
-    size = np.bincount(smooth, weights=keep)
-    order = np.argsort(-size)
-    start, members = by_cell(smooth, len(size))
-    least = max(9, int(0.001 * count))  # a patch smaller than three cells square holds no foot
-    sheets = 0
-    for seed in order[size[order] > 0]:
-        own = members[start[seed] : start[seed + 1]]
-        left = own[sheet_of[own] < 0]
-        while len(left) >= (least if len(left) < len(own) else 1):
-            sheet_of[_lowest_of(layers, left, least)] = sheets
-            _attach(layers, a, b, smooth, start, members, sheet_of, sheets)
-            sheets += 1
-            left = own[sheet_of[own] < 0]
-    made = [np.flatnonzero(sheet_of == i) for i in range(sheets)]
-    grid, rings = (layers.cell, layers.start, layers.shape, layers.height), int(np.ceil(OVERLAP / layers.cell_width))
-
-    def grow(nodes: IntArray) -> BoolArray:
-        return grown_sheet(*grid, keep, nodes, config.max_step, rings)
-
-    grown = run_parallel(grow, [nodes for nodes in made if len(nodes) >= least])
-    seams = run_parallel(grow, _seams(near, keep, grown, config, rings))
-    grown = [*grown, *(inside for inside in seams if np.count_nonzero(inside) >= least)]
-    return tuple(sorted(grown, key=lambda inside: float(np.median(layers.height[inside]))))
-
-
-def _seams(
-    near: Beside, keep: BoolArray, sheets: list[BoolArray], config: PerceptionConfig, rings: int
-) -> list[IntArray]:
-    """Nodes of further sheets, so that a body finds all ground around each place in one of them.
-
-    A sheet that lies over its own end has no room to reach into the next: the upper floor's, which goes down a stair
-    of open treads and ends at its foot under that floor.
-    """
-    layers = near.layers
-    grid = layers.cell, layers.start, layers.shape, layers.height
-
-    def pieces(nodes: BoolArray) -> tuple[IntArray, BoolArray]:
-        """Pieces of nodes that steps join, and which of them a foot fits on: a rim of single cells is no ground."""
-        piece = near.pieces(nodes, config.max_step, None, nodes, config.max_step)[0]
-        depth = extents_in_plan(layers.cell, layers.shape[1], nodes, piece, layers.cell_width)[1]
-        return piece, depth >= config.tread_depth
-
-    left = keep.copy()
-    for sheet in sheets:
-        piece, deep = pieces(keep & ~sheet)
-        left &= ~whole_around(*grid, sheet, keep & ~sheet & deep[piece], config.max_step, rings // 2)
-    piece, deep = pieces(left)
-    return [_first_of_each_cell(layers, np.flatnonzero(left & (piece == label))) for label in np.flatnonzero(deep)]
-
-
-def rise_of_sheets(layers: Layers, config: PerceptionConfig) -> float:
-    """Between the nodes of pairs that `split_sheets` asks for, at most: a step, or a cell's diagonal [m]."""
-    return max(config.max_step, float(np.sqrt(2.0)) * layers.cell_width)
-
-
-def _under_step(near: Beside, headroom: float) -> BoolArray:
-    """Nodes at the foot of a step whose top is in the same cell, and goes on beside it: such a cell is the step's top.
-
-    So is that of an open tread with less than the `headroom` [m] under it. A single point over the floor goes on
-    nowhere.
-    """
-    layers = near.layers
-    joined = near.degrees(np.ones(len(layers.cell), dtype=bool), layers.cell_width)
-    foot = np.zeros(len(layers.cell), dtype=bool)
-    foot[:-1] = (np.diff(layers.cell) == 0) & (np.diff(layers.height) <= headroom) & (joined[1:] > 1)
-    return foot
-
-
-def _first_of_each_cell(layers: Layers, nodes: IntArray) -> IntArray:
-    return nodes[np.unique(layers.cell[nodes], return_index=True)[1]]
-
-
-def _lowest_of(layers: Layers, piece: IntArray, least: int) -> IntArray:
-    """The nodes of a smooth piece on its lowest floor: all of them, or the floor below where it lies over itself.
-
-    So do two floors that a ramp or a gentle stair joins. A node that is alone in its cell is of the floor to which the
-    way over the piece is shorter: the upper floor over a hole in the scan of the lower one stays the upper floor, and
-    half of the ramp is of either. What is joined to the floor only over others is left for them. Fewer nodes than the
-    `least` that lie over others are no floor.
-    """
-    cell = layers.cell[piece]
-    over = np.r_[False, np.diff(cell) == 0]
-    if not over.any():
-        return piece
-    mark = np.full(len(layers.cell), -1, dtype=np.int8)
-    mark[piece] = np.where(over, 2, 0)
-    slopes = connect(layers, mark >= 0, layers.cell_width)
-    part = components(*slopes, mark == 2)[piece]
-    floor = over & (np.bincount(part[over], minlength=part.max() + 1) >= least)[part]
-    if not floor.any():
-        lowest: IntArray = piece[~over]
-        return lowest
-    mark[piece] = np.where(floor, 2, np.where(over, -1, np.isin(cell, cell[floor])))
-    mark_nearest(*slopes, mark)
-    low = mark == 1
-    part = components(*slopes, low)[piece]
-    floors: IntArray = piece[low[piece] & (part == np.bincount(part[low[piece]]).argmax())]
-    return floors
-
-
-def _attach(
-    layers: Layers,
-    a: IntArray,
-    b: IntArray,
-    smooth: IntArray,
-    start: IntArray,
-    members: IntArray,
-    sheet_of: IntArray,
-    sheet: int,
-) -> None:
-    """Add to a sheet, one after another, the smooth pieces beside it that do not lie over it."""
-    taken = np.zeros(layers.shape[0] * layers.shape[1], dtype=bool)
-    taken[layers.cell[sheet_of == sheet]] = True
-    while True:
-        here, there = sheet_of[a] == sheet, sheet_of[b] == sheet
-        pieces = np.unique(np.concatenate([smooth[b[here & (sheet_of[b] < 0)]], smooth[a[there & (sheet_of[a] < 0)]]]))
-        grown = False
-        for piece in pieces:
-            nodes = members[start[piece] : start[piece + 1]]
-            nodes = nodes[sheet_of[nodes] < 0]
-            cells = layers.cell[nodes]  # ascending, as nodes are
-            if not taken[cells].any() and (np.diff(cells) > 0).all():
-                sheet_of[nodes] = sheet
-                taken[cells] = True
-                grown = True
-        if not grown:
-            return
-
-
 def _build_level(
     points: FloatArray,
     ground: BoolArray,
@@ -473,7 +294,7 @@ def complete(
     Where the ground was seen is `near`, see `nearest_seen`; the `noise` [m] was cured.
     """
     cell, z, lowest = held
-    filled = fill_holes(seen, lowest, *voids, near=near, noise=noise, config=config)
+    filled = fill_holes(seen, lowest, *voids, config, near, noise)
     shut, stair, guarded = guard_edges(filled, lowest, cell, z, config)
     opened = without_enclosed(filled, shut)
     face = find_faces(opened, cell, z, config.min_headroom) & ~stair  # a flight's treads were seen up to its walls
@@ -505,7 +326,7 @@ def complete_again(
     """
     box, lowest, headroom = window(swapped, 0) if swapped.any() else NOWHERE, was.lowest.copy(), config.min_headroom
     lowest[box] = in_cells(held(box), seen, box)[2]
-    filled = fill_holes(seen, lowest, *voids, config=config)
+    filled = fill_holes(seen, lowest, *voids, config)
     other = swapped | changed(was.filled, filled)
     if not other.any():
         return surface, replace(was, lowest=lowest)

@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from gpdf_service.fields.threads import run_chunked
-from gpdf_service.perception.surface import UNKNOWN, Box, HeightMap, Scalar
+from gpdf_service.perception.boxes import pasted, window
+from gpdf_service.perception.surface import UNKNOWN, HeightMap
 from gpdf_service.types import BoolArray, FloatArray
 
 FOOT = 0.1
@@ -88,55 +89,6 @@ def change_step_and_slope(surface: HeightMap, changed: BoolArray, step: FloatArr
     part = HeightMap(surface.origin, surface.cell_width, surface.height[outer], surface.state[outer])
     steps, slopes = step_and_slope(part)
     return pasted(step, steps, inner, outer), pasted(slope, slopes, inner, outer)
-
-
-def pasted(whole: NDArray[Scalar], part: NDArray[Scalar], inner: Box, outer: Box) -> NDArray[Scalar]:
-    """A grid with the cells of the `inner` box from a `part` of it, which is that of the `outer` box."""
-    made = whole.copy()
-    made[inner] = part[tuple(slice(i.start - o.start, i.stop - o.start) for i, o in zip(inner, outer, strict=True))]
-    return made
-
-
-def pasted_ground(whole: HeightMap, part: HeightMap, inner: Box, outer: Box) -> HeightMap:
-    """`pasted` of a height map."""
-    height, state = pasted(whole.height, part.height, inner, outer), pasted(whole.state, part.state, inner, outer)
-    return HeightMap(whole.origin, whole.cell_width, height, state)
-
-
-def window(cells: BoolArray, by: int) -> Box:
-    """The rows and columns that hold all `cells`, shape (nx, ny), and `by` cells more on each side."""
-    left, right, near, far = span(cells)
-    nx, ny = cells.shape
-    return slice(max(left - by, 0), min(right + by, nx)), slice(max(near - by, 0), min(far + by, ny))
-
-
-@njit(cache=True, nogil=True)
-def span(cells: BoolArray) -> tuple[int, int, int, int]:
-    """First row and behind the last, first column and behind the last of the cells."""
-    left, right, near, far = cells.shape[0], 0, cells.shape[1], 0
-    for x in range(cells.shape[0]):
-        row, some = cells[x], False
-        for y in range(len(row)):  # no way out: so it is done in vectors
-            some |= row[y]
-        if not some:
-            continue
-        first, last = 0, len(row)
-        while not row[first]:
-            first += 1
-        while not row[last - 1]:
-            last -= 1
-        left, right = min(left, x), x + 1
-        near, far = min(near, first), max(far, last)
-    return left, right, near, far
-
-
-def widened(cells: BoolArray, by: int) -> BoolArray:
-    """The cells and all within `by` cells of them along each axis."""
-    made = np.zeros_like(cells)
-    if cells.any():
-        box = window(cells, by)
-        made[box] = ndimage.maximum_filter(cells[box], size=2 * by + 1, mode="constant")
-    return made
 
 
 def step_and_slope(surface: HeightMap) -> Measured:

@@ -6,11 +6,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from gpdf_service.perception.columns import INDEX
+from gpdf_service.perception.pairs import AROUND, INDEX
 from gpdf_service.types import BoolArray, FloatArray, IntArray
-
-AROUND = ((-1, -1), (-1, 0), (-1, 1), (0, -1), (0, 1), (1, -1), (1, 0), (1, 1))
-"""The eight cells around one."""
 
 
 @njit(cache=True, nogil=True)
@@ -24,50 +21,6 @@ def _unite(parent: IntArray, i: int, j: int) -> None:
         if i == p:
             return
         i, p = p, parent[p]
-
-
-@njit(cache=True, nogil=True)
-def pairs_over_gaps(
-    start: IntArray,
-    shape: tuple[int, int],
-    height: FloatArray,
-    keep: BoolArray,
-    rise: float,
-    offset: tuple[int, int],
-    most: int,
-) -> tuple[IntArray, IntArray, IntArray]:
-    """Pairs of kept nodes within `rise` [m] that a gap parts: up to `most` cells of which nothing was seen as low.
-
-    The nose of a tread hides the back of the next one; a hole that one looks through into something is no gap. The
-    `offset` is that of neighbouring cells on the line.
-
-    Returns:
-        The pairs, and how many cells the gap between each has.
-    """
-    one, other, wide = [INDEX(0) for _ in range(0)], [INDEX(0) for _ in range(0)], [0 for _ in range(0)]
-    (nx, ny), (dx, dy) = shape, offset
-    for x in range(max(0, -dx), min(nx, nx - dx)):
-        for y in range(max(0, -dy), min(ny, ny - dy)):
-            here, there = x * ny + y, (x + dx) * ny + y + dy
-            begin = start[there]
-            lowest = height[begin] if begin < start[there + 1] else np.inf
-            for a in range(start[here], start[here + 1]):
-                if not keep[a] or lowest <= height[a] + rise:
-                    continue
-                for far in range(2, most + 2):
-                    u, v = x + far * dx, y + far * dy
-                    if not (0 <= u < nx and 0 <= v < ny):
-                        break
-                    begin, end = start[u * ny + v], start[u * ny + v + 1]
-                    if begin == end or height[begin] > height[a] + rise:
-                        continue
-                    for b in range(begin, end):
-                        if keep[b] and abs(height[a] - height[b]) <= rise:
-                            one.append(INDEX(a))
-                            other.append(INDEX(b))
-                            wide.append(far - 1)
-                    break
-    return np.array(one, INDEX), np.array(other, INDEX), np.array(wide, np.int64)
 
 
 @njit(cache=True, nogil=True)
@@ -245,46 +198,6 @@ def mark_nearest(a: IntArray, b: IntArray, mark: NDArray[np.int8]) -> None:
                     mark[other[e]] = mark[i]
                     found.append(other[e])
         ring = np.array(found, np.int64)
-
-
-@njit(cache=True, nogil=True)
-def pairs_within(
-    a: IntArray, b: IntArray, among: BoolArray, both: bool, label: IntArray | None = None
-) -> tuple[IntArray, IntArray]:
-    """The pairs of which `both`, or at least one, are `among` the nodes; with another `label` each if they have one."""
-    one, other, used = np.empty(len(a) + 1, INDEX), np.empty(len(a) + 1, INDEX), 0
-    for e in range(len(a)):
-        one[used], other[used] = a[e], b[e]
-        good = among[a[e]] and among[b[e]] if both else among[a[e]] or among[b[e]]
-        used += int(good and (label is None or label[a[e]] != label[b[e]]))
-    return one[:used].copy(), other[:used].copy()
-
-
-@njit(cache=True, nogil=True)
-def pairs_around(
-    nodes: IntArray,
-    cell: IntArray,
-    start: IntArray,
-    shape: tuple[int, int],
-    height: FloatArray,
-    keep: BoolArray,
-    slope: float,
-    step: float,
-) -> tuple[IntArray, IntArray]:
-    """Pairs of a row of `nodes` and a kept node in a cell around its own, within `slope` a cell and a `step` [m]."""
-    one, other = [0 for _ in range(0)], [0 for _ in range(0)]
-    for n in range(len(nodes)):
-        i = nodes[n]
-        x, y = cell[i] // shape[1], cell[i] % shape[1]
-        for dx, dy in AROUND:
-            if not (0 <= x + dx < shape[0] and 0 <= y + dy < shape[1]):
-                continue
-            there = (x + dx) * shape[1] + y + dy
-            for j in range(start[there], start[there + 1]):
-                if keep[j] and abs(height[i] - height[j]) <= slope * np.hypot(dx, dy) + step:
-                    one.append(n)
-                    other.append(j)
-    return np.array(one, np.int64), np.array(other, np.int64)
 
 
 @njit(cache=True, nogil=True)

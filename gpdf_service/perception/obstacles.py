@@ -9,11 +9,11 @@ from numba import njit
 from numpy.typing import NDArray
 
 from gpdf_service.fields.threads import run_chunked, run_parallel
-from gpdf_service.perception.columns import chosen_rows
 from gpdf_service.perception.levels import FACE, LEAST_OBSTACLE, GroundLevel, astray
 from gpdf_service.perception.limits import ObstacleKind
 from gpdf_service.perception.nearest import nearest_of
-from gpdf_service.perception.surface import INFERRED, UNKNOWN, HeightMap, between, cells_within, under
+from gpdf_service.perception.rows import between, chosen_rows, under
+from gpdf_service.perception.surface import INFERRED, UNKNOWN, HeightMap, cells_within
 from gpdf_service.types import Agent, BoolArray, FloatArray, IntArray
 
 HEADROOM_SHARE = 0.01

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from gpdf_service.errors import CloudError
 from gpdf_service.perception.bag import read_bag
-from gpdf_service.perception.columns import extent_of
+from gpdf_service.perception.rows import extent_of
 from gpdf_service.perception.stream import VoxelSieve, chunks_of
 from gpdf_service.types import BoolArray, FloatArray
 

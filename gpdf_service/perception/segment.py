@@ -14,8 +14,9 @@ from gpdf_service.config import PerceptionConfig
 from gpdf_service.errors import NoGroundError
 from gpdf_service.fields.threads import run_beside, run_chunked, run_parallel
 from gpdf_service.perception.beside import Beside, beside, beside_now
+from gpdf_service.perception.boxes import window
 from gpdf_service.perception.bumps import Former, low_things, raised_over_sides
-from gpdf_service.perception.columns import Runs, by_cell, medians_around
+from gpdf_service.perception.columns import Runs, by_cell
 from gpdf_service.perception.layers import (
     APART,
     HALF,
@@ -32,7 +33,6 @@ from gpdf_service.perception.layers import (
     kept_nodes,
     layer_gap,
 )
-from gpdf_service.perception.limits import window
 from gpdf_service.perception.nodes import (
     components,
     drops_beside,
@@ -46,11 +46,10 @@ from gpdf_service.perception.nodes import (
     nodes_over,
     off_ground,
     over_kept,
-    pairs_over_gaps,
-    pairs_within,
     stepped,
     with_rims,
 )
+from gpdf_service.perception.pairs import medians_around, pairs_over_gaps, pairs_within
 from gpdf_service.perception.read import check_points
 from gpdf_service.types import BoolArray, FloatArray, IntArray
 

@@ -12,9 +12,9 @@ from gpdf_service.config import FieldConfig, SearchConfig
 from gpdf_service.fields import Gpdf, Tree, build_tree, change_tree, thin
 from gpdf_service.fields.threads import run_beside, run_parallel
 from gpdf_service.perception import GroundLevel, GroundLimits, HeightMap, Levels, Obstacles, obstacles_of
+from gpdf_service.perception.boxes import widened, window
 from gpdf_service.perception.change import hashed
-from gpdf_service.perception.columns import bounds_of, chosen_rows, more_now, rows_in_cells, taken
-from gpdf_service.perception.limits import widened, window
+from gpdf_service.perception.rows import bounds_of, chosen_rows, more_now, rows_in_cells, taken
 from gpdf_service.perception.surface import UNKNOWN
 from gpdf_service.search.free_space import (
     FreeSpace,

@@ -18,7 +18,7 @@ from gpdf_service.fields import Tree, morton
 from gpdf_service.fields.traversal import nearest_at
 from gpdf_service.fields.tree import make_scratch, place_of
 from gpdf_service.perception import HeightMap
-from gpdf_service.perception.limits import span
+from gpdf_service.perception.boxes import span
 from gpdf_service.types import BoolArray, FloatArray, IntArray
 
 MIN_WIDTH = 0.014

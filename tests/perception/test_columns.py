@@ -5,25 +5,26 @@ import pytest
 from scipy import ndimage
 from scipy.spatial import cKDTree
 
-from gpdf_service.perception.columns import (
+from gpdf_service.perception.columns import by_cell, ends_of_runs, kth_beside
+from gpdf_service.perception.holes import find_voids
+from gpdf_service.perception.layers import build_layers, splice_layers
+from gpdf_service.perception.levels import within_reach
+from gpdf_service.perception.limits import median_around
+from gpdf_service.perception.rows import (
+    between,
     bounds_of,
-    by_cell,
     cells_of,
     chosen_rows,
-    ends_of_runs,
     extent_in,
-    kth_beside,
+    extent_within,
     more_now,
     rows_in_box,
     rows_in_cells,
     rows_of_cells,
     taken,
 )
-from gpdf_service.perception.layers import build_layers, splice_layers
-from gpdf_service.perception.levels import within_reach
-from gpdf_service.perception.limits import median_around
 from gpdf_service.perception.strays import find_strays
-from gpdf_service.perception.surface import HeightMap, between, cells_within, extent_within, find_voids
+from gpdf_service.perception.surface import HeightMap, cells_within
 
 CORNER, WIDTH, SHAPE = np.array([-1.0, -2.0]), 0.3, (21, 14)
 

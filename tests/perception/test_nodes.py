@@ -11,7 +11,6 @@ from gpdf_service.perception.beside import beside, beside_now
 from gpdf_service.perception.columns import heights_in_plan
 from gpdf_service.perception.layers import HALF, build_layers, connect, crop_layers, splice_layers
 from gpdf_service.perception.nodes import (
-    AROUND,
     components,
     drops_beside,
     grown_sheet,
@@ -21,10 +20,10 @@ from gpdf_service.perception.nodes import (
     mean_gradients,
     medians_of,
     nodes_over,
-    pairs_within,
     plan_sums,
     stepped,
 )
+from gpdf_service.perception.pairs import AROUND, pairs_within
 
 
 @pytest.fixture(scope="module")

@@ -7,9 +7,10 @@ from scipy import ndimage
 import gpdf_service as gpdf
 from gpdf_service.config import PerceptionConfig
 from gpdf_service.perception import survey_levels
+from gpdf_service.perception.holes import fill_holes
 from gpdf_service.perception.limits import step_and_slope
 from gpdf_service.perception.smooth import smooth, to_centres, without_unlucky
-from gpdf_service.perception.surface import OBSERVED, UNKNOWN, HeightMap, fill_holes
+from gpdf_service.perception.surface import OBSERVED, UNKNOWN, HeightMap
 
 WIDTH = 0.05
 NOISE = 0.05
@@ -116,7 +117,8 @@ def test_ground_at_no_rim_keeps_its_heights():
 
 def fill_gaps(height, noise=0.0):
     nothing = np.zeros(height.shape, dtype=bool)
-    return fill_holes(ground(height), np.full(height.shape, np.inf), nothing, nothing, nothing, noise=noise).height
+    never = np.full(height.shape, np.inf)
+    return fill_holes(ground(height), never, nothing, nothing, nothing, PerceptionConfig(), noise=noise).height
 
 
 @pytest.mark.parametrize("noise", [0.0, NOISE])

@@ -1,0 +1,424 @@
+"""Holes in seen ground: which are voids, and which their surroundings explain."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from gpdf_service.config import PerceptionConfig
+from gpdf_service.fields.threads import run_chunked
+from gpdf_service.perception.bend import FINE, FLAT, bend_at, make_room, reach_of
+from gpdf_service.perception.boxes import WHOLE, Box
+from gpdf_service.perception.notches import fill_notches
+from gpdf_service.perception.rows import extent_within, under
+from gpdf_service.perception.surface import (
+    INFERRED,
+    OBSERVED,
+    UNKNOWN,
+    HeightMap,
+    Nearest,
+    cells_within,
+    cropped,
+    nearest_seen,
+    without,
+)
+from gpdf_service.types import BoolArray, FloatArray, IntArray
+
+GAP_CELLS = 4
+"""Empty cells side by side that chance alone explains, at one in ten empty."""
+RING_SHARE = 0.95
+"""[-] Of the ground around a hole that must not lie under the plane that fills it: the rest is a scan's noise."""
+PLANE_SHARE = 0.5
+"""[-] Of the ground around a hole that must lie on that plane; the rest, higher, is a chair's feet or a step up."""
+OPEN_SHARE = 0.5
+"""[-] Of the rim of a hole under the open that must be ground: what furniture and walls close off can hold anything."""
+SHUT_SHARE = 0.2
+"""[-] The same of a hole under a thing, where only a low body fits: a desk stands along a wall or in a corner."""
+SLAB = 1.0
+"""[m] Thickest floor: what is seen deeper than this under a hole was seen through it."""
+STOREY = 1.5
+"""[m] Least room under a floor: what is seen nearer below a hole with less than this under itself is a pit's bottom."""
+WALL_CELLS = 3.0
+"""[cells] The wall of a pit is seen within these under its rim; the underside of a floor is deeper."""
+CEILING = 1.9
+"""[m] What is higher over the ground beside is a ceiling or a lamp, no furniture whose shadow is the hole."""
+_SIDES = ((-1, 0), (1, 0), (0, -1), (0, 1))
+"""The four neighbours of a cell."""
+_ROUNDING = float(np.finfo(np.float64).eps)
+"""[-] Of a least-squares fit, a row: a singular value below this times the rows over the largest counts as 0."""
+MAX_HOLE_RADIUS = 1.0
+"""[m] A hole is filled if no place in it is further from seen ground: a scanner's blind spot, the shadow of a desk."""
+
+
+def fill_holes(
+    surface: HeightMap,
+    lowest: FloatArray,
+    seen_through: BoolArray,
+    pit: BoolArray,
+    walls: BoolArray,
+    config: PerceptionConfig,
+    near: Nearest | None = None,
+    noise: float = 0.0,
+) -> HeightMap:
+    """Infer ground where its surroundings explain it, and mark it.
+
+    A hole is a connected set of unknown cells bounded by known ground and things (cells whose `lowest` other point is
+    under a ceiling's height, inf where there is none), shut off from the map's rim, with no place further than
+    `MAX_HOLE_RADIUS` from seen ground, and with the ground around it on one plane within a cell's slope or higher: an
+    edge that drops is not bridged. Nor is a void. Under a thing it is filled only where ground was seen beneath its
+    rim. A notch in a flight is filled with the treads beside it, and the gap between two treads with the lower one.
+
+    Args:
+        surface: The ground as it was seen.
+        lowest: Of the other points in each cell [m], inf where there is none, shape (nx, ny).
+        seen_through: See `find_voids`.
+        pit: See `find_voids`.
+        walls: See `find_voids`.
+        config: Limits of a flight's treads.
+        near: `nearest_seen` of the surface, where it is known.
+        noise: Standard deviation of the points before they were cured [m].
+    """
+    known = surface.state == OBSERVED
+    height, state = surface.height.copy(), surface.state.copy()
+    near = near or nearest_seen(surface)
+    distance, beside = near
+    material = lowest < beside + CEILING
+    _fill_gaps(height, state, ~known, surface, near, noise)
+    fill_notches(height, state, seen_through, distance, surface.cell_width, config)
+    known = state != UNKNOWN
+    void = seen_through | pit | _walled_down(surface, walls)
+    _fill(height, state, ~known & ~material, known, distance, surface.cell_width, void, OPEN_SHARE)
+    solid = state != UNKNOWN  # then the ground that carries the furniture itself
+    under = ~solid & (distance <= MAX_HOLE_RADIUS) & material & _seen_hollow(~solid & material, known & material)
+    _fill(height, state, under, solid, distance, surface.cell_width, void, SHUT_SHARE)
+    _fill_gaps(height, state, state == UNKNOWN, surface, near, noise)  # what is left of larger ones
+    return replace(surface, height=height, state=state)
+
+
+def _seen_hollow(things: BoolArray, overhung: BoolArray) -> BoolArray:
+    """Cells of things in whose neighbourhood ground was seen beneath material, further in than the edge of a cell.
+
+    A table shows the floor under its rim, and single cells are no mass. What was seen from above alone, as a rock on a
+    height map, may be solid.
+    """
+    label, count = ndimage.label(things, np.ones((3, 3)))
+    hollow = np.ones(count + 1, dtype=bool)
+    hollow[0] = False
+    _tell_hollow(things, overhung, label, hollow)
+    result: BoolArray = hollow[label]
+    return result
+
+
+@njit(cache=True, nogil=True)
+def _tell_hollow(things: BoolArray, overhung: BoolArray, label: NDArray[np.int32], hollow: BoolArray) -> None:
+    """Labels of masses become false, and true again if a cell within two of theirs is overhung and has no rim."""
+    nx, ny = things.shape
+    for mass in (True, False):
+        for x in range(1, nx - 1):
+            for y in range(1, ny - 1):
+                if not (things[x, y] if mass else overhung[x, y]):
+                    continue
+                inner = True
+                for u in range(x - 1, x + 2):
+                    for v in range(y - 1, y + 2):
+                        inner &= things[u, v] or (overhung[u, v] and not mass)
+                if not inner:
+                    continue
+                if mass:
+                    hollow[label[x, y]] = False
+                    continue
+                for u in range(max(x - 2, 0), min(x + 3, nx)):
+                    for v in range(max(y - 2, 0), min(y + 3, ny)):
+                        if things[u, v]:
+                            hollow[label[u, v]] = True
+
+
+def find_voids(
+    surface: HeightMap,
+    points: FloatArray,
+    max_step: float,
+    near: Nearest | None = None,
+    box: Box = WHOLE,
+    cell: IntArray | None = None,
+) -> tuple[BoolArray, BoolArray, BoolArray]:
+    """Unknown cells whose highest point of `points` (n, 3) lies over `max_step` under the ground beside them.
+
+    Args:
+        surface: The ground as it was seen.
+        points: What else was seen [m], shape (n, 3).
+        max_step: [m].
+        near: `nearest_seen` of the surface in the box, where it is known.
+        box: Cells that hold all points, and `MAX_HOLE_RADIUS` around them.
+        cell: `cells_within` of the points, where it is known, shape (n,).
+
+    Returns:
+        Where the scanner saw through, further down than a floor is thick; where the bottom of a pit is seen, which is
+        no ceiling because no storey is under it; and where the upper end of a pit's walls is. All (nx, ny) of the box.
+    """
+    distance, beside = near or nearest_seen(surface, box)
+    part = cropped(surface, box)
+    asked = (part.state == UNKNOWN) & (distance <= MAX_HOLE_RADIUS)
+    cell, z = cells_within(points, surface, box) if cell is None else cell, points[:, 2]
+    walls = _walls_down(part, cell, z)
+    high = np.where(asked, beside + np.float32(surface.cell_width), -np.inf)
+    bottom, top = extent_within(cell, z, np.full(asked.shape, -np.inf), under(high))
+    seen = np.isfinite(top)
+    depth = np.where(seen, beside - top, 0.0)
+    pit = (depth > max_step) & (depth <= SLAB) & (np.where(seen, top - bottom, 0.0) < STOREY)
+    return depth > SLAB, pit, walls
+
+
+def _walls_down(surface: HeightMap, cell: IntArray, z: FloatArray) -> BoolArray:
+    """Cells of a hole or beside one with a point right under the ground, no floor: `z` [m] in the flat `cell`, (n,).
+
+    A step up at the rim is none: the lowest ground within two cells counts. But a rim's cell that holds the wall's
+    upper end, too, lies as deep as that: of each cell and those around it the highest ground counts.
+    """
+    unknown = surface.state == UNKNOWN
+    rim = ndimage.maximum_filter(np.where(unknown, -np.inf, surface.height), size=3)
+    floor = ndimage.minimum_filter(np.where(unknown, np.inf, rim), size=5)
+    low, high = (under(floor - cells * surface.cell_width) for cells in (WALL_CELLS, 1.0))
+    walls: BoolArray = np.isfinite(extent_within(cell, z, low, high)[0])
+    walls &= ndimage.maximum_filter(unknown, size=3, mode="constant")
+    return walls
+
+
+def _walled_down(surface: HeightMap, walls: BoolArray) -> BoolArray:
+    """Holes with `walls` under more of their rim than a scan's noise explains."""
+    unknown = surface.state == UNKNOWN
+    label, count = ndimage.label(unknown)
+    rim, pit = _rims(label, walls, count + 1)
+    result: BoolArray = (pit > (1.0 - RING_SHARE) * rim)[label] & unknown
+    return result
+
+
+@njit(cache=True, nogil=True)
+def _rims(label: NDArray[np.int32], walls: BoolArray, labels: int) -> tuple[IntArray, IntArray]:
+    """Cells of the rim of each hole, and `walls` in or around it; what is at two holes is at the last one."""
+    nx, ny = label.shape
+    rim, pit = np.zeros(labels, np.int64), np.zeros(labels, np.int64)
+    for x in range(nx):
+        for y in range(ny):
+            if label[x, y] > 0 and not walls[x, y]:
+                continue
+            hole = 0
+            for u in range(max(x - 1, 0), min(x + 2, nx)):
+                for v in range(max(y - 1, 0), min(y + 2, ny)):
+                    hole = max(hole, label[u, v])
+            rim[hole] += int(label[x, y] == 0)
+            pit[hole] += int(walls[x, y])
+    return rim, pit
+
+
+def _fill_gaps(
+    height: NDArray[np.float32],
+    state: NDArray[np.uint8],
+    holes: BoolArray,
+    surface: HeightMap,
+    near: Nearest,
+    noise: float,
+) -> None:
+    """Fill single cells that the scan's spacing left empty, also at a step's edge.
+
+    Each is of the smooth ground around it, or as high as the cell beside it. On a slope the latter makes a step that
+    nobody saw. But where the cure has blurred a step to a slope, it shows it.
+    """
+    small = np.flatnonzero(_small(holes, near.distance, surface.cell_width))
+    own = surface.height, reach_of(surface.cell_width, noise), max(FINE, FLAT * noise), small
+    made = near.height.ravel()[small]
+    run_chunked(lambda a, b: _onto_bends(*own, a, b, made), len(small))
+    height.ravel()[small], state.ravel()[small] = made, INFERRED
+
+
+@njit(cache=True, nogil=True)
+def _onto_bends(
+    height: NDArray[np.float32],
+    reach: int,
+    flat: float,
+    cells: IntArray,
+    begin: int,
+    end: int,
+    made: NDArray[np.float32],
+) -> None:
+    """Put `cells` that are not at the rim onto the quadric through the seen cells around where it is `flat` [m]."""
+    (nx, ny), sums = height.shape, make_room()
+    for k in range(begin, end):
+        i, j = cells[k] // ny, cells[k] % ny
+        if 0 < i < nx - 1 and 0 < j < ny - 1:
+            shift, smooth = bend_at(height, i, j, reach, float(made[k]), flat, sums)
+            if smooth:
+                made[k] += shift
+
+
+@njit(cache=True, nogil=True)
+def _small(holes: BoolArray, distance: FloatArray, cell_width: float) -> BoolArray:
+    """Connected cells of holes that are `GAP_CELLS` at most, none further than a cell from seen ground."""
+    (nx, ny), small, cells = holes.shape, np.zeros(holes.shape, np.bool_), np.empty((GAP_CELLS + 4, 2), np.int64)
+    for x in range(nx):
+        for y in range(ny):
+            if not holes[x, y] or small[x, y] or distance[x, y] > cell_width:
+                continue
+            cells[0], count, looked, gap = (x, y), 1, 0, True
+            while gap and looked < count:
+                i, j = cells[looked]
+                looked += 1
+                gap = distance[i, j] <= cell_width
+                for dx, dy in _SIDES:
+                    u, v = i + dx, j + dy
+                    if not (0 <= u < nx and 0 <= v < ny and holes[u, v]):
+                        continue
+                    met = False
+                    for k in range(count):
+                        met |= cells[k, 0] == u and cells[k, 1] == v
+                    if not met:
+                        cells[count] = u, v
+                        count += 1
+                gap &= count <= GAP_CELLS
+            for k in range(count if gap else 0):
+                small[cells[k, 0], cells[k, 1]] = True
+    return small
+
+
+@njit(cache=True, nogil=True)
+def _fill(
+    height: NDArray[np.float32],
+    state: NDArray[np.uint8],
+    holes: BoolArray,
+    known: BoolArray,
+    distance: FloatArray,
+    cell_width: float,
+    void: BoolArray,
+    share: float,
+) -> None:
+    """Fill each of the `holes` with the plane of the `known` ground around, if that is at least `share` of its rim."""
+    nx, ny = holes.shape
+    met = np.zeros((nx, ny), np.int64)
+    label, queue, last, hole = np.zeros((nx, ny), np.int32), np.empty(nx * ny, np.int64), 0, 0
+    for corner in range(nx * ny):
+        x, y = corner // ny, corner % ny
+        if not holes[x, y] or label[x, y] > 0 or distance[x, y] > MAX_HOLE_RADIUS:
+            continue
+        first, hole = last, hole + 1
+        label[x, y], queue[last] = hole, corner
+        last, shut = _walk_hole(holes, distance, void, hole, label, queue, last)
+        if not shut:
+            continue
+        cells = np.sort(queue[first:last])
+        places, heights, ground = _ring(cells, hole, label, known, height, met)
+        if len(heights) < 3 or ground < share:
+            continue
+        plane, held = _plane_under(places, heights, cell_width)
+        if not held:
+            continue
+        left, top = cells[0] // ny, cells[0] % ny
+        for c in cells:
+            x, y = c // ny, c % ny
+            height[x, y] = (x - left) * plane[0] + (y - top) * plane[1] + plane[2]
+            state[x, y] = INFERRED
+
+
+@njit(cache=True, nogil=True)
+def _walk_hole(
+    holes: BoolArray,
+    distance: FloatArray,
+    void: BoolArray,
+    hole: int,
+    label: NDArray[np.int32],
+    queue: IntArray,
+    looked: int,
+) -> tuple[int, bool]:
+    """Put the cells joined to the one that is `looked` at first behind it in the `queue`, and `label` them as a `hole`.
+
+    Of what is further from seen ground than a hole may be it is enough to know that it is beside one.
+
+    Returns:
+        Where the queue ends, and whether no such cell, no void and no rim of the map is at the hole.
+    """
+    (nx, ny), last, shut = holes.shape, looked + 1, True
+    while looked < last:
+        x, y = queue[looked] // ny, queue[looked] % ny
+        looked += 1
+        shut &= not (x == 0 or y == 0 or x == nx - 1 or y == ny - 1 or void[x, y])
+        for dx, dy in _SIDES:
+            u, v = x + dx, y + dy
+            if not (0 <= u < nx and 0 <= v < ny and holes[u, v]) or label[u, v] > 0:
+                continue
+            if distance[u, v] > MAX_HOLE_RADIUS:
+                shut = False
+                continue
+            label[u, v], queue[last], last = hole, u * ny + v, last + 1
+    return last, shut
+
+
+@njit(cache=True, nogil=True)
+def _ring(
+    cells: IntArray,
+    hole: int,
+    label: NDArray[np.int32],
+    known: BoolArray,
+    height: NDArray[np.float32],
+    met: IntArray,
+) -> tuple[FloatArray, FloatArray, float]:
+    """Places (x, y, 1) of the known cells within two of a hole's, from its first one on, and their heights [m].
+
+    Also the share of the cells right beside the hole that are known. What was `met` around it is marked by twice its
+    number, and right beside it by one more.
+    """
+    nx, ny = label.shape
+    left, top = cells[0] // ny, cells[0] % ny
+    ring, heights = np.ones((25 * len(cells), 3)), np.empty(25 * len(cells))  # of each cell the 5 × 5 around, at most
+    count, beside, ground = 0, 0, 0
+    for c in cells:
+        x, y = c // ny, c % ny
+        for u in range(max(x - 2, 0), min(x + 3, nx)):
+            for v in range(max(y - 2, 0), min(y + 3, ny)):
+                if label[u, v] == hole:
+                    continue
+                if known[u, v] and met[u, v] < 2 * hole:
+                    ring[count, 0], ring[count, 1], heights[count] = u - left, v - top, height[u, v]
+                    count += 1
+                met[u, v] = max(met[u, v], 2 * hole)
+                if abs(u - x) + abs(v - y) == 1 and met[u, v] == 2 * hole:
+                    met[u, v] = 2 * hole + 1
+                    beside += 1
+                    ground += known[u, v]
+    return ring[:count], heights[:count], ground / max(beside, 1)
+
+
+@njit(cache=True, nogil=True)
+def _plane_under(places: FloatArray, heights: FloatArray, cell_width: float) -> tuple[FloatArray, bool]:
+    """The plane that most of the ground around a hole lies on or over, and whether there is one.
+
+    What stands on the ground beside the hole, a box or a step up, is no part of it.
+    """
+    on = heights <= np.median(heights) + cell_width
+    plane: FloatArray = np.zeros(3)
+    over: FloatArray = heights
+    for _ in range(2):
+        plane = np.linalg.lstsq(places[on], heights[on], _ROUNDING * len(heights))[0].astype(np.float64)
+        over = heights - places @ plane
+        on = np.abs(over) <= cell_width
+        if not on.any():
+            break
+    return plane, on.mean() >= PLANE_SHARE and (over < -cell_width).mean() <= 1.0 - RING_SHARE
+
+
+def without_enclosed(surface: HeightMap, low: BoolArray) -> HeightMap:
+    """Take back inferred ground that material at ground level shuts off from all seen ground: a cupboard's inside.
+
+    Nobody has seen that it is hollow, so it is not called free. What is no wider than a gap is left: things around it
+    keep every body out, and the face of a step, which noise spreads over some cells of its top, does not have to.
+
+    Args:
+        surface: After `fill_holes`.
+        low: Cells with material that the lowest body cannot pass under, shape (nx, ny).
+    """
+    label, count = ndimage.label((surface.state != UNKNOWN) & ~low)
+    seen = np.zeros(count + 1, dtype=bool)
+    seen[label[(surface.state == OBSERVED) & ~low]] = True
+    wide = np.bincount(label.ravel()) > GAP_CELLS
+    return without(surface, (surface.state == INFERRED) & ~low & (wide & ~seen)[label])

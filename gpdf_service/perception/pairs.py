@@ -1,0 +1,221 @@
+"""Compiled loops over pairs of nodes in cells beside each other."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numba import njit
+
+from gpdf_service.fields.threads import run_parallel
+from gpdf_service.perception.rows import longer
+from gpdf_service.types import BoolArray, FloatArray, IntArray
+
+INDEX: Any = np.int32
+"""Kind of the numbers of nodes in pairs, which are many: half of the memory."""
+AROUND = ((-1, -1), (-1, 0), (-1, 1), (0, -1), (0, 1), (1, -1), (1, 0), (1, 1))
+"""The eight cells around one."""
+
+
+def pairs_near(
+    start: IntArray,
+    shape: tuple[int, int],
+    height: FloatArray,
+    keep: BoolArray,
+    most: FloatArray,
+    offsets: tuple[tuple[int, int], ...],
+) -> tuple[IntArray, IntArray]:
+    """Pairs of kept nodes (a, b), b's cell at one of the `offsets` from a's, whose heights differ by little.
+
+    That is by at most `most` [m], one number an offset.
+    """
+    own = start, shape, height, keep
+    found = run_parallel(lambda k: _pairs_at(*own, float(most[k]), offsets[k]), range(len(offsets)))
+    a, b = (np.concatenate(ends) for ends in zip(*found, strict=True))
+    return a, b
+
+
+@njit(cache=True, nogil=True)
+def _pairs_at(
+    start: IntArray, shape: tuple[int, int], height: FloatArray, keep: BoolArray, most: float, offset: tuple[int, int]
+) -> tuple[IntArray, IntArray]:
+    """`pairs_near` with one offset."""
+    capacity, used = len(height) + 16, 0
+    one, other = np.empty(capacity, INDEX), np.empty(capacity, INDEX)
+    dx, dy = offset
+    for x in range(max(0, -dx), min(shape[0], shape[0] - dx)):
+        for y in range(max(0, -dy), min(shape[1], shape[1] - dy)):
+            here, there = x * shape[1] + y, (x + dx) * shape[1] + y + dy
+            more = (start[here + 1] - start[here]) * (start[there + 1] - start[there])
+            if used + more > capacity:
+                capacity = 2 * capacity + more
+                one, other = longer(one, capacity), longer(other, capacity)
+            for a in range(start[here], start[here + 1] if more > 0 else 0):
+                if not keep[a]:
+                    continue
+                for b in range(start[there], start[there + 1]):  # written, and kept or not: a guess would be wrong
+                    one[used], other[used] = a, b
+                    used += int(keep[b] & (abs(height[a] - height[b]) <= most))
+    return one[:used], other[:used]
+
+
+@njit(cache=True, nogil=True)
+def pairs_beside(
+    start: IntArray,
+    shape: tuple[int, int],
+    height: FloatArray,
+    most: float,
+    offsets: tuple[tuple[int, int], ...],
+    begin: int,
+    end: int,
+) -> tuple[IntArray, IntArray, IntArray]:
+    """What `pairs_near` finds if all are kept, and where the pairs of each offset begin, shape (offsets + 1,).
+
+    Of the nodes a in the rows of cells from `begin` to `end`; nodes count from the first of these. The heights of a
+    column must ascend: so what is too low or too high for one node is passed over.
+    """
+    first, base = np.zeros(len(offsets) + 1, np.int64), start[begin * shape[1]]
+    capacity, used = 4 * (start[end * shape[1]] - base) + 16, 0
+    one, other = np.empty(capacity, INDEX), np.empty(capacity, INDEX)
+    for k in range(len(offsets)):
+        dx, dy = offsets[k]
+        for x in range(max(begin, -dx), min(end, shape[0] - dx)):
+            for y in range(max(0, -dy), min(shape[1], shape[1] - dy)):
+                here, there = x * shape[1] + y, (x + dx) * shape[1] + y + dy
+                low, last = start[there], start[there + 1]
+                more = (start[here + 1] - start[here]) * (last - low)
+                if used + more > capacity:
+                    capacity = 2 * capacity + more
+                    one, other = longer(one, capacity), longer(other, capacity)
+                for a in range(start[here], start[here + 1]):
+                    while low < last and height[a] - height[low] > most:
+                        low += 1
+                    b = low
+                    while b < last and height[b] - height[a] <= most:
+                        one[used], other[used] = a - base, b - base
+                        used, b = used + 1, b + 1
+        first[k + 1] = used
+    return one[:used].copy(), other[:used].copy(), first
+
+
+@njit(cache=True, nogil=True)
+def medians_around(height: FloatArray, keep: BoolArray, a: IntArray, b: IntArray) -> FloatArray:
+    """Lower median of the heights of each kept node and those that the pairs (a, b) join it to; others as they are."""
+    start = np.zeros(len(height) + 1, np.int64)
+    for i in range(len(height)):
+        start[i + 1] = keep[i]
+    for e in range(len(a)):
+        start[a[e] + 1] += 1
+        start[b[e] + 1] += 1
+    for i in range(len(height)):
+        start[i + 1] += start[i]
+    values, place = np.empty(start[-1]), start[:-1].copy()
+    for i in range(len(height)):
+        if keep[i]:
+            values[place[i]] = height[i]
+            place[i] += 1
+    for e in range(len(a)):
+        values[place[a[e]]], values[place[b[e]]] = height[b[e]], height[a[e]]
+        place[a[e]] += 1
+        place[b[e]] += 1
+    made = height.copy()
+    for i in range(len(height)):
+        if keep[i]:
+            _sort(values, start[i], start[i + 1])
+            made[i] = values[(start[i] + start[i + 1] - 1) // 2]
+    return made
+
+
+@njit(cache=True, nogil=True)
+def _sort(values: FloatArray, begin: int, end: int) -> None:
+    """Put the few values from `begin` to `end` in order, by insertion."""
+    for i in range(begin + 1, end):
+        value, j = values[i], i
+        while j > begin and values[j - 1] > value:
+            values[j] = values[j - 1]
+            j -= 1
+        values[j] = value
+
+
+@njit(cache=True, nogil=True)
+def pairs_over_gaps(
+    start: IntArray,
+    shape: tuple[int, int],
+    height: FloatArray,
+    keep: BoolArray,
+    rise: float,
+    offset: tuple[int, int],
+    most: int,
+) -> tuple[IntArray, IntArray, IntArray]:
+    """Pairs of kept nodes within `rise` [m] that a gap parts: up to `most` cells of which nothing was seen as low.
+
+    The nose of a tread hides the back of the next one; a hole that one looks through into something is no gap. The
+    `offset` is that of neighbouring cells on the line.
+
+    Returns:
+        The pairs, and how many cells the gap between each has.
+    """
+    one, other, wide = [INDEX(0) for _ in range(0)], [INDEX(0) for _ in range(0)], [0 for _ in range(0)]
+    (nx, ny), (dx, dy) = shape, offset
+    for x in range(max(0, -dx), min(nx, nx - dx)):
+        for y in range(max(0, -dy), min(ny, ny - dy)):
+            here, there = x * ny + y, (x + dx) * ny + y + dy
+            begin = start[there]
+            lowest = height[begin] if begin < start[there + 1] else np.inf
+            for a in range(start[here], start[here + 1]):
+                if not keep[a] or lowest <= height[a] + rise:
+                    continue
+                for far in range(2, most + 2):
+                    u, v = x + far * dx, y + far * dy
+                    if not (0 <= u < nx and 0 <= v < ny):
+                        break
+                    begin, end = start[u * ny + v], start[u * ny + v + 1]
+                    if begin == end or height[begin] > height[a] + rise:
+                        continue
+                    for b in range(begin, end):
+                        if keep[b] and abs(height[a] - height[b]) <= rise:
+                            one.append(INDEX(a))
+                            other.append(INDEX(b))
+                            wide.append(far - 1)
+                    break
+    return np.array(one, INDEX), np.array(other, INDEX), np.array(wide, np.int64)
+
+
+@njit(cache=True, nogil=True)
+def pairs_within(
+    a: IntArray, b: IntArray, among: BoolArray, both: bool, label: IntArray | None = None
+) -> tuple[IntArray, IntArray]:
+    """The pairs of which `both`, or at least one, are `among` the nodes; with another `label` each if they have one."""
+    one, other, used = np.empty(len(a) + 1, INDEX), np.empty(len(a) + 1, INDEX), 0
+    for e in range(len(a)):
+        one[used], other[used] = a[e], b[e]
+        good = among[a[e]] and among[b[e]] if both else among[a[e]] or among[b[e]]
+        used += int(good and (label is None or label[a[e]] != label[b[e]]))
+    return one[:used].copy(), other[:used].copy()
+
+
+@njit(cache=True, nogil=True)
+def pairs_around(
+    nodes: IntArray,
+    cell: IntArray,
+    start: IntArray,
+    shape: tuple[int, int],
+    height: FloatArray,
+    keep: BoolArray,
+    slope: float,
+    step: float,
+) -> tuple[IntArray, IntArray]:
+    """Pairs of a row of `nodes` and a kept node in a cell around its own, within `slope` a cell and a `step` [m]."""
+    one, other = [0 for _ in range(0)], [0 for _ in range(0)]
+    for n in range(len(nodes)):
+        i = nodes[n]
+        x, y = cell[i] // shape[1], cell[i] % shape[1]
+        for dx, dy in AROUND:
+            if not (0 <= x + dx < shape[0] and 0 <= y + dy < shape[1]):
+                continue
+            there = (x + dx) * shape[1] + y + dy
+            for j in range(start[there], start[there + 1]):
+                if keep[j] and abs(height[i] - height[j]) <= slope * np.hypot(dx, dy) + step:
+                    one.append(n)
+                    other.append(j)
+    return np.array(one, np.int64), np.array(other, np.int64)
