@@ -29,8 +29,10 @@ def fill_notches(
     """Fill what a shadow bites out of a flight: uphill and downhill there is ground, and the tread itself beside.
 
     The whole back of a tread is hidden by the nose of the next one: such a gap is the lower tread's, where a third
-    tread shows that they are a flight. On the level this is left to `_fill`: there the edge of a platform looks the
-    same. A notch in a flight that lies across the grid at an angle stays as it was seen.
+    tread shows that they are a flight. So is a strip of a tread that was seen before and behind it, which is between
+    what that nose hides and what lies at a tripod's own foot, where the flight goes on up and down. On the level this
+    is left to `_fill`: there the edge of a platform looks the same. A notch in a flight that lies across the grid at an
+    angle stays as it was seen.
     """
     open_ = (state == UNKNOWN) & ~void & (distance <= NOTCH_DEPTH)
     filled = _treads(height, open_, np.float32(cell_width), cell_width, config.tread_depth, config.stair_step)
@@ -62,6 +64,11 @@ def _treads(
             for dx, dy in ((1, 0), (0, 1)):
                 low, high, steps = _both_sides(height, x, y, dx, dy, most, most)
                 run, rise = steps * cell_width, float(high - low)
+                strip = _strip(height, x, y, dx, dy, cell_width, stair_step, foot, 2 * depth)
+                if np.isnan(filled[x, y]) and not np.isnan(strip):
+                    (left, a), (right, b) = [_next_known(height, x, y, way * dy, way * dx, most) for way in (-1, 1)]
+                    if a > 0 and b > 0 and max(abs(left - strip), abs(right - strip)) <= cell_width:
+                        filled[x, y] = strip
                 if not (0.0 < run <= NOTCH_SPAN and rise > least):
                     continue
                 for way in (-1, 1):
@@ -101,6 +108,51 @@ def _goes_on(
                     return True
                 break
     return False
+
+
+@njit(cache=True, nogil=True)
+def _strip(
+    height: NDArray[np.float32],
+    x: int,
+    y: int,
+    dx: int,
+    dy: int,
+    cell_width: float,
+    most: float,
+    gap: int,
+    span: int,
+) -> np.float32:
+    """Height of the tread on both sides of (x, y) on a line, if the next step is up on one and down on the other.
+
+    NaN if not. A step is `most` high at most [m]. No more than `gap` cells in a row are unknown, of a `span` of them.
+    """
+    low, high, steps = _both_sides(height, x, y, dx, dy, gap, gap + 1)
+    if steps == 0 or high - low > 0.5 * cell_width:
+        return np.float32(np.nan)
+    ahead = _next_step(height, x, y, dx, dy, 2.0 * cell_width, gap, span)
+    behind = _next_step(height, x, y, -dx, -dy, 2.0 * cell_width, gap, span)
+    climbs = ahead * behind < 0.0 and max(abs(ahead), abs(behind)) <= most
+    return low if climbs else np.float32(np.nan)
+
+
+@njit(cache=True, nogil=True)
+def _next_step(
+    height: NDArray[np.float32], x: int, y: int, dx: int, dy: int, least: float, gap: int, span: int
+) -> float:
+    """How far up the first step from the next known cell on is [m], on a line from (x, y); 0 where there is none."""
+    here, first = _next_known(height, x, y, dx, dy, gap)
+    unknown = 0
+    for step in range(first, span if first > 0 else 0):
+        u, v = x + step * dx, y + step * dy
+        if not (0 <= u < height.shape[0] and 0 <= v < height.shape[1]) or unknown > gap:
+            break
+        if np.isnan(height[u, v]):
+            unknown += 1
+            continue
+        rise, unknown = float(height[u, v] - here), 0
+        if abs(rise) > least:
+            return rise
+    return 0.0
 
 
 def between_treads(surface: HeightMap, asked: BoolArray, stair_step: float) -> BoolArray:

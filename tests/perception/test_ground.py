@@ -632,8 +632,8 @@ def test_rubble_is_ground_though_all_of_it_are_bumps():
     assert segment_ground(np.column_stack([xy, z])).mean() > 0.99
 
 
-def flight_seen_from_above(hidden):
-    """A closed flight of 14 treads between walls; of some treads the back is `hidden` by the nose above, x from 2 m."""
+def flight_seen_from_above(hidden, back=0.0):
+    """A closed flight of 14 treads between walls, x from 2 m; of some the nose above has `hidden` all but a `back`."""
     rng = np.random.default_rng(0)
 
     def sheet(low, high, z):
@@ -643,8 +643,11 @@ def flight_seen_from_above(hidden):
     treads = []
     for i in range(14):
         x = 2.0 + 0.28 * i
-        end = x + 0.28 - (hidden if i in (4, 5, 9) else 0.0)
+        end = x + 0.28 - (hidden + back if i in (4, 5, 9) else 0.0)
         treads.append(sheet((x, 1.4), (end, 2.6), 0.18 * (i + 1)))
+        if back > 0.0 and i in (4, 5, 9):  # and one end of it was seen
+            treads += [sheet((x + 0.28 - back, 1.4), (x + 0.28, 2.6), 0.18 * (i + 1))]
+            treads += [sheet((end, 1.4), (x + 0.28 - back, 1.6), 0.18 * (i + 1))]
     head = 2.0 + 0.28 * 14
     floors = [sheet((0.0, 0.0), (2.0, 4.0), 0.0), sheet((head, 0.0), (head + 2.0, 4.0), 0.18 * 14)]
     count = int(0.28 * 14 * 3.0 / 0.02**2)
@@ -655,10 +658,11 @@ def flight_seen_from_above(hidden):
     return np.concatenate([*treads, *floors, *walls]) + rng.normal(0.0, 0.002, (1, 3))
 
 
-def test_what_the_nose_above_hides_of_a_tread_is_inferred_as_its_back():
-    scene = build_scene(flight_seen_from_above(0.16))
+@pytest.mark.parametrize(("hidden", "back"), [(0.16, 0.0), (0.1, 0.08)])
+def test_a_strip_that_nobody_saw_of_a_tread_is_inferred_as_the_tread(hidden, back):
+    scene = build_scene(flight_seen_from_above(hidden, back))
     for i in (4, 5, 9):
-        place = np.array([[2.0 + 0.28 * i + 0.2, 2.0]])
+        place = np.array([[2.0 + 0.28 * (i + 1) - back - 0.5 * hidden, 2.0]])
         known = [s for s in scene.surfaces if not np.isnan(s.height_at(place)[0])]
         assert known, i
         for surface in known:
@@ -678,3 +682,14 @@ def test_a_gap_wider_than_a_foot_or_under_a_single_step_stays_unknown():
     seen = (x < 4.0) | (x > 4.16)  # beyond it a platform, 18 cm high
     step = build_scene(np.column_stack([x, y, 0.18 * (x > 4.1)])[seen])
     assert all(np.isnan(s.height_at(np.array([[4.1, 1.5]]))[0]) for s in step.surfaces)
+
+
+def test_a_strip_through_a_level_floor_or_one_that_is_seen_through_stays_unknown():
+    flight, rng = flight_seen_from_above(0.1, 0.08), np.random.default_rng(1)
+    strip = 2.0 + 0.28 * 9 + 0.15
+    below = np.column_stack([rng.uniform((strip - 0.05, 1.4), (strip + 0.05, 2.6), (300, 2)), np.zeros(300)])
+    x, y = rng.uniform(0.0, 8.0, 60000), rng.uniform(0.0, 3.0, 60000)
+    seen = (x < 3.8) | (x > 3.92)
+    step = np.column_stack([x, y, 0.18 * (x > 4.1)])[seen]  # up on one side of it, and not down on the other
+    for cloud, place in ((np.concatenate([flight, below]), (strip, 2.0)), (step, (3.86, 1.5))):
+        assert all(np.isnan(s.height_at(np.array([place]))[0]) for s in build_scene(cloud).surfaces)
