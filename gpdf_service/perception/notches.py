@@ -64,7 +64,7 @@ def _treads(
             for dx, dy in ((1, 0), (0, 1)):
                 low, high, steps = _both_sides(height, x, y, dx, dy, most, most)
                 run, rise = steps * cell_width, float(high - low)
-                strip = _strip(height, x, y, dx, dy, cell_width, stair_step, foot, 2 * depth)
+                strip = _strip(height, x, y, dx, dy, 0.5 * cell_width, least, stair_step, foot, 2 * depth)
                 if np.isnan(filled[x, y]) and not np.isnan(strip):
                     (left, a), (right, b) = [_next_known(height, x, y, way * dy, way * dx, most) for way in (-1, 1)]
                     if a > 0 and b > 0 and max(abs(left - strip), abs(right - strip)) <= cell_width:
@@ -92,21 +92,11 @@ def _goes_on(
     A step is from `least` to `most` [m] high. No more than `gap` cells in a row are unknown, of a `span` of them.
     """
     for way in (-1, 1):
-        here, first = _next_known(height, x, y, way * dx, way * dy, gap)
+        here, _ = _next_known(height, x, y, way * dx, way * dy, gap)
         there, _ = _next_known(height, x, y, -way * dx, -way * dy, gap)
-        up, unknown = here > there, 0
-        for step in range(first, span):
-            u, v = x + way * step * dx, y + way * step * dy
-            if not (0 <= u < height.shape[0] and 0 <= v < height.shape[1]) or unknown > gap:
-                break
-            if np.isnan(height[u, v]):
-                unknown += 1
-                continue
-            rise, unknown = (height[u, v] - here) if up else (here - height[u, v]), 0
-            if rise > least:
-                if rise <= most:
-                    return True
-                break
+        rise = _next_step(height, x, y, way * dx, way * dy, least, gap, span)
+        if 0.0 < (rise if here > there else -rise) <= most:
+            return True
     return False
 
 
@@ -117,20 +107,22 @@ def _strip(
     y: int,
     dx: int,
     dy: int,
-    cell_width: float,
+    same: float,
+    least: float,
     most: float,
     gap: int,
     span: int,
 ) -> np.float32:
     """Height of the tread on both sides of (x, y) on a line, if the next step is up on one and down on the other.
 
-    NaN if not. A step is `most` high at most [m]. No more than `gap` cells in a row are unknown, of a `span` of them.
+    NaN if not. Heights that differ by `same` at most are one; a step is from `least` to `most` [m] high. No more than
+    `gap` cells in a row are unknown, of a `span` of them.
     """
     low, high, steps = _both_sides(height, x, y, dx, dy, gap, gap + 1)
-    if steps == 0 or high - low > 0.5 * cell_width:
+    if steps == 0 or high - low > same:
         return np.float32(np.nan)
-    ahead = _next_step(height, x, y, dx, dy, 2.0 * cell_width, gap, span)
-    behind = _next_step(height, x, y, -dx, -dy, 2.0 * cell_width, gap, span)
+    ahead = _next_step(height, x, y, dx, dy, least, gap, span)
+    behind = _next_step(height, x, y, -dx, -dy, least, gap, span)
     climbs = ahead * behind < 0.0 and max(abs(ahead), abs(behind)) <= most
     return low if climbs else np.float32(np.nan)
 

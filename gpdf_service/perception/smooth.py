@@ -24,6 +24,8 @@ _TOGETHER = 2
 """Unlucky cells side by side: of two, the one that is further off stands out first, then the other."""
 _BESIDE = 2
 """Cells from a rim that a step is read over: its own two sides and one more."""
+_ALONE = 3.0
+"""[-] Of what a rim's plane leaves: a cell that is further off is alone in that, however rough the others are."""
 _FEWEST = 9
 """Cells that a plane needs: three square."""
 _AROUND = 5
@@ -113,7 +115,7 @@ def _planes(height: NDArray[np.float32], reach: int, same: float, flat: float) -
         for j in range(height.shape[1]):
             if _at_rim(height, i, j, same):
                 shift, rest = _fit(height, i, j, reach, same)
-                if rest <= flat:
+                if rest <= flat or abs(shift) > _ALONE * rest:
                     made[i, j] += shift
     return made
 

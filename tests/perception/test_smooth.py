@@ -170,3 +170,15 @@ def test_a_cell_alone_off_a_slope_takes_it_and_a_thing_of_several_cells_stays():
         assert np.abs(without_unlucky(ground(real), NOISE).height - real).max() < 0.004
     clean = ground(height)
     assert without_unlucky(clean, 0.0) is clean
+
+
+def test_a_cell_that_stands_out_at_a_rim_is_put_on_its_plane_though_the_others_are_rough_too():
+    rng = np.random.default_rng(9)
+    x, y = cells(40)
+    height = np.where((x >= 0.6) & (x < 1.4) & (y >= 0.6) & (y < 1.4), 0.35, 0.0)
+    height += rng.normal(0.0, 0.14 * NOISE, height.shape)  # more than a plane may leave
+    height[12, 20] = 0.35 + 0.8 * NOISE
+    made = smooth(ground(height), NOISE).height
+    assert abs(made[12, 20] - 0.35) < 0.14 * NOISE
+    quiet = np.abs(height - np.where(height > 0.2, 0.35, 0.0)) < 0.28 * NOISE
+    np.testing.assert_array_equal(made[quiet], height.astype(np.float32)[quiet])
