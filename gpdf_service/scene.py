@@ -235,10 +235,12 @@ class Scene:
     def hidden_height(self) -> float:
         """How high over the ground a thing can stand without being seen [m].
 
-        Labels tell a thing from the ground however low it is. Without them what lies within the ground's scatter is
-        ground, and so are single points that noise can have lifted off it; it can have sunk these, too.
+        Labels tell a thing from the ground however low it is, but beside a step what is within a deviation of the
+        ground is its face, and noise can have sunk it. Without labels what lies within the ground's scatter is ground,
+        and so are single points that noise can have lifted off it; it can have sunk these, too.
         """
-        return LEAST_OBSTACLE if self.labelled else max(LEAST_SCATTER, (FAR + SUNK) * self.noise)
+        least, lifted = (LEAST_OBSTACLE, 1.0) if self.labelled else (LEAST_SCATTER, FAR)
+        return max(least, (lifted + SUNK) * self.noise)
 
     @property
     def ground_field(self) -> GroundField:

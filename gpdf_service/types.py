@@ -249,7 +249,8 @@ class Certificate:
         holds: Whether every limit of the body is kept; a result is OK only if it does.
         reason: In words, the first limit that is broken; empty when `holds`.
         hidden_height: What stands no higher than this over the ground may be on the way unseen [m]: where our own
-            segmentation found the ground, low things look like its scatter, and single points like its noise.
+            segmentation found the ground, low things look like its scatter, and single points like its noise; in a
+            noisy cloud with labels, low things beside a step look like its face.
     """
 
     min_clearance: float
