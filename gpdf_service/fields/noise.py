@@ -31,6 +31,9 @@ _LARGER = 1.7
 _ALIKE = 1.5
 """[-] Variance about a quadric in the larger one over that in the smaller from which on it is relief: what bends leaves
 1.7⁶ times as much, noise 1 ± 0.3, so that one place in twenty of it is lost."""
+_CHANCE = 0.1
+"""[-] Places that tell, over those whose neighbourhood holds too many points, below which the former may be chance: of
+noise that is wide against the spacing one place in eighty looks like a plane, and too thin."""
 _AT_ONCE = 4
 """Radii that are looked at in one walk: most places are told by the first four."""
 _SAMPLE = 1000
@@ -45,8 +48,9 @@ def estimate_noise(points: FloatArray, spacing: float, *, sheets: bool = True, t
     no more of a larger neighbourhood: what bends, or is rough, leaves more. Noise need not be the same everywhere (a
     beam's is along the beam: all of it where a scanner looks straight onto a floor, little where it grazes one), so it
     is that of the upper quartile of these places. Where they are not most of all, relief may pass for noise, and it
-    is that of the lower quartile of all. A cloud so dense that most such neighbourhoods hold more points than are
-    looked at is thinned first.
+    is that of the lower quartile of all. A cloud so dense that nearly all such neighbourhoods hold more points than are
+    looked at is thinned first; no further, for what is crowded (leaves, shelves) shows its own size at last, and that
+    is no noise.
 
     Args:
         points: The cloud [m].
@@ -63,7 +67,7 @@ def estimate_noise(points: FloatArray, spacing: float, *, sheets: bool = True, t
     tree = build_tree(points) if tree is None else tree
     run_chunked(lambda a, b: _noise_range(tree, picked, a, b, radii, sheets, rest, shown), len(picked))
     told, sure = rest[np.isfinite(rest)], shown[np.isfinite(shown)]
-    if np.isinf(rest).sum() > len(told):
+    if len(told) < _CHANCE * np.isinf(rest).sum():
         thinner = rng.choice(points, len(points) // 4, replace=False)
         return estimate_noise(thinner, 2.0 * spacing, sheets=sheets)
     if 2 * len(sure) > len(told):

@@ -26,6 +26,40 @@ def test_a_dense_cloud_is_not_called_clean_because_its_neighbourhoods_are_large(
     assert 0.045 < estimate_noise(points, estimate_spacing(points)) < 0.065  # a ramp of treads adds to it
 
 
+def crowded(spacing, rng):
+    """Boxes of 1 m, three on each square metre of a hall of 12 m and through each other; one point every `spacing`²."""
+    count = round(3.6 / spacing**2)
+    box = rng.uniform(0.0, 1.0, (430, count, 3)) * np.array([1.0, 0.6, 1.2])
+    face = rng.integers(0, 4, (430, count))
+    for value, axis, place in ((0, 0, 0.0), (1, 1, 0.0), (2, 2, 1.2), (3, 0, 1.0)):
+        box[..., axis][face == value] = place
+    box[..., :2] += rng.uniform(0.0, 11.0, (430, 1, 2))
+    return box.reshape(-1, 3)
+
+
+@pytest.mark.parametrize("spacing", [0.04, 0.05])
+def test_what_is_crowded_is_no_noise(spacing):
+    """Most neighbourhoods hold too many points; thinned until they do not, the hall itself is a slab 40 cm thick."""
+    rng = np.random.default_rng(0)
+    points = crowded(spacing, rng)
+    points += rng.normal(0.0, 0.002, points.shape)
+    assert estimate_noise(points, estimate_spacing(points)) < 0.25 * spacing
+
+
+def test_a_room_full_of_things_is_not_noisier_for_being_dense():
+    """5 cm of noise, 1 cm between the points: at first one place in eighty tells, thinned to 2 cm one in eight."""
+    rng = np.random.default_rng(1)
+    floor = np.column_stack([rng.uniform(0.0, 6.0, (360_000, 2)), np.zeros(360_000)])
+    box = rng.uniform(0.0, 1.0, (12, 30_000, 3)) * np.array([1.0, 0.6, 0.7])
+    face = rng.integers(0, 5, (12, 30_000))
+    for value, axis, place in ((0, 0, 0.0), (1, 1, 0.0), (2, 2, 0.7), (3, 0, 1.0), (4, 1, 0.6)):
+        box[..., axis][face == value] = place
+    box[..., :2] += rng.uniform(0.0, 5.0, (12, 1, 2))
+    points = np.concatenate([floor, box.reshape(-1, 3)])
+    points += rng.normal(0.0, 0.05, points.shape)
+    assert estimate_noise(points, estimate_spacing(points)) == pytest.approx(0.05, rel=0.15)
+
+
 @pytest.mark.parametrize(("name", "share"), [("plane", 0.3), ("corner", 0.35), ("sphere", 0.45), ("terrain", 0.4)])
 @pytest.mark.parametrize("sigma", [0.02, 0.05])
 def test_points_come_back_to_their_surface(name, share, sigma):
