@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from gpdf_service.fields.threads import run_parallel
 from gpdf_service.perception.layers import APART, HALF, Layers, Pairs
-from gpdf_service.perception.nodes import degrees_in, numbered, pieces_in, put_in, unite_all
+from gpdf_service.perception.nodes import across_in, degrees_in, numbered, pieces_in, put_in, unite_all
 from gpdf_service.perception.pairs import INDEX, pairs_beside
 from gpdf_service.types import BoolArray, FloatArray, IntArray
 
@@ -48,6 +48,15 @@ class Strip:
     known: Answers
     before: Answers
 
+    def recall(self, key: tuple[Any, ...]) -> object:
+        """The answer to what it was asked in this version or the one before; None where it was not."""
+        return self.known.get(key, self.before.get(key))
+
+    def ask(self, question: Callable[..., Any], given: NDArray[np.uint8], limits: tuple[float, ...]) -> object:
+        """The answer to a question, which is `given` a number for each node, shape (k,)."""
+        answer: object = question(self.a, self.b, self.first, self.height, self.count, APART, given, *limits)
+        return answer
+
 
 @dataclass(frozen=True, slots=True)
 class Beside:
@@ -67,6 +76,12 @@ class Beside:
         for begin, part in self._ask(degrees_in, keep.astype(np.uint8), rise):
             made[begin : begin + len(part)] += part
         return made
+
+    def across(self, one: BoolArray, other: BoolArray, step: float) -> Pairs:
+        """Pairs of a node of `one` kind and one of the `other` within a `step` [m]; no node is of both."""
+        found = self._ask(across_in, one + np.uint8(2) * other, step)
+        a, b = (np.concatenate([part[side] + INDEX(begin) for begin, part in found]) for side in (0, 1))
+        return a, b
 
     def pieces(
         self,
@@ -109,19 +124,17 @@ class Beside:
 
     def _ask(self, question: Callable[..., Any], given: NDArray[np.uint8], *limits: float) -> list[tuple[int, Any]]:
         """The first node of each strip, and its answer."""
-        begin = np.cumsum([0, *(strip.count for strip in self.strips)])
-
-        def one(i: int) -> tuple[int, Any]:
-            strip = self.strips[i]
-            own = given[begin[i] : begin[i] + len(strip.height)]
-            key = question.__name__, *limits, own.tobytes()
-            answer = strip.known.get(key, strip.before.get(key))
-            if answer is None:
-                answer = question(strip.a, strip.b, strip.first, strip.height, strip.count, APART, own, *limits)
+        begin = np.cumsum([0, *(strip.count for strip in self.strips)]).tolist()
+        own = [given[first : first + len(strip.height)] for first, strip in zip(begin, self.strips, strict=False)]
+        keys = [(question.__name__, *limits, part.tobytes()) for part in own]
+        found = [strip.recall(key) for strip, key in zip(self.strips, keys, strict=True)]
+        asked = [i for i, answer in enumerate(found) if answer is None]
+        fresh = run_parallel(lambda i: self.strips[i].ask(question, own[i], limits), asked)
+        for i, answer in zip(asked, fresh, strict=True):
+            found[i] = answer
+        for strip, key, answer in zip(self.strips, keys, found, strict=True):
             strip.known[key] = answer
-            return int(begin[i]), answer
-
-        return run_parallel(one, range(len(self.strips)))
+        return list(zip(begin, found, strict=False))
 
 
 def _in_order(found: list[tuple[int, Any]], at: int) -> Pairs:

@@ -253,7 +253,8 @@ def _change_strays(stray: BoolArray, cloud: _Cloud, ground: BoolArray, places: F
     near = cloud.rows_in_box((low - 3.0) * width, (high + 3.0) * width)
     points = taken(cloud.points, near)
     column = np.floor(points[:, :2] / width)  # one on, another may be alone now, and asks one further
-    sure = np.logical_and.reduce((column >= low - 1.0) & (column < high + 1.0), axis=1)
+    inside = (column >= low - 1.0) & (column < high + 1.0)
+    sure = inside[:, 0] & inside[:, 1]
     made = stray.copy()
     made[near[sure]] = find_strays(points, width)[sure]
     return made & ~ground

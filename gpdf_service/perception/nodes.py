@@ -151,6 +151,27 @@ def degrees_in(
 
 
 @njit(cache=True, nogil=True)
+def across_in(
+    a: IntArray,
+    b: IntArray,
+    first: IntArray,
+    height: FloatArray,
+    count: int,
+    apart: FloatArray,
+    kind: NDArray[np.uint8],
+    step: float,
+) -> tuple[IntArray, IntArray]:
+    """A strip's pairs of a node of one kind (1) and one of another (2) within a `step` [m]; see `pieces_in`."""
+    one, other, used = np.empty(len(a) + 1, INDEX), np.empty(len(a) + 1, INDEX), 0
+    for e in range(len(a)):
+        i, j = a[e], b[e]
+        turned = kind[i] == 2
+        one[used], other[used] = (j, i) if turned else (i, j)
+        used += int(kind[i] + kind[j] == 3) * int(abs(height[i] - height[j]) <= step)
+    return one[:used].copy(), other[:used].copy()
+
+
+@njit(cache=True, nogil=True)
 def joined_to(seeds: BoolArray, among: BoolArray, piece: IntArray, a: IntArray, b: IntArray) -> BoolArray:
     """The `seeds`, shape (k,), and the nodes `among` all that pairs (a, b) of both join to them, one after another.
 
@@ -201,19 +222,30 @@ def mark_nearest(a: IntArray, b: IntArray, mark: NDArray[np.int8]) -> None:
 
 
 @njit(cache=True, nogil=True)
-def plan_sums(cell: IntArray, ny: int, among: BoolArray, label: IntArray, labels: int) -> FloatArray:
-    """Sums of 1, x, y, x², y², xy of the cells of the nodes `among` all with each label, shape (labels, 6)."""
-    sums = np.zeros((labels, 6))
+def plan_sums(cell: IntArray, ny: int, among: BoolArray, label: IntArray) -> tuple[IntArray, FloatArray]:
+    """Sums of 1, x, y, x², y², xy of the cells of the nodes `among` all with each label.
+
+    Returns:
+        The labels of these nodes, sorted, shape (labels,), and the sums, shape (labels, 6).
+    """
+    number, used = np.full(label.max() + 1, -1), 0
     for i in range(len(cell)):
         if among[i]:
-            x, y, own = float(cell[i] // ny), float(cell[i] % ny), sums[label[i]]
+            number[label[i]] = 0
+    for k in range(len(number)):
+        if number[k] == 0:
+            number[k], used = used, used + 1
+    sums = np.zeros((used, 6))
+    for i in range(len(cell)):
+        if among[i]:
+            x, y, own = float(cell[i] // ny), float(cell[i] % ny), sums[number[label[i]]]
             own[0] += 1.0
             own[1] += x
             own[2] += y
             own[3] += x * x
             own[4] += y * y
             own[5] += x * y
-    return sums
+    return np.flatnonzero(number >= 0), sums
 
 
 def extents_in_plan(
@@ -221,14 +253,16 @@ def extents_in_plan(
 ) -> tuple[FloatArray, FloatArray]:
     """Length and depth of what the nodes `among` all with each label cover, along their principal axes [m].
 
-    A uniform strip of length L has variance L²/12; a cell more, because cells have a `width` [m].
+    A uniform strip of length L has variance L²/12; a cell more, because cells have a `width` [m]. What no node has is
+    as small as a cell.
     """
-    sums = plan_sums(cell, ny, among, label, int(label.max()) + 1)
-    x, y, xx, yy, xy = sums[:, 1:].T / np.maximum(sums[:, 0], 1.0)
+    labels, sums = plan_sums(cell, ny, among, label)
+    x, y, xx, yy, xy = sums[:, 1:].T / sums[:, 0]
     xx, yy, xy = xx - x**2, yy - y**2, xy - x * y
     middle, radius = 0.5 * (xx + yy), np.hypot(0.5 * (xx - yy), xy)
-    length = (np.sqrt(12.0 * (middle + radius)) + 1.0) * width
-    depth = (np.sqrt(12.0 * np.maximum(middle - radius, 0.0)) + 1.0) * width
+    length, depth = np.full((2, int(label.max()) + 1), width)
+    length[labels] = (np.sqrt(12.0 * (middle + radius)) + 1.0) * width
+    depth[labels] = (np.sqrt(12.0 * np.maximum(middle - radius, 0.0)) + 1.0) * width
     return length, depth
 
 
@@ -398,41 +432,40 @@ def grown_sheet(
     shape: tuple[int, int],
     height: FloatArray,
     keep: BoolArray,
-    nodes: IntArray,
+    sheet: BoolArray,
+    beside: IntArray,
     max_step: float,
     rings: int,
 ) -> BoolArray:
-    """`nodes`, and around them `rings` of kept nodes in cells that hold none yet, each within a step of the last ring.
+    """A `sheet`, and around it `rings` of kept nodes in cells that hold none yet, each within a step of the last ring.
 
-    In each cell the lowest node that can be reached is taken.
+    In each cell the lowest node that can be reached is taken; of the first ring these are among the nodes `beside`.
     """
-    inside, used = np.zeros(len(cell), np.bool_), np.zeros(shape[0] * shape[1], np.bool_)
-    for i in nodes:
-        inside[i] = True
-        used[cell[i]] = True
-    ring = nodes
-    for _ in range(rings):
-        found = np.full(len(ring) * 8, -1)
-        count = 0
-        for i in ring:
+    inside, used = sheet.copy(), np.zeros(shape[0] * shape[1], np.bool_)
+    for i in range(len(cell)):
+        used[cell[i]] |= sheet[i]
+    found = beside
+    for left in range(rings, 0, -1):
+        taken, count = np.sort(found), 0
+        ring = np.empty_like(taken)
+        for node in taken:
+            if not used[cell[node]]:
+                used[cell[node]], inside[node] = True, True
+                ring[count] = node
+                count += 1
+        found = np.empty(8 * count if left > 1 else 0, found.dtype)
+        size = 0
+        for i in ring[: count if left > 1 else 0]:
             for dx, dy in AROUND:
                 x, y = cell[i] // shape[1] + dx, cell[i] % shape[1] + dy
                 if not (0 <= x < shape[0] and 0 <= y < shape[1]) or used[x * shape[1] + y]:
                     continue
                 for j in range(start[x * shape[1] + y], start[x * shape[1] + y + 1]):
                     if keep[j] and abs(height[i] - height[j]) <= max_step:
-                        found[count] = j
-                        count += 1
+                        found[size] = j
+                        size += 1
                         break
-        taken = np.sort(found[:count])
-        count = 0
-        for node in taken:
-            if not used[cell[node]]:
-                used[cell[node]] = True
-                inside[node] = True
-                found[count] = node
-                count += 1
-        ring = found[:count].copy()
+        found = found[:size]
     return inside
 
 
@@ -443,26 +476,21 @@ def whole_around(
     shape: tuple[int, int],
     height: FloatArray,
     inside: BoolArray,
-    beyond: BoolArray,
+    beyond: tuple[IntArray, IntArray],
     max_step: float,
     rings: int,
 ) -> BoolArray:
-    """Which nodes `inside` a sheet have no end of it within `rings` of them: nodes `beyond` it a step beside.
+    """Which nodes `inside` a sheet have no end of it within `rings` of them: a node `beyond` it a step beside.
 
-    There is no end where the sheet has another node in that cell that is a step away, too.
+    The pairs are nodes inside and beyond. There is no end where the sheet has another node in that cell that is a step
+    away, too.
     """
     end = np.zeros(len(cell), np.bool_)
-    for i in np.flatnonzero(inside):
-        for dx, dy in AROUND:
-            x, y = cell[i] // shape[1] + dx, cell[i] % shape[1] + dy
-            if not (0 <= x < shape[0] and 0 <= y < shape[1]):
-                continue
-            kept, had = False, False
-            for j in range(start[x * shape[1] + y], start[x * shape[1] + y + 1]):
-                if abs(height[i] - height[j]) <= max_step:
-                    kept |= beyond[j]
-                    had |= inside[j]
-            end[i] |= kept and not had
+    for e in range(len(beyond[0])):
+        i, there, had = beyond[0][e], cell[beyond[1][e]], False
+        for j in range(start[there], start[there + 1]):
+            had |= inside[j] and abs(height[i] - height[j]) <= max_step
+        end[i] |= not had
     ring = np.flatnonzero(end)
     for _ in range(rings):
         found = np.full(len(ring) * 8, -1)

@@ -50,7 +50,10 @@ def split_sheets(near: Beside, config: PerceptionConfig) -> tuple[BoolArray, ...
     grid, rings = (layers.cell, layers.start, layers.shape, layers.height), int(np.ceil(OVERLAP / layers.cell_width))
 
     def grow(nodes: IntArray) -> BoolArray:
-        return grown_sheet(*grid, keep, nodes, config.max_step, rings)
+        sheet = np.zeros(count, dtype=bool)
+        sheet[nodes] = True
+        beside = near.across(sheet, keep & ~sheet, config.max_step)[1]
+        return grown_sheet(*grid, keep, sheet, beside, config.max_step, rings)
 
     grown = run_parallel(grow, [nodes for nodes in made if len(nodes) >= least])
     seams = run_parallel(grow, _seams(near, keep, grown, config, rings))
@@ -78,7 +81,8 @@ def _seams(
     left = keep.copy()
     for sheet in sheets:
         piece, deep = pieces(keep & ~sheet)
-        left &= ~whole_around(*grid, sheet, keep & ~sheet & deep[piece], config.max_step, rings // 2)
+        beyond = near.across(sheet, keep & ~sheet & deep[piece], config.max_step)
+        left &= ~whole_around(*grid, sheet, beyond, config.max_step, rings // 2)
     piece, deep = pieces(left)
     return [_first_of_each_cell(layers, np.flatnonzero(left & (piece == label))) for label in np.flatnonzero(deep)]
 

@@ -116,6 +116,17 @@ def test_pieces_and_the_pairs_beside_them_are_those_of_all_pairs(strips):
     assert together[ends[0]] == together[ends[1]]
 
 
+def test_pairs_across_are_those_of_one_kind_and_the_other_within_a_step(strips):
+    rng = np.random.default_rng(11)
+    one = rng.random(len(strips.cell)) < 0.4
+    other = ~one & (rng.random(len(one)) < 0.5)
+    near = {(i, j) for i, j, _ in pairs(strips) if abs(strips.height[i] - strips.height[j]) <= 0.25}
+    expected = {(i, j) for i, j in near if one[i] and other[j]}
+    found = list(zip(*beside(strips, 0.3).across(one, other, 0.25), strict=True))
+    assert set(found) == expected
+    assert len(found) == len(expected) > 50
+
+
 def test_a_change_of_columns_asks_only_the_strips_that_it_touches(strips):
     rng = np.random.default_rng(6)
     points = np.column_stack([rng.uniform(0.0, 9.0, 300), rng.uniform(0.0, 1.0, 300), rng.uniform(0.0, 2.0, 300)])
@@ -157,7 +168,8 @@ def test_sums_in_plan_and_heights_in_plan_are_those_of_numpy(layers):
     rng = np.random.default_rng(4)
     keep, label = rng.random(len(layers.cell)) < 0.5, rng.integers(0, 5, len(layers.cell))
     x, y = np.divmod(layers.cell, layers.shape[1])
-    sums = plan_sums(layers.cell, layers.shape[1], keep, label, 5)
+    labels, sums = plan_sums(layers.cell, layers.shape[1], keep, 7 * label)
+    np.testing.assert_array_equal(labels, 7 * np.arange(5))
     for k, values in enumerate((np.ones(len(x)), x, y, x * x, y * y, x * y)):
         np.testing.assert_array_equal(sums[:, k], np.bincount(label, values * keep, minlength=5))
     nodes = np.unique(layers.cell, return_index=True)[1]
@@ -249,11 +261,13 @@ def test_what_is_over_a_node_has_a_kept_one_below_it_in_its_cell(layers):
 
 def test_a_sheet_grows_by_its_rings_and_never_over_itself(layers):
     keep = np.ones(len(layers.cell), dtype=bool)
-    first = np.flatnonzero(layers.cell == layers.cell[len(layers.cell) // 2])[:1]
+    first = np.zeros(len(layers.cell), dtype=bool)
+    first[np.flatnonzero(layers.cell == layers.cell[len(layers.cell) // 2])[0]] = True
+    around = beside(layers, 0.3).across(first, ~first, 0.3)[1]
     grid = layers.cell, layers.start, layers.shape, layers.height
     sizes = []
     for rings in (0, 1, 3):
-        inside = np.flatnonzero(grown_sheet(*grid, keep, first, 0.3, rings))
+        inside = np.flatnonzero(grown_sheet(*grid, keep, first, around, 0.3, rings))
         x, y = np.divmod(layers.cell[inside], layers.shape[1])
         assert len(np.unique(layers.cell[inside])) == len(inside)
         assert max(np.ptp(x), np.ptp(y)) <= 2 * rings
