@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from gpdf_service.fields.threads import run_parallel
 from gpdf_service.perception.layers import APART, HALF, Layers, Pairs
-from gpdf_service.perception.nodes import across_in, degrees_in, numbered, pieces_in, put_in, unite_all
+from gpdf_service.perception.nodes import across_in, degrees_in, ends_in, numbered, pieces_in, put_in, unite_all
 from gpdf_service.perception.pairs import INDEX, pairs_beside
 from gpdf_service.types import BoolArray, FloatArray, IntArray
 
@@ -82,6 +82,11 @@ class Beside:
         found = self._ask(across_in, one + np.uint8(2) * other, step)
         a, b = (np.concatenate([part[side] + INDEX(begin) for begin, part in found]) for side in (0, 1))
         return a, b
+
+    def ends(self, keep: BoolArray, step: float) -> list[IntArray]:
+        """For each of the `HALF`, the nodes to keep that no node in that direction is within a `step` of [m]."""
+        found = self._ask(ends_in, keep.astype(np.uint8), step)
+        return [np.concatenate([part[k] + begin for begin, part in found]) for k in range(len(HALF))]
 
     def pieces(
         self,

@@ -172,6 +172,29 @@ def across_in(
 
 
 @njit(cache=True, nogil=True)
+def ends_in(
+    a: IntArray,
+    b: IntArray,
+    first: IntArray,
+    height: FloatArray,
+    count: int,
+    apart: FloatArray,
+    keep: NDArray[np.uint8],
+    step: float,
+) -> list[IntArray]:
+    """The nodes to keep that no node in the direction of each of a strip's offsets is within a `step` of [m].
+
+    See `pieces_in`; `keep` says nothing of the nodes beside.
+    """
+    goes_on, found = np.zeros((len(apart), count), np.bool_), [np.empty(0, np.int64) for _ in range(0)]
+    for k in range(len(apart)):
+        for e in range(first[k], first[k + 1]):
+            goes_on[k, a[e]] |= abs(height[a[e]] - height[b[e]]) <= step
+        found.append(np.flatnonzero((keep[:count] > 0) & ~goes_on[k]))
+    return found
+
+
+@njit(cache=True, nogil=True)
 def joined_to(seeds: BoolArray, among: BoolArray, piece: IntArray, a: IntArray, b: IntArray) -> BoolArray:
     """The `seeds`, shape (k,), and the nodes `among` all that pairs (a, b) of both join to them, one after another.
 

@@ -139,6 +139,8 @@ def _sort(values: FloatArray, begin: int, end: int) -> None:
 
 @njit(cache=True, nogil=True)
 def pairs_over_gaps(
+    nodes: IntArray,
+    cell: IntArray,
     start: IntArray,
     shape: tuple[int, int],
     height: FloatArray,
@@ -147,37 +149,31 @@ def pairs_over_gaps(
     offset: tuple[int, int],
     most: int,
 ) -> tuple[IntArray, IntArray, IntArray]:
-    """Pairs of kept nodes within `rise` [m] that a gap parts: up to `most` cells of which nothing was seen as low.
+    """Pairs of `nodes` and kept nodes within `rise` [m] that a gap parts.
 
-    The nose of a tread hides the back of the next one; a hole that one looks through into something is no gap. The
-    `offset` is that of neighbouring cells on the line.
+    A gap has up to `most` cells of which nothing was seen as low. The nose of a tread hides the back of the next one; a
+    hole that one looks through into something is no gap. The `offset` is that of neighbouring cells on the line.
 
     Returns:
         The pairs, and how many cells the gap between each has.
     """
     one, other, wide = [INDEX(0) for _ in range(0)], [INDEX(0) for _ in range(0)], [0 for _ in range(0)]
     (nx, ny), (dx, dy) = shape, offset
-    for x in range(max(0, -dx), min(nx, nx - dx)):
-        for y in range(max(0, -dy), min(ny, ny - dy)):
-            here, there = x * ny + y, (x + dx) * ny + y + dy
-            begin = start[there]
-            lowest = height[begin] if begin < start[there + 1] else np.inf
-            for a in range(start[here], start[here + 1]):
-                if not keep[a] or lowest <= height[a] + rise:
-                    continue
-                for far in range(2, most + 2):
-                    u, v = x + far * dx, y + far * dy
-                    if not (0 <= u < nx and 0 <= v < ny):
-                        break
-                    begin, end = start[u * ny + v], start[u * ny + v + 1]
-                    if begin == end or height[begin] > height[a] + rise:
-                        continue
-                    for b in range(begin, end):
-                        if keep[b] and abs(height[a] - height[b]) <= rise:
-                            one.append(INDEX(a))
-                            other.append(INDEX(b))
-                            wide.append(far - 1)
-                    break
+    for a in nodes:
+        x, y = cell[a] // ny, cell[a] % ny
+        for far in range(1, most + 2):
+            u, v = x + far * dx, y + far * dy
+            if not (0 <= u < nx and 0 <= v < ny):
+                break
+            begin, end = start[u * ny + v], start[u * ny + v + 1]
+            if begin == end or height[begin] > height[a] + rise:
+                continue
+            for b in range(begin, end if far > 1 else begin):
+                if keep[b] and abs(height[a] - height[b]) <= rise:
+                    one.append(INDEX(a))
+                    other.append(INDEX(b))
+                    wide.append(far - 1)
+            break
     return np.array(one, INDEX), np.array(other, INDEX), np.array(wide, np.int64)
 
 

@@ -12,7 +12,7 @@ from scipy.sparse import coo_array
 
 from gpdf_service.config import PerceptionConfig
 from gpdf_service.errors import NoGroundError
-from gpdf_service.fields.threads import run_beside, run_chunked, run_parallel
+from gpdf_service.fields.threads import run_beside, run_chunked
 from gpdf_service.perception.beside import Beside, beside, beside_now
 from gpdf_service.perception.boxes import window
 from gpdf_service.perception.bumps import Former, low_things, raised_over_sides
@@ -282,7 +282,7 @@ def find_ground(
     wide, patch = with_rims(core, keep, piece, *loose)
     (under, below), joins = run_beside(
         partial(_undersides, layers, surface & ~wide, wide, patch, loose, config),
-        partial(_joins, layers, config, wide, smooth == 8, patch, pairs_within(*steps, wide, True, patch)),
+        partial(_joins, near, config, wide, smooth == 8, patch, pairs_within(*steps, wide, True, patch)),
     )
     joins = joins.but(below, patch)
     plain = joins.beside()
@@ -319,16 +319,17 @@ def find_ground(
 
 
 def steps_over_gaps(
-    layers: Layers, keep: BoolArray, label: IntArray, config: PerceptionConfig
+    near: Beside, keep: BoolArray, label: IntArray, config: PerceptionConfig
 ) -> tuple[Pairs, FloatArray]:
     """Steps between kept nodes with another `label` each that a gap parts, and how wide it is [m].
 
     Less than a foot fits in; see `pairs_over_gaps`.
     """
-    own, reach = (layers.start, layers.shape, layers.height, keep, config.max_step), config.tread_depth
-    found = run_parallel(
-        lambda k: pairs_over_gaps(*own, HALF[k], int(reach / (APART[k] * layers.cell_width))), range(len(HALF))
-    )
+    layers, reach, step = near.layers, config.tread_depth, config.max_step
+    own, nodes = (layers.cell, layers.start, layers.shape, layers.height, keep, step), near.ends(keep, step)
+    found = [
+        pairs_over_gaps(nodes[k], *own, HALF[k], int(reach / (APART[k] * layers.cell_width))) for k in range(len(HALF))
+    ]
     a, b = (np.concatenate(ends) for ends in zip(*(pairs[:2] for pairs in found), strict=True))
     wide = np.concatenate([pairs[2] * APART[k] for k, pairs in enumerate(found)])
     other = label[a] != label[b]
@@ -489,7 +490,7 @@ class _Joins:
 
 
 def _joins(
-    layers: Layers,
+    near: Beside,
     config: PerceptionConfig,
     wide: BoolArray,
     inner: BoolArray,
@@ -497,7 +498,7 @@ def _joins(
     steps: Pairs,
 ) -> _Joins:
     """The steps between the patches, those over gaps last."""
-    gaps, hidden = steps_over_gaps(layers, wide, patch, config)
+    layers, (gaps, hidden) = near.layers, steps_over_gaps(near, wide, patch, config)
     standable, tread = _shapes(layers, wide, patch, gaps, hidden, config)
     start, members = by_cell(patch, len(standable))
     count = np.bincount(patch[wide], minlength=len(standable))

@@ -30,7 +30,7 @@ def split_sheets(near: Beside, config: PerceptionConfig) -> tuple[BoolArray, ...
     if (np.diff(layers.cell[keep]) > 0).all():
         return (keep,)
     smooth, _, steps = near.pieces(keep, layers.cell_width, None, keep, config.max_step)
-    over = steps_over_gaps(layers, keep, smooth, config)[0]
+    over = steps_over_gaps(near, keep, smooth, config)[0]
     a, b = (np.concatenate(ends) for ends in zip(pairs_within(*steps, keep, True, smooth), over, strict=True))
     sheet_of = np.full(count, -1)
     size = np.bincount(smooth, weights=keep)
