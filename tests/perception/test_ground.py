@@ -276,6 +276,17 @@ def test_a_storey_without_a_stair_is_ground_and_a_ceiling_is_not():
     assert share[2.5] == share[5.6] == 0.0
 
 
+def test_a_ceiling_that_is_larger_than_any_piece_of_the_floor_that_was_seen_is_no_ground():
+    rng = np.random.default_rng(3)
+    aisles = [np.column_stack([rng.uniform((0, y), (10, y + 1.2), (8000, 2)), np.zeros(8000)]) for y in (0, 2, 4, 6)]
+    shelves = [rng.uniform((0, y - 0.8, 0), (10, y, 2), (40_000, 3)) for y in (2, 4, 6)]
+    ceiling = np.column_stack([rng.uniform(0, (10, 7.2), (50_000, 2)), np.full(50_000, 3.2)])
+    points = np.concatenate([*aisles, *shelves, ceiling])
+    found = segment_ground(points)
+    assert found[points[:, 2] == 0.0].mean() > 0.95
+    assert not found[points[:, 2] > 1.0].any()
+
+
 def test_a_human_walks_up_to_the_next_storey_and_a_roomba_does_not():
     scene = build_scene(two_storeys(closed=False))
     assert scene.levels.portals
