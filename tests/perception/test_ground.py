@@ -217,6 +217,17 @@ def test_a_board_stops_only_bodies_that_reach_it():
     }
 
 
+@pytest.mark.parametrize(("lowest", "stops"), [(0.11, True), (0.25, False)])
+def test_what_may_go_down_to_the_floor_between_the_points_of_a_thin_scan_stops_a_low_body(lowest, stops):
+    rng = np.random.default_rng(0)
+    floor = np.column_stack([rng.uniform(0, 4, (2500, 2)), np.zeros(2500)])  # 8 cm between the points
+    post = np.column_stack([rng.normal(2, 0.02, (12, 2)), lowest + 0.08 * np.arange(12)])
+    space = build_scene(np.concatenate([floor, post])).free_space("roomba")
+    assert 0.1 < space.surfaces[0].cell_width < 0.2
+    distance, kind = space.clearance(0, np.array([[2.0, 2.0]]))
+    assert (distance[0] < 0.05 and kind[0] == ObstacleKind.MATERIAL) == stops
+
+
 def test_slope_of_a_ramp_is_its_angle_and_a_stair_is_flat():
     x = np.arange(60) * 0.05
     ramp = HeightMap(
