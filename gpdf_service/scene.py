@@ -278,11 +278,11 @@ class Scene:
         config = self.config.search, self.config.fields
         if (stored := self._stored.get(body)) is not None:
             return from_arrays(stored(), body, *parts, self.config.search, self.noise)
-        former = self._former.get(body)
+        former, hidden = self._former.get(body), self.hidden_height
         if former is not None:
             space, touched = former
-            return change_free_space(space, *parts, touched, *config, noise=self.noise)
-        return build_free_space(*parts, body, *config, noise=self.noise)
+            return change_free_space(space, *parts, touched, *config, noise=self.noise, hidden=hidden)
+        return build_free_space(*parts, body, *config, noise=self.noise, hidden=hidden)
 
     def _spaces_before(self, touched: Touched) -> dict[Agent, tuple[FreeSpace, Touched]]:
         """For each body the free space that the next version's is made from, and what was touched since."""

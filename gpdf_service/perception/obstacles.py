@@ -30,14 +30,16 @@ class Obstacles:
     kind: NDArray[np.uint8]
 
 
-def obstacles_of(level: GroundLevel, agent: Agent, noise: float = 0.0) -> Obstacles:
-    """What stops `agent` on `level`; `noise` is the standard deviation of the cloud [m].
+def obstacles_of(level: GroundLevel, agent: Agent, noise: float = 0.0, hidden: float = 0.0) -> Obstacles:
+    """What stops `agent` on `level` of a cloud with that `noise`, in which what is lower may be `hidden` [m].
 
     Material is an obstacle if a body that reaches it, standing on the highest ground within its radius, is as tall: the
     paper's d_g(x) ≤ h_r, made safe beside a platform. The face between two pieces of ground that are joined by a step
-    which the body takes is none. Limits of the ground are obstacles where they exceed the body's.
+    which the body takes is none. A face as wide as a cell shows a point in nearly every cell's width of its height (so
+    wide are they chosen); so material that begins no more than that over what may be hidden may go down to the ground,
+    and a body is at least as tall. Limits of the ground are obstacles where they exceed the body's.
     """
-    touched = _material(level, agent, noise)
+    touched = _material(level, agent, noise, hidden)
     limits = level.limits
     reach = np.array([0.0, agent.max_step, agent.max_slope, -np.inf])[limits.kind]
     stops = limits.value > reach
@@ -47,7 +49,7 @@ def obstacles_of(level: GroundLevel, agent: Agent, noise: float = 0.0) -> Obstac
     return Obstacles(points, kind)
 
 
-def _material(level: GroundLevel, agent: Agent, noise: float) -> BoolArray:
+def _material(level: GroundLevel, agent: Agent, noise: float, hidden: float) -> BoolArray:
     """Which of the other points of the level stop the `agent`, shape (m,); see `obstacles_of`."""
     surface, points = level.surface, level.other_points
     least = max(LEAST_OBSTACLE, _SURELY * noise)
@@ -55,7 +57,7 @@ def _material(level: GroundLevel, agent: Agent, noise: float) -> BoolArray:
     top = np.where(known, surface.height, -np.inf)
     bottom = np.where(known, surface.height, np.inf)
     disc = _disc(agent.cylinder.radius + surface.cell_width, surface)
-    tall = (1.0 - HEADROOM_SHARE) * agent.height + noise
+    tall = max((1.0 - HEADROOM_SHARE) * agent.height + noise, hidden + surface.cell_width)
     highest, lowest = run_parallel(lambda heights: highest_within(heights, disc), (top, -bottom))
     lowest, cell, z = -lowest, cells_within(points, surface), points[:, 2]
     stops = between(cell, z, under(lowest - least), under(highest + tall))

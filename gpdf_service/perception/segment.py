@@ -69,7 +69,8 @@ TABLE_OVER_SHARE = 0.05
 TABLE_AREA = 4.0
 """[m²] Furniture is no larger than a conference table for eight."""
 BULK_SHARE = 0.3
-"""Of the largest surface: what is smaller is furniture, a landing or a shelf, not the floor that one starts from."""
+"""Of the largest surface that has nothing below most of it (a ceiling has): what is smaller is furniture, a landing or
+a shelf, not the floor that one starts from."""
 ROOF_SHARE = 0.2
 """[-] Of a roof's rim that ground can touch, the rest being a drop: a terrace at one corner, a neighbour's wall."""
 COVERED_SHARE = 0.5
@@ -285,8 +286,9 @@ def find_ground(
         partial(_joins, near, config, wide, smooth == 8, patch, pairs_within(*steps, wide, True, patch)),
     )
     joins = joins.but(below, patch)
-    plain = joins.beside()
-    large = {int(i): joins.nodes_of(int(i)) for i in np.flatnonzero(joins.size >= BULK_SHARE * joins.size.max())}
+    plain, own = joins.beside(), np.where(_mostly(_over_others(layers), patch, wide), 0, joins.size)
+    least = BULK_SHARE * (own if own.any() else joins.size).max()
+    large = {int(i): joins.nodes_of(int(i)) for i in np.flatnonzero(joins.size >= least)}
     height = {i: float(np.median(layers.height[nodes])) for i, nodes in large.items()}
     bulk = min(large, key=height.__getitem__)
     storeys = [i for i, nodes in large.items() if i == bulk or _is_storey(layers, nodes, patch == bulk, config)]
@@ -525,7 +527,7 @@ def _undersides(
         Which of the `hidden` nodes are of undersides, shape (k,), and pairs of patches: the number of one that is an
         underside, times the count of all, plus that of one that lies on its slab.
     """
-    count, below = int(patch.max()) + 1, np.r_[False, layers.cell[1:] == layers.cell[:-1]]
+    count, below = int(patch.max()) + 1, _over_others(layers)
     rows = np.flatnonzero(hidden[:-1] & wide[1:] & below[1:])
     rows = rows[layers.height[rows + 1] - layers.height[rows] <= config.max_step]
     under = np.zeros(len(wide), dtype=bool)
@@ -547,6 +549,12 @@ def _undersides(
     )
     lower, upper = (lower @ upper.T).nonzero()
     return under, lower.astype(np.int64) * count + upper
+
+
+def _over_others(layers: Layers) -> BoolArray:
+    """Which nodes have anything below them, shape (k,)."""
+    over: BoolArray = np.r_[False, layers.cell[1:] == layers.cell[:-1]]
+    return over
 
 
 def _mostly(true: BoolArray, label: IntArray, among: BoolArray) -> BoolArray:

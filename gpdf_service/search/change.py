@@ -37,6 +37,7 @@ def change_free_space(
     field_config: FieldConfig,
     *,
     noise: float = 0.0,
+    hidden: float = 0.0,
 ) -> FreeSpace:
     """The free space that `build_free_space` makes, from the one before.
 
@@ -48,6 +49,7 @@ def change_free_space(
         config: Margins.
         field_config: Of the Obstacle GPDFs.
         noise: Of the cloud [m].
+        hidden: What may stand on its ground unseen [m].
     """
 
     def one(i: int) -> LevelSpace:
@@ -62,7 +64,7 @@ def change_free_space(
             old.quadtrees[i],
             old.edges[i],
         )
-        return was if cells is None else _change_level(was, level, cells, old, config, field_config, noise)
+        return was if cells is None else _change_level(was, level, cells, old, config, field_config, noise, hidden)
 
     made = run_parallel(one, range(len(touched)))
     return join_levels(old.agent, *reach_of(old.agent, config, noise), made, levels)
@@ -76,12 +78,13 @@ def _change_level(
     config: SearchConfig,
     field_config: FieldConfig,
     noise: float,
+    hidden: float,
 ) -> LevelSpace:
     surface, agent, radius = level.surface, old.agent, old.radius
     # What stands on the ground is judged by the ground within a radius, what shuts that off, and the ground there.
     reach = int(np.ceil(3.0 * agent.disc_radius / surface.cell_width)) + 6
     region = widened(touched, reach)
-    found = obstacles_of(_part(level, region, reach), agent, noise)
+    found = obstacles_of(_part(level, region, reach), agent, noise, hidden)
     inside, lost = (rows_in_cells(each.points, *_grid(surface), region) for each in (found, was.obstacles))
     both = np.concatenate([_rows(was.obstacles, lost), _rows(found, inside)])
     other = more_now(hashed(both), len(lost)) != 0

@@ -90,12 +90,16 @@ def build_free_space(
     field_config: FieldConfig,
     *,
     noise: float = 0.0,
+    hidden: float = 0.0,
 ) -> FreeSpace:
-    """Find what stops the body, fit its Obstacle GPDFs, build quadtrees and graph; `noise` is the cloud's [m]."""
+    """Find what stops the body, fit its Obstacle GPDFs, build quadtrees and graph.
+
+    `noise` is the cloud's, `hidden` what may stand on its ground unseen [m].
+    """
     reach, radius = reach_of(agent, config, noise)
 
     def one(level: GroundLevel, ground_field: Gpdf) -> LevelSpace:
-        obstacles = obstacles_of(level, agent, noise)
+        obstacles = obstacles_of(level, agent, noise, hidden)
         (tree, quadtree, edges), field = run_beside(
             partial(_leaves_and_edges, obstacles, level.surface, radius),
             partial(fit_obstacle_field, obstacles, level.surface, agent, config, field_config),

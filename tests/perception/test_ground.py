@@ -217,6 +217,17 @@ def test_a_board_stops_only_bodies_that_reach_it():
     }
 
 
+@pytest.mark.parametrize(("lowest", "stops"), [(0.11, True), (0.25, False)])
+def test_what_may_go_down_to_the_floor_between_the_points_of_a_thin_scan_stops_a_low_body(lowest, stops):
+    rng = np.random.default_rng(0)
+    floor = np.column_stack([rng.uniform(0, 4, (2500, 2)), np.zeros(2500)])  # 8 cm between the points
+    post = np.column_stack([rng.normal(2, 0.02, (12, 2)), lowest + 0.08 * np.arange(12)])
+    space = build_scene(np.concatenate([floor, post])).free_space("roomba")
+    assert 0.1 < space.surfaces[0].cell_width < 0.2
+    distance, kind = space.clearance(0, np.array([[2.0, 2.0]]))
+    assert (distance[0] < 0.05 and kind[0] == ObstacleKind.MATERIAL) == stops
+
+
 def test_slope_of_a_ramp_is_its_angle_and_a_stair_is_flat():
     x = np.arange(60) * 0.05
     ramp = HeightMap(
@@ -274,6 +285,17 @@ def test_a_storey_without_a_stair_is_ground_and_a_ceiling_is_not():
     assert share[0.0] > 0.98
     assert share[2.8] > 0.95
     assert share[2.5] == share[5.6] == 0.0
+
+
+def test_a_ceiling_that_is_larger_than_any_piece_of_the_floor_that_was_seen_is_no_ground():
+    rng = np.random.default_rng(3)
+    aisles = [np.column_stack([rng.uniform((0, y), (10, y + 1.2), (8000, 2)), np.zeros(8000)]) for y in (0, 2, 4, 6)]
+    shelves = [rng.uniform((0, y - 0.8, 0), (10, y, 2), (40_000, 3)) for y in (2, 4, 6)]
+    ceiling = np.column_stack([rng.uniform(0, (10, 7.2), (50_000, 2)), np.full(50_000, 3.2)])
+    points = np.concatenate([*aisles, *shelves, ceiling])
+    found = segment_ground(points)
+    assert found[points[:, 2] == 0.0].mean() > 0.95
+    assert not found[points[:, 2] > 1.0].any()
 
 
 def test_a_human_walks_up_to_the_next_storey_and_a_roomba_does_not():
