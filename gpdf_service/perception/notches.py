@@ -18,6 +18,8 @@ STEEPEST_FLIGHT = 1.3
 """[-] Rise over run of the steepest stair, 52°; what rises more between two pieces of ground is another storey."""
 NOTCH_DEPTH = 0.35
 """[m] How far a shadow is filled beside seen treads: less than half of the narrowest stair."""
+OPENING = 0.1
+"""[m] Between what is seen of a tread and the next one, at most, where what is below shows: a stair may be as open."""
 
 
 def fill_notches(
@@ -31,14 +33,15 @@ def fill_notches(
     """Fill what a shadow bites out of a flight: uphill and downhill there is ground, and the tread itself beside.
 
     The whole back of a tread is hidden by the nose of the next one: such a gap is the lower tread's, where a third
-    tread shows that they are a flight. So is a strip of a tread that was seen before and behind it, which is between
+    tread shows that they are a flight. Where it shows what is below, it must be no wider than a stair may be open, and
+    the tread go on at both of its ends. So is a strip of a tread that was seen before and behind it, which is between
     what that nose hides and what lies at a tripod's own foot, where the flight goes on up and down. On the level this
     is left to `_fill`: there the edge of a platform looks the same. A notch in a flight that lies across the grid at an
     angle stays as it was seen.
     """
-    open_ = (state == UNKNOWN) & ~void & (distance <= NOTCH_DEPTH)
+    open_ = (state == UNKNOWN) & (distance <= NOTCH_DEPTH)
     gap, span = int(config.tread_depth / cell_width), 2 * int(NOTCH_DEPTH / cell_width)
-    filled = _treads(height, open_, cell_width, _Flight(2.0 * cell_width, config.stair_step, gap, span))
+    filled = _treads(height, open_, void, cell_width, _Flight(2.0 * cell_width, config.stair_step, gap, span))
     explained = ~np.isnan(filled)
     height[explained] = filled[explained]
     state[explained] = INFERRED
@@ -61,7 +64,9 @@ class _Flight(NamedTuple):
 
 
 @njit(cache=True, nogil=True)
-def _treads(height: NDArray[np.float32], open_: BoolArray, cell_width: float, flight: _Flight) -> NDArray[np.float32]:
+def _treads(
+    height: NDArray[np.float32], open_: BoolArray, void: BoolArray, cell_width: float, flight: _Flight
+) -> NDArray[np.float32]:
     """Height of the tread of each `open_` cell that lies in a flight, NaN elsewhere."""
     (nx, ny), most, depth = height.shape, int(NOTCH_SPAN / cell_width) + 1, int(NOTCH_DEPTH / cell_width)
     filled, half = np.full((nx, ny), np.float32(np.nan), np.float32), np.float32(0.5) * np.float32(cell_width)
@@ -75,16 +80,18 @@ def _treads(height: NDArray[np.float32], open_: BoolArray, cell_width: float, fl
                 if steps == 0:
                     continue
                 low, high = min(ahead, behind), max(ahead, behind)
-                run, rise, narrow = steps * cell_width, float(high - low), steps <= flight.gap + 1
-                if narrow and rise <= 0.5 * cell_width and _climbs(height, x, y, dx, dy, on, back, flight):
-                    (left, a), (right, b) = [_next_known(height, x, y, way * dy, way * dx, most) for way in (-1, 1)]
-                    if a > 0 and b > 0 and max(abs(left - low), abs(right - low)) <= cell_width:
-                        filled[x, y] = low
+                run, rise = steps * cell_width, float(high - low)
+                left, _, right, off = _both_sides(height, x, y, dy, dx, most, 2 * most)
+                across = off > 0 and max(abs(left - low), abs(right - low)) <= cell_width
+                narrow = across and run <= OPENING if void[x, y] else steps <= flight.gap + 1
+                strip = across and narrow and rise <= 0.5 * cell_width and not void[x, y]
+                if strip and _climbs(height, x, y, dx, dy, on, back, flight):
+                    filled[x, y] = low
                 if run > NOTCH_SPAN or rise <= flight.least:
                     continue
                 for way in (-1, 1):
                     tread, beside = _next_known(height, x, y, way * dy, way * dx, depth)
-                    between = beside > 0 and tread > low + half and tread < high - half
+                    between = beside > 0 and tread > low + half and tread < high - half and not void[x, y]
                     if between and rise <= STEEPEST_FLIGHT * run and np.isnan(filled[x, y]):
                         filled[x, y] = tread
                 gap = narrow and rise <= flight.most and np.isnan(filled[x, y])
