@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
@@ -16,6 +18,8 @@ STEEPEST_FLIGHT = 1.3
 """[-] Rise over run of the steepest stair, 52°; what rises more between two pieces of ground is another storey."""
 NOTCH_DEPTH = 0.35
 """[m] How far a shadow is filled beside seen treads: less than half of the narrowest stair."""
+OPENING = 0.1
+"""[m] Between what is seen of a tread and the next one, at most, where what is below shows: a stair may be as open."""
 
 
 def fill_notches(
@@ -29,120 +33,108 @@ def fill_notches(
     """Fill what a shadow bites out of a flight: uphill and downhill there is ground, and the tread itself beside.
 
     The whole back of a tread is hidden by the nose of the next one: such a gap is the lower tread's, where a third
-    tread shows that they are a flight. So is a strip of a tread that was seen before and behind it, which is between
+    tread shows that they are a flight. Where it shows what is below, it must be no wider than a stair may be open, and
+    the tread go on at both of its ends. So is a strip of a tread that was seen before and behind it, which is between
     what that nose hides and what lies at a tripod's own foot, where the flight goes on up and down. On the level this
     is left to `_fill`: there the edge of a platform looks the same. A notch in a flight that lies across the grid at an
     angle stays as it was seen.
     """
-    open_ = (state == UNKNOWN) & ~void & (distance <= NOTCH_DEPTH)
-    filled = _treads(height, open_, np.float32(cell_width), cell_width, config.tread_depth, config.stair_step)
+    open_ = (state == UNKNOWN) & (distance <= NOTCH_DEPTH)
+    gap, span = int(config.tread_depth / cell_width), 2 * int(NOTCH_DEPTH / cell_width)
+    filled = _treads(height, open_, void, cell_width, _Flight(2.0 * cell_width, config.stair_step, gap, span))
     explained = ~np.isnan(filled)
     height[explained] = filled[explained]
     state[explained] = INFERRED
 
 
+class _Flight(NamedTuple):
+    """What a flight is, on a line of cells.
+
+    Attributes:
+        least: Lowest step from tread to tread [m].
+        most: Highest [m].
+        gap: Most cells in a row of a tread that are unknown.
+        span: Cells within which the next step comes.
+    """
+
+    least: float
+    most: float
+    gap: int
+    span: int
+
+
 @njit(cache=True, nogil=True)
 def _treads(
-    height: NDArray[np.float32],
-    open_: BoolArray,
-    rounded: np.float32,
-    cell_width: float,
-    tread_depth: float,
-    stair_step: float,
+    height: NDArray[np.float32], open_: BoolArray, void: BoolArray, cell_width: float, flight: _Flight
 ) -> NDArray[np.float32]:
-    """Height of the tread of each `open_` cell that lies in a flight, NaN elsewhere.
-
-    `rounded` is the width of a cell as heights are kept.
-    """
-    (nx, ny), most, least = height.shape, int(NOTCH_SPAN / cell_width) + 1, 2.0 * cell_width
-    depth, foot = int(NOTCH_DEPTH / cell_width), int(tread_depth / cell_width)
-    filled = np.full((nx, ny), np.float32(np.nan), np.float32)
+    """Height of the tread of each `open_` cell that lies in a flight, NaN elsewhere."""
+    (nx, ny), most, depth = height.shape, int(NOTCH_SPAN / cell_width) + 1, int(NOTCH_DEPTH / cell_width)
+    filled, half = np.full((nx, ny), np.float32(np.nan), np.float32), np.float32(0.5) * np.float32(cell_width)
     for x in range(nx):
         for y in range(ny):
-            if not open_[x, y]:
-                continue
             for dx, dy in ((1, 0), (0, 1)):
-                low, high, steps = _both_sides(height, x, y, dx, dy, most, most)
+                if not (open_[x, y] and np.isnan(filled[x, y])):
+                    break
+                ahead, on, behind, back = _both_sides(height, x, y, dx, dy, most, most)
+                steps = on + back
+                if steps == 0:
+                    continue
+                low, high = min(ahead, behind), max(ahead, behind)
                 run, rise = steps * cell_width, float(high - low)
-                strip = _strip(height, x, y, dx, dy, 0.5 * cell_width, least, stair_step, foot, 2 * depth)
-                if np.isnan(filled[x, y]) and not np.isnan(strip):
-                    (left, a), (right, b) = [_next_known(height, x, y, way * dy, way * dx, most) for way in (-1, 1)]
-                    if a > 0 and b > 0 and max(abs(left - strip), abs(right - strip)) <= cell_width:
-                        filled[x, y] = strip
-                if not (0.0 < run <= NOTCH_SPAN and rise > least):
+                left, _, right, off = _both_sides(height, x, y, dy, dx, most, 2 * most)
+                across = off > 0 and max(abs(left - low), abs(right - low)) <= cell_width
+                narrow = across and run <= OPENING if void[x, y] else steps <= flight.gap + 1
+                strip = across and narrow and rise <= 0.5 * cell_width and not void[x, y]
+                if strip and _climbs(height, x, y, dx, dy, on, back, flight):
+                    filled[x, y] = low
+                if run > NOTCH_SPAN or rise <= flight.least:
                     continue
                 for way in (-1, 1):
                     tread, beside = _next_known(height, x, y, way * dy, way * dx, depth)
-                    between = tread > low + np.float32(0.5) * rounded and tread < high - np.float32(0.5) * rounded
-                    explained = beside > 0 and between and rise <= STEEPEST_FLIGHT * run
-                    if explained and np.isnan(filled[x, y]):
+                    between = beside > 0 and tread > low + half and tread < high - half and not void[x, y]
+                    if between and rise <= STEEPEST_FLIGHT * run and np.isnan(filled[x, y]):
                         filled[x, y] = tread
-                gap = np.isnan(filled[x, y]) and steps <= foot + 1 and rise <= stair_step
-                if gap and _goes_on(height, x, y, dx, dy, least, stair_step, foot, 2 * depth):
+                gap = narrow and rise <= flight.most and np.isnan(filled[x, y])
+                if gap and _goes_on(height, x, y, dx, dy, on, back, flight):
                     filled[x, y] = low
     return filled
 
 
 @njit(cache=True, nogil=True)
 def _goes_on(
-    height: NDArray[np.float32], x: int, y: int, dx: int, dy: int, least: float, most: float, gap: int, span: int
+    height: NDArray[np.float32], x: int, y: int, dx: int, dy: int, on: int, back: int, flight: _Flight
 ) -> bool:
-    """Whether beyond one of the two treads beside (x, y) on a line there is a third, one step further on.
+    """Whether beyond one of the two treads on a line, `on` cells before (x, y) and `back` behind it, there is a third.
 
-    A step is from `least` to `most` [m] high. No more than `gap` cells in a row are unknown, of a `span` of them.
+    That is one step further on.
     """
-    for way in (-1, 1):
-        here, _ = _next_known(height, x, y, way * dx, way * dy, gap)
-        there, _ = _next_known(height, x, y, -way * dx, -way * dy, gap)
-        rise = _next_step(height, x, y, way * dx, way * dy, least, gap, span)
-        if 0.0 < (rise if here > there else -rise) <= most:
-            return True
-    return False
+    up = 1.0 if height[x + on * dx, y + on * dy] > height[x - back * dx, y - back * dy] else -1.0
+    ahead = _next_step(height, x, y, dx, dy, on, flight)
+    behind = _next_step(height, x, y, -dx, -dy, back, flight)
+    return 0.0 < up * ahead <= flight.most or 0.0 < -up * behind <= flight.most
 
 
 @njit(cache=True, nogil=True)
-def _strip(
-    height: NDArray[np.float32],
-    x: int,
-    y: int,
-    dx: int,
-    dy: int,
-    same: float,
-    least: float,
-    most: float,
-    gap: int,
-    span: int,
-) -> np.float32:
-    """Height of the tread on both sides of (x, y) on a line, if the next step is up on one and down on the other.
-
-    NaN if not. Heights that differ by `same` at most are one; a step is from `least` to `most` [m] high. No more than
-    `gap` cells in a row are unknown, of a `span` of them.
-    """
-    low, high, steps = _both_sides(height, x, y, dx, dy, gap, gap + 1)
-    if steps == 0 or high - low > same:
-        return np.float32(np.nan)
-    ahead = _next_step(height, x, y, dx, dy, least, gap, span)
-    behind = _next_step(height, x, y, -dx, -dy, least, gap, span)
-    climbs = ahead * behind < 0.0 and max(abs(ahead), abs(behind)) <= most
-    return low if climbs else np.float32(np.nan)
+def _climbs(height: NDArray[np.float32], x: int, y: int, dx: int, dy: int, on: int, back: int, flight: _Flight) -> bool:
+    """Whether from a tread, known `on` cells before (x, y) and `back` behind it, a step is up on one side, one down."""
+    ahead = _next_step(height, x, y, dx, dy, on, flight)
+    behind = _next_step(height, x, y, -dx, -dy, back, flight)
+    return ahead * behind < 0.0 and max(abs(ahead), abs(behind)) <= flight.most
 
 
 @njit(cache=True, nogil=True)
-def _next_step(
-    height: NDArray[np.float32], x: int, y: int, dx: int, dy: int, least: float, gap: int, span: int
-) -> float:
-    """How far up the first step from the next known cell on is [m], on a line from (x, y); 0 where there is none."""
-    here, first = _next_known(height, x, y, dx, dy, gap)
-    unknown = 0
-    for step in range(first, span if first > 0 else 0):
+def _next_step(height: NDArray[np.float32], x: int, y: int, dx: int, dy: int, first: int, flight: _Flight) -> float:
+    """How far up the next step is from the cell `first` cells from (x, y) on a line [m]; 0 where there is none."""
+    here, unknown = height[x + first * dx, y + first * dy], 0
+    for step in range(first, flight.span):
         u, v = x + step * dx, y + step * dy
-        if not (0 <= u < height.shape[0] and 0 <= v < height.shape[1]) or unknown > gap:
+        if not (0 <= u < height.shape[0] and 0 <= v < height.shape[1]) or unknown > flight.gap:
             break
         if np.isnan(height[u, v]):
             unknown += 1
             continue
         rise, unknown = float(height[u, v] - here), 0
-        if abs(rise) > least:
+        if abs(rise) > flight.least:
             return rise
     return 0.0
 
@@ -166,22 +158,22 @@ def _between_treads(
     for k in range(len(asked)):
         x, y = asked[k]
         for dx, dy in ((1, 0), (0, 1), (1, 1), (1, -1)):
-            low, high, steps = _both_sides(height, x, y, dx, dy, most, 2 * most)
-            run = steps * cell_width * np.hypot(dx, dy)
-            found[x, y] |= steps > 0 and high - low <= max(stair_step, STEEPEST_FLIGHT * run)
+            ahead, on, behind, back = _both_sides(height, x, y, dx, dy, most, 2 * most)
+            run = (on + back) * cell_width * np.hypot(dx, dy)
+            found[x, y] |= run > 0.0 and abs(ahead - behind) <= max(stair_step, STEEPEST_FLIGHT * run)
 
 
 @njit(cache=True, nogil=True)
 def _both_sides(
     height: NDArray[np.float32], x: int, y: int, dx: int, dy: int, most: int, span: int
-) -> tuple[np.float32, np.float32, int]:
-    """Heights of the next known cells before and behind (x, y) on a line, the lower first, and the steps between them.
+) -> tuple[np.float32, int, np.float32, int]:
+    """Heights of the next known cells before and behind (x, y) on a line, and how many cells away each is.
 
-    There are 0 steps where one of the two is more than `most` away, or both more than a `span` apart.
+    They are 0 away where one of the two is more than `most` away, or both more than a `span` apart.
     """
     ahead, on = _next_known(height, x, y, dx, dy, most)
     behind, back = _next_known(height, x, y, -dx, -dy, min(most, span - on)) if on > 0 else (ahead, 0)
-    return min(ahead, behind), max(ahead, behind), on + back if back > 0 else 0
+    return ahead, on if back > 0 else 0, behind, back
 
 
 @njit(cache=True, nogil=True)

@@ -269,7 +269,8 @@ def find_ground(
     That has other nodes in some columns, shape (nx, ny).
 
     Patches are sets of nodes joined by walkable slopes. From the bulk, the ground grows patch by patch over steps that
-    a body takes, to patches that a foot fits on and that do not lie, as a bench does, over ground already found.
+    a body takes, to patches that a foot fits on and that do not lie, as a bench does, over ground already found. What a
+    patch is to a step, and whether a body stands on it, its parts say: it may be a flight.
     """
     surface = layers.thickness <= config.max_step + SPREAD * noise  # with the face of a step in it, too
     rise = layers.cell_width * float(np.tan(config.steepest))
@@ -281,9 +282,11 @@ def find_ground(
     keep = surface & (layers.headroom >= config.step_headroom)
     piece, loose, steps = near.pieces(core & keep, rise, surface, keep, config.max_step)
     wide, patch = with_rims(core, keep, piece, *loose)
+    gentle = near.degrees(surface, layers.cell_width * float(np.tan(config.standable_slope))) >= 5
+    parts = _parts(near, core & ((smooth > 5) | gentle), wide, rise)
     (under, below), joins = run_beside(
         partial(_undersides, layers, surface & ~wide, wide, patch, loose, config),
-        partial(_joins, near, config, wide, smooth == 8, patch, pairs_within(*steps, wide, True, patch)),
+        partial(_joins, near, config, wide, smooth == 8, patch, parts, steps),
     )
     joins = joins.but(below, patch)
     plain, own = joins.beside(), np.where(_mostly(_over_others(layers), patch, wide), 0, joins.size)
@@ -491,24 +494,37 @@ class _Joins:
         return replace(self, a=self.a[good], b=self.b[good], to=self.to[good], over=self.over[good])
 
 
+def _parts(near: Beside, firm: BoolArray, wide: BoolArray, rise: float) -> tuple[BoolArray, IntArray]:
+    """Parts of the patches that `firm` nodes join: which of the `wide` nodes are in one, and in which.
+
+    A strip two cells wide that is steeper than a body stands on is not firm: it is no way from tread to tread, but the
+    board along a flight's side, which makes one patch of the treads.
+    """
+    piece, rims, _ = near.pieces(firm & wide, rise, wide)
+    return with_rims(firm, wide, piece, *rims)
+
+
 def _joins(
     near: Beside,
     config: PerceptionConfig,
     wide: BoolArray,
     inner: BoolArray,
     patch: IntArray,
+    parts: tuple[BoolArray, IntArray],
     steps: Pairs,
 ) -> _Joins:
-    """The steps between the patches, those over gaps last."""
-    layers, (gaps, hidden) = near.layers, steps_over_gaps(near, wide, patch, config)
-    standable, tread = _shapes(layers, wide, patch, gaps, hidden, config)
+    """The steps between the patches, those over gaps last, from part to part of them."""
+    layers, (firm, part) = near.layers, parts
+    steps = pairs_within(*steps, firm, True, patch)
+    gaps, hidden = steps_over_gaps(near, firm, patch, config)
+    standable, tread = _shapes(layers, wide, patch, parts, gaps, hidden, config)
     start, members = by_cell(patch, len(standable))
     count = np.bincount(patch[wide], minlength=len(standable))
     small = count * layers.cell_width**2 <= TABLE_AREA
     level: FloatArray = np.bincount(patch, layers.height, len(count)).astype(np.float64)
     a, b = np.concatenate([*steps, *gaps]), np.concatenate([*steps[::-1], *gaps[::-1]])
     over = np.arange(len(a)) >= 2 * len(steps[0])
-    rise = np.abs(layers.height[a] - _level_of_furniture(layers, small, start, members, patch, b))
+    rise = np.abs(layers.height[a] - _level_of_furniture(layers, small[patch], part, b))
     allowed = np.where(standable[patch[b]], config.max_step, np.where(tread[patch[b]], config.stair_step, -1.0))
     join = rise <= allowed
     a, b, mean = a[join], b[join], level / np.maximum(count, 1)
@@ -602,17 +618,15 @@ def _spread(
     return ground & ~over_ground(layers, ground, headroom)
 
 
-def _level_of_furniture(
-    layers: Layers, small: BoolArray, start: IntArray, members: IntArray, patch: IntArray, nodes: IntArray
-) -> FloatArray:
-    """Height that counts for a step onto each of the `nodes`: of a `small` patch its median, else its own.
+def _level_of_furniture(layers: Layers, small: BoolArray, part: IntArray, nodes: IntArray) -> FloatArray:
+    """Height that counts for a step onto each of the `nodes`: of a `small` patch its part's median, else its own.
 
     A sofa's low front edge must not make its back a platform.
     """
-    asked = np.zeros(len(small), dtype=bool)
-    asked[patch[nodes]] = True
-    level = medians_of(layers.height, start, members, asked & small)[patch[nodes]]
-    return np.where(np.isnan(level), layers.height[nodes], level)
+    asked = np.zeros(int(part.max()) + 1, dtype=bool)
+    asked[part[nodes[small[nodes]]]] = True
+    level = medians_of(layers.height, *by_cell(part, len(asked)), asked)[part[nodes]]
+    return np.where(small[nodes], level, layers.height[nodes])
 
 
 def _without_dead_ends(
@@ -644,18 +658,27 @@ def _without_dead_ends(
 
 
 def _shapes(
-    layers: Layers, wide: BoolArray, patch: IntArray, gaps: Pairs, hidden: FloatArray, config: PerceptionConfig
+    layers: Layers,
+    wide: BoolArray,
+    patch: IntArray,
+    parts: tuple[BoolArray, IntArray],
+    gaps: Pairs,
+    hidden: FloatArray,
+    config: PerceptionConfig,
 ) -> tuple[BoolArray, BoolArray]:
-    """Which patches a body stands on, and which are as large as a stair's tread, by their principal extents.
+    """Patches with a part that a body stands on, and those as large as a stair's tread, by their principal extents.
 
     What is `hidden` of a tread, the width of the gap under a higher one [m], is a part of it.
     """
-    length, depth = extents_in_plan(layers.cell, layers.shape[1], wide, patch, layers.cell_width)
+    ny, (firm, part) = layers.shape[1], parts
+    length, depth = extents_in_plan(layers.cell, ny, wide, patch, layers.cell_width)
     a, b = gaps
-    behind = np.zeros(len(depth))
+    behind, standable = np.zeros(len(depth)), np.zeros(len(depth), dtype=bool)
     np.maximum.at(behind, patch[np.where(layers.height[a] < layers.height[b], a, b)], hidden)
     treads = (length >= config.tread_length) & (depth + behind >= config.tread_depth)
-    return depth >= config.standing_width, treads
+    deep = extents_in_plan(layers.cell, ny, firm, part, layers.cell_width)[1] >= config.standing_width
+    standable[patch[firm & deep[part]]] = True
+    return standable, treads
 
 
 def over_ground(layers: Layers, ground: BoolArray, headroom: float) -> BoolArray:

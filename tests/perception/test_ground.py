@@ -499,10 +499,11 @@ def test_a_hole_in_the_scan_of_a_floor_below_another_that_a_ramp_joins_is_filled
     assert plan(scene, (3.0, 4.0, 0.0), (5.0, 4.0, 2.9)).status is Status.OK  # over the ramp
 
 
-def open_flight():
+def open_flight(board=0.0):
     """A floor under a slab 2.88 m higher, and an open flight of 15 treads, 5 cm thick, from one to the other.
 
     The floor below it, and the treads' undersides, were seen; the slab begins over the second tread.
+    An inclined `board` so wide stands over one end of the treads, and hides it.
     """
     rng = np.random.default_rng(0)
 
@@ -514,13 +515,16 @@ def open_flight():
     for low, high in (((0, 0), (2.4, 5)), ((2.4, 0), (5.9, 1)), ((2.4, 3), (5.9, 5))):
         parts += [face(low, high, 2.88), face(low, high, 2.63)]
     for i in range(15):
-        low, high = (2.0 + 0.26 * i, 1.5), (2.0 + 0.26 * (i + 1) + 0.02, 2.5)
+        low, high = (2.0 + 0.26 * i, 1.5 + board), (2.0 + 0.26 * (i + 1) + 0.02, 2.5)
         parts += [face(low, high, 0.18 * (i + 1)), face(low, high, 0.18 * (i + 1) - 0.05)]
+    side = face((2.1, 1.5), (5.9, 1.5 + board), 0.0)
+    parts.append(side + np.outer(0.18 / 0.26 * (side[:, 0] - 1.92), [0, 0, 1]))
     return np.concatenate(parts)
 
 
-def test_a_flight_of_open_treads_under_its_own_upper_floor_is_climbed_but_not_beside_its_open_side():
-    scene = build_scene(open_flight())
+@pytest.mark.parametrize("board", [0.0, 0.09])
+def test_a_flight_of_open_treads_under_its_own_upper_floor_is_climbed_but_not_beside_its_open_side(board):
+    scene = build_scene(open_flight(board))
     up = plan(scene, (1.0, 2.0, 0.0), (7.0, 2.0, 2.88), "human")
     assert up.status is Status.OK, up.message
     assert plan(scene, (7.0, 2.0, 2.88), (1.0, 2.0, 0.0), "human").status is Status.OK

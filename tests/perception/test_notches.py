@@ -57,3 +57,16 @@ def test_a_strip_that_is_in_no_flight_or_was_seen_through_stays_unknown(change):
     if change == "landing":  # up behind it, level before it
         height[: 2 * DEPTH, :21] = 2 * RISE
     assert (filled(height, void)[1][STRIP, 8:13] == UNKNOWN).all()
+
+
+@pytest.mark.parametrize(("cells", "end", "fills"), [(1, 13, True), (2, 13, False), (1, 21, False)])
+def test_the_back_of_an_open_tread_is_inferred_where_it_is_as_narrow_as_openings_and_seen_at_both_ends(
+    cells, end, fills
+):
+    height = flight()
+    back = slice(3 * DEPTH - cells, 3 * DEPTH)
+    height[back, 8:end] = np.nan
+    made, state = filled(height, np.isnan(height))
+    assert (state[back, 8:end] == (INFERRED if fills else UNKNOWN)).all()
+    if fills:
+        np.testing.assert_allclose(made[back, 8:end], 2 * RISE, atol=1e-6)
