@@ -19,18 +19,19 @@ from gpdf_service.types import FloatArray
 SPACING = 0.04
 """[m] Between the points of the hall, as of a large scan that was thinned; in tiles they are four times as near."""
 FURNITURE = 3000
-"""Points of one piece at that spacing: as many points are furniture as floor."""
+"""Points of one piece at that spacing, about: as many points are furniture as floor."""
 TILE = 1_000_000
 """Points of one file."""
 
 
 def hall(count: int, spacing: float, rng: np.random.Generator) -> Iterator[FloatArray]:
     """Parts of a hall of about `count` points: floor, and boxes of 1 m that stand about, with 2 mm of noise."""
-    side, each = float(np.sqrt(0.5 * count)) * spacing, round(FURNITURE * (SPACING / spacing) ** 2)
+    side, dense = float(np.sqrt(0.5 * count)) * spacing, round(FURNITURE * (SPACING / spacing) ** 2)
     for begin in range(0, count, TILE):
         half = min(TILE, count - begin) // 2
         floor = np.column_stack([rng.uniform(0.0, side, (half, 2)), np.zeros(half)])
-        pieces = max(1, half // each)
+        pieces = max(1, half // dense)
+        each = half // pieces
         box = rng.uniform(0.0, 1.0, (pieces, each, 3)) * np.array([1.0, 0.6, 1.2])
         face = rng.integers(0, 4, (pieces, each))
         for value, axis, place in ((0, 0, 0.0), (1, 1, 0.0), (2, 2, 1.2), (3, 0, 1.0)):
