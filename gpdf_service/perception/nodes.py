@@ -467,29 +467,43 @@ def grown_sheet(
     inside, used = sheet.copy(), np.zeros(shape[0] * shape[1], np.bool_)
     for i in range(len(cell)):
         used[cell[i]] |= sheet[i]
-    found = beside
-    for left in range(rings, 0, -1):
-        taken, count = np.sort(found), 0
-        ring = np.empty_like(taken)
-        for node in taken:
+    found = beside.astype(np.int64)
+    for k in range(rings):
+        ring, count = np.sort(found), 0
+        for node in ring:
             if not used[cell[node]]:
                 used[cell[node]], inside[node] = True, True
                 ring[count] = node
                 count += 1
-        found = np.empty(8 * count if left > 1 else 0, found.dtype)
-        size = 0
-        for i in ring[: count if left > 1 else 0]:
-            for dx, dy in AROUND:
-                x, y = cell[i] // shape[1] + dx, cell[i] % shape[1] + dy
-                if not (0 <= x < shape[0] and 0 <= y < shape[1]) or used[x * shape[1] + y]:
-                    continue
-                for j in range(start[x * shape[1] + y], start[x * shape[1] + y + 1]):
-                    if keep[j] and abs(height[i] - height[j]) <= max_step:
-                        found[size] = j
-                        size += 1
-                        break
-        found = found[:size]
+        if k + 1 < rings:
+            found = _around_ring(cell, start, shape, height, keep, used, ring[:count], max_step)
     return inside
+
+
+@njit(cache=True, nogil=True)
+def _around_ring(
+    cell: IntArray,
+    start: IntArray,
+    shape: tuple[int, int],
+    height: FloatArray,
+    keep: BoolArray,
+    used: BoolArray,
+    ring: IntArray,
+    max_step: float,
+) -> IntArray:
+    """For each node of a ring the lowest kept one within a step in each cell around it that is not `used` yet."""
+    found, count = np.empty(8 * len(ring), np.int64), 0
+    for i in ring:
+        for dx, dy in AROUND:
+            x, y = cell[i] // shape[1] + dx, cell[i] % shape[1] + dy
+            if not (0 <= x < shape[0] and 0 <= y < shape[1]) or used[x * shape[1] + y]:
+                continue
+            for j in range(start[x * shape[1] + y], start[x * shape[1] + y + 1]):
+                if keep[j] and abs(height[i] - height[j]) <= max_step:
+                    found[count] = j
+                    count += 1
+                    break
+    return found[:count]
 
 
 @njit(cache=True, nogil=True)

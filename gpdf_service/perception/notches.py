@@ -81,12 +81,13 @@ def _treads(
                     continue
                 low, high = min(ahead, behind), max(ahead, behind)
                 run, rise = steps * cell_width, float(high - low)
-                left, _, right, off = _both_sides(height, x, y, dy, dx, most, 2 * most)
-                across = off > 0 and max(abs(left - low), abs(right - low)) <= cell_width
-                narrow = across and run <= OPENING if void[x, y] else steps <= flight.gap + 1
-                strip = across and narrow and rise <= 0.5 * cell_width and not void[x, y]
-                if strip and _climbs(height, x, y, dx, dy, on, back, flight):
-                    filled[x, y] = low
+                narrow = run <= OPENING if void[x, y] else steps <= flight.gap + 1
+                if narrow and (void[x, y] or rise <= 0.5 * cell_width):
+                    left, _, right, off = _both_sides(height, x, y, dy, dx, most, 2 * most)
+                    across = off > 0 and bool(max(abs(left - low), abs(right - low)) <= cell_width)
+                    if across and not void[x, y] and _climbs(height, x, y, dx, dy, on, back, flight):
+                        filled[x, y] = low
+                    narrow = across or not void[x, y]
                 if run > NOTCH_SPAN or rise <= flight.least:
                     continue
                 for way in (-1, 1):

@@ -284,12 +284,14 @@ def find_ground(
     wide, patch = with_rims(core, keep, piece, *loose)
     gentle = near.degrees(surface, layers.cell_width * float(np.tan(config.standable_slope))) >= 5
     parts = _parts(near, core & ((smooth > 5) | gentle), wide, rise)
+    over = np.r_[False, layers.cell[1:] == layers.cell[:-1]]
+    aloft = _mostly(over, patch, wide)
     (under, below), joins = run_beside(
-        partial(_undersides, layers, surface & ~wide, wide, patch, loose, config),
+        partial(_undersides, layers, surface & ~wide, wide, patch, over, aloft, loose, config),
         partial(_joins, near, config, wide, smooth == 8, patch, parts, steps),
     )
     joins = joins.but(below, patch)
-    plain, own = joins.beside(), np.where(_mostly(_over_others(layers), patch, wide), 0, joins.size)
+    plain, own = joins.beside(), np.where(aloft, 0, joins.size)
     least = BULK_SHARE * (own if own.any() else joins.size).max()
     large = {int(i): joins.nodes_of(int(i)) for i in np.flatnonzero(joins.size >= least)}
     height = {i: float(np.median(layers.height[nodes])) for i, nodes in large.items()}
@@ -532,19 +534,27 @@ def _joins(
 
 
 def _undersides(
-    layers: Layers, hidden: BoolArray, wide: BoolArray, patch: IntArray, smooth: Pairs, config: PerceptionConfig
+    layers: Layers,
+    hidden: BoolArray,
+    wide: BoolArray,
+    patch: IntArray,
+    over: BoolArray,
+    aloft: BoolArray,
+    smooth: Pairs,
+    config: PerceptionConfig,
 ) -> tuple[BoolArray, IntArray]:
     """Where slabs are seen from below, and which patches are that, seen through a hole in the scan of a slab's top.
 
     An underside is the next below nodes of patches, by no more than a step, as wide as a body (a stair's tread goes
-    on beneath the next one by its nosing alone), and most of it has something below it: the floor has not.
+    on beneath the next one by its nosing alone), and most of it has something below it: the floor has not. Nodes that
+    have are `over` it, and patches of which most nodes are, `aloft`.
 
     Returns:
         Which of the `hidden` nodes are of undersides, shape (k,), and pairs of patches: the number of one that is an
         underside, times the count of all, plus that of one that lies on its slab.
     """
-    count, below = int(patch.max()) + 1, _over_others(layers)
-    rows = np.flatnonzero(hidden[:-1] & wide[1:] & below[1:])
+    count = int(patch.max()) + 1
+    rows = np.flatnonzero(hidden[:-1] & wide[1:] & over[1:])
     rows = rows[layers.height[rows + 1] - layers.height[rows] <= config.max_step]
     under = np.zeros(len(wide), dtype=bool)
     under[rows] = True
@@ -552,25 +562,19 @@ def _undersides(
     part = np.full(len(wide), len(rows))
     part[rows] = np.unique(components(a, b, under)[rows], return_inverse=True)[1]
     depth = extents_in_plan(layers.cell, layers.shape[1], under, part, layers.cell_width)[1]
-    slab = (depth >= config.standing_width)[part[rows]] & _mostly(below, part, under)[part[rows]]
+    slab = (depth >= config.standing_width)[part[rows]] & _mostly(over, part, under)[part[rows]]
     under[rows] = slab
     rows = rows[slab]
     if not len(rows):
         return under, rows
     a, b = np.concatenate([a, b]), np.concatenate([b, a])
-    beside = wide[a] & under[b] & _mostly(below, patch, wide)[patch[a]]
+    beside = wide[a] & under[b] & aloft[patch[a]]
     lower, upper = (
         coo_array((np.ones(len(i), dtype=bool), (i, j)), (count, len(depth))).tocsr()
         for i, j in ((patch[a[beside]], part[b[beside]]), (patch[rows + 1], part[rows]))
     )
     lower, upper = (lower @ upper.T).nonzero()
     return under, lower.astype(np.int64) * count + upper
-
-
-def _over_others(layers: Layers) -> BoolArray:
-    """Which nodes have anything below them, shape (k,)."""
-    over: BoolArray = np.r_[False, layers.cell[1:] == layers.cell[:-1]]
-    return over
 
 
 def _mostly(true: BoolArray, label: IntArray, among: BoolArray) -> BoolArray:
@@ -625,7 +629,8 @@ def _level_of_furniture(layers: Layers, small: BoolArray, part: IntArray, nodes:
     """
     asked = np.zeros(int(part.max()) + 1, dtype=bool)
     asked[part[nodes[small[nodes]]]] = True
-    level = medians_of(layers.height, *by_cell(part, len(asked)), asked)[part[nodes]]
+    own = np.flatnonzero(asked[part])
+    level = medians_of(layers.height[own], *by_cell(part[own], len(asked)), asked)[part[nodes]]
     return np.where(small[nodes], level, layers.height[nodes])
 
 
