@@ -40,6 +40,12 @@ class PerceptionConfig:
     """[m] Noise below which a cloud is taken as it is: what a good scanner has, and a foot or a wheel does not feel."""
     storey_headroom: float = 1.9
     """[m] Least room under a storey's ceiling: a low cellar; between a slab's two faces, or over a table, is less."""
+    widest_gap: float = 0.25
+    """[m] Widest gap between samples of the ground that a foot bridges: the length of a shoe, which no wheel here has.
+    Ground further than this from every sample is unobserved, unless seen floor all around explains it."""
+    memory_budget: float = 3e8
+    """[bytes] That grids may take beyond what the number of points explains: 55 × 55 m of the finest cells. A cloud
+    in millimetres, or with an outlier, asks for a thousand times as much."""
     step_headroom: float = 0.7
     """[m] Room over a step that joins two pieces of ground: the height of the lowest body that steps, a Spot."""
 

@@ -3,7 +3,8 @@
 GpdfError
 ├── ConfigError               a configuration value is unknown, of the wrong type or out of range
 ├── CloudError                an input point cloud cannot be used
-│   └── NoGroundError         no walkable ground was found in it
+│   ├── NoGroundError         no walkable ground was found in it
+│   └── TooLargeError         its scene would take more memory than it may
 ├── FieldError                a distance field cannot be fitted or asked
 ├── SceneFileError            a saved scene is missing, damaged or of another version
 ├── UnknownAgentError         an agent's name that is not in AGENTS
@@ -44,6 +45,10 @@ class CloudError(GpdfError):
 
 class NoGroundError(CloudError):
     """No walkable ground was found in the cloud."""
+
+
+class TooLargeError(CloudError):
+    """A cloud's scene would take more memory than it may."""
 
 
 class FieldError(GpdfError):

@@ -5,8 +5,9 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from numbers import Real
-from typing import Literal, get_args
+from functools import partial
+from numbers import Integral, Real
+from typing import Literal, cast, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -14,17 +15,20 @@ from numpy.typing import ArrayLike
 from gpdf_service.baselines import plan_baseline
 from gpdf_service.config import Config
 from gpdf_service.errors import ConfigError, RequestError
-from gpdf_service.perception import check_labels, check_points
+from gpdf_service.perception import check_labels, check_origins, check_points
 from gpdf_service.planning import plan_path
 from gpdf_service.scene import Progress as Progress
 from gpdf_service.scene import Scene, assemble_scene
 from gpdf_service.types import Agent, FloatArray, PlanOptions, PlanResult, Trajectory, is_number, resolve_agent
 
 Method = Literal["dual_gpdf", "single_gpdf", "astar", "prm"]
+Preference = Literal["quickest", "level", "wide"]
 Place = Sequence[float] | FloatArray
 """(x, y), or (x, y, z of the ground there) [m]."""
 MOST_PLACES = 100
 """Via points, and other goals, of one request: each costs a search."""
+MOST_ALTERNATIVES = 9
+"""Ways of one request beside the best: more than anybody chooses among, and each costs a plan."""
 
 
 def build_scene(
@@ -32,6 +36,7 @@ def build_scene(
     ground: ArrayLike | None = None,
     config: Config | None = None,
     *,
+    origins: ArrayLike | None = None,
     progress: Progress = lambda stage, done: None,
 ) -> Scene:
     """Build a scene from a point cloud: ground, levels, Ground GPDFs.
@@ -40,6 +45,8 @@ def build_scene(
         points: The cloud in the scene frame, z up [m], shape (n, 3).
         ground: Which points are ground, shape (n,); our own segmentation where it is not given.
         config: Settings; the defaults work.
+        origins: Where the rays to the points began [m], shape (3,) or (n, 3): the scanner's stations. Then what they
+            saw decides which holes of the ground are free, and not rules.
         progress: Called as the work goes on.
 
     Raises:
@@ -52,7 +59,8 @@ def build_scene(
         raise ConfigError("config", f"a {type(config).__name__}", "Pass a gpdf.Config; Config.from_mapping makes one.")
     cloud = check_points(points)
     labels = None if ground is None else check_labels(ground, len(cloud))
-    return assemble_scene(cloud, labels, config, progress=progress)
+    rays = None if origins is None else check_origins(origins, cloud)
+    return assemble_scene(cloud, labels, config, rays=rays, progress=progress)
 
 
 def plan(
@@ -68,6 +76,8 @@ def plan(
     warm_start: Trajectory | FloatArray | None = None,
     start_heading: float | None = None,
     goal_heading: float | None = None,
+    prefer: Preference | None = None,
+    alternatives: int = 0,
     deadline_s: float | None = None,
     clock: Callable[[], float] = time.monotonic,
 ) -> PlanResult:
@@ -87,6 +97,9 @@ def plan(
             if it is still clear and ends near the goal; not with `via`.
         start_heading: Where a body of discs faces at the start [rad], to turn there if it must; free when not given.
         goal_heading: The same at the goal.
+        prefer: "quickest", "level" (no steps where there is another way) or "wide" (room beside the body); not given,
+            the way that a sighted companion would take: time, and effort as the body's `Agent` says what it costs it.
+        alternatives: How many more ways are wanted that differ, each a result in `alternatives`, the best first.
         deadline_s: Seconds that the answer may take; none when not given.
         clock: Monotonic seconds, for tests.
 
@@ -104,20 +117,45 @@ def plan(
     options = _check_options(via, other_goals, snap, warm_start)
     facing = _check_heading(start_heading, "start_heading"), _check_heading(goal_heading, "goal_heading")
     options = replace(options, start_heading=facing[0], goal_heading=facing[1])
+    options = replace(options, prefer=_check_preference(prefer), alternatives=_check_alternatives(alternatives))
     if deadline_s is not None and not (isinstance(deadline_s, Real) and deadline_s > 0):
         raise RequestError("deadline_s", f"{deadline_s!r}", "It must be a positive number of seconds.")
     deadline = None if deadline_s is None else clock() + deadline_s
     if method != "dual_gpdf":
-        asked = (options.warm_start, options.start_heading, options.goal_heading) != (None, None, None)
-        if options.via or options.other_goals or options.snap or asked:
-            words = "Baselines take one goal and no via, snap, warm_start or heading."
+        if _asks_for_more(options):
+            words = "Baselines take one goal and no via, snap, warm_start, heading, prefer or alternatives."
             raise RequestError("method", f"{method!r} with options of the planner", words)
         return plan_baseline(scene, *ends, body, method, deadline=deadline, clock=clock)
     space = scene.free_space(body)
-    result = plan_path(space, *ends, scene.config.planning, options=options, deadline=deadline, clock=clock)
-    if result.certificate is None:
-        return result
-    return replace(result, certificate=replace(result.certificate, hidden_height=scene.hidden_height))
+    settings, ways = scene.config.planning, partial(scene.ways, body)
+    result = plan_path(space, *ends, settings, options=options, ways=ways, deadline=deadline, clock=clock)
+    return _with_hidden_height(result, scene.hidden_height)
+
+
+def _with_hidden_height(result: PlanResult, height: float) -> PlanResult:
+    """The result whose certificates say how high things may be that nobody can see in this scene [m]."""
+    others = tuple(_with_hidden_height(other, height) for other in result.alternatives)
+    proof = None if result.certificate is None else replace(result.certificate, hidden_height=height)
+    return replace(result, certificate=proof, alternatives=others)
+
+
+def _asks_for_more(options: PlanOptions) -> bool:
+    """Whether a request has options that baselines do not take."""
+    given = options.warm_start, options.start_heading, options.goal_heading, options.prefer
+    asked = options.via or options.other_goals or options.snap or options.alternatives
+    return bool(asked) or given != (None, None, None, None)
+
+
+def _check_preference(prefer: object) -> str | None:
+    if prefer is not None and prefer not in get_args(Preference):
+        raise RequestError("prefer", f"{prefer!r}", f"Use one of {', '.join(get_args(Preference))}, or nothing.")
+    return cast("str | None", prefer)
+
+
+def _check_alternatives(count: object) -> int:
+    if not isinstance(count, Integral) or isinstance(count, bool) or not 0 <= int(count) <= MOST_ALTERNATIVES:
+        raise RequestError("alternatives", f"{count!r}", f"Ask for 0 to {MOST_ALTERNATIVES} more ways.")
+    return int(count)
 
 
 def _check_options(

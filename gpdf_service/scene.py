@@ -7,7 +7,7 @@ import hashlib
 import os
 import threading
 from collections import OrderedDict
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
 from typing import Any
@@ -17,8 +17,9 @@ from numpy.typing import ArrayLike
 from scipy.ndimage import binary_fill_holes
 
 from gpdf_service.config import Config
+from gpdf_service.denoise import FAR
 from gpdf_service.errors import CloudError
-from gpdf_service.fields import FAR, Gpdf, check_queries, fit_gpdf
+from gpdf_service.fields import Gpdf, Nearer, check_queries, fit_gpdf
 from gpdf_service.fields.spacing import estimate_spacing, thin
 from gpdf_service.fields.threads import run_parallel
 from gpdf_service.perception import (
@@ -26,23 +27,37 @@ from gpdf_service.perception import (
     HeightMap,
     Levels,
     Perceived,
+    Rays,
     Touched,
     WholeError,
     change,
     changed_cells,
     check_finite,
     check_labels,
+    check_origins,
     check_points,
     count_undecided,
     cure_and_segment,
     survey_levels,
 )
 from gpdf_service.perception.layers import in_steps
-from gpdf_service.perception.levels import LEAST_OBSTACLE, within_reach
+from gpdf_service.perception.levels import LEAST_OBSTACLE
 from gpdf_service.perception.rows import chosen_rows
 from gpdf_service.perception.segment import LEAST_SCATTER
 from gpdf_service.perception.surface import INFERRED, UNKNOWN, is_same_ground
-from gpdf_service.search import FreeSpace, build_free_space, change_free_space, from_arrays, to_arrays
+from gpdf_service.search import (
+    FreeSpace,
+    Prefer,
+    Ways,
+    add_moving,
+    build_free_space,
+    change_free_space,
+    find_ways,
+    from_arrays,
+    level_body,
+    settled,
+    to_arrays,
+)
 from gpdf_service.store import Arrays, flatten, read_arrays, restore, under, write_arrays
 from gpdf_service.types import Agent, BoolArray, FieldSample, FloatArray, IntArray, resolve_agent
 
@@ -106,13 +121,6 @@ def whole_spacing(points: FloatArray) -> float:
     return spacing
 
 
-def _with_material(level: GroundLevel, points: FloatArray) -> GroundLevel:
-    """The level with more material on it."""
-    near = within_reach(points, level.surface)
-    ledge = np.append(level.ledge, np.full(len(near), np.inf, np.float32))  # no step's face
-    return dataclasses.replace(level, other_points=np.concatenate([level.other_points, near]), ledge=ledge)
-
-
 @dataclass(frozen=True, slots=True)
 class GroundField:
     """Distance d_g to the ground of the level that a point is over; a `DistanceField` in 3D."""
@@ -134,7 +142,7 @@ class ObstacleField:
     """Distance d_o in plan to what stops one kind of body; a `DistanceField` over all levels."""
 
     surfaces: tuple[HeightMap, ...]
-    fields: tuple[Gpdf, ...]
+    fields: tuple[Nearer, ...]
 
     def query(self, queries: FloatArray) -> FieldSample:
         """Distance, gradient (m, 2) and validity at `queries`.
@@ -158,7 +166,7 @@ class ObstacleField:
         return FieldSample(np.where(valid, distance[best, rows], 0.0), gradient, valid, deviation)
 
 
-def _gather(queries: FloatArray, fields: tuple[Gpdf, ...], on: BoolArray) -> FieldSample:
+def _gather(queries: FloatArray, fields: Sequence[Gpdf | Nearer], on: BoolArray) -> FieldSample:
     """The largest of the answers of those levels that each query is `on`, shape (levels, m); not valid on none."""
     count = len(queries)
     made = FieldSample(np.zeros(count), np.zeros_like(queries), np.zeros(count, dtype=bool), np.full(count, np.inf))
@@ -191,6 +199,8 @@ class Scene:
         labelled: Whether `ground` was given with the cloud, and not found by our segmentation.
         perceived: What a change starts from; None after loading, and where the cloud had to be cured of noise.
         drift: Share of the points that changed since noise and spacing were measured.
+        moving: What is there beside what was scanned [m], shape (k, 3).
+        rays: Those of the scan, where it is known where they began.
     """
 
     def __init__(
@@ -205,12 +215,16 @@ class Scene:
         labelled: bool = False,
         perceived: Perceived | None = None,
         drift: float = 0.0,
+        rays: Rays | None = None,
     ) -> None:
         self.points, self.ground, self.levels = points, ground, levels
         self.ground_fields, self.config, self.version = ground_fields, config, version
         self.noise, self.labelled = noise, labelled
-        self.perceived, self.drift = perceived, drift
+        self.perceived, self.drift, self.rays = perceived, drift, rays
+        self.moving: FloatArray = np.zeros((0, 3))
+        self._standing: Scene | None = None  # the scene without what moves, whose free spaces serve
         self._spaces: OrderedDict[Agent, FreeSpace] = OrderedDict()
+        self._ways: OrderedDict[tuple[Agent, Prefer], tuple[FreeSpace, Ways]] = OrderedDict()
         self._former: dict[Agent, tuple[FreeSpace, Touched]] = {}
         self._stored: dict[Agent, Callable[[], Arrays]] = {}  # read from the scene's file
         self._lock = threading.Lock()
@@ -273,12 +287,40 @@ class Scene:
                     self._spaces.popitem(last=False)
             return space
 
+    def ways(self, agent: str | Agent, prefer: Prefer) -> Ways:
+        """All ways of `agent`, at what they cost it as one prefers them; built on first use and kept."""
+        body = resolve_agent(agent)
+        able = self.free_space(body)
+        with self._lock:
+            kept = self._ways.get((body, prefer))
+        if kept is None or kept[0] is not able:
+            same = level_body(body)
+            level = None if same is None else self._settled(self.free_space(same))
+            kept = able, find_ways(self._settled(able), level, prefer)
+            with self._lock:
+                self._ways[body, prefer] = kept
+                while len(self._ways) > MAX_CACHED_AGENTS:
+                    self._ways.popitem(last=False)
+        return kept[1]
+
+    def prepare(self, agent: str | Agent) -> None:
+        """Build what plans for `agent` read, so that the first one takes what plans take."""
+        self.ways(agent, Prefer.COMPANION)
+
+    def _settled(self, space: FreeSpace) -> FreeSpace:
+        """A free space whose leaves and edges can all be read."""
+        return space if self._standing is None else settled(space, self.levels)
+
     def _make_space(self, body: Agent) -> FreeSpace:
         parts = self.levels, self.ground_fields
         config = self.config.search, self.config.fields
         if (stored := self._stored.get(body)) is not None:
             return from_arrays(stored(), body, *parts, self.config.search, self.noise)
-        former, hidden = self._former.get(body), self.hidden_height
+        hidden = self.hidden_height
+        if self._standing is not None:
+            stands = self._standing.free_space(body)
+            return add_moving(stands, self.levels, self.moving, *config, noise=self.noise, hidden=hidden)
+        former = self._former.get(body)
         if former is not None:
             space, touched = former
             return change_free_space(space, *parts, touched, *config, noise=self.noise, hidden=hidden)
@@ -295,8 +337,8 @@ class Scene:
     def with_obstacles(self, points: ArrayLike) -> Scene:
         """This scene with more in it than was scanned: people, doors, whatever moves.
 
-        The ground stays as it is and is shared; free spaces are built anew on first use, so that field, search and
-        certificate all know of the points.
+        The ground stays as it is, and so does what stands: both are shared. Of a free space only what the points touch
+        is made again, on first use, so that field, search and certificate all know of them at once.
 
         Args:
             points: Where something is [m], shape (k, 3), dense enough that no body fits between two. As with what was
@@ -307,11 +349,10 @@ class Scene:
             CloudError: points of another shape, or not finite: where they are dropped nothing would be in the way.
         """
         asked = check_finite(points)
-        changed = dataclasses.replace(
-            self.levels, levels=tuple(_with_material(level, asked) for level in self.levels.levels)
-        )
         fixed = self.ground_fields, self.config, self.version, self.noise, self.labelled
-        return Scene(self.points, self.ground, changed, *fixed)
+        made = Scene(self.points, self.ground, self.levels, *fixed, rays=self.rays)
+        made.moving, made._standing = np.concatenate([self.moving, asked]), self._standing or self
+        return made
 
     def update(
         self,
@@ -319,6 +360,7 @@ class Scene:
         remove: ArrayLike | None = None,
         *,
         ground: ArrayLike | None = None,
+        origins: ArrayLike | None = None,
         progress: Progress = lambda stage, done: None,
     ) -> Scene:
         """The next version of this scene, after a further scan, or with something taken away; this one stays as it is.
@@ -330,6 +372,7 @@ class Scene:
             remove: Which of `points` are gone: a mask of shape (n,), or row numbers.
             ground: Which of the new points are ground, shape (k,). Where it is not given they are segmented together
                 with the points that are there; labels that the scene was built with stay.
+            origins: Where the rays to the new points began [m], (3,) or (k, 3); kept if the scene was built with some.
             progress: Called as the work goes on.
 
         Raises:
@@ -355,8 +398,8 @@ class Scene:
                 return self._changed(self.perceived, cloud, keep, labels, drift, progress)
             except WholeError:
                 pass
-        width = self.resolution if drift <= MAX_DRIFT else None
-        scene = assemble_scene(cloud, labels, self.config, like=self, width=width, progress=progress)
+        rays, width = self._rays_of(fresh, origins, keep, cloud), self.resolution if drift <= MAX_DRIFT else None
+        scene = assemble_scene(cloud, labels, self.config, like=self, width=width, rays=rays, progress=progress)
         scene.drift = 0.0 if width is None else drift
         return scene
 
@@ -385,6 +428,14 @@ class Scene:
         scene._former = self._spaces_before(now.touched)
         return scene
 
+    def _rays_of(self, fresh: FloatArray, origins: ArrayLike | None, keep: BoolArray, cloud: FloatArray) -> Rays | None:
+        """The rays to a changed cloud; new points without origins have none that are known."""
+        if self.rays is None:
+            return None
+        unknown = np.full(fresh.shape, np.nan)
+        began = unknown if origins is None else np.broadcast_to(check_origins(origins, fresh).origins, fresh.shape)
+        return self.rays.chosen(keep, cloud, began if len(fresh) else None)
+
     def _labels_of(self, fresh: FloatArray, ground: ArrayLike | None, cloud: FloatArray) -> BoolArray:
         if ground is None:
             if not len(fresh):
@@ -396,6 +447,7 @@ class Scene:
         """Drop what was built for single kinds of body; it is built again on use."""
         with self._lock:
             self._spaces.clear()
+            self._ways.clear()
             self._former.clear()
             self._stored.clear()
 
@@ -414,7 +466,7 @@ class Scene:
     def info(self) -> dict[str, Any]:
         """Facts about the scene, ready for JSON."""
         with self._lock:
-            ready = [agent.name for agent in {**self._stored, **self._spaces}]
+            ready = list(dict.fromkeys(agent.name for agent in {**self._stored, **self._spaces}))
         return {**self._lasting_facts, "version": self.version, "agents_ready": ready}
 
     @cached_property
@@ -436,8 +488,16 @@ class Scene:
         }
 
     def save(self, path: str | os.PathLike[str]) -> None:
-        """Write the scene to one file, atomically, with the free spaces that are ready: `MAX_CACHED_AGENTS` at most."""
+        """Write the scene to one file, atomically, with the free spaces that are ready: `MAX_CACHED_AGENTS` at most.
+
+        What moves is not written.
+        """
+        if self._standing is not None:
+            self._standing.save(path)
+            return
         arrays = {"points": self.points, "ground": self.ground, **flatten(self.levels, "levels")}
+        if self.rays is not None:
+            arrays["origins"] = self.rays.origins
         for i, field in enumerate(self.ground_fields):
             arrays |= {f"ground_fields/{i}/{key}": value for key, value in field.to_arrays().items()}
         with self._lock:
@@ -490,6 +550,7 @@ def load_scene(path: str | os.PathLike[str]) -> Scene:
         int(meta["version"]),
         float(meta["noise"]),
         bool(meta["labelled"]),
+        rays=Rays(arrays["origins"], arrays["points"]) if "origins" in arrays else None,
     )
     bodies = enumerate(meta.get("agents", ()))
     scene._stored = {Agent(**body): partial(later.under, f"agents/{i}/") for i, body in bodies}
@@ -503,11 +564,12 @@ def assemble_scene(
     *,
     like: Scene | None = None,
     width: float | None = None,
+    rays: Rays | None = None,
     progress: Progress = lambda stage, done: None,
 ) -> Scene:
     """Ground, levels and Ground GPDFs of a cloud; what is as it was in the scene `like` is taken over from it.
 
-    The `width` of the cells [m] is measured when it is not given.
+    The `width` of the cells [m] is measured when it is not given. The `rays` tell what was seen of inferred ground.
     """
     progress("segment ground", 0.0)
     found = cure_and_segment(cloud, labels, config.perception, width)
@@ -517,7 +579,7 @@ def assemble_scene(
     points, labelled = (cured.points, ground) if kept.all() else (cured.points[kept], ground[kept])
     width = width if segmentation is None else segmentation.layers.cell_width
     levels, survey = survey_levels(
-        points, labelled, config.perception, width=width, noise=0.0 if found.as_it_was else cured.measured
+        points, labelled, config.perception, width=width, noise=0.0 if found.as_it_was else cured.measured, rays=rays
     )
     progress("fit ground fields", 0.7)
     old = () if like is None else tuple(zip(like.ground_fields, like.levels.levels, strict=True))
@@ -530,10 +592,10 @@ def assemble_scene(
     progress("ready", 1.0)
     noise = cured.measured if cured.measured > config.perception.negligible_noise else 0.0
     version = 1 if like is None else like.version + 1
-    perceived = Perceived(cloud, ground, segmentation, levels, survey).lasting() if found.as_it_was else None
-    return Scene(
-        cloud, ground, levels, fields, config, version, in_steps(noise, NOISE_STEP), labels is not None, perceived
-    )
+    lasting = found.as_it_was and rays is None  # what rays show of a part of a scene is not told part by part
+    perceived = Perceived(cloud, ground, segmentation, levels, survey).lasting() if lasting else None
+    known = version, in_steps(noise, NOISE_STEP), labels is not None
+    return Scene(cloud, ground, levels, fields, config, *known, perceived, rays=rays)
 
 
 def _fit_ground(level: GroundLevel, config: Config) -> Gpdf:
@@ -549,6 +611,6 @@ def _change_ground(field: Gpdf, old: GroundLevel, new: GroundLevel, config: Conf
         return _fit_ground(new, config)
     gone = cells[new.surface.cells(field.points)[:2]]
     fresh = new.surface.centres(cells & (new.surface.state != UNKNOWN))
-    if gone.mean() >= 0.5 or len(fresh) >= 0.5 * len(new.ground_points):
+    if gone.mean() >= 0.5 or len(fresh) >= 0.5 * np.count_nonzero(new.surface.state != UNKNOWN):
         return _fit_ground(new, config)
     return field.replace(gone, fresh).over(new.surface)

@@ -31,6 +31,7 @@ _LIMITS = {
     **dict.fromkeys(("height", "width", "length"), (SMALLEST_BODY, LARGEST_BODY)),
     **dict.fromkeys(("speed", "acceleration", "turn_rate"), (SLOWEST, FASTEST)),
 }
+_EFFORTS = "climb_time", "comfortable_step", "ledge_time"
 MOST_DISCS = 32
 """Each costs a query of the field at every waypoint; a body 16 times as long as wide is covered twice as finely."""
 
@@ -65,6 +66,9 @@ class Agent:
         acceleration: Highest acceleration along the path and across it [m/s²].
         turn_rate: Highest yaw rate [rad/s].
         discs: Discs along the body that cover its footprint; 1 is the upright cylinder, length / width a good number.
+        climb_time: Seconds that a metre of rise or fall costs beyond the length of the way [s/m].
+        comfortable_step: Highest step that it takes gladly [m]; of a higher one it would rather go round.
+        ledge_time: Seconds that it would rather go round than take a metre of such higher steps [s/m].
     """
 
     name: str
@@ -77,9 +81,12 @@ class Agent:
     acceleration: float
     turn_rate: float
     discs: int = 1
+    climb_time: float = 6.0
+    comfortable_step: float = 0.2
+    ledge_time: float = 100.0
 
     def __post_init__(self) -> None:
-        for key in (*_LIMITS, "max_step", "max_slope"):
+        for key in (*_LIMITS, "max_step", "max_slope", *_EFFORTS):
             value = getattr(self, key)
             if not is_number(value) or value < 0 or (value == 0 and key in _LIMITS):
                 least = "more than 0" if key in _LIMITS else "0 or more"
@@ -118,11 +125,14 @@ class Agent:
 # platform), with 2 cm over it so that a step of exactly that height is not refused for the last millimetre of noise;
 # a Roomba's wheels take a 2 cm sill, Pepper's 1.5 cm. Slopes: a quadruped's data sheet says 30°, wheels 5° to 10°.
 # Speeds: walking pace with a cane 0.7 to 1.0 m/s; the robots' data sheets.
+# Effort: a metre of rise costs 6 s (Naismith 1892: an hour for 2000 ft). Steps up to 0.2 m are what building codes let
+# a stair have; a quadruped's data sheet says 0.3 m. Of higher ones a person would rather walk 28 m than take one of
+# 0.35 m unseen, which is a choice of ours, a quadruped a fifth of it: it may stumble, it does not get hurt.
 AGENTS: dict[str, Agent] = {
     agent.name: agent
     for agent in (
         Agent("roomba", 0.1, 0.34, 0.35, 0.02, radians(10), 0.3, 0.5, 2.0),
-        Agent("spot", 0.7, 0.19, 1.1, 0.37, radians(30), 1.0, 1.0, 1.5),
+        Agent("spot", 0.7, 0.19, 1.1, 0.37, radians(30), 1.0, 1.0, 1.5, comfortable_step=0.3, ledge_time=20.0),
         Agent("pepper", 1.2, 0.48, 0.42, 0.015, radians(5), 0.55, 0.5, 1.0),
         Agent("human", 2.0, 0.5, 0.32, 0.37, radians(30), 0.8, 0.6, 1.5),
     )
@@ -206,11 +216,11 @@ _CODES = {
 
 @dataclass(frozen=True, slots=True)
 class Trajectory:
-    """A time-stamped path of a body's top and of its contact with the ground.
+    """A time-stamped path of a body's contact with the ground, and of its top.
 
     Attributes:
-        positions: The body's top, at body height above the ground [m], shape (n, 3).
-        ground: The contact point below it [m], shape (n, 3).
+        ground: The contact point: what one follows [m], shape (n, 3).
+        positions: The top of the upright rigid body that stands there, contact + height [m], shape (n, 3).
         times: Time since the start [s], strictly increasing, shape (n,).
         headings: Direction of travel, counter-clockwise from +x [rad], shape (n,); a body of discs faces there, turning
             evenly between two waypoints, and on the spot where two have the same place.
@@ -231,6 +241,11 @@ class Trajectory:
         """Time from start to goal [s]."""
         return float(self.times[-1])
 
+    def __repr__(self) -> str:
+        """One line."""
+        ends = " to ".join(f"({', '.join(f'{v:.2f}' for v in self.ground[row])})" for row in (0, -1))
+        return f"Trajectory({self.length:.2f} m in {self.duration:.1f} s, {len(self.times)} waypoints, {ends})"
+
 
 @dataclass(frozen=True, slots=True)
 class Certificate:
@@ -240,9 +255,10 @@ class Certificate:
         min_clearance: A lower bound of the room between the body's cylinder and the nearest obstacle, drop,
             forbidden step or unknown ground [m].
         min_clearance_at: Where on the path that is (x, y, z of the ground) [m], shape (3,).
-        max_height_deviation: How far the body's top is off the body height h over the path [m]: | d_g - h |, d_g being
-            its distance to the nearest ground, or its height over the contact point less h, whichever is smaller.
-            Beside a flight, or under another storey, the nearest ground is not the one stood on.
+        max_height_deviation: How far the line over the path that keeps the paper's d_g = h, as the optimiser's ground
+            cost asks, is off the body height h [m]: | d_g - h |, d_g being its distance to the nearest ground, or its
+            height over the contact point less h, whichever is smaller: beside a flight, or under another storey, the
+            nearest ground is not the one stood on.
         max_height_deviation_at: Where that is [m], shape (3,).
         max_step: Largest step taken [m].
         max_slope: Steepest ground stood on [rad].
@@ -251,6 +267,8 @@ class Certificate:
         hidden_height: What stands no higher than this over the ground may be on the way unseen [m]: where our own
             segmentation found the ground, low things look like its scatter, and single points like its noise; in a
             noisy cloud with labels, low things beside a step look like its face.
+        ground_spacing: Coarsest spacing of the samples that the ground under the path rests on, to the width of a cell
+            [m]: what is narrower than this may be there unseen, a gap in the ground as well.
     """
 
     min_clearance: float
@@ -262,6 +280,12 @@ class Certificate:
     holds: bool
     reason: str = ""
     hidden_height: float = 0.0
+    ground_spacing: float = 0.0
+
+    def __repr__(self) -> str:
+        """One line."""
+        facts = f"clearance {self.min_clearance:.3f} m, step {self.max_step:.2f} m, slope {self.max_slope:.2f} rad"
+        return f"Certificate({'holds' if self.holds else self.reason}: {facts})"
 
 
 @dataclass(frozen=True, slots=True)
@@ -275,6 +299,8 @@ class PlanOptions:
         warm_start: Contact points of a trajectory from before, shape (n, 3) [m]: taken up where it is near and clear.
         start_heading: Where a body of discs faces at the start [rad]; None leaves it free; a cylinder has none.
         goal_heading: The same at the goal.
+        prefer: "quickest", "level" or "wide"; None is what a sighted companion would take.
+        alternatives: How many more ways are wanted that differ.
     """
 
     via: tuple[FloatArray, ...] = ()
@@ -283,6 +309,8 @@ class PlanOptions:
     warm_start: FloatArray | None = None
     start_heading: float | None = None
     goal_heading: float | None = None
+    prefer: str | None = None
+    alternatives: int = 0
 
 
 @dataclass(frozen=True, slots=True)
@@ -297,9 +325,14 @@ class PlanResult:
         certificate: Present when `trajectory` is; for UNCERTIFIED it says what failed.
         timings: Seconds that each stage took, by name.
         details: Numbers for the curious, by name: iterations, evaluations, converged (0 or 1), nodes of the graph, goal
-            (its number, 0 the first), warm (1 if the trajectory from before was taken up); where there is no path,
-            largest_radius and cut_x, cut_y, cut_z; where a place is not valid, nearest_x, nearest_y, nearest_z.
+            (its number, 0 the first), warm (1 if the trajectory from before was taken up), cost (time and effort of the
+            way [s]), steps (how many it takes) and stepped (their rise and fall together [m]); where there is no path,
+            largest_radius, cut_x, cut_y, cut_z, and short_width, short_height, short_step [m] or short_slope [rad], by
+            how much the body is beyond what the way allows; where a place is not valid, nearest_x, nearest_y and
+            nearest_z.
         costs: Cost of the optimiser before and after each of its steps, all pieces of the path together.
+        alternatives: More ways that differ, if they were asked for, the best first: each OK, with what it costs in its
+            `details`.
     """
 
     status: Status
@@ -309,3 +342,10 @@ class PlanResult:
     timings: dict[str, float] = field(default_factory=dict)
     details: dict[str, float] = field(default_factory=dict)
     costs: FloatArray = field(default_factory=lambda: np.zeros(0))
+    alternatives: tuple[PlanResult, ...] = ()
+
+    def __repr__(self) -> str:
+        """One line."""
+        parts = [self.status.value, self.message, "" if self.trajectory is None else repr(self.trajectory)]
+        others = f"{len(self.alternatives)} alternatives" if self.alternatives else ""
+        return f"PlanResult({', '.join(part for part in (*parts, others) if part)})"

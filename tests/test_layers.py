@@ -15,19 +15,20 @@ ALLOWED = {
     "config": {"errors"},
     "store": {"errors"},
     "fields": BASE,
-    "perception": BASE | {"fields"},
+    "denoise": BASE | {"fields"},
+    "perception": BASE | {"denoise", "fields"},
     "synthetic": BASE,
     "search": BASE | {"fields", "perception", "store"},
     "planning": BASE | {"fields", "perception", "search"},
-    "scene": BASE | {"fields", "perception", "search", "store"},
+    "scene": BASE | {"denoise", "fields", "perception", "search", "store"},
     "baselines": BASE | {"fields", "perception", "search", "planning", "scene"},
     "pipeline": BASE | {"baselines", "fields", "perception", "planning", "scene"},
 }
 CLIENTS = {"gpdf_client", "gpdf_guidance", "gpdf_robot", "gpdf_ros2"}
 WIRE = {"zenoh", "msgpack", "msgspec", "mcap", "gpdf_schemas"} | CLIENTS
 LIGHT = {"zenoh", "msgpack", "msgspec", "numpy", "gpdf_schemas"} | CLIENTS
-OPTIONAL = {"gpdf_ros2": {"rosbags"}}
-"""What a client needs beyond the light install: an extra of its own."""
+OPTIONAL = {"gpdf_ros2": {"rosbags"}, "phone": {"websockets", "cryptography", "segno"}}
+"""What a client, or one module of it, needs beyond the light install: an extra of its own."""
 
 
 def imports_of(path):
@@ -91,6 +92,6 @@ def test_clients_and_schemas_import_only_what_the_light_install_has(folder):
     for path in files:
         for name in imports_of(path):
             top = name.partition(".")[0]
-            known = LIGHT | OPTIONAL.get(path.parent.name, set())
+            known = LIGHT | OPTIONAL.get(path.parent.name, set()) | OPTIONAL.get(path.stem, set())
             assert top in known or top in sys.stdlib_module_names, f"{path.relative_to(ROOT)} imports {name}"
             assert folder != "schemas" or top not in CLIENTS | {"zenoh"}, f"{path} imports {name}"

@@ -34,6 +34,7 @@ def clean(made):
     return gpdf.build_scene(made.points, made.ground)
 
 
+@pytest.mark.slow
 def test_the_scene_knows_its_noise(noisy, clean):
     assert noisy.noise == pytest.approx(NOISE, rel=0.2)
     assert noisy.info()["noise"] == noisy.noise
@@ -99,6 +100,7 @@ def test_the_noise_is_kept_in_the_file(noisy, tmp_path):
     assert gpdf.load_scene(tmp_path / "scene.gpdf").noise == noisy.noise
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("offset", "labelled"), [(0.02, False), (0.04, True)])
 def test_scans_that_do_not_fit_on_each_other_have_one_floor(offset, labelled):
     made = SCENES["cluttered_office"](np.random.default_rng(0), spacing=0.05)
@@ -112,6 +114,7 @@ def test_scans_that_do_not_fit_on_each_other_have_one_floor(offset, labelled):
         assert [answer.status for answer in answers] == [gpdf.Status.OK] * 2
 
 
+@pytest.mark.slow
 def test_a_stair_under_noise_is_walked_up_and_its_treads_are_where_they_are():
     treads = tuple(Box((1.0 + 0.29 * k, 0.0, 0.0), (4.5, 1.1, 0.17 * (k + 1)), walkable=True) for k in range(5))
     points, ground = World((4.5, 1.1, 3.2), treads, ceiling=False).sample(0.03, np.random.default_rng(0))

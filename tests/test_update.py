@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 import gpdf_service as gpdf
+from gpdf_service.config import PerceptionConfig
 from gpdf_service.errors import CloudError, NoGroundError
 from gpdf_service.perception.layers import cell_width_of
 from gpdf_service.scene import assemble_scene
@@ -142,9 +143,13 @@ def assert_equal_scenes(one, other, *agents):
 
 def assert_equal_findings(one, other):
     """What the ground was found from, from which the next version starts."""
-    for name in ("reached", "slope", "ground", "raised", "rough"):
-        ours, theirs = (getattr(scene.perceived.segmentation.found, name) for scene in (one, other))
-        np.testing.assert_array_equal(ours, theirs, name)
+    ours, theirs = (scene.perceived.segmentation.near.known for scene in (one, other))
+    assert ours.keys() == theirs.keys()
+    for name in ours.keys() - {"strides"}:  # whose pairs come in another order
+        for a, b in zip((*ours[name].given, *ours[name].made), (*theirs[name].given, *theirs[name].made), strict=True):
+            np.testing.assert_array_equal(a, b, name)
+    pairs = [in_order(np.column_stack(known["strides"].made)) for known in (ours, theirs)]
+    np.testing.assert_array_equal(*pairs)
 
 
 def test_slopes_beside_columns_that_are_empty_now_are_those_of_a_scene_from_scratch():
@@ -189,16 +194,18 @@ def from_scratch(scene):
 
 
 @pytest.mark.parametrize(
-    ("made", "labelled", "agents"),
+    ("made", "labelled", "agents", "tile"),
     [
-        (random_room, False, ("human", "roomba")),
-        (random_room, True, ("spot",)),
-        (ramp, False, ("human",)),
-        (stair, False, ("human",)),
-        (cave, False, ("roomba",)),
+        (random_room, False, ("human", "roomba"), 64),
+        (random_room, True, ("spot",), 11),
+        (ramp, False, ("human",), 7),
+        (stair, False, ("human",), 16),
+        (cave, False, ("roomba",), 23),
     ],
 )
-def test_random_changes_equal_a_scene_from_scratch(made, labelled, agents):
+def test_random_changes_equal_a_scene_from_scratch(made, labelled, agents, tile, monkeypatch):
+    """Whatever the tiles in which a change asks again what differs."""
+    monkeypatch.setattr("gpdf_service.perception.told.TILE", tile)
     rng = np.random.default_rng(7)
     sample = made(rng)
     scene = gpdf.build_scene(sample.points, sample.ground if labelled else None)
@@ -235,14 +242,14 @@ def test_a_scene_keeps_its_resolution_until_much_of_it_has_changed():
         return np.column_stack([scale * plan, np.zeros(len(plan))])
 
     low, high = 1.0, 1.2
-    width = cell_width_of(floor(low))
-    assert cell_width_of(floor(high)) > width
+    width = cell_width_of(floor(low), PerceptionConfig())
+    assert cell_width_of(floor(high), PerceptionConfig()) > width
     while high - low > 1e-5:
         middle = 0.5 * (low + high)
-        low, high = (low, middle) if cell_width_of(floor(middle)) > width else (middle, high)
+        low, high = (low, middle) if cell_width_of(floor(middle), PerceptionConfig()) > width else (middle, high)
     scene = gpdf.build_scene(floor(low))
     gone = (np.abs(scene.points[:, :2] - 3.0) < 0.5).all(axis=1)
-    assert cell_width_of(scene.points[~gone]) > width
+    assert cell_width_of(scene.points[~gone], PerceptionConfig()) > width
     thinner = scene.update(remove=gone)
     beyond = thinner.update(insert=[[-0.3, 0.1, 0.0]])
     assert thinner.perceived.touched

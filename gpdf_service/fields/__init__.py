@@ -1,24 +1,15 @@
 """Gaussian-process distance fields: distance and gradient for the price of a nearest-neighbour query."""
 
-from gpdf_service.fields.denoise import Cured as Cured
-from gpdf_service.fields.denoise import denoise as denoise
-from gpdf_service.fields.denoise import find_lifted as find_lifted
-from gpdf_service.fields.denoise import find_loose as find_loose
-from gpdf_service.fields.denoise import onto_surface as onto_surface
-from gpdf_service.fields.denoise import uncured as uncured
-from gpdf_service.fields.flights import Flight as Flight
-from gpdf_service.fields.flights import onto_risers as onto_risers
-from gpdf_service.fields.flights import onto_treads as onto_treads
 from gpdf_service.fields.gpdf import Domain as Domain
 from gpdf_service.fields.gpdf import Gpdf as Gpdf
 from gpdf_service.fields.gpdf import check_queries as check_queries
 from gpdf_service.fields.gpdf import find_nearest as find_nearest
 from gpdf_service.fields.gpdf import fit_gpdf as fit_gpdf
-from gpdf_service.fields.noise import estimate_noise as estimate_noise
+from gpdf_service.fields.nearer import Nearer as Nearer
 from gpdf_service.fields.order import morton as morton
-from gpdf_service.fields.rests import FAR as FAR
 from gpdf_service.fields.spacing import estimate_spacing as estimate_spacing
 from gpdf_service.fields.spacing import thin as thin
+from gpdf_service.fields.traversal import AnyField as AnyField
 from gpdf_service.fields.traversal import FieldArrays as FieldArrays
 from gpdf_service.fields.traversal import nearest_one as nearest_one
 from gpdf_service.fields.traversal import sample_at as sample_at

@@ -20,6 +20,8 @@ _FOLD = 0.7
 """[-] Cosine of the least angle (45°) between two half planes."""
 _EQUAL = 1e-9
 """[m] Lengths that differ by less are equal: else the order of a sum decides, which is that of the tree."""
+EDGE = 0.6
+"""[-] Variance about two half planes over that about a quadric, below which it is an edge; noise alone gives 0.75."""
 _STARTS = 4
 """Directions along which a neighbourhood is cut in two at first: 45° apart, so one of them is within 23° of an edge."""
 

@@ -183,14 +183,14 @@ class Gpdf:
             return self
         tree, source = change_tree(self.tree, keep, added)
         old, at = source >= 0, np.maximum(source, 0)  # what is taken for a new point is overwritten
-        alpha, own, discs = self.alpha[at], self.noise[at], self.discs[at]
+        alpha, own, discs = (np.take(each, at, axis=0) for each in (self.alpha, self.noise, self.discs))
         alpha[~old], own[~old] = np.nan, noise[-1 - source[~old]]
 
         def around(radius: float) -> IntArray:
             """Rows within the radius of a point that came or went."""
-            lost, felt = np.zeros(len(self.points), dtype=bool), ~old
+            lost = np.zeros(len(self.points), dtype=bool)
             lost[within(self.tree, np.flatnonzero(~keep), radius)] = True
-            felt[old] |= lost[source[old]]
+            felt = lost[at] | ~old
             felt[within(tree, np.flatnonzero(~old), radius)] = True
             return np.flatnonzero(felt)
 
@@ -217,7 +217,8 @@ class Gpdf:
     @classmethod
     def from_arrays(cls, arrays: dict[str, NDArray[Any]], domain: Domain | None = None) -> Gpdf:
         """Restore a field; nothing is fitted."""
-        tree = tree_of(*(arrays[key] for key in _TREE))
+        points, order, begin = (arrays[key] for key in _TREE)
+        tree = tree_of(points, order, begin)
         length_scale, noise_variance, spacing = (float(value) for value in arrays["scalars"])
         own = arrays["alpha"], arrays["discs"], arrays["noise"]
         return cls(tree, *own, length_scale, noise_variance, spacing, domain)

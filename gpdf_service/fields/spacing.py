@@ -7,9 +7,8 @@ from math import pi, sqrt
 import numpy as np
 from numba import njit
 
-from gpdf_service.fields.edge import fit_pair, nearest_half
+from gpdf_service.fields.edge import EDGE, fit_pair, nearest_half
 from gpdf_service.fields.heights import make_sums, quadric_rest
-from gpdf_service.fields.noise import EDGE
 from gpdf_service.fields.order import corners_of, order_by
 from gpdf_service.fields.shapes import MOST, add, fit_axis, fit_plane, gather
 from gpdf_service.fields.threads import run_chunked

@@ -11,11 +11,13 @@ index arrays and take no views of them: a view is counted, which costs more than
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from math import exp, log, sqrt
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numba import njit
+from numba.extending import overload
 
 from gpdf_service.fields.tree import (
     LEAF_SIZE,
@@ -205,15 +207,53 @@ def from_disc(discs: FloatArray, row: int, off: Place) -> Place:
     return high * n0 + rest * s0, high * n1 + rest * s1, high * n2 + rest * s2
 
 
+class NearerArrays(NamedTuple):
+    """Two fields in one, what stands and what moves: the nearer one answers. Either may be without points."""
+
+    standing: FieldArrays
+    moving: FieldArrays
+
+
+AnyField = FieldArrays | NearerArrays
+"""What `sample_at` may ask."""
+
+
 @njit(cache=True, nogil=True)
-def sample_at(field: FieldArrays, x: Place, scratch: Scratch, gradient: FloatArray) -> float:
+def sample_at(field: AnyField, x: Place, scratch: Scratch, gradient: FloatArray) -> float:
     """Distance at one place [m]; writes the gradient, shape (dim,)."""
+    distance, slope = _ask(field, x, scratch)
+    for k in range(len(gradient)):
+        gradient[k] = slope[k]
+    return float(distance)
+
+
+@njit(cache=True, nogil=True)
+def _ask_one(field: FieldArrays, x: Place, scratch: Scratch) -> tuple[float, Place]:
     begin, blocks, boxes, weights, discs, length_scale = field
     stack, bound, near = scratch
     distance, _, _, slope = sample(begin, blocks, boxes, weights, discs, length_scale, x, stack, bound, near)
-    for k in range(len(gradient)):
-        gradient[k] = slope[k]
-    return distance
+    return distance, slope
+
+
+def _ask(field: AnyField, x: Place, scratch: Scratch) -> tuple[float, Place]:
+    """Distance and gradient at one place, of whichever kind of field: compiled for it."""
+    raise NotImplementedError("only compiled loops ask")
+
+
+@overload(_ask, strict=False)
+def _ask_of(field: Any, x: Any, scratch: Any) -> Callable[..., tuple[float, Place]]:  # noqa: ANN401 - types of Numba
+    if field.instance_class is FieldArrays:
+        return lambda field, x, scratch: _ask_one(field, x, scratch)
+
+    def nearer(field: NearerArrays, x: Place, scratch: Scratch) -> tuple[float, Place]:
+        if len(field.moving.begin) < 2:
+            return _ask_one(field.standing, x, scratch)
+        if len(field.standing.begin) < 2:
+            return _ask_one(field.moving, x, scratch)
+        stands, moves = _ask_one(field.standing, x, scratch), _ask_one(field.moving, x, scratch)
+        return stands if stands[0] <= moves[0] else moves
+
+    return nearer
 
 
 @njit(cache=True, nogil=True)

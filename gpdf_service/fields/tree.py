@@ -78,12 +78,21 @@ def build_tree(points: FloatArray) -> Tree:
     return tree_of(points[order], order, np.minimum(LEAF_SIZE * np.arange(leaves + 1), len(points)))
 
 
-def tree_of(points: FloatArray, order: IntArray, begin: IntArray) -> Tree:
-    """The tree over `points`, shape (n, dim), that are in its order already and cut into leaves at `begin`."""
+def tree_of(points: FloatArray, order: IntArray, begin: IntArray, like: Tree | None = None) -> Tree:
+    """The tree over `points`, shape (n, dim), that are in its order already and cut into leaves at `begin`.
+
+    Leaves that are as they were in a tree `like` it, which began with as many points, are copied from there.
+    """
     leaves = len(begin) - 1
     nodes = (_room(LEAF_SIZE * leaves) * FANOUT // LEAF_SIZE - 1) // (FANOUT - 1)
-    blocks, boxes = np.zeros((leaves, 3, LEAF_SIZE)), np.empty((nodes, 6, FANOUT))
-    _fill(points, begin, blocks, boxes)
+    blocks, boxes = np.empty((leaves, 3, LEAF_SIZE)), np.empty((nodes, 6, FANOUT))
+    boxes[:, :3], boxes[:, 3:] = np.inf, -np.inf
+    fresh = np.ones(leaves, dtype=bool)
+    if like is not None and len(like.boxes) == nodes:
+        kept = min(leaves, len(like.blocks))
+        blocks[:kept], boxes[:] = like.blocks[:kept], like.boxes
+        fresh[:kept] = np.diff(begin)[:kept] != np.diff(like.begin)[:kept]
+    _fill(points, begin, fresh, blocks, boxes)
     return Tree(points, order, begin, blocks, boxes)
 
 
@@ -112,7 +121,7 @@ def change_tree(tree: Tree, keep: BoolArray, added: FloatArray) -> tuple[Tree, I
     if (len(begin) - 2) * LEAF_SIZE > 2 * len(points):
         built = build_tree(points)
         return built, source[built.order]
-    return tree_of(points, np.arange(len(points)), begin), source
+    return tree_of(points, np.arange(len(points)), begin, tree), source
 
 
 @njit(cache=True, nogil=True)
@@ -186,21 +195,26 @@ def _select(along: FloatArray, order: IntArray, axis: int, left: int, right: int
 
 
 @njit(cache=True, nogil=True)
-def _fill(points: FloatArray, begin: IntArray, blocks: FloatArray, boxes: FloatArray) -> None:
-    """The leaves' blocks, and the boxes from the leaves up."""
+def _fill(points: FloatArray, begin: IntArray, fresh: BoolArray, blocks: FloatArray, boxes: FloatArray) -> None:
+    """The blocks of the `fresh` leaves, shape (leaves,), and the boxes from these up."""
     nodes = boxes.shape[0]
-    boxes[:, :3], boxes[:, 3:] = np.inf, -np.inf
+    other = np.zeros(nodes, np.bool_)
     for leaf in range(blocks.shape[0]):
+        if not fresh[leaf]:
+            continue
         node, child = (nodes + leaf - 1) // FANOUT, (nodes + leaf - 1) % FANOUT
-        count = begin[leaf + 1] - begin[leaf]
-        for k in range(points.shape[1]):
-            for j in range(LEAF_SIZE if count > 0 else 0):
-                blocks[leaf, k, j] = points[begin[leaf] + min(j, count - 1), k]
-        for k in range(3 if count > 0 else 0):
-            boxes[node, k, child] = blocks[leaf, k].min()
-            boxes[node, 3 + k, child] = blocks[leaf, k].max()
+        count, other[node] = begin[leaf + 1] - begin[leaf], True
+        for k in range(3):
+            for j in range(LEAF_SIZE):
+                here = count > 0 and k < points.shape[1]
+                blocks[leaf, k, j] = points[begin[leaf] + min(j, count - 1), k] if here else 0.0
+            boxes[node, k, child] = blocks[leaf, k].min() if count > 0 else np.inf
+            boxes[node, 3 + k, child] = blocks[leaf, k].max() if count > 0 else -np.inf
     for node in range(nodes - 1, 0, -1):
+        if not other[node]:
+            continue
         parent, child = (node - 1) // FANOUT, (node - 1) % FANOUT
+        other[parent] = True
         for k in range(3):
             boxes[parent, k, child] = boxes[node, k].min()
             boxes[parent, 3 + k, child] = boxes[node, 3 + k].max()
@@ -301,3 +315,7 @@ def from_root(stack: IntArray, bound: FloatArray) -> int:
     """`top` of a walk that begins at the root."""
     stack[0], bound[0] = 0, 0.0
     return 1
+
+
+NO_POINTS = tree_of(np.zeros((0, 2)), np.zeros(0, np.int64), np.zeros(1, np.int64))
+"""A tree without points: nothing is near to any place."""

@@ -15,6 +15,8 @@ from gpdf_service.perception.limits import GroundLimits as GroundLimits
 from gpdf_service.perception.limits import ObstacleKind as ObstacleKind
 from gpdf_service.perception.obstacles import Obstacles as Obstacles
 from gpdf_service.perception.obstacles import obstacles_of as obstacles_of
+from gpdf_service.perception.rays import Rays as Rays
+from gpdf_service.perception.rays import check_origins as check_origins
 from gpdf_service.perception.read import PointCloud as PointCloud
 from gpdf_service.perception.read import check_finite as check_finite
 from gpdf_service.perception.read import check_labels as check_labels

@@ -1,12 +1,14 @@
-"""Which nodes of layered columns lie beside each other, in strips of the grid: a change asks only those it touches.
+"""What nodes of layered columns are told by those around them, remembered: a change asks only where it is another.
 
-A strip numbers its nodes from its first one, so it is the same wherever it comes in the whole. What it was asked in the
-version before it remembers, with what was given for its nodes: where both are as they were, so is the answer.
+Pairs of nodes beside each other lie in strips of the grid. A strip numbers its nodes from its first one, so it is the
+same wherever it comes in the whole. What it was asked in the version before it remembers, with what was given for its
+nodes: where both are as they were, so is the answer. What a node is told by all that is within a known reach is asked
+of boxes of cells with as much around them: a build asks one box, a change those in which what is given is another.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -14,9 +16,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gpdf_service.fields.threads import run_parallel
-from gpdf_service.perception.layers import APART, HALF, Layers, Pairs
+from gpdf_service.perception.columns import Runs
+from gpdf_service.perception.layers import (
+    APART,
+    HALF,
+    Layers,
+    Pairs,
+    carried,
+    cells_around,
+    crop_layers,
+    differing,
+    kept_nodes,
+    renumbered,
+)
 from gpdf_service.perception.nodes import across_in, degrees_in, ends_in, numbered, pieces_in, put_in, unite_all
 from gpdf_service.perception.pairs import INDEX, pairs_beside
+from gpdf_service.perception.told import Told, boxes_of
 from gpdf_service.types import BoolArray, FloatArray, IntArray
 
 ROWS = 16
@@ -32,43 +47,139 @@ class Strip:
 
     Attributes:
         count: How many of them are its own.
-        height: Of all [m], shape (k,).
-        a: Its own node of each pair, those of each of the `HALF` after another, shape (e,).
-        b: The other one, shape (e,).
-        first: Where each of the `HALF` begins, shape (5,).
+        size: How many there are in all.
         known: What it was asked in this version.
         before: What it was asked in the version before.
+        pairs: Of nodes, `pairs_beside`, while they are asked for again and again; else none.
     """
 
     count: int
-    height: FloatArray
-    a: IntArray
-    b: IntArray
-    first: IntArray
+    size: int
     known: Answers
     before: Answers
+    pairs: list[tuple[IntArray, IntArray, IntArray]]
 
     def recall(self, key: tuple[Any, ...]) -> object:
         """The answer to what it was asked in this version or the one before; None where it was not."""
         return self.known.get(key, self.before.get(key))
 
-    def ask(self, question: Callable[..., Any], given: NDArray[np.uint8], limits: tuple[float, ...]) -> object:
-        """The answer to a question, which is `given` a number for each node, shape (k,)."""
-        answer: object = question(self.a, self.b, self.first, self.height, self.count, APART, given, *limits)
-        return answer
+
+@dataclass(frozen=True, slots=True)
+class Former:
+    """The version before.
+
+    Attributes:
+        known: What was asked of it.
+        kept: Which of its nodes are nodes now.
+        cells: The columns that hold others, shape (nx, ny).
+    """
+
+    known: dict[str, Told]
+    kept: Runs
+    cells: BoolArray
 
 
 @dataclass(frozen=True, slots=True)
 class Beside:
-    """Pairs of nodes in neighbouring cells, from which those among some nodes and within some rise are taken.
+    """Nodes, pairs of those in neighbouring cells, and what was asked of them.
 
     Attributes:
         layers: The nodes.
+        rise: Between the nodes of a pair at most [m].
         strips: Of their pairs.
+        known: What each question was told, by its name.
+        former: The version before, if there was one.
     """
 
     layers: Layers
+    rise: float
     strips: tuple[Strip, ...]
+    known: dict[str, Told]
+    former: Former | None = None
+
+    def around(
+        self, name: str, reach: int, answer: Callable[..., tuple[NDArray[Any], ...]], *given: NDArray[Any]
+    ) -> tuple[NDArray[Any], ...]:
+        """What a question is told of each node, arrays of shape (k,).
+
+        Args:
+            name: Of the question.
+            reach: Cells within which the nodes, and what is given for them, decide on the answer.
+            answer: Called with layers of a box of cells and what is given for their nodes.
+            given: Arrays of shape (k,).
+        """
+        was = self._before(name)
+        if was is None:
+            made = answer(self.layers, *given)
+        else:
+            made = self.last(name)
+            for nodes, fresh, found in self._again(name, reach, answer, given):
+                for values, now in zip(made, found, strict=True):
+                    values[nodes[fresh]] = now[fresh]
+        self.known[name] = Told(given, made)
+        return made
+
+    def pairs_around(self, name: str, reach: int, answer: Callable[..., Pairs], *given: NDArray[Any]) -> Pairs:
+        """Pairs of nodes that a question is told, of each of which the first node decides; see `around`."""
+        was = self._before(name)
+        if was is None:
+            made = answer(self.layers, *given)
+        else:
+            told, former = was
+            number = renumbered(former.kept, len(told.given[0]))
+            a, b = (number[ends] for ends in told.made)
+            felt = self.felt(name, given, reach).ravel()[self.layers.cell]
+            stay = (a >= 0) & (b >= 0)
+            stay[stay] = ~felt[a[stay]]
+            found = [(a[stay], b[stay])]
+            for nodes, fresh, (one, other) in self._again(name, reach, answer, given):
+                own = fresh[one]
+                found.append((nodes[one[own]], nodes[other[own]]))
+            made = np.concatenate([pair[0] for pair in found]), np.concatenate([pair[1] for pair in found])
+        self.known[name] = Told(given, made)
+        return made
+
+    def _before(self, name: str) -> tuple[Told, Former] | None:
+        """What a question was told in the version before."""
+        return None if self.former is None or name not in self.former.known else (self.former.known[name], self.former)
+
+    def _again(
+        self, name: str, reach: int, answer: Callable[..., tuple[NDArray[Any], ...]], given: tuple[NDArray[Any], ...]
+    ) -> Iterator[tuple[IntArray, BoolArray, tuple[NDArray[Any], ...]]]:
+        """The nodes of each box in which something is another, which of them that can change, and the answer."""
+        felt = self.felt(name, given, reach)
+        for box in boxes_of(felt):
+            part, nodes = crop_layers(self.layers, box, reach)
+            inside = np.zeros(self.layers.shape, dtype=bool)
+            inside[box] = felt[box]
+            yield nodes, inside.ravel()[self.layers.cell[nodes]], answer(part, *(each[nodes] for each in given))
+
+    def felt(self, name: str, given: tuple[NDArray[Any], ...], reach: int = 0) -> BoolArray:
+        """Cells within reach of what is given otherwise than to the version before, shape (nx, ny); all of a build."""
+        was = self._before(name)
+        if was is None:
+            return np.ones(self.layers.shape, dtype=bool)
+        return self._unlike(given, was[0].given, was[1], reach)
+
+    def last(self, name: str) -> tuple[NDArray[Any], ...]:
+        """What the nodes were told in the version before, arrays of shape (k,): NaN, or false, of new ones."""
+        was = self._before(name)
+        return () if was is None else tuple(carried(values, was[1].kept) for values in was[0].made)
+
+    def other_answers(self, name: str) -> BoolArray:
+        """Cells in which a question was told otherwise than in the version before, shape (nx, ny)."""
+        was = self._before(name)
+        if was is None:
+            return np.ones(self.layers.shape, dtype=bool)
+        return self._unlike(self.known[name].made, was[0].made, was[1], 0)
+
+    def _unlike(
+        self, now: tuple[NDArray[Any], ...], was: tuple[NDArray[Any], ...], former: Former, reach: int
+    ) -> BoolArray:
+        other = np.zeros(len(self.layers.cell), dtype=bool)
+        for one, another in zip(now, was, strict=True):
+            differing(one, another, former.kept, other)
+        return cells_around(self.layers, other, reach, former.cells)
 
     def degrees(self, keep: BoolArray, rise: float) -> IntArray:
         """How many nodes to keep are beside each of them with at most `rise` [m] a cell between them, shape (k,)."""
@@ -124,22 +235,32 @@ class Beside:
         return numbered(parent), _in_order(found, 3), _in_order(found, 6)
 
     def lasting(self) -> Beside:
-        """The same without the points."""
-        return replace(self, layers=replace(self.layers, node_of_point=np.zeros(0, np.int64)))
+        """The same without the points, without pairs, and without the version before."""
+        layers = replace(self.layers, node_of_point=np.zeros(0, np.int64))
+        strips = tuple(replace(strip, before={}, pairs=[]) for strip in self.strips)
+        return replace(self, layers=layers, strips=strips, former=None)
 
     def _ask(self, question: Callable[..., Any], given: NDArray[np.uint8], *limits: float) -> list[tuple[int, Any]]:
         """The first node of each strip, and its answer."""
         begin = np.cumsum([0, *(strip.count for strip in self.strips)]).tolist()
-        own = [given[first : first + len(strip.height)] for first, strip in zip(begin, self.strips, strict=False)]
+        own = [given[first : first + strip.size] for first, strip in zip(begin, self.strips, strict=False)]
         keys = [(question.__name__, *limits, part.tobytes()) for part in own]
         found = [strip.recall(key) for strip, key in zip(self.strips, keys, strict=True)]
         asked = [i for i, answer in enumerate(found) if answer is None]
-        fresh = run_parallel(lambda i: self.strips[i].ask(question, own[i], limits), asked)
+        fresh = run_parallel(lambda i: question(*self._strip(i, begin[i]), APART, own[i], *limits), asked)
         for i, answer in zip(asked, fresh, strict=True):
             found[i] = answer
         for strip, key, answer in zip(self.strips, keys, found, strict=True):
             strip.known[key] = answer
         return list(zip(begin, found, strict=False))
+
+    def _strip(self, i: int, begin: int) -> tuple[IntArray, IntArray, IntArray, FloatArray, int]:
+        """Pairs of a strip, heights of its nodes, the first of which is number `begin`, and how many are its own."""
+        strip, (nx, _), row = self.strips[i], self.layers.shape, ROWS * i
+        if not strip.pairs:
+            own = self.layers.start, self.layers.shape, self.layers.height, self.rise, HALF
+            strip.pairs.append(pairs_beside(*own, row, min(row + ROWS, nx)))
+        return *strip.pairs[0], self.layers.height[begin : begin + strip.size], strip.count
 
 
 def _in_order(found: list[tuple[int, Any]], at: int) -> Pairs:
@@ -157,25 +278,24 @@ def _in_order(found: list[tuple[int, Any]], at: int) -> Pairs:
 
 def beside(layers: Layers, rise: float) -> Beside:
     """All pairs with at most `rise` [m] between them."""
-    return Beside(layers, tuple(run_parallel(lambda row: _strip(layers, rise, row), range(0, layers.shape[0], ROWS))))
+    return Beside(layers, rise, tuple(_new_strip(layers, row) for row in range(0, layers.shape[0], ROWS)), {})
 
 
-def beside_now(near: Beside, layers: Layers, rise: float, cells: BoolArray) -> Beside:
+def beside_now(near: Beside, layers: Layers, cells: BoolArray) -> Beside:
     """`beside` of `layers` that are those of `near` but for the columns `cells`, shape (nx, ny)."""
     rows: BoolArray = np.logical_or.reduce(cells, axis=1)
-    strips = (
-        _strip(layers, rise, ROWS * i)
+    strips = tuple(
+        _new_strip(layers, ROWS * i)
         if rows[ROWS * i : ROWS * (i + 1) + 1].any()
-        else replace(strip, known={}, before=strip.known)
+        else replace(strip, known={}, before=strip.known, pairs=[])
         for i, strip in enumerate(near.strips)
     )
-    return Beside(layers, tuple(strips))
+    former = Former(near.known, kept_nodes(near.layers, layers, cells), cells)
+    return Beside(layers, near.rise, strips, {}, former)
 
 
-def _strip(layers: Layers, rise: float, row: int) -> Strip:
+def _new_strip(layers: Layers, row: int) -> Strip:
     """The strip that begins with a row of cells."""
     start, (nx, ny) = layers.start, layers.shape
-    last, behind = min(row + ROWS, nx), min(row + ROWS + 1, nx)
-    begin, own, end = (int(start[x * ny]) for x in (row, last, behind))
-    pairs = pairs_beside(start, layers.shape, layers.height, rise, HALF, row, last)
-    return Strip(own - begin, layers.height[begin:end].copy(), *pairs, {}, {})
+    begin, own, end = (int(start[x * ny]) for x in (row, min(row + ROWS, nx), min(row + ROWS + 1, nx)))
+    return Strip(own - begin, end - begin, {}, {}, [])

@@ -2,16 +2,12 @@
 
 from __future__ import annotations
 
-from typing import TypeVar
-
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 from scipy import ndimage
 
 from gpdf_service.types import BoolArray
 
-Scalar = TypeVar("Scalar", bound=np.generic)
 Box = tuple[slice, slice]
 """Rows and columns of a grid."""
 WHOLE: Box = (slice(None), slice(None))
@@ -21,13 +17,6 @@ NOWHERE: Box = (slice(0, 0), slice(0, 0))
 def corner_of(box: Box) -> tuple[int, int]:
     """Its first cell."""
     return box[0].start or 0, box[1].start or 0
-
-
-def pasted(whole: NDArray[Scalar], part: NDArray[Scalar], inner: Box, outer: Box) -> NDArray[Scalar]:
-    """A grid with the cells of the `inner` box from a `part` of it, which is that of the `outer` box."""
-    made = whole.copy()
-    made[inner] = part[tuple(slice(i.start - o.start, i.stop - o.start) for i, o in zip(inner, outer, strict=True))]
-    return made
 
 
 def window(cells: BoolArray, by: int) -> Box:
@@ -64,3 +53,23 @@ def widened(cells: BoolArray, by: int) -> BoolArray:
         box = window(cells, by)
         made[box] = ndimage.maximum_filter(cells[box], size=2 * by + 1, mode="constant")
     return made
+
+
+def eroded(cells: BoolArray, by: int) -> BoolArray:
+    """The first cells of all squares of `by` + 1 cells a side that hold nothing else; beyond the grid is nothing."""
+    for _ in range(by):
+        rows = np.zeros_like(cells)
+        rows[:-1] = cells[:-1] & cells[1:]
+        cells = np.zeros_like(cells)
+        cells[:, :-1] = rows[:, :-1] & rows[:, 1:]
+    return cells
+
+
+def dilated(cells: BoolArray, by: int) -> BoolArray:
+    """The squares of `by` + 1 cells a side of which the `cells` are the first; so an opening is `dilated(eroded)`."""
+    for _ in range(by):
+        rows = cells.copy()
+        rows[1:] |= cells[:-1]
+        cells = rows.copy()
+        cells[:, 1:] |= rows[:, :-1]
+    return cells

@@ -7,16 +7,16 @@ on and on; rough ground does so everywhere; a narrow tread leads further up.
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
 from numba import njit
 
 from gpdf_service.config import PerceptionConfig
 from gpdf_service.fields.threads import run_chunked
-from gpdf_service.perception.layers import HALF, Layers, cells_around
+from gpdf_service.perception.beside import Beside
+from gpdf_service.perception.layers import HALF, Layers
 from gpdf_service.perception.nodes import components, extents_in_plan
 from gpdf_service.perception.pairs import pairs_around
+from gpdf_service.perception.told import Told
 from gpdf_service.types import BoolArray, FloatArray, IntArray
 
 LEAST_BUMP = 0.02
@@ -28,81 +28,52 @@ LONG = 3.0
 """[-] Length over depth of what crosses the way, a sill or a ridge; what stands about is rounder."""
 
 
-class Former(NamedTuple):
-    """What was found of the nodes in the version before.
+def low_things(near: Beside, ground: BoolArray, raised: FloatArray, config: PerceptionConfig) -> BoolArray:
+    """Which nodes of the `ground`, shape (k,), are narrow bumps on it, and not of its own roughness, shape (k,).
 
-    Attributes:
-        ground: Which were ground, shape (k,).
-        raised: How far they were raised [m], NaN of those that are new, shape (k,).
-        rough: How rough it was around low things [m], NaN elsewhere, shape (k,).
-        cells: Those that had other nodes, shape (nx, ny).
-    """
-
-    ground: BoolArray
-    raised: FloatArray
-    rough: FloatArray
-    cells: BoolArray
-
-
-def low_things(
-    layers: Layers,
-    ground: BoolArray,
-    raised: FloatArray,
-    config: PerceptionConfig,
-    known: Former | None = None,
-) -> tuple[BoolArray, FloatArray]:
-    """Which nodes of the `ground`, shape (k,), are narrow bumps on it, and not of its own roughness.
+    How rough it is around each bump is remembered: it stays where no ground around is another or `raised` otherwise.
 
     Args:
-        layers: The nodes.
+        near: The nodes.
         ground: Which are ground.
         raised: `raised_over_sides`.
         config: Limits.
-        known: Of the version before.
-
-    Returns:
-        Which they are, and the roughness around each bump [m], NaN elsewhere; both (k,).
     """
+    layers = near.layers
     grid = layers.cell, layers.start, layers.shape, layers.height
     slope, found = layers.cell_width * float(np.tan(config.steepest)), raised > LEAST_BUMP
     nodes = np.flatnonzero(found)
-    rough, other = np.full(len(ground), np.nan), np.ones(layers.shape, dtype=bool)
-    if known is not None:
-        other = cells_around(layers, (known.ground != ground) | (known.raised != raised), 0, known.cells)
-        rough = known.rough.copy()
+    other, rough = near.felt("rough", (ground, raised)), np.full(len(ground), np.nan)
     reach = 2 * _reach(layers, config)
-    around = _around(nodes, *grid, ground, _pieces(nodes, grid, found, slope), raised, reach, other, rough)
-    rough[:] = np.nan
+    pieces = _pieces(nodes, grid, found, slope)
+    around = _around(nodes, *grid, ground, pieces, raised, reach, other, *(near.last("rough") or (rough,)))
     rough[nodes] = around
+    near.known["rough"] = Told((ground, raised), (rough,))
     nodes = nodes[raised[nodes] > ROUGH * around]
     found = np.zeros_like(ground)
     found[nodes] = True
     if len(nodes) == 0:
-        return found, rough
+        return found
     piece = _pieces(nodes, grid, found, slope)
     length, depth = extents_in_plan(layers.cell[nodes], layers.shape[1], found[nodes], piece, layers.cell_width)
     stays = (length >= config.standing_width) & (length >= LONG * depth)
     a, b = pairs_around(nodes, *grid, ground & ~found, 0.0, config.max_step)
     stays[piece[a[layers.height[b] - layers.height[nodes[a]] > LEAST_BUMP]]] = True
     found[nodes[stays[piece]]] = False
-    return found, rough
+    return found
 
 
-def raised_over_sides(
-    layers: Layers, ground: BoolArray, config: PerceptionConfig, known: Former | None = None
-) -> FloatArray:
-    """How much higher each node of the `ground` is than the ground to both sides of it [m], shape (k,).
+def raised_over_sides(near: Beside, ground: BoolArray, config: PerceptionConfig) -> FloatArray:
+    """How much higher each node of the `ground` is than the ground to both sides of it [m], shape (k,)."""
+    reach = _reach(near.layers, config)
 
-    It is as it was in the version before, if that is `known`, where no ground within the reach of a foot is another.
-    """
-    reach = _reach(layers, config)
-    raised, asked = np.zeros(len(ground)), ground
-    if known is not None:
-        felt = cells_around(layers, known.ground != ground, reach, known.cells).ravel()[layers.cell]
-        raised, asked = np.where(felt, 0.0, known.raised), ground & felt
-    nodes, grid = np.flatnonzero(asked), (layers.cell, layers.start, layers.shape, layers.height, ground)
-    run_chunked(lambda a, b: _raise(nodes[a:b], *grid, reach, config.max_step, raised), len(nodes))
-    return raised
+    def answer(layers: Layers, ground: BoolArray) -> tuple[FloatArray]:
+        raised, nodes = np.zeros(len(ground)), np.flatnonzero(ground)
+        grid = layers.cell, layers.start, layers.shape, layers.height, ground
+        run_chunked(lambda a, b: _raise(nodes[a:b], *grid, reach, config.max_step, raised), len(nodes))
+        return (raised,)
+
+    return near.around("raised", reach, answer, ground)[0]
 
 
 def _reach(layers: Layers, config: PerceptionConfig) -> int:

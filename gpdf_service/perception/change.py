@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gpdf_service.config import PerceptionConfig
-from gpdf_service.fields.threads import run_beside, run_parallel
+from gpdf_service.fields.threads import run_parallel
 from gpdf_service.perception.beside import beside_now
 from gpdf_service.perception.boxes import NOWHERE, Box, widened, window
 from gpdf_service.perception.columns import by_cell, runs_of, starts_spliced, values_spliced
@@ -23,10 +23,7 @@ from gpdf_service.perception.holes import MAX_HOLE_RADIUS, find_voids
 from gpdf_service.perception.layers import (
     Layers,
     build_layers,
-    carried,
-    cells_around,
     grid_of,
-    kept_nodes,
     layer_gap,
     same_nodes,
     splice_layers,
@@ -34,22 +31,22 @@ from gpdf_service.perception.layers import (
 from gpdf_service.perception.levels import (
     FACE,
     HIGH,
-    Completion,
     GroundLevel,
     Levels,
     Survey,
     Voids,
     alone,
-    complete_again,
+    complete,
     find_ledges,
     find_portals,
+    held_in,
     in_order,
     lowest_and_highest,
-    make_level,
+    measure,
     sheet_surface,
     within_reach,
 )
-from gpdf_service.perception.limits import GroundLimits, Measured, change_step_and_slope, find_limits, limits_reach
+from gpdf_service.perception.limits import limits_reach
 from gpdf_service.perception.rows import (
     bounds_of,
     cells_in_box,
@@ -61,9 +58,10 @@ from gpdf_service.perception.rows import (
     taken,
 )
 from gpdf_service.perception.segment import Segmentation, change_segmentation
-from gpdf_service.perception.sheets import OVERLAP, rise_of_sheets, split_sheets
+from gpdf_service.perception.sheets import OVERLAP, split_sheets
 from gpdf_service.perception.strays import find_strays
-from gpdf_service.perception.surface import OBSERVED, HeightMap, changed, differ, nearest_seen, pasted_ground, without
+from gpdf_service.perception.surface import OBSERVED, HeightMap, changed, differ, nearest_seen, without
+from gpdf_service.perception.told import Grid
 from gpdf_service.types import BoolArray, FloatArray, IntArray
 
 Touched = tuple[BoolArray | None, ...]
@@ -94,8 +92,7 @@ class Perceived:
         """The same without what only the build needed."""
         found, survey = self.segmentation, replace(self.survey, near=self.survey.near.lasting())
         if found is not None:
-            near = found.found.near.lasting()
-            found = replace(found, layers=near.layers, found=found.found._replace(near=near))
+            found = replace(found, near=found.near.lasting())
         return replace(self, segmentation=found, survey=survey)
 
 
@@ -136,7 +133,7 @@ def change(
     places = np.concatenate([places, cloud[np.flatnonzero(again != stray)]])
     _check_grid(cloud, ground, old.survey.layers, places)
     levels, survey, touched = _change_levels(old, known, ground, again, places, config)
-    return Perceived(cloud, ground, segmentation, levels, survey, touched)
+    return Perceived(cloud, ground, segmentation, levels, survey, touched).lasting()
 
 
 def _cells_with(places: FloatArray, layers: Layers) -> BoolArray:
@@ -275,32 +272,20 @@ def _change_levels(
     layers = _change_layers(layers, cloud, rows, cells, config)
     near, sheets = old.survey.near, old.survey.sheets
     if not same_nodes(layers, near.layers):  # as where something was put onto the ground
-        near = beside_now(near, layers, rise_of_sheets(layers, config), cells)
+        near = beside_now(near, layers, cells)
         sheets = split_sheets(near, config)
     if len(sheets) != len(old.levels.levels):
         raise WholeError
-    kept = kept_nodes(old.survey.layers, layers, cells)
 
-    def one(i: int) -> tuple[GroundLevel, Voids, Completion, IntArray, BoolArray | None]:
-        level, inside = old.levels.levels[i], sheets[i]
-        moved = cells_around(layers, inside != carried(old.survey.sheets[i], kept), 0, cells)  # maybe other nodes of it
-        was = without(level.surface, level.surface.state != OBSERVED)  # as it was seen
-        part = _Part(cloud, ground, stray, layers, inside, _change_seen(was, layers, inside, moved), cells)
-        survey = old.survey
-        return _change_level(level, was, survey.voids[i], survey.completions[i], survey.first[i], part, config)
+    def one(i: int) -> tuple[GroundLevel, Voids, Grid, IntArray, BoolArray | None]:
+        survey, grid = old.survey, old.survey.grids[i].now(np.zeros_like(cells))
+        seen = sheet_surface(grid, layers, np.flatnonzero(sheets[i]), config.max_step)
+        part = _Part(cloud, ground, stray, layers, sheets[i], seen, grid, cells)
+        return _change_level(old.levels.levels[i], survey.voids[i], survey.first[i], part, config)
 
-    known, voids, completions, first, touched = zip(*run_parallel(one, range(len(sheets))), strict=True)
-    survey = Survey(near, stray, sheets, voids, completions, first)
+    known, voids, grids, first, touched = zip(*run_parallel(one, range(len(sheets))), strict=True)
+    survey = Survey(near, stray, sheets, voids, grids, first)
     return Levels(known, find_portals(layers, sheets)), survey, touched
-
-
-def _change_seen(was: HeightMap, layers: Layers, inside: BoolArray, moved: BoolArray) -> HeightMap:
-    """`sheet_surface` of the nodes `inside`, which are others than before in the cells `moved`."""
-    if not moved.any():
-        return was
-    inner, outer = window(moved, 1), window(moved, 2)
-    part = sheet_surface(layers, np.flatnonzero(inside), box=outer)
-    return pasted_ground(was, part, inner, outer)
 
 
 @dataclass(frozen=True, slots=True)
@@ -314,6 +299,7 @@ class _Part:
         layers: Of the ground points.
         inside: Which of their nodes are of this level, shape (k,).
         seen: Its ground as it was seen.
+        grid: What was asked of its cells.
         cells: Columns that hold other points than before, and those beside, shape (nx, ny).
     """
 
@@ -323,6 +309,7 @@ class _Part:
     layers: Layers
     inside: BoolArray
     seen: HeightMap
+    grid: Grid
     cells: BoolArray
 
     def rest(self, cells: BoolArray, config: PerceptionConfig) -> FloatArray:
@@ -337,15 +324,10 @@ class _Part:
 
 
 def _change_level(
-    old: GroundLevel,
-    was: HeightMap,
-    voids: Voids,
-    completion: Completion,
-    first: IntArray,
-    part: _Part,
-    config: PerceptionConfig,
-) -> tuple[GroundLevel, Voids, Completion, IntArray, BoolArray | None]:
+    old: GroundLevel, voids: Voids, first: IntArray, part: _Part, config: PerceptionConfig
+) -> tuple[GroundLevel, Voids, Grid, IntArray, BoolArray | None]:
     width, seen = part.seen.cell_width, part.seen
+    was = without(old.surface, old.surface.state != OBSERVED)  # as it was seen
     moved = differ(was.height, seen.height)
     cells = part.cells | _felt(was, seen, moved)
     box, rest = _around(cells, width), part.rest(cells, config)
@@ -361,22 +343,18 @@ def _change_level(
         begin, runs = starts_spliced(flat, first, new), runs_of(flat, first, new)
         other = values_spliced(runs, other, fresh)
         ledge = values_spliced(runs, ledge, np.full(len(fresh), np.inf, np.float32))
-    surface = old.surface
+    surface, measured, limits = old.surface, old.measured, old.limits
     again = moved.any() or swapped.any() or any((a != b).any() for a, b in zip(now, voids, strict=True))
+    grid = replace(part.grid, others=swapped)
     if again:
-        at_hand = partial(_in_box, other, begin, seen)
-        surface, completion = complete_again(surface, completion, seen, at_hand, now, swapped, config)
+        surface, guarded = complete(grid, seen, partial(held_in, other, begin, seen), now, config)
+        measured, limits = measure(grid, surface, guarded)
+    else:
+        grid = replace(grid, known=grid.former)
     other_ground = changed(old.surface, surface)
-
-    def measure() -> tuple[Measured, GroundLimits]:
-        if not again:
-            return old.measured, old.limits
-        measured = change_step_and_slope(surface, other_ground, *old.measured)
-        return measured, find_limits(surface, completion.guarded, measured)
-
     asked = rows_by_cell(cells | _ledge_cells(part, surface, other_ground), begin)
     places = taken(other, asked)
-    (measured, limits), found = run_beside(measure, partial(_ledges_of, part, surface, places))
+    found = _ledges_of(part, surface, places)
     after = cells[surface.cells(places)[:2]]
     stepped = _cells_with(places[ledge[asked] != found], part.layers) & ~cells
     stepped |= _other_cells(surface, before, np.column_stack([places[after], found[after]]))
@@ -384,15 +362,8 @@ def _change_level(
     ledge[asked] = found
     touched = widened(stepped, 1) | widened(other_ground, limits_reach(surface))
     if not touched.any():
-        return old, voids, completion, first, None
-    return make_level(surface, other, ledge, limits, measured), now, completion, begin, touched
-
-
-def _in_box(points: FloatArray, first: IntArray, surface: HeightMap, box: Box) -> FloatArray:
-    """The points in a box of cells, of points by cell."""
-    cells = np.zeros(surface.state.shape, dtype=bool)
-    cells[box] = True
-    return taken(points, rows_by_cell(cells, first))
+        return old, now, grid.lasting(), begin, None
+    return GroundLevel(surface, other, ledge, limits, measured), now, grid.lasting(), begin, touched
 
 
 def _around(cells: BoolArray, width: float) -> Box:

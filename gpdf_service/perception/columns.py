@@ -10,10 +10,16 @@ from numba import njit
 from numpy.typing import NDArray
 
 from gpdf_service.fields.threads import run_chunked
+from gpdf_service.perception.pairs import INDEX
 from gpdf_service.types import BoolArray, FloatArray, IntArray
 
+BAND = 0.04
+"""[m] Thickness of a surface as a scanner of a centimetre's noise sees it."""
 _FEW = 32
 """Points that are sorted faster by insertion than by a call."""
+
+_SCATTERED, _MANY = 8, 1_000_000
+"""Cells a point, and in any case, that are counted out one by one: sorting takes longer, and less memory."""
 
 
 def column_order(cell: IntArray, points: FloatArray, cells: int) -> tuple[IntArray, IntArray, FloatArray]:
@@ -33,9 +39,21 @@ def column_order(cell: IntArray, points: FloatArray, cells: int) -> tuple[IntArr
     return start, order, z
 
 
+def compacted(cell: IntArray, cells: int) -> tuple[IntArray, int, IntArray]:
+    """Cells numbered anew where most hold no point: then memory goes with what is there, and not with how wide it is.
+
+    Returns:
+        Cell of each point, shape (n,), how many there are, and which of the former each is; empty where none changed.
+    """
+    if cells <= _SCATTERED * len(cell) + _MANY:
+        return cell, cells, np.zeros(0, np.int64)
+    held, number = np.unique(cell, return_inverse=True)
+    return number, len(held), held
+
+
 def by_cell(cell: IntArray, cells: int) -> tuple[IntArray, IntArray]:
     """Where each of the cells begins, shape (cells + 1,), in the order of the points by cell, shape (n,)."""
-    start, order = np.zeros(cells + 1, np.int64), np.empty(len(cell), np.int64)
+    start, order = np.zeros(cells + 1, np.int64), np.empty(len(cell), INDEX)
     _count_out(cell, start, order)
     return start, order
 
@@ -92,7 +110,7 @@ def cut_columns(
     first: IntArray,
     begin: int,
     end: int,
-    made: tuple[IntArray, IntArray, FloatArray, FloatArray, FloatArray, FloatArray, IntArray],
+    made: tuple[IntArray, IntArray, FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, IntArray],
 ) -> None:
     """Fill what nodes of the columns from `begin` to `end` are, in the order of `made`.
 
@@ -101,16 +119,16 @@ def cut_columns(
         order: Rows of the points, by column and upward.
         z: Their heights in that order [m].
         gap: That parts two nodes [m].
-        flat: Thickness up to which a node's middle is its median; of a thicker one, a step's face, its top [m].
+        flat: Thickness up to which a node's middle is its median [m]; of a thicker one it is `_highest_full_band`.
         board: Room between the faces of a board, at least: what lies over another node may have been seen on both [m].
             Then the face is the median of what is over that room.
         first: `count_nodes`.
         begin: First column.
         end: Behind the last.
-        made: Of each node its cell, the row of the point in its middle, that one's height, its face, thickness and
-            headroom; and each point's node.
+        made: Of each node its cell, the row of the point in its middle, that one's height, its face, top, thickness
+            and headroom; and each point's node.
     """
-    cell, row, middle, face, thickness, headroom, node_of_point = made
+    cell, row, middle, face, top, thickness, headroom, node_of_point = made
     for c in range(begin, end):
         node, i = first[c], start[c]
         while i < start[c + 1]:
@@ -119,14 +137,35 @@ def cut_columns(
                 last += 1
             for e in range(i, last + 1):
                 node_of_point[order[e]] = node
-            cell[node], thickness[node] = c, z[last] - z[i]
-            chosen = (i + last) // 2 if thickness[node] <= flat else last
+            cell[node], top[node], thickness[node] = c, z[last], z[last] - z[i]
+            chosen = (i + last) // 2 if thickness[node] <= flat else _highest_full_band(z, i, last)
             row[node], middle[node], face[node] = order[chosen], z[chosen], np.nan
             if i > start[c] and thickness[node] <= flat:
-                top = _top_of_board(z, i, last, board)
-                face[node] = z[(top + last) // 2] if top > i else np.nan
+                upper = _top_of_board(z, i, last, board)
+                face[node] = z[(upper + last) // 2] if upper > i else np.nan
             headroom[node] = z[last + 1] - z[last] if last + 1 < start[c + 1] else np.inf
             node, i = node + 1, last + 1
+
+
+@njit(cache=True, nogil=True)
+def _highest_full_band(z: FloatArray, first: int, last: int) -> int:
+    """The top of a thick run from `first` to `last`: the middle of its highest band that is a quarter as full as any.
+
+    What lies over it are strays, or points of a railing.
+    """
+    most, low = 1, first
+    for e in range(first, last + 1):
+        while z[e] - z[low] > BAND:
+            low += 1
+        most = max(most, e - low + 1)
+    high, low = last, last
+    while low >= first:
+        while low > first and z[high] - z[low - 1] <= BAND:
+            low -= 1
+        if 4 * (high - low + 1) >= most:
+            return (low + high + 1) // 2
+        high -= 1
+    return last
 
 
 @njit(cache=True, nogil=True)

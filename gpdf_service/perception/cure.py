@@ -2,28 +2,15 @@
 
 from __future__ import annotations
 
-from functools import partial
 from typing import NamedTuple
 
 import numpy as np
 
 from gpdf_service.config import PerceptionConfig
-from gpdf_service.errors import NoGroundError
-from gpdf_service.fields import (
-    Cured,
-    Flight,
-    build_tree,
-    estimate_noise,
-    estimate_spacing,
-    find_lifted,
-    find_loose,
-    onto_risers,
-    onto_surface,
-    onto_treads,
-    uncured,
-)
-from gpdf_service.fields.threads import run_beside
-from gpdf_service.perception.layers import Layers, columns_over
+from gpdf_service.denoise import Denoised, as_measured, denoise, estimate_noise, find_lifted, onto_risers, onto_treads
+from gpdf_service.fields import build_tree, estimate_spacing
+from gpdf_service.perception.columns import compacted
+from gpdf_service.perception.layers import columns_over
 from gpdf_service.perception.rows import bounds_of, cells_of, chosen_rows
 from gpdf_service.perception.segment import Segmentation, first_layers, segment
 from gpdf_service.types import BoolArray, FloatArray
@@ -36,6 +23,8 @@ Labels tell treads from risers and floors from feet; what is left of scans that 
 _DOUBLE = 1.5
 """[-] Noise of the ground over that of all, each place told from its shape, from which on the ground lies there more
 than once: a stair's treads make 1.1 of it, a forest's litter 1.3, two scans that are 2 cm off each other 2.9."""
+_PLACES = 300
+"""Places of the ground that tell whether it lies there more than once: to a tenth, for half as much again."""
 _COLUMN = 1.0
 """[m] Width of the columns that the sample is made of: several times the largest neighbourhood of 5 cm noise."""
 
@@ -50,10 +39,18 @@ class CuredGround(NamedTuple):
         segmentation: What the ground of a clean cloud without labels was found from.
     """
 
-    cured: Cured
+    cured: Denoised
     ground: BoolArray
     as_it_was: bool
     segmentation: Segmentation | None = None
+
+
+class _Sample(NamedTuple):
+    """Which points are a sample of the cloud, shape (n,), and the cloud's spacing and noise [m]."""
+
+    picked: BoolArray
+    spacing: float
+    noise: float
 
 
 def cure_and_segment(
@@ -61,10 +58,10 @@ def cure_and_segment(
 ) -> CuredGround:
     """Move the points of a noisy cloud onto their surfaces, and tell ground from the rest.
 
-    At the foot of a wall a neighbourhood holds both floor and wall, and its plane is neither. So ground and the rest
-    are cured apart: by the labels, or by a segmentation of the cloud cured as a whole. A clean cloud stays as it is.
-    Two sheets close to each other are a board, and no noise; but ground has one height, so there they are scans that do
-    not fit on each other, and their distance is what the cloud is off by.
+    Labels keep the surfaces of ground and of the rest apart: at the foot of a wall a window holds both. A cloud without
+    labels is denoised as a whole, and then segmented. A clean cloud stays as it is. Two sheets close to each other are
+    a board, and no noise; but ground has one height, so there they are scans that do not fit on each other, and their
+    distance is what the cloud is off by.
 
     Args:
         points: The cloud [m], shape (n, 3).
@@ -72,71 +69,67 @@ def cure_and_segment(
         config: Limits.
         width: Of the cells that a clean cloud is segmented in [m]; measured when not given.
     """
-    given = first_layers(points, config, width) if ground is None else ground
-    (first, segmentation, refused), (picked, spacing, noise) = run_beside(
-        partial(_first_look, points, given, config), partial(_measure, points)
-    )
-    least = max(config.negligible_noise, (_SEEN if ground is None else _SEEN_APART) * spacing)
-    if refused is not None and noise <= least:
-        raise refused
-    double = estimate_noise(chosen_rows(points, picked & first), spacing, sheets=False)
-    if double > max(_DOUBLE * noise, least):
-        noise = double
+    sample = _measure(points)
+    least = max(config.negligible_noise, (_SEEN if ground is None else _SEEN_APART) * sample.spacing)
+    noise = sample.noise
+    if ground is not None:
+        noise = _with_double(points, ground, sample, least)
+        if noise <= least:
+            return CuredGround(as_measured(points, noise), ground, as_it_was=True)
+        return _cured(points, ground, noise)
     if noise <= least:
-        return CuredGround(uncured(points, noise), first, as_it_was=True, segmentation=segmentation)
-    stray = None
-    if ground is None:
-        moved, _ = onto_surface(points, spacing, noise)
-        stray = find_loose(moved, noise, spacing)
-        ground = np.zeros(len(points), dtype=bool)
-        kept = chosen_rows(moved, ~stray)
-        ground[~stray] = segment(kept, first_layers(kept, config), config)[0]
-    cured = _cure_apart(points, ground, noise)
-    if stray is None:  # the labels have told ground from the rest
-        stray = find_loose(cured.points, noise, spacing)
-    else:
-        stray |= find_lifted(cured.points, ground, noise, spacing)
-    cured = cured._replace(stray=stray)
+        first, segmentation = segment(points, first_layers(points, config, width), config)
+        noise = _with_double(points, first, sample, least)
+        if noise <= least:
+            return CuredGround(as_measured(points, noise), first, as_it_was=True, segmentation=segmentation)
+    made = _found(points, noise, sample.spacing, config)
+    double = _with_double(points, made.ground, sample, least)
+    return made if double <= noise else _found(points, double, sample.spacing, config)
+
+
+def _with_double(points: FloatArray, ground: BoolArray, sample: _Sample, least: float) -> float:
+    """Noise of the cloud [m], or how far the sheets of its ground are off each other, where they are."""
+    double = estimate_noise(chosen_rows(points, sample.picked & ground), sample.spacing, sheets=False, places=_PLACES)
+    return double if double > max(_DOUBLE * sample.noise, least) else sample.noise
+
+
+def _cured(points: FloatArray, ground: BoolArray, noise: float) -> CuredGround:
+    """A cloud with labels: stairs on their treads, and what is between two treads on their risers."""
+    cured = denoise(points, ground, noise)
+    _settle_stairs(points, ground, cured)
     return CuredGround(cured, ground & ~cured.stray, as_it_was=False)
 
 
-def _cure_apart(points: FloatArray, ground: BoolArray, noise: float) -> Cured:
-    """The ground, with stairs on their treads; then the rest, with what is between two treads on their risers."""
-    cured = uncured(points.copy(), noise)
-    flights: list[Flight] = []
-    for part, is_ground in ((ground, True), (~ground, False)):
-        if not part.any():
-            continue
-        own = points[part]
-        moved, left = onto_surface(own, estimate_spacing(own), noise, level=is_ground, things=not is_ground)
-        if is_ground:
-            flights = onto_treads(own, noise, moved, left)
-        else:
-            for flight in flights:
-                onto_risers(flight, own, noise, moved, left)
-        cured.points[part], cured.noise[part] = moved, left
-    return cured
+def _found(points: FloatArray, noise: float, spacing: float, config: PerceptionConfig) -> CuredGround:
+    """A cloud without labels: denoised as a whole, then segmented."""
+    cured = denoise(points, None, noise)
+    ground, kept = np.zeros(len(points), dtype=bool), chosen_rows(cured.points, ~cured.stray)
+    ground[~cured.stray] = segment(kept, first_layers(kept, config), config, noise)[0]
+    _settle_stairs(points, ground, cured)
+    stray = cured.stray | find_lifted(cured.points, ground, noise, spacing)
+    return CuredGround(cured._replace(stray=stray), ground & ~stray, as_it_was=False)
 
 
-def _measure(points: FloatArray) -> tuple[BoolArray, float, float]:
-    """Which points are a sample of the cloud, shape (n,), and its spacing and its noise [m]."""
+def _settle_stairs(points: FloatArray, ground: BoolArray, cured: Denoised) -> None:
+    """Set what is of a stair onto its treads and risers."""
+    own, moved, left = points[ground], cured.points[ground], cured.noise[ground]
+    flights = onto_treads(own, cured.measured, moved, left)
+    if not flights:
+        return
+    cured.points[ground], cured.noise[ground] = moved, left
+    rest = ~ground
+    own, moved, left = points[rest], cured.points[rest], cured.noise[rest]
+    for flight in flights:
+        onto_risers(flight, own, cured.measured, moved, left)
+    cured.points[rest], cured.noise[rest] = moved, left
+
+
+def _measure(points: FloatArray) -> _Sample:
     picked = _columns(points)
     sample = chosen_rows(points, picked)
     tree = build_tree(sample)
     spacing = estimate_spacing(sample, tree)
-    return picked, spacing, estimate_noise(sample, spacing, tree=tree)
-
-
-def _first_look(
-    points: FloatArray, given: BoolArray | Layers, config: PerceptionConfig
-) -> tuple[BoolArray, Segmentation | None, NoGroundError | None]:
-    """The ground of a cloud as it is, by labels or found in its layers; none, and why, where noise may hide it."""
-    if not isinstance(given, Layers):
-        return given, None, None
-    try:
-        return (*segment(points, given, config), None)
-    except NoGroundError as error:
-        return np.zeros(len(points), dtype=bool), None, error
+    return _Sample(picked, spacing, estimate_noise(sample, spacing, tree=tree))
 
 
 def _columns(points: FloatArray) -> BoolArray:
@@ -144,7 +137,8 @@ def _columns(points: FloatArray) -> BoolArray:
     if len(points) <= _SAMPLE:
         return np.ones(len(points), dtype=bool)
     corner, far = bounds_of(points)
-    key = cells_of(points, corner, _COLUMN, columns_over(corner, far, _COLUMN))
+    shape = columns_over(corner, far, _COLUMN)
+    key = compacted(cells_of(points, corner, _COLUMN, shape), shape[0] * shape[1])[0]
     count = np.bincount(key)
     order = np.random.default_rng(0).permutation(len(count))
     picked = np.zeros(len(count), dtype=bool)

@@ -12,7 +12,10 @@ from scipy import ndimage
 from gpdf_service.config import PerceptionConfig
 from gpdf_service.fields.threads import run_chunked
 from gpdf_service.perception.bend import FINE, FLAT, bend_at, make_room, reach_of
-from gpdf_service.perception.boxes import WHOLE, Box
+from gpdf_service.perception.boxes import WHOLE, Box, dilated, eroded
+from gpdf_service.perception.layers import widest_cell
+from gpdf_service.perception.limits import FOOT
+from gpdf_service.perception.nearest import nearest_of
 from gpdf_service.perception.notches import fill_notches
 from gpdf_service.perception.rows import extent_within, under
 from gpdf_service.perception.surface import (
@@ -51,7 +54,7 @@ _SIDES = ((-1, 0), (1, 0), (0, -1), (0, 1))
 _ROUNDING = float(np.finfo(np.float64).eps)
 """[-] Of a least-squares fit, a row: a singular value below this times the rows over the largest counts as 0."""
 MAX_HOLE_RADIUS = 1.0
-"""[m] A hole is filled if no place in it is further from seen ground: a scanner's blind spot, the shadow of a desk."""
+"""[m] A hole is filled if no place in it is further from firm ground: a scanner's blind spot, the shadow of a desk."""
 
 
 def fill_holes(
@@ -68,9 +71,11 @@ def fill_holes(
 
     A hole is a connected set of unknown cells bounded by known ground and things (cells whose `lowest` other point is
     under a ceiling's height, inf where there is none), shut off from the map's rim, with no place further than
-    `MAX_HOLE_RADIUS` from seen ground, and with the ground around it on one plane within a cell's slope or higher: an
+    `MAX_HOLE_RADIUS` from `firm_ground`, and with the ground around it on one plane within a cell's slope or higher: an
     edge that drops is not bridged. Nor is a void. Under a thing it is filled only where ground was seen beneath its
     rim. A notch in a flight is filled with the treads beside it, and the gap between two treads with the lower one.
+    Nothing is filled where the samples of the ground are so far apart that cells had to be as wide as they may be: what
+    is empty then is no chance, and what is around it explains nothing.
 
     Args:
         surface: The ground as it was seen.
@@ -82,6 +87,8 @@ def fill_holes(
         near: `nearest_seen` of the surface, where it is known.
         noise: Standard deviation of the points before they were cured [m].
     """
+    if surface.cell_width >= widest_cell(config):
+        return surface
     known = surface.state == OBSERVED
     height, state = surface.height.copy(), surface.state.copy()
     near = near or nearest_seen(surface)
@@ -91,12 +98,27 @@ def fill_holes(
     fill_notches(height, state, seen_through, distance, surface.cell_width, config)
     known = state != UNKNOWN
     void = seen_through | pit | _walled_down(surface, walls)
-    _fill(height, state, ~known & ~material, known, distance, surface.cell_width, void, OPEN_SHARE)
+    firm = nearest_of(firm_ground(surface, config))[0] * surface.cell_width
+    _fill(height, state, ~known & ~material, known, firm, surface.cell_width, void, OPEN_SHARE)
     solid = state != UNKNOWN  # then the ground that carries the furniture itself
-    under = ~solid & (distance <= MAX_HOLE_RADIUS) & material & _seen_hollow(~solid & material, known & material)
-    _fill(height, state, under, solid, distance, surface.cell_width, void, SHUT_SHARE)
+    under = ~solid & (firm <= MAX_HOLE_RADIUS) & material & _seen_hollow(~solid & material, known & material)
+    _fill(height, state, under, solid, firm, surface.cell_width, void, SHUT_SHARE)
     _fill_gaps(height, state, state == UNKNOWN, surface, near, noise)  # what is left of larger ones
     return replace(surface, height=height, state=state)
+
+
+def firm_ground(surface: HeightMap, config: PerceptionConfig) -> BoolArray:
+    """Cells of seen ground as long and as wide as a foot, without a gap in it wider than a foot bridges, (nx, ny).
+
+    A hole's surroundings explain it only if they are that: between single samples in a wide hole, or between the lines
+    of a scan that are further apart, there may be anything.
+    """
+    seen, cell = surface.state == OBSERVED, surface.cell_width
+    bridged, foot = int(config.widest_gap / cell), max(round(2.0 * FOOT / cell) - 1, 1)
+    whole = eroded(dilated(np.pad(seen, bridged), bridged), bridged)
+    inner = slice(bridged, bridged + seen.shape[0]), slice(bridged, bridged + seen.shape[1])
+    firm: BoolArray = dilated(eroded(whole[inner], foot), foot) & seen
+    return firm
 
 
 def _seen_hollow(things: BoolArray, overhung: BoolArray) -> BoolArray:

@@ -11,12 +11,13 @@ from scipy.spatial import cKDTree
 
 from gpdf_service.config import PerceptionConfig
 from gpdf_service.fields.threads import run_chunked
-from gpdf_service.perception.boxes import Box, corner_of, widened
+from gpdf_service.perception.boxes import Box, widened
 from gpdf_service.perception.columns import (
     Runs,
     by_cell,
     column_floors,
     column_order,
+    compacted,
     count_nodes,
     cut_columns,
     kth_beside,
@@ -25,8 +26,9 @@ from gpdf_service.perception.columns import (
     tops_of_boards,
     values_spliced,
 )
-from gpdf_service.perception.pairs import pairs_near
+from gpdf_service.perception.pairs import INDEX, pairs_near
 from gpdf_service.perception.rows import bounds_of, cells_of, chosen_rows, rows_by_cell
+from gpdf_service.perception.told import grown, unlike
 from gpdf_service.types import BoolArray, FloatArray, IntArray
 
 MIN_CELL = 0.05
@@ -35,6 +37,8 @@ STEP = 0.1 * MIN_CELL
 """[m] What is measured of a whole cloud counts in steps: its cells then stay when a part of it changes."""
 BOARD = 0.02
 """[m] Thinnest board that a tread is made of, less what a good scanner scatters."""
+THIN = 0.15
+"""[m] A surface in a wide cell is no thicker: less than a stair's riser. What is thicker is two, or a face."""
 SPREAD = 4.0
 """[-] Thickness that noise adds to a surface over its standard deviation: nearly all of its points are within two."""
 _SAMPLE = 4000
@@ -47,8 +51,16 @@ _COLUMN = 0.5
 """[m] Wide enough to hold several floor points of any cloud that a body can be planned in."""
 
 
-def cell_width_of(points: FloatArray) -> float:
-    """Cell width at which nearly every cell of a sampled floor is hit [m].
+def widest_cell(config: PerceptionConfig) -> float:
+    """Widest cells in whose middle the ground is no further than the widest gap from a sample anywhere in them [m].
+
+    Cells that must be as wide as this do not close the gaps of a floor: its samples are too far apart.
+    """
+    return float(np.floor(np.sqrt(2.0) * config.widest_gap / STEP)) * STEP
+
+
+def cell_width_of(points: FloatArray, config: PerceptionConfig) -> float:
+    """Cell width at which nearly every cell of a sampled floor is hit, `widest_cell` at most [m].
 
     Density is not uniform: a dense chair must not speak for a sparse floor. So only the lowest points of each column
     `_COLUMN` wide are looked at, which are floor nearly everywhere. At 1.5 × their spacing s (the mean distance to the
@@ -56,9 +68,9 @@ def cell_width_of(points: FloatArray) -> float:
     """
     corner, far = bounds_of(points)
     shape = columns_over(corner, far, _COLUMN)
-    key = cells_of(points, corner, _COLUMN, shape)
+    key, count, _ = compacted(cells_of(points, corner, _COLUMN, shape), shape[0] * shape[1])
     z = np.ascontiguousarray(points[:, 2])
-    floor = column_floors(*by_cell(key, shape[0] * shape[1]), z, _REFLECTED)
+    floor = column_floors(*by_cell(key, count), z, _REFLECTED)
     floor_points = chosen_rows(points, np.abs(z - floor[key]) <= MIN_CELL)
     k = min(_NEIGHBOUR, len(floor_points) - 1)
     if k < 1:
@@ -69,7 +81,7 @@ def cell_width_of(points: FloatArray) -> float:
         distance = _median_to(k, floor_points, picked, corner, far, _COLUMN)
     if distance > _COLUMN:
         distance = float(np.median(cKDTree(floor_points).query(floor_points[picked], k=k + 1, workers=-1)[0][:, k]))
-    return max(MIN_CELL, in_steps(1.5 * distance * float(np.sqrt(np.pi / k))))
+    return min(max(MIN_CELL, in_steps(1.5 * distance * float(np.sqrt(np.pi / k)))), widest_cell(config))
 
 
 def columns_over(corner: FloatArray, far: FloatArray, width: float) -> tuple[int, int]:
@@ -81,9 +93,15 @@ def columns_over(corner: FloatArray, far: FloatArray, width: float) -> tuple[int
 def _median_to(
     k: int, points: FloatArray, picked: IntArray, corner: FloatArray, far: FloatArray, width: float
 ) -> float:
-    """Median distance of the `picked` points to their `k`-th neighbour [m]; exact if it is at most `width`."""
+    """Median distance of the `picked` points to their `k`-th neighbour [m]; exact if it is at most `width`.
+
+    Infinite where the columns are too many for the points, most of them empty.
+    """
     shape, each = columns_over(corner, far, width), np.empty(len(picked))
-    columns = by_cell(cells_of(points, corner, width, shape), shape[0] * shape[1])
+    cell, count, held = compacted(cells_of(points, corner, width, shape), shape[0] * shape[1])
+    if len(held):
+        return np.inf
+    columns = by_cell(cell, count)
     own = points, columns, (corner, width, shape), picked, k
     run_chunked(lambda a, b: kth_beside(*own, a, b, each), len(picked))
     return float(np.median(each))
@@ -111,6 +129,7 @@ class Layers:
         cell: Flat cell index of each node, shape (k,).
         place: Where in plan the point lies whose height it is [m], shape (k, 2).
         height: Height of its surface [m], shape (k,).
+        top: Height of its highest point [m], shape (k,).
         thickness: Between its lowest and highest point [m], shape (k,).
         headroom: Free height above it [m], inf under the open sky, shape (k,).
         middle: Height of its middle point, or of a step's face its highest [m], shape (k,).
@@ -126,6 +145,7 @@ class Layers:
     cell: IntArray
     place: FloatArray
     height: FloatArray
+    top: FloatArray
     thickness: FloatArray
     headroom: FloatArray
     middle: FloatArray
@@ -144,7 +164,7 @@ def grid_of(low: FloatArray, high: FloatArray, cell_width: float) -> tuple[Float
     return origin, (int(shape[0]), int(shape[1]))
 
 
-_OWN = "cell", "place", "height", "thickness", "headroom", "middle", "face"
+_OWN = "cell", "place", "height", "top", "thickness", "headroom", "middle", "face"
 """What is told of each node."""
 _NO_POINTS: IntArray = np.zeros(0, np.int64)
 """`node_of_point` of layers that are kept without points."""
@@ -186,16 +206,51 @@ def cells_around(layers: Layers, nodes: BoolArray, by: int, cells: BoolArray) ->
     return widened(found, by)
 
 
-def crop_layers(layers: Layers, box: Box) -> tuple[Layers, IntArray]:
-    """The layers of a box of cells, without points, and which nodes of all they are, shape (k,)."""
-    flat = np.arange(layers.shape[0] * layers.shape[1]).reshape(layers.shape)[box]
+def differing(now: NDArray[Any], was: NDArray[Any], kept: Runs, other: BoolArray) -> None:
+    """Mark nodes of which a value is another than that of the node before, `kept_nodes`; NaN is NaN."""
+    begin = 0
+    for new, part in kept:
+        end = begin + part.stop - part.start
+        if not new:
+            other[begin:end] |= unlike(now[begin:end], was[part])
+        begin = end
+
+
+def renumbered(kept: Runs, count: int) -> IntArray:
+    """Number now of each of so many nodes before, shape (count,), -1 of those that are none: see `kept_nodes`."""
+    made: IntArray = np.full(count, -1)
+    begin = 0
+    for new, part in kept:
+        end = begin + part.stop - part.start
+        if not new:
+            made[part] = np.arange(begin, end)
+        begin = end
+    return made
+
+
+def steady(layers: Layers, label: IntArray) -> IntArray:
+    """The labels, shape (k,), named by their first node's cell and place in it, which stay where nodes come and go."""
+    first = np.zeros(int(label.max(initial=0)) + 1, np.int64)
+    first[label[::-1]] = np.arange(len(label))[::-1]  # the last one that is written stays
+    rank = first - layers.start[layers.cell[first]]
+    name: IntArray = (layers.cell[first] << 16) + rank
+    return name[label]
+
+
+def crop_layers(layers: Layers, box: Box, by: int = 0) -> tuple[Layers, IntArray]:
+    """The layers of a box of cells and `by` around it, without points, and which nodes of all they are, shape (k,)."""
+    rows, columns = grown(box, by, layers.shape)
+    flat = (
+        np.arange(rows.start, rows.stop)[:, None] * layers.shape[1] + np.arange(columns.start, columns.stop)
+    ).ravel()
     count = layers.start[flat + 1] - layers.start[flat]
     start = np.concatenate([[0], np.cumsum(count)])
-    cell = np.repeat(np.arange(flat.size), count.ravel())
-    nodes = layers.start[flat.ravel()[cell]] + np.arange(len(cell)) - start[cell]
-    origin = layers.origin + layers.cell_width * np.array(corner_of(box))
+    cell = np.repeat(np.arange(len(flat)), count)
+    nodes = layers.start[flat[cell]] + np.arange(len(cell)) - start[cell]
+    origin = layers.origin + layers.cell_width * np.array([rows.start, columns.start])
+    shape = rows.stop - rows.start, columns.stop - columns.start
     own: dict[str, Any] = {name: getattr(layers, name)[nodes] for name in _OWN} | {"cell": cell}
-    return replace(layers, origin=origin, shape=flat.shape, **own, node_of_point=_NO_POINTS, start=start), nodes
+    return replace(layers, origin=origin, shape=shape, **own, node_of_point=_NO_POINTS, start=start), nodes
 
 
 def build_layers(
@@ -211,18 +266,18 @@ def build_layers(
     low, high = (int(cell.min()), int(cell.max()) + 1) if len(cell) else (0, 0)  # a few columns cost what they are
     cell -= low
     start, order, z = column_order(cell, points, high - low)
-    flat, board = 2.0 * cell_width + SPREAD * noise, BOARD + SPREAD * noise
+    flat, board = min(2.0 * cell_width, THIN) + SPREAD * noise, BOARD + SPREAD * noise
     first = count_nodes(start, z, gap)
     count = int(first[-1])
     cell_of, row = np.empty(count, np.int64), np.empty(count, np.int64)
-    middle, face, thickness, headroom = np.empty(count), np.empty(count), np.empty(count), np.empty(count)
-    node = np.empty(len(z), np.int64)
-    made = cell_of, row, middle, face, thickness, headroom, node
+    middle, face, top, thickness, headroom = (np.empty(count) for _ in range(5))
+    node = np.empty(len(z), INDEX)
+    made = cell_of, row, middle, face, top, thickness, headroom, node
     run_chunked(lambda a, b: cut_columns(start, order, z, gap, flat, board, first, a, b, made), high - low)
     cell_of += low
     first = np.concatenate([np.zeros(low, np.int64), first, np.full(shape[0] * shape[1] - high, count)])
     height = tops_of_boards(np.arange(count), cell_of, first, shape, middle, face, board)
-    own = cell_of, points[row, :2], height, thickness, headroom, middle, face
+    own = cell_of, points[row, :2], height, top, thickness, headroom, middle, face
     return Layers(origin, cell_width, shape, board, *own, node, first)
 
 

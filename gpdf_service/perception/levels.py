@@ -16,14 +16,25 @@ from gpdf_service.config import PerceptionConfig
 from gpdf_service.errors import NoGroundError
 from gpdf_service.fields.threads import run_beside, run_chunked, run_parallel
 from gpdf_service.perception.beside import Beside, beside
-from gpdf_service.perception.boxes import NOWHERE, WHOLE, Box, pasted, widened, window
+from gpdf_service.perception.boxes import WHOLE, Box, widened
+from gpdf_service.perception.budget import KEPT_BYTES, LEVEL_BYTES, check_grid
 from gpdf_service.perception.columns import by_cell, ends_of_runs, heights_in_plan, lowest_above
+from gpdf_service.perception.footing import bridged, footing_reach
 from gpdf_service.perception.hidden import FACE_REACH, find_faces, hidden_reach, without_hidden
 from gpdf_service.perception.holes import fill_holes, find_voids, without_enclosed
-from gpdf_service.perception.layers import Layers, build_layers, cell_width_of, layer_gap
-from gpdf_service.perception.limits import GroundLimits, Measured, find_limits, neighbourhood, smoothed, step_and_slope
+from gpdf_service.perception.layers import Layers, build_layers, cell_width_of, layer_gap, widest_cell
+from gpdf_service.perception.limits import (
+    GroundLimits,
+    Measured,
+    find_limits,
+    limits_reach,
+    neighbourhood,
+    smoothed,
+    step_and_slope,
+)
 from gpdf_service.perception.notches import NOTCH_DEPTH, between_treads
-from gpdf_service.perception.rows import between, chosen_rows, extent_within, taken, under
+from gpdf_service.perception.rays import Rays, seen_by_rays
+from gpdf_service.perception.rows import between, chosen_rows, extent_within, rows_by_cell, taken, under
 from gpdf_service.perception.segment import LEAST_SCATTER
 from gpdf_service.perception.sheets import OVERLAP, rise_of_sheets, split_sheets
 from gpdf_service.perception.smooth import RESOLVED_STEP, smooth, to_centres, without_unlucky
@@ -34,11 +45,10 @@ from gpdf_service.perception.surface import (
     HeightMap,
     Nearest,
     cells_within,
-    changed,
     cropped,
     nearest_seen,
-    pasted_ground,
 )
+from gpdf_service.perception.told import Grid, new_grid
 from gpdf_service.types import BoolArray, FloatArray, IntArray
 
 FACE = 0.1
@@ -61,8 +71,6 @@ class GroundLevel:
 
     Attributes:
         surface: Its height map.
-        ground_points: Centres of the known cells, for the Ground GPDF [m], shape (n, 3).
-        inferred: Which of them nobody has seen, shape (n,).
         other_points: What is not this ground and within reach over it [m], shape (m, 3).
         ledge: Height of the lowest point of this ground that is as high as each of them, within `FACE` in plan [m],
             shape (m,), inf where there is none: a step's face has the step's top beside it.
@@ -71,12 +79,22 @@ class GroundLevel:
     """
 
     surface: HeightMap
-    ground_points: FloatArray
-    inferred: BoolArray
     other_points: FloatArray
     ledge: NDArray[np.float32]
     limits: GroundLimits
     measured: Measured
+
+    @property
+    def ground_points(self) -> FloatArray:
+        """Centres of the known cells, for the Ground GPDF [m], shape (n, 3)."""
+        return self.surface.centres(self.surface.state != UNKNOWN)
+
+    @property
+    def inferred(self) -> BoolArray:
+        """Which of the `ground_points` nobody has seen, shape (n,)."""
+        state = self.surface.state
+        guessed: BoolArray = state[state != UNKNOWN] != OBSERVED
+        return guessed
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,30 +117,7 @@ class Levels:
 Voids = tuple[BoolArray, BoolArray, BoolArray]
 """Where the scanner saw through a level's unknown cells, where they are pits, and a pit's walls; see `find_voids`."""
 Held = tuple[IntArray, FloatArray, FloatArray]
-"""Flat cell and height [m] of each other point, shape (m,), and the lowest of each cell [m]: see `in_cells`."""
-
-
-@dataclass(frozen=True, slots=True)
-class Completion:
-    """How the ground of a level was completed, see `complete`.
-
-    Attributes:
-        lowest: Of the other points in each cell [m], inf where there is none, shape (nx, ny).
-        filled: After `fill_holes`.
-        shut: Cells with material under the lowest body's headroom, shape (nx, ny).
-        stair: Cells of stairs, shape (nx, ny).
-        guarded: Cells in which material guards an edge by itself, shape (nx, ny).
-        opened: After `without_enclosed`.
-        face: Cells in which material goes up from the ground, shape (nx, ny).
-    """
-
-    lowest: FloatArray
-    filled: HeightMap
-    shut: BoolArray
-    stair: BoolArray
-    guarded: BoolArray
-    opened: HeightMap
-    face: BoolArray
+"""Flat cell and height [m] of each other point, shape (m,), and the lowest of each cell [m]."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -134,7 +129,7 @@ class Survey:
         stray: Which points of the cloud count for nothing, shape (n,).
         sheets: Which nodes are of each level, shape (k,).
         voids: One a level.
-        completions: One a level.
+        grids: For each level how its ground was completed.
         first: For each level where the other points of each cell begin, shape (cells + 1,): they are in this order.
     """
 
@@ -142,7 +137,7 @@ class Survey:
     stray: BoolArray
     sheets: tuple[BoolArray, ...]
     voids: tuple[Voids, ...]
-    completions: tuple[Completion, ...]
+    grids: tuple[Grid, ...]
     first: tuple[IntArray, ...]
 
     @property
@@ -152,7 +147,13 @@ class Survey:
 
 
 def survey_levels(
-    points: FloatArray, ground: BoolArray, config: PerceptionConfig, *, width: float | None = None, noise: float = 0.0
+    points: FloatArray,
+    ground: BoolArray,
+    config: PerceptionConfig,
+    *,
+    width: float | None = None,
+    noise: float = 0.0,
+    rays: Rays | None = None,
 ) -> tuple[Levels, Survey]:
     """Build the sheets from labelled points, and say what they were made of.
 
@@ -162,6 +163,7 @@ def survey_levels(
         config: Limits.
         width: Of the cells [m]; measured on the ground when not given.
         noise: Standard deviation that the points had before they were cured [m].
+        rays: Of the scan, where they are known: they tell what inferred ground is free, and not rules.
 
     Raises:
         NoGroundError: no point is ground.
@@ -171,7 +173,9 @@ def survey_levels(
             "ground", "no point of the cloud is labelled ground", "Check the labels, or leave them out."
         )
     floor = chosen_rows(points, ground)
-    width = cell_width_of(floor) if width is None else width
+    check_grid(floor, len(points), widest_cell(config), LEVEL_BYTES, config)
+    width = cell_width_of(floor, config) if width is None else width
+    check_grid(floor, len(points), width, LEVEL_BYTES, config)
 
     def find_sheets() -> tuple[Beside, tuple[BoolArray, ...]]:
         layers = build_layers(floor, width, layer_gap(width, config))
@@ -179,11 +183,15 @@ def survey_levels(
         return near, split_sheets(near, config)
 
     (near, sheets), alone_ = run_beside(find_sheets, partial(find_strays, points, alone(width)))
+    if not sheets:
+        found = f"no piece of the ground is as large as three by three cells of {width:.2g} m"
+        raise NoGroundError("ground", found, "Are its samples further apart than a foot bridges? Scan it more densely.")
+    check_grid(floor, len(points), width, LEVEL_BYTES + KEPT_BYTES * (len(sheets) - 1), config)
     stray = alone_ & ~ground
     own = points, ground, stray, floor, near.layers
-    made = run_parallel(lambda sheet: _build_level(*own, sheet, config, noise), sheets)
-    levels, voids, completions, first = zip(*made, strict=True)
-    return Levels(levels, find_portals(near.layers, sheets)), Survey(near, stray, sheets, voids, completions, first)
+    made = run_parallel(lambda sheet: _build_level(*own, sheet, config, noise, rays), sheets)
+    levels, voids, grids, first = zip(*made, strict=True)
+    return Levels(levels, find_portals(near.layers, sheets)), Survey(near, stray, sheets, voids, grids, first)
 
 
 def find_portals(layers: Layers, sheets: tuple[BoolArray, ...]) -> tuple[Portal, ...]:
@@ -225,9 +233,11 @@ def _build_level(
     inside: BoolArray,
     config: PerceptionConfig,
     noise: float,
-) -> tuple[GroundLevel, Voids, Completion, IntArray]:
+    rays: Rays | None,
+) -> tuple[GroundLevel, Voids, Grid, IntArray]:
     """The sheet of these nodes, of the layers of the `floor`: those of the points that are ground."""
-    seen = sheet_surface(layers, np.flatnonzero(inside), noise)
+    grid = new_grid()
+    seen = sheet_surface(grid, layers, np.flatnonzero(inside), config.max_step, noise)
     gone = stray.copy()
     gone[ground] = inside[layers.node_of_point]
     cell = cells_within(points, seen)
@@ -242,31 +252,43 @@ def _build_level(
         return near, find_voids(seen, points, config.max_step, near, cell=cell)
 
     (other, first, held), (near, voids) = run_beside(reach, look_through)
-    surface, completion = complete(seen, held, voids, config, near, noise)
-
-    def measure() -> tuple[Measured, GroundLimits]:
-        measured = step_and_slope(surface)
-        return measured, find_limits(surface, completion.guarded, measured)
-
-    ledge, (measured, limits) = run_beside(partial(find_ledges, surface, floor, other, noise), measure)
-    return make_level(surface, other, ledge, limits, measured), voids, completion, first
+    surface, guarded = complete(grid, seen, lambda box: held, voids, config, near, noise, rays)
+    ledge, (measured, limits) = run_beside(
+        partial(find_ledges, surface, floor, other, noise), partial(measure, grid, surface, guarded)
+    )
+    return GroundLevel(surface, other, ledge, limits, measured), voids, grid, first
 
 
-def sheet_surface(layers: Layers, nodes: IntArray, noise: float = 0.0, box: Box | None = None) -> HeightMap:
+def measure(grid: Grid, surface: HeightMap, guarded: BoolArray) -> tuple[Measured, GroundLimits]:
+    """Steps and slopes of a level's ground, and its limits; in the `guarded` cells, (nx, ny), material is its edge."""
+
+    def answer(box: Box, height: NDArray[np.float32], state: NDArray[np.uint8]) -> Measured:
+        return step_and_slope(HeightMap(surface.origin, surface.cell_width, height, state))
+
+    step, slope = grid.around("measured", limits_reach(surface), answer, surface.height, surface.state)
+    return (step, slope), find_limits(surface, guarded, (step, slope))
+
+
+def sheet_surface(grid: Grid, layers: Layers, nodes: IntArray, max_step: float, noise: float = 0.0) -> HeightMap:
     """The ground of a sheet as it was seen, at the centres of its cells; the `noise` is that before the cure [m].
 
-    Of a `box` of cells, which is right but for those at its rim.
+    What a flight is tells `max_step` [m], see `bridged`.
     """
-    first, last = ((0, 0), layers.shape) if box is None else ((s.start for s in box), (s.stop for s in box))
-    (x, y), (u, v) = first, last
-    grid = layers.origin, layers.cell_width, layers.shape[1], (x, y), (u - x, v - y)
-    height, off = heights_in_plan(layers.cell, nodes, layers.height, layers.place, *grid)
-    state = np.where(np.isnan(height), UNKNOWN, OBSERVED).astype(np.uint8)
-    seen = HeightMap(layers.origin + layers.cell_width * np.array([x, y]), layers.cell_width, height, state)
-    surface = without_outliers(seen, RESOLVED_STEP * noise)
-    if surface is not seen:
-        off[surface.height != height] = 0.0  # a median's place is the middle of its cells
-    return smooth(without_unlucky(to_centres(surface, off, noise), noise), noise)
+    own = layers.origin, layers.cell_width, layers.shape[1], (0, 0), layers.shape
+    height, off = heights_in_plan(layers.cell, nodes, layers.height, layers.place, *own)
+    whole = HeightMap(layers.origin, layers.cell_width, height, np.zeros(layers.shape, np.uint8))
+
+    def answer(box: Box, height: NDArray[np.float32], off: NDArray[np.float32]) -> tuple[NDArray[np.float32]]:
+        state = np.where(np.isnan(height), UNKNOWN, OBSERVED).astype(np.uint8)
+        seen = replace(cropped(whole, box), height=height, state=state)
+        surface = without_outliers(seen, RESOLVED_STEP * noise)
+        if surface is not seen:  # a median's place is the middle of its cells
+            off = np.where((surface.height != height)[..., None], np.float32(0.0), off)
+        made = smooth(without_unlucky(to_centres(surface, off, noise), noise), noise)
+        return (bridged(made, max_step).height,)
+
+    (made,) = grid.around("seen", 1 + footing_reach(whole), answer, height, off)
+    return replace(whole, height=made, state=np.where(np.isnan(made), UNKNOWN, OBSERVED).astype(np.uint8))
 
 
 def without_outliers(surface: HeightMap, most: float) -> HeightMap:
@@ -287,72 +309,74 @@ def without_outliers(surface: HeightMap, most: float) -> HeightMap:
 
 
 def complete(
-    seen: HeightMap, held: Held, voids: Voids, config: PerceptionConfig, near: Nearest, noise: float
-) -> tuple[HeightMap, Completion]:
-    """The ground with what its surroundings and the other points `held` explain, and what that was made of.
-
-    Where the ground was seen is `near`, see `nearest_seen`; the `noise` [m] was cured.
-    """
-    cell, z, lowest = held
-    filled = fill_holes(seen, lowest, *voids, config, near, noise)
-    shut, stair, guarded = guard_edges(filled, lowest, cell, z, config)
-    opened = without_enclosed(filled, shut)
-    face = find_faces(opened, cell, z, config.min_headroom) & ~stair  # a flight's treads were seen up to its walls
-    return without_hidden(opened, lowest, face), Completion(lowest, filled, shut, stair, guarded, opened, face)
-
-
-def complete_again(
-    surface: HeightMap,
-    was: Completion,
+    grid: Grid,
     seen: HeightMap,
-    held: Callable[[Box], FloatArray],
+    held: Callable[[Box], Held],
     voids: Voids,
-    swapped: BoolArray,
     config: PerceptionConfig,
-) -> tuple[HeightMap, Completion]:
-    """`complete` of ground that was another, or that had others in the cells `swapped`, shape (nx, ny).
+    near: Nearest | None = None,
+    noise: float = 0.0,
+    rays: Rays | None = None,
+) -> tuple[HeightMap, BoolArray]:
+    """The ground with what its surroundings and the other points explain, and in which cells these guard an edge.
 
-    Holes are filled anew in the whole level. What edges, faces and things that may stand behind them make of a cell
-    is decided by what is within a known reach of it, so it is looked at again only that far around what differs.
+    Holes are filled in the whole level, and what is enclosed hangs on all of it. What edges, faces and things that may
+    stand behind them make of a cell is decided by what is within a known reach of it.
 
     Args:
-        surface: What was made of it before.
-        was: How.
-        seen: `complete`.
-        held: The other points in a box of cells.
-        voids: `complete`.
-        swapped: Cells that hold other points than before.
+        grid: What was asked of its cells.
+        seen: The ground as it was seen.
+        held: Says which other points are in a box of cells.
+        voids: See `find_voids`.
         config: Limits.
+        near: Where the ground was seen, `nearest_seen`, if that is known.
+        noise: That was cured [m].
+        rays: They tell what may stand on inferred ground where they are known; else what encloses it, and fronts.
     """
-    box, lowest, headroom = window(swapped, 0) if swapped.any() else NOWHERE, was.lowest.copy(), config.min_headroom
-    lowest[box] = in_cells(held(box), seen, box)[2]
-    filled = fill_holes(seen, lowest, *voids, config)
-    other = swapped | changed(was.filled, filled)
-    if not other.any():
-        return surface, replace(was, lowest=lowest)
-    reach = notch_reach(seen)
-    inner, outer = window(other, reach), window(other, 2 * reach)
-    cell, z, _ = in_cells(held(outer), seen, outer)
-    edges = guard_edges(cropped(filled, outer), lowest[outer], cell, z, config)
-    shut, stair, guarded = (
-        pasted(old, new, inner, outer) for old, new in zip((was.shut, was.stair, was.guarded), edges, strict=True)
-    )
+
+    def lowest_of(box: Box) -> tuple[FloatArray]:
+        return (held(box)[2],)
+
+    def edges(
+        box: Box, height: NDArray[np.float32], state: NDArray[np.uint8], lowest: FloatArray
+    ) -> tuple[BoolArray, BoolArray, BoolArray]:
+        cell, z, _ = held(box)
+        return guard_edges(HeightMap(seen.origin, seen.cell_width, height, state), lowest, cell, z, config)
+
+    (lowest,) = grid.around("lowest", 0, lowest_of)
+    filled = fill_holes(seen, lowest, *voids, config, near, noise)
+    shut, stair, guarded = grid.around("edges", notch_reach(seen), edges, filled.height, filled.state, lowest)
+    if rays is not None:
+        return seen_by_rays(filled, rays, config, noise), guarded
+
+    def faces(box: Box, height: NDArray[np.float32], state: NDArray[np.uint8], stair: BoolArray) -> tuple[BoolArray]:
+        cell, z, _ = held(box)
+        part = HeightMap(seen.origin, seen.cell_width, height, state)
+        return (find_faces(part, cell, z, config.min_headroom) & ~stair,)  # a flight's treads were seen to its walls
+
+    def shown(
+        box: Box, height: NDArray[np.float32], state: NDArray[np.uint8], lowest: FloatArray, face: BoolArray
+    ) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
+        part = without_hidden(HeightMap(seen.origin, seen.cell_width, height, state), lowest, face)
+        return part.height, part.state
+
     opened = without_enclosed(filled, shut)
-    other |= changed(was.opened, opened) | (stair != was.stair)
-    inner, outer = window(other, FACE_REACH), window(other, 2 * FACE_REACH)
-    cell, z, _ = in_cells(held(outer), seen, outer)
-    face = pasted(was.face, find_faces(cropped(opened, outer), cell, z, headroom) & ~stair[outer], inner, outer)
-    other |= face != was.face
-    inner, outer = window(other, hidden_reach(seen)), window(other, 2 * hidden_reach(seen))
-    part = without_hidden(cropped(opened, outer), lowest[outer], face[outer])
-    made = Completion(lowest, filled, shut, stair, guarded, opened, face)
-    return pasted_ground(surface, part, inner, outer), made
+    (face,) = grid.around("faces", FACE_REACH, faces, opened.height, opened.state, stair)
+    height, state = grid.around("shown", hidden_reach(seen), shown, opened.height, opened.state, lowest, face)
+    return replace(seen, height=height, state=state), guarded
 
 
 def in_order(other: FloatArray, surface: HeightMap) -> tuple[FloatArray, IntArray]:
     """The `other` points (m, 3) in the order of their cells, and where each cell begins, shape (cells + 1,)."""
     first, order = by_cell(cells_within(other, surface), surface.state.size)
     return taken(other, order), first
+
+
+def held_in(other: FloatArray, first: IntArray, surface: HeightMap, box: Box) -> Held:
+    """`in_cells` of a box of the `other` points (m, 3), which are `in_order`."""
+    cells = np.zeros(surface.state.shape, dtype=bool)
+    cells[box] = True
+    return in_cells(taken(other, rows_by_cell(cells, first)), surface, box)
 
 
 def in_cells(other: FloatArray, surface: HeightMap, box: Box = WHOLE) -> Held:
@@ -393,15 +417,6 @@ def guard_edges(
     shuts, guards = run_parallel(held_over, (-LEAST_OBSTACLE, LEAST_OBSTACLE))
     bitten = shut & stair & ~known
     return shut & shuts, stair, guards | between_treads(surface, bitten, config.stair_step)
-
-
-def make_level(
-    surface: HeightMap, other: FloatArray, ledge: NDArray[np.float32], limits: GroundLimits, measured: Measured
-) -> GroundLevel:
-    """A level of its parts."""
-    known = surface.state != UNKNOWN
-    inferred = surface.state[known] != OBSERVED
-    return GroundLevel(surface, surface.centres(known), inferred, other, ledge, limits, measured)
 
 
 def find_ledges(

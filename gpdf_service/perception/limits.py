@@ -10,8 +10,9 @@ from numba import njit
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from gpdf_service.config import PerceptionConfig
 from gpdf_service.fields.threads import run_chunked
-from gpdf_service.perception.boxes import pasted, window
+from gpdf_service.perception.strides import HALF_FOOT, SECTORS, STRIDE, sector_of
 from gpdf_service.perception.surface import UNKNOWN, HeightMap
 from gpdf_service.types import BoolArray, FloatArray
 
@@ -19,6 +20,8 @@ FOOT = 0.1
 """[m] Half a foot's length, and a wheel's contact: slopes are measured over it, so that a stair's tread stays flat."""
 LEAST_STEP = 0.01
 """[m] Below the smallest `max_step` of any body; a lower step stops nobody."""
+STANDABLE = PerceptionConfig().standable_slope
+"""[rad] What no body here stands on is steeper."""
 
 
 class ObstacleKind(IntEnum):
@@ -76,19 +79,8 @@ def find_limits(surface: HeightMap, material: BoolArray, measured: Measured | No
 
 
 def limits_reach(surface: HeightMap) -> int:
-    """Cells within which the ground decides on the limits of a cell: the slope's reach and three medians."""
-    return max(1, round(FOOT / surface.cell_width)) + 5
-
-
-def change_step_and_slope(surface: HeightMap, changed: BoolArray, step: FloatArray, slope: FloatArray) -> Measured:
-    """`step_and_slope` of ground that has other heights in the `changed` cells; `step` and `slope` are those before."""
-    if not changed.any():
-        return step, slope
-    reach = limits_reach(surface)
-    inner, outer = window(changed, reach), window(changed, 2 * reach)
-    part = HeightMap(surface.origin, surface.cell_width, surface.height[outer], surface.state[outer])
-    steps, slopes = step_and_slope(part)
-    return pasted(step, steps, inner, outer), pasted(slope, slopes, inner, outer)
+    """Cells within which the ground decides on those of a cell: the slope's reach, three medians, and a stride."""
+    return max(1, round(FOOT / surface.cell_width)) + 6 + int(STRIDE / surface.cell_width)
 
 
 def step_and_slope(surface: HeightMap) -> Measured:
@@ -97,7 +89,7 @@ def step_and_slope(surface: HeightMap) -> Measured:
     The slope along an axis is the smaller of the rises to either side, over a foot's length or over one cell, whichever
     is flatter: it is flat on a tread, however short, and true on a hillside. The step is the rise across a cell,
     neighbour to neighbour, less what the slope around explains: a scanned step's face lies in one cell, whose own
-    height says little.
+    height says little. A slanted face is a step, too: see `_slanted`.
     """
     known = surface.state != UNKNOWN
     height = smoothed(surface)
@@ -122,7 +114,56 @@ def step_and_slope(surface: HeightMap) -> Measured:
         step = np.fmax(step, np.nan_to_num(excess))
     flatter = np.minimum(median_around(gradient2, 1, known), median_around(short2, 1, known))
     slope = np.arctan(np.sqrt(flatter))
+    rise = _slanted(surface, np.where(known, slope, np.inf))
+    slanted = np.isfinite(rise)
+    step, slope = np.where(slanted, np.fmax(step, rise), step), np.where(slanted, 0.0, slope)
     return np.where(known, step, 0.0), np.where(known, slope, 0.0)
+
+
+def _slanted(surface: HeightMap, slope: FloatArray) -> FloatArray:
+    """Rise of the step whose slanted face each cell is on [m], inf where it is on none, shape (nx, ny).
+
+    Such a cell is steeper than anybody stands on, a foot can stand above it and below it, and the two places are no
+    further apart than a stride: the worn tread of a stair, a kerb that a scan has smeared, a short bank.
+    """
+    level = slope <= STANDABLE
+    need = int(np.ceil(HALF_FOOT / surface.cell_width**2 - 1e-6))
+    around = ndimage.uniform_filter(level.astype(np.float32), 3, mode="constant") * 9.0
+    level &= around >= np.clip(need, 3, 6) - 0.5
+    rise = np.full(slope.shape, np.inf)
+    asked = np.isfinite(slope) & ~level
+    if asked.any() and level.any():
+        height, reach = surface.height.astype(np.float64), STRIDE / surface.cell_width
+        run_chunked(lambda a, b: _rises(height, level, asked, reach, a, b, rise), rise.size)
+    return np.where(asked & (slope > STANDABLE), rise, np.inf)
+
+
+@njit(cache=True, nogil=True)
+def _rises(
+    height: FloatArray, level: BoolArray, asked: BoolArray, reach: float, begin: int, end: int, rise: FloatArray
+) -> None:
+    """Of the nearest `level` cells above and below in each direction, at most `reach` cells apart: the least rise."""
+    nx, ny = height.shape
+    rings = int(reach)
+    far, there = np.empty((2, SECTORS)), np.empty((2, SECTORS))
+    for cell in range(begin, end):
+        x, y = cell // ny, cell % ny
+        if not asked[x, y]:
+            continue
+        far[:] = np.inf
+        for u in range(max(x - rings, 0), min(x + rings + 1, nx)):
+            for v in range(max(y - rings, 0), min(y + rings + 1, ny)):
+                away = float((u - x) ** 2 + (v - y) ** 2)
+                if not level[u, v] or not 0.0 < away <= reach**2:
+                    continue
+                s, side = sector_of(u - x, v - y), int(height[u, v] < height[x, y])
+                if away < far[side, s]:
+                    far[side, s], there[side, s] = away, height[u, v]
+        for s in range(SECTORS):
+            for across in range(3 * SECTORS // 8, 5 * SECTORS // 8 + 1):  # the other side, within 45 degrees
+                t = (s + across) % SECTORS
+                if np.sqrt(far[0, s]) + np.sqrt(far[1, t]) <= reach:
+                    rise[x, y] = min(rise[x, y], there[0, s] - there[1, t])
 
 
 def neighbourhood(surface: HeightMap) -> FloatArray:

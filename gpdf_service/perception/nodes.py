@@ -53,6 +53,23 @@ def numbered(parent: IntArray) -> IntArray:
 
 
 @njit(cache=True, nogil=True)
+def numbered_among(label: IntArray, among: BoolArray) -> tuple[IntArray, int]:
+    """The labels that nodes `among` all have, numbered in their order, and how many; any other node has this number."""
+    number, used = np.zeros(len(label) + 1, np.int64), 0
+    for i in range(len(label)):
+        if among[i]:
+            number[label[i]] = 1
+    for k in range(len(number)):
+        if number[k] > 0:
+            number[k], used = used, used + 1
+    made = np.full(len(label), used)
+    for i in range(len(label)):
+        if among[i]:
+            made[i] = number[label[i]]
+    return made, used
+
+
+@njit(cache=True, nogil=True)
 def put_in(parent: IntArray, part: IntArray, begin: int) -> None:
     """Write the trees of some nodes, which are numbered from the first of them, `begin`, into those of all."""
     for i in range(len(part)):
@@ -135,12 +152,12 @@ def degrees_in(
     apart: FloatArray,
     keep: NDArray[np.uint8],
     rise: float,
-) -> IntArray:
+) -> NDArray[np.uint16]:
     """How many of a strip's pairs with at most `rise` [m] a cell between nodes to keep each node is in.
 
     See `pieces_in`; the row behind is among the nodes.
     """
-    degree = np.zeros(len(height), np.int64)
+    degree = np.zeros(len(height), np.uint16)
     for k in range(len(apart)):
         for e in range(first[k], first[k + 1]):
             i, j = a[e], b[e]
@@ -192,29 +209,6 @@ def ends_in(
             goes_on[k, a[e]] |= abs(height[a[e]] - height[b[e]]) <= step
         found.append(np.flatnonzero((keep[:count] > 0) & ~goes_on[k]))
     return found
-
-
-@njit(cache=True, nogil=True)
-def joined_to(seeds: BoolArray, among: BoolArray, piece: IntArray, a: IntArray, b: IntArray) -> BoolArray:
-    """The `seeds`, shape (k,), and the nodes `among` all that pairs (a, b) of both join to them, one after another.
-
-    Nodes of a `piece` are joined. All pieces with a seed are one node, the first: so only pairs with an end in another
-    are looked at.
-    """
-    parent = np.arange(piece.max() + 2).astype(INDEX)
-    for i in range(len(seeds)):
-        if seeds[i]:
-            parent[piece[i] + 1] = 0
-    for e in range(len(a)):
-        i, j = a[e], b[e]
-        if (among[i] & (seeds[j] | among[j])) | (among[j] & seeds[i]):
-            _unite(parent, piece[i] + 1, piece[j] + 1)
-    for i in range(len(parent)):  # a parent comes before its children
-        parent[i] = parent[parent[i]]
-    made = seeds.copy()
-    for i in range(len(seeds)):
-        made[i] |= among[i] & (parent[piece[i] + 1] == 0)
-    return made
 
 
 @njit(cache=True, nogil=True)
@@ -276,28 +270,17 @@ def extents_in_plan(
 ) -> tuple[FloatArray, FloatArray]:
     """Length and depth of what the nodes `among` all with each label cover, along their principal axes [m].
 
-    A uniform strip of length L has variance L²/12; a cell more, because cells have a `width` [m]. What no node has is
-    as small as a cell.
+    A uniform strip of length L has variance L²/12; a cell more, because cells have a `width` [m]. What no node has
+    covers nothing.
     """
     labels, sums = plan_sums(cell, ny, among, label)
     x, y, xx, yy, xy = sums[:, 1:].T / sums[:, 0]
     xx, yy, xy = xx - x**2, yy - y**2, xy - x * y
     middle, radius = 0.5 * (xx + yy), np.hypot(0.5 * (xx - yy), xy)
-    length, depth = np.full((2, int(label.max()) + 1), width)
+    length, depth = np.zeros((2, int(label.max()) + 1))
     length[labels] = (np.sqrt(12.0 * (middle + radius)) + 1.0) * width
     depth[labels] = (np.sqrt(12.0 * np.maximum(middle - radius, 0.0)) + 1.0) * width
     return length, depth
-
-
-@njit(cache=True, nogil=True)
-def medians_of(height: FloatArray, start: IntArray, members: IntArray, asked: BoolArray) -> FloatArray:
-    """Upper median of the heights of the members of each set that is `asked` for, NaN of the others."""
-    made = np.full(len(asked), np.nan)
-    for i in range(len(asked)):
-        if asked[i]:
-            count = start[i + 1] - start[i]
-            made[i] = np.partition(height[members[start[i] : start[i + 1]]], count // 2)[count // 2]
-    return made
 
 
 @njit(cache=True, nogil=True)
@@ -346,16 +329,6 @@ def mean_gradients(height: FloatArray, cell: IntArray, ny: int, a: IntArray, b: 
             total[i, 1] += own[j, 1]
             around[i] += 1.0
     return np.sqrt(total[:, 0] ** 2 + total[:, 1] ** 2) / around
-
-
-@njit(cache=True, nogil=True)
-def stepped(reach: BoolArray, a: IntArray, b: IntArray) -> BoolArray:
-    """`reach`, shape (k,), and the nodes that a pair (a, b) joins to it."""
-    grown = reach.copy()
-    for e in range(len(a)):
-        grown[a[e]] |= reach[b[e]]
-        grown[b[e]] |= reach[a[e]]
-    return grown
 
 
 @njit(cache=True, nogil=True)

@@ -12,7 +12,7 @@ from gpdf_service.perception.rows import longer
 from gpdf_service.types import BoolArray, FloatArray, IntArray
 
 INDEX: Any = np.int32
-"""Kind of the numbers of nodes in pairs, which are many: half of the memory."""
+"""Kind of the numbers of nodes and points where they are many: half of the memory."""
 AROUND = ((-1, -1), (-1, 0), (-1, 1), (0, -1), (0, 1), (1, -1), (1, 0), (1, 1))
 """The eight cells around one."""
 

@@ -1,38 +1,25 @@
-"""Reading point clouds: .ply .pcd .xyz (Open3D), .npz (NumPy), .las .laz (laspy), with labels if any; ROS bags."""
+"""Reading point clouds as they come: with their labels, what is not finite left out, in metres and z up."""
 
 from __future__ import annotations
 
 import os
 import zipfile
-from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from gpdf_service.errors import CloudError
 from gpdf_service.perception.bag import read_bag
+from gpdf_service.perception.formats import LAS_GROUND, READERS, Stored, ground_classes
+from gpdf_service.perception.frame import look, odd_unit, odd_up, turn
 from gpdf_service.perception.rows import extent_of
 from gpdf_service.perception.stream import VoxelSieve, chunks_of
 from gpdf_service.types import BoolArray, FloatArray
 
-LAS_GROUND = 2
-"""ASPRS LAS specification 1.4, table 17: class 2 is ground."""
-GROUND_CLASSES = ("ground", "floor", "terrain")
-"""Names that mean ground in an .npz file's `classes`."""
 BAGS = (".mcap", ".db3", ".bag")
 """Suffixes of ROS bags."""
-SYSTEM_LIBRARIES = {
-    "libGL.so.1": "libgl1",
-    "libEGL.so.1": "libegl1",
-    "libX11.so.6": "libx11-6",
-    "libgomp.so.1": "libgomp1",
-    "libusb-1.0.so.0": "libusb-1.0-0",
-}
-"""What Open3D's shared library links against, and the Debian and Ubuntu package of each."""
-APT = f"sudo apt-get install {' '.join(SYSTEM_LIBRARIES.values())}"
 COARSEST = 0.01
 """[m] Between two numbers of single precision as large as a coordinate; more, and walls are where no wall is."""
 MAX_EXTENT = 5000.0
@@ -41,10 +28,25 @@ MAX_EXTENT = 5000.0
 
 @dataclass(frozen=True, slots=True)
 class PointCloud:
-    """A cloud as read: points [m], shape (n, 3), and which are ground, shape (n,), where the file says so."""
+    """A cloud as read, in metres and z up.
+
+    Attributes:
+        points: Points [m], shape (n, 3), all finite.
+        ground: Which are ground, shape (n,), where the file says so.
+        origins: Where the rays began [m], shape (n, 3), where the file says so.
+        dropped: Points of the file that were not finite, and were left out.
+        scale: Metres of the file's unit.
+        up: The axis of the file that points up.
+        remarks: What was done to it and what is odd about it, in words.
+    """
 
     points: FloatArray
     ground: BoolArray | None = None
+    origins: FloatArray | None = None
+    dropped: int = 0
+    scale: float = 1.0
+    up: str = "z"
+    remarks: tuple[str, ...] = ()
 
 
 def check_finite(points: ArrayLike) -> FloatArray:
@@ -98,6 +100,8 @@ def read_cloud(
     ground_label: int | None = None,
     topic: str | None = None,
     thin: float | None = None,
+    scale: float | None = None,
+    up: str | None = None,
 ) -> PointCloud:
     """Read a cloud by its suffix; a folder is a rosbag2, or holds the tiles of one cloud.
 
@@ -107,61 +111,111 @@ def read_cloud(
         topic: Where a bag has clouds on several topics, the one to take.
         thin: Keep one point of each voxel of this width [m], and read in chunks: only what is kept is ever in memory
             (but for text and compressed .pcd files, which are read at once). A folder of tiles needs it.
+        scale: Metres of the file's unit; what the file states, or 1, and judged, if not given.
+        up: The axis of the file that points up: x, y, z, -x, -y or -z; what the file states, or z, and judged.
 
     Raises:
-        CloudError: the file is missing, of an unknown kind, damaged, empty, or lacks a column.
+        CloudError: the file is missing, of an unknown kind, damaged, empty, lacks a column, or cannot be in metres.
     """
     file = Path(path)
+    if scale is not None or up is not None:
+        turn(np.zeros((0, 3)), 1.0 if scale is None else scale, up or "z")  # refused before the work
     if file.suffix.lower() in BAGS or (file / "metadata.yaml").is_file():
         if ground_label is not None:
             raise CloudError(f"bag {file}", "bags carry no labels", "Leave --ground-label out, or use .npz.")
         if not file.exists():
             raise CloudError(f"bag {file}", "there is no such file", "Check the path.")
-        return PointCloud(check_points(read_bag(file, topic)))
+        return _framed(file, Stored(read_bag(file, topic), up="z", scale=1.0), scale, up)
     if thin is not None:
-        return _read_thinned(file, ground_label, thin)
+        return _read_thinned(file, ground_label, VoxelSieve(thin), scale, up)
     if file.is_dir():
         raise CloudError(
             f"folder {file}", "it is no rosbag2", "Of a cloud in tiles say how far to thin it: --thin 0.03."
         )
-    reader = _READERS.get(file.suffix.lower())
+    return _framed(file, _read_whole(file, ground_label, scale), scale, up)
+
+
+def _read_whole(file: Path, ground_label: int | None, scale: float | None) -> Stored:
+    reader = READERS.get(file.suffix.lower())
     if reader is None:
-        raise CloudError(
-            f"cloud {file}", f"files of kind {file.suffix!r} are not known", f"Use {' '.join([*_READERS, *BAGS])}."
-        )
+        kinds = " ".join([*READERS, *BAGS])
+        raise CloudError(f"cloud {file}", f"files of kind {file.suffix!r} are not known", f"Use {kinds}.")
     if not file.is_file():
         raise CloudError(f"cloud {file}", "there is no such file", "Check the path.")
+    if file.stat().st_size == 0:
+        raise CloudError(f"cloud {file}", "it is empty", "Was it copied to its end?")
     try:
-        points, ground = reader(file, ground_label)
+        return reader(file, ground_label, scale)
     except (OSError, ValueError, RuntimeError, EOFError, KeyError) as error:
         raise CloudError(f"cloud {file}", f"it cannot be read ({error})", "Is the file complete?") from error
-    return PointCloud(check_points(points), ground)
 
 
-Read = tuple[FloatArray, BoolArray | None]
-"""What `PointCloud` holds."""
+def _framed(file: Path, stored: Stored, scale: float | None, up: str | None) -> PointCloud:
+    """What a file holds in metres, z up, what is not finite left out; odd units and axes that nobody stated are said.
+
+    Raises:
+        CloudError: no place in metres can be so.
+    """
+    points, ground, origins = stored.points, stored.ground, stored.origins
+    if points.ndim != 2 or points.shape[1] != 3:
+        raise CloudError(f"cloud {file}", f"an array of shape {points.shape}", "Store x, y, z a point: (n, 3).")
+    finite: BoolArray = np.logical_and.reduce(np.isfinite(points), axis=1)
+    dropped = int(len(finite) - finite.sum())
+    if dropped:
+        points = points[finite]
+        ground = None if ground is None else ground[finite]
+        origins = None if origins is None else origins[finite]
+    if len(points) == 0:
+        raise CloudError(f"cloud {file}", f"no point in it is finite ({dropped} are not)", "Is it empty or damaged?")
+    metres, axis = scale or stored.scale or 1.0, up or stored.up or "z"
+    points = turn(points, metres, axis)
+    odd = _odd(file, points, unit=not (scale or stored.scale), axis=not (up or stored.up))
+    points = check_points(points)
+    told = (stored.remark, f"{dropped} points were not finite and left out" if dropped else "", *odd)
+    began = None if origins is None else turn(origins, metres, axis)
+    return PointCloud(points, ground, began, dropped, metres, axis, tuple(filter(None, told)))
 
 
-def _read_thinned(path: Path, ground_label: int | None, width: float) -> PointCloud:
-    files = sorted(f for f in path.iterdir() if f.suffix.lower() in _READERS) if path.is_dir() else [path]
+def _odd(file: Path, points: FloatArray, *, unit: bool, axis: bool) -> list[str]:
+    """What is odd about what nobody stated: the unit, the up axis."""
+    frame = look(points) if unit or axis else None
+    if frame is None:
+        return []
+    words, impossible = odd_unit(frame) if unit else ("", False)
+    if impossible:
+        words = "; ".join(filter(None, [words, odd_up(frame) if axis else ""]))
+        raise CloudError(f"cloud {file}", words, "Say its unit: --scale METRES; 1 if it is in metres.")
+    return [words, odd_up(frame) if axis else ""]
+
+
+def _read_thinned(
+    path: Path, ground_label: int | None, sieve: VoxelSieve, scale: float | None, up: str | None
+) -> PointCloud:
+    files = sorted(f for f in path.iterdir() if f.suffix.lower() in READERS) if path.is_dir() else [path]
     if not files:
-        raise CloudError(f"folder {path}", "no tile is in it", f"Tiles are {' '.join(_READERS)}.")
-    sieve = VoxelSieve(width)
+        raise CloudError(f"folder {path}", "no tile is in it", f"Tiles are {' '.join(READERS)}.")
+    dropped = 0
     for file in files:
         try:
             chunks, marks = chunks_of(file) if file.is_file() else None, _ground_marks(file, ground_label)
             for points, labels in [] if chunks is None else chunks:
-                sieve.add(points, None if labels is None or marks is None else np.isin(labels, marks).astype(np.int64))
+                named = None if labels is None or marks is None else np.isin(labels, marks).astype(np.int64)
+                dropped += int((~np.isfinite(points).all(axis=1)).sum())
+                sieve.add(turn(points, scale or 1.0, up or "z"), named)
         except (OSError, ValueError, RuntimeError, EOFError, KeyError, zipfile.BadZipFile) as error:
             raise CloudError(f"cloud {file}", f"it cannot be read ({error})", "Is the file complete?") from error
         if chunks is None:
-            whole = read_cloud(file, ground_label=ground_label)
+            whole = read_cloud(file, ground_label=ground_label, scale=scale, up=up)
+            dropped += whole.dropped
             sieve.add(whole.points, None if whole.ground is None else whole.ground.astype(np.int64))
     points, marked = sieve.result()
     ground = None if marked is None or not marked.any() else marked.astype(bool)
     if ground_label is not None and ground is None:
         raise CloudError(f"cloud {path}", f"no point is labelled {ground_label!r}", "Name the right label.")
-    return PointCloud(check_points(points), ground)
+    odd = _odd(path, points, unit=scale is None, axis=up is None)
+    told = (f"{dropped} points were not finite and left out" if dropped else "", *odd)
+    remarks = tuple(filter(None, told))
+    return PointCloud(check_points(points), ground, None, dropped, scale or 1.0, up or "z", remarks)
 
 
 def _ground_marks(path: Path, ground_label: int | None) -> list[int] | None:
@@ -171,94 +225,7 @@ def _ground_marks(path: Path, ground_label: int | None) -> list[int] | None:
     if path.suffix.lower() != ".npz":
         return None
     with np.load(path, allow_pickle=False) as stored:
-        return list(_ground_classes(stored)) or None
-
-
-def _ground_classes(stored: Mapping[str, NDArray[Any]]) -> dict[int, str]:
-    """The labels of an .npz file whose classes are called ground, and how."""
-    classes = [str(name).lower() for name in stored["classes"]] if "classes" in stored else []
-    return {i: name for i, name in enumerate(classes) if name in GROUND_CLASSES}
-
-
-def _read_npz(path: Path, ground_label: int | None) -> Read:
-    with np.load(path, allow_pickle=False) as stored:
-        key = next((name for name in ("xyz", "points") if name in stored.files), None)
-        if key is None:
-            found = f"it has no column xyz (it has {', '.join(stored.files)})"
-            raise CloudError(f"cloud {path}", found, "Store the points as 'xyz', shape (n, 3).")
-        points = stored[key].astype(np.float64)
-        label = stored["label"] if "label" in stored.files else None
-        named = _ground_classes(stored)
-    if ground_label is not None:
-        if label is None:
-            raise CloudError(f"cloud {path}", "it has no column label", "Leave --ground-label out.")
-        return points, _labelled(label == ground_label, points, path, ground_label)
-    if label is None or not named:
-        return points, None
-    return points, _labelled(np.isin(label, list(named)), points, path, next(iter(named.values())))
-
-
-def _labelled(ground: BoolArray, points: FloatArray, path: Path, label: object) -> BoolArray:
-    if ground.shape != (len(points),):
-        raise CloudError(f"cloud {path}", f"labels of shape {ground.shape}", f"One label a point: ({len(points)},).")
-    if not ground.any():
-        raise CloudError(f"cloud {path}", f"no point is labelled {label!r}", "Name the right label: --ground-label N.")
-    return ground
-
-
-def _read_open3d(path: Path, ground_label: int | None) -> Read:
-    open3d = import_open3d()
-    if ground_label is not None:
-        raise CloudError(
-            f"cloud {path}", "files of this kind carry no labels", "Leave --ground-label out, or use .npz."
-        )
-    with open3d.utility.VerbosityContextManager(open3d.utility.VerbosityLevel.Error):
-        cloud = open3d.io.read_point_cloud(path, remove_nan_points=False, remove_infinite_points=False)
-    points = np.asarray(cloud.points, dtype=np.float64)
-    if len(points) == 0:
-        raise CloudError(f"cloud {path}", "no point could be read from it", "Is it empty or damaged?")
-    return points, None
-
-
-def import_open3d() -> Any:  # noqa: ANN401 - a module without types
-    """Open3D, which takes 1.2 s to import: only where it is needed.
-
-    Raises:
-        CloudError: a system library that it links against is not installed.
-    """
-    try:
-        import open3d
-    except (OSError, ImportError) as error:
-        missing = [package for library, package in SYSTEM_LIBRARIES.items() if library in str(error)]
-        if not missing:
-            raise
-        found = f"it cannot start here ({error})"
-        raise CloudError("Open3D, which reads this kind of file", found, f"Install {missing[0]}: {APT}") from error
-    return open3d
-
-
-def _read_las(path: Path, ground_label: int | None) -> Read:
-    import laspy
-
-    try:
-        stored = laspy.read(path)
-    except laspy.errors.LaspyException as error:
-        raise CloudError(f"cloud {path}", f"it cannot be read ({error})", "Is the file complete?") from error
-    points = np.asarray(stored.xyz, dtype=np.float64)
-    ground = np.asarray(stored.classification) == (LAS_GROUND if ground_label is None else ground_label)
-    if ground_label is None and not ground.any():
-        return points, None
-    return points, _labelled(ground, points, path, ground_label or LAS_GROUND)
-
-
-_READERS: dict[str, Callable[[Path, int | None], Read]] = {
-    ".ply": _read_open3d,
-    ".pcd": _read_open3d,
-    ".xyz": _read_open3d,
-    ".npz": _read_npz,
-    ".las": _read_las,
-    ".laz": _read_las,
-}
+        return list(ground_classes(stored)) or None
 
 
 def check_labels(ground: ArrayLike, count: int) -> BoolArray:

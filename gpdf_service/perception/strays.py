@@ -6,7 +6,7 @@ import numpy as np
 from numba import njit
 
 from gpdf_service.fields.threads import run_chunked
-from gpdf_service.perception.columns import by_cell
+from gpdf_service.perception.columns import by_cell, compacted
 from gpdf_service.perception.rows import bounds_of
 from gpdf_service.types import BoolArray, FloatArray, IntArray
 
@@ -20,10 +20,11 @@ def find_strays(points: FloatArray, width: float) -> BoolArray:
     nx, ny = (int(n) for n in high - low + 1)
     cell = np.empty(len(points), np.int64)
     run_chunked(lambda a, b: _columns_range(points, width, low, ny, a, b, cell), len(points))
-    start, order = by_cell(cell, nx * ny)
+    cell, count, held = compacted(cell, nx * ny)
+    start, order = by_cell(cell, count)
     level = np.empty(len(points))
     run_chunked(lambda a, b: _levels_range(points, order, width, a, b, level), len(points))
-    run_chunked(lambda a, b: _strays_range(start, order, level, nx, ny, a, b, stray), nx * ny)
+    run_chunked(lambda a, b: _strays_range(start, order, level, held, (nx, ny), a, b, stray), count)
     return stray
 
 
@@ -44,17 +45,31 @@ def _levels_range(points: FloatArray, order: IntArray, width: float, begin: int,
 
 @njit(cache=True, nogil=True)
 def _strays_range(
-    start: IntArray, order: IntArray, level: FloatArray, nx: int, ny: int, begin: int, end: int, stray: BoolArray
+    start: IntArray,
+    order: IntArray,
+    level: FloatArray,
+    held: IntArray,
+    shape: tuple[int, int],
+    begin: int,
+    end: int,
+    stray: BoolArray,
 ) -> None:
-    """Nearly every point finds another in its own column after a few looks."""
+    """Nearly every point finds another in its own column after a few looks. Columns are `held` as by `compacted`."""
+    nx, ny = shape
     for own in range(begin, end):
+        column = held[own] if len(held) else own
         for i in range(start[own], start[own + 1]):
             if _beside(level, i + 1, start[own + 1], level[i]) or _beside(level, start[own], i, level[i]):
                 continue
             alone = True
-            for x in range(max(own // ny - 1, 0), min(own // ny + 2, nx)):
-                for y in range(max(own % ny - 1, 0), min(own % ny + 2, ny)):
+            for x in range(max(column // ny - 1, 0), min(column // ny + 2, nx)):
+                for y in range(max(column % ny - 1, 0), min(column % ny + 2, ny)):
                     c = x * ny + y
+                    if len(held):
+                        at = int(np.searchsorted(held, c))
+                        if at == len(held) or held[at] != c:
+                            continue
+                        c = at
                     alone = alone and (c == own or not _beside(level, start[c], start[c + 1], level[i]))
             stray[order[i]] = alone
 

@@ -9,7 +9,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from gpdf_service.perception.boxes import WHOLE, Box, corner_of, pasted
+from gpdf_service.perception.boxes import WHOLE, Box, corner_of
 from gpdf_service.perception.nearest import nearest_of
 from gpdf_service.perception.rows import cells_in_box
 from gpdf_service.types import BoolArray, FloatArray, IntArray
@@ -201,9 +201,3 @@ def nearest_seen(surface: HeightMap, box: Box = WHOLE) -> Nearest:
     distance, index = nearest_of(surface.state[box] == OBSERVED)
     height = surface.height[box].ravel()[index]  # of the last cell where there is none: then all are NaN
     return Nearest(distance * surface.cell_width, height)
-
-
-def pasted_ground(whole: HeightMap, part: HeightMap, inner: Box, outer: Box) -> HeightMap:
-    """`pasted` of a height map."""
-    height, state = pasted(whole.height, part.height, inner, outer), pasted(whole.state, part.state, inner, outer)
-    return HeightMap(whole.origin, whole.cell_width, height, state)

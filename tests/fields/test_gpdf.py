@@ -18,7 +18,7 @@ from gpdf_service.fields import (
 from gpdf_service.fields.gpdf import Box
 from gpdf_service.fields.solve import solve_all
 from gpdf_service.fields.threads import MIN_CHUNK
-from gpdf_service.fields.tree import change_tree, make_scratch, place_of
+from gpdf_service.fields.tree import change_tree, make_scratch, place_of, tree_of
 
 
 @pytest.fixture(scope="module")
@@ -315,6 +315,8 @@ def test_a_tree_changed_many_times_finds_what_scipy_finds(rng, dim):
         np.testing.assert_array_equal(tree.points[old], before[source[old]])
         np.testing.assert_array_equal(tree.points[~old], added[-1 - source[~old]])
         assert sorted(source[old]) == np.flatnonzero(keep).tolist()
+        for ours, built in zip(tree, tree_of(tree.points, tree.order, tree.begin), strict=True):
+            np.testing.assert_array_equal(ours, built)  # leaves that are as they were are copied
         np.testing.assert_allclose(find_nearest(tree, queries)[0], cKDTree(tree.points).query(queries)[0], atol=1e-12)
         sizes.append(len(tree.blocks))
     assert (np.diff(sizes) > 0).any()

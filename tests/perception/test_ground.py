@@ -244,6 +244,25 @@ def test_slope_of_a_ramp_is_its_angle_and_a_stair_is_flat():
     assert np.median(slope[5:-5, 5:-5]) < 0.01
 
 
+def banks(rise, run, flat=0.5, cell=0.05):
+    """Level ground and steep banks by turns, of that rise and run [m], along x."""
+    x = np.arange(80) * cell
+    whole, part = np.divmod(x, flat + run)
+    height = rise * (whole + np.clip((part - flat) / run, 0.0, 1.0))
+    return HeightMap(np.zeros(2), cell, np.repeat(height[:, None], 40, 1).astype("f4"), np.ones((80, 40), "u1"))
+
+
+def test_a_steep_face_between_two_places_to_stand_is_a_step_as_high_as_it_is():
+    step, slope = (values[5:-5, 5:-5] for values in step_and_slope(banks(rise=0.3, run=0.25)))  # 50 degrees
+    assert slope.max() < 0.524
+    assert step.max() == pytest.approx(0.3, abs=0.02)
+
+
+def test_a_steep_face_that_no_stride_crosses_is_a_slope():
+    slope = step_and_slope(banks(rise=1.2, run=1.0))[1]
+    assert slope.max() > 0.8
+
+
 def test_height_is_not_mixed_across_a_step():
     height = np.where(np.arange(20)[:, None] < 10, 0.0, 0.3).repeat(20, 1).astype("f4")
     surface = HeightMap(np.zeros(2), 0.1, height, np.full((20, 20), OBSERVED, "u1"))
@@ -313,6 +332,7 @@ def test_a_human_walks_up_to_the_next_storey_and_a_roomba_does_not():
     assert room.min() > result.certificate.min_clearance - 0.02
 
 
+@pytest.mark.slow
 def test_the_scanned_house_is_climbed_by_the_human_alone(scan):
     scene = build_scene(read_cloud(scan("house_2storey_stairs_4cm.npz")).points)
     result = plan(scene, (9.0, 14.0, 1.65), (14.0, 13.0, 5.35), "human")

@@ -7,23 +7,25 @@ import pytest
 from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import connected_components
 
+from gpdf_service.config import PerceptionConfig
 from gpdf_service.perception.beside import beside, beside_now
+from gpdf_service.perception.boxes import widened
+from gpdf_service.perception.bumps import raised_over_sides
 from gpdf_service.perception.columns import heights_in_plan
-from gpdf_service.perception.layers import HALF, build_layers, connect, crop_layers, splice_layers
+from gpdf_service.perception.layers import HALF, build_layers, connect, crop_layers, splice_layers, steady
 from gpdf_service.perception.nodes import (
     components,
     drops_beside,
     grown_sheet,
     half_way,
-    joined_to,
     lowest_beside,
     mean_gradients,
-    medians_of,
     nodes_over,
+    numbered_among,
     plan_sums,
-    stepped,
 )
 from gpdf_service.perception.pairs import AROUND, pairs_within
+from gpdf_service.perception.strides import find_stances, find_strides
 
 
 @pytest.fixture(scope="module")
@@ -58,7 +60,7 @@ def test_components_among_some_nodes_leave_the_others_alone():
     np.testing.assert_array_equal(components(a, b, among), components(a[inside], b[inside], np.ones(200, dtype=bool)))
 
 
-def test_pairs_are_chosen_and_joined_as_by_masks():
+def test_pairs_are_chosen_as_by_masks():
     rng = np.random.default_rng(2)
     (a, b), among, own = rng.integers(0, 50, (2, 300)), rng.random(50) < 0.4, np.arange(50)
     for found, mask in (
@@ -67,17 +69,6 @@ def test_pairs_are_chosen_and_joined_as_by_masks():
         (pairs_within(a, b, among, True, own % 3), among[a] & among[b] & (a % 3 != b % 3)),
     ):
         np.testing.assert_array_equal(found, (a[mask], b[mask]))
-    seeds = rng.random(50) < 0.1
-    label = components(a, b, among | seeds)
-    joined = (among | seeds) & np.isin(label, label[seeds])
-    np.testing.assert_array_equal(joined_to(seeds, among, own, a, b), joined)
-    assert joined.sum() > seeds.sum()
-
-
-def test_what_is_of_one_piece_is_joined_without_a_pair():
-    seeds, among = np.arange(6) == 0, np.array([False, True, True, True, False, True])
-    piece, a, b = np.array([0, 1, 2, 2, 2, 3]), np.array([0, 1, 4]), np.array([1, 2, 5])
-    np.testing.assert_array_equal(joined_to(seeds, among, piece, a, b), [True, True, True, True, False, False])
 
 
 @pytest.fixture(scope="module")
@@ -135,8 +126,8 @@ def test_a_change_of_columns_asks_only_the_strips_that_it_touches(strips):
     answers(near, strips)
     cells[:17] = False
     now = splice_layers(strips, cells.ravel(), other)
-    made, expected = beside_now(near, now, 0.3, cells), beside(now, 0.3)
-    assert [one.a is other.a for one, other in zip(made.strips, near.strips, strict=True)] == [True, False, False]
+    made, expected = beside_now(near, now, cells), beside(now, 0.3)
+    assert [bool(strip.before) for strip in made.strips] == [True, False, False]
     for seed in (3, 4):
         ours, theirs = answers(made, now, seed), answers(expected, now, seed)
         np.testing.assert_array_equal(ours[2], theirs[2])
@@ -148,20 +139,67 @@ def test_a_change_of_columns_asks_only_the_strips_that_it_touches(strips):
 def test_each_answer_of_the_version_before_is_remembered_and_none_older(strips, monkeypatch):
     near, none = beside(strips, 0.3), np.zeros(strips.shape, dtype=bool)
     before = [answers(near, strips, seed) for seed in (3, 4, 5)]
-    now = beside_now(near, strips, 0.3, none)
+    now = beside_now(near, strips, none)
     monkeypatch.setattr("gpdf_service.perception.beside.pieces_in", named := Mock(__name__="pieces_in"))
     for seed in (3, 5):  # one sheet's question comes after another's
         np.testing.assert_array_equal(answers(now, strips, seed)[3][0], before[seed - 3][3][0])
     assert not named.called
-    later = beside_now(now, strips, 0.3, none)
+    later = beside_now(now, strips, none)
     assert all(len(strip.before) == 4 and not strip.known for strip in later.strips)
 
 
-def test_medians_of_sets_are_the_upper_ones():
+def test_labels_among_some_nodes_are_numbered_in_their_order():
     rng = np.random.default_rng(8)
-    height, start, members = rng.random(30), np.array([0, 1, 3, 30]), rng.permutation(30)
-    found = medians_of(height, start, members, np.array([True, True, False]))
-    np.testing.assert_array_equal(found, [height[members[0]], height[members[1:3]].max(), np.nan])
+    label, among = rng.integers(0, 40, 60), rng.random(60) < 0.5
+    found, count = numbered_among(label, among)
+    held, number = np.unique(label[among], return_inverse=True)
+    np.testing.assert_array_equal(found[among], number)
+    assert count == len(held)
+    assert (found[~among] == count).all()
+
+
+@pytest.mark.parametrize("tile", [3, 7, 64])
+def test_a_change_is_told_what_a_build_is_in_tiles_of_any_size(tile, monkeypatch):
+    """Questions to all within a reach, of nodes with others in some columns and with something else given elsewhere."""
+    monkeypatch.setattr("gpdf_service.perception.told.TILE", tile)
+    rng, config = np.random.default_rng(11), PerceptionConfig()
+    cloud = rng.uniform(0.0, [4.0, 3.0, 2.0], (4000, 3))
+    layers = build_layers(cloud, 0.1, 0.3)
+    gone = (np.abs(cloud[:, :2] - [1.0, 2.0]) < 0.3).all(axis=1)
+    now = build_layers(cloud[~gone], 0.1, 0.3, like=layers)
+    cells = np.zeros(layers.shape, dtype=bool)
+    place = np.floor((cloud[gone, :2] - layers.origin) / 0.1).astype(int)
+    cells[tuple(place.T)] = True
+    cells = widened(cells, 1)
+
+    def ask(near, far):
+        """Answers, with other ground in a far corner."""
+        own = near.layers
+        x, y = np.divmod(own.cell, own.shape[1])
+        ground, label = (x + y) % 5 > 0, x // 4
+        ground &= ~((x > 30) & (y < 8) & (y % 2 == far))
+        raised = raised_over_sides(near, ground, config)
+        (stance,) = near.around("stance", 2, lambda part, among: (find_stances(part, among),), ground)
+        named = steady(own, label)
+
+        def strides(part, stance, named):
+            return find_strides(part.cell, part.start, part.shape, part.height, stance, named, 4.0, 0.2)
+
+        pairs = near.pairs_around("strides", 5, strides, ground, named)
+        return raised, stance, in_order(pairs), near
+
+    former = ask(beside(layers, 0.3), 0)[-1]
+    changed = ask(beside_now(former, now, cells), 1)
+    again = ask(beside(now, 0.3), 1)
+    for ours, theirs in zip(changed[:3], again[:3], strict=True):
+        np.testing.assert_array_equal(ours, theirs)
+    assert min(np.count_nonzero(changed[0]), np.count_nonzero(changed[1]), len(changed[2])) > 100
+    assert 0 < changed[-1].felt("stance", again[-1].known["stance"].given, 2).sum() < cells.size // 2
+
+
+def in_order(pairs):
+    rows = np.column_stack(pairs)
+    return rows[np.lexsort(rows.T)]
 
 
 def test_sums_in_plan_and_heights_in_plan_are_those_of_numpy(layers):
@@ -204,13 +242,6 @@ def test_the_mean_gradient_of_a_plane_is_its_slope():
     a, b = connect(layers, np.ones(len(layers.cell), dtype=bool), 1.0)
     found = mean_gradients(layers.height, layers.cell, layers.shape[1], a, b)
     np.testing.assert_allclose(found, 0.1 * np.hypot(0.3, 0.1))
-
-
-def test_a_step_reaches_both_ways_and_no_further():
-    reach = np.array([True, False, False, False])
-    a, b = np.array([1, 1, 3]), np.array([0, 2, 2])
-    np.testing.assert_array_equal(stepped(reach, a, b), [True, True, False, False])
-    np.testing.assert_array_equal(stepped(stepped(reach, a, b), a, b), [True, True, True, False])
 
 
 def test_half_way_is_between_the_extreme_neighbours():

@@ -51,15 +51,15 @@ def test_files_that_cannot_be_used_are_refused_in_words(tmp_path):
     (tmp_path / "text.npz").write_text("hello")
     (tmp_path / "empty.ply").write_text("")
     (tmp_path / "broken.las").write_bytes(b"LASF")
-    (tmp_path / "cloud.obj").write_text("")
+    (tmp_path / "cloud.xls").write_text("1 2 3")
     for name, options, message in (
         ("none.ply", {}, "no such file"),
-        ("cloud.obj", {}, "not known"),
+        ("cloud.xls", {}, "not known"),
         ("column.npz", {}, "no column xyz"),
         ("label.npz", {"ground_label": 7}, "no point is labelled 7"),
         ("plain.npz", {"ground_label": 1}, "no column label"),
         ("text.npz", {}, "cannot be read"),
-        ("empty.ply", {}, "no point could be read"),
+        ("empty.ply", {}, "it is empty"),
         ("broken.las", {}, "cannot be read"),
     ):
         with pytest.raises(CloudError, match=message):

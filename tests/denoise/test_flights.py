@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter
 
-from gpdf_service.fields import Flight, onto_risers, onto_treads
+from gpdf_service.denoise import Flight, onto_risers, onto_treads
 from gpdf_service.types import FloatArray
 
 NOISE = 0.05

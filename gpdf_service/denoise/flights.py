@@ -16,8 +16,8 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
-from gpdf_service.fields.denoise import HIDDEN
-from gpdf_service.fields.treads import EDGE_ERROR, Treads, log_density, look_for_treads, settle_treads
+from gpdf_service.denoise.cloud import HIDDEN
+from gpdf_service.denoise.treads import EDGE_ERROR, Treads, log_density, look_for_treads, settle_treads
 from gpdf_service.types import BoolArray, FloatArray, IntArray
 
 _VOXEL = 0.2

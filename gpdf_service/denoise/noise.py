@@ -7,7 +7,7 @@ from math import sqrt
 import numpy as np
 from numba import njit
 
-from gpdf_service.fields.edge import fit_pair
+from gpdf_service.fields.edge import EDGE, fit_pair
 from gpdf_service.fields.heights import fit_heights, make_sums, quadric_rest, sum_heights
 from gpdf_service.fields.shapes import MOST, fit_axis, fit_plane, fit_ring, gather, split_sheets, sum_rings
 from gpdf_service.fields.threads import run_chunked
@@ -22,8 +22,6 @@ _WIDE = 4.0
 """[-] Ratio of two variances at which it is a plane: twice as wide as it is thick."""
 _TOLD = 16
 """Neighbours that tell a shape: of fewer, one in ten of a ball looks like a plane."""
-EDGE = 0.6
-"""[-] Variance about two half planes over that about a quadric, below which it is an edge; noise alone gives 0.75."""
 _SHEETS = 0.2
 """[-] Variance within two sheets over that of one, below which they are two; noise alone gives 0.36."""
 _LARGER = 1.7
@@ -36,11 +34,13 @@ _CHANCE = 0.1
 noise that is wide against the spacing one place in eighty looks like a plane, and too thin."""
 _AT_ONCE = 4
 """Radii that are looked at in one walk: most places are told by the first four."""
-_SAMPLE = 1000
+PLACES = 1000
 """Points that the noise is estimated from: its error is then some per cent."""
 
 
-def estimate_noise(points: FloatArray, spacing: float, *, sheets: bool = True, tree: Tree | None = None) -> float:
+def estimate_noise(
+    points: FloatArray, spacing: float, *, sheets: bool = True, tree: Tree | None = None, places: int = PLACES
+) -> float:
     """Standard deviation of the points along the surface's normal [m]; points of shape (n, 3).
 
     What is left of the smallest neighbourhood that shows its shape: a plane, an edge, two sheets or a pole. So the
@@ -57,11 +57,12 @@ def estimate_noise(points: FloatArray, spacing: float, *, sheets: bool = True, t
         spacing: Between its points [m].
         sheets: Whether two sheets on each other can both be there.
         tree: Over the points, where there is one.
+        places: How many of them are looked at.
     """
     if len(points) < _TOLD or spacing <= 0.0:
         return 0.0
     rng = np.random.default_rng(0)
-    picked = points[rng.choice(len(points), min(_SAMPLE, len(points)), replace=False)]
+    picked = points[rng.choice(len(points), min(places, len(points)), replace=False)]
     rest, shown = np.full((2, len(picked)), np.nan)
     radii: FloatArray = 2.0 * spacing * GROWTH ** np.arange(16.0)
     tree = build_tree(points) if tree is None else tree
@@ -69,7 +70,7 @@ def estimate_noise(points: FloatArray, spacing: float, *, sheets: bool = True, t
     told, sure = rest[np.isfinite(rest)], shown[np.isfinite(shown)]
     if len(told) < _CHANCE * np.isinf(rest).sum():
         thinner = rng.choice(points, len(points) // 4, replace=False)
-        return estimate_noise(thinner, 2.0 * spacing, sheets=sheets)
+        return estimate_noise(thinner, 2.0 * spacing, sheets=sheets, places=places)
     if 2 * len(sure) > len(told):
         return float(np.quantile(sure, 0.75))
     return float(np.quantile(told, 0.25)) if len(told) else 0.0

@@ -1,0 +1,11 @@
+"""Noise: how much of it a cloud has, its points moved onto their surfaces, and what is left of it."""
+
+from gpdf_service.denoise.cloud import Denoised as Denoised
+from gpdf_service.denoise.cloud import as_measured as as_measured
+from gpdf_service.denoise.cloud import denoise as denoise
+from gpdf_service.denoise.flights import Flight as Flight
+from gpdf_service.denoise.flights import onto_risers as onto_risers
+from gpdf_service.denoise.flights import onto_treads as onto_treads
+from gpdf_service.denoise.noise import estimate_noise as estimate_noise
+from gpdf_service.denoise.strays import FAR as FAR
+from gpdf_service.denoise.strays import find_lifted as find_lifted

@@ -1,0 +1,259 @@
+"""Points in cubic cells, with the sums of their powers, and sweeps over each cell and the 26 around it.
+
+Cells are kept by one number each, ascending; a neighbour's is that number and a constant. So sweeps over all cells find
+their neighbours by pointers that only go forward: work and memory are those of the points, however far these lie apart.
+"""
+
+from __future__ import annotations
+
+from math import floor
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+
+from gpdf_service.fields.order import corners_of, order_by
+from gpdf_service.fields.shapes import add
+from gpdf_service.fields.threads import run_chunked
+from gpdf_service.types import BoolArray, FloatArray, IntArray
+
+AROUND = 27
+"""A cell and those that touch it."""
+_MARGIN = 3
+"""Empty cells around all, so that a neighbour of the last one in a row is not the first of the next."""
+_MOST = 1 << 19
+"""Cells along a side: three of them make a number of 57 bits."""
+
+
+class Cells(NamedTuple):
+    """Points by their cells.
+
+    Attributes:
+        order: Rows of the points, cell by cell, shape (n,).
+        places: The points in that order, from `corner` [m], shape (n, 3).
+        begin: Where each cell's points begin there, shape (m + 1,).
+        key: Number of each cell, ascending, shape (m,).
+        moments: Sums over each cell's points of 1, x, y, z, x², y², z², xy, xz, yz from its centre, shape (m, 10).
+        corner: Lower corner of cell 0 [m], shape (3,).
+        width: Of the cells [m].
+        strides: By how much the number grows with a cell in x, and in y, shape (2,).
+    """
+
+    order: IntArray
+    places: FloatArray
+    begin: IntArray
+    key: IntArray
+    moments: FloatArray
+    corner: FloatArray
+    width: float
+    strides: IntArray
+
+
+def sort_into_cells(points: FloatArray, width: float) -> Cells:
+    """Points, shape (n, 3) [m], in cells of at least `width` [m]."""
+    lowest, highest = corners_of(points)
+    width = max(width, float((highest - lowest).max()) / _MOST)
+    corner = lowest - _MARGIN * width
+    counts = np.floor((highest - corner) / width).astype(np.int64) + 1 + _MARGIN
+    strides = np.array([counts[1] * counts[2], counts[2]])
+    key = np.empty(len(points), np.int64)
+    run_chunked(lambda a, b: _keys(points, corner, width, strides, a, b, key), len(points))
+    order = order_by(key)
+    places = np.empty((len(points), 3))
+    begin, own = _runs(points, corner, key, order, places)
+    moments = np.zeros((len(own), 10))
+    cells = Cells(order, places, begin, own, moments, corner, width, strides)
+    run_chunked(lambda a, b: _sum_cells(cells, a, b), len(own))
+    return cells
+
+
+@njit(cache=True, nogil=True)
+def _keys(
+    points: FloatArray, corner: FloatArray, width: float, strides: IntArray, begin: int, end: int, key: IntArray
+) -> None:
+    for i in range(begin, end):
+        x = floor((points[i, 0] - corner[0]) / width)
+        y = floor((points[i, 1] - corner[1]) / width)
+        z = floor((points[i, 2] - corner[2]) / width)
+        key[i] = x * strides[0] + y * strides[1] + z
+
+
+@njit(cache=True, nogil=True)
+def _runs(
+    points: FloatArray, corner: FloatArray, key: IntArray, order: IntArray, places: FloatArray
+) -> tuple[IntArray, IntArray]:
+    """Write the points in their order; where each cell's begin, and its number."""
+    n, m = len(order), 0
+    begin, own = np.empty(n + 1, np.int64), np.empty(n, np.int64)
+    for i in range(n):
+        row = order[i]
+        for k in range(3):
+            places[i, k] = points[row, k] - corner[k]
+        if m == 0 or key[row] != own[m - 1]:
+            begin[m], own[m] = i, key[row]
+            m += 1
+    begin[m] = n
+    return begin[: m + 1].copy(), own[:m].copy()
+
+
+@njit(cache=True, nogil=True)
+def _sum_cells(cells: Cells, begin: int, end: int) -> None:
+    for c in range(begin, end):
+        x, y, z = centre_of(cells, c)
+        for i in range(cells.begin[c], cells.begin[c + 1]):
+            add(cells.moments[c], cells.places[i, 0] - x, cells.places[i, 1] - y, cells.places[i, 2] - z)
+
+
+@njit(cache=True, nogil=True)
+def centre_of(cells: Cells, c: int) -> tuple[float, float, float]:
+    """Centre of cell c from the corner [m]."""
+    x, rest = divmod(cells.key[c], cells.strides[0])
+    y, z = divmod(rest, cells.strides[1])
+    width = cells.width
+    return (x + 0.5) * width, (y + 0.5) * width, (z + 0.5) * width
+
+
+@njit(cache=True, nogil=True)
+def begin_sweep(cells: Cells, first: int) -> IntArray:
+    """Where the nine columns around cell `first` begin, shape (9,): what `look_around` goes on from."""
+    at = np.empty(9, np.int64)
+    for j in range(9):
+        at[j] = np.searchsorted(cells.key, cells.key[first] + _step(cells, j))
+    return at
+
+
+@njit(cache=True, nogil=True)
+def _step(cells: Cells, column: int) -> int:
+    """From a cell's number to that of the lowest one in a column around it."""
+    return int((column // 3 - 1) * cells.strides[0] + (column % 3 - 1) * cells.strides[1] - 1)
+
+
+@njit(cache=True, nogil=True)
+def look_around(cells: Cells, c: int, at: IntArray, near: IntArray) -> None:
+    """Write which cells are around c, shape (27,), −1 where there is none; x changes least often, z most.
+
+    Args:
+        cells: All of them.
+        c: No less than in the call before.
+        at: From `begin_sweep`.
+        near: Written.
+    """
+    key, m = cells.key, len(cells.key)
+    for j in range(9):
+        target, p = key[c] + _step(cells, j), at[j]
+        while p < m and key[p] < target:
+            p += 1
+        at[j] = p
+        for k in range(3):
+            near[3 * j + k] = -1
+            if p < m and key[p] == target + k:
+                near[3 * j + k] = p
+                p += 1
+
+
+@njit(cache=True, nogil=True)
+def offset_of(cells: Cells, j: int) -> tuple[float, float, float]:
+    """From a cell's centre to that of the j-th of `look_around` [m]."""
+    return (j // 9 - 1) * cells.width, (j // 3 % 3 - 1) * cells.width, (j % 3 - 1) * cells.width
+
+
+@njit(cache=True, nogil=True)
+def sum_window(cells: Cells, near: IntArray, total: FloatArray) -> None:
+    """Write the sums over a cell and those around it from its centre, shape (10,)."""
+    total[:] = 0.0
+    for j in range(AROUND):
+        if near[j] < 0:
+            continue
+        a, b, c = offset_of(cells, j)
+        m = cells.moments[near[j]]
+        n = m[0]
+        total[0] += n
+        total[1] += m[1] + n * a
+        total[2] += m[2] + n * b
+        total[3] += m[3] + n * c
+        total[4] += m[4] + a * (2.0 * m[1] + n * a)
+        total[5] += m[5] + b * (2.0 * m[2] + n * b)
+        total[6] += m[6] + c * (2.0 * m[3] + n * c)
+        total[7] += m[7] + a * m[2] + b * m[1] + n * a * b
+        total[8] += m[8] + a * m[3] + c * m[1] + n * a * c
+        total[9] += m[9] + b * m[3] + c * m[2] + n * b * c
+
+
+@njit(cache=True, nogil=True)
+def gather_all(cells: Cells, near: IntArray, rows: IntArray) -> int:
+    """Write the places of a window, every k-th where they are more than there is room for; how many."""
+    total, passed, found = 0, 0, 0
+    for j in near:
+        if j >= 0:
+            total += cells.begin[j + 1] - cells.begin[j]
+    stride = 1 + (total - 1) // len(rows)
+    for j in near:
+        if j >= 0:
+            for i in range(cells.begin[j], cells.begin[j + 1]):
+                if passed % stride == 0:
+                    rows[found] = i
+                    found += 1
+                passed += 1
+    return found
+
+
+@njit(cache=True, nogil=True)
+def gather_near(cells: Cells, near: IntArray, asked: BoolArray, rows: IntArray) -> int:
+    """Write places in the cells `near` whose points are `asked` for, every k-th if there are too many; how many."""
+    total, passed, found = 0, 0, 0
+    for j in near:
+        if j >= 0:
+            for i in range(cells.begin[j], cells.begin[j + 1]):
+                total += asked[cells.order[i]]
+    stride = 1 + (total - 1) // len(rows)
+    for j in near:
+        if j >= 0:
+            for i in range(cells.begin[j], cells.begin[j + 1]):
+                if asked[cells.order[i]]:
+                    if passed % stride == 0:
+                        rows[found] = i
+                        found += 1
+                    passed += 1
+    return found
+
+
+@njit(cache=True, nogil=True)
+def holds_any(cells: Cells, c: int, asked: BoolArray) -> bool:
+    """Whether cell c holds a point that is `asked` for, shape (n,) in the order of the input."""
+    found = False
+    for i in range(cells.begin[c], cells.begin[c + 1]):
+        found |= asked[cells.order[i]]
+    return bool(found)
+
+
+def cells_around(cells: Cells, asked: BoolArray) -> BoolArray:
+    """Which cells hold a point that is `asked` for, shape (n,), or are beside one that does, shape (m,)."""
+    found = np.zeros(len(cells.key), dtype=bool)
+    run_chunked(lambda a, b: _around_range(cells, asked, a, b, found), len(cells.key))
+    return found
+
+
+@njit(cache=True, nogil=True)
+def _around_range(cells: Cells, asked: BoolArray, begin: int, end: int, found: BoolArray) -> None:
+    near, at = np.empty(AROUND, np.int64), begin_sweep(cells, begin)
+    for c in range(begin, end):
+        if holds_any(cells, c, asked):
+            look_around(cells, c, at, near)
+            for j in near:
+                if j >= 0:
+                    found[j] = True
+
+
+@njit(cache=True, nogil=True)
+def cells_within(cells: Cells, c: int, rings: int, beside: IntArray) -> int:
+    """Write the cells at most `rings` off cell c, for few of them only: each column is searched for; how many."""
+    found = 0
+    for x in range(-rings, rings + 1):
+        for y in range(-rings, rings + 1):
+            lowest = cells.key[c] + x * cells.strides[0] + y * cells.strides[1] - rings
+            j = np.searchsorted(cells.key, lowest)
+            while j < len(cells.key) and cells.key[j] <= lowest + 2 * rings:
+                beside[found] = j
+                found += 1
+                j += 1
+    return found

@@ -1,0 +1,124 @@
+"""A cloud without its noise, in one pass: planes that vote.
+
+A Gaussian error of 5 cm biases a distance field by −14 cm at 2 m above a floor: the highest outliers are nearest. No
+margin cures that, so points go onto the surface that they were measured on before anything is built. Windows of cells
+are planes where the noise explains how thick they are; each cell takes the planes of the windows around it together,
+and each of its points goes to the nearest. What is no plane stays as it is or moves little, and says so: it is thicker
+by its noise, on the safe side. The work is that of the points, whatever they are of. First with wide cells, where all
+around is flat, and then with those that are as narrow as the noise lets them be.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gpdf_service.denoise.cells import Cells, cells_around, sort_into_cells
+from gpdf_service.denoise.edges import place_at_edges
+from gpdf_service.denoise.noise import estimate_noise
+from gpdf_service.denoise.place import Placed, place_in_cells
+from gpdf_service.denoise.planes import Planes, find_planes
+from gpdf_service.denoise.rest import EXTREME, find_alone, follow_planes, release_things, shift_rest
+from gpdf_service.denoise.rims import draw_in
+from gpdf_service.fields.shapes import FEWEST
+from gpdf_service.fields.spacing import estimate_spacing
+from gpdf_service.types import BoolArray, FloatArray
+
+RESOLVED = 2.0
+"""[-] Width of a cell over the noise: a window is then twice as wide as it is thick (standard deviations)."""
+_FILLED = 1.3
+"""[-] Width of a cell over the spacing: a window of a plane then holds fifteen points."""
+_WIDE = 2.0
+"""[-] Width of the wide cells over that of the others: a window of 12 σ, as precise again, where all of it is flat."""
+_FLAT = 7
+"""Votes, of the nine in a layer, that a wide cell's plane has more than where all around it is flat."""
+_FEW = 0.01
+"""[-] Of the points that are left, below which wider cells are not tried: they are outliers, not a surface."""
+_BIAS = 3.0
+"""[-] Standard deviation left over the standard error of a plane: where its surface bends it is off by more."""
+HIDDEN = 0.6
+"""[-] Least standard deviation left over the noise: relief within it passes for noise."""
+_NEGLIGIBLE = 0.05
+"""[-] Noise over spacing below which the gaps between the points hide it."""
+
+
+class Denoised(NamedTuple):
+    """Points on their surfaces.
+
+    Attributes:
+        points: [m], shape (n, 3), in the order of the input.
+        noise: Standard deviation left along the normal [m], shape (n,).
+        stray: Points of no surface: alone where their surroundings are well sampled, shape (n,).
+        measured: Standard deviation of the input along the normal [m].
+    """
+
+    points: FloatArray
+    noise: FloatArray
+    stray: BoolArray
+    measured: float
+
+
+def as_measured(points: FloatArray, noise: float) -> Denoised:
+    """Points as they are, shape (n, 3), with the noise that they have [m]."""
+    return Denoised(points, np.full(len(points), noise), np.zeros(len(points), dtype=bool), noise)
+
+
+def denoise(points: FloatArray, parts: BoolArray | None = None, noise: float | None = None) -> Denoised:
+    """Move every point onto the surface around it, where there is one, and find those of no surface.
+
+    Args:
+        points: The cloud [m], shape (n, 3).
+        parts: Which are ground, shape (n,), where that is known: the surfaces of ground and of the rest are told
+            without each other, for at the foot of a wall a window holds both; and no things stand before the ground's.
+        noise: Standard deviation of the points along the normal [m]; measured when it is not given.
+    """
+    if noise is None:
+        spacing = estimate_spacing(points)
+        noise = estimate_noise(points, spacing)
+        if noise <= _NEGLIGIBLE * spacing:
+            return as_measured(points, noise)
+    parts = np.zeros(len(points), dtype=bool) if parts is None else parts
+    made = as_measured(points.copy(), noise)
+    for part, things in ((parts, False), (~parts, True)):
+        if np.count_nonzero(part) > FEWEST:
+            made.points[part], made.noise[part], made.stray[part] = _denoise_part(points[part], noise, things)
+    return made
+
+
+def _denoise_part(points: FloatArray, noise: float, things: bool) -> tuple[FloatArray, FloatArray, BoolArray]:
+    """Places [m], shape (k, 3), deviations left [m], (k,), and strays, (k,)."""
+    width = max(RESOLVED * noise, _FILLED * estimate_spacing(points))
+    placed = Placed(
+        points.copy(),
+        np.full(len(points), np.inf),
+        np.ones(len(points), dtype=bool),
+        np.zeros(points.shape, np.float32),
+    )
+    wide = sort_into_cells(points, _WIDE * width)
+    planes = find_planes(wide, noise, np.ones(len(wide.key), dtype=bool))
+    widely = _place_flat(wide, planes, noise, placed)
+    cells = sort_into_cells(points, width)
+    near = find_planes(cells, noise, cells_around(cells, placed.pending))
+    main = _place_flat(cells, near, noise, placed)
+    follow_planes(cells, main, noise, placed)
+    follow_planes(wide, widely, noise, placed)
+    place_in_cells(cells, near, noise, placed, main)
+    follow_planes(cells, main, noise, placed)
+    if placed.pending.mean() > _FEW:
+        place_in_cells(wide, planes, noise, placed, widely)
+    if things:
+        release_things(cells, points, noise, placed)
+    draw_in(cells, noise, placed)
+    shift_rest(cells, noise, placed)
+    left = np.where(placed.pending, placed.error, np.minimum(_BIAS * placed.error, EXTREME * noise))
+    return placed.points, np.maximum(left, HIDDEN * noise), find_alone(cells, placed)
+
+
+def _place_flat(cells: Cells, planes: Planes, noise: float, placed: Placed) -> NDArray[np.float32]:
+    """Put points onto planes where all around is flat, then where such planes meet; the main plane of each cell."""
+    main = np.zeros((len(cells.key), 5), np.float32)
+    place_in_cells(cells, planes, noise, placed, main, _FLAT)
+    place_at_edges(cells, planes, noise, placed, main)
+    return main

@@ -1,0 +1,162 @@
+"""The plane of a window: a cell and those around it, where the noise alone explains how thick it is.
+
+With the covariance's eigenvalues λ₁ ≤ λ₂ ≤ λ₃ of n points, n λ₁ / σ² is χ² with n − 3 degrees of freedom if they are of
+one plane. What is thicker is two sheets, if each of them then leaves σ², or nothing that is known.
+"""
+
+from __future__ import annotations
+
+from math import sqrt
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from gpdf_service.denoise.cells import (
+    AROUND,
+    Cells,
+    begin_sweep,
+    centre_of,
+    gather_all,
+    look_around,
+    sum_window,
+)
+from gpdf_service.fields.shapes import FEWEST, add, fit_axis, fit_plane
+from gpdf_service.fields.threads import run_chunked
+from gpdf_service.types import BoolArray, FloatArray, IntArray
+
+SHEETS = 2
+"""Planes that a window can have."""
+NUMBERS = 10
+"""Of a plane: its normal, the middle of its points from the window's, how many they are, (λ₂ − λ₁)² / λ₂, what λ₁
+exceeds σ² by in standard errors, and how well its noise is inside the window, 0 to 1."""
+Planes = NDArray[np.float32]
+"""Shape (m, `SHEETS`, `NUMBERS`); 0 points where there is none."""
+THICK = 2.5
+"""[-] Standard errors by which λ₁ may exceed σ²: more, and it is another shape."""
+_FLAT = 2.2
+"""[-] λ₂ over λ₁ from which on a direction is known: in a window of 6 σ it is 3, in half of one 0.8."""
+_CROSS = 0.65
+"""[-] Cells from its window's middle that a plane may pass: further, the window cuts its noise off at one side."""
+_THIN = 0.5
+"""[-] λ₁ of a sheet over σ², at least: two halves of one sheet have 0.36."""
+_ROUND = 0.25
+"""[-] Two eigenvalues that differ by less, over one of them, are equal: those across a pole are, but for chance."""
+_TURNS = 5
+"""Assignments of points to two sheets: then few change sides."""
+_MOST = 400
+"""Points of a window that are looked at one by one."""
+
+
+def find_planes(cells: Cells, sigma: float, wanted: BoolArray) -> Planes:
+    """The planes of the windows around the `wanted` cells, shape (m,), of points with the noise `sigma` [m]."""
+    planes = np.zeros((len(cells.key), SHEETS, NUMBERS), np.float32)
+    run_chunked(lambda a, b: _planes_range(cells, sigma, wanted, a, b, planes), len(cells.key))
+    return planes
+
+
+@njit(cache=True, nogil=True)
+def _planes_range(cells: Cells, sigma: float, wanted: BoolArray, begin: int, end: int, planes: Planes) -> None:
+    near, total, normal, mean = np.empty(AROUND, np.int64), np.empty(10), np.empty(3), np.empty(3)
+    rows, halves, heights = np.empty(_MOST, np.int64), np.empty((2, 10)), np.empty(_MOST)
+    at = begin_sweep(cells, begin)
+    for c in range(begin, end):
+        if not wanted[c]:
+            continue
+        look_around(cells, c, at, near)
+        sum_window(cells, near, total)
+        if total[0] < FEWEST:
+            continue
+        low, middle, high = fit_plane(total, mean, normal)
+        excess = _excess(low, total[0], sigma)
+        if excess <= THICK:
+            if middle > _FLAT * low:
+                _write(planes[c, 0], normal, mean, total[0], (middle - low) ** 2 / middle, excess, cells.width)
+        elif total[0] >= 2 * FEWEST:
+            count = gather_all(cells, near, rows)
+            for axis in range(3):
+                if _is_round((low, middle, high), axis):
+                    continue
+                if axis > 0:
+                    fit_axis(total, middle if axis == 1 else high, normal)
+                if _split(cells, c, rows[:count], normal, heights, halves) and _both(
+                    halves, sigma, total[0] / count, cells.width, normal, mean, planes[c]
+                ):
+                    break
+                fit_plane(total, mean, normal)
+
+
+@njit(cache=True, nogil=True)
+def _is_round(values: tuple[float, float, float], axis: int) -> bool:
+    """Whether the spread along an axis is that along another one, too: a pole has no two sheets, whichever way."""
+    other, last = values[(axis + 1) % 3], values[(axis + 2) % 3]
+    return bool(abs(other - values[axis]) < _ROUND * values[axis] or abs(last - values[axis]) < _ROUND * values[axis])
+
+
+@njit(cache=True, nogil=True)
+def _excess(low: float, count: float, sigma: float) -> float:
+    """By how many standard errors a variance exceeds σ²."""
+    return float((low * count / (sigma**2 * (count - 3.0)) - 1.0) * sqrt(0.5 * (count - 3.0)))
+
+
+@njit(cache=True, nogil=True)
+def _write(
+    plane: Planes, normal: FloatArray, mean: FloatArray, count: float, middle: float, excess: float, width: float
+) -> None:
+    """A plane that crosses its window's own cell."""
+    height = mean[0] * normal[0] + mean[1] * normal[1] + mean[2] * normal[2]
+    off = abs(height) / (_CROSS * width * (abs(normal[0]) + abs(normal[1]) + abs(normal[2])))
+    if off >= 1.0:
+        return
+    for k in range(3):
+        plane[k], plane[3 + k] = normal[k], mean[k]
+    plane[6], plane[7], plane[8], plane[9] = count, middle, excess, 1.0 - off * off
+
+
+@njit(cache=True, nogil=True)
+def _split(cells: Cells, c: int, rows: IntArray, axis: FloatArray, heights: FloatArray, halves: FloatArray) -> bool:
+    """Write the sums of two sheets across `axis`, (2, 10); whether there are two."""
+    x, y, z = centre_of(cells, c)
+    cut, n = 0.0, len(rows)
+    for i in range(n):
+        p = cells.places[rows[i]]
+        heights[i] = (p[0] - x) * axis[0] + (p[1] - y) * axis[1] + (p[2] - z) * axis[2]
+        cut += heights[i] / n
+    for _ in range(_TURNS):
+        upper, lower, above = 0.0, 0.0, 0
+        for i in range(n):
+            if heights[i] > cut:
+                upper += heights[i]
+                above += 1
+            else:
+                lower += heights[i]
+        if above < FEWEST or n - above < FEWEST:
+            return False
+        cut = 0.5 * (upper / above + lower / (n - above))
+    halves[:] = 0.0
+    for i in range(n):
+        p = cells.places[rows[i]]
+        add(halves[int(heights[i] > cut)], p[0] - x, p[1] - y, p[2] - z)
+    return bool(min(halves[0, 0], halves[1, 0]) >= FEWEST)
+
+
+@njit(cache=True, nogil=True)
+def _both(
+    halves: FloatArray,
+    sigma: float,
+    share: float,
+    width: float,
+    normal: FloatArray,
+    mean: FloatArray,
+    planes: Planes,
+) -> bool:
+    """Write two sheets if both are planes of their own; each of their points stands for `share`."""
+    for k in range(SHEETS):
+        low, middle, _ = fit_plane(halves[k], mean, normal)
+        count = halves[k, 0]
+        excess = _excess(low, count, sigma)
+        if excess > THICK or low * count < _THIN * sigma**2 * (count - 3.0) or middle <= _FLAT * low:
+            planes[0, 6] = 0.0
+            return False
+        _write(planes[k], normal, mean, share * count, (middle - low) ** 2 / middle, excess, width)
+    return True

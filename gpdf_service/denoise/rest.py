@@ -1,0 +1,220 @@
+"""What no plane of its cell explains: outliers go to the plane beside, things are let go again, the rest to its mean.
+
+An outlier is alone; a rod, a handle or a leaf is many points on one side of a plane, more than the noise's tail has
+there. What is left, foliage above all, moves to the mean of what is beside it (mean shift, Fukunaga and Hostetler
+1975), and back by three standard errors of that mean: few points beside say nothing, so the place stays as measured.
+"""
+
+from __future__ import annotations
+
+from math import exp, sqrt
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from gpdf_service.denoise.cells import (
+    AROUND,
+    Cells,
+    begin_sweep,
+    cells_within,
+    centre_of,
+    gather_near,
+    holds_any,
+    look_around,
+)
+from gpdf_service.denoise.place import Placed
+from gpdf_service.fields.shapes import FEWEST
+from gpdf_service.fields.threads import run_chunked
+from gpdf_service.types import BoolArray, FloatArray, IntArray
+
+EXTREME = 1.5
+"""[-] Standard deviation of a point that was not moved over the noise: the nearest of many is an extreme one."""
+_FURTHEST = 4.0
+"""[-] Standard deviations off a plane that noise makes: one in 16 000 is further."""
+_RINGS = 2
+"""Cells off its own in which an outlier's plane is looked for: 4 σ."""
+_SURROUNDINGS = 3
+"""Cells off a point that is alone in which something else was seen, or the scan is thin there."""
+_TAIL, _SHARE = 2.0, 0.0228
+"""[-] Standard deviations that a point of the tail is off its plane at least, and the share of points that are, to one
+side."""
+_CHANCE, _FEWEST = 5.0, 2
+"""[-] Standard errors, and points, by which a tail exceeds what noise makes: a floor has thousands of windows, and what
+is let go of it wrongly stands over it."""
+_STEPS = 3
+"""Of the mean shift: each halves what a point is off the middle of its company."""
+_BACK = 3.0
+"""[-] Standard errors that a mean is trusted to."""
+_MOST = 64
+"""Points beside that a mean is taken of: its error is then an eighth of the noise."""
+_WITNESSES = 256
+"""Outliers beside that are looked at."""
+
+
+def follow_planes(cells: Cells, main: NDArray[np.float32], sigma: float, placed: Placed) -> None:
+    """Put pending points onto the plane of a cell near them; `main` is from `place_in_cells`."""
+    run_chunked(lambda a, b: _follow_range(cells, main, sigma, placed, a, b), len(cells.key))
+
+
+def release_things(cells: Cells, points: FloatArray, sigma: float, placed: Placed) -> None:
+    """Make points pending again that are off their planes with more company than the noise's tail has."""
+    off = points - placed.points
+    far = ~placed.pending & (np.einsum("ij,ij->i", off, off) > (_TAIL * sigma) ** 2)
+    free = np.zeros(len(points), dtype=bool)
+    run_chunked(lambda a, b: _company_range(cells, off, far, sigma, a, b, free), len(cells.key))
+    placed.points[free], placed.pending[free] = points[free], True
+
+
+def shift_rest(cells: Cells, sigma: float, placed: Placed) -> None:
+    """Move the pending points to the mean of those beside, as far as it is known; they stay pending."""
+    run_chunked(lambda a, b: _shift_range(cells, sigma, placed, a, b), len(cells.key))
+
+
+def find_alone(cells: Cells, placed: Placed) -> BoolArray:
+    """Pending points without two others beside, though a well-sampled surface is near, shape (n,).
+
+    What has its place on a surface is no company: of a large wall some points are five deviations off it.
+    """
+    stray = np.zeros(len(placed.points), dtype=bool)
+    run_chunked(lambda a, b: _alone_range(cells, placed.pending, a, b, stray), len(cells.key))
+    return stray
+
+
+@njit(cache=True, nogil=True)
+def _follow_range(cells: Cells, main: NDArray[np.float32], sigma: float, placed: Placed, begin: int, end: int) -> None:
+    beside, limit = np.empty((2 * _RINGS + 1) ** 3, np.int64), _FURTHEST * sigma
+    for c in range(begin, end):
+        if not holds_any(cells, c, placed.pending):
+            continue
+        count = cells_within(cells, c, _RINGS, beside)
+        for i in range(cells.begin[c], cells.begin[c + 1]):
+            row = cells.order[i]
+            if not placed.pending[row]:
+                continue
+            p, least, best, height = cells.places[i], limit, -1, 0.0
+            for j in beside[:count]:
+                if main[j, 4] == 0.0:
+                    continue
+                x, y, z = centre_of(cells, j)
+                a, b, d = p[0] - x, p[1] - y, p[2] - z
+                off = a * main[j, 0] + b * main[j, 1] + d * main[j, 2] - main[j, 3]
+                a, b, d = a - off * main[j, 0], b - off * main[j, 1], d - off * main[j, 2]
+                if abs(off) < least and max(abs(a), abs(b), abs(d)) <= cells.width:
+                    least, best, height = abs(off), j, off
+            if best >= 0:
+                for k in range(3):
+                    placed.points[row, k] = p[k] + cells.corner[k] - height * main[best, k]
+                    placed.normal[row, k] = main[best, k]
+                placed.error[row], placed.pending[row] = main[best, 4], False
+
+
+@njit(cache=True, nogil=True)
+def _company_range(
+    cells: Cells, off: FloatArray, far: BoolArray, sigma: float, begin: int, end: int, free: BoolArray
+) -> None:
+    near, rows, at = np.empty(AROUND, np.int64), np.empty(_WITNESSES, np.int64), begin_sweep(cells, begin)
+    for c in range(begin, end):
+        if not holds_any(cells, c, far):
+            continue
+        look_around(cells, c, at, near)
+        around, tail = 0, 0
+        for j in near:
+            if j >= 0:
+                around += cells.begin[j + 1] - cells.begin[j]
+                for i in range(cells.begin[j], cells.begin[j + 1]):
+                    tail += far[cells.order[i]]
+        by_chance = _SHARE * around + _CHANCE * sqrt(_SHARE * around) + _FEWEST
+        if tail <= by_chance:
+            continue
+        count = gather_near(cells, near, far, rows)
+        for i in range(cells.begin[c], cells.begin[c + 1]):
+            row = cells.order[i]
+            if not far[row]:
+                continue
+            x, company = off[row], 0
+            length = sqrt(x[0] ** 2 + x[1] ** 2 + x[2] ** 2)
+            for k in rows[:count]:
+                y = off[cells.order[k]]
+                company += x[0] * y[0] + x[1] * y[1] + x[2] * y[2] > _TAIL * sigma * length
+            free[row] = company * tail > by_chance * count
+
+
+@njit(cache=True, nogil=True)
+def _shift_range(cells: Cells, sigma: float, placed: Placed, begin: int, end: int) -> None:
+    near, rows, at = np.empty(AROUND, np.int64), np.empty(_MOST, np.int64), begin_sweep(cells, begin)
+    mean = np.empty(3)
+    for c in range(begin, end):
+        if not holds_any(cells, c, placed.pending):
+            continue
+        look_around(cells, c, at, near)
+        count = gather_near(cells, near, placed.pending, rows)
+        for i in range(cells.begin[c], cells.begin[c + 1]):
+            row = cells.order[i]
+            if not placed.pending[row]:
+                continue
+            p = cells.places[i]
+            trusted = _BACK * _mean_of(cells, p, rows[:count], sigma, mean)
+            length = sqrt((p[0] - mean[0]) ** 2 + (p[1] - mean[1]) ** 2 + (p[2] - mean[2]) ** 2)
+            share = min(1.0, trusted / max(length, 1e-12))
+            for k in range(3):
+                placed.points[row, k] = mean[k] + share * (p[k] - mean[k]) + cells.corner[k]
+            placed.error[row] = min(trusted, EXTREME * sigma)
+
+
+@njit(cache=True, nogil=True)
+def _mean_of(cells: Cells, start: FloatArray, rows: IntArray, sigma: float, mean: FloatArray) -> float:
+    """Write where some steps of mean shift from `start` end; the standard error of that."""
+    total, squares, scale = 1.0, 1.0, -0.5 / sigma**2
+    mean[:] = start
+    for _ in range(_STEPS):
+        total, squares, x, y, z = 0.0, 0.0, 0.0, 0.0, 0.0
+        for i in rows:
+            p = cells.places[i]
+            square = (p[0] - mean[0]) ** 2 + (p[1] - mean[1]) ** 2 + (p[2] - mean[2]) ** 2
+            weight = exp(scale * square)
+            total += weight
+            squares += weight * weight
+            x += weight * p[0]
+            y += weight * p[1]
+            z += weight * p[2]
+        if total < 1e-6:
+            mean[:] = start
+            return sigma
+        mean[0], mean[1], mean[2] = x / total, y / total, z / total
+    return float(sigma * sqrt(squares) / total)
+
+
+@njit(cache=True, nogil=True)
+def _alone_range(cells: Cells, pending: BoolArray, begin: int, end: int, stray: BoolArray) -> None:
+    near, at = np.empty(AROUND, np.int64), begin_sweep(cells, begin)
+    beside = np.empty((2 * _SURROUNDINGS + 1) ** 3, np.int64)
+    for c in range(begin, end):
+        if not holds_any(cells, c, pending):
+            continue
+        look_around(cells, c, at, near)
+        around = -1
+        for i in range(cells.begin[c], cells.begin[c + 1]):
+            row = cells.order[i]
+            if not pending[row] or _has_company(cells, cells.places[i], near, pending):
+                continue
+            if around < 0:
+                around = 0
+                for j in beside[: cells_within(cells, c, _SURROUNDINGS, beside)]:
+                    around += cells.begin[j + 1] - cells.begin[j]
+            stray[row] = around > FEWEST
+
+
+@njit(cache=True, nogil=True)
+def _has_company(cells: Cells, x: FloatArray, near: IntArray, pending: BoolArray) -> bool:
+    """Whether two other pending points are within a cell's width of x; x is one of them."""
+    found = 0
+    for j in near:
+        if j >= 0:
+            for i in range(cells.begin[j], cells.begin[j + 1]):
+                y = cells.places[i]
+                square = (x[0] - y[0]) ** 2 + (x[1] - y[1]) ** 2 + (x[2] - y[2]) ** 2
+                found += pending[cells.order[i]] and square < cells.width**2
+            if found > 2:
+                return True
+    return False

@@ -1,0 +1,203 @@
+"""What planes there are in a cell: those of the windows around it, put together, each ended where another one is.
+
+Each window's plane is a vote, as heavy as it is precise at the cell: n / (1 + D² / λ), D from its points' middle. At
+an edge the windows across it are no planes, and those clear of it tell where both sides are. Planes of windows on all
+sides of a place that bends are off to both sides of it, so that their mean is not.
+"""
+
+from __future__ import annotations
+
+from math import exp, sqrt
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from gpdf_service.denoise.cells import AROUND, Cells, offset_of
+from gpdf_service.denoise.planes import SHEETS, Planes
+from gpdf_service.types import FloatArray, IntArray
+
+KINDS = 4
+"""Planes of one cell at most: three that meet in a corner, and a sheet beside them."""
+VOTES = AROUND * SHEETS
+VOTE = 9
+"""Numbers of a vote: normal, height over the cell's middle, weight, the middle of its points from the cell's, and the
+standard error of its direction [rad]."""
+FOUND = 9
+"""Numbers of a plane: normal, height over the cell's middle, weight of all votes and of the heaviest one, and the
+weighted sum of their middles."""
+_ALIKE = 0.47
+"""[-] Sine of the angle (28°), and two errors, between votes for one plane: a ball of 5 widths turns by 23° a cell."""
+_BESIDE = 1.0
+"""[-] Standard deviations, and two errors of a vote, between votes for the same plane: a step of 1.5 is two."""
+_REACH = 3.0
+"""[-] Standard deviations from a cell that its points can be from their plane."""
+_BENT = 2.0
+"""[-] Standard errors of the heaviest vote that a bend exceeds."""
+LIGHT = 0.05
+"""[-] Of the heaviest plane's weight: what has less is no plane that ends others."""
+_END = 0.3
+"""[-] Cells beyond another plane that the middle of a vote may be, and the plane still ends there."""
+
+
+@njit(cache=True, nogil=True)
+def collect(cells: Cells, near: IntArray, planes: Planes, sigma: float, votes: FloatArray) -> int:
+    """Write the votes for a cell's planes, shape (`VOTES`, `VOTE`), the heaviest first; how many."""
+    count = 0
+    for j in range(AROUND):
+        if near[j] >= 0:
+            for s in range(SHEETS):
+                count = add_vote(planes[near[j], s], offset_of(cells, j), cells.width, sigma, votes, count)
+    return count
+
+
+@njit(cache=True, nogil=True)
+def add_vote(
+    plane: NDArray[np.float32],
+    offset: tuple[float, float, float],
+    width: float,
+    sigma: float,
+    votes: FloatArray,
+    count: int,
+) -> int:
+    """Add the vote of one of `Planes` for a cell of that `width` to the first `count`; how many they are then.
+
+    The `offset` is from the cell's middle to that of the plane's window [m].
+    """
+    if plane[6] == 0.0:
+        return count
+    x, y, z = offset[0] + plane[3], offset[1] + plane[4], offset[2] + plane[5]
+    height = x * plane[0] + y * plane[1] + z * plane[2]
+    flat = abs(plane[0]) + abs(plane[1]) + abs(plane[2])
+    if abs(height) > 0.5 * width * flat + _REACH * sigma:
+        return count
+    aside = x * x + y * y + z * z - height * height
+    weight = plane[6] / (1.0 + aside / plane[7]) * exp(-0.5 * max(plane[8], 0.0) ** 2) * plane[9]
+    at = count
+    while at > 0 and votes[at - 1, 4] < weight:
+        votes[at] = votes[at - 1]
+        at -= 1
+    votes[at, 0], votes[at, 1], votes[at, 2], votes[at, 3] = plane[0], plane[1], plane[2], height
+    votes[at, 4], votes[at, 5], votes[at, 6], votes[at, 7] = weight, x, y, z
+    votes[at, 8] = sigma / sqrt(plane[6] * plane[7])
+    return count + 1
+
+
+@njit(cache=True, nogil=True)
+def cluster(votes: FloatArray, count: int, sigma: float, of: IntArray, found: FloatArray) -> int:
+    """Write which plane each vote is for, shape (`VOTES`,), −1 for none, and the planes, (`KINDS`, `FOUND`); how many.
+
+    The heaviest vote that is left begins a plane, and those that agree with it are of it. Then once more with the
+    planes themselves, the heaviest first: what one vote was off by does not split a plane.
+    """
+    of[:count] = -1
+    kinds = 0
+    for i in range(count):
+        if of[i] < 0 and kinds < KINDS:
+            for j in range(i, count):
+                if of[j] < 0 and _agrees(votes[i], votes[i, 8], votes[j], sigma):
+                    of[j] = kinds
+            kinds += 1
+    _sum_votes(votes, count, of, found, kinds, sigma)
+    _heaviest_first(found, kinds)
+    of[:count] = -1
+    for j in range(count):
+        for i in range(kinds):
+            if _agrees(found[i], 0.0, votes[j], sigma):
+                of[j] = i
+                break
+    _sum_votes(votes, count, of, found, kinds, sigma)
+    return kinds
+
+
+@njit(cache=True, nogil=True)
+def _agrees(plane: FloatArray, turn: float, vote: FloatArray, sigma: float) -> bool:
+    """Whether a vote is for a plane whose direction is known to within `turn` [rad]."""
+    dot = plane[0] * vote[0] + plane[1] * vote[1] + plane[2] * vote[2]
+    off = vote[3] - plane[3] if dot > 0.0 else vote[3] + plane[3]
+    if abs(off) > sigma * (_BESIDE + 2.0 / sqrt(vote[4])):
+        return False
+    return bool(1.0 - dot * dot <= (_ALIKE + 2.0 * sqrt(turn**2 + vote[8] ** 2)) ** 2)
+
+
+@njit(cache=True, nogil=True)
+def _sum_votes(votes: FloatArray, count: int, of: IntArray, found: FloatArray, kinds: int, sigma: float) -> None:
+    """Write the mean of the votes for each plane, which way round they are told by the heaviest.
+
+    It goes through the mean of their middles, unless what the votes say of the cell itself is clearly another: their
+    slopes are noisier than their middles, but see the surface bend. What noise explains of that is left out of it.
+    """
+    found[:kinds] = 0.0
+    for j in range(count):
+        if of[j] < 0:
+            continue
+        plane, v = found[of[j]], votes[j]
+        sign = 1.0 if plane[0] * v[0] + plane[1] * v[1] + plane[2] * v[2] >= 0.0 else -1.0
+        for k in range(4):
+            plane[k] += sign * v[4] * v[k]
+        for k in range(3):
+            plane[6 + k] += v[4] * v[5 + k]
+        plane[4] += v[4]
+        plane[5] = max(plane[5], v[4])
+    for plane in found[:kinds]:
+        if plane[4] == 0.0:
+            continue
+        length = sqrt(plane[0] ** 2 + plane[1] ** 2 + plane[2] ** 2)
+        through = 0.0
+        for k in range(3):
+            plane[k] /= length
+            through += plane[k] * plane[6 + k] / plane[4]
+        bend, chance = plane[3] / plane[4] - through, (_BENT * sigma) ** 2 / plane[5]
+        plane[3] = through + bend * max(0.0, 1.0 - chance / max(bend * bend, 1e-300))
+
+
+@njit(cache=True, nogil=True)
+def _heaviest_first(found: FloatArray, kinds: int) -> None:
+    for i in range(1, kinds):
+        for j in range(i, 0, -1):
+            if found[j, 4] <= found[j - 1, 4]:
+                break
+            for k in range(FOUND):
+                found[j, k], found[j - 1, k] = found[j - 1, k], found[j, k]
+
+
+@njit(cache=True, nogil=True)
+def find_ends(
+    votes: FloatArray, count: int, of: IntArray, found: FloatArray, kinds: int, width: float, ends: FloatArray
+) -> None:
+    """Write on which side of plane j plane i is, ±1, shape (`KINDS`, `KINDS`); 0 where it does not end there."""
+    ends[:] = 0.0
+    for j in range(kinds):
+        if found[j, 4] < LIGHT * found[0, 4]:
+            continue
+        for i in range(kinds):
+            slant = found[i, 0] * found[j, 0] + found[i, 1] * found[j, 1] + found[i, 2] * found[j, 2]
+            if i == j or 1.0 - slant * slant < _ALIKE**2 or found[i, 4] == 0.0:
+                continue
+            least, most = 0.0, 0.0
+            for v in range(count):
+                if of[v] == i:
+                    beside = votes[v, 5] * found[j, 0] + votes[v, 6] * found[j, 1] + votes[v, 7] * found[j, 2]
+                    least, most = min(least, beside - found[j, 3]), max(most, beside - found[j, 3])
+            if -least <= _END * width and most > _END * width:
+                ends[i, j] = 1.0
+            elif most <= _END * width and -least > _END * width:
+                ends[i, j] = -1.0
+
+
+@njit(cache=True, nogil=True)
+def onto_plane(found: FloatArray, kinds: int, ends: FloatArray, i: int, x: FloatArray, place: FloatArray) -> float:
+    """Write the point of plane i, as far as it goes, that is nearest to x [m]; the squared distance [m²]."""
+    off = x[0] * found[i, 0] + x[1] * found[i, 1] + x[2] * found[i, 2] - found[i, 3]
+    for k in range(3):
+        place[k] = x[k] - off * found[i, k]
+    for j in range(kinds):
+        if ends[i, j] == 0.0:
+            continue
+        beyond = place[0] * found[j, 0] + place[1] * found[j, 1] + place[2] * found[j, 2] - found[j, 3]
+        if beyond * ends[i, j] >= 0.0:
+            continue
+        slant = found[i, 0] * found[j, 0] + found[i, 1] * found[j, 1] + found[i, 2] * found[j, 2]
+        for k in range(3):
+            place[k] -= beyond * (found[j, k] - slant * found[i, k]) / (1.0 - slant * slant)
+    return float((x[0] - place[0]) ** 2 + (x[1] - place[1]) ** 2 + (x[2] - place[2]) ** 2)

@@ -1,0 +1,54 @@
+"""Memory of a scene's grids, reckoned before any of it is taken."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from gpdf_service.config import PerceptionConfig
+from gpdf_service.errors import TooLargeError
+from gpdf_service.perception.rows import bounds_of
+from gpdf_service.types import FloatArray
+
+LAYER_BYTES = 32
+"""[bytes] Most that a cell of the layers of a whole cloud takes while its ground is found, empty ones as well."""
+LEVEL_BYTES = 240
+"""[bytes] The same of a cell of a level while it is made and measured."""
+KEPT_BYTES = 100
+"""[bytes] The same of what is kept of it while further levels are made."""
+POINT_BYTES = 1000
+"""[bytes] Of grids that each point may ask for: four cells of a level; floors that were scanned ask for 0.05 to 1."""
+_BULK = (1.0, 99.0)
+"""[%] Percentiles of x and of y between which the bulk of a cloud lies: what is outside may be an outlier."""
+
+
+def check_grid(points: FloatArray, count: int, width: float, each: int, config: PerceptionConfig) -> None:
+    """Refuse a grid over the points that takes more than the budget and what the cloud's points may ask for.
+
+    Args:
+        points: What the grid is over [m], shape (k, 3).
+        count: Points of the whole cloud.
+        width: Of its cells [m].
+        each: What a cell takes [bytes].
+        config: The budget.
+
+    Raises:
+        TooLargeError: it would take more.
+    """
+    low, high = bounds_of(points)
+    cells = np.prod(np.ceil((high - low) / width) + 2.0)
+    needed, allowed = cells * each, config.memory_budget + POINT_BYTES * count
+    if needed <= allowed:
+        return
+    wide, bulk = high - low, np.diff(np.percentile(points[:, :2], _BULK, axis=0), axis=0)[0]
+    found = (
+        f"{count} points over {wide[0]:.0f} × {wide[1]:.0f} m ask for {cells:.3g} cells of {width:.2g} m, "
+        f"{needed / 1e9:.2g} GB, more than the {allowed / 1e9:.2g} GB that they may take"
+    )
+    crop = "Crop it"
+    if (2.0 * bulk < wide).any():
+        crop = f"Most points lie within {bulk[0]:.0f} × {bulk[1]:.0f} m: crop what lies outside"
+    raise TooLargeError(
+        "memory of the scene",
+        found,
+        f"Is it in millimetres? Divide by 1000. {crop}, build it in tiles, or raise config.perception.memory_budget.",
+    )

@@ -1,0 +1,269 @@
+"""Parts of the ground, the strides that join them, and which of them are ground: what one can walk to and turn on."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy import ndimage
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+
+from gpdf_service.config import PerceptionConfig
+from gpdf_service.perception.beside import Beside
+from gpdf_service.perception.layers import Layers, Pairs, steady
+from gpdf_service.perception.nodes import components, extents_in_plan, nodes_over, numbered_among
+from gpdf_service.perception.pairs import pairs_within
+from gpdf_service.perception.strides import STRIDE, find_strides
+from gpdf_service.types import BoolArray, FloatArray, IntArray
+
+OVER_SHARE = 0.2
+"""Share of a part that may lie over other ground: a scan's stray points, not a table."""
+TABLE_OVER_SHARE = 0.05
+"""The same of what is no larger than a table and leads no further up: the floor seen below one side of it."""
+TABLE_AREA = 4.0
+"""[m²] Furniture is no larger than a conference table for eight."""
+BULK_SHARE = 0.3
+"""Of the largest ground that has nothing below most of it (a ceiling has): what is smaller is not the floor that one
+starts from."""
+COVERED_SHARE = 0.5
+"""Of an upper storey that has a ceiling over it: tall furniture stands on the rest, or a roof window is over it."""
+
+
+@dataclass(frozen=True, slots=True)
+class Parts:
+    """Sets of flat nodes that slopes join; nodes of none have the number after the last, which counts for nothing.
+
+    Attributes:
+        label: Part of each node, shape (k,).
+        flat: Which nodes are in one, shape (k,).
+        keep: Which of these have headroom to step, shape (k,).
+        inner: Which have all eight neighbours on their slope: they say whether a part lies over ground, shape (k,).
+        over: Which nodes have another one below them in their cell, shape (k,).
+        size: How many nodes with headroom each part has, shape (parts + 1,).
+        standable: Which a body stands on by itself: the others are treads, shape (parts + 1,).
+        level: Mean height [m], shape (parts + 1,).
+        rise: Between two neighbouring cells of a part at most [m].
+    """
+
+    label: IntArray
+    flat: BoolArray
+    keep: BoolArray
+    inner: BoolArray
+    over: BoolArray
+    size: IntArray
+    standable: BoolArray
+    level: FloatArray
+    rise: float
+
+    def share(self, true: BoolArray, among: BoolArray) -> FloatArray:
+        """Of the nodes `among` all of each part, for how many it is `true`, shape (parts + 1,)."""
+        count = len(self.size)
+        held = np.bincount(self.label[among & true], minlength=count)
+        made: FloatArray = held / np.maximum(np.bincount(self.label[among], minlength=count), 1)
+        return made
+
+
+def build_parts(
+    near: Beside, flat: BoolArray, keep: BoolArray, inner: BoolArray, rise: float, config: PerceptionConfig
+) -> Parts:
+    """The parts that slopes of at most `rise` [m] a cell make of the `flat` nodes, shape (k,)."""
+    layers = near.layers
+    label, count = numbered_among(near.pieces(flat, rise)[0], flat)
+    room = flat & keep
+    size = np.bincount(label[room], minlength=count + 1)
+    depth = extents_in_plan(layers.cell, layers.shape[1], room, label, layers.cell_width)[1]
+    depth = np.pad(depth, (0, count + 1 - len(depth)))
+    level = np.bincount(label, layers.height, count + 1) / np.maximum(np.bincount(label, minlength=count + 1), 1)
+    over = np.r_[False, layers.cell[1:] == layers.cell[:-1]]
+    standable = (depth >= config.standing_width) & (size > 0)
+    return Parts(label, flat, room, inner, over, size, standable, level, rise)
+
+
+def join_parts(near: Beside, parts: Parts, stance: BoolArray, config: PerceptionConfig) -> Pairs:
+    """Pairs of parts that a stride between their stances joins.
+
+    What is no larger than a table counts as high as it is in the mean, unless it is on a way between storeys: a sofa's
+    low front edge must not make its back a platform, but treads that a scan ran into one are a flight.
+    """
+    layers, reach = near.layers, STRIDE / near.layers.cell_width
+
+    def strides(layers: Layers, stance: BoolArray, part: IntArray) -> Pairs:
+        grid = layers.cell, layers.start, layers.shape, layers.height
+        found: Pairs = find_strides(*grid, stance, part, reach, config.max_step)
+        return found
+
+    a, b = near.pairs_around("strides", int(reach) + 1, strides, stance, steady(layers, parts.label))
+    count, one, other = len(parts.size), parts.label[a], parts.label[b]
+    small = parts.size * layers.cell_width**2 <= TABLE_AREA
+    high, low = (np.where(small[part], parts.level[part], layers.height[node]) for part, node in ((one, a), (other, b)))
+    key = np.minimum(one, other) * count + np.maximum(one, other)
+    pairs, rows = np.unique(key, return_inverse=True)
+    level = np.bincount(rows, np.abs(high - low) <= config.max_step, len(pairs)) > 0
+    one, other = np.divmod(pairs, count)
+    good = level | _between_storeys(parts, (one, other), small, config.max_step)
+    return one[good], other[good]
+
+
+def _between_storeys(parts: Parts, joins: Pairs, small: BoolArray, step: float) -> BoolArray:
+    """Which joins are of `small` parts that lead from one large part to another which is more than a `step` higher."""
+    count = len(small)
+    cluster, ends = _groups(joins, small), np.array([np.inf, -np.inf])[:, None] * np.ones(count)
+    for one, other in (joins, joins[::-1]):
+        edge = small[one] & ~small[other]
+        np.minimum.at(ends[0], cluster[one[edge]], parts.level[other[edge]])
+        np.maximum.at(ends[1], cluster[one[edge]], parts.level[other[edge]])
+    leads = np.where(np.isfinite(ends[0]), ends[1] - ends[0], 0.0) > step
+    a, b = joins
+    made: BoolArray = (leads[cluster[a]] & small[a]) | (leads[cluster[b]] & small[b])
+    return made
+
+
+def accept_parts(layers: Layers, parts: Parts, joins: Pairs, low: BoolArray, config: PerceptionConfig) -> BoolArray:
+    """Which parts are ground, shape (parts + 1,): what strides join to the bulk, and storeys by themselves.
+
+    Parts that lead nowhere are dropped, one after another: a box or a board that is joined to the floor alone, and a
+    table, which is higher than all that it is joined to and lies over ground, with or without headroom (`low`).
+    """
+    alive = parts.size > 0
+    over = _over_share(layers, parts, low, config)
+    small = parts.size * layers.cell_width**2 <= TABLE_AREA
+    table = over > np.where(small, TABLE_OVER_SHARE, OVER_SHARE)
+    while (dead := _dead_ends(parts, joins, alive, table)).any():
+        alive &= ~dead
+    if not alive.any():
+        return alive
+    group, bulk = _bulk(layers, parts, joins, alive)
+    main = alive & (group == bulk)
+    apart = _storeys(layers, parts, group, main, config) | _pits(layers, parts, group, main, config)
+    accepted: BoolArray = main | (alive & apart[group])
+    return accepted
+
+
+def _over_share(layers: Layers, parts: Parts, low: BoolArray, config: PerceptionConfig) -> FloatArray:
+    """Share of the inner nodes of each part that lie over ground at less than the headroom of a step."""
+    among = parts.keep & parts.inner
+    nodes = np.flatnonzero(among)
+    lies = np.zeros(len(among), dtype=bool)
+    lies[nodes] = nodes_over(nodes, layers.cell, layers.height, parts.keep | low, config.step_headroom)
+    return parts.share(lies, among)
+
+
+def _groups(joins: Pairs, alive: BoolArray) -> IntArray:
+    """Connected component of each part over the strides between those that are alive."""
+    (a, b), count = pairs_within(*joins, alive, True), len(alive)
+    pairs = coo_array((np.ones(len(a)), (a, b)), (count, count))
+    group: IntArray = connected_components(pairs, directed=False)[1]
+    return group
+
+
+def _bulk(layers: Layers, parts: Parts, joins: Pairs, alive: BoolArray) -> tuple[IntArray, int]:
+    """The group of each part, and which group is the ground that one starts from: the lowest of the large ones.
+
+    What mostly lies over something is a ceiling, or a storey, and only the bulk where there is nothing else.
+    """
+    group = _groups(joins, alive)
+    size = np.bincount(group, parts.size * alive)
+    over = np.bincount(group, parts.share(parts.over, parts.keep) * parts.size * alive)
+    own = np.where(2 * over >= size, 0, size)
+    large = np.flatnonzero((size > 0) & (size >= BULK_SHARE * (own if own.any() else size).max()))
+    of_node = group[parts.label[parts.keep]]
+    height = layers.height[parts.keep]
+    return group, int(min(large, key=lambda i: float(np.median(height[of_node == i]))))
+
+
+def _dead_ends(parts: Parts, joins: Pairs, alive: BoolArray, table: BoolArray) -> BoolArray:
+    """Parts that lead nowhere, shape (parts + 1,).
+
+    A tread joins ground above to ground below, a sill joins two floors. Fragments of one tread beside each other count
+    as one. A `table` is what a body stands on, but leads no further up.
+    """
+    (a, b), count = pairs_within(*joins, alive, True), len(alive)
+    narrow = alive & ~parts.standable
+    same = narrow[a] & narrow[b] & (np.abs(parts.level[a] - parts.level[b]) <= parts.rise)
+    unit = components(a[same], b[same], narrow)
+    one, other = np.concatenate([unit[a], unit[b]]), np.concatenate([unit[b], unit[a]])
+    one, other = np.divmod(np.unique((one * count + other)[one != other]), count)
+    high, stands = np.zeros(count), np.zeros(count, dtype=bool)
+    high[unit], stands[unit] = parts.level, parts.standable  # those of a unit are level
+    joined, below, floors = (
+        np.bincount(one[kind], minlength=count)
+        for kind in (one >= 0, high[one] - high[other] > parts.rise, stands[other])
+    )
+    leads = (joined >= 2) & ((below < joined) | (floors >= 2))
+    dead: BoolArray = alive & np.where(narrow, ~leads[unit], table & (below == joined)[unit])
+    return dead
+
+
+def _storeys(layers: Layers, parts: Parts, group: IntArray, main: BoolArray, config: PerceptionConfig) -> BoolArray:
+    """Which groups are storeys by themselves, though no stair to them was seen.
+
+    They are large, under a ceiling, and high over the ground that one starts from. A roof has the sky, a table is close
+    over the floor.
+    """
+    count = int(group.max()) + 1
+    of_node, keep = group[parts.label], parts.keep
+    nodes = np.flatnonzero(keep & ~main[parts.label])
+    close = np.zeros(len(keep), dtype=bool)
+    close[nodes] = nodes_over(nodes, layers.cell, layers.height, keep & main[parts.label], config.storey_headroom)
+    covered = (layers.headroom >= config.storey_headroom) & np.isfinite(layers.headroom)
+    size = np.bincount(of_node[keep], minlength=count)
+    share = [np.bincount(of_node[keep & kind], minlength=count) / np.maximum(size, 1) for kind in (close, covered)]
+    large = size >= BULK_SHARE * size[group[main]].max()
+    found: BoolArray = large & (share[0] <= OVER_SHARE) & (share[1] >= COVERED_SHARE)
+    return found
+
+
+def _pits(layers: Layers, parts: Parts, group: IntArray, main: BoolArray, config: PerceptionConfig) -> BoolArray:
+    """Which groups are pits, track beds, courts: larger than furniture, open, and lower than the `main` ground beside.
+
+    What lies under the main ground is a mirror's image of the ceiling, and what rises over it may be a roof.
+    """
+    count, of_node, ours = int(group.max()) + 1, group[parts.label], parts.keep & main[parts.label]
+    size = np.bincount(of_node[parts.keep], minlength=count)
+    large = size * layers.cell_width**2 > TABLE_AREA
+    large[np.append(group[main], group[-1])] = False
+    nodes = np.flatnonzero(parts.keep & large[of_node])
+    if not len(nodes):
+        return large
+    high = np.full(layers.shape, -np.inf)
+    high.ravel()[layers.cell[ours]] = layers.height[ours]  # the highest: nodes are sorted by their height in a cell
+    nearest = ndimage.distance_transform_edt(np.isinf(high), return_distances=False, return_indices=True)
+    beside = high[tuple(nearest)].ravel()[layers.cell[nodes]]
+    under = np.isfinite(high.ravel()[layers.cell[nodes]])
+    low = ~under & (layers.height[nodes] < beside - config.max_step)
+    share = np.bincount(of_node[nodes[low]], minlength=count) / np.maximum(size, 1)
+    pits: BoolArray = large & (share >= 1.0 - OVER_SHARE)
+    return pits
+
+
+def undersides(
+    layers: Layers, parts: Parts, core: BoolArray, smooth: Pairs, joins: Pairs, config: PerceptionConfig
+) -> tuple[BoolArray, Parts, Pairs]:
+    """Nodes `core` of slabs that are seen from below, and the parts and their joins without them.
+
+    An underside is the next below nodes of parts, by no more than a step, as wide as a body (a stair's tread goes on
+    beneath the next one by its nosing alone), and most of it has something below it: the floor has not. A part of which
+    that is the most is one as a whole: the rest of it is seen through holes in the scan of the slab's top, and with
+    the tread that is as high it would be a landing.
+    """
+    under = np.zeros(len(core), dtype=bool)
+    rows = np.flatnonzero(~parts.keep[:-1] & parts.keep[1:] & parts.over[1:])
+    rows = rows[layers.height[rows + 1] - layers.height[rows] <= config.max_step]
+    under[rows] = True
+    a, b = pairs_within(*smooth, under, False)
+    region = np.full(len(core), len(rows))
+    region[rows] = np.unique(components(a, b, under)[rows], return_inverse=True)[1]
+    depth = extents_in_plan(layers.cell, layers.shape[1], under, region, layers.cell_width)[1]
+    aloft = np.bincount(region[under & parts.over], minlength=len(depth)) * 2 >= np.bincount(
+        region[under], minlength=len(depth)
+    )
+    under[rows] = ((depth >= config.standing_width) & aloft)[region[rows]]
+    if not under.any():
+        return under, parts, joins
+    ceiling = parts.share(under, np.ones(len(core), dtype=bool)) >= 0.5
+    ceiling[-1] = False
+    under |= ceiling[parts.label]
+    good = ~ceiling[joins[0]] & ~ceiling[joins[1]]
+    left = replace(parts, keep=parts.keep & ~under, size=np.where(ceiling, 0, parts.size))
+    return under, left, (joins[0][good], joins[1][good])

@@ -1,0 +1,356 @@
+"""What the rays of a scan saw on their way: inferred ground that they passed low over, and holes that they fell into.
+
+A ray is free from its origin to the point that it hit. It is followed in plan from cell to cell, and only where it is
+as low as the ground: of a ray to a wall that is nowhere, of one to the floor it is its last part.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+from numpy.typing import ArrayLike, NDArray
+from scipy import ndimage
+
+from gpdf_service.config import PerceptionConfig
+from gpdf_service.errors import CloudError
+from gpdf_service.fields.threads import run_parallel
+from gpdf_service.perception.holes import MAX_HOLE_RADIUS
+from gpdf_service.perception.surface import INFERRED, OBSERVED, Cells, HeightMap, cells_within, without
+from gpdf_service.types import BoolArray, FloatArray, IntArray
+
+SHARES = 4
+"""Parts of the rays, each counted by itself, so that the sum is the same however many cores there are."""
+TILE = 16
+"""Cells along the side of a tile, which a ray that is over its ground crosses in one step."""
+STEPS = 32
+"""Tiles that a ray is followed through on average: where they are longer, every other one is left out, or more."""
+SAMPLE = 10_000
+"""Rays that tell how many tiles they go through."""
+ENOUGH = 2
+"""Rays that show a place to be free: one can be off by the scanner's noise, or graze a corner of the cell."""
+LOW = 0.5
+"""[-] Of the height of the lowest body: so low must a ray pass, as others may pass over a thing."""
+SECTORS = 72
+"""Of 5° around an origin: as wide as a foot at a metre. In each it is told how near to itself the scanner saw."""
+STATION = 0.1
+"""[m] Origins within cells of this width are one station: the blind spot under it is ten times as wide."""
+TALLEST_STATION = 3.0
+"""[m] A scanner that stands, or is carried, is no higher over its ground; from a drone's nadir nothing is known."""
+ENDS_BEFORE = 3.0
+"""[-] Standard deviations of the noise before its point that a ray is surely free, and not yet in what it hit."""
+
+
+_Walk = tuple[IntArray, IntArray, FloatArray, FloatArray]
+"""Of a walk over a grid: the cell, the way to go along each axis, the share of the ray where the next one begins, and
+how much more it is to that behind it; each (2,)."""
+
+
+class Rays(NamedTuple):
+    """Rays of a scan.
+
+    Attributes:
+        origins: Where they began [m], shape (1, 3) for all of them, or (n, 3); NaN where that is not known.
+        ends: What they hit [m], shape (n, 3).
+    """
+
+    origins: FloatArray
+    ends: FloatArray
+
+    def chosen(self, rows: NDArray[np.generic], ends: FloatArray, fresh: FloatArray | None = None) -> Rays:
+        """Those of the `rows`, then the `fresh` ones, by their origins (k, 3), which hit the `ends`, shape (m, 3)."""
+        if fresh is None and len(self.origins) == 1:
+            return Rays(self.origins, ends)
+        own = np.broadcast_to(self.origins, self.ends.shape)[rows]
+        return Rays(own if fresh is None else np.concatenate([own, fresh]), ends)
+
+
+def check_origins(origins: ArrayLike, points: FloatArray) -> Rays:
+    """The rays to the `points`, shape (n, 3), from one origin, shape (3,), or from one for each, shape (n, 3) [m].
+
+    Raises:
+        CloudError: another shape, or not finite.
+    """
+    try:
+        made = np.ascontiguousarray(origins, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise CloudError("origins", f"no array of numbers ({error})", "Pass (3,) or (n, 3), in metres.") from error
+    if made.shape not in ((3,), points.shape):
+        raise CloudError("origins", f"an array of shape {made.shape}", f"Pass (3,), or {points.shape}: one a point.")
+    if not np.isfinite(made).all():
+        raise CloudError("origins", "not all of them are finite", "Leave them out if they are not known.")
+    return Rays(made.reshape(-1, 3), points)
+
+
+def seen_by_rays(filled: HeightMap, rays: Rays, config: PerceptionConfig, noise: float = 0.0) -> HeightMap:
+    """Take back inferred ground that no ray shows to be free, and holes that a ray fell into.
+
+    What hides behind a thing, or in it, no ray has passed over as low as half the lowest body is high. A scanner's own
+    blind spot is no shadow: nothing nearer to its nadir than the nearest that it saw in that direction can have cast
+    one. Single cells with seen ground on all four sides are the scan's spacing.
+
+    Args:
+        filled: After `fill_holes`.
+        rays: Of the scan, in the same frame.
+        config: Limits.
+        noise: Standard deviation of the points [m].
+    """
+    asked = filled.state == INFERRED
+    if not asked.any():
+        return filled
+    passed, fell = _follow(filled, asked, rays, config, noise)
+    label, count = ndimage.label(asked)
+    open_ = np.zeros(count + 1, dtype=bool)
+    open_[label[fell]] = True
+    open_[0] = False
+    beside = ndimage.minimum_filter(filled.state == OBSERVED, footprint=_CROSS, mode="constant")
+    shown = (passed >= ENOUGH) | beside | _blind_spots(filled, asked, rays)
+    return without(filled, asked & (~shown | open_[label]))
+
+
+_CROSS = np.array([[0, 1, 0], [1, 0, 1], [0, 1, 0]], dtype=bool)
+"""The four neighbours of a cell."""
+
+
+def _follow(
+    surface: HeightMap, asked: BoolArray, rays: Rays, config: PerceptionConfig, noise: float
+) -> tuple[NDArray[np.int64], BoolArray]:
+    """How many rays passed low over each of the `asked` cells, and into which one fell, both (nx, ny)."""
+    grid = _grid_of(surface, asked)
+    low, high = float(np.nanmin(grid.height)), float(np.nanmax(grid.height))
+    before = max(2.0 * surface.cell_width, ENDS_BEFORE * noise)
+    bounds = low - surface.cell_width, high + config.min_headroom, before
+    sampled = max(1, len(rays.ends) // SAMPLE)
+    tiles = _tiles_along(rays.origins, rays.ends, grid, bounds, sampled) * sampled
+    every = max(1, int(np.ceil(tiles / (STEPS * max(len(rays.ends), 1)))))
+    own = rays.origins, rays.ends, grid, bounds, (LOW * config.min_headroom, config.max_step)
+    passed, fell = np.zeros(asked.shape, np.int64), np.zeros(asked.shape, dtype=bool)
+    for count, through in run_parallel(lambda k: _cast(*own, k * every, SHARES * every), range(SHARES)):
+        passed += count
+        fell |= through
+    return passed, fell
+
+
+class _Grid(NamedTuple):
+    """Cells that are asked about: their height [m], NaN of the others; and of each tile of them the lowest and highest.
+
+    The origin is the lower corner [m], the width that of a cell.
+    """
+
+    height: NDArray[np.float32]
+    lowest: NDArray[np.float32]
+    highest: NDArray[np.float32]
+    origin: FloatArray
+    width: float
+
+
+def _grid_of(surface: HeightMap, asked: BoolArray) -> _Grid:
+    tiles = [-(-cells // TILE) for cells in asked.shape]
+    pad = [(0, n * TILE - cells) for n, cells in zip(tiles, asked.shape, strict=True)]
+    ends = []
+    for nothing, end in ((np.inf, np.min), (-np.inf, np.max)):
+        heights = np.pad(np.where(asked, surface.height, nothing), pad, constant_values=nothing)
+        ends.append(end(heights.reshape(tiles[0], TILE, tiles[1], TILE), axis=(1, 3)).astype(np.float32))
+    height = np.where(asked, surface.height, np.nan).astype(np.float32)
+    return _Grid(height, ends[0], ends[1], np.asarray(surface.origin, dtype=np.float64), surface.cell_width)
+
+
+@njit(cache=True, nogil=True)
+def _part_at_ground(
+    a: FloatArray, b: FloatArray, corner: FloatArray, far: FloatArray, bounds: tuple[float, float, float]
+) -> tuple[float, float]:
+    """Where a ray from a to b enters and leaves the heights and the plan that are asked about, as shares of it."""
+    low, high, before = bounds
+    length = np.sqrt((b[0] - a[0]) ** 2 + (b[1] - a[1]) ** 2 + (b[2] - a[2]) ** 2)
+    if not before < length < np.inf:
+        return 1.0, 0.0
+    first, last = 0.0, 1.0 - before / length
+    for k in range(3):
+        least, most = (low, high) if k == 2 else (corner[k], far[k])
+        along = b[k] - a[k]
+        if abs(along) < 1e-12:
+            if not least <= a[k] <= most:
+                return 1.0, 0.0
+            continue
+        one, other = (least - a[k]) / along, (most - a[k]) / along
+        first, last = max(first, min(one, other)), min(last, max(one, other))
+    return first, last
+
+
+@njit(cache=True, nogil=True)
+def _far_corner(grid: _Grid) -> FloatArray:
+    made: FloatArray = grid.origin + grid.width * (np.array(grid.height.shape) - 1e-6)
+    return made
+
+
+@njit(cache=True, nogil=True)
+def _tiles_along(
+    origins: FloatArray, ends: FloatArray, grid: _Grid, bounds: tuple[float, float, float], step: int
+) -> float:
+    """Tiles that every `step`-th ray goes through."""
+    tiles, far = 0.0, _far_corner(grid)
+    for i in range(0, len(ends), step):
+        a, b = origins[i % len(origins)], ends[i]
+        first, last = _part_at_ground(a, b, grid.origin, far, bounds)
+        if first < last:
+            tiles += 1.0 + (last - first) * (abs(b[0] - a[0]) + abs(b[1] - a[1])) / (TILE * grid.width)
+    return tiles
+
+
+@njit(cache=True, nogil=True)
+def _enter(
+    a: FloatArray, b: FloatArray, t: float, corner: FloatArray, width: float, shape: tuple[int, int], walk: _Walk
+) -> None:
+    """Where a ray is at the share t of it, and when it comes to the next cell along each axis."""
+    at, ahead, cross, each = walk
+    for k in range(2):
+        along = b[k] - a[k]
+        at[k] = min(max(int(np.floor((a[k] + t * along - corner[k]) / width)), 0), shape[k] - 1)
+        ahead[k] = 1 if along > 0.0 else -1
+        cross[k], each[k] = np.inf, np.inf
+        if abs(along) > 1e-12:
+            cross[k] = (corner[k] + width * (at[k] + (along > 0.0)) - a[k]) / along
+            each[k] = width / abs(along)
+
+
+@njit(cache=True, nogil=True)
+def _go_on(shape: tuple[int, int], walk: _Walk) -> bool:
+    """To the next cell, if there is one."""
+    at, ahead, cross, each = walk
+    k = 0 if cross[0] <= cross[1] else 1
+    at[k] += ahead[k]
+    cross[k] += each[k]
+    return bool(0 <= at[k] < shape[k])
+
+
+@njit(cache=True, nogil=True)
+def _cast(
+    origins: FloatArray,
+    ends: FloatArray,
+    grid: _Grid,
+    bounds: tuple[float, float, float],
+    limits: tuple[float, float],
+    begin: int,
+    step: int,
+) -> tuple[NDArray[np.uint8], BoolArray]:
+    """Follow every `step`-th ray from tile to tile, and from cell to cell in those where it is as low as the ground.
+
+    Returns:
+        How many of them were in each asked cell lower over its ground than the first of the `limits`, 255 at most; and
+        into which cells one went through the ground, from or to deeper under it than the second.
+    """
+    (headroom, max_step), far, shape = limits, _far_corner(grid), grid.lowest.shape
+    passed, fell = np.zeros(grid.height.shape, np.uint8), np.zeros(grid.height.shape, np.bool_)
+    walk = np.zeros(2, np.int64), np.zeros(2, np.int64), np.zeros(2), np.zeros(2)
+    inner = np.zeros(2, np.int64), np.zeros(2, np.int64), np.zeros(2), np.zeros(2)
+    for i in range(begin, len(ends), step):
+        a, b = origins[i % len(origins)], ends[i]
+        t, last = _part_at_ground(a, b, grid.origin, far, bounds)
+        if not t < last:
+            continue
+        deep = min(a[2], b[2]) + max_step
+        _enter(a, b, t, grid.origin, TILE * grid.width, shape, walk)
+        while t < last:
+            x, y = walk[0]
+            leave = max(min(min(walk[2][0], walk[2][1]), last), t)
+            z, behind = a[2] + t * (b[2] - a[2]), a[2] + leave * (b[2] - a[2])
+            if min(z, behind) <= grid.highest[x, y] + headroom and max(z, behind) >= grid.lowest[x, y]:
+                _look_along(a, b, t, leave, grid, headroom, deep, inner, passed, fell)
+            t = leave
+            if not _go_on(shape, walk):
+                break
+    return passed, fell
+
+
+@njit(cache=True, nogil=True)
+def _look_along(
+    a: FloatArray,
+    b: FloatArray,
+    t: float,
+    last: float,
+    grid: _Grid,
+    headroom: float,
+    deep: float,
+    walk: _Walk,
+    passed: NDArray[np.uint8],
+    fell: BoolArray,
+) -> None:
+    """`_cast` of the part of a ray between two shares of it (Amanatides and Woo, 1987)."""
+    shape, at = grid.height.shape, walk[0]
+    _enter(a, b, t, grid.origin, grid.width, shape, walk)
+    while t < last:
+        leave = max(min(min(walk[2][0], walk[2][1]), last), t)
+        ground = grid.height[at[0], at[1]]
+        if ground == ground:
+            z, behind = a[2] + t * (b[2] - a[2]), a[2] + leave * (b[2] - a[2])
+            lowest, highest = min(z, behind), max(z, behind)
+            if lowest <= ground + headroom and highest >= ground and passed[at[0], at[1]] < 255:
+                passed[at[0], at[1]] += 1
+            if lowest < ground <= highest and deep < ground:
+                fell[at[0], at[1]] = True
+        t = leave
+        if not _go_on(shape, walk):
+            break
+
+
+def _blind_spots(surface: HeightMap, asked: BoolArray, rays: Rays) -> BoolArray:
+    """Cells nearer to a station's nadir than anything that it saw below itself in that direction, shape (nx, ny)."""
+    origins = np.broadcast_to(rays.origins, rays.ends.shape) if len(rays.origins) > 1 else rays.origins
+    known = np.flatnonzero(np.isfinite(origins).all(axis=1))
+    blind = np.zeros(asked.shape, dtype=bool)
+    if not len(known):
+        return blind
+    own = origins[known]
+    another = np.r_[True, (own[1:] != own[:-1]).any(axis=1)]  # a station's rays come one after another
+    runs = np.flatnonzero(another)
+    key = np.floor(own[runs] / STATION).astype(np.int64) @ _KEYS
+    _, first, number = np.unique(key, return_index=True, return_inverse=True)
+    at = own[runs[first]]
+    wanted = ndimage.maximum_filter(asked, size=2 * int(MAX_HOLE_RADIUS / surface.cell_width) + 1)
+    over = np.append(wanted.ravel(), False)[cells_within(at, surface)]
+    station = np.where(over, np.cumsum(over) - 1, -1)
+    of_ray = np.full(len(rays.ends), -1) if len(origins) > 1 else np.full(len(rays.ends), station[0])
+    if len(origins) > 1:
+        of_ray[known] = station[number][np.cumsum(another) - 1]
+    at = at[over]
+    nearest = np.full((len(at), SECTORS), MAX_HOLE_RADIUS)
+    _nearest_seen_below(at, rays.ends, of_ray, nearest)
+    _mark_blind(at, nearest, surface.arrays, blind)
+    return blind & asked
+
+
+_KEYS: IntArray = np.array([1, 1 << 21, 1 << 42])
+"""A number for each station: 200 km at 0.1 m fit into 21 bits."""
+
+
+@njit(cache=True, nogil=True)
+def _sector(x: float, y: float) -> int:
+    return min(int((np.arctan2(y, x) + np.pi) / (2.0 * np.pi) * SECTORS), SECTORS - 1)
+
+
+@njit(cache=True, nogil=True)
+def _nearest_seen_below(at: FloatArray, ends: FloatArray, of_ray: IntArray, nearest: FloatArray) -> None:
+    for i in range(len(ends)):
+        s = of_ray[i]
+        if s < 0 or ends[i, 2] >= at[s, 2]:
+            continue
+        x, y = ends[i, 0] - at[s, 0], ends[i, 1] - at[s, 1]
+        away = np.hypot(x, y)
+        if away < MAX_HOLE_RADIUS:
+            k = _sector(x, y)
+            for beside in (k - 1, k, k + 1):
+                nearest[s, beside % SECTORS] = min(nearest[s, beside % SECTORS], away)
+
+
+@njit(cache=True, nogil=True)
+def _mark_blind(at: FloatArray, nearest: FloatArray, ground: Cells, blind: BoolArray) -> None:
+    height, corner, width = ground.height, ground.origin, ground.width
+    (nx, ny), reach = height.shape, int(MAX_HOLE_RADIUS / width) + 1
+    for s in range(len(at)):
+        u, v = int(np.floor((at[s, 0] - corner[0]) / width)), int(np.floor((at[s, 1] - corner[1]) / width))
+        for i in range(max(u - reach, 0), min(u + reach + 1, nx)):
+            for j in range(max(v - reach, 0), min(v + reach + 1, ny)):
+                x, y = corner[0] + (i + 0.5) * width - at[s, 0], corner[1] + (j + 0.5) * width - at[s, 1]
+                if 0.0 < at[s, 2] - height[i, j] <= TALLEST_STATION:
+                    blind[i, j] |= np.hypot(x, y) - width < nearest[s, _sector(x, y)]

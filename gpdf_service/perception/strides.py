@@ -1,0 +1,213 @@
+"""Stances, where a body can stand, and the strides between them: gaps, nosings and open risers need no rules of theirs.
+
+A stance is a place on a surface that a foot stands on and where nothing is beside the body's legs and hips. A stride
+joins two stances that a step parts, or a gap no wider than one steps over. A shelf's boards or a chair under a desk
+are no stances, as something stands beside each of them at the height of a hip.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+from gpdf_service.config import PerceptionConfig
+from gpdf_service.fields.threads import run_chunked
+from gpdf_service.perception.layers import Layers
+from gpdf_service.perception.pairs import AROUND
+from gpdf_service.types import BoolArray, FloatArray, IntArray
+
+BODY = 0.2
+"""[m] Radius of the disc that is free around a stance: half the width of a slim person's hips and arms."""
+LEGS = 0.3, 0.7
+"""[m] Over the stance where that disc is free: over the next tread, and up to the height of the lowest body that
+steps, a Spot."""
+HALF_FOOT = 0.015
+"""[m²] Half of the sole of a foot, 25 cm by 12."""
+STRIDE = 0.4
+"""[m] Widest in plan between two stances that a stride joins: the going of a stair, and its hidden half."""
+
+
+def find_stances(layers: Layers, among: BoolArray) -> BoolArray:
+    """Which of the nodes `among` all have nothing within `BODY` of them in plan at the height of `LEGS`, shape (k,)."""
+    made = np.zeros(len(among), dtype=bool)
+    rings = int(np.ceil(BODY / layers.cell_width))
+    own = layers.cell, layers.start, layers.shape, layers.height, layers.top, layers.thickness, among
+    run_chunked(lambda a, b: _stances(*own, BODY / layers.cell_width, rings, LEGS, a, b, made), len(among))
+    return made
+
+
+@njit(cache=True, nogil=True)
+def _stances(
+    cell: IntArray,
+    start: IntArray,
+    shape: tuple[int, int],
+    height: FloatArray,
+    top: FloatArray,
+    thickness: FloatArray,
+    among: BoolArray,
+    reach: float,
+    rings: int,
+    legs: tuple[float, float],
+    begin: int,
+    end: int,
+    made: BoolArray,
+) -> None:
+    for i in range(begin, end):
+        if not among[i]:
+            continue
+        x, y, free = cell[i] // shape[1], cell[i] % shape[1], True
+        low, high = height[i] + legs[0], height[i] + legs[1]
+        for u in range(max(x - rings, 0), min(x + rings + 1, shape[0])):
+            for v in range(max(y - rings, 0), min(y + rings + 1, shape[1])):
+                if (u - x) ** 2 + (v - y) ** 2 > reach**2:
+                    continue
+                for j in range(start[u * shape[1] + v], start[u * shape[1] + v + 1]):
+                    free &= not (top[j] > low and top[j] - thickness[j] < high)
+            if not free:
+                break
+        made[i] = free
+
+
+@njit(cache=True, nogil=True)
+def find_strides(
+    cell: IntArray,
+    start: IntArray,
+    shape: tuple[int, int],
+    height: FloatArray,
+    stance: BoolArray,
+    part: IntArray,
+    reach: float,
+    rise: float,
+) -> tuple[IntArray, IntArray]:
+    """Pairs of stances of different parts, at most `reach` cells apart in plan and `rise` [m] in height.
+
+    Of each stance at the rim of its part the nearest one of each other part is taken.
+    """
+    one, other = [0 for _ in range(0)], [0 for _ in range(0)]
+    rim = np.zeros(len(cell), np.bool_)
+    for i in range(len(cell)):
+        if stance[i]:
+            rim[i] = not _inside(i, cell, start, shape, stance, part)
+    rings = int(reach)
+    best, far = np.empty(64, np.int64), np.empty(64)
+    for i in range(len(cell)):
+        if not rim[i]:
+            continue
+        x, y, used = cell[i] // shape[1], cell[i] % shape[1], 0
+        for u in range(max(x - rings, 0), min(x + rings + 1, shape[0])):
+            for v in range(max(y - rings, 0), min(y + rings + 1, shape[1])):
+                away = (u - x) ** 2 + (v - y) ** 2
+                if away > reach**2:
+                    continue
+                for j in range(start[u * shape[1] + v], start[u * shape[1] + v + 1]):
+                    if j <= i or not rim[j] or part[j] == part[i] or abs(height[j] - height[i]) > rise:
+                        continue
+                    used = _nearest(best, far, used, j, float(away), part)
+        for k in range(used):
+            one.append(i)
+            other.append(best[k])
+    return np.array(one, np.int64), np.array(other, np.int64)
+
+
+@njit(cache=True, nogil=True)
+def _nearest(best: IntArray, far: FloatArray, used: int, node: int, away: float, part: IntArray) -> int:
+    """Keep the node if it is the nearest of its part; how many are kept."""
+    for k in range(used):
+        if part[best[k]] == part[node]:
+            if away < far[k]:
+                best[k], far[k] = node, away
+            return used
+    if used < len(best):
+        best[used], far[used] = node, away
+        return used + 1
+    return used
+
+
+@njit(cache=True, nogil=True)
+def _inside(i: int, cell: IntArray, start: IntArray, shape: tuple[int, int], stance: BoolArray, part: IntArray) -> bool:
+    """Whether all eight cells around a stance hold stances of its part."""
+    x, y = cell[i] // shape[1], cell[i] % shape[1]
+    for dx, dy in AROUND:
+        if not (0 <= x + dx < shape[0] and 0 <= y + dy < shape[1]):
+            return False
+        there, found = (x + dx) * shape[1] + y + dy, False
+        for j in range(start[there], start[there + 1]):
+            found |= stance[j] and part[j] == part[i]
+        if not found:
+            return False
+    return True
+
+
+SECTORS = 16
+"""Directions in plan that are told apart around a place between two treads."""
+
+
+@njit(cache=True, nogil=True)
+def sector_of(dx: int, dy: int) -> int:
+    """Which of the `SECTORS` a cell is in, so many cells away."""
+    return int((np.arctan2(dy, dx) / (2.0 * np.pi) + 1.0) * SECTORS + 0.5) % SECTORS
+
+
+def find_between(
+    layers: Layers, stance: BoolArray, tread: BoolArray, asked: BoolArray, config: PerceptionConfig
+) -> BoolArray:
+    """Which of the nodes `asked` lie between a stance above and one below, on either side within a stride, shape (k,).
+
+    One of the two is of a `tread`. So the rough, worn or smeared ones of a flight are ground, too: who steps from the
+    one stance to the other goes over them.
+
+    Args:
+        layers: The nodes.
+        stance: Which are stances of the ground, shape (k,).
+        tread: Which of these are treads, shape (k,).
+        asked: Shape (k,).
+        config: Limits.
+    """
+    made, width = np.zeros(len(asked), dtype=bool), layers.cell_width
+    grid = layers.cell, layers.start, layers.shape, layers.height
+    level = width * float(np.tan(config.steepest))
+    own = *grid, stance, tread, asked, STRIDE / width, config.max_step, level
+    run_chunked(lambda a, b: _between(*own, a, b, made), len(asked))
+    return made
+
+
+@njit(cache=True, nogil=True)
+def _between(
+    cell: IntArray,
+    start: IntArray,
+    shape: tuple[int, int],
+    height: FloatArray,
+    stance: BoolArray,
+    tread: BoolArray,
+    asked: BoolArray,
+    reach: float,
+    rise: float,
+    level: float,
+    begin: int,
+    end: int,
+    made: BoolArray,
+) -> None:
+    rings, sides = int(reach), np.zeros((2, SECTORS), np.int8)
+    for i in range(begin, end):
+        if not asked[i]:
+            continue
+        sides[:] = 0
+        x, y = cell[i] // shape[1], cell[i] % shape[1]
+        for u in range(max(x - rings, 0), min(x + rings + 1, shape[0])):
+            for v in range(max(y - rings, 0), min(y + rings + 1, shape[1])):
+                if not 0 < (u - x) ** 2 + (v - y) ** 2 <= reach**2:
+                    continue
+                sector = sector_of(u - x, v - y)
+                for j in range(start[u * shape[1] + v], start[u * shape[1] + v + 1]):
+                    over = height[j] - height[i]
+                    if stance[j] and abs(over) <= rise:
+                        kind = np.int8(1 + int(tread[j]))
+                        if over >= -level:
+                            sides[0, sector] = max(sides[0, sector], kind + np.int8(2) * np.int8(over > level))
+                        if over <= level:
+                            sides[1, sector] = max(sides[1, sector], kind + np.int8(2) * np.int8(over < -level))
+        for s in range(SECTORS):
+            for across in range(SECTORS // 4, 3 * SECTORS // 4 + 1):
+                up, down = sides[0, s], sides[1, (s + across) % SECTORS]
+                treads = up == 2 or up == 4 or down == 2 or down == 4
+                made[i] |= up > 0 and down > 0 and treads and (up > 2 or down > 2)

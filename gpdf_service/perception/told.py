@@ -1,0 +1,116 @@
+"""What the cells of a grid are told by those around them, remembered: a change asks again only where something differs.
+
+A build asks one box, the whole grid. A change asks the boxes of those cells within whose reach what is given is another
+than in the version before, with as much around them. So both go through the same functions.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gpdf_service.perception.boxes import WHOLE, Box, widened, window
+from gpdf_service.types import BoolArray
+
+TILE = 64
+"""Cells a side of the boxes in which a change asks again."""
+
+
+@dataclass(frozen=True, slots=True)
+class Told:
+    """What was given for each node or cell, and the answers; arrays of one shape, (k,) or (nx, ny, …)."""
+
+    given: tuple[NDArray[Any], ...]
+    made: tuple[NDArray[Any], ...]
+
+
+def boxes_of(cells: BoolArray) -> list[Box]:
+    """Boxes that hold all of the cells, shape (nx, ny): the least one in each tile of the grid."""
+    found, (rows, columns) = [], window(cells, 0)
+    for x in range(rows.start, rows.stop, TILE):
+        for y in range(columns.start, columns.stop, TILE):
+            part = window(cells[x : min(x + TILE, rows.stop), y : min(y + TILE, columns.stop)], 0)
+            if part[0].stop > part[0].start:
+                found.append((slice(x + part[0].start, x + part[0].stop), slice(y + part[1].start, y + part[1].stop)))
+    return found
+
+
+def grown(box: Box, by: int, shape: tuple[int, ...]) -> Box:
+    """A box and `by` cells more on each side, within a grid."""
+    rows, columns = (
+        slice(max(each.start - by, 0), min(each.stop + by, size)) for each, size in zip(box, shape, strict=False)
+    )
+    return rows, columns
+
+
+def unlike(now: NDArray[Any], was: NDArray[Any]) -> BoolArray:
+    """Where values are others than before; NaN is NaN."""
+    found: BoolArray = now != was
+    if now.dtype.kind == "f":
+        found &= ~(np.isnan(now) & np.isnan(was))
+    return found
+
+
+@dataclass(frozen=True, slots=True)
+class Grid:
+    """What was asked of the cells of a grid.
+
+    Attributes:
+        known: What each question was told, by its name.
+        former: What it was told in the version before; none in a build.
+        others: Cells that hold other points than in that version, shape (nx, ny).
+    """
+
+    known: dict[str, Told]
+    former: dict[str, Told]
+    others: BoolArray
+
+    def now(self, others: BoolArray) -> Grid:
+        """The grid of the next version, which holds other points in some cells."""
+        return Grid({}, self.known, others)
+
+    def lasting(self) -> Grid:
+        """The same without the version before."""
+        return replace(self, former={})
+
+    def around(
+        self, name: str, reach: int, answer: Callable[..., tuple[NDArray[Any], ...]], *given: NDArray[Any]
+    ) -> tuple[NDArray[Any], ...]:
+        """What a question is told of each cell, arrays of shape (nx, ny, …).
+
+        Args:
+            name: Of the question.
+            reach: Cells within which what is given, and the points, decide on the answer.
+            answer: Called with a box of cells and what is given for them.
+            given: Arrays of shape (nx, ny, …).
+        """
+        was = self.former.get(name)
+        if was is None:
+            made = answer(WHOLE, *given)
+        else:
+            felt = self.felt(name, reach, *given)
+            made = tuple(values.copy() for values in was.made) if felt.any() else was.made
+            for box in boxes_of(felt):
+                outer = grown(box, reach, felt.shape)
+                own = tuple(slice(b.start - o.start, b.stop - o.start) for b, o in zip(box, outer, strict=True))
+                for values, found in zip(made, answer(outer, *(each[outer] for each in given)), strict=True):
+                    values[box][felt[box]] = found[own][felt[box]]
+        self.known[name] = Told(given, made)
+        return made
+
+    def felt(self, name: str, reach: int, *given: NDArray[Any]) -> BoolArray:
+        """Cells within the reach of other points, or of what is given otherwise than before, shape (nx, ny)."""
+        felt = self.others.copy()
+        for one, another in zip(given, self.former[name].given, strict=True):
+            other = unlike(one, another)
+            felt |= other.any(axis=2) if other.ndim > 2 else other
+        return widened(felt, reach)
+
+
+def new_grid() -> Grid:
+    """Of which nothing was asked."""
+    return Grid({}, {}, np.zeros((0, 0), dtype=bool))

@@ -1,0 +1,55 @@
+"""Cells and their windows against the plain sums over the points, however far these lie apart."""
+
+import numpy as np
+import pytest
+from scipy.spatial import cKDTree
+
+from gpdf_service.denoise.cells import (
+    AROUND,
+    begin_sweep,
+    cells_within,
+    centre_of,
+    look_around,
+    sort_into_cells,
+    sum_window,
+)
+
+
+def cloud(rng):
+    return np.concatenate(
+        [rng.uniform(0, 1, (400, 3)), [[1e4, -3e3, 50.0]], rng.normal([5.0, 5.0, 5.0], 0.2, (300, 3))]
+    )
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_windows_sums_are_those_of_the_points_in_its_27_cells(seed):
+    rng = np.random.default_rng(seed)
+    points = cloud(rng)
+    cells = sort_into_cells(points, 0.11)
+    np.testing.assert_allclose(cells.places + cells.corner, points[cells.order], atol=1e-9)
+    near, total = np.empty(AROUND, np.int64), np.empty(10)
+    at = begin_sweep(cells, 0)
+    for c in range(len(cells.key)):
+        look_around(cells, c, at, near)
+        sum_window(cells, near, total)
+        offset = cells.places - np.array(centre_of(cells, c))
+        x, y, z = offset[np.abs(offset).max(axis=1) < 1.5 * cells.width].T
+        own = [len(x), *(v.sum() for v in (x, y, z, x * x, y * y, z * z, x * y, x * z, y * z))]
+        np.testing.assert_allclose(total, own, atol=1e-9)
+
+
+def test_a_sweep_that_begins_in_the_middle_finds_the_same_cells():
+    cells = sort_into_cells(cloud(np.random.default_rng(1)), 0.11)
+    one, other, at = np.empty(AROUND, np.int64), np.empty(AROUND, np.int64), begin_sweep(cells, 0)
+    for c in range(len(cells.key)):
+        look_around(cells, c, at, one)
+        look_around(cells, c, begin_sweep(cells, c), other)
+        np.testing.assert_array_equal(one, other)
+
+
+def test_cells_two_rings_off_are_those_whose_centres_are():
+    cells = sort_into_cells(cloud(np.random.default_rng(2)), 0.11)
+    centres = np.array([centre_of(cells, c) for c in range(len(cells.key))])
+    beside = np.empty(125, np.int64)
+    for c, around in enumerate(cKDTree(centres).query_ball_point(centres, 2.5 * cells.width, p=np.inf)):
+        assert sorted(beside[: cells_within(cells, c, 2, beside)]) == sorted(around)
