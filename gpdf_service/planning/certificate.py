@@ -12,11 +12,12 @@ from typing import NamedTuple
 
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
 from gpdf_service.fields import FieldArrays, sample_at
 from gpdf_service.fields.tree import make_scratch
 from gpdf_service.perception.limits import LEAST_STEP
-from gpdf_service.perception.surface import UNKNOWN, Cells, cell_of, is_known
+from gpdf_service.perception.surface import INFERRED, OBSERVED, UNKNOWN, Cells, cell_of, is_known
 from gpdf_service.planning.footprint import travel_headings
 from gpdf_service.planning.words import place_words
 from gpdf_service.search import FreeSpace
@@ -73,7 +74,7 @@ def certify(
     agent = space.agent
     clearance, where = np.inf, ground[0]
     deviation, off_at = 0.0, ground[0]
-    step = slope = 0.0
+    step = slope = spacing = 0.0
     unknown = False
     for part, on in _runs(level):
         path = ground[part]
@@ -86,6 +87,7 @@ def certify(
         ground_is = space.surfaces[on].arrays, space.steps[on], space.slopes[on], space.ground_fields[on].arrays
         seen = _look(path, positions[part], headings[part], agent.offsets, agent.height, *ground_is)
         unknown, step, slope = unknown or seen.unknown, max(step, seen.step), max(slope, seen.slope)
+        spacing = max(spacing, _coarsest_spacing(path, agent.radius, space.surfaces[on].arrays))
         if seen.deviation > deviation:
             deviation, off_at = seen.deviation, seen.off_at
     reason = ""
@@ -97,7 +99,8 @@ def certify(
         reason = f"a step of {step:.2f} m is higher than the {agent.name} takes ({agent.max_step:.2f} m)"
     elif slope > agent.max_slope:
         reason = f"a slope of {np.degrees(slope):.0f}° is steeper than the {agent.name} stands on"
-    return Certificate(clearance, where, deviation, off_at, step, slope, holds=not reason, reason=reason)
+    proven = clearance, where, deviation, off_at, step, slope
+    return Certificate(*proven, holds=not reason, reason=reason, ground_spacing=spacing)
 
 
 def _runs(level: IntArray) -> list[tuple[slice, int]]:
@@ -160,3 +163,43 @@ def _look(
             x, y = path[i, 0] + offset * np.cos(headings[i]), path[i, 1] + offset * np.sin(headings[i])
             unknown = unknown or not is_known(ground, x, y)
     return _Seen(unknown, deviation, off_at, step, slope)
+
+
+@njit(cache=True, nogil=True)
+def _coarsest_spacing(path: FloatArray, radius: float, ground: Cells) -> float:
+    """Twice as far as ground within `radius` of a path is from where it was seen, to the width of a cell [m]."""
+    (nx, ny), width = ground.state.shape, ground.width
+    first, last, reach = np.zeros(2, np.int64), np.zeros(2, np.int64), int(radius / width)
+    for k, cells in enumerate((nx, ny)):
+        low, high = (path[:, k].min() - ground.origin[k]) / width, (path[:, k].max() - ground.origin[k]) / width
+        first[k], last[k] = max(int(low) - reach, 0), min(int(high) + reach + 1, cells)
+    looked = np.zeros((max(last[0] - first[0], 0), max(last[1] - first[1], 0)), np.bool_)
+    farthest = 0.0
+    for i in range(len(path) - 1):
+        along = path[i + 1] - path[i]
+        count = max(1, int(np.ceil(2.0 * np.hypot(along[0], along[1]) / width)))
+        for k in range(count + 1):
+            at = path[i] + k / count * along
+            u, v = cell_of(ground, at[0], at[1])
+            for x in range(max(u - reach, first[0]), min(u + reach + 1, last[0]) if u >= 0 else 0):
+                for y in range(max(v - reach, first[1]), min(v + reach + 1, last[1])):
+                    if looked[x - first[0], y - first[1]] or (x - u) ** 2 + (y - v) ** 2 > reach * reach:
+                        continue
+                    looked[x - first[0], y - first[1]] = True
+                    if ground.state[x, y] == INFERRED:
+                        farthest = max(farthest, _cells_to_seen(ground.state, x, y))
+    return (1.0 + 2.0 * farthest) * width
+
+
+@njit(cache=True, nogil=True)
+def _cells_to_seen(state: NDArray[np.uint8], x: int, y: int) -> float:
+    """Distance from a cell to the nearest in which ground was seen [cells]: ring by ring, until none can be nearer."""
+    nearest, ring = np.inf, 1
+    while ring * ring < nearest and ring < max(state.shape):
+        for u in range(max(x - ring, 0), min(x + ring + 1, state.shape[0])):
+            side = abs(u - x) == ring
+            for v in range(max(y - ring, 0), min(y + ring + 1, state.shape[1])):
+                if (side or abs(v - y) == ring) and state[u, v] == OBSERVED:
+                    nearest = min(nearest, float((u - x) ** 2 + (v - y) ** 2))
+        ring += 1
+    return float(np.sqrt(nearest))

@@ -14,7 +14,7 @@ from math import sqrt
 import numpy as np
 from numba import njit
 
-from gpdf_service.fields import FieldArrays
+from gpdf_service.fields import AnyField, FieldArrays
 from gpdf_service.planning.costs import Discs, Memo, ground_cost, make_memo, obstacle_cost, smoothness_cost
 from gpdf_service.search.motion import CENTRE
 from gpdf_service.types import FloatArray
@@ -44,7 +44,7 @@ class ChompResult:
 
 def optimize(
     xi: FloatArray,
-    obstacle_field: FieldArrays,
+    obstacle_field: AnyField,
     ground_field: FieldArrays,
     *,
     radius: float,
@@ -94,7 +94,7 @@ def optimize(
 def _cost(
     xi: FloatArray,
     spacing: float,
-    obstacle_field: FieldArrays,
+    obstacle_field: AnyField,
     ground_field: FieldArrays,
     discs: Discs,
     height: float,
@@ -139,7 +139,7 @@ def solve_banded(band: FloatArray, right: FloatArray) -> FloatArray:
 @njit(cache=True, nogil=True)
 def _descend(
     xi: FloatArray,
-    obstacle_field: FieldArrays,
+    obstacle_field: AnyField,
     ground_field: FieldArrays,
     discs: Discs,
     height: float,

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-from gpdf_service.fields import FieldArrays
+from gpdf_service.fields import AnyField
 from gpdf_service.fields.traversal import sample_at
 from gpdf_service.fields.tree import Scratch, make_scratch
 from gpdf_service.types import FloatArray
@@ -48,7 +48,7 @@ def make_memo(count: int, dim: int) -> Memo:
 
 
 @njit(cache=True, nogil=True)
-def recall(field: FieldArrays, x: FloatArray, memo: Memo, i: int, enough: float, off: float = OFF) -> float:
+def recall(field: AnyField, x: FloatArray, memo: Memo, i: int, enough: float, off: float = OFF) -> float:
     """Distance at x, the i-th place that is remembered, to `off`, and its gradient in `memo.slope[i]`.
 
     Distances are 1-Lipschitz: where the one from before says that there is `enough`, that is returned.
@@ -90,7 +90,7 @@ def smoothness_cost(xi: FloatArray, spacing: float, weight: float, gradient: Flo
 def obstacle_cost(
     xi: FloatArray,
     spacing: float,
-    field: FieldArrays,
+    field: AnyField,
     discs: Discs,
     epsilon: float,
     wall: float,
@@ -145,7 +145,7 @@ def obstacle_cost(
 def ground_cost(
     xi: FloatArray,
     spacing: float,
-    field: FieldArrays,
+    field: AnyField,
     height: float,
     memo: Memo,
     gradient: FloatArray,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import isnan
 
 import numpy as np
@@ -96,11 +96,23 @@ def _snap(
         return found
     near = _nearest_free(space, place, component)
     if near is None or np.linalg.norm(near[:2] - place[:2]) > snap:
-        return found
+        return found if component is None else _unreached(found, near, place, snap)
     moved = find_endpoint(space, near, name)
     if isinstance(moved, Refusal):
         return found
     return moved, f"The {name} was moved {np.linalg.norm(near[:2] - place[:2]):.2f} m to {place_words(near)}."
+
+
+def _unreached(found: Refusal, near: FloatArray | None, place: FloatArray, snap: float) -> Refusal:
+    """The refusal of a place that could be moved, but to no place within reach that the start can go to."""
+    assert found.nearest is not None
+    if np.linalg.norm(found.nearest[:2] - place[:2]) > snap:  # nothing free is that near
+        return found
+    words = f"{found.message.removesuffix('.')}: it is free, but not reachable from the start."
+    if near is None:
+        return replace(found, message=f"{words} Nothing is.")
+    far = np.linalg.norm(near[:2] - place[:2])
+    return replace(found, message=f"{words} The nearest that is, {place_words(near)}, is {far:.2f} m away.")
 
 
 def find_endpoint(space: FreeSpace, place: FloatArray, name: str) -> Endpoint | Refusal:
@@ -141,7 +153,7 @@ def find_endpoint(space: FreeSpace, place: FloatArray, name: str) -> Endpoint | 
     if not _faces_somewhere(space, level, xy[0], room):
         body = f"the {space.agent.name} ({space.agent.length:.2f} m long)"
         return Refusal(occupied, f"{body} fits at the {name} {place_words(place)} in no direction.")
-    node = _connect(space, level, xy[0], room)
+    node = connect(space, level, xy[0], room)
     if node < 0:
         return Refusal(
             occupied, f"the {space.agent.name} cannot leave the {name} {place_words(place)} in any direction."
@@ -188,7 +200,7 @@ def _shut_in(space: FreeSpace, level: int, xy: FloatArray) -> bool:
     return bool(label[ix[0], iy[0]] not in rim)
 
 
-def _connect(space: FreeSpace, level: int, xy: FloatArray, room: float) -> int:
+def connect(space: FreeSpace, level: int, xy: FloatArray, room: float) -> int:
     """The graph node of a free leaf whose centre is reached on a clear line from `xy`, with `room` [m]; -1 if none."""
     tree = space.quadtrees[level]
     leaf = int(tree.find(xy[None])[0])
@@ -240,7 +252,7 @@ def _nearest_within(
         return None
     half = (0.5 * tree.width * tree.size[free])[:, None]
     center = tree.origin + tree.corner[free] * tree.width + half
-    inside = np.maximum(np.where(tree.whole[free, None], half, 0.0) - INSIDE, 0.0)
+    inside = np.maximum(np.where(tree.whole[free][:, None], half, 0.0) - INSIDE, 0.0)
     nearest = np.clip(place[:2], center - inside, center + inside)
     z = surface.height_at(nearest)
     far = np.linalg.norm(nearest - place[:2], axis=1)

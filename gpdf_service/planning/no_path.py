@@ -1,46 +1,59 @@
 """Why there is no path: which limit cuts the start from the goal, where, and how large a body would pass.
 
-The ground of all levels is laid on one grid with, for each kind of obstacle, the distance to it. One kind after the
-other is lifted, and the flood from the start looks whether that opens a way. The grid only explains; the refusal
-itself comes from the exact graph.
+The ground around start and goal is laid on one grid with, for each kind of obstacle, the distance to it. One kind after
+the other is lifted, and the flood from the start looks whether that opens a way. The grid only explains; the refusal
+itself comes from the exact graph, and stands where no time is left to say why.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
 from enum import IntEnum
+from functools import cached_property
 from heapq import heappop, heappush
+from typing import Any, NamedTuple
 
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 from scipy import ndimage
 from scipy.spatial import cKDTree
 
-from gpdf_service.perception import ObstacleKind
+from gpdf_service.perception import HeightMap, ObstacleKind
 from gpdf_service.perception.levels import LEAST_OBSTACLE
 from gpdf_service.perception.surface import UNKNOWN
 from gpdf_service.planning.certificate import min_distance
 from gpdf_service.planning.endpoints import Endpoint
 from gpdf_service.planning.words import place_words
 from gpdf_service.search import FreeSpace
+from gpdf_service.search.places import nearest_places
 from gpdf_service.types import BoolArray, FloatArray, IntArray
 
 CELL = 0.025
 """[m] Half of the finest cell of the ground: the place of a cut is known to this."""
-MAX_CELLS = 600_000
-"""Cells of the grid over all levels, for an answer in a quarter of a second; a larger map gets wider ones."""
+MAX_CELLS = 60_000
+"""Cells of the grid over all levels, for an answer in 50 ms; a larger map gets wider ones."""
+MARGINS = (6.0, 3.0, 1.5)
+"""[m] Around start and goal, where the way is looked for that one would take; the first that `MAX_CELLS` hold."""
 LOWEST_BODY = 0.1
 """[m] Material over this would let a lower body pass: the height of the lowest one, a Roomba."""
 LEAST_RADIUS = 0.05
 """[m] Gaps narrower than twice this are gaps between measured points, not ways."""
+ASIDE = 41
+"""Places across a way of cells at which its room is looked for: 2.5 mm apart where the cells are the finest."""
+MILLIMETRES = 0.02
+"""[m] Less than this is told in millimetres."""
 LEAP = 2.0
 """[m] Ground that nobody has seen may join what is this near to it; of wider holes nothing is said."""
+STAGE = 0.01
+"""[s] To lay the grid, or to lift a cut and find the way: it is not begun with less to the deadline."""
 DETOUR = 10.0
 """[-] How much longer a way may be to cross a cut once less."""
 
 
 _Found = tuple[str, FloatArray, str, float]
-"""What cuts, where, in words, and the largest radius that passes [m]."""
+"""What cuts, where, in words, and by how much the body is beyond it: of a width what is missing in diameter [m]."""
 
 
 class Cut(IntEnum):
@@ -53,14 +66,43 @@ class Cut(IntEnum):
     UNKNOWN = 4
 
 
-@dataclass(frozen=True, slots=True)
+class _Told(NamedTuple):
+    """Obstacle points of a level that are near (k, 3) [m], the `Cut` of each, the highest ground by each cell [m]."""
+
+    points: FloatArray
+    cut: NDArray[np.uint8]
+    top: FloatArray
+
+
+@dataclass(frozen=True)
 class _Grid:
-    """All levels on one grid: heights (L, nx, ny) [m], NaN where unknown; distance to each `Cut` (5, L, nx, ny) [m]."""
+    """All levels on one grid: heights (L, nx, ny) [m], NaN where unknown; distance to each `Cut` (5, L, nx, ny) [m].
+
+    `told` says of each level what was laid on the grid.
+    """
 
     origin: FloatArray
     width: float
     height: FloatArray
     distance: FloatArray
+    told: list[_Told]
+
+    @cached_property
+    def known(self) -> BoolArray:
+        """Where ground is known, shape (L, nx, ny)."""
+        made: BoolArray = ~np.isnan(self.height)
+        return made
+
+    @cached_property
+    def guessed(self) -> BoolArray:
+        """Where ground that nobody has seen may be, or is known."""
+        return np.stack([cells_to(one) * self.width <= LEAP for one in self.known])
+
+    @cached_property
+    def nearest(self) -> FloatArray:
+        """Distance to what stops the body (L, nx, ny) [m]."""
+        made: FloatArray = self.distance.min(axis=0)
+        return made
 
     def cell(self, end: Endpoint) -> IntArray:
         ij = np.floor((end.xy - self.origin) / self.width).astype(np.int64)
@@ -80,37 +122,124 @@ class NoPath:
         cuts: What cuts start from goal: "width", "height", "step", "slope", "unknown" or "solid", the nearest first.
         at: Where the way first meets it (x, y, z of the ground) [m], shape (3,).
         largest_radius: Largest body that would pass, all else as it is [m]; 0 if none would.
+        short: By how much the body is beyond each cut: width, height and step [m], slope [rad]; 0 where that says
+            nothing.
     """
 
     message: str
     cuts: tuple[str, ...]
     at: FloatArray
     largest_radius: float
+    short: dict[str, float] = field(default_factory=dict)
 
 
-def explain_no_path(space: FreeSpace, start: Endpoint, goal: Endpoint) -> NoPath:
-    """Find what cuts the start from the goal of a body that has no way between them."""
-    grid = _lay_grid(space)
-    ends = grid.cell(start), grid.cell(goal)
-    radius = space.reach
+def explain_no_path(
+    space: FreeSpace, start: Endpoint, goal: Endpoint, left: Callable[[], float] = lambda: np.inf
+) -> NoPath:
+    """Find what cuts the start from the goal of a body that has no way between them, in the seconds that are `left`."""
+    if left() < STAGE:
+        return _no_time(space, start)
+    near, begin, end = _around(space, start, goal)
+    grid = _lay_grid(near)
+    ends = grid.cell(begin), grid.cell(end)
+    radius, largest = space.reach, 0.0
     found: list[_Found] = []
-    narrow = _widest(grid, ends, radius)
-    if narrow > 0.0:
-        path = _way(grid, ends, grid.distance.min(axis=0), narrow, ~np.isnan(grid.height))
-        least, at = _exact_width(space, grid, path)
+    if left() >= STAGE and (narrow := _widest(grid, ends, radius)) > 0.0:
+        path = _way(grid, ends, grid.nearest, narrow, grid.known)
+        least, at = _exact_width(near, grid, path)
         width = min(least, radius)
-        words = f"a passage at {place_words(at)} takes a body with a radius of {width:.2f} m, not one of {radius:.2f} m"
         if width >= LEAST_RADIUS:
-            found.append(("width", at, words, width))
+            largest = width
+            found.append(("width", at, _narrow_words(at, width, radius), 2.0 * (radius - width)))
     for cut in (Cut.HEIGHT, Cut.STEP, Cut.SLOPE, Cut.UNKNOWN):
+        if left() < STAGE:
+            break
         path = _lift(grid, ends, (cut,), radius)
         if _meets(grid, path, cut):
-            at, words = _met(space, grid, path, cut, start)
-            found.append((cut.name.lower(), at, words, 0.0))
-    largest = found[0][3] if found and found[0][0] == "width" else 0.0
+            found.append((cut.name.lower(), *_met(near, grid, path, cut, begin)))
+    if not found and left() < STAGE:
+        return _no_time(space, start)
     if found:
         return _tell(space, start, found, largest, together=False)
-    return _tell(space, start, _together(space, grid, ends, start), largest, together=True)
+    return _tell(space, start, _together(near, grid, ends, begin), largest, together=True)
+
+
+def _no_time(space: FreeSpace, start: Endpoint) -> NoPath:
+    at = np.append(start.xy, space.surfaces[start.level].height_at(start.xy[None]))
+    words = f"the {space.agent.name} cannot get there; the deadline left no time to say why. Allow more."
+    return NoPath(words, (), at, 0.0)
+
+
+def _narrow_words(at: FloatArray, width: float, radius: float) -> str:
+    """A passage that is too narrow, in millimetres where centimetres do not tell."""
+    short = 2.0 * (radius - width)
+    words = f"{1e3 * short:.0f} mm" if short < MILLIMETRES else f"{short:.2f} m"
+    room = f"it leaves {2.0 * width:.3f} m, and a body needs {2.0 * radius:.3f} m"
+    return f"a passage at {place_words(at)} is {words} too narrow ({room})"
+
+
+def _around(space: FreeSpace, start: Endpoint, goal: Endpoint) -> tuple[FreeSpace, Endpoint, Endpoint]:
+    """The part of a free space around start and goal: its levels that have ground there, cut out; ends on them."""
+    surface = space.surfaces[0]
+    ends = np.stack([start.xy, goal.xy])
+    for margin in MARGINS:
+        low, high = (
+            np.floor((one - surface.origin) / surface.cell_width).astype(np.int64)
+            for one in (ends.min(axis=0) - margin, ends.max(axis=0) + margin)
+        )
+        low, high = np.maximum(low, 0), np.minimum(high + 1, surface.height.shape)
+        window = slice(low[0], high[0]), slice(low[1], high[1])
+        levels = [n for n, one in enumerate(space.surfaces) if (one.state[window] != UNKNOWN).any()]
+        if len(levels) * np.prod(high - low) <= MAX_CELLS:
+            break
+    origin = surface.origin + surface.cell_width * low
+    by = max(1, int(np.ceil(np.sqrt(len(levels) * np.prod(high - low) / MAX_CELLS))))
+    surfaces = (_coarser(space.surfaces[n], origin, window, by) for n in levels)
+    cut_out = replace(
+        space,
+        surfaces=tuple(surfaces),
+        standing=tuple(space.standing[n] for n in levels),
+        moving=tuple(space.moving[n] for n in levels),
+        steps=tuple(_largest(space.steps[n][window], by) for n in levels),
+        slopes=tuple(_largest(space.slopes[n][window], by) for n in levels),
+        trees=tuple(space.trees[n] for n in levels),
+        quadtrees=tuple(space.quadtrees[n] for n in levels),
+        offsets=tuple(space.offsets[n] for n in levels),
+    )
+    begin, end = (replace(end, level=levels.index(end.level)) for end in (start, goal))
+    return cut_out, begin, end
+
+
+@njit(cache=True, nogil=True)
+def _largest(values: NDArray[Any], by: int) -> NDArray[Any]:
+    """The largest of each block of `by` times `by` cells; the last ones that fill no block fall off."""
+    made = np.empty((values.shape[0] // by, values.shape[1] // by), values.dtype)
+    for i in range(made.shape[0]):
+        for j in range(made.shape[1]):
+            most = values[i * by, j * by]
+            for a in range(i * by, (i + 1) * by):
+                for b in range(j * by, (j + 1) * by):
+                    most = max(most, values[a, b])
+            made[i, j] = most
+    return made
+
+
+def _coarser(surface: HeightMap, origin: FloatArray, window: tuple[slice, slice], by: int) -> HeightMap:
+    """A window of a level's ground in blocks of cells: known where any of them is, as high as the lowest."""
+    state = _largest(surface.state[window], by)
+    height = _lowest(surface.height[window], surface.state[window] != UNKNOWN, by)
+    return HeightMap(origin, by * surface.cell_width, height, state)
+
+
+@njit(cache=True, nogil=True)
+def _lowest(height: NDArray[np.float32], known: BoolArray, by: int) -> NDArray[np.float32]:
+    """The lowest known height of each block of `by` times `by` cells, as `_largest` cuts them; NaN where none is."""
+    made = np.full((height.shape[0] // by, height.shape[1] // by), np.nan, np.float32)
+    for i in range(made.shape[0] * by):
+        for j in range(made.shape[1] * by):
+            if known[i, j] and not height[i, j] >= made[i // by, j // by]:
+                made[i // by, j // by] = height[i, j]
+    return made
 
 
 def _together(space: FreeSpace, grid: _Grid, ends: tuple[IntArray, IntArray], start: Endpoint) -> list[_Found]:
@@ -120,7 +249,7 @@ def _together(space: FreeSpace, grid: _Grid, ends: tuple[IntArray, IntArray], st
     met = [cut for cut in able if _meets(grid, path, cut, 2.0 * grid.width)]
     if len(path) == 0:
         path, met = _lift(grid, ends, tuple(Cut), space.reach), [Cut.SOLID]
-    return [(cut.name.lower(), *_met(space, grid, path, cut, start), 0.0) for cut in met if _meets(grid, path, cut)]
+    return [(cut.name.lower(), *_met(space, grid, path, cut, start)) for cut in met if _meets(grid, path, cut)]
 
 
 def _tell(space: FreeSpace, start: Endpoint, found: list[_Found], largest: float, *, together: bool) -> NoPath:
@@ -129,13 +258,14 @@ def _tell(space: FreeSpace, start: Endpoint, found: list[_Found], largest: float
         at = np.append(start.xy, space.surfaces[start.level].height_at(start.xy[None]))
         words = f"the {name} cannot get there: the ground of the start and that of the goal meet nowhere on the map."
         return NoPath(f"{words} Map what lies between them.", (), at, 0.0)
-    hint = f"The largest body that passes has a radius of {largest:.2f} m." if largest else "No narrower body passes."
+    hint = f"The largest body that passes has a radius of {largest:.3f} m." if largest else "No narrower body passes."
     joint = "; and " if together else "; another way: "
     return NoPath(
         f"the {name} cannot get there: {joint.join(words for _, _, words, _ in found)}. {hint}",
         tuple(kind for kind, _, _, _ in found),
         found[0][1],
         largest,
+        {kind: short for kind, _, _, short in found},
     )
 
 
@@ -143,42 +273,122 @@ def _lay_grid(space: FreeSpace) -> _Grid:
     first = space.surfaces[0]
     cells = len(space.surfaces) * first.height.size
     fine = max(1, min(round(first.cell_width / CELL), int(np.sqrt(MAX_CELLS / cells))))
-    height = np.stack([np.kron(surface.height, np.ones((fine, fine))) for surface in space.surfaces])
-    grid = _Grid(first.origin, first.cell_width / fine, height, np.full((len(Cut), *height.shape), np.inf))
-    for level, found in enumerate(space.obstacles):
-        cut = _cuts(space, level)
-        ij = np.floor((found.points[:, :2] - grid.origin) / grid.width).astype(np.int64)
-        ij = np.clip(ij, 0, np.array(height.shape[1:]) - 1)
-        for kind in Cut:
-            if (cut == kind).any():
-                free = np.ones(height.shape[1:], dtype=bool)
-                free[tuple(ij[cut == kind].T)] = False
-                grid.distance[kind, level] = grid.width * ndimage.distance_transform_edt(free)
-    return grid
+    width = first.cell_width / fine
+    height = np.stack([surface.height.repeat(fine, axis=0).repeat(fine, axis=1) for surface in space.surfaces])
+    told = [_told(space, level) for level in range(len(space.surfaces))]
+    distance = np.full((len(Cut), *height.shape), np.inf)
+    for level, (points, cut, _) in enumerate(told):
+        marks = np.zeros((len(Cut), *height.shape[1:]), dtype=bool)
+        _mark(points, cut, np.asarray(first.origin, dtype=np.float64), width, marks)
+        for kind in np.flatnonzero(np.bincount(cut, minlength=len(Cut))):
+            distance[kind, level] = width * cells_to(marks[kind])
+    return _Grid(first.origin, width, height.astype(np.float64), distance, told)
 
 
-def _cuts(space: FreeSpace, level: int) -> IntArray:
-    """The `Cut` of each obstacle point of a level: its kind; material may be a step's face, or only too low."""
+@njit(cache=True, nogil=True)
+def _mark(points: FloatArray, cut: NDArray[np.uint8], origin: FloatArray, width: float, marks: BoolArray) -> None:
+    """Mark the cells that hold obstacles of each `Cut`; those beyond the grid count on its rim."""
+    _, nx, ny = marks.shape
+    for i in range(len(points)):
+        u, v = (points[i, 0] - origin[0]) / width, (points[i, 1] - origin[1]) / width
+        marks[cut[i], int(min(max(u, 0.0), nx - 1.0)), int(min(max(v, 0.0), ny - 1.0))] = True
+
+
+def _told(space: FreeSpace, level: int) -> _Told:
+    """What tells the `Cut` of the obstacle points of a level; of those beyond the grid's rim within reach of it."""
     surface, found = space.surfaces[level], space.obstacles[level]
-    points, kind = found.points, found.kind.astype(np.int64)
-    ground = ndimage.maximum_filter(np.where(surface.state != UNKNOWN, surface.height, -np.inf), size=3)
-    ix, iy, _ = surface.cells(points)
-    over = points[:, 2] - ground[ix, iy]
-    seen = (kind == ObstacleKind.MATERIAL) & np.isfinite(over)
-    table = np.array([Cut.SOLID, Cut.STEP, Cut.SLOPE, Cut.UNKNOWN])
-    made = np.where(seen & (over > LOWEST_BODY), Cut.HEIGHT, table[kind])
-    too_high = space.steps[level][ix, iy] > space.agent.max_step
-    return np.where(seen & (over <= LEAST_OBSTACLE) & too_high, Cut.STEP, made)
+    known = np.where(surface.state != UNKNOWN, surface.height, -np.inf).astype(np.float64)
+    top = ndimage.maximum_filter(known, size=3)
+    ground = np.asarray(surface.origin, dtype=np.float64), surface.cell_width, top, space.steps[level]
+    cut = _cuts_of(found.points, found.kind, *ground, space.agent.max_step, space.reach)
+    near = np.flatnonzero(cut < len(Cut))
+    return _Told(found.points[near], cut[near], top)
+
+
+@njit(cache=True, nogil=True)
+def _cuts_of(
+    points: FloatArray,
+    kind: NDArray[np.uint8],
+    origin: FloatArray,
+    width: float,
+    top: FloatArray,
+    steps: FloatArray,
+    max_step: float,
+    reach: float,
+) -> NDArray[np.uint8]:
+    """The `Cut` of each obstacle point, shape (n,); 255 where it is further than `reach` from the grid."""
+    made = np.full(len(points), 255, np.uint8)
+    nx, ny = top.shape
+    for i in range(len(points)):
+        x, y = points[i, 0] - origin[0], points[i, 1] - origin[1]
+        if not (-reach <= x <= nx * width + reach and -reach <= y <= ny * width + reach):
+            continue
+        u, v = int(min(max(x / width, 0.0), nx - 1e-6)), int(min(max(y / width, 0.0), ny - 1e-6))
+        made[i] = _cut_of(points[i, 2], int(kind[i]), top[u, v], steps[u, v], max_step)
+    return made
+
+
+@njit(cache=True, nogil=True)
+def _cut_of(z: float, kind: int, top: float, step: float, max_step: float) -> int:
+    """The `Cut` of an obstacle point: its kind; material may be a step's face, or only too low."""
+    if kind != ObstacleKind.MATERIAL:
+        return kind + 1
+    over = z - top
+    if np.isfinite(over) and over > LOWEST_BODY:
+        return 1
+    return 2 if np.isfinite(over) and over <= LEAST_OBSTACLE and step > max_step else 0
+
+
+@njit(cache=True, nogil=True)
+def cells_to(marks: BoolArray) -> FloatArray:
+    """Distance from each cell to the nearest one that is marked [cells]; inf where none is.
+
+    First along the rows, then over the lower envelope of the parabolas of a column (Felzenszwalb & Huttenlocher 2012).
+    """
+    nx, ny = marks.shape
+    made = np.full((nx, ny), np.inf)
+    for i in range(nx):
+        last = -1
+        for j in range(ny):
+            last = j if marks[i, j] else last
+            made[i, j] = (j - last) ** 2 if last >= 0 else np.inf
+        last = -1
+        for j in range(ny - 1, -1, -1):
+            last = j if marks[i, j] else last
+            made[i, j] = min(made[i, j], float((last - j) ** 2)) if last >= 0 else made[i, j]
+    row, begin, column = np.empty(nx, np.int64), np.empty(nx + 1), np.empty(nx)
+    for j in range(ny):
+        count = 0
+        for i in range(nx):
+            column[i] = made[i, j]
+            if column[i] == np.inf:
+                continue
+            cross = -np.inf
+            while count > 0:
+                p = row[count - 1]
+                cross = (column[i] - column[p] + i * i - p * p) / (2.0 * (i - p))
+                if cross > begin[count - 1]:
+                    break
+                count, cross = count - 1, -np.inf
+            row[count], begin[count] = i, cross
+            count += 1
+        if count == 0:
+            continue
+        begin[count], k = np.inf, 0
+        for i in range(nx):
+            while begin[k + 1] < i:
+                k += 1
+            made[i, j] = np.sqrt(column[row[k]] + (i - row[k]) ** 2)
+    return made
 
 
 def _opened(grid: _Grid, cuts: tuple[Cut, ...]) -> tuple[FloatArray, BoolArray]:
     """Distance to what is left when `cuts` are lifted, and where a centre may be."""
     left = [kind for kind in Cut if kind not in cuts]
-    distance = grid.distance[left].min(axis=0) if left else np.full(grid.height.shape, np.inf)
-    known = ~np.isnan(grid.height)
-    if Cut.UNKNOWN in cuts:
-        known = np.stack([ndimage.distance_transform_edt(~one) * grid.width <= LEAP for one in known])
-    return distance, known
+    distance = grid.nearest
+    if cuts:
+        distance = grid.distance[left].min(axis=0, initial=np.inf)
+    return distance, grid.guessed if Cut.UNKNOWN in cuts else grid.known
 
 
 def _lift(grid: _Grid, ends: tuple[IntArray, IntArray], cuts: tuple[Cut, ...], radius: float) -> IntArray:
@@ -216,7 +426,7 @@ def _way(
     grid: _Grid, ends: tuple[IntArray, IntArray], distance: FloatArray, radius: float, known: BoolArray
 ) -> IntArray:
     """Shortest way that crosses as little as it can of what stops the body, in the middle where it is narrow."""
-    shut = ~(grid.distance.min(axis=0) >= radius)
+    shut = ~(grid.nearest >= radius)
     weight = 1.0 + (radius / np.maximum(distance, grid.width)) ** 2 + DETOUR * shut
     path: IntArray = _dijkstra(_allow(distance >= radius, known, ends), grid.height, weight, *ends)
     return path
@@ -226,10 +436,24 @@ def _exact_width(space: FreeSpace, grid: _Grid, path: IntArray) -> tuple[float, 
     """Room that is proven along a way [m], and where it is least (3,)."""
     xy = grid.centers(path)
     cuts = np.flatnonzero(np.diff(path[:, 0])) + 1
-    parts = [part for part in np.split(np.arange(len(path)), cuts) if len(part) > 1]
-    proven = [(*min_distance(space, int(path[part[0], 0]), xy[part]), int(path[part[0], 0])) for part in parts]
+    parts = [(int(path[part[0], 0]), xy[part]) for part in np.split(np.arange(len(path)), cuts) if len(part) > 1]
+    middle = [(level, _to_middle(space, level, way, grid.width)) for level, way in parts]
+    proven = [(*min_distance(space, level, way), level) for level, way in (*parts, *middle)]
+    half = len(proven) // 2
+    proven = [max(pair, key=lambda one: one[0]) for pair in zip(proven[:half], proven[half:], strict=True)]
     least, at, level = min(proven, key=lambda one: one[0])
     return least, np.append(at, space.surfaces[level].height_at(at[None]))
+
+
+def _to_middle(space: FreeSpace, level: int, way: FloatArray, width: float) -> FloatArray:
+    """A way over cells, (n, 2), moved aside by two of them at most to where there is most room; its ends stay."""
+    ahead = np.gradient(ndimage.gaussian_filter1d(way, 2.0, axis=0, mode="nearest"), axis=0)
+    aside = np.stack([-ahead[:, 1], ahead[:, 0]], axis=1) / np.maximum(np.linalg.norm(ahead, axis=1), 1e-9)[:, None]
+    tried = way[:, None] + 2.0 * width * np.linspace(-1.0, 1.0, ASIDE)[None, :, None] * aside[:, None]
+    room = nearest_places(space.trees[level], tried.reshape(-1, 2))[0]
+    moved: FloatArray = tried[np.arange(len(way)), room.reshape(len(way), ASIDE).argmax(axis=1)]
+    moved[0], moved[-1] = way[0], way[-1]
+    return moved
 
 
 def _meets(grid: _Grid, path: IntArray, cut: Cut, within: float = np.inf) -> bool:
@@ -248,23 +472,29 @@ def _reached(space: FreeSpace, grid: _Grid, path: IntArray, start: Endpoint) -> 
     return reached
 
 
-def _met(space: FreeSpace, grid: _Grid, path: IntArray, cut: Cut, start: Endpoint) -> tuple[FloatArray, str]:
-    """Where a way first meets a cut (3,), after the last place that the start can go to, and what it is, in words."""
+def _met(space: FreeSpace, grid: _Grid, path: IntArray, cut: Cut, start: Endpoint) -> tuple[FloatArray, str, float]:
+    """Where a way first meets a cut (3,), after the last place that the start can go to; what it is, and how much."""
     agent, xy = space.agent, grid.centers(path)
     gap = grid.distance[cut][tuple(path.T)]
     beyond = np.arange(len(path)) > np.flatnonzero(_reached(space, grid, path, start)).max(initial=-1)
     shut = gap < max(space.reach, float(gap.min()) + 1e-9)
     shut = np.flatnonzero(shut & beyond if (shut & beyond).any() else shut)
     level = int(path[shut[0], 0])
-    surface, found = space.surfaces[level], space.obstacles[level]
-    points = found.points[_cuts(space, level) == cut]
+    surface, told = space.surfaces[level], grid.told[level]
+    far = max(space.reach, float(gap[shut[0]])) + 2.0 * surface.cell_width
+    here = xy[path[:, 0] == level]
+    inside = ((told.points[:, :2] >= here.min(axis=0) - far) & (told.points[:, :2] <= here.max(axis=0) + far)).all(
+        axis=1
+    )
+    points = told.points[inside & (told.cut == cut)]
     one = points[np.linalg.norm(points[:, :2] - xy[shut[0]], axis=1).argmin()]
     at = np.append(one[:2], surface.height_at(one[None, :2]))
     crossed = xy[shut[path[shut, 0] == level]]
     near = cKDTree(crossed).query(points[:, :2], distance_upper_bound=space.reach)[0] < np.inf
-    worst = float(_values(space, level, np.vstack([points[near], one]), cut).max())
+    worst = float(_values(space, level, np.vstack([points[near], one]), cut, told.top).max())
     where = place_words(at)
-    return at, {
+    limit = {Cut.HEIGHT: -agent.height, Cut.STEP: agent.max_step, Cut.SLOPE: agent.max_slope}
+    words = {
         Cut.SOLID: f"an obstacle closes the way at {where}",
         Cut.HEIGHT: f"there are {-worst:.2f} m of headroom at {where}, and it is {agent.height:.2f} m tall",
         Cut.STEP: f"a step or drop of {worst:.3f} m at {where} is higher than it takes ({agent.max_step:.3f} m)",
@@ -272,9 +502,10 @@ def _met(space: FreeSpace, grid: _Grid, path: IntArray, cut: Cut, start: Endpoin
         f"({np.degrees(agent.max_slope):.0f}°)",
         Cut.UNKNOWN: f"nobody has seen the ground at {where}",
     }[cut]
+    return at, words, worst - limit[cut] if cut in limit else 0.0
 
 
-def _values(space: FreeSpace, level: int, points: FloatArray, cut: Cut) -> FloatArray:
+def _values(space: FreeSpace, level: int, points: FloatArray, cut: Cut, top: FloatArray) -> FloatArray:
     """How much each place asks of a body: step [m], slope [rad]; minus the headroom [m]."""
     surface = space.surfaces[level]
     ix, iy, _ = surface.cells(points)
@@ -282,8 +513,7 @@ def _values(space: FreeSpace, level: int, points: FloatArray, cut: Cut) -> Float
         return space.steps[level][ix, iy]
     if cut == Cut.SLOPE:
         return space.slopes[level][ix, iy]
-    ground = ndimage.maximum_filter(np.where(surface.state != UNKNOWN, surface.height, -np.inf), size=3)
-    headroom: FloatArray = ground[ix, iy] - points[:, 2]
+    headroom: FloatArray = top[ix, iy] - points[:, 2]
     return headroom
 
 

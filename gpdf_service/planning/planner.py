@@ -8,7 +8,8 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from itertools import islice
 
 import numpy as np
 
@@ -18,17 +19,25 @@ from gpdf_service.planning.chomp import ChompResult, optimize
 from gpdf_service.planning.endpoints import Ends, Refusal, find_ends
 from gpdf_service.planning.footprint import face
 from gpdf_service.planning.no_path import explain_no_path
-from gpdf_service.planning.routes import Leg, Route, find_cut, find_routes, take_up
+from gpdf_service.planning.others import find_others
+from gpdf_service.planning.routes import Leg, Route, Wish, find_cut, find_routes, steps_of, take_up, way_takes_of
 from gpdf_service.planning.shape import resample, spline, stand_up
 from gpdf_service.planning.timing import speed_limit
 from gpdf_service.planning.turning import Facing, Stuck, time_poses, turn_route
-from gpdf_service.search import FreeSpace
-from gpdf_service.types import Certificate, FloatArray, IntArray, PlanOptions, PlanResult, Status, Trajectory
+from gpdf_service.search import FreeSpace, Prefer, Ways, prices
+from gpdf_service.search.ways import NOTICED_STEP, STEPPED, WIDE
+from gpdf_service.types import FloatArray, IntArray, PlanOptions, PlanResult, Status, Trajectory
 
 Clock = Callable[[], float]
 NO_OPTIONS = PlanOptions()
 BEND = 0.125
 """[m] Between the optimiser's waypoints, at most; half of the radius of a smaller body. The result is their spline."""
+MORE_STEPS = 0.05
+"""[m] Rise and fall in steps that a bent path may have over its seed's: less than a step, what a diagonal adds."""
+PATIENCE = 0.005
+"""[s] A path that was found this long after its deadline is not certified any more: that takes as long again."""
+WAYPOINTS_PER_SECOND = 300_000
+"""Waypoints that the optimiser looks at in a second: with a deadline, it takes no more steps than there is time for."""
 WALL = 1000.0
 """[1/m] A millimetre too near, which is what the certificate resolves, doubles the push away."""
 
@@ -49,6 +58,7 @@ def plan_path(
     config: PlanningConfig,
     *,
     options: PlanOptions = NO_OPTIONS,
+    ways: Callable[[Prefer], Ways] | None = None,
     deadline: float | None = None,
     clock: Clock = time.monotonic,
 ) -> PlanResult:
@@ -60,6 +70,7 @@ def plan_path(
         goal: The same.
         config: Weights and limits.
         options: What else the request asks for.
+        ways: All ways of the body, as one prefers them; only the shortest one is looked for if it is not given.
         deadline: On `clock`; a certified path that is not yet optimised is returned when it passes.
         clock: Monotonic seconds.
     """
@@ -70,41 +81,100 @@ def plan_path(
         return PlanResult(ends.status, ends.message, timings={"total": clock() - began}, details=details)
     if deadline is not None and clock() > deadline:
         return PlanResult(Status.TIMEOUT, "the deadline passed before the search began. Allow more time.")
-    first: Certificate | None = None
+
+    def left() -> float:
+        return np.inf if deadline is None else deadline - clock()
+
+    wish = Wish(Prefer.COMPANION if options.prefer is None else Prefer(options.prefer), ways, left)
+    task = _Task(space, ends, config, options, wish, clock, began)
+    found, route = _best(task)
+    if found is None:
+        found = _refuse_cut(task)
+    if found.status is not Status.OK or route is None or not options.alternatives:
+        return replace(found, timings=found.timings | {"total": clock() - began})
+    others = islice(_others(task, route), options.alternatives)
+    best, *rest = sorted([found, *others], key=lambda way: way.details["cost"])
+    return replace(best, alternatives=tuple(rest), timings=best.timings | {"total": clock() - began})
+
+
+@dataclass(frozen=True, slots=True)
+class _Task:
+    """A request that is at work; the attributes are those of `plan_path`."""
+
+    space: FreeSpace
+    ends: Ends
+    config: PlanningConfig
+    options: PlanOptions
+    wish: Wish
+    clock: Clock
+    began: float
+
+    def left(self) -> float:
+        """Seconds to the deadline; inf if there is none."""
+        return self.wish.left()
+
+
+def _best(task: _Task) -> tuple[PlanResult | None, Route | None]:
+    """The result for the best route that certifies; or why none does, or nothing if there was none to try."""
+    refused: PlanResult | None = None
     stuck: Stuck | None = None
-    for route in _routes(space, ends, options, lambda: np.inf if deadline is None else deadline - clock()):
+    for route in _routes(task):
         if isinstance(route, Stuck):
             stuck = stuck or route
             continue
-        searched = clock()
-        for candidate in _candidates(space, route.legs, config, deadline, clock):
-            contact, top, level, headings = _stand(space, candidate.legs, config.waypoint_spacing, _facing(options))
-            certificate = certify(space, top, contact, level, headings)
-            first = first or certificate
-            if certificate.holds:
-                poses = np.column_stack([contact[:, :2], headings])
-                limit = speed_limit(space, poses, level, config.preferred_clearance * space.agent.disc_radius)
-                trajectory = Trajectory(top, contact, *time_poses(top, headings, space.agent, limit))
-                timings = {"search": searched - began, "optimise": clock() - searched, "total": clock() - began}
-                details = candidate.details | {"nodes": float(len(space.graph.position))}
-                details |= {"goal": float(route.goal), "warm": float(route.warm)}
-                return PlanResult(Status.OK, ends.moved, trajectory, certificate, timings, details, candidate.costs)
-    timings = {"total": clock() - began}
-    if first is None:
-        goal_end = next(end for end in ends.goals if end)
-        cut = find_cut(space, [ends.start, *ends.via, goal_end])
-        assert cut is not None
-        why = explain_no_path(space, *cut)
-        details = {"largest_radius": why.largest_radius} | _place("cut", why.at)
-        return PlanResult(Status.NO_VALID_PATH, why.message, timings=timings, details=details)
-    if stuck is not None:
-        return PlanResult(stuck.status, stuck.message, timings=timings, details=_place("cut", stuck.at))
-    return PlanResult(
-        Status.UNCERTIFIED,
-        f"a path was found, but it cannot be certified: {first.reason}. Choose other places, or a smaller body.",
-        certificate=first,
-        timings=timings,
-    )
+        made = _follow(task, route)
+        if made.status in (Status.OK, Status.TIMEOUT):
+            return made, route
+        refused = refused or made
+    if refused is not None and stuck is not None:
+        refused = PlanResult(stuck.status, stuck.message, details=_place("cut", stuck.at))
+    return refused, None
+
+
+def _follow(task: _Task, route: Route) -> PlanResult:
+    """A trajectory along a route: of the first candidate that certifies; else UNCERTIFIED, with what is wrong."""
+    space, config, clock, prefer = task.space, task.config, task.clock, task.wish.prefer
+    searched, first = clock(), None
+    for candidate in _candidates(task, route.legs):
+        if task.left() < -PATIENCE:
+            return PlanResult(Status.TIMEOUT, "the deadline passed before a path was certified. Allow more time.")
+        contact, top, level, headings = _stand(space, candidate.legs, config.waypoint_spacing, _facing(task.options))
+        certificate = certify(space, top, contact, level, headings)
+        first = first or certificate
+        if certificate.holds:
+            poses = np.column_stack([contact[:, :2], headings])
+            limit = speed_limit(space, poses, level, config.preferred_clearance * space.agent.disc_radius)
+            body_top = contact + np.array([0.0, 0.0, space.agent.height])
+            trajectory = Trajectory(body_top, contact, *time_poses(body_top, headings, space.agent, limit))
+            timings = {"search": searched - task.began, "optimise": clock() - searched}
+            details = candidate.details | {"nodes": float(len(space.graph.position))}
+            details |= {"goal": float(route.goal), "warm": float(route.warm)}
+            details |= _effort(candidate.legs, contact, headings, prefer)
+            return PlanResult(Status.OK, task.ends.moved, trajectory, certificate, timings, details, candidate.costs)
+    assert first is not None
+    words = f"a path was found, but it cannot be certified: {first.reason}. Choose other places, or a smaller body."
+    return PlanResult(Status.UNCERTIFIED, words, certificate=first)
+
+
+def _others(task: _Task, best: Route) -> Iterator[PlanResult]:
+    """More ways that differ from the best one, until the deadline."""
+    for route in find_others(task.space, task.ends, task.wish, best):
+        if task.left() <= 0.0:
+            return
+        made = _follow(task, route)
+        if made.status is Status.OK:
+            yield made
+
+
+def _refuse_cut(task: _Task) -> PlanResult:
+    """There is no path: why."""
+    goal_end = next(end for end in task.ends.goals if end)
+    cut = find_cut(task.space, [task.ends.start, *task.ends.via, goal_end])
+    assert cut is not None
+    why = explain_no_path(task.space, *cut, task.left)
+    details = {"largest_radius": why.largest_radius} | _place("cut", why.at)
+    details |= {f"short_{kind}": amount for kind, amount in why.short.items()}
+    return PlanResult(Status.NO_VALID_PATH, why.message, details=details)
 
 
 def _place(name: str, place: FloatArray) -> dict[str, float]:
@@ -112,28 +182,58 @@ def _place(name: str, place: FloatArray) -> dict[str, float]:
     return {f"{name}_{axis}": float(v) for axis, v in zip("xyz", place, strict=True) if np.isfinite(v)}
 
 
-def _routes(space: FreeSpace, ends: Ends, options: PlanOptions, left: Clock) -> Iterator[Route | Stuck]:
+def _liking(config: PlanningConfig, prefer: Prefer) -> PlanningConfig:
+    """The optimiser wants as much room beside the body as who asks for a wide way."""
+    return replace(config, preferred_clearance=WIDE * config.preferred_clearance) if prefer == Prefer.WIDE else config
+
+
+def _effort(legs: list[Leg], contact: FloatArray, headings: FloatArray, prefer: Prefer) -> dict[str, float]:
+    """What a way costs the body [s], how many steps it takes, and their rise and fall together [m].
+
+    Turns on the spot of a body of discs cost their time.
+    """
+    agent = legs[0].space.agent
+    takes = way_takes_of([leg._replace(path=np.ascontiguousarray(leg.path[:, :2])) for leg in legs], prefer)
+    rise = np.diff(contact[:, 2])
+    stepped = np.where(np.abs(rise) > NOTICED_STEP, np.sign(rise), 0.0)
+    steps = np.count_nonzero((stepped != 0.0) & (stepped != np.append(0.0, stepped[:-1])))
+    cost = takes @ prices(agent, prefer)
+    if agent.discs > 1:
+        stands = (np.diff(contact[:, :2], axis=0) == 0.0).all(axis=1)
+        cost += np.abs(np.diff(headings))[stands].sum() / agent.turn_rate
+    return {"cost": float(cost), "steps": float(steps), "stepped": float(takes[STEPPED])}
+
+
+def _routes(task: _Task) -> Iterator[Route | Stuck]:
     """The way from before, if it can be taken up; then, if that does not certify, those of the graph.
 
     For a body of discs these are ways of one disc; if bending does not make them its own, it searches over its poses,
-    for as many seconds as are `left`.
+    for as many seconds as are left.
     """
-    if options.warm_start is not None and (known := take_up(space, ends, options.warm_start)) is not None:
+    space, options = task.space, task.options
+    if options.warm_start is not None and (known := take_up(space, task.ends, options.warm_start)) is not None:
         yield known
-    routes = find_routes(space, ends)
+    routes = find_routes(space, task.ends, task.wish)
     yield from routes
     if space.agent.discs > 1:
-        yield from (turn_route(space, route, left(), _facing(options)) for route in routes)
+        yield from (turn_route(space, route, task.left(), _facing(options)) for route in routes)
 
 
-def _candidates(
-    space: FreeSpace, legs: list[Leg], config: PlanningConfig, deadline: float | None, clock: Clock
-) -> Iterator[_Candidate]:
-    """Paths from the best to the safest: CHOMP, CHOMP that bends round every point behind a wall, then the seed."""
-    for strict in (False, True):
-        if deadline is not None and clock() > deadline:
+def _candidates(task: _Task, legs: list[Leg]) -> Iterator[_Candidate]:
+    """Paths from the best to the safest: CHOMP, CHOMP that bends round every point behind a wall, then the seed.
+
+    A way with pieces on level ground and on steps is first bent as one, if that takes it over no more steps.
+    """
+    config, via = _liking(task.config, task.wish.prefer), [end.xy for end in task.ends.via]
+    joined = _joined(task.space, legs, via)
+    tries = (
+        [(legs, False), (legs, True)] if len(joined) == len(legs) else [(joined, False), (legs, False), (legs, True)]
+    )
+    known = steps_of(legs)
+    for seed, strict in tries:
+        if task.left() < 0.0:
             break
-        bent = [_bend(space, level, path, config, strict) for level, path in legs]
+        bent = [_bend(leg, config, strict, task.left()) for leg in seed]
         runs = [run for _, run in bent if run is not None]
         most = max((len(run.costs) for run in runs), default=0)
         steps = np.arange(most)  # a piece that came to rest keeps its cost
@@ -143,21 +243,41 @@ def _candidates(
             "evaluations": float(sum(run.evaluations for run in runs)),
             "converged": float(all(run.converged for run in runs)),
         }
-        yield _Candidate([(level, path) for (level, _), (path, _) in zip(legs, bent, strict=True)], costs, details)
+        made = [leg._replace(path=path) for leg, (path, _) in zip(seed, bent, strict=True)]
+        if (steps_of(made) <= known + MORE_STEPS).all():
+            yield _Candidate(made, costs, details)
     yield _Candidate(legs, np.zeros(0), {"iterations": 0.0, "evaluations": 0.0, "converged": 0.0})
 
 
-def _bend(
-    space: FreeSpace, level: int, path: FloatArray, config: PlanningConfig, strict: bool
-) -> tuple[FloatArray, ChompResult | None]:
-    """A piece of the path after CHOMP; as it was where nothing moves or the ground is not known all along.
+def _joined(space: FreeSpace, legs: list[Leg], via: list[FloatArray]) -> list[Leg]:
+    """Pieces on one level as one, in the body's own free space, but for those that meet at a via point.
+
+    Of poses they stay as they are.
+    """
+    made = [legs[0]]
+    for leg in legs[1:]:
+        last = made[-1]
+        apart = any(np.array_equal(leg.path[0, :2], place) for place in via)
+        if last.level != leg.level or apart or leg.path.shape[1] > 2:
+            made.append(leg)
+        else:
+            made[-1] = Leg(leg.level, np.concatenate([last.path, leg.path]), space)
+    return made
+
+
+def _bend(leg: Leg, config: PlanningConfig, strict: bool, seconds: float) -> tuple[FloatArray, ChompResult | None]:
+    """A piece of the path after CHOMP; as it was where nothing moves, no time is left, or ground is not known.
 
     The Obstacle GPDF is fitted to thinned points and its cost is soft. `strict`ly, the path bends round the points
     themselves behind a wall, with the margin of the search and what a chord between waypoints cuts from a turn.
     """
+    level, path, space = leg
     agent = space.agent
     spacing = max(config.waypoint_spacing, min(agent.disc_radius / 2, BEND))
     seed = resample(path[:, :2], spacing)
+    steps = int(min(config.max_iterations, WAYPOINTS_PER_SECOND * seconds / len(seed)))
+    if steps < 1:
+        return path, None
     _, top = stand_up(seed, space.surfaces[level], space.ground_fields[level], agent.height)
     if not np.isfinite(top).all() or np.ptp(path[:, :2], axis=0).max() == 0.0:
         return path, None
@@ -171,7 +291,7 @@ def _bend(
         epsilon=config.preferred_clearance * agent.disc_radius,
         wall=WALL if strict else 0.0,
         smoothness_weight=config.smoothness_weight(agent.disc_radius),
-        max_iterations=config.max_iterations,
+        max_iterations=steps,
         tolerance=config.tolerance,
     )
     return spline(found.xi[:, :2], config.waypoint_spacing), found
@@ -184,13 +304,13 @@ def _facing(options: PlanOptions) -> Facing:
 def _stand(
     space: FreeSpace, legs: list[Leg], spacing: float, facing: Facing
 ) -> tuple[FloatArray, FloatArray, IntArray, FloatArray]:
-    """Contact points, tops, levels and headings of a whole path; a place where two legs meet stands in it once.
+    """Contact points, where d_g = h over them, levels and headings of a whole path; where legs meet it stands once.
 
     A body of discs turns on the spot at the ends if it must face elsewhere there.
     """
     agent = space.agent
     contacts, tops, levels, headings = [], [], [], []
-    for i, (level, path) in enumerate(legs):
+    for i, (level, path, _) in enumerate(legs):
         poses = face(path, agent, spacing)[1 if i else 0 :]
         contact, top = stand_up(poses[:, :2], space.surfaces[level], space.ground_fields[level], agent.height)
         contacts.append(contact)

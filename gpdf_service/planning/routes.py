@@ -1,50 +1,146 @@
-"""From ends to seeds: the ways through the graph, string-pulled, the shortest first; or a way known from before."""
+"""From ends to seeds: the ways through the graph, string-pulled, the cheapest first; or a way known from before."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
 
-from gpdf_service.planning.endpoints import Endpoint, Ends
-from gpdf_service.planning.shape import is_joined, is_path_clear, shortcut
-from gpdf_service.search import FreeSpace, find_path
+from gpdf_service.fields.tree import make_scratch, place_of
+from gpdf_service.planning.endpoints import Endpoint, Ends, connect
+from gpdf_service.planning.shape import is_joined, is_path_clear, shortcut, subdivide, tighten
+from gpdf_service.search import Doors, FreeSpace, Prefer, Ways, find_way, prices
+from gpdf_service.search.core import NARROW, climb, find_nodes
 from gpdf_service.search.motion import CENTRE, RESOLUTION
-from gpdf_service.types import FloatArray
+from gpdf_service.search.places import Places, distance_at
+from gpdf_service.search.ways import (
+    LEDGE,
+    LENGTH,
+    SLOPED,
+    STEPPED,
+    TIGHT,
+    UNSEEN,
+    beside,
+    is_near_step,
+    way_steps,
+    way_takes,
+)
+from gpdf_service.types import FloatArray, IntArray
 
-Leg = tuple[int, FloatArray]
-"""A piece of the path on one level: level, places in plan (n, 2)."""
 SAME = 1e-9
 """[m] Places nearer together are one."""
 NEAR = 0.5
 """[m] A way known from before is taken up if the start and the goal are this near to it: less than a stride."""
+SPARED = 0.05
+"""[-] Effort of less than this share of a way's time is not worth looking for another way."""
+
+PULLED = 1.01
+"""[-] A string pulled along a way may cost this much of it: it is looked at in steps."""
+MOST_DOORS = 16
+"""Leaves of the level ground that are tried from an end among steps, near and further."""
+
+
+class Leg(NamedTuple):
+    """A piece of the path on one level: places in plan (n, 2) [m], and the free space in which it is clear."""
+
+    level: int
+    path: FloatArray
+    space: FreeSpace
 
 
 @dataclass(frozen=True, slots=True)
 class Route:
-    """A seed for the optimiser: its pieces, the number of its goal, and whether it was known before."""
+    """A seed for the optimiser: its pieces, the number of its goal, whether it was known before, what it costs [s]."""
 
     legs: list[Leg]
     goal: int
     warm: bool = False
+    cost: float = 0.0
 
     @property
     def length(self) -> float:
         """Length in plan [m]."""
-        return sum(float(np.linalg.norm(np.diff(path, axis=0), axis=1).sum()) for _, path in self.legs)
+        return sum(float(np.linalg.norm(np.diff(leg.path, axis=0), axis=1).sum()) for leg in self.legs)
 
 
-def find_routes(space: FreeSpace, ends: Ends) -> list[Route]:
-    """Ways to each goal that can be reached, through the via points, the shortest first; empty if there is none."""
+@dataclass(frozen=True, slots=True)
+class Wish:
+    """What one wants of a way, and all ways of the body at their price, which are only made where they are needed.
+
+    And where there is time: `left` says how many seconds are.
+    """
+
+    prefer: Prefer
+    ways: Callable[[Prefer], Ways] | None = None
+    left: Callable[[], float] = lambda: np.inf
+
+
+def find_routes(space: FreeSpace, ends: Ends, wish: Wish) -> list[Route]:
+    """Ways to each goal that can be reached, through the via points, the cheapest first; empty if there is none."""
     routes = []
     for number, goal in enumerate(ends.goals):
         stops = [ends.start, *ends.via, *([goal] if goal else [])]
         if goal is None or find_cut(space, stops) is not None:
             continue
-        routes.append(Route([leg for a, b in pairwise(stops) for leg in _route(space, a, b)], number))
-    return sorted(routes, key=lambda route: route.length)
+        parts = [_route(space, a, b, wish) for a, b in pairwise(stops)]
+        legs = [leg for part, _ in parts for leg in part]
+        routes.append(Route(legs, number, cost=sum(cost for _, cost in parts)))
+    return sorted(routes, key=lambda route: route.cost)
+
+
+def _route(space: FreeSpace, start: Endpoint, goal: Endpoint, wish: Wish) -> tuple[list[Leg], float]:
+    """The shortest way with room; where that takes effort, the cheapest of all ways; and what it costs [s].
+
+    Effort only adds to a way's price: where the shortest one takes none, no other is cheaper.
+    """
+    direct, price = _shortest(space, start, goal), prices(space.agent, wish.prefer)
+    takes = way_takes_of(direct, wish.prefer)
+    cost = float(takes @ price)
+    if wish.ways is None or wish.left() <= 0.0:
+        return direct, cost
+    if not (_is_effort(takes, price, wish.prefer) or any(map(_is_by_step, direct))):
+        return direct, cost
+    found = [pull_cheaply(leg, wish.prefer) for leg in find_cheapest(wish.ways(wish.prefer), start, goal)]
+    other = way_cost(found, wish.prefer) if found else np.inf
+    return (found, other) if other < cost else (direct, cost)
+
+
+def _is_effort(takes: FloatArray, price: FloatArray, prefer: Prefer) -> bool:
+    """Whether a way takes more than its length and what room beside it asks for."""
+    if prefer == Prefer.WIDE and takes[TIGHT] > 0.0:
+        return True
+    effort = takes[[UNSEEN, SLOPED, STEPPED, LEDGE]] @ price[[UNSEEN, SLOPED, STEPPED, LEDGE]]
+    return bool(effort > SPARED * takes[LENGTH] * price[LENGTH])
+
+
+def _is_by_step(leg: Leg) -> bool:
+    """Whether a way passes a step as near as the body is wide."""
+    level, path, space = leg
+    near = is_near_step(path, space.surfaces[level].arrays, space.steps[level], space.agent.disc_radius)
+    return bool(near)
+
+
+def way_takes_of(legs: list[Leg], prefer: Prefer = Prefer.COMPANION) -> FloatArray:
+    """What a way takes, (6,): see `gpdf_service.search.ways`."""
+    return sum((way_takes(leg.path, beside(leg.space, leg.level, prefer)).sum(axis=0) for leg in legs), np.zeros(6))
+
+
+def steps_of(legs: list[Leg]) -> FloatArray:
+    """Rise and fall of a way in steps, and in high ones (2,) [m]."""
+    takes = np.zeros(6)
+    for level, path, space in legs:
+        ground = space.surfaces[level].arrays, space.steps[level], space.slopes[level]
+        way_steps(path, *ground, space.agent.comfortable_step, takes)
+    return takes[[STEPPED, LEDGE]]
+
+
+def way_cost(legs: list[Leg], prefer: Prefer) -> float:
+    """What a way costs [s]."""
+    return float(way_takes_of(legs, prefer) @ prices(legs[0].space.agent, prefer))
 
 
 def find_cut(space: FreeSpace, stops: list[Endpoint]) -> tuple[Endpoint, Endpoint] | None:
@@ -77,35 +173,126 @@ def take_up(space: FreeSpace, ends: Ends, known: FloatArray) -> Route | None:
     if len(inner) and off.min(axis=0).max() > space.surfaces[0].cell_width:
         return None
     level = [ends.start.level, *off.argmin(axis=0).tolist(), goal.level]
-    legs = _cut_by_level(np.vstack([ends.start.xy, inner[:, :2], goal.xy]), level)
-    clear = all(is_path_clear(path, space.trees[on], _radius(space, on, path)) for on, path in legs)
-    return Route(legs, number, warm=True) if clear else None
+    legs = _cut_by_level(space, np.vstack([ends.start.xy, inner[:, :2], goal.xy]), level)
+    return Route(legs, number, warm=True) if all(map(_is_clear, legs)) else None
 
 
-def _cut_by_level(path: FloatArray, level: list[int]) -> list[Leg]:
+def _is_clear(leg: Leg) -> bool:
+    return bool(is_path_clear(leg.path, leg.space.trees[leg.level], _radius(leg.space, leg.level, leg.path)))
+
+
+def _cut_by_level(space: FreeSpace, path: FloatArray, level: list[int]) -> list[Leg]:
     cuts = [0, *(np.flatnonzero(np.diff(level)) + 1).tolist(), len(path)]
-    return [(level[a], _distinct(path[max(a - 1, 0) : b])) for a, b in pairwise(cuts) if b - max(a - 1, 0) > 1]
+    parts = [(level[a], path[max(a - 1, 0) : b]) for a, b in pairwise(cuts)]
+    return [Leg(on, _distinct(part), space) for on, part in parts if len(part) > 1]
 
 
 def _floor(space: FreeSpace, end: Endpoint) -> float:
     return float(space.surfaces[end.level].height_at(end.xy[None])[0])
 
 
-def _route(space: FreeSpace, start: Endpoint, goal: Endpoint) -> list[Leg]:
+def _shortest(space: FreeSpace, start: Endpoint, goal: Endpoint) -> list[Leg]:
     """Straight, where that is clear; else as A* goes through the graph, cut where the way changes level, and pulled."""
     if start.level == goal.level and _is_straight(space, start, goal):
-        return [(start.level, np.stack([start.xy, goal.xy]))]
+        return [Leg(start.level, np.stack([start.xy, goal.xy]), space)]
     graph = space.graph
-    edges = find_path(graph, start.node, goal.node)
-    nodes = np.concatenate([[start.node], graph.other[edges]])
-    places = np.empty((2 * len(nodes) + 1, 2))  # from centre to centre through where the leaves meet
-    places[1::2], places[2:-1:2], places[0], places[-1] = graph.position[nodes], graph.via[edges], start.xy, goal.xy
-    crossing = np.flatnonzero(np.diff(graph.level[nodes]))
+    nodes, via = find_nodes(graph, space.core, start.node, goal.node)
+    chain = _Chain(graph.position[nodes], graph.level[nodes], np.zeros(len(nodes), np.int64), via)
+    return [_pull(leg) for leg in _legs(chain, start.xy, goal.xy, (space,))]
+
+
+class _Chain(NamedTuple):
+    """Nodes one after the other: their places (n, 2) [m], levels and numbers of spaces (n,), and crossings to the next.
+
+    There are n − 1 of these, or n where the chain leads on.
+    """
+
+    position: FloatArray
+    level: IntArray
+    on: IntArray
+    via: FloatArray
+
+
+def find_cheapest(ways: Ways, start: Endpoint, goal: Endpoint) -> list[Leg]:
+    """The cheapest of all ways, from leaf to leaf; none where there is none."""
+    (begin, ahead), (end, behind) = (_doors(ways, one) for one in (start, goal))
+    graph = ways.graph
+    node, edges = find_way(graph, begin, end, goal.xy, rate=ways.rate)
+    if node < 0:
+        return []
+    nodes = np.concatenate([[node], graph.other[edges]])
+    on = (nodes >= ways.first_level_node).astype(np.int64)
+    first, last = ahead[int(nodes[0])], behind[int(nodes[-1])]
+    middle = graph.position[nodes], graph.level[nodes], on, graph.via[edges]
+    back = [part[::-1] for part in last]
+    chain = _Chain(*(np.concatenate(parts) for parts in zip(first, middle, back, strict=True)))
+    return _legs(chain, start.xy, goal.xy, ways.spaces)
+
+
+def _doors(ways: Ways, end: Endpoint) -> tuple[Doors, dict[int, _Chain]]:
+    """By which nodes the ways go on from an end, and how one gets to each: the chain that leads there.
+
+    On level ground one goes by its own leaf; among steps by its own and those near it.
+    """
+    able, level = ways.spaces[0], ways.spaces[-1]
+    price = prices(able.agent, ways.prefer)
+    if level is not able:
+        room = float(level.clearance(end.level, end.xy[None])[0][0])
+        leaf = connect(level, end.level, end.xy, room) if room >= level.reach else -1
+        if leaf >= 0:
+            node, chain = _climb(ways, 1, leaf)
+            at = np.array([node])
+            return Doors(at, price[LENGTH] * np.linalg.norm(ways.graph.position[at] - end.xy, axis=1)), {node: chain}
+    leaf = connect(able, end.level, end.xy, float(able.clearance(end.level, end.xy[None])[0][0]))
+    if leaf < 0:
+        return Doors(np.zeros(0, np.int64), np.zeros(0)), {}
+    chains = dict([_climb(ways, 0, leaf)])
+    if level is not able:  # one goes to the first leaf as on steps, wherever that is
+        here = end.xy[None], np.array([end.level]), np.zeros(1, np.int64)
+        for node in ways.first_level_node + _joined_leaves(ways, end):
+            chains[int(node)] = _Chain(*here, ways.graph.position[node][None])
+    nodes = np.array(list(chains))
+    about, at = beside(able, end.level, ways.prefer), ways.graph.position[nodes]
+    cost = np.array([float((way_takes(np.stack([end.xy, one]), about) @ price).sum()) for one in at])
+    return Doors(nodes, cost), chains
+
+
+def _climb(ways: Ways, number: int, leaf: int) -> tuple[int, _Chain]:
+    """From a leaf of a space up to its core: the node there, and what leads to it."""
+    graph, core = ways.spaces[number].graph, ways.cores[number]
+    nodes, edges = climb(graph, core, leaf)
+    under, node = nodes[:-1], int(core.number(nodes[-1:])[0])
+    chain = _Chain(graph.position[under], graph.level[under], np.full(len(under), number), graph.via[edges])
+    return node + number * ways.first_level_node, chain
+
+
+def _joined_leaves(ways: Ways, end: Endpoint) -> IntArray:
+    """Nodes of the level ground's core near an end that the body gets to straight."""
+    (able, level), core = ways.spaces, ways.cores[1]
+    node = level.quadtrees[end.level].within(end.xy, NEAR) + level.offsets[end.level]
+    node = core.number(node[core.has(node)])
+    center = core.graph.position[node]
+    near = np.argsort(np.linalg.norm(center - end.xy, axis=1))[:: max(1, len(node) // MOST_DOORS)]
+    radius = _radius(able, end.level, end.xy[None])
+    ground = able.surfaces[end.level].arrays
+    joined = [is_joined(end.xy, center[row], able.trees[end.level], radius, CENTRE, ground) for row in near]
+    made: IntArray = node[near[np.array(joined, dtype=bool)]]
+    return made
+
+
+def _legs(chain: _Chain, start: FloatArray, goal: FloatArray, spaces: tuple[FreeSpace, ...]) -> list[Leg]:
+    """From the start through the places of a chain, and its crossings, to the goal.
+
+    It is cut where the level changes, or the space that it is `on`.
+    """
+    position, level, on, via = chain
+    places = np.empty((2 * len(position) + 1, 2))
+    places[1::2], places[2:-1:2], places[0], places[-1] = position, via, start, goal
+    crossing = np.flatnonzero((np.diff(level) != 0) | (np.diff(on) != 0))
     cuts = [0, *(2 * crossing + 2).tolist(), len(places) - 1]
-    levels = graph.level[nodes[[0, *(crossing + 1).tolist()]]]
-    return [
-        _pull(space, int(on), _distinct(places[a : b + 1])) for on, (a, b) in zip(levels, pairwise(cuts), strict=True)
-    ]
+    rows = [0, *(crossing + 1).tolist()]
+    parts = [(row, _distinct(places[a : b + 1])) for row, (a, b) in zip(rows, pairwise(cuts), strict=True)]
+    return [Leg(int(level[row]), path, spaces[on[row]]) for row, path in parts]
 
 
 def _is_straight(space: FreeSpace, start: Endpoint, goal: Endpoint) -> bool:
@@ -115,9 +302,43 @@ def _is_straight(space: FreeSpace, start: Endpoint, goal: Endpoint) -> bool:
     return bool(is_joined(start.xy, goal.xy, obstacles, radius, CENTRE, ground))
 
 
-def _pull(space: FreeSpace, level: int, path: FloatArray) -> Leg:
-    """A leg pulled straight."""
-    return level, path[shortcut(path, space.trees[level], _radius(space, level, path), space.surfaces[level])]
+def _pull(leg: Leg) -> Leg:
+    """A leg pulled straight, and once more from its other end: from either the first corners are the widest ones."""
+    level, path, space = leg
+    parts = space.trees[level], _radius(space, level, path), space.surfaces[level]
+    path = np.ascontiguousarray(subdivide(path[shortcut(path, *parts)], NARROW)[::-1])
+    return leg._replace(path=np.ascontiguousarray(path[shortcut(path, *parts)][::-1]))
+
+
+def _tighten(leg: Leg) -> Leg:
+    """A leg pulled tight between what it goes between."""
+    level, path, space = leg
+    rows = tighten(path, space.trees[level], _radius(space, level, path), space.surfaces[level].arrays)
+    return leg._replace(path=path[rows])
+
+
+def pull_cheaply(leg: Leg, prefer: Prefer, *, between: bool = False) -> Leg:
+    """A leg pulled straight, in ever smaller pieces until that takes no more effort than the leg did.
+
+    It stays `between` what it goes between, if that is asked for.
+    """
+    price = prices(leg.space.agent, prefer)
+    if prefer != Prefer.WIDE:
+        price[TIGHT] = 0.0  # the optimiser makes room where there is some
+    about = beside(leg.space, leg.level, prefer)
+
+    def cost(path: FloatArray) -> float:
+        return float((way_takes(path, about) @ price).sum())
+
+    def pull(piece: Leg) -> FloatArray:
+        pulled = (_tighten if between else _pull)(piece).path
+        if len(piece.path) < 3 or cost(pulled) <= PULLED * cost(piece.path):
+            return pulled
+        middle = len(piece.path) // 2
+        halves = (pull(piece._replace(path=part)) for part in (piece.path[: middle + 1], piece.path[middle:]))
+        return _distinct(np.concatenate(list(halves)))
+
+    return leg._replace(path=pull(leg))
 
 
 @njit(cache=True, nogil=True)
@@ -132,5 +353,12 @@ def _distinct(path: FloatArray) -> FloatArray:
 
 def _radius(space: FreeSpace, level: int, path: FloatArray) -> float:
     """The search's radius; the body's own where an end lies closer than the margin."""
-    ends = space.clearance(level, path[[0, -1]])[0]
-    return min(space.radius, max(space.reach, float(ends.min()) - RESOLUTION))
+    room = _room_at_ends(space.trees[level], path)
+    return min(space.radius, max(space.reach, room - RESOLUTION))
+
+
+@njit(cache=True, nogil=True)
+def _room_at_ends(obstacles: Places, path: FloatArray) -> float:
+    """Distance from the ends of a way (n, 2) to the nearest obstacle [m]."""
+    scratch = make_scratch()
+    return min(distance_at(obstacles, place_of(path[0]), scratch), distance_at(obstacles, place_of(path[-1]), scratch))

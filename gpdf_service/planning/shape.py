@@ -5,12 +5,13 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from gpdf_service.fields import FieldArrays, Gpdf, Tree
+from gpdf_service.fields import FieldArrays, Gpdf
 from gpdf_service.perception import HeightMap
 from gpdf_service.perception.surface import Cells, height_of, is_known
 from gpdf_service.planning.costs import make_memo, recall
 from gpdf_service.search import is_clear
 from gpdf_service.search.motion import CENTRE, is_leap_clear
+from gpdf_service.search.places import Places
 from gpdf_service.types import FloatArray, IntArray
 
 _UPRIGHT_SHARE = 0.09
@@ -24,7 +25,7 @@ _STANDS = 1e-3
 
 
 def shortcut(
-    path: FloatArray, obstacles: Tree, radius: float, surface: HeightMap, offsets: FloatArray = CENTRE
+    path: FloatArray, obstacles: Places, radius: float, surface: HeightMap, offsets: FloatArray = CENTRE
 ) -> IntArray:
     """Rows of a way over places (n, 2), or over poses (n, 3) of a body of discs, that a string pulled along it keeps.
 
@@ -35,7 +36,7 @@ def shortcut(
 
 
 @njit(cache=True, nogil=True)
-def _shortcut(path: FloatArray, obstacles: Tree, radius: float, offsets: FloatArray, ground: Cells) -> IntArray:
+def _shortcut(path: FloatArray, obstacles: Places, radius: float, offsets: FloatArray, ground: Cells) -> IntArray:
     """Greedy with doubling: from each kept row the furthest that doubling and halving find to be joined."""
     kept = [0]
     here = 0
@@ -60,7 +61,25 @@ def _shortcut(path: FloatArray, obstacles: Tree, radius: float, offsets: FloatAr
 
 
 @njit(cache=True, nogil=True)
-def is_joined(a: FloatArray, b: FloatArray, obstacles: Tree, radius: float, offsets: FloatArray, ground: Cells) -> bool:
+def tighten(path: FloatArray, obstacles: Places, radius: float, ground: Cells) -> IntArray:
+    """Rows of a way over places (n, 2) that a string pulled tight along it keeps.
+
+    Unlike `shortcut`, it stays between what it went between: from each kept row all rows up to the next one are seen.
+    """
+    kept, last = [0], len(path) - 1
+    while kept[-1] < last:
+        here = kept[-1]
+        seen = here + 1
+        while seen < last and is_joined(path[here], path[seen + 1], obstacles, radius, CENTRE, ground):
+            seen += 1
+        kept.append(seen)
+    return np.array(kept)
+
+
+@njit(cache=True, nogil=True)
+def is_joined(
+    a: FloatArray, b: FloatArray, obstacles: Places, radius: float, offsets: FloatArray, ground: Cells
+) -> bool:
     """Whether the leg from a to b is clear and on known ground, looked at `LOOKS` times a cell."""
     clear = is_clear(obstacles, a, b, radius) if len(a) == 2 else is_leap_clear(obstacles, a, b, offsets, radius)
     if not clear:
@@ -74,7 +93,7 @@ def is_joined(a: FloatArray, b: FloatArray, obstacles: Tree, radius: float, offs
 
 
 @njit(cache=True, nogil=True)
-def is_path_clear(path: FloatArray, obstacles: Tree, radius: float) -> bool:
+def is_path_clear(path: FloatArray, obstacles: Places, radius: float) -> bool:
     """Whether a whole polyline in plan, shape (n, 2), keeps `radius` from every obstacle."""
     for i in range(path.shape[0] - 1):  # noqa: SIM110 - compiled
         if not is_clear(obstacles, path[i], path[i + 1], radius):

@@ -11,13 +11,14 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from gpdf_service.fields import Tree
 from gpdf_service.fields.tree import make_scratch
-from gpdf_service.perception.surface import Cells, cell_of
+from gpdf_service.perception.surface import Cells
 from gpdf_service.planning.footprint import directions
 from gpdf_service.planning.shape import lengths
 from gpdf_service.search import FreeSpace
 from gpdf_service.search.motion import disc_distance, farthest_moved
+from gpdf_service.search.places import Places
+from gpdf_service.search.ways import CARE, is_stepped
 from gpdf_service.types import Agent, FloatArray, IntArray
 
 STANDING = 1e-3
@@ -34,10 +35,6 @@ GRID = 0.02
 """[m] Grid along the path: less than half of the distance between waypoints."""
 LOOK = 0.1
 """[m] A heading is the mean direction over this on either side: half a foot's length, and the corner of a polyline."""
-CARE = 0.5
-"""[-] Share of the speed on stairs and steps, and where nothing is left of the preferred clearance."""
-NOTICED_STEP = 0.03
-"""[m] Lower steps do not slow anybody down: a sill of 2 cm is rolled over."""
 
 
 def time_path(positions: FloatArray, agent: Agent, limit: FloatArray | None = None) -> tuple[FloatArray, FloatArray]:
@@ -93,7 +90,7 @@ def speed_limit(space: FreeSpace, poses: FloatArray, level: IntArray, preferred:
 
 @njit(cache=True, nogil=True)
 def _slow_down(
-    obstacles: Tree,
+    obstacles: Places,
     ground: Cells,
     steps: FloatArray,
     places: tuple[FloatArray, IntArray, int, FloatArray],
@@ -115,20 +112,9 @@ def _slow_down(
                 room = disc_distance(obstacles, poses[i], offset, scratch) - reach
             before, near = i, min(room / preferred, 1.0)
             x, y = poses[i, 0] + offset * np.cos(poses[i, 2]), poses[i, 1] + offset * np.sin(poses[i, 2])
-            if _is_stepped(ground, steps, x, y, cells):
+            if is_stepped(ground, steps, x, y, cells):
                 near = 0.0
             share[i] = min(share[i], CARE + (1.0 - CARE) * max(near, 0.0))
-
-
-@njit(cache=True, nogil=True)
-def _is_stepped(ground: Cells, steps: FloatArray, x: float, y: float, reach: int) -> bool:
-    """Whether a step that is noticed is within `reach` cells of a place."""
-    u, v = cell_of(ground, x, y)
-    for i in range(max(u - reach, 0), min(u + reach + 1, steps.shape[0]) if u >= 0 else 0):
-        for j in range(max(v - reach, 0), min(v + reach + 1, steps.shape[1])):
-            if steps[i, j] > NOTICED_STEP:
-                return True
-    return False
 
 
 @njit(cache=True, nogil=True)

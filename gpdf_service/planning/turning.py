@@ -43,14 +43,17 @@ def turn_route(space: FreeSpace, route: Route, seconds: float, facing: Facing = 
     legs: list[Leg] = []
     heading = facing[0]
     most = min(MOST_POSES, int(POSES_PER_SECOND * max(0.0, min(seconds, MOST_POSES))))
-    for n, (level, path) in enumerate(route.legs, start=1):
+    if most == 0:
+        level, path, own = route.legs[0]
+        return _stuck(own, level, PoseSearch(np.append(path[0, :2], 0.0)[None], reached=False, given_up=True))
+    for n, (level, path, own) in enumerate(route.legs, start=1):
         start, goal = _end(path[0], heading), _end(path[-1], facing[1] if n == len(route.legs) else None)
-        body = space.agent.offsets, space.radius
-        found = find_poses(space.trees[level], space.surfaces[level], start, goal, *body, most=most)
+        body = own.agent.offsets, own.radius
+        found = find_poses(own.trees[level], own.surfaces[level], start, goal, *body, most=most)
         if not found.reached:
-            return _stuck(space, level, found)
-        legs.append((level, _pull(space, level, found.poses)))
-        heading = float(legs[-1][1][-1, 2])
+            return _stuck(own, level, found)
+        legs.append(Leg(level, _pull(own, level, found.poses), own))
+        heading = float(legs[-1].path[-1, 2])
     return replace(route, legs=legs)
 
 

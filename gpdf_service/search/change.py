@@ -24,6 +24,7 @@ from gpdf_service.search.free_space import (
     reach_of,
 )
 from gpdf_service.search.graph import Edges, change_edges
+from gpdf_service.search.places import Places
 from gpdf_service.search.quadtree import Quadtree, change_quadtree
 from gpdf_service.types import BoolArray, FloatArray, IntArray
 
@@ -58,10 +59,10 @@ def change_free_space(
             old.surfaces[i],
             ground_fields[i],
             level.measured,
-            old.obstacles[i],
-            old.trees[i],
-            old.obstacle_fields[i],
-            old.quadtrees[i],
+            old.standing[i],
+            old.trees[i].standing,
+            old.obstacle_fields[i].standing,
+            old.quadtrees[i].standing,
             old.edges[i],
         )
         return was if cells is None else _change_level(was, level, cells, old, config, field_config, noise, hidden)
@@ -105,7 +106,7 @@ def _change_level(
     def leaves_and_edges() -> tuple[Quadtree, Edges]:
         around = build_tree(places) if len(places) else None
         quadtree = change_quadtree(was.quadtree, surface, tree, radius, around, known)
-        return quadtree, change_edges(was.quadtree, was.edges, quadtree, tree, radius, around)
+        return quadtree, change_edges(was.quadtree, was.edges, quadtree, Places(tree), radius, around)
 
     def field() -> Gpdf:
         made = _change_field(was, obstacles, places, config.field_spacing * agent.disc_radius)

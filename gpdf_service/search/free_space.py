@@ -9,14 +9,19 @@ from functools import partial
 import numpy as np
 
 from gpdf_service.config import FieldConfig, SearchConfig
-from gpdf_service.fields import FieldArrays, Gpdf, Tree, build_tree, find_nearest, fit_gpdf
+from gpdf_service.fields import Gpdf, Nearer, Tree, build_tree, fit_gpdf
+from gpdf_service.fields.nearer import EMPTY
 from gpdf_service.fields.threads import run_beside, run_parallel
-from gpdf_service.fields.traversal import nearest_only
+from gpdf_service.fields.traversal import NearerArrays, nearest_only
 from gpdf_service.perception import GroundLevel, HeightMap, Levels, Obstacles, obstacles_of
 from gpdf_service.perception.limits import Measured
 from gpdf_service.perception.surface import UNKNOWN
+from gpdf_service.search.core import Core, find_core
 from gpdf_service.search.graph import Edges, Graph, assemble, find_edges
+from gpdf_service.search.layered import Layered
+from gpdf_service.search.places import Places, nearest_places
 from gpdf_service.search.quadtree import Quadtree, build_quadtree
+from gpdf_service.search.resplit import SplitQuadtree
 from gpdf_service.types import Agent, FloatArray, IntArray
 
 
@@ -38,6 +43,8 @@ class LevelSpace:
 class FreeSpace:
     """One body's view of a scene; the tuples have one entry a level.
 
+    What moves comes beside what stands, in the trees, the fields, the quadtrees and the graph: see `add_moving`.
+
     Attributes:
         agent: The body.
         reach: Least distance of a disc's centre from any obstacle: its radius, and what the noise asks for [m]; of a
@@ -47,7 +54,8 @@ class FreeSpace:
         ground_fields: Ground GPDFs, 3D.
         steps: Height of the step at each cell of the ground [m].
         slopes: Slope of the ground at each cell [rad].
-        obstacles: What stops the body.
+        standing: What stops the body and stands.
+        moving: What stops it and moves.
         trees: All obstacle places in plan, for exact distances.
         exact_fields: The same places as fields, for compiled loops.
         obstacle_fields: Obstacle GPDFs, 2D.
@@ -55,6 +63,7 @@ class FreeSpace:
         edges: Neighbouring leaves of each level: their pairs and crossings, see `find_edges`.
         offsets: First graph node of each level's leaves.
         graph: All free leaves, connected.
+        core: The leaves that ways lead over; None where something moves, and all do.
         longest: Length of a way that sweeps all ground once [m]: where one comes back beside itself, there is a
             shorter one.
     """
@@ -66,20 +75,38 @@ class FreeSpace:
     ground_fields: tuple[Gpdf, ...]
     steps: tuple[FloatArray, ...]
     slopes: tuple[FloatArray, ...]
-    obstacles: tuple[Obstacles, ...]
-    trees: tuple[Tree, ...]
-    exact_fields: tuple[FieldArrays, ...]
-    obstacle_fields: tuple[Gpdf, ...]
-    quadtrees: tuple[Quadtree, ...]
+    standing: tuple[Obstacles, ...]
+    moving: tuple[Obstacles, ...]
+    trees: tuple[Places, ...]
+    exact_fields: tuple[NearerArrays, ...]
+    obstacle_fields: tuple[Nearer, ...]
+    quadtrees: tuple[Quadtree | SplitQuadtree, ...]
     edges: tuple[Edges, ...]
     offsets: tuple[int, ...]
     graph: Graph
+    core: Core | None
     longest: float
 
     def clearance(self, level: int, xy: FloatArray) -> tuple[FloatArray, IntArray]:
         """Exact distance from places in plan, shape (m, 2), to the nearest obstacle [m], and its kind, shape (m,)."""
-        distance, row = find_nearest(self.trees[level], np.ascontiguousarray(xy))
-        return distance, self.obstacles[level].kind[self.trees[level].order[row]].astype(np.int64)
+        distance, row = nearest_places(self.trees[level], xy)
+        standing, moving = self.standing[level].kind, self.moving[level].kind
+        return distance, Layered(standing, moving, len(standing))[row].astype(np.int64)
+
+    @property
+    def obstacles(self) -> tuple[Obstacles, ...]:
+        """What stops the body: all that stands, and then all that moves."""
+        both = zip(self.standing, self.moving, strict=True)
+        return tuple(joined(stands, moves) if len(moves.kind) else stands for stands, moves in both)
+
+
+def joined(one: Obstacles, other: Obstacles) -> Obstacles:
+    """Both in one."""
+    return Obstacles(np.concatenate([one.points, other.points]), np.concatenate([one.kind, other.kind]))
+
+
+NONE = Obstacles(np.zeros((0, 3)), np.zeros(0, np.uint8))
+"""Nothing."""
 
 
 def build_free_space(
@@ -113,7 +140,7 @@ def build_free_space(
 def _leaves_and_edges(obstacles: Obstacles, surface: HeightMap, radius: float) -> tuple[Tree, Quadtree, Edges]:
     tree = build_tree(obstacles.points[:, :2])
     quadtree = build_quadtree(surface, tree, radius)
-    return tree, quadtree, find_edges(quadtree, tree, radius)
+    return tree, quadtree, find_edges(quadtree, Places(tree), radius)
 
 
 def reach_of(agent: Agent, config: SearchConfig, noise: float) -> tuple[float, float]:
@@ -134,7 +161,7 @@ def join_levels(agent: Agent, reach: float, radius: float, parts: Sequence[Level
     """The free space of all levels, with one graph."""
     quadtrees = tuple(part.quadtree for part in parts)
     edges = tuple(part.edges for part in parts)
-    offsets = tuple(int(n) for n in np.cumsum([0, *(len(tree.size) for tree in quadtrees[:-1])]))
+    offsets, graph = connect(levels, quadtrees, edges, radius)
     surfaces = tuple(part.surface for part in parts)
     area = sum(np.count_nonzero(surface.state != UNKNOWN) * surface.cell_width**2 for surface in surfaces)
     return FreeSpace(
@@ -146,25 +173,27 @@ def join_levels(agent: Agent, reach: float, radius: float, parts: Sequence[Level
         tuple(part.measured[0] for part in parts),
         tuple(part.measured[1] for part in parts),
         tuple(part.obstacles for part in parts),
-        tuple(part.tree for part in parts),
-        tuple(nearest_only(part.tree) for part in parts),
-        tuple(part.obstacle_field for part in parts),
+        (NONE,) * len(parts),
+        tuple(Places(part.tree) for part in parts),
+        tuple(NearerArrays(nearest_only(part.tree), EMPTY) for part in parts),
+        tuple(Nearer(part.obstacle_field) for part in parts),
         quadtrees,
         edges,
         offsets,
-        _connect(levels, quadtrees, edges, offsets, radius),
+        graph,
+        core_of(quadtrees, graph),
         float(area) / (2.0 * agent.disc_radius),
     )
 
 
-def _connect(
-    levels: Levels,
-    quadtrees: tuple[Quadtree, ...],
-    edges: tuple[Edges, ...],
-    offsets: tuple[int, ...],
-    radius: float,
-) -> Graph:
-    """One graph over all levels: sides shared by leaves, and portals where two levels are the same ground."""
+def connect(
+    levels: Levels, quadtrees: tuple[Quadtree, ...], edges: tuple[Edges, ...], radius: float
+) -> tuple[tuple[int, ...], Graph]:
+    """One graph over all levels: sides shared by leaves, and portals where two levels are the same ground.
+
+    Before it the first node of each level's leaves.
+    """
+    offsets = tuple(int(n) for n in np.cumsum([0, *(len(tree.size) for tree in quadtrees[:-1])]))
     pairs, vias = [], []
     for (ends, via), offset in zip(edges, offsets, strict=True):
         pairs.append(ends + offset)
@@ -179,4 +208,12 @@ def _connect(
     position = np.concatenate([quadtree.center for quadtree in quadtrees])
     level = np.concatenate([np.full(len(q.size), i, np.int64) for i, q in enumerate(quadtrees)])
     clearance = np.concatenate([quadtree.clearance for quadtree in quadtrees])
-    return assemble(position, level, clearance, np.concatenate(pairs), np.concatenate(vias), radius)
+    return offsets, assemble(position, level, clearance, np.concatenate(pairs), np.concatenate(vias), radius)
+
+
+def core_of(quadtrees: tuple[Quadtree, ...], graph: Graph) -> Core:
+    """The leaves that ways lead over."""
+    free, half, clearance = (
+        np.concatenate([getattr(tree, key) for tree in quadtrees]) for key in ("free", "half_size", "clearance")
+    )
+    return find_core(graph, free, 2.0 * half, clearance)

@@ -3,25 +3,52 @@
 from __future__ import annotations
 
 import heapq
+from collections.abc import Callable
 from dataclasses import dataclass
 from math import sqrt
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
 from gpdf_service.fields import Tree
 from gpdf_service.fields.threads import run_chunked
 from gpdf_service.fields.traversal import nearest_at
 from gpdf_service.fields.tree import make_scratch, place_of
 from gpdf_service.perception.nodes import components
+from gpdf_service.search.layered import Rows, below
 from gpdf_service.search.motion import is_clear
+from gpdf_service.search.places import Places
 from gpdf_service.search.quadtree import Quadtree
+from gpdf_service.search.resplit import Leaves, centers
 from gpdf_service.types import BoolArray, FloatArray, IntArray
+
+
+class Patch(NamedTuple):
+    """A few nodes of a graph whose edges are others than those that stand, the nodes that were added among them.
+
+    Attributes:
+        row: 1 + which of the few each node is, 0 where its edges stand; shape (k,), or none if there is no patch.
+        first: First edge of each of the few, and how many they have in all.
+        other: Far end of each edge.
+        cost: Of each edge [m].
+        position: Places of the nodes that were added (x, y) [m].
+    """
+
+    row: NDArray[np.int32]
+    first: IntArray
+    other: IntArray
+    cost: FloatArray
+    position: FloatArray
+
+
+NO_PATCH = Patch(np.zeros(0, np.int32), np.zeros(1, np.int64), np.zeros(0, np.int64), np.zeros(0), np.zeros((0, 2)))
 
 
 @dataclass(frozen=True, slots=True)
 class Graph:
-    """Undirected graph in compressed rows.
+    """Undirected graph in compressed rows, and a patch where something moves: its nodes and edges come after these.
 
     Attributes:
         position: Places of the nodes (x, y) [m], shape (k, 2).
@@ -31,24 +58,25 @@ class Graph:
         via: Where the edge crosses from leaf to leaf (x, y) [m], shape (e, 2).
         cost: Length of the edge, weighted by how close it passes [m], shape (e,).
         component: Connected component of each node, shape (k,).
+        patch: What is other than in `first` and the standing rows of the rest.
     """
 
-    position: FloatArray
-    level: IntArray
+    position: Rows
+    level: Rows
     first: IntArray
-    other: IntArray
-    via: FloatArray
-    cost: FloatArray
-    component: IntArray
+    other: Rows
+    via: Rows
+    cost: Rows
+    component: Rows
+    patch: Patch = NO_PATCH
 
 
 @njit(cache=True, nogil=True)
 def _proven(
-    obstacles: Tree,
+    obstacles: Places,
     center: FloatArray,
-    via: FloatArray,
     room: FloatArray,
-    ends: IntArray,
+    via: FloatArray,
     radius: float,
     begin: int,
     end: int,
@@ -56,52 +84,64 @@ def _proven(
 ) -> None:
     """Which edges are clear from centre to crossing to centre.
 
-    Of each leaf the `room` is how far a place may be from its centre and still be clear [m], inf where all of it is: a
-    wholly free leaf is convex.
+    Of the two leaves of an edge, `center` (e, 2, 2) and `room` (e, 2): how far a place may be from the leaf's centre
+    and still be clear [m], inf where all of it is: a wholly free leaf is convex.
     """
     for e in range(begin, end):
         good[e] = True
-        for leaf in ends[e]:
-            far = sqrt((via[e, 0] - center[leaf, 0]) ** 2 + (via[e, 1] - center[leaf, 1]) ** 2)
-            good[e] &= room[leaf] >= far or is_clear(obstacles, center[leaf], via[e], radius)
+        for k in range(2):
+            far = sqrt((via[e, 0] - center[e, k, 0]) ** 2 + (via[e, 1] - center[e, k, 1]) ** 2)
+            good[e] &= room[e, k] >= far or is_clear(obstacles, center[e, k], via[e], radius)
 
 
 Edges = tuple[IntArray, FloatArray]
 """Pairs of leaves, shape (e, 2), and where they cross from one to the other (x, y) [m], shape (e, 2)."""
 
 
-def find_edges(tree: Quadtree, obstacles: Tree, radius: float, of: BoolArray | None = None) -> Edges:
+def find_edges(
+    tree: Leaves,
+    obstacles: Places,
+    radius: float,
+    leaves: IntArray | None = None,
+    wanted: Callable[[IntArray], BoolArray] | None = None,
+) -> Edges:
     """Pairs of free leaves that share a side, with a proven passage: ends (e, 2) and crossings (e, 2) [m].
 
     Every leaf looks once across each of its four sides; the leaf found there is larger, or as large, and then the pair
-    is kept once. So each pair of neighbours is found, in time n log n. Only pairs with a leaf `of` these, shape (k,),
-    if they are given: then only those and the leaves that touch them look.
+    is kept once. So each pair of neighbours is found, in time n log n. Only these `leaves` look, if they are given, and
+    only pairs with one that is `wanted` are kept.
     """
-    leaves = np.flatnonzero(tree.free if of is None else tree.free & tree.touching(of))
-    corner, size, center, half = tree.corner[leaves], tree.size[leaves], tree.center, tree.half_size[leaves]
+    leaves = tree.numbers[tree.free[tree.numbers]] if leaves is None else leaves
+    corner, size = tree.corner[leaves], tree.size[leaves]
+    center, half = centers(tree, leaves), 0.5 * tree.width * size
     ends, vias = [], []
     for axis in (0, 1):
         for side in (-1, 1):
             probe = corner + size[:, None] // 2
             probe[:, axis] = corner[:, axis] + (size if side > 0 else -1)
             found = tree.find_cell(probe)
-            larger = (found >= 0) & tree.free[found] & (tree.size[found] >= size)
-            once = larger & ((tree.size[found] > size) | (side > 0))
-            if of is not None:
-                once &= of[leaves] | of[found]
-            via = center[leaves]
-            via[:, axis] += side * half
+            width = tree.size[found]
+            once = (found >= 0) & tree.free[found] & ((width > size) | ((width == size) & (side > 0)))
+            if wanted is not None:
+                once &= wanted(leaves) | wanted(found)
+            via = center[once]
+            via[:, axis] += side * half[once]
             ends.append(np.column_stack([leaves[once], found[once]]))
-            vias.append(via[once])
+            vias.append(via)
     pairs, via = np.concatenate(ends), np.concatenate(vias)
-    room = np.where(tree.whole, np.inf, tree.clearance - radius)
-    good, own = np.zeros(len(pairs), dtype=bool), (obstacles, center, via, room, pairs, radius)
-    run_chunked(lambda a, b: _proven(*own, a, b, good), len(pairs))
+    good = np.ones(len(pairs), dtype=bool)
+    asked = np.flatnonzero(~tree.whole[pairs].all(axis=1))  # a way through wholly free leaves is clear
+    ends_of = pairs[asked]
+    room = np.where(tree.whole[ends_of], np.inf, tree.clearance[ends_of] - radius)
+    center, proven = centers(tree, ends_of.ravel()).reshape(-1, 2, 2), np.zeros(len(asked), dtype=bool)
+    own = obstacles, center, room, via[asked], radius
+    run_chunked(lambda a, b: _proven(*own, a, b, proven), len(asked))
+    good[asked] = proven
     return pairs[good], via[good]
 
 
 def change_edges(
-    old: Quadtree, edges: Edges, tree: Quadtree, obstacles: Tree, radius: float, places: Tree | None
+    old: Quadtree, edges: Edges, tree: Quadtree, obstacles: Places, radius: float, places: Tree | None
 ) -> Edges:
     """`find_edges` of a tree that was changed, from those of the `old` one: only leaves at the change look again.
 
@@ -113,7 +153,10 @@ def change_edges(
         _feel(places, tree.center, tree.half_size, tree.free & ~tree.whole, radius, same)
     if same.all():
         return edges
-    ends, via = _merged_edges(now, same, edges, find_edges(tree, obstacles, radius, ~same), tree.center)
+    fresh = ~same
+    looking = np.flatnonzero(tree.free & tree.touching(fresh))
+    found = find_edges(tree, obstacles, radius, looking, fresh.__getitem__)
+    ends, via = _merged_edges(now, same, edges, found, tree.center)
     return ends, via
 
 
@@ -222,14 +265,35 @@ def _rows(
         for e in range(len(pairs)):
             a, b = pairs[e, end], pairs[e, 1 - end]
             if end == 0:
-                length = sqrt((position[a, 0] - via[e, 0]) ** 2 + (position[a, 1] - via[e, 1]) ** 2)
-                length += sqrt((position[b, 0] - via[e, 0]) ** 2 + (position[b, 1] - via[e, 1]) ** 2)
-                room = min(clearance[a], clearance[b]) - radius
-                costs[e] = length * (1.0 + min(max(1.0 - room / radius, 0.0), 1.0))
+                costs[e] = _price(position[a], position[b], via[e], min(clearance[a], clearance[b]), radius)
             at = place[a]
             place[a] += 1
             other[at], crossing[at, 0], crossing[at, 1], cost[at] = b, via[e, 0], via[e, 1], costs[e]
     return first, other, crossing, cost
+
+
+@njit(cache=True, nogil=True)
+def _price(a: FloatArray, b: FloatArray, via: FloatArray, clearance: float, radius: float) -> float:
+    """Cost of an edge: see `assemble`."""
+    length = sqrt((a[0] - via[0]) ** 2 + (a[1] - via[1]) ** 2) + sqrt((b[0] - via[0]) ** 2 + (b[1] - via[1]) ** 2)
+    return length * (1.0 + min(max(1.0 - (clearance - radius) / radius, 0.0), 1.0))
+
+
+@njit(cache=True, nogil=True)
+def price_edges(ends: FloatArray, via: FloatArray, clearance: FloatArray, radius: float) -> FloatArray:
+    """Cost of edges [m], shape (e,), from their ends' places, (e, 2, 2) [m], crossings, and ends' clearance, (e, 2)."""
+    made = np.empty(len(via))
+    for e in range(len(via)):
+        made[e] = _price(ends[e, 0], ends[e, 1], via[e], min(clearance[e, 0], clearance[e, 1]), radius)
+    return made
+
+
+@dataclass(frozen=True, slots=True)
+class Doors:
+    """Nodes by which a search may begin or end, shape (k,), and what it costs to get there, shape (k,)."""
+
+    node: IntArray
+    cost: FloatArray
 
 
 def find_path(graph: Graph, start: int, goal: int) -> IntArray:
@@ -237,14 +301,42 @@ def find_path(graph: Graph, start: int, goal: int) -> IntArray:
 
     Start and goal must lie in one component.
     """
-    count = len(graph.position)
-    fresh = (
-        np.zeros(count),
-        np.zeros(count, np.int64),
-        np.zeros(count, np.int64),
-    )  # pages that nobody visits cost nothing
-    edges: IntArray = _astar(graph.position, graph.first, graph.other, graph.cost, start, goal, *fresh)
-    return edges
+    at = [Doors(np.array([node]), np.zeros(1)) for node in (start, goal)]
+    return find_way(graph, at[0], at[1], graph.position[goal])[1]
+
+
+def find_way(graph: Graph, begin: Doors, end: Doors, goal: FloatArray, rate: float = 1.0) -> tuple[int, IntArray]:
+    """The node that the cheapest way begins with, and its edges in order, shape (k,); −1 where there is none.
+
+    Args:
+        graph: Where to go; an edge costs at least `rate` times its length.
+        begin: By which nodes.
+        end: The same; from there to the goal it costs at least `rate` times the distance.
+        goal: Place in plan (2,) [m].
+        rate: Least cost of a metre.
+    """
+    count = len(graph.position) + 1  # the last is the goal itself
+    fresh = np.zeros(count), np.zeros(count, np.int64), np.zeros(count, np.int64)  # pages nobody visits cost nothing
+    ways = below(graph.position), graph.first, below(graph.other), below(graph.cost), graph.patch, rate
+    first, edges = _astar(*ways, begin.node, begin.cost, end.node, end.cost, goal, *fresh)
+    return int(first), edges
+
+
+@njit(cache=True, nogil=True)
+def edges_of(first: IntArray, other: IntArray, patch: Patch, node: int) -> tuple[int, int]:
+    """Number of the first edge of a node and behind its last; those of the patch come after those that stand."""
+    row = patch.row[node] if len(patch.row) > 0 else 0
+    if row == 0:
+        return first[node], first[node + 1]
+    return len(other) + patch.first[row - 1], len(other) + patch.first[row]
+
+
+@njit(cache=True, nogil=True)
+def place_of_node(position: FloatArray, patch: Patch, node: int) -> tuple[float, float]:
+    """Where a node is [m]."""
+    if node < len(position):
+        return position[node, 0], position[node, 1]
+    return patch.position[node - len(position), 0], patch.position[node - len(position), 1]
 
 
 @njit(cache=True, nogil=True)
@@ -253,30 +345,56 @@ def _astar(
     first: IntArray,
     other: IntArray,
     cost: FloatArray,
-    start: int,
-    goal: int,
+    patch: Patch,
+    rate: float,
+    sources: IntArray,
+    source_cost: FloatArray,
+    exits: IntArray,
+    exit_cost: FloatArray,
+    goal: FloatArray,
     cost_to_come: FloatArray,
     came_by: IntArray,
     came_from: IntArray,
-) -> IntArray:
-    """The last three are zero for every node; `came_by` holds 1 + the edge, 0 where nobody has been."""
-    frontier = [(0.0, 0.0, start)]
+) -> tuple[int, IntArray]:
+    """See `find_way`.
+
+    The last three are zero for every node and the goal, which is the last; `came_by` holds 1 + the edge, 0 where nobody
+    has been, −1 at a source.
+    """
+    goal_node, standing = len(cost_to_come) - 1, len(other)
+    frontier = [(0.0, 0.0, 0) for _ in range(0)]
+    for k in range(len(sources)):
+        node = sources[k]
+        if came_by[node] == 0 or source_cost[k] < cost_to_come[node]:
+            cost_to_come[node], came_by[node] = source_cost[k], -1
+            x, y = place_of_node(position, patch, node)
+            far = sqrt((x - goal[0]) ** 2 + (y - goal[1]) ** 2)
+            heapq.heappush(frontier, (source_cost[k] + rate * far, source_cost[k], node))
     while len(frontier) > 0:
         _, come, node = heapq.heappop(frontier)
+        if node == goal_node:
+            break
         if come > cost_to_come[node]:  # reached by a shorter way since
             continue
-        if node == goal:
-            break
-        for e in range(first[node], first[node + 1]):
-            near = other[e]
-            reached = come + cost[e]
-            if near != start and (came_by[near] == 0 or reached < cost_to_come[near]):
+        for k in range(len(exits)):
+            reached = come + exit_cost[k]
+            if exits[k] == node and (came_by[goal_node] == 0 or reached < cost_to_come[goal_node]):
+                cost_to_come[goal_node], came_by[goal_node], came_from[goal_node] = reached, 1, node
+                heapq.heappush(frontier, (reached, reached, goal_node))
+        begin, end = edges_of(first, other, patch, node)
+        for e in range(begin, end):
+            near = other[e] if e < standing else patch.other[e - standing]
+            reached = come + (cost[e] if e < standing else patch.cost[e - standing])
+            if came_by[near] == 0 or reached < cost_to_come[near]:
                 cost_to_come[near], came_by[near], came_from[near] = reached, e + 1, node
-                dx, dy = position[near, 0] - position[goal, 0], position[near, 1] - position[goal, 1]
-                heapq.heappush(frontier, (reached + sqrt(dx * dx + dy * dy), reached, near))
+                x, y = place_of_node(position, patch, near)
+                far = sqrt((x - goal[0]) ** 2 + (y - goal[1]) ** 2)
+                heapq.heappush(frontier, (reached + rate * far, reached, near))
     edges = [0 for _ in range(0)]
-    node = goal
+    if came_by[goal_node] == 0:
+        return -1, np.array(edges, dtype=np.int64)
+    node = came_from[goal_node]
     while came_by[node] > 0:
         edges.append(came_by[node] - 1)
         node = came_from[node]
-    return np.array(edges[::-1], dtype=np.int64)
+    return node, np.array(edges[::-1], dtype=np.int64)

@@ -15,10 +15,10 @@ from gpdf_service.types import Agent
 def to_arrays(space: FreeSpace) -> Arrays:
     """All that `from_arrays` needs beside the ground."""
     made: Arrays = {}
-    for i, tree in enumerate(space.trees):
+    for i, (tree, _) in enumerate(space.trees):
         ends, via = space.edges[i]
-        made |= flatten(space.obstacles[i], f"{i}/obstacles") | flatten(space.quadtrees[i], f"{i}/quadtree")
-        made |= {f"{i}/field/{key}": value for key, value in space.obstacle_fields[i].to_arrays().items()}
+        made |= flatten(space.standing[i], f"{i}/obstacles") | flatten(space.quadtrees[i].standing, f"{i}/quadtree")
+        made |= {f"{i}/field/{key}": value for key, value in space.obstacle_fields[i].standing.to_arrays().items()}
         made |= {f"{i}/order": tree.order, f"{i}/begin": tree.begin, f"{i}/ends": ends, f"{i}/via": via}
     return made
 

@@ -14,11 +14,11 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-from gpdf_service.fields import Tree, nearest_one
-from gpdf_service.fields.tree import Scratch, make_scratch
+from gpdf_service.fields.tree import Scratch, make_scratch, place_of
 from gpdf_service.perception import HeightMap
 from gpdf_service.perception.surface import Cells, is_known
 from gpdf_service.search.motion import disc_distance, is_motion_clear, turned
+from gpdf_service.search.places import Places, distance_at
 from gpdf_service.types import FloatArray, IntArray
 
 CELL_SHARE = 0.25
@@ -75,7 +75,7 @@ class _Moves(NamedTuple):
 
 
 def find_poses(
-    obstacles: Tree,
+    obstacles: Places,
     surface: HeightMap,
     start: FloatArray,
     goal: FloatArray,
@@ -113,7 +113,7 @@ def _about(poses: FloatArray) -> FloatArray:
 
 
 def _find(
-    obstacles: Tree, surface: HeightMap, start: FloatArray, goal: FloatArray, body: _Body, most: int
+    obstacles: Places, surface: HeightMap, start: FloatArray, goal: FloatArray, body: _Body, most: int
 ) -> PoseSearch:
     """See `find_poses`."""
     offsets, radius = body
@@ -162,7 +162,7 @@ def _moves(grid: _Grid, body: _Body) -> _Moves:
     )
 
 
-def _turns_to(obstacles: Tree, start: FloatArray, turn: float, body: _Body) -> FloatArray:
+def _turns_to(obstacles: Places, start: FloatArray, turn: float, body: _Body) -> FloatArray:
     """How far an end goes from the start to each heading [m]; inf where the body does not fit, or is too far."""
     headings = turn * np.arange(round(2.0 * pi / turn))
     away = np.full(len(headings), np.inf)
@@ -183,7 +183,7 @@ def _weight(room: float, radius: float) -> float:
 
 @njit(cache=True, nogil=True)
 def _flood(
-    obstacles: Tree,
+    obstacles: Places,
     ground: Cells,
     grid: _Grid,
     shape: tuple[int, int],
@@ -214,14 +214,15 @@ def _flood(
 
 
 @njit(cache=True, nogil=True)
-def _room_on(obstacles: Tree, ground: Cells, place: FloatArray) -> float:
+def _room_on(obstacles: Places, ground: Cells, place: FloatArray) -> float:
     """Distance from a place in plan to the nearest obstacle [m]; 0 where no ground is known."""
-    return float(nearest_one(obstacles, place)[0]) if is_known(ground, place[0], place[1]) else 0.0
+    known = is_known(ground, place[0], place[1])
+    return float(distance_at(obstacles, place_of(place), make_scratch())) if known else 0.0
 
 
 @njit(cache=True, nogil=True)
 def _search(
-    obstacles: Tree,
+    obstacles: Places,
     guide: FloatArray,
     grid: _Grid,
     moves: _Moves,
@@ -286,7 +287,7 @@ def _search(
 
 
 @njit(cache=True, nogil=True)
-def _room(obstacles: Tree, pose: FloatArray, body: _Body, known: FloatArray, h: int, scratch: Scratch) -> float:
+def _room(obstacles: Places, pose: FloatArray, body: _Body, known: FloatArray, h: int, scratch: Scratch) -> float:
     """Room beside the body at a pose [m], negative where it does not fit; looked for once, then known[h]."""
     if np.isnan(known[h]):
         known[h] = np.inf
@@ -298,7 +299,7 @@ def _room(obstacles: Tree, pose: FloatArray, body: _Body, known: FloatArray, h: 
 
 
 @njit(cache=True, nogil=True)
-def _arrives(obstacles: Tree, pose: FloatArray, goal: FloatArray, width: float, body: _Body) -> bool:
+def _arrives(obstacles: Places, pose: FloatArray, goal: FloatArray, width: float, body: _Body) -> bool:
     """Whether the body gets to the goal from a pose beside it: there as it is, then turned to where it must face."""
     if hypot(pose[0] - goal[0], pose[1] - goal[1]) > width:
         return False

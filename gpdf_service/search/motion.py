@@ -12,9 +12,8 @@ from math import cos, hypot, pi, sin
 import numpy as np
 from numba import njit
 
-from gpdf_service.fields import Tree
-from gpdf_service.fields.traversal import nearest_at
 from gpdf_service.fields.tree import Scratch, make_scratch
+from gpdf_service.search.places import Places, distance_at
 from gpdf_service.types import FloatArray
 
 RESOLUTION = 1e-3
@@ -24,20 +23,20 @@ CENTRE = np.zeros(1)
 
 
 @njit(cache=True, nogil=True)
-def disc_distance(obstacles: Tree, pose: FloatArray, offset: float, scratch: Scratch) -> float:
+def disc_distance(obstacles: Places, pose: FloatArray, offset: float, scratch: Scratch) -> float:
     """Distance from the centre of the disc that lies `offset` ahead of a pose (3,) to the nearest obstacle [m]."""
     place = pose[0] + offset * cos(pose[2]), pose[1] + offset * sin(pose[2]), 0.0
-    return float(nearest_at(obstacles, place, scratch)[0])
+    return float(distance_at(obstacles, place, scratch))
 
 
 @njit(cache=True, nogil=True)
-def is_clear(obstacles: Tree, a: FloatArray, b: FloatArray, radius: float) -> bool:
+def is_clear(obstacles: Places, a: FloatArray, b: FloatArray, radius: float) -> bool:
     """Whether the whole segment from place a to place b, (2,), keeps `radius` from every obstacle."""
     return _is_disc_clear(obstacles, a, b, 0.0, radius)
 
 
 @njit(cache=True, nogil=True)
-def is_motion_clear(obstacles: Tree, a: FloatArray, b: FloatArray, offsets: FloatArray, radius: float) -> bool:
+def is_motion_clear(obstacles: Places, a: FloatArray, b: FloatArray, offsets: FloatArray, radius: float) -> bool:
     """Whether all discs keep `radius` from every obstacle while the body moves evenly from pose a to pose b, (3,)."""
     for offset in offsets:  # noqa: SIM110 - compiled
         if not _is_disc_clear(obstacles, a, b, offset, radius):
@@ -46,7 +45,7 @@ def is_motion_clear(obstacles: Tree, a: FloatArray, b: FloatArray, offsets: Floa
 
 
 @njit(cache=True, nogil=True)
-def _is_disc_clear(obstacles: Tree, a: FloatArray, b: FloatArray, offset: float, radius: float) -> bool:
+def _is_disc_clear(obstacles: Places, a: FloatArray, b: FloatArray, offset: float, radius: float) -> bool:
     stack, room, scratch = np.empty((64, 2, 3)), np.empty((64, 2)), make_scratch()
     stack[0] = 0.0
     stack[0, 0, : len(a)], stack[0, 1, : len(b)] = a, b
@@ -74,7 +73,7 @@ def farthest_moved(a: FloatArray, b: FloatArray, offset: float) -> float:
 
 @njit(cache=True, nogil=True)
 def _halve(
-    obstacles: Tree,
+    obstacles: Places,
     stack: FloatArray,
     room: FloatArray,
     top: int,
@@ -93,7 +92,7 @@ def _halve(
 
 @njit(cache=True, nogil=True)
 def least_distance(
-    obstacles: Tree, poses: FloatArray, offsets: FloatArray, resolution: float
+    obstacles: Places, poses: FloatArray, offsets: FloatArray, resolution: float
 ) -> tuple[float, FloatArray]:
     """Lower bound of the distance of all discs to the obstacles on a way through poses (n, 3) [m], and where (2,) [m].
 
@@ -147,7 +146,7 @@ def leap(a: FloatArray, b: FloatArray) -> FloatArray:
 
 
 @njit(cache=True, nogil=True)
-def is_leap_clear(obstacles: Tree, a: FloatArray, b: FloatArray, offsets: FloatArray, radius: float) -> bool:
+def is_leap_clear(obstacles: Places, a: FloatArray, b: FloatArray, offsets: FloatArray, radius: float) -> bool:
     """Whether the body may go from pose a to pose b by a `leap`."""
     before = a
     for after in leap(a, b):

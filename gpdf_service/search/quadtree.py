@@ -1,7 +1,7 @@
 """A quadtree of the free space that knows the body: a leaf is free if the body's centre may be there.
 
 With d the exact distance from a leaf's centre to the nearest obstacle (1-Lipschitz), r the radius, b half its diagonal:
-d − b ≥ r: all of the leaf is free; d + b < r: none of it; else split, down to `MIN_WIDTH`; there the centre decides.
+d − b ≥ r: all of the leaf is free; d + b < r: none of it; else split, down to `least_width`; there the centre decides.
 """
 
 from __future__ import annotations
@@ -23,6 +23,8 @@ from gpdf_service.types import BoolArray, FloatArray, IntArray
 
 MIN_WIDTH = 0.014
 """[m] Half its diagonal is 1 cm: a gap with 1 cm to spare on either side holds a leaf's centre."""
+CELL_SHARE = 0.2
+"""[-] Of a cell of the ground, which is wider than its points are apart: what is finer was not measured."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,6 +62,16 @@ class Quadtree:
         """Half the width of each leaf [m], shape (k,)."""
         made: FloatArray = (0.5 * self.width * self.size).astype(np.float64)
         return made
+
+    @property
+    def standing(self) -> Quadtree:
+        """Without what moves."""
+        return self
+
+    @property
+    def numbers(self) -> IntArray:
+        """Of all leaves."""
+        return np.arange(len(self.size))
 
     def find(self, xy: FloatArray) -> IntArray:
         """Leaf that holds each place, shape (m, 2) [m]; -1 outside the root. Shape (m,)."""
@@ -136,6 +148,11 @@ def _within(code: IntArray, side: int, low: FloatArray, high: FloatArray) -> Int
     return np.array(found)
 
 
+def least_width(surface: HeightMap) -> float:
+    """Width of the smallest cells over a ground [m]."""
+    return max(MIN_WIDTH, CELL_SHARE * surface.cell_width)
+
+
 def build_quadtree(surface: HeightMap, obstacles: Tree, radius: float) -> Quadtree:
     """Build the tree over the known ground of one level.
 
@@ -182,16 +199,17 @@ def _grow(
     old: Leaves, surface: HeightMap, obstacles: Tree, radius: float, places: Tree | None, changed: BoolArray
 ) -> Quadtree:
     extent = surface.cell_width * max(surface.height.shape)
-    depth = max(0, int(np.ceil(np.log2(extent / MIN_WIDTH))))
+    width = least_width(surface)
+    depth = max(0, int(np.ceil(np.log2(extent / width))))
     origin = np.asarray(surface.origin, dtype=np.float64)
     corner, size, clearance, state = _split(
         old,
         (obstacles, obstacles if places is None else places, places is not None),
-        (origin, MIN_WIDTH, depth, radius, surface.cell_width),
+        (origin, width, depth, radius, surface.cell_width),
         surface.state.astype(np.uint8),
         changed,
     )
-    return Quadtree(origin, MIN_WIDTH, corner, size, clearance, state > 0, state == 2, morton(corner))
+    return Quadtree(origin, width, corner, size, clearance, state > 0, state == 2, morton(corner))
 
 
 @njit(cache=True, nogil=True)
@@ -248,7 +266,7 @@ def _split(
         distance = clearance_was[first] if copied else 0.0
         if not split and not copied:
             distance = nearest_at(obstacles, place_of(x), scratch)[0]
-            split = distance - half_diagonal < radius and n > 1 and distance + half_diagonal >= radius
+            split = is_split(distance, half_diagonal, radius, n)
         if split:
             h = n // 2
             for k in range(3, -1, -1):
@@ -268,9 +286,21 @@ def _split(
             state[count] = state_was[first]
         else:
             seen = within and known[ix, iy] > 0
-            state[count] = 0 if not seen or distance < radius else (2 if distance - half_diagonal >= radius else 1)
+            state[count] = state_of(distance, half_diagonal, radius, seen)
         count += 1
     return corner[:count].copy(), size[:count].copy(), clearance[:count].copy(), state[:count].copy()
+
+
+@njit(cache=True, nogil=True)
+def is_split(distance: float, half_diagonal: float, radius: float, n: int) -> bool:
+    """Whether some of a node of n × n smallest cells is free, and some is not."""
+    return distance - half_diagonal < radius <= distance + half_diagonal and n > 1
+
+
+@njit(cache=True, nogil=True)
+def state_of(distance: float, half_diagonal: float, radius: float, seen: bool) -> int:
+    """Of a leaf: 0 blocked, 1 free at its centre, 2 wholly."""
+    return 0 if not seen or distance < radius else (2 if distance - half_diagonal >= radius else 1)
 
 
 @njit(cache=True, nogil=True)

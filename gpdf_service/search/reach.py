@@ -31,19 +31,23 @@ class Reach:
 
 def find_reach(space: FreeSpace) -> Reach:
     """Measure a free space: its wholly free leaves, and the pieces that the graph makes of them."""
-    whole = np.concatenate([tree.whole for tree in space.quadtrees])
-    if not whole.any():
+    nodes, rows = [], []
+    for tree, offset in zip(space.quadtrees, space.offsets, strict=True):
+        leaves = tree.numbers[tree.whole[tree.numbers]]
+        nodes.append(leaves + offset)
+        rows.append(np.column_stack([tree.width * tree.size[leaves], tree.clearance[leaves]]))
+    node, (width, clearance) = np.concatenate(nodes), np.concatenate(rows).T
+    if not len(node):
         return Reach(0.0, 0.0, 0, None, None)
-    graph = space.graph
-    half_size = np.concatenate([tree.half_size for tree in space.quadtrees])
-    clearance = np.concatenate([tree.clearance for tree in space.quadtrees])
-    areas = np.bincount(graph.component[whole], weights=4.0 * half_size[whole] ** 2)
-    inside = np.flatnonzero(whole & (graph.component == areas.argmax()))
+    component = np.unique(space.graph.component[node], return_inverse=True)[1]
+    areas = np.bincount(component, weights=width**2)
+    inside = np.flatnonzero(component == areas.argmax())
     roomiest = inside[clearance[inside].argmax()]
     roomy = inside[clearance[inside] >= 0.5 * clearance[roomiest]]
-    far = roomy[np.linalg.norm(graph.position[roomy] - graph.position[roomiest], axis=1).argmax()]
-    start, goal = (_on_ground(space, node) for node in (roomiest, far))
-    return Reach(float(areas.sum()), float(areas.max()), int(np.count_nonzero(areas)), start, goal)
+    place = space.graph.position[node]
+    far = roomy[np.linalg.norm(place[roomy] - place[roomiest], axis=1).argmax()]
+    start, goal = (_on_ground(space, one) for one in node[[roomiest, far]])
+    return Reach(float(areas.sum()), float(areas.max()), len(areas), start, goal)
 
 
 def _on_ground(space: FreeSpace, node: int) -> FloatArray:

@@ -2,10 +2,11 @@ import dataclasses
 
 import numpy as np
 import pytest
+from scipy import ndimage
 
 import gpdf_service as gpdf
 from gpdf_service.planning.endpoints import find_endpoint
-from gpdf_service.planning.no_path import explain_no_path
+from gpdf_service.planning.no_path import cells_to, explain_no_path
 from gpdf_service.synthetic import SCENES, Box, World
 from gpdf_service.types import AGENTS
 
@@ -39,11 +40,48 @@ def test_a_narrow_door_is_named_with_its_place_and_the_body_that_passes(gap):
     assert gpdf.plan(scene, (1, 2), (5, 2), thin).status is gpdf.Status.OK
 
 
+def test_a_passage_that_is_millimetres_too_narrow_is_told_in_millimetres():
+    walls = Box((3.0, 0.0, 0.0), (3.2, 1.756, 2.6)), Box((3.0, 2.244, 0.0), (3.2, 4.0, 2.6))  # 488 mm for 500
+    result = gpdf.plan(scene_of(*walls, spacing=0.02), (1, 2), (5, 2))
+    assert result.status is gpdf.Status.NO_VALID_PATH
+    assert "mm too narrow" in result.message
+    short = result.details["short_width"]
+    assert 0.0 < short < 0.02
+    assert short == pytest.approx(0.5 - 2.0 * result.details["largest_radius"], abs=1e-6)
+
+
+def test_a_deadline_leaves_a_refusal_without_its_reason():
+    scene = scene_of(Box((3.0, 0.0, 0.0), (3.2, 4.0, 2.6)))
+    space = scene.free_space("human")
+    ends = [find_endpoint(space, np.array(at), "end") for at in ((1.0, 1.0), (5.0, 3.0))]
+    why = explain_no_path(space, *ends, left=lambda: 0.0)
+    assert why.cuts == ()
+    assert "no time to say why" in why.message
+
+
+@pytest.mark.parametrize("shape", [(1, 1), (5, 9), (40, 33)])
+@pytest.mark.parametrize("share", [0.0, 0.01, 0.3])
+def test_the_distance_over_a_grid_is_that_of_scipy(shape, share):
+    marks = np.random.default_rng(0).random(shape) < share
+    marks[-1, 0] |= share > 0.0
+    theirs = ndimage.distance_transform_edt(~marks) if marks.any() else np.full(shape, np.inf)
+    np.testing.assert_allclose(cells_to(marks), theirs)
+
+
+def test_a_cut_on_one_of_many_levels_is_looked_for_where_the_way_goes():
+    """Far ground does not make the answer coarser or slower: only what is around start and goal is looked at."""
+    near, far = Box((3.0, 0.0, 0.0), (3.2, 4.0, 2.6)), Box((30.0, 0.0, 0.0), (30.2, 1.0, 2.6))
+    why = explain(scene_of(near, far, size=(40.0, 4.0, 2.6), spacing=0.08), (1, 1), (5, 3), "human")
+    assert why.cuts == ("solid",)
+    assert why.at[0] == pytest.approx(3.0, abs=0.2)
+
+
 def test_a_low_beam_is_named_with_its_headroom_and_a_lower_body_passes():
     scene = scene_of(Box((3.0, 0.0, 0.8), (3.6, 4.0, 2.6)))
     why = explain(scene, (1, 1), (5, 3), "human")
     assert why.cuts == ("height",)
     assert "0.80 m of headroom" in why.message
+    assert why.short["height"] == pytest.approx(1.2, abs=0.02)
     assert why.at[0] == pytest.approx(3.0, abs=0.1)
     assert gpdf.plan(scene, (1, 1), (5, 3), dataclasses.replace(AGENTS["human"], height=0.7)).status is gpdf.Status.OK
 

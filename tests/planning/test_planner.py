@@ -46,13 +46,14 @@ def test_an_ok_result_is_complete_and_consistent(office):
         assert len(path.headings) == len(path.times) == len(path.positions)
         assert result.certificate.holds
         assert result.certificate.min_clearance >= 0
-        assert result.certificate.max_height_deviation <= 0.15 * agent.height
+        assert result.certificate.max_height_deviation <= 0.1 * agent.height
 
 
-def test_the_human_walks_over_the_platform_and_the_roomba_around_it():
-    scene = scene_of(World((5.0, 3.0, 2.6), (Box((2.0, 0.0, 0.0), (3.0, 2.2, 0.3), walkable=True),)))
-    human = gpdf.plan(scene, (0.8, 1.0), (4.2, 1.0), "human")
-    roomba = gpdf.plan(scene, (0.8, 1.0), (4.2, 1.0), "roomba")
+def test_who_minds_no_step_walks_over_the_platform_and_the_roomba_around_it():
+    scene = scene_of(World((5.0, 3.0, 2.6), (Box((2.0, 0.0, 0.0), (3.0, 2.5, 0.3), walkable=True),)))
+    walker = dataclasses.replace(AGENTS["human"], comfortable_step=0.37, climb_time=0.0)
+    human = gpdf.plan(scene, (0.8, 0.5), (4.2, 0.5), walker)
+    roomba = gpdf.plan(scene, (0.8, 0.5), (4.2, 0.5), "roomba")
     assert human.trajectory.ground[:, 2].max() == pytest.approx(0.3, abs=0.01)
     assert human.certificate.max_step == pytest.approx(0.3, abs=0.02)
     assert roomba.trajectory.ground[:, 2].max() < 0.02
@@ -118,6 +119,22 @@ def test_start_equal_to_goal_is_a_standing_trajectory(empty_room):
     assert result.status is gpdf.Status.OK
     assert result.trajectory.length == 0
     assert (np.diff(result.trajectory.times) > 0).all()
+
+
+def test_with_no_time_to_bend_it_a_path_is_as_the_search_found_it(office):
+    made, scene = office
+    result = gpdf.plan(scene, made.start, made.goal, "roomba", deadline_s=1e-6, clock=lambda: 0.0)
+    assert result.status is gpdf.Status.OK
+    assert result.details["evaluations"] == 0
+    assert result.certificate.holds
+
+
+def test_a_path_that_is_found_long_after_its_deadline_is_a_timeout(office):
+    made, scene = office
+    ticks = itertools.count(step=0.01)
+    result = gpdf.plan(scene, made.start, made.goal, "roomba", deadline_s=0.025, clock=lambda: next(ticks))
+    assert result.status is gpdf.Status.TIMEOUT
+    assert "before a path was certified" in result.message
 
 
 def test_a_deadline_that_has_passed_is_a_timeout(empty_room):

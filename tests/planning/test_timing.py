@@ -1,3 +1,5 @@
+import dataclasses
+
 import numpy as np
 import pytest
 
@@ -103,3 +105,16 @@ def test_a_goal_that_differs_from_the_start_in_a_last_digit_is_timed_in_little_m
     assert np.isfinite(times).all()
     assert times[1] > times[0]
     np.testing.assert_allclose(headings, 0.0, atol=1e-9)
+
+
+@pytest.mark.parametrize("radius", [0.3, 1.0])
+def test_a_body_that_turns_at_once_is_still_slow_enough_not_to_slip_aside(radius):
+    """v² / r of a circle at most the acceleration across, where the turn rate alone would allow a race."""
+    agent = dataclasses.replace(AGENTS["human"], turn_rate=50.0, speed=3.0, acceleration=0.4)
+    t = np.linspace(0.0, 4.0 * np.pi, 2000)
+    circle = np.column_stack([radius * np.cos(t), radius * np.sin(t), np.zeros(len(t))])
+    times, _ = time_path(circle, agent)
+    speed = np.diff(along(circle)) / np.diff(times)
+    fastest = np.sqrt(agent.acceleration * radius)
+    assert speed.max() <= 1.02 * fastest
+    assert speed.max() >= 0.9 * fastest

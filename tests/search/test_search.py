@@ -61,7 +61,8 @@ def test_edges_are_symmetric_and_clear(space):
 def test_the_edges_of_some_leaves_are_those_of_all_that_have_one_of_them(space):
     tree, obstacles = space.quadtrees[0], space.trees[0]
     some = np.random.default_rng(4).random(len(tree.size)) < 0.01
-    pairs, via = find_edges(tree, obstacles, space.radius, some)
+    looking = np.flatnonzero(tree.free & tree.touching(some))
+    pairs, via = find_edges(tree, obstacles, space.radius, looking, some.__getitem__)
     every, across = find_edges(tree, obstacles, space.radius)
     wanted = some[every].any(axis=1)
     assert 0 < wanted.sum() < len(every)

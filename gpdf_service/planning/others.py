@@ -1,0 +1,112 @@
+"""More ways than the best one: those that differ from it, for somebody who would rather choose."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from gpdf_service.planning.endpoints import Ends
+from gpdf_service.planning.routes import Leg, Route, Wish, find_cheapest, pull_cheaply, way_cost, way_takes_of
+from gpdf_service.planning.shape import is_joined, resample
+from gpdf_service.search import FreeSpace, Prefer, Ways
+from gpdf_service.search.layered import below
+from gpdf_service.search.motion import CENTRE
+from gpdf_service.search.ways import NOTICED_STEP, STEPPED
+from gpdf_service.types import FloatArray
+
+AVOIDED = 2.0
+"""[-] Where a way is known already, the next search finds it as much dearer, each time again."""
+TRIES = 8
+"""Searches with what is known avoided: some find a way that is known already, a little aside."""
+WORTH = 3.0
+"""[-] A way that costs as much more than the best is none to choose."""
+BETWEEN = 0.05
+"""[m] What is as near to the line between two ways stands between them."""
+STOREY = 0.5
+"""[m] Ways that are higher or lower than each other by this much are two."""
+STRIDE = 0.25
+"""[m] Along a way, for what lies between it and another one."""
+
+
+def find_others(space: FreeSpace, ends: Ends, wish: Wish, best: Route) -> Iterator[Route]:
+    """Ways that differ from the best one and from each other, the cheapest first, then those that others prefer.
+
+    Two ways are the same if one can be moved over into the other: nothing stands between them, and they take as many
+    steps.
+    """
+    if wish.ways is None:
+        return
+    known, seen = [best], list(best.legs)
+    own = wish.ways(wish.prefer)
+    for _ in range(TRIES):
+        raw = _find(_avoiding(own, seen), ends, best.goal)
+        found = _pulled(raw, wish, best.goal)
+        if found.cost > WORTH * best.cost:
+            break
+        seen += [*raw, *found.legs]
+        if not any(_is_same(space, found, other) for other in known):
+            known.append(found)
+            yield found
+    for prefer in Prefer:
+        found = _pulled(_find(wish.ways(prefer), ends, best.goal), wish, best.goal)
+        if not any(_is_same(space, found, other) for other in known):
+            known.append(found)
+            yield found
+
+
+def _find(ways: Ways, ends: Ends, number: int) -> list[Leg]:
+    """The cheapest of these ways to a goal, through the via points, from leaf to leaf."""
+    goal = ends.goals[number]
+    assert goal is not None
+    return [leg for a, b in pairwise([ends.start, *ends.via, goal]) for leg in find_cheapest(ways, a, b)]
+
+
+def _pulled(legs: list[Leg], wish: Wish, number: int) -> Route:
+    legs = [pull_cheaply(leg, wish.prefer, between=True) for leg in legs]
+    return Route(legs, number, cost=way_cost(legs, wish.prefer))
+
+
+def _avoiding(ways: Ways, seen: list[Leg]) -> Ways:
+    """The same ways, dearer where they are within the body's width of those that were seen."""
+    graph, width = ways.graph, 2.0 * ways.spaces[0].agent.disc_radius
+    half = ways.half_size
+    dearer = np.ones(len(graph.position))
+    for leg in seen:
+        nodes = np.flatnonzero(graph.level == leg.level)
+        far = cKDTree(resample(_plan(leg.path), STRIDE)).query(graph.position[nodes])[0] - half[nodes]
+        dearer[nodes[far < width]] *= AVOIDED
+    row = np.repeat(np.arange(len(graph.position)), np.diff(graph.first))
+    cost = below(graph.cost) * np.sqrt(dearer[row] * dearer[below(graph.other)])
+    return replace(ways, graph=replace(graph, cost=cost))
+
+
+def _plan(path: FloatArray) -> FloatArray:
+    return np.ascontiguousarray(path[:, :2])
+
+
+def _is_same(space: FreeSpace, one: Route, other: Route) -> bool:
+    """Whether one way can be moved over into the other, see `find_others`."""
+    stepped = [way_takes_of([leg._replace(path=_plan(leg.path)) for leg in way.legs])[STEPPED] for way in (one, other)]
+    if abs(stepped[0] - stepped[1]) > NOTICED_STEP:
+        return False
+    ours, theirs = _places(space, one), _places(space, other)
+    nearest = cKDTree(theirs[:, :2]).query(ours[:, :2])[1]
+    for here, there in zip(ours, theirs[nearest], strict=True):
+        level = int(here[3])
+        parts = space.trees[level], BETWEEN, CENTRE, space.surfaces[level].arrays
+        if abs(here[2] - there[2]) > STOREY or not is_joined(here[:2], there[:2], *parts):
+            return False
+    return True
+
+
+def _places(space: FreeSpace, route: Route) -> FloatArray:
+    """Places of a way: x, y, z of the ground [m], level; shape (n, 4)."""
+    made = []
+    for leg in route.legs:
+        xy = resample(_plan(leg.path), STRIDE)
+        made.append(np.column_stack([xy, space.surfaces[leg.level].height_at(xy), np.full(len(xy), leg.level)]))
+    return np.concatenate(made)

@@ -1,0 +1,46 @@
+"""Rows of an array that stands, and a few more of one that changes: read by number, and nothing is copied."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+
+class Layered:
+    """Rows of `below`, and from number `start` on those of `above`.
+
+    Args:
+        below: Shape (n, …).
+        above: The same, shape (k, …).
+        start: Number of the first row above, n at least; what is between the two is no row.
+    """
+
+    __slots__ = ("above", "below", "start")
+
+    def __init__(self, below: NDArray[Any], above: NDArray[Any], start: int) -> None:
+        self.below, self.above, self.start = below, above, start
+
+    def __len__(self) -> int:
+        return self.start + len(self.above)
+
+    def __getitem__(self, rows: ArrayLike) -> Any:  # noqa: ANN401 - a row, or an array of them
+        rows = np.asarray(rows)
+        over = rows >= self.start
+        if not over.any():
+            return self.below[rows]
+        if not rows.ndim:
+            return self.above[rows - self.start]
+        made = self.below[np.where(over, 0, rows)]
+        made[over] = self.above[rows[over] - self.start]
+        return made
+
+
+Rows = NDArray[Any] | Layered
+"""What is read by row numbers."""
+
+
+def below(rows: Rows) -> NDArray[Any]:
+    """Those that stand."""
+    return rows.below if isinstance(rows, Layered) else rows

@@ -1,0 +1,182 @@
+"""A free space with something in it that moves: what stands is shared, only what that touches is made again."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+from scipy import ndimage
+
+from gpdf_service.config import FieldConfig, SearchConfig
+from gpdf_service.fields import Nearer, build_tree, change_tree
+from gpdf_service.fields.traversal import NearerArrays, nearest_only
+from gpdf_service.perception import GroundLevel, GroundLimits, Levels, Obstacles, obstacles_of
+from gpdf_service.perception.boxes import Box
+from gpdf_service.perception.levels import within_reach
+from gpdf_service.perception.sheets import OVERLAP
+from gpdf_service.perception.surface import cropped
+from gpdf_service.search.free_space import NONE, FreeSpace, connect, core_of, fit_obstacle_field, joined
+from gpdf_service.search.graph import Edges, Graph, change_edges, find_edges
+from gpdf_service.search.patch import Around, Nodes, around, patched
+from gpdf_service.search.places import Places
+from gpdf_service.search.quadtree import Quadtree, change_quadtree
+from gpdf_service.search.resplit import SplitQuadtree, split_again
+from gpdf_service.types import Agent, FloatArray, IntArray
+
+_NO_LIMITS = GroundLimits(np.zeros((0, 3)), np.zeros(0, np.uint8), np.zeros(0))
+
+
+def add_moving(
+    space: FreeSpace,
+    levels: Levels,
+    points: FloatArray,
+    config: SearchConfig,
+    field_config: FieldConfig,
+    *,
+    noise: float = 0.0,
+    hidden: float = 0.0,
+) -> FreeSpace:
+    """The free space with more points (k, 3) [m] in it, in time by what they touch.
+
+    Args:
+        space: Of what stands, without anything that moves.
+        levels: The same that it was built of.
+        points: What moves.
+        config: Margins.
+        field_config: Of the Obstacle GPDFs.
+        noise: Of the cloud [m].
+        hidden: What may stand on its ground unseen [m].
+    """
+    found = [stopping(level, points, space.agent, noise, hidden) for level in levels.levels]
+    places, fields, exact = list(space.trees), list(space.obstacle_fields), list(space.exact_fields)
+    trees = list(space.quadtrees)
+    start = len(space.graph.position)
+    for i, more in enumerate(found):
+        if len(more.points) == 0:
+            continue
+        surface, standing = space.surfaces[i], space.quadtrees[i].standing
+        places[i] = Places(space.trees[i].standing, build_tree(more.points[:, :2]))
+        moving = fit_obstacle_field(more, surface, space.agent, config, field_config)
+        fields[i] = Nearer(space.obstacle_fields[i].standing, moving)
+        exact[i] = NearerArrays(space.exact_fields[i].standing, nearest_only(places[i].moving))
+        gone, fresh = split_again(standing, surface, places[i], space.radius)
+        trees[i] = SplitQuadtree(standing, gone, fresh, start - space.offsets[i])
+        start += len(fresh.size)
+    changed = replace(
+        space,
+        moving=tuple(found),
+        trees=tuple(places),
+        obstacle_fields=tuple(fields),
+        exact_fields=tuple(exact),
+        quadtrees=tuple(trees),
+    )
+    graph = _graph(changed)
+    return replace(changed, graph=graph, core=space.core if graph is space.graph else None)
+
+
+def settled(space: FreeSpace, levels: Levels) -> FreeSpace:
+    """The same free space with its leaves and its graph in arrays of their own, for who reads all of them.
+
+    This takes time by all that stands, which is copied.
+    """
+    quadtrees, edges = list[Quadtree](), list[Edges]()
+    for i, tree in enumerate(space.quadtrees):
+        quadtree, found = tree.standing, space.edges[i]
+        if isinstance(tree, SplitQuadtree):
+            (standing, moving), surface = space.trees[i], space.surfaces[i]
+            both = change_tree(standing, np.ones(len(standing.points), dtype=bool), moving.points)[0]
+            nothing = np.zeros(surface.state.shape, dtype=bool)
+            quadtree = change_quadtree(tree.standing, surface, both, space.radius, moving, nothing)
+            found = change_edges(tree.standing, found, quadtree, Places(both), space.radius, moving)
+        quadtrees.append(quadtree)
+        edges.append(found)
+    trees = tuple(quadtrees)
+    offsets, graph = connect(levels, trees, tuple(edges), space.radius)
+    core = core_of(trees, graph)
+    return replace(space, quadtrees=trees, edges=tuple(edges), offsets=offsets, graph=graph, core=core)
+
+
+def stopping(level: GroundLevel, points: FloatArray, agent: Agent, noise: float, hidden: float) -> Obstacles:
+    """Which of the moving points, shape (k, 3) [m], stop the body on a level: as if nothing stood there beside them.
+
+    What stands can shut a higher piece of ground off, from which alone the body would touch a point: then such a point
+    is an obstacle here all the same. Points that are far apart are looked at each by themselves, with the ground there.
+    """
+    surface = level.surface
+    reach = int(np.ceil((agent.cylinder.radius + 2.0 * agent.disc_radius) / surface.cell_width)) + 6
+    ix, iy, inside = surface.cells(points)
+    cells, points, found = np.column_stack([ix, iy])[inside], points[inside], NONE
+    for rows in _groups(cells, reach):
+        near = within_reach(points[rows], surface, _box(cells[rows], int(np.ceil(OVERLAP / surface.cell_width))))
+        if len(near):
+            part = _part(level, near, _box(cells[rows], reach))
+            found = joined(found, obstacles_of(part, agent, noise, hidden))
+    return found
+
+
+def _groups(cells: IntArray, reach: int) -> list[IntArray]:
+    """Rows of the cells, shape (m, 2), in groups that are more than `reach` cells apart."""
+    if len(cells) == 0:
+        return []
+    coarse = cells // reach
+    taken = np.zeros(coarse.max(axis=0) + 1, dtype=bool)
+    taken[tuple(coarse.T)] = True
+    group, count = ndimage.label(taken, structure=np.ones((3, 3)))
+    own = group[tuple(coarse.T)]
+    return [np.flatnonzero(own == i + 1) for i in range(count)]
+
+
+def _box(cells: IntArray, by: int) -> Box:
+    """The rows and columns that hold the cells, shape (m, 2), and `by` more on each side."""
+    low, high = np.maximum(cells.min(axis=0) - by, 0), cells.max(axis=0) + by + 1
+    return slice(int(low[0]), int(high[0])), slice(int(low[1]), int(high[1]))
+
+
+def _part(level: GroundLevel, points: FloatArray, box: Box) -> GroundLevel:
+    """A box of the level with these points, and nothing else on it."""
+    ledge = np.full(len(points), np.inf, np.float32)  # no step's face
+    return replace(level, surface=cropped(level.surface, box), other_points=points, ledge=ledge, limits=_NO_LIMITS)
+
+
+def _graph(space: FreeSpace) -> Graph:
+    """The graph of what stands, with the leaves that are gone taken out and the fresh ones put in."""
+    graph, split = space.graph, [(i, tree) for i, tree in enumerate(space.quadtrees) if isinstance(tree, SplitQuadtree)]
+    if not split:
+        return graph
+    lost = around(graph, np.concatenate([tree.gone + space.offsets[i] for i, tree in split]))
+    found, room = [], []
+    for i, tree in split:
+        own = lost.ring[graph.level[lost.ring] == i] - space.offsets[i]
+        leaves = np.concatenate([own, tree.start + np.arange(len(tree.fresh.size))])
+        ends, via = find_edges(tree, space.trees[i], space.radius, leaves, partial(np.less_equal, tree.start))
+        found.append((ends + space.offsets[i], via))
+        room.append(tree.clearance[ends])
+    for (ends, via), clearance in _portals(space, lost):
+        found.append((ends, via))
+        room.append(clearance)
+    fresh = Nodes(
+        np.concatenate([tree.fresh.center for _, tree in split]),
+        np.concatenate([np.full(len(tree.fresh.size), i) for i, tree in split]),
+    )
+    edges = np.concatenate([ends for ends, _ in found]), np.concatenate([via for _, via in found])
+    return patched(graph, lost, fresh, edges, np.concatenate(room), space.radius)
+
+
+def _portals(space: FreeSpace, lost: Around) -> Iterator[tuple[Edges, FloatArray]]:
+    """What is left of the edges from level to level that are lost: where both leaves of the place are whole again.
+
+    Also the clearance at both ends (e, 2) [m].
+    """
+    graph = space.graph
+    levels = np.column_stack([graph.level[lost.source], graph.level[graph.other[lost.edge]]])
+    across = levels[:, 0] != levels[:, 1]
+    places = np.unique(np.column_stack([np.sort(levels[across], axis=1), graph.via[lost.edge[across]]]), axis=0)
+    for a, b in np.unique(places[:, :2].astype(np.int64), axis=0):
+        xy = places[(places[:, :2] == (a, b)).all(axis=1), 2:]
+        one, two = space.quadtrees[a].find(xy), space.quadtrees[b].find(xy)
+        both = (one >= 0) & (two >= 0) & space.quadtrees[a].whole[one] & space.quadtrees[b].whole[two]
+        one, two = one[both], two[both]
+        clearance = np.column_stack([space.quadtrees[a].clearance[one], space.quadtrees[b].clearance[two]])
+        yield (np.column_stack([one + space.offsets[a], two + space.offsets[b]]), xy[both]), clearance

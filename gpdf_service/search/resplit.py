@@ -1,0 +1,230 @@
+"""The quadtree with something more in the way: only the leaves that it touches are split again."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from math import sqrt
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from gpdf_service.fields import morton
+from gpdf_service.fields.traversal import nearest_at
+from gpdf_service.fields.tree import make_scratch, place_of
+from gpdf_service.perception import HeightMap
+from gpdf_service.search.layered import Layered
+from gpdf_service.search.places import Places, distance_at
+from gpdf_service.search.quadtree import Quadtree, is_split, state_of
+from gpdf_service.types import BoolArray, FloatArray, IntArray
+
+
+@dataclass(frozen=True)
+class SplitQuadtree:
+    """Leaves by number, as of a `Quadtree`: those that stand, and from `start` on the fresh ones.
+
+    Attributes:
+        standing: The quadtree of what stands.
+        gone: Leaves of it that are none any more, ascending, shape (g,).
+        fresh: The free leaves in their place.
+        start: Number of the first fresh leaf.
+    """
+
+    standing: Quadtree
+    gone: IntArray
+    fresh: Quadtree
+    start: int
+
+    @property
+    def origin(self) -> FloatArray:
+        """Lower corner of the root [m], shape (2,)."""
+        return self.standing.origin
+
+    @property
+    def width(self) -> float:
+        """Width of the smallest cell [m]."""
+        return self.standing.width
+
+    @property
+    def side(self) -> int:
+        """Width of the root in smallest cells."""
+        return self.standing.side
+
+    @cached_property
+    def corner(self) -> Layered:
+        """Lower corner of each leaf in smallest cells."""
+        return self._both("corner")
+
+    @cached_property
+    def size(self) -> Layered:
+        """Width of each leaf in smallest cells."""
+        return self._both("size")
+
+    @cached_property
+    def clearance(self) -> Layered:
+        """Distance from its centre to the nearest obstacle [m], where that is near enough to matter."""
+        return self._both("clearance")
+
+    @cached_property
+    def free(self) -> Layered:
+        """Whether the body's centre may be at the leaf's centre."""
+        return self._both("free")
+
+    @cached_property
+    def whole(self) -> Layered:
+        """Whether it may be anywhere in the leaf."""
+        return self._both("whole")
+
+    def _both(self, name: str) -> Layered:
+        return Layered(getattr(self.standing, name), getattr(self.fresh, name), self.start)
+
+    @property
+    def numbers(self) -> IntArray:
+        """Of all leaves that there are."""
+        stay = np.ones(len(self.standing.size), dtype=bool)
+        stay[self.gone] = False
+        return np.concatenate([np.flatnonzero(stay), self.start + np.arange(len(self.fresh.size))])
+
+    def find(self, xy: FloatArray) -> IntArray:
+        """Leaf that holds each place, shape (m, 2) [m]; -1 outside the root, and where what is fresh is not free."""
+        return self.find_cell(np.floor((xy - self.origin) / self.width).astype(np.int64))
+
+    def find_cell(self, cell: IntArray) -> IntArray:
+        """The same of smallest cells, shape (m, 2)."""
+        found = self.standing.find_cell(cell)
+        lost = np.flatnonzero(is_among(found, self.gone))
+        found[lost] = self._fresh_at(cell[lost])
+        return found
+
+    def _fresh_at(self, cell: IntArray) -> IntArray:
+        """The fresh leaf that holds each smallest cell, shape (m, 2); −1 for none."""
+        if len(self.fresh.size) == 0:
+            return np.full(len(cell), -1)
+        row = np.searchsorted(self.fresh.code, morton(cell), side="right") - 1
+        off = cell - self.fresh.corner[row]
+        held = (row >= 0) & (off >= 0).all(axis=1) & (off < self.fresh.size[row][:, None]).all(axis=1)
+        return np.where(held, self.start + row, -1)
+
+    def within(self, xy: FloatArray, reach: float) -> IntArray:
+        """Leaves that meet a square of half-width `reach` [m] around a place (2,) [m]."""
+        found, half = self.standing.within(xy, reach), self.fresh.half_size
+        meets = (np.abs(self.fresh.center - xy) < reach + half[:, None]).all(axis=1)
+        return np.concatenate([found[~is_among(found, self.gone)], self.start + np.flatnonzero(meets)])
+
+
+Leaves = Quadtree | SplitQuadtree
+"""What tells leaves by their numbers."""
+
+
+def centers(tree: Leaves, leaves: IntArray) -> FloatArray:
+    """Centres of some leaves [m], shape (m, 2)."""
+    made: FloatArray = tree.origin + (tree.corner[leaves] + 0.5 * tree.size[leaves][:, None]) * tree.width
+    return made
+
+
+def is_among(rows: IntArray, few: IntArray) -> BoolArray:
+    """Which of `rows` are among the `few`, which are ascending."""
+    if len(few) == 0:
+        return np.zeros(len(rows), dtype=bool)
+    at = np.minimum(np.searchsorted(few, rows), len(few) - 1)
+    found: BoolArray = few[at] == rows
+    return found
+
+
+def split_again(tree: Quadtree, surface: HeightMap, places: Places, radius: float) -> tuple[IntArray, Quadtree]:
+    """Leaves that what moves touches, ascending, and the free ones in their place.
+
+    A leaf is touched if a moving place is so near to its centre that it would be split, blocked, or less roomy than it
+    was, where that matters: within twice the radius.
+
+    Args:
+        tree: Of what stands.
+        surface: The level's ground.
+        places: What stands and what moves [m].
+        radius: Least distance of the body's centre from any of them [m].
+    """
+    own = tree.origin, tree.width, surface.cell_width, radius
+    gone = _touched(tree.corner, tree.size, tree.clearance, tree.free, tree.whole, tree.code, tree.side, places, *own)
+    made = _split_leaves(tree.corner[gone], tree.size[gone], places, *own, surface.state.astype(np.uint8, copy=False))
+    corner, size, clearance, state = made
+    return gone, Quadtree(tree.origin, tree.width, corner, size, clearance, state > 0, state == 2, morton(corner))
+
+
+@njit(cache=True, nogil=True)
+def _touched(
+    corner: IntArray,
+    size: IntArray,
+    clearance: FloatArray,
+    free: BoolArray,
+    whole: BoolArray,
+    code: IntArray,
+    side: int,
+    places: Places,
+    origin: FloatArray,
+    width: float,
+    cell_width: float,
+    radius: float,
+) -> IntArray:
+    """See `split_again`; down from the root, where something may be near enough."""
+    found, scratch, x = [0 for _ in range(0)], make_scratch(), np.empty(2)
+    stack = [(0, 0, side, 0, len(code))]
+    while len(stack) > 0:
+        i, j, n, first, last = stack.pop()
+        x[0], x[1] = origin[0] + (i + 0.5 * n) * width, origin[1] + (j + 0.5 * n) * width
+        half_diagonal = 0.5 * sqrt(2.0) * n * width
+        near = nearest_at(places.moving, place_of(x), scratch)[0]
+        if near - half_diagonal >= max(2.0 * radius, radius + half_diagonal):
+            continue
+        if last - first > 1:
+            h, end = n // 2, last
+            for k in range(3, -1, -1):
+                begin = first + np.searchsorted(code[first:last], code[first] + k * h * h)
+                stack.append((i + (k >> 1) * h, j + (k & 1) * h, h, begin, end))
+                end = begin
+        elif free[first]:
+            reach = min(clearance[first], max(2.0 * radius, radius + half_diagonal))
+            if not whole[first]:  # what proves its edges are obstacles within the radius of places in it
+                reach = max(reach, radius + 2.2 * half_diagonal)
+            if near < reach:
+                found.append(first)
+    return np.sort(np.array(found))
+
+
+@njit(cache=True, nogil=True)
+def _split_leaves(
+    corner: IntArray,
+    size: IntArray,
+    places: Places,
+    origin: FloatArray,
+    width: float,
+    cell_width: float,
+    radius: float,
+    known: NDArray[np.uint8],
+) -> tuple[IntArray, IntArray, FloatArray, NDArray[np.uint8]]:
+    """Corner, size, clearance and state of the free leaves in these leaves, in Morton order."""
+    found, state = [(0, 0, 0, 0.0) for _ in range(0)], [0 for _ in range(0)]
+    scratch, x = make_scratch(), np.empty(2)
+    stack = [(0, 0, 0) for _ in range(0)]
+    for leaf in range(len(size)):
+        stack.append((corner[leaf, 0], corner[leaf, 1], size[leaf]))
+        while len(stack) > 0:
+            i, j, n = stack.pop()
+            x[0], x[1] = origin[0] + (i + 0.5 * n) * width, origin[1] + (j + 0.5 * n) * width
+            half_diagonal = 0.5 * sqrt(2.0) * n * width
+            distance = distance_at(places, place_of(x), scratch)
+            if is_split(distance, half_diagonal, radius, n):
+                h = n // 2
+                for k in range(3, -1, -1):
+                    stack.append((i + (k >> 1) * h, j + (k & 1) * h, h))
+                continue
+            u, v = int((x[0] - origin[0]) / cell_width), int((x[1] - origin[1]) / cell_width)
+            seen = u < known.shape[0] and v < known.shape[1] and known[u, v] > 0
+            free = state_of(distance, half_diagonal, radius, seen)
+            if free > 0:
+                found.append((i, j, n, distance))
+                state.append(free)
+    corners, sizes, room = np.empty((len(found), 2), np.int64), np.empty(len(found), np.int64), np.empty(len(found))
+    for k in range(len(found)):
+        corners[k, 0], corners[k, 1], sizes[k], room[k] = found[k]
+    return corners, sizes, room, np.array(state, dtype=np.uint8)

@@ -1,0 +1,341 @@
+"""What a way costs a body, in seconds: time, and effort as the time that one would rather walk than take it.
+
+A body that takes steps has two free spaces: its own, and that of the same body as it goes on level ground, where every
+step is an obstacle. The graph here holds both, joined where steps are near: so a way leaves the level ground only where
+that is worth its price, and it is smoothed and kept clear of ledges by the space that it is in.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from enum import StrEnum
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from gpdf_service.fields.tree import make_scratch, place_of
+from gpdf_service.perception import ObstacleKind
+from gpdf_service.perception.surface import UNKNOWN, Cells, cell_of
+from gpdf_service.search.core import Core
+from gpdf_service.search.free_space import FreeSpace
+from gpdf_service.search.graph import Graph, assemble
+from gpdf_service.search.layered import below
+from gpdf_service.search.places import Places, nearest_of, nearest_places
+from gpdf_service.types import Agent, FloatArray, IntArray
+
+NOTICED_STEP = 0.03
+"""[m] Lower steps do not slow anybody down: a sill of 2 cm is rolled over. Higher ones are not level ground."""
+CARE = 0.5
+"""[-] Share of the speed near steps, and where no room is left beside the body: on stairs people go 0.5 m/s in plan
+(Fruin 1971), half of what they walk."""
+BORDER = 0.25
+"""[m] Leaves of the level ground with less room than this to spare lead on to steps: what is wholly free has at most
+2.12 times its width, and leaves of a tenth are the narrowest ones that a core is sure to hold."""
+LOOK = 0.1
+"""[m] Room beside a way is looked at this often: two waypoints."""
+WIDE = 4.0
+"""[-] Who wants it wide minds less room than this beside the body, over its radius: an arm's length for a person."""
+MINDED = 10.0
+"""[-] How much more than its time narrowness costs who wants it wide: a metre without room is a detour of ten."""
+STEPLESS = 20.0
+"""[-] How much more steps cost who wants it level: a storey is six minutes, a ramp of 1 in 12 up to it one."""
+
+LENGTH, TIGHT, UNSEEN, SLOPED, STEPPED, LEDGE = range(6)
+"""What a way takes: metres; metres times how tight they are, wholly near steps; the same beside ground that nobody has
+seen; metres of rise or fall on slopes, on steps, and on steps higher than the body takes gladly."""
+
+
+class Prefer(StrEnum):
+    """What one wants of a way."""
+
+    COMPANION = "companion"
+    QUICKEST = "quickest"
+    LEVEL = "level"
+    WIDE = "wide"
+
+
+def prices(agent: Agent, prefer: Prefer = Prefer.COMPANION) -> FloatArray:
+    """Seconds for each of what a way takes, shape (6,); the first is the least that a metre costs."""
+    second = 1.0 / agent.speed
+    slow = second * (1.0 / CARE - 1.0)
+    made = np.array([second, slow, slow, agent.climb_time, agent.climb_time, agent.ledge_time])
+    if prefer == Prefer.QUICKEST:
+        made[[UNSEEN, LEDGE]] = 0.0
+    elif prefer == Prefer.LEVEL:
+        made[[STEPPED, LEDGE]] *= STEPLESS
+    elif prefer == Prefer.WIDE:
+        made[[TIGHT, UNSEEN]] *= MINDED
+    return made
+
+
+def level_body(agent: Agent) -> Agent | None:
+    """The same body as it goes on level ground; None where it takes no step that is noticed."""
+    return replace(agent, max_step=NOTICED_STEP) if agent.max_step > NOTICED_STEP else None
+
+
+class Beside(NamedTuple):
+    """What a way in one level of a free space meets: see `FreeSpace`; the `kind` of each obstacle, (n,)."""
+
+    places: Places
+    kind: NDArray[np.uint8]
+    ground: Cells
+    steps: FloatArray
+    slopes: FloatArray
+    reach: float
+    minded: float
+    glad_step: float
+
+
+def beside(space: FreeSpace, level: int, prefer: Prefer = Prefer.COMPANION) -> Beside:
+    """What is beside the ways on a level."""
+    places, ground = space.trees[level], space.surfaces[level].arrays
+    standing, moving = space.standing[level].kind, space.moving[level].kind
+    kind = np.concatenate([standing, moving]) if len(moving) else standing
+    limits = space.reach, minded_room(space.agent, prefer), space.agent.comfortable_step
+    return Beside(places, kind, ground, space.steps[level], space.slopes[level], *limits)
+
+
+def minded_room(agent: Agent, prefer: Prefer) -> float:
+    """Less room than this beside the body is tight [m]."""
+    return agent.disc_radius * (WIDE if prefer == Prefer.WIDE else 1.0)
+
+
+@njit(cache=True, nogil=True)
+def is_stepped(ground: Cells, steps: FloatArray, x: float, y: float, reach: int) -> bool:
+    """Whether a step that is noticed is within `reach` cells of a place."""
+    u, v = cell_of(ground, x, y)
+    for i in range(max(u - reach, 0), min(u + reach + 1, steps.shape[0]) if u >= 0 else 0):
+        for j in range(max(v - reach, 0), min(v + reach + 1, steps.shape[1])):
+            if steps[i, j] > NOTICED_STEP:
+                return True
+    return False
+
+
+@njit(cache=True, nogil=True)
+def way_takes(path: FloatArray, about: Beside) -> FloatArray:
+    """What each segment of a way in plan, shape (n, 2), takes: shape (n − 1, 6)."""
+    made, scratch, place = np.zeros((len(path) - 1, 6)), make_scratch(), np.empty(2)
+    cells = int(np.ceil(about.reach / about.ground.width))
+    for i in range(len(path) - 1):
+        a, b = path[i], path[i + 1]
+        length = np.sqrt((b[0] - a[0]) ** 2 + (b[1] - a[1]) ** 2)
+        made[i, LENGTH] = length
+        ground_takes(a, b, about.ground, about.steps, about.slopes, about.glad_step, made[i])
+        count = int(np.ceil(length / LOOK))
+        for k in range(count):
+            place[:] = a + (k + 0.5) / count * (b - a)
+            distance, row = nearest_of(about.places, place_of(place), scratch)
+            tight = length / count * min(max(1.0 - (distance - about.reach) / about.minded, 0.0), 1.0)
+            if is_stepped(about.ground, about.steps, place[0], place[1], cells):
+                tight = length / count
+            made[i, TIGHT] += tight
+            if row >= 0 and about.kind[row] == ObstacleKind.UNKNOWN:
+                made[i, UNSEEN] += tight
+    return made
+
+
+@njit(cache=True, nogil=True)
+def ground_takes(
+    a: FloatArray,
+    b: FloatArray,
+    ground: Cells,
+    steps: FloatArray,
+    slopes: FloatArray,
+    glad_step: float,
+    made: FloatArray,
+) -> None:
+    """Add what the ground of a segment takes to `made`, shape (6,); it is looked at twice a cell."""
+    length = np.sqrt((b[0] - a[0]) ** 2 + (b[1] - a[1]) ** 2)
+    count = max(1, int(np.ceil(2.0 * length / ground.width)))
+    before, step_before = np.nan, 0.0
+    for k in range(count + 1):
+        t = k / count
+        u, v = cell_of(ground, a[0] + t * (b[0] - a[0]), a[1] + t * (b[1] - a[1]))
+        if u < 0 or ground.state[u, v] == UNKNOWN:
+            continue
+        z, step = float(ground.height[u, v]), max(steps[u, v], step_before)
+        if step <= NOTICED_STEP:
+            made[SLOPED] += length / count * np.tan(slopes[u, v]) if k > 0 else 0.0
+        elif not np.isnan(before):
+            made[STEPPED] += abs(z - before)
+            made[LEDGE] += abs(z - before) if step > glad_step else 0.0
+        before, step_before = z, steps[u, v]
+
+
+@njit(cache=True, nogil=True)
+def way_steps(
+    path: FloatArray, ground: Cells, steps: FloatArray, slopes: FloatArray, glad_step: float, made: FloatArray
+) -> None:
+    """Add what the ground of a way in plan, shape (n, ≥ 2), takes to `made`, shape (6,)."""
+    for i in range(len(path) - 1):
+        ground_takes(path[i], path[i + 1], ground, steps, slopes, glad_step, made)
+
+
+@njit(cache=True, nogil=True)
+def is_near_step(path: FloatArray, ground: Cells, steps: FloatArray, reach: float) -> bool:
+    """Whether a way in plan, shape (n, 2), comes nearer than `reach` [m] to a step that is noticed."""
+    cells = int(np.ceil(reach / ground.width))
+    for i in range(len(path) - 1):
+        length = np.sqrt(((path[i + 1] - path[i]) ** 2).sum())
+        count = int(np.ceil(length / (ground.width * cells))) + 1
+        for k in range(count + 1):
+            x, y = path[i] + k / count * (path[i + 1] - path[i])
+            if is_stepped(ground, steps, x, y, cells):
+                return True
+    return False
+
+
+@dataclass(frozen=True, slots=True)
+class Ways:
+    """All ways of a body, with what they cost it.
+
+    Attributes:
+        spaces: Its own free space; and that of the level ground, if it takes steps.
+        prefer: What one wants of a way.
+        cores: The leaves of each that ways lead over.
+        graph: Those of both, those of the level ground last; `cost` is in seconds.
+        rate: Least seconds that a metre costs.
+    """
+
+    spaces: tuple[FreeSpace, ...]
+    prefer: Prefer
+    cores: tuple[Core, ...]
+    graph: Graph
+    rate: float
+
+    @property
+    def first_level_node(self) -> int:
+        """Nodes from this on are of the level ground."""
+        return len(self.cores[0].node)
+
+    @property
+    def half_size(self) -> FloatArray:
+        """Half the width of each node's leaf [m]."""
+        return np.concatenate([_of_leaves(*part, "half_size") for part in zip(self.spaces, self.cores, strict=True)])
+
+
+def find_ways(able: FreeSpace, level: FreeSpace | None, prefer: Prefer) -> Ways:
+    """Join the free space of a body with that of the level ground, and price the core of both.
+
+    What moves must be settled in them, see `settled`.
+    """
+    spaces = (able,) if level is None else (able, level)
+    cores = tuple(core for space in spaces if (core := space.core) is not None)
+    assert len(cores) == len(spaces)
+    parts = [_pairs(core.graph) for core in cores]
+    pairs, via = [parts[0][0]], [parts[0][1]]
+    rooms = [_of_leaves(*part, "clearance") for part in zip(spaces, cores, strict=True)]
+    if level is not None:
+        count = len(cores[0].node)
+        doors, at = _doors(able, level, cores[0], cores[1], rooms[1])
+        pairs += [parts[1][0] + count, doors + np.array([0, count])]
+        via += [parts[1][1], at]
+        rooms[0] = np.minimum(rooms[0], _room_at(level, cores[0].graph))
+    position, on = (np.concatenate([getattr(core.graph, key) for core in cores]) for key in ("position", "level"))
+    ends, crossing, room = np.concatenate(pairs), np.concatenate(via), np.concatenate(rooms)
+    graph = assemble(position, on, room, ends, crossing, able.radius)
+    unseen = np.concatenate([_unseen(*part) for part in zip(spaces, cores, strict=True)])
+    price = prices(able.agent, prefer)
+    seconds = _takes(able, graph, ends, crossing, room - able.reach, unseen, prefer) @ price
+    row = np.argsort(ends.T.ravel(), kind="stable") % len(ends)  # as `assemble` lays them
+    return Ways(spaces, prefer, cores, replace(graph, cost=seconds[row]), float(price[LENGTH]))
+
+
+def _pairs(graph: Graph) -> tuple[IntArray, FloatArray]:
+    """Each edge once: its ends (e, 2) and where it crosses (e, 2) [m]."""
+    row = np.repeat(np.arange(len(graph.position)), np.diff(graph.first))
+    other = below(graph.other)
+    once = row < other
+    return np.column_stack([row[once], other[once]]), below(graph.via)[once]
+
+
+def _of_leaves(space: FreeSpace, core: Core, name: str) -> FloatArray:
+    """A measure of the core's leaves."""
+    made: FloatArray = np.concatenate([getattr(tree.standing, name) for tree in space.quadtrees])[core.node]
+    return made
+
+
+def _leaf_at(space: FreeSpace, graph: Graph) -> IntArray:
+    """The node of a space whose leaf holds each node of a graph on the same levels; −1 for none."""
+    made = np.full(len(graph.position), -1, np.int64)
+    for on, (tree, offset) in enumerate(zip(space.quadtrees, space.offsets, strict=True)):
+        here = np.flatnonzero(below(graph.level) == on)
+        leaf = tree.find(graph.position[here])
+        made[here] = np.where(leaf >= 0, leaf + offset, -1)
+    return made
+
+
+def _room_at(space: FreeSpace, graph: Graph) -> FloatArray:
+    """Distance to the nearest obstacle of a space at another one's nodes [m], to the size of its leaf there."""
+    leaf, room = _leaf_at(space, graph), np.concatenate([tree.clearance for tree in space.quadtrees])
+    return np.where(leaf >= 0, room[np.maximum(leaf, 0)], 0.0)
+
+
+def _doors(
+    able: FreeSpace, level: FreeSpace, core: Core, level_core: Core, room: FloatArray
+) -> tuple[IntArray, FloatArray]:
+    """Where one gets from level ground to where steps are: pairs of an able and a level node (k, 2), and where [m].
+
+    Only leaves at the border of the level ground are such, whose own leaf in the able space is wholly free.
+    """
+    near = np.flatnonzero(room < level.radius + BORDER)
+    leaf = _leaf_at(able, level_core.graph)[near]
+    whole = np.concatenate([tree.whole for tree in able.quadtrees])
+    good = (leaf >= 0) & whole[leaf] & core.has(leaf)
+    return np.column_stack([core.number(leaf[good]), near[good]]), level_core.graph.position[near[good]]
+
+
+def _unseen(space: FreeSpace, core: Core) -> FloatArray:
+    """1 for each node whose nearest obstacle is ground that nobody has seen, shape (k,)."""
+    one = np.zeros(len(core.node))
+    tight = _of_leaves(space, core, "clearance") < space.reach + space.agent.disc_radius
+    for level, places in enumerate(space.trees):
+        unknown = beside(space, level).kind == ObstacleKind.UNKNOWN
+        here = np.flatnonzero(tight & (below(core.graph.level) == level))
+        if unknown.any() and len(here):
+            one[here] = unknown[nearest_places(places, core.graph.position[here])[1]]
+    return one
+
+
+def _takes(
+    space: FreeSpace,
+    graph: Graph,
+    ends: IntArray,
+    via: FloatArray,
+    room: FloatArray,
+    unseen: FloatArray,
+    prefer: Prefer,
+) -> FloatArray:
+    """What each edge takes, shape (e, 6); `room` is that beside the body at each node [m]."""
+    made = np.zeros((len(ends), 6))
+    for level, surface in enumerate(space.surfaces):
+        steps, slopes = space.steps[level], space.slopes[level]
+        own = below(graph.position), below(graph.level), ends, via, level
+        _ground_of_edges(*own, surface.arrays, steps, slopes, space.agent.comfortable_step, made)
+    tight = np.clip(1.0 - room[ends].min(axis=1) / minded_room(space.agent, prefer), 0.0, 1.0)
+    made[:, TIGHT] = made[:, LENGTH] * tight
+    made[:, UNSEEN] = made[:, TIGHT] * unseen[ends].max(axis=1)
+    return made
+
+
+@njit(cache=True, nogil=True)
+def _ground_of_edges(
+    position: FloatArray,
+    on: IntArray,
+    ends: IntArray,
+    via: FloatArray,
+    level: int,
+    ground: Cells,
+    steps: FloatArray,
+    slopes: FloatArray,
+    glad_step: float,
+    made: FloatArray,
+) -> None:
+    """Add what the halves of the edges on a level take, from node to crossing."""
+    for e in range(len(ends)):
+        for node in ends[e]:
+            if on[node] == level:
+                made[e, LENGTH] += np.sqrt(((via[e] - position[node]) ** 2).sum())
+                ground_takes(position[node], via[e], ground, steps, slopes, glad_step, made[e])

@@ -1,0 +1,81 @@
+import numpy as np
+import pytest
+
+import gpdf_service as gpdf
+from gpdf_service.perception.nodes import components
+from gpdf_service.search import find_path
+from gpdf_service.search.core import NARROW, climb, find_nodes
+from gpdf_service.search.quadtree import MIN_WIDTH
+from gpdf_service.synthetic import Box, World
+
+
+@pytest.fixture(scope="module")
+def space(office):
+    return office[1].free_space("roomba")
+
+
+def half_size(space):
+    return np.concatenate([tree.half_size for tree in space.quadtrees])
+
+
+def test_what_was_joined_stays_joined_and_nothing_else_is(space):
+    core, free = space.core, np.concatenate([tree.free for tree in space.quadtrees])
+    assert len(core.node) < 0.5 * free.sum()
+    assert (free & (2.0 * half_size(space) >= NARROW) <= np.isin(np.arange(len(free)), core.node)).all()
+    row = np.repeat(np.arange(len(core.node)), np.diff(core.graph.first))
+    parts = components(row, core.graph.other, np.ones(len(core.node), dtype=bool))
+    for ours, theirs in ((parts, core.graph.component), (core.graph.component, parts)):
+        assert len({*zip(ours.tolist(), theirs.tolist(), strict=True)}) == len({*ours.tolist()})
+    assert {*space.graph.component[free].tolist()} == {*core.graph.component.tolist()}
+
+
+def test_from_every_free_leaf_edges_lead_up_to_the_core_of_its_own_component(space):
+    free = np.flatnonzero(np.concatenate([tree.free for tree in space.quadtrees]))
+    for leaf in np.random.default_rng(0).choice(free, 100):
+        nodes, edges = climb(space.graph, space.core, int(leaf))
+        assert space.core.has(nodes).tolist() == [False] * len(edges) + [True]
+        assert (space.graph.other[edges] == nodes[1:]).all()
+        assert space.graph.component[nodes[-1]] == space.graph.component[leaf]
+
+
+def test_a_way_over_the_core_is_one_of_the_graph_and_little_longer_than_the_cheapest(space):
+    graph, rng = space.graph, np.random.default_rng(1)
+    free = np.flatnonzero(np.concatenate([tree.free for tree in space.quadtrees]))
+    largest = np.bincount(graph.component[free]).argmax()
+    spent, least = 0.0, 0.0
+    for start, goal in rng.choice(free[graph.component[free] == largest], (30, 2)):
+        nodes, via = find_nodes(graph, space.core, int(start), int(goal))
+        assert (nodes[0], nodes[-1]) == (start, goal)
+        for a, b, at in zip(nodes[:-1], nodes[1:], via, strict=True):
+            edges = np.arange(graph.first[a], graph.first[a + 1])
+            edge = edges[(graph.other[edges] == b) & (graph.via[edges] == at).all(axis=1)]
+            assert len(edge) == 1
+            spent += graph.cost[edge[0]]
+        least += graph.cost[find_path(graph, int(start), int(goal))].sum()
+    assert least <= spent < 1.15 * least
+
+
+def test_a_narrow_passage_keeps_a_chain_of_leaves():
+    walls = Box((3.0, 0.0, 0.0), (3.2, 1.73, 2.6)), Box((3.0, 2.27, 0.0), (3.2, 4.0, 2.6))
+    points, ground = World((6.0, 4.0, 2.6), walls).sample(0.02, np.random.default_rng(0))
+    scene = gpdf.build_scene(points, ground)
+    space = scene.free_space("human")  # 4 cm to spare
+    inside = space.core.node[np.abs(space.graph.position[space.core.node, 0] - 3.1) < 0.1]
+    assert len(inside) > 0
+    assert (2.0 * half_size(space)[inside] < NARROW).all()
+    assert gpdf.plan(scene, (1, 2), (5, 2)).status is gpdf.Status.OK
+
+
+def test_where_something_moves_all_leaves_count(office):
+    made, scene = office
+    scene = scene.with_obstacles(np.array([[*made.start, 0.05]]))
+    assert scene.free_space("roomba").core is None
+
+
+@pytest.mark.parametrize("spacing", [0.03, 0.2])
+def test_no_leaf_is_finer_than_a_fifth_of_a_cell_of_the_ground(spacing):
+    x, y = np.meshgrid(np.arange(0.0, 8.0, spacing), np.arange(0.0, 8.0, spacing))
+    scene = gpdf.build_scene(np.column_stack([x.ravel(), y.ravel(), np.zeros(x.size)]), np.ones(x.size, dtype=bool))
+    width = scene.free_space("human").quadtrees[0].width
+    assert width == max(MIN_WIDTH, 0.2 * scene.surfaces[0].cell_width)
+    assert (width > MIN_WIDTH) == (spacing > 0.1)

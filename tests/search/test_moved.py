@@ -1,0 +1,220 @@
+"""A free space with something in it that moves equals one that is built from scratch with the same points."""
+
+import numpy as np
+import pytest
+
+import gpdf_service as gpdf
+from gpdf_service.fields import build_tree
+from gpdf_service.search import build_quadtree
+from gpdf_service.search.free_space import LevelSpace, fit_obstacle_field, join_levels
+from gpdf_service.search.graph import find_edges
+from gpdf_service.search.layered import Layered
+from gpdf_service.search.moved import settled
+from gpdf_service.search.places import Places
+from gpdf_service.synthetic import SCENES
+from gpdf_service.types import AGENTS
+from tests.clients.two_storeys import make_house
+
+CHANGES = 26
+"""Of each scene and body."""
+
+
+def cylinder(foot, radius, height, rng, count=150):
+    angle = rng.uniform(0.0, 2.0 * np.pi, count)
+    around_it = radius * np.column_stack([np.cos(angle), np.sin(angle)])
+    return np.column_stack([foot[:2] + around_it, foot[2] + rng.uniform(0.0, height, count)])
+
+
+def door(foot, rng):
+    """A leaf of 0.9 m, hinged at a place, turned anyhow."""
+    along, angle = np.linspace(0.0, 0.9, 31), rng.uniform(0.0, 2.0 * np.pi)
+    x, z = np.meshgrid(along, np.arange(0.05, 2.0, 0.1))
+    return foot + np.column_stack([x.ravel() * np.cos(angle), x.ravel() * np.sin(angle), z.ravel()])
+
+
+def pen(scene, agent, rng):
+    """A fence around the place with the most room, which parts it from the rest."""
+    tree, surface = scene.free_space(agent).quadtrees[0], scene.surfaces[0]
+    row = np.where(tree.whole, tree.clearance, 0.0).argmax()
+    foot = np.append(tree.center[row], surface.height_at(tree.center[row][None]))
+    return cylinder(foot, 0.7 * tree.clearance[row], 1.8, rng, 1500)
+
+
+def a_place(scene, rng):
+    surface = scene.surfaces[rng.integers(len(scene.surfaces))]
+    cells = np.argwhere(surface.state > 0)
+    cell = cells[rng.integers(len(cells))]
+    return np.append(surface.origin + (cell + rng.random(2)) * surface.cell_width, surface.height[tuple(cell)])
+
+
+def changed(there, scene, rng):
+    """Something appears, moves, or vanishes: points by name."""
+    there = dict(there)
+    if there and rng.random() < 0.5:
+        name = sorted(there)[rng.integers(len(there))]
+        points = there.pop(name)
+        if rng.random() < 0.6:
+            there[name] = points + np.append(rng.normal(0.0, 0.3, 2), 0.0)
+        return there
+    foot = a_place(scene, rng)
+    kinds = (
+        lambda: cylinder(foot, 0.25, 1.8, rng),
+        lambda: cylinder(foot, 0.05, 0.3, rng, 30),
+        lambda: cylinder(foot + np.array([0.0, 0.0, 1.5]), 0.3, 0.4, rng),
+        lambda: door(foot, rng),
+    )
+    return {**there, str(rng.integers(10**9)): kinds[rng.integers(4)]()}
+
+
+def from_scratch(space, scene):
+    """All of the free space made of what stands and moves together."""
+    parts = []
+    for i, level in enumerate(scene.levels.levels):
+        surface, both = level.surface, space.obstacles[i]
+        tree = build_tree(both.points[:, :2])
+        quadtree = build_quadtree(surface, tree, space.radius)
+        edges = find_edges(quadtree, Places(tree), space.radius)
+        field = fit_obstacle_field(both, surface, space.agent, scene.config.search, scene.config.fields)
+        parts.append(LevelSpace(surface, space.ground_fields[i], level.measured, both, tree, field, quadtree, edges))
+    return join_levels(space.agent, space.reach, space.radius, parts, scene.levels)
+
+
+def leaves_of(space):
+    """Number in the graph of every free leaf by its level, corner and size, and what is known of it."""
+    names, facts = {}, {}
+    for level, (tree, offset) in enumerate(zip(space.quadtrees, space.offsets, strict=True)):
+        free = tree.numbers[tree.free[tree.numbers]]
+        rows = zip(tree.corner[free].tolist(), tree.size[free].tolist(), strict=True)
+        for leaf, (corner, size) in zip(free.tolist(), rows, strict=True):
+            name = (level, *corner, size)
+            names[leaf + offset] = name
+            facts[name] = (bool(tree.whole[leaf]), min(float(tree.clearance[leaf]), 2.0 * space.radius))
+    return names, facts
+
+
+def edges_from(graph, node):
+    """Far end, crossing and cost of every edge of a node, as A* walks them."""
+    row = graph.patch.row[node] if len(graph.patch.row) else 0
+    if row == 0:
+        edges = np.arange(graph.first[node], graph.first[node + 1])
+    else:
+        edges = len(graph.other) - len(graph.patch.other) + np.arange(*graph.patch.first[row - 1 : row + 1])
+    return graph.other[edges], graph.via[edges], graph.cost[edges]
+
+
+def assert_equal_spaces(ours, theirs, rng):
+    (names, facts), (other_names, other_facts) = leaves_of(ours), leaves_of(theirs)
+    assert facts.keys() == other_facts.keys()
+    assert {name: whole for name, (whole, _) in facts.items()} == {n: w for n, (w, _) in other_facts.items()}
+    for name, (_, room) in facts.items():
+        assert room == pytest.approx(other_facts[name][1], abs=1e-9)
+    numbers = {name: node for node, name in other_names.items()}
+    joined = {}
+    for node, name in names.items():
+        assert (
+            joined.setdefault(ours.graph.component[node], theirs.graph.component[numbers[name]])
+            == (theirs.graph.component[numbers[name]])
+        )
+    assert len(set(joined.values())) == len(joined)
+    near = set()
+    if len(ours.graph.patch.row):
+        near = {node for node in names if ours.graph.patch.row[node]}
+    for node in [*near, *rng.choice(list(names), 200)]:
+        far, via, cost = edges_from(ours.graph, node)
+        to, at, price = edges_from(theirs.graph, numbers[names[node]])
+        mine = sorted((names[n], *xy, c) for n, xy, c in zip(far.tolist(), via.tolist(), cost.tolist(), strict=True))
+        other = sorted(
+            (other_names[n], *xy, c) for n, xy, c in zip(to.tolist(), at.tolist(), price.tolist(), strict=True)
+        )
+        assert [row[0] for row in mine] == [row[0] for row in other]
+        np.testing.assert_allclose([row[1:] for row in mine], [row[1:] for row in other], atol=1e-9)
+
+
+def assert_equal_fields(scene, ours, theirs, rng):
+    """Distances to the nearest place are the same; the fields' differ by less than what a gap hides."""
+    for level, surface in enumerate(scene.surfaces):
+        high = np.array(surface.height.shape) * surface.cell_width
+        xy = surface.origin + rng.uniform(0.0, 1.0, (500, 2)) * high
+        (mine, kind), (other, their_kind) = ours.clearance(level, xy), theirs.clearance(level, xy)
+        np.testing.assert_allclose(mine, other, atol=1e-12)
+        assert (kind == their_kind).mean() > 0.99  # two kinds may be as near
+        a, b = ours.obstacle_fields[level].query(xy), theirs.obstacle_fields[level].query(xy)
+        np.testing.assert_array_equal(a.valid, b.valid)
+        spacing = ours.obstacle_fields[level].standing.spacing
+        assert (a.distance[a.valid] <= mine[a.valid] + 2.0 * spacing).all()
+        assert np.abs(a.distance - b.distance).max() <= 2.0 * spacing
+        assert np.median(np.abs(a.distance - b.distance)) <= 1e-3
+
+
+@pytest.fixture(scope="module")
+def house():
+    made = make_house(np.random.default_rng(0))
+    return gpdf.build_scene(made.points, made.ground)
+
+
+@pytest.fixture(scope="module")
+def room():
+    made = SCENES["office"](np.random.default_rng(0), spacing=0.05)
+    return gpdf.build_scene(made.points, made.ground)
+
+
+@pytest.mark.parametrize("agent", ["human", "roomba"])
+@pytest.mark.parametrize("where", ["room", "house"])
+def test_random_changes_equal_a_free_space_from_scratch(where, agent, request):
+    scene, rng = request.getfixturevalue(where), np.random.default_rng(11)
+    there, statuses, torn = {"pen": pen(scene, agent, rng)}, [], 0
+    for number in range(CHANGES):
+        there = changed(there, scene, rng)
+        points = np.concatenate([np.zeros((0, 3)), *there.values()])
+        now = scene.with_obstacles(points)
+        ours = now.free_space(agent)
+        theirs = from_scratch(ours, scene)
+        if number % 4 == 0:
+            assert_equal_spaces(ours, theirs, rng)
+        assert_equal_fields(scene, ours, theirs, rng)
+        torn += isinstance(ours.graph.component, Layered) and ours.graph.component.below is not (
+            scene.free_space(agent).graph.component
+        )
+        start, goal = a_place(scene, rng), a_place(scene, rng)
+        result = gpdf.plan(now, start, goal, agent)
+        now._spaces[AGENTS[agent]] = theirs
+        again = gpdf.plan(now, start, goal, agent)
+        assert result.status == again.status, (result.message, again.message)
+        statuses.append(result.status)
+        if result.status is gpdf.Status.OK:
+            assert result.certificate.holds
+            assert result.certificate.min_clearance == pytest.approx(again.certificate.min_clearance, abs=0.05)
+            body = np.repeat(result.trajectory.ground, 5, axis=0)[:, :2]
+            room_there = np.max([theirs.clearance(level, body)[0] for level in range(len(scene.surfaces))], axis=0)
+            assert room_there.min() >= AGENTS[agent].radius - 1e-6
+    assert len(set(statuses)) > 1
+    assert torn > 0
+
+
+def test_what_is_settled_is_what_is_built_from_scratch(house):
+    rng = np.random.default_rng(2)
+    points = np.concatenate([cylinder(a_place(house, rng), 0.25, 1.8, rng) for _ in range(3)])
+    space = house.with_obstacles(points).free_space("roomba")
+    assert len(space.graph.patch.row)
+    ours, theirs = settled(space, house.levels), from_scratch(space, house)
+    for one, other in zip(ours.quadtrees, theirs.quadtrees, strict=True):
+        for name in ("code", "size", "free", "whole"):
+            np.testing.assert_array_equal(getattr(one, name), getattr(other, name))
+    assert ours.offsets == theirs.offsets
+    np.testing.assert_array_equal(ours.graph.other, theirs.graph.other)
+    np.testing.assert_array_equal(ours.graph.component, theirs.graph.component)
+
+
+def test_where_nothing_was_free_nothing_changes_and_where_all_is_full_nothing_is_free(room):
+    standing = room.free_space("roomba")
+    inside = standing.obstacles[0].points[:1]
+    nothing = room.with_obstacles(inside + np.array([0.0, 0.0, 0.001])).free_space("roomba")
+    assert nothing.graph.component[0] == standing.graph.component[0]
+    surface = room.surfaces[0]
+    everywhere = surface.centres(surface.state > 0) + np.array([0.0, 0.0, 0.05])
+    full = room.with_obstacles(everywhere)
+    space = full.free_space("roomba")
+    leaf = space.quadtrees[0].find(everywhere[:, :2])
+    assert not (space.quadtrees[0].free[leaf] & (leaf >= 0)).any()
+    assert len(space.quadtrees[0].fresh.size) == 0
+    assert gpdf.plan(full, (1.0, 1.0), (5.0, 3.0), "roomba").status is gpdf.Status.START_OCCUPIED
