@@ -1,13 +1,19 @@
+import argparse
+import dataclasses
 import json
 import re
+import socket
 import subprocess
 import sys
 
 import numpy as np
 import pytest
 
-from gpdf_service.cli import VERBS, find_verb, main
+from gpdf_service.cli import VERBS, find_verb, main, overview
+from gpdf_service.cli.bodies import add_body_arguments, body_of, read_agent
 from gpdf_service.cli.inputs import read_config
+from gpdf_service.errors import GpdfError
+from gpdf_service.service.serve_verb import is_taken
 from gpdf_service.types import AGENTS
 
 
@@ -44,8 +50,8 @@ def test_two_word_verbs_are_found_before_one_word_verbs():
     assert find_verb(["dance"]) is None
 
 
-def test_an_unknown_verb_lists_the_verbs_and_fails(capsys):
-    assert main(["dance"]) == 2
+def test_no_verb_lists_the_verbs_and_fails(capsys):
+    assert main([]) == 2
     assert "gpdf serve" in capsys.readouterr().err
 
 
@@ -100,7 +106,7 @@ def test_the_places_that_info_names_can_be_planned_between(agent, tmp_path, caps
     assert main([*words[2:-2], "--json"]) == 0
     reply = json.loads(capsys.readouterr().out)
     assert reply["status"] == "OK"
-    assert reply["length"] > 2.0
+    assert reply["length"] > 1.5
 
 
 def test_info_of_a_body_that_fits_nowhere_names_no_places(tmp_path, capsys):
@@ -200,3 +206,131 @@ def test_a_place_may_begin_with_a_minus(tmp_path, capsys):
     words = ["plan", str(tmp_path / "none.npz"), "--start", "-1,2", "--goal", "-.5,-3"]
     assert main(words) == 1
     assert "expected one argument" not in capsys.readouterr().err
+
+
+def test_a_verb_that_is_nearly_one_is_guessed(capsys):
+    for words, meant in (
+        (["sevre"], "serve"),
+        (["scene", "inof", "x.npz"], "scene info"),
+        (["bench", "plam"], "bench plan"),
+    ):
+        assert main(words) == 2
+        assert f"Did you mean `gpdf {meant}`?" in capsys.readouterr().err
+    assert main(["bogus"]) == 2
+    said = capsys.readouterr().err
+    assert "there is no verb 'bogus'" in said
+    assert "gpdf drive" not in said
+
+
+def test_the_help_of_a_group_is_the_groups(capsys):
+    for word, others in (("scene", "gpdf bench"), ("bench", "gpdf scene"), ("record", "gpdf serve")):
+        assert main([word, "--help"]) == 0
+        said = capsys.readouterr().out
+        assert f"gpdf {word} " in said
+        assert others not in said
+
+
+def test_the_help_lists_every_verb_once_and_the_exit_codes():
+    said = overview()
+    assert [said.count(f"  gpdf {verb} ") for verb in VERBS] == [1] * len(VERBS)
+    assert all(f"\n  {code}" in said for code in (0, 1, 2, 130, 141))
+
+
+def test_whoever_stops_reading_ends_it_quietly(tmp_path):
+    room = write_room(tmp_path / "room.npz")
+    words = f"{sys.executable} -m gpdf_service.cli scene info {room} --json | head -c 1; echo ${{PIPESTATUS[0]}}"
+    done = subprocess.run(["bash", "-c", words], capture_output=True, text=True, check=True)
+    assert done.stderr == ""
+    assert done.stdout.splitlines()[-1].lstrip("{") in ("0", "141")
+    closed = f"{sys.executable} -m gpdf_service.cli scene info {room} | (exec <&-; sleep 0); echo ${{PIPESTATUS[0]}}"
+    done = subprocess.run(["bash", "-c", closed], capture_output=True, text=True, check=True)
+    assert (done.stderr, done.stdout.split()[-1]) == ("", "141")
+
+
+@pytest.mark.parametrize("verb", ["plan --start 1,1 --goal 2,2", "scene info", "scene build"])
+def test_an_unknown_body_is_told_before_the_work(verb, capsys, monkeypatch):
+    monkeypatch.setattr("gpdf_service.cli.inputs.read_cloud", None)
+    words = verb.split()
+    count = 2 if words[0] == "scene" else 1
+    assert main([*words[:count], "x.npz", *words[count:], "--agent", "rhino"]) == 1
+    assert "there is no agent of that name" in capsys.readouterr().err
+
+
+def test_a_picture_that_cannot_be_written_is_told_before_the_work(tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr("gpdf_service.cli.inputs.read_cloud", None)
+    for target, said in ((tmp_path / "none" / "x.png", "its folder is not there"), (tmp_path, "it may not be written")):
+        assert main(["plan", "x.npz", "--start", "1,1", "--goal", "2,2", "--png", str(target)]) == 1
+        assert said in capsys.readouterr().err
+
+
+CART = """
+height = 1.1
+width = 0.6
+length = 0.8
+max_step = 0.01
+max_slope = 0.1
+speed = 0.7
+acceleration = 0.5
+turn_rate = 1.0
+"""
+
+
+def test_a_body_of_ones_own_is_planned_for(tmp_path, capsys):
+    room = write_room(tmp_path / "room.npz")
+    (tmp_path / "cart.toml").write_text(CART)
+    words = ["plan", str(room), "--start", "1,1", "--goal", "4,3", "--json"]
+    kept = {}
+    for name, body in {
+        "file": ["--agent-file", str(tmp_path / "cart.toml")],
+        "wider": ["--agent-file", str(tmp_path / "cart.toml"), "--width", "1.2"],
+        "slim": ["--width", "0.4", "--length", "0.3"],
+    }.items():
+        assert main([*words, *body]) == 0
+        kept[name] = json.loads(capsys.readouterr().out)["certificate"]["min_clearance"]
+    assert main([*words, "--width", "3.0"]) == 1
+    assert "own human" in json.loads(capsys.readouterr().out)["message"]
+    assert kept["wider"] > 0
+
+
+def test_measures_on_the_command_line_take_the_place_of_the_bodys():
+    parser = argparse.ArgumentParser()
+    add_body_arguments(parser)
+    body = body_of(parser.parse_args(["--agent", "pepper", "--width", "0.6", "--step", "0.03", "--slope", "12"]))
+    known = AGENTS["pepper"]
+    assert (body.width, body.max_step, body.length, body.height) == (0.6, 0.03, known.length, known.height)
+    assert body.max_slope == pytest.approx(np.radians(12))
+    assert body_of(parser.parse_args([])) is AGENTS["human"]
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        (CART.replace("max_step = 0.01", ""), "it lacks max_step"),
+        (CART + "colour = 1", "there is no key 'colour'"),
+        (CART.replace("1.1", "11.0"), "height = 11.0"),
+        ("like = 'rhino'", "no agent of that name"),
+        ("height = ", "Invalid"),
+    ],
+)
+def test_a_file_that_is_no_body_is_refused_in_words(text, said, tmp_path):
+    (tmp_path / "cart.toml").write_text(text)
+    with pytest.raises(GpdfError, match=said):
+        read_agent(tmp_path / "cart.toml")
+
+
+def test_a_file_may_say_how_a_body_differs_from_a_known_one(tmp_path):
+    (tmp_path / "anna.toml").write_text("like = 'human'\nheight = 1.6")
+    assert read_agent(tmp_path / "anna.toml") == dataclasses.replace(AGENTS["human"], name="anna", height=1.6)
+    (tmp_path / "cart.toml").write_text(CART)
+    assert read_agent(tmp_path / "cart.toml").max_step == 0.01
+
+
+def test_a_port_that_is_taken_is_told_before_anything_is_built(tmp_path, capsys):
+    with socket.socket() as other:
+        other.bind(("127.0.0.1", 0))
+        other.listen()
+        endpoint = f"tcp/127.0.0.1:{other.getsockname()[1]}"
+        assert main(["serve", "room=none.npz", "--endpoint", endpoint, "--log-dir", str(tmp_path / "log")]) == 1
+    assert "the port is taken" in capsys.readouterr().err
+    assert not (tmp_path / "log").exists()
+    assert not is_taken(endpoint)

@@ -8,9 +8,11 @@ from __future__ import annotations
 
 import argparse
 import json
+import os
 import re
 import sys
 from collections.abc import Sequence
+from difflib import get_close_matches
 from importlib import import_module
 
 from gpdf_service import __version__
@@ -22,6 +24,7 @@ VERBS: dict[str, tuple[str, str]] = {
     "scene info": ("gpdf_service.cli.scene_info", "say what is in a scene or a cloud"),
     "scene crop": ("gpdf_service.cli.scene_crop", "cut a part out of a scene or a cloud"),
     "scene merge": ("gpdf_service.cli.scene_merge", "make one scene of several scenes or clouds"),
+    "synthetic": ("gpdf_service.cli.synthetic", "make a random place, ray-cast by a scanner, with its truth"),
     "plan": ("gpdf_service.cli.plan", "plan in a scene or a cloud, without a service"),
     "client": ("gpdf_client.cli", "ask a running service"),
     "drive": ("gpdf_service.cli.drive", "drive a robot, or a simulated one, along a planned trajectory"),
@@ -39,26 +42,60 @@ VERBS: dict[str, tuple[str, str]] = {
     "bench drive": ("gpdf_service.bench.drive", "simulated robots on random errands: contacts, error of following"),
     "bench service": ("gpdf_service.bench.service", "what Zenoh, msgpack and the log add to a plan"),
     "bench fuzz": ("gpdf_service.bench.fuzz", "malformed requests against the real service, valid clients beside them"),
+    "bench hostile": (
+        "gpdf_service.bench.hostile",
+        "clouds that nobody should send: what is answered, and what it takes",
+    ),
+    "bench crash": ("gpdf_service.bench.crash", "kill -9 at random moments: what was acknowledged is there, logs read"),
     "bench soak": ("gpdf_service.bench.soak", "loads, plans and unloads for minutes: memory, threads and files of it"),
     "view": (
         "gpdf_service.viewer.view_verb",
         "a page in the browser: see scenes, plan by two clicks, step through logs",
     ),
     "bench guide": ("gpdf_service.bench.guide", "simulated people with human errors: contacts, arrivals, words"),
+    "bench f921": ("gpdf_service.bench.f921", "the guide beside ITU-T F.921: each recommendation, with evidence"),
     "guide": ("gpdf_service.cli.guide", "lead a person: instructions, speech and haptic cues from a stream of poses"),
     "demo": ("gpdf_service.cli.demo", "see it happen: service, four bodies, picture and log"),
+    "warm": ("gpdf_service.cli.warm", "compile every kernel for this machine, once, so that no verb waits for it"),
     "completion": ("gpdf_service.cli.completion", "what your shell needs to complete these words: bash, zsh or fish"),
 }
 
-BRINGS = {"rosbags": "gpdf-service[ros2]", "viser": "gpdf-service[viewer]", "sklearn": "scikit-learn"}
+BRINGS = {
+    "rosbags": "gpdf-service[ros2]",
+    "viser": "gpdf-service[viewer]",
+    "sklearn": "scikit-learn",
+    **dict.fromkeys(("websockets", "segno", "cryptography"), "gpdf-service[phone]"),
+}
 """What to install for a module that is missing; those that are not named here come with the extra `server`."""
 
 
-def overview() -> str:
-    """The list of verbs that `gpdf --help` prints."""
-    width = max(map(len, VERBS))
-    lines = [f"  gpdf {verb:<{width}}  {text}" for verb, (_, text) in VERBS.items()]
-    return "\n".join(["usage: gpdf VERB [--help] …", "", *lines, "", f"gpdf_service {__version__}"])
+GROUPS: dict[str, tuple[str, ...]] = {
+    "see it": ("demo", "plan", "scene", "view", "synthetic"),
+    "serve and ask": ("serve", "client"),
+    "lead and drive": ("guide", "drive", "ros2"),
+    "look back": ("replay", "record"),
+    "measure": ("bench",),
+    "the shell": ("completion", "warm"),
+}
+"""First words of verbs, by what one wants to do."""
+EXIT_CODES = """exit codes
+  0    the thing was done
+  1    it was not: a plan without a path, a file that cannot be read, a service that does not answer
+  2    the command line is wrong
+  130  it was stopped by Ctrl-C
+  141  whoever read the output stopped reading"""
+
+
+def overview(first: str | None = None) -> str:
+    """The list of verbs that `gpdf --help` prints; of those that begin with a word, `gpdf WORD --help`."""
+    chosen = [verb for verb in VERBS if first in (None, verb.split()[0])]
+    width = max(map(len, chosen))
+    lines = []
+    for title, words in GROUPS.items() if first is None else (("", (first,)),):
+        lines += [title] if title else []
+        lines += [f"  gpdf {verb:<{width}}  {VERBS[verb][1]}" for verb in chosen if verb.split()[0] in words] + [""]
+    usage = f"usage: gpdf {first or ''}{' ' if first else ''}VERB [--help] …"
+    return "\n".join([usage, "", *lines, EXIT_CODES, "", f"gpdf_service {__version__}"])
 
 
 def find_verb(words: Sequence[str]) -> str | None:
@@ -77,15 +114,15 @@ def main(argv: Sequence[str] | None = None) -> int:
         return 0
     verb = find_verb(words)
     if verb is None:
-        wants_help = words[:1] in (["--help"], ["-h"])
-        print(overview(), file=sys.stdout if wants_help else sys.stderr)
-        return 0 if wants_help else 2
+        return _without_verb(words)
     args: argparse.Namespace | None = None
     try:
         args = parser_of(verb).parse_args(_joined(words[len(verb.split()) :]))
         if "numba" in sys.modules and sys.stderr.isatty():  # loaded by the verb's module, or not at all
             import_module("gpdf_service.cli.compiling").tell_of_compiling()
-        return int(import_module(VERBS[verb][0]).run(args))
+        code = int(import_module(VERBS[verb][0]).run(args))
+        sys.stdout.flush()
+        return code
     except ModuleNotFoundError as error:
         missing = (error.name or "").partition(".")[0]
         if missing in ("", "gpdf_service", "gpdf_client", "gpdf_schemas"):
@@ -93,10 +130,30 @@ def main(argv: Sequence[str] | None = None) -> int:
         package = BRINGS.get(missing, "gpdf-service[server]")
         print(f"gpdf {verb} needs {missing}: pip install '{package}'", file=sys.stderr)
         return 1
+    except BrokenPipeError:  # `gpdf … | head`
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # what is left is flushed into nothing
+        return 141
     except (GpdfError, OSError) as error:  # OSError: a file that cannot be written, a disk that is full
         return _report(error, as_json=getattr(args, "json", False))
     except KeyboardInterrupt:
         return 130
+
+
+def _without_verb(words: list[str]) -> int:
+    """Help of everything, or of the verbs that begin with a word; the verb that was meant, where there is one near."""
+    group = words[0] if words and any(verb.startswith(f"{words[0]} ") for verb in VERBS) else None
+    if words[:1] in (["--help"], ["-h"]) or (group and words[1:2] in (["--help"], ["-h"])):
+        print(overview(group))
+        return 0
+    if not words or (group and len(words) == 1):
+        print(overview(group), file=sys.stderr)
+        return 2
+    known = [verb for verb in VERBS if group is None or verb.startswith(f"{group} ")]
+    typed = " ".join(words[: 2 if group else 1])
+    near = get_close_matches(typed, known, n=1) or get_close_matches(" ".join(words[:2]), known, n=1)
+    hint = f"Did you mean `gpdf {near[0]}`?" if near else f"`gpdf {f'{group} ' if group else ''}--help` lists them."
+    print(f"gpdf: there is no verb {typed!r}. {hint}", file=sys.stderr)
+    return 2
 
 
 def parser_of(verb: str, parser: argparse.ArgumentParser | None = None) -> argparse.ArgumentParser:

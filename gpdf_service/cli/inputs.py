@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import os
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -13,20 +14,20 @@ from tqdm import tqdm
 
 from gpdf_service.config import SERVICE_TABLE, Config, read_tables
 from gpdf_service.errors import ConfigError
-from gpdf_service.perception import read_cloud
+from gpdf_service.perception import PointCloud, read_cloud
+from gpdf_service.perception.frame import UP
 from gpdf_service.pipeline import build_scene
 from gpdf_service.scene import Progress, Scene, load_scene
 
 SCENE_SUFFIX = ".gpdf"
-BUILDING = ("ground_label", "topic", "thin", "ignore_labels", "config")
+BUILDING = ("ground_label", "topic", "thin", "scale", "up", "ignore_labels", "config")
 """Options that say how a cloud is read and built: a scene file knows nothing of them any more."""
 
 
 def add_cloud_arguments(parser: argparse.ArgumentParser) -> None:
     """The input: a cloud, or a scene that was built before."""
-    parser.add_argument(
-        "input", type=Path, help=f"a cloud (.ply .pcd .xyz .npz .las .laz; ROS bags) or a scene ({SCENE_SUFFIX})"
-    )
+    kinds = "a cloud (.ply .pcd .xyz .csv .txt .npy .npz .las .laz .e57; ROS bags), a mesh (.obj .stl .dae .glb)"
+    parser.add_argument("input", type=Path, help=f"{kinds} or a scene ({SCENE_SUFFIX})")
     add_build_arguments(parser)
 
 
@@ -39,6 +40,8 @@ def add_build_arguments(parser: argparse.ArgumentParser) -> None:
         type=float,
         help="keep one point of each voxel of this width [m], read in chunks; for tiles in a folder",
     )
+    parser.add_argument("--scale", type=float, help="metres of the file's unit: 0.001, 0.01, 0.3048, …")
+    parser.add_argument("--up", choices=tuple(UP), help="the axis of the file that points up (write --up=-z)")
     parser.add_argument("--ignore-labels", action="store_true", help="segment the ground even if the file has labels")
     parser.add_argument("--config", type=Path, help="a TOML file with settings")
 
@@ -63,7 +66,18 @@ def progress_bar() -> Iterator[Progress]:
 
 
 def open_scene(args: argparse.Namespace) -> Scene:
-    """Load the scene file, or read the cloud and build its scene, that the arguments name.
+    """Load the scene file, or read the cloud and build its scene, that the arguments name; say what was odd about it.
+
+    Raises:
+        ConfigError: the input is a scene file, and the arguments say how to build one.
+    """
+    scene, cloud = open_with_cloud(args)
+    _tell(args.input, cloud)
+    return scene
+
+
+def open_with_cloud(args: argparse.Namespace) -> tuple[Scene, PointCloud | None]:
+    """`open_scene`, and the cloud that it was built of, if it was.
 
     Raises:
         ConfigError: the input is a scene file, and the arguments say how to build one.
@@ -72,27 +86,43 @@ def open_scene(args: argparse.Namespace) -> Scene:
     if asked and args.input.suffix == SCENE_SUFFIX:
         flag = f"--{asked[0].replace('_', '-')}"
         raise ConfigError(flag, f"the scene {args.input} is built already", "Give its cloud instead.")
-    return open_one(args.input, args)
+    return _open(args.input, args)
 
 
 def open_one(path: Path, args: argparse.Namespace) -> Scene:
     """Load a scene file, or read a cloud and build its scene with a progress bar on a terminal."""
+    scene, cloud = _open(path, args)
+    _tell(path, cloud)
+    return scene
+
+
+def _open(path: Path, args: argparse.Namespace) -> tuple[Scene, PointCloud | None]:
     if path.suffix == SCENE_SUFFIX:
-        return load_scene(path)
+        return load_scene(path), None
+    config = read_config(args.config)
     with progress_bar() as progress:
-        cloud = read_cloud(path, ground_label=args.ground_label, topic=args.topic, thin=args.thin)
+        how = {name: getattr(args, name) for name in ("ground_label", "topic", "thin", "scale", "up")}
+        cloud = read_cloud(path, **how)
         ground = None if args.ignore_labels else cloud.ground
-        return build_scene(cloud.points, ground, read_config(args.config), progress=progress)
+        return build_scene(cloud.points, ground, config, origins=cloud.origins, progress=progress), cloud
 
 
-def check_out(path: Path) -> None:
+def _tell(path: Path, cloud: PointCloud | None) -> None:
+    for remark in () if cloud is None else cloud.remarks:
+        print(f"{path}: {remark}", file=sys.stderr)
+
+
+def check_out(path: Path, option: str = "--out") -> None:
     """Refuse a file that cannot be written before the work on it.
 
     Raises:
-        ConfigError: its folder is not there.
+        ConfigError: its folder is not there, or may not be written into.
     """
-    if not path.absolute().parent.is_dir():
-        raise ConfigError(f"--out {path}", "its folder is not there", "Make it, or name another.")
+    folder = path.absolute().parent
+    if not folder.is_dir():
+        raise ConfigError(f"{option} {path}", "its folder is not there", "Make it, or name another.")
+    if path.is_dir() or not os.access(path if path.exists() else folder, os.W_OK):
+        raise ConfigError(f"{option} {path}", "it may not be written", "Name another file, or allow it.")
 
 
 def save_scene(scene: Scene, path: Path, *, as_json: bool) -> int:

@@ -7,7 +7,9 @@ import json
 import time
 from pathlib import Path
 
+from gpdf_service.cli.bodies import read_agent
 from gpdf_service.cli.inputs import SCENE_SUFFIX, add_cloud_arguments, check_out, open_scene
+from gpdf_service.types import resolve_agent
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -17,19 +19,22 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--agent", action="append", default=[], help="find its free space too, and keep it in the file (repeatable)"
     )
+    parser.add_argument("--agent-file", type=Path, help="a TOML file with a body of your own, for the same")
     parser.add_argument("--json", action="store_true", help="print the result as JSON")
 
 
 def run(args: argparse.Namespace) -> int:
     """Build, save, say what was built."""
-    if args.out:
-        check_out(args.out)
+    agents = [resolve_agent(agent) for agent in args.agent]
+    if args.agent_file is not None:
+        agents.append(read_agent(args.agent_file))
+    target = args.out or args.input.with_suffix(SCENE_SUFFIX)
+    check_out(target)
     began = time.perf_counter()
     scene = open_scene(args)
-    for agent in args.agent:
+    for agent in agents:
         scene.free_space(agent)
     seconds = time.perf_counter() - began
-    target = args.out or args.input.with_suffix(SCENE_SUFFIX)
     scene.save(target)
     info = scene.info()
     if args.json:

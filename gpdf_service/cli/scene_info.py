@@ -5,11 +5,13 @@ from __future__ import annotations
 import argparse
 import dataclasses
 import json
+import shlex
 from pathlib import Path
 
 import numpy as np
 
-from gpdf_service.cli.inputs import add_cloud_arguments, open_scene
+from gpdf_service.cli.bodies import FLAGS, add_body_arguments, body_of
+from gpdf_service.cli.inputs import BUILDING, add_cloud_arguments, check_out, open_with_cloud
 from gpdf_service.search import find_reach
 from gpdf_service.types import resolve_agent
 
@@ -18,25 +20,34 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the verb's options."""
     add_cloud_arguments(parser)
     parser.add_argument("--png", type=Path, help="draw the levels: ground, inferred ground, obstacles, quadtree")
-    parser.add_argument("--agent", help="how much of it this body reaches, and two places to try; human in the picture")
+    add_body_arguments(parser, None)
     parser.add_argument("--json", action="store_true", help="print the facts as JSON")
 
 
 def run(args: argparse.Namespace) -> int:
     """Print facts about the scene; draw it when asked."""
-    scene = open_scene(args)
+    agent = body_of(args)
+    if args.png:
+        check_out(args.png, "--png")
+    scene, cloud = open_with_cloud(args)
     if args.png:
         from gpdf_service.viewer.picture import draw_scene
 
-        draw_scene(scene, args.agent or "human", args.png)
+        draw_scene(scene, agent or resolve_agent("human"), args.png)
     info = scene.info()
-    reach = find_reach(scene.free_space(resolve_agent(args.agent))) if args.agent else None
+    if cloud is not None:
+        told = ("scale", "up", "dropped", "remarks")
+        info["cloud"] = {name: getattr(cloud, name) for name in told}
+    reach = find_reach(scene.free_space(agent)) if agent else None
     if reach is not None:
-        info["reach"] = {"agent": args.agent, **dataclasses.asdict(reach)}
+        info["reach"] = {"agent": agent.name if agent else None, **dataclasses.asdict(reach)}
     if args.json:
         print(json.dumps(info, default=np.ndarray.tolist))
         return 0
     low, high = info["extent"]
+    if cloud is not None:
+        unit = "metres" if cloud.scale == 1.0 else f"units of {cloud.scale:g} m"
+        print("; ".join([f"cloud    taken in {unit}, {cloud.up} up", *cloud.remarks]))
     print(f"points   {info['points']} ({info['ground_points']} ground), digest {info['digest']}")
     print(f"ground   confidence {info['ground_confidence']:.2f}, {info['undecided_points']} points undecided")
     print("extent   " + " x ".join(f"{b - a:.1f}" for a, b in zip(low, high, strict=True)) + " m")
@@ -49,10 +60,20 @@ def run(args: argparse.Namespace) -> int:
         )
     if reach is not None:
         print(
-            f"{args.agent:<8} free {reach.free_area:.1f} m² in {reach.pieces} piece(s), "
+            f"{agent.name if agent else '':<8} free {reach.free_area:.1f} m² in {reach.pieces} piece(s), "
             f"the largest {reach.largest_area:.1f} m²"
         )
     if reach is not None and reach.start is not None and reach.goal is not None:
         start, goal = (",".join(f"{value:.2f}" for value in place) for place in (reach.start, reach.goal))
-        print(f"try      gpdf plan {args.input} --start {start} --goal {goal} --agent {args.agent} --png plan.png")
+        print(f"try      gpdf plan {args.input} --start {start} --goal {goal} {_named(args)} --png plan.png")
     return 0
+
+
+def _named(args: argparse.Namespace) -> str:
+    """The options that name the body, and those that say how the cloud is taken, once more."""
+    asked = ("agent_file", "agent", *FLAGS, *BUILDING)
+    given = {name: value for name in asked if (value := getattr(args, name)) is not None and value is not False}
+    if "agent_file" in given:
+        given.pop("agent", None)
+    flags = {f"--{name.replace('_', '-')}": value for name, value in given.items()}
+    return " ".join(flag if value is True else f"{flag}={shlex.quote(str(value))}" for flag, value in flags.items())

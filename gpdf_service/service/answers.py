@@ -12,6 +12,8 @@ from gpdf_schemas import MAX_REQUEST_BYTES, DecodeError, Reply, Status, decode, 
 
 from gpdf_service.errors import GpdfError
 from gpdf_service.service.scenes import FullError
+from gpdf_service.service.words import public
+from gpdf_service.service.workshop import NotKeptError
 
 log = logging.getLogger(__name__)
 
@@ -51,7 +53,7 @@ def answer(by: Answer[Reply | bytes], planner: str, payload: bytes, received: fl
     request_id = ""
 
     def no(status: Status, message: str) -> bytes:
-        return encode(refuse(reply_kind, planner, status, message, request_id, load))
+        return encode(refuse(reply_kind, planner, status, public(message), request_id, load))
 
     try:
         request = decode(payload, request_kind, limit=MAX_REQUEST_BYTES)
@@ -70,6 +72,8 @@ def answer(by: Answer[Reply | bytes], planner: str, payload: bytes, received: fl
         return no(error.status, str(error))
     except FullError as error:
         return no(Status.BUSY, str(error))
+    except NotKeptError as error:
+        return no(Status.BUILD_FAILED, str(error))
     except GpdfError as error:
         return no(Status.INVALID_REQUEST, str(error))
     except Exception:

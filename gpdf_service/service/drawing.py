@@ -9,6 +9,7 @@ import numpy as np
 
 from gpdf_service.errors import RequestError
 from gpdf_service.scene import Scene, level_under
+from gpdf_service.search.resplit import Leaves, centers
 from gpdf_service.types import Agent, FloatArray, IntArray
 
 PART_BYTES = 1_000_000
@@ -88,13 +89,20 @@ def _obstacles(scene: Scene, agent: str | Agent) -> _Table:
 def _leaves(scene: Scene, agent: str | Agent) -> _Table:
     parts = []
     for i, (tree, surface) in enumerate(zip(scene.free_space(agent).quadtrees, scene.surfaces, strict=True)):
-        xy = tree.center[tree.free]
+        free = tree.numbers[tree.free[tree.numbers]]
+        xy = centers(tree, free)
         height = surface.height_at(xy)
-        leaf = _with_level(np.column_stack([xy, height]), i, tree.half_size[tree.free], tree.clearance[tree.free])
+        leaf = _with_level(np.column_stack([xy, height]), i, *_size_and_room(tree, free))
         parts.append(leaf[np.isfinite(height)])
     table = np.concatenate(parts)
     largest_first = np.argsort(-table[:, 4], kind="stable")
     return ("x", "y", "z", "level", "half_size", "clearance"), largest_first, lambda chosen: table[chosen]
+
+
+def _size_and_room(tree: Leaves, leaves: IntArray) -> tuple[FloatArray, FloatArray]:
+    """Half the width of some leaves, and their clearance [m]."""
+    half = np.asarray(0.5 * tree.width * tree.size[leaves], dtype=np.float64)
+    return half, tree.clearance[leaves]
 
 
 def _with_level(points: FloatArray, level: int, *more: FloatArray) -> FloatArray:

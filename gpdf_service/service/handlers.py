@@ -160,6 +160,7 @@ class Handlers:
             return to_trajectory(message)
 
         body = resolve_agent(agent_of(request.agent))
+        self.shelf.note_body(request.scene, body)
         self.in_use.remember(request.scene, request.request_id, body, trajectory)
 
     def scenes(self, request: SceneRequest) -> ScenesReply:

@@ -6,7 +6,7 @@ import logging
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -31,12 +31,23 @@ TOUCH = 0.002
 Clock = Callable[[], float]
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class _Swept:
     ground: FloatArray  # contact points, closely spaced, (n, 3)
     discs: FloatArray  # the body's discs there, (n, k, 3)
     times: FloatArray  # since the start [s], (n,)
     until: float
+
+    @cached_property
+    def places(self) -> cKDTree:
+        """The discs' centres in plan."""
+        return cKDTree(self.discs.reshape(-1, 3)[:, :2])
+
+    @cached_property
+    def box(self) -> tuple[FloatArray, FloatArray]:
+        """Around the discs' centres."""
+        discs = self.discs.reshape(-1, 3)
+        return discs.min(axis=0), discs.max(axis=0)
 
 
 @dataclass(frozen=True)
@@ -73,7 +84,7 @@ class InUse:
     ) -> None:
         self._points_of, self._on_cut, self._planner, self._clock = points_of, on_cut, planner, clock
         self._known: deque[_InUse] = deque(maxlen=MOST)
-        self._changed: set[str] = set()
+        self._asked: dict[str, list[_InUse] | None] = {}  # in which scenes to look, and at which: None for all
         self._ended = False
         self._lock = threading.Condition()
         self._thread = threading.Thread(target=self._run, name="gpdf-cuts", daemon=True)
@@ -92,21 +103,23 @@ class InUse:
 
     def remember(self, scene: str, request_id: str, agent: Agent, trajectory: Callable[[], Trajectory]) -> None:
         """A trajectory was given out, asked for once something moves; what came while it was planned counts, too."""
+        used, moves = _InUse(scene, request_id, agent, self._clock(), trajectory), bool(self._points_of(scene))
         with self._lock:
-            self._known.append(_InUse(scene, request_id, agent, self._clock(), trajectory))
-        if self._points_of(scene):
-            self.look(scene)
+            self._known.append(used)
+            if moves and (asked := self._asked.setdefault(scene, [])) is not None:
+                asked.append(used)  # the others were looked at when it came
+                self._lock.notify_all()
 
     def look(self, scene: str) -> None:
         """Something has changed in a scene; returns at once."""
         with self._lock:
-            self._changed.add(scene)
+            self._asked[scene] = None
             self._lock.notify_all()
 
-    def cuts(self, scene: str) -> list[TrajectoryCut]:
-        """The trajectories of a scene that are cut now."""
+    def cuts(self, scene: str, among: Sequence[_InUse] | None = None) -> list[TrajectoryCut]:
+        """The trajectories of a scene that are cut now, of all or of those `among` them."""
         with self._lock:
-            known = [used for used in self._known if used.scene == scene]
+            known = [used for used in self._known if used.scene == scene] if among is None else among
         now, points = self._clock(), self._points_of(scene) if known else {}
         found = (self._cut(used, points) for used in known if points and used.swept.until > now)
         return [cut for cut in found if cut is not None]
@@ -130,12 +143,12 @@ class InUse:
     def _run(self) -> None:
         while True:
             with self._lock:
-                self._lock.wait_for(lambda: self._changed or self._ended)
+                self._lock.wait_for(lambda: self._asked or self._ended)
                 if self._ended:
                     return
-                scene = self._changed.pop()
+                scene, among = self._asked.popitem()
             try:
-                for cut in self.cuts(scene):
+                for cut in self.cuts(scene, among):
                     self._on_cut(cut)
             except Exception:
                 log.exception("trajectories in use in scene %s", scene)
@@ -155,12 +168,13 @@ def _dense(trajectory: Trajectory, agent: Agent) -> tuple[FloatArray, FloatArray
 
 def _first_touch(swept: _Swept, agent: Agent, points: FloatArray) -> int | None:
     """Where the body, upright on its contact point, first meets one of the points (k, 3)."""
-    discs, radius = swept.discs.reshape(-1, 3), agent.disc_radius
-    low, high = discs.min(axis=0) - radius, discs.max(axis=0) + radius + [0.0, 0.0, agent.height]
-    points = points[((points >= low) & (points <= high)).all(axis=1)]
+    radius, (low, high) = agent.disc_radius, swept.box
+    points = points[
+        ((points >= low - radius) & (points <= high + np.array([radius, radius, agent.height]))).all(axis=1)
+    ]
     if not len(points):
         return None
-    pairs = cKDTree(discs[:, :2]).sparse_distance_matrix(cKDTree(points[:, :2]), radius - TOUCH, output_type="ndarray")
-    above = points[pairs["j"], 2] - discs[pairs["i"], 2]
+    pairs = swept.places.sparse_distance_matrix(cKDTree(points[:, :2]), radius - TOUCH, output_type="ndarray")
+    above = points[pairs["j"], 2] - swept.discs.reshape(-1, 3)[pairs["i"], 2]
     touching = pairs["i"][(above > LEAST_OBSTACLE) & (above < agent.height)]
     return int(touching.min()) // agent.discs if len(touching) else None

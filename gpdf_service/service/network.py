@@ -5,18 +5,30 @@ from __future__ import annotations
 import json
 
 import zenoh
+from gpdf_client.client import LEASE_MS, RETRY
 
+from gpdf_service.errors import ConfigError
 from gpdf_service.service.options import Options
 
 MAX_MESSAGE_BYTES = 32 << 20
 """What one client may make the router hold at once; Zenoh drops what is longer, where its own limit is 1 GiB."""
-LEASE_MS = 2_000
-"""[ms] A frozen process counts as dead after this; one that is killed, at once."""
+
+
+def _is_encrypted(endpoint: str) -> bool:
+    """Whether who connects there shows a certificate; nobody connects where there is no endpoint."""
+    return not endpoint or endpoint.partition("/")[0] in ("tls", "quic", "wss")
 
 
 def session_config(options: Options) -> zenoh.Config:
-    """What to open; the operator's file first (credentials, certificates, rights), then what we must have."""
+    """What to open; the operator's file first (credentials, certificates, rights), then what we must have.
+
+    Raises:
+        ConfigError: it asks for certificates where nobody would have to show one.
+    """
     config = zenoh.Config() if options.zenoh is None else zenoh.Config.from_file(str(options.zenoh))
+    if json.loads(config.get_json("transport/link/tls/enable_mtls")) and not _is_encrypted(options.endpoint):
+        found = f"{options.endpoint} asks nobody for a certificate, but {options.zenoh} wants one of everybody"
+        raise ConfigError("serve.endpoint", found, "Listen on tls/HOST:PORT, or leave enable_mtls out.")
     values = {
         "mode": "router" if options.endpoint else "peer",
         "listen/endpoints": [options.endpoint] if options.endpoint else [],
@@ -25,6 +37,7 @@ def session_config(options: Options) -> zenoh.Config:
         "scouting/gossip/enabled": False,
         "transport/link/rx/max_message_size": MAX_MESSAGE_BYTES,
         "transport/link/tx/lease": LEASE_MS,
+        "connect/retry": RETRY,
     }
     for key, value in values.items():
         config.insert_json5(key, json.dumps(value))

@@ -10,15 +10,20 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import msgspec
+import psutil
 from msgspec import Meta
 
 from gpdf_service.config import SERVICE_TABLE, Config, read_tables
 from gpdf_service.errors import ConfigError
 from gpdf_service.fields.threads import worker_count
+from gpdf_service.types import resolve_agent
 
 DEFAULT_ENDPOINT = "tcp/127.0.0.1:7447"
 ENVIRONMENT = "GPDF_"
 """What the name of an option starts with in the environment: GPDF_LOG_DIR, GPDF_WORKERS, …"""
+
+HALF_OF_MEMORY_MB = round(0.5e-6 * psutil.virtual_memory().total)
+"""[MB] What one build may take: the other half is for the scenes, the plans and everybody else."""
 
 Count = Annotated[int, Meta(ge=1)]
 Amount = Annotated[float, Meta(gt=0)]
@@ -34,9 +39,18 @@ class Options(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     role: Annotated[Literal["both", "map", "planner"], Meta(description="which of the two services to run")] = "both"
     connect: Annotated[tuple[str, ...], Meta(description="routers to join, with commas between")] = ()
     zenoh: Annotated[Path | None, Meta(description="Zenoh configuration (JSON5) with credentials and rights")] = None
-    state_dir: Annotated[Path | None, Meta(description="folder of ready scenes; LOG_DIR/state if not given")] = None
+    state_dir: Annotated[
+        Path | None,
+        Meta(description="folder of ready scenes; LOG_DIR/state if not given, of a planner LOG_DIR/planner"),
+    ] = None
     queue: Annotated[Count, Meta(description="requests that may wait; beyond, the answer is BUSY", le=200)] = 128
     scene_memory_mb: Annotated[Amount, Meta(description="memory of all scenes; the least used leave it first")] = 4096.0
+    build_memory_mb: Annotated[Amount, Meta(description="memory that a build may take; half of the machine's")] = (
+        HALF_OF_MEMORY_MB
+    )
+    bodies: Annotated[
+        tuple[str, ...], Meta(description="whose free spaces are built with each scene, with commas between")
+    ] = ("human",)
     log_sync: Annotated[
         str, Meta(description="seconds between flushes of the log, or 'each'", pattern=r"^(each|\d+(\.\d+)?)$")
     ] = "0.5"
@@ -44,6 +58,9 @@ class Options(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     log_segment_s: Annotated[Amount, Meta(description="age of a log at which the next begins")] = 86_400.0
     log_keep_mb: Annotated[Amount, Meta(description="size of all logs beyond which the oldest is deleted")] = 20_000.0
     log_keep_days: Annotated[Amount, Meta(description="age beyond which a log is deleted")] = 90.0
+    log_spare_hours: Annotated[
+        float, Meta(description="age below which a log is never deleted for its size; then hashes are recorded", ge=0)
+    ] = 24.0
     log_min_free_mb: Annotated[Amount, Meta(description="room on the disk below which nothing is recorded")] = 200.0
     metrics_port: Annotated[int, Meta(description="port of this machine for Prometheus; 0: none", ge=0, le=65_535)] = 0
     log_format: Annotated[Literal["text", "json"], Meta(description="how the messages on stderr look")] = "text"
@@ -51,7 +68,7 @@ class Options(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     @property
     def state(self) -> Path:
         """Folder of ready scenes."""
-        return self.state_dir or self.log_dir / "state"
+        return self.state_dir or self.log_dir / ("planner" if self.role == "planner" else "state")
 
     @property
     def processes(self) -> int:
@@ -60,8 +77,8 @@ class Options(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
     @property
     def memory_bytes(self) -> float:
-        """Of scenes in each process."""
-        return 1e6 * self.scene_memory_mb / (1 + self.processes)
+        """Of scenes in each process: the service's own, the one that builds, those that plan."""
+        return 1e6 * self.scene_memory_mb / (2 + self.processes)
 
     @property
     def flush_s(self) -> float:
@@ -92,12 +109,15 @@ def gather(file: Path | None, environment: Mapping[str, str], flags: Mapping[str
         raise ConfigError(SERVICE_TABLE, f"{given!r}", "It must be a table of keys and values.")
     named = {name.removeprefix(ENVIRONMENT).lower(): text for name, text in environment.items() if _ours(name)}
     values = given | named | {name: value for name, value in flags.items() if value is not None}
-    if isinstance(values.get("connect"), str):
-        values["connect"] = [part.strip() for part in values["connect"].split(",") if part.strip()]
+    for name in ("connect", "bodies"):
+        if isinstance(values.get(name), str):
+            values[name] = [part.strip() for part in values[name].split(",") if part.strip()]
     try:
         options = msgspec.convert(values, Options, strict=False, dec_hook=lambda kind, value: kind(value))
     except (msgspec.ValidationError, TypeError) as error:
         raise ConfigError(SERVICE_TABLE, str(error), f"Options: {', '.join(Options.__struct_fields__)}.") from error
+    for body in options.bodies:
+        resolve_agent(body)
     if options.role == "planner" and not options.connect:
         raise ConfigError("serve.connect", "a planner without a map service", "Say where it is: --connect ENDPOINT.")
     return options, Config.from_mapping(tables)

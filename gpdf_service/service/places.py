@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import threading
 from collections.abc import Sequence
 from pathlib import Path
@@ -10,6 +9,7 @@ from pathlib import Path
 import msgspec
 
 from gpdf_service.errors import RequestError, SceneFileError
+from gpdf_service.service.scene_files import write_whole
 
 SUFFIX = ".places.json"
 MAX_PLACES = 1000
@@ -91,7 +91,7 @@ class Places:
         if self._folder is not None:
             file = self._file(scene)
             try:
-                _write_whole(file, msgspec.json.format(msgspec.json.encode(places)))
+                write_whole(file, msgspec.json.format(msgspec.json.encode(places)))
             except OSError as error:
                 raise SceneFileError(f"places of scene {scene!r}", str(error), f"Make room for {file}.") from error
         self._known[scene] = places
@@ -104,13 +104,3 @@ class Places:
 
 def _is_name(name: str) -> bool:
     return 0 < len(name) <= MAX_NAME and name.isprintable() and name == name.strip() and "," not in name
-
-
-def _write_whole(file: Path, data: bytes) -> None:
-    """All of it or nothing, also if the power fails."""
-    partial = file.with_name(f".{file.name}")
-    with partial.open("wb") as stream:
-        stream.write(data)
-        stream.flush()
-        os.fsync(stream.fileno())
-    partial.replace(file)

@@ -14,11 +14,13 @@ from gpdf_schemas import decode
 
 from gpdf_service.errors import SceneFileError
 from gpdf_service.service.answers import answer
+from gpdf_service.service.child import go_first
+from gpdf_service.service.held import Held
 from gpdf_service.service.logs import set_up
 from gpdf_service.service.moving import Living, Moving
 from gpdf_service.service.planning import Planning
-from gpdf_service.service.pool import READY, Ask, Settings
-from gpdf_service.service.scenes import Shelf
+from gpdf_service.service.pool import READY, WARM, Ask, Settings
+from gpdf_service.warm import Warming
 
 TIDY_S = 1.0
 """[s] Between looks at what may leave memory."""
@@ -32,18 +34,18 @@ class Desk:
     """
 
     def __init__(self, settings: Settings) -> None:
-        self._planner = settings.planner
-        self._shelf = Shelf(Path(), memory_bytes=settings.memory_bytes)
+        self._planner, self._bodies = settings.planner, settings.bodies
+        self._scenes = Held(settings.memory_bytes)
         self._moving = Moving()
         self._planning = Planning(
-            lambda name, _: self._shelf.scene(self._shelf.held(name)), self._moving, self._planner
+            lambda name, _: self._scenes.scene(self._scenes.held(name)), self._moving, self._planner
         )
         self._tidied = time.monotonic()
 
     @property
     def scenes(self) -> list[str]:
         """Names of those that are held."""
-        return list(self._shelf.facts())
+        return list(self._scenes.facts())
 
     def answer(self, ask: Ask) -> bytes:
         """The reply's bytes; none if the scene cannot be read from its file."""
@@ -51,17 +53,21 @@ class Desk:
             living = {one.id: Living(one.points.unpack(), one.until, one.number) for one in ask.moving}
             self._moving.replace(ask.scene, living)
         try:
-            self._shelf.scene(self._shelf.hold(ask.scene, Path(ask.file)))
+            scene = self._scenes.scene(self._scenes.hold(ask.scene, Path(ask.file)))
         except SceneFileError:
+            return b""
+        if ask.key == WARM:
+            for body in self._bodies:
+                scene.prepare(body)
             return b""
         return answer(self._planning.answers[ask.key], self._planner, ask.request, ask.received, ask.load)
 
     def tidy(self) -> None:
         """Let go of scenes that are unloaded or replaced (their files are gone), and of what is too much."""
         if time.monotonic() - self._tidied >= TIDY_S:
-            for name in self._shelf.forget_gone():
+            for name in self._scenes.forget_gone():
                 self._moving.let_go(name)  # no more: the service counts on it that we know what moves
-            self._shelf.trim()
+            self._scenes.trim()
             self._tidied = time.monotonic()
 
 
@@ -85,6 +91,8 @@ def main() -> None:
         signal.signal(number, signal.SIG_IGN)
     settings = msgspec.json.decode(sys.argv[1], type=Settings)
     set_up(settings.log_format)  # type: ignore[arg-type]
+    go_first()
+    Warming().plans()
     serve(Connection(settings.pipe), Desk(settings))
 
 

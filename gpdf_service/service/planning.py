@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 from gpdf_schemas import (
+    Alternative,
     Array,
     CertificateMessage,
     DistanceReply,
@@ -61,6 +62,8 @@ class Planning:
             warm_start=None if request.warm_start is None else request.warm_start.unpack(),
             start_heading=request.start_heading,
             goal_heading=request.goal_heading,
+            prefer=request.prefer or None,  # type: ignore[arg-type]
+            alternatives=request.alternatives,
             deadline_s=request.deadline_s,
         )
         return self._plan_reply(request, scene, result)
@@ -78,6 +81,7 @@ class Planning:
             certificate=None if result.certificate is None else CertificateMessage(**_plain(result.certificate)),
             details=result.details,
             costs=Array.pack(result.costs) if len(result.costs) else None,
+            alternatives=[_alternative(other) for other in result.alternatives],
         )
 
     def distance(self, request: DistanceRequest) -> DistanceReply:
@@ -117,6 +121,13 @@ def agent_of(agent: str | dict[str, Any]) -> str | Agent:
             f"Give all of {', '.join(needed)}; discs if any.",
         )
     return resolve_agent(Agent(**{**agent, "name": str(agent["name"])}))
+
+
+def _alternative(result: PlanResult) -> Alternative:
+    assert result.trajectory is not None
+    assert result.certificate is not None
+    proof = CertificateMessage(**_plain(result.certificate))
+    return Alternative(trajectory=_trajectory(result.trajectory), certificate=proof, details=result.details)
 
 
 def to_trajectory(message: TrajectoryMessage) -> Trajectory:

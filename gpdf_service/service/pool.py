@@ -6,25 +6,18 @@ scene is a file, what moves comes with the request. One that dies is begun anew,
 
 from __future__ import annotations
 
-import contextlib
 import logging
-import os
-import queue
 import select
-import socket
-import struct
-import subprocess
-import sys
 import threading
 import time
 from collections.abc import Mapping
-from multiprocessing.connection import Connection
 
 import msgspec
 import psutil
 from gpdf_schemas import Array, Status, encode
 
 from gpdf_service.service.answers import RefusedError
+from gpdf_service.service.child import Child
 from gpdf_service.service.moving import Living
 
 log = logging.getLogger(__name__)
@@ -40,6 +33,12 @@ RESTART_S = 1.0
 """[s] Between beginnings of a process that dies."""
 
 
+WARM = "warm"
+"""The key by which a process is told to take a scene into memory, ahead of the first plan in it."""
+WARM_S = 10.0
+"""[s] That a busy process is waited for, to be told so; else it loads the scene when it is asked to plan there."""
+
+
 class Settings(msgspec.Struct, frozen=True):
     """What a process is begun with: its pipe's file descriptor, and what it shares with the service."""
 
@@ -47,6 +46,7 @@ class Settings(msgspec.Struct, frozen=True):
     planner: str
     memory_bytes: float
     log_format: str
+    bodies: tuple[str, ...] = ()
 
 
 class Seen(msgspec.Struct, frozen=True):
@@ -84,21 +84,12 @@ class _Process:
     """One of them; asked by one thread at a time."""
 
     def __init__(self, settings: Settings) -> None:
-        ours, theirs = socket.socketpair()  # closed with us, however we end: then it ends too
-        with ours, theirs:
-            words = msgspec.json.encode(msgspec.structs.replace(settings, pipe=theirs.fileno())).decode()
-            self._child = subprocess.Popen(
-                [sys.executable, "-P", "-m", PROGRAM, words],
-                env={**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)},  # the modules that we have, no others
-                stdin=subprocess.DEVNULL,
-                pass_fds=[theirs.fileno()],
-                process_group=0,  # Ctrl-C at a terminal is for the service, which answers first what waits
-            )
-            ours.setsockopt(socket.SOL_SOCKET, socket.SO_SNDTIMEO, struct.pack("ll", int(STALL_S), 0))
-            self._pipe = Connection(os.dup(ours.fileno()))
+        self._child = Child(PROGRAM, settings)
+        self._pipe = self._child.pipe
         self._answered = select.poll()
         self._answered.register(self._pipe, select.POLLIN)
         self._told: dict[str, tuple[int, ...]] = {}
+        self.ready = False
 
     @property
     def pid(self) -> int:
@@ -112,7 +103,7 @@ class _Process:
     def tell(self, ask: Ask, living: Mapping[str, Living]) -> None:
         """Ask it; `hear` next."""
         numbers = tuple(one.number for one in living.values())
-        moving = None if self._told.get(ask.scene, ()) == numbers else [_seen(*item) for item in living.items()]
+        moving = None if self._told.get(ask.scene, ()) == numbers else [_as_seen(*item) for item in living.items()]
         self._pipe.send_bytes(encode(msgspec.structs.replace(ask, moving=moving)))
         self._told[ask.scene] = numbers
 
@@ -147,6 +138,35 @@ class _Process:
         self._child.kill()
 
 
+class _Idle:
+    """Processes that wait to be asked; safe for many threads."""
+
+    def __init__(self) -> None:
+        self._waiting: list[_Process] = []
+        self._change = threading.Condition()
+
+    def put(self, process: _Process) -> None:
+        """It can be asked."""
+        with self._change:
+            self._waiting.append(process)
+            self._change.notify_all()
+
+    def take(self, timeout: float, wanted: _Process | None = None) -> _Process | None:
+        """The one that waits longest, or the one that is wanted; none if there is none in time."""
+
+        def there() -> bool:
+            return bool(self._waiting) if wanted is None else wanted in self._waiting
+
+        with self._change:
+            if not self._change.wait_for(there, timeout):
+                return None
+            return self._waiting.pop(0 if wanted is None else self._waiting.index(wanted))
+
+    def __len__(self) -> int:
+        with self._change:
+            return len(self._waiting)
+
+
 class Pool:
     """So many processes, kept running until `close`; safe for many threads.
 
@@ -160,9 +180,11 @@ class Pool:
 
     def __init__(self, count: int, settings: Settings) -> None:
         self._settings, self.restarts = settings, 0
-        self._idle: queue.SimpleQueue[_Process] = queue.SimpleQueue()
+        self._idle = _Idle()
         self._alive: dict[str, _Process] = {}
-        self._ready, self._ended, self._lock = threading.Event(), threading.Event(), threading.Lock()
+        self._warm: dict[str, Ask] = {}  # by scene, for those that begin later
+        self._seen: set[str] = set()  # keepers whose process was ever ready
+        self._ended, self._lock = threading.Event(), threading.Lock()
         names = [f"gpdf-process-{i}" for i in range(count)]
         self._keepers = [threading.Thread(target=self._keep, name=name, daemon=True) for name in names]
 
@@ -173,13 +195,14 @@ class Pool:
 
     @property
     def ready(self) -> bool:
-        """Whether a process was ever there to be asked."""
-        return self._ready.is_set()
+        """Whether each process was there to be asked, with the scenes that there were."""
+        with self._lock:
+            return len(self._seen) == len(self._keepers)
 
     @property
     def idle(self) -> int:
         """How many wait to be asked; one that has just died among them."""
-        return self._idle.qsize()
+        return len(self._idle)
 
     @property
     def pids(self) -> list[int]:
@@ -200,11 +223,10 @@ class Pool:
         """
         died = 0
         while died < TRIES:
-            try:
-                process = self._idle.get(timeout=min(max(0.0, until - time.monotonic()), threading.TIMEOUT_MAX))
-            except queue.Empty as error:
+            process = self._idle.take(min(max(0.0, until - time.monotonic()), threading.TIMEOUT_MAX))
+            if process is None:
                 words = "no process was free to plan before the deadline. Ask again, or give more time."
-                raise RefusedError(Status.TIMEOUT, words) from error
+                raise RefusedError(Status.TIMEOUT, words)
             told = False
             try:
                 process.tell(ask, living)
@@ -220,6 +242,32 @@ class Pool:
             self._idle.put(process)
             return answer
         raise RuntimeError(f"{TRIES} processes died one after another")
+
+    def warm(self, scene: str, file: str) -> None:
+        """Let each process take a scene into memory, now and whenever one begins."""
+        ask = Ask(WARM, b"", time.monotonic(), 0.0, scene, file)
+        with self._lock:
+            self._warm[scene] = ask
+            alive = list(self._alive.values())
+        for process in alive:
+            if self._idle.take(WARM_S if process.ready else 0.0, process) is not None and self._tell(process, ask):
+                self._idle.put(process)
+
+    def forget(self, scene: str) -> None:
+        """Nobody is to take it into memory any more."""
+        with self._lock:
+            self._warm.pop(scene, None)
+
+    @staticmethod
+    def _tell(process: _Process, ask: Ask) -> bool:
+        """Whether it still lives afterwards."""
+        try:
+            process.tell(ask, {})
+            process.hear()
+        except (EOFError, OSError):
+            process.kill()
+            return False
+        return True
 
     def close(self) -> None:
         """End all; nobody asks any more."""
@@ -241,16 +289,33 @@ class Pool:
                 log.error("a process that plans could not be begun: %s", error)
             self._ended.wait(RESTART_S)
 
+    def _begin(self, name: str, process: _Process) -> None:
+        """Let a new one take the scenes into memory, then let it be asked."""
+        told = set[Ask]()
+        while True:
+            with self._lock:
+                new = [ask for ask in self._warm.values() if ask not in told]
+                if not new:
+                    process.ready = True
+                    self._idle.put(process)
+                    self._seen.add(name)
+                    return
+            for ask in new:
+                told.add(ask)
+                process.tell(ask, {})
+                process.hear()
+
     def _live(self, name: str) -> None:
         """From a process's beginning to its end."""
         with self._lock:
             if self._ended.is_set():
                 return
             process = self._alive[name] = _Process(self._settings)
-        with contextlib.suppress(EOFError, OSError):  # it has ended
+        try:
             process.wait_until_ready()
-            self._idle.put(process)
-            self._ready.set()
+            self._begin(name, process)
+        except (EOFError, OSError):  # it has ended, or hangs
+            process.kill()
         code = process.wait()
         with self._lock:
             del self._alive[name]
@@ -259,5 +324,5 @@ class Pool:
             log.error("a process that plans has ended with code %d; another one begins", code)
 
 
-def _seen(id_: str, one: Living) -> Seen:
+def _as_seen(id_: str, one: Living) -> Seen:
     return Seen(id_, Array.pack(one.points), one.until, one.number)

@@ -12,32 +12,82 @@ from itertools import count
 from pathlib import Path
 from typing import BinaryIO
 
-from mcap.records import Channel, Footer, McapRecord, Message, Metadata, Schema
-from mcap.stream_reader import StreamReader
+from mcap.reader import make_reader
+from mcap.records import Channel, Chunk, Footer, McapRecord, Message, Metadata, Schema
+from mcap.stream_reader import CRCValidationError, StreamReader, breakup_chunk
 from mcap.writer import MCAP0_MAGIC, Writer
 
 log = logging.getLogger(__name__)
 
+LOGS = "gpdf_*.mcap"
+"""What a service writes; other files are not its own."""
+_WHOLE = "the file as a whole"
 BROKEN = ".broken"
 """What is put behind the name of a log that was cut short, when a mended one takes its place."""
 
 
 @dataclass(frozen=True, slots=True)
 class Condition:
-    """What is in a log: messages, whether it is complete, whether anything can be read."""
+    """What is in a log.
+
+    Attributes:
+        path: The log.
+        messages: That can be trusted.
+        complete: Whether it reaches its end, with its index.
+        damage: What is not as it was written, in words.
+    """
 
     path: Path
     messages: int
     complete: bool
+    damage: tuple[str, ...] = ()
+
+    @property
+    def whole(self) -> bool:
+        """Whether everything is there as it was written."""
+        return self.complete and not self.damage
 
 
-def records_of(path: Path) -> Iterator[McapRecord]:
-    """Every record to the end, or to the break."""
+def records_of(path: Path, damage: list[str] | None = None) -> Iterator[McapRecord]:
+    """Every record that is as it was written, to the end, or to the break.
+
+    Args:
+        path: The log.
+        damage: Told in words what is left out: chunks whose checksum is another one.
+    """
+    told: list[str] = [] if damage is None else damage
     with path.open("rb") as file:
         try:
-            yield from StreamReader(file, emit_chunks=False).records
+            for record in StreamReader(file, emit_chunks=True, validate_crcs=True).records:
+                if isinstance(record, Chunk):
+                    yield from _in_chunk(record, path, told)
+                else:
+                    yield record
+        except CRCValidationError as error:
+            told.append(f"{_WHOLE} is not as it was written ({error})")
         except Exception:  # damaged bytes raise whatever they meet: struct.error, ZstdError, MemoryError, …
             return
+
+
+def _in_chunk(chunk: Chunk, path: Path, told: list[str]) -> Iterator[McapRecord]:
+    try:
+        found = breakup_chunk(chunk, validate_crc=True)
+    except Exception as error:  # as above
+        seconds = chunk.message_start_time / 1e9, chunk.message_end_time / 1e9
+        told.append(f"the messages from {seconds[0]:.3f} to {seconds[1]:.3f} s are not as they were written ({error})")
+        yield from _index(path)  # what the next chunks' messages are may have been said in this one
+    else:
+        yield from found
+
+
+def _index(path: Path) -> list[McapRecord]:
+    """The schemas and channels that the end of the file tells of."""
+    try:
+        with path.open("rb") as file:
+            summary = make_reader(file).get_summary()
+    except Exception:  # there is no end, or it is damaged, too
+        return []
+    return [] if summary is None else [*summary.schemas.values(), *summary.channels.values()]
 
 
 def is_log(path: Path) -> bool:
@@ -55,15 +105,17 @@ def _ends_well(path: Path) -> bool:
 
 def check(path: Path) -> Condition:
     """Read a log through."""
-    messages, complete = 0, False
-    for record in records_of(path):
+    messages, complete, damage = 0, False, list[str]()
+    for record in records_of(path, damage):
         messages += isinstance(record, Message)
         complete |= isinstance(record, Footer)
-    return Condition(path, messages, complete and _ends_well(path))
+    return Condition(
+        path, messages, (complete or any(_WHOLE in words for words in damage)) and _ends_well(path), tuple(damage)
+    )
 
 
 def repair(path: Path) -> Condition:
-    """Write a log that was cut short again, complete, in its place; the broken file stays beside it.
+    """Write a log that was cut short or damaged again, in its place, with what can be trusted; the other stays beside.
 
     Returns:
         The condition after.
@@ -82,19 +134,18 @@ def repair(path: Path) -> Condition:
 
 
 def _copy(path: Path, file: BinaryIO) -> None:
-    writer = Writer(file)
+    writer = Writer(file, enable_data_crcs=True)
     writer.start(profile="gpdf", library="gpdf_service repair")
     schemas: dict[int, int] = {0: 0}
     channels: dict[int, int] = {}
     for record in records_of(path):
         if isinstance(record, Schema) and record.id not in schemas:
             schemas[record.id] = writer.register_schema(record.name, record.encoding, record.data)
-        elif isinstance(record, Channel) and record.id not in channels:
+        elif isinstance(record, Channel) and record.id not in channels and record.schema_id in schemas:
             channels[record.id] = writer.register_channel(
                 record.topic, record.message_encoding, schemas[record.schema_id], record.metadata
             )
-        elif isinstance(record, Message):
-            channel = channels[record.channel_id]
+        elif isinstance(record, Message) and (channel := channels.get(record.channel_id)) is not None:
             writer.add_message(channel, record.log_time, record.data, record.publish_time, record.sequence)
         elif isinstance(record, Metadata):
             writer.add_metadata(record.name, record.metadata)
@@ -107,11 +158,16 @@ def _spare_name(path: Path) -> Path:
 
 
 def repair_folder(folder: Path) -> list[Path]:
-    """Mend every log of a folder that was cut short, but none that a service still writes; which they were."""
+    """Mend every log of a service in a folder that was cut short, but none that is still written; which they were."""
     broken = []
-    for path in sorted(folder.glob("*.mcap")):
+    for path in sorted(folder.glob(LOGS)):
         with path.open("rb") as file:
-            if not _lock(file) or check(path).complete:
+            if not _lock(file):
+                continue
+            found = check(path)
+            for words in found.damage:  # evidence: whoever wants it mended says so
+                log.error("the log %s is DAMAGED: %s", path, words)
+            if found.complete:
                 continue
             try:
                 repair(path)
@@ -122,15 +178,21 @@ def repair_folder(folder: Path) -> list[Path]:
     return broken
 
 
-def prune(folder: Path, *, keep_bytes: float, keep_s: float) -> list[Path]:
+def size_of(folder: Path) -> int:
+    """Bytes of all logs."""
+    return sum(path.stat().st_size for path in folder.glob(f"{LOGS}*"))
+
+
+def prune(folder: Path, *, keep_bytes: float, keep_s: float, spare_s: float = 0.0) -> list[Path]:
     """Delete logs, the oldest first, until none is older than `keep_s` and all together are no more than `keep_bytes`.
 
-    Logs that a service writes stay; broken ones that were mended count and go like the others.
+    Logs that a service writes stay, and those younger than `spare_s` whatever their size: else who fills the log can
+    delete what it says. Broken ones that were mended count and go like the others.
     """
-    stats = {path: path.stat() for path in folder.glob("gpdf_*.mcap*")}
+    stats = {path: path.stat() for path in folder.glob(f"{LOGS}*")}
     total, now, gone = sum(stat.st_size for stat in stats.values()), time.time(), []
     for path, stat in sorted(stats.items(), key=lambda item: item[1].st_mtime):
-        if total <= keep_bytes and now - stat.st_mtime <= keep_s:
+        if now - stat.st_mtime < spare_s or (total <= keep_bytes and now - stat.st_mtime <= keep_s):
             break
         with path.open("rb") as file:
             if not _lock(file):

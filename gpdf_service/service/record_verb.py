@@ -20,7 +20,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Exit code 0 if each log is (now) complete, or is being written."""
+    """Exit code 0 if each log is (now) complete and as it was written, or is being written."""
     logs = [log for path in args.logs for log in _logs(path)]
     fine = [_check(log, mend=args.repair, as_json=args.json) for log in logs]
     return 0 if all(fine) else 1
@@ -39,11 +39,13 @@ def _check(log: Path, *, mend: bool, as_json: bool) -> bool:
         print(f"gpdf: {log} is no log", file=sys.stderr)
         return False
     live, found = is_live(log), check(log)  # never mended while a service writes it: it would write on beside
-    if mend and not live and not found.complete:
+    if mend and not live and not found.whole:
         found = repair(log)
     if as_json:
-        print(json.dumps({"log": str(log), "messages": found.messages, "complete": found.complete, "live": live}))
+        facts = {"messages": found.messages, "complete": found.complete, "live": live, "damage": found.damage}
+        print(json.dumps({"log": str(log), **facts}))
     else:
         cut = "being written by a service" if live else "cut short (mend it with --repair)"
-        print(f"{log}: {found.messages} messages, {'complete' if found.complete else cut}")
-    return live or found.complete
+        state = "DAMAGED" if found.damage else "complete" if found.complete else cut
+        print("\n  ".join([f"{log}: {found.messages} messages, {state}", *found.damage]))
+    return (live or found.complete) and not found.damage

@@ -18,14 +18,16 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import numpy as np
 from gpdf_schemas import PlanReply, decode
 from numpy.typing import NDArray
 
 from gpdf_service import __version__
+from gpdf_service.service.evidence import Evidence
 from gpdf_service.service.options import Options
 from gpdf_service.service.pictures import cloud, line, poses, words
-from gpdf_service.service.record import prune
+from gpdf_service.service.record import prune, size_of
 from gpdf_service.service.segment import Segment
 from gpdf_service.types import FloatArray
 
@@ -50,7 +52,10 @@ REMIND_S = 60.0
 CLOUD_POINTS = 100_000
 """Points of a scene, or of what moves in it, that the log keeps for pictures."""
 MB = 1e6
-DAY_S = 86_400.0
+HOUR_S = 3600.0
+DAY_S = 24.0 * HOUR_S
+MUTED = "gpdf/muted"
+"""Topic: refused requests that were only counted, by client."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,6 +103,7 @@ class Recorder:
         self._segments = self._unsafe = 0  # files begun; messages since the last flush
         self._flushed = self._retry = self._complained = -float("inf")
         self._counting = threading.Lock()
+        self.evidence = Evidence()
         self._scenes: dict[str, Callable[[Segment], None]] = {}
         self._queue = _Backlog(QUEUE_BYTES)
         self._segment: Segment | None = None
@@ -252,6 +258,8 @@ class Recorder:
                 raise
             except Exception:
                 log.exception("a message could not be recorded in %s", self.path)
+        if muted := self.evidence.muted():
+            self._segment.write(MUTED, msgspec.msgpack.encode(muted), time.time_ns())
         if self._unsafe and now - self._flushed >= self.options.flush_s:
             self._segment.flush()
             self._flushed, self._unsafe = now, 0
@@ -265,7 +273,9 @@ class Recorder:
     def _begin(self) -> Segment:
         """The next file, with what a reader must know at its head; the oldest make room."""
         options = self.options
-        prune(options.log_dir, keep_bytes=options.log_keep_mb * MB, keep_s=options.log_keep_days * DAY_S)
+        most, spare_s = options.log_keep_mb * MB, options.log_spare_hours * HOUR_S
+        prune(options.log_dir, keep_bytes=most, keep_s=options.log_keep_days * DAY_S, spare_s=spare_s)
+        self.evidence.thrifty = size_of(options.log_dir) > most
         if short := self._short_of_room():
             raise OSError(short)
         self._segments += 1

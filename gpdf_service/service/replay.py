@@ -56,21 +56,26 @@ def recorded_plans(path: Path) -> Iterator[tuple[PlanRequest, PlanReply]]:
     return ((event.request, event.reply) for event in _events(path) if isinstance(event, Planned))
 
 
-def recorded_events(path: Path) -> list[Planned | Moved]:
-    """What moved, and plans as they were begun, in their order: a plan knows what moved when it was begun."""
-    return sorted(_events(path), key=lambda event: event.stamp_ns)
+def recorded_events(path: Path, damage: list[str] | None = None) -> list[Planned | Moved]:
+    """What moved, and plans as they were begun, in their order: a plan knows what moved when it was begun.
+
+    Args:
+        path: The log.
+        damage: Told in words what is left out.
+    """
+    return sorted(_events(path, damage), key=lambda event: event.stamp_ns)
 
 
-def _events(path: Path) -> Iterator[Planned | Moved]:
+def _events(path: Path, damage: list[str] | None = None) -> Iterator[Planned | Moved]:
     """In the order of the log: a request stands right before its reply, and there when it was answered."""
     topics: dict[int, str] = {}
     request: Message | None = None
-    for record in records_of(path):
+    for record in records_of(path, damage):
         if isinstance(record, Channel):
             topics[record.id] = record.topic
         if not isinstance(record, Message):
             continue
-        topic = topics[record.channel_id]
+        topic = topics.get(record.channel_id, "")
         if topic == f"{keys.PLAN}/request":
             request = record
         elif topic == f"{keys.PLAN}/reply" and request is not None:
@@ -78,6 +83,7 @@ def _events(path: Path) -> Iterator[Planned | Moved]:
             if reply.status not in ("INVALID_REQUEST", "BUSY", "UNAVAILABLE"):
                 waited_ns = round(1e9 * reply.timings.get("waited", 0.0))
                 yield Planned(request.log_time + waited_ns, decode(request.data, PlanRequest), reply)
+            request = None
         elif topic.startswith(keys.SCENES) and topic.endswith("/obstacles"):
             yield Moved(record.log_time, topic.split("/")[-2], decode(record.data, MovingObstacles).obstacles)
 

@@ -9,7 +9,7 @@ import time
 from collections.abc import Sequence
 from pathlib import Path
 
-from gpdf_schemas import PlanReply, decode, encode, keys
+from gpdf_schemas import Array, MovingObstacle, PlanReply, decode, encode, keys
 from tqdm import tqdm
 
 from gpdf_service.errors import RequestError, SceneFileError
@@ -23,6 +23,26 @@ from gpdf_service.service.replay import Moved, Planned, recorded_scenes
 from gpdf_service.service.scene_files import SUFFIX
 
 log = logging.getLogger(__name__)
+
+
+class Course:
+    """What moved, at the times of the log."""
+
+    def __init__(self) -> None:
+        self._now = 0.0
+        self.moving = Moving(lambda: self._now)
+
+    def follow(self, event: Moved) -> None:
+        """Something was published."""
+        self._now = event.stamp_ns / 1e9
+        with contextlib.suppress(ValueError):  # one has no sense: the service left that out, too
+            self.moving.publish(event.scene, event.obstacles)
+
+    def at(self, plan: Planned) -> list[MovingObstacle]:
+        """What was in the way when a plan was begun."""
+        self._now = plan.stamp_ns / 1e9
+        living = self.moving.living(plan.request.scene)
+        return [MovingObstacle(id=id_, points=Array.pack(one.points)) for id_, one in living.items()]
 
 
 class InProcess:
@@ -41,8 +61,7 @@ class InProcess:
         for (name, version), digest in self._digests.items():
             if name in self._named and self._named[name].digest != digest:
                 log.warning("scene %s is another place than version %d of it in the log", name, version)
-        self._now = 0.0
-        self._moving = Moving(lambda: self._now)
+        self._course = Course()
 
     def scene_of(self, plan: Planned) -> Scene:
         """The scene that a plan was made in.
@@ -71,17 +90,16 @@ class InProcess:
         """The replies of today to all plans, as if each came at its recorded time."""
         replies = []
         for event in tqdm(events, desc="replay", unit="event", disable=not sys.stderr.isatty()):
-            self._now = event.stamp_ns / 1e9
             if isinstance(event, Planned):
+                self._course.at(event)
                 replies.append(self._ask(event))
             else:
-                with contextlib.suppress(ValueError):  # one has no sense: the service left that out, too
-                    self._moving.publish(event.scene, event.obstacles)
+                self._course.follow(event)
         return replies
 
     def _ask(self, plan: Planned) -> PlanReply:
         scene = self.scene_of(plan)
-        planning = Planning(lambda name, timeout_s: scene, self._moving, "replay")
+        planning = Planning(lambda name, timeout_s: scene, self._course.moving, "replay")
         by = planning.answers[keys.PLAN]
         return decode(answer(by, "replay", encode(plan.request), time.monotonic(), 0.0), PlanReply)
 
@@ -90,7 +108,7 @@ def _read(path: Path) -> Scene:
     if path.suffix == SUFFIX:
         return load_scene(path)
     cloud = read_cloud(path)
-    return build_scene(cloud.points, cloud.ground)
+    return build_scene(cloud.points, cloud.ground, origins=cloud.origins)
 
 
 def _by_digest(folder: Path, wanted: set[str]) -> dict[str, Scene]:

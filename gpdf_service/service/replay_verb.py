@@ -14,13 +14,14 @@ from gpdf_client import Client, ClientError
 from gpdf_client.cli import add_connection, connect
 from gpdf_client.results import to_result
 from gpdf_schemas import PlanReply, Status, keys
+from msgspec.structs import replace
 from tqdm import tqdm
 
 from gpdf_service.scene import Scene
 from gpdf_service.service.planning import agent_of
 from gpdf_service.service.record import is_log
 from gpdf_service.service.replay import Moved, Planned, compare, recorded_events
-from gpdf_service.service.replay_inside import InProcess
+from gpdf_service.service.replay_inside import Course, InProcess
 from gpdf_service.types import PlanResult
 
 
@@ -43,7 +44,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Exit code 0 if every plan was asked again and every answer is the same."""
+    """Exit code 0 if the log is as it was written, every plan was asked again and every answer is the same."""
     if not args.log.is_file():
         print(f"gpdf: there is no log {args.log}", file=sys.stderr)
         return 1
@@ -53,9 +54,14 @@ def run(args: argparse.Namespace) -> int:
     if args.png and not (args.scene or args.scenes_dir):
         print("gpdf: --png draws on a scene: name it with --scene NAME=CLOUD or --scenes-dir", file=sys.stderr)
         return 1
+    damage: list[str] = []
     events = [
-        event for event in recorded_events(args.log) if isinstance(event, Moved) or _is_asked(event, args.request)
+        event
+        for event in recorded_events(args.log, damage)
+        if isinstance(event, Moved) or _is_asked(event, args.request)
     ]
+    for words in damage:
+        print(f"gpdf: {args.log} is DAMAGED, and replayed without it: {words}", file=sys.stderr)
     plans = asked = [event for event in events if isinstance(event, Planned)]
     try:
         if args.scene or args.scenes_dir:
@@ -66,7 +72,7 @@ def run(args: argparse.Namespace) -> int:
             replies = again.ask_all([event for event in events if isinstance(event, Moved) or again.knows(event)])
         else:
             with connect(args) as client:
-                replies = _over_zenoh(client, plans, at_recorded_speed=args.recorded_speed)
+                replies = _over_zenoh(client, events, at_recorded_speed=args.recorded_speed)
     except ClientError as error:
         print(f"gpdf: {error}", file=sys.stderr)
         return 1
@@ -86,7 +92,7 @@ def run(args: argparse.Namespace) -> int:
     if len(plans) < len(asked):
         words = "plans were not asked again: they were made in versions of scenes that are not given"
         print(f"gpdf: {len(asked) - len(plans)} {words}", file=sys.stderr)
-    return 0 if results and same == len(asked) else 1
+    return 0 if results and same == len(asked) and not damage else 1
 
 
 def _is_asked(plan: Planned, request_id: str | None) -> bool:
@@ -94,13 +100,17 @@ def _is_asked(plan: Planned, request_id: str | None) -> bool:
     return plan.reply.scene_version > 0 and request_id in (None, plan.request.request_id)
 
 
-def _over_zenoh(client: Client, plans: list[Planned], *, at_recorded_speed: bool) -> list[PlanReply]:
-    replies, began = [], time.monotonic()
-    for plan in tqdm(plans, desc="replay", unit="plan", disable=not sys.stderr.isatty()):
+def _over_zenoh(client: Client, events: list[Planned | Moved], *, at_recorded_speed: bool) -> list[PlanReply]:
+    """The replies of today; what moved when a plan was begun goes with it, so that it is the same at any speed."""
+    replies, began, course = [], time.monotonic(), Course()
+    for event in tqdm(events, desc="replay", unit="event", disable=not sys.stderr.isatty()):
+        if isinstance(event, Moved):
+            course.follow(event)
+            continue
         if at_recorded_speed:
-            time.sleep(max(0.0, (plan.stamp_ns - plans[0].stamp_ns) / 1e9 - (time.monotonic() - began)))
-        deadline_s = plan.request.deadline_s
-        replies.append(client.ask(keys.PLAN, plan.request, PlanReply, deadline_s, fine=tuple(Status)))
+            time.sleep(max(0.0, (event.stamp_ns - events[0].stamp_ns) / 1e9 - (time.monotonic() - began)))
+        request = replace(event.request, obstacles=[*course.at(event), *event.request.obstacles])
+        replies.append(client.ask(keys.PLAN, request, PlanReply, request.deadline_s, fine=tuple(Status)))
     return replies
 
 

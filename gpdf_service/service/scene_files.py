@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import logging
+import os
 import re
+import time
 from pathlib import Path
 
-from gpdf_service.scene import Scene
+log = logging.getLogger(__name__)
 
 SUFFIX = ".gpdf"
 STORED = re.compile(r"(?P<name>[^@]+)@(?P<version>\d+)" + re.escape(SUFFIX))
 COUNTER = "last_version"
+BUILT = ".built"
 
 
 class SceneFiles:
@@ -17,47 +21,76 @@ class SceneFiles:
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
-        folder.mkdir(parents=True, exist_ok=True)
-        for left in folder.glob(".*"):  # by a crash in mid-write
-            left.unlink()
 
     def known(self) -> dict[str, Path]:
         """The newest file of each name; older ones, left by a crash, go."""
         found: dict[str, Path] = {}
-        for path in sorted(self.folder.glob(f"*@*{SUFFIX}"), key=version_of):
+        for path in sorted((path for path in self.folder.iterdir() if STORED.fullmatch(path.name)), key=version_of):
             name = path.name.partition("@")[0]
             if name in found:
                 found[name].unlink()
             found[name] = path
         return found
 
-    def next_version(self, at_least: int) -> int:
-        """A version that no scene of this folder ever had."""
-        counter = self.folder / COUNTER
-        last = max([int(counter.read_text()) if counter.is_file() else 0, *map(version_of, self.known().values())])
-        version = max(at_least, last + 1)
-        partial = self.folder / f".{COUNTER}"
-        partial.write_text(str(version))
-        partial.replace(counter)
+    def next_version(self, at_least: int = 1) -> int:
+        """A version that no scene of this folder ever had; when this returns, that is on the disk."""
+        version = max(at_least, 1 + max([self._last(), *map(version_of, self.known().values())]))
+        write_whole(self.folder / COUNTER, str(version).encode())
         return version
 
-    def put(self, name: str, scene: Scene) -> Path:
-        """Write a scene; when this returns, it is on the disk."""
-        path = self.path_of(name, scene.version)
-        scene.save(path)
-        return path
+    def _last(self) -> int:
+        counter = self.folder / COUNTER
+        if not counter.is_file():
+            return 0
+        try:
+            return int(counter.read_text())
+        except ValueError:  # seconds count faster than builds: whatever was given out is less
+            log.error("%s cannot be read; versions go on from the time of day", counter)
+            return int(time.time())
 
     def path_of(self, name: str, version: int) -> Path:
         """Where a scene's file is, or would be."""
         return self.folder / f"{name}@{version}{SUFFIX}"
 
+    def built(self, name: str, version: int) -> Path:
+        """Where it is until `publish`; what a crash leaves there was never ready."""
+        return self.folder / f".{name}@{version}{SUFFIX}{BUILT}"
+
+    def publish(self, built: Path) -> Path:
+        """Give a scene's file its name; when this returns, that is on the disk."""
+        path = self.folder / built.name[1:].removesuffix(BUILT)
+        built.replace(path)
+        sync_folder(self.folder)
+        return path
+
     def drop(self, name: str) -> None:
         """Forget a scene."""
-        for path in self.folder.glob(f"{name}@*{SUFFIX}"):
-            path.unlink()
+        for path in self.folder.iterdir():
+            if STORED.fullmatch(path.name) and path.name.partition("@")[0] == name:
+                path.unlink()
 
 
 def version_of(path: Path) -> int:
     """The version in a file's name."""
     match = STORED.fullmatch(path.name)
     return int(match["version"]) if match else -1
+
+
+def write_whole(file: Path, data: bytes) -> None:
+    """All of it or nothing, also if the power fails."""
+    partial = file.with_name(f".{file.name}")
+    with partial.open("wb") as stream:
+        stream.write(data)
+        stream.flush()
+        os.fsync(stream.fileno())
+    partial.replace(file)
+    sync_folder(file.parent)
+
+
+def sync_folder(folder: Path) -> None:
+    """Bring the names of a folder to the disk."""
+    handle = os.open(folder, os.O_RDONLY)
+    try:
+        os.fsync(handle)
+    finally:
+        os.close(handle)

@@ -2,27 +2,34 @@
 
 from __future__ import annotations
 
+import dataclasses
 import logging
 import re
-import threading
+import tempfile
 import time
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Mapping
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from msgspec.structs import replace
+from numpy.typing import NDArray
+
 from gpdf_service.config import Config
-from gpdf_service.errors import GpdfError, RequestError, SceneFileError
-from gpdf_service.perception import read_cloud
-from gpdf_service.pipeline import Progress, build_scene
+from gpdf_service.errors import GpdfError, RequestError
+from gpdf_service.pipeline import Progress
 from gpdf_service.scene import Scene, load_scene
-from gpdf_service.service.changes import Change, changed
-from gpdf_service.service.memory import held_bytes
+from gpdf_service.service.held import Entry as Entry
+from gpdf_service.service.held import Held
+from gpdf_service.service.held import describe as describe
+from gpdf_service.service.journal import Journal, Kind, Task
 from gpdf_service.service.places import Places
-from gpdf_service.service.scene_files import SUFFIX, SceneFiles
+from gpdf_service.service.scene_files import SceneFiles, version_of
+from gpdf_service.service.state_folder import StateFolder
 from gpdf_service.service.uploads import Uploads
-from gpdf_service.types import BoolArray, FloatArray
+from gpdf_service.service.words import public
+from gpdf_service.service.workshop import BuildError, EndedError, Job, NotKeptError, Workshop
+from gpdf_service.types import Agent, BoolArray, FloatArray
 
 log = logging.getLogger(__name__)
 
@@ -35,62 +42,33 @@ MAX_SCENES = 1000
 """Scenes at once: the floors of a town's houses; each has a line in every list, and a file."""
 MAX_BUILDS = 2 * MAX_SCENES
 """That wait or run: every scene and its next version."""
-Build = Callable[[Progress], Scene]
+JOURNAL = "journal"
+"""Folder in the state folder: what was acknowledged and is not built yet."""
+Build = Callable[[Job, Progress], Path]
+"""What has a job done: a `Workshop`, or a `Builder` whose workshop is in another process."""
 
 
 class FullError(GpdfError):
     """What was sent finds no room now; later it may."""
 
 
-@dataclass(slots=True)
-class Entry:
-    """A scene, or why there is none yet.
-
-    Attributes:
-        scene: In memory; None when it is not ready, or was evicted.
-        file: Where it is on disk.
-        facts: What it tells of itself; empty until it is ready.
-        pending: Builds that wait or run.
-        error: Why the last build failed.
-        used: When it was last asked for, on `time.monotonic` [s].
-    """
-
-    scene: Scene | None = None
-    file: Path | None = None
-    facts: dict[str, Any] = field(default_factory=dict)
-    pending: int = 0
-    error: str = ""
-    used: float = 0.0
-    lock: threading.Lock = field(default_factory=threading.Lock)
-    stage: tuple[str, float] = ("", 0.0)
-    """What the build does, and the share of it that is done."""
-    changes: list[Change] = field(default_factory=list)
-    """That wait for a build; all of them become one version."""
-
-    def note(self, stage: str, done: float) -> None:
-        """Take the build's progress."""
-        self.stage = stage, done
-
-    @property
-    def building(self) -> bool:
-        """Whether a build waits or runs; the scene is the newest only when none does."""
-        return self.pending > 0
-
-    @property
-    def ready(self) -> bool:
-        """Whether there is a scene to plan in."""
-        return bool(self.facts)
-
-
 class Shelf:
-    """All scenes of a service; safe for many threads. Builds run on one thread of their own, in order.
+    """All scenes of a service; safe for many threads. Builds run one after the other, in order.
 
     Args:
         scenes_dir: Folder of the files that clients may load.
         on_ready: Told the name and the scene when a version is ready.
-        config: Settings of what is built.
-        state_dir: Folder to keep ready scenes in; without one they are in memory alone, and stay there.
+        config: Settings of what is built here.
+        state_dir: Folder to keep ready scenes in; without one they go with the shelf.
         memory_bytes: Of all scenes together; the least recently used leave memory first.
+        build: Has jobs done; without it they are done here, with `config`.
+
+    Attributes:
+        trouble: Why what is sent cannot be kept now; empty when all is well.
+        lost: What was acknowledged and cannot be read again, in words.
+
+    Raises:
+        ConfigError: the state folder is not ours.
     """
 
     def __init__(
@@ -101,31 +79,49 @@ class Shelf:
         *,
         state_dir: Path | None = None,
         memory_bytes: float = float("inf"),
+        build: Build | None = None,
     ) -> None:
         self.scenes_dir = scenes_dir.resolve()
-        self.files = None if state_dir is None else SceneFiles(state_dir)
-        self.places = Places(state_dir)
-        self._config, self._memory_bytes = config, memory_bytes
-        self._entries: dict[str, Entry] = {}
+        self._temporary = None if state_dir else tempfile.TemporaryDirectory(prefix="gpdf-")
+        folder = Path(self._temporary.name) if self._temporary else state_dir
+        assert folder is not None
+        self._state = StateFolder(folder)
+        self.files, self.journal, self.places = SceneFiles(folder), Journal(folder / JOURNAL), Places(folder)
+        self._held = Held(memory_bytes)
+        self._lock, self._entries = self._held.lock, self._held.entries
         self._uploads = Uploads()
-        self._version = self._builds = self._cloud_points = 0  # points of uploads that wait for their builds
-        self._lock = threading.Lock()
+        self._builds = self._cloud_points = 0  # points of clouds that wait for their builds
         self._builder = ThreadPoolExecutor(1, thread_name_prefix="gpdf-build")
+        self._build = build or Workshop(config, memory_bytes).build
         self._on_ready = on_ready
+        self.trouble, self.lost = "", list[str]()
 
     def close(self) -> None:
-        """Let the running build end and start no other."""
+        """Let the running build end and start no other; what waits is built when the shelf is next restored."""
         self._builder.shutdown(wait=True, cancel_futures=True)
+        self._state.close()
+        if self._temporary is not None:
+            self._temporary.cleanup()
 
     def restore(self, without: Collection[str] = ()) -> None:
         """Start to load what is in the state folder: every scene that was ready when the service ended, or died.
 
+        What was acknowledged and not yet built is built now.
+
         Args:
             without: Names that come anew; nobody shall be answered from their old versions.
         """
-        for name, path in (self.files.known() if self.files else {}).items():
+        known = self.files.known()
+        for name, path in known.items():
             if name not in without:
-                self._start(name, lambda _, path=path: load_scene(path), path)  # type: ignore[misc]
+                self._submit(name, lambda entry, name=name, path=path: self._load(name, entry, path))  # type: ignore[misc]
+        waiting, self.lost = self.journal.waiting()
+        for task in waiting:
+            is_built = task.scene in known and 0 < task.version <= version_of(known[task.scene])
+            if is_built or task.scene in without:
+                self.journal.done(task)
+            else:
+                self._take(task)
 
     def settle(self) -> None:
         """Wait for the builds that were begun."""
@@ -133,68 +129,19 @@ class Shelf:
 
     def get(self, name: str) -> Entry | None:
         """What is known of a scene."""
-        with self._lock:
-            return self._entries.get(name)
+        return self._held.get(name)
 
     def scene(self, entry: Entry) -> Scene:
         """The last complete version of a ready scene, loaded from disk if it had left memory."""
-        entry.used = time.monotonic()
-        with entry.lock:  # who comes second waits for the first one's load
-            if entry.scene is None:
-                assert entry.file is not None
-                entry.scene = load_scene(entry.file)
-                log.info("a scene is loaded", extra={"file": entry.file.name})
-                found = entry.scene
-            else:
-                return entry.scene
-        self.trim()
-        return found
-
-    def hold(self, name: str, file: Path) -> Entry:
-        """A ready scene whose file somebody else keeps, in the place of an older one of that name."""
-        with self._lock:
-            entry = self._entries.get(name)
-            if entry is None or entry.file != file:
-                entry = self._entries[name] = Entry(file=file)
-            return entry
-
-    def held(self, name: str) -> Entry:
-        """What `hold` gave."""
-        with self._lock:
-            return self._entries[name]
-
-    def forget_gone(self) -> list[str]:
-        """Forget the scenes whose files are not there any more; their names."""
-        with self._lock:
-            gone = [name for name, entry in self._entries.items() if entry.file is None or not entry.file.is_file()]
-            for name in gone:
-                del self._entries[name]
-        return gone
-
-    def trim(self) -> float:
-        """Let scenes leave memory until the rest fits, the least recently used ahead, not the last; bytes held."""
-        with self._lock:
-            entries = sorted(self._entries.items(), key=lambda item: item[1].used)
-        sizes = {name: held_bytes(entry.scene) for name, entry in entries}
-        total = sum(sizes.values())
-        kept = [(name, entry) for name, entry in entries if entry.scene is not None]
-        for name, entry in kept[:-1]:
-            if total <= self._memory_bytes:
-                break
-            if entry.file is not None and entry.lock.acquire(blocking=False):
-                entry.scene = None
-                entry.lock.release()
-                total -= sizes[name]
-                log.info("scene %s left memory", name, extra={"bytes": sizes[name]})
-        if total > self._memory_bytes and kept and kept[-1][1].scene is not None:
-            kept[-1][1].scene.forget_agents()
-        return total
+        return self._held.scene(entry)
 
     def facts(self) -> dict[str, dict[str, Any]]:
         """Facts of every scene, by name."""
-        with self._lock:
-            entries = dict(self._entries)
-        return {name: describe(entry) for name, entry in entries.items()}
+        return self._held.facts()
+
+    def trim(self) -> float:
+        """Let scenes leave memory until the rest fits; bytes held."""
+        return self._held.trim()
 
     def load_file(self, name: str, file: str | Path, *, inside: bool = True) -> None:
         """Start to load a cloud or a scene file.
@@ -202,10 +149,12 @@ class Shelf:
         Args:
             name: Name to give it.
             file: The file; a name within the scenes folder when `inside`.
-            inside: Refuse what lies outside the scenes folder (requests); False for the operator's command line.
+            inside: Refuse what lies outside the scenes folder (requests); False for the operator's command line, which
+                says it again at the next start.
 
         Raises:
             FullError: too many builds wait already.
+            NotKeptError: the state folder does not take it.
             RequestError: the name is none, or there are too many scenes.
             ValueError: the file is not there.
         """
@@ -216,23 +165,19 @@ class Shelf:
         if not _is_file(path):
             words = "is not in the scenes folder. Put it there, or upload the points." if inside else "is not there."
             raise ValueError(f"file {str(file)!r} {words}")
-
-        def build(progress: Progress) -> Scene:
-            progress("read the file", 0.0)
-            if path.suffix == SUFFIX:
-                return load_scene(path)
-            cloud = read_cloud(path)
-            return build_scene(cloud.points, cloud.ground, self._config, progress=progress)
-
-        self._start(name, build)
+        if inside:
+            self._take(self._write_down("file", name, {"file": str(path)}))
+        else:
+            self._submit(name, lambda entry: self._make(name, entry, [], file=str(path)))
 
     def add_part(
         self, name: str, upload_id: str, part: int, parts: int, points: FloatArray, ground: BoolArray | None
     ) -> bool:
-        """Take one part of an upload; True when it was the last, and the build has begun.
+        """Take one part of an upload; True when it was the last: the whole is on the disk, and its build has begun.
 
         Raises:
             FullError: too many points or builds wait already; this part is not taken.
+            NotKeptError: the state folder does not take it.
             RequestError: the name is none, or there are too many scenes.
             ValueError: the part does not fit.
         """
@@ -242,19 +187,10 @@ class Shelf:
         whole = self._uploads.add(f"{name}/{upload_id}", part, parts, points, ground)
         if whole is None:
             return False
-        self._wait_for_build(len(whole[0]))
-
-        def build(progress: Progress) -> Scene:
-            self._wait_for_build(-len(whole[0]))
-            return build_scene(*whole, self._config, progress=progress)
-
-        self._start(name, build)
+        every, labels = whole
+        given = {} if labels is None else {"ground": labels}
+        self._take(self._write_down("cloud", name, {}, points=every, **given))
         return True
-
-    def _wait_for_build(self, points: int) -> None:
-        """So many more points wait, or less."""
-        with self._lock:
-            self._cloud_points += points
 
     def _admit(self, name: str) -> None:
         """Refuse what is no name, and a scene too many, before there is any work for it."""
@@ -274,127 +210,174 @@ class Shelf:
 
         Raises:
             FullError: too much waits already; this part is not taken.
+            NotKeptError: the state folder does not take it.
             ValueError: the part does not fit, or there is no such scene.
         """
         entry = self.get(name)
         if entry is None:
             raise ValueError(f"there is no scene {name!r}. Load it first.")
-        if sum(change.size for change in entry.changes) + len(points) > MAX_WAITING_POINTS:
+        waiting = sum(task.size for task in entry.waiting if task.kind == "change")
+        if waiting + len(points) > MAX_WAITING_POINTS:
             raise FullError(f"scene {name!r}", "changes come faster than they are built", "Send it again in a moment.")
         whole = self._uploads.add(f"change of {name}/{upload_id}", part, parts, points, gone)
         if whole is None:
             return False
         every, taken = whole
         assert taken is not None
-        with self._lock:
-            entry.changes.append(Change(every[~taken], every[taken], radius))
-            waits = len(entry.changes) > 1
-        if not waits:  # else that build takes this change as well
-            self._start(name, lambda progress: self._next(entry, progress))
+        self._take(self._write_down("change", name, {"radius": radius}, points=every, gone=taken))
         return True
 
-    def _next(self, entry: Entry, progress: Progress) -> Scene:
+    def _write_down(self, kind: Kind, name: str, facts: Mapping[str, Any], **arrays: NDArray[Any]) -> Task:
+        """On the disk before it is acknowledged."""
+        try:
+            return self.journal.put(kind, name, facts, **arrays)
+        except OSError as error:
+            self.trouble = f"scene {name!r}: what was sent cannot be kept ({error.strerror or error})"
+            raise NotKeptError(f"{self.trouble}. Make room in the state folder.") from error
+
+    def _take(self, task: Task) -> None:
+        """Let a task wait for its build; changes that wait together become one version."""
         with self._lock:
-            changes, entry.changes = entry.changes, []
-        if not entry.ready:
-            raise SceneFileError("a change", "the scene that it belongs to could not be built", "Load the scene first.")
-        return changed(self.scene(entry), changes, progress)
+            entry = self._entries.setdefault(task.scene, Entry())
+            joins = task.kind == "change" and bool(entry.waiting) and entry.waiting[-1].kind == "change"
+            entry.waiting.append(task)
+            self._cloud_points += task.size if task.kind == "cloud" else 0
+        if not joins:
+            self._submit(task.scene, lambda entry: self._make_next(task.scene, entry))
+
+    def _make_next(self, name: str, entry: Entry) -> None:
+        """The next version, from the first that waits, or the first changes."""
+        with self._lock:
+            count = 1
+            if entry.waiting and entry.waiting[0].kind == "change":
+                count = next((i for i, task in enumerate(entry.waiting) if task.kind != "change"), len(entry.waiting))
+            entry.taken, entry.waiting = entry.waiting[:count], entry.waiting[count:]
+            self._cloud_points -= sum(task.size for task in entry.taken if task.kind == "cloud")
+        if entry.taken:  # else it was unloaded meanwhile
+            self._make(name, entry, entry.taken)
+
+    def _make(self, name: str, entry: Entry, tasks: list[Task], file: str = "") -> None:
+        """Build one version, and forget the tasks that are in it, unless the disk alone is why there is none."""
+        try:
+            job = self._job(name, entry, tasks, file)
+            self._publish(name, entry, self._build(job, entry.note))
+        except (NotKeptError, EndedError):
+            raise
+        except BaseException:
+            self._forget(entry)
+            raise
+        self._forget(entry)
+
+    def _job(self, name: str, entry: Entry, tasks: list[Task], file: str) -> Job:
+        try:
+            version = self.files.next_version()
+            with self._lock:
+                entry.taken = tasks = [self.journal.promise(task, version) for task in tasks if task in entry.taken]
+        except OSError as error:
+            raise NotKeptError(
+                f"it cannot be kept ({error.strerror or error}). Make room in the state folder"
+            ) from error
+        job = Job(name, version, str(self.files.folder), file, agents=list(map(dataclasses.asdict, entry.bodies)))
+        if not tasks:
+            return job
+        first = tasks[0]
+        if first.kind == "change":
+            changes = [(str(task.path), float(task.facts["radius"])) for task in tasks]
+            return replace(job, base=str(entry.file or ""), changes=changes)
+        return replace(job, cloud=str(first.path)) if first.kind == "cloud" else replace(job, file=first.facts["file"])
+
+    def _forget(self, entry: Entry) -> None:
+        with self._lock:
+            for task in entry.taken:
+                self.journal.done(task)
+            entry.taken = []
 
     def place(self, name: str, scene: Scene, path: Path) -> None:
         """Put a ready scene there, with its file in the state folder, in the place of the one before."""
         with self._lock:
             entry = self._entries.setdefault(name, Entry())
-            entry.pending += 1
-        self._finish(name, entry, scene, path)
+        self._put(name, entry, scene, path)
 
     def unload(self, name: str) -> bool:
         """Forget a scene; False if there was none."""
         with self._lock:
-            if name in self._entries:
-                self.places.forget(name)  # ahead of the scene: a crash between must not leave them to the next one
-                if self.files is not None:
-                    self.files.drop(name)
-            return self._entries.pop(name, None) is not None
+            entry = self._entries.get(name)
+            if entry is None:
+                return False
+            for task in (*entry.taken, *entry.waiting):
+                self.journal.done(task)
+            self._cloud_points -= sum(task.size for task in entry.waiting if task.kind == "cloud")
+            entry.taken, entry.waiting = [], []
+            self.places.forget(name)  # ahead of the scene: a crash between must not leave them to the next one
+            self.files.drop(name)
+            del self._entries[name]
+            return True
 
-    def _start(self, name: str, build: Build, file: Path | None = None) -> None:
+    def note_body(self, name: str, body: Agent) -> None:
+        """A body of that kind moves in a scene: its free space comes with the next version."""
+        with self._lock:
+            if (entry := self._entries.get(name)) is not None:
+                entry.note_body(body)
+
+    def _submit(self, name: str, work: Callable[[Entry], None]) -> None:
         with self._lock:
             entry = self._entries.setdefault(name, Entry())
             entry.pending += 1
             entry.error = ""
             self._builds += 1
-        self._builder.submit(self._build, name, entry, build, file)
+        self._builder.submit(self._run, name, entry, work)
 
-    def _build(self, name: str, entry: Entry, build: Build, file: Path | None) -> None:
+    def _run(self, name: str, entry: Entry, work: Callable[[Entry], None]) -> None:
+        """One build, whatever becomes of it."""
+        error = ""
         try:
-            scene = build(entry.note)
-        except GpdfError as error:
-            log.warning("scene %s: %s", name, error)
-            self._fail(entry, str(error))
+            work(entry)
+        except EndedError:
+            return  # what it was to build is in the journal
+        except NotKeptError as found:
+            error = f"{public(str(found))}; it is built at the next start if it was acknowledged."
+            self.trouble = f"scene {name!r}: {error}"
+            log.error("NOT KEPT: scene %s: %s", name, found)
+        except (GpdfError, BuildError) as found:
+            log.warning("scene %s: %s", name, found)
+            error = public(str(found))
         except Exception:
             log.exception("scene %s", name)
-            self._fail(entry, "the build failed inside the service; its log says more.")
-        else:
-            self._finish(name, entry, scene, file)
-        finally:
-            with self._lock:
-                self._builds -= 1
-
-    def _fail(self, entry: Entry, why: str) -> None:
+            error = "the build failed inside the service; its log says more."
         with self._lock:
-            entry.pending, entry.error = entry.pending - 1, why
+            entry.pending, entry.error = entry.pending - 1, error
+            self._builds -= 1
 
-    def _finish(self, name: str, entry: Entry, scene: Scene, file: Path | None) -> None:
-        if file is None:
-            scene.version = self._next_version(scene.version)
-            file = self._keep(name, scene)
+    def _publish(self, name: str, entry: Entry, built: Path) -> None:
+        """Make what was built the scene's next version, unless it was unloaded meanwhile."""
+        with self._lock:
+            if self._entries.get(name) is not entry:
+                built.unlink()
+                return
+            try:
+                file = self.files.publish(built)
+            except OSError as error:
+                raise NotKeptError(f"it cannot be kept ({error.strerror or error})") from error
+        self._load(name, entry, file)
+
+    def _load(self, name: str, entry: Entry, file: Path) -> None:
+        self._put(name, entry, load_scene(file), file)
+
+    def _put(self, name: str, entry: Entry, scene: Scene, file: Path) -> None:
         with entry.lock, self._lock:  # nobody is loading the old version from its file
             current = self._entries.get(name) is entry
             older = entry.file if current else file  # unloaded meanwhile: nobody will ask for the new one
-            entry.scene, entry.file, entry.facts = scene, file, scene.info()
-            entry.pending, entry.error, entry.used = entry.pending - 1, "", time.monotonic()
-            self._version = max(self._version, scene.version)
+            if current:
+                entry.scene, entry.file, entry.facts, entry.used = scene, file, scene.info(), time.monotonic()
             if older is not None and (older != file or not current):
                 older.unlink(missing_ok=True)
         if not current:
             return
+        self.trouble = ""
         facts = {"points": len(scene.points), "version": scene.version, "digest": scene.digest}
         log.info("scene %s is ready", name, extra=facts)
         self._on_ready(name, scene)
         self.trim()
-
-    def _next_version(self, at_least: int) -> int:
-        """Never the same, never back."""
-        at_least = max(at_least, self._version + 1)
-        try:
-            return at_least if self.files is None else self.files.next_version(at_least)
-        except OSError as error:
-            log.error("the last version cannot be kept: %s", error)
-            return at_least
-
-    def _keep(self, name: str, scene: Scene) -> Path | None:
-        """Save the scene before it is acknowledged; None, loudly, if the disk does not take it."""
-        try:
-            return None if self.files is None else self.files.put(name, scene)
-        except OSError as error:
-            log.error("NOT KEPT: scene %s is in memory alone, a restart loses it: %s", name, error)
-            return None
-
-
-def describe(entry: Entry) -> dict[str, Any]:
-    """Facts of one entry, ready for the wire."""
-    state = "ready" if entry.ready else ("building" if entry.building else "failed")
-    facts: dict[str, Any] = {"state": state, "building": entry.building, "error": entry.error}
-    if entry.building:
-        facts |= {"stage": entry.stage[0], "done": entry.stage[1]}
-    scene = entry.scene
-    return (
-        facts
-        | (entry.facts if scene is None else scene.info())
-        | {
-            "in_memory": scene is not None,
-            "kept": entry.file is not None,
-        }
-    )
 
 
 def _is_file(path: Path) -> bool:

@@ -24,7 +24,7 @@ class Segment:
         self._file = path.open("xb")
         try:
             fcntl.flock(self._file, fcntl.LOCK_EX)  # ends with the process: repair tells a crash from a live log
-            self._writer = Writer(self._file)
+            self._writer = Writer(self._file, enable_data_crcs=True)
             self._writer.start(profile="gpdf", library=f"gpdf_service {__version__}")
         except BaseException:
             self.abandon()

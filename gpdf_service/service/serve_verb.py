@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import argparse
+import errno
 import logging
 import os
+import re
 import signal
+import socket
 import threading
 from pathlib import Path
 
@@ -49,6 +52,9 @@ def run(args: argparse.Namespace) -> int:
     stop = threading.Event()
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: stop.set())
+    if is_taken(options.endpoint):  # before processes begin and scenes are built
+        log.error("cannot listen on %s: the port is taken. Is another service running there?", options.endpoint)
+        return 1
     options.log_dir.mkdir(parents=True, exist_ok=True)
     for path in repair_folder(options.log_dir):
         log.warning("the log %s was cut short by a crash; it is readable again", path)
@@ -63,6 +69,20 @@ def run(args: argparse.Namespace) -> int:
         log.error("%s", error)
         return 1
     return 0
+
+
+def is_taken(endpoint: str) -> bool:
+    """Whether another program listens where a service would, `tcp/HOST:PORT`; False where that cannot be told."""
+    found = re.fullmatch(r"tcp/(?P<host>[^\[\]:]+):(?P<port>\d+)", endpoint)
+    if found is None:
+        return False
+    with socket.socket() as probe:
+        probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)  # as one that closed a moment ago may be
+        try:
+            probe.bind((found["host"], int(found["port"])))
+        except OSError as error:
+            return error.errno == errno.EADDRINUSE
+    return False
 
 
 def _named(text: str) -> tuple[str, Path]:

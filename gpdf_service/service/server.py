@@ -14,6 +14,7 @@ from functools import partial
 from importlib.metadata import version
 from pathlib import Path
 from types import TracebackType
+from typing import Literal
 
 import zenoh
 from gpdf_schemas import (
@@ -33,6 +34,7 @@ from gpdf_schemas.moving import stacked
 from gpdf_service import __version__
 from gpdf_service.config import Config
 from gpdf_service.scene import Scene
+from gpdf_service.service.builder import Builder
 from gpdf_service.service.fair_queue import FairQueue
 from gpdf_service.service.follower import Follower
 from gpdf_service.service.handlers import Handlers
@@ -44,6 +46,7 @@ from gpdf_service.service.pool import Pool, Settings
 from gpdf_service.service.prometheus import Endpoint
 from gpdf_service.service.recorder import Recorder
 from gpdf_service.service.scenes import NAME, Shelf
+from gpdf_service.warm import Warming
 
 log = logging.getLogger(__name__)
 
@@ -64,6 +67,7 @@ class _Job:
     payload: bytes
     received: float
     received_ns: int
+    client: str = ""  # what it calls itself, in hexadecimal
 
 
 class Server:
@@ -80,15 +84,17 @@ class Server:
         self.options, self._scenes = options, scenes
         self.planner_id = uuid.uuid4().hex[:12]
         options.log_dir.mkdir(parents=True, exist_ok=True)
-        stamp = time.strftime("%Y%m%dT%H%M%S", time.gmtime())
-        self.recorder = Recorder(options, f"{stamp}_{self.planner_id}", self._metadata(config))
+        self._builder = None if options.role == "planner" else Builder.of(options, config)
         self.shelf = Shelf(
             options.scenes_dir,
             self._on_ready,
             config,
             state_dir=options.state,
             memory_bytes=options.memory_bytes,
+            build=None if self._builder is None else self._builder.build,
         )
+        stamp = time.strftime("%Y%m%dT%H%M%S", time.gmtime())
+        self.recorder = Recorder(options, f"{stamp}_{self.planner_id}", self._metadata(config))
         self.metrics = Metrics()
         self._pool = self._make_pool()
         tell = self._on_unload, self._look_for, self._on_cut
@@ -99,11 +105,25 @@ class Server:
         ]
         self._ended = threading.Event()
         self._keeper = threading.Thread(target=self._keep_memory, name="gpdf-memory", daemon=True)
+        self._warmed = threading.Event()
+        self._warmer = threading.Thread(target=self._warm_kernels, name="gpdf-warm", daemon=True)
         self._session: zenoh.Session | None = None
         self._endpoint: Endpoint | None = None  # for Prometheus
         self._follower: Follower | None = None
         self._tokens: list[zenoh.LivelinessToken] = []  # dropped, they would be undeclared
         self._queryables: list[zenoh.Queryable[None]] = []
+
+    @property
+    def state(self) -> Literal["configured", "warming", "active", "draining"]:
+        """Where the service is in its life; only when it is active, the next plan takes what plans take."""
+        if self._ended.is_set():
+            return "draining"
+        if not self._tokens and self._follower is None:
+            return "configured"
+        building = any(entry["building"] for entry in self.shelf.facts().values())
+        synced = self._follower is None or self._follower.synced
+        warm = self._warmed.is_set() if self._pool is None else self._pool.ready
+        return "active" if synced and warm and not building else "warming"
 
     @property
     def processes(self) -> list[int]:
@@ -119,20 +139,19 @@ class Server:
         try:
             if self._pool is not None:
                 self._pool.start()
-            if self.options.role != "planner":
-                self._load_scenes()  # before anybody can ask for them
+            if self._builder is not None:
+                self._builder.start()
+            self._session = zenoh.open(session_config(self.options))  # a port that is taken is told before any work
+            self._session.declare_queryable(keys.status_of(self.planner_id), self._answer_status, complete=True)
             if self.options.metrics_port:
                 self._endpoint = Endpoint(self.options.metrics_port, self.status)
-            self._session = zenoh.open(session_config(self.options))
+            if self.options.role != "planner":
+                self._load_scenes()  # before anybody can ask for them
         except BaseException:
-            self._close_endpoint()
-            self._close_pool()
-            self.shelf.close()
-            self.recorder.close()
+            self._close_parts()
             raise
-        for thread in (*self._workers, self._keeper):
+        for thread in (*self._workers, self._keeper, self._warmer):
             thread.start()
-        self._session.declare_queryable(keys.status_of(self.planner_id), self._answer_status, complete=True)
         if self.options.role == "planner":
             self._follower = Follower(self._session, self.shelf, self._serve_plans)
             self._follower.start()
@@ -153,9 +172,18 @@ class Server:
         self._close_doors()
         self._close_endpoint()
         self._jobs.close()  # the requests that wait are answered first
-        for thread in (*self._workers, self._keeper):
+        for thread in (*self._workers, self._keeper, self._warmer):
             thread.join()
+        self._close_parts()
+        log.info("ended, log closed")
+
+    def _close_parts(self) -> None:
+        """What is not built stays in the journal for the next start."""
+        self._ended.set()
+        self._close_endpoint()
         self._close_pool()
+        if self._builder is not None:
+            self._builder.close()
         if self._follower is not None:
             self._follower.close()
         self.handlers.in_use.close()
@@ -163,7 +191,6 @@ class Server:
         if self._session is not None:
             self._session.close()  # type: ignore[no-untyped-call]
         self.recorder.close()
-        log.info("ended, log closed")
 
     def _close_doors(self) -> None:
         """Clients ask others from now on."""
@@ -181,7 +208,9 @@ class Server:
         options = self.options
         if not options.processes:
             return None
-        return Pool(options.processes, Settings(-1, self.planner_id, options.memory_bytes, options.log_format))
+        return Pool(
+            options.processes, Settings(-1, self.planner_id, options.memory_bytes, options.log_format, options.bodies)
+        )
 
     def _close_pool(self) -> None:
         if self._pool is not None:
@@ -218,12 +247,26 @@ class Server:
             "config": json.dumps(plain(self.options, config)),
         }
 
+    def _warm_kernels(self) -> None:
+        """Load what plans run, where they run in this process."""
+        if self.options.role != "map" and self._pool is None:
+            Warming().plans()
+        self._warmed.set()
+
     def _on_ready(self, name: str, scene: Scene) -> None:
         self.recorder.scene(name, scene.points, scene.info())
         self._announce(SceneChanged(scene=name, version=scene.version, digest=scene.digest))
+        entry = self.shelf.get(name)
+        if self._pool is not None and entry is not None and entry.file is not None:
+            self._pool.warm(name, str(entry.file))
+        elif self.options.role != "map":
+            for body in self.options.bodies:
+                scene.prepare(body)
 
     def _on_unload(self, name: str) -> None:
         self.recorder.forget(name)
+        if self._pool is not None:
+            self._pool.forget(name)
         self._announce(SceneChanged(scene=name, version=0))
 
     def _on_cut(self, cut: TrajectoryCut) -> None:
@@ -247,8 +290,10 @@ class Server:
             data = sample.payload.to_bytes()
             self.handlers.moving.publish(scene, decode(data, MovingObstacles).obstacles)
             if self.shelf.get(scene) is not None:
-                self.recorder.publication(key, data, stamp)
-                self.recorder.moving(scene, stacked(list(self.handlers.moving.points(scene).values())), stamp)
+                topic, kept = self.recorder.evidence.publication(key, data)
+                self.recorder.publication(topic, kept, stamp)
+                if topic == key:
+                    self.recorder.moving(scene, stacked(list(self.handlers.moving.points(scene).values())), stamp)
         except ValueError as error:
             log.warning("obstacles on %s: %s", key[:200], error)
             self.metrics.count_bad_publication()
@@ -267,16 +312,18 @@ class Server:
         body = query.payload or zenoh.ZBytes(b"")
         size, fits = len(body), len(body) <= MAX_REQUEST_BYTES
         payload = body.to_bytes() if fits else b""
-        job = _Job(query, key, wire_key, payload, time.monotonic(), time.time_ns())
+        sender = query.attachment
+        client = "" if sender is None else sender.to_bytes()[:MAX_CLIENT_BYTES].hex()
+        job = _Job(query, key, wire_key, payload, time.monotonic(), time.time_ns(), client)
+        if str(query.key_expr) != wire_key:  # a wildcard asks all that there is at once, and changes what it must not
+            self._refuse(job, Status.INVALID_REQUEST, f"{str(query.key_expr)[:100]!r} is no key. Ask {wire_key}.")
+            return
         if not fits:
             self._refuse(
                 job, Status.INVALID_REQUEST, f"{size} bytes, at most {MAX_REQUEST_BYTES} are taken. Send it in parts."
             )
             return
-        sender = query.attachment
-        if (
-            refused := self._jobs.put(job, "" if sender is None else sender.to_bytes()[:MAX_CLIENT_BYTES].hex())
-        ) is None:
+        if (refused := self._jobs.put(job, client)) is None:
             return
         if self._ended.is_set():
             self._refuse(refused, Status.UNAVAILABLE, "this service ends. Ask another one.")
@@ -297,15 +344,14 @@ class Server:
                 self._jobs.done()
 
     def _reply(self, job: _Job, data: bytes, *, patient: bool = True) -> None:
-        stamp = time.time_ns()
-        if job.key != keys.SCENE_DRAW:  # megabytes that the scene's digest, which is in the log, stands for
-            self.recorder.exchange(job.key, job.payload, data, job.received_ns, stamp, patient=patient)
-        self.metrics.count(
-            decode(data, Reply).status, time.monotonic() - job.received
-        )  # who has the answer finds it counted
+        stamp, status = time.time_ns(), decode(data, Reply).status
+        kept = self.recorder.evidence.of(job.client, job.key, status, job.payload, data)
+        if kept is not None:
+            self.recorder.exchange(*kept, job.received_ns, stamp, patient=patient)
+        self.metrics.count(status, time.monotonic() - job.received)  # who has the answer finds it counted
         with job.query:  # dropped after the reply, or the client waits for its time-out
             job.query.reply(job.wire_key, data)
-        if job.key == keys.PLAN:
+        if job.key == keys.PLAN and kept is not None and kept[0] == keys.PLAN:
             self.recorder.plan(data, stamp)
 
     def _answer_status(self, query: zenoh.Query) -> None:
@@ -316,23 +362,26 @@ class Server:
     def status(self) -> StatusReply:
         """Health, readiness and metrics now."""
         facts = self.shelf.facts()
-        stopped = [thread.name for thread in self._workers if not thread.is_alive()]
+        stopped = [one.name for one in self._workers if one.ident is not None and not one.is_alive()]
         problems = [f"the thread {name} has ended" for name in stopped]
         problems += [f"nothing is recorded: {self.recorder.trouble}"] if self.recorder.trouble else []
+        losses = [self.shelf.trouble] if self.shelf.trouble else []
+        losses += [f"what was acknowledged is lost: {words}" for words in self.shelf.lost]
+        problems += losses
+        if self.recorder.evidence.thrifty:
+            problems.append("the log is full of what may not be deleted yet: bodies are recorded as hashes")
         problems += [f"scene {name!r}: {entry['error']}" for name, entry in facts.items() if entry["error"]]
-        synced = True
+        state = self.state
         if self._follower is not None:
-            synced = self._follower.synced
             problems += [f"the map may be stale: {self._follower.trouble}"] if self._follower.trouble else []
         return StatusReply(
             planner=self.planner_id,
             load=self.load,
             role=self.options.role,
             software=__version__,
-            healthy=not stopped,
-            ready=synced
-            and (self._pool is None or self._pool.ready)
-            and not any(entry["state"] == "building" for entry in facts.values()),
+            healthy=not (stopped or losses or self.recorder.trouble),
+            state=state,
+            ready=state == "active",
             problems=problems,
             metrics={
                 **self.metrics.numbers(self.processes),

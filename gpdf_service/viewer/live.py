@@ -99,8 +99,11 @@ class LiveLayers:
         """Hear of all bodies on this connection, once."""
         if self._session is client.session:
             return
+        try:
+            self._subscribers = [client.session.declare_subscriber(f"{key}/*", self._hear) for key in STREAMS]
+        except zenoh.ZError:  # it was closed meanwhile, as when the page ends
+            return
         self._session = client.session
-        self._subscribers = [self._session.declare_subscriber(f"{key}/*", self._hear) for key in STREAMS]
 
     def draw(self) -> None:
         """Put every marker where its body is, and take away those that nobody has heard of for a while."""

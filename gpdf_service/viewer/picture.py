@@ -37,6 +37,14 @@ FIELD_PIXELS = 240
 """Samples of the distance field along the longer side of a picture: finer than it is printed."""
 LEAF_PIXELS = 1600
 """Pixels of the quadtree along that side: two for one that is printed, so that every leaf's edge is seen."""
+PANELS = 6
+"""Levels that a sheet shows: those with the most ground. The others are named below it."""
+SHEET = 18.0, 10.5
+"""[inch] Width and height of a sheet at 100 points an inch: a screen."""
+NAMED = 8
+"""Of the levels that are not drawn, that are named."""
+AROUND = 2.0
+"""[m] Of the rooms around a way, at least; three tenths of its extent where that is more."""
 CLOUD_POINTS = 60_000
 """Points of the cloud that a picture draws: more cannot be told apart on it."""
 
@@ -64,11 +72,13 @@ def draw_plans(
         title: Over the picture.
     """
     shown = {name: r.trajectory for name, r in results.items() if r.trajectory is not None}
-    figure = Figure(figsize=(13, 11), layout="constrained")
-    grid = figure.add_gridspec(2, 1, height_ratios=(3, 1))
-    plan_axes, side_axes = figure.add_subplot(grid[0]), figure.add_subplot(grid[1])
     level = _level_of(scene, next(iter(shown.values()), None))
     body = resolve_agent(next(iter(results)) if agent is None else agent)
+    low, high = _view(scene, level, [start, goal, *(path.ground for path in shown.values())])
+    wide = 6.4 * float((high - low)[0] / (high - low)[1])
+    figure = Figure(figsize=(min(max(wide + 2.5, 9.0), SHEET[0]), SHEET[1]), layout="compressed")
+    grid = figure.add_gridspec(2, 1, height_ratios=(3, 1))
+    plan_axes, side_axes = figure.add_subplot(grid[0]), figure.add_subplot(grid[1])
     _draw_field(figure, plan_axes, scene, body, level)
     _draw_obstacles(plan_axes, scene, body, level)
     for i, (name, result) in enumerate(results.items()):
@@ -85,7 +95,8 @@ def draw_plans(
         if len(place):
             style: dict[str, Any] = {"marker": marker, "ms": 13, "mfc": "white", "mec": "black", "ls": "", "zorder": 6}
             plan_axes.plot(place[0], place[1], label=label, **style)
-    plan_axes.set(xlabel="x [m]", ylabel="y [m]", aspect="equal", title=title or "plan view")
+    view = {"xlim": (low[0], high[0]), "ylim": (low[1], high[1])}
+    plan_axes.set(xlabel="x [m]", ylabel="y [m]", aspect="equal", title=title or "plan view", **view)
     plan_axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.08), fontsize=9, ncols=3)
     side_axes.set(xlabel="distance along the path in plan [m]", ylabel="z [m]", title="side view along each path")
     if shown:
@@ -94,12 +105,21 @@ def draw_plans(
 
 
 def draw_scene(scene: Scene, agent: str | Agent, path: str | os.PathLike[str]) -> None:
-    """Draw each level: ground by height, inferred ground, what stops the agent and why, and where it fits."""
+    """Draw the levels with the most ground on one sheet, as high as a screen; the others are named.
+
+    Of each the ground by height, what of it is inferred, what stops the agent and why, and where it fits.
+    """
     body = resolve_agent(agent)
-    count = len(scene.surfaces)
-    figure = Figure(figsize=(11 * min(count, 2), 9 * ((count + 1) // 2)), layout="constrained")
-    for i, surface in enumerate(scene.surfaces):
-        axes = figure.add_subplot((count + 1) // 2, min(count, 2), i + 1)
+    by_area = np.argsort([-np.count_nonzero(surface.state) for surface in scene.surfaces], kind="stable").tolist()
+    drawn = sorted(by_area[:PANELS])
+    columns = min(len(drawn), 2 if len(drawn) < 5 else 3)
+    rows = -(-len(drawn) // columns)
+    figure = Figure(
+        figsize=(min(11.0 * columns, SHEET[0]), 9.0 if columns == rows == 1 else SHEET[1]), layout="constrained"
+    )
+    kinds: dict[Any, Any] = {}  # of all panels
+    for panel, i in enumerate(drawn, 1):
+        surface, axes = scene.surfaces[i], figure.add_subplot(rows, columns, panel)
         nx, ny = surface.height.shape
         extent = _extent(surface.origin, surface.cell_width * np.array([nx, ny]))
         image = axes.imshow(surface.height.T, origin="lower", extent=extent, cmap=GROUND, interpolation="nearest")
@@ -109,14 +129,44 @@ def draw_scene(scene: Scene, agent: str | Agent, path: str | os.PathLike[str]) -
         axes.imshow(inferred.T, origin="lower", extent=extent, cmap=shade, alpha=0.7, interpolation="nearest")
         _draw_quadtree(axes, scene, body, i, (FITS, FITS_EDGE), 0.4)
         _draw_obstacles(axes, scene, body, i)
-        axes.set(xlabel="x [m]", ylabel="y [m]", aspect="equal", title=f"level {i} as the {body.name} finds it")
+        axes.set(
+            xlabel="x [m]", ylabel="y [m]", aspect="equal", title=f"{_storey(scene, i)} as the {body.name} finds it"
+        )
         named = [
             Patch(color=INFERRED_COLOUR, alpha=0.7, label="inferred ground"),
             Patch(color=FITS, alpha=0.4, label=f"the {body.name}'s centre may be here"),
         ]
-        handles = [*named, *axes.get_legend_handles_labels()[0]]
-        axes.legend(handles=handles, loc="upper left", bbox_to_anchor=(0.0, -0.07), ncols=3, fontsize=9)
+        kinds |= {patch.get_label(): patch for patch in named}
+        kinds |= {label: handle for handle, label in zip(*axes.get_legend_handles_labels(), strict=True)}
+    figure.legend(handles=list(kinds.values()), loc="outside lower center", ncols=6, fontsize=9)
+    if len(by_area) > PANELS:
+        rest = by_area[PANELS : PANELS + NAMED]
+        more = f" and {len(by_area) - PANELS - NAMED} more" if len(by_area) > PANELS + NAMED else ""
+        figure.suptitle(f"not drawn: {'; '.join(_storey(scene, i) for i in rest)}{more}", fontsize=9)
     _save(figure, path)
+
+
+def _storey(scene: Scene, level: int) -> str:
+    """A level by its number, the height of its ground and how much there is."""
+    surface = scene.surfaces[level]
+    area = np.count_nonzero(surface.state) * surface.cell_width**2
+    return f"level {level}, z {float(np.nanmedian(surface.height)):.1f} m, {area:.0f} m²"
+
+
+def _view(scene: Scene, level: int, places: Sequence[Sequence[float] | FloatArray]) -> tuple[FloatArray, FloatArray]:
+    """Least and greatest corner of what is shown of a level: the way with the rooms around it, within the map [m]."""
+    surface = scene.surfaces[level]
+    low = np.asarray(surface.origin, dtype=np.float64)
+    high = low + surface.cell_width * np.array(surface.height.shape)
+    corners = [np.atleast_2d(np.asarray(place, dtype=np.float64))[:, :2] for place in places if len(place)]
+    if not corners:
+        return low, high
+    way = np.concatenate(corners)
+    least, most = way.min(axis=0), way.max(axis=0)
+    around = max(AROUND, 0.3 * float((most - least).max()))
+    seen_low, seen_high = np.maximum(low, least - around), np.minimum(high, most + around)
+    apart = bool((seen_high - seen_low <= 0.0).any())  # a place far off the map
+    return (low, high) if apart else (seen_low, seen_high)
 
 
 def _save(figure: Figure, path: str | os.PathLike[str]) -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import ipaddress
 import logging
 import secrets
 import signal
@@ -23,14 +22,17 @@ WAKE_S = 0.5
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the verb's options."""
     add_connection(parser)
-    parser.add_argument("--host", default="127.0.0.1", help="address to serve the page on; any other needs the link")
+    parser.add_argument("--host", default="127.0.0.1", help="address to serve the page on")
+    parser.add_argument(
+        "--name", action="append", default=[], help="a name by which browsers ask for the page, beside its address"
+    )
     parser.add_argument("--port", type=int, default=DEFAULT_PORT, help="port to serve the page on")
     parser.add_argument("--log", type=Path, help="a log (.mcap) to open at once")
 
 
 def run(args: argparse.Namespace) -> int:
     """Serve the page until SIGINT or SIGTERM."""
-    from gpdf_service.viewer.gate import Gate
+    from gpdf_service.viewer.gate import Gate, hidden_address
     from gpdf_service.viewer.page import Page, Server
 
     logging.basicConfig(level=logging.INFO, format="%(asctime)s %(levelname)s %(name)s: %(message)s")
@@ -50,30 +52,19 @@ def run(args: argparse.Namespace) -> int:
         told = f"gpdf: cannot listen on {args.host}:{args.port}. Is another page running there? Try --port."
         print(told, file=sys.stderr)
         return 1
-    gated = not _is_loopback(args.host)
-    server = Server("127.0.0.1", _free_port() if gated else args.port, label="gpdf", verbose=False)
+    hidden = hidden_address()
+    server = Server(hidden, _free_port(hidden), label="gpdf", verbose=False)
     page = Page(server, args.endpoint, args.log, config)
-    link = f"http://{args.host}:{args.port}/"
-    gate = None
-    if gated:
-        token = secrets.token_urlsafe()
-        gate = Gate(args.host, args.port, server.get_port(), token)
-        link += f"?token={token}"
-    print(f"open {link}", flush=True)
+    token = secrets.token_urlsafe()
+    gate = Gate(args.host, args.port, (hidden, server.get_port()), token, args.name)
+    shown = f"[{args.host}]" if ":" in args.host else args.host
+    print(f"open http://{shown}:{args.port}/?token={token}", flush=True)
     while not stop.wait(WAKE_S):
         pass
     page.close()
-    if gate is not None:
-        gate.close()
+    gate.close()
     server.stop()
     return 0
-
-
-def _is_loopback(host: str) -> bool:
-    try:
-        return ipaddress.ip_address(host).is_loopback
-    except ValueError:
-        return host == "localhost"
 
 
 def _is_free(host: str, port: int) -> bool:
@@ -87,7 +78,7 @@ def _is_free(host: str, port: int) -> bool:
     return True
 
 
-def _free_port() -> int:
+def _free_port(host: str) -> int:
     with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
+        probe.bind((host, 0))
         return int(probe.getsockname()[1])

@@ -5,6 +5,7 @@ from gpdf_schemas.codec import MAX_REQUEST_BYTES as MAX_REQUEST_BYTES
 from gpdf_schemas.codec import DecodeError as DecodeError
 from gpdf_schemas.codec import decode as decode
 from gpdf_schemas.codec import encode as encode
+from gpdf_schemas.messages import Alternative as Alternative
 from gpdf_schemas.messages import Array as Array
 from gpdf_schemas.messages import CertificateMessage as CertificateMessage
 from gpdf_schemas.messages import CueAction as CueAction
@@ -36,3 +37,6 @@ from gpdf_schemas.messages import TrajectoryMessage as TrajectoryMessage
 from gpdf_schemas.messages import UpdateRequest as UpdateRequest
 from gpdf_schemas.messages import UploadRequest as UploadRequest
 from gpdf_schemas.messages import VelocityMessage as VelocityMessage
+from gpdf_schemas.speech import Ask as Ask
+from gpdf_schemas.speech import AskMessage as AskMessage
+from gpdf_schemas.speech import SayMessage as SayMessage

@@ -9,7 +9,7 @@ from typing import Any
 
 import msgspec
 
-from gpdf_schemas import messages
+from gpdf_schemas import messages, speech
 
 MESSAGES = (
     messages.PlanRequest,
@@ -26,6 +26,8 @@ MESSAGES = (
     messages.PlacesReply,
     messages.PoseMessage,
     messages.CueMessage,
+    speech.SayMessage,
+    speech.AskMessage,
     messages.VelocityMessage,
     messages.FileRequest,
     messages.FileReply,

@@ -118,6 +118,9 @@ class PlanRequest(msgspec.Struct, frozen=True, kw_only=True):
             is still clear and ends near the goal; not with `via`.
         start_heading: Where a body of discs faces at the start [rad], to turn there if it must; free when not given.
         goal_heading: The same at the goal.
+        prefer: quickest, level (no steps where there is another way) or wide (room beside the body); empty for the way
+            that a sighted companion would take.
+        alternatives: How many more ways are wanted that differ.
         deadline_s: Seconds that the answer may take.
         request_id: Chosen by the client; the same id asks the same thing again.
         obstacles: What else is in the way, for this plan alone; what was published for the scene counts as well.
@@ -134,6 +137,8 @@ class PlanRequest(msgspec.Struct, frozen=True, kw_only=True):
     warm_start: Array | None = None
     start_heading: float | None = None
     goal_heading: float | None = None
+    prefer: str = ""
+    alternatives: int = 0
     deadline_s: float = 30.0
     request_id: str = ""
     obstacles: list[MovingObstacle] = []
@@ -160,6 +165,7 @@ class CertificateMessage(msgspec.Struct, frozen=True):
     holds: bool
     reason: str = ""
     hidden_height: float = 0.0
+    ground_spacing: float = 0.0
 
 
 class Reply(msgspec.Struct, frozen=True, kw_only=True):
@@ -186,6 +192,14 @@ class Reply(msgspec.Struct, frozen=True, kw_only=True):
     load: float = 0.0
 
 
+class Alternative(msgspec.Struct, frozen=True, kw_only=True):
+    """One more way, which is OK: its trajectory, its certificate, and its `details` as in `PlanReply`."""
+
+    trajectory: TrajectoryMessage
+    certificate: CertificateMessage
+    details: dict[str, float] = {}
+
+
 class PlanReply(Reply, frozen=True, kw_only=True):
     """Answer to a `PlanRequest`.
 
@@ -193,16 +207,20 @@ class PlanReply(Reply, frozen=True, kw_only=True):
         trajectory: There when `status` is OK. A baseline that was asked for by name also sends a path that is
             UNCERTIFIED, to be measured and drawn: follow a trajectory only if `status` is OK.
         certificate: There when the trajectory is.
-        details: Numbers for the curious, by name: iterations, converged (0 or 1), goal, warm (0 or 1), nodes; where
-            there is no path, largest_radius and cut_x, cut_y, cut_z; where a place is not valid, nearest_x, nearest_y,
-            nearest_z.
+        details: Numbers for the curious, by name: iterations, converged (0 or 1), goal, warm (0 or 1), nodes; cost
+            (time and effort [s]), steps (how many) and stepped (their rise and fall together [m]) of the way; where
+            there is no path, largest_radius, cut_x, cut_y, cut_z and short_width, short_height, short_step [m] or
+            short_slope [rad], by how much the body is beyond what the way allows; where a place is not valid,
+            nearest_x, nearest_y, nearest_z.
         costs: Cost of the optimiser before and after each of its steps, (k,).
+        alternatives: More ways that differ, where they were asked for, the best first.
     """
 
     trajectory: TrajectoryMessage | None = None
     certificate: CertificateMessage | None = None
     details: dict[str, float] = {}
     costs: Array | None = None
+    alternatives: list[Alternative] = []
 
 
 class DistanceRequest(msgspec.Struct, frozen=True, kw_only=True):
@@ -335,12 +353,14 @@ class PoseMessage(msgspec.Struct, frozen=True, kw_only=True):
         heading: Direction that it faces, counter-clockwise from +x [rad].
         stamp: When that was measured, since 1970 [s].
         accuracy: One standard deviation of the position in plan [m].
+        steps: That a person has made since the stream began, where something counts them.
     """
 
     position: list[float]
     heading: float
     stamp: float
     accuracy: float = 0.0
+    steps: int | None = None
 
 
 class CueAction(StrEnum):
@@ -446,14 +466,17 @@ class StatusReply(Reply, frozen=True, kw_only=True):
     Attributes:
         role: "both", "map" or "planner".
         software: Version of the program.
-        healthy: Whether it does its work.
-        ready: Whether it can be asked: its own scenes are built, or those of the map service are here.
+        healthy: Whether it does its work, and loses nothing of what it is told to keep.
+        state: "configured" (it opens), "warming" (scenes are built, or taken into memory, or kernels are), "active" or
+            "draining" (what waits is answered, nothing new is taken).
+        ready: Whether it is active: the next plan takes what plans take.
         problems: What is wrong, in words; a log that cannot be written is one, and plans go on.
         metrics: Numbers by name.
     """
 
     role: str = ""
     software: str = ""
+    state: str = ""
     healthy: bool = False
     ready: bool = False
     problems: list[str] = []

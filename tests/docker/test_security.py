@@ -43,8 +43,8 @@ def as_user(user, folder, endpoint):
 
 
 @pytest.fixture
-def guarded(tmp_path, free_endpoint, office):
-    office[1].save(tmp_path / "office.gpdf")
+def guarded(tmp_path, free_endpoint, office_file):
+    shutil.copy(office_file, tmp_path / "office.gpdf")
     shutil.copy(DOCKER / "security" / "users.txt", tmp_path)
     options = Options(
         free_endpoint, tmp_path, tmp_path / "log", 1, zenoh=example("access.json5", tmp_path), role="both"
@@ -158,9 +158,9 @@ def test_an_operator_may_do_everything_and_a_planner_can_follow(guarded, office)
         assert list(operator.scenes()) == ["office"]
 
 
-def test_only_certificates_of_our_authority_enter(tmp_path, free_endpoint, office):
+def test_only_certificates_of_our_authority_enter(tmp_path, free_endpoint, office, office_file):
     made = office[0]
-    office[1].save(tmp_path / "office.gpdf")
+    shutil.copy(office_file, tmp_path / "office.gpdf")
     subprocess.run([DOCKER / "security" / "make_certificates.sh", tmp_path, "localhost"], check=True)
     endpoint = free_endpoint.replace("tcp/127.0.0.1", "tls/localhost")
     options = Options(endpoint, tmp_path, tmp_path / "log", 1, zenoh=example("mtls.json5", tmp_path))

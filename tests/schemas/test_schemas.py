@@ -5,6 +5,8 @@ import numpy as np
 import pytest
 from gpdf_schemas import (
     Array,
+    Ask,
+    AskMessage,
     CueAction,
     CueMessage,
     Cylinder,
@@ -13,6 +15,7 @@ from gpdf_schemas import (
     PlanReply,
     PlanRequest,
     PoseMessage,
+    SayMessage,
     Status,
     VelocityMessage,
     decode,
@@ -83,6 +86,7 @@ def test_golden_samples_of_version_one_are_still_read():
     assert reply.status is Status.OK
     assert reply.trajectory.positions.unpack().tolist() == [[0.0, 0.0, 2.0], [1.0, 0.0, 2.0]]
     assert reply.certificate.min_clearance == 0.25
+    assert reply.certificate.ground_spacing == 0.0  # nothing was told of it then
 
 
 def test_the_golden_sample_of_a_request_with_options_is_still_read():
@@ -91,6 +95,17 @@ def test_the_golden_sample_of_a_request_with_options_is_still_read():
     assert request.warm_start.unpack().tolist() == [[1.0, 2.0, 0.0], [4.0, 2.0, 0.0]]
     old = decode((FOLDER / "golden" / "v1_plan_request.msgpack").read_bytes(), PlanRequest)
     assert (old.via, old.other_goals, old.snap, old.warm_start) == ([], [], 0.0, None)
+
+
+def test_golden_samples_of_what_one_prefers_and_of_alternatives_are_still_read():
+    request = decode((FOLDER / "golden" / "v1_plan_request_prefer.msgpack").read_bytes(), PlanRequest)
+    assert (request.prefer, request.alternatives) == ("level", 2)
+    old = decode((FOLDER / "golden" / "v1_plan_request.msgpack").read_bytes(), PlanRequest)
+    assert (old.prefer, old.alternatives) == ("", 0)
+    (other,) = decode((FOLDER / "golden" / "v1_plan_reply_alternatives.msgpack").read_bytes(), PlanReply).alternatives
+    assert other.trajectory.ground.unpack().tolist() == [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0]]
+    assert (other.certificate.max_step, other.details) == (0.1, {"cost": 3.5, "steps": 1.0})
+    assert decode((FOLDER / "golden" / "v1_plan_reply.msgpack").read_bytes(), PlanReply).alternatives == []
 
 
 def test_golden_samples_of_the_streams_are_still_read():
@@ -103,6 +118,23 @@ def test_golden_samples_of_the_streams_are_still_read():
     (seen,) = decode((FOLDER / "golden" / "v1_moving_obstacles.msgpack").read_bytes(), MovingObstacles).obstacles
     assert seen.points.unpack().tolist() == [[1.0, 2.0, 0.5]]
     assert (seen.id, seen.cylinder.base, seen.cylinder.height, seen.lifetime_s) == ("dog", (1.0, 2.0, 0.0), 0.5, 1.5)
+
+
+def test_the_golden_samples_of_what_is_said_and_asked_are_still_read():
+    said = decode((FOLDER / "golden" / "v1_say.msgpack").read_bytes(), SayMessage)
+    assert (said.id, said.text, said.language) == ("anna-7", "In 2 metres, stairs up, 16 steps.", "en")
+    assert (said.kind, said.urgency, said.about) == ("stairs", 2, [4.5, 1.0, 0.25])
+    assert (said.stamp, said.valid_until, said.reply_to) == (1700000000.25, 1700000002.25, "b3")
+    assert said.answers == [Ask.YES, Ask.NO]
+    asked = decode((FOLDER / "golden" / "v1_ask.msgpack").read_bytes(), AskMessage)
+    assert asked == AskMessage(ask=Ask.GOAL, id="b3", goal="kitchen", stamp=1700000000.5)
+    assert decode(encode(AskMessage(ask=Ask.GOAL, goal=[1.0, 2.0, 0.5])), AskMessage).goal == [1.0, 2.0, 0.5]
+
+
+def test_a_pose_may_count_steps_and_an_old_one_counts_none():
+    assert decode((FOLDER / "golden" / "v1_pose.msgpack").read_bytes(), PoseMessage).steps is None
+    counted = PoseMessage(position=[0.0, 0.0, 0.0], heading=0.0, stamp=1.0, steps=12)
+    assert decode(encode(counted), PoseMessage).steps == 12
 
 
 def test_the_golden_sample_of_a_velocity_is_still_read():

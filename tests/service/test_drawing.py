@@ -1,22 +1,23 @@
+import shutil
+
 import numpy as np
 import pytest
 from gpdf_client import Client, InvalidRequestError, UnknownSceneError
 from gpdf_schemas import keys
 from mcap.records import Channel
 
+from gpdf_service.bench.running import free_endpoint
 from gpdf_service.perception import ObstacleKind
 from gpdf_service.service import drawing
 from gpdf_service.service.record import records_of
 from gpdf_service.service.server import Options, Server
 
 
-@pytest.fixture
-def asked(office, free_endpoint, tmp_path):
-    office[1].save(tmp_path / "office.gpdf")
-    with (
-        Server(Options(free_endpoint, tmp_path, tmp_path / "log", 1)) as server,
-        Client.connect(free_endpoint) as client,
-    ):
+@pytest.fixture(scope="module")
+def asked(office_file, tmp_path_factory):
+    folder, endpoint = tmp_path_factory.mktemp("drawing"), free_endpoint()
+    shutil.copy(office_file, folder / "office.gpdf")
+    with Server(Options(endpoint, folder, folder / "log", 1)) as server, Client.connect(endpoint) as client:
         client.load_scene("office", "office.gpdf")
         yield server, client
 
@@ -100,9 +101,10 @@ def test_a_scene_replaced_in_mid_drawing_is_drawn_again_from_the_start(asked, of
     assert len(shares) > 2 + 1
 
 
-def test_drawings_are_not_in_the_log(office, free_endpoint, tmp_path):
-    office[1].save(tmp_path / "office.gpdf")
-    with Server(Options(free_endpoint, tmp_path, tmp_path, 1)) as server, Client.connect(free_endpoint) as client:
+def test_drawings_are_not_in_the_log(office_file, tmp_path):
+    shutil.copy(office_file, tmp_path / "office.gpdf")
+    endpoint = free_endpoint()
+    with Server(Options(endpoint, tmp_path, tmp_path, 1)) as server, Client.connect(endpoint) as client:
         client.load_scene("office", "office.gpdf")
         client.draw("office", "cloud")
         client.scenes()

@@ -20,6 +20,7 @@ def ask_raw(endpoint, key, payload):
         return [answer.ok.payload.to_bytes() for answer in session.get(key, payload=payload, timeout=30)]
 
 
+@pytest.mark.slow
 def test_malformed_requests_get_typed_answers_and_valid_clients_are_served(tmp_path):
     with serving(tmp_path) as service:
         row = attack(service, 1000, np.random.default_rng(1))
@@ -70,9 +71,9 @@ def test_too_long_a_request_is_refused_before_it_waits_in_the_queue(tmp_path, fr
     assert str(MAX_REQUEST_BYTES) in reply["message"]
 
 
-def test_a_described_body_of_no_earthly_size_is_refused(tmp_path, office):
+def test_a_described_body_of_no_earthly_size_is_refused(tmp_path, office_file):
     shelf = Shelf(tmp_path)
-    shelf.load_file("office", _saved(office, tmp_path), inside=False)
+    shelf.load_file("office", office_file, inside=False)
     shelf._builder.submit(lambda: None).result(30)
     body = {"name": "x", "height": 1.0, "width": 0.5, "length": 0.5, "max_step": 0.1, "max_slope": 0.1}
     body |= {"speed": 1.0, "acceleration": 1.0, "turn_rate": 1.0}
@@ -82,8 +83,3 @@ def test_a_described_body_of_no_earthly_size_is_refused(tmp_path, office):
         reply = msgpack.unpackb(Handlers(shelf, "").answer(keys.PLAN, msgpack.packb(request), time.monotonic()))
         assert reply["status"] == "INVALID_REQUEST"
     shelf.close()
-
-
-def _saved(office, folder):
-    office[1].save(folder / "office.gpdf")
-    return folder / "office.gpdf"

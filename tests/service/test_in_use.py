@@ -2,6 +2,7 @@
 
 import dataclasses
 import queue
+import shutil
 
 import numpy as np
 import pytest
@@ -97,9 +98,9 @@ def test_a_plan_round_something_is_not_cut_by_it(agent):
         assert used.cuts("hall") == []
 
 
-def test_who_subscribed_hears_of_a_cut_over_zenoh(free_endpoint, tmp_path, office):
-    made, scene = office
-    scene.save(tmp_path / "office.gpdf")
+def test_who_subscribed_hears_of_a_cut_over_zenoh(free_endpoint, tmp_path, office, office_file):
+    made = office[0]
+    shutil.copy(office_file, tmp_path / "office.gpdf")
     options = Options(free_endpoint, tmp_path, tmp_path / "log", 1)
     heard = queue.Queue()
     with (
@@ -124,3 +125,21 @@ def test_who_subscribed_hears_of_a_cut_over_zenoh(free_endpoint, tmp_path, offic
     assert cut.planner == server.planner_id
     assert 0 < cut.time < plan.trajectory.duration
     assert server.status().metrics["bad_publications"] == 0
+
+
+def test_a_new_trajectory_is_looked_at_alone_and_all_are_when_something_moves():
+    points, told = {}, queue.Queue()
+    used = InUse(lambda scene: points, told.put)
+    used.start()
+    try:
+        used.remember("hall", "first", gpdf.AGENTS["human"], straight)
+        points["x"] = np.array([[3.0, 1.5, 0.5]])
+        used.look("hall")
+        assert told.get(timeout=30).request_id == "first"
+        used.remember("hall", "second", gpdf.AGENTS["human"], straight)
+        assert told.get(timeout=30).request_id == "second"
+        used.look("hall")
+        assert {told.get(timeout=30).request_id for _ in range(2)} == {"first", "second"}
+        assert told.empty()
+    finally:
+        used.close()

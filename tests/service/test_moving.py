@@ -67,7 +67,7 @@ def test_an_obstacle_ends_with_its_lifetime_and_is_replaced_and_removed_by_its_i
     moving = Moving(lambda: now[0])
 
     def count():
-        return len(moving.merged("hall", hall).levels.levels[0].other_points)
+        return len(moving.merged("hall", hall).moving)
 
     one, two = person(3.0, 1.5, lifetime_s=1.0), person(4.0, 1.5, lifetime_s=5.0)
     size = len(points_of(one))
@@ -120,7 +120,7 @@ def test_one_obstacle_of_no_sense_does_not_hide_the_others_of_its_message(hall):
     moving = Moving()
     with pytest.raises(ValueError, match="neither"):
         moving.publish("hall", [MovingObstacle(id="x"), person(3.0, 1.5, lifetime_s=60)])
-    assert len(moving.merged("hall", hall).levels.levels[0].other_points) > 0
+    assert len(moving.merged("hall", hall).moving) > 0
 
 
 def test_a_short_message_does_not_become_gigabytes(hall):

@@ -1,5 +1,6 @@
 import json
 import logging
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -109,8 +110,8 @@ def test_a_wrong_option_ends_the_command_with_words(tmp_path):
     assert "queue" in done.stderr
 
 
-def test_the_log_says_what_wrote_it(tmp_path, free_endpoint, office):
-    office[1].save(tmp_path / "office.gpdf")
+def test_the_log_says_what_wrote_it(tmp_path, free_endpoint, office, office_file):
+    shutil.copy(office_file, tmp_path / "office.gpdf")
     options = Options(free_endpoint, tmp_path, tmp_path / "log", 1, queue=77)
     with Server(options, [("office", tmp_path / "office.gpdf")]) as server:
         server.shelf._builder.submit(lambda: None).result(60)

@@ -1,7 +1,7 @@
 """Named places: kept with the scene, used by every client."""
 
-import asyncio
 import json
+import shutil
 
 import numpy as np
 import pytest
@@ -11,11 +11,12 @@ from gpdf_service.cli import main
 from gpdf_service.errors import RequestError, SceneFileError
 from gpdf_service.service.places import MAX_NAME, MAX_PLACES, Places
 from gpdf_service.service.server import Options, Server
+from tests.asynchronous import run
 
 
 @pytest.fixture
-def serve(free_endpoint, tmp_path, office):
-    office[1].save(tmp_path / "office.gpdf")
+def serve(free_endpoint, tmp_path, office_file):
+    shutil.copy(office_file, tmp_path / "office.gpdf")
 
     def start():
         return Server(Options(free_endpoint, tmp_path, tmp_path / "log", 1))
@@ -48,6 +49,15 @@ def test_places_outlive_a_restart_and_a_new_version_but_not_their_scene(serve):
 def test_a_plan_between_places_is_the_plan_between_their_positions(serve, office):
     start, endpoint = serve
     made, _ = office
+
+    async def ask():
+        async with await AsyncClient.connect(endpoint) as client:
+            await client.set_place("office", "exit", made.goal)
+            assert await client.where("office", "exit") == list(made.goal)
+            assert (await client.plan("office", "entrance", "exit")).status == "OK"
+            assert sorted(await client.remove_place("office", "exit")) == ["entrance", "kitchen"]
+            assert sorted(await client.places("office")) == ["entrance", "kitchen"]
+
     with start(), Client.connect(endpoint) as client:
         client.load_scene("office", "office.gpdf")
         client.set_place("office", "entrance", made.start)
@@ -66,18 +76,7 @@ def test_a_plan_between_places_is_the_plan_between_their_positions(serve, office
                 client.set_place("office", name, position)
         with pytest.raises(UnknownSceneError):
             client.set_place("nowhere", "a", (1, 1))
-
-    async def ask():
-        async with await AsyncClient.connect(endpoint) as client:
-            await client.set_place("office", "exit", made.goal)
-            assert await client.where("office", "exit") == list(made.goal)
-            assert (await client.plan("office", "entrance", "exit")).status == "OK"
-            assert sorted(await client.remove_place("office", "exit")) == ["entrance", "kitchen"]
-            assert sorted(await client.places("office")) == ["entrance", "kitchen"]
-
-    with start() as server:
-        server.shelf.settle()
-        asyncio.run(ask())
+        run(ask())
 
 
 def test_the_command_line_names_places_and_goes_there(serve, capsys):

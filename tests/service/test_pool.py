@@ -1,6 +1,7 @@
 """Plans are made by processes of the service: they die, the service dies, and scenes change under them."""
 
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -8,22 +9,36 @@ import threading
 import time
 
 import msgpack
+import msgspec
 import numpy as np
 import psutil
 import pytest
 import zenoh
 from gpdf_client import Client
 from gpdf_client.client import client_config
-from gpdf_schemas import Array, Cylinder, DistanceReply, DistanceRequest, MovingObstacle, decode, encode, keys
+from gpdf_schemas import (
+    Array,
+    Cylinder,
+    DistanceReply,
+    DistanceRequest,
+    MovingObstacle,
+    PlanReply,
+    PlanRequest,
+    decode,
+    encode,
+    keys,
+)
 
 import gpdf_service as gpdf
 from gpdf_service.service.answers import RefusedError
 from gpdf_service.service.moving import Living
 from gpdf_service.service.plan_process import Desk
-from gpdf_service.service.pool import Ask, Pool, Seen, Settings
+from gpdf_service.service.pool import WARM, Ask, Pool, Seen, Settings
 from gpdf_service.service.record import check
 from gpdf_service.service.replay import recorded_plans
 from gpdf_service.service.server import Options, Server
+
+pytestmark = pytest.mark.slow
 
 PATIENCE_S = 60
 """[s] For what must happen at all."""
@@ -40,9 +55,9 @@ def wait_for(true):
 
 
 @pytest.fixture(scope="module")
-def files(tmp_path_factory, office):
+def files(tmp_path_factory, office_file):
     folder = tmp_path_factory.mktemp("scenes")
-    office[1].save(folder / "office.gpdf")
+    shutil.copy(office_file, folder / "office.gpdf")
     return folder
 
 
@@ -176,6 +191,18 @@ def test_a_process_lets_go_of_a_scene_whose_file_is_gone(files, tmp_path, monkey
     assert desk.answer(ask) == b""
 
 
+def test_the_first_plan_of_a_configured_body_finds_all_that_it_needs(files, office, monkeypatch):
+    desk, file = Desk(msgspec.structs.replace(SETTINGS, bodies=("human",))), str(files / "office.gpdf")
+    desk.answer(Ask(WARM, b"", time.monotonic(), 0.0, "x", file))
+    built = []
+    for name in ("build_free_space", "find_ways"):
+        monkeypatch.setattr(f"gpdf_service.scene.{name}", lambda *_, name=name, **__: built.append(name))
+    made = office[0]
+    request = encode(PlanRequest(scene="x", start=list(made.start), goal=list(made.goal), agent="human"))
+    reply = decode(desk.answer(Ask(keys.PLAN, request, time.monotonic(), 0.0, "x", file)), PlanReply)
+    assert (reply.status, built) == ("OK", [])
+
+
 def test_a_new_version_of_a_scene_does_not_make_a_process_forget_what_moves_in_it(files, tmp_path, monkeypatch):
     monkeypatch.setattr("gpdf_service.service.plan_process.TIDY_S", 0.0)
     desk, first, second = Desk(SETTINGS), tmp_path / "x@1.gpdf", tmp_path / "x@2.gpdf"
@@ -238,19 +265,6 @@ def test_a_process_dies_under_load_and_not_even_a_client_that_asks_once_sees_it(
     assert len(list(recorded_plans(server.recorder.path))) == len(seen)  # each once
 
 
-def test_a_scene_that_the_disk_did_not_take_is_planned_in_all_the_same(
-    files, tmp_path, free_endpoint, office, monkeypatch
-):
-    def full(*_):
-        raise OSError("no space left on device")
-
-    made = office[0]
-    monkeypatch.setattr("gpdf_service.service.scene_files.SceneFiles.put", full)
-    with Server(Options(free_endpoint, files, tmp_path, 2)), Client.connect(free_endpoint) as client:
-        assert not client.load_scene("office", "office.gpdf")["kept"]
-        assert client.plan("office", made.start, made.goal, "roomba").status == "OK"
-
-
 def test_a_trajectory_of_a_process_is_told_when_it_is_cut(files, tmp_path, free_endpoint, office):
     made, cuts = office[0], []
     with Server(Options(free_endpoint, files, tmp_path, 2)), Client.connect(free_endpoint) as client:
@@ -273,7 +287,7 @@ def process(files, tmp_path, free_endpoint):
     with subprocess.Popen([sys.executable, *words]) as running:
         with Client.connect(free_endpoint, timeout_s=PATIENCE_S) as client:
             client.wait_for_scene("office")
-            wait_for(lambda: client.status()[0].ready and len(psutil.Process(running.pid).children()) == 2)
+            wait_for(lambda: client.status()[0].ready and len(psutil.Process(running.pid).children()) == 3)
         yield running
         running.kill()
 

@@ -3,6 +3,7 @@
 import json
 import os
 import resource
+import shutil
 import subprocess
 import sys
 import threading
@@ -11,7 +12,7 @@ import time
 import numpy as np
 import pytest
 from gpdf_client import Client
-from gpdf_schemas import keys
+from gpdf_schemas import Status, keys
 from mcap.reader import make_reader
 
 from gpdf_service.cli import main
@@ -19,7 +20,7 @@ from gpdf_service.service.record import BROKEN, check, prune, records_of, repair
 from gpdf_service.service.recorder import Recorder
 from gpdf_service.service.replay import recorded_plans
 from gpdf_service.service.segment import Segment
-from gpdf_service.service.server import Options
+from gpdf_service.service.server import Options, Server
 
 BLOB = np.random.default_rng(0).bytes(20_000)  # does not compress
 
@@ -121,13 +122,21 @@ def test_a_disk_short_of_room_is_told_and_recording_begins_again(tmp_path, monke
 def limited(log_dir, state_dir, clouds, endpoint, limit):
     """`gpdf serve` whose files may not grow beyond `limit` bytes: each write beyond it fails as on a full disk."""
     words = [sys.executable, "-m", "gpdf_service.cli", "serve", "--endpoint", endpoint, "--scenes-dir", str(clouds)]
-    words += ["--log-dir", str(log_dir), "--state-dir", str(state_dir), "--log-min-free-mb", "0.001"]
+    words += ["--workers", "1", "--log-dir", str(log_dir), "--state-dir", str(state_dir), "--log-min-free-mb", "0.001"]
     return subprocess.Popen(
-        [*words, f"office={clouds / 'office.gpdf'}"],
+        words,
         stderr=subprocess.PIPE,
         text=True,
         preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (limit, limit)),
     )
+
+
+def with_office(log_dir, state_dir, clouds, endpoint):
+    """The scene is in the state folder, before the disk is full."""
+    with Server(Options(endpoint, clouds, log_dir, 1, state_dir=state_dir)), Client.connect(endpoint) as client:
+        client.load_scene("office", "office.gpdf")
+    for path in log_dir.glob("*.mcap"):
+        path.unlink()
 
 
 def plan_many(endpoint, made, count):
@@ -136,8 +145,10 @@ def plan_many(endpoint, made, count):
         return [client.plan("office", made.start, made.goal, "roomba").status for _ in range(count)]
 
 
-def test_files_that_cannot_grow_do_not_stop_planning(tmp_path, free_endpoint, office):
-    office[1].save(tmp_path / "office.gpdf")
+@pytest.mark.slow
+def test_files_that_cannot_grow_do_not_stop_planning(tmp_path, free_endpoint, office, office_file):
+    shutil.copy(office_file, tmp_path / "office.gpdf")
+    with_office(tmp_path / "log", tmp_path / "state", tmp_path, free_endpoint)
     with limited(tmp_path / "log", tmp_path / "state", tmp_path, free_endpoint, 30_000) as process:
         try:
             assert plan_many(free_endpoint, office[0], 30) == ["OK"] * 30
@@ -149,14 +160,16 @@ def test_files_that_cannot_grow_do_not_stop_planning(tmp_path, free_endpoint, of
     assert repair_folder(tmp_path / "log")
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(os.geteuid() != 0, reason="only root may mount a disk")
-def test_a_full_disk_does_not_stop_planning_and_leaves_readable_logs(tmp_path, free_endpoint, office):
-    office[1].save(tmp_path / "office.gpdf")
+def test_a_full_disk_does_not_stop_planning_and_leaves_readable_logs(tmp_path, free_endpoint, office, office_file):
+    shutil.copy(office_file, tmp_path / "office.gpdf")
     log_dir = tmp_path / "log"
     log_dir.mkdir()
     if subprocess.run(["mount", "-t", "tmpfs", "-o", "size=3m", "tmpfs", str(log_dir)]).returncode:
         pytest.skip("no disk can be mounted here")
     try:
+        with_office(tmp_path / "elsewhere", tmp_path / "state", tmp_path, free_endpoint)
         with limited(log_dir, tmp_path / "state", tmp_path, free_endpoint, resource.RLIM_INFINITY) as process:
             try:
                 assert plan_many(free_endpoint, office[0], 3) == ["OK"] * 3
@@ -193,7 +206,7 @@ def test_what_a_crash_left_is_kept_beside_the_mended_log(tmp_path):
 def test_a_folder_of_logs_is_checked_and_mended_but_none_that_a_service_writes(tmp_path, capsys):
     live = Recorder(Options(log_dir=tmp_path, log_sync="each"), "live", {})
     live.exchange("k", b"", b"1", 0, 0)
-    cut = tmp_path / "cut.mcap"
+    cut = tmp_path / "gpdf_0.mcap"
     cut.write_bytes(live.path.read_bytes())
     before = live.path.read_bytes()
     assert main(["record", "check", str(tmp_path)]) == 1
@@ -208,8 +221,8 @@ def test_a_folder_of_logs_is_checked_and_mended_but_none_that_a_service_writes(t
     assert main(["record", "check", str(tmp_path), str(tmp_path / "none")]) == 1
 
 
-def test_a_plan_is_in_the_log_when_the_process_is_killed_after_its_answer(tmp_path, free_endpoint, office):
-    office[1].save(tmp_path / "office.gpdf")
+def test_a_plan_is_in_the_log_when_the_process_is_killed_after_its_answer(tmp_path, free_endpoint, office, office_file):
+    shutil.copy(office_file, tmp_path / "office.gpdf")
     words = [sys.executable, "-m", "gpdf_service.cli", "serve", f"office={tmp_path / 'office.gpdf'}", "--log-sync"]
     words += ["each", "--endpoint", free_endpoint, "--log-dir", str(tmp_path / "log")]
     with subprocess.Popen(words, stderr=subprocess.DEVNULL) as process:
@@ -244,4 +257,91 @@ def test_who_must_not_wait_for_a_log_that_is_behind_goes_on_and_the_loss_is_coun
     assert recorder.lost == 4
     gate.set()
     recorder.close()
-    assert [data for data in messages(tmp_path) if data] == [digit + body for digit in (b"0", b"1", b"2")]
+    assert messages(tmp_path) == [data for digit in (b"0", b"1", b"2") for data in (b"", digit + body)]
+
+
+def flipped(path, text):
+    """The log with some bytes of a chunk that holds `text` turned round, and where the chunk is."""
+    with path.open("rb") as file:
+        places = [index.chunk_start_offset for index in make_reader(file).get_summary().chunk_indexes]
+    data = bytearray(path.read_bytes())
+    place = next(at for at in places if text in data[at : at + 30_000])
+    at = data.index(text, place)
+    data[at : at + 20] = bytes(255 - byte for byte in data[at : at + 20])
+    path.write_bytes(data)
+
+
+def three_chunks(folder):
+    """A log whose messages do not compress, so that a flipped byte is a flipped byte."""
+    recorder = Recorder(Options(log_dir=folder, log_sync="each"), "x", {"planner": "p"})
+    for i in range(3):
+        recorder.exchange("k", b"", bytes([i]) + BLOB, i, i)
+    recorder.close()
+    return recorder.path
+
+
+def test_a_log_that_is_not_as_it_was_written_says_so_and_is_mended_without_what_cannot_be_trusted(tmp_path, capsys):
+    path = three_chunks(tmp_path)
+    assert check(path).whole
+    whole = messages(tmp_path)
+    flipped(path, b"\x01" + BLOB[:30])
+    found = check(path)
+    assert (found.complete, found.whole) == (True, False)
+    assert [("messages from" in words, "crc" in words) for words in found.damage] == [(True, True), (False, True)]
+    assert main(["record", "check", str(path)]) == 1
+    assert "DAMAGED" in capsys.readouterr().out
+    assert repair_folder(tmp_path) == []  # what was done to it is evidence until somebody says otherwise
+    assert main(["record", "check", "--repair", str(path)]) == 0
+    assert check(path).whole
+    assert whole == [data for i in range(3) for data in (b"", bytes([i]) + BLOB)]
+    assert messages(tmp_path) == whole[:2] + whole[4:]  # an exchange is a chunk: the request goes with its reply
+
+
+def test_metadata_that_is_not_as_it_was_written_is_damage_too(tmp_path):
+    path = three_chunks(tmp_path)
+    data, text = path.read_bytes(), b"planner"
+    at = data.index(text)
+    path.write_bytes(data[:at] + text[::-1] + data[at + len(text) :])
+    assert not check(path).whole
+
+
+def test_messages_whose_channel_was_told_of_in_a_damaged_chunk_are_read_all_the_same(tmp_path):
+    path = three_chunks(tmp_path)
+    flipped(path, b"\x00" + BLOB[:30])
+    repair(path)
+    assert [data[0] for data in messages(tmp_path) if data[1:] == BLOB] == [1, 2]
+
+
+def test_a_damaged_log_is_not_replayed_as_if_it_were_whole(tmp_path, free_endpoint, office, office_file, capsys):
+    shutil.copy(office_file, tmp_path / "office.gpdf")
+    with (
+        Server(Options(free_endpoint, tmp_path, tmp_path / "log", 1)) as server,
+        Client.connect(free_endpoint) as client,
+    ):
+        client.load_scene("office", "office.gpdf")
+        for name in ("one", "two"):
+            client.plan("office", office[0].start, office[0].goal, "roomba", request_id=name)
+            client.distance("office", "ground", np.random.default_rng(0).uniform(0, 5, (90_000, 3)))  # a chunk each
+    path = server.recorder.path
+    log = bytearray(path.read_bytes())
+    with path.open("rb") as file:
+        first = min(make_reader(file).get_summary().chunk_indexes, key=lambda index: index.chunk_start_offset)
+    at = first.chunk_start_offset + first.chunk_length // 2
+    log[at : at + 20] = bytes(255 - byte for byte in log[at : at + 20])
+    path.write_bytes(log)
+    assert main(["replay", str(path), "--scene", f"office={tmp_path / 'office.gpdf'}"]) == 1
+    assert "DAMAGED" in capsys.readouterr().err
+
+
+def test_who_fills_the_log_deletes_nothing_that_is_young_and_exchanges_go_on_as_hashes(tmp_path):
+    options = Options(log_dir=tmp_path, log_segment_mb=0.05, log_keep_mb=0.1, log_sync="each")
+    recorder = Recorder(options, "x", {})
+    recorder.exchange("k", b"", b"evidence", 0, 0)
+    for i in range(20):
+        recorder.exchange("k", b"", bytes([i]) + BLOB, i, i)
+    assert recorder.evidence.thrifty
+    topic, request, reply = recorder.evidence.of("me", keys.PLAN, Status.OK, BLOB, BLOB)
+    assert (topic, len(request) < 200, len(reply) < 200) == (f"{keys.PLAN}/digest", True, True)
+    recorder.close()
+    assert b"evidence" in messages(tmp_path)
+    assert prune(tmp_path, keep_bytes=0, keep_s=1e9, spare_s=3600.0) == []

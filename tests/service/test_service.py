@@ -2,12 +2,12 @@ import asyncio
 import json
 import os
 import queue
+import shutil
 import signal
 import subprocess
 import sys
 import threading
 import time
-from functools import partial
 
 import msgpack
 import numpy as np
@@ -19,29 +19,27 @@ from mcap.reader import make_reader
 from mcap_protobuf.decoder import DecoderFactory
 
 import gpdf_service as gpdf
+from gpdf_service.bench.running import free_endpoint
 from gpdf_service.service.handlers import Handlers
 from gpdf_service.service.record import check, repair, repair_folder
 from gpdf_service.service.replay import compare, recorded_plans
 from gpdf_service.service.server import Options, Server
+from tests.asynchronous import run
 
 
 @pytest.fixture(scope="module")
-def clouds(tmp_path_factory, office):
+def clouds(tmp_path_factory, office, office_file):
     folder = tmp_path_factory.mktemp("scenes")
-    made, scene = office
+    made = office[0]
     label = made.ground.astype(int)
     np.savez(folder / "office.npz", xyz=made.points, label=label, classes=np.array(["other", "ground"]))
-    scene.save(folder / "office.gpdf")
+    shutil.copy(office_file, folder / "office.gpdf")
     return folder
 
 
 @pytest.fixture(scope="module")
 def running(clouds, tmp_path_factory):
-    import socket
-
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        endpoint = f"tcp/127.0.0.1:{probe.getsockname()[1]}"
+    endpoint = free_endpoint()
     options = Options(endpoint, clouds, tmp_path_factory.mktemp("log"), 2)
     with Server(options) as server, Client.connect(endpoint) as client:
         client.load_scene("office", "office.npz")
@@ -194,7 +192,7 @@ def test_the_asyncio_client_plans_side_by_side(running, office):
                 client.scenes(),
             )
 
-    human, roomba, scenes = asyncio.run(both())
+    human, roomba, scenes = run(both())
     assert human.status == roomba.status == "OK"
     assert "office" in scenes
 
@@ -278,10 +276,11 @@ def test_the_log_holds_the_bytes_of_the_wire_and_draws_in_viewers(clouds, tmp_pa
 
 def serve(clouds, log_dir, endpoint):
     words = ["-m", "gpdf_service.cli", "serve", f"office={clouds / 'office.gpdf'}", "--endpoint", endpoint]
-    words += ["--log-dir", str(log_dir), "--scenes-dir", str(clouds)]
+    words += ["--log-dir", str(log_dir), "--scenes-dir", str(clouds), "--workers", "1"]
     return subprocess.Popen([sys.executable, *words], stderr=subprocess.PIPE, env=os.environ, text=True)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_a_signal_ends_the_process_with_a_complete_log(clouds, tmp_path, free_endpoint, office, number):
     made = office[0]
@@ -370,7 +369,7 @@ def test_a_log_that_is_cut_anywhere_is_mended(tmp_path):
     for i in range(5):
         recorder.exchange(keys.PLAN, bytes([i]) * 20, bytes([i]) * 50, i, i)
     recorder.close()
-    whole, path = recorder.path.read_bytes(), tmp_path / "cut.mcap"
+    whole, path = recorder.path.read_bytes(), tmp_path / "gpdf_cut.mcap"
     cuts = range(0, len(whole), 7)
     for cut in cuts:
         path.write_bytes(whole[:cut])
@@ -390,30 +389,33 @@ def test_a_running_service_is_seen_by_its_liveliness_token(running):
 
 def test_a_scene_is_ready_only_when_its_last_load_is(tmp_path):
     from gpdf_service.service.scenes import Shelf, describe
+    from gpdf_service.service.workshop import Workshop
 
-    shelf, gates, first_done = Shelf(tmp_path), [threading.Event(), threading.Event()], threading.Event()
-    scenes = [gpdf.build_scene(floor(width)) for width in (3.0, 4.0)]
-    shelf._on_ready = lambda name, scene: first_done.set()
+    gates, first_done, workshop = [threading.Event(), threading.Event()], threading.Event(), Workshop()
+    waiting = iter(gates)
 
-    def build(i, progress):
+    def build(job, progress):
         progress("wait", 0.5)
-        gates[i].wait(30)
-        return scenes[i]
+        next(waiting).wait(30)
+        return workshop.build(job, lambda stage, done: None)
 
-    for i in range(2):
-        shelf._start("x", partial(build, i))
+    shelf = Shelf(tmp_path, lambda name, scene: first_done.set(), build=build)
+    for width in (3.0, 4.0):
+        shelf.add_part("x", str(width), 0, 1, floor(width), None)
     until = time.monotonic() + 30
-    while describe(shelf.get("x"))["done"] < 0.5 and time.monotonic() < until:
+    while describe(shelf.get("x")).get("done", 0.0) < 0.5 and time.monotonic() < until:
         time.sleep(0.01)
     assert describe(shelf.get("x"))["stage"] == "wait"
     gates[0].set()
     assert first_done.wait(30)
+    first = shelf.facts()["x"]["version"]
     assert shelf.get("x").building
     gates[1].set()
-    shelf._builder.shutdown(wait=True)
+    shelf.settle()
     assert not shelf.get("x").building
-    assert shelf.get("x").scene is scenes[1]
-    assert scenes[1].version > scenes[0].version
+    assert len(shelf.get("x").scene.points) == len(floor(4.0))
+    assert shelf.facts()["x"]["version"] > first
+    shelf.close()
 
 
 def test_versions_of_a_name_never_come_again(running, tmp_path, clouds):
@@ -448,8 +450,7 @@ def test_uploads_that_wait_for_their_builds_and_names_of_scenes_are_bounded(tmp_
     monkeypatch.setattr(scenes, "MAX_CLOUD_POINTS", 10)
     monkeypatch.setattr(scenes, "MAX_SCENES", 2)
     go_on = threading.Event()
-    monkeypatch.setattr(scenes, "build_scene", lambda *_, **__: go_on.wait(30))
-    shelf, points = scenes.Shelf(tmp_path), np.zeros((4, 3))
+    shelf, points = scenes.Shelf(tmp_path, build=lambda *_: go_on.wait(30)), np.zeros((4, 3))
     shelf._builder.submit(go_on.wait, 30)
     for name in "ab":
         assert shelf.add_part(name, "u", 0, 1, points, None)

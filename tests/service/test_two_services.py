@@ -1,6 +1,7 @@
 """Map service and planners as processes of their own; planners die under load."""
 
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -11,8 +12,11 @@ from contextlib import ExitStack, contextmanager
 import numpy as np
 import pytest
 from gpdf_client import Client, UnknownSceneError
+from gpdf_client.results import UnavailableError
 
 from gpdf_service.service.server import Options, Server
+
+pytestmark = pytest.mark.slow
 
 
 @contextmanager
@@ -34,8 +38,8 @@ def planner_flags(folder, endpoint, name):
 
 
 @pytest.fixture
-def folder(tmp_path, office):
-    office[1].save(tmp_path / "office.gpdf")
+def folder(tmp_path, office_file):
+    shutil.copy(office_file, tmp_path / "office.gpdf")
     return tmp_path
 
 
@@ -85,7 +89,7 @@ def test_one_of_two_planners_is_killed_under_load_and_no_client_sees_a_failed_pl
         wait_for_planners(client, 1)
 
 
-def test_a_frozen_planner_is_passed_over(folder, free_endpoint, office, monkeypatch):
+def test_a_frozen_planner_is_passed_over_and_a_deadline_with_all_frozen_is_told_as_that(folder, free_endpoint, office, monkeypatch):
     monkeypatch.setattr("gpdf_client.client.TRY_S", 0.5)
     made = office[0]
     with ExitStack() as stack:
@@ -100,6 +104,9 @@ def test_a_frozen_planner_is_passed_over(folder, free_endpoint, office, monkeypa
         for _ in range(10):
             assert client.plan("office", made.start, made.goal, "roomba").status == "OK"
         wait_for_planners(client, 1)  # the lease is over
+        os.kill(planners[1].pid, signal.SIGSTOP)
+        with pytest.raises(UnavailableError, match=r"did not answer.*0\.5 s\. Give it more time"):
+            client.plan("office", made.start, made.goal, "roomba", deadline_s=0.5)
 
 
 def test_a_planner_follows_the_map(folder, free_endpoint, office, tmp_path):
@@ -131,15 +138,18 @@ def test_a_planner_follows_the_map(folder, free_endpoint, office, tmp_path):
                 time.sleep(0.01)
             with pytest.raises(UnknownSceneError):
                 client.plan("other", made.start, made.goal)
+            while not all(reply.ready for reply in client.status()):
+                assert time.monotonic() < until
+                time.sleep(0.05)
             services = {reply.role: reply for reply in client.status()}
             assert set(services) == {"map", "planner"}
             assert all(reply.healthy and reply.ready and not reply.problems for reply in services.values())
-            files = [path.name for path in (tmp_path / "planner" / "state").iterdir()]
+            files = [path.name for path in (tmp_path / "planner" / "planner").glob("*@*")]
             assert files == [f"office@{version}.gpdf"]
         with Server(planner_options) as planner:  # it comes back with what it had; nothing is fetched again
-            stamp = (tmp_path / "planner" / "state" / files[0]).stat().st_mtime_ns
+            stamp = (tmp_path / "planner" / "planner" / files[0]).stat().st_mtime_ns
             assert client.plan("office", made.start, made.goal, "roomba").planner == planner.planner_id
-            assert (tmp_path / "planner" / "state" / files[0]).stat().st_mtime_ns == stamp
+            assert (tmp_path / "planner" / "planner" / files[0]).stat().st_mtime_ns == stamp
 
 
 def test_a_planner_whose_map_is_gone_plans_on_and_says_so(folder, free_endpoint, office, tmp_path, monkeypatch):

@@ -1,6 +1,5 @@
 """Incremental mapping on the wire: scans change a scene while plans are answered from its last version."""
 
-import asyncio
 import queue
 import threading
 
@@ -10,10 +9,12 @@ from gpdf_client import AsyncClient, Client, InvalidRequestError, ServiceError, 
 from gpdf_schemas import Array, SceneReply, UpdateRequest, keys
 
 import gpdf_service as gpdf
+from gpdf_service.bench.running import free_endpoint
 from gpdf_service.service import scenes
 from gpdf_service.service.changes import Change, changed
 from gpdf_service.service.scenes import FullError, Shelf
 from gpdf_service.service.server import Options, Server
+from tests.asynchronous import run
 
 NOBODY = np.zeros((0, 3))
 START, GOAL = (1.0, 1.5), (5.0, 1.5)
@@ -32,13 +33,20 @@ def hall():
     return gpdf.build_scene(np.column_stack([x.ravel(), y.ravel(), np.zeros(x.size)]))
 
 
+@pytest.fixture(scope="module")
+def running(hall, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("updates")
+    hall.save(folder / "hall.gpdf")
+    with Server(Options(free_endpoint(), folder, folder / "log", 1)) as server:
+        yield server
+
+
 @pytest.fixture
-def serving(hall, tmp_path, free_endpoint):
-    hall.save(tmp_path / "hall.gpdf")
-    options = Options(free_endpoint, tmp_path, tmp_path / "log", 1)
-    with Server(options, [("hall", tmp_path / "hall.gpdf")]) as server, Client.connect(free_endpoint) as client:
-        server.shelf.settle()
-        yield server, client
+def serving(running):
+    """A service with the hall as it was."""
+    with Client.connect(running.options.endpoint) as client:
+        client.load_scene("hall", "hall.gpdf")
+        yield running, client
 
 
 def test_a_change_that_takes_everything_away_is_refused_in_words_and_the_scene_stays(serving, hall):
@@ -70,13 +78,13 @@ def test_a_scan_closes_the_way_and_its_end_opens_it_again(serving, hall, monkeyp
     assert result.trajectory.length == pytest.approx(gpdf.plan(hall, START, GOAL).trajectory.length, abs=0.01)
 
 
-def test_the_next_version_outlives_the_service(hall, tmp_path, free_endpoint):
+def test_the_next_version_outlives_the_service(hall, tmp_path):
     hall.save(tmp_path / "hall.gpdf")
-    options = Options(free_endpoint, tmp_path, tmp_path / "log", 1)
-    with Server(options), Client.connect(free_endpoint) as client:
+    options = Options(free_endpoint(), tmp_path, tmp_path / "log", 1)
+    with Server(options), Client.connect(options.endpoint) as client:
         client.load_scene("hall", "hall.gpdf")
         facts = client.update_scene("hall", wall())
-    with Server(options) as server, Client.connect(free_endpoint) as client:
+    with Server(options) as server, Client.connect(options.endpoint) as client:
         server.shelf.settle()
         found = client.info("hall")
     assert (found["version"], found["digest"]) == (facts["version"], facts["digest"])
@@ -152,5 +160,5 @@ def test_an_asynchronous_client_streams_without_waiting(serving):
             assert await walker.update_scene("hall", wall(), wait=False) == {}
             return await walker.wait_for_scene("hall")
 
-    assert asyncio.run(stream())["points"] > client.info("hall")["points"] - 1
+    assert run(stream())["points"] > client.info("hall")["points"] - 1
     assert client.plan("hall", START, GOAL).status in CLOSED

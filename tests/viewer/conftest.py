@@ -24,10 +24,10 @@ def browser():
 
 
 @pytest.fixture(scope="session")
-def service(office, tmp_path_factory):
+def service(office_file, tmp_path_factory):
     """A service with the office and the house of two storeys."""
     folder = tmp_path_factory.mktemp("scenes")
-    office[1].save(folder / "office.gpdf")
+    shutil.copy(office_file, folder / "office.gpdf")
     gpdf.build_scene(*sample_house()).save(folder / "house.gpdf")
     running = Service({name: folder / f"{name}.gpdf" for name in ("office", "house")}, folder)
     yield running

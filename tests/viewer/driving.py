@@ -46,7 +46,7 @@ class Service:
 
     def start(self):
         words = ["serve", *self._scenes, "--endpoint", self.endpoint, "--log-dir", str(self.folder / "log")]
-        words += ["--scenes-dir", str(self.folder)]
+        words += ["--scenes-dir", str(self.folder), "--workers", "1"]
         with (self.folder / "stderr.txt").open("a") as log:
             self._process = subprocess.Popen(
                 [sys.executable, "-m", "gpdf_service.cli", *words], stderr=log, env=os.environ

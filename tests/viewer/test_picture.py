@@ -3,10 +3,11 @@
 import numpy as np
 import pytest
 from matplotlib.figure import Figure
+from matplotlib.image import imread
 
 import gpdf_service as gpdf
 from gpdf_service.synthetic import SCENES
-from gpdf_service.viewer.picture import FITS, FITS_EDGE, _draw_quadtree
+from gpdf_service.viewer.picture import FITS, FITS_EDGE, PANELS, _draw_quadtree, draw_plans, draw_scene
 
 
 def test_what_is_painted_is_as_large_as_what_is_free():
@@ -21,3 +22,26 @@ def test_what_is_painted_is_as_large_as_what_is_free():
     free = np.sum((2.0 * tree.half_size[tree.free]) ** 2)
     assert painted == pytest.approx(free, rel=0.01)
     assert len(axes.collections) == 0
+
+
+def test_a_tower_is_one_sheet_that_fits_a_screen(tmp_path, monkeypatch):
+    x, y = (a.ravel() for a in np.meshgrid(np.arange(0, 3, 0.1), np.arange(0, 3, 0.1)))
+    points = np.concatenate([np.column_stack([x, y, np.full(x.size, 3.0 * k)]) for k in range(PANELS + 2)])
+    scene = gpdf.build_scene(points, np.ones(len(points), dtype=bool))
+    said = []
+    monkeypatch.setattr(Figure, "suptitle", lambda figure, words, **style: said.append(words))
+    draw_scene(scene, "human", tmp_path / "tower.png")
+    height, width = imread(tmp_path / "tower.png").shape[:2]
+    assert width <= 1920
+    assert height <= 1080
+    assert len(said) == 1
+    assert [f"level {k}, z {3 * k:.1f} m" in said[0] for k in range(PANELS + 2)] == [False] * PANELS + [True] * 2
+
+
+def test_a_plan_fills_its_picture_and_shows_the_rooms_around_the_way(office, tmp_path):
+    made, scene = office
+    result = gpdf.plan(scene, made.start, made.goal, "human")
+    draw_plans(scene, {"human": result}, tmp_path / "plan.png", start=made.start, goal=made.goal)
+    inked = (imread(tmp_path / "plan.png")[..., :3] < 0.99).any(axis=-1).any(axis=0)
+    assert np.flatnonzero(inked)[0] < 0.12 * len(inked)
+    assert np.flatnonzero(inked)[-1] > 0.88 * len(inked)

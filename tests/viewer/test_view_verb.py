@@ -6,6 +6,7 @@ import sys
 import urllib.request
 from urllib.error import HTTPError
 
+import psutil
 import pytest
 from driving import free_port
 
@@ -35,10 +36,28 @@ def test_the_page_is_for_this_machine_unless_told_otherwise(free_endpoint):
     with start("--endpoint", free_endpoint, "--port", str(port)) as process:
         try:
             link = link_of(process)
-            assert link == f"http://127.0.0.1:{port}/"
+            assert link.startswith(f"http://127.0.0.1:{port}/?token=")  # whoever has an account here is no operator
             assert "<html" in fetch(link)
+            with pytest.raises(HTTPError, match="403"):
+                fetch(link.partition("?")[0])
+            listens = [
+                one.laddr.port
+                for one in psutil.Process(process.pid).net_connections("tcp")
+                if one.status == psutil.CONN_LISTEN and one.laddr.ip in ("127.0.0.1", "0.0.0.0", "::", "::1")
+            ]
+            assert listens == [port]  # the page behind the gate is where nobody looks
             process.send_signal(signal.SIGINT)
             assert process.wait(30) == 0
+        finally:
+            process.kill()
+
+
+def test_the_address_that_is_asked_for_is_the_one_in_the_link(free_endpoint):
+    with start("--endpoint", free_endpoint, "--host", "127.0.0.2", "--port", str(free_port())) as process:
+        try:
+            link = link_of(process)
+            assert link.startswith("http://127.0.0.2:")
+            assert "<html" in fetch(link)
         finally:
             process.kill()
 

@@ -1,0 +1,73 @@
+"""The process that builds scenes: `python -m gpdf_service.service.build_process SETTINGS`, begun by a `Builder`."""
+
+from __future__ import annotations
+
+import logging
+import os
+import resource
+import signal
+import sys
+from multiprocessing.connection import Connection
+
+import msgspec
+
+from gpdf_service.config import Config
+from gpdf_service.errors import GpdfError
+from gpdf_service.service.builder import MB, SMALLER, BuildSettings, Built, Failed, Note
+from gpdf_service.service.child import go_first
+from gpdf_service.service.logs import set_up
+from gpdf_service.service.workshop import Job, NotKeptError, Workshop
+
+log = logging.getLogger(__name__)
+NICE = 5
+"""Plans come ahead of builds."""
+
+
+def serve(pipe: Connection, workshop: Workshop, limit_bytes: int) -> None:
+    """Build until the other end is closed, or memory runs out: then a fresh process is better than this one."""
+    try:
+        while True:
+            job = msgspec.json.decode(pipe.recv_bytes(), type=Job)
+            answer = _do(job, workshop, pipe, limit_bytes)
+            pipe.send_bytes(msgspec.json.encode(answer))
+            if isinstance(answer, Failed) and not answer.goes_on:
+                return
+    except (EOFError, OSError):  # the service has ended, however it did
+        return
+
+
+def _do(job: Job, workshop: Workshop, pipe: Connection, limit_bytes: int) -> Built | Failed:
+    def tell(stage: str, done: float) -> None:
+        pipe.send_bytes(msgspec.json.encode(Note(stage, done)))
+
+    try:
+        return Built(str(workshop.build(job, tell)))
+    except MemoryError:
+        words = (
+            f"it needs more than the {limit_bytes / MB:.0f} MB that a build may take (--build-memory-mb). {SMALLER}."
+        )
+        return Failed(words, goes_on=False)
+    except GpdfError as error:
+        return Failed(str(error))
+    except NotKeptError as error:
+        return Failed(str(error), kept=False)
+    except Exception:
+        log.exception("scene %s", job.name)
+        return Failed("the build failed inside the service; its log says more.")
+
+
+def main() -> None:
+    """Serve the pipe that the settings name; signals are for the service, which ends this process."""
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, signal.SIG_IGN)
+    settings = msgspec.json.decode(sys.argv[1], type=BuildSettings)
+    set_up(settings.log_format)  # type: ignore[arg-type]
+    go_first()
+    os.nice(NICE)
+    resource.setrlimit(resource.RLIMIT_DATA, (settings.limit_bytes, settings.limit_bytes))
+    workshop = Workshop(Config.from_mapping(settings.config), settings.memory_bytes, settings.bodies)
+    serve(Connection(settings.pipe), workshop, settings.limit_bytes)
+
+
+if __name__ == "__main__":
+    main()

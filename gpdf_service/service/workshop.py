@@ -1,0 +1,127 @@
+"""Builds: from files to the file of a scene's next version. Runs in the build process, or in this one."""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import msgspec
+
+from gpdf_service.config import Config
+from gpdf_service.errors import SceneFileError
+from gpdf_service.perception import read_cloud
+from gpdf_service.pipeline import Progress, build_scene
+from gpdf_service.scene import Scene, load_scene
+from gpdf_service.service.changes import Change, changed
+from gpdf_service.service.journal import arrays_of
+from gpdf_service.service.memory import held_bytes
+from gpdf_service.service.scene_files import SUFFIX, SceneFiles
+from gpdf_service.types import Agent, resolve_agent
+
+
+class Job(msgspec.Struct, frozen=True):
+    """One version of a scene, to be built from one of `file`, `cloud`, or `base` and `changes`.
+
+    Attributes:
+        name: Of the scene.
+        version: To give it, or a later one if the file has had that already.
+        folder: The state folder.
+        file: A cloud or a scene.
+        cloud: What was uploaded, as the journal keeps it.
+        base: File of the version before.
+        changes: What was sent since, as the journal keeps it, with the radius [m] of each.
+        agents: Measures of the bodies that were planned for last.
+    """
+
+    name: str
+    version: int
+    folder: str
+    file: str = ""
+    cloud: str = ""
+    base: str = ""
+    changes: list[tuple[str, float]] = []
+    agents: list[dict[str, Any]] = []
+
+
+class BuildError(Exception):
+    """A build failed, in words."""
+
+
+class NotKeptError(BuildError):
+    """What was built, or sent, cannot be written to the state folder."""
+
+
+class EndedError(Exception):
+    """The service ends; what is not built stays in the journal."""
+
+
+class Workshop:
+    """Builds one job after another; keeps what it built, from which the next version is made in a moment.
+
+    Args:
+        config: Settings of what is built.
+        memory_bytes: Of the scenes that are kept.
+        bodies: Names of the bodies whose free spaces are built with each scene.
+    """
+
+    def __init__(
+        self, config: Config | None = None, memory_bytes: float = float("inf"), bodies: Sequence[str] = ()
+    ) -> None:
+        self._config, self._memory_bytes, self._bodies = config, memory_bytes, bodies
+        self._kept: OrderedDict[str, Scene] = OrderedDict()
+
+    def build(self, job: Job, progress: Progress) -> Path:
+        """Build it, and save it; its file, which is on the disk under a name that nobody looks for yet.
+
+        Raises:
+            GpdfError: it cannot be built.
+            NotKeptError: it cannot be written.
+        """
+        scene = self._scene(job, progress)
+        for body in dict.fromkeys([*map(resolve_agent, self._bodies), *(Agent(**measures) for measures in job.agents)]):
+            progress(f"free space of {body.name}", 0.9)
+            scene.prepare(body)
+        progress("save", 0.95)
+        files = SceneFiles(Path(job.folder))
+        scene.version = max(job.version, scene.version)
+        file = files.built(job.name, scene.version)
+        try:
+            scene.save(file)
+        except OSError as error:
+            raise NotKeptError(
+                f"it cannot be kept ({error.strerror or error}). Make room in the state folder"
+            ) from error
+        self._kept.pop(Path(job.base).name, None)
+        self._kept[files.path_of(job.name, scene.version).name] = scene
+        self._trim()
+        return file
+
+    def _scene(self, job: Job, progress: Progress) -> Scene:
+        if job.cloud:
+            sent = arrays_of(Path(job.cloud))
+            return build_scene(sent["points"], sent.get("ground"), self._config, progress=progress)
+        if job.file:
+            progress("read the file", 0.0)
+            path = Path(job.file)
+            if path.suffix == SUFFIX:
+                return load_scene(path)
+            cloud = read_cloud(path)
+            return build_scene(cloud.points, cloud.ground, self._config, origins=cloud.origins, progress=progress)
+        if not job.base:
+            raise SceneFileError("a change", "the scene that it belongs to could not be built", "Load the scene first.")
+        kept = self._kept.get(Path(job.base).name)
+        base = load_scene(job.base) if kept is None else kept
+        return changed(base, [_change(Path(path), radius) for path, radius in job.changes], progress)
+
+    def _trim(self) -> None:
+        """The oldest go; their files stay."""
+        while self._kept and sum(map(held_bytes, self._kept.values())) > self._memory_bytes:
+            self._kept.popitem(last=False)
+
+
+def _change(path: Path, radius: float) -> Change:
+    sent = arrays_of(path)
+    gone = sent["gone"] > 0
+    return Change(sent["points"][~gone], sent["points"][gone], radius)
