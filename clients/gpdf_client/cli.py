@@ -14,8 +14,10 @@ import numpy as np
 import zenoh
 
 from gpdf_client.client import DEFAULT_ENDPOINT, Client
-from gpdf_client.results import ClientError, UnavailableError
+from gpdf_client.results import ClientError, PlanResult, UnavailableError
 
+FACTS = ("state", "version", "points", "levels", "noise", "agents_ready")
+"""Of each scene, for people; `--json` has all."""
 PLACE_HELP = "a named place, or x,y or x,y,z of the ground there [m]"
 
 
@@ -93,6 +95,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="one more goal, named or x,y or x,y,z [m]; the nearest is taken",
     )
     plan.add_argument("--snap", type=float, default=0.0, help="move a place that is not valid by this much at most [m]")
+    plan.add_argument("--prefer", choices=["quickest", "level", "wide"], help="not given: as a companion would lead")
+    plan.add_argument("--alternatives", type=int, default=0, help="more ways that differ")
     plan.add_argument("--save", type=Path, help="write the trajectory to a .json, .csv or .geojson file")
     distance = verb("distance", "distance to the ground or to the obstacles", _distance)
     distance.add_argument("scene")
@@ -116,10 +120,35 @@ def run(args: argparse.Namespace) -> int:
             print(f"{name}: {','.join(map(str, position))}")
     elif args.verb == "status":
         print("\n".join(map(_line, result["services"])) or "no service answers")
+    elif args.verb == "scenes":
+        print("\n".join(table(result)) or "no scenes")
     elif isinstance(result, dict):
         for key, value in result.items():
-            print(f"{key}: {value}")
+            print(f"{key}: {told(value)}")
     return 1 if isinstance(result, dict) and result.get("status", "OK") != "OK" else 0
+
+
+def told(value: Any) -> str:  # noqa: ANN401 - whatever a reply holds
+    """A fact for people: numbers to four digits."""
+    if isinstance(value, float):
+        return f"{value:.4g}"
+    if isinstance(value, dict):
+        return ", ".join(f"{key} {told(each)}" for key, each in value.items())
+    if isinstance(value, list | tuple):
+        return (
+            "; ".join(map(told, value)) if any(isinstance(each, dict) for each in value) else " ".join(map(told, value))
+        )
+    return str(value)
+
+
+def table(facts: dict[str, dict[str, Any]], keys: tuple[str, ...] = FACTS) -> list[str]:
+    """A line a scene under a line of the names of the facts; of lists, how many there are."""
+    rows = [["scene", *(key.replace("_", " ") for key in keys)]] if facts else []
+    for name, each in facts.items():
+        cells = [each.get(key, "") for key in keys]
+        rows.append([name, *(str(len(cell)) if isinstance(cell, list | dict) else told(cell) for cell in cells)])
+    widths = [max(len(row[i]) for row in rows) for i in range(len(keys) + 1)] if rows else []
+    return ["  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip() for row in rows]
 
 
 def _status(client: Client) -> dict[str, Any]:
@@ -147,19 +176,30 @@ def _line(service: dict[str, Any]) -> str:
 
 def _plan(client: Client, args: argparse.Namespace) -> dict[str, Any]:
     options = {"method": args.method, "via": args.via, "other_goals": args.or_goal, "snap": args.snap}
+    options |= {"prefer": args.prefer, "alternatives": args.alternatives}
     result = client.plan(args.scene, args.start, args.goal, args.agent, **options)
-    made: dict[str, Any] = {"status": str(result.status), "message": result.message}
-    if result.trajectory is not None and result.certificate is not None:
-        made |= {
-            "length": result.trajectory.length,
-            "duration": result.trajectory.duration,
-            "min_clearance": result.certificate.min_clearance,
-        }
+    made: dict[str, Any] = {"status": str(result.status), "message": result.message, **_facts(result)}
+    if result.alternatives:
+        made["alternatives"] = [_facts(other) for other in result.alternatives]
+    if result.trajectory is not None:
         if args.save is not None:
             result.trajectory.save(args.save)
         if args.json:
             made["positions"] = result.trajectory.positions.tolist()
     return made
+
+
+def _facts(result: PlanResult) -> dict[str, float]:
+    """What one asks of a way."""
+    if result.trajectory is None or result.certificate is None:
+        return {}
+    return {
+        "length": result.trajectory.length,
+        "duration": result.trajectory.duration,
+        "min_clearance": result.certificate.min_clearance,
+        "steps": result.details.get("steps", 0.0),
+        "highest_step": result.certificate.max_step,
+    }
 
 
 def _place(client: Client, args: argparse.Namespace) -> dict[str, Any]:

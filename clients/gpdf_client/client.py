@@ -70,10 +70,16 @@ from gpdf_client.results import (
 from gpdf_client.trajectory import Trajectory
 
 DEFAULT_ENDPOINT = os.environ.get("GPDF_ENDPOINT") or "tcp/127.0.0.1:7447"
+LEASE_MS = 2_000
+"""[ms] A frozen process, or a cut link, counts as dead after this; a process that is killed, at once."""
+RETRY = {"period_init_ms": 100, "period_max_ms": 500, "period_increase_factor": 2}
+"""Between tries of Zenoh to connect again: a link that comes back is found within half a second."""
 BACK_OFF_S = 0.05
 """[s] Between tries when nobody answers or the service is busy."""
 LONGEST_S = 3600.0
 """[s] The longest that one try waits; Zenoh takes a time-out that overflows its clock for a negative one."""
+PROBE_S = 1.0
+"""[s] To find out whether a service is there that did not answer."""
 TRY_S = 5.0
 """[s] Before a plan is asked of another planner: several times what the slowest takes, once its free space is built."""
 LATER = (Status.BUSY, Status.UNAVAILABLE)
@@ -99,6 +105,8 @@ def client_config(endpoint: str) -> zenoh.Config:
         raise UnavailableError(f"{endpoint!r} is no endpoint. Give one like tcp/127.0.0.1:7447.") from error
     config.insert_json5("scouting/multicast/enabled", "false")
     config.insert_json5("transport/shared_memory/enabled", "false")  # its pool is a third of a light client's memory
+    config.insert_json5("transport/link/tx/lease", json.dumps(LEASE_MS))
+    config.insert_json5("connect/retry", json.dumps(RETRY))
     return config
 
 
@@ -178,6 +186,8 @@ class Client:
         warm_start: Trajectory | None = None,
         start_heading: float | None = None,
         goal_heading: float | None = None,
+        prefer: str | None = None,
+        alternatives: int = 0,
         deadline_s: float = 30.0,
         request_id: str = "",
         obstacles: Sequence[MovingObstacle] = (),
@@ -198,6 +208,8 @@ class Client:
             warm_start: The trajectory that the body follows now: taken up if it is still clear and ends near the goal.
             start_heading: Where a body of discs faces at the start [rad], to turn there if it must; free if None.
             goal_heading: The same at the goal.
+            prefer: "quickest", "level" or "wide"; None for the way that a sighted companion would take.
+            alternatives: How many more ways are wanted that differ.
             deadline_s: Seconds that the answer may take.
             request_id: Chosen by the caller, or made here.
             obstacles: What else is in the way, for this plan alone.
@@ -214,6 +226,8 @@ class Client:
             warm_start=None if warm_start is None else Array.pack(warm_start.ground),
             start_heading=start_heading,
             goal_heading=goal_heading,
+            prefer=prefer or "",
+            alternatives=alternatives,
             deadline_s=deadline_s,
             request_id=request_id,
             obstacles=list(obstacles),
@@ -501,14 +515,14 @@ class Client:
             DecodeError: the answer is not the message that it should be.
             ServiceError: the service refused.
         """
-        payload, until = encode(_checked(request, deadline_s)), time.monotonic() + deadline_s
+        payload, until = _packed(request, deadline_s), time.monotonic() + deadline_s
         answer: Reply | None = None
         while (left := until - time.monotonic()) > 0:
             answer = self._try(key, payload, kind, left) or answer
             if answer is not None and answer.status not in LATER:
                 return self._fine(answer, fine)  # type: ignore[return-value]
             time.sleep(BACK_OFF_S)
-        raise _late(key, deadline_s, answer)
+        raise self._late(key, deadline_s, answer)
 
     def ask_planner(self, key: str, request: msgspec.Struct, kind: type[R], deadline_s: float) -> R:
         """One request to whichever planner is least loaded; to another one if it dies, freezes or is busy.
@@ -519,7 +533,7 @@ class Client:
             kind: The type of its reply.
             deadline_s: Seconds to keep asking.
         """
-        payload, until = encode(_checked(request, deadline_s)), time.monotonic() + deadline_s
+        payload, until = _packed(request, deadline_s), time.monotonic() + deadline_s
         answer: Reply | None = None
         tried: set[str] = set()
         while (left := until - time.monotonic()) > 0:
@@ -540,7 +554,23 @@ class Client:
                 time.sleep(BACK_OFF_S)
             else:
                 tried.add(planner)
-        raise _late(key, deadline_s, answer)
+        raise self._late(key, deadline_s, answer)
+
+    def _late(self, key: str, deadline_s: float, answer: Reply | None) -> ClientError:
+        """Nobody answered in time, or all were busy all the time."""
+        if answer is not None and answer.status is Status.BUSY:
+            return ServiceBusyError(answer)
+        if self._planners.alive() or self._is_map_there():
+            return UnavailableError(f"the service did not answer on {key} within {deadline_s:g} s. Give it more time.")
+        return UnavailableError(f"no answer on {key} within {deadline_s:g} s. Is the service running?")
+
+    def _is_map_there(self) -> bool:
+        """Whether a map service says that it is alive."""
+        try:
+            found = self._session.liveliness().get(f"{keys.MAP_ALIVE}/*", timeout=PROBE_S)
+            return any(answer.ok is not None for answer in found)
+        except zenoh.ZError:  # the session has ended
+            return False
 
     def _try(self, key: str, payload: bytes, kind: type[R], timeout_s: float) -> R | None:
         """Ask once; None if nobody answered."""
@@ -561,21 +591,22 @@ class Client:
         return reply
 
 
-def _late(key: str, deadline_s: float, answer: Reply | None) -> ClientError:
-    """Nobody answered in time, or all were busy all the time."""
-    if answer is not None and answer.status is Status.BUSY:
-        return ServiceBusyError(answer)
-    return UnavailableError(f"no answer on {key} within {deadline_s:.1f} s. Is the service running?")
+def _packed(request: msgspec.Struct, deadline_s: float) -> bytes:
+    """The request's bytes, with an id, so that it is the same one in every try.
 
-
-def _checked(request: msgspec.Struct, deadline_s: float) -> msgspec.Struct:
-    """The request with an id, so that it is the same one in every try."""
+    Raises:
+        InvalidRequestError: no service would take it; a long one would not even be answered.
+    """
     if not 0 < deadline_s < math.inf:
         words = f"deadline_s = {deadline_s}. Give a positive, finite number of seconds."
         raise InvalidRequestError(Reply(status=Status.INVALID_REQUEST, message=words))
     if not getattr(request, "request_id", ""):
         request = msgspec.structs.replace(request, request_id=uuid.uuid4().hex)
-    return request
+    payload = encode(request)
+    if len(payload) > MAX_REQUEST_BYTES:
+        words = f"{len(payload)} bytes, at most {MAX_REQUEST_BYTES} are taken. Send it in parts."
+        raise InvalidRequestError(Reply(status=Status.INVALID_REQUEST, message=words))
+    return payload
 
 
 def _placed(points: ArrayLike, pose: ArrayLike | None) -> FloatArray:
@@ -652,6 +683,8 @@ class AsyncClient:
         warm_start: Trajectory | None = None,
         start_heading: float | None = None,
         goal_heading: float | None = None,
+        prefer: str | None = None,
+        alternatives: int = 0,
         deadline_s: float = 30.0,
         request_id: str = "",
         obstacles: Sequence[MovingObstacle] = (),
@@ -670,6 +703,8 @@ class AsyncClient:
             warm_start=warm_start,
             start_heading=start_heading,
             goal_heading=goal_heading,
+            prefer=prefer,
+            alternatives=alternatives,
             deadline_s=deadline_s,
             request_id=request_id,
             obstacles=obstacles,

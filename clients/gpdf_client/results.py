@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 import gpdf_schemas
 import numpy as np
-from gpdf_schemas import Array, CertificateMessage, DrawReply, PlanReply, Reply, Status
+from gpdf_schemas import Array, CertificateMessage, DrawReply, PlanReply, Reply, Status, TrajectoryMessage
 from numpy.typing import NDArray
 
 from gpdf_client.trajectory import FloatArray, Trajectory
@@ -57,7 +57,8 @@ class PlanResult:
     """Answer to a plan: `trajectory` is there when `status` is OK; follow it only then.
 
     A baseline that was asked for by name also sends a path that is UNCERTIFIED, to be measured and drawn. `details` are
-    numbers by name, and `costs` (k,) those of the optimiser, both as in `PlanReply`.
+    numbers by name, and `costs` (k,) those of the optimiser, both as in `PlanReply`. `alternatives` are more ways that
+    differ, if they were asked for, the best first.
     """
 
     status: Status
@@ -70,6 +71,7 @@ class PlanResult:
     request_id: str = ""
     details: dict[str, float] = field(default_factory=dict)
     costs: FloatArray = field(default_factory=lambda: np.zeros(0))
+    alternatives: tuple[PlanResult, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -141,22 +143,26 @@ def unpack(array: Array) -> FloatArray:
 
 def to_result(reply: PlanReply) -> PlanResult:
     """Unpack a plan's reply."""
-    path = reply.trajectory
-    trajectory = None
-    if path is not None:
-        trajectory = Trajectory(*map(unpack, (path.positions, path.ground, path.times, path.headings)))
+    known = reply.scene_version, reply.planner, reply.timings, reply.request_id
+    others = (
+        PlanResult(Status.OK, "", to_trajectory(other.trajectory), other.certificate, *known, other.details)
+        for other in reply.alternatives
+    )
     return PlanResult(
         reply.status,
         reply.message,
-        trajectory,
+        None if reply.trajectory is None else to_trajectory(reply.trajectory),
         reply.certificate,
-        reply.scene_version,
-        reply.planner,
-        reply.timings,
-        reply.request_id,
+        *known,
         reply.details,
         np.zeros(0) if reply.costs is None else unpack(reply.costs),
+        tuple(others),
     )
+
+
+def to_trajectory(path: TrajectoryMessage) -> Trajectory:
+    """Unpack a trajectory."""
+    return Trajectory(*map(unpack, (path.positions, path.ground, path.times, path.headings)))
 
 
 def to_drawing(replies: Sequence[DrawReply]) -> Drawing:

@@ -44,6 +44,10 @@ class Trajectory:
         """Time from start to goal [s]."""
         return float(self.times[-1] - self.times[0])
 
+    def __repr__(self) -> str:
+        """Short: the arrays of a way are pages long."""
+        return f"Trajectory({len(self.times)} waypoints, {self.length:.2f} m, {self.duration:.1f} s)"
+
     @cached_property
     def arc_lengths(self) -> FloatArray:
         """Length of the path of the body's top up to each waypoint [m], shape (n,)."""

@@ -6,17 +6,19 @@ ever come again. So a lost pose, a late reaction and a bent course have all been
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from math import atan2, radians
+from functools import partial
+from math import atan2, inf, radians
 
 import numpy as np
 from gpdf_schemas import CueAction
 from numpy.typing import NDArray
 
-from gpdf_guidance.ahead import ARRIVED, ON_THE_SPOT, find_ahead, find_turning
+from gpdf_guidance.ahead import ARRIVED, ON_THE_SPOT, find_ahead, find_turning, is_edge
 from gpdf_guidance.corridor import WIDEST
 from gpdf_guidance.features import FeatureKind, wrap
-from gpdf_guidance.instruction import Instruction, Kind, Urgency
+from gpdf_guidance.instruction import Instruction, Kind, Side, Urgency
 from gpdf_guidance.route import Pose, Progress, Route
 from gpdf_guidance.stairs import FEET, GATE, SQUARE
 
@@ -58,6 +60,16 @@ BODY_HEIGHT = 2.0
 """[m] Of a person with a hat."""
 LEAST_OBSTACLE = 0.05
 """[m] What is lower is no obstacle to a foot."""
+SWING = 0.1
+"""[m] Beside the body, of an arm: what is new and within it is no room to walk past."""
+MOVES_NEAR = 3.0
+"""[m] What moves is told of from here: two seconds of a person who comes."""
+AT_GOAL = 0.1
+"""[m] From the goal one has arrived: a pose knows no better."""
+NEAR_GOAL = ((1.0, PACES[1]), (0.5, PACES[2]))
+"""[m], [m/s] So close to the goal one goes so slowly: who is told to stop still walks for `REACTION`."""
+OVER_TURN = radians(15)
+"""[rad] Who turns on the spot turns on by this after the cue to stop (Ahmetovic et al. 2018: 17° and 13°)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,7 +85,17 @@ class Advice:
     instructions: tuple[Instruction, ...] = ()
 
 
-def advise(route: Route, pose: Pose, now: float, *, near: float, obstacles: FloatArray | None = None) -> Advice:
+def advise(
+    route: Route,
+    pose: Pose,
+    now: float,
+    *,
+    near: float,
+    obstacles: FloatArray | None = None,
+    moving: FloatArray | None = None,
+    turning: float | None = None,
+    told: float = PACES[0],
+) -> Advice:
     """Advise a person.
 
     Args:
@@ -82,31 +104,75 @@ def advise(route: Route, pose: Pose, now: float, *, near: float, obstacles: Floa
         now: On the clock of the pose's stamp [s].
         near: Arc length of the last progress [m].
         obstacles: New things that the service does not know yet, shape (k, 3) [m].
+        moving: Those of them that move, shape (m, 3) [m].
+        turning: Of one who turns on the spot now, how far he turns on after the cue to stop [rad]; else None.
+        told: The pace that he was told of late [m/s]; 0 where he stands, and may turn from a thing that he faces.
     """
     if (reason := distrust(pose, now)) is not None:
         return stop(Progress(near, 0.0), reason)
     progress = route.locate(pose, near)
     if abs(pose.position[2] - route.at(progress.s)[2]) > STOREY:
         return stop(progress, Instruction(Kind.STOP_UNRELIABLE, Urgency.DANGER))
-    left = route.length - progress.s
+    on_path = _nearest(partial(_obstacle_ahead, route, progress), obstacles, moving)
+    before = _nearest(partial(_obstacle_before, route.radius, pose), obstacles, moving)
+    faces = before.distance < route.radius + max(told, PACES[1]) * BLIND
+    if on_path.distance < STOP_BEFORE or (faces and told > 0.0):
+        return stop(progress, min(on_path, before, key=lambda one: one.distance))
     place = np.array(pose.position[:2])
-    if left < ARRIVED and np.hypot(*(route.ground[-1, :2] - place)) < ARRIVED:
-        done = Instruction(Kind.ARRIVED, Urgency.DANGER)  # it ends whatever is being said
-        return Advice(progress, CueAction.ARRIVED, instructions=(done,))
-    if obstacles is not None and (gap := _obstacle_ahead(route, progress, obstacles)) < STOP_BEFORE:
-        return stop(progress, Instruction(Kind.STOP_OBSTACLE, Urgency.DANGER, distance=gap))
     if not route.inside(place[None], progress.s, POSE_SLACK)[0]:
+        if _is_there(route, pose, progress, 0.0):
+            return _arrive(route, pose, progress)
         off = Instruction(Kind.STOP_OFF_WAY, Urgency.DANGER)
         return stop(progress, off, off_way=True)
     direction, askew = _square(route, pose, progress, aim(route, pose, progress))
-    pace = min(safe_pace(route, pose, progress, direction), _pace_before_steps(route, progress))
-    action = _action(direction, 0.0 if askew else pace, SQUARE if _by_stairs(route, progress) else ON_THE_SPOT)
+    pace = min(safe_pace(route, pose, progress, direction), _careful_pace(route, progress))
+    pace = 0.0 if askew or faces else min(pace, _pace_for(before.distance - route.radius))
+    on_the_spot = SQUARE if _by_stairs(route, progress) else ON_THE_SPOT
+    action = _action(direction, pace, on_the_spot, turning)
+    if _is_there(route, pose, progress, pace if action in (CueAction.GO, CueAction.SLOW) else 0.0):
+        return _arrive(route, pose, progress)
+    if faces and action is CueAction.STOP and turning is None:
+        return stop(progress, before)
     ahead, turns = find_ahead(route, progress), action is CueAction.TURN
     ahead = [one for one in ahead if one.leaves_stairs or not turns]  # who turns does not know yet where "ahead" is
+    ahead = [one for one in ahead if not is_edge(one) or abs(direction) <= SQUARE]  # nor who does not face the edge
     said = find_turning(route, progress, direction, action) + ahead
     urgency = min(1.0, abs(direction) / ON_THE_SPOT)
     pace = 0.0 if action is CueAction.TURN else pace
     return Advice(progress, action, direction, pace, urgency, instructions=tuple(sorted(said, key=_first)))
+
+
+def _is_there(route: Route, pose: Pose, progress: Progress, pace: float) -> bool:
+    """Whether a person who is told to stop now stands as near to the goal as he is led.
+
+    Args:
+        route: Where he goes.
+        pose: Where he is.
+        progress: On the way.
+        pace: Of him; 0 where he cannot go on from here.
+    """
+    away = route.ground[-1, :2] - np.array(pose.position[:2])
+    gap = float(np.hypot(*away))
+    if gap >= ARRIVED or route.length - progress.s >= ARRIVED:
+        return False
+    ahead = float(away @ [np.cos(pose.heading), np.sin(pose.heading)])
+    return gap < AT_GOAL or pace == 0.0 or ahead <= pace * REACTION
+
+
+def _arrive(route: Route, pose: Pose, progress: Progress) -> Advice:
+    """The end of the way, and where the goal is if it is not here; it ends whatever is being said."""
+    away = route.ground[-1, :2] - np.array(pose.position[:2])
+    gap = float(np.hypot(*away))
+    side = side_of(float(np.arctan2(away[1], away[0])) - pose.heading)
+    kind = Kind.ARRIVED_BESIDE if gap > 2 * UNRELIABLE else Kind.ARRIVED
+    done = Instruction(kind, Urgency.DANGER, distance=gap, side=side)
+    return Advice(progress, CueAction.ARRIVED, instructions=(done,))
+
+
+def side_of(bearing: float) -> Side:
+    """Where something is to a person, from its direction to the left [rad]."""
+    quarter = round(wrap(bearing) / (0.5 * np.pi)) % 4
+    return (Side.AHEAD, Side.LEFT, Side.BEHIND, Side.RIGHT)[quarter]
 
 
 def _first(instruction: Instruction) -> tuple[int, bool, float]:
@@ -126,10 +192,36 @@ def stop(progress: Progress, reason: Instruction, *, off_way: bool = False) -> A
     return Advice(progress, CueAction.STOP, urgency=1.0, off_way=off_way, instructions=(reason,))
 
 
-def _action(direction: float, pace: float, on_the_spot: float) -> CueAction:
+def _action(direction: float, pace: float, on_the_spot: float, turning: float | None) -> CueAction:
+    """What to do; who turns goes on turning until he comes to rest where he should face."""
+    if turning is not None:
+        if abs(direction) > turning:
+            return CueAction.TURN
+        if pace == 0.0:
+            return CueAction.STOP  # he turns on; then it is seen what is left
     if abs(direction) >= on_the_spot or pace == 0.0:
         return CueAction.TURN if abs(direction) > FACING else CueAction.STOP
     return CueAction.GO if pace == PACES[0] else CueAction.SLOW
+
+
+def _nearest(
+    gap: Callable[[FloatArray], float], obstacles: FloatArray | None, moving: FloatArray | None
+) -> Instruction:
+    """What to say of the nearest new thing, and how far it is as `gap` measures it [m]; inf where there is none."""
+    nearest = inf if obstacles is None else gap(obstacles)
+    moves = moving is not None and gap(moving) <= nearest
+    return Instruction(Kind.STOP_MOVING if moves else Kind.STOP_OBSTACLE, Urgency.DANGER, distance=nearest)
+
+
+def _obstacle_before(radius: float, pose: Pose, obstacles: FloatArray) -> float:
+    """To what a person meets who walks on blindly, sways and swings an arm [m]; inf where there is nothing."""
+    away = obstacles - np.array(pose.position)
+    c, s = np.cos(pose.heading), np.sin(pose.heading)
+    ahead, aside = away[:, 0] * c + away[:, 1] * s, away[:, 1] * c - away[:, 0] * s
+    width = radius + SWING + np.clip(ahead, 0.0, None) * np.sin(SWAY)
+    tall = (away[:, 2] > LEAST_OBSTACLE) & (away[:, 2] < BODY_HEIGHT)
+    met = tall & (ahead > 0.0) & (ahead < radius + PACES[0] * BLIND) & (np.abs(aside) < width)
+    return float(ahead[met].min(initial=np.inf))
 
 
 def _obstacle_ahead(route: Route, progress: Progress, obstacles: FloatArray) -> float:
@@ -141,6 +233,18 @@ def _obstacle_ahead(route: Route, progress: Progress, obstacles: FloatArray) -> 
     hit = (np.hypot(gap[:, :, 0], gap[:, :, 1]) < route.radius) & (over > LEAST_OBSTACLE) & (over < BODY_HEIGHT)
     struck = hit.any(axis=0)
     return float(route.s[rows][struck][0] - progress.s) if struck.any() else float("inf")
+
+
+def moves_near(pose: Pose, moving: FloatArray) -> list[Instruction]:
+    """What moves near a person and is not in his way: the nearest, and on which side."""
+    away = moving[:, :2] - np.array(pose.position[:2])
+    over = moving[:, 2] - pose.position[2]
+    gap = np.where((over > 0.0) & (over < BODY_HEIGHT), np.hypot(*away.T), np.inf)
+    if not len(gap) or gap.min() > MOVES_NEAR:
+        return []
+    x, y = away[int(gap.argmin())]
+    side = side_of(float(np.arctan2(y, x)) - pose.heading)
+    return [Instruction(Kind.MOVING, Urgency.INFORM, distance=float(gap.min()), side=side)]
 
 
 def aim(route: Route, pose: Pose, progress: Progress) -> float:
@@ -170,7 +274,7 @@ def _square(route: Route, pose: Pose, progress: Progress, direction: float) -> t
         comes = 0.0 <= flight.start - progress.s <= LOOK_AHEAD[0] and abs(aside) <= WIDEST
         if comes and 0.0 <= ahead <= AT_EDGE:
             bent = _bent(pose, flight.enter, direction)
-            if abs(aside) <= (GATE if _is_walkable(route, pose, progress, bent) else 0.5 * GATE):
+            if abs(aside) <= (GATE + POSE_SLACK if _is_walkable(route, pose, progress, bent) else 0.5 * GATE):
                 return bent, abs(wrap(flight.enter - pose.heading)) > SQUARE
             back = (wrap(flight.enter + atan2(-aside, min(ahead - foot, 0.0)) - pose.heading) for foot in FEET[::-1])
             return next((one for one in back if _is_walkable(route, pose, progress, one)), direction), False
@@ -222,9 +326,12 @@ def _clear(route: Route, pose: Pose, progress: Progress, headings: FloatArray) -
     return clear
 
 
-def _pace_before_steps(route: Route, progress: Progress) -> float:
+def _careful_pace(route: Route, progress: Progress) -> float:
+    """The fastest of `PACES` before steps and before the goal."""
+    left = route.length - progress.s
+    goal = min((pace for near, pace in NEAR_GOAL if left <= near), default=PACES[0])
     near = any(
         f.kind in (FeatureKind.STEP, FeatureKind.STAIRS) and f.start - NEAR_STEP <= progress.s <= f.end
         for f in route.features
     )
-    return PACES[1] if near else PACES[0]
+    return min(goal, PACES[1] if near else PACES[0])

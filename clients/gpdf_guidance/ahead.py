@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from math import radians
 
 from gpdf_schemas import CueAction
 
 from gpdf_guidance.features import TREAD, TURN, Feature, FeatureKind
-from gpdf_guidance.instruction import Instruction, Kind, Urgency
+from gpdf_guidance.instruction import Instruction, Kind, Side, Urgency
 from gpdf_guidance.route import Progress, Route
+from gpdf_guidance.stairs import LEAST_EDGE
 
 ON_THE_SPOT = radians(40)
 """[rad] From this on one turns before one walks."""
@@ -16,8 +18,12 @@ ARRIVED = 0.4
 """[m] From the goal: an arm reaches it."""
 STRAIGHT = radians(10)
 """[rad] Nobody feels a smaller error of direction."""
+EARLY = (5.0, 7.0)
+"""[m] What one will have to do is told of this far before for the first time: 6 ± 1 m, ITU-T F.921."""
 STEP_WINDOW = (1.0, 2.8)
 """[m] Steps and stairs are told of this far before: not too late to find with the cane, not too early to count on."""
+EDGE = 0.45
+"""[m] Before an edge that is not told of yet one stands: a careful pace of 0.3 m/s ends a foot before it."""
 ON_STAIRS = 1.6
 """[m] What comes after a stair, or a turn before one, is told of from here: two of them are not mixed up."""
 LANDING = STEP_WINDOW[0] + 0.1
@@ -28,6 +34,10 @@ TURN_WINDOW = (0.3, 2.5)
 """[m] The same for turns."""
 OTHER_WINDOW = (0.0, 2.5)
 """[m] The same for the rest."""
+PASSING = (0.0, 1.0)
+"""[m] A named place is told of when it is this far ahead."""
+REASSURE = 10.0
+"""[m] Who has heard nothing for so long is told that all is well, ITU-T F.921."""
 STEPS = (FeatureKind.STEP, FeatureKind.STAIRS)
 TO_STEPS = 1.0
 """[m] A turn that ends this near before a step or stairs, or begins so near behind stairs, is told with them."""
@@ -45,6 +55,20 @@ def find_turning(route: Route, progress: Progress, direction: float, action: Cue
     if turn is not None and progress.s >= turn.end and abs(direction) <= STRAIGHT and straight >= TO_STEPS:
         return [Instruction(Kind.GO_ON, Urgency.INFORM, _place(route, turn.start), straight)]
     return []
+
+
+def find_reassurance(route: Route, progress: Progress, told_at: float) -> list[Instruction]:
+    """What is said to who has walked long without a word.
+
+    Args:
+        route: The way.
+        progress: Where the person is.
+        told_at: Where the last sentence was said [m].
+    """
+    straight = _straight_length(route, progress.s)
+    if progress.s - told_at < REASSURE or straight < TO_STEPS:
+        return []
+    return [Instruction(Kind.STRAIGHT, Urgency.INFORM, _place(route, progress.s), straight)]
 
 
 def _place(route: Route, s: float) -> tuple[float, float]:
@@ -66,17 +90,26 @@ def _straight_length(route: Route, s: float) -> float:
 _SOON: dict[FeatureKind, tuple[Kind, Urgency, tuple[float, float]]] = {
     FeatureKind.STEP: (Kind.STEP, Urgency.ACT, STEP_WINDOW),
     FeatureKind.STAIRS: (Kind.STAIRS, Urgency.ACT, STEP_WINDOW),
-    FeatureKind.TURN: (Kind.TURN_SOON, Urgency.PREPARE, TURN_WINDOW),
+    FeatureKind.TURN: (Kind.TURN_SOON, Urgency.ACT, TURN_WINDOW),
+    FeatureKind.OPENING: (Kind.OPENING, Urgency.PREPARE, OTHER_WINDOW),
     FeatureKind.NARROW: (Kind.NARROW, Urgency.PREPARE, OTHER_WINDOW),
     FeatureKind.HEAD: (Kind.HEAD, Urgency.PREPARE, OTHER_WINDOW),
     FeatureKind.RAMP: (Kind.RAMP, Urgency.INFORM, OTHER_WINDOW),
     FeatureKind.BEAR: (Kind.BEAR, Urgency.INFORM, OTHER_WINDOW),
+    FeatureKind.PLACE: (Kind.PASS, Urgency.INFORM, PASSING),
 }
+TOLD_EARLY = (FeatureKind.STEP, FeatureKind.STAIRS, FeatureKind.TURN, FeatureKind.RAMP)
+"""What changes how one walks is told of early, too; a passage is not: one is led through it."""
 
 
 def is_hidden_step(one: Instruction) -> bool:
     """Whether it tells of a step or stairs that come too soon to go on while it is spoken."""
     return one.kind in (Kind.STEP, Kind.STAIRS) and one.distance < STEP_WINDOW[0]
+
+
+def is_edge(one: Instruction) -> bool:
+    """Whether it is the word at an edge that one does not step over unheard."""
+    return one.kind in (Kind.STEP_EDGE, Kind.STAIRS_EDGE)
 
 
 def find_ahead(route: Route, progress: Progress) -> list[Instruction]:
@@ -85,27 +118,67 @@ def find_ahead(route: Route, progress: Progress) -> list[Instruction]:
     stairs = [f for f in route.features if f.kind is FeatureKind.STAIRS]
     climbed = next((f for f in stairs if f.end > progress.s), None)
     left = next((f for f in stairs if f.end <= progress.s <= f.end + OFF_STAIRS), None)
+    if any(f.kind in STEPS and 0.0 <= f.start - progress.s <= EDGE for f in route.features):
+        left = None  # at the next edge the end of the last stairs is no news, and sounds like that of the next ones
     for feature in route.features:
-        kind, urgency, window = _SOON[feature.kind]
-        distance, after = feature.start - progress.s, _behind(climbed, feature)
-        is_step = feature.kind in STEPS
+        after = _behind(climbed, feature)
         ends = left is not None and _is_told_with_the_end(left, feature)
         if after is not None and (feature.kind is FeatureKind.TURN or _is_told_with_the_end(climbed, feature)):
             continue  # it is time for them when the stairs end
         if feature.kind is FeatureKind.TURN and _needs_no_word(route, feature, ends):
             continue
-        if is_step and distance > ON_STAIRS and _turns_before(route, progress, feature) > 1:
-            continue  # one turn after the other
-        soon = window[0] <= distance <= (window[1] if after is None else ON_STAIRS)
-        if soon or (is_step and 0.0 <= distance < window[0]) or (ends and distance > 0.0):  # late is better than never
-            first = _turn_before(route, progress, feature) if is_step else None
-            place = _place(route, feature.start)
-            urgency = Urgency.ACT if ends else urgency
-            said.append(Instruction(kind, urgency, place, distance, feature.amount, feature.count, after, ends, first))
+        said += _told_of(route, progress, feature, after, ends)
     if left is not None and not any(one.ends for one in said):
         turn = next((f.start for f in route.features if _is_told_with_the_end(left, f)), left.end)
-        said.append(Instruction(Kind.STAIRS_END, Urgency.ACT, _place(route, turn)))
+        straight = _straight_length(route, left.end + 1e-6)
+        on = (Instruction(Kind.GO_ON, Urgency.INFORM, distance=straight),) if straight >= TO_STEPS else ()
+        said.append(Instruction(Kind.STAIRS_END, Urgency.ACT, _place(route, turn), then=on))
     return said
+
+
+def _told_of(route: Route, progress: Progress, feature: Feature, after: float | None, ends: bool) -> list[Instruction]:
+    """What is said of one feature here: early, soon, at its edge, or nothing."""
+    kind, urgency, window = _SOON[feature.kind]
+    distance, is_step = feature.start - progress.s, feature.kind in STEPS
+    if is_step and distance > ON_STAIRS and _turns_before(route, progress, feature) > 1:
+        return []  # one turn after the other
+    early = EARLY[0] <= distance <= EARLY[1] and _is_told_early(route, progress, feature)
+    soon = window[0] <= distance <= (window[1] if after is None else ON_STAIRS)
+    late = is_step and 0.0 <= distance < window[0]  # better than never
+    if not (early or soon or late or (ends and distance > 0.0)):
+        return []
+    side = Side(feature.rail) if feature.rail else None
+    if feature.kind is FeatureKind.PLACE:
+        side = Side.LEFT if feature.amount > 0 else Side.RIGHT
+    one = Instruction(
+        kind,
+        Urgency.ACT if ends else Urgency.PREPARE if early and not is_step else urgency,
+        _place(route, feature.start),
+        distance,
+        feature.amount,
+        feature.count,
+        after,
+        ends,
+        early,
+        _turn_before(route, progress, feature) if is_step else None,
+        name=feature.name,
+        side=side,
+        last=_place(route, feature.end) if kind is Kind.STAIRS else None,
+    )
+    if is_step and distance <= EDGE and after is None and abs(feature.amount) >= LEAST_EDGE:
+        edge = Kind.STAIRS_EDGE if kind is Kind.STAIRS else Kind.STEP_EDGE
+        return [one, replace(one, kind=edge, side=None, first=None)]
+    return [one]
+
+
+def _is_told_early(route: Route, progress: Progress, feature: Feature) -> bool:
+    """Whether nothing that is to be done lies before a feature: two things to do are not told of at once."""
+    doing = (*STEPS, FeatureKind.TURN)
+    between = (
+        f.kind in doing and f is not feature and progress.s < f.end and f.start < feature.start - TO_STEPS
+        for f in route.features
+    )
+    return feature.kind in TOLD_EARLY and not any(between)
 
 
 def _is_told_with_the_end(stairs: Feature | None, feature: Feature) -> bool:
@@ -137,7 +210,8 @@ def _turn_before(route: Route, progress: Progress, steps: Feature) -> Instructio
         distance = turn.start - progress.s
         leads = turn.kind is FeatureKind.TURN and turn.start <= steps.start <= turn.end + TO_STEPS
         if leads and distance >= TURN_WINDOW[0]:
-            return Instruction(Kind.TURN_SOON, Urgency.PREPARE, _place(route, turn.start), distance, turn.amount)
+            place = _place(route, turn.start)
+            return Instruction(Kind.TURN_SOON, Urgency.PREPARE, place, distance, turn.amount, name=turn.name)
     return None
 
 

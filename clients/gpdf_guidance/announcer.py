@@ -19,12 +19,30 @@ NEEDED = {Urgency.INFORM: 1.0, Urgency.PREPARE: 0.0, Urgency.ACT: -inf, Urgency.
 """Instructions that must be saved up to say one: what prepares may come right after one that was urgent."""
 AGAIN = {Urgency.DANGER: 8.0, Urgency.ACT: 12.0}
 """[s] What is dangerous or to be done now is said again after this if it is still so; the rest is said once."""
-STEPS_AGAIN = 30.0
-"""[s] A step that one still stands before is told of again after this: by then it may be forgotten."""
+KIND_AGAIN = {
+    Kind.STEP: 30.0,
+    Kind.STAIRS: 30.0,
+    Kind.STEP_EDGE: 20.0,
+    Kind.STAIRS_EDGE: 30.0,
+    Kind.MOVING: 15.0,
+    Kind.ASK_STEP: 15.0,
+    Kind.ASK_STEP_OR_DETOUR: 15.0,
+    Kind.PAUSED: inf,
+    Kind.STOP_MOVING: 20.0,
+}
+"""[s] The same by kind: a step that one still stands before is told of again, by then it may be forgotten."""
 SAME = 0.8
 """[m] What is of one kind and this close is the same thing, also after another way has been planned."""
 SAME_STEP = 0.5 * TREAD
 """[m] The same for a single step: another one may be a tread away."""
+STEPS = (Kind.STEP, Kind.STEP_EDGE, Kind.STAIRS, Kind.STAIRS_EDGE)
+LAST = tuple(kind for kind in Kind if kind.value.startswith(("gave_up", "no_way", "no_answer", "arrived")))
+"""What ends a walk cuts off whatever is being said."""
+AT_EDGE = {Kind.STEP: Kind.STEP_EDGE, Kind.STAIRS: Kind.STAIRS_EDGE}
+EDGE = 0.6
+"""[m] Stairs that are told of from here begin where one stands."""
+ANYWHERE = (Kind.MOVING, Kind.LOW_UNSEEN)
+"""What is the same thing wherever it is."""
 WORD = 0.33
 """[s] A spoken word takes."""
 
@@ -50,7 +68,18 @@ class Announcer:
         self._said: list[_Said] = []
         self._tokens = 1.0
         self._then: float | None = None
-        self._quiet_at, self._speaking = -inf, Urgency.INFORM
+        self._quiet_at, self._speaking, self._now = -inf, Urgency.INFORM, -inf
+        self._last: tuple[Instruction, str] | None = None
+
+    @property
+    def last(self) -> tuple[Instruction, str] | None:
+        """What was said last."""
+        return self._last
+
+    @property
+    def is_quiet(self) -> bool:
+        """Whether the last sentence has been said to its end."""
+        return self._now >= self._quiet_at
 
     def choose(self, instructions: Sequence[Instruction], now: float) -> tuple[Instruction, str] | None:
         """The most urgent that is due, in words; None to be silent.
@@ -60,9 +89,10 @@ class Announcer:
             now: Clock [s].
         """
         self._earn(now)
+        self._now = now
         for instruction in instructions:
-            affordable = self._tokens >= NEEDED[instruction.urgency]
-            silent = now >= self._quiet_at or instruction.urgency > self._speaking
+            affordable = self._tokens >= NEEDED[instruction.urgency] or instruction.reply_to is not None
+            silent = now >= self._quiet_at or instruction.urgency > self._speaking or instruction.kind in LAST
             if affordable and silent and self._due(instruction, now):
                 return self._speak(instruction, now)
         return None
@@ -82,16 +112,21 @@ class Announcer:
         return any(now - said.time < again for said in self._said if _same(said.instruction, instruction))
 
     def _due(self, instruction: Instruction, now: float) -> bool:
-        again = STEPS_AGAIN if instruction.kind in (Kind.STEP, Kind.STAIRS) else AGAIN.get(instruction.urgency, inf)
+        if instruction.reply_to is not None:
+            return True
+        again = KIND_AGAIN.get(instruction.kind, AGAIN.get(instruction.urgency, inf))
         return all(now - said.time >= again for said in self._said if _same(said.instruction, instruction))
 
     def _speak(self, instruction: Instruction, now: float) -> tuple[Instruction, str]:
         text = self._say(instruction)
+        self._last = instruction, text
         self._said = [said for said in self._said if said.end <= now and not _takes_back(instruction, said.instruction)]
         self._tokens = max(DEBT, self._tokens - 1.0)
         self._quiet_at, self._speaking = now + WORD * len(text.split()), instruction.urgency
         told = [instruction] if instruction.first is None else [instruction.first, instruction]
         told += [replace(instruction, kind=Kind.STAIRS_END)] if instruction.ends else []
+        if instruction.kind in AT_EDGE and instruction.distance <= EDGE:  # that is the word at the edge
+            told.append(replace(instruction, kind=AT_EDGE[instruction.kind]))
         self._said += [_Said(one, now, self._quiet_at) for one in told]
         return instruction, text
 
@@ -103,7 +138,14 @@ def _takes_back(new: Instruction, old: Instruction) -> bool:
 
 
 def _same(a: Instruction, b: Instruction) -> bool:
-    if a.kind is not b.kind or (a.kind in (Kind.STEP, Kind.STAIRS) and a.amount * b.amount < 0.0):
+    if a.kind is not b.kind or a.early is not b.early:
+        return False
+    if a.kind in STEPS and a.amount * b.amount < 0.0:
         return False  # up and down a sill
-    away = hypot(a.place[0] - b.place[0], a.place[1] - b.place[1])
-    return away < (SAME_STEP if a.kind is Kind.STEP else SAME)
+    if a.last is not None and b.last is not None and _apart(a.last, b.last) < SAME_STEP:
+        return True  # who has climbed a part of a flight is still on it
+    return a.kind in ANYWHERE or _apart(a.place, b.place) < (SAME_STEP if a.kind in STEPS[:2] else SAME)
+
+
+def _apart(a: tuple[float, float], b: tuple[float, float]) -> float:
+    return hypot(a[0] - b[0], a[1] - b[1])

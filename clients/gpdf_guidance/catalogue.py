@@ -1,147 +1,181 @@
-"""Sentences, short enough to be heard while walking, in English and German."""
+"""Sentences, short enough to be heard while walking; each language is a file that a translator fills."""
 
 from __future__ import annotations
 
+import tomllib
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from math import degrees
+from functools import cache
+from importlib import resources
+from math import ceil, degrees
 
-from gpdf_guidance.instruction import Instruction, Kind
+from gpdf_guidance.instruction import Instruction, Kind, Side
+from gpdf_guidance.manner import Manner
 
-STEP_LENGTH = 0.65
-"""[m] Of a person who walks with a cane."""
 HALF = 0.5
 """[m] Distances are told in these."""
 SLIGHT, ROUND = 50.0, 150.0
 """[°] Below, a turn is slight; above, it is a turn around."""
+HOUR = 30.0
+"""[°] Of the face of a clock."""
+NEAR, FAR = 0.5, 3.0
+"""[m] What is nearer is within reach of an arm; what is further off is no news to a person who stands."""
+SHORT_TIME, LONG_TIME = 50.0, 90.0
+"""[s] Below the first a time is told in tens of seconds; from the second on in minutes, between them as one."""
+WITH_RAIL = (Kind.STAIRS, Kind.STAIRS_EDGE)
+GOES_ON = (Kind.STAIRS_END,)
+"""Kinds whose sentence is followed by those of `Instruction.then`; others weave them in."""
 
 
 @dataclass(frozen=True, slots=True)
-class Words:
+class Language:
     """One language: its sentences, and the words that are put into them."""
 
-    sentences: dict[Kind, str]
-    left: str
-    right: str
-    slightly: str
-    around: str
-    up: str
-    down: str
-    metre: str
-    metres: str
-    step: str
-    steps: str
-    point: str
-    within: str
-    right_ahead: str
-    after: str
-    then: str
+    words: Mapping[str, str]
+    sentences: Mapping[Kind, str]
 
 
-ENGLISH = Words(
-    {
-        Kind.STOP_LOST: "Stop. I have lost your position.",
-        Kind.STOP_UNRELIABLE: "Stop. Your position is uncertain.",
-        Kind.STOP_ALONE: "Stop. I have no connection.",
-        Kind.STOP_OBSTACLE: "Stop. Something is in the way.",
-        Kind.STOP_OFF_WAY: "Stop. I look for a new way.",
-        Kind.GAVE_UP: "Stay here. I find no safe way. Please ask for help.",
-        Kind.ARRIVED: "You have arrived.",
-        Kind.STEP: "{where}, step {vertical}, {height} centimetres.",
-        Kind.STAIRS: "{where}, stairs {vertical}, {count} steps.",
-        Kind.STAIRS_END: "The stairs end.",
-        Kind.TURN_NOW: "Turn {side}.",
-        Kind.TURN_BACK: "Too far. A little back to the {side}.",
-        Kind.TURN_SOON: "{where}, turn {side}.",
-        Kind.GO_ON: "Good. Straight on, {distance}.",
-        Kind.RESUME: "Go on.",
-        Kind.NARROW: "Narrow passage ahead, {width} centimetres. Go slowly.",
-        Kind.HEAD: "Mind your head, obstacle on the {side}.",
-        Kind.RAMP: "{where}, ramp {vertical}.",
-        Kind.BEAR: "Keep {side}.",
-        Kind.LOW_UNSEEN: "The map misses what is lower than {height} centimetres.",
-    },
-    "left", "right", "slightly {side}", "around", "up", "down", "metre", "metres", "step", "steps", ".",
-    "In {distance}", "Right ahead", "After these stairs: {sentence}", "Then",
-)  # fmt: skip
-GERMAN = Words(
-    {
-        Kind.STOP_LOST: "Halt. Ich habe Ihre Position verloren.",
-        Kind.STOP_UNRELIABLE: "Halt. Ihre Position ist unsicher.",
-        Kind.STOP_ALONE: "Halt. Ich habe keine Verbindung.",
-        Kind.STOP_OBSTACLE: "Halt. Etwas steht im Weg.",
-        Kind.STOP_OFF_WAY: "Halt. Ich suche einen neuen Weg.",
-        Kind.GAVE_UP: "Bleiben Sie hier. Ich finde keinen sicheren Weg. Bitten Sie um Hilfe.",
-        Kind.ARRIVED: "Sie sind da.",
-        Kind.STEP: "{where} Stufe {vertical}, {height} Zentimeter.",
-        Kind.STAIRS: "{where} Treppe {vertical}, {count} Stufen.",
-        Kind.STAIRS_END: "Ende der Treppe.",
-        Kind.TURN_NOW: "Drehung {side}.",
-        Kind.TURN_BACK: "Zu weit. Etwas zurück nach {side}.",
-        Kind.TURN_SOON: "{where} Drehung {side}.",
-        Kind.GO_ON: "Gut. Geradeaus, {distance}.",
-        Kind.RESUME: "Weiter.",
-        Kind.NARROW: "Engstelle voraus, {width} Zentimeter. Gehen Sie langsam.",
-        Kind.HEAD: "Vorsicht, Hindernis in Kopfhöhe {side}.",
-        Kind.RAMP: "{where} Rampe {vertical}.",
-        Kind.BEAR: "Halten Sie sich {side}.",
-        Kind.LOW_UNSEEN: "Was niedriger als {height} Zentimeter ist, fehlt in der Karte.",
-    },
-    "links", "rechts", "leicht {side}", "ganz herum", "aufwärts", "abwärts", "Meter", "Metern",
-    "Schritt", "Schritten", ",",
-    "In {distance}", "Direkt vor Ihnen", "Nach dieser Treppe: {sentence}", "Dann",
-)  # fmt: skip
-LANGUAGES = {"en": ENGLISH, "de": GERMAN}
+LANGUAGES = tuple(
+    sorted(
+        file.name.removesuffix(".toml")
+        for file in resources.files("gpdf_guidance").joinpath("languages").iterdir()
+        if file.name.endswith(".toml")
+    )
+)
+"""Those that there is a file for."""
 
 
-def phrase(instruction: Instruction, language: str = "en", unit: str = "metres") -> str:
+@cache
+def language(name: str) -> Language:
+    """A language by its tag.
+
+    Raises:
+        KeyError: a sentence is missing, or there is one that nothing says.
+    """
+    file = resources.files("gpdf_guidance").joinpath("languages", f"{name}.toml")
+    read = tomllib.loads(file.read_text(encoding="utf-8"))
+    missing = {kind.value for kind in Kind} ^ set(read["sentences"])
+    if missing:
+        raise KeyError(f"{file.name}: sentences missing or unknown: {', '.join(sorted(missing))}")
+    return Language(read["words"], {Kind(kind): sentence for kind, sentence in read["sentences"].items()})
+
+
+def phrase(instruction: Instruction, manner: Manner | None = None) -> str:
     """Say an instruction.
 
     Args:
         instruction: What to say.
-        language: One of `LANGUAGES`.
-        unit: "metres" or "steps".
+        manner: In which language and units; English and metres if None.
     """
-    words, after = LANGUAGES[language], instruction.after
+    manner = manner or Manner()
+    chosen, after = language(manner.language), instruction.after
+    words = chosen.words
     metres = instruction.distance if after is None else after
     at_once = instruction.kind is Kind.TURN_SOON and instruction.ends and metres < HALF
-    sentence = words.sentences[Kind.TURN_NOW if at_once else instruction.kind].format(
-        distance=_distance(metres, words, unit),
-        where=words.then if instruction.first is not None else _where(metres, words, unit),
-        side=_side(instruction, words),
-        vertical=words.up if instruction.amount > 0 else words.down,
-        height=round(100 * abs(instruction.amount)),
-        width=5 * int(20 * instruction.amount + 1e-6),
-        count=instruction.count,
+    sentence = chosen.sentences[Kind.TURN_NOW if at_once else instruction.kind].format_map(
+        _Fields(instruction, metres, words, manner)
     )
+    if instruction.kind is Kind.OVERVIEW and instruction.first is not None:
+        return f"{sentence} {phrase(instruction.first, manner)}"
     if instruction.first is not None:
-        sentence = f"{phrase(instruction.first, language, unit)} {sentence}"
+        sentence = f"{phrase(instruction.first, manner)} {sentence}"
+    if instruction.kind in WITH_RAIL and instruction.side is not None:
+        sentence = f"{sentence} {words[f'rail_{instruction.side}']}"
+    if instruction.kind in GOES_ON:
+        sentence = " ".join([sentence, *(phrase(one, manner) for one in instruction.then)])
     if instruction.ends:
-        return f"{words.sentences[Kind.STAIRS_END]} {sentence}"
-    return sentence if after is None else words.after.format(sentence=sentence)
+        return f"{chosen.sentences[Kind.STAIRS_END]} {sentence}"
+    return sentence if after is None else words["after"].format(sentence=sentence)
 
 
-def _where(metres: float, words: Words, unit: str) -> str:
-    if metres < (STEP_LENGTH if unit == "steps" else HALF):
-        return words.right_ahead
-    return words.within.format(distance=_distance(metres, words, unit))
+class _Fields(dict[str, str]):
+    """What stands in braces in a sentence, made when it is asked for."""
+
+    def __init__(self, instruction: Instruction, metres: float, words: Mapping[str, str], manner: Manner) -> None:
+        one, other = instruction, instruction.then[0].distance if instruction.then else 0.0
+        self._made: dict[str, Callable[[], str]] = {
+            "distance": lambda: distance(metres, words, manner),
+            "rest": lambda: distance(other, words, manner),
+            "detour": lambda: distance(other, words, manner),
+            "where": lambda: _where(one, metres, words, manner),
+            "side": lambda: _side(one, words, manner),
+            "beside": lambda: words[f"on_{one.side}"],
+            "vertical": lambda: words["up" if one.amount > 0 else "down"],
+            "height": lambda: f"{round(100 * abs(one.amount))}",
+            "limit": lambda: f"{round(100 * abs(one.amount))}",
+            "room": lambda: f"{int(100 * max(one.amount, 0.0))}",
+            "needed": lambda: f"{round(100 * one.distance)}",
+            "width": lambda: f"{5 * int(20 * one.amount + 1e-6)}",
+            "count": lambda: f"{one.count}",
+            "turns": lambda: words[f"way_turns_{one.count}" if one.count < 2 else "way_turns"].format(count=one.count),
+            "stairs": lambda: "".join(_on_the_way(part, words) for part in one.then),
+            "time": lambda: _time(one.seconds, words),
+            "name": lambda: one.name or words["the_goal"],
+            "goal": lambda: one.name[:1].upper() + one.name[1:] or words["goal"],
+            "free": lambda: _free(one.free, words, manner),
+        }
+
+    def __missing__(self, key: str) -> str:
+        return self._made[key]()
 
 
-def _distance(metres: float, words: Words, unit: str) -> str:
-    """How far it is to something, never more than it is: who expects a step too late falls."""
+def distance(metres: float, words: Mapping[str, str], manner: Manner, suffix: str = "") -> str:
+    """How far it is to something, never more than it is: who expects a step too late falls.
+
+    Args:
+        metres: So far [m].
+        words: Of a language.
+        manner: Says the unit.
+        suffix: "_within" for the form that the language has behind "in".
+    """
     metres += 1e-6
-    if unit == "steps":
-        count = max(1, int(metres / STEP_LENGTH))
-        return f"{count} {words.step if count == 1 else words.steps}"
+    if manner.unit == "steps":
+        count = max(1, int(metres / manner.step_length))
+        return f"{count} {words['step' + suffix] if count == 1 else words['steps' + suffix]}"
     halves = max(1, int(metres / HALF)) if metres < 3 else 2 * int(metres)
-    number = f"{halves // 2}" if halves % 2 == 0 else f"{halves / 2:.1f}".replace(".", words.point)
-    return f"{number} {words.metre if halves == 2 else words.metres}"
+    number = f"{halves // 2}" if halves % 2 == 0 else f"{halves / 2:.1f}".replace(".", words["point"])
+    return f"{number} {words['metre' + suffix] if halves == 2 else words['metres' + suffix]}"
 
 
-def _side(instruction: Instruction, words: Words) -> str:
-    side = words.left if instruction.amount > 0 else words.right
-    if instruction.kind not in (Kind.TURN_NOW, Kind.TURN_SOON):
-        return side
-    angle = degrees(abs(instruction.amount))
+def _where(one: Instruction, metres: float, words: Mapping[str, str], manner: Manner) -> str:
+    if one.first is not None:
+        return words["then"]
+    near = metres < (manner.step_length if manner.unit == "steps" else HALF)
+    within = words["within"].format(distance=distance(metres, words, manner, "_within"))
+    where = words["right_ahead"] if near else within
+    return words["at"].format(where=where, name=one.name) if one.name else where
+
+
+def _side(one: Instruction, words: Mapping[str, str], manner: Manner) -> str:
+    left = one.amount > 0
+    if one.kind not in (Kind.TURN_NOW, Kind.TURN_SOON):
+        return words["left" if left else "right"]
+    angle = degrees(abs(one.amount))
+    if manner.clock:
+        return words["clock"].format(hour=round((-1 if left else 1) * angle / HOUR) % 12 or 12)
     if angle > ROUND:
-        return words.around
-    return words.slightly.format(side=side) if angle < SLIGHT else side
+        return words["around"]
+    side = words["turn_left" if left else "turn_right"]
+    return words["slightly"].format(side=side) if angle < SLIGHT else side
+
+
+def _on_the_way(part: Instruction, words: Mapping[str, str]) -> str:
+    vertical = words["up" if part.amount > 0 else "down"]
+    name = "way_stairs" if part.kind is Kind.STAIRS else "way_step"
+    return words[name].format(vertical=vertical, count=part.count, height=round(100 * abs(part.amount)))
+
+
+def _time(seconds: float, words: Mapping[str, str]) -> str:
+    if seconds <= SHORT_TIME:
+        return words["seconds"].format(count=10 * max(1, ceil(seconds / 10)))
+    minutes = 1 if seconds < LONG_TIME else round(seconds / 60)
+    return words["minute"] if minutes == 1 else words["minutes"].format(count=minutes)
+
+
+def _free(free: tuple[float, ...], words: Mapping[str, str], manner: Manner) -> str:
+    said = []
+    for side, metres in zip((Side.AHEAD, Side.RIGHT, Side.BEHIND, Side.LEFT), free, strict=True):
+        far = words["free_at"].format(distance=distance(metres, words, manner, "_within"))
+        far = words["free_near"] if metres < NEAR else words["free_far"] if metres >= FAR else far
+        said.append(words[f"free_{side}"].format(far=far))
+    return ", ".join(said)

@@ -63,18 +63,35 @@ def least_room(s: FloatArray, path: FloatArray, rough: FloatArray, room: Room) -
     return least
 
 
-def where_there_is_room(free: FloatArray, clear: FloatArray) -> Corridor:
-    """The corridor of the room alone: from `scan` and `least_room`."""
-    middle, margin = free.shape[1] // 2, margin_of(clear)
+def where_there_is_room(free: FloatArray, clear: FloatArray, most: float = MARGIN) -> Corridor:
+    """The corridor of the room alone, from `scan` and `least_room`, with at most so much left beside it [m]."""
+    middle, margin = free.shape[1] // 2, margin_of(clear, most)
     disc = np.maximum(clear - margin, 0.0)
     left, right = (np.maximum(_reach(side < margin[:, None]), disc) for side in (free[:, middle:], free[:, middle::-1]))
     return Corridor(disc, left, right)
 
 
-def margin_of(clear: FloatArray) -> FloatArray:
-    """Room that a corridor leaves beside it where the path has `clear` [m]."""
-    margin: FloatArray = np.clip(0.5 * clear, 0.0, MARGIN)
+def margin_of(clear: FloatArray, most: float = MARGIN) -> FloatArray:
+    """Room that a corridor leaves beside it where the path has `clear`, at most `most` [m]."""
+    margin: FloatArray = np.clip(0.5 * clear, 0.0, most)
     return margin
+
+
+def beside_steps(corridor: Corridor, away: FloatArray, s: FloatArray, flights: tuple[Flight, ...]) -> Corridor:
+    """A corridor that ends half a pace before steps that the path passes; nobody takes one unheard.
+
+    Args:
+        corridor: That of the room.
+        away: Distance to all that stops who takes no step, at the places of `scan` [m], shape (n, k).
+        s: Arc lengths of the samples [m], shape (n,).
+        flights: On the path; near them `on_own_ground` says more.
+    """
+    clear = away[:, away.shape[1] // 2]
+    passed = clear > 0.5 * SPACING  # less: the path goes over it
+    for flight in flights:
+        passed &= (s < flight.start - BESIDE_STAIRS) | (s > flight.end + BESIDE_STAIRS)
+    kept = where_there_is_room(away, clear, KEEP_OFF)
+    return Corridor(*(np.where(passed, np.minimum(a, b), a) for a, b in zip(corridor, kept, strict=True)))
 
 
 def on_own_ground(

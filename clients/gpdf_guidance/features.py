@@ -38,6 +38,10 @@ RAMP_LENGTH = 1.0
 """[m] A shorter one is not worth a word."""
 NARROW = 0.8
 """[m] A passage narrower than this: less than a hand's breadth and a half beside the elbows, so one is led slowly."""
+OPENING = 1.0
+"""[m] A passage narrower than this, and no longer, is an opening: a door, or a gap that is felt like one."""
+BESIDE_OPENING = 0.5
+"""[m] So far before and behind an opening it is wider by as much."""
 HEAD_ROOM = 0.5
 """[m] An obstacle at head height is told of when it is this close to the body's side."""
 HEAD_EXCESS = 0.15
@@ -52,7 +56,9 @@ class FeatureKind(StrEnum):
     STEP = "step"
     STAIRS = "stairs"
     RAMP = "ramp"
+    PLACE = "place"
     NARROW = "narrow"
+    OPENING = "opening"
     HEAD = "head"
 
 
@@ -66,6 +72,8 @@ class Feature:
         end: Where it ends [m].
         amount: Angle to the left [rad], rise [m], width [m], or 1 and -1 for left and right.
         count: Number of steps.
+        rail: Of stairs, where their handrail is: "left", "right", "both", or empty where none is known.
+        name: Of a place of the scene that is here.
     """
 
     kind: FeatureKind
@@ -73,6 +81,8 @@ class Feature:
     end: float
     amount: float
     count: int = 1
+    rail: str = ""
+    name: str = ""
 
 
 def find_features(
@@ -222,15 +232,31 @@ def _averaged(values: FloatArray) -> FloatArray:
 
 
 def find_narrow(width: FloatArray, s: FloatArray) -> list[Feature]:
-    """Narrow passages; those that are closer than a metre are one."""
+    """Narrow passages, those that are closer than a metre as one, and openings."""
+    openings = find_openings(width, s)
     found: list[Feature] = []
     for a, b in _runs(width < NARROW):
         last = min(b, len(s)) - 1
         start, end, least = float(s[a]), float(s[last]), float(width[a : last + 1].min())
+        if any(one.start <= start and end <= one.end for one in openings):
+            continue
         if found and start - found[-1].end < ONE_TURN:
             found[-1] = Feature(FeatureKind.NARROW, found[-1].start, end, min(found[-1].amount, least))
         else:
             found.append(Feature(FeatureKind.NARROW, start, end, least))
+    return found + openings
+
+
+def find_openings(width: FloatArray, s: FloatArray) -> list[Feature]:
+    """Passages that are short and narrow between wider places: doors, and gaps that are felt like one."""
+    found: list[Feature] = []
+    for a, b in _runs(width < OPENING):
+        last = min(b, len(s)) - 1
+        start, end, least = float(s[a]), float(s[last]), float(width[a : last + 1].min())
+        before, behind = (np.interp(at, s, width) for at in (start - BESIDE_OPENING, end + BESIDE_OPENING))
+        inside = start - BESIDE_OPENING >= s[0] and end + BESIDE_OPENING <= s[-1]
+        if inside and end - start <= OPENING and min(before, behind) >= least + BESIDE_OPENING:
+            found.append(Feature(FeatureKind.OPENING, start, end, least))
     return found
 
 

@@ -2,53 +2,30 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
-from functools import partial
-from itertools import pairwise
-from math import inf
-from typing import Any
 
 import numpy as np
-from gpdf_client import Client, ClientError, ServiceError, Status, Trajectory
-from gpdf_schemas import CueAction, CueMessage
+from gpdf_schemas import Ask, AskMessage, CueAction, CueMessage
 from numpy.typing import NDArray
 
-from gpdf_guidance.advice import BLIND, LEAST_OBSTACLE, PACES, Advice, advise, stop
-from gpdf_guidance.ahead import is_hidden_step
+from gpdf_guidance.advice import BLIND, LEAST_OBSTACLE, OVER_TURN, PACES, Advice, advise, moves_near, stop
+from gpdf_guidance.ahead import find_reassurance, is_edge, is_hidden_step
 from gpdf_guidance.announcer import Announcer
+from gpdf_guidance.answers import here, how_far, overview
 from gpdf_guidance.belief import Belief, believe
 from gpdf_guidance.catalogue import phrase
+from gpdf_guidance.features import FeatureKind
 from gpdf_guidance.instruction import Instruction, Kind, Urgency
-from gpdf_guidance.route import Pose, Progress, Route, arc_length, build_route, join
-from gpdf_guidance.stairs import LEAST_EDGE, SQUARE, find_stairs, obliqueness, places_to_stand
+from gpdf_guidance.manner import Detail, Manner, changed
+from gpdf_guidance.planner import LEAST_ROOM, LEVEL_STEP, Planned, Planner
+from gpdf_guidance.route import Pose, Progress, Route
+from gpdf_guidance.steps import StepLength, learn
 from gpdf_guidance.trust import doubt
 
 FloatArray = NDArray[np.float64]
 
-PERSON: dict[str, Any] = {
-    "name": "person",
-    "height": 2.0,
-    "width": 0.5,
-    "length": 0.32,
-    "max_step": 0.37,
-    "max_slope": float(np.radians(30)),
-    "speed": 0.7,
-    "acceleration": 0.6,
-    "turn_rate": 1.5,
-}
-"""Measures of the service's "human" at a pace with a cane."""
-WIDER = (0.25, 0.15, 0.08, 0.0)
-"""[m] On each side of the body a way is asked for with elbow room first; less is taken only where there is no other."""
-HIP = 1.0
-"""[m] What a cane finds ends here."""
-LEAST_ROOM = 0.08
-"""[m] On each side of the body, away from both ends: who sways more than this would touch."""
-ROUNDS = 4
-"""Ways at most: one that crosses a corner of the stairs shows their line roughly, one in that line exactly."""
-ENDS = 1.0
-"""[m] A chair that one gets up from, a door that one goes to: there one is led through less."""
 STALLED = 30.0
 """[s] Without half a metre of progress another way is asked for."""
 PATIENCE = 3.0
@@ -57,17 +34,37 @@ OFF_WAY = 0.5
 """[s] The same when the person has left the corridor: he stands by then."""
 TRIES = 6
 """Ways that are asked for without half a metre of progress between them."""
+MANY_TRIES = 20
+"""The same where something new is in the way: it may yet go."""
 LOST = 30.0
 """[s] Without a good pose the guide gives up."""
+UNANSWERED = 60.0
+"""[s] Without an answer to a question it gives up, too."""
+SETTLES = 1.0
+"""[s] After a turn a person comes to rest, and is not told of a small one before."""
 WAITING = {Kind.STOP_LOST: 2.0, Kind.STOP_OFF_WAY: 2.0, Kind.STOP_UNRELIABLE: 0.4}
 """[s] The cue says stop at once; one that is over within this is felt and not spoken, if somebody feels the cues. Poses
 that are missing mostly come again; those that cannot be true are spoken of within half a second."""
-STOPS = (*WAITING, Kind.STOP_ALONE, Kind.STOP_OBSTACLE)
+STOPS = (*WAITING, Kind.STOP_ALONE, Kind.STOP_OBSTACLE, Kind.STOP_MOVING, Kind.STOP_UNSURE)
 """After these a person waits to be told to go on."""
+GOING = (CueAction.GO, CueAction.SLOW, CueAction.TURN)
+BLOCKS = {Kind.STOP_OBSTACLE, Kind.STOP_MOVING}
+CLEAR_FOR = (1.0, 4.0)
+"""[s] What was in the way has been gone for so long before one goes on; twice as long each time that it comes back
+before one has got on, up to the second."""
+GETS_ON = 0.5
+"""[m] Who has moved by this has got on."""
+UNSURE = 2.0
+"""[s] A person who is held without a word for so long is told that the guide is at work."""
 BRAKES = PACES[0] / BLIND
 """[m/s²] A pace that was told is thought to last this long after a slower one."""
-PULSE = 0.5
-"""[s] For the planner to say that it is there: many times what it needs; with `PULSE_EVERY`, a stop within a second."""
+MANNERS = {
+    Ask.SLOWER: Kind.SLOWER,
+    Ask.FASTER: Kind.FASTER,
+    Ask.MORE_WORDS: Kind.MORE_WORDS,
+    Ask.FEWER_WORDS: Kind.FEWER_WORDS,
+}
+"""How what changes the manner is answered."""
 
 
 class Outcome(StrEnum):
@@ -76,6 +73,36 @@ class Outcome(StrEnum):
     WALKING = "walking"
     ARRIVED = "arrived"
     SAFE_STOP = "safe stop"
+
+
+@dataclass(frozen=True, slots=True)
+class Asked:
+    """What a person asks, with what had to be looked up for the answer.
+
+    Attributes:
+        what: Of the fixed list.
+        id: Given back with the answer.
+        goal: Of `Ask.GOAL`: where it is [m]; None where there is no such place.
+        name: Of the goal, as the person calls it.
+        free: Of `Ask.AROUND`: how far it is free ahead, to the right, behind and to the left [m]; empty if unknown.
+    """
+
+    what: Ask
+    id: str = ""
+    goal: tuple[float, ...] | None = None
+    name: str = ""
+    free: tuple[float, ...] = ()
+
+
+def look_up(planner: Planner, ask: AskMessage, pose: Pose | None) -> Asked:
+    """Look up at the service what the answer to an ask needs; may take its time."""
+    if ask.ask is Ask.GOAL and ask.goal is not None:
+        where = planner.where(ask.goal)
+        name = ask.goal if isinstance(ask.goal, str) else ""
+        return Asked(ask.ask, ask.id, None if where is None else tuple(map(float, where)), name)
+    if ask.ask is Ask.AROUND and pose is not None:
+        return Asked(ask.ask, ask.id, free=planner.around(pose))
+    return Asked(ask.ask, ask.id)
 
 
 @dataclass(slots=True)
@@ -87,116 +114,44 @@ class _Waiting:
     at: FloatArray = field(default_factory=lambda: np.full(3, np.inf))
 
 
-class Planner:
-    """Asks the service for a way with as much room as there is, and for the room beside it.
+@dataclass(slots=True)
+class _Block:
+    """What new thing stopped the person, until when he waits for it, for how long, and where [s], [m]."""
 
-    Args:
-        client: Connection to the service.
-        scene: Name of the scene.
-        person: Measures of the body, as a plan request takes them; with what it carries, and a little to spare.
+    by: Instruction | None = None
+    until: float = -np.inf
+    clear_for: float = CLEAR_FOR[0]
+    at: FloatArray = field(default_factory=lambda: np.full(3, np.inf))
+
+    def again(self, by: Instruction, now: float, place: FloatArray) -> None:
+        """It stops him now."""
+        if now >= self.until:
+            near = bool(np.hypot(*(self.at - place)[:2]) < GETS_ON)
+            self.clear_for = min(2.0 * self.clear_for, CLEAR_FOR[1]) if near else CLEAR_FOR[0]
+        self.by, self.until, self.at = by, now + self.clear_for, place
+
+
+@dataclass(slots=True)
+class _Talk:
+    """What the person and the guide have agreed on, and what is still to be answered.
+
+    Attributes:
+        climb: The highest step that the person agrees to [m].
+        question: What the guide has asked, and the ways that it is about; None without one.
+        since: When it asked [s].
+        declined: Whether a high step was declined, so that ways without it are all that is taken.
+        paused: Whether the person wants to stand.
+        replies: Answers that are still to be said.
+        overview: What is said of the way before its first step; None when that is done.
     """
 
-    def __init__(self, client: Client, scene: str, person: Mapping[str, Any] = PERSON) -> None:
-        self._client, self.scene, self.person = client, scene, dict(person)
-
-    def route(self, pose: Pose, goal: Sequence[float]) -> tuple[Route | None, str]:
-        """The route from a pose, or why there is none."""
-        why, best, askew = "", None, inf
-        for wider in WIDER:
-            body = {**self.person, "width": self.person["width"] + 2 * wider}
-            try:
-                result = self._client.plan(self.scene, pose.position, goal, body)
-                if result.status is not Status.OK or result.trajectory is None:
-                    why = result.message
-                    continue
-                route, oblique, why = self._squarest(result.trajectory, body, pose, result.scene_version)
-                if route is not None and result.certificate is not None:
-                    route = replace(route, hidden_height=result.certificate.hidden_height)
-            except ServiceError as error:  # it failed for this width
-                why = str(error)
-                continue
-            except ClientError as error:
-                return None, str(error)
-            if oblique < askew:
-                best, askew = route, oblique
-            if route is None or oblique <= SQUARE:  # with less width there is less room
-                break
-        return best, "" if best else why
-
-    def _squarest(
-        self, trajectory: Trajectory, body: dict[str, Any], pose: Pose, version: int
-    ) -> tuple[Route | None, float, str]:
-        """Of a way and those that meet its stairs more squarely the best with room enough; how oblique; why none."""
-        tight = ""
-        for way, oblique in self._squared(trajectory, body):
-            route = self._build(way, pose, version)
-            if not (tight := too_tight(route)):
-                return route, oblique, ""
-        return None, inf, tight
-
-    def _squared(self, trajectory: Trajectory, body: dict[str, Any]) -> list[tuple[Trajectory, float]]:
-        """This way and others that meet its stairs more squarely, and how far from square [rad], the least first."""
-        found: list[tuple[float, Trajectory]] = []
-        for _ in range(ROUNDS):
-            path, s = trajectory.ground, arc_length(trajectory.ground)
-            flights = find_stairs(path, s, self._field, partial(self._room, self.person))
-            found.append((obliqueness(path, s, flights), trajectory))
-            stops = places_to_stand(path, s, flights, partial(self._room, body))
-            if found[-1][0] <= SQUARE or (again := self._through(path[0], stops, path[-1], body)) is None:
-                break
-            trajectory = again
-        return [(way, oblique) for oblique, way in sorted(found, key=lambda one: one[0])]
-
-    def _through(
-        self, start: FloatArray, stops: list[tuple[FloatArray, bool]], goal: FloatArray, body: dict[str, Any]
-    ) -> Trajectory | None:
-        """A way through places, from one to the next; where it need not climb, it does not touch a step."""
-        level = {**body, "name": "on the level", "max_step": LEAST_EDGE}
-        legs: list[Trajectory] = []
-        for (a, climbs), (b, begins) in pairwise([(start, False), *stops, (goal, True)]):
-            bodies = [body] if climbs or not begins else [level, body]
-            tries = (self._client.plan(self.scene, a.tolist(), b.tolist(), one) for one in bodies)
-            found = [one.trajectory for one in tries if one.status is Status.OK and one.trajectory]
-            roomy = (one for one in found if self._room(self.person, one.ground).min() >= LEAST_ROOM)
-            leg = next(roomy, found[-1] if found else None)
-            if leg is None:
-                return None
-            legs.append(leg)
-        return join(legs)
-
-    def pulse(self) -> int | None:
-        """The scene's version, as a sign that whoever plans in it is there; None without one within `PULSE`."""
-        try:
-            return self._client.distance(self.scene, "ground", np.zeros((1, 3)), deadline_s=PULSE).scene_version
-        except ClientError:
-            return None
-
-    def _field(self, places: FloatArray) -> tuple[FloatArray, FloatArray]:
-        found = self._client.distance(self.scene, "ground", places)
-        return np.where(found.valid, found.distance, np.inf), found.gradient
-
-    def _build(self, trajectory: Trajectory, pose: Pose, version: int) -> Route:
-        hip = {**self.person, "name": "to the hip", "height": HIP}
-        room, low, radius = partial(self._room, self.person), partial(self._room, hip), self.person["width"] / 2
-        return build_route(
-            trajectory, room, facing=pose.heading, room_low=low, radius=radius, field=self._field, version=version
-        )
-
-    def _room(self, body: dict[str, Any], places: FloatArray) -> FloatArray:
-        found = self._client.distance(self.scene, "obstacle", places, body)
-        room: FloatArray = found.distance - body["width"] / 2
-        return room
-
-
-def too_tight(route: Route) -> str:
-    """Why a route is no way for a person who cannot see; empty if it is one."""
-    between = (route.s > ENDS) & (route.s < route.length - ENDS)
-    if not between.any() or (room := float(route.room[between].min())) >= LEAST_ROOM:
-        return ""
-    return (
-        f"the best way found leaves {int(100 * max(room, 0.0))} cm beside the person at its narrowest, "
-        f"and {100 * LEAST_ROOM:.0f} cm are needed."
-    )
+    climb: float = LEVEL_STEP
+    question: tuple[Instruction, Planned] | None = None
+    since: float = 0.0
+    declined: bool = False
+    paused: bool = False
+    replies: list[Instruction] = field(default_factory=list)
+    overview: Instruction | None = None
 
 
 class Guide:
@@ -207,34 +162,75 @@ class Guide:
         goal: (x, y) or (x, y, z of the ground) [m].
         language: Of the sentences.
         unit: "metres" or "steps".
+        name: Of the goal, as the person calls it.
+        manner: How the person wants to be led, instead of language and unit.
 
     Attributes:
         felt: Whether somebody feels the cues; if not, every stop is spoken at once.
+        manner: How the person wants to be led; asks change it.
+        patient: Whether to wait for the first pose for ever: who opens the page has to find his place first.
     """
 
-    def __init__(self, planner: Planner, goal: Sequence[float], language: str = "en", unit: str = "metres") -> None:
-        self.planner, self.goal = planner, tuple(map(float, goal))
+    def __init__(
+        self,
+        planner: Planner,
+        goal: Sequence[float],
+        language: str = "en",
+        unit: str = "metres",
+        *,
+        name: str = "",
+        manner: Manner | None = None,
+    ) -> None:
+        self.planner, self.goal, self.name = planner, tuple(map(float, goal)), name
+        self.manner = manner or Manner(language, unit)
         self.route: Route | None = None
         self.outcome, self.reason = Outcome.WALKING, ""
         self.routes: list[Route] = []
         self.obstacles: FloatArray | None = None
-        self._announcer = Announcer(lambda instruction: phrase(instruction, language, unit))
+        self._moving: FloatArray | None = None
+        self._announcer = Announcer(lambda instruction: phrase(instruction, self.manner))
+        self._talk = _Talk()
         self._s, self._waiting, self._told_to_stop = 0.0, _Waiting(), False
         self._moved, self._moved_at = 0.0, np.full(2, np.inf)
         self._trusted: Pose | None = None
         self._belief: Belief | None = None
-        self._pace = 0.0
+        self._steps = StepLength()
+        self._pace, self._told_at = 0.0, 0.0
+        self._turning, self._turn_seen, self._settled = False, 0.0, -np.inf
+        self._block = _Block()
         self._off_way, self._alone, self._version = False, False, 0
-        self.felt = True
+        self._gave_up = Instruction(Kind.GAVE_UP, Urgency.DANGER)
+        self.felt, self.patient = True, False
         self._then, self._clock = float("inf"), 0.0  # time that goes back is none
 
-    def see(self, obstacles: FloatArray | None) -> None:
-        """Tell of things that stand in the scene and that the service does not know, shape (k, 3) [m]."""
-        self.obstacles = obstacles
+    def see(self, obstacles: FloatArray | None, moving: FloatArray | None = None) -> None:
+        """Tell of things that stand in the scene and that the service does not know.
+
+        Args:
+            obstacles: All of them, shape (k, 3) [m].
+            moving: Those of them that move, shape (m, 3) [m].
+        """
+        self.obstacles, self._moving = obstacles, moving
 
     def hear(self, version: int | None) -> None:
         """Tell which version the scene has, as `Planner.pulse` says it; None stops the person: nobody plans for him."""
         self._alone, self._version = version is None, version or self._version
+
+    @property
+    def climb(self) -> float:
+        """The highest step that the person agrees to [m]."""
+        return self._talk.climb
+
+    @property
+    def question(self) -> Kind | None:
+        """What the person is asked and has not answered."""
+        return None if self._talk.question is None else self._talk.question[0].kind
+
+    def ask(self, asked: Asked) -> None:
+        """Hear what the person asks; `step` answers it."""
+        reply = self._reply(asked)
+        if reply is not None:
+            self._talk.replies.append(replace(reply, reply_to=asked.id))
 
     def step(self, pose: Pose | None, now: float) -> tuple[CueMessage, tuple[Instruction, str] | None]:
         """What to do and what to say now. Quick: it asks the service nothing.
@@ -245,44 +241,124 @@ class Guide:
         """
         went_on = max(0.0, now - self._then)
         self._clock, self._then = self._clock + went_on, now
-        advice = self._advise(pose, now)
+        advice = self._held(self._settle(self._blocked(self._advise(pose, now))))
         self._notice(advice)
-        said = self._announcer.choose(self._worth_saying(advice), self._clock)
+        said = self._announcer.choose((*self._talk.replies, *self._worth_saying(advice)), self._clock)
         if said is not None:
-            self._told_to_stop = said[0].kind in STOPS
-        if any(is_hidden_step(one) and not self._announcer.has_told(one, self._clock) for one in advice.instructions):
+            self._said(said[0])
+        if any(self._is_unheard(one) for one in advice.instructions):
             advice = replace(advice, action=CueAction.STOP, pace=0.0)  # nobody goes towards a step unheard
         self._pace = max(advice.pace, self._pace - BRAKES * went_on)
         cue = CueMessage(
             action=advice.action,
             direction=advice.direction,
             urgency=advice.urgency,
-            pace=advice.pace,
+            pace=advice.pace * self.manner.pace,
             distance=0.0 if self.route is None else self.route.length - advice.progress.s,
             stamp=now,
             pose_stamp=0.0 if self._trusted is None else self._trusted.stamp,
         )
         return cue, said
 
+    def _said(self, one: Instruction) -> None:
+        if one.reply_to is not None:
+            self._talk.replies = [reply for reply in self._talk.replies if reply is not one]
+        else:
+            self._told_to_stop = one.kind in STOPS
+        self._told_at = self._s
+
+    def _is_unheard(self, one: Instruction) -> bool:
+        step = is_hidden_step(one) or is_edge(one)
+        return step and not self._announcer.has_told(one, self._clock)
+
     def _advise(self, pose: Pose | None, now: float) -> Advice:
-        here = Progress(self._s, 0.0)
+        here_is = Progress(self._s, 0.0)
         if self.outcome is Outcome.SAFE_STOP:
-            return stop(here, Instruction(Kind.GAVE_UP, Urgency.DANGER))
+            return stop(here_is, self._gave_up)
+        if self.outcome is Outcome.ARRIVED:
+            return Advice(here_is, CueAction.ARRIVED)
         if self._alone:
-            return stop(here, Instruction(Kind.STOP_ALONE, Urgency.DANGER))
+            return stop(here_is, Instruction(Kind.STOP_ALONE, Urgency.DANGER))
         if pose is None:
-            return stop(here, Instruction(Kind.STOP_LOST, Urgency.DANGER))
+            lost = Instruction(Kind.STOP_LOST, Urgency.DANGER)
+            return Advice(here_is, CueAction.STOP) if self._not_begun else stop(here_is, lost)
         if (reason := doubt(pose, self._trusted, now)) is not None:
-            return stop(here, reason)
+            return stop(here_is, reason)
         if self._belief is None or pose is not self._trusted:
             self._belief = believe(self._belief, pose, self._pace)
         self._trusted = pose
         if self.route is None:
-            return Advice(here, CueAction.STOP)
+            return Advice(here_is, CueAction.STOP)
         if self._version > self.route.version:
-            return stop(here, Instruction(Kind.STOP_OFF_WAY, Urgency.DANGER), off_way=True)
-        advice = advise(self.route, self._belief.pose, now, near=self._s, obstacles=self.obstacles)
+            return stop(here_is, Instruction(Kind.STOP_OFF_WAY, Urgency.DANGER), off_way=True)
+        advice = advise(
+            self.route,
+            self._belief.pose,
+            now,
+            near=self._s,
+            obstacles=self.obstacles,
+            moving=self._moving,
+            turning=OVER_TURN if self._turning else None,
+            told=self._pace,
+        )
         self._s = advice.progress.s
+        self._learn(pose, advice)
+        return advice
+
+    @property
+    def _not_begun(self) -> bool:
+        return self.patient and self._trusted is None
+
+    def _learn(self, pose: Pose, advice: Advice) -> None:
+        """The length of the person's steps, where he walks straight on over level ground."""
+        assert self.route is not None
+        stairs = (FeatureKind.STAIRS, FeatureKind.STEP)
+        on = any(one.kind in stairs and one.start - 1.0 <= self._s <= one.end + 1.0 for one in self.route.features)
+        level = advice.action is CueAction.GO and not on
+        self._steps = learn(self._steps, self._s, pose.steps, level=level)
+        self.manner = replace(self.manner, step_length=self._steps.length)
+
+    def _blocked(self, advice: Advice) -> Advice:
+        """Who was stopped by something new waits until it has been gone for a moment: it may come back."""
+        new = next((one for one in advice.instructions if one.kind in BLOCKS), None)
+        if new is not None and self._trusted is not None:
+            self._block.again(new, self._clock, np.array(self._trusted.position))
+        elif self._block.by is not None and self._clock < self._block.until and advice.action in GOING:
+            return stop(advice.progress, self._block.by)
+        return advice
+
+    def _settle(self, advice: Advice) -> Advice:
+        """Who has been told to end a turn comes to rest before he is told of another one; one pose turns nobody."""
+        turns = advice.action is CueAction.TURN
+        before, self._turn_seen = self._turn_seen, float(np.sign(advice.direction)) if turns else 0.0
+        sure = self._turning or self._turn_seen == before
+        if self._turning and not turns:
+            self._settled = self._clock + SETTLES
+        self._turning = turns and sure and self._clock >= self._settled
+        if turns and not self._turning:
+            return replace(advice, action=CueAction.STOP, pace=0.0, instructions=())
+        return advice
+
+    def _held(self, advice: Advice) -> Advice:
+        """What the person is held for: an answer, a pause, the overview of his way. Whatever stops him comes first.
+
+        But not that something is in the way of one who has not set off.
+        """
+        if advice.action not in (*GOING, CueAction.STOP):
+            return advice
+        sets_off = self._talk.overview is not None
+        dangers = {one.kind for one in advice.instructions if one.urgency is Urgency.DANGER}
+        if dangers - (BLOCKS if sets_off else set()):
+            return advice
+        if self._talk.question is not None:
+            return Advice(advice.progress, CueAction.STOP, instructions=(self._talk.question[0],))
+        if self._talk.paused:
+            return Advice(advice.progress, CueAction.STOP)
+        if (first := self._talk.overview) is not None:
+            if self._announcer.has_told(first, self._clock):
+                self._talk.overview = None
+            else:
+                return Advice(advice.progress, CueAction.STOP, instructions=(first,))
         return advice
 
     def _worth_saying(self, advice: Advice) -> tuple[Instruction, ...]:
@@ -292,15 +368,30 @@ class Guide:
         worth = tuple(
             one
             for one in advice.instructions
-            if waited >= patient.get(one.kind, 0.0) and not (self.felt and self._is_felt(one))
+            if waited >= patient.get(one.kind, 0.0)
+            and not (self.felt and self._is_felt(one))
+            and self.manner.wants(one.kind)
+            and not (one.early and self.manner.detail is Detail.FEW)
         )
         walks = advice.action in (CueAction.GO, CueAction.SLOW)
         resume = (Instruction(Kind.RESUME, Urgency.DANGER),) if self._told_to_stop and walks else ()
-        hidden = 0.0 if self.route is None else self.route.hidden_height
-        low = (
-            (Instruction(Kind.LOW_UNSEEN, Urgency.PREPARE, amount=hidden),) if hidden > LEAST_OBSTACLE and walks else ()
-        )
-        return resume + worth + low
+        return resume + worth + self._besides(advice, waited)
+
+    def _besides(self, advice: Advice, waited: float) -> tuple[Instruction, ...]:
+        """What is said beside the way's own: that all is well, what moves, what the map misses, why it takes long."""
+        if self.route is None:
+            return ()
+        if advice.action is CueAction.STOP:
+            silent = not advice.instructions and waited >= UNSURE
+            return (Instruction(Kind.STOP_UNSURE, Urgency.DANGER),) if silent else ()
+        if advice.action not in (CueAction.GO, CueAction.SLOW):
+            return ()
+        found = find_reassurance(self.route, advice.progress, self._told_at)
+        if self._moving is not None and self._belief is not None:
+            found += moves_near(self._belief.pose, self._moving)
+        if (hidden := self.route.hidden_height) > LEAST_OBSTACLE:
+            found.append(Instruction(Kind.LOW_UNSEEN, Urgency.PREPARE, amount=hidden))
+        return tuple(one for one in found if self.manner.wants(one.kind))
 
     def _is_felt(self, one: Instruction) -> bool:
         """Whether the cue alone says enough: it leads back before that is said, and it says when to turn, once told."""
@@ -314,23 +405,29 @@ class Guide:
         self._off_way = advice.off_way
         if advice.action is CueAction.ARRIVED:
             self.outcome = Outcome.ARRIVED
-        if advice.action is not CueAction.STOP:
+        waits = self._talk.question is not None or self._talk.paused or self._talk.overview is not None
+        danger = any(one.urgency is Urgency.DANGER for one in advice.instructions)
+        if advice.action is not CueAction.STOP or (waits and not danger) or self._not_begun:
             self._waiting.since = None
         elif self._waiting.since is None:
             self._waiting.since = self._clock
         elif self._clock - self._waiting.since > LOST:
-            self.give_up("no good pose, no planner, or held up, for too long")
+            blocked = BLOCKS & {one.kind for one in advice.instructions}
+            kind = Kind.GAVE_UP_HELD_UP if blocked else Kind.GAVE_UP_LOST if danger else Kind.GAVE_UP
+            self.give_up("no good pose, no planner, or held up, for too long", kind)
+        if self._talk.question is not None and self._clock - self._talk.since > UNANSWERED:
+            self.give_up("no answer to a question", Kind.NO_ANSWER)
         if self._trusted is None:
             return
         place = np.array(self._trusted.position)
-        if np.hypot(*(self._waiting.at - place)[:2]) > 0.5:
+        if np.hypot(*(self._waiting.at - place)[:2]) > GETS_ON:
             self._waiting.tries = 0
-        if np.hypot(*(self._moved_at - place[:2])) > 0.5:
+        if waits or np.hypot(*(self._moved_at - place[:2])) > GETS_ON:
             self._moved, self._moved_at = self._clock, place[:2]
 
     def wants_route(self, pose: Pose | None, now: float) -> bool:
         """Whether `replan` should be called with this pose."""
-        if pose is None or self._alone or self.outcome is not Outcome.WALKING:
+        if pose is None or self._alone or self.outcome is not Outcome.WALKING or self._talk.question is not None:
             return False
         if doubt(pose, self._trusted, now) is not None:
             return False
@@ -343,25 +440,124 @@ class Guide:
 
     def replan(self, pose: Pose) -> None:
         """Ask the service for a way from here, and wait for it."""
-        self.take(*self.planner.route(pose, self.goal), pose)
+        self.take(self.planner.route(pose, self.goal, self._talk.climb, self.obstacles), pose)
 
-    def take(self, route: Route | None, reason: str, pose: Pose) -> None:
-        """Walk on by a route from `Planner.route`, or do without; gives up after `TRIES` in one place.
+    def take(self, planned: Planned, pose: Pose) -> None:
+        """Walk on by a way from `Planner.route`, ask the person for it, or do without.
 
         Args:
-            route: None where there is none.
-            reason: Why.
+            planned: The way, or why there is none.
             pose: Where it was asked for.
         """
         self._waiting.tries += 1
         self._waiting.since, self._waiting.at = self._clock, np.array(pose.position)
         self._moved = self._clock
-        if route is not None:
-            self.route, self._s = route, 0.0
-            self.routes.append(route)
-        if self._waiting.tries >= TRIES or (route is None and self.route is None):
-            self.give_up(reason or "no way that can be walked safely")
+        if planned.route is not None and abs(planned.highest) > self._talk.climb + 1e-6:
+            self._ask_for(planned)
+            return
+        if planned.route is not None:
+            self._walk(planned.route)
+        held_up = self._clock - self._block.until < PATIENCE
+        if self._waiting.tries >= (MANY_TRIES if held_up else TRIES) or (planned.route is None and self.route is None):
+            self._refuse(replace(planned, refusal=Kind.GAVE_UP_HELD_UP) if held_up else planned)
 
-    def give_up(self, reason: str) -> None:
-        """Stop for good: the person stays and asks for help."""
+    def _walk(self, route: Route) -> None:
+        if self.route is None and self.manner.wants(Kind.OVERVIEW):
+            self._talk.overview = overview(route, self.name, self.manner.pace)
+        self.route, self._s, self._told_at = route, 0.0, 0.0
+        self.routes.append(route)
+
+    def _ask_for(self, planned: Planned) -> None:
+        """A step that is too high to be led over unasked: ask, or remember that it was declined."""
+        assert planned.route is not None
+        if self._talk.declined:
+            self._decline(planned)
+            return
+        one = Instruction(Kind.ASK_STEP, Urgency.ACT, distance=planned.route.length, amount=planned.highest)
+        if planned.instead is not None:
+            longer = Instruction(Kind.HOW_FAR, Urgency.INFORM, distance=planned.instead.length)
+            one = replace(one, kind=Kind.ASK_STEP_OR_DETOUR, then=(longer,))
+        self._talk.question, self._talk.since = (one, planned), self._clock
+
+    def _decline(self, planned: Planned) -> None:
+        self._talk.declined = True
+        if planned.instead is not None:
+            self._walk(planned.instead)
+        else:
+            self.give_up("no way without a high step", Kind.NO_WAY_STEP, amount=self._talk.climb)
+
+    def _answer(self, *, agrees: bool) -> Instruction | None:
+        """What the person says to the question."""
+        if self._talk.question is None:
+            return Instruction(Kind.NOT_ASKED, Urgency.ACT)
+        (_, planned), self._talk.question = self._talk.question, None
+        self._waiting.since = None
+        if not agrees:
+            self._decline(planned)
+            return Instruction(Kind.DECLINED, Urgency.ACT) if planned.instead is not None else None
+        assert planned.route is not None
+        self._talk.climb = max(self._talk.climb, abs(planned.highest))
+        self._walk(planned.route)
+        return Instruction(Kind.CONSENTED, Urgency.ACT)
+
+    def _reply(self, asked: Asked) -> Instruction | None:
+        what = asked.what
+        if what in MANNERS:
+            self.manner = changed(self.manner, what)
+            return Instruction(MANNERS[what], Urgency.ACT)
+        if what in (Ask.YES, Ask.NO):
+            return self._answer(agrees=what is Ask.YES)
+        if what in (Ask.PAUSE, Ask.GO_ON):
+            self._talk.paused = what is Ask.PAUSE
+            return Instruction(Kind.PAUSED if self._talk.paused else Kind.RESUME, Urgency.ACT)
+        if what is Ask.GOAL:
+            return self._new_goal(asked)
+        if what is Ask.REPEAT:
+            return self._again()
+        return self._facts(asked)
+
+    def _again(self) -> Instruction:
+        """The last sentence, as it is true here."""
+        if self._announcer.last is None:
+            return Instruction(Kind.NOTHING_SAID, Urgency.ACT)
+        one, walked = self._announcer.last[0], self._s - self._told_at
+        first = None if one.first is None else replace(one.first, distance=max(0.0, one.first.distance - walked))
+        return replace(one, distance=max(0.0, one.distance - walked), first=first, reply_to=None)
+
+    def _facts(self, asked: Asked) -> Instruction:
+        """Where the person is, what is around him, how far it is."""
+        if self.route is None or self._belief is None:
+            return Instruction(Kind.STOP_LOST, Urgency.ACT)
+        pose, pace = self._belief.pose, self.manner.pace
+        if asked.what is Ask.WHERE:
+            return here(self.route, self._s, pose, pace)
+        if asked.what is Ask.AROUND and asked.free:
+            return Instruction(Kind.AROUND, Urgency.ACT, free=asked.free)
+        return how_far(self.route, self._s, pace)
+
+    def _new_goal(self, asked: Asked) -> Instruction:
+        """Another goal; a person who had arrived or was stopped for good walks again."""
+        if asked.goal is None:
+            return Instruction(Kind.UNKNOWN_GOAL, Urgency.ACT, name=asked.name)
+        self.goal, self.name = asked.goal, asked.name
+        self.route, self._s, self.outcome, self.reason = None, 0.0, Outcome.WALKING, ""
+        self._talk = replace(self._talk, question=None, declined=False, overview=None)
+        self._waiting = _Waiting()
+        return Instruction(Kind.NEW_GOAL, Urgency.ACT, name=asked.name)
+
+    def _refuse(self, planned: Planned) -> None:
+        why = planned.why or "no way that can be walked safely"
+        tight = planned.refusal is Kind.NO_WAY_TIGHT
+        self.give_up(why, planned.refusal, amount=planned.room, distance=LEAST_ROOM if tight else 0.0)
+
+    def give_up(self, reason: str, kind: Kind = Kind.GAVE_UP, *, amount: float = 0.0, distance: float = 0.0) -> None:
+        """Stop for good: the person stays and asks for help.
+
+        Args:
+            reason: In words for a log.
+            kind: What the person is told.
+            amount: Put into the sentence [m].
+            distance: The same [m].
+        """
         self.outcome, self.reason = Outcome.SAFE_STOP, reason
+        self._gave_up = Instruction(kind, Urgency.DANGER, amount=amount, distance=distance)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from math import isfinite
 
@@ -11,6 +13,7 @@ from numpy.typing import NDArray
 
 from gpdf_guidance.corridor import (
     SPACING,
+    beside_steps,
     least_room,
     margin_of,
     middle_of,
@@ -20,6 +23,7 @@ from gpdf_guidance.corridor import (
     where_there_is_room,
 )
 from gpdf_guidance.features import Feature, find_features
+from gpdf_guidance.landmarks import with_places
 from gpdf_guidance.stairs import Field, Flight, Room, as_walked, find_stairs
 
 FloatArray = NDArray[np.float64]
@@ -31,12 +35,16 @@ BACK, AHEAD = 1.5, 2.5
 
 @dataclass(frozen=True, slots=True)
 class Pose:
-    """A person's place (x, y, z of the ground) [m], heading [rad], when it was measured [s], and how well [m]."""
+    """A person's place (x, y, z of the ground) [m], heading [rad], when it was measured [s], and how well [m].
+
+    `steps` are those made since the stream began, None where nothing counts them.
+    """
 
     position: tuple[float, float, float]
     heading: float
     stamp: float
     accuracy: float = 0.0
+    steps: int | None = None
 
     @property
     def is_finite(self) -> bool:
@@ -70,6 +78,7 @@ class Route:
         version: Of the scene that it was planned in.
         flights: Stairs, and how they are met squarely.
         hidden_height: What stands no higher than this over the ground may be on the way unseen [m].
+        places: Named places of the scene [m].
     """
 
     ground: FloatArray
@@ -85,6 +94,7 @@ class Route:
     version: int = 0
     flights: tuple[Flight, ...] = ()
     hidden_height: float = 0.0
+    places: Mapping[str, Sequence[float]] = dataclasses.field(default_factory=dict)
 
     @property
     def length(self) -> float:
@@ -145,8 +155,10 @@ def build_route(
     facing: float | None = None,
     room_low: Room | None = None,
     radius: float,
+    room_level: Room | None = None,
     field: Field | None = None,
     version: int = 0,
+    places: Mapping[str, Sequence[float]] | None = None,
 ) -> Route:
     """Build the route of a trajectory.
 
@@ -156,8 +168,10 @@ def build_route(
         facing: Where the person looks before the first step [rad]; the turn into the path is the first feature.
         room_low: The same for a body that ends at the hip: what it has more is head-height obstacles.
         radius: Of the person's body [m].
+        room_level: The same for one that takes no step; without it nothing keeps off steps beside the path.
         field: The ground's; without it nothing is known of how stairs lie.
         version: Of the scene that the trajectory was planned in.
+        places: Named places of the scene [m]; those on the way are told of.
     """
     rough = arc_length(trajectory.ground)
     s = np.linspace(0.0, rough[-1], max(3, round(rough[-1] / SPACING) + 1))
@@ -174,9 +188,13 @@ def build_route(
         standing = np.column_stack([ground[:, :2], trajectory.ground[nearest, 2]])
         corridor = on_own_ground(corridor, standing, s, heading, flights, field)
         corridor = through_gates(corridor, s, heading, flights)
+    if room_level is not None:
+        corridor = beside_steps(corridor, scan(ground, heading, room_level) + radius, s, flights)
     over = scan(ground, heading, room_low) - free if room_low is not None else np.zeros_like(free)
     features = find_features(np.column_stack([trajectory.ground, rough]), s, heading, width, free, over, facing)
-    return Route(ground, s, heading, clear, *corridor, middle_of(corridor), features, radius, version, flights)
+    features = with_places(features, ground, s, heading, places or {})
+    shift = middle_of(corridor)
+    return Route(ground, s, heading, clear, *corridor, shift, features, radius, version, flights, places=places or {})
 
 
 def arc_length(ground: FloatArray) -> FloatArray:

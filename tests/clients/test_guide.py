@@ -2,7 +2,6 @@
 
 import dataclasses
 import json
-import socket
 import subprocess
 import sys
 import threading
@@ -16,28 +15,50 @@ import pytest
 import zenoh
 from gpdf_client import Client
 from gpdf_client.client import client_config
-from gpdf_guidance import PERSON, Errors, Guide, Kind, Outcome, Planner, Pose, Urgency, Walker, simulate
+from gpdf_guidance import (
+    PERSON,
+    Asked,
+    Detail,
+    Errors,
+    Guide,
+    Kind,
+    Manner,
+    Outcome,
+    Planned,
+    Planner,
+    Pose,
+    Urgency,
+    Walker,
+    simulate,
+)
 from gpdf_guidance.advice import BLIND, PACES
 from gpdf_guidance.features import FeatureKind
-from gpdf_guidance.guide import LOST, too_tight
+from gpdf_guidance.guide import LOST, look_up
 from gpdf_guidance.live import LiveGuide
+from gpdf_guidance.planner import LEVEL_STEP, too_tight
+from gpdf_guidance.walker import EXACT
 from gpdf_schemas import (
     Array,
+    Ask,
+    AskMessage,
     CueAction,
     CueMessage,
     MovingObstacle,
     MovingObstacles,
     PoseMessage,
+    SayMessage,
     decode,
     encode,
     keys,
 )
 
 from gpdf_service.bench.guide import summary
+from gpdf_service.bench.running import free_endpoint
 from gpdf_service.bench.walks import WalkedWorld
 from gpdf_service.cli import main
 from gpdf_service.service.server import Options, Server
 from gpdf_service.synthetic import SCENES
+from gpdf_service.synthetic.world import Box, World
 
 NAMES = ("office", "stair", "cow_and_lady")
 
@@ -53,11 +74,9 @@ def made():
 
 @pytest.fixture(scope="module")
 def endpoint(tmp_path_factory, made):
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        address = f"tcp/127.0.0.1:{probe.getsockname()[1]}"
+    address = free_endpoint()
     folder: Path = tmp_path_factory.mktemp("guide")
-    with Server(Options(address, folder, folder, 2)) as server, Client.connect(address) as client:
+    with Server(Options(address, folder, folder, 1)) as server, Client.connect(address) as client:
         for name, scene in made.items():
             client.load_scene(name, upload=scene.points, ground=scene.ground)
         assert server.shelf.get("stair").scene is not None
@@ -87,6 +106,7 @@ def test_people_with_errors_cross_the_office_without_a_contact(client, made, see
     assert walk.said[-1].instruction.kind is Kind.ARRIVED
 
 
+@pytest.mark.slow
 def test_in_a_noisy_map_without_labels_one_hears_once_how_low_things_may_be_missing(client, made):
     points = made["cow_and_lady"].points
     noisy = points + np.random.default_rng(0).normal(0.0, 0.03, points.shape)
@@ -117,7 +137,7 @@ def test_the_stairs_are_told_with_their_steps_before_they_come(client, made, dow
     assert all(said.instruction.distance <= 3.0 for said in stairs)
     assert stairs[1].instruction.distance >= 1.0
     facts = summary([(walk, guide)])
-    assert facts["steps_and_stairs"] == facts["announced_1_to_3_m"] >= 1
+    assert facts["edges"] == facts["edges_told"] >= 1
 
 
 def test_the_judge_of_the_walks_sees_contacts_and_falls(made):
@@ -146,7 +166,8 @@ def test_no_way_is_a_safe_stop_with_the_reason(client, made):
     walk = simulate(guide, walker, world)
     assert walk.outcome is Outcome.SAFE_STOP
     assert "goal" in walk.reason
-    assert [said.instruction.kind for said in walk.said] == [Kind.GAVE_UP]
+    assert [said.instruction.kind for said in walk.said] == [Kind.NO_WAY_GOAL]
+    assert "goal" in walk.said[0].text
     assert np.ptp(walk.places, axis=0).max() == 0
 
 
@@ -193,7 +214,7 @@ def test_a_sensor_that_goes_wrong_is_a_spoken_stop_within_a_second_and_never_a_g
     assert after[0].instruction.urgency is Urgency.DANGER
     assert after[0].text.startswith("Stop.")
     assert after[0].time <= since + 1.0
-    assert {said.instruction.kind for said in after} <= {Kind.STOP_LOST, Kind.STOP_UNRELIABLE, Kind.GAVE_UP}
+    assert {said.instruction.kind for said in after} <= {Kind.STOP_LOST, Kind.STOP_UNRELIABLE, Kind.GAVE_UP_LOST}
     assert walk.outcome is Outcome.SAFE_STOP
     assert walk.penetration == 0
     moved = np.hypot(*(walk.places[-1] - walk.places[round(since / 0.05)])[:2])
@@ -219,6 +240,7 @@ def test_a_pose_that_was_wrong_for_a_moment_does_not_end_the_walk(client, made):
 
 def test_a_clock_that_goes_back_is_a_stop_and_does_not_silence_the_guide(client, made):
     guide, _, _ = setting(client, made, "office", (0.9, 0.9, 0.0), (5.4, 3.4))
+    guide.manner = Manner(detail=Detail.FEW)  # nothing is said before the first step
     here = Pose((0.9, 0.9, 0.0), 0.6, 100.0)
     guide.replan(here)
     assert guide.step(here, 100.0)[0].action is not CueAction.STOP
@@ -228,12 +250,13 @@ def test_a_clock_that_goes_back_is_a_stop_and_does_not_silence_the_guide(client,
         assert cue.action is CueAction.STOP
         said += [(0.1 * tick, words[0].kind)] if words is not None else []
     assert said[0][0] <= 1.0
-    assert {kind for _, kind in said} <= {Kind.STOP_UNRELIABLE, Kind.GAVE_UP}
+    assert {kind for _, kind in said} <= {Kind.STOP_UNRELIABLE, Kind.GAVE_UP_LOST}
     assert len(said) >= 3  # said again while it lasts
 
 
 def test_a_planner_that_does_not_answer_is_a_stop_and_a_new_scene_another_way(client, made):
     guide, _, _ = setting(client, made, "office", (0.9, 0.9, 0.0), (5.4, 3.4))
+    guide.manner = Manner(detail=Detail.FEW)
     guide.replan(Pose((0.9, 0.9, 0.0), 0.6, 0.0))
     version = guide.planner.pulse()
     assert version == guide.route.version > 0
@@ -253,23 +276,25 @@ def test_a_planner_that_does_not_answer_is_a_stop_and_a_new_scene_another_way(cl
 
 def test_a_way_is_planned_for_the_person_that_is_led(client):
     here, goal = Pose((0.9, 0.9, 0.0), 0.6, 0.0), (5.4, 3.4)
-    slim, _ = Planner(client, "office", {**PERSON, "width": 0.4}).route(here, goal)
-    assert slim.radius == 0.2
-    wide, why = Planner(client, "office", {**PERSON, "width": 3.0}).route(here, goal)
-    assert wide is None
-    assert "1.50 m" in why
+    slim = Planner(client, "office", {**PERSON, "width": 0.4}).route(here, goal)
+    assert slim.route.radius == 0.2
+    wide = Planner(client, "office", {**PERSON, "width": 3.0}).route(here, goal)
+    assert wide.route is None
+    assert "1.50 m" in wide.why
+    assert wide.refusal is Kind.NO_WAY_START
 
 
 def test_nobody_plans_for_a_scene_that_is_not_there(client):
     assert Planner(client, "nowhere").pulse() is None
-    route, why = Planner(client, "nowhere").route(Pose((0.0, 0.0, 0.0), 0.0, 0.0), (1.0, 1.0))
-    assert route is None
-    assert "nowhere" in why
+    planned = Planner(client, "nowhere").route(Pose((0.0, 0.0, 0.0), 0.0, 0.0), (1.0, 1.0))
+    assert planned.route is None
+    assert "nowhere" in planned.why
 
 
 def test_a_new_obstacle_is_stopped_for_and_passed_when_it_is_gone(client, made):
     guide, walker, world = setting(client, made, "stair", (0.6, 0.8, 0.0), (9.6, 0.8, 3.4))
     column = np.column_stack([np.full(20, 1.7), np.full(20, 0.8), np.linspace(0.0, 1.9, 20)])
+    guide.replan(Pose((0.6, 0.8, 0.0), 0.0, 0.0))  # it comes when the way is known already
     guide.see(column)
     blocked = simulate(guide, walker, world, longest=12.0)
     assert blocked.outcome is Outcome.SAFE_STOP
@@ -281,8 +306,7 @@ def test_a_new_obstacle_is_stopped_for_and_passed_when_it_is_gone(client, made):
 
 def test_what_hangs_beside_the_way_is_a_feature(client):
     here = Pose((4.75, 1.2, 0.0), np.pi / 2, 0.0)
-    route, reason = Planner(client, "cow_and_lady").route(here, (4.7, 4.2))
-    assert reason == ""
+    route = Planner(client, "cow_and_lady").route(here, (4.7, 4.2)).route
     (head,) = (feature for feature in route.features if feature.kind is FeatureKind.HEAD)  # the cow's
     assert head.amount > 0
     assert abs(route.at(head.start)[1] - 2.45) < 0.8
@@ -290,7 +314,7 @@ def test_what_hangs_beside_the_way_is_a_feature(client):
 
 def test_a_way_that_is_too_tight_is_refused_with_its_room(client):
     planner = Planner(client, "office")
-    route, _ = planner.route(Pose((0.9, 0.9, 0.0), 0.0, 0.0), (5.4, 3.4))
+    route = planner.route(Pose((0.9, 0.9, 0.0), 0.0, 0.0), (5.4, 3.4)).route
     assert too_tight(route) == ""
     tight = dataclasses.replace(route, room=np.where(np.abs(route.s - 3) < 0.2, 0.05, route.room))
     assert "5 cm beside the person" in too_tight(tight)
@@ -437,6 +461,7 @@ def test_messages_that_are_no_poses_stop_a_person(endpoint, made, wrong):
         assert Kind.RESUME not in said
 
 
+@pytest.mark.slow
 def test_the_command_line_guides_a_simulated_person(endpoint, made, tmp_path, capsys):
     scene, cloud = made["stair"], tmp_path / "stair.npz"
     np.savez(cloud, xyz=scene.points, label=scene.ground.astype(int), classes=np.array(["other", "ground"]))
@@ -460,6 +485,7 @@ def test_the_command_line_fails_with_words(endpoint, free_endpoint, capsys):
     assert "gpdf serve" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_the_guide_needs_nothing_but_the_light_install(endpoint):
     code = "import sys\n"
     code += "for name in ('scipy', 'numba', 'open3d', 'laspy', 'mcap', 'matplotlib'): sys.modules[name] = None\n"
@@ -468,3 +494,206 @@ def test_the_guide_needs_nothing_but_the_light_install(endpoint):
     done = subprocess.run([sys.executable, "-c", code, *words], capture_output=True, text=True, timeout=60)
     assert done.returncode == 0, done.stderr
     assert "You have arrived." in done.stdout
+
+
+def test_a_ledge_is_gone_round_where_a_level_way_exists_and_asked_for_where_none_does(client, made):
+    guide, walker, world = setting(client, made, "office", (5.4, 1.0, 0.0), (5.4, 3.5), heading=1.0)
+    walk = simulate(guide, walker, world, agrees=False)
+    assert (walk.outcome, walk.penetration) == (Outcome.ARRIVED, 0.0)
+    assert np.ptp(walk.places[:, 2]) == 0.0  # the ledge of 35 cm lies between
+    assert not {said.instruction.kind for said in walk.said} & {Kind.STEP, Kind.ASK_STEP}
+
+    guide, walker, world = setting(client, made, "office", (5.4, 1.0, 0.0), (5.5, 2.2), heading=1.0)
+    declined = simulate(guide, walker, world, agrees=False)
+    assert [said.instruction.kind for said in declined.said] == [Kind.ASK_STEP, Kind.NO_WAY_STEP]
+    assert "35 centimetres up" in declined.said[0].text
+    assert (declined.outcome, declined.metres) == (Outcome.SAFE_STOP, 0.0)
+
+    guide, walker, world = setting(client, made, "office", (5.4, 1.0, 0.0), (5.5, 2.2), heading=1.0)
+    agreed = simulate(guide, walker, world, agrees=True)
+    kinds = [said.instruction.kind for said in agreed.said]
+    assert (agreed.outcome, agreed.penetration) == (Outcome.ARRIVED, 0.0)
+    assert kinds[:3] == [Kind.ASK_STEP, Kind.CONSENTED, Kind.OVERVIEW]
+    assert {Kind.STEP, Kind.ARRIVED} <= set(kinds)  # told of where one stands, that is the word at the edge, too
+    assert guide.climb == pytest.approx(0.35, abs=0.03)  # it is remembered
+
+
+def deck(barred):
+    """A car park's ramp along a wall, without a parapet: 0.33 m high where the walk begins; `barred` at its foot."""
+
+    def floor(xy):
+        return np.where(xy[:, 0] < 1.6, 0.15 * np.clip(xy[:, 1] - 2.0, 0.0, 6.0), 0.0)
+
+    bar = (Box((0.0, 2.2, 0.0), (1.6, 3.6, 1.5)),) if barred else ()
+    return World((5.0, 8.5, 3.0), bar, floor, ceiling=False).sample(0.06, np.random.default_rng(0), 0.0)
+
+
+@pytest.mark.parametrize(("barred", "agrees"), [(False, False), (True, False), (True, True)])
+def test_from_a_ramp_one_walks_to_its_foot_and_off_its_side_only_after_consent(client, barred, agrees):
+    points, ground = deck(barred)
+    name = f"deck_{barred}"
+    if name not in client.scenes():
+        client.load_scene(name, upload=points, ground=ground)
+    world = WalkedWorld.of(points, ground)
+    walker = Walker(np.array([0.8, 4.2, 0.33]), 0.0, world.ground_height, np.random.default_rng(0), EXACT)
+    walk = simulate(Guide(Planner(client, name), (3.5, 4.2, 0.0)), walker, world, agrees=agrees)
+    kinds = [said.instruction.kind for said in walk.said]
+    assert walk.penetration == 0.0
+    assert (Kind.ASK_STEP in kinds) == barred
+    if barred and not agrees:
+        assert (walk.outcome, walk.metres, kinds[-1]) == (Outcome.SAFE_STOP, 0.0, Kind.NO_WAY_STEP)
+        return
+    assert walk.outcome is Outcome.ARRIVED
+    assert (Kind.STEP in kinds) == barred
+    dropped = np.abs(np.diff(walk.places[:, 2])).max() > LEVEL_STEP
+    assert dropped == barred  # without a bar he walks to the foot of the ramp
+
+
+def test_who_stands_beside_a_ledge_is_led_away_from_it(client):
+    planned = Planner(client, "office").route(Pose((4.8, 2.2, 0.0), 0.0, 0.0), (0.9, 0.9))
+    assert planned.route is not None, planned.why
+    assert planned.highest == 0.0
+
+
+def test_nobody_is_led_over_a_ledge_before_the_answer(client, made):
+    guide, _, _ = setting(client, made, "office", (5.4, 1.0, 0.0), (5.5, 2.2), heading=1.0)
+    guide.replan(Pose((5.4, 1.0, 0.0), 1.0, 0.0))
+    cues = [guide.step(Pose((5.4, 1.0, 0.0), 1.0, t), t)[0].action for t in np.arange(0.0, 30.0, 0.1)]
+    assert set(cues) == {CueAction.STOP}
+    assert guide.outcome is Outcome.WALKING
+    for t in np.arange(30.0, 62.0, 0.1):
+        guide.step(Pose((5.4, 1.0, 0.0), 1.0, t), t)
+    assert guide.outcome is Outcome.SAFE_STOP
+
+
+def test_too_tight_a_way_is_told_with_its_room(client, made):
+    guide, _, _ = setting(client, made, "office", (0.9, 0.9, 0.0), (5.4, 3.4))
+    tight = Planned(None, "too tight", Kind.NO_WAY_TIGHT, 0.071)
+    guide.take(tight, Pose((0.9, 0.9, 0.0), 0.0, 0.0))
+    _, said = guide.step(Pose((0.9, 0.9, 0.0), 0.0, 0.1), 0.1)
+    assert said[1] == (
+        "Stay here. The best way leaves only 7 centimetres beside you, and you need 8. Please ask for help."
+    )
+
+
+def led(client, made, detail=Detail.NORMAL, start=(0.9, 0.9, 0.0), heading=0.6):
+    """A guide whose person stands at the start of a way, and a way to step it."""
+    guide, _, _ = setting(client, made, "office", start, (5.4, 3.4))
+    guide.manner = Manner(detail=detail)
+    clock = [0.0]
+
+    def hear(seconds):
+        said = []
+        for _ in range(round(seconds * 10)):
+            clock[0] += 0.1
+            cue, words = guide.step(Pose(start, heading, clock[0]), clock[0])
+            said += [words] if words is not None else []
+        return cue, said
+
+    guide.replan(Pose(start, heading, 0.0))
+    return guide, hear
+
+
+def test_every_ask_is_answered_with_its_id(client, made):
+    guide, hear = led(client, made, Detail.FEW)
+    hear(1.0)
+    answers = {
+        Ask.REPEAT: Kind.NOTHING_SAID,
+        Ask.WHERE: Kind.HOW_FAR,  # this scene has no named place
+        Ask.HOW_FAR: Kind.HOW_FAR,
+        Ask.PAUSE: Kind.PAUSED,
+        Ask.GO_ON: Kind.RESUME,
+        Ask.SLOWER: Kind.SLOWER,
+        Ask.FASTER: Kind.FASTER,
+        Ask.MORE_WORDS: Kind.MORE_WORDS,
+        Ask.FEWER_WORDS: Kind.FEWER_WORDS,
+        Ask.YES: Kind.NOT_ASKED,
+        Ask.NO: Kind.NOT_ASKED,
+        Ask.AROUND: Kind.AROUND,
+    }
+    assert set(answers) | {Ask.GOAL} == set(Ask)
+    for i, (ask, kind) in enumerate(answers.items()):
+        guide.ask(look_up(guide.planner, AskMessage(ask=ask, id=str(i)), Pose((0.9, 0.9, 0.0), 0.6, 0.0)))
+        _, said = hear(6.0)
+        assert (kind, str(i)) in [(one.kind, one.reply_to) for one, _ in said], ask
+
+
+def test_who_pauses_stands_until_going_on_and_is_not_given_up(client, made):
+    guide, hear = led(client, made, Detail.FEW)
+    assert hear(1.0)[0].action is CueAction.GO
+    guide.ask(Asked(Ask.PAUSE))
+    assert hear(100.0)[0].action is CueAction.STOP
+    guide.ask(Asked(Ask.GO_ON))
+    assert hear(1.0)[0].action is CueAction.GO
+
+
+def test_slower_is_slower_and_faster_is_never_faster_than_is_safe(client, made):
+    guide, hear = led(client, made, Detail.FEW)
+    full = hear(1.0)[0].pace
+    guide.ask(Asked(Ask.SLOWER))
+    assert hear(1.0)[0].pace < full
+    for _ in range(5):
+        guide.ask(Asked(Ask.FASTER))
+    assert hear(1.0)[0].pace == full
+
+
+def test_a_new_goal_is_looked_up_and_walked_to_and_an_unknown_one_changes_nothing(client, made):
+    client.set_place("office", "cupboard", (3.0, 1.2))
+    guide, hear = led(client, made, Detail.FEW)
+    guide.ask(look_up(guide.planner, AskMessage(ask=Ask.GOAL, goal="nowhere"), None))
+    assert guide.goal == (5.4, 3.4)
+    assert [one.kind for one, _ in hear(3.0)[1]] == [Kind.UNKNOWN_GOAL]
+    guide.ask(look_up(guide.planner, AskMessage(ask=Ask.GOAL, goal="cupboard"), None))
+    assert guide.goal[:2] == (3.0, 1.2)
+    assert guide.wants_route(Pose((0.9, 0.9, 0.0), 0.6, 4.0), 4.0)
+    client.remove_place("office", "cupboard")
+
+
+@pytest.mark.parametrize("patient", [True, False])
+def test_who_opens_the_page_has_time_to_find_his_place(client, made, patient):
+    guide, _, _ = setting(client, made, "office", (0.9, 0.9, 0.0), (5.4, 3.4))
+    guide.patient = patient
+    steps = [guide.step(None, 0.1 * tick) for tick in range(600)]
+    assert {cue.action for cue, _ in steps} == {CueAction.STOP}
+    assert (guide.outcome is Outcome.WALKING) == patient
+    assert all(said is None for _, said in steps) == patient
+
+
+def test_the_way_is_told_before_the_first_step(client, made):
+    _, hear = led(client, made)
+    cue, said = hear(1.0)
+    assert cue.action is CueAction.STOP
+    assert [one.kind for one, _ in said] == [Kind.OVERVIEW]
+    assert "walk 5 metres" in said[0][1]
+    assert hear(6.0)[0].action is CueAction.GO
+
+
+def test_sentences_and_asks_go_over_zenoh(endpoint, made):
+    heard, stop = [], threading.Event()
+
+    def wait_for(wanted):
+        until = time.monotonic() + 30
+        while not any(wanted(one) for one in list(heard)):
+            assert time.monotonic() < until, heard
+            time.sleep(0.01)
+
+    with open_session(endpoint) as session, open_session(endpoint) as body, ThreadPoolExecutor(1) as pool:
+        guide, walker, _ = setting(Client(session), made, "office", (0.9, 0.9, 0.0), (5.4, 3.4), heading=0.6)
+        walker.move = lambda now, period: None
+        body.declare_subscriber(f"{keys.SAY}/lea", lambda s: heard.append(decode(s.payload.to_bytes(), SayMessage)))
+        running = pool.submit(LiveGuide(session, guide, "lea", lambda *_: None).run, stop.is_set)
+        try:
+            with Feet(body, walker, "lea"):
+                wait_for(lambda one: one.kind == "overview")
+                body.put(f"{keys.ASK}/lea", b"\xffno ask")
+                body.put(f"{keys.ASK}/lea", encode(AskMessage(ask=Ask.HOW_FAR, id="q1")))
+                wait_for(lambda one: one.reply_to == "q1")
+                body.put(f"{keys.ASK}/lea", encode(AskMessage(ask=Ask.GOAL, id="q2", goal=[5.5, 2.2])))
+                wait_for(lambda one: one.kind == "ask_step" and one.answers == [Ask.YES, Ask.NO])
+                body.put(f"{keys.ASK}/lea", encode(AskMessage(ask=Ask.NO, id="q3")))
+                wait_for(lambda one: one.kind == "no_way_step")
+        finally:
+            stop.set()
+        assert running.result(30) is Outcome.SAFE_STOP
+    assert all(one.language == "en" and one.valid_until > one.stamp for one in heard)
+    assert len({one.id for one in heard}) == len(heard)

@@ -1,5 +1,6 @@
 """The robot against the real service: it arrives, keeps off what is there and what comes, stops when it cannot see."""
 
+import dataclasses
 import json
 import threading
 import time
@@ -12,6 +13,7 @@ from gpdf_robot.driver import DISTANCE_DEADLINE_S, GIVE_UP_S, POSE_OLD_S
 from gpdf_robot.motion import STOP, Velocity
 from gpdf_schemas import PoseMessage, VelocityMessage, decode, encode, keys
 
+from gpdf_service.bench.running import free_endpoint
 from gpdf_service.cli import main
 from gpdf_service.service.server import Options, Server
 from gpdf_service.synthetic.world import Box, World
@@ -29,13 +31,9 @@ def hall(*shapes):
 
 @pytest.fixture(scope="module")
 def service(tmp_path_factory):
-    import socket
-
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        endpoint = f"tcp/127.0.0.1:{probe.getsockname()[1]}"
+    endpoint = free_endpoint()
     folder = tmp_path_factory.mktemp("robot")
-    with Server(Options(endpoint, folder, folder, 2)), Client.connect(endpoint) as client:
+    with Server(Options(endpoint, folder, folder, 1)), Client.connect(endpoint) as client:
         yield client, endpoint
 
 
@@ -219,6 +217,7 @@ def test_in_real_time_poses_and_velocities_go_over_zenoh(service):
     assert max(message.forward for message in heard) > 0.1
 
 
+@pytest.mark.slow
 def test_the_verb_drives_in_a_cloud_and_draws(tmp_path, capsys):
     points, ground = hall(WALL)
     cloud = tmp_path / "hall.npz"
@@ -244,6 +243,7 @@ def test_the_verb_fails_where_the_robot_does(service, capsys):
     assert main(["drive", "shut", "--goal", "5,1", "--simulate", "--endpoint", endpoint]) == 2
 
 
+@pytest.mark.slow
 def test_the_benchmark_judges_errands(capsys):
     assert main(["bench", "drive", "--runs", "2", "--scene", "office", "--agent", "roomba", "--json"]) == 0
     row, total = json.loads(capsys.readouterr().out)
@@ -251,3 +251,38 @@ def test_the_benchmark_judges_errands(capsys):
     assert total["contacts"] == 0
     assert 0.0 < total["error_p95_m"] <= 0.05
     assert row["least_room_m"] > 0.0
+
+
+class Altered:
+    """The real client, but for one thing that it says of distances."""
+
+    def __init__(self, client, change):
+        self.client, self.change = client, change
+
+    def plan(self, *words, **options):
+        return self.client.plan(*words, **options)
+
+    def distance(self, *words, **options):
+        return self.change(self.client.distance(*words, **options))
+
+
+@pytest.mark.parametrize(
+    ("change", "reason"),
+    [
+        (lambda found: dataclasses.replace(found, distance=found.distance + 9.0, valid=found.valid & False), "stands"),
+        (lambda found: dataclasses.replace(found, scene_version=found.scene_version + 1), "the scene has changed"),
+        (lambda found: dataclasses.replace(found, distance=found.distance - 1.0), "something stands on the route"),
+    ],
+    ids=["not valid", "another version", "less room"],
+)
+def test_what_speaks_against_the_route_stops_it_each_by_itself(service, change, reason):
+    client, _ = service
+    load(client, "free")
+    altered = Altered(client, lambda found: found)
+    driver = Driver(altered, "free", (5.0, 2.0), ROOMBA)
+    for i in range(20):
+        command = driver.step(Pose(1.0, 2.0, 0.0, 0.05 * i), 0.05 * i)
+    assert command.forward > 0.0
+    altered.change = change
+    assert driver.step(Pose(1.0, 2.0, 0.0, 1.0), 1.0) == STOP
+    assert reason in driver.reason

@@ -1,6 +1,7 @@
 """ROS 2 without ROS: keys, tokens, attachments and CDR byte for byte, and the exchange over real Zenoh sessions."""
 
 import queue
+import shutil
 import signal
 import struct
 import subprocess
@@ -14,6 +15,7 @@ from gpdf_ros2 import Bridge, Dialect, Names, Topic, messages
 from gpdf_ros2.topics import attachment, node_token, publisher_id
 from zenoh.ext import Int64, z_serialize
 
+from gpdf_service.bench.running import free_endpoint
 from gpdf_service.service.server import Options, Server
 
 STRING = "RIHS01_df668c740482bbd48fb39d76a70dfd4bd59db1288021743503259e948f6b1a18"
@@ -143,15 +145,11 @@ def test_a_cloud_of_a_scanner_with_more_fields_rows_and_padding_is_read():
 
 
 @pytest.fixture(scope="module")
-def service(tmp_path_factory, office):
-    import socket
-
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        endpoint = f"tcp/127.0.0.1:{probe.getsockname()[1]}"
+def service(tmp_path_factory, office_file):
+    endpoint = free_endpoint()
     folder = tmp_path_factory.mktemp("ros2")
-    office[1].save(folder / "office.gpdf")
-    with Server(Options(endpoint, folder, folder, 2)), Client.connect(endpoint) as client:
+    shutil.copy(office_file, folder / "office.gpdf")
+    with Server(Options(endpoint, folder, folder, 1)), Client.connect(endpoint) as client:
         client.load_scene("office", "office.gpdf")
         yield client, endpoint
 
@@ -255,6 +253,7 @@ def test_a_cloud_from_a_topic_becomes_the_scene(service):
         assert client.wait_for_scene("cloud")["points"] == len(floor)
 
 
+@pytest.mark.slow
 def test_the_verb_answers_until_it_is_stopped(service, office):
     _, endpoint = service
     words = [sys.executable, "-m", "gpdf_service.cli", "ros2", "office", "--agent", "roomba", "--domain", "5"]

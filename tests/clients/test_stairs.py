@@ -1,28 +1,32 @@
 """Stairs are met squarely: in houses that nobody has seen before, up and down."""
 
-import socket
-
 import numpy as np
 import pytest
 from gpdf_client import Client
 from gpdf_guidance import Guide, Kind, Outcome, Planner, Walker, simulate
 
+from gpdf_service.bench.running import free_endpoint
 from gpdf_service.bench.walks import WalkedWorld
 from gpdf_service.service.server import Options, Server
 from tests.clients.two_storeys import make_house
 
+pytestmark = pytest.mark.slow
+
 LARGEST_ASKEW = np.radians(25)  # the foot still points over the edge
 
 
+@pytest.fixture(scope="module")
+def client(tmp_path_factory):
+    address, folder = free_endpoint(), tmp_path_factory.mktemp("house")
+    with Server(Options(address, folder, folder, 1)), Client.connect(address) as connected:
+        yield connected
+
+
 @pytest.fixture(scope="module", params=[0, 1, 2, 23])  # 23: by its faces alone the line ends 15 cm beside its middle
-def house(request, tmp_path_factory):
-    made, folder = make_house(np.random.default_rng(request.param)), tmp_path_factory.mktemp("house")
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        address = f"tcp/127.0.0.1:{probe.getsockname()[1]}"
-    with Server(Options(address, folder, folder, 1)), Client.connect(address) as client:
-        client.load_scene("house", upload=made.points, ground=made.ground)
-        yield made, client
+def house(request, client):
+    made = make_house(np.random.default_rng(request.param))
+    client.load_scene("house", upload=made.points, ground=made.ground)
+    return made, client
 
 
 @pytest.mark.parametrize("down", [False, True], ids=["up", "down"])

@@ -4,6 +4,9 @@ import json
 import numpy as np
 import pytest
 from gpdf_client import Trajectory
+from gpdf_client.cli import table, told
+
+import gpdf_service
 
 
 @pytest.fixture
@@ -77,3 +80,20 @@ def test_csv_and_geojson_hold_every_waypoint(corner, tmp_path):
 def test_another_kind_of_file_is_refused(corner, tmp_path):
     with pytest.raises(ValueError, match=r"saved as \.json"):
         corner.save(tmp_path / "path.xml")
+
+
+def test_a_trajectory_is_told_in_a_line():
+    t = np.linspace(0.0, 8.0, 300)
+    line = np.column_stack([t, t * 0.0, t * 0.0])
+    assert repr(Trajectory(line, line, t, t)) == "Trajectory(300 waypoints, 8.00 m, 8.0 s)"
+    ends = "(0.00, 0.00, 0.00) to (8.00, 0.00, 0.00)"
+    served = gpdf_service.types.Trajectory(line, line, t, t)
+    assert repr(served) == f"Trajectory(8.00 m in 8.0 s, 300 waypoints, {ends})"
+
+
+def test_facts_are_a_table_for_people():
+    facts = {"office": {"points": 7, "noise": 30.07500000000001, "levels": [1, 2]}, "b": {"points": 123456}}
+    rows = ["scene   points  noise  levels", "office  7       30.08  2", "b       123456"]
+    assert table(facts, ("points", "noise", "levels")) == rows
+    assert table({}) == []
+    assert told({"x": [1.23456789, 2.0]}) == "x 1.235 2"

@@ -1,0 +1,30 @@
+"""A phone elsewhere: poses out, words in, with zenoh and msgpack alone.  Usage: python phone.py [ENDPOINT [NAME]]."""
+
+import sys
+import time
+
+import msgpack
+import zenoh
+
+endpoint = sys.argv[1] if len(sys.argv) > 1 else "tcp/127.0.0.1:7447"
+name = sys.argv[2] if len(sys.argv) > 2 else "anna"
+config = zenoh.Config()
+config.insert_json5("mode", '"client"')
+config.insert_json5("connect/endpoints", f'["{endpoint}"]')
+
+
+def speak(sample: zenoh.Sample) -> None:
+    said = msgpack.unpackb(sample.payload.to_bytes())
+    if time.time() <= said["valid_until"]:  # later, it is wrong
+        print(said["text"], "(answer: yes or no)" if said["answers"] else "")
+
+
+with zenoh.open(config) as session:
+    session.declare_subscriber(f"gpdf/v1/say/{name}", speak)
+    session.declare_subscriber(f"gpdf/v1/cue/{name}", lambda sample: None)  # vibrate here; none for 0.5 s means stop
+    for _ in range(20):  # as long as one walks
+        pose = {"position": [1.0, 1.0, 0.0], "heading": 0.5, "stamp": time.time(), "accuracy": 0.02}
+        session.put(f"gpdf/v1/pose/{name}", msgpack.packb(pose))
+        time.sleep(0.1)
+    session.put(f"gpdf/v1/ask/{name}", msgpack.packb({"ask": "where", "id": "1"}))
+    print("asked where I am")

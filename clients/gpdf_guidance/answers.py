@@ -1,0 +1,87 @@
+"""What a person is told who asks, and what is told of a whole way: pure functions of the route and the pose."""
+
+from __future__ import annotations
+
+from math import atan2, hypot
+
+from gpdf_guidance.advice import PACES, side_of
+from gpdf_guidance.features import Feature, FeatureKind
+from gpdf_guidance.instruction import Instruction, Kind, Urgency
+from gpdf_guidance.route import Pose, Route
+
+TREAD_TIME = 1.2
+"""[s] That a person who cannot see takes for a step of stairs."""
+TURN_TIME = 3.0
+"""[s] For a turn on the spot, and to set off again."""
+MARGIN = 1.2
+"""Times as long as at full pace: people slow down at narrow places and at the end."""
+
+
+def overview(route: Route, name: str, pace: float) -> Instruction:
+    """What a way is like, before its first step.
+
+    Args:
+        route: The way.
+        name: Of the goal; empty where it has none.
+        pace: Share of the full pace that the person wants.
+    """
+    steps = tuple(_as_told(one) for one in route.features if one.kind in (FeatureKind.STEP, FeatureKind.STAIRS))
+    turns = sum(one.kind is FeatureKind.TURN and one.end > 0.0 for one in route.features)
+    return Instruction(
+        Kind.OVERVIEW,
+        Urgency.ACT,
+        _start(route),
+        route.length,
+        count=turns,
+        first=_first_turn(route),
+        then=steps,
+        name=name,
+        seconds=duration(route, 0.0, pace),
+    )
+
+
+def _first_turn(route: Route) -> Instruction | None:
+    """The turn on the spot with which a way begins."""
+    turn = next((one for one in route.features if one.kind is FeatureKind.TURN and one.end == 0.0), None)
+    return None if turn is None else Instruction(Kind.TURN_NOW, Urgency.ACT, _start(route), amount=turn.amount)
+
+
+def _start(route: Route) -> tuple[float, float]:
+    x, y, _ = route.at(0.0).tolist()
+    return x, y
+
+
+def _as_told(one: Feature) -> Instruction:
+    kind = Kind.STAIRS if one.kind is FeatureKind.STAIRS else Kind.STEP
+    return Instruction(kind, Urgency.INFORM, amount=one.amount, count=one.count)
+
+
+def duration(route: Route, s: float, pace: float) -> float:
+    """How long a person walks from arc length `s` on, about [s]."""
+    ahead = [one for one in route.features if one.end > s]
+    treads = sum(one.count for one in ahead if one.kind in (FeatureKind.STAIRS, FeatureKind.STEP))
+    on_stairs = sum(one.end - max(one.start, s) for one in ahead if one.kind is FeatureKind.STAIRS)
+    turns = sum(one.kind is FeatureKind.TURN and one.start >= s for one in ahead)
+    walked = max(0.0, route.length - s - on_stairs)
+    return MARGIN * walked / (PACES[0] * pace) + TREAD_TIME * treads + TURN_TIME * turns
+
+
+def how_far(route: Route, s: float, pace: float) -> Instruction:
+    """How far it is to the goal, and how long."""
+    left = max(0.0, route.length - s)
+    return Instruction(Kind.HOW_FAR, Urgency.ACT, distance=left, seconds=duration(route, s, pace))
+
+
+def here(route: Route, s: float, pose: Pose, pace: float) -> Instruction:
+    """Where a person is: beside the nearest named place of his storey; the way left if there is none."""
+    known = [
+        (hypot(place[0] - pose.position[0], place[1] - pose.position[1]), name, place)
+        for name, place in route.places.items()
+        if len(place) < 3 or abs(place[2] - pose.position[2]) < 1.0
+    ]
+    left = how_far(route, s, pace)
+    if not known:
+        return left
+    away, name, (x, y, *_) = min(known)
+    side = side_of(atan2(y - pose.position[1], x - pose.position[0]) - pose.heading)
+    return Instruction(Kind.HERE, Urgency.ACT, distance=away, name=name, side=side, then=(left,))

@@ -1,0 +1,187 @@
+// The guide's page: sends the phone's pose, speaks and shows what the guide says, and stops the person by itself when
+// nothing comes any more.
+"use strict";
+
+const SILENCE = 400; // [ms] Without a cue for so long the person is stopped; a cue comes every 100 ms.
+const LOOK = 50; // [ms] Between two looks at it: together under half a second.
+const STOP_AGAIN = 8000; // [ms]
+const FEEL = { stop: [500, 100, 500], arrived: [200, 100, 200, 100, 200], slow: [60], go: [30] };
+const SHOWN = { go: "Walk", slow: "Walk slowly", turn: "Turn", stop: "Stop", arrived: "Arrived" };
+const STEP = 1.2; // [m/s²] A foot that is set down shakes the phone by this.
+const STEP_PAUSE = 300; // [ms] No two steps are nearer.
+
+const byId = (id) => document.getElementById(id);
+const token = new URLSearchParams(location.search).get("token") || "";
+let socket = null;
+let says = { stop_alone: "Stop. I have no connection." };
+let language = "en";
+let led = false; // Whether cues have come: only who is led can be stopped.
+let lastCue = 0, stoppedAt = 0, alone = false, action = "";
+let speaking = -1, steps = 0, lastStep = 0, counts = false;
+window.gpdf = { said: [], cues: 0, latency: [], alone: [] }; // What happened, for a look into it.
+
+function state(text, cue) {
+  const box = byId("state");
+  if (box.textContent !== text) box.textContent = text;
+  box.dataset.cue = cue || "";
+}
+
+function speak(text, urgency) {
+  byId("words").textContent = text;
+  window.gpdf.said.push({ text, time: performance.now() });
+  if (byId("reader").checked || !("speechSynthesis" in window)) return;
+  if (urgency > speaking || urgency === 3) speechSynthesis.cancel();
+  const words = new SpeechSynthesisUtterance(text);
+  words.lang = language;
+  words.onend = () => { speaking = -1; };
+  speaking = urgency;
+  speechSynthesis.speak(words);
+}
+
+function feel(pattern) {
+  if (navigator.vibrate) navigator.vibrate(pattern);
+}
+
+function cue(message) {
+  lastCue = performance.now();
+  led = true;
+  window.gpdf.cues += 1;
+  if (sentAt.length) window.gpdf.latency.push(lastCue - sentAt[sentAt.length - 1]);
+  if (alone) { alone = false; feel(0); }
+  const side = message.direction > 0 ? "left" : "right";
+  const degrees = Math.round(Math.abs(message.direction) * 180 / Math.PI / 5) * 5;
+  state(message.action === "turn" ? `Turn ${side}, ${degrees} degrees` : SHOWN[message.action], message.action);
+  const felt = message.action === "turn" ? (side === "left" ? [80] : [80, 80, 80]) : FEEL[message.action];
+  const key = message.action + (message.action === "turn" ? side : "");
+  if (key !== action) feel(felt);
+  action = key;
+}
+
+function watch() { // The page's own stop: it needs nobody.
+  const now = performance.now();
+  if (!led || action === "arrived" || now - lastCue <= SILENCE) return;
+  if (!alone) window.gpdf.alone.push(now - lastCue);
+  if (alone && now - stoppedAt < STOP_AGAIN) return;
+  alone = true;
+  action = "";
+  stoppedAt = now;
+  state("Stop. No connection.", "stop");
+  feel(FEEL.stop);
+  speak(says.stop_alone, 3);
+}
+
+function options(select, names, chosen) {
+  select.replaceChildren(...names.map((name) => new Option(name, name, false, name === chosen)));
+}
+
+function take(message) {
+  if (message.type === "cue") return cue(message);
+  if (message.type === "say") {
+    if (message.valid_s <= 0) return undefined;
+    byId("question").hidden = message.answers.length === 0;
+    speak(message.text, message.urgency);
+    if (message.answers.length) document.querySelector('[data-ask="yes"]').focus();
+    return undefined;
+  }
+  if (message.type === "hello") {
+    ({ says, language } = message);
+    document.documentElement.lang = "en";
+    byId("words").lang = language;
+    for (const id of ["place", "facing", "goal"]) options(byId(id), message.places, message.goal);
+    if (!led) state("Connected. Say where you stand.");
+    return undefined;
+  }
+  if (message.type === "here") {
+    speak(message.fine ? "Thank you." : "I do not know where that is.", 2);
+    byId("here").hidden = !message.fine && byId("here").hidden;
+    return undefined;
+  }
+  if (message.type === "drift") {
+    byId("drift").textContent = `I know where you are to ${Math.round(100 * message.accuracy)} centimetres.`;
+  }
+  return undefined;
+}
+
+function connect() {
+  socket = new WebSocket(`wss://${location.host}/socket?token=${encodeURIComponent(token)}`);
+  socket.onmessage = (event) => take(JSON.parse(event.data));
+  socket.onclose = () => setTimeout(connect, 500);
+}
+
+function send(message) {
+  if (socket && socket.readyState === WebSocket.OPEN && socket.bufferedAmount < 4096) {
+    socket.send(JSON.stringify(message));
+    return true;
+  }
+  return false;
+}
+
+function ask(what, goal) {
+  if (["yes", "no"].includes(what)) byId("question").hidden = true;
+  if (!send({ type: "ask", ask: what, goal, id: `${what}-${Math.round(performance.now())}` })) {
+    speak(says.stop_alone, 3);
+  }
+}
+
+const sentAt = [];
+let sent = 0;
+function frame(time, xr, space) {
+  const pose = xr.getViewerPose(space);
+  if (!pose || time - sent < 45) return;
+  sent = time;
+  const { position: p, orientation: q } = pose.transform;
+  const message = { type: "pose", position: [p.x, p.y, p.z], orientation: [q.x, q.y, q.z, q.w] };
+  message.time = (performance.timeOrigin + performance.now()) / 1000;
+  message.tracked = !pose.emulatedPosition;
+  if (counts) message.steps = steps;
+  if (send(message)) { sentAt.push(performance.now()); if (sentAt.length > 50) sentAt.shift(); }
+}
+
+async function track() { // The phone's own tracking: immersive-ar, so that the camera is on; nothing is drawn.
+  const options_ = { requiredFeatures: ["local-floor"], optionalFeatures: ["dom-overlay"], domOverlay: { root: document.body } };
+  const session = await navigator.xr.requestSession("immersive-ar", options_);
+  const gl = byId("xr").getContext("webgl", { xrCompatible: true });
+  await session.updateRenderState({ baseLayer: new XRWebGLLayer(session, gl) });
+  const space = await session.requestReferenceSpace("local-floor");
+  await new Promise((first) => {
+    const loop = (time, xr) => { session.requestAnimationFrame(loop); frame(time, xr, space); first(); };
+    session.requestAnimationFrame(loop);
+  });
+  session.addEventListener("end", () => state("The phone does not track any more. Start again.", "stop"));
+}
+
+function shaken(event) { // Steps, from how the phone shakes.
+  const a = event.acceleration;
+  const now = performance.now();
+  if (!a || a.y === null) return;
+  counts = true;
+  if (Math.hypot(a.x, a.y, a.z) > STEP && now - lastStep > STEP_PAUSE) { steps += 1; lastStep = now; }
+}
+
+async function start() {
+  const here = { type: "here", place: byId("place").value, facing: byId("facing").value };
+  if (here.place === here.facing) return speak("Choose two places: where you stand, and which one you look towards.", 2);
+  if (!navigator.xr || !(await navigator.xr.isSessionSupported("immersive-ar").catch(() => false))) {
+    state("This browser does not tell where the phone is.", "");
+    return speak("This browser does not tell where the phone is. You hear me, but another device must say where you are.", 2);
+  }
+  try {
+    await track();
+  } catch (error) {
+    state("The phone does not track.", "stop");
+    return speak("The phone does not tell where it is. Allow the camera, and start again.", 2);
+  }
+  addEventListener("devicemotion", shaken);
+  setTimeout(() => send(here), 200); // a pose goes ahead of it
+  byId("start").hidden = true;
+  byId("here").hidden = false;
+  return undefined;
+}
+
+byId("start").addEventListener("click", start);
+byId("here").addEventListener("click", () => send({ type: "here", place: byId("place").value, facing: null }));
+byId("go").addEventListener("click", () => ask("goal", byId("goal").value));
+byId("reader").addEventListener("change", (event) => { byId("words").setAttribute("aria-live", event.target.checked ? "assertive" : "off"); });
+for (const button of document.querySelectorAll("[data-ask]")) button.addEventListener("click", () => ask(button.dataset.ask));
+setInterval(watch, LOOK);
+connect();

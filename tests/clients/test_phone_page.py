@@ -1,0 +1,200 @@
+"""The phone's page in a Chromium whose WebXR is emulated (iwer): a walk over two storeys; without network; axe-core.
+
+`npm --prefix tests/phone ci` brings what it needs; `make test-page` does so.
+"""
+
+import json
+import math
+import shutil
+import threading
+import time
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import numpy as np
+import pytest
+from gpdf_client import Client
+from gpdf_guidance import Guide, Planner, Walker
+from gpdf_guidance.alignment import AHEAD
+from gpdf_guidance.live import LiveGuide
+from gpdf_guidance.walker import Errors
+from gpdf_schemas import CueAction, CueMessage, decode, keys
+
+from gpdf_service.bench.running import free_endpoint
+from gpdf_service.bench.walks import WalkedWorld
+from gpdf_service.service.server import Options, Server
+from gpdf_service.synthetic.house import make_house
+
+pytestmark = [pytest.mark.slow, pytest.mark.browser]
+sync_api = pytest.importorskip("playwright.sync_api")
+pytest.importorskip("websockets")
+MODULES = Path(__file__).parent.parent / "phone" / "node_modules"
+IWER, AXE = MODULES / "iwer" / "build" / "iwer.min.js", MODULES / "axe-core" / "axe.min.js"
+CHROMIUM = shutil.which("chromium") or shutil.which("google-chrome")
+if not (IWER.is_file() and AXE.is_file() and CHROMIUM):
+    pytest.skip("needs a Chromium and tests/phone/node_modules: make test-page", allow_module_level=True)
+
+EMULATED = "window.device = new IWER.XRDevice(IWER.metaQuest3); window.device.installRuntime({forceInstall: true});"
+FLAGS = ["--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--no-sandbox"]
+TURN, SHIFT = 1.0, (4.0, -7.0)
+"""How the emulated tracking lies beside the scene: the page must find out."""
+STEADY = Errors(drop_out_rate=0.0, position=0.0, heading=0.0)
+
+
+@pytest.fixture(scope="module")
+def house(tmp_path_factory):
+    made, folder = make_house(np.random.default_rng(1)), tmp_path_factory.mktemp("house")
+    address = free_endpoint()
+    with Server(Options(address, folder, folder, 1)), Client.connect(address) as client:
+        client.load_scene("house", upload=made.points, ground=made.ground)
+        client.set_place("house", "door", made.low.tolist())
+        client.set_place("house", "bed", made.high.tolist())
+        client.set_place("house", "stove", (made.low + np.array([1.0, 0.0, 0.0])).tolist())
+        yield made, client, folder
+
+
+@pytest.fixture
+def guided(house):
+    """A guide from the door to the bed, its page's address, and what happens to it."""
+    from gpdf_guidance.phone import Phone, PhoneServer
+
+    made, client, folder = house
+    stop, said = threading.Event(), []
+    guide = Guide(Planner(client, "house"), made.high.tolist(), name="bed")
+    phone = Phone(client.session, "anna", lambda: client.places("house"), "bed", drift=0.0)
+    live = LiveGuide(client.session, guide, "anna", lambda *sentence: said.append(sentence))
+    with PhoneServer(phone, folder, "127.0.0.1") as server, ThreadPoolExecutor(1) as pool:
+        running = pool.submit(live.run, stop.is_set, stays=True)
+        yield guide, server, said
+        stop.set()
+        running.result(30)
+
+
+@pytest.fixture
+def page(guided):
+    with sync_api.sync_playwright() as playwright:
+        browser = playwright.chromium.launch(executable_path=CHROMIUM, args=FLAGS)
+        context = browser.new_context(
+            viewport={"width": 390, "height": 844}, ignore_https_errors=True, bypass_csp=True, locale="en-GB"
+        )
+        context.add_init_script(path=str(IWER))
+        context.add_init_script(EMULATED)
+        opened = context.new_page()
+        opened.goto(guided[1].url)
+        opened.wait_for_function("document.getElementById('place').options.length > 0")
+        yield opened
+        browser.close()
+
+
+def hold(page, position, heading):
+    """Put the emulated phone before a body in the scene."""
+    x, y = position[0] + AHEAD * math.cos(heading) - SHIFT[0], position[1] + AHEAD * math.sin(heading) - SHIFT[1]
+    u, v = x * math.cos(TURN) + y * math.sin(TURN), y * math.cos(TURN) - x * math.sin(TURN)
+    yaw = heading - TURN - math.pi / 2
+    place, turn = [u, 1.2 + float(position[2]), -v], [0.0, math.sin(yaw / 2), 0.0, math.cos(yaw / 2)]
+    page.evaluate("([p, q]) => { device.position.set(...p); device.quaternion.set(...q); }", [place, turn])
+
+
+def begin(page, made):
+    """Stand at the door, face the stove, and press Start."""
+    hold(page, made.low, 0.0)
+    page.select_option("#place", "door")
+    page.select_option("#facing", "stove")
+    page.click("#start")
+    page.wait_for_function("gpdf.said.some(one => one.text === 'Thank you.')")
+
+
+def test_a_person_is_led_over_two_storeys_by_the_page(house, guided, page, tmp_path):
+    made, client, _ = house
+    _, _, said = guided
+    world = WalkedWorld.of(made.points, made.ground)
+    walker = Walker(made.low.copy(), 0.0, world.ground_height, np.random.default_rng(0), STEADY)
+    cues = []
+
+    def feel(sample):
+        cue = decode(sample.payload.to_bytes(), CueMessage)
+        cues.append((cue, time.time()))
+        walker.feel(cue)
+
+    subscriber = client.session.declare_subscriber(f"{keys.CUE}/anna", feel)
+    page.screenshot(path=str(tmp_path / "before.png"))
+    begin(page, made)
+    then, deepest, until = time.time(), 0.0, time.time() + 300
+    while not (cues and cues[-1][0].action is CueAction.ARRIVED) and time.time() < until:
+        now = time.time()
+        for _ in range(max(1, round((now - then) / 0.05))):
+            walker.move(now, 0.05)
+            deepest = max(deepest, world.penetration(walker.position))
+        then = now
+        hold(page, walker.position, walker.heading)
+        page.wait_for_timeout(30)
+    subscriber.undeclare()
+    page.screenshot(path=str(tmp_path / "after.png"), full_page=True)
+    heard = [one["text"] for one in page.evaluate("gpdf.said")]
+    print("\n".join(heard))
+    late = np.array([came - cue.pose_stamp for cue, came in cues if cue.pose_stamp])
+    print(f"pose to cue: p50 {1e3 * np.median(late):.0f} ms, p99 {1e3 * np.quantile(late, 0.99):.0f} ms of {len(late)}")
+    print(f"screenshots in {tmp_path}")
+    assert cues[-1][0].action is CueAction.ARRIVED, heard
+    assert deepest == 0.0
+    assert np.hypot(*(walker.position - made.high)[:2]) < 0.4
+    assert abs(walker.position[2] - made.high[2]) < 0.05
+    assert any("take the stairs up" in text for text in heard)
+    assert heard[-1].startswith("Stop. You have arrived")
+    assert {text for _, _, text in said} >= set(heard) - {"Thank you.", "Stop. I have no connection."}
+
+
+def test_without_network_the_page_stops_the_person_by_itself(house, guided, page):
+    made, _, _ = house
+    begin(page, made)
+    page.wait_for_function("gpdf.cues > 20")
+    page.evaluate("window.felt = []; navigator.vibrate = (pattern) => { felt.push(pattern); return true; }")
+    page.evaluate("gpdf.alone = []; lastCue = performance.now(); socket.onmessage = null; socket.onclose = null;")
+    page.wait_for_function("gpdf.alone.length > 0", timeout=10_000)
+    (after,) = page.evaluate("gpdf.alone")
+    print(f"stopped {after:.0f} ms after the last cue")
+    assert page.inner_text("#state") == "Stop. No connection."
+    assert page.evaluate("gpdf.said.at(-1).text") == "Stop. I have no connection."
+    assert [500, 100, 500] in page.evaluate("felt")
+    page.wait_for_timeout(5000)
+    page.evaluate("socket.close(); connect();")  # it comes back, and so do the cues
+    page.wait_for_function("document.getElementById('state').textContent !== 'Stop. No connection.'", timeout=20_000)
+
+
+def test_the_page_is_accessible_and_its_buttons_are_large(page, tmp_path):
+    page.add_script_tag(path=str(AXE))
+    rules = ["wcag2a", "wcag2aa", "wcag21a", "wcag21aa", "wcag22aa", "best-practice"]
+    found = page.evaluate("rules => axe.run({runOnly: rules})", rules)
+    print(f"axe-core: {len(found['passes'])} rules passed, {len(found['violations'])} violated")
+    assert [(one["id"], one["help"]) for one in found["violations"]] == []
+    boxes = "all => all.map(b => b.getBoundingClientRect()).map(r => [r.width, r.height])"
+    sizes = page.eval_on_selector_all("button", boxes)
+    assert all(height >= 44 for width, height in sizes if width)
+    assert page.evaluate("document.documentElement.scrollWidth") <= 390
+    names = page.eval_on_selector_all("button:not([hidden])", "all => all.map(b => b.textContent.trim())")
+    assert all(names)
+    page.screenshot(path=str(tmp_path / "page.png"), full_page=True)
+    print(json.dumps(names), tmp_path)
+
+
+def test_asks_are_buttons_and_answers_are_shown(house, guided, page):
+    made, _, _ = house
+    begin(page, made)
+    page.wait_for_function("gpdf.said.some(one => one.text.startsWith('Bed: walk'))", timeout=60_000)
+    page.dispatch_event("[data-ask=how_far]", "click")  # the emulator lies over the page
+    page.wait_for_function("gpdf.said.some(one => one.text.includes('more to the goal'))", timeout=30_000)
+    page.dispatch_event("[data-ask=pause]", "click")
+    page.wait_for_function("gpdf.said.some(one => one.text.startsWith('Wait here.'))", timeout=30_000)
+    page.wait_for_function("document.getElementById('state').dataset.cue === 'stop'")
+
+
+def test_without_tracking_the_page_says_so(guided):
+    with sync_api.sync_playwright() as playwright:
+        browser = playwright.chromium.launch(executable_path=CHROMIUM, args=FLAGS)
+        opened = browser.new_context(ignore_https_errors=True).new_page()
+        opened.goto(guided[1].url)
+        opened.wait_for_function("document.getElementById('place').options.length > 1")
+        opened.select_option("#facing", "stove")
+        opened.click("#start")
+        opened.wait_for_function("gpdf.said.some(one => one.text.includes('does not tell where the phone is'))")
+        browser.close()

@@ -1,0 +1,69 @@
+"""What a guide does with who waits: no service, a straight way, poses by hand."""
+
+import numpy as np
+from gpdf_client import Trajectory
+from gpdf_guidance import Detail, Guide, Kind, Manner, Outcome, Planned, Pose, build_route
+from gpdf_schemas import CueAction
+
+IN_THE_WAY = np.array([[2.0, 0.0, 1.0]])
+
+
+def led(detail=Detail.FEW):
+    """A guide at the start of 8 m straight on, and what it does for some seconds with a pose: cues, sentences."""
+    x = np.arange(0.0, 8.01, 0.05)
+    ground = np.column_stack([x, 0.0 * x, 0.0 * x])
+    path = Trajectory(ground + np.array([0.0, 0.0, 2.0]), ground, x / 0.7, 0.0 * x)
+    route = build_route(path, lambda places: 1.0 - np.abs(places[:, 1]) - 0.25, radius=0.25)
+    guide = Guide(None, (8.0, 0.0), manner=Manner(detail=detail))
+    guide.take(Planned(route), Pose((0.0, 0.0, 0.0), 0.0, 0.0))
+    clock = [0.0]
+
+    def live(seconds, x=1.0, heading=0.0):
+        cues, said = [], []
+        for _ in range(round(10 * seconds)):
+            cue, one = guide.step(Pose((x, 0.0, 0.0), heading, clock[0]), clock[0])
+            cues.append(cue.action)
+            said += [] if one is None else [one[0].kind]
+            clock[0] += 0.1
+        return cues, said
+
+    return guide, live
+
+
+def test_the_overview_is_heard_to_its_end_though_something_is_in_the_way():
+    guide, live = led(Detail.NORMAL)
+    guide.see(IN_THE_WAY)
+    cues, said = live(8.0, x=0.0)
+    assert set(cues) == {CueAction.STOP}
+    assert said == [Kind.OVERVIEW, Kind.STOP_OBSTACLE]
+
+
+def test_what_comes_back_is_waited_for_longer_until_one_has_got_on():
+    guide, live = led()
+    waited = []
+    for x in (1.0, 1.0, 1.0, 1.0, 1.9):
+        guide.see(IN_THE_WAY + np.array([x - 1.0, 0.0, 0.0]))
+        live(0.5, x)
+        guide.see(None)
+        cues, said = live(6.0, x)
+        waited.append(cues.count(CueAction.STOP) / 10)
+        assert said[-1] is Kind.RESUME
+    assert np.allclose(waited, [1.0, 2.0, 4.0, 4.0, 1.0], atol=0.11)
+
+
+def test_one_wrong_pose_turns_nobody():
+    _, live = led()
+    assert CueAction.GO in live(0.5)[0]
+    assert live(0.1, heading=1.5)[0] == [CueAction.STOP]
+    assert live(0.1)[0] == [CueAction.GO]
+    assert live(0.2, heading=1.5)[0] == [CueAction.STOP, CueAction.TURN]
+
+
+def test_arrival_is_told_once():
+    guide, live = led()
+    for x in np.arange(0.0, 8.0, 0.05):
+        live(0.1, x)
+    cues, said = live(20.0, 7.99)
+    assert guide.outcome is Outcome.ARRIVED
+    assert set(cues) == {CueAction.ARRIVED}
+    assert said in ([], [Kind.ARRIVED])
