@@ -1,7 +1,9 @@
 # make demo      see it happen: the real service, four bodies, a picture and a log
 # make test      every test but the page's (make test-page)   make check   format, lint, types and the fast tests
+# make lint      format, lint and types alone
 # make install   the set-up alone      make fix     format and mend what the linter can mend
 # make bench     the benchmark tables  make lock    renew constraints.txt
+# make mutants   faults in the modules that keep people safe, and whether a test notices each
 # make docs      the site, in out/site make pictures, make measure   what it shows, made again
 PYTHON ?= python3.11
 PY := .venv/bin/python
@@ -9,7 +11,7 @@ SOURCES := gpdf_service clients schemas tests docs/tools
 # What open3d's shared library links against on Debian and Ubuntu.
 SYSTEM_PACKAGES := libgl1 libegl1 libx11-6 libgomp1 libusb-1.0-0
 
-.PHONY: demo test test-page install check fix bench lock schemas docs pictures measure system clean
+.PHONY: demo test test-page install check lint fix bench lock mutants schemas docs pictures measure system clean
 .DEFAULT_GOAL := install
 
 install: .venv/installed
@@ -20,6 +22,7 @@ install: .venv/installed
 	$(PYTHON) -m venv .venv
 	$(PY) -m pip install --quiet --constraint constraints.txt --upgrade pip
 	$(PY) -m pip install --quiet --constraint constraints.txt --editable '.[all]' --group dev
+	.venv/bin/gpdf warm
 	@touch $@
 
 system:
@@ -34,20 +37,24 @@ system:
 demo: install
 	.venv/bin/gpdf demo --out out
 
-# On two cores at once: what both need to compile, one may compile twice, which costs less than waiting.
-PYTEST := $(PY) -m pytest -n 2 --dist loadscope
+# On two cores at once: what both need to compile, one may compile twice, which costs less than waiting. Modules with
+# slow tests begin (tests/conftest.py), so that no core waits at the end for the other's longest one.
+PYTEST := $(PY) -m pytest -n 2 --dist loadscope --no-loadscope-reorder
 
 test: install
 	$(PYTEST) -m "not browser"
 
 test-page: install
+	@if command -v npm >/dev/null; then npm --prefix tests/phone ci --no-audit --no-fund >/dev/null; fi
 	$(PY) -m pytest -m browser
 
-check: install
+lint: install
 	.venv/bin/ruff format --check $(SOURCES)
 	.venv/bin/ruff check $(SOURCES)
 	.venv/bin/mypy
-	$(PYTEST) -q -m "not slow"
+
+check: lint
+	$(PYTEST) -q -m "not slow and not browser"
 
 fix: install
 	.venv/bin/ruff format $(SOURCES)
@@ -63,6 +70,9 @@ bench: install
 
 lock: install
 	.venv/bin/uv pip compile pyproject.toml --all-extras --group dev --python-version 3.11 --no-header --no-annotate --upgrade -o constraints.txt
+
+mutants: install
+	$(PY) tests/mutants.py --count $(or $(COUNT),400) --seed $(or $(SEED),0)
 
 schemas: install
 	$(PY) -m gpdf_schemas.generate schemas/json

@@ -1,13 +1,19 @@
-import socket
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 import gpdf_service as gpdf
+from gpdf_service.bench import running
 from gpdf_service.synthetic import SCENES
 
 SCANS = Path(__file__).parent.parent.parent / "shared" / "data"
+
+
+def pytest_collection_modifyitems(items):
+    """Modules with slow tests first: on several cores nobody then waits for one that began last."""
+    slow = {item.path for item in items if item.get_closest_marker("slow")}
+    items.sort(key=lambda item: item.path not in slow)
 
 
 @pytest.fixture(scope="session")
@@ -25,13 +31,20 @@ def scan():
 
 @pytest.fixture(scope="session")
 def office():
-    """The synthetic office and its scene, built from its true labels."""
+    """The synthetic office and its scene, built from its true labels; every test that plans in it adds to it."""
     made = SCENES["office"](np.random.default_rng(0), spacing=0.05)
     return made, gpdf.build_scene(made.points, made.ground)
 
 
+@pytest.fixture(scope="session")
+def office_file(tmp_path_factory):
+    """The same scene as a file, with no body's free space in it, whatever was planned before."""
+    made = SCENES["office"](np.random.default_rng(0), spacing=0.05)
+    path = tmp_path_factory.mktemp("office") / "office.gpdf"
+    gpdf.build_scene(made.points, made.ground).save(path)
+    return path
+
+
 @pytest.fixture
 def free_endpoint():
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return f"tcp/127.0.0.1:{probe.getsockname()[1]}"
+    return running.free_endpoint()

@@ -15,12 +15,13 @@ from weakref import WeakKeyDictionary
 import numpy as np
 
 from gpdf_service.baselines.occupancy import Occupancy, build_occupancy
-from gpdf_service.fields import Tree, build_tree, find_nearest
+from gpdf_service.fields import build_tree
 from gpdf_service.perception import HeightMap, ObstacleKind, Obstacles
 from gpdf_service.planning.endpoints import SAME_GROUND, Endpoint, Refusal, find_endpoint
 from gpdf_service.scene import Scene
 from gpdf_service.search import FreeSpace, Quadtree, build_quadtree
 from gpdf_service.search.graph import Graph, assemble, find_edges
+from gpdf_service.search.places import Places, nearest_places
 from gpdf_service.types import Agent, FloatArray, Status
 
 FAR = 1e6
@@ -46,14 +47,14 @@ class FlatWorld:
     radius: float
 
     @cached_property
-    def tree(self) -> Tree:
+    def tree(self) -> Places:
         """The points, for exact distances."""
-        return build_tree(self.points)
+        return Places(build_tree(self.points))
 
     @cached_property
     def leaves(self) -> Quadtree:
         """Free leaves of the quadtree."""
-        return build_quadtree(self.surface, self.tree, self.radius)
+        return build_quadtree(self.surface, self.tree.standing, self.radius)
 
     @cached_property
     def graph(self) -> Graph:
@@ -91,7 +92,7 @@ def find_end(space: FreeSpace, worlds: Sequence[FlatWorld], place: FloatArray, n
     for level, surface in enumerate(space.surfaces):
         height = float(surface.height_at(xy)[0])
         here = not np.isnan(height) and (len(place) == 2 or abs(height - place[2]) <= SAME_GROUND)
-        if here and find_nearest(worlds[level].tree, xy)[0][0] >= space.agent.radius:
+        if here and nearest_places(worlds[level].tree, xy)[0][0] >= space.agent.radius:
             return Endpoint(xy[0], level, NO_NODE)
     return found
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from gpdf_service.bench.report import Row
 from gpdf_service.config import Config, PerceptionConfig
-from gpdf_service.perception.levels import Levels, guard_edges, in_cells, make_level
+from gpdf_service.perception.levels import GroundLevel, Levels, guard_edges, in_cells
 from gpdf_service.perception.limits import find_limits, step_and_slope
 from gpdf_service.perception.surface import INFERRED, UNKNOWN
 from gpdf_service.pipeline import build_scene
@@ -60,7 +60,7 @@ def without_filling(scene: Scene) -> Scene:
         cell, z, lowest = in_cells(level.other_points, seen)
         material = guard_edges(seen, lowest, cell, z, scene.config.perception)[2]
         measured = step_and_slope(seen)
-        made.append(make_level(seen, level.other_points, level.ledge, find_limits(seen, material, measured), measured))
+        made.append(GroundLevel(seen, level.other_points, level.ledge, find_limits(seen, material, measured), measured))
     levels = Levels(tuple(made), scene.levels.portals)
     return Scene(scene.points, scene.ground, levels, scene.ground_fields, scene.config, noise=scene.noise)
 

@@ -8,10 +8,11 @@ from collections.abc import Callable
 
 import numpy as np
 
-from gpdf_service.bench.build_scale import measure
+from gpdf_service.bench.build_changes import measure_changes
+from gpdf_service.bench.build_scale import hall_of, measure
 from gpdf_service.bench.plotting import add_plot_argument, draw_rows
 from gpdf_service.bench.report import add_scene_arguments, clouds, show
-from gpdf_service.perception.read import import_open3d
+from gpdf_service.perception.formats import import_open3d
 from gpdf_service.pipeline import build_scene
 from gpdf_service.types import FloatArray
 
@@ -27,6 +28,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--scale", type=int, nargs="*", help="time and memory against the number of points instead: N …"
     )
+    parser.add_argument(
+        "--noise", type=float, nargs="+", help="CPU time in random rooms with these deviations instead [m]: 0 0.01 …"
+    )
+    parser.add_argument(
+        "--changes", type=int, help="CPU time of so many changes of 1 m² instead, each beside a build from scratch"
+    )
+    parser.add_argument("--checked", type=int, default=16, help="with --changes: how many are built from scratch")
+    parser.add_argument("--hall", type=int, help="with --changes: a hall of so many points in place of scenes")
+    parser.add_argument("--rooms", type=int, default=2, help="with --noise: how many, of 0.3 to 0.5 M points")
     parser.add_argument("--tiles", action="store_true", help="with --scale: the points in files, thinned while read")
     parser.add_argument("--repeat", type=int, default=3, help="the median of this many, after one to warm up")
 
@@ -38,6 +48,15 @@ def run(args: argparse.Namespace) -> int:
         counts = args.scale or (300_000, 1_000_000, 3_000_000)
         show([measure(count, tiled=args.tiles) for count in counts], as_json=args.json)
         return 0
+    if args.noise is not None:
+        from gpdf_service.bench.build_noise import measure_noise
+
+        show(list(measure_noise(args.noise, args.rooms)), as_json=args.json)
+        return 0
+    if args.changes is not None:
+        scenes = [("hall", hall_of(args.hall), None)] if args.hall else clouds(args)
+        show([measure_changes(*scene, args.changes, args.checked) for scene in scenes], as_json=args.json)
+        return 0
     for name, points, _ in clouds(args):
         build = _median(lambda points=points: build_scene(points), args.repeat)  # type: ignore[misc]
         scene = build_scene(points)
@@ -46,7 +65,7 @@ def run(args: argparse.Namespace) -> int:
             scene.forget_agents()
             scene.free_space(args.agent)
 
-        free, peer = _median(space, args.repeat), _median(lambda points=points: _normals(points), args.repeat)  # type: ignore[misc]
+        free, peer = _median(space, args.repeat), _median(lambda points=points: find_normals(points), args.repeat)  # type: ignore[misc]
         ready = build + free
         rows.append(
             {"scene": name, "points": len(points), "build_s": build, "free_space_s": free, "ready_s": ready}
@@ -68,7 +87,8 @@ def _median(work: Callable[[], object], repeat: int) -> float:
     return float(np.median(seconds[1:]))
 
 
-def _normals(points: FloatArray) -> None:
+def find_normals(points: FloatArray) -> None:
+    """Open3D's normals of a cloud."""
     open3d = import_open3d()
     cloud = open3d.geometry.PointCloud(open3d.utility.Vector3dVector(points))
     cloud.estimate_normals(open3d.geometry.KDTreeSearchParamKNN(NEIGHBOURS))

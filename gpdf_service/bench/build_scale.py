@@ -40,6 +40,11 @@ def hall(count: int, spacing: float, rng: np.random.Generator) -> Iterator[Float
         yield np.concatenate([floor, box.reshape(-1, 3)]) + rng.normal(0.0, 0.002, (half + pieces * each, 3))
 
 
+def hall_of(count: int) -> FloatArray:
+    """All of a hall of about `count` points, shape (n, 3)."""
+    return np.concatenate(list(hall(count, SPACING, np.random.default_rng(0))))
+
+
 def measure(count: int, *, tiled: bool) -> Row:
     """Time and memory of a build and a person's free space, in a process of its own: memory is counted from its start.
 
@@ -53,7 +58,7 @@ def measure(count: int, *, tiled: bool) -> Row:
 
 def _measure_whole(count: int) -> Row:
     _warm()
-    points = np.concatenate(list(hall(count, SPACING, np.random.default_rng(0))))
+    points = hall_of(count)
     return _built(points, len(points), 0.0)
 
 

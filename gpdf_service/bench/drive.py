@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import socket
 import sys
 import time
 from collections import Counter
@@ -23,6 +22,7 @@ from gpdf_service.bench.judge import Judge
 from gpdf_service.bench.plan import random_places
 from gpdf_service.bench.plotting import add_plot_argument, draw_rows
 from gpdf_service.bench.report import Row, show
+from gpdf_service.bench.running import free_endpoint
 from gpdf_service.pipeline import build_scene
 from gpdf_service.scene import Scene
 from gpdf_service.service.server import Options, Server
@@ -115,9 +115,7 @@ def _errands(name: str, body: Body, count: int, rng: np.random.Generator, bar: t
 @contextmanager
 def serving(scene: Scene) -> Iterator[Client]:
     """A service with this scene, in this process, and a connection to it over TCP."""
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        endpoint = f"tcp/127.0.0.1:{probe.getsockname()[1]}"
+    endpoint = free_endpoint()
     with TemporaryDirectory() as folder:
         scene.save(Path(folder) / "scene.gpdf")
         options = Options(endpoint, Path(folder), Path(folder), 2)

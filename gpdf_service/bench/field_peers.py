@@ -10,7 +10,8 @@ from scipy import ndimage
 from scipy.spatial import cKDTree
 from scipy.spatial.distance import cdist
 
-from gpdf_service.fields import denoise, fit_gpdf
+from gpdf_service.denoise import denoise
+from gpdf_service.fields import fit_gpdf
 from gpdf_service.types import FloatArray
 
 Answer = tuple[FloatArray, FloatArray]

@@ -4,14 +4,18 @@ from __future__ import annotations
 
 import argparse
 import time
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import numpy as np
 
 from gpdf_service.bench.ablation import ablation
+from gpdf_service.bench.hard_clouds import TURNS, hall_rows, spiral_rows
+from gpdf_service.bench.houses import house_rows
+from gpdf_service.bench.places import island_rows, land_rows
 from gpdf_service.bench.report import Row, show
 from gpdf_service.perception import read_cloud, segment_ground
-from gpdf_service.synthetic import SCENES, SyntheticScene, ramp, random_room
+from gpdf_service.synthetic import SCANNERS, SCENES, SyntheticScene, ramp, random_room
 from gpdf_service.types import BoolArray, FloatArray
 
 RAISED = 0.04
@@ -25,7 +29,11 @@ HIGH = 0.3
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the verb's options."""
     parser.add_argument("--scene", action="append", type=Path, help="a cloud with ground labels, besides random scenes")
-    parser.add_argument("--count", type=int, default=20, help="random rooms, and as many random ramps")
+    parser.add_argument(
+        "--count",
+        type=int,
+        help="random rooms (20), and as many ramps; houses (21 tripod, 28 handheld); angles (7); pairs",
+    )
     parser.add_argument(
         "--noise", action="append", type=float, help="of each coordinate [m]; 0.01 and 0.05 if not given"
     )
@@ -33,6 +41,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--ablation", action="store_true", help="what the cure of noise and the filling of holes change, in scans"
     )
+    parser.add_argument(
+        "--rows",
+        nargs="+",
+        choices=[*ROWS, "all"],
+        help="other rows instead: ray-cast houses, a museum's stair, spiral ramps, where a start (x, y) lands, islands",
+    )
+    parser.add_argument("--scanner", action="append", choices=list(SCANNERS), help="of the houses; repeatable")
+    parser.add_argument("--data", type=Path, default=Path("../shared/data"), help="folder of the real clouds")
     parser.add_argument("--json", action="store_true", help="print the rows as JSON")
 
 
@@ -43,6 +59,10 @@ def run(args: argparse.Namespace) -> int:
             [row for noise in args.noise or [0.0, 0.02, 0.05] for row in ablation(args.seed, noise)], as_json=args.json
         )
         return 0
+    if args.rows:
+        names = ROWS if "all" in args.rows else args.rows
+        show([row for name in names for row in ROWS[name](args)], as_json=args.json)
+        return 0
     rows: list[Row] = []
     for path in args.scene or []:
         cloud = read_cloud(path)
@@ -50,11 +70,45 @@ def run(args: argparse.Namespace) -> int:
             floor = float(np.median(cloud.points[cloud.ground, 2]))
             rows.append({"scene": path.stem, "scenes": 1} | measure([(cloud.points, cloud.ground, floor)]))
     for noise in args.noise or [0.01, 0.05]:
-        for name, scenes in _made(args.count, args.seed, noise).items():
+        for name, scenes in _made(20 if args.count is None else args.count, args.seed, noise).items():
             parts = [(scene.points, scene.ground, 0.0) for scene in scenes]
             rows.append({"scene": name, "scenes": len(scenes), "noise_m": noise} | measure(parts))
     show(rows, as_json=args.json)
     return 0
+
+
+def _houses(args: argparse.Namespace) -> Iterator[Row]:
+    noise = args.noise[0] if args.noise else None
+    for scanner in args.scanner or ["tripod", "handheld"]:
+        yield from house_rows(scanner, args.count, args.seed, noise)
+
+
+def _hall(args: argparse.Namespace) -> Iterator[Row]:
+    return hall_rows(args.data, TURNS if args.count is None else min(args.count, TURNS), args.seed)
+
+
+def _spiral(args: argparse.Namespace) -> Iterator[Row]:
+    return spiral_rows(args.data, 100 if args.count is None else args.count, args.seed)
+
+
+def _lands(args: argparse.Namespace) -> Iterator[Row]:
+    for scanner in args.scanner or ["tripod"]:
+        yield from land_rows(scanner, args.count, args.seed, args.noise[0] if args.noise else None)
+
+
+def _islands(args: argparse.Namespace) -> Iterator[Row]:
+    for scanner in args.scanner or ["tripod"]:
+        yield from island_rows(scanner, args.count, args.seed, args.noise[0] if args.noise else None)
+
+
+ROWS: dict[str, Callable[[argparse.Namespace], Iterator[Row]]] = {
+    "houses": _houses,
+    "hall": _hall,
+    "spiral": _spiral,
+    "lands": _lands,
+    "islands": _islands,
+}
+"""Rows that are asked for by name."""
 
 
 def _made(count: int, seed: int, noise: float) -> dict[str, list[SyntheticScene]]:

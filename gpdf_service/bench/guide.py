@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
-import socket
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -17,18 +16,23 @@ from pathlib import Path
 import numpy as np
 from gpdf_client import Client, ClientError
 from gpdf_guidance import Guide, Kind, Outcome, Planner, Walk, Walker, simulate
-from gpdf_guidance.features import FeatureKind
-from gpdf_guidance.guide import LEAST_ROOM, PERSON
+from gpdf_guidance.announcer import WORD
+from gpdf_guidance.features import TREAD
+from gpdf_guidance.planner import LEAST_ROOM, PERSON
+from gpdf_guidance.simulate import TICK
+from gpdf_guidance.stairs import LEAST_EDGE
 from tqdm import tqdm
 
 from gpdf_service.bench.cues import measure_cues
-from gpdf_service.bench.plan import random_places
 from gpdf_service.bench.plotting import add_plot_argument, draw_rows
-from gpdf_service.bench.report import Row, add_scene_arguments, clouds, show
-from gpdf_service.bench.walks import WalkedWorld
+from gpdf_service.bench.report import Row, add_scene_arguments, read_scene, show
+from gpdf_service.bench.running import free_endpoint
+from gpdf_service.bench.walks import RADIUS, Beset, Crowd, WalkedWorld
 from gpdf_service.scene import Scene
 from gpdf_service.service.server import Options, Server
-from gpdf_service.types import AGENTS, BoolArray, FloatArray
+from gpdf_service.synthetic import ramp, random_room
+from gpdf_service.synthetic.house import make_house
+from gpdf_service.types import AGENTS, Agent, BoolArray, FloatArray
 
 STANDING_ROOM = 0.8
 """[m] Width of the place where a walk begins and ends: a person can turn there without touching anything."""
@@ -40,12 +44,48 @@ SCANS = ("../shared/data/house_2storey_stairs_4cm.npz", "../shared/data/subt_urb
 """Walked too where they are: long ways. In the scanned offices no way of 4 m is wide enough for a person to be led."""
 TRIES = 5
 """Pairs of places without an answer of the service before a scene is given up: one that compiles is late once."""
+PEOPLE = 2
+"""Who walk about in every second walk."""
+EDGES = (Kind.STEP, Kind.STAIRS, Kind.STEP_EDGE, Kind.STAIRS_EDGE)
+STANDING = (
+    Kind.OVERVIEW,
+    Kind.ASK_STEP,
+    Kind.ASK_STEP_OR_DETOUR,
+    Kind.CONSENTED,
+    Kind.DECLINED,
+    Kind.ARRIVED,
+    Kind.ARRIVED_BESIDE,
+)
+EDGE_NEAR = 0.8
+"""[m] A sentence is about the edge that is this near to the place of which it speaks."""
+REASONS = tuple(kind for kind in Kind if kind.value.startswith(("gave_up", "no_way", "no_answer")))
 PANELS = {
     "walks": ("walks", "arrived", "safe_stops", "contacts"),
     "words a minute": ("said_per_min",),
-    "steps and stairs": ("steps_and_stairs", "announced_1_to_3_m"),
+    "edges": ("edges", "edges_told"),
 }
 """Of the picture."""
+
+
+def _made(name: str) -> tuple[FloatArray, BoolArray]:
+    """A made scene that is random: a name and a seed, as in "house:3"."""
+    kind, _, seed = name.partition(":")
+    rng = np.random.default_rng(int(seed or 0))
+    if kind == "house":
+        house = make_house(rng, 0.05)
+        return house.points, house.ground
+    made = {"ramp": ramp, "room": random_room}[kind](rng)
+    return made.points, made.ground
+
+
+def scenes(args: argparse.Namespace) -> Iterator[tuple[str, FloatArray, BoolArray | None]]:
+    """The scenes that were asked for, one after the other: name, points, ground labels."""
+    for name in args.scene or args.default_scenes:
+        if name.partition(":")[0] in ("house", "ramp", "room"):
+            yield (name.replace(":", "_"), *_made(name))
+        else:
+            yield read_scene(name)
+
 
 Guided = tuple[Walk, Guide]
 
@@ -53,8 +93,10 @@ Guided = tuple[Walk, Guide]
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the verb's options."""
     scans = [str(path) for path in map(Path, SCANS) if path.is_file()]
-    add_scene_arguments(parser, ["office", "cluttered_office", "stair", "cow_and_lady", *scans])
+    made = ["office", "cluttered_office", "stair", "cow_and_lady", "ramp:1", "room:1", "room:2", "house:1", "house:2"]
+    add_scene_arguments(parser, [*made, "house:3", *scans])
     parser.add_argument("--count", type=int, default=50, help="walks in each scene")
+    parser.add_argument("--said", action="store_true", help="print what was said on each walk")
     parser.add_argument("--live", type=float, metavar="S", help="also measure cues in real time, for S seconds a scene")
     add_plot_argument(parser)
     parser.add_argument("--seed", type=int, default=1)
@@ -64,7 +106,7 @@ def run(args: argparse.Namespace) -> int:
     """Exit code 0 if nobody touched anything and everybody arrived or was stopped safely."""
     rows: list[Row] = []
     everything: list[Guided] = []
-    for name, points, ground in clouds(args):
+    for name, points, ground in scenes(args):
         walks: list[Guided] = []
         unanswered: list[str] = []
         found: Row = {}
@@ -72,6 +114,8 @@ def run(args: argparse.Namespace) -> int:
             with serving(name, points, ground) as (server, client):
                 for one in walk_all(server, client, name, args.count, args.seed, unanswered):
                     walks.append(one)  # what was walked is kept when the next one fails
+                    if args.said:
+                        show([{"s": round(said.time, 1), "said": said.text} for said in one[0].said], as_json=args.json)
                 found = live(client, server.options.endpoint, name, walks, args.live) if args.live and walks else {}
         except ClientError as error:  # the walks until then count, and those in the other scenes
             found = {"failed": str(error)}
@@ -90,12 +134,9 @@ def run(args: argparse.Namespace) -> int:
 @contextmanager
 def serving(name: str, points: FloatArray, ground: BoolArray | None) -> Iterator[tuple[Server, Client]]:
     """The real service with one scene, and a client of it."""
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        endpoint = f"tcp/127.0.0.1:{probe.getsockname()[1]}"
     with tempfile.TemporaryDirectory() as folder:
-        options = Options(endpoint, Path(folder), Path(folder))
-        with Server(options) as server, Client.connect(endpoint) as client:
+        options = Options(free_endpoint(), Path(folder), Path(folder))
+        with Server(options) as server, Client.connect(options.endpoint) as client:
             client.load_scene(name, upload=points, ground=ground)
             yield server, client
 
@@ -103,34 +144,77 @@ def serving(name: str, points: FloatArray, ground: BoolArray | None) -> Iterator
 def walk_all(
     server: Server, client: Client, name: str, count: int, seed: int, unanswered: list[str]
 ) -> Iterator[Guided]:
-    """Walk between `count` random pairs of places, one after the other; pairs without an answer are noted."""
+    """Walk between `count` random pairs of places, one after the other; pairs without an answer are noted.
+
+    In every second walk people who see walk about, where there is room for them.
+    """
     entry = server.shelf.get(name)
     assert entry is not None
     assert entry.scene is not None
     scene, rng = entry.scene, np.random.default_rng(seed)
     world = WalkedWorld.of(scene.points, scene.ground)
     pairs = islice(connected_pairs(client, scene, name, count, rng, unanswered), count)
-    for start, goal in tqdm(pairs, desc=name, total=count, disable=None):
+    for number, (start, goal) in enumerate(tqdm(pairs, desc=name, total=count, disable=None)):
         world.fell = False
-        z = float(world.judge.ground[world.judge.ground_plan.query(start)[1], 2])
-        heading = float(rng.uniform(-np.pi, np.pi))
-        walker = Walker(np.array([*start, z]), heading, world.ground_height, rng)
+        crowd = _crowd(scene, start, rng) if number % 2 else None
+        start[2] = world.ground_height(start)  # the map's is smooth; a step from one to the other is none
+        walker = Walker(start, float(rng.uniform(-np.pi, np.pi)), world.ground_height, rng)
         guide = Guide(Planner(client, name), goal.tolist())
-        yield simulate(guide, walker, world), guide
+        truth = world if crowd is None else Beset(world, crowd)
+        yield simulate(guide, walker, truth, others=crowd), guide
+
+
+def _crowd(scene: Scene, start: FloatArray, rng: np.random.Generator) -> Crowd:
+    """People on the storey on which a walk begins, none of them at its start."""
+    agent = AGENTS["human"]
+    level = int(np.argmin([abs(_height(scene, i, start) - start[2]) for i in range(len(scene.surfaces))]))
+    places = places_on(scene, level, agent, 200, rng)
+    places = places[np.hypot(*(places[:, :2] - start[:2]).T) > 2.0]
+    if not len(places):
+        places = np.array([[1e3, 1e3, 0.0]])
+    space = scene.free_space(agent)
+    surface = scene.surfaces[level]
+
+    def ground(xy: FloatArray) -> FloatArray:
+        return np.where(space.clearance(level, xy)[0] >= RADIUS, surface.height_at(xy), np.nan)
+
+    return Crowd.of(PEOPLE, places, ground, rng)
+
+
+def _height(scene: Scene, level: int, place: FloatArray) -> float:
+    surface = scene.surfaces[level]
+    known = bool(surface.contains(place[None, :2])[0])
+    return float(surface.height_at(place[None, :2])[0]) if known else float("inf")
+
+
+def places_on(scene: Scene, level: int, agent: Agent, count: int, rng: np.random.Generator) -> FloatArray:
+    """Places on one storey where a body stands free of everything, shape (n, 3) [m]."""
+    surface, space = scene.surfaces[level], scene.free_space(agent)
+    low, size = surface.origin, np.array(surface.height.shape) * surface.cell_width
+    xy = rng.uniform(low, low + size, (40 * count, 2))
+    xy = xy[surface.contains(xy)]
+    xy = xy[space.clearance(level, xy)[0] >= agent.disc_radius][:count]
+    return np.column_stack([xy, surface.height_at(xy)])
 
 
 def connected_pairs(
     client: Client, scene: Scene, name: str, count: int, rng: np.random.Generator, unanswered: list[str]
 ) -> Iterator[tuple[FloatArray, FloatArray]]:
-    """Pairs of places (2,) [m] where a person has room to stand, joined by a way that is wide enough.
+    """Pairs of places (3,) [m] where a person has room to stand, joined by a way that is wide enough.
+
+    Where there are several storeys, half of the ways lead from one to another.
 
     Raises:
         ClientError: `TRIES` pairs had no answer.
     """
     wide = dataclasses.replace(AGENTS["human"], width=STANDING_ROOM)
-    pairs = random_places(scene, wide, 40 * count, rng)
+    found = [places_on(scene, level, wide, 40 * count, rng) for level in range(len(scene.surfaces))]
+    storeys = [places for places in found if len(places)]
     body = {**PERSON, "width": WAY}
-    for start, goal in pairs[np.hypot(*(pairs[:, 1] - pairs[:, 0]).T) >= LEAST_WALK]:
+    for _ in range(40 * count):
+        start, goal = (one[rng.integers(len(one))] for one in (storeys[i] for i in rng.integers(len(storeys), size=2)))
+        if np.hypot(*(goal - start)[:2]) < LEAST_WALK and abs(goal[2] - start[2]) < 1.0:
+            continue
         try:
             joined = client.plan(name, start, goal, body).trajectory is not None
         except ClientError as error:
@@ -151,35 +235,55 @@ def live(client: Client, endpoint: str, name: str, walks: list[Guided], seconds:
 def summary(walks: list[Guided]) -> Row:
     """Numbers of many walks."""
     minutes = sum(float(walk.times[-1]) for walk, _ in walks) / 60.0
-    announced = [place for walk, guide in walks for place in step_announcements(walk, guide)]
+    edges = [told for walk, _ in walks for told in edges_told(walk)]
+    ends = [walk.end for walk, _ in walks if walk.outcome is Outcome.ARRIVED]
+    stops = [walk for walk, _ in walks if walk.outcome is Outcome.SAFE_STOP]
     return {
         "walks": len(walks),
         "arrived": sum(walk.outcome is Outcome.ARRIVED for walk, _ in walks),
-        "safe_stops": sum(walk.outcome is Outcome.SAFE_STOP for walk, _ in walks),
+        "safe_stops": len(stops),
+        "reason_spoken": sum(bool(walk.said) and walk.said[-1].instruction.kind in REASONS for walk in stops),
         "contacts": sum(walk.penetration > 0 for walk, _ in walks),
         "deepest_m": max((walk.penetration for walk, _ in walks), default=0.0),
+        "end_m_p50": float(np.median(ends)) if ends else float("nan"),
+        "end_m_max": max(ends, default=float("nan")),
         "metres_per_walk": sum(walk.metres for walk, _ in walks) / max(len(walks), 1),
         "said_per_min": sum(len(walk.said) for walk, _ in walks) / max(minutes, 1e-9),
+        "walking_per_min": sum(_heard_walking(walk) for walk, _ in walks) / max(minutes, 1e-9),
         "minutes": minutes,
         "stopped_share": sum(walk.stopped for walk, _ in walks) / max(60.0 * minutes, 1e-9),
         "routes": sum(walk.routes for walk, _ in walks) / max(len(walks), 1),
-        "steps_and_stairs": len(announced),
-        "announced_1_to_3_m": sum(1.0 <= place <= 3.0 for place in announced),
+        "edges": len(edges),
+        "edges_told": sum(edges),
     }
 
 
-def step_announcements(walk: Walk, guide: Guide) -> list[float]:
-    """How far before each step or stair of the first route it was told of [m]; inf where it was not.
+def _same_flight(walk: Walk, before: int, row: int) -> bool:
+    """Whether two edges that were crossed are a tread apart, both up or both down, however long he stood between."""
+    rise = np.diff(walk.places[[before, before + 1, row, row + 1], 2])[[0, 2]]
+    away = float(np.hypot(*(walk.places[row] - walk.places[before])[:2]))
+    return away <= TREAD and bool(rise[0] * rise[1] > 0.0)
 
-    One that lies within a metre of where the walk begins cannot be told of earlier, so it is left out.
-    """
-    if not guide.routes or walk.outcome is not Outcome.ARRIVED:
-        return []
-    route = guide.routes[0]
-    told = [said.instruction for said in walk.said if said.instruction.kind in (Kind.STEP, Kind.STAIRS)]
-    found = []
-    for feature in route.features:
-        if feature.kind in (FeatureKind.STEP, FeatureKind.STAIRS) and feature.start > 1.0:
-            mine = [one.distance for one in told if np.hypot(*(route.at(feature.start)[:2] - one.place)) < 0.8]
-            found.append(mine[0] if mine else float("inf"))
+
+def _heard_walking(walk: Walk) -> int:
+    """Sentences but for those that are heard standing, before the first step and after the last one."""
+    return sum(one.instruction.kind not in STANDING for one in walk.said)
+
+
+def edges_told(walk: Walk) -> list[bool]:
+    """Of each step, and of each flight's first edge, that was walked over: whether it had been told of to the end."""
+    rise = np.diff(walk.places[:, 2])
+    crossed: list[int] = np.flatnonzero(np.abs(rise) >= LEAST_EDGE).tolist()
+    found: list[bool] = []
+    for i, row in enumerate(crossed):
+        if i and _same_flight(walk, crossed[i - 1], row):
+            continue
+        told = (
+            one
+            for one in walk.said
+            if one.instruction.kind in EDGES
+            and one.instruction.amount * rise[row] > 0.0
+            and np.hypot(*(np.array(one.instruction.place) - walk.places[row, :2])) < EDGE_NEAR
+        )
+        found.append(any(one.time + WORD * len(one.text.split()) <= walk.times[row] + TICK for one in told))
     return found

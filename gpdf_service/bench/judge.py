@@ -67,11 +67,15 @@ class Judge:
         self.ground_tree = cKDTree(self.ground)
         self.over_ground = self.other[:, 2] - self.ground[self.ground_plan.query(self.other[:, :2])[1], 2]
         self.obstacles: dict[float, cKDTree] = {}
+        self.beside = np.full((len(self.other), 2), np.nan)
 
     def judge(self, trajectory: Trajectory, agent: Agent) -> Verdict:
-        """Judge one trajectory strictly: along all of it, the body standing on the contact points."""
+        """Judge one trajectory strictly: along all of it, the body standing on the contact points.
+
+        Its height is looked at at the waypoints: between two of them a body takes a step at once.
+        """
         poses = _dense(np.column_stack([trajectory.ground, np.unwrap(trajectory.headings)]), _reach(agent))
-        return self._judge(poses, _dense(trajectory.positions), agent)
+        return self._judge(poses, trajectory.positions, agent)
 
     def judge_waypoints(self, trajectory: Trajectory, agent: Agent) -> Verdict:
         """Judge one trajectory as the paper does: at the waypoints alone, the cylinder hanging from the body's top."""
@@ -114,14 +118,11 @@ class Judge:
 
     def penetration(self, contact: FloatArray, agent: Agent, heading: float = 0.0) -> float:
         """How deep the worst point is in a body at `contact` (3,) [m] facing `heading` [rad]; 0 if none is in it."""
-        hit = self.other[self._hits(contact, agent), :2] - contact[:2]
-        if len(hit) == 0:
-            return 0.0
-        if agent.discs == 1:
-            return float((agent.radius - np.linalg.norm(hit, axis=1)).max())
-        ahead, aside = np.array([[np.cos(heading), np.sin(heading)], [-np.sin(heading), np.cos(heading)]]) @ hit.T
-        depth = np.minimum(0.5 * agent.length - np.abs(ahead), 0.5 * agent.width - np.abs(aside))
-        return max(0.0, float(depth.max()))
+        rows = self._beside(contact, agent)
+        depth = _depth(self.other[rows, :2] - contact[:2], agent, heading)
+        inside = depth > 0.0  # few are, and only these need to be looked at for steps
+        kept = ~self._are_faces(rows[inside], contact[2], agent.max_step)
+        return float(depth[inside][kept].max(initial=0.0))
 
     def height_of_touched(self, trajectory: Trajectory, agent: Agent) -> float:
         """How high over the ground beside it the highest point is that the standing cylinder touches [m]; 0 if none."""
@@ -130,25 +131,47 @@ class Judge:
 
     def _hits(self, contact: FloatArray, agent: Agent) -> IntArray:
         """Which points beside a contact are at the height of the body, and no face of a step that it takes."""
+        rows = self._beside(contact, agent)
+        hits: IntArray = rows[~self._are_faces(rows, contact[2], agent.max_step)]
+        return hits
+
+    def _beside(self, contact: FloatArray, agent: Agent) -> IntArray:
+        """Which points are at the height of the body, as far from a contact as it reaches, whatever they are."""
         near = self.other_tree.query_ball_point(contact[:2], max(agent.radius, _reach(agent)))
         rows = np.array(near, dtype=np.int64)
         over = self.other[rows, 2] - contact[2]
-        inside = rows[(over > SCATTER) & (over < (1.0 - HEAD) * agent.height)]
-        faces = [self._is_face(point, contact[2], agent.max_step) for point in self.other[inside]]
-        hits: IntArray = inside[~np.array(faces, dtype=bool)]
-        return hits
+        beside: IntArray = rows[(over > SCATTER) & (over < (1.0 - HEAD) * agent.height)]
+        return beside
 
-    def _is_face(self, point: FloatArray, contact: float, max_step: float) -> bool:
-        """Whether a point is ground's scatter, or under ground that is one step over the ground next below it.
+    def _are_faces(self, rows: IntArray, contact: float, max_step: float) -> BoolArray:
+        """Whether points are the ground's scatter, or under ground that is one step over the ground next below it.
 
         The front of a cylinder on a stair reaches the riser after next: what counts is each riser by itself, right
         beside the point, not how high it is over the contact. A tread that was not scanned leaves the contact.
         """
+        for row in rows[np.isnan(self.beside[rows, 0])]:
+            self.beside[row] = self._ground_beside(self.other[row])
+        above, below = self.beside[rows].T
+        faces: BoolArray = above - np.maximum(below, contact) <= max_step
+        return faces
+
+    def _ground_beside(self, point: FloatArray) -> tuple[float, float]:
+        """Height of the ground next above a point and next below it, right beside it [m]; inf, -inf where none is."""
         rows = [*self.ground_plan.query_ball_point(point[:2], FACE), self.ground_plan.query(point[:2])[1]]
-        beside = self.ground[rows, 2]
-        above, below = beside[beside >= point[2] - SCATTER], beside[beside <= point[2] + SCATTER]
-        foot = below.max(initial=contact)
-        return bool(len(above)) and above.min() - foot <= max_step
+        z = self.ground[rows, 2]
+        above, below = z[z >= point[2] - SCATTER], z[z <= point[2] + SCATTER]
+        return float(above.min(initial=np.inf)), float(below.max(initial=-np.inf))
+
+
+def _depth(aside: FloatArray, agent: Agent, heading: float) -> FloatArray:
+    """How deep places beside the body's axis, (m, 2) [m], are in its cylinder, or in its footprint if it has discs."""
+    if agent.discs == 1:
+        radial: FloatArray = agent.radius - np.linalg.norm(aside, axis=1)
+        return radial
+    turn = np.array([[np.cos(heading), np.sin(heading)], [-np.sin(heading), np.cos(heading)]])
+    ahead, across = np.abs(turn @ aside.T)
+    depth: FloatArray = np.minimum(0.5 * agent.length - ahead, 0.5 * agent.width - across)
+    return depth
 
 
 def _reach(agent: Agent) -> float:

@@ -14,13 +14,20 @@ import numpy as np
 from gpdf_service.bench.brute import BruteForce
 from gpdf_service.bench.curve import STEPS, draw_curve, measure_curve
 from gpdf_service.bench.judge import Judge
+from gpdf_service.bench.moving import measure_moving
 from gpdf_service.bench.peers import compare
 from gpdf_service.bench.plotting import add_plot_argument, draw_rows
 from gpdf_service.bench.report import Row, add_scene_arguments, clouds, show
+from gpdf_service.bench.ways import measure_ways
 from gpdf_service.pipeline import build_scene, plan
 from gpdf_service.scene import Scene
+from gpdf_service.synthetic import random_room
 from gpdf_service.types import AGENTS, Agent, FloatArray, Status
 
+NOISES = [0.0, 0.01, 0.02, 0.05]
+"""[m] Of the random rooms."""
+ROOM_SPACING = 0.02
+"""[m] Between their points: 0.3 to 0.5 million of them."""
 REPEATS = 5
 """Paths in each row of the curve."""
 WARM = 5
@@ -49,6 +56,18 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="how time grows with path, map and clutter, up to so many metres, and nothing else",
     )
     parser.add_argument(
+        "--ways", action="store_true", help="high steps that people are led over though a level way is there, alone"
+    )
+    parser.add_argument(
+        "--rooms", type=int, help="so many random rooms instead, at each noise, with labels and without, and no peers"
+    )
+    parser.add_argument("--noise", type=float, nargs="+", default=NOISES, help="of the rooms' coordinates [m]")
+    parser.add_argument(
+        "--moving",
+        action="store_true",
+        help="how much later a plan comes when somebody is in the way, and nothing else",
+    )
+    parser.add_argument(
         "--ignore-labels", action="store_true", help="plan on our own segmentation, judge by the labels"
     )
 
@@ -57,6 +76,12 @@ def run(args: argparse.Namespace) -> int:
     """Exit code 0 if no certified path was judged a collision; of the curve, if every path was found."""
     if args.curve:
         return _curve(args)
+    if args.ways:
+        return _ways(args)
+    if args.rooms:
+        return _rooms(args)
+    if args.moving:
+        return _moving(args)
     rows: list[Row] = []
     peers: list[Row] = []
     for name, points, ground in clouds(args):
@@ -77,6 +102,68 @@ def run(args: argparse.Namespace) -> int:
     if args.plot:
         draw_rows(args.plot, rows, PANELS, by=("scene", "agent"), title="Random queries, judged by the true obstacles")
     return 0 if all(row["collisions"] == 0 for row in rows) else 1
+
+
+def _ways(args: argparse.Namespace) -> int:
+    """Exit code 0 if nobody is led over a high step though a level way is there, and into nothing."""
+    rows: list[Row] = []
+    for name, points, ground in clouds(args):
+        scene = build_scene(points, None if args.ignore_labels else ground)
+        judge = Judge(points, scene.ground if ground is None else ground)
+        for agent in args.agent or ["human"]:
+            pairs = random_places(scene, AGENTS[agent], args.count, np.random.default_rng(args.seed))
+            rows.append({"scene": name, "agent": agent} | measure_ways(scene, judge, AGENTS[agent], pairs))
+    show(rows, as_json=args.json)
+    return 0 if all(row["needless"] == row["collisions"] == 0 for row in rows) else 1
+
+
+def _rooms(args: argparse.Namespace) -> int:
+    rows = [row for noise in args.noise for row in room_rows(args, noise)]
+    show(rows, as_json=args.json)
+    return 0 if all(row["collisions"] == 0 for row in rows) else 1
+
+
+def _moving(args: argparse.Namespace) -> int:
+    rows: list[Row] = []
+    for name, points, ground in clouds(args):
+        scene = build_scene(points, None if args.ignore_labels else ground)
+        for agent in args.agent or ["human", "roomba"]:
+            made = measure_moving(scene, AGENTS[agent], args.count, np.random.default_rng(args.seed))
+            rows.append({"scene": name, "agent": agent} | made)
+    show(rows, as_json=args.json)
+    return 0 if all(row["collisions"] == 0 for row in rows) else 1
+
+
+def room_rows(args: argparse.Namespace, noise: float) -> list[Row]:
+    """Random rooms with this noise [m]: for labels and none, and each body, the sum over all rooms.
+
+    Ends are where the body stands in the exact room, on floor that was sampled; the clean room judges.
+    """
+    parts: dict[tuple[bool, str], list[Row]] = {}
+    for seed in range(args.seed, args.seed + args.rooms):
+        clean, noisy = (random_room(np.random.default_rng(seed), each, ROOM_SPACING) for each in (0.0, noise))
+        judge = Judge(clean.points, clean.ground)
+        scenes = {labelled: build_scene(noisy.points, noisy.ground if labelled else None) for labelled in (True, False)}
+        for agent in args.agent or ["human", "roomba"]:
+            brute = BruteForce(clean.points, clean.ground, AGENTS[agent], noise)
+            pairs = brute.random_pairs(args.count, np.random.default_rng(seed))
+            for labelled, scene in scenes.items():
+                parts.setdefault((labelled, agent), []).append(measure(scene, judge, brute, AGENTS[agent], pairs))
+    return [
+        {"scene": "random_rooms", "rooms": args.rooms, "noise_m": noise, "labels": labelled, "agent": agent}
+        | _total(many)
+        for (labelled, agent), many in parts.items()
+    ]
+
+
+def _total(many: list[Row]) -> Row:
+    """Counts of several rooms, the worst penetration, and the median time."""
+    made: Row = {key: sum(row[key] for row in many) for key in ("queries", "certified", "solvable", "ok_of_solvable")}
+    made["share"] = made["ok_of_solvable"] / max(made["solvable"], 1)
+    made["collisions"] = sum(row["collisions"] for row in many)
+    made["deepest_m"] = max(row["deepest_m"] for row in many)
+    made["p50_ms"] = float(np.median([row["p50_ms"] for row in many]))
+    return made
 
 
 def _curve(args: argparse.Namespace) -> int:

@@ -1,4 +1,4 @@
-"""`gpdf bench service`: what wire and log add to a plan, plans a second on one and two cores, too many clients.
+"""`gpdf bench service`: what wire and log add to a plan, plans a second, too many clients, the first plan of all.
 
 The service has its own processes. The clients run on its cores, one or two, and their work counts: a machine of one
 core against a machine of two.
@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import argparse
 import os
+import sys
 import tempfile
 import threading
 import time
@@ -22,6 +23,7 @@ import zenoh
 from gpdf_client import Client
 from gpdf_client.client import client_config
 from gpdf_schemas import PlanRequest, Reply, Status, decode, encode, keys
+from tqdm import trange
 
 from gpdf_service.bench.plan import random_places
 from gpdf_service.bench.plotting import add_plot_argument, draw_rows
@@ -38,6 +40,8 @@ PATIENCE_S = 60.0
 """[s] Until a request counts as unanswered."""
 WARM_S = 2.0
 """[s] Before anything is measured: each process has its free space, queues and pools have grown."""
+TENTH = 10
+"""Plans of a service that was just begun; the last of them takes what plans take."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -45,6 +49,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--count", type=int, default=100, help="plans for what the wire adds")
     parser.add_argument("--seconds", type=float, default=10.0, help="for each of the other measurements")
     parser.add_argument("--clients", type=int, default=64, help="clients that ask for twice what the service can do")
+    parser.add_argument("--restarts", type=int, default=20, help="services begun for the first plan after `ready`")
     add_plot_argument(parser)
     parser.add_argument("--json", action="store_true", help="print the rows as JSON")
 
@@ -55,12 +60,14 @@ def run(args: argparse.Namespace) -> int:
         single = per_second(service, 1, args.seconds)
     cores = min(2, len(os.sched_getaffinity(0)))
     with tempfile.TemporaryDirectory() as two, serving_on(Path(two), cores) as service:
+        took = [first_plans(service)]
         wire = added(service, args.count)
         double = per_second(service, cores, args.seconds)
         crowd = overload(service, args.clients, OVER * double["plans_per_s"], args.seconds)
     speed = {"ratio": double["plans_per_s"] / single["plans_per_s"]}
     speed |= {f"{name}_{n}": row[name] for n, row in ((1, single), (cores, double)) for name in row}
-    rows = [row | {"load_average": os.getloadavg()[0]} for row in (wire, speed, crowd)]
+    first = first_and_tenth([*took, *begin_again(cores, args.restarts - 1)])
+    rows = [row | {"load_average": os.getloadavg()[0]} for row in (wire, speed, crowd, first)]
     for part in [rows] if args.json else [[row] for row in rows]:
         show(part, as_json=args.json)
     if args.plot:
@@ -103,6 +110,38 @@ def added(service: Running, count: int) -> Row:
         "over_zenoh_p50_ms": 1e3 * float(np.median(over)),
         "added_p50_ms": 1e3 * float(np.median(extra)),
         "added_p90_ms": 1e3 * float(np.quantile(extra, 0.9)),
+    }
+
+
+def begin_again(cores: int, times: int) -> list[list[float]]:
+    """`first_plans` of so many services."""
+    took = []
+    for _ in trange(times, desc="restart", disable=not sys.stderr.isatty()):
+        with tempfile.TemporaryDirectory() as folder, serving_on(Path(folder), cores) as service:
+            took.append(first_plans(service))
+    return took
+
+
+def first_plans(service: Running) -> list[float]:
+    """What each of the first plans takes [s] of a service that has just said that it is ready."""
+    took = []
+    with Client.connect(service.endpoint) as client:
+        for _ in range(TENTH):
+            began = time.perf_counter()
+            client.plan("office", service.start, service.goal, AGENT)
+            took.append(time.perf_counter() - began)
+    return took
+
+
+def first_and_tenth(took: list[list[float]]) -> Row:
+    """The first plan beside the tenth, of services that were just begun."""
+    first, tenth = 1e3 * np.array(took)[:, [0, -1]].T
+    return {
+        "restarts": len(took),
+        "first_p50_ms": float(np.median(first)),
+        "first_max_ms": float(first.max()),
+        "tenth_p50_ms": float(np.median(tenth)),
+        "first_over_tenth_max_ms": float((first - tenth).max()),
     }
 
 

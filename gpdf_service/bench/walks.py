@@ -1,7 +1,8 @@
-"""The world as it is for a simulated walker: the clean cloud, never the planner's picture of it."""
+"""The world as it is for a simulated walker: the clean cloud, never the planner's picture of it; and people in it."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -49,3 +50,109 @@ class WalkedWorld:
     def penetration(self, position: FloatArray) -> float:
         """How deep the worst point is in the walker's cylinder [m]; inf after a fall."""
         return float("inf") if self.fell else self.judge.penetration(position, self.agent)
+
+
+RADIUS = 0.25
+"""[m] Of a person who moves through the scene."""
+PACE = 1.2
+"""[m/s] Of one who sees."""
+YIELDS = 0.6
+"""[m] Between the middles of two bodies: who sees stops before he comes nearer to who does not."""
+SEEN_FROM = 5.0
+"""[m] A sensor on the guided person sees people from here."""
+RING = np.linspace(0.0, 2 * np.pi, 12, endpoint=False)
+HEIGHTS = np.array([0.2, 0.7, 1.2, 1.7])
+STOREY = 1.5
+"""[m] Who is so much higher or lower is on another storey."""
+WAITS = 1.0
+"""[s] One whose way is not free for so long goes elsewhere."""
+POLITE = 8
+"""Places that one who sees chooses from, to leave the way to who does not."""
+
+
+@dataclass(slots=True)
+class Crowd:
+    """People who see, walking between places of a scene; they walk straight, and yield to the guided person.
+
+    Attributes:
+        places: Where each is, (k, 3) [m].
+        ground: Height of the ground at (n, 2), NaN where no body may stand [m], shape (n,).
+        targets: Where each goes, (k, 3) [m].
+        candidates: Places to go to, (n, 3) [m].
+        rng: Chooses among them.
+    """
+
+    places: FloatArray
+    ground: Callable[[FloatArray], FloatArray]
+    targets: FloatArray
+    candidates: FloatArray
+    rng: np.random.Generator
+    waited: FloatArray
+    person: FloatArray
+
+    @classmethod
+    def of(
+        cls, count: int, candidates: FloatArray, ground: Callable[[FloatArray], FloatArray], rng: np.random.Generator
+    ) -> Crowd:
+        """So many people at candidate places (n, 3) [m]."""
+        chosen = candidates[rng.integers(len(candidates), size=(2, count))]
+        return cls(chosen[0], ground, chosen[1], candidates, rng, np.zeros(count), np.full(3, np.inf))
+
+    def move(self, now: float, period: float, person: FloatArray) -> None:
+        """Walk on; who would come too near to the guided person, to a thing or to another one waits."""
+        self.person = person
+        for i in range(len(self.places)):
+            away = self.targets[i] - self.places[i]
+            left = float(np.hypot(*away[:2]))
+            if left < 0.3 or self.waited[i] > WAITS:
+                self.targets[i], self.waited[i] = self._elsewhere(i), 0.0
+                continue
+            step = self.places[i] + np.append(away[:2] / left * PACE * period, 0.0)
+            step[2] = self.ground(step[None, :2])[0]
+            if self._may_be(step, i):
+                self.places[i], self.waited[i] = step, 0.0
+            else:
+                self.waited[i] += period
+
+    def _elsewhere(self, i: int) -> FloatArray:
+        """A new place to go to: of a few, the one in whose direction one gets furthest out of the person's way."""
+        few = self.candidates[self.rng.integers(len(self.candidates), size=POLITE)]
+        away = few[:, :2] - self.places[i, :2]
+        step = away / np.maximum(np.hypot(*away.T), 1e-9)[:, None]
+        away_from = np.hypot(*(self.places[i, :2] + step - np.minimum(self.person[:2], 1e6)).T)
+        near = np.hypot(*(self.places[i, :2] - self.person[:2])) < SEEN_FROM
+        chosen: FloatArray = few[int(away_from.argmax()) if near else 0]
+        return chosen
+
+    def _may_be(self, place: FloatArray, i: int) -> bool:
+        others = np.delete(self.places, i, axis=0)
+        near = np.hypot(*(np.vstack([others, self.person])[:, :2] - place[:2]).T)
+        comes = np.hypot(*(self.person[:2] - place[:2])) < np.hypot(*(self.person[:2] - self.places[i, :2]))
+        apart = (near[:-1] > 2 * RADIUS).all() and (near[-1] > YIELDS or not comes)
+        return bool(apart and np.isfinite(place[2]))
+
+    def points(self) -> FloatArray:
+        """What the guided person's sensor sees of them, shape (k, 3) [m]."""
+        seen = self.places[np.hypot(*(self.places - self.person)[:, :2].T) < SEEN_FROM]
+        ring = RADIUS * np.column_stack([np.cos(RING), np.sin(RING), 0.0 * RING])
+        up = np.column_stack([0.0 * HEIGHTS, 0.0 * HEIGHTS, HEIGHTS])
+        points: FloatArray = (seen[:, None, None, :] + ring[None, :, None, :] + up[None, None]).reshape(-1, 3)
+        return points
+
+    def penetration(self, position: FloatArray) -> float:
+        """How deep the nearest of them is in a walker at (x, y, z) [m]; 0 where none touches."""
+        near = np.hypot(*(self.places[:, :2] - position[:2]).T)
+        near = np.where(np.abs(self.places[:, 2] - position[2]) < STOREY, near, np.inf)
+        return float(np.maximum(2 * RADIUS - near, 0.0).max(initial=0.0))
+
+
+@dataclass(frozen=True, slots=True)
+class Beset:
+    """A world with people in it, as a `Truth`."""
+
+    world: WalkedWorld
+    crowd: Crowd
+
+    def penetration(self, position: FloatArray) -> float:
+        """How deep the worst point or person is in the walker [m]."""
+        return max(self.world.penetration(position), self.crowd.penetration(position))

@@ -5,6 +5,8 @@ from gpdf_service.bench.brute import BruteForce
 from gpdf_service.synthetic import SCENES, Box, World, random_room
 from gpdf_service.types import AGENTS
 
+pytestmark = pytest.mark.slow
+
 
 def brute_of(world, agent="human", noise=0.0, spacing=0.02):
     points, ground = world.sample(spacing, np.random.default_rng(0))
@@ -20,22 +22,24 @@ def solves(brute, start, goal):
     [(0.57, 0.0, True), (0.50, 0.0, False), (0.57, 0.05, False), (0.67, 0.05, True)],
 )
 def test_a_gap_is_passed_exactly_when_body_and_extra_room_fit(gap, noise, fits):
-    walls = (Box((3.0, 0.0, 0.0), (3.2, 3.0 - gap / 2, 2.6)), Box((3.0, 3.0 + gap / 2, 0.0), (3.2, 6.0, 2.6)))
-    assert solves(brute_of(World((6.0, 6.0, 2.6), walls), noise=noise), (1, 3), (5, 3)) == fits
+    walls = (Box((1.5, 0.0, 0.0), (1.7, 0.8 - gap / 2, 2.2)), Box((1.5, 0.8 + gap / 2, 0.0), (1.7, 1.6, 2.2)))
+    assert solves(brute_of(World((3.2, 1.6, 2.2), walls), noise=noise), (0.7, 0.8), (2.5, 0.8)) == fits
+
+
+def room_with_a_platform(height):
+    return World((4.0, 2.0, height + 2.2), (Box((2.0, 0.0, 0.0), (4.0, 2.0, height), walkable=True),))
 
 
 @pytest.mark.parametrize(("agent", "climbs"), [("human", True), ("spot", True), ("roomba", False), ("pepper", False)])
 def test_a_step_is_taken_by_those_who_can(agent, climbs):
-    world = World((7.0, 4.0, 2.9), (Box((3.5, 0.0, 0.0), (7.0, 4.0, 0.35), walkable=True),))
-    brute = brute_of(world, agent)
-    assert solves(brute, (1, 2), (5.5, 2)) == climbs
-    assert solves(brute, (1, 2), (1.5, 3))
-    assert solves(brute, (5.5, 2), (5.5, 3))
+    brute = brute_of(room_with_a_platform(0.35), agent)
+    assert solves(brute, (0.8, 1), (3.2, 1)) == climbs
+    assert solves(brute, (0.8, 0.8), (0.8, 1.2))
+    assert solves(brute, (3.2, 0.8), (3.2, 1.2))
 
 
 def test_nobody_climbs_a_bench_of_half_a_metre():
-    world = World((7.0, 4.0, 2.9), (Box((3.5, 0.0, 0.0), (7.0, 4.0, 0.5), walkable=True),))
-    assert not solves(brute_of(world), (1, 2), (5.5, 2))
+    assert not solves(brute_of(room_with_a_platform(0.5)), (0.8, 1), (3.2, 1))
 
 
 @pytest.mark.parametrize(
@@ -49,14 +53,14 @@ def test_a_slope_is_climbed_by_those_who_stand_on_it(degrees, agent, climbs):
 
 
 def test_the_roomba_passes_under_the_couch_and_the_human_does_not_stand_there():
-    made = SCENES["cluttered_office"](np.random.default_rng(0))
+    made = SCENES["cluttered_office"](np.random.default_rng(0), spacing=0.05)
     under = (3.6, 2.6)
     assert solves(BruteForce(made.points, made.ground, AGENTS["roomba"]), under, made.goal)
     assert not solves(BruteForce(made.points, made.ground, AGENTS["human"]), under, made.goal)
 
 
 def test_the_stair_joins_its_foot_and_its_head_for_legs_alone():
-    made = SCENES["stair"](np.random.default_rng(0))
+    made = SCENES["stair"](np.random.default_rng(0), spacing=0.05)
     assert solves(BruteForce(made.points, made.ground, AGENTS["human"]), made.start, made.goal)
     assert not solves(BruteForce(made.points, made.ground, AGENTS["roomba"]), made.start, made.goal)
 
@@ -88,5 +92,5 @@ def test_where_it_lets_a_body_stand_there_truly_is_room(agent, seed):
 
 @pytest.mark.parametrize(("room", "noise", "fits"), [(0.03, 0.0, True), (0.03, 0.05, False), (0.08, 0.05, True)])
 def test_a_lintel_is_passed_exactly_when_the_extra_room_is_over_the_head_too(room, noise, fits):
-    lintel = Box((3.0, 0.0, AGENTS["pepper"].height + room), (3.2, 4.0, 2.4))
-    assert solves(brute_of(World((6.0, 4.0, 2.6), (lintel,)), "pepper", noise), (1, 2), (5, 2)) == fits
+    lintel = Box((1.4, 0.0, AGENTS["pepper"].height + room), (1.6, 1.2, 1.4))
+    assert solves(brute_of(World((3.0, 1.2, 1.6), (lintel,)), "pepper", noise), (0.6, 0.6), (2.4, 0.6)) == fits

@@ -13,6 +13,7 @@ def test_a_hall_has_its_points_half_of_them_floor_as_dense_as_asked():
     assert floor.sum() / area == pytest.approx(1.0 / 0.05**2, rel=0.1)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("tiled", [False, True])
 def test_a_build_is_measured_in_a_process_of_its_own(tiled):
     row = measure(60_000, tiled=tiled)

@@ -3,8 +3,11 @@
 import json
 
 import numpy as np
+import pytest
 
 from gpdf_service.cli import main
+
+pytestmark = pytest.mark.slow
 
 
 def test_cues_are_measured_from_poses_and_from_obstacles(capsys):

@@ -1,23 +1,54 @@
-"""`gpdf bench guide` keeps what it has measured when something fails."""
-
-import json
+"""How the bench of guided walks judges: edges that were told of in time; people who step aside."""
 
 import numpy as np
+from gpdf_guidance import Instruction, Kind, Outcome, Urgency, Walk
+from gpdf_guidance.simulate import Said
 
-from gpdf_service.cli import main
-from gpdf_service.synthetic import SCENES
+from gpdf_service.bench.guide import edges_told
+from gpdf_service.bench.walks import YIELDS, Crowd
 
 
-def test_a_scene_that_fails_costs_no_other_scenes_row(tmp_path, capsys):
-    scene = SCENES["office"](np.random.default_rng(0), spacing=0.05)
-    for name in ("no?name", "office"):  # the service takes no such name for a scene
-        np.savez(
-            tmp_path / f"{name}.npz", xyz=scene.points, label=scene.ground.astype(int), classes=["other", "ground"]
-        )
-    words = [word for name in ("no?name", "office") for word in ("--scene", str(tmp_path / f"{name}.npz"))]
-    assert main(["bench", "guide", *words, "--count", "1", "--json"]) == 1
-    refused, office, everything = json.loads(capsys.readouterr().out)
-    assert "no?name" in refused["failed"]
-    assert refused["walks"] == 0
-    assert (office["walks"], office["arrived"], "failed" in office) == (1, 1, False)
-    assert everything["walks"] == 1
+def walk_over(risers, said, pause_at=None):
+    """A walk along x at 0.35 m/s over edges of 17 cm; it may stand for six seconds at a place."""
+    x = np.arange(0.0, 6.0, 0.0175)
+    if pause_at is not None:
+        row = int(np.searchsorted(x, pause_at))
+        x = np.concatenate([x[:row], np.full(120, x[row]), x[row:]])
+    places = np.column_stack([x, 0 * x, 0.17 * np.searchsorted(risers, x)])
+    times = 0.05 * np.arange(len(x))
+    return Walk(times, places, tuple(said), Outcome.ARRIVED, "", 0.0, 1, 0.0, 0.0)
+
+
+def told(time, place):
+    one = Instruction(Kind.STAIRS, Urgency.ACT, (place, 0.0), amount=0.17)
+    return Said(time, np.zeros(3), one, "take the stairs")
+
+
+def test_an_edge_counts_as_told_if_the_sentence_was_over_before_the_foot():
+    stairs = 3.0 + 0.3 * np.arange(4)
+    assert edges_told(walk_over(stairs, [told(2.0, 3.0)])) == [True]
+    assert edges_told(walk_over(stairs, [told(8.4, 3.0)])) == [False]  # in the same moment
+    assert edges_told(walk_over(stairs, [told(2.0, 5.0)])) == [False]  # of another place
+    assert edges_told(walk_over(stairs, [])) == [False]
+
+
+def test_who_stands_for_long_on_stairs_is_still_on_the_same_ones():
+    stairs = 3.0 + 0.3 * np.arange(4)
+    assert edges_told(walk_over(stairs, [told(2.0, 3.0)], pause_at=3.4)) == [True]
+    assert edges_told(walk_over(np.append(stairs, 5.5), [told(2.0, 3.0)])) == [True, False]
+
+
+def test_people_who_see_do_not_walk_into_who_does_not():
+    rng = np.random.default_rng(0)
+    candidates = np.column_stack([rng.uniform(0, 6, (100, 2)), np.zeros(100)])
+    crowd = Crowd.of(3, candidates, lambda xy: np.zeros(len(xy)), rng)
+    crowd.places = np.array([[0.5, 0.5, 0.0], [5.0, 5.0, 0.0], [5.0, 0.5, 0.0]])
+    person, moved = np.array([3.0, 3.0, 0.0]), 0.0
+    for tick in range(2000):
+        before = crowd.places.copy()
+        crowd.move(0.05 * tick, 0.05, person)
+        moved += float(np.abs(crowd.places - before).sum())
+        assert np.hypot(*(crowd.places - person)[:, :2].T).min() > YIELDS - 1e-6
+    assert moved > 10.0
+    assert crowd.penetration(np.array([*crowd.places[0, :2], 0.0])) == 0.5
+    assert crowd.penetration(np.array([*crowd.places[0, :2], 3.0])) < 0.5  # on another storey

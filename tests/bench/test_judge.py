@@ -17,7 +17,7 @@ def path_of(contact, top):
 
 def test_a_hit_between_two_waypoints_is_seen_only_strictly():
     judge, agent = judge_of(Pillar((3.0, 2.0, 0.0), 0.1, 2.0)), AGENTS["human"]
-    path = path_of([(1, 2, 0), (5, 2, 0)], [(1, 2, 2), (5, 2, 2)])
+    path = path_of([(2.5, 2, 0), (3.5, 2, 0)], [(2.5, 2, 2), (3.5, 2, 2)])
     assert judge.judge_waypoints(path, agent).collision_free
     strict = judge.judge(path, agent)
     assert not strict.collision_free

@@ -11,6 +11,16 @@ from gpdf_service.bench.plan import random_places
 from gpdf_service.cli import main
 from gpdf_service.types import AGENTS
 
+pytestmark = pytest.mark.slow
+
+
+def write_floor(path, width, roof=()):
+    """A square floor, and roofs at those heights, labelled."""
+    x, y = (axis.ravel() for axis in np.meshgrid(np.arange(0, width, 0.05), np.arange(0, width, 0.05)))
+    points = np.concatenate([np.column_stack([x, y, np.full(x.size, z)]) for z in (0.0, *roof)])
+    label = (points[:, 2] == 0.0).astype(int)
+    np.savez(path, xyz=points, label=label, classes=np.array(["other", "floor"]))
+
 
 @pytest.fixture(scope="module")
 def evaluated(tmp_path_factory, office):
@@ -18,7 +28,7 @@ def evaluated(tmp_path_factory, office):
     folder, made = tmp_path_factory.mktemp("paper"), office[0]
     labels = {"label": made.ground.astype(int), "classes": np.array(["other", "ground"])}
     np.savez(folder / "cloud.npz", xyz=made.points, **labels)
-    words = ["bench", "paper", "--scene", f"office={folder / 'cloud.npz'}", "--agent", "human", "--queries", "8"]
+    words = ["bench", "paper", "--scene", f"office={folder / 'cloud.npz'}", "--agent", "human", "--queries", "3"]
     words += ["--keep", str(folder / "kept")]
     outputs = ["--json", str(folder / "rows.json"), "--markdown", str(folder / "tables.md"), "--png", str(folder)]
     assert main([*words, "--noise", "0", *outputs]) == 0
@@ -57,16 +67,19 @@ def test_what_is_kept_is_not_made_again_unless_other_things_are_asked(evaluated,
     words = ["bench", "paper", "--scene", f"office={folder / 'cloud.npz'}", "--agent", "human", "--noise", "0"]
     words += ["--keep", str(folder / "kept"), "--json", "--queries"]
     file.write_text(json.dumps(kept | {"rows": [{**rows[-1], "p50_cpu_ms": -1.0}]}))
-    assert main([*words, "8"]) == 0
+    assert main([*words, "3"]) == 0
     assert [row["p50_cpu_ms"] for row in json.loads(capsys.readouterr().out)] == [-1.0]
     assert main([*words, "1"]) == 0
     assert [row["queries"] for row in json.loads(capsys.readouterr().out)] == [1] * 4
 
 
-def test_scenes_in_processes_are_told_in_their_order(capsys):
+def test_scenes_in_processes_are_told_in_their_order(tmp_path, capsys):
+    for name, width in (("large", 8.0), ("small", 3.0)):  # the second is done first
+        write_floor(tmp_path / f"{name}.npz", width)
     words = ["bench", "paper", "--agent", "human", "--method", "astar", "--queries", "2", "--noise", "0", "--jobs", "2"]
-    assert main([*words, "--scene", "cluttered_office", "--scene", "office", "--json"]) == 0
-    assert [row["scene"] for row in json.loads(capsys.readouterr().out)] == ["cluttered_office", "office"]
+    words += ["--scene", str(tmp_path / "large.npz"), "--scene", str(tmp_path / "small.npz")]
+    assert main([*words, "--json"]) == 0
+    assert [row["scene"] for row in json.loads(capsys.readouterr().out)] == ["large", "small"]
 
 
 def test_the_pictures_are_drawn(evaluated):
@@ -101,11 +114,8 @@ def test_bench_plan_says_how_many_of_the_solvable_are_ok(capsys):
 
 
 def test_a_scene_without_room_fails_and_the_others_are_still_told(tmp_path, capsys):
-    x, y = (axis.ravel() for axis in np.meshgrid(np.arange(0, 3, 0.05), np.arange(0, 3, 0.05)))
-    floor, low_roof = (np.column_stack([x, y, np.full(x.size, z)]) for z in (0.0, 1.0))
-    label = {"label": np.repeat([1, 0], x.size), "classes": np.array(["other", "floor"])}
-    np.savez(tmp_path / "crawl.npz", xyz=np.concatenate([floor, low_roof]), **label)
-    np.savez(tmp_path / "open.npz", xyz=floor, label=np.ones(x.size, dtype=int), classes=label["classes"])
+    write_floor(tmp_path / "crawl.npz", 3.0, roof=[1.0])
+    write_floor(tmp_path / "open.npz", 3.0)
     words = ["bench", "paper", "--scene", str(tmp_path), "--agent", "human", "--method", "astar", "--queries", "3"]
     assert main([*words, "--noise", "0", "--json"]) == 1
     said = capsys.readouterr()

@@ -1,11 +1,14 @@
 import math
 
 import numpy as np
+import pytest
 from PIL import Image
 
 from gpdf_service.bench.plotting import draw_rows
 from gpdf_service.cli import main
 from gpdf_service.viewer.picture import COLOURS
+
+pytestmark = pytest.mark.slow
 
 ROWS = [{"scene": "office", "arrived": 8, "error_m": 0.02}, {"scene": "all", "arrived": 4, "error_m": math.nan}]
 

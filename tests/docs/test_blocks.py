@@ -9,7 +9,6 @@ import re
 import shlex
 import shutil
 import signal
-import socket
 import subprocess
 import sys
 import time
@@ -20,6 +19,7 @@ import pytest
 from blocks import ROOT, blocks_of, pages
 from gpdf_client import Client, UnavailableError
 
+from gpdf_service.bench.running import free_endpoint
 from gpdf_service.cli import find_verb
 from gpdf_service.service.options import gather
 from gpdf_service.service.server import Options, Server
@@ -39,13 +39,9 @@ STAYS = re.compile(r"gpdf (serve(?!.*--print-config)|view|ros2|(guide|drive)(?!.
 """Commands that go on until they are stopped."""
 SHELLS = ("console", "bash", "")
 WAIT_S = 60
+SILENT_S = 5
+"""[s] For what may have nothing to say: that it is still there afterwards is what counts."""
 PAGES = [page for page in pages() if any(block.language in ("python", *SHELLS) for block in blocks_of(page))]
-
-
-def free_endpoint():
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return f"tcp/127.0.0.1:{probe.getsockname()[1]}"
 
 
 @pytest.fixture(scope="module")
@@ -70,7 +66,7 @@ def service(clouds, tmp_path_factory):
     """The endpoint of a running service."""
     scenes = [(name, clouds / "out" / f"{name}.npz") for name in ("office", "stair")]
     endpoint = free_endpoint()
-    with Server(Options(endpoint, clouds / "out", tmp_path_factory.mktemp("log"), 2), scenes):
+    with Server(Options(endpoint, clouds / "out", tmp_path_factory.mktemp("log"), 1), scenes):
         with Client.connect(endpoint) as client:
             for name, _ in scenes:
                 client.wait_for_scene(name, timeout_s=WAIT_S)
@@ -89,6 +85,7 @@ class Session:
             "PYTHONPATH": os.pathsep.join(map(str, paths)),
             "PATH": f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}",
             "HOME": str(folder),
+            "GPDF_WORKERS": "1",  # what a page shows does not hang on how many processes plan
         }
         self.started = []
 
@@ -143,7 +140,7 @@ class Session:
         if serves and "--zenoh" not in line:
             self.await_ready(process, endpoint, planner="--map" not in line)
         else:
-            time.sleep(5)  # nothing outside tells that it is ready; that it is still there is what counts
+            self.await_words(process, Path(log.name), WAIT_S if serves else SILENT_S)
         assert process.poll() is None, f"{line} ended\n{Path(log.name).read_text()}"
 
     def await_ready(self, process, endpoint, planner):
@@ -161,6 +158,12 @@ class Session:
             except UnavailableError:
                 pass
             time.sleep(0.2)
+
+    def await_words(self, process, log, seconds):
+        """Until it says something, which it does at work."""
+        until = time.monotonic() + seconds
+        while process.poll() is None and not log.stat().st_size and time.monotonic() < until:
+            time.sleep(0.05)
 
     def end(self):
         """SIGINT, as a person ends it; a service and a page end well by it."""

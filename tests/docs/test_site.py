@@ -9,6 +9,8 @@ from blocks import ROOT
 
 from gpdf_service.cli import VERBS
 
+pytestmark = pytest.mark.slow
+
 
 class Links(HTMLParser):
     """The names that a page has, where it leads to, and what a browser fetches for it."""

@@ -1,0 +1,123 @@
+"""Real clouds that defeated perception: a museum's stair at every voxel width and angle, spiral ramps and bridges."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from gpdf_service.bench.columns import ColumnSearch
+from gpdf_service.bench.report import Row
+from gpdf_service.errors import GpdfError
+from gpdf_service.perception import read_cloud
+from gpdf_service.pipeline import build_scene, plan
+from gpdf_service.scene import Scene
+from gpdf_service.synthetic.solids import turn_and_shift
+from gpdf_service.types import AGENTS, Agent, FloatArray, Status
+
+HALL, SPIRAL = "hall_stair_2cm.npz", "spiral_ramps_20cm.npz"
+FOOT, HEAD = np.array([59.6, 34.4, 0.55]), np.array([59.6, 28.6, 5.15])
+"""[m] In front of the museum's stair, and on its gallery."""
+FLIGHT = np.array([[58.8, 30.9, 0.9], [60.4, 31.45, 4.6]])
+"""[m] A piece of 0.55 m of its flight, with all that is over and under it."""
+WIDTHS = (0.02, 0.03, 0.04, 0.05, 0.06)
+"""[m] Voxels to which the museum is thinned."""
+TURNS = 7
+"""Angles that it is turned by, over a whole turn."""
+NEAR = 0.3
+"""[m] Ends are moved by this at most: the points of the stair's surroundings are another in every voxel width."""
+SPIRAL_CELL = 0.2
+"""[m] Voxels of the spiral."""
+SPIRAL_BODY = replace(AGENTS["human"], name="human_spiral", max_step=0.30, max_slope=0.40)
+"""The limits that the scene was published with."""
+SPIRAL_BODIES = (SPIRAL_BODY, AGENTS["spot"])
+SPIRAL_QUERY = np.array([[-16.0, -6.0], [-26.0, -5.0]])
+"""[m] The published query, at the ground."""
+DECK = 500
+"""Places: a component of fewer is no deck."""
+
+
+def hall_rows(folder: Path, turns: int, seed: int) -> Iterator[Row]:
+    """For each width: of so many angles, in how many a human gets up and down; with the flight cut, in how many yet.
+
+    Args:
+        folder: Where the clouds are.
+        turns: Angles, at most.
+        seed: Of the thinning.
+    """
+    points = read_cloud(folder / HALL).points
+    cut = ~((points >= FLIGHT[0]) & (points <= FLIGHT[1])).all(axis=1)
+    for width in WIDTHS:
+        row: Row = {"row": "hall", "width_m": width, "turns": turns, "up": 0, "down": 0, "cut_joined": 0}
+        spent = []
+        for turn in range(turns):
+            T = turn_and_shift(2 * np.pi * turn / TURNS)
+            for cloud, names in ((points, ("up", "down")), (points[cut], ("cut_joined", "cut_joined"))):
+                thin = _thinned(cloud, width, np.random.default_rng(seed + turn)) @ T[:3, :3].T
+                found, seconds = _both_ways(thin, FOOT @ T[:3, :3].T, HEAD @ T[:3, :3].T)
+                spent.append(1e6 * seconds / len(thin))
+                for name, ok in zip(names, found, strict=True):
+                    row[name] += ok
+        yield row | {"us_a_point": float(np.median(spent))}
+
+
+def _thinned(points: FloatArray, width: float, rng: np.random.Generator) -> FloatArray:
+    """One random point of each voxel."""
+    order = rng.permutation(len(points))
+    cell = np.floor(points[order] / width).astype(np.int64)
+    _, first = np.unique(cell, axis=0, return_index=True)
+    return points[np.sort(order[first])]
+
+
+def _both_ways(points: FloatArray, low: FloatArray, high: FloatArray) -> tuple[tuple[bool, bool], float]:
+    """Whether a human gets up and down, and the processor's seconds of the build."""
+    began = time.process_time()
+    try:
+        scene = build_scene(points)
+    except GpdfError:
+        return (False, False), time.process_time() - began
+    seconds = time.process_time() - began
+    return (_gets(scene, low, high), _gets(scene, high, low)), seconds
+
+
+def _gets(scene: Scene, start: FloatArray, goal: FloatArray) -> bool:
+    return plan(scene, start, goal, "human", snap=NEAR).status is Status.OK
+
+
+def spiral_rows(folder: Path, count: int, seed: int) -> Iterator[Row]:
+    """For each body the published query, then random pairs on decks and ramps that a search over columns joins."""
+    points = read_cloud(folder / SPIRAL).points
+    began = time.process_time()
+    scene = build_scene(points)
+    built = time.process_time() - began
+    for body in SPIRAL_BODIES:
+        search = ColumnSearch(points, body, SPIRAL_CELL)
+        row: Row = {"row": "spiral", "agent": body.name, "points": len(points), "build_s": built}
+        began = time.process_time()
+        scene.free_space(body)
+        row["space_s"] = time.process_time() - began
+        ground = float(points[:, 2].min())
+        query = np.array([search.places[search.nearest(np.append(end, ground))] for end in SPIRAL_QUERY])
+        published = plan(scene, query[0], query[1], body, snap=SPIRAL_CELL)
+        pairs = search.random_pairs(count, np.random.default_rng(seed), DECK)
+        yield row | {"published": str(published.status)} | _solved(scene, pairs, body)
+
+
+def _solved(scene: Scene, pairs: FloatArray, agent: Agent) -> Row:
+    said, spent = [], []
+    for start, goal in pairs:
+        began = time.process_time()
+        said.append(plan(scene, start, goal, agent, snap=SPIRAL_CELL).status)
+        spent.append(time.process_time() - began)
+    high = np.ptp(pairs[:, :, 2], axis=1) > agent.height
+    ok = np.array([status is Status.OK for status in said])
+    return {
+        "pairs": len(pairs),
+        "ok": int(ok.sum()),
+        "pairs_high": int(high.sum()),
+        "ok_high": int(ok[high].sum()),
+        "p50_ms": 1e3 * float(np.median(spent)) if spent else float("nan"),
+    }

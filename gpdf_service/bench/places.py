@@ -1,0 +1,96 @@
+"""Where a body may stand without being told a height, and what is known of ground that no way leads to."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from gpdf_service.bench.exact import ON, SPACING, worst_foot
+from gpdf_service.bench.houses import THIN
+from gpdf_service.bench.judge import Judge
+from gpdf_service.bench.report import Row
+from gpdf_service.pipeline import build_scene, plan
+from gpdf_service.scene import Scene
+from gpdf_service.synthetic.place import SEEN, Place
+from gpdf_service.synthetic.places import ISLANDS, ONE_FLOOR
+from gpdf_service.synthetic.scanners import NOISE, SCANNERS, Scan
+from gpdf_service.types import AGENTS, Agent, FloatArray, Status
+
+STARTS = 100
+"""Random starts in each place, where nothing else is asked for."""
+GRID = 0.1
+"""[m] Between the places of an island that are asked for."""
+RIM = 0.4
+"""[m] Of an island, that is left out: a body does not stand there."""
+
+
+def land_rows(scanner: str, count: int | None, seed: int, noise: float | None = None) -> Iterator[Row]:
+    """For each crowded place: of random starts (x, y), how many are taken, and how many of these are wrong."""
+    for make in ONE_FLOOR:
+        place, scan = _scanned(make(np.random.default_rng(seed)), scanner, seed, noise)
+        scene = build_scene(scan.points)
+        low, high = scan.points[:, :2].min(axis=0), scan.points[:, :2].max(axis=0)
+        starts = np.random.default_rng(seed).uniform(low, high, (count or STARTS, 2))
+        judge = Judge(*place.world.sample(SPACING, 0.0))
+        sigma = NOISE[scanner] if noise is None else noise
+        for name in ("human", "roomba"):
+            row: Row = {"row": "lands", "place": place.name, "scanner": scanner, "agent": name, "starts": len(starts)}
+            yield row | _land(scene, judge, place, AGENTS[name], starts) | {"noise_m": sigma}
+
+
+def _scanned(place: Place, scanner: str, seed: int, noise: float | None) -> tuple[Place, Scan]:
+    rng = np.random.default_rng(seed)
+    scan = SCANNERS[scanner](place, rng, NOISE[scanner] if noise is None else noise)
+    return place, scan.thinned(THIN, rng)
+
+
+def _land(scene: Scene, judge: Judge, place: Place, agent: Agent, starts: FloatArray) -> Row:
+    """A plan from a start to itself says where it lands: each is held against the world."""
+    taken = [plan(scene, start, start, agent) for start in starts]
+    paths = [result.trajectory for result in taken if result.status is Status.OK and result.trajectory is not None]
+    feet = np.array([worst_foot(place.world, path.ground[:1], agent.max_step) for path in paths])
+    deep = np.array([judge.penetration(path.ground[0], agent) for path in paths])
+    return {
+        "landed": len(paths),
+        "no_ground": int((np.abs(feet) > ON).sum()),
+        "touching": int((deep > 0.0).sum()),
+        "deepest_mm": 1e3 * float(deep.max(initial=0.0)),
+    }
+
+
+def island_rows(scanner: str, count: int | None, seed: int, noise: float | None = None) -> Iterator[Row]:
+    """For pits, galleries and platforms: how much of them is known as ground, stood on, and wrongly joined."""
+    for make in ISLANDS:
+        for number in range(seed, seed + (count or 3)):
+            place, scan = _scanned(make(np.random.default_rng(number)), scanner, number, noise)
+            scene = build_scene(scan.points)
+            ground = scan.points[scan.ground]
+            places = seen_places(place.islands[0], ground)
+            heights = np.stack([surface.height_at(places[:, :2]) for surface in scene.surfaces])
+            known = (np.abs(heights - places[:, 2]) <= ON).any(axis=0)
+            rng = np.random.default_rng(number)
+            some = places[rng.permutation(len(places))[:10]]
+            home = place.seen_end(0, ground, rng)
+            yield {
+                "row": "island",
+                "place": place.name,
+                "scanner": scanner,
+                "seed": number,
+                "places": len(places),
+                "known": float(known.mean()) if known.size else float("nan"),
+                "asked": len(some),
+                "stands": sum(plan(scene, one, one, "human").status is Status.OK for one in some),
+                "joined": sum(plan(scene, home, one, "human").status is Status.OK for one in some),
+            }
+
+
+def seen_places(corners: FloatArray, ground: FloatArray) -> FloatArray:
+    """Places of a rectangle, `RIM` from its edges, beside which ground was seen, (n, 3) [m]."""
+    a, u, v = corners[0], corners[1] - corners[0], corners[3] - corners[0]
+    across = [np.arange(RIM, np.linalg.norm(side) - RIM, GRID) / np.linalg.norm(side) for side in (u, v)]
+    s, t = (axis.ravel()[:, None] for axis in np.meshgrid(*across))
+    places = a + s * u + t * v
+    seen: FloatArray = places[cKDTree(ground).query(places)[0] < SEEN]
+    return seen

@@ -1,0 +1,52 @@
+"""Which ways people are led: steps that they take though a level way is there, over random pairs of places.
+
+A level way is looked for in the free space of the same body that takes no step, by another search than the planner's.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from gpdf_service.bench.judge import Judge
+from gpdf_service.bench.report import Row
+from gpdf_service.pipeline import plan
+from gpdf_service.scene import Scene
+from gpdf_service.types import Agent, FloatArray, PlanResult, Status
+
+HIGH_STEP = 0.2
+"""[m] Steps that building codes do not let a stair have."""
+LONGER = 1.3
+"""[-] A level way that is no longer than this over the one that was taken would have been taken by a companion."""
+
+
+def measure_ways(scene: Scene, judge: Judge, agent: Agent, pairs: FloatArray) -> Row:
+    """Plan pairs of places (n, 2, 2) [m] and say how many take a high step that a level way of LONGER would spare."""
+    level = replace(agent, max_step=HIGH_STEP)
+    ok = high = needless = collisions = 0
+    longer = []
+    for start, goal in pairs:
+        result = plan(scene, start, goal, agent)
+        if result.status is not Status.OK or result.trajectory is None:
+            continue
+        ok += 1
+        collisions += not judge.judge(result.trajectory, agent).collision_free
+        quick = _length(plan(scene, start, goal, agent, prefer="quickest"))
+        longer.append(result.trajectory.length / quick)
+        if result.certificate is not None and result.certificate.max_step > HIGH_STEP:
+            high += 1
+            needless += _length(plan(scene, start, goal, level)) <= LONGER * result.trajectory.length
+    return {
+        "pairs": len(pairs),
+        "ok": ok,
+        "high_step": high,
+        "needless": needless,
+        "over_quickest": float(np.mean(longer)) if longer else float("nan"),
+        "collisions": collisions,
+    }
+
+
+def _length(result: PlanResult) -> float:
+    """Of its trajectory [m]; inf where there is none."""
+    return np.inf if result.trajectory is None else result.trajectory.length

@@ -1,0 +1,26 @@
+import numpy as np
+
+import gpdf_service as gpdf
+from gpdf_service.bench.build_changes import differences, measure_changes
+from gpdf_service.synthetic.scenes import random_room
+
+
+def test_changes_of_a_room_are_measured_and_equal_builds():
+    points = random_room(np.random.default_rng(7)).points
+    row = measure_changes("room", points, None, 2, 1)
+    assert (row["changes"], row["as_a_whole"], row["equal"]) == (2, 0, "1 of 1")
+    assert 0.0 < row["free_space_median_cpu_s"] < row["median_cpu_s"] <= row["worst_cpu_s"]
+
+
+def test_scenes_that_differ_are_told_apart():
+    points = random_room(np.random.default_rng(7)).points
+    scene = gpdf.build_scene(points)
+    middle = np.array([*points[:, :2].mean(axis=0), points[scene.ground, 2].min()])
+    box = middle + np.random.default_rng(0).uniform(0.0, 0.3, (400, 3))
+    other = gpdf.build_scene(np.concatenate([points, box]), np.r_[scene.ground, np.zeros(len(box), dtype=bool)])
+    assert differences(scene, scene) == []
+    assert differences(scene, other) == ["ground"]
+    labelled = gpdf.build_scene(points, scene.ground)
+    moved = gpdf.build_scene(points + np.where(scene.ground[:, None], 0.0, [0.1, 0.0, 0.0]), scene.ground)
+    assert "other points" in differences(labelled, moved)
+    assert "leaves" in differences(labelled, moved)

@@ -1,0 +1,200 @@
+"""`make mutants`: small random faults in the modules that keep people safe, and whether a test notices each.
+
+A mutant is one operator, comparison, condition, constant, minimum or maximum that is another. It is written into a copy
+of the checkout, where the module's own tests run until one fails. What survives is printed with its line: either a
+test is missing, or both behave alike, and then the reason stands in `EQUAL`.
+
+    python tests/mutants.py --count 40 --seed 1 --only certificate
+"""
+
+import argparse
+import ast
+import copy
+import os
+import random
+import shutil
+import subprocess
+import sys
+import tempfile
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+ROOT = Path(__file__).parent.parent
+TREES = ("gpdf_service", "clients", "schemas", "tests", "pyproject.toml")
+PLANS = ("tests/planning/test_planner.py", "tests/planning/test_plan_options.py")
+MODULES = {
+    "gpdf_service/planning/certificate.py": ("tests/planning/test_certificate.py", "tests/planning/test_planner.py"),
+    "gpdf_service/planning/endpoints.py": PLANS,
+    "gpdf_service/planning/planner.py": PLANS,
+    "gpdf_service/planning/timing.py": ("tests/planning/test_timing.py",),
+    "gpdf_service/search/graph.py": ("tests/search", "tests/test_update.py"),
+    "gpdf_service/search/quadtree.py": ("tests/search", "tests/test_update.py"),
+    "gpdf_service/search/lattice.py": ("tests/planning/test_footprint.py",),
+    "gpdf_service/perception/obstacles.py": ("tests/perception/test_obstacles.py", "tests/test_update.py"),
+    "gpdf_service/perception/limits.py": ("tests/perception/test_obstacles.py", "tests/perception/test_ground.py"),
+    "gpdf_service/service/in_use.py": ("tests/service/test_in_use.py",),
+    "gpdf_service/service/moving.py": ("tests/service/test_moving.py",),
+    "clients/gpdf_guidance/corridor.py": ("tests/clients/test_guidance.py",),
+    "clients/gpdf_robot/driver.py": ("tests/clients/test_robot.py", "tests/clients/test_robot_parts.py"),
+    "clients/gpdf_robot/controller.py": ("tests/clients/test_robot_parts.py",),
+}
+"""Each module, and the tests that are its own."""
+EQUAL: dict[str, str] = {}
+"""Mutants that behave as what they were made of, as they are printed, and why."""
+LIMIT_S = 900
+"""A mutant that takes longer hangs: it was noticed."""
+SWAPS = {
+    **{ast.Lt: ast.LtE, ast.LtE: ast.Lt, ast.Gt: ast.GtE, ast.GtE: ast.Gt, ast.Eq: ast.NotEq, ast.NotEq: ast.Eq},
+    **{ast.Add: ast.Sub, ast.Sub: ast.Add, ast.Mult: ast.Div, ast.Div: ast.Mult, ast.And: ast.Or, ast.Or: ast.And},
+    **{ast.BitAnd: ast.BitOr, ast.BitOr: ast.BitAnd, ast.Is: ast.IsNot, ast.IsNot: ast.Is},
+}
+REVERSED = {ast.Lt: ast.Gt, ast.LtE: ast.GtE, ast.Gt: ast.Lt, ast.GtE: ast.LtE}
+NAMES = {"min": "max", "max": "min", "minimum": "maximum", "maximum": "minimum", "any": "all", "all": "any"}
+
+
+@dataclass(frozen=True)
+class Mutant:
+    """A module's text with one fault in it."""
+
+    module: str
+    line: int
+    what: str
+    text: str
+
+    def __str__(self):
+        return f"{self.module}:{self.line}  {self.what}"
+
+
+def changes(node):
+    """What is put in an expression's place, as new nodes; nothing for most."""
+    if isinstance(node, ast.Compare):
+        for i, op in enumerate(node.ops):
+            for table in (SWAPS, REVERSED):
+                if type(op) in table:
+                    made = copy.deepcopy(node)
+                    made.ops[i] = table[type(op)]()
+                    yield made
+    if isinstance(node, ast.BinOp | ast.BoolOp) and type(node.op) in SWAPS:
+        made = copy.deepcopy(node)
+        made.op = SWAPS[type(node.op)]()
+        yield made
+    if isinstance(node, ast.BoolOp):
+        for i in range(len(node.values)):
+            made = copy.deepcopy(node)
+            made.values.pop(i)
+            yield made
+    if isinstance(node, ast.UnaryOp) and isinstance(node.op, ast.Not | ast.USub | ast.Invert):
+        yield node.operand
+    if isinstance(node, ast.Constant) and isinstance(node.value, bool):
+        yield ast.Constant(not node.value)
+    elif isinstance(node, ast.Constant) and isinstance(node.value, int | float):
+        yield ast.Constant(node.value + 1 if isinstance(node.value, int) else 2.0 * node.value + 0.1)
+    if isinstance(node, ast.Call):
+        made = copy.deepcopy(node)
+        name = made.func
+        key = "id" if isinstance(name, ast.Name) else "attr" if isinstance(name, ast.Attribute) else None
+        if key and getattr(name, key) in NAMES:
+            setattr(name, key, NAMES[getattr(name, key)])
+            yield made
+
+
+def expressions(tree):
+    """The expressions that run: neither annotations nor decorators."""
+    for node in ast.walk(tree):
+        for name in ("annotation", "returns", "decorator_list"):
+            if hasattr(node, name):
+                setattr(node, name, [] if name == "decorator_list" else None)
+        if isinstance(node, ast.If | ast.IfExp | ast.While):
+            yield node.test, [ast.UnaryOp(ast.Not(), node.test)]
+        if isinstance(node, ast.expr):
+            yield node, changes(node)
+
+
+def mutants_of(module, source):
+    """Every single fault of a module."""
+    lines = source.splitlines(keepends=True)
+    begin = [0]
+    for line in lines:
+        begin.append(begin[-1] + len(line.encode()))
+    raw, found = source.encode(), []
+    for node, others in expressions(ast.parse(source)):
+        a, b = begin[node.lineno - 1] + node.col_offset, begin[node.end_lineno - 1] + node.end_col_offset
+        for other in others:
+            new = f"({ast.unparse(ast.fix_missing_locations(other))})"
+            text = (raw[:a] + new.encode() + raw[b:]).decode()
+            what = " ".join(f"{raw[a:b].decode()}  →  {new}".split())
+            found.append(Mutant(module, node.lineno, what[:150], text))
+    return found
+
+
+def check_out(folder):
+    """A copy of the checkout, with the kernels that are compiled already."""
+    for name in TREES:
+        source = ROOT / name
+        if source.is_dir():
+            shutil.copytree(source, folder / name)
+        else:
+            shutil.copy2(source, folder / name)
+
+
+def forget_kernels(folder):
+    """Compiled callers hold what they called: Numba does not see that a module which they import is another."""
+    for kernel in [*folder.rglob("*.nbi"), *folder.rglob("*.nbc")]:
+        kernel.unlink()
+
+
+def is_noticed(mutant, folder):
+    """Whether a test of the module fails with the mutant in it."""
+    file = folder / mutant.module
+    was = file.read_text()
+    file.write_text(mutant.text)
+    if "njit" in was:
+        forget_kernels(folder / "gpdf_service")
+    paths = os.pathsep.join(str(folder / name) for name in (".", "clients", "schemas"))
+    words = [sys.executable, "-m", "pytest", "-x", "-q", "-p", "no:xdist", "-p", "no:cacheprovider", "-m", "not slow"]
+    try:
+        done = subprocess.run(
+            [*words, *MODULES[mutant.module]],
+            cwd=folder,
+            env={**os.environ, "PYTHONPATH": paths},
+            capture_output=True,
+            timeout=LIMIT_S,
+        )
+    except subprocess.TimeoutExpired:
+        return True
+    finally:
+        file.write_text(was)
+    if done.returncode not in (0, 1, 2):
+        raise RuntimeError(done.stdout.decode()[-2000:])
+    return done.returncode != 0
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("--count", type=int, default=400, help="mutants, drawn from all modules alike")
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--only", default="", help="modules whose path holds this")
+    parser.add_argument("--line", type=int, help="of one module, all mutants of this line")
+    args = parser.parse_args()
+    chosen = [module for module in MODULES if args.only in module]
+    found = [mutant for module in chosen for mutant in mutants_of(module, (ROOT / module).read_text())]
+    if args.line is not None:
+        found = [mutant for mutant in found if mutant.line == args.line]
+    drawn = random.Random(args.seed).sample(found, min(args.count, len(found)))
+    survived, began = [], time.monotonic()
+    with tempfile.TemporaryDirectory() as name:
+        check_out(Path(name))
+        for number, mutant in enumerate(drawn, 1):
+            noticed = is_noticed(mutant, Path(name))
+            if not noticed:
+                survived.append(mutant)
+            word = "noticed" if noticed else "equal" if str(mutant) in EQUAL else "SURVIVED"
+            print(f"{number}/{len(drawn)} {time.monotonic() - began:.0f} s  {word:<8}  {mutant}", flush=True)
+    open_ones = [mutant for mutant in survived if str(mutant) not in EQUAL]
+    print(f"{len(drawn)} of {len(found)} mutants, {len(drawn) - len(survived)} noticed, {len(open_ones)} survived")
+    return 1 if len(open_ones) > 0.1 * len(drawn) else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
