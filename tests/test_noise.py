@@ -6,6 +6,8 @@ import pytest
 import gpdf_service as gpdf
 from gpdf_service.bench.judge import Judge
 from gpdf_service.bench.plan import random_places
+from gpdf_service.config import PerceptionConfig
+from gpdf_service.perception.cure import cure_and_segment
 from gpdf_service.synthetic import SCENES
 from gpdf_service.synthetic.world import Box, World
 
@@ -140,3 +142,11 @@ def test_a_floor_that_a_scanner_has_looked_straight_down_on_is_as_free_as_that_f
     space = scene.free_space("roomba")
     clearance, _ = space.clearance(0, rng.uniform([0.5, 0.5], [7.5, 2.5], (2000, 2)))
     assert (clearance >= space.reach).mean() > 0.8  # 0.45 by the noise of the places that show least of it
+
+
+@pytest.mark.parametrize("seed", [0, 1, 2])
+def test_the_rim_of_a_sofas_underside_is_no_tread_up_to_its_seat(seed):
+    made = SCENES["cluttered_office"](np.random.default_rng(seed), noise=0.02)
+    ground = cure_and_segment(made.points, None, PerceptionConfig()).ground
+    assert not ground[made.points[:, 2] > 0.3].any()
+    assert ground[made.ground].mean() > 0.97

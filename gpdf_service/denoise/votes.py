@@ -73,6 +73,8 @@ def add_vote(
         return count
     aside = x * x + y * y + z * z - height * height
     weight = plane[6] / (1.0 + aside / plane[7]) * exp(-0.5 * max(plane[8], 0.0) ** 2) * plane[9]
+    if weight == 0.0:  # its points bend so much that they are of no plane
+        return count
     at = count
     while at > 0 and votes[at - 1, 4] < weight:
         votes[at] = votes[at - 1]
@@ -199,5 +201,5 @@ def onto_plane(found: FloatArray, kinds: int, ends: FloatArray, i: int, x: Float
             continue
         slant = found[i, 0] * found[j, 0] + found[i, 1] * found[j, 1] + found[i, 2] * found[j, 2]
         for k in range(3):
-            place[k] -= beyond * (found[j, k] - slant * found[i, k]) / (1.0 - slant * slant)
+            place[k] -= beyond * (found[j, k] - slant * found[i, k]) / max(1.0 - slant * slant, 1e-6)
     return float((x[0] - place[0]) ** 2 + (x[1] - place[1]) ** 2 + (x[2] - place[2]) ** 2)

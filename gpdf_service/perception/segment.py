@@ -227,12 +227,13 @@ def find_ground(near: Beside, config: PerceptionConfig, relief: float = 0.0) -> 
     layers, width = near.layers, near.layers.cell_width
     rise, need = width * float(np.tan(config.steepest)), _support(width)
     every = np.ones(len(layers.cell), dtype=bool)
-    smooth = near.degrees(every, rise)
     keep = layers.headroom >= config.step_headroom
-    core = (smooth >= need) & (keep | ~over_ground(layers, every, config.step_headroom))  # or it is in a full shelf
+    open_ = keep | ~over_ground(layers, every, config.step_headroom)  # or it is in a full shelf, or beneath a sofa
+    smooth = near.degrees(open_, rise)
+    core = open_ & (smooth >= need)
     if not (core & keep).any():
         raise NoGroundError(*NO_SURFACE)
-    gentle = near.degrees(every, width * float(np.tan(config.standable_slope))) >= need
+    gentle = near.degrees(open_, width * float(np.tan(config.standable_slope))) >= need
     slope = _slope(near, core, config)
     flat = core & ((smooth > need) | gentle) & (slope <= config.standable_slope)
     parts = build_parts(near, flat, keep, smooth == 8, rise, config)
