@@ -90,6 +90,8 @@ def _edge_range(
         if count == 0:
             continue
         kinds = cluster(votes, count, sigma, of, found)
+        if kinds == 0:
+            continue
         find_ends(votes, count, of, found, kinds, cells.width, ends)
         look_around(cells, c, at, near)
         own = rows[: gather_all(cells, near, rows)]

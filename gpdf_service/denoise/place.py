@@ -78,7 +78,7 @@ def _place_range(
         if count <= least:
             continue
         kinds = cluster(votes, count, sigma, of, found)
-        if least > 0 and not _is_alone(of[:count], found[:kinds], least):
+        if kinds == 0 or (least > 0 and not _is_alone(of[:count], found[:kinds], least)):
             continue
         find_ends(votes, count, of, found, kinds, cells.width, ends)
         if least == 0 and kinds > 1:

@@ -58,7 +58,7 @@ def fit_by_turns(
             x[0], x[1], x[2] = cells.places[i, 0] - a, cells.places[i, 1] - b, cells.places[i, 2] - d
             whole = _NONE
             for kind in range(kinds):
-                shares[kind] = _density(found, ends, kind, x, sigma) if found[kind, 4] > 0.0 else 0.0
+                shares[kind] = _density(found, ends, kind, x, sigma)
                 whole += shares[kind]
             for kind in range(kinds):
                 _add_share(sums[kind], shares[kind] / whole, x)

@@ -109,7 +109,26 @@ def cluster(votes: FloatArray, count: int, sigma: float, of: IntArray, found: Fl
                 of[j] = i
                 break
     _sum_votes(votes, count, of, found, kinds, sigma)
-    return kinds
+    return _without_empty(of[:count], found, kinds)
+
+
+@njit(cache=True, nogil=True)
+def _without_empty(of: IntArray, found: FloatArray, kinds: int) -> int:
+    """Drop planes whose votes all agree with a heavier one, or with none, and number the rest anew; how many they are.
+
+    Two votes that point far apart can have a mean which neither agrees with.
+    """
+    kept = 0
+    for kind in range(kinds):
+        if found[kind, 4] == 0.0:
+            continue
+        if kept < kind:
+            found[kept] = found[kind]
+            for j in range(len(of)):
+                if of[j] == kind:
+                    of[j] = kept
+        kept += 1
+    return kept
 
 
 @njit(cache=True, nogil=True)
@@ -174,7 +193,7 @@ def find_ends(
             continue
         for i in range(kinds):
             slant = found[i, 0] * found[j, 0] + found[i, 1] * found[j, 1] + found[i, 2] * found[j, 2]
-            if i == j or 1.0 - slant * slant < _ALIKE**2 or found[i, 4] == 0.0:
+            if i == j or 1.0 - slant * slant < _ALIKE**2:
                 continue
             least, most = 0.0, 0.0
             for v in range(count):
