@@ -14,7 +14,7 @@ SYSTEM_PACKAGES := libgl1 libegl1 libx11-6 libgomp1 libusb-1.0-0
 .PHONY: demo test test-page install check lint fix bench lock mutants schemas docs pictures measure system clean
 .DEFAULT_GOAL := install
 
-install: .venv/installed
+install: .venv/warm
 
 .venv/installed: pyproject.toml constraints.txt
 	@command -v $(PYTHON) >/dev/null || { echo "$(PYTHON) is not on the PATH: install Python 3.11, or name one: make PYTHON=/path/to/python3.11"; exit 1; }
@@ -22,6 +22,10 @@ install: .venv/installed
 	$(PYTHON) -m venv .venv
 	$(PY) -m pip install --quiet --constraint constraints.txt --upgrade pip
 	$(PY) -m pip install --quiet --constraint constraints.txt --editable '.[all]' --group dev
+	@touch $@
+
+# Compiling takes one core: `make -j 2 lint install` checks beside it.
+.venv/warm: .venv/installed
 	.venv/bin/gpdf warm
 	@touch $@
 
@@ -48,7 +52,7 @@ test-page: install
 	@if command -v npm >/dev/null; then npm --prefix tests/phone ci --no-audit --no-fund >/dev/null; fi
 	$(PY) -m pytest -m browser
 
-lint: install
+lint: .venv/installed
 	.venv/bin/ruff format --check $(SOURCES)
 	.venv/bin/ruff check $(SOURCES)
 	.venv/bin/mypy

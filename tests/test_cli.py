@@ -1,6 +1,7 @@
 import argparse
 import dataclasses
 import json
+import os
 import re
 import socket
 import subprocess
@@ -242,9 +243,12 @@ def test_whoever_stops_reading_ends_it_quietly(tmp_path):
     done = subprocess.run(["bash", "-c", words], capture_output=True, text=True, check=True)
     assert done.stderr == ""
     assert done.stdout.splitlines()[-1].lstrip("{") in ("0", "141")
-    closed = f"{sys.executable} -m gpdf_service.cli scene info {room} | (exec <&-; sleep 0); echo ${{PIPESTATUS[0]}}"
-    done = subprocess.run(["bash", "-c", closed], capture_output=True, text=True, check=True)
-    assert (done.stderr, done.stdout.split()[-1]) == ("", "141")
+    theirs, ours = os.pipe()
+    os.close(theirs)  # nobody reads
+    words = [sys.executable, "-m", "gpdf_service.cli", "scene", "info", str(room)]
+    done = subprocess.run(words, stdout=ours, stderr=subprocess.PIPE, text=True)
+    os.close(ours)
+    assert (done.stderr, done.returncode) == ("", 141)
 
 
 @pytest.mark.parametrize("verb", ["plan --start 1,1 --goal 2,2", "scene info", "scene build"])

@@ -10,8 +10,10 @@ import argparse
 import json
 import os
 import re
+import signal
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, nullcontext
 from difflib import get_close_matches
 from importlib import import_module
 
@@ -117,7 +119,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         return _without_verb(words)
     args: argparse.Namespace | None = None
     try:
-        args = parser_of(verb).parse_args(_joined(words[len(verb.split()) :]))
+        with _mortal() if argv is None else nullcontext():
+            args = parser_of(verb).parse_args(_joined(words[len(verb.split()) :]))
         if "numba" in sys.modules and sys.stderr.isatty():  # loaded by the verb's module, or not at all
             import_module("gpdf_service.cli.compiling").tell_of_compiling()
         code = int(import_module(VERBS[verb][0]).run(args))
@@ -137,6 +140,18 @@ def main(argv: Sequence[str] | None = None) -> int:
         return _report(error, as_json=getattr(args, "json", False))
     except KeyboardInterrupt:
         return 130
+
+
+@contextmanager
+def _mortal() -> Iterator[None]:
+    """Ctrl-C ends the process at once: as an exception it could be lost in a callback of a library that is loading."""
+    before = signal.getsignal(signal.SIGINT)
+    if before is signal.default_int_handler:  # else the shell wants it ignored
+        signal.signal(signal.SIGINT, signal.SIG_DFL)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
 
 
 def _without_verb(words: list[str]) -> int:

@@ -74,14 +74,12 @@ def _service(args: argparse.Namespace) -> Iterator[str]:
     if not cloud.is_file():
         yield args.scene
         return
-    import socket
     from tempfile import TemporaryDirectory
 
+    from gpdf_service.bench.running import free_endpoint
     from gpdf_service.service.server import Options, Server  # the light install has none
 
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        args.endpoint, args.zenoh = f"tcp/127.0.0.1:{probe.getsockname()[1]}", None
+    args.endpoint, args.zenoh = free_endpoint(), None
     with TemporaryDirectory() as log, Server(Options(args.endpoint, Path(log), Path(log)), [("scene", cloud)]):
         yield "scene"
 

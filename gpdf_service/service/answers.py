@@ -24,6 +24,10 @@ Answers = dict[str, Answer[Reply]]
 """By key."""
 
 
+LOOKED = "looked"
+"""The time of a reply that says when a plan looked at what moves [s]: what was published until then, it knew."""
+
+
 class RefusedError(Exception):
     """A request is refused, with the status that says why."""
 
@@ -65,7 +69,10 @@ def answer(by: Answer[Reply | bytes], planner: str, payload: bytes, received: fl
         reply = handle(msgspec.structs.replace(request, deadline_s=request.deadline_s - waited))
         if isinstance(reply, bytes):
             return reply
-        return encode(msgspec.structs.replace(reply, timings={**reply.timings, "waited": waited}, load=load))
+        timings = {**reply.timings, "waited": waited}
+        if LOOKED in timings:
+            timings[LOOKED] -= received
+        return encode(msgspec.structs.replace(reply, timings=timings, load=load))
     except (DecodeError, ValueError) as error:
         return no(Status.INVALID_REQUEST, str(error))
     except RefusedError as error:

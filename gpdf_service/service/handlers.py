@@ -135,8 +135,7 @@ class Handlers:
         until = time.monotonic() + request.deadline_s
         entry = self._ready(request.scene, request.deadline_s)
         while (file := entry.file) is not None:
-            moving = self.moving.living(request.scene)
-            if found := self._pool.ask(msgspec.structs.replace(ask, file=str(file)), moving, until):
+            if found := self._pool.ask(msgspec.structs.replace(ask, file=str(file)), self.moving.look, until):
                 if isinstance(request, PlanRequest) and decode(found, Reply).status is Status.OK:
                     self._remember(request, lambda: decode(found, PlanReply))
                 return found

@@ -52,46 +52,62 @@ class Moving:
         self._numbers = itertools.count()
         self._lock = threading.Lock()
 
-    def publish(self, scene: str, obstacles: Sequence[MovingObstacle]) -> None:
+    def publish(
+        self, scene: str, obstacles: Sequence[MovingObstacle], told: Callable[[float], None] = lambda at: None
+    ) -> None:
         """Take what somebody saw; each takes the place of the one before with its id.
+
+        Args:
+            scene: Where.
+            obstacles: What.
+            told: Told the moment [s] from which on whoever looks knows of it.
 
         Raises:
             ValueError: one has no sense or no room (the others are taken), or there is too much in the scene or in all
                 scenes together (none is taken).
         """
-        now = self._clock()
-        seen, wrong, room = {}, [], MAX_POINTS
+        seen, wrong, room = dict[str, tuple[FloatArray, float]](), [], MAX_POINTS
         for obstacle in obstacles:
             if len(obstacle.id) > MAX_ID:
                 wrong.append(f"an obstacle's id has {len(obstacle.id)} characters, at most {MAX_ID} are taken.")
                 continue
-            until = now + min(obstacle.lifetime_s, MAX_LIFETIME_S)
             try:
                 points = points_of(obstacle, room)
             except ValueError as error:
                 wrong.append(str(error))
             else:
-                seen[obstacle.id] = Living(points, until, next(self._numbers))
+                seen[obstacle.id] = points, min(obstacle.lifetime_s, MAX_LIFETIME_S)
                 room -= len(points)
         with self._lock:
+            now = self._clock()
             known = {name: found for name in self._living if (found := self._alive(name, now))}
-            living = {id_: one for id_, one in {**known.pop(scene, {}), **seen}.items() if one.until > now}
+            new = {id_: Living(points, now + lasts, next(self._numbers)) for id_, (points, lasts) in seen.items()}
+            living = {id_: one for id_, one in {**known.pop(scene, {}), **new}.items() if one.until > now}
             if _size(living) > MAX_POINTS:
                 raise ValueError(f"scene {scene!r} would have more than {MAX_POINTS} points that move. Thin them.")
             if living and _size(living) + sum(map(_size, known.values())) > MAX_IN_ALL:
                 raise ValueError(f"scene {scene!r} and all others would have more than {MAX_IN_ALL} points that move.")
             self._living = {**known, scene: living} if living else known
+        told(now)
         if wrong:
             raise ValueError(" ".join(wrong))
 
-    def merged(self, name: str, scene: Scene, more: Sequence[MovingObstacle] = ()) -> Scene:
-        """The scene with everything that moves in it now, and with `more`.
+    def look(self, scene: str) -> tuple[float, dict[str, Living]]:
+        """The moment [s], and what moves in a scene then, by the obstacle's id."""
+        with self._lock:
+            now = self._clock()
+            return now, self._alive(scene, now)
+
+    def merged(
+        self, name: str, scene: Scene, more: Sequence[MovingObstacle] = (), living: Mapping[str, Living] | None = None
+    ) -> Scene:
+        """The scene with everything that moves in it now, or with what is `living`, and with `more`.
 
         Raises:
             ValueError: `more` has too many points, or no sense.
         """
         with self._lock:
-            living = self._alive(name, self._clock())
+            living = self._alive(name, self._clock()) if living is None else living
             numbers = tuple(one.number for one in living.values())
             known = self._merged.get(name)
             if known is None or known[0] is not scene or known[1] != numbers:
@@ -111,8 +127,7 @@ class Moving:
 
     def living(self, scene: str) -> dict[str, Living]:
         """What moves in a scene now, by the obstacle's id."""
-        with self._lock:
-            return self._alive(scene, self._clock())
+        return self.look(scene)[1]
 
     def replace(self, scene: str, living: dict[str, Living]) -> None:
         """Take over what another process knows of a scene; on one machine all have the same `time.monotonic`."""

@@ -36,7 +36,8 @@ class Desk:
     def __init__(self, settings: Settings) -> None:
         self._planner, self._bodies = settings.planner, settings.bodies
         self._scenes = Held(settings.memory_bytes)
-        self._moving = Moving()
+        self._looked = 0.0
+        self._moving = Moving(lambda: self._looked)  # the service has looked, for all
         self._planning = Planning(
             lambda name, _: self._scenes.scene(self._scenes.held(name)), self._moving, self._planner
         )
@@ -49,6 +50,7 @@ class Desk:
 
     def answer(self, ask: Ask) -> bytes:
         """The reply's bytes; none if the scene cannot be read from its file."""
+        self._looked = ask.looked
         if ask.moving is not None:
             living = {one.id: Living(one.points.unpack(), one.until, one.number) for one in ask.moving}
             self._moving.replace(ask.scene, living)

@@ -23,7 +23,7 @@ from gpdf_schemas import (
 from gpdf_service.errors import RequestError
 from gpdf_service.pipeline import plan
 from gpdf_service.scene import Scene
-from gpdf_service.service.answers import Answers
+from gpdf_service.service.answers import LOOKED, Answers
 from gpdf_service.service.moving import Moving
 from gpdf_service.types import Agent, PlanResult, Trajectory, resolve_agent
 
@@ -49,7 +49,9 @@ class Planning:
 
     def plan(self, request: PlanRequest) -> PlanReply:
         """A trajectory."""
-        scene = self._moving.merged(request.scene, self._scene_of(request.scene, request.deadline_s), request.obstacles)
+        standing = self._scene_of(request.scene, request.deadline_s)
+        looked, living = self._moving.look(request.scene)
+        scene = self._moving.merged(request.scene, standing, request.obstacles, living)
         result = plan(
             scene,
             request.start,
@@ -66,9 +68,9 @@ class Planning:
             alternatives=request.alternatives,
             deadline_s=request.deadline_s,
         )
-        return self._plan_reply(request, scene, result)
+        return self._plan_reply(request, scene, result, looked)
 
-    def _plan_reply(self, request: PlanRequest, scene: Scene, result: PlanResult) -> PlanReply:
+    def _plan_reply(self, request: PlanRequest, scene: Scene, result: PlanResult, looked: float) -> PlanReply:
         return PlanReply(
             request_id=request.request_id,
             status=Status(result.status.value),
@@ -76,7 +78,7 @@ class Planning:
             scene=request.scene,
             scene_version=scene.version,
             planner=self._planner_id,
-            timings=result.timings,
+            timings={**result.timings, LOOKED: looked},
             trajectory=None if result.trajectory is None else _trajectory(result.trajectory),
             certificate=None if result.certificate is None else CertificateMessage(**_plain(result.certificate)),
             details=result.details,

@@ -10,7 +10,7 @@ import logging
 import select
 import threading
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 
 import msgspec
 import psutil
@@ -69,6 +69,7 @@ class Ask(msgspec.Struct, frozen=True):
         scene: Name of its scene.
         file: Where the scene is.
         moving: What moves in it; None: as before.
+        looked: When the service looked at what moves, on `time.monotonic` [s].
     """
 
     key: str
@@ -78,6 +79,7 @@ class Ask(msgspec.Struct, frozen=True):
     scene: str
     file: str
     moving: list[Seen] | None = None
+    looked: float = 0.0
 
 
 class _Process:
@@ -100,11 +102,11 @@ class _Process:
         """Until it can be asked."""
         self._pipe.recv_bytes()
 
-    def tell(self, ask: Ask, living: Mapping[str, Living]) -> None:
+    def tell(self, ask: Ask, looked: float, living: Mapping[str, Living]) -> None:
         """Ask it; `hear` next."""
         numbers = tuple(one.number for one in living.values())
         moving = None if self._told.get(ask.scene, ()) == numbers else [_as_seen(*item) for item in living.items()]
-        self._pipe.send_bytes(encode(msgspec.structs.replace(ask, moving=moving)))
+        self._pipe.send_bytes(encode(msgspec.structs.replace(ask, moving=moving, looked=looked)))
         self._told[ask.scene] = numbers
 
     def hear(self) -> bytes:
@@ -210,12 +212,12 @@ class Pool:
         with self._lock:
             return [process.pid for process in self._alive.values()]
 
-    def ask(self, ask: Ask, living: Mapping[str, Living], until: float) -> bytes:
+    def ask(self, ask: Ask, look: Callable[[str], tuple[float, Mapping[str, Living]]], until: float) -> bytes:
         """The reply's bytes of whichever process is free first; none if it cannot read the scene's file.
 
         Args:
             ask: What is asked.
-            living: What moves in it, by id.
+            look: Says what moves in a scene, and when; asked when there is a process to tell it.
             until: When the answer is too late, on `time.monotonic` [s].
 
         Raises:
@@ -229,7 +231,7 @@ class Pool:
                 raise RefusedError(Status.TIMEOUT, words)
             told = False
             try:
-                process.tell(ask, living)
+                process.tell(ask, *look(ask.scene))
                 told = True
                 answer = process.hear()
             except (EOFError, OSError):  # it is not put back
@@ -262,7 +264,7 @@ class Pool:
     def _tell(process: _Process, ask: Ask) -> bool:
         """Whether it still lives afterwards."""
         try:
-            process.tell(ask, {})
+            process.tell(ask, 0.0, {})
             process.hear()
         except (EOFError, OSError):
             process.kill()
@@ -302,7 +304,7 @@ class Pool:
                     return
             for ask in new:
                 told.add(ask)
-                process.tell(ask, {})
+                process.tell(ask, 0.0, {})
                 process.hear()
 
     def _live(self, name: str) -> None:

@@ -11,6 +11,7 @@ import numpy as np
 from gpdf_schemas import MovingObstacle, MovingObstacles, PlanReply, PlanRequest, decode, keys
 from mcap.records import Channel, Message, Metadata
 
+from gpdf_service.service.answers import LOOKED
 from gpdf_service.service.record import records_of
 
 IDENTICAL = 1e-9
@@ -35,7 +36,7 @@ class Comparison:
 
 @dataclass(frozen=True, slots=True)
 class Planned:
-    """A plan in a log: when it was begun [ns], the request and the reply, as they were on the wire."""
+    """A plan in a log: when it looked at what moves [ns], the request and the reply, as they were on the wire."""
 
     stamp_ns: int
     request: PlanRequest
@@ -81,8 +82,8 @@ def _events(path: Path, damage: list[str] | None = None) -> Iterator[Planned | M
         elif topic == f"{keys.PLAN}/reply" and request is not None:
             reply = decode(record.data, PlanReply)
             if reply.status not in ("INVALID_REQUEST", "BUSY", "UNAVAILABLE"):
-                waited_ns = round(1e9 * reply.timings.get("waited", 0.0))
-                yield Planned(request.log_time + waited_ns, decode(request.data, PlanRequest), reply)
+                looked_s = reply.timings.get(LOOKED, reply.timings.get("waited", 0.0))
+                yield Planned(request.log_time + round(1e9 * looked_s), decode(request.data, PlanRequest), reply)
             request = None
         elif topic.startswith(keys.SCENES) and topic.endswith("/obstacles"):
             yield Moved(record.log_time, topic.split("/")[-2], decode(record.data, MovingObstacles).obstacles)

@@ -96,6 +96,7 @@ class Server:
         stamp = time.strftime("%Y%m%dT%H%M%S", time.gmtime())
         self.recorder = Recorder(options, f"{stamp}_{self.planner_id}", self._metadata(config))
         self.metrics = Metrics()
+        self._epoch_ns = time.time_ns() - time.monotonic_ns()
         self._pool = self._make_pool()
         tell = self._on_unload, self._look_for, self._on_cut
         self.handlers = Handlers(self.shelf, self.planner_id, *tell, self._pool)
@@ -280,7 +281,7 @@ class Server:
 
         Of a scene that nobody loaded it is kept, if not for long, but not recorded: strangers' names fill no disk.
         """
-        key, stamp = str(sample.key_expr), time.time_ns()
+        key = str(sample.key_expr)
         scene = key.split("/")[-2]
         try:
             if not NAME.fullmatch(scene):
@@ -288,16 +289,26 @@ class Server:
             if len(sample.payload) > MAX_REQUEST_BYTES:
                 raise ValueError(f"{len(sample.payload)} bytes, at most {MAX_REQUEST_BYTES} are taken")
             data = sample.payload.to_bytes()
-            self.handlers.moving.publish(scene, decode(data, MovingObstacles).obstacles)
-            if self.shelf.get(scene) is not None:
-                topic, kept = self.recorder.evidence.publication(key, data)
-                self.recorder.publication(topic, kept, stamp)
-                if topic == key:
-                    self.recorder.moving(scene, stacked(list(self.handlers.moving.points(scene).values())), stamp)
+            record = partial(self._record_moving, scene, key, data)
+            self.handlers.moving.publish(scene, decode(data, MovingObstacles).obstacles, record)
         except ValueError as error:
             log.warning("obstacles on %s: %s", key[:200], error)
             self.metrics.count_bad_publication()
         self.handlers.in_use.look(scene)
+
+    def _record_moving(self, scene: str, key: str, data: bytes, at: float) -> None:
+        """A publication with the moment from which on plans know of it."""
+        if self.shelf.get(scene) is None:
+            return
+        topic, kept = self.recorder.evidence.publication(key, data)
+        self.recorder.publication(topic, kept, self._stamp_ns(at))
+        if topic == key:
+            points = stacked(list(self.handlers.moving.points(scene).values()))
+            self.recorder.moving(scene, points, self._stamp_ns(at))
+
+    def _stamp_ns(self, moment: float) -> int:
+        """A moment of `time.monotonic` [s] for the log: one clock for all that may stand in another's way."""
+        return self._epoch_ns + round(1e9 * moment)
 
     def _announce(self, news: SceneChanged) -> None:
         if self._session is not None and self.options.role != "planner":
@@ -314,7 +325,8 @@ class Server:
         payload = body.to_bytes() if fits else b""
         sender = query.attachment
         client = "" if sender is None else sender.to_bytes()[:MAX_CLIENT_BYTES].hex()
-        job = _Job(query, key, wire_key, payload, time.monotonic(), time.time_ns(), client)
+        received = time.monotonic()
+        job = _Job(query, key, wire_key, payload, received, self._stamp_ns(received), client)
         if str(query.key_expr) != wire_key:  # a wildcard asks all that there is at once, and changes what it must not
             self._refuse(job, Status.INVALID_REQUEST, f"{str(query.key_expr)[:100]!r} is no key. Ask {wire_key}.")
             return

@@ -178,7 +178,7 @@ class Reply(msgspec.Struct, frozen=True, kw_only=True):
         scene: Name of the scene.
         scene_version: Version of the scene that answered.
         planner: Id of the service that answered.
-        timings: Seconds by stage.
+        timings: Seconds by stage; `waited` and `looked` (at what moves) count from the request's arrival.
         load: Requests that wait or are at work in the service, over its workers: above 1 a new one waits.
     """
 

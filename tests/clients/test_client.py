@@ -113,7 +113,7 @@ def test_a_closed_client_leaves_no_thread_behind(free_endpoint):
         before = set(threading.enumerate())
         with Client.connect(free_endpoint):
             assert set(threading.enumerate()) - before
-        assert set(threading.enumerate()) == before
+        assert not set(threading.enumerate()) - before  # others may have ended
 
 
 def test_nobody_there_is_unavailable(free_endpoint):

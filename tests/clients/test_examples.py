@@ -25,7 +25,9 @@ def endpoint(tmp_path_factory, office_file):
     address = free_endpoint()
     with Server(Options(address, folder, tmp_path_factory.mktemp("log"), 1)) as server:
         server.shelf.load_file("office", "office.gpdf")
-        while server.shelf.get("office").building:
+        until = time.monotonic() + 300
+        while not server.status().ready:  # its kernels are there, too
+            assert time.monotonic() < until
             time.sleep(0.01)
         yield address
 

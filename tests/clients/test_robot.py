@@ -208,6 +208,10 @@ def test_in_real_time_poses_and_velocities_go_over_zenoh(service):
         try:
             driver = Driver(client, "free", (1.6, 2.0), ROOMBA)
             drive_live(driver, client.session, "walle")
+            until = time.monotonic() + 60
+            while heard[-1].state != "arrived":  # the last command is on its way
+                assert time.monotonic() < until
+                time.sleep(0.01)
         finally:
             done.set()
             thread.join()

@@ -191,7 +191,8 @@ def wait_for(condition):
 
 
 @pytest.mark.parametrize("dialect", list(Dialect))
-def test_a_goal_is_answered_with_the_path_of_the_service(service, office, dialect):
+def test_a_goal_is_answered_with_the_path_of_the_service(service, office, dialect, monkeypatch):
+    monkeypatch.setattr("gpdf_ros2.bridge.POSE_OLD_S", PATIENCE)
     client, endpoint = service
     made = office[0]
     goal = CDR + pose(*made.goal, 0.0, 0.0, time.time_ns())
@@ -213,6 +214,10 @@ def test_a_goal_is_answered_with_the_path_of_the_service(service, office, dialec
                 assert abs(stamp - time.time_ns()) < 60 * NS
             else:
                 assert sample.attachment is None
+            monkeypatch.setattr("gpdf_ros2.bridge.POSE_OLD_S", 0.0)
+            robot.send("goal", goal)
+            assert messages.decode_path(robot.answer().payload.to_bytes()).shape == (0, 3)  # the robot may be elsewhere
+            monkeypatch.setattr("gpdf_ros2.bridge.POSE_OLD_S", PATIENCE)
             for wrong in (b"garbage", CDR + pose(90.0, 90.0, 0.0, 0.0, 0), goal.replace(b"map\0", b"odo\0")):
                 robot.send("goal", wrong)
                 assert messages.decode_path(robot.answer().payload.to_bytes()).shape == (0, 3)

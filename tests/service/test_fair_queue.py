@@ -2,6 +2,7 @@
 
 import shutil
 import threading
+from functools import partial
 
 import zenoh
 from gpdf_client import Client
@@ -73,13 +74,16 @@ def test_who_waits_is_woken_by_an_item_and_by_the_end():
     assert sorted(map(str, got)) == ["None", "None", "one"]
 
 
-def test_a_greedy_client_is_told_busy_and_a_polite_one_is_answered(free_endpoint, tmp_path, office, office_file):
-    """One worker, a queue of 8; 200 requests at once of one client, meanwhile 10 of another, one after the other."""
+def test_a_greedy_client_is_told_busy_and_a_polite_one_is_answered(
+    free_endpoint, tmp_path, office, office_file, monkeypatch
+):
+    """One worker that is held; 200 requests of one client fill the queue of 8, then 10 of another come, in turn."""
     made = office[0]
     shutil.copy(office_file, tmp_path / "office.gpdf")
     options = Options(free_endpoint, tmp_path, tmp_path / "log", 1, queue=8)
     request = PlanRequest(scene="office", start=list(made.start), goal=list(made.goal), deadline_s=60.0)
-    greedy, every, go = [], threading.Event(), threading.Event()
+    greedy, every, full, displaced = [], threading.Event(), threading.Event(), threading.Event()
+    gate, inside = threading.Event(), threading.Event()
     with (
         Server(options, [("office", tmp_path / "office.gpdf")]) as server,
         Client.connect(free_endpoint) as polite,
@@ -90,18 +94,35 @@ def test_a_greedy_client_is_told_busy_and_a_polite_one_is_answered(free_endpoint
 
         def hear(reply):
             greedy.append(decode(reply.ok.payload.to_bytes(), PlanReply).status)
-            go.set()
-            if len(greedy) == 200:
-                every.set()
+            for count, event in ((191, full), (192, displaced), (200, every)):
+                if len(greedy) == count:
+                    event.set()
 
-        for _ in range(200):
-            session.get(keys.PLAN, hear, payload=encode(request), attachment="greedy", timeout=60)
-        assert go.wait(60)
+        def open_the_gate():
+            displaced.wait(60)
+            gate.set()
+
+        answer = server.handlers.answer
+
+        def held(*asked):
+            inside.set()
+            gate.wait(60)
+            return answer(*asked)
+
+        monkeypatch.setattr(server.handlers, "answer", held)
+        opener = threading.Thread(target=open_the_gate)
+        opener.start()
+        ask = partial(session.get, keys.PLAN, hear, payload=encode(request), attachment="greedy", timeout=120)
+        ask()
+        assert inside.wait(60)
+        for _ in range(199):
+            ask()
+        assert full.wait(60)  # one at work, 8 wait, the others were turned away
         statuses = []
         for _ in range(10):
-            answers = polite.session.get(keys.PLAN, payload=encode(request), attachment="polite", timeout=60)
+            answers = polite.session.get(keys.PLAN, payload=encode(request), attachment="polite", timeout=120)
             statuses += [decode(answer.ok.payload.to_bytes(), PlanReply).status for answer in answers]
         assert every.wait(60)
+        opener.join()
     assert statuses == [Status.OK] * 10
-    assert len(greedy) == 200
-    assert set(greedy) == {Status.OK, Status.BUSY}
+    assert (greedy.count(Status.OK), greedy.count(Status.BUSY)) == (8, 192)

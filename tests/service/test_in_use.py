@@ -119,7 +119,9 @@ def test_who_subscribed_hears_of_a_cut_over_zenoh(free_endpoint, tmp_path, offic
             camera.publish_obstacles("office", [MovingObstacle(id="all", points=many)])
         with pytest.raises(InvalidRequestError, match="parts"):
             camera.publish_obstacles("office", [MovingObstacle(id="all", points=Array.pack(np.zeros((MAX_POINTS, 3))))])
-        camera.publish_obstacles("office", [MovingObstacle(id="dog", cylinder=Cylinder((x, y, z), 0.2, 0.5))])
+        camera.publish_obstacles(
+            "office", [MovingObstacle(id="dog", cylinder=Cylinder((x, y, z), 0.2, 0.5), lifetime_s=600)]
+        )
         cut = heard.get(timeout=30)
     assert (cut.scene, cut.request_id, cut.obstacles) == ("office", plan.request_id, ["dog"])
     assert cut.planner == server.planner_id

@@ -6,13 +6,14 @@ import msgspec
 import numpy as np
 import pytest
 from gpdf_client import Client, InvalidRequestError
-from gpdf_schemas import Array, Cylinder, MovingObstacle, keys
+from gpdf_schemas import Array, Cylinder, MovingObstacle, MovingObstacles, encode, keys
 from gpdf_schemas.moving import MAX_POINTS, points_of
 from mcap.records import Channel
 
 import gpdf_service as gpdf
 from gpdf_service.service.moving import Moving
 from gpdf_service.service.record import records_of
+from gpdf_service.service.replay import Moved, recorded_events
 from gpdf_service.service.server import Options, Server
 
 START, GOAL = (1.0, 1.5), (5.0, 1.5)
@@ -121,6 +122,29 @@ def test_one_obstacle_of_no_sense_does_not_hide_the_others_of_its_message(hall):
     with pytest.raises(ValueError, match="neither"):
         moving.publish("hall", [MovingObstacle(id="x"), person(3.0, 1.5, lifetime_s=60)])
     assert len(moving.merged("hall", hall).moving) > 0
+
+
+def test_what_is_published_is_known_from_the_moment_that_is_told(hall):
+    now, told = iter(range(100)), []
+    moving = Moving(lambda: next(now))
+    with pytest.raises(ValueError, match="neither"):
+        moving.publish("hall", [MovingObstacle(id="x"), person(3.0, 1.5, lifetime_s=60)], told.append)
+    looked, living = moving.look("hall")
+    assert told[0] < looked < living["3.0,1.5"].until == told[0] + 60
+
+
+def test_a_message_with_one_obstacle_of_no_sense_is_recorded_as_its_others_count(hall, tmp_path, free_endpoint):
+    hall.save(tmp_path / "hall.gpdf")
+    with Server(Options(free_endpoint, tmp_path, tmp_path, 1)) as server, Client.connect(free_endpoint) as client:
+        client.load_scene("hall", "hall.gpdf")
+        both = MovingObstacles(obstacles=[MovingObstacle(id="x"), person(3.0, 1.9, lifetime_s=600)])
+        client.session.put(keys.obstacles("hall"), encode(both))
+        until = time.monotonic() + 300
+        while server.status().metrics["bad_publications"] < 1:
+            assert time.monotonic() < until
+        assert len(server.handlers.moving.living("hall")) == 1
+    (moved,) = [event for event in recorded_events(server.recorder.path) if isinstance(event, Moved)]
+    assert [one.id for one in moved.obstacles] == ["x", "3.0,1.9"]
 
 
 def test_a_short_message_does_not_become_gigabytes(hall):

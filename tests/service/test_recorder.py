@@ -173,7 +173,10 @@ def test_a_full_disk_does_not_stop_planning_and_leaves_readable_logs(tmp_path, f
         with limited(log_dir, tmp_path / "state", tmp_path, free_endpoint, resource.RLIM_INFINITY) as process:
             try:
                 assert plan_many(free_endpoint, office[0], 3) == ["OK"] * 3
-                time.sleep(1.0)  # the flush interval: these three are on the disk
+                until = time.monotonic() + 300
+                while sum(len(list(recorded_plans(path))) for path in log_dir.glob("*.mcap")) < 3:
+                    assert time.monotonic() < until
+                    time.sleep(0.05)  # they are written with the next chunk
                 with Client.connect(free_endpoint) as client:
                     for _ in range(3):  # 5 MB each with its answer
                         client.distance("office", "ground", np.random.default_rng(0).uniform(0, 5, (90_000, 3)))

@@ -76,17 +76,18 @@ def test_what_moved_moves_again_in_process_and_in_a_service_at_any_speed(office,
         client.load_scene("office", "office.gpdf")
         free = client.plan("office", made.start, made.goal, "roomba").trajectory
         x, y, z = free.ground[len(free.ground) // 2]
-        box = MovingObstacle(id="box", cylinder=Cylinder((x, y, z), 0.2, 1.0), lifetime_s=5.0)
+        box = MovingObstacle(id="box", cylinder=Cylinder((x, y, z), 0.2, 1.0), lifetime_s=600)
         client.publish_obstacles("office", [box])
-        until = time.monotonic() + 30
+        until = time.monotonic() + 300
         while not server.handlers.moving.points("office"):  # what is asked before it is heard is replayed without it
             assert time.monotonic() < until
             time.sleep(0.01)
         while np.array_equal(client.plan("office", made.start, made.goal, "roomba").trajectory.ground, free.ground):
             assert time.monotonic() < until
+        client.publish_obstacles("office", [MovingObstacle(id="box", lifetime_s=0.0)])  # it has gone
         while server.handlers.moving.points("office"):
             assert time.monotonic() < until
-            time.sleep(0.1)
+            time.sleep(0.01)
         client.plan("office", made.start, made.goal, "roomba")
     log = str(server.recorder.path)
     assert main(["replay", log, "--scene", f"office={tmp_path}/office.gpdf"]) == 0
@@ -102,13 +103,13 @@ def test_a_service_is_asked_no_faster_than_it_was_and_one_that_is_gone_is_told(l
             client.load_scene("office", "office.gpdf")
             for start in ((1, 1), (1.2, 1)):
                 client.plan("office", start, (2, 1), "roomba")
-                time.sleep(1.0)
+                time.sleep(0.4)
         assert main(["replay", str(log), "--endpoint", endpoint]) == 0
     with Server(Options(endpoint, scene.parent, tmp_path / "more", 1)) as again:  # it has the scene from before
         again.shelf.settle()
         began = time.monotonic()
         assert main(["replay", str(server.recorder.path), "--endpoint", endpoint, "--recorded-speed"]) == 0
-        assert time.monotonic() - began > 1.0
+        assert time.monotonic() - began > 0.4
     assert "3 of 3 plans are identical" in capsys.readouterr().out
     assert main(["replay", str(log), "--endpoint", endpoint]) == 1
     assert "no service at" in capsys.readouterr().err

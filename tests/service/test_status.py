@@ -1,6 +1,5 @@
 import json
 import shutil
-import socket
 import threading
 import time
 import urllib.error
@@ -15,6 +14,7 @@ from gpdf_client.client import client_config
 from gpdf_schemas import keys
 
 from gpdf_service import __version__
+from gpdf_service.bench.running import free_port
 from gpdf_service.cli import main
 from gpdf_service.errors import ConfigError
 from gpdf_service.service.server import Options, Server
@@ -162,9 +162,7 @@ def test_a_client_of_a_service_that_ended_hears_that_it_is_not_there(scenes, fre
 def test_prometheus_reads_the_same_numbers_on_this_machine_alone(scenes, free_endpoint):
     from prometheus_client.parser import text_string_to_metric_families
 
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        port = probe.getsockname()[1]
+    port = free_port()
     options = Options(free_endpoint, scenes, scenes / "log", 1, metrics_port=port)
 
     def read():

@@ -18,11 +18,11 @@ MAP, PLANNER = "tcp/10.77.0.1:7447", "tcp/10.77.0.2:7448"
 WALKER = """
 import sys
 from gpdf_client import Client, ClientError
-endpoint, start, goal = sys.argv[1], eval(sys.argv[2]), eval(sys.argv[3])
+endpoint, start, goal, deadline_s = sys.argv[1], eval(sys.argv[2]), eval(sys.argv[3]), float(sys.argv[4])
 with Client.connect(endpoint, timeout_s=60) as client:
     while True:
         try:
-            result = client.plan("office", start, goal, deadline_s=2.0)
+            result = client.plan("office", start, goal, deadline_s=deadline_s)
             print(result.status, result.scene_version, flush=True)
         except ClientError as error:
             print(type(error).__name__, flush=True)
@@ -108,8 +108,8 @@ def test_a_cut_link_stops_those_beyond_it_alone_and_what_changed_meanwhile_is_th
         run(0, *serve, *first, log=log)
         second = ["--planner", "--endpoint", PLANNER, "--connect", MAP, "--log-dir", str(tmp_path / "b")]
         run(1, *serve, *second, log=log)
-    far = Walker(run(0, "-c", WALKER, MAP, *places))  # beside the map service: its plans cross the cable
-    near = Walker(run(1, "-c", WALKER, PLANNER, *places))  # beside the planner
+    far = Walker(run(0, "-c", WALKER, MAP, *places, "2"))  # beside the map service: its plans cross the cable
+    near = Walker(run(1, "-c", WALKER, PLANNER, *places, "60"))  # beside the planner
     version = int(near.until(is_ok)[-1][1])
     far.until(is_ok)
 

@@ -4,7 +4,6 @@ import io
 import os
 import re
 import signal
-import socket
 import subprocess
 import sys
 import time
@@ -15,6 +14,7 @@ import viser.transforms as vtf
 from gpdf_client import Client
 from PIL import Image
 
+from gpdf_service.bench.running import free_port
 from gpdf_service.viewer.page import Page, Server
 
 SIZE = {"width": 1100, "height": 600}
@@ -28,12 +28,6 @@ def until(claim, seconds=60.0):
             return found
         time.sleep(0.05)
     pytest.fail(f"it did not become true within {seconds} s")
-
-
-def free_port():
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return probe.getsockname()[1]
 
 
 class Service:

@@ -4,8 +4,8 @@ import threading
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 
 import pytest
-from driving import free_port
 
+from gpdf_service.bench.running import free_port
 from gpdf_service.viewer.gate import Gate
 
 TOKEN = "a-token"

@@ -8,8 +8,8 @@ from urllib.error import HTTPError
 
 import psutil
 import pytest
-from driving import free_port
 
+from gpdf_service.bench.running import free_port
 from gpdf_service.cli import main
 
 
