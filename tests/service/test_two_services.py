@@ -89,7 +89,9 @@ def test_one_of_two_planners_is_killed_under_load_and_no_client_sees_a_failed_pl
         wait_for_planners(client, 1)
 
 
-def test_a_frozen_planner_is_passed_over_and_a_deadline_with_all_frozen_is_told_as_that(folder, free_endpoint, office, monkeypatch):
+def test_a_frozen_planner_is_passed_over_and_a_deadline_with_all_frozen_is_told_as_that(
+    folder, free_endpoint, office, monkeypatch
+):
     monkeypatch.setattr("gpdf_client.client.TRY_S", 0.5)
     made = office[0]
     with ExitStack() as stack:
