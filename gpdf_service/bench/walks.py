@@ -6,19 +6,15 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from gpdf_service.bench.judge import Judge
 from gpdf_service.types import AGENTS, Agent, BoolArray, FloatArray
 
 NEIGHBOURS = 8
-"""Ground points that are looked at for the one that the walker can step onto."""
+"""Ground points that are looked at for the one that the walker steps onto: the highest that it can reach, for a foot
+rests on a tread, and not on the underside of a flight, which a scan shows through it."""
 OFF_GROUND = 0.6
 """[m] Further from any ground point, nobody knows what is under the walker; scans have smaller gaps between points."""
-BESIDE = 0.1
-"""[m] Ground with other ground over it within this in plan is nothing to stand on: a flight's underside, say."""
-FOOT = 0.1
-"""[m] Higher than a foot: that other ground is not the same surface, which slopes."""
 
 
 @dataclass(slots=True)
@@ -28,46 +24,33 @@ class WalkedWorld:
     Attributes:
         judge: Holds the points.
         agent: Measures of the walker.
-        standing: Ground that it can stand on, shape (n, 3) [m].
-        plan: The same in plan.
         fell: Whether it took more than its highest step, or left the ground.
     """
 
     judge: Judge
     agent: Agent
-    standing: FloatArray
-    plan: cKDTree
     fell: bool = False
 
     @classmethod
     def of(cls, points: FloatArray, ground: BoolArray, agent: Agent = AGENTS["human"]) -> WalkedWorld:
         """From a clean cloud and its labels, for a walker with these measures."""
-        standing = _open(points[ground], agent.height)
-        return cls(Judge(points, ground), agent, standing, cKDTree(standing[:, :2]))
+        return cls(Judge(points, ground), agent)
 
     def ground_height(self, position: FloatArray) -> float:
         """Height of the ground under (x, y), on the storey of z [m]; what is higher than a step is over the walker."""
-        rows = np.array(self.plan.query_ball_point(position[:2], OFF_GROUND), dtype=np.int64)
-        rows = rows[self.standing[rows, 2] <= position[2] + self.agent.max_step]
-        away = np.hypot(*(self.standing[rows, :2] - position[:2]).T)
-        z = self.standing[rows[np.argsort(away)[:NEIGHBOURS]], 2]
+        rows = np.array(self.judge.ground_plan.query_ball_point(position[:2], OFF_GROUND), dtype=np.int64)
+        rows = rows[self.judge.ground[rows, 2] <= position[2] + self.agent.max_step]
+        away = np.hypot(*(self.judge.ground[rows, :2] - position[:2]).T)
+        z = self.judge.ground[rows[np.argsort(away)[:NEIGHBOURS]], 2]
         near = z[z >= position[2] - self.agent.max_step]
         if len(near) == 0:
             self.fell = True
             return float(z[0] if len(z) else position[2])
-        return float(near[0])
+        return float(near.max())
 
     def penetration(self, position: FloatArray) -> float:
         """How deep the worst point is in the walker's cylinder [m]; inf after a fall."""
         return float("inf") if self.fell else self.judge.penetration(position, self.agent)
-
-
-def _open(ground: FloatArray, height: float) -> FloatArray:
-    """Of ground points (n, 3) those without others over them that are nearer than a body's height."""
-    pairs = cKDTree(ground[:, :2]).query_pairs(BESIDE, output_type="ndarray")
-    rise = ground[pairs[:, 1], 2] - ground[pairs[:, 0], 2]
-    lower = np.where(rise > 0.0, pairs[:, 0], pairs[:, 1])
-    return np.delete(ground, lower[(np.abs(rise) > FOOT) & (np.abs(rise) < height)], axis=0)
 
 
 RADIUS = 0.25
