@@ -142,7 +142,10 @@ def to_page(kind: str, sample: zenoh.Sample, clock: Clock) -> str | None:
         data = sample.payload.to_bytes()
         if kind == "cue":
             cue = decode(data, CueMessage)
-            times = {"sent": clock.to_theirs(cue.stamp), "pose": clock.to_theirs(cue.pose_stamp)}
+            times = {
+                "sent": clock.to_theirs(cue.stamp),
+                "pose": clock.to_theirs(cue.pose_stamp) if cue.pose_stamp else None,
+            }
             return json.dumps({"type": "cue", "action": cue.action, "direction": cue.direction, **times})
         said = decode(data, SayMessage)
         return json.dumps(

@@ -18,6 +18,7 @@ let says = { stop_alone: "Stop. I have no connection." };
 let language = "en";
 let led = false; // Whether cues have come: only who is led can be stopped.
 let lastCue = 0, alone = false, action = "", deadline = 0, again = 0;
+let answered = null; // The pose that the last cue was made of.
 let speaking = -1, steps = 0, lastStep = 0, counts = false;
 window.gpdf = { said: [], cues: 0, late: 0, latency: [], alone: [] }; // What happened, for a look into it.
 
@@ -53,7 +54,8 @@ function cue(message) {
   lastCue = performance.now();
   led = true;
   window.gpdf.cues += 1;
-  if (message.pose !== null) window.gpdf.latency.push(1000 * (clock() - message.pose));
+  if (message.pose !== answered) window.gpdf.latency.push(1000 * (clock() - message.pose)); // the first cue after a pose
+  answered = message.pose;
   clearTimeout(deadline);
   if (message.action !== "arrived") deadline = setTimeout(silent, SILENCE);
   if (alone) { alone = false; feel(0); }
