@@ -126,6 +126,10 @@ class Clock:
         self.offset = min(self.offset, now - theirs)
         return theirs + self.offset
 
+    def to_theirs(self, ours: float) -> float | None:
+        """A time of ours on the phone's clock [s]; None as long as nothing has come from it."""
+        return ours - self.offset if self.offset < float("inf") else None
+
 
 def _rotated(place: tuple[float, float], turn: float) -> tuple[float, float]:
     x, y = place

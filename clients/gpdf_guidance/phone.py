@@ -68,7 +68,7 @@ class Phone:
     language: str = "en"
     drift: float = DRIFT
     alignment: Alignment | None = None
-    _clock: Clock = field(default_factory=Clock)
+    clock: Clock = field(default_factory=Clock)
     _seen: Tracked | None = None
 
     def hello(self) -> dict[str, Any]:
@@ -107,7 +107,7 @@ class Phone:
         p, q = [float(v) for v in message["position"]], [float(v) for v in message["orientation"]]
         if len(p) != 3 or len(q) != 4 or not all(abs(v) < 1e4 for v in (*p, *q)):
             raise ValueError("a pose has a position (3) and an orientation (4)")
-        stamp = self._clock.to_ours(float(message["time"]), time.time())
+        stamp = self.clock.to_ours(float(message["time"]), time.time())
         steps = message.get("steps")
         tracked = message.get("tracked") is True
         place, turn = (p[0], p[1], p[2]), (q[0], q[1], q[2], q[3])
@@ -133,18 +133,29 @@ class Phone:
         return {"type": "here", "fine": True}
 
 
-def to_page(kind: str, sample: zenoh.Sample) -> str | None:
-    """A cue or a sentence as the page reads it; None for what is none."""
+def to_page(kind: str, sample: zenoh.Sample, clock: Clock) -> str | None:
+    """A cue or a sentence as the page reads it, with its times on the phone's clock; None for what is none.
+
+    The page sees by them what a bad connection brings too late.
+    """
     with suppress(DecodeError):
         data = sample.payload.to_bytes()
         if kind == "cue":
             cue = decode(data, CueMessage)
-            return json.dumps({"type": "cue", "action": cue.action, "direction": cue.direction, "pace": cue.pace})
+            times = {
+                "sent": clock.to_theirs(cue.stamp),
+                "pose": clock.to_theirs(cue.pose_stamp) if cue.pose_stamp else None,
+            }
+            return json.dumps({"type": "cue", "action": cue.action, "direction": cue.direction, **times})
         said = decode(data, SayMessage)
-        left = said.valid_until - time.time()
-        answers = [answer.value for answer in said.answers]
         return json.dumps(
-            {"type": "say", "text": said.text, "urgency": said.urgency, "answers": answers, "valid_s": left}
+            {
+                "type": "say",
+                "text": said.text,
+                "urgency": said.urgency,
+                "answers": [answer.value for answer in said.answers],
+                "until": clock.to_theirs(said.valid_until),
+            }
         )
     return None
 
@@ -203,7 +214,7 @@ class PhoneServer:
         """Pass messages on until the page goes."""
         from websockets.exceptions import ConnectionClosed
 
-        session, name = self._phone.session, self._phone.name
+        session, name, clock = self._phone.session, self._phone.name, self._phone.clock
 
         def send(text: str | None) -> None:
             with suppress(ConnectionClosed):
@@ -211,8 +222,8 @@ class PhoneServer:
                     socket.send(text)
 
         streams = [
-            session.declare_subscriber(f"{keys.CUE}/{name}", lambda sample: send(to_page("cue", sample))),
-            session.declare_subscriber(f"{keys.SAY}/{name}", lambda sample: send(to_page("say", sample))),
+            session.declare_subscriber(f"{keys.CUE}/{name}", lambda sample: send(to_page("cue", sample, clock))),
+            session.declare_subscriber(f"{keys.SAY}/{name}", lambda sample: send(to_page("say", sample, clock))),
         ]
         try:
             send(json.dumps(self._phone.hello()))

@@ -16,7 +16,7 @@ from playwright.sync_api import sync_playwright
 import gpdf_service as gpdf
 from gpdf_service.service.server import Options
 from gpdf_service.service.server import Server as Service
-from gpdf_service.viewer.page import Page, Server
+from gpdf_service.viewer.page import Pages, Server
 
 FLAGS = ["--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--no-sandbox"]
 SIZE = {"width": 1200, "height": 720}
@@ -37,11 +37,13 @@ def draw_page(scene: gpdf.Scene, path: Path) -> None:
         endpoint = f"tcp/127.0.0.1:{_free_port()}"
         with Service(Options(endpoint, folder, folder, 1), [("office", folder / "office.gpdf")]):
             server = Server(host="127.0.0.1", port=_free_port(), label="gpdf")
-            page = Page(server, endpoint)
+            pages = Pages(server, endpoint)
             with sync_playwright() as playwright:
                 browser = playwright.chromium.launch(executable_path=shutil.which("chromium"), args=FLAGS)
                 web = browser.new_page(viewport=SIZE)
                 web.goto(f"http://127.0.0.1:{server.get_port()}/")
+                _until(lambda: bool(pages.open))
+                page = pages.open[0]
                 _until(lambda: "cloud" in page.map.layers.there and not page.panel.work.content)
                 for end, place in (("start", (0.9, 0.9, 0.0)), ("goal", (5.4, 3.4, 0.0))):
                     page.plans.set_end(end, np.array(place))
@@ -52,7 +54,7 @@ def draw_page(scene: gpdf.Scene, path: Path) -> None:
                 web.wait_for_timeout(5000)  # drawn by software, frame by frame
                 web.screenshot(path=str(path), timeout=1000 * WAIT_S)
                 browser.close()
-            page.close()
+            pages.close()
             server.stop()
 
 

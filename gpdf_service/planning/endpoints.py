@@ -130,7 +130,7 @@ def find_endpoint(space: FreeSpace, place: FloatArray, name: str) -> Endpoint | 
             return Refusal(occupied, words + hint, near)
         words = f"no ground is known at the {name} {place_words(place)}. Choose a place on the mapped ground."
         return Refusal(outside, words + hint, near)
-    found = ", ".join(f"{z:.2f}" for z in heights.values())
+    found = ", ".join(dict.fromkeys(f"{z:.2f}" for z in sorted(heights.values())))
     level = min(heights, key=lambda one: abs(heights[one] - place[2]) if len(place) == 3 else one)
     if len(place) == 3:
         if abs(heights[level] - place[2]) > SAME_GROUND:

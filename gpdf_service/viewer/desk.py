@@ -18,7 +18,7 @@ class Desk:
     """Slow work runs on two workers, so that plans do not wait for maps.
 
     Attributes:
-        server: Where the page is served.
+        browser: Who sees the page.
         panel: The widgets.
         link: The service.
         maps: Does what concerns scenes and layers.
@@ -26,7 +26,7 @@ class Desk:
         frame: Where the page's zero is.
     """
 
-    server: viser.ViserServer
+    browser: viser.ClientHandle
     panel: Panel
     link: Link
     maps: Worker

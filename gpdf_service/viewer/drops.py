@@ -56,7 +56,7 @@ class Drops:
     def _add(self, obstacle: MovingObstacle) -> None:
         self._remove(obstacle.id)
         self.obstacles[obstacle.id] = obstacle
-        scene, frame, node = self._desk.server.scene, self._desk.frame, f"/drops/{next(self._nodes)}"
+        scene, frame, node = self._desk.browser.scene, self._desk.frame, f"/drops/{next(self._nodes)}"
         self._handles[obstacle.id] = scene.add_frame(node, show_axes=False)  # an id may be any text, a node's name not
         if (cylinder := obstacle.cylinder) is not None:
             base, up = frame.to_page(np.array(cylinder.base)), np.array([0.0, 0.0, cylinder.height])

@@ -55,13 +55,22 @@ class Gate:
         inner: Address and port of the page.
         token: Who has it may see the page.
         names: By which the gate may be asked, beside addresses and localhost.
+        front: What is at "/", in place of what the page has there.
 
     Raises:
         OSError: it cannot listen there.
     """
 
-    def __init__(self, host: str, port: int, inner: tuple[str, int], token: str, names: Collection[str] = ()) -> None:
-        self._inner, self._token = inner, token
+    def __init__(
+        self,
+        host: str,
+        port: int,
+        inner: tuple[str, int],
+        token: str,
+        names: Collection[str] = (),
+        front: bytes | None = None,
+    ) -> None:
+        self._inner, self._token, self._front = inner, token, front
         self._names = {"localhost", host.lower(), *(name.lower() for name in names)}
         self._cookie = f"{COOKIE}_{port}"  # cookies know no ports
         family = socket.AF_INET6 if ":" in host else socket.AF_INET
@@ -97,10 +106,12 @@ class Gate:
                 writer.write(refusal)
             elif self._is_right(parse_qs(urlsplit(asked.path).query).get("token", [""])[0]):
                 writer.write(self._welcome())
-            elif self._is_right(asked.cookies.get(self._cookie, "")):
-                await self._pass_on(head, reader, writer, both_ways=asked.is_upgrade)
-            else:
+            elif not self._is_right(asked.cookies.get(self._cookie, "")):
                 writer.write(_REFUSAL)
+            elif self._front is not None and asked.path == "/" and not asked.is_upgrade:
+                writer.write(_page(self._front))
+            else:
+                await self._pass_on(head, reader, writer, both_ways=asked.is_upgrade)
             await writer.drain()
         except (OSError, ValueError, TimeoutError, asyncio.IncompleteReadError, asyncio.LimitOverrunError):
             pass  # a visitor that is no browser, or one that has left
@@ -191,6 +202,11 @@ def _answer(status: str, headers: str, text: str) -> bytes:
         f"HTTP/1.1 {status}\r\n{headers}Content-Type: text/plain; charset=utf-8\r\n"
         f"Content-Length: {len(body)}\r\nConnection: close\r\n\r\n"
     ).encode() + body
+
+
+def _page(body: bytes) -> bytes:
+    head = "HTTP/1.1 200 OK\r\nContent-Type: text/html; charset=utf-8\r\nCache-Control: no-store\r\n"
+    return f"{head}Content-Length: {len(body)}\r\nConnection: close\r\n\r\n".encode() + body
 
 
 _WRONG_HOST = _answer("421 Misdirected Request", "", "This page is not known by that name: gpdf view --name NAME.\n")

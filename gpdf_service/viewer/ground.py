@@ -11,6 +11,8 @@ from gpdf_service.types import FloatArray
 
 RAY_STEP = 0.5
 """[-] Of a cell's width: steps along a ray, so that no cell is jumped over."""
+STOREY = 0.2
+"""[-] Of the largest level's area: a level that is smaller is a part of the storeys that it joins."""
 MAX_RAY = 200_000
 """Steps of a ray: 4 km over cells of 4 cm."""
 
@@ -46,9 +48,21 @@ class Ground:
         low, high = np.nanmin(self.heights), np.nanmax(self.heights)
         return np.array([*self.low, low]), np.array([*(self.low + size), high])
 
-    def hit(self, origin: FloatArray, direction: FloatArray, level: int | None = None) -> FloatArray | None:
-        """Where a ray meets the ground from above, shape (3,); None if it does not. `level`: only that one."""
-        heights = self.heights if level is None else self.heights[level : level + 1]
+    @property
+    def storeys(self) -> dict[int, float]:
+        """Height of each level that is no mere stair or ledge, in the middle [m], by its number."""
+        size = np.isfinite(self.heights).sum(axis=(1, 2))
+        large = np.flatnonzero(size >= STOREY * size.max())
+        return {int(level): float(np.nanmedian(self.heights[level])) for level in large}
+
+    def middle(self, levels: frozenset[int] | None) -> float:
+        """Height of most of some levels [m]; of all, if None."""
+        heights = self.heights if levels is None else self.heights[sorted(levels)]
+        return float(np.nanmedian(heights))
+
+    def hit(self, origin: FloatArray, direction: FloatArray, levels: frozenset[int] | None = None) -> FloatArray | None:
+        """Where a ray meets the ground from above, shape (3,); None if it does not. `levels`: only those."""
+        heights = self.heights if levels is None else self.heights[sorted(levels)]
         reach = origin[2] - np.nanmin(heights)
         if direction[2] >= 0 or reach <= 0:
             return None

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -10,7 +11,8 @@ from gpdf_service.types import FloatArray
 from gpdf_service.viewer import colours, words
 from gpdf_service.viewer.desk import Desk
 from gpdf_service.viewer.map_layers import MapLayers, View
-from gpdf_service.viewer.panel import ALL_LEVELS, SLICES, gradient, legend
+from gpdf_service.viewer.panel import ALL_STOREYS, SLICES, gradient, legend
+from gpdf_service.viewer.scale import add_scale
 from gpdf_service.viewer.widgets import put
 
 CAMERA = np.array([0.0, -0.25, 0.55])
@@ -19,6 +21,8 @@ ASIDE = 0.12
 """[-] Of the diagonal: the camera looks this far beside the middle, so that the panel hides no ground."""
 SLICE_OVER_GROUND = 0.6
 """[m]"""
+BELOW, FURTHER = 0.19, 0.75
+"""[-] On a phone: so far below the middle, in diagonals, and so much further off, each over the picture's aspect."""
 DOWN = np.array([0.0, 0.0, -1.0])
 
 
@@ -27,12 +31,13 @@ class MapControl:
 
     def __init__(self, desk: Desk) -> None:
         self._desk, self._tab = desk, desk.panel.map
-        self.layers = MapLayers(desk.server.scene, desk.frame)
+        self.layers = MapLayers(desk.browser.scene, desk.frame)
         self._scene, self._cell_width = "", 0.0
         self._stale: set[str] = set()  # layers that the view has changed since they were drawn
         for box in self._tab.layers.values():
             box.on_update(lambda _: self._change_view())
-        for handle in (self._tab.colour, self._tab.level, self._tab.below, self._tab.size):
+        self._levels: dict[str, frozenset[int]] = {}  # that are shown, by the storey's name
+        for handle in (self._tab.colour, desk.panel.storey, self._tab.below, self._tab.size):
             handle.on_update(lambda _: self._change_view())
         for handle in (self._tab.slice, self._tab.height):
             handle.on_update(lambda _: desk.maps.do("slice", self._slice))
@@ -40,11 +45,13 @@ class MapControl:
     def show(self, name: str, facts: dict[str, Any]) -> None:
         """Show a scene that is ready, on a page that shows none."""
         self._scene, self._cell_width = name, facts["levels"][0]["cell_width"]
-        self._tab.level.options = (ALL_LEVELS, *(str(level["level"]) for level in facts["levels"]))
-        self._tab.legend.content = legend(len(facts["levels"]))
         self.say_facts(facts)
         self._fetch("ground")
+        self._offer_storeys()
         self._look_at_ground()
+        if self.layers.ground is not None:
+            step = add_scale(self._desk.browser.scene, self._desk.frame, *self.layers.ground.box)
+            self._tab.legend.content = legend(len(facts["levels"]), step)
         self._offer_heights(facts)
         self._fetch(*self.layers.view.shown)
 
@@ -56,6 +63,7 @@ class MapControl:
         """Show no scene."""
         self._scene = ""
         self.layers.clear()
+        self._desk.browser.scene.remove_by_name("/scale")
 
     def change_body(self) -> None:
         """Fetch again what the body decides."""
@@ -64,18 +72,37 @@ class MapControl:
     def hit(self, ray_origin: FloatArray, direction: FloatArray) -> FloatArray | None:
         """Where a ray of the page meets ground that is shown, in the scene's frame; None if it does not."""
         ground = self.layers.ground
-        found = None if ground is None else ground.hit(ray_origin, direction, self.layers.view.level)
+        found = None if ground is None else ground.hit(ray_origin, direction, self.layers.view.levels)
         return None if found is None else self._desk.frame.to_scene(found)
 
     def on_ground(self, place: list[float]) -> FloatArray:
-        """A place with the height of the ground there, where the page knows it."""
+        """A place with the height of the ground that is shown there."""
         ground, frame = self.layers.ground, self._desk.frame
         if len(place) == 3 or ground is None:
             return np.array([*place, 0.0][:3])
         over = frame.to_page(np.array([*place, 0.0]))
         over[2] = float(np.nanmax(ground.heights)) + 1.0
-        hit = ground.hit(over, DOWN)
-        return np.array([*place, frame.origin[2]]) if hit is None else frame.to_scene(hit)
+        hit = ground.hit(over, DOWN, self.layers.view.levels)
+        if hit is None:  # as high as the floor that is shown
+            over[2] = ground.middle(self.layers.view.levels)
+        return frame.to_scene(over if hit is None else hit)
+
+    def _offer_storeys(self) -> None:
+        """Storeys by their height; the lowest alone at first, for over it the others would hide it."""
+        ground, storey = self.layers.ground, self._desk.panel.storey
+        if ground is None:
+            return
+        found = ground.storeys
+        joining = frozenset(range(len(ground.heights))) - frozenset(found)
+        high = self._desk.frame.origin[2]
+        by_height = sorted(found.items(), key=lambda one: one[1])
+        names = [f"{i}: floor at {height + high:.1f} m" for i, (_, height) in enumerate(by_height)]
+        self._levels = {name: joining | {level} for name, (level, _) in zip(names, by_height, strict=True)}
+        several = len(names) > 1
+        storey.options = (*names, ALL_STOREYS) if several else (ALL_STOREYS,)
+        storey.visible = several
+        put(storey, storey.options[0])
+        self.layers.view = replace(self.layers.view, levels=self._levels[names[0]] if several else None)
 
     def _look_at_ground(self) -> None:
         """From above and the south, so that all known ground is seen left of the panel."""
@@ -84,14 +111,14 @@ class MapControl:
         low, high = self.layers.ground.box
         reach = float(np.linalg.norm((high - low)[:2]))
         middle = 0.5 * (low + high)
-        target = np.array(
-            [middle[0] + ASIDE * reach, middle[1], high[2]]
-        )  # the upper storey is nearest, and is seen whole
-        position = target + CAMERA * reach
-        initial = self._desk.server.initial_camera
-        initial.position, initial.look_at = position, target
-        for client in self._desk.server.get_clients().values():
-            client.camera.position, client.camera.look_at = position, target
+        camera = self._desk.browser.camera
+        narrow = min(1.0, camera.aspect)  # a phone held upright: the panel is below, and the picture has less width
+        aside = np.array([ASIDE, 0.0, 0.0]) if narrow == 1.0 else np.array([0.0, -BELOW / narrow, 0.0])
+        target = (
+            np.array([middle[0], middle[1], high[2]]) + aside * reach
+        )  # the upper storey is nearest, and seen whole
+        position = target + CAMERA * reach * (1.0 if narrow == 1.0 else FURTHER / narrow)
+        camera.position, camera.look_at = position, target
 
     def _offer_heights(self, facts: dict[str, Any]) -> None:
         """Slices from the scene's lowest point to its highest; at first over the lowest ground."""
@@ -126,7 +153,7 @@ class MapControl:
             colour=tab.colour.value,
             below=tab.below.value,
             point_size=tab.size.value,
-            level=None if tab.level.value == ALL_LEVELS else int(tab.level.value),
+            levels=self._levels.get(self._desk.panel.storey.value),
         )
         self._stale |= self.layers.view.touched(before)
         self._desk.maps.do("view", self._renew)

@@ -40,19 +40,19 @@ class View:
         colour: Of the cloud: "height", "level" or "ground".
         below: Points higher over their ground are left out, so that a ceiling hides nothing [m].
         point_size: [m].
-        level: Only this level; all of them if None.
+        levels: Only these; all of them if None.
     """
 
     shown: frozenset[str] = frozenset({"cloud", "ground"})
     colour: str = "height"
     below: float = 1.5
     point_size: float = 0.02
-    level: int | None = None
+    levels: frozenset[int] | None = None
 
     def touched(self, before: View) -> set[str]:
         """Layers that look different than in the view `before`."""
         layers = set(self.shown ^ before.shown)
-        if self.level != before.level:
+        if self.levels != before.levels:
             layers |= self.shown
         if "level" in (self.colour, before.colour) and self.colour != before.colour:
             layers |= {"ground"} & self.shown
@@ -121,7 +121,8 @@ class MapLayers:
         if drawing is None or what not in self.view.shown:
             return
         level = drawing.columns["level"]
-        wanted = np.ones(len(level), dtype=bool) if self.view.level is None else level == self.view.level
+        levels = self.view.levels
+        wanted = np.ones(len(level), dtype=bool) if levels is None else np.isin(level, sorted(levels))
         made = getattr(self, f"_{what}")(drawing, wanted)
         if made is not None:
             self._handles[what] = made

@@ -16,9 +16,10 @@ from gpdf_service.viewer.widgets import put
 if TYPE_CHECKING:
     from viser._gui_handles import GuiProgressBarHandle
 
+TYPED = "x, y or x, y, z of the ground [m], or the name of a place"
 METHODS = tuple(colours.METHODS)
 CLICKS = ("start", "goal", OBSTACLE := "obstacle")
-ALL_LEVELS = "all"
+ALL_STOREYS = "all of them"
 NO_SCENE = "(none)"
 SLICES = {"none": "", "distance to the ground (d_g)": "ground", "distance to obstacles (d_o)": "obstacle"}
 LAYERS = {"cloud": "Cloud", "ground": "Ground", "obstacles": "What stops the body", "leaves": "Where it fits (leaves)"}
@@ -45,11 +46,15 @@ class PlanTab:
     sets: viser.GuiButtonGroupHandle
     drops: DropTools
     next: viser.GuiMarkdownHandle
+    typed: dict[str, viser.GuiTextHandle]
+    take: viser.GuiButtonHandle
     plan: viser.GuiButtonHandle
     compare_methods: viser.GuiButtonHandle
     compare_bodies: viser.GuiButtonHandle
     clear: viser.GuiButtonHandle
     answer: viser.GuiMarkdownHandle
+    refusal: viser.GuiHtmlHandle
+    nearest: viser.GuiButtonHandle
     table: viser.GuiHtmlHandle
     legend: viser.GuiHtmlHandle
     time: viser.GuiSliderHandle[float]
@@ -65,7 +70,6 @@ class MapTab:
     layers: dict[str, viser.GuiCheckboxHandle]
     legend: viser.GuiHtmlHandle
     colour: viser.GuiDropdownHandle[str]
-    level: viser.GuiDropdownHandle[str]
     below: viser.GuiSliderHandle[float]
     size: viser.GuiSliderHandle[float]
     slice: viser.GuiDropdownHandle[str]
@@ -102,6 +106,7 @@ class Panel:
 
     link: viser.GuiMarkdownHandle
     scene: viser.GuiDropdownHandle[str]
+    storey: viser.GuiDropdownHandle[str]
     bar: GuiProgressBarHandle
     work: viser.GuiMarkdownHandle
     plan: PlanTab
@@ -126,6 +131,7 @@ def build_panel(gui: viser.GuiApi) -> Panel:
     gui.configure_theme(control_width="large", show_logo=False, show_share_button=False, brand_color=(0, 114, 178))
     link = gui.add_markdown("Looking for the service …")
     scene = gui.add_dropdown("Scene", (NO_SCENE,))
+    storey = gui.add_dropdown("Storey", (ALL_STOREYS,), visible=False)
     bar = gui.add_progress_bar(0.0, visible=False)
     work = gui.add_markdown("", visible=False)
     tabs = gui.add_tab_group()
@@ -137,7 +143,7 @@ def build_panel(gui: viser.GuiApi) -> Panel:
         load = _load_tab(gui)
     with tabs.add_tab("Log"):
         log = _log_tab(gui)
-    return Panel(link, scene, bar, work, plan, shown, load, log)
+    return Panel(link, scene, storey, bar, work, plan, shown, load, log)
 
 
 def _plan_tab(gui: viser.GuiApi) -> PlanTab:
@@ -147,11 +153,15 @@ def _plan_tab(gui: viser.GuiApi) -> PlanTab:
         sets=gui.add_button_group("Next click", CLICKS),
         drops=_drop_tools(gui),
         next=gui.add_markdown(""),
+        typed={name: gui.add_text(name.capitalize(), "", hint=TYPED) for name in ("start", "goal")},
+        take=gui.add_button("Take what is typed", color="gray"),
         plan=gui.add_button("Plan", disabled=True),
         compare_methods=gui.add_button("Compare the methods", disabled=True, color="gray"),
         compare_bodies=gui.add_button("Compare the bodies", disabled=True, color="gray"),
         clear=gui.add_button("Clear", color="gray"),
         answer=gui.add_markdown(""),
+        refusal=gui.add_html("", visible=False),
+        nearest=gui.add_button("", visible=False),
         table=gui.add_html("", visible=False),
         legend=gui.add_html(gradient(colours.ROOM, "0 m", f"{colours.ENOUGH_ROOM} m of room"), visible=False),
         time=gui.add_slider("Time [s]", 0.0, 1.0, 0.01, 0.0, visible=False),
@@ -177,7 +187,6 @@ def _map_tab(gui: viser.GuiApi) -> MapTab:
         layers=layers,
         legend=gui.add_html(legend(0)),
         colour=gui.add_dropdown("Cloud by", CLOUD_COLOURS),
-        level=gui.add_dropdown("Level", (ALL_LEVELS,)),
         below=gui.add_slider("Up to [m]", 0.1, 6.0, 0.1, 1.5, hint="Points higher over their ground are not shown."),
         size=gui.add_slider("Points [m]", 0.005, 0.1, 0.005, 0.02),
         slice=gui.add_dropdown("Slice", tuple(SLICES)),
@@ -215,8 +224,8 @@ def gradient(shades: FloatArray, low: str, high: str) -> str:
     return f"<div style='padding:0 1em 0.5em;font-size:0.8em'><div style='{bar}'></div>{ends}</div>"
 
 
-def legend(levels: int) -> str:
-    """What the colours of the layers mean."""
+def legend(levels: int, step: float = 1.0) -> str:
+    """What the colours of the layers mean, and how far two lines under the ground are apart [m]."""
     named = [("ground", colours.SEEN), ("inferred ground", colours.INFERRED)]
     named += [(name, tuple(colour)) for name, colour in zip(colours.KIND_NAMES, colours.KINDS, strict=True)]
     named += [
@@ -227,4 +236,5 @@ def legend(levels: int) -> str:
         f"<span style='margin-right:1em;white-space:nowrap'><i style='{swatch}{colours.css(colour)}'></i>{name}</span>"
         for name, colour in named
     ]
-    return f"<div style='padding:0 1em 0.5em;font-size:0.8em;line-height:1.7'>{''.join(items)}</div>"
+    shown = f"{''.join(items)}<br>Lines under the ground: {step:g} m."
+    return f"<div style='padding:0 1em 0.5em;font-size:0.8em;line-height:1.7'>{shown}</div>"

@@ -24,9 +24,10 @@ GHOST_SHARE = 0.97
 """[-] Of the radius: the solid body's side must not coincide with a ghost's."""
 CORNERS = 24
 """Of a cylinder's rim."""
-MARKS = {"start": (0, 158, 115), "goal": (204, 121, 167)}
+MARKS = {"start": (0, 158, 115), "goal": (204, 121, 167), "nearest": (0, 114, 178), "cut": (213, 94, 0)}
 MARK_RADIUS = 0.12
 """[m]"""
+SAID = {"start": "start", "goal": "goal", "nearest": "nearest place that fits", "cut": "the way is cut here"}
 BODY = (0, 114, 178)
 
 
@@ -53,7 +54,7 @@ class PathLayers:
             return
         at = self._frame.to_page(place) + LIFTED
         disc = self._scene.add_cylinder(f"/plan/{name}", MARK_RADIUS, 0.03, MARKS[name], position=at, cast_shadow=False)
-        label = self._scene.add_label(f"/plan/{name}/label", name, position=(0, 0, 0.25))
+        label = self._scene.add_label(f"/plan/{name}/label", SAID[name], position=(0, 0, 0.25))
         self._marks[name] = [label, disc]
 
     def clear(self) -> None:

@@ -39,15 +39,18 @@ class Plans:
 
     def __init__(self, desk: Desk, map_control: MapControl, scenes: Scenes) -> None:
         self._desk, self._map, self._scenes, self._tab = desk, map_control, scenes, desk.panel.plan
-        self.paths = PathLayers(desk.server.scene, desk.frame)
+        self.paths = PathLayers(desk.browser.scene, desk.frame)
         self.ends: dict[str, FloatArray | None] = {"start": None, "goal": None}
         self.next = "start"
+        self._nearest: tuple[str, FloatArray] | None = None
         self.drops = Drops(desk, self._replan)
         tab = self._tab
-        desk.server.scene.on_click()(self._click)
+        desk.browser.scene.on_click()(self._click)
         tab.body.on_change(self._change_body)
         tab.method.on_update(by_hand(self._replan))
         tab.sets.on_click(lambda event: self._set_next(str(event.target.value)))
+        tab.take.on_click(lambda _: desk.plans.do("plan", self._take_typed))
+        tab.nearest.on_click(lambda _: desk.plans.do("plan", self._take_nearest))
         tab.plan.on_click(lambda _: self.plan_soon())
         tab.compare_methods.on_click(lambda _: desk.plans.do("plan", self._compare_methods))
         tab.compare_bodies.on_click(lambda _: desk.plans.do("plan", self._compare_bodies))
@@ -63,6 +66,7 @@ class Plans:
         """Set the start or the goal (x, y, z of the ground) [m]; the next click sets the other."""
         self.ends[name] = place
         self.paths.mark(name, place)
+        put(self._tab.typed[name], ", ".join(f"{value:.2f}" for value in place))
         self._set_next("goal" if name == "start" else "start")
 
     def clear(self) -> None:
@@ -71,6 +75,7 @@ class Plans:
         for name in self.ends:
             self.ends[name] = None
             self.paths.mark(name, None)
+            put(self._tab.typed[name], "")
         self._clear_path()
         self._desk.panel.say_answer("")
         self._set_next("start")
@@ -78,7 +83,10 @@ class Plans:
     def show(self, result: PlanResult, scene: str, agent: Agent, seconds: float | None) -> None:
         """Show an answer; `seconds`: how long it took, if that is known."""
         self._clear_path()
-        self._desk.panel.say_answer(words.answer(result))
+        refused = result.trajectory is None
+        self._desk.panel.say_answer("" if refused else words.answer(result))
+        if refused:
+            self._refuse(result)
         self._tab.details.content = words.details(result, seconds)
         path = result.trajectory
         if path is None:
@@ -96,6 +104,44 @@ class Plans:
         put(self._tab.time, 0.0)
         self._tab.legend.visible = clearance is not None and proven
         self._tab.time.visible = self._tab.play.visible = True
+
+    def _refuse(self, result: PlanResult) -> None:
+        """A card that says why, the place on the map, and a button that takes the nearest one that is valid."""
+        self._tab.refusal.content, self._tab.refusal.visible = words.refusal(result), True
+        self._nearest = None
+        for what in ("nearest", "cut"):
+            place = np.array([result.details.get(f"{what}_{axis}", np.nan) for axis in "xyz"])
+            if not np.isfinite(place).all():
+                continue
+            self.paths.mark(what, place)
+            if what == "nearest":
+                name = "start" if result.status.value.startswith("START") else "goal"
+                self._nearest = name, place
+                self._tab.nearest.label = f"Take the nearest {name}: ({place[0]:.2f}, {place[1]:.2f}, {place[2]:.2f})"
+                self._tab.nearest.visible = True
+
+    def _take_nearest(self) -> None:
+        if self._nearest is not None:
+            self.set_end(*self._nearest)
+            self._plan()
+
+    def _take_typed(self) -> None:
+        """Start and goal as they are typed: numbers, or names of places."""
+        for name, field in self._tab.typed.items():
+            if text := field.value.strip():
+                self.set_end(name, self._map.on_ground(self._where(text)))
+        self._set_next("start")
+        if self._ready:
+            self._plan()
+
+    def _where(self, text: str) -> list[float]:
+        try:
+            place = [float(part) for part in text.replace(",", " ").split()]
+        except ValueError:
+            return self._desk.link.client.where(self._scenes.shown[0], text)
+        if len(place) not in (2, 3):
+            raise ValueError(f"{text!r} is no place: type x, y or x, y, z in metres, or the name of a place.")
+        return place
 
     def tick(self, seconds: float) -> None:
         """Move the body on, if it shall play."""
@@ -135,7 +181,10 @@ class Plans:
         self.paths.clear()
         self._tab.charts.hide()
         self._tab.details.content = ""
+        for what in ("nearest", "cut"):
+            self.paths.mark(what, None)
         tab = self._tab
+        tab.refusal.visible = tab.nearest.visible = False
         tab.legend.visible = tab.table.visible = tab.time.visible = tab.play.visible = False
 
     def _change_body(self) -> None:

@@ -32,8 +32,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Serve the page until SIGINT or SIGTERM."""
+    from gpdf_service.viewer.front import front_page
     from gpdf_service.viewer.gate import Gate, hidden_address
-    from gpdf_service.viewer.page import Page, Server
+    from gpdf_service.viewer.page import Pages, Server
 
     logging.basicConfig(level=logging.INFO, format="%(asctime)s %(levelname)s %(name)s: %(message)s")
     logging.getLogger("websockets").setLevel(logging.WARNING)
@@ -54,14 +55,14 @@ def run(args: argparse.Namespace) -> int:
         return 1
     hidden = hidden_address()
     server = Server(hidden, _free_port(hidden), label="gpdf", verbose=False)
-    page = Page(server, args.endpoint, args.log, config)
+    pages = Pages(server, args.endpoint, args.log, config)
     token = secrets.token_urlsafe()
-    gate = Gate(args.host, args.port, (hidden, server.get_port()), token, args.name)
+    gate = Gate(args.host, args.port, (hidden, server.get_port()), token, args.name, front_page())
     shown = f"[{args.host}]" if ":" in args.host else args.host
     print(f"open http://{shown}:{args.port}/?token={token}", flush=True)
     while not stop.wait(WAKE_S):
         pass
-    page.close()
+    pages.close()
     gate.close()
     server.stop()
     return 0

@@ -9,6 +9,8 @@ from gpdf_client import PlanResult, Status
 
 from gpdf_service.viewer.colours import WARNING, css
 
+DARK_WARNING = "#9a3d00"
+"""As text on its pale ground: 6 to 1, where `WARNING` has less than 4.5."""
 HEADS = ("status", "length [m]", "least room [m]", "on the way [s]", "answer [s]")
 
 
@@ -24,6 +26,15 @@ def answer(result: PlanResult) -> str:
         f"**{result.status.value}** · {path.length:.2f} m in {path.duration:.1f} s, "
         f"at least **{proof.min_clearance:.2f} m** of room everywhere. {result.message}"
     )
+
+
+def refusal(result: PlanResult) -> str:
+    """A card that says why there is no path, as HTML; a screen reader reads it at once."""
+    head = f"<b style='color:{DARK_WARNING}'>No path: {escape(result.status.value)}</b>"
+    style = (
+        f"margin:0 1em 0.5em;padding:0.5em 0.75em;border-left:4px solid {css(WARNING)};background:rgba(213,94,0,.08)"
+    )
+    return f"<div role='alert' style='{style}'>{head}<br>{escape(result.message)}</div>"
 
 
 def details(result: PlanResult, seconds: float | None) -> str:

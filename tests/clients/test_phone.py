@@ -64,6 +64,8 @@ def test_a_pose_that_was_held_up_on_its_way_is_as_old_as_it_is():
     assert clock.to_ours(100.0, 1000.05) == pytest.approx(1000.05)
     assert clock.to_ours(100.1, 1000.12) == pytest.approx(1000.12)
     assert clock.to_ours(100.2, 1005.2) == pytest.approx(1000.22)  # five seconds in the network
+    assert clock.to_theirs(1000.35) == pytest.approx(100.33)
+    assert Clock().to_theirs(1000.0) is None
 
 
 class Streams:

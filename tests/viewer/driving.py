@@ -15,7 +15,7 @@ from gpdf_client import Client
 from PIL import Image
 
 from gpdf_service.bench.running import free_port
-from gpdf_service.viewer.page import Page, Server
+from gpdf_service.viewer.page import Pages, Server
 
 SIZE = {"width": 1100, "height": 600}
 
@@ -69,7 +69,7 @@ class Operator:
 
     def __init__(self, browser, endpoint, log=None):
         self.server = Server("127.0.0.1", free_port(), label="gpdf", verbose=False)
-        self.page = Page(self.server, endpoint, log)
+        self.pages = Pages(self.server, endpoint, log)
         self.context = browser.new_context(viewport=SIZE)
         self.context.add_init_script(CALM)
         self.web = self.context.new_page()
@@ -78,9 +78,14 @@ class Operator:
         self.web.goto(f"http://127.0.0.1:{self.server.get_port()}/")
         self.sees("Connected to")
 
+    @property
+    def page(self):
+        """The oldest one, which `web` shows."""
+        return self.pages.open[0]
+
     def close(self):
         self.context.close()
-        self.page.close()
+        self.pages.close()
         self.server.stop()
 
     def sees(self, text, seconds=60.0):

@@ -1,5 +1,6 @@
 """The operator's page in a real browser, on a real service; SIGKILL included."""
 
+import re
 import shutil
 import time
 
@@ -15,7 +16,7 @@ from gpdf_service.types import AGENTS
 from gpdf_service.viewer import colours
 
 pytestmark = [pytest.mark.slow, pytest.mark.browser]
-OVER_THE_STEP = (5.5, 1.0, 0.0), (5.5, 3.4, 0.0)
+ONTO_THE_STEP = (5.5, 1.0, 0.0), (5.5, 2.2, 0.35)
 
 
 def shade(operator, place):
@@ -101,48 +102,92 @@ def test_who_is_on_the_way_is_shown_until_nothing_is_heard(operator, service):
     until(lambda: operator.page.live.names == frozenset())
 
 
-def test_storeys_have_their_colours_and_are_shown_alone(operator):
+def test_the_lowest_storey_is_shown_alone_and_the_others_by_their_height(operator):
     operator.opens("house")
-    upstairs = (4.0, 4.0, STOREY)
-    operator.plans((0.5, 2.0, STOREY), (4.5, 2.0, STOREY))  # the click meets the upper floor first
-    operator.sees("of room everywhere")
-    operator.presses("Clear")
+    low, high = "0: floor at 0.0 m", f"1: floor at {STOREY:.1f} m"
+    assert operator.page.panel.storey.value == low
     operator.tab("Map")
     operator.choose("Cloud by", "level")
-    operator.choose("Level", "0")
     operator.settle()
     np.testing.assert_allclose(shade(operator, (3.0, 3.0, 0.0)), colours.pale(colours.LEVELS[0]), atol=12)
-    operator.choose("Level", "1")
+    operator.choose("Storey", high)
     operator.settle()
-    np.testing.assert_allclose(shade(operator, upstairs), colours.pale(colours.LEVELS[1]), atol=12)
-    for label, value in (("Level", "all"), ("Cloud by", "height")):
+    np.testing.assert_allclose(shade(operator, (4.0, 4.0, STOREY)), colours.pale(colours.LEVELS[1]), atol=12)
+    operator.tab("Plan")
+    operator.plans((0.5, 2.0, STOREY), (4.5, 2.0, STOREY))
+    operator.sees("of room everywhere")
+    assert operator.page.plans.ends["goal"][2] == pytest.approx(STOREY, abs=0.05)
+    operator.presses("Clear")
+    operator.tab("Map")
+    for label, value in (("Storey", "all of them"), ("Cloud by", "height")):
         operator.choose(label, value)
 
 
-def test_another_body_takes_another_way(operator):
-    operator.plans(*OVER_THE_STEP)
+def test_each_browser_has_a_page_of_its_own(operator, browser):
+    operator.plans((0.9, 0.9, 0.0), (5.4, 3.4, 0.0))
     operator.sees("of room everywhere")
-    human = path_on_screen(operator)
-    assert human[:, 2].max() > 0.3  # over the step
+    with browser.new_context() as context:
+        other = context.new_page()
+        other.goto(operator.web.url)
+        other.get_by_text("Click the ground:").wait_for()
+        until(lambda: len(operator.pages.open) == 2)
+        assert operator.pages.open[1].plans.ends == {"start": None, "goal": None}
+        operator.pages.open[1].plans.clear()
+        assert path_on_screen(operator) is not None
+    until(lambda: len(operator.pages.open) == 1)
+
+
+def types(operator, start, goal):
+    for name, text in (("Start", start), ("Goal", goal)):
+        field = operator.web.get_by_text(name, exact=True).locator("xpath=following::input[1]")
+        field.fill(text)
+        until(lambda name=name, text=text: operator.page.panel.plan.typed[name.lower()].value == text)
+    operator.presses("Take what is typed")
+
+
+def test_start_and_goal_can_be_typed_and_be_names(operator, service):
+    with Client.connect(service.endpoint) as client:
+        client.set_place("office", "door", [5.4, 3.4, 0.0])
+    types(operator, "0.9, 0.9", "door")
+    operator.sees("of room everywhere")
+    np.testing.assert_allclose(path_on_screen(operator)[[0, -1], :2], [(0.9, 0.9), (5.4, 3.4)], atol=0.05)
+    types(operator, "0.9, 0.9", "nowhere at all")
+    operator.sees("nowhere at all")
+
+
+def test_a_refusal_is_a_card_with_a_button_that_takes_the_nearest_place(operator):
+    operator.plans((0.9, 0.9, 0.0), (2.7, 0.45, 0.0))
+    card = operator.web.get_by_role("alert").filter(has_text="No path: GOAL_OCCUPIED")
+    card.wait_for()
+    operator.web.get_by_role("button", name=re.compile("Take the nearest goal")).click()
+    operator.sees("of room everywhere")
+    assert card.count() == 0
+
+
+def test_another_body_gets_another_answer(operator):
+    operator.plans(*ONTO_THE_STEP)
+    operator.sees("of room everywhere")
+    assert path_on_screen(operator)[:, 2].max() > 0.3
     operator.choose("Body", "roomba")
-    until(lambda: path_on_screen(operator) is not None and path_on_screen(operator)[:, 2].max() < 0.1)
-    assert path_on_screen(operator)[:, 0].min() < 5.0  # around it
+    operator.sees("No path: ")
+    until(lambda: path_on_screen(operator) is None)
 
 
 def test_a_body_with_measures_of_its_own(operator):
-    operator.plans(*OVER_THE_STEP)
+    operator.plans(*ONTO_THE_STEP)
     operator.sees("of room everywhere")
-    assert path_on_screen(operator)[:, 2].max() > 0.3  # over the step
     operator.web.get_by_text("Its measures").click()
     height = operator.web.get_by_label("Highest step [m]")
     height.fill("0.1")
     height.press("Enter")
-    until(lambda: path_on_screen(operator) is not None and path_on_screen(operator)[:, 2].max() < 0.1)
+    operator.sees("No path: ")
     until(lambda: operator.web.get_by_label("Body", exact=True).input_value() == "own")
     assert operator.page.desk.body.wire["max_step"] == 0.1
     operator.presses("Compare the bodies")
     rows = operator.web.get_by_role("row")
-    until(lambda: all(rows.filter(has_text=name).filter(has_text="OK").count() == 1 for name in ("roomba", "own")))
+    until(lambda: rows.filter(has_text="human").filter(has_text="OK").count() == 1)
+    until(lambda: rows.filter(has_text="own").count() == 1)
+    assert rows.filter(has_text="own").filter(has_text="OK").count() == 0
     operator.web.get_by_text("Its measures").click()
 
 
@@ -209,7 +254,7 @@ def test_a_log_is_stepped_through(operator, service):
     operator.plans((0.9, 0.9, 0.0), (5.4, 3.4, 0.0))
     operator.sees("of room everywhere")
     first = path_on_screen(operator)
-    operator.plans(*OVER_THE_STEP)
+    operator.plans(*ONTO_THE_STEP)
     until(lambda: path_on_screen(operator) is not None and not np.array_equal(path_on_screen(operator), first))
     service.stop()
     log = max((service.folder / "log").glob("*.mcap"), key=lambda path: path.stat().st_mtime)

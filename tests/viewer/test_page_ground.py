@@ -39,7 +39,7 @@ def test_of_two_storeys_the_upper_is_met_first_unless_the_lower_is_asked():
     house = ground(0.0, 2.8)
     ray = np.array([1.0, 1.0, 5.0]), np.array([0.0, 0.0, -1.0])
     assert house.hit(*ray)[2] == pytest.approx(2.8)
-    assert house.hit(*ray, level=0)[2] == pytest.approx(0.0)
+    assert house.hit(*ray, levels=frozenset({0}))[2] == pytest.approx(0.0)
 
 
 @pytest.mark.parametrize(

@@ -89,7 +89,7 @@ def test_the_link_finds_loses_and_finds_again(tmp_path, free_endpoint):
         ({"point_size": 0.05}, {"cloud", "obstacles"}),
         ({"shown": frozenset({"cloud", "ground", "leaves"})}, {"leaves"}),
         ({"shown": frozenset({"cloud"})}, {"cloud", "ground"}),  # the cloud then shows the ground's own points
-        ({"level": 1}, {"cloud", "ground"}),
+        ({"levels": frozenset({1})}, {"cloud", "ground"}),
     ],
 )
 def test_only_what_looks_different_is_sent_again(change, layers):

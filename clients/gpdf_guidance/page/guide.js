@@ -3,8 +3,9 @@
 "use strict";
 
 const SILENCE = 400; // [ms] Without a cue for so long the person is stopped; a cue comes every 100 ms.
-const LOOK = 50; // [ms] Between two looks at it: together under half a second.
 const STOP_AGAIN = 8000; // [ms]
+const ANSWERS = 3000; // [ms] A connection that has brought nothing by then is made anew.
+const CALL_AGAIN = 500; // [ms] After one that was refused.
 const FEEL = { stop: [500, 100, 500], arrived: [200, 100, 200, 100, 200], slow: [60], go: [30] };
 const SHOWN = { go: "Walk", slow: "Walk slowly", turn: "Turn", stop: "Stop", arrived: "Arrived" };
 const STEP = 1.2; // [m/s²] A foot that is set down shakes the phone by this.
@@ -16,9 +17,12 @@ let socket = null;
 let says = { stop_alone: "Stop. I have no connection." };
 let language = "en";
 let led = false; // Whether cues have come: only who is led can be stopped.
-let lastCue = 0, stoppedAt = 0, alone = false, action = "";
+let lastCue = 0, alone = false, action = "", deadline = 0, again = 0;
+let answered = null; // The pose that the last cue was made of.
 let speaking = -1, steps = 0, lastStep = 0, counts = false;
-window.gpdf = { said: [], cues: 0, latency: [], alone: [] }; // What happened, for a look into it.
+window.gpdf = { said: [], cues: 0, late: 0, latency: [], alone: [] }; // What happened, for a look into it.
+
+const clock = () => (performance.timeOrigin + performance.now()) / 1000; // [s] Of the poses, and of what comes back.
 
 function state(text, cue) {
   const box = byId("state");
@@ -43,10 +47,17 @@ function feel(pattern) {
 }
 
 function cue(message) {
+  if (message.sent !== null && 1000 * (clock() - message.sent) > SILENCE) {
+    window.gpdf.late += 1; // a network that comes back brings what was true before
+    return;
+  }
   lastCue = performance.now();
   led = true;
   window.gpdf.cues += 1;
-  if (sentAt.length) window.gpdf.latency.push(lastCue - sentAt[sentAt.length - 1]);
+  if (message.pose !== answered) window.gpdf.latency.push(1000 * (clock() - message.pose)); // the first cue after a pose
+  answered = message.pose;
+  clearTimeout(deadline);
+  if (message.action !== "arrived") deadline = setTimeout(silent, SILENCE);
   if (alone) { alone = false; feel(0); }
   const side = message.direction > 0 ? "left" : "right";
   const degrees = Math.round(Math.abs(message.direction) * 180 / Math.PI / 5) * 5;
@@ -57,27 +68,28 @@ function cue(message) {
   action = key;
 }
 
-function watch() { // The page's own stop: it needs nobody.
-  const now = performance.now();
-  if (!led || action === "arrived" || now - lastCue <= SILENCE) return;
-  if (!alone) window.gpdf.alone.push(now - lastCue);
-  if (alone && now - stoppedAt < STOP_AGAIN) return;
+function silent() { // The page's own stop: it needs nobody.
+  if (!alone) window.gpdf.alone.push(performance.now() - lastCue);
   alone = true;
   action = "";
-  stoppedAt = now;
+  deadline = setTimeout(silent, STOP_AGAIN);
   state("Stop. No connection.", "stop");
   feel(FEEL.stop);
   speak(says.stop_alone, 3);
+  connect();
 }
 
-function options(select, names, chosen) {
-  select.replaceChildren(...names.map((name) => new Option(name, name, false, name === chosen)));
+function options(select, names, chosen) { // What was chosen before stays.
+  const kept = select.value || chosen;
+  const none = new Option("Choose a place", "");
+  select.replaceChildren(none, ...names.map((name) => new Option(name, name, false, name === kept)));
+  select.value = names.includes(kept) ? kept : "";
 }
 
 function take(message) {
   if (message.type === "cue") return cue(message);
   if (message.type === "say") {
-    if (message.valid_s <= 0) return undefined;
+    if (message.until !== null && clock() > message.until) return undefined;
     byId("question").hidden = message.answers.length === 0;
     speak(message.text, message.urgency);
     if (message.answers.length) document.querySelector('[data-ask="yes"]').focus();
@@ -87,8 +99,9 @@ function take(message) {
     ({ says, language } = message);
     document.documentElement.lang = "en";
     byId("words").lang = language;
-    for (const id of ["place", "facing", "goal"]) options(byId(id), message.places, message.goal);
-    if (!led) state("Connected. Say where you stand.");
+    for (const id of ["place", "facing", "goal"]) options(byId(id), message.places, id === "goal" ? message.goal : "");
+    if (!led) state("Connected.");
+    if (!window.gpdf.said.length) byId("words").textContent = "Say where you stand and what you look towards. Then press Start.";
     return undefined;
   }
   if (message.type === "here") {
@@ -102,10 +115,16 @@ function take(message) {
   return undefined;
 }
 
-function connect() {
+function connect() { // A socket whose network has gone never says so: it is left, and what it still holds is not heard.
+  if (socket) {
+    socket.onmessage = socket.onclose = null;
+    socket.close();
+  }
   socket = new WebSocket(`wss://${location.host}/socket?token=${encodeURIComponent(token)}`);
-  socket.onmessage = (event) => take(JSON.parse(event.data));
-  socket.onclose = () => setTimeout(connect, 500);
+  socket.onmessage = (event) => { clearTimeout(again); take(JSON.parse(event.data)); };
+  socket.onclose = () => { clearTimeout(again); again = setTimeout(connect, CALL_AGAIN); };
+  clearTimeout(again);
+  again = setTimeout(connect, ANSWERS);
 }
 
 function send(message) {
@@ -123,7 +142,6 @@ function ask(what, goal) {
   }
 }
 
-const sentAt = [];
 let sent = 0;
 function frame(time, xr, space) {
   const pose = xr.getViewerPose(space);
@@ -131,10 +149,10 @@ function frame(time, xr, space) {
   sent = time;
   const { position: p, orientation: q } = pose.transform;
   const message = { type: "pose", position: [p.x, p.y, p.z], orientation: [q.x, q.y, q.z, q.w] };
-  message.time = (performance.timeOrigin + performance.now()) / 1000;
+  message.time = clock();
   message.tracked = !pose.emulatedPosition;
   if (counts) message.steps = steps;
-  if (send(message)) { sentAt.push(performance.now()); if (sentAt.length > 50) sentAt.shift(); }
+  send(message);
 }
 
 async function track() { // The phone's own tracking: immersive-ar, so that the camera is on; nothing is drawn.
@@ -147,7 +165,12 @@ async function track() { // The phone's own tracking: immersive-ar, so that the 
     const loop = (time, xr) => { session.requestAnimationFrame(loop); frame(time, xr, space); first(); };
     session.requestAnimationFrame(loop);
   });
-  session.addEventListener("end", () => state("The phone does not track any more. Start again.", "stop"));
+  session.addEventListener("end", () => {
+    byId("start").hidden = false;
+    feel(FEEL.stop);
+    state("The phone does not track any more.", "stop");
+    speak("Stop. The phone does not track any more. Start again.", 3);
+  });
 }
 
 function shaken(event) { // Steps, from how the phone shakes.
@@ -160,7 +183,7 @@ function shaken(event) { // Steps, from how the phone shakes.
 
 async function start() {
   const here = { type: "here", place: byId("place").value, facing: byId("facing").value };
-  if (here.place === here.facing) return speak("Choose two places: where you stand, and which one you look towards.", 2);
+  if (!here.place || !here.facing || here.place === here.facing) return speak("Choose two places: where you stand, and which one you look towards.", 2);
   if (!navigator.xr || !(await navigator.xr.isSessionSupported("immersive-ar").catch(() => false))) {
     state("This browser does not tell where the phone is.", "");
     return speak("This browser does not tell where the phone is. You hear me, but another device must say where you are.", 2);
@@ -183,5 +206,4 @@ byId("here").addEventListener("click", () => send({ type: "here", place: byId("p
 byId("go").addEventListener("click", () => ask("goal", byId("goal").value));
 byId("reader").addEventListener("change", (event) => { byId("words").setAttribute("aria-live", event.target.checked ? "assertive" : "off"); });
 for (const button of document.querySelectorAll("[data-ask]")) button.addEventListener("click", () => ask(button.dataset.ask));
-setInterval(watch, LOOK);
 connect();

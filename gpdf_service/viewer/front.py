@@ -1,0 +1,61 @@
+"""The first file that a browser gets: viser's, with our title and icon, room on a phone, and names for a screen reader.
+
+viser has no hook for any of these. What it draws later is named as it comes.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+TITLE = "<title>Viser</title>"
+"""viser's; where it is missing, the page is left as it is."""
+HEAD = """<title>Plan a way · gpdf</title>
+<link rel="icon" href="data:image/svg+xml,%3Csvg xmlns='http://www.w3.org/2000/svg' viewBox='0 0 16 16'%3E%3Cpath
+ d='M3 13C3 6 13 11 13 4' fill='none' stroke='%230072b2' stroke-width='2'/%3E%3Ccircle cx='3' cy='13' r='2.4'
+ fill='%23009e73'/%3E%3Ccircle cx='13' cy='3.4' r='2.4' fill='%23cc79a7'/%3E%3C/svg%3E">
+<style>
+:root { --mantine-color-gray-filled: #5c636a !important; }
+.mantine-Button-root[data-variant=outline] { color: #005a8f !important; border-color: #005a8f !important; }
+.mantine-Button-root[style*="gray"] { background: #5c636a !important; }
+label { color: #343a40 !important; }
+[data-dock-minimize] { min-width: 24px; min-height: 24px; }
+@media (max-width: 36em) {
+  [style*="width: 20em"] { width: 100% !important; }
+  [style*="max-height: 60%"] { max-height: 45% !important; }
+}
+</style>
+<script>
+"use strict";
+const NAMES = [["canvas", "Map of the scene. Start and goal can be typed, too."]];
+function nameAll() {
+  for (const [what, name] of NAMES) {
+    for (const one of document.querySelectorAll(`${what}:not([aria-label])`)) {
+      one.setAttribute("role", "img");
+      one.setAttribute("aria-label", name);
+    }
+  }
+  for (const label of document.querySelectorAll("label[for]")) {  // viser's labels name no field
+    let row = label;
+    while (row && !row.querySelector("input, [role=slider]")) row = row.parentElement;
+    for (const field of row ? row.querySelectorAll("input, [role=slider]") : []) {
+      if (!field.labels || field.labels.length === 0) field.setAttribute("aria-label", label.textContent.trim());
+    }
+  }
+  for (const button of document.querySelectorAll("button:not([aria-label])")) {
+    if (!button.textContent.trim()) button.setAttribute("aria-label", "Settings of the picture");
+  }
+}
+document.addEventListener("DOMContentLoaded", () => {
+  let due = 0;
+  const soon = () => { cancelAnimationFrame(due); due = requestAnimationFrame(nameAll); };
+  new MutationObserver(soon).observe(document.body, { childList: true, subtree: true });
+});
+</script>"""
+
+
+def front_page() -> bytes:
+    """Viser's page with what it has no hook for."""
+    import viser
+
+    page = Path(viser.__file__).parent / "client" / "build" / "index.html"
+    return page.read_text(encoding="utf-8").replace(TITLE, HEAD, 1).encode()
