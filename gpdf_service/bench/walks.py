@@ -10,10 +10,8 @@ import numpy as np
 from gpdf_service.bench.judge import Judge
 from gpdf_service.types import AGENTS, Agent, BoolArray, FloatArray
 
-FOOT = 0.1
-"""[m] Half of one: the highest ground within this carries the walker, so the underside of its flight does not."""
 NEIGHBOURS = 8
-"""Where a scan has none so near: ground points that are looked at for the one that the walker can step onto."""
+"""Ground points that are looked at for the one that the walker can step onto."""
 OFF_GROUND = 0.6
 """[m] Further from any ground point, nobody knows what is under the walker; scans have smaller gaps between points."""
 
@@ -42,15 +40,12 @@ class WalkedWorld:
         rows = np.array(self.judge.ground_plan.query_ball_point(position[:2], OFF_GROUND), dtype=np.int64)
         rows = rows[self.judge.ground[rows, 2] <= position[2] + self.agent.max_step]
         away = np.hypot(*(self.judge.ground[rows, :2] - position[:2]).T)
-        rows, away = rows[order := np.argsort(away)], away[order]
-        z = self.judge.ground[rows, 2]
-        near = z[(away <= FOOT) | (np.arange(len(z)) < NEIGHBOURS)]
-        carries = near >= position[2] - self.agent.max_step
-        if not carries.any():
+        z = self.judge.ground[rows[np.argsort(away)[:NEIGHBOURS]], 2]
+        near = z[z >= position[2] - self.agent.max_step]
+        if len(near) == 0:
             self.fell = True
             return float(z[0] if len(z) else position[2])
-        under = carries & (away[: len(near)] <= FOOT)
-        return float(near[under].max() if under.any() else near[carries][0])
+        return float(near[0])
 
     def penetration(self, position: FloatArray) -> float:
         """How deep the worst point is in the walker's cylinder [m]; inf after a fall."""
