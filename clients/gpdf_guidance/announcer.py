@@ -68,18 +68,13 @@ class Announcer:
         self._said: list[_Said] = []
         self._tokens = 1.0
         self._then: float | None = None
-        self._quiet_at, self._speaking, self._now = -inf, Urgency.INFORM, -inf
+        self._quiet_at, self._speaking = -inf, Urgency.INFORM
         self._last: tuple[Instruction, str] | None = None
 
     @property
     def last(self) -> tuple[Instruction, str] | None:
         """What was said last."""
         return self._last
-
-    @property
-    def is_quiet(self) -> bool:
-        """Whether the last sentence has been said to its end."""
-        return self._now >= self._quiet_at
 
     def choose(self, instructions: Sequence[Instruction], now: float) -> tuple[Instruction, str] | None:
         """The most urgent that is due, in words; None to be silent.
@@ -89,7 +84,6 @@ class Announcer:
             now: Clock [s].
         """
         self._earn(now)
-        self._now = now
         for instruction in instructions:
             affordable = self._tokens >= NEEDED[instruction.urgency] or instruction.reply_to is not None
             silent = now >= self._quiet_at or instruction.urgency > self._speaking or instruction.kind in LAST

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import shutil
-import socket
 import tempfile
 import time
 from collections.abc import Callable
@@ -14,6 +13,7 @@ from playwright.sync_api import Page as Tab
 from playwright.sync_api import sync_playwright
 
 import gpdf_service as gpdf
+from gpdf_service.bench.running import free_endpoint, free_port
 from gpdf_service.service.server import Options
 from gpdf_service.service.server import Server as Service
 from gpdf_service.viewer.page import Pages, Server
@@ -34,9 +34,9 @@ def draw_page(scene: gpdf.Scene, path: Path) -> None:
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         scene.save(folder / "office.gpdf")
-        endpoint = f"tcp/127.0.0.1:{_free_port()}"
+        endpoint = free_endpoint()
         with Service(Options(endpoint, folder, folder, 1), [("office", folder / "office.gpdf")]):
-            server = Server(host="127.0.0.1", port=_free_port(), label="gpdf")
+            server = Server(host="127.0.0.1", port=free_port(), label="gpdf")
             pages = Pages(server, endpoint)
             with sync_playwright() as playwright:
                 browser = playwright.chromium.launch(executable_path=shutil.which("chromium"), args=FLAGS)
@@ -71,9 +71,3 @@ def _until(claim: Callable[[], bool]) -> None:
         if time.monotonic() > end:
             raise SystemExit(f"the page did not get there within {WAIT_S:.0f} s")
         time.sleep(0.1)
-
-
-def _free_port() -> int:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
