@@ -1,10 +1,14 @@
 import json
+import socket
 import subprocess
 import sys
 
+import msgspec
 import pytest
+from gpdf_schemas import PlanRequest, encode
 
 from gpdf_service.cli import main
+from gpdf_service.service.pool import Settings
 
 
 @pytest.mark.slow
@@ -20,6 +24,39 @@ def test_what_was_warmed_once_is_not_compiled_again(capsys):
     )
 
 
+@pytest.mark.slow
+def test_a_process_that_says_that_it_is_ready_has_loaded_what_its_first_plan_runs(tmp_path, office, office_file):
+    made = office[0]
+    ask = PlanRequest(scene="x", start=list(made.start), goal=list(made.goal), agent="human")
+    (tmp_path / "plan").write_bytes(encode(ask))
+    settings = msgspec.json.encode(Settings(0, "me", 1e9, "text", ("human",))).decode()
+    words = [sys.executable, "-c", FIRST, settings, str(office_file), str(tmp_path / "plan")]
+    found = subprocess.run(words, capture_output=True, text=True, check=True, timeout=600, stdin=socket.socketpair()[0])
+    assert found.stdout.split() == ["OK"]
+
+
+FIRST = """
+import sys, time
+from pathlib import Path
+from gpdf_schemas import PlanReply, decode, keys
+from gpdf_service.service import plan_process
+from gpdf_service.service.pool import WARM, Ask
+from gpdf_service.warm import kernels
+
+def loaded():
+    return {(one.__name__, signature) for one in kernels() for signature in one.signatures}
+
+def serve(pipe, desk):
+    file, request = sys.argv[2:]
+    desk.answer(Ask(WARM, b"", time.monotonic(), 0.0, "x", file))
+    before = loaded()
+    ask = Ask(keys.PLAN, Path(request).read_bytes(), time.monotonic(), 0.0, "x", file)
+    print(decode(desk.answer(ask), PlanReply).status, *(name for name, _ in loaded() - before))
+
+plan_process.serve = serve
+plan_process.main()
+"""
+"""Instead of serving, a process takes a scene into memory, makes the first plan, and names the kernels it loaded."""
 LOADED = """
 from gpdf_service.warm import Warming, kernels
 Warming().plans()

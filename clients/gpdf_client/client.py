@@ -560,6 +560,8 @@ class Client:
         """Nobody answered in time, or all were busy all the time."""
         if answer is not None and answer.status is Status.BUSY:
             return ServiceBusyError(answer)
+        if answer is not None:
+            return UnavailableError(f"{answer.message} That was the last answer on {key} within {deadline_s:g} s.")
         if self._planners.alive() or self._is_map_there():
             return UnavailableError(f"the service did not answer on {key} within {deadline_s:g} s. Give it more time.")
         return UnavailableError(f"no answer on {key} within {deadline_s:g} s. Is the service running?")

@@ -5,16 +5,20 @@ from __future__ import annotations
 import logging
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
 
 import zenoh
 from gpdf_client import Client
 from gpdf_client.results import ClientError
-from gpdf_schemas import DecodeError, FileReply, FileRequest, SceneRequest, ScenesReply, keys
+from gpdf_schemas import DecodeError, FileReply, FileRequest, SceneRequest, ScenesReply, Status, keys
 
-from gpdf_service.errors import GpdfError
+from gpdf_service.errors import GpdfError, SceneFileError
 from gpdf_service.scene import load_scene
+from gpdf_service.service.answers import RefusedError
 from gpdf_service.service.scenes import Shelf
+from gpdf_service.service.words import public
 
 log = logging.getLogger(__name__)
 
@@ -33,20 +37,26 @@ class Follower:
         on_synced: Called once, when the shelf is as the map's for the first time.
 
     Attributes:
-        synced: Whether the shelf was ever as the map's.
         trouble: Why it may be stale now; empty when all is well.
+        absent: Scenes that the map has, or will have, and the shelf has not: the status and the words for who asks.
     """
 
     def __init__(self, session: zenoh.Session, shelf: Shelf, on_synced: Callable[[], None]) -> None:
         assert shelf.files is not None
         self._map, self._shelf, self._files = Client(session), shelf, shelf.files
         self._on_synced = on_synced
-        self.synced, self.trouble = False, "the map service has not answered yet"
+        self._synced, self.trouble = False, "the map service has not answered yet"
+        self.absent: dict[str, tuple[Status, str]] = {}
         self._news, self._ended = threading.Event(), threading.Event()
         self._busy = threading.Lock()
         self._looked = 0.0
         self._subscriber = session.declare_subscriber(keys.changed("*"), lambda _: self._news.set())
         self._thread = threading.Thread(target=self._run, name="gpdf-follow", daemon=True)
+
+    @property
+    def complete(self) -> bool:
+        """Whether what the map has was here, all of it, when it was last asked; what it could not build is nowhere."""
+        return self._synced and all(status is Status.BUILD_FAILED for status, _ in self.absent.values())
 
     def start(self) -> None:
         """Follow from now on."""
@@ -58,15 +68,22 @@ class Follower:
         self._news.set()
         self._thread.join()
 
-    def look_for(self, timeout_s: float) -> None:
-        """Bring the shelf up to date; return when it is, or after `timeout_s`."""
+    def look_for(self, name: str, timeout_s: float) -> None:
+        """Bring the shelf up to date for a scene that is not on it; return when it is, or after `timeout_s`.
+
+        Raises:
+            RefusedError: the map has it, and why it is not here.
+        """
         asked = time.monotonic()
         if self._busy.acquire(timeout=min(max(0.0, timeout_s), threading.TIMEOUT_MAX)):
             try:
-                if self._looked < asked:  # nobody has looked since
+                failed = name in self.absent and self.absent[name][0] is Status.UNAVAILABLE  # it is tried every 5 s
+                if self._looked < asked and not failed:
                     self._sync()
             finally:
                 self._busy.release()
+        if name in (absent := self.absent):
+            raise RefusedError(*absent[name])
 
     def _run(self) -> None:
         self._shelf.restore()
@@ -78,7 +95,7 @@ class Follower:
             self._news.wait(RESYNC_S)
 
     def _sync(self) -> None:
-        began, troubles = time.monotonic(), list[str]()
+        began = time.monotonic()
         try:
             theirs = self._map.ask(keys.SCENES, SceneRequest(), ScenesReply, ASK_S).scenes
         except (ClientError, DecodeError) as error:
@@ -87,17 +104,34 @@ class Follower:
         for name in set(self._shelf.facts()) - set(theirs):
             self._shelf.unload(name)
             log.info("scene %s is gone", name)
-        for name, facts in theirs.items():
-            if facts["state"] == "ready" and not self._is_here(name, facts["version"], facts["digest"]):
-                try:
-                    self._fetch(name, facts["version"], facts["digest"])
-                except (ClientError, DecodeError, GpdfError, OSError) as error:  # the other scenes are not to wait
-                    troubles.append(f"scene {name!r}: {error}")
-        self._complain(" ".join(troubles))
+        self._shelf.trouble = ""
+        absent = {name: self._get(name, facts) for name, facts in theirs.items()}
+        self.absent = {name: why for name, why in absent.items() if why is not None}
+        self._complain("")
         self._looked = began
-        if not self.synced:
-            self.synced = True
+        if not self._synced:
+            self._synced = True
             self._on_synced()
+
+    def _get(self, name: str, facts: Mapping[str, Any]) -> tuple[Status, str] | None:
+        """Let a scene of the map be here, too; why it is not, if it is not."""
+        if facts["state"] == "building":
+            return Status.BUILDING, f"scene {name!r} is being built. Ask again."
+        if facts["state"] == "failed":
+            return Status.BUILD_FAILED, f"scene {name!r}: {facts['error']}"
+        if self._is_here(name, facts["version"], facts["digest"]):
+            return None
+        try:
+            self._fetch(name, facts["version"], facts["digest"])
+        except OSError as error:
+            self._shelf.trouble = f"scene {name!r}: it cannot be kept ({error.strerror}). Make room in the state folder"
+            words = self._shelf.trouble
+        except (ClientError, DecodeError, GpdfError) as error:  # the other scenes are not to wait
+            words = f"scene {name!r} cannot be fetched: {public(str(error)).rstrip('.')}"
+        else:
+            return None
+        log.warning("%s", words)
+        return Status.UNAVAILABLE, f"{words}. Ask another planner."
 
     def _complain(self, trouble: str) -> None:
         if trouble and trouble != self.trouble:
@@ -111,20 +145,29 @@ class Follower:
     def _fetch(self, name: str, version: int, digest: str) -> None:
         """Get the file part by part, look whether it is whole, and put it on the shelf."""
         partial, began = self._files.folder / f".fetch-{name}", time.monotonic()
+        try:
+            self._receive(partial, name, version)
+            scene = load_scene(partial)
+            if scene.digest != digest:
+                raise SceneFileError(name, f"its digest is {scene.digest}, the map service said {digest}", "Ask again.")
+            path = self._files.path_of(name, version)
+            partial.replace(path)
+        finally:
+            partial.unlink(missing_ok=True)
+        self._shelf.place(name, scene, path)
+        seconds = round(time.monotonic() - began, 3)
+        log.info(
+            "scene %s is fetched", name, extra={"version": version, "bytes": path.stat().st_size, "seconds": seconds}
+        )
+
+    def _receive(self, partial: Path, name: str, version: int) -> None:
+        """All parts of a scene's file."""
         with partial.open("wb") as file:
             size = 1
             while file.tell() < size:
                 request = FileRequest(scene=name, version=version, offset=file.tell())
                 reply = self._map.ask(keys.SCENE_FILE, request, FileReply, ASK_S)
                 if not reply.data:
-                    raise OSError(f"scene {name!r} ended after {file.tell()} of {reply.size} bytes")
+                    raise SceneFileError(name, f"it ended after {file.tell()} of {reply.size} bytes", "Ask again.")
                 file.write(reply.data)
                 size = reply.size
-        scene = load_scene(partial)
-        if scene.digest != digest:
-            raise OSError(f"scene {name!r} came with digest {scene.digest}, the map service said {digest}")
-        path = self._files.path_of(name, version)
-        partial.replace(path)
-        self._shelf.place(name, scene, path)
-        seconds = round(time.monotonic() - began, 3)
-        log.info("scene %s is fetched", name, extra={"version": version, "bytes": size, "seconds": seconds})

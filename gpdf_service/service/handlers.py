@@ -59,7 +59,7 @@ class Handlers:
         shelf: The scenes.
         planner_id: The service's id.
         on_unload: Told the name of a scene that was unloaded.
-        look_for: Asked to bring the shelf up to date when a scene is not on it, within some seconds.
+        look_for: Asked to bring the shelf up to date when a scene is not on it, within some seconds; it may know why.
         on_cut: Told of trajectories that something that moves has cut.
         pool: Processes that plan; without them, plans are made here.
     """
@@ -69,7 +69,7 @@ class Handlers:
         shelf: Shelf,
         planner_id: str,
         on_unload: Callable[[str], None] = lambda name: None,
-        look_for: Callable[[float], None] = lambda timeout_s: None,
+        look_for: Callable[[str, float], None] = lambda name, timeout_s: None,
         on_cut: Callable[[TrajectoryCut], None] = lambda cut: None,
         pool: Pool | None = None,
     ) -> None:
@@ -292,7 +292,7 @@ class Handlers:
         """A scene that has a complete version."""
         entry = self.shelf.get(name)
         if entry is None or not (entry.ready or entry.building):
-            self._look_for(timeout_s)
+            self._look_for(name, timeout_s)
             entry = self.shelf.get(name)
         if entry is None:
             raise RefusedError(Status.UNKNOWN_SCENE, self._unknown(name))

@@ -122,9 +122,9 @@ class Server:
         if not self._tokens and self._follower is None:
             return "configured"
         building = any(entry["building"] for entry in self.shelf.facts().values())
-        synced = self._follower is None or self._follower.synced
+        complete = self._follower is None or self._follower.complete
         warm = self._warmed.is_set() if self._pool is None else self._pool.ready
-        return "active" if synced and warm and not building else "warming"
+        return "active" if complete and warm and not building else "warming"
 
     @property
     def processes(self) -> list[int]:
@@ -314,9 +314,9 @@ class Server:
         if self._session is not None and self.options.role != "planner":
             self._session.put(keys.changed(news.scene), encode(news))
 
-    def _look_for(self, timeout_s: float) -> None:
+    def _look_for(self, name: str, timeout_s: float) -> None:
         if self._follower is not None:
-            self._follower.look_for(timeout_s)
+            self._follower.look_for(name, timeout_s)
 
     def _take(self, key: str, wire_key: str, query: zenoh.Query) -> None:
         """Zenoh's callback: runs serially, so it only hands over; what is too long or too much is answered here."""
@@ -386,6 +386,7 @@ class Server:
         state = self.state
         if self._follower is not None:
             problems += [f"the map may be stale: {self._follower.trouble}"] if self._follower.trouble else []
+            problems += [words for status, words in self._follower.absent.values() if status is Status.UNAVAILABLE]
         return StatusReply(
             planner=self.planner_id,
             load=self.load,

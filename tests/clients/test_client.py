@@ -11,7 +11,9 @@ import pytest
 import zenoh
 from gpdf_client import AsyncClient, Client, ClientError, DecodeError, InvalidRequestError, UnavailableError
 from gpdf_client.client import client_config
-from gpdf_schemas import Array, DistanceReply, PlanReply, Status, TrajectoryMessage, encode, keys
+from gpdf_schemas import Array, DistanceReply, PlanReply, ScenesReply, Status, TrajectoryMessage, encode, keys
+
+from gpdf_service.service.server import MAX_CLIENT_BYTES
 
 
 @contextmanager
@@ -32,6 +34,28 @@ def answering(endpoint, key, answers):
     with zenoh.open(config) as session:
         session.declare_queryable(key, answer, complete=True)
         yield asked
+
+
+def test_each_client_has_a_line_of_its_own(free_endpoint):
+    """A service's queue has a line for each attachment; without one a client would wait behind all the nameless."""
+    config, names = zenoh.Config(), []
+    config.insert_json5("mode", '"router"')
+    config.insert_json5("listen/endpoints", json.dumps([free_endpoint]))
+    config.insert_json5("scouting/multicast/enabled", "false")
+
+    def answer(query):
+        with query:
+            names.append(query.attachment and query.attachment.to_bytes())
+            query.reply(keys.SCENES, encode(ScenesReply()))
+
+    with zenoh.open(config) as session:
+        session.declare_queryable(keys.SCENES, answer, complete=True)
+        for _ in range(2):
+            with Client.connect(free_endpoint) as client:
+                client.scenes()
+                client.scenes()
+    assert names[0] == names[1] != names[2] == names[3]
+    assert all(0 < len(name) <= MAX_CLIENT_BYTES for name in names)
 
 
 WRONG = [

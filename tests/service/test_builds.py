@@ -17,6 +17,7 @@ from gpdf_client.results import ClientError
 from gpdf_schemas import Array, SceneReply, Status, UploadRequest, keys
 
 import gpdf_service as gpdf
+from gpdf_service.config import Config, PerceptionConfig
 from gpdf_service.service.journal import Journal
 from gpdf_service.service.network import session_config
 from gpdf_service.service.scenes import NotKeptError, Shelf
@@ -44,6 +45,15 @@ def test_a_cloud_that_would_take_all_memory_is_refused_in_words_and_others_are_s
         assert server.metrics.numbers()["memory_bytes"] - before < 200e6
         assert client.plan("room", (0.5, 1.5), (2.0, 1.5), "roomba").status == "OK"
         assert client.load_scene("more", upload=floor(4.0), timeout_s=PATIENCE_S)["points"] == len(floor(4.0))
+
+
+def test_what_nobody_reckoned_is_ended_by_the_limit_of_the_process_that_builds(tmp_path, free_endpoint):
+    options = Options(free_endpoint, tmp_path, tmp_path / "log", 1, build_memory_mb=700.0)
+    config = Config(PerceptionConfig(memory_budget=1e12))  # whatever is asked for may be taken
+    with Server(options, config=config), Client.connect(free_endpoint) as client:
+        with pytest.raises(ServiceError, match=r"BUILD_FAILED.*700 MB.*--build-memory-mb.*metres"):
+            client.load_scene("far", upload=FAR_APART, timeout_s=PATIENCE_S)
+        assert client.load_scene("floor", upload=floor(3.0), timeout_s=PATIENCE_S)["points"] == len(floor(3.0))
 
 
 def test_a_build_that_is_killed_is_told_in_words_and_the_next_one_is_made(tmp_path, free_endpoint, office):

@@ -79,6 +79,8 @@ def test_what_cannot_be_drawn_is_refused_in_words(asked):
         client.draw("office", "dreams")
     with pytest.raises(InvalidRequestError, match="limit"):
         client.draw("office", "cloud", limit=0)
+    with pytest.raises(InvalidRequestError, match="limit"):
+        client.draw("office", "cloud", limit=drawing.MAX_ROWS + 1)
     with pytest.raises(UnknownSceneError, match="office"):
         client.draw("nowhere", "cloud")
 

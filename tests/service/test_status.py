@@ -12,12 +12,15 @@ import zenoh
 from gpdf_client import Client, UnavailableError
 from gpdf_client.client import client_config
 from gpdf_schemas import keys
+from msgspec.structs import replace
 
 from gpdf_service import __version__
 from gpdf_service.bench.running import free_port
 from gpdf_service.cli import main
 from gpdf_service.errors import ConfigError
+from gpdf_service.service.pool import _Process
 from gpdf_service.service.server import Options, Server
+from gpdf_service.warm import Warming
 
 
 @pytest.fixture
@@ -120,6 +123,37 @@ def test_a_service_that_is_still_building_its_scenes_is_not_ready(scenes, free_e
         assert until_ready(client).state == "active"
         assert client.info("office")["agents_ready"] == ["human"]  # built ahead: it is a configured body
     assert server.state == "draining"
+
+
+@pytest.mark.parametrize(
+    ("workers", "kind", "step"), [(1, Warming, "plans"), (2, _Process, "wait_until_ready")], ids=["inside", "pool"]
+)
+def test_a_service_whose_kernels_or_processes_are_not_there_is_not_ready(
+    scenes, free_endpoint, monkeypatch, workers, kind, step
+):
+    gate, do = threading.Event(), getattr(kind, step)
+
+    def held(self):
+        gate.wait(120)
+        do(self)
+
+    monkeypatch.setattr(kind, step, held)
+    options = Options(free_endpoint, scenes, scenes / "log", workers)
+    with Server(options) as server, Client.connect(free_endpoint) as client:
+        server.shelf.settle()
+        assert (server.status().state, server.status().ready) == ("warming", False)
+        gate.set()
+        assert until_ready(client).state == "active"
+
+
+def test_a_scene_from_before_has_the_free_spaces_of_bodies_that_are_configured_since(scenes, free_endpoint):
+    options = Options(free_endpoint, scenes, scenes / "log", 1, bodies=("human",))
+    with Server(options), Client.connect(free_endpoint) as client:
+        client.load_scene("office", "office.gpdf")
+    with Server(replace(options, bodies=("human", "spot"))) as server, Client.connect(free_endpoint) as client:
+        assert until_ready(client).state == "active"
+        assert sorted(client.info("office")["agents_ready"]) == ["human", "spot"]
+        assert server.shelf.get("office").facts["version"] == 1  # it was read, not built
 
 
 def test_what_comes_while_a_service_ends_is_answered(scenes, free_endpoint):

@@ -1,6 +1,7 @@
 """Map service and planners as processes of their own; planners die under load."""
 
 import os
+import resource
 import shutil
 import signal
 import subprocess
@@ -11,8 +12,9 @@ from contextlib import ExitStack, contextmanager
 
 import numpy as np
 import pytest
-from gpdf_client import Client, UnknownSceneError
+from gpdf_client import Client, ServiceError, UnknownSceneError
 from gpdf_client.results import UnavailableError
+from gpdf_schemas import LoadRequest, SceneReply, Status, keys
 
 from gpdf_service.bench import running
 from gpdf_service.service.server import Options, Server
@@ -23,8 +25,9 @@ PATIENCE_S = 300.0
 
 
 @contextmanager
-def serving(*flags):
-    with subprocess.Popen([sys.executable, "-m", "gpdf_service.cli", "serve", *map(str, flags)]) as process:
+def serving(*flags, before=None):
+    words = [sys.executable, "-m", "gpdf_service.cli", "serve", *map(str, flags)]
+    with subprocess.Popen(words, preexec_fn=before) as process:
         try:
             yield process
         finally:
@@ -196,5 +199,66 @@ def test_a_map_service_that_was_killed_is_found_again_by_planners_and_clients(fo
         client.load_scene("office", upload=floor, ground=np.ones(len(floor), bool), timeout_s=60)
         until = time.monotonic() + PATIENCE_S
         while client.plan("office", made.start, made.goal, "roomba").scene_version == version:
+            assert time.monotonic() < until
+            time.sleep(0.05)
+
+
+def test_a_planner_that_cannot_keep_a_scene_of_the_map_says_so_and_is_not_ready(folder, free_endpoint, office):
+    made = office[0]
+
+    def full():
+        resource.setrlimit(resource.RLIMIT_FSIZE, (50_000, 50_000))  # a write beyond it fails as on a full disk
+
+    with ExitStack() as stack:
+        stack.enter_context(serving(*map_flags(folder, free_endpoint)))
+        stack.enter_context(serving(*planner_flags(folder, free_endpoint, "a"), before=full))
+        client = stack.enter_context(Client.connect(free_endpoint, timeout_s=60))
+        client.load_scene("office", "office.gpdf")
+        wait_for_planners(client, 1)
+        until = time.monotonic() + PATIENCE_S
+        while (planner := next(one for one in client.status() if one.role == "planner")).healthy:
+            assert time.monotonic() < until
+            time.sleep(0.05)
+        assert (planner.state, planner.ready) == ("warming", False)
+        assert any("'office': it cannot be kept (File too large)" in problem for problem in planner.problems)
+        with pytest.raises(UnavailableError, match=r"'office': it cannot be kept.*Ask another planner"):
+            client.plan("office", made.start, made.goal, "roomba", deadline_s=5.0)
+        client.unload_scene("office")
+        while not (planner := next(one for one in client.status() if one.role == "planner")).healthy:
+            assert time.monotonic() < until
+            time.sleep(0.05)
+        with pytest.raises(UnknownSceneError):
+            client.plan("office", made.start, made.goal, "roomba")
+
+
+def test_a_planner_tells_of_what_the_map_builds_and_of_what_it_cannot_build(folder, free_endpoint, office, tmp_path):
+    made, gate = office[0], threading.Event()
+    map_options = Options(free_endpoint, folder, tmp_path / "map", 1, role="map")
+    planner_options = Options("", folder, tmp_path / "planner", 1, role="planner", connect=(free_endpoint,))
+    with Server(map_options) as server, Server(planner_options) as planner, Client.connect(free_endpoint) as client:
+        build = server.shelf._build
+
+        def held(job, progress):
+            gate.wait(PATIENCE_S)
+            return build(job, progress)
+
+        server.shelf._build = held
+        wait_for_planners(client, 1)
+        (folder / "bad.npz").write_bytes(b"no cloud")
+        for file in ("office.gpdf", "bad.npz"):
+            client.ask(
+                keys.SCENE_LOAD, LoadRequest(scene=file[:3], file=file), SceneReply, PATIENCE_S, {Status.BUILDING}
+            )
+        with pytest.raises(ServiceError, match="BUILDING"):
+            client.plan("off", made.start, made.goal, "roomba")
+        assert not planner.status().ready
+        gate.set()
+        client.wait_for_scene("off", timeout_s=PATIENCE_S)
+        assert client.plan("off", made.start, made.goal, "roomba").status == "OK"
+        server.shelf.settle()
+        with pytest.raises(ServiceError, match=r"BUILD_FAILED.*bad\.npz"):
+            client.plan("bad", made.start, made.goal, "roomba")
+        until = time.monotonic() + PATIENCE_S
+        while not planner.status().ready:  # what cannot be built stands in nobody's way
             assert time.monotonic() < until
             time.sleep(0.05)
