@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import gpdf_service as gpdf
-from gpdf_service.bench import running
+from gpdf_service import ports
 from gpdf_service.synthetic import SCENES
 
 SCANS = Path(__file__).parent.parent.parent / "shared" / "data"
@@ -47,4 +47,4 @@ def office_file(tmp_path_factory):
 
 @pytest.fixture
 def free_endpoint():
-    return running.free_endpoint()
+    return ports.free_endpoint()

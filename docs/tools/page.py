@@ -13,7 +13,7 @@ from playwright.sync_api import Page as Tab
 from playwright.sync_api import sync_playwright
 
 import gpdf_service as gpdf
-from gpdf_service.bench.running import free_endpoint, free_port
+from gpdf_service.ports import free_endpoint, free_port
 from gpdf_service.service.server import Options
 from gpdf_service.service.server import Server as Service
 from gpdf_service.viewer.page import Pages, Server

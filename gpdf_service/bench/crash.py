@@ -22,7 +22,7 @@ from mcap.reader import make_reader
 from tqdm import tqdm
 
 from gpdf_service.bench.report import Row, show
-from gpdf_service.bench.running import free_endpoint
+from gpdf_service.ports import free_endpoint
 from gpdf_service.service.record import check, repair_folder
 from gpdf_service.service.replay import recorded_plans
 from gpdf_service.types import FloatArray

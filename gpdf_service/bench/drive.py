@@ -22,8 +22,8 @@ from gpdf_service.bench.judge import Judge
 from gpdf_service.bench.plan import random_places
 from gpdf_service.bench.plotting import add_plot_argument, draw_rows
 from gpdf_service.bench.report import Row, show
-from gpdf_service.bench.running import free_endpoint
 from gpdf_service.pipeline import build_scene
+from gpdf_service.ports import free_endpoint
 from gpdf_service.scene import Scene
 from gpdf_service.service.server import Options, Server
 from gpdf_service.synthetic import SCENES

@@ -26,8 +26,8 @@ from tqdm import tqdm
 from gpdf_service.bench.cues import measure_cues
 from gpdf_service.bench.plotting import add_plot_argument, draw_rows
 from gpdf_service.bench.report import Row, add_scene_arguments, read_scene, show
-from gpdf_service.bench.running import free_endpoint
 from gpdf_service.bench.walks import RADIUS, Beset, Crowd, WalkedWorld
+from gpdf_service.ports import free_endpoint
 from gpdf_service.scene import Scene
 from gpdf_service.service.server import Options, Server
 from gpdf_service.synthetic import ramp, random_room

@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import contextlib
-import os
 import signal
-import socket
 import subprocess
 import sys
 import time
@@ -19,13 +16,9 @@ import numpy as np
 import psutil
 from gpdf_client import Client
 
+from gpdf_service.ports import free_endpoint
 from gpdf_service.synthetic import SCENES
 
-EPHEMERAL = Path("/proc/sys/net/ipv4/ip_local_port_range")
-FIRST_PORT, LAST_PORT = 10_000, 65_535
-"""Ports that no system service has of old."""
-_claims: list[socket.socket] = []
-"""Ports that were given out."""
 ENDS_S = 30.0
 """[s] A service that drains and closes its log needs less."""
 
@@ -54,31 +47,6 @@ def _usage(seen: psutil.Process) -> dict[str, float]:
             "files": seen.num_fds(),
             "cpu_s": cpu.user + cpu.system,
         }
-
-
-def free_port() -> int:
-    """A port on this machine that nobody listens on, and that nobody else who asks here is given while we live.
-
-    None of those that the system gives to connections: one of them could take it before anybody listens there.
-    """
-    low, high = map(int, EPHEMERAL.read_text().split())
-    ports = [port for port in range(FIRST_PORT, LAST_PORT + 1) if not low <= port <= high]
-    begin = os.getpid() % len(ports)
-    for port in ports[begin:] + ports[:begin]:
-        claim = socket.socket(socket.AF_UNIX)
-        with contextlib.suppress(OSError), socket.socket() as probe:
-            claim.bind(f"\0gpdf port {port}")  # Linux's abstract names end with their process
-            probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-            probe.bind(("127.0.0.1", port))
-            _claims.append(claim)
-            return port
-        claim.close()
-    raise OSError("every port of this machine is taken")
-
-
-def free_endpoint() -> str:
-    """Where a service can listen: `free_port`."""
-    return f"tcp/127.0.0.1:{free_port()}"
 
 
 @contextmanager

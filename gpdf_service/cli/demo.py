@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 import json
 import signal
-import socket
 import subprocess
 import sys
 import time
@@ -20,11 +19,11 @@ from gpdf_client import Client
 
 from gpdf_service.perception import read_cloud
 from gpdf_service.pipeline import build_scene
+from gpdf_service.ports import free_endpoint
 from gpdf_service.synthetic import SCENES, SyntheticScene
 from gpdf_service.types import AGENTS, PlanResult
 from gpdf_service.viewer.picture import draw_plans
 
-DEFAULT_PORT = 7447
 LASER_OFFICE = "cluttered_office_tls_1cm.npz"
 
 
@@ -85,22 +84,10 @@ def _write(scene: SyntheticScene, path: Path) -> None:
     np.savez(path, xyz=scene.points.astype(np.float32), label=label, classes=classes)
 
 
-def _free_port() -> int:
-    for port in (DEFAULT_PORT, 0):
-        with socket.socket() as probe:
-            probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-            try:
-                probe.bind(("127.0.0.1", port))
-            except OSError:
-                continue
-            return int(probe.getsockname()[1])
-    raise AssertionError("port 0 always binds")
-
-
 @contextmanager
 def _service(out: Path, tours: list[Tour]) -> Iterator[str]:
     """`gpdf serve` in its own process, ended by SIGINT as a person would."""
-    endpoint = f"tcp/127.0.0.1:{_free_port()}"
+    endpoint = free_endpoint()
     scenes = [f"{tour.name}={tour.cloud}" for tour in tours]
     flags = [*scenes, "--endpoint", endpoint, "--log-dir", str(out), "--workers", "1"]  # one asks, one plan at a time
     words = [sys.executable, "-m", "gpdf_service.cli", "serve", *flags]

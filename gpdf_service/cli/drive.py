@@ -76,7 +76,7 @@ def _service(args: argparse.Namespace) -> Iterator[str]:
         return
     from tempfile import TemporaryDirectory
 
-    from gpdf_service.bench.running import free_endpoint
+    from gpdf_service.ports import free_endpoint
     from gpdf_service.service.server import Options, Server  # the light install has none
 
     args.endpoint, args.zenoh = free_endpoint(), None

@@ -54,7 +54,7 @@ def run(args: argparse.Namespace) -> int:
         print(told, file=sys.stderr)
         return 1
     hidden = hidden_address()
-    server = Server(hidden, _free_port(hidden), label="gpdf", verbose=False)
+    server = Server(hidden, 0, label="gpdf", verbose=False)  # a port of its own choice
     pages = Pages(server, args.endpoint, args.log, config)
     token = secrets.token_urlsafe()
     gate = Gate(args.host, args.port, (hidden, server.get_port()), token, args.name, front_page())
@@ -77,9 +77,3 @@ def _is_free(host: str, port: int) -> bool:
         except OSError:
             return False
     return True
-
-
-def _free_port(host: str) -> int:
-    with socket.socket() as probe:
-        probe.bind((host, 0))
-        return int(probe.getsockname()[1])

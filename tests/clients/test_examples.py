@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gpdf_service.bench.running import free_endpoint
+from gpdf_service.ports import free_endpoint
 from gpdf_service.service.server import Options, Server
 
 ROOT = Path(__file__).parent.parent.parent

@@ -53,9 +53,9 @@ from gpdf_schemas import (
 )
 
 from gpdf_service.bench.guide import summary
-from gpdf_service.bench.running import free_endpoint
 from gpdf_service.bench.walks import WalkedWorld
 from gpdf_service.cli import main
+from gpdf_service.ports import free_endpoint
 from gpdf_service.service.server import Options, Server
 from gpdf_service.synthetic import SCENES
 from gpdf_service.synthetic.world import Box, World

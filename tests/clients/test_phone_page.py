@@ -22,8 +22,8 @@ from gpdf_guidance.live import LiveGuide
 from gpdf_guidance.walker import Errors
 from gpdf_schemas import CueAction, CueMessage, decode, keys
 
-from gpdf_service.bench.running import free_endpoint
 from gpdf_service.bench.walks import WalkedWorld
+from gpdf_service.ports import free_endpoint
 from gpdf_service.service.server import Options, Server
 from gpdf_service.synthetic.house import make_house
 

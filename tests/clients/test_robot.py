@@ -13,8 +13,8 @@ from gpdf_robot.driver import DISTANCE_DEADLINE_S, GIVE_UP_S, POSE_OLD_S
 from gpdf_robot.motion import STOP, Velocity
 from gpdf_schemas import PoseMessage, VelocityMessage, decode, encode, keys
 
-from gpdf_service.bench.running import free_endpoint
 from gpdf_service.cli import main
+from gpdf_service.ports import free_endpoint
 from gpdf_service.service.server import Options, Server
 from gpdf_service.synthetic.world import Box, World
 

@@ -15,7 +15,7 @@ from gpdf_ros2 import Bridge, Dialect, Names, Topic, messages
 from gpdf_ros2.topics import attachment, node_token, publisher_id
 from zenoh.ext import Int64, z_serialize
 
-from gpdf_service.bench.running import free_endpoint
+from gpdf_service.ports import free_endpoint
 from gpdf_service.service.server import Options, Server
 
 STRING = "RIHS01_df668c740482bbd48fb39d76a70dfd4bd59db1288021743503259e948f6b1a18"

@@ -5,8 +5,8 @@ import pytest
 from gpdf_client import Client
 from gpdf_guidance import Guide, Kind, Outcome, Planner, Walker, simulate
 
-from gpdf_service.bench.running import free_endpoint
 from gpdf_service.bench.walks import WalkedWorld
+from gpdf_service.ports import free_endpoint
 from gpdf_service.service.server import Options, Server
 from tests.clients.two_storeys import make_house
 

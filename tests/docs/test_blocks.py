@@ -19,8 +19,8 @@ import pytest
 from blocks import ROOT, blocks_of, pages
 from gpdf_client import Client, UnavailableError
 
-from gpdf_service.bench.running import free_endpoint
 from gpdf_service.cli import find_verb
+from gpdf_service.ports import free_endpoint
 from gpdf_service.service.options import gather
 from gpdf_service.service.server import Options, Server
 from gpdf_service.synthetic import SCENES

@@ -6,8 +6,8 @@ from gpdf_client import Client, InvalidRequestError, UnknownSceneError
 from gpdf_schemas import keys
 from mcap.records import Channel
 
-from gpdf_service.bench.running import free_endpoint
 from gpdf_service.perception import ObstacleKind
+from gpdf_service.ports import free_endpoint
 from gpdf_service.service import drawing
 from gpdf_service.service.record import records_of
 from gpdf_service.service.server import Options, Server

@@ -6,8 +6,8 @@ import pytest
 from gpdf_client import Client
 from gpdf_schemas import Cylinder, MovingObstacle
 
-from gpdf_service.bench.running import free_endpoint
 from gpdf_service.cli import main
+from gpdf_service.ports import free_endpoint
 from gpdf_service.service.replay import recorded_scenes
 from gpdf_service.service.server import Options, Server
 

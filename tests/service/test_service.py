@@ -19,7 +19,7 @@ from mcap.reader import make_reader
 from mcap_protobuf.decoder import DecoderFactory
 
 import gpdf_service as gpdf
-from gpdf_service.bench.running import free_endpoint
+from gpdf_service.ports import free_endpoint
 from gpdf_service.service.handlers import Handlers
 from gpdf_service.service.record import check, repair, repair_folder
 from gpdf_service.service.replay import compare, recorded_plans

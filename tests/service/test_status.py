@@ -15,9 +15,9 @@ from gpdf_schemas import keys
 from msgspec.structs import replace
 
 from gpdf_service import __version__
-from gpdf_service.bench.running import free_port
 from gpdf_service.cli import main
 from gpdf_service.errors import ConfigError
+from gpdf_service.ports import free_port
 from gpdf_service.service.pool import _Process
 from gpdf_service.service.server import Options, Server
 from gpdf_service.warm import Warming

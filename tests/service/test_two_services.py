@@ -16,7 +16,7 @@ from gpdf_client import Client, ServiceError, UnknownSceneError
 from gpdf_client.results import UnavailableError
 from gpdf_schemas import LoadRequest, SceneReply, Status, keys
 
-from gpdf_service.bench import running
+from gpdf_service import ports
 from gpdf_service.service.server import Options, Server
 
 pytestmark = pytest.mark.slow
@@ -164,7 +164,7 @@ def test_a_planner_whose_map_is_gone_plans_on_and_says_so(folder, free_endpoint,
     monkeypatch.setattr("gpdf_service.service.follower.RESYNC_S", 0.1)
     monkeypatch.setattr("gpdf_service.service.follower.ASK_S", 0.3)
     made = office[0]
-    other = running.free_endpoint()
+    other = ports.free_endpoint()
     map_options = Options(free_endpoint, folder, tmp_path / "map", 1, role="map")
     planner_options = Options(other, folder, tmp_path / "planner", 1, role="planner", connect=(free_endpoint,))
     with Server(planner_options) as planner, Client.connect(other) as client:

@@ -9,7 +9,7 @@ from gpdf_client import AsyncClient, Client, InvalidRequestError, ServiceError, 
 from gpdf_schemas import Array, SceneReply, UpdateRequest, keys
 
 import gpdf_service as gpdf
-from gpdf_service.bench.running import free_endpoint
+from gpdf_service.ports import free_endpoint
 from gpdf_service.service import scenes
 from gpdf_service.service.changes import Change, changed
 from gpdf_service.service.scenes import FullError, Shelf

@@ -14,7 +14,7 @@ import viser.transforms as vtf
 from gpdf_client import Client
 from PIL import Image
 
-from gpdf_service.bench.running import free_port
+from gpdf_service.ports import free_port
 from gpdf_service.viewer.page import Pages, Server
 
 SIZE = {"width": 1100, "height": 600}

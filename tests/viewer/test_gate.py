@@ -5,7 +5,7 @@ from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 
 import pytest
 
-from gpdf_service.bench.running import free_port
+from gpdf_service.ports import free_port
 from gpdf_service.viewer.gate import Gate
 
 TOKEN = "a-token"

@@ -9,8 +9,8 @@ from urllib.error import HTTPError
 import psutil
 import pytest
 
-from gpdf_service.bench.running import free_port
 from gpdf_service.cli import main
+from gpdf_service.ports import free_port
 
 
 def start(*words):

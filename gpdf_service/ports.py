@@ -1,0 +1,55 @@
+"""Ports that are free, for a service that somebody begins and then asks."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import socket
+from pathlib import Path
+
+EPHEMERAL = Path("/proc/sys/net/ipv4/ip_local_port_range")
+"""Linux's ports for connections."""
+REGISTERED = 49_152, 65_535
+"""The same where a system does not tell its own (RFC 6335)."""
+FIRST_PORT, LAST_PORT = 10_000, 65_535
+"""Ports that no system service has of old."""
+_given: dict[int, socket.socket | None] = {}
+"""Ports that were given out, and what keeps other processes from them."""
+
+
+def free_port() -> int:
+    """A port on this machine that nobody listens on, and that nobody else who asks here is given while we live.
+
+    (Where there are no abstract names, another process may be given it.) None of those that the system gives to connections: one of them could take it before anybody listens there.
+    """
+    low, high = map(int, EPHEMERAL.read_text().split()) if EPHEMERAL.exists() else REGISTERED
+    ports = [port for port in range(FIRST_PORT, LAST_PORT + 1) if not low <= port <= high]
+    begin = os.getpid() % len(ports)
+    for port in ports[begin:] + ports[:begin]:
+        with contextlib.suppress(OSError), socket.socket() as probe:
+            probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            probe.bind(("127.0.0.1", port))
+            if port not in _given:
+                _given[port] = _claim(port) if EPHEMERAL.exists() else None
+                return port
+    raise OSError("every port of this machine is taken")
+
+
+def free_endpoint() -> str:
+    """Where a service can listen: `free_port`."""
+    return f"tcp/127.0.0.1:{free_port()}"
+
+
+def _claim(port: int) -> socket.socket:
+    """Keep other processes who ask here from it, by a name that ends with this one.
+
+    Raises:
+        OSError: somebody has it.
+    """
+    claim = socket.socket(socket.AF_UNIX)
+    try:
+        claim.bind(f"\0gpdf port {port}")  # Linux's abstract names are no files
+    except OSError:
+        claim.close()
+        raise
+    return claim

@@ -1,0 +1,36 @@
+import socket
+import subprocess
+import sys
+
+import pytest
+
+from gpdf_service import ports
+from gpdf_service.ports import LAST_PORT, REGISTERED, free_port
+
+
+@pytest.mark.skipif(not ports.EPHEMERAL.exists(), reason="other systems have no names that end with a process")
+def test_two_processes_are_given_different_ports_and_none_that_connections_get():
+    low, high = map(int, ports.EPHEMERAL.read_text().split())
+    mine = [free_port() for _ in range(3)]
+    code = f"import os; os.getpid = lambda: {mine[0] - ports.FIRST_PORT}; from gpdf_service.ports import free_port"
+    words = [sys.executable, "-c", f"{code}; print(free_port(), free_port(), free_port())"]
+    theirs = subprocess.run(words, capture_output=True, text=True, check=True).stdout
+    given = [*mine, *map(int, theirs.split())]
+    assert len(set(given)) == 6
+    assert not any(low <= port <= high for port in given)
+
+
+def test_a_system_that_tells_nothing_of_its_ports_has_free_ones_too(monkeypatch, tmp_path):
+    monkeypatch.setattr("gpdf_service.ports.EPHEMERAL", tmp_path / "none")
+    given = {free_port() for _ in range(3)}
+    assert len(given) == 3
+    assert not any(REGISTERED[0] <= port <= LAST_PORT for port in given)
+
+
+def test_a_port_that_somebody_listens_on_is_not_given(monkeypatch, tmp_path):
+    monkeypatch.setattr("gpdf_service.ports.EPHEMERAL", tmp_path / "none")
+    monkeypatch.setattr("gpdf_service.ports._given", {})
+    first = free_port()
+    monkeypatch.setattr("gpdf_service.ports._given", {})
+    with socket.create_server(("127.0.0.1", first)):
+        assert free_port() != first
