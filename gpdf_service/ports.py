@@ -20,7 +20,8 @@ _given: dict[int, socket.socket | None] = {}
 def free_port() -> int:
     """A port on this machine that nobody listens on, and that nobody else who asks here is given while we live.
 
-    (Where there are no abstract names, another process may be given it.) None of those that the system gives to connections: one of them could take it before anybody listens there.
+    It is none of those that the system gives to connections: one of them could take it before anybody listens there.
+    Where sockets have no abstract names, another process may be given it, too.
     """
     low, high = map(int, EPHEMERAL.read_text().split()) if EPHEMERAL.exists() else REGISTERED
     ports = [port for port in range(FIRST_PORT, LAST_PORT + 1) if not low <= port <= high]
