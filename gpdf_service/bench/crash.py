@@ -31,8 +31,8 @@ SPACING = 0.1
 """[m] Of the rooms that are sent: small, so that the kills meet many different moments."""
 WAIT_S = 300.0
 """[s] For what must happen at all."""
-ANSWER_S = 5.0
-"""[s] For an acknowledgement; a service that was killed gives none."""
+ANSWER_S = 2.0
+"""[s] For an acknowledgement; a service that was killed gives none, and each kill waits for that."""
 FEWEST = 3
 """Widths of a room [cells]; each upload has its own, so that its points tell which one it was."""
 

@@ -87,10 +87,12 @@ def measure_cues(client: Client, endpoint: str, scene: str, start: FloatArray, g
         body.wait_for(lambda cue: cue.action in (CueAction.GO, CueAction.SLOW))
         body.cues.clear()
         time.sleep(seconds)
-        late = _latencies(body.cues)
+        felt = list(body.cues)
+        late = _latencies(felt)
         stops = [_stop_after(other, scene, body, guide) for _ in range(OBSTACLES)]
     return {
         "cues": len(late),
+        "cues_per_s": len(felt) / seconds,
         "pose_to_cue_ms_p50": 1e3 * float(np.quantile(late, 0.5)),
         "pose_to_cue_ms_p99": 1e3 * float(np.quantile(late, 0.99)),
         "obstacles": len(stops),

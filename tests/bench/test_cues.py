@@ -16,6 +16,7 @@ def test_cues_are_measured_from_poses_and_from_obstacles(capsys):
     assert (row["arrived"], total["contacts"]) == (1, 0)
     assert row["cues"] > 10
     assert row["obstacles"] == 20
+    assert row["cues_per_s"] >= row["cues"] / 2.0  # every cue is counted, also those that know no new pose
     delays = [row[name] for name in ("pose_to_cue_ms_p50", "pose_to_cue_ms_p99", "obstacle_to_stop_ms_max")]
     assert np.isfinite(delays).all()
     assert min(delays) > 0.0

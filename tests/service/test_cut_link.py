@@ -1,9 +1,6 @@
 """A link that is cut and comes back: a proxy between client and service that lets nothing through for a while."""
 
-import contextlib
 import json
-import socket
-import threading
 import time
 
 import numpy as np
@@ -13,53 +10,12 @@ from gpdf_client import Client
 from gpdf_client.client import client_config
 
 import gpdf_service as gpdf
+from gpdf_service.bench.cut import Cable
 from gpdf_service.service.network import session_config
 from gpdf_service.service.server import Options, Server
 
 BACK_S = 10.0
 """[s] In which the client is answered again, once the link is there: a third of a second on a quiet machine."""
-
-
-class Cable:
-    """Listens, and passes bytes on to the service while it is whole."""
-
-    def __init__(self, port):
-        self._port, self._ends = port, []
-        self.whole = threading.Event()
-        self.whole.set()
-        self._socket = socket.create_server(("127.0.0.1", 0))
-        self.endpoint = f"tcp/127.0.0.1:{self._socket.getsockname()[1]}"
-        threading.Thread(target=self._listen, daemon=True).start()
-
-    def _listen(self):
-        with contextlib.suppress(OSError):
-            while True:
-                near, _ = self._socket.accept()
-                if not self.whole.is_set():
-                    near.close()
-                    continue
-                far = socket.create_connection(("127.0.0.1", self._port))
-                self._ends += [near, far]
-                for ends in ((near, far), (far, near)):
-                    threading.Thread(target=self._pass, args=ends, daemon=True).start()
-
-    def _pass(self, one, other):
-        with contextlib.suppress(OSError):
-            while data := one.recv(65536):
-                self.whole.wait()
-                other.sendall(data)
-
-    def cut(self, *, closes):
-        """From now on nothing passes; the ends see it at once, or hear nothing of it."""
-        self.whole.clear()
-        if closes:
-            for end in self._ends:
-                with contextlib.suppress(OSError):
-                    end.shutdown(socket.SHUT_RDWR)
-
-    def close(self):
-        self.whole.set()
-        self._socket.close()
 
 
 @pytest.mark.parametrize("closes", [True, False])
@@ -72,7 +28,7 @@ def test_a_link_that_was_cut_is_back_soon(tmp_path, free_endpoint, closes):
         for seconds in (1.5, 4.0):
             cable.cut(closes=closes)
             time.sleep(seconds)
-            cable.whole.set()
+            cable.mend()
             assert client.plan("room", (0.5, 1.5), (2.0, 1.5), "roomba", deadline_s=BACK_S).status == "OK"
     cable.close()
 
