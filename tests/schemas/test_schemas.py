@@ -1,5 +1,7 @@
+import re
 from pathlib import Path
 
+import gpdf_schemas
 import msgspec
 import numpy as np
 import pytest
@@ -31,6 +33,32 @@ FOLDER = Path(__file__).parent.parent.parent / "schemas"
 @pytest.mark.parametrize("kind", MESSAGES, ids=lambda kind: kind.__name__)
 def test_the_json_schemas_are_fresh(kind):
     assert (FOLDER / "json" / f"{kind.__name__}.json").read_text() == schema_of(kind), "run: make schemas"
+
+
+WORDS = (FOLDER / "CONVENTIONS.md").read_text()
+COMMON = {"request_id", "deadline_s"} | {field.name for field in msgspec.structs.fields(gpdf_schemas.Reply)}
+
+
+NAMED = re.findall(r"^\| ([A-Z]\w+[a-z]) \| .*`", WORDS, re.MULTILINE)
+
+
+@pytest.mark.parametrize("name", NAMED)
+def test_the_fields_of_each_message_are_in_the_conventions(name):
+    needed, _, others = re.search(rf"^\| {name} \| (.*) \|$", WORDS, re.MULTILINE)[1].partition(";")
+    fields = msgspec.structs.fields(getattr(gpdf_schemas.messages, name))
+    hidden = COMMON if name.endswith(("Request", "Reply")) else set()
+    hidden = hidden - {"scene"} if name.endswith("Request") else hidden
+    asked = {field.name for field in fields if field.required} - hidden
+    assert set(re.findall(r"`(\w+)`", needed)) == asked
+    assert {field.name for field in fields} - asked - hidden <= set(re.findall(r"`(\w+)`", others))
+
+
+def test_every_message_and_status_is_in_the_conventions():
+    assert {kind.__name__ for kind in MESSAGES} - set(NAMED) == {
+        "AskMessage",
+        "SayMessage",
+    }  # they have a paragraph each
+    assert set(Status) <= set(re.findall(r"\b[A-Z_]+\b", WORDS.partition("| status | what to do |")[2]))
 
 
 def test_every_status_of_the_planner_is_on_the_wire():
