@@ -245,10 +245,11 @@ def test_whoever_stops_reading_ends_it_quietly(tmp_path):
     assert done.stdout.splitlines()[-1].lstrip("{") in ("0", "141")
     theirs, ours = os.pipe()
     os.close(theirs)  # nobody reads
-    words = [sys.executable, "-m", "gpdf_service.cli", "scene", "info", str(room)]
-    done = subprocess.run(words, stdout=ours, stderr=subprocess.PIPE, text=True)
+    for verb in (["scene", "info", str(room)], ["--help"], ["scene", "--help"], ["--version"]):
+        words = [sys.executable, "-m", "gpdf_service.cli", *verb]
+        done = subprocess.run(words, stdout=ours, stderr=subprocess.PIPE, text=True)
+        assert (done.stderr, done.returncode) == ("", 141)
     os.close(ours)
-    assert (done.stderr, done.returncode) == ("", 141)
 
 
 @pytest.mark.parametrize("verb", ["plan --start 1,1 --goal 2,2", "scene info", "scene build"])
@@ -338,3 +339,10 @@ def test_a_port_that_is_taken_is_told_before_anything_is_built(tmp_path, capsys)
     assert "the port is taken" in capsys.readouterr().err
     assert not (tmp_path / "log").exists()
     assert not is_taken(endpoint)
+
+
+def test_the_endpoint_may_stand_behind_the_sub_verb_and_zenohs_sources_are_nobodys_business(capsys, free_endpoint):
+    assert main(["client", "scenes", "--endpoint", free_endpoint]) == 1
+    said = capsys.readouterr().err
+    assert f"no service at {free_endpoint}" in said
+    assert ".rs" not in said

@@ -21,10 +21,11 @@ FACTS = ("state", "version", "points", "levels", "noise", "agents_ready")
 PLACE_HELP = "a named place, or x,y or x,y,z of the ground there [m]"
 
 
-def add_connection(parser: argparse.ArgumentParser) -> None:
+def add_connection(parser: argparse.ArgumentParser, endpoint: str = DEFAULT_ENDPOINT, zenoh: str | None = None) -> None:
     """Declare where the service is, for `connect`."""
-    parser.add_argument("--endpoint", default=DEFAULT_ENDPOINT, help="the service")
-    parser.add_argument("--zenoh", help="a Zenoh configuration (JSON5) with credentials; it names the endpoint, too")
+    parser.add_argument("--endpoint", default=endpoint, help="the service")
+    words = "a Zenoh configuration (JSON5) with credentials; it names the endpoint, too"
+    parser.add_argument("--zenoh", default=zenoh, help=words)
 
 
 def read_credentials(args: argparse.Namespace) -> zenoh.Config | None:
@@ -56,6 +57,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     def verb(name: str, text: str, act: Callable[[Client, argparse.Namespace], Any]) -> argparse.ArgumentParser:
         made: argparse.ArgumentParser = verbs.add_parser(name, help=text, description=text)
         made.add_argument("--json", action="store_true", help="print the result as JSON")
+        add_connection(made, argparse.SUPPRESS, argparse.SUPPRESS)  # said behind the sub-verb, it counts as well
         made.set_defaults(act=act)
         return made
 

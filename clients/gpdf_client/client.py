@@ -9,6 +9,7 @@ import json
 import math
 import os
 import random
+import re
 import time
 import uuid
 from collections.abc import Callable, Collection, Sequence
@@ -72,6 +73,8 @@ from gpdf_client.trajectory import Trajectory
 DEFAULT_ENDPOINT = os.environ.get("GPDF_ENDPOINT") or "tcp/127.0.0.1:7447"
 LEASE_MS = 2_000
 """[ms] A frozen process, or a cut link, counts as dead after this; a process that is killed, at once."""
+PLACE_IN_ZENOH = re.compile(r"\s+at /\S+\.rs:\d+")
+"""Where in its sources Zenoh met an error: it stands in the middle of the error's words."""
 RETRY = {"period_init_ms": 100, "period_max_ms": 500, "period_increase_factor": 2}
 """Between tries of Zenoh to connect again: a link that comes back is found within half a second."""
 BACK_OFF_S = 0.05
@@ -146,7 +149,8 @@ class Client:
                 session = zenoh.open(config)
             except zenoh.ZError as error:
                 if time.monotonic() > until:
-                    raise UnavailableError(f"no service at {endpoint} ({error}). Start one: gpdf serve …") from error
+                    why = PLACE_IN_ZENOH.sub("", str(error)).rstrip("!. ")
+                    raise UnavailableError(f"no service at {endpoint} ({why}). Start one: gpdf serve …") from error
                 time.sleep(BACK_OFF_S)
             else:
                 client = cls(session)

@@ -112,19 +112,16 @@ def find_verb(words: Sequence[str]) -> str | None:
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one verb. Returns the exit code: 0 success, 1 the work failed, 2 the command line is wrong."""
     words = list(sys.argv[1:] if argv is None else argv)
-    if words[:1] == ["--version"]:
-        print(__version__)
-        return 0
-    verb = find_verb(words)
-    if verb is None:
-        return _without_verb(words)
-    args: argparse.Namespace | None = None
+    verb, args = find_verb(words), None
     try:
-        with _mortal() if argv is None else nullcontext():
-            args = parser_of(verb).parse_args(_joined(words[len(verb.split()) :]))
-        if "numba" in sys.modules and sys.stderr.isatty():  # loaded by the verb's module, or not at all
-            import_module("gpdf_service.cli.compiling").tell_of_compiling()
-        code = int(import_module(VERBS[verb][0]).run(args))
+        if verb is None:
+            code = _without_verb(words)
+        else:
+            with _mortal() if argv is None else nullcontext():
+                args = parser_of(verb).parse_args(_joined(words[len(verb.split()) :]))
+            if "numba" in sys.modules and sys.stderr.isatty():  # loaded by the verb's module, or not at all
+                import_module("gpdf_service.cli.compiling").tell_of_compiling()
+            code = int(import_module(VERBS[verb][0]).run(args))
         sys.stdout.flush()
         return code
     except ModuleNotFoundError as error:
@@ -157,6 +154,9 @@ def _mortal() -> Iterator[None]:
 
 def _without_verb(words: list[str]) -> int:
     """Help of everything, or of the verbs that begin with a word; the verb that was meant, where there is one near."""
+    if words[:1] == ["--version"]:
+        print(__version__)
+        return 0
     group = words[0] if words and any(verb.startswith(f"{words[0]} ") for verb in VERBS) else None
     if words[:1] in (["--help"], ["-h"]) or (group and words[1:2] in (["--help"], ["-h"])):
         print(overview(group))
