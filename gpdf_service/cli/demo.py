@@ -145,6 +145,6 @@ def _print_next(out: Path) -> None:
     log = max(out.glob("*.mcap"), key=lambda path: path.stat().st_mtime)
     pictures = " ".join(str(path) for path in sorted(out.glob("*.png")))
     print(f"\npictures: {pictures}\nlog:      {log} (opens in Foxglove and Rerun)\n\nTry next:")
-    print(f"  .venv/bin/gpdf replay {log} --scene office={out}/office.npz")
+    print(f"  .venv/bin/gpdf replay {log} --scenes-dir {out}/state")
     print("  .venv/bin/gpdf scene info YOUR_CLOUD.ply --agent human --png cloud.png")
     print(f"  .venv/bin/gpdf serve office={out}/office.npz stair={out}/stair.npz")
