@@ -171,7 +171,6 @@ class Server:
             return
         self._ended.set()
         self._close_doors()
-        self._close_endpoint()
         self._jobs.close()  # the requests that wait are answered first
         for thread in (*self._workers, self._keeper, self._warmer):
             thread.join()
@@ -181,8 +180,10 @@ class Server:
     def _close_parts(self) -> None:
         """What is not built stays in the journal for the next start."""
         self._ended.set()
-        self._close_endpoint()
-        self._close_pool()
+        if self._endpoint is not None:
+            self._endpoint.close()
+        if self._pool is not None:
+            self._pool.close()
         if self._builder is not None:
             self._builder.close()
         if self._follower is not None:
@@ -200,10 +201,6 @@ class Server:
         for queryable in self._queryables:
             queryable.undeclare()  # type: ignore[no-untyped-call]
 
-    def _close_endpoint(self) -> None:
-        if self._endpoint is not None:
-            self._endpoint.close()
-
     def _make_pool(self) -> Pool | None:
         """Processes that plan, where there are several cores to plan on."""
         options = self.options
@@ -212,10 +209,6 @@ class Server:
         return Pool(
             options.processes, Settings(-1, self.planner_id, options.memory_bytes, options.log_format, options.bodies)
         )
-
-    def _close_pool(self) -> None:
-        if self._pool is not None:
-            self._pool.close()
 
     def _load_scenes(self) -> None:
         self.shelf.restore({name for name, _ in self._scenes})
