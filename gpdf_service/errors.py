@@ -76,7 +76,7 @@ class UnknownAgentError(RequestError):
         super().__init__(
             f"agent {name!r}",
             "there is no agent of that name",
-            f"Use one of {', '.join(self.known)}, or pass a gpdf.Agent(...) with its measures.",
+            f"Use one of {', '.join(self.known)}, or give its measures (gpdf.Agent(...); gpdf plan --width …).",
         )
 
     def __reduce__(self) -> tuple[type[GpdfError], tuple[str, tuple[str, ...]]]:  # type: ignore[override]
