@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from itertools import islice
 
 import numpy as np
 
@@ -12,6 +13,10 @@ from gpdf_service.types import AGENTS, Agent, BoolArray, FloatArray
 
 NEIGHBOURS = 8
 """Ground points that are looked at for the one that the walker can step onto."""
+RISER = 0.22
+"""[m] Of the steepest stairs: ground that is higher over other ground, and too low to stand under, covers it."""
+COVERS = 0.1
+"""[m] In plan, half of a foot: what is covered from so near carries nobody, as the underside of a flight."""
 OFF_GROUND = 0.6
 """[m] Further from any ground point, nobody knows what is under the walker; scans have smaller gaps between points."""
 
@@ -40,12 +45,19 @@ class WalkedWorld:
         rows = np.array(self.judge.ground_plan.query_ball_point(position[:2], OFF_GROUND), dtype=np.int64)
         rows = rows[self.judge.ground[rows, 2] <= position[2] + self.agent.max_step]
         away = np.hypot(*(self.judge.ground[rows, :2] - position[:2]).T)
-        z = self.judge.ground[rows[np.argsort(away)[:NEIGHBOURS]], 2]
+        open_ground = (row for row in rows[np.argsort(away)] if not self._is_covered(row))
+        z = np.array([self.judge.ground[row, 2] for row in islice(open_ground, NEIGHBOURS)])
         near = z[z >= position[2] - self.agent.max_step]
         if len(near) == 0:
             self.fell = True
             return float(z[0] if len(z) else position[2])
         return float(near[0])
+
+    def _is_covered(self, row: int) -> bool:
+        """Whether other ground lies over this point, so low that nobody stands under it."""
+        x, y, z = self.judge.ground[row]
+        over = self.judge.ground[self.judge.ground_plan.query_ball_point((x, y), COVERS), 2] - z
+        return bool(((over > RISER) & (over < self.agent.height)).any())
 
     def penetration(self, position: FloatArray) -> float:
         """How deep the worst point is in the walker's cylinder [m]; inf after a fall."""
@@ -68,6 +80,8 @@ WAITS = 1.0
 """[s] One whose way is not free for so long goes elsewhere."""
 POLITE = 8
 """Places that one who sees chooses from, to leave the way to who does not."""
+LOOKS = np.linspace(0.25, 2.0, 8)
+"""[m] So far he looks whether he gets there: nobody who sees walks into a wall to make way."""
 
 
 @dataclass(slots=True)
@@ -115,13 +129,17 @@ class Crowd:
                 self.waited[i] += period
 
     def _elsewhere(self, i: int) -> FloatArray:
-        """A new place to go to: of a few, the one in whose direction one gets furthest out of the person's way."""
+        """A new place to go to: of a few, the one towards which one gets furthest out of the person's way."""
         few = self.candidates[self.rng.integers(len(self.candidates), size=POLITE)]
+        if np.hypot(*(self.places[i, :2] - self.person[:2])) >= SEEN_FROM:
+            return few[0]  # type: ignore[no-any-return]
         away = few[:, :2] - self.places[i, :2]
-        step = away / np.maximum(np.hypot(*away.T), 1e-9)[:, None]
-        away_from = np.hypot(*(self.places[i, :2] + step - np.minimum(self.person[:2], 1e6)).T)
-        near = np.hypot(*(self.places[i, :2] - self.person[:2])) < SEEN_FROM
-        chosen: FloatArray = few[int(away_from.argmax()) if near else 0]
+        forward = away / np.maximum(np.hypot(*away.T), 1e-9)[:, None]
+        looks = self.places[i, :2] + LOOKS[:, None, None] * forward
+        free = np.isfinite(self.ground(looks.reshape(-1, 2))).reshape(looks.shape[:2])
+        gets = np.append(0.0, LOOKS)[np.logical_and.accumulate(free).sum(axis=0)]
+        ends = self.places[i, :2] + gets[:, None] * forward
+        chosen: FloatArray = few[int(np.hypot(*(ends - self.person[:2]).T).argmax())]
         return chosen
 
     def _may_be(self, place: FloatArray, i: int) -> bool:

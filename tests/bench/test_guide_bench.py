@@ -5,7 +5,7 @@ from gpdf_guidance import Instruction, Kind, Outcome, Urgency, Walk
 from gpdf_guidance.simulate import Said
 
 from gpdf_service.bench.guide import edges_told
-from gpdf_service.bench.walks import YIELDS, Crowd
+from gpdf_service.bench.walks import YIELDS, Crowd, WalkedWorld
 
 
 def walk_over(risers, said, pause_at=None):
@@ -52,3 +52,19 @@ def test_people_who_see_do_not_walk_into_who_does_not():
     assert moved > 10.0
     assert crowd.penetration(np.array([*crowd.places[0, :2], 0.0])) == 0.5
     assert crowd.penetration(np.array([*crowd.places[0, :2], 3.0])) < 0.5  # on another storey
+
+
+def test_who_climbs_a_flight_does_not_sink_to_its_underside():
+    x, y = (v.ravel() for v in np.mgrid[0:4:0.04, -0.6:0.6:0.04])
+    tread = 0.17 * np.floor(np.clip(x, 0.0, 3.0) / 0.28)
+    under = (x > 1.0) & (x < 3.0)
+    top = np.column_stack([x, y, tread])
+    bottom = np.column_stack([x, y, 0.17 * x / 0.28 - 0.4])[under] + [0.01, 0.01, 0.0]  # often nearer than the tread
+    world = WalkedWorld.of(np.vstack([top, bottom]), np.ones(len(top) + len(bottom), dtype=bool))
+    for ahead in (np.arange(0.1, 3.5, 0.02), np.arange(3.5, 0.1, -0.02)):
+        place = np.array([ahead[0], 0.013, world.ground_height(np.array([ahead[0], 0.013, 1.8 * (ahead[0] > 1)]))])
+        for forward in ahead:
+            place[0] = forward
+            place[2] = world.ground_height(place)
+            assert abs(place[2] - 0.17 * np.floor(min(forward, 3.0) / 0.28)) < 0.18
+    assert not world.fell
