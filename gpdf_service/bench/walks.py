@@ -16,7 +16,9 @@ NEIGHBOURS = 8
 RISER = 0.22
 """[m] Of the steepest stairs: ground that is higher over other ground, and too low to stand under, covers it."""
 COVERS = 0.1
-"""[m] In plan, half of a foot: what is covered from so near carries nobody, as the underside of a flight."""
+"""[m] In plan, half of a foot: onto what is covered from so near nobody steps down, as the underside of a flight."""
+LEVEL = 0.05
+"""[m] Lower ground is a step down."""
 OFF_GROUND = 0.6
 """[m] Further from any ground point, nobody knows what is under the walker; scans have smaller gaps between points."""
 
@@ -45,7 +47,8 @@ class WalkedWorld:
         rows = np.array(self.judge.ground_plan.query_ball_point(position[:2], OFF_GROUND), dtype=np.int64)
         rows = rows[self.judge.ground[rows, 2] <= position[2] + self.agent.max_step]
         away = np.hypot(*(self.judge.ground[rows, :2] - position[:2]).T)
-        open_ground = (row for row in rows[np.argsort(away)] if not self._is_covered(row))
+        lower = position[2] - LEVEL
+        open_ground = (row for row in rows[np.argsort(away)] if not self._is_covered(row, lower))
         z = np.array([self.judge.ground[row, 2] for row in islice(open_ground, NEIGHBOURS)])
         near = z[z >= position[2] - self.agent.max_step]
         if len(near) == 0:
@@ -53,9 +56,11 @@ class WalkedWorld:
             return float(z[0] if len(z) else position[2])
         return float(near[0])
 
-    def _is_covered(self, row: int) -> bool:
-        """Whether other ground lies over this point, so low that nobody stands under it."""
+    def _is_covered(self, row: int, lower: float) -> bool:
+        """Whether this point is under a height [m], and other ground so low over it that nobody stands under that."""
         x, y, z = self.judge.ground[row]
+        if z >= lower:
+            return False
         over = self.judge.ground[self.judge.ground_plan.query_ball_point((x, y), COVERS), 2] - z
         return bool(((over > RISER) & (over < self.agent.height)).any())
 

@@ -68,3 +68,15 @@ def test_who_climbs_a_flight_does_not_sink_to_its_underside():
             place[2] = world.ground_height(place)
             assert abs(place[2] - 0.17 * np.floor(min(forward, 3.0) / 0.28)) < 0.18
     assert not world.fell
+
+
+def test_who_walks_close_beside_a_ledge_stays_below_and_who_leaves_it_steps_down():
+    x, y = (v.ravel() for v in np.mgrid[0:3:0.03, -1:1:0.03])
+    points = np.column_stack([x, y, 0.35 * (y > 0.0)])
+    world = WalkedWorld.of(points, np.ones(len(points), dtype=bool))
+    assert {world.ground_height(np.array([forward, -0.03, 0.0])) for forward in np.arange(0.1, 2.9, 0.02)} == {0.0}
+    z, heights = 0.35, []
+    for aside in np.arange(0.3, -0.3, -0.02):
+        heights.append(z := world.ground_height(np.array([1.5, aside, z])))
+    assert (heights[0], heights[-1], np.count_nonzero(np.diff(heights))) == (0.35, 0.0, 1)
+    assert not world.fell
