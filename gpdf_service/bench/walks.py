@@ -85,6 +85,8 @@ WAITS = 1.0
 """[s] One whose way is not free for so long goes elsewhere."""
 POLITE = 8
 """Places that one who sees chooses from, to leave the way to who does not."""
+STANDS = 3.0
+"""[s] Who does not see and has stood for so long waits for those who do."""
 LOOKS = np.linspace(0.25, 2.0, 8)
 """[m] So far he looks whether he gets there: nobody who sees walks into a wall to make way."""
 
@@ -99,6 +101,9 @@ class Crowd:
         targets: Where each goes, (k, 3) [m].
         candidates: Places to go to, (n, 3) [m].
         rng: Chooses among them.
+        waited: How long each could not go on [s], shape (k,).
+        person: Where the guided person is, (3,) [m].
+        stood: How long he has stood there [s].
     """
 
     places: FloatArray
@@ -108,18 +113,25 @@ class Crowd:
     rng: np.random.Generator
     waited: FloatArray
     person: FloatArray
+    stood: float = 0.0
 
     @classmethod
     def of(
         cls, count: int, candidates: FloatArray, ground: Callable[[FloatArray], FloatArray], rng: np.random.Generator
     ) -> Crowd:
-        """So many people at candidate places (n, 3) [m]."""
-        chosen = candidates[rng.integers(len(candidates), size=(2, count))]
-        return cls(chosen[0], ground, chosen[1], candidates, rng, np.zeros(count), np.full(3, np.inf))
+        """So many people at candidate places (n, 3) [m], or as many as have room beside each other."""
+        places: list[FloatArray] = []
+        for place in rng.permutation(candidates):
+            if len(places) < count and all(np.hypot(*(place - one)[:2]) > 2 * RADIUS for one in places):
+                places.append(place)
+        targets = candidates[rng.integers(len(candidates), size=len(places))]
+        nowhere = np.full(3, np.inf)
+        return cls(np.array(places), ground, targets, candidates, rng, np.zeros(len(places)), nowhere)
 
     def move(self, now: float, period: float, person: FloatArray) -> None:
         """Walk on; who would come too near to the guided person, to a thing or to another one waits."""
-        self.person = person
+        self.stood = self.stood + period if np.allclose(person, self.person) else 0.0
+        self.person = person.copy()
         for i in range(len(self.places)):
             away = self.targets[i] - self.places[i]
             left = float(np.hypot(*away[:2]))
@@ -134,17 +146,21 @@ class Crowd:
                 self.waited[i] += period
 
     def _elsewhere(self, i: int) -> FloatArray:
-        """A new place to go to: of a few, the one towards which one gets furthest out of the person's way."""
+        """A new place to go to, of a few: the one towards which one gets furthest out of the person's way.
+
+        Where he has stood for long he waits for who is in his way, and that one goes wherever he gets furthest.
+        """
         few = self.candidates[self.rng.integers(len(self.candidates), size=POLITE)]
-        if np.hypot(*(self.places[i, :2] - self.person[:2])) >= SEEN_FROM:
-            return few[0]  # type: ignore[no-any-return]
         away = few[:, :2] - self.places[i, :2]
         forward = away / np.maximum(np.hypot(*away.T), 1e-9)[:, None]
         looks = self.places[i, :2] + LOOKS[:, None, None] * forward
         free = np.isfinite(self.ground(looks.reshape(-1, 2))).reshape(looks.shape[:2])
         gets = np.append(0.0, LOOKS)[np.logical_and.accumulate(free).sum(axis=0)]
-        ends = self.places[i, :2] + gets[:, None] * forward
-        chosen: FloatArray = few[int(np.hypot(*(ends - self.person[:2]).T).argmax())]
+        near = np.hypot(*(self.places[i, :2] - self.person[:2])) < SEEN_FROM
+        if near and self.stood < STANDS:
+            ends = self.places[i, :2] + gets[:, None] * forward
+            gets = np.hypot(*(ends - self.person[:2]).T)
+        chosen: FloatArray = few[int(gets.argmax()) if near else 0]
         return chosen
 
     def _may_be(self, place: FloatArray, i: int) -> bool:

@@ -54,6 +54,24 @@ def test_people_who_see_do_not_walk_into_who_does_not():
     assert crowd.penetration(np.array([*crowd.places[0, :2], 3.0])) < 0.5  # on another storey
 
 
+def test_people_begin_beside_each_other_and_leave_a_nook_to_who_waits_before_it():
+    rng = np.random.default_rng(0)
+    near = np.column_stack([rng.uniform(0, 0.3, (20, 2)), np.zeros(20)])
+    crowd = Crowd.of(2, near, lambda xy: np.zeros(len(xy)), rng)
+    assert len(crowd.places) == 1  # no two have room
+
+    def nook(xy):  # a room of 4 m, and a nook of 1 m behind an opening to the left of it
+        inside = (np.abs(xy[:, 1]) < np.where(xy[:, 0] > 0.0, 2.0, 0.4)) & (xy[:, 0] > -1.0) & (xy[:, 0] < 4.0)
+        return np.where(inside, 0.0, np.nan)
+
+    candidates = np.column_stack([rng.uniform(0, 4, 200), rng.uniform(-2, 2, 200), np.zeros(200)])
+    crowd = Crowd.of(1, candidates, nook, rng)
+    crowd.places = np.array([[-0.8, 0.0, 0.0]])
+    for tick in range(1200):
+        crowd.move(0.05 * tick, 0.05, np.array([2.0, 1.0, 0.0]))
+    assert crowd.places[0, 0] > 0.0
+
+
 def test_who_climbs_a_flight_does_not_sink_to_its_underside():
     x, y = (v.ravel() for v in np.mgrid[0:4:0.04, -0.6:0.6:0.04])
     tread = 0.17 * np.floor(np.clip(x, 0.0, 3.0) / 0.28)
