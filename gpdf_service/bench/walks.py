@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import islice
 
 import numpy as np
@@ -75,6 +75,8 @@ PACE = 1.2
 """[m/s] Of one who sees."""
 YIELDS = 0.6
 """[m] Between the middles of two bodies: who sees stops before he comes nearer to who does not."""
+STOPS_IN = 1.0
+"""[m] In which one stops who walks and does not see: nobody who sees steps in front of him nearer than this."""
 SEEN_FROM = 5.0
 """[m] A sensor on the guided person sees people from here."""
 RING = np.linspace(0.0, 2 * np.pi, 12, endpoint=False)
@@ -104,6 +106,7 @@ class Crowd:
         waited: How long each could not go on [s], shape (k,).
         person: Where the guided person is, (3,) [m].
         stood: How long he has stood there [s].
+        ahead: Where he walked last, a direction (2,).
     """
 
     places: FloatArray
@@ -114,6 +117,7 @@ class Crowd:
     waited: FloatArray
     person: FloatArray
     stood: float = 0.0
+    ahead: FloatArray = field(default_factory=lambda: np.zeros(2))
 
     @classmethod
     def of(
@@ -130,7 +134,10 @@ class Crowd:
 
     def move(self, now: float, period: float, person: FloatArray) -> None:
         """Walk on; who would come too near to the guided person, to a thing or to another one waits."""
-        self.stood = self.stood + period if np.allclose(person, self.person) else 0.0
+        step = (person - self.person)[:2]
+        walks = bool(np.hypot(*step) > 1e-6)
+        self.stood = 0.0 if walks else self.stood + period
+        self.ahead = step / np.hypot(*step) if walks and np.isfinite(step).all() else self.ahead
         self.person = person.copy()
         for i in range(len(self.places)):
             away = self.targets[i] - self.places[i]
@@ -146,7 +153,7 @@ class Crowd:
                 self.waited[i] += period
 
     def _elsewhere(self, i: int) -> FloatArray:
-        """A new place to go to, of a few: the one towards which one gets furthest out of the person's way.
+        """A new place to go to, of a few: the one towards which one gets furthest from the person's way ahead.
 
         Where he has stood for long he waits for who is in his way, and that one goes wherever he gets furthest.
         """
@@ -159,16 +166,22 @@ class Crowd:
         near = np.hypot(*(self.places[i, :2] - self.person[:2])) < SEEN_FROM
         if near and self.stood < STANDS:
             ends = self.places[i, :2] + gets[:, None] * forward
-            gets = np.hypot(*(ends - self.person[:2]).T)
+            gets = self._from_way(ends, SEEN_FROM)
         chosen: FloatArray = few[int(gets.argmax()) if near else 0]
         return chosen
 
+    def _from_way(self, places: FloatArray, reach: float) -> FloatArray:
+        """Distance of places (n, 2) from the guided person's way as far as `reach` ahead of him [m], shape (n,)."""
+        away = places - self.person[:2]
+        along = np.clip(away @ self.ahead, 0.0, reach)
+        distance: FloatArray = np.hypot(*(away - along[:, None] * self.ahead).T)
+        return distance
+
     def _may_be(self, place: FloatArray, i: int) -> bool:
         others = np.delete(self.places, i, axis=0)
-        near = np.hypot(*(np.vstack([others, self.person])[:, :2] - place[:2]).T)
-        comes = np.hypot(*(self.person[:2] - place[:2])) < np.hypot(*(self.person[:2] - self.places[i, :2]))
-        apart = (near[:-1] > 2 * RADIUS).all() and (near[-1] > YIELDS or not comes)
-        return bool(apart and np.isfinite(place[2]))
+        apart = (np.hypot(*(others - place)[:, :2].T) > 2 * RADIUS).all()
+        next_to, now = self._from_way(np.array([place, self.places[i]])[:, :2], 0.0 if self.stood else STOPS_IN)
+        return bool(apart and np.isfinite(place[2]) and (next_to > YIELDS or next_to >= now))
 
     def points(self) -> FloatArray:
         """What the guided person's sensor sees of them, shape (k, 3) [m]."""
