@@ -22,9 +22,9 @@ def speak(sample: zenoh.Sample) -> None:
 with zenoh.open(config) as session:
     session.declare_subscriber(f"gpdf/v1/say/{name}", speak)
     session.declare_subscriber(f"gpdf/v1/cue/{name}", lambda sample: None)  # vibrate here; none for 0.5 s means stop
-    for _ in range(20):  # as long as one walks
+    for step in range(100):  # as long as one walks
         pose = {"position": [1.0, 1.0, 0.0], "heading": 0.5, "stamp": time.time(), "accuracy": 0.02}
         session.put(f"gpdf/v1/pose/{name}", msgpack.packb(pose))
+        if step == 50:
+            session.put(f"gpdf/v1/ask/{name}", msgpack.packb({"ask": "where", "id": "1"}))
         time.sleep(0.1)
-    session.put(f"gpdf/v1/ask/{name}", msgpack.packb({"ask": "where", "id": "1"}))
-    print("asked where I am")

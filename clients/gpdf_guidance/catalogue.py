@@ -29,10 +29,11 @@ GOES_ON = (Kind.STAIRS_END,)
 
 @dataclass(frozen=True, slots=True)
 class Language:
-    """One language: its sentences, and the words that are put into them."""
+    """One language: its sentences, the words that are put into them, and what stands on the phone's page."""
 
     words: Mapping[str, str]
     sentences: Mapping[Kind, str]
+    page: Mapping[str, str]
 
 
 LANGUAGES = tuple(
@@ -57,7 +58,7 @@ def language(name: str) -> Language:
     missing = {kind.value for kind in Kind} ^ set(read["sentences"])
     if missing:
         raise KeyError(f"{file.name}: sentences missing or unknown: {', '.join(sorted(missing))}")
-    return Language(read["words"], {Kind(kind): sentence for kind, sentence in read["sentences"].items()})
+    return Language(read["words"], {Kind(kind): sentence for kind, sentence in read["sentences"].items()}, read["page"])
 
 
 def phrase(instruction: Instruction, manner: Manner | None = None) -> str:

@@ -54,6 +54,8 @@ CLEAR_FOR = (1.0, 4.0)
 before one has got on, up to the second."""
 GETS_ON = 0.5
 """[m] Who has moved by this has got on."""
+STANDS = 8.0
+"""[s] The same for one who was told to stop and stands: that his pose is missing, too, is no news for so long."""
 UNSURE = 2.0
 """[s] A person who is held without a word for so long is told that the guide is at work."""
 BRAKES = PACES[0] / BLIND
@@ -364,7 +366,8 @@ class Guide:
     def _worth_saying(self, advice: Advice) -> tuple[Instruction, ...]:
         """What stops the feet for a moment only is no news; who was told to stop is told to go on."""
         waited = 0.0 if self._waiting.since is None else self._clock - self._waiting.since
-        patient = WAITING if self.felt else {}
+        stands = dict.fromkeys(WAITING, STANDS) if self._told_to_stop else {}
+        patient = (WAITING | stands) if self.felt else {}
         worth = tuple(
             one
             for one in advice.instructions
@@ -382,7 +385,7 @@ class Guide:
         if self.route is None:
             return ()
         if advice.action is CueAction.STOP:
-            silent = not advice.instructions and waited >= UNSURE
+            silent = not advice.instructions and waited >= (STANDS if self._told_to_stop else UNSURE)
             return (Instruction(Kind.STOP_UNSURE, Urgency.DANGER),) if silent else ()
         if advice.action not in (CueAction.GO, CueAction.SLOW):
             return ()

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import hmac
 import json
+import re
 import secrets
 import socket
 import ssl
@@ -16,6 +17,7 @@ from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from datetime import UTC, datetime, timedelta
+from html import escape
 from importlib import resources
 from ipaddress import ip_address
 from math import atan2
@@ -42,6 +44,8 @@ SAFE = {
     "X-Content-Type-Options": "nosniff",
     "Cache-Control": "no-store",
 }
+MARK = re.compile(r"{{(\w+)}}")
+"""Where a text stands in the page."""
 LARGEST = 4096
 """[bytes] Of a message from the page."""
 VALID_DAYS = 30
@@ -57,7 +61,7 @@ class Phone:
         name: Of the person, the last part of the streams' keys.
         places: Asked for the scene's named places [m].
         goal: What the person calls the goal.
-        language: Of the words that the page says itself.
+        language: Of the page, and of the words that it says itself.
         drift: Metres that the phone's tracking loses in a metre.
     """
 
@@ -73,15 +77,7 @@ class Phone:
 
     def hello(self) -> dict[str, Any]:
         """What the page needs to begin."""
-        words = language(self.language)
-        stops = {kind.value: words.sentences[kind] for kind in (Kind.STOP_ALONE, Kind.RESUME)}
-        return {
-            "type": "hello",
-            "places": sorted(self.places()),
-            "goal": self.goal,
-            "language": self.language,
-            "says": stops,
-        }
+        return {"type": "hello", "places": sorted(self.places()), "goal": self.goal}
 
     def take(self, text: str | bytes) -> dict[str, Any] | None:
         """Take a message of the page; what it is told.
@@ -131,6 +127,14 @@ class Phone:
         except ValueError:
             return {"type": "here", "fine": False}
         return {"type": "here", "fine": True}
+
+
+def render(body: str, tag: str) -> str:
+    """The page in a language: each {{name}} is its text, {{texts}} all that the page shows and says by itself."""
+    words = language(tag)
+    texts = json.dumps({**words.page, Kind.STOP_ALONE.value: words.sentences[Kind.STOP_ALONE]}).replace("<", "\\u003c")
+    filled = {**{name: escape(text) for name, text in words.page.items()}, "language": tag, "texts": texts}
+    return MARK.sub(lambda mark: filled[mark[1]], body)
 
 
 def to_page(kind: str, sample: zenoh.Sample, clock: Clock) -> str | None:
@@ -207,6 +211,8 @@ class PhoneServer:
             return connection.respond(404, "There is no such page.\n")
         name, kind = PAGES[url.path]
         body = resources.files("gpdf_guidance").joinpath("page", name).read_bytes()
+        if url.path == "/":
+            body = render(body.decode(), self._phone.language).encode()
         headers = {"Content-Type": kind, "Content-Length": str(len(body)), "Connection": "close", **SAFE}
         return Response(200, "OK", Headers(headers), body)
 

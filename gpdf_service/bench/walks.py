@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from itertools import islice
 
 import numpy as np
 
@@ -12,6 +13,12 @@ from gpdf_service.types import AGENTS, Agent, BoolArray, FloatArray
 
 NEIGHBOURS = 8
 """Ground points that are looked at for the one that the walker can step onto."""
+RISER = 0.22
+"""[m] Of the steepest stairs: ground that is higher over other ground, and too low to stand under, covers it."""
+COVERS = 0.1
+"""[m] In plan, half of a foot: onto what is covered from so near nobody steps down, as the underside of a flight."""
+LEVEL = 0.05
+"""[m] Lower ground is a step down."""
 OFF_GROUND = 0.6
 """[m] Further from any ground point, nobody knows what is under the walker; scans have smaller gaps between points."""
 
@@ -40,12 +47,22 @@ class WalkedWorld:
         rows = np.array(self.judge.ground_plan.query_ball_point(position[:2], OFF_GROUND), dtype=np.int64)
         rows = rows[self.judge.ground[rows, 2] <= position[2] + self.agent.max_step]
         away = np.hypot(*(self.judge.ground[rows, :2] - position[:2]).T)
-        z = self.judge.ground[rows[np.argsort(away)[:NEIGHBOURS]], 2]
+        lower = position[2] - LEVEL
+        open_ground = (row for row in rows[np.argsort(away)] if not self._is_covered(row, lower))
+        z = np.array([self.judge.ground[row, 2] for row in islice(open_ground, NEIGHBOURS)])
         near = z[z >= position[2] - self.agent.max_step]
         if len(near) == 0:
             self.fell = True
             return float(z[0] if len(z) else position[2])
         return float(near[0])
+
+    def _is_covered(self, row: int, lower: float) -> bool:
+        """Whether this point is under a height [m], and other ground so low over it that nobody stands under that."""
+        x, y, z = self.judge.ground[row]
+        if z >= lower:
+            return False
+        over = self.judge.ground[self.judge.ground_plan.query_ball_point((x, y), COVERS), 2] - z
+        return bool(((over > RISER) & (over < self.agent.height)).any())
 
     def penetration(self, position: FloatArray) -> float:
         """How deep the worst point is in the walker's cylinder [m]; inf after a fall."""
@@ -58,6 +75,8 @@ PACE = 1.2
 """[m/s] Of one who sees."""
 YIELDS = 0.6
 """[m] Between the middles of two bodies: who sees stops before he comes nearer to who does not."""
+STOPS_IN = 1.0
+"""[m] In which one stops who walks and does not see: nobody who sees steps in front of him nearer than this."""
 SEEN_FROM = 5.0
 """[m] A sensor on the guided person sees people from here."""
 RING = np.linspace(0.0, 2 * np.pi, 12, endpoint=False)
@@ -68,6 +87,10 @@ WAITS = 1.0
 """[s] One whose way is not free for so long goes elsewhere."""
 POLITE = 8
 """Places that one who sees chooses from, to leave the way to who does not."""
+STANDS = 3.0
+"""[s] Who does not see and has stood for so long waits for those who do."""
+LOOKS = np.linspace(0.25, 2.0, 8)
+"""[m] So far he looks whether he gets there: nobody who sees walks into a wall to make way."""
 
 
 @dataclass(slots=True)
@@ -80,6 +103,10 @@ class Crowd:
         targets: Where each goes, (k, 3) [m].
         candidates: Places to go to, (n, 3) [m].
         rng: Chooses among them.
+        waited: How long each could not go on [s], shape (k,).
+        person: Where the guided person is, (3,) [m].
+        stood: How long he has stood there [s].
+        ahead: Where he walked last, a direction (2,).
     """
 
     places: FloatArray
@@ -89,18 +116,29 @@ class Crowd:
     rng: np.random.Generator
     waited: FloatArray
     person: FloatArray
+    stood: float = 0.0
+    ahead: FloatArray = field(default_factory=lambda: np.zeros(2))
 
     @classmethod
     def of(
         cls, count: int, candidates: FloatArray, ground: Callable[[FloatArray], FloatArray], rng: np.random.Generator
     ) -> Crowd:
-        """So many people at candidate places (n, 3) [m]."""
-        chosen = candidates[rng.integers(len(candidates), size=(2, count))]
-        return cls(chosen[0], ground, chosen[1], candidates, rng, np.zeros(count), np.full(3, np.inf))
+        """So many people at candidate places (n, 3) [m], or as many as have room beside each other."""
+        places: list[FloatArray] = []
+        for place in rng.permutation(candidates):
+            if len(places) < count and all(np.hypot(*(place - one)[:2]) > 2 * RADIUS for one in places):
+                places.append(place)
+        targets = candidates[rng.integers(len(candidates), size=len(places))]
+        nowhere = np.full(3, np.inf)
+        return cls(np.array(places), ground, targets, candidates, rng, np.zeros(len(places)), nowhere)
 
     def move(self, now: float, period: float, person: FloatArray) -> None:
         """Walk on; who would come too near to the guided person, to a thing or to another one waits."""
-        self.person = person
+        step = (person - self.person)[:2]
+        walks = bool(np.hypot(*step) > 1e-6)
+        self.stood = 0.0 if walks else self.stood + period
+        self.ahead = step / np.hypot(*step) if walks and np.isfinite(step).all() else self.ahead
+        self.person = person.copy()
         for i in range(len(self.places)):
             away = self.targets[i] - self.places[i]
             left = float(np.hypot(*away[:2]))
@@ -115,21 +153,35 @@ class Crowd:
                 self.waited[i] += period
 
     def _elsewhere(self, i: int) -> FloatArray:
-        """A new place to go to: of a few, the one in whose direction one gets furthest out of the person's way."""
+        """A new place to go to, of a few: the one towards which one gets furthest from the person's way ahead.
+
+        Where he has stood for long he waits for who is in his way, and that one goes wherever he gets furthest.
+        """
         few = self.candidates[self.rng.integers(len(self.candidates), size=POLITE)]
         away = few[:, :2] - self.places[i, :2]
-        step = away / np.maximum(np.hypot(*away.T), 1e-9)[:, None]
-        away_from = np.hypot(*(self.places[i, :2] + step - np.minimum(self.person[:2], 1e6)).T)
+        forward = away / np.maximum(np.hypot(*away.T), 1e-9)[:, None]
+        looks = self.places[i, :2] + LOOKS[:, None, None] * forward
+        free = np.isfinite(self.ground(looks.reshape(-1, 2))).reshape(looks.shape[:2])
+        gets = np.append(0.0, LOOKS)[np.logical_and.accumulate(free).sum(axis=0)]
         near = np.hypot(*(self.places[i, :2] - self.person[:2])) < SEEN_FROM
-        chosen: FloatArray = few[int(away_from.argmax()) if near else 0]
+        if near and self.stood < STANDS:
+            ends = self.places[i, :2] + gets[:, None] * forward
+            gets = self._from_way(ends, SEEN_FROM)
+        chosen: FloatArray = few[int(gets.argmax()) if near else 0]
         return chosen
+
+    def _from_way(self, places: FloatArray, reach: float) -> FloatArray:
+        """Distance of places (n, 2) from the guided person's way as far as `reach` ahead of him [m], shape (n,)."""
+        away = places - self.person[:2]
+        along = np.clip(away @ self.ahead, 0.0, reach)
+        distance: FloatArray = np.hypot(*(away - along[:, None] * self.ahead).T)
+        return distance
 
     def _may_be(self, place: FloatArray, i: int) -> bool:
         others = np.delete(self.places, i, axis=0)
-        near = np.hypot(*(np.vstack([others, self.person])[:, :2] - place[:2]).T)
-        comes = np.hypot(*(self.person[:2] - place[:2])) < np.hypot(*(self.person[:2] - self.places[i, :2]))
-        apart = (near[:-1] > 2 * RADIUS).all() and (near[-1] > YIELDS or not comes)
-        return bool(apart and np.isfinite(place[2]))
+        apart = (np.hypot(*(others - place)[:, :2].T) > 2 * RADIUS).all()
+        next_to, now = self._from_way(np.array([place, self.places[i]])[:, :2], 0.0 if self.stood else STOPS_IN)
+        return bool(apart and np.isfinite(place[2]) and (next_to > YIELDS or next_to >= now))
 
     def points(self) -> FloatArray:
         """What the guided person's sensor sees of them, shape (k, 3) [m]."""

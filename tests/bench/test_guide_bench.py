@@ -5,7 +5,7 @@ from gpdf_guidance import Instruction, Kind, Outcome, Urgency, Walk
 from gpdf_guidance.simulate import Said
 
 from gpdf_service.bench.guide import edges_told
-from gpdf_service.bench.walks import YIELDS, Crowd
+from gpdf_service.bench.walks import YIELDS, Crowd, WalkedWorld
 
 
 def walk_over(risers, said, pause_at=None):
@@ -52,3 +52,49 @@ def test_people_who_see_do_not_walk_into_who_does_not():
     assert moved > 10.0
     assert crowd.penetration(np.array([*crowd.places[0, :2], 0.0])) == 0.5
     assert crowd.penetration(np.array([*crowd.places[0, :2], 3.0])) < 0.5  # on another storey
+
+
+def test_people_begin_beside_each_other_and_leave_a_nook_to_who_waits_before_it():
+    rng = np.random.default_rng(0)
+    near = np.column_stack([rng.uniform(0, 0.3, (20, 2)), np.zeros(20)])
+    crowd = Crowd.of(2, near, lambda xy: np.zeros(len(xy)), rng)
+    assert len(crowd.places) == 1  # no two have room
+
+    def nook(xy):  # a room of 4 m, and a nook of 1 m behind an opening to the left of it
+        inside = (np.abs(xy[:, 1]) < np.where(xy[:, 0] > 0.0, 2.0, 0.4)) & (xy[:, 0] > -1.0) & (xy[:, 0] < 4.0)
+        return np.where(inside, 0.0, np.nan)
+
+    candidates = np.column_stack([rng.uniform(0, 4, 200), rng.uniform(-2, 2, 200), np.zeros(200)])
+    crowd = Crowd.of(1, candidates, nook, rng)
+    crowd.places = np.array([[-0.8, 0.0, 0.0]])
+    for tick in range(1200):
+        crowd.move(0.05 * tick, 0.05, np.array([2.0, 1.0, 0.0]))
+    assert crowd.places[0, 0] > 0.0
+
+
+def test_who_climbs_a_flight_does_not_sink_to_its_underside():
+    x, y = (v.ravel() for v in np.mgrid[0:4:0.04, -0.6:0.6:0.04])
+    tread = 0.17 * np.floor(np.clip(x, 0.0, 3.0) / 0.28)
+    under = (x > 1.0) & (x < 3.0)
+    top = np.column_stack([x, y, tread])
+    bottom = np.column_stack([x, y, 0.17 * x / 0.28 - 0.4])[under] + [0.01, 0.01, 0.0]  # often nearer than the tread
+    world = WalkedWorld.of(np.vstack([top, bottom]), np.ones(len(top) + len(bottom), dtype=bool))
+    for ahead in (np.arange(0.1, 3.5, 0.02), np.arange(3.5, 0.1, -0.02)):
+        place = np.array([ahead[0], 0.013, world.ground_height(np.array([ahead[0], 0.013, 1.8 * (ahead[0] > 1)]))])
+        for forward in ahead:
+            place[0] = forward
+            place[2] = world.ground_height(place)
+            assert abs(place[2] - 0.17 * np.floor(min(forward, 3.0) / 0.28)) < 0.18
+    assert not world.fell
+
+
+def test_who_walks_close_beside_a_ledge_stays_below_and_who_leaves_it_steps_down():
+    x, y = (v.ravel() for v in np.mgrid[0:3:0.03, -1:1:0.03])
+    points = np.column_stack([x, y, 0.35 * (y > 0.0)])
+    world = WalkedWorld.of(points, np.ones(len(points), dtype=bool))
+    assert {world.ground_height(np.array([forward, -0.03, 0.0])) for forward in np.arange(0.1, 2.9, 0.02)} == {0.0}
+    z, heights = 0.35, []
+    for aside in np.arange(0.3, -0.3, -0.02):
+        heights.append(z := world.ground_height(np.array([1.5, aside, z])))
+    assert (heights[0], heights[-1], np.count_nonzero(np.diff(heights))) == (0.35, 0.0, 1)
+    assert not world.fell

@@ -8,6 +8,7 @@ import gpdf_guidance
 import pytest
 from gpdf_guidance import LANGUAGES, Instruction, Kind, Manner, Side, Urgency, phrase
 from gpdf_guidance.catalogue import language
+from gpdf_schemas import CueAction
 
 GERMAN, STEPS = Manner("de"), Manner(unit="steps", step_length=0.65)
 AMOUNTS = dict.fromkeys((Kind.NARROW, Kind.OPENING, Kind.NO_WAY_TIGHT), (0.75, 0.05))
@@ -72,6 +73,25 @@ def test_a_translation_has_what_the_english_has(name):
     for word in english.words:
         assert set(PLACES.findall(other.words[word])) == set(PLACES.findall(english.words[word])), word
     assert all(text == text.strip() and text for text in other.sentences.values())
+
+
+@pytest.mark.parametrize("name", LANGUAGES)
+def test_the_page_has_every_text_that_it_shows_in_every_language(name):
+    page, texts = Path(gpdf_guidance.__file__).parent / "page", language(name).page
+    marks = set(re.findall(r"{{(\w+)}}", (page / "index.html").read_text())) - {"language", "texts"}
+    used = set(re.findall(r"texts\.(\w+)", (page / "guide.js").read_text())) - {Kind.STOP_ALONE.value}
+    assert marks | used | {action.value for action in CueAction} - {"turn"} == set(texts)  # none missing, none unused
+    for key, text in language("en").page.items():
+        assert set(PLACES.findall(texts[key])) == set(PLACES.findall(text)), key
+    assert all(text == text.strip() and text for text in texts.values())
+
+
+def test_the_page_holds_no_words_of_a_language_of_its_own():
+    body = (Path(gpdf_guidance.__file__).parent / "page" / "index.html").read_text()
+    shown = [text.strip() for text in re.findall(r">([^<]+)<", body)]
+    assert [text for text in shown if text and not re.fullmatch(r"{{\w+}}", text)] == []
+    script = (Path(gpdf_guidance.__file__).parent / "page" / "guide.js").read_text()
+    assert re.findall(r"""["'`][A-Z][a-z]+[ .]""", script) == []  # a sentence, or the first word of one
 
 
 def test_a_language_without_a_sentence_is_refused(tmp_path, monkeypatch):

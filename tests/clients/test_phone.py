@@ -106,8 +106,8 @@ def test_messages_of_the_page_become_poses_and_asks_and_nonsense_nothing():
 
 
 @pytest.fixture
-def served(tmp_path):
-    phone = phone_module.Phone(Streams(), "anna", lambda: PLACES)
+def served(tmp_path, request):
+    phone = phone_module.Phone(Streams(), "anna", lambda: PLACES, language=getattr(request, "param", "en"))
     with phone_module.PhoneServer(phone, tmp_path, "127.0.0.1") as server:
         yield server
 
@@ -128,6 +128,16 @@ def test_the_page_is_served_to_who_has_the_token(served):
     assert "I stand at" in fetched(served.url)[1]
     assert fetched(f"{base}/")[0] == fetched(f"{base}/?token=x")[0] == fetched(f"{base}/socket?token=x")[0] == 403
     assert fetched(f"{base}/../pyproject.toml")[0] == 404
+
+
+@pytest.mark.parametrize("served", ["de"], indirect=True)
+def test_the_page_speaks_the_guides_language_before_it_is_connected(served):
+    page = fetched(served.url)[1]
+    assert '<html lang="de">' in page
+    assert ">Ich stehe bei<" in page
+    assert "{{" not in page
+    texts = json.loads(page.split('id="texts">')[1].split("</script>")[0])
+    assert (texts["stop_alone"], texts["no"]) == ("Halt. Ich habe keine Verbindung.", "Nein")
 
 
 def test_the_certificate_is_made_once_and_for_these_addresses(tmp_path):

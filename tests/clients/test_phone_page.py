@@ -18,6 +18,7 @@ import pytest
 from gpdf_client import Client
 from gpdf_guidance import Guide, Planner, Walker
 from gpdf_guidance.alignment import AHEAD
+from gpdf_guidance.catalogue import LANGUAGES, language
 from gpdf_guidance.live import LiveGuide
 from gpdf_guidance.walker import Errors
 from gpdf_schemas import CueAction, CueMessage, decode, keys
@@ -57,14 +58,14 @@ def house(tmp_path_factory):
 
 
 @pytest.fixture
-def guided(house):
+def guided(house, request):
     """A guide from the door to the bed, its page's address, and what happens to it."""
     from gpdf_guidance.phone import Phone, PhoneServer
 
     made, client, folder = house
     stop, said = threading.Event(), []
     guide = Guide(Planner(client, "house"), made.high.tolist(), name="bed")
-    phone = Phone(client.session, "anna", lambda: client.places("house"), "bed", drift=0.0)
+    phone = Phone(client.session, "anna", lambda: client.places("house"), "bed", getattr(request, "param", "en"), 0.0)
     live = LiveGuide(client.session, guide, "anna", lambda *sentence: said.append(sentence))
     with PhoneServer(phone, folder, "127.0.0.1") as server, ThreadPoolExecutor(1) as pool:
         running = pool.submit(live.run, stop.is_set, stays=True)
@@ -247,6 +248,27 @@ def test_the_page_is_accessible_and_its_buttons_are_large(page, tmp_path):
     assert all(names)
     page.screenshot(path=str(tmp_path / "page.png"), full_page=True)
     print(json.dumps(names), tmp_path)
+
+
+@pytest.mark.parametrize("guided", LANGUAGES, indirect=True)
+def test_a_screen_reader_meets_all_of_the_page_in_the_guides_language(guided, page, request, tmp_path):
+    tag = request.node.callspec.params["guided"]
+    nodes = page.context.new_cdp_session(page).send("Accessibility.getFullAXTree")["nodes"]
+    found = [
+        (one["role"]["value"], one.get("name", {}).get("value", "").strip()) for one in nodes if not one["ignored"]
+    ]
+    print("\n".join(f"{role}: {name}" for role, name in found if role not in ("InlineTextBox", "StaticText")))
+    page.screenshot(path=str(tmp_path / "page.png"), full_page=True)
+    print(tmp_path)
+    texts = language(tag).page
+    by_role = {role: [name for other, name in found if other == role] for role, _ in found}
+    asks = ("pause", "go_on", "repeat", "where", "around", "how_far", "slower", "faster", "more_words", "fewer_words")
+    assert by_role["heading"] == [texts[name] for name in ("title", "stand", "ask", "voice")]
+    assert by_role["button"] == [texts[name] for name in ("start", *asks, "lead")]
+    assert by_role["combobox"] == [texts[name] for name in ("at", "facing", "goal")]
+    assert by_role["checkbox"] == [texts["reader"]]
+    assert [texts["choose"]] == sorted(set(by_role["option"]) - {"bed", "door", "stove"})
+    assert len(by_role["status"]) == 1  # what the cue says is read out when it changes
 
 
 def test_asks_are_buttons_and_answers_are_shown(house, guided, page):

@@ -55,3 +55,19 @@ def test_the_page_on_a_phone_has_a_map_and_names_for_a_screen_reader(on_a_phone)
     found = phone.evaluate("rules => axe.run({runOnly: rules})", RULES)
     print(f"axe-core: {len(found['passes'])} rules passed, {len(found['violations'])} violated")
     assert [(one["id"], [node["html"] for node in one["nodes"]]) for one in found["violations"]] == []
+
+
+@pytest.mark.slow
+@pytest.mark.browser
+def test_on_a_phone_a_refusal_comes_into_sight(on_a_phone):
+    phone, page = on_a_phone
+    for name, text in (("start", "0.9, 0.9"), ("goal", "2.7, 0.45, 0")):
+        phone.get_by_role("textbox", name=name.capitalize()).fill(text)
+        until(lambda name=name, text=text: page.panel.plan.typed[name].value == text)
+    phone.get_by_role("button", name="Take what is typed").click()
+    card = phone.get_by_role("alert").filter(has_text="No path")
+    card.wait_for()
+    phone.locator(".mantine-Notification-closeButton").first.click()  # Chromium's, about drawing by software
+    shown = """one => { const box = one.getBoundingClientRect(), x = box.x + box.width / 2;
+        return [box.top + 4, box.bottom - 4].every(y => one.contains(document.elementFromPoint(x, y))); }"""
+    until(lambda: card.evaluate(shown))

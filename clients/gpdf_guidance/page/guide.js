@@ -7,15 +7,14 @@ const STOP_AGAIN = 8000; // [ms]
 const ANSWERS = 3000; // [ms] A connection that has brought nothing by then is made anew.
 const CALL_AGAIN = 500; // [ms] After one that was refused.
 const FEEL = { stop: [500, 100, 500], arrived: [200, 100, 200, 100, 200], slow: [60], go: [30] };
-const SHOWN = { go: "Walk", slow: "Walk slowly", turn: "Turn", stop: "Stop", arrived: "Arrived" };
 const STEP = 1.2; // [m/s²] A foot that is set down shakes the phone by this.
 const STEP_PAUSE = 300; // [ms] No two steps are nearer.
 
 const byId = (id) => document.getElementById(id);
+const texts = JSON.parse(byId("texts").textContent); // What the page shows and says by itself, in the guide's language.
+const language = document.documentElement.lang;
 const token = new URLSearchParams(location.search).get("token") || "";
 let socket = null;
-let says = { stop_alone: "Stop. I have no connection." };
-let language = "en";
 let led = false; // Whether cues have come: only who is led can be stopped.
 let lastCue = 0, alone = false, action = "", deadline = 0, again = 0;
 let answered = null; // The pose that the last cue was made of.
@@ -61,7 +60,8 @@ function cue(message) {
   if (alone) { alone = false; feel(0); }
   const side = message.direction > 0 ? "left" : "right";
   const degrees = Math.round(Math.abs(message.direction) * 180 / Math.PI / 5) * 5;
-  state(message.action === "turn" ? `Turn ${side}, ${degrees} degrees` : SHOWN[message.action], message.action);
+  const turn = side === "left" ? texts.turn_left : texts.turn_right;
+  state(message.action === "turn" ? turn.replace("{degrees}", degrees) : texts[message.action], message.action);
   const felt = message.action === "turn" ? (side === "left" ? [80] : [80, 80, 80]) : FEEL[message.action];
   const key = message.action + (message.action === "turn" ? side : "");
   if (key !== action) feel(felt);
@@ -73,15 +73,15 @@ function silent() { // The page's own stop: it needs nobody.
   alone = true;
   action = "";
   deadline = setTimeout(silent, STOP_AGAIN);
-  state("Stop. No connection.", "stop");
+  state(texts.alone, "stop");
   feel(FEEL.stop);
-  speak(says.stop_alone, 3);
+  speak(texts.stop_alone, 3);
   connect();
 }
 
 function options(select, names, chosen) { // What was chosen before stays.
   const kept = select.value || chosen;
-  const none = new Option("Choose a place", "");
+  const none = new Option(texts.choose, "");
   select.replaceChildren(none, ...names.map((name) => new Option(name, name, false, name === kept)));
   select.value = names.includes(kept) ? kept : "";
 }
@@ -96,21 +96,18 @@ function take(message) {
     return undefined;
   }
   if (message.type === "hello") {
-    ({ says, language } = message);
-    document.documentElement.lang = "en";
-    byId("words").lang = language;
     for (const id of ["place", "facing", "goal"]) options(byId(id), message.places, id === "goal" ? message.goal : "");
-    if (!led) state("Connected.");
-    if (!window.gpdf.said.length) byId("words").textContent = "Say where you stand and what you look towards. Then press Start.";
+    if (!led) state(texts.connected);
+    if (!window.gpdf.said.length) byId("words").textContent = texts.first;
     return undefined;
   }
   if (message.type === "here") {
-    speak(message.fine ? "Thank you." : "I do not know where that is.", 2);
+    speak(message.fine ? texts.thanks : texts.unknown, 2);
     byId("here").hidden = !message.fine && byId("here").hidden;
     return undefined;
   }
   if (message.type === "drift") {
-    byId("drift").textContent = `I know where you are to ${Math.round(100 * message.accuracy)} centimetres.`;
+    byId("drift").textContent = texts.drift.replace("{centimetres}", Math.round(100 * message.accuracy));
   }
   return undefined;
 }
@@ -138,7 +135,7 @@ function send(message) {
 function ask(what, goal) {
   if (["yes", "no"].includes(what)) byId("question").hidden = true;
   if (!send({ type: "ask", ask: what, goal, id: `${what}-${Math.round(performance.now())}` })) {
-    speak(says.stop_alone, 3);
+    speak(texts.stop_alone, 3);
   }
 }
 
@@ -168,8 +165,8 @@ async function track() { // The phone's own tracking: immersive-ar, so that the 
   session.addEventListener("end", () => {
     byId("start").hidden = false;
     feel(FEEL.stop);
-    state("The phone does not track any more.", "stop");
-    speak("Stop. The phone does not track any more. Start again.", 3);
+    state(texts.track_end, "stop");
+    speak(texts.track_end_help, 3);
   });
 }
 
@@ -183,16 +180,16 @@ function shaken(event) { // Steps, from how the phone shakes.
 
 async function start() {
   const here = { type: "here", place: byId("place").value, facing: byId("facing").value };
-  if (!here.place || !here.facing || here.place === here.facing) return speak("Choose two places: where you stand, and which one you look towards.", 2);
+  if (!here.place || !here.facing || here.place === here.facing) return speak(texts.two_places, 2);
   if (!navigator.xr || !(await navigator.xr.isSessionSupported("immersive-ar").catch(() => false))) {
-    state("This browser does not tell where the phone is.", "");
-    return speak("This browser does not tell where the phone is. You hear me, but another device must say where you are.", 2);
+    state(texts.no_tracking, "");
+    return speak(texts.no_tracking_help, 2);
   }
   try {
     await track();
   } catch (error) {
-    state("The phone does not track.", "stop");
-    return speak("The phone does not tell where it is. Allow the camera, and start again.", 2);
+    state(texts.not_tracked, "stop");
+    return speak(texts.not_tracked_help, 2);
   }
   addEventListener("devicemotion", shaken);
   setTimeout(() => send(here), 200); // a pose goes ahead of it
