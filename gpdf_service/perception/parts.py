@@ -14,7 +14,7 @@ from gpdf_service.perception.beside import Beside
 from gpdf_service.perception.layers import Layers, Pairs, steady
 from gpdf_service.perception.nodes import components, extents_in_plan, nodes_over, numbered_among
 from gpdf_service.perception.pairs import pairs_within
-from gpdf_service.perception.strides import STRIDE, find_strides
+from gpdf_service.perception.strides import HALF_FOOT, STRIDE, find_strides
 from gpdf_service.types import BoolArray, FloatArray, IntArray
 
 OVER_SHARE = 0.2
@@ -140,6 +140,24 @@ def accept_parts(layers: Layers, parts: Parts, joins: Pairs, low: BoolArray, con
     return accepted
 
 
+def without_crumbs(layers: Layers, parts: Parts, joins: Pairs) -> Parts:
+    """The parts of a noisy cloud but for treads, with their fragments, too small for half a foot.
+
+    Noise lifts and sinks single cells at the rim of a seat, and each would be a tread up to it.
+    """
+    unit = _units(parts, joins, (parts.size > 0) & ~parts.standable)
+    area = np.bincount(unit, parts.size, len(unit)) * layers.cell_width**2
+    return replace(parts, size=np.where(area[unit] < HALF_FOOT, 0, parts.size))
+
+
+def _units(parts: Parts, joins: Pairs, narrow: BoolArray) -> IntArray:
+    """Number of each part's tread, shape (parts + 1,): `narrow` parts that are level and joined are one."""
+    a, b = joins
+    same = narrow[a] & narrow[b] & (np.abs(parts.level[a] - parts.level[b]) <= parts.rise)
+    unit: IntArray = components(a[same], b[same], narrow)
+    return unit
+
+
 def _over_share(layers: Layers, parts: Parts, low: BoolArray, config: PerceptionConfig) -> FloatArray:
     """Share of the inner nodes of each part that lie over ground at less than the headroom of a step."""
     among = parts.keep & parts.inner
@@ -180,8 +198,7 @@ def _dead_ends(parts: Parts, joins: Pairs, alive: BoolArray, table: BoolArray) -
     """
     (a, b), count = pairs_within(*joins, alive, True), len(alive)
     narrow = alive & ~parts.standable
-    same = narrow[a] & narrow[b] & (np.abs(parts.level[a] - parts.level[b]) <= parts.rise)
-    unit = components(a[same], b[same], narrow)
+    unit = _units(parts, joins, narrow)
     one, other = np.concatenate([unit[a], unit[b]]), np.concatenate([unit[b], unit[a]])
     one, other = np.divmod(np.unique((one * count + other)[one != other]), count)
     high, stands = np.zeros(count), np.zeros(count, dtype=bool)
