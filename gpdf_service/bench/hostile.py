@@ -123,6 +123,7 @@ def serve_others(service: Running, clouds: list[Hostile]) -> Row:
             quiet += [timed() for _ in range(QUIET)]
             sending = threading.Thread(target=lambda cloud=cloud: words.append(_send(sender, cloud)))
             sending.start()
+            beside.append(timed())  # at least one, however soon the cloud is answered
             while sending.is_alive():
                 beside.append(timed())
             sending.join()
