@@ -64,7 +64,7 @@ SAID = {
         "UNKNOWN_PLACE: there is no place 'kitchen'",
         "Known: entrance",
     ],
-    "phone": ["answer: "],
+    "phone": ["where am I: "],
     "plan": ["OK", "m of room"],
     "scenes": ["copy version", "points on 1 level", "digest"],
     "services": ["is there: ", "healthy: True ready: True"],
