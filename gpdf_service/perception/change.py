@@ -30,7 +30,6 @@ from gpdf_service.perception.layers import (
 )
 from gpdf_service.perception.levels import (
     FACE,
-    HIGH,
     GroundLevel,
     Levels,
     Survey,
@@ -41,6 +40,7 @@ from gpdf_service.perception.levels import (
     find_portals,
     held_in,
     in_order,
+    ledge_reach,
     lowest_and_highest,
     measure,
     sheet_surface,
@@ -354,7 +354,7 @@ def _change_level(
     other_ground = changed(old.surface, surface)
     asked = rows_by_cell(cells | _ledge_cells(part, surface, other_ground), begin)
     places = taken(other, asked)
-    found = _ledges_of(part, surface, places)
+    found = _ledges_of(part, surface, places, config)
     after = cells[surface.cells(places)[:2]]
     stepped = _cells_with(places[ledge[asked] != found], part.layers) & ~cells
     stepped |= _other_cells(surface, before, np.column_stack([places[after], found[after]]))
@@ -420,20 +420,21 @@ _MIX = np.array([0x9E3779B97F4A7C15, 0xC2B2AE3D27D4EB4F, 0x165667B19E3779F9, 0xD
 
 def _ledge_cells(part: _Part, surface: HeightMap, other: BoolArray) -> BoolArray:
     """Cells in which a ledge can be another than before, because the ground is in the `other` cells."""
-    return widened(part.cells | widened(other, HIGH), _ledge_reach(surface))
+    return widened(part.cells | widened(other, ledge_reach(surface)), _face_reach(surface))
 
 
-def _ledge_reach(surface: HeightMap) -> int:
+def _face_reach(surface: HeightMap) -> int:
     return int(np.ceil(2.0 * FACE / surface.cell_width)) + 1
 
 
-def _ledges_of(part: _Part, surface: HeightMap, other: FloatArray) -> NDArray[np.float32]:
+def _ledges_of(part: _Part, surface: HeightMap, other: FloatArray, config: PerceptionConfig) -> NDArray[np.float32]:
     cells = np.zeros(surface.state.shape, dtype=bool)
     cells[surface.cells(other)[:2]] = True
-    reach = _ledge_reach(surface)
+    reach = _face_reach(surface)
     rows = part.cloud.rows_in(part.layers, widened(cells, reach))
-    box = window(cells, reach + HIGH) if len(other) else NOWHERE
-    return find_ledges(surface, taken(part.cloud.points, rows[part.ground[rows]]), other, box=box)
+    box = window(cells, reach + ledge_reach(surface)) if len(other) else NOWHERE
+    ground = taken(part.cloud.points, rows[part.ground[rows]])
+    return find_ledges(surface, ground, other, config.max_step, box=box)
 
 
 def changed_cells(old: HeightMap, new: HeightMap) -> BoolArray | None:

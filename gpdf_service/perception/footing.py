@@ -9,7 +9,7 @@ from scipy import ndimage
 
 from gpdf_service.perception.strides import STRIDE
 from gpdf_service.perception.surface import UNKNOWN, HeightMap
-from gpdf_service.types import BoolArray
+from gpdf_service.types import BoolArray, FloatArray
 
 SOLE = 0.12
 """[m] Half the length of a foot, and the width of one: a pit narrower than two of these is bridged by it."""
@@ -21,20 +21,40 @@ def bridged(surface: HeightMap, max_step: float) -> HeightMap:
     Greyscale closing by a disc of `SOLE`. It leaves a staircase, which only rises one way, as it is. A flight is where
     the ground changes by more than a step, `max_step` [m], within a stride.
     """
-    known = surface.state != UNKNOWN
-    low, high = np.where(known, surface.height, np.inf), np.where(known, surface.height, -np.inf)
-    size = 2 * _rings(STRIDE, surface.cell_width) + 1
-    flight = known & (ndimage.maximum_filter(high, size) - ndimage.minimum_filter(low, size) > max_step)
+    known, flight = surface.state != UNKNOWN, _flights(surface, max_step)
     if not flight.any():
         return surface
+    high = np.where(known, surface.height, -np.inf)
     disc = _disc(_rings(SOLE, surface.cell_width))
     dilated = np.where(known, ndimage.maximum_filter(high, footprint=disc), np.inf)
     closed = ndimage.minimum_filter(dilated, footprint=disc)
     return replace(surface, height=np.where(flight, closed, surface.height).astype(np.float32))
 
 
+def footholds(surface: HeightMap, max_step: float) -> FloatArray:
+    """Height of the ground, in flights without what is narrower than a foot [m], shape (nx, ny), -inf where unknown.
+
+    A step leads up to a tread, not to the stringer beside it: greyscale opening by a square as wide as `SOLE`. A sill
+    on a floor is narrower, too, and one steps over it. A flight is as in `bridged`.
+    """
+    known, size = surface.state != UNKNOWN, 2 * round(0.5 * SOLE / surface.cell_width) + 1
+    low = ndimage.minimum_filter(np.where(known, surface.height, np.inf), size)
+    opened = ndimage.maximum_filter(np.where(np.isfinite(low), low, -np.inf), size)
+    rests: FloatArray = np.where(_flights(surface, max_step), opened, surface.height).astype(np.float64)
+    rests[~known] = -np.inf
+    return rests
+
+
+def _flights(surface: HeightMap, max_step: float) -> BoolArray:
+    """Known cells with more than a step, `max_step` [m], within a stride, shape (nx, ny)."""
+    known, size = surface.state != UNKNOWN, 2 * _rings(STRIDE, surface.cell_width) + 1
+    low, high = (np.where(known, surface.height, none) for none in (np.inf, -np.inf))
+    flight: BoolArray = known & (ndimage.maximum_filter(high, size) - ndimage.minimum_filter(low, size) > max_step)
+    return flight
+
+
 def footing_reach(surface: HeightMap) -> int:
-    """Cells within which the ground decides on what is `bridged`."""
+    """Cells within which the ground decides on what is `bridged`, and on `footholds`."""
     return max(_rings(STRIDE, surface.cell_width), 2 * _rings(SOLE, surface.cell_width))
 
 

@@ -19,7 +19,7 @@ from gpdf_service.perception.beside import Beside, beside
 from gpdf_service.perception.boxes import WHOLE, Box, widened
 from gpdf_service.perception.budget import KEPT_BYTES, LEVEL_BYTES, check_grid
 from gpdf_service.perception.columns import by_cell, ends_of_runs, heights_in_plan, lowest_above
-from gpdf_service.perception.footing import bridged, footing_reach
+from gpdf_service.perception.footing import bridged, footholds, footing_reach
 from gpdf_service.perception.hidden import FACE_REACH, find_faces, hidden_reach, without_hidden
 from gpdf_service.perception.holes import fill_holes, find_voids, without_enclosed
 from gpdf_service.perception.layers import Layers, build_layers, cell_width_of, layer_gap, widest_cell
@@ -254,7 +254,7 @@ def _build_level(
     (other, first, held), (near, voids) = run_beside(reach, look_through)
     surface, guarded = complete(grid, seen, lambda box: held, voids, config, near, noise, rays)
     ledge, (measured, limits) = run_beside(
-        partial(find_ledges, surface, floor, other, noise), partial(measure, grid, surface, guarded)
+        partial(find_ledges, surface, floor, other, config.max_step, noise), partial(measure, grid, surface, guarded)
     )
     return GroundLevel(surface, other, ledge, limits, measured), voids, grid, first
 
@@ -420,23 +420,29 @@ def guard_edges(
 
 
 def find_ledges(
-    surface: HeightMap, ground: FloatArray, other: FloatArray, noise: float = 0.0, box: Box = WHOLE
+    surface: HeightMap,
+    ground: FloatArray,
+    other: FloatArray,
+    max_step: float,
+    noise: float = 0.0,
+    box: Box = WHOLE,
 ) -> NDArray[np.float32]:
     """`next_above` by the `ground` points of this sheet, for those `other` points that can be a step's face.
 
     No cure takes the `noise` [m] along a face out of it: its upper rim stands over the ground behind it by as much.
-    The `box` of cells holds all `other` points, and what is within twice `FACE` and `HIGH` cells of them.
+    Where a flight is, as `max_step` [m] tells, what is narrower than a foot is no ledge: the end of a stringer.
+    The `box` of cells holds all `other` points, and what is within twice `FACE` and `ledge_reach` cells of them.
     """
     reach, part = max(surface.cell_width, RESOLVED_STEP * noise), cropped(surface, box)
-    high = high_ground(part) + reach
+    high, rests = high_ground(part) + reach, footholds(part, max_step) + max(LEAST_OBSTACLE, noise)
     cell = cells_within(other, surface, box)
     asked = between(cell, other[:, 2], np.full_like(high, -np.inf), high)
     cell, low = cell[asked], chosen_rows(other, asked)
     beside = np.zeros(part.state.shape, dtype=bool)
     beside.ravel()[cell] = True
     near = widened(beside, int(np.ceil(1.5 * FACE / surface.cell_width)))
-    at = cells_within(ground, surface, box)
-    ground = chosen_rows(ground, between(at, ground[:, 2], np.full_like(high, -np.inf), np.where(near, high, -np.inf)))
+    at, most = cells_within(ground, surface, box), np.where(near, np.minimum(high, rests), -np.inf)
+    ground = chosen_rows(ground, between(at, ground[:, 2], np.full_like(high, -np.inf), most))
     ledge = np.full(len(other), np.inf, np.float32)
     if len(ground) and len(low):
         least = np.maximum(low[:, 2] - LEAST_OBSTACLE, step_over(part, noise).ravel()[cell])
@@ -470,6 +476,11 @@ def _add_rims(
         face = np.count_nonzero((above > -2.0) & (above <= 0.0))
         if face > 0 and np.count_nonzero(above > 1.0) - 1 <= RIM_SHARE * face:
             ledge[row] = edge
+
+
+def ledge_reach(surface: HeightMap) -> int:
+    """Cells within which the ground decides what is a ledge."""
+    return max(HIGH, footing_reach(surface))
 
 
 def high_ground(surface: HeightMap) -> FloatArray:

@@ -428,10 +428,10 @@ def test_a_noisy_rim_over_a_platform_is_its_face_and_a_lip_is_not():
     rim, lip = wall(top), wall(top + 3 * noise)
     over = rim[:, 2] > top + noise
     assert over.sum() > 10
-    assert np.isinf(find_ledges(surface, ground, rim)[over]).all()
-    assert np.isfinite(find_ledges(surface, ground, rim, noise)[over]).mean() > 0.9
+    assert np.isinf(find_ledges(surface, ground, rim, CONFIG.max_step)[over]).all()
+    assert np.isfinite(find_ledges(surface, ground, rim, CONFIG.max_step, noise)[over]).mean() > 0.9
     over = lip[:, 2] > top + noise
-    assert np.isinf(find_ledges(surface, ground, lip, noise)[over]).all()
+    assert np.isinf(find_ledges(surface, ground, lip, CONFIG.max_step, noise)[over]).all()
 
 
 def test_one_point_over_a_thinly_seen_face_is_its_rim_and_two_things_on_it_are_none():
@@ -443,9 +443,11 @@ def test_one_point_over_a_thinly_seen_face_is_its_rim_and_two_things_on_it_are_n
     face = np.array([[1.0, 0.92 + 0.04 * k, top - 0.01 * (1 + k % 3)] for k in range(5)])
     over = np.array([[1.0, 1.0, top + 0.045]])
     more = over + np.array([[0.0, 0.03, 0.0], [0.0, -0.03, 0.0]])
-    assert find_ledges(surface, ground, np.concatenate([over, face]), noise)[0] == pytest.approx(top)
-    assert np.isinf(find_ledges(surface, ground, np.concatenate([over, more, face]), noise)[:3]).all()
-    assert np.isinf(find_ledges(surface, ground, over, noise)).all()  # no face: it stands on the platform
+    assert find_ledges(surface, ground, np.concatenate([over, face]), CONFIG.max_step, noise)[0] == pytest.approx(top)
+    assert np.isinf(find_ledges(surface, ground, np.concatenate([over, more, face]), CONFIG.max_step, noise)[:3]).all()
+    assert np.isinf(
+        find_ledges(surface, ground, over, CONFIG.max_step, noise)
+    ).all()  # no face: it stands on the platform
 
 
 def test_a_floating_point_stops_nobody_and_a_cable_does():
@@ -739,3 +741,21 @@ def test_a_strip_through_a_level_floor_or_one_that_is_seen_through_stays_unknown
     step = np.column_stack([x, y, 0.18 * (x > 4.1)])[seen]  # up on one side of it, and not down on the other
     for cloud, place in ((np.concatenate([flight, below]), (strip, 2.0)), (step, (3.86, 1.5))):
         assert all(np.isnan(s.height_at(np.array([place]))[0]) for s in build_scene(cloud).surfaces)
+
+
+def test_the_end_of_a_stringer_is_no_step_and_the_tread_beside_it_is_one():
+    grid = np.stack(np.meshgrid(np.arange(40), np.arange(40), indexing="ij"), -1).reshape(-1, 2) * 0.05 + 0.025
+    tread, next_, over = 0.17, 0.51, 0.04
+    treads = np.select([grid[:, 0] < 1.0, grid[:, 0] < 1.3], [0.0, tread], next_)
+
+    def ledges(broad: float, points: np.ndarray) -> np.ndarray:
+        """Beside a stringer so `broad`."""
+        height = treads + np.where((grid[:, 1] > 2.0 - broad) & (treads > 0.0), over, 0.0)
+        surface = np.column_stack([grid, height]), height.reshape(40, 40).astype(np.float32)
+        seen = HeightMap(np.zeros(2), 0.05, surface[1], np.full((40, 40), OBSERVED, np.uint8))
+        return find_ledges(seen, surface[0], points, CONFIG.max_step)
+
+    end, riser = np.array([[1.0, 1.975, 0.2]]), np.array([[1.0, 1.0, 0.1]])
+    assert np.isinf(ledges(0.05, end)).all()
+    assert ledges(0.05, riser) == pytest.approx([tread])
+    assert ledges(0.3, end) == pytest.approx([tread + over])  # a foot rests on it: a tread of its own
