@@ -7,20 +7,24 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from gpdf_service.bench.exact import STEP, Truth, every, judge_path
+from gpdf_service.bench.exact import ON, STEP, Truth, every, judge_path
 from gpdf_service.bench.report import Row
 from gpdf_service.errors import GpdfError
+from gpdf_service.perception.surface import INFERRED
 from gpdf_service.pipeline import build_scene, plan
+from gpdf_service.scene import Scene
 from gpdf_service.synthetic.houses import house
 from gpdf_service.synthetic.place import Place
 from gpdf_service.synthetic.scanners import NOISE, SCANNERS, Scan
 from gpdf_service.synthetic.stairs import STAIRS
-from gpdf_service.types import AGENTS, FloatArray, PlanResult, Status, Trajectory
+from gpdf_service.types import AGENTS, BoolArray, FloatArray, PlanResult, Status, Trajectory
 
 COUNT = {"tripod": 21, "handheld": 28, "depth": 0}
 """Houses that are scanned in each way, where nothing else is asked for."""
 THIN = 0.03
 """[m] Scans are thinned to one point of such a voxel, as they are handed on in practice."""
+TOE = 0.3
+"""[m] Over an inferred cell, from where the true ground under it is looked for: more than any riser."""
 KINDS = tuple(STAIRS)
 
 
@@ -64,8 +68,10 @@ def measure(seed: int, scanner: str, noise: float | None = None) -> Row:
     results = {name: plan(scene, *pair, "human") for name, pair in (("up", ends), ("down", ends[::-1]))}
     row |= {name: result.status is Status.OK for name, result in results.items()}
     truths = [judge_ok(place, result) for result in results.values() if result.status is Status.OK]
-    sigma = NOISE[scanner] if noise is None else noise
+    sigma, inferred = NOISE[scanner] if noise is None else noise, judge_inferred(place, scene)
     return row | {
+        "inferred": len(inferred),
+        "inferred_off": int(np.count_nonzero(~inferred)),
         "way_free": way_is_free(place),
         "collisions": sum(truth.collides(sigma) for truth in truths),
         "deepest_mm": 1e3 * max((truth.penetration for truth in truths), default=0.0),
@@ -80,6 +86,20 @@ def judge_ok(place: Place, result: PlanResult) -> Truth:
     if result.trajectory is None:
         raise ValueError("an OK result has a trajectory")
     return judge_path(place.world, result.trajectory, AGENTS["human"])
+
+
+def judge_inferred(place: Place, scene: Scene) -> BoolArray:
+    """Whether true ground is within a cell of each inferred cell and within `ON` of its height, shape (k,)."""
+    made = []
+    for surface in scene.surfaces:
+        centres = surface.centres(surface.state == INFERRED)
+        found = np.zeros(len(centres), dtype=bool)
+        for shift in np.ndindex(3, 3):  # the cell, and the eight around it
+            off = surface.cell_width * np.array([*shift, 1.0]) - surface.cell_width
+            true = place.world.ground_under(centres + off + np.array([0.0, 0.0, TOE]))
+            found |= np.abs(centres[:, 2] - true) <= ON
+        made.append(found)
+    return np.concatenate(made)
 
 
 def way_is_free(place: Place) -> bool:
@@ -109,6 +129,8 @@ def _sum(rows: list[Row]) -> Row:
         "points": sum(row["points"] for row in rows),
         "us_a_point": float(np.median([row["us_a_point"] for row in done])) if done else float("nan"),
         "solvable": sum(row["way_free"] for row in done),
+        "inferred": sum(row["inferred"] for row in done),
+        "inferred_off": sum(row["inferred_off"] for row in done),
         "up": sum(row["up"] for row in rows),
         "down": sum(row["down"] for row in rows),
         "both": sum(row["up"] and row["down"] for row in rows),

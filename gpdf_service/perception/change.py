@@ -47,6 +47,7 @@ from gpdf_service.perception.levels import (
     within_reach,
 )
 from gpdf_service.perception.limits import limits_reach
+from gpdf_service.perception.notches import FLIGHT
 from gpdf_service.perception.rows import (
     bounds_of,
     cells_in_box,
@@ -383,7 +384,7 @@ def _felt(was: HeightMap, now: HeightMap, moved: BoolArray) -> BoolArray:
     (low, high), (low_now, high_now) = (lowest_and_highest(surface, box) for surface in (was, now))
     near, near_now = (nearest_seen(surface, box) for surface in (was, now))
     hole, hole_now = ((part.distance <= MAX_HOLE_RADIUS) & (part.distance > 0.0) for part in (near, near_now))
-    felt = widened(moved, _FILTERS)
+    felt = widened(moved, max(_FILTERS, int(FLIGHT / now.cell_width)))
     felt[box] |= (low != low_now) | (high != high_now) | (hole != hole_now)
     felt[box] |= (hole | hole_now) & differ(near.height, near_now.height)
     return felt

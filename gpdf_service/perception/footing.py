@@ -7,12 +7,9 @@ from dataclasses import replace
 import numpy as np
 from scipy import ndimage
 
-from gpdf_service.perception.strides import STRIDE
+from gpdf_service.perception.strides import SOLE, STRIDE
 from gpdf_service.perception.surface import UNKNOWN, HeightMap
 from gpdf_service.types import BoolArray, FloatArray
-
-SOLE = 0.12
-"""[m] Half the length of a foot, and the width of one: a pit narrower than two of these is bridged by it."""
 
 
 def bridged(surface: HeightMap, max_step: float) -> HeightMap:
@@ -21,7 +18,8 @@ def bridged(surface: HeightMap, max_step: float) -> HeightMap:
     Greyscale closing by a disc of `SOLE`. It leaves a staircase, which only rises one way, as it is. A flight is where
     the ground changes by more than a step, `max_step` [m], within a stride.
     """
-    known, flight = surface.state != UNKNOWN, _flights(surface, max_step)
+    known = surface.state != UNKNOWN
+    flight = known & flights(surface, max_step)
     if not flight.any():
         return surface
     high = np.where(known, surface.height, -np.inf)
@@ -40,17 +38,17 @@ def footholds(surface: HeightMap, max_step: float) -> FloatArray:
     known, size = surface.state != UNKNOWN, 2 * round(0.5 * SOLE / surface.cell_width) + 1
     low = ndimage.minimum_filter(np.where(known, surface.height, np.inf), size)
     opened = ndimage.maximum_filter(np.where(np.isfinite(low), low, -np.inf), size)
-    rests: FloatArray = np.where(_flights(surface, max_step), opened, surface.height).astype(np.float64)
+    rests: FloatArray = np.where(flights(surface, max_step), opened, surface.height).astype(np.float64)
     rests[~known] = -np.inf
     return rests
 
 
-def _flights(surface: HeightMap, max_step: float) -> BoolArray:
-    """Known cells with more than a step, `max_step` [m], within a stride, shape (nx, ny)."""
-    known, size = surface.state != UNKNOWN, 2 * _rings(STRIDE, surface.cell_width) + 1
+def flights(surface: HeightMap, max_step: float, reach: float = STRIDE) -> BoolArray:
+    """Cells around which known ground differs by more than a step, `max_step`, within a `reach` [m], shape (nx, ny)."""
+    known, size = surface.state != UNKNOWN, 2 * _rings(reach, surface.cell_width) + 1
     low, high = (np.where(known, surface.height, none) for none in (np.inf, -np.inf))
-    flight: BoolArray = known & (ndimage.maximum_filter(high, size) - ndimage.minimum_filter(low, size) > max_step)
-    return flight
+    found: BoolArray = ndimage.maximum_filter(high, size) - ndimage.minimum_filter(low, size) > max_step
+    return found
 
 
 def footing_reach(surface: HeightMap) -> int:

@@ -13,10 +13,11 @@ from gpdf_service.config import PerceptionConfig
 from gpdf_service.fields.threads import run_chunked
 from gpdf_service.perception.bend import FINE, FLAT, bend_at, make_room, reach_of
 from gpdf_service.perception.boxes import WHOLE, Box, dilated, eroded
+from gpdf_service.perception.footing import flights
 from gpdf_service.perception.layers import widest_cell
 from gpdf_service.perception.limits import FOOT
 from gpdf_service.perception.nearest import nearest_of
-from gpdf_service.perception.notches import fill_notches
+from gpdf_service.perception.notches import FLIGHT, fill_notches
 from gpdf_service.perception.rows import extent_within, under
 from gpdf_service.perception.surface import (
     INFERRED,
@@ -92,10 +93,11 @@ def fill_holes(
     known = surface.state == OBSERVED
     height, state = surface.height.copy(), surface.state.copy()
     near = near or nearest_seen(surface)
-    distance, beside = near
+    beside = near.height
     material = lowest < beside + CEILING
     _fill_gaps(height, state, ~known, surface, near, noise)
-    fill_notches(height, state, seen_through, distance, surface.cell_width, config)
+    with_notches = fill_notches(replace(surface, height=height, state=state), seen_through, pit, config)
+    height, state = with_notches.height, with_notches.state
     known = state != UNKNOWN
     void = seen_through | pit | _walled_down(surface, walls)
     firm = nearest_of(firm_ground(surface, config))[0] * surface.cell_width
@@ -167,7 +169,7 @@ def find_voids(
     box: Box = WHOLE,
     cell: IntArray | None = None,
 ) -> tuple[BoolArray, BoolArray, BoolArray]:
-    """Unknown cells whose highest point of `points` (n, 3) lies over `max_step` under the ground beside them.
+    """Unknown cells, and a flight's, whose highest point of `points` (n, 3) lies over `max_step` under the ground.
 
     Args:
         surface: The ground as it was seen.
@@ -184,9 +186,11 @@ def find_voids(
     distance, beside = near or nearest_seen(surface, box)
     part = cropped(surface, box)
     asked = (part.state == UNKNOWN) & (distance <= MAX_HOLE_RADIUS)
+    treads = (part.state != UNKNOWN) & flights(part, max_step, FLIGHT)
     cell, z = cells_within(points, surface, box) if cell is None else cell, points[:, 2]
     walls = _walls_down(part, cell, z)
     high = np.where(asked, beside + np.float32(surface.cell_width), -np.inf)
+    high[treads] = beside[treads] - np.float32(max_step)
     bottom, top = extent_within(cell, z, np.full(asked.shape, -np.inf), under(high))
     seen = np.isfinite(top)
     depth = np.where(seen, beside - top, 0.0)

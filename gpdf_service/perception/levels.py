@@ -51,8 +51,8 @@ from gpdf_service.perception.surface import (
 from gpdf_service.perception.told import Grid, new_grid
 from gpdf_service.types import BoolArray, FloatArray, IntArray
 
-FACE = 0.1
-"""[m] A step's face has the step's top within this in plan: half the depth of a stair's tread, and a scan's spacing."""
+FACE = 0.075
+"""[m] A step's face has the step's top within this in plan: a nosing of 3 cm at most, and what lies between samples."""
 LEAST_OBSTACLE = 0.015
 """[m] What stands out of the ground by less stops no body here: the smallest `max_step`, and the scatter of a scan."""
 ALONE = 0.25
@@ -469,7 +469,7 @@ def _add_rims(
     rows, edges = rows[rim], edges[rim]
     if len(rows) == 0:
         return
-    beside = cKDTree(other[asked, :2]).query_ball_point(other[rows, :2], FACE)
+    beside = cKDTree(other[asked, :2]).query_ball_point(other[rows, :2], FACE + noise)
     z = other[asked, 2]
     for row, edge, near in zip(rows, edges, beside, strict=True):
         above = (z[near] - edge) / noise

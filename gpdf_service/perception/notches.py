@@ -1,143 +1,143 @@
-"""What a shadow bites out of a flight of treads, and what of each tread the nose above hides."""
+"""What a scan missed of the treads of a flight: no wider than a foot bridges."""
 
 from __future__ import annotations
-
-from typing import NamedTuple
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
+from scipy import ndimage
 
 from gpdf_service.config import PerceptionConfig
+from gpdf_service.perception.footing import flights
+from gpdf_service.perception.nearest import nearest_of
+from gpdf_service.perception.strides import STRIDE
 from gpdf_service.perception.surface import INFERRED, UNKNOWN, HeightMap
-from gpdf_service.types import BoolArray, FloatArray, IntArray
+from gpdf_service.types import BoolArray, IntArray
 
-NOTCH_SPAN = 1.0
-"""[m] Longest piece of a flight that a shadow bites out: five treads."""
 STEEPEST_FLIGHT = 1.3
 """[-] Rise over run of the steepest stair, 52°; what rises more between two pieces of ground is another storey."""
 NOTCH_DEPTH = 0.35
 """[m] How far a shadow is filled beside seen treads: less than half of the narrowest stair."""
-OPENING = 0.1
-"""[m] Between what is seen of a tread and the next one, at most, where what is below shows: a stair may be as open."""
+NOTCH_SPAN = 1.0
+"""[m] Longest piece of a flight that a shadow bites out: five treads."""
+FLIGHT = 2.0 * STRIDE
+"""[m] From a flight's treads, within which a scan's notches are the flight's: two strides make a landing."""
+BENEATH_SHARE = 0.5
+"""[-] Of a flight's seen treads: where under more of them the room below was seen, it was seen from its side."""
 
 
-def fill_notches(
-    height: NDArray[np.float32],
-    state: NDArray[np.uint8],
-    void: BoolArray,
-    distance: FloatArray,
-    cell_width: float,
-    config: PerceptionConfig,
-) -> None:
-    """Fill what a shadow bites out of a flight: uphill and downhill there is ground, and the tread itself beside.
+def fill_notches(surface: HeightMap, seen_through: BoolArray, pit: BoolArray, config: PerceptionConfig) -> HeightMap:
+    """Fill what is unknown of a flight and no wider than a foot bridges, `widest_gap`: closing by a disc that wide.
 
-    The whole back of a tread is hidden by the nose of the next one: such a gap is the lower tread's, where a third
-    tread shows that they are a flight. Where it shows what is below, it must be no wider than a stair may be open, and
-    the tread go on at both of its ends. So is a strip of a tread that was seen before and behind it, which is between
-    what that nose hides and what lies at a tripod's own foot, where the flight goes on up and down. On the level this
-    is left to `_fill`: there the edge of a platform looks the same. A notch in a flight that lies across the grid at an
-    angle stays as it was seen.
+    A nose hides the back of the tread below, and a scan from far shows strips. Such a place is of the tread around it,
+    or, where one tread is on one side and the next on the other, of the lower one. On the level nothing is filled: a
+    slot in a floor, or between a platform and a train, looks the same. So does a slot in a flight through which the
+    room beneath was seen; unless that is seen beneath the treads beside it, too.
+
+    Args:
+        surface: The ground.
+        seen_through: Cells under which something was seen, deeper than a floor is thick, shape (nx, ny).
+        pit: The same, deeper than a step only.
+        config: Limits.
     """
-    open_ = (state == UNKNOWN) & (distance <= NOTCH_DEPTH)
-    gap, span = int(config.tread_depth / cell_width), 2 * int(NOTCH_DEPTH / cell_width)
-    filled = _treads(height, open_, void, cell_width, _Flight(2.0 * cell_width, config.stair_step, gap, span))
-    explained = ~np.isnan(filled)
-    height[explained] = filled[explained]
-    state[explained] = INFERRED
+    known, radius = surface.state != UNKNOWN, 0.5 * config.widest_gap / surface.cell_width
+    closed = nearest_of(nearest_of(known)[0] > radius)[0] > radius
+    flight, below = flights(surface, config.max_step, FLIGHT), seen_through | pit
+    height, state = surface.height.copy(), surface.state.copy()
+    _fill_bitten(height, flight & ~seen_through, surface.cell_width)
+    asked = closed & np.isnan(height) & flight
+    asked &= ~below | _from_the_side(known & flight, below, surface.cell_width)
+    cells, discs = np.argwhere(asked), (_disc(2.0 * radius), _disc(radius))
+    height[tuple(cells.T)] = _treads(height, cells, *discs, 0.5 * surface.cell_width, config.stair_step)
+    state[known != ~np.isnan(height)] = INFERRED
+    return HeightMap(surface.origin, surface.cell_width, height, state)
 
 
-class _Flight(NamedTuple):
-    """What a flight is, on a line of cells.
+def _disc(radius: float) -> IntArray:
+    """Cells within a `radius` [cells] of one, nearest first, shape (d, 2)."""
+    offset = np.mgrid[-int(radius) : int(radius) + 1, -int(radius) : int(radius) + 1].reshape(2, -1).T
+    away = np.hypot(*offset.T)
+    cells: IntArray = offset[np.argsort(away, kind="stable")][: np.count_nonzero(away <= radius)]
+    return cells
 
-    Attributes:
-        least: Lowest step from tread to tread [m].
-        most: Highest [m].
-        gap: Most cells in a row of a tread that are unknown.
-        span: Cells within which the next step comes.
-    """
 
-    least: float
-    most: float
-    gap: int
-    span: int
+def _from_the_side(treads: BoolArray, below: BoolArray, cell_width: float) -> BoolArray:
+    """Cells around which something was seen beneath most of the `treads`, shape (nx, ny)."""
+    size = 2 * int(FLIGHT / cell_width) + 1
+    all_, seen = (
+        ndimage.uniform_filter(part.astype(float), size, mode="constant") for part in (treads, treads & below)
+    )
+    side: BoolArray = seen > BENEATH_SHARE * all_
+    return side
 
 
 @njit(cache=True, nogil=True)
 def _treads(
-    height: NDArray[np.float32], open_: BoolArray, void: BoolArray, cell_width: float, flight: _Flight
+    height: NDArray[np.float32], cells: IntArray, near: IntArray, disc: IntArray, same: float, rise: float
 ) -> NDArray[np.float32]:
-    """Height of the tread of each `open_` cell that lies in a flight, NaN elsewhere."""
+    """Height of the tread of each of the `cells`, shape (k, 2), NaN where none closes over it.
+
+    That is the nearest one, the lower of equally near ones, such that every `disc` (d, 2) that holds the cell holds a
+    known cell that is as high, or up to a `rise` [m] higher. It is one of those `near` (n, 2), nearest first.
+    """
+    (nx, ny), made = height.shape, np.full(len(cells), np.float32(np.nan), np.float32)
+    for k in range(len(cells)):
+        x, y = cells[k]
+        found = 0
+        for one in range(len(near)):
+            dx, dy = near[one]
+            if 0 < found < dx * dx + dy * dy:
+                break
+            u, v = x + dx, y + dy
+            if not (0 <= u < nx and 0 <= v < ny) or np.isnan(height[u, v]) or height[u, v] >= made[k]:
+                continue
+            if _closes(height, x, y, disc, height[u, v] - same, height[u, v] + same + rise):
+                made[k], found = height[u, v], dx * dx + dy * dy
+    return made
+
+
+@njit(cache=True, nogil=True)
+def _closes(height: NDArray[np.float32], x: int, y: int, disc: IntArray, low: float, high: float) -> bool:
+    """Whether every disc that holds the cell (x, y) holds a cell between these heights."""
+    nx, ny = height.shape
+    for a in range(len(disc)):
+        empty = True
+        for b in range(len(disc)):
+            u, v = x + disc[a, 0] + disc[b, 0], y + disc[a, 1] + disc[b, 1]
+            if 0 <= u < nx and 0 <= v < ny and low <= height[u, v] <= high:
+                empty = False
+                break
+        if empty:
+            return False
+    return True
+
+
+@njit(cache=True, nogil=True)
+def _fill_bitten(height: NDArray[np.float32], asked: BoolArray, cell_width: float) -> None:
+    """Fill what a shadow bites out of a flight: uphill and downhill there is ground, and the tread itself beside.
+
+    At one end or both the flight beside is as high: one that lies across the grid at an angle stays as it was seen.
+    """
     (nx, ny), most, depth = height.shape, int(NOTCH_SPAN / cell_width) + 1, int(NOTCH_DEPTH / cell_width)
-    filled, half = np.full((nx, ny), np.float32(np.nan), np.float32), np.float32(0.5) * np.float32(cell_width)
+    seen, half = height.copy(), np.float32(0.5) * np.float32(cell_width)
     for x in range(nx):
         for y in range(ny):
             for dx, dy in ((1, 0), (0, 1)):
-                if not (open_[x, y] and np.isnan(filled[x, y])):
+                if not (asked[x, y] and np.isnan(height[x, y])):
                     break
-                ahead, on, behind, back = _both_sides(height, x, y, dx, dy, most, most)
-                steps = on + back
-                if steps == 0:
-                    continue
-                low, high = min(ahead, behind), max(ahead, behind)
-                run, rise = steps * cell_width, float(high - low)
-                narrow = run <= OPENING if void[x, y] else steps <= flight.gap + 1
-                if narrow and (void[x, y] or rise <= 0.5 * cell_width):
-                    left, _, right, off = _both_sides(height, x, y, dy, dx, most, 2 * most)
-                    across = off > 0 and bool(max(abs(left - low), abs(right - low)) <= cell_width)
-                    if across and not void[x, y] and _climbs(height, x, y, dx, dy, on, back, flight):
-                        filled[x, y] = low
-                    narrow = across or not void[x, y]
-                if run > NOTCH_SPAN or rise <= flight.least:
+                ahead, on, behind, back = _both_sides(seen, x, y, dx, dy, most, most)
+                run, low, high = (on + back) * cell_width, min(ahead, behind), max(ahead, behind)
+                if not 0.0 < run <= NOTCH_SPAN or not 2.0 * cell_width < high - low <= STEEPEST_FLIGHT * run:
                     continue
                 for way in (-1, 1):
-                    tread, beside = _next_known(height, x, y, way * dy, way * dx, depth)
-                    between = beside > 0 and tread > low + half and tread < high - half and not void[x, y]
-                    if between and rise <= STEEPEST_FLIGHT * run and np.isnan(filled[x, y]):
-                        filled[x, y] = tread
-                gap = narrow and rise <= flight.most and np.isnan(filled[x, y])
-                if gap and _goes_on(height, x, y, dx, dy, on, back, flight):
-                    filled[x, y] = low
-    return filled
-
-
-@njit(cache=True, nogil=True)
-def _goes_on(
-    height: NDArray[np.float32], x: int, y: int, dx: int, dy: int, on: int, back: int, flight: _Flight
-) -> bool:
-    """Whether beyond one of the two treads on a line, `on` cells before (x, y) and `back` behind it, there is a third.
-
-    That is one step further on.
-    """
-    up = 1.0 if height[x + on * dx, y + on * dy] > height[x - back * dx, y - back * dy] else -1.0
-    ahead = _next_step(height, x, y, dx, dy, on, flight)
-    behind = _next_step(height, x, y, -dx, -dy, back, flight)
-    return 0.0 < up * ahead <= flight.most or 0.0 < -up * behind <= flight.most
-
-
-@njit(cache=True, nogil=True)
-def _climbs(height: NDArray[np.float32], x: int, y: int, dx: int, dy: int, on: int, back: int, flight: _Flight) -> bool:
-    """Whether from a tread, known `on` cells before (x, y) and `back` behind it, a step is up on one side, one down."""
-    ahead = _next_step(height, x, y, dx, dy, on, flight)
-    behind = _next_step(height, x, y, -dx, -dy, back, flight)
-    return ahead * behind < 0.0 and max(abs(ahead), abs(behind)) <= flight.most
-
-
-@njit(cache=True, nogil=True)
-def _next_step(height: NDArray[np.float32], x: int, y: int, dx: int, dy: int, first: int, flight: _Flight) -> float:
-    """How far up the next step is from the cell `first` cells from (x, y) on a line [m]; 0 where there is none."""
-    here, unknown = height[x + first * dx, y + first * dy], 0
-    for step in range(first, flight.span):
-        u, v = x + step * dx, y + step * dy
-        if not (0 <= u < height.shape[0] and 0 <= v < height.shape[1]) or unknown > flight.gap:
-            break
-        if np.isnan(height[u, v]):
-            unknown += 1
-            continue
-        rise, unknown = float(height[u, v] - here), 0
-        if abs(rise) > flight.least:
-            return rise
-    return 0.0
+                    tread, beside = _next_known(seen, x, y, way * dy, way * dx, depth)
+                    if beside == 0 or not low + half < tread < high - half:
+                        continue
+                    u, v = x + beside * way * dy, y + beside * way * dx
+                    up = abs(seen[u + on * dx, v + on * dy] - ahead)
+                    down = abs(seen[u - back * dx, v - back * dy] - behind)
+                    if min(up, down) <= half:
+                        height[x, y] = tread
 
 
 def between_treads(surface: HeightMap, asked: BoolArray, stair_step: float) -> BoolArray:

@@ -39,7 +39,7 @@ from gpdf_service.perception.nodes import (
 from gpdf_service.perception.pairs import medians_around, pairs_over_gaps
 from gpdf_service.perception.parts import TABLE_AREA, accept_parts, build_parts, join_parts, undersides, without_crumbs
 from gpdf_service.perception.read import check_points
-from gpdf_service.perception.strides import BODY, HALF_FOOT, STRIDE, find_between, find_stances
+from gpdf_service.perception.strides import BODY, HALF_FOOT, SOLE, STRIDE, find_between, find_footing, find_stances
 from gpdf_service.types import BoolArray, FloatArray, IntArray
 
 NO_SURFACE = ("ground", "no surface in the cloud is wide and level enough to stand on", "Is z up?")
@@ -231,9 +231,11 @@ def find_ground(near: Beside, config: PerceptionConfig, relief: float = 0.0) -> 
     open_ = keep | ~over_ground(layers, every, config.step_headroom)  # or it is in a full shelf, or beneath a sofa
     smooth = near.degrees(open_, rise)
     core = open_ & (smooth >= need)
+    core |= _footing(near, "footing", open_, open_ & ~core, rise)
     if not (core & keep).any():
         raise NoGroundError(*NO_SURFACE)
     gentle = near.degrees(open_, width * float(np.tan(config.standable_slope))) >= need
+    gentle |= _footing(near, "gentle", open_, core & ~gentle, width * float(np.tan(config.standable_slope)))
     slope = _slope(near, core, config)
     flat = core & ((smooth > need) | gentle) & (slope <= config.standable_slope)
     parts = build_parts(near, flat, keep, smooth == 8, rise, config)
@@ -263,6 +265,16 @@ def _stances(near: Beside, among: BoolArray) -> BoolArray:
     """`find_stances`, remembered."""
     reach = int(np.ceil(BODY / near.layers.cell_width))
     return near.around("stances", reach, lambda *given: (find_stances(*given),), among)[0]
+
+
+def _footing(near: Beside, name: str, among: BoolArray, asked: BoolArray, rise: float) -> BoolArray:
+    """`find_footing`, remembered."""
+    width = near.layers.cell_width
+
+    def answer(layers: Layers, among: BoolArray, asked: BoolArray) -> tuple[BoolArray]:
+        return (find_footing(layers, among, asked, rise, _support(width)),)
+
+    return near.around(name, int(SOLE / width) + 1, answer, among, asked)[0]
 
 
 def _between(

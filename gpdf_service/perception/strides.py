@@ -23,6 +23,8 @@ LEGS = 0.3, 0.7
 steps, a Spot."""
 HALF_FOOT = 0.015
 """[m²] Half of the sole of a foot, 25 cm by 12."""
+SOLE = 0.12
+"""[m] Half the length of a foot, and the width of one: a pit narrower than two of these is bridged by it."""
 STRIDE = 0.4
 """[m] Widest in plan between two stances that a stride joins: the going of a stair, and its hidden half."""
 
@@ -138,6 +140,9 @@ def _inside(i: int, cell: IntArray, start: IntArray, shape: tuple[int, int], sta
     return True
 
 
+INNER = 2.0 / (3.0 * np.pi)
+"""[-] Distance of the centroid of what is seen around a place from it, over the radius: half of that at a straight rim,
+where it is that of half a disc."""
 SECTORS = 16
 """Directions in plan that are told apart around a place between two treads."""
 
@@ -211,3 +216,50 @@ def _between(
                 up, down = sides[0, s], sides[1, (s + across) % SECTORS]
                 treads = up == 2 or up == 4 or down == 2 or down == 4
                 made[i] |= up > 0 and down > 0 and treads and (up > 2 or down > 2)
+
+
+def find_footing(layers: Layers, among: BoolArray, asked: BoolArray, rise: float, need: int) -> BoolArray:
+    """Which of the nodes `asked` hold a foot though a scan from far shows but some of the cells around, shape (k,).
+
+    More than `need` of the nodes `among` are on their slope, of at most `rise` [m] a cell, within a `SOLE`; and not on
+    one side of them only, as at the rim of a surface.
+
+    Args:
+        layers: The nodes.
+        among: Shape (k,).
+        asked: Shape (k,).
+        rise: [m].
+        need: Nodes.
+    """
+    made, nodes = np.zeros(len(asked), dtype=bool), np.flatnonzero(asked)
+    own = layers.cell, layers.start, layers.shape, layers.height, among, SOLE / layers.cell_width, rise, need
+    run_chunked(lambda a, b: _footing(nodes[a:b], *own, made), len(nodes))
+    return made
+
+
+@njit(cache=True, nogil=True)
+def _footing(
+    nodes: IntArray,
+    cell: IntArray,
+    start: IntArray,
+    shape: tuple[int, int],
+    height: FloatArray,
+    among: BoolArray,
+    reach: float,
+    rise: float,
+    need: int,
+    made: BoolArray,
+) -> None:
+    rings = int(reach)
+    for i in nodes:
+        x, y, found, mean_x, mean_y = cell[i] // shape[1], cell[i] % shape[1], 0, 0.0, 0.0
+        for u in range(max(x - rings, 0), min(x + rings + 1, shape[0])):
+            for v in range(max(y - rings, 0), min(y + rings + 1, shape[1])):
+                away = np.hypot(u - x, v - y)
+                if away > reach + 0.5:
+                    continue
+                for j in range(start[u * shape[1] + v], start[u * shape[1] + v + 1]):
+                    if among[j] and abs(height[j] - height[i]) <= rise * away:
+                        found, mean_x, mean_y = found + 1, mean_x + u - x, mean_y + v - y
+                        break
+        made[i] = found > need and np.hypot(mean_x, mean_y) <= INNER * found * (reach + 0.5)

@@ -1,11 +1,11 @@
-"""What is inferred of a flight's treads: a strip that was seen on all sides, and nothing beyond an open side."""
+"""What is inferred of a flight's treads: what a foot bridges, in any direction, and nothing beyond an open side."""
 
 import numpy as np
 import pytest
 
 from gpdf_service.config import PerceptionConfig
 from gpdf_service.perception.notches import fill_notches
-from gpdf_service.perception.surface import INFERRED, OBSERVED, UNKNOWN
+from gpdf_service.perception.surface import INFERRED, OBSERVED, UNKNOWN, HeightMap
 
 WIDTH = 0.05
 RISE = 0.17
@@ -13,12 +13,12 @@ DEPTH = 6
 """Cells of a tread: 30 cm."""
 
 
-def filled(height, void=None):
+def filled(height, below=None):
     state = np.where(np.isnan(height), UNKNOWN, OBSERVED).astype(np.uint8)
-    height, near = height.astype(np.float32), np.full(height.shape, WIDTH)
-    void = np.zeros(height.shape, dtype=bool) if void is None else void
-    fill_notches(height, state, void, near, WIDTH, PerceptionConfig())
-    return height, state
+    none = np.zeros(height.shape, dtype=bool)
+    surface = HeightMap(np.zeros(2), WIDTH, height.astype(np.float32), state)
+    made = fill_notches(surface, none if below is None else below, none, PerceptionConfig())
+    return made.height, made.state
 
 
 def flight(rows=30, treads=5):
@@ -41,32 +41,54 @@ def test_a_strip_of_a_tread_that_was_seen_all_round_is_that_tread():
     assert (state[:, 21:] == UNKNOWN).all()
 
 
-def test_at_the_open_side_of_a_flight_a_strip_stays_unknown():
+def test_beyond_the_open_side_of_a_flight_nothing_is_inferred():
     height = flight()
-    height[STRIP, 20] = np.nan
-    assert (filled(height)[1][STRIP, 20] == UNKNOWN).all()
+    height[STRIP, 18:21] = np.nan
+    state = filled(height)[1]
+    assert (state[:, 21:] == UNKNOWN).all()
+    height[:, 24:] = -2 * RISE  # nor up to a floor further down
+    assert (filled(height)[1][:, 21:24] == UNKNOWN).all()
 
 
-@pytest.mark.parametrize("change", ["floor", "landing", "seen through"])
-def test_a_strip_that_is_in_no_flight_or_was_seen_through_stays_unknown(change):
+@pytest.mark.parametrize("change", ["floor", "landing"])
+def test_a_strip_that_is_in_no_flight_stays_unknown(change):
     height = flight()
     height[STRIP, 8:13] = np.nan
-    void = np.isnan(height) & (change == "seen through")
     if change == "floor":
         height[np.isfinite(height)] = 0.0
     if change == "landing":  # up behind it, level before it
         height[: 2 * DEPTH, :21] = 2 * RISE
-    assert (filled(height, void)[1][STRIP, 8:13] == UNKNOWN).all()
+    assert (filled(height)[1][STRIP, 8:13] == UNKNOWN).all()
 
 
-@pytest.mark.parametrize(("cells", "end", "fills"), [(1, 13, True), (2, 13, False), (1, 21, False)])
-def test_the_back_of_an_open_tread_is_inferred_where_it_is_as_narrow_as_openings_and_seen_at_both_ends(
-    cells, end, fills
-):
+@pytest.mark.parametrize("cells", [2, 4, 5])
+def test_the_hidden_back_of_a_tread_is_the_lower_tread_up_to_what_a_foot_bridges(cells):
     height = flight()
     back = slice(3 * DEPTH - cells, 3 * DEPTH)
-    height[back, 8:end] = np.nan
-    made, state = filled(height, np.isnan(height))
-    assert (state[back, 8:end] == (INFERRED if fills else UNKNOWN)).all()
+    height[back, 5:18] = np.nan
+    made, state = filled(height)
+    fills = cells * WIDTH < PerceptionConfig().widest_gap
+    assert (state[back, 9:14] == (INFERRED if fills else UNKNOWN)).all()
     if fills:
-        np.testing.assert_allclose(made[back, 8:end], 2 * RISE, atol=1e-6)
+        np.testing.assert_allclose(made[back, 9:14], 2 * RISE, atol=1e-6)
+
+
+@pytest.mark.parametrize("turn", [0.3, 0.8])
+def test_a_flight_across_the_grid_is_filled_as_one_along_it(turn):
+    x, y = np.meshgrid(np.arange(60), np.arange(60), indexing="ij")
+    along = (x - 30) * np.cos(turn) + (y - 30) * np.sin(turn) + 30
+    tread = np.clip(np.floor(along / DEPTH), 0, 9)
+    height = np.where((tread % 2 == 0) & (along % DEPTH >= DEPTH - 3), np.nan, RISE * tread)  # the back of each second
+    inner = (np.abs(x - 30) < 10) & (np.abs(y - 30) < 10)
+    made, state = filled(height)
+    assert (state[inner] != UNKNOWN).all()
+    np.testing.assert_allclose(made[inner], (RISE * tread)[inner], atol=1e-6)
+
+
+def test_a_slot_that_shows_the_room_beneath_is_open_unless_that_shows_beneath_the_treads_too():
+    height = flight()
+    height[STRIP, 8:13] = np.nan
+    slot = np.isnan(height)
+    assert (filled(height, slot)[1][STRIP, 8:13] == UNKNOWN).all()
+    everywhere = np.ones(height.shape, dtype=bool)
+    assert (filled(height, everywhere)[1][STRIP, 8:13] == INFERRED).all()

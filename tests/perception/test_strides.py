@@ -7,7 +7,7 @@ from gpdf_service import Status, build_scene, plan, read_cloud, segment_ground
 from gpdf_service.config import PerceptionConfig
 from gpdf_service.perception.footing import bridged
 from gpdf_service.perception.segment import first_layers
-from gpdf_service.perception.strides import find_stances
+from gpdf_service.perception.strides import find_footing, find_stances
 from gpdf_service.perception.surface import OBSERVED, HeightMap
 
 CONFIG = PerceptionConfig()
@@ -104,3 +104,29 @@ def test_the_public_spiral_of_ramps_and_bridges_is_a_way_for_legs(scan):
     scene = build_scene(read_cloud(scan("spiral_ramps_20cm.npz")).points)
     for body in ("human", "spot"):
         assert plan(scene, (-16.0, -6.0, 0.2), (-26.0, -5.0, 0.2), body).status is Status.OK
+
+
+def test_a_floor_of_which_a_scan_from_far_shows_some_cells_is_ground_and_so_is_its_stair():
+    points, top = flight()
+    layers = first_layers(points, CONFIG)
+    cell = np.floor((points[:, :2] - layers.origin) / layers.cell_width).astype(int)
+    upper = points[:, 2] > top - 0.05
+    points = points[~upper | (cell.sum(axis=1) % 2 == 0)]  # a chessboard: each cell has four neighbours, at its corners
+    found, stair = segment_ground(points), np.abs(points[:, 1] - 2.6) < 0.4
+    assert found[points[:, 2] > top - 0.05].mean() > 0.95
+    assert found[stair & (points[:, 2] > 0.1)].mean() > 0.95
+
+
+def test_the_rim_of_a_surface_holds_no_foot_and_a_place_between_single_samples_does():
+    floor = face((0.0, 2.0), (0.0, 2.0), 0.0)
+    layers = first_layers(floor, CONFIG)
+    every, rise = np.ones(len(layers.cell), dtype=bool), layers.cell_width * float(np.tan(CONFIG.steepest))
+    x, y = np.divmod(layers.cell, layers.shape[1])
+    rim = (x == x.min()) | (x == x.max()) | (y == y.min()) | (y == y.max())
+    assert not find_footing(layers, every, every, rise, 5)[rim].any()
+    assert find_footing(layers, every, every, rise, 5)[
+        (x > x.min() + 2) & (x < x.max() - 2) & (y > y.min() + 2) & (y < y.max() - 2)
+    ].all()
+    chess = (x + y) % 2 == 0
+    inner = (x > 3) & (x < x.max() - 3) & (y > 3) & (y < y.max() - 3)
+    assert find_footing(layers, chess, chess, rise, 5)[chess & inner].all()
