@@ -81,3 +81,8 @@ class UnknownAgentError(RequestError):
 
     def __reduce__(self) -> tuple[type[GpdfError], tuple[str, tuple[str, ...]]]:  # type: ignore[override]
         return type(self), (self.name, self.known)
+
+
+def words_of(error: Exception) -> str:
+    """What reading a file of arrays raised; NumPy's advice on what is none is to run whatever the file holds."""
+    return "it holds no arrays of numbers" if "pickle" in str(error) else str(error)

@@ -7,6 +7,7 @@ import os
 import socket
 from pathlib import Path
 
+LOOPBACK = "127.0.0.1"
 EPHEMERAL = Path("/proc/sys/net/ipv4/ip_local_port_range")
 """Linux's ports for connections."""
 REGISTERED = 49_152, 65_535
@@ -27,18 +28,37 @@ def free_port() -> int:
     ports = [port for port in range(FIRST_PORT, LAST_PORT + 1) if not low <= port <= high]
     begin = os.getpid() % len(ports)
     for port in ports[begin:] + ports[:begin]:
-        with contextlib.suppress(OSError), socket.socket() as probe:
-            probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-            probe.bind(("127.0.0.1", port))
-            if port not in _given:
+        with contextlib.suppress(OSError):  # somebody else has claimed it
+            if port not in _given and not trouble_at(LOOPBACK, port):
                 _given[port] = _claim(port) if EPHEMERAL.exists() else None
                 return port
     raise OSError("every port of this machine is taken")
 
 
+def trouble_at(host: str, port: int) -> str:
+    """Why a program could not listen there now, in the system's words; empty if it could.
+
+    Args:
+        host: A name or an address, of IPv4 or IPv6, of this machine.
+        port: Of TCP.
+    """
+    try:
+        for family, kind, _, _, address in socket.getaddrinfo(host, None, type=socket.SOCK_STREAM):
+            with socket.socket(family, kind) as probe:
+                probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)  # one that closed a moment ago may linger
+                if family == socket.AF_INET6:
+                    probe.setsockopt(socket.IPPROTO_IPV6, socket.IPV6_V6ONLY, 1)
+                probe.bind((address[0], port, *address[2:]))
+    except OSError as error:
+        return error.strerror or str(error)
+    except OverflowError as error:
+        return str(error)
+    return ""
+
+
 def free_endpoint() -> str:
     """Where a service can listen: `free_port`."""
-    return f"tcp/127.0.0.1:{free_port()}"
+    return f"tcp/{LOOPBACK}:{free_port()}"
 
 
 def _claim(port: int) -> socket.socket:

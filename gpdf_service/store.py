@@ -11,7 +11,6 @@ import os
 import tempfile
 import types
 import typing
-import zipfile
 from collections.abc import Iterable, Mapping
 from errno import ENOENT
 from pathlib import Path
@@ -21,14 +20,12 @@ import numpy as np
 from numpy.lib.npyio import NpzFile
 from numpy.typing import NDArray
 
-from gpdf_service.errors import SceneFileError
+from gpdf_service.errors import SceneFileError, words_of
 
 SCHEMA_VERSION = 4
 _META = "meta"
 _CHUNK = 2**20
 """[bytes]"""
-_DAMAGE = zipfile.BadZipFile, ValueError, KeyError, EOFError, OSError, TypeError, AttributeError
-"""What reading raises when the bytes are not those of a scene."""
 
 Arrays = dict[str, NDArray[Any]]
 
@@ -70,7 +67,9 @@ class Later:
         try:
             names = [key for key in self._stored.files if key.startswith(prefix)]
             return {key.removeprefix(prefix): self._stored[key] for key in names}
-        except _DAMAGE as error:
+        except MemoryError:  # it may be whole
+            raise
+        except Exception as error:  # whatever damaged bytes come to
             raise _damaged(self._path, error) from error
 
     def check(self, names: Iterable[str]) -> None:
@@ -102,7 +101,9 @@ def read_arrays(path: str | os.PathLike[str], later: str | None = None) -> tuple
         arrays = {key: stored[key] for key in stored.files if key not in shelved}
         (rest := Later(stored, target)).check(shelved)
         meta = json.loads(bytes(arrays.pop(_META)))
-    except _DAMAGE as error:
+    except MemoryError:  # it may be whole
+        raise
+    except Exception as error:  # whatever damaged bytes come to
         raise _damaged(target, error) from error
     if meta.get("schema_version") != SCHEMA_VERSION:
         found = f"it has schema version {meta.get('schema_version')}, this program reads {SCHEMA_VERSION}"
@@ -111,7 +112,7 @@ def read_arrays(path: str | os.PathLike[str], later: str | None = None) -> tuple
 
 
 def _damaged(path: Path, error: Exception) -> SceneFileError:
-    return SceneFileError(f"scene file {path}", f"it is damaged or no scene ({error})", "Build the scene again.")
+    return SceneFileError(f"scene file {path}", f"it is damaged or no scene ({words_of(error)})", "Build it again.")
 
 
 def under(prefix: str, arrays: Mapping[str, NDArray[Any]]) -> Arrays:

@@ -14,7 +14,7 @@ from gpdf_service.cli import VERBS, find_verb, main, overview
 from gpdf_service.cli.bodies import add_body_arguments, body_of, read_agent
 from gpdf_service.cli.inputs import read_config
 from gpdf_service.errors import GpdfError
-from gpdf_service.service.serve_verb import is_taken
+from gpdf_service.service.serve_verb import trouble_at
 from gpdf_service.types import AGENTS
 
 
@@ -330,15 +330,21 @@ def test_a_file_may_say_how_a_body_differs_from_a_known_one(tmp_path):
     assert read_agent(tmp_path / "cart.toml").max_step == 0.01
 
 
-def test_a_port_that_is_taken_is_told_before_anything_is_built(tmp_path, capsys):
-    with socket.socket() as other:
-        other.bind(("127.0.0.1", 0))
-        other.listen()
-        endpoint = f"tcp/127.0.0.1:{other.getsockname()[1]}"
+@pytest.mark.parametrize("host", ["127.0.0.1", "::1", "localhost"])
+def test_a_port_that_is_taken_is_told_before_anything_is_built(tmp_path, capsys, host):
+    with socket.create_server((host, 0), family=socket.getaddrinfo(host, 0)[0][0]) as other:
+        endpoint = f"tcp/{f'[{host}]' if ':' in host else host}:{other.getsockname()[1]}"
         assert main(["serve", "room=none.npz", "--endpoint", endpoint, "--log-dir", str(tmp_path / "log")]) == 1
-    assert "the port is taken" in capsys.readouterr().err
+    assert f"cannot listen on {endpoint}: Address already in use" in capsys.readouterr().err
     assert not (tmp_path / "log").exists()
-    assert not is_taken(endpoint)
+    assert trouble_at(endpoint) == ""
+
+
+def test_an_address_of_another_machine_is_told_before_anything_is_built(tmp_path, capsys):
+    words = ["serve", "room=none.npz", "--endpoint", "tcp/192.0.2.1:7447", "--log-dir", str(tmp_path / "log")]
+    assert main(words) == 1  # RFC 5737: nobody's
+    assert "Cannot assign requested address" in capsys.readouterr().err
+    assert trouble_at("quic/192.0.2.1:7447") == ""  # Zenoh alone knows
 
 
 def test_the_endpoint_may_stand_behind_the_sub_verb_and_zenohs_sources_are_nobodys_business(capsys, free_endpoint):

@@ -5,7 +5,7 @@ import sys
 import pytest
 
 from gpdf_service import ports
-from gpdf_service.ports import LAST_PORT, REGISTERED, free_port
+from gpdf_service.ports import LAST_PORT, REGISTERED, free_port, trouble_at
 
 
 @pytest.mark.skipif(not ports.EPHEMERAL.exists(), reason="other systems have no names that end with a process")
@@ -34,3 +34,18 @@ def test_a_port_that_somebody_listens_on_is_not_given(monkeypatch, tmp_path):
     monkeypatch.setattr("gpdf_service.ports._given", {})
     with socket.create_server(("127.0.0.1", first)):
         assert free_port() != first
+
+
+@pytest.mark.parametrize("host", ["127.0.0.1", "::1", "0.0.0.0", "::"])
+def test_why_nobody_can_listen_is_told_of_each_kind_of_address(host):
+    family = socket.AF_INET6 if ":" in host else socket.AF_INET
+    with socket.create_server((host, 0), family=family) as other:
+        port = other.getsockname()[1]
+        assert trouble_at(host, port) == "Address already in use"
+    assert trouble_at(host, port) == ""
+    assert "0-65535" in trouble_at(host, 65_536)
+
+
+def test_who_is_no_address_of_this_machine_is_told_so():
+    assert trouble_at("192.0.2.1", 7447) == "Cannot assign requested address"  # RFC 5737: nobody's
+    assert trouble_at("nobody.invalid", 7447)  # RFC 2606; the words are the resolver's

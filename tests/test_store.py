@@ -1,4 +1,5 @@
 import dataclasses
+import pickle
 
 import numpy as np
 import pytest
@@ -100,3 +101,21 @@ def test_a_file_that_was_written_over_since_is_an_error_and_no_answer(tmp_path):
     path.write_bytes(b"x" * len(path.read_bytes()))
     with pytest.raises(SceneFileError, match="damaged"):
         later.under("then/")
+
+
+def test_a_file_of_something_else_is_refused_and_nobody_is_advised_to_run_it(tmp_path):
+    for content in (b"hello", pickle.dumps(["an object"])):
+        (tmp_path / "a.gpdf").write_bytes(content)
+        with pytest.raises(SceneFileError, match="no arrays of numbers"):
+            read_arrays(tmp_path / "a.gpdf")
+
+
+def test_a_compressed_file_with_a_spoiled_byte_is_refused(tmp_path):
+    np.savez_compressed(tmp_path / "a.npz", values=np.random.default_rng(0).normal(size=1000))
+    whole = (tmp_path / "a.npz").read_bytes()
+    for at in range(100, len(whole) - 200, 97):
+        spoiled = bytearray(whole)
+        spoiled[at] ^= 0xFF
+        (tmp_path / "a.npz").write_bytes(spoiled)
+        with pytest.raises(SceneFileError, match="damaged"):
+            read_arrays(tmp_path / "a.npz")

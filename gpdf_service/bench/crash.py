@@ -4,12 +4,10 @@ from __future__ import annotations
 
 import argparse
 import contextlib
-import subprocess
 import sys
 import tempfile
 import threading
 import time
-from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -23,6 +21,7 @@ from tqdm import tqdm
 
 from gpdf_service.bench.report import Row, show
 from gpdf_service.ports import free_endpoint
+from gpdf_service.service.begun import begun
 from gpdf_service.service.record import check, repair_folder
 from gpdf_service.service.replay import recorded_plans
 from gpdf_service.types import FloatArray
@@ -68,8 +67,10 @@ def run(args: argparse.Namespace) -> int:
 
 def _kill_many(folder: Path, kills: int, within: float, rng: np.random.Generator) -> Row:
     told, lost, endpoint = _Told(), 0, free_endpoint()
+    words = ["--endpoint", endpoint, "--workers", "1", "--log-sync", "each"]
+    words += ["--log-dir", str(folder / "log"), "--scenes-dir", str(folder)]
     for i in tqdm(range(kills + 1), desc="kill", disable=not sys.stderr.isatty()):
-        with _service(folder, endpoint) as process, Client.connect(endpoint, timeout_s=WAIT_S) as client:
+        with begun(folder / "serve.log", *words) as process, Client.connect(endpoint, timeout_s=WAIT_S) as client:
             lost += _missing(client, told)
             if i == kills:
                 break
@@ -92,17 +93,6 @@ def _kill_many(folder: Path, kills: int, within: float, rng: np.random.Generator
         "logs": len(logs),
         "bad_logs": sum(not _reads(log) for log in logs),
     }
-
-
-@contextlib.contextmanager
-def _service(folder: Path, endpoint: str) -> Iterator[subprocess.Popen[bytes]]:
-    words = [sys.executable, "-m", "gpdf_service.cli", "serve", "--endpoint", endpoint, "--workers", "1"]
-    words += ["--log-sync", "each", "--log-dir", str(folder / "log"), "--scenes-dir", str(folder)]
-    with (folder / "serve.log").open("ab") as log, subprocess.Popen(words, stderr=log) as process:
-        try:
-            yield process
-        finally:
-            process.kill()
 
 
 def _room(width: int) -> FloatArray:

@@ -1,10 +1,8 @@
-"""The real service as its own process, for benches that must not share one with it."""
+"""A service with an office, for benches that must not share a process with it."""
 
 from __future__ import annotations
 
-import signal
 import subprocess
-import sys
 import time
 from collections import Counter
 from collections.abc import Iterator
@@ -17,10 +15,8 @@ import psutil
 from gpdf_client import Client
 
 from gpdf_service.ports import free_endpoint
+from gpdf_service.service.begun import begun
 from gpdf_service.synthetic import SCENES
-
-ENDS_S = 30.0
-"""[s] A service that drains and closes its log needs less."""
 
 
 @dataclass(frozen=True)
@@ -51,24 +47,16 @@ def _usage(seen: psutil.Process) -> dict[str, float]:
 
 @contextmanager
 def serving(folder: Path, *flags: str) -> Iterator[Running]:
-    """`gpdf serve` with a synthetic office, its files in `folder`, ended by SIGTERM."""
+    """`gpdf serve` with a synthetic office, its files in `folder`."""
     office = SCENES["office"](np.random.default_rng(0))
     label = office.ground.astype(np.int32)
     np.savez(folder / "office.npz", xyz=office.points, label=label, classes=np.array(["other", "ground"]))
     endpoint = free_endpoint()
-    words = [sys.executable, "-m", "gpdf_service.cli", "serve", f"office={folder / 'office.npz'}"]
-    words += ["--endpoint", endpoint, "--scenes-dir", str(folder), "--log-dir", str(folder / "log"), *flags]
-    with (folder / "serve.log").open("wb") as log, subprocess.Popen(words, stderr=log) as process:
-        try:
-            with Client.connect(endpoint, timeout_s=60) as client:
-                client.wait_for_scene("office")
-                while not all(service.ready for service in client.status()):  # its processes are there, too
-                    time.sleep(0.05)
-            yield Running(endpoint, process, tuple(office.start), tuple(office.goal))
-        finally:
-            process.send_signal(signal.SIGTERM)
-            try:
-                process.wait(ENDS_S)
-            except subprocess.TimeoutExpired:
-                process.kill()
-                raise
+    words = [f"office={folder / 'office.npz'}", "--endpoint", endpoint]
+    words += ["--scenes-dir", str(folder), "--log-dir", str(folder / "log"), *flags]
+    with begun(folder / "serve.log", *words) as process:
+        with Client.connect(endpoint, timeout_s=60) as client:
+            client.wait_for_scene("office")
+            while not all(service.ready for service in client.status()):  # its processes are there, too
+                time.sleep(0.05)
+        yield Running(endpoint, process, tuple(office.start), tuple(office.goal))

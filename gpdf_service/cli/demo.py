@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import signal
-import subprocess
 import sys
 import time
 from collections.abc import Iterator
@@ -20,6 +18,7 @@ from gpdf_client import Client
 from gpdf_service.perception import read_cloud
 from gpdf_service.pipeline import build_scene
 from gpdf_service.ports import free_endpoint
+from gpdf_service.service.begun import begun
 from gpdf_service.synthetic import SCENES, SyntheticScene
 from gpdf_service.types import AGENTS, PlanResult
 from gpdf_service.viewer.picture import draw_plans
@@ -86,23 +85,15 @@ def _write(scene: SyntheticScene, path: Path) -> None:
 
 @contextmanager
 def _service(out: Path, tours: list[Tour]) -> Iterator[str]:
-    """`gpdf serve` in its own process, ended by SIGINT as a person would."""
+    """`gpdf serve` in its own process."""
     endpoint = free_endpoint()
     scenes = [f"{tour.name}={tour.cloud}" for tour in tours]
     flags = [*scenes, "--endpoint", endpoint, "--log-dir", str(out), "--workers", "1"]  # one asks, one plan at a time
-    words = [sys.executable, "-m", "gpdf_service.cli", "serve", *flags]
     print(f"gpdf serve {' '.join(flags)}", file=sys.stderr)
     print("(the first run on a machine compiles the kernels, for a minute or two)", file=sys.stderr)
-    with (out / "serve.log").open("w") as log, subprocess.Popen(words, stdout=log, stderr=log) as process:
-        try:
-            yield endpoint
-        finally:
-            process.send_signal(signal.SIGINT)
-            try:
-                process.wait(timeout=30)
-            except subprocess.TimeoutExpired:
-                process.kill()
-                raise
+    (out / "serve.log").unlink(missing_ok=True)
+    with begun(out / "serve.log", *flags):
+        yield endpoint
 
 
 def _travel(client: Client, tour: Tour, out: Path) -> list[dict[str, Any]]:

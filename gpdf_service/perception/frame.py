@@ -58,6 +58,7 @@ class Frame:
         headroom: Between the lowest and the highest large level layer [unit of the file]; 0 where there is one alone.
         level: Share of the points in which the cloud is level about x, y and z, shape (3,).
         lower: Share of the level points between floor and ceiling that lie in the lower half; NaN where there are few.
+        hanging: Share of the points that lie below the one large level layer; 0 where there are several, or none.
         size: Extents [unit of the file], shape (3,).
     """
 
@@ -65,6 +66,7 @@ class Frame:
     headroom: float
     level: FloatArray
     lower: float
+    hanging: float
     size: FloatArray
 
 
@@ -93,8 +95,20 @@ def look(points: FloatArray) -> Frame | None:
     around = some[beside] - some[beside].mean(axis=1, keepdims=True)
     normal = np.abs(np.linalg.eigh(around.transpose(0, 2, 1) @ around)[1][:, :, 0])
     level = (normal > LEVEL).mean(axis=0)
-    headroom, lower = _storey(some[normal[:, 2] > LEVEL], np.ptp(some, axis=0))
-    return Frame(spacing, headroom, level, lower, np.ptp(some, axis=0))
+    size, flat = np.ptp(some, axis=0), some[normal[:, 2] > LEVEL]
+    headroom, lower = _storey(flat, size)
+    return Frame(spacing, headroom, level, lower, _hanging(some[:, 2], flat[:, 2]), size)
+
+
+def _hanging(z: FloatArray, flat: FloatArray) -> float:
+    """Of points at the heights z, of which some are flat: the share below the one large layer of these."""
+    if len(flat) < FEWEST // 5 or np.ptp(z) <= 0.0:
+        return 0.0
+    count, edges = np.histogram(flat, BINS, (z.min(), z.max()))
+    layers = np.flatnonzero(count > count.max() / 3)
+    if layers[-1] - layers[0] > BINS // 20:
+        return 0.0
+    return float((z < edges[layers[0]]).mean())
 
 
 def _storey(points: FloatArray, size: FloatArray) -> tuple[float, float]:
@@ -159,4 +173,6 @@ def odd_up(frame: Frame) -> str:
         return f"more of it is level about {name} than about z; is {name} up? --up {name} (or -{name})"
     if frame.lower < 0.3:
         return "what is level between floor and ceiling is nearer to the ceiling; is z down? --up -z"
+    if frame.hanging > 0.5:
+        return "most of it lies under its one large level surface; is z down? --up -z"
     return ""

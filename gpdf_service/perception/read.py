@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import os
-import zipfile
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from gpdf_service.errors import CloudError
+from gpdf_service.errors import CloudError, GpdfError, words_of
 from gpdf_service.perception.bag import read_bag
 from gpdf_service.perception.formats import LAS_GROUND, READERS, Stored, ground_classes
 from gpdf_service.perception.frame import look, odd_unit, odd_up, turn
@@ -22,6 +21,8 @@ BAGS = (".mcap", ".db3", ".bag")
 """Suffixes of ROS bags."""
 COARSEST = 0.01
 """[m] Between two numbers of single precision as large as a coordinate; more, and walls are where no wall is."""
+TOLD = GpdfError, ImportError, MemoryError
+"""What readers raise with words of its own; what else they raise is whatever damaged bytes come to."""
 MAX_EXTENT = 5000.0
 """[m] No place that one plans in on foot is wider; a room in millimetres is."""
 
@@ -146,8 +147,14 @@ def _read_whole(file: Path, ground_label: int | None, scale: float | None) -> St
         raise CloudError(f"cloud {file}", "it is empty", "Was it copied to its end?")
     try:
         return reader(file, ground_label, scale)
-    except (OSError, ValueError, RuntimeError, EOFError, KeyError) as error:
-        raise CloudError(f"cloud {file}", f"it cannot be read ({error})", "Is the file complete?") from error
+    except TOLD:
+        raise
+    except Exception as error:
+        raise _unreadable(file, error) from error
+
+
+def _unreadable(file: Path, error: Exception) -> CloudError:
+    return CloudError(f"cloud {file}", f"it cannot be read ({words_of(error)})", "Is the file complete?")
 
 
 def _framed(file: Path, stored: Stored, scale: float | None, up: str | None) -> PointCloud:
@@ -202,8 +209,10 @@ def _read_thinned(
                 named = None if labels is None or marks is None else np.isin(labels, marks).astype(np.int64)
                 dropped += int((~np.isfinite(points).all(axis=1)).sum())
                 sieve.add(turn(points, scale or 1.0, up or "z"), named)
-        except (OSError, ValueError, RuntimeError, EOFError, KeyError, zipfile.BadZipFile) as error:
-            raise CloudError(f"cloud {file}", f"it cannot be read ({error})", "Is the file complete?") from error
+        except TOLD:
+            raise
+        except Exception as error:
+            raise _unreadable(file, error) from error
         if chunks is None:
             whole = read_cloud(file, ground_label=ground_label, scale=scale, up=up)
             dropped += whole.dropped

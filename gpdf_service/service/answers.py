@@ -64,7 +64,7 @@ def answer(by: Answer[Reply | bytes], planner: str, payload: bytes, received: fl
         request_id = request.request_id
         waited = time.monotonic() - received
         if waited >= request.deadline_s:
-            words = f"the request waited {waited:.2f} s, its deadline was {request.deadline_s:.2f} s. Ask later."
+            words = f"the request waited {waited:.3g} s, its deadline was {request.deadline_s:.3g} s. Give more time."
             return no(Status.TIMEOUT, words)
         reply = handle(msgspec.structs.replace(request, deadline_s=request.deadline_s - waited))
         if isinstance(reply, bytes):

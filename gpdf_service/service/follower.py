@@ -45,7 +45,8 @@ class Follower:
         assert shelf.files is not None
         self._map, self._shelf, self._files = Client(session), shelf, shelf.files
         self._on_synced = on_synced
-        self._synced, self.trouble = False, "the map service has not answered yet"
+        self._awaited: set[str] | None = None  # built by the map when it first answered, and still
+        self.trouble = "the map service has not answered yet"
         self.absent: dict[str, tuple[Status, str]] = {}
         self._news, self._ended = threading.Event(), threading.Event()
         self._busy = threading.Lock()
@@ -55,8 +56,8 @@ class Follower:
 
     @property
     def complete(self) -> bool:
-        """Whether what the map has was here, all of it, when it was last asked; what it could not build is nowhere."""
-        return self._synced and all(status is Status.BUILD_FAILED for status, _ in self.absent.values())
+        """Whether what the map has was here, all of it, when last asked; not what it began to build since."""
+        return self._awaited == set() and all(status is not Status.UNAVAILABLE for status, _ in self.absent.values())
 
     def start(self) -> None:
         """Follow from now on."""
@@ -109,9 +110,11 @@ class Follower:
         self.absent = {name: why for name, why in absent.items() if why is not None}
         self._complain("")
         self._looked = began
-        if not self._synced:
-            self._synced = True
+        building = {name for name, (status, _) in self.absent.items() if status is Status.BUILDING}
+        if self._awaited is None:
+            self._awaited = building
             self._on_synced()
+        self._awaited = self._awaited & building
 
     def _get(self, name: str, facts: Mapping[str, Any]) -> tuple[Status, str] | None:
         """Let a scene of the map be here, too; why it is not, if it is not."""

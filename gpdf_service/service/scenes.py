@@ -123,6 +123,10 @@ class Shelf:
             else:
                 self._take(task)
 
+    def after_builds(self, call: Callable[[], None]) -> None:
+        """Call it once what was begun until now is built, or could not be."""
+        self._builder.submit(call)
+
     def settle(self) -> None:
         """Wait for the builds that were begun."""
         self._builder.submit(lambda: None).result()

@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 import argparse
-import errno
 import logging
 import os
 import re
 import signal
-import socket
+import sys
 import threading
 from pathlib import Path
 
 import zenoh
 
+from gpdf_service import ports
 from gpdf_service.errors import ConfigError, GpdfError
 from gpdf_service.service.logs import set_up
 from gpdf_service.service.options import ENVIRONMENT, Options, descriptions, gather, plain, to_toml
@@ -23,12 +23,18 @@ from gpdf_service.service.server import Server
 log = logging.getLogger("gpdf_service")
 WAKE_S = 1.0
 """[s] A signal that the system gave to one of the other threads is seen when this one wakes."""
+BUSY = "cannot listen on %s: %s. Is another service running there?"
+ADDRESS = re.compile(r"(?:tcp|tls)/\[?(?P<host>[^\[\]/]+?)\]?:(?P<port>\d+)(?:[?#].*)?")
+"""Zenoh's endpoints that are a place for TCP to listen on."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the verb's options: one flag for each field of `Options`."""
     parser.add_argument("scenes", nargs="*", metavar="NAME=CLOUD", type=_named, help="clouds or scene files to load")
     parser.add_argument("--config", type=Path, help=f"a TOML file; {ENVIRONMENT}CONFIG names it as well")
+    parser.add_argument(
+        "--until-eof", action="store_true", help="end also when standard input does: with whoever began the service"
+    )
     parser.add_argument("--print-config", action="store_true", help="print the effective configuration and end")
     roles = parser.add_mutually_exclusive_group()
     for role, text in (("map", "run the map service alone"), ("planner", "run a planner service alone")):
@@ -52,8 +58,10 @@ def run(args: argparse.Namespace) -> int:
     stop = threading.Event()
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: stop.set())
-    if is_taken(options.endpoint):  # before processes begin and scenes are built
-        log.error("cannot listen on %s: the port is taken. Is another service running there?", options.endpoint)
+    if args.until_eof:
+        threading.Thread(target=_await_eof, args=(stop,), name="gpdf-eof", daemon=True).start()
+    if trouble := trouble_at(options.endpoint):  # before processes begin and scenes are built
+        log.error(BUSY, options.endpoint, trouble)
         return 1
     options.log_dir.mkdir(parents=True, exist_ok=True)
     for path in repair_folder(options.log_dir):
@@ -63,7 +71,7 @@ def run(args: argparse.Namespace) -> int:
             while not stop.wait(WAKE_S):
                 pass
     except zenoh.ZError as error:
-        log.error("cannot listen on %s: %s. Is another service running there?", options.endpoint, error)
+        log.error(BUSY, options.endpoint, error)
         return 1
     except (GpdfError, ValueError) as error:
         log.error("%s", error)
@@ -71,18 +79,16 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
-def is_taken(endpoint: str) -> bool:
-    """Whether another program listens where a service would, `tcp/HOST:PORT`; False where that cannot be told."""
-    found = re.fullmatch(r"tcp/(?P<host>[^\[\]:]+):(?P<port>\d+)", endpoint)
-    if found is None:
-        return False
-    with socket.socket() as probe:
-        probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)  # as one that closed a moment ago may be
-        try:
-            probe.bind((found["host"], int(found["port"])))
-        except OSError as error:
-            return error.errno == errno.EADDRINUSE
-    return False
+def trouble_at(endpoint: str) -> str:
+    """Why a service cannot listen there, in the system's words; empty if it can, or if only Zenoh can tell."""
+    found = ADDRESS.fullmatch(endpoint)
+    return "" if found is None else ports.trouble_at(found["host"], int(found["port"]))
+
+
+def _await_eof(stop: threading.Event) -> None:
+    while os.read(sys.stdin.fileno(), 1 << 12):  # not through a buffer, whose lock would be held when Python ends
+        pass
+    stop.set()
 
 
 def _named(text: str) -> tuple[str, Path]:

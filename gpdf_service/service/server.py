@@ -106,7 +106,7 @@ class Server:
         ]
         self._ended = threading.Event()
         self._keeper = threading.Thread(target=self._keep_memory, name="gpdf-memory", daemon=True)
-        self._warmed = threading.Event()
+        self._warmed, self._loaded = threading.Event(), threading.Event()
         self._warmer = threading.Thread(target=self._warm_kernels, name="gpdf-warm", daemon=True)
         self._session: zenoh.Session | None = None
         self._endpoint: Endpoint | None = None  # for Prometheus
@@ -116,15 +116,14 @@ class Server:
 
     @property
     def state(self) -> Literal["configured", "warming", "active", "draining"]:
-        """Where the service is in its life; only when it is active, the next plan takes what plans take."""
+        """Where the service is in its life; once active, a plan takes what plans take, whatever is built beside."""
         if self._ended.is_set():
             return "draining"
         if not self._tokens and self._follower is None:
             return "configured"
-        building = any(entry["building"] for entry in self.shelf.facts().values())
-        complete = self._follower is None or self._follower.complete
+        loaded = self._loaded.is_set() if self._follower is None else self._follower.complete
         warm = self._warmed.is_set() if self._pool is None else self._pool.ready
-        return "active" if complete and warm and not building else "warming"
+        return "active" if loaded and warm else "warming"
 
     @property
     def processes(self) -> list[int]:
@@ -214,6 +213,7 @@ class Server:
         self.shelf.restore({name for name, _ in self._scenes})
         for name, path in self._scenes:
             self.shelf.load_file(name, path, inside=False)
+        self.shelf.after_builds(self._loaded.set)
 
     def _serve_plans(self) -> None:
         """Begin to answer plans, on the key of all planners and on our own."""

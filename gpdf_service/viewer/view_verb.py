@@ -6,13 +6,14 @@ import argparse
 import logging
 import secrets
 import signal
-import socket
 import sys
 import threading
 from pathlib import Path
 
 from gpdf_client import ClientError
 from gpdf_client.cli import add_connection, read_credentials
+
+from gpdf_service.ports import trouble_at
 
 DEFAULT_PORT = 8080
 WAKE_S = 0.5
@@ -49,8 +50,8 @@ def run(args: argparse.Namespace) -> int:
     stop = threading.Event()
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: stop.set())
-    if not _is_free(args.host, args.port):
-        told = f"gpdf: cannot listen on {args.host}:{args.port}. Is another page running there? Try --port."
+    if trouble := trouble_at(args.host, args.port):
+        told = f"gpdf: cannot listen on {args.host}:{args.port}: {trouble}. Is another page running there? Try --port."
         print(told, file=sys.stderr)
         return 1
     hidden = hidden_address()
@@ -66,14 +67,3 @@ def run(args: argparse.Namespace) -> int:
     gate.close()
     server.stop()
     return 0
-
-
-def _is_free(host: str, port: int) -> bool:
-    family = socket.AF_INET6 if ":" in host else socket.AF_INET
-    with socket.socket(family) as probe:
-        probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        try:
-            probe.bind((host, port))
-        except OSError:
-            return False
-    return True

@@ -467,9 +467,10 @@ class StatusReply(Reply, frozen=True, kw_only=True):
         role: "both", "map" or "planner".
         software: Version of the program.
         healthy: Whether it does its work, and loses nothing of what it is told to keep.
-        state: "configured" (it opens), "warming" (scenes are built, or taken into memory, or kernels are), "active" or
-            "draining" (what waits is answered, nothing new is taken).
-        ready: Whether it is active: the next plan takes what plans take.
+        state: "configured" (it opens), "warming" (its first scenes are built or taken into memory, kernels loaded),
+            "active" or "draining" (what waits is answered, nothing new is taken).
+        ready: Whether it is active: a plan takes what plans take. What is built later does not change that; each
+            scene says of itself whether it is being built.
         problems: What is wrong, in words; a log that cannot be written is one, and plans go on.
         metrics: Numbers by name.
     """

@@ -70,3 +70,10 @@ def test_decisions_are_few_and_short():
     assert len(entries) <= 40
     bodies = [re.split(r"^## ", entry, flags=re.MULTILINE)[0].strip() for entry in entries]
     assert [body.splitlines()[0] for body in bodies if len(body.splitlines()) > 10] == []
+
+
+def test_the_tests_that_a_page_names_are_there():
+    named = [name for page in documents(kept=False) for name in re.findall(r"tests/[\w/]+\.py::\w+", page.read_text())]
+    assert len(named) > 20
+    for path, _, test in (name.partition("::") for name in named):
+        assert f"def {test}(" in (ROOT / path).read_text(), f"{path} has no {test}"

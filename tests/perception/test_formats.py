@@ -14,7 +14,7 @@ from gpdf_service.cli import main
 from gpdf_service.errors import CloudError
 from gpdf_service.perception import read_cloud
 from gpdf_service.perception.frame import UP, look, odd_unit, odd_up, turn
-from gpdf_service.synthetic import SCENES
+from gpdf_service.synthetic import SCENES, Box, World
 
 OFFICE = SCENES["office"](np.random.default_rng(0), spacing=0.08).points
 WITH_NAN = np.insert(OFFICE, [0, 7, 7, len(OFFICE)], np.nan, axis=0)
@@ -204,6 +204,14 @@ def test_a_room_says_its_unit_and_its_axis(name):
     assert ("in feet? --scale 0.3048" in words, impossible) == (True, False)
     assert "is x up" in odd_up(look(points[:, [2, 0, 1]]))
     assert "is z down" in odd_up(look(points * [1.0, -1.0, -1.0]))
+
+
+@pytest.mark.parametrize("things", [(), (Box((2.0, 1.0, 0.0), (3.0, 2.0, 0.75)),)], ids=["bare", "with a table"])
+def test_a_place_without_a_ceiling_says_that_z_is_down(things):
+    points, _ = World((6.0, 4.0, 2.7), things).sample(0.05, np.random.default_rng(0))
+    points = points[points[:, 2] < 2.65]
+    assert odd_up(look(points)) == ""
+    assert "is z down? --up -z" in odd_up(look(points * [1.0, -1.0, -1.0]))
 
 
 def test_info_says_how_it_took_the_cloud(tmp_path, capsys):

@@ -1,3 +1,5 @@
+import pickle
+
 import laspy
 import numpy as np
 import open3d
@@ -85,3 +87,26 @@ def test_points_that_cannot_be_used_are_refused_in_words(points, message):
 def test_points_far_from_the_origin_are_taken_in_double_precision():
     far = np.add(POINTS, [500_000.123, 5_600_000.123, 100.0])
     np.testing.assert_array_equal(check_points(far), far)
+
+
+@pytest.mark.parametrize("suffix", [".npz", ".npy", ".las", ".e57", ".ply", ".obj"])
+@pytest.mark.parametrize("thin", [None, 0.1])
+def test_a_file_of_something_else_is_refused_and_nobody_is_advised_to_run_it(tmp_path, suffix, thin):
+    path = tmp_path / f"cloud{suffix}"
+    for content in (b"hello", b"PK\x03\x04 half an archive", bytes(range(256)) * 4, pickle.dumps(["an object"])):
+        path.write_bytes(content)
+        with pytest.raises(CloudError) as refusal:
+            read_cloud(path, thin=thin)
+        assert "pickle" not in str(refusal.value)
+
+
+def test_a_compressed_cloud_with_a_spoiled_byte_is_refused(tmp_path):
+    path = tmp_path / "cloud.npz"
+    np.savez_compressed(path, xyz=np.random.default_rng(0).normal(size=(1000, 3)))
+    whole = bytearray(path.read_bytes())
+    for at in range(100, len(whole) - 100, 997):
+        spoiled = whole.copy()
+        spoiled[at] ^= 0xFF
+        path.write_bytes(spoiled)
+        with pytest.raises(CloudError, match="cannot be read"):
+            read_cloud(path)

@@ -499,6 +499,13 @@ def test_waiting_counts_against_the_deadline(running, monkeypatch):
     assert 0 < given[0] <= 600.0
 
 
+def test_a_deadline_that_is_over_at_once_is_told_with_numbers_that_say_so(running, office):
+    made = office[0]
+    late = running[1].plan("office", made.start, made.goal, "roomba", deadline_s=1e-6)
+    assert late.status == "TIMEOUT"
+    assert "its deadline was 1e-06 s. Give more time." in late.message
+
+
 def test_a_file_name_that_no_file_can_have_is_an_invalid_request(running):
     with pytest.raises(InvalidRequestError, match="not in the scenes folder"):
         running[1].load_scene("x", "y" * 300)

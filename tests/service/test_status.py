@@ -11,7 +11,7 @@ import pytest
 import zenoh
 from gpdf_client import Client, UnavailableError
 from gpdf_client.client import client_config
-from gpdf_schemas import keys
+from gpdf_schemas import LoadRequest, SceneReply, Status, keys
 from msgspec.structs import replace
 
 from gpdf_service import __version__
@@ -123,6 +123,31 @@ def test_a_service_that_is_still_building_its_scenes_is_not_ready(scenes, free_e
         assert until_ready(client).state == "active"
         assert client.info("office")["agents_ready"] == ["human"]  # built ahead: it is a configured body
     assert server.state == "draining"
+
+
+def test_a_service_that_builds_a_new_scene_is_ready_and_the_scene_says_that_it_is_built(
+    scenes, free_endpoint, office, monkeypatch
+):
+    gate, made = threading.Event(), office[0]
+    options = Options(free_endpoint, scenes, scenes / "log", 1)
+    with Server(options, [("office", scenes / "office.gpdf")]) as server, Client.connect(free_endpoint) as client:
+        until_ready(client)
+        build = server.shelf._build
+
+        def held(job, progress):
+            gate.wait(120)
+            return build(job, progress)
+
+        monkeypatch.setattr(server.shelf, "_build", held)
+        request = LoadRequest(scene="second", file="office.gpdf")
+        client.ask(keys.SCENE_LOAD, request, SceneReply, 60, {Status.BUILDING})
+        status = client.status()[0]
+        assert (status.state, status.ready) == ("active", True)
+        assert [client.scenes()[name]["state"] for name in ("office", "second")] == ["ready", "building"]
+        assert client.plan("office", made.start, made.goal, "roomba").status == "OK"
+        gate.set()
+        client.wait_for_scene("second")
+        assert client.status()[0].ready
 
 
 @pytest.mark.parametrize(

@@ -56,6 +56,13 @@ def wait_for_planners(client, count):
         time.sleep(0.02)
 
 
+def until_ready(server):
+    until = time.monotonic() + PATIENCE_S
+    while not server.status().ready:
+        assert time.monotonic() < until
+        time.sleep(0.02)
+
+
 def test_one_of_two_planners_is_killed_under_load_and_no_client_sees_a_failed_plan(folder, free_endpoint, office):
     made = office[0]
     with ExitStack() as stack:
@@ -244,6 +251,7 @@ def test_a_planner_tells_of_what_the_map_builds_and_of_what_it_cannot_build(fold
 
         server.shelf._build = held
         wait_for_planners(client, 1)
+        until_ready(planner)
         (folder / "bad.npz").write_bytes(b"no cloud")
         for file in ("office.gpdf", "bad.npz"):
             client.ask(
@@ -251,14 +259,35 @@ def test_a_planner_tells_of_what_the_map_builds_and_of_what_it_cannot_build(fold
             )
         with pytest.raises(ServiceError, match="BUILDING"):
             client.plan("off", made.start, made.goal, "roomba")
-        assert not planner.status().ready
+        assert server.status().ready
+        assert planner.status().ready
         gate.set()
         client.wait_for_scene("off", timeout_s=PATIENCE_S)
         assert client.plan("off", made.start, made.goal, "roomba").status == "OK"
         server.shelf.settle()
         with pytest.raises(ServiceError, match=r"BUILD_FAILED.*bad\.npz"):
             client.plan("bad", made.start, made.goal, "roomba")
-        until = time.monotonic() + PATIENCE_S
-        while not planner.status().ready:  # what cannot be built stands in nobody's way
-            assert time.monotonic() < until
-            time.sleep(0.05)
+        assert planner.status().ready  # what cannot be built stands in nobody's way
+
+
+def test_a_planner_that_begins_while_the_map_builds_its_first_scene_is_not_ready_before_it(
+    folder, free_endpoint, tmp_path
+):
+    gate = threading.Event()
+    map_options = Options(free_endpoint, folder, tmp_path / "map", 1, role="map")
+    planner_options = Options("", folder, tmp_path / "planner", 1, role="planner", connect=(free_endpoint,))
+    server = Server(map_options, [("office", folder / "office.gpdf")])
+    build = server.shelf._build
+
+    def held(job, progress):
+        gate.wait(PATIENCE_S)
+        return build(job, progress)
+
+    server.shelf._build = held
+    with server, Server(planner_options) as planner, Client.connect(free_endpoint) as client:
+        wait_for_planners(client, 1)
+        planner._warmer.join()
+        assert (planner.status().state, planner.status().ready) == ("warming", False)
+        gate.set()
+        until_ready(planner)
+        assert list(planner.shelf.facts()) == ["office"]

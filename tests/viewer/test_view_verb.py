@@ -1,6 +1,7 @@
 import os
 import re
 import signal
+import socket
 import subprocess
 import sys
 import urllib.request
@@ -92,15 +93,13 @@ def test_the_page_works_in_a_browser_through_the_gate(browser, service):
 
 
 def test_a_log_that_is_not_there_and_a_port_that_is_taken_are_failures(tmp_path, capsys, free_endpoint):
-    import socket
-
+    for host, family in (("127.0.0.1", socket.AF_INET), ("::1", socket.AF_INET6)):
+        with socket.create_server((host, 0), family=family) as taken:
+            port = taken.getsockname()[1]
+            assert main(["view", "--host", host, "--port", str(port)]) == 1
+            assert f"cannot listen on {host}:{port}: Address already in use" in capsys.readouterr().err
     assert main(["view", "--log", str(tmp_path / "none.mcap")]) == 1
     assert main(["view", "--zenoh", str(tmp_path / "none.json5")]) == 1
-    with socket.socket() as taken:
-        taken.bind(("127.0.0.1", 0))
-        taken.listen()
-        assert main(["view", "--port", str(taken.getsockname()[1])]) == 1
     said = capsys.readouterr().err
     assert "no log" in said
     assert "none.json5 is no Zenoh configuration" in said
-    assert "cannot listen" in said
