@@ -19,6 +19,7 @@ class Kind(StrEnum):
     """What is said; every language's catalogue has a sentence for each."""
 
     STOP_LOST = "stop_lost"
+    STOP_NO_POSE = "stop_no_pose"
     STOP_UNRELIABLE = "stop_unreliable"
     STOP_ALONE = "stop_alone"
     STOP_OBSTACLE = "stop_obstacle"
