@@ -46,6 +46,7 @@ class Kind(StrEnum):
     STEP_EDGE = "step_edge"
     STAIRS = "stairs"
     STAIRS_EDGE = "stairs_edge"
+    ON_STAIRS = "on_stairs"
     STAIRS_END = "stairs_end"
     TURN_NOW = "turn_now"
     TURN_BACK = "turn_back"

@@ -46,7 +46,7 @@ TRIES = 5
 """Pairs of places without an answer of the service before a scene is given up: one that compiles is late once."""
 PEOPLE = 2
 """Who walk about in every second walk."""
-EDGES = (Kind.STEP, Kind.STAIRS, Kind.STEP_EDGE, Kind.STAIRS_EDGE)
+EDGES = (Kind.STEP, Kind.STAIRS, Kind.STEP_EDGE, Kind.STAIRS_EDGE, Kind.ON_STAIRS)
 STANDING = (
     Kind.OVERVIEW,
     Kind.ASK_STEP,
