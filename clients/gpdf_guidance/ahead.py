@@ -104,7 +104,7 @@ TOLD_EARLY = (FeatureKind.STEP, FeatureKind.STAIRS, FeatureKind.TURN, FeatureKin
 
 def is_hidden_step(one: Instruction) -> bool:
     """Whether it tells of a step or stairs that come too soon to go on while it is spoken."""
-    return one.kind in (Kind.STEP, Kind.STAIRS) and one.distance < STEP_WINDOW[0]
+    return one.kind is Kind.ON_STAIRS or (one.kind in (Kind.STEP, Kind.STAIRS) and one.distance < STEP_WINDOW[0])
 
 
 def is_edge(one: Instruction) -> bool:
@@ -137,8 +137,11 @@ def find_ahead(route: Route, progress: Progress) -> list[Instruction]:
 
 
 def _told_of(route: Route, progress: Progress, feature: Feature, after: float | None, ends: bool) -> list[Instruction]:
-    """What is said of one feature here: early, soon, at its edge, or nothing."""
+    """What is said of one feature here: early, soon, at its edge, on it (to who begins there), or nothing."""
     kind, urgency, window = _SOON[feature.kind]
+    if feature.kind is FeatureKind.STAIRS and feature.start < progress.s < feature.end:
+        here, end = _place(route, progress.s), _place(route, feature.end)
+        return [Instruction(Kind.ON_STAIRS, urgency, here, amount=feature.amount, last=end)]
     distance, is_step = feature.start - progress.s, feature.kind in STEPS
     if is_step and distance > ON_STAIRS and _turns_before(route, progress, feature) > 1:
         return []  # one turn after the other

@@ -24,6 +24,7 @@ KIND_AGAIN = {
     Kind.STAIRS: 30.0,
     Kind.STEP_EDGE: 20.0,
     Kind.STAIRS_EDGE: 30.0,
+    Kind.ON_STAIRS: inf,
     Kind.MOVING: 15.0,
     Kind.ASK_STEP: 15.0,
     Kind.ASK_STEP_OR_DETOUR: 15.0,
@@ -35,7 +36,7 @@ SAME = 0.8
 """[m] What is of one kind and this close is the same thing, also after another way has been planned."""
 SAME_STEP = 0.5 * TREAD
 """[m] The same for a single step: another one may be a tread away."""
-STEPS = (Kind.STEP, Kind.STEP_EDGE, Kind.STAIRS, Kind.STAIRS_EDGE)
+STEPS = (Kind.STEP, Kind.STEP_EDGE, Kind.STAIRS, Kind.STAIRS_EDGE, Kind.ON_STAIRS)
 LAST = tuple(kind for kind in Kind if kind.value.startswith(("gave_up", "no_way", "no_answer", "arrived")))
 """What ends a walk cuts off whatever is being said."""
 AT_EDGE = {Kind.STEP: Kind.STEP_EDGE, Kind.STAIRS: Kind.STAIRS_EDGE}
@@ -121,6 +122,8 @@ class Announcer:
         told += [replace(instruction, kind=Kind.STAIRS_END)] if instruction.ends else []
         if instruction.kind in AT_EDGE and instruction.distance <= EDGE:  # that is the word at the edge
             told.append(replace(instruction, kind=AT_EDGE[instruction.kind]))
+        if instruction.kind in (Kind.STAIRS, Kind.STAIRS_EDGE) and not instruction.early:
+            told.append(replace(instruction, kind=Kind.ON_STAIRS))
         self._said += [_Said(one, now, self._quiet_at) for one in told]
         return instruction, text
 
@@ -136,8 +139,10 @@ def _same(a: Instruction, b: Instruction) -> bool:
         return False
     if a.kind in STEPS and a.amount * b.amount < 0.0:
         return False  # up and down a sill
-    if a.last is not None and b.last is not None and _apart(a.last, b.last) < SAME_STEP:
-        return True  # who has climbed a part of a flight is still on it
+    if a.last is not None and b.last is not None:
+        same_end = SAME if a.kind is Kind.ON_STAIRS else SAME_STEP
+        if _apart(a.last, b.last) < same_end:
+            return True  # who has climbed a part of a flight is still on it
     return a.kind in ANYWHERE or _apart(a.place, b.place) < (SAME_STEP if a.kind in STEPS[:2] else SAME)
 
 

@@ -42,7 +42,7 @@ UNANSWERED = 60.0
 """[s] Without an answer to a question it gives up, too."""
 SETTLES = 1.0
 """[s] After a turn a person comes to rest, and is not told of a small one before."""
-WAITING = {Kind.STOP_LOST: 2.0, Kind.STOP_OFF_WAY: 2.0, Kind.STOP_UNRELIABLE: 0.4}
+WAITING = {Kind.STOP_LOST: 2.0, Kind.STOP_NO_POSE: 2.0, Kind.STOP_OFF_WAY: 2.0, Kind.STOP_UNRELIABLE: 0.4}
 """[s] The cue says stop at once; one that is over within this is felt and not spoken, if somebody feels the cues. Poses
 that are missing mostly come again; those that cannot be true are spoken of within half a second."""
 STOPS = (*WAITING, Kind.STOP_ALONE, Kind.STOP_OBSTACLE, Kind.STOP_MOVING, Kind.STOP_UNSURE)
@@ -282,8 +282,8 @@ class Guide:
         if self._alone:
             return stop(here_is, Instruction(Kind.STOP_ALONE, Urgency.DANGER))
         if pose is None:
-            lost = Instruction(Kind.STOP_LOST, Urgency.DANGER)
-            return Advice(here_is, CueAction.STOP) if self._not_begun else stop(here_is, lost)
+            waits = Instruction(Kind.STOP_NO_POSE, Urgency.DANGER)
+            return Advice(here_is, CueAction.STOP) if self._not_begun else stop(here_is, waits)
         if (reason := doubt(pose, self._trusted, now)) is not None:
             return stop(here_is, reason)
         if self._belief is None or pose is not self._trusted:
@@ -529,8 +529,10 @@ class Guide:
 
     def _facts(self, asked: Asked) -> Instruction:
         """Where the person is, what is around him, how far it is."""
-        if self.route is None or self._belief is None:
-            return Instruction(Kind.STOP_LOST, Urgency.ACT)
+        if self._belief is None:
+            return Instruction(Kind.STOP_NO_POSE, Urgency.ACT)
+        if self.route is None:
+            return Instruction(Kind.NEW_GOAL, Urgency.ACT, name=self.name)
         pose, pace = self._belief.pose, self.manner.pace
         if asked.what is Ask.WHERE:
             return here(self.route, self._s, pose, pace)

@@ -19,6 +19,7 @@ class Kind(StrEnum):
     """What is said; every language's catalogue has a sentence for each."""
 
     STOP_LOST = "stop_lost"
+    STOP_NO_POSE = "stop_no_pose"
     STOP_UNRELIABLE = "stop_unreliable"
     STOP_ALONE = "stop_alone"
     STOP_OBSTACLE = "stop_obstacle"
@@ -45,6 +46,7 @@ class Kind(StrEnum):
     STEP_EDGE = "step_edge"
     STAIRS = "stairs"
     STAIRS_EDGE = "stairs_edge"
+    ON_STAIRS = "on_stairs"
     STAIRS_END = "stairs_end"
     TURN_NOW = "turn_now"
     TURN_BACK = "turn_back"

@@ -46,7 +46,14 @@ Told = Callable[[float, Instruction, str], None]
 FloatArray = NDArray[np.float64]
 VALID = {Urgency.INFORM: 4.0, Urgency.PREPARE: 3.0, Urgency.ACT: 2.0, Urgency.DANGER: 5.0}
 """[s] A sentence that has not been begun by then is not begun: at full pace 1.4 m further it is wrong."""
-HEARD_STANDING = (Kind.OVERVIEW, Kind.ASK_STEP, Kind.ASK_STEP_OR_DETOUR, Kind.STEP_EDGE, Kind.STAIRS_EDGE)
+HEARD_STANDING = (
+    Kind.OVERVIEW,
+    Kind.ASK_STEP,
+    Kind.ASK_STEP_OR_DETOUR,
+    Kind.STEP_EDGE,
+    Kind.STAIRS_EDGE,
+    Kind.ON_STAIRS,
+)
 VALID_STANDING = 10.0
 """[s] The same of what is said to who stands until it has been said."""
 QUESTIONS = (Kind.ASK_STEP, Kind.ASK_STEP_OR_DETOUR)

@@ -26,7 +26,7 @@ from tqdm import tqdm
 from gpdf_service.bench.cues import measure_cues
 from gpdf_service.bench.plotting import add_plot_argument, draw_rows
 from gpdf_service.bench.report import Row, add_scene_arguments, read_scene, show
-from gpdf_service.bench.walks import RADIUS, Beset, Crowd, WalkedWorld
+from gpdf_service.bench.walks import COVERS, RADIUS, Beset, Crowd, WalkedWorld
 from gpdf_service.ports import free_endpoint
 from gpdf_service.scene import Scene
 from gpdf_service.service.server import Options, Server
@@ -46,7 +46,7 @@ TRIES = 5
 """Pairs of places without an answer of the service before a scene is given up: one that compiles is late once."""
 PEOPLE = 2
 """Who walk about in every second walk."""
-EDGES = (Kind.STEP, Kind.STAIRS, Kind.STEP_EDGE, Kind.STAIRS_EDGE)
+EDGES = (Kind.STEP, Kind.STAIRS, Kind.STEP_EDGE, Kind.STAIRS_EDGE, Kind.ON_STAIRS)
 STANDING = (
     Kind.OVERVIEW,
     Kind.ASK_STEP,
@@ -258,6 +258,19 @@ def summary(walks: list[Guided]) -> Row:
     }
 
 
+def _without_wavering(walk: Walk, rise: FloatArray) -> list[int]:
+    """Rows at which edges were crossed; forth, back and forth again within half a foot is one, of scattered points."""
+    crossed: list[int] = []
+    for row in np.flatnonzero(np.abs(rise) >= LEAST_EDGE).tolist():
+        crossed.append(row)
+        if len(crossed) > 2:
+            first, back, again = crossed[-3:]
+            near = np.hypot(*(walk.places[again] - walk.places[first])[:2]) < COVERS
+            if near and rise[first] * rise[back] < 0.0 < rise[first] * rise[again]:
+                del crossed[-2:]
+    return crossed
+
+
 def _same_flight(walk: Walk, before: int, row: int) -> bool:
     """Whether two edges that were crossed are a tread apart, both up or both down, however long he stood between."""
     rise = np.diff(walk.places[[before, before + 1, row, row + 1], 2])[[0, 2]]
@@ -273,7 +286,7 @@ def _heard_walking(walk: Walk) -> int:
 def edges_told(walk: Walk) -> list[bool]:
     """Of each step, and of each flight's first edge, that was walked over: whether it had been told of to the end."""
     rise = np.diff(walk.places[:, 2])
-    crossed: list[int] = np.flatnonzero(np.abs(rise) >= LEAST_EDGE).tolist()
+    crossed = _without_wavering(walk, rise)
     found: list[bool] = []
     for i, row in enumerate(crossed):
         if i and _same_flight(walk, crossed[i - 1], row):

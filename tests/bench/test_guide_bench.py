@@ -38,6 +38,14 @@ def test_who_stands_for_long_on_stairs_is_still_on_the_same_ones():
     assert edges_told(walk_over(np.append(stairs, 5.5), [told(2.0, 3.0)])) == [True, False]
 
 
+def test_an_edge_that_wavers_under_the_foot_is_one_and_a_sill_is_two():
+    wavers, sill = (walk_over([3.0], [told(2.0, 3.0)]) for _ in range(2))
+    wavers.places[(wavers.places[:, 0] > 3.02) & (wavers.places[:, 0] < 3.06), 2] = 0.0
+    sill.places[sill.places[:, 0] > 3.06, 2] = 0.0
+    assert edges_told(wavers) == [True]
+    assert edges_told(sill) == [True, False]
+
+
 def test_people_who_see_do_not_walk_into_who_does_not():
     rng = np.random.default_rng(0)
     candidates = np.column_stack([rng.uniform(0, 6, (100, 2)), np.zeros(100)])

@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 from gpdf_guidance import Instruction, Kind, Pose, Side, Urgency, advise, build_route
 from gpdf_guidance.advice import moves_near
-from gpdf_guidance.ahead import EARLY, REASSURE, find_ahead, find_reassurance
+from gpdf_guidance.ahead import EARLY, REASSURE, find_ahead, find_reassurance, is_hidden_step
 from gpdf_guidance.announcer import Announcer
 from gpdf_guidance.answers import duration, here, overview
+from gpdf_guidance.catalogue import phrase
 from gpdf_guidance.features import FeatureKind
 from gpdf_guidance.manner import Detail, Manner, changed
 from gpdf_guidance.rails import with_rails
@@ -56,6 +57,21 @@ def test_the_edge_is_told_to_who_stands_before_it_and_faces_it():
     assert Kind.STAIRS_EDGE in {one.kind for one in facing.instructions}
     away = advise(route, Pose((2.7, 0.0, 0.0), 1.2, 0.0), 0.0, near=2.7)
     assert Kind.STAIRS_EDGE not in {one.kind for one in away.instructions}
+
+
+@pytest.mark.parametrize("up", [1, -1])
+def test_who_begins_on_stairs_is_told_so_before_he_goes_on_and_who_came_to_them_is_not(up):
+    route, announcer = stairs(3.0, up), Announcer(phrase)
+    told = [one for one in on(route, 3.1) if is_hidden_step(one)]
+    assert [phrase(one) for one in told] == [f"You stand on stairs. Go {'up' if up > 0 else 'down'}."]
+    assert not announcer.has_told(told[0], 0.0)
+    assert announcer.choose(told, 0.0)[0].kind is Kind.ON_STAIRS
+    assert not announcer.has_told(told[0], 1.0)  # it is being said
+    assert announcer.has_told(told[0], 4.0)
+    came = Announcer(phrase)
+    came.choose([one for one in on(route, 1.5) if one.kind is Kind.STAIRS], 0.0)
+    assert came.has_told(told[0], 10.0)
+    assert came.choose([one for one in on(route, 3.4) if is_hidden_step(one)], 10.0) is None
 
 
 def test_at_the_end_of_stairs_one_hears_what_comes_next():

@@ -23,6 +23,7 @@ SAYS_AN_AMOUNT = {
     Kind.STEP_EDGE,
     Kind.STAIRS,
     Kind.STAIRS_EDGE,
+    Kind.ON_STAIRS,
     Kind.RAMP,
     Kind.NARROW,
     Kind.OPENING,

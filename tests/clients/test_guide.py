@@ -624,6 +624,26 @@ def test_every_ask_is_answered_with_its_id(client, made):
         assert (kind, str(i)) in [(one.kind, one.reply_to) for one, _ in said], ask
 
 
+@pytest.mark.parametrize("ask", [Ask.WHERE, Ask.HOW_FAR, Ask.AROUND])
+def test_who_asks_before_his_first_pose_hears_that_it_is_waited_for_and_then_that_a_way_is(client, made, ask):
+    guide, _, _ = setting(client, made, "office", (0.9, 0.9, 0.0), (5.4, 3.4))
+    guide.ask(Asked(ask, "1"))
+    _, said = guide.step(None, 0.1)
+    assert said is not None
+    assert (said[0].kind, said[0].reply_to) == (Kind.STOP_NO_POSE, "1")
+    guide.step(Pose((0.9, 0.9, 0.0), 0.6, 0.2), 0.2)
+    guide.ask(Asked(ask, "2"))
+    _, said = guide.step(Pose((0.9, 0.9, 0.0), 0.6, 9.9), 10.0)
+    assert said is not None
+    assert (said[0].kind, said[1]) == (Kind.NEW_GOAL, "I am looking for the way to the goal.")
+
+
+def test_a_position_that_never_was_there_is_not_lost(client, made):
+    guide, _, _ = setting(client, made, "office", (0.9, 0.9, 0.0), (5.4, 3.4))
+    said = [guide.step(None, 0.1 * tick)[1] for tick in range(60)]
+    assert [one[0].kind for one in said if one is not None] == [Kind.STOP_NO_POSE]
+
+
 def test_who_pauses_stands_until_going_on_and_is_not_given_up(client, made):
     guide, hear = led(client, made, Detail.FEW)
     assert hear(1.0)[0].action is CueAction.GO
