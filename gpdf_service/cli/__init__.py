@@ -37,6 +37,7 @@ VERBS: dict[str, tuple[str, str]] = {
     "bench build": ("gpdf_service.bench.build", "time from cloud to scene beside Open3D's normals"),
     "bench ground": ("gpdf_service.bench.ground", "our ground segmentation beside true labels"),
     "bench plan": ("gpdf_service.bench.plan", "random queries: share certified, an independent judge, time"),
+    "bench refusals": ("gpdf_service.bench.refusals", "how soon plans are refused, what helps then, who is late"),
     "bench paper": (
         "gpdf_service.bench.paper",
         "the paper's tables and figures: four methods, judged against the clean cloud",

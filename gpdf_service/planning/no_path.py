@@ -42,7 +42,7 @@ LEAST_RADIUS = 0.05
 """[m] Gaps narrower than twice this are gaps between measured points, not ways."""
 ASIDE = 41
 """Places across a way of cells at which its room is looked for: 2.5 mm apart where the cells are the finest."""
-MILLIMETRES = 0.02
+MILLIMETRES = 0.05
 """[m] Less than this is told in millimetres."""
 LEAP = 2.0
 """[m] Ground that nobody has seen may join what is this near to it; of wider holes nothing is said."""
@@ -147,9 +147,9 @@ def explain_no_path(
     if left() >= STAGE and (narrow := _widest(grid, ends, radius)) > 0.0:
         path = _way(grid, ends, grid.nearest, narrow, grid.known)
         least, at = _exact_width(near, grid, path)
-        width = min(least, radius)
+        width = min(least - _kept(space), radius)
         if width >= LEAST_RADIUS:
-            largest = width
+            largest = width - (radius - space.agent.disc_radius)
             found.append(("width", at, _narrow_words(at, width, radius), 2.0 * (radius - width)))
     for cut in (Cut.HEIGHT, Cut.STEP, Cut.SLOPE, Cut.UNKNOWN):
         if left() < STAGE:
@@ -164,6 +164,11 @@ def explain_no_path(
     return _tell(space, start, _together(near, grid, ends, begin), largest, together=True)
 
 
+def _kept(space: FreeSpace) -> float:
+    """Room that the search needs beyond a body's reach [m]: its margin, and what leaves lie beside the middle."""
+    return space.radius - space.reach + 0.5 * max(tree.width for tree in space.quadtrees)
+
+
 def _no_time(space: FreeSpace, start: Endpoint) -> NoPath:
     at = np.append(start.xy, space.surfaces[start.level].height_at(start.xy[None]))
     words = f"the {space.agent.name} cannot get there; the deadline left no time to say why. Allow more."
@@ -174,7 +179,7 @@ def _narrow_words(at: FloatArray, width: float, radius: float) -> str:
     """A passage that is too narrow, in millimetres where centimetres do not tell."""
     short = 2.0 * (radius - width)
     words = f"{1e3 * short:.0f} mm" if short < MILLIMETRES else f"{short:.2f} m"
-    room = f"it leaves {2.0 * width:.3f} m, and a body needs {2.0 * radius:.3f} m"
+    room = f"it leaves a body {2.0 * width:.3f} m, and this one needs {2.0 * radius:.3f} m"
     return f"a passage at {place_words(at)} is {words} too narrow ({room})"
 
 
