@@ -51,8 +51,10 @@ from gpdf_service.perception.surface import (
 from gpdf_service.perception.told import Grid, new_grid
 from gpdf_service.types import BoolArray, FloatArray, IntArray
 
-FACE = 0.075
-"""[m] A step's face has the step's top within this in plan: a nosing of 3 cm at most, and what lies between samples."""
+FACE = 0.1
+"""[m] A step's face has the step's top within this in plan at most: half the depth of a stair's tread."""
+NOSING = 0.03
+"""[m] By which a tread stands over the face below it: building codes say 0.016 to 0.032."""
 LEAST_OBSTACLE = 0.015
 """[m] What stands out of the ground by less stops no body here: the smallest `max_step`, and the scatter of a scan."""
 ALONE = 0.25
@@ -72,8 +74,8 @@ class GroundLevel:
     Attributes:
         surface: Its height map.
         other_points: What is not this ground and within reach over it [m], shape (m, 3).
-        ledge: Height of the lowest point of this ground that is as high as each of them, within `FACE` in plan [m],
-            shape (m,), inf where there is none: a step's face has the step's top beside it.
+        ledge: Height of the lowest point of this ground that is as high as each of them, within `face_reach` in plan
+            [m], shape (m,), inf where there is none: a step's face has the step's top beside it.
         limits: Where the ground itself stops a body.
         measured: Steps and slopes of the ground, the same for all bodies.
     """
@@ -446,14 +448,14 @@ def find_ledges(
     ledge = np.full(len(other), np.inf, np.float32)
     if len(ground) and len(low):
         least = np.maximum(low[:, 2] - LEAST_OBSTACLE, step_over(part, noise).ravel()[cell])
-        ledge[asked] = next_above(ground, low, least)
+        ledge[asked] = next_above(ground, low, least, face_reach(surface.cell_width))
     if noise > 0.0 and len(ground):
-        _add_rims(ledge, asked, ground, other, noise)
+        _add_rims(ledge, asked, ground, other, noise, face_reach(surface.cell_width))
     return ledge
 
 
 def _add_rims(
-    ledge: NDArray[np.float32], asked: BoolArray, ground: FloatArray, other: FloatArray, noise: float
+    ledge: NDArray[np.float32], asked: BoolArray, ground: FloatArray, other: FloatArray, noise: float, reach: float
 ) -> None:
     """Give points over a step's edge its `ledge`: within a deviation, or so few beside its face that noise made them.
 
@@ -462,14 +464,14 @@ def _add_rims(
     """
     rows = np.flatnonzero(asked & np.isinf(ledge))
     upside_down = np.array([1.0, 1.0, -1.0])
-    edges = -next_above(ground * upside_down, other[rows] * upside_down, -other[rows, 2])
+    edges = -next_above(ground * upside_down, other[rows] * upside_down, -other[rows, 2], reach)
     over = other[rows, 2] - edges
     ledge[rows[over <= noise]] = edges[over <= noise]
     rim = (over > noise) & (over <= RESOLVED_STEP * noise)
     rows, edges = rows[rim], edges[rim]
     if len(rows) == 0:
         return
-    beside = cKDTree(other[asked, :2]).query_ball_point(other[rows, :2], FACE + noise)
+    beside = cKDTree(other[asked, :2]).query_ball_point(other[rows, :2], reach + noise)
     z = other[asked, 2]
     for row, edge, near in zip(rows, edges, beside, strict=True):
         above = (z[near] - edge) / noise
@@ -481,6 +483,11 @@ def _add_rims(
 def ledge_reach(surface: HeightMap) -> int:
     """Cells within which the ground decides what is a ledge."""
     return max(HIGH, footing_reach(surface))
+
+
+def face_reach(width: float) -> float:
+    """How far in plan a step's face may be from a point of its top, in cells of that `width` [m]."""
+    return min(FACE, NOSING + width)
 
 
 def high_ground(surface: HeightMap) -> FloatArray:
@@ -503,13 +510,13 @@ def astray(surface: HeightMap, noise: float) -> int:
     return max(1, ceil(RESOLVED_STEP * noise / surface.cell_width))
 
 
-def next_above(ground: FloatArray, points: FloatArray, least: FloatArray) -> NDArray[np.float32]:
-    """Height of the lowest `ground` point (n, 3) over `least` (m,) and within `FACE` in plan of the `points` (m, 3).
+def next_above(ground: FloatArray, points: FloatArray, least: FloatArray, reach: float = FACE) -> NDArray[np.float32]:
+    """Height of the lowest `ground` point (n, 3) over `least` (m,) and within `reach` [m] in plan of `points` (m, 3).
 
     Of each cell half as wide only the highest and the lowest ground point are looked at: so a step can be taken for a
     higher one, never for a lower one, and inf stands where nothing was found. Shape (m,) [m].
     """
-    width = 0.5 * FACE
+    width = 0.5 * reach
     at, asked = (np.floor(part[:, :2] / width).astype(np.int64) for part in (ground, points))
     corner = at.min(axis=0) - 3
     at, asked = at - corner, asked - corner
@@ -523,7 +530,7 @@ def next_above(ground: FloatArray, points: FloatArray, least: FloatArray) -> NDA
     keys, ends = key[rows], np.ascontiguousarray(ground[rows])
 
     def look(a: int, b: int) -> None:
-        best[a:b] = lowest_above(keys, ends, points[a:b], here[a:b], stride, FACE, least[a:b])
+        best[a:b] = lowest_above(keys, ends, points[a:b], here[a:b], stride, reach, least[a:b])
 
     run_chunked(look, len(points))
     return best.astype(np.float32)

@@ -501,7 +501,8 @@ def test_waiting_counts_against_the_deadline(running, monkeypatch):
 
 def test_a_deadline_that_is_over_at_once_is_told_with_numbers_that_say_so(running, office):
     made = office[0]
-    late = running[1].plan("office", made.start, made.goal, "roomba", deadline_s=1e-6)
+    request = PlanRequest(scene="office", start=list(made.start), goal=list(made.goal), agent="roomba", deadline_s=1e-6)
+    late = running[1].ask_planner(keys.PLAN, request, PlanReply, 30.0)  # the client has time to hear it
     assert late.status == "TIMEOUT"
     assert "its deadline was 1e-06 s. Give more time." in late.message
 
