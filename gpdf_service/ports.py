@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import errno
 import os
 import socket
 from pathlib import Path
@@ -38,22 +39,35 @@ def free_port() -> int:
 def trouble_at(host: str, port: int) -> str:
     """Why a program could not listen there now, in the system's words; empty if it could.
 
+    Of a name's addresses one that this machine has not is passed over, as ::1 of localhost where IPv6 is off.
+
     Args:
         host: A name or an address, of IPv4 or IPv6, of this machine.
         port: Of TCP.
     """
+    found, absent = False, ""
     try:
         for family, kind, _, _, address in socket.getaddrinfo(host, None, type=socket.SOCK_STREAM):
-            with socket.socket(family, kind) as probe:
-                probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)  # one that closed a moment ago may linger
-                if family == socket.AF_INET6:
-                    probe.setsockopt(socket.IPPROTO_IPV6, socket.IPV6_V6ONLY, 1)
-                probe.bind((address[0], port, *address[2:]))
+            try:
+                _bind(family, kind, (address[0], port, *address[2:]))
+                found = True
+            except OSError as error:
+                if error.errno not in (errno.EADDRNOTAVAIL, errno.EAFNOSUPPORT):
+                    raise
+                absent = error.strerror or str(error)
     except OSError as error:
         return error.strerror or str(error)
     except OverflowError as error:
         return str(error)
-    return ""
+    return "" if found else absent
+
+
+def _bind(family: int, kind: int, address: tuple[str | int, ...]) -> None:
+    with socket.socket(family, kind) as probe:
+        probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)  # one that closed a moment ago may linger
+        if family == socket.AF_INET6:
+            probe.setsockopt(socket.IPPROTO_IPV6, socket.IPV6_V6ONLY, 1)
+        probe.bind(address)
 
 
 def free_endpoint() -> str:

@@ -46,6 +46,16 @@ def test_why_nobody_can_listen_is_told_of_each_kind_of_address(host):
     assert "0-65535" in trouble_at(host, 65_536)
 
 
+def test_a_name_of_which_this_machine_has_but_one_address_can_be_listened_on(monkeypatch):
+    stream = socket.AF_INET, socket.SOCK_STREAM, 0, ""
+    both = [(*stream, ("192.0.2.1", 0)), (*stream, ("127.0.0.1", 0))]  # as localhost, where IPv6 is off
+    monkeypatch.setattr("socket.getaddrinfo", lambda *_, **__: both)
+    with socket.create_server(("127.0.0.1", 0)) as other:
+        port = other.getsockname()[1]
+        assert trouble_at("localhost", port) == "Address already in use"
+    assert trouble_at("localhost", port) == ""
+
+
 def test_who_is_no_address_of_this_machine_is_told_so():
     assert trouble_at("192.0.2.1", 7447) == "Cannot assign requested address"  # RFC 5737: nobody's
     assert trouble_at("nobody.invalid", 7447)  # RFC 2606; the words are the resolver's
