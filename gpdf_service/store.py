@@ -5,13 +5,14 @@ Nothing is pickled, so a scene file from a stranger can hold wrong numbers but n
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import json
 import os
 import tempfile
 import types
 import typing
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from errno import ENOENT
 from pathlib import Path
 from typing import Any
@@ -64,13 +65,9 @@ class Later:
         Raises:
             SceneFileError: the file was written over, or is damaged by now.
         """
-        try:
+        with _reading(self._path):
             names = [key for key in self._stored.files if key.startswith(prefix)]
             return {key.removeprefix(prefix): self._stored[key] for key in names}
-        except MemoryError:  # it may be whole
-            raise
-        except Exception as error:  # whatever damaged bytes come to
-            raise _damaged(self._path, error) from error
 
     def check(self, names: Iterable[str]) -> None:
         """Compare arrays with their checksums, without memory for them."""
@@ -95,24 +92,27 @@ def read_arrays(path: str | os.PathLike[str], later: str | None = None) -> tuple
     asked = f"scene file {target}"
     if not target.is_file():
         raise SceneFileError(asked, "there is no such file", "Build it first: gpdf scene build CLOUD --out FILE.")
-    try:
+    with _reading(target):
         stored = np.load(target, allow_pickle=False)
         shelved = {key for key in stored.files if later and key.startswith(later)}
         arrays = {key: stored[key] for key in stored.files if key not in shelved}
         (rest := Later(stored, target)).check(shelved)
         meta = json.loads(bytes(arrays.pop(_META)))
-    except MemoryError:  # it may be whole
-        raise
-    except Exception as error:  # whatever damaged bytes come to
-        raise _damaged(target, error) from error
     if meta.get("schema_version") != SCHEMA_VERSION:
         found = f"it has schema version {meta.get('schema_version')}, this program reads {SCHEMA_VERSION}"
         raise SceneFileError(asked, found, "Build the scene again from its cloud.")
     return arrays, meta, rest
 
 
-def _damaged(path: Path, error: Exception) -> SceneFileError:
-    return SceneFileError(f"scene file {path}", f"it is damaged or no scene ({words_of(error)})", "Build it again.")
+@contextlib.contextmanager
+def _reading(path: Path) -> Iterator[None]:
+    try:
+        yield
+    except MemoryError:  # it may be whole
+        raise
+    except Exception as error:  # whatever damaged bytes come to
+        found = f"it is damaged or no scene ({words_of(error)})"
+        raise SceneFileError(f"scene file {path}", found, "Build it again.") from error
 
 
 def under(prefix: str, arrays: Mapping[str, NDArray[Any]]) -> Arrays:

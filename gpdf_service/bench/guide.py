@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 from gpdf_client import Client, ClientError
 from gpdf_guidance import Guide, Kind, Outcome, Planner, Walk, Walker, simulate
-from gpdf_guidance.announcer import WORD
+from gpdf_guidance.announcer import STEPS, WORD
 from gpdf_guidance.features import TREAD
 from gpdf_guidance.planner import LEAST_ROOM, PERSON
 from gpdf_guidance.simulate import TICK
@@ -46,7 +46,6 @@ TRIES = 5
 """Pairs of places without an answer of the service before a scene is given up: one that compiles is late once."""
 PEOPLE = 2
 """Who walk about in every second walk."""
-EDGES = (Kind.STEP, Kind.STAIRS, Kind.STEP_EDGE, Kind.STAIRS_EDGE, Kind.ON_STAIRS)
 STANDING = (
     Kind.OVERVIEW,
     Kind.ASK_STEP,
@@ -294,7 +293,7 @@ def edges_told(walk: Walk) -> list[bool]:
         told = (
             one
             for one in walk.said
-            if one.instruction.kind in EDGES
+            if one.instruction.kind in STEPS
             and one.instruction.amount * rise[row] > 0.0
             and np.hypot(*(np.array(one.instruction.place) - walk.places[row, :2])) < EDGE_NEAR
         )

@@ -421,17 +421,18 @@ _MIX = np.array([0x9E3779B97F4A7C15, 0xC2B2AE3D27D4EB4F, 0x165667B19E3779F9, 0xD
 
 def _ledge_cells(part: _Part, surface: HeightMap, other: BoolArray) -> BoolArray:
     """Cells in which a ledge can be another than before, because the ground is in the `other` cells."""
-    return widened(part.cells | widened(other, ledge_reach(surface)), _face_reach(surface))
+    return widened(part.cells | widened(other, ledge_reach(surface)), _ground_reach(surface))
 
 
-def _face_reach(surface: HeightMap) -> int:
+def _ground_reach(surface: HeightMap) -> int:
+    """Cells within which the ground's points decide on a ledge."""
     return int(np.ceil(2.0 * FACE / surface.cell_width)) + 1
 
 
 def _ledges_of(part: _Part, surface: HeightMap, other: FloatArray, config: PerceptionConfig) -> NDArray[np.float32]:
     cells = np.zeros(surface.state.shape, dtype=bool)
     cells[surface.cells(other)[:2]] = True
-    reach = _face_reach(surface)
+    reach = _ground_reach(surface)
     rows = part.cloud.rows_in(part.layers, widened(cells, reach))
     box = window(cells, reach + ledge_reach(surface)) if len(other) else NOWHERE
     ground = taken(part.cloud.points, rows[part.ground[rows]])

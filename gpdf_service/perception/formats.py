@@ -187,10 +187,7 @@ def read_las(path: Path, ground_label: int | None, scale: float | None = None) -
     """LAS and LAZ; class 2 is ground."""
     import laspy
 
-    try:
-        stored = laspy.read(path)
-    except laspy.errors.LaspyException as error:
-        raise CloudError(f"cloud {path}", f"it cannot be read ({error})", "Is the file complete?") from error
+    stored = laspy.read(path)
     points = np.asarray(stored.xyz, dtype=np.float64)
     ground = np.asarray(stored.classification) == (LAS_GROUND if ground_label is None else ground_label)
     if ground_label is None and not ground.any():

@@ -435,8 +435,9 @@ def find_ledges(
     Where a flight is, as `max_step` [m] tells, what is narrower than a foot is no ledge: the end of a stringer.
     The `box` of cells holds all `other` points, and what is within twice `FACE` and `ledge_reach` cells of them.
     """
-    reach, part = max(surface.cell_width, RESOLVED_STEP * noise), cropped(surface, box)
-    high, rests = high_ground(part) + reach, footholds(part, max_step) + max(LEAST_OBSTACLE, noise)
+    part, aside = cropped(surface, box), face_reach(surface.cell_width)
+    high = high_ground(part) + max(surface.cell_width, RESOLVED_STEP * noise)
+    rests = footholds(part, max_step) + max(LEAST_OBSTACLE, noise)
     cell = cells_within(other, surface, box)
     asked = between(cell, other[:, 2], np.full_like(high, -np.inf), high)
     cell, low = cell[asked], chosen_rows(other, asked)
@@ -448,9 +449,9 @@ def find_ledges(
     ledge = np.full(len(other), np.inf, np.float32)
     if len(ground) and len(low):
         least = np.maximum(low[:, 2] - LEAST_OBSTACLE, step_over(part, noise).ravel()[cell])
-        ledge[asked] = next_above(ground, low, least, face_reach(surface.cell_width))
+        ledge[asked] = next_above(ground, low, least, aside)
     if noise > 0.0 and len(ground):
-        _add_rims(ledge, asked, ground, other, noise, face_reach(surface.cell_width))
+        _add_rims(ledge, asked, ground, other, noise, aside)
     return ledge
 
 

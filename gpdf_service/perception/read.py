@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -145,16 +147,18 @@ def _read_whole(file: Path, ground_label: int | None, scale: float | None) -> St
         raise CloudError(f"cloud {file}", "there is no such file", "Check the path.")
     if file.stat().st_size == 0:
         raise CloudError(f"cloud {file}", "it is empty", "Was it copied to its end?")
-    try:
+    with _reading(file):
         return reader(file, ground_label, scale)
+
+
+@contextmanager
+def _reading(file: Path) -> Iterator[None]:
+    try:
+        yield
     except TOLD:
         raise
     except Exception as error:
-        raise _unreadable(file, error) from error
-
-
-def _unreadable(file: Path, error: Exception) -> CloudError:
-    return CloudError(f"cloud {file}", f"it cannot be read ({words_of(error)})", "Is the file complete?")
+        raise CloudError(f"cloud {file}", f"it cannot be read ({words_of(error)})", "Is the file complete?") from error
 
 
 def _framed(file: Path, stored: Stored, scale: float | None, up: str | None) -> PointCloud:
@@ -203,16 +207,12 @@ def _read_thinned(
         raise CloudError(f"folder {path}", "no tile is in it", f"Tiles are {' '.join(READERS)}.")
     dropped = 0
     for file in files:
-        try:
+        with _reading(file):
             chunks, marks = chunks_of(file) if file.is_file() else None, _ground_marks(file, ground_label)
             for points, labels in [] if chunks is None else chunks:
                 named = None if labels is None or marks is None else np.isin(labels, marks).astype(np.int64)
                 dropped += int((~np.isfinite(points).all(axis=1)).sum())
                 sieve.add(turn(points, scale or 1.0, up or "z"), named)
-        except TOLD:
-            raise
-        except Exception as error:
-            raise _unreadable(file, error) from error
         if chunks is None:
             whole = read_cloud(file, ground_label=ground_label, scale=scale, up=up)
             dropped += whole.dropped

@@ -234,8 +234,9 @@ def find_ground(near: Beside, config: PerceptionConfig, relief: float = 0.0) -> 
     core |= _footing(near, "footing", open_, open_ & ~core, rise)
     if not (core & keep).any():
         raise NoGroundError(*NO_SURFACE)
-    gentle = near.degrees(open_, width * float(np.tan(config.standable_slope))) >= need
-    gentle |= _footing(near, "gentle", open_, core & ~gentle, width * float(np.tan(config.standable_slope)))
+    stands = width * float(np.tan(config.standable_slope))
+    gentle = near.degrees(open_, stands) >= need
+    gentle |= _footing(near, "gentle", open_, core & ~gentle, stands)
     slope = _slope(near, core, config)
     flat = core & ((smooth > need) | gentle) & (slope <= config.standable_slope)
     parts = build_parts(near, flat, keep, smooth == 8, rise, config)

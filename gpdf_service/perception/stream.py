@@ -93,12 +93,9 @@ def chunks_of(path: Path) -> Iterator[Chunk] | None:
 def _las_chunks(path: Path) -> Iterator[Chunk]:
     import laspy
 
-    try:
-        with laspy.open(path) as file:
-            for part in file.chunk_iterator(CHUNK):
-                yield np.column_stack([part.x, part.y, part.z]), np.asarray(part.classification)
-    except laspy.errors.LaspyException as error:
-        raise ValueError(str(error)) from error
+    with laspy.open(path) as file:
+        for part in file.chunk_iterator(CHUNK):
+            yield np.column_stack([part.x, part.y, part.z]), np.asarray(part.classification)
 
 
 def _npz_chunks(path: Path) -> Iterator[Chunk]:
