@@ -19,7 +19,7 @@ from scipy.ndimage import binary_fill_holes
 from gpdf_service.config import Config
 from gpdf_service.denoise import FAR
 from gpdf_service.errors import CloudError
-from gpdf_service.fields import Gpdf, Nearer, check_queries, fit_gpdf
+from gpdf_service.fields import Gpdf, Lattice, Nearer, change_lattice, check_queries, fit_gpdf, fit_lattice, lattice_of
 from gpdf_service.fields.spacing import estimate_spacing, thin
 from gpdf_service.fields.threads import run_parallel
 from gpdf_service.perception import (
@@ -76,10 +76,6 @@ LEAST_WHOLE_SPACING = 0.05
 """[m] Of a field over a whole cloud: that of the waypoints which ask it."""
 MAX_WHOLE_POINTS = 50_000
 """Points of a field over a whole cloud: its fit then takes seconds."""
-
-GROUND_SPACING = 0.5 * float(np.sqrt(np.pi))
-"""[-] Cells that a Ground GPDF resolves: what `estimate_spacing` tells of a lattice of them, wherever it is level. Told
-anew it would be up to 3 % more by how much of the ground is steep, and another with each change of that."""
 
 RISER = 0.3
 """[m] A contact point that is interpolated along a step's face lies this much under the ground there at most; storeys
@@ -598,19 +594,20 @@ def assemble_scene(
     return Scene(cloud, ground, levels, fields, config, *known, perceived, rays=rays)
 
 
+def _lattice(level: GroundLevel, config: Config) -> Lattice:
+    surface = level.surface
+    height = np.where(surface.state != UNKNOWN, surface.height, np.nan)
+    return lattice_of(height, surface.origin, surface.cell_width, config.fields)
+
+
 def _fit_ground(level: GroundLevel, config: Config) -> Gpdf:
     """The level's Ground GPDF, over all of its known cells."""
-    spacing = GROUND_SPACING * level.surface.cell_width
-    return fit_gpdf(level.ground_points, config=config.fields, domain=level.surface, spacing=spacing)
+    return fit_lattice(_lattice(level, config), level.surface)
 
 
 def _change_ground(field: Gpdf, old: GroundLevel, new: GroundLevel, config: Config) -> Gpdf:
-    """The level's Ground GPDF: solved again where the ground changed, or fitted if more than half of it did."""
+    """The level's Ground GPDF: solved again where the ground changed, or fitted where its cells are others."""
     cells = changed_cells(old.surface, new.surface)
-    if cells is None:
+    if cells is None or cells.mean() >= 0.5:
         return _fit_ground(new, config)
-    gone = cells[new.surface.cells(field.points)[:2]]
-    fresh = new.surface.centres(cells & (new.surface.state != UNKNOWN))
-    if gone.mean() >= 0.5 or len(fresh) >= 0.5 * np.count_nonzero(new.surface.state != UNKNOWN):
-        return _fit_ground(new, config)
-    return field.replace(gone, fresh).over(new.surface)
+    return change_lattice(field, _lattice(new, config), cells, new.surface)

@@ -27,7 +27,7 @@ PIECE = 100_000
 """Points solved at once: the halo adds a tenth to them, and half of their matrix takes 50 MB."""
 PART = 6000
 """Rows of a part, at most: a room has four; a step over one takes as long as ten wake-ups, and few pairs leave it."""
-_TOLERANCE = 1e-5
+TOLERANCE = 1e-5
 """Relative residual of the solve. With 1e-4 the distance is off by under 0.01 mm, but by 1.2 mm right at the surface,
 where it is the root of a difference (at two in 10⁵ places within 2 cm of a floor); with 1e-5 by 0.25 mm."""
 
@@ -224,7 +224,7 @@ def _grown(values: NDArray[Any], capacity: int) -> NDArray[Any]:
 
 
 def _conjugate_gradients(parts: list[Part], noise_variance: float, right: FloatArray, guess: FloatArray) -> FloatArray:
-    """Solve (K + σ² I) x = b from a guess until ‖r‖ ≤ `_TOLERANCE` ‖1‖.
+    """Solve (K + σ² I) x = b from a guess until ‖r‖ ≤ `TOLERANCE` ‖1‖.
 
     Each leaf is solved by itself in every step (block Jacobi): half as many steps are needed.
     """
@@ -234,7 +234,7 @@ def _conjugate_gradients(parts: list[Part], noise_variance: float, right: FloatA
         return sum(run_parallel(lambda part: _apply(part, noise_variance, to, Kp), parts))
 
     apply(x)
-    r, step, rz, enough = right - Kp, 0.0, np.inf, _TOLERANCE * _TOLERANCE * len(x)
+    r, step, rz, enough = right - Kp, 0.0, np.inf, TOLERANCE * TOLERANCE * len(x)
     for _ in range(20 * int(np.sqrt(len(x))) + 200):
         sums = run_parallel(lambda part: _descend(part, step, p, Kp, x, r, z), parts)  # noqa: B023
         rr, fresh = (sum(each) for each in zip(*sums, strict=True))

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from math import pi, sqrt
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
 
 from gpdf_service.fields.edge import EDGE, fit_pair, nearest_half
-from gpdf_service.fields.heights import make_sums, quadric_rest
+from gpdf_service.fields.heights import Sums, make_sums, quadric_rest
 from gpdf_service.fields.order import corners_of, order_by
 from gpdf_service.fields.shapes import MOST, add, fit_axis, fit_plane, gather
 from gpdf_service.fields.threads import run_chunked
@@ -85,6 +86,33 @@ REACH = 3.0
 """[-] Spacings: 28 points on an even surface; their number is then known to a fifth."""
 
 
+class Room(NamedTuple):
+    """What telling the surface around a point needs; made once a batch.
+
+    Attributes:
+        near: Offsets of the points around it, itself included, in front [m], shape (MOST, 3).
+        side: Of two half planes which each is of, shape (MOST,).
+        pair: The half planes, shape (3, 9).
+        moments: Sums over the offsets, shape (10,).
+        vectors: Mean offset, normal and axis [m], shape (3, 3).
+        sums: For a quadric.
+    """
+
+    near: FloatArray
+    side: IntArray
+    pair: FloatArray
+    moments: FloatArray
+    vectors: FloatArray
+    sums: Sums
+
+
+@njit(cache=True, nogil=True)
+def make_room() -> Room:
+    """Fresh room for one thread."""
+    own = np.zeros((MOST, 3)), np.zeros(MOST, np.int64), np.zeros((3, 9)), np.zeros(10), np.zeros((3, 3))
+    return Room(*own, make_sums(1))
+
+
 @njit(cache=True, nogil=True)
 def _shape_range(
     tree: Tree,
@@ -96,29 +124,36 @@ def _shape_range(
     noise: FloatArray,
     discs: FloatArray,
 ) -> None:
-    solid, near, side, pair = tree.points.shape[1] == 3, np.zeros((MOST, 3)), np.zeros(MOST, np.int64), np.zeros((3, 9))
-    moments, mean, normal, axis = np.zeros(10), np.zeros(3), np.zeros(3), np.zeros(3)
-    look, sums = make_look(), make_sums(1)
+    solid, room, look = tree.points.shape[1] == 3, make_room(), make_look()
     for r in range(begin, end):
-        count = gather(tree, tree.points[rows[r]], radius, near, look)
-        moments[:] = 0.0
-        for i in range(count):
-            add(moments, near[i, 0], near[i, 1], near[i, 2])
-        low, middle, high = fit_plane(moments, mean, normal)
-        gap = max(radius * sqrt(pi / moments[0]) if solid else 2.0 * radius / moments[0], spacing)
-        if not solid:  # a line in the plane: its normal lies in it
-            fit_axis(moments, high, axis)
-            normal[0], normal[1], normal[2] = -axis[1], axis[0], 0.0
-            low, middle = max(middle, 0.0), high
-        elif _BENT * low > middle and low > noise[r] ** 2:
-            rest = fit_pair(near, count, normal, side, pair)
-            if rest < EDGE * quadric_rest(near, count, normal, sums):
-                normal[:] = pair[nearest_half(pair, mean * 0.0), 3:6]
-        discs[r, :3], discs[r, 4] = normal, gap
-        wide = min(0.5 * gap, sqrt(max(middle, 0.0))) * (1.0 - low / middle) if middle > low else 0.0
-        discs[r, 3] = max(wide - 2.0 * noise[r], 0.0)
-        aside = max(sqrt(mean[0] ** 2 + mean[1] ** 2 + mean[2] ** 2) - 0.25 * radius, 0.0)
-        discs[r, 5] = 0.5 * sqrt(low + aside * aside)
+        count = gather(tree, tree.points[rows[r]], radius, room.near, look)
+        shape_around(room, count, solid, radius, spacing, noise[r], discs[r])
+
+
+@njit(cache=True, nogil=True)
+def shape_around(
+    room: Room, count: int, solid: bool, radius: float, spacing: float, noise: float, disc: FloatArray
+) -> None:
+    """Write the disc, shape (6,), of a point with `count` offsets in the room within a `radius` [m]; `local_shape`."""
+    near, moments, mean, normal, axis = room.near, room.moments, room.vectors[0], room.vectors[1], room.vectors[2]
+    moments[:] = 0.0
+    for i in range(count):
+        add(moments, near[i, 0], near[i, 1], near[i, 2])
+    low, middle, high = fit_plane(moments, mean, normal)
+    gap = max(radius * sqrt(pi / moments[0]) if solid else 2.0 * radius / moments[0], spacing)
+    if not solid:  # a line in the plane: its normal lies in it
+        fit_axis(moments, high, axis)
+        normal[0], normal[1], normal[2] = -axis[1], axis[0], 0.0
+        low, middle = max(middle, 0.0), high
+    elif _BENT * low > middle and low > noise**2:
+        rest = fit_pair(near, count, normal, room.side, room.pair)
+        if rest < EDGE * quadric_rest(near, count, normal, room.sums):
+            normal[:] = room.pair[nearest_half(room.pair, mean * 0.0), 3:6]
+    disc[:3], disc[4] = normal, gap
+    wide = min(0.5 * gap, sqrt(max(middle, 0.0))) * (1.0 - low / middle) if middle > low else 0.0
+    disc[3] = max(wide - 2.0 * noise, 0.0)
+    aside = max(sqrt(mean[0] ** 2 + mean[1] ** 2 + mean[2] ** 2) - 0.25 * radius, 0.0)
+    disc[5] = 0.5 * sqrt(low + aside * aside)
 
 
 def thin(points: FloatArray, cell: float) -> IntArray:

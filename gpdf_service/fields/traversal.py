@@ -35,7 +35,7 @@ from gpdf_service.types import FloatArray, IntArray
 
 CUT_RADIUS = 4.5
 """R: terms beyond R length scales change the distance by at most 0.7 mm against R = 8 (measured in an office)."""
-_STEEPEST = CUT_RADIUS**2 / 2.0 + 1.0
+STEEPEST = CUT_RADIUS**2 / 2.0 + 1.0
 """Exponents beyond the cut are multiplied by zero; this keeps them in the polynomial's range."""
 
 
@@ -106,7 +106,7 @@ def walk(
         for j in range(LEAF_SIZE):
             a, b, c = blocks[leaf, 0, j] - x0, blocks[leaf, 1, j] - x1, blocks[leaf, 2, j] - x2
             t = (a * a + b * b + c * c - delta) * rate
-            weight = weights[leaf, j] * decay(lesser(t, _STEEPEST))
+            weight = weights[leaf, j] * decay(lesser(t, STEEPEST))
             weight = weight if t <= reach * rate else 0.0
             s += weight
             n0 += weight * a
@@ -135,7 +135,7 @@ def nearest_in(blocks: FloatArray, leaf: int, x0: float, x1: float, x2: float) -
 
 _E0, _E1, _E2, _E3, _E4, _E5, _E6 = (
     float(c)
-    for c in np.polynomial.Chebyshev.interpolate(lambda u: np.exp(-u), 6, domain=[0.0, _STEEPEST / 16.0])
+    for c in np.polynomial.Chebyshev.interpolate(lambda u: np.exp(-u), 6, domain=[0.0, STEEPEST / 16.0])
     .convert(kind=np.polynomial.Polynomial)
     .coef
 )
@@ -143,7 +143,7 @@ _E0, _E1, _E2, _E3, _E4, _E5, _E6 = (
 
 @njit(cache=True, nogil=True, fastmath=VECTORS, inline="always")
 def decay(t: float) -> float:
-    """exp(−t) for 0 ≤ t ≤ `_STEEPEST` within 4e-8 of itself: (a polynomial of t/16)^16, no call."""
+    """exp(−t) for 0 ≤ t ≤ `STEEPEST` within 4e-8 of itself: (a polynomial of t/16)^16, no call."""
     u = t * 0.0625
     e = _E0 + u * (_E1 + u * (_E2 + u * (_E3 + u * (_E4 + u * (_E5 + u * _E6)))))
     e *= e

@@ -12,6 +12,7 @@ from numba import njit
 
 from gpdf_service.config import PerceptionConfig
 from gpdf_service.fields.threads import run_chunked
+from gpdf_service.perception.boxes import widened
 from gpdf_service.perception.layers import Layers
 from gpdf_service.perception.pairs import AROUND
 from gpdf_service.types import BoolArray, FloatArray, IntArray
@@ -91,11 +92,12 @@ def find_strides(
         if stance[i]:
             rim[i] = not _inside(i, cell, start, shape, stance, part)
     rings = int(reach)
+    mixed, wide = _mixed(cell, shape, rim, part, rings), max(rings, 1)
     best, far = np.empty(64, np.int64), np.empty(64)
     for i in range(len(cell)):
-        if not rim[i]:
-            continue
         x, y, used = cell[i] // shape[1], cell[i] % shape[1], 0
+        if not (rim[i] and mixed[x // wide, y // wide]):
+            continue
         for u in range(max(x - rings, 0), min(x + rings + 1, shape[0])):
             for v in range(max(y - rings, 0), min(y + rings + 1, shape[1])):
                 away = (u - x) ** 2 + (v - y) ** 2
@@ -109,6 +111,23 @@ def find_strides(
             one.append(i)
             other.append(best[k])
     return np.array(one, np.int64), np.array(other, np.int64)
+
+
+@njit(cache=True, nogil=True)
+def _mixed(cell: IntArray, shape: tuple[int, int], among: BoolArray, part: IntArray, rings: int) -> BoolArray:
+    """Blocks of `rings` cells a side that hold, with those around them, nodes `among` all of more than one part."""
+    wide = max(rings, 1)
+    low = np.full((shape[0] // wide + 1, shape[1] // wide + 1), np.int64(2**62))
+    high, made = np.full(low.shape, np.int64(-1)), np.zeros(low.shape, np.bool_)
+    for i in range(len(cell)):
+        if among[i]:
+            x, y = cell[i] // shape[1] // wide, cell[i] % shape[1] // wide
+            low[x, y], high[x, y] = min(low[x, y], part[i]), max(high[x, y], part[i])
+    for x in range(low.shape[0]):
+        for y in range(low.shape[1]):
+            around = slice(max(x - 1, 0), x + 2), slice(max(y - 1, 0), y + 2)
+            made[x, y] = low[around].min() < high[around].max()
+    return made
 
 
 @njit(cache=True, nogil=True)
@@ -170,6 +189,9 @@ def find_between(
     """
     made, width = np.zeros(len(asked), dtype=bool), layers.cell_width
     grid = layers.cell, layers.start, layers.shape, layers.height
+    near = np.zeros(layers.shape, dtype=bool)
+    near.ravel()[layers.cell[stance & tread]] = True
+    asked = asked & widened(near, int(STRIDE / width)).ravel()[layers.cell]
     level = width * float(np.tan(config.steepest))
     own = *grid, stance, tread, asked, STRIDE / width, config.max_step, level
     run_chunked(lambda a, b: _between(*own, a, b, made), len(asked))
