@@ -21,7 +21,7 @@ _BULK = (1.0, 99.0)
 """[%] Percentiles of x and of y between which the bulk of a cloud lies: what is outside may be an outlier."""
 
 
-def check_grid(points: FloatArray, count: int, width: float, each: int, config: PerceptionConfig) -> None:
+def check_grid(points: FloatArray, count: int, width: float, each: float, config: PerceptionConfig) -> None:
     """Refuse a grid over the points that takes more than the budget and what the cloud's points may ask for.
 
     Args:

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import partial
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -43,6 +44,7 @@ from gpdf_service.perception.levels import (
     ledge_reach,
     lowest_and_highest,
     measure,
+    sheet_part,
     sheet_surface,
     within_reach,
 )
@@ -175,7 +177,7 @@ class _Cloud:
         self.points, self.low, self.high = points, low, high
         self._rows: IntArray = rows_in_box(points, low, high)
         self._near = taken(points, self._rows)
-        self._sorted: dict[bytes, tuple[Box, IntArray, IntArray]] = {}
+        self._sorted: dict[tuple[Any, ...], tuple[Box, IntArray, IntArray]] = {}
 
     def rows_in(self, grid: Layers | HeightMap, wanted: BoolArray) -> IntArray:
         """Rows of the points in the `wanted` cells of a grid, shape (nx, ny); sorted."""
@@ -198,7 +200,7 @@ class _Cloud:
 
     def _by_cell(self, grid: Layers | HeightMap, shape: tuple[int, ...]) -> tuple[Box, IntArray, IntArray]:
         """The box of cells at hand, where each begins, and the points at hand in their order."""
-        key = grid.origin.tobytes()
+        key = (*grid.origin, *shape)
         if key not in self._sorted:
             first, last = (np.floor((end - grid.origin) / grid.cell_width).astype(int) for end in (self.low, self.high))
             first, last = np.clip(first, 0, shape), np.clip(last + 1, 0, shape)
@@ -279,10 +281,15 @@ def _change_levels(
         raise WholeError
 
     def one(i: int) -> tuple[GroundLevel, Voids, Grid, IntArray, BoolArray | None]:
-        survey, grid = old.survey, old.survey.grids[i].now(np.zeros_like(cells))
-        seen = sheet_surface(grid, layers, np.flatnonzero(sheets[i]), config.max_step)
-        part = _Part(cloud, ground, stray, layers, sheets[i], seen, grid, cells)
-        return _change_level(old.levels.levels[i], survey.voids[i], survey.first[i], part, config)
+        survey, level, (own, inside) = old.survey, old.levels.levels[i], sheet_part(layers, sheets[i])
+        if own.shape != level.surface.height.shape or (own.origin != level.surface.origin).any():
+            raise WholeError
+        corner = np.round((own.origin - layers.origin) / layers.cell_width).astype(int)
+        felt = cells[corner[0] : corner[0] + own.shape[0], corner[1] : corner[1] + own.shape[1]]
+        grid = survey.grids[i].now(np.zeros_like(felt))
+        seen = sheet_surface(grid, own, np.flatnonzero(inside), config.max_step)
+        part = _Part(cloud, ground, stray, own, inside, seen, grid, felt)
+        return _change_level(level, survey.voids[i], survey.first[i], part, config)
 
     known, voids, grids, first, touched = zip(*run_parallel(one, range(len(sheets))), strict=True)
     survey = Survey(near, stray, sheets, voids, grids, first)

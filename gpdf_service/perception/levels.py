@@ -22,7 +22,7 @@ from gpdf_service.perception.columns import by_cell, ends_of_runs, heights_in_pl
 from gpdf_service.perception.footing import bridged, footholds, footing_reach
 from gpdf_service.perception.hidden import FACE_REACH, find_faces, hidden_reach, without_hidden
 from gpdf_service.perception.holes import fill_holes, find_voids, without_enclosed
-from gpdf_service.perception.layers import Layers, build_layers, cell_width_of, layer_gap, widest_cell
+from gpdf_service.perception.layers import Layers, build_layers, cell_width_of, crop_layers, layer_gap, widest_cell
 from gpdf_service.perception.limits import (
     GroundLimits,
     Measured,
@@ -59,6 +59,8 @@ LEAST_OBSTACLE = 0.015
 """[m] What stands out of the ground by less stops no body here: the smallest `max_step`, and the scatter of a scan."""
 ALONE = 0.25
 """[m] A point with no other in the voxels of this width around its own is a reflection; even a thin cable has more."""
+BLOCK = 32
+"""Cells a side of the blocks that the box of a sheet is made of: two metres of a room's."""
 HIGH = 2
 """Cells around one whose ground says how high a step there can be."""
 RIM_SHARE = 0.25
@@ -188,10 +190,17 @@ def survey_levels(
     if not sheets:
         found = f"no piece of the ground is as large as three by three cells of {width:.2g} m"
         raise NoGroundError("ground", found, "Are its samples further apart than a foot bridges? Scan it more densely.")
-    check_grid(floor, len(points), width, LEVEL_BYTES + KEPT_BYTES * (len(sheets) - 1), config)
+    parts = [sheet_part(near.layers, sheet) for sheet in sheets]
+    kept = sum(part.shape[0] * part.shape[1] for part, _ in parts) / np.prod(near.layers.shape) - 1.0
+    check_grid(floor, len(points), width, LEVEL_BYTES + KEPT_BYTES * max(kept, 0.0), config)
     stray = alone_ & ~ground
-    own = points, ground, stray, floor, near.layers
-    made = run_parallel(lambda sheet: _build_level(*own, sheet, config, noise, rays), sheets)
+
+    def build(i: int) -> tuple[GroundLevel, Voids, Grid, IntArray]:
+        gone = stray.copy()
+        gone[ground] = sheets[i][near.layers.node_of_point]
+        return _build_level(points, gone, floor, *parts[i], config, noise, rays)
+
+    made = run_parallel(build, range(len(sheets)))
     levels, voids, grids, first = zip(*made, strict=True)
     return Levels(levels, find_portals(near.layers, sheets)), Survey(near, stray, sheets, voids, grids, first)
 
@@ -226,10 +235,27 @@ def count_undecided(level: GroundLevel, noise: float = 0.0) -> int:
     return int(np.count_nonzero(off <= 2.0 * max(LEAST_SCATTER, 3.0 * noise)))
 
 
+def sheet_part(layers: Layers, inside: BoolArray) -> tuple[Layers, BoolArray]:
+    """The layers that hold the sheet of the nodes `inside`, shape (k,), and what decides on it; which it is of theirs.
+
+    What stands beside a sheet counts within `OVERLAP`, and no hole in it is wider. The box is one of whole blocks of
+    cells: so it stays where the ground changes a little.
+    """
+    nodes, by, block = np.flatnonzero(inside), ceil(OVERLAP / layers.cell_width) + 1, BLOCK
+    ends = [(int(each.min()) - by, int(each.max()) + by) for each in np.divmod(layers.cell[nodes], layers.shape[1])]
+    rows, columns = (
+        slice(max(low // block * block, 0), min((high // block + 1) * block, size))
+        for (low, high), size in zip(ends, layers.shape, strict=True)
+    )
+    if (rows.stop - rows.start, columns.stop - columns.start) == layers.shape:
+        return layers, inside
+    part, chosen = crop_layers(layers, (rows, columns))
+    return part, inside[chosen]
+
+
 def _build_level(
     points: FloatArray,
-    ground: BoolArray,
-    stray: BoolArray,
+    gone: BoolArray,
     floor: FloatArray,
     layers: Layers,
     inside: BoolArray,
@@ -237,11 +263,9 @@ def _build_level(
     noise: float,
     rays: Rays | None,
 ) -> tuple[GroundLevel, Voids, Grid, IntArray]:
-    """The sheet of these nodes, of the layers of the `floor`: those of the points that are ground."""
+    """The sheet of the nodes `inside`, of layers of the `floor`; which points are its own or count for nothing."""
     grid = new_grid()
     seen = sheet_surface(grid, layers, np.flatnonzero(inside), config.max_step, noise)
-    gone = stray.copy()
-    gone[ground] = inside[layers.node_of_point]
     cell = cells_within(points, seen)
     cell[gone] = seen.state.size  # as those outside: in no cell
 

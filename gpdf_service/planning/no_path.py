@@ -185,28 +185,28 @@ def _narrow_words(at: FloatArray, width: float, radius: float) -> str:
 
 def _around(space: FreeSpace, start: Endpoint, goal: Endpoint) -> tuple[FreeSpace, Endpoint, Endpoint]:
     """The part of a free space around start and goal: its levels that have ground there, cut out; ends on them."""
-    surface = space.surfaces[0]
-    ends = np.stack([start.xy, goal.xy])
+    first, ends = space.surfaces[0], np.stack([start.xy, goal.xy])
+    corners = [np.round((one.origin - first.origin) / first.cell_width).astype(np.int64) for one in space.surfaces]
+    least = np.min(corners, axis=0)
+    most = np.max([corner + one.state.shape for corner, one in zip(corners, space.surfaces, strict=True)], axis=0)
     for margin in MARGINS:
         low, high = (
-            np.floor((one - surface.origin) / surface.cell_width).astype(np.int64)
+            np.floor((one - first.origin) / first.cell_width).astype(np.int64)
             for one in (ends.min(axis=0) - margin, ends.max(axis=0) + margin)
         )
-        low, high = np.maximum(low, 0), np.minimum(high + 1, surface.height.shape)
-        window = slice(low[0], high[0]), slice(low[1], high[1])
-        levels = [n for n, one in enumerate(space.surfaces) if (one.state[window] != UNKNOWN).any()]
+        low, high = np.maximum(low, least), np.minimum(high + 1, most)
+        places = [(low - corner, high - corner) for corner in corners]
+        levels = [n for n, one in enumerate(space.surfaces) if _window(one.state, *places[n]).any()]
         if len(levels) * np.prod(high - low) <= MAX_CELLS:
             break
-    origin = surface.origin + surface.cell_width * low
     by = max(1, int(np.ceil(np.sqrt(len(levels) * np.prod(high - low) / MAX_CELLS))))
-    surfaces = (_coarser(space.surfaces[n], origin, window, by) for n in levels)
     cut_out = replace(
         space,
-        surfaces=tuple(surfaces),
+        surfaces=tuple(_coarser(space.surfaces[n], *places[n], by) for n in levels),
         standing=tuple(space.standing[n] for n in levels),
         moving=tuple(space.moving[n] for n in levels),
-        steps=tuple(_largest(space.steps[n][window], by) for n in levels),
-        slopes=tuple(_largest(space.slopes[n][window], by) for n in levels),
+        steps=tuple(_largest(_window(space.steps[n], *places[n]), by) for n in levels),
+        slopes=tuple(_largest(_window(space.slopes[n], *places[n]), by) for n in levels),
         trees=tuple(space.trees[n] for n in levels),
         quadtrees=tuple(space.quadtrees[n] for n in levels),
         offsets=tuple(space.offsets[n] for n in levels),
@@ -229,11 +229,22 @@ def _largest(values: NDArray[Any], by: int) -> NDArray[Any]:
     return made
 
 
-def _coarser(surface: HeightMap, origin: FloatArray, window: tuple[slice, slice], by: int) -> HeightMap:
+def _window(values: NDArray[Any], low: IntArray, high: IntArray) -> NDArray[Any]:
+    """The cells from `low` to `high` of a grid, 0 where they lie beside it."""
+    made = np.zeros(high - low, values.dtype)
+    first, last = np.maximum(low, 0), np.minimum(high, values.shape)
+    if (last > first).all():
+        here, there = (tuple(map(slice, first - off, last - off)) for off in (low, np.zeros_like(low)))
+        made[here] = values[there]
+    return made
+
+
+def _coarser(surface: HeightMap, low: IntArray, high: IntArray, by: int) -> HeightMap:
     """A window of a level's ground in blocks of cells: known where any of them is, as high as the lowest."""
-    state = _largest(surface.state[window], by)
-    height = _lowest(surface.height[window], surface.state[window] != UNKNOWN, by)
-    return HeightMap(origin, by * surface.cell_width, height, state)
+    cells = _window(surface.state, low, high)
+    height = _lowest(_window(surface.height, low, high), cells != UNKNOWN, by)
+    origin = surface.origin + surface.cell_width * low
+    return HeightMap(origin, by * surface.cell_width, height, _largest(cells, by))
 
 
 @njit(cache=True, nogil=True)

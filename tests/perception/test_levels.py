@@ -1,0 +1,47 @@
+"""A level holds what it is and what stands beside it, not the whole map."""
+
+from __future__ import annotations
+
+import numpy as np
+
+import gpdf_service as gpdf
+from gpdf_service.perception.levels import BLOCK
+from gpdf_service.perception.sheets import OVERLAP
+from gpdf_service.perception.surface import UNKNOWN
+from gpdf_service.types import FloatArray
+
+
+def tower(side: float = 24.0, step: float = 0.06) -> FloatArray:
+    """A wide floor, and over one corner of it a gallery that no stair joins, under a ceiling."""
+    x, y = (axis.ravel() for axis in np.meshgrid(np.arange(0, side, step), np.arange(0, side, step)))
+    floor = np.column_stack([x, y, np.zeros(x.size)])
+    corner = (x < 14.0) & (y < 14.0)
+    gallery, ceiling = (np.column_stack([x, y, np.full(x.size, z)])[corner] for z in (3.2, 6.0))
+    box = np.random.default_rng(0).uniform(size=(4000, 3)) * [0.5, 0.5, 1.0] + [14.4, 5.0, 3.2]  # beside the gallery
+    return np.concatenate([floor, gallery, ceiling, box])
+
+
+def test_a_level_is_as_large_as_its_ground() -> None:
+    scene = gpdf.build_scene(tower())
+    floor, gallery = scene.surfaces
+    cells = BLOCK + OVERLAP / gallery.cell_width + 2
+    assert (np.array(gallery.state.shape) < 14.0 / gallery.cell_width + 2 * cells).all()
+    assert (np.array(floor.state.shape) > 24.0 / floor.cell_width).all()
+    assert np.count_nonzero(gallery.state != UNKNOWN) * gallery.cell_width**2 > 0.95 * 14.0**2
+    lattice = (gallery.origin - floor.origin) / floor.cell_width
+    np.testing.assert_allclose(lattice, np.round(lattice), atol=1e-6)
+
+
+def test_what_stands_beside_the_ground_of_a_level_is_known_to_it() -> None:
+    scene = gpdf.build_scene(tower())
+    beside = scene.levels.levels[1].other_points
+    assert (beside[:, 0] > 14.4).any()
+    distance = scene.obstacle_field("human").query(np.array([[13.5, 5.2, 3.2]])).distance[0]
+    assert distance < 0.6  # the ground's rim, at most
+
+
+def test_no_way_between_levels_of_other_boxes_is_explained() -> None:
+    scene = gpdf.build_scene(tower())
+    result = gpdf.plan(scene, (20.0, 20.0, 0.0), (5.0, 5.0, 3.2))
+    assert result.status is gpdf.Status.NO_VALID_PATH
+    assert "meet nowhere" in result.message
