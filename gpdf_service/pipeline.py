@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
 from numbers import Integral, Real
-from typing import Literal, cast, get_args
+from typing import cast, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -20,9 +20,9 @@ from gpdf_service.planning import plan_path
 from gpdf_service.scene import Progress as Progress
 from gpdf_service.scene import Scene, assemble_scene
 from gpdf_service.types import Agent, FloatArray, PlanOptions, PlanResult, Trajectory, is_number, resolve_agent
+from gpdf_service.types import Method as Method
+from gpdf_service.types import Preference as Preference
 
-Method = Literal["dual_gpdf", "single_gpdf", "astar", "prm"]
-Preference = Literal["quickest", "level", "wide"]
 Place = Sequence[float] | FloatArray
 """(x, y), or (x, y, z of the ground there) [m]."""
 MOST_PLACES = 100

@@ -38,6 +38,8 @@ from gpdf_service.perception import (
     check_points,
     count_undecided,
     cure_and_segment,
+    levels_from_arrays,
+    levels_to_arrays,
     survey_levels,
 )
 from gpdf_service.perception.layers import in_steps
@@ -58,7 +60,7 @@ from gpdf_service.search import (
     settled,
     to_arrays,
 )
-from gpdf_service.store import Arrays, flatten, read_arrays, restore, under, write_arrays
+from gpdf_service.store import Arrays, read_arrays, under, write_arrays
 from gpdf_service.types import Agent, BoolArray, FieldSample, FloatArray, IntArray, resolve_agent
 
 Progress = Callable[[str, float], None]
@@ -491,11 +493,14 @@ class Scene:
         if self._standing is not None:
             self._standing.save(path)
             return
-        arrays = {"points": self.points, "ground": self.ground, **flatten(self.levels, "levels")}
+        arrays = {"points": self.points, "ground": self.ground, **levels_to_arrays(self.levels, self.points)}
         if self.rays is not None:
             arrays["origins"] = self.rays.origins
-        for i, field in enumerate(self.ground_fields):
-            arrays |= {f"ground_fields/{i}/{key}": value for key, value in field.to_arrays().items()}
+        for i, (field, level) in enumerate(zip(self.ground_fields, self.levels.levels, strict=True)):
+            kept = field.to_arrays()
+            if np.array_equal(_in_its_order(level, kept), kept["points"]):
+                del kept["points"]
+            arrays |= {f"ground_fields/{i}/{key}": value for key, value in kept.items()}
         with self._lock:
             spaces, stored = dict(self._spaces), dict(self._stored)
         agents = list({**stored, **spaces})[-MAX_CACHED_AGENTS:]
@@ -526,6 +531,12 @@ def _level_info(index: int, level: GroundLevel, field: Gpdf) -> dict[str, Any]:
     }
 
 
+def _in_its_order(level: GroundLevel, field: Arrays) -> FloatArray:
+    """The points of the level's Ground GPDF in the order of its tree, if it is fitted to all known cells."""
+    points, order = level.ground_points, field["order"]
+    return points[order] if len(order) == len(points) else points
+
+
 def load_scene(path: str | os.PathLike[str]) -> Scene:
     """Read a scene that `Scene.save` wrote; nothing is fitted again.
 
@@ -533,10 +544,12 @@ def load_scene(path: str | os.PathLike[str]) -> Scene:
         SceneFileError: the file is missing, damaged, or of another version.
     """
     arrays, meta, later = read_arrays(path, later="agents/")
-    levels: Levels = restore(Levels, arrays, "levels")
+    levels = levels_from_arrays(arrays, arrays["points"])
     fields = []
     for i, level in enumerate(levels.levels):
-        fields.append(Gpdf.from_arrays(under(f"ground_fields/{i}/", arrays), domain=level.surface))
+        kept = under(f"ground_fields/{i}/", arrays)
+        kept.setdefault("points", _in_its_order(level, kept))
+        fields.append(Gpdf.from_arrays(kept, domain=level.surface))
     scene = Scene(
         arrays["points"],
         arrays["ground"],

@@ -1,5 +1,6 @@
-"""One scene, one file: named arrays in an uncompressed zip (NumPy's .npz), each with its checksum, written atomically.
+"""One scene, one file: named arrays in a zip, each packed and with its checksum, written atomically.
 
+`meta` is JSON in NumPy's format; it tells how each array lies in its bytes. Files of version 4 hold NumPy's arrays.
 Nothing is pickled, so a scene file from a stranger can hold wrong numbers but no code.
 """
 
@@ -12,21 +13,28 @@ import os
 import tempfile
 import types
 import typing
+import zipfile
 from collections.abc import Iterable, Iterator, Mapping
 from errno import ENOENT
+from functools import cache
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.lib.npyio import NpzFile
 from numpy.typing import NDArray
 
 from gpdf_service.errors import SceneFileError, words_of
+from gpdf_service.packing import Packed, pack, unpack
 
-SCHEMA_VERSION = 4
+SCHEMA_VERSION = 5
+READABLE = 4, 5
 _META = "meta"
+_PLAIN = ".npy"
+"""What follows the name of an array in NumPy's format."""
 _CHUNK = 2**20
 """[bytes]"""
+MOST = 1000
+"""[-] What a scene file unpacks to in its own size, at most; true ones unpack to 4 to 20 of it, a bomb to 10,000."""
 
 Arrays = dict[str, NDArray[Any]]
 
@@ -40,11 +48,17 @@ def write_arrays(path: str | os.PathLike[str], arrays: Mapping[str, NDArray[Any]
     target = Path(path)
     if not target.parent.is_dir() or target.is_dir():
         raise FileNotFoundError(ENOENT, "no file can be written there", str(target))
-    header = np.frombuffer(json.dumps({"schema_version": SCHEMA_VERSION, **meta}).encode(), np.uint8)
+    packed = {name: pack(np.asarray(array)) for name, array in arrays.items()}
+    lie = {name: dataclasses.astuple(how) for name, (how, _) in packed.items()}
+    header = json.dumps({"schema_version": SCHEMA_VERSION, "arrays": lie, **meta}).encode()
     handle, temporary = tempfile.mkstemp(dir=target.parent, prefix=f".{target.name}.")
     try:
         with os.fdopen(handle, "wb") as file:
-            np.savez(file, allow_pickle=False, **{_META: header, **arrays})
+            with zipfile.ZipFile(file, "w") as stored:
+                with stored.open(_META + _PLAIN, "w") as entry:
+                    np.lib.format.write_array(entry, np.frombuffer(header, np.uint8), allow_pickle=False)
+                for name, (_, raw) in packed.items():
+                    stored.writestr(name, raw)
             file.flush()
             os.fsync(file.fileno())
         Path(temporary).replace(target)
@@ -53,10 +67,42 @@ def write_arrays(path: str | os.PathLike[str], arrays: Mapping[str, NDArray[Any]
         raise
 
 
+class _Stored:
+    """The open file, and how its arrays lie in it."""
+
+    def __init__(self, path: Path) -> None:
+        self._zip = zipfile.ZipFile(path)
+        self.names = [name.removesuffix(_PLAIN) for name in self._zip.namelist()]
+        self.meta = json.loads(bytes(self._plain(_META)))
+        self.names.remove(_META)
+        self._packed = {name: _described(*how) for name, how in self.meta.pop("arrays", {}).items()}
+        if sum(how.nbytes for how in self._packed.values()) > MOST * path.stat().st_size:
+            raise ValueError("it says that it unpacks to more than a scene file does")
+
+    def array(self, name: str) -> NDArray[Any]:
+        if name in self._packed:
+            return unpack(self._packed[name], self._zip.read(name))
+        return self._plain(name)
+
+    def check(self, name: str) -> None:
+        """Compare an array with its checksum, without memory for it."""
+        with self._zip.open(name if name in self._packed else name + _PLAIN) as file:
+            while file.read(_CHUNK):
+                pass
+
+    def _plain(self, name: str) -> NDArray[Any]:
+        with self._zip.open(name + _PLAIN) as file:
+            return np.lib.format.read_array(file, allow_pickle=False)
+
+
+def _described(dtype: str, shape: list[int], kept: str, lengths: list[int]) -> Packed:
+    return Packed(dtype, tuple(shape), kept, tuple(lengths))
+
+
 class Later:
     """Arrays of a file, read when they are asked for: of the file that was opened, even if it is replaced since."""
 
-    def __init__(self, stored: NpzFile, path: Path) -> None:
+    def __init__(self, stored: _Stored, path: Path) -> None:
         self._stored, self._path = stored, path
 
     def under(self, prefix: str) -> Arrays:
@@ -66,16 +112,13 @@ class Later:
             SceneFileError: the file was written over, or is damaged by now.
         """
         with _reading(self._path):
-            names = [key for key in self._stored.files if key.startswith(prefix)]
-            return {key.removeprefix(prefix): self._stored[key] for key in names}
+            names = [name for name in self._stored.names if name.startswith(prefix)]
+            return {name.removeprefix(prefix): self._stored.array(name) for name in names}
 
     def check(self, names: Iterable[str]) -> None:
         """Compare arrays with their checksums, without memory for them."""
-        assert self._stored.zip is not None
         for name in names:
-            with self._stored.zip.open(f"{name}.npy") as file:
-                while file.read(_CHUNK):
-                    pass
+            self._stored.check(name)
 
 
 def read_arrays(path: str | os.PathLike[str], later: str | None = None) -> tuple[Arrays, dict[str, Any], Later]:
@@ -93,15 +136,16 @@ def read_arrays(path: str | os.PathLike[str], later: str | None = None) -> tuple
     if not target.is_file():
         raise SceneFileError(asked, "there is no such file", "Build it first: gpdf scene build CLOUD --out FILE.")
     with _reading(target):
-        stored = np.load(target, allow_pickle=False)
-        shelved = {key for key in stored.files if later and key.startswith(later)}
-        arrays = {key: stored[key] for key in stored.files if key not in shelved}
-        (rest := Later(stored, target)).check(shelved)
-        meta = json.loads(bytes(arrays.pop(_META)))
-    if meta.get("schema_version") != SCHEMA_VERSION:
-        found = f"it has schema version {meta.get('schema_version')}, this program reads {SCHEMA_VERSION}"
+        stored = _Stored(target)
+    if stored.meta.get("schema_version") not in READABLE:
+        reads = " and ".join(map(str, READABLE))
+        found = f"it has schema version {stored.meta.get('schema_version')}, this program reads {reads}"
         raise SceneFileError(asked, found, "Build the scene again from its cloud.")
-    return arrays, meta, rest
+    with _reading(target):
+        shelved = {name for name in stored.names if later and name.startswith(later)}
+        arrays = {name: stored.array(name) for name in stored.names if name not in shelved}
+        (rest := Later(stored, target)).check(shelved)
+    return arrays, stored.meta, rest
 
 
 @contextlib.contextmanager
@@ -137,18 +181,22 @@ def flatten(value: object, prefix: str) -> Arrays:
 def restore(kind: Any, arrays: Mapping[str, NDArray[Any]], prefix: str) -> Any:  # noqa: ANN401 - any dataclass
     """Rebuild what `flatten` took apart; `kind` is its type."""
     if dataclasses.is_dataclass(kind) and isinstance(kind, type):
-        hints = typing.get_type_hints(kind)
+        hints = _hints(kind)
         parts = {f.name: restore(hints[f.name], arrays, f"{prefix}/{f.name}") for f in dataclasses.fields(kind)}
         return kind(**parts)
     if typing.get_origin(kind) is tuple:
         (item, *_) = typing.get_args(kind)
-        count = 0
-        while any(key == f"{prefix}/{count}" or key.startswith(f"{prefix}/{count}/") for key in arrays):
-            count += 1
-        return tuple(restore(item, arrays, f"{prefix}/{i}") for i in range(count))
+        beneath = under(f"{prefix}/", arrays)
+        count = len({name.partition("/")[0] for name in beneath})
+        return tuple(restore(item, beneath, str(i)) for i in range(count))
     if prefix not in arrays:
         raise SceneFileError("scene file", f"the part {prefix!r} is missing", "Build the scene again from its cloud.")
     value = arrays[prefix]
     if isinstance(kind, type) and kind in (int, float, bool, str) and not isinstance(kind, types.GenericAlias):
         return kind(value)
     return value
+
+
+@cache
+def _hints(kind: type) -> dict[str, Any]:
+    return typing.get_type_hints(kind)

@@ -10,7 +10,7 @@ from enum import StrEnum
 from functools import lru_cache
 from math import hypot, isfinite, radians
 from numbers import Integral, Real
-from typing import Protocol
+from typing import Literal, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -128,6 +128,8 @@ class Agent:
 # Effort: a metre of rise costs 6 s (Naismith 1892: an hour for 2000 ft). Steps up to 0.2 m are what building codes let
 # a stair have; a quadruped's data sheet says 0.3 m. Of higher ones a person would rather walk 28 m than take one of
 # 0.35 m unseen, which is a choice of ours, a quadruped a fifth of it: it may stumble, it does not get hurt.
+Method = Literal["dual_gpdf", "single_gpdf", "astar", "prm"]
+Preference = Literal["quickest", "level", "wide"]
 AGENTS: dict[str, Agent] = {
     agent.name: agent
     for agent in (

@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import sys
+import tempfile
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from functools import cached_property
+from pathlib import Path
 
 import numpy as np
 from numba.core.dispatcher import Dispatcher
 
 from gpdf_service.pipeline import build_scene, plan
-from gpdf_service.scene import Scene
+from gpdf_service.scene import Scene, load_scene
 from gpdf_service.synthetic import SCENES, Box, SyntheticScene, World
 from gpdf_service.types import AGENTS
 
@@ -33,10 +35,13 @@ class Warming:
         return build_scene(self._office.points, self._office.ground)
 
     def plans(self) -> None:
-        """A labelled scene, a plan in it, and one round something that moves: what a planner needs at once."""
+        """A labelled scene, a plan in it, one round something that moves, its file: what a planner needs at once."""
         made, scene = self._office, self._scene
         plan(scene, made.start, made.goal)
         plan(scene.with_obstacles(np.array([[*made.start[:2], 1.0]])), made.start, made.goal)
+        with tempfile.TemporaryDirectory() as folder:
+            scene.save(file := Path(folder) / "scene")
+            load_scene(file)
 
     def grounds(self) -> None:
         """Our segmentation of a clean cloud, and of a stair."""

@@ -1,3 +1,5 @@
+import dataclasses
+import json
 import threading
 
 import numpy as np
@@ -7,7 +9,8 @@ import gpdf_service as gpdf
 from gpdf_service.errors import CloudError, FieldError, SceneFileError
 from gpdf_service.perception import HeightMap
 from gpdf_service.scene import level_under
-from gpdf_service.store import read_arrays, write_arrays
+from gpdf_service.store import flatten, read_arrays, write_arrays
+from gpdf_service.synthetic import SCENES
 
 
 def test_a_saved_scene_answers_the_same_and_fits_nothing(office, tmp_path, monkeypatch):
@@ -22,6 +25,81 @@ def test_a_saved_scene_answers_the_same_and_fits_nothing(office, tmp_path, monke
     assert back.config == scene.config
     points = np.random.default_rng(0).uniform([0, 0, 0], [6, 5, 2], (100, 3))
     np.testing.assert_array_equal(back.ground_field.query(points).distance, scene.ground_field.query(points).distance)
+
+
+def parts_of(scene):
+    """Every array that a scene is made of."""
+    made = flatten(scene.levels, "levels") | {"points": scene.points, "ground": scene.ground}
+    for i, field in enumerate(scene.ground_fields):
+        made |= {f"field/{i}/{name}": value for name, value in field.to_arrays().items()}
+    return made
+
+
+def same(a, b):
+    first, second = parts_of(a), parts_of(b)
+    assert first.keys() == second.keys()
+    for name, values in first.items():
+        assert values.dtype == second[name].dtype, name
+        np.testing.assert_array_equal(values, second[name], err_msg=name)
+
+
+def noisy_office():
+    made = SCENES["office"](np.random.default_rng(0), spacing=0.08, noise=0.02)
+    return gpdf.build_scene(made.points, made.ground)
+
+
+def changed_office():
+    made = SCENES["office"](np.random.default_rng(0), spacing=0.08)
+    box = np.stack(np.meshgrid([3.0, 3.1], [3.0, 3.1], np.arange(0.1, 1.0, 0.1)), axis=-1).reshape(-1, 3)
+    scene = gpdf.build_scene(made.points, made.ground)
+    return scene.update(remove=np.flatnonzero(made.points[:, 0] < 1.0), insert=box)
+
+
+@pytest.mark.parametrize("make", [noisy_office, changed_office])
+def test_a_scene_comes_back_to_the_bit(make, tmp_path):
+    scene = make()
+    scene.save(tmp_path / "a.gpdf")
+    back = gpdf.load_scene(tmp_path / "a.gpdf")
+    same(scene, back)
+    back.save(tmp_path / "b.gpdf")
+    assert (tmp_path / "a.gpdf").read_bytes() == (tmp_path / "b.gpdf").read_bytes()
+
+
+def test_two_storeys_take_no_more_than_thrice_their_cloud_and_come_back_to_the_bit(tmp_path):
+    grid = np.stack(np.meshgrid(np.arange(0.0, 6.0, 0.05), np.arange(0.0, 5.0, 0.05), [0.0, 2.7]), axis=-1)
+    wall = np.stack(np.meshgrid(np.arange(0.0, 6.0, 0.05), [2.5], np.arange(0.05, 5.0, 0.05)), axis=-1)
+    floors, walls = grid.reshape(-1, 3), wall.reshape(-1, 3)
+    scan = np.concatenate([floors, walls]) + np.random.default_rng(0).normal(0.0, 0.001, (len(floors) + len(walls), 3))
+    scan = scan.astype(np.float32)
+    scene = gpdf.build_scene(scan, np.arange(len(scan)) < len(floors))
+    assert len(scene.levels.levels) == 2
+    scene.save(tmp_path / "a.gpdf")
+    same(scene, gpdf.load_scene(tmp_path / "a.gpdf"))
+    np.savez_compressed(tmp_path / "cloud.npz", points=scan)
+    assert (tmp_path / "a.gpdf").stat().st_size < 3.0 * (tmp_path / "cloud.npz").stat().st_size
+
+
+def test_a_scene_file_of_the_version_before_is_loaded(office, tmp_path):
+    made, scene = office
+    arrays = {name: values for name, values in parts_of(scene).items() if not name.startswith("field/")}
+    for i, field in enumerate(scene.ground_fields):
+        arrays |= {f"ground_fields/{i}/{name}": value for name, value in field.to_arrays().items()}
+    known = {"version": 1, "noise": 0.0, "labelled": True, "config": dataclasses.asdict(scene.config)}
+    header = np.frombuffer(json.dumps({"schema_version": 4, **known}).encode(), np.uint8)
+    with (tmp_path / "old.gpdf").open("wb") as file:
+        np.savez(file, meta=header, **arrays)
+    back = gpdf.load_scene(tmp_path / "old.gpdf")
+    same(scene, back)
+    assert gpdf.plan(back, made.start, made.goal, "human").status is gpdf.Status.OK
+
+
+def test_a_scene_file_that_marks_points_which_are_not_there_is_refused(office, tmp_path):
+    office[1].save(tmp_path / "a.gpdf")
+    arrays, meta, _ = read_arrays(tmp_path / "a.gpdf")
+    arrays["points"] = arrays["points"][1:]
+    write_arrays(tmp_path / "b.gpdf", arrays, meta)
+    with pytest.raises(SceneFileError, match="points that are not there"):
+        gpdf.load_scene(tmp_path / "b.gpdf")
 
 
 def test_a_scene_file_without_a_part_is_refused(office, tmp_path):

@@ -1,5 +1,7 @@
 import dataclasses
+import json
 import pickle
+from errno import ENOSPC
 
 import numpy as np
 import pytest
@@ -66,11 +68,18 @@ def test_a_file_of_another_schema_version_is_refused(tmp_path, monkeypatch):
         read_arrays(tmp_path / "a.gpdf")
 
 
-def test_a_failed_write_leaves_the_old_file(tmp_path):
+def test_a_failed_write_leaves_the_old_file(tmp_path, monkeypatch):
     path = tmp_path / "a.gpdf"
     write_arrays(path, {"a": np.ones(2)}, {})
-    with pytest.raises(ValueError, match="allow_pickle"):
+    with pytest.raises(ValueError, match="object"):
         write_arrays(path, {"a": np.array([object()])}, {})
+
+    def full(handle):
+        raise OSError(ENOSPC, "no space")
+
+    monkeypatch.setattr("gpdf_service.store.os.fsync", full)
+    with pytest.raises(OSError, match="no space"):
+        write_arrays(path, {"a": np.zeros(2)}, {})
     assert read_arrays(path)[0]["a"].tolist() == [1, 1]
     assert [p.name for p in tmp_path.iterdir()] == ["a.gpdf"]
 
@@ -96,7 +105,7 @@ def test_damage_in_what_is_read_later_is_refused_at_once(tmp_path):
 
 def test_a_file_that_was_written_over_since_is_an_error_and_no_answer(tmp_path):
     path = tmp_path / "a.gpdf"
-    write_arrays(path, {"now": np.ones(2), "then/a": np.arange(30000.0)}, {})
+    write_arrays(path, {"now": np.ones(2), "then/a": np.random.default_rng(0).normal(size=30000)}, {})
     later = read_arrays(path, later="then/")[2]
     path.write_bytes(b"x" * len(path.read_bytes()))
     with pytest.raises(SceneFileError, match="damaged"):
@@ -106,8 +115,34 @@ def test_a_file_that_was_written_over_since_is_an_error_and_no_answer(tmp_path):
 def test_a_file_of_something_else_is_refused_and_nobody_is_advised_to_run_it(tmp_path):
     for content in (b"hello", pickle.dumps(["an object"])):
         (tmp_path / "a.gpdf").write_bytes(content)
-        with pytest.raises(SceneFileError, match="no arrays of numbers"):
+        with pytest.raises(SceneFileError, match=r"damaged or no scene \(File is not a zip file\)"):
             read_arrays(tmp_path / "a.gpdf")
+    np.savez(tmp_path / "b.npz", meta=np.array([object()]))
+    with pytest.raises(SceneFileError, match="no arrays of numbers"):
+        read_arrays(tmp_path / "b.npz")
+
+
+def version_4(path, arrays, meta):
+    header = np.frombuffer(json.dumps({"schema_version": 4, **meta}).encode(), np.uint8)
+    with path.open("wb") as file:
+        np.savez(file, meta=header, **arrays)
+
+
+def test_a_file_of_the_version_before_is_read(tmp_path):
+    version_4(tmp_path / "a.gpdf", {"now": np.arange(6.0).reshape(2, 3), "then/a": np.array([True])}, {"noise": 0.5})
+    arrays, meta, later = read_arrays(tmp_path / "a.gpdf", later="then/")
+    assert list(arrays) == ["now"]
+    np.testing.assert_array_equal(arrays["now"], [[0, 1, 2], [3, 4, 5]])
+    assert later.under("then/")["a"].tolist() == [True]
+    assert meta["noise"] == 0.5
+
+
+def test_a_file_that_says_it_unpacks_to_all_memory_is_refused_before_memory_is_taken(tmp_path):
+    path = tmp_path / "a.gpdf"
+    write_arrays(path, {"a": np.zeros(10_000_000)}, {})
+    assert path.stat().st_size < 80_000_000 / 1000
+    with pytest.raises(SceneFileError, match="unpacks to more"):
+        read_arrays(path)
 
 
 def test_a_compressed_file_with_a_spoiled_byte_is_refused(tmp_path):

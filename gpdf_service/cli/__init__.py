@@ -10,14 +10,14 @@ import argparse
 import json
 import os
 import re
-import signal
 import sys
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager, nullcontext
+from collections.abc import Sequence
+from contextlib import nullcontext
 from difflib import get_close_matches
 from importlib import import_module
 
 from gpdf_service import __version__
+from gpdf_service.cli.work import mortal
 from gpdf_service.errors import GpdfError
 
 VERBS: dict[str, tuple[str, str]] = {
@@ -118,7 +118,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         if verb is None:
             code = _without_verb(words)
         else:
-            with _mortal() if argv is None else nullcontext():
+            with mortal() if argv is None else nullcontext():
                 args = parser_of(verb).parse_args(_joined(words[len(verb.split()) :]))
             if "numba" in sys.modules and sys.stderr.isatty():  # loaded by the verb's module, or not at all
                 import_module("gpdf_service.cli.compiling").tell_of_compiling()
@@ -139,18 +139,6 @@ def main(argv: Sequence[str] | None = None) -> int:
         return _report(error, as_json=getattr(args, "json", False))
     except KeyboardInterrupt:
         return 130
-
-
-@contextmanager
-def _mortal() -> Iterator[None]:
-    """Ctrl-C ends the process at once: as an exception it could be lost in a callback of a library that is loading."""
-    before = signal.getsignal(signal.SIGINT)
-    if before is signal.default_int_handler:  # else the shell wants it ignored
-        signal.signal(signal.SIGINT, signal.SIG_DFL)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGINT, before)
 
 
 def _without_verb(words: list[str]) -> int:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from functools import cache
 
 from numba.core.event import Event, Listener, register
 
@@ -23,6 +24,7 @@ class _Teller(Listener):  # type: ignore[misc]  # Numba has no types
         """Nothing to say."""
 
 
+@cache
 def tell_of_compiling() -> None:
-    """Say so on stderr when the first kernel is compiled."""
+    """Say so on stderr when the first kernel is compiled; once, however often it is asked for."""
     register("numba:compile", _Teller())  # type: ignore[no-untyped-call]

@@ -5,21 +5,19 @@ from __future__ import annotations
 import argparse
 import json
 import os
-import sys
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from tqdm import tqdm
-
+from gpdf_service.cli.work import Work
 from gpdf_service.config import SERVICE_TABLE, Config, read_tables
 from gpdf_service.errors import ConfigError
-from gpdf_service.perception import PointCloud, read_cloud
-from gpdf_service.perception.frame import UP
-from gpdf_service.pipeline import build_scene
-from gpdf_service.scene import Progress, Scene, load_scene
+
+if TYPE_CHECKING:  # what builds and plans takes a second to load: `load`, when there is something to do
+    from gpdf_service.perception import PointCloud
+    from gpdf_service.scene import Scene
 
 SCENE_SUFFIX = ".gpdf"
+UP = ("z", "y", "x", "-z", "-y", "-x")
 BUILDING = ("ground_label", "topic", "thin", "scale", "up", "ignore_labels", "config")
 """Options that say how a cloud is read and built: a scene file knows nothing of them any more."""
 
@@ -41,7 +39,7 @@ def add_build_arguments(parser: argparse.ArgumentParser) -> None:
         help="keep one point of each voxel of this width [m], read in chunks; for tiles in a folder",
     )
     parser.add_argument("--scale", type=float, help="metres of the file's unit: 0.001, 0.01, 0.3048, …")
-    parser.add_argument("--up", choices=tuple(UP), help="the axis of the file that points up (write --up=-z)")
+    parser.add_argument("--up", choices=UP, help="the axis of the file that points up (write --up=-z)")
     parser.add_argument("--ignore-labels", action="store_true", help="segment the ground even if the file has labels")
     parser.add_argument("--config", type=Path, help="a TOML file with settings")
 
@@ -53,30 +51,18 @@ def read_config(path: Path | None) -> Config:
     return Config.from_mapping(tables)
 
 
-@contextmanager
-def progress_bar() -> Iterator[Progress]:
-    """A bar on a terminal, moved by what is called with a stage and the share that is done."""
-    with tqdm(total=1.0, desc="read", disable=not sys.stderr.isatty(), bar_format="{desc:22}{bar} {elapsed}") as bar:
-
-        def progress(stage: str, done: float) -> None:
-            bar.set_description(stage)
-            bar.update(done - bar.n)
-
-        yield progress
-
-
-def open_scene(args: argparse.Namespace) -> Scene:
+def open_scene(args: argparse.Namespace, work: Work) -> Scene:
     """Load the scene file, or read the cloud and build its scene, that the arguments name; say what was odd about it.
 
     Raises:
         ConfigError: the input is a scene file, and the arguments say how to build one.
     """
-    scene, cloud = open_with_cloud(args)
-    _tell(args.input, cloud)
+    scene, cloud = open_with_cloud(args, work)
+    _tell(args.input, cloud, work)
     return scene
 
 
-def open_with_cloud(args: argparse.Namespace) -> tuple[Scene, PointCloud | None]:
+def open_with_cloud(args: argparse.Namespace, work: Work) -> tuple[Scene, PointCloud | None]:
     """`open_scene`, and the cloud that it was built of, if it was.
 
     Raises:
@@ -86,30 +72,37 @@ def open_with_cloud(args: argparse.Namespace) -> tuple[Scene, PointCloud | None]
     if asked and args.input.suffix == SCENE_SUFFIX:
         flag = f"--{asked[0].replace('_', '-')}"
         raise ConfigError(flag, f"the scene {args.input} is built already", "Give its cloud instead.")
-    return _open(args.input, args)
+    return _open(args.input, args, work)
 
 
-def open_one(path: Path, args: argparse.Namespace) -> Scene:
-    """Load a scene file, or read a cloud and build its scene with a progress bar on a terminal."""
-    scene, cloud = _open(path, args)
-    _tell(path, cloud)
+def open_one(path: Path, args: argparse.Namespace, work: Work) -> Scene:
+    """Load a scene file, or read a cloud and build its scene."""
+    scene, cloud = _open(path, args, work)
+    _tell(path, cloud, work)
     return scene
 
 
-def _open(path: Path, args: argparse.Namespace) -> tuple[Scene, PointCloud | None]:
+def _open(path: Path, args: argparse.Namespace, work: Work) -> tuple[Scene, PointCloud | None]:
+    """Load, or read and build: the steps "read" and "build"."""
+    from gpdf_service.perception import read_cloud
+    from gpdf_service.pipeline import build_scene
+    from gpdf_service.scene import load_scene
+
     if path.suffix == SCENE_SUFFIX:
-        return load_scene(path), None
+        with work.step("read"):
+            return load_scene(path), None
     config = read_config(args.config)
-    with progress_bar() as progress:
+    with work.step("read"):
         how = {name: getattr(args, name) for name in ("ground_label", "topic", "thin", "scale", "up")}
         cloud = read_cloud(path, **how)
-        ground = None if args.ignore_labels else cloud.ground
+    ground = None if args.ignore_labels else cloud.ground
+    with work.step("build") as progress:
         return build_scene(cloud.points, ground, config, origins=cloud.origins, progress=progress), cloud
 
 
-def _tell(path: Path, cloud: PointCloud | None) -> None:
+def _tell(path: Path, cloud: PointCloud | None, work: Work) -> None:
     for remark in () if cloud is None else cloud.remarks:
-        print(f"{path}: {remark}", file=sys.stderr)
+        work.say(f"{path}: {remark}")
 
 
 def check_out(path: Path, option: str = "--out") -> None:

@@ -7,14 +7,17 @@ import dataclasses
 import json
 import time
 from pathlib import Path
-from typing import Any, get_args
+from typing import TYPE_CHECKING, Any, get_args
 
 from gpdf_client.cli import place
 
 from gpdf_service.cli.bodies import add_body_arguments, body_of
 from gpdf_service.cli.inputs import add_cloud_arguments, check_out, open_scene
-from gpdf_service.pipeline import Method, Preference, plan
-from gpdf_service.types import PlanResult, Status
+from gpdf_service.cli.work import Work
+from gpdf_service.types import Agent, Method, PlanResult, Preference, Status
+
+if TYPE_CHECKING:
+    from gpdf_service.scene import Scene
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -49,17 +52,7 @@ def run(args: argparse.Namespace) -> int:
         agent = dataclasses.replace(agent, discs=args.discs)
     if args.png:
         check_out(args.png, "--png")
-    scene = open_scene(args)
-    began = time.perf_counter()
-    options = {"via": args.via, "other_goals": args.or_goal, "snap": args.snap, "deadline_s": args.deadline}
-    options |= {"prefer": args.prefer, "alternatives": args.alternatives}
-    result = plan(scene, args.start, args.goal, agent, method=args.method, **options)
-    seconds = time.perf_counter() - began
-    if args.png:
-        from gpdf_service.viewer.picture import draw_plans
-
-        shown = {agent.name: result} | {f"way {n}": way for n, way in enumerate(result.alternatives, start=2)}
-        draw_plans(scene, shown, args.png, agent=agent, start=args.start, goal=args.goal)
+    scene, result, seconds = _plan(args, agent)
     if args.json:
         print(json.dumps(to_json(result)))
     else:
@@ -74,6 +67,27 @@ def run(args: argparse.Namespace) -> int:
                     f"the cloud is noisy: what is no higher than {hidden:.0f} cm over the ground may be missing from it"
                 )
     return 0 if result.status is Status.OK else 1
+
+
+def _plan(args: argparse.Namespace, agent: Agent) -> tuple[Scene, PlanResult, float]:
+    """The scene, the answer, and how long that took with what the body needs first [s]; drawn if that was asked."""
+    with Work("read", "build", "fit", *["draw"] * bool(args.png)) as work:
+        from gpdf_service.pipeline import plan
+
+        scene = open_scene(args, work)
+        options = {"via": args.via, "other_goals": args.or_goal, "snap": args.snap, "deadline_s": args.deadline}
+        options |= {"prefer": args.prefer, "alternatives": args.alternatives}
+        began = time.perf_counter()
+        with work.step("fit"):
+            result = plan(scene, args.start, args.goal, agent, method=args.method, **options)
+        seconds = time.perf_counter() - began
+        if args.png:
+            with work.step("draw"):
+                from gpdf_service.viewer.picture import draw_plans
+
+                shown = {agent.name: result} | {f"way {n}": way for n, way in enumerate(result.alternatives, start=2)}
+                draw_plans(scene, shown, args.png, agent=agent, start=args.start, goal=args.goal)
+    return scene, result, seconds
 
 
 def _words(result: PlanResult) -> str:

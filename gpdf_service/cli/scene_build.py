@@ -9,6 +9,7 @@ from pathlib import Path
 
 from gpdf_service.cli.bodies import read_agent
 from gpdf_service.cli.inputs import SCENE_SUFFIX, add_cloud_arguments, check_out, open_scene
+from gpdf_service.cli.work import Work
 from gpdf_service.types import resolve_agent
 
 
@@ -31,9 +32,12 @@ def run(args: argparse.Namespace) -> int:
     target = args.out or args.input.with_suffix(SCENE_SUFFIX)
     check_out(target)
     began = time.perf_counter()
-    scene = open_scene(args)
-    for agent in agents:
-        scene.free_space(agent)
+    with Work("read", "build", *["fit"] * bool(agents)) as work:
+        scene = open_scene(args, work)
+        for i, agent in enumerate(agents):
+            with work.step("fit") as progress:
+                progress(f"find where {agent.name} fits", i / len(agents))
+                scene.free_space(agent)
     seconds = time.perf_counter() - began
     scene.save(target)
     info = scene.info()

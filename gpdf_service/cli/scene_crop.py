@@ -7,7 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
-from gpdf_service.cli.inputs import add_cloud_arguments, check_out, open_scene, progress_bar, save_scene
+from gpdf_service.cli.inputs import add_cloud_arguments, check_out, open_scene, save_scene
+from gpdf_service.cli.work import Work
 from gpdf_service.types import FloatArray
 
 
@@ -23,17 +24,18 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Cut out, build, save, say what is in it."""
-    from gpdf_service.combine import crop_scene, within_box, within_polygon
-
     check_out(args.out)
-    scene = open_scene(args)
-    if args.box:
-        half = len(args.box) // 2
-        inside = within_box(scene.points, args.box[:half], args.box[half:])
-    else:
-        inside = within_polygon(scene.points, args.polygon)
-    with progress_bar() as progress:
-        part = crop_scene(scene, inside, progress)
+    with Work("read", "build", "again") as work:
+        from gpdf_service.combine import crop_scene, within_box, within_polygon
+
+        scene = open_scene(args, work)
+        if args.box:
+            half = len(args.box) // 2
+            inside = within_box(scene.points, args.box[:half], args.box[half:])
+        else:
+            inside = within_polygon(scene.points, args.polygon)
+        with work.step("again") as progress:
+            part = crop_scene(scene, inside, progress)
     return save_scene(part, args.out, as_json=args.json)
 
 

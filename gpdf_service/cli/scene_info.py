@@ -7,13 +7,19 @@ import dataclasses
 import json
 import shlex
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from gpdf_service.cli.bodies import FLAGS, add_body_arguments, body_of
 from gpdf_service.cli.inputs import BUILDING, add_cloud_arguments, check_out, open_with_cloud
-from gpdf_service.search import find_reach
-from gpdf_service.types import resolve_agent
+from gpdf_service.cli.work import Work
+from gpdf_service.types import Agent, resolve_agent
+
+if TYPE_CHECKING:
+    from gpdf_service.perception import PointCloud
+    from gpdf_service.scene import Scene
+    from gpdf_service.search import Reach
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -29,16 +35,11 @@ def run(args: argparse.Namespace) -> int:
     agent = body_of(args)
     if args.png:
         check_out(args.png, "--png")
-    scene, cloud = open_with_cloud(args)
-    if args.png:
-        from gpdf_service.viewer.picture import draw_scene
-
-        draw_scene(scene, agent or resolve_agent("human"), args.png)
+    scene, cloud, reach = _look(args, agent)
     info = scene.info()
     if cloud is not None:
         told = ("scale", "up", "dropped", "remarks")
         info["cloud"] = {name: getattr(cloud, name) for name in told}
-    reach = find_reach(scene.free_space(agent)) if agent else None
     if reach is not None:
         info["reach"] = {"agent": agent.name if agent else None, **dataclasses.asdict(reach)}
     if args.json:
@@ -67,6 +68,25 @@ def run(args: argparse.Namespace) -> int:
         start, goal = (",".join(f"{value:.2f}" for value in place) for place in (reach.start, reach.goal))
         print(f"try      gpdf plan {args.input} --start {start} --goal {goal} {_named(args)} --png plan.png")
     return 0
+
+
+def _look(args: argparse.Namespace, agent: Agent | None) -> tuple[Scene, PointCloud | None, Reach | None]:
+    """The scene, its cloud, and where the body can go; it is drawn if that was asked."""
+    with Work("read", "build", *["fit"] * bool(agent or args.png), *["draw"] * bool(args.png)) as work:
+        scene, cloud = open_with_cloud(args, work)
+        reach = None
+        if agent or args.png:
+            with work.step("fit"):
+                from gpdf_service.search import find_reach
+
+                space = scene.free_space(agent or "human")
+                reach = find_reach(space) if agent else None
+        if args.png:
+            with work.step("draw"):
+                from gpdf_service.viewer.picture import draw_scene
+
+                draw_scene(scene, agent or resolve_agent("human"), args.png)
+    return scene, cloud, reach
 
 
 def _named(args: argparse.Namespace) -> str:

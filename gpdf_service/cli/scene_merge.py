@@ -5,7 +5,9 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from gpdf_service.cli.inputs import add_build_arguments, check_out, open_one, progress_bar, read_config, save_scene
+from gpdf_service.cli.inputs import add_build_arguments, check_out, open_one, read_config, save_scene
+from gpdf_service.cli.work import Work
+from gpdf_service.errors import CloudError
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -18,14 +20,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Put together, build, save, say what is in it."""
-    from gpdf_service.combine import merge_scenes
-    from gpdf_service.errors import CloudError
-
     if len(args.inputs) < 2:
         raise CloudError("merge", f"{len(args.inputs)} input", "Name two clouds or scenes, or more.")
     check_out(args.out)
-    scenes = [open_one(path, args) for path in args.inputs]
     config = None if args.config is None else read_config(args.config)
-    with progress_bar() as progress:
-        made = merge_scenes(scenes, config, progress)
+    with Work("read", "build", "again") as work:
+        from gpdf_service.combine import merge_scenes
+
+        scenes = [open_one(path, args, work) for path in args.inputs]
+        with work.step("again") as progress:
+            made = merge_scenes(scenes, config, progress)
     return save_scene(made, args.out, as_json=args.json)

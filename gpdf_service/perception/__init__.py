@@ -6,6 +6,8 @@ from gpdf_service.perception.change import WholeError as WholeError
 from gpdf_service.perception.change import change as change
 from gpdf_service.perception.change import changed_cells as changed_cells
 from gpdf_service.perception.cure import cure_and_segment as cure_and_segment
+from gpdf_service.perception.keep import levels_from_arrays as levels_from_arrays
+from gpdf_service.perception.keep import levels_to_arrays as levels_to_arrays
 from gpdf_service.perception.levels import GroundLevel as GroundLevel
 from gpdf_service.perception.levels import Levels as Levels
 from gpdf_service.perception.levels import Portal as Portal

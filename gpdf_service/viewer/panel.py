@@ -46,15 +46,15 @@ class PlanTab:
     sets: viser.GuiButtonGroupHandle
     drops: DropTools
     next: viser.GuiMarkdownHandle
+    answer: viser.GuiMarkdownHandle
+    refusal: viser.GuiHtmlHandle
+    nearest: viser.GuiButtonHandle
     typed: dict[str, viser.GuiTextHandle]
     take: viser.GuiButtonHandle
     plan: viser.GuiButtonHandle
     compare_methods: viser.GuiButtonHandle
     compare_bodies: viser.GuiButtonHandle
     clear: viser.GuiButtonHandle
-    answer: viser.GuiMarkdownHandle
-    refusal: viser.GuiHtmlHandle
-    nearest: viser.GuiButtonHandle
     table: viser.GuiHtmlHandle
     legend: viser.GuiHtmlHandle
     time: viser.GuiSliderHandle[float]
@@ -153,15 +153,15 @@ def _plan_tab(gui: viser.GuiApi) -> PlanTab:
         sets=gui.add_button_group("Next click", CLICKS),
         drops=_drop_tools(gui),
         next=gui.add_markdown(""),
+        answer=gui.add_markdown(""),
+        refusal=gui.add_html("", visible=False),
+        nearest=gui.add_button("", visible=False),
         typed={name: gui.add_text(name.capitalize(), "", hint=TYPED) for name in ("start", "goal")},
         take=gui.add_button("Take what is typed", color="gray"),
         plan=gui.add_button("Plan", disabled=True),
         compare_methods=gui.add_button("Compare the methods", disabled=True, color="gray"),
         compare_bodies=gui.add_button("Compare the bodies", disabled=True, color="gray"),
         clear=gui.add_button("Clear", color="gray"),
-        answer=gui.add_markdown(""),
-        refusal=gui.add_html("", visible=False),
-        nearest=gui.add_button("", visible=False),
         table=gui.add_html("", visible=False),
         legend=gui.add_html(gradient(colours.ROOM, "0 m", f"{colours.ENOUGH_ROOM} m of room"), visible=False),
         time=gui.add_slider("Time [s]", 0.0, 1.0, 0.01, 0.0, visible=False),

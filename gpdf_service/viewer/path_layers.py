@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Literal
+
 import numpy as np
 import viser
 from gpdf_client import Trajectory
@@ -10,6 +12,7 @@ from gpdf_service.types import Agent, FloatArray
 from gpdf_service.viewer import colours
 from gpdf_service.viewer.frame import Frame
 
+Anchor = Literal["bottom-center", "top-left", "top-right"]
 LINE_LIFT = 0.04
 """[m] The path is drawn over the ground and the leaves."""
 LIFTED = np.array([0.0, 0.0, LINE_LIFT])
@@ -28,6 +31,13 @@ MARKS = {"start": (0, 158, 115), "goal": (204, 121, 167), "nearest": (0, 114, 17
 MARK_RADIUS = 0.12
 """[m]"""
 SAID = {"start": "start", "goal": "goal", "nearest": "nearest place that fits", "cut": "the way is cut here"}
+ANCHORS: dict[str, Anchor] = {
+    "start": "bottom-center",
+    "goal": "bottom-center",
+    "nearest": "top-left",
+    "cut": "top-right",
+}
+"""Which side of its place a label is on: what is refused and the nearest place that fits are often close."""
 BODY = (0, 114, 178)
 
 
@@ -54,7 +64,7 @@ class PathLayers:
             return
         at = self._frame.to_page(place) + LIFTED
         disc = self._scene.add_cylinder(f"/plan/{name}", MARK_RADIUS, 0.03, MARKS[name], position=at, cast_shadow=False)
-        label = self._scene.add_label(f"/plan/{name}/label", SAID[name], position=(0, 0, 0.25))
+        label = self._scene.add_label(f"/plan/{name}/label", SAID[name], position=(0, 0, 0.25), anchor=ANCHORS[name])
         self._marks[name] = [label, disc]
 
     def clear(self) -> None:

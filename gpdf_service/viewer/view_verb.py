@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import argparse
+import contextlib
+import io
 import logging
 import secrets
 import signal
@@ -55,7 +57,8 @@ def run(args: argparse.Namespace) -> int:
         print(told, file=sys.stderr)
         return 1
     hidden = hidden_address()
-    server = Server(hidden, 0, label="gpdf", verbose=False)  # a port of its own choice
+    with contextlib.redirect_stdout(io.StringIO()):  # viser tells its own address, which the gate hides
+        server = Server(hidden, 0, label="gpdf", verbose=False)  # a port of its own choice
     pages = Pages(server, args.endpoint, args.log, config)
     token = secrets.token_urlsafe()
     gate = Gate(args.host, args.port, (hidden, server.get_port()), token, args.name, front_page())

@@ -31,10 +31,11 @@ def answer(result: PlanResult) -> str:
 def refusal(result: PlanResult) -> str:
     """A card that says why there is no path, as HTML; a screen reader reads it at once."""
     head = f"<b style='color:{DARK_WARNING}'>No path: {escape(result.status.value)}</b>"
+    sentence = result.message[:1].upper() + result.message[1:]
     style = (
         f"margin:0 1em 0.5em;padding:0.5em 0.75em;border-left:4px solid {css(WARNING)};background:rgba(213,94,0,.08)"
     )
-    return f"<div role='alert' style='{style}'>{head}<br>{escape(result.message)}</div>"
+    return f"<div role='alert' style='{style}'>{head}<br>{escape(sentence)}</div>"
 
 
 def details(result: PlanResult, seconds: float | None) -> str:

@@ -21,10 +21,11 @@ def start(*words):
 
 
 def link_of(process):
-    for line in process.stdout:
-        if found := re.search(r"open (http://\S+)", line):
-            return found[1]
-    pytest.fail("it printed no link")
+    """What it prints first: no other address stands beside it."""
+    line = process.stdout.readline()
+    found = re.fullmatch(r"open (http://\S+)\n", line)
+    assert found, line
+    return found[1]
 
 
 def fetch(link):

@@ -1,0 +1,88 @@
+"""Levels as named arrays, for a file that holds their cloud as well: of the points on them only which these are."""
+
+from __future__ import annotations
+
+from collections import ChainMap
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+
+from gpdf_service.errors import SceneFileError
+from gpdf_service.fields.threads import run_parallel
+from gpdf_service.perception.columns import by_cell
+from gpdf_service.perception.levels import Levels, in_order
+from gpdf_service.perception.rows import chosen_rows
+from gpdf_service.perception.surface import HeightMap, cells_within
+from gpdf_service.store import Arrays, flatten, restore
+from gpdf_service.types import BoolArray, FloatArray, IntArray
+
+_POINTS, _ROWS = "levels/levels/{}/other_points", "levels/levels/{}/other_rows"
+
+
+@dataclass(frozen=True, slots=True)
+class _Ground:
+    """What of a level says the order of its points."""
+
+    surface: HeightMap
+
+
+def levels_to_arrays(levels: Levels, points: FloatArray) -> Arrays:
+    """All that `levels_from_arrays` needs beside the cloud, `points` (n, 3). Of a cured one points are others."""
+    made = flatten(levels, "levels")
+    ordered: dict[tuple[object, ...], tuple[IntArray, IntArray]] = {}
+    for i, level in enumerate(levels.levels):
+        grid = level.surface
+        key = *grid.origin.tolist(), grid.cell_width, *grid.state.shape
+        if key not in ordered:
+            ordered[key] = by_cell(cells_within(points, grid), grid.state.size + 1)
+        chosen = np.zeros(len(points), dtype=bool)
+        if _find(points, *ordered[key], level.other_points, chosen):
+            del made[_POINTS.format(i)]
+            made[_ROWS.format(i)] = chosen
+    return made
+
+
+def levels_from_arrays(arrays: Arrays, points: FloatArray) -> Levels:
+    """The levels that `levels_to_arrays` took apart, of the same cloud.
+
+    Raises:
+        SceneFileError: an array is missing.
+    """
+    grids = enumerate(restore(tuple[_Ground, ...], arrays, "levels/levels"))
+
+    def one(numbered: tuple[int, _Ground]) -> Arrays:
+        i, ground = numbered
+        if (chosen := arrays.get(_ROWS.format(i))) is None:
+            return {}
+        if chosen.shape != (len(points),):
+            raise SceneFileError("scene file", "it marks points that are not there", "Build the scene again.")
+        return {_POINTS.format(i): in_order(chosen_rows(points, chosen), ground.surface)[0]}
+
+    levels: Levels = restore(Levels, ChainMap(*run_parallel(one, grids), arrays), "levels")
+    return levels
+
+
+@njit(cache=True, nogil=True)
+def _find(points: FloatArray, start: IntArray, order: IntArray, others: FloatArray, chosen: BoolArray) -> bool:
+    """Mark the rows that the `others` are, which lie in the order of their cells; whether all are there.
+
+    Args:
+        points: Shape (n, 3) [m].
+        start: Where each cell begins in the order.
+        order: The rows of the points by cell.
+        others: Shape (m, 3) [m].
+        chosen: Where they are marked, shape (n,).
+    """
+    found = 0
+    for i in range(start[-2]):
+        if found == len(others):
+            break
+        row = order[i]
+        if (
+            points[row, 0] == others[found, 0]
+            and points[row, 1] == others[found, 1]
+            and points[row, 2] == others[found, 2]
+        ):
+            chosen[row], found = True, found + 1
+    return found == len(others)

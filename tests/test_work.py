@@ -1,0 +1,96 @@
+"""The bar of verbs that take longer: what a terminal shows, and how soon."""
+
+import os
+import pty
+import re
+import subprocess
+import sys
+import termios
+
+import numpy as np
+import pytest
+
+from gpdf_service.cli import inputs, work
+from gpdf_service.cli.work import Work
+from gpdf_service.perception.frame import UP
+
+LIGHT = ("plan", "scene build", "scene info", "scene crop", "scene merge", "view", "client", "drive", "guide", "ros2")
+
+
+@pytest.fixture
+def clock(monkeypatch):
+    """A clock that the test turns."""
+    now = [100.0]
+    monkeypatch.setattr(work.time, "monotonic", lambda: now[0])
+    return now
+
+
+def test_what_is_left_is_told_by_the_share_that_is_done_and_counts_down(clock):
+    made = Work("read", "build")  # one share and seven
+    clock[0] += 5.0  # what is loaded first says nothing of the cloud
+    with made.step("read"):
+        assert made.left(clock[0]) is None
+        clock[0] += 2.0
+    with made.step("build") as progress:
+        assert made.left(clock[0]) == pytest.approx(14.0)
+        assert made.left(clock[0] + 4.0) == pytest.approx(10.0)
+        clock[0] += 7.0
+        progress("build levels", 0.5)
+        assert made.left(clock[0]) == pytest.approx(7.0)
+        assert made.left(clock[0] + 99.0) == 0.0
+
+
+def test_a_step_that_is_left_out_is_not_waited_for(clock):
+    made = Work("read", "build", "draw")
+    with made.step("read"):
+        clock[0] += 2.0
+    with made.step("draw"):
+        assert made.left(clock[0]) == pytest.approx(2.0 * 5 / 8)
+
+
+def test_a_terminal_sees_each_stage_and_what_is_left(tmp_path):
+    rows = np.random.default_rng(0).uniform([0.0, 0.0, 0.0], [4.0, 4.0, 0.01], (40_000, 3))
+    np.savetxt(tmp_path / "floor.xyz", rows, fmt="%.4f")
+    words = ["scene", "info", str(tmp_path / "floor.xyz"), "--agent", "human"]
+    seen = on_a_terminal([sys.executable, "-m", "gpdf_service.cli", *words])
+    stages = ["start", "read", "segment ground", "find where the body fits"]
+    at = [seen.index(stage) for stage in stages]
+    assert at == sorted(at)
+    assert re.search(r"about \d+ s left", seen)
+
+
+@pytest.mark.parametrize("verb", LIGHT)
+def test_help_and_a_wrong_word_do_not_wait_for_what_plans(verb):
+    said = f"""
+import sys
+from gpdf_service.cli import main
+for word in "--help", "--bogus":
+    try:
+        main([*{verb.split()}, word])
+    except SystemExit:
+        pass
+print(sorted(set(sys.modules) & {{"numba", "scipy", "open3d", "matplotlib"}}), file=sys.stderr)
+"""
+    done = subprocess.run([sys.executable, "-c", said], capture_output=True, text=True, check=True, timeout=60)
+    assert done.stderr.splitlines()[-1] == "[]"
+
+
+def test_the_axes_that_the_command_line_knows_are_those_that_are_read():
+    assert tuple(UP) == inputs.UP
+
+
+def on_a_terminal(words):
+    """What a terminal shows of a command that succeeds, from first to last."""
+    ours, theirs = pty.openpty()
+    termios.tcsetwinsize(theirs, (24, 80))
+    process = subprocess.Popen(words, stdout=subprocess.DEVNULL, stderr=theirs)
+    os.close(theirs)
+    text = b""
+    try:
+        while part := os.read(ours, 4096):
+            text += part
+    except OSError:  # nobody holds its other end any more
+        pass
+    os.close(ours)
+    assert process.wait(60) == 0, text.decode()
+    return text.decode()
