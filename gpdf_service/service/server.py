@@ -91,6 +91,7 @@ class Server:
             config,
             state_dir=options.state,
             memory_bytes=options.memory_bytes,
+            spare_bytes=options.spare_bytes,
             build=None if self._builder is None else self._builder.build,
         )
         stamp = time.strftime("%Y%m%dT%H%M%S", time.gmtime())
@@ -153,7 +154,7 @@ class Server:
         for thread in (*self._workers, self._keeper, self._warmer):
             thread.start()
         if self.options.role == "planner":
-            self._follower = Follower(self._session, self.shelf, self._serve_plans)
+            self._follower = Follower(self._session, self.shelf, self._serve_plans, self._on_gone)
             self._follower.start()
         else:
             self._serve({key: key for key in self.handlers.map_keys}, f"{keys.MAP_ALIVE}/{self.planner_id}")
@@ -263,11 +264,16 @@ class Server:
             self._pool.forget(name)
         self._announce(SceneChanged(scene=name, version=0))
 
+    def _on_gone(self, name: str) -> None:
+        """The map has that scene no more; what was published for it may be for one that it has next, and stays."""
+        self.handlers.moving.let_go(name)
+        self._on_unload(name)
+
     def _on_cut(self, cut: TrajectoryCut) -> None:
         assert self._session is not None
         key, data = keys.cut(cut.scene), encode(cut)
         self._session.put(key, data)
-        self.recorder.publication(key, data, time.time_ns())
+        self.recorder.publication(key, data, self._stamp_ns(time.monotonic()))
 
     def _hear_of_obstacles(self, sample: zenoh.Sample) -> None:
         """Zenoh's callback: what was published on a scene's key; what cannot be read is told on stderr alone.
@@ -293,14 +299,16 @@ class Server:
         """A publication with the moment from which on plans know of it."""
         if self.shelf.get(scene) is None:
             return
-        topic, kept = self.recorder.evidence.publication(key, data)
-        self.recorder.publication(topic, kept, self._stamp_ns(at))
-        if topic == key:
+        kept = self.recorder.evidence.publication(key, data)
+        if kept is None:
+            return
+        self.recorder.publication(*kept, self._stamp_ns(at))
+        if kept[0] == key and self.recorder.evidence.may_draw:
             points = stacked(list(self.handlers.moving.points(scene).values()))
             self.recorder.moving(scene, points, self._stamp_ns(at))
 
     def _stamp_ns(self, moment: float) -> int:
-        """A moment of `time.monotonic` [s] for the log: one clock for all that may stand in another's way."""
+        """A moment of `time.monotonic` [s] for the log: one clock for all, which nobody sets while it runs."""
         return self._epoch_ns + round(1e9 * moment)
 
     def _announce(self, news: SceneChanged) -> None:
@@ -349,7 +357,7 @@ class Server:
                 self._jobs.done()
 
     def _reply(self, job: _Job, data: bytes, *, patient: bool = True) -> None:
-        stamp, status = time.time_ns(), decode(data, Reply).status
+        stamp, status = self._stamp_ns(time.monotonic()), decode(data, Reply).status
         kept = self.recorder.evidence.of(job.client, job.key, status, job.payload, data)
         if kept is not None:
             self.recorder.exchange(*kept, job.received_ns, stamp, patient=patient)
@@ -403,3 +411,4 @@ class Server:
     def _keep_memory(self) -> None:
         while not self._ended.wait(TRIM_S):
             self.shelf.trim()
+            self.shelf.try_again()
