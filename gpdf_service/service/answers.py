@@ -10,7 +10,7 @@ from typing import Any, TypeVar
 import msgspec
 from gpdf_schemas import MAX_REQUEST_BYTES, DecodeError, Reply, Status, decode, encode
 
-from gpdf_service.errors import GpdfError
+from gpdf_service.errors import GpdfError, RequestError
 from gpdf_service.service.scenes import FullError
 from gpdf_service.service.words import public
 from gpdf_service.service.workshop import NotKeptError
@@ -24,6 +24,10 @@ Answers = dict[str, Answer[Reply]]
 """By key."""
 
 
+MAX_REQUEST_ID = 256
+"""[characters] Four times a UUID: it is kept with what was given out, and told again."""
+MAX_WORDS = 2000
+"""[characters] Of a refusal: what a request says may be in it, but not all of a long one."""
 LOOKED = "looked"
 """The time of a reply that says when a plan looked at what moves [s]: what was published until then, it knew."""
 
@@ -57,10 +61,14 @@ def answer(by: Answer[Reply | bytes], planner: str, payload: bytes, received: fl
     request_id = ""
 
     def no(status: Status, message: str) -> bytes:
-        return encode(refuse(reply_kind, planner, status, public(message), request_id, load))
+        said = public(message[:MAX_WORDS]) + ("…" if len(message) > MAX_WORDS else "")
+        return encode(refuse(reply_kind, planner, status, said, request_id, load))
 
     try:
         request = decode(payload, request_kind, limit=MAX_REQUEST_BYTES)
+        if len(request.request_id) > MAX_REQUEST_ID:
+            words = f"it has {len(request.request_id)} characters"
+            raise RequestError("request_id", words, f"Give at most {MAX_REQUEST_ID}.")
         request_id = request.request_id
         waited = time.monotonic() - received
         if waited >= request.deadline_s:

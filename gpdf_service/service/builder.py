@@ -20,6 +20,8 @@ log = logging.getLogger(__name__)
 
 PROGRAM = "gpdf_service.service.build_process"
 MB = 1e6
+STALL_S = 30.0
+"""[s] In which a build uses some of the processor, also while it reads or writes gigabytes."""
 SMALLER = "Is it in metres? Thin it (gpdf scene build --thin), or build it in parts and merge them (gpdf scene merge)"
 
 
@@ -107,11 +109,14 @@ class Builder:
         try:
             child.pipe.send_bytes(msgspec.json.encode(job))
             while True:
-                heard = msgspec.json.decode(child.pipe.recv_bytes(), type=Note | Built | Failed)
+                heard = msgspec.json.decode(child.hear(STALL_S), type=Note | Built | Failed)
                 if not isinstance(heard, Note):
                     break
                 begun = True
                 progress(heard.stage, heard.done)
+        except TimeoutError:
+            self._epitaph(child)
+            return Failed("the build's process hung, and was ended. Send it again; the service's log says more.")
         except (EOFError, OSError):
             words = self._epitaph(child)
             return Failed(words) if begun else None

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import contextlib
+import logging
 import os
+import select
 import socket
 import struct
 import subprocess
@@ -12,9 +14,14 @@ from multiprocessing.connection import Connection
 from pathlib import Path
 
 import msgspec
+import psutil
 
-SEND_S = 3
-"""[s] In which the other end takes what is sent; one that does not hangs."""
+log = logging.getLogger(__name__)
+
+MOVE_S = 3
+"""[s] In which the other end takes what is sent, and sends the rest of what it began; one that does not hangs."""
+START_S = 30.0
+"""[s] In which one that begins uses some of the processor: it reads a lot from the disk."""
 FIRST_TO_GO = 1000
 """Where the kernel looks first when memory runs out: a child is begun anew, and has nothing that is not on the disk."""
 
@@ -41,13 +48,43 @@ class Child:
                 pass_fds=[theirs.fileno()],
                 process_group=0,  # Ctrl-C at a terminal is for the service, which answers first what waits
             )
-            ours.setsockopt(socket.SOL_SOCKET, socket.SO_SNDTIMEO, struct.pack("ll", SEND_S, 0))
+            for way in (socket.SO_SNDTIMEO, socket.SO_RCVTIMEO):
+                ours.setsockopt(socket.SOL_SOCKET, way, struct.pack("ll", MOVE_S, 0))
             self.pipe = Connection(os.dup(ours.fileno()))
+        self._says = select.poll()
+        self._says.register(self.pipe, select.POLLIN)
 
     @property
     def pid(self) -> int:
         """The system's number of it."""
         return self._process.pid
+
+    def hear(self, stall_s: float) -> bytes:
+        """What it says next.
+
+        Args:
+            stall_s: In which it uses some of the processor, if it works.
+
+        Raises:
+            TimeoutError: it hangs.
+            EOFError: it has ended.
+            OSError: the same.
+        """
+        spent = -1.0
+        while not self._says.poll(1e3 * stall_s):
+            before, spent = spent, self._cpu_s()
+            if spent == before:
+                words = f"process {self.pid} was asked for something and hangs"
+                log.error(words)
+                raise TimeoutError(words)
+        return self.pipe.recv_bytes()
+
+    def _cpu_s(self) -> float:
+        try:
+            times = psutil.Process(self.pid).cpu_times()
+        except psutil.NoSuchProcess:  # the pipe says so, too
+            return -1.0
+        return float(times.user + times.system)
 
     def wait(self) -> int:
         """Until it has ended; its exit code, or the negative number of the signal that ended it."""

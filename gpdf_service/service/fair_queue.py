@@ -1,13 +1,19 @@
-"""A bounded queue with one line a client: the lines take turns, and when it is full the longest gives way."""
+"""A bounded queue with one line a client: the lines take turns, and when it is full the longest gives way.
+
+The line of a client that does not take its answers waits until it does.
+"""
 
 from __future__ import annotations
 
 import threading
-from collections import deque
-from collections.abc import Hashable
+from collections import Counter, deque
+from collections.abc import Hashable, Iterator
+from contextlib import contextmanager
 from typing import Generic, TypeVar
 
 T = TypeVar("T")
+MOST_SENDING = 1
+"""Answers on their way to one client, ahead of its next turn: each may wait until its link is closed."""
 
 
 class FairQueue(Generic[T]):
@@ -20,6 +26,7 @@ class FairQueue(Generic[T]):
     def __init__(self, size: int) -> None:
         self.size = size
         self._lines: dict[Hashable, deque[T]] = {}  # in the order of their turns; none is empty
+        self._sending = Counter[Hashable]()
         self._waiting = self._at_work = 0
         self._closed = False
         self._change = threading.Condition()
@@ -55,12 +62,12 @@ class FairQueue(Generic[T]):
     def get(self) -> T | None:
         """The next item, awaited; say `done` after the work. None when the queue is closed and empty."""
         with self._change:
-            self._change.wait_for(lambda: self._waiting or self._closed)
-            if not self._waiting:
+            self._change.wait_for(lambda: self._turn() is not None or (self._closed and not self._waiting))
+            client = self._turn()
+            if client is None:
                 return None
-            client, line = next(iter(self._lines.items()))
+            line = self._lines.pop(client)
             item = line.popleft()
-            del self._lines[client]
             if line:
                 self._lines[client] = line
             self._waiting -= 1
@@ -71,6 +78,24 @@ class FairQueue(Generic[T]):
         """The work on one item has ended."""
         with self._change:
             self._at_work -= 1
+
+    @contextmanager
+    def sending(self, client: Hashable) -> Iterator[None]:
+        """An answer is on its way, after `done`."""
+        with self._change:
+            self._sending[client] += 1
+        try:
+            yield
+        finally:
+            with self._change:
+                self._sending[client] -= 1
+                if not self._sending[client]:
+                    del self._sending[client]
+                self._change.notify_all()
+
+    def _turn(self) -> Hashable | None:
+        """The client whose turn it is."""
+        return next((client for client in self._lines if self._sending[client] < MOST_SENDING), None)
 
     def close(self) -> None:
         """Take no more; what waits is still given out."""

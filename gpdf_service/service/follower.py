@@ -17,11 +17,14 @@ from gpdf_schemas import DecodeError, FileReply, FileRequest, SceneRequest, Scen
 from gpdf_service.errors import GpdfError, SceneFileError
 from gpdf_service.scene import load_scene
 from gpdf_service.service.answers import RefusedError
-from gpdf_service.service.scenes import Shelf
+from gpdf_service.service.scenes import NAME, Shelf
 from gpdf_service.service.words import public
+from gpdf_service.service.workshop import MAKE_ROOM
 
 log = logging.getLogger(__name__)
 
+LEAST_S = 0.05
+"""[s] Between two looks."""
 RESYNC_S = 5.0
 """[s] Between looks at the map's list, for what was published while the link was cut."""
 ASK_S = 10.0
@@ -35,16 +38,22 @@ class Follower:
         session: A session that leads to the map service.
         shelf: The planner's, with a state folder.
         on_synced: Called once, when the shelf is as the map's for the first time.
+        on_gone: Told the name of a scene that the map has no more.
 
     Attributes:
         trouble: Why it may be stale now; empty when all is well.
         absent: Scenes that the map has, or will have, and the shelf has not: the status and the words for who asks.
     """
 
-    def __init__(self, session: zenoh.Session, shelf: Shelf, on_synced: Callable[[], None]) -> None:
-        assert shelf.files is not None
+    def __init__(
+        self,
+        session: zenoh.Session,
+        shelf: Shelf,
+        on_synced: Callable[[], None],
+        on_gone: Callable[[str], None] = lambda name: None,
+    ) -> None:
         self._map, self._shelf, self._files = Client(session), shelf, shelf.files
-        self._on_synced = on_synced
+        self._on_synced, self._on_gone = on_synced, on_gone
         self._awaited: set[str] | None = None  # built by the map when it first answered, and still
         self.trouble = "the map service has not answered yet"
         self.absent: dict[str, tuple[Status, str]] = {}
@@ -91,8 +100,13 @@ class Follower:
         self._shelf.settle()
         while not self._ended.is_set():
             self._news.clear()
-            with self._busy:
-                self._sync()
+            try:
+                with self._busy:
+                    self._sync()
+            except Exception as error:  # whatever the map says, the next time it may make sense
+                log.exception("the map's answer")
+                self._complain(f"what the map service says makes no sense ({error!r})")
+            self._ended.wait(LEAST_S)  # whoever publishes news without end does not keep both at it
             self._news.wait(RESYNC_S)
 
     def _sync(self) -> None:
@@ -104,6 +118,7 @@ class Follower:
             return
         for name in set(self._shelf.facts()) - set(theirs):
             self._shelf.unload(name)
+            self._on_gone(name)
             log.info("scene %s is gone", name)
         self._shelf.trouble = ""
         absent = {name: self._get(name, facts) for name, facts in theirs.items()}
@@ -118,6 +133,8 @@ class Follower:
 
     def _get(self, name: str, facts: Mapping[str, Any]) -> tuple[Status, str] | None:
         """Let a scene of the map be here, too; why it is not, if it is not."""
+        if not NAME.fullmatch(name):
+            return Status.UNAVAILABLE, f"{name[:100]!r} is no name of a scene. Ask another planner."
         if facts["state"] == "building":
             return Status.BUILDING, f"scene {name!r} is being built. Ask again."
         if facts["state"] == "failed":
@@ -127,7 +144,7 @@ class Follower:
         try:
             self._fetch(name, facts["version"], facts["digest"])
         except OSError as error:
-            self._shelf.trouble = f"scene {name!r}: it cannot be kept ({error.strerror}). Make room in the state folder"
+            self._shelf.trouble = f"scene {name!r}: it cannot be kept ({error.strerror}). {MAKE_ROOM}"
             words = self._shelf.trouble
         except (ClientError, DecodeError, GpdfError) as error:  # the other scenes are not to wait
             words = f"scene {name!r} cannot be fetched: {public(str(error)).rstrip('.')}"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import time
+from collections import OrderedDict
 from collections.abc import Callable
 from typing import Any
 
@@ -27,6 +28,7 @@ from gpdf_schemas import (
     ScenesReply,
     Status,
     TrajectoryCut,
+    TrajectoryMessage,
     UpdateRequest,
     UploadRequest,
     decode,
@@ -44,12 +46,20 @@ from gpdf_service.service.places import Named
 from gpdf_service.service.planning import Planning, agent_of, to_trajectory
 from gpdf_service.service.pool import Ask, Pool
 from gpdf_service.service.scenes import Entry, Shelf, describe
-from gpdf_service.types import LARGEST_BODY, BoolArray, FloatArray, Trajectory, resolve_agent
+from gpdf_service.types import LARGEST_BODY, BoolArray, FloatArray, resolve_agent
 
 PLANNER_KEYS = keys.PLAN, keys.DISTANCE
 """What a planner answers."""
+MOST_TAKEN = 1000
+"""Last parts of uploads and changes that are known again when they are repeated, because their replies were lost."""
 PART_BYTES = 1_000_000
 """Of a scene file in one reply: a small request behind it waits a few milliseconds."""
+
+
+class _Given(Reply, frozen=True, kw_only=True):
+    """Of a plan's reply what is remembered of it."""
+
+    trajectory: TrajectoryMessage | None = None
 
 
 class Handlers:
@@ -78,6 +88,7 @@ class Handlers:
         self.moving = Moving()
         self._planning = Planning(self._scene, self.moving, planner_id)
         self.in_use = InUse(self.moving.points, on_cut, planner_id)
+        self._taken: OrderedDict[tuple[object, ...], bool] = OrderedDict()  # parts, and whether each was the last
         self.by_key: Answers = {
             **self.planner_keys,
             **self.map_keys,
@@ -136,8 +147,8 @@ class Handlers:
         entry = self._ready(request.scene, request.deadline_s)
         while (file := entry.file) is not None:
             if found := self._pool.ask(msgspec.structs.replace(ask, file=str(file)), self.moving.look, until):
-                if isinstance(request, PlanRequest) and decode(found, Reply).status is Status.OK:
-                    self._remember(request, lambda: decode(found, PlanReply))
+                if isinstance(request, PlanRequest):
+                    self._remember(request, decode(found, _Given))
                 return found
             if entry.file == file:  # it is there and cannot be read: who tries here, learns why
                 break
@@ -146,21 +157,15 @@ class Handlers:
     def plan(self, request: PlanRequest) -> PlanReply:
         """A trajectory, planned in this process."""
         reply = self._planning.plan(request)
-        if reply.status is Status.OK:
-            self._remember(request, lambda: reply)
+        self._remember(request, reply)
         return reply
 
-    def _remember(self, request: PlanRequest, reply: Callable[[], PlanReply]) -> None:
-        """Who follows what was given out is told when something cuts it; nothing is reckoned unless something moves."""
-
-        def trajectory() -> Trajectory:
-            message = reply().trajectory
-            assert message is not None
-            return to_trajectory(message)
-
-        body = resolve_agent(agent_of(request.agent))
-        self.shelf.note_body(request.scene, body)
-        self.in_use.remember(request.scene, request.request_id, body, trajectory)
+    def _remember(self, request: PlanRequest, reply: _Given | PlanReply) -> None:
+        """Who follows what was given out is told when something cuts it."""
+        if reply.status is Status.OK and reply.trajectory is not None:
+            body = resolve_agent(agent_of(request.agent))
+            self.shelf.note_body(request.scene, body)
+            self.in_use.remember(request.scene, request.request_id, body, to_trajectory(reply.trajectory))
 
     def scenes(self, request: SceneRequest) -> ScenesReply:
         """Facts of all scenes."""
@@ -186,8 +191,8 @@ class Handlers:
         """Take a part of a cloud; the build starts with the last."""
         points = _points(request.points)
         ground = None if request.ground is None else _labels("ground", request.ground, len(points))
-        done = self.shelf.add_part(request.scene, request.upload_id, request.part, request.parts, points, ground)
-        return self._part_reply(request, done)
+        part = request.upload_id, request.part, request.parts
+        return self._take_part(request, lambda: self.shelf.add_part(request.scene, *part, points, ground))
 
     def update(self, request: UpdateRequest) -> SceneReply:
         """Take a part of a change; the build of the next version starts with the last."""
@@ -197,9 +202,17 @@ class Handlers:
         points = _points(request.points)
         gone = _labels("gone", request.gone, len(points))
         part = request.upload_id, request.part, request.parts
-        return self._part_reply(request, self.shelf.add_change(request.scene, *part, points, gone, request.radius))
+        change = points, gone, request.radius
+        return self._take_part(request, lambda: self.shelf.add_change(request.scene, *part, *change))
 
-    def _part_reply(self, request: UploadRequest | UpdateRequest, done: bool) -> SceneReply:
+    def _take_part(self, request: UploadRequest | UpdateRequest, take: Callable[[], bool]) -> SceneReply:
+        """Take a part, but once: who asks again with the same `request_id` has not heard the reply."""
+        asked = type(request), request.scene, request.upload_id, request.part, request.request_id
+        done = self._taken.get(asked) if request.request_id else None
+        if done is None:
+            done = self._taken[asked] = take()
+            while len(self._taken) > MOST_TAKEN:
+                self._taken.popitem(last=False)
         if done:
             return self._scene_reply(request, Status.BUILDING, f"scene {request.scene!r} is being built.")
         return self._scene_reply(request, Status.OK, f"part {request.part + 1} of {request.parts}")
@@ -234,7 +247,7 @@ class Handlers:
     def file(self, request: FileRequest) -> FileReply:
         """A part of a ready scene's file."""
         entry = self.shelf.get(request.scene)
-        if entry is None or entry.file is None or entry.facts["version"] != request.version:
+        if entry is None or entry.file is None or entry.facts.get("version") != request.version:
             words = f"scene {request.scene!r} has no file of version {request.version}. Ask which version there is."
             raise RefusedError(Status.UNKNOWN_SCENE, words)
         try:

@@ -22,8 +22,8 @@ log = logging.getLogger(__name__)
 
 PATIENCE, GRACE_S = 3.0, 60.0
 """A trajectory counts as in use for so many times its duration and so long [s]: guided people stop on their way."""
-MOST = 1000
-"""Trajectories that are remembered; the oldest go."""
+MOST, MOST_PLACES = 1000, 4_000_000
+"""Trajectories that are remembered, and places of discs along them, 0.1 kB each once something moves; the oldest go."""
 SPACING = 0.04
 """[m] Between looks along a trajectory: it passes a point at most 1 mm closer between them than at them, at 0.2 m."""
 TOUCH = 0.002
@@ -56,13 +56,17 @@ class _InUse:
     request_id: str
     agent: Agent
     given: float
-    trajectory: Callable[[], Trajectory]
+    trajectory: Trajectory
+
+    @cached_property
+    def places(self) -> int:
+        """Of discs that `swept` has."""
+        return self.agent.discs * (1 + int(_pieces(self.trajectory, self.agent).sum()))
 
     @cached_property
     def swept(self) -> _Swept:
-        """Reckoned on first use: where nothing moves, a plan pays nothing for it."""
-        trajectory = self.trajectory()
-        return _Swept(*_dense(trajectory, self.agent), self.given + PATIENCE * trajectory.duration + GRACE_S)
+        """Reckoned on first use: where nothing moves, a plan pays little for it."""
+        return _Swept(*_dense(self.trajectory, self.agent), self.given + PATIENCE * self.trajectory.duration + GRACE_S)
 
 
 class InUse:
@@ -83,7 +87,7 @@ class InUse:
         clock: Clock = time.monotonic,
     ) -> None:
         self._points_of, self._on_cut, self._planner, self._clock = points_of, on_cut, planner, clock
-        self._known: deque[_InUse] = deque(maxlen=MOST)
+        self._known, self._places = deque[_InUse](), 0
         self._asked: dict[str, list[_InUse] | None] = {}  # in which scenes to look, and at which: None for all
         self._ended = False
         self._lock = threading.Condition()
@@ -101,11 +105,14 @@ class InUse:
         if self._thread.ident is not None:
             self._thread.join()
 
-    def remember(self, scene: str, request_id: str, agent: Agent, trajectory: Callable[[], Trajectory]) -> None:
-        """A trajectory was given out, asked for once something moves; what came while it was planned counts, too."""
+    def remember(self, scene: str, request_id: str, agent: Agent, trajectory: Trajectory) -> None:
+        """A trajectory was given out; what came while it was planned counts, too."""
         used, moves = _InUse(scene, request_id, agent, self._clock(), trajectory), bool(self._points_of(scene))
         with self._lock:
             self._known.append(used)
+            self._places += used.places
+            while len(self._known) > MOST or (self._places > MOST_PLACES and len(self._known) > 1):
+                self._places -= self._known.popleft().places
             if moves and (asked := self._asked.setdefault(scene, [])) is not None:
                 asked.append(used)  # the others were looked at when it came
                 self._lock.notify_all()
@@ -157,13 +164,20 @@ class InUse:
 def _dense(trajectory: Trajectory, agent: Agent) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Contact points and discs such that none moves further than `SPACING` between two, and their times."""
     poses = np.column_stack([trajectory.ground, np.unwrap(trajectory.headings)])
-    moved = np.linalg.norm(np.diff(poses[:, :2], axis=0), axis=1) + agent.offsets[-1] * np.abs(np.diff(poses[:, 3]))
-    knots = np.concatenate([[0.0], np.cumsum(np.maximum(1, np.ceil(moved / SPACING)))])
+    knots = np.concatenate([[0.0], np.cumsum(_pieces(trajectory, agent))])
     at = np.arange(knots[-1] + 1)
     dense = np.column_stack([np.interp(at, knots, column) for column in poses.T])
     places = [disc_places(dense[:, [0, 1, 3]], offset) for offset in agent.offsets]
     discs = np.stack([np.column_stack([place, dense[:, 2]]) for place in places], axis=1)
     return dense[:, :3], discs, np.interp(at, knots, trajectory.times)
+
+
+def _pieces(trajectory: Trajectory, agent: Agent) -> FloatArray:
+    """In how many pieces what lies between two waypoints is looked at, (n - 1,)."""
+    turned = np.abs(np.diff(np.unwrap(trajectory.headings)))
+    moved = np.linalg.norm(np.diff(trajectory.ground[:, :2], axis=0), axis=1) + agent.offsets[-1] * turned
+    pieces: FloatArray = np.maximum(1, np.ceil(moved / SPACING))
+    return pieces
 
 
 def _first_touch(swept: _Swept, agent: Agent, points: FloatArray) -> int | None:

@@ -18,6 +18,10 @@ MAX_LIFETIME_S = 3600.0
 """[s] What is there for longer belongs into the map."""
 MAX_IN_ALL = 50 * MAX_POINTS
 """Points that move in all scenes together, 0.25 GB: anybody may publish under any scene's name, loaded or not yet."""
+LEAST_OBSTACLE = 20
+"""[points] That an obstacle counts for: its name, its lifetime and its array take as much room as so many."""
+SWEEP_S = 1.0
+"""[s] Between looks for what has ended in all scenes, when there is no room."""
 MAX_ID = 256
 """[characters] Of an obstacle's name: four times a UUID."""
 Clock = Callable[[], float]
@@ -48,6 +52,8 @@ class Moving:
     def __init__(self, clock: Clock = time.monotonic) -> None:
         self._clock = clock
         self._living: dict[str, dict[str, Living]] = {}
+        self._sizes: dict[str, int] = {}  # as they count; all together:
+        self._total, self._swept = 0, -float("inf")
         self._merged: dict[str, tuple[Scene, tuple[int, ...], Scene]] = {}
         self._numbers = itertools.count()
         self._lock = threading.Lock()
@@ -80,17 +86,33 @@ class Moving:
                 room -= len(points)
         with self._lock:
             now = self._clock()
-            known = {name: found for name in self._living if (found := self._alive(name, now))}
             new = {id_: Living(points, now + lasts, next(self._numbers)) for id_, (points, lasts) in seen.items()}
-            living = {id_: one for id_, one in {**known.pop(scene, {}), **new}.items() if one.until > now}
-            if _size(living) > MAX_POINTS:
-                raise ValueError(f"scene {scene!r} would have more than {MAX_POINTS} points that move. Thin them.")
-            if living and _size(living) + sum(map(_size, known.values())) > MAX_IN_ALL:
-                raise ValueError(f"scene {scene!r} and all others would have more than {MAX_IN_ALL} points that move.")
-            self._living = {**known, scene: living} if living else known
+            living = {id_: one for id_, one in {**self._alive(scene, now), **new}.items() if one.until > now}
+            self._admit(scene, living, now)
+            self._set(scene, living)
         told(now)
         if wrong:
             raise ValueError(" ".join(wrong))
+
+    def _admit(self, scene: str, living: Mapping[str, Living], now: float) -> None:
+        """Refuse what is too much for a scene, or for all; what ended elsewhere is forgotten where it is in the way."""
+        size = _size(living)
+        if size > MAX_POINTS:
+            words = f"more than {MAX_POINTS} points that move (an obstacle counts {LEAST_OBSTACLE} or more)"
+            raise ValueError(f"scene {scene!r} would have {words}. Thin them.")
+        if self._total + size - self._sizes.get(scene, 0) > MAX_IN_ALL and now - self._swept > SWEEP_S:
+            self._swept = now
+            for name in set(self._living) - {scene}:
+                self._set(name, self._alive(name, now))
+        if living and self._total + size - self._sizes.get(scene, 0) > MAX_IN_ALL:
+            raise ValueError(f"scene {scene!r} and all others would have more than {MAX_IN_ALL} points that move.")
+
+    def _set(self, scene: str, living: dict[str, Living]) -> None:
+        self._total -= self._sizes.pop(scene, 0)
+        self._living.pop(scene, None)
+        if living:
+            self._living[scene], self._sizes[scene] = living, _size(living)
+            self._total += self._sizes[scene]
 
     def look(self, scene: str) -> tuple[float, dict[str, Living]]:
         """The moment [s], and what moves in a scene then, by the obstacle's id."""
@@ -132,12 +154,12 @@ class Moving:
     def replace(self, scene: str, living: dict[str, Living]) -> None:
         """Take over what another process knows of a scene; on one machine all have the same `time.monotonic`."""
         with self._lock:
-            self._living[scene] = living
+            self._set(scene, living)
 
     def forget(self, scene: str) -> None:
         """The scene is gone, and what moved in it."""
         with self._lock:
-            self._living.pop(scene, None)
+            self._set(scene, {})
         self.let_go(scene)
 
     def let_go(self, scene: str) -> None:
@@ -154,5 +176,5 @@ class Moving:
 
 
 def _size(living: Mapping[str, Living]) -> int:
-    """Points to hold; an obstacle without any takes room, too."""
-    return sum(max(1, len(one.points)) for one in living.values())
+    """Points to hold, as they count."""
+    return sum(max(LEAST_OBSTACLE, len(one.points)) for one in living.values())

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 
 import zenoh
 from gpdf_client.client import LEASE_MS, RETRY
@@ -14,9 +15,20 @@ MAX_MESSAGE_BYTES = 32 << 20
 """What one client may make the router hold at once; Zenoh drops what is longer, where its own limit is 1 GiB."""
 
 
+PATIENCE_US = 1_000_000
+"""[µs] A link that takes nothing of what is sent for so long is closed: 64 kB, at half a megabit a second."""
+RUNTIME = "(rx: (worker_threads: 16), tx: (worker_threads: 16))"
+"""Zenoh's threads for links: some wait while a link takes nothing, and of one or two none is left for the others."""
+
+
 def _is_encrypted(endpoint: str) -> bool:
     """Whether who connects there shows a certificate; nobody connects where there is no endpoint."""
     return not endpoint or endpoint.partition("/")[0] in ("tls", "quic", "wss")
+
+
+def set_up_threads() -> None:
+    """Before the process opens its first session; what the operator has set stays."""
+    os.environ.setdefault("ZENOH_RUNTIME", RUNTIME)
 
 
 def session_config(options: Options) -> zenoh.Config:
@@ -37,6 +49,7 @@ def session_config(options: Options) -> zenoh.Config:
         "scouting/gossip/enabled": False,
         "transport/link/rx/max_message_size": MAX_MESSAGE_BYTES,
         "transport/link/tx/lease": LEASE_MS,
+        "transport/link/tx/queue/congestion_control/block/wait_before_close": PATIENCE_US,
         "connect/retry": RETRY,
     }
     for key, value in values.items():

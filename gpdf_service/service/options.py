@@ -81,6 +81,11 @@ class Options(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         return 1e6 * self.scene_memory_mb / (2 + self.processes)
 
     @property
+    def spare_bytes(self) -> float:
+        """That scenes leave free on the disk: twice what the log does, so that they never stop it."""
+        return 2e6 * self.log_min_free_mb
+
+    @property
     def flush_s(self) -> float:
         """Seconds between flushes of the log; 0: after each message, before its reply is sent."""
         return 0.0 if self.log_sync == "each" else float(self.log_sync)

@@ -51,6 +51,8 @@ class Desk:
     def answer(self, ask: Ask) -> bytes:
         """The reply's bytes; none if the scene cannot be read from its file."""
         self._looked = ask.looked
+        for name in ask.gone:
+            self._moving.forget(name)
         if ask.moving is not None:
             living = {one.id: Living(one.points.unpack(), one.until, one.number) for one in ask.moving}
             self._moving.replace(ask.scene, living)

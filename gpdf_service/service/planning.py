@@ -27,6 +27,8 @@ from gpdf_service.service.answers import LOOKED, Answers
 from gpdf_service.service.moving import Moving
 from gpdf_service.types import Agent, PlanResult, Trajectory, resolve_agent
 
+MAX_AGENT_NAME = 64
+"""[characters] Of a body that is described: it is kept with what was planned for it."""
 MAX_DISTANCE_POINTS = 100_000
 """Places in one distance request: 4 MiB holds 170 k of them."""
 
@@ -122,7 +124,10 @@ def agent_of(agent: str | dict[str, Any]) -> str | Agent:
             f"a map with {', '.join(sorted(map(str, agent)))}",
             f"Give all of {', '.join(needed)}; discs if any.",
         )
-    return resolve_agent(Agent(**{**agent, "name": str(agent["name"])}))
+    name = str(agent["name"])
+    if len(name) > MAX_AGENT_NAME:
+        raise RequestError("agent", f"a name of {len(name)} characters", f"Give at most {MAX_AGENT_NAME}.")
+    return resolve_agent(Agent(**{**agent, "name": name}))
 
 
 def _alternative(result: PlanResult) -> Alternative:

@@ -7,17 +7,16 @@ scene is a file, what moves comes with the request. One that dies is begun anew,
 from __future__ import annotations
 
 import logging
-import select
+import queue
 import threading
 import time
 from collections.abc import Callable, Mapping
 
 import msgspec
-import psutil
 from gpdf_schemas import Array, Status, encode
 
 from gpdf_service.service.answers import RefusedError
-from gpdf_service.service.child import Child
+from gpdf_service.service.child import START_S, Child
 from gpdf_service.service.moving import Living
 
 log = logging.getLogger(__name__)
@@ -70,6 +69,7 @@ class Ask(msgspec.Struct, frozen=True):
         file: Where the scene is.
         moving: What moves in it; None: as before.
         looked: When the service looked at what moves, on `time.monotonic` [s].
+        gone: Scenes that were unloaded: what moved in them goes, too, ahead of `moving`.
     """
 
     key: str
@@ -80,6 +80,7 @@ class Ask(msgspec.Struct, frozen=True):
     file: str
     moving: list[Seen] | None = None
     looked: float = 0.0
+    gone: list[str] = []
 
 
 class _Process:
@@ -87,10 +88,8 @@ class _Process:
 
     def __init__(self, settings: Settings) -> None:
         self._child = Child(PROGRAM, settings)
-        self._pipe = self._child.pipe
-        self._answered = select.poll()
-        self._answered.register(self._pipe, select.POLLIN)
         self._told: dict[str, tuple[int, ...]] = {}
+        self._gone = queue.SimpleQueue[str]()
         self.ready = False
 
     @property
@@ -100,14 +99,24 @@ class _Process:
 
     def wait_until_ready(self) -> None:
         """Until it can be asked."""
-        self._pipe.recv_bytes()
+        self._child.hear(START_S)
 
     def tell(self, ask: Ask, looked: float, living: Mapping[str, Living]) -> None:
         """Ask it; `hear` next."""
+        gone = [self._gone.get() for _ in range(self._gone.qsize())]
+        for scene in gone:
+            self._told.pop(scene, None)
         numbers = tuple(one.number for one in living.values())
         moving = None if self._told.get(ask.scene, ()) == numbers else [_as_seen(*item) for item in living.items()]
-        self._pipe.send_bytes(encode(msgspec.structs.replace(ask, moving=moving, looked=looked)))
-        self._told[ask.scene] = numbers
+        self._child.pipe.send_bytes(encode(msgspec.structs.replace(ask, moving=moving, looked=looked, gone=gone)))
+        if numbers:
+            self._told[ask.scene] = numbers
+        else:
+            self._told.pop(ask.scene, None)
+
+    def forget(self, scene: str) -> None:
+        """Tell it with the next request that a scene is gone, and what moved in it; for any thread."""
+        self._gone.put(scene)
 
     def hear(self) -> bytes:
         """The bytes that it answers with.
@@ -115,21 +124,7 @@ class _Process:
         Raises:
             TimeoutError: it hangs.
         """
-        spent = -1.0
-        while not self._answered.poll(1e3 * STALL_S):
-            before, spent = spent, self._cpu_s()
-            if spent == before:
-                words = f"process {self.pid} was asked to plan and hangs"
-                log.error(words)
-                raise TimeoutError(words)
-        return self._pipe.recv_bytes()
-
-    def _cpu_s(self) -> float:
-        try:
-            times = psutil.Process(self.pid).cpu_times()
-        except psutil.NoSuchProcess:  # the pipe says so, too
-            return -1.0
-        return float(times.user + times.system)
+        return self._child.hear(STALL_S)
 
     def wait(self) -> int:
         """Until it has ended."""
@@ -256,9 +251,11 @@ class Pool:
                 self._idle.put(process)
 
     def forget(self, scene: str) -> None:
-        """Nobody is to take it into memory any more."""
+        """Nobody is to take it into memory any more, or to know what moves in it."""
         with self._lock:
             self._warm.pop(scene, None)
+            for process in self._alive.values():
+                process.forget(scene)
 
     @staticmethod
     def _tell(process: _Process, ask: Ask) -> bool:
@@ -293,7 +290,7 @@ class Pool:
 
     def _begin(self, name: str, process: _Process) -> None:
         """Let a new one take the scenes into memory, then let it be asked."""
-        told = set[Ask]()
+        told = list[Ask]()
         while True:
             with self._lock:
                 new = [ask for ask in self._warm.values() if ask not in told]
@@ -303,7 +300,7 @@ class Pool:
                     self._seen.add(name)
                     return
             for ask in new:
-                told.add(ask)
+                told.append(ask)
                 process.tell(ask, 0.0, {})
                 process.hear()
 

@@ -22,6 +22,8 @@ log = logging.getLogger(__name__)
 LOGS = "gpdf_*.mcap"
 """What a service writes; other files are not its own."""
 _WHOLE = "the file as a whole"
+AT_ONCE = 2
+"""Logs that go for their age when a new one begins: a clock that is set wrong for a moment must not empty the log."""
 BROKEN = ".broken"
 """What is put behind the name of a log that was cut short, when a mended one takes its place."""
 
@@ -184,20 +186,23 @@ def size_of(folder: Path) -> int:
 
 
 def prune(folder: Path, *, keep_bytes: float, keep_s: float, spare_s: float = 0.0) -> list[Path]:
-    """Delete logs, the oldest first, until none is older than `keep_s` and all together are no more than `keep_bytes`.
+    """Delete logs, the oldest first: all that are beyond `keep_bytes` together, and `AT_ONCE` that are beyond `keep_s`.
 
     Logs that a service writes stay, and those younger than `spare_s` whatever their size: else who fills the log can
     delete what it says. Broken ones that were mended count and go like the others.
     """
+    aged = 0
     stats = {path: path.stat() for path in folder.glob(f"{LOGS}*")}
     total, now, gone = sum(stat.st_size for stat in stats.values()), time.time(), []
     for path, stat in sorted(stats.items(), key=lambda item: item[1].st_mtime):
-        if now - stat.st_mtime < spare_s or (total <= keep_bytes and now - stat.st_mtime <= keep_s):
+        is_old = now - stat.st_mtime > keep_s and aged < AT_ONCE
+        if now - stat.st_mtime < spare_s or (total <= keep_bytes and not is_old):
             break
         with path.open("rb") as file:
             if not _lock(file):
                 continue
             path.unlink()
+        aged += total <= keep_bytes
         total -= stat.st_size
         gone.append(path)
         log.info("deleted the log %s", path.name, extra={"age_s": round(now - stat.st_mtime), "bytes": stat.st_size})

@@ -10,11 +10,10 @@ import contextlib
 import json
 import logging
 import queue
-import shutil
 import threading
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -28,6 +27,7 @@ from gpdf_service.service.evidence import Evidence
 from gpdf_service.service.options import Options
 from gpdf_service.service.pictures import cloud, line, poses, words
 from gpdf_service.service.record import prune, size_of
+from gpdf_service.service.scene_files import short_of_room
 from gpdf_service.service.segment import Segment
 from gpdf_service.types import FloatArray
 
@@ -51,11 +51,13 @@ REMIND_S = 60.0
 """[s] Between complaints while nothing can be recorded."""
 CLOUD_POINTS = 100_000
 """Points of a scene, or of what moves in it, that the log keeps for pictures."""
+HEAD_POINTS = 10 * CLOUD_POINTS
+"""Of all scenes at the head of each file, 12 MB; more scenes share it."""
 MB = 1e6
 HOUR_S = 3600.0
 DAY_S = 24.0 * HOUR_S
 MUTED = "gpdf/muted"
-"""Topic: refused requests that were only counted, by client."""
+"""Topic: what was only counted, by client, or by the key under which it was published."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,6 +65,15 @@ class _Task:
     write: Callable[[Segment], None]
     size: int = 0  # bytes of its data
     done: threading.Event = field(default_factory=threading.Event)
+
+
+@dataclass(frozen=True, slots=True)
+class _Seen:
+    """A scene as the log shows it: its facts, some of its points, and when it was ready [ns]."""
+
+    facts: Mapping[str, Any]
+    points: NDArray[np.float32]
+    stamp_ns: int
 
 
 class _Backlog(queue.Queue[_Task | None]):
@@ -104,7 +115,8 @@ class Recorder:
         self._flushed = self._retry = self._complained = -float("inf")
         self._counting = threading.Lock()
         self.evidence = Evidence()
-        self._scenes: dict[str, Callable[[Segment], None]] = {}
+        self._scenes: dict[str, _Seen] = {}
+        self._head = 0  # bytes of the file that tell of the scenes
         self._queue = _Backlog(QUEUE_BYTES)
         self._segment: Segment | None = None
         try:
@@ -176,7 +188,8 @@ class Recorder:
 
     def moving(self, scene: str, points: FloatArray, stamp_ns: int) -> None:
         """Record for viewers what moves in a scene now, thinned."""
-        picked = _thinned(points)
+        picked = _thinned(points, CLOUD_POINTS)
+        self.evidence.drawn(picked.nbytes)
 
         def write(segment: Segment) -> None:
             segment.draw(f"/moving/{scene}", cloud(picked, stamp_ns), stamp_ns)
@@ -185,22 +198,34 @@ class Recorder:
 
     def scene(self, name: str, points: FloatArray, facts: Mapping[str, Any]) -> None:
         """Record a scene's facts and, thinned, its cloud for viewers: now, and at the head of each file to come."""
-        stamp_ns = time.time_ns()
-        picked = _thinned(points)
+        seen = _Seen(facts, _thinned(points, CLOUD_POINTS), time.time_ns())
 
         def write(segment: Segment) -> None:
-            segment.describe(f"scene/{name}", {"facts": json.dumps(facts)})
-            segment.draw(f"/cloud/{name}", cloud(picked, stamp_ns), stamp_ns)
+            self._scenes[name] = seen
+            share = HEAD_POINTS // len(self._scenes)
+            for other, known in self._scenes.items():
+                if len(known.points) > share:
+                    self._scenes[other] = replace(known, points=_thinned(known.points, share))
+            drawn = self.evidence.may_draw
+            self._describe(segment, name, draw=drawn)
+            if drawn:
+                self.evidence.drawn(self._scenes[name].points.nbytes)
 
-        def first(segment: Segment) -> None:
-            self._scenes[name] = write
-            write(segment)
+        self._queue.put(_Task(write, seen.points.nbytes))
 
-        self._queue.put(_Task(first, picked.nbytes))
+    def _describe(self, segment: Segment, name: str, *, draw: bool = True) -> None:
+        seen = self._scenes[name]
+        segment.describe(f"scene/{name}", {"facts": json.dumps(seen.facts)})
+        if draw:
+            segment.draw(f"/cloud/{name}", cloud(seen.points, seen.stamp_ns), seen.stamp_ns)
 
     def forget(self, name: str) -> None:
         """Keep a scene out of the files to come."""
-        self._queue.put(_Task(lambda _: self._scenes.pop(name, None) and None))
+
+        def let_go(_: Segment) -> None:
+            self._scenes.pop(name, None)
+
+        self._queue.put(_Task(let_go))
 
     def close(self) -> None:
         """Write what waits, then the index."""
@@ -258,12 +283,14 @@ class Recorder:
                 raise
             except Exception:
                 log.exception("a message could not be recorded in %s", self.path)
-        if muted := self.evidence.muted():
-            self._segment.write(MUTED, msgspec.msgpack.encode(muted), time.time_ns())
+        self._tell_muted(self._segment)
         if self._unsafe and now - self._flushed >= self.options.flush_s:
             self._segment.flush()
             self._flushed, self._unsafe = now, 0
-        if self._segment.size > self.options.log_segment_mb * MB or self._segment.age_s > self.options.log_segment_s:
+        if (
+            self._segment.size - self._head > self.options.log_segment_mb * MB
+            or self._segment.age_s > self.options.log_segment_s
+        ):
             self._end()
             self._segment = self._begin()
         elif self._short_of_room():
@@ -282,9 +309,10 @@ class Recorder:
         segment = Segment(self.path)
         try:
             segment.describe("gpdf", {**self._metadata, "segment": str(self._segments)})
-            for write in self._scenes.values():
-                write(segment)
+            for name in self._scenes:
+                self._describe(segment, name)
             segment.flush()
+            self._head = segment.size
         except OSError:
             segment.abandon()
             self.path.unlink()  # a head without a message, and the next try needs the room
@@ -298,13 +326,18 @@ class Recorder:
     def _end(self) -> None:
         """Complete the file."""
         if self._segment is not None:
+            self._tell_muted(self._segment, at_once=True)
             self._segment.close()
             self._segment, self._unsafe = None, 0
 
+    def _tell_muted(self, segment: Segment, *, at_once: bool = False) -> None:
+        if muted := self.evidence.muted(at_once=at_once):
+            segment.write(MUTED, msgspec.msgpack.encode(muted), time.time_ns())
+
     def _short_of_room(self) -> str:
         """Why nothing may be written, so that others still can; empty when there is room."""
-        free, least = shutil.disk_usage(self.options.log_dir).free / MB, self.options.log_min_free_mb
-        return f"the disk has {free:.0f} MB left, {least:.0f} stay free (--log-min-free-mb)" if free < least else ""
+        short = short_of_room(self.options.log_dir, self.options.log_min_free_mb * MB)
+        return short and f"{short} (--log-min-free-mb)"
 
     def _degrade(self, why: str) -> None:
         """Give up the file, say so, and go on without."""
@@ -328,5 +361,5 @@ class Recorder:
             self.lost += count
 
 
-def _thinned(points: FloatArray) -> NDArray[np.float32]:
-    return points[:: max(1, len(points) // CLOUD_POINTS)].astype("<f4")
+def _thinned(points: NDArray[Any], most: int) -> NDArray[np.float32]:
+    return points[:: max(1, -(-len(points) // max(1, most)))].astype("<f4")

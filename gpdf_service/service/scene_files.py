@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 import os
 import re
+import shutil
 import time
 from pathlib import Path
 
@@ -85,6 +86,12 @@ def write_whole(file: Path, data: bytes) -> None:
         os.fsync(stream.fileno())
     partial.replace(file)
     sync_folder(file.parent)
+
+
+def short_of_room(folder: Path, spare_bytes: float) -> str:
+    """Why nothing more may be written there, in words; empty if so much is free."""
+    free = shutil.disk_usage(folder).free
+    return f"the disk has {free / 1e6:.0f} MB left, {spare_bytes / 1e6:.0f} stay free" if free < spare_bytes else ""
 
 
 def sync_folder(folder: Path) -> None:

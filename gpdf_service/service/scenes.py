@@ -24,11 +24,11 @@ from gpdf_service.service.held import Held
 from gpdf_service.service.held import describe as describe
 from gpdf_service.service.journal import Journal, Kind, Task
 from gpdf_service.service.places import Places
-from gpdf_service.service.scene_files import SceneFiles, version_of
+from gpdf_service.service.scene_files import SceneFiles, short_of_room, version_of
 from gpdf_service.service.state_folder import StateFolder
 from gpdf_service.service.uploads import Uploads
 from gpdf_service.service.words import public
-from gpdf_service.service.workshop import BuildError, EndedError, Job, NotKeptError, Workshop
+from gpdf_service.service.workshop import MAKE_ROOM, BuildError, EndedError, Job, NotKeptError, Workshop
 from gpdf_service.types import Agent, BoolArray, FloatArray
 
 log = logging.getLogger(__name__)
@@ -36,6 +36,8 @@ log = logging.getLogger(__name__)
 NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,63}")
 MAX_WAITING_POINTS = 5_000_000
 """Of changes to one scene that wait for the build of its next version: a minute of a laser scanner."""
+LEAST_CHANGE = 1000
+"""[points] That a change counts for: it is a file, and a tree of the points that go."""
 MAX_CLOUD_POINTS = 20_000_000
 """Of uploaded clouds that wait for their builds, 0.5 GB: as much as one upload may have."""
 MAX_SCENES = 1000
@@ -44,6 +46,8 @@ MAX_BUILDS = 2 * MAX_SCENES
 """That wait or run: every scene and its next version."""
 JOURNAL = "journal"
 """Folder in the state folder: what was acknowledged and is not built yet."""
+RETRY_S = 60.0
+"""[s] Until what was acknowledged, and could not be kept when it was built, is built again."""
 Build = Callable[[Job, Progress], Path]
 """What has a job done: a `Workshop`, or a `Builder` whose workshop is in another process."""
 
@@ -61,6 +65,7 @@ class Shelf:
         config: Settings of what is built here.
         state_dir: Folder to keep ready scenes in; without one they go with the shelf.
         memory_bytes: Of all scenes together; the least recently used leave memory first.
+        spare_bytes: That stay free on the disk, for others.
         build: Has jobs done; without it they are done here, with `config`.
 
     Attributes:
@@ -79,6 +84,7 @@ class Shelf:
         *,
         state_dir: Path | None = None,
         memory_bytes: float = float("inf"),
+        spare_bytes: float = 0.0,
         build: Build | None = None,
     ) -> None:
         self.scenes_dir = scenes_dir.resolve()
@@ -91,7 +97,9 @@ class Shelf:
         self._lock, self._entries = self._held.lock, self._held.entries
         self._uploads = Uploads()
         self._builds = self._cloud_points = 0  # points of clouds that wait for their builds
+        self._retry_at = 0.0
         self._builder = ThreadPoolExecutor(1, thread_name_prefix="gpdf-build")
+        self._spare_bytes = spare_bytes
         self._build = build or Workshop(config, memory_bytes).build
         self._on_ready = on_ready
         self.trouble, self.lost = "", list[str]()
@@ -114,7 +122,7 @@ class Shelf:
         known = self.files.known()
         for name, path in known.items():
             if name not in without:
-                self._submit(name, lambda entry, name=name, path=path: self._load(name, entry, path))  # type: ignore[misc]
+                self._begin(name, lambda entry, name=name, path=path: self._load(name, entry, path))  # type: ignore[misc]
         waiting, self.lost = self.journal.waiting()
         for task in waiting:
             is_built = task.scene in known and 0 < task.version <= version_of(known[task.scene])
@@ -172,7 +180,7 @@ class Shelf:
         if inside:
             self._take(self._write_down("file", name, {"file": str(path)}))
         else:
-            self._submit(name, lambda entry: self._make(name, entry, [], file=str(path)))
+            self._begin(name, lambda entry: self._make(name, entry, [], file=str(path)))
 
     def add_part(
         self, name: str, upload_id: str, part: int, parts: int, points: FloatArray, ground: BoolArray | None
@@ -220,7 +228,7 @@ class Shelf:
         entry = self.get(name)
         if entry is None:
             raise ValueError(f"there is no scene {name!r}. Load it first.")
-        waiting = sum(task.size for task in entry.waiting if task.kind == "change")
+        waiting = sum(max(task.size, LEAST_CHANGE) for task in entry.waiting if task.kind == "change")
         if waiting + len(points) > MAX_WAITING_POINTS:
             raise FullError(f"scene {name!r}", "changes come faster than they are built", "Send it again in a moment.")
         whole = self._uploads.add(f"change of {name}/{upload_id}", part, parts, points, gone)
@@ -228,26 +236,39 @@ class Shelf:
             return False
         every, taken = whole
         assert taken is not None
-        self._take(self._write_down("change", name, {"radius": radius}, points=every, gone=taken))
+        self._take(self._write_down("change", name, {"radius": radius}, points=every, gone=taken), entry)
         return True
 
     def _write_down(self, kind: Kind, name: str, facts: Mapping[str, Any], **arrays: NDArray[Any]) -> Task:
         """On the disk before it is acknowledged."""
         try:
+            size = sum(array.nbytes for array in arrays.values())
+            if short := short_of_room(self.files.folder, self._spare_bytes + size):
+                raise OSError(short)
             return self.journal.put(kind, name, facts, **arrays)
         except OSError as error:
             self.trouble = f"scene {name!r}: what was sent cannot be kept ({error.strerror or error})"
-            raise NotKeptError(f"{self.trouble}. Make room in the state folder.") from error
+            raise NotKeptError(f"{self.trouble}. {MAKE_ROOM}.") from error
 
-    def _take(self, task: Task) -> None:
-        """Let a task wait for its build; changes that wait together become one version."""
+    def _take(self, task: Task, belongs_to: Entry | None = None) -> None:
+        """Let a task wait for its build; changes that wait together become one version.
+
+        Raises:
+            ValueError: the scene that it belongs to was unloaded meanwhile.
+        """
         with self._lock:
+            if belongs_to is not None and self._entries.get(task.scene) is not belongs_to:
+                self.journal.done(task)
+                raise ValueError(f"there is no scene {task.scene!r} any more. Load it first.")
             entry = self._entries.setdefault(task.scene, Entry())
             joins = task.kind == "change" and bool(entry.waiting) and entry.waiting[-1].kind == "change"
             entry.waiting.append(task)
-            self._cloud_points += task.size if task.kind == "cloud" else 0
-        if not joins:
-            self._submit(task.scene, lambda entry: self._make_next(task.scene, entry))
+            self._cloud_points += _cloud_points([task])
+            if not (joins and entry.pending):
+                self._submit_next(task.scene, entry)
+
+    def _submit_next(self, name: str, entry: Entry) -> None:
+        self._submit(name, entry, lambda entry: self._make_next(name, entry))
 
     def _make_next(self, name: str, entry: Entry) -> None:
         """The next version, from the first that waits, or the first changes."""
@@ -256,8 +277,8 @@ class Shelf:
             if entry.waiting and entry.waiting[0].kind == "change":
                 count = next((i for i, task in enumerate(entry.waiting) if task.kind != "change"), len(entry.waiting))
             entry.taken, entry.waiting = entry.waiting[:count], entry.waiting[count:]
-            self._cloud_points -= sum(task.size for task in entry.taken if task.kind == "cloud")
-        if entry.taken:  # else it was unloaded meanwhile
+            self._cloud_points -= _cloud_points(entry.taken)
+        if entry.taken:  # else it was unloaded meanwhile, or is in the version before
             self._make(name, entry, entry.taken)
 
     def _make(self, name: str, entry: Entry, tasks: list[Task], file: str = "") -> None:
@@ -265,12 +286,33 @@ class Shelf:
         try:
             job = self._job(name, entry, tasks, file)
             self._publish(name, entry, self._build(job, entry.note))
-        except (NotKeptError, EndedError):
+        except EndedError:
+            raise
+        except NotKeptError:
+            self._put_back(entry)
             raise
         except BaseException:
             self._forget(entry)
             raise
         self._forget(entry)
+
+    def _put_back(self, entry: Entry) -> None:
+        """What was taken waits again, ahead of what came since: no later version may do without it."""
+        with self._lock:
+            self._cloud_points += _cloud_points(entry.taken)
+            entry.waiting, entry.taken = [*entry.taken, *entry.waiting], []
+            self._retry_at = time.monotonic() + RETRY_S
+
+    def try_again(self) -> None:
+        """Build what was acknowledged and could not be kept, after a while."""
+        with self._lock:
+            if time.monotonic() >= self._retry_at:
+                for name, entry in self._unkept():
+                    self._submit_next(name, entry)
+
+    def _unkept(self) -> list[tuple[str, Entry]]:
+        """Scenes of which something was acknowledged that the disk did not take when it was built."""
+        return [(name, entry) for name, entry in self._entries.items() if entry.waiting and not entry.pending]
 
     def _job(self, name: str, entry: Entry, tasks: list[Task], file: str) -> Job:
         try:
@@ -278,10 +320,9 @@ class Shelf:
             with self._lock:
                 entry.taken = tasks = [self.journal.promise(task, version) for task in tasks if task in entry.taken]
         except OSError as error:
-            raise NotKeptError(
-                f"it cannot be kept ({error.strerror or error}). Make room in the state folder"
-            ) from error
-        job = Job(name, version, str(self.files.folder), file, agents=list(map(dataclasses.asdict, entry.bodies)))
+            raise NotKeptError(f"it cannot be kept ({error.strerror or error}). {MAKE_ROOM}") from error
+        agents = list(map(dataclasses.asdict, entry.bodies))
+        job = Job(name, version, str(self.files.folder), file, agents=agents, spare_bytes=self._spare_bytes)
         if not tasks:
             return job
         first = tasks[0]
@@ -310,7 +351,7 @@ class Shelf:
                 return False
             for task in (*entry.taken, *entry.waiting):
                 self.journal.done(task)
-            self._cloud_points -= sum(task.size for task in entry.waiting if task.kind == "cloud")
+            self._cloud_points -= _cloud_points(entry.waiting)
             entry.taken, entry.waiting = [], []
             self.places.forget(name)  # ahead of the scene: a crash between must not leave them to the next one
             self.files.drop(name)
@@ -323,12 +364,15 @@ class Shelf:
             if (entry := self._entries.get(name)) is not None:
                 entry.note_body(body)
 
-    def _submit(self, name: str, work: Callable[[Entry], None]) -> None:
+    def _begin(self, name: str, work: Callable[[Entry], None]) -> None:
         with self._lock:
-            entry = self._entries.setdefault(name, Entry())
-            entry.pending += 1
-            entry.error = ""
-            self._builds += 1
+            self._submit(name, self._entries.setdefault(name, Entry()), work)
+
+    def _submit(self, name: str, entry: Entry, work: Callable[[Entry], None]) -> None:
+        """Let a build wait for its turn; the lock is held."""
+        entry.pending += 1
+        entry.error = ""
+        self._builds += 1
         self._builder.submit(self._run, name, entry, work)
 
     def _run(self, name: str, entry: Entry, work: Callable[[Entry], None]) -> None:
@@ -339,7 +383,7 @@ class Shelf:
         except EndedError:
             return  # what it was to build is in the journal
         except NotKeptError as found:
-            error = f"{public(str(found))}; it is built at the next start if it was acknowledged."
+            error = f"{public(str(found))}; if it was acknowledged, it is tried again, also after a restart."
             self.trouble = f"scene {name!r}: {error}"
             log.error("NOT KEPT: scene %s: %s", name, found)
         except (GpdfError, BuildError) as found:
@@ -351,6 +395,8 @@ class Shelf:
         with self._lock:
             entry.pending, entry.error = entry.pending - 1, error
             self._builds -= 1
+            if not error and entry.waiting and not entry.pending:  # it was put back, and came with another one's turn
+                self._submit_next(name, entry)
 
     def _publish(self, name: str, entry: Entry, built: Path) -> None:
         """Make what was built the scene's next version, unless it was unloaded meanwhile."""
@@ -377,11 +423,16 @@ class Shelf:
                 older.unlink(missing_ok=True)
         if not current:
             return
-        self.trouble = ""
+        with self._lock:
+            self.trouble = next((f"scene {name!r}: {entry.error}" for name, entry in self._unkept()), "")
         facts = {"points": len(scene.points), "version": scene.version, "digest": scene.digest}
         log.info("scene %s is ready", name, extra=facts)
         self._on_ready(name, scene)
         self.trim()
+
+
+def _cloud_points(tasks: Collection[Task]) -> int:
+    return sum(task.size for task in tasks if task.kind == "cloud")
 
 
 def _is_file(path: Path) -> bool:

@@ -39,9 +39,10 @@ from gpdf_service.service.fair_queue import FairQueue
 from gpdf_service.service.follower import Follower
 from gpdf_service.service.handlers import Handlers
 from gpdf_service.service.metrics import Metrics
-from gpdf_service.service.network import session_config
+from gpdf_service.service.network import session_config, set_up_threads
 from gpdf_service.service.options import Options as Options
 from gpdf_service.service.options import plain
+from gpdf_service.service.outbox import Outbox
 from gpdf_service.service.pool import Pool, Settings
 from gpdf_service.service.prometheus import Endpoint
 from gpdf_service.service.recorder import Recorder
@@ -55,6 +56,8 @@ PACKAGES = ("numpy", "scipy", "numba", "eclipse-zenoh", "msgspec", "mcap")
 TRIM_S = 1.0
 """[s] Between looks at the memory of the scenes: the free spaces of new bodies grow with the plans."""
 
+SENDERS = 64
+"""Answers on their way, beside those that are made: who does not read them holds up nobody else."""
 MAX_CLIENT_BYTES = 64
 """Of a client's name for itself beside its requests: four times a Zenoh id."""
 
@@ -91,6 +94,7 @@ class Server:
             config,
             state_dir=options.state,
             memory_bytes=options.memory_bytes,
+            spare_bytes=options.spare_bytes,
             build=None if self._builder is None else self._builder.build,
         )
         stamp = time.strftime("%Y%m%dT%H%M%S", time.gmtime())
@@ -102,8 +106,11 @@ class Server:
         self.handlers = Handlers(self.shelf, self.planner_id, *tell, self._pool)
         self._jobs = FairQueue[_Job](options.queue)
         self._workers = [
-            threading.Thread(target=self._work, name=f"gpdf-worker-{i}", daemon=True) for i in range(options.workers)
+            threading.Thread(target=self._work, name=f"gpdf-worker-{i}", daemon=True)
+            for i in range(options.workers + SENDERS)
         ]
+        self._outbox = Outbox()
+        self._seats = threading.Semaphore(options.workers)  # of those that make answers
         self._ended = threading.Event()
         self._keeper = threading.Thread(target=self._keep_memory, name="gpdf-memory", daemon=True)
         self._warmed, self._loaded = threading.Event(), threading.Event()
@@ -133,7 +140,7 @@ class Server:
     @property
     def load(self) -> float:
         """Requests that wait or are at work, over the workers."""
-        return self._jobs.unfinished / len(self._workers)
+        return self._jobs.unfinished / self.options.workers
 
     def __enter__(self) -> Server:
         try:
@@ -141,6 +148,8 @@ class Server:
                 self._pool.start()
             if self._builder is not None:
                 self._builder.start()
+            self._outbox.start()
+            set_up_threads()
             self._session = zenoh.open(session_config(self.options))  # a port that is taken is told before any work
             self._session.declare_queryable(keys.status_of(self.planner_id), self._answer_status, complete=True)
             if self.options.metrics_port:
@@ -153,7 +162,7 @@ class Server:
         for thread in (*self._workers, self._keeper, self._warmer):
             thread.start()
         if self.options.role == "planner":
-            self._follower = Follower(self._session, self.shelf, self._serve_plans)
+            self._follower = Follower(self._session, self.shelf, self._serve_plans, self._on_gone)
             self._follower.start()
         else:
             self._serve({key: key for key in self.handlers.map_keys}, f"{keys.MAP_ALIVE}/{self.planner_id}")
@@ -189,6 +198,7 @@ class Server:
             self._follower.close()
         self.handlers.in_use.close()
         self.shelf.close()
+        self._outbox.close()
         if self._session is not None:
             self._session.close()  # type: ignore[no-untyped-call]
         self.recorder.close()
@@ -263,11 +273,16 @@ class Server:
             self._pool.forget(name)
         self._announce(SceneChanged(scene=name, version=0))
 
+    def _on_gone(self, name: str) -> None:
+        """The map has that scene no more; what was published for it may be for one that it has next, and stays."""
+        self.handlers.moving.let_go(name)
+        self._on_unload(name)
+
     def _on_cut(self, cut: TrajectoryCut) -> None:
         assert self._session is not None
         key, data = keys.cut(cut.scene), encode(cut)
         self._session.put(key, data)
-        self.recorder.publication(key, data, time.time_ns())
+        self.recorder.publication(key, data, self._stamp_ns(time.monotonic()))
 
     def _hear_of_obstacles(self, sample: zenoh.Sample) -> None:
         """Zenoh's callback: what was published on a scene's key; what cannot be read is told on stderr alone.
@@ -293,14 +308,16 @@ class Server:
         """A publication with the moment from which on plans know of it."""
         if self.shelf.get(scene) is None:
             return
-        topic, kept = self.recorder.evidence.publication(key, data)
-        self.recorder.publication(topic, kept, self._stamp_ns(at))
-        if topic == key:
+        kept = self.recorder.evidence.publication(key, data)
+        if kept is None:
+            return
+        self.recorder.publication(*kept, self._stamp_ns(at))
+        if kept[0] == key and self.recorder.evidence.may_draw:
             points = stacked(list(self.handlers.moving.points(scene).values()))
             self.recorder.moving(scene, points, self._stamp_ns(at))
 
     def _stamp_ns(self, moment: float) -> int:
-        """A moment of `time.monotonic` [s] for the log: one clock for all that may stand in another's way."""
+        """A moment of `time.monotonic` [s] for the log: one clock for all, which nobody sets while it runs."""
         return self._epoch_ns + round(1e9 * moment)
 
     def _announce(self, news: SceneChanged) -> None:
@@ -316,9 +333,7 @@ class Server:
         body = query.payload or zenoh.ZBytes(b"")
         size, fits = len(body), len(body) <= MAX_REQUEST_BYTES
         payload = body.to_bytes() if fits else b""
-        sender = query.attachment
-        client = "" if sender is None else sender.to_bytes()[:MAX_CLIENT_BYTES].hex()
-        received = time.monotonic()
+        client, received = _name_of(query), time.monotonic()
         job = _Job(query, key, wire_key, payload, received, self._stamp_ns(received), client)
         if str(query.key_expr) != wire_key:  # a wildcard asks all that there is at once, and changes what it must not
             self._refuse(job, Status.INVALID_REQUEST, f"{str(query.key_expr)[:100]!r} is no key. Ask {wire_key}.")
@@ -336,20 +351,28 @@ class Server:
             self._refuse(refused, Status.BUSY, f"{self.options.queue} requests are waiting. Ask again in a moment.")
 
     def _refuse(self, job: _Job, status: Status, words: str) -> None:
-        """Answer at once, in Zenoh's callback."""
-        self._reply(job, self.handlers.refuse(job.key, status, words, self.load), patient=False)
+        """Answer ahead of those that wait."""
+        data = self.handlers.refuse(job.key, status, words, self.load)
+        self._outbox.put(partial(self._reply, job, data, patient=False), job.client, len(job.query.payload or b""))
 
     def _work(self) -> None:
-        while (job := self._jobs.get()) is not None:
+        """Make answers one after another; while one is sent, another thread has the seat."""
+        while True:
+            with self._seats:
+                if (job := self._jobs.get()) is None:
+                    return
+                try:
+                    data = self.handlers.answer(job.key, job.payload, job.received, self.load)
+                finally:
+                    self._jobs.done()
             try:
-                self._reply(job, self.handlers.answer(job.key, job.payload, job.received, self.load))
+                with self._jobs.sending(job.client):
+                    self._reply(job, data)
             except Exception:
                 log.exception("reply on %s", job.key)
-            finally:
-                self._jobs.done()
 
     def _reply(self, job: _Job, data: bytes, *, patient: bool = True) -> None:
-        stamp, status = time.time_ns(), decode(data, Reply).status
+        stamp, status = self._stamp_ns(time.monotonic()), decode(data, Reply).status
         kept = self.recorder.evidence.of(job.client, job.key, status, job.payload, data)
         if kept is not None:
             self.recorder.exchange(*kept, job.received_ns, stamp, patient=patient)
@@ -360,9 +383,13 @@ class Server:
             self.recorder.plan(data, stamp)
 
     def _answer_status(self, query: zenoh.Query) -> None:
-        """Answered in the callback itself: a service whose queue is full is asked first of all how it is."""
-        with query:
-            query.reply(keys.status_of(self.planner_id), encode(self.status()))
+        """Answered past the queue: a service whose queue is full is asked first of all how it is."""
+
+        def reply() -> None:
+            with query:
+                query.reply(keys.status_of(self.planner_id), encode(self.status()))
+
+        self._outbox.put(reply, _name_of(query), len(query.payload or b""))
 
     def status(self) -> StatusReply:
         """Health, readiness and metrics now."""
@@ -393,7 +420,7 @@ class Server:
                 **self.metrics.numbers(self.processes),
                 "process_restarts": float(0 if self._pool is None else self._pool.restarts),
                 "load": self.load,
-                "workers": float(len(self._workers)),
+                "workers": float(self.options.workers),
                 "scenes": float(len(facts)),
                 "scenes_in_memory": float(sum(entry["in_memory"] for entry in facts.values())),
                 "messages_lost": float(self.recorder.lost),
@@ -403,3 +430,10 @@ class Server:
     def _keep_memory(self) -> None:
         while not self._ended.wait(TRIM_S):
             self.shelf.trim()
+            self.shelf.try_again()
+
+
+def _name_of(query: zenoh.Query) -> str:
+    """What who asks calls itself, in hexadecimal."""
+    sender = query.attachment
+    return "" if sender is None else sender.to_bytes()[:MAX_CLIENT_BYTES].hex()

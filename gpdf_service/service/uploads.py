@@ -10,6 +10,8 @@ from gpdf_service.types import BoolArray, FloatArray
 
 MAX_UPLOAD_POINTS = 20_000_000
 """Points that one upload may have: 0.5 GB."""
+LEAST_PART = 40
+"""[points] That a part counts for: what holds it takes as much room as so many."""
 MAX_UPLOADS = 64
 """Unfinished uploads that are kept at once."""
 MAX_KEY = 256
@@ -22,6 +24,7 @@ class Uploads:
 
     def __init__(self) -> None:
         self._kept: dict[str, dict[int, Part]] = {}
+        self._waiting = 0  # points, as they count
         self._lock = threading.Lock()
 
     def add(self, key: str, part: int, parts: int, points: FloatArray, labels: BoolArray | None) -> Part | None:
@@ -43,24 +46,30 @@ class Uploads:
                     "uploads that stay unfinished make room for others. Send it again."
                 )
             kept = self._kept.setdefault(key, {})
+            self._waiting += _weight(points) - (_weight(kept[part][0]) if part in kept else 0)
             kept[part] = (points, labels)
             self._make_room(key)
             if len(kept) < parts:
                 return None
-            del self._kept[key]
+            self._let_go(key)
         if max(kept) >= parts:
             raise ValueError(f"part {max(kept)} came before, now there are to be {parts} parts. Send it again.")
         return _joined([kept[i] for i in range(parts)])
 
     def _make_room(self, key: str) -> None:
-        while self._waiting() > MAX_UPLOAD_POINTS or len(self._kept) > MAX_UPLOADS:
+        while self._waiting > MAX_UPLOAD_POINTS or len(self._kept) > MAX_UPLOADS:
             oldest = next(iter(self._kept))
-            del self._kept[oldest]
+            self._let_go(oldest)
             if oldest == key:
-                raise ValueError(f"it has more than {MAX_UPLOAD_POINTS} points. Thin the cloud, or load a file.")
+                words = f"it has more than {MAX_UPLOAD_POINTS} points, or too small parts (each counts {LEAST_PART})"
+                raise ValueError(f"{words}. Thin the cloud, send larger parts, or load a file.")
 
-    def _waiting(self) -> int:
-        return sum(len(points) for upload in self._kept.values() for points, _ in upload.values())
+    def _let_go(self, key: str) -> None:
+        self._waiting -= sum(_weight(points) for points, _ in self._kept.pop(key).values())
+
+
+def _weight(points: FloatArray) -> int:
+    return max(LEAST_PART, len(points))
 
 
 def _joined(parts: list[Part]) -> Part:

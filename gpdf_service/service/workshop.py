@@ -17,8 +17,11 @@ from gpdf_service.scene import Scene, load_scene
 from gpdf_service.service.changes import Change, changed
 from gpdf_service.service.journal import arrays_of
 from gpdf_service.service.memory import held_bytes
-from gpdf_service.service.scene_files import SUFFIX, SceneFiles
+from gpdf_service.service.scene_files import SUFFIX, SceneFiles, short_of_room
 from gpdf_service.types import Agent, resolve_agent
+
+MAKE_ROOM = "Make room in the state folder"
+"""What helps when the disk is why something is not kept."""
 
 
 class Job(msgspec.Struct, frozen=True):
@@ -33,6 +36,7 @@ class Job(msgspec.Struct, frozen=True):
         base: File of the version before.
         changes: What was sent since, as the journal keeps it, with the radius [m] of each.
         agents: Measures of the bodies that were planned for last.
+        spare_bytes: That stay free on the disk.
     """
 
     name: str
@@ -43,6 +47,7 @@ class Job(msgspec.Struct, frozen=True):
     base: str = ""
     changes: list[tuple[str, float]] = []
     agents: list[dict[str, Any]] = []
+    spare_bytes: float = 0.0
 
 
 class BuildError(Exception):
@@ -90,9 +95,10 @@ class Workshop:
         try:
             scene.save(file)
         except OSError as error:
-            raise NotKeptError(
-                f"it cannot be kept ({error.strerror or error}). Make room in the state folder"
-            ) from error
+            raise NotKeptError(f"it cannot be kept ({error.strerror or error}). {MAKE_ROOM}") from error
+        if short := short_of_room(files.folder, job.spare_bytes):
+            file.unlink()
+            raise NotKeptError(f"it cannot be kept ({short}). {MAKE_ROOM}")
         self._kept.pop(Path(job.base).name, None)
         self._kept[files.path_of(job.name, scene.version).name] = scene
         self._trim()

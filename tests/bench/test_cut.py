@@ -22,3 +22,11 @@ def test_others_are_served_beside_hostile_clouds(capsys):
     assert row["plans_quiet"] == 40
     assert row["plans_beside"] >= 4
     assert row["ratio"] == pytest.approx(row["beside_p99_ms"] / row["quiet_p99_ms"])
+
+
+def test_beside_clients_that_read_nothing_others_are_answered(capsys):
+    assert main(["bench", "unread", "--seconds", "3", "--clients", "1", "--json"]) == 0
+    quiet, beside = json.loads(capsys.readouterr().out)
+    assert (quiet["unread"], beside["unread"]) == (0, 1)
+    assert beside["plans"] > 0
+    assert beside["max_ms"] < 60_000

@@ -134,6 +134,89 @@ def test_a_change_that_is_in_a_version_on_the_disk_is_not_made_again(tmp_path):
     again.close()
 
 
+class FullDisk:
+    """A workshop that cannot keep what it builds while `full`."""
+
+    def __init__(self):
+        self._workshop, self.full = Workshop(), False
+
+    def build(self, job, progress):
+        if self.full:
+            raise NotKeptError("it cannot be kept (no space)")
+        return self._workshop.build(job, progress)
+
+
+def change(shelf, height):
+    shelf.add_change("x", "c", 0, 1, np.array([[1.0, 1.0, height]]), np.zeros(1, dtype=bool), 0.05)
+
+
+@pytest.mark.parametrize("then", ["change", "cloud", "nothing"])
+def test_a_change_that_the_disk_did_not_take_is_in_the_version_after_it(tmp_path, monkeypatch, then):
+    disk = FullDisk()
+    shelf = Shelf(tmp_path, state_dir=tmp_path / "state", build=disk.build)
+    shelf.add_part("x", "u", 0, 1, floor(3.0), None)
+    shelf.settle()
+    disk.full = True
+    change(shelf, 0.5)
+    shelf.settle()
+    assert "cannot be kept" in shelf.trouble
+    shelf.try_again()  # not so soon
+    shelf.settle()
+    assert len(shelf.get("x").waiting) == 1
+    disk.full = False
+    if then == "change":
+        change(shelf, 0.7)
+    elif then == "cloud":
+        shelf.add_part("x", "v", 0, 1, floor(4.0), None)
+    else:
+        monkeypatch.setattr("gpdf_service.service.scenes.time.monotonic", lambda: 1e12)
+        shelf.try_again()
+    for _ in range(3):
+        shelf.settle()
+    points = {"change": len(floor(3.0)) + 2, "cloud": len(floor(4.0)), "nothing": len(floor(3.0)) + 1}[then]
+    assert (shelf.facts()["x"]["points"], shelf.trouble) == (points, "")
+    assert not list((tmp_path / "state" / "journal").iterdir())
+    shelf.close()
+
+
+def test_a_change_that_the_disk_did_not_take_is_made_after_a_restart_whatever_came_between(tmp_path):
+    disk = FullDisk()
+    shelf = Shelf(tmp_path, state_dir=tmp_path / "state", build=disk.build)
+    shelf.add_part("x", "u", 0, 1, floor(3.0), None)
+    shelf.settle()
+    disk.full = True
+    change(shelf, 0.5)
+    shelf.settle()
+    disk.full = False
+    change(shelf, 0.7)
+    shelf.settle()
+    shelf.close()
+    again = Shelf(tmp_path, state_dir=tmp_path / "state")
+    again.restore()
+    again.settle()
+    assert again.facts()["x"]["points"] == len(floor(3.0)) + 2
+    again.close()
+
+
+def test_a_change_of_a_scene_that_is_unloaded_meanwhile_makes_no_ghost_of_it(tmp_path):
+    shelf = Shelf(tmp_path, state_dir=tmp_path / "state")
+    shelf.add_part("x", "u", 0, 1, floor(3.0), None)
+    shelf.settle()
+    write = shelf.journal.put
+
+    def put(*told, **arrays):
+        shelf.unload("x")
+        return write(*told, **arrays)
+
+    shelf.journal.put = put
+    with pytest.raises(ValueError, match="no scene 'x' any more"):
+        change(shelf, 0.5)
+    shelf.settle()
+    assert shelf.facts() == {}
+    assert not list((tmp_path / "state" / "journal").iterdir())
+    shelf.close()
+
+
 def test_an_unloaded_scene_does_not_come_back_with_the_next_start(tmp_path):
     gate = threading.Event()
     workshop = Workshop()

@@ -2,6 +2,7 @@
 
 import shutil
 import threading
+from contextlib import ExitStack
 from functools import partial
 
 import zenoh
@@ -11,7 +12,7 @@ from gpdf_schemas import PlanReply, PlanRequest, Status, decode, encode, keys
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gpdf_service.service.fair_queue import FairQueue
+from gpdf_service.service.fair_queue import MOST_SENDING, FairQueue
 from gpdf_service.service.server import Options, Server
 
 
@@ -60,6 +61,25 @@ def test_nothing_is_lost_or_doubled_and_the_bound_holds(steps, size):
     while (item := queue.get()) is not None:
         out.append(item)
     assert sorted(out) == sorted(put)
+
+
+def test_a_client_that_does_not_take_its_answers_has_no_turn_until_it_does():
+    queue = FairQueue(10)
+    for item in ("a1", "a2", "b1"):
+        queue.put(item, item[0])
+    with ExitStack() as stack:
+        for _ in range(MOST_SENDING):
+            stack.enter_context(queue.sending("a"))
+        assert queue.get() == "b1"
+        got = []
+        waiting = threading.Thread(target=lambda: got.append(queue.get()))
+        waiting.start()
+        waiting.join(0.2)
+        assert got == []
+    waiting.join(10)
+    assert got == ["a1"]
+    queue.close()
+    assert [queue.get(), queue.get()] == ["a2", None]
 
 
 def test_who_waits_is_woken_by_an_item_and_by_the_end():

@@ -3,6 +3,7 @@
 import dataclasses
 import queue
 import shutil
+import tracemalloc
 
 import numpy as np
 import pytest
@@ -13,7 +14,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import gpdf_service as gpdf
-from gpdf_service.service.in_use import GRACE_S, MOST, PATIENCE, TOUCH, InUse
+from gpdf_service.service.in_use import GRACE_S, MOST, MOST_PLACES, PATIENCE, TOUCH, InUse
 from gpdf_service.service.server import Options, Server
 from gpdf_service.types import Trajectory
 
@@ -29,7 +30,7 @@ def straight(length=4.0, agent="human", duration=8.0):
 
 def in_use(points, agent="human", clock=lambda: 0.0, **more):
     made = InUse(lambda scene: {"x": np.atleast_2d(points).astype(float)}, lambda cut: None, "me", clock)
-    made.remember("hall", "1", gpdf.AGENTS[agent], lambda: straight(agent=agent, **more))
+    made.remember("hall", "1", gpdf.AGENTS[agent], straight(agent=agent, **more))
     return made
 
 
@@ -61,7 +62,7 @@ def test_a_body_of_discs_is_cut_by_what_its_footprint_meets_turning_too():
     )
     for point, when in (((3.0, 1.8, 0.5), None), ((3.0, 1.55, 0.5), 3.0), ((5.0, 1.95, 0.5), 9.7)):
         used = InUse(lambda scene, at=point: {"x": np.array([at])}, lambda cut: None)
-        used.remember("hall", "1", spot, lambda path=path: path)
+        used.remember("hall", "1", spot, path)
         times = [cut.time for cut in used.cuts("hall")]
         assert times == ([] if when is None else [pytest.approx(when, abs=0.3)]), point
 
@@ -80,9 +81,23 @@ def test_a_trajectory_is_in_use_for_a_while_and_in_its_scene():
 def test_only_so_many_are_remembered():
     used = in_use((3.0, 1.5, 0.5))
     for i in range(MOST):
-        used.remember("hall", f"later {i}", gpdf.AGENTS["human"], straight)
+        used.remember("hall", f"later {i}", gpdf.AGENTS["human"], straight())
     assert len(used.cuts("hall")) == MOST
     assert "1" not in {cut.request_id for cut in used.cuts("hall")}
+
+
+def test_long_trajectories_of_bodies_of_many_discs_take_no_more_memory_than_many_short_ones():
+    long = dataclasses.replace(gpdf.AGENTS["human"], discs=32), straight(length=200.0)
+    used = InUse(lambda scene: {"x": np.array([[3.0, 1.5, 0.5]])}, lambda cut: None)
+    tracemalloc.start()
+    for i in range(200):
+        used.remember("hall", str(i), *long)
+    cuts = used.cuts("hall")
+    held = tracemalloc.get_traced_memory()[0]
+    tracemalloc.stop()
+    assert 1 < len(cuts) < 100
+    assert cuts[-1].request_id == "199"
+    assert held < 100 * MOST_PLACES
 
 
 @pytest.mark.parametrize("agent", ["roomba", "human"])
@@ -94,7 +109,7 @@ def test_a_plan_round_something_is_not_cut_by_it(agent):
         path = gpdf.plan(hall.with_obstacles(points), START, GOAL, agent)
         assert path.status == "OK"
         used = InUse(lambda scene, points=points: {"x": points}, lambda cut: None)
-        used.remember("hall", "1", gpdf.AGENTS[agent], lambda path=path: path.trajectory)
+        used.remember("hall", "1", gpdf.AGENTS[agent], path.trajectory)
         assert used.cuts("hall") == []
 
 
@@ -134,11 +149,11 @@ def test_a_new_trajectory_is_looked_at_alone_and_all_are_when_something_moves():
     used = InUse(lambda scene: points, told.put)
     used.start()
     try:
-        used.remember("hall", "first", gpdf.AGENTS["human"], straight)
+        used.remember("hall", "first", gpdf.AGENTS["human"], straight())
         points["x"] = np.array([[3.0, 1.5, 0.5]])
         used.look("hall")
         assert told.get(timeout=30).request_id == "first"
-        used.remember("hall", "second", gpdf.AGENTS["human"], straight)
+        used.remember("hall", "second", gpdf.AGENTS["human"], straight())
         assert told.get(timeout=30).request_id == "second"
         used.look("hall")
         assert {told.get(timeout=30).request_id for _ in range(2)} == {"first", "second"}

@@ -11,7 +11,7 @@ from gpdf_schemas.moving import MAX_POINTS, points_of
 from mcap.records import Channel
 
 import gpdf_service as gpdf
-from gpdf_service.service.moving import Moving
+from gpdf_service.service.moving import LEAST_OBSTACLE, Moving
 from gpdf_service.service.record import records_of
 from gpdf_service.service.replay import Moved, recorded_events
 from gpdf_service.service.server import Options, Server
@@ -172,7 +172,7 @@ def test_what_does_not_fit_any_more_is_refused_and_what_fits_is_taken():
 
 
 def test_scenes_that_nobody_loaded_do_not_fill_the_memory(monkeypatch):
-    monkeypatch.setattr("gpdf_service.service.moving.MAX_IN_ALL", 3)
+    monkeypatch.setattr("gpdf_service.service.moving.MAX_IN_ALL", 3 * LEAST_OBSTACLE)
     now = [0.0]
     moving = Moving(lambda: now[0])
     nothing = MovingObstacle(id="x", points=Array.pack(np.zeros((0, 3))), lifetime_s=10)
@@ -184,6 +184,25 @@ def test_scenes_that_nobody_loaded_do_not_fill_the_memory(monkeypatch):
     now[0] = 11.0
     moving.publish("d", [nothing])
     assert set(moving._living) == {"d"}  # what ended is forgotten, also where nobody looks
+
+
+def test_many_tiny_obstacles_take_no_more_memory_and_time_than_few_large_ones():
+    moving, most = Moving(lambda: 0.0), MAX_POINTS // LEAST_OBSTACLE
+    dot = Array.pack(np.zeros((1, 3)))
+    dots = [MovingObstacle(id=str(i), points=dot, lifetime_s=3600) for i in range(most + 1)]
+    with pytest.raises(ValueError, match=f"counts {LEAST_OBSTACLE} or more"):
+        moving.publish("hall", dots)
+    for i in range(50):
+        moving.publish(f"s{i}", dots[:most])
+    with pytest.raises(ValueError, match="all others"):
+        moving.publish("hall", dots[:1])
+    before = time.process_time()
+    for _ in range(100):
+        with pytest.raises(ValueError, match="all others"):
+            moving.publish("hall", dots[:1])
+    assert time.process_time() - before < 0.5  # 500,000 were looked at each time
+    moving.publish("s0", [msgspec.structs.replace(dots[0], lifetime_s=0)])
+    moving.publish("hall", dots[:1])  # there is room again
 
 
 def test_an_obstacle_with_a_name_of_megabytes_is_refused_and_the_others_are_taken():

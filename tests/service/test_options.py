@@ -11,7 +11,7 @@ from mcap.reader import make_reader
 from gpdf_service.cli import main
 from gpdf_service.config import Config
 from gpdf_service.errors import ConfigError
-from gpdf_service.service.logs import JsonFormatter, TextFormatter
+from gpdf_service.service.logs import MOST, WINDOW_S, JsonFormatter, Sparing, TextFormatter
 from gpdf_service.service.options import Options, descriptions, gather, plain, to_toml
 from gpdf_service.service.server import Server
 
@@ -134,3 +134,24 @@ def test_a_structured_message_is_one_json_object_with_its_data():
     assert (line["message"], line["level"], line["points"], line["path"]) == ("scene x", "WARNING", 5, "a")
     assert line["time"].endswith("Z")
     assert TextFormatter("%(message)s").format(record(points=5)) == "scene x points=5"
+
+
+def test_messages_without_end_are_told_in_part_and_the_others_counted():
+    now, told = [0.0], []
+    sparing, handler = Sparing(lambda: now[0]), logging.Handler()
+    handler.emit = lambda record: told.append(record.getMessage())
+    handler.addFilter(sparing)
+    log = logging.Logger("x")
+    log.addHandler(handler)
+
+    def complain(i):
+        log.warning("message %d", i)
+
+    for i in range(MOST + 7):
+        complain(i)
+    log.warning("another one")
+    assert told == [*(f"message {i}" for i in range(MOST)), "another one"]
+    now[0] = WINDOW_S
+    complain(0)
+    complain(1)
+    assert told[-2:] == ["message 0 (and 7 more of these, which were not told)", "message 1"]

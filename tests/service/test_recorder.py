@@ -97,6 +97,34 @@ def test_the_oldest_logs_go_first_and_live_ones_never(tmp_path):
     assert (tmp_path / "mine.mcap").exists()
 
 
+def test_a_clock_that_jumps_does_not_empty_the_log(tmp_path):
+    for i in range(10):
+        path = tmp_path / f"gpdf_{i}.mcap"
+        path.write_bytes(bytes(1000))
+        os.utime(path, (i, i))  # 1970, as on a machine without a battery
+    day = 86_400.0
+    gone = prune(tmp_path, keep_bytes=1e12, keep_s=90 * day, spare_s=day)
+    assert [path.name for path in gone] == ["gpdf_0.mcap", "gpdf_1.mcap"]
+    gone = prune(tmp_path, keep_bytes=4500, keep_s=90 * day, spare_s=day)
+    assert len(gone) == 6  # four for their size, two for their age
+
+
+def test_a_hundred_scenes_are_a_small_head_of_each_file(tmp_path):
+    recorder = Recorder(Options(log_dir=tmp_path, log_segment_mb=1.0, log_sync="each"), "x", {})
+    points = np.random.default_rng(0).uniform(size=(100_000, 3))
+    for i in range(100):
+        recorder.scene(f"s{i}", points, {"version": i})
+    for i in range(5):
+        recorder.exchange("k", b"", b"x", i, i)
+    recorder.close()
+    files = sorted(tmp_path.glob("*.mcap"))
+    assert len(files) <= 50  # the head alone fills none: it would be written again with each message
+    for path in files[1:]:
+        assert path.stat().st_size < 20e6
+    names = {record.name for record in make_reader(files[-1].open("rb")).iter_metadata()}
+    assert names >= {f"scene/s{i}" for i in range(100)}
+
+
 def test_a_disk_short_of_room_is_told_and_recording_begins_again(tmp_path, monkeypatch, caplog):
     monkeypatch.setattr("gpdf_service.service.recorder.RETRY_S", 0.0)
     recorder = Recorder(Options(log_dir=tmp_path, log_sync="each"), "x", {})
