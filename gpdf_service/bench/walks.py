@@ -178,10 +178,14 @@ class Crowd:
         return distance
 
     def _may_be(self, place: FloatArray, i: int) -> bool:
+        """Whether one may step there: beside the others, not in front of the person, and not nearer past him."""
         others = np.delete(self.places, i, axis=0)
         apart = (np.hypot(*(others - place)[:, :2].T) > 2 * RADIUS).all()
-        next_to, now = self._from_way(np.array([place, self.places[i]])[:, :2], 0.0 if self.stood else STOPS_IN)
-        return bool(apart and np.isfinite(place[2]) and (next_to > YIELDS or next_to >= now))
+        step = np.array([place, self.places[i]])[:, :2]
+        reaches = (0.0,) if self.stood else (0.0, STOPS_IN)
+        gaps = (self._from_way(step, reach) for reach in reaches)
+        yields = all(next_to > YIELDS or next_to >= now for next_to, now in gaps)
+        return bool(apart and np.isfinite(place[2]) and yields)
 
     def points(self) -> FloatArray:
         """What the guided person's sensor sees of them, shape (k, 3) [m]."""

@@ -62,6 +62,16 @@ def test_people_who_see_do_not_walk_into_who_does_not():
     assert crowd.penetration(np.array([*crowd.places[0, :2], 3.0])) < 0.5  # on another storey
 
 
+def test_who_stands_aside_does_not_brush_past_one_who_walks_up_to_him():
+    crowd = Crowd.of(1, np.zeros((1, 3)), lambda xy: np.zeros(len(xy)), np.random.default_rng(0))
+    crowd.places, crowd.targets = np.array([[0.9, 0.45, 0.0]]), np.array([[-8.0, 0.8, 0.0]])  # a little outwards
+    for tick in range(160):
+        person, before = np.array([0.015 * tick, 0.0, 0.0]), crowd.places[0].copy()
+        crowd.move(0.05 * tick, 0.05, person)
+        was, now = (float(np.hypot(*(place - person)[:2])) for place in (before, crowd.places[0]))
+        assert now > YIELDS or now >= was
+
+
 def test_people_begin_beside_each_other_and_leave_a_nook_to_who_waits_before_it():
     rng = np.random.default_rng(0)
     near = np.column_stack([rng.uniform(0, 0.3, (20, 2)), np.zeros(20)])
