@@ -42,10 +42,17 @@ UNANSWERED = 60.0
 """[s] Without an answer to a question it gives up, too."""
 SETTLES = 1.0
 """[s] After a turn a person comes to rest, and is not told of a small one before."""
-WAITING = {Kind.STOP_LOST: 2.0, Kind.STOP_NO_POSE: 2.0, Kind.STOP_OFF_WAY: 2.0, Kind.STOP_UNRELIABLE: 0.4}
+WAITING = {
+    Kind.STOP_LOST: 2.0,
+    Kind.STOP_NO_POSE: 2.0,
+    Kind.STOP_OFF_WAY: 2.0,
+    Kind.STOP_MOVING: 2.0,
+    Kind.STOP_UNRELIABLE: 0.4,
+}
 """[s] The cue says stop at once; one that is over within this is felt and not spoken, if somebody feels the cues. Poses
-that are missing mostly come again; those that cannot be true are spoken of within half a second."""
-STOPS = (*WAITING, Kind.STOP_ALONE, Kind.STOP_OBSTACLE, Kind.STOP_MOVING, Kind.STOP_UNSURE)
+that are missing mostly come again, and who crosses the way is past; poses that cannot be true are spoken of within half
+a second."""
+STOPS = (*WAITING, Kind.STOP_ALONE, Kind.STOP_OBSTACLE, Kind.STOP_UNSURE)
 """After these a person waits to be told to go on."""
 GOING = (CueAction.GO, CueAction.SLOW, CueAction.TURN)
 BLOCKS = {Kind.STOP_OBSTACLE, Kind.STOP_MOVING}
@@ -366,7 +373,7 @@ class Guide:
     def _worth_saying(self, advice: Advice) -> tuple[Instruction, ...]:
         """What stops the feet for a moment only is no news; who was told to stop is told to go on."""
         waited = 0.0 if self._waiting.since is None else self._clock - self._waiting.since
-        stands = dict.fromkeys(WAITING, STANDS) if self._told_to_stop else {}
+        stands = dict.fromkeys(set(WAITING) - BLOCKS, STANDS) if self._told_to_stop else {}
         patient = (WAITING | stands) if self.felt else {}
         worth = tuple(
             one
@@ -525,7 +532,7 @@ class Guide:
             return Instruction(Kind.NOTHING_SAID, Urgency.ACT)
         one, walked = self._announcer.last[0], self._s - self._told_at
         first = None if one.first is None else replace(one.first, distance=max(0.0, one.first.distance - walked))
-        return replace(one, distance=max(0.0, one.distance - walked), first=first, reply_to=None)
+        return replace(one, distance=max(0.0, one.distance - walked), first=first, resumes=False, reply_to=None)
 
     def _facts(self, asked: Asked) -> Instruction:
         """Where the person is, what is around him, how far it is."""

@@ -72,6 +72,20 @@ def test_who_stands_aside_does_not_brush_past_one_who_walks_up_to_him():
         assert now > YIELDS or now >= was
 
 
+def test_who_sees_goes_round_who_stands_where_there_is_room():
+    def corridor(xy):
+        return np.where(np.abs(xy[:, 1]) < 0.7, 0.0, np.nan)
+
+    crowd = Crowd.of(1, np.zeros((1, 3)), corridor, np.random.default_rng(0))
+    crowd.places, crowd.targets = np.array([[3.0, 0.0, 0.0]]), np.array([[-3.0, 0.0, 0.0]])
+    person, crossed = np.array([0.0, 0.1, 0.0]), np.inf
+    for tick in range(200):
+        crowd.move(0.05 * tick, 0.05, person)
+        assert np.hypot(*(crowd.places[0] - person)[:2]) > YIELDS - 1e-6
+        crossed = min(crossed, float(crowd.places[0, 0]))
+    assert crossed < -1.0
+
+
 def test_people_begin_beside_each_other_and_leave_a_nook_to_who_waits_before_it():
     rng = np.random.default_rng(0)
     near = np.column_stack([rng.uniform(0, 0.3, (20, 2)), np.zeros(20)])

@@ -2,7 +2,9 @@
 
 import numpy as np
 from gpdf_client import Trajectory
-from gpdf_guidance import Detail, Guide, Kind, Manner, Outcome, Planned, Pose, build_route
+from gpdf_guidance import Detail, Guide, Instruction, Kind, Manner, Outcome, Planned, Pose, Urgency, build_route
+from gpdf_guidance.announcer import Announcer
+from gpdf_guidance.catalogue import phrase
 from gpdf_schemas import CueAction
 
 IN_THE_WAY = np.array([[2.0, 0.0, 1.0]])
@@ -49,6 +51,29 @@ def test_what_comes_back_is_waited_for_longer_until_one_has_got_on():
         waited.append(cues.count(CueAction.STOP) / 10)
         assert said[-1] is Kind.RESUME
     assert np.allclose(waited, [1.0, 2.0, 4.0, 4.0, 1.0], atol=0.11)
+
+
+def test_who_crosses_the_way_is_felt_and_is_spoken_of_only_if_he_stays():
+    for seconds, felt, told in ((1.5, True, 0), (4.0, True, 1), (24.0, True, 2), (0.3, False, 1)):
+        guide, live = led()
+        guide.felt = felt
+        guide.see(IN_THE_WAY, IN_THE_WAY)
+        cues, said = live(seconds)
+        assert set(cues) == {CueAction.STOP}
+        assert said == told * [Kind.STOP_MOVING]
+
+
+def test_who_goes_on_hears_what_comes_in_the_same_breath():
+    go_on = Instruction(Kind.RESUME, Urgency.DANGER)
+    stairs = Instruction(Kind.STAIRS, Urgency.ACT, (2.0, 0.0), 1.2, 0.17, 7)
+    voice = Announcer(phrase)
+    one, text = voice.choose([go_on, stairs], 0.0)
+    assert text == "Go on. In 1 metre, take the stairs up, 7 steps."
+    assert (one.kind, one.place) == (Kind.STAIRS, stairs.place)
+    assert voice.choose([go_on, stairs], 6.0) is None  # both were told
+    alone = Announcer(phrase)
+    assert alone.choose([go_on], 0.0)[1] == "Go on."
+    assert alone.choose([go_on, stairs], 3.0)[1] == phrase(stairs)
 
 
 def test_one_wrong_pose_turns_nobody():
