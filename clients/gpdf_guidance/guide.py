@@ -10,7 +10,7 @@ import numpy as np
 from gpdf_schemas import Ask, AskMessage, CueAction, CueMessage
 from numpy.typing import NDArray
 
-from gpdf_guidance.advice import BLIND, LEAST_OBSTACLE, OVER_TURN, PACES, Advice, advise, moves_near, stop
+from gpdf_guidance.advice import BLIND, LEAST_OBSTACLE, OVER_TURN, PACES, Advice, advise, aim, moves_near, stop
 from gpdf_guidance.ahead import find_reassurance, is_edge, is_hidden_step
 from gpdf_guidance.announcer import Announcer
 from gpdf_guidance.answers import here, how_far, overview
@@ -202,6 +202,7 @@ class Guide:
         self._s, self._waiting, self._told_to_stop = 0.0, _Waiting(), False
         self._moved, self._moved_at = 0.0, np.full(2, np.inf)
         self._trusted: Pose | None = None
+        self._planned_at: Pose | None = None
         self._belief: Belief | None = None
         self._steps = StepLength()
         self._pace, self._told_at = 0.0, 0.0
@@ -459,6 +460,7 @@ class Guide:
             planned: The way, or why there is none.
             pose: Where it was asked for.
         """
+        self._planned_at = pose
         self._waiting.tries += 1
         self._waiting.since, self._waiting.at = self._clock, np.array(pose.position)
         self._moved = self._clock
@@ -473,7 +475,9 @@ class Guide:
 
     def _walk(self, route: Route) -> None:
         if self.route is None and self.manner.wants(Kind.OVERVIEW):
-            self._talk.overview = overview(route, self.name, self.manner.pace)
+            stands = self._trusted or self._planned_at
+            turn = 0.0 if stands is None else aim(route, stands, Progress(0.0, 0.0))
+            self._talk.overview = overview(route, self.name, self.manner.pace, turn)
         self.route, self._s, self._told_at = route, 0.0, 0.0
         self.routes.append(route)
 

@@ -1,6 +1,7 @@
 """What a guide does with who waits: no service, a straight way, poses by hand."""
 
 import numpy as np
+import pytest
 from gpdf_client import Trajectory
 from gpdf_guidance import Detail, Guide, Instruction, Kind, Manner, Outcome, Planned, Pose, Urgency, build_route
 from gpdf_guidance.announcer import Announcer
@@ -10,14 +11,14 @@ from gpdf_schemas import CueAction
 IN_THE_WAY = np.array([[2.0, 0.0, 1.0]])
 
 
-def led(detail=Detail.FEW):
+def led(detail=Detail.FEW, facing=0.0):
     """A guide at the start of 8 m straight on, and what it does for some seconds with a pose: cues, sentences."""
     x = np.arange(0.0, 8.01, 0.05)
     ground = np.column_stack([x, 0.0 * x, 0.0 * x])
     path = Trajectory(ground + np.array([0.0, 0.0, 2.0]), ground, x / 0.7, 0.0 * x)
     route = build_route(path, lambda places: 1.0 - np.abs(places[:, 1]) - 0.25, radius=0.25)
     guide = Guide(None, (8.0, 0.0), manner=Manner(detail=detail))
-    guide.take(Planned(route), Pose((0.0, 0.0, 0.0), 0.0, 0.0))
+    guide.take(Planned(route), Pose((0.0, 0.0, 0.0), facing, 0.0))
     clock = [0.0]
 
     def live(seconds, x=1.0, heading=0.0):
@@ -38,6 +39,15 @@ def test_the_overview_is_heard_to_its_end_though_something_is_in_the_way():
     cues, said = live(8.0, x=0.0)
     assert set(cues) == {CueAction.STOP}
     assert said == [Kind.OVERVIEW, Kind.STOP_OBSTACLE]
+
+
+@pytest.mark.parametrize(("facing", "first"), [(30, "."), (-100, ". Turn left."), (100, ". Turn right.")])
+def test_the_overview_ends_with_the_turn_that_the_cue_asks_for_first(facing, first):
+    guide, live = led(Detail.NORMAL, np.radians(facing))
+    one, text = guide.step(Pose((0.0, 0.0, 0.0), np.radians(facing), 0.0), 0.0)[1]
+    assert one.kind is Kind.OVERVIEW
+    assert text.endswith(f"seconds{first}")
+    assert Kind.TURN_NOW not in live(10.0, x=0.0, heading=np.radians(facing))[1]  # the cue turns him
 
 
 def test_what_comes_back_is_waited_for_longer_until_one_has_got_on():
