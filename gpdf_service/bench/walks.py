@@ -174,6 +174,8 @@ class Crowd:
         forward = away / np.maximum(np.hypot(*away.T), 1e-9)[:, None]
         looks = self.places[i, :2] + LOOKS[:, None, None] * forward
         free = np.isfinite(self.ground(looks.reshape(-1, 2))).reshape(looks.shape[:2])
+        for body, gap in ((self.person, YIELDS), *((one, 2 * RADIUS) for one in np.delete(self.places, i, axis=0))):
+            free &= np.hypot(*(looks - body[:2]).transpose(2, 0, 1)) > gap  # nobody sees a way through others
         gets = np.append(0.0, LOOKS)[np.logical_and.accumulate(free).sum(axis=0)]
         near = np.hypot(*(self.places[i, :2] - self.person[:2])) < SEEN_FROM
         if near and self.stood < STANDS:
