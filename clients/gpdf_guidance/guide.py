@@ -54,7 +54,8 @@ that are missing mostly come again, and who crosses the way is past; poses that 
 a second."""
 STOPS = (*WAITING, Kind.STOP_ALONE, Kind.STOP_OBSTACLE, Kind.STOP_UNSURE)
 """After these a person waits to be told to go on."""
-GOING = (CueAction.GO, CueAction.SLOW, CueAction.TURN)
+WALKS = (CueAction.GO, CueAction.SLOW)
+GOING = (*WALKS, CueAction.TURN)
 BLOCKS = {Kind.STOP_OBSTACLE, Kind.STOP_MOVING}
 CLEAR_FOR = (1.0, 4.0)
 """[s] What was in the way has been gone for so long before one goes on; twice as long each time that it comes back
@@ -256,8 +257,9 @@ class Guide:
         said = self._announcer.choose((*self._talk.replies, *self._worth_saying(advice)), self._clock)
         if said is not None:
             self._said(said[0])
-        if any(self._is_unheard(one) for one in advice.instructions):
-            advice = replace(advice, action=CueAction.STOP, pace=0.0)  # nobody goes towards a step unheard
+        waits = self._told_to_stop and advice.action in WALKS  # "stop" is still in his ear: "go on" comes next
+        if waits or any(self._is_unheard(one) for one in advice.instructions):
+            advice = replace(advice, action=CueAction.STOP, pace=0.0)  # nor does he go towards a step unheard
         self._pace = max(advice.pace, self._pace - BRAKES * went_on)
         cue = CueMessage(
             action=advice.action,
@@ -384,8 +386,8 @@ class Guide:
             and self.manner.wants(one.kind)
             and not (one.early and self.manner.detail is Detail.FEW)
         )
-        walks = advice.action in (CueAction.GO, CueAction.SLOW)
-        resume = (Instruction(Kind.RESUME, Urgency.DANGER),) if self._told_to_stop and walks else ()
+        walks = self._told_to_stop and advice.action in WALKS
+        resume = (Instruction(Kind.RESUME, Urgency.DANGER),) if walks else ()
         return resume + worth + self._besides(advice, waited)
 
     def _besides(self, advice: Advice, waited: float) -> tuple[Instruction, ...]:
@@ -395,7 +397,7 @@ class Guide:
         if advice.action is CueAction.STOP:
             silent = not advice.instructions and waited >= (STANDS if self._told_to_stop else UNSURE)
             return (Instruction(Kind.STOP_UNSURE, Urgency.DANGER),) if silent else ()
-        if advice.action not in (CueAction.GO, CueAction.SLOW):
+        if advice.action not in WALKS:
             return ()
         found = find_reassurance(self.route, advice.progress, self._told_at)
         if self._moving is not None and self._belief is not None:

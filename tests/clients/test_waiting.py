@@ -55,7 +55,7 @@ def test_what_comes_back_is_waited_for_longer_until_one_has_got_on():
     waited = []
     for x in (1.0, 1.0, 1.0, 1.0, 1.9):
         guide.see(IN_THE_WAY + np.array([x - 1.0, 0.0, 0.0]))
-        live(0.5, x)
+        live(3.0, x)  # "Stop." has been said to the end
         guide.see(None)
         cues, said = live(6.0, x)
         waited.append(cues.count(CueAction.STOP) / 10)
@@ -71,6 +71,16 @@ def test_who_crosses_the_way_is_felt_and_is_spoken_of_only_if_he_stays():
         cues, said = live(seconds)
         assert set(cues) == {CueAction.STOP}
         assert said == told * [Kind.STOP_MOVING]
+
+
+def test_who_was_told_to_stop_feels_go_when_he_hears_it():
+    guide, live = led()
+    guide.see(IN_THE_WAY, IN_THE_WAY)
+    assert live(2.1)[1] == [Kind.STOP_MOVING]
+    guide.see(None)
+    felt, heard = zip(*(live(0.1) for _ in range(30)), strict=True)
+    walks = [CueAction.GO in cues for cues in felt]
+    assert walks.index(True) == heard.index([Kind.RESUME]) > 10
 
 
 def test_who_goes_on_hears_what_comes_in_the_same_breath():
