@@ -54,8 +54,8 @@ SQUARE_ON = radians(12)
 """[rad] Towards the middle of the stairs one may be led by this; `SQUARE` is this and a course's sway."""
 NEAR_STEP = 1.2
 """[m] Before a step or a stair one goes slowly: a pace and a half."""
-STOP_BEFORE = 2.0
-"""[m] An obstacle that is new on the path stops from here: BLIND at full pace, and as much again."""
+STOP_BEFORE = 2.8
+"""[s] An obstacle that is new on the path stops who would be there within this: twice `BLIND`, and a step."""
 BODY_HEIGHT = 2.0
 """[m] Of a person with a hat."""
 LEAST_OBSTACLE = 0.05
@@ -116,7 +116,8 @@ def advise(
     on_path = _nearest(partial(_obstacle_ahead, route, progress), obstacles, moving)
     before = _nearest(partial(_obstacle_before, route.radius, pose), obstacles, moving)
     faces = before.distance < route.radius + max(told, PACES[1]) * BLIND
-    if on_path.distance < STOP_BEFORE or (faces and told > 0.0):
+    careful = _careful_pace(route, progress)
+    if on_path.distance < STOP_BEFORE * max(told, careful) or (faces and told > 0.0):
         return stop(progress, min(on_path, before, key=lambda one: one.distance))
     place = np.array(pose.position[:2])
     if not route.inside(place[None], progress.s, POSE_SLACK)[0]:
@@ -125,7 +126,7 @@ def advise(
         off = Instruction(Kind.STOP_OFF_WAY, Urgency.DANGER)
         return stop(progress, off, off_way=True)
     direction, askew = _square(route, pose, progress, aim(route, pose, progress))
-    pace = min(safe_pace(route, pose, progress, direction), _careful_pace(route, progress))
+    pace = min(safe_pace(route, pose, progress, direction), careful)
     pace = 0.0 if askew or faces else min(pace, _pace_for(before.distance - route.radius))
     on_the_spot = SQUARE if _by_stairs(route, progress) else ON_THE_SPOT
     action = _action(direction, pace, on_the_spot, turning)
@@ -226,7 +227,7 @@ def _obstacle_before(radius: float, pose: Pose, obstacles: FloatArray) -> float:
 
 def _obstacle_ahead(route: Route, progress: Progress, obstacles: FloatArray) -> float:
     """Along the path to the first new obstacle in the body's way [m]; inf where there is none."""
-    rows = (route.s >= progress.s) & (route.s <= progress.s + STOP_BEFORE + PACES[0])
+    rows = (route.s >= progress.s) & (route.s <= progress.s + (STOP_BEFORE + 1.0) * PACES[0])
     path = route.ground[rows]
     gap = obstacles[:, None, :] - path[None]
     over = gap[:, :, 2]

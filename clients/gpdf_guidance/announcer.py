@@ -85,12 +85,18 @@ class Announcer:
             now: Clock [s].
         """
         self._earn(now)
-        for instruction in instructions:
-            affordable = self._tokens >= NEEDED[instruction.urgency] or instruction.reply_to is not None
-            silent = now >= self._quiet_at or instruction.urgency > self._speaking or instruction.kind in LAST
-            if affordable and silent and self._due(instruction, now):
-                return self._speak(instruction, now)
-        return None
+        due = (one for one in instructions if self._is_affordable(one) and self._due(one, now))
+        chosen = next((one for one in due if self._may_begin(one, now)), None)
+        if chosen is not None and chosen.kind is Kind.RESUME and chosen.reply_to is None:
+            after = next((one for one in due if one.reply_to is None), None)  # in the same breath
+            chosen = chosen if after is None else replace(after, resumes=True)
+        return None if chosen is None else self._speak(chosen, now)
+
+    def _is_affordable(self, one: Instruction) -> bool:
+        return self._tokens >= NEEDED[one.urgency] or one.reply_to is not None
+
+    def _may_begin(self, one: Instruction, now: float) -> bool:
+        return now >= self._quiet_at or one.urgency > self._speaking or one.kind in LAST
 
     def _earn(self, now: float) -> None:
         if self._then is not None:
@@ -120,6 +126,7 @@ class Announcer:
         self._quiet_at, self._speaking = now + WORD * len(text.split()), instruction.urgency
         told = [instruction] if instruction.first is None else [instruction.first, instruction]
         told += [replace(instruction, kind=Kind.STAIRS_END)] if instruction.ends else []
+        told += [Instruction(Kind.RESUME, Urgency.DANGER)] if instruction.resumes else []
         if instruction.kind in AT_EDGE and instruction.distance <= EDGE:  # that is the word at the edge
             told.append(replace(instruction, kind=AT_EDGE[instruction.kind]))
         if instruction.kind in (Kind.STAIRS, Kind.STAIRS_EDGE) and not instruction.early:

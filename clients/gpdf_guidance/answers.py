@@ -5,7 +5,7 @@ from __future__ import annotations
 from math import atan2, hypot
 
 from gpdf_guidance.advice import PACES, side_of
-from gpdf_guidance.features import Feature, FeatureKind
+from gpdf_guidance.features import TURN, Feature, FeatureKind
 from gpdf_guidance.instruction import Instruction, Kind, Urgency
 from gpdf_guidance.route import Pose, Route
 
@@ -17,33 +17,29 @@ MARGIN = 1.2
 """Times as long as at full pace: people slow down at narrow places and at the end."""
 
 
-def overview(route: Route, name: str, pace: float) -> Instruction:
+def overview(route: Route, name: str, pace: float, turn: float = 0.0) -> Instruction:
     """What a way is like, before its first step.
 
     Args:
         route: The way.
         name: Of the goal; empty where it has none.
         pace: Share of the full pace that the person wants.
+        turn: To the left [rad], on the spot, to where he walks first.
     """
     steps = tuple(_as_told(one) for one in route.features if one.kind in (FeatureKind.STEP, FeatureKind.STAIRS))
     turns = sum(one.kind is FeatureKind.TURN and one.end > 0.0 for one in route.features)
+    first = Instruction(Kind.TURN_NOW, Urgency.ACT, _start(route), amount=turn) if abs(turn) >= TURN else None
     return Instruction(
         Kind.OVERVIEW,
         Urgency.ACT,
         _start(route),
         route.length,
         count=turns,
-        first=_first_turn(route),
+        first=first,
         then=steps,
         name=name,
         seconds=duration(route, 0.0, pace),
     )
-
-
-def _first_turn(route: Route) -> Instruction | None:
-    """The turn on the spot with which a way begins."""
-    turn = next((one for one in route.features if one.kind is FeatureKind.TURN and one.end == 0.0), None)
-    return None if turn is None else Instruction(Kind.TURN_NOW, Urgency.ACT, _start(route), amount=turn.amount)
 
 
 def _start(route: Route) -> tuple[float, float]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import tomllib
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from importlib import resources
 from math import ceil, degrees
@@ -69,6 +69,9 @@ def phrase(instruction: Instruction, manner: Manner | None = None) -> str:
         manner: In which language and units; English and metres if None.
     """
     manner = manner or Manner()
+    if instruction.resumes:
+        resume = language(manner.language).sentences[Kind.RESUME]
+        return f"{resume} {phrase(replace(instruction, resumes=False), manner)}"
     chosen, after = language(manner.language), instruction.after
     words = chosen.words
     metres = instruction.distance if after is None else after

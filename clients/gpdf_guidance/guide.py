@@ -10,7 +10,7 @@ import numpy as np
 from gpdf_schemas import Ask, AskMessage, CueAction, CueMessage
 from numpy.typing import NDArray
 
-from gpdf_guidance.advice import BLIND, LEAST_OBSTACLE, OVER_TURN, PACES, Advice, advise, moves_near, stop
+from gpdf_guidance.advice import BLIND, LEAST_OBSTACLE, OVER_TURN, PACES, Advice, advise, aim, moves_near, stop
 from gpdf_guidance.ahead import find_reassurance, is_edge, is_hidden_step
 from gpdf_guidance.announcer import Announcer
 from gpdf_guidance.answers import here, how_far, overview
@@ -42,12 +42,20 @@ UNANSWERED = 60.0
 """[s] Without an answer to a question it gives up, too."""
 SETTLES = 1.0
 """[s] After a turn a person comes to rest, and is not told of a small one before."""
-WAITING = {Kind.STOP_LOST: 2.0, Kind.STOP_NO_POSE: 2.0, Kind.STOP_OFF_WAY: 2.0, Kind.STOP_UNRELIABLE: 0.4}
+WAITING = {
+    Kind.STOP_LOST: 2.0,
+    Kind.STOP_NO_POSE: 2.0,
+    Kind.STOP_OFF_WAY: 2.0,
+    Kind.STOP_MOVING: 2.0,
+    Kind.STOP_UNRELIABLE: 0.4,
+}
 """[s] The cue says stop at once; one that is over within this is felt and not spoken, if somebody feels the cues. Poses
-that are missing mostly come again; those that cannot be true are spoken of within half a second."""
-STOPS = (*WAITING, Kind.STOP_ALONE, Kind.STOP_OBSTACLE, Kind.STOP_MOVING, Kind.STOP_UNSURE)
+that are missing mostly come again, and who crosses the way is past; poses that cannot be true are spoken of within half
+a second."""
+STOPS = (*WAITING, Kind.STOP_ALONE, Kind.STOP_OBSTACLE, Kind.STOP_UNSURE)
 """After these a person waits to be told to go on."""
-GOING = (CueAction.GO, CueAction.SLOW, CueAction.TURN)
+WALKS = (CueAction.GO, CueAction.SLOW)
+GOING = (*WALKS, CueAction.TURN)
 BLOCKS = {Kind.STOP_OBSTACLE, Kind.STOP_MOVING}
 CLEAR_FOR = (1.0, 4.0)
 """[s] What was in the way has been gone for so long before one goes on; twice as long each time that it comes back
@@ -195,6 +203,7 @@ class Guide:
         self._s, self._waiting, self._told_to_stop = 0.0, _Waiting(), False
         self._moved, self._moved_at = 0.0, np.full(2, np.inf)
         self._trusted: Pose | None = None
+        self._planned_at: Pose | None = None
         self._belief: Belief | None = None
         self._steps = StepLength()
         self._pace, self._told_at = 0.0, 0.0
@@ -248,8 +257,9 @@ class Guide:
         said = self._announcer.choose((*self._talk.replies, *self._worth_saying(advice)), self._clock)
         if said is not None:
             self._said(said[0])
-        if any(self._is_unheard(one) for one in advice.instructions):
-            advice = replace(advice, action=CueAction.STOP, pace=0.0)  # nobody goes towards a step unheard
+        waits = self._told_to_stop and advice.action in WALKS  # "stop" is still in his ear: "go on" comes next
+        if waits or any(self._is_unheard(one) for one in advice.instructions):
+            advice = replace(advice, action=CueAction.STOP, pace=0.0)  # nor does he go towards a step unheard
         self._pace = max(advice.pace, self._pace - BRAKES * went_on)
         cue = CueMessage(
             action=advice.action,
@@ -366,7 +376,7 @@ class Guide:
     def _worth_saying(self, advice: Advice) -> tuple[Instruction, ...]:
         """What stops the feet for a moment only is no news; who was told to stop is told to go on."""
         waited = 0.0 if self._waiting.since is None else self._clock - self._waiting.since
-        stands = dict.fromkeys(WAITING, STANDS) if self._told_to_stop else {}
+        stands = dict.fromkeys(set(WAITING) - BLOCKS, STANDS) if self._told_to_stop else {}
         patient = (WAITING | stands) if self.felt else {}
         worth = tuple(
             one
@@ -376,8 +386,8 @@ class Guide:
             and self.manner.wants(one.kind)
             and not (one.early and self.manner.detail is Detail.FEW)
         )
-        walks = advice.action in (CueAction.GO, CueAction.SLOW)
-        resume = (Instruction(Kind.RESUME, Urgency.DANGER),) if self._told_to_stop and walks else ()
+        walks = self._told_to_stop and advice.action in WALKS
+        resume = (Instruction(Kind.RESUME, Urgency.DANGER),) if walks else ()
         return resume + worth + self._besides(advice, waited)
 
     def _besides(self, advice: Advice, waited: float) -> tuple[Instruction, ...]:
@@ -387,7 +397,7 @@ class Guide:
         if advice.action is CueAction.STOP:
             silent = not advice.instructions and waited >= (STANDS if self._told_to_stop else UNSURE)
             return (Instruction(Kind.STOP_UNSURE, Urgency.DANGER),) if silent else ()
-        if advice.action not in (CueAction.GO, CueAction.SLOW):
+        if advice.action not in WALKS:
             return ()
         found = find_reassurance(self.route, advice.progress, self._told_at)
         if self._moving is not None and self._belief is not None:
@@ -452,6 +462,7 @@ class Guide:
             planned: The way, or why there is none.
             pose: Where it was asked for.
         """
+        self._planned_at = pose
         self._waiting.tries += 1
         self._waiting.since, self._waiting.at = self._clock, np.array(pose.position)
         self._moved = self._clock
@@ -466,7 +477,9 @@ class Guide:
 
     def _walk(self, route: Route) -> None:
         if self.route is None and self.manner.wants(Kind.OVERVIEW):
-            self._talk.overview = overview(route, self.name, self.manner.pace)
+            stands = self._trusted or self._planned_at
+            turn = 0.0 if stands is None else aim(route, stands, Progress(0.0, 0.0))
+            self._talk.overview = overview(route, self.name, self.manner.pace, turn)
         self.route, self._s, self._told_at = route, 0.0, 0.0
         self.routes.append(route)
 
@@ -525,7 +538,7 @@ class Guide:
             return Instruction(Kind.NOTHING_SAID, Urgency.ACT)
         one, walked = self._announcer.last[0], self._s - self._told_at
         first = None if one.first is None else replace(one.first, distance=max(0.0, one.first.distance - walked))
-        return replace(one, distance=max(0.0, one.distance - walked), first=first, reply_to=None)
+        return replace(one, distance=max(0.0, one.distance - walked), first=first, resumes=False, reply_to=None)
 
     def _facts(self, asked: Asked) -> Instruction:
         """Where the person is, what is around him, how far it is."""

@@ -108,6 +108,7 @@ class Instruction:
         free: How far it is free ahead, to the right, behind and to the left [m].
         seconds: That the way takes about [s].
         reply_to: Id of the ask that it answers; None where nobody asked.
+        resumes: Told to who was told to stop and goes on now: that is told with it.
     """
 
     kind: Kind
@@ -127,6 +128,7 @@ class Instruction:
     seconds: float = 0.0
     reply_to: str | None = None
     last: tuple[float, float] | None = None
+    resumes: bool = False
 
     @property
     def leaves_stairs(self) -> bool:

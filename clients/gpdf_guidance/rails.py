@@ -53,9 +53,16 @@ def _rail(ground: FloatArray, s: FloatArray, flight: Flight, count: int, cloud: 
     edges = np.linspace(flight.start, flight.end, max(2, count))
     treads = np.column_stack([np.interp(0.5 * (edges[:-1] + edges[1:]), s, ground[:, k]) for k in range(3)])
     half = 0.5 * (flight.end - flight.start) / (len(edges) - 1)
+    cloud = _around(cloud, treads, half + 2 * REACH)
     seen = np.array([_stands_out(cloud, tread, forward, left, half) for tread in treads])
     sides = [name for name, share in zip(("left", "right"), seen.mean(axis=0), strict=True) if share >= TREADS]
     return "both" if len(sides) == 2 else "".join(sides)
+
+
+def _around(cloud: FloatArray, treads: FloatArray, reach: float) -> FloatArray:
+    """The points within a reach of a flight, in a box [m]: of a whole building few are."""
+    low, high = treads.min(axis=0) - reach, treads.max(axis=0) + reach
+    return cloud[np.all((cloud >= low) & (cloud <= high), axis=1)]
 
 
 def _stands_out(

@@ -8,7 +8,7 @@ from __future__ import annotations
 import argparse
 import dataclasses
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from itertools import islice
 from pathlib import Path
@@ -42,6 +42,8 @@ LEAST_WALK = 4.0
 """[m] As the crow flies; nobody needs to be led for less."""
 SCANS = ("../shared/data/house_2storey_stairs_4cm.npz", "../shared/data/subt_urban_alpha_lower.npz")
 """Walked too where they are: long ways. In the scanned offices no way of 4 m is wide enough for a person to be led."""
+CANDIDATES = 2000
+"""Places on each storey from which starts and goals are drawn, however many walks there are."""
 TRIES = 5
 """Pairs of places without an answer of the service before a scene is given up: one that compiles is late once."""
 PEOPLE = 2
@@ -95,6 +97,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     made = ["office", "cluttered_office", "stair", "cow_and_lady", "ramp:1", "room:1", "room:2", "house:1", "house:2"]
     add_scene_arguments(parser, [*made, "house:3", *scans])
     parser.add_argument("--count", type=int, default=50, help="walks in each scene")
+    parser.add_argument("--walk", type=int, nargs="+", metavar="N", help="only the walks of these numbers, from 0 on")
     parser.add_argument("--said", action="store_true", help="print what was said on each walk")
     parser.add_argument("--live", type=float, metavar="S", help="also measure cues in real time, for S seconds a scene")
     add_plot_argument(parser)
@@ -111,7 +114,8 @@ def run(args: argparse.Namespace) -> int:
         found: Row = {}
         try:
             with serving(name, points, ground) as (server, client):
-                for one in walk_all(server, client, name, args.count, args.seed, unanswered):
+                wanted = range(args.count) if args.walk is None else args.walk
+                for one in walk_all(server, client, name, wanted, args.seed, unanswered):
                     walks.append(one)  # what was walked is kept when the next one fails
                     if args.said:
                         show([{"s": round(said.time, 1), "said": said.text} for said in one[0].said], as_json=args.json)
@@ -141,20 +145,23 @@ def serving(name: str, points: FloatArray, ground: BoolArray | None) -> Iterator
 
 
 def walk_all(
-    server: Server, client: Client, name: str, count: int, seed: int, unanswered: list[str]
+    server: Server, client: Client, name: str, wanted: Sequence[int], seed: int, unanswered: list[str]
 ) -> Iterator[Guided]:
-    """Walk between `count` random pairs of places, one after the other; pairs without an answer are noted.
+    """Walk between random pairs of places, those of the wanted numbers; pairs without an answer are noted.
 
-    In every second walk people who see walk about, where there is room for them.
+    A walk depends on seed and number alone, so that one can be looked at again by itself. In every second one people
+    who see walk about, where there is room for them.
     """
     entry = server.shelf.get(name)
     assert entry is not None
     assert entry.scene is not None
-    scene, rng = entry.scene, np.random.default_rng(seed)
+    scene, count = entry.scene, max(wanted) + 1
     world = WalkedWorld.of(scene.points, scene.ground)
-    pairs = islice(connected_pairs(client, scene, name, count, rng, unanswered), count)
+    pairs = islice(connected_pairs(client, scene, name, count, np.random.default_rng(seed), unanswered), count)
     for number, (start, goal) in enumerate(tqdm(pairs, desc=name, total=count, disable=None)):
-        world.fell = False
+        if number not in wanted:
+            continue
+        world.fell, rng = False, np.random.default_rng((seed, number))
         crowd = _crowd(scene, start, rng) if number % 2 else None
         start[2] = world.ground_height(start)  # the map's is smooth; a step from one to the other is none
         walker = Walker(start, float(rng.uniform(-np.pi, np.pi)), world.ground_height, rng)
@@ -207,7 +214,7 @@ def connected_pairs(
         ClientError: `TRIES` pairs had no answer.
     """
     wide = dataclasses.replace(AGENTS["human"], width=STANDING_ROOM)
-    found = [places_on(scene, level, wide, 40 * count, rng) for level in range(len(scene.surfaces))]
+    found = [places_on(scene, level, wide, CANDIDATES, rng) for level in range(len(scene.surfaces))]
     storeys = [places for places in found if len(places)]
     body = {**PERSON, "width": WAY}
     for _ in range(40 * count):

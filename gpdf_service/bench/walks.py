@@ -83,8 +83,10 @@ RING = np.linspace(0.0, 2 * np.pi, 12, endpoint=False)
 HEIGHTS = np.array([0.2, 0.7, 1.2, 1.7])
 STOREY = 1.5
 """[m] Who is so much higher or lower is on another storey."""
+ASIDE = np.radians([0, 45, -45, 90, -90])
+"""[rad] So far from where he wants to go one goes who sees and finds somebody in his way."""
 WAITS = 1.0
-"""[s] One whose way is not free for so long goes elsewhere."""
+"""[s] One who has not got nearer to where he goes for so long goes elsewhere."""
 POLITE = 8
 """Places that one who sees chooses from, to leave the way to who does not."""
 STANDS = 3.0
@@ -95,7 +97,7 @@ LOOKS = np.linspace(0.25, 2.0, 8)
 
 @dataclass(slots=True)
 class Crowd:
-    """People who see, walking between places of a scene; they walk straight, and yield to the guided person.
+    """People who see, walking between places of a scene; they go round each other, and yield to the guided person.
 
     Attributes:
         places: Where each is, (k, 3) [m].
@@ -133,7 +135,7 @@ class Crowd:
         return cls(np.array(places), ground, targets, candidates, rng, np.zeros(len(places)), nowhere)
 
     def move(self, now: float, period: float, person: FloatArray) -> None:
-        """Walk on; who would come too near to the guided person, to a thing or to another one waits."""
+        """Walk on; who would come too near to the guided person, to a thing or to another one steps aside or waits."""
         step = (person - self.person)[:2]
         walks = bool(np.hypot(*step) > 1e-6)
         self.stood = 0.0 if walks else self.stood + period
@@ -145,12 +147,22 @@ class Crowd:
             if left < 0.3 or self.waited[i] > WAITS:
                 self.targets[i], self.waited[i] = self._elsewhere(i), 0.0
                 continue
-            step = self.places[i] + np.append(away[:2] / left * PACE * period, 0.0)
-            step[2] = self.ground(step[None, :2])[0]
-            if self._may_be(step, i):
-                self.places[i], self.waited[i] = step, 0.0
-            else:
-                self.waited[i] += period
+            stepped = self._step(i, away[:2] / left, period)
+            gap = left if stepped is None else float(np.hypot(*(self.targets[i] - stepped)[:2]))
+            nearer = gap < left - 0.3 * PACE * period
+            self.waited[i] = 0.0 if nearer else self.waited[i] + period
+            self.places[i] = self.places[i] if stepped is None else stepped
+
+    def _step(self, i: int, forward: FloatArray, period: float) -> FloatArray | None:
+        """Where one gets to who goes in a direction, or aside where somebody is in his way; None where he waits."""
+        for turn in ASIDE:
+            c, s = np.cos(turn), np.sin(turn)
+            move = PACE * period * np.array([c * forward[0] - s * forward[1], s * forward[0] + c * forward[1], 0.0])
+            place: FloatArray = self.places[i] + move
+            place[2] = self.ground(place[None, :2])[0]
+            if self._may_be(place, i):
+                return place
+        return None
 
     def _elsewhere(self, i: int) -> FloatArray:
         """A new place to go to, of a few: the one towards which one gets furthest from the person's way ahead.
@@ -162,6 +174,8 @@ class Crowd:
         forward = away / np.maximum(np.hypot(*away.T), 1e-9)[:, None]
         looks = self.places[i, :2] + LOOKS[:, None, None] * forward
         free = np.isfinite(self.ground(looks.reshape(-1, 2))).reshape(looks.shape[:2])
+        for body, gap in ((self.person, YIELDS), *((one, 2 * RADIUS) for one in np.delete(self.places, i, axis=0))):
+            free &= np.hypot(*(looks - body[:2]).transpose(2, 0, 1)) > gap  # nobody sees a way through others
         gets = np.append(0.0, LOOKS)[np.logical_and.accumulate(free).sum(axis=0)]
         near = np.hypot(*(self.places[i, :2] - self.person[:2])) < SEEN_FROM
         if near and self.stood < STANDS:
@@ -178,10 +192,14 @@ class Crowd:
         return distance
 
     def _may_be(self, place: FloatArray, i: int) -> bool:
+        """Whether one may step there: beside the others, not in front of the person, and not nearer past him."""
         others = np.delete(self.places, i, axis=0)
         apart = (np.hypot(*(others - place)[:, :2].T) > 2 * RADIUS).all()
-        next_to, now = self._from_way(np.array([place, self.places[i]])[:, :2], 0.0 if self.stood else STOPS_IN)
-        return bool(apart and np.isfinite(place[2]) and (next_to > YIELDS or next_to >= now))
+        step = np.array([place, self.places[i]])[:, :2]
+        reaches = (0.0,) if self.stood else (0.0, STOPS_IN)
+        gaps = (self._from_way(step, reach) for reach in reaches)
+        yields = all(next_to > YIELDS or next_to >= now for next_to, now in gaps)
+        return bool(apart and np.isfinite(place[2]) and yields)
 
     def points(self) -> FloatArray:
         """What the guided person's sensor sees of them, shape (k, 3) [m]."""

@@ -5,7 +5,7 @@ from gpdf_guidance import Instruction, Kind, Outcome, Urgency, Walk
 from gpdf_guidance.simulate import Said
 
 from gpdf_service.bench.guide import edges_told
-from gpdf_service.bench.walks import YIELDS, Crowd, WalkedWorld
+from gpdf_service.bench.walks import STANDS, YIELDS, Crowd, WalkedWorld
 
 
 def walk_over(risers, said, pause_at=None):
@@ -60,6 +60,44 @@ def test_people_who_see_do_not_walk_into_who_does_not():
     assert moved > 10.0
     assert crowd.penetration(np.array([*crowd.places[0, :2], 0.0])) == 0.5
     assert crowd.penetration(np.array([*crowd.places[0, :2], 3.0])) < 0.5  # on another storey
+
+
+def test_who_stands_aside_does_not_brush_past_one_who_walks_up_to_him():
+    crowd = Crowd.of(1, np.zeros((1, 3)), lambda xy: np.zeros(len(xy)), np.random.default_rng(0))
+    crowd.places, crowd.targets = np.array([[0.9, 0.45, 0.0]]), np.array([[-8.0, 0.8, 0.0]])  # a little outwards
+    for tick in range(160):
+        person, before = np.array([0.015 * tick, 0.0, 0.0]), crowd.places[0].copy()
+        crowd.move(0.05 * tick, 0.05, person)
+        was, now = (float(np.hypot(*(place - person)[:2])) for place in (before, crowd.places[0]))
+        assert now > YIELDS or now >= was
+
+
+def test_who_sees_goes_round_who_stands_where_there_is_room():
+    def corridor(xy):
+        return np.where(np.abs(xy[:, 1]) < 0.7, 0.0, np.nan)
+
+    crowd = Crowd.of(1, np.zeros((1, 3)), corridor, np.random.default_rng(0))
+    crowd.places, crowd.targets = np.array([[3.0, 0.0, 0.0]]), np.array([[-3.0, 0.0, 0.0]])
+    person, crossed = np.array([0.0, 0.1, 0.0]), np.inf
+    for tick in range(200):
+        crowd.move(0.05 * tick, 0.05, person)
+        assert np.hypot(*(crowd.places[0] - person)[:2]) > YIELDS - 1e-6
+        crossed = min(crossed, float(crowd.places[0, 0]))
+    assert crossed < -1.0
+
+
+def test_who_is_in_the_way_of_one_who_stands_goes_away_from_him():
+    def corridor(xy):
+        return np.where(np.abs(xy[:, 1]) < 0.3, 0.0, np.nan)  # too narrow to pass
+
+    candidates = np.column_stack([np.linspace(-9, 9, 200), np.zeros((200, 2))])
+    for seed in range(12):
+        crowd = Crowd.of(1, candidates, corridor, np.random.default_rng(seed))
+        crowd.places, crowd.targets = np.array([[0.7, 0.0, 0.0]]), np.array([[-8.0, 0.0, 0.0]])
+        crowd.person, crowd.stood = np.zeros(3), STANDS
+        for tick in range(50):
+            crowd.move(0.05 * tick, 0.05, np.zeros(3))
+        assert crowd.places[0, 0] > 1.0
 
 
 def test_people_begin_beside_each_other_and_leave_a_nook_to_who_waits_before_it():

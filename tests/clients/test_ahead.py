@@ -151,7 +151,8 @@ def test_the_length_of_a_persons_steps_is_learned_on_the_level_alone():
 def test_an_overview_counts_the_turn_on_the_spot_as_the_first_thing_to_do():
     path = line((0, 0), (6, 0), (6, 6), spacing=0.01, z=lambda s: 0.17 * np.searchsorted(8.0 + 0.3 * np.arange(5), s))
     route = build_route(trajectory(path), wide, radius=RADIUS, facing=np.radians(120))
-    way = overview(route, "exit", 1.0)
+    way = overview(route, "exit", 1.0, np.radians(-120))
+    assert overview(route, "exit", 1.0, np.radians(50)).first is None
     assert (way.count, way.first.kind, [one.count for one in way.then]) == (1, Kind.TURN_NOW, [5])
     assert way.first.amount < 0
     assert duration(route, 0.0, 1.0) < duration(route, 0.0, 0.7)

@@ -215,6 +215,22 @@ def test_a_new_obstacle_stops_only_where_it_is_in_the_way(obstacle, stops):
     assert (Kind.STOP_OBSTACLE in kinds(advice)) == stops
 
 
+@pytest.mark.parametrize(
+    ("pace", "gap", "stops"), [(0.7, 1.5, True), (0.7, 2.4, False), (0.3, 1.2, False), (0.3, 0.6, True)]
+)
+def test_who_goes_slowly_on_stairs_is_stopped_for_a_new_thing_later_than_on_the_level(pace, gap, stops):
+    treads = lambda s: 0.17 * np.searchsorted(1.0 + 0.3 * np.arange(15), s)  # noqa: E731
+    flat = build_route(trajectory(line((0, 0), (8, 0))), wide, radius=RADIUS)
+    flight = build_route(trajectory(line((0, 0), (8, 0), spacing=0.01, z=treads)), wide, radius=RADIUS)
+    route = flat if pace == PACES[0] else flight
+    height = route.at(2.0)[2]
+    who = Pose((2.0, 0.0, height), 0.0, 0.0)
+    thing = np.array([[2.0 + RADIUS + gap, 0.0, height + 1.0]])
+    advice = advise(route, who, 0.0, near=2.0, obstacles=thing, told=pace)
+    assert (Kind.STOP_OBSTACLE in kinds(advice)) is stops
+    assert advice.pace <= pace
+
+
 @pytest.mark.parametrize(("told", "action"), [(PACES[0], CueAction.STOP), (0.0, CueAction.TURN)])
 def test_who_stands_turns_away_from_a_new_thing_that_he_faces(told, action):
     facing = np.array([[2.0, 0.55, 1.0]])  # half a metre straight ahead, and not on the way

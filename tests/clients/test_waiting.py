@@ -1,21 +1,24 @@
 """What a guide does with who waits: no service, a straight way, poses by hand."""
 
 import numpy as np
+import pytest
 from gpdf_client import Trajectory
-from gpdf_guidance import Detail, Guide, Kind, Manner, Outcome, Planned, Pose, build_route
+from gpdf_guidance import Detail, Guide, Instruction, Kind, Manner, Outcome, Planned, Pose, Urgency, build_route
+from gpdf_guidance.announcer import Announcer
+from gpdf_guidance.catalogue import phrase
 from gpdf_schemas import CueAction
 
 IN_THE_WAY = np.array([[2.0, 0.0, 1.0]])
 
 
-def led(detail=Detail.FEW):
+def led(detail=Detail.FEW, facing=0.0):
     """A guide at the start of 8 m straight on, and what it does for some seconds with a pose: cues, sentences."""
     x = np.arange(0.0, 8.01, 0.05)
     ground = np.column_stack([x, 0.0 * x, 0.0 * x])
     path = Trajectory(ground + np.array([0.0, 0.0, 2.0]), ground, x / 0.7, 0.0 * x)
     route = build_route(path, lambda places: 1.0 - np.abs(places[:, 1]) - 0.25, radius=0.25)
     guide = Guide(None, (8.0, 0.0), manner=Manner(detail=detail))
-    guide.take(Planned(route), Pose((0.0, 0.0, 0.0), 0.0, 0.0))
+    guide.take(Planned(route), Pose((0.0, 0.0, 0.0), facing, 0.0))
     clock = [0.0]
 
     def live(seconds, x=1.0, heading=0.0):
@@ -38,17 +41,59 @@ def test_the_overview_is_heard_to_its_end_though_something_is_in_the_way():
     assert said == [Kind.OVERVIEW, Kind.STOP_OBSTACLE]
 
 
+@pytest.mark.parametrize(("facing", "first"), [(30, "."), (-100, ". Turn left."), (100, ". Turn right.")])
+def test_the_overview_ends_with_the_turn_that_the_cue_asks_for_first(facing, first):
+    guide, live = led(Detail.NORMAL, np.radians(facing))
+    one, text = guide.step(Pose((0.0, 0.0, 0.0), np.radians(facing), 0.0), 0.0)[1]
+    assert one.kind is Kind.OVERVIEW
+    assert text.endswith(f"seconds{first}")
+    assert Kind.TURN_NOW not in live(10.0, x=0.0, heading=np.radians(facing))[1]  # the cue turns him
+
+
 def test_what_comes_back_is_waited_for_longer_until_one_has_got_on():
     guide, live = led()
     waited = []
     for x in (1.0, 1.0, 1.0, 1.0, 1.9):
         guide.see(IN_THE_WAY + np.array([x - 1.0, 0.0, 0.0]))
-        live(0.5, x)
+        live(3.0, x)  # "Stop." has been said to the end
         guide.see(None)
         cues, said = live(6.0, x)
         waited.append(cues.count(CueAction.STOP) / 10)
         assert said[-1] is Kind.RESUME
     assert np.allclose(waited, [1.0, 2.0, 4.0, 4.0, 1.0], atol=0.11)
+
+
+def test_who_crosses_the_way_is_felt_and_is_spoken_of_only_if_he_stays():
+    for seconds, felt, told in ((1.5, True, 0), (4.0, True, 1), (24.0, True, 2), (0.3, False, 1)):
+        guide, live = led()
+        guide.felt = felt
+        guide.see(IN_THE_WAY, IN_THE_WAY)
+        cues, said = live(seconds)
+        assert set(cues) == {CueAction.STOP}
+        assert said == told * [Kind.STOP_MOVING]
+
+
+def test_who_was_told_to_stop_feels_go_when_he_hears_it():
+    guide, live = led()
+    guide.see(IN_THE_WAY, IN_THE_WAY)
+    assert live(2.1)[1] == [Kind.STOP_MOVING]
+    guide.see(None)
+    felt, heard = zip(*(live(0.1) for _ in range(30)), strict=True)
+    walks = [CueAction.GO in cues for cues in felt]
+    assert walks.index(True) == heard.index([Kind.RESUME]) > 10
+
+
+def test_who_goes_on_hears_what_comes_in_the_same_breath():
+    go_on = Instruction(Kind.RESUME, Urgency.DANGER)
+    stairs = Instruction(Kind.STAIRS, Urgency.ACT, (2.0, 0.0), 1.2, 0.17, 7)
+    voice = Announcer(phrase)
+    one, text = voice.choose([go_on, stairs], 0.0)
+    assert text == "Go on. In 1 metre, take the stairs up, 7 steps."
+    assert (one.kind, one.place) == (Kind.STAIRS, stairs.place)
+    assert voice.choose([go_on, stairs], 6.0) is None  # both were told
+    alone = Announcer(phrase)
+    assert alone.choose([go_on], 0.0)[1] == "Go on."
+    assert alone.choose([go_on, stairs], 3.0)[1] == phrase(stairs)
 
 
 def test_one_wrong_pose_turns_nobody():
