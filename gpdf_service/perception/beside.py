@@ -237,8 +237,11 @@ class Beside:
     def lasting(self) -> Beside:
         """The same without the points, without pairs, and without the version before."""
         layers = replace(self.layers, node_of_point=np.zeros(0, np.int64))
-        strips = tuple(replace(strip, before={}, pairs=[]) for strip in self.strips)
-        return replace(self, layers=layers, strips=strips, former=None)
+        return replace(self.asked(), layers=layers, former=None)
+
+    def asked(self) -> Beside:
+        """The same without pairs and the answers before: no more is asked of it."""
+        return replace(self, strips=tuple(replace(strip, before={}, pairs=[]) for strip in self.strips))
 
     def _ask(self, question: Callable[..., Any], given: NDArray[np.uint8], *limits: float) -> list[tuple[int, Any]]:
         """The first node of each strip, and its answer."""

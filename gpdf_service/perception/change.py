@@ -94,9 +94,7 @@ class Perceived:
     def lasting(self) -> Perceived:
         """The same without what only the build needed."""
         found, survey = self.segmentation, replace(self.survey, near=self.survey.near.lasting())
-        if found is not None:
-            found = replace(found, near=found.near.lasting())
-        return replace(self, segmentation=found, survey=survey)
+        return replace(self, segmentation=None if found is None else found.lasting(), survey=survey)
 
 
 class WholeError(Exception):

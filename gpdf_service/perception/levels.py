@@ -184,7 +184,8 @@ def survey_levels(
     def find_sheets() -> tuple[Beside, tuple[BoolArray, ...]]:
         layers = build_layers(floor, width, layer_gap(width, config))
         near = beside(layers, rise_of_sheets(layers, config))
-        return near, split_sheets(near, config)
+        sheets = split_sheets(near, config)
+        return near.asked(), sheets
 
     (near, sheets), alone_ = run_beside(find_sheets, partial(find_strays, points, alone(width)))
     if not sheets:

@@ -106,6 +106,10 @@ class Segmentation:
         """How near to the ground a point of it is [m]."""
         return scatter_of(self.deviation, self.relief)
 
+    def lasting(self) -> Segmentation:
+        """The same without what only the build needed."""
+        return replace(self, near=self.near.lasting())
+
     def holds(self, z: FloatArray, node: IntArray) -> BoolArray:
         """Whether points at heights `z` [m] in the nodes `node` are ground, shape (n,)."""
         held = np.empty(len(z), dtype=bool)
@@ -134,7 +138,7 @@ def segment(
     found = segment_layers(_pairs(layers, config), config, z, relief=relief)
     wider = float(np.sqrt(NOISY * found.deviation * width))
     if wider <= width:
-        return found.holds(z, layers.node_of_point), found
+        return found.holds(z, layers.node_of_point), found.lasting()
     layers = build_layers(cloud, wider, layer_gap(wider, config), found.deviation)
     return segment_layers(_pairs(layers, config), config, z, relief=relief).holds(z, layers.node_of_point), None
 
