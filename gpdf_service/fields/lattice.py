@@ -344,13 +344,16 @@ def _dot(a: Row, b: Row) -> float:
 def _approximate_inverse(scale: float, noise_variance: float, reach: int) -> tuple[IntArray, Row]:
     """Offsets (k, 2) and weights (1 + k,) of about (K + σ² I)⁻¹ on an even lattice without end, first its diagonal.
 
-    It is the inverse, which has a positive spectrum, times a Gaussian, which has one, too; so it is positive definite,
-    also where points are missing. The length scale is `scale` cells.
+    It is the inverse, which has a positive spectrum, times a Gaussian, which has one, too; what the cut at `reach`
+    cells takes off is added to the diagonal. So it is positive definite, also where points are missing. The length
+    scale is `scale` cells.
     """
     away = np.fft.fftfreq(TILE, 1.0 / TILE)
-    square = away[:, None] ** 2 + away[None, :] ** 2
+    square, within = away[:, None] ** 2 + away[None, :] ** 2, np.abs(away) <= reach
     kernel = np.where(square <= (CUT_RADIUS * scale) ** 2, np.exp(-0.5 * square / scale**2), 0.0)
-    inverse = np.fft.ifft2(1.0 / (np.fft.fft2(kernel).real + noise_variance)).real * np.exp(-2.0 * square / reach**2)
+    spectrum = np.fft.fft2(kernel).real + noise_variance
+    inverse = np.fft.ifft2(1.0 / spectrum).real * np.exp(-2.0 * square / reach**2) * np.outer(within, within)
+    inverse[0, 0] += max(0.0, 1.0 / spectrum.max() - float(np.fft.fft2(inverse).real.min()))
     offsets = half_disc(np.hypot(reach, reach))
     offsets = offsets[np.abs(offsets).max(axis=1) <= reach]
     weights = inverse[offsets[:, 0], offsets[:, 1]]

@@ -103,3 +103,12 @@ def test_each_pair_of_cells_is_met_once() -> None:
     whole, half = disc(5.9), half_disc(5.9)
     both = np.concatenate([half, -half, [[0, 0]]])
     assert sorted(map(tuple, both.tolist())) == sorted(map(tuple, whole.tolist()))
+
+
+@pytest.mark.parametrize("factor", [0.7, 1.5, 1.7, 3.0])
+@pytest.mark.parametrize("noise_variance", [1e-3, 0.01, 0.5])
+def test_any_kernel_that_may_be_asked_for_is_solved(factor: float, noise_variance: float) -> None:
+    config = FieldConfig(length_scale_factor=factor, noise_variance=noise_variance)
+    height = terrain(np.random.default_rng(4), (40, 50))
+    solved = solve_lattice(lattice_of(height, np.zeros(2), WIDTH, config))
+    assert np.isfinite(solved.alpha[~np.isnan(height)]).all()
