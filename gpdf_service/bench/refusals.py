@@ -172,13 +172,16 @@ def _lifted(agent: Agent, key: str, short: float) -> Agent:
 
 
 def measure_deadline(scene: Scene, agent: Agent, pairs: FloatArray, deadline_s: float) -> Row:
-    """What queries (n, 2, 3) [m] are answered within a deadline [s], and how much later than it at worst."""
+    """What queries (n, 2, 3) [m] are answered within a deadline [s], and how much later than it at worst.
+
+    Both are on the processor's clock: who else is at work on the machine does not count.
+    """
     statuses: Counter[Status] = Counter()
     late = []
     for start, goal in pairs:
-        began = time.perf_counter()
-        statuses[plan(scene, start, goal, agent, deadline_s=deadline_s).status] += 1
-        late.append(time.perf_counter() - began - deadline_s)
+        began = time.process_time()
+        statuses[plan(scene, start, goal, agent, deadline_s=deadline_s, clock=time.process_time).status] += 1
+        late.append(time.process_time() - began - deadline_s)
     return {
         "deadline_ms": 1e3 * deadline_s,
         "queries": len(pairs),

@@ -139,7 +139,7 @@ def _look(
     """Look at a piece of the path every `SAMPLE`, and at the height of the top in every `HEIGHT_EVERY`-th of these."""
     unknown, deviation, step, slope = False, 0.0, 0.0, 0.0
     off_at, at, top, along, scratch = path[0].copy(), np.empty(3), np.empty(3), np.empty(3), make_scratch()
-    looks, last = 0, len(path) - 2
+    looks, last, spare = 0, len(path) - 2, 0.0
     for i in range(len(path) - 1):
         length = np.sqrt(((tops[i + 1] - tops[i]) ** 2).sum())
         count = max(1, int(np.ceil(length / SAMPLE))) if length < np.inf else 1  # NaN: over no known ground
@@ -152,9 +152,11 @@ def _look(
             if known:
                 step, slope = max(step, steps[u, v]), max(slope, slopes[u, v])
             off = abs(top[2] - at[2] - height)
-            if (looks % HEIGHT_EVERY == 0 or (i == last and k == count)) and off > deviation:
+            spare -= length / count  # a distance changes by no more than what the top has moved
+            if (looks % HEIGHT_EVERY == 0 or (i == last and k == count)) and off > deviation and spare <= 0.0:
                 if known:  # the ground's field is asked only where the path is as far off as it was found to be
                     off = min(off, abs(sample_at(field, (top[0], top[1], top[2]), scratch, along) - height))
+                    spare = deviation - off
                 if off > deviation:
                     deviation, off_at[:] = off, at
             looks += 1

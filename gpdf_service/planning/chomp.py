@@ -171,9 +171,9 @@ def _descend(
             slope, largest = (direction * gradient).sum(), np.abs(direction).max()
             if largest == 0.0:
                 return count, tried, True
-            rate = min(
-                1.0, 2.0 * rate, 0.5 * epsilon / largest
-            )  # no waypoint jumps across half of what it wants to keep
+            rate = min(1.0, 2.0 * rate, epsilon / largest)  # no waypoint jumps further than the room it wants to keep
+            if rate * slope < tolerance * cost:  # twice what the step promises to win
+                return count, tried, True
         trial = xi - rate * direction
         trial_cost = _cost(trial, *given, gradient, band)
         fresh = trial_cost <= cost - _DESCENT * rate * slope

@@ -13,9 +13,11 @@ from gpdf_service.fields.traversal import sample_at
 from gpdf_service.fields.tree import Scratch, make_scratch
 from gpdf_service.types import FloatArray
 
-OFF = 2e-5
+OFF = 2e-4
 """[m] An answer of a field is taken on along its gradient g as long as it stays this good: a step s away the distance
-d to a place is d + g·s + s² / 2d at most, so within s² ≤ 2d × `OFF` (9 mm at 2 m, 3 mm at 25 cm)."""
+d to a place is d + g·s + s² / 2d at most, so within s² ≤ 2d × `OFF` (1 cm at 25 cm). The field itself is as good."""
+GROUND_OFF = 5e-3
+"""[-] The same of the ground, as a share of the body's height: a twentieth of what its top may be off."""
 
 
 class Discs(NamedTuple):
@@ -30,8 +32,8 @@ class Memo(NamedTuple):
 
     Attributes:
         place: Where it was asked [m], shape (n, dim); NaN before it was.
-        distance: Shape (n,) [m].
-        slope: Gradient of the distance, shape (n, dim).
+        distance: Shape (n,) [m]; a lower bound of it where there is no slope.
+        slope: Gradient of the distance, shape (n, dim); NaN where only a bound is known.
         scratch: Of the walk through the field.
     """
 
@@ -54,15 +56,22 @@ def recall(field: AnyField, x: FloatArray, memo: Memo, i: int, enough: float, of
     Distances are 1-Lipschitz: where the one from before says that there is `enough`, that is returned.
     """
     dim = memo.place.shape[1]
-    moved2, along = 0.0, 0.0
-    for k in range(dim):
-        step = x[k] - memo.place[i, k]
-        moved2 += step * step
-        along += memo.slope[i, k] * step
-    if moved2 <= 2.0 * off * memo.distance[i]:
-        return float(memo.distance[i] + along)
-    if memo.distance[i] - sqrt(moved2) >= enough:  # a NaN compares false
-        return enough
+    for j in range(i, max(i - 2, -1), -1):  # what the place before was told may do as well
+        moved2, along = 0.0, 0.0
+        for k in range(dim):
+            step = x[k] - memo.place[j, k]
+            moved2 += step * step
+            along += memo.slope[j, k] * step
+        good = moved2 <= 2.0 * off * memo.distance[j] and along == along  # a bound has no slope
+        bound = memo.distance[j] - sqrt(moved2)
+        if not (good or bound >= enough):  # a NaN compares false
+            continue
+        if j < i:
+            memo.distance[i] = memo.distance[j] if good else bound
+            for k in range(dim):
+                memo.place[i, k] = memo.place[j, k] if good else x[k]
+                memo.slope[i, k] = memo.slope[j, k] if good else np.nan
+        return float(memo.distance[j] + along) if good else enough
     for k in range(dim):
         memo.place[i, k] = x[k]
     place = (x[0], x[1], x[2] if dim == 3 else 0.0)
@@ -154,7 +163,7 @@ def ground_cost(
     """Σ (d_g(x) − h)² / 2h ds [m²]: keeps the body's top at body height over the ground."""
     total = 0.0
     for i in range(1, xi.shape[0] - 1):
-        off = recall(field, xi[i], memo, i, np.inf) - height
+        off = recall(field, xi[i], memo, i, np.inf, GROUND_OFF * height) - height
         total += off * off / (2.0 * height) * spacing
         for k in range(3):
             gradient[i, k] += off / height * memo.slope[i, k] * spacing

@@ -15,7 +15,8 @@ from gpdf_service.planning.shape import is_joined, resample
 from gpdf_service.search import FreeSpace, Prefer, Ways
 from gpdf_service.search.layered import below
 from gpdf_service.search.motion import CENTRE
-from gpdf_service.search.ways import NOTICED_STEP, STEPPED
+from gpdf_service.search.steps import NOTICED_STEP
+from gpdf_service.search.ways import STEPPED
 from gpdf_service.types import FloatArray
 
 AVOIDED = 2.0

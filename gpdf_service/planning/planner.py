@@ -25,7 +25,8 @@ from gpdf_service.planning.shape import resample, spline, stand_up
 from gpdf_service.planning.timing import speed_limit
 from gpdf_service.planning.turning import Facing, Stuck, time_poses, turn_route
 from gpdf_service.search import FreeSpace, Prefer, Ways, prices
-from gpdf_service.search.ways import NOTICED_STEP, STEPPED, WIDE
+from gpdf_service.search.steps import NOTICED_STEP
+from gpdf_service.search.ways import STEPPED, WIDE
 from gpdf_service.types import FloatArray, IntArray, PlanOptions, PlanResult, Status, Trajectory
 
 Clock = Callable[[], float]
@@ -123,7 +124,7 @@ def _best(task: _Task) -> tuple[PlanResult | None, Route | None]:
             stuck = stuck or route
             continue
         made = _follow(task, route)
-        if made.status in (Status.OK, Status.TIMEOUT):
+        if made.status is Status.OK or (made.status is Status.TIMEOUT and task.left() <= 0.0):
             return made, route
         refused = refused or made
     if refused is not None and stuck is not None:
@@ -134,10 +135,14 @@ def _best(task: _Task) -> tuple[PlanResult | None, Route | None]:
 def _follow(task: _Task, route: Route) -> PlanResult:
     """A trajectory along a route: of the first candidate that certifies; else UNCERTIFIED, with what is wrong."""
     space, config, clock, prefer = task.space, task.config, task.clock, task.wish.prefer
-    searched, first = clock(), None
+    searched, first, hurried = clock(), None, False
+    late = PlanResult(Status.TIMEOUT, "the deadline passed before a path was certified. Allow more time.")
     for candidate in _candidates(task, route.legs):
-        if task.left() < -PATIENCE:
-            return PlanResult(Status.TIMEOUT, "the deadline passed before a path was certified. Allow more time.")
+        left = task.left()
+        if left < -PATIENCE:
+            return late
+        bent = candidate.legs is not route.legs
+        hurried = hurried or left < 0.0 or (left < np.inf and bent and not candidate.details["converged"])
         contact, top, level, headings = _stand(space, candidate.legs, config.waypoint_spacing, _facing(task.options))
         certificate = certify(space, top, contact, level, headings)
         first = first or certificate
@@ -152,6 +157,8 @@ def _follow(task: _Task, route: Route) -> PlanResult:
             details |= _effort(candidate.legs, contact, headings, prefer)
             return PlanResult(Status.OK, task.ends.moved, trajectory, certificate, timings, details, candidate.costs)
     assert first is not None
+    if hurried:
+        return late
     words = f"a path was found, but it cannot be certified: {first.reason}. Choose other places, or a smaller body."
     return PlanResult(Status.UNCERTIFIED, words, certificate=first)
 
@@ -277,12 +284,12 @@ def _bend(leg: Leg, config: PlanningConfig, strict: bool, seconds: float) -> tup
     seed = resample(path[:, :2], spacing)
     steps = int(min(config.max_iterations, WAYPOINTS_PER_SECOND * seconds / len(seed)))
     if steps < 1:
-        return path, None
-    _, top = stand_up(seed, space.surfaces[level], space.ground_fields[level], agent.height)
+        return path, ChompResult(seed, np.zeros(1), 0, converged=False)
+    top = space.surfaces[level].height_at(seed) + agent.height
     if not np.isfinite(top).all() or np.ptp(path[:, :2], axis=0).max() == 0.0:
         return path, None
     found = optimize(
-        top,
+        np.column_stack([seed, top]),
         space.exact_fields[level] if strict else space.obstacle_fields[level].arrays,
         space.ground_fields[level].arrays,
         offsets=agent.offsets,

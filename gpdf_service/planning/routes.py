@@ -17,6 +17,7 @@ from gpdf_service.search import Doors, FreeSpace, Prefer, Ways, find_way, prices
 from gpdf_service.search.core import NARROW, climb, find_nodes
 from gpdf_service.search.motion import CENTRE, RESOLUTION
 from gpdf_service.search.places import Places, distance_at
+from gpdf_service.search.steps import is_near_step
 from gpdf_service.search.ways import (
     LEDGE,
     LENGTH,
@@ -25,7 +26,6 @@ from gpdf_service.search.ways import (
     TIGHT,
     UNSEEN,
     beside,
-    is_near_step,
     way_steps,
     way_takes,
 )
@@ -95,18 +95,33 @@ def find_routes(space: FreeSpace, ends: Ends, wish: Wish) -> list[Route]:
 def _route(space: FreeSpace, start: Endpoint, goal: Endpoint, wish: Wish) -> tuple[list[Leg], float]:
     """The shortest way with room; where that takes effort, the cheapest of all ways; and what it costs [s].
 
-    Effort only adds to a way's price: where the shortest one takes none, no other is cheaper.
+    Effort only adds to a way's price: where the shortest one takes none, no other is cheaper. Where the goal is so much
+    higher or lower than the start that any way takes effort, the shortest one is not looked for, if one that is
+    cheap takes no high step.
     """
-    direct, price = _shortest(space, start, goal), prices(space.agent, wish.prefer)
+    price, ways = prices(space.agent, wish.prefer), wish.ways
+    climb = abs(_floor(space, goal) - _floor(space, start)) * price[SLOPED] / (SPARED * price[LENGTH])
+    found: tuple[list[Leg], FloatArray] | None = None
+    if ways is not None and climb > np.linalg.norm(goal.xy - start.xy) and wish.left() > 0.0:
+        legs, takes = found = _cheapest(ways(wish.prefer), start, goal)
+        if legs and climb > takes[LENGTH] and takes[LEDGE] == 0.0:
+            return legs, float(takes @ price)
+    direct = _shortest(space, start, goal)
     takes = way_takes_of(direct, wish.prefer)
     cost = float(takes @ price)
-    if wish.ways is None or wish.left() <= 0.0:
+    if ways is None or wish.left() <= 0.0:
         return direct, cost
     if not (_is_effort(takes, price, wish.prefer) or any(map(_is_by_step, direct))):
         return direct, cost
-    found = [pull_cheaply(leg, wish.prefer) for leg in find_cheapest(wish.ways(wish.prefer), start, goal)]
-    other = way_cost(found, wish.prefer) if found else np.inf
-    return (found, other) if other < cost else (direct, cost)
+    legs, takes = _cheapest(ways(wish.prefer), start, goal) if found is None else found
+    other = float(takes @ price) if legs else np.inf
+    return (legs, other) if other < cost else (direct, cost)
+
+
+def _cheapest(ways: Ways, start: Endpoint, goal: Endpoint) -> tuple[list[Leg], FloatArray]:
+    """The cheapest of all ways, pulled, and what it takes (6,); no legs where there is none."""
+    legs = [pull_cheaply(leg, ways.prefer) for leg in find_cheapest(ways, start, goal)]
+    return legs, way_takes_of(legs, ways.prefer)
 
 
 def _is_effort(takes: FloatArray, price: FloatArray, prefer: Prefer) -> bool:
@@ -120,7 +135,7 @@ def _is_effort(takes: FloatArray, price: FloatArray, prefer: Prefer) -> bool:
 def _is_by_step(leg: Leg) -> bool:
     """Whether a way passes a step as near as the body is wide."""
     level, path, space = leg
-    near = is_near_step(path, space.surfaces[level].arrays, space.steps[level], space.agent.disc_radius)
+    near = is_near_step(path, space.surfaces[level].arrays, space.noticed[level], space.agent.disc_radius)
     return bool(near)
 
 
@@ -248,9 +263,10 @@ def _doors(ways: Ways, end: Endpoint) -> tuple[Doors, dict[int, _Chain]]:
         return Doors(np.zeros(0, np.int64), np.zeros(0)), {}
     chains = dict([_climb(ways, 0, leaf)])
     if level is not able:  # one goes to the first leaf as on steps, wherever that is
-        here = end.xy[None], np.array([end.level]), np.zeros(1, np.int64)
-        for node in ways.first_level_node + _joined_leaves(ways, end):
-            chains[int(node)] = _Chain(*here, ways.graph.position[node][None])
+        for leaf in _joined_leaves(ways, end):
+            node, after = _climb(ways, 1, int(leaf))
+            here = end.xy[None], np.array([end.level]), np.zeros(1, np.int64), level.graph.position[leaf][None]
+            chains.setdefault(node, _Chain(*(np.concatenate(parts) for parts in zip(here, after, strict=True))))
     nodes = np.array(list(chains))
     about, at = beside(able, end.level, ways.prefer), ways.graph.position[nodes]
     cost = np.array([float((way_takes(np.stack([end.xy, one]), about) @ price).sum()) for one in at])
@@ -267,11 +283,12 @@ def _climb(ways: Ways, number: int, leaf: int) -> tuple[int, _Chain]:
 
 
 def _joined_leaves(ways: Ways, end: Endpoint) -> IntArray:
-    """Nodes of the level ground's core near an end that the body gets to straight."""
-    (able, level), core = ways.spaces, ways.cores[1]
-    node = level.quadtrees[end.level].within(end.xy, NEAR) + level.offsets[end.level]
-    node = core.number(node[core.has(node)])
-    center = core.graph.position[node]
+    """Leaves of the level ground near an end that the body gets to straight: nodes of its graph, the nearest first."""
+    able, level = ways.spaces
+    tree = level.quadtrees[end.level]
+    leaf = tree.within(end.xy, NEAR)
+    node = leaf[tree.free[leaf]] + level.offsets[end.level]
+    center = level.graph.position[node]
     near = np.argsort(np.linalg.norm(center - end.xy, axis=1))[:: max(1, len(node) // MOST_DOORS)]
     radius = _radius(able, end.level, end.xy[None])
     ground = able.surfaces[end.level].arrays
@@ -327,18 +344,17 @@ def pull_cheaply(leg: Leg, prefer: Prefer, *, between: bool = False) -> Leg:
         price[TIGHT] = 0.0  # the optimiser makes room where there is some
     about = beside(leg.space, leg.level, prefer)
 
-    def cost(path: FloatArray) -> float:
-        return float((way_takes(path, about) @ price).sum())
+    spent = np.append(0.0, np.cumsum(way_takes(leg.path, about) @ price))  # up to each place
 
-    def pull(piece: Leg) -> FloatArray:
+    def pull(first: int, last: int) -> FloatArray:
+        piece = leg._replace(path=leg.path[first : last + 1])
         pulled = (_tighten if between else _pull)(piece).path
-        if len(piece.path) < 3 or cost(pulled) <= PULLED * cost(piece.path):
+        if last - first < 2 or (way_takes(pulled, about) @ price).sum() <= PULLED * (spent[last] - spent[first]):
             return pulled
-        middle = len(piece.path) // 2
-        halves = (pull(piece._replace(path=part)) for part in (piece.path[: middle + 1], piece.path[middle:]))
-        return _distinct(np.concatenate(list(halves)))
+        middle = (first + last + 1) // 2
+        return _distinct(np.concatenate([pull(first, middle), pull(middle, last)]))
 
-    return leg._replace(path=pull(leg))
+    return leg._replace(path=pull(0, len(leg.path) - 1))
 
 
 @njit(cache=True, nogil=True)

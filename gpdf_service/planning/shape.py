@@ -7,7 +7,7 @@ from numba import njit
 
 from gpdf_service.fields import FieldArrays, Gpdf
 from gpdf_service.perception import HeightMap
-from gpdf_service.perception.surface import Cells, height_of, is_known
+from gpdf_service.perception.surface import UNKNOWN, Cells, cell_of, height_of
 from gpdf_service.planning.costs import make_memo, recall
 from gpdf_service.search import is_clear
 from gpdf_service.search.motion import CENTRE, is_leap_clear
@@ -17,11 +17,9 @@ from gpdf_service.types import FloatArray, IntArray
 _UPRIGHT_SHARE = 0.09
 """[-] How far the top may be off the body height over the contact point: a tenth (Uttsha et al. 2024, feasibility
 study), less what the ground between its points is off, a hundredth."""
-LOOKS = 8.0
-"""[1/cell] How often a line is asked for its ground: it cannot cut more than a corner of a cell unseen."""
 _NEWTON_STEPS = 4
-_STANDS = 1e-3
-"""[m] A top this near to its height stands: a tenth of what the lowest body may be off."""
+_STANDS = 1e-2
+"""[-] A top this near to its height stands, as a share of it: a tenth of what a body may be off."""
 
 
 def shortcut(
@@ -80,14 +78,31 @@ def tighten(path: FloatArray, obstacles: Places, radius: float, ground: Cells) -
 def is_joined(
     a: FloatArray, b: FloatArray, obstacles: Places, radius: float, offsets: FloatArray, ground: Cells
 ) -> bool:
-    """Whether the leg from a to b is clear and on known ground, looked at `LOOKS` times a cell."""
-    clear = is_clear(obstacles, a, b, radius) if len(a) == 2 else is_leap_clear(obstacles, a, b, offsets, radius)
-    if not clear:
+    """Whether the leg from a to b is clear and on known ground."""
+    if not is_ground_known(ground, a, b):
         return False
-    count = int(np.ceil(LOOKS * np.sqrt((b[0] - a[0]) ** 2 + (b[1] - a[1]) ** 2) / ground.width)) + 1
-    for k in range(count + 1):
-        t = k / count
-        if not is_known(ground, a[0] + t * (b[0] - a[0]), a[1] + t * (b[1] - a[1])):
+    clear: bool = is_clear(obstacles, a, b, radius) if len(a) == 2 else is_leap_clear(obstacles, a, b, offsets, radius)
+    return clear
+
+
+@njit(cache=True, nogil=True)
+def is_ground_known(ground: Cells, a: FloatArray, b: FloatArray) -> bool:
+    """Whether the ground is known in each cell that the line from a to b crosses (Amanatides & Woo 1987)."""
+    u, v = cell_of(ground, a[0], a[1])
+    last_u, last_v = cell_of(ground, b[0], b[1])
+    if u < 0 or last_u < 0 or ground.state[u, v] == UNKNOWN:
+        return False
+    dx, dy = (b[0] - a[0]) / ground.width, (b[1] - a[1]) / ground.width
+    x, y = (a[0] - ground.origin[0]) / ground.width - u, (a[1] - ground.origin[1]) / ground.width - v
+    right, up = 1 if dx > 0.0 else -1, 1 if dy > 0.0 else -1
+    across_x = ((1.0 - x if dx > 0.0 else x) / abs(dx)) if dx != 0.0 else np.inf  # share of the leg to the next column
+    across_y = ((1.0 - y if dy > 0.0 else y) / abs(dy)) if dy != 0.0 else np.inf
+    for _ in range(abs(last_u - u) + abs(last_v - v)):
+        if v == last_v or (u != last_u and across_x <= across_y):
+            u, across_x = u + right, across_x + 1.0 / abs(dx)
+        else:
+            v, across_y = v + up, across_y + 1.0 / abs(dy)
+        if ground.state[u, v] == UNKNOWN:
             return False
     return True
 
@@ -185,7 +200,7 @@ def stand_up(xy: FloatArray, surface: HeightMap, field: Gpdf, height: float) -> 
 def _stand(xy: FloatArray, ground: Cells, field: FieldArrays, height: float) -> tuple[FloatArray, FloatArray]:
     """See `stand_up`; each top starts from what the one before it was lifted by."""
     contact, top = np.empty((len(xy), 3)), np.empty((len(xy), 3))
-    memo, least, most = make_memo(1, 3), -_UPRIGHT_SHARE * height, _UPRIGHT_SHARE * height
+    memo, least, most, stands = make_memo(1, 3), -_UPRIGHT_SHARE * height, _UPRIGHT_SHARE * height, _STANDS * height
     lift = 0.0
     for i in range(len(xy)):
         x, y = xy[i, 0], xy[i, 1]
@@ -193,8 +208,8 @@ def _stand(xy: FloatArray, ground: Cells, field: FieldArrays, height: float) -> 
         contact[i, 0], contact[i, 1], contact[i, 2] = x, y, floor
         for _ in range(0 if np.isnan(floor) else _NEWTON_STEPS):
             top[i, 0], top[i, 1], top[i, 2] = x, y, floor + height + lift
-            off = (height - recall(field, top[i], memo, 0, np.inf, _STANDS)) * max(memo.slope[0, 2], 0.0)
-            if abs(off) < _STANDS:
+            off = (height - recall(field, top[i], memo, 0, np.inf, stands)) * max(memo.slope[0, 2], 0.0)
+            if abs(off) < stands:
                 break
             lift = min(max(lift + off, least), most)
         top[i, 0], top[i, 1], top[i, 2] = x, y, floor + height + lift
@@ -210,16 +225,16 @@ def _lift(
     contact: FloatArray, top: FloatArray, foot: int, away: int, rise: float, field: FieldArrays, height: float
 ) -> None:
     """Lift the tops from the foot of a step `away` from it to where d_g = h, as far as that is over them."""
-    memo, highest, i = make_memo(1, 3), contact[foot, 2] + rise + height, foot
+    memo, highest, i, stands = make_memo(1, 3), contact[foot, 2] + rise + height, foot, _STANDS * height
     z = highest
     while 0 <= i < len(top):
         for _ in range(_NEWTON_STEPS):
             place = np.array([top[i, 0], top[i, 1], z])
-            off = (height - recall(field, place, memo, 0, np.inf, _STANDS)) / max(memo.slope[0, 2], 0.5)
+            off = (height - recall(field, place, memo, 0, np.inf, stands)) / max(memo.slope[0, 2], 0.5)
             z = min(z + off, highest)
-            if abs(off) < _STANDS:
+            if abs(off) < stands:
                 break
-        if not z > top[i, 2] + _STANDS:
+        if not z > top[i, 2] + stands:
             break
         top[i, 2] = z
         i += away

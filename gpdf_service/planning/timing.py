@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
 from gpdf_service.fields.tree import make_scratch
 from gpdf_service.perception.surface import Cells
@@ -18,7 +19,8 @@ from gpdf_service.planning.shape import lengths
 from gpdf_service.search import FreeSpace
 from gpdf_service.search.motion import disc_distance, farthest_moved
 from gpdf_service.search.places import Places
-from gpdf_service.search.ways import CARE, is_stepped
+from gpdf_service.search.steps import is_stepped
+from gpdf_service.search.ways import CARE
 from gpdf_service.types import Agent, FloatArray, IntArray
 
 STANDING = 1e-3
@@ -70,8 +72,7 @@ def _time(
         if curvature > 0.0:
             highest[i] = min(highest[i], np.sqrt(acceleration / curvature), turn_rate / curvature)
     reach = int(np.ceil(most * (RAMP + BLEND) / s[1]))
-    least = np.array([highest[max(i - reach, 0) : i + reach + 1].min() for i in range(count)])
-    speed = _fastest(least, s[1], acceleration)
+    speed = _fastest(_least_around(highest, reach), s[1], acceleration)
     return _smooth(s, speed, along), np.interp(along, s, heading)
 
 
@@ -84,7 +85,7 @@ def speed_limit(space: FreeSpace, poses: FloatArray, level: IntArray, preferred:
     share = np.ones(len(poses))
     for on in set(level.tolist()):
         ground, places = space.surfaces[on].arrays, (poses, level, on, agent.offsets)
-        _slow_down(space.trees[on], ground, space.steps[on], places, space.reach, preferred, agent.radius, share)
+        _slow_down(space.trees[on], ground, space.noticed[on], places, space.reach, preferred, agent.radius, share)
     return agent.speed * share
 
 
@@ -92,7 +93,7 @@ def speed_limit(space: FreeSpace, poses: FloatArray, level: IntArray, preferred:
 def _slow_down(
     obstacles: Places,
     ground: Cells,
-    steps: FloatArray,
+    noticed: NDArray[np.int32],
     places: tuple[FloatArray, IntArray, int, FloatArray],
     reach: float,
     preferred: float,
@@ -112,7 +113,7 @@ def _slow_down(
                 room = disc_distance(obstacles, poses[i], offset, scratch) - reach
             before, near = i, min(room / preferred, 1.0)
             x, y = poses[i, 0] + offset * np.cos(poses[i, 2]), poses[i, 1] + offset * np.sin(poses[i, 2])
-            if is_stepped(ground, steps, x, y, cells):
+            if is_stepped(ground, noticed, x, y, cells):
                 near = 0.0
             share[i] = min(share[i], CARE + (1.0 - CARE) * max(near, 0.0))
 
@@ -124,6 +125,22 @@ def _mean_around(values: FloatArray, reach: int) -> FloatArray:
     total = np.cumsum(values[np.minimum(np.maximum(rows, 0), len(values) - 1)])
     mean: FloatArray = (total[2 * reach + 1 :] - total[: -2 * reach - 1]) / (2 * reach + 1)
     return mean
+
+
+@njit(cache=True, nogil=True)
+def _least_around(values: FloatArray, reach: int) -> FloatArray:
+    """Least of the values up to `reach` places before and after each, in time by their number (Lemire 2006)."""
+    made, row, first, last = np.empty(len(values)), np.empty(len(values), np.int64), 0, 0
+    for i in range(len(values) + reach):
+        if i < len(values):  # rows of values that rise, and may yet be the least
+            while last > first and values[row[last - 1]] >= values[i]:
+                last -= 1
+            row[last], last = i, last + 1
+        if i >= reach:
+            while row[first] < i - 2 * reach:
+                first += 1
+            made[i - reach] = values[row[first]]
+    return made
 
 
 @njit(cache=True, nogil=True)

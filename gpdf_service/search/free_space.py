@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
+from numpy.typing import NDArray
 
 from gpdf_service.config import FieldConfig, SearchConfig
 from gpdf_service.fields import Gpdf, Nearer, Tree, build_tree, fit_gpdf
@@ -22,6 +23,7 @@ from gpdf_service.search.layered import Layered
 from gpdf_service.search.places import Places, nearest_places
 from gpdf_service.search.quadtree import Quadtree, build_quadtree
 from gpdf_service.search.resplit import SplitQuadtree
+from gpdf_service.search.steps import count_noticed
 from gpdf_service.types import Agent, FloatArray, IntArray
 
 
@@ -53,6 +55,7 @@ class FreeSpace:
         surfaces: The ground.
         ground_fields: Ground GPDFs, 3D.
         steps: Height of the step at each cell of the ground [m].
+        noticed: How many of them one notices, by boxes of cells: see `count_noticed`.
         slopes: Slope of the ground at each cell [rad].
         standing: What stops the body and stands.
         moving: What stops it and moves.
@@ -74,6 +77,7 @@ class FreeSpace:
     surfaces: tuple[HeightMap, ...]
     ground_fields: tuple[Gpdf, ...]
     steps: tuple[FloatArray, ...]
+    noticed: tuple[NDArray[np.int32], ...]
     slopes: tuple[FloatArray, ...]
     standing: tuple[Obstacles, ...]
     moving: tuple[Obstacles, ...]
@@ -171,6 +175,7 @@ def join_levels(agent: Agent, reach: float, radius: float, parts: Sequence[Level
         surfaces,
         tuple(part.ground_field for part in parts),
         tuple(part.measured[0] for part in parts),
+        tuple(count_noticed(part.measured[0]) for part in parts),
         tuple(part.measured[1] for part in parts),
         tuple(part.obstacles for part in parts),
         (NONE,) * len(parts),

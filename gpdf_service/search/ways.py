@@ -15,7 +15,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from gpdf_service.fields.tree import make_scratch, place_of
+from gpdf_service.fields.tree import make_scratch
 from gpdf_service.perception import ObstacleKind
 from gpdf_service.perception.surface import UNKNOWN, Cells, cell_of
 from gpdf_service.search.core import Core
@@ -23,16 +23,18 @@ from gpdf_service.search.free_space import FreeSpace
 from gpdf_service.search.graph import Graph, assemble
 from gpdf_service.search.layered import below
 from gpdf_service.search.places import Places, nearest_of, nearest_places
+from gpdf_service.search.steps import NOTICED_STEP, is_stepped
 from gpdf_service.types import Agent, FloatArray, IntArray
 
-NOTICED_STEP = 0.03
-"""[m] Lower steps do not slow anybody down: a sill of 2 cm is rolled over. Higher ones are not level ground."""
 CARE = 0.5
 """[-] Share of the speed near steps, and where no room is left beside the body: on stairs people go 0.5 m/s in plan
 (Fruin 1971), half of what they walk."""
 BORDER = 0.25
 """[m] Leaves of the level ground with less room than this to spare lead on to steps: what is wholly free has at most
 2.12 times its width, and leaves of a tenth are the narrowest ones that a core is sure to hold."""
+CHANGE = 0.5
+"""[s] To go over from level ground to where steps are, or back: a stride. Where both cost the same, a way would change
+from leaf to leaf, and its many pieces would each be pulled and bent alone."""
 LOOK = 0.1
 """[m] Room beside a way is looked at this often: two waypoints."""
 WIDE = 4.0
@@ -81,6 +83,7 @@ class Beside(NamedTuple):
     places: Places
     kind: NDArray[np.uint8]
     ground: Cells
+    noticed: NDArray[np.int32]
     steps: FloatArray
     slopes: FloatArray
     reach: float
@@ -94,7 +97,7 @@ def beside(space: FreeSpace, level: int, prefer: Prefer = Prefer.COMPANION) -> B
     standing, moving = space.standing[level].kind, space.moving[level].kind
     kind = np.concatenate([standing, moving]) if len(moving) else standing
     limits = space.reach, minded_room(space.agent, prefer), space.agent.comfortable_step
-    return Beside(places, kind, ground, space.steps[level], space.slopes[level], *limits)
+    return Beside(places, kind, ground, space.noticed[level], space.steps[level], space.slopes[level], *limits)
 
 
 def minded_room(agent: Agent, prefer: Prefer) -> float:
@@ -103,21 +106,14 @@ def minded_room(agent: Agent, prefer: Prefer) -> float:
 
 
 @njit(cache=True, nogil=True)
-def is_stepped(ground: Cells, steps: FloatArray, x: float, y: float, reach: int) -> bool:
-    """Whether a step that is noticed is within `reach` cells of a place."""
-    u, v = cell_of(ground, x, y)
-    for i in range(max(u - reach, 0), min(u + reach + 1, steps.shape[0]) if u >= 0 else 0):
-        for j in range(max(v - reach, 0), min(v + reach + 1, steps.shape[1])):
-            if steps[i, j] > NOTICED_STEP:
-                return True
-    return False
-
-
-@njit(cache=True, nogil=True)
 def way_takes(path: FloatArray, about: Beside) -> FloatArray:
-    """What each segment of a way in plan, shape (n, 2), takes: shape (n − 1, 6)."""
-    made, scratch, place = np.zeros((len(path) - 1, 6)), make_scratch(), np.empty(2)
-    cells = int(np.ceil(about.reach / about.ground.width))
+    """What each segment of a way in plan, shape (n, 2), takes: shape (n − 1, 6).
+
+    Distances are 1-Lipschitz: as long as there must be enough room yet, no obstacle is looked for.
+    """
+    made, scratch = np.zeros((len(path) - 1, 6)), make_scratch()
+    cells, enough = int(np.ceil(about.reach / about.ground.width)), about.reach + about.minded
+    distance, row, x, y = -np.inf, -1, 0.0, 0.0
     for i in range(len(path) - 1):
         a, b = path[i], path[i + 1]
         length = np.sqrt((b[0] - a[0]) ** 2 + (b[1] - a[1]) ** 2)
@@ -125,13 +121,17 @@ def way_takes(path: FloatArray, about: Beside) -> FloatArray:
         ground_takes(a, b, about.ground, about.steps, about.slopes, about.glad_step, made[i])
         count = int(np.ceil(length / LOOK))
         for k in range(count):
-            place[:] = a + (k + 0.5) / count * (b - a)
-            distance, row = nearest_of(about.places, place_of(place), scratch)
+            was_x, was_y = x, y
+            x, y = a[0] + (k + 0.5) / count * (b[0] - a[0]), a[1] + (k + 0.5) / count * (b[1] - a[1])
+            distance -= np.sqrt((x - was_x) ** 2 + (y - was_y) ** 2)
+            if distance < enough:
+                distance, row = nearest_of(about.places, (x, y, 0.0), scratch)
             tight = length / count * min(max(1.0 - (distance - about.reach) / about.minded, 0.0), 1.0)
-            if is_stepped(about.ground, about.steps, place[0], place[1], cells):
+            if is_stepped(about.ground, about.noticed, x, y, cells):
                 tight = length / count
+                distance, row = nearest_of(about.places, (x, y, 0.0), scratch)
             made[i, TIGHT] += tight
-            if row >= 0 and about.kind[row] == ObstacleKind.UNKNOWN:
+            if row >= 0 and tight > 0.0 and about.kind[row] == ObstacleKind.UNKNOWN:
                 made[i, UNSEEN] += tight
     return made
 
@@ -171,20 +171,6 @@ def way_steps(
     """Add what the ground of a way in plan, shape (n, ≥ 2), takes to `made`, shape (6,)."""
     for i in range(len(path) - 1):
         ground_takes(path[i], path[i + 1], ground, steps, slopes, glad_step, made)
-
-
-@njit(cache=True, nogil=True)
-def is_near_step(path: FloatArray, ground: Cells, steps: FloatArray, reach: float) -> bool:
-    """Whether a way in plan, shape (n, 2), comes nearer than `reach` [m] to a step that is noticed."""
-    cells = int(np.ceil(reach / ground.width))
-    for i in range(len(path) - 1):
-        length = np.sqrt(((path[i + 1] - path[i]) ** 2).sum())
-        count = int(np.ceil(length / (ground.width * cells))) + 1
-        for k in range(count + 1):
-            x, y = path[i] + k / count * (path[i + 1] - path[i])
-            if is_stepped(ground, steps, x, y, cells):
-                return True
-    return False
 
 
 @dataclass(frozen=True, slots=True)
@@ -239,6 +225,8 @@ def find_ways(able: FreeSpace, level: FreeSpace | None, prefer: Prefer) -> Ways:
     unseen = np.concatenate([_unseen(*part) for part in zip(spaces, cores, strict=True)])
     price = prices(able.agent, prefer)
     seconds = _takes(able, graph, ends, crossing, room - able.reach, unseen, prefer) @ price
+    if level is not None:
+        seconds[-len(doors) :] += CHANGE if len(doors) else 0.0
     row = np.argsort(ends.T.ravel(), kind="stable") % len(ends)  # as `assemble` lays them
     return Ways(spaces, prefer, cores, replace(graph, cost=seconds[row]), float(price[LENGTH]))
 

@@ -9,6 +9,7 @@ from gpdf_service.bench.judge import Judge
 from gpdf_service.bench.plan import random_places
 from gpdf_service.config import Config
 from gpdf_service.errors import RequestError, UnknownAgentError
+from gpdf_service.planning import planner
 from gpdf_service.planning.certificate import certify, min_distance
 from gpdf_service.planning.chomp import optimize, solve_banded
 from gpdf_service.planning.shape import resample
@@ -135,6 +136,17 @@ def test_a_path_that_is_found_long_after_its_deadline_is_a_timeout(office):
     result = gpdf.plan(scene, made.start, made.goal, "roomba", deadline_s=0.025, clock=lambda: next(ticks))
     assert result.status is gpdf.Status.TIMEOUT
     assert "before a path was certified" in result.message
+
+
+def test_a_path_that_there_was_no_time_to_bend_until_it_certifies_is_a_timeout(office, monkeypatch):
+    made, scene = office
+    touching = dataclasses.replace(gpdf.plan(scene, made.start, made.goal, "roomba").certificate, holds=False)
+    monkeypatch.setattr(planner, "certify", lambda *_: touching)
+    ends = made.start, made.goal, "roomba"
+    hurried = gpdf.plan(scene, *ends, deadline_s=1e-6, clock=lambda: 0.0)
+    assert hurried.status is gpdf.Status.TIMEOUT
+    assert gpdf.plan(scene, *ends).status is gpdf.Status.UNCERTIFIED
+    assert gpdf.plan(scene, *ends, deadline_s=1e6, clock=lambda: 0.0).status is gpdf.Status.UNCERTIFIED
 
 
 def test_a_deadline_that_has_passed_is_a_timeout(empty_room):

@@ -5,6 +5,8 @@ import pytest
 
 import gpdf_service as gpdf
 from gpdf_service.bench.judge import Judge
+from gpdf_service.perception.surface import OBSERVED, UNKNOWN, Cells, is_known
+from gpdf_service.planning.shape import is_ground_known
 from gpdf_service.synthetic.world import Box, World
 from gpdf_service.types import AGENTS
 
@@ -33,3 +35,20 @@ def test_the_top_of_a_rigid_cart_stays_level_on_a_flat_floor_beside_a_platform()
     assert result.status is gpdf.Status.OK
     assert np.ptp(result.trajectory.positions[:, 2]) < 1e-3
     assert "\n" not in repr(result)
+
+
+def test_a_line_is_on_known_ground_if_each_cell_that_it_crosses_is():
+    rng, width = np.random.default_rng(5), 0.1
+    state = np.where(rng.random((30, 40)) < 0.02, UNKNOWN, OBSERVED).astype(np.uint8)
+    ground = Cells(np.zeros(state.shape, np.float32), state, np.array([1.0, -2.0]), width)
+    found = set()
+    for _ in range(300):
+        a, b = ground.origin + rng.uniform(-0.1, 1.1, (2, 2)) * np.array([3.0, 4.0])
+        if rng.random() < 0.2:
+            b[rng.integers(2)] = a[rng.integers(2)]
+        line = a + np.linspace(0.0, 1.0, 20_001)[:, None] * (b - a)
+        looked = all(is_known(ground, *place) for place in line)
+        told = is_ground_known(ground, a, b)
+        assert looked or not told  # a corner that is cut by less than the looks are apart may be missed by these
+        found.add((bool(told), looked))
+    assert {(True, True), (False, False)} <= found

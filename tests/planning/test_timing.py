@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import gpdf_service as gpdf
-from gpdf_service.planning.timing import CARE, RAMP, time_path
+from gpdf_service.planning.timing import CARE, RAMP, _least_around, time_path
 from gpdf_service.synthetic import SCENES, Box, World
 from gpdf_service.types import AGENTS
 
@@ -118,3 +118,10 @@ def test_a_body_that_turns_at_once_is_still_slow_enough_not_to_slip_aside(radius
     fastest = np.sqrt(agent.acceleration * radius)
     assert speed.max() <= 1.02 * fastest
     assert speed.max() >= 0.9 * fastest
+
+
+@pytest.mark.parametrize(("count", "reach"), [(1, 3), (7, 0), (50, 4), (50, 80)])
+def test_the_least_around_each_place_is_that_of_its_window(count, reach):
+    values = np.random.default_rng(count).random(count)
+    plain = [values[max(i - reach, 0) : i + reach + 1].min() for i in range(count)]
+    assert _least_around(values, reach).tolist() == plain

@@ -1,0 +1,54 @@
+"""Where steps are that one notices, asked for by boxes of cells: sums over all cells below and left tell of any box."""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from gpdf_service.perception.surface import Cells, cell_of
+from gpdf_service.types import FloatArray
+
+NOTICED_STEP = 0.03
+"""[m] Lower steps do not slow anybody down: a sill of 2 cm is rolled over. Higher ones are not level ground."""
+
+
+@njit(cache=True, nogil=True)
+def count_noticed(steps: FloatArray) -> NDArray[np.int32]:
+    """How many steps that are noticed lie in the first i rows and j columns of cells, (nx, ny): shape (nx + 1, ny + 1).
+
+    Four of these numbers tell of any box of cells, however large it is (Crow 1984).
+    """
+    made = np.zeros((steps.shape[0] + 1, steps.shape[1] + 1), np.int32)
+    for i in range(steps.shape[0]):
+        row = 0
+        for j in range(steps.shape[1]):
+            row += steps[i, j] > NOTICED_STEP
+            made[i + 1, j + 1] = made[i, j + 1] + row
+    return made
+
+
+@njit(cache=True, nogil=True)
+def is_stepped(ground: Cells, noticed: NDArray[np.int32], x: float, y: float, reach: int) -> bool:
+    """Whether a step that is noticed is within `reach` cells of a place."""
+    u, v = cell_of(ground, x, y)
+    if u < 0:
+        return False
+    left, right = max(u - reach, 0), min(u + reach + 1, noticed.shape[0] - 1)
+    near, far = max(v - reach, 0), min(v + reach + 1, noticed.shape[1] - 1)
+    count: bool = noticed[right, far] - noticed[left, far] - noticed[right, near] + noticed[left, near] > 0
+    return count
+
+
+@njit(cache=True, nogil=True)
+def is_near_step(path: FloatArray, ground: Cells, noticed: NDArray[np.int32], reach: float) -> bool:
+    """Whether a way in plan, shape (n, 2), comes nearer than `reach` [m] to a step that is noticed."""
+    cells = int(np.ceil(reach / ground.width))
+    for i in range(len(path) - 1):
+        length = np.sqrt(((path[i + 1] - path[i]) ** 2).sum())
+        count = int(np.ceil(length / (ground.width * cells))) + 1
+        for k in range(count + 1):
+            x, y = path[i] + k / count * (path[i + 1] - path[i])
+            if is_stepped(ground, noticed, x, y, cells):
+                return True
+    return False
