@@ -10,18 +10,18 @@ from scipy import ndimage
 
 from gpdf_service.perception import ObstacleKind
 from gpdf_service.perception.surface import UNKNOWN, is_same_ground
+from gpdf_service.planning.certificate import FINEST
 from gpdf_service.planning.footprint import disc_places
 from gpdf_service.planning.words import metres, place_words
 from gpdf_service.search import FreeSpace, is_clear
 from gpdf_service.search.motion import RESOLUTION
+from gpdf_service.search.nearest import nearest_free
 from gpdf_service.types import FloatArray, PlanOptions, Status
 
 SAME_GROUND = 0.5
 """[m] A given height means the level within this of it: half of the least headroom between two storeys is far more."""
 NEXT = 1.0
 """[m] The centre of the leaf to go on from is nearer than this: leaves are small beside obstacles."""
-INSIDE = 1e-6
-"""[m] A place on the edge of a leaf is moved this far into it, so that rounding leaves it there."""
 FACINGS = 180
 """Directions that are tried for a body of discs, over half a turn: 1 cm at the end of one that is 1.2 m long."""
 REASONS = {
@@ -94,7 +94,7 @@ def _snap(
         return found, ""
     if found.nearest is None or snap <= 0.0:
         return found
-    near = _nearest_free(space, place, component)
+    near = nearest_free(space, place, SAME_GROUND, component)
     if near is None or np.linalg.norm(near[:2] - place[:2]) > snap:
         return found if component is None else _unreached(found, near, place, snap)
     moved = find_endpoint(space, near, name)
@@ -123,7 +123,7 @@ def find_endpoint(space: FreeSpace, place: FloatArray, name: str) -> Endpoint | 
     over = [float(surface.height_at(xy)[0]) for surface in space.surfaces]
     heights = {level: z for level, z in enumerate(over) if not isnan(z)}
     if not heights:
-        near = _nearest_free(space, place)
+        near = nearest_free(space, place, SAME_GROUND)
         hint = "" if near is None else f" The nearest free place is {place_words(near)}."
         if any(_shut_in(space, level, xy) for level in range(len(space.surfaces))):
             words = f"the {name} {place_words(place)} is inside something, or on ground that nobody has seen."
@@ -143,9 +143,9 @@ def find_endpoint(space: FreeSpace, place: FloatArray, name: str) -> Endpoint | 
     width = space.surfaces[level].cell_width
     same = [one for one, z in heights.items() if is_same_ground(z, heights[level], width)]
     room, kind, level = _roomiest(space, same, xy)
-    if room < space.reach:
+    if room < space.reach + FINEST:  # less cannot be proven of a way that ends there
         what = REASONS[ObstacleKind(kind)]
-        near = _nearest_free(space, np.array([*xy[0], heights[level]]))
+        near = nearest_free(space, np.array([*xy[0], heights[level]]), SAME_GROUND)
         hint = "" if near is None else f" The nearest free place is {place_words(near)}."
         body = f"the {space.agent.name} (radius {space.agent.disc_radius:.2f} m)"
         words = f"{body} does not fit at the {name} {place_words(place)}: "
@@ -216,48 +216,3 @@ def connect(space: FreeSpace, level: int, xy: FloatArray, room: float) -> int:
         if is_clear(space.trees[level], xy, center[row], radius):
             return int(free[row]) + space.offsets[level]
     return -1
-
-
-def _nearest_free(space: FreeSpace, place: FloatArray, component: int | None = None) -> FloatArray | None:
-    """The nearest place (x, y, z of the ground) where the body fits; on the ground that is as high, if z is given.
-
-    Args:
-        space: The body's free space.
-        place: (x, y) or (x, y, z) [m].
-        component: Of the graph, to which it must belong.
-    """
-    best, found = np.inf, None
-    for level, tree in enumerate(space.quadtrees):
-        reach, whole = NEXT, float(np.abs(place[:2] - tree.origin).max()) + tree.side * tree.width
-        while True:
-            near = _nearest_within(space, level, place, component, reach)
-            if near is not None and near[0] < best:
-                best, found = near
-            if best <= reach or reach >= whole:  # nothing outside of the square is nearer
-                break
-            reach *= 4.0
-    return found
-
-
-def _nearest_within(
-    space: FreeSpace, level: int, place: FloatArray, component: int | None, reach: float
-) -> tuple[float, FloatArray] | None:
-    """`_nearest_free` on one level, of the leaves within `reach` [m]: the distance [m] and the place."""
-    surface, tree, offset = space.surfaces[level], space.quadtrees[level], space.offsets[level]
-    free = tree.within(place[:2], reach)
-    free = free[tree.free[free]]
-    if component is not None:
-        free = free[space.graph.component[free + offset] == component]
-    if len(free) == 0:
-        return None
-    half = (0.5 * tree.width * tree.size[free])[:, None]
-    center = tree.origin + tree.corner[free] * tree.width + half
-    inside = np.maximum(np.where(tree.whole[free][:, None], half, 0.0) - INSIDE, 0.0)
-    nearest = np.clip(place[:2], center - inside, center + inside)
-    z = surface.height_at(nearest)
-    far = np.linalg.norm(nearest - place[:2], axis=1)
-    if len(place) == 3:
-        far = np.where(np.abs(z - place[2]) <= SAME_GROUND, far, np.inf)
-    far = np.where(np.isnan(z), np.inf, far)
-    row = int(far.argmin())
-    return (float(far[row]), np.append(nearest[row], z[row])) if np.isfinite(far[row]) else None

@@ -290,6 +290,23 @@ def test_a_body_leaves_a_place_where_it_just_fits(office, spare):
         assert result.certificate.min_clearance >= 0.0
 
 
+def test_a_place_where_nothing_can_be_proven_of_a_way_is_refused_and_no_way_is_looked_for(office):
+    """With less than 10 µm beside the body a way was found, bent three times, and never certified."""
+    scene, rng = office[1], np.random.default_rng(1)
+    space = scene.free_space("human")
+    places = rng.uniform([0.3, 0.3], [5.7, 4.7], (400, 2))
+    room = space.clearance(0, places)[0] - space.reach
+    inside, outside = places[(room < 0.0) & (room > -0.1)][:6], places[room > 0.1]
+    for a in inside:
+        b = outside[np.linalg.norm(outside - a, axis=1).argmin()]
+        low, high = 0.0, 1.0
+        while high - low > 1e-9:
+            middle = 0.5 * (low + high)
+            spare = space.clearance(0, (a + middle * (b - a))[None])[0][0] - space.reach
+            low, high = (middle, high) if spare < 5e-6 else (low, middle)
+        assert gpdf.plan(scene, a + high * (b - a), b, "human").status is gpdf.Status.START_OCCUPIED
+
+
 def test_where_two_levels_are_the_same_ground_a_place_has_the_room_of_the_roomier_one():
     house = make_house(np.random.default_rng(0))
     scene = gpdf.build_scene(house.points, house.ground)

@@ -1,0 +1,133 @@
+"""The nearest place where a body fits: down the quadtree, the nearer quarter first, past what cannot be nearer."""
+
+from __future__ import annotations
+
+from math import isnan, sqrt
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+
+from gpdf_service.perception.surface import Cells, height_of
+from gpdf_service.search.free_space import FreeSpace
+from gpdf_service.search.layered import below
+from gpdf_service.search.quadtree import Quadtree
+from gpdf_service.search.resplit import SplitQuadtree
+from gpdf_service.types import BoolArray, FloatArray, IntArray
+
+INSIDE = 1e-6
+"""[m] A place on the edge of a leaf is moved this far into it, so that rounding leaves it there."""
+
+
+class _Asked(NamedTuple):
+    """A place (x, y, z) [m] and how far the ground may be above or below it; the component, −1 for any."""
+
+    x: float
+    y: float
+    z: float
+    off: float
+    component: int
+
+
+class _LeavesOf(NamedTuple):
+    """Leaves of a quadtree, see there, and the component of each; where the tree's `origin` is, and its `width` [m]."""
+
+    origin: FloatArray
+    width: float
+    corner: IntArray
+    size: IntArray
+    free: BoolArray
+    whole: BoolArray
+    component: IntArray
+
+
+def nearest_free(space: FreeSpace, place: FloatArray, off: float, component: int | None = None) -> FloatArray | None:
+    """The nearest place (x, y, z of the ground) [m] where the body fits, the centre of a leaf that is not wholly free.
+
+    Args:
+        space: The body's free space.
+        place: (x, y), or (x, y, z): then the ground is no further than `off` above or below it [m].
+        off: [m].
+        component: Of the graph, to which it must belong.
+    """
+    z, wanted = (float(place[2]) if len(place) == 3 else np.nan), -1 if component is None else component
+    asked = _Asked(float(place[0]), float(place[1]), z, off, wanted)
+    found = np.array([np.nan, np.nan, np.nan, np.inf])
+    for level, (tree, first) in enumerate(zip(space.quadtrees, space.offsets, strict=True)):
+        ground, standing = space.surfaces[level].arrays, tree.standing
+        of = below(space.graph.component)[first : first + len(standing.size)]
+        gone = tree.gone if isinstance(tree, SplitQuadtree) else np.zeros(0, np.int64)
+        _descend(standing.code, standing.side, _leaves(standing, of), gone, ground, asked, found)
+        if isinstance(tree, SplitQuadtree) and len(tree.fresh.size):
+            fresh = np.asarray(space.graph.component[first + tree.start + np.arange(len(tree.fresh.size))])
+            _look_at_all(_leaves(tree.fresh, fresh), ground, asked, found)
+    return found[:3] if np.isfinite(found[3]) else None
+
+
+def _leaves(tree: Quadtree, component: IntArray) -> _LeavesOf:
+    origin = np.asarray(tree.origin, dtype=np.float64)
+    return _LeavesOf(origin, tree.width, tree.corner, tree.size, tree.free, tree.whole, component)
+
+
+@njit(cache=True, nogil=True)
+def _look(leaves: _LeavesOf, leaf: int, ground: Cells, asked: _Asked, found: FloatArray) -> None:
+    """Write the place of a leaf that is nearest to the one asked for and its distance, if that is less than `found`."""
+    if not leaves.free[leaf] or (asked.component >= 0 and leaves.component[leaf] != asked.component):
+        return
+    half = 0.5 * leaves.width * leaves.size[leaf]
+    x = leaves.origin[0] + leaves.corner[leaf, 0] * leaves.width + half
+    y = leaves.origin[1] + leaves.corner[leaf, 1] * leaves.width + half
+    if leaves.whole[leaf]:
+        half = max(half - INSIDE, 0.0)
+        x, y = min(max(asked.x, x - half), x + half), min(max(asked.y, y - half), y + half)
+    far = sqrt((x - asked.x) ** 2 + (y - asked.y) ** 2)
+    if far >= found[3]:
+        return
+    z = height_of(ground, x, y)
+    if isnan(z) or abs(z - asked.z) > asked.off:  # a NaN compares false: then any height will do
+        return
+    found[0], found[1], found[2], found[3] = x, y, z, far
+
+
+@njit(cache=True, nogil=True)
+def _look_at_all(leaves: _LeavesOf, ground: Cells, asked: _Asked, found: FloatArray) -> None:
+    for leaf in range(len(leaves.size)):
+        _look(leaves, leaf, ground, asked, found)
+
+
+@njit(cache=True, nogil=True)
+def _first_from(code: IntArray, value: int, first: int, last: int) -> int:
+    """The first row from `first` on whose code is the value or more; `last` if none is."""
+    while first < last:
+        middle = (first + last) // 2
+        if code[middle] < value:
+            first = middle + 1
+        else:
+            last = middle
+    return first
+
+
+@njit(cache=True, nogil=True)
+def _descend(
+    code: IntArray, side: int, leaves: _LeavesOf, gone: IntArray, ground: Cells, asked: _Asked, found: FloatArray
+) -> None:
+    """`_look` at the leaves of a tree but for those that are `gone`; a square of n × n cells is n² codes in a row."""
+    x, y = (asked.x - leaves.origin[0]) / leaves.width, (asked.y - leaves.origin[1]) / leaves.width
+    stack, ends = [(0, 0, side, 0, len(code))], np.empty(5, np.int64)
+    while len(stack) > 0:
+        i, j, n, first, last = stack.pop()
+        far = sqrt(max(i - x, x - i - n, 0.0) ** 2 + max(j - y, y - j - n, 0.0) ** 2) * leaves.width
+        if far >= found[3] or last == first:
+            continue
+        if last - first == 1:
+            row = np.searchsorted(gone, first)
+            if row == len(gone) or gone[row] != first:
+                _look(leaves, first, ground, asked, found)
+            continue
+        h, ends[0] = n // 2, first
+        for quarter in range(4):
+            ends[quarter + 1] = _first_from(code, code[first] + (quarter + 1) * h * h, ends[quarter], last)
+        nearest = 2 * int(x >= i + h) + int(y >= j + h)
+        for k in (3, 1, 2, 0):  # the nearest quarter is pushed last
+            quarter = nearest ^ k
+            stack.append((i + (quarter >> 1) * h, j + (quarter & 1) * h, h, ends[quarter], ends[quarter + 1]))
