@@ -64,6 +64,7 @@ def run(args: argparse.Namespace) -> int:
         for agent in args.agent or ["human", "roomba"]:
             body, rng = AGENTS[agent], np.random.default_rng(args.seed)
             pairs = random_queries(scene, body, args.count, rng)
+            scene.prepare(body)  # what a body's first plan builds knows no deadline
             for start, goal in pairs[:WARM]:
                 plan(scene, start, goal, body)
             made = (
@@ -163,7 +164,8 @@ def named_bodies(agent: Agent, refused: PlanResult) -> list[Agent]:
 def _lifted(agent: Agent, key: str, short: float) -> Agent:
     more = short + ROUNDING
     if key == "short_width":
-        return replace(agent, width=agent.width - more, length=agent.length - more)
+        longer = max(agent.width, agent.length) - more  # of a cylinder the longer side is the diameter
+        return replace(agent, width=min(agent.width, longer), length=min(agent.length, longer))
     if key == "short_height":
         return replace(agent, height=agent.height - more)
     if key == "short_step":

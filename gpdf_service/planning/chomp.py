@@ -114,7 +114,7 @@ def _cost(
 
 @njit(cache=True, nogil=True)
 def solve_banded(band: FloatArray, right: FloatArray) -> FloatArray:
-    """Solve A x = b for a positive definite A, by Cholesky in place, O(n).
+    """Solve A x = b for a positive definite A, by Cholesky in place, O(n); its diagonal is kept as its inverse.
 
     Args:
         band: Row r = 3i + k of A in its last axis, shape (n, 3, w): element [p] is that p columns left of the diagonal.
@@ -125,12 +125,12 @@ def solve_banded(band: FloatArray, right: FloatArray) -> FloatArray:
         for p in range(min(widest, r), -1, -1):
             for q in range(p + 1, min(widest, r) + 1):
                 low[r, p] -= low[r, q] * low[r - p, q - p]
-            low[r, p] = low[r, p] / low[r - p, 0] if p > 0 else sqrt(low[r, 0])
+            low[r, p] = low[r, p] * low[r - p, 0] if p > 0 else 1.0 / sqrt(low[r, 0])
         for p in range(1, min(widest, r) + 1):
             x[r] -= low[r, p] * x[r - p]
-        x[r] /= low[r, 0]
+        x[r] *= low[r, 0]
     for r in range(len(x) - 1, -1, -1):
-        x[r] /= low[r, 0]
+        x[r] *= low[r, 0]
         for p in range(1, min(widest, r) + 1):
             x[r - p] -= low[r, p] * x[r]
     return x.reshape(right.shape)

@@ -148,7 +148,7 @@ def explain_no_path(
         path = _way(grid, ends, grid.nearest, narrow, grid.known)
         least, at = _exact_width(near, grid, path)
         width = min(least - _kept(space), radius)
-        if width >= LEAST_RADIUS:
+        if width - (radius - space.agent.disc_radius) >= LEAST_RADIUS:
             largest = width - (radius - space.agent.disc_radius)
             found.append(("width", at, _narrow_words(at, width, radius), 2.0 * (radius - width)))
     for cut in (Cut.HEIGHT, Cut.STEP, Cut.SLOPE, Cut.UNKNOWN):

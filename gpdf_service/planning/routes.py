@@ -96,15 +96,15 @@ def _route(space: FreeSpace, start: Endpoint, goal: Endpoint, wish: Wish) -> tup
     """The shortest way with room; where that takes effort, the cheapest of all ways; and what it costs [s].
 
     Effort only adds to a way's price: where the shortest one takes none, no other is cheaper. Where the goal is so much
-    higher or lower than the start that any way takes effort, the shortest one is not looked for, if one that is
-    cheap takes no high step.
+    higher or lower than the start that any way takes effort, the shortest one is not looked for, if high
+    steps are little of the cheapest one.
     """
     price, ways = prices(space.agent, wish.prefer), wish.ways
     climb = abs(_floor(space, goal) - _floor(space, start)) * price[SLOPED] / (SPARED * price[LENGTH])
     found: tuple[list[Leg], FloatArray] | None = None
     if ways is not None and climb > np.linalg.norm(goal.xy - start.xy) and wish.left() > 0.0:
         legs, takes = found = _cheapest(ways(wish.prefer), start, goal)
-        if legs and climb > takes[LENGTH] and takes[LEDGE] == 0.0:
+        if legs and climb > takes[LENGTH] and takes[LEDGE] * price[LEDGE] <= SPARED * (takes @ price):
             return legs, float(takes @ price)
     direct = _shortest(space, start, goal)
     takes = way_takes_of(direct, wish.prefer)

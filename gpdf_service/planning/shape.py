@@ -18,6 +18,8 @@ _UPRIGHT_SHARE = 0.09
 """[-] How far the top may be off the body height over the contact point: a tenth (Uttsha et al. 2024, feasibility
 study), less what the ground between its points is off, a hundredth."""
 _NEWTON_STEPS = 4
+_STRAIGHT = 1e-9
+"""[-] Places at a smaller angle are on one line, but for rounding."""
 _STANDS = 1e-2
 """[-] A top this near to its height stands, as a share of it: a tenth of what a body may be off."""
 
@@ -35,16 +37,20 @@ def shortcut(
 
 @njit(cache=True, nogil=True)
 def _shortcut(path: FloatArray, obstacles: Places, radius: float, offsets: FloatArray, ground: Cells) -> IntArray:
-    """Greedy with doubling: from each kept row the furthest that doubling and halving find to be joined."""
+    """Greedy with doubling: from each kept row the furthest that doubling and halving find to be joined.
+
+    They begin beyond the rows that lie straight ahead, which are joined as they are.
+    """
     kept = [0]
     here = 0
-    last = path.shape[0] - 1
+    last, straight = path.shape[0] - 1, _straight_to(path)
     while here < last:
-        good, leap = here + 1, 2
-        while here + leap <= last and is_joined(path[here], path[here + leap], obstacles, radius, offsets, ground):
-            good = here + leap
+        ahead, leap = straight[here], 1
+        good = ahead
+        while ahead + leap <= last and is_joined(path[here], path[ahead + leap], obstacles, radius, offsets, ground):
+            good = ahead + leap
             leap *= 2
-        bad = min(here + leap, last + 1)
+        bad = min(ahead + leap, last + 1)
         if good < last and is_joined(path[here], path[last], obstacles, radius, offsets, ground):
             good, bad = last, last + 1
         while bad - good > 1:
@@ -56,6 +62,18 @@ def _shortcut(path: FloatArray, obstacles: Places, radius: float, offsets: Float
         kept.append(good)
         here = good
     return np.array(kept)
+
+
+@njit(cache=True, nogil=True)
+def _straight_to(path: FloatArray) -> IntArray:
+    """For each row the last one to which a way over places, (n, 2), goes straight on; the next one of poses, (n, 3)."""
+    straight = np.minimum(np.arange(len(path)) + 1, len(path) - 1)
+    for i in range(len(path) - 3, -1, -1):
+        (a, b), (c, d) = path[i + 1, :2] - path[i, :2], path[i + 2, :2] - path[i + 1, :2]
+        off, along = a * d - b * c, a * c + b * d
+        if path.shape[1] == 2 and along > 0.0 and abs(off) <= _STRAIGHT * along:
+            straight[i] = straight[i + 1]
+    return straight
 
 
 @njit(cache=True, nogil=True)

@@ -32,6 +32,16 @@ def disc_distance(obstacles: Places, pose: FloatArray, offset: float, scratch: S
 @njit(cache=True, nogil=True)
 def is_clear(obstacles: Places, a: FloatArray, b: FloatArray, radius: float) -> bool:
     """Whether the whole segment from place a to place b, (2,), keeps `radius` from every obstacle."""
+    scratch = make_scratch()
+    one = distance_at(obstacles, (a[0], a[1], 0.0), scratch)
+    if one < radius:
+        return False
+    far = hypot(b[0] - a[0], b[1] - a[1])
+    if one - far >= radius:
+        return True
+    other = distance_at(obstacles, (b[0], b[1], 0.0), scratch)
+    if other < radius or one + other - far >= 2.0 * radius:
+        return other >= radius
     return _is_disc_clear(obstacles, a, b, 0.0, radius)
 
 

@@ -6,7 +6,7 @@ import pytest
 import gpdf_service as gpdf
 from gpdf_service.bench.judge import Judge
 from gpdf_service.perception.surface import OBSERVED, UNKNOWN, Cells, is_known
-from gpdf_service.planning.shape import is_ground_known
+from gpdf_service.planning.shape import _straight_to, is_ground_known, subdivide
 from gpdf_service.synthetic.world import Box, World
 from gpdf_service.types import AGENTS
 
@@ -52,3 +52,14 @@ def test_a_line_is_on_known_ground_if_each_cell_that_it_crosses_is():
         assert looked or not told  # a corner that is cut by less than the looks are apart may be missed by these
         found.add((bool(told), looked))
     assert {(True, True), (False, False)} <= found
+
+
+def test_rows_that_lie_straight_ahead_are_told():
+    corners = np.array([[0.0, 0.0], [1.0, 0.3], [1.0, 1.0], [0.5, 0.5]])
+    path = subdivide(corners, 0.1)
+    straight = _straight_to(path)
+    rows = [int(np.abs(path - corner).sum(axis=1).argmin()) for corner in corners]
+    for i, to in enumerate(straight[:-1]):
+        assert to == next(row for row in rows if row > i)
+    back = np.array([[0.0, 0.0], [1.0, 0.0], [0.5, 0.0], [2.0, 0.0]])
+    assert _straight_to(back).tolist() == [1, 2, 3, 3]
