@@ -254,6 +254,27 @@ def test_a_step_beside_the_way_is_kept_off():
     assert 0.5 - left.max() >= 0.24  # half of the way's own distance, at most half a pace
 
 
+@pytest.mark.parametrize("side", [1.0, -1.0])
+@pytest.mark.parametrize("gap", [0.0, 0.02, 0.04, 0.06, 0.1])
+def test_beside_a_ledge_nobody_is_led_onto_it_and_one_may_step_away_from_it(side, gap):
+    edge = np.column_stack([np.arange(-1.0, 4.0, 0.05), np.full(100, side * gap)])  # a platform of 0.35 m, 5 m long
+
+    def level(places):
+        return np.hypot(*(places[:, None, :2] - edge).transpose(2, 0, 1)).min(axis=1) - RADIUS
+
+    def field(places):  # a floor, and the platform's top
+        inside = (side * places[:, 1] > gap) & (places[:, 0] < 4.0)
+        aside = np.minimum(np.abs(places[:, 1] - side * gap), 4.0 - places[:, 0])
+        return np.where(inside, np.minimum(aside, 0.35), 0.0), np.zeros((len(places), 3))
+
+    route = straight(half_width=2.0, room_level=level, field=field)
+    towards, other = (route.left, route.right) if side > 0 else (route.right, route.left)
+    beside = route.s < 3.9
+    assert towards[beside].max() <= gap + 1e-9
+    assert other[beside].min() > 0.5
+    assert towards[route.s > 5.0].min() > 0.5
+
+
 def test_who_leaves_the_corridor_is_stopped():
     advice = advise(straight(half_width=0.7), pose(3, 0.45), 0.0, near=3.0)
     assert (advice.action, advice.off_way, kinds(advice)) == (CueAction.STOP, True, [Kind.STOP_OFF_WAY])
