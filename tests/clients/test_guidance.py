@@ -231,6 +231,14 @@ def test_who_goes_slowly_on_stairs_is_stopped_for_a_new_thing_later_than_on_the_
     assert advice.pace <= pace
 
 
+@pytest.mark.parametrize(("gap", "pace"), [(2.4, PACES[0]), (1.5, PACES[1]), (0.9, PACES[1]), (0.8, 0.0)])
+def test_who_comes_the_same_way_is_met_slowly_and_stopped_for_only_when_he_is_near(gap, pace):
+    who = np.array([[2.0 + RADIUS + gap, 0.0, 1.0]])
+    advice = advise(straight(), pose(2.0, 0.0), 0.0, near=2.0, obstacles=who, moving=who)
+    assert advice.pace == pace
+    assert (Kind.STOP_MOVING in kinds(advice)) == (pace == 0.0)
+
+
 @pytest.mark.parametrize(("told", "action"), [(PACES[0], CueAction.STOP), (0.0, CueAction.TURN)])
 def test_who_stands_turns_away_from_a_new_thing_that_he_faces(told, action):
     facing = np.array([[2.0, 0.55, 1.0]])  # half a metre straight ahead, and not on the way
