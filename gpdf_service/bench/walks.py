@@ -101,7 +101,7 @@ class Crowd:
 
     Attributes:
         places: Where each is, (k, 3) [m].
-        ground: Height of the ground at (n, 2), NaN where no body may stand [m], shape (n,).
+        ground: Height of the ground at (n, 3), of the storey of z, NaN where no body may stand [m], shape (n,).
         targets: Where each goes, (k, 3) [m].
         candidates: Places to go to, (n, 3) [m].
         rng: Chooses among them.
@@ -159,7 +159,7 @@ class Crowd:
             c, s = np.cos(turn), np.sin(turn)
             move = PACE * period * np.array([c * forward[0] - s * forward[1], s * forward[0] + c * forward[1], 0.0])
             place: FloatArray = self.places[i] + move
-            place[2] = self.ground(place[None, :2])[0]
+            place[2] = self.ground(place[None])[0]
             if self._may_be(place, i):
                 return place
         return None
@@ -173,7 +173,8 @@ class Crowd:
         away = few[:, :2] - self.places[i, :2]
         forward = away / np.maximum(np.hypot(*away.T), 1e-9)[:, None]
         looks = self.places[i, :2] + LOOKS[:, None, None] * forward
-        free = np.isfinite(self.ground(looks.reshape(-1, 2))).reshape(looks.shape[:2])
+        height = np.full((*looks.shape[:2], 1), self.places[i, 2])
+        free = np.isfinite(self.ground(np.concatenate([looks, height], axis=2).reshape(-1, 3))).reshape(looks.shape[:2])
         for body, gap in ((self.person, YIELDS), *((one, 2 * RADIUS) for one in np.delete(self.places, i, axis=0))):
             free &= np.hypot(*(looks - body[:2]).transpose(2, 0, 1)) > gap  # nobody sees a way through others
         gets = np.append(0.0, LOOKS)[np.logical_and.accumulate(free).sum(axis=0)]
@@ -199,7 +200,8 @@ class Crowd:
         reaches = (0.0,) if self.stood else (0.0, STOPS_IN)
         gaps = (self._from_way(step, reach) for reach in reaches)
         yields = all(next_to > YIELDS or next_to >= now for next_to, now in gaps)
-        return bool(apart and np.isfinite(place[2]) and yields)
+        stands = abs(place[2] - self.places[i, 2]) <= AGENTS["human"].max_step  # not so where there is no ground
+        return bool(apart and stands and yields)
 
     def points(self) -> FloatArray:
         """What the guided person's sensor sees of them, shape (k, 3) [m]."""

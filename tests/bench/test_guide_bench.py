@@ -4,8 +4,11 @@ import numpy as np
 from gpdf_guidance import Instruction, Kind, Outcome, Urgency, Walk
 from gpdf_guidance.simulate import Said
 
-from gpdf_service.bench.guide import edges_told
+from gpdf_service.bench.guide import edges_told, where_people_stand
 from gpdf_service.bench.walks import STANDS, YIELDS, Crowd, WalkedWorld
+from gpdf_service.pipeline import build_scene
+from gpdf_service.synthetic import SCENES
+from gpdf_service.types import AGENTS
 
 
 def walk_over(risers, said, pause_at=None):
@@ -116,6 +119,19 @@ def test_people_begin_beside_each_other_and_leave_a_nook_to_who_waits_before_it(
     for tick in range(1200):
         crowd.move(0.05 * tick, 0.05, np.array([2.0, 1.0, 0.0]))
     assert crowd.places[0, 0] > 0.0
+
+
+def test_people_walk_over_stairs_from_one_level_to_the_next():
+    made = SCENES["stair"](np.random.default_rng(0))
+    scene = build_scene(made.points, made.ground)
+    x = np.arange(1.0, 9.6, 0.05)
+    place, heights = np.array([1.0, 0.8, 0.0]), []
+    for place[0] in x:
+        place[2] = where_people_stand(scene, AGENTS["human"])(place[None])[0]
+        heights.append(place[2])
+    assert heights[0] < 0.1
+    assert heights[-1] > 3.3
+    assert np.abs(np.diff(heights)).max() < AGENTS["human"].max_step
 
 
 def test_who_climbs_a_flight_does_not_sink_to_its_underside():
