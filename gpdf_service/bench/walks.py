@@ -105,7 +105,8 @@ class Crowd:
         targets: Where each goes, (k, 3) [m].
         candidates: Places to go to, (n, 3) [m].
         rng: Chooses among them.
-        waited: How long each could not go on [s], shape (k,).
+        waited: How long each has got no nearer to there [s], shape (k,).
+        nearest: How near each has been to there [m], shape (k,).
         person: Where the guided person is, (3,) [m].
         stood: How long he has stood there [s].
         ahead: Where he walked last, a direction (2,).
@@ -117,6 +118,7 @@ class Crowd:
     candidates: FloatArray
     rng: np.random.Generator
     waited: FloatArray
+    nearest: FloatArray
     person: FloatArray
     stood: float = 0.0
     ahead: FloatArray = field(default_factory=lambda: np.zeros(2))
@@ -132,7 +134,16 @@ class Crowd:
                 places.append(place)
         targets = candidates[rng.integers(len(candidates), size=len(places))]
         nowhere = np.full(3, np.inf)
-        return cls(np.array(places), ground, targets, candidates, rng, np.zeros(len(places)), nowhere)
+        return cls(
+            np.array(places),
+            ground,
+            targets,
+            candidates,
+            rng,
+            np.zeros(len(places)),
+            np.full(len(places), np.inf),
+            nowhere,
+        )
 
     def move(self, now: float, period: float, person: FloatArray) -> None:
         """Walk on; who would come too near to the guided person, to a thing or to another one steps aside or waits."""
@@ -145,12 +156,12 @@ class Crowd:
             away = self.targets[i] - self.places[i]
             left = float(np.hypot(*away[:2]))
             if left < 0.3 or self.waited[i] > WAITS:
-                self.targets[i], self.waited[i] = self._elsewhere(i), 0.0
+                self.targets[i], self.waited[i], self.nearest[i] = self._elsewhere(i), 0.0, np.inf
                 continue
             stepped = self._step(i, away[:2] / left, period)
             gap = left if stepped is None else float(np.hypot(*(self.targets[i] - stepped)[:2]))
-            nearer = gap < left - 0.3 * PACE * period
-            self.waited[i] = 0.0 if nearer else self.waited[i] + period
+            self.waited[i] = 0.0 if gap < self.nearest[i] else self.waited[i] + period
+            self.nearest[i] = min(gap, self.nearest[i])
             self.places[i] = self.places[i] if stepped is None else stepped
 
     def _step(self, i: int, forward: FloatArray, period: float) -> FloatArray | None:

@@ -121,6 +121,15 @@ def test_people_begin_beside_each_other_and_leave_a_nook_to_who_waits_before_it(
     assert crowd.places[0, 0] > 0.0
 
 
+def test_who_cannot_get_to_where_he_goes_gives_it_up():
+    candidates = np.column_stack([np.linspace(-9, 9, 200), np.zeros((200, 2))])
+    crowd = Crowd.of(1, candidates, lambda xy: np.where(np.abs(xy[:, 1]) < 0.5, 0.0, np.nan), np.random.default_rng(0))
+    crowd.places, crowd.targets = np.array([[2.0, 0.1, 0.0]]), np.array([[0.2, 0.0, 0.0]])  # beside who stands
+    for tick in range(200):
+        crowd.move(0.05 * tick, 0.05, np.zeros(3))
+    assert np.hypot(*(crowd.targets[0] - [0.2, 0.0, 0.0])[:2]) > 0.1
+
+
 def test_people_walk_over_stairs_from_one_level_to_the_next():
     made = SCENES["stair"](np.random.default_rng(0))
     scene = build_scene(made.points, made.ground)
