@@ -75,6 +75,8 @@ PACE = 1.2
 """[m/s] Of one who sees."""
 YIELDS = 0.6
 """[m] Between the middles of two bodies: who sees stops before he comes nearer to who does not."""
+PASSES = 0.54
+"""[m] The same past one who has stood for long, where a stair leaves no more: two bodies and a hand's breadth."""
 STOPS_IN = 1.0
 """[m] In which one stops who walks and does not see: nobody who sees steps in front of him nearer than this."""
 SEEN_FROM = 5.0
@@ -186,7 +188,8 @@ class Crowd:
         looks = self.places[i, :2] + LOOKS[:, None, None] * forward
         height = np.full((*looks.shape[:2], 1), self.places[i, 2])
         free = np.isfinite(self.ground(np.concatenate([looks, height], axis=2).reshape(-1, 3))).reshape(looks.shape[:2])
-        for body, gap in ((self.person, YIELDS), *((one, 2 * RADIUS) for one in np.delete(self.places, i, axis=0))):
+        least = PASSES if self.stood >= STANDS else YIELDS
+        for body, gap in ((self.person, least), *((one, 2 * RADIUS) for one in np.delete(self.places, i, axis=0))):
             free &= np.hypot(*(looks - body[:2]).transpose(2, 0, 1)) > gap  # nobody sees a way through others
         gets = np.append(0.0, LOOKS)[np.logical_and.accumulate(free).sum(axis=0)]
         near = np.hypot(*(self.places[i, :2] - self.person[:2])) < SEEN_FROM
@@ -210,7 +213,8 @@ class Crowd:
         step = np.array([place, self.places[i]])[:, :2]
         reaches = (0.0,) if self.stood else (0.0, STOPS_IN)
         gaps = (self._from_way(step, reach) for reach in reaches)
-        yields = all(next_to > YIELDS or next_to >= now for next_to, now in gaps)
+        least = PASSES if self.stood >= STANDS else YIELDS
+        yields = all(next_to > least or next_to >= now for next_to, now in gaps)
         stands = abs(place[2] - self.places[i, 2]) <= AGENTS["human"].max_step  # not so where there is no ground
         return bool(apart and stands and yields)
 
