@@ -55,7 +55,8 @@ SQUARE_ON = radians(12)
 NEAR_STEP = 1.2
 """[m] Before a step or a stair one goes slowly: a pace and a half."""
 STOP_BEFORE = 2.8
-"""[s] An obstacle that is new on the path stops who would be there within this: twice `BLIND`, and a step."""
+"""[s] An obstacle that is new on the path stops who would be there within this: twice `BLIND`, and a step. Beside what
+moves one goes on slowly until one would be there within this at a careful pace, which is `BLIND` at full pace."""
 BODY_HEIGHT = 2.0
 """[m] Of a person with a hat."""
 LEAST_OBSTACLE = 0.05
@@ -117,7 +118,8 @@ def advise(
     before = _nearest(partial(_obstacle_before, route.radius, pose), obstacles, moving)
     faces = before.distance < route.radius + max(told, PACES[1]) * BLIND
     careful = _careful_pace(route, progress)
-    if on_path.distance < STOP_BEFORE * max(told, careful) or (faces and told > 0.0):
+    least = PACES[1] if on_path.kind is Kind.STOP_MOVING else max(told, careful)
+    if on_path.distance < STOP_BEFORE * least or (faces and told > 0.0):
         return stop(progress, min(on_path, before, key=lambda one: one.distance))
     place = np.array(pose.position[:2])
     if not route.inside(place[None], progress.s, POSE_SLACK)[0]:
@@ -127,6 +129,7 @@ def advise(
         return stop(progress, off, off_way=True)
     direction, askew = _square(route, pose, progress, aim(route, pose, progress))
     pace = min(safe_pace(route, pose, progress, direction), careful)
+    pace = min(pace, _pace_for(on_path.distance * BLIND / STOP_BEFORE))
     pace = 0.0 if askew or faces else min(pace, _pace_for(before.distance - route.radius))
     on_the_spot = SQUARE if _by_stairs(route, progress) else ON_THE_SPOT
     action = _action(direction, pace, on_the_spot, turning)

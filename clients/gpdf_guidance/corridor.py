@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gpdf_guidance.features import wrap
-from gpdf_guidance.stairs import ELBOW_ROOM, GATE, OTHER_GROUND, SQUARE, Field, Flight, Room
+from gpdf_guidance.stairs import ELBOW_ROOM, GATE, LEAST_EDGE, OTHER_GROUND, SQUARE, Field, Flight, Room
 
 FloatArray = NDArray[np.float64]
 SPACING = 0.1
@@ -25,6 +25,8 @@ OTHER_TREAD = 0.7
 """[-] A share of a step: what is this far from a tread, which is rough at its own edges, is another one."""
 KEEP_OFF = 0.35
 """[m] Half a pace: elsewhere one keeps so far from the edges of stairs, but in their line."""
+EDGE_SEEN = 0.075
+"""[m] Columns 5 cm apart find an edge of points up to 14 cm apart, if one is this near to it."""
 INTO_STAIRS = 0.6
 """[m] The line goes on over the first treads, and begins before the last ones: two of them."""
 BESIDE_STAIRS = 2.5
@@ -77,21 +79,60 @@ def margin_of(clear: FloatArray, most: float = MARGIN) -> FloatArray:
     return margin
 
 
-def beside_steps(corridor: Corridor, away: FloatArray, s: FloatArray, flights: tuple[Flight, ...]) -> Corridor:
+def beside_steps(
+    corridor: Corridor,
+    away: FloatArray,
+    s: FloatArray,
+    ground: FloatArray,
+    flights: tuple[Flight, ...],
+    falls: NDArray[np.bool_],
+) -> Corridor:
     """A corridor that ends half a pace before steps that the path passes; nobody takes one unheard.
+
+    A path may begin right beside a ledge: only where its own height changes does it go over one, and only on the side
+    of the other ground does the ledge end its corridor.
 
     Args:
         corridor: That of the room.
         away: Distance to all that stops who takes no step, at the places of `scan` [m], shape (n, k).
         s: Arc lengths of the samples [m], shape (n,).
+        ground: Contact points there [m], shape (n, 3).
         flights: On the path; near them `on_own_ground` says more.
+        falls: See `other_ground`.
     """
-    clear = away[:, away.shape[1] // 2]
-    passed = clear > 0.5 * SPACING  # less: the path goes over it
+    middle = away.shape[1] // 2
+    clear = away[:, middle]
+    rise = np.abs(np.interp(s + SPACING, s, ground[:, 2]) - np.interp(s - SPACING, s, ground[:, 2]))
+    at_edge = clear <= 0.5 * SPACING
+    passed = ~at_edge | (rise < LEAST_EDGE)
     for flight in flights:
         passed &= (s < flight.start - BESIDE_STAIRS) | (s > flight.end + BESIDE_STAIRS)
-    kept = where_there_is_room(away, clear, KEEP_OFF)
-    return Corridor(*(np.where(passed, np.minimum(a, b), a) for a, b in zip(corridor, kept, strict=True)))
+    margin = margin_of(clear, KEEP_OFF)
+    widths = [np.maximum(clear - margin, 0.0)]
+    for side, other in ((away[:, middle:], falls[:, 0]), (away[:, middle::-1], falls[:, 1])):
+        blocked = side < np.maximum(margin, EDGE_SEEN)[:, None]
+        follows = at_edge[:, None] & np.logical_and.accumulate(blocked, axis=1)  # the ledge that it goes along
+        reach = np.where(at_edge & other, 0.0, _reach(blocked & ~follows))
+        widths.append(np.maximum(reach, widths[0]))
+    return Corridor(*(np.where(passed, np.minimum(a, b), a) for a, b in zip(corridor, widths, strict=True)))
+
+
+def other_ground(ground: FloatArray, heading: FloatArray, field: Field | None) -> NDArray[np.bool_]:
+    """Whether within half a pace to the left and to the right of a path the ground has another height, shape (n, 2).
+
+    Where nothing is known of the ground, it has. At a ledge's corner its foot is near: so half a pace of path counts.
+    """
+    if field is None:
+        return np.ones((len(ground), 2), dtype=bool)
+    places = _places_beside(ground, heading)
+    middle, near = places.shape[1] // 2, round(2 * KEEP_OFF / SPACING)
+    places = places[:, middle - near : middle + near + 1]
+    other = field(places.reshape(-1, 3))[0].reshape(places.shape[:2]) > LEAST_EDGE
+    sides = np.column_stack([other[:, near:].any(axis=1), other[:, : near + 1].any(axis=1)])
+    along = round(KEEP_OFF / SPACING)
+    padded = np.pad(sides, ((along, along), (0, 0)), mode="edge")
+    found: NDArray[np.bool_] = np.any([padded[i : i + len(sides)] for i in range(2 * along + 1)], axis=0)
+    return found
 
 
 def on_own_ground(

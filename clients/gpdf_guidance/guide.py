@@ -354,13 +354,13 @@ class Guide:
     def _held(self, advice: Advice) -> Advice:
         """What the person is held for: an answer, a pause, the overview of his way. Whatever stops him comes first.
 
-        But not that something is in the way of one who has not set off.
+        But not that something is in the way of one who has not set off, nor that a pose of his is missing.
         """
         if advice.action not in (*GOING, CueAction.STOP):
             return advice
         sets_off = self._talk.overview is not None
         dangers = {one.kind for one in advice.instructions if one.urgency is Urgency.DANGER}
-        if dangers - (BLOCKS if sets_off else set()):
+        if dangers - (BLOCKS | {Kind.STOP_LOST} if sets_off else set()):
             return advice
         if self._talk.question is not None:
             return Advice(advice.progress, CueAction.STOP, instructions=(self._talk.question[0],))

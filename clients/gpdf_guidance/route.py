@@ -18,6 +18,7 @@ from gpdf_guidance.corridor import (
     margin_of,
     middle_of,
     on_own_ground,
+    other_ground,
     scan,
     through_gates,
     where_there_is_room,
@@ -189,7 +190,8 @@ def build_route(
         corridor = on_own_ground(corridor, standing, s, heading, flights, field)
         corridor = through_gates(corridor, s, heading, flights)
     if room_level is not None:
-        corridor = beside_steps(corridor, scan(ground, heading, room_level) + radius, s, flights)
+        away = scan(ground, heading, room_level) + radius
+        corridor = beside_steps(corridor, away, s, ground, flights, other_ground(ground, heading, field))
     over = scan(ground, heading, room_low) - free if room_low is not None else np.zeros_like(free)
     features = find_features(np.column_stack([trajectory.ground, rough]), s, heading, width, free, over, facing)
     features = with_places(features, ground, s, heading, places or {})

@@ -8,7 +8,7 @@ from __future__ import annotations
 import argparse
 import dataclasses
 import tempfile
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from itertools import islice
 from pathlib import Path
@@ -26,7 +26,7 @@ from tqdm import tqdm
 from gpdf_service.bench.cues import measure_cues
 from gpdf_service.bench.plotting import add_plot_argument, draw_rows
 from gpdf_service.bench.report import Row, add_scene_arguments, read_scene, show
-from gpdf_service.bench.walks import COVERS, RADIUS, Beset, Crowd, WalkedWorld
+from gpdf_service.bench.walks import COVERS, RADIUS, STOREY, Beset, Crowd, WalkedWorld
 from gpdf_service.ports import free_endpoint
 from gpdf_service.scene import Scene
 from gpdf_service.service.server import Options, Server
@@ -171,26 +171,32 @@ def walk_all(
 
 
 def _crowd(scene: Scene, start: FloatArray, rng: np.random.Generator) -> Crowd:
-    """People on the storey on which a walk begins, none of them at its start."""
+    """People who begin on the storey on which a walk begins, none of them at its start; stairs lead them to others."""
     agent = AGENTS["human"]
-    level = int(np.argmin([abs(_height(scene, i, start) - start[2]) for i in range(len(scene.surfaces))]))
-    places = places_on(scene, level, agent, 200, rng)
-    places = places[np.hypot(*(places[:, :2] - start[:2]).T) > 2.0]
-    if not len(places):
-        places = np.array([[1e3, 1e3, 0.0]])
+    everywhere = np.concatenate([places_on(scene, level, agent, 200, rng) for level in range(len(scene.surfaces))])
+    away = np.hypot(*(everywhere[:, :2] - start[:2]).T)
+    begins = everywhere[(away > 2.0) & (np.abs(everywhere[:, 2] - start[2]) < STOREY)]
+    if not len(begins):
+        begins = np.array([[1e3, 1e3, 0.0]])
+    crowd = Crowd.of(PEOPLE, begins, where_people_stand(scene, agent), rng)
+    crowd.candidates = everywhere if len(everywhere) else begins
+    return crowd
+
+
+def where_people_stand(scene: Scene, agent: Agent) -> Callable[[FloatArray], FloatArray]:
+    """Height of the ground at places (n, 3), on the level nearest to z; NaN where a body has no room."""
     space = scene.free_space(agent)
-    surface = scene.surfaces[level]
 
-    def ground(xy: FloatArray) -> FloatArray:
-        return np.where(space.clearance(level, xy)[0] >= RADIUS, surface.height_at(xy), np.nan)
+    def ground(places: FloatArray) -> FloatArray:
+        xy, found = places[:, :2], np.full(len(places), np.nan)
+        for level, surface in enumerate(scene.surfaces):
+            stands = surface.contains(xy) & (space.clearance(level, xy)[0] >= RADIUS)
+            height = np.where(stands, surface.height_at(xy), np.nan)
+            near, before = np.abs(height - places[:, 2]), np.abs(found - places[:, 2])
+            found = np.where((near < STOREY) & ~(near >= before), height, found)
+        return found
 
-    return Crowd.of(PEOPLE, places, ground, rng)
-
-
-def _height(scene: Scene, level: int, place: FloatArray) -> float:
-    surface = scene.surfaces[level]
-    known = bool(surface.contains(place[None, :2])[0])
-    return float(surface.height_at(place[None, :2])[0]) if known else float("inf")
+    return ground
 
 
 def places_on(scene: Scene, level: int, agent: Agent, count: int, rng: np.random.Generator) -> FloatArray:

@@ -75,6 +75,8 @@ PACE = 1.2
 """[m/s] Of one who sees."""
 YIELDS = 0.6
 """[m] Between the middles of two bodies: who sees stops before he comes nearer to who does not."""
+PASSES = 0.54
+"""[m] The same past one who has stood for long, where a stair leaves no more: two bodies and a hand's breadth."""
 STOPS_IN = 1.0
 """[m] In which one stops who walks and does not see: nobody who sees steps in front of him nearer than this."""
 SEEN_FROM = 5.0
@@ -101,11 +103,12 @@ class Crowd:
 
     Attributes:
         places: Where each is, (k, 3) [m].
-        ground: Height of the ground at (n, 2), NaN where no body may stand [m], shape (n,).
+        ground: Height of the ground at (n, 3), of the storey of z, NaN where no body may stand [m], shape (n,).
         targets: Where each goes, (k, 3) [m].
         candidates: Places to go to, (n, 3) [m].
         rng: Chooses among them.
-        waited: How long each could not go on [s], shape (k,).
+        waited: How long each has got no nearer to there [s], shape (k,).
+        nearest: How near each has been to there [m], shape (k,).
         person: Where the guided person is, (3,) [m].
         stood: How long he has stood there [s].
         ahead: Where he walked last, a direction (2,).
@@ -117,6 +120,7 @@ class Crowd:
     candidates: FloatArray
     rng: np.random.Generator
     waited: FloatArray
+    nearest: FloatArray
     person: FloatArray
     stood: float = 0.0
     ahead: FloatArray = field(default_factory=lambda: np.zeros(2))
@@ -132,7 +136,16 @@ class Crowd:
                 places.append(place)
         targets = candidates[rng.integers(len(candidates), size=len(places))]
         nowhere = np.full(3, np.inf)
-        return cls(np.array(places), ground, targets, candidates, rng, np.zeros(len(places)), nowhere)
+        return cls(
+            np.array(places),
+            ground,
+            targets,
+            candidates,
+            rng,
+            np.zeros(len(places)),
+            np.full(len(places), np.inf),
+            nowhere,
+        )
 
     def move(self, now: float, period: float, person: FloatArray) -> None:
         """Walk on; who would come too near to the guided person, to a thing or to another one steps aside or waits."""
@@ -145,12 +158,12 @@ class Crowd:
             away = self.targets[i] - self.places[i]
             left = float(np.hypot(*away[:2]))
             if left < 0.3 or self.waited[i] > WAITS:
-                self.targets[i], self.waited[i] = self._elsewhere(i), 0.0
+                self.targets[i], self.waited[i], self.nearest[i] = self._elsewhere(i), 0.0, np.inf
                 continue
             stepped = self._step(i, away[:2] / left, period)
             gap = left if stepped is None else float(np.hypot(*(self.targets[i] - stepped)[:2]))
-            nearer = gap < left - 0.3 * PACE * period
-            self.waited[i] = 0.0 if nearer else self.waited[i] + period
+            self.waited[i] = 0.0 if gap < self.nearest[i] else self.waited[i] + period
+            self.nearest[i] = min(gap, self.nearest[i])
             self.places[i] = self.places[i] if stepped is None else stepped
 
     def _step(self, i: int, forward: FloatArray, period: float) -> FloatArray | None:
@@ -159,7 +172,7 @@ class Crowd:
             c, s = np.cos(turn), np.sin(turn)
             move = PACE * period * np.array([c * forward[0] - s * forward[1], s * forward[0] + c * forward[1], 0.0])
             place: FloatArray = self.places[i] + move
-            place[2] = self.ground(place[None, :2])[0]
+            place[2] = self.ground(place[None])[0]
             if self._may_be(place, i):
                 return place
         return None
@@ -173,8 +186,10 @@ class Crowd:
         away = few[:, :2] - self.places[i, :2]
         forward = away / np.maximum(np.hypot(*away.T), 1e-9)[:, None]
         looks = self.places[i, :2] + LOOKS[:, None, None] * forward
-        free = np.isfinite(self.ground(looks.reshape(-1, 2))).reshape(looks.shape[:2])
-        for body, gap in ((self.person, YIELDS), *((one, 2 * RADIUS) for one in np.delete(self.places, i, axis=0))):
+        height = np.full((*looks.shape[:2], 1), self.places[i, 2])
+        free = np.isfinite(self.ground(np.concatenate([looks, height], axis=2).reshape(-1, 3))).reshape(looks.shape[:2])
+        least = PASSES if self.stood >= STANDS else YIELDS
+        for body, gap in ((self.person, least), *((one, 2 * RADIUS) for one in np.delete(self.places, i, axis=0))):
             free &= np.hypot(*(looks - body[:2]).transpose(2, 0, 1)) > gap  # nobody sees a way through others
         gets = np.append(0.0, LOOKS)[np.logical_and.accumulate(free).sum(axis=0)]
         near = np.hypot(*(self.places[i, :2] - self.person[:2])) < SEEN_FROM
@@ -198,8 +213,10 @@ class Crowd:
         step = np.array([place, self.places[i]])[:, :2]
         reaches = (0.0,) if self.stood else (0.0, STOPS_IN)
         gaps = (self._from_way(step, reach) for reach in reaches)
-        yields = all(next_to > YIELDS or next_to >= now for next_to, now in gaps)
-        return bool(apart and np.isfinite(place[2]) and yields)
+        least = PASSES if self.stood >= STANDS else YIELDS
+        yields = all(next_to > least or next_to >= now for next_to, now in gaps)
+        stands = abs(place[2] - self.places[i, 2]) <= AGENTS["human"].max_step  # not so where there is no ground
+        return bool(apart and stands and yields)
 
     def points(self) -> FloatArray:
         """What the guided person's sensor sees of them, shape (k, 3) [m]."""

@@ -4,8 +4,11 @@ import numpy as np
 from gpdf_guidance import Instruction, Kind, Outcome, Urgency, Walk
 from gpdf_guidance.simulate import Said
 
-from gpdf_service.bench.guide import edges_told
-from gpdf_service.bench.walks import STANDS, YIELDS, Crowd, WalkedWorld
+from gpdf_service.bench.guide import edges_told, where_people_stand
+from gpdf_service.bench.walks import PASSES, STANDS, YIELDS, Crowd, WalkedWorld
+from gpdf_service.pipeline import build_scene
+from gpdf_service.synthetic import SCENES
+from gpdf_service.types import AGENTS
 
 
 def walk_over(risers, said, pause_at=None):
@@ -56,7 +59,7 @@ def test_people_who_see_do_not_walk_into_who_does_not():
         before = crowd.places.copy()
         crowd.move(0.05 * tick, 0.05, person)
         moved += float(np.abs(crowd.places - before).sum())
-        assert np.hypot(*(crowd.places - person)[:, :2].T).min() > YIELDS - 1e-6
+        assert np.hypot(*(crowd.places - person)[:, :2].T).min() > PASSES - 1e-6
     assert moved > 10.0
     assert crowd.penetration(np.array([*crowd.places[0, :2], 0.0])) == 0.5
     assert crowd.penetration(np.array([*crowd.places[0, :2], 3.0])) < 0.5  # on another storey
@@ -74,14 +77,14 @@ def test_who_stands_aside_does_not_brush_past_one_who_walks_up_to_him():
 
 def test_who_sees_goes_round_who_stands_where_there_is_room():
     def corridor(xy):
-        return np.where(np.abs(xy[:, 1]) < 0.7, 0.0, np.nan)
+        return np.where(np.abs(xy[:, 1]) < 0.64, 0.0, np.nan)
 
-    crowd = Crowd.of(1, np.zeros((1, 3)), corridor, np.random.default_rng(0))
+    crowd = Crowd.of(1, np.array([[-3.0, 0.0, 0.0]]), corridor, np.random.default_rng(0))
     crowd.places, crowd.targets = np.array([[3.0, 0.0, 0.0]]), np.array([[-3.0, 0.0, 0.0]])
-    person, crossed = np.array([0.0, 0.1, 0.0]), np.inf
-    for tick in range(200):
+    person, crossed = np.array([0.0, 0.0, 0.0]), np.inf
+    for tick in range(300):
         crowd.move(0.05 * tick, 0.05, person)
-        assert np.hypot(*(crowd.places[0] - person)[:2]) > YIELDS - 1e-6
+        assert np.hypot(*(crowd.places[0] - person)[:2]) > PASSES - 1e-6
         crossed = min(crossed, float(crowd.places[0, 0]))
     assert crossed < -1.0
 
@@ -116,6 +119,28 @@ def test_people_begin_beside_each_other_and_leave_a_nook_to_who_waits_before_it(
     for tick in range(1200):
         crowd.move(0.05 * tick, 0.05, np.array([2.0, 1.0, 0.0]))
     assert crowd.places[0, 0] > 0.0
+
+
+def test_who_cannot_get_to_where_he_goes_gives_it_up():
+    candidates = np.column_stack([np.linspace(-9, 9, 200), np.zeros((200, 2))])
+    crowd = Crowd.of(1, candidates, lambda xy: np.where(np.abs(xy[:, 1]) < 0.5, 0.0, np.nan), np.random.default_rng(0))
+    crowd.places, crowd.targets = np.array([[2.0, 0.1, 0.0]]), np.array([[0.2, 0.0, 0.0]])  # beside who stands
+    for tick in range(200):
+        crowd.move(0.05 * tick, 0.05, np.zeros(3))
+    assert np.hypot(*(crowd.targets[0] - [0.2, 0.0, 0.0])[:2]) > 0.1
+
+
+def test_people_walk_over_stairs_from_one_level_to_the_next():
+    made = SCENES["stair"](np.random.default_rng(0))
+    scene = build_scene(made.points, made.ground)
+    x = np.arange(1.0, 9.6, 0.05)
+    place, heights = np.array([1.0, 0.8, 0.0]), []
+    for place[0] in x:
+        place[2] = where_people_stand(scene, AGENTS["human"])(place[None])[0]
+        heights.append(place[2])
+    assert heights[0] < 0.1
+    assert heights[-1] > 3.3
+    assert np.abs(np.diff(heights)).max() < AGENTS["human"].max_step
 
 
 def test_who_climbs_a_flight_does_not_sink_to_its_underside():

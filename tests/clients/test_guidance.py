@@ -231,6 +231,14 @@ def test_who_goes_slowly_on_stairs_is_stopped_for_a_new_thing_later_than_on_the_
     assert advice.pace <= pace
 
 
+@pytest.mark.parametrize(("gap", "pace"), [(2.4, PACES[0]), (1.5, PACES[1]), (0.9, PACES[1]), (0.8, 0.0)])
+def test_who_comes_the_same_way_is_met_slowly_and_stopped_for_only_when_he_is_near(gap, pace):
+    who = np.array([[2.0 + RADIUS + gap, 0.0, 1.0]])
+    advice = advise(straight(), pose(2.0, 0.0), 0.0, near=2.0, obstacles=who, moving=who)
+    assert advice.pace == pace
+    assert (Kind.STOP_MOVING in kinds(advice)) == (pace == 0.0)
+
+
 @pytest.mark.parametrize(("told", "action"), [(PACES[0], CueAction.STOP), (0.0, CueAction.TURN)])
 def test_who_stands_turns_away_from_a_new_thing_that_he_faces(told, action):
     facing = np.array([[2.0, 0.55, 1.0]])  # half a metre straight ahead, and not on the way
@@ -252,6 +260,27 @@ def test_a_step_beside_the_way_is_kept_off():
     left = straight(half_width=2.0, room_level=level).left
     assert straight(half_width=2.0).left.min() >= 0.5 > left.max() > 0.0
     assert 0.5 - left.max() >= 0.24  # half of the way's own distance, at most half a pace
+
+
+@pytest.mark.parametrize("side", [1.0, -1.0])
+@pytest.mark.parametrize("gap", [0.0, 0.02, 0.04, 0.06, 0.1])
+def test_beside_a_ledge_nobody_is_led_onto_it_and_one_may_step_away_from_it(side, gap):
+    edge = np.column_stack([np.arange(-1.0, 4.0, 0.05), np.full(100, side * gap)])  # a platform of 0.35 m, 5 m long
+
+    def level(places):
+        return np.hypot(*(places[:, None, :2] - edge).transpose(2, 0, 1)).min(axis=1) - RADIUS
+
+    def field(places):  # a floor, and the platform's top
+        inside = (side * places[:, 1] > gap) & (places[:, 0] < 4.0)
+        aside = np.minimum(np.abs(places[:, 1] - side * gap), 4.0 - places[:, 0])
+        return np.where(inside, np.minimum(aside, 0.35), 0.0), np.zeros((len(places), 3))
+
+    route = straight(half_width=2.0, room_level=level, field=field)
+    towards, other = (route.left, route.right) if side > 0 else (route.right, route.left)
+    beside = route.s < 3.9
+    assert towards[beside].max() <= gap + 1e-9
+    assert other[beside].min() > 0.5
+    assert towards[route.s > 5.0].min() > 0.5
 
 
 def test_who_leaves_the_corridor_is_stopped():

@@ -41,6 +41,15 @@ def test_the_overview_is_heard_to_its_end_though_something_is_in_the_way():
     assert said == [Kind.OVERVIEW, Kind.STOP_OBSTACLE]
 
 
+def test_the_overview_is_heard_to_its_end_though_poses_are_missing():
+    guide, live = led(Detail.NORMAL)
+    live(0.5, x=0.0)
+    last = Pose((0.0, 0.0, 0.0), 0.0, 0.4)
+    steps = [guide.step(last, t) for t in np.arange(0.5, 12.0, 0.1)]
+    assert {cue.action for cue, _ in steps} == {CueAction.STOP}
+    assert [one[0].kind for _, one in steps if one is not None] == [Kind.STOP_LOST]  # after it
+
+
 @pytest.mark.parametrize(("facing", "first"), [(30, "."), (-100, ". Turn left."), (100, ". Turn right.")])
 def test_the_overview_ends_with_the_turn_that_the_cue_asks_for_first(facing, first):
     guide, live = led(Detail.NORMAL, np.radians(facing))
