@@ -101,14 +101,20 @@ def changes(node):
 
 def expressions(tree):
     """The expressions that run: neither annotations nor decorators."""
-    for node in ast.walk(tree):
-        for name in ("annotation", "returns", "decorator_list"):
-            if hasattr(node, name):
-                setattr(node, name, [] if name == "decorator_list" else None)
+    for node in ast.walk(_stripped(tree)):
         if isinstance(node, ast.If | ast.IfExp | ast.While):
             yield node.test, [ast.UnaryOp(ast.Not(), node.test)]
         if isinstance(node, ast.expr):
             yield node, changes(node)
+
+
+def _stripped(tree):
+    """The tree without what is no expression that runs; whoever walks it has a node's children before the node."""
+    for node in list(ast.walk(tree)):
+        for name in ("annotation", "returns", "decorator_list"):
+            if hasattr(node, name):
+                setattr(node, name, [] if name == "decorator_list" else None)
+    return tree
 
 
 def mutants_of(module, source):
