@@ -35,7 +35,7 @@ MODULES = {
     "gpdf_service/perception/limits.py": ("tests/perception/test_obstacles.py", "tests/perception/test_ground.py"),
     "gpdf_service/service/in_use.py": ("tests/service/test_in_use.py",),
     "gpdf_service/service/moving.py": ("tests/service/test_moving.py",),
-    "clients/gpdf_guidance/corridor.py": ("tests/clients/test_guidance.py",),
+    "clients/gpdf_guidance/corridor.py": ("tests/clients/test_corridor.py", "tests/clients/test_guidance.py"),
     "clients/gpdf_robot/driver.py": ("tests/clients/test_robot.py", "tests/clients/test_robot_parts.py"),
     "clients/gpdf_robot/controller.py": ("tests/clients/test_robot_parts.py",),
 }
