@@ -182,8 +182,7 @@ def test_the_arc_that_is_driven_goes_through_the_line_ahead(y, heading, speed):
     velocity = pursue(STRAIGHT, Pose(2.0, y, heading), 2.0, speed, ROOMBA, np.inf).velocity
     if velocity.speed == 0.0:  # it turns on the spot first
         return
-    reach = [0.15, max(0.15, 0.4 * speed)]
-    carrot = np.array([2.0 + reach[1], 0.0])
+    carrot = np.array([2.0 + max(0.15, 0.4 * speed), 0.0])
     end = Pose(2.0, y, heading)
     steps = [end := advance(end, velocity, 0.002 / velocity.forward) for _ in range(300)]
     assert min(np.hypot(*(pose.xy - carrot)) for pose in steps) < 0.01
@@ -214,3 +213,20 @@ def test_turning_on_the_spot_settles_without_a_swing_beyond():
         headings.append(robot.pose.heading)
     assert min(headings) > -0.05
     assert abs(headings[-1]) < 0.1
+
+
+@pytest.mark.parametrize("body", [ROOMBA, PEPPER], ids=["differential", "omnidirectional"])
+def test_the_end_of_the_line_slows_it(body):
+    near_the_end = pursue(STRAIGHT, Pose(5.9, 0.0, 0.0), 5.9, body.speed, body, np.inf).velocity
+    assert near_the_end.speed == pytest.approx(0.1)  # what is left, over a second
+
+
+def test_who_moves_slowly_does_not_stop_to_turn():
+    for speed, stops in ((0.02, True), (0.1, False)):
+        assert (pursue(STRAIGHT, Pose(2, 0, 0.3), 2.0, speed, ROOMBA, np.inf).velocity.speed == 0.0) is stops
+
+
+def test_the_place_ahead_is_never_further_than_a_corner_allows():
+    corner = Route(line_of((0, 0), (3, 0), (3, 4)))
+    fast = pursue(corner, Pose(2.3, 0.0, 0.0), 2.3, 3.0, ROOMBA, np.inf).velocity
+    assert fast.turn == pytest.approx(0.0)  # the corner is 0.7 m ahead: further than anybody looks
