@@ -35,7 +35,7 @@ MODULES = {
     "gpdf_service/perception/limits.py": ("tests/perception/test_obstacles.py", "tests/perception/test_ground.py"),
     "gpdf_service/service/in_use.py": ("tests/service/test_in_use.py",),
     "gpdf_service/service/moving.py": ("tests/service/test_moving.py",),
-    "clients/gpdf_guidance/corridor.py": ("tests/clients/test_guidance.py",),
+    "clients/gpdf_guidance/corridor.py": ("tests/clients/test_corridor.py", "tests/clients/test_guidance.py"),
     "clients/gpdf_robot/driver.py": ("tests/clients/test_robot.py", "tests/clients/test_robot_parts.py"),
     "clients/gpdf_robot/controller.py": ("tests/clients/test_robot_parts.py",),
 }
@@ -101,14 +101,20 @@ def changes(node):
 
 def expressions(tree):
     """The expressions that run: neither annotations nor decorators."""
-    for node in ast.walk(tree):
-        for name in ("annotation", "returns", "decorator_list"):
-            if hasattr(node, name):
-                setattr(node, name, [] if name == "decorator_list" else None)
+    for node in ast.walk(_stripped(tree)):
         if isinstance(node, ast.If | ast.IfExp | ast.While):
             yield node.test, [ast.UnaryOp(ast.Not(), node.test)]
         if isinstance(node, ast.expr):
             yield node, changes(node)
+
+
+def _stripped(tree):
+    """The tree without what is no expression that runs; whoever walks it has a node's children before the node."""
+    for node in list(ast.walk(tree)):
+        for name in ("annotation", "returns", "decorator_list"):
+            if hasattr(node, name):
+                setattr(node, name, [] if name == "decorator_list" else None)
+    return tree
 
 
 def mutants_of(module, source):

@@ -14,7 +14,19 @@ from gpdf_service.cli import inputs, work
 from gpdf_service.cli.work import Work
 from gpdf_service.perception.frame import UP
 
-LIGHT = ("plan", "scene build", "scene info", "scene crop", "scene merge", "view", "client", "drive", "guide", "ros2")
+LIGHT = (
+    "demo",
+    "plan",
+    "scene build",
+    "scene info",
+    "scene crop",
+    "scene merge",
+    "view",
+    "client",
+    "drive",
+    "guide",
+    "ros2",
+)
 
 
 @pytest.fixture

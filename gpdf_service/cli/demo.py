@@ -15,13 +15,10 @@ from typing import Any, cast
 import numpy as np
 from gpdf_client import Client
 
-from gpdf_service.perception import read_cloud
-from gpdf_service.pipeline import build_scene
 from gpdf_service.ports import free_endpoint
 from gpdf_service.service.begun import begun
 from gpdf_service.synthetic import SCENES, SyntheticScene
 from gpdf_service.types import AGENTS, PlanResult
-from gpdf_service.viewer.picture import draw_plans
 
 LASER_OFFICE = "cluttered_office_tls_1cm.npz"
 
@@ -57,12 +54,16 @@ def run(args: argparse.Namespace) -> int:
     rows: list[dict[str, Any]] = []
     with _service(args.out, tours) as endpoint, Client.connect(endpoint, timeout_s=FIRST_S) as client:
         client.wait_for_service(timeout_s=FIRST_S)
+        if not args.json:
+            print(HEAD)
         for tour in tours:
-            rows += _travel(client, tour, args.out)
+            for row in _travel(client, tour, args.out):
+                rows.append(row)
+                if not args.json:
+                    print(_line(row), flush=True)
     if args.json:
         print(json.dumps(rows))
     else:
-        _print_table(rows)
         _print_next(args.out)
     return 0 if all(row["status"] == "OK" or not row["expected"] for row in rows) else 1
 
@@ -96,10 +97,10 @@ def _service(out: Path, tours: list[Tour]) -> Iterator[str]:
         yield endpoint
 
 
-def _travel(client: Client, tour: Tour, out: Path) -> list[dict[str, Any]]:
-    """Ask for every body's plan in one scene, and draw them."""
+def _travel(client: Client, tour: Tour, out: Path) -> Iterator[dict[str, Any]]:
+    """Ask for every body's plan in one scene, then draw them."""
     client.wait_for_scene(tour.name, timeout_s=FIRST_S)
-    results, rows = {}, []
+    results = {}
     for name in AGENTS:
         # the first one builds this body's free space, and compiles the kernels if nobody has yet
         client.plan(tour.name, tour.start, tour.goal, agent=name, deadline_s=FIRST_S)
@@ -113,23 +114,28 @@ def _travel(client: Client, tour: Tour, out: Path) -> list[dict[str, Any]]:
             row["clearance"] = result.certificate.min_clearance
             row["deviation"] = result.certificate.max_height_deviation
             row["certified"] = result.certificate.holds
-        rows.append(row)
+        yield row
+    from gpdf_service.perception import read_cloud  # the service runs already
+    from gpdf_service.pipeline import build_scene
+    from gpdf_service.viewer.picture import draw_plans
+
     cloud = read_cloud(tour.cloud)
     scene = build_scene(cloud.points, cloud.ground)
     picture = out / f"{tour.name}.png"
     drawn = cast("dict[str, PlanResult]", results)  # the client's results have the same attributes
     draw_plans(scene, drawn, picture, start=tour.start, goal=tour.goal, title=f"{tour.name}: four bodies")
-    return rows
 
 
-def _print_table(rows: list[dict[str, Any]]) -> None:
-    print(f"{'scene':14}{'agent':8}{'status':10}{'length':>9}{'clearance':>11}{'off height':>12}{'time':>9}  certified")
-    for row in rows:
-        line = f"{row['scene']:14}{row['agent']:8}{row['status']:10}"
-        if "length" in row:
-            line += f"{row['length']:7.2f} m{row['clearance']:9.3f} m{row['deviation']:10.3f} m"
-            line += f"{row['milliseconds']:6.0f} ms  {'yes' if row['certified'] else 'NO'}"
-        print(line)
+HEAD = f"{'scene':14}{'agent':8}{'status':10}{'length':>9}{'clearance':>11}{'off height':>12}{'time':>9}  certified"
+
+
+def _line(row: dict[str, Any]) -> str:
+    """One of the table's."""
+    line = f"{row['scene']:14}{row['agent']:8}{row['status']:10}"
+    if "length" in row:
+        line += f"{row['length']:7.2f} m{row['clearance']:9.3f} m{row['deviation']:10.3f} m"
+        line += f"{row['milliseconds']:6.0f} ms  {'yes' if row['certified'] else 'NO'}"
+    return line
 
 
 def _print_next(out: Path) -> None:

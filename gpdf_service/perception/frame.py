@@ -41,6 +41,12 @@ LEVEL = np.cos(np.radians(15.0))
 """[-] A normal this near to an axis: level, if the axis is up."""
 ROOMS = (2.0, 4.0)
 """[m] Headroom of most storeys, from low cellars to old houses."""
+TOPS = (0.40, 0.52), (0.68, 0.80)
+"""[m] Over their floor: what one sits on, and what one works at."""
+FURNISHED = 0.6
+"""[-] Share of `TOPS` `AMONG` furniture; the bands are a quarter of it in height."""
+AMONG = (0.25, 1.30)
+"""[m] Over the floor: where other level things are rare in a furnished place."""
 TALLEST = 60.0
 """[m] Between floor and ceiling of no building."""
 FARTHEST = 0.5
@@ -58,6 +64,8 @@ class Frame:
         headroom: Between the lowest and the highest large level layer [unit of the file]; 0 where there is one alone.
         level: Share of the points in which the cloud is level about x, y and z, shape (3,).
         lower: Share of the level points between floor and ceiling that lie in the lower half; NaN where there are few.
+        tops: Of what is level `AMONG` furniture, the share that is at the height of `TOPS`: if the file is in metres,
+            and if it is in feet; 0 where there is little, and where there is a ceiling, which tells more.
         hanging: Share of the points that lie below the one large level layer; 0 where there are several, or none.
         size: Extents [unit of the file], shape (3,).
     """
@@ -66,6 +74,7 @@ class Frame:
     headroom: float
     level: FloatArray
     lower: float
+    tops: tuple[float, float]
     hanging: float
     size: FloatArray
 
@@ -97,7 +106,23 @@ def look(points: FloatArray) -> Frame | None:
     level = (normal > LEVEL).mean(axis=0)
     size, flat = np.ptp(some, axis=0), some[normal[:, 2] > LEVEL]
     headroom, lower = _storey(flat, size)
-    return Frame(spacing, headroom, level, lower, _hanging(some[:, 2], flat[:, 2]), size)
+    tops = (0.0, 0.0) if headroom else (_tops(flat[:, 2], 1.0), _tops(flat[:, 2], UNITS["feet"]))
+    return Frame(spacing, headroom, level, lower, tops, _hanging(some[:, 2], flat[:, 2]), size)
+
+
+def _tops(z: FloatArray, scale: float) -> float:
+    """Of level points at heights z, in units of `scale` [m]: the share of `TOPS` `AMONG` furniture, 0 if they are few.
+
+    The floor is the lowest bin of heights that holds a third of the points of the fullest one.
+    """
+    if len(z) < FEWEST // 5 or np.ptp(z) <= 0.0:
+        return 0.0
+    count, edges = np.histogram(z, BINS)
+    low = int(np.flatnonzero(count > count.max() / 3)[0])
+    high = scale * (z - np.median(z[(z >= edges[low]) & (z <= edges[low + 1])]))
+    among = np.count_nonzero((high > AMONG[0]) & (high < AMONG[1]))
+    tops = sum(np.count_nonzero((high > least) & (high < most)) for least, most in TOPS)
+    return float(tops / among) if tops > 0.01 * len(z) else 0.0
 
 
 def _hanging(z: FloatArray, flat: FloatArray) -> float:
@@ -148,6 +173,8 @@ def odd_unit(frame: Frame) -> tuple[str, bool]:
     feet = UNITS["feet"]
     if ROOMS[0] < feet * frame.headroom < 0.8 * ROOMS[1]:
         return f"its ceiling is {frame.headroom:.1f} m over its floor; is it in feet? --scale {feet}", False
+    if frame.tops[0] < FURNISHED < frame.tops[1]:
+        return f"it has seats and tables if it is in feet, and none if it is in metres; --scale {feet}", False
     return "", False
 
 

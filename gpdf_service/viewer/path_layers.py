@@ -47,7 +47,7 @@ class PathLayers:
     def __init__(self, scene: viser.SceneApi, frame: Frame) -> None:
         self._scene, self._frame = scene, frame
         self._marks: dict[str, list[viser.SceneNodeHandle]] = {}
-        self._paths: list[viser.SceneNodeHandle] = []
+        self._paths: dict[str, viser.SceneNodeHandle] = {}
         self._body: viser.MeshHandle | None = None
         self._moving: Trajectory | None = None
 
@@ -55,6 +55,11 @@ class PathLayers:
     def shown(self) -> Trajectory | None:
         """The path that the body is swept along."""
         return self._moving
+
+    @property
+    def drawn(self) -> tuple[str, ...]:
+        """What stands of paths in the scene: their lines, the sweep, the body."""
+        return tuple(node.removeprefix("/plan/") for node in self._paths)
 
     def mark(self, name: str, place: FloatArray | None) -> None:
         """Show the start or the goal; None takes it away."""
@@ -69,9 +74,9 @@ class PathLayers:
 
     def clear(self) -> None:
         """Take all paths away; the marks stay."""
-        for handle in self._paths:
+        for handle in self._paths.values():
             handle.remove()
-        self._paths, self._body, self._moving = [], None, None
+        self._paths, self._body, self._moving = {}, None, None
 
     def add_line(
         self, name: str, path: Trajectory, shades: colours.Colours, *, dashed: bool = False, storey: int = 0
@@ -88,10 +93,9 @@ class PathLayers:
         points = self._frame.to_page(path.ground) + (1 + storey) * LIFTED
         segments = dashes(points) if dashed else np.stack([points[:-1], points[1:]], axis=1)
         each = shades if shades.ndim == 1 else np.stack([shades[:-1], shades[1:]], axis=1)
-        self._paths.append(
-            self._scene.add_line_segments(
-                f"/plan/line_{name}", segments, each, thickness=LINE_WIDTH, thickness_units="screen"
-            )
+        node = f"/plan/line_{name}"
+        self._paths[node] = self._scene.add_line_segments(
+            node, segments, each, thickness=LINE_WIDTH, thickness_units="screen"
         )
 
     def add_sweep(self, path: Trajectory, agent: Agent, shades: colours.Colours) -> None:
@@ -103,22 +107,20 @@ class PathLayers:
         vertices, faces = _outline(agent)
         turns = np.zeros((count, 4))
         turns[:, 0], turns[:, 3] = np.cos(0.5 * path.headings[rows]), np.sin(0.5 * path.headings[rows])
-        self._paths.append(
-            self._scene.add_batched_meshes_simple(
-                "/plan/sweep",
-                vertices * [GHOST_SHARE, GHOST_SHARE, 1.0],
-                faces,
-                turns,
-                points[rows],
-                batched_colors=shades if shades.ndim == 1 else shades[rows],
-                opacity=GHOST_OPACITY,
-                cast_shadow=False,
-                receive_shadow=False,
-                lod="off",
-            )
+        self._paths["/plan/sweep"] = self._scene.add_batched_meshes_simple(
+            "/plan/sweep",
+            vertices * [GHOST_SHARE, GHOST_SHARE, 1.0],
+            faces,
+            turns,
+            points[rows],
+            batched_colors=shades if shades.ndim == 1 else shades[rows],
+            opacity=GHOST_OPACITY,
+            cast_shadow=False,
+            receive_shadow=False,
+            lod="off",
         )
         self._body = self._scene.add_mesh_simple("/plan/body", vertices, faces, color=BODY, cast_shadow=False)
-        self._paths.append(self._body)
+        self._paths["/plan/body"] = self._body
         self._moving = path
         self.move(0.0)
 

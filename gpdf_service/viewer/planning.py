@@ -91,14 +91,18 @@ class Plans:
         path = result.trajectory
         if path is None:
             return
-        clearance, proven = known_clearance(self._desk.link, scene, path, agent), result.status is Status.OK
+        proven = result.status is Status.OK
         shades = np.array(colours.NOWHERE if proven else colours.WARNING, np.uint8)
+        self.paths.add_line(
+            "plan", path, shades, dashed=not proven
+        )  # the room along a long way takes longer to ask for
+        clearance = known_clearance(self._desk.link, scene, path, agent)
         if clearance is not None:
             clearance = np.minimum(clearance, room_beside(list(self.drops.obstacles.values()), path, agent))
             if proven:
                 shades = colours.ramp(clearance, 0.0, colours.ENOUGH_ROOM, colours.ROOM)
+                self.paths.add_line("plan", path, shades)
             self._tab.charts.show(profile_of(path, clearance))
-        self.paths.add_line("plan", path, shades, dashed=not proven)
         self.paths.add_sweep(path, agent, shades)
         self._tab.time.max = round(path.duration, 2)
         put(self._tab.time, 0.0)

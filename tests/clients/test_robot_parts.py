@@ -174,3 +174,59 @@ def test_an_omnidirectional_body_does_not_cut_a_long_bend(side):
         along = pursuit.along
         offsets.append(pursuit.offset)
     assert max(offsets) < 0.02  # moving at a place 0.4 m ahead on the bend would be 0.08 m inside of it
+
+
+@given(st.floats(-0.1, 0.1), st.floats(-0.5, 0.5), st.floats(0.05, 0.3))
+def test_the_arc_that_is_driven_goes_through_the_line_ahead(y, heading, speed):
+    """The circle that touches the heading and has the commanded curvature meets the line within the look-ahead."""
+    velocity = pursue(STRAIGHT, Pose(2.0, y, heading), 2.0, speed, ROOMBA, np.inf).velocity
+    if velocity.speed == 0.0:  # it turns on the spot first
+        return
+    carrot = np.array([2.0 + max(0.15, 0.4 * speed), 0.0])
+    end = Pose(2.0, y, heading)
+    steps = [end := advance(end, velocity, 0.002 / velocity.forward) for _ in range(300)]
+    assert min(np.hypot(*(pose.xy - carrot)) for pose in steps) < 0.01
+
+
+def test_a_bend_is_taken_in_proportion_to_its_radius():
+    easy = 1.5 * ROOMBA.speed  # [m] the way of a second and a half
+    assert regulated(ROOMBA.speed, 1.0 / easy, np.inf, np.inf, ROOMBA) == pytest.approx(ROOMBA.speed)
+    assert regulated(ROOMBA.speed, 2.0 / easy, np.inf, np.inf, ROOMBA) == pytest.approx(0.5 * ROOMBA.speed)
+    assert regulated(ROOMBA.speed, -2.0 / easy, np.inf, np.inf, ROOMBA) == pytest.approx(0.5 * ROOMBA.speed)
+
+
+def test_an_omnidirectional_body_slows_before_a_corner_and_not_behind_it():
+    corner, spot = Route(line_of((0, 0), (3, 0), (3, 4))), BODIES["spot"]
+    before = pursue(corner, Pose(2.9, 0.0, 0.0), 2.9, spot.speed, spot, np.inf).velocity
+    assert before.speed < 0.5 * spot.speed
+    behind = pursue(corner, Pose(3.0, 0.2, pi / 2), 3.2, spot.speed, spot, np.inf).velocity
+    assert behind.speed == pytest.approx(spot.speed)
+
+
+def test_turning_on_the_spot_settles_without_a_swing_beyond():
+    robot = SimulatedRobot(ROOMBA, Pose(0.0, 0.0, 0.7), Errors(0, 0, 0, 0, 0.1, 0.05), np.random.default_rng(0))
+    headings = []
+    for _ in range(60):
+        robot.command(Velocity(turn=pursue(STRAIGHT, robot.measure(), 0.0, 0.0, ROOMBA, np.inf).velocity.turn))
+        for _ in range(5):
+            robot.move(0.01)
+        headings.append(robot.pose.heading)
+    assert min(headings) > -0.05
+    assert abs(headings[-1]) < 0.1
+
+
+@pytest.mark.parametrize("body", [ROOMBA, PEPPER], ids=["differential", "omnidirectional"])
+def test_the_end_of_the_line_slows_it(body):
+    near_the_end = pursue(STRAIGHT, Pose(5.9, 0.0, 0.0), 5.9, body.speed, body, np.inf).velocity
+    assert near_the_end.speed == pytest.approx(0.1)  # what is left, over a second
+
+
+def test_who_moves_slowly_does_not_stop_to_turn():
+    for speed, stops in ((0.02, True), (0.1, False)):
+        assert (pursue(STRAIGHT, Pose(2, 0, 0.3), 2.0, speed, ROOMBA, np.inf).velocity.speed == 0.0) is stops
+
+
+def test_the_place_ahead_is_never_further_than_a_corner_allows():
+    corner = Route(line_of((0, 0), (3, 0), (3, 4)))
+    fast = pursue(corner, Pose(2.3, 0.0, 0.0), 2.3, 3.0, ROOMBA, np.inf).velocity
+    assert fast.turn == pytest.approx(0.0)  # the corner is 0.7 m ahead: further than anybody looks

@@ -206,6 +206,26 @@ def test_a_room_says_its_unit_and_its_axis(name):
     assert "is z down" in odd_up(look(points * [1.0, -1.0, -1.0]))
 
 
+@pytest.mark.parametrize("name", ["office", "cluttered_office"])
+def test_furniture_says_feet_where_there_is_no_ceiling(name):
+    points = SCENES[name](np.random.default_rng(0), spacing=0.05).points
+    points = points[points[:, 2] < 1.9]
+    assert odd_unit(look(points)) == ("", False)
+    words, impossible = odd_unit(look(points / 0.3048))
+    assert ("seats and tables if it is in feet" in words, impossible) == (True, False)
+    assert "--scale 0.3048" in words
+
+
+def test_roofs_over_stalls_and_steps_are_no_furniture_in_feet():
+    rng = np.random.default_rng(0)
+    market = Box((1.0, 1.0, 0.7), (3.0, 2.0, 0.75)), Box((1.0, 1.0, 2.3), (3.0, 2.0, 2.35))
+    points, _ = World((6.0, 4.0, 2.7), market).sample(0.05, rng)
+    assert odd_unit(look(points[points[:, 2] < 2.6])) == ("", False)
+    treads = tuple(Box((0.3 * i, 0.0, 0.0), (0.3 * i + 0.3, 4.0, 0.17 * (i + 1))) for i in range(14))
+    points, _ = World((6.0, 4.0, 4.0), treads).sample(0.05, rng)
+    assert odd_unit(look(points[points[:, 2] < 3.9])) == ("", False)
+
+
 @pytest.mark.parametrize("things", [(), (Box((2.0, 1.0, 0.0), (3.0, 2.0, 0.75)),)], ids=["bare", "with a table"])
 def test_a_place_without_a_ceiling_says_that_z_is_down(things):
     points, _ = World((6.0, 4.0, 2.7), things).sample(0.05, np.random.default_rng(0))

@@ -2,6 +2,7 @@
 
 import re
 import shutil
+import threading
 import time
 
 import numpy as np
@@ -14,6 +15,7 @@ from house import STOREY
 from gpdf_service.synthetic import SCENES
 from gpdf_service.types import AGENTS
 from gpdf_service.viewer import colours
+from gpdf_service.viewer.profile import known_clearance
 
 pytestmark = [pytest.mark.slow, pytest.mark.browser]
 ONTO_THE_STEP = (5.5, 1.0, 0.0), (5.5, 2.2, 0.35)
@@ -45,6 +47,24 @@ def test_two_clicks_draw_a_path(operator):
     assert np.median(operator.around(change, (0.3, 4.5, 0.0))) < 40  # nothing in the far corner but points drawn anew
     operator.sees("From the side")
     operator.sees(r"Answer after \d+ ms")
+    assert operator.errors == []
+
+
+def test_a_path_is_drawn_before_the_room_along_it_is_known(operator, monkeypatch):
+    asked, go = threading.Event(), threading.Event()
+
+    def slow(*args):
+        asked.set()
+        go.wait(60)
+        return known_clearance(*args)
+
+    monkeypatch.setattr("gpdf_service.viewer.planning.known_clearance", slow)
+    operator.plans((0.9, 0.9, 0.0), (5.4, 3.4, 0.0))
+    assert asked.wait(60)
+    assert operator.page.plans.paths.drawn == ("line_plan",)
+    go.set()
+    until(lambda: path_on_screen(operator) is not None)
+    assert operator.page.plans.paths.drawn == ("line_plan", "sweep", "body")
     assert operator.errors == []
 
 

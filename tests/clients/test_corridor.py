@@ -1,0 +1,63 @@
+"""The corridor of stairs between two floors, against the place itself: a flight along x, 1.2 m wide, over a floor."""
+
+import numpy as np
+import pytest
+from gpdf_guidance.corridor import FOOTING, SPACING, WIDEST, Corridor, on_own_ground, through_gates
+from gpdf_guidance.stairs import GATE, Flight
+
+RISE, TREAD, EDGES, HALF = 0.17, 0.3, 3.0 + 0.3 * np.arange(8), 0.6
+FLIGHT = Flight(EDGES[0], EDGES[-1], 0.0, 0.0, RISE, (EDGES[0], 0.0), (EDGES[-1], 0.0))
+along = np.arange(0.0, 8.0 + SPACING / 2, SPACING)
+"""Arc lengths of a path along the flight's middle, at y = 0."""
+
+
+def heights(x):
+    return RISE * np.searchsorted(EDGES, x)
+
+
+def field(places):
+    """Distance to the ground: over the flight its treads, beside it the floor; nothing is known behind its head."""
+    x, y, z = places.T
+    on = np.where(np.abs(y) <= HALF, heights(x), 0.0)
+    samples = np.stack([np.where(np.abs(y) <= HALF, heights(x + shift), 0.0) for shift in (-0.02, 0.02)])
+    low, high = samples.min(axis=0), samples.max(axis=0)
+    distance = np.maximum(np.maximum(low - z, z - high), 0.0)  # at a face, its foot, its tread and all between
+    beside = np.where(np.abs(y) <= HALF, np.inf, np.abs(y) - HALF)  # of the flight's side
+    return np.minimum(distance, np.where(z <= on, np.inf, np.hypot(beside, np.maximum(z - heights(x), 0.0)))), None
+
+
+def corridor_of_stairs(flight=FLIGHT):
+    ground = np.column_stack([along, 0.0 * along, heights(along)])
+    wide = Corridor(*(np.full(len(along), WIDEST) for _ in range(3)))
+    return on_own_ground(wide, ground, along, np.zeros(len(along)), (flight,), field)
+
+
+def test_nobody_walks_within_half_a_stance_of_the_side_of_a_flight():
+    found = corridor_of_stairs()
+    high = (along > EDGES[2]) & (along < EDGES[-1])  # the floor is two steps down and more
+    for width in found:
+        assert (width[high] <= HALF - FOOTING + 1e-9).all()
+    for width in (found.left, found.right):  # and the side is no wall
+        assert (width[high] >= HALF - FOOTING - 0.7 * RISE - SPACING).all()
+
+
+def test_far_before_and_behind_a_flight_the_corridor_is_as_it_was():
+    found = corridor_of_stairs()
+    for width in found:
+        assert (width[along < FLIGHT.start - 2.6] == WIDEST).all()
+        assert (width[along > FLIGHT.end + 2.6] == WIDEST).all()
+
+
+@pytest.mark.parametrize("askew", [0.0, 10.0, -10.0, 40.0, -40.0])
+def test_a_gate_stands_where_the_path_is_in_the_line_of_the_stairs(askew):
+    wide = Corridor(*(np.full(len(along), WIDEST) for _ in range(3)))
+    bend = 2.0  # before it the path comes askew
+    heading = np.where(along < bend, np.radians(askew), 0.0)
+    for width in through_gates(wide, along, heading, (FLIGHT,)):
+        straight = (along > (bend if abs(askew) > 20 else FLIGHT.start - 2.5) + 1e-9) & (along < FLIGHT.start)
+        assert (width[straight] == GATE).all()
+        assert (width[along < (bend if abs(askew) > 20 else FLIGHT.start - 2.5) - 1e-9] == WIDEST).all()
+        assert (width[(along > FLIGHT.start) & (along < FLIGHT.start + 0.59)] == GATE).all()
+        assert (width[(along > FLIGHT.start + 0.61) & (along < FLIGHT.end - 0.61)] == WIDEST).all()
+        assert (width[(along > FLIGHT.end) & (along < FLIGHT.end + 2.49)] == GATE).all()
+        assert (width[along > FLIGHT.end + 2.51] == WIDEST).all()
