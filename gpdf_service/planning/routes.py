@@ -104,7 +104,8 @@ def _route(space: FreeSpace, start: Endpoint, goal: Endpoint, wish: Wish) -> tup
     found: tuple[list[Leg], FloatArray] | None = None
     if ways is not None and climb > np.linalg.norm(goal.xy - start.xy) and wish.left() > 0.0:
         legs, takes = found = _cheapest(ways(wish.prefer), start, goal)
-        if legs and climb > takes[LENGTH] and takes[LEDGE] * price[LEDGE] <= SPARED * (takes @ price):
+        sure = climb > takes[LENGTH] and takes[LEDGE] * price[LEDGE] <= SPARED * (takes @ price)
+        if legs and (sure or wish.left() <= 0.0):
             return legs, float(takes @ price)
     direct = _shortest(space, start, goal)
     takes = way_takes_of(direct, wish.prefer)
