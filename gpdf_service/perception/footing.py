@@ -5,11 +5,20 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+from numba import njit
+from numpy.typing import NDArray
 from scipy import ndimage
 
+from gpdf_service.config import PerceptionConfig
+from gpdf_service.fields.threads import run_chunked
 from gpdf_service.perception.strides import SOLE, STRIDE
 from gpdf_service.perception.surface import UNKNOWN, HeightMap
-from gpdf_service.types import BoolArray, FloatArray
+from gpdf_service.types import BoolArray, FloatArray, IntArray
+
+FLIGHT_RISE = PerceptionConfig().max_step
+"""[m] Ground that differs by more within a stride is a flight."""
+ROUGH = 0.075
+"""[m] What is no higher over a tread is of it: half of what a surface in a wide cell is thick at most."""
 
 
 def bridged(surface: HeightMap, max_step: float) -> HeightMap:
@@ -23,7 +32,7 @@ def bridged(surface: HeightMap, max_step: float) -> HeightMap:
     if not flight.any():
         return surface
     high = np.where(known, surface.height, -np.inf)
-    disc = _disc(_rings(SOLE, surface.cell_width))
+    disc = _disc(rings_of(SOLE, surface.cell_width))
     dilated = np.where(known, ndimage.maximum_filter(high, footprint=disc), np.inf)
     closed = ndimage.minimum_filter(dilated, footprint=disc)
     return replace(surface, height=np.where(flight, closed, surface.height).astype(np.float32))
@@ -45,18 +54,80 @@ def footholds(surface: HeightMap, max_step: float) -> FloatArray:
 
 def flights(surface: HeightMap, max_step: float, reach: float = STRIDE) -> BoolArray:
     """Cells around which known ground differs by more than a step, `max_step`, within a `reach` [m], shape (nx, ny)."""
-    known, size = surface.state != UNKNOWN, 2 * _rings(reach, surface.cell_width) + 1
+    known, size = surface.state != UNKNOWN, 2 * rings_of(reach, surface.cell_width) + 1
     low, high = (np.where(known, surface.height, none) for none in (np.inf, -np.inf))
     found: BoolArray = ndimage.maximum_filter(high, size) - ndimage.minimum_filter(low, size) > max_step
     return found
 
 
+def on_treads(z: FloatArray, cell: IntArray, surface: HeightMap, max_step: float) -> BoolArray:
+    """Which points are of the treads of a flight, shape (m,): no more than `ROUGH` over where a foot rests beside them.
+
+    A foot rests on what is as wide as itself, at most a step higher, and within a sole: the same tread, which wear
+    makes rough, or the next. At a flight's side, where no ground goes on within a sole, stands its stringer: there
+    nothing is of a tread. A tread is `is_tread` within a stride.
+
+    Args:
+        z: Heights of the points [m], shape (m,).
+        cell: Their flat cells, shape (m,).
+        surface: The ground.
+        max_step: Highest step that the body takes [m].
+    """
+    found, width = np.zeros(len(z), dtype=bool), surface.cell_width
+    height = np.where(surface.state != UNKNOWN, surface.height, np.float32(np.nan))
+    own = z, cell, height, footholds(surface, max_step), SOLE / width + 0.5, rings_of(STRIDE, width)
+    run_chunked(lambda a, b: _on_treads(*own, max_step, a, b, found), len(z))
+    return found
+
+
+@njit(cache=True, nogil=True)
+def _on_treads(
+    z: FloatArray,
+    cell: IntArray,
+    height: NDArray[np.float32],
+    rests: FloatArray,
+    sole: float,
+    stride: int,
+    max_step: float,
+    begin: int,
+    end: int,
+    found: BoolArray,
+) -> None:
+    nx, ny = height.shape
+    for m in range(begin, end):
+        x, y = cell[m] // ny, cell[m] % ny
+        own = float(height[x, y])
+        if not z[m] <= own + max_step + ROUGH:  # a NaN compares false
+            continue
+        top, around, reach = own, is_tread(height, x, y, stride), int(sole)
+        for u in range(max(x - reach, 0), min(x + reach + 1, nx)):
+            for v in range(max(y - reach, 0), min(y + reach + 1, ny)):
+                if (u - x) ** 2 + (v - y) ** 2 <= sole * sole:
+                    around = around and height[u, v] >= own - max_step
+                    if top < rests[u, v] <= own + max_step:
+                        top = rests[u, v]
+        found[m] = around and z[m] <= top + ROUGH
+
+
+@njit(cache=True, nogil=True)
+def is_tread(height: NDArray[np.float32], x: int, y: int, stride: int) -> bool:
+    """Whether a cell is in a flight, with ground higher by more than `ROUGH` within so many cells, and lower."""
+    own = float(height[x, y])
+    low, high = own, own
+    for u in range(max(x - stride, 0), min(x + stride + 1, height.shape[0])):
+        for v in range(max(y - stride, 0), min(y + stride + 1, height.shape[1])):
+            there = float(height[u, v])  # a NaN is neither
+            low, high = there if there < low else low, there if there > high else high
+    return high - own > ROUGH and own - low > ROUGH and high - low > FLIGHT_RISE
+
+
 def footing_reach(surface: HeightMap) -> int:
     """Cells within which the ground decides on what is `bridged`, and on `footholds`."""
-    return max(_rings(STRIDE, surface.cell_width), 2 * _rings(SOLE, surface.cell_width))
+    return max(rings_of(STRIDE, surface.cell_width), 2 * rings_of(SOLE, surface.cell_width))
 
 
-def _rings(length: float, width: float) -> int:
+def rings_of(length: float, width: float) -> int:
+    """How many cells of that `width` a `length` is, at least one."""
     return max(1, int(length / width))
 
 

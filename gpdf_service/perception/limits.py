@@ -12,6 +12,7 @@ from scipy import ndimage
 
 from gpdf_service.config import PerceptionConfig
 from gpdf_service.fields.threads import run_chunked
+from gpdf_service.perception.footing import ROUGH, flights
 from gpdf_service.perception.strides import HALF_FOOT, SECTORS, STRIDE, sector_of
 from gpdf_service.perception.surface import UNKNOWN, HeightMap
 from gpdf_service.types import BoolArray, FloatArray
@@ -20,8 +21,11 @@ FOOT = 0.1
 """[m] Half a foot's length, and a wheel's contact: slopes are measured over it, so that a stair's tread stays flat."""
 LEAST_STEP = 0.01
 """[m] Below the smallest `max_step` of any body; a lower step stops nobody."""
-STANDABLE = PerceptionConfig().standable_slope
+_LIMITS = PerceptionConfig()
+STANDABLE = _LIMITS.standable_slope
 """[rad] What no body here stands on is steeper."""
+TALL = 2.0 * _LIMITS.max_step
+"""[m] What rises by more within two strides is a flight: a seat with something on it is lower."""
 
 
 class ObstacleKind(IntEnum):
@@ -79,8 +83,8 @@ def find_limits(surface: HeightMap, material: BoolArray, measured: Measured | No
 
 
 def limits_reach(surface: HeightMap) -> int:
-    """Cells within which the ground decides on those of a cell: the slope's reach, three medians, and a stride."""
-    return max(1, round(FOOT / surface.cell_width)) + 6 + int(STRIDE / surface.cell_width)
+    """Cells within which the ground decides on those of a cell: the slope's reach, three medians, and three strides."""
+    return max(1, round(FOOT / surface.cell_width)) + 6 + int(3.0 * STRIDE / surface.cell_width)
 
 
 def step_and_slope(surface: HeightMap) -> Measured:
@@ -97,10 +101,12 @@ def step_and_slope(surface: HeightMap) -> Measured:
     reach = max(1, round(FOOT / width))
     gradient2, short2 = np.zeros_like(height), np.zeros_like(height)
     step = np.zeros_like(height)
+    flight = flights(surface, TALL, 2.0 * STRIDE) if 3.0 * width > _LIMITS.tread_depth else np.zeros_like(known)
     for axis in (0, 1):
         ahead, behind = _shift(height, -reach, axis) - height, height - _shift(height, reach, axis)
         ahead, behind = np.abs(ahead), np.abs(behind)
-        rise = np.fmin(ahead, behind)  # at the rim, the side that is known
+        narrow = flight & _is_narrow_tread(surface.height, width, axis)
+        rise = np.where(narrow, 0.0, np.fmin(ahead, behind))  # at the rim, the side that is known
         gradient2 += np.nan_to_num(rise / (reach * width)) ** 2
         across = np.abs(_shift(surface.height, -1, axis) - _shift(surface.height, 1, axis)).astype(np.float64)
         one = np.fmax(
@@ -108,9 +114,9 @@ def step_and_slope(surface: HeightMap) -> Measured:
             np.abs(surface.height - _shift(surface.height, 1, axis)),
         )
         next_ = np.abs(_shift(height, -1, axis) - height), np.abs(height - _shift(height, 1, axis))
-        short2 += np.nan_to_num(np.fmin(*next_) / width) ** 2
+        short2 += np.where(narrow, 0.0, np.nan_to_num(np.fmin(*next_) / width)) ** 2
         usual = median_around(np.nan_to_num(rise / (reach * width)), 2, known)
-        excess = np.fmax(across - 2.0 * width * usual, one - width * usual)
+        excess = np.fmax(np.where(narrow, 0.0, across - 2.0 * width * usual), one - width * usual)
         step = np.fmax(step, np.nan_to_num(excess))
     flatter = np.minimum(median_around(gradient2, 1, known), median_around(short2, 1, known))
     slope = np.arctan(np.sqrt(flatter))
@@ -118,6 +124,20 @@ def step_and_slope(surface: HeightMap) -> Measured:
     slanted = np.isfinite(rise)
     step, slope = np.where(slanted, np.fmax(step, rise), step), np.where(slanted, 0.0, slope)
     return np.where(known, step, 0.0), np.where(known, slope, 0.0)
+
+
+def _is_narrow_tread(height: NDArray[np.float32], width: float, axis: int) -> BoolArray:
+    """Cells between two risers of a stair along an axis, with level ground beyond either, shape (nx, ny).
+
+    In cells over a third of a tread wide, a tread whose noses a scan has worn shows in one.
+    """
+    beyond, level = [_shift(height, by, axis) for by in (-2, -1, 1, 2)], width * np.tan(STANDABLE)
+    up, down = beyond[1] - height, height - beyond[2]
+    one_way = (np.minimum(up, down) > level) | (np.maximum(up, down) < -level)  # a NaN compares false
+    risers = np.maximum(np.abs(up), np.abs(down)) <= _LIMITS.stair_step + ROUGH
+    ends = np.maximum(np.abs(beyond[0] - beyond[1]), np.abs(beyond[2] - beyond[3])) <= level
+    found: BoolArray = one_way & risers & ends
+    return found
 
 
 def _slanted(surface: HeightMap, slope: FloatArray) -> FloatArray:

@@ -9,11 +9,13 @@ from numba import njit
 from numpy.typing import NDArray
 
 from gpdf_service.fields.threads import run_chunked, run_parallel
+from gpdf_service.perception.footing import ROUGH, is_tread, on_treads, rings_of
 from gpdf_service.perception.levels import FACE, LEAST_OBSTACLE, GroundLevel, astray
 from gpdf_service.perception.limits import ObstacleKind
 from gpdf_service.perception.nearest import nearest_of
 from gpdf_service.perception.rows import between, chosen_rows, under
-from gpdf_service.perception.surface import INFERRED, UNKNOWN, HeightMap, cells_within
+from gpdf_service.perception.strides import SOLE, STRIDE
+from gpdf_service.perception.surface import INFERRED, UNKNOWN, Cells, HeightMap, cells_within
 from gpdf_service.types import Agent, BoolArray, FloatArray, IntArray
 
 HEADROOM_SHARE = 0.01
@@ -33,11 +35,11 @@ class Obstacles:
 def obstacles_of(level: GroundLevel, agent: Agent, noise: float = 0.0, hidden: float = 0.0) -> Obstacles:
     """What stops `agent` on `level` of a cloud with that `noise`, in which what is lower may be `hidden` [m].
 
-    Material is an obstacle if a body that reaches it, standing on the highest ground within its radius, is as tall: the
-    paper's d_g(x) ≤ h_r, made safe beside a platform. The face between two pieces of ground that are joined by a step
-    which the body takes is none. A face as wide as a cell shows a point in nearly every cell's width of its height (so
-    wide are they chosen); so material that begins no more than that over what may be hidden may go down to the ground,
-    and a body is at least as tall. Limits of the ground are obstacles where they exceed the body's.
+    Material is an obstacle if a body that reaches it is as tall, on the highest ground within its radius that it has
+    risen to: the paper's d_g(x) ≤ h_r, made safe beside a platform. The face between two pieces of ground that are
+    joined by a step which the body takes is none. A face as wide as a cell shows a point in nearly every cell's width
+    of its height (so wide are they chosen); so material that begins no more than that over what may be hidden may go
+    down to the ground, and a body is at least as tall. Limits of the ground are obstacles where they exceed the body's.
     """
     touched = _material(level, agent, noise, hidden)
     limits = level.limits
@@ -63,15 +65,62 @@ def _material(level: GroundLevel, agent: Agent, noise: float, hidden: float) -> 
     stops = between(cell, z, under(lowest - least), under(highest + tall))
     rows = np.flatnonzero(stops)
     stops[rows] = ~_is_face(level, rows, cell, agent.max_step, noise)
-    cell, z = cell[stops], z[stops]
+    rows = np.flatnonzero(stops)
+    cell, z = cell[rows], z[rows]
     # Beside a step the question is which ground the body stands on; not on what stops it wherever it stands.
     always = between(cell, z, np.full_like(lowest, -np.inf), under(lowest + tall))
     taken = np.zeros(known.shape, dtype=bool)
     taken.ravel()[cell[always]] = True
     shut = (nearest_of(taken)[0] + np.sqrt(2.0)) * surface.cell_width < agent.disc_radius
-    stands = under(highest_within(np.where(shut, -np.inf, top), disc) + tall)
-    stops[stops] = always | between(cell, z, np.full_like(stands, -np.inf), stands)
+    stops[rows] = always
+    asked = rows[~always]
+    stops[asked] = _over_head(points[asked], surface, known & ~shut, agent, tall)
     return stops
+
+
+def _over_head(points: FloatArray, surface: HeightMap, stands: BoolArray, agent: Agent, tall: float) -> BoolArray:
+    """Which points, (m, 3), a body as `tall` [m] touches that `stands` anywhere in these cells, shape (nx, ny).
+
+    On a flight it rises as its foot comes onto a tread: its centre is then half a foot's length past the nose. So where
+    a lower tread is that near, towards the point, the foot is still on that.
+    """
+    hit = np.zeros(len(points), dtype=bool)
+    stride = rings_of(STRIDE, surface.cell_width)
+    own = points, surface.arrays, stands, agent.cylinder.radius, tall, agent.max_step, stride
+    run_chunked(lambda a, b: _heads(*own, a, b, hit), len(points))
+    return hit
+
+
+@njit(cache=True, nogil=True)
+def _heads(
+    points: FloatArray,
+    ground: Cells,
+    stands: BoolArray,
+    radius: float,
+    tall: float,
+    max_step: float,
+    stride: int,
+    begin: int,
+    end: int,
+    hit: BoolArray,
+) -> None:
+    """The body stands where its cell is nearest to the point; how far the edge is, is known to half a cell."""
+    (nx, ny), width, height = stands.shape, ground.width, ground.height
+    rings = int(radius / width) + 1
+    for m in range(begin, end):
+        x, y = (points[m, 0] - ground.origin[0]) / width, (points[m, 1] - ground.origin[1]) / width
+        for i in range(max(int(x) - rings, 0), min(int(x) + rings + 1, nx)):
+            for j in range(max(int(y) - rings, 0), min(int(y) + rings + 1, ny)):
+                u, v = min(max(x, float(i)), i + 1.0), min(max(y, float(j)), j + 1.0)
+                near = np.hypot(x - u, y - v) * width
+                if hit[m] or not stands[i, j] or height[i, j] + tall <= points[m, 2] or near >= radius:
+                    continue
+                hit[m] = True
+                if np.hypot(x - i - 0.5, y - j - 0.5) * width > radius - SOLE:
+                    ahead = min(SOLE / near, 1.0)
+                    foot = height[int(u + ahead * (x - u)), int(v + ahead * (y - v))]
+                    low = height[i, j] - max_step <= foot <= points[m, 2] - tall
+                    hit[m] = not (low and is_tread(height, i, j, stride))
 
 
 def _is_face(level: GroundLevel, rows: IntArray, cell: IntArray, max_step: float, noise: float) -> BoolArray:
@@ -81,12 +130,16 @@ def _is_face(level: GroundLevel, rows: IntArray, cell: IntArray, max_step: float
     moves a point off its face by some deviations. Cells can be wider than a tread, so the upper one must be a point of
     the ground right beside; or inferred, as a tread in a shadow is, which has no scatter of its own. Ground that is no
     step over any other is no upper one: what stands on a floor is not the floor's face, however low it is.
+    On a flight, where noses and wear make treads rough, `on_treads` tells.
     """
-    surface, near = level.surface, level.surface.cell_width <= FACE
+    surface, width = level.surface, level.surface.cell_width
     known = np.where(surface.state != UNKNOWN, surface.height, np.float32(np.nan))
-    own = level.other_points, cell, level.ledge, known, surface.state == INFERRED, near, astray(surface, noise)
+    own = level.other_points, cell, level.ledge, known, surface.state == INFERRED, width <= FACE, astray(surface, noise)
     face = np.zeros(len(rows), dtype=bool)
     run_chunked(lambda a, b: _faces(rows, *own, max_step, noise, a, b, face), len(rows))
+    if max_step > ROUGH:
+        rest = rows[~face]
+        face[~face] = on_treads(level.other_points[rest, 2], cell[rest], surface, max_step)
     return face
 
 

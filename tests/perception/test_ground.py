@@ -244,6 +244,22 @@ def test_slope_of_a_ramp_is_its_angle_and_a_stair_is_flat():
     assert np.median(slope[5:-5, 5:-5]) < 0.01
 
 
+@pytest.mark.parametrize(("heights", "highest"), [((0.0, 0.22, 0.44, 0.66, 0.88), 0.22), ((0.0, 0.22, 0.44), 0.44)])
+def test_two_risers_beside_a_tread_of_one_wide_cell_are_two_steps_and_the_slanted_edge_of_a_seat_is_one(
+    heights, highest
+):
+    """Of the treads every second one shows in one cell, the others in three; the seat has one half-way up."""
+    wide = [3 if k % 2 == 0 else 1 for k in range(len(heights))]
+    height = np.repeat(heights, wide)
+    height = np.concatenate([np.full(9, height[0]), height, np.full(9, height[-1])])
+    surface = HeightMap(
+        np.zeros(2), 0.095, np.repeat(height[:, None], 12, 1).astype("f4"), np.ones((len(height), 12), "u1")
+    )
+    step, slope = step_and_slope(surface)
+    assert step.max() == pytest.approx(highest, abs=0.02)
+    assert slope.max() < 0.524
+
+
 def banks(rise, run, flat=0.5, cell=0.05):
     """Level ground and steep banks by turns, of that rise and run [m], along x."""
     x = np.arange(80) * cell

@@ -2,7 +2,71 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from gpdf_service.perception.obstacles import highest_within
+from gpdf_service.config import PerceptionConfig
+from gpdf_service.perception.footing import on_treads
+from gpdf_service.perception.levels import survey_levels
+from gpdf_service.perception.obstacles import highest_within, obstacles_of
+from gpdf_service.perception.surface import OBSERVED, UNKNOWN, HeightMap
+from gpdf_service.types import AGENTS
+
+RISE, GOING, SPACING = 0.2, 0.25, 0.025
+HUMAN = AGENTS["human"]
+
+
+def plane(x, y, z):
+    """Points on a level rectangle, every 2.5 cm."""
+    grid = np.meshgrid(np.arange(*x, SPACING) + 0.5 * SPACING, np.arange(*y, SPACING) + 0.5 * SPACING)
+    return np.column_stack([grid[0].ravel(), grid[1].ravel(), np.full(grid[0].size, z)])
+
+
+def flight(treads=10):
+    """A stair up along x, 1.5 m wide."""
+    return np.vstack([plane((GOING * k, GOING * (k + 1)), (0.0, 1.5), RISE * k) for k in range(treads)])
+
+
+def overhead(ground, slab):
+    """Points of a slab that stop a human on the `ground`."""
+    cloud = np.vstack([ground, slab])
+    level = survey_levels(cloud, np.arange(len(cloud)) < len(ground), PerceptionConfig())[0].levels[0]
+    found = obstacles_of(level, HUMAN)
+    return found.points[(found.points[:, 2] > slab[:, 2].min() - 0.01) & (found.kind == 0)]
+
+
+@pytest.mark.parametrize(("room", "stops"), [(2.08, False), (1.95, True)])
+def test_under_the_edge_of_an_upper_floor_counts_the_tread_that_the_foot_is_on(room, stops):
+    """It ends 20 cm before the next nose: over there a human of 2 m would touch it, but his foot is not there yet."""
+    slab = plane((0.3, 5 * GOING + 0.05), (0.0, 1.5), 5 * RISE + room)
+    slab = slab[slab[:, 0] > 4.5 * GOING]
+    assert (len(overhead(flight(), slab)) > 0) == stops
+
+
+def test_what_hangs_before_a_ledge_that_is_no_step_stops_who_stands_on_it():
+    ground = np.vstack([plane((0.0, 2.0), (0.0, 1.5), 0.0), plane((2.0, 4.0), (0.0, 1.5), 0.6)])
+    assert len(overhead(ground, plane((1.7, 1.8), (0.0, 1.5), 2.5))) > 0
+
+
+def treads_of(height):
+    state = np.where(np.isnan(height), UNKNOWN, OBSERVED).astype(np.uint8)
+    return HeightMap(np.zeros(2), 0.05, height.astype(np.float32), state)
+
+
+@pytest.mark.parametrize(
+    ("place", "over", "of_tread"),
+    [
+        ((22, 15), 0.06, True),  # on a tread
+        ((22, 15), 0.12, False),  # a thing on it
+        ((24, 15), 0.15, True),  # before the next riser
+        ((22, 29), 0.06, False),  # at the flight's side: its stringer
+        ((2, 15), 0.06, False),  # on the floor before it
+    ],
+)
+def test_what_is_rough_on_the_treads_of_a_flight_is_of_them(place, over, of_tread):
+    x = np.arange(50)
+    height = np.where(x < 10, 0.0, RISE * ((x - 10) // 5 + 1.0))[:, None] * np.ones(40)
+    height[:, 30:] = np.nan
+    z = np.array([height[place] + over])
+    cell = np.array([place[0] * 40 + place[1]])
+    assert on_treads(z, cell, treads_of(height), HUMAN.max_step)[0] == of_tread
 
 
 @pytest.mark.parametrize("radius", [0.0, 1.0, 4.4, 7.0, 40.0])
