@@ -41,6 +41,13 @@ def test_nobody_walks_within_half_a_stance_of_the_side_of_a_flight():
         assert (width[high] >= HALF - FOOTING - 0.7 * RISE - SPACING).all()
 
 
+def test_on_a_narrow_landing_with_open_sides_half_of_its_width_is_left_beside_one():
+    found = corridor_of_stairs()
+    landing = (along > FLIGHT.end + 1.5 * SPACING) & (along < FLIGHT.end + 2.4)
+    for width in found:
+        assert (width[landing] <= 0.5 * HALF + 0.5 * SPACING + 1e-9).all()  # an edge is told by samples
+
+
 def test_far_before_and_behind_a_flight_the_corridor_is_as_it_was():
     found = corridor_of_stairs()
     for width in found:
