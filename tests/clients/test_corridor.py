@@ -1,9 +1,24 @@
 """The corridor of stairs between two floors, against the place itself: a flight along x, 1.2 m wide, over a floor."""
 
+import dataclasses
+
 import numpy as np
 import pytest
-from gpdf_guidance.corridor import FOOTING, SPACING, WIDEST, Corridor, on_own_ground, through_gates
-from gpdf_guidance.stairs import GATE, Flight
+from gpdf_guidance.corridor import (
+    BESIDE_STAIRS,
+    FOOTING,
+    SPACING,
+    WIDEST,
+    Corridor,
+    beside_steps,
+    least_room,
+    middle_of,
+    on_own_ground,
+    scan,
+    through_gates,
+    where_there_is_room,
+)
+from gpdf_guidance.stairs import ELBOW_ROOM, GATE, Flight
 
 RISE, TREAD, EDGES, HALF = 0.17, 0.3, 3.0 + 0.3 * np.arange(8), 0.6
 FLIGHT = Flight(EDGES[0], EDGES[-1], 0.0, 0.0, RISE, (EDGES[0], 0.0), (EDGES[-1], 0.0))
@@ -68,3 +83,48 @@ def test_a_gate_stands_where_the_path_is_in_the_line_of_the_stairs(askew):
         assert (width[(along > FLIGHT.start + 0.61) & (along < FLIGHT.end - 0.61)] == WIDEST).all()
         assert (width[(along > FLIGHT.end) & (along < FLIGHT.end + 2.49)] == GATE).all()
         assert (width[along > FLIGHT.end + 2.51] == WIDEST).all()
+
+
+def test_a_wall_on_one_side_narrows_that_side_alone():
+    ground, room = np.column_stack([along, 0.0 * along, 0.0 * along]), wall_on_the_right
+    free = scan(ground, np.zeros(len(along)), room)
+    found = where_there_is_room(free, least_room(along, ground, along, room))
+    np.testing.assert_allclose(found.right, 0.5 - 0.1, atol=SPACING / 2 + 1e-9)  # an arm's room is left beside it
+    assert (found.left == WIDEST).all()
+    back = scan(ground[::-1], np.full(len(along), np.pi), room)  # the way back has it on the other side
+    np.testing.assert_allclose(where_there_is_room(back, back[:, back.shape[1] // 2]).left, found.right)
+
+
+def wall_on_the_right(places):
+    return np.maximum(places[:, 1] + 0.5, 0.0)
+
+
+@pytest.mark.parametrize("at", [2.0, 2.03, 3.0, 4.55, 5.0])
+def test_a_post_on_the_path_is_felt_at_the_sample_beside_it(at):
+    s = np.arange(2.0, 5.0 + SPACING / 2, SPACING)
+    path = np.column_stack([along, 0.0 * along, 0.0 * along])
+    found = least_room(s, path, along, lambda places: np.hypot(places[:, 0] - at, places[:, 1]))
+    exact = np.maximum(np.abs(s - at) - SPACING / 2, 0.0)
+    np.testing.assert_allclose(found, exact, atol=SPACING / 5 + 1e-9)
+
+
+def test_the_middle_is_the_least_move_that_gives_elbow_room_or_as_much_on_both_sides():
+    rng = np.random.default_rng(0)
+    left, right = rng.uniform(0.0, 0.8, (2, 200))
+    found = middle_of(Corridor(np.zeros(200), left, right))
+    moves = np.linspace(-0.8, 0.8, 3201)
+    for a, b, shift in zip(left, right, found, strict=True):
+        least = np.minimum(np.minimum(a - moves, b + moves), ELBOW_ROOM)
+        best = moves[least >= least.max() - 1e-9]
+        assert shift == pytest.approx(best[np.abs(best).argmin()], abs=1e-3)
+
+
+def test_steps_that_are_passed_are_kept_off_but_by_the_flight_that_is_climbed():
+    wide = Corridor(*(np.full(len(along), WIDEST) for _ in range(3)))
+    places = scan(np.column_stack([along, 0.0 * along, 0.0 * along]), np.zeros(len(along)), wall_on_the_right)
+    flight = dataclasses.replace(FLIGHT, start=5.0, end=5.5)
+    found = beside_steps(wide, places, along, (flight,))
+    near = (along >= 5.0 - BESIDE_STAIRS) & (along <= 5.5 + BESIDE_STAIRS)
+    assert (found.right[near] == WIDEST).all()
+    assert (found.right[~near] <= 0.5 * 0.5 + SPACING / 2).all()
+    assert (found.left == WIDEST).all()
