@@ -63,6 +63,13 @@ def test_on_a_narrow_landing_with_open_sides_half_of_its_width_is_left_beside_on
         assert (width[landing] <= 0.5 * HALF + 0.5 * SPACING + 1e-9).all()  # an edge is told by samples
 
 
+def test_a_wide_floor_before_a_flight_is_as_wide_as_it_was():
+    found = corridor_of_stairs()
+    floor = (along > 0.6) & (along < FLIGHT.start - WIDEST - SPACING)
+    for width in found:
+        assert (width[floor] == WIDEST).all()
+
+
 def test_far_before_and_behind_a_flight_the_corridor_is_as_it_was():
     found = corridor_of_stairs()
     for width in found:
