@@ -50,6 +50,10 @@ EQUAL: dict[tuple[str, str], str] = {
     (CORRIDOR, "s >= f.start - SPACING → (s > f.start - SPACING)"): "a sample at the limit to the last bit",
     (CORRIDOR, "s <= f.end + SPACING → (s < f.end + SPACING)"): "a sample at the limit to the last bit",
     (CORRIDOR, "np.minimum(*away) > least[:, None] → (np.minimum(*away) >= least[:, None])"): "the same of a height",
+    (
+        CORRIDOR,
+        "np.abs(edges[:, 2] - z) < 0.5 * step → (np.abs(edges[:, 2] - z) <= 0.5 * step)",
+    ): "the same of a height",
 }
 """Mutants that behave as what they were made of, by module and change, and why."""
 LIMIT_S = 900
