@@ -128,9 +128,10 @@ def test_the_middle_is_the_least_move_that_gives_elbow_room_or_as_much_on_both_s
 
 def test_steps_that_are_passed_are_kept_off_but_by_the_flight_that_is_climbed():
     wide = Corridor(*(np.full(len(along), WIDEST) for _ in range(3)))
-    places = scan(np.column_stack([along, 0.0 * along, 0.0 * along]), np.zeros(len(along)), wall_on_the_right)
+    ground, falls = np.column_stack([along, 0.0 * along, 0.0 * along]), np.ones((len(along), 2), dtype=bool)
+    places = scan(ground, np.zeros(len(along)), wall_on_the_right)
     flight = dataclasses.replace(FLIGHT, start=5.0, end=5.5)
-    found = beside_steps(wide, places, along, (flight,))
+    found = beside_steps(wide, places, along, ground, (flight,), falls)
     near = (along >= 5.0 - BESIDE_STAIRS) & (along <= 5.5 + BESIDE_STAIRS)
     assert (found.right[near] == WIDEST).all()
     assert (found.right[~near] <= 0.5 * 0.5 + SPACING / 2).all()
