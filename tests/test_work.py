@@ -15,7 +15,6 @@ from gpdf_service.cli.work import Work
 from gpdf_service.perception.frame import UP
 
 LIGHT = (
-    "demo",
     "plan",
     "scene build",
     "scene info",

@@ -19,6 +19,8 @@ CAMERA = np.array([0.0, -0.25, 0.55])
 """From the middle of the ground to the camera, in diagonals of the ground."""
 ASIDE = 0.12
 """[-] Of the diagonal: the camera looks this far beside the middle, so that the panel hides no ground."""
+NEARER = 0.1
+"""[-] Of the diagonal: and this much before the middle, as what is near is drawn larger."""
 SLICE_OVER_GROUND = 0.6
 """[m]"""
 BELOW, FURTHER = 0.19, 0.75
@@ -113,7 +115,7 @@ class MapControl:
         middle = 0.5 * (low + high)
         camera = self._desk.browser.camera
         narrow = min(1.0, camera.aspect)  # a phone held upright: the panel is below, and the picture has less width
-        aside = np.array([ASIDE, 0.0, 0.0]) if narrow == 1.0 else np.array([0.0, -BELOW / narrow, 0.0])
+        aside = np.array([ASIDE, -NEARER, 0.0]) if narrow == 1.0 else np.array([0.0, -BELOW / narrow, 0.0])
         target = (
             np.array([middle[0], middle[1], high[2]]) + aside * reach
         )  # the upper storey is nearest, and seen whole

@@ -1,9 +1,24 @@
 """The corridor of stairs between two floors, against the place itself: a flight along x, 1.2 m wide, over a floor."""
 
+import dataclasses
+
 import numpy as np
 import pytest
-from gpdf_guidance.corridor import FOOTING, SPACING, WIDEST, Corridor, on_own_ground, through_gates
-from gpdf_guidance.stairs import GATE, Flight
+from gpdf_guidance.corridor import (
+    BESIDE_STAIRS,
+    FOOTING,
+    SPACING,
+    WIDEST,
+    Corridor,
+    beside_steps,
+    least_room,
+    middle_of,
+    on_own_ground,
+    scan,
+    through_gates,
+    where_there_is_room,
+)
+from gpdf_guidance.stairs import ELBOW_ROOM, GATE, Flight
 
 RISE, TREAD, EDGES, HALF = 0.17, 0.3, 3.0 + 0.3 * np.arange(8), 0.6
 FLIGHT = Flight(EDGES[0], EDGES[-1], 0.0, 0.0, RISE, (EDGES[0], 0.0), (EDGES[-1], 0.0))
@@ -41,6 +56,20 @@ def test_nobody_walks_within_half_a_stance_of_the_side_of_a_flight():
         assert (width[high] >= HALF - FOOTING - 0.7 * RISE - SPACING).all()
 
 
+def test_on_a_narrow_landing_with_open_sides_half_of_its_width_is_left_beside_one():
+    found = corridor_of_stairs()
+    landing = (along > FLIGHT.end + 1.5 * SPACING) & (along < FLIGHT.end + 2.4)
+    for width in found:
+        assert (width[landing] <= 0.5 * HALF + 0.5 * SPACING + 1e-9).all()  # an edge is told by samples
+
+
+def test_a_wide_floor_before_a_flight_is_as_wide_as_it_was():
+    found = corridor_of_stairs()
+    floor = (along > 0.6) & (along < FLIGHT.start - WIDEST - SPACING)
+    for width in found:
+        assert (width[floor] == WIDEST).all()
+
+
 def test_far_before_and_behind_a_flight_the_corridor_is_as_it_was():
     found = corridor_of_stairs()
     for width in found:
@@ -61,3 +90,49 @@ def test_a_gate_stands_where_the_path_is_in_the_line_of_the_stairs(askew):
         assert (width[(along > FLIGHT.start + 0.61) & (along < FLIGHT.end - 0.61)] == WIDEST).all()
         assert (width[(along > FLIGHT.end) & (along < FLIGHT.end + 2.49)] == GATE).all()
         assert (width[along > FLIGHT.end + 2.51] == WIDEST).all()
+
+
+def test_a_wall_on_one_side_narrows_that_side_alone():
+    ground, room = np.column_stack([along, 0.0 * along, 0.0 * along]), wall_on_the_right
+    free = scan(ground, np.zeros(len(along)), room)
+    found = where_there_is_room(free, least_room(along, ground, along, room))
+    np.testing.assert_allclose(found.right, 0.5 - 0.1, atol=SPACING / 2 + 1e-9)  # an arm's room is left beside it
+    assert (found.left == WIDEST).all()
+    back = scan(ground[::-1], np.full(len(along), np.pi), room)  # the way back has it on the other side
+    np.testing.assert_allclose(where_there_is_room(back, back[:, back.shape[1] // 2]).left, found.right)
+
+
+def wall_on_the_right(places):
+    return np.maximum(places[:, 1] + 0.5, 0.0)
+
+
+@pytest.mark.parametrize("at", [2.0, 2.03, 3.0, 4.55, 5.0])
+def test_a_post_on_the_path_is_felt_at_the_sample_beside_it(at):
+    s = np.arange(2.0, 5.0 + SPACING / 2, SPACING)
+    path = np.column_stack([along, 0.0 * along, 0.0 * along])
+    found = least_room(s, path, along, lambda places: np.hypot(places[:, 0] - at, places[:, 1]))
+    exact = np.maximum(np.abs(s - at) - SPACING / 2, 0.0)
+    np.testing.assert_allclose(found, exact, atol=SPACING / 5 + 1e-9)
+
+
+def test_the_middle_is_the_least_move_that_gives_elbow_room_or_as_much_on_both_sides():
+    rng = np.random.default_rng(0)
+    left, right = rng.uniform(0.0, 0.8, (2, 200))
+    found = middle_of(Corridor(np.zeros(200), left, right))
+    moves = np.linspace(-0.8, 0.8, 3201)
+    for a, b, shift in zip(left, right, found, strict=True):
+        least = np.minimum(np.minimum(a - moves, b + moves), ELBOW_ROOM)
+        best = moves[least >= least.max() - 1e-9]
+        assert shift == pytest.approx(best[np.abs(best).argmin()], abs=1e-3)
+
+
+def test_steps_that_are_passed_are_kept_off_but_by_the_flight_that_is_climbed():
+    wide = Corridor(*(np.full(len(along), WIDEST) for _ in range(3)))
+    ground, falls = np.column_stack([along, 0.0 * along, 0.0 * along]), np.ones((len(along), 2), dtype=bool)
+    places = scan(ground, np.zeros(len(along)), wall_on_the_right)
+    flight = dataclasses.replace(FLIGHT, start=5.0, end=5.5)
+    found = beside_steps(wide, places, along, ground, (flight,), falls)
+    near = (along >= 5.0 - BESIDE_STAIRS) & (along <= 5.5 + BESIDE_STAIRS)
+    assert (found.right[near] == WIDEST).all()
+    assert (found.right[~near] <= 0.5 * 0.5 + SPACING / 2).all()
+    assert (found.left == WIDEST).all()
