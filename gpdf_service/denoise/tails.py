@@ -25,7 +25,8 @@ _FEW = 0.25
 """[-] Of the points of a cell of the surface, that a cell beside it holds at most where no surface crosses it."""
 _TAIL = 0.04
 """[-] Points around one that noise carried off a surface or past its end, over those of a disc of the surface as wide:
-two deviations past an end they are 0.02 to 0.04. Where more are, there is a thing."""
+two deviations past an end they are 0.02 to 0.04. Where more are, there is a thing. A disc of fewer than 25 points tells
+nothing: a point alone beside it may be one of a thing that is seen as sparsely."""
 
 
 def draw_back(placed: Placed, width: float, sigma: float) -> None:
@@ -61,7 +62,7 @@ def _tail_range(cells: Cells, sigma: float, begin: int, end: int, chosen: IntArr
             full, k = _nearest(cells, beside[:count], cells.places[i], max(own / _FEW, FEWEST / pi), sigma)
             if k >= 0:
                 tail = _TAIL * pi * (cells.begin[full + 1] - cells.begin[full])
-                if _company(cells, near, cells.places[i], cells.places[k]) <= max(1.0, tail):
+                if _company(cells, near, cells.places[i], cells.places[k]) <= tail:
                     chosen[cells.order[i]] = cells.order[k]
 
 
