@@ -42,6 +42,7 @@ from gpdf_service.perception import (
     levels_to_arrays,
     survey_levels,
 )
+from gpdf_service.perception.cure import NOISE_STEP
 from gpdf_service.perception.layers import in_steps
 from gpdf_service.perception.levels import LEAST_OBSTACLE
 from gpdf_service.perception.rows import chosen_rows
@@ -71,8 +72,6 @@ MAX_DRIFT = 0.05
 """[-] Share of the points that may change before spacing and noise, medians over the whole cloud, are measured anew."""
 SUNK = 2.0
 """[-] Standard deviations that noise can have sunk a point: further once in forty times."""
-NOISE_STEP = 0.001
-"""[m] Noise counts in steps, so that a cloud which changes a little is as noisy as before."""
 
 LEAST_WHOLE_SPACING = 0.05
 """[m] Of a field over a whole cloud: that of the waypoints which ask it."""

@@ -11,7 +11,7 @@ from collections import Counter
 
 import numpy as np
 
-from gpdf_service.bench.brute import BruteForce
+from gpdf_service.bench.brute import STOREY, BruteForce
 from gpdf_service.bench.curve import STEPS, draw_curve, measure_curve
 from gpdf_service.bench.judge import Judge
 from gpdf_service.bench.moving import measure_moving
@@ -148,12 +148,26 @@ def room_rows(args: argparse.Namespace, noise: float) -> list[Row]:
             brute = BruteForce(clean.points, clean.ground, AGENTS[agent], noise)
             pairs = brute.random_pairs(args.count, np.random.default_rng(seed))
             for labelled, scene in scenes.items():
-                parts.setdefault((labelled, agent), []).append(measure(scene, judge, brute, AGENTS[agent], pairs))
+                row = measure(scene, judge, brute, AGENTS[agent], pairs)
+                row["refused"] = refused_share(scene, brute, AGENTS[agent])
+                parts.setdefault((labelled, agent), []).append(row)
     return [
         {"scene": "random_rooms", "rooms": args.rooms, "noise_m": noise, "labels": labelled, "agent": agent}
         | _total(many)
         for (labelled, agent), many in parts.items()
     ]
+
+
+def refused_share(scene: Scene, brute: BruteForce, agent: Agent) -> float:
+    """Share of the places in the largest piece of the exact search's grid where the scene has no room for the body."""
+    largest = np.bincount(brute.component[brute.fits]).argmax()
+    i, j, k = np.nonzero(brute.component == largest)
+    xy, z = brute.origin + (np.column_stack([i, j]) + 0.5) * brute.cell, brute.height[i, j, k]
+    space, free = scene.free_space(agent), np.zeros(len(xy), dtype=bool)
+    for level, surface in enumerate(scene.surfaces):
+        stands = np.abs(surface.height_at(xy) - z) < 0.5 * STOREY  # NaN compares false
+        free |= stands & (space.clearance(level, xy)[0] >= space.reach)
+    return float((~free).mean())
 
 
 def _total(many: list[Row]) -> Row:
@@ -162,6 +176,7 @@ def _total(many: list[Row]) -> Row:
     made["share"] = made["ok_of_solvable"] / max(made["solvable"], 1)
     made["collisions"] = sum(row["collisions"] for row in many)
     made["deepest_m"] = max(row["deepest_m"] for row in many)
+    made["refused"] = float(np.mean([row["refused"] for row in many]))
     made["p50_ms"] = float(np.median([row["p50_ms"] for row in many]))
     return made
 

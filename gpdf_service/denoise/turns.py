@@ -18,8 +18,12 @@ from gpdf_service.types import FloatArray, IntArray
 
 _TURNS = 5
 """Of shares and planes: then few change."""
+_SETTLED = 0.02
+"""[-] Of the noise: planes that move by less in a turn are where they will be, to a tenth of their own error."""
 _NONE = 0.01
 """[-] Density of what is of none of the planes, over that on one: a point three deviations off is as likely either."""
+_NOWHERE = 4.0
+"""[-] Standard deviations beyond which a plane has no density worth a share: one point in 16 000 is further."""
 _WIDE = 1.2
 """[-] λ₂ over λ₁ that points show a direction from: those of half a window have 1.3."""
 _TURNED = 0.9
@@ -51,17 +55,20 @@ def fit_by_turns(
     """
     sums, x, place, normal = room
     kinds, (a, b, d) = len(found), centre_of(cells, c)
-    shares = np.empty(kinds)
+    shares, slants = np.empty(kinds), np.empty((kinds, kinds, 2))
     for _ in range(_TURNS):
         sums[:kinds] = known
+        _find_slants(found, ends, sigma, slants)
         for i in rows:
             x[0], x[1], x[2] = cells.places[i, 0] - a, cells.places[i, 1] - b, cells.places[i, 2] - d
             whole = _NONE
             for kind in range(kinds):
-                shares[kind] = _density(found, ends, kind, x, sigma)
+                shares[kind] = _density(found, slants, kind, x, sigma)
                 whole += shares[kind]
             for kind in range(kinds):
-                _add_share(sums[kind], shares[kind] / whole, x)
+                if shares[kind] > 0.0:
+                    _add_share(sums[kind], shares[kind] / whole, x)
+        moved = 0.0
         for kind in range(kinds):
             if sums[kind, 0] < FEWEST:
                 continue
@@ -69,11 +76,24 @@ def fit_by_turns(
             turn = normal[0] * found[kind, 0] + normal[1] * found[kind, 1] + normal[2] * found[kind, 2]
             if middle < _WIDE * low or abs(turn) < _TURNED:
                 continue
-            sign = 1.0 if turn > 0.0 else -1.0
+            sign, height = (1.0 if turn > 0.0 else -1.0), found[kind, 3]
             found[kind, 3] = 0.0
             for k in range(3):
                 found[kind, k] = sign * normal[k]
                 found[kind, 3] += sign * normal[k] * place[k]
+            moved = max(moved, abs(found[kind, 3] - height) + cells.width * sqrt(max(0.0, 2.0 - 2.0 * abs(turn))))
+        if moved < _SETTLED * sigma:
+            break
+
+
+@njit(cache=True, nogil=True)
+def _find_slants(found: FloatArray, ends: FloatArray, sigma: float, slants: FloatArray) -> None:
+    """Write for each two planes the cosine of their angle and ±1 over the error at their edge [1/m], 0 if none is."""
+    for i in range(len(found)):
+        for j in range(len(found)):
+            slant = found[i, 0] * found[j, 0] + found[i, 1] * found[j, 1] + found[i, 2] * found[j, 2]
+            slants[i, j, 0] = slant
+            slants[i, j, 1] = ends[i, j] / (sigma * sqrt(max(1.0 - slant * slant, 1e-6)))
 
 
 @njit(cache=True, nogil=True)
@@ -90,16 +110,21 @@ def sum_known(found: FloatArray, width: float, sigma: float, known: FloatArray) 
 
 
 @njit(cache=True, nogil=True)
-def _density(found: FloatArray, ends: FloatArray, i: int, x: FloatArray, sigma: float) -> float:
-    """Of plane i, as far as it goes, at x, over that on it."""
+def _density(found: FloatArray, slants: FloatArray, i: int, x: FloatArray, sigma: float) -> float:
+    """Of plane i, as far as it goes, at x, over that on it; the `slants` are from `_find_slants`."""
     off = x[0] * found[i, 0] + x[1] * found[i, 1] + x[2] * found[i, 2] - found[i, 3]
+    if abs(off) > _NOWHERE * sigma:
+        return 0.0
     density = exp(-0.5 * (off / sigma) ** 2)
     for j in range(len(found)):
-        if ends[i, j] == 0.0:
+        if slants[i, j, 1] == 0.0:
             continue
-        slant = found[i, 0] * found[j, 0] + found[i, 1] * found[j, 1] + found[i, 2] * found[j, 2]
-        inside = x[0] * found[j, 0] + x[1] * found[j, 1] + x[2] * found[j, 2] - found[j, 3] - slant * off
-        density *= 0.5 * (1.0 + erf(inside * ends[i, j] / (sigma * sqrt(2.0 * max(1.0 - slant * slant, 1e-6)))))
+        beside = x[0] * found[j, 0] + x[1] * found[j, 1] + x[2] * found[j, 2] - found[j, 3]
+        inside = (beside - slants[i, j, 0] * off) * slants[i, j, 1]
+        if inside < -_NOWHERE:
+            return 0.0
+        if inside < _NOWHERE:
+            density *= 0.5 * (1.0 + erf(inside * sqrt(0.5)))
     return density
 
 

@@ -10,11 +10,13 @@ from gpdf_service.config import PerceptionConfig
 from gpdf_service.denoise import Denoised, as_measured, denoise, estimate_noise, find_lifted, onto_risers, onto_treads
 from gpdf_service.fields import build_tree, estimate_spacing
 from gpdf_service.perception.columns import compacted
-from gpdf_service.perception.layers import columns_over
+from gpdf_service.perception.layers import columns_over, in_steps
 from gpdf_service.perception.rows import bounds_of, cells_of, chosen_rows
 from gpdf_service.perception.segment import Segmentation, first_layers, segment
 from gpdf_service.types import BoolArray, FloatArray
 
+NOISE_STEP = 0.001
+"""[m] Noise counts in steps, so that a cloud which changes a little is as noisy as before; all stages know the same."""
 _SAMPLE = 60_000
 """Points that say how noisy a cloud is: enough for a thousand neighbourhoods."""
 _SEEN, _SEEN_APART = 0.25, 0.1
@@ -97,7 +99,7 @@ def _cured(points: FloatArray, ground: BoolArray, noise: float) -> CuredGround:
     """A cloud with labels: stairs on their treads, and what is between two treads on their risers."""
     cured = denoise(points, ground, noise)
     _settle_stairs(points, ground, cured)
-    return CuredGround(cured, ground & ~cured.stray, as_it_was=False)
+    return CuredGround(_in_steps(cured), ground & ~cured.stray, as_it_was=False)
 
 
 def _found(points: FloatArray, noise: float, spacing: float, config: PerceptionConfig) -> CuredGround:
@@ -107,7 +109,12 @@ def _found(points: FloatArray, noise: float, spacing: float, config: PerceptionC
     ground[~cured.stray] = segment(kept, first_layers(kept, config), config, noise)[0]
     _settle_stairs(points, ground, cured)
     stray = cured.stray | find_lifted(cured.points, ground, noise, spacing)
-    return CuredGround(cured._replace(stray=stray), ground & ~stray, as_it_was=False)
+    return CuredGround(_in_steps(cured)._replace(stray=stray), ground & ~stray, as_it_was=False)
+
+
+def _in_steps(cured: Denoised) -> Denoised:
+    """The noise as every later stage knows it: a step that one of two takes for noise is the top of no face."""
+    return cured._replace(measured=in_steps(cured.measured, NOISE_STEP))
 
 
 def _settle_stairs(points: FloatArray, ground: BoolArray, cured: Denoised) -> None:

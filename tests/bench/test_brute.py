@@ -2,6 +2,8 @@ import numpy as np
 import pytest
 
 from gpdf_service.bench.brute import BruteForce
+from gpdf_service.bench.plan import refused_share
+from gpdf_service.pipeline import build_scene
 from gpdf_service.synthetic import SCENES, Box, World, random_room
 from gpdf_service.types import AGENTS
 
@@ -94,3 +96,16 @@ def test_where_it_lets_a_body_stand_there_truly_is_room(agent, seed):
 def test_a_lintel_is_passed_exactly_when_the_extra_room_is_over_the_head_too(room, noise, fits):
     lintel = Box((1.4, 0.0, AGENTS["pepper"].height + room), (1.6, 1.2, 1.4))
     assert solves(brute_of(World((3.0, 1.2, 1.6), (lintel,)), "pepper", noise), (0.6, 0.6), (2.4, 0.6)) == fits
+
+
+def test_a_pole_that_is_not_there_is_a_share_of_refused_places():
+    points, ground = World((3.0, 3.0, 2.4), ()).sample(0.03, np.random.default_rng(0))
+    brute, human = BruteForce(points, ground, AGENTS["human"]), AGENTS["human"]
+    pole = np.column_stack([np.full((50, 2), 1.5), np.linspace(0.3, 1.6, 50)])
+    scenes = [
+        build_scene(np.concatenate([points, p]), np.append(ground, np.zeros(len(p), bool))) for p in (pole[:0], pole)
+    ]
+    right, wrong = (refused_share(scene, brute, human) for scene in scenes)
+    side = 3.0 - 2.0 * (human.radius + brute.room)
+    assert right < 0.01
+    assert wrong == pytest.approx(np.pi * human.radius**2 / side**2, rel=0.1)
