@@ -22,7 +22,6 @@ from gpdf_service.denoise.place import Placed, place_in_cells
 from gpdf_service.denoise.planes import Planes, find_planes
 from gpdf_service.denoise.rest import EXTREME, find_alone, follow_planes, release_things, shift_rest
 from gpdf_service.denoise.rims import draw_in
-from gpdf_service.denoise.tails import draw_back
 from gpdf_service.fields.shapes import FEWEST
 from gpdf_service.fields.spacing import estimate_spacing
 from gpdf_service.types import BoolArray, FloatArray
@@ -113,7 +112,6 @@ def _denoise_part(points: FloatArray, noise: float, things: bool) -> tuple[Float
         release_things(cells, points, noise, placed)
     draw_in(cells, noise, placed)
     shift_rest(cells, noise, placed)
-    draw_back(placed, width, noise)
     left = np.where(placed.pending, placed.error, np.minimum(_BIAS * placed.error, EXTREME * noise))
     return placed.points, np.maximum(left, HIDDEN * noise), find_alone(cells, placed)
 

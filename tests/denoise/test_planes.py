@@ -86,8 +86,8 @@ def test_the_order_of_the_points_and_where_they_are_change_nothing():
     order = rng.permutation(len(points))
     one, other = denoise(points, noise=sigma), denoise(points[order] + 64.0, noise=sigma)
     assert (
-        np.quantile(np.abs(one.points[order] - (other.points - 64.0)), 0.98) < 0.3 * sigma
-    )  # the spacing's sample and the grid differ
+        np.quantile(np.abs(one.points[order] - (other.points - 64.0)), 0.99) < 0.3 * sigma
+    )  # the spacing's sample differs
 
 
 def test_a_table_is_no_larger_for_its_noise_along_it():
@@ -104,19 +104,3 @@ def test_an_outlier_of_a_wall_has_no_company_in_what_lies_on_the_wall():
     points = np.concatenate([noisy(rng, wall(rng, 0.0, (-1.0, 1.0), (-1.0, 1.0)), sigma), [[5.0 * sigma, 0.0, 0.0]]])
     made = denoise(points, noise=sigma)
     assert made.stray[-1]
-
-
-def test_what_noise_carried_past_the_rim_of_a_board_goes_back_and_a_rod_beside_the_rim_does_not():
-    sigma, carried, left = 0.05, 0, 0
-    for seed in (8, 9, 10):
-        rng = np.random.default_rng(seed)
-        board = [sheet(rng, (-0.6, 0.6), (-0.4, 0.4), z) for z in (0.71, 0.74) for _ in range(4)]
-        rod = np.column_stack([np.full(200, 0.6 + 4.0 * sigma), np.zeros(200), rng.uniform(0.3, 1.1, 200)])
-        points = noisy(rng, np.concatenate([*board, rod]), sigma)
-        made, top = denoise(points, noise=sigma), np.arange(len(points)) < len(points) - len(rod)
-        before, past = (np.maximum(np.abs(p[top, 0]) - 0.6, np.abs(p[top, 1]) - 0.4) for p in (points, made.points))
-        carried += np.count_nonzero(before > 1.5 * sigma)
-        left += np.count_nonzero((past > 1.5 * sigma) & ~made.stray[top])
-        assert (np.abs(made.points[~top, 0] - rod[:, 0]) < 2.0 * sigma).mean() > 0.9
-    assert carried > 100
-    assert left < 0.1 * carried
