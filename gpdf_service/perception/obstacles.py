@@ -116,7 +116,7 @@ def _heads(
                 if hit[m] or not stands[i, j] or height[i, j] + tall <= points[m, 2] or near >= radius:
                     continue
                 hit[m] = True
-                if np.hypot(x - i - 0.5, y - j - 0.5) * width > radius - SOLE:
+                if near > 0.0 and np.hypot(x - i - 0.5, y - j - 0.5) * width > radius - SOLE:
                     ahead = min(SOLE / near, 1.0)
                     foot = height[int(u + ahead * (x - u)), int(v + ahead * (y - v))]
                     low = height[i, j] - max_step <= foot <= points[m, 2] - tall
