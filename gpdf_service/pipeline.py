@@ -16,7 +16,6 @@ from gpdf_service.baselines import plan_baseline
 from gpdf_service.config import Config
 from gpdf_service.errors import ConfigError, RequestError
 from gpdf_service.perception import check_labels, check_origins, check_points
-from gpdf_service.perception.footing import ROUGH
 from gpdf_service.planning import plan_path
 from gpdf_service.scene import Progress as Progress
 from gpdf_service.scene import Scene, assemble_scene
@@ -28,8 +27,6 @@ Place = Sequence[float] | FloatArray
 """(x, y), or (x, y, z of the ground there) [m]."""
 MOST_PLACES = 100
 """Via points, and other goals, of one request: each costs a search."""
-FLIGHT_STEPS = 2
-"""Steps from which a way may be over a flight."""
 MOST_ALTERNATIVES = 9
 """Ways of one request beside the best: more than anybody chooses among, and each costs a plan."""
 
@@ -136,13 +133,9 @@ def plan(
 
 
 def _with_hidden_height(result: PlanResult, height: float) -> PlanResult:
-    """The result whose certificates say how high things may be that nobody can see in this scene [m].
-
-    On a flight what is no higher than a worn tread is rough counts as the tread, whatever it is.
-    """
+    """The result whose certificates say how high things may be that nobody can see in this scene [m]."""
     others = tuple(_with_hidden_height(other, height) for other in result.alternatives)
-    unseen = max(height, ROUGH) if result.details.get("steps", 0.0) >= FLIGHT_STEPS else height
-    proof = None if result.certificate is None else replace(result.certificate, hidden_height=unseen)
+    proof = None if result.certificate is None else replace(result.certificate, hidden_height=height)
     return replace(result, certificate=proof, alternatives=others)
 
 

@@ -8,7 +8,6 @@ from gpdf_service.bench.judge import Judge
 from gpdf_service.bench.plan import random_places
 from gpdf_service.config import PerceptionConfig
 from gpdf_service.perception.cure import cure_and_segment
-from gpdf_service.perception.footing import ROUGH
 from gpdf_service.synthetic import SCENES
 from gpdf_service.synthetic.world import Box, World
 
@@ -167,14 +166,3 @@ def test_all_stages_are_told_the_same_noise():
     points = np.column_stack([rng.uniform(0.0, 3.0, (20_000, 2)), np.zeros(20_000)])
     points += rng.normal(0.0, 0.0204, points.shape)
     assert cure_and_segment(points, None, PerceptionConfig()).cured.measured == gpdf.build_scene(points).noise
-
-
-def test_what_wear_can_hide_on_a_flight_is_said():
-    stair, office = (SCENES[name](np.random.default_rng(0)) for name in ("stair", "office"))
-    up, level = (gpdf.build_scene(made.points, made.ground) for made in (stair, office))
-    climbed = gpdf.plan(up, stair.start, stair.goal)
-    assert climbed.details["steps"] >= 2
-    assert climbed.certificate.hidden_height == ROUGH > up.hidden_height
-    walked = gpdf.plan(level, (1.0, 1.0), (1.6, 1.0))
-    assert walked.details["steps"] == 0
-    assert walked.certificate.hidden_height == level.hidden_height
