@@ -90,3 +90,12 @@ def _cells(places: FloatArray) -> IntArray:
         for k in range(dim):
             cell[i, k] = min(int((places[i, k] - low[k]) * scale), (1 << _BITS) - 1)
     return cell
+
+
+@njit(cache=True, nogil=True)
+def is_before(points: FloatArray, one: int, other: int) -> bool:
+    """Whether a row of points (n, dim) is less than another one in x, then y, z."""
+    for k in range(points.shape[1]):
+        if points[one, k] != points[other, k]:
+            return bool(points[one, k] < points[other, k])
+    return False

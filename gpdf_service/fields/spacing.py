@@ -10,7 +10,7 @@ from numba import njit
 
 from gpdf_service.fields.edge import EDGE, fit_pair, nearest_half
 from gpdf_service.fields.heights import Sums, make_sums, quadric_rest
-from gpdf_service.fields.order import corners_of, order_by
+from gpdf_service.fields.order import corners_of, is_before, order_by
 from gpdf_service.fields.shapes import MOST, add, fit_axis, fit_plane, gather
 from gpdf_service.fields.threads import run_chunked
 from gpdf_service.fields.tree import Tree, build_tree, from_root, make_look, make_scratch, next_leaf, place_of
@@ -181,14 +181,6 @@ _ROUNDING = 1e-6
 
 
 @njit(cache=True, nogil=True)
-def _is_before(points: FloatArray, one: int, other: int) -> bool:
-    for k in range(points.shape[1]):
-        if points[one, k] != points[other, k]:
-            return bool(points[one, k] < points[other, k])
-    return False
-
-
-@njit(cache=True, nogil=True)
 def _nearest_to_means(points: FloatArray, flat: IntArray, order: IntArray) -> IntArray:
     """The row nearest to the mean of each run of equal cells in `order`, which keeps that of the rows within a cell.
 
@@ -212,7 +204,7 @@ def _nearest_to_means(points: FloatArray, flat: IntArray, order: IntArray) -> In
             for k in range(dim):
                 off += (points[row, k] - mean[k] / len(rows)) ** 2
             if off < (1.0 - _ROUNDING) * best or (
-                off <= (1.0 + _ROUNDING) * best and _is_before(points, row, found[used])
+                off <= (1.0 + _ROUNDING) * best and is_before(points, row, found[used])
             ):
                 best, found[used] = off, row
         used, begin = used + 1, end
