@@ -28,8 +28,10 @@ from gpdf_service.perception import (
     Levels,
     Perceived,
     Rays,
+    Scan,
     Touched,
     WholeError,
+    are_voxels,
     change,
     changed_cells,
     check_finite,
@@ -253,6 +255,11 @@ class Scene:
         least, lifted = (LEAST_OBSTACLE, 1.0) if self.labelled else (LEAST_SCATTER, FAR)
         return max(least, (lifted + SUNK) * self.noise)
 
+    @cached_property
+    def scan(self) -> Scan:
+        """What obstacles need to know of the cloud."""
+        return Scan(self.noise, self.hidden_height, are_voxels(self.points[:, 2]))
+
     @property
     def ground_field(self) -> GroundField:
         """Distance to the ground, in 3D."""
@@ -313,15 +320,14 @@ class Scene:
         config = self.config.search, self.config.fields
         if (stored := self._stored.get(body)) is not None:
             return from_arrays(stored(), body, *parts, self.config.search, self.noise)
-        hidden = self.hidden_height
         if self._standing is not None:
             stands = self._standing.free_space(body)
-            return add_moving(stands, self.levels, self.moving, *config, noise=self.noise, hidden=hidden)
+            return add_moving(stands, self.levels, self.moving, *config, self.scan)
         former = self._former.get(body)
         if former is not None:
             space, touched = former
-            return change_free_space(space, *parts, touched, *config, noise=self.noise, hidden=hidden)
-        return build_free_space(*parts, body, *config, noise=self.noise, hidden=hidden)
+            return change_free_space(space, *parts, touched, *config, self.scan)
+        return build_free_space(*parts, body, *config, self.scan)
 
     def _spaces_before(self, touched: Touched) -> dict[Agent, tuple[FreeSpace, Touched]]:
         """For each body the free space that the next version's is made from, and what was touched since."""
@@ -422,7 +428,8 @@ class Scene:
         progress("ready", 1.0)
         known = self.version + 1, self.noise, self.labelled
         scene = Scene(cloud, now.ground, now.levels, fields, self.config, *known, now, drift)
-        scene._former = self._spaces_before(now.touched)
+        if scene.scan == self.scan:  # else all that stops a body may be another
+            scene._former = self._spaces_before(now.touched)
         return scene
 
     def _rays_of(self, fresh: FloatArray, origins: ArrayLike | None, keep: BoolArray, cloud: FloatArray) -> Rays | None:

@@ -15,7 +15,10 @@ from gpdf_service.perception.levels import count_undecided as count_undecided
 from gpdf_service.perception.levels import survey_levels as survey_levels
 from gpdf_service.perception.limits import GroundLimits as GroundLimits
 from gpdf_service.perception.limits import ObstacleKind as ObstacleKind
+from gpdf_service.perception.obstacles import CLEAN as CLEAN
 from gpdf_service.perception.obstacles import Obstacles as Obstacles
+from gpdf_service.perception.obstacles import Scan as Scan
+from gpdf_service.perception.obstacles import are_voxels as are_voxels
 from gpdf_service.perception.obstacles import obstacles_of as obstacles_of
 from gpdf_service.perception.rays import Rays as Rays
 from gpdf_service.perception.rays import check_origins as check_origins

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
@@ -32,8 +33,26 @@ class Obstacles:
     kind: NDArray[np.uint8]
 
 
-def obstacles_of(level: GroundLevel, agent: Agent, noise: float = 0.0, hidden: float = 0.0) -> Obstacles:
-    """What stops `agent` on `level` of a cloud with that `noise`, in which what is lower may be `hidden` [m].
+class Scan(NamedTuple):
+    """What obstacles need to know of the cloud.
+
+    Attributes:
+        noise: Standard deviation of its points [m].
+        hidden: What is lower may stand on the ground unseen [m].
+        voxels: Whether its points are centres of voxels: `are_voxels`.
+    """
+
+    noise: float = 0.0
+    hidden: float = 0.0
+    voxels: bool = False
+
+
+CLEAN = Scan()
+"""A cloud of a perfect scanner."""
+
+
+def obstacles_of(level: GroundLevel, agent: Agent, scan: Scan = CLEAN) -> Obstacles:
+    """What stops `agent` on `level` of a cloud from such a `scan`.
 
     Material is an obstacle if a body that reaches it is as tall, on the highest ground within its radius that it has
     risen to: the paper's d_g(x) ≤ h_r, made safe beside a platform. The face between two pieces of ground that are
@@ -41,7 +60,7 @@ def obstacles_of(level: GroundLevel, agent: Agent, noise: float = 0.0, hidden: f
     of its height (so wide are they chosen); so material that begins no more than that over what may be hidden may go
     down to the ground, and a body is at least as tall. Limits of the ground are obstacles where they exceed the body's.
     """
-    touched = _material(level, agent, noise, hidden)
+    touched = _material(level, agent, scan)
     limits = level.limits
     reach = np.array([0.0, agent.max_step, agent.max_slope, -np.inf])[limits.kind]
     stops = limits.value > reach
@@ -51,20 +70,20 @@ def obstacles_of(level: GroundLevel, agent: Agent, noise: float = 0.0, hidden: f
     return Obstacles(points, kind)
 
 
-def _material(level: GroundLevel, agent: Agent, noise: float, hidden: float) -> BoolArray:
+def _material(level: GroundLevel, agent: Agent, scan: Scan) -> BoolArray:
     """Which of the other points of the level stop the `agent`, shape (m,); see `obstacles_of`."""
-    surface, points = level.surface, level.other_points
+    surface, points, noise = level.surface, level.other_points, scan.noise
     least = max(LEAST_OBSTACLE, _SURELY * noise)
     known = surface.state != UNKNOWN
     top = np.where(known, surface.height, -np.inf)
     bottom = np.where(known, surface.height, np.inf)
     disc = _disc(agent.cylinder.radius + surface.cell_width, surface)
-    tall = max((1.0 - HEADROOM_SHARE) * agent.height + noise, hidden + surface.cell_width)
+    tall = max((1.0 - HEADROOM_SHARE) * agent.height + noise, scan.hidden + surface.cell_width)
     highest, lowest = run_parallel(lambda heights: highest_within(heights, disc), (top, -bottom))
     lowest, cell, z = -lowest, cells_within(points, surface), points[:, 2]
     stops = between(cell, z, under(lowest - least), under(highest + tall))
     rows = np.flatnonzero(stops)
-    stops[rows] = ~_is_face(level, rows, cell, agent.max_step, noise)
+    stops[rows] = ~_is_face(level, rows, cell, agent.max_step, scan)
     rows = np.flatnonzero(stops)
     cell, z = cell[rows], z[rows]
     # Beside a step the question is which ground the body stands on; not on what stops it wherever it stands.
@@ -123,18 +142,20 @@ def _heads(
                     hit[m] = not (low and is_tread(height, i, j, stride))
 
 
-def _is_face(level: GroundLevel, rows: IntArray, cell: IntArray, max_step: float, noise: float) -> BoolArray:
+def _is_face(level: GroundLevel, rows: IntArray, cell: IntArray, max_step: float, scan: Scan) -> BoolArray:
     """Which points in these `rows` belong to the ground: its scatter, or the face of a step that the body takes.
 
     A face lies between two pieces of ground, the upper one beside it and no lower than it, the lower one not far: noise
     moves a point off its face by some deviations. Cells can be wider than a tread, so the upper one must be a point of
     the ground right beside; or inferred, as a tread in a shadow is, which has no scatter of its own. Ground that is no
     step over any other is no upper one: what stands on a floor is not the floor's face, however low it is.
+    Where points are centres of voxels, one that is as high as the ground in a cell beside is of that ground.
     On a flight, where noses and wear make treads rough, `on_treads` tells.
     """
-    surface, width = level.surface, level.surface.cell_width
+    surface, width, noise = level.surface, level.surface.cell_width, scan.noise
     known = np.where(surface.state != UNKNOWN, surface.height, np.float32(np.nan))
-    own = level.other_points, cell, level.ledge, known, surface.state == INFERRED, width <= FACE, astray(surface, noise)
+    told = surface.state == INFERRED, width <= FACE, astray(surface, noise), scan.voxels
+    own = level.other_points, cell, level.ledge, known, *told
     face = np.zeros(len(rows), dtype=bool)
     run_chunked(lambda a, b: _faces(rows, *own, max_step, noise, a, b, face), len(rows))
     if max_step > ROUGH:
@@ -153,6 +174,7 @@ def _faces(
     inferred: BoolArray,
     near: bool,
     rings: int,
+    voxels: bool,
     max_step: float,
     noise: float,
     begin: int,
@@ -181,7 +203,10 @@ def _faces(
                 if beside < lowest:
                     lowest = beside
                 own = near or (i == x and j == y)
-                if inferred[i, j] and own and max(z - noise, under + step) <= beside < ledge:
+                told = (inferred[i, j] and own and z - noise <= beside) or (
+                    voxels and abs(z - beside) <= LEAST_OBSTACLE
+                )
+                if told and under + step <= beside < ledge:
                     ledge = beside
         for i in range(left, right):
             for j in range(front, back):
@@ -190,6 +215,27 @@ def _faces(
                     foot = height
         scatter = step if over - under > step else LEAST_OBSTACLE - _SURELY * noise
         face[m] = ledge <= foot + max_step or (np.isfinite(lowest) and z <= lowest + scatter)
+
+
+def are_voxels(z: FloatArray) -> bool:
+    """Whether heights, shape (n,) [m], are those of voxels that are larger than what stops no body.
+
+    Then all lie on rungs, and two surfaces that differ by less than a voxel are as high, or a whole voxel apart.
+    """
+    for part in (z[:: max(1, len(z) // _FIRST)], z):  # nearly always the first look tells
+        between = np.diff(np.unique(np.round(part, 4)))
+        if not len(between) or between.min() <= 2.0 * LEAST_OBSTACLE:
+            return False
+        off = between / between.min()
+        if (np.abs(off - np.round(off)) > _ROUNDED).any():
+            return False
+    return True
+
+
+_FIRST = 1000
+"""Heights that are looked at first."""
+_ROUNDED = 0.01
+"""[-] Of a voxel: what single precision and a turn make of its centre."""
 
 
 def _disc(radius: float, surface: HeightMap) -> BoolArray:

@@ -11,7 +11,7 @@ from numba import njit
 from gpdf_service.config import FieldConfig, SearchConfig
 from gpdf_service.fields import Gpdf, Tree, build_tree, change_tree, thin
 from gpdf_service.fields.threads import run_beside, run_parallel
-from gpdf_service.perception import GroundLevel, GroundLimits, HeightMap, Levels, Obstacles, obstacles_of
+from gpdf_service.perception import CLEAN, GroundLevel, GroundLimits, HeightMap, Levels, Obstacles, Scan, obstacles_of
 from gpdf_service.perception.boxes import widened, window
 from gpdf_service.perception.change import hashed
 from gpdf_service.perception.rows import bounds_of, chosen_rows, more_now, rows_in_cells, taken
@@ -36,9 +36,7 @@ def change_free_space(
     touched: Sequence[BoolArray | None],
     config: SearchConfig,
     field_config: FieldConfig,
-    *,
-    noise: float = 0.0,
-    hidden: float = 0.0,
+    scan: Scan = CLEAN,
 ) -> FreeSpace:
     """The free space that `build_free_space` makes, from the one before.
 
@@ -49,8 +47,7 @@ def change_free_space(
         touched: The cells of each level in which anything is another than before; None where nothing is.
         config: Margins.
         field_config: Of the Obstacle GPDFs.
-        noise: Of the cloud [m].
-        hidden: What may stand on its ground unseen [m].
+        scan: Of the cloud.
     """
 
     def one(i: int) -> LevelSpace:
@@ -65,10 +62,10 @@ def change_free_space(
             old.quadtrees[i].standing,
             old.edges[i],
         )
-        return was if cells is None else _change_level(was, level, cells, old, config, field_config, noise, hidden)
+        return was if cells is None else _change_level(was, level, cells, old, config, field_config, scan)
 
     made = run_parallel(one, range(len(touched)))
-    return join_levels(old.agent, *reach_of(old.agent, config, noise), made, levels)
+    return join_levels(old.agent, *reach_of(old.agent, config, scan.noise), made, levels)
 
 
 def _change_level(
@@ -78,14 +75,13 @@ def _change_level(
     old: FreeSpace,
     config: SearchConfig,
     field_config: FieldConfig,
-    noise: float,
-    hidden: float,
+    scan: Scan,
 ) -> LevelSpace:
     surface, agent, radius = level.surface, old.agent, old.radius
     # What stands on the ground is judged by the ground within a radius, what shuts that off, and the ground there.
     reach = int(np.ceil(3.0 * agent.disc_radius / surface.cell_width)) + 6
     region = widened(touched, reach)
-    found = obstacles_of(_part(level, region, reach), agent, noise, hidden)
+    found = obstacles_of(_part(level, region, reach), agent, scan)
     inside, lost = (rows_in_cells(each.points, *_grid(surface), region) for each in (found, was.obstacles))
     both = np.concatenate([_rows(was.obstacles, lost), _rows(found, inside)])
     other = more_now(hashed(both), len(lost)) != 0

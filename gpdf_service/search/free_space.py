@@ -14,7 +14,7 @@ from gpdf_service.fields import Gpdf, Nearer, Tree, build_tree, fit_gpdf
 from gpdf_service.fields.nearer import EMPTY
 from gpdf_service.fields.threads import run_beside, run_parallel
 from gpdf_service.fields.traversal import NearerArrays, nearest_only
-from gpdf_service.perception import GroundLevel, HeightMap, Levels, Obstacles, obstacles_of
+from gpdf_service.perception import CLEAN, GroundLevel, HeightMap, Levels, Obstacles, Scan, obstacles_of
 from gpdf_service.perception.limits import Measured
 from gpdf_service.perception.surface import UNKNOWN
 from gpdf_service.search.core import Core, find_core
@@ -119,18 +119,13 @@ def build_free_space(
     agent: Agent,
     config: SearchConfig,
     field_config: FieldConfig,
-    *,
-    noise: float = 0.0,
-    hidden: float = 0.0,
+    scan: Scan = CLEAN,
 ) -> FreeSpace:
-    """Find what stops the body, fit its Obstacle GPDFs, build quadtrees and graph.
-
-    `noise` is the cloud's, `hidden` what may stand on its ground unseen [m].
-    """
-    reach, radius = reach_of(agent, config, noise)
+    """Find what stops the body, fit its Obstacle GPDFs, build quadtrees and graph."""
+    reach, radius = reach_of(agent, config, scan.noise)
 
     def one(level: GroundLevel, ground_field: Gpdf) -> LevelSpace:
-        obstacles = obstacles_of(level, agent, noise, hidden)
+        obstacles = obstacles_of(level, agent, scan)
         (tree, quadtree, edges), field = run_beside(
             partial(_leaves_and_edges, obstacles, level.surface, radius),
             partial(fit_obstacle_field, obstacles, level.surface, agent, config, field_config),

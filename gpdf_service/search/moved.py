@@ -12,7 +12,7 @@ from scipy import ndimage
 from gpdf_service.config import FieldConfig, SearchConfig
 from gpdf_service.fields import Nearer, build_tree, change_tree
 from gpdf_service.fields.traversal import NearerArrays, nearest_only
-from gpdf_service.perception import GroundLevel, GroundLimits, Levels, Obstacles, obstacles_of
+from gpdf_service.perception import CLEAN, GroundLevel, GroundLimits, Levels, Obstacles, Scan, obstacles_of
 from gpdf_service.perception.boxes import Box
 from gpdf_service.perception.levels import within_reach
 from gpdf_service.perception.sheets import OVERLAP
@@ -34,9 +34,7 @@ def add_moving(
     points: FloatArray,
     config: SearchConfig,
     field_config: FieldConfig,
-    *,
-    noise: float = 0.0,
-    hidden: float = 0.0,
+    scan: Scan = CLEAN,
 ) -> FreeSpace:
     """The free space with more points (k, 3) [m] in it, in time by what they touch.
 
@@ -46,10 +44,9 @@ def add_moving(
         points: What moves.
         config: Margins.
         field_config: Of the Obstacle GPDFs.
-        noise: Of the cloud [m].
-        hidden: What may stand on its ground unseen [m].
+        scan: Of the cloud of what stands.
     """
-    found = [stopping(level, points, space.agent, noise, hidden) for level in levels.levels]
+    found = [stopping(level, points, space.agent, scan._replace(voxels=False)) for level in levels.levels]
     places, fields, exact = list(space.trees), list(space.obstacle_fields), list(space.exact_fields)
     trees = list(space.quadtrees)
     start = len(space.graph.position)
@@ -98,7 +95,7 @@ def settled(space: FreeSpace, levels: Levels) -> FreeSpace:
     return replace(space, quadtrees=trees, edges=tuple(edges), offsets=offsets, graph=graph, core=core)
 
 
-def stopping(level: GroundLevel, points: FloatArray, agent: Agent, noise: float, hidden: float) -> Obstacles:
+def stopping(level: GroundLevel, points: FloatArray, agent: Agent, scan: Scan) -> Obstacles:
     """Which of the moving points, shape (k, 3) [m], stop the body on a level: as if nothing stood there beside them.
 
     What stands can shut a higher piece of ground off, from which alone the body would touch a point: then such a point
@@ -112,7 +109,7 @@ def stopping(level: GroundLevel, points: FloatArray, agent: Agent, noise: float,
         near = within_reach(points[rows], surface, _box(cells[rows], int(np.ceil(OVERLAP / surface.cell_width))))
         if len(near):
             part = _part(level, near, _box(cells[rows], reach))
-            found = joined(found, obstacles_of(part, agent, noise, hidden))
+            found = joined(found, obstacles_of(part, agent, scan))
     return found
 
 

@@ -5,7 +5,7 @@ from scipy import ndimage
 from gpdf_service import build_scene, plan
 from gpdf_service.config import PerceptionConfig
 from gpdf_service.errors import NoGroundError
-from gpdf_service.perception import ObstacleKind, obstacles_of, read_cloud, segment_ground
+from gpdf_service.perception import ObstacleKind, Scan, obstacles_of, read_cloud, segment_ground
 from gpdf_service.perception.holes import without_enclosed
 from gpdf_service.perception.levels import find_ledges, next_above, survey_levels, without_outliers
 from gpdf_service.perception.limits import step_and_slope
@@ -413,7 +413,7 @@ def test_what_is_labelled_as_no_ground_is_no_noise_of_the_floor_however_low_it_i
     far_below = np.array([[2.0, 2.0, -3.0 * noise]])
     cloud = np.concatenate([floor, things, far_below])
     level = survey_levels(cloud, np.arange(len(cloud)) < len(floor), CONFIG, noise=noise)[0].levels[0]
-    found = obstacles_of(level, AGENTS["human"], noise)
+    found = obstacles_of(level, AGENTS["human"], Scan(noise))
     material = found.points[found.kind == ObstacleKind.MATERIAL]
     assert sorted(material[:, 0]) == pytest.approx([1.0, 2.0, 3.0])
     assert not (np.abs(material[:, 1] - 2.0) < 0.1).any()

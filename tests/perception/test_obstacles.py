@@ -2,11 +2,15 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
+from gpdf_service import build_scene
+from gpdf_service.bench.build_changes import differences, from_scratch
 from gpdf_service.config import PerceptionConfig
 from gpdf_service.perception.footing import on_treads
 from gpdf_service.perception.levels import survey_levels
-from gpdf_service.perception.obstacles import highest_within, obstacles_of
+from gpdf_service.perception.limits import ObstacleKind
+from gpdf_service.perception.obstacles import are_voxels, highest_within, obstacles_of
 from gpdf_service.perception.surface import OBSERVED, UNKNOWN, HeightMap
+from gpdf_service.synthetic.solids import turn_and_shift
 from gpdf_service.types import AGENTS
 
 RISE, GOING, SPACING = 0.2, 0.25, 0.025
@@ -83,3 +87,39 @@ def test_the_highest_in_a_disc_is_that_of_a_filter_over_its_area(radius, shape):
     # scipy's default mode reflects wrongly at a map that is much narrower than the disc
     expected = ndimage.maximum_filter(heights, footprint=disc, mode="constant", cval=-np.inf)
     np.testing.assert_array_equal(found, expected)
+
+
+@pytest.mark.parametrize("turn", np.arange(0.2, 1.3, 0.1))
+def test_a_ramp_of_wide_voxels_is_no_row_of_things(turn):
+    x, y = (each.ravel() for each in np.meshgrid(np.arange(0, 12, 0.03), np.arange(0, 4, 0.03), indexing="ij"))
+    ramp = np.column_stack([x, y, np.clip(0.2 * (x - 4.0), 0.0, 0.8)]) @ turn_and_shift(turn)[:3, :3].T
+    scene = build_scene(0.2 * np.unique(np.round(ramp / 0.2).astype(int), axis=0))
+    assert all(not (stops.kind == ObstacleKind.MATERIAL).any() for stops in scene.free_space("spot").obstacles)
+
+
+@pytest.mark.parametrize(
+    ("heights", "voxels"),
+    [
+        ([0.2, 0.4, 0.4, 1.0], True),
+        (np.float32([7.0, 7.2, 7.6]).astype(float), True),
+        ([0.01, 0.02, 0.05], False),  # nothing that stops a body is lost in so small ones
+        ([0.2, 0.4, 0.73], False),
+        ([0.2, 0.2], False),
+        ([], False),
+    ],
+)
+def test_voxels_are_told_by_their_rungs(heights, voxels):
+    assert are_voxels(np.array(heights, dtype=float)) == voxels
+
+
+def test_a_change_of_voxels_into_points_changes_what_stops_a_body_as_a_build_does():
+    x, y = (each.ravel() for each in np.meshgrid(np.arange(0, 12, 0.03), np.arange(0, 4, 0.03), indexing="ij"))
+    ramp = np.column_stack([x, y, np.clip(0.2 * (x - 4.0), 0.0, 0.8)]) @ turn_and_shift(0.9)[:3, :3].T
+    before = build_scene(0.2 * np.unique(np.round(ramp / 0.2).astype(int), axis=0))
+    before.free_space("spot")
+    middle = np.median(before.points, axis=0)
+    after = before.update(insert=middle + np.array([[0.0, 0.0, 0.93], [0.0, 0.01, 0.97], [0.01, 0.0, 0.95]]))
+    anew = from_scratch(after)
+    assert not differences(after, anew)
+    stops = [scene.free_space("spot").obstacles[0].points for scene in (before, after, anew)]
+    assert len(stops[1]) == len(stops[2]) > len(stops[0]) + 3
