@@ -9,11 +9,12 @@ from pathlib import Path
 
 import numpy as np
 
-from gpdf_service.bench.ablation import ablation
 from gpdf_service.bench.hard_clouds import TURNS, hall_rows, spiral_rows
 from gpdf_service.bench.houses import house_rows
 from gpdf_service.bench.places import island_rows, land_rows
 from gpdf_service.bench.report import Row, show
+from gpdf_service.bench.rules import RULES, rule_rows
+from gpdf_service.errors import RequestError
 from gpdf_service.perception import read_cloud, segment_ground
 from gpdf_service.synthetic import SCANNERS, SCENES, SyntheticScene, ramp, random_room
 from gpdf_service.types import BoolArray, FloatArray
@@ -39,7 +40,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument(
-        "--ablation", action="store_true", help="what the cure of noise and the filling of holes change, in scans"
+        "--ablation",
+        nargs="*",
+        metavar="RULE",
+        help="each rule switched off by itself, or those that are named: which numbers it moves",
     )
     parser.add_argument(
         "--rows",
@@ -54,10 +58,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Measure labelled clouds, then synthetic scenes at every noise; or what parts of the build change."""
-    if args.ablation:
-        show(
-            [row for noise in args.noise or [0.0, 0.02, 0.05] for row in ablation(args.seed, noise)], as_json=args.json
-        )
+    if args.ablation is not None:
+        rules = args.ablation or list(RULES)
+        if unknown := [rule for rule in rules if rule not in RULES]:
+            raise RequestError("--ablation", f"{unknown[0]!r}", f"Rules: {', '.join(RULES)}.")
+        show(list(rule_rows(args.data, args.seed, args.count or 2, rules)), as_json=args.json)
         return 0
     if args.rows:
         names = ROWS if "all" in args.rows else args.rows

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -40,17 +40,18 @@ DECK = 500
 """Places: a component of fewer is no deck."""
 
 
-def hall_rows(folder: Path, turns: int, seed: int) -> Iterator[Row]:
+def hall_rows(folder: Path, turns: int, seed: int, widths: Sequence[float] = WIDTHS) -> Iterator[Row]:
     """For each width: of so many angles, in how many a human gets up and down; with the flight cut, in how many yet.
 
     Args:
         folder: Where the clouds are.
         turns: Angles, at most.
         seed: Of the thinning.
+        widths: Voxels to which it is thinned [m].
     """
     points = read_cloud(folder / HALL).points
     cut = ~((points >= FLIGHT[0]) & (points <= FLIGHT[1])).all(axis=1)
-    for width in WIDTHS:
+    for width in widths:
         row: Row = {"row": "hall", "width_m": width, "turns": turns, "up": 0, "down": 0, "cut_joined": 0}
         spent = []
         for turn in range(turns):
@@ -87,13 +88,13 @@ def _gets(scene: Scene, start: FloatArray, goal: FloatArray) -> bool:
     return plan(scene, start, goal, "human", snap=NEAR).status is Status.OK
 
 
-def spiral_rows(folder: Path, count: int, seed: int) -> Iterator[Row]:
+def spiral_rows(folder: Path, count: int, seed: int, bodies: Sequence[Agent] = SPIRAL_BODIES) -> Iterator[Row]:
     """For each body the published query, then random pairs on decks and ramps that a search over columns joins."""
     points = read_cloud(folder / SPIRAL).points
     began = time.process_time()
     scene = build_scene(points)
     built = time.process_time() - began
-    for body in SPIRAL_BODIES:
+    for body in bodies:
         search = ColumnSearch(points, body, SPIRAL_CELL)
         row: Row = {"row": "spiral", "agent": body.name, "points": len(points), "build_s": built}
         began = time.process_time()

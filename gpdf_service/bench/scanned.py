@@ -1,20 +1,12 @@
-"""What the cure of noise and the filling of holes change: scenes with known truth, scanned, built with and without."""
+"""Scenes with known truth as a scanner sees them, and what a build of them is worth."""
 
 from __future__ import annotations
-
-from collections.abc import Iterator
-from dataclasses import replace
 
 import numpy as np
 
 from gpdf_service.bench.report import Row
-from gpdf_service.config import Config, PerceptionConfig
-from gpdf_service.perception.levels import GroundLevel, Levels, guard_edges, in_cells
-from gpdf_service.perception.limits import find_limits, step_and_slope
-from gpdf_service.perception.surface import INFERRED, UNKNOWN
-from gpdf_service.pipeline import build_scene
 from gpdf_service.scene import Scene
-from gpdf_service.synthetic import SCENES, SyntheticScene, ramp, random_room
+from gpdf_service.synthetic import SyntheticScene
 from gpdf_service.types import AGENTS, BoolArray, FloatArray
 
 BLIND = np.radians(30.0)
@@ -30,7 +22,6 @@ STEP = 0.05
 """[m] Between the places at which ground and free space are compared with the truth."""
 OFF = 0.05
 """[m] Ground that is further off in height is wrong ground."""
-WITHOUT_CURE = Config(perception=replace(PerceptionConfig(), negligible_noise=1.0))
 
 
 def scanned(points: FloatArray, clean: FloatArray, rng: np.random.Generator) -> BoolArray:
@@ -50,39 +41,8 @@ def scanned(points: FloatArray, clean: FloatArray, rng: np.random.Generator) -> 
     return seen
 
 
-def without_filling(scene: Scene) -> Scene:
-    """The scene with the ground alone that was seen."""
-    made = []
-    for level in scene.levels.levels:
-        surface, guessed = level.surface, level.surface.state == INFERRED
-        height = np.where(guessed, np.float32(np.nan), surface.height)
-        seen = replace(surface, height=height, state=np.where(guessed, UNKNOWN, surface.state).astype(np.uint8))
-        cell, z, lowest = in_cells(level.other_points, seen)
-        material = guard_edges(seen, lowest, cell, z, scene.config.perception)[2]
-        measured = step_and_slope(seen)
-        made.append(GroundLevel(seen, level.other_points, level.ledge, find_limits(seen, material, measured), measured))
-    levels = Levels(tuple(made), scene.levels.portals)
-    return Scene(scene.points, scene.ground, levels, scene.ground_fields, scene.config, noise=scene.noise)
-
-
-def compare(name: str, scene: SyntheticScene, points: FloatArray, rng: np.random.Generator) -> Iterator[Row]:
-    """One row for each way to build: all, without the cure, without the filling.
-
-    Args:
-        name: Of the scene.
-        scene: The truth, and its points without noise.
-        points: The same points with noise [m], shape (n, 3).
-        rng: Source of the stations.
-    """
-    shown = scanned(points, scene.points, rng)
-    points, true = points[shown], scene.ground[shown]
-    whole = build_scene(points)
-    raw = build_scene(points, config=WITHOUT_CURE)
-    for kind, made in (("all", whole), ("no cure", raw), ("no filling", without_filling(whole))):
-        yield {"scene": name, "built": kind, "iou": _overlap(made.ground, true)} | judge(made, scene)
-
-
-def _overlap(found: BoolArray, true: BoolArray) -> float:
+def overlap(found: BoolArray, true: BoolArray) -> float:
+    """Of two sets what is in both, over what is in either."""
     return float((found & true).sum() / (found | true).sum())
 
 
@@ -120,11 +80,3 @@ def judge(made: Scene, scene: SyntheticScene) -> Row:
             f"{agent.name}_deepest_mm": 1e3 * float(np.max(-room[wrong & np.isfinite(room)], initial=0.0)),
         }
     return row
-
-
-def ablation(seed: int, noise: float) -> Iterator[Row]:
-    """Rows for each of the synthetic scenes and a random room, with that noise of each coordinate [m]."""
-    for name, make in {**SCENES, "random_room": random_room, "ramp": ramp}.items():
-        clean, noisy = (make(np.random.default_rng(seed), noise=each) for each in (0.0, noise))
-        for row in compare(name, clean, noisy.points, np.random.default_rng(seed)):
-            yield {"noise_m": noise, **row}

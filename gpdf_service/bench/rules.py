@@ -1,0 +1,195 @@
+"""Every rule of perception, switched off by itself: which numbers it moves. One that moves none has no place there."""
+
+from __future__ import annotations
+
+import importlib
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from functools import partial
+from pathlib import Path
+from typing import Any
+from unittest import mock
+
+import numpy as np
+
+from gpdf_service.bench import hard_clouds, houses, places
+from gpdf_service.bench.report import Row
+from gpdf_service.bench.scanned import judge, overlap, scanned
+from gpdf_service.denoise import as_measured
+from gpdf_service.errors import GpdfError
+from gpdf_service.perception import read_cloud
+from gpdf_service.perception.surface import OBSERVED, UNKNOWN, HeightMap
+from gpdf_service.pipeline import build_scene
+from gpdf_service.synthetic import SCENES, random_room
+from gpdf_service.types import BoolArray, FloatArray, IntArray
+
+NOISES = (0.0, 0.02, 0.05)
+"""[m] Of the scanned rooms' coordinates."""
+HALL = 0.04, 0.06
+"""[m] Voxels of the museum's stair."""
+PAIRS = 20
+"""Of Spot on the spiral ramps."""
+STARTS = 30
+"""In each crowded place."""
+
+
+def _false(of: int) -> Callable[..., BoolArray]:
+    """A rule that finds nothing: false for each row of its argument number `of`."""
+    return lambda *given, **_: np.zeros(len(given[of]), dtype=bool)
+
+
+def _first(given: Any, *_: Any, **__: Any) -> Any:  # noqa: ANN401 - whatever the rule is given
+    return given
+
+
+def _middles(nodes: IntArray, *given: Any) -> FloatArray:  # noqa: ANN401
+    middle: FloatArray = given[3]
+    return middle[nodes]
+
+
+def _unlike(cells: str) -> Callable[[HeightMap, Any], BoolArray]:
+    """False for each cell of a height map."""
+    return lambda surface, *_: np.zeros(getattr(surface, cells).shape, dtype=bool)
+
+
+_P, _D = "gpdf_service.perception.", "gpdf_service.denoise."
+RULES: dict[str, tuple[str, str, Callable[..., Any]]] = {
+    "a foot on sparse cells": (_P + "segment", "_footing", _false(2)),
+    "rough treads between stances": (_P + "segment", "_between", _false(1)),
+    "undersides": (_P + "segment", "undersides", lambda _, parts, core, __, joins, ___: (core & False, parts, joins)),
+    "crumbs of noise": (_P + "segment", "without_crumbs", lambda _, parts, __: parts),
+    "roofs": (_P + "segment", "_roofs", _false(1)),
+    "low things": (_P + "segment", "low_things", _false(1)),
+    "dead ends and tables": (_P + "parts", "_dead_ends", _false(2)),
+    "ways between storeys": (_P + "parts", "_between_storeys", lambda _, joins, *__: np.zeros(len(joins[0]), bool)),
+    "storeys without a stair": (_P + "parts", "_storeys", lambda _, __, group, *___: np.zeros(group.max() + 1, bool)),
+    "pits": (_P + "parts", "_pits", lambda _, __, group, *___: np.zeros(group.max() + 1, bool)),
+    "faces of boards": (_P + "layers", "tops_of_boards", _middles),
+    "seams of sheets": (_P + "sheets", "_seams", lambda *_: []),
+    "the foot of a step in its cell": (_P + "sheets", "_under_step", lambda near, _: near.layers.cell < 0),
+    "strays": (_P + "levels", "find_strays", _false(0)),
+    "sagging treads closed": (_P + "levels", "bridged", _first),
+    "steps that hold a foot": (
+        _P + "levels",
+        "footholds",
+        lambda surface, _: np.where(surface.state == UNKNOWN, -np.inf, surface.height),
+    ),
+    "outliers of noise": (_P + "levels", "without_outliers", _first),
+    "unlucky cells": (_P + "levels", "without_unlucky", _first),
+    "planes at rims": (_P + "levels", "smooth", _first),
+    "heights at centres": (_P + "levels", "to_centres", _first),
+    "treads beside a shadow guard": (_P + "levels", "between_treads", lambda _, asked, __: np.zeros_like(asked)),
+    "what is enclosed": (_P + "levels", "without_enclosed", _first),
+    "what fronts hide": (_P + "levels", "without_hidden", _first),
+    "filling of holes": (_P + "levels", "fill_holes", _first),
+    "single empty cells": (_P + "holes", "_fill_gaps", lambda *_: None),
+    "planes over holes": (_P + "holes", "_fill", lambda *_: None),
+    "notches of flights": (_P + "holes", "fill_notches", _first),
+    "strips at a flight's side": (_P + "notches", "_fill_bitten", lambda *_: None),
+    "firm ground around holes": (_P + "holes", "firm_ground", lambda surface, _: surface.state == OBSERVED),
+    "things seen hollow": (_P + "holes", "_seen_hollow", lambda things, _: np.ones_like(things)),
+    "walls of pits": (_P + "holes", "_walled_down", _unlike("state")),
+    "slanted faces are steps": (_P + "limits", "_slanted", lambda _, slope: np.full(slope.shape, np.inf)),
+    "narrow treads": (_P + "limits", "_is_narrow_tread", lambda height, *_: np.zeros(height.shape, dtype=bool)),
+    "faces of steps": (_P + "obstacles", "_is_face", _false(1)),
+    "worn treads": (_P + "obstacles", "on_treads", _false(0)),
+    "headroom from the foot's tread": (_P + "obstacles", "_over_head", lambda points, *_: np.ones(len(points), bool)),
+    "voxels": ("gpdf_service.scene", "are_voxels", lambda _: False),
+    "cure of noise": (_P + "cure", "denoise", lambda points, _, noise: as_measured(points, noise)),
+    "treads under noise": (_P + "cure", "_settle_stairs", lambda *_: None),
+    "points that noise lifted": (_P + "cure", "find_lifted", _false(0)),
+    "planes that meet": (_D + "cloud", "place_at_edges", lambda *_: None),
+    "planes next door": (_D + "cloud", "follow_planes", lambda *_: None),
+    "things before a surface": (_D + "cloud", "release_things", lambda *_: None),
+    "rims drawn in": (_D + "cloud", "draw_in", lambda *_: None),
+    "the rest by mean shift": (_D + "cloud", "shift_rest", lambda *_: None),
+    "points alone": (_D + "cloud", "find_alone", lambda _, placed: np.zeros(len(placed.points), dtype=bool)),
+}
+"""Each rule: the module that calls it, its name there, and what stands for it when it is off."""
+
+
+@contextmanager
+def without(rule: str) -> Iterator[None]:
+    """Switch a rule off."""
+    module, name, off = RULES[rule]
+    with mock.patch.object(importlib.import_module(module), name, off):
+        yield
+
+
+def rule_rows(data: Path, seed: int, count: int, rules: Sequence[str]) -> Iterator[Row]:
+    """For each of the `rules` the first scenes in which it moves a number, and these numbers with it and without.
+
+    Args:
+        data: Folder of the real clouds; those that are not there are left out.
+        seed: Of all scenes.
+        count: Houses from each scanner, and random rooms at each noise.
+        rules: Names of rules.
+    """
+    suites: dict[str, Callable[[], Row]] = {
+        "rooms": partial(_rooms, seed, count),
+        "real clouds": partial(_real, data),
+        "houses": partial(_houses, seed, count),
+        "crowded places": partial(_crowded, seed),
+    }
+    whole: dict[str, Row] = {}
+    for rule in rules:
+        moved: Row = {"in": "all", "moves": "nothing"}
+        for name, suite in suites.items():
+            if name not in whole:
+                whole[name] = suite()
+            with without(rule):
+                found = suite()
+            other = [f"{key} {was} → {found[key]}" for key, was in whole[name].items() if found[key] != was]
+            if other:
+                moved = {"in": name, "moves": ", ".join(other)}
+                break
+        yield {"without": rule} | moved
+
+
+def _rooms(seed: int, count: int) -> Row:
+    """Rooms that two tripods scan: labels, known ground, free places; summed over all of them."""
+    rows = []
+    makers = [*((make, seed) for make in SCENES.values()), *((random_room, seed + i) for i in range(count))]
+    for make, number in makers:
+        clean = make(np.random.default_rng(number))
+        for noise in NOISES:
+            points = make(np.random.default_rng(number), noise=noise).points
+            shown = scanned(points, clean.points, np.random.default_rng(number))
+            try:
+                scene = build_scene(points[shown])
+            except GpdfError:
+                continue
+            rows.append({"iou": overlap(scene.ground, clean.ground[shown])} | judge(scene, clean))
+    keys = "iou", "known_of_true", "wrong_of_known", "human_free_of_true", "roomba_free_of_true"
+    mean = {key: round(float(np.nanmean([row.get(key, np.nan) for row in rows])), 4) for key in keys}
+    wrong = ("human_wrong_free", "roomba_wrong_free")
+    return {"rooms": len(rows)} | mean | {key: sum(row.get(key, 0) for row in rows) for key in wrong}
+
+
+def _houses(seed: int, count: int) -> Row:
+    made: Row = {}
+    for scanner in ("tripod", "handheld"):
+        rows = [houses.measure(number, scanner) for number in range(seed, seed + count)]
+        made[f"{scanner}_ways"] = sum(row["up"] + row["down"] for row in rows)
+        for key in ("inferred", "inferred_off", "collisions", "in_the_air"):
+            made[f"{scanner}_{key}"] = sum(row.get(key, 0) for row in rows)
+    return made
+
+
+def _crowded(seed: int) -> Row:
+    rows = list(places.land_rows("tripod", STARTS, seed))
+    return {key: sum(row[key] for row in rows) for key in ("landed", "no_ground", "touching")}
+
+
+def _real(data: Path) -> Row:
+    made: Row = {}
+    if (data / hard_clouds.HALL).exists():
+        rows = list(hard_clouds.hall_rows(data, 2, 0, HALL))
+        made |= {f"hall_{key}": sum(row[key] for row in rows) for key in ("up", "down", "cut_joined")}
+    if (data / hard_clouds.SPIRAL).exists():
+        rows = list(hard_clouds.spiral_rows(data, PAIRS, 0, hard_clouds.SPIRAL_BODIES[1:]))
+        made["spiral_spot"] = rows[0]["ok"]
+    office = data / "s3dis_office.npz"
+    if office.exists() and (cloud := read_cloud(office)).ground is not None:
+        made["office_iou"] = round(overlap(build_scene(cloud.points).ground, cloud.ground), 4)
+    return made
