@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from math import atan2, hypot
 
-from gpdf_guidance.advice import PACES, side_of
+from gpdf_guidance.advice import LEAST_OBSTACLE, PACES, side_of
 from gpdf_guidance.features import TURN, Feature, FeatureKind
 from gpdf_guidance.instruction import Instruction, Kind, Urgency
 from gpdf_guidance.route import Pose, Route
@@ -36,10 +36,16 @@ def overview(route: Route, name: str, pace: float, turn: float = 0.0) -> Instruc
         route.length,
         count=turns,
         first=first,
-        then=steps,
+        then=steps + unseen(route),
         name=name,
         seconds=duration(route, 0.0, pace),
     )
+
+
+def unseen(route: Route) -> tuple[Instruction, ...]:
+    """That the map misses low things on this way, where it misses what a foot would notice."""
+    height = route.hidden_height
+    return (Instruction(Kind.LOW_UNSEEN, Urgency.PREPARE, amount=height),) if height > LEAST_OBSTACLE else ()
 
 
 def _start(route: Route) -> tuple[float, float]:

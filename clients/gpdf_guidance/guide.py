@@ -10,10 +10,10 @@ import numpy as np
 from gpdf_schemas import Ask, AskMessage, CueAction, CueMessage
 from numpy.typing import NDArray
 
-from gpdf_guidance.advice import BLIND, LEAST_OBSTACLE, OVER_TURN, PACES, Advice, advise, aim, moves_near, stop
+from gpdf_guidance.advice import BLIND, OVER_TURN, PACES, Advice, advise, aim, moves_near, stop
 from gpdf_guidance.ahead import find_reassurance, is_edge, is_hidden_step
 from gpdf_guidance.announcer import Announcer
-from gpdf_guidance.answers import here, how_far, overview
+from gpdf_guidance.answers import here, how_far, overview, unseen
 from gpdf_guidance.belief import Belief, believe
 from gpdf_guidance.catalogue import phrase
 from gpdf_guidance.features import FeatureKind
@@ -402,8 +402,7 @@ class Guide:
         found = find_reassurance(self.route, advice.progress, self._told_at)
         if self._moving is not None and self._belief is not None:
             found += moves_near(self._belief.pose, self._moving)
-        if (hidden := self.route.hidden_height) > LEAST_OBSTACLE:
-            found.append(Instruction(Kind.LOW_UNSEEN, Urgency.PREPARE, amount=hidden))
+        found += unseen(self.route)  # of a new way that misses more than was said of the last one
         return tuple(one for one in found if self.manner.wants(one.kind))
 
     def _is_felt(self, one: Instruction) -> bool:
@@ -476,7 +475,9 @@ class Guide:
             self._refuse(replace(planned, refusal=Kind.GAVE_UP_HELD_UP) if held_up else planned)
 
     def _walk(self, route: Route) -> None:
-        if self.route is None and self.manner.wants(Kind.OVERVIEW):
+        if self.route is None and not self.manner.wants(Kind.OVERVIEW):
+            self._talk.overview = next(iter(unseen(route)), None)
+        elif self.route is None:
             stands = self._trusted or self._planned_at
             turn = 0.0 if stands is None else aim(route, stands, Progress(0.0, 0.0))
             self._talk.overview = overview(route, self.name, self.manner.pace, turn)

@@ -1,5 +1,7 @@
 """What a guide does with who waits: no service, a straight way, poses by hand."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 from gpdf_client import Trajectory
@@ -11,12 +13,13 @@ from gpdf_schemas import CueAction
 IN_THE_WAY = np.array([[2.0, 0.0, 1.0]])
 
 
-def led(detail=Detail.FEW, facing=0.0):
+def led(detail=Detail.FEW, facing=0.0, hidden=0.0):
     """A guide at the start of 8 m straight on, and what it does for some seconds with a pose: cues, sentences."""
     x = np.arange(0.0, 8.01, 0.05)
     ground = np.column_stack([x, 0.0 * x, 0.0 * x])
     path = Trajectory(ground + np.array([0.0, 0.0, 2.0]), ground, x / 0.7, 0.0 * x)
     route = build_route(path, lambda places: 1.0 - np.abs(places[:, 1]) - 0.25, radius=0.25)
+    route = dataclasses.replace(route, hidden_height=hidden)
     guide = Guide(None, (8.0, 0.0), manner=Manner(detail=detail))
     guide.take(Planned(route), Pose((0.0, 0.0, 0.0), facing, 0.0))
     clock = [0.0]
@@ -48,6 +51,28 @@ def test_the_overview_is_heard_to_its_end_though_poses_are_missing():
     steps = [guide.step(last, t) for t in np.arange(0.5, 12.0, 0.1)]
     assert {cue.action for cue, _ in steps} == {CueAction.STOP}
     assert [one[0].kind for _, one in steps if one is not None] == [Kind.STOP_LOST]  # after it
+
+
+@pytest.mark.parametrize("detail", list(Detail))
+def test_what_the_map_misses_is_told_once_and_before_the_first_step(detail):
+    guide, live = led(detail, hidden=0.075)
+    cue, (_, text) = guide.step(Pose((0.0, 0.0, 0.0), 0.0, 0.0), 0.0)
+    assert cue.action is CueAction.STOP
+    assert "my map misses what is lower than 8 centimetres" in text
+    cues, said = live(20.0, x=0.5)
+    assert CueAction.GO in cues
+    assert Kind.LOW_UNSEEN not in said
+    guide.take(Planned(dataclasses.replace(guide.route, hidden_height=0.15)), Pose((0.5, 0.0, 0.0), 0.0, 20.0))
+    assert live(20.0, x=0.5)[1] == [Kind.LOW_UNSEEN]  # a new way misses more
+    guide.take(Planned(guide.route), Pose((0.5, 0.0, 0.0), 0.0, 40.0))
+    assert live(20.0, x=0.5)[1] == []
+
+
+def test_where_the_map_shows_what_a_foot_notices_nothing_is_said_of_it():
+    guide, live = led(Detail.NORMAL, hidden=0.05)
+    _, (_, text) = guide.step(Pose((0.0, 0.0, 0.0), 0.0, 0.0), 0.0)
+    assert "misses" not in text
+    assert Kind.LOW_UNSEEN not in live(20.0)[1]
 
 
 @pytest.mark.parametrize(("facing", "first"), [(30, "."), (-100, ". Turn left."), (100, ". Turn right.")])
