@@ -52,7 +52,8 @@ def find_turning(route: Route, progress: Progress, direction: float, action: Cue
         place = _place(route, progress.s if turn is None else turn.start)
         return [Instruction(Kind.TURN_NOW, Urgency.ACT, place, amount=direction)]
     straight = _straight_length(route, progress.s)
-    if turn is not None and progress.s >= turn.end and abs(direction) <= STRAIGHT and straight >= TO_STEPS:
+    soon = straight <= EARLY[1] and progress.s + straight < route.length  # what comes then is told of by itself
+    if turn is not None and progress.s >= turn.end and abs(direction) <= STRAIGHT and straight >= TO_STEPS and not soon:
         return [Instruction(Kind.GO_ON, Urgency.INFORM, _place(route, turn.start), straight)]
     return []
 

@@ -18,7 +18,7 @@ DEBT = -3.0
 NEEDED = {Urgency.INFORM: 1.0, Urgency.PREPARE: 0.0, Urgency.ACT: -inf, Urgency.DANGER: -inf}
 """Instructions that must be saved up to say one: what prepares may come right after one that was urgent."""
 AGAIN = {Urgency.DANGER: 8.0, Urgency.ACT: 12.0}
-"""[s] What is dangerous or to be done now is said again after this if it is still so; the rest is said once."""
+"""[s] What is dangerous or to be done now is said again so long after its end if it still is; the rest is said once."""
 KIND_AGAIN = {
     Kind.STEP: 30.0,
     Kind.STAIRS: 30.0,
@@ -116,7 +116,7 @@ class Announcer:
         if instruction.reply_to is not None:
             return True
         again = KIND_AGAIN.get(instruction.kind, AGAIN.get(instruction.urgency, inf))
-        return all(now - said.time >= again for said in self._said if _same(said.instruction, instruction))
+        return all(now - said.end >= again for said in self._said if _same(said.instruction, instruction))
 
     def _speak(self, instruction: Instruction, now: float) -> tuple[Instruction, str]:
         text = self._say(instruction)

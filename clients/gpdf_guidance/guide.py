@@ -63,7 +63,8 @@ before one has got on, up to the second."""
 GETS_ON = 0.5
 """[m] Who has moved by this has got on."""
 STANDS = 8.0
-"""[s] The same for one who was told to stop and stands: that his pose is missing, too, is no news for so long."""
+"""[s] The same for one who stands. Who was told to stop: that his pose is missing, too, is no news for so long. Who has
+heard the overview and has not set off: "stop" is no news, and where it is over by then, "go on" is none."""
 UNSURE = 2.0
 """[s] A person who is held without a word for so long is told that the guide is at work."""
 BRAKES = PACES[0] / BLIND
@@ -153,6 +154,7 @@ class _Talk:
         paused: Whether the person wants to stand.
         replies: Answers that are still to be said.
         overview: What is said of the way before its first step; None when that is done.
+        sets_off: Whether that was heard and no step has been made since.
     """
 
     climb: float = LEVEL_STEP
@@ -162,6 +164,7 @@ class _Talk:
     paused: bool = False
     replies: list[Instruction] = field(default_factory=list)
     overview: Instruction | None = None
+    sets_off: bool = False
 
 
 class Guide:
@@ -260,6 +263,8 @@ class Guide:
         waits = self._told_to_stop and advice.action in WALKS  # "stop" is still in his ear: "go on" comes next
         if waits or any(self._is_unheard(one) for one in advice.instructions):
             advice = replace(advice, action=CueAction.STOP, pace=0.0)  # nor does he go towards a step unheard
+        if advice.action in WALKS:
+            self._talk.sets_off = False
         self._pace = max(advice.pace, self._pace - BRAKES * went_on)
         cue = CueMessage(
             action=advice.action,
@@ -368,7 +373,7 @@ class Guide:
             return Advice(advice.progress, CueAction.STOP)
         if (first := self._talk.overview) is not None:
             if self._announcer.has_told(first, self._clock):
-                self._talk.overview = None
+                self._talk.overview, self._talk.sets_off = None, True
             else:
                 return Advice(advice.progress, CueAction.STOP, instructions=(first,))
         return advice
@@ -376,7 +381,8 @@ class Guide:
     def _worth_saying(self, advice: Advice) -> tuple[Instruction, ...]:
         """What stops the feet for a moment only is no news; who was told to stop is told to go on."""
         waited = 0.0 if self._waiting.since is None else self._clock - self._waiting.since
-        stands = dict.fromkeys(set(WAITING) - BLOCKS, STANDS) if self._told_to_stop else {}
+        stood = set(WAITING) - (BLOCKS if self._told_to_stop else {Kind.STOP_UNRELIABLE})
+        stands = dict.fromkeys(stood, STANDS) if self._told_to_stop or self._talk.sets_off else {}
         patient = (WAITING | stands) if self.felt else {}
         worth = tuple(
             one

@@ -98,13 +98,36 @@ def test_what_comes_back_is_waited_for_longer_until_one_has_got_on():
 
 
 def test_who_crosses_the_way_is_felt_and_is_spoken_of_only_if_he_stays():
-    for seconds, felt, told in ((1.5, True, 0), (4.0, True, 1), (24.0, True, 2), (0.3, False, 1)):
+    for seconds, felt, told in ((1.5, True, 0), (4.0, True, 1), (26.0, True, 2), (0.3, False, 1)):
         guide, live = led()
         guide.felt = felt
         guide.see(IN_THE_WAY, IN_THE_WAY)
         cues, said = live(seconds)
         assert set(cues) == {CueAction.STOP}
         assert said == told * [Kind.STOP_MOVING]
+
+
+def test_who_has_not_set_off_is_not_told_to_stop_for_what_is_soon_over():
+    guide, live = led(Detail.NORMAL)
+    guide.see(IN_THE_WAY, IN_THE_WAY)
+    cues, said = live(9.0)
+    assert (set(cues), said) == ({CueAction.STOP}, [Kind.OVERVIEW])
+    guide.see(None)
+    cues, said = live(4.0)
+    assert (CueAction.GO in cues, said) == (True, [])
+    guide.see(IN_THE_WAY, IN_THE_WAY)
+    assert live(2.5)[1] == [Kind.STOP_MOVING]  # he walks now
+
+
+def test_who_has_not_set_off_hears_why_he_waits_for_long():
+    guide, live = led(Detail.NORMAL)
+    guide.see(IN_THE_WAY, IN_THE_WAY)
+    assert live(20.0)[1] == [Kind.OVERVIEW, Kind.STOP_MOVING]
+
+
+def test_the_first_turn_is_not_told_again_at_the_end_of_a_long_overview():
+    _, live = led(Detail.NORMAL, np.radians(-120), hidden=0.075)
+    assert live(14.0, x=0.0, heading=np.radians(-120))[1] == [Kind.OVERVIEW]
 
 
 def test_who_was_told_to_stop_feels_go_when_he_hears_it():
