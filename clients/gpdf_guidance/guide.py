@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
+from math import inf
 
 import numpy as np
 from gpdf_schemas import Ask, AskMessage, CueAction, CueMessage
@@ -43,15 +44,16 @@ UNANSWERED = 60.0
 SETTLES = 1.0
 """[s] After a turn a person comes to rest, and is not told of a small one before."""
 WAITING = {
-    Kind.STOP_LOST: 2.0,
-    Kind.STOP_NO_POSE: 2.0,
-    Kind.STOP_OFF_WAY: 2.0,
-    Kind.STOP_MOVING: 2.0,
+    Kind.STOP_LOST: PATIENCE,
+    Kind.STOP_NO_POSE: PATIENCE,
+    Kind.STOP_OFF_WAY: PATIENCE,
+    Kind.STOP_MOVING: PATIENCE,
     Kind.STOP_UNRELIABLE: 0.4,
 }
 """[s] The cue says stop at once; one that is over within this is felt and not spoken, if somebody feels the cues. Poses
-that are missing mostly come again, and who crosses the way is past; poses that cannot be true are spoken of within half
-a second."""
+that are missing mostly come again, and who crosses the way, a walk of 1.4 s, has been gone for `CLEAR_FOR`: to speak of
+that takes longer than it lasts, and "go on" must wait for it. Poses that cannot be true are spoken of within half a
+second."""
 STOPS = (*WAITING, Kind.STOP_ALONE, Kind.STOP_OBSTACLE, Kind.STOP_UNSURE)
 """After these a person waits to be told to go on."""
 WALKS = (CueAction.GO, CueAction.SLOW)
@@ -118,9 +120,17 @@ def look_up(planner: Planner, ask: AskMessage, pose: Pose | None) -> Asked:
 
 @dataclass(slots=True)
 class _Waiting:
-    """Since when something keeps the person from walking [s], and where another way was last asked for."""
+    """What keeps the person from walking.
+
+    Attributes:
+        since: Since when, or since another way was last asked for [s]; None while he walks.
+        stands: Since when, however often another way was asked for [s].
+        tries: Ways that were asked for.
+        at: Where the last one was [m].
+    """
 
     since: float | None = None
+    stands: float = inf
     tries: int = 0
     at: FloatArray = field(default_factory=lambda: np.full(3, np.inf))
 
@@ -380,7 +390,7 @@ class Guide:
 
     def _worth_saying(self, advice: Advice) -> tuple[Instruction, ...]:
         """What stops the feet for a moment only is no news; who was told to stop is told to go on."""
-        waited = 0.0 if self._waiting.since is None else self._clock - self._waiting.since
+        waited = 0.0 if self._waiting.since is None else self._clock - self._waiting.stands
         stood = set(WAITING) - (BLOCKS if self._told_to_stop else {Kind.STOP_UNRELIABLE})
         stands = dict.fromkeys(stood, STANDS) if self._told_to_stop or self._talk.sets_off else {}
         patient = (WAITING | stands) if self.felt else {}
@@ -428,7 +438,7 @@ class Guide:
         if advice.action is not CueAction.STOP or (waits and not danger) or self._not_begun:
             self._waiting.since = None
         elif self._waiting.since is None:
-            self._waiting.since = self._clock
+            self._waiting.since = self._waiting.stands = self._clock
         elif self._clock - self._waiting.since > LOST:
             blocked = BLOCKS & {one.kind for one in advice.instructions}
             kind = Kind.GAVE_UP_HELD_UP if blocked else Kind.GAVE_UP_LOST if danger else Kind.GAVE_UP
@@ -469,6 +479,7 @@ class Guide:
         """
         self._planned_at = pose
         self._waiting.tries += 1
+        self._waiting.stands = self._clock if self._waiting.since is None else self._waiting.stands
         self._waiting.since, self._waiting.at = self._clock, np.array(pose.position)
         self._moved = self._clock
         if planned.route is not None and abs(planned.highest) > self._talk.climb + 1e-6:

@@ -198,6 +198,7 @@ def test_what_moves_beside_a_person_is_told_with_its_side():
     (one,) = moves_near(here_is, np.array([[0.2, -2.0, 1.0]]))
     assert (one.kind, one.side) == (Kind.MOVING, Side.RIGHT)
     assert moves_near(here_is, np.array([[6.0, 0.0, 1.0]])) == []
+    assert moves_near(here_is, np.array([[-2.0, 0.2, 1.0]])) == []  # behind him
     assert moves_near(here_is, np.array([[1.0, 0.0, 3.5]])) == []
 
 

@@ -98,7 +98,7 @@ def test_what_comes_back_is_waited_for_longer_until_one_has_got_on():
 
 
 def test_who_crosses_the_way_is_felt_and_is_spoken_of_only_if_he_stays():
-    for seconds, felt, told in ((1.5, True, 0), (4.0, True, 1), (26.0, True, 2), (0.3, False, 1)):
+    for seconds, felt, told in ((2.9, True, 0), (5.0, True, 1), (28.0, True, 2), (0.3, False, 1)):
         guide, live = led()
         guide.felt = felt
         guide.see(IN_THE_WAY, IN_THE_WAY)
@@ -116,13 +116,28 @@ def test_who_has_not_set_off_is_not_told_to_stop_for_what_is_soon_over():
     cues, said = live(4.0)
     assert (CueAction.GO in cues, said) == (True, [])
     guide.see(IN_THE_WAY, IN_THE_WAY)
-    assert live(2.5)[1] == [Kind.STOP_MOVING]  # he walks now
+    assert live(3.5)[1] == [Kind.STOP_MOVING]  # he walks now
 
 
 def test_who_has_not_set_off_hears_why_he_waits_for_long():
     guide, live = led(Detail.NORMAL)
     guide.see(IN_THE_WAY, IN_THE_WAY)
     assert live(20.0)[1] == [Kind.OVERVIEW, Kind.STOP_MOVING]
+
+
+@pytest.mark.parametrize(("detail", "after"), [(Detail.FEW, 3.0), (Detail.NORMAL, 8.0)])
+def test_why_one_waits_is_told_though_other_ways_are_asked_for_meanwhile(detail, after):
+    guide, live = led(detail)
+    guide.see(IN_THE_WAY, IN_THE_WAY)
+    said, now = [], 0.0
+    begins = 4.0 if detail is Detail.NORMAL else 0.0  # the overview
+    while Kind.STOP_MOVING not in said:
+        now += 0.1
+        here = Pose((1.0, 0.0, 0.0), 0.0, now)
+        if guide.wants_route(here, now):
+            guide.take(Planned(guide.route), here)
+        said += live(0.1)[1]
+        assert now < begins + after + 0.5
 
 
 def test_the_first_turn_is_not_told_again_at_the_end_of_a_long_overview():
@@ -133,7 +148,7 @@ def test_the_first_turn_is_not_told_again_at_the_end_of_a_long_overview():
 def test_who_was_told_to_stop_feels_go_when_he_hears_it():
     guide, live = led()
     guide.see(IN_THE_WAY, IN_THE_WAY)
-    assert live(2.1)[1] == [Kind.STOP_MOVING]
+    assert live(3.1)[1] == [Kind.STOP_MOVING]
     guide.see(None)
     felt, heard = zip(*(live(0.1) for _ in range(30)), strict=True)
     walks = [CueAction.GO in cues for cues in felt]
