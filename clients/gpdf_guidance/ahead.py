@@ -40,7 +40,7 @@ REASSURE = 10.0
 """[m] Who has heard nothing for so long is told that all is well, ITU-T F.921."""
 STEPS = (FeatureKind.STEP, FeatureKind.STAIRS)
 TO_STEPS = 1.0
-"""[m] A turn that ends this near before a step or stairs, or begins so near behind stairs, is told with them."""
+"""[m] A turn that ends this near before a step or stairs is told with them."""
 
 
 def find_turning(route: Route, progress: Progress, direction: float, action: CueAction) -> list[Instruction]:
@@ -192,7 +192,7 @@ def _is_told_with_the_end(stairs: Feature | None, feature: Feature) -> bool:
     behind = feature.start - stairs.end
     if feature.kind in STEPS:
         return LANDING <= behind <= STEP_WINDOW[1]
-    return feature.kind is FeatureKind.TURN and -TREAD <= behind <= TO_STEPS
+    return feature.kind is FeatureKind.TURN and -TREAD <= behind <= TURN_WINDOW[1]
 
 
 def _needs_no_word(route: Route, turn: Feature, ends: bool) -> bool:

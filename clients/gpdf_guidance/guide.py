@@ -62,6 +62,8 @@ BLOCKS = {Kind.STOP_OBSTACLE, Kind.STOP_MOVING}
 CLEAR_FOR = (1.0, 4.0)
 """[s] What was in the way has been gone for so long before one goes on; twice as long each time that it comes back
 before one has got on, up to the second."""
+PASSED = 2.5
+"""[m] From where he was told of a thing in his way one is led past it: it is felt that it stops him once more."""
 GETS_ON = 0.5
 """[m] Who has moved by this has got on."""
 STANDS = 8.0
@@ -125,24 +127,31 @@ class _Waiting:
     Attributes:
         since: Since when, or since another way was last asked for [s]; None while he walks.
         stands: Since when, however often another way was asked for [s].
+        known: When there was a reason for it last [s].
         tries: Ways that were asked for.
         at: Where the last one was [m].
     """
 
     since: float | None = None
     stands: float = inf
+    known: float = -inf
     tries: int = 0
     at: FloatArray = field(default_factory=lambda: np.full(3, np.inf))
 
 
 @dataclass(slots=True)
 class _Block:
-    """What new thing stopped the person, until when he waits for it, for how long, and where [s], [m]."""
+    """What new thing stopped the person, until when he waits for it, for how long, where, where told [s], [m]."""
 
     by: Instruction | None = None
     until: float = -np.inf
     clear_for: float = CLEAR_FOR[0]
     at: FloatArray = field(default_factory=lambda: np.full(3, np.inf))
+    told_at: FloatArray = field(default_factory=lambda: np.full(3, np.inf))
+
+    def is_passed(self, place: FloatArray) -> bool:
+        """Whether one is led past a thing that he was told of."""
+        return bool(np.hypot(*(self.told_at - place)[:2]) < PASSED)
 
     def again(self, by: Instruction, now: float, place: FloatArray) -> None:
         """It stops him now."""
@@ -292,6 +301,8 @@ class Guide:
             self._talk.replies = [reply for reply in self._talk.replies if reply is not one]
         else:
             self._told_to_stop = one.kind in STOPS
+            if one.kind is Kind.STOP_OBSTACLE and self._trusted is not None:
+                self._block.told_at = np.array(self._trusted.position)
         self._told_at = self._s
 
     def _is_unheard(self, one: Instruction) -> bool:
@@ -393,7 +404,9 @@ class Guide:
         waited = 0.0 if self._waiting.since is None else self._clock - self._waiting.stands
         stood = set(WAITING) - (BLOCKS if self._told_to_stop else {Kind.STOP_UNRELIABLE})
         stands = dict.fromkeys(stood, STANDS) if self._told_to_stop or self._talk.sets_off else {}
-        patient = (WAITING | stands) if self.felt else {}
+        known = self._trusted is not None and self._block.is_passed(np.array(self._trusted.position))
+        passes = {Kind.STOP_OBSTACLE: PATIENCE} if known and not self._told_to_stop else {}
+        patient = (WAITING | passes | stands) if self.felt else {}
         worth = tuple(
             one
             for one in advice.instructions
@@ -411,7 +424,8 @@ class Guide:
         if self.route is None:
             return ()
         if advice.action is CueAction.STOP:
-            silent = not advice.instructions and waited >= (STANDS if self._told_to_stop else UNSURE)
+            waited = min(waited, self._clock - self._waiting.known)
+            silent = waited >= (STANDS if self._told_to_stop else UNSURE)
             return (Instruction(Kind.STOP_UNSURE, Urgency.DANGER),) if silent else ()
         if advice.action not in WALKS:
             return ()
@@ -431,6 +445,7 @@ class Guide:
     def _notice(self, advice: Advice) -> None:
         """Arrival, and how long the person has been kept from walking."""
         self._off_way = advice.off_way
+        self._waiting.known = self._clock if advice.instructions else self._waiting.known
         if advice.action is CueAction.ARRIVED:
             self.outcome = Outcome.ARRIVED
         waits = self._talk.question is not None or self._talk.paused or self._talk.overview is not None

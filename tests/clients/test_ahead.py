@@ -193,6 +193,16 @@ def test_what_is_straight_before_a_person_stops_him_also_beside_the_path(place, 
         assert beside.instructions[0].kind is Kind.STOP_MOVING
 
 
+@pytest.mark.parametrize(("behind", "told"), [(0.5, True), (2.0, True), (3.5, False)])
+def test_the_turn_that_comes_next_is_told_where_stairs_end(behind, told):
+    corner = 5.5 + behind
+    path = line((0, 0), (corner, 0), (corner, 6), z=lambda s: 0.17 * np.clip(np.ceil((s - 3.0) / 0.28), 0.0, 9.0))
+    route = build_route(trajectory(path), wide, radius=RADIUS)
+    end = next(one.end for one in route.features if one.kind is FeatureKind.STAIRS)
+    (one,) = (one for one in find_ahead(route, Progress(end + 0.1, 0.0)) if one.leaves_stairs)
+    assert (one.kind is Kind.TURN_SOON) == told
+
+
 def test_what_moves_beside_a_person_is_told_with_its_side():
     here_is = Pose((0.0, 0.0, 0.0), 0.0, 0.0)
     (one,) = moves_near(here_is, np.array([[0.2, -2.0, 1.0]]))

@@ -89,7 +89,7 @@ def test_what_comes_back_is_waited_for_longer_until_one_has_got_on():
     waited = []
     for x in (1.0, 1.0, 1.0, 1.0, 1.9):
         guide.see(IN_THE_WAY + np.array([x - 1.0, 0.0, 0.0]))
-        live(3.0, x)  # "Stop." has been said to the end
+        live(6.0, x)  # "Stop." has been said to the end
         guide.see(None)
         cues, said = live(6.0, x)
         waited.append(cues.count(CueAction.STOP) / 10)
@@ -138,6 +138,35 @@ def test_why_one_waits_is_told_though_other_ways_are_asked_for_meanwhile(detail,
             guide.take(Planned(guide.route), here)
         said += live(0.1)[1]
         assert now < begins + after + 0.5
+
+
+def test_a_thing_that_one_is_led_past_is_felt_when_it_stops_him_again():
+    guide, live = led()
+    guide.see(IN_THE_WAY)
+    assert live(3.0)[1] == [Kind.STOP_OBSTACLE]
+    guide.see(None)
+    assert live(4.0)[1] == [Kind.RESUME]
+    guide.see(IN_THE_WAY)
+    cues, said = live(2.5, x=1.3)
+    assert (set(cues), said) == ({CueAction.STOP}, [])
+    assert live(2.0, x=1.3)[1] == [Kind.STOP_OBSTACLE]  # but he is told if it stays
+    guide.see(None)
+    assert live(6.0, x=1.3)[1] == [Kind.RESUME]
+    live(1.0, x=1.8)
+    live(1.0, x=2.6)
+    live(1.0, x=3.4)
+    live(1.0, x=4.0)
+    guide.see(IN_THE_WAY + np.array([3.0, 0.0, 0.0]))
+    assert live(0.3, x=4.0)[1] == [Kind.STOP_OBSTACLE]  # that is another one
+
+
+def test_who_was_held_for_a_missing_pose_is_not_told_that_the_way_is_unsure():
+    guide, live = led()
+    live(1.0)
+    last = Pose((1.0, 0.0, 0.0), 0.0, 1.0)
+    said = [guide.step(last, t)[1] for t in np.arange(1.0, 3.6, 0.1)]
+    turned = [guide.step(Pose((1.0, 0.0, 0.0), 0.9, t), t)[1] for t in np.arange(3.6, 4.2, 0.1)]
+    assert [one[0].kind for one in said + turned if one is not None] == []
 
 
 def test_the_first_turn_is_not_told_again_at_the_end_of_a_long_overview():
