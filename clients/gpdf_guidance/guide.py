@@ -63,12 +63,13 @@ CLEAR_FOR = (1.0, 4.0)
 """[s] What was in the way has been gone for so long before one goes on; twice as long each time that it comes back
 before one has got on, up to the second."""
 PASSED = 2.5
-"""[m] From where he was told of a thing in his way one is led past it: it is felt that it stops him once more."""
+"""[m] From where he was told of a thing in his way one is led past it: its length, and the way to it."""
 GETS_ON = 0.5
 """[m] Who has moved by this has got on."""
 STANDS = 8.0
 """[s] The same for one who stands. Who was told to stop: that his pose is missing, too, is no news for so long. Who has
-heard the overview and has not set off: "stop" is no news, and where it is over by then, "go on" is none."""
+heard the overview and has not set off: "stop" is no news, and where it is over by then, "go on" is none. Who is led
+past a thing that he was told of: that it stops him once more is none."""
 UNSURE = 2.0
 """[s] A person who is held without a word for so long is told that the guide is at work."""
 BRAKES = PACES[0] / BLIND
@@ -405,7 +406,7 @@ class Guide:
         stood = set(WAITING) - (BLOCKS if self._told_to_stop else {Kind.STOP_UNRELIABLE})
         stands = dict.fromkeys(stood, STANDS) if self._told_to_stop or self._talk.sets_off else {}
         known = self._trusted is not None and self._block.is_passed(np.array(self._trusted.position))
-        passes = {Kind.STOP_OBSTACLE: PATIENCE} if known and not self._told_to_stop else {}
+        passes = {Kind.STOP_OBSTACLE: STANDS} if known and not self._told_to_stop else {}
         patient = (WAITING | passes | stands) if self.felt else {}
         worth = tuple(
             one

@@ -89,7 +89,7 @@ def test_what_comes_back_is_waited_for_longer_until_one_has_got_on():
     waited = []
     for x in (1.0, 1.0, 1.0, 1.0, 1.9):
         guide.see(IN_THE_WAY + np.array([x - 1.0, 0.0, 0.0]))
-        live(6.0, x)  # "Stop." has been said to the end
+        live(11.0, x)  # "Stop." has been said to the end
         guide.see(None)
         cues, said = live(6.0, x)
         waited.append(cues.count(CueAction.STOP) / 10)
@@ -147,9 +147,9 @@ def test_a_thing_that_one_is_led_past_is_felt_when_it_stops_him_again():
     guide.see(None)
     assert live(4.0)[1] == [Kind.RESUME]
     guide.see(IN_THE_WAY)
-    cues, said = live(2.5, x=1.3)
+    cues, said = live(7.0, x=1.3)
     assert (set(cues), said) == ({CueAction.STOP}, [])
-    assert live(2.0, x=1.3)[1] == [Kind.STOP_OBSTACLE]  # but he is told if it stays
+    assert live(3.0, x=1.3)[1] == [Kind.STOP_OBSTACLE]  # but he is told if it stays
     guide.see(None)
     assert live(6.0, x=1.3)[1] == [Kind.RESUME]
     live(1.0, x=1.8)
