@@ -13,6 +13,8 @@ TREAD_TIME = 1.2
 """[s] That a person who cannot see takes for a step of stairs."""
 TURN_TIME = 3.0
 """[s] For a turn on the spot, and to set off again."""
+CLIMBS = {FeatureKind.STEP: 0.0, FeatureKind.STAIRS: 0.0, FeatureKind.RAMP: 0.5}
+"""[m] What an overview tells of, from this rise on; a lower ramp is felt, as three steps would be."""
 MARGIN = 1.2
 """Times as long as at full pace: people slow down at narrow places and at the end."""
 
@@ -26,7 +28,7 @@ def overview(route: Route, name: str, pace: float, turn: float = 0.0) -> Instruc
         pace: Share of the full pace that the person wants.
         turn: To the left [rad], on the spot, to where he walks first.
     """
-    steps = tuple(_as_told(one) for one in route.features if one.kind in (FeatureKind.STEP, FeatureKind.STAIRS))
+    steps = tuple(_as_told(one) for one in route.features if one.kind in CLIMBS and abs(one.amount) >= CLIMBS[one.kind])
     turns = sum(one.kind is FeatureKind.TURN and one.end > 0.0 for one in route.features)
     first = Instruction(Kind.TURN_NOW, Urgency.ACT, _start(route), amount=turn) if abs(turn) >= TURN else None
     return Instruction(
@@ -54,8 +56,7 @@ def _start(route: Route) -> tuple[float, float]:
 
 
 def _as_told(one: Feature) -> Instruction:
-    kind = Kind.STAIRS if one.kind is FeatureKind.STAIRS else Kind.STEP
-    return Instruction(kind, Urgency.INFORM, amount=one.amount, count=one.count)
+    return Instruction(Kind(one.kind.value), Urgency.INFORM, amount=one.amount, count=one.count)
 
 
 def duration(route: Route, s: float, pace: float) -> float:

@@ -168,8 +168,7 @@ def _on_the_way(part: Instruction, words: Mapping[str, str]) -> str:
     if part.kind is Kind.LOW_UNSEEN:
         return ""  # a sentence of its own
     vertical = words["up" if part.amount > 0 else "down"]
-    name = "way_stairs" if part.kind is Kind.STAIRS else "way_step"
-    return words[name].format(vertical=vertical, count=part.count, height=round(100 * abs(part.amount)))
+    return words[f"way_{part.kind}"].format(vertical=vertical, count=part.count, height=round(100 * abs(part.amount)))
 
 
 def _time(seconds: float, words: Mapping[str, str]) -> str:

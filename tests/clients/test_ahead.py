@@ -159,6 +159,14 @@ def test_an_overview_counts_the_turn_on_the_spot_as_the_first_thing_to_do():
     assert duration(route, 6.0, 1.0) < duration(route, 0.0, 1.0)
 
 
+@pytest.mark.parametrize(
+    ("rise", "told"), [(2.0, ", a ramp up, "), (-2.0, ", a ramp down, "), (0.3, " 12 metres, about")]
+)
+def test_an_overview_tells_of_a_long_ramp(rise, told):
+    path = line((0, 0), (12, 0), z=lambda s: rise * np.clip((s - 1.0) / 10.0, 0.0, 1.0))
+    assert told in phrase(overview(build_route(trajectory(path), wide, radius=RADIUS), "", 1.0))
+
+
 def test_where_one_is_is_told_by_the_nearest_place_of_the_storey():
     places = {"lift": [5.0, 1.0, 0.0], "attic": [2.0, 0.0, 3.0]}
     route = build_route(trajectory(line((0, 0), (12, 0))), wide, radius=RADIUS, places=places)

@@ -75,14 +75,19 @@ def test_a_gentle_bend_is_no_turn_and_a_sway_is_nothing():
     assert find_turns(np.column_stack([s, 0.1 * np.sin(2 * s)]), s) == []
 
 
-def test_a_turn_in_a_curve_is_one_turn():
-    angle = np.linspace(0, np.pi / 2, 40)
-    curve = np.column_stack([np.sin(angle), 1 - np.cos(angle)])
-    path = np.concatenate([line((-3, 0), (-0.05, 0))[:, :2], curve, line((1, 1.05), (1, 4))[:, :2]])
+@pytest.mark.parametrize("radius", [0.5, 1.0, 1.4, 1.7, 2.0])
+@pytest.mark.parametrize("degrees", [70, 80, 90])
+def test_a_turn_in_a_curve_is_one_turn(radius, degrees):
+    angle = np.linspace(0, np.radians(degrees), 60)
+    curve = radius * np.column_stack([np.sin(angle), 1 - np.cos(angle)])
+    on = np.array([np.cos(angle[-1]), np.sin(angle[-1])])
+    path = np.concatenate(
+        [line((-3, 0), (-0.05, 0))[:, :2], curve, line(curve[-1] + 0.05 * on, curve[-1] + 3 * on)[:, :2]]
+    )
     s = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(path, axis=0).T))])
     (turn,) = find_turns(path, s)
     assert turn.kind is FeatureKind.TURN
-    assert turn.amount == pytest.approx(np.pi / 2, abs=0.15)
+    assert turn.amount == pytest.approx(np.radians(degrees), abs=0.15)
 
 
 def test_single_steps_keep_their_height_and_direction():
