@@ -121,9 +121,11 @@ def find_ahead(route: Route, progress: Progress) -> list[Instruction]:
     left = next((f for f in stairs if f.end <= progress.s <= f.end + OFF_STAIRS), None)
     if any(f.kind in STEPS and 0.0 <= f.start - progress.s <= EDGE for f in route.features):
         left = None  # at the next edge the end of the last stairs is no news, and sounds like that of the next ones
+    turns = (f for f in route.features if f.kind is FeatureKind.TURN and _is_told_with_the_end(left, f))
+    first = next(turns, None)
     for feature in route.features:
         after = _behind(climbed, feature)
-        ends = left is not None and _is_told_with_the_end(left, feature)
+        ends = feature is first or (feature.kind in STEPS and _is_told_with_the_end(left, feature))
         if after is not None and (feature.kind is FeatureKind.TURN or _is_told_with_the_end(climbed, feature)):
             continue  # it is time for them when the stairs end
         if feature.kind is FeatureKind.TURN and _needs_no_word(route, feature, ends):

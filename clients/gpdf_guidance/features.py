@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import StrEnum
 from itertools import pairwise
 from math import radians, sqrt
@@ -112,9 +112,18 @@ def find_features(
     found = find_turns(rough[:, :2], rough[:, 3])
     if facing is not None and abs(first := wrap(float(heading[0]) - facing)) >= TURN:
         found.insert(0, Feature(FeatureKind.TURN, 0.0, 0.0, first))
-    found += find_steps(rough[:, 2], rough[:, 3]) + find_ramps(rough[:, 2], rough[:, 3])
+    steps = find_steps(rough[:, 2], rough[:, 3])
+    found = [_off_stairs(one, steps) for one in found] + steps + find_ramps(rough[:, 2], rough[:, 3])
     found += find_narrow(width, s) + find_head_height(free, over, s)
     return tuple(sorted(found, key=lambda feature: feature.start))
+
+
+def _off_stairs(turn: Feature, steps: list[Feature]) -> Feature:
+    """A turn that goes on behind stairs begins there: nobody turns on them."""
+    for one in steps:
+        if one.kind is FeatureKind.STAIRS and one.start < turn.start < one.end <= turn.end:
+            return replace(turn, start=one.end)
+    return turn
 
 
 def wrap(angle: float) -> float:

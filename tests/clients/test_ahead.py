@@ -201,6 +201,29 @@ def test_what_is_straight_before_a_person_stops_him_also_beside_the_path(place, 
         assert beside.instructions[0].kind is Kind.STOP_MOVING
 
 
+def test_of_two_turns_behind_stairs_the_first_is_told_where_they_end():
+    path = line((0, 0), (5.8, 0), (5.8, 1.3), (9, 1.3), z=lambda s: 0.17 * np.clip(np.ceil((s - 3.0) / 0.28), 0.0, 9.0))
+    route = build_route(trajectory(path), wide, radius=RADIUS)
+    end = next(one.end for one in route.features if one.kind is FeatureKind.STAIRS)
+    assert sum(one.kind is FeatureKind.TURN for one in route.features) == 2
+    told = [one.amount > 0 for s in (0.05, 0.1, 0.2) for one in find_ahead(route, Progress(end + s, 0.0)) if one.ends]
+    assert told == [True, True, True]
+
+
+def test_a_turn_that_begins_on_stairs_is_told_where_they_end():
+    angle = np.linspace(0.0, np.pi / 2, 60)
+    curve = np.array([4.6, 0.0]) + 1.4 * np.column_stack([np.sin(angle), 1 - np.cos(angle)])
+    xy = np.concatenate([line((0, 0), (4.55, 0))[:, :2], curve, line((6.0, 1.45), (6.0, 6.0))[:, :2]])
+    s = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(xy, axis=0).T))])
+    path = np.column_stack([xy, 0.17 * np.clip(np.ceil((s - 3.0) / 0.28), 0.0, 9.0)])
+    route = build_route(trajectory(path), wide, radius=RADIUS)
+    stairs = next(one for one in route.features if one.kind is FeatureKind.STAIRS)
+    (turn,) = (one for one in route.features if one.kind is FeatureKind.TURN)
+    assert turn.start == stairs.end
+    for s_on in np.arange(stairs.start + 0.1, stairs.end - 0.05, 0.1):
+        assert Kind.TURN_SOON not in {one.kind for one in find_ahead(route, Progress(float(s_on), 0.0))}
+
+
 @pytest.mark.parametrize(("behind", "told"), [(0.5, True), (2.0, True), (3.5, False)])
 def test_the_turn_that_comes_next_is_told_where_stairs_end(behind, told):
     corner = 5.5 + behind
