@@ -16,6 +16,7 @@ from gpdf_service.baselines import plan_baseline
 from gpdf_service.config import Config
 from gpdf_service.errors import ConfigError, RequestError
 from gpdf_service.perception import check_labels, check_origins, check_points
+from gpdf_service.perception.footing import ROUGH, crosses_flight
 from gpdf_service.planning import plan_path
 from gpdf_service.scene import Progress as Progress
 from gpdf_service.scene import Scene, assemble_scene
@@ -129,13 +130,20 @@ def plan(
     space = scene.free_space(body)
     settings, ways = scene.config.planning, partial(scene.ways, body)
     result = plan_path(space, *ends, settings, options=options, ways=ways, deadline=deadline, clock=clock)
-    return _with_hidden_height(result, scene.hidden_height)
+    return _with_hidden_height(result, scene, body)
 
 
-def _with_hidden_height(result: PlanResult, height: float) -> PlanResult:
-    """The result whose certificates say how high things may be that nobody can see in this scene [m]."""
-    others = tuple(_with_hidden_height(other, height) for other in result.alternatives)
-    proof = None if result.certificate is None else replace(result.certificate, hidden_height=height)
+def _with_hidden_height(result: PlanResult, scene: Scene, body: Agent) -> PlanResult:
+    """The result whose certificates say how high things may be that nobody can see on these ways [m].
+
+    On a flight what is no higher than a worn tread is rough counts as the tread, whatever it is.
+    """
+    others = tuple(_with_hidden_height(other, scene, body) for other in result.alternatives)
+    proof, hidden = result.certificate, scene.hidden_height
+    if result.trajectory is not None and hidden < ROUGH < body.max_step:
+        path = result.trajectory.ground
+        hidden = ROUGH if any(crosses_flight(path, one, body.cylinder.radius) for one in scene.surfaces) else hidden
+    proof = None if proof is None else replace(proof, hidden_height=hidden)
     return replace(result, certificate=proof, alternatives=others)
 
 

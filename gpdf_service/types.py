@@ -268,7 +268,7 @@ class Certificate:
         reason: In words, the first limit that is broken; empty when `holds`.
         hidden_height: What stands no higher than this over the ground may be on the way unseen [m]: where our own
             segmentation found the ground, low things look like its scatter, and single points like its noise; in a
-            noisy cloud with labels, low things beside a step look like its face.
+            noisy cloud with labels, low things beside a step look like its face; on a flight they look like its wear.
         ground_spacing: Coarsest spacing of the samples that the ground under the path rests on, to the width of a cell
             [m]: what is narrower than this may be there unseen, a gap in the ground as well.
     """

@@ -8,6 +8,7 @@ from gpdf_service.bench.judge import Judge
 from gpdf_service.bench.plan import random_places
 from gpdf_service.config import PerceptionConfig
 from gpdf_service.perception.cure import cure_and_segment
+from gpdf_service.perception.footing import ROUGH
 from gpdf_service.synthetic import SCENES
 from gpdf_service.synthetic.world import Box, World
 
@@ -166,3 +167,27 @@ def test_all_stages_are_told_the_same_noise():
     points = np.column_stack([rng.uniform(0.0, 3.0, (20_000, 2)), np.zeros(20_000)])
     points += rng.normal(0.0, 0.0204, points.shape)
     assert cure_and_segment(points, None, PerceptionConfig()).cured.measured == gpdf.build_scene(points).noise
+
+
+def test_what_wear_can_hide_on_a_flight_is_said():
+    stair, office = (SCENES[name](np.random.default_rng(0)) for name in ("stair", "office"))
+    up, level = (gpdf.build_scene(made.points, made.ground) for made in (stair, office))
+    climbed = gpdf.plan(up, stair.start, stair.goal)
+    assert climbed.certificate.hidden_height == ROUGH > up.hidden_height
+    before = gpdf.plan(up, stair.start, (1.2, stair.start[1]))
+    assert before.certificate.hidden_height == up.hidden_height
+    walked = gpdf.plan(level, (1.0, 1.0), (1.6, 1.0))
+    assert walked.certificate.hidden_height == level.hidden_height
+
+
+def test_a_thing_that_passes_for_wear_of_a_steep_ramp_is_said_too():
+    slope = np.tan(np.radians(26.0))
+    x, y = (one.ravel() for one in np.mgrid[0.0:8.0:0.04, 0.0:2.0:0.04])
+    floor = np.column_stack([x, y, slope * np.clip(x - 2.0, 0.0, 4.0)])
+    box = np.column_stack([one.ravel() for one in np.mgrid[3.9:4.1:0.03, 0.0:2.0:0.03, 0.0:0.06:0.02]])
+    box[:, 2] += slope * (box[:, 0] - 2.0)
+    points = np.concatenate([floor, box])
+    scene = gpdf.build_scene(points, np.arange(len(points)) < len(floor))
+    over = gpdf.plan(scene, (1.0, 1.0), (7.0, 1.0))
+    assert over.status is gpdf.Status.OK
+    assert over.certificate.hidden_height == ROUGH > scene.hidden_height

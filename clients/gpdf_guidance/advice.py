@@ -240,7 +240,7 @@ def _obstacle_ahead(route: Route, progress: Progress, obstacles: FloatArray) -> 
 
 
 def moves_near(pose: Pose, moving: FloatArray) -> list[Instruction]:
-    """What moves near a person and is not in his way: the nearest, and on which side."""
+    """What moves near a person who walks and is not in his way: the nearest, and on which side."""
     away = moving[:, :2] - np.array(pose.position[:2])
     over = moving[:, 2] - pose.position[2]
     gap = np.where((over > 0.0) & (over < BODY_HEIGHT), np.hypot(*away.T), np.inf)
@@ -248,6 +248,8 @@ def moves_near(pose: Pose, moving: FloatArray) -> list[Instruction]:
         return []
     x, y = away[int(gap.argmin())]
     side = side_of(float(np.arctan2(y, x)) - pose.heading)
+    if side is Side.BEHIND:
+        return []  # who walks leaves it
     return [Instruction(Kind.MOVING, Urgency.INFORM, distance=float(gap.min()), side=side)]
 
 

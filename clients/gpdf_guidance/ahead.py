@@ -40,7 +40,7 @@ REASSURE = 10.0
 """[m] Who has heard nothing for so long is told that all is well, ITU-T F.921."""
 STEPS = (FeatureKind.STEP, FeatureKind.STAIRS)
 TO_STEPS = 1.0
-"""[m] A turn that ends this near before a step or stairs, or begins so near behind stairs, is told with them."""
+"""[m] A turn that ends this near before a step or stairs is told with them."""
 
 
 def find_turning(route: Route, progress: Progress, direction: float, action: CueAction) -> list[Instruction]:
@@ -52,7 +52,8 @@ def find_turning(route: Route, progress: Progress, direction: float, action: Cue
         place = _place(route, progress.s if turn is None else turn.start)
         return [Instruction(Kind.TURN_NOW, Urgency.ACT, place, amount=direction)]
     straight = _straight_length(route, progress.s)
-    if turn is not None and progress.s >= turn.end and abs(direction) <= STRAIGHT and straight >= TO_STEPS:
+    soon = straight <= EARLY[1] and progress.s + straight < route.length  # what comes then is told of by itself
+    if turn is not None and progress.s >= turn.end and abs(direction) <= STRAIGHT and straight >= TO_STEPS and not soon:
         return [Instruction(Kind.GO_ON, Urgency.INFORM, _place(route, turn.start), straight)]
     return []
 
@@ -120,9 +121,11 @@ def find_ahead(route: Route, progress: Progress) -> list[Instruction]:
     left = next((f for f in stairs if f.end <= progress.s <= f.end + OFF_STAIRS), None)
     if any(f.kind in STEPS and 0.0 <= f.start - progress.s <= EDGE for f in route.features):
         left = None  # at the next edge the end of the last stairs is no news, and sounds like that of the next ones
+    turns = (f for f in route.features if f.kind is FeatureKind.TURN and _is_told_with_the_end(left, f))
+    first = next(turns, None)
     for feature in route.features:
         after = _behind(climbed, feature)
-        ends = left is not None and _is_told_with_the_end(left, feature)
+        ends = feature is first or (feature.kind in STEPS and _is_told_with_the_end(left, feature))
         if after is not None and (feature.kind is FeatureKind.TURN or _is_told_with_the_end(climbed, feature)):
             continue  # it is time for them when the stairs end
         if feature.kind is FeatureKind.TURN and _needs_no_word(route, feature, ends):
@@ -191,7 +194,7 @@ def _is_told_with_the_end(stairs: Feature | None, feature: Feature) -> bool:
     behind = feature.start - stairs.end
     if feature.kind in STEPS:
         return LANDING <= behind <= STEP_WINDOW[1]
-    return feature.kind is FeatureKind.TURN and -TREAD <= behind <= TO_STEPS
+    return feature.kind is FeatureKind.TURN and -TREAD <= behind <= TURN_WINDOW[1]
 
 
 def _needs_no_word(route: Route, turn: Feature, ends: bool) -> bool:

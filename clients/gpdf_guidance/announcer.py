@@ -18,7 +18,7 @@ DEBT = -3.0
 NEEDED = {Urgency.INFORM: 1.0, Urgency.PREPARE: 0.0, Urgency.ACT: -inf, Urgency.DANGER: -inf}
 """Instructions that must be saved up to say one: what prepares may come right after one that was urgent."""
 AGAIN = {Urgency.DANGER: 8.0, Urgency.ACT: 12.0}
-"""[s] What is dangerous or to be done now is said again after this if it is still so; the rest is said once."""
+"""[s] What is dangerous or to be done now is said again so long after its end if it still is; the rest is said once."""
 KIND_AGAIN = {
     Kind.STEP: 30.0,
     Kind.STAIRS: 30.0,
@@ -43,7 +43,7 @@ AT_EDGE = {Kind.STEP: Kind.STEP_EDGE, Kind.STAIRS: Kind.STAIRS_EDGE}
 EDGE = 0.6
 """[m] Stairs that are told of from here begin where one stands."""
 ANYWHERE = (Kind.MOVING, Kind.LOW_UNSEEN)
-"""What is the same thing wherever it is."""
+"""What is the same thing wherever it is; but that a map misses more than was said is news."""
 WORD = 0.33
 """[s] A spoken word takes."""
 
@@ -116,7 +116,7 @@ class Announcer:
         if instruction.reply_to is not None:
             return True
         again = KIND_AGAIN.get(instruction.kind, AGAIN.get(instruction.urgency, inf))
-        return all(now - said.time >= again for said in self._said if _same(said.instruction, instruction))
+        return all(now - said.end >= again for said in self._said if _same(said.instruction, instruction))
 
     def _speak(self, instruction: Instruction, now: float) -> tuple[Instruction, str]:
         text = self._say(instruction)
@@ -127,6 +127,7 @@ class Announcer:
         told = [instruction] if instruction.first is None else [instruction.first, instruction]
         told += [replace(instruction, kind=Kind.STAIRS_END)] if instruction.ends else []
         told += [Instruction(Kind.RESUME, Urgency.DANGER)] if instruction.resumes else []
+        told += [one for one in instruction.then if one.kind is Kind.LOW_UNSEEN]
         if instruction.kind in AT_EDGE and instruction.distance <= EDGE:  # that is the word at the edge
             told.append(replace(instruction, kind=AT_EDGE[instruction.kind]))
         if instruction.kind in (Kind.STAIRS, Kind.STAIRS_EDGE) and not instruction.early:
@@ -146,6 +147,8 @@ def _same(a: Instruction, b: Instruction) -> bool:
         return False
     if a.kind in STEPS and a.amount * b.amount < 0.0:
         return False  # up and down a sill
+    if a.kind is Kind.LOW_UNSEEN and b.amount > a.amount:
+        return False
     if a.last is not None and b.last is not None:
         same_end = SAME if a.kind is Kind.ON_STAIRS else SAME_STEP
         if _apart(a.last, b.last) < same_end:

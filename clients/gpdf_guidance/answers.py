@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from math import atan2, hypot
 
-from gpdf_guidance.advice import PACES, side_of
+from gpdf_guidance.advice import LEAST_OBSTACLE, PACES, side_of
 from gpdf_guidance.features import TURN, Feature, FeatureKind
 from gpdf_guidance.instruction import Instruction, Kind, Urgency
 from gpdf_guidance.route import Pose, Route
@@ -13,6 +13,8 @@ TREAD_TIME = 1.2
 """[s] That a person who cannot see takes for a step of stairs."""
 TURN_TIME = 3.0
 """[s] For a turn on the spot, and to set off again."""
+CLIMBS = {FeatureKind.STEP: 0.0, FeatureKind.STAIRS: 0.0, FeatureKind.RAMP: 0.5}
+"""[m] What an overview tells of, from this rise on; a lower ramp is felt, as three steps would be."""
 MARGIN = 1.2
 """Times as long as at full pace: people slow down at narrow places and at the end."""
 
@@ -26,7 +28,7 @@ def overview(route: Route, name: str, pace: float, turn: float = 0.0) -> Instruc
         pace: Share of the full pace that the person wants.
         turn: To the left [rad], on the spot, to where he walks first.
     """
-    steps = tuple(_as_told(one) for one in route.features if one.kind in (FeatureKind.STEP, FeatureKind.STAIRS))
+    steps = tuple(_as_told(one) for one in route.features if one.kind in CLIMBS and abs(one.amount) >= CLIMBS[one.kind])
     turns = sum(one.kind is FeatureKind.TURN and one.end > 0.0 for one in route.features)
     first = Instruction(Kind.TURN_NOW, Urgency.ACT, _start(route), amount=turn) if abs(turn) >= TURN else None
     return Instruction(
@@ -36,10 +38,16 @@ def overview(route: Route, name: str, pace: float, turn: float = 0.0) -> Instruc
         route.length,
         count=turns,
         first=first,
-        then=steps,
+        then=steps + unseen(route),
         name=name,
         seconds=duration(route, 0.0, pace),
     )
+
+
+def unseen(route: Route) -> tuple[Instruction, ...]:
+    """That the map misses low things on this way, where it misses what a foot would notice."""
+    height = route.hidden_height
+    return (Instruction(Kind.LOW_UNSEEN, Urgency.PREPARE, amount=height),) if height > LEAST_OBSTACLE else ()
 
 
 def _start(route: Route) -> tuple[float, float]:
@@ -48,8 +56,7 @@ def _start(route: Route) -> tuple[float, float]:
 
 
 def _as_told(one: Feature) -> Instruction:
-    kind = Kind.STAIRS if one.kind is FeatureKind.STAIRS else Kind.STEP
-    return Instruction(kind, Urgency.INFORM, amount=one.amount, count=one.count)
+    return Instruction(Kind(one.kind.value), Urgency.INFORM, amount=one.amount, count=one.count)
 
 
 def duration(route: Route, s: float, pace: float) -> float:

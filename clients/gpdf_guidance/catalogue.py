@@ -79,8 +79,9 @@ def phrase(instruction: Instruction, manner: Manner | None = None) -> str:
     sentence = chosen.sentences[Kind.TURN_NOW if at_once else instruction.kind].format_map(
         _Fields(instruction, metres, words, manner)
     )
-    if instruction.kind is Kind.OVERVIEW and instruction.first is not None:
-        return f"{sentence} {phrase(instruction.first, manner)}"
+    if instruction.kind is Kind.OVERVIEW:
+        also = (*(one for one in instruction.then if one.kind is Kind.LOW_UNSEEN), instruction.first)
+        return " ".join([sentence, *(phrase(one, manner) for one in also if one is not None)])
     if instruction.first is not None:
         sentence = f"{phrase(instruction.first, manner)} {sentence}"
     if instruction.kind in WITH_RAIL and instruction.side is not None:
@@ -164,9 +165,10 @@ def _side(one: Instruction, words: Mapping[str, str], manner: Manner) -> str:
 
 
 def _on_the_way(part: Instruction, words: Mapping[str, str]) -> str:
+    if part.kind is Kind.LOW_UNSEEN:
+        return ""  # a sentence of its own
     vertical = words["up" if part.amount > 0 else "down"]
-    name = "way_stairs" if part.kind is Kind.STAIRS else "way_step"
-    return words[name].format(vertical=vertical, count=part.count, height=round(100 * abs(part.amount)))
+    return words[f"way_{part.kind}"].format(vertical=vertical, count=part.count, height=round(100 * abs(part.amount)))
 
 
 def _time(seconds: float, words: Mapping[str, str]) -> str:

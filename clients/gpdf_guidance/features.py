@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import StrEnum
 from itertools import pairwise
-from math import radians
+from math import radians, sqrt
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,8 +18,10 @@ BEAR = radians(25)
 """[rad] A change of direction that "keep left" is worth saying for."""
 STRAIGHTEN = 0.15
 """[m] A path is taken as the straight pieces that stay this close to it."""
-ONE_TURN = 1.0
-"""[m] Bends to the same side that are closer are one turn."""
+CURVE = 2.0
+"""[m] Radius of a curve that is a turn; a wider one is a bend that one is led through."""
+ONE_TURN = 2.0 * sqrt(2.0 * CURVE * STRAIGHTEN)
+"""[m] Bends to the same side that are closer are one turn: so far apart are the corners of the pieces of a curve."""
 LARGEST_TURN = radians(120)
 """[rad] A curve that turns further is two turns: who is told to turn around does so on the spot."""
 LEAST_STEP = 0.04
@@ -38,6 +40,8 @@ RAMP_LENGTH = 1.0
 """[m] A shorter one is not worth a word."""
 NARROW = 0.8
 """[m] A passage narrower than this: less than a hand's breadth and a half beside the elbows, so one is led slowly."""
+ONE_PASSAGE = 1.0
+"""[m] Narrow passages that are closer are one."""
 OPENING = 1.0
 """[m] A passage narrower than this, and no longer, is an opening: a door, or a gap that is felt like one."""
 BESIDE_OPENING = 0.5
@@ -108,9 +112,18 @@ def find_features(
     found = find_turns(rough[:, :2], rough[:, 3])
     if facing is not None and abs(first := wrap(float(heading[0]) - facing)) >= TURN:
         found.insert(0, Feature(FeatureKind.TURN, 0.0, 0.0, first))
-    found += find_steps(rough[:, 2], rough[:, 3]) + find_ramps(rough[:, 2], rough[:, 3])
+    steps = find_steps(rough[:, 2], rough[:, 3])
+    found = [_off_stairs(one, steps) for one in found] + steps + find_ramps(rough[:, 2], rough[:, 3])
     found += find_narrow(width, s) + find_head_height(free, over, s)
     return tuple(sorted(found, key=lambda feature: feature.start))
+
+
+def _off_stairs(turn: Feature, steps: list[Feature]) -> Feature:
+    """A turn that goes on behind stairs begins there: nobody turns on them."""
+    for one in steps:
+        if one.kind is FeatureKind.STAIRS and one.start < turn.start < one.end <= turn.end:
+            return replace(turn, start=one.end)
+    return turn
 
 
 def wrap(angle: float) -> float:
@@ -232,7 +245,7 @@ def _averaged(values: FloatArray) -> FloatArray:
 
 
 def find_narrow(width: FloatArray, s: FloatArray) -> list[Feature]:
-    """Narrow passages, those that are closer than a metre as one, and openings."""
+    """Narrow passages, those that are close as one, and openings."""
     openings = find_openings(width, s)
     found: list[Feature] = []
     for a, b in _runs(width < NARROW):
@@ -240,7 +253,7 @@ def find_narrow(width: FloatArray, s: FloatArray) -> list[Feature]:
         start, end, least = float(s[a]), float(s[last]), float(width[a : last + 1].min())
         if any(one.start <= start and end <= one.end for one in openings):
             continue
-        if found and start - found[-1].end < ONE_TURN:
+        if found and start - found[-1].end < ONE_PASSAGE:
             found[-1] = Feature(FeatureKind.NARROW, found[-1].start, end, min(found[-1].amount, least))
         else:
             found.append(Feature(FeatureKind.NARROW, start, end, least))

@@ -5,15 +5,16 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
+from math import inf
 
 import numpy as np
 from gpdf_schemas import Ask, AskMessage, CueAction, CueMessage
 from numpy.typing import NDArray
 
-from gpdf_guidance.advice import BLIND, LEAST_OBSTACLE, OVER_TURN, PACES, Advice, advise, aim, moves_near, stop
+from gpdf_guidance.advice import BLIND, OVER_TURN, PACES, Advice, advise, aim, moves_near, stop
 from gpdf_guidance.ahead import find_reassurance, is_edge, is_hidden_step
 from gpdf_guidance.announcer import Announcer
-from gpdf_guidance.answers import here, how_far, overview
+from gpdf_guidance.answers import here, how_far, overview, unseen
 from gpdf_guidance.belief import Belief, believe
 from gpdf_guidance.catalogue import phrase
 from gpdf_guidance.features import FeatureKind
@@ -43,15 +44,16 @@ UNANSWERED = 60.0
 SETTLES = 1.0
 """[s] After a turn a person comes to rest, and is not told of a small one before."""
 WAITING = {
-    Kind.STOP_LOST: 2.0,
-    Kind.STOP_NO_POSE: 2.0,
-    Kind.STOP_OFF_WAY: 2.0,
-    Kind.STOP_MOVING: 2.0,
+    Kind.STOP_LOST: PATIENCE,
+    Kind.STOP_NO_POSE: PATIENCE,
+    Kind.STOP_OFF_WAY: PATIENCE,
+    Kind.STOP_MOVING: PATIENCE,
     Kind.STOP_UNRELIABLE: 0.4,
 }
 """[s] The cue says stop at once; one that is over within this is felt and not spoken, if somebody feels the cues. Poses
-that are missing mostly come again, and who crosses the way is past; poses that cannot be true are spoken of within half
-a second."""
+that are missing mostly come again, and who crosses the way, a walk of 1.4 s, has been gone for `CLEAR_FOR`: to speak of
+that takes longer than it lasts, and "go on" must wait for it. Poses that cannot be true are spoken of within half a
+second."""
 STOPS = (*WAITING, Kind.STOP_ALONE, Kind.STOP_OBSTACLE, Kind.STOP_UNSURE)
 """After these a person waits to be told to go on."""
 WALKS = (CueAction.GO, CueAction.SLOW)
@@ -60,10 +62,14 @@ BLOCKS = {Kind.STOP_OBSTACLE, Kind.STOP_MOVING}
 CLEAR_FOR = (1.0, 4.0)
 """[s] What was in the way has been gone for so long before one goes on; twice as long each time that it comes back
 before one has got on, up to the second."""
+PASSED = 2.5
+"""[m] From where he was told of a thing in his way one is led past it: its length, and the way to it."""
 GETS_ON = 0.5
 """[m] Who has moved by this has got on."""
 STANDS = 8.0
-"""[s] The same for one who was told to stop and stands: that his pose is missing, too, is no news for so long."""
+"""[s] The same for one who stands. Who was told to stop: that his pose is missing, too, is no news for so long. Who has
+heard the overview and has not set off: "stop" is no news, and where it is over by then, "go on" is none. Who is led
+past a thing that he was told of: that it stops him once more is none."""
 UNSURE = 2.0
 """[s] A person who is held without a word for so long is told that the guide is at work."""
 BRAKES = PACES[0] / BLIND
@@ -117,21 +123,36 @@ def look_up(planner: Planner, ask: AskMessage, pose: Pose | None) -> Asked:
 
 @dataclass(slots=True)
 class _Waiting:
-    """Since when something keeps the person from walking [s], and where another way was last asked for."""
+    """What keeps the person from walking.
+
+    Attributes:
+        since: Since when, or since another way was last asked for [s]; None while he walks.
+        stands: Since when, however often another way was asked for [s].
+        known: When there was a reason for it last [s].
+        tries: Ways that were asked for.
+        at: Where the last one was [m].
+    """
 
     since: float | None = None
+    stands: float = inf
+    known: float = -inf
     tries: int = 0
     at: FloatArray = field(default_factory=lambda: np.full(3, np.inf))
 
 
 @dataclass(slots=True)
 class _Block:
-    """What new thing stopped the person, until when he waits for it, for how long, and where [s], [m]."""
+    """What new thing stopped the person, until when he waits for it, for how long, where, where told [s], [m]."""
 
     by: Instruction | None = None
     until: float = -np.inf
     clear_for: float = CLEAR_FOR[0]
     at: FloatArray = field(default_factory=lambda: np.full(3, np.inf))
+    told_at: FloatArray = field(default_factory=lambda: np.full(3, np.inf))
+
+    def is_passed(self, place: FloatArray) -> bool:
+        """Whether one is led past a thing that he was told of."""
+        return bool(np.hypot(*(self.told_at - place)[:2]) < PASSED)
 
     def again(self, by: Instruction, now: float, place: FloatArray) -> None:
         """It stops him now."""
@@ -153,6 +174,7 @@ class _Talk:
         paused: Whether the person wants to stand.
         replies: Answers that are still to be said.
         overview: What is said of the way before its first step; None when that is done.
+        sets_off: Whether that was heard and no step has been made since.
     """
 
     climb: float = LEVEL_STEP
@@ -162,6 +184,7 @@ class _Talk:
     paused: bool = False
     replies: list[Instruction] = field(default_factory=list)
     overview: Instruction | None = None
+    sets_off: bool = False
 
 
 class Guide:
@@ -260,6 +283,8 @@ class Guide:
         waits = self._told_to_stop and advice.action in WALKS  # "stop" is still in his ear: "go on" comes next
         if waits or any(self._is_unheard(one) for one in advice.instructions):
             advice = replace(advice, action=CueAction.STOP, pace=0.0)  # nor does he go towards a step unheard
+        if advice.action in WALKS:
+            self._talk.sets_off = False
         self._pace = max(advice.pace, self._pace - BRAKES * went_on)
         cue = CueMessage(
             action=advice.action,
@@ -277,6 +302,8 @@ class Guide:
             self._talk.replies = [reply for reply in self._talk.replies if reply is not one]
         else:
             self._told_to_stop = one.kind in STOPS
+            if one.kind is Kind.STOP_OBSTACLE and self._trusted is not None:
+                self._block.told_at = np.array(self._trusted.position)
         self._told_at = self._s
 
     def _is_unheard(self, one: Instruction) -> bool:
@@ -368,16 +395,19 @@ class Guide:
             return Advice(advice.progress, CueAction.STOP)
         if (first := self._talk.overview) is not None:
             if self._announcer.has_told(first, self._clock):
-                self._talk.overview = None
+                self._talk.overview, self._talk.sets_off = None, True
             else:
                 return Advice(advice.progress, CueAction.STOP, instructions=(first,))
         return advice
 
     def _worth_saying(self, advice: Advice) -> tuple[Instruction, ...]:
         """What stops the feet for a moment only is no news; who was told to stop is told to go on."""
-        waited = 0.0 if self._waiting.since is None else self._clock - self._waiting.since
-        stands = dict.fromkeys(set(WAITING) - BLOCKS, STANDS) if self._told_to_stop else {}
-        patient = (WAITING | stands) if self.felt else {}
+        waited = 0.0 if self._waiting.since is None else self._clock - self._waiting.stands
+        stood = set(WAITING) - (BLOCKS if self._told_to_stop else {Kind.STOP_UNRELIABLE})
+        stands = dict.fromkeys(stood, STANDS) if self._told_to_stop or self._talk.sets_off else {}
+        known = self._trusted is not None and self._block.is_passed(np.array(self._trusted.position))
+        passes = {Kind.STOP_OBSTACLE: STANDS} if known and not self._told_to_stop else {}
+        patient = (WAITING | passes | stands) if self.felt else {}
         worth = tuple(
             one
             for one in advice.instructions
@@ -395,15 +425,15 @@ class Guide:
         if self.route is None:
             return ()
         if advice.action is CueAction.STOP:
-            silent = not advice.instructions and waited >= (STANDS if self._told_to_stop else UNSURE)
+            waited = min(waited, self._clock - self._waiting.known)
+            silent = waited >= (STANDS if self._told_to_stop else UNSURE)
             return (Instruction(Kind.STOP_UNSURE, Urgency.DANGER),) if silent else ()
         if advice.action not in WALKS:
             return ()
         found = find_reassurance(self.route, advice.progress, self._told_at)
         if self._moving is not None and self._belief is not None:
             found += moves_near(self._belief.pose, self._moving)
-        if (hidden := self.route.hidden_height) > LEAST_OBSTACLE:
-            found.append(Instruction(Kind.LOW_UNSEEN, Urgency.PREPARE, amount=hidden))
+        found += unseen(self.route)  # of a new way that misses more than was said of the last one
         return tuple(one for one in found if self.manner.wants(one.kind))
 
     def _is_felt(self, one: Instruction) -> bool:
@@ -416,6 +446,7 @@ class Guide:
     def _notice(self, advice: Advice) -> None:
         """Arrival, and how long the person has been kept from walking."""
         self._off_way = advice.off_way
+        self._waiting.known = self._clock if advice.instructions else self._waiting.known
         if advice.action is CueAction.ARRIVED:
             self.outcome = Outcome.ARRIVED
         waits = self._talk.question is not None or self._talk.paused or self._talk.overview is not None
@@ -423,7 +454,7 @@ class Guide:
         if advice.action is not CueAction.STOP or (waits and not danger) or self._not_begun:
             self._waiting.since = None
         elif self._waiting.since is None:
-            self._waiting.since = self._clock
+            self._waiting.since = self._waiting.stands = self._clock
         elif self._clock - self._waiting.since > LOST:
             blocked = BLOCKS & {one.kind for one in advice.instructions}
             kind = Kind.GAVE_UP_HELD_UP if blocked else Kind.GAVE_UP_LOST if danger else Kind.GAVE_UP
@@ -464,6 +495,7 @@ class Guide:
         """
         self._planned_at = pose
         self._waiting.tries += 1
+        self._waiting.stands = self._clock if self._waiting.since is None else self._waiting.stands
         self._waiting.since, self._waiting.at = self._clock, np.array(pose.position)
         self._moved = self._clock
         if planned.route is not None and abs(planned.highest) > self._talk.climb + 1e-6:
@@ -476,7 +508,9 @@ class Guide:
             self._refuse(replace(planned, refusal=Kind.GAVE_UP_HELD_UP) if held_up else planned)
 
     def _walk(self, route: Route) -> None:
-        if self.route is None and self.manner.wants(Kind.OVERVIEW):
+        if self.route is None and not self.manner.wants(Kind.OVERVIEW):
+            self._talk.overview = next(iter(unseen(route)), None)
+        elif self.route is None:
             stands = self._trusted or self._planned_at
             turn = 0.0 if stands is None else aim(route, stands, Progress(0.0, 0.0))
             self._talk.overview = overview(route, self.name, self.manner.pace, turn)

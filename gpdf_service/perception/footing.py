@@ -121,6 +121,44 @@ def is_tread(height: NDArray[np.float32], x: int, y: int, stride: int) -> bool:
     return high - own > ROUGH and own - low > ROUGH and high - low > FLIGHT_RISE
 
 
+def crosses_flight(path: FloatArray, surface: HeightMap, radius: float) -> bool:
+    """Whether a body on a path is over a tread of this ground as `on_treads` means it: on a flight, or a steep ramp.
+
+    Args:
+        path: Contact points [m], shape (n, 3).
+        surface: The ground of one level; only what lies on it counts.
+        radius: Of the disc that the body is within [m].
+    """
+    s = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(path[:, :2], axis=0).T))])
+    samples = np.linspace(0.0, s[-1], int(s[-1] / (0.5 * radius)) + 2)
+    cells = np.column_stack([np.interp(samples, s, path[:, k]) for k in range(3)])
+    cells[:, :2] = (cells[:, :2] - surface.origin) / surface.cell_width
+    height = np.where(surface.state != UNKNOWN, surface.height, np.float32(np.nan))
+    reach = int(1.25 * radius / surface.cell_width) + 1
+    return bool(_crosses_flight(cells, height, reach, rings_of(STRIDE, surface.cell_width)))
+
+
+@njit(cache=True, nogil=True)
+def _crosses_flight(cells: FloatArray, height: NDArray[np.float32], reach: int, stride: int) -> bool:
+    nx, ny = height.shape
+    for m in range(len(cells)):
+        x, y = int(np.floor(cells[m, 0])), int(np.floor(cells[m, 1]))
+        if not (0 <= x < nx and 0 <= y < ny and abs(height[x, y] - cells[m, 2]) <= FLIGHT_RISE):
+            continue
+        low, high, wide = np.inf, -np.inf, reach + stride
+        for u in range(max(x - wide, 0), min(x + wide + 1, nx)):
+            for v in range(max(y - wide, 0), min(y + wide + 1, ny)):
+                there = float(height[u, v])  # a NaN is neither
+                low, high = there if there < low else low, there if there > high else high
+        if not high - low > FLIGHT_RISE:
+            continue  # nearly everywhere, and cheaper than to ask each cell
+        for u in range(max(x - reach, 0), min(x + reach + 1, nx)):
+            for v in range(max(y - reach, 0), min(y + reach + 1, ny)):
+                if (u - x) ** 2 + (v - y) ** 2 <= reach * reach and is_tread(height, u, v, stride):
+                    return True
+    return False
+
+
 def footing_reach(surface: HeightMap) -> int:
     """Cells within which the ground decides on what is `bridged`, and on `footholds`."""
     return max(rings_of(STRIDE, surface.cell_width), 2 * rings_of(SOLE, surface.cell_width))

@@ -159,6 +159,14 @@ def test_an_overview_counts_the_turn_on_the_spot_as_the_first_thing_to_do():
     assert duration(route, 6.0, 1.0) < duration(route, 0.0, 1.0)
 
 
+@pytest.mark.parametrize(
+    ("rise", "told"), [(2.0, ", a ramp up, "), (-2.0, ", a ramp down, "), (0.3, " 12 metres, about")]
+)
+def test_an_overview_tells_of_a_long_ramp(rise, told):
+    path = line((0, 0), (12, 0), z=lambda s: rise * np.clip((s - 1.0) / 10.0, 0.0, 1.0))
+    assert told in phrase(overview(build_route(trajectory(path), wide, radius=RADIUS), "", 1.0))
+
+
 def test_where_one_is_is_told_by_the_nearest_place_of_the_storey():
     places = {"lift": [5.0, 1.0, 0.0], "attic": [2.0, 0.0, 3.0]}
     route = build_route(trajectory(line((0, 0), (12, 0))), wide, radius=RADIUS, places=places)
@@ -193,11 +201,45 @@ def test_what_is_straight_before_a_person_stops_him_also_beside_the_path(place, 
         assert beside.instructions[0].kind is Kind.STOP_MOVING
 
 
+def test_of_two_turns_behind_stairs_the_first_is_told_where_they_end():
+    path = line((0, 0), (5.8, 0), (5.8, 1.3), (9, 1.3), z=lambda s: 0.17 * np.clip(np.ceil((s - 3.0) / 0.28), 0.0, 9.0))
+    route = build_route(trajectory(path), wide, radius=RADIUS)
+    end = next(one.end for one in route.features if one.kind is FeatureKind.STAIRS)
+    assert sum(one.kind is FeatureKind.TURN for one in route.features) == 2
+    told = [one.amount > 0 for s in (0.05, 0.1, 0.2) for one in find_ahead(route, Progress(end + s, 0.0)) if one.ends]
+    assert told == [True, True, True]
+
+
+def test_a_turn_that_begins_on_stairs_is_told_where_they_end():
+    angle = np.linspace(0.0, np.pi / 2, 60)
+    curve = np.array([4.6, 0.0]) + 1.4 * np.column_stack([np.sin(angle), 1 - np.cos(angle)])
+    xy = np.concatenate([line((0, 0), (4.55, 0))[:, :2], curve, line((6.0, 1.45), (6.0, 6.0))[:, :2]])
+    s = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(xy, axis=0).T))])
+    path = np.column_stack([xy, 0.17 * np.clip(np.ceil((s - 3.0) / 0.28), 0.0, 9.0)])
+    route = build_route(trajectory(path), wide, radius=RADIUS)
+    stairs = next(one for one in route.features if one.kind is FeatureKind.STAIRS)
+    (turn,) = (one for one in route.features if one.kind is FeatureKind.TURN)
+    assert turn.start == stairs.end
+    for s_on in np.arange(stairs.start + 0.1, stairs.end - 0.05, 0.1):
+        assert Kind.TURN_SOON not in {one.kind for one in find_ahead(route, Progress(float(s_on), 0.0))}
+
+
+@pytest.mark.parametrize(("behind", "told"), [(0.5, True), (2.0, True), (3.5, False)])
+def test_the_turn_that_comes_next_is_told_where_stairs_end(behind, told):
+    corner = 5.5 + behind
+    path = line((0, 0), (corner, 0), (corner, 6), z=lambda s: 0.17 * np.clip(np.ceil((s - 3.0) / 0.28), 0.0, 9.0))
+    route = build_route(trajectory(path), wide, radius=RADIUS)
+    end = next(one.end for one in route.features if one.kind is FeatureKind.STAIRS)
+    (one,) = (one for one in find_ahead(route, Progress(end + 0.1, 0.0)) if one.leaves_stairs)
+    assert (one.kind is Kind.TURN_SOON) == told
+
+
 def test_what_moves_beside_a_person_is_told_with_its_side():
     here_is = Pose((0.0, 0.0, 0.0), 0.0, 0.0)
     (one,) = moves_near(here_is, np.array([[0.2, -2.0, 1.0]]))
     assert (one.kind, one.side) == (Kind.MOVING, Side.RIGHT)
     assert moves_near(here_is, np.array([[6.0, 0.0, 1.0]])) == []
+    assert moves_near(here_is, np.array([[-2.0, 0.2, 1.0]])) == []  # behind him
     assert moves_near(here_is, np.array([[1.0, 0.0, 3.5]])) == []
 
 

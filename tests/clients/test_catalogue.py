@@ -123,7 +123,7 @@ def test_distances_are_never_more_than_it_is():
     assert phrase(straight_on, STEPS) == "Walk straight on, 5 steps."  # the sixth is not whole
     assert phrase(straight_on, GERMAN) == "Gehen Sie geradeaus, 3 Meter."
     near = dataclasses.replace(step, distance=0.3)
-    assert phrase(near) == "Right ahead, step down, 17 centimetres."
+    assert phrase(near) == "Just ahead, step down, 17 centimetres."
     own = dataclasses.replace(STEPS, step_length=0.5)
     assert phrase(straight_on, own) == "Walk straight on, 7 steps."
 

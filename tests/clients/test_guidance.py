@@ -75,14 +75,19 @@ def test_a_gentle_bend_is_no_turn_and_a_sway_is_nothing():
     assert find_turns(np.column_stack([s, 0.1 * np.sin(2 * s)]), s) == []
 
 
-def test_a_turn_in_a_curve_is_one_turn():
-    angle = np.linspace(0, np.pi / 2, 40)
-    curve = np.column_stack([np.sin(angle), 1 - np.cos(angle)])
-    path = np.concatenate([line((-3, 0), (-0.05, 0))[:, :2], curve, line((1, 1.05), (1, 4))[:, :2]])
+@pytest.mark.parametrize("radius", [0.5, 1.0, 1.4, 1.7, 2.0])
+@pytest.mark.parametrize("degrees", [70, 80, 90])
+def test_a_turn_in_a_curve_is_one_turn(radius, degrees):
+    angle = np.linspace(0, np.radians(degrees), 60)
+    curve = radius * np.column_stack([np.sin(angle), 1 - np.cos(angle)])
+    on = np.array([np.cos(angle[-1]), np.sin(angle[-1])])
+    path = np.concatenate(
+        [line((-3, 0), (-0.05, 0))[:, :2], curve, line(curve[-1] + 0.05 * on, curve[-1] + 3 * on)[:, :2]]
+    )
     s = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(path, axis=0).T))])
     (turn,) = find_turns(path, s)
     assert turn.kind is FeatureKind.TURN
-    assert turn.amount == pytest.approx(np.pi / 2, abs=0.15)
+    assert turn.amount == pytest.approx(np.radians(degrees), abs=0.15)
 
 
 def test_single_steps_keep_their_height_and_direction():
@@ -345,9 +350,9 @@ def test_a_turn_is_announced_before_and_confirmed_after_and_corrected():
     assert back.amount < 0  # to the right
 
 
-@pytest.mark.parametrize(("steps", "told"), [(0.4, None), (2.3, 2.1)])
-def test_after_a_turn_one_hears_how_far_it_is_to_the_next_step(steps, told):
-    path = line((0, 0), (4, 0), (4, 6), z=lambda s: np.where(s > 4.0 + steps, 0.17, 0.0))
+@pytest.mark.parametrize(("steps", "told"), [(0.4, None), (2.3, None), (9.3, 9.1)])
+def test_after_a_turn_one_hears_how_far_it_is_to_what_is_not_told_of_by_itself_soon(steps, told):
+    path = line((0, 0), (4, 0), (4, 12), z=lambda s: np.where(s > 4.0 + steps, 0.17, 0.0))
     route = build_route(trajectory(path), wide, radius=RADIUS)
     on = [one for one in advise(route, pose(4, 0.2, 90), 0.0, near=4.2).instructions if one.kind is Kind.GO_ON]
     assert [one.distance for one in on] == ([] if told is None else [pytest.approx(told, abs=0.1)])
