@@ -42,7 +42,7 @@ class _Ours:
 
     def get_source_stamp(self) -> str:
         """What the kernel was compiled from."""
-        return stamp_of(Path(self._py_file).resolve())
+        return stamp_of(self._py_file)
 
     def get_disambiguator(self) -> str:
         """Names are unique within a file."""
@@ -68,10 +68,10 @@ config.CACHE_LOCATOR_CLASSES = ",".join([*_PLACES, getattr(config, "CACHE_LOCATO
 
 
 @cache
-def stamp_of(file: Path) -> str:
+def stamp_of(file: str) -> str:
     """A hash of a file and of all that its kernels can call."""
     digest = hashlib.sha256()
-    for source in sorted(sources_of(file)):
+    for source in sorted(sources_of(Path(file).resolve())):
         digest.update(_named(source))
     return digest.hexdigest()
 
