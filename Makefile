@@ -24,8 +24,8 @@ install: .venv/warm
 	$(PY) -m pip install --quiet --constraint constraints.txt --editable '.[all]' --group dev
 	@touch $@
 
-# Compiling takes one core: `make -j 2 lint install` checks beside it.
-.venv/warm: .venv/installed
+# Compiling takes one core: `make -j 2 lint install` checks beside it. What a change of a kernel touches comes again.
+.venv/warm: .venv/installed $(shell grep -rl --include=*.py njit gpdf_service)
 	.venv/bin/gpdf warm
 	@touch $@
 

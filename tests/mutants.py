@@ -158,19 +158,11 @@ def check_out(folder):
             shutil.copy2(source, folder / name)
 
 
-def forget_kernels(folder):
-    """Compiled callers hold what they called: Numba does not see that a module which they import is another."""
-    for kernel in [*folder.rglob("*.nbi"), *folder.rglob("*.nbc")]:
-        kernel.unlink()
-
-
 def is_noticed(mutant, folder):
     """Whether a test of the module fails with the mutant in it."""
     file = folder / mutant.module
     was = file.read_text()
     file.write_text(mutant.text)
-    if "njit" in was:
-        forget_kernels(folder / "gpdf_service")
     paths = os.pathsep.join(str(folder / name) for name in (".", "clients", "schemas"))
     words = [sys.executable, "-m", "pytest", "-x", "-q", "-p", "no:xdist", "-p", "no:cacheprovider", "-m", "not slow"]
     try:

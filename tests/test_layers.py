@@ -8,11 +8,12 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parent.parent
-BASE = {"types", "errors", "config"}
+BASE = {"types", "errors", "config", "kernel_cache"}
 ALLOWED = {
     "errors": set(),
     "types": {"errors"},
     "config": {"errors"},
+    "kernel_cache": set(),
     "packing": set(),
     "store": {"errors", "packing"},
     "fields": BASE,

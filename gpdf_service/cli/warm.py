@@ -33,6 +33,7 @@ class _Bar(Listener):  # type: ignore[misc]  # Numba has no types
 
 def run(args: argparse.Namespace) -> int:
     """Run what needs the kernels; most of the time, if there is any to speak of, goes into compiling them."""
+    from gpdf_service.kernel_cache import forget_others
     from gpdf_service.warm import Warming, kernels
 
     began = time.monotonic()
@@ -42,6 +43,7 @@ def run(args: argparse.Namespace) -> int:
             for name, step in Warming().steps().items():
                 bar.set_postfix_str(name)
                 step()
+    forget_others(kernels())
     seconds = time.monotonic() - began
     if args.json:
         print(json.dumps({"compiled": told.compiled, "seconds": seconds}))

@@ -1,5 +1,6 @@
 """Noise: how much of it a cloud has, its points moved onto their surfaces, and what is left of it."""
 
+import gpdf_service.kernel_cache  # noqa: F401  # before any kernel
 from gpdf_service.denoise.cloud import Denoised as Denoised
 from gpdf_service.denoise.cloud import as_measured as as_measured
 from gpdf_service.denoise.cloud import denoise as denoise

@@ -1,5 +1,6 @@
 """Gaussian-process distance fields: distance and gradient for the price of a nearest-neighbour query."""
 
+import gpdf_service.kernel_cache  # noqa: F401  # before any kernel
 from gpdf_service.fields.gpdf import Domain as Domain
 from gpdf_service.fields.gpdf import Gpdf as Gpdf
 from gpdf_service.fields.gpdf import check_queries as check_queries

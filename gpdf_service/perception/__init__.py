@@ -1,5 +1,6 @@
 """From a cloud to ground, levels and what stops a body on them."""
 
+import gpdf_service.kernel_cache  # noqa: F401  # before any kernel
 from gpdf_service.perception.change import Perceived as Perceived
 from gpdf_service.perception.change import Touched as Touched
 from gpdf_service.perception.change import WholeError as WholeError

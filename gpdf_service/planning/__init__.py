@@ -1,5 +1,6 @@
 """CHOMP, certificate, time stamps."""
 
+import gpdf_service.kernel_cache  # noqa: F401  # before any kernel
 from gpdf_service.planning.certificate import certify as certify
 from gpdf_service.planning.chomp import ChompResult as ChompResult
 from gpdf_service.planning.chomp import optimize as optimize

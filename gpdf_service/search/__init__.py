@@ -1,5 +1,6 @@
 """Quadtree of the free space, connectivity graph, A*."""
 
+import gpdf_service.kernel_cache  # noqa: F401  # before any kernel
 from gpdf_service.search.change import change_free_space as change_free_space
 from gpdf_service.search.free_space import FreeSpace as FreeSpace
 from gpdf_service.search.free_space import build_free_space as build_free_space

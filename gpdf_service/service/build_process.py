@@ -51,6 +51,8 @@ def _do(job: Job, workshop: Workshop, pipe: Connection, limit_bytes: int) -> Bui
         return Failed(str(error))
     except NotKeptError as error:
         return Failed(str(error), kept=False)
+    except BrokenPipeError:  # the service has ended: nobody is told of what is done
+        raise
     except Exception:
         log.exception("scene %s", job.name)
         return Failed("the build failed inside the service; its log says more.")

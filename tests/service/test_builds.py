@@ -7,8 +7,10 @@ import subprocess
 import sys
 import threading
 import time
+from multiprocessing import Pipe
 
 import msgpack
+import msgspec
 import numpy as np
 import pytest
 import zenoh
@@ -18,11 +20,12 @@ from gpdf_schemas import Array, SceneReply, Status, UploadRequest, keys
 
 import gpdf_service as gpdf
 from gpdf_service.config import Config, PerceptionConfig
+from gpdf_service.service import build_process
 from gpdf_service.service.journal import Journal
 from gpdf_service.service.network import session_config
 from gpdf_service.service.scenes import NotKeptError, Shelf
 from gpdf_service.service.server import Options, Server
-from gpdf_service.service.workshop import BuildError, Workshop
+from gpdf_service.service.workshop import BuildError, Job, Workshop
 
 PATIENCE_S = 300.0
 FAR_APART = np.array([[0, 0, 0], [4900, 0, 0], [0, 4900, 0], [4900, 4900, 0.0]])
@@ -77,6 +80,16 @@ def test_a_build_that_is_killed_is_told_in_words_and_the_next_one_is_made(tmp_pa
         with pytest.raises(ServiceError, match=r"BUILD_FAILED.*SIGKILL.*--build-memory-mb"):
             client.load_scene("office", upload=office[0].points, timeout_s=PATIENCE_S)
         assert client.load_scene("floor", upload=floor(3.0), timeout_s=PATIENCE_S)["version"] > 1
+
+
+def test_a_build_whose_service_has_gone_ends_without_a_complaint(tmp_path, caplog):
+    np.savez(tmp_path / "floor.npz", xyz=floor(3.0))
+    ours, theirs = Pipe()
+    job = Job("floor", 1, str(tmp_path), file=str(tmp_path / "floor.npz"))
+    ours.send_bytes(msgspec.json.encode(job))
+    ours.close()
+    build_process.serve(theirs, Workshop(), 10**9)
+    assert caplog.records == []
 
 
 def send(client, scene, points):

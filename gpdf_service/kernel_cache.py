@@ -1,0 +1,143 @@
+"""Where compiled kernels are kept, and when they are compiled again.
+
+Numba keeps a kernel as long as its own file is as it was. What a kernel calls is compiled into it, though, and may come
+from another file. So here a kernel's stamp is made of all files that it can call, or takes a constant from: after a
+change, what depends on it is compiled again, and nothing else.
+
+Importing this sets Numba up; the packages that hold kernels do so before anything else.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import re
+from collections.abc import Callable, Iterable
+from functools import cache
+from pathlib import Path
+
+from numba import config
+from numba.core.caching import InTreeCacheLocator, UserProvidedCacheLocator, UserWideCacheLocator
+from numba.core.dispatcher import Dispatcher
+
+PACKAGE = Path(__file__).resolve().parent
+NAME = "kernel"
+"""Stands in the names of kept files where Numba writes a line: a kernel that moves overwrites what it was."""
+_IMPORTS = re.compile(r"^from (gpdf_service[\w.]*) import (\([^)]*\)|[^(\n]+)$", re.MULTILINE)
+
+
+@cache
+def _is_ours(file: str) -> bool:
+    return PACKAGE in Path(file).resolve().parents
+
+
+class _Ours:
+    """A place for the kernels of this package, and of no other."""
+
+    _py_file: str
+
+    @classmethod
+    def from_function(cls, py_func: Callable[..., object], py_file: str) -> object:
+        """Such a place, or none where nothing can be written or the function is somebody else's."""
+        return super().from_function(py_func, py_file) if _is_ours(py_file) else None  # type: ignore[misc]
+
+    def get_source_stamp(self) -> str:
+        """What the kernel was compiled from."""
+        return stamp_of(self._py_file)
+
+    def get_disambiguator(self) -> str:
+        """Names are unique within a file."""
+        return NAME
+
+
+class Provided(_Ours, UserProvidedCacheLocator):  # type: ignore[misc]  # Numba has no types
+    """In NUMBA_CACHE_DIR, if that is set."""
+
+
+class InTree(_Ours, InTreeCacheLocator):  # type: ignore[misc]
+    """Beside the file of the kernel, if that folder can be written to."""
+
+
+class UserWide(_Ours, UserWideCacheLocator):  # type: ignore[misc]
+    """In the user's folder for such things."""
+
+
+OTHERS = "UserProvidedCacheLocator,InTreeCacheLocator,UserWideCacheLocator,IPythonCacheLocator,ZipCacheLocator"
+"""Numba's own, for the kernels of others."""
+_PLACES = [f"{__name__}.{place.__name__}" for place in (Provided, InTree, UserWide)]
+config.CACHE_LOCATOR_CLASSES = ",".join([*_PLACES, getattr(config, "CACHE_LOCATOR_CLASSES", "") or OTHERS])  # type: ignore[attr-defined]
+
+
+@cache
+def stamp_of(file: str) -> str:
+    """A hash of a file and of all that its kernels can call."""
+    digest = hashlib.sha256()
+    for source in sorted(sources_of(Path(file).resolve())):
+        digest.update(_named(source))
+    return digest.hexdigest()
+
+
+def sources_of(file: Path) -> set[Path]:
+    """The files that the kernels of a file can call or take a constant from, itself among them."""
+    found, left = set[Path](), [file]
+    while left:
+        if (source := left.pop()) not in found:
+            found.add(source)
+            left += _taken_from(source)
+    return found
+
+
+@cache
+def _text(file: Path) -> str:
+    return file.read_text()
+
+
+@cache
+def _named(file: Path) -> bytes:
+    return hashlib.sha256(f"{file.relative_to(PACKAGE)}\n{_text(file)}".encode()).digest()
+
+
+@cache
+def _imports(file: Path) -> list[tuple[str, str, str]]:
+    """Module, name there and name here of what a file imports from this package while it is loaded."""
+    found = []
+    for module, names in _IMPORTS.findall(_text(file)):
+        for name in re.sub(r"#.*|[()]", "", names).split(","):
+            if words := name.split():
+                found.append((module, words[0], words[-1]))
+    return found
+
+
+@cache
+def _taken_from(file: Path) -> frozenset[Path]:
+    origins = ((name, _origin(module, name)) for module, name, _ in _imports(file))
+    return frozenset(source for name, source in origins if name.isupper() or "njit" in _text(source))
+
+
+def _origin(module: str, name: str) -> Path:
+    """The file that a name comes from, through packages that pass it on."""
+    folder = PACKAGE.parent.joinpath(*module.split("."))
+    if (inner := folder / f"{name}.py").is_file():
+        return inner
+    if (file := folder.with_suffix(".py")).is_file():
+        return file
+    passed = [(at, was) for at, was, now in _imports(folder / "__init__.py") if now == name]
+    return _origin(*passed[0]) if passed else folder / "__init__.py"
+
+
+def forget_others(kernels: Iterable[Dispatcher]) -> int:
+    """Delete what is kept of the files of these kernels for functions that they hold no more; gives how many files."""
+    kept: dict[Path, set[str]] = {}
+    for kernel in kernels:
+        name = kernel.py_func.__qualname__.replace("<", "").replace(">", "")  # as Numba writes it
+        stem = f"{Path(kernel.py_func.__code__.co_filename).stem}.{name}-{NAME}"
+        kept.setdefault(Path(str(kernel.stats.cache_path)), set()).add(stem)
+    old = [
+        file
+        for folder, stems in kept.items()
+        for file in folder.glob("*.nb[ic]")
+        if file.name.partition(".")[0] in {stem.partition(".")[0] for stem in stems}
+        and file.name.partition(".py3")[0] not in stems
+    ]
+    for file in old:
+        file.unlink(missing_ok=True)
+    return len(old)

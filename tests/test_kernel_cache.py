@@ -1,0 +1,139 @@
+"""When a kernel is compiled again, where it is kept, and what it takes from other files."""
+
+import ast
+import json
+import os
+import shutil
+import subprocess
+import sys
+from importlib import import_module
+from types import ModuleType
+
+import pytest
+from numba.core.dispatcher import Dispatcher
+
+from gpdf_service.kernel_cache import PACKAGE, sources_of
+
+KERNEL_FILES = sorted(path for path in PACKAGE.rglob("*.py") if "@njit" in path.read_text())
+SMALL = {
+    "__init__.py": "",
+    "low/__init__.py": "import gpdf_service.kernel_cache\nfrom gpdf_service.low.inner import inner as passed_on\n",
+    "low/inner.py": "from numba import njit\nfrom gpdf_service.low.numbers import (\n    TEN,  # of them\n)\n\n\n"
+    "@njit(cache=True)\ndef inner(x):\n    return x + TEN\n",
+    "low/numbers.py": "TEN = 10\n",
+    "low/apart.py": "from numba import njit\n\n\n@njit(cache=True)\ndef apart(x):\n    return x\n",
+    "high.py": "from numba import njit\nfrom gpdf_service.low import passed_on as called\n\n\n"
+    "@njit(cache=True)\ndef outer(x):\n    return 2 * called(x)\n",
+}
+"""A package of three kernels; what one of them calls is passed on by another file and takes a constant from a third."""
+ASK = """
+import json, sys
+from gpdf_service.high import outer
+from gpdf_service.low.apart import apart
+from gpdf_service.kernel_cache import forget_others
+made = [outer(1), apart(7)]
+compiled = [sum(one.stats.cache_misses.values()) for one in (outer, apart)]
+print(json.dumps([made, compiled, forget_others([outer, apart]) if sys.argv[1:] else 0, outer.stats.cache_path]))
+"""
+
+
+@pytest.fixture
+def small(tmp_path):
+    """The folder of the small package, with the real `kernel_cache`."""
+    for name, text in SMALL.items():
+        file = tmp_path / "gpdf_service" / name
+        file.parent.mkdir(exist_ok=True)
+        file.write_text(text)
+    shutil.copy(PACKAGE / "kernel_cache.py", tmp_path / "gpdf_service")
+    return tmp_path / "gpdf_service"
+
+
+def ask(small, *words, **environment):
+    """What the small package's kernels give, how often they were compiled, how many files went, and where they are."""
+    kept = {name: value for name, value in os.environ.items() if not name.startswith(("NUMBA_", "XDG_"))}
+    said = subprocess.run(
+        [sys.executable, "-c", ASK, *words],
+        env=kept | {"PYTHONPATH": str(small.parent), "HOME": str(small.parent)} | environment,
+        cwd=small.parent,
+        stdout=subprocess.PIPE,
+        check=True,
+        timeout=120,
+    )
+    return json.loads(said.stdout)
+
+
+def edit(file, before, after):
+    text = file.read_text()
+    assert text.count(before) == 1
+    file.write_text(text.replace(before, after))
+
+
+def test_a_kernel_is_compiled_again_when_what_it_calls_in_another_file_has_changed_and_no_other_is(small):
+    assert ask(small) == [[22, 7], [1, 1], 0, str(small / "__pycache__")]
+    edit(small / "low/inner.py", "x + TEN", "x - TEN")
+    assert ask(small)[:2] == [[-18, 7], [1, 0]]
+    edit(small / "low/numbers.py", "10", "20")
+    assert ask(small)[:2] == [[-38, 7], [1, 0]]
+    edit(small / "low/apart.py", "return x", "return -x")
+    assert ask(small)[:2] == [[-38, -7], [0, 1]]
+
+
+@pytest.mark.parametrize("told", [True, False])
+def test_kernels_are_kept_where_numba_is_told_or_for_the_user_where_the_package_cannot_be_written_to(small, told):
+    if not told:
+        for folder in (small, small / "low"):
+            (folder / "__pycache__").write_text("no folder can be made here")
+    words, place = ({"NUMBA_CACHE_DIR": f"{small.parent}/told"}, "told") if told else ({}, ".cache")
+    assert ask(small, **words)[3].startswith(f"{small.parent}/{place}/")
+    edit(small / "low/inner.py", "x + TEN", "x - TEN")
+    assert ask(small, **words)[:2] == [[-18, 7], [1, 0]]
+
+
+def test_what_is_kept_of_a_function_that_is_gone_is_deleted_and_nothing_else_is(small):
+    ask(small)
+    old = [small / "__pycache__" / f"high.gone-{line}.py311.{end}" for line, end in ((3, "nbi"), ("kernel", "1.nbc"))]
+    others = [small / "__pycache__" / name for name in ("other.outer-3.py311.nbi", "high.gone-3.txt")]
+    for file in old + others:
+        file.touch()
+    assert ask(small, "forget")[1:3] == [[0, 0], 2]
+    assert [file.exists() for file in old + others] == [False, False, True, True]
+
+
+@pytest.mark.parametrize("path", KERNEL_FILES, ids=lambda path: str(path.relative_to(PACKAGE)))
+def test_what_a_kernel_takes_from_another_file_is_in_its_stamp(path):
+    module = import_module(".".join(("gpdf_service", *path.relative_to(PACKAGE).with_suffix("").parts)))
+    tree, taken = ast.parse(path.read_text()), set(map(str, sources_of(path)))
+    imported = {
+        alias.asname or alias.name: node.module
+        for node in tree.body
+        if isinstance(node, ast.ImportFrom) and node.module.startswith("gpdf_service")
+        for alias in node.names
+    }
+    for name in imported.keys() & set(names_in_kernels(tree)):
+        value = getattr(module, name)
+        assert not isinstance(value, ModuleType), f"{name}: what a kernel takes from a module is not seen"
+        if isinstance(value, Dispatcher):
+            assert value.py_func.__code__.co_filename in taken, name
+        else:
+            made = getattr(value, "__module__", "")
+            assert sys.modules[made if made.startswith("gpdf_service") else imported[name]].__file__ in taken, name
+
+
+def names_in_kernels(tree):
+    """Every name in the decorators and bodies of compiled functions; what annotations say is for the reader."""
+    for node in tree.body:
+        if isinstance(node, ast.FunctionDef) and any("njit" in ast.unparse(one) for one in node.decorator_list):
+            inner = [one for part in (*node.decorator_list, *node.body) for one in ast.walk(part)]
+            said = {id(word) for one in inner if isinstance(one, ast.AnnAssign) for word in ast.walk(one.annotation)}
+            yield from (one.id for one in inner if isinstance(one, ast.Name) and id(one) not in said)
+
+
+@pytest.mark.parametrize("path", KERNEL_FILES, ids=lambda path: str(path.relative_to(PACKAGE)))
+def test_numba_is_set_up_before_the_kernels_and_they_are_told_apart_by_name(path):
+    text = path.read_text()
+    modules = [line for line in text.splitlines() if line.startswith("import gpdf_service")]
+    before = (path.parent / "__init__.py").read_text()
+    assert "\nimport gpdf_service.kernel_cache " in before or sources_of(path) == {path}
+    assert not modules, "a kernel could reach all of a module that is imported as one"
+    names = [node.name for node in ast.parse(text).body if isinstance(node, ast.FunctionDef)]
+    assert len(names) == len(set(names))
