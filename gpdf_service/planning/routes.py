@@ -96,17 +96,15 @@ def _route(space: FreeSpace, start: Endpoint, goal: Endpoint, wish: Wish) -> tup
     """The shortest way with room; where that takes effort, the cheapest of all ways; and what it costs [s].
 
     Effort only adds to a way's price: where the shortest one takes none, no other is cheaper. Where the goal is so much
-    higher or lower than the start that any way takes effort, the shortest one is not looked for, if high
-    steps are little of the cheapest one.
+    higher or lower than the start that it takes effort, the cheapest one is looked for at once: it is among all ways.
     """
     price, ways = prices(space.agent, wish.prefer), wish.ways
     climb = abs(_floor(space, goal) - _floor(space, start)) * price[SLOPED] / (SPARED * price[LENGTH])
-    found: tuple[list[Leg], FloatArray] | None = None
     if ways is not None and climb > np.linalg.norm(goal.xy - start.xy) and wish.left() > 0.0:
-        legs, takes = found = _cheapest(ways(wish.prefer), start, goal)
-        sure = climb > takes[LENGTH] and takes[LEDGE] * price[LEDGE] <= SPARED * (takes @ price)
-        if legs and (sure or wish.left() <= 0.0):
+        legs, takes = _cheapest(ways(wish.prefer), start, goal)
+        if legs:
             return legs, float(takes @ price)
+        ways = None
     direct = _shortest(space, start, goal)
     takes = way_takes_of(direct, wish.prefer)
     cost = float(takes @ price)
@@ -114,7 +112,7 @@ def _route(space: FreeSpace, start: Endpoint, goal: Endpoint, wish: Wish) -> tup
         return direct, cost
     if not (_is_effort(takes, price, wish.prefer) or any(map(_is_by_step, direct))):
         return direct, cost
-    legs, takes = _cheapest(ways(wish.prefer), start, goal) if found is None else found
+    legs, takes = _cheapest(ways(wish.prefer), start, goal)
     other = float(takes @ price) if legs else np.inf
     return (legs, other) if other < cost else (direct, cost)
 
