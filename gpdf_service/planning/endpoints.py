@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from math import isnan
 
@@ -120,8 +121,8 @@ def find_endpoint(space: FreeSpace, place: FloatArray, name: str) -> Endpoint | 
     outside = Status.START_OUTSIDE_MAP if name == "start" else Status.GOAL_OUTSIDE_MAP
     occupied = Status.START_OCCUPIED if name == "start" else Status.GOAL_OCCUPIED
     xy = place[None, :2]
-    over = [float(surface.height_at(xy)[0]) for surface in space.surfaces]
-    heights = {level: z for level, z in enumerate(over) if not isnan(z)}
+    over = {level: float(space.surfaces[level].height_at(xy)[0]) for level in _maps_over(space, place)}
+    heights = {level: z for level, z in over.items() if not isnan(z)}
     if not heights:
         near = nearest_free(space, place, SAME_GROUND)
         hint = "" if near is None else f" The nearest free place is {place_words(near)}."
@@ -159,6 +160,14 @@ def find_endpoint(space: FreeSpace, place: FloatArray, name: str) -> Endpoint | 
             occupied, f"the {space.agent.name} cannot leave the {name} {place_words(place)} in any direction."
         )
     return Endpoint(xy[0], level, node)
+
+
+def _maps_over(space: FreeSpace, place: FloatArray) -> Iterator[int]:
+    """Levels whose map a place is in."""
+    for level, surface in enumerate(space.surfaces):
+        sides = zip(place[:2].tolist(), surface.origin.tolist(), surface.state.shape, strict=True)
+        if all(-1.0 <= (x - low) / surface.cell_width <= cells + 1.0 for x, low, cells in sides):
+            yield level
 
 
 def _roomiest(space: FreeSpace, levels: list[int], xy: FloatArray) -> tuple[float, int, int]:

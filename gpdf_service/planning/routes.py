@@ -119,8 +119,8 @@ def _route(space: FreeSpace, start: Endpoint, goal: Endpoint, wish: Wish) -> tup
 
 def _cheapest(ways: Ways, start: Endpoint, goal: Endpoint) -> tuple[list[Leg], FloatArray]:
     """The cheapest of all ways, pulled, and what it takes (6,); no legs where there is none."""
-    legs = [pull_cheaply(leg, ways.prefer) for leg in find_cheapest(ways, start, goal)]
-    return legs, way_takes_of(legs, ways.prefer)
+    pulled = [pull_cheaply(leg, ways.prefer) for leg in find_cheapest(ways, start, goal)]
+    return [leg for leg, _ in pulled], sum((takes for _, takes in pulled), np.zeros(6))
 
 
 def _is_effort(takes: FloatArray, price: FloatArray, prefer: Prefer) -> bool:
@@ -150,11 +150,6 @@ def steps_of(legs: list[Leg]) -> FloatArray:
         ground = space.surfaces[level].arrays, space.steps[level], space.slopes[level]
         way_steps(path, *ground, space.agent.comfortable_step, takes)
     return takes[[STEPPED, LEDGE]]
-
-
-def way_cost(legs: list[Leg], prefer: Prefer) -> float:
-    """What a way costs [s]."""
-    return float(way_takes_of(legs, prefer) @ prices(legs[0].space.agent, prefer))
 
 
 def find_cut(space: FreeSpace, stops: list[Endpoint]) -> tuple[Endpoint, Endpoint] | None:
@@ -333,10 +328,10 @@ def _tighten(leg: Leg) -> Leg:
     return leg._replace(path=path[rows])
 
 
-def pull_cheaply(leg: Leg, prefer: Prefer, *, between: bool = False) -> Leg:
+def pull_cheaply(leg: Leg, prefer: Prefer, *, between: bool = False) -> tuple[Leg, FloatArray]:
     """A leg pulled straight, in ever smaller pieces until that takes no more effort than the leg did.
 
-    It stays `between` what it goes between, if that is asked for.
+    It stays `between` what it goes between, if that is asked for. Also what it takes, shape (6,).
     """
     price = prices(leg.space.agent, prefer)
     if prefer != Prefer.WIDE:
@@ -345,15 +340,18 @@ def pull_cheaply(leg: Leg, prefer: Prefer, *, between: bool = False) -> Leg:
 
     spent = np.append(0.0, np.cumsum(way_takes(leg.path, about) @ price))  # up to each place
 
-    def pull(first: int, last: int) -> FloatArray:
+    def pull(first: int, last: int) -> tuple[FloatArray, FloatArray]:
         piece = leg._replace(path=leg.path[first : last + 1])
         pulled = (_tighten if between else _pull)(piece).path
-        if last - first < 2 or (way_takes(pulled, about) @ price).sum() <= PULLED * (spent[last] - spent[first]):
-            return pulled
+        takes: FloatArray = way_takes(pulled, about).sum(axis=0)
+        if last - first < 2 or takes @ price <= PULLED * (spent[last] - spent[first]):
+            return pulled, takes
         middle = (first + last + 1) // 2
-        return _distinct(np.concatenate([pull(first, middle), pull(middle, last)]))
+        one, other = pull(first, middle), pull(middle, last)
+        return _distinct(np.concatenate([one[0], other[0]])), one[1] + other[1]
 
-    return leg._replace(path=pull(0, len(leg.path) - 1))
+    path, takes = pull(0, len(leg.path) - 1)
+    return leg._replace(path=path), takes
 
 
 @njit(cache=True, nogil=True)
