@@ -52,7 +52,10 @@ def min_distance(
         resolution: How closely it is known [m].
     """
     offsets = np.zeros(1) if headings is None else space.agent.offsets
-    poses = np.column_stack([path, np.zeros(len(path)) if headings is None else headings])
+    poses = np.zeros((len(path), 3))
+    poses[:, :2] = path
+    if headings is not None:
+        poses[:, 2] = headings
     return least_distance(space.trees[level], poses, offsets, resolution)
 
 
@@ -179,6 +182,8 @@ def _coarsest_spacing(path: FloatArray, radius: float, ground: Cells) -> float:
     for k, cells in enumerate((nx, ny)):
         low, high = (path[:, k].min() - ground.origin[k]) / width, (path[:, k].max() - ground.origin[k]) / width
         first[k], last[k] = max(int(low) - reach, 0), min(int(high) + reach + 1, cells)
+    if not _is_any_inferred(ground.state, first, last):
+        return float(width)
     looked = np.zeros((max(last[0] - first[0], 0), max(last[1] - first[1], 0)), np.bool_)
     farthest = 0.0
     for i in range(len(path) - 1):
@@ -195,6 +200,16 @@ def _coarsest_spacing(path: FloatArray, radius: float, ground: Cells) -> float:
                     if ground.state[x, y] == INFERRED:
                         farthest = max(farthest, _cells_to_seen(ground.state, x, y))
     return (1.0 + 2.0 * farthest) * width
+
+
+@njit(cache=True, nogil=True)
+def _is_any_inferred(state: NDArray[np.uint8], first: IntArray, last: IntArray) -> bool:
+    """Whether the ground in any cell of a box is inferred."""
+    for x in range(first[0], last[0]):
+        for y in range(first[1], last[1]):
+            if state[x, y] == INFERRED:
+                return True
+    return False
 
 
 @njit(cache=True, nogil=True)

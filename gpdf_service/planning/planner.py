@@ -10,8 +10,10 @@ import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from itertools import islice
+from math import sqrt
 
 import numpy as np
+from numba import njit
 
 from gpdf_service.config import PlanningConfig
 from gpdf_service.planning.certificate import certify
@@ -25,9 +27,9 @@ from gpdf_service.planning.shape import resample, spline, stand_up
 from gpdf_service.planning.timing import speed_limit
 from gpdf_service.planning.turning import Facing, Stuck, time_poses, turn_route
 from gpdf_service.search import FreeSpace, Prefer, Ways, prices
-from gpdf_service.search.steps import NOTICED_STEP
+from gpdf_service.search.steps import count_steps
 from gpdf_service.search.ways import STEPPED, WIDE
-from gpdf_service.types import FloatArray, IntArray, PlanOptions, PlanResult, Status, Trajectory
+from gpdf_service.types import BoolArray, FloatArray, IntArray, PlanOptions, PlanResult, Status, Trajectory
 
 Clock = Callable[[], float]
 NO_OPTIONS = PlanOptions()
@@ -39,6 +41,8 @@ PATIENCE = 0.005
 """[s] A path that was found this long after its deadline is not certified any more: that takes as long again."""
 WAYPOINTS_PER_SECOND = 300_000
 """Waypoints that the optimiser looks at in a second: with a deadline, it takes no more steps than there is time for."""
+STILL = 1e-9
+"""[m] What moves less stands."""
 WALL = 1000.0
 """[1/m] A millimetre too near, which is what the certificate resolves, doubles the push away."""
 
@@ -147,7 +151,8 @@ def _follow(task: _Task, route: Route) -> PlanResult:
         certificate = certify(space, top, contact, level, headings)
         first = first or certificate
         if certificate.holds:
-            poses = np.column_stack([contact[:, :2], headings])
+            poses = contact.copy()
+            poses[:, 2] = headings
             limit = speed_limit(space, poses, level, config.preferred_clearance * space.agent.disc_radius)
             body_top = contact + np.array([0.0, 0.0, space.agent.height])
             trajectory = Trajectory(body_top, contact, *time_poses(body_top, headings, space.agent, limit))
@@ -201,14 +206,11 @@ def _effort(legs: list[Leg], contact: FloatArray, headings: FloatArray, prefer: 
     """
     agent = legs[0].space.agent
     takes = way_takes_of([leg._replace(path=np.ascontiguousarray(leg.path[:, :2])) for leg in legs], prefer)
-    rise = np.diff(contact[:, 2])
-    stepped = np.where(np.abs(rise) > NOTICED_STEP, np.sign(rise), 0.0)
-    steps = np.count_nonzero((stepped != 0.0) & (stepped != np.append(0.0, stepped[:-1])))
     cost = takes @ prices(agent, prefer)
     if agent.discs > 1:
         stands = (np.diff(contact[:, :2], axis=0) == 0.0).all(axis=1)
         cost += np.abs(np.diff(headings))[stands].sum() / agent.turn_rate
-    return {"cost": float(cost), "steps": float(steps), "stepped": float(takes[STEPPED])}
+    return {"cost": float(cost), "steps": float(count_steps(contact)), "stepped": float(takes[STEPPED])}
 
 
 def _routes(task: _Task) -> Iterator[Route | Stuck]:
@@ -344,14 +346,25 @@ def _stand(
         tops.append(top)
         levels.append(np.full(len(poses), level))
         headings.append(poses[:, 2])
-    contact, top, on, heading = np.vstack(contacts), np.vstack(tops), np.concatenate(levels), np.concatenate(headings)
+    contact, top, on, heading = map(np.concatenate, (contacts, tops, levels, headings))
     if agent.discs > 1:
         turned = [(0, facing[0]), *enumerate(heading), (-1, facing[1])]
         row = np.array([i % len(contact) for i, angle in turned if angle is not None])
         heading = np.unwrap([angle for _, angle in turned if angle is not None])
         contact, top, on = contact[row], top[row], on[row]
-    moved = np.linalg.norm(np.diff(contact[:, :2], axis=0), axis=1) + agent.offsets[-1] * np.abs(np.diff(heading))
-    keep = np.concatenate([[True], moved > 1e-9])
-    if keep.sum() < 2:  # start is goal: stand there
-        keep[-1] = True
+    keep = _moving(contact, heading, float(agent.offsets[-1]))
+    if keep.all():
+        return contact, top, on, heading
     return contact[keep], top[keep], on[keep], heading[keep]
+
+
+@njit(cache=True, nogil=True)
+def _moving(contact: FloatArray, heading: FloatArray, lever: float) -> BoolArray:
+    """Which contact points the body has moved or turned to from the one before; the last, too, if it never moves."""
+    keep, any_moves = np.ones(len(contact), np.bool_), False
+    for i in range(1, len(contact)):
+        dx, dy = contact[i, 0] - contact[i - 1, 0], contact[i, 1] - contact[i - 1, 1]
+        keep[i] = sqrt(dx * dx + dy * dy) + lever * abs(heading[i] - heading[i - 1]) > STILL
+        any_moves |= keep[i]
+    keep[-1] |= not any_moves
+    return keep

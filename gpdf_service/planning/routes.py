@@ -246,13 +246,13 @@ def _doors(ways: Ways, end: Endpoint) -> tuple[Doors, dict[int, _Chain]]:
     able, level = ways.spaces[0], ways.spaces[-1]
     price = prices(able.agent, ways.prefer)
     if level is not able:
-        room = float(level.clearance(end.level, end.xy[None])[0][0])
+        room = level.room(end.level, end.xy)[0]
         leaf = connect(level, end.level, end.xy, room) if room >= level.reach else -1
         if leaf >= 0:
             node, chain = _climb(ways, 1, leaf)
             at = np.array([node])
             return Doors(at, price[LENGTH] * np.linalg.norm(ways.graph.position[at] - end.xy, axis=1)), {node: chain}
-    leaf = connect(able, end.level, end.xy, float(able.clearance(end.level, end.xy[None])[0][0]))
+    leaf = connect(able, end.level, end.xy, able.room(end.level, end.xy)[0])
     if leaf < 0:
         return Doors(np.zeros(0, np.int64), np.zeros(0)), {}
     chains = dict([_climb(ways, 0, leaf)])
@@ -317,7 +317,10 @@ def _pull(leg: Leg) -> Leg:
     """A leg pulled straight, and once more from its other end: from either the first corners are the widest ones."""
     level, path, space = leg
     parts = space.trees[level], _radius(space, level, path), space.surfaces[level]
-    path = np.ascontiguousarray(subdivide(path[shortcut(path, *parts)], NARROW)[::-1])
+    rows = shortcut(path, *parts)
+    if len(rows) == 2:  # straight, seen from either end
+        return leg._replace(path=path[rows])
+    path = np.ascontiguousarray(subdivide(path[rows], NARROW)[::-1])
     return leg._replace(path=np.ascontiguousarray(path[shortcut(path, *parts)][::-1]))
 
 
