@@ -29,7 +29,9 @@ RESOLUTION = 1e-3
 FINEST = 1e-5
 """[m] The same of a path with so little room that a millimetre decides: of an end where the body just fits."""
 SAMPLE = 0.01
-"""[m] Ground and height are looked at this often: a fifth of the finest cell."""
+"""[m] Ground and height are looked at this often, at least: a fifth of the finest cell."""
+CELL_SHARE = 0.2
+"""[-] The same of a cell that is wider than the finest one."""
 HEIGHT_EVERY = 3
 """The height of the body's top is looked at in every third of these: that found the worst of 106 plans to 1 mm."""
 HEIGHT_SHARE = 0.1
@@ -50,7 +52,10 @@ def min_distance(
         resolution: How closely it is known [m].
     """
     offsets = np.zeros(1) if headings is None else space.agent.offsets
-    poses = np.column_stack([path, np.zeros(len(path)) if headings is None else headings])
+    poses = np.zeros((len(path), 3))
+    poses[:, :2] = path
+    if headings is not None:
+        poses[:, 2] = headings
     return least_distance(space.trees[level], poses, offsets, resolution)
 
 
@@ -136,13 +141,15 @@ def _look(
     slopes: FloatArray,
     field: FieldArrays,
 ) -> _Seen:
-    """Look at a piece of the path every `SAMPLE`, and at the height of the top in every `HEIGHT_EVERY`-th of these."""
+    """Look at a piece of the path, a fifth of a cell at a time, and at the height of the top; see `SAMPLE`."""
     unknown, deviation, step, slope = False, 0.0, 0.0, 0.0
     off_at, at, top, along, scratch = path[0].copy(), np.empty(3), np.empty(3), np.empty(3), make_scratch()
     looks, last, spare = 0, len(path) - 2, 0.0
+    sample = max(SAMPLE, CELL_SHARE * ground.width)
+    every = max(int(HEIGHT_EVERY * SAMPLE / sample), 1)
     for i in range(len(path) - 1):
         length = np.sqrt(((tops[i + 1] - tops[i]) ** 2).sum())
-        count = max(1, int(np.ceil(length / SAMPLE))) if length < np.inf else 1  # NaN: over no known ground
+        count = max(1, int(np.ceil(length / sample))) if length < np.inf else 1  # NaN: over no known ground
         for k in range(count + (i == last)):
             at[:] = path[i] + k / count * (path[i + 1] - path[i])
             top[:] = tops[i] + k / count * (tops[i + 1] - tops[i])
@@ -153,7 +160,7 @@ def _look(
                 step, slope = max(step, steps[u, v]), max(slope, slopes[u, v])
             off = abs(top[2] - at[2] - height)
             spare -= length / count  # a distance changes by no more than what the top has moved
-            if (looks % HEIGHT_EVERY == 0 or (i == last and k == count)) and off > deviation and spare <= 0.0:
+            if (looks % every == 0 or (i == last and k == count)) and off > deviation and spare <= 0.0:
                 if known:  # the ground's field is asked only where the path is as far off as it was found to be
                     off = min(off, abs(sample_at(field, (top[0], top[1], top[2]), scratch, along) - height))
                     spare = deviation - off
@@ -175,6 +182,8 @@ def _coarsest_spacing(path: FloatArray, radius: float, ground: Cells) -> float:
     for k, cells in enumerate((nx, ny)):
         low, high = (path[:, k].min() - ground.origin[k]) / width, (path[:, k].max() - ground.origin[k]) / width
         first[k], last[k] = max(int(low) - reach, 0), min(int(high) + reach + 1, cells)
+    if not _is_any_inferred(ground.state, first, last):
+        return float(width)
     looked = np.zeros((max(last[0] - first[0], 0), max(last[1] - first[1], 0)), np.bool_)
     farthest = 0.0
     for i in range(len(path) - 1):
@@ -191,6 +200,16 @@ def _coarsest_spacing(path: FloatArray, radius: float, ground: Cells) -> float:
                     if ground.state[x, y] == INFERRED:
                         farthest = max(farthest, _cells_to_seen(ground.state, x, y))
     return (1.0 + 2.0 * farthest) * width
+
+
+@njit(cache=True, nogil=True)
+def _is_any_inferred(state: NDArray[np.uint8], first: IntArray, last: IntArray) -> bool:
+    """Whether the ground in any cell of a box is inferred."""
+    for x in range(first[0], last[0]):
+        for y in range(first[1], last[1]):
+            if state[x, y] == INFERRED:
+                return True
+    return False
 
 
 @njit(cache=True, nogil=True)

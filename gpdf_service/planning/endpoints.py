@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from math import isnan
+from operator import itemgetter
 
 import numpy as np
 from scipy import ndimage
@@ -120,8 +122,8 @@ def find_endpoint(space: FreeSpace, place: FloatArray, name: str) -> Endpoint | 
     outside = Status.START_OUTSIDE_MAP if name == "start" else Status.GOAL_OUTSIDE_MAP
     occupied = Status.START_OCCUPIED if name == "start" else Status.GOAL_OCCUPIED
     xy = place[None, :2]
-    over = [float(surface.height_at(xy)[0]) for surface in space.surfaces]
-    heights = {level: z for level, z in enumerate(over) if not isnan(z)}
+    over = {level: float(space.surfaces[level].height_at(xy)[0]) for level in _maps_over(space, place)}
+    heights = {level: z for level, z in over.items() if not isnan(z)}
     if not heights:
         near = nearest_free(space, place, SAME_GROUND)
         hint = "" if near is None else f" The nearest free place is {place_words(near)}."
@@ -142,7 +144,7 @@ def find_endpoint(space: FreeSpace, place: FloatArray, name: str) -> Endpoint | 
         return Refusal(Status.AMBIGUOUS_LEVEL, words)
     width = space.surfaces[level].cell_width
     same = [one for one, z in heights.items() if is_same_ground(z, heights[level], width)]
-    room, kind, level = _roomiest(space, same, xy)
+    room, kind, level = _roomiest(space, same, xy[0])
     if room < space.reach + FINEST:  # less cannot be proven of a way that ends there
         what = REASONS[ObstacleKind(kind)]
         near = nearest_free(space, np.array([*xy[0], heights[level]]), SAME_GROUND)
@@ -161,15 +163,21 @@ def find_endpoint(space: FreeSpace, place: FloatArray, name: str) -> Endpoint | 
     return Endpoint(xy[0], level, node)
 
 
+def _maps_over(space: FreeSpace, place: FloatArray) -> Iterator[int]:
+    """Levels whose map a place is in."""
+    for level, surface in enumerate(space.surfaces):
+        sides = zip(place[:2].tolist(), surface.origin.tolist(), surface.state.shape, strict=True)
+        if all(-1.0 <= (x - low) / surface.cell_width <= cells + 1.0 for x, low, cells in sides):
+            yield level
+
+
 def _roomiest(space: FreeSpace, levels: list[int], xy: FloatArray) -> tuple[float, int, int]:
-    """Room at a place, (1, 2), on the roomiest of levels that are the same ground there: sheets end where others go on.
+    """Room at a place, (2,), on the roomiest of levels that are the same ground there: sheets end where others go on.
 
     Returns:
         Distance to the nearest obstacle [m], its kind, and the level; of equal ones the lowest.
     """
-    found = [(space.clearance(level, xy), level) for level in levels]
-    (distance, kind), level = max(found, key=lambda one: float(one[0][0][0]))
-    return float(distance[0]), int(kind[0]), level
+    return max(((*space.room(level, xy), level) for level in levels), key=itemgetter(0))
 
 
 def _faces_somewhere(space: FreeSpace, level: int, xy: FloatArray, room: float) -> bool:

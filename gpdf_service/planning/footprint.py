@@ -36,14 +36,22 @@ def travel_headings(path: FloatArray) -> FloatArray:
     return headings
 
 
+@njit(cache=True, nogil=True)
+def _face(path: FloatArray, spacing: float) -> FloatArray:
+    places = subdivide(path, spacing)
+    made = np.empty((len(places), 3))
+    made[:, :2], made[:, 2] = places, travel_headings(places)
+    return made
+
+
 def face(path: FloatArray, agent: Agent, spacing: float) -> FloatArray:
     """Poses (x, y, θ) at most `spacing` [m] apart along a path, shape (n, 2), where the body faces where it goes.
 
     Of a path that has a third column, θ, the body faces there: then neither its centre nor its ends move further.
     """
     if path.shape[1] == 2:
-        places = subdivide(path, spacing)
-        return np.column_stack([places, travel_headings(places)])
+        faced: FloatArray = _face(path, spacing)
+        return faced
     metres = np.array([1.0, 1.0, agent.offsets[-1]])
     poses: FloatArray = subdivide(path * metres, spacing) / metres
     return poses

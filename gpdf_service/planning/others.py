@@ -10,9 +10,9 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from gpdf_service.planning.endpoints import Ends
-from gpdf_service.planning.routes import Leg, Route, Wish, find_cheapest, pull_cheaply, way_cost, way_takes_of
+from gpdf_service.planning.routes import Leg, Route, Wish, find_cheapest, pull_cheaply, way_takes_of
 from gpdf_service.planning.shape import is_joined, resample
-from gpdf_service.search import FreeSpace, Prefer, Ways
+from gpdf_service.search import FreeSpace, Prefer, Ways, prices
 from gpdf_service.search.layered import below
 from gpdf_service.search.motion import CENTRE
 from gpdf_service.search.steps import NOTICED_STEP
@@ -67,8 +67,9 @@ def _find(ways: Ways, ends: Ends, number: int) -> list[Leg]:
 
 
 def _pulled(legs: list[Leg], wish: Wish, number: int) -> Route:
-    legs = [pull_cheaply(leg, wish.prefer, between=True) for leg in legs]
-    return Route(legs, number, cost=way_cost(legs, wish.prefer))
+    pulled = [pull_cheaply(leg, wish.prefer, between=True) for leg in legs]
+    takes = sum((takes for _, takes in pulled), np.zeros(6))
+    return Route([leg for leg, _ in pulled], number, cost=float(takes @ prices(legs[0].space.agent, wish.prefer)))
 
 
 def _avoiding(ways: Ways, seen: list[Leg]) -> Ways:

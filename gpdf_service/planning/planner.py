@@ -10,8 +10,10 @@ import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from itertools import islice
+from math import sqrt
 
 import numpy as np
+from numba import njit
 
 from gpdf_service.config import PlanningConfig
 from gpdf_service.planning.certificate import certify
@@ -25,9 +27,9 @@ from gpdf_service.planning.shape import resample, spline, stand_up
 from gpdf_service.planning.timing import speed_limit
 from gpdf_service.planning.turning import Facing, Stuck, time_poses, turn_route
 from gpdf_service.search import FreeSpace, Prefer, Ways, prices
-from gpdf_service.search.steps import NOTICED_STEP
+from gpdf_service.search.steps import count_steps
 from gpdf_service.search.ways import STEPPED, WIDE
-from gpdf_service.types import FloatArray, IntArray, PlanOptions, PlanResult, Status, Trajectory
+from gpdf_service.types import BoolArray, FloatArray, IntArray, PlanOptions, PlanResult, Status, Trajectory
 
 Clock = Callable[[], float]
 NO_OPTIONS = PlanOptions()
@@ -39,6 +41,8 @@ PATIENCE = 0.005
 """[s] A path that was found this long after its deadline is not certified any more: that takes as long again."""
 WAYPOINTS_PER_SECOND = 300_000
 """Waypoints that the optimiser looks at in a second: with a deadline, it takes no more steps than there is time for."""
+STILL = 1e-9
+"""[m] What moves less stands."""
 WALL = 1000.0
 """[1/m] A millimetre too near, which is what the certificate resolves, doubles the push away."""
 
@@ -147,7 +151,8 @@ def _follow(task: _Task, route: Route) -> PlanResult:
         certificate = certify(space, top, contact, level, headings)
         first = first or certificate
         if certificate.holds:
-            poses = np.column_stack([contact[:, :2], headings])
+            poses = contact.copy()
+            poses[:, 2] = headings
             limit = speed_limit(space, poses, level, config.preferred_clearance * space.agent.disc_radius)
             body_top = contact + np.array([0.0, 0.0, space.agent.height])
             trajectory = Trajectory(body_top, contact, *time_poses(body_top, headings, space.agent, limit))
@@ -201,14 +206,11 @@ def _effort(legs: list[Leg], contact: FloatArray, headings: FloatArray, prefer: 
     """
     agent = legs[0].space.agent
     takes = way_takes_of([leg._replace(path=np.ascontiguousarray(leg.path[:, :2])) for leg in legs], prefer)
-    rise = np.diff(contact[:, 2])
-    stepped = np.where(np.abs(rise) > NOTICED_STEP, np.sign(rise), 0.0)
-    steps = np.count_nonzero((stepped != 0.0) & (stepped != np.append(0.0, stepped[:-1])))
     cost = takes @ prices(agent, prefer)
     if agent.discs > 1:
         stands = (np.diff(contact[:, :2], axis=0) == 0.0).all(axis=1)
         cost += np.abs(np.diff(headings))[stands].sum() / agent.turn_rate
-    return {"cost": float(cost), "steps": float(steps), "stepped": float(takes[STEPPED])}
+    return {"cost": float(cost), "steps": float(count_steps(contact)), "stepped": float(takes[STEPPED])}
 
 
 def _routes(task: _Task) -> Iterator[Route | Stuck]:
@@ -227,20 +229,9 @@ def _routes(task: _Task) -> Iterator[Route | Stuck]:
 
 
 def _candidates(task: _Task, legs: list[Leg]) -> Iterator[_Candidate]:
-    """Paths from the best to the safest: CHOMP, CHOMP that bends round every point behind a wall, then the seed.
-
-    A way with pieces on level ground and on steps is first bent as one, if that takes it over no more steps.
-    """
-    config, via = _liking(task.config, task.wish.prefer), [end.xy for end in task.ends.via]
-    joined = _joined(task.space, legs, via)
-    tries = (
-        [(legs, False), (legs, True)] if len(joined) == len(legs) else [(joined, False), (legs, False), (legs, True)]
-    )
-    known = steps_of(legs)
-    for seed, strict in tries:
-        if task.left() < 0.0:
-            break
-        bent = [_bend(leg, config, strict, task.left()) for leg in seed]
+    """Paths from the best to the safest: CHOMP, CHOMP that bends round every point behind a wall, then the seed."""
+    most_steps = steps_of(legs) + MORE_STEPS
+    for bent in _tries(task, legs):
         runs = [run for _, run in bent if run is not None]
         most = max((len(run.costs) for run in runs), default=0)
         steps = np.arange(most)  # a piece that came to rest keeps its cost
@@ -250,29 +241,60 @@ def _candidates(task: _Task, legs: list[Leg]) -> Iterator[_Candidate]:
             "evaluations": float(sum(run.evaluations for run in runs)),
             "converged": float(all(run.converged for run in runs)),
         }
-        made = [leg._replace(path=path) for leg, (path, _) in zip(seed, bent, strict=True)]
-        if (steps_of(made) <= known + MORE_STEPS).all():
+        made = [leg for leg, _ in bent]
+        if (steps_of(made) <= most_steps).all():
             yield _Candidate(made, costs, details)
     yield _Candidate(legs, np.zeros(0), {"iterations": 0.0, "evaluations": 0.0, "converged": 0.0})
 
 
-def _joined(space: FreeSpace, legs: list[Leg], via: list[FloatArray]) -> list[Leg]:
-    """Pieces on one level as one, in the body's own free space, but for those that meet at a via point.
+def _tries(task: _Task, legs: list[Leg]) -> Iterator[list[_Bent]]:
+    """All pieces bent, in each way that is tried, while there is time."""
+    config = _liking(task.config, task.wish.prefer)
 
-    Of poses they stay as they are.
+    def alone(pieces: list[Leg], *, strict: bool) -> list[_Bent]:
+        return [_bend(leg, config, strict, task.left()) for leg in pieces]
+
+    def together(pieces: list[Leg]) -> list[_Bent]:
+        if len(pieces) > 1:
+            joined = Leg(pieces[0].level, np.concatenate([leg.path for leg in pieces]), task.space)
+            one = _bend(joined, config, False, task.left())
+            if (steps_of([one[0]]) <= steps_of(pieces) + MORE_STEPS).all():
+                return [one]
+        return alone(pieces, strict=False)
+
+    beside = _beside_each_other(legs, [end.xy for end in task.ends.via])
+    if task.left() < 0.0:
+        return
+    made = [together(pieces) for pieces in beside]
+    yield [one for part in made for one in part]
+    if len(made) < len(legs) and task.left() >= 0.0:
+        both = zip(made, beside, strict=True)
+        apart = [part if len(part) == len(pieces) else alone(pieces, strict=False) for part, pieces in both]
+        yield [one for part in apart for one in part]
+    if task.left() >= 0.0:
+        yield alone(legs, strict=True)
+
+
+def _beside_each_other(legs: list[Leg], via: list[FloatArray]) -> list[list[Leg]]:
+    """Pieces that go on from each other on one level, on level ground and on steps, without a via point between them.
+
+    They may be bent as one. Of poses each is for itself.
     """
-    made = [legs[0]]
+    made = [[legs[0]]]
     for leg in legs[1:]:
-        last = made[-1]
         apart = any(np.array_equal(leg.path[0, :2], place) for place in via)
-        if last.level != leg.level or apart or leg.path.shape[1] > 2:
-            made.append(leg)
+        if made[-1][-1].level != leg.level or apart or leg.path.shape[1] > 2:
+            made.append([leg])
         else:
-            made[-1] = Leg(leg.level, np.concatenate([last.path, leg.path]), space)
+            made[-1].append(leg)
     return made
 
 
-def _bend(leg: Leg, config: PlanningConfig, strict: bool, seconds: float) -> tuple[FloatArray, ChompResult | None]:
+_Bent = tuple[Leg, ChompResult | None]
+"""A piece of the path after the optimiser, and what that says of it."""
+
+
+def _bend(leg: Leg, config: PlanningConfig, strict: bool, seconds: float) -> _Bent:
     """A piece of the path after CHOMP; as it was where nothing moves, no time is left, or ground is not known.
 
     The Obstacle GPDF is fitted to thinned points and its cost is soft. `strict`ly, the path bends round the points
@@ -284,10 +306,10 @@ def _bend(leg: Leg, config: PlanningConfig, strict: bool, seconds: float) -> tup
     seed = resample(path[:, :2], spacing)
     steps = int(min(config.max_iterations, WAYPOINTS_PER_SECOND * seconds / len(seed)))
     if steps < 1:
-        return path, ChompResult(seed, np.zeros(1), 0, converged=False)
+        return leg, ChompResult(seed, np.zeros(1), 0, converged=False)
     top = space.surfaces[level].height_at(seed) + agent.height
     if not np.isfinite(top).all() or np.ptp(path[:, :2], axis=0).max() == 0.0:
-        return path, None
+        return leg, None
     found = optimize(
         np.column_stack([seed, top]),
         space.exact_fields[level] if strict else space.obstacle_fields[level].arrays,
@@ -301,7 +323,7 @@ def _bend(leg: Leg, config: PlanningConfig, strict: bool, seconds: float) -> tup
         max_iterations=steps,
         tolerance=config.tolerance,
     )
-    return spline(found.xi[:, :2], config.waypoint_spacing), found
+    return leg._replace(path=spline(found.xi[:, :2], config.waypoint_spacing)), found
 
 
 def _facing(options: PlanOptions) -> Facing:
@@ -324,14 +346,25 @@ def _stand(
         tops.append(top)
         levels.append(np.full(len(poses), level))
         headings.append(poses[:, 2])
-    contact, top, on, heading = np.vstack(contacts), np.vstack(tops), np.concatenate(levels), np.concatenate(headings)
+    contact, top, on, heading = map(np.concatenate, (contacts, tops, levels, headings))
     if agent.discs > 1:
         turned = [(0, facing[0]), *enumerate(heading), (-1, facing[1])]
         row = np.array([i % len(contact) for i, angle in turned if angle is not None])
         heading = np.unwrap([angle for _, angle in turned if angle is not None])
         contact, top, on = contact[row], top[row], on[row]
-    moved = np.linalg.norm(np.diff(contact[:, :2], axis=0), axis=1) + agent.offsets[-1] * np.abs(np.diff(heading))
-    keep = np.concatenate([[True], moved > 1e-9])
-    if keep.sum() < 2:  # start is goal: stand there
-        keep[-1] = True
+    keep = _moving(contact, heading, float(agent.offsets[-1]))
+    if keep.all():
+        return contact, top, on, heading
     return contact[keep], top[keep], on[keep], heading[keep]
+
+
+@njit(cache=True, nogil=True)
+def _moving(contact: FloatArray, heading: FloatArray, lever: float) -> BoolArray:
+    """Which contact points the body has moved or turned to from the one before; the last, too, if it never moves."""
+    keep, any_moves = np.ones(len(contact), np.bool_), False
+    for i in range(1, len(contact)):
+        dx, dy = contact[i, 0] - contact[i - 1, 0], contact[i, 1] - contact[i - 1, 1]
+        keep[i] = sqrt(dx * dx + dy * dy) + lever * abs(heading[i] - heading[i - 1]) > STILL
+        any_moves |= keep[i]
+    keep[-1] |= not any_moves
+    return keep

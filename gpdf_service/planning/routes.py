@@ -96,17 +96,15 @@ def _route(space: FreeSpace, start: Endpoint, goal: Endpoint, wish: Wish) -> tup
     """The shortest way with room; where that takes effort, the cheapest of all ways; and what it costs [s].
 
     Effort only adds to a way's price: where the shortest one takes none, no other is cheaper. Where the goal is so much
-    higher or lower than the start that any way takes effort, the shortest one is not looked for, if high
-    steps are little of the cheapest one.
+    higher or lower than the start that it takes effort, the cheapest one is looked for at once: it is among all ways.
     """
     price, ways = prices(space.agent, wish.prefer), wish.ways
     climb = abs(_floor(space, goal) - _floor(space, start)) * price[SLOPED] / (SPARED * price[LENGTH])
-    found: tuple[list[Leg], FloatArray] | None = None
     if ways is not None and climb > np.linalg.norm(goal.xy - start.xy) and wish.left() > 0.0:
-        legs, takes = found = _cheapest(ways(wish.prefer), start, goal)
-        sure = climb > takes[LENGTH] and takes[LEDGE] * price[LEDGE] <= SPARED * (takes @ price)
-        if legs and (sure or wish.left() <= 0.0):
+        legs, takes = _cheapest(ways(wish.prefer), start, goal)
+        if legs:
             return legs, float(takes @ price)
+        ways = None
     direct = _shortest(space, start, goal)
     takes = way_takes_of(direct, wish.prefer)
     cost = float(takes @ price)
@@ -114,15 +112,15 @@ def _route(space: FreeSpace, start: Endpoint, goal: Endpoint, wish: Wish) -> tup
         return direct, cost
     if not (_is_effort(takes, price, wish.prefer) or any(map(_is_by_step, direct))):
         return direct, cost
-    legs, takes = _cheapest(ways(wish.prefer), start, goal) if found is None else found
+    legs, takes = _cheapest(ways(wish.prefer), start, goal)
     other = float(takes @ price) if legs else np.inf
     return (legs, other) if other < cost else (direct, cost)
 
 
 def _cheapest(ways: Ways, start: Endpoint, goal: Endpoint) -> tuple[list[Leg], FloatArray]:
     """The cheapest of all ways, pulled, and what it takes (6,); no legs where there is none."""
-    legs = [pull_cheaply(leg, ways.prefer) for leg in find_cheapest(ways, start, goal)]
-    return legs, way_takes_of(legs, ways.prefer)
+    pulled = [pull_cheaply(leg, ways.prefer) for leg in find_cheapest(ways, start, goal)]
+    return [leg for leg, _ in pulled], sum((takes for _, takes in pulled), np.zeros(6))
 
 
 def _is_effort(takes: FloatArray, price: FloatArray, prefer: Prefer) -> bool:
@@ -152,11 +150,6 @@ def steps_of(legs: list[Leg]) -> FloatArray:
         ground = space.surfaces[level].arrays, space.steps[level], space.slopes[level]
         way_steps(path, *ground, space.agent.comfortable_step, takes)
     return takes[[STEPPED, LEDGE]]
-
-
-def way_cost(legs: list[Leg], prefer: Prefer) -> float:
-    """What a way costs [s]."""
-    return float(way_takes_of(legs, prefer) @ prices(legs[0].space.agent, prefer))
 
 
 def find_cut(space: FreeSpace, stops: list[Endpoint]) -> tuple[Endpoint, Endpoint] | None:
@@ -253,13 +246,13 @@ def _doors(ways: Ways, end: Endpoint) -> tuple[Doors, dict[int, _Chain]]:
     able, level = ways.spaces[0], ways.spaces[-1]
     price = prices(able.agent, ways.prefer)
     if level is not able:
-        room = float(level.clearance(end.level, end.xy[None])[0][0])
+        room = level.room(end.level, end.xy)[0]
         leaf = connect(level, end.level, end.xy, room) if room >= level.reach else -1
         if leaf >= 0:
             node, chain = _climb(ways, 1, leaf)
             at = np.array([node])
             return Doors(at, price[LENGTH] * np.linalg.norm(ways.graph.position[at] - end.xy, axis=1)), {node: chain}
-    leaf = connect(able, end.level, end.xy, float(able.clearance(end.level, end.xy[None])[0][0]))
+    leaf = connect(able, end.level, end.xy, able.room(end.level, end.xy)[0])
     if leaf < 0:
         return Doors(np.zeros(0, np.int64), np.zeros(0)), {}
     chains = dict([_climb(ways, 0, leaf)])
@@ -324,7 +317,10 @@ def _pull(leg: Leg) -> Leg:
     """A leg pulled straight, and once more from its other end: from either the first corners are the widest ones."""
     level, path, space = leg
     parts = space.trees[level], _radius(space, level, path), space.surfaces[level]
-    path = np.ascontiguousarray(subdivide(path[shortcut(path, *parts)], NARROW)[::-1])
+    rows = shortcut(path, *parts)
+    if len(rows) == 2:  # straight, seen from either end
+        return leg._replace(path=path[rows])
+    path = np.ascontiguousarray(subdivide(path[rows], NARROW)[::-1])
     return leg._replace(path=np.ascontiguousarray(path[shortcut(path, *parts)][::-1]))
 
 
@@ -335,10 +331,10 @@ def _tighten(leg: Leg) -> Leg:
     return leg._replace(path=path[rows])
 
 
-def pull_cheaply(leg: Leg, prefer: Prefer, *, between: bool = False) -> Leg:
+def pull_cheaply(leg: Leg, prefer: Prefer, *, between: bool = False) -> tuple[Leg, FloatArray]:
     """A leg pulled straight, in ever smaller pieces until that takes no more effort than the leg did.
 
-    It stays `between` what it goes between, if that is asked for.
+    It stays `between` what it goes between, if that is asked for. Also what it takes, shape (6,).
     """
     price = prices(leg.space.agent, prefer)
     if prefer != Prefer.WIDE:
@@ -347,15 +343,18 @@ def pull_cheaply(leg: Leg, prefer: Prefer, *, between: bool = False) -> Leg:
 
     spent = np.append(0.0, np.cumsum(way_takes(leg.path, about) @ price))  # up to each place
 
-    def pull(first: int, last: int) -> FloatArray:
+    def pull(first: int, last: int) -> tuple[FloatArray, FloatArray]:
         piece = leg._replace(path=leg.path[first : last + 1])
         pulled = (_tighten if between else _pull)(piece).path
-        if last - first < 2 or (way_takes(pulled, about) @ price).sum() <= PULLED * (spent[last] - spent[first]):
-            return pulled
+        takes: FloatArray = way_takes(pulled, about).sum(axis=0)
+        if last - first < 2 or takes @ price <= PULLED * (spent[last] - spent[first]):
+            return pulled, takes
         middle = (first + last + 1) // 2
-        return _distinct(np.concatenate([pull(first, middle), pull(middle, last)]))
+        one, other = pull(first, middle), pull(middle, last)
+        return _distinct(np.concatenate([one[0], other[0]])), one[1] + other[1]
 
-    return leg._replace(path=pull(0, len(leg.path) - 1))
+    path, takes = pull(0, len(leg.path) - 1)
+    return leg._replace(path=path), takes
 
 
 @njit(cache=True, nogil=True)

@@ -20,7 +20,7 @@ from gpdf_service.perception.surface import UNKNOWN
 from gpdf_service.search.core import Core, find_core
 from gpdf_service.search.graph import Edges, Graph, assemble, find_edges
 from gpdf_service.search.layered import Layered
-from gpdf_service.search.places import Places, nearest_places
+from gpdf_service.search.places import Places, nearest_places, nearest_to
 from gpdf_service.search.quadtree import Quadtree, build_quadtree
 from gpdf_service.search.resplit import SplitQuadtree
 from gpdf_service.search.steps import count_noticed
@@ -96,6 +96,13 @@ class FreeSpace:
         distance, row = nearest_places(self.trees[level], xy)
         standing, moving = self.standing[level].kind, self.moving[level].kind
         return distance, Layered(standing, moving, len(standing))[row].astype(np.int64)
+
+    def room(self, level: int, xy: FloatArray) -> tuple[float, int]:
+        """`clearance` of a single place, shape (2,)."""
+        distance, row = nearest_to(self.trees[level], xy)
+        standing = self.standing[level].kind
+        kind = standing[row] if row < len(standing) else self.moving[level].kind[row - len(standing)]
+        return distance, int(kind)
 
     @property
     def obstacles(self) -> tuple[Obstacles, ...]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import heapq
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from math import sqrt
 from typing import NamedTuple
 
@@ -17,6 +17,7 @@ from gpdf_service.fields.threads import run_chunked
 from gpdf_service.fields.traversal import nearest_at
 from gpdf_service.fields.tree import make_scratch, place_of
 from gpdf_service.perception.nodes import components
+from gpdf_service.search.landmarks import NO_LANDMARKS, Landmarks, at_least, bounds_to
 from gpdf_service.search.layered import Rows, below
 from gpdf_service.search.motion import is_clear
 from gpdf_service.search.places import Places
@@ -59,6 +60,7 @@ class Graph:
         cost: Length of the edge, weighted by how close it passes [m], shape (e,).
         component: Connected component of each node, shape (k,).
         patch: What is other than in `first` and the standing rows of the rest.
+        landmarks: Of what stands, for who searches it; none where there is a patch.
     """
 
     position: Rows
@@ -69,6 +71,7 @@ class Graph:
     cost: Rows
     component: Rows
     patch: Patch = NO_PATCH
+    landmarks: Landmarks = field(default_factory=lambda: NO_LANDMARKS)
 
 
 @njit(cache=True, nogil=True)
@@ -297,7 +300,7 @@ class Doors:
 
 
 def find_path(graph: Graph, start: int, goal: int) -> IntArray:
-    """A* with the Euclidean heuristic: the edges from `start` to `goal` in order, shape (k,); empty if start is goal.
+    """A*: the edges from `start` to `goal` in order, shape (k,); empty if start is goal.
 
     Start and goal must lie in one component.
     """
@@ -317,7 +320,7 @@ def find_way(graph: Graph, begin: Doors, end: Doors, goal: FloatArray, rate: flo
     """
     count = len(graph.position) + 1  # the last is the goal itself
     fresh = np.zeros(count), np.zeros(count, np.int64), np.zeros(count, np.int64)  # pages nobody visits cost nothing
-    ways = below(graph.position), graph.first, below(graph.other), below(graph.cost), graph.patch, rate
+    ways = below(graph.position), graph.first, below(graph.other), below(graph.cost), graph.patch, graph.landmarks, rate
     first, edges = _astar(*ways, begin.node, begin.cost, end.node, end.cost, goal, *fresh)
     return int(first), edges
 
@@ -346,6 +349,7 @@ def _astar(
     other: IntArray,
     cost: FloatArray,
     patch: Patch,
+    landmarks: Landmarks,
     rate: float,
     sources: IntArray,
     source_cost: FloatArray,
@@ -362,17 +366,18 @@ def _astar(
     has been, −1 at a source.
     """
     goal_node, standing = len(cost_to_come) - 1, len(other)
+    bounds = bounds_to(landmarks, exits, exit_cost)
     frontier = [(0.0, 0.0, 0) for _ in range(0)]
     for k in range(len(sources)):
         node = sources[k]
         if came_by[node] == 0 or source_cost[k] < cost_to_come[node]:
             cost_to_come[node], came_by[node] = source_cost[k], -1
             x, y = place_of_node(position, patch, node)
-            far = sqrt((x - goal[0]) ** 2 + (y - goal[1]) ** 2)
-            heapq.heappush(frontier, (source_cost[k] + rate * far, source_cost[k], node))
+            far = max(rate * sqrt((x - goal[0]) ** 2 + (y - goal[1]) ** 2), at_least(landmarks, bounds, node))
+            heapq.heappush(frontier, (source_cost[k] + far, source_cost[k], node))
     while len(frontier) > 0:
-        _, come, node = heapq.heappop(frontier)
-        if node == goal_node:
+        estimate, come, node = heapq.heappop(frontier)
+        if node == goal_node or estimate == np.inf:
             break
         if come > cost_to_come[node]:  # reached by a shorter way since
             continue
@@ -388,8 +393,8 @@ def _astar(
             if came_by[near] == 0 or reached < cost_to_come[near]:
                 cost_to_come[near], came_by[near], came_from[near] = reached, e + 1, node
                 x, y = place_of_node(position, patch, near)
-                far = sqrt((x - goal[0]) ** 2 + (y - goal[1]) ** 2)
-                heapq.heappush(frontier, (reached + rate * far, reached, near))
+                far = max(rate * sqrt((x - goal[0]) ** 2 + (y - goal[1]) ** 2), at_least(landmarks, bounds, near))
+                heapq.heappush(frontier, (reached + far, reached, near))
     edges = [0 for _ in range(0)]
     if came_by[goal_node] == 0:
         return -1, np.array(edges, dtype=np.int64)

@@ -9,7 +9,7 @@ from numba import njit
 
 from gpdf_service.fields import Tree, find_nearest
 from gpdf_service.fields.traversal import nearest_at
-from gpdf_service.fields.tree import NO_POINTS, Place, Scratch
+from gpdf_service.fields.tree import NO_POINTS, Place, Scratch, make_scratch
 from gpdf_service.types import FloatArray, IntArray
 
 
@@ -43,6 +43,12 @@ def nearest_of(places: Places, x: Place, scratch: Scratch) -> tuple[float, int]:
         if row < 0 or near < distance:
             distance, row = near, len(places.standing.points) + places.moving.order[at]
     return distance, row
+
+
+@njit(cache=True, nogil=True)
+def nearest_to(places: Places, xy: FloatArray) -> tuple[float, int]:
+    """`nearest_of` for a single place in plan, shape (2,)."""
+    return nearest_of(places, (xy[0], xy[1], 0.0), make_scratch())
 
 
 def nearest_places(places: Places, xy: FloatArray) -> tuple[FloatArray, IntArray]:

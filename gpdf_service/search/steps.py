@@ -52,3 +52,15 @@ def is_near_step(path: FloatArray, ground: Cells, noticed: NDArray[np.int32], re
             if is_stepped(ground, noticed, x, y, cells):
                 return True
     return False
+
+
+@njit(cache=True, nogil=True)
+def count_steps(contact: FloatArray) -> int:
+    """How many steps that are noticed a path over contact points, shape (n, 3), takes; a riser on end is one."""
+    count, before = 0, 0
+    for i in range(len(contact) - 1):
+        rise = contact[i + 1, 2] - contact[i, 2]
+        way = 0 if abs(rise) <= NOTICED_STEP else 1 if rise > 0.0 else -1
+        count += way not in (0, before)
+        before = way
+    return count

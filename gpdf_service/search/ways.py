@@ -21,6 +21,7 @@ from gpdf_service.perception.surface import UNKNOWN, Cells, cell_of
 from gpdf_service.search.core import Core
 from gpdf_service.search.free_space import FreeSpace
 from gpdf_service.search.graph import Graph, assemble
+from gpdf_service.search.landmarks import find_landmarks
 from gpdf_service.search.layered import below
 from gpdf_service.search.places import Places, nearest_of, nearest_places
 from gpdf_service.search.steps import NOTICED_STEP, is_stepped
@@ -228,7 +229,9 @@ def find_ways(able: FreeSpace, level: FreeSpace | None, prefer: Prefer) -> Ways:
     if level is not None:
         seconds[-len(doors) :] += CHANGE if len(doors) else 0.0
     row = np.argsort(ends.T.ravel(), kind="stable") % len(ends)  # as `assemble` lays them
-    return Ways(spaces, prefer, cores, replace(graph, cost=seconds[row]), float(price[LENGTH]))
+    cost = seconds[row]
+    landmarks = find_landmarks(graph.first, below(graph.other), cost, below(graph.component))
+    return Ways(spaces, prefer, cores, replace(graph, cost=cost, landmarks=landmarks), float(price[LENGTH]))
 
 
 def _pairs(graph: Graph) -> tuple[IntArray, FloatArray]:

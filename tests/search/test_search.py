@@ -105,3 +105,10 @@ def test_leaves_around_a_place_are_those_that_meet_the_square(space):
         found = np.sort(tree.within(xy, 0.3))
         assert set(np.flatnonzero(gap < 0.3 - tree.width)) <= set(found.tolist())
         assert (gap[found] <= 0.3 + tree.width).all()
+
+
+def test_the_room_at_one_place_is_what_the_clearance_of_many_says(space):
+    xy = np.random.default_rng(6).uniform(0.0, 5.0, (100, 2))
+    distance, kind = space.clearance(0, xy)
+    found = [space.room(0, place) for place in xy]
+    assert found == list(zip(distance.tolist(), kind.tolist(), strict=True))

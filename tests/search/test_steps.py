@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
 from gpdf_service.perception.surface import OBSERVED, Cells
-from gpdf_service.search.steps import NOTICED_STEP, count_noticed, is_near_step, is_stepped
+from gpdf_service.search.steps import NOTICED_STEP, count_noticed, count_steps, is_near_step, is_stepped
 
 
 def ground_of(steps):
@@ -37,3 +38,18 @@ def test_a_way_is_near_a_step_that_it_passes():
     way = np.array([[-0.9, 4.0], [2.9, 4.0]])
     assert is_near_step(way, ground, noticed, 0.25)
     assert not is_near_step(way + np.array([0.0, 0.9]), ground, noticed, 0.25)
+
+
+@pytest.mark.parametrize(
+    ("heights", "steps"),
+    [
+        ([0.0, 0.0, 0.02, 0.04], 0),
+        ([0.0, 0.2, 0.2, 0.4], 2),
+        ([0.0, 0.2, 0.4, 0.4], 1),  # a riser that is told in two pieces
+        ([0.0, 0.2, 0.0, 0.0], 2),
+        ([0.4, 0.0], 1),
+    ],
+)
+def test_steps_of_a_path_are_counted_up_and_down(heights, steps):
+    contact = np.column_stack([np.arange(len(heights)), np.zeros(len(heights)), heights]).astype(float)
+    assert count_steps(contact) == steps
