@@ -227,7 +227,7 @@ def are_voxels(z: FloatArray) -> bool:
 
 
 def _pitch(z: FloatArray) -> float:
-    """The least difference of heights, if all others are multiples of it and it is one that stops a body, else 0 [m]."""
+    """The least difference of heights, if it would stop a body and all others are multiples of it, else 0 [m]."""
     between = np.diff(np.unique(np.round(z, 4)))
     pitch = float(between.min(initial=np.inf))
     return pitch if 2.0 * LEAST_OBSTACLE < pitch < np.inf and _on_rungs(between, pitch) else 0.0
