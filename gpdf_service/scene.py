@@ -258,6 +258,8 @@ class Scene:
     @cached_property
     def scan(self) -> Scan:
         """What obstacles need to know of the cloud."""
+        if self._standing is not None:
+            return self._standing.scan
         return Scan(self.noise, self.hidden_height, are_voxels(self.points[:, 2]))
 
     @property

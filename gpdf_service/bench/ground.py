@@ -62,7 +62,7 @@ def run(args: argparse.Namespace) -> int:
         rules = args.ablation or list(RULES)
         if unknown := [rule for rule in rules if rule not in RULES]:
             raise RequestError("--ablation", f"{unknown[0]!r}", f"Rules: {', '.join(RULES)}.")
-        show(list(rule_rows(args.data, args.seed, args.count or 2, rules)), as_json=args.json)
+        show(list(rule_rows(args.data, args.seed, args.count or 1, rules)), as_json=args.json)
         return 0
     if args.rows:
         names = ROWS if "all" in args.rows else args.rows

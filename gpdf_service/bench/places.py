@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -26,9 +26,15 @@ RIM = 0.4
 """[m] Of an island, that is left out: a body does not stand there."""
 
 
-def land_rows(scanner: str, count: int | None, seed: int, noise: float | None = None) -> Iterator[Row]:
+def land_rows(
+    scanner: str,
+    count: int | None,
+    seed: int,
+    noise: float | None = None,
+    makers: Sequence[Callable[[np.random.Generator], Place]] = ONE_FLOOR,
+) -> Iterator[Row]:
     """For each crowded place: of random starts (x, y), how many are taken, and how many of these are wrong."""
-    for make in ONE_FLOOR:
+    for make in makers:
         place, scan = _scanned(make(np.random.default_rng(seed)), scanner, seed, noise)
         scene = build_scene(scan.points)
         low, high = scan.points[:, :2].min(axis=0), scan.points[:, :2].max(axis=0)

@@ -21,11 +21,14 @@ from gpdf_service.perception import read_cloud
 from gpdf_service.perception.surface import OBSERVED, UNKNOWN, HeightMap
 from gpdf_service.pipeline import build_scene
 from gpdf_service.synthetic import SCENES, random_room
+from gpdf_service.synthetic.places import ONE_FLOOR
 from gpdf_service.types import BoolArray, FloatArray, IntArray
 
 NOISES = (0.0, 0.02, 0.05)
 """[m] Of the scanned rooms' coordinates."""
-HALL = 0.04, 0.06
+ROOMS = "cluttered_office", "stair"
+"""Beside the random ones."""
+HALL = (0.05,)
 """[m] Voxels of the museum's stair."""
 PAIRS = 20
 """Of Spot on the spiral ramps."""
@@ -149,7 +152,7 @@ def rule_rows(data: Path, seed: int, count: int, rules: Sequence[str]) -> Iterat
 def _rooms(seed: int, count: int) -> Row:
     """Rooms that two tripods scan: labels, known ground, free places; summed over all of them."""
     rows = []
-    makers = [*((make, seed) for make in SCENES.values()), *((random_room, seed + i) for i in range(count))]
+    makers = [*((SCENES[name], seed) for name in ROOMS), *((random_room, seed + i) for i in range(count))]
     for make, number in makers:
         clean = make(np.random.default_rng(number))
         for noise in NOISES:
@@ -177,7 +180,7 @@ def _houses(seed: int, count: int) -> Row:
 
 
 def _crowded(seed: int) -> Row:
-    rows = list(places.land_rows("tripod", STARTS, seed))
+    rows = list(places.land_rows("tripod", STARTS, seed, None, ONE_FLOOR[::3]))
     return {key: sum(row[key] for row in rows) for key in ("landed", "no_ground", "touching")}
 
 

@@ -106,7 +106,7 @@ def step_and_slope(surface: HeightMap) -> Measured:
     for axis in (0, 1):
         ahead, behind = _shift(height, -reach, axis) - height, height - _shift(height, reach, axis)
         ahead, behind = np.abs(ahead), np.abs(behind)
-        narrow = flight & _is_narrow_tread(surface.height, width, axis)
+        narrow = flight & _is_narrow_tread(surface.height, width, axis) if flight.any() else flight
         rise = np.where(narrow, 0.0, np.fmin(ahead, behind))  # at the rim, the side that is known
         gradient2 += np.nan_to_num(rise / (reach * width)) ** 2
         across = np.abs(_shift(surface.height, -1, axis) - _shift(surface.height, 1, axis)).astype(np.float64)

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 from scipy import ndimage
 
 from gpdf_service.config import PerceptionConfig
+from gpdf_service.perception.boxes import window
 from gpdf_service.perception.footing import flights
 from gpdf_service.perception.nearest import nearest_of
 from gpdf_service.perception.strides import STRIDE
@@ -40,17 +43,19 @@ def fill_notches(surface: HeightMap, seen_through: BoolArray, pit: BoolArray, co
         pit: The same, deeper than a step only.
         config: Limits.
     """
-    known, radius = surface.state != UNKNOWN, 0.5 * config.widest_gap / surface.cell_width
-    closed = nearest_of(nearest_of(known)[0] > radius)[0] > radius
-    flight, below = flights(surface, config.max_step, FLIGHT), seen_through | pit
+    flight, width = flights(surface, config.max_step, FLIGHT), surface.cell_width
+    box = window(flight, int((NOTCH_SPAN + NOTCH_DEPTH) / width) + 2)  # nothing else is filled, or tells what is
     height, state = surface.height.copy(), surface.state.copy()
-    _fill_bitten(height, flight & ~seen_through, surface.cell_width)
-    asked = closed & np.isnan(height) & flight
-    asked &= ~below | _from_the_side(known & flight, below, surface.cell_width)
+    own, known, flight = height[box], surface.state[box] != UNKNOWN, flight[box]
+    below, radius = seen_through[box] | pit[box], 0.5 * config.widest_gap / width
+    closed = nearest_of(nearest_of(known)[0] > radius)[0] > radius
+    _fill_bitten(own, flight & ~seen_through[box], width)
+    asked = closed & np.isnan(own) & flight
+    asked &= ~below | _from_the_side(known & flight, below, width)
     cells, discs = np.argwhere(asked), (_disc(2.0 * radius), _disc(radius))
-    height[tuple(cells.T)] = _treads(height, cells, *discs, 0.5 * surface.cell_width, config.stair_step)
-    state[known != ~np.isnan(height)] = INFERRED
-    return HeightMap(surface.origin, surface.cell_width, height, state)
+    own[tuple(cells.T)] = _treads(own, cells, *discs, 0.5 * width, config.stair_step)
+    state[box][known != ~np.isnan(own)] = INFERRED
+    return replace(surface, height=height, state=state)
 
 
 def _disc(radius: float) -> IntArray:

@@ -222,14 +222,20 @@ def are_voxels(z: FloatArray) -> bool:
 
     Then all lie on rungs, and two surfaces that differ by less than a voxel are as high, or a whole voxel apart.
     """
-    for part in (z[:: max(1, len(z) // _FIRST)], z):  # nearly always the first look tells
-        between = np.diff(np.unique(np.round(part, 4)))
-        if not len(between) or between.min() <= 2.0 * LEAST_OBSTACLE:
-            return False
-        off = between / between.min()
-        if (np.abs(off - np.round(off)) > _ROUNDED).any():
-            return False
-    return True
+    pitch = _pitch(z[:: max(1, len(z) // _FIRST)])  # nearly always a first look tells
+    return pitch > 0.0 and (_on_rungs(z - z[0], pitch) or _pitch(z) > 0.0)
+
+
+def _pitch(z: FloatArray) -> float:
+    """The least difference of heights, if it would stop a body and all others are multiples of it, else 0 [m]."""
+    between = np.diff(np.unique(np.round(z, 4)))
+    pitch = float(between.min(initial=np.inf))
+    return pitch if 2.0 * LEAST_OBSTACLE < pitch < np.inf and _on_rungs(between, pitch) else 0.0
+
+
+def _on_rungs(heights: FloatArray, pitch: float) -> bool:
+    off = heights / pitch
+    return bool((np.abs(off - np.round(off)) <= _ROUNDED).all())
 
 
 _FIRST = 1000
