@@ -151,7 +151,7 @@ def _told_of(route: Route, progress: Progress, feature: Feature, after: float | 
     early = EARLY[0] <= distance <= EARLY[1] and _is_told_early(route, progress, feature)
     soon = window[0] <= distance <= (window[1] if after is None else ON_STAIRS)
     late = is_step and 0.0 <= distance < window[0]  # better than never
-    if not (early or soon or late or (ends and distance > 0.0)):
+    if not (early or soon or late or (ends and distance >= -TREAD)):  # a turn at their last step is made now
         return []
     side = Side(feature.rail) if feature.rail else None
     if feature.kind is FeatureKind.PLACE:
@@ -160,7 +160,7 @@ def _told_of(route: Route, progress: Progress, feature: Feature, after: float | 
         kind,
         Urgency.ACT if ends else Urgency.PREPARE if early and not is_step else urgency,
         _place(route, feature.start),
-        distance,
+        max(distance, 0.0),
         feature.amount,
         feature.count,
         after,

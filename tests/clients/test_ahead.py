@@ -222,6 +222,9 @@ def test_a_turn_that_begins_on_stairs_is_told_where_they_end():
     assert turn.start == stairs.end
     for s_on in np.arange(stairs.start + 0.1, stairs.end - 0.05, 0.1):
         assert Kind.TURN_SOON not in {one.kind for one in find_ahead(route, Progress(float(s_on), 0.0))}
+    for s_off in (0.02, 0.1, 0.3):
+        (told,) = (one for one in find_ahead(route, Progress(stairs.end + s_off, 0.0)) if one.leaves_stairs)
+        assert phrase(told) == "The stairs end. Turn left."
 
 
 @pytest.mark.parametrize(("behind", "told"), [(0.5, True), (2.0, True), (3.5, False)])
