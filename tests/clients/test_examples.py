@@ -24,12 +24,12 @@ EXAMPLES = sorted((ROOT / "clients" / "examples").glob("*.py"))
 
 @pytest.fixture(scope="module")
 def endpoint(tmp_path_factory, office_file):
-
     folder = tmp_path_factory.mktemp("scenes")
     shutil.copy(office_file, folder / "office.gpdf")
     address = free_endpoint()
     with Server(Options(address, folder, tmp_path_factory.mktemp("log"), 1)) as server:
         server.shelf.load_file("office", "office.gpdf")
+        server.shelf.settle()
         until = time.monotonic() + 300
         while not server.status().ready:  # its kernels are there, too
             assert time.monotonic() < until

@@ -264,6 +264,7 @@ def test_a_map_that_talks_nonsense_does_not_end_who_follows_it(tmp_path, free_en
     assert follower.absent["../x"] == ("UNAVAILABLE", "'../x' is no name of a scene. Ask another planner.")
 
 
+@pytest.mark.slow
 def test_a_build_that_hangs_is_ended_and_the_next_one_is_made(tmp_path, free_endpoint, monkeypatch, office):
     monkeypatch.setattr("gpdf_service.service.builder.STALL_S", 0.5)
     with (

@@ -50,6 +50,7 @@ def test_a_cloud_that_would_take_all_memory_is_refused_in_words_and_others_are_s
         assert client.load_scene("more", upload=floor(4.0), timeout_s=PATIENCE_S)["points"] == len(floor(4.0))
 
 
+@pytest.mark.slow
 def test_what_nobody_reckoned_is_ended_by_the_limit_of_the_process_that_builds(tmp_path, free_endpoint):
     options = Options(free_endpoint, tmp_path, tmp_path / "log", 1, build_memory_mb=700.0)
     config = Config(PerceptionConfig(memory_budget=1e12))  # whatever is asked for may be taken
@@ -59,6 +60,7 @@ def test_what_nobody_reckoned_is_ended_by_the_limit_of_the_process_that_builds(t
         assert client.load_scene("floor", upload=floor(3.0), timeout_s=PATIENCE_S)["points"] == len(floor(3.0))
 
 
+@pytest.mark.slow
 def test_a_build_that_is_killed_is_told_in_words_and_the_next_one_is_made(tmp_path, free_endpoint, office):
     with (
         Server(Options(free_endpoint, tmp_path, tmp_path / "log", 1)) as server,
@@ -98,6 +100,7 @@ def send(client, scene, points):
     return client.ask(keys.SCENE_UPLOAD, request, SceneReply, 60.0, {Status.BUILDING}).status
 
 
+@pytest.mark.slow
 def test_what_was_acknowledged_is_built_after_a_kill(tmp_path, free_endpoint):
     def serve():
         words = [sys.executable, "-m", "gpdf_service.cli", "serve", "--endpoint", free_endpoint, "--workers", "1"]
@@ -252,6 +255,7 @@ def test_an_unloaded_scene_does_not_come_back_with_the_next_start(tmp_path):
     shelf.close()
 
 
+@pytest.mark.slow
 def test_what_cannot_be_kept_is_not_acknowledged_and_the_service_says_that_it_is_ill(tmp_path, free_endpoint):
     words = [sys.executable, "-m", "gpdf_service.cli", "serve", "--endpoint", free_endpoint, "--workers", "1"]
     words += ["--log-dir", str(tmp_path / "log"), "--scenes-dir", str(tmp_path)]

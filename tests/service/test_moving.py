@@ -186,6 +186,7 @@ def test_scenes_that_nobody_loaded_do_not_fill_the_memory(monkeypatch):
     assert set(moving._living) == {"d"}  # what ended is forgotten, also where nobody looks
 
 
+@pytest.mark.slow
 def test_many_tiny_obstacles_take_no_more_memory_and_time_than_few_large_ones():
     moving, most = Moving(lambda: 0.0), MAX_POINTS // LEAST_OBSTACLE
     dot = Array.pack(np.zeros((1, 3)))

@@ -24,6 +24,7 @@ def serve(free_endpoint, tmp_path, office_file):
     return start, free_endpoint
 
 
+@pytest.mark.slow
 def test_places_outlive_a_restart_and_a_new_version_but_not_their_scene(serve):
     start, endpoint = serve
     with start(), Client.connect(endpoint) as client:

@@ -347,6 +347,7 @@ def test_uploads_that_nobody_finishes_make_room(tmp_path, monkeypatch):
     shelf.close()
 
 
+@pytest.mark.slow
 def test_a_second_service_leaves_the_log_of_the_running_one_alone(clouds, tmp_path, free_endpoint, office):
     made = office[0]
     with Server(Options(free_endpoint, clouds, tmp_path, 1)) as server, Client.connect(free_endpoint) as client:

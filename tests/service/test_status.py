@@ -37,6 +37,7 @@ def until_ready(client):
     return status
 
 
+@pytest.mark.slow
 def test_a_service_says_how_it_is_and_what_it_did(scenes, free_endpoint, office):
     made = office[0]
     with Server(Options(free_endpoint, scenes, scenes / "log", 2)) as server, Client.connect(free_endpoint) as client:
