@@ -14,6 +14,7 @@ from scipy.spatial import cKDTree
 
 from gpdf_service.config import PerceptionConfig
 from gpdf_service.errors import NoGroundError
+from gpdf_service.fields.shapes import FEWEST
 from gpdf_service.fields.threads import run_beside, run_chunked, run_parallel
 from gpdf_service.perception.beside import Beside, beside
 from gpdf_service.perception.boxes import WHOLE, Box, widened
@@ -63,7 +64,7 @@ BLOCK = 32
 """Cells a side of the blocks that the box of a sheet is made of: two metres of a room's."""
 HIGH = 2
 """Cells around one whose ground says how high a step there can be."""
-RIM_SHARE = 0.25
+RIM_SHARE, RIM_NOISE = 0.25, 0.05
 """[-] Of the points of a face under its edge that may be over it: noise makes 0.05, a lip of 1.5 deviations more."""
 TALLEST = 3.0
 """[m] Material higher than this over the ground is out of every body's reach."""
@@ -501,9 +502,21 @@ def _add_rims(
     z = other[asked, 2]
     for row, edge, near in zip(rows, edges, beside, strict=True):
         above = (z[near] - edge) / noise
-        face = np.count_nonzero((above > -2.0) & (above <= 0.0))
-        if face > 0 and np.count_nonzero(above > 1.0) - 1 <= RIM_SHARE * face:
+        face = int(np.count_nonzero((above > -2.0) & (above <= 0.0)))
+        if face > 0 and np.count_nonzero(above > 1.0) - 1 <= rim_points(face):
             ledge[row] = edge
+
+
+def rim_points(face: int) -> float:
+    """How many points beside one may be over an edge, of a `face` of so many points under it, and be its rim.
+
+    A quarter; where the face has enough points to tell chance, three standard errors and one over what noise makes:
+    a platform's rim has hundreds of such places. A thinly seen face does not tell a lip from noise.
+    """
+    if face < FEWEST:
+        return RIM_SHARE * face
+    by_chance = RIM_NOISE * face
+    return max(RIM_SHARE * face, by_chance + 3.0 * float(np.sqrt(by_chance)) + 1.0)
 
 
 def ledge_reach(surface: HeightMap) -> int:

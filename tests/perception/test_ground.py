@@ -466,6 +466,23 @@ def test_one_point_over_a_thinly_seen_face_is_its_rim_and_two_things_on_it_are_n
     ).all()  # no face: it stands on the platform
 
 
+def test_a_few_points_by_chance_over_a_well_seen_rim_are_the_rim_and_half_as_many_again_are_not():
+    noise, top = 0.02, 0.19
+    grid = np.stack(np.meshgrid(np.arange(40), np.arange(40), indexing="ij"), -1).reshape(-1, 2) * 0.05 + 0.025
+    ground = np.column_stack([grid, np.where(grid[:, 0] < 1.0, 0.0, top)])
+    height = ground[:, 2].reshape(40, 40).astype(np.float32)
+    surface = HeightMap(np.zeros(2), 0.05, height, np.full(height.shape, OBSERVED, np.uint8))
+    face = np.array([[1.0, 0.93 + 0.015 * k, top - 0.01 * (1 + k % 3)] for k in range(9)])
+    over = np.array([[1.0, 0.95 + 0.02 * k, top + 0.022 + 0.002 * k] for k in range(6)])
+
+    def ledges(count: int) -> np.ndarray:
+        cloud = np.concatenate([over[:count], face])
+        return find_ledges(surface, ground, cloud, CONFIG.max_step, noise)[:count]
+
+    assert ledges(4) == pytest.approx(top)
+    assert np.isinf(ledges(6)).all()
+
+
 def test_a_floating_point_stops_nobody_and_a_cable_does():
     points, ground = scan_of(World((5.0, 5.0, 2.5), (), ceiling=False))
     cable = np.column_stack([np.full(25, 1.5), np.full(25, 2.5), np.arange(25) * 0.04 + 1.2])
