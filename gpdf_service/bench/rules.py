@@ -131,6 +131,7 @@ def rule_rows(data: Path, seed: int, count: int, rules: Sequence[str]) -> Iterat
     suites: dict[str, Callable[[], Row]] = {
         "rooms": partial(_rooms, seed, count),
         "real clouds": partial(_real, data),
+        "islands": partial(_islands, seed),
         "houses": partial(_houses, seed, count),
         "crowded places": partial(_crowded, seed),
     }
@@ -182,6 +183,17 @@ def _houses(seed: int, count: int) -> Row:
 def _crowded(seed: int) -> Row:
     rows = list(places.land_rows("tripod", STARTS, seed, None, ONE_FLOOR[::3]))
     return {key: sum(row[key] for row in rows) for key in ("landed", "no_ground", "touching")}
+
+
+def _islands(seed: int) -> Row:
+    """A pit, a gallery and a platform: places that are known, and those that are wrongly joined."""
+    rows = list(places.island_rows("tripod", 1, seed))
+    known = round(sum(row["known"] * row["places"] for row in rows) / max(sum(row["places"] for row in rows), 1), 4)
+    return {
+        "island_known": known,
+        "stands": sum(row["stands"] for row in rows),
+        "joined": sum(row["joined"] for row in rows),
+    }
 
 
 def _real(data: Path) -> Row:

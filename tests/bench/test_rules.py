@@ -51,12 +51,12 @@ def test_a_rule_is_told_by_the_first_scenes_that_it_moves(tmp_path, monkeypatch)
         return {"known": build_scene(floor).surfaces[0].cell_width}
 
     floor = np.column_stack([*(axis.ravel() for axis in np.meshgrid(*2 * [np.arange(0.0, 2.0, 0.05)])), np.zeros(1600)])
-    for name in ("_houses", "_crowded"):
+    for name in ("_houses", "_crowded", "_islands"):
         monkeypatch.setattr(f"gpdf_service.bench.rules.{name}", lambda *_: {"ways": len(asked)})
     monkeypatch.setattr("gpdf_service.bench.rules._rooms", rooms)
     rows = list(rule_rows(tmp_path, 1, 2, ["pits", "roofs"]))
     assert [row["without"] for row in rows] == ["pits", "roofs"]
     assert rows[0] == {"without": "pits", "in": "all", "moves": "nothing"}
-    assert rows[1]["in"] == "houses"
+    assert rows[1]["in"] == "islands"
     assert rows[1]["moves"] == "ways 2 → 3"
     assert asked == [(1, 2)] * 3
