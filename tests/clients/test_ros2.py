@@ -22,7 +22,7 @@ STRING = "RIHS01_df668c740482bbd48fb39d76a70dfd4bd59db1288021743503259e948f6b1a1
 NS = 1_000_000_000
 CDR = b"\x00\x01\x00\x00"
 """The encapsulation header of little-endian plain CDR."""
-PATIENCE = 300.0
+PATIENCE = 60.0
 """[s] Until what never comes is given up: the first scene of a fresh installation is compiled for a minute."""
 
 
