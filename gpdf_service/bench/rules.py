@@ -18,7 +18,7 @@ from gpdf_service.bench.scanned import judge, overlap, scanned
 from gpdf_service.denoise import as_measured
 from gpdf_service.errors import GpdfError
 from gpdf_service.perception import read_cloud
-from gpdf_service.perception.surface import OBSERVED, UNKNOWN, HeightMap
+from gpdf_service.perception.surface import OBSERVED, UNKNOWN
 from gpdf_service.pipeline import build_scene
 from gpdf_service.synthetic import SCENES, random_room
 from gpdf_service.synthetic.places import ONE_FLOOR
@@ -48,11 +48,6 @@ def _first(given: Any, *_: Any, **__: Any) -> Any:  # noqa: ANN401 - whatever th
 def _middles(nodes: IntArray, *given: Any) -> FloatArray:  # noqa: ANN401
     middle: FloatArray = given[3]
     return middle[nodes]
-
-
-def _unlike(cells: str) -> Callable[[HeightMap, Any], BoolArray]:
-    """False for each cell of a height map."""
-    return lambda surface, *_: np.zeros(getattr(surface, cells).shape, dtype=bool)
 
 
 _P, _D = "gpdf_service.perception.", "gpdf_service.denoise."
@@ -91,7 +86,7 @@ RULES: dict[str, tuple[str, str, Callable[..., Any]]] = {
     "strips at a flight's side": (_P + "notches", "_fill_bitten", lambda *_: None),
     "firm ground around holes": (_P + "holes", "firm_ground", lambda surface, _: surface.state == OBSERVED),
     "things seen hollow": (_P + "holes", "_seen_hollow", lambda things, _: np.ones_like(things)),
-    "walls of pits": (_P + "holes", "_walled_down", _unlike("state")),
+    "walls of pits": (_P + "holes", "_walled_down", lambda surface, _: np.zeros(surface.state.shape, dtype=bool)),
     "slanted faces are steps": (_P + "limits", "_slanted", lambda _, slope: np.full(slope.shape, np.inf)),
     "narrow treads": (_P + "limits", "_is_narrow_tread", lambda height, *_: np.zeros(height.shape, dtype=bool)),
     "faces of steps": (_P + "obstacles", "_is_face", _false(1)),

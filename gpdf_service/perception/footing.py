@@ -112,13 +112,19 @@ def _on_treads(
 @njit(cache=True, nogil=True)
 def is_tread(height: NDArray[np.float32], x: int, y: int, stride: int) -> bool:
     """Whether a cell is in a flight, with ground higher by more than `ROUGH` within so many cells, and lower."""
-    own = float(height[x, y])
-    low, high = own, own
-    for u in range(max(x - stride, 0), min(x + stride + 1, height.shape[0])):
-        for v in range(max(y - stride, 0), min(y + stride + 1, height.shape[1])):
+    own, (low, high) = float(height[x, y]), _ends_around(height, x, y, stride)
+    return high - own > ROUGH and own - low > ROUGH and high - low > FLIGHT_RISE
+
+
+@njit(cache=True, nogil=True)
+def _ends_around(height: NDArray[np.float32], x: int, y: int, rings: int) -> tuple[float, float]:
+    """Lowest and highest ground within so many cells, inf and -inf where there is none."""
+    low, high = np.inf, -np.inf
+    for u in range(max(x - rings, 0), min(x + rings + 1, height.shape[0])):
+        for v in range(max(y - rings, 0), min(y + rings + 1, height.shape[1])):
             there = float(height[u, v])  # a NaN is neither
             low, high = there if there < low else low, there if there > high else high
-    return high - own > ROUGH and own - low > ROUGH and high - low > FLIGHT_RISE
+    return low, high
 
 
 def crosses_flight(path: FloatArray, surface: HeightMap, radius: float) -> bool:
@@ -133,9 +139,8 @@ def crosses_flight(path: FloatArray, surface: HeightMap, radius: float) -> bool:
     samples = np.linspace(0.0, s[-1], int(s[-1] / (0.5 * radius)) + 2)
     cells = np.column_stack([np.interp(samples, s, path[:, k]) for k in range(3)])
     cells[:, :2] = (cells[:, :2] - surface.origin) / surface.cell_width
-    height = np.where(surface.state != UNKNOWN, surface.height, np.float32(np.nan))
     reach = int(1.25 * radius / surface.cell_width) + 1
-    return bool(_crosses_flight(cells, height, reach, rings_of(STRIDE, surface.cell_width)))
+    return bool(_crosses_flight(cells, surface.height, reach, rings_of(STRIDE, surface.cell_width)))
 
 
 @njit(cache=True, nogil=True)
@@ -145,11 +150,7 @@ def _crosses_flight(cells: FloatArray, height: NDArray[np.float32], reach: int, 
         x, y = int(np.floor(cells[m, 0])), int(np.floor(cells[m, 1]))
         if not (0 <= x < nx and 0 <= y < ny and abs(height[x, y] - cells[m, 2]) <= FLIGHT_RISE):
             continue
-        low, high, wide = np.inf, -np.inf, reach + stride
-        for u in range(max(x - wide, 0), min(x + wide + 1, nx)):
-            for v in range(max(y - wide, 0), min(y + wide + 1, ny)):
-                there = float(height[u, v])  # a NaN is neither
-                low, high = there if there < low else low, there if there > high else high
+        low, high = _ends_around(height, x, y, reach + stride)
         if not high - low > FLIGHT_RISE:
             continue  # nearly everywhere, and cheaper than to ask each cell
         for u in range(max(x - reach, 0), min(x + reach + 1, nx)):

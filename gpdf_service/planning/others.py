@@ -10,7 +10,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from gpdf_service.planning.endpoints import Ends
-from gpdf_service.planning.routes import Leg, Route, Wish, find_cheapest, pull_cheaply, way_takes_of
+from gpdf_service.planning.routes import Leg, Route, Wish, find_cheapest, pull_all, way_takes_of
 from gpdf_service.planning.shape import is_joined, resample
 from gpdf_service.search import FreeSpace, Prefer, Ways, prices
 from gpdf_service.search.layered import below
@@ -67,9 +67,8 @@ def _find(ways: Ways, ends: Ends, number: int) -> list[Leg]:
 
 
 def _pulled(legs: list[Leg], wish: Wish, number: int) -> Route:
-    pulled = [pull_cheaply(leg, wish.prefer, between=True) for leg in legs]
-    takes = sum((takes for _, takes in pulled), np.zeros(6))
-    return Route([leg for leg, _ in pulled], number, cost=float(takes @ prices(legs[0].space.agent, wish.prefer)))
+    legs, takes = pull_all(legs, wish.prefer, between=True)
+    return Route(legs, number, cost=float(takes @ prices(legs[0].space.agent, wish.prefer)))
 
 
 def _avoiding(ways: Ways, seen: list[Leg]) -> Ways:

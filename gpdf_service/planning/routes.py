@@ -119,8 +119,7 @@ def _route(space: FreeSpace, start: Endpoint, goal: Endpoint, wish: Wish) -> tup
 
 def _cheapest(ways: Ways, start: Endpoint, goal: Endpoint) -> tuple[list[Leg], FloatArray]:
     """The cheapest of all ways, pulled, and what it takes (6,); no legs where there is none."""
-    pulled = [pull_cheaply(leg, ways.prefer) for leg in find_cheapest(ways, start, goal)]
-    return [leg for leg, _ in pulled], sum((takes for _, takes in pulled), np.zeros(6))
+    return pull_all(find_cheapest(ways, start, goal), ways.prefer)
 
 
 def _is_effort(takes: FloatArray, price: FloatArray, prefer: Prefer) -> bool:
@@ -329,6 +328,12 @@ def _tighten(leg: Leg) -> Leg:
     level, path, space = leg
     rows = tighten(path, space.trees[level], _radius(space, level, path), space.surfaces[level].arrays)
     return leg._replace(path=path[rows])
+
+
+def pull_all(legs: list[Leg], prefer: Prefer, *, between: bool = False) -> tuple[list[Leg], FloatArray]:
+    """`pull_cheaply` of each leg, and what the way takes, shape (6,)."""
+    pulled = [pull_cheaply(leg, prefer, between=between) for leg in legs]
+    return [leg for leg, _ in pulled], sum((takes for _, takes in pulled), np.zeros(6))
 
 
 def pull_cheaply(leg: Leg, prefer: Prefer, *, between: bool = False) -> tuple[Leg, FloatArray]:
