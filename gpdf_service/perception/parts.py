@@ -185,6 +185,8 @@ def _bulk(layers: Layers, parts: Parts, joins: Pairs, alive: BoolArray) -> tuple
     over = np.bincount(group, parts.share(parts.over, parts.keep) * parts.size * alive)
     own = np.where(2 * over >= size, 0, size)
     large = np.flatnonzero((size > 0) & (size >= BULK_SHARE * (own if own.any() else size).max()))
+    if len(large) == 1:
+        return group, int(large[0])
     of_node = group[parts.label[parts.keep]]
     height = layers.height[parts.keep]
     return group, int(min(large, key=lambda i: float(np.median(height[of_node == i]))))
@@ -245,12 +247,15 @@ def _pits(layers: Layers, parts: Parts, group: IntArray, main: BoolArray, config
         return large
     high = np.full(layers.shape, -np.inf)
     high.ravel()[layers.cell[ours]] = layers.height[ours]  # the highest: nodes are sorted by their height in a cell
+    nodes = nodes[np.isinf(high.ravel()[layers.cell[nodes]])]
+    large &= np.bincount(of_node[nodes], minlength=count) >= (1.0 - OVER_SHARE) * size
+    nodes = nodes[large[of_node[nodes]]]
+    if not len(nodes):
+        return large
     nearest = ndimage.distance_transform_edt(np.isinf(high), return_distances=False, return_indices=True)
     beside = high[tuple(nearest)].ravel()[layers.cell[nodes]]
-    under = np.isfinite(high.ravel()[layers.cell[nodes]])
-    low = ~under & (layers.height[nodes] < beside - config.max_step)
-    share = np.bincount(of_node[nodes[low]], minlength=count) / np.maximum(size, 1)
-    pits: BoolArray = large & (share >= 1.0 - OVER_SHARE)
+    low = layers.height[nodes] < beside - config.max_step
+    pits: BoolArray = large & (np.bincount(of_node[nodes[low]], minlength=count) >= (1.0 - OVER_SHARE) * size)
     return pits
 
 

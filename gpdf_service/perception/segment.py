@@ -344,14 +344,17 @@ def _roofs(near: Beside, smooth: BoolArray, flat: BoolArray, rise: float, config
     """
     off = smooth & ~flat
     piece, loose, _ = near.pieces(off, rise, smooth)
+    nodes = np.flatnonzero(off)
+    own, count = piece[nodes], int(piece.max(initial=0)) + 1
+    large = np.bincount(own, minlength=count) * near.layers.cell_width**2 > TABLE_AREA  # or it is the side of a tread
+    if not large.any():
+        return np.zeros(len(off), dtype=bool)
     touching = np.zeros(len(off), dtype=bool)
     for one, other in (loose, loose[::-1]):
         touching[one[off[one] & flat[other]]] = True
-    size, rim, drops = (
-        np.bincount(piece[off & kind], minlength=piece.max() + 1) for kind in (off, touching, _drops(near, off, config))
-    )
-    large = size * near.layers.cell_width**2 > TABLE_AREA  # or it is the side of a tread
-    roof: BoolArray = off & (large & (rim < ROOF_SHARE * (rim + drops)))[piece]
+    rim, ends = (np.bincount(own[kind[nodes]], minlength=count) for kind in (touching, _drops(near, off, config)))
+    roof: BoolArray = np.zeros(len(off), dtype=bool)
+    roof[nodes] = (large & (rim < ROOF_SHARE * (rim + ends)))[own]
     return roof
 
 
