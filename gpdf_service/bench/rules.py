@@ -54,7 +54,7 @@ _P, _D = "gpdf_service.perception.", "gpdf_service.denoise."
 RULES: dict[str, tuple[str, str, Callable[..., Any]]] = {
     "a foot on sparse cells": (_P + "segment", "_footing", _false(2)),
     "rough treads between stances": (_P + "segment", "_between", _false(1)),
-    "undersides": (_P + "segment", "undersides", lambda _, parts, core, __, joins, ___: (core & False, parts, joins)),
+    "undersides": (_P + "segment", "undersides", lambda _, parts, core, *__: (core & False, parts, parts.size < 0)),
     "crumbs of noise": (_P + "segment", "without_crumbs", lambda _, parts, __: parts),
     "roofs": (_P + "segment", "_roofs", _false(1)),
     "low things": (_P + "segment", "low_things", _false(1)),

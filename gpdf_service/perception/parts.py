@@ -260,16 +260,16 @@ def _pits(layers: Layers, parts: Parts, group: IntArray, main: BoolArray, config
 
 
 def undersides(
-    layers: Layers, parts: Parts, core: BoolArray, smooth: Pairs, joins: Pairs, config: PerceptionConfig
-) -> tuple[BoolArray, Parts, Pairs]:
-    """Nodes `core` of slabs that are seen from below, and the parts and their joins without them.
+    near: Beside, parts: Parts, core: BoolArray, smooth: Pairs, config: PerceptionConfig
+) -> tuple[BoolArray, Parts, BoolArray]:
+    """Nodes `core` of slabs that are seen from below, the parts without them, and which of these are what was left.
 
     An underside is the next below nodes of parts, by no more than a step, as wide as a body (a stair's tread goes on
-    beneath the next one by its nosing alone), and most of it has something below it: the floor has not. A part of which
-    that is the most is one as a whole: the rest of it is seen through holes in the scan of the slab's top, and with
-    the tread that is as high it would be a landing.
+    beneath the next one by its nosing alone), and most of it has something below it: the floor has not. Of a part of
+    which that is the most the rest is pieces by themselves: where the slab's top has holes in its scan, and a stair's
+    last tread, where that is as high as the underside beside it. See `without_ceilings`.
     """
-    under = np.zeros(len(core), dtype=bool)
+    layers, under = near.layers, np.zeros(len(core), dtype=bool)
     rows = np.flatnonzero(~parts.keep[:-1] & parts.keep[1:] & parts.over[1:])
     rows = rows[layers.height[rows + 1] - layers.height[rows] <= config.max_step]
     under[rows] = True
@@ -281,11 +281,33 @@ def undersides(
         region[under], minlength=len(depth)
     )
     under[rows] = ((depth >= config.standing_width) & aloft)[region[rows]]
-    if not under.any():
-        return under, parts, joins
     ceiling = parts.share(under, np.ones(len(core), dtype=bool)) >= 0.5
     ceiling[-1] = False
-    under |= ceiling[parts.label]
-    good = ~ceiling[joins[0]] & ~ceiling[joins[1]]
-    left = replace(parts, keep=parts.keep & ~under, size=np.where(ceiling, 0, parts.size))
-    return under, left, (joins[0][good], joins[1][good])
+    if not ceiling.any():
+        return under, parts, np.zeros_like(ceiling)
+    rest = parts.keep & ceiling[parts.label]
+    under |= ceiling[parts.label] & ~rest
+    left = build_parts(near, parts.flat & ~under, parts.keep, parts.inner, parts.rise, config)
+    scraps = np.zeros(len(left.size), dtype=bool)
+    scraps[left.label[rest]] = True
+    return under, left, scraps
+
+
+def without_ceilings(
+    parts: Parts, joins: Pairs, under: BoolArray, scraps: BoolArray
+) -> tuple[BoolArray, Parts, Pairs]:
+    """What is left of undersides, `scraps` of shape (parts + 1,), is one as well but for treads: one steps down there.
+
+    Through a hole in the scan of a slab's top nothing is within a stride below.
+    """
+    if not scraps.any():
+        return under, parts, joins
+    tread = np.zeros_like(scraps)
+    for one, other in (joins, joins[::-1]):
+        down = ~scraps[other] & (parts.level[one] - parts.level[other] > parts.rise)
+        tread[one[down]] = True
+    lost = scraps & ~tread
+    good = ~lost[joins[0]] & ~lost[joins[1]]
+    gone = lost[parts.label]
+    left = replace(parts, keep=parts.keep & ~gone, size=np.where(lost, 0, parts.size))
+    return under | gone, left, (joins[0][good], joins[1][good])

@@ -37,7 +37,7 @@ from gpdf_service.perception.nodes import (
     with_rims,
 )
 from gpdf_service.perception.pairs import medians_around, pairs_over_gaps
-from gpdf_service.perception.parts import TABLE_AREA, accept_parts, build_parts, join_parts, undersides, without_crumbs
+from gpdf_service.perception.parts import TABLE_AREA, accept_parts, build_parts, join_parts, undersides, without_ceilings, without_crumbs
 from gpdf_service.perception.read import check_points
 from gpdf_service.perception.strides import BODY, HALF_FOOT, SOLE, STRIDE, find_between, find_footing, find_stances
 from gpdf_service.types import BoolArray, FloatArray, IntArray
@@ -247,9 +247,9 @@ def find_ground(near: Beside, config: PerceptionConfig, relief: float = 0.0) -> 
     if not parts.size.any():
         raise NoGroundError(*NO_SURFACE)
     loose = near.pieces(parts.keep, rise, every)[1]
-    stance = _stances(near, parts.keep)
-    joins = join_parts(near, parts, stance, config)
-    under, parts, joins = undersides(layers, parts, core, loose, joins, config)
+    under, parts, scraps = undersides(near, parts, core, loose, config)
+    joins = join_parts(near, parts, _stances(near, parts.keep), config)
+    under, parts, joins = without_ceilings(parts, joins, under, scraps)
     if relief > 0.0:
         parts = without_crumbs(layers, parts, joins)
     kept = accept_parts(layers, parts, joins, core & ~keep & ~under, config)

@@ -554,26 +554,29 @@ def test_a_hole_in_the_scan_of_a_floor_below_another_that_a_ramp_joins_is_filled
     assert plan(scene, (3.0, 4.0, 0.0), (5.0, 4.0, 2.9)).status is Status.OK  # over the ramp
 
 
-def open_flight(board=0.0):
-    """A floor under a slab 2.88 m higher, and an open flight of 15 treads, 5 cm thick, from one to the other.
+def open_flight(board=0.0, rise=0.18, slab=0.25):
+    """A floor under a slab 16 steps higher, and an open flight of 15 treads, 5 cm thick, from one to the other.
 
     The floor below it, and the treads' undersides, were seen; the slab begins over the second tread.
-    An inclined `board` so wide stands over one end of the treads, and hides it.
+    An inclined `board` so wide stands over one end of the treads, and hides it. A `slab` no thicker than a step is seen
+    from below beside the last tread, too, which is as high as its underside.
     """
-    rng = np.random.default_rng(0)
+    rng, top = np.random.default_rng(0), 16 * rise
 
     def face(low, high, z):
         x, y = (axis.ravel() for axis in np.meshgrid(*(np.arange(a, b, 0.025) for a, b in zip(low, high, strict=True))))
         return np.column_stack([x, y, np.full(x.size, z)]) + rng.uniform(-0.01, 0.01, (x.size, 3)) * [1, 1, 0.4]
 
-    parts = [face((0, 0), (9, 5), 0.0), face((5.9, 0), (9, 5), 2.88)]
+    parts = [face((0, 0), (9, 5), 0.0), face((5.9, 0), (9, 5), top)]
     for low, high in (((0, 0), (2.4, 5)), ((2.4, 0), (5.9, 1)), ((2.4, 3), (5.9, 5))):
-        parts += [face(low, high, 2.88), face(low, high, 2.63)]
+        parts += [face(low, high, top), face(low, high, top - slab)]
+    if slab <= rise:
+        parts.append(face((5.9, 0), (9, 5), top - slab))
     for i in range(15):
         low, high = (2.0 + 0.26 * i, 1.5 + board), (2.0 + 0.26 * (i + 1) + 0.02, 2.5)
-        parts += [face(low, high, 0.18 * (i + 1)), face(low, high, 0.18 * (i + 1) - 0.05)]
+        parts += [face(low, high, rise * (i + 1)), face(low, high, rise * (i + 1) - 0.05)]
     side = face((2.1, 1.5), (5.9, 1.5 + board), 0.0)
-    parts.append(side + np.outer(0.18 / 0.26 * (side[:, 0] - 1.92), [0, 0, 1]))
+    parts.append(side + np.outer(rise / 0.26 * (side[:, 0] - 1.92), [0, 0, 1]))
     return np.concatenate(parts)
 
 
@@ -588,6 +591,15 @@ def test_a_flight_of_open_treads_under_its_own_upper_floor_is_climbed_but_not_be
         assert plan(scene, (x, 2.0, z), (1.0, 2.0, 0.0), "human").status is Status.OK, i
         for y in (1.56, 2.44):
             assert plan(scene, (x, y, z), (1.0, 2.0, 0.0), "human").status is Status.START_OCCUPIED, (i, y)
+
+
+def test_the_last_tread_of_a_flight_is_ground_where_it_is_as_high_as_the_underside_of_the_floor_beside_it():
+    points = open_flight(rise=0.21, slab=0.21)
+    found, (x, y, z) = segment_ground(points), points.T
+    number = np.round((x - 2.13) / 0.26)
+    treads = (y > 1.5) & (y < 2.5) & (number < 15) & (np.abs(z - 0.21 * (number + 1)) < 0.01) & (number > -1)
+    assert found[treads].mean() > 0.95
+    assert found[(np.abs(z - 15 * 0.21) < 0.01) & (x > 6.2)].mean() < 0.01
 
 
 def hillside_with_a_house(pitch):
