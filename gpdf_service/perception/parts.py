@@ -8,6 +8,7 @@ import numpy as np
 from scipy import ndimage
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
+from scipy.spatial import cKDTree
 
 from gpdf_service.config import PerceptionConfig
 from gpdf_service.perception.beside import Beside
@@ -41,6 +42,7 @@ class Parts:
         inner: Which have all eight neighbours on their slope: they say whether a part lies over ground, shape (k,).
         over: Which nodes have another one below them in their cell, shape (k,).
         size: How many nodes with headroom each part has, shape (parts + 1,).
+        depth: Of each part in plan, across its length [m], shape (parts + 1,).
         standable: Which a body stands on by itself: the others are treads, shape (parts + 1,).
         level: Mean height [m], shape (parts + 1,).
         rise: Between two neighbouring cells of a part at most [m].
@@ -52,6 +54,7 @@ class Parts:
     inner: BoolArray
     over: BoolArray
     size: IntArray
+    depth: FloatArray
     standable: BoolArray
     level: FloatArray
     rise: float
@@ -77,7 +80,7 @@ def build_parts(
     level = np.bincount(label, layers.height, count + 1) / np.maximum(np.bincount(label, minlength=count + 1), 1)
     over = np.r_[False, layers.cell[1:] == layers.cell[:-1]]
     standable = (depth >= config.standing_width) & (size > 0)
-    return Parts(label, flat, room, inner, over, size, standable, level, rise)
+    return Parts(label, flat, room, inner, over, size, depth, standable, level, rise)
 
 
 def join_parts(near: Beside, parts: Parts, stance: BoolArray, config: PerceptionConfig) -> Pairs:
@@ -294,20 +297,26 @@ def undersides(
 
 
 def without_ceilings(
-    parts: Parts, joins: Pairs, under: BoolArray, scraps: BoolArray
+    layers: Layers, parts: Parts, joins: Pairs, under: BoolArray, scraps: BoolArray
 ) -> tuple[BoolArray, Parts, Pairs]:
     """What is left of undersides, `scraps` of shape (parts + 1,), is one as well but for treads: one steps down there.
 
-    Through a hole in the scan of a slab's top nothing is within a stride below.
+    Through a hole in the scan of a slab's top nothing is within a stride below. Where that hole is beside a tread, the
+    tread is what is as near to the one below it as that is deep.
     """
     if not scraps.any():
         return under, parts, joins
-    tread = np.zeros_like(scraps)
-    for one, other in (joins, joins[::-1]):
-        down = ~scraps[other] & (parts.level[one] - parts.level[other] > parts.rise)
-        tread[one[down]] = True
-    lost = scraps & ~tread
-    good = ~lost[joins[0]] & ~lost[joins[1]]
-    gone = lost[parts.label]
-    left = replace(parts, keep=parts.keep & ~gone, size=np.where(lost, 0, parts.size))
-    return under | gone, left, (joins[0][good], joins[1][good])
+    lost = scraps[parts.label]
+    high, low = (np.concatenate(ends) for ends in zip(joins, joins[::-1], strict=True))
+    down = scraps[high] & ~scraps[low] & (parts.level[high] - parts.level[low] > parts.rise)
+    down &= parts.size[low] * layers.cell_width**2 >= HALF_FOOT
+    for scrap, below in zip(high[down], low[down], strict=True):
+        own, beneath = np.flatnonzero(parts.label == scrap), np.flatnonzero(parts.label == below)
+        off = cKDTree(layers.place[beneath]).query(layers.place[own])[0]
+        lost[own[off <= parts.depth[below] + layers.cell_width]] = False
+    label = np.where(lost, len(parts.size) - 1, parts.label)
+    flat, keep = parts.flat & ~lost, parts.keep & ~lost
+    size = np.bincount(label[keep], minlength=len(parts.size))
+    good = (size[joins[0]] > 0) & (size[joins[1]] > 0)
+    left = replace(parts, label=label, flat=flat, keep=keep, size=size)
+    return under | lost, left, (joins[0][good], joins[1][good])

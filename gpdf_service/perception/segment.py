@@ -37,7 +37,15 @@ from gpdf_service.perception.nodes import (
     with_rims,
 )
 from gpdf_service.perception.pairs import medians_around, pairs_over_gaps
-from gpdf_service.perception.parts import TABLE_AREA, accept_parts, build_parts, join_parts, undersides, without_ceilings, without_crumbs
+from gpdf_service.perception.parts import (
+    TABLE_AREA,
+    accept_parts,
+    build_parts,
+    join_parts,
+    undersides,
+    without_ceilings,
+    without_crumbs,
+)
 from gpdf_service.perception.read import check_points
 from gpdf_service.perception.strides import BODY, HALF_FOOT, SOLE, STRIDE, find_between, find_footing, find_stances
 from gpdf_service.types import BoolArray, FloatArray, IntArray
@@ -249,13 +257,13 @@ def find_ground(near: Beside, config: PerceptionConfig, relief: float = 0.0) -> 
     loose = near.pieces(parts.keep, rise, every)[1]
     under, parts, scraps = undersides(near, parts, core, loose, config)
     joins = join_parts(near, parts, _stances(near, parts.keep), config)
-    under, parts, joins = without_ceilings(parts, joins, under, scraps)
+    under, parts, joins = without_ceilings(layers, parts, joins, under, scraps)
     if relief > 0.0:
         parts = without_crumbs(layers, parts, joins)
     kept = accept_parts(layers, parts, joins, core & ~keep & ~under, config)
-    seeds = flat & kept[parts.label]
+    seeds = parts.flat & kept[parts.label]
     wide, low = _grown(near, core & ~under, keep, seeds, rise, config)
-    asked = (wide | (keep & ~over_ground(layers, wide, config.step_headroom))) & ~seeds
+    asked = (wide | (keep & ~over_ground(layers, wide, config.step_headroom))) & ~seeds & ~under
     treads = seeds & ~parts.standable[parts.label]
     flight = treads | _between(near, seeds, treads, asked, config)
     found = (wide | low) & ~_roofs(near, wide | low | core, seeds, rise, config) | flight

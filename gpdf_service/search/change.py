@@ -65,7 +65,7 @@ def change_free_space(
         return was if cells is None else _change_level(was, level, cells, old, config, field_config, scan)
 
     made = run_parallel(one, range(len(touched)))
-    return join_levels(old.agent, *reach_of(old.agent, config, scan.noise), made, levels)
+    return join_levels(old.agent, *reach_of(old.agent, config, scan.noise), made, levels, old)
 
 
 def _change_level(

@@ -7,7 +7,9 @@ stays joined. From a leaf that was left out an edge leads up to another one, and
 
 from __future__ import annotations
 
+import heapq
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
@@ -48,51 +50,159 @@ class Core:
         return np.searchsorted(self.node, node)
 
 
-def find_core(graph: Graph, free: BoolArray, width: FloatArray, clearance: FloatArray) -> Core:
+class Links(NamedTuple):
+    """A graph of leaves, as far as it tells which ones ways need.
+
+    Attributes:
+        first: First edge of each node, shape (n + 1,).
+        other: Far end of each edge, shape (e,).
+        clearance: From a node's centre to the nearest obstacle [m], shape (n,).
+        narrow: Whether it is free and narrow, shape (n,).
+    """
+
+    first: IntArray
+    other: IntArray
+    clearance: FloatArray
+    narrow: BoolArray
+
+
+class Decided(NamedTuple):
+    """Whether each node stays, and the edge that leads up from it, −1 if it stays, shapes (n,)."""
+
+    stays: BoolArray
+    up: IntArray
+
+
+@dataclass(frozen=True, slots=True)
+class Former:
+    """What was decided in the version before; the `source` is the node then of each node now, −1 of a new one."""
+
+    links: Links
+    decided: Decided
+    source: IntArray
+
+
+def links_of(graph: Graph, free: BoolArray, width: FloatArray, clearance: FloatArray) -> Links:
+    """The links of a graph of leaves that are so wide [m]; all of shape (n,)."""
+    return Links(graph.first, below(graph.other), clearance, free & (width < NARROW))
+
+
+def find_core(graph: Graph, free: BoolArray, links: Links, former: Former | None = None) -> Core:
     """What ways need of a graph of leaves.
 
     Args:
         graph: Of what stands.
         free: Which leaves are free, shape (n,).
-        width: Of each leaf [m].
-        clearance: From its centre to the nearest obstacle [m].
+        links: Of the graph.
+        former: The version before; only what differs from it, and what that decides on, is decided again.
     """
-    first, other = graph.first, below(graph.other)
-    narrow = np.flatnonzero(free & (width < NARROW))
-    stays, up = free.copy(), np.full(len(free), -1)
-    _thin(first, other, clearance, narrow[np.argsort(clearance[narrow], kind="stable")], stays, up)
-    node = np.flatnonzero(stays)
-    row = np.repeat(np.arange(len(free)), np.diff(first))
-    edge = np.flatnonzero(stays[row] & stays[other])
-    number = np.cumsum(stays) - 1
-    begin = np.searchsorted(edge, first[np.append(node, len(free))])
-    kept = number[other[edge]], graph.via[edge], graph.cost[edge], graph.component[node]
-    return Core(node, edge, Graph(graph.position[node], graph.level[node], begin, *kept), up)
+    made, asked = Decided(free.copy(), np.full(len(free), -1)), links.narrow
+    if former is not None:
+        asked = _carry(links, former.links, former.source, former.decided, made)
+    order = np.flatnonzero(asked)
+    _thin(links, order[np.argsort(links.clearance[order], kind="stable")], made)
+    node = np.flatnonzero(made.stays)
+    edge, begin, far = _left(links, made.stays, node)
+    kept = far, graph.via[edge], graph.cost[edge], graph.component[node]
+    return Core(node, edge, Graph(graph.position[node], graph.level[node], begin, *kept), made.up)
 
 
 @njit(cache=True, nogil=True)
-def _thin(
-    first: IntArray, other: IntArray, clearance: FloatArray, order: IntArray, stays: BoolArray, up: IntArray
-) -> None:
-    """Leave out nodes one after the other, where that parts none of their neighbours that are left."""
-    near = np.empty(_MOST_NEIGHBOURS, np.int64)
-    for node in order:
-        count, best = 0, -1
+def _left(links: Links, stays: BoolArray, node: IntArray) -> tuple[IntArray, IntArray, IntArray]:
+    """Edges between nodes that stay, where those of each of these begin, and their far ends by their new numbers."""
+    first, other = links.first, links.other
+    number, count = np.empty(len(stays), np.int64), 0
+    for k in range(len(node)):
+        number[node[k]] = k
+        count += first[node[k] + 1] - first[node[k]]
+    edge, begin, far = np.empty(count, np.int64), np.zeros(len(node) + 1, np.int64), np.empty(count, np.int64)
+    count = 0
+    for k in range(len(node)):
+        for e in range(first[node[k]], first[node[k] + 1]):
+            if stays[other[e]]:
+                edge[count], far[count] = e, number[other[e]]
+                count += 1
+        begin[k + 1] = count
+    return edge[:count].copy(), begin, far[:count].copy()
+
+
+@njit(cache=True, nogil=True)
+def _carry(now: Links, was: Links, source: IntArray, known: Decided, made: Decided) -> BoolArray:
+    """Take over what was `known`; which nodes are to be decided on again: narrow ones within two edges of another."""
+    asked = np.zeros(len(source), np.bool_)
+    for node in range(len(source)):
+        old, begin, count = source[node], now.first[node], now.first[node + 1] - now.first[node]
+        same = old >= 0 and now.narrow[node] == was.narrow[old] and now.clearance[node] == was.clearance[old]
+        same = same and was.first[old + 1] - was.first[old] == count
+        for k in range(count if same else 0):
+            same &= source[now.other[begin + k]] == was.other[was.first[old] + k]
+        if same and now.narrow[node]:
+            made.stays[node] = known.stays[old]
+            made.up[node] = known.up[old] + begin - was.first[old] if known.up[old] >= 0 else -1
+        if same:
+            continue
+        asked[node] |= now.narrow[node]
+        for e in range(begin, begin + count):
+            near = now.other[e]
+            asked[near] |= now.narrow[near]
+            for f in range(now.first[near], now.first[near + 1]):
+                asked[now.other[f]] |= now.narrow[now.other[f]]
+    return asked
+
+
+@njit(cache=True, nogil=True)
+def _thin(links: Links, order: IntArray, made: Decided) -> None:
+    """Leave out nodes one after the other, where that parts none of their neighbours that are left.
+
+    Those nearest to obstacles come first. The nodes in `order` are decided on, and those that such a decision changes.
+    """
+    first, other, clearance, stays = links.first, links.other, links.clearance, made.stays
+    near, later, at = np.empty(_MOST_NEIGHBOURS, np.int64), [(0.0, 0)], 0
+    later.clear()
+    asked = np.zeros(len(stays), np.bool_)
+    asked[order] = True
+    while at < len(order) or len(later) > 0:
+        if len(later) == 0 or (at < len(order) and (clearance[order[at]], order[at]) < later[0]):
+            node, at = order[at], at + 1
+        else:
+            node = heapq.heappop(later)[1]
+        turn, count, best = (clearance[node], node), 0, -1
         for e in range(first[node], first[node + 1]):
-            if not stays[other[e]]:
+            if not _is_left(links, stays, other[e], turn):
                 continue
             if count < _MOST_NEIGHBOURS:
                 near[count] = other[e]
             count += 1
             if best < 0 or clearance[other[e]] > clearance[other[best]]:
                 best = e
-        if 0 < count <= _MOST_NEIGHBOURS and _are_joined(first, other, stays, near[:count], node):
-            stays[node], up[node] = False, best
+        goes = 0 < count <= _MOST_NEIGHBOURS and _are_joined(links, stays, near[:count], turn)
+        if stays[node] == goes:
+            _ask_around(links, turn, asked, later)
+        stays[node], made.up[node] = not goes, best if goes else -1
 
 
 @njit(cache=True, nogil=True)
-def _are_joined(first: IntArray, other: IntArray, stays: BoolArray, near: IntArray, without: int) -> bool:
-    """Whether some nodes lead to each other without one node, directly or by one between two of them."""
+def _ask_around(links: Links, turn: tuple[float, int], asked: BoolArray, later: list[tuple[float, int]]) -> None:
+    """Let the narrow nodes at most two edges away whose turn is later be decided on, too."""
+    first, other = links.first, links.other
+    for e in range(first[turn[1]], first[turn[1] + 1]):
+        for f in range(first[other[e]], first[other[e] + 1]):
+            for node in (other[e], other[f]):
+                if links.narrow[node] and not asked[node] and (links.clearance[node], node) > turn:
+                    asked[node] = True
+                    heapq.heappush(later, (links.clearance[node], node))
+
+
+@njit(cache=True, nogil=True)
+def _is_left(links: Links, stays: BoolArray, node: int, turn: tuple[float, int]) -> bool:
+    """Whether a node is left at the `turn` of one with that clearance and number: it stays, or its turn is later."""
+    return bool(stays[node] or (links.narrow[node] and (links.clearance[node], node) > turn))
+
+
+@njit(cache=True, nogil=True)
+def _are_joined(links: Links, stays: BoolArray, near: IntArray, turn: tuple[float, int]) -> bool:
+    """Whether nodes lead to each other without the one whose turn it is, directly or by one between two of them."""
+    first, other = links.first, links.other
     seen, stack = np.zeros(len(near), np.bool_), np.empty(len(near), np.int64)
     stack[0], seen[0], top, count = near[0], True, 1, 1
     for k in range(1, len(near)):  # two edges may lead to one node
@@ -103,7 +213,7 @@ def _are_joined(first: IntArray, other: IntArray, stays: BoolArray, near: IntArr
         node = stack[top]
         for e in range(first[node], first[node + 1]):
             between = other[e]
-            if between == without or not stays[between]:
+            if between == turn[1] or not _is_left(links, stays, between, turn):
                 continue
             for k in range(len(near)):
                 if seen[k] or not (near[k] == between or _has_edge(first, other, between, near[k])):

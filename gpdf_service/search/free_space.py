@@ -17,8 +17,8 @@ from gpdf_service.fields.traversal import NearerArrays, nearest_only
 from gpdf_service.perception import CLEAN, GroundLevel, HeightMap, Levels, Obstacles, Scan, obstacles_of
 from gpdf_service.perception.limits import Measured
 from gpdf_service.perception.surface import UNKNOWN
-from gpdf_service.search.core import Core, find_core
-from gpdf_service.search.graph import Edges, Graph, assemble, find_edges
+from gpdf_service.search.core import Core, Decided, Former, Links, find_core, links_of
+from gpdf_service.search.graph import Edges, Graph, assemble, find_edges, same_leaves
 from gpdf_service.search.layered import Layered
 from gpdf_service.search.places import Places, nearest_places, nearest_to
 from gpdf_service.search.quadtree import Quadtree, build_quadtree
@@ -163,8 +163,15 @@ def fit_obstacle_field(
     return fit_gpdf(obstacles.points[:, :2], config=field_config, domain=surface, spacing=spacing)
 
 
-def join_levels(agent: Agent, reach: float, radius: float, parts: Sequence[LevelSpace], levels: Levels) -> FreeSpace:
-    """The free space of all levels, with one graph."""
+def join_levels(
+    agent: Agent,
+    reach: float,
+    radius: float,
+    parts: Sequence[LevelSpace],
+    levels: Levels,
+    old: FreeSpace | None = None,
+) -> FreeSpace:
+    """The free space of all levels, with one graph; an `old` version knows which leaves ways need."""
     quadtrees = tuple(part.quadtree for part in parts)
     edges = tuple(part.edges for part in parts)
     offsets, graph = connect(levels, quadtrees, edges, radius)
@@ -188,7 +195,7 @@ def join_levels(agent: Agent, reach: float, radius: float, parts: Sequence[Level
         edges,
         offsets,
         graph,
-        core_of(quadtrees, graph),
+        core_of(quadtrees, graph, old),
         float(area) / (2.0 * agent.disc_radius),
     )
 
@@ -200,7 +207,7 @@ def connect(
 
     Before it the first node of each level's leaves.
     """
-    offsets = tuple(int(n) for n in np.cumsum([0, *(len(tree.size) for tree in quadtrees[:-1])]))
+    offsets = _begins(quadtrees)
     pairs, vias = [], []
     for (ends, via), offset in zip(edges, offsets, strict=True):
         pairs.append(ends + offset)
@@ -218,9 +225,27 @@ def connect(
     return offsets, assemble(position, level, clearance, np.concatenate(pairs), np.concatenate(vias), radius)
 
 
-def core_of(quadtrees: tuple[Quadtree, ...], graph: Graph) -> Core:
-    """The leaves that ways lead over."""
-    free, half, clearance = (
-        np.concatenate([getattr(tree, key) for tree in quadtrees]) for key in ("free", "half_size", "clearance")
-    )
-    return find_core(graph, free, 2.0 * half, clearance)
+def core_of(quadtrees: tuple[Quadtree, ...], graph: Graph, old: FreeSpace | None = None) -> Core:
+    """The leaves that ways lead over; what was decided on the leaves of an `old` version stands where it can."""
+    links, former = _links(quadtrees, graph), None
+    if old is not None and old.core is not None and len(old.quadtrees) == len(quadtrees):
+        trees = tuple(tree.standing for tree in old.quadtrees)
+        source = np.full(len(links.clearance), -1)
+        for now, was, begin, offset in zip(quadtrees, trees, _begins(quadtrees), old.offsets, strict=True):
+            row = np.arange(len(was.size)) if now is was else same_leaves(was, now)[0]
+            source[row[row >= 0] + begin] = np.flatnonzero(row >= 0) + offset
+        stays = np.zeros(len(old.core.up), dtype=bool)
+        stays[old.core.node] = True
+        former = Former(_links(trees, old.graph), Decided(stays, old.core.up), source)
+    return find_core(graph, np.concatenate([tree.free for tree in quadtrees]), links, former)
+
+
+def _links(quadtrees: tuple[Quadtree, ...], graph: Graph) -> Links:
+    keys = "free", "half_size", "clearance"
+    free, half, clearance = (np.concatenate([getattr(tree, key) for tree in quadtrees]) for key in keys)
+    return links_of(graph, free, 2.0 * half, clearance)
+
+
+def _begins(quadtrees: tuple[Quadtree, ...]) -> tuple[int, ...]:
+    """The first node of each level's leaves."""
+    return tuple(int(n) for n in np.cumsum([0, *(len(tree.size) for tree in quadtrees[:-1])]))

@@ -151,7 +151,7 @@ def change_edges(
     What proves an edge are obstacles within the radius of its way through its two leaves. So it stands where both are
     as they were, and none of the `places` where obstacles came or went is that near.
     """
-    now, same = _same_leaves(*(np.ascontiguousarray(getattr(each, key)) for each in (old, tree) for key in _LEAF))
+    now, same = same_leaves(old, tree)
     if places is not None:
         _feel(places, tree.center, tree.half_size, tree.free & ~tree.whole, radius, same)
     if same.all():
@@ -161,6 +161,14 @@ def change_edges(
     found = find_edges(tree, obstacles, radius, looking, fresh.__getitem__)
     ends, via = _merged_edges(now, same, edges, found, tree.center)
     return ends, via
+
+
+def same_leaves(old: Quadtree, tree: Quadtree) -> tuple[IntArray, BoolArray]:
+    """Number now of each leaf that was, −1 where it is another, and which of the leaves now are as they were."""
+    found: tuple[IntArray, BoolArray] = _same_leaves(
+        *(np.ascontiguousarray(getattr(each, key)) for each in (old, tree) for key in _LEAF)
+    )
+    return found
 
 
 _LEAF = "code", "size", "free", "whole"
@@ -178,7 +186,6 @@ def _same_leaves(
     free: BoolArray,
     whole: BoolArray,
 ) -> tuple[IntArray, BoolArray]:
-    """Number now of each leaf that was, −1 where it is another, and which of the leaves now are as they were."""
     now, same, i = np.full(len(code_was), -1), np.zeros(len(code), np.bool_), 0
     for j in range(len(code_was)):
         while i < len(code) and code[i] < code_was[j]:

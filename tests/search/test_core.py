@@ -5,6 +5,7 @@ import gpdf_service as gpdf
 from gpdf_service.perception.nodes import components
 from gpdf_service.search import find_path
 from gpdf_service.search.core import NARROW, climb, find_nodes
+from gpdf_service.search.free_space import core_of
 from gpdf_service.search.quadtree import MIN_WIDTH
 from gpdf_service.synthetic import Box, World
 
@@ -79,3 +80,17 @@ def test_no_leaf_is_finer_than_a_fifth_of_a_cell_of_the_ground(spacing):
     width = scene.free_space("human").quadtrees[0].width
     assert width == max(MIN_WIDTH, 0.2 * scene.surfaces[0].cell_width)
     assert (width > MIN_WIDTH) == (spacing > 0.1)
+
+
+def test_what_is_decided_again_after_a_change_is_what_is_decided_on_the_whole(office):
+    scene, rng = office[1], np.random.default_rng(2)
+    scene.free_space("roomba")
+    for _ in range(6):
+        place = scene.levels.levels[0].ground_points[rng.integers(len(scene.levels.levels[0].ground_points))]
+        gone = np.flatnonzero(np.abs(scene.points[:, :2] - place[:2]).max(axis=1) < 0.3)
+        box = place + rng.uniform((-0.2, -0.2, 0.0), (0.2, 0.2, 0.5), (300, 3))
+        scene = scene.update(box, gone[scene.points[gone, 2] > place[2] + 0.05])
+        changed = scene.free_space("roomba")
+        whole = core_of(changed.quadtrees, changed.graph)
+        for key in ("node", "edge", "up"):
+            assert (getattr(changed.core, key) == getattr(whole, key)).all(), key
