@@ -4,8 +4,9 @@ import pytest
 import gpdf_service as gpdf
 from gpdf_service.perception.nodes import components
 from gpdf_service.search import find_path
-from gpdf_service.search.core import NARROW, climb, find_nodes
+from gpdf_service.search.core import NARROW, Decided, Former, climb, find_core, find_nodes, links_of
 from gpdf_service.search.free_space import core_of
+from gpdf_service.search.graph import assemble
 from gpdf_service.search.quadtree import MIN_WIDTH
 from gpdf_service.synthetic import Box, World
 
@@ -85,7 +86,7 @@ def test_no_leaf_is_finer_than_a_fifth_of_a_cell_of_the_ground(spacing):
 def test_what_is_decided_again_after_a_change_is_what_is_decided_on_the_whole(office):
     scene, rng = office[1], np.random.default_rng(2)
     scene.free_space("roomba")
-    for _ in range(6):
+    for _ in range(8):
         place = scene.levels.levels[0].ground_points[rng.integers(len(scene.levels.levels[0].ground_points))]
         gone = np.flatnonzero(np.abs(scene.points[:, :2] - place[:2]).max(axis=1) < 0.3)
         box = place + rng.uniform((-0.2, -0.2, 0.0), (0.2, 0.2, 0.5), (300, 3))
@@ -94,3 +95,38 @@ def test_what_is_decided_again_after_a_change_is_what_is_decided_on_the_whole(of
         whole = core_of(changed.quadtrees, changed.graph)
         for key in ("node", "edge", "up"):
             assert (getattr(changed.core, key) == getattr(whole, key)).all(), key
+
+
+def grid_of(clearance):
+    """Narrow leaves in rows and columns, each joined to those beside it."""
+    number = np.arange(clearance.size).reshape(clearance.shape)
+    pairs = np.concatenate(
+        [
+            np.column_stack([a.ravel(), b.ravel()])
+            for a, b in ((number[1:], number[:-1]), (number[:, 1:], number[:, :-1]))
+        ]
+    )
+    place = np.column_stack([each.ravel() for each in np.indices(clearance.shape)]).astype(float)
+    via = 0.5 * (place[pairs[:, 0]] + place[pairs[:, 1]])
+    free = np.ones(clearance.size, dtype=bool)
+    graph = assemble(place, np.zeros(clearance.size, np.int64), clearance.ravel(), pairs, via, 0.3)
+    return graph, free, links_of(graph, free, np.full(clearance.size, 0.05), clearance.ravel())
+
+
+def test_a_decision_that_changes_is_asked_for_again_wherever_it_matters():
+    rng, further = np.random.default_rng(3), 0
+    for _ in range(60):
+        clearance = rng.uniform(0.3, 1.0, (15, 15))
+        before = find_core(*grid_of(clearance))
+        stays = np.zeros(clearance.size, dtype=bool)
+        stays[before.node] = True
+        links, source = grid_of(clearance)[2], np.arange(clearance.size)
+        clearance[7, 7] = rng.uniform(0.3, 1.0)
+        changed = grid_of(clearance)
+        now = find_core(*changed, Former(links, Decided(stays, before.up), source))
+        whole = find_core(*changed)
+        assert now.node.tolist() == whole.node.tolist()
+        assert (now.up == whole.up).all()
+        x, y = np.divmod(np.setxor1d(now.node, before.node), 15)
+        further += int((np.abs(x - 7) + np.abs(y - 7) > 2).any())
+    assert further > 0  # it goes on beyond the two edges around the change
