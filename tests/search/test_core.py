@@ -121,6 +121,7 @@ def test_a_decision_that_changes_is_asked_for_again_wherever_it_matters():
         stays = np.zeros(clearance.size, dtype=bool)
         stays[before.node] = True
         links, source = grid_of(clearance)[2], np.arange(clearance.size)
+        clearance = clearance.copy()
         clearance[7, 7] = rng.uniform(0.3, 1.0)
         changed = grid_of(clearance)
         now = find_core(*changed, Former(links, Decided(stays, before.up), source))
