@@ -62,6 +62,7 @@ from gpdf_service.search import (
     level_body,
     settled,
     to_arrays,
+    ways_around,
 )
 from gpdf_service.store import Arrays, read_arrays, under, write_arrays
 from gpdf_service.types import Agent, BoolArray, FieldSample, FloatArray, IntArray, resolve_agent
@@ -223,7 +224,7 @@ class Scene:
         self.moving: FloatArray = np.zeros((0, 3))
         self._standing: Scene | None = None  # the scene without what moves, whose free spaces serve
         self._spaces: OrderedDict[Agent, FreeSpace] = OrderedDict()
-        self._ways: OrderedDict[tuple[Agent, Prefer], tuple[FreeSpace, Ways]] = OrderedDict()
+        self._ways: OrderedDict[tuple[Agent, Prefer, bool], tuple[FreeSpace, Ways]] = OrderedDict()
         self._former: dict[Agent, tuple[FreeSpace, Touched]] = {}
         self._stored: dict[Agent, Callable[[], Arrays]] = {}  # read from the scene's file
         self._lock = threading.Lock()
@@ -293,21 +294,31 @@ class Scene:
                     self._spaces.popitem(last=False)
             return space
 
-    def ways(self, agent: str | Agent, prefer: Prefer) -> Ways:
-        """All ways of `agent`, at what they cost it as one prefers them; built on first use and kept."""
+    def ways(self, agent: str | Agent, prefer: Prefer, exact: bool = True) -> Ways:
+        """All ways of `agent`, at what they cost it as one prefers them; built on first use and kept.
+
+        Where something moves, those that are not `exact` are the ways of what stands around all leaves that it touches.
+        They take the time of these leaves, and the exact ones that of all.
+        """
         body = resolve_agent(agent)
-        able = self.free_space(body)
+        able, key = self.free_space(body), (body, prefer, exact or self._standing is None)
         with self._lock:
-            kept = self._ways.get((body, prefer))
+            kept = self._ways.get(key)
         if kept is None or kept[0] is not able:
-            same = level_body(body)
-            level = None if same is None else self._settled(self.free_space(same))
-            kept = able, find_ways(self._settled(able), level, prefer)
+            kept = able, self._make_ways(able, prefer, key[2])
             with self._lock:
-                self._ways[body, prefer] = kept
+                self._ways[key] = kept
                 while len(self._ways) > MAX_CACHED_AGENTS:
                     self._ways.popitem(last=False)
         return kept[1]
+
+    def _make_ways(self, able: FreeSpace, prefer: Prefer, exact: bool) -> Ways:
+        same = level_body(able.agent)
+        level = None if same is None else self.free_space(same)
+        if self._standing is not None and not exact:
+            spaces = (able,) if level is None else (able, level)
+            return ways_around(self._standing.ways(able.agent, prefer), spaces)
+        return find_ways(self._settled(able), None if level is None else self._settled(level), prefer)
 
     def prepare(self, agent: str | Agent) -> None:
         """Build what plans for `agent` read, so that the first one takes what plans take."""

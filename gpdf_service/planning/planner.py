@@ -63,7 +63,7 @@ def plan_path(
     config: PlanningConfig,
     *,
     options: PlanOptions = NO_OPTIONS,
-    ways: Callable[[Prefer], Ways] | None = None,
+    ways: Callable[..., Ways] | None = None,
     deadline: float | None = None,
     clock: Clock = time.monotonic,
 ) -> PlanResult:

@@ -13,10 +13,11 @@ from numba import njit
 from gpdf_service.fields.tree import make_scratch, place_of
 from gpdf_service.planning.endpoints import Endpoint, Ends, connect
 from gpdf_service.planning.shape import is_joined, is_path_clear, shortcut, subdivide, tighten
-from gpdf_service.search import Doors, FreeSpace, Prefer, Ways, find_way, prices
+from gpdf_service.search import Doors, FreeSpace, Graph, Prefer, Ways, find_way, prices
 from gpdf_service.search.core import NARROW, climb, find_nodes
 from gpdf_service.search.motion import CENTRE, RESOLUTION
 from gpdf_service.search.places import Places, distance_at
+from gpdf_service.search.resplit import is_among
 from gpdf_service.search.steps import is_near_step
 from gpdf_service.search.ways import (
     LEDGE,
@@ -75,7 +76,7 @@ class Wish:
     """
 
     prefer: Prefer
-    ways: Callable[[Prefer], Ways] | None = None
+    ways: Callable[..., Ways] | None = None
     left: Callable[[], float] = lambda: np.inf
 
 
@@ -101,7 +102,7 @@ def _route(space: FreeSpace, start: Endpoint, goal: Endpoint, wish: Wish) -> tup
     price, ways = prices(space.agent, wish.prefer), wish.ways
     climb = abs(_floor(space, goal) - _floor(space, start)) * price[SLOPED] / (SPARED * price[LENGTH])
     if ways is not None and climb > np.linalg.norm(goal.xy - start.xy) and wish.left() > 0.0:
-        legs, takes = _cheapest(ways(wish.prefer), start, goal)
+        legs, takes = _cheapest(ways, wish.prefer, start, goal)
         if legs:
             return legs, float(takes @ price)
         ways = None
@@ -112,14 +113,23 @@ def _route(space: FreeSpace, start: Endpoint, goal: Endpoint, wish: Wish) -> tup
         return direct, cost
     if not (_is_effort(takes, price, wish.prefer) or any(map(_is_by_step, direct))):
         return direct, cost
-    legs, takes = _cheapest(ways(wish.prefer), start, goal)
+    legs, takes = _cheapest(ways, wish.prefer, start, goal)
     other = float(takes @ price) if legs else np.inf
     return (legs, other) if other < cost else (direct, cost)
 
 
-def _cheapest(ways: Ways, start: Endpoint, goal: Endpoint) -> tuple[list[Leg], FloatArray]:
-    """The cheapest of all ways, pulled, and what it takes (6,); no legs where there is none."""
-    return pull_all(find_cheapest(ways, start, goal), ways.prefer)
+def _cheapest(
+    ways: Callable[..., Ways], prefer: Prefer, start: Endpoint, goal: Endpoint
+) -> tuple[list[Leg], FloatArray]:
+    """The cheapest of all ways, pulled, and what it takes (6,); no legs where there is none.
+
+    Where something moves, one around all leaves that it touches is taken if it is hardly dearer than without it.
+    """
+    quick = ways(prefer, exact=False)
+    legs = find_cheapest(quick, start, goal)
+    if not legs and quick.standing is not None:
+        legs = find_cheapest(ways(prefer), start, goal)
+    return pull_all(legs, prefer)
 
 
 def _is_effort(takes: FloatArray, price: FloatArray, prefer: Prefer) -> bool:
@@ -222,12 +232,19 @@ class _Chain(NamedTuple):
 
 
 def find_cheapest(ways: Ways, start: Endpoint, goal: Endpoint) -> list[Leg]:
-    """The cheapest of all ways, from leaf to leaf; none where there is none."""
+    """The cheapest of all ways, from leaf to leaf; none where there is none.
+
+    Nor where it leads around what moves and costs `SPARED` more than it would without that: there may be a cheaper one.
+    """
     (begin, ahead), (end, behind) = (_doors(ways, one) for one in (start, goal))
     graph = ways.graph
     node, edges = find_way(graph, begin, end, goal.xy, rate=ways.rate)
     if node < 0:
         return []
+    if ways.standing is not None and graph is not ways.standing:
+        least = _cost(ways.standing, begin, end, *find_way(ways.standing, begin, end, goal.xy, rate=ways.rate))
+        if _cost(graph, begin, end, node, edges) > (1.0 + SPARED) * least:
+            return []
     nodes = np.concatenate([[node], graph.other[edges]])
     on = (nodes >= ways.first_level_node).astype(np.int64)
     first, last = ahead[int(nodes[0])], behind[int(nodes[-1])]
@@ -235,6 +252,13 @@ def find_cheapest(ways: Ways, start: Endpoint, goal: Endpoint) -> list[Leg]:
     back = [part[::-1] for part in last]
     chain = _Chain(*(np.concatenate(parts) for parts in zip(first, middle, back, strict=True)))
     return _legs(chain, start.xy, goal.xy, ways.spaces)
+
+
+def _cost(graph: Graph, begin: Doors, end: Doors, node: int, edges: IntArray) -> float:
+    """What a way costs, from the first of its nodes over its edges."""
+    last = int(graph.other[edges[-1]]) if len(edges) else node
+    ends = begin.cost[begin.node == node].min() + end.cost[end.node == last].min()
+    return float(ends + np.sum(graph.cost[edges]))
 
 
 def _doors(ways: Ways, end: Endpoint) -> tuple[Doors, dict[int, _Chain]]:
@@ -248,31 +272,35 @@ def _doors(ways: Ways, end: Endpoint) -> tuple[Doors, dict[int, _Chain]]:
         room = level.room(end.level, end.xy)[0]
         leaf = connect(level, end.level, end.xy, room) if room >= level.reach else -1
         if leaf >= 0:
-            node, chain = _climb(ways, 1, leaf)
-            at = np.array([node])
-            return Doors(at, price[LENGTH] * np.linalg.norm(ways.graph.position[at] - end.xy, axis=1)), {node: chain}
+            chains = dict(_climb(ways, 1, leaf))
+            at = np.array([*chains], np.int64)
+            return Doors(at, price[LENGTH] * np.linalg.norm(ways.graph.position[at] - end.xy, axis=1)), chains
     leaf = connect(able, end.level, end.xy, able.room(end.level, end.xy)[0])
     if leaf < 0:
         return Doors(np.zeros(0, np.int64), np.zeros(0)), {}
-    chains = dict([_climb(ways, 0, leaf)])
+    chains = dict(_climb(ways, 0, leaf))
     if level is not able:  # one goes to the first leaf as on steps, wherever that is
         for leaf in _joined_leaves(ways, end):
-            node, after = _climb(ways, 1, int(leaf))
             here = end.xy[None], np.array([end.level]), np.zeros(1, np.int64), level.graph.position[leaf][None]
-            chains.setdefault(node, _Chain(*(np.concatenate(parts) for parts in zip(here, after, strict=True))))
-    nodes = np.array(list(chains))
+            for node, after in _climb(ways, 1, int(leaf)):
+                chains.setdefault(node, _Chain(*(np.concatenate(parts) for parts in zip(here, after, strict=True))))
+    nodes = np.array([*chains], np.int64)
     about, at = beside(able, end.level, ways.prefer), ways.graph.position[nodes]
     cost = np.array([float((way_takes(np.stack([end.xy, one]), about) @ price).sum()) for one in at])
     return Doors(nodes, cost), chains
 
 
-def _climb(ways: Ways, number: int, leaf: int) -> tuple[int, _Chain]:
-    """From a leaf of a space up to its core: the node there, and what leads to it."""
+def _climb(ways: Ways, number: int, leaf: int) -> list[tuple[int, _Chain]]:
+    """From a leaf of a space up to its core: the node there, and what leads to it; none where something moves there."""
     graph, core = ways.spaces[number].graph, ways.cores[number]
+    if leaf >= len(core.up):
+        return []
     nodes, edges = climb(graph, core, leaf)
+    if ways.gone and is_among(nodes, ways.gone[number]).any():
+        return []
     under, node = nodes[:-1], int(core.number(nodes[-1:])[0])
     chain = _Chain(graph.position[under], graph.level[under], np.full(len(under), number), graph.via[edges])
-    return node + number * ways.first_level_node, chain
+    return [(node + number * ways.first_level_node, chain)]
 
 
 def _joined_leaves(ways: Ways, end: Endpoint) -> IntArray:

@@ -22,3 +22,4 @@ from gpdf_service.search.ways import Ways as Ways
 from gpdf_service.search.ways import find_ways as find_ways
 from gpdf_service.search.ways import level_body as level_body
 from gpdf_service.search.ways import prices as prices
+from gpdf_service.search.ways import ways_around as ways_around

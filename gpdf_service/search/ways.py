@@ -23,7 +23,9 @@ from gpdf_service.search.free_space import FreeSpace
 from gpdf_service.search.graph import Graph, assemble
 from gpdf_service.search.landmarks import find_landmarks
 from gpdf_service.search.layered import below
+from gpdf_service.search.patch import Nodes, around, patched
 from gpdf_service.search.places import Places, nearest_of, nearest_places
+from gpdf_service.search.resplit import SplitQuadtree
 from gpdf_service.search.steps import NOTICED_STEP, is_stepped
 from gpdf_service.types import Agent, FloatArray, IntArray
 
@@ -184,6 +186,8 @@ class Ways:
         cores: The leaves of each that ways lead over.
         graph: Those of both, those of the level ground last; `cost` is in seconds.
         rate: Least seconds that a metre costs.
+        gone: Leaves of each space that something moves touches, ascending: its ways lead around them.
+        standing: The graph of what stands where something moves: no way costs less than in it.
     """
 
     spaces: tuple[FreeSpace, ...]
@@ -191,6 +195,8 @@ class Ways:
     cores: tuple[Core, ...]
     graph: Graph
     rate: float
+    gone: tuple[IntArray, ...] = ()
+    standing: Graph | None = None
 
     @property
     def first_level_node(self) -> int:
@@ -232,6 +238,33 @@ def find_ways(able: FreeSpace, level: FreeSpace | None, prefer: Prefer) -> Ways:
     cost = seconds[row]
     landmarks = find_landmarks(graph.first, below(graph.other), cost, below(graph.component))
     return Ways(spaces, prefer, cores, replace(graph, cost=cost, landmarks=landmarks), float(price[LENGTH]))
+
+
+def ways_around(ways: Ways, spaces: tuple[FreeSpace, ...]) -> Ways:
+    """The ways of what stands that lead around all leaves which something moves touches, in time by these.
+
+    Args:
+        ways: Of what stands.
+        spaces: Its spaces, with what moves in them.
+    """
+    gone = tuple(_gone(space) for space in spaces)
+    firsts = (0, ways.first_level_node)
+    parts = zip(gone, ways.cores, firsts, strict=False)
+    lost = np.concatenate([core.number(own[core.has(own)]) + first for own, core, first in parts])
+    graph = ways.graph
+    if len(lost):
+        nobody = Nodes(np.zeros((0, 2)), np.zeros(0, np.int64))
+        nothing = np.zeros((0, 2), np.int64), np.zeros((0, 2))
+        graph = patched(graph, around(graph, lost), nobody, nothing, np.zeros((0, 2)), spaces[0].radius)
+        graph = replace(graph, landmarks=ways.graph.landmarks)  # without some leaves nothing is nearer
+    return replace(ways, spaces=spaces, graph=graph, gone=gone, standing=ways.graph)
+
+
+def _gone(space: FreeSpace) -> IntArray:
+    """Leaves of what stands that are none any more, by their numbers in the graph, ascending."""
+    trees = zip(space.quadtrees, space.offsets, strict=True)
+    gone = [tree.gone + offset for tree, offset in trees if isinstance(tree, SplitQuadtree)]
+    return np.concatenate([np.zeros(0, np.int64), *gone])
 
 
 def _pairs(graph: Graph) -> tuple[IntArray, FloatArray]:
