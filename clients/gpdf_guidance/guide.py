@@ -432,7 +432,8 @@ class Guide:
             return ()
         found = find_reassurance(self.route, advice.progress, self._told_at)
         if self._moving is not None and self._belief is not None:
-            found += moves_near(self._belief.pose, self._moving)
+            left = self.route.length - advice.progress.s
+            found += [one for one in moves_near(self._belief.pose, self._moving) if one.distance < left]
         found += unseen(self.route)  # of a new way that misses more than was said of the last one
         return tuple(one for one in found if self.manner.wants(one.kind))
 
@@ -571,8 +572,8 @@ class Guide:
         if self._announcer.last is None:
             return Instruction(Kind.NOTHING_SAID, Urgency.ACT)
         one, walked = self._announcer.last[0], self._s - self._told_at
-        first = None if one.first is None else replace(one.first, distance=max(0.0, one.first.distance - walked))
-        return replace(one, distance=max(0.0, one.distance - walked), first=first, resumes=False, reply_to=None)
+        first, soon = (None if part is None else _nearer(part, walked) for part in (one.first, one.soon))
+        return replace(_nearer(one, walked), first=first, soon=soon, resumes=False, reply_to=None)
 
     def _facts(self, asked: Asked) -> Instruction:
         """Where the person is, what is around him, how far it is."""
@@ -613,3 +614,8 @@ class Guide:
         """
         self.outcome, self.reason = Outcome.SAFE_STOP, reason
         self._gave_up = Instruction(kind, Urgency.DANGER, amount=amount, distance=distance)
+
+
+def _nearer(one: Instruction, walked: float) -> Instruction:
+    """The same told later on the way."""
+    return replace(one, distance=max(0.0, one.distance - walked))

@@ -59,6 +59,10 @@ VERBS: dict[str, tuple[str, str]] = {
     ),
     "bench guide": ("gpdf_service.bench.guide", "simulated people with human errors: contacts, arrivals, words"),
     "bench f921": ("gpdf_service.bench.f921", "the guide beside ITU-T F.921: each recommendation, with evidence"),
+    "bench spoken": (
+        "gpdf_service.bench.spoken",
+        "every sentence read aloud: how long it takes, whether it is over in time",
+    ),
     "guide": ("gpdf_service.cli.guide", "lead a person: instructions, speech and haptic cues from a stream of poses"),
     "demo": ("gpdf_service.cli.demo", "see it happen: service, four bodies, picture and log"),
     "warm": ("gpdf_service.cli.warm", "compile every kernel for this machine, once, so that no verb waits for it"),

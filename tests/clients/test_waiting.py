@@ -58,7 +58,7 @@ def test_what_the_map_misses_is_told_once_and_before_the_first_step(detail):
     guide, live = led(detail, hidden=0.075)
     cue, (_, text) = guide.step(Pose((0.0, 0.0, 0.0), 0.0, 0.0), 0.0)
     assert cue.action is CueAction.STOP
-    assert "my map misses what is lower than 8 centimetres" in text
+    assert "I do not see what is under 8 centimetres" in text
     cues, said = live(20.0, x=0.5)
     assert CueAction.GO in cues
     assert Kind.LOW_UNSEEN not in said
@@ -75,7 +75,9 @@ def test_where_the_map_shows_what_a_foot_notices_nothing_is_said_of_it():
     assert Kind.LOW_UNSEEN not in live(20.0)[1]
 
 
-@pytest.mark.parametrize(("facing", "first"), [(30, "."), (-100, ". Turn left."), (100, ". Turn right.")])
+@pytest.mark.parametrize(
+    ("facing", "first"), [(30, "."), (-45, ". Turn slightly left."), (-100, ". Turn left."), (100, ". Turn right.")]
+)
 def test_the_overview_ends_with_the_turn_that_the_cue_asks_for_first(facing, first):
     guide, live = led(Detail.NORMAL, np.radians(facing))
     one, text = guide.step(Pose((0.0, 0.0, 0.0), np.radians(facing), 0.0), 0.0)[1]
@@ -89,7 +91,7 @@ def test_what_comes_back_is_waited_for_longer_until_one_has_got_on():
     waited = []
     for x in (1.0, 1.0, 1.0, 1.0, 1.9):
         guide.see(IN_THE_WAY + np.array([x - 1.0, 0.0, 0.0]))
-        live(11.0, x)  # "Stop." has been said to the end
+        live(12.0, x)  # "Stop." has been said to the end
         guide.see(None)
         cues, said = live(6.0, x)
         waited.append(cues.count(CueAction.STOP) / 10)
