@@ -31,6 +31,8 @@ STALLED = 30.0
 """[s] Without half a metre of progress another way is asked for."""
 PATIENCE = 3.0
 """[s] Off the way, held up, or facing nothing that is safe: after this another way is asked for."""
+MOVES_ON = 8.0
+"""[s] The same behind what moves: who walks has gone before another way is, and at each way the person would turn."""
 OFF_WAY = 0.5
 """[s] The same when the person has left the corridor: he stands by then."""
 TRIES = 6
@@ -481,7 +483,9 @@ class Guide:
         since = self._waiting.since
         if since is None:
             return self._clock - self._moved > STALLED
-        return self._clock - since >= (OFF_WAY if self._off_way else PATIENCE)
+        block = self._block.by if self._clock < self._block.until else None
+        patience = MOVES_ON if block is not None and block.kind is Kind.STOP_MOVING else PATIENCE
+        return self._clock - since >= (OFF_WAY if self._off_way else patience)
 
     def replan(self, pose: Pose) -> None:
         """Ask the service for a way from here, and wait for it."""

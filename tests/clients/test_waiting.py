@@ -186,6 +186,17 @@ def test_who_was_told_to_stop_feels_go_when_he_hears_it():
     assert walks.index(True) == heard.index([Kind.RESUME]) > 10
 
 
+@pytest.mark.parametrize(("moving", "patience"), [(None, 3.0), (IN_THE_WAY, 8.0)], ids=["a thing", "somebody"])
+def test_another_way_is_asked_for_sooner_round_a_thing_than_round_somebody(moving, patience):
+    guide, live = led()
+    live(1.0)
+    guide.see(IN_THE_WAY, moving)
+    live(patience - 0.3)
+    assert not guide.wants_route(Pose((1.0, 0.0, 0.0), 0.0, patience + 0.7), patience + 0.7)
+    live(0.5)
+    assert guide.wants_route(Pose((1.0, 0.0, 0.0), 0.0, patience + 1.2), patience + 1.2)
+
+
 def test_who_goes_on_hears_what_comes_in_the_same_breath():
     go_on = Instruction(Kind.RESUME, Urgency.DANGER)
     stairs = Instruction(Kind.STAIRS, Urgency.ACT, (2.0, 0.0), 1.2, 0.17, 7)
