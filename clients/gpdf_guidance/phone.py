@@ -39,7 +39,7 @@ PAGES = {
 }
 SAFE = {
     "Content-Security-Policy": "default-src 'self'; connect-src 'self'; frame-ancestors 'none'",
-    "Permissions-Policy": "xr-spatial-tracking=(self), microphone=()",
+    "Permissions-Policy": "xr-spatial-tracking=(self), microphone=(self)",
     "Referrer-Policy": "no-referrer",
     "X-Content-Type-Options": "nosniff",
     "Cache-Control": "no-store",

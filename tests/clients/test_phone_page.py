@@ -109,12 +109,12 @@ def opens():
     with sync_api.sync_playwright() as playwright:
         browser = playwright.chromium.launch(executable_path=CHROMIUM, args=FLAGS)
 
-        def open_page(url):
+        def open_page(url, script=""):
             context = browser.new_context(
                 viewport={"width": 390, "height": 844}, ignore_https_errors=True, bypass_csp=True, locale="en-GB"
             )
             context.add_init_script(path=str(IWER))
-            context.add_init_script(EMULATED)
+            context.add_init_script(EMULATED + script)
             opened = context.new_page()
             opened.goto(url)
             opened.wait_for_function("document.getElementById('place').options.length > 1")
@@ -296,7 +296,7 @@ def test_a_screen_reader_meets_all_of_the_page_in_the_guides_language(guided, pa
     by_role = {role: [name for other, name in found if other == role] for role, _ in found}
     asks = ("pause", "go_on", "repeat", "where", "around", "how_far", "slower", "faster", "more_words", "fewer_words")
     assert by_role["heading"] == [texts[name] for name in ("title", "stand", "ask", "voice")]
-    assert by_role["button"] == [texts[name] for name in ("start", *asks, "lead")]
+    assert by_role["button"] == [texts[name] for name in ("start", *asks, "listen", "lead")]
     assert by_role["combobox"] == [texts[name] for name in ("at", "facing", "goal")]
     assert by_role["checkbox"] == [texts["reader"]]
     assert [texts["choose"]] == sorted(set(by_role["option"]) - {"bed", "door", "stove"})
@@ -311,6 +311,40 @@ def test_asks_are_buttons_and_answers_are_shown(house, guided, page):
     page.dispatch_event("[data-ask=pause]", "click")
     page.wait_for_function("gpdf.said.some(one => one.text.startsWith('Wait here.'))", timeout=30_000)
     page.wait_for_function("document.getElementById('state').dataset.cue === 'stop'")
+
+
+EAR = """
+window.SpeechRecognition = window.webkitSpeechRecognition = class {
+  start() {
+    const results = [utterance.map((transcript) => ({ transcript }))];
+    setTimeout(() => { this.onresult({ results }); over = true; }, 50);
+  }
+};
+"""
+"""A recogniser of which a test says what it has heard: this Chromium has no microphone and no service for one."""
+
+
+def test_what_stands_on_a_button_may_be_spoken_and_a_part_of_a_sentence_is_no_answer(house, guided, opens):
+    page = opens(guided[1].url, EAR)
+    page.evaluate("() => { window.asked = []; ask = (what) => { asked.push(what); }; }")
+
+    def spoken(*heard):
+        page.evaluate("heard => { window.utterance = heard; window.over = false; }", list(heard))
+        page.dispatch_event("#listen", "click")
+        page.wait_for_function("over")
+        return page.evaluate("asked.splice(0)")
+
+    assert page.is_visible("#listen")
+    assert spoken("how far") == ["how_far"]
+    assert spoken("Wear am eye", "where am I") == ["where"]  # of some alternatives one
+    assert spoken("Go on.") == ["go_on"]
+    assert spoken("yes") == []  # nothing was asked
+    page.evaluate("document.getElementById('question').hidden = false")
+    assert spoken("Yes or no") == []  # the question itself
+    assert page.evaluate("gpdf.said.at(-1).text").startswith("I did not understand")
+    assert spoken("Yes.") == ["yes"]
+    page.evaluate("setTimeout(() => speak('Go on.', 1), 20)")
+    assert spoken("go on") == []  # the page has heard itself
 
 
 def test_without_tracking_the_page_says_so(guided):
