@@ -29,7 +29,7 @@ ALLOWED = {
 CLIENTS = {"gpdf_client", "gpdf_guidance", "gpdf_robot", "gpdf_ros2"}
 WIRE = {"zenoh", "msgpack", "msgspec", "mcap", "gpdf_schemas"} | CLIENTS
 LIGHT = {"zenoh", "msgpack", "msgspec", "numpy", "gpdf_schemas"} | CLIENTS
-OPTIONAL = {"gpdf_ros2": {"rosbags"}, "phone": {"websockets", "cryptography", "segno"}}
+OPTIONAL = {"gpdf_ros2": {"rosbags"}, "phone": {"websockets", "cryptography", "segno"}, "belt": {"pybelt"}}
 """What a client, or one module of it, needs beyond the light install: an extra of its own."""
 
 

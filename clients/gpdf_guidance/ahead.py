@@ -22,6 +22,8 @@ EARLY = (5.0, 7.0)
 """[m] What one will have to do is told of this far before for the first time: 6 ± 1 m, ITU-T F.921."""
 STEP_WINDOW = (1.0, 2.8)
 """[m] Steps and stairs are told of this far before: not too late to find with the cane, not too early to count on."""
+FOOT_OF = 0.6
+"""[m] Stairs that are told of from here begin where one stands."""
 EDGE = 0.45
 """[m] Before an edge that is not told of yet one stands: a careful pace of 0.3 m/s ends a foot before it."""
 ON_STAIRS = 1.6
@@ -41,6 +43,8 @@ REASSURE = 10.0
 STEPS = (FeatureKind.STEP, FeatureKind.STAIRS)
 TO_STEPS = 1.0
 """[m] A turn that ends this near before a step or stairs is told with them."""
+SETTING_OFF = 1.4
+"""[m] Two seconds of a walk: what would be told of within them is told with the overview, to who still stands."""
 
 
 def find_turning(route: Route, progress: Progress, direction: float, action: CueAction) -> list[Instruction]:
@@ -139,6 +143,24 @@ def find_ahead(route: Route, progress: Progress) -> list[Instruction]:
     return said
 
 
+def find_first(route: Route) -> tuple[Feature, Instruction] | None:
+    """What is to be done first, if it is so near that it is told with the overview.
+
+    At what is nearer than `FOOT_OF` to a step one stands already: its own sentence is the word at the edge.
+    """
+    start = Progress(0.0, 0.0)
+    for feature in route.features:
+        if feature.kind not in TOLD_EARLY or feature.end <= 0.0:
+            continue
+        if feature.kind is FeatureKind.TURN and _needs_no_word(route, feature, ends=False):
+            continue
+        near = (FOOT_OF, STEP_WINDOW[1]) if feature.kind in STEPS else _SOON[feature.kind][2]
+        early = EARLY[0] <= feature.start <= EARLY[1]
+        soon = near[0] < feature.start <= near[1] + SETTING_OFF and _turns_before(route, start, feature) <= 1
+        return (feature, _tell(route, start, feature, early=early)) if early or soon else None
+    return None
+
+
 def _told_of(route: Route, progress: Progress, feature: Feature, after: float | None, ends: bool) -> list[Instruction]:
     """What is said of one feature here: early, soon, at its edge, on it (to who begins there), or nothing."""
     kind, urgency, window = _SOON[feature.kind]
@@ -153,28 +175,33 @@ def _told_of(route: Route, progress: Progress, feature: Feature, after: float | 
     late = is_step and 0.0 <= distance < window[0]  # better than never
     if not (early or soon or late or (ends and distance >= -TREAD)):  # a turn at their last step is made now
         return []
-    side = Side(feature.rail) if feature.rail else None
-    if feature.kind is FeatureKind.PLACE:
-        side = Side.LEFT if feature.amount > 0 else Side.RIGHT
-    one = Instruction(
-        kind,
-        Urgency.ACT if ends else Urgency.PREPARE if early and not is_step else urgency,
-        _place(route, feature.start),
-        max(distance, 0.0),
-        feature.amount,
-        feature.count,
-        after,
-        ends,
-        early,
-        _turn_before(route, progress, feature) if is_step else None,
-        name=feature.name,
-        side=side,
-        last=_place(route, feature.end) if kind is Kind.STAIRS else None,
-    )
+    one = replace(_tell(route, progress, feature, early=early), after=after, ends=ends)
+    one = replace(one, urgency=Urgency.ACT) if ends else one
     if is_step and distance <= EDGE and after is None and abs(feature.amount) >= LEAST_EDGE:
         edge = Kind.STAIRS_EDGE if kind is Kind.STAIRS else Kind.STEP_EDGE
         return [one, replace(one, kind=edge, side=None, first=None)]
     return [one]
+
+
+def _tell(route: Route, progress: Progress, feature: Feature, *, early: bool) -> Instruction:
+    """What is said of a feature ahead."""
+    kind, urgency, _ = _SOON[feature.kind]
+    is_step, side = feature.kind in STEPS, Side(feature.rail) if feature.rail else None
+    if feature.kind is FeatureKind.PLACE:
+        side = Side.LEFT if feature.amount > 0 else Side.RIGHT
+    return Instruction(
+        kind,
+        Urgency.PREPARE if early and not is_step else urgency,
+        _place(route, feature.start),
+        max(feature.start - progress.s, 0.0),
+        feature.amount,
+        feature.count,
+        early=early,
+        first=_turn_before(route, progress, feature) if is_step else None,
+        name=feature.name,
+        side=side,
+        last=_place(route, feature.end) if kind is Kind.STAIRS else None,
+    )
 
 
 def _is_told_early(route: Route, progress: Progress, feature: Feature) -> bool:

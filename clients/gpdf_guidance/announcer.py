@@ -6,8 +6,10 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from math import hypot, inf
 
+from gpdf_guidance.ahead import FOOT_OF
 from gpdf_guidance.features import TREAD
 from gpdf_guidance.instruction import Instruction, Kind, Urgency
+from gpdf_guidance.speech import spoken_in
 
 PER_MINUTE = 5.0
 """[1/min] Instructions that the budget earns: under the 8 that people bear for long, since urgent ones may borrow."""
@@ -40,20 +42,15 @@ STEPS = (Kind.STEP, Kind.STEP_EDGE, Kind.STAIRS, Kind.STAIRS_EDGE, Kind.ON_STAIR
 LAST = tuple(kind for kind in Kind if kind.value.startswith(("gave_up", "no_way", "no_answer", "arrived")))
 """What ends a walk cuts off whatever is being said."""
 AT_EDGE = {Kind.STEP: Kind.STEP_EDGE, Kind.STAIRS: Kind.STAIRS_EDGE}
-EDGE = 0.6
-"""[m] Stairs that are told of from here begin where one stands."""
 ANYWHERE = (Kind.MOVING, Kind.LOW_UNSEEN)
 """What is the same thing wherever it is; but that a map misses more than was said is news."""
-WORD = 0.33
-"""[s] A spoken word takes."""
 
 
 @dataclass(frozen=True, slots=True)
 class _Said:
-    """An instruction, when it was said, and when its sentence ends [s]."""
+    """An instruction, and when its sentence ends [s]."""
 
     instruction: Instruction
-    time: float
     end: float
 
 
@@ -108,9 +105,9 @@ class Announcer:
         return any(now >= said.end for said in self._said if _same(said.instruction, instruction))
 
     def has_begun(self, instruction: Instruction, now: float) -> bool:
-        """Whether the saying of this began within the time after which it would be said again."""
+        """Whether this is being said, or was within the time after which it would be said again."""
         again = AGAIN[Urgency.ACT]
-        return any(now - said.time < again for said in self._said if _same(said.instruction, instruction))
+        return any(now - said.end < again for said in self._said if _same(said.instruction, instruction))
 
     def _due(self, instruction: Instruction, now: float) -> bool:
         if instruction.reply_to is not None:
@@ -123,17 +120,22 @@ class Announcer:
         self._last = instruction, text
         self._said = [said for said in self._said if said.end <= now and not _takes_back(instruction, said.instruction)]
         self._tokens = max(DEBT, self._tokens - 1.0)
-        self._quiet_at, self._speaking = now + WORD * len(text.split()), instruction.urgency
-        told = [instruction] if instruction.first is None else [instruction.first, instruction]
-        told += [replace(instruction, kind=Kind.STAIRS_END)] if instruction.ends else []
-        told += [Instruction(Kind.RESUME, Urgency.DANGER)] if instruction.resumes else []
-        told += [one for one in instruction.then if one.kind is Kind.LOW_UNSEEN]
-        if instruction.kind in AT_EDGE and instruction.distance <= EDGE:  # that is the word at the edge
-            told.append(replace(instruction, kind=AT_EDGE[instruction.kind]))
-        if instruction.kind in (Kind.STAIRS, Kind.STAIRS_EDGE) and not instruction.early:
-            told.append(replace(instruction, kind=Kind.ON_STAIRS))
-        self._said += [_Said(one, now, self._quiet_at) for one in told]
+        self._quiet_at, self._speaking = now + spoken_in(text), instruction.urgency
+        self._said += [_Said(one, self._quiet_at) for one in _told_with(instruction)]
         return instruction, text
+
+
+def _told_with(one: Instruction) -> list[Instruction]:
+    """All that is told with an instruction, and need not be told by itself."""
+    told = [one] if one.first is None else [one.first, one]
+    told += [replace(one, kind=Kind.STAIRS_END)] if one.ends else []
+    told += [Instruction(Kind.RESUME, Urgency.DANGER)] if one.resumes else []
+    told += [part for part in one.then if part.kind is Kind.LOW_UNSEEN]
+    if one.kind in AT_EDGE and one.distance <= FOOT_OF:  # that is the word at the edge
+        told.append(replace(one, kind=AT_EDGE[one.kind]))
+    if one.kind in (Kind.STAIRS, Kind.STAIRS_EDGE) and not one.early:
+        told.append(replace(one, kind=Kind.ON_STAIRS))
+    return told if one.soon is None else told + _told_with(one.soon)
 
 
 def _takes_back(new: Instruction, old: Instruction) -> bool:

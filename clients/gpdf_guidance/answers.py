@@ -5,7 +5,8 @@ from __future__ import annotations
 from math import atan2, hypot
 
 from gpdf_guidance.advice import LEAST_OBSTACLE, PACES, side_of
-from gpdf_guidance.features import TURN, Feature, FeatureKind
+from gpdf_guidance.ahead import ON_THE_SPOT, find_first
+from gpdf_guidance.features import Feature, FeatureKind
 from gpdf_guidance.instruction import Instruction, Kind, Urgency
 from gpdf_guidance.route import Pose, Route
 
@@ -28,9 +29,13 @@ def overview(route: Route, name: str, pace: float, turn: float = 0.0) -> Instruc
         pace: Share of the full pace that the person wants.
         turn: To the left [rad], on the spot, to where he walks first.
     """
-    steps = tuple(_as_told(one) for one in route.features if one.kind in CLIMBS and abs(one.amount) >= CLIMBS[one.kind])
+    at, soon = find_first(route) or (None, None)
+    climbs = (one for one in route.features if one.kind in CLIMBS and abs(one.amount) >= CLIMBS[one.kind])
+    steps = tuple(_as_told(one) for one in climbs if one is not at)
     turns = sum(one.kind is FeatureKind.TURN and one.end > 0.0 for one in route.features)
-    first = Instruction(Kind.TURN_NOW, Urgency.ACT, _start(route), amount=turn) if abs(turn) >= TURN else None
+    if turns == 1 and soon is not None and (soon.kind is Kind.TURN_SOON or soon.first is not None):
+        turns = 0  # it is told by itself
+    first = Instruction(Kind.TURN_NOW, Urgency.ACT, _start(route), amount=turn) if abs(turn) >= ON_THE_SPOT else None
     return Instruction(
         Kind.OVERVIEW,
         Urgency.ACT,
@@ -39,6 +44,7 @@ def overview(route: Route, name: str, pace: float, turn: float = 0.0) -> Instruc
         count=turns,
         first=first,
         then=steps + unseen(route),
+        soon=soon,
         name=name,
         seconds=duration(route, 0.0, pace),
     )

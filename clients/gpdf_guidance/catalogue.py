@@ -80,7 +80,8 @@ def phrase(instruction: Instruction, manner: Manner | None = None) -> str:
         _Fields(instruction, metres, words, manner)
     )
     if instruction.kind is Kind.OVERVIEW:
-        also = (*(one for one in instruction.then if one.kind is Kind.LOW_UNSEEN), instruction.first)
+        unseen = (one for one in instruction.then if one.kind is Kind.LOW_UNSEEN)
+        also = (*unseen, instruction.first, instruction.soon)
         return " ".join([sentence, *(phrase(one, manner) for one in also if one is not None)])
     if instruction.first is not None:
         sentence = f"{phrase(instruction.first, manner)} {sentence}"
@@ -110,10 +111,9 @@ class _Fields(dict[str, str]):
             "limit": lambda: f"{round(100 * abs(one.amount))}",
             "room": lambda: f"{int(100 * max(one.amount, 0.0))}",
             "needed": lambda: f"{round(100 * one.distance)}",
-            "width": lambda: f"{5 * int(20 * one.amount + 1e-6)}",
             "count": lambda: f"{one.count}",
             "turns": lambda: words[f"way_turns_{one.count}" if one.count < 2 else "way_turns"].format(count=one.count),
-            "stairs": lambda: "".join(_on_the_way(part, words) for part in one.then),
+            "stairs": lambda: "".join(_on_the_way(parts, words) for parts in _flights(one.then)),
             "time": lambda: _time(one.seconds, words),
             "name": lambda: one.name or words["the_goal"],
             "goal": lambda: one.name[:1].upper() + one.name[1:] or words["goal"],
@@ -164,11 +164,21 @@ def _side(one: Instruction, words: Mapping[str, str], manner: Manner) -> str:
     return words["slightly"].format(side=side) if angle < SLIGHT else side
 
 
-def _on_the_way(part: Instruction, words: Mapping[str, str]) -> str:
-    if part.kind is Kind.LOW_UNSEEN:
-        return ""  # a sentence of its own
+def _flights(parts: tuple[Instruction, ...]) -> list[list[Instruction]]:
+    """What an overview names, in order: flights of stairs up, or down, one after the other, in one."""
+    named: list[list[Instruction]] = []
+    for part in parts:
+        if part.kind is Kind.LOW_UNSEEN:
+            continue  # a sentence of its own
+        goes_on = named and named[-1][0].kind is part.kind is Kind.STAIRS and named[-1][0].amount * part.amount > 0.0
+        named[-1].append(part) if goes_on else named.append([part])
+    return named
+
+
+def _on_the_way(parts: list[Instruction], words: Mapping[str, str]) -> str:
+    part, count = parts[0], f" {words['and']} ".join(str(one.count) for one in parts)
     vertical = words["up" if part.amount > 0 else "down"]
-    return words[f"way_{part.kind}"].format(vertical=vertical, count=part.count, height=round(100 * abs(part.amount)))
+    return words[f"way_{part.kind}"].format(vertical=vertical, count=count, height=round(100 * abs(part.amount)))
 
 
 def _time(seconds: float, words: Mapping[str, str]) -> str:

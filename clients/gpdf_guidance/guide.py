@@ -31,6 +31,8 @@ STALLED = 30.0
 """[s] Without half a metre of progress another way is asked for."""
 PATIENCE = 3.0
 """[s] Off the way, held up, or facing nothing that is safe: after this another way is asked for."""
+MOVES_ON = 8.0
+"""[s] The same behind what moves: who walks has gone before another way is, and at each way the person would turn."""
 OFF_WAY = 0.5
 """[s] The same when the person has left the corridor: he stands by then."""
 TRIES = 6
@@ -432,7 +434,8 @@ class Guide:
             return ()
         found = find_reassurance(self.route, advice.progress, self._told_at)
         if self._moving is not None and self._belief is not None:
-            found += moves_near(self._belief.pose, self._moving)
+            left = self.route.length - advice.progress.s
+            found += [one for one in moves_near(self._belief.pose, self._moving) if one.distance < left]
         found += unseen(self.route)  # of a new way that misses more than was said of the last one
         return tuple(one for one in found if self.manner.wants(one.kind))
 
@@ -480,7 +483,9 @@ class Guide:
         since = self._waiting.since
         if since is None:
             return self._clock - self._moved > STALLED
-        return self._clock - since >= (OFF_WAY if self._off_way else PATIENCE)
+        block = self._block.by if self._clock < self._block.until else None
+        patience = MOVES_ON if block is not None and block.kind is Kind.STOP_MOVING else PATIENCE
+        return self._clock - since >= (OFF_WAY if self._off_way else patience)
 
     def replan(self, pose: Pose) -> None:
         """Ask the service for a way from here, and wait for it."""
@@ -571,8 +576,8 @@ class Guide:
         if self._announcer.last is None:
             return Instruction(Kind.NOTHING_SAID, Urgency.ACT)
         one, walked = self._announcer.last[0], self._s - self._told_at
-        first = None if one.first is None else replace(one.first, distance=max(0.0, one.first.distance - walked))
-        return replace(one, distance=max(0.0, one.distance - walked), first=first, resumes=False, reply_to=None)
+        first, soon = (None if part is None else _nearer(part, walked) for part in (one.first, one.soon))
+        return replace(_nearer(one, walked), first=first, soon=soon, resumes=False, reply_to=None)
 
     def _facts(self, asked: Asked) -> Instruction:
         """Where the person is, what is around him, how far it is."""
@@ -613,3 +618,8 @@ class Guide:
         """
         self.outcome, self.reason = Outcome.SAFE_STOP, reason
         self._gave_up = Instruction(kind, Urgency.DANGER, amount=amount, distance=distance)
+
+
+def _nearer(one: Instruction, walked: float) -> Instruction:
+    """The same told later on the way."""
+    return replace(one, distance=max(0.0, one.distance - walked))

@@ -103,6 +103,7 @@ class Instruction:
         early: Told well before, at the distance that guides' users asked for; it is told again when it is near.
         first: A turn right before it, which is told in the same breath.
         then: What comes after it, told in the same breath.
+        soon: Of an overview, what is to be done so soon that it is told with it.
         name: Of the place that it is at; of the goal.
         side: Where it is, or where the handrail is.
         free: How far it is free ahead, to the right, behind and to the left [m].
@@ -122,6 +123,7 @@ class Instruction:
     early: bool = False
     first: Instruction | None = None
     then: tuple[Instruction, ...] = ()
+    soon: Instruction | None = None
     name: str = ""
     side: Side | None = None
     free: tuple[float, ...] = ()

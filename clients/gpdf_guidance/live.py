@@ -9,7 +9,7 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from math import nan
-from typing import Any
+from typing import Any, NamedTuple
 
 import msgspec
 import numpy as np
@@ -82,6 +82,13 @@ class Thing:
     moves: bool = False
 
 
+class Sensed(NamedTuple):
+    """A pose, and its stamp as it was sent: a cue names that of the pose it is made of [s]."""
+
+    pose: Pose
+    stamp: float
+
+
 Seen = dict[str, Thing]
 """By the obstacle's id."""
 
@@ -98,12 +105,12 @@ class LiveGuide:
 
     def __init__(self, session: zenoh.Session, guide: Guide, name: str, told: Told) -> None:
         self._session, self._guide, self._name, self._told = session, guide, name, told
-        self._inbox: queue.Queue[Pose | Seen] = queue.Queue(WAITING)
+        self._inbox: queue.Queue[Sensed | Seen] = queue.Queue(WAITING)
         self._asks: queue.Queue[AskMessage] = queue.Queue(WAITING)
         self._looking: Future[Asked] | None = None
         self._said = 0
         self._pose: Pose | None = None
-        self._stamp = 0.0
+        self._newest_stamp, self._pose_stamp = 0.0, 0.0
         self._seen: Seen = {}
         self._planning: tuple[Future[Planned], Pose] | None = None
         self._pulse: Future[int | None] | None = None
@@ -155,8 +162,8 @@ class LiveGuide:
                 message = self._inbox.get(timeout=max(0.0, until - time.monotonic()))
             except queue.Empty:
                 return
-            if isinstance(message, Pose):
-                self._pose = message
+            if isinstance(message, Sensed):
+                self._pose, self._pose_stamp = message
             else:
                 self._seen |= {id_: _moved(self._seen.get(id_), thing) for id_, thing in message.items()}
             until = 0.0
@@ -220,7 +227,7 @@ class LiveGuide:
             self._pulse = pool.submit(self._guide.planner.pulse)
 
     def _stamped(self, cue: CueMessage) -> CueMessage:
-        return msgspec.structs.replace(cue, stamp=time.time(), pose_stamp=self._stamp)
+        return msgspec.structs.replace(cue, stamp=time.time(), pose_stamp=self._pose_stamp)
 
     def _take_pose(self, sample: zenoh.Sample) -> None:
         """Zenoh's callback. A pose of a clock that is ahead is as old as its way; of one that is behind, older.
@@ -230,14 +237,15 @@ class LiveGuide:
         try:
             message = decode(sample.payload.to_bytes(), PoseMessage)
             x, y, z = message.position
-            if message.stamp < self._stamp:
+            if message.stamp < self._newest_stamp:
                 raise ValueError("time goes back")
         except (DecodeError, ValueError):
-            self._put(NO_POSE)
+            self._put(Sensed(NO_POSE, self._newest_stamp))
             return
-        self._stamp = message.stamp
+        self._newest_stamp = message.stamp
         stamp = time.monotonic() - max(0.0, time.time() - message.stamp)
-        self._put(Pose((x, y, z), message.heading, stamp, message.accuracy, message.steps))
+        pose = Pose((x, y, z), message.heading, stamp, message.accuracy, message.steps)
+        self._put(Sensed(pose, message.stamp))
 
     def _take_ask(self, sample: zenoh.Sample) -> None:
         """Zenoh's callback. What is no ask is not answered; of too many the newest are dropped."""
@@ -258,7 +266,7 @@ class LiveGuide:
                     room -= len(points)
         self._put(seen)
 
-    def _put(self, message: Pose | Seen) -> None:
+    def _put(self, message: Sensed | Seen) -> None:
         while True:
             try:
                 return self._inbox.put_nowait(message)

@@ -39,7 +39,7 @@ PAGES = {
 }
 SAFE = {
     "Content-Security-Policy": "default-src 'self'; connect-src 'self'; frame-ancestors 'none'",
-    "Permissions-Policy": "xr-spatial-tracking=(self), microphone=()",
+    "Permissions-Policy": "xr-spatial-tracking=(self), microphone=(self)",
     "Referrer-Policy": "no-referrer",
     "X-Content-Type-Options": "nosniff",
     "Cache-Control": "no-store",
@@ -74,9 +74,11 @@ class Phone:
     alignment: Alignment | None = None
     clock: Clock = field(default_factory=Clock)
     _seen: Tracked | None = None
+    _drift_told: float = -1.0
 
     def hello(self) -> dict[str, Any]:
         """What the page needs to begin."""
+        self._drift_told = -1.0
         return {"type": "hello", "places": sorted(self.places()), "goal": self.goal}
 
     def take(self, text: str | bytes) -> dict[str, Any] | None:
@@ -113,7 +115,11 @@ class Phone:
         self.alignment = walk_on(self.alignment, self._seen)
         pose = to_pose(self.alignment, self._seen)
         self.session.put(f"{keys.POSE}/{self.name}", encode(pose))
-        return {"type": "drift", "accuracy": round(pose.accuracy, 3), "walked": round(self.alignment.walked, 2)}
+        accuracy = round(pose.accuracy, 2)
+        if accuracy == self._drift_told:
+            return None  # the page shows whole centimetres
+        self._drift_told = accuracy
+        return {"type": "drift", "accuracy": accuracy, "walked": round(self.alignment.walked, 2)}
 
     def _take_here(self, message: dict[str, Any]) -> dict[str, Any]:
         """The person says at which place he stands, and, the first time, which one he faces."""

@@ -31,9 +31,9 @@ from gpdf_guidance import (
     simulate,
 )
 from gpdf_guidance.ahead import EARLY, REASSURE
-from gpdf_guidance.announcer import WORD
 from gpdf_guidance.catalogue import language, phrase
 from gpdf_guidance.features import FeatureKind
+from gpdf_guidance.speech import spoken_in
 from gpdf_guidance.walker import EXACT
 from gpdf_schemas import Ask
 
@@ -161,7 +161,7 @@ def _choice(_: Heard) -> tuple[bool, str]:
 def _units(_: Heard) -> tuple[bool, str]:
     step = Instruction(Kind.GO_ON, Urgency.INFORM, distance=6.2)
     said = [phrase(step), phrase(step, Manner(unit="steps"))]
-    return "metres" in said[0] and "steps" in said[1], " ".join(said)
+    return "metres" in said[0] and "paces" in said[1], " ".join(said)
 
 
 def _overview(heard: Heard) -> tuple[bool, str]:
@@ -211,7 +211,7 @@ def _again(heard: Heard) -> tuple[bool, str]:
 
 def _calm(heard: Heard) -> tuple[bool, str]:
     walked = [one for one in heard.walk.said if one.instruction.kind not in STANDING]
-    share = WORD * sum(len(one.text.split()) for one in walked) / float(heard.walk.times[-1])
+    share = sum(spoken_in(one.text) for one in walked) / float(heard.walk.times[-1])
     return share <= 0.5, f"speech fills {100 * share:.0f} % of the walk, {heard.walk.per_minute:.1f} sentences a minute"
 
 

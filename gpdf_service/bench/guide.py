@@ -16,10 +16,11 @@ from pathlib import Path
 import numpy as np
 from gpdf_client import Client, ClientError
 from gpdf_guidance import Guide, Kind, Outcome, Planner, Walk, Walker, simulate
-from gpdf_guidance.announcer import STEPS, WORD
+from gpdf_guidance.announcer import STEPS
 from gpdf_guidance.features import TREAD
 from gpdf_guidance.planner import LEAST_ROOM, PERSON
 from gpdf_guidance.simulate import TICK
+from gpdf_guidance.speech import spoken_in
 from gpdf_guidance.stairs import LEAST_EDGE
 from tqdm import tqdm
 
@@ -310,5 +311,5 @@ def edges_told(walk: Walk) -> list[bool]:
             and one.instruction.amount * rise[row] > 0.0
             and np.hypot(*(np.array(one.instruction.place) - walk.places[row, :2])) < EDGE_NEAR
         )
-        found.append(any(one.time + WORD * len(one.text.split()) <= walk.times[row] + TICK for one in told))
+        found.append(any(one.time + spoken_in(one.text) <= walk.times[row] + TICK for one in told))
     return found

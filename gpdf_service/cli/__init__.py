@@ -59,7 +59,12 @@ VERBS: dict[str, tuple[str, str]] = {
     ),
     "bench guide": ("gpdf_service.bench.guide", "simulated people with human errors: contacts, arrivals, words"),
     "bench f921": ("gpdf_service.bench.f921", "the guide beside ITU-T F.921: each recommendation, with evidence"),
+    "bench spoken": (
+        "gpdf_service.bench.spoken",
+        "every sentence read aloud: how long it takes, whether it is over in time",
+    ),
     "guide": ("gpdf_service.cli.guide", "lead a person: instructions, speech and haptic cues from a stream of poses"),
+    "belt": ("gpdf_service.cli.belt", "a vibrating belt (naviBelt) lets a guided person feel the cues"),
     "demo": ("gpdf_service.cli.demo", "see it happen: service, four bodies, picture and log"),
     "warm": ("gpdf_service.cli.warm", "compile every kernel for this machine, once, so that no verb waits for it"),
     "completion": ("gpdf_service.cli.completion", "what your shell needs to complete these words: bash, zsh or fish"),
@@ -69,6 +74,7 @@ BRINGS = {
     "rosbags": "gpdf-service[ros2]",
     "viser": "gpdf-service[viewer]",
     "sklearn": "scikit-learn",
+    "pybelt": "gpdf-service[belt]",
     **dict.fromkeys(("websockets", "segno", "cryptography"), "gpdf-service[phone]"),
 }
 """What to install for a module that is missing; those that are not named here come with the extra `server`."""
@@ -77,7 +83,7 @@ BRINGS = {
 GROUPS: dict[str, tuple[str, ...]] = {
     "see it": ("demo", "plan", "scene", "view", "synthetic"),
     "serve and ask": ("serve", "client"),
-    "lead and drive": ("guide", "drive", "ros2"),
+    "lead and drive": ("guide", "belt", "drive", "ros2"),
     "look back": ("replay", "record"),
     "measure": ("bench",),
     "the shell": ("completion", "warm"),

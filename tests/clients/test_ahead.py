@@ -32,6 +32,11 @@ def stairs(start=12.0, up=1):
     return build_route(trajectory(path), wide, radius=RADIUS)
 
 
+def low_ramp(start):
+    path = line((0, 0), (18, 0), spacing=0.01, z=lambda s: np.clip(0.1 * (s - start - 0.1), 0.0, 0.2))
+    return build_route(trajectory(path), wide, radius=RADIUS)
+
+
 @pytest.mark.parametrize("made", [corner, stairs], ids=["a turn", "stairs"])
 def test_what_is_to_be_done_is_told_six_metres_before_and_again_when_it_is_near(made):
     route = made()
@@ -72,6 +77,41 @@ def test_who_begins_on_stairs_is_told_so_before_he_goes_on_and_who_came_to_them_
     came.choose([one for one in on(route, 1.5) if one.kind is Kind.STAIRS], 0.0)
     assert came.has_told(told[0], 10.0)
     assert came.choose([one for one in on(route, 3.4) if is_hidden_step(one)], 10.0) is None
+
+
+@pytest.mark.parametrize(
+    ("made", "start", "told"),
+    [
+        (corner, 2.0, Kind.TURN_SOON),
+        (corner, 4.5, None),  # neither near, nor six metres off: by itself, when it is near
+        (corner, 6.0, Kind.TURN_SOON),
+        (stairs, 0.5, None),  # its own word is that at the edge
+        (stairs, 2.0, Kind.STAIRS),
+        (low_ramp, 2.0, Kind.RAMP),
+    ],
+)
+def test_what_is_to_be_done_soon_after_the_first_step_is_told_with_the_overview_and_not_again(made, start, told):
+    route, voice = made(start), Announcer(phrase)
+    way = overview(route, "", 1.0)
+    assert (None if way.soon is None else way.soon.kind) is told
+    _, text = voice.choose([way], 0.0)
+    assert (f"In {int(start)} metres" in text) is (told is not None)
+    assert "1 turn" not in text or told is None
+    assert ("with 5 steps" in text) is (made is stairs and told is None)  # once, and where
+    soon = [one for one in on(route, max(0.0, start - 2.0)) if one.kind is told and not one.early]
+    if way.soon is not None and not way.soon.early:
+        assert len(soon) == 1
+        assert voice.choose(soon, 10.0) is None
+        assert voice.has_told(soon[0], 10.0)
+
+
+def test_what_is_still_to_be_heard_is_not_counted_on():
+    step = Instruction(Kind.STEP, Urgency.ACT, (1.0, 0.0), 2.4, -0.17)
+    voice = Announcer(lambda one: phrase(one, Manner("de")))
+    _, text = voice.choose([step], 0.0)
+    assert text == "In 2 Metern Stufe abwärts, 17 Zentimeter."
+    assert not voice.has_told(step, 2.8)  # a voice has just ended, which took no time to begin: see `bench spoken`
+    assert voice.has_told(step, 4.5)
 
 
 def test_at_the_end_of_stairs_one_hears_what_comes_next():
@@ -152,8 +192,9 @@ def test_an_overview_counts_the_turn_on_the_spot_as_the_first_thing_to_do():
     path = line((0, 0), (6, 0), (6, 6), spacing=0.01, z=lambda s: 0.17 * np.searchsorted(8.0 + 0.3 * np.arange(5), s))
     route = build_route(trajectory(path), wide, radius=RADIUS, facing=np.radians(120))
     way = overview(route, "exit", 1.0, np.radians(-120))
-    assert overview(route, "exit", 1.0, np.radians(50)).first is None
-    assert (way.count, way.first.kind, [one.count for one in way.then]) == (1, Kind.TURN_NOW, [5])
+    assert overview(route, "exit", 1.0, np.radians(30)).first is None
+    assert (way.count, way.first.kind, [one.count for one in way.then]) == (0, Kind.TURN_NOW, [5])
+    assert (way.soon.kind, way.soon.distance) == (Kind.TURN_SOON, pytest.approx(6.0, abs=0.1))
     assert way.first.amount < 0
     assert duration(route, 0.0, 1.0) < duration(route, 0.0, 0.7)
     assert duration(route, 6.0, 1.0) < duration(route, 0.0, 1.0)
@@ -163,7 +204,7 @@ def test_an_overview_counts_the_turn_on_the_spot_as_the_first_thing_to_do():
     ("rise", "told"), [(2.0, ", a ramp up, "), (-2.0, ", a ramp down, "), (0.3, " 12 metres, about")]
 )
 def test_an_overview_tells_of_a_long_ramp(rise, told):
-    path = line((0, 0), (12, 0), z=lambda s: rise * np.clip((s - 1.0) / 10.0, 0.0, 1.0))
+    path = line((0, 0), (12, 0), z=lambda s: rise * np.clip((s - 7.5) / 4.5, 0.0, 1.0))
     assert told in phrase(overview(build_route(trajectory(path), wide, radius=RADIUS), "", 1.0))
 
 

@@ -11,7 +11,7 @@ from gpdf_guidance.catalogue import language
 from gpdf_schemas import CueAction
 
 GERMAN, STEPS = Manner("de"), Manner(unit="steps", step_length=0.65)
-AMOUNTS = dict.fromkeys((Kind.NARROW, Kind.OPENING, Kind.NO_WAY_TIGHT), (0.75, 0.05))
+AMOUNTS = {Kind.NO_WAY_TIGHT: (0.75, 0.05)}
 PLACES = re.compile(r"{(\w+)}")
 SAYS_AN_AMOUNT = {
     Kind.TURN_NOW,
@@ -25,8 +25,6 @@ SAYS_AN_AMOUNT = {
     Kind.STAIRS_EDGE,
     Kind.ON_STAIRS,
     Kind.RAMP,
-    Kind.NARROW,
-    Kind.OPENING,
     Kind.NO_WAY_TIGHT,
     Kind.ASK_STEP,
     Kind.ASK_STEP_OR_DETOUR,
@@ -116,16 +114,16 @@ def test_what_must_be_heard_at_once_begins_with_the_word_for_it():
 def test_distances_are_never_more_than_it_is():
     step = Instruction(Kind.STEP, Urgency.ACT, distance=2.4, amount=-0.17)
     assert phrase(step) == "In 2 metres, step down, 17 centimetres."
-    assert phrase(step, STEPS) == "In 3 steps, step down, 17 centimetres."
+    assert phrase(step, STEPS) == "In 3 paces, step down, 17 centimetres."
     assert phrase(step, GERMAN) == "In 2 Metern Stufe abwärts, 17 Zentimeter."
     straight_on = Instruction(Kind.GO_ON, Urgency.INFORM, distance=3.8)
     assert phrase(straight_on) == "Walk straight on, 3 metres."
-    assert phrase(straight_on, STEPS) == "Walk straight on, 5 steps."  # the sixth is not whole
+    assert phrase(straight_on, STEPS) == "Walk straight on, 5 paces."  # the sixth is not whole
     assert phrase(straight_on, GERMAN) == "Gehen Sie geradeaus, 3 Meter."
     near = dataclasses.replace(step, distance=0.3)
     assert phrase(near) == "Just ahead, step down, 17 centimetres."
     own = dataclasses.replace(STEPS, step_length=0.5)
-    assert phrase(straight_on, own) == "Walk straight on, 7 steps."
+    assert phrase(straight_on, own) == "Walk straight on, 7 paces."
 
 
 def test_stairs_say_how_many_steps_and_where_the_handrail_is():
@@ -168,10 +166,23 @@ def test_an_overview_names_length_turns_stairs_and_time():
     assert phrase(way) == (
         "Kitchen: walk 12 metres, 2 turns, stairs up with 16 steps, a step down of 15 centimetres, about 1 minute."
     )
+    flights = dataclasses.replace(way, count=0, then=(parts[0], dataclasses.replace(parts[0], count=3)))
+    assert phrase(flights) == "Kitchen: walk 12 metres, stairs up with 16 and 3 steps, about 1 minute."
+    down = dataclasses.replace(flights, then=(parts[0], dataclasses.replace(parts[0], amount=-0.17)))
+    assert "stairs up with 16 steps, stairs down with 16 steps" in phrase(down)
     short = dataclasses.replace(way, count=0, then=(), name="", seconds=12.0)
     assert phrase(short) == "The goal: walk 12 metres, about 20 seconds."
     assert phrase(dataclasses.replace(short, count=1), GERMAN) == (
-        "Das Ziel: Gehen Sie 12 Meter, eine Drehung, etwa 20 Sekunden."
+        "Das Ziel: Gehen Sie 12 Meter, einmal abbiegen, etwa 20 Sekunden."
+    )
+
+
+def test_an_overview_ends_with_what_is_to_be_done_first():
+    around = Instruction(Kind.TURN_NOW, Urgency.ACT, amount=3.0)
+    soon = Instruction(Kind.STAIRS, Urgency.ACT, distance=2.4, amount=-0.17, count=9)
+    way = Instruction(Kind.OVERVIEW, Urgency.ACT, distance=4.6, count=0, first=around, soon=soon, seconds=15.0)
+    assert phrase(way) == (
+        "The goal: walk 4 metres, about 20 seconds. Turn around. In 2 metres, take the stairs down, 9 steps."
     )
 
 

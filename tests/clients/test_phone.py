@@ -88,6 +88,9 @@ def test_messages_of_the_page_become_poses_and_asks_and_nonsense_nothing():
     here = {"type": "here", "place": "entrance", "facing": "window"}
     assert phone.take(json.dumps(here)) == {"type": "here", "fine": True}
     assert phone.take(json.dumps(pose))["accuracy"] == 0.05
+    assert phone.take(json.dumps(pose)) is None  # nothing new for who looks at the page
+    phone.hello()  # another page
+    assert phone.take(json.dumps(pose))["accuracy"] == 0.05
     key, data = streams.put_on[0]
     assert key == f"{keys.POSE}/anna"
     assert decode(data, PoseMessage).position == pytest.approx([0.9, 0.9, 0.0])

@@ -5,8 +5,11 @@
 
 import json
 import math
+import os
 import shutil
 import socket
+import subprocess
+import sys
 import threading
 import time
 from concurrent.futures import ThreadPoolExecutor
@@ -42,6 +45,16 @@ FLAGS = ["--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshad
 TURN, SHIFT = 1.0, (4.0, -7.0)
 """How the emulated tracking lies beside the scene: the page must find out."""
 OUTAGES = 20
+ECHOES = """
+window.echoes = [];
+window.heard = take;
+let sent = 0;
+take = (message) => message.type === 'error' ? void echoes.push(1000 * (clock() - sent)) : heard(message);
+setInterval(() => { sent = clock(); send({ type: 'echo' }); }, 50);
+"""
+"""What the guide's web socket answers at once goes the same way as a pose and its cue, without a guide in between."""
+MADE_IN = 20.0
+"""[ms] A cue, of a pose: nobody waits for a clock's tick."""
 STEADY = Errors(drop_out_rate=0.0, position=0.0, heading=0.0)
 
 
@@ -54,7 +67,23 @@ def house(tmp_path_factory):
         client.set_place("house", "door", made.low.tolist())
         client.set_place("house", "bed", made.high.tolist())
         client.set_place("house", "stove", (made.low + np.array([1.0, 0.0, 0.0])).tolist())
-        yield made, client, folder
+        yield made, client, folder, address
+
+
+@pytest.fixture
+def served(house):
+    """`gpdf guide … --phone` from the door to the bed, in a process of its own: its address, and what it says."""
+    _, _, folder, address = house
+    command = [sys.executable, "-m", "gpdf_service.cli", "guide", "house", "--goal", "bed", "--name", "anna", "--json"]
+    command += ["--endpoint", address, "--phone", "--phone-host", "127.0.0.1", "--phone-port", "0", "--drift", "0"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env={**os.environ, "HOME": str(folder)}) as guide:
+        said = []
+        url = json.loads(guide.stdout.readline())["url"]
+        reader = threading.Thread(target=lambda: said.extend(json.loads(line)["text"] for line in guide.stdout))
+        reader.start()
+        yield url, said
+        guide.terminate()
+        reader.join(30)
 
 
 @pytest.fixture
@@ -62,7 +91,7 @@ def guided(house, request):
     """A guide from the door to the bed, its page's address, and what happens to it."""
     from gpdf_guidance.phone import Phone, PhoneServer
 
-    made, client, folder = house
+    made, client, folder, _ = house
     stop, said = threading.Event(), []
     guide = Guide(Planner(client, "house"), made.high.tolist(), name="bed")
     phone = Phone(client.session, "anna", lambda: client.places("house"), "bed", getattr(request, "param", "en"), 0.0)
@@ -80,12 +109,12 @@ def opens():
     with sync_api.sync_playwright() as playwright:
         browser = playwright.chromium.launch(executable_path=CHROMIUM, args=FLAGS)
 
-        def open_page(url):
+        def open_page(url, script=""):
             context = browser.new_context(
                 viewport={"width": 390, "height": 844}, ignore_https_errors=True, bypass_csp=True, locale="en-GB"
             )
             context.add_init_script(path=str(IWER))
-            context.add_init_script(EMULATED)
+            context.add_init_script(EMULATED + script)
             opened = context.new_page()
             opened.goto(url)
             opened.wait_for_function("document.getElementById('place').options.length > 1")
@@ -118,9 +147,9 @@ def begin(page, made):
     page.wait_for_function("gpdf.said.some(one => one.text === 'Thank you.')")
 
 
-def test_a_person_is_led_over_two_storeys_by_the_page(house, guided, page, tmp_path):
-    made, client, _ = house
-    _, _, said = guided
+def test_a_person_is_led_over_two_storeys_by_the_page(house, served, opens, tmp_path):
+    made, client, _, _ = house
+    page, said = opens(served[0]), served[1]
     world = WalkedWorld.of(made.points, made.ground)
     walker = Walker(made.low.copy(), 0.0, world.ground_height, np.random.default_rng(0), STEADY)
     cues = []
@@ -132,6 +161,7 @@ def test_a_person_is_led_over_two_storeys_by_the_page(house, guided, page, tmp_p
     subscriber = client.session.declare_subscriber(f"{keys.CUE}/anna", feel)
     page.screenshot(path=str(tmp_path / "before.png"))
     begin(page, made)
+    page.evaluate(ECHOES)
     then, deepest, until = time.time(), 0.0, time.time() + 300
     while not (cues and cues[-1].action is CueAction.ARRIVED) and time.time() < until:
         now = time.time()
@@ -145,16 +175,18 @@ def test_a_person_is_led_over_two_storeys_by_the_page(house, guided, page, tmp_p
     page.screenshot(path=str(tmp_path / "after.png"), full_page=True)
     heard = [one["text"] for one in page.evaluate("gpdf.said")]
     print("\n".join(heard))
-    late = np.array(page.evaluate("gpdf.latency"))  # on the page's own clock, there and back
-    print(f"pose to cue: p50 {np.median(late):.0f} ms, p99 {np.quantile(late, 0.99):.0f} ms of {len(late)}")
+    late, echoes = (np.array(page.evaluate(name)) for name in ("gpdf.latency", "echoes"))  # on the page's own clock
+    for name, found in (("pose to cue", late), ("echo", echoes)):
+        print(f"{name}: p50 {np.median(found):.0f} ms, p99 {np.quantile(found, 0.99):.0f} ms of {len(found)}")
     print(f"screenshots in {tmp_path}")
+    assert np.median(late) < np.median(echoes) + MADE_IN
     assert cues[-1].action is CueAction.ARRIVED, heard
     assert deepest == 0.0
     assert np.hypot(*(walker.position - made.high)[:2]) < 0.4
     assert abs(walker.position[2] - made.high[2]) < 0.05
     assert any("take the stairs up" in text for text in heard)
     assert heard[-1].startswith("Stop. You have arrived")
-    assert {text for _, _, text in said} >= set(heard) - {"Thank you.", "Stop. I have no connection."}
+    assert set(said) >= set(heard) - {"Thank you.", "Stop. I have no connection."}
 
 
 class Network:
@@ -264,7 +296,7 @@ def test_a_screen_reader_meets_all_of_the_page_in_the_guides_language(guided, pa
     by_role = {role: [name for other, name in found if other == role] for role, _ in found}
     asks = ("pause", "go_on", "repeat", "where", "around", "how_far", "slower", "faster", "more_words", "fewer_words")
     assert by_role["heading"] == [texts[name] for name in ("title", "stand", "ask", "voice")]
-    assert by_role["button"] == [texts[name] for name in ("start", *asks, "lead")]
+    assert by_role["button"] == [texts[name] for name in ("start", *asks, "listen", "lead")]
     assert by_role["combobox"] == [texts[name] for name in ("at", "facing", "goal")]
     assert by_role["checkbox"] == [texts["reader"]]
     assert [texts["choose"]] == sorted(set(by_role["option"]) - {"bed", "door", "stove"})
@@ -272,14 +304,47 @@ def test_a_screen_reader_meets_all_of_the_page_in_the_guides_language(guided, pa
 
 
 def test_asks_are_buttons_and_answers_are_shown(house, guided, page):
-    made, _, _ = house
-    begin(page, made)
+    begin(page, house[0])
     page.wait_for_function("gpdf.said.some(one => one.text.startsWith('Bed: walk'))", timeout=60_000)
     page.dispatch_event("[data-ask=how_far]", "click")  # the emulator lies over the page
     page.wait_for_function("gpdf.said.some(one => one.text.includes('more to the goal'))", timeout=30_000)
     page.dispatch_event("[data-ask=pause]", "click")
     page.wait_for_function("gpdf.said.some(one => one.text.startsWith('Wait here.'))", timeout=30_000)
     page.wait_for_function("document.getElementById('state').dataset.cue === 'stop'")
+
+
+EAR = """
+window.SpeechRecognition = window.webkitSpeechRecognition = class {
+  start() {
+    const results = [utterance.map((transcript) => ({ transcript }))];
+    setTimeout(() => { this.onresult({ results }); over = true; }, 50);
+  }
+};
+"""
+"""A recogniser of which a test says what it has heard: this Chromium has no microphone and no service for one."""
+
+
+def test_what_stands_on_a_button_may_be_spoken_and_a_part_of_a_sentence_is_no_answer(house, guided, opens):
+    page = opens(guided[1].url, EAR)
+    page.evaluate("() => { window.asked = []; ask = (what) => { asked.push(what); }; }")
+
+    def spoken(*heard):
+        page.evaluate("heard => { window.utterance = heard; window.over = false; }", list(heard))
+        page.dispatch_event("#listen", "click")
+        page.wait_for_function("over")
+        return page.evaluate("asked.splice(0)")
+
+    assert page.is_visible("#listen")
+    assert spoken("how far") == ["how_far"]
+    assert spoken("Wear am eye", "where am I") == ["where"]  # of some alternatives one
+    assert spoken("Go on.") == ["go_on"]
+    assert spoken("yes") == []  # nothing was asked
+    page.evaluate("document.getElementById('question').hidden = false")
+    assert spoken("Yes or no") == []  # the question itself
+    assert page.evaluate("gpdf.said.at(-1).text").startswith("I did not understand")
+    assert spoken("Yes.") == ["yes"]
+    page.evaluate("setTimeout(() => speak('Go on.', 1), 20)")
+    assert spoken("go on") == []  # the page has heard itself
 
 
 def test_without_tracking_the_page_says_so(guided):

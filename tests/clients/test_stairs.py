@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from gpdf_client import Client
 from gpdf_guidance import Guide, Kind, Outcome, Planner, Walker, simulate
+from gpdf_guidance.ahead import SETTING_OFF, STEP_WINDOW
 
 from gpdf_service.bench.walks import WalkedWorld
 from gpdf_service.ports import free_endpoint
@@ -31,6 +32,8 @@ def house(request, client):
 
 EARLIEST = 7.0
 """[m] Before stairs they are told: ITU-T F.921 says 6 ± 1 m."""
+NEAR = STEP_WINDOW[1] + SETTING_OFF
+"""[m] And again from here, or with the overview to who stands there."""
 
 
 @pytest.mark.parametrize("down", [False, True], ids=["up", "down"])
@@ -45,6 +48,8 @@ def test_stairs_are_begun_and_left_in_their_line(house, down):
     aside, askew = made.crossings(walk.places)
     assert max(aside) < made.half_width - 0.15  # half a stance
     assert max(askew) < LARGEST_ASKEW
-    told = [said.instruction.distance for said in walk.said if said.instruction.kind is Kind.STAIRS]
+    said = [one for said in walk.said for one in (said.instruction, said.instruction.soon) if one is not None]
+    told = [one.distance for one in said if one.kind is Kind.STAIRS]
     assert 1.0 <= told[0] <= EARLIEST  # where the way there is long
-    assert any(1.0 <= distance <= 3.0 for distance in told)  # it may be said again at the foot
+    assert any(1.0 <= distance <= NEAR for distance in told)  # it may be said again at the foot
+    assert Kind.STAIRS_EDGE in {one.kind for one in said}

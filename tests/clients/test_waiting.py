@@ -58,7 +58,7 @@ def test_what_the_map_misses_is_told_once_and_before_the_first_step(detail):
     guide, live = led(detail, hidden=0.075)
     cue, (_, text) = guide.step(Pose((0.0, 0.0, 0.0), 0.0, 0.0), 0.0)
     assert cue.action is CueAction.STOP
-    assert "my map misses what is lower than 8 centimetres" in text
+    assert "I do not see what is under 8 centimetres" in text
     cues, said = live(20.0, x=0.5)
     assert CueAction.GO in cues
     assert Kind.LOW_UNSEEN not in said
@@ -75,7 +75,9 @@ def test_where_the_map_shows_what_a_foot_notices_nothing_is_said_of_it():
     assert Kind.LOW_UNSEEN not in live(20.0)[1]
 
 
-@pytest.mark.parametrize(("facing", "first"), [(30, "."), (-100, ". Turn left."), (100, ". Turn right.")])
+@pytest.mark.parametrize(
+    ("facing", "first"), [(30, "."), (-45, ". Turn slightly left."), (-100, ". Turn left."), (100, ". Turn right.")]
+)
 def test_the_overview_ends_with_the_turn_that_the_cue_asks_for_first(facing, first):
     guide, live = led(Detail.NORMAL, np.radians(facing))
     one, text = guide.step(Pose((0.0, 0.0, 0.0), np.radians(facing), 0.0), 0.0)[1]
@@ -89,7 +91,7 @@ def test_what_comes_back_is_waited_for_longer_until_one_has_got_on():
     waited = []
     for x in (1.0, 1.0, 1.0, 1.0, 1.9):
         guide.see(IN_THE_WAY + np.array([x - 1.0, 0.0, 0.0]))
-        live(11.0, x)  # "Stop." has been said to the end
+        live(12.0, x)  # "Stop." has been said to the end
         guide.see(None)
         cues, said = live(6.0, x)
         waited.append(cues.count(CueAction.STOP) / 10)
@@ -182,6 +184,17 @@ def test_who_was_told_to_stop_feels_go_when_he_hears_it():
     felt, heard = zip(*(live(0.1) for _ in range(30)), strict=True)
     walks = [CueAction.GO in cues for cues in felt]
     assert walks.index(True) == heard.index([Kind.RESUME]) > 10
+
+
+@pytest.mark.parametrize(("moving", "patience"), [(None, 3.0), (IN_THE_WAY, 8.0)], ids=["a thing", "somebody"])
+def test_another_way_is_asked_for_sooner_round_a_thing_than_round_somebody(moving, patience):
+    guide, live = led()
+    live(1.0)
+    guide.see(IN_THE_WAY, moving)
+    live(patience - 0.3)
+    assert not guide.wants_route(Pose((1.0, 0.0, 0.0), 0.0, patience + 0.7), patience + 0.7)
+    live(0.5)
+    assert guide.wants_route(Pose((1.0, 0.0, 0.0), 0.0, patience + 1.2), patience + 1.2)
 
 
 def test_who_goes_on_hears_what_comes_in_the_same_breath():

@@ -139,6 +139,26 @@ function ask(what, goal) {
   }
 }
 
+const Recognition = window.SpeechRecognition || window.webkitSpeechRecognition;
+const bare = (text) => text.toLowerCase().replace(/[^\p{L} ]/gu, "").trim();
+
+function listen() { // What stands on a button may be spoken, that and no more: "yes or no" of a question is no "yes".
+  const ear = new Recognition();
+  const before = window.gpdf.said.length;
+  if ("speechSynthesis" in window) speechSynthesis.cancel();
+  ear.lang = language;
+  ear.maxAlternatives = 3;
+  ear.onerror = () => speak(texts.not_heard, 2);
+  ear.onresult = (event) => {
+    const spoken = [...event.results[0]].map((one) => bare(one.transcript));
+    const buttons = [...document.querySelectorAll("[data-ask]")].filter((one) => one.offsetParent !== null);
+    const meant = buttons.find((one) => spoken.includes(bare(one.textContent)));
+    if (!meant || window.gpdf.said.length > before) return speak(texts.not_heard, 2); // it may have heard itself
+    return ask(meant.dataset.ask);
+  };
+  ear.start();
+}
+
 let sent = 0;
 function frame(time, xr, space) {
   const pose = xr.getViewerPose(space);
@@ -201,6 +221,8 @@ async function start() {
 byId("start").addEventListener("click", start);
 byId("here").addEventListener("click", () => send({ type: "here", place: byId("place").value, facing: null }));
 byId("go").addEventListener("click", () => ask("goal", byId("goal").value));
+byId("listen").hidden = !Recognition;
+byId("listen").addEventListener("click", listen);
 byId("reader").addEventListener("change", (event) => { byId("words").setAttribute("aria-live", event.target.checked ? "assertive" : "off"); });
 for (const button of document.querySelectorAll("[data-ask]")) button.addEventListener("click", () => ask(button.dataset.ask));
 connect();
