@@ -20,8 +20,10 @@ from gpdf_service.search.poses import Grid, free_poses
 from gpdf_service.search.wavefront import TURNS, Field, field_of, follow, is_reached, mend, row_of, spread
 from gpdf_service.types import FloatArray, IntArray
 
-CELL_SHARE = 0.25
-"""[-] Grid width over the discs' radius: a gap is found that leaves the discs a quarter of it on either side."""
+CELL_SHARES = 0.5, 0.25
+"""[-] Grid width over the discs' radius: a gap is found that leaves the discs so much of it on either side."""
+COARSEST = 1.0
+"""[-] The same where there is time, or memory, for nothing finer."""
 DETOURS = (1.3, 2.0), (2.0, 30.0)
 """[-], [m] Ways are looked for that lie within so many times the way of one disc and so much more."""
 NEARLY = 3.0
@@ -89,29 +91,34 @@ def find_poses(
 
 
 def _grids(surface: HeightMap, way: FloatArray, body: _Body, most: int) -> tuple[list[Grid], bool]:
-    """Grids around a way that hold `most` poses each, ever larger ones; and whether the last is as large as it may be.
+    """Grids around a way that hold `most` poses each, ever larger and finer ones; and whether the last is the finest.
 
-    One that is nearly as large as the next is left out.
+    A grid that is nearly as large as the next one of the same cells is left out.
     """
-    width = CELL_SHARE * body.radius
-    turns = 8 * ceil(
-        2.0 * pi * body.offsets[-1] / width / 8.0
-    )  # an end then goes one cell in a turn to the next heading
+    every = [[_grid(surface, way, body, detour, share * body.radius) for share in CELL_SHARES] for detour in DETOURS]
+    near, far = ([grid for grid in grids if _poses_in(grid) <= most] for grids in every)
+    near = [one for one, other in zip(near, every[-1], strict=False) if NEARLY * _poses_in(one) < _poses_in(other)]
+    if not near + far:
+        last = _grid(surface, way, body, DETOURS[0], COARSEST * body.radius)
+        return [last] if _poses_in(last) <= most else [], False
+    return near + far, len(far) == len(CELL_SHARES)
+
+
+def _poses_in(grid: Grid) -> int:
+    return grid.shape[0] * grid.shape[1] * grid.turns
+
+
+def _grid(surface: HeightMap, way: FloatArray, body: _Body, detour: tuple[float, float], width: float) -> Grid:
+    """The grid that holds all detours from a way, as far as the ground goes, with the start on one of its cells."""
     length = float(np.linalg.norm(np.diff(way, axis=0), axis=1).sum())
     ends = np.stack([way[0], way[-1]])
     low, high = surface.origin, surface.origin + surface.cell_width * np.array(surface.height.shape)
-    grids: list[Grid] = []
-    for times, more in DETOURS:
-        beyond = 0.5 * (times * length + more - np.abs(ends[1] - ends[0]))  # an ellipse lies within
-        first = np.floor((np.maximum(ends.min(axis=0) - beyond, low) - way[0]) / width).astype(np.int64)
-        last = np.ceil((np.minimum(ends.max(axis=0) + beyond, high) - way[0]) / width).astype(np.int64)
-        nx, ny = (int(n) for n in last - first + 1)
-        if nx * ny * turns > most:
-            return grids, False
-        if grids and nx * ny < NEARLY * grids[0].shape[0] * grids[0].shape[1]:
-            grids.clear()
-        grids.append(Grid(way[0] + first * width, width, (nx, ny), turns))
-    return grids, True
+    beyond = 0.5 * (detour[0] * length + detour[1] - np.abs(ends[1] - ends[0]))  # an ellipse lies within
+    first = np.floor((np.maximum(ends.min(axis=0) - beyond, low) - way[0]) / width).astype(np.int64)
+    last = np.ceil((np.minimum(ends.max(axis=0) + beyond, high) - way[0]) / width).astype(np.int64)
+    turns = 8 * ceil(2.0 * pi * body.offsets[-1] / width / 8.0)  # an end then goes a cell in a turn to the next one
+    nx, ny = (int(n) for n in last - first + 1)
+    return Grid(way[0] + first * width, width, (nx, ny), turns)
 
 
 def _find(

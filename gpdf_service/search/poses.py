@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from gpdf_service.fields.tree import make_scratch
 from gpdf_service.perception.surface import Cells, is_known
 from gpdf_service.search.places import Places, nearest_of
-from gpdf_service.types import FloatArray
+from gpdf_service.types import FloatArray, IntArray
 
 Bits = NDArray[np.uint64]
 """Rows of words; bit b of word w tells of column 64 w + b."""
@@ -101,56 +101,58 @@ def _known(ground: Cells, grid: Grid) -> Bits:
 
 @njit(cache=True, nogil=True)
 def _look_around(obstacles: Places, grid: Grid, around: int, radius: float) -> _Nodes:
-    """What each node is told by its nearest obstacle; those that the one before says are far from any are not asked."""
+    """What each node is told by its nearest obstacle; where those before it say that it is far or deep, none is asked.
+
+    Distances are 1-Lipschitz: from node to node they change by no more than what lies between.
+    """
     (nx, ny), width = grid.shape, grid.width
     nx, ny = nx + 2 * around, ny + 2 * around
     clear, open_ = np.zeros((nx, (ny + 63) // 64 + 1), np.uint64), np.zeros((nx, (ny + 63) // 64 + 1), np.uint64)
     x, y = np.full((nx, ny), _FAR), np.full((nx, ny), _FAR)
-    points, near, scratch = obstacles.standing.points, _DIAGONAL * width, make_scratch()
-    rows = np.empty(len(points), np.int64)
-    rows[obstacles.standing.order] = np.arange(len(points))
-    moves = np.empty(len(obstacles.moving.points), np.int64)
-    moves[obstacles.moving.order] = np.arange(len(moves))
+    points, moving = obstacles.standing.points, obstacles.moving.points
+    stands, moves = _rows_of(obstacles.standing.order), _rows_of(obstacles.moving.order)
+    least, most = np.full(ny + 1, -np.inf), np.full(ny + 1, np.inf)  # of the node, or the one below it in the last row
+    near, scratch = _DIAGONAL * width, make_scratch()
     for i in range(nx):
-        spare = 0.0
-        at_x = grid.origin[0] + (i - around) * width
         for j in range(ny):
-            bit = _ONE << np.uint64(j & 63)
-            spare -= width
-            if spare > 0.0:
-                clear[i, j >> 6] |= bit
-                open_[i, j >> 6] |= bit
-                continue
-            at_y = grid.origin[1] + (j - around) * width
-            distance, row = nearest_of(obstacles, (at_x, at_y, 0.0), scratch)
-            spare = distance - radius - 2.0 * width
-            if row < 0:
-                continue
-            if row < len(points):
-                x[i, j], y[i, j] = points[rows[row], 0] - at_x, points[rows[row], 1] - at_y
-            else:
-                moving = obstacles.moving.points[moves[row - len(points)]]
-                x[i, j], y[i, j] = moving[0] - at_x, moving[1] - at_y
-            if distance >= radius + near:
-                clear[i, j >> 6] |= bit
-            if distance >= radius - near:
-                open_[i, j >> 6] |= bit
+            word, bit = j >> 6, _ONE << np.uint64(j & 63)
+            least[j] = max(least[j], least[j - 1] if j > 0 else -np.inf) - width
+            most[j] = min(most[j], most[j - 1] if j > 0 else np.inf) + width
+            if least[j] < radius + 2.0 * width and most[j] > radius - 3.0 * width:
+                at = grid.origin[0] + (i - around) * width, grid.origin[1] + (j - around) * width, 0.0
+                distance, row = nearest_of(obstacles, at, scratch)
+                place = points[stands[row]] if row < len(points) else moving[moves[row - len(points)]]
+                x[i, j], y[i, j], least[j], most[j] = place[0] - at[0], place[1] - at[1], distance, distance
+            if least[j] >= radius + near:
+                clear[i, word] |= bit
+            if most[j] >= radius - near:
+                open_[i, word] |= bit
     return _Nodes(clear, open_, x, y, around)
+
+
+@njit(cache=True, nogil=True)
+def _rows_of(order: IntArray) -> IntArray:
+    """Row in a tree of each row before it was in one."""
+    rows = np.empty(len(order), np.int64)
+    rows[order] = np.arange(len(order))
+    return rows
 
 
 @njit(cache=True, nogil=True)
 def word_at(row: Bits, start: int) -> np.uint64:
     """The 64 bits of a row that begin with the bit `start`; a word must follow theirs."""
     w, b = start >> 6, np.uint64(start & 63)
-    if b == 0:
-        return row[w]
-    return (row[w] >> b) | (row[w + 1] << (np.uint64(64) - b))
+    word: np.uint64 = row[w]
+    if b > 0:
+        word = (word >> b) | (row[w + 1] << (np.uint64(64) - b))
+    return word
 
 
 @njit(cache=True, nogil=True)
 def lowest(word: np.uint64) -> np.uint64:
     """Number of the lowest bit that is set, of a word that is not 0 (Leiserson, Prokop & Randall 1998)."""
-    return _NUMBER[((word & (~word + _ONE)) * _DE_BRUIJN) >> np.uint64(58)]
+    number: np.uint64 = _NUMBER[((word & (~word + _ONE)) * _DE_BRUIJN) >> np.uint64(58)]
+    return number
 
 
 @njit(cache=True, nogil=True)

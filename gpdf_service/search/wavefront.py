@@ -41,7 +41,7 @@ class _Kind(NamedTuple):
 
     Attributes:
         cost: The same for all.
-        count: How many there are, shape (headings,).
+        number: How many there are, shape (headings,).
         step: How far on in the field they lead, shape (headings, m).
         passed: The same of the poses between which they lead, shape (headings, m, 2).
         move: Which of their heading's moves they are.
@@ -49,7 +49,7 @@ class _Kind(NamedTuple):
     """
 
     cost: int
-    count: IntArray
+    number: IntArray
     step: IntArray
     passed: IntArray
     move: NDArray[np.uint8]
@@ -141,7 +141,7 @@ def _wave(
     """Add to the newest wave the poses from which moves of a kind lead to those from `first` on; how many there are."""
     for e in range(first, last):
         row, h = wave[e], facing[e]
-        for m in range(kind.count[h]):
+        for m in range(kind.number[h]):
             before = row - kind.step[h, m]
             if (
                 onward[before] == _OPEN
