@@ -316,7 +316,7 @@ def _bend(leg: Leg, config: PlanningConfig, strict: bool, seconds: float) -> _Be
     if steps < 1:
         return leg, ChompResult(seed, np.zeros(1), 0, converged=False)
     top = space.surfaces[level].height_at(seed) + agent.height
-    if not np.isfinite(top).all() or np.ptp(path[:, :2], axis=0).max() == 0.0:
+    if not np.isfinite(top).all() or np.ptp(path[:, :2], axis=0).max() <= STILL:
         return leg, None
     found = optimize(
         np.column_stack([seed, top]),
