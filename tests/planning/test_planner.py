@@ -126,7 +126,7 @@ def test_a_goal_that_is_the_start_but_for_rounding_is_a_standing_trajectory(offi
     _, scene = office
     start = np.array([5.0, 0.9])
     for step in (np.nextafter(5.0, 6.0) - 5.0, 1e-14, 1e-10):
-        result = gpdf.plan(scene, start, start + [step, 0.0], "human")
+        result = gpdf.plan(scene, start, start + np.array([step, 0.0]), "human")
         assert result.status is gpdf.Status.OK, result.message
         assert result.trajectory.length < 1e-6
         assert (np.diff(result.trajectory.times) > 0).all()
