@@ -8,6 +8,7 @@ from __future__ import annotations
 import argparse
 import time
 from collections import Counter
+from dataclasses import replace
 
 import numpy as np
 
@@ -18,6 +19,7 @@ from gpdf_service.bench.moving import measure_moving
 from gpdf_service.bench.peers import compare
 from gpdf_service.bench.plotting import add_plot_argument, draw_rows
 from gpdf_service.bench.report import Row, add_scene_arguments, clouds, show
+from gpdf_service.bench.turning import BrutePoses
 from gpdf_service.bench.ways import measure_ways
 from gpdf_service.pipeline import build_scene, plan
 from gpdf_service.scene import Scene
@@ -44,6 +46,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the verb's options."""
     add_scene_arguments(parser, ["office", "cluttered_office"])
     parser.add_argument("--agent", action="append", help="human and roomba when not given")
+    parser.add_argument("--discs", type=int, default=1, help="bodies are so many discs in a row, and no cylinders")
     parser.add_argument("--count", type=int, default=100, help="queries for each scene and body")
     add_plot_argument(parser)
     parser.add_argument("--seed", type=int, default=1)
@@ -89,10 +92,11 @@ def run(args: argparse.Namespace) -> int:
         truth = scene.ground if ground is None else ground
         judge = Judge(points, truth)
         for agent in args.agent or ["human", "roomba"]:
-            body, which = AGENTS[agent], {"scene": name, "agent": agent}
+            body, which = replace(AGENTS[agent], discs=args.discs), {"scene": name, "agent": agent}
             pairs = random_places(scene, body, args.count, np.random.default_rng(args.seed))
-            rows.append(which | measure(scene, judge, BruteForce(points, truth, body), body, pairs))
-            if args.peers:
+            brute = BruteForce(points, truth, body) if body.discs == 1 else BrutePoses(points, truth, body)
+            rows.append(which | measure(scene, judge, brute, body, pairs))
+            if args.peers and body.discs == 1:
                 peers += [which | row for row in compare(scene, body, pairs[: args.peers])]
     if args.json:
         show(rows + peers, as_json=True)
@@ -211,16 +215,17 @@ def random_places(scene: Scene, agent: Agent, count: int, rng: np.random.Generat
     return places[: len(places) // 2 * 2].reshape(-1, 2, 2)
 
 
-def measure(scene: Scene, judge: Judge, brute: BruteForce, agent: Agent, pairs: FloatArray) -> Row:
+def measure(scene: Scene, judge: Judge, brute: BruteForce | BrutePoses, agent: Agent, pairs: FloatArray) -> Row:
     """Plan every pair of places, judge every answer, and say which refused ones could be solved."""
     statuses: Counter[str] = Counter()
-    seconds, clearance, ground, collisions, deepest, feasible = [], [], [], 0, 0.0, 0
+    seconds, worked, clearance, ground, collisions, deepest, feasible = [], [], [], [], 0, 0.0, 0
     solvable = solved = 0
     for start, goal in pairs[:WARM]:
         plan(scene, start, goal, agent)
     for start, goal in pairs:
-        began = time.perf_counter()
+        began, cpu = time.perf_counter(), time.process_time()
         result = plan(scene, start, goal, agent)
+        worked.append(time.process_time() - cpu)
         seconds.append(time.perf_counter() - began)
         statuses[result.status.value] += 1
         can = brute.solves(start, goal)
@@ -246,4 +251,6 @@ def measure(scene: Scene, judge: Judge, brute: BruteForce, agent: Agent, pairs: 
         "mean_clearance_m": float(np.mean(clearance)) if clearance else float("nan"),
         "p50_ms": 1e3 * float(np.median(seconds)),
         "p99_ms": 1e3 * float(np.quantile(seconds, 0.99)),
+        "p50_cpu_ms": 1e3 * float(np.median(worked)),
+        "p99_cpu_ms": 1e3 * float(np.quantile(worked, 0.99)),
     }

@@ -185,13 +185,16 @@ def _coarsest_spacing(path: FloatArray, radius: float, ground: Cells) -> float:
     if not _is_any_inferred(ground.state, first, last):
         return float(width)
     looked = np.zeros((max(last[0] - first[0], 0), max(last[1] - first[1], 0)), np.bool_)
-    farthest = 0.0
+    farthest, before = 0.0, (-1, -1)
     for i in range(len(path) - 1):
         along = path[i + 1] - path[i]
         count = max(1, int(np.ceil(2.0 * np.hypot(along[0], along[1]) / width)))
         for k in range(count + 1):
             at = path[i] + k / count * along
             u, v = cell_of(ground, at[0], at[1])
+            if (u, v) == before:
+                continue
+            before = u, v
             for x in range(max(u - reach, first[0]), min(u + reach + 1, last[0]) if u >= 0 else 0):
                 for y in range(max(v - reach, first[1]), min(v + reach + 1, last[1])):
                     if looked[x - first[0], y - first[1]] or (x - u) ** 2 + (y - v) ** 2 > reach * reach:

@@ -28,8 +28,8 @@ from gpdf_service.planning.timing import speed_limit
 from gpdf_service.planning.turning import Facing, Stuck, time_poses, turn_route
 from gpdf_service.search import FreeSpace, Prefer, Ways, prices
 from gpdf_service.search.steps import count_steps
-from gpdf_service.search.ways import STEPPED, WIDE
-from gpdf_service.types import BoolArray, FloatArray, IntArray, PlanOptions, PlanResult, Status, Trajectory
+from gpdf_service.search.ways import LEDGE, STEPPED, WIDE
+from gpdf_service.types import Agent, BoolArray, FloatArray, IntArray, PlanOptions, PlanResult, Status, Trajectory
 
 Clock = Callable[[], float]
 NO_OPTIONS = PlanOptions()
@@ -49,11 +49,12 @@ WALL = 1000.0
 
 @dataclass(frozen=True, slots=True)
 class _Candidate:
-    """A path that may be certified, the optimiser's costs on the way to it, and numbers about it."""
+    """A path that may be certified, the costs on the way to it, numbers about it, and what it takes, shape (6,)."""
 
     legs: list[Leg]
     costs: FloatArray
     details: dict[str, float]
+    takes: FloatArray
 
 
 def plan_path(
@@ -159,7 +160,7 @@ def _follow(task: _Task, route: Route) -> PlanResult:
             timings = {"search": searched - task.began, "optimise": clock() - searched}
             details = candidate.details | {"nodes": float(len(space.graph.position))}
             details |= {"goal": float(route.goal), "warm": float(route.warm)}
-            details |= _effort(candidate.legs, contact, headings, prefer)
+            details |= _effort(space.agent, candidate.takes, contact, headings, prefer)
             return PlanResult(Status.OK, task.ends.moved, trajectory, certificate, timings, details, candidate.costs)
     assert first is not None
     if hurried:
@@ -199,18 +200,23 @@ def _liking(config: PlanningConfig, prefer: Prefer) -> PlanningConfig:
     return replace(config, preferred_clearance=WIDE * config.preferred_clearance) if prefer == Prefer.WIDE else config
 
 
-def _effort(legs: list[Leg], contact: FloatArray, headings: FloatArray, prefer: Prefer) -> dict[str, float]:
-    """What a way costs the body [s], how many steps it takes, and their rise and fall together [m].
+def _effort(
+    agent: Agent, takes: FloatArray, contact: FloatArray, headings: FloatArray, prefer: Prefer
+) -> dict[str, float]:
+    """What a way that `takes` so much costs the body [s], how many steps there are, and their rise and fall [m].
 
     Turns on the spot of a body of discs cost their time.
     """
-    agent = legs[0].space.agent
-    takes = way_takes_of([leg._replace(path=np.ascontiguousarray(leg.path[:, :2])) for leg in legs], prefer)
     cost = takes @ prices(agent, prefer)
     if agent.discs > 1:
         stands = (np.diff(contact[:, :2], axis=0) == 0.0).all(axis=1)
         cost += np.abs(np.diff(headings))[stands].sum() / agent.turn_rate
     return {"cost": float(cost), "steps": float(count_steps(contact)), "stepped": float(takes[STEPPED])}
+
+
+def _takes(legs: list[Leg], prefer: Prefer) -> FloatArray:
+    """What a way takes, of poses, too."""
+    return way_takes_of([leg._replace(path=np.ascontiguousarray(leg.path[:, :2])) for leg in legs], prefer)
 
 
 def _routes(task: _Task) -> Iterator[Route | Stuck]:
@@ -230,7 +236,7 @@ def _routes(task: _Task) -> Iterator[Route | Stuck]:
 
 def _candidates(task: _Task, legs: list[Leg]) -> Iterator[_Candidate]:
     """Paths from the best to the safest: CHOMP, CHOMP that bends round every point behind a wall, then the seed."""
-    most_steps = steps_of(legs) + MORE_STEPS
+    most_steps, prefer = steps_of(legs) + MORE_STEPS, task.wish.prefer
     for bent in _tries(task, legs):
         runs = [run for _, run in bent if run is not None]
         most = max((len(run.costs) for run in runs), default=0)
@@ -242,9 +248,11 @@ def _candidates(task: _Task, legs: list[Leg]) -> Iterator[_Candidate]:
             "converged": float(all(run.converged for run in runs)),
         }
         made = [leg for leg, _ in bent]
-        if (steps_of(made) <= most_steps).all():
-            yield _Candidate(made, costs, details)
-    yield _Candidate(legs, np.zeros(0), {"iterations": 0.0, "evaluations": 0.0, "converged": 0.0})
+        takes = _takes(made, prefer)
+        if (takes[[STEPPED, LEDGE]] <= most_steps).all():
+            yield _Candidate(made, costs, details, takes)
+    details = {"iterations": 0.0, "evaluations": 0.0, "converged": 0.0}
+    yield _Candidate(legs, np.zeros(0), details, _takes(legs, prefer))
 
 
 def _tries(task: _Task, legs: list[Leg]) -> Iterator[list[_Bent]]:
@@ -308,7 +316,7 @@ def _bend(leg: Leg, config: PlanningConfig, strict: bool, seconds: float) -> _Be
     if steps < 1:
         return leg, ChompResult(seed, np.zeros(1), 0, converged=False)
     top = space.surfaces[level].height_at(seed) + agent.height
-    if not np.isfinite(top).all() or np.ptp(path[:, :2], axis=0).max() == 0.0:
+    if not np.isfinite(top).all() or np.ptp(path[:, :2], axis=0).max() <= STILL:
         return leg, None
     found = optimize(
         np.column_stack([seed, top]),

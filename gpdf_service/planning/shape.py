@@ -39,13 +39,13 @@ def shortcut(
 def _shortcut(path: FloatArray, obstacles: Places, radius: float, offsets: FloatArray, ground: Cells) -> IntArray:
     """Greedy with doubling: from each kept row the furthest that doubling and halving find to be joined.
 
-    They begin beyond the rows that lie straight ahead, which are joined as they are.
+    They begin beyond the rows that lie straight ahead, which are joined as they are, and with half of the last leap.
     """
     kept = [0]
-    here = 0
+    here = first = 0
     last, straight = path.shape[0] - 1, _straight_to(path)
     while here < last:
-        ahead, leap = straight[here], 1
+        ahead, leap = straight[here], max(1, first // 2)
         good = ahead
         while ahead + leap <= last and is_joined(path[here], path[ahead + leap], obstacles, radius, offsets, ground):
             good = ahead + leap
@@ -60,7 +60,7 @@ def _shortcut(path: FloatArray, obstacles: Places, radius: float, offsets: Float
             else:
                 bad = middle
         kept.append(good)
-        here = good
+        here, first = good, good - ahead
     return np.array(kept)
 
 

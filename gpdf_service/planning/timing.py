@@ -31,8 +31,8 @@ BLEND = 0.2
 """[s] Second window: half of the first takes the corners off the acceleration."""
 STILL = 1e-6
 """[m] Who goes less stands: no sensor tells."""
-TICK = 0.005
-"""[s] Grid of the windows: between its knots a body strays by 2 µm."""
+TICK = 0.02
+"""[s] Grid of the windows: between its knots a body strays by 30 µm."""
 GRID = 0.02
 """[m] Grid along the path: less than half of the distance between waypoints."""
 LOOK = 0.1

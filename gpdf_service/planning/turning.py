@@ -47,18 +47,13 @@ def turn_route(space: FreeSpace, route: Route, seconds: float, facing: Facing = 
         level, path, own = route.legs[0]
         return _stuck(own, level, PoseSearch(np.append(path[0, :2], 0.0)[None], reached=False, given_up=True))
     for n, (level, path, own) in enumerate(route.legs, start=1):
-        start, goal = _end(path[0], heading), _end(path[-1], facing[1] if n == len(route.legs) else None)
-        body = own.agent.offsets, own.radius
-        found = find_poses(own.trees[level], own.surfaces[level], start, goal, *body, most=most)
+        ends, body = (heading, facing[1] if n == len(route.legs) else None), (own.agent.offsets, own.radius)
+        found = find_poses(own.trees[level], own.surfaces[level], path, ends, *body, most=most)
         if not found.reached:
             return _stuck(own, level, found)
         legs.append(Leg(level, _pull(own, level, found.poses), own))
         heading = float(legs[-1].path[-1, 2])
     return replace(route, legs=legs)
-
-
-def _end(place: FloatArray, heading: float | None) -> FloatArray:
-    return place[:2] if heading is None else np.append(place[:2], heading)
 
 
 def _stuck(space: FreeSpace, level: int, found: PoseSearch) -> Stuck:

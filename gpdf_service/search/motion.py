@@ -31,18 +31,35 @@ def disc_distance(obstacles: Places, pose: FloatArray, offset: float, scratch: S
 
 @njit(cache=True, nogil=True)
 def is_clear(obstacles: Places, a: FloatArray, b: FloatArray, radius: float) -> bool:
-    """Whether the whole segment from place a to place b, (2,), keeps `radius` from every obstacle."""
+    """Whether the whole segment from place a to place b, (2,), keeps `radius` from every obstacle.
+
+    It is gone along in steps as long as there is room on either side, halved where the next place has less.
+    """
     scratch = make_scratch()
-    one = distance_at(obstacles, (a[0], a[1], 0.0), scratch)
-    if one < radius:
-        return False
     far = hypot(b[0] - a[0], b[1] - a[1])
-    if one - far >= radius:
+    spare = distance_at(obstacles, (a[0], a[1], 0.0), scratch) - radius
+    if spare < 0.0:
+        return False
+    if spare >= far:
         return True
-    other = distance_at(obstacles, (b[0], b[1], 0.0), scratch)
-    if other < radius or one + other - far >= 2.0 * radius:
-        return other >= radius
-    return _is_disc_clear(obstacles, a, b, 0.0, radius)
+    last = distance_at(obstacles, (b[0], b[1], 0.0), scratch) - radius
+    if last < 0.0 or spare + last >= far:
+        return last >= 0.0
+    along, step = 0.0, 2.0 * spare
+    while spare + last < far - along:
+        step = max(min(step, 0.5 * (far - along)), RESOLUTION)
+        share = (along + step) / far
+        place = a[0] + share * (b[0] - a[0]), a[1] + share * (b[1] - a[1]), 0.0
+        there = distance_at(obstacles, place, scratch) - radius
+        if there < 0.0:
+            return False
+        if spare + there >= step:
+            along, spare, step = along + step, there, 2.0 * there
+        elif step > RESOLUTION:
+            step *= 0.5
+        else:
+            return False
+    return True
 
 
 @njit(cache=True, nogil=True)

@@ -208,7 +208,11 @@ def test_poses_are_found_from_end_to_end_facing_as_asked(ends):
     scene, _ = place(door(0.5))
     space = scene.free_space(SPOT)
     start, goal = np.array([1.0, 1.0, 2.0])[: ends[0]], np.array([5.0, 4.0, -1.0])[: ends[1]]
-    found = find_poses(space.trees[0], space.surfaces[0], start, goal, SPOT.offsets, space.radius)
+    way, facing = (
+        np.stack([start[:2], goal[:2]]),
+        (start[2] if ends[0] == 3 else None, goal[2] if ends[1] == 3 else None),
+    )
+    found = find_poses(space.trees[0], space.surfaces[0], way, facing, SPOT.offsets, space.radius)
     assert found.reached
     np.testing.assert_allclose(found.poses[0, : ends[0]], start, atol=1e-9)
     off = found.poses[-1, : ends[1]] - goal

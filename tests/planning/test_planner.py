@@ -122,6 +122,16 @@ def test_start_equal_to_goal_is_a_standing_trajectory(empty_room):
     assert (np.diff(result.trajectory.times) > 0).all()
 
 
+def test_a_goal_that_is_the_start_but_for_rounding_is_a_standing_trajectory(office):
+    _, scene = office
+    start = np.array([5.0, 0.9])
+    for step in (np.nextafter(5.0, 6.0) - 5.0, 1e-14, 1e-10):
+        result = gpdf.plan(scene, start, start + np.array([step, 0.0]), "human")
+        assert result.status is gpdf.Status.OK, result.message
+        assert result.trajectory.length < 1e-6
+        assert (np.diff(result.trajectory.times) > 0).all()
+
+
 def test_with_no_time_to_bend_it_a_path_is_as_the_search_found_it(office):
     made, scene = office
     result = gpdf.plan(scene, made.start, made.goal, "roomba", deadline_s=1e-6, clock=lambda: 0.0)

@@ -1,0 +1,196 @@
+"""Poses (x, y, θ) on a grid at which all discs of a body keep their distance: 64 of a row in a word, a bit each.
+
+Where a disc's centre is, is told by the nearest node of the grid: so much room, or so little, that it is settled for
+all places around the node, and then whole rows are shifted and joined at once. The few poses between are told by the
+nearest obstacles of the four nodes around each disc.
+"""
+
+from __future__ import annotations
+
+from math import ceil, cos, sin, sqrt
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from gpdf_service.fields.tree import make_scratch
+from gpdf_service.perception.surface import Cells, is_known
+from gpdf_service.search.places import Places, nearest_of
+from gpdf_service.types import FloatArray, IntArray
+
+Bits = NDArray[np.uint64]
+"""Rows of words; bit b of word w tells of column 64 w + b."""
+_ONE = np.uint64(1)
+_DIAGONAL = sqrt(0.5)
+"""[-] A place is at most so far from the nearest node, in widths of the grid."""
+_DE_BRUIJN = np.uint64(0x03F79D71B4CB0A89)
+"""Each run of six of its bits is another one, so that shifts of it can be told apart."""
+_NUMBER = np.zeros(64, np.uint64)
+_NUMBER[[(0x03F79D71B4CB0A89 << b & 0xFFFFFFFFFFFFFFFF) >> 58 for b in range(64)]] = range(64)
+_FAR = np.float32(1e6)
+"""[m] No obstacle near enough to matter."""
+
+
+class Grid(NamedTuple):
+    """Place of cell (0, 0) [m], width of the cells [m], their number in x and y, headings in a turn."""
+
+    origin: FloatArray
+    width: float
+    shape: tuple[int, int]
+    turns: int
+
+
+class _Nodes(NamedTuple):
+    """What is known of the grid's nodes, and of as many around it as the body's ends reach.
+
+    Attributes:
+        clear: Where a disc fits that is at any place around the node.
+        open: Where it may fit; shape (nx, words).
+        x: The nearest obstacle as seen from the node [m], shape (nx, ny); far where none is near.
+        y: The same.
+        around: Nodes around the grid.
+    """
+
+    clear: Bits
+    open: Bits
+    x: NDArray[np.float32]
+    y: NDArray[np.float32]
+    around: int
+
+
+def free_poses(obstacles: Places, ground: Cells, grid: Grid, offsets: FloatArray, radius: float) -> Bits:
+    """Where all discs keep `radius` [m], and what a step of the grid cuts from a turn, and the ground is known.
+
+    Args:
+        obstacles: All obstacle places in plan.
+        ground: Of the level.
+        grid: Its cells and headings; an even number of these.
+        offsets: Where the discs are, ahead of the body's centre [m], the same on either side of it.
+        radius: Of a disc [m].
+
+    Returns:
+        A bit a pose, shape (headings, cells in x, words).
+    """
+    made: Bits = _free_poses(obstacles, ground, grid, offsets, radius + grid.width**2 / (4.0 * radius))
+    return made
+
+
+@njit(cache=True, nogil=True)
+def _free_poses(obstacles: Places, ground: Cells, grid: Grid, offsets: FloatArray, radius: float) -> Bits:
+    nodes = _look_around(obstacles, grid, ceil(offsets[-1] / grid.width) + 2, radius)
+    known = _known(ground, grid)
+    free = np.zeros((grid.turns, *known.shape), np.uint64)
+    half = grid.turns // 2
+    for h in range(half):
+        _stand(nodes, grid, h, offsets, radius, known, free[h])
+        free[h + half] = free[h]  # with its other end ahead
+    return free
+
+
+@njit(cache=True, nogil=True)
+def _known(ground: Cells, grid: Grid) -> Bits:
+    """Cells whose middle has ground."""
+    known = np.zeros((grid.shape[0], (grid.shape[1] + 63) // 64), np.uint64)
+    for i in range(grid.shape[0]):
+        for j in range(grid.shape[1]):
+            if is_known(ground, grid.origin[0] + i * grid.width, grid.origin[1] + j * grid.width):
+                known[i, j >> 6] |= _ONE << np.uint64(j & 63)
+    return known
+
+
+@njit(cache=True, nogil=True)
+def _look_around(obstacles: Places, grid: Grid, around: int, radius: float) -> _Nodes:
+    """What each node is told by its nearest obstacle; where those before it say that it is far or deep, none is asked.
+
+    Distances are 1-Lipschitz: from node to node they change by no more than what lies between.
+    """
+    (nx, ny), width = grid.shape, grid.width
+    nx, ny = nx + 2 * around, ny + 2 * around
+    clear, open_ = np.zeros((nx, (ny + 63) // 64 + 1), np.uint64), np.zeros((nx, (ny + 63) // 64 + 1), np.uint64)
+    x, y = np.full((nx, ny), _FAR), np.full((nx, ny), _FAR)
+    points, moving = obstacles.standing.points, obstacles.moving.points
+    stands, moves = _rows_of(obstacles.standing.order), _rows_of(obstacles.moving.order)
+    least, most = np.full(ny + 1, -np.inf), np.full(ny + 1, np.inf)  # of the node, or the one below it in the last row
+    near, scratch = _DIAGONAL * width, make_scratch()
+    for i in range(nx):
+        for j in range(ny):
+            word, bit = j >> 6, _ONE << np.uint64(j & 63)
+            least[j] = max(least[j], least[j - 1] if j > 0 else -np.inf) - width
+            most[j] = min(most[j], most[j - 1] if j > 0 else np.inf) + width
+            if least[j] < radius + 2.0 * width and most[j] > radius - 3.0 * width:
+                at = grid.origin[0] + (i - around) * width, grid.origin[1] + (j - around) * width, 0.0
+                distance, row = nearest_of(obstacles, at, scratch)
+                place = points[stands[row]] if row < len(points) else moving[moves[row - len(points)]]
+                x[i, j], y[i, j], least[j], most[j] = place[0] - at[0], place[1] - at[1], distance, distance
+            if least[j] >= radius + near:
+                clear[i, word] |= bit
+            if most[j] >= radius - near:
+                open_[i, word] |= bit
+    return _Nodes(clear, open_, x, y, around)
+
+
+@njit(cache=True, nogil=True)
+def _rows_of(order: IntArray) -> IntArray:
+    """Row in a tree of each row before it was in one."""
+    rows = np.empty(len(order), np.int64)
+    rows[order] = np.arange(len(order))
+    return rows
+
+
+@njit(cache=True, nogil=True)
+def word_at(row: Bits, start: int) -> np.uint64:
+    """The 64 bits of a row that begin with the bit `start`; a word must follow theirs."""
+    w, b = start >> 6, np.uint64(start & 63)
+    word: np.uint64 = row[w]
+    if b > 0:
+        word = (word >> b) | (row[w + 1] << (np.uint64(64) - b))
+    return word
+
+
+@njit(cache=True, nogil=True)
+def lowest(word: np.uint64) -> np.uint64:
+    """Number of the lowest bit that is set, of a word that is not 0 (Leiserson, Prokop & Randall 1998)."""
+    number: np.uint64 = _NUMBER[((word & (~word + _ONE)) * _DE_BRUIJN) >> np.uint64(58)]
+    return number
+
+
+@njit(cache=True, nogil=True)
+def _stand(nodes: _Nodes, grid: Grid, h: int, offsets: FloatArray, radius: float, known: Bits, free: Bits) -> None:
+    """Set the bits of the cells where the body fits at a heading."""
+    angle = 2.0 * np.pi * h / grid.turns
+    k = len(offsets)
+    place, shift = np.empty((k, 2)), np.empty((k, 2), np.int64)
+    for d in range(k):
+        place[d, 0], place[d, 1] = offsets[d] * cos(angle) / grid.width, offsets[d] * sin(angle) / grid.width
+        shift[d, 0], shift[d, 1] = round(place[d, 0]) + nodes.around, round(place[d, 1]) + nodes.around
+    for i in range(known.shape[0]):
+        for w in range(known.shape[1]):
+            sure = may = known[i, w]
+            for d in range(k):
+                if may == 0:
+                    break
+                sure &= word_at(nodes.clear[i + shift[d, 0]], 64 * w + shift[d, 1])
+                may &= word_at(nodes.open[i + shift[d, 0]], 64 * w + shift[d, 1])
+            doubt = may & ~sure
+            while doubt != 0:
+                b = lowest(doubt)
+                doubt &= doubt - _ONE
+                if _fits(nodes, grid.width, i, 64 * w + int(b), place, radius):
+                    sure |= _ONE << b
+            free[i, w] = sure
+
+
+@njit(cache=True, nogil=True)
+def _fits(nodes: _Nodes, width: float, i: int, j: int, place: FloatArray, radius: float) -> bool:
+    """Whether all discs, at `place` from cell (i, j) in widths, keep off what the nodes around each are nearest to."""
+    for d in range(len(place)):
+        u, v = int(np.floor(place[d, 0])), int(np.floor(place[d, 1]))
+        for a in range(u, u + 2):
+            for b in range(v, v + 2):
+                n, m = i + a + nodes.around, j + b + nodes.around
+                off_x = nodes.x[n, m] - (place[d, 0] - a) * width
+                off_y = nodes.y[n, m] - (place[d, 1] - b) * width
+                if off_x * off_x + off_y * off_y < radius * radius:
+                    return False
+    return True
