@@ -14,8 +14,10 @@ import re
 from collections.abc import Callable, Iterable
 from functools import cache
 from pathlib import Path
+from pickle import UnpicklingError
 
 from numba import config
+from numba.core import caching
 from numba.core.caching import InTreeCacheLocator, UserProvidedCacheLocator, UserWideCacheLocator
 from numba.core.dispatcher import Dispatcher
 
@@ -65,6 +67,20 @@ OTHERS = "UserProvidedCacheLocator,InTreeCacheLocator,UserWideCacheLocator,IPyth
 """Numba's own, for the kernels of others."""
 _PLACES = [f"{__name__}.{place.__name__}" for place in (Provided, InTree, UserWide)]
 config.CACHE_LOCATOR_CLASSES = ",".join([*_PLACES, getattr(config, "CACHE_LOCATOR_CLASSES", "") or OTHERS])  # type: ignore[attr-defined]
+
+
+class Index(caching.IndexDataCacheFile):  # type: ignore[misc]
+    """What is kept of one kernel; nothing where that cannot be read: a type that it was called with is gone since."""
+
+    def _load_index(self) -> dict[object, str]:
+        try:
+            kept: dict[object, str] = super()._load_index()  # type: ignore[no-untyped-call]
+        except (AttributeError, ImportError, EOFError, UnpicklingError):
+            return {}
+        return kept
+
+
+caching.IndexDataCacheFile = Index  # type: ignore[misc]
 
 
 @cache
