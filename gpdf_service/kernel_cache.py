@@ -25,6 +25,7 @@ NAME = "kernel"
 _IMPORTS = re.compile(r"^from (gpdf_service[\w.]*) import (\([^)]*\)|[^(\n]+)$", re.MULTILINE)
 _PLAIN = re.compile(r"(?<=\n\n\n)def (\w+)\(.*\n(?:(?:[ \t)].*)?\n)*?(?=\S|\Z)(?!\))")
 """A function that nothing decorates, which no kernel can call."""
+_WORD = re.compile(r"\w+")
 
 
 @cache
@@ -102,8 +103,8 @@ def _compiled(text: str) -> str:
     """A file without its plain functions, but for those that the rest names: they may make a constant of a kernel."""
     kept, named = "", _PLAIN.sub("", text)
     while named != kept:
-        kept = named
-        named = _PLAIN.sub(lambda one: one[0] if re.search(rf"\b{one[1]}\b", kept) else "", text)  # noqa: B023
+        kept, words = named, set(_WORD.findall(named))
+        named = _PLAIN.sub(lambda one: one[0] if one[1] in words else "", text)  # noqa: B023
     return kept
 
 
