@@ -157,6 +157,15 @@ def check_out(folder):
             shutil.copytree(source, folder / name)
         else:
             shutil.copy2(source, folder / name)
+    _pytest(["--collect-only", *{name for names in MODULES.values() for name in names}], folder, keep=True)
+
+
+def _pytest(words, folder, *, keep=False):
+    """Run pytest in the copy; compiled modules are kept only of what has no fault."""
+    paths = os.pathsep.join(str(folder / name) for name in (".", "clients", "schemas"))
+    environment = {**os.environ, "PYTHONPATH": paths, "PYTHONDONTWRITEBYTECODE": "" if keep else "1"}
+    command = [sys.executable, "-m", "pytest", "-q", "-p", "no:xdist", "-p", "no:cacheprovider", *words]
+    return subprocess.run(command, cwd=folder, env=environment, capture_output=True, timeout=LIMIT_S)
 
 
 def kept_kernels(folder):
@@ -205,11 +214,9 @@ def is_noticed(mutant, folder, likely):
 
 
 def _fails(tests, folder, likely):
-    paths = os.pathsep.join(str(folder / name) for name in (".", "clients", "schemas"))
-    words = [sys.executable, "-m", "pytest", "-x", "-q", "-p", "no:xdist", "-p", "no:cacheprovider", "-m", "not slow"]
-    environment = {**os.environ, "PYTHONPATH": paths}
-    done = subprocess.run([*words, *tests], cwd=folder, env=environment, capture_output=True, timeout=LIMIT_S)
-    if done.returncode not in (0, 1, 2) and b"while loading conftest" not in done.stderr:
+    """Whether one of them fails, or the process dies of the fault."""
+    done = _pytest(["-x", "-m", "not slow", *tests], folder)
+    if done.returncode not in (0, 1, 2) and done.returncode > 0 and b"while loading conftest" not in done.stderr:
         raise RuntimeError((done.stdout + done.stderr).decode()[-2000:])
     if name := who_failed(done.stdout.decode()):
         likely[name] += 1

@@ -71,12 +71,13 @@ def test_a_corner_is_turned_slowly_and_times_increase():
     assert headings[-1] - headings[0] == pytest.approx(np.pi / 2, abs=1e-9)
 
 
-def test_a_limit_holds_where_the_body_then_is():
-    agent, path = AGENTS["human"], straight(6.0, 0.01)
-    limit = np.where(np.abs(path[:, 0] - 3.0) < 0.5, 0.3, agent.speed)
+@pytest.mark.parametrize(("length", "reach"), [(6.0, 0.5), (60.0, 0.1)])
+def test_a_limit_holds_where_the_body_then_is_however_long_the_way(length, reach):
+    agent, path = AGENTS["human"], straight(length, 0.01)
+    limit = np.where(np.abs(path[:, 0] - 0.44 * length) < reach, 0.3, agent.speed)
     times, _ = time_path(path, agent, limit)
     speed, middle = np.diff(path[:, 0]) / np.diff(times), 0.5 * (path[1:, 0] + path[:-1, 0])
-    slow = np.abs(middle - 3.0) < 0.5
+    slow = np.abs(middle - 0.44 * length) < reach
     assert speed[slow].max() <= 0.3 + 1e-3
     assert speed[~slow].max() > 0.7
 
