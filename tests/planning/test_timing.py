@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import gpdf_service as gpdf
-from gpdf_service.planning.timing import CARE, RAMP, _least_around, time_path
+from gpdf_service.planning.timing import CARE, LOOK, RAMP, _least_around, time_path
 from gpdf_service.synthetic import SCENES, Box, World
 from gpdf_service.types import AGENTS
 
@@ -69,6 +69,15 @@ def test_a_corner_is_turned_slowly_and_times_increase():
     assert speed[len(leg) - 2 : len(leg) + 1].max() < 0.5 * agent.speed
     assert np.abs(np.diff(headings) / np.diff(times)).max() <= 1.1 * agent.turn_rate
     assert headings[-1] - headings[0] == pytest.approx(np.pi / 2, abs=1e-9)
+
+
+def test_a_corner_is_turned_about_from_a_tenth_of_a_metre_before_it_to_as_far_behind():
+    leg = straight(2.0, 0.01)
+    corner = np.vstack([leg, leg[-1] + leg[1:, [1, 0, 2]]])
+    headings, s = time_path(corner, AGENTS["pepper"])[1], along(corner)
+    assert np.abs(headings[s < 2.0 - LOOK - 0.03]).max() == 0.0
+    assert (np.diff(headings[np.abs(s - 2.0) < LOOK - 0.03]) > 0.0).all()
+    assert headings[s > 2.0 + LOOK + 0.03].min() == pytest.approx(np.pi / 2, abs=1e-9)
 
 
 @pytest.mark.parametrize(("length", "reach"), [(6.0, 0.5), (60.0, 0.1)])
