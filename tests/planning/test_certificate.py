@@ -96,9 +96,9 @@ def test_the_coarsest_spacing_is_that_of_the_inferred_cell_near_the_path_that_is
     rng, width, radius, origin = np.random.default_rng(seed), 0.1, 0.1 * seed, np.array([1.0, -2.0])
     kinds = np.array([INFERRED, OBSERVED, UNKNOWN], np.uint8)
     state = rng.choice(kinds, (24, 31), p=[0.85, 0.05, 0.1])
-    if seed == 0:  # nothing near the path was seen
-        state[:], state[0, 0] = INFERRED, OBSERVED
     path = np.column_stack([origin + width * rng.uniform(1.0, 23.0, (3, 2)), np.zeros(3)])
+    if seed == 0:  # along the map's edge, and nothing near the path was seen
+        state[:], state[0, 0], path[:, 0] = INFERRED, OBSERVED, origin[0] + 0.5 * width
     x, y = np.indices(state.shape)
     near = np.zeros(state.shape, dtype=bool)
     for a, b in pairwise(path):
