@@ -76,6 +76,7 @@ BRINGS = {
     "viser": "gpdf-service[viewer]",
     "sklearn": "scikit-learn",
     "pybelt": "gpdf-service[belt]",
+    "playwright": "playwright",
     **dict.fromkeys(("websockets", "segno", "cryptography"), "gpdf-service[phone]"),
 }
 """What to install for a module that is missing; those that are not named here come with the extra `server`."""
