@@ -42,6 +42,7 @@ MODULES = {
 }
 """Each module, and the tests that are its own."""
 CONTROLLER, CORRIDOR = "clients/gpdf_robot/controller.py", "clients/gpdf_guidance/corridor.py"
+DRIVER = "clients/gpdf_robot/driver.py"
 CERTIFICATE = "gpdf_service/planning/certificate.py"
 TURNS = "abs(aside) {} (TURN_UNTIL if speed < STANDS else TURN_FIRST)"
 EQUAL: dict[tuple[str, ...], str] = {
@@ -51,6 +52,7 @@ EQUAL: dict[tuple[str, ...], str] = {
     (CONTROLLER, "speed < STANDS → (speed <= STANDS)"): "a speed that is the limit to the last bit",
     (CONTROLLER, "remaining / APPROACH_S → (remaining * APPROACH_S)"): "it is one second",
     (CONTROLLER, "1e-9 → (0.100000002)"): "a bend of ten metres' radius slows nobody here",
+    (DRIVER, "now - self._moved_at > GIVE_UP_S → (now - self._moved_at >= GIVE_UP_S)"): "a time to the last bit",
     (CORRIDOR, "s >= f.start - SPACING → (s > f.start - SPACING)"): "a sample at the limit to the last bit",
     (CORRIDOR, "s <= f.end + SPACING → (s < f.end + SPACING)"): "a sample at the limit to the last bit",
     (CORRIDOR, "np.minimum(*away) > least[:, None] → (np.minimum(*away) >= least[:, None])"): "the same of a height",

@@ -156,6 +156,7 @@ def test_an_old_or_absent_pose_stops_it(service):
         command = driver.step(Pose(1.0, 2.0, 0.0, 0.05 * i), 0.05 * i)
     assert command.forward > 0.0
     assert driver.step(Pose(1.0, 2.0, 0.0, 1.0), 1.0 + 1.1 * POSE_OLD_S) == STOP
+    assert driver.reason == f"the pose is {1.1 * POSE_OLD_S:.2f} s old"
     assert driver.state is State.BLIND
     assert driver.step(Pose(1.0, 2.0, 0.0, 2.0), 2.0).forward >= 0.0
     assert driver.state is State.DRIVING
