@@ -11,6 +11,9 @@ SOURCES := gpdf_service clients schemas tests docs/tools
 # What open3d's shared library links against on Debian and Ubuntu.
 SYSTEM_PACKAGES := libgl1 libegl1 libx11-6 libgomp1 libusb-1.0-0
 
+# Without compiled modules each of the processes that tests begin compiles all that it imports.
+unexport PYTHONDONTWRITEBYTECODE
+
 .PHONY: demo test test-page install check lint fix bench lock mutants schemas docs pictures measure system clean
 .DEFAULT_GOAL := install
 
@@ -41,9 +44,11 @@ system:
 demo: install
 	.venv/bin/gpdf demo --out out
 
-# On two cores at once: what both need to compile, one may compile twice, which costs less than waiting. Modules with
-# slow tests begin (tests/conftest.py), so that no core waits at the end for the other's longest one.
-PYTEST := $(PY) -m pytest -n 2 --dist loadscope --no-loadscope-reorder
+# One more at once than there are cores: who asks a service waits for half of the time. What several need to compile may
+# be compiled by each, which costs less than waiting. The longest modules begin (tests/conftest.py), so that no core
+# waits at the end for another's.
+WORKERS ?= $(shell $(PYTHON) -c 'import os; print(len(os.sched_getaffinity(0)) + 1)' 2>/dev/null || echo 3)
+PYTEST := $(PY) -m pytest -n $(WORKERS) --dist loadscope --no-loadscope-reorder
 
 test: install
 	$(PYTEST) -m "not browser"

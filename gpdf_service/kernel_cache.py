@@ -25,6 +25,9 @@ PACKAGE = Path(__file__).resolve().parent
 NAME = "kernel"
 """Stands in the names of kept files where Numba writes a line: a kernel that moves overwrites what it was."""
 _IMPORTS = re.compile(r"^from (gpdf_service[\w.]*) import (\([^)]*\)|[^(\n]+)$", re.MULTILINE)
+_PLAIN = re.compile(r"(?<=\n\n\n)def (\w+)\(.*\n(?:(?:[ \t)].*)?\n)*?(?=\S|\Z)(?!\))")
+"""A function that nothing decorates, which no kernel can call."""
+_WORD = re.compile(r"\w+")
 
 
 @cache
@@ -109,7 +112,16 @@ def _text(file: Path) -> str:
 
 @cache
 def _named(file: Path) -> bytes:
-    return hashlib.sha256(f"{file.relative_to(PACKAGE)}\n{_text(file)}".encode()).digest()
+    return hashlib.sha256(f"{file.relative_to(PACKAGE)}\n{_compiled(_text(file))}".encode()).digest()
+
+
+def _compiled(text: str) -> str:
+    """A file without its plain functions, but for those that the rest names: they may make a constant of a kernel."""
+    kept, named = "", _PLAIN.sub("", text)
+    while named != kept:
+        kept, words = named, set(_WORD.findall(named))
+        named = _PLAIN.sub(lambda one: one[0] if one[1] in words else "", text)  # noqa: B023
+    return kept
 
 
 @cache

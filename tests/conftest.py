@@ -10,10 +10,26 @@ from gpdf_service.synthetic import SCENES
 SCANS = Path(__file__).parent.parent.parent / "shared" / "data"
 
 
+LONGEST = (
+    "clients/test_guide.py",
+    "synthetic/test_made_places.py",
+    "service/test_status.py",
+    "service/test_service.py",
+    "search/test_moved.py",
+    "clients/test_robot.py",
+    "service/test_replay_verb.py",
+    "docker/test_security.py",
+    "perception/test_ground.py",
+    "test_kernel_cache.py",
+)
+"""Of the modules without their slow tests."""
+
+
 def pytest_collection_modifyitems(items):
-    """Modules with slow tests first: on several cores nobody then waits for one that began last."""
+    """The longest modules first: on several cores nobody then waits for one that began last."""
     slow = {item.path for item in items if item.get_closest_marker("slow")}
-    items.sort(key=lambda item: item.path not in slow)
+    long = {Path(__file__).parent / name: number for number, name in enumerate(LONGEST)}
+    items.sort(key=lambda item: (long.get(item.path, len(long)), item.path not in slow))
 
 
 @pytest.fixture(scope="session")

@@ -21,18 +21,22 @@ SMALL = {
     "low/inner.py": "from numba import njit\nfrom gpdf_service.low.numbers import (\n    TEN,  # of them\n)\n\n\n"
     "@njit(cache=True)\ndef inner(x):\n    return x + TEN\n",
     "low/numbers.py": "TEN = 10\n",
+    "low/made.py": "from numba import njit\n\n\ndef make():\n    return _half() * 2\n\n\n"
+    "def _half():\n    return 4\n\n\nMADE = make()\n\n\n@njit(cache=True)\ndef made(x):\n    return x + MADE\n\n\n"
+    "def plain(\n    x,\n):\n    return made(x)\n",
     "low/apart.py": "from numba import njit\n\n\n@njit(cache=True)\ndef apart(x):\n    return x\n",
     "high.py": "from numba import njit\nfrom gpdf_service.low import passed_on as called\n\n\n"
     "@njit(cache=True)\ndef outer(x):\n    return 2 * called(x)\n",
 }
-"""A package of three kernels; what one of them calls is passed on by another file and takes a constant from a third."""
+"""A package of four kernels; what one of them calls is passed on by another file and takes a constant from a third."""
 ASK = """
 import json, sys
 from gpdf_service.high import outer
 from gpdf_service.low.apart import apart
+from gpdf_service.low.made import made as self_made, plain
 from gpdf_service.kernel_cache import forget_others
-made = [outer(1), apart(7)]
-compiled = [sum(one.stats.cache_misses.values()) for one in (outer, apart)]
+made = [outer(1), apart(7), plain(0)]
+compiled = [sum(one.stats.cache_misses.values()) for one in (outer, apart, self_made)]
 print(json.dumps([made, compiled, forget_others([outer, apart]) if sys.argv[1:] else 0, outer.stats.cache_path]))
 """
 
@@ -85,13 +89,21 @@ def test_a_kernel_is_compiled_again_when_a_type_that_it_was_called_with_is_gone_
 
 
 def test_a_kernel_is_compiled_again_when_what_it_calls_in_another_file_has_changed_and_no_other_is(small):
-    assert ask(small) == [[22, 7], [1, 1], 0, str(small / "__pycache__")]
+    assert ask(small) == [[22, 7, 8], [1, 1, 1], 0, str(small / "__pycache__")]
     edit(small / "low/inner.py", "x + TEN", "x - TEN")
-    assert ask(small)[:2] == [[-18, 7], [1, 0]]
+    assert ask(small)[:2] == [[-18, 7, 8], [1, 0, 0]]
     edit(small / "low/numbers.py", "10", "20")
-    assert ask(small)[:2] == [[-38, 7], [1, 0]]
+    assert ask(small)[:2] == [[-38, 7, 8], [1, 0, 0]]
     edit(small / "low/apart.py", "return x", "return -x")
-    assert ask(small)[:2] == [[-38, -7], [0, 1]]
+    assert ask(small)[:2] == [[-38, -7, 8], [0, 1, 0]]
+
+
+def test_a_change_of_what_no_kernel_can_call_compiles_nothing_and_of_what_makes_a_constant_it_does(small):
+    ask(small)
+    edit(small / "low/made.py", "return made(x)", "return -made(x)")
+    assert ask(small)[:2] == [[22, 7, -8], [0, 0, 0]]
+    edit(small / "low/made.py", "return 4", "return 5")
+    assert ask(small)[:2] == [[22, 7, -10], [0, 0, 1]]
 
 
 @pytest.mark.parametrize("told", [True, False])
@@ -102,7 +114,7 @@ def test_kernels_are_kept_where_numba_is_told_or_for_the_user_where_the_package_
     words, place = ({"NUMBA_CACHE_DIR": f"{small.parent}/told"}, "told") if told else ({}, ".cache")
     assert ask(small, **words)[3].startswith(f"{small.parent}/{place}/")
     edit(small / "low/inner.py", "x + TEN", "x - TEN")
-    assert ask(small, **words)[:2] == [[-18, 7], [1, 0]]
+    assert ask(small, **words)[:2] == [[-18, 7, 8], [1, 0, 0]]
 
 
 def test_what_is_kept_of_a_function_that_is_gone_is_deleted_and_nothing_else_is(small):
@@ -111,7 +123,7 @@ def test_what_is_kept_of_a_function_that_is_gone_is_deleted_and_nothing_else_is(
     others = [small / "__pycache__" / name for name in ("other.outer-3.py311.nbi", "high.gone-3.txt")]
     for file in old + others:
         file.touch()
-    assert ask(small, "forget")[1:3] == [[0, 0], 2]
+    assert ask(small, "forget")[1:3] == [[0, 0, 0], 2]
     assert [file.exists() for file in old + others] == [False, False, True, True]
 
 

@@ -70,6 +70,20 @@ def test_a_terminal_sees_each_stage_and_what_is_left(tmp_path):
     assert re.search(r"about \d+ s left", seen)
 
 
+def test_a_place_that_is_made_shows_how_far_its_scan_is(tmp_path):
+    words = ["synthetic", "crowd", "--scanner", "depth", "--thin", "0.1", "--out", str(tmp_path / "crowd.npz")]
+    seen = on_a_terminal([sys.executable, "-m", "gpdf_service.cli", *words])
+    stages = ["start", "cast rays", "write"]
+    assert [seen.index(stage) for stage in stages] == sorted(seen.index(stage) for stage in stages)
+    assert re.search(r"about \d+ s left", seen)
+
+
+def test_a_bench_shows_how_much_of_it_is_done():
+    words = ["bench", "field", "--surface", "plane", "--noise", "0", "--noise", "0.01", "--points", "2000"]
+    seen = on_a_terminal([sys.executable, "-m", "gpdf_service.cli", *words, "--queries", "200"])
+    assert re.search(r"field: .*1/2 ", seen)
+
+
 @pytest.mark.parametrize("verb", LIGHT)
 def test_help_and_a_wrong_word_do_not_wait_for_what_plans(verb):
     said = f"""

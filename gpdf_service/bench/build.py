@@ -11,7 +11,7 @@ import numpy as np
 from gpdf_service.bench.build_changes import measure_changes
 from gpdf_service.bench.build_scale import hall_of, measure
 from gpdf_service.bench.plotting import add_plot_argument, draw_rows
-from gpdf_service.bench.report import add_scene_arguments, clouds, show
+from gpdf_service.bench.report import Row, add_scene_arguments, clouds, each, show
 from gpdf_service.perception.formats import import_open3d
 from gpdf_service.pipeline import build_scene
 from gpdf_service.types import FloatArray
@@ -43,21 +43,22 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Measure every scene, or every size."""
-    rows = []
+    rows: list[Row] = []
     if args.scale is not None:
         counts = args.scale or (300_000, 1_000_000, 3_000_000)
-        show([measure(count, tiled=args.tiles) for count in counts], as_json=args.json)
+        show([measure(count, tiled=args.tiles) for count in each(counts, "build")], as_json=args.json)
         return 0
     if args.noise is not None:
         from gpdf_service.bench.build_noise import measure_noise
 
-        show(list(measure_noise(args.noise, args.rooms)), as_json=args.json)
+        rows = list(each(measure_noise(args.noise, args.rooms), "build", 2 * args.rooms * len(args.noise)))
+        show(rows, as_json=args.json)
         return 0
     if args.changes is not None:
         scenes = [("hall", hall_of(args.hall), None)] if args.hall else clouds(args)
         show([measure_changes(*scene, args.changes, args.checked) for scene in scenes], as_json=args.json)
         return 0
-    for name, points, _ in clouds(args):
+    for name, points, _ in each(clouds(args), "build"):
         build = _median(lambda points=points: build_scene(points), args.repeat)  # type: ignore[misc]
         scene = build_scene(points)
 

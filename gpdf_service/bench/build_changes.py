@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from gpdf_service.bench.report import Row
+from gpdf_service.bench.report import Row, each
 from gpdf_service.perception import GroundLevel
 from gpdf_service.pipeline import build_scene
 from gpdf_service.scene import Scene, assemble_scene
@@ -36,7 +36,7 @@ def measure_changes(name: str, points: FloatArray, ground: BoolArray | None, cou
     scene = build_scene(points, ground)
     scene.free_space("human")
     seconds, free, equal, whole = np.zeros(count), np.zeros(count), 0, 0
-    for i, change in enumerate(_warmed(scene, count)):
+    for i, change in enumerate(each(_warmed(scene, count), f"changes in {name}", count)):
         began = time.process_time()
         scene = scene.update(**change)
         updated = time.process_time()

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from gpdf_service.bench.report import Row
+from gpdf_service.bench.report import Row, each
 from gpdf_service.pipeline import build_scene, plan
 from gpdf_service.scene import Scene
 from gpdf_service.synthetic import Box, World
@@ -58,9 +58,12 @@ def measure_curve(agent: Agent, longest: float, repeats: int, rng: np.random.Gen
     lengths = [length for length in STEPS if length < longest] + [longest]
     halls = {length: build_hall(length + 2 * END, EVERY, rng) for length in lengths if length >= SHORT}
     long = halls[longest]
-    rows: list[Row] = [{"sweep": "path"} | _measure(long, longest, length, agent, repeats, rng) for length in lengths]
-    rows += [{"sweep": "map"} | _measure(hall, size, SHORT, agent, repeats, rng) for size, hall in halls.items()]
-    for every in CLUTTER:
+    rows: list[Row] = []
+    for length in each(lengths, "lengths of path"):
+        rows.append({"sweep": "path"} | _measure(long, longest, length, agent, repeats, rng))
+    for size in each(halls, "sizes of map"):
+        rows.append({"sweep": "map"} | _measure(halls[size], size, SHORT, agent, repeats, rng))
+    for every in each(CLUTTER, "clutter"):
         hall, length = build_hall(MEDIUM + 2 * END, every, rng), min(MEDIUM, longest)
         rows.append(
             {"sweep": "clutter", "walls_per_100m": 100.0 / every} | _measure(hall, MEDIUM, length, agent, 1, rng)

@@ -5,13 +5,14 @@ from __future__ import annotations
 import argparse
 import time
 from collections.abc import Iterator
+from itertools import product
 from pathlib import Path
 
 import numpy as np
 from scipy.spatial import cKDTree
 
 from gpdf_service.bench.field_peers import DENSE, EXACT, PEERS, Field, Ours
-from gpdf_service.bench.report import Row, show
+from gpdf_service.bench.report import Row, each, show
 from gpdf_service.bench.surfaces import SURFACES, Surface
 from gpdf_service.fields import fit_gpdf
 from gpdf_service.types import FloatArray
@@ -41,14 +42,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Measure every surface, noise and band; or the time over the number of points."""
     if args.scale is not None:
-        show([measure_time(n) for n in args.scale or (10_000, 100_000, 1_000_000)], as_json=args.json)
+        show([measure_time(n) for n in each(args.scale or (10_000, 100_000, 1_000_000), "field")], as_json=args.json)
         return 0
     points = min(args.points, EXACT) if args.dense else args.points
     peers = [name for name in PEERS if args.dense or name not in DENSE]
     rows: list[Row] = []
-    for name in args.surface or SURFACES:
-        for noise in args.noise or NOISES:
-            rows += measure(name, points, args.queries, noise, peers)
+    cases = list(product(args.surface or SURFACES, args.noise or NOISES))
+    for name, noise in each(cases, "field"):
+        rows += measure(name, points, args.queries, noise, peers)
     show(rows, as_json=args.json)
     if args.plot:
         _plot(rows, args.plot)

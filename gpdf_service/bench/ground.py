@@ -12,7 +12,7 @@ import numpy as np
 from gpdf_service.bench.hard_clouds import TURNS, hall_rows, spiral_rows
 from gpdf_service.bench.houses import house_rows
 from gpdf_service.bench.places import island_rows, land_rows
-from gpdf_service.bench.report import Row, show
+from gpdf_service.bench.report import Row, each, show
 from gpdf_service.bench.rules import RULES, rule_rows
 from gpdf_service.errors import RequestError
 from gpdf_service.perception import read_cloud, segment_ground
@@ -126,7 +126,7 @@ def _made(count: int, seed: int, noise: float) -> dict[str, list[SyntheticScene]
 def measure(clouds: list[tuple[FloatArray, BoolArray, float]]) -> Row:
     """Shares over all points of several clouds (points, true labels, height of the floor)."""
     true, found, raised, high, seconds, cells = [], [], [], [], 0.0, np.zeros(2)
-    for points, ground, floor in clouds:
+    for points, ground, floor in each(clouds, "clouds"):
         began = time.perf_counter()
         found.append(segment_ground(points))
         seconds += time.perf_counter() - began

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from gpdf_service.bench.exact import ON, STEP, Truth, every, judge_path
-from gpdf_service.bench.report import Row
+from gpdf_service.bench.report import Row, each
 from gpdf_service.errors import GpdfError
 from gpdf_service.perception.surface import INFERRED
 from gpdf_service.pipeline import build_scene, plan
@@ -46,7 +46,8 @@ def scanned_house(seed: int, scanner: str, noise: float | None = None, thin: flo
 def house_rows(scanner: str, count: int | None, seed: int, noise: float | None = None) -> Iterator[Row]:
     """One row for each house, and one for all of them."""
     rows = []
-    for number in range(seed, seed + (COUNT[scanner] if count is None else count)):
+    numbers = range(seed, seed + (COUNT[scanner] if count is None else count))
+    for number in each(numbers, f"houses, {scanner}"):
         rows.append({"row": "house", "scanner": scanner, "seed": number} | measure(number, scanner, noise))
         yield rows[-1]
     if rows:

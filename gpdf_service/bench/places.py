@@ -10,7 +10,7 @@ from scipy.spatial import cKDTree
 from gpdf_service.bench.exact import ON, SPACING, worst_foot
 from gpdf_service.bench.houses import THIN
 from gpdf_service.bench.judge import Judge
-from gpdf_service.bench.report import Row
+from gpdf_service.bench.report import Row, each
 from gpdf_service.pipeline import build_scene, plan
 from gpdf_service.scene import Scene
 from gpdf_service.synthetic.place import SEEN, Place
@@ -34,7 +34,7 @@ def land_rows(
     makers: Sequence[Callable[[np.random.Generator], Place]] = ONE_FLOOR,
 ) -> Iterator[Row]:
     """For each crowded place: of random starts (x, y), how many are taken, and how many of these are wrong."""
-    for make in makers:
+    for make in each(makers, f"places, {scanner}"):
         place, scan = _scanned(make(np.random.default_rng(seed)), scanner, seed, noise)
         scene = build_scene(scan.points)
         low, high = scan.points[:, :2].min(axis=0), scan.points[:, :2].max(axis=0)
@@ -68,7 +68,7 @@ def _land(scene: Scene, judge: Judge, place: Place, agent: Agent, starts: FloatA
 
 def island_rows(scanner: str, count: int | None, seed: int, noise: float | None = None) -> Iterator[Row]:
     """For pits, galleries and platforms: how much of them is known as ground, stood on, and wrongly joined."""
-    for make in ISLANDS:
+    for make in each(ISLANDS, f"islands, {scanner}"):
         for number in range(seed, seed + (count or 3)):
             place, scan = _scanned(make(np.random.default_rng(number)), scanner, number, noise)
             scene = build_scene(scan.points)

@@ -18,7 +18,7 @@ from gpdf_service.bench.judge import Judge
 from gpdf_service.bench.moving import measure_moving
 from gpdf_service.bench.peers import compare
 from gpdf_service.bench.plotting import add_plot_argument, draw_rows
-from gpdf_service.bench.report import Row, add_scene_arguments, clouds, show
+from gpdf_service.bench.report import Row, add_scene_arguments, clouds, each, show
 from gpdf_service.bench.turning import BrutePoses
 from gpdf_service.bench.ways import measure_ways
 from gpdf_service.pipeline import build_scene, plan
@@ -144,7 +144,7 @@ def room_rows(args: argparse.Namespace, noise: float) -> list[Row]:
     Ends are where the body stands in the exact room, on floor that was sampled; the clean room judges.
     """
     parts: dict[tuple[bool, str], list[Row]] = {}
-    for seed in range(args.seed, args.seed + args.rooms):
+    for seed in each(range(args.seed, args.seed + args.rooms), f"rooms at {1e3 * noise:g} mm of noise"):
         clean, noisy = (random_room(np.random.default_rng(seed), each, ROOM_SPACING) for each in (0.0, noise))
         judge = Judge(clean.points, clean.ground)
         scenes = {labelled: build_scene(noisy.points, noisy.ground if labelled else None) for labelled in (True, False)}
@@ -222,7 +222,7 @@ def measure(scene: Scene, judge: Judge, brute: BruteForce | BrutePoses, agent: A
     solvable = solved = 0
     for start, goal in pairs[:WARM]:
         plan(scene, start, goal, agent)
-    for start, goal in pairs:
+    for start, goal in each(pairs, f"plans of a {agent.name}"):
         began, cpu = time.perf_counter(), time.process_time()
         result = plan(scene, start, goal, agent)
         worked.append(time.process_time() - cpu)

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from gpdf_service.bench.report import Row, add_scene_arguments, clouds, show
+from gpdf_service.bench.report import Row, add_scene_arguments, clouds, each, show
 from gpdf_service.pipeline import build_scene, plan
 from gpdf_service.scene import Scene
 from gpdf_service.synthetic import SCENES
@@ -109,7 +109,7 @@ def _one_of(places: list[FloatArray], count: int, rng: np.random.Generator) -> F
 def measure_refusals(scene: Scene, agent: Agent, pairs: FloatArray, tried: int) -> list[Row]:
     """A row for each status that a query (n, 2, 3) [m] was refused with: times, and how many of `tried` were helped."""
     found: dict[Status, list[_Refused]] = {}
-    for start, goal in pairs:
+    for start, goal in each(pairs, f"plans of a {agent.name}"):
         began, cpu = time.perf_counter(), time.process_time()
         result = plan(scene, start, goal, agent)
         seconds, cpu = time.perf_counter() - began, time.process_time() - cpu
@@ -180,7 +180,7 @@ def measure_deadline(scene: Scene, agent: Agent, pairs: FloatArray, deadline_s: 
     """
     statuses: Counter[Status] = Counter()
     late = []
-    for start, goal in pairs:
+    for start, goal in each(pairs, f"plans of a {agent.name}"):
         began = time.process_time()
         statuses[plan(scene, start, goal, agent, deadline_s=deadline_s, clock=time.process_time).status] += 1
         late.append(time.process_time() - began - deadline_s)

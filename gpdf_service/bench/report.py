@@ -4,16 +4,30 @@ from __future__ import annotations
 
 import argparse
 import json
+from collections.abc import Iterable, Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
+from tqdm import tqdm
 
 from gpdf_service.perception import read_cloud
 from gpdf_service.synthetic import SCENES
 from gpdf_service.types import BoolArray, FloatArray
 
 Row = dict[str, Any]
+T = TypeVar("T")
+
+
+def each(items: Iterable[T], what: str, total: int | None = None) -> Iterator[T]:
+    """The items one by one, with a bar on a terminal: how many are done, and about how much time is left.
+
+    Args:
+        items: What is gone through.
+        what: What the bar calls it.
+        total: How many they are, if they do not tell themselves.
+    """
+    yield from tqdm(items, desc=what, total=total, disable=None, leave=False)
 
 
 def show(rows: list[Row], *, as_json: bool) -> None:

@@ -13,7 +13,7 @@ from unittest import mock
 import numpy as np
 
 from gpdf_service.bench import hard_clouds, houses, places
-from gpdf_service.bench.report import Row
+from gpdf_service.bench.report import Row, each
 from gpdf_service.bench.scanned import judge, overlap, scanned
 from gpdf_service.denoise import as_measured
 from gpdf_service.errors import GpdfError
@@ -131,7 +131,7 @@ def rule_rows(data: Path, seed: int, count: int, rules: Sequence[str]) -> Iterat
         "crowded places": partial(_crowded, seed),
     }
     whole: dict[str, Row] = {}
-    for rule in rules:
+    for rule in each(rules, "rules"):
         moved: Row = {"in": "all", "moves": "nothing"}
         for name, suite in suites.items():
             if name not in whole:

@@ -10,7 +10,7 @@ from dataclasses import replace
 import numpy as np
 
 from gpdf_service.bench.judge import Judge
-from gpdf_service.bench.report import Row
+from gpdf_service.bench.report import Row, each
 from gpdf_service.pipeline import plan
 from gpdf_service.scene import Scene
 from gpdf_service.types import Agent, FloatArray, PlanResult, Status
@@ -26,7 +26,7 @@ def measure_ways(scene: Scene, judge: Judge, agent: Agent, pairs: FloatArray) ->
     level = replace(agent, max_step=HIGH_STEP)
     ok = high = needless = collisions = 0
     longer = []
-    for start, goal in pairs:
+    for start, goal in each(pairs, f"ways of a {agent.name}"):
         result = plan(scene, start, goal, agent)
         if result.status is not Status.OK or result.trajectory is None:
             continue

@@ -52,6 +52,7 @@ VERBS: dict[str, tuple[str, str]] = {
     "bench crash": ("gpdf_service.bench.crash", "kill -9 at random moments: what was acknowledged is there, logs read"),
     "bench unread": ("gpdf_service.bench.unread", "clients that do not read their answers: what others wait"),
     "bench cut": ("gpdf_service.bench.cut", "a link that is cut for seconds: how soon a client is answered again"),
+    "bench page": ("gpdf_service.bench.page", "the operator's page in a browser: from the press of a button to a path"),
     "bench soak": ("gpdf_service.bench.soak", "loads, plans and unloads for minutes: memory, threads and files of it"),
     "view": (
         "gpdf_service.viewer.view_verb",
@@ -75,6 +76,7 @@ BRINGS = {
     "viser": "gpdf-service[viewer]",
     "sklearn": "scikit-learn",
     "pybelt": "gpdf-service[belt]",
+    "playwright": "playwright",
     **dict.fromkeys(("websockets", "segno", "cryptography"), "gpdf-service[phone]"),
 }
 """What to install for a module that is missing; those that are not named here come with the extra `server`."""

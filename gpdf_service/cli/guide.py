@@ -24,6 +24,8 @@ from gpdf_guidance.live import LiveGuide, Told, to_json
 from gpdf_guidance.voice import Voice
 from numpy.typing import NDArray
 
+from gpdf_service.cli.work import Work
+
 FloatArray = NDArray[np.float64]
 
 
@@ -133,7 +135,8 @@ def _simulated(args: argparse.Namespace, client: Client, guide: Guide) -> int:
     world = _truth(args.truth, guide.planner.person) if args.truth else None
     ground = world.ground_height if world is not None else lambda position: _route_height(guide, position)
     walker = Walker(first.trajectory.ground[0], float(rng.uniform(-np.pi, np.pi)), ground, rng)
-    walk = simulate(guide, walker, world, agrees=args.agrees)
+    with Work("walk", load=None) as work, work.step("walk"):
+        walk = simulate(guide, walker, world, agrees=args.agrees)
     for said in walk.said:
         _print(args, said.time, said.instruction, said.text)
     if args.png and world is not None:

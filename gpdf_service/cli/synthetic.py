@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import argparse
 import json
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 
 from gpdf_service.cli.inputs import check_out
+from gpdf_service.cli.work import NAMES, Work
 from gpdf_service.errors import ConfigError
 from gpdf_service.synthetic.places import PLACES
 from gpdf_service.synthetic.scanners import NOISE, SCANNERS, Scan
@@ -40,11 +42,14 @@ def run(args: argparse.Namespace) -> int:
         if value is not None and not (np.isfinite(value) and value >= 0.0):
             raise ConfigError(f"--{name} {value}", "it must be 0 or more", "Give metres.")
     rng = np.random.default_rng(args.seed)
-    place = PLACES[args.name](rng)
-    scan = SCANNERS[args.scanner](place, rng, NOISE[args.scanner] if args.noise is None else args.noise)
-    scan = scan.thinned(args.thin, rng) if args.thin else scan
-    write = _write_npz if args.out.suffix == ".npz" else _write_ply
-    write(args.out, scan, place.world.kinds)
+    with Work("cast", "write", load=None) as work:
+        with work.step("cast") as progress:
+            place = PLACES[args.name](rng)
+            noise = NOISE[args.scanner] if args.noise is None else args.noise
+            scan = SCANNERS[args.scanner](place, rng, noise, progress=partial(progress, NAMES["cast"]))
+        with work.step("write"):
+            scan = scan.thinned(args.thin, rng) if args.thin else scan
+            (_write_npz if args.out.suffix == ".npz" else _write_ply)(args.out, scan, place.world.kinds)
     said = {
         "file": str(args.out),
         "place": place.name,

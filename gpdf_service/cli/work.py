@@ -12,17 +12,21 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from importlib import import_module
+from importlib.util import find_spec
 from types import TracebackType
 from typing import Any
 
-SHARES = {"read": 1.0, "build": 7.0, "fit": 4.0, "draw": 5.0, "again": 7.0}
-"""[-] Processor time of the steps beside each other: medians of two offices, a house and a hall."""
+SHARES = {"read": 1.0, "build": 7.0, "fit": 4.0, "draw": 5.0, "again": 7.0, "cast": 1.0, "write": 1.0, "walk": 1.0}
+"""[-] Processor time of the steps beside each other: of four clouds, and of two places that are made."""
 NAMES = {
     "read": "read",
     "build": "build",
     "fit": "find where the body fits",
     "draw": "draw",
     "again": "build",
+    "cast": "cast rays",
+    "write": "write",
+    "walk": "walk",
 }
 START = "start"
 TICK_S = 0.5
@@ -47,13 +51,15 @@ class Work:
 
     Args:
         *steps: Names of `SHARES`, in their order.
+        load: The module that does the work, if it is to be loaded under the bar.
     """
 
-    def __init__(self, *steps: str) -> None:
+    def __init__(self, *steps: str, load: str | None = "gpdf_service.pipeline") -> None:
+        self._load = load
         self._steps, self._whole = steps, sum(SHARES[step] for step in steps)
         self._began, self._told_at, self._done = 0.0, 0.0, 0.0  # of the first step, not of what is loaded before
         self._lock, self._ended = threading.Lock(), threading.Event()
-        terminal = sys.stderr.isatty()
+        terminal = sys.stderr.isatty() and find_spec("tqdm") is not None  # the light install has none
         form = "{desc:26}{bar} {elapsed}{postfix}"
         self._bar: Any = None
         if terminal:
@@ -66,8 +72,10 @@ class Work:
         """Show the bar, and load what builds and plans."""
         if self._ticker is not None:
             self._ticker.start()
+        if self._load is None:
+            return self
         with mortal():
-            import_module("gpdf_service.pipeline")
+            import_module(self._load)
         if self._ticker is not None:
             import_module("gpdf_service.cli.compiling").tell_of_compiling()
         return self

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -34,6 +34,10 @@ RANGE = {"tripod": 60.0, "handheld": 60.0, "depth": 5.0}
 NOISE = {"tripod": 0.002, "handheld": 0.006, "depth": 0.002}
 """[m] Standard deviation along the ray, where nothing else is asked for; of a depth camera at 1 m, growing as the
 square of the distance (Khoshelham and Elberink 2012)."""
+Look = tuple[FloatArray, FloatArray]
+"""Where the rays of one turn, or of one picture, begin, shape (3,), and their directions, shape (k, 3)."""
+Progress = Callable[[float], None]
+"""Is told which share of the rays is cast."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,11 +70,21 @@ class Scan:
         return Scan(self.points[rows], self.origins[rows], self.ground[rows], self.kind[rows])
 
 
-def tripod(place: Place, rng: np.random.Generator, noise: float = NOISE["tripod"], stations: int = 2) -> Scan:
+def _nobody(done: float) -> None:
+    """Nobody is told."""
+
+
+def tripod(
+    place: Place,
+    rng: np.random.Generator,
+    noise: float = NOISE["tripod"],
+    stations: int = 2,
+    progress: Progress = _nobody,
+) -> Scan:
     """A scanner on so many places of every floor, one of them near the way's end there, and one on each landing."""
     feet = [*(_stations(place, room, stations, rng) for room in range(len(place.rooms))), place.landings]
     eyes = np.concatenate(feet) + np.array([0.0, 0.0, TRIPOD_EYE])
-    return _scan(place, [(eye, _sphere(rng)) for eye in eyes], noise, rng, "tripod")
+    return _scan(place, _told([(eye, _sphere(rng)) for eye in eyes], progress), noise, rng, "tripod")
 
 
 def _stations(place: Place, room: int, count: int, rng: np.random.Generator) -> FloatArray:
@@ -82,20 +96,23 @@ def _stations(place: Place, room: int, count: int, rng: np.random.Generator) -> 
     return np.vstack([free[first], np.delete(free, first, axis=0)[: count - 1]])
 
 
-def handheld(place: Place, rng: np.random.Generator, noise: float = NOISE["handheld"]) -> Scan:
+def handheld(
+    place: Place, rng: np.random.Generator, noise: float = NOISE["handheld"], progress: Progress = _nobody
+) -> Scan:
     """A spinning lidar that somebody carries, tilted, over every floor and along the way between them."""
     feet, heading = _every(walk(place, rng))
     eyes = feet + np.array([0.0, 0.0, HAND_EYE])
-    return _scan(place, [(e, _spin(h, rng)) for e, h in zip(eyes, heading, strict=True)], noise, rng, "handheld")
+    looks = [(e, _spin(h, rng)) for e, h in zip(eyes, heading, strict=True)]
+    return _scan(place, _told(looks, progress), noise, rng, "handheld")
 
 
-def depth(place: Place, rng: np.random.Generator, noise: float = NOISE["depth"]) -> Scan:
+def depth(place: Place, rng: np.random.Generator, noise: float = NOISE["depth"], progress: Progress = _nobody) -> Scan:
     """A depth camera at the chest of somebody who walks, looking ahead and down, and to either side in turn."""
     feet, heading = _every(walk(place, rng))
     eyes = feet + np.array([0.0, 0.0, CHEST_EYE])
     yaw = heading + np.resize([0.0, 2.1, 0.0, -2.1], len(heading))
     looks = [(e, _picture(h, rng)) for e, h in zip(eyes, yaw, strict=True)]
-    return _scan(place, looks, noise, rng, "depth")
+    return _scan(place, _told(looks, progress), noise, rng, "depth")
 
 
 SCANNERS: dict[str, Callable[..., Scan]] = {"tripod": tripod, "handheld": handheld, "depth": depth}
@@ -170,9 +187,14 @@ def _turned(rays: FloatArray, pitch: float, roll: float, yaw: float) -> FloatArr
     return rays
 
 
-def _scan(
-    place: Place, looks: list[tuple[FloatArray, FloatArray]], noise: float, rng: np.random.Generator, scanner: str
-) -> Scan:
+def _told(looks: list[Look], progress: Progress) -> Iterator[Look]:
+    """All looks; after each of them, which share of them was taken."""
+    for i, look in enumerate(looks, 1):
+        yield look
+        progress(i / len(looks))
+
+
+def _scan(place: Place, looks: Iterable[Look], noise: float, rng: np.random.Generator, scanner: str) -> Scan:
     """Cast all rays of all looks, (3,) and (k, 3) each, and put noise along them."""
     parts = [_look(place, eye, rays, RANGE[scanner]) for eye, rays in looks]
     eyes, rays, distance, triangle = (np.concatenate(column) for column in zip(*parts, strict=True))

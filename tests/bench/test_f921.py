@@ -8,6 +8,8 @@ import pytest
 from gpdf_service.bench.f921 import RECOMMENDATIONS, hall, judged, listen
 from gpdf_service.bench.guide import serving
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture(scope="module")
 def heard():

@@ -407,6 +407,7 @@ def test_cues_say_stop_when_poses_stop_and_when_something_is_in_the_way(endpoint
 STOPS = (Kind.STOP_ALONE, Kind.STOP_LOST, Kind.STOP_UNRELIABLE)
 
 
+@pytest.mark.slow
 def test_a_service_that_dies_in_mid_walk_is_a_spoken_stop(tmp_path, made, free_endpoint):
     said, steps, stop = [], [], threading.Event()
 

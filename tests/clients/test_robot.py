@@ -156,6 +156,7 @@ def test_an_old_or_absent_pose_stops_it(service):
         command = driver.step(Pose(1.0, 2.0, 0.0, 0.05 * i), 0.05 * i)
     assert command.forward > 0.0
     assert driver.step(Pose(1.0, 2.0, 0.0, 1.0), 1.0 + 1.1 * POSE_OLD_S) == STOP
+    assert driver.reason == f"the pose is {1.1 * POSE_OLD_S:.2f} s old"
     assert driver.state is State.BLIND
     assert driver.step(Pose(1.0, 2.0, 0.0, 2.0), 2.0).forward >= 0.0
     assert driver.state is State.DRIVING
@@ -267,6 +268,7 @@ class Altered:
         return self.client.plan(*words, **options)
 
     def distance(self, *words, **options):
+        self.places = words[2]
         return self.change(self.client.distance(*words, **options))
 
 
@@ -290,3 +292,24 @@ def test_what_speaks_against_the_route_stops_it_each_by_itself(service, change, 
     altered.change = change
     assert driver.step(Pose(1.0, 2.0, 0.0, 1.0), 1.0) == STOP
     assert reason in driver.reason
+
+
+def test_what_stands_between_here_and_where_it_would_stand_blocks_it(service):
+    client, _ = service
+    load(client, "free")
+    altered = Altered(client, lambda found: found)
+    driver = Driver(altered, "free", (5.0, 2.0), ROOMBA)
+    for i in range(20):
+        command = driver.step(Pose(1.0, 2.0, 0.0, 0.05 * i), 0.05 * i)
+    ahead = altered.places[:, 0]
+    begin, end = ahead[0], ahead[np.flatnonzero(np.diff(ahead) < 0.0)[0]]  # then the line follows, from its beginning
+    assert end - begin > 0.1
+
+    def touching(found):
+        middle = np.abs(altered.places[:, 0] - 0.5 * (begin + end)) < 0.03
+        return dataclasses.replace(found, distance=np.where(middle, ROOMBA.radius, found.distance))
+
+    altered.change = touching
+    assert command.forward > 0.0
+    assert driver.step(Pose(1.0, 2.0, 0.0, 1.0), 1.0) == STOP
+    assert driver.state is State.BLOCKED

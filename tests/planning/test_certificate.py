@@ -1,13 +1,16 @@
 """Each thing that a certificate refuses, alone: nothing else in the way would refuse it, too."""
 
 import dataclasses
+from itertools import pairwise
 
 import numpy as np
 import pytest
+from scipy.ndimage import distance_transform_edt
 
 import gpdf_service as gpdf
 from gpdf_service.fields.tree import build_tree
-from gpdf_service.planning.certificate import certify
+from gpdf_service.perception.surface import INFERRED, OBSERVED, UNKNOWN, Cells
+from gpdf_service.planning.certificate import _coarsest_spacing, certify
 from gpdf_service.planning.shape import stand_up
 from gpdf_service.search.places import Places
 from gpdf_service.synthetic import Box, World
@@ -86,3 +89,23 @@ def test_every_disc_stands_on_known_ground(scenes):
     found = certificate_of(scenes["pit"], long, end=ends)
     assert (found.holds, found.reason) == (False, "the path leaves the known ground")
     assert certificate_of(scenes["pit"], long, end=2.5 - 0.7).holds
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_the_coarsest_spacing_is_that_of_the_inferred_cell_near_the_path_that_is_farthest_from_a_seen_one(seed):
+    rng, width, radius, origin = np.random.default_rng(seed), 0.1, 0.1 * seed, np.array([1.0, -2.0])
+    kinds = np.array([INFERRED, OBSERVED, UNKNOWN], np.uint8)
+    state = rng.choice(kinds, (24, 31), p=[0.85, 0.05, 0.1])
+    path = np.column_stack([origin + width * rng.uniform(1.0, 23.0, (3, 2)), np.zeros(3)])
+    if seed == 0:  # along the map's edge, and nothing near the path was seen
+        state[:], state[0, 0], path[:, 0] = INFERRED, OBSERVED, origin[0] + 0.5 * width
+    x, y = np.indices(state.shape)
+    near = np.zeros(state.shape, dtype=bool)
+    for a, b in pairwise(path):
+        count = max(1, int(np.ceil(2.0 * np.hypot(*(b - a)[:2]) / width)))
+        for share in np.linspace(0.0, 1.0, count + 1):
+            u, v = np.floor((a + share * (b - a) - [*origin, 0.0])[:2] / width)
+            near |= (x - u) ** 2 + (y - v) ** 2 <= int(radius / width) ** 2
+    farthest = distance_transform_edt(state != OBSERVED)[near & (state == INFERRED)].max(initial=0.0)
+    ground = Cells(np.zeros(state.shape, np.float32), state, origin, width)
+    assert _coarsest_spacing(path, radius, ground) == pytest.approx((1.0 + 2.0 * farthest) * width)

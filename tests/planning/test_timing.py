@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import gpdf_service as gpdf
-from gpdf_service.planning.timing import CARE, RAMP, _least_around, time_path
+from gpdf_service.planning.timing import CARE, LOOK, RAMP, _least_around, time_path
 from gpdf_service.synthetic import SCENES, Box, World
 from gpdf_service.types import AGENTS
 
@@ -71,12 +71,22 @@ def test_a_corner_is_turned_slowly_and_times_increase():
     assert headings[-1] - headings[0] == pytest.approx(np.pi / 2, abs=1e-9)
 
 
-def test_a_limit_holds_where_the_body_then_is():
-    agent, path = AGENTS["human"], straight(6.0, 0.01)
-    limit = np.where(np.abs(path[:, 0] - 3.0) < 0.5, 0.3, agent.speed)
+def test_a_corner_is_turned_about_from_a_tenth_of_a_metre_before_it_to_as_far_behind():
+    leg = straight(2.0, 0.01)
+    corner = np.vstack([leg, leg[-1] + leg[1:, [1, 0, 2]]])
+    headings, s = time_path(corner, AGENTS["pepper"])[1], along(corner)
+    assert np.abs(headings[s < 2.0 - LOOK - 0.03]).max() == 0.0
+    assert (np.diff(headings[np.abs(s - 2.0) < LOOK]) > 0.0).all()
+    assert headings[s > 2.0 + LOOK + 0.03].min() == pytest.approx(np.pi / 2, abs=1e-9)
+
+
+@pytest.mark.parametrize(("length", "reach"), [(6.0, 0.5), (60.0, 0.1)])
+def test_a_limit_holds_where_the_body_then_is_however_long_the_way(length, reach):
+    agent, path = AGENTS["human"], straight(length, 0.01)
+    limit = np.where(np.abs(path[:, 0] - 0.44 * length) < reach, 0.3, agent.speed)
     times, _ = time_path(path, agent, limit)
     speed, middle = np.diff(path[:, 0]) / np.diff(times), 0.5 * (path[1:, 0] + path[:-1, 0])
-    slow = np.abs(middle - 3.0) < 0.5
+    slow = np.abs(middle - 0.44 * length) < reach
     assert speed[slow].max() <= 0.3 + 1e-3
     assert speed[~slow].max() > 0.7
 

@@ -37,6 +37,7 @@ def floor(width):
     return np.column_stack([x.ravel(), y.ravel(), np.zeros(x.size)])
 
 
+@pytest.mark.slow
 def test_a_cloud_that_would_take_all_memory_is_refused_in_words_and_others_are_served(tmp_path, free_endpoint):
     gpdf.build_scene(floor(3.0)).save(tmp_path / "room.gpdf")
     options = Options(free_endpoint, tmp_path, tmp_path / "log", 1, build_memory_mb=700.0)

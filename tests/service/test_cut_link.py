@@ -18,6 +18,7 @@ BACK_S = 10.0
 """[s] In which the client is answered again, once the link is there: a third of a second on a quiet machine."""
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("closes", [True, False])
 def test_a_link_that_was_cut_is_back_soon(tmp_path, free_endpoint, closes):
     x, y = np.meshgrid(np.arange(0, 3, 0.05), np.arange(0, 3, 0.05))

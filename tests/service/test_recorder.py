@@ -252,6 +252,7 @@ def test_a_folder_of_logs_is_checked_and_mended_but_none_that_a_service_writes(t
     assert main(["record", "check", str(tmp_path), str(tmp_path / "none")]) == 1
 
 
+@pytest.mark.slow
 def test_a_plan_is_in_the_log_when_the_process_is_killed_after_its_answer(tmp_path, free_endpoint, office, office_file):
     shutil.copy(office_file, tmp_path / "office.gpdf")
     words = [sys.executable, "-m", "gpdf_service.cli", "serve", f"office={tmp_path / 'office.gpdf'}", "--log-sync"]

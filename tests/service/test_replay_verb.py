@@ -96,6 +96,7 @@ def test_what_moved_moves_again_in_process_and_in_a_service_at_any_speed(office,
         assert main(["replay", log, "--endpoint", endpoint]) == 0
 
 
+@pytest.mark.slow
 def test_a_service_is_asked_no_faster_than_it_was_and_one_that_is_gone_is_told(logged, capsys, tmp_path):
     (log, scene), endpoint = logged, free_endpoint()
     with Server(Options(endpoint, scene.parent, tmp_path / "more", 1)) as server:

@@ -151,6 +151,7 @@ def test_a_service_that_builds_a_new_scene_is_ready_and_the_scene_says_that_it_i
         assert client.status()[0].ready
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("workers", "kind", "step"), [(1, Warming, "plans"), (2, _Process, "wait_until_ready")], ids=["inside", "pool"]
 )

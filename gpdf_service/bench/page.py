@@ -1,0 +1,139 @@
+"""`gpdf bench page`: how long an operator waits in a real browser, from the press of a button to the answer.
+
+Service, page and browser are begun anew; the first press comes as soon as the map is drawn, others follow. The browser
+keeps the time: from the press until the page shows the answer, with which the path is sent.
+"""
+
+from __future__ import annotations
+
+import argparse
+import shutil
+import signal
+import subprocess
+import sys
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import psutil
+
+from gpdf_service.bench.report import Row, each, show
+from gpdf_service.bench.running import Running, serving
+from gpdf_service.errors import ConfigError
+from gpdf_service.ports import free_port
+from gpdf_service.types import FloatArray
+
+CHROMIUM = ("chromium", "chromium-browser", "google-chrome")
+FLAGS = ("--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--no-sandbox")
+"""Drawing without a graphics card."""
+SIZE = {"width": 1440, "height": 900}
+PATIENCE_MS = 120_000
+DRAWN = """
+() => [...document.querySelectorAll('input')].some(one => one.value === 'office')
+  && !document.body.innerText.includes('office: ')
+"""
+"""A scene is chosen, and nothing of it is on its way."""
+FIRST_S, LATER_S = 1.0, 0.2
+"""[s] What nobody minds, for the first path of a fresh service and for others."""
+UNANSWERED = "() => !document.body.innerText.includes('Answer after')"
+WATCH = """
+() => {
+  const button = [...document.querySelectorAll('button')].find(one => one.innerText === 'Take what is typed');
+  window.answered = new Promise(done => button.addEventListener('click', () => {
+    const began = performance.now();
+    new MutationObserver((_, observer) => {
+      if (!document.body.innerText.includes('Answer after')) return;
+      observer.disconnect();
+      done(performance.now() - began);
+    }).observe(document.body, {subtree: true, childList: true, characterData: true});
+  }, {once: true, capture: true}));
+}
+"""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the verb's options."""
+    parser.add_argument("--restarts", type=int, default=5, help="services, pages and browsers begun anew")
+    parser.add_argument("--count", type=int, default=10, help="plans of each after the first")
+    parser.add_argument("--json", action="store_true", help="print the rows as JSON")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Exit code 0 if the first answers come within a second, and the median of the others within a fifth of one."""
+    browser = next((found for name in CHROMIUM if (found := shutil.which(name))), None)
+    if browser is None:
+        raise ConfigError("bench page", "there is no Chromium on the PATH", "Install it: apt-get install chromium.")
+    first, later = list[FloatArray](), list[FloatArray]()
+    for _ in each(range(args.restarts), "browsers"):
+        with tempfile.TemporaryDirectory() as folder, serving(Path(folder)) as service:
+            took = press_all(service, Path(folder), browser, 1 + args.count)
+        first.append(took[:1])
+        later.append(took[1:])
+    rows = [_row(name, np.concatenate(some)) for name, some in (("first", first), ("later", later))]
+    show(rows, as_json=args.json)
+    return 0 if rows[0]["worst_s"] <= FIRST_S and rows[1]["p50_s"] <= LATER_S else 1
+
+
+def press_all(service: Running, folder: Path, browser: str, count: int) -> FloatArray:
+    """Ask for the way there and back in turn; for each the browser's time, and the processor's of page and service."""
+    from playwright.sync_api import sync_playwright
+
+    there = [", ".join(f"{value:.3f}" for value in end[:2]) for end in (service.start, service.goal)]
+    with viewing(service.endpoint, folder) as (page, url), sync_playwright() as playwright:
+        chromium = playwright.chromium.launch(executable_path=browser, args=list(FLAGS))
+        web = chromium.new_context(viewport=SIZE).new_page()  # type: ignore[arg-type]
+        web.goto(url)
+        web.get_by_text("Connected to").first.wait_for(timeout=PATIENCE_MS)
+        web.wait_for_function(DRAWN, timeout=PATIENCE_MS)
+        took = [_press(web, there[:: 1 - 2 * (i % 2)], (service.process.pid, page.pid)) for i in range(count)]
+        chromium.close()
+    return np.array(took)
+
+
+@contextmanager
+def viewing(endpoint: str, folder: Path) -> Iterator[tuple[subprocess.Popen[str], str]]:
+    """`gpdf view` as its own process, and its link."""
+    words = ["view", "--endpoint", endpoint, "--port", str(free_port())]
+    command = [sys.executable, "-m", "gpdf_service.cli", *words]
+    with (
+        (folder / "view.log").open("w") as said,
+        subprocess.Popen(command, stdout=subprocess.PIPE, stderr=said, text=True) as process,
+    ):
+        try:
+            assert process.stdout is not None
+            yield process, process.stdout.readline().split()[-1]
+        finally:
+            process.send_signal(signal.SIGTERM)
+            process.wait(PATIENCE_MS / 1000)
+
+
+def _press(web: Any, ends: list[str], processes: tuple[int, ...]) -> tuple[float, float]:  # noqa: ANN401 - of playwright
+    web.get_by_role("button", name="Clear").dispatch_event("click")  # whether or not the picture stands still
+    web.wait_for_function(UNANSWERED, timeout=PATIENCE_MS)
+    for name, text in zip(("Start", "Goal"), ends, strict=True):
+        field = web.get_by_label(name, exact=True).first
+        field.fill(text)
+        field.press("Enter")
+    web.wait_for_timeout(500)  # a person's hand goes from the keyboard to the mouse
+    web.evaluate(WATCH)
+    before = _worked(processes)
+    web.get_by_role("button", name="Take what is typed").dispatch_event("click")
+    seconds = float(web.evaluate("() => window.answered")) / 1000.0
+    return seconds, _worked(processes) - before
+
+
+def _worked(processes: tuple[int, ...]) -> float:
+    """Processor time of processes and their children [s]."""
+    mains = [psutil.Process(pid) for pid in processes]
+    return sum(sum(one.cpu_times()[:2]) for main in mains for one in (main, *main.children(recursive=True)))
+
+
+def _row(which: str, took: FloatArray) -> Row:
+    wall, cpu = took.T
+    return {
+        **{"plans": which, "count": len(took), "p50_s": float(np.median(wall)), "worst_s": float(wall.max())},
+        **{"cpu_p50_s": float(np.median(cpu)), "cpu_worst_s": float(cpu.max())},
+    }
