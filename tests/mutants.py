@@ -47,7 +47,6 @@ CERTIFICATE = "gpdf_service/planning/certificate.py"
 TURNS = "abs(aside) {} (TURN_UNTIL if speed < STANDS else TURN_FIRST)"
 EQUAL: dict[tuple[str, ...], str] = {
     (CERTIFICATE, "spare <= 0.0 → (spare < 0.0)"): "what is left of a distance is nothing to the last bit",
-    (CERTIFICATE, "3 → (4)", "HEIGHT_EVERY = 3"): "the height is looked at every 4 cm: the worst is the same to 1 mm",
     (CONTROLLER, f"{TURNS.format('>')} → ({TURNS.format('>=')})"): "an angle that is the limit to the last bit",
     (CONTROLLER, "speed < STANDS → (speed <= STANDS)"): "a speed that is the limit to the last bit",
     (CONTROLLER, "remaining / APPROACH_S → (remaining * APPROACH_S)"): "it is one second",
