@@ -53,7 +53,7 @@ def make_memo(count: int, dim: int) -> Memo:
 def recall(field: AnyField, x: FloatArray, memo: Memo, i: int, enough: float, off: float = OFF) -> float:
     """Distance at x, the i-th place that is remembered, to `off`, and its gradient in `memo.slope[i]`.
 
-    Distances are 1-Lipschitz: where the one from before says that there is `enough`, that is returned.
+    Distances are 1-Lipschitz: where the one from before says that there is `enough`, it is inf, and has no gradient.
     """
     dim = memo.place.shape[1]
     for j in range(i, max(i - 2, -1), -1):  # what the place before was told may do as well
@@ -71,7 +71,7 @@ def recall(field: AnyField, x: FloatArray, memo: Memo, i: int, enough: float, of
             for k in range(dim):
                 memo.place[i, k] = memo.place[j, k] if good else x[k]
                 memo.slope[i, k] = memo.slope[j, k] if good else np.nan
-        return float(memo.distance[j] + along) if good else enough
+        return float(memo.distance[j] + along) if good else np.inf
     for k in range(dim):
         memo.place[i, k] = x[k]
     place = (x[0], x[1], x[2] if dim == 3 else 0.0)

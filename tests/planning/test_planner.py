@@ -227,6 +227,20 @@ def test_chomp_never_raises_the_cost_and_lowers_it(office):
     np.testing.assert_array_equal(found.xi[[0, -1]], xi[[0, -1]])
 
 
+def test_chomp_comes_to_rest_for_any_radius(office):
+    """Far from obstacles only a bound of the distance is known: it has no gradient, whatever the sums round to."""
+    _, scene = office
+    space, rng = scene.free_space("human"), np.random.default_rng(5)
+    xi = np.column_stack([np.linspace(0.8, 4.5, 40), np.linspace(0.8, 2.2, 40), np.full(40, 1.9)])
+    fields = space.obstacle_fields[0].arrays, space.ground_fields[0].arrays
+    for radius in rng.uniform(0.15, 0.35, 60):
+        given = {"radius": radius, "height": 2.0, "epsilon": 0.25, "smoothness_weight": 0.1}
+        found = optimize(xi, *fields, **given, max_iterations=100, tolerance=1e-4)
+        assert found.converged, radius
+        assert np.isfinite(found.xi).all()
+        assert found.costs[-1] < found.costs[0]
+
+
 def test_banded_equations_are_solved_exactly():
     rng = np.random.default_rng(0)
     band = rng.normal(size=(10, 3, 4))
