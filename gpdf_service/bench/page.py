@@ -40,9 +40,10 @@ FIRST_S, LATER_S = 1.0, 0.2
 """[s] What nobody minds, for the first path of a fresh service and for others."""
 UNANSWERED = "() => !document.body.innerText.includes('Answer after')"
 WATCH = """
-() => {
+patience => {
   const button = [...document.querySelectorAll('button')].find(one => one.innerText === 'Take what is typed');
-  window.answered = new Promise(done => button.addEventListener('click', () => {
+  window.answered = new Promise((done, failed) => button.addEventListener('click', () => {
+    setTimeout(() => failed(new Error(`the page shows no answer after ${patience} ms`)), patience);
     const began = performance.now();
     new MutationObserver((_, observer) => {
       if (!document.body.innerText.includes('Answer after')) return;
@@ -118,7 +119,7 @@ def _press(web: Any, ends: list[str], processes: tuple[int, ...]) -> tuple[float
         field.fill(text)
         field.press("Enter")
     web.wait_for_timeout(500)  # a person's hand goes from the keyboard to the mouse
-    web.evaluate(WATCH)
+    web.evaluate(WATCH, PATIENCE_MS)
     before = _worked(processes)
     web.get_by_role("button", name="Take what is typed").dispatch_event("click")
     seconds = float(web.evaluate("() => window.answered")) / 1000.0

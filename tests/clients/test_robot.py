@@ -272,6 +272,17 @@ class Altered:
         return self.change(self.client.distance(*words, **options))
 
 
+def set_off(service):
+    """A robot on its way for a second, whose client can be altered, and its last command."""
+    client, _ = service
+    load(client, "free")
+    altered = Altered(client, lambda found: found)
+    driver = Driver(altered, "free", (5.0, 2.0), ROOMBA)
+    for i in range(20):
+        command = driver.step(Pose(1.0, 2.0, 0.0, 0.05 * i), 0.05 * i)
+    return altered, driver, command
+
+
 @pytest.mark.parametrize(
     ("change", "reason"),
     [
@@ -282,12 +293,7 @@ class Altered:
     ids=["not valid", "another version", "less room"],
 )
 def test_what_speaks_against_the_route_stops_it_each_by_itself(service, change, reason):
-    client, _ = service
-    load(client, "free")
-    altered = Altered(client, lambda found: found)
-    driver = Driver(altered, "free", (5.0, 2.0), ROOMBA)
-    for i in range(20):
-        command = driver.step(Pose(1.0, 2.0, 0.0, 0.05 * i), 0.05 * i)
+    altered, driver, command = set_off(service)
     assert command.forward > 0.0
     altered.change = change
     assert driver.step(Pose(1.0, 2.0, 0.0, 1.0), 1.0) == STOP
@@ -295,12 +301,7 @@ def test_what_speaks_against_the_route_stops_it_each_by_itself(service, change, 
 
 
 def test_what_stands_between_here_and_where_it_would_stand_blocks_it(service):
-    client, _ = service
-    load(client, "free")
-    altered = Altered(client, lambda found: found)
-    driver = Driver(altered, "free", (5.0, 2.0), ROOMBA)
-    for i in range(20):
-        command = driver.step(Pose(1.0, 2.0, 0.0, 0.05 * i), 0.05 * i)
+    altered, driver, command = set_off(service)
     ahead = altered.places[:, 0]
     begin, end = ahead[0], ahead[np.flatnonzero(np.diff(ahead) < 0.0)[0]]  # then the line follows, from its beginning
     assert end - begin > 0.1
