@@ -181,13 +181,19 @@ def _groups(joins: Pairs, alive: BoolArray) -> IntArray:
 def _bulk(layers: Layers, parts: Parts, joins: Pairs, alive: BoolArray) -> tuple[IntArray, int]:
     """The group of each part, and which group is the ground that one starts from: the lowest of the large ones.
 
-    What mostly lies over something is a ceiling, or a storey, and only the bulk where there is nothing else.
+    What mostly lies over something is a storey, and what lies over something with nothing above it a ceiling or a roof:
+    only the bulk where there is nothing else. Shelves hide most of a shop's floor from who scans it, not its ceiling.
     """
     group = _groups(joins, alive)
     size = np.bincount(group, parts.size * alive)
-    over = np.bincount(group, parts.share(parts.over, parts.keep) * parts.size * alive)
-    own = np.where(2 * over >= size, 0, size)
-    large = np.flatnonzero((size > 0) & (size >= BULK_SHARE * (own if own.any() else size).max()))
+    over, open_ = (
+        np.bincount(group, parts.share(kind, parts.keep) * parts.size * alive)
+        for kind in (parts.over, np.isinf(layers.headroom))
+    )
+    aloft = (2 * over >= size) | ((over > OVER_SHARE * size) & (2 * open_ >= size))
+    own = np.where(aloft, 0, size)
+    own = own if own.any() else size
+    large = np.flatnonzero((own > 0) & (own >= BULK_SHARE * own.max()))
     if len(large) == 1:
         return group, int(large[0])
     of_node = group[parts.label[parts.keep]]
@@ -231,7 +237,7 @@ def _storeys(layers: Layers, parts: Parts, group: IntArray, main: BoolArray, con
     covered = (layers.headroom >= config.storey_headroom) & np.isfinite(layers.headroom)
     size = np.bincount(of_node[keep], minlength=count)
     share = [np.bincount(of_node[keep & kind], minlength=count) / np.maximum(size, 1) for kind in (close, covered)]
-    large = size >= BULK_SHARE * size[group[main]].max()
+    large = size * layers.cell_width**2 > TABLE_AREA
     found: BoolArray = large & (share[0] <= OVER_SHARE) & (share[1] >= COVERED_SHARE)
     return found
 
