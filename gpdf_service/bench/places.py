@@ -11,12 +11,13 @@ from gpdf_service.bench.exact import ON, SPACING, worst_foot
 from gpdf_service.bench.houses import THIN
 from gpdf_service.bench.judge import Judge
 from gpdf_service.bench.report import Row, each
+from gpdf_service.errors import NoGroundError
 from gpdf_service.pipeline import build_scene, plan
 from gpdf_service.scene import Scene
 from gpdf_service.synthetic.place import SEEN, Place
-from gpdf_service.synthetic.places import ISLANDS, ONE_FLOOR
+from gpdf_service.synthetic.places import ISLANDS, ONE_FLOOR, car_park, museum
 from gpdf_service.synthetic.scanners import NOISE, SCANNERS, Scan
-from gpdf_service.types import AGENTS, Agent, FloatArray, Status
+from gpdf_service.types import AGENTS, Agent, BoolArray, FloatArray, Status
 
 STARTS = 100
 """Random starts in each place, where nothing else is asked for."""
@@ -64,6 +65,36 @@ def _land(scene: Scene, judge: Judge, place: Place, agent: Agent, starts: FloatA
         "touching": int((deep > 0.0).sum()),
         "deepest_mm": 1e3 * float(deep.max(initial=0.0)),
     }
+
+
+def label_rows(
+    scanner: str,
+    count: int | None,
+    seed: int,
+    noise: float | None = None,
+    makers: Sequence[Callable[[np.random.Generator], Place]] = (*ONE_FLOOR, *ISLANDS, museum, car_park),
+) -> Iterator[Row]:
+    """For each kind of place, of several: how much of its ground is found at least, and how much is none at most."""
+    for make in each(makers, f"labels, {scanner}"):
+        found, wrong = [], []
+        for number in range(seed, seed + (count or 4)):
+            _, scan = _scanned(make(np.random.default_rng(number)), scanner, number, noise)
+            ground = _labelled(scan.points)
+            found.append(float((ground & scan.ground).sum() / max(scan.ground.sum(), 1)))
+            wrong.append(float((ground & ~scan.ground).sum() / max(ground.sum(), 1)))
+        yield {
+            **{"row": "labels", "place": make.__name__, "scanner": scanner, "scans": len(found)},
+            **{"found_least": round(min(found), 4), "wrong_most": round(max(wrong), 4)},
+            **{"found_mean": round(float(np.mean(found)), 4), "wrong_mean": round(float(np.mean(wrong)), 4)},
+        }
+
+
+def _labelled(points: FloatArray) -> BoolArray:
+    """What is ground of an unlabelled cloud; nothing where none is."""
+    try:
+        return build_scene(points).ground
+    except NoGroundError:
+        return np.zeros(len(points), dtype=bool)
 
 
 def island_rows(scanner: str, count: int | None, seed: int, noise: float | None = None) -> Iterator[Row]:

@@ -21,7 +21,7 @@ from gpdf_service.perception import read_cloud
 from gpdf_service.perception.surface import OBSERVED, UNKNOWN
 from gpdf_service.pipeline import build_scene
 from gpdf_service.synthetic import SCENES, random_room
-from gpdf_service.synthetic.places import ONE_FLOOR
+from gpdf_service.synthetic.places import ONE_FLOOR, museum, platform, supermarket
 from gpdf_service.types import BoolArray, FloatArray, IntArray
 
 NOISES = (0.0, 0.02, 0.05)
@@ -60,8 +60,8 @@ RULES: dict[str, tuple[str, str, Callable[..., Any]]] = {
     "low things": (_P + "segment", "low_things", _false(1)),
     "dead ends and tables": (_P + "parts", "_dead_ends", _false(2)),
     "ways between storeys": (_P + "parts", "_between_storeys", lambda _, joins, *__: np.zeros(len(joins[0]), bool)),
-    "storeys without a stair": (_P + "parts", "_storeys", lambda _, __, group, *___: np.zeros(group.max() + 1, bool)),
-    "pits": (_P + "parts", "_pits", lambda _, __, group, *___: np.zeros(group.max() + 1, bool)),
+    "ground that no way leads to": (_P + "parts", "_apart", lambda _, __, group, *___: np.zeros(group.max() + 1, bool)),
+    "ceilings": (_P + "parts", "rises_beside", lambda nodes, *_: np.ones(len(nodes), dtype=bool)),
     "faces of boards": (_P + "layers", "tops_of_boards", _middles),
     "seams of sheets": (_P + "sheets", "_seams", lambda *_: []),
     "the foot of a step in its cell": (_P + "sheets", "_under_step", lambda near, _: near.layers.cell < 0),
@@ -176,8 +176,12 @@ def _houses(seed: int, count: int) -> Row:
 
 
 def _crowded(seed: int) -> Row:
+    """Where starts land, and the ground of places of which shelves, tracks and stairs make several."""
     rows = list(places.land_rows("tripod", STARTS, seed, None, ONE_FLOOR[::3]))
-    return {key: sum(row[key] for row in rows) for key in ("landed", "no_ground", "touching")}
+    labels = list(places.label_rows("tripod", 3, seed, None, (supermarket, platform, museum)))
+    return {key: sum(row[key] for row in rows) for key in ("landed", "no_ground", "touching")} | {
+        f"{row['place']}_{key}": row[key] for row in labels for key in ("found_mean", "wrong_mean")
+    }
 
 
 def _islands(seed: int) -> Row:

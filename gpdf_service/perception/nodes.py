@@ -422,6 +422,28 @@ def nodes_over(nodes: IntArray, cell: IntArray, height: FloatArray, keep: BoolAr
 
 
 @njit(cache=True, nogil=True)
+def rises_beside(
+    nodes: IntArray,
+    cell: IntArray,
+    start: IntArray,
+    shape: tuple[int, int],
+    height: FloatArray,
+    top: FloatArray,
+    step: float,
+) -> BoolArray:
+    """Over which of the `nodes` something rises by more than a `step`, in their cells or the eight around, (m,)."""
+    rises = np.zeros(len(nodes), np.bool_)
+    for k in range(len(nodes)):
+        x, y = divmod(cell[nodes[k]], shape[1])
+        least = height[nodes[k]] + step
+        for i in range(max(x - 1, 0), min(x + 2, shape[0])):
+            first, last = max(y - 1, 0), min(y + 2, shape[1])
+            for other in range(start[i * shape[1] + first], start[i * shape[1] + last]):
+                rises[k] |= top[other] > least
+    return rises
+
+
+@njit(cache=True, nogil=True)
 def grown_sheet(
     cell: IntArray,
     start: IntArray,

@@ -11,9 +11,10 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from gpdf_service.config import PerceptionConfig
+from gpdf_service.errors import NoGroundError
 from gpdf_service.perception.beside import Beside
 from gpdf_service.perception.layers import Layers, Pairs, steady
-from gpdf_service.perception.nodes import components, extents_in_plan, nodes_over, numbered_among
+from gpdf_service.perception.nodes import components, extents_in_plan, nodes_over, numbered_among, rises_beside
 from gpdf_service.perception.pairs import pairs_within
 from gpdf_service.perception.strides import HALF_FOOT, STRIDE, find_strides
 from gpdf_service.types import BoolArray, FloatArray, IntArray
@@ -24,6 +25,8 @@ TABLE_OVER_SHARE = 0.05
 """The same of what is no larger than a table and leads no further up: the floor seen below one side of it."""
 TABLE_AREA = 4.0
 """[m²] Furniture is no larger than a conference table for eight."""
+ROOM_AREA = 6.5
+"""[m²] No storey is smaller than the least room that one may live in, by the International Residential Code, R304."""
 BULK_SHARE = 0.3
 """Of the largest ground that has nothing below most of it (a ceiling has): what is smaller is not the floor that one
 starts from."""
@@ -136,10 +139,9 @@ def accept_parts(layers: Layers, parts: Parts, joins: Pairs, low: BoolArray, con
         alive &= ~dead
     if not alive.any():
         return alive
-    group, bulk = _bulk(layers, parts, joins, alive)
+    group, bulk = _bulk(layers, parts, joins, alive, config)
     main = alive & (group == bulk)
-    apart = _storeys(layers, parts, group, main, config) | _pits(layers, parts, group, main, config)
-    accepted: BoolArray = main | (alive & apart[group])
+    accepted: BoolArray = main | (alive & _apart(layers, parts, group, main, config)[group])
     return accepted
 
 
@@ -178,21 +180,35 @@ def _groups(joins: Pairs, alive: BoolArray) -> IntArray:
     return group
 
 
-def _bulk(layers: Layers, parts: Parts, joins: Pairs, alive: BoolArray) -> tuple[IntArray, int]:
+def _bulk(
+    layers: Layers, parts: Parts, joins: Pairs, alive: BoolArray, config: PerceptionConfig
+) -> tuple[IntArray, int]:
     """The group of each part, and which group is the ground that one starts from: the lowest of the large ones.
 
-    What mostly lies over something is a storey, and what lies over something with nothing above it a ceiling or a roof:
-    only the bulk where there is nothing else. Shelves hide most of a shop's floor from who scans it, not its ceiling.
+    What mostly lies over something is a storey, and only the bulk where there is nothing else. A ceiling is never: it
+    lies over something, and nothing rises from it as walls do from a floor. Shelves hide most of a shop's floor from
+    who scans it, and nothing of its ceiling.
+
+    Raises:
+        NoGroundError: there are but ceilings.
     """
     group = _groups(joins, alive)
     size = np.bincount(group, parts.size * alive)
-    over, open_ = (
-        np.bincount(group, parts.share(kind, parts.keep) * parts.size * alive)
-        for kind in (parts.over, np.isinf(layers.headroom))
+    lies, inner = (
+        np.bincount(group, parts.share(parts.over, among) * parts.size * alive)
+        for among in (parts.keep, parts.keep & parts.inner)
     )
-    aloft = (2 * over >= size) | ((over > OVER_SHARE * size) & (2 * open_ >= size))
-    own = np.where(aloft, 0, size)
-    own = own if own.any() else size
+    asked = inner > 0.0
+    asked &= size >= BULK_SHARE * size.max()
+    nodes = np.flatnonzero(parts.keep & (alive & asked[group])[parts.label])
+    grid = layers.cell, layers.start, layers.shape, layers.height, layers.top
+    rises = nodes[rises_beside(nodes, *grid, config.max_step)]
+    risen = np.bincount(group[parts.label[rises]], minlength=len(size))
+    ceiling = asked & (risen < OVER_SHARE * inner)
+    if not (size > 0)[~ceiling].any():
+        raise NoGroundError("ground", "all that is level and wide enough is a ceiling", "Was the floor scanned?")
+    own = np.where(ceiling | (2 * lies >= size), 0, size)
+    own = own if own.any() else np.where(ceiling, 0, size)
     large = np.flatnonzero((own > 0) & (own >= BULK_SHARE * own.max()))
     if len(large) == 1:
         return group, int(large[0])
@@ -223,49 +239,72 @@ def _dead_ends(parts: Parts, joins: Pairs, alive: BoolArray, table: BoolArray) -
     return dead
 
 
-def _storeys(layers: Layers, parts: Parts, group: IntArray, main: BoolArray, config: PerceptionConfig) -> BoolArray:
-    """Which groups are storeys by themselves, though no stair to them was seen.
+def _apart(layers: Layers, parts: Parts, group: IntArray, main: BoolArray, config: PerceptionConfig) -> BoolArray:
+    """Which groups are ground by themselves, though no way to them was seen, shape (groups,).
 
-    They are large, under a ceiling, and high over the ground that one starts from. A roof has the sky, a table is close
-    over the floor.
-    """
-    count = int(group.max()) + 1
-    of_node, keep = group[parts.label], parts.keep
-    nodes = np.flatnonzero(keep & ~main[parts.label])
-    close = np.zeros(len(keep), dtype=bool)
-    close[nodes] = nodes_over(nodes, layers.cell, layers.height, keep & main[parts.label], config.storey_headroom)
-    covered = (layers.headroom >= config.storey_headroom) & np.isfinite(layers.headroom)
-    size = np.bincount(of_node[keep], minlength=count)
-    share = [np.bincount(of_node[keep & kind], minlength=count) / np.maximum(size, 1) for kind in (close, covered)]
-    large = size * layers.cell_width**2 > TABLE_AREA
-    found: BoolArray = large & (share[0] <= OVER_SHARE) & (share[1] >= COVERED_SHARE)
-    return found
-
-
-def _pits(layers: Layers, parts: Parts, group: IntArray, main: BoolArray, config: PerceptionConfig) -> BoolArray:
-    """Which groups are pits, track beds, courts: larger than furniture, open, and lower than the `main` ground beside.
-
-    What lies under the main ground is a mirror's image of the ceiling, and what rises over it may be a roof.
+    They are larger than furniture, and the ground that one starts from is not close below them. What is within a step
+    of the ground beside it goes on behind a shelf or a fence. A storey is under a ceiling, and either vast or the level
+    floor of a room high over the ground beside it, which a tree's crown is not. What is open, and in whose cells that
+    ground is not, is a pit, a track bed or a court where it is lower than the ground beside it, and a platform where it
+    is vast and lower than a roof that people live under.
     """
     count, of_node, ours = int(group.max()) + 1, group[parts.label], parts.keep & main[parts.label]
     size = np.bincount(of_node[parts.keep], minlength=count)
-    large = size * layers.cell_width**2 > TABLE_AREA
+    area, vast = size * layers.cell_width**2, size >= BULK_SHARE * size[group[main]].max()
+    large = area > TABLE_AREA
     large[np.append(group[main], group[-1])] = False
     nodes = np.flatnonzero(parts.keep & large[of_node])
+
+    def share(kind: BoolArray) -> FloatArray:
+        made: FloatArray = np.bincount(of_node[nodes[kind]], minlength=count) / np.maximum(size, 1)
+        return made
+
+    under = share((layers.headroom[nodes] >= config.storey_headroom) & np.isfinite(layers.headroom[nodes]))
+    large &= share(nodes_over(nodes, layers.cell, layers.height, ours, config.storey_headroom)) <= OVER_SHARE
+    storey, open_ = under >= COVERED_SHARE, share(~_holding(layers, ours)[layers.cell[nodes]]) >= 1.0 - OVER_SHARE
+    asked = large & (open_ | storey)
+    nodes = nodes[asked[of_node[nodes]]]
     if not len(nodes):
-        return large
-    high = np.full(layers.shape, -np.inf)
+        return asked
+    rise = layers.height[nodes] - _beside(layers, ours)[layers.cell[nodes]]
+    level = np.abs(layers.height[nodes] - _medians(layers.height[nodes], of_node[nodes], count)) <= config.max_step
+    even, sunk, low, lofty = (
+        share(kind) >= 1.0 - OVER_SHARE
+        for kind in (
+            np.abs(rise) <= config.max_step,
+            rise < -config.max_step,
+            rise < config.storey_headroom,
+            level & (rise >= config.storey_headroom),
+        )
+    )
+    storey &= vast | (lofty & (area >= ROOM_AREA))
+    found: BoolArray = asked & (even | storey | (open_ & (sunk | vast & low)))
+    return found
+
+
+def _holding(layers: Layers, ours: BoolArray) -> BoolArray:
+    """Which cells hold one of `ours`, shape (cells,)."""
+    holds = np.zeros(len(layers.start) - 1, dtype=bool)
+    holds[layers.cell[ours]] = True
+    return holds
+
+
+def _beside(layers: Layers, ours: BoolArray) -> FloatArray:
+    """Height of the highest of `ours` in the nearest cell that holds one [m], shape (cells,)."""
+    high = np.zeros(layers.shape)
     high.ravel()[layers.cell[ours]] = layers.height[ours]  # the highest: nodes are sorted by their height in a cell
-    nodes = nodes[np.isinf(high.ravel()[layers.cell[nodes]])]
-    large &= np.bincount(of_node[nodes], minlength=count) >= (1.0 - OVER_SHARE) * size
-    nodes = nodes[large[of_node[nodes]]]
-    if not len(nodes):
-        return large
-    nearest = ndimage.distance_transform_edt(np.isinf(high), return_distances=False, return_indices=True)
-    beside = high[tuple(nearest)].ravel()[layers.cell[nodes]]
-    low = layers.height[nodes] < beside - config.max_step
-    pits: BoolArray = large & (np.bincount(of_node[nodes[low]], minlength=count) >= (1.0 - OVER_SHARE) * size)
-    return pits
+    holds = _holding(layers, ours).reshape(layers.shape)
+    nearest = ndimage.distance_transform_edt(~holds, return_distances=False, return_indices=True)
+    made: FloatArray = high[tuple(nearest)].ravel()
+    return made
+
+
+def _medians(values: FloatArray, group: IntArray, count: int) -> FloatArray:
+    """Of each value the median of its group, shape (n,)."""
+    middle = np.zeros(count)
+    for one in np.unique(group):
+        middle[one] = np.median(values[group == one])
+    return middle[group]
 
 
 def undersides(
@@ -274,9 +313,9 @@ def undersides(
     """Nodes `core` of slabs that are seen from below, the parts without them, and which of these are what was left.
 
     An underside is the next below nodes of parts, by no more than a step, as wide as a body (a stair's tread goes on
-    beneath the next one by its nosing alone), and most of it has something below it: the floor has not. Of a part of
-    which that is the most the rest is pieces by themselves: where the slab's top has holes in its scan, and a stair's
-    last tread, where that is as high as the underside beside it. See `without_ceilings`.
+    beneath the next one by its nosing alone), and more of it has something below it than strays are: the floor has not.
+    Of a part of which that is the most the rest is pieces by themselves: where the slab's top has holes in its scan,
+    and a stair's last tread, where that is as high as the underside beside it. See `without_ceilings`.
     """
     layers, under = near.layers, np.zeros(len(core), dtype=bool)
     rows = np.flatnonzero(~parts.keep[:-1] & parts.keep[1:] & parts.over[1:])
@@ -286,9 +325,8 @@ def undersides(
     region = np.full(len(core), len(rows))
     region[rows] = np.unique(components(a, b, under)[rows], return_inverse=True)[1]
     depth = extents_in_plan(layers.cell, layers.shape[1], under, region, layers.cell_width)[1]
-    aloft = np.bincount(region[under & parts.over], minlength=len(depth)) * 2 >= np.bincount(
-        region[under], minlength=len(depth)
-    )
+    lies, size = (np.bincount(region[kind], minlength=len(depth)) for kind in (under & parts.over, under))
+    aloft = lies > OVER_SHARE * size
     under[rows] = ((depth >= config.standing_width) & aloft)[region[rows]]
     ceiling = parts.share(under, np.ones(len(core), dtype=bool)) >= 0.5
     ceiling[-1] = False

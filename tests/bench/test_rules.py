@@ -54,9 +54,9 @@ def test_a_rule_is_told_by_the_first_scenes_that_it_moves(tmp_path, monkeypatch)
     for name in ("_houses", "_crowded", "_islands"):
         monkeypatch.setattr(f"gpdf_service.bench.rules.{name}", lambda *_: {"ways": len(asked)})
     monkeypatch.setattr("gpdf_service.bench.rules._rooms", rooms)
-    rows = list(rule_rows(tmp_path, 1, 2, ["pits", "roofs"]))
-    assert [row["without"] for row in rows] == ["pits", "roofs"]
-    assert rows[0] == {"without": "pits", "in": "all", "moves": "nothing"}
+    rows = list(rule_rows(tmp_path, 1, 2, ["ceilings", "roofs"]))
+    assert [row["without"] for row in rows] == ["ceilings", "roofs"]
+    assert rows[0] == {"without": "ceilings", "in": "all", "moves": "nothing"}
     assert rows[1]["in"] == "islands"
     assert rows[1]["moves"] == "ways 2 → 3"
     assert asked == [(1, 2)] * 3
