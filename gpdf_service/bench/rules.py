@@ -32,6 +32,8 @@ HALL = (0.05,)
 """[m] Voxels of the museum's stair."""
 PAIRS = 20
 """Of Spot on the spiral ramps."""
+REFLECTED = 1e-4
+"""[-] Of a scan's points: glass, water and dust send back single ones from anywhere."""
 STARTS = 30
 """In each crowded place."""
 
@@ -129,6 +131,7 @@ def rule_rows(data: Path, seed: int, count: int, rules: Sequence[str]) -> Iterat
         "islands": partial(_islands, seed),
         "houses": partial(_houses, seed, count),
         "crowded places": partial(_crowded, seed),
+        "reflections": partial(_reflections, seed),
     }
     whole: dict[str, Row] = {}
     for rule in each(rules, "rules"):
@@ -163,6 +166,16 @@ def _rooms(seed: int, count: int) -> Row:
     mean = {key: round(float(np.nanmean([row.get(key, np.nan) for row in rows])), 4) for key in keys}
     wrong = ("human_wrong_free", "roomba_wrong_free")
     return {"rooms": len(rows)} | mean | {key: sum(row.get(key, 0) for row in rows) for key in wrong}
+
+
+def _reflections(seed: int) -> Row:
+    """A room that two tripods scan, with single points anywhere in the air of it."""
+    rng, clean = np.random.default_rng(seed), random_room(np.random.default_rng(seed))
+    points = clean.points[scanned(clean.points, clean.points, rng)]
+    low, high = points.min(axis=0), points.max(axis=0)
+    reflected = rng.uniform(low, high, (int(REFLECTED * len(points)), 3))
+    row = judge(build_scene(np.concatenate([points, reflected])), clean)
+    return {key: round(row[key], 4) for key in ("known_of_true", "human_free_of_true", "roomba_free_of_true")}
 
 
 def _houses(seed: int, count: int) -> Row:
