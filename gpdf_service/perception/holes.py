@@ -74,7 +74,8 @@ def fill_holes(
     under a ceiling's height, inf where there is none), shut off from the map's rim, with no place further than
     `MAX_HOLE_RADIUS` from `firm_ground`, and with the ground around it on one plane within a cell's slope or higher: an
     edge that drops is not bridged. Nor is a void. Under a thing it is filled only where ground was seen beneath its
-    rim. A notch in a flight is filled with the treads beside it, and the gap between two treads with the lower one.
+    rim, and no further in than a foot bridges: what stands there against its back nobody sees. A notch in a flight is
+    filled with the treads beside it, and the gap between two treads with the lower one.
     Nothing is filled where the samples of the ground are so far apart that cells had to be as wide as they may be: what
     is empty then is no chance, and what is around it explains nothing.
 
@@ -103,7 +104,8 @@ def fill_holes(
     firm = nearest_of(firm_ground(surface, config))[0] * surface.cell_width
     _fill(height, state, ~known & ~material, known, firm, surface.cell_width, void, OPEN_SHARE)
     solid = state != UNKNOWN  # then the ground that carries the furniture itself
-    under = ~solid & (firm <= MAX_HOLE_RADIUS) & material & _seen_hollow(~solid & material, known & material)
+    rim = nearest_of(solid)[0] * surface.cell_width <= 0.5 * config.widest_gap
+    under = ~solid & rim & (firm <= MAX_HOLE_RADIUS) & material & _seen_hollow(~solid & material, known & material)
     _fill(height, state, under, solid, firm, surface.cell_width, void, SHUT_SHARE)
     _fill_gaps(height, state, state == UNKNOWN, surface, near, noise)  # what is left of larger ones
     return replace(surface, height=height, state=state)

@@ -45,6 +45,20 @@ def test_in_the_shadow_of_a_wall_nothing_is_ground_and_the_same_hole_in_the_open
         assert state_at(alone, 2.0, y) == INFERRED
 
 
+def test_beneath_a_shelf_the_floor_is_known_as_far_as_a_foot_bridges_from_what_was_seen():
+    """What stands beneath it, against its back, a scan from its front does not show."""
+
+    def unseen(x, y):
+        return (np.abs(x - 3.0) < 0.7) & (np.abs(y - 3.0) < 0.3)
+
+    x, y = (axis.ravel() for axis in np.meshgrid(np.arange(2.0, 4.0, 0.02), np.arange(2.5, 3.5, 0.02)))
+    surface = surface_of(floor_without(unseen), np.column_stack([x, y, np.full(x.size, 0.15)]))
+    assert not surface.contains(np.array([[3.0, 3.0], [2.6, 3.0], [3.0, 2.9]])).any()
+    assert surface.contains(np.array([[3.0, 2.76], [2.36, 3.0]])).all()
+    bare = surface_of(floor_without(unseen), np.empty((0, 3)))
+    assert state_at(bare, 3.0, 3.0) == INFERRED
+
+
 def test_a_single_cell_that_the_scan_missed_before_a_wall_hides_nothing():
     along = np.arange(0.02, 6.0, 0.02)
     wall = upright(along, np.full(len(along), 5.99))
