@@ -21,7 +21,7 @@ from gpdf_service.perception import read_cloud
 from gpdf_service.perception.surface import OBSERVED, UNKNOWN
 from gpdf_service.pipeline import build_scene
 from gpdf_service.synthetic import SCENES, random_room
-from gpdf_service.synthetic.places import ONE_FLOOR, museum, platform, supermarket
+from gpdf_service.synthetic.places import ONE_FLOOR, bedroom, museum, platform, supermarket, workshop
 from gpdf_service.types import BoolArray, FloatArray, IntArray
 
 NOISES = (0.0, 0.02, 0.05)
@@ -61,6 +61,7 @@ RULES: dict[str, tuple[str, str, Callable[..., Any]]] = {
     "roofs": (_P + "segment", "_roofs", _false(1)),
     "low things": (_P + "segment", "low_things", _false(1)),
     "dead ends and tables": (_P + "parts", "_dead_ends", _false(2)),
+    "upon tables": (_P + "parts", "_upon_tables", lambda _, __, ___, alive, ____: np.zeros(len(alive), bool)),
     "ways between storeys": (_P + "parts", "_between_storeys", lambda _, joins, *__: np.zeros(len(joins[0]), bool)),
     "ground that no way leads to": (_P + "parts", "_apart", lambda _, __, group, *___: np.zeros(group.max() + 1, bool)),
     "ceilings": (_P + "parts", "rises_beside", lambda nodes, *_: np.ones(len(nodes), dtype=bool)),
@@ -191,7 +192,7 @@ def _houses(seed: int, count: int) -> Row:
 def _crowded(seed: int) -> Row:
     """Where starts land, and the ground of places of which shelves, tracks and stairs make several."""
     rows = list(places.land_rows("tripod", STARTS, seed, None, ONE_FLOOR[::3]))
-    labels = list(places.label_rows("tripod", 3, seed, None, (supermarket, platform, museum)))
+    labels = list(places.label_rows("tripod", 3, seed, None, (supermarket, platform, museum, workshop, bedroom)))
     return {key: sum(row[key] for row in rows) for key in ("landed", "no_ground", "touching")} | {
         f"{row['place']}_{key}": row[key] for row in labels for key in ("found_mean", "wrong_mean")
     }

@@ -135,7 +135,7 @@ def accept_parts(layers: Layers, parts: Parts, joins: Pairs, low: BoolArray, con
     over = _over_share(layers, parts, low, config)
     small = parts.size * layers.cell_width**2 <= TABLE_AREA
     table = over > np.where(small, TABLE_OVER_SHARE, OVER_SHARE)
-    while (dead := _dead_ends(parts, joins, alive, table)).any():
+    while (dead := _dead_ends(parts, joins, alive, table) | _upon_tables(layers, parts, joins, alive, table)).any():
         alive &= ~dead
     if not alive.any():
         return alive
@@ -155,11 +155,15 @@ def without_crumbs(layers: Layers, parts: Parts, joins: Pairs) -> Parts:
     return replace(parts, size=np.where(area[unit] < HALF_FOOT, 0, parts.size))
 
 
-def _units(parts: Parts, joins: Pairs, narrow: BoolArray) -> IntArray:
-    """Number of each part's tread, shape (parts + 1,): `narrow` parts that are level and joined are one."""
+def _units(parts: Parts, joins: Pairs, *kinds: BoolArray) -> IntArray:
+    """Number of what each part belongs to, shape (parts + 1,): parts of one kind that are level and joined are one.
+
+    Narrow ones are a tread, tables that stand together a table.
+    """
     a, b = joins
-    same = narrow[a] & narrow[b] & (np.abs(parts.level[a] - parts.level[b]) <= parts.rise)
-    unit: IntArray = components(a[same], b[same], narrow)
+    same = np.logical_or.reduce([kind[a] & kind[b] for kind in kinds])
+    same &= np.abs(parts.level[a] - parts.level[b]) <= parts.rise
+    unit: IntArray = components(a[same], b[same], np.logical_or.reduce(kinds))
     return unit
 
 
@@ -225,7 +229,7 @@ def _dead_ends(parts: Parts, joins: Pairs, alive: BoolArray, table: BoolArray) -
     """
     (a, b), count = pairs_within(*joins, alive, True), len(alive)
     narrow = alive & ~parts.standable
-    unit = _units(parts, joins, narrow)
+    unit = _units(parts, joins, narrow, alive & parts.standable & table)
     one, other = np.concatenate([unit[a], unit[b]]), np.concatenate([unit[b], unit[a]])
     one, other = np.divmod(np.unique((one * count + other)[one != other]), count)
     high, stands = np.zeros(count), np.zeros(count, dtype=bool)
@@ -237,6 +241,21 @@ def _dead_ends(parts: Parts, joins: Pairs, alive: BoolArray, table: BoolArray) -
     leads = (joined >= 2) & ((below < joined) | (floors >= 2))
     dead: BoolArray = alive & np.where(narrow, ~leads[unit], table & (below == joined)[unit])
     return dead
+
+
+def _upon_tables(layers: Layers, parts: Parts, joins: Pairs, alive: BoolArray, table: BoolArray) -> BoolArray:
+    """Parts that together are no larger than a table and to which one gets but up a `table`, shape (parts + 1,).
+
+    A chest that one climbs over a bed. What is larger, or the largest, may be where one starts from.
+    """
+    tables = alive & table & parts.standable
+    other = alive & ~tables
+    group = _groups(joins, other)
+    size = np.bincount(group, parts.size * other)
+    small: BoolArray = (size * layers.cell_width**2 <= TABLE_AREA) & (size < size.max())
+    one, two = (np.concatenate(ends) for ends in zip(joins, joins[::-1], strict=True))
+    small[group[two[tables[one] & other[two] & (parts.level[two] - parts.level[one] <= parts.rise)]]] = False
+    return other & small[group]
 
 
 def _apart(layers: Layers, parts: Parts, group: IntArray, main: BoolArray, config: PerceptionConfig) -> BoolArray:
