@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from gpdf_service.denoise.cells import Cells, cells_around, sort_into_cells
 from gpdf_service.denoise.edges import place_at_edges
+from gpdf_service.denoise.explained import return_explained
 from gpdf_service.denoise.noise import estimate_noise
 from gpdf_service.denoise.place import Placed, place_in_cells
 from gpdf_service.denoise.planes import Planes, find_planes
@@ -81,13 +82,14 @@ def denoise(points: FloatArray, parts: BoolArray | None = None, noise: float | N
             return as_measured(points, noise)
     parts = np.zeros(len(points), dtype=bool) if parts is None else parts
     made = as_measured(points.copy(), noise)
+    told = bool(parts.any())
     for part, things in ((parts, False), (~parts, True)):
         if np.count_nonzero(part) > FEWEST:
-            made.points[part], made.noise[part], made.stray[part] = _denoise_part(points[part], noise, things)
+            made.points[part], made.noise[part], made.stray[part] = _denoise_part(points[part], noise, things, told)
     return made
 
 
-def _denoise_part(points: FloatArray, noise: float, things: bool) -> tuple[FloatArray, FloatArray, BoolArray]:
+def _denoise_part(points: FloatArray, noise: float, things: bool, told: bool) -> tuple[FloatArray, FloatArray, BoolArray]:
     """Places [m], shape (k, 3), deviations left [m], (k,), and strays, (k,)."""
     width = max(RESOLVED * noise, _FILLED * estimate_spacing(points))
     placed = Placed(
@@ -112,6 +114,8 @@ def _denoise_part(points: FloatArray, noise: float, things: bool) -> tuple[Float
         release_things(cells, points, noise, placed)
     draw_in(cells, noise, placed)
     shift_rest(cells, noise, placed)
+    if told and things:
+        return_explained(cells, placed.pending | (_BIAS * placed.error >= EXTREME * noise), noise, placed)
     left = np.where(placed.pending, placed.error, np.minimum(_BIAS * placed.error, EXTREME * noise))
     return placed.points, np.maximum(left, HIDDEN * noise), find_alone(cells, placed)
 
