@@ -104,10 +104,14 @@ def _denoise_part(points: FloatArray, noise: float, things: bool, told: bool) ->
     cells = sort_into_cells(points, width)
     near = find_planes(cells, noise, cells_around(cells, placed.pending))
     main = _place_flat(cells, near, noise, placed)
+    astray = placed.pending.copy()
     follow_planes(cells, main, noise, placed)
     follow_planes(wide, widely, noise, placed)
+    astray &= ~placed.pending
     place_in_cells(cells, near, noise, placed, main)
+    left = placed.pending.copy()
     follow_planes(cells, main, noise, placed)
+    astray |= left & ~placed.pending
     if placed.pending.mean() > _FEW:
         place_in_cells(wide, planes, noise, placed, widely)
     if things:
@@ -115,7 +119,7 @@ def _denoise_part(points: FloatArray, noise: float, things: bool, told: bool) ->
     draw_in(cells, noise, placed)
     shift_rest(cells, noise, placed)
     if told and things:
-        return_explained(cells, placed.pending | (_BIAS * placed.error >= EXTREME * noise), noise, placed)
+        return_explained(cells, astray | placed.pending | (_BIAS * placed.error >= EXTREME * noise), noise, placed)
     left = np.where(placed.pending, placed.error, np.minimum(_BIAS * placed.error, EXTREME * noise))
     return placed.points, np.maximum(left, HIDDEN * noise), find_alone(cells, placed)
 

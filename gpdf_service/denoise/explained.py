@@ -15,12 +15,14 @@ from numba import njit
 from gpdf_service.denoise.cells import Cells, cells_within, holds_any
 from gpdf_service.denoise.place import Placed
 from gpdf_service.fields.threads import run_chunked
-from gpdf_service.types import BoolArray, FloatArray
+from gpdf_service.types import BoolArray, FloatArray, IntArray
 
 _RINGS = 2
 """Cells off its own in which a point's surface is looked for: 4 σ."""
-_CHANCE = 3.0
+_CHANCE = 2.0
 """[-] Standard errors by which what was measured at a place may exceed what is expected there."""
+_SEEN = 3.0
+"""Points of a surface within about σ of where a point goes: a plane of fewer is not known itself."""
 _SINGLE, _SQUARE = 2.0**-1.5, 3.0**-1.5
 """[-] What exp(−r² / 2 σ²) and its square are in the mean where N(0, σ²) puts r."""
 
@@ -51,7 +53,7 @@ def _explain_range(
 @njit(cache=True, nogil=True)
 def _is_explained(
     cells: Cells,
-    beside: FloatArray,
+    beside: IntArray,
     i: int,
     vague: BoolArray,
     sigma: float,
@@ -84,4 +86,5 @@ def _is_explained(
     if total < 1e-9 or measured > expected + _CHANCE * sqrt(variance):
         return False
     mean /= total
-    return True
+    a, b, d = mean[0] - cells.corner[0] - x, mean[1] - cells.corner[1] - y, mean[2] - cells.corner[2] - z
+    return bool(total >= _SEEN * exp(scale * (a * a + b * b + d * d)))
