@@ -12,8 +12,9 @@ from math import exp, sqrt
 import numpy as np
 from numba import njit
 
-from gpdf_service.denoise.cells import Cells, cells_within, holds_any
-from gpdf_service.denoise.place import Placed
+from gpdf_service.denoise.cells import Cells, cells_within, holds_any, sort_into_cells
+from gpdf_service.denoise.cloud import RESOLVED, Denoised
+from gpdf_service.denoise.rest import FURTHEST
 from gpdf_service.fields.threads import run_chunked
 from gpdf_service.types import BoolArray, FloatArray, IntArray
 
@@ -27,15 +28,28 @@ _SINGLE, _SQUARE = 2.0**-1.5, 3.0**-1.5
 """[-] What exp(−r² / 2 σ²) and its square are in the mean where N(0, σ²) puts r."""
 
 
-def return_explained(cells: Cells, vague: BoolArray, sigma: float, placed: Placed) -> None:
-    """Put `vague` points, shape (n,), onto the surfaces that the others show, where these explain them."""
-    points = placed.points.copy()
-    run_chunked(lambda a, b: _explain_range(cells, vague, sigma, points, placed, a, b), len(cells.key))
+def return_explained(points: FloatArray, part: BoolArray, cured: Denoised) -> None:
+    """Put the vague points of a `part`, shape (n,), onto the surfaces that the others of it show; not where it is more.
+
+    Args:
+        points: The cloud as it was measured [m], shape (n, 3).
+        part: Of it, that shows its own surfaces: what is no ground.
+        cured: What was made of it; its places are changed.
+    """
+    rows = np.flatnonzero(part & ~cured.stray)
+    vague = cured.vague[rows]
+    if not vague.any():
+        return
+    cells = sort_into_cells(points[rows], RESOLVED * cured.measured)
+    own = cells, vague, cured.measured, cured.points[rows] - cells.corner
+    places = cured.points[rows]
+    run_chunked(lambda a, b: _explain_range(*own, a, b, places), len(cells.key))
+    cured.points[rows] = places
 
 
 @njit(cache=True, nogil=True)
 def _explain_range(
-    cells: Cells, vague: BoolArray, sigma: float, points: FloatArray, placed: Placed, begin: int, end: int
+    cells: Cells, vague: BoolArray, sigma: float, told: FloatArray, begin: int, end: int, places: FloatArray
 ) -> None:
     beside, mean = np.empty((2 * _RINGS + 1) ** 3, np.int64), np.empty(3)
     for c in range(begin, end):
@@ -44,23 +58,16 @@ def _explain_range(
         count = cells_within(cells, c, _RINGS, beside)
         for i in range(cells.begin[c], cells.begin[c + 1]):
             row = cells.order[i]
-            if vague[row] and _is_explained(cells, beside[:count], i, vague, sigma, points, mean):
+            if vague[row] and _is_explained(cells, beside[:count], i, vague, sigma, told, mean):
                 for k in range(3):
-                    placed.points[row, k] = mean[k]
-                placed.pending[row] = False
+                    places[row, k] = mean[k] + cells.corner[k]
 
 
 @njit(cache=True, nogil=True)
 def _is_explained(
-    cells: Cells,
-    beside: IntArray,
-    i: int,
-    vague: BoolArray,
-    sigma: float,
-    points: FloatArray,
-    mean: FloatArray,
+    cells: Cells, beside: IntArray, i: int, vague: BoolArray, sigma: float, told: FloatArray, mean: FloatArray
 ) -> bool:
-    """Whether the surfaces explain what is at place i; writes where it is expected to come from."""
+    """Whether the surfaces `told` explain what is at place i; writes where it is expected to come from."""
     measured, expected, variance, total = 0.0, 0.0, 0.0, 0.0
     mean[:] = 0.0
     x, y, z = cells.places[i]
@@ -73,8 +80,8 @@ def _is_explained(
             row = cells.order[k]
             if vague[row]:
                 continue
-            s = points[row]
-            a, b, d = s[0] - cells.corner[0] - x, s[1] - cells.corner[1] - y, s[2] - cells.corner[2] - z
+            s = told[row]
+            a, b, d = s[0] - x, s[1] - y, s[2] - z
             square = scale * (a * a + b * b + d * d)
             weight = exp(square)
             expected += _SINGLE * exp(0.5 * square)
@@ -86,5 +93,5 @@ def _is_explained(
     if total < 1e-9 or measured > expected + _CHANCE * sqrt(variance):
         return False
     mean /= total
-    a, b, d = mean[0] - cells.corner[0] - x, mean[1] - cells.corner[1] - y, mean[2] - cells.corner[2] - z
-    return bool(total >= _SEEN * exp(scale * (a * a + b * b + d * d)))
+    off = (mean[0] - x) ** 2 + (mean[1] - y) ** 2 + (mean[2] - z) ** 2
+    return bool(off <= (FURTHEST * sigma) ** 2 and total >= _SEEN * exp(scale * off))

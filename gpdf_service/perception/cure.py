@@ -7,7 +7,16 @@ from typing import NamedTuple
 import numpy as np
 
 from gpdf_service.config import PerceptionConfig
-from gpdf_service.denoise import Denoised, as_measured, denoise, estimate_noise, find_lifted, onto_risers, onto_treads
+from gpdf_service.denoise import (
+    Denoised,
+    as_measured,
+    denoise,
+    estimate_noise,
+    find_lifted,
+    onto_risers,
+    onto_treads,
+    return_explained,
+)
 from gpdf_service.fields import build_tree, estimate_spacing
 from gpdf_service.perception.columns import compacted
 from gpdf_service.perception.layers import columns_over, in_steps
@@ -98,6 +107,7 @@ def _with_double(points: FloatArray, ground: BoolArray, sample: _Sample, least: 
 def _cured(points: FloatArray, ground: BoolArray, noise: float) -> CuredGround:
     """A cloud with labels: stairs on their treads, and what is between two treads on their risers."""
     cured = denoise(points, ground, noise)
+    return_explained(points, ~ground, cured)
     _settle_stairs(points, ground, cured)
     return CuredGround(_in_steps(cured), ground & ~cured.stray, as_it_was=False)
 
@@ -107,6 +117,7 @@ def _found(points: FloatArray, noise: float, spacing: float, config: PerceptionC
     cured = denoise(points, None, noise)
     ground, kept = np.zeros(len(points), dtype=bool), chosen_rows(cured.points, ~cured.stray)
     ground[~cured.stray] = segment(kept, first_layers(kept, config), config, noise)[0]
+    return_explained(points, ~ground, cured)
     _settle_stairs(points, ground, cured)
     stray = cured.stray | find_lifted(cured.points, ground, noise, spacing)
     return CuredGround(_in_steps(cured)._replace(stray=stray), ground & ~stray, as_it_was=False)
