@@ -14,12 +14,13 @@ from numba import njit
 
 from gpdf_service.denoise.cells import Cells, cells_within, holds_any, sort_into_cells
 from gpdf_service.denoise.cloud import RESOLVED, Denoised
-from gpdf_service.denoise.rest import FURTHEST
 from gpdf_service.fields.threads import run_chunked
 from gpdf_service.types import BoolArray, FloatArray, IntArray
 
 _RINGS = 2
 """Cells off its own in which a point's surface is looked for: 4 σ."""
+_FURTHEST = 4.5
+"""[-] Standard deviations off its surface that a point is: one in 147 000 is further, and a cloud has about as many."""
 _CHANCE = 2.0
 """[-] Standard errors by which what was measured at a place may exceed what is expected there."""
 _SEEN = 3.0
@@ -94,4 +95,4 @@ def _is_explained(
         return False
     mean /= total
     off = (mean[0] - x) ** 2 + (mean[1] - y) ** 2 + (mean[2] - z) ** 2
-    return bool(off <= (FURTHEST * sigma) ** 2 and total >= _SEEN * exp(scale * off))
+    return bool(off <= (_FURTHEST * sigma) ** 2 and total >= _SEEN * exp(scale * off))

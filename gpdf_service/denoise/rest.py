@@ -30,7 +30,7 @@ from gpdf_service.types import BoolArray, FloatArray, IntArray
 
 EXTREME = 1.5
 """[-] Standard deviation of a point that was not moved over the noise: the nearest of many is an extreme one."""
-FURTHEST = 4.0
+_FURTHEST = 4.0
 """[-] Standard deviations off a plane that noise makes: one in 16 000 is further."""
 _RINGS = 2
 """Cells off its own in which an outlier's plane is looked for: 4 σ."""
@@ -83,7 +83,7 @@ def find_alone(cells: Cells, placed: Placed) -> BoolArray:
 
 @njit(cache=True, nogil=True)
 def _follow_range(cells: Cells, main: NDArray[np.float32], sigma: float, placed: Placed, begin: int, end: int) -> None:
-    beside, limit = np.empty((2 * _RINGS + 1) ** 3, np.int64), FURTHEST * sigma
+    beside, limit = np.empty((2 * _RINGS + 1) ** 3, np.int64), _FURTHEST * sigma
     for c in range(begin, end):
         if not holds_any(cells, c, placed.pending):
             continue

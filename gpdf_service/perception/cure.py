@@ -105,7 +105,10 @@ def _with_double(points: FloatArray, ground: BoolArray, sample: _Sample, least: 
 
 
 def _cured(points: FloatArray, ground: BoolArray, noise: float) -> CuredGround:
-    """A cloud with labels: stairs on their treads, and what is between two treads on their risers."""
+    """A cloud with labels: stairs on their treads, and what is between two treads on their risers.
+
+    Where nobody labelled what lies low on the floor, the points beside do not tell it from the floor's outliers.
+    """
     cured = denoise(points, ground, noise)
     return_explained(points, ~ground, cured)
     _settle_stairs(points, ground, cured)
@@ -117,7 +120,6 @@ def _found(points: FloatArray, noise: float, spacing: float, config: PerceptionC
     cured = denoise(points, None, noise)
     ground, kept = np.zeros(len(points), dtype=bool), chosen_rows(cured.points, ~cured.stray)
     ground[~cured.stray] = segment(kept, first_layers(kept, config), config, noise)[0]
-    return_explained(points, ~ground, cured)
     _settle_stairs(points, ground, cured)
     stray = cured.stray | find_lifted(cured.points, ground, noise, spacing)
     return CuredGround(_in_steps(cured)._replace(stray=stray), ground & ~stray, as_it_was=False)
