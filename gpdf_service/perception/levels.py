@@ -526,7 +526,7 @@ def ledge_reach(surface: HeightMap) -> int:
 
 
 def face_reach(off: float) -> float:
-    """How far in plan a step's face may be from a point of its top, which may lie `off` it by a cell or by noise [m]."""
+    """How far in plan a step's face may be from its top, whose points may lie `off` it by a cell or by noise [m]."""
     return min(FACE, NOSING + off)
 
 
