@@ -115,7 +115,7 @@ def _denoise_part(
         place_in_cells(wide, planes, noise, placed, widely)
     if things:
         release_things(cells, points, noise, placed)
-    draw_in(cells, noise, placed)
+    astray |= draw_in(cells, noise, placed)
     shift_rest(cells, noise, placed)
     vague = astray | placed.pending | (_BIAS * placed.error >= EXTREME * noise)
     left = np.where(placed.pending, placed.error, np.minimum(_BIAS * placed.error, EXTREME * noise))
