@@ -7,24 +7,25 @@ to where it is expected to come from, Σ N(x; s, σ²) s / Σ N(x; s, σ²). Whe
 
 from __future__ import annotations
 
-from math import exp, sqrt
+from math import exp, pi, sqrt
 
 import numpy as np
 from numba import njit
 
 from gpdf_service.denoise.cells import Cells, cells_within, holds_any, sort_into_cells
 from gpdf_service.denoise.cloud import RESOLVED, Denoised
+from gpdf_service.fields.shapes import FEWEST
 from gpdf_service.fields.threads import run_chunked
 from gpdf_service.types import BoolArray, FloatArray, IntArray
 
 _RINGS = 2
-"""Cells off its own in which a point's surface is looked for: 4 σ."""
-_FURTHEST = 4.5
-"""[-] Standard deviations off its surface that a point is: one in 147 000 is further, and a cloud has about as many."""
-_CHANCE = 2.0
+"""Cells off its own in which a point's surface is looked for: 4 σ and more."""
+_FURTHEST = 5.0
+"""[-] Standard deviations off its surface that a point is: one in 1.7 million is further."""
+_CHANCE = 3.0
 """[-] Standard errors by which what was measured at a place may exceed what is expected there."""
-_SEEN = 3.0
-"""Points of a surface within about σ of where a point goes: a plane of fewer is not known itself."""
+_SEEN = FEWEST * 2.0 * pi / (3.0 * RESOLVED) ** 2
+"""Sum of exp(−r² / 2 σ²) over a plane's points, on it, at least: of the fewest in a window that show one."""
 _SINGLE, _SQUARE = 2.0**-1.5, 3.0**-1.5
 """[-] What exp(−r² / 2 σ²) and its square are in the mean where N(0, σ²) puts r."""
 

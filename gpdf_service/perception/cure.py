@@ -110,6 +110,7 @@ def _cured(points: FloatArray, ground: BoolArray, noise: float) -> CuredGround:
     Where nobody labelled what lies low on the floor, the points beside do not tell it from the floor's outliers.
     """
     cured = denoise(points, ground, noise)
+    cured.stray[~ground] = False  # what is alone goes back to a surface that explains it, or stays where it is
     return_explained(points, ~ground, cured)
     _settle_stairs(points, ground, cured)
     return CuredGround(_in_steps(cured), ground & ~cured.stray, as_it_was=False)
