@@ -4,6 +4,7 @@ import gpdf_service.kernel_cache  # noqa: F401  # before any kernel
 from gpdf_service.denoise.cloud import Denoised as Denoised
 from gpdf_service.denoise.cloud import as_measured as as_measured
 from gpdf_service.denoise.cloud import denoise as denoise
+from gpdf_service.denoise.explained import return_explained as return_explained
 from gpdf_service.denoise.flights import Flight as Flight
 from gpdf_service.denoise.flights import onto_risers as onto_risers
 from gpdf_service.denoise.flights import onto_treads as onto_treads

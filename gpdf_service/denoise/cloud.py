@@ -50,19 +50,22 @@ class Denoised(NamedTuple):
     Attributes:
         points: [m], shape (n, 3), in the order of the input.
         noise: Standard deviation left along the normal [m], shape (n,).
+        vague: Points whose surface is hardly known, or only the plane of a cell beside, shape (n,).
         stray: Points of no surface: alone where their surroundings are well sampled, shape (n,).
         measured: Standard deviation of the input along the normal [m].
     """
 
     points: FloatArray
     noise: FloatArray
+    vague: BoolArray
     stray: BoolArray
     measured: float
 
 
 def as_measured(points: FloatArray, noise: float) -> Denoised:
     """Points as they are, shape (n, 3), with the noise that they have [m]."""
-    return Denoised(points, np.full(len(points), noise), np.zeros(len(points), dtype=bool), noise)
+    none = np.zeros(len(points), dtype=bool)
+    return Denoised(points, np.full(len(points), noise), none, none.copy(), noise)
 
 
 def denoise(points: FloatArray, parts: BoolArray | None = None, noise: float | None = None) -> Denoised:
@@ -83,12 +86,15 @@ def denoise(points: FloatArray, parts: BoolArray | None = None, noise: float | N
     made = as_measured(points.copy(), noise)
     for part, things in ((parts, False), (~parts, True)):
         if np.count_nonzero(part) > FEWEST:
-            made.points[part], made.noise[part], made.stray[part] = _denoise_part(points[part], noise, things)
+            of = _denoise_part(points[part], noise, things)
+            made.points[part], made.noise[part], made.vague[part], made.stray[part] = of
     return made
 
 
-def _denoise_part(points: FloatArray, noise: float, things: bool) -> tuple[FloatArray, FloatArray, BoolArray]:
-    """Places [m], shape (k, 3), deviations left [m], (k,), and strays, (k,)."""
+def _denoise_part(
+    points: FloatArray, noise: float, things: bool
+) -> tuple[FloatArray, FloatArray, BoolArray, BoolArray]:
+    """Places [m], shape (k, 3), deviations left [m], (k,), which are vague, (k,), and strays, (k,)."""
     width = max(RESOLVED * noise, _FILLED * estimate_spacing(points))
     placed = Placed(
         points.copy(),
@@ -102,18 +108,25 @@ def _denoise_part(points: FloatArray, noise: float, things: bool) -> tuple[Float
     cells = sort_into_cells(points, width)
     near = find_planes(cells, noise, cells_around(cells, placed.pending))
     main = _place_flat(cells, near, noise, placed)
-    follow_planes(cells, main, noise, placed)
-    follow_planes(wide, widely, noise, placed)
+    astray = _follow(cells, main, noise, placed) | _follow(wide, widely, noise, placed)
     place_in_cells(cells, near, noise, placed, main)
-    follow_planes(cells, main, noise, placed)
+    astray |= _follow(cells, main, noise, placed)
     if placed.pending.mean() > _FEW:
         place_in_cells(wide, planes, noise, placed, widely)
     if things:
         release_things(cells, points, noise, placed)
-    draw_in(cells, noise, placed)
+    astray |= draw_in(cells, noise, placed)
     shift_rest(cells, noise, placed)
+    vague = astray | placed.pending | (_BIAS * placed.error >= EXTREME * noise)
     left = np.where(placed.pending, placed.error, np.minimum(_BIAS * placed.error, EXTREME * noise))
-    return placed.points, np.maximum(left, HIDDEN * noise), find_alone(cells, placed)
+    return placed.points, np.maximum(left, HIDDEN * noise), vague, find_alone(cells, placed)
+
+
+def _follow(cells: Cells, main: NDArray[np.float32], noise: float, placed: Placed) -> BoolArray:
+    """Put outliers onto the plane of a cell near them; which those are, shape (k,)."""
+    before = placed.pending.copy()
+    follow_planes(cells, main, noise, placed)
+    return before & ~placed.pending
 
 
 def _place_flat(cells: Cells, planes: Planes, noise: float, placed: Placed) -> NDArray[np.float32]:

@@ -16,7 +16,7 @@ from gpdf_service.denoise.cells import AROUND, Cells, begin_sweep, cells_within,
 from gpdf_service.denoise.place import Placed
 from gpdf_service.fields.shapes import FEWEST
 from gpdf_service.fields.threads import run_chunked
-from gpdf_service.types import FloatArray, IntArray
+from gpdf_service.types import BoolArray, FloatArray, IntArray
 
 _SAME = 0.5
 """[-] Standard deviations off a plane that what lies on it is at most, after it was placed."""
@@ -33,20 +33,23 @@ _CORNER = 0.5 * sqrt(3.0)
 """[-] Of a cell's width, from its middle to its corners."""
 
 
-def draw_in(cells: Cells, sigma: float, placed: Placed) -> None:
-    """Move points that are beyond the end of their surface back to it.
+def draw_in(cells: Cells, sigma: float, placed: Placed) -> BoolArray:
+    """Move points that are beyond the end of their surface back to it; which have too few beside to tell, shape (n,).
 
     Args:
         cells: Of the points as they were measured.
         sigma: Noise of the points [m].
         placed: Where the points are; changed in place.
     """
-    points = placed.points.copy()
-    run_chunked(lambda a, b: _rim_range(cells, sigma, points, placed, a, b), len(cells.key))
+    points, few = placed.points.copy(), np.zeros(len(placed.points), dtype=bool)
+    run_chunked(lambda a, b: _rim_range(cells, sigma, points, placed, a, b, few), len(cells.key))
+    return few
 
 
 @njit(cache=True, nogil=True)
-def _rim_range(cells: Cells, sigma: float, points: FloatArray, placed: Placed, begin: int, end: int) -> None:
+def _rim_range(
+    cells: Cells, sigma: float, points: FloatArray, placed: Placed, begin: int, end: int, few: BoolArray
+) -> None:
     near, at = np.empty(AROUND, np.int64), begin_sweep(cells, begin)
     out, total, beside = np.empty(3), np.empty(10), np.empty((2 * _STRIP + 1) ** 3, np.int64)
     for c in range(begin, end):
@@ -57,7 +60,9 @@ def _rim_range(cells: Cells, sigma: float, points: FloatArray, placed: Placed, b
             row = cells.order[i]
             if placed.pending[row] or _is_inside(total, placed.normal[row], cells.width):
                 continue
-            if _outwards(cells, near, row, sigma, points, placed, out):
+            found, aside = _outwards(cells, near, row, sigma, points, placed, out)
+            few[row] = found < FEWEST
+            if aside and not few[row]:
                 if count == 0:
                     count = cells_within(cells, c, _STRIP, beside)
                 beyond = -_end(cells, beside[:count], row, sigma, points, placed, out)
@@ -79,8 +84,8 @@ def _is_inside(total: FloatArray, normal: NDArray[np.float32], width: float) -> 
 @njit(cache=True, nogil=True)
 def _outwards(
     cells: Cells, near: IntArray, row: int, sigma: float, points: FloatArray, placed: Placed, out: FloatArray
-) -> bool:
-    """Write the direction from the middle of the surface around a point to it; whether it is beside an end."""
+) -> tuple[int, bool]:
+    """Write the direction from the middle of the surface around a point to it; its points, and whether an end is there."""
     count, reach, p, n = 0, cells.width, points[row], placed.normal[row]
     out[:] = 0.0
     for j in near:
@@ -96,11 +101,9 @@ def _outwards(
     for k in range(3):
         out[k] -= off * n[k]
     length = sqrt(out[0] ** 2 + out[1] ** 2 + out[2] ** 2)
-    if count < FEWEST or length <= _ASIDE * reach * count:
-        return False
     for k in range(3):
-        out[k] /= length
-    return True
+        out[k] /= max(length, 1e-12)
+    return count, bool(length > _ASIDE * reach * count)
 
 
 @njit(cache=True, nogil=True)

@@ -7,7 +7,16 @@ from typing import NamedTuple
 import numpy as np
 
 from gpdf_service.config import PerceptionConfig
-from gpdf_service.denoise import Denoised, as_measured, denoise, estimate_noise, find_lifted, onto_risers, onto_treads
+from gpdf_service.denoise import (
+    Denoised,
+    as_measured,
+    denoise,
+    estimate_noise,
+    find_lifted,
+    onto_risers,
+    onto_treads,
+    return_explained,
+)
 from gpdf_service.fields import build_tree, estimate_spacing
 from gpdf_service.perception.columns import compacted
 from gpdf_service.perception.layers import columns_over, in_steps
@@ -96,8 +105,13 @@ def _with_double(points: FloatArray, ground: BoolArray, sample: _Sample, least: 
 
 
 def _cured(points: FloatArray, ground: BoolArray, noise: float) -> CuredGround:
-    """A cloud with labels: stairs on their treads, and what is between two treads on their risers."""
+    """A cloud with labels: stairs on their treads, and what is between two treads on their risers.
+
+    Where nobody labelled what lies low on the floor, the points beside do not tell it from the floor's outliers.
+    """
     cured = denoise(points, ground, noise)
+    cured.stray[~ground] = False  # what is alone goes back to a surface that explains it, or stays where it is
+    return_explained(points, ~ground, cured)
     _settle_stairs(points, ground, cured)
     return CuredGround(_in_steps(cured), ground & ~cured.stray, as_it_was=False)
 

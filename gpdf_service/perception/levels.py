@@ -457,13 +457,14 @@ def find_ledges(
 ) -> NDArray[np.float32]:
     """`next_above` by the `ground` points of this sheet, for those `other` points that can be a step's face.
 
-    No cure takes the `noise` [m] along a face out of it: its upper rim stands over the ground behind it by as much.
+    No cure takes the `noise` [m] along a face out of it: its upper rim stands over the ground behind it by as much, and
+    points of the ground's rim are in the next cell.
     Where a flight is, as `max_step` [m] tells, what is narrower than a foot is no ledge: the end of a stringer.
     The `box` of cells holds all `other` points, and what is within twice `FACE` and `ledge_reach` cells of them.
     """
-    part, aside = cropped(surface, box), face_reach(surface.cell_width)
-    high = high_ground(part) + max(surface.cell_width, RESOLVED_STEP * noise)
-    rests = footholds(part, max_step) + max(LEAST_OBSTACLE, noise)
+    part, off = cropped(surface, box), max(surface.cell_width, RESOLVED_STEP * noise)
+    aside, high, strewn = face_reach(off), high_ground(part) + off, 2 * round(noise / surface.cell_width) + 1
+    rests = ndimage.maximum_filter(footholds(part, max_step), strewn) + max(LEAST_OBSTACLE, noise)
     cell = cells_within(other, surface, box)
     asked = between(cell, other[:, 2], np.full_like(high, -np.inf), high)
     cell, low = cell[asked], chosen_rows(other, asked)
@@ -524,9 +525,9 @@ def ledge_reach(surface: HeightMap) -> int:
     return max(HIGH, footing_reach(surface))
 
 
-def face_reach(width: float) -> float:
-    """How far in plan a step's face may be from a point of its top, in cells of that `width` [m]."""
-    return min(FACE, NOSING + width)
+def face_reach(off: float) -> float:
+    """How far in plan a step's face may be from its top, whose points may lie `off` it by a cell or by noise [m]."""
+    return min(FACE, NOSING + off)
 
 
 def high_ground(surface: HeightMap) -> FloatArray:

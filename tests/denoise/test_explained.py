@@ -1,0 +1,48 @@
+"""Points that the surfaces beside explain go back to them, and what is more than they explain stays."""
+
+import numpy as np
+import pytest
+
+from gpdf_service.denoise import as_measured, return_explained
+
+SIGMA, SPACING = 0.05, 0.03
+
+
+def looked_at_again(extra, spacing=SPACING):
+    """The `extra` points before a wall at x = 0 that is told exactly, after they were looked at again, (k, 3) [m]."""
+    rng = np.random.default_rng(0)
+    wall = np.column_stack([np.zeros(n := round(4.0 / spacing**2)), rng.uniform(-1.0, 1.0, (n, 2))])
+    measured = np.concatenate([wall + rng.normal(0.0, SIGMA, wall.shape), extra])
+    vague = np.arange(len(measured)) >= len(wall)
+    told = as_measured(np.concatenate([wall, extra]), SIGMA)._replace(vague=vague)
+    return_explained(measured, np.ones(len(measured), dtype=bool), told)
+    assert np.array_equal(told.points[~vague], wall)
+    return told.points[vague]
+
+
+@pytest.mark.parametrize("off", [2.0, 3.0, 3.7])
+def test_an_outlier_goes_back_to_the_wall_that_it_is_of(off):
+    made = looked_at_again(np.array([[off * SIGMA, 0.1, 0.2]]))
+    assert abs(made[0, 0]) < 1e-9
+    assert np.linalg.norm(made[0, 1:] - [0.1, 0.2]) < SIGMA
+
+
+def test_what_is_further_off_than_noise_reaches_stays():
+    extra = np.array([[6.0 * SIGMA, 0.1, 0.2]])
+    made = looked_at_again(extra)
+    assert np.array_equal(made, extra)
+
+
+@pytest.mark.parametrize("count", [24, 60])
+def test_a_rod_is_more_than_the_wall_behind_it_explains(count):
+    rng = np.random.default_rng(1)
+    rod = np.column_stack([np.full(count, 3.0 * SIGMA), np.full(count, 0.2), rng.uniform(-0.2, 0.2, count)])
+    rod += rng.normal(0.0, SIGMA, rod.shape) * [0.3, 1.0, 1.0]
+    made = looked_at_again(rod)
+    assert (made[:, 0] == rod[:, 0]).mean() > 0.6
+
+
+def test_a_wall_of_which_hardly_a_point_was_seen_explains_nothing():
+    extra = np.array([[2.5 * SIGMA, 0.1, 0.2]])
+    made = looked_at_again(extra, spacing=0.15)
+    assert np.array_equal(made, extra)
