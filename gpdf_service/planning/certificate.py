@@ -1,8 +1,9 @@
 """What is proven of a path over its whole continuous length, against the measured points themselves.
 
-The distance to a fixed set of points is 1-Lipschitz, so a segment ab keeps at least (d(a) + d(b) − |ab|) / 2 of room.
-Pieces that could hold the path's minimum are halved until it is known to `RESOLUTION`. A disc that lies o ahead of the
-body's centre moves by at most |ab| + |o| |Δθ| while the body goes from a to b and turns by Δθ: the same holds of it.
+A cylinder goes straight from waypoint to waypoint: how far its way is from each point is told exactly. A disc that lies
+o ahead of a body's centre moves by at most |ab| + |o| |Δθ| while the body goes from a to b and turns by Δθ, and the
+distance to a fixed set of points is 1-Lipschitz: so it keeps at least (d(a) + d(b) − |ab| − |o| |Δθ|) / 2 of room.
+Pieces that could hold the path's minimum are halved until it is known to `RESOLUTION`.
 """
 
 from __future__ import annotations
@@ -25,7 +26,7 @@ from gpdf_service.search.motion import least_distance
 from gpdf_service.types import Certificate, FloatArray, IntArray
 
 RESOLUTION = 1e-3
-"""[m] How closely the least clearance is known."""
+"""[m] How closely the least clearance of a body of discs is known."""
 FINEST = 1e-5
 """[m] The same of a path with so little room that a millimetre decides: of an end where the body just fits."""
 SAMPLE = 0.01

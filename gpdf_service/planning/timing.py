@@ -109,13 +109,14 @@ def _slow_down(
             if level[i] != on:
                 continue
             room -= farthest_moved(poses[before], poses[i], offset)
-            if room < preferred:
-                room = disc_distance(obstacles, poses[i], offset, scratch) - reach
-            before, near = i, min(room / preferred, 1.0)
+            before = i
             x, y = poses[i, 0] + offset * np.cos(poses[i, 2]), poses[i, 1] + offset * np.sin(poses[i, 2])
             if is_stepped(ground, noticed, x, y, cells):
-                near = 0.0
-            share[i] = min(share[i], CARE + (1.0 - CARE) * max(near, 0.0))
+                share[i] = CARE
+                continue
+            if room < preferred:
+                room = disc_distance(obstacles, poses[i], offset, scratch) - reach
+            share[i] = min(share[i], CARE + (1.0 - CARE) * min(max(room / preferred, 0.0), 1.0))
 
 
 @njit(cache=True, nogil=True)

@@ -112,30 +112,40 @@ def minded_room(agent: Agent, prefer: Prefer) -> float:
 def way_takes(path: FloatArray, about: Beside) -> FloatArray:
     """What each segment of a way in plan, shape (n, 2), takes: shape (n − 1, 6).
 
-    Distances are 1-Lipschitz: as long as there must be enough room yet, no obstacle is looked for.
+    What is seen beside the way counts until the next look. Distances are 1-Lipschitz: as long as there must be enough
+    room yet, no obstacle is looked for.
     """
     made, scratch = np.zeros((len(path) - 1, 6)), make_scratch()
     cells, enough = int(np.ceil(about.reach / about.ground.width)), about.reach + about.minded
-    distance, row, x, y = -np.inf, -1, 0.0, 0.0
+    distance, due, tight, unseen = -np.inf, 0.0, 0.0, False
     for i in range(len(path) - 1):
-        a, b = path[i], path[i + 1]
+        a, b, at = path[i], path[i + 1], 0.0
         length = np.sqrt((b[0] - a[0]) ** 2 + (b[1] - a[1]) ** 2)
         made[i, LENGTH] = length
         ground_takes(a, b, about.ground, about.steps, about.slopes, about.glad_step, made[i])
-        count = int(np.ceil(length / LOOK))
-        for k in range(count):
-            was_x, was_y = x, y
-            x, y = a[0] + (k + 0.5) / count * (b[0] - a[0]), a[1] + (k + 0.5) / count * (b[1] - a[1])
-            distance -= np.sqrt((x - was_x) ** 2 + (y - was_y) ** 2)
-            if distance < enough:
-                distance, row = nearest_of(about.places, (x, y, 0.0), scratch)
-            tight = length / count * min(max(1.0 - (distance - about.reach) / about.minded, 0.0), 1.0)
-            if is_stepped(about.ground, about.noticed, x, y, cells):
-                tight = length / count
-                distance, row = nearest_of(about.places, (x, y, 0.0), scratch)
-            made[i, TIGHT] += tight
-            if row >= 0 and tight > 0.0 and about.kind[row] == ObstacleKind.UNKNOWN:
-                made[i, UNSEEN] += tight
+        while at < length:
+            if due <= 0.0:
+                x, y = a[0] + at / length * (b[0] - a[0]), a[1] + at / length * (b[1] - a[1])
+                if distance < enough:
+                    distance, row = nearest_of(about.places, (x, y, 0.0), scratch)
+                    unseen = distance < enough and row >= 0 and about.kind[row] == ObstacleKind.UNKNOWN
+                tight = min(max(1.0 - (distance - about.reach) / about.minded, 0.0), 1.0)
+                tight = 1.0 if is_stepped(about.ground, about.noticed, x, y, cells) else tight
+                due, distance = LOOK, distance - LOOK
+            piece = min(length - at, due)
+            at, due = at + piece, due - piece
+            made[i, TIGHT] += tight * piece
+            made[i, UNSEEN] += tight * piece if unseen else 0.0
+    return made
+
+
+@njit(cache=True, nogil=True)
+def least_takes(path: FloatArray, about: Beside) -> FloatArray:
+    """What `way_takes` says, but for what is beside the way: never more, and soon told."""
+    made = np.zeros((len(path) - 1, 6))
+    for i in range(len(path) - 1):
+        made[i, LENGTH] = np.sqrt(((path[i + 1] - path[i]) ** 2).sum())
+        ground_takes(path[i], path[i + 1], about.ground, about.steps, about.slopes, about.glad_step, made[i])
     return made
 
 
