@@ -144,29 +144,33 @@ def _look(
 ) -> _Seen:
     """Look at a piece of the path, a fifth of a cell at a time, and at the height of the top; see `SAMPLE`."""
     unknown, deviation, step, slope = False, 0.0, 0.0, 0.0
-    off_at, at, top, along, scratch = path[0].copy(), np.empty(3), np.empty(3), np.empty(3), make_scratch()
+    off_at, along, scratch = path[0].copy(), np.empty(3), make_scratch()
     looks, last, spare = 0, len(path) - 2, 0.0
     sample = max(SAMPLE, CELL_SHARE * ground.width)
     every = max(int(HEIGHT_EVERY * SAMPLE / sample), 1)
     for i in range(len(path) - 1):
-        length = np.sqrt(((tops[i + 1] - tops[i]) ** 2).sum())
+        dx, dy, dz = tops[i + 1, 0] - tops[i, 0], tops[i + 1, 1] - tops[i, 1], tops[i + 1, 2] - tops[i, 2]
+        length = np.sqrt(dx * dx + dy * dy + dz * dz)
         count = max(1, int(np.ceil(length / sample))) if length < np.inf else 1  # NaN: over no known ground
         for k in range(count + (i == last)):
-            at[:] = path[i] + k / count * (path[i + 1] - path[i])
-            top[:] = tops[i] + k / count * (tops[i + 1] - tops[i])
-            u, v = cell_of(ground, at[0], at[1])
+            share = k / count
+            x = path[i, 0] + share * (path[i + 1, 0] - path[i, 0])
+            y = path[i, 1] + share * (path[i + 1, 1] - path[i, 1])
+            z = path[i, 2] + share * (path[i + 1, 2] - path[i, 2])
+            top = tops[i, 0] + share * dx, tops[i, 1] + share * dy, tops[i, 2] + share * dz
+            u, v = cell_of(ground, x, y)
             known = u >= 0 and ground.state[u, v] != UNKNOWN
             unknown = unknown or not known
             if known:
                 step, slope = max(step, steps[u, v]), max(slope, slopes[u, v])
-            off = abs(top[2] - at[2] - height)
+            off = abs(top[2] - z - height)
             spare -= length / count  # a distance changes by no more than what the top has moved
             if (looks % every == 0 or (i == last and k == count)) and off > deviation and spare <= 0.0:
                 if known:  # the ground's field is asked only where the path is as far off as it was found to be
-                    off = min(off, abs(sample_at(field, (top[0], top[1], top[2]), scratch, along) - height))
+                    off = min(off, abs(sample_at(field, top, scratch, along) - height))
                     spare = deviation - off
                 if off > deviation:
-                    deviation, off_at[:] = off, at
+                    deviation, off_at[0], off_at[1], off_at[2] = off, x, y, z
             looks += 1
     for i in range(len(path)):
         for offset in offsets:

@@ -157,11 +157,11 @@ def way_takes_of(legs: list[Leg], prefer: Prefer = Prefer.COMPANION) -> FloatArr
 
 def steps_of(legs: list[Leg]) -> FloatArray:
     """Rise and fall of a way in steps, and in high ones (2,) [m]."""
-    takes = np.zeros(6)
+    taken = np.zeros(2)
     for level, path, space in legs:
         ground = space.surfaces[level].arrays, space.steps[level], space.slopes[level]
-        way_steps(path, *ground, space.agent.comfortable_step, takes)
-    return takes[[STEPPED, LEDGE]]
+        taken += way_steps(path, *ground, space.agent.comfortable_step)
+    return taken
 
 
 def find_cut(space: FreeSpace, stops: list[Endpoint]) -> tuple[Endpoint, Endpoint] | None:
