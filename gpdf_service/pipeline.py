@@ -115,10 +115,9 @@ def plan(
     if method not in get_args(Method):
         raise RequestError("method", f"{method!r}", f"Use one of {', '.join(get_args(Method))}.")
     ends = _check_place(start, "start"), _check_place(goal, "goal")
-    options = _check_options(via, other_goals, snap, warm_start)
     facing = _check_heading(start_heading, "start_heading"), _check_heading(goal_heading, "goal_heading")
-    options = replace(options, start_heading=facing[0], goal_heading=facing[1])
-    options = replace(options, prefer=_check_preference(prefer), alternatives=_check_alternatives(alternatives))
+    wanted = _check_preference(prefer), _check_alternatives(alternatives)
+    options = PlanOptions(*_check_places_of(via, other_goals, snap, warm_start), *facing, *wanted)
     if deadline_s is not None and not (isinstance(deadline_s, Real) and deadline_s > 0):
         raise RequestError("deadline_s", f"{deadline_s!r}", "It must be a positive number of seconds.")
     deadline = None if deadline_s is None else clock() + deadline_s
@@ -141,8 +140,8 @@ def _with_hidden_height(result: PlanResult, scene: Scene, body: Agent) -> PlanRe
     others = tuple(_with_hidden_height(other, scene, body) for other in result.alternatives)
     proof, hidden = result.certificate, scene.hidden_height
     if result.trajectory is not None and hidden < ROUGH < body.max_step:
-        path = result.trajectory.ground
-        hidden = ROUGH if any(crosses_flight(path, one, body.cylinder.radius) for one in scene.surfaces) else hidden
+        path, radius = result.trajectory.ground, body.cylinder.radius
+        hidden = ROUGH if any(crosses_flight(path, one, radius) for one in scene.surfaces) else hidden
     proof = None if proof is None else replace(proof, hidden_height=hidden)
     return replace(result, certificate=proof, alternatives=others)
 
@@ -166,12 +165,12 @@ def _check_alternatives(count: object) -> int:
     return int(count)
 
 
-def _check_options(
+def _check_places_of(
     via: Sequence[Place], other_goals: Sequence[Place], snap: float, warm_start: Trajectory | FloatArray | None
-) -> PlanOptions:
+) -> tuple[tuple[FloatArray, ...], tuple[FloatArray, ...], float, FloatArray | None]:
     if not is_number(snap) or snap < 0:
         raise RequestError("snap", f"{snap!r}", "It must be a finite number of metres, 0 or more.")
-    return PlanOptions(
+    return (
         _check_places(via, "via", "via point"),
         _check_places(other_goals, "other_goals", "other goal"),
         float(snap),

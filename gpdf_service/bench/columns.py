@@ -16,6 +16,8 @@ from scipy.sparse.csgraph import connected_components
 
 from gpdf_service.types import Agent, BoolArray, FloatArray, IntArray
 
+LOOK = 0.01
+"""[m] Between two looks at a body on its way."""
 SLOPE_OVER = 2
 """Cells over which a slope is told, to either side: steps of a voxel are none."""
 
@@ -62,6 +64,12 @@ class ColumnSearch:
         starts = rng.choice(rows, count)
         goals = [rng.choice(rows[self.component[rows] == self.component[row]]) for row in starts]
         return np.stack([self.places[starts], self.places[goals]], axis=1)
+
+    def deepest(self, contact: FloatArray) -> float:
+        """How deep the worst column is in the body anywhere on a way over contact points, (n, 3) [m]; 0 if none is."""
+        poses = np.column_stack([contact[:, :2] - self.origin[:2], contact[:, 2]])
+        reach, step, height = self.agent.radius, self.agent.max_step, self.agent.height
+        return float(_deepest(self.begin, self.top, self.bottom, self.shape, poses, self.cell, reach, step, height))
 
     def _components(self) -> IntArray:
         step, slope = self.agent.max_step, tan(self.agent.max_slope)
@@ -151,3 +159,33 @@ def _pairs(begin: IntArray, top: FloatArray, stands: BoolArray, shape: IntArray,
                         made[count] = k, other
                         count += 1
     return made[:count]
+
+
+@njit(cache=True)
+def _deepest(
+    begin: IntArray,
+    top: FloatArray,
+    bottom: FloatArray,
+    shape: IntArray,
+    poses: FloatArray,
+    cell: float,
+    radius: float,
+    step: float,
+    height: float,
+) -> float:
+    """See `ColumnSearch.deepest`: a run is in the body where its top is over a step and its bottom under the head."""
+    deepest, n = 0.0, int(np.ceil(radius / cell))
+    for p in range(len(poses) - 1):
+        count = int(np.ceil(np.sqrt(((poses[p + 1] - poses[p]) ** 2).sum()) / LOOK)) + 1
+        for k in range(count + 1):
+            x, y, z = poses[p] + k / count * (poses[p + 1] - poses[p])
+            i, j = int(np.rint(x / cell)), int(np.rint(y / cell))
+            for a in range(max(i - n, 0), min(i + n + 1, shape[0])):
+                for b in range(max(j - n, 0), min(j + n + 1, shape[1])):
+                    depth = radius - np.hypot(a * cell - x, b * cell - y)
+                    if depth <= deepest:
+                        continue
+                    for run in range(begin[a * shape[1] + b], begin[a * shape[1] + b + 1]):
+                        if top[run] > z + step and bottom[run] < z + height:
+                            deepest = depth
+    return deepest

@@ -104,15 +104,18 @@ def spiral_rows(folder: Path, count: int, seed: int, bodies: Sequence[Agent] = S
         query = np.array([search.places[search.nearest(np.append(end, ground))] for end in SPIRAL_QUERY])
         published = plan(scene, query[0], query[1], body, snap=SPIRAL_CELL)
         pairs = search.random_pairs(count, np.random.default_rng(seed), DECK)
-        yield row | {"published": str(published.status)} | _solved(scene, pairs, body)
+        yield row | {"published": str(published.status)} | _solved(scene, search, pairs)
 
 
-def _solved(scene: Scene, pairs: FloatArray, agent: Agent) -> Row:
-    said, spent = [], []
+def _solved(scene: Scene, search: ColumnSearch, pairs: FloatArray) -> Row:
+    agent, said, spent, deep = search.agent, [], [], []
     for start, goal in pairs:
         began = time.process_time()
-        said.append(plan(scene, start, goal, agent, snap=SPIRAL_CELL).status)
+        result = plan(scene, start, goal, agent, snap=SPIRAL_CELL)
         spent.append(time.process_time() - began)
+        said.append(result.status)
+        if result.trajectory is not None:
+            deep.append(search.deepest(result.trajectory.ground))
     high = np.ptp(pairs[:, :, 2], axis=1) > agent.height
     ok = np.array([status is Status.OK for status in said])
     return {
@@ -120,5 +123,7 @@ def _solved(scene: Scene, pairs: FloatArray, agent: Agent) -> Row:
         "ok": int(ok.sum()),
         "pairs_high": int(high.sum()),
         "ok_high": int(ok[high].sum()),
+        "collisions": int(np.count_nonzero(deep)),
+        "deepest_m": max(deep, default=0.0),
         "p50_ms": 1e3 * float(np.median(spent)) if spent else float("nan"),
     }

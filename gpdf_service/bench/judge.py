@@ -26,6 +26,8 @@ HEAD = 0.01
 """[-] How well a scan knows the room over the ground, over the body's height."""
 NEAR = 8
 """Ground points around a contact; the one straightest under the body is the ground that it stands on."""
+ROUNDED = 0.01
+"""[-] Of a voxel: what single precision and a turn make of its centre."""
 PLANAR = 0.002
 """[m] Where they are off one plane by no more (root mean square), it is known between them, too: on a slope of 20°,
 3 cm beside a point, the ground is 1 cm higher, which is all that a Roomba's top may be off."""
@@ -68,6 +70,7 @@ class Judge:
         self.over_ground = self.other[:, 2] - self.ground[self.ground_plan.query(self.other[:, :2])[1], 2]
         self.obstacles: dict[float, cKDTree] = {}
         self.beside = np.full((len(self.other), 2), np.nan)
+        self.voxel = (1.0 + ROUNDED) * _pitch(points[:, 2])
 
     def judge(self, trajectory: Trajectory, agent: Agent) -> Verdict:
         """Judge one trajectory strictly: along all of it, the body standing on the contact points.
@@ -156,11 +159,25 @@ class Judge:
         return faces
 
     def _ground_beside(self, point: FloatArray) -> tuple[float, float]:
-        """Height of the ground next above a point and next below it, right beside it [m]; inf, -inf where none is."""
+        """Height of the ground next above a point and next below it, right beside it [m]; inf, -inf where none is.
+
+        Between centres of voxels wider than `FACE` nothing is that near: the same rung, a voxel further, goes on there.
+        """
         rows = [*self.ground_plan.query_ball_point(point[:2], FACE), self.ground_plan.query(point[:2])[1]]
+        if self.voxel > FACE:
+            next_to = np.array(self.ground_plan.query_ball_point(point[:2], self.voxel), dtype=np.int64)
+            rows += next_to[np.abs(self.ground[next_to, 2] - point[2]) <= SCATTER].tolist()
         z = self.ground[rows, 2]
         above, below = z[z >= point[2] - SCATTER], z[z <= point[2] + SCATTER]
         return float(above.min(initial=np.inf)), float(below.max(initial=-np.inf))
+
+
+def _pitch(z: FloatArray) -> float:
+    """Width of the voxels that heights, shape (n,) [m], are those of; 0 where they do not all lie on rungs."""
+    apart = np.diff(np.unique(np.round(z, 3)))
+    pitch = float(apart.min(initial=np.inf))
+    on_rungs = np.isfinite(pitch) and np.abs(apart / pitch - np.round(apart / pitch)).max() <= ROUNDED
+    return pitch if on_rungs and len(apart) < len(z) - 1 else 0.0
 
 
 def _depth(aside: FloatArray, agent: Agent, heading: float) -> FloatArray:

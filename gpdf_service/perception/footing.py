@@ -12,7 +12,7 @@ from scipy import ndimage
 from gpdf_service.config import PerceptionConfig
 from gpdf_service.fields.threads import run_chunked
 from gpdf_service.perception.strides import SOLE, STRIDE
-from gpdf_service.perception.surface import UNKNOWN, HeightMap
+from gpdf_service.perception.surface import UNKNOWN, Cells, HeightMap, cell_of
 from gpdf_service.types import BoolArray, FloatArray, IntArray
 
 FLIGHT_RISE = PerceptionConfig().max_step
@@ -135,28 +135,39 @@ def crosses_flight(path: FloatArray, surface: HeightMap, radius: float) -> bool:
         surface: The ground of one level; only what lies on it counts.
         radius: Of the disc that the body is within [m].
     """
-    s = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(path[:, :2], axis=0).T))])
-    samples = np.linspace(0.0, s[-1], int(s[-1] / (0.5 * radius)) + 2)
-    cells = np.column_stack([np.interp(samples, s, path[:, k]) for k in range(3)])
-    cells[:, :2] = (cells[:, :2] - surface.origin) / surface.cell_width
-    reach = int(1.25 * radius / surface.cell_width) + 1
-    return bool(_crosses_flight(cells, surface.height, reach, rings_of(STRIDE, surface.cell_width)))
+    stride = rings_of(STRIDE, surface.cell_width)
+    return bool(_crosses_flight(path, surface.arrays, 0.5 * radius, stride))
 
 
 @njit(cache=True, nogil=True)
-def _crosses_flight(cells: FloatArray, height: NDArray[np.float32], reach: int, stride: int) -> bool:
-    nx, ny = height.shape
-    for m in range(len(cells)):
-        x, y = int(np.floor(cells[m, 0])), int(np.floor(cells[m, 1]))
-        if not (0 <= x < nx and 0 <= y < ny and abs(height[x, y] - cells[m, 2]) <= FLIGHT_RISE):
-            continue
-        low, high = _ends_around(height, x, y, reach + stride)
-        if not high - low > FLIGHT_RISE:
-            continue  # nearly everywhere, and cheaper than to ask each cell
-        for u in range(max(x - reach, 0), min(x + reach + 1, nx)):
-            for v in range(max(y - reach, 0), min(y + reach + 1, ny)):
-                if (u - x) ** 2 + (v - y) ** 2 <= reach * reach and is_tread(height, u, v, stride):
-                    return True
+def _crosses_flight(path: FloatArray, ground: Cells, every: float, stride: int) -> bool:
+    """See `crosses_flight`; the path is looked at `every` so many metres, half the radius, and at its end."""
+    reach, due, last = int(2.5 * every / ground.width) + 1, 0.0, len(path) - 2
+    for i in range(last + 1):
+        dx, dy, dz = path[i + 1, 0] - path[i, 0], path[i + 1, 1] - path[i, 1], path[i + 1, 2] - path[i, 2]
+        length = np.hypot(dx, dy)
+        while due < length or (i == last and due < length + every):
+            t = min(due / length, 1.0) if length > 0.0 else 1.0
+            if _is_by_tread(ground, path[i, 0] + t * dx, path[i, 1] + t * dy, path[i, 2] + t * dz, reach, stride):
+                return True
+            due += every
+        due -= length
+    return False
+
+
+@njit(cache=True, nogil=True)
+def _is_by_tread(ground: Cells, x: float, y: float, z: float, reach: int, stride: int) -> bool:
+    """Whether a tread is within `reach` cells of a contact, if that is on this ground."""
+    height, (i, j) = ground.height, cell_of(ground, x, y)
+    if i < 0 or not abs(height[i, j] - z) <= FLIGHT_RISE:
+        return False
+    low, high = _ends_around(height, i, j, reach + stride)
+    if not high - low > FLIGHT_RISE:
+        return False  # nearly everywhere, and cheaper than to ask each cell
+    for u in range(max(i - reach, 0), min(i + reach + 1, height.shape[0])):
+        for v in range(max(j - reach, 0), min(j + reach + 1, height.shape[1])):
+            if (u - i) ** 2 + (v - j) ** 2 <= reach * reach and is_tread(height, u, v, stride):
+                return True
     return False
 
 

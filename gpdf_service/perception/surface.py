@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -28,7 +29,7 @@ class Cells(NamedTuple):
     width: float
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class HeightMap:
     """Ground height on a grid.
 
@@ -44,7 +45,7 @@ class HeightMap:
     height: NDArray[np.float32]
     state: NDArray[np.uint8]
 
-    @property
+    @cached_property
     def arrays(self) -> Cells:
         """What a compiled loop needs for `cell_of`, `is_known` and `height_of`."""
         return Cells(self.height, self.state, np.asarray(self.origin, dtype=np.float64), self.cell_width)

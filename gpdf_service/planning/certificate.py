@@ -1,8 +1,9 @@
 """What is proven of a path over its whole continuous length, against the measured points themselves.
 
-The distance to a fixed set of points is 1-Lipschitz, so a segment ab keeps at least (d(a) + d(b) − |ab|) / 2 of room.
-Pieces that could hold the path's minimum are halved until it is known to `RESOLUTION`. A disc that lies o ahead of the
-body's centre moves by at most |ab| + |o| |Δθ| while the body goes from a to b and turns by Δθ: the same holds of it.
+A cylinder goes straight from waypoint to waypoint: how far its way is from each point is told exactly. A disc that lies
+o ahead of a body's centre moves by at most |ab| + |o| |Δθ| while the body goes from a to b and turns by Δθ, and the
+distance to a fixed set of points is 1-Lipschitz: so it keeps at least (d(a) + d(b) − |ab| − |o| |Δθ|) / 2 of room.
+Pieces that could hold the path's minimum are halved until it is known to `RESOLUTION`.
 """
 
 from __future__ import annotations
@@ -25,7 +26,7 @@ from gpdf_service.search.motion import least_distance
 from gpdf_service.types import Certificate, FloatArray, IntArray
 
 RESOLUTION = 1e-3
-"""[m] How closely the least clearance is known."""
+"""[m] How closely the least clearance of a body of discs is known."""
 FINEST = 1e-5
 """[m] The same of a path with so little room that a millimetre decides: of an end where the body just fits."""
 SAMPLE = 0.01
@@ -143,29 +144,33 @@ def _look(
 ) -> _Seen:
     """Look at a piece of the path, a fifth of a cell at a time, and at the height of the top; see `SAMPLE`."""
     unknown, deviation, step, slope = False, 0.0, 0.0, 0.0
-    off_at, at, top, along, scratch = path[0].copy(), np.empty(3), np.empty(3), np.empty(3), make_scratch()
+    off_at, along, scratch = path[0].copy(), np.empty(3), make_scratch()
     looks, last, spare = 0, len(path) - 2, 0.0
     sample = max(SAMPLE, CELL_SHARE * ground.width)
     every = max(int(HEIGHT_EVERY * SAMPLE / sample), 1)
     for i in range(len(path) - 1):
-        length = np.sqrt(((tops[i + 1] - tops[i]) ** 2).sum())
+        dx, dy, dz = tops[i + 1, 0] - tops[i, 0], tops[i + 1, 1] - tops[i, 1], tops[i + 1, 2] - tops[i, 2]
+        length = np.sqrt(dx * dx + dy * dy + dz * dz)
         count = max(1, int(np.ceil(length / sample))) if length < np.inf else 1  # NaN: over no known ground
         for k in range(count + (i == last)):
-            at[:] = path[i] + k / count * (path[i + 1] - path[i])
-            top[:] = tops[i] + k / count * (tops[i + 1] - tops[i])
-            u, v = cell_of(ground, at[0], at[1])
+            share = k / count
+            x = path[i, 0] + share * (path[i + 1, 0] - path[i, 0])
+            y = path[i, 1] + share * (path[i + 1, 1] - path[i, 1])
+            z = path[i, 2] + share * (path[i + 1, 2] - path[i, 2])
+            top = tops[i, 0] + share * dx, tops[i, 1] + share * dy, tops[i, 2] + share * dz
+            u, v = cell_of(ground, x, y)
             known = u >= 0 and ground.state[u, v] != UNKNOWN
             unknown = unknown or not known
             if known:
                 step, slope = max(step, steps[u, v]), max(slope, slopes[u, v])
-            off = abs(top[2] - at[2] - height)
+            off = abs(top[2] - z - height)
             spare -= length / count  # a distance changes by no more than what the top has moved
             if (looks % every == 0 or (i == last and k == count)) and off > deviation and spare <= 0.0:
                 if known:  # the ground's field is asked only where the path is as far off as it was found to be
-                    off = min(off, abs(sample_at(field, (top[0], top[1], top[2]), scratch, along) - height))
+                    off = min(off, abs(sample_at(field, top, scratch, along) - height))
                     spare = deviation - off
                 if off > deviation:
-                    deviation, off_at[:] = off, at
+                    deviation, off_at[0], off_at[1], off_at[2] = off, x, y, z
             looks += 1
     for i in range(len(path)):
         for offset in offsets:

@@ -28,7 +28,7 @@ from gpdf_service.planning.timing import speed_limit
 from gpdf_service.planning.turning import Facing, Stuck, time_poses, turn_route
 from gpdf_service.search import FreeSpace, Prefer, Ways, prices
 from gpdf_service.search.steps import count_steps
-from gpdf_service.search.ways import LEDGE, STEPPED, WIDE
+from gpdf_service.search.ways import STEPPED, WIDE
 from gpdf_service.types import Agent, BoolArray, FloatArray, IntArray, PlanOptions, PlanResult, Status, Trajectory
 
 Clock = Callable[[], float]
@@ -49,12 +49,11 @@ WALL = 1000.0
 
 @dataclass(frozen=True, slots=True)
 class _Candidate:
-    """A path that may be certified, the costs on the way to it, numbers about it, and what it takes, shape (6,)."""
+    """A path that may be certified, the costs on the way to it, and numbers about it."""
 
     legs: list[Leg]
     costs: FloatArray
     details: dict[str, float]
-    takes: FloatArray
 
 
 def plan_path(
@@ -160,7 +159,7 @@ def _follow(task: _Task, route: Route) -> PlanResult:
             timings = {"search": searched - task.began, "optimise": clock() - searched}
             details = candidate.details | {"nodes": float(len(space.graph.position))}
             details |= {"goal": float(route.goal), "warm": float(route.warm)}
-            details |= _effort(space.agent, candidate.takes, contact, headings, prefer)
+            details |= _effort(space.agent, _takes(candidate.legs, prefer), contact, headings, prefer)
             return PlanResult(Status.OK, task.ends.moved, trajectory, certificate, timings, details, candidate.costs)
     assert first is not None
     if hurried:
@@ -236,7 +235,6 @@ def _routes(task: _Task) -> Iterator[Route | Stuck]:
 
 def _candidates(task: _Task, legs: list[Leg]) -> Iterator[_Candidate]:
     """Paths from the best to the safest: CHOMP, CHOMP that bends round every point behind a wall, then the seed."""
-    most_steps, prefer = steps_of(legs) + MORE_STEPS, task.wish.prefer
     for bent in _tries(task, legs):
         runs = [run for _, run in bent if run is not None]
         most = max((len(run.costs) for run in runs), default=0)
@@ -247,26 +245,23 @@ def _candidates(task: _Task, legs: list[Leg]) -> Iterator[_Candidate]:
             "evaluations": float(sum(run.evaluations for run in runs)),
             "converged": float(all(run.converged for run in runs)),
         }
-        made = [leg for leg, _ in bent]
-        takes = _takes(made, prefer)
-        if (takes[[STEPPED, LEDGE]] <= most_steps).all():
-            yield _Candidate(made, costs, details, takes)
-    details = {"iterations": 0.0, "evaluations": 0.0, "converged": 0.0}
-    yield _Candidate(legs, np.zeros(0), details, _takes(legs, prefer))
+        yield _Candidate([leg for leg, _ in bent], costs, details)
+    yield _Candidate(legs, np.zeros(0), {"iterations": 0.0, "evaluations": 0.0, "converged": 0.0})
 
 
 def _tries(task: _Task, legs: list[Leg]) -> Iterator[list[_Bent]]:
-    """All pieces bent, in each way that is tried, while there is time."""
+    """All pieces bent, in each way that is tried, while there is time; one that would take more steps stays."""
     config = _liking(task.config, task.wish.prefer)
 
     def alone(pieces: list[Leg], *, strict: bool) -> list[_Bent]:
-        return [_bend(leg, config, strict, task.left()) for leg in pieces]
+        made = [(leg, _bend(leg, config, strict, task.left())) for leg in pieces]
+        return [bent if _as_level([leg], bent) else (leg, None) for leg, bent in made]
 
     def together(pieces: list[Leg]) -> list[_Bent]:
         if len(pieces) > 1:
             joined = Leg(pieces[0].level, np.concatenate([leg.path for leg in pieces]), task.space)
             one = _bend(joined, config, False, task.left())
-            if (steps_of([one[0]]) <= steps_of(pieces) + MORE_STEPS).all():
+            if _as_level(pieces, one):
                 return [one]
         return alone(pieces, strict=False)
 
@@ -281,6 +276,11 @@ def _tries(task: _Task, legs: list[Leg]) -> Iterator[list[_Bent]]:
         yield [one for part in apart for one in part]
     if task.left() >= 0.0:
         yield alone(legs, strict=True)
+
+
+def _as_level(pieces: list[Leg], bent: _Bent) -> bool:
+    """Whether a bent path takes no more steps than the pieces of its seed did."""
+    return bool((steps_of([bent[0]]) <= steps_of(pieces) + MORE_STEPS).all())
 
 
 def _beside_each_other(legs: list[Leg], via: list[FloatArray]) -> list[list[Leg]]:

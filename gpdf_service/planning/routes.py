@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cache
 from itertools import pairwise
 from typing import NamedTuple
 
@@ -26,7 +27,9 @@ from gpdf_service.search.ways import (
     STEPPED,
     TIGHT,
     UNSEEN,
+    Beside,
     beside,
+    least_takes,
     way_steps,
     way_takes,
 )
@@ -154,11 +157,11 @@ def way_takes_of(legs: list[Leg], prefer: Prefer = Prefer.COMPANION) -> FloatArr
 
 def steps_of(legs: list[Leg]) -> FloatArray:
     """Rise and fall of a way in steps, and in high ones (2,) [m]."""
-    takes = np.zeros(6)
+    taken = np.zeros(2)
     for level, path, space in legs:
         ground = space.surfaces[level].arrays, space.steps[level], space.slopes[level]
-        way_steps(path, *ground, space.agent.comfortable_step, takes)
-    return takes[[STEPPED, LEDGE]]
+        taken += way_steps(path, *ground, space.agent.comfortable_step)
+    return taken
 
 
 def find_cut(space: FreeSpace, stops: list[Endpoint]) -> tuple[Endpoint, Endpoint] | None:
@@ -374,13 +377,17 @@ def pull_cheaply(leg: Leg, prefer: Prefer, *, between: bool = False) -> tuple[Le
         price[TIGHT] = 0.0  # the optimiser makes room where there is some
     about = beside(leg.space, leg.level, prefer)
 
-    spent = np.append(0.0, np.cumsum(way_takes(leg.path, about) @ price))  # up to each place
+    @cache
+    def spent(tell: Callable[[FloatArray, Beside], FloatArray]) -> FloatArray:
+        """What the leg takes up to each place [s]."""
+        return np.append(0.0, np.cumsum(tell(leg.path, about) @ price))
 
     def pull(first: int, last: int) -> tuple[FloatArray, FloatArray]:
         piece = leg._replace(path=leg.path[first : last + 1])
         pulled = (_tighten if between else _pull)(piece).path
         takes: FloatArray = way_takes(pulled, about).sum(axis=0)
-        if last - first < 2 or takes @ price <= PULLED * (spent[last] - spent[first]):
+        most = takes @ price / PULLED
+        if last - first < 2 or any(most <= np.ptp(spent(tell)[[first, last]]) for tell in (least_takes, way_takes)):
             return pulled, takes
         middle = (first + last + 1) // 2
         one, other = pull(first, middle), pull(middle, last)

@@ -195,8 +195,9 @@ def spline(path: FloatArray, spacing: float) -> FloatArray:
             i += 1
         b = (at[k] - along[i]) / h[i]
         a = 1.0 - b
-        curve[k] = a * path[i] + b * path[i + 1]
-        curve[k] += ((a**3 - a) * bend[i] + (b**3 - b) * bend[i + 1]) * h[i] ** 2 / 6.0
+        p, q = (a * a * a - a) * h[i] * h[i] / 6.0, (b * b * b - b) * h[i] * h[i] / 6.0
+        for m in range(2):
+            curve[k, m] = a * path[i, m] + b * path[i + 1, m] + p * bend[i, m] + q * bend[i + 1, m]
     curve[0], curve[-1] = path[0], path[-1]
     return curve
 

@@ -17,8 +17,7 @@ from gpdf_service.perception.surface import Cells
 from gpdf_service.planning.footprint import directions
 from gpdf_service.planning.shape import lengths
 from gpdf_service.search import FreeSpace
-from gpdf_service.search.motion import disc_distance, farthest_moved
-from gpdf_service.search.places import Places
+from gpdf_service.search.places import Places, distance_at
 from gpdf_service.search.steps import is_stepped
 from gpdf_service.search.ways import CARE
 from gpdf_service.types import Agent, FloatArray, IntArray
@@ -104,18 +103,19 @@ def _slow_down(
     poses, level, on, offsets = places
     scratch, cells = make_scratch(), int(np.ceil(radius / ground.width))
     for offset in offsets:
-        room, before = -np.inf, 0  # there is at least so much, since that pose
+        room, was_x, was_y = -np.inf, 0.0, 0.0  # there is at least so much, since that place
         for i in range(len(poses)):
             if level[i] != on:
                 continue
-            room -= farthest_moved(poses[before], poses[i], offset)
-            if room < preferred:
-                room = disc_distance(obstacles, poses[i], offset, scratch) - reach
-            before, near = i, min(room / preferred, 1.0)
             x, y = poses[i, 0] + offset * np.cos(poses[i, 2]), poses[i, 1] + offset * np.sin(poses[i, 2])
+            room -= np.sqrt((x - was_x) ** 2 + (y - was_y) ** 2)
+            was_x, was_y = x, y
             if is_stepped(ground, noticed, x, y, cells):
-                near = 0.0
-            share[i] = min(share[i], CARE + (1.0 - CARE) * max(near, 0.0))
+                share[i] = CARE
+                continue
+            if room < preferred:
+                room = distance_at(obstacles, (x, y, 0.0), scratch) - reach
+            share[i] = min(share[i], CARE + (1.0 - CARE) * min(max(room / preferred, 0.0), 1.0))
 
 
 @njit(cache=True, nogil=True)

@@ -12,12 +12,15 @@ from math import cos, hypot, pi, sin
 import numpy as np
 from numba import njit
 
+from gpdf_service.fields.segment import segment_distance2
 from gpdf_service.fields.tree import Scratch, make_scratch
 from gpdf_service.search.places import Places, distance_at
 from gpdf_service.types import FloatArray
 
 RESOLUTION = 1e-3
 """[m] A motion is called blocked when a piece of this length cannot be proven clear."""
+_RUN = 32
+"""Pieces of a polyline that are looked at together first."""
 CENTRE = np.zeros(1)
 """[m] Where the disc of a cylinder lies, ahead of its centre."""
 
@@ -31,35 +34,17 @@ def disc_distance(obstacles: Places, pose: FloatArray, offset: float, scratch: S
 
 @njit(cache=True, nogil=True)
 def is_clear(obstacles: Places, a: FloatArray, b: FloatArray, radius: float) -> bool:
-    """Whether the whole segment from place a to place b, (2,), keeps `radius` from every obstacle.
+    """Whether the whole segment from place a to place b, (2,), keeps `radius` from every obstacle, exactly.
 
-    It is gone along in steps as long as there is room on either side, halved where the next place has less.
+    As with distances, nothing is clear where there are no obstacles at all: then nothing is known.
     """
-    scratch = make_scratch()
-    far = hypot(b[0] - a[0], b[1] - a[1])
-    spare = distance_at(obstacles, (a[0], a[1], 0.0), scratch) - radius
-    if spare < 0.0:
-        return False
-    if spare >= far:
-        return True
-    last = distance_at(obstacles, (b[0], b[1], 0.0), scratch) - radius
-    if last < 0.0 or spare + last >= far:
-        return last >= 0.0
-    along, step = 0.0, 2.0 * spare
-    while spare + last < far - along:
-        step = max(min(step, 0.5 * (far - along)), RESOLUTION)
-        share = (along + step) / far
-        place = a[0] + share * (b[0] - a[0]), a[1] + share * (b[1] - a[1]), 0.0
-        there = distance_at(obstacles, place, scratch) - radius
-        if there < 0.0:
-            return False
-        if spare + there >= step:
-            along, spare, step = along + step, there, 2.0 * there
-        elif step > RESOLUTION:
-            step *= 0.5
-        else:
-            return False
-    return True
+    limit, scratch, known = radius * radius, make_scratch(), False
+    for tree in obstacles:
+        if len(tree.begin) >= 2:
+            known = True
+            if segment_distance2(tree, a, b, limit, limit, scratch)[0] < limit:
+                return False
+    return known
 
 
 @njit(cache=True, nogil=True)
@@ -123,8 +108,11 @@ def least_distance(
 ) -> tuple[float, FloatArray]:
     """Lower bound of the distance of all discs to the obstacles on a way through poses (n, 3) [m], and where (2,) [m].
 
-    The body moves evenly from pose to pose. The bound is within `resolution` of the least that was found.
+    The body moves evenly from pose to pose. The bound is within `resolution` of the least that was found; of a
+    cylinder, whose way is straight from pose to pose, it is that.
     """
+    if len(offsets) == 1 and offsets[0] == 0.0:
+        return _least_of_straight(obstacles, poses)
     at, scratch = np.zeros((len(offsets), len(poses))), make_scratch()
     best, found, disc = np.inf, poses[0].copy(), 0.0
     for k in range(len(offsets)):
@@ -152,6 +140,38 @@ def least_distance(
                 top += 2
     where = np.array([found[0] + disc * cos(found[2]), found[1] + disc * sin(found[2])])
     return best - resolution, where
+
+
+@njit(cache=True, nogil=True)
+def _least_of_straight(obstacles: Places, poses: FloatArray) -> tuple[float, FloatArray]:
+    """`least_distance` of the polyline itself.
+
+    A run of it that is L long lies within √(L² − c²)/2 of its chord of length c. It is passed over if nothing is so
+    near to the chord that it could hold the least, else it is halved.
+    """
+    scratch, where, along = make_scratch(), poses[0, :2].copy(), np.zeros(len(poses))
+    for i in range(1, len(poses)):
+        along[i] = along[i - 1] + hypot(poses[i, 0] - poses[i - 1, 0], poses[i, 1] - poses[i - 1, 1])
+    best = distance_at(obstacles, (where[0], where[1], 0.0), scratch)
+    runs = [(first, min(first + _RUN, len(poses) - 1)) for first in range(0, len(poses) - 1, _RUN)]
+    while len(runs) > 0:
+        first, last = runs.pop()
+        a, b, single = poses[first], poses[last], last == first + 1
+        far2 = (b[0] - a[0]) ** 2 + (b[1] - a[1]) ** 2
+        aside = 0.0 if single else 0.5 * np.sqrt(max((along[last] - along[first]) ** 2 - far2, 0.0))
+        limit = (best + aside) ** 2
+        least, share = limit, 0.0
+        for tree in obstacles:
+            found, at = segment_distance2(tree, a, b, least, 0.0 if single else limit, scratch)
+            if found < least:
+                least, share = found, at
+        if least < limit and single:
+            best = np.sqrt(least)
+            where[0], where[1] = a[0] + share * (b[0] - a[0]), a[1] + share * (b[1] - a[1])
+        elif least < limit:
+            runs.append((first, (first + last) // 2))
+            runs.append(((first + last) // 2, last))
+    return best, where
 
 
 @njit(cache=True, nogil=True)

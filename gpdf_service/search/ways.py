@@ -112,47 +112,56 @@ def minded_room(agent: Agent, prefer: Prefer) -> float:
 def way_takes(path: FloatArray, about: Beside) -> FloatArray:
     """What each segment of a way in plan, shape (n, 2), takes: shape (n − 1, 6).
 
-    Distances are 1-Lipschitz: as long as there must be enough room yet, no obstacle is looked for.
+    What is seen beside the way counts until the next look. Distances are 1-Lipschitz: as long as there must be enough
+    room yet, no obstacle is looked for.
     """
-    made, scratch = np.zeros((len(path) - 1, 6)), make_scratch()
+    made, scratch = least_takes(path, about), make_scratch()
     cells, enough = int(np.ceil(about.reach / about.ground.width)), about.reach + about.minded
-    distance, row, x, y = -np.inf, -1, 0.0, 0.0
+    distance, due, tight, unseen = -np.inf, 0.0, 0.0, False
     for i in range(len(path) - 1):
-        a, b = path[i], path[i + 1]
-        length = np.sqrt((b[0] - a[0]) ** 2 + (b[1] - a[1]) ** 2)
-        made[i, LENGTH] = length
-        ground_takes(a, b, about.ground, about.steps, about.slopes, about.glad_step, made[i])
-        count = int(np.ceil(length / LOOK))
-        for k in range(count):
-            was_x, was_y = x, y
-            x, y = a[0] + (k + 0.5) / count * (b[0] - a[0]), a[1] + (k + 0.5) / count * (b[1] - a[1])
-            distance -= np.sqrt((x - was_x) ** 2 + (y - was_y) ** 2)
-            if distance < enough:
-                distance, row = nearest_of(about.places, (x, y, 0.0), scratch)
-            tight = length / count * min(max(1.0 - (distance - about.reach) / about.minded, 0.0), 1.0)
-            if is_stepped(about.ground, about.noticed, x, y, cells):
-                tight = length / count
-                distance, row = nearest_of(about.places, (x, y, 0.0), scratch)
-            made[i, TIGHT] += tight
-            if row >= 0 and tight > 0.0 and about.kind[row] == ObstacleKind.UNKNOWN:
-                made[i, UNSEEN] += tight
+        length, at = made[i, LENGTH], 0.0
+        while at < length:
+            if due <= 0.0:
+                share = at / length
+                x = path[i, 0] + share * (path[i + 1, 0] - path[i, 0])
+                y = path[i, 1] + share * (path[i + 1, 1] - path[i, 1])
+                if distance < enough:
+                    distance, row = nearest_of(about.places, (x, y, 0.0), scratch)
+                    unseen = distance < enough and row >= 0 and about.kind[row] == ObstacleKind.UNKNOWN
+                tight = min(max(1.0 - (distance - about.reach) / about.minded, 0.0), 1.0)
+                tight = 1.0 if is_stepped(about.ground, about.noticed, x, y, cells) else tight
+                due, distance = LOOK, distance - LOOK
+            piece = min(length - at, due)
+            at, due = at + piece, due - piece
+            made[i, TIGHT] += tight * piece
+            made[i, UNSEEN] += tight * piece if unseen else 0.0
     return made
 
 
 @njit(cache=True, nogil=True)
-def ground_takes(
-    a: FloatArray,
-    b: FloatArray,
+def least_takes(path: FloatArray, about: Beside) -> FloatArray:
+    """What `way_takes` says, but for what is beside the way: never more, and soon told."""
+    made, ground, steps, slopes = np.zeros((len(path) - 1, 6)), about.ground, about.steps, about.slopes
+    for i in range(len(path) - 1):
+        a, b = (path[i, 0], path[i, 1]), (path[i + 1, 0], path[i + 1, 1])
+        taken = _ground_takes(a, b, ground, steps, slopes, about.glad_step)
+        made[i, LENGTH], made[i, SLOPED], made[i, STEPPED], made[i, LEDGE] = taken
+    return made
+
+
+@njit(cache=True, nogil=True)
+def _ground_takes(
+    a: tuple[float, float],
+    b: tuple[float, float],
     ground: Cells,
     steps: FloatArray,
     slopes: FloatArray,
     glad_step: float,
-    made: FloatArray,
-) -> None:
-    """Add what the ground of a segment takes to `made`, shape (6,); it is looked at twice a cell."""
+) -> tuple[float, float, float, float]:
+    """The length of a segment, and what its ground takes, which is looked at twice a cell: slopes, steps, high ones."""
     length = np.sqrt((b[0] - a[0]) ** 2 + (b[1] - a[1]) ** 2)
     count = max(1, int(np.ceil(2.0 * length / ground.width)))
-    before, step_before = np.nan, 0.0
+    before, step_before, sloped, stepped, ledge = np.nan, 0.0, 0.0, 0.0, 0.0
     for k in range(count + 1):
         t = k / count
         u, v = cell_of(ground, a[0] + t * (b[0] - a[0]), a[1] + t * (b[1] - a[1]))
@@ -160,20 +169,25 @@ def ground_takes(
             continue
         z, step = float(ground.height[u, v]), max(steps[u, v], step_before)
         if step <= NOTICED_STEP:
-            made[SLOPED] += length / count * np.tan(slopes[u, v]) if k > 0 else 0.0
+            sloped += length / count * np.tan(slopes[u, v]) if k > 0 and slopes[u, v] > 0.0 else 0.0
         elif not np.isnan(before):
-            made[STEPPED] += abs(z - before)
-            made[LEDGE] += abs(z - before) if step > glad_step else 0.0
+            stepped += abs(z - before)
+            ledge += abs(z - before) if step > glad_step else 0.0
         before, step_before = z, steps[u, v]
+    return length, sloped, stepped, ledge
 
 
 @njit(cache=True, nogil=True)
 def way_steps(
-    path: FloatArray, ground: Cells, steps: FloatArray, slopes: FloatArray, glad_step: float, made: FloatArray
-) -> None:
-    """Add what the ground of a way in plan, shape (n, ≥ 2), takes to `made`, shape (6,)."""
+    path: FloatArray, ground: Cells, steps: FloatArray, slopes: FloatArray, glad_step: float
+) -> tuple[float, float]:
+    """Rise and fall in steps, and in high ones, of a way in plan, shape (n, ≥ 2) [m]."""
+    stepped, high = 0.0, 0.0
     for i in range(len(path) - 1):
-        ground_takes(path[i], path[i + 1], ground, steps, slopes, glad_step, made)
+        a, b = (path[i, 0], path[i, 1]), (path[i + 1, 0], path[i + 1, 1])
+        _, _, more, higher = _ground_takes(a, b, ground, steps, slopes, glad_step)
+        stepped, high = stepped + more, high + higher
+    return stepped, high
 
 
 @dataclass(frozen=True, slots=True)
@@ -361,5 +375,9 @@ def _ground_of_edges(
     for e in range(len(ends)):
         for node in ends[e]:
             if on[node] == level:
-                made[e, LENGTH] += np.sqrt(((via[e] - position[node]) ** 2).sum())
-                ground_takes(position[node], via[e], ground, steps, slopes, glad_step, made[e])
+                a, b = (position[node, 0], position[node, 1]), (via[e, 0], via[e, 1])
+                length, sloped, stepped, ledge = _ground_takes(a, b, ground, steps, slopes, glad_step)
+                made[e, LENGTH] += length
+                made[e, SLOPED] += sloped
+                made[e, STEPPED] += stepped
+                made[e, LEDGE] += ledge

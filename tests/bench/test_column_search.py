@@ -60,3 +60,16 @@ def test_random_pairs_are_joined_and_stood_on():
         a, b = search.nearest(one), search.nearest(two)
         assert np.allclose(search.places[a], one)
         assert search.component[a] == search.component[b]
+
+
+@pytest.mark.parametrize(("post", "deep"), [(0.2, 0.0), (1.0, BODY.radius - 0.1)])
+def test_a_way_is_in_a_column_that_is_higher_than_a_step(post, deep):
+    """The way passes 0.1 m beside a post that stands on a ramp; one of a voxel's height is a step up."""
+    points = decks()
+    x = 26 * CELL  # in the middle of the ramp
+    z = points[(np.abs(points[:, :2] - [x, 2.0]) < 0.01).all(axis=1), 2].min()
+    up = np.column_stack([np.full(5, x), np.full(5, 2.0), z + CELL * np.arange(1, 6)])
+    search = ColumnSearch(np.concatenate([points, up[up[:, 2] <= z + post + 0.01]]), BODY, CELL)
+    way = np.array([[x - 1.0, 2.1, z - 0.3], [x + 1.0, 2.1, z + 0.3]])
+    assert search.deepest(way) == pytest.approx(deep, abs=0.005)
+    assert search.deepest(np.add(way, [0.0, 2.0 * BODY.radius, 0.0])) == 0.0

@@ -63,6 +63,21 @@ def test_the_riser_after_next_is_a_step_and_one_that_is_too_high_is_not():
     assert stair(0.4).penetration(np.array([1.99, 2.0, 0.0]), human) > 0.2
 
 
+@pytest.mark.parametrize(("beside", "touched"), [(0.2, False), (0.4, True), (None, True)])
+def test_a_voxel_on_the_rung_of_the_ground_beside_it_is_that_ground_s(beside, touched):
+    """Where a ramp begins a column has two voxels; the upper one is as high as the ramp's next column."""
+    x, y = (axis.ravel() for axis in np.meshgrid(np.arange(0.0, 3.0, 0.2), np.arange(0.0, 3.0, 0.2)))
+    floor = np.column_stack([x, y, np.zeros(x.size)])
+    upper = np.array([[1.4, 1.4, 0.2]])
+    ground = floor
+    if beside is not None:
+        ground = floor[~((np.abs(x - 1.6) < 0.1) & (np.abs(y - 1.4) < 0.1))]
+        ground = np.vstack([ground, [(1.6, 1.4, beside)]])
+    points = np.vstack([ground, upper]).astype(np.float32).astype(float)
+    judge = Judge(points, np.arange(len(points)) < len(ground))
+    assert (judge.penetration(np.array([1.3, 1.4, 0.0]), AGENTS["human"]) > 0.0) == touched
+
+
 def test_a_head_that_brushes_a_lintel_within_the_scan_s_own_error_does_not_hit_it():
     path = path_of([(1, 2, 0), (5, 2, 0)], [(1, 2, 2), (5, 2, 2)])
     low, high = (judge_of(Box((2.9, 0.0, z), (3.1, 4.0, 2.4))) for z in (1.96, 1.99))

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import gpdf_service as gpdf
-from gpdf_service.bench.refusals import measure_deadline, measure_refusals, named_bodies, random_queries, tries
+from gpdf_service.bench.refusals import measure_deadline, measure_refusals, named_bodies, random_queries, rows_of, tries
 from gpdf_service.cli import main
 from gpdf_service.synthetic import Box, World
 from gpdf_service.types import AGENTS, PlanResult, Status
@@ -68,7 +68,7 @@ def test_queries_are_on_ground_and_some_where_the_body_does_not_stand(narrow):
 def test_every_refusal_is_counted_once_and_every_answer_to_a_deadline(narrow):
     pairs = random_queries(narrow, HUMAN, 20, np.random.default_rng(1))
     refused = sum(gpdf.plan(narrow, *pair, HUMAN).status is not Status.OK for pair in pairs)
-    rows = measure_refusals(narrow, HUMAN, pairs, tried=0)
+    rows = rows_of(measure_refusals(narrow, HUMAN, pairs, tried=0))
     assert sum(row["refused"] for row in rows) == refused
     assert all(row["tried"] == 0 for row in rows)
     row = measure_deadline(narrow, HUMAN, pairs, 1e-9)
@@ -83,5 +83,8 @@ def test_the_verb_prints_a_row_for_each_status_and_for_each_deadline(capsys):
     rows = json.loads(capsys.readouterr().out)
     assert rows
     assert {"scene", "agent", "status", "refused", "p99_ms", "tried", "helped"} <= rows[0].keys()
+    assert [row["refused"] for row in rows if row["scene"] == "all"] == [
+        row["refused"] for row in rows[: len(rows) // 2]
+    ]
     assert main([*words, "--deadlines", "0.02", "0.1"]) == 0
     assert [row["deadline_ms"] for row in json.loads(capsys.readouterr().out)] == [20.0, 100.0]

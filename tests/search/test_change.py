@@ -72,7 +72,7 @@ def test_obstacles_that_come_and_go_change_the_leaves_and_edges_around_them(seed
 def test_every_edge_is_clear_and_none_that_is_clear_is_missing(seed):
     """Each pair of free neighbours against a fine sampling of its way through the crossing."""
     rng = np.random.default_rng(seed)
-    surface, places = flat(rng), sticks(rng, 150)
+    surface, places = flat(rng), sticks(rng, 600)
     tree = build_quadtree(surface, build_tree(places), RADIUS)
     ends, via = find_edges(tree, Places(build_tree(places)), RADIUS)
     proven = {tuple(sorted(pair)) for pair in ends.tolist()}
@@ -86,6 +86,6 @@ def test_every_edge_is_clear_and_none_that_is_clear_is_missing(seed):
             assert least >= RADIUS - 1e-9
         else:
             refused += 1
-            assert least < RADIUS + 2e-3  # what a proof resolves
-    assert refused > 10
+            assert least < RADIUS + 1e-3  # what the sampling resolves
+    assert refused > 0
     assert len(via) == len(ends) > 100

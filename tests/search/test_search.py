@@ -3,9 +3,12 @@ import pytest
 from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import dijkstra
 
-from gpdf_service.fields import morton
+from gpdf_service.fields import build_tree, morton
+from gpdf_service.fields.tree import NO_POINTS
 from gpdf_service.search import find_path, is_clear
 from gpdf_service.search.graph import find_edges
+from gpdf_service.search.motion import CENTRE, least_distance
+from gpdf_service.search.places import Places
 
 
 @pytest.fixture(scope="module")
@@ -112,3 +115,31 @@ def test_the_room_at_one_place_is_what_the_clearance_of_many_says(space):
     distance, kind = space.clearance(0, xy)
     found = [space.room(0, place) for place in xy]
     assert found == list(zip(distance.tolist(), kind.tolist(), strict=True))
+
+
+@pytest.mark.parametrize("count", [1, 31, 700])
+def test_a_segment_and_a_polyline_know_their_distance_to_points_exactly(count):
+    rng = np.random.default_rng(count)
+    points, moving = rng.uniform(-3.0, 3.0, (count, 2)), rng.uniform(-3.0, 3.0, (3, 2))
+    places = Places(build_tree(points), build_tree(moving))
+    for scale in (0.0, 0.05, 2.0):
+        path = rng.uniform(-2.0, 2.0, 2) + np.cumsum(scale * rng.normal(size=(80, 2)), axis=0)
+        a, b, every = path[:-1, None], path[1:, None], np.concatenate([points, moving])
+        far2 = np.maximum(((b - a) ** 2).sum(axis=-1), 1e-300)
+        along = np.clip(((every - a) * (b - a)).sum(axis=-1) / far2, 0.0, 1.0)
+        distance = np.linalg.norm(a + along[..., None] * (b - a) - every, axis=-1).min(axis=1)
+        for one, two, least in zip(path[:-1], path[1:], distance, strict=True):
+            assert is_clear(places, one, two, least - 1e-9)
+            assert not is_clear(places, one, two, least + 1e-9)
+        least, where = least_distance(places, np.column_stack([path, np.zeros(80)]), CENTRE, 1e-3)
+        assert least == pytest.approx(distance.min(), abs=1e-9)
+        assert np.linalg.norm(every - where, axis=1).min() == pytest.approx(least, abs=1e-9)
+
+
+def test_nothing_is_clear_where_a_place_is_none_or_nothing_is_known():
+    a, b = np.zeros(2), np.ones(2)
+    assert not is_clear(Places(NO_POINTS), a, b, 0.1)
+    places = Places(build_tree(np.array([[9.0, 9.0]])))
+    assert is_clear(places, a, b, 0.1)
+    assert not is_clear(places, a, np.array([np.nan, 1.0]), 0.1)
+    assert not is_clear(places, a, np.array([np.inf, 1.0]), 0.1)
