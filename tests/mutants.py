@@ -26,7 +26,7 @@ TREES = ("gpdf_service", "clients", "schemas", "tests", "pyproject.toml")
 PLANS = ("tests/planning/test_planner.py", "tests/planning/test_plan_options.py")
 MODULES = {
     "gpdf_service/planning/certificate.py": ("tests/planning/test_certificate.py", "tests/planning/test_planner.py"),
-    "gpdf_service/planning/endpoints.py": PLANS,
+    "gpdf_service/planning/endpoints.py": ("tests/planning/test_endpoints.py", *PLANS),
     "gpdf_service/planning/planner.py": PLANS,
     "gpdf_service/planning/timing.py": ("tests/planning/test_timing.py",),
     "gpdf_service/search/graph.py": ("tests/search", "tests/test_update.py"),
