@@ -37,7 +37,7 @@ MODULES = {
     "gpdf_service/service/in_use.py": ("tests/service/test_in_use.py",),
     "gpdf_service/service/moving.py": ("tests/service/test_moving.py",),
     "clients/gpdf_guidance/corridor.py": ("tests/clients/test_corridor.py", "tests/clients/test_guidance.py"),
-    "clients/gpdf_robot/driver.py": ("tests/clients/test_robot.py", "tests/clients/test_robot_parts.py"),
+    "clients/gpdf_robot/driver.py": ("tests/clients/test_driver.py", "tests/clients/test_robot.py"),
     "clients/gpdf_robot/controller.py": ("tests/clients/test_robot_parts.py",),
 }
 """Each module, and the tests that are its own."""
@@ -45,6 +45,7 @@ CONTROLLER, CORRIDOR = "clients/gpdf_robot/controller.py", "clients/gpdf_guidanc
 DRIVER = "clients/gpdf_robot/driver.py"
 CERTIFICATE = "gpdf_service/planning/certificate.py"
 TURNS = "abs(aside) {} (TURN_UNTIL if speed < STANDS else TURN_FIRST)"
+UNSET = "self._along, self._best, self._version, self._room = 0.0, -np.inf, 0, np.inf"
 EQUAL: dict[tuple[str, ...], str] = {
     (CERTIFICATE, "spare <= 0.0 → (spare < 0.0)"): "what is left of a distance is nothing to the last bit",
     (CONTROLLER, f"{TURNS.format('>')} → ({TURNS.format('>=')})"): "an angle that is the limit to the last bit",
@@ -52,6 +53,15 @@ EQUAL: dict[tuple[str, ...], str] = {
     (CONTROLLER, "remaining / APPROACH_S → (remaining * APPROACH_S)"): "it is one second",
     (CONTROLLER, "1e-9 → (0.100000002)"): "a bend of ten metres' radius slows nobody here",
     (DRIVER, "now - self._moved_at > GIVE_UP_S → (now - self._moved_at >= GIVE_UP_S)"): "a time to the last bit",
+    (DRIVER, "wanted.speed > 0.0 → (wanted.speed >= 0.0)"): "who turns on the spot has as much room then as now",
+    (DRIVER, "2.0 * pose.accuracy > self.margins[0] → (2.0 * pose.accuracy >= self.margins[0])"): "to the last bit",
+    (
+        DRIVER,
+        "result.status is Status.OK and result.trajectory is not None → (result.status is Status.OK)",
+    ): "what is OK has a trajectory",
+    (DRIVER, "0.0 → (0.1)", UNSET): "the plan sets it before it is read",
+    (DRIVER, "0 → (1)", UNSET): "the plan sets it before it is read",
+    (DRIVER, "0.0 → (0.1)", "self._wait_s = 0.0"): "the last request was never",
     (CORRIDOR, "s >= f.start - SPACING → (s > f.start - SPACING)"): "a sample at the limit to the last bit",
     (CORRIDOR, "s <= f.end + SPACING → (s < f.end + SPACING)"): "a sample at the limit to the last bit",
     (CORRIDOR, "np.minimum(*away) > least[:, None] → (np.minimum(*away) >= least[:, None])"): "the same of a height",
