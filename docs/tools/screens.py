@@ -125,8 +125,8 @@ HELD_S = 2.5
 
 def house(stage: Stage) -> None:
     """A way over two storeys, the lower one shown."""
-    stage.opens("house")
-    stage.plans(*stage.ends["house"])
+    stage.opens("two-storeys")
+    stage.plans(*stage.ends["two-storeys"])
 
 
 def house_above(stage: Stage) -> None:
@@ -137,8 +137,8 @@ def house_above(stage: Stage) -> None:
 
 def museum(stage: Stage) -> None:
     """A place of many storeys, and the way through them."""
-    stage.opens("museum")
-    stage.plans(*stage.ends["museum"])
+    stage.opens("thirty-levels")
+    stage.plans(*stage.ends["thirty-levels"])
 
 
 STATES: dict[str, Callable[[Stage], None]] = {
@@ -186,13 +186,13 @@ def make_scenes(folder: Path, museum: Path | None) -> dict[str, tuple[str, str]]
     rng = np.random.default_rng(3)
     place = PLACES["house_return"](rng)
     scan = SCANNERS["handheld"](place, rng, 0.006).thinned(VOXEL, rng)
-    gpdf.build_scene(scan.points).save(folder / "house.gpdf")
-    ends["house"] = typed(place.way[0]), typed(place.way[-1])
+    gpdf.build_scene(scan.points).save(folder / "two-storeys.gpdf")
+    ends["two-storeys"] = typed(place.way[0]), typed(place.way[-1])
     if museum is not None:
         scene = gpdf.build_scene(gpdf.read_cloud(museum).points)
         reach = find_reach(scene.free_space("human"))
-        scene.save(folder / "museum.gpdf")
-        ends["museum"] = typed(reach.start), typed(reach.goal)
+        scene.save(folder / "thirty-levels.gpdf")
+        ends["thirty-levels"] = typed(reach.start), typed(reach.goal)
     return ends
 
 
