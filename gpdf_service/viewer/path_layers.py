@@ -36,10 +36,12 @@ SAID = {"start": "start", "goal": "goal", "nearest": "nearest place that fits", 
 ANCHORS: dict[str, Anchor] = {
     "start": "bottom-center",
     "goal": "bottom-center",
-    "nearest": "top-left",
+    "nearest": "bottom-left",
     "cut": "top-right",
 }
 """Which side of its place a label is on: what is refused and the nearest place that fits are often close."""
+LABELS = {"start": 0.25, "goal": 0.25, "nearest": 0.7, "cut": 0.25}
+"""[m] Over their places: so the nearest one's does not hide that of the goal that was refused."""
 BODY = (0, 114, 178)
 
 
@@ -79,7 +81,9 @@ class PathLayers:
             return
         at = self._frame.to_page(place) + LIFTED
         disc = self._scene.add_cylinder(f"/plan/{name}", MARK_RADIUS, 0.03, MARKS[name], position=at, cast_shadow=False)
-        label = self._scene.add_label(f"/plan/{name}/label", SAID[name], position=(0, 0, 0.25), anchor=ANCHORS[name])
+        label = self._scene.add_label(
+            f"/plan/{name}/label", SAID[name], position=(0, 0, LABELS[name]), anchor=ANCHORS[name]
+        )
         self._marks[name] = [label, disc]
 
     def clear(self) -> None:
@@ -125,7 +129,9 @@ class PathLayers:
         self.move(0.0)
 
     def _add_segments(self, node: str, segments: FloatArray, shades: colours.Colours) -> viser.SceneNodeHandle:
-        return self._scene.add_line_segments(node, segments, shades, thickness=LINE_WIDTH, thickness_units="screen")
+        return self._scene.add_line_segments(
+            node, segments, colours.of_lines(shades), thickness=LINE_WIDTH, thickness_units="screen"
+        )
 
     def _add_ghosts(
         self, node: str, ghost: tuple[FloatArray, Faces], turns: FloatArray, places: FloatArray, shades: colours.Colours
