@@ -21,7 +21,7 @@ HEAD = """<title>Plan a way · gpdf</title>
 .mantine-Button-root[data-variant=outline] { color: #005a8f !important; border-color: #005a8f !important; }
 .mantine-Button-root[style*="gray"] { background: #5c636a !important; }
 label { color: #343a40 !important; }
-[role=alert] { scroll-margin: 1em 0 5em; }
+[role=alert], [role=status] { scroll-margin: 1em 0 5em; }
 [data-dock-minimize] { min-width: 24px; min-height: 24px; }
 @media (max-width: 36em) {
   [style*="width: 20em"] { width: 100% !important; }
@@ -52,8 +52,8 @@ function nameAll() {
       if (!field.labels || field.labels.length === 0) field.setAttribute("aria-label", label.textContent.trim());
     }
   }
-  for (const card of document.querySelectorAll("[role=alert]:not([data-met])")) {  // on a phone it is below the fold
-    card.dataset.met = "";
+  for (const card of document.querySelectorAll("[role=alert]:not([data-met]), [role=status]:not([data-met])")) {
+    card.dataset.met = "";  // on a phone it is below the fold
     card.scrollIntoView({ block: "nearest" });
   }
   for (const button of document.querySelectorAll("button:not([aria-label])")) {

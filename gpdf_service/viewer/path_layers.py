@@ -14,7 +14,7 @@ from gpdf_service.viewer import colours
 from gpdf_service.viewer.frame import Frame
 
 Faces = NDArray[np.uint32]
-Anchor = Literal["bottom-center", "top-left", "top-right"]
+Anchor = Literal["bottom-center", "bottom-left", "top-right"]
 LINE_LIFT = 0.04
 """[m] The path is drawn over the ground and the leaves."""
 LIFTED = np.array([0.0, 0.0, LINE_LIFT])
