@@ -76,7 +76,7 @@ class Stage:
         self.web.get_by_role("option", name=value, exact=True).click()
 
     def _field(self, label: str):  # noqa: ANN202 - of playwright
-        return self.web.locator(f"input[aria-label='{label}']").first
+        return self.web.locator(f"input[aria-label='{label}']:not([type=hidden])").first
 
 
 DRAWN = """
@@ -207,6 +207,7 @@ def typed(place: np.ndarray) -> str:
 def _arrive(browser, device: str, url: str) -> Tab:  # noqa: ANN001 - of playwright
     width, height = SIZES[device]
     web = browser.new_context(viewport={"width": width, "height": height}).new_page()
+    web.set_default_timeout(WAIT_MS)
     web.goto(url)
     web.get_by_text("Connected to").first.wait_for(timeout=WAIT_MS)
     web.wait_for_function(DRAWN, arg="office", timeout=WAIT_MS)

@@ -203,6 +203,25 @@ def test_what_is_asked_reaches_from_here_to_where_it_would_stand_then_along_the_
     assert AHEAD_M - 1e-6 <= line[-1, 0] - line[0, 0] <= AHEAD_M + CHECK_M + 1e-6
 
 
+@pytest.mark.parametrize("age", [0.0, 0.3, -0.2])
+def test_it_thinks_from_where_it_is_when_its_command_takes_effect(age):
+    walk = cruising()
+    speed = walk.driver._command.forward
+    walk.step(dataclasses.replace(walk.pose, stamp=walk.now - age))
+    ahead = walk.world.asked[0, 0] - (walk.pose.x - PERIOD_S * speed)  # of where the pose was
+    assert ahead == pytest.approx(speed * (max(age, 0.0) + DELAY_S), abs=0.01)
+
+
+def test_it_turns_no_faster_and_gets_no_faster_than_its_body_can():
+    walk = Walk(World(), at=(0.0, 0.0, 2.0))
+    commands = [walk.step() for _ in range(200)]
+    turns, speeds = np.array([one.turn for one in commands]), np.array([one.forward for one in commands])
+    rate = ROOMBA.turn_rate
+    assert np.abs(turns).max() == pytest.approx(rate, rel=0.01)
+    assert np.abs(np.diff(turns)).max() == pytest.approx(rate / 0.3 * PERIOD_S, rel=0.01)
+    assert np.diff(speeds).max() == pytest.approx(ROOMBA.acceleration * PERIOD_S, rel=0.01)
+
+
 @pytest.mark.parametrize("seed", range(12))
 def test_what_appears_further_off_than_it_needs_to_stand_is_never_touched(seed):
     rng = np.random.default_rng(seed)
@@ -227,6 +246,13 @@ def test_blocked_it_stands_and_asks_for_another_way_after_a_second():
     walk.until(lambda _: walk.driver.state is State.PLANNING)
     assert walk.driver.reason == "it cannot go on along its route"
     assert BLOCKED_S - 0.3 <= walk.now - began <= BLOCKED_S + 0.5  # it creeps on for a bit
+    asked = []
+    while len(asked) < 3:  # the way that it is given is the same one: no sooner than the first time is it given up
+        before = len(walk.world.plans)
+        walk.step()
+        if len(walk.world.plans) > before:
+            asked.append(walk.now)
+    np.testing.assert_allclose(np.diff(asked), BLOCKED_S, atol=0.2)
     assert walk.room > 0.0
 
 

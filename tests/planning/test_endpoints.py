@@ -136,6 +136,8 @@ def test_a_height_says_which_storey_is_meant_and_half_a_metre_is_the_same_ground
             assert refused.status is Status.GOAL_OUTSIDE_MAP
             assert "is at z = 0.00, 3.00 m, not" in refused.message
     asked = find_endpoint(storeys, np.array([1.0, 1.0]), "goal")
+    between = find_ends(storeys, np.array([1.0, 1.0, 0.0]), [np.array([1.0, 1.0, 1.5])], PlanOptions(snap=1.0))
+    assert between.status is Status.GOAL_OUTSIDE_MAP  # there is no ground to be moved to at that height
     assert (asked.status, asked.nearest) == (Status.AMBIGUOUS_LEVEL, None)
     assert "z = 0.00, 3.00 m under the goal" in asked.message
 

@@ -14,11 +14,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import gpdf_service as gpdf
-from gpdf_service.service.in_use import GRACE_S, MOST, MOST_PLACES, PATIENCE, TOUCH, InUse
+from gpdf_service.service.in_use import MOST_PLACES, InUse
 from gpdf_service.service.server import Options, Server
 from gpdf_service.types import Trajectory
 
 START, GOAL = (1.0, 1.5), (5.0, 1.5)
+PATIENCE, GRACE_S, MOST, TOUCH = 3.0, 60.0, 1000, 0.002
+"""What is promised, written down once more."""
 
 
 def straight(length=4.0, agent="human", duration=8.0):
