@@ -59,6 +59,13 @@ EQUAL: dict[tuple[str, ...], str] = {
         DRIVER,
         "result.status is Status.OK and result.trajectory is not None → (result.status is Status.OK)",
     ): "what is OK has a trajectory",
+    (DRIVER, "look.line < -KEEP → (look.line <= -KEEP)"): "a room to the last bit",
+    (
+        DRIVER,
+        "look.arc < min(look.keep, look.here - 1e-3) and wanted.speed > 0.0"
+        " → (look.arc < min(look.keep, look.here - 0.001))",
+    ): "who turns on the spot has as much room then as now",
+    (DRIVER, "1 → (2)", "count = max(2, 1 + round(self._reach(velocity) / CHECK_M))"): "one place more is asked about",
     (DRIVER, "0.0 → (0.1)", UNSET): "the plan sets it before it is read",
     (DRIVER, "0 → (1)", UNSET): "the plan sets it before it is read",
     (DRIVER, "0.0 → (0.1)", "self._wait_s = 0.0"): "the last request was never",

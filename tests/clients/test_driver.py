@@ -24,23 +24,24 @@ class World:
     def __init__(self, *pillars, height=0.0):
         self.pillars, self.height, self.version = list(pillars), height, 1
         self.refused = lambda width: False
-        self.broken = False
+        self.broken, self.status, self.slope, self.deadline_s = False, Status.OK, 0.0, None
         self.plans, self.asked = [], None
 
     def plan(self, scene, start, goal, agent):
         self.plans.append((tuple(start), agent["width"]))
         if self.refused(agent["width"]):
             return PlanResult(Status.NO_VALID_PATH, "too narrow", None, None, self.version, "p")
-        ground = np.array([[*start[:2], self.height], [*goal[:2], self.height]], dtype=float)
+        xy = np.linspace(start[:2], goal[:2], 61)
+        ground = np.column_stack([xy, self.height + self.slope * xy[:, 0]])
         top = ground + np.array([0.0, 0.0, ROOMBA.height])
         return PlanResult(
-            Status.OK, "", Trajectory(top, ground, np.array([0.0, 20.0]), np.zeros(2)), None, self.version, "p"
+            self.status, "", Trajectory(top, ground, np.linspace(0.0, 20.0, 61), np.zeros(61)), None, self.version, "p"
         )
 
     def distance(self, scene, field, places, agent, deadline_s):
         if self.broken:
             raise ClientError("nobody answers")
-        self.asked = np.array(places)
+        self.asked, self.deadline_s = np.array(places), deadline_s
         return Distances(
             self.room(places[:, :2]), np.zeros((len(places), 2)), np.ones(len(places), bool), None, self.version
         )
@@ -121,6 +122,7 @@ def test_without_a_first_pose_it_is_blind_and_asks_nothing():
 def test_no_answer_about_distances_stops_it():
     walk = cruising()
     walk.world.broken = True
+    assert walk.world.deadline_s == 0.2  # in which it goes on
     assert walk.step() == STOP
     assert (walk.driver.state, walk.driver.reason) == (State.BLIND, "no distances: nobody answers")
 
@@ -168,13 +170,21 @@ def test_after_something_new_it_asks_again_half_a_second_later_from_where_it_is(
 
 def test_the_first_route_begins_on_the_storey_that_was_said_and_later_ones_on_the_routes_own():
     world = World(height=3.1)
+    world.slope = 0.2
     driver = Driver(world, "hall", (LENGTH, 0.0), ROOMBA)
     driver.step(Pose(0.0, 0.0, 0.0), 0.0, start_z=3.0)
     assert world.plans[0][0] == (0.0, 0.0, 3.0)
     world.version = 2
     for i in range(1, 40):
-        driver.step(Pose(0.0, 0.0, 0.0, 0.05 * i), 0.05 * i, start_z=0.0)
-    assert world.plans[1][0] == (0.0, 0.0, 3.1)
+        driver.step(Pose(2.0, 0.0, 0.0, 0.05 * i), 0.05 * i, start_z=0.0)
+    assert world.plans[1][0] == pytest.approx((2.0, 0.0, 3.5))
+
+
+def test_a_route_that_nobody_has_proven_is_not_driven():
+    walk = Walk(World())
+    walk.world.status = Status.UNCERTIFIED
+    assert [walk.step() for _ in range(30)] == [STOP] * 30
+    assert walk.driver.reason.startswith("UNCERTIFIED")
 
 
 def test_far_beside_its_line_it_asks_for_another():
@@ -186,7 +196,7 @@ def test_far_beside_its_line_it_asks_for_another():
 
 
 def test_what_is_asked_reaches_from_here_to_where_it_would_stand_then_along_the_line():
-    walk = Walk(World(), body=BODIES["pepper"], delay_s=0.4)
+    walk = Walk(World(), body=dataclasses.replace(BODIES["pepper"], acceleration=0.25), delay_s=0.4)
     walk.until(lambda command: command.forward > 0.95 * walk.driver.body.speed)
     acceleration = walk.driver.body.acceleration
     speed = walk.step().forward
