@@ -43,11 +43,20 @@ MODULES = {
 """Each module, and the tests that are its own."""
 CONTROLLER, CORRIDOR = "clients/gpdf_robot/controller.py", "clients/gpdf_guidance/corridor.py"
 DRIVER = "clients/gpdf_robot/driver.py"
+ENDPOINTS, IN_USE = "gpdf_service/planning/endpoints.py", "gpdf_service/service/in_use.py"
+ASKED = "moves and (asked := self._asked.setdefault(scene, [])) is not None"
+OVER = "-1.0 <= (x - low) / surface.cell_width"
+RIM = "rim = np.concatenate([label[0], label[-1], label[:, 0], label[:, -1]])"
 CERTIFICATE = "gpdf_service/planning/certificate.py"
 TURNS = "abs(aside) {} (TURN_UNTIL if speed < STANDS else TURN_FIRST)"
 UNSET = "self._along, self._best, self._version, self._room = 0.0, -np.inf, 0, np.inf"
 EQUAL: dict[tuple[str, ...], str] = {
     (CERTIFICATE, "spare <= 0.0 → (spare < 0.0)"): "what is left of a distance is nothing to the last bit",
+    (IN_USE, f"{ASKED} → ({ASKED.removeprefix('moves and ')})"): "where nothing moves there is nothing to look for",
+    (IN_USE, "4_000_000 → (4000001)"): "one place of four million",
+    (ENDPOINTS, f"{OVER} <= cells + 1.0 → ({OVER} < cells + 1.0)"): "a cell beyond the map to the last bit",
+    (ENDPOINTS, "distance[0] < space.reach → (distance[0] <= space.reach)"): "a distance to the last bit",
+    (ENDPOINTS, "0 → (1)", RIM): "the map's rim is wider than a cell",
     (CONTROLLER, f"{TURNS.format('>')} → ({TURNS.format('>=')})"): "an angle that is the limit to the last bit",
     (CONTROLLER, "speed < STANDS → (speed <= STANDS)"): "a speed that is the limit to the last bit",
     (CONTROLLER, "remaining / APPROACH_S → (remaining * APPROACH_S)"): "it is one second",

@@ -112,6 +112,17 @@ def test_off_the_map_no_ground_is_known(space, name, outside):
         np.testing.assert_allclose(refused.nearest[:2], np.clip(place, 0.25, np.array(SIZE) - 0.25), atol=0.1)
 
 
+def test_within_reach_of_a_wall_from_behind_something_stands_and_further_off_nothing_is_known(points):
+    """Floor and walls were seen from inside; a floor goes on 3 m behind the western wall, so the map is there, too."""
+    cloud, ground = points
+    x, y = (one.ravel() for one in np.meshgrid(np.arange(-4.0, -3.0, SPACING), np.arange(0.0, 6.0, SPACING)))
+    beyond = np.column_stack([x, y, np.zeros(x.size)])
+    scene = gpdf.build_scene(np.concatenate([cloud, beyond]), np.concatenate([ground, np.ones(x.size, bool)]))
+    space = scene.free_space(HUMAN)
+    for off, status in ((0.02, Status.GOAL_OCCUPIED), (0.6, Status.GOAL_OUTSIDE_MAP)):
+        assert find_endpoint(space, np.array([-off, 3.0]), "goal").status is status
+
+
 @pytest.mark.parametrize(("name", "occupied"), [("start", Status.START_OCCUPIED), ("goal", Status.GOAL_OCCUPIED)])
 def test_in_a_hole_that_known_ground_surrounds_something_stands_or_nobody_has_seen_it(points, name, occupied):
     cloud, ground = points
