@@ -53,9 +53,22 @@ UNSET = "self._along, self._best, self._version, self._room = 0.0, -np.inf, 0, n
 EQUAL: dict[tuple[str, ...], str] = {
     (CERTIFICATE, "spare <= 0.0 → (spare < 0.0)"): "what is left of a distance is nothing to the last bit",
     (IN_USE, f"{ASKED} → ({ASKED.removeprefix('moves and ')})"): "where nothing moves there is nothing to look for",
+    (IN_USE, "1 → (2)", "discs = self.discs.reshape(-1, 3)"): "any negative length is the unknown one",
+    (
+        IN_USE,
+        "1 → (2)",
+        'above = points[pairs["j"], 2] - swept.discs.reshape(-1, 3)[pairs["i"], 2]',
+    ): "any negative length is the unknown one",
+    (IN_USE, "1 → (2)", "at = np.arange(knots[-1] + 1)"): "the last place twice",
+    (
+        IN_USE,
+        "1 → (2)",
+        "return self.agent.discs * (1 + int(_pieces(self.trajectory, self.agent).sum()))",
+    ): "one place more of four million",
     (IN_USE, "4_000_000 → (4000001)"): "one place of four million",
     (ENDPOINTS, f"{OVER} <= cells + 1.0 → ({OVER} < cells + 1.0)"): "a cell beyond the map to the last bit",
     (ENDPOINTS, "distance[0] < space.reach → (distance[0] <= space.reach)"): "a distance to the last bit",
+    (ENDPOINTS, "found.nearest is None or snap <= 0.0 → (found.nearest is None)"): "no place is nearer than no way",
     (ENDPOINTS, "0 → (1)", RIM): "the map's rim is wider than a cell",
     (CONTROLLER, f"{TURNS.format('>')} → ({TURNS.format('>=')})"): "an angle that is the limit to the last bit",
     (CONTROLLER, "speed < STANDS → (speed <= STANDS)"): "a speed that is the limit to the last bit",

@@ -76,7 +76,7 @@ class Stage:
         self.web.get_by_role("option", name=value, exact=True).click()
 
     def _field(self, label: str):  # noqa: ANN202 - of playwright
-        return self.web.get_by_role("textbox", name=label, exact=True).first
+        return self.web.get_by_text(label, exact=True).first.locator("xpath=following::input[1]")
 
 
 DRAWN = """
