@@ -5,6 +5,7 @@
 # make bench     the benchmark tables  make lock    renew constraints.txt
 # make mutants   faults in the modules that keep people safe, and whether a test notices each
 # make docs      the site, in out/site make pictures, make measure   what it shows, made again
+# make screens   the operator's page in all its states, and what axe-core finds there
 PYTHON ?= python3.11
 PY := .venv/bin/python
 SOURCES := gpdf_service clients schemas tests docs/tools
@@ -14,7 +15,7 @@ SYSTEM_PACKAGES := libgl1 libegl1 libx11-6 libgomp1 libusb-1.0-0
 # Without compiled modules each of the processes that tests begin compiles all that it imports.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: demo test test-page install check lint fix bench lock mutants schemas docs pictures measure system clean
+.PHONY: demo test test-page install check lint fix bench lock mutants schemas docs pictures screens measure system clean
 .DEFAULT_GOAL := install
 
 install: .venv/warm
@@ -91,6 +92,9 @@ docs: install
 
 pictures: install
 	$(PY) docs/tools/pictures.py
+
+screens: install
+	$(PY) docs/tools/screens.py
 
 measure: install
 	$(PY) docs/tools/measure.py

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gpdf_service.errors import CloudError
+from gpdf_service.perception.ply import check_whole
 from gpdf_service.types import BoolArray, FloatArray
 
 LAS_GROUND = 2
@@ -158,6 +159,8 @@ def read_open3d(path: Path, ground_label: int | None, scale: float | None = None
     """The vertices of a .ply, the points of a .pcd."""
     open3d = import_open3d()
     _no_labels(path, ground_label)
+    if path.suffix.lower() == ".ply":
+        check_whole(path)
     with open3d.utility.VerbosityContextManager(open3d.utility.VerbosityLevel.Error):
         cloud = open3d.io.read_point_cloud(path, remove_nan_points=False, remove_infinite_points=False)
     points = np.asarray(cloud.points, dtype=np.float64)

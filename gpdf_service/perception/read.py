@@ -177,7 +177,8 @@ def _framed(file: Path, stored: Stored, scale: float | None, up: str | None) -> 
         ground = None if ground is None else ground[finite]
         origins = None if origins is None else origins[finite]
     if len(points) == 0:
-        raise CloudError(f"cloud {file}", f"no point in it is finite ({dropped} are not)", "Is it empty or damaged?")
+        found = f"none of its {dropped} points is finite" if dropped else "it holds no point"
+        raise CloudError(f"cloud {file}", found, "Is it empty or damaged?")
     metres, axis = scale or stored.scale or 1.0, up or stored.up or "z"
     points = turn(points, metres, axis)
     odd = _odd(file, points, unit=not (scale or stored.scale), axis=not (up or stored.up))

@@ -72,6 +72,14 @@ def pale(shades: Colours) -> Colours:
     return ((1.0 - PALENESS) * shades + PALENESS * 255.0).astype(np.uint8)
 
 
+def of_lines(shades: Colours) -> Colours:
+    """Colours of the ends of lines, which viser takes for linear light: sRGB's, IEC 61966-2-1, made linear."""
+    share = shades / 255.0
+    linear = np.where(share <= 0.04045, share / 12.92, ((share + 0.055) / 1.055) ** 2.4)
+    made: Colours = np.rint(255.0 * linear).astype(np.uint8)
+    return made
+
+
 def css(colour: tuple[int, int, int] | NDArray[np.generic]) -> str:
     """As CSS writes it."""
     r, g, b = (int(channel) for channel in colour)

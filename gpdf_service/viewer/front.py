@@ -1,6 +1,7 @@
 """The first file that a browser gets: viser's, with our title and icon, room on a phone, and names for a screen reader.
 
-viser has no hook for any of these. What it draws later is named as it comes.
+viser has no hook for any of these. What it draws later is named as it comes. And of what is typed and pressed within
+`THROTTLE_MS` viser sends the first and the last alone, whichever fields these are of: here all of it is sent.
 """
 
 from __future__ import annotations
@@ -9,6 +10,8 @@ from pathlib import Path
 
 TITLE = "<title>Viser</title>"
 """viser's; where it is missing, the page is left as it is."""
+THROTTLE_MS = 50
+"""[ms] viser's. It is longer while the browser draws, since the timer waits for that."""
 HEAD = """<title>Plan a way · gpdf</title>
 <link rel="icon" href="data:image/svg+xml,%3Csvg xmlns='http://www.w3.org/2000/svg' viewBox='0 0 16 16'%3E%3Cpath
  d='M3 13C3 6 13 11 13 4' fill='none' stroke='%230072b2' stroke-width='2'/%3E%3Ccircle cx='3' cy='13' r='2.4'
@@ -18,7 +21,7 @@ HEAD = """<title>Plan a way · gpdf</title>
 .mantine-Button-root[data-variant=outline] { color: #005a8f !important; border-color: #005a8f !important; }
 .mantine-Button-root[style*="gray"] { background: #5c636a !important; }
 label { color: #343a40 !important; }
-[role=alert] { scroll-margin: 1em 0 5em; }
+[role=alert], [role=status] { scroll-margin: 1em 0 5em; }
 [data-dock-minimize] { min-width: 24px; min-height: 24px; }
 @media (max-width: 36em) {
   [style*="width: 20em"] { width: 100% !important; }
@@ -27,6 +30,13 @@ label { color: #343a40 !important; }
 </style>
 <script>
 "use strict";
+const later = window.setTimeout;
+let atOnce = true;  // what an early timer sets itself comes in time: it may set itself for ever
+window.setTimeout = (act, ms, ...rest) => {
+  if (ms !== THROTTLE_MS || typeof act !== "function" || !atOnce) return later(act, ms, ...rest);
+  queueMicrotask(() => { atOnce = false; try { act(...rest); } finally { atOnce = true; } });
+  return 0;
+};
 const NAMES = [["canvas", "Map of the scene. Start and goal can be typed, too."]];
 function nameAll() {
   for (const [what, name] of NAMES) {
@@ -42,8 +52,8 @@ function nameAll() {
       if (!field.labels || field.labels.length === 0) field.setAttribute("aria-label", label.textContent.trim());
     }
   }
-  for (const card of document.querySelectorAll("[role=alert]:not([data-met])")) {  // on a phone it is below the fold
-    card.dataset.met = "";
+  for (const card of document.querySelectorAll("[role=alert]:not([data-met]), [role=status]:not([data-met])")) {
+    card.dataset.met = "";  // on a phone it is below the fold
     card.scrollIntoView({ block: "nearest" });
   }
   for (const button of document.querySelectorAll("button:not([aria-label])")) {
@@ -55,7 +65,7 @@ document.addEventListener("DOMContentLoaded", () => {
   const soon = () => { cancelAnimationFrame(due); due = requestAnimationFrame(nameAll); };
   new MutationObserver(soon).observe(document.body, { childList: true, subtree: true });
 });
-</script>"""
+</script>""".replace("THROTTLE_MS", str(THROTTLE_MS))
 
 
 def front_page() -> bytes:

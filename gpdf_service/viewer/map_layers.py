@@ -181,7 +181,7 @@ class MapLayers:
         corners[:, :, :2] += around * half[:, None, None]
         corners[:, :, 2] += LIFT
         sides = np.stack([corners[:, :-1], corners[:, 1:]], axis=2).reshape(-1, 2, 3)
-        shades = colours.ramp(drawing.columns["clearance"][wanted], 0.0, 1.0)
+        shades = colours.of_lines(colours.ramp(drawing.columns["clearance"][wanted], 0.0, 1.0))
         each = np.repeat(shades, 4, axis=0)[:, None].repeat(2, axis=1)
         return self._scene.add_line_segments("/map/leaves", sides, each, thickness=1.0, thickness_units="screen")
 

@@ -7,12 +7,14 @@ from typing import Literal
 import numpy as np
 import viser
 from gpdf_client import Trajectory
+from numpy.typing import NDArray
 
 from gpdf_service.types import Agent, FloatArray
 from gpdf_service.viewer import colours
 from gpdf_service.viewer.frame import Frame
 
-Anchor = Literal["bottom-center", "top-left", "top-right"]
+Faces = NDArray[np.uint32]
+Anchor = Literal["bottom-center", "bottom-left", "top-right"]
 LINE_LIFT = 0.04
 """[m] The path is drawn over the ground and the leaves."""
 LIFTED = np.array([0.0, 0.0, LINE_LIFT])
@@ -34,10 +36,12 @@ SAID = {"start": "start", "goal": "goal", "nearest": "nearest place that fits", 
 ANCHORS: dict[str, Anchor] = {
     "start": "bottom-center",
     "goal": "bottom-center",
-    "nearest": "top-left",
+    "nearest": "bottom-left",
     "cut": "top-right",
 }
 """Which side of its place a label is on: what is refused and the nearest place that fits are often close."""
+LABELS = {"start": 0.25, "goal": 0.25, "nearest": 0.7, "cut": 0.25}
+"""[m] Over their places: so the nearest one's does not hide that of the goal that was refused."""
 BODY = (0, 114, 178)
 
 
@@ -50,6 +54,14 @@ class PathLayers:
         self._paths: dict[str, viser.SceneNodeHandle] = {}
         self._body: viser.MeshHandle | None = None
         self._moving: Trajectory | None = None
+        self._keep_programs()
+
+    def _keep_programs(self) -> None:
+        """Things of no size: a browser compiles its graphics programs for the first, and forgets them with the last."""
+        points, faces, one = np.zeros((3, 3)), np.array([[0, 1, 2]], np.uint32), np.array(BODY, np.uint8)
+        self._add_segments("/spare/line", points[None, :2], np.broadcast_to(one, (1, 2, 3)))
+        self._add_ghosts("/spare/sweep", (points, faces), np.eye(1, 4), points[:1], one)
+        self._scene.add_mesh_simple("/spare/body", points, faces, color=BODY, cast_shadow=False)
 
     @property
     def shown(self) -> Trajectory | None:
@@ -69,7 +81,9 @@ class PathLayers:
             return
         at = self._frame.to_page(place) + LIFTED
         disc = self._scene.add_cylinder(f"/plan/{name}", MARK_RADIUS, 0.03, MARKS[name], position=at, cast_shadow=False)
-        label = self._scene.add_label(f"/plan/{name}/label", SAID[name], position=(0, 0, 0.25), anchor=ANCHORS[name])
+        label = self._scene.add_label(
+            f"/plan/{name}/label", SAID[name], position=(0, 0, LABELS[name]), anchor=ANCHORS[name]
+        )
         self._marks[name] = [label, disc]
 
     def clear(self) -> None:
@@ -92,11 +106,10 @@ class PathLayers:
         """
         points = self._frame.to_page(path.ground) + (1 + storey) * LIFTED
         segments = dashes(points) if dashed else np.stack([points[:-1], points[1:]], axis=1)
-        each = shades if shades.ndim == 1 else np.stack([shades[:-1], shades[1:]], axis=1)
+        ends = np.broadcast_to(shades, points.shape)
+        each = np.broadcast_to(shades, segments.shape) if dashed else np.stack([ends[:-1], ends[1:]], axis=1)
         node = f"/plan/line_{name}"
-        self._paths[node] = self._scene.add_line_segments(
-            node, segments, each, thickness=LINE_WIDTH, thickness_units="screen"
-        )
+        self._paths[node] = self._add_segments(node, segments, each)
 
     def add_sweep(self, path: Trajectory, agent: Agent, shades: colours.Colours) -> None:
         """Draw the body at even steps along a path, and a solid one that `move` moves."""
@@ -107,22 +120,33 @@ class PathLayers:
         vertices, faces = _outline(agent)
         turns = np.zeros((count, 4))
         turns[:, 0], turns[:, 3] = np.cos(0.5 * path.headings[rows]), np.sin(0.5 * path.headings[rows])
-        self._paths["/plan/sweep"] = self._scene.add_batched_meshes_simple(
-            "/plan/sweep",
-            vertices * [GHOST_SHARE, GHOST_SHARE, 1.0],
-            faces,
+        ghost = vertices * [GHOST_SHARE, GHOST_SHARE, 1.0], faces
+        node, each = "/plan/sweep", shades if shades.ndim == 1 else shades[rows]
+        self._paths[node] = self._add_ghosts(node, ghost, turns, points[rows], each)
+        self._body = self._scene.add_mesh_simple("/plan/body", vertices, faces, color=BODY, cast_shadow=False)
+        self._paths["/plan/body"] = self._body
+        self._moving = path
+        self.move(0.0)
+
+    def _add_segments(self, node: str, segments: FloatArray, shades: colours.Colours) -> viser.SceneNodeHandle:
+        return self._scene.add_line_segments(
+            node, segments, colours.of_lines(shades), thickness=LINE_WIDTH, thickness_units="screen"
+        )
+
+    def _add_ghosts(
+        self, node: str, ghost: tuple[FloatArray, Faces], turns: FloatArray, places: FloatArray, shades: colours.Colours
+    ) -> viser.SceneNodeHandle:
+        return self._scene.add_batched_meshes_simple(
+            node,
+            *ghost,
             turns,
-            points[rows],
-            batched_colors=shades if shades.ndim == 1 else shades[rows],
+            places,
+            batched_colors=shades,
             opacity=GHOST_OPACITY,
             cast_shadow=False,
             receive_shadow=False,
             lod="off",
         )
-        self._body = self._scene.add_mesh_simple("/plan/body", vertices, faces, color=BODY, cast_shadow=False)
-        self._paths["/plan/body"] = self._body
-        self._moving = path
-        self.move(0.0)
 
     def move(self, time: float) -> None:
         """Put the solid body where it is after `time` [s]."""

@@ -54,7 +54,7 @@ class Plans:
         tab.plan.on_click(lambda _: self.plan_soon())
         tab.compare_methods.on_click(lambda _: desk.plans.do("plan", self._compare_methods))
         tab.compare_bodies.on_click(lambda _: desk.plans.do("plan", self._compare_bodies))
-        tab.clear.on_click(lambda _: desk.plans.do("plan", self.clear))
+        tab.clear.on_click(lambda _: desk.plans.do("clear", self.clear))
         tab.time.on_update(lambda _: self.paths.move(tab.time.value))
         self._say_next()
 
@@ -134,9 +134,11 @@ class Plans:
         for name, field in self._tab.typed.items():
             if text := field.value.strip():
                 self.set_end(name, self._map.on_ground(self._where(text)))
-        self._set_next("start")
-        if self._ready:
-            self._plan()
+        missing = [name for name, place in self.ends.items() if place is None]
+        self._set_next(missing[0] if missing else "start")
+        if missing:
+            raise ValueError(f"Type the {' and the '.join(missing)}, too, or click the ground there.")
+        self._plan()
 
     def _where(self, text: str) -> list[float]:
         try:

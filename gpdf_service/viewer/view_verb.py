@@ -68,5 +68,6 @@ def run(args: argparse.Namespace) -> int:
         pass
     pages.close()
     gate.close()
-    server.stop()
+    with contextlib.redirect_stdout(io.StringIO()):  # viser tells that it ended
+        server.stop()
     return 0

@@ -87,7 +87,7 @@ def comparison(
     lines = "".join(_row("td", row) for row in rows)
     said = "".join(f"<p style='margin:0.5em 0 0'>{escape(note)}</p>" for note in notes)
     head = _row("th", (what, *HEADS))
-    return f"<div style='padding:0 1em 0.5em;font-size:0.75em'><table>{head}{lines}</table>{said}</div>"
+    return f"<div role='status' style='padding:0 1em 0.5em;font-size:0.75em'><table>{head}{lines}</table>{said}</div>"
 
 
 def _row(kind: str, cells: Sequence[str]) -> str:

@@ -29,8 +29,9 @@ class Worker:
         self._thread.start()
 
     def do(self, name: str, job: Job) -> None:
-        """Do `job` soon, in place of one of that name that still waits."""
+        """Do `job` soon, after all others that wait, in place of one of that name among them."""
         with self._changed:
+            self._waiting.pop(name, None)
             self._waiting[name] = job
             self._changed.notify()
 

@@ -107,6 +107,42 @@ def test_another_up_axis_is_said_and_read_when_it_is_known(kind, tmp_path):
     assert cloud.remarks == ()
 
 
+@pytest.mark.parametrize("as_text", [False, True])
+@pytest.mark.parametrize("share", [0.03, 0.5, 0.97])
+def test_a_ply_that_ends_before_its_last_point_is_refused(as_text, share, tmp_path):
+    """Open3D reads it, and gives what lay in memory for the points that are missing."""
+    cloud = open3d.geometry.PointCloud(open3d.utility.Vector3dVector(OFFICE))
+    cloud.colors = open3d.utility.Vector3dVector(np.zeros_like(OFFICE))
+    whole = tmp_path / "whole.ply"
+    open3d.io.write_point_cloud(str(whole), cloud, write_ascii=as_text)
+    assert len(read_cloud(whole).points) == len(OFFICE)
+    written = whole.read_bytes()
+    whole.write_bytes(written[: int(share * len(written))])
+    with pytest.raises(CloudError, match=rf"it ends after \d+ of {len(OFFICE)} rows of its element 'vertex'"):
+        read_cloud(whole)
+
+
+def test_a_ply_whose_faces_or_cameras_come_with_its_points_is_read(tmp_path):
+    """Elements before the vertices are passed over, what comes behind does not matter, and a last line needs no end."""
+    first = "ply\nformat ascii 1.0\nelement camera 1\nproperty float f\nelement vertex {}\n"
+    rows = "\n".join(" ".join(f"{value:.3f}" for value in point) for point in OFFICE)
+    head = first.format(len(OFFICE)) + "".join(f"property float {axis}\n" for axis in "xyz") + "end_header\n1.5\n"
+    (tmp_path / "cameras.ply").write_text(head + rows)
+    assert len(read_cloud(tmp_path / "cameras.ply").points) == len(OFFICE)
+    (tmp_path / "cameras.ply").write_text(head + rows.rpartition("\n")[0])
+    with pytest.raises(CloudError, match="it ends after"):
+        read_cloud(tmp_path / "cameras.ply")
+    boxes().export(tmp_path / "faces.ply")
+    assert len(read_cloud(tmp_path / "faces.ply").points) == len(boxes().vertices)
+
+
+@pytest.mark.parametrize("kind", [".npy", ".npz", ".las"])
+def test_a_file_without_a_point_is_refused_in_words(kind, tmp_path):
+    WRITERS[kind](tmp_path / f"cloud{kind}", OFFICE[:0])
+    with pytest.raises(CloudError, match="it holds no point"):
+        read_cloud(tmp_path / f"cloud{kind}")
+
+
 @pytest.mark.parametrize("comma", [",", ";", " , ", "\t"])
 def test_text_is_read_with_commas_semicolons_and_tabs(comma, tmp_path):
     write_text(tmp_path / "cloud.xyz", OFFICE, comma)

@@ -109,3 +109,86 @@ def test_the_coarsest_spacing_is_that_of_the_inferred_cell_near_the_path_that_is
     farthest = distance_transform_edt(state != OBSERVED)[near & (state == INFERRED)].max(initial=0.0)
     ground = Cells(np.zeros(state.shape, np.float32), state, origin, width)
     assert _coarsest_spacing(path, radius, ground) == pytest.approx((1.0 + 2.0 * farthest) * width)
+
+
+@pytest.fixture(scope="module")
+def storeys():
+    """A scene of two storeys, and a way up its stair with its levels, as a plan goes it."""
+    rise, tread, treads = 0.175, 0.28, 16
+    steps = [
+        Box((1.0 + i * tread, 0.0, 0.0), (1.0 + (i + 1) * tread, 1.2, (i + 1) * rise), walkable=True)
+        for i in range(treads - 1)
+    ]
+    head, high = 1.0 + (treads - 1) * tread, treads * rise
+    slabs = [((0.0, 1.2), (7.0, 4.0)), ((head, 0.0), (7.0, 1.2))]
+    floors = [Box((*low, high - 0.2), (*up, high), walkable=True) for low, up in slabs]
+    world = World((7.0, 4.0, 2 * high), (*steps, *floors), ceiling=False)
+    scene = gpdf.build_scene(*world.sample(0.06, np.random.default_rng(0)))
+    path = gpdf.plan(scene, (3.0, 3.0, 0.0), (3.0, 3.0, high)).trajectory
+    space = scene.free_space("human")
+    level = level_at(space, path.ground)
+    assert len(set(level.tolist())) > 1
+    return scene, space, path, level
+
+
+def level_at(space, ground):
+    """The level of each place (n, 3) of a way: of those whose ground is under it the one with the most room."""
+    off = np.array([np.abs(surface.height_at(ground[:, :2]) - ground[:, 2]) for surface in space.surfaces])
+    off = np.where(np.isnan(off), np.inf, off)
+    room = np.array([space.clearance(k, ground[:, :2])[0] for k in range(len(space.surfaces))])
+    return np.where(off < 0.01, room, -off).argmax(axis=0)
+
+
+def looked_at_closely(space, path, level, count=40):
+    """Room, height, steps and slopes of a way, at `count` places between two waypoints, each part by its own level."""
+    room, off, step, slope = [], [], [], []
+    for i, (a, b) in enumerate(pairwise(range(len(level)))):
+        on = level[b]
+        share = np.linspace(0.0, 1.0, count)[:, None]
+        at = path.ground[a] + share * (path.ground[b] - path.ground[a])
+        top = path.positions[a] + share * (path.positions[b] - path.positions[a])
+        room.append((space.clearance(on, at[:, :2])[0].min() - space.reach, i))
+        field = np.abs(space.ground_fields[on].query(top).distance - space.agent.height)
+        off.append(np.minimum(np.abs(top[:, 2] - at[:, 2] - space.agent.height), field).max())
+        ix, iy, inside = space.surfaces[on].cells(at[:, :2])
+        assert inside.all()
+        step.append(space.steps[on][ix, iy].max())
+        slope.append(space.slopes[on][ix, iy].max())
+    return room, np.array(off), max(step), max(slope)
+
+
+def test_a_certificate_says_of_a_way_over_storeys_what_a_close_look_at_each_part_finds(storeys):
+    _, space, path, level = storeys
+    found = certify(space, path.positions, path.ground, level)
+    room, off, step, slope = looked_at_closely(space, path, level)
+    least, where = min(room)
+    assert least - 0.0021 <= found.min_clearance <= least + 1e-4
+    near = space.clearance(level[where + 1], found.min_clearance_at[None, :2])[0][0] - space.reach
+    assert near == pytest.approx(least, abs=0.003)
+    assert found.min_clearance_at[2] == pytest.approx(
+        path.ground[:, 2][np.linalg.norm(path.ground[:, :2] - found.min_clearance_at[:2], axis=1).argmin()]
+    )
+    assert found.max_height_deviation == pytest.approx(off.max(), abs=0.003)
+    worst = off[np.linalg.norm(path.ground[:-1] - found.max_height_deviation_at, axis=1).argsort()[:4]].max()
+    assert worst == pytest.approx(off.max(), abs=0.003)
+    assert (found.max_step, found.max_slope) == pytest.approx((step, slope), abs=1e-6)
+    assert found.ground_spacing >= max(surface.cell_width for surface in space.surfaces) - 1e-9
+    assert (found.holds, found.reason) == (True, "")
+
+
+def test_each_part_of_a_way_is_held_to_its_own_storeys_obstacles_and_the_worst_is_told(storeys):
+    """One point beside the way, on one storey alone: it counts where the way is on that storey, and only there."""
+    _, space, path, level = storeys
+    clear = certify(space, path.positions, path.ground, level).min_clearance
+    for on in sorted(set(level.tolist())):
+        own = np.flatnonzero(level == on)
+        middle = path.ground[own[len(own) // 2], :2]
+        for gap in (0.02, -0.02):
+            point = middle + (space.reach + gap) * np.array([0.0, 1.0])
+            trees = list(space.trees)
+            trees[on] = trees[on]._replace(moving=build_tree(point[None]))
+            found = certify(dataclasses.replace(space, trees=tuple(trees)), path.positions, path.ground, level)
+            line = np.concatenate([np.linspace(path.ground[k - 1, :2], path.ground[k, :2], 50) for k in own if k])
+            exact = min(clear, np.linalg.norm(line - point, axis=1).min() - space.reach)
+            assert found.min_clearance == pytest.approx(exact, abs=0.0021)
+            assert ("too little room" in found.reason, not found.holds) == (exact < 0.0, exact < 0.0)

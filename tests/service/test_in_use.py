@@ -3,6 +3,7 @@
 import dataclasses
 import queue
 import shutil
+import threading
 import tracemalloc
 
 import numpy as np
@@ -14,11 +15,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import gpdf_service as gpdf
-from gpdf_service.service.in_use import GRACE_S, MOST, MOST_PLACES, PATIENCE, TOUCH, InUse
+from gpdf_service.service.in_use import MOST_PLACES, InUse
 from gpdf_service.service.server import Options, Server
 from gpdf_service.types import Trajectory
 
 START, GOAL = (1.0, 1.5), (5.0, 1.5)
+PATIENCE, GRACE_S, MOST, TOUCH = 3.0, 60.0, 1000, 0.002
+"""What is promised, written down once more."""
 
 
 def straight(length=4.0, agent="human", duration=8.0):
@@ -52,6 +55,13 @@ def test_a_point_cuts_exactly_where_the_swept_cylinder_is(x, y, z, agent):
         assert cut.time == pytest.approx(2.0 * max(0.0, along), abs=0.15)
         np.testing.assert_allclose(cut.at, [1.0 + cut.time / 2, 1.5, 0.0], atol=1e-9)
         assert (cut.scene, cut.request_id, cut.planner, cut.obstacles) == ("hall", "1", "me", ["x"])
+
+
+@pytest.mark.parametrize("agent", ["roomba", "human"])
+def test_what_touches_the_body_by_less_than_two_millimetres_does_not_cut_it(agent):
+    radius = gpdf.AGENTS[agent].radius
+    for inside, cut in ((0.0015, False), (0.0025, True)):
+        assert bool(in_use((1.0, 1.5 + radius - inside, 0.05), agent).cuts("hall")) == cut
 
 
 def test_a_body_of_discs_is_cut_by_what_its_footprint_meets_turning_too():
@@ -160,3 +170,5 @@ def test_a_new_trajectory_is_looked_at_alone_and_all_are_when_something_moves():
         assert told.empty()
     finally:
         used.close()
+    assert "gpdf-cuts" not in {thread.name for thread in threading.enumerate()}
+    InUse(lambda scene: points, told.put).close()  # one that never looked

@@ -50,6 +50,19 @@ def test_two_clicks_draw_a_path(operator):
     assert operator.errors == []
 
 
+@pytest.mark.parametrize("name", ["dual_gpdf", "astar"])
+def test_a_line_has_the_colour_that_its_legend_shows(operator, name):
+    operator.plans((0.9, 0.9, 0.0), (5.4, 3.4, 0.0))
+    paths = operator.page.plans.paths
+    path, middle = paths.shown, path_on_screen(operator)[len(path_on_screen(operator)) // 2]
+    paths.clear()
+    paths.add_line("test", path, np.array(colours.METHODS[name], np.uint8))
+    operator.settle()
+    seen = operator.around(operator.picture(), middle, 6).reshape(-1, 3)
+    assert np.abs(seen - colours.METHODS[name]).max(axis=1).min() < 25
+    paths.clear()
+
+
 def test_a_path_is_drawn_before_the_room_along_it_is_known(operator, monkeypatch):
     asked, go = threading.Event(), threading.Event()
 

@@ -46,6 +46,19 @@ def test_of_jobs_with_one_name_only_the_newest_is_done():
     assert done == ["first", 4]
 
 
+def test_a_newer_job_of_a_name_comes_after_all_that_were_asked_for_before_it():
+    gate, done, ended = threading.Event(), [], threading.Event()
+    worker = Worker("test", done.append)
+    worker.do("first", lambda: gate.wait(30))
+    for name, job in (("plan", "old plan"), ("clear", "clear"), ("plan", "new plan")):
+        worker.do(name, lambda job=job: done.append(job))
+    worker.do("last", ended.set)
+    gate.set()
+    assert ended.wait(30)
+    worker.close()
+    assert done == ["clear", "new plan"]  # what is cleared stays cleared, and the plan that comes after stays
+
+
 def test_a_job_that_fails_is_told_and_the_next_is_done():
     told, ended = [], threading.Event()
     worker = Worker("test", told.append)

@@ -50,6 +50,7 @@ def test_the_page_is_for_this_machine_unless_told_otherwise(free_endpoint):
             assert listens == [port]  # the page behind the gate is where nobody looks
             process.send_signal(signal.SIGINT)
             assert process.wait(30) == 0
+            assert process.stdout.read() == ""  # nor anything at its end
         finally:
             process.kill()
 
