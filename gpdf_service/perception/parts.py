@@ -246,16 +246,19 @@ def _dead_ends(parts: Parts, joins: Pairs, alive: BoolArray, table: BoolArray) -
 def _upon_tables(layers: Layers, parts: Parts, joins: Pairs, alive: BoolArray, table: BoolArray) -> BoolArray:
     """Parts that together are no larger than a table and to which one gets but up a `table`, shape (parts + 1,).
 
-    A chest that one climbs over a bed. What is larger, or the largest, may be where one starts from.
+    A chest that one climbs over a bed.
     """
     tables = alive & table & parts.standable
     other = alive & ~tables
     group = _groups(joins, other)
-    size = np.bincount(group, parts.size * other)
-    small: BoolArray = (size * layers.cell_width**2 <= TABLE_AREA) & (size < size.max())
+    size = np.bincount(group, parts.size * other) * layers.cell_width**2
     one, two = (np.concatenate(ends) for ends in zip(joins, joins[::-1], strict=True))
-    small[group[two[tables[one] & other[two] & (parts.level[two] - parts.level[one] <= parts.rise)]]] = False
-    return other & small[group]
+    beside = tables[one] & other[two]
+    up = parts.level[two] - parts.level[one] > parts.rise
+    upon = np.zeros(len(size), dtype=bool)
+    upon[group[two[beside & up]]] = True
+    upon[group[two[beside & ~up]]] = False
+    return other & (upon & (size <= TABLE_AREA))[group]
 
 
 def _apart(layers: Layers, parts: Parts, group: IntArray, main: BoolArray, config: PerceptionConfig) -> BoolArray:
