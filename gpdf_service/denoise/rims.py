@@ -85,7 +85,7 @@ def _is_inside(total: FloatArray, normal: NDArray[np.float32], width: float) -> 
 def _outwards(
     cells: Cells, near: IntArray, row: int, sigma: float, points: FloatArray, placed: Placed, out: FloatArray
 ) -> tuple[int, bool]:
-    """Write the direction from the middle of the surface around a point to it; its points, and whether an end is there."""
+    """Write the direction from the middle of the surface around a point to it; its points, and if it ends there."""
     count, reach, p, n = 0, cells.width, points[row], placed.normal[row]
     out[:] = 0.0
     for j in near:
