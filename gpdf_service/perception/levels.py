@@ -457,14 +457,13 @@ def find_ledges(
 ) -> NDArray[np.float32]:
     """`next_above` by the `ground` points of this sheet, for those `other` points that can be a step's face.
 
-    No cure takes the `noise` [m] along a face out of it: its upper rim stands over the ground behind it by as much, and
-    points of the ground's rim are in the next cell.
+    No cure takes the `noise` [m] along a face out of it: its upper rim stands over the ground behind it by as much.
     Where a flight is, as `max_step` [m] tells, what is narrower than a foot is no ledge: the end of a stringer.
     The `box` of cells holds all `other` points, and what is within twice `FACE` and `ledge_reach` cells of them.
     """
     part, off = cropped(surface, box), max(surface.cell_width, RESOLVED_STEP * noise)
-    aside, high, strewn = face_reach(off), high_ground(part) + off, 2 * round(noise / surface.cell_width) + 1
-    rests = ndimage.maximum_filter(footholds(part, max_step), strewn) + max(LEAST_OBSTACLE, noise)
+    aside, high = face_reach(off), high_ground(part) + off
+    rests = footholds(part, max_step) + max(LEAST_OBSTACLE, noise)
     cell = cells_within(other, surface, box)
     asked = between(cell, other[:, 2], np.full_like(high, -np.inf), high)
     cell, low = cell[asked], chosen_rows(other, asked)

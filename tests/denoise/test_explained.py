@@ -44,5 +44,5 @@ def test_a_rod_is_more_than_the_wall_behind_it_explains(count):
 
 def test_a_wall_of_which_hardly_a_point_was_seen_explains_nothing():
     extra = np.array([[2.5 * SIGMA, 0.1, 0.2]])
-    made = looked_at_again(extra, spacing=0.15)
+    made = looked_at_again(extra, spacing=0.3)
     assert np.array_equal(made, extra)
