@@ -69,6 +69,11 @@ EQUAL: dict[tuple[str, ...], str] = {
     (ENDPOINTS, f"{OVER} <= cells + 1.0 → ({OVER} < cells + 1.0)"): "a cell beyond the map to the last bit",
     (ENDPOINTS, "distance[0] < space.reach → (distance[0] <= space.reach)"): "a distance to the last bit",
     (ENDPOINTS, "found.nearest is None or snap <= 0.0 → (found.nearest is None)"): "no place is nearer than no way",
+    (
+        ENDPOINTS,
+        "isinstance(reached[0], Refusal) and all(isinstance(goal, Refusal) for goal in reached)"
+        " → (all((isinstance(goal, Refusal) for goal in reached)))",
+    ): "all of them, so the first",
     (ENDPOINTS, "0 → (1)", RIM): "the map's rim is wider than a cell",
     (CONTROLLER, f"{TURNS.format('>')} → ({TURNS.format('>=')})"): "an angle that is the limit to the last bit",
     (CONTROLLER, "speed < STANDS → (speed <= STANDS)"): "a speed that is the limit to the last bit",

@@ -111,6 +111,18 @@ def test_the_coarsest_spacing_is_that_of_the_inferred_cell_near_the_path_that_is
     assert _coarsest_spacing(path, radius, ground) == pytest.approx((1.0 + 2.0 * farthest) * width)
 
 
+def test_beside_a_step_the_height_of_the_top_is_told_by_the_nearest_ground_or_by_the_contact(scenes):
+    """Over its edge the top keeps its distance from the nearest ground, and is off its height over the contact."""
+    space = scenes["step"].free_space("human")
+    xy = np.column_stack([np.arange(1.0, 4.5, 0.05), np.full(70, 1.5)])
+    ground, top = stand_up(xy, space.surfaces[0], space.ground_fields[0], space.agent.height)
+    level = np.zeros(len(xy), dtype=np.int64)
+    path = dataclasses.make_dataclass("Path", ["ground", "positions"])(ground, top)
+    off = looked_at_closely(space, path, level)[1]
+    assert certify(space, top, ground, level).max_height_deviation == pytest.approx(off.max(), abs=0.003)
+    assert np.abs(top[:, 2] - ground[:, 2] - space.agent.height).max() > off.max() + 0.02
+
+
 @pytest.fixture(scope="module")
 def storeys():
     """A scene of two storeys, and a way up its stair with its levels, as a plan goes it."""
