@@ -36,6 +36,8 @@ def scenes():
     made = {name: world.sample(0.05, rng) for name, world in (("step", step), ("pit", pit))}
     made["slope"] = World((6.0, 3.0, 2.6), (), ramp).sample(0.05, rng)
     points, ground = made["pit"]
+    gone = (points[:, 0] > 2.5) & (points[:, 0] < 5.0) & (points[:, 1] > 1.5) & (points[:, 2] < 0.1)
+    made["corner"] = points[~gone], ground[~gone]
     seen = ~((points[:, 0] > 2.5) & (points[:, 0] < 5.0) & (points[:, 2] < 0.1))
     made["pit"] = points[seen], ground[seen]
     return {name: scene_of(*cloud) for name, cloud in made.items()}
@@ -89,6 +91,17 @@ def test_every_disc_stands_on_known_ground(scenes):
     found = certificate_of(scenes["pit"], long, end=ends)
     assert (found.holds, found.reason) == (False, "the path leaves the known ground")
     assert certificate_of(scenes["pit"], long, end=2.5 - 0.7).holds
+
+
+@pytest.mark.parametrize(("turn", "holds"), [(np.pi / 4, False), (-np.pi / 4, True)])
+def test_a_disc_is_where_the_body_faces(scenes, turn, holds):
+    """Before the corner of a hole: facing it a disc is over the hole, facing along its side none is."""
+    space = scenes["corner"].free_space(dataclasses.replace(AGENTS["spot"], discs=6))
+    space = dataclasses.replace(space, trees=tuple(Places(build_tree(FAR)) for _ in space.trees))
+    ground = np.column_stack([np.array([(2.39, 1.39), (2.4, 1.4)]), np.zeros(2)])
+    top = ground + np.array([0.0, 0.0, space.agent.height])
+    found = certify(space, top, ground, np.zeros(2, dtype=np.int64), np.full(2, turn))
+    assert (found.holds, found.reason) == (holds, "" if holds else "the path leaves the known ground")
 
 
 @pytest.mark.parametrize("seed", range(6))
