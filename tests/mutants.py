@@ -46,6 +46,7 @@ DRIVER = "clients/gpdf_robot/driver.py"
 ENDPOINTS, IN_USE = "gpdf_service/planning/endpoints.py", "gpdf_service/service/in_use.py"
 ASKED = "moves and (asked := self._asked.setdefault(scene, [])) is not None"
 OVER = "-1.0 <= (x - low) / surface.cell_width"
+HIGH = "(points <= high + np.array([radius, radius, agent.height]))"
 RIM = "rim = np.concatenate([label[0], label[-1], label[:, 0], label[:, -1]])"
 CERTIFICATE = "gpdf_service/planning/certificate.py"
 TURNS = "abs(aside) {} (TURN_UNTIL if speed < STANDS else TURN_FIRST)"
@@ -65,6 +66,11 @@ EQUAL: dict[tuple[str, ...], str] = {
         "1 → (2)",
         "return self.agent.discs * (1 + int(_pieces(self.trajectory, self.agent).sum()))",
     ): "one place more of four million",
+    (IN_USE, "self._places > MOST_PLACES → (self._places >= MOST_PLACES)"): "one place of four million",
+    (
+        IN_USE,
+        f"(points >= low - radius) & {HIGH} → ((points >= low - radius) | {HIGH})",
+    ): "more points are looked at, and none touches",
     (IN_USE, "4_000_000 → (4000001)"): "one place of four million",
     (ENDPOINTS, f"{OVER} <= cells + 1.0 → ({OVER} < cells + 1.0)"): "a cell beyond the map to the last bit",
     (ENDPOINTS, "distance[0] < space.reach → (distance[0] <= space.reach)"): "a distance to the last bit",
