@@ -43,6 +43,8 @@ MODULES = {
 """Each module, and the tests that are its own."""
 CONTROLLER, CORRIDOR = "clients/gpdf_robot/controller.py", "clients/gpdf_guidance/corridor.py"
 DRIVER = "clients/gpdf_robot/driver.py"
+SHOWN = 150
+"""Characters of a change."""
 ENDPOINTS, IN_USE = "gpdf_service/planning/endpoints.py", "gpdf_service/service/in_use.py"
 ASKED = "moves and (asked := self._asked.setdefault(scene, [])) is not None"
 OVER = "-1.0 <= (x - low) / surface.cell_width"
@@ -69,7 +71,7 @@ EQUAL: dict[tuple[str, ...], str] = {
     (IN_USE, "self._places > MOST_PLACES → (self._places >= MOST_PLACES)"): "one place of four million",
     (
         IN_USE,
-        f"(points >= low - radius) & {HIGH} → ((points >= low - radius) | {HIGH})",
+        f"(points >= low - radius) & {HIGH} → ((points >= low - radius) | {HIGH})"[:SHOWN],
     ): "more points are looked at, and none touches",
     (IN_USE, "4_000_000 → (4000001)"): "one place of four million",
     (ENDPOINTS, f"{OVER} <= cells + 1.0 → ({OVER} < cells + 1.0)"): "a cell beyond the map to the last bit",
@@ -199,7 +201,7 @@ def mutants_of(module, source):
             new = f"({ast.unparse(ast.fix_missing_locations(other))})"
             text = (raw[:a] + new.encode() + raw[b:]).decode()
             what = " ".join(f"{raw[a:b].decode()}  →  {new}".split())
-            found.append(Mutant(module, node.lineno, what[:150], text))
+            found.append(Mutant(module, node.lineno, what[:SHOWN], text))
     return found
 
 
