@@ -43,9 +43,12 @@ MODULES = {
 """Each module, and the tests that are its own."""
 CONTROLLER, CORRIDOR = "clients/gpdf_robot/controller.py", "clients/gpdf_guidance/corridor.py"
 DRIVER = "clients/gpdf_robot/driver.py"
+SHOWN = 150
+"""Characters of a change."""
 ENDPOINTS, IN_USE = "gpdf_service/planning/endpoints.py", "gpdf_service/service/in_use.py"
 ASKED = "moves and (asked := self._asked.setdefault(scene, [])) is not None"
 OVER = "-1.0 <= (x - low) / surface.cell_width"
+HIGH = "(points <= high + np.array([radius, radius, agent.height]))"
 RIM = "rim = np.concatenate([label[0], label[-1], label[:, 0], label[:, -1]])"
 CERTIFICATE = "gpdf_service/planning/certificate.py"
 TURNS = "abs(aside) {} (TURN_UNTIL if speed < STANDS else TURN_FIRST)"
@@ -65,10 +68,20 @@ EQUAL: dict[tuple[str, ...], str] = {
         "1 → (2)",
         "return self.agent.discs * (1 + int(_pieces(self.trajectory, self.agent).sum()))",
     ): "one place more of four million",
+    (IN_USE, "self._places > MOST_PLACES → (self._places >= MOST_PLACES)"): "one place of four million",
+    (
+        IN_USE,
+        f"(points >= low - radius) & {HIGH} → ((points >= low - radius) | {HIGH})"[:SHOWN],
+    ): "more points are looked at, and none touches",
     (IN_USE, "4_000_000 → (4000001)"): "one place of four million",
     (ENDPOINTS, f"{OVER} <= cells + 1.0 → ({OVER} < cells + 1.0)"): "a cell beyond the map to the last bit",
     (ENDPOINTS, "distance[0] < space.reach → (distance[0] <= space.reach)"): "a distance to the last bit",
     (ENDPOINTS, "found.nearest is None or snap <= 0.0 → (found.nearest is None)"): "no place is nearer than no way",
+    (
+        ENDPOINTS,
+        "isinstance(reached[0], Refusal) and all(isinstance(goal, Refusal) for goal in reached)"
+        " → (all((isinstance(goal, Refusal) for goal in reached)))",
+    ): "all of them, so the first",
     (ENDPOINTS, "0 → (1)", RIM): "the map's rim is wider than a cell",
     (CONTROLLER, f"{TURNS.format('>')} → ({TURNS.format('>=')})"): "an angle that is the limit to the last bit",
     (CONTROLLER, "speed < STANDS → (speed <= STANDS)"): "a speed that is the limit to the last bit",
@@ -188,7 +201,7 @@ def mutants_of(module, source):
             new = f"({ast.unparse(ast.fix_missing_locations(other))})"
             text = (raw[:a] + new.encode() + raw[b:]).decode()
             what = " ".join(f"{raw[a:b].decode()}  →  {new}".split())
-            found.append(Mutant(module, node.lineno, what[:150], text))
+            found.append(Mutant(module, node.lineno, what[:SHOWN], text))
     return found
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import json
 import shutil
+import threading
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -79,6 +80,10 @@ class Stage:
         return self.web.get_by_text(label, exact=True).first.locator("xpath=following::input[1]")
 
 
+AGAIN_S = 0.3
+"""[s] Between two times that what moves says where it is."""
+AT_REST = "() => !/^.*: .* …$/m.test(document.body.innerText)"
+"""Nothing is on its way."""
 DRAWN = """
 scene => [...document.querySelectorAll('input')].some(one => one.value === scene)
   && !document.body.innerText.includes(`${scene}: `)
@@ -221,11 +226,14 @@ def _arrive(browser, device: str, url: str) -> Tab:  # noqa: ANN001 - of playwri
 
 def _shoot(web: Tab, path: Path, again: Callable[[], None] | None) -> list[str]:
     """The picture, and what axe-core finds fault with. `again` is called until it is taken."""
-    for _ in range(8):
-        if again is not None:
-            again()
-        web.wait_for_timeout(STILL_MS / 8)
+    taken = threading.Event()
+    if again is not None:
+        threading.Thread(target=lambda: [again() for _ in iter(lambda: taken.wait(AGAIN_S), True)], daemon=True).start()
+    web.wait_for_timeout(STILL_MS)
+    web.wait_for_function(AT_REST, timeout=WAIT_MS)
+    web.wait_for_timeout(STILL_MS)
     web.screenshot(path=str(path), timeout=WAIT_MS)
+    taken.set()
     if not AXE.is_file():
         return ["axe-core is missing: npm --prefix tests/phone ci"]
     web.add_script_tag(path=str(AXE))

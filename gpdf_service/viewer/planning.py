@@ -54,7 +54,7 @@ class Plans:
         tab.plan.on_click(lambda _: self.plan_soon())
         tab.compare_methods.on_click(lambda _: desk.plans.do("plan", self._compare_methods))
         tab.compare_bodies.on_click(lambda _: desk.plans.do("plan", self._compare_bodies))
-        tab.clear.on_click(lambda _: desk.plans.do("clear", self.clear))
+        tab.clear.on_click(lambda _: self._clear_soon())
         tab.time.on_update(lambda _: self.paths.move(tab.time.value))
         self._say_next()
 
@@ -71,11 +71,23 @@ class Plans:
 
     def clear(self) -> None:
         """Forget start, goal, obstacles and path."""
+        self._empty_fields()
+        self._forget()
+
+    def _clear_soon(self) -> None:
+        """The fields at once: what is typed while a plan is still made is for the next one."""
+        self._empty_fields()
+        self._desk.plans.do("clear", self._forget)
+
+    def _empty_fields(self) -> None:
+        for field in self._tab.typed.values():
+            put(field, "")
+
+    def _forget(self) -> None:
         self.drops.replace(())
         for name in self.ends:
             self.ends[name] = None
             self.paths.mark(name, None)
-            put(self._tab.typed[name], "")
         self._clear_path()
         self._desk.panel.say_answer("")
         self._set_next("start")

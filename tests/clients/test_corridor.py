@@ -8,18 +8,20 @@ from gpdf_guidance.corridor import (
     BESIDE_STAIRS,
     FOOTING,
     SPACING,
-    WIDEST,
     Corridor,
     beside_steps,
     least_room,
     middle_of,
     on_own_ground,
+    other_ground,
     scan,
     through_gates,
     where_there_is_room,
 )
 from gpdf_guidance.stairs import ELBOW_ROOM, GATE, Flight
 
+WIDEST, HALF_PACE, ARM = 0.8, 0.35, 0.1
+"""[m] What is looked at, and what is kept free beside one, written down once more."""
 RISE, TREAD, EDGES, HALF = 0.17, 0.3, 3.0 + 0.3 * np.arange(8), 0.6
 FLIGHT = Flight(EDGES[0], EDGES[-1], 0.0, 0.0, RISE, (EDGES[0], 0.0), (EDGES[-1], 0.0))
 along = np.arange(0.0, 8.0 + SPACING / 2, SPACING)
@@ -61,6 +63,7 @@ def test_on_a_narrow_landing_with_open_sides_half_of_its_width_is_left_beside_on
     landing = (along > FLIGHT.end + 1.5 * SPACING) & (along < FLIGHT.end + 2.4)
     for width in found:
         assert (width[landing] <= 0.5 * HALF + 0.5 * SPACING + 1e-9).all()  # an edge is told by samples
+        assert np.median(width[landing]) >= 0.5 * HALF - 0.5 * SPACING
 
 
 def test_a_wide_floor_before_a_flight_is_as_wide_as_it_was():
@@ -90,6 +93,57 @@ def test_a_gate_stands_where_the_path_is_in_the_line_of_the_stairs(askew):
         assert (width[(along > FLIGHT.start + 0.61) & (along < FLIGHT.end - 0.61)] == WIDEST).all()
         assert (width[(along > FLIGHT.end) & (along < FLIGHT.end + 2.49)] == GATE).all()
         assert (width[along > FLIGHT.end + 2.51] == WIDEST).all()
+
+
+@pytest.mark.parametrize("turn", [0.7, -2.0, 3.0])
+def test_a_gate_stands_in_the_line_of_stairs_that_face_any_way(turn):
+    wide = Corridor(*(np.full(len(along), WIDEST) for _ in range(3)))
+    heading = np.where(along < 2.0, np.radians(40.0), 0.0)
+    turned = dataclasses.replace(FLIGHT, enter=turn, leave=turn) if dataclasses.is_dataclass(FLIGHT) else FLIGHT
+    for width, other in zip(
+        through_gates(wide, along, heading, (FLIGHT,)),
+        through_gates(wide, along, (heading + turn + np.pi) % (2 * np.pi) - np.pi, (turned,)),
+        strict=True,
+    ):
+        np.testing.assert_array_equal(width, other)
+
+
+def test_a_ledge_beside_a_path_is_told_on_its_side_half_a_pace_before_and_behind_it():
+    """A platform of 0.3 m on the left, from x = 3 to 5 m, its side `gap` beside the path; a ditch on the right."""
+    ground, heading = np.column_stack([along, 0.0 * along, 0.0 * along]), np.zeros(len(along))
+    for side, gap, told in ((1.0, 0.3, True), (1.0, 0.45, False), (-1.0, 0.3, True)):
+
+        def field(places, side=side, gap=gap):
+            x, y, z = places.T
+            on = (x >= 3.0 - 1e-9) & (x <= 5.0 + 1e-9) & (side * y >= gap - 1e-9)
+            return np.where(on, np.abs(z - 0.3 * side), np.abs(z)), None
+
+        found = other_ground(ground, heading, field)
+        beside = (along >= 3.0 - HALF_PACE + SPACING / 2) & (along <= 5.0 + HALF_PACE - SPACING / 2)
+        far = (along < 3.0 - HALF_PACE - SPACING) | (along > 5.0 + HALF_PACE + SPACING)
+        own, other = (0, 1) if side > 0 else (1, 0)
+        assert found[beside, own].all() == found[beside, own].any() == told
+        assert not found[far].any()
+        assert not found[:, other].any()
+    assert other_ground(ground, heading, None).all()  # where nothing is known of the ground
+
+
+def test_the_room_around_is_the_paths_own_less_an_arm_or_half_of_it():
+    clear = np.array([0.0, 0.06, 0.2, 0.5, 2.0])
+    places = scan(np.zeros((5, 3)), np.zeros(5), lambda places: np.full(len(places), 9.0))
+    found = where_there_is_room(np.full(places.shape, 9.0), clear)
+    np.testing.assert_allclose(found.disc, [0.0, 0.03, 0.1, 0.5 - ARM, 2.0 - ARM])
+    np.testing.assert_allclose(found.left, np.maximum(found.disc, WIDEST))
+    np.testing.assert_allclose(found.right, np.maximum(found.disc, WIDEST))
+
+
+def test_on_a_ramp_the_edges_beside_it_are_kept_off_too():
+    wide = Corridor(*(np.full(len(along), WIDEST) for _ in range(3)))
+    ramp, falls = np.column_stack([along, 0.0 * along, 0.5 * along]), np.ones((len(along), 2), dtype=bool)
+    places = scan(ramp, np.zeros(len(along)), wall_on_the_right)
+    found = beside_steps(wide, places, along, ramp, (), falls)
+    assert (found.right <= 0.5 * 0.5 + SPACING / 2).all()
+    assert (found.left == WIDEST).all()
 
 
 def test_a_wall_on_one_side_narrows_that_side_alone():

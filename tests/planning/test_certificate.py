@@ -36,6 +36,8 @@ def scenes():
     made = {name: world.sample(0.05, rng) for name, world in (("step", step), ("pit", pit))}
     made["slope"] = World((6.0, 3.0, 2.6), (), ramp).sample(0.05, rng)
     points, ground = made["pit"]
+    gone = (points[:, 0] > 2.5) & (points[:, 0] < 5.0) & (points[:, 1] > 1.5) & (points[:, 2] < 0.1)
+    made["corner"] = points[~gone], ground[~gone]
     seen = ~((points[:, 0] > 2.5) & (points[:, 0] < 5.0) & (points[:, 2] < 0.1))
     made["pit"] = points[seen], ground[seen]
     return {name: scene_of(*cloud) for name, cloud in made.items()}
@@ -91,6 +93,17 @@ def test_every_disc_stands_on_known_ground(scenes):
     assert certificate_of(scenes["pit"], long, end=2.5 - 0.7).holds
 
 
+@pytest.mark.parametrize(("turn", "holds"), [(np.pi / 4, False), (-np.pi / 4, True)])
+def test_a_disc_is_where_the_body_faces(scenes, turn, holds):
+    """Before the corner of a hole: facing it a disc is over the hole, facing along its side none is."""
+    space = scenes["corner"].free_space(dataclasses.replace(AGENTS["spot"], discs=6))
+    space = dataclasses.replace(space, trees=tuple(Places(build_tree(FAR)) for _ in space.trees))
+    ground = np.column_stack([np.array([(2.39, 1.39), (2.4, 1.4)]), np.zeros(2)])
+    top = ground + np.array([0.0, 0.0, space.agent.height])
+    found = certify(space, top, ground, np.zeros(2, dtype=np.int64), np.full(2, turn))
+    assert (found.holds, found.reason) == (holds, "" if holds else "the path leaves the known ground")
+
+
 @pytest.mark.parametrize("seed", range(6))
 def test_the_coarsest_spacing_is_that_of_the_inferred_cell_near_the_path_that_is_farthest_from_a_seen_one(seed):
     rng, width, radius, origin = np.random.default_rng(seed), 0.1, 0.1 * seed, np.array([1.0, -2.0])
@@ -109,6 +122,18 @@ def test_the_coarsest_spacing_is_that_of_the_inferred_cell_near_the_path_that_is
     farthest = distance_transform_edt(state != OBSERVED)[near & (state == INFERRED)].max(initial=0.0)
     ground = Cells(np.zeros(state.shape, np.float32), state, origin, width)
     assert _coarsest_spacing(path, radius, ground) == pytest.approx((1.0 + 2.0 * farthest) * width)
+
+
+def test_beside_a_step_the_height_of_the_top_is_told_by_the_nearest_ground_or_by_the_contact(scenes):
+    """Over its edge the top keeps its distance from the nearest ground, and is off its height over the contact."""
+    space = scenes["step"].free_space("human")
+    xy = np.column_stack([np.arange(1.0, 4.5, 0.05), np.full(70, 1.5)])
+    ground, top = stand_up(xy, space.surfaces[0], space.ground_fields[0], space.agent.height)
+    level = np.zeros(len(xy), dtype=np.int64)
+    path = dataclasses.make_dataclass("Path", ["ground", "positions"])(ground, top)
+    off = looked_at_closely(space, path, level)[1]
+    assert certify(space, top, ground, level).max_height_deviation == pytest.approx(off.max(), abs=0.003)
+    assert np.abs(top[:, 2] - ground[:, 2] - space.agent.height).max() > off.max() + 0.02
 
 
 @pytest.fixture(scope="module")

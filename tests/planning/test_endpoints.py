@@ -119,7 +119,7 @@ def test_within_reach_of_a_wall_from_behind_something_stands_and_further_off_not
     beyond = np.column_stack([x, y, np.zeros(x.size)])
     scene = gpdf.build_scene(np.concatenate([cloud, beyond]), np.concatenate([ground, np.ones(x.size, bool)]))
     space = scene.free_space(HUMAN)
-    for off, status in ((0.02, Status.GOAL_OCCUPIED), (0.6, Status.GOAL_OUTSIDE_MAP)):
+    for off, status in ((0.02, Status.GOAL_OCCUPIED), (0.15, Status.GOAL_OUTSIDE_MAP), (0.6, Status.GOAL_OUTSIDE_MAP)):
         assert find_endpoint(space, np.array([-off, 3.0]), "goal").status is status
 
 

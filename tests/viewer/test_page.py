@@ -188,6 +188,20 @@ def test_start_and_goal_can_be_typed_and_be_names(operator, service):
     operator.sees("nowhere at all")
 
 
+def test_what_is_typed_after_clear_stays_though_a_plan_is_still_made(operator):
+    going, go = threading.Event(), threading.Event()
+    operator.page.desk.plans.do("plan", lambda: (going.set(), go.wait(60)))
+    assert going.wait(30)
+    try:
+        operator.presses("Clear")
+        operator.web.wait_for_timeout(500)
+        types(operator, "0.9, 0.9", "5, 3")
+    finally:
+        go.set()
+    operator.sees("of room everywhere")
+    np.testing.assert_allclose(operator.page.plans.ends["goal"][:2], (5.0, 3.0))
+
+
 def test_a_refusal_is_a_card_with_a_button_that_takes_the_nearest_place(operator):
     operator.plans((0.9, 0.9, 0.0), (2.7, 0.45, 0.0))
     card = operator.web.get_by_role("alert").filter(has_text="No path: GOAL_OCCUPIED")
