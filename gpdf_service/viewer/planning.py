@@ -54,7 +54,7 @@ class Plans:
         tab.plan.on_click(lambda _: self.plan_soon())
         tab.compare_methods.on_click(lambda _: desk.plans.do("plan", self._compare_methods))
         tab.compare_bodies.on_click(lambda _: desk.plans.do("plan", self._compare_bodies))
-        tab.clear.on_click(lambda _: self._clear_soon())
+        tab.clear.on_click(self._clear_soon)
         tab.time.on_update(lambda _: self.paths.move(tab.time.value))
         self._say_next()
 
@@ -74,8 +74,8 @@ class Plans:
         self._empty_fields()
         self._forget()
 
-    def _clear_soon(self) -> None:
-        """The fields at once: what is typed while a plan is still made is for the next one."""
+    async def _clear_soon(self, _: viser.GuiEvent[Any]) -> None:
+        """The fields at once, before viser takes what is typed next: on a thread it could come after that."""
         self._empty_fields()
         self._desk.plans.do("clear", self._forget)
 
