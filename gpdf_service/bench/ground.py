@@ -11,7 +11,7 @@ import numpy as np
 
 from gpdf_service.bench.hard_clouds import TURNS, hall_rows, spiral_rows
 from gpdf_service.bench.houses import house_rows
-from gpdf_service.bench.places import island_rows, label_rows, land_rows
+from gpdf_service.bench.places import island_rows, label_rows, land_rows, path_rows
 from gpdf_service.bench.report import Row, each, show
 from gpdf_service.bench.rules import RULES, rule_rows
 from gpdf_service.errors import RequestError
@@ -50,7 +50,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         nargs="+",
         choices=[*ROWS, "all"],
         help="other rows instead: ray-cast houses, a museum's stair, spiral ramps, where a start (x, y) lands, "
-        "islands, labels of random places",
+        "islands, labels of random places and paths in them",
     )
     parser.add_argument("--scanner", action="append", choices=list(SCANNERS), help="of the houses; repeatable")
     parser.add_argument("--data", type=Path, default=Path("../shared/data"), help="folder of the real clouds")
@@ -107,6 +107,11 @@ def _islands(args: argparse.Namespace) -> Iterator[Row]:
         yield from island_rows(scanner, args.count, args.seed, args.noise[0] if args.noise else None)
 
 
+def _paths(args: argparse.Namespace) -> Iterator[Row]:
+    for scanner in args.scanner or ["tripod", "handheld"]:
+        yield from path_rows(scanner, args.count, args.seed, args.noise[0] if args.noise else None)
+
+
 def _labels(args: argparse.Namespace) -> Iterator[Row]:
     for scanner in args.scanner or ["tripod", "handheld"]:
         yield from label_rows(scanner, args.count, args.seed, args.noise[0] if args.noise else None)
@@ -119,6 +124,7 @@ ROWS: dict[str, Callable[[argparse.Namespace], Iterator[Row]]] = {
     "lands": _lands,
     "islands": _islands,
     "labels": _labels,
+    "paths": _paths,
 }
 """Rows that are asked for by name."""
 

@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator, Sequence
 import numpy as np
 from scipy.spatial import cKDTree
 
-from gpdf_service.bench.exact import ON, SPACING, worst_foot
+from gpdf_service.bench.exact import ON, SPACING, judge_path, worst_foot
 from gpdf_service.bench.houses import THIN
 from gpdf_service.bench.judge import Judge
 from gpdf_service.bench.report import Row, each
@@ -21,6 +21,8 @@ from gpdf_service.types import AGENTS, Agent, BoolArray, FloatArray, Status
 
 STARTS = 100
 """Random starts in each place, where nothing else is asked for."""
+PAIRS = 8
+"""Of random places in each place, where nothing else is asked for."""
 GRID = 0.1
 """[m] Between the places of an island that are asked for."""
 RIM = 0.4
@@ -65,6 +67,32 @@ def _land(scene: Scene, judge: Judge, place: Place, agent: Agent, starts: FloatA
         "touching": int((deep > 0.0).sum()),
         "deepest_mm": 1e3 * float(deep.max(initial=0.0)),
     }
+
+
+def path_rows(
+    scanner: str,
+    count: int | None,
+    seed: int,
+    noise: float | None = None,
+    makers: Sequence[Callable[[np.random.Generator], Place]] = ONE_FLOOR,
+) -> Iterator[Row]:
+    """For each crowded place and body: plans between free places whose ground was seen, held against the world."""
+    for make in each(makers, f"paths, {scanner}"):
+        place, scan = _scanned(make(np.random.default_rng(seed)), scanner, seed, noise)
+        scene, sigma = build_scene(scan.points), NOISE[scanner] if noise is None else noise
+        free = place.free_places(0, 4 * (count or PAIRS), np.random.default_rng(seed))
+        free = free[cKDTree(scan.points[scan.ground]).query(free)[0] < SEEN][: 2 * (count or PAIRS)]
+        pairs = free[: len(free) // 2 * 2].reshape(-1, 2, 3)
+        for name in ("human", "roomba"):
+            results = [plan(scene, start, goal, name) for start, goal in pairs]
+            paths = [result.trajectory for result in results if result.status is Status.OK and result.trajectory]
+            truths = [judge_path(place.world, path, AGENTS[name]) for path in paths]
+            yield {
+                **{"row": "paths", "place": place.name, "scanner": scanner, "agent": name, "pairs": len(pairs)},
+                **{"ok": len(paths), "collisions": sum(truth.collides(sigma) for truth in truths)},
+                "deepest_mm": 1e3 * max((truth.penetration for truth in truths), default=0.0),
+                "in_the_air": sum(truth.in_the_air for truth in truths),
+            }
 
 
 def label_rows(
