@@ -37,20 +37,30 @@ def land_rows(
     makers: Sequence[Callable[[np.random.Generator], Place]] = ONE_FLOOR,
 ) -> Iterator[Row]:
     """For each crowded place: of random starts (x, y), how many are taken, and how many of these are wrong."""
-    for make in each(makers, f"places, {scanner}"):
-        place, scan = _scanned(make(np.random.default_rng(seed)), scanner, seed, noise)
-        scene = build_scene(scan.points)
+    sigma = NOISE[scanner] if noise is None else noise
+    for place, scan, scene in _built(makers, scanner, seed, noise):
         low, high = scan.points[:, :2].min(axis=0), scan.points[:, :2].max(axis=0)
         starts = np.random.default_rng(seed).uniform(low, high, (count or STARTS, 2))
         judge = Judge(*place.world.sample(SPACING, 0.0))
-        sigma = NOISE[scanner] if noise is None else noise
         for name in ("human", "roomba"):
             row: Row = {"row": "lands", "place": place.name, "scanner": scanner, "agent": name, "starts": len(starts)}
             yield row | _land(scene, judge, place, AGENTS[name], starts) | {"noise_m": sigma}
 
 
-def _scanned(place: Place, scanner: str, seed: int, noise: float | None) -> tuple[Place, Scan]:
-    rng = np.random.default_rng(seed)
+def _built(
+    makers: Sequence[Callable[[np.random.Generator], Place]], scanner: str, seed: int, noise: float | None
+) -> Iterator[tuple[Place, Scan, Scene]]:
+    """Each place, its scan, and the scene of that without its labels."""
+    for make in each(makers, f"places, {scanner}"):
+        place, scan = scanned_place(make, scanner, seed, noise)
+        yield place, scan, build_scene(scan.points)
+
+
+def scanned_place(
+    make: Callable[[np.random.Generator], Place], scanner: str, seed: int, noise: float | None = None
+) -> tuple[Place, Scan]:
+    """A place of that seed, and its thinned scan; the noise [m] is the scanner's where it is not given."""
+    place, rng = make(np.random.default_rng(seed)), np.random.default_rng(seed)
     scan = SCANNERS[scanner](place, rng, NOISE[scanner] if noise is None else noise)
     return place, scan.thinned(THIN, rng)
 
@@ -77,9 +87,8 @@ def path_rows(
     makers: Sequence[Callable[[np.random.Generator], Place]] = ONE_FLOOR,
 ) -> Iterator[Row]:
     """For each crowded place and body: plans between free places whose ground was seen, held against the world."""
-    for make in each(makers, f"paths, {scanner}"):
-        place, scan = _scanned(make(np.random.default_rng(seed)), scanner, seed, noise)
-        scene, sigma = build_scene(scan.points), NOISE[scanner] if noise is None else noise
+    sigma = NOISE[scanner] if noise is None else noise
+    for place, scan, scene in _built(makers, scanner, seed, noise):
         free = place.free_places(0, 4 * (count or PAIRS), np.random.default_rng(seed))
         free = free[cKDTree(scan.points[scan.ground]).query(free)[0] < SEEN][: 2 * (count or PAIRS)]
         pairs = free[: len(free) // 2 * 2].reshape(-1, 2, 3)
@@ -106,7 +115,7 @@ def label_rows(
     for make in each(makers, f"labels, {scanner}"):
         found, wrong = [], []
         for number in range(seed, seed + (count or 4)):
-            _, scan = _scanned(make(np.random.default_rng(number)), scanner, number, noise)
+            _, scan = scanned_place(make, scanner, number, noise)
             ground = _labelled(scan.points)
             found.append(float((ground & scan.ground).sum() / max(scan.ground.sum(), 1)))
             wrong.append(float((ground & ~scan.ground).sum() / max(ground.sum(), 1)))
@@ -129,7 +138,7 @@ def island_rows(scanner: str, count: int | None, seed: int, noise: float | None 
     """For pits, galleries and platforms: how much of them is known as ground, stood on, and wrongly joined."""
     for make in each(ISLANDS, f"islands, {scanner}"):
         for number in range(seed, seed + (count or 3)):
-            place, scan = _scanned(make(np.random.default_rng(number)), scanner, number, noise)
+            place, scan = scanned_place(make, scanner, number, noise)
             scene = build_scene(scan.points)
             ground = scan.points[scan.ground]
             places = seen_places(place.islands[0], ground)

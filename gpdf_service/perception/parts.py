@@ -283,12 +283,13 @@ def _apart(layers: Layers, parts: Parts, group: IntArray, main: BoolArray, confi
 
     under = share((layers.headroom[nodes] >= config.storey_headroom) & np.isfinite(layers.headroom[nodes]))
     large &= share(nodes_over(nodes, layers.cell, layers.height, ours, config.storey_headroom)) <= OVER_SHARE
-    storey, open_ = under >= COVERED_SHARE, share(~_holding(layers, ours)[layers.cell[nodes]]) >= 1.0 - OVER_SHARE
+    holds = _holding(layers, ours)
+    storey, open_ = under >= COVERED_SHARE, share(~holds[layers.cell[nodes]]) >= 1.0 - OVER_SHARE
     asked = large & (open_ | storey)
     nodes = nodes[asked[of_node[nodes]]]
     if not len(nodes):
         return asked
-    rise = layers.height[nodes] - _beside(layers, ours)[layers.cell[nodes]]
+    rise = layers.height[nodes] - _beside(layers, ours, holds)[layers.cell[nodes]]
     level = np.abs(layers.height[nodes] - _medians(layers.height[nodes], of_node[nodes], count)) <= config.max_step
     even, sunk, low, lofty = (
         share(kind) >= 1.0 - OVER_SHARE
@@ -311,12 +312,11 @@ def _holding(layers: Layers, ours: BoolArray) -> BoolArray:
     return holds
 
 
-def _beside(layers: Layers, ours: BoolArray) -> FloatArray:
-    """Height of the highest of `ours` in the nearest cell that holds one [m], shape (cells,)."""
+def _beside(layers: Layers, ours: BoolArray, holds: BoolArray) -> FloatArray:
+    """Height of the highest of `ours` in the nearest cell that `holds` one [m], shape (cells,)."""
     high = np.zeros(layers.shape)
     high.ravel()[layers.cell[ours]] = layers.height[ours]  # the highest: nodes are sorted by their height in a cell
-    holds = _holding(layers, ours).reshape(layers.shape)
-    nearest = ndimage.distance_transform_edt(~holds, return_distances=False, return_indices=True)
+    nearest = ndimage.distance_transform_edt(~holds.reshape(layers.shape), return_distances=False, return_indices=True)
     made: FloatArray = high[tuple(nearest)].ravel()
     return made
 

@@ -4,15 +4,13 @@ import numpy as np
 import pytest
 
 from gpdf_service import segment_ground
-from gpdf_service.bench.houses import THIN
+from gpdf_service.bench.places import scanned_place
 from gpdf_service.errors import NoGroundError
 from gpdf_service.synthetic.places import bedroom, gallery, museum, platform, supermarket, workshop
-from gpdf_service.synthetic.scanners import NOISE, SCANNERS
 
 
 def scanned(make, scanner, seed):
-    rng = np.random.default_rng(seed)
-    return SCANNERS[scanner](make(np.random.default_rng(seed)), rng, NOISE[scanner]).thinned(THIN, rng)
+    return scanned_place(make, scanner, seed)[1]
 
 
 @pytest.mark.parametrize(("scanner", "seed"), [("tripod", 3), ("handheld", 3)])
