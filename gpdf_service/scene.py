@@ -19,7 +19,7 @@ from scipy.ndimage import binary_fill_holes
 from gpdf_service.config import Config
 from gpdf_service.denoise import FAR
 from gpdf_service.errors import CloudError
-from gpdf_service.fields import Gpdf, Lattice, Nearer, change_lattice, check_queries, fit_gpdf, fit_lattice, lattice_of
+from gpdf_service.fields import Gpdf, Lattice, Nearer, check_queries, fit_gpdf, fit_lattice, lattice_of, restore_lattice
 from gpdf_service.fields.spacing import estimate_spacing, thin
 from gpdf_service.fields.threads import run_parallel
 from gpdf_service.perception import (
@@ -33,7 +33,6 @@ from gpdf_service.perception import (
     WholeError,
     are_voxels,
     change,
-    changed_cells,
     check_finite,
     check_labels,
     check_origins,
@@ -434,7 +433,7 @@ class Scene:
 
         def one(level: tuple[Gpdf, GroundLevel, GroundLevel]) -> Gpdf:
             field, old, new = level
-            return field if new is old else _change_ground(field, old, new, self.config)
+            return field if new is old else _fit_ground(new, self.config, (field, old))
 
         levels = zip(self.ground_fields, self.levels.levels, now.levels.levels, strict=True)
         fields = tuple(run_parallel(one, levels))
@@ -515,11 +514,8 @@ class Scene:
         arrays = {"points": self.points, "ground": self.ground, **levels_to_arrays(self.levels, self.points)}
         if self.rays is not None:
             arrays["origins"] = self.rays.origins
-        for i, (field, level) in enumerate(zip(self.ground_fields, self.levels.levels, strict=True)):
-            kept = field.to_arrays()
-            if np.array_equal(_in_its_order(level, kept), kept["points"]):
-                del kept["points"]
-            arrays |= {f"ground_fields/{i}/{key}": value for key, value in kept.items()}
+        for i, field in enumerate(self.ground_fields):
+            arrays |= {f"ground_fields/{i}/{key}": getattr(field, key) for key in ("alpha", "discs")}
         with self._lock:
             spaces, stored = dict(self._spaces), dict(self._stored)
         agents = list({**stored, **spaces})[-MAX_CACHED_AGENTS:]
@@ -550,10 +546,14 @@ def _level_info(index: int, level: GroundLevel, field: Gpdf) -> dict[str, Any]:
     }
 
 
-def _in_its_order(level: GroundLevel, field: Arrays) -> FloatArray:
-    """The points of the level's Ground GPDF in the order of its tree, if it is fitted to all known cells."""
-    points, order = level.ground_points, field["order"]
-    return points[order] if len(order) == len(points) else points
+def _restore_ground(level: GroundLevel, kept: Arrays, config: Config) -> Gpdf:
+    """The level's Ground GPDF from a file; until version 5 that said in which order the points were, and the scale."""
+    lattice, points = _lattice(level, config), None
+    if "order" in kept:
+        points = kept.get("points", level.ground_points[kept["order"]])
+        length_scale, noise_variance, spacing = map(float, kept["scalars"])
+        lattice = lattice._replace(length_scale=length_scale, noise_variance=noise_variance, spacing=spacing)
+    return restore_lattice(lattice, kept["alpha"], kept["discs"], level.surface, points)
 
 
 def load_scene(path: str | os.PathLike[str]) -> Scene:
@@ -563,18 +563,16 @@ def load_scene(path: str | os.PathLike[str]) -> Scene:
         SceneFileError: the file is missing, damaged, or of another version.
     """
     arrays, meta, later = read_arrays(path, later="agents/")
-    levels = levels_from_arrays(arrays, arrays["points"])
-    fields = []
-    for i, level in enumerate(levels.levels):
-        kept = under(f"ground_fields/{i}/", arrays)
-        kept.setdefault("points", _in_its_order(level, kept))
-        fields.append(Gpdf.from_arrays(kept, domain=level.surface))
+    levels, config = levels_from_arrays(arrays, arrays["points"]), Config.from_mapping(meta["config"])
+    fields = [
+        _restore_ground(level, under(f"ground_fields/{i}/", arrays), config) for i, level in enumerate(levels.levels)
+    ]
     scene = Scene(
         arrays["points"],
         arrays["ground"],
         levels,
         tuple(fields),
-        Config.from_mapping(meta["config"]),
+        config,
         int(meta["version"]),
         float(meta["noise"]),
         bool(meta["labelled"]),
@@ -613,8 +611,7 @@ def assemble_scene(
     old = () if like is None else tuple(zip(like.ground_fields, like.levels.levels, strict=True))
 
     def fit(i: int) -> Gpdf:
-        level = levels.levels[i]
-        return _change_ground(*old[i], level, config) if i < len(old) else _fit_ground(level, config)
+        return _fit_ground(levels.levels[i], config, old[i] if i < len(old) else None)
 
     fields = tuple(run_parallel(fit, range(len(levels.levels))))
     progress("ready", 1.0)
@@ -632,14 +629,7 @@ def _lattice(level: GroundLevel, config: Config) -> Lattice:
     return lattice_of(height, surface.origin, surface.cell_width, config.fields)
 
 
-def _fit_ground(level: GroundLevel, config: Config) -> Gpdf:
-    """The level's Ground GPDF, over all of its known cells."""
-    return fit_lattice(_lattice(level, config), level.surface)
-
-
-def _change_ground(field: Gpdf, old: GroundLevel, new: GroundLevel, config: Config) -> Gpdf:
-    """The level's Ground GPDF: solved again where the ground changed, or fitted where its cells are others."""
-    cells = changed_cells(old.surface, new.surface)
-    if cells is None or cells.mean() >= 0.5:
-        return _fit_ground(new, config)
-    return change_lattice(field, _lattice(new, config), cells, new.surface)
+def _fit_ground(level: GroundLevel, config: Config, former: tuple[Gpdf, GroundLevel] | None = None) -> Gpdf:
+    """The level's Ground GPDF, solved where the ground is another than that of the `former` one."""
+    before = former and (former[0], _lattice(former[1], config))
+    return fit_lattice(_lattice(level, config), level.surface, before)

@@ -26,8 +26,8 @@ from numpy.typing import NDArray
 from gpdf_service.errors import SceneFileError, words_of
 from gpdf_service.packing import Packed, pack, unpack
 
-SCHEMA_VERSION = 5
-READABLE = 4, 5
+SCHEMA_VERSION = 6
+READABLE = 4, 5, 6
 _META = "meta"
 _PLAIN = ".npy"
 """What follows the name of an array in NumPy's format."""

@@ -18,12 +18,13 @@ from numpy.typing import NDArray
 from gpdf_service.config import FieldConfig
 from gpdf_service.errors import FieldError
 from gpdf_service.fields.gpdf import Domain, Gpdf
+from gpdf_service.fields.order import morton
 from gpdf_service.fields.solve import HALO, TOLERANCE
 from gpdf_service.fields.spacing import REACH, make_room, shape_around
 from gpdf_service.fields.threads import run_parallel
 from gpdf_service.fields.traversal import CUT_RADIUS, STEEPEST, decay
-from gpdf_service.fields.tree import VECTORS, Tree, build_tree, change_tree, lesser
-from gpdf_service.types import BoolArray, FloatArray, IntArray
+from gpdf_service.fields.tree import LEAF_SIZE, VECTORS, Tree, lesser, tree_of
+from gpdf_service.types import FloatArray, IntArray
 
 Row = NDArray[np.float32]
 """Values of the cells of a window, row after row."""
@@ -67,93 +68,143 @@ def lattice_of(height: NDArray[np.floating], origin: FloatArray, width: float, c
     return Lattice(np.asarray(height, np.float64), np.asarray(origin, np.float64), float(width), *own)
 
 
-def fit_lattice(lattice: Lattice, domain: Domain) -> Gpdf:
-    """The field over the points of a lattice, of which there must be some.
-
-    Raises:
-        FieldError: the solve did not converge.
-    """
-    points = _points_in(lattice, ~np.isnan(lattice.height))
-    return _field(build_tree(points), lattice, solve_lattice(lattice), domain)
+@lru_cache(maxsize=1)
+def _layout() -> IntArray:
+    """Cells of a tile in Morton order, shape (`TILE`², 2): 32 that follow one another are a leaf."""
+    cells = np.ascontiguousarray(np.indices((TILE, TILE)).reshape(2, -1).T)
+    made: IntArray = cells[np.argsort(morton(cells))]
+    return made
 
 
-def change_lattice(field: Gpdf, lattice: Lattice, cells: BoolArray, domain: Domain) -> Gpdf:
-    """The field over a lattice that held other points in some `cells`, shape (nx, ny), when `field` was fitted."""
-    x, y = _cells_of(field.points, lattice)
-    before = Solved(np.full(lattice.height.shape, np.nan), np.zeros((*lattice.height.shape, 6)))
-    before.alpha[x, y], before.discs[x, y] = field.alpha, field.discs
-    tree, _ = change_tree(field.tree, ~cells[x, y], _points_in(lattice, cells & ~np.isnan(lattice.height)))
-    return _field(tree, lattice, solve_lattice(lattice, before, cells), domain)
-
-
-def _field(tree: Tree, lattice: Lattice, solved: Solved, domain: Domain) -> Gpdf:
-    cells, noise = _cells_of(tree.points, lattice), np.zeros(len(tree.points))
-    own = lattice.length_scale, lattice.noise_variance, lattice.spacing
-    return Gpdf(tree, solved.alpha[cells], solved.discs[cells], noise, *own, domain)
-
-
-def _points_in(lattice: Lattice, cells: BoolArray) -> FloatArray:
-    """Points of the `cells`, shape (k, 3)."""
-    plan = lattice.origin + (np.argwhere(cells) + 0.5) * lattice.width
-    return np.column_stack([plan, lattice.height[cells]])
-
-
-def _cells_of(points: FloatArray, lattice: Lattice) -> tuple[IntArray, IntArray]:
-    x, y = np.floor((points[:, :2] - lattice.origin) / lattice.width).astype(np.int64).T
-    return x, y
-
-
-class Solved(NamedTuple):
-    """What a field is made of, cell by cell.
+class _Rows(NamedTuple):
+    """Where the points of each tile are among all: tiles in Morton order, and so the points of each.
 
     Attributes:
-        alpha: (K + σ² I)⁻¹ 1, NaN where there is no point, shape (nx, ny).
-        discs: The surface that each point stands for, as `spacing.local_shape` says, shape (nx, ny, 6).
+        tile: First cell of each tile that holds points, shape (t, 2).
+        first: First row of each, and how many there are in all, shape (t + 1,).
     """
 
-    alpha: FloatArray
-    discs: FloatArray
+    tile: IntArray
+    first: IntArray
+
+    def of(self, k: int) -> slice:
+        """Rows of a tile."""
+        return slice(int(self.first[k]), int(self.first[k + 1]))
 
 
-def solve_lattice(lattice: Lattice, before: Solved | None = None, cells: BoolArray | None = None) -> Solved:
-    """α and discs of all points of a lattice.
+def _rows_of(lattice: Lattice) -> _Rows:
+    corner = np.ascontiguousarray(np.indices([-(-size // TILE) for size in lattice.height.shape]).reshape(2, -1).T)
+    tile = TILE * corner[np.argsort(morton(corner))]
+    count = np.array([np.count_nonzero(~np.isnan(lattice.height[x : x + TILE, y : y + TILE])) for x, y in tile])
+    return _Rows(tile[count > 0], np.concatenate([[0], np.cumsum(count[count > 0])]))
+
+
+def fit_lattice(lattice: Lattice, domain: Domain, former: tuple[Gpdf, Lattice] | None = None) -> Gpdf:
+    """The field over the points of a lattice, of which there must be some: what is changed is what is built.
 
     Args:
-        lattice: The points.
-        before: What they were of other heights on the same lattice; nothing in a build.
-        cells: Which cells held another point then, shape (nx, ny).
+        lattice: The points; in the field they are in the order of the tiles.
+        domain: Where it answers.
+        former: A field, and the lattice that it was fitted to: what it said of tiles within whose reach nothing is
+            another is taken over.
 
     Raises:
         FieldError: a solve did not converge.
     """
-    shape = lattice.height.shape
-    if before is None or cells is None:
-        made, cells = Solved(np.full(shape, np.nan), np.zeros((*shape, 6))), np.ones(shape, dtype=bool)
-    else:
-        made = Solved(before.alpha.copy(), before.discs.copy())
-    cut, near = (radius / lattice.width for radius in (CUT_RADIUS * lattice.length_scale, REACH * lattice.spacing))
-    solver, ball = _solver_of(lattice), disc(near)
+    rows, solver = _rows_of(lattice), _solver_of(lattice)
+    count, ball = int(rows.first[-1]), disc(REACH * lattice.spacing / lattice.width)
+    alpha, discs = np.empty(count), np.empty((count, 6))
 
-    def solve(tile: tuple[int, int]) -> bool:
-        return bool(_solve_tile(lattice, solver, *tile, made.alpha))
+    def solve(k: int) -> bool:
+        cells = _layout() + rows.tile[k]
+        _shape_tile(lattice, ball, cells, discs[rows.of(k)])
+        return bool(_solve_tile(lattice, solver, cells, alpha[rows.of(k)]))
 
-    def shape_out(tile: tuple[int, int]) -> None:
-        _shape_tile(lattice, ball, *tile, made.discs)
-
-    run_parallel(shape_out, _tiles(cells, int(near)))
-    if not all(run_parallel(solve, _tiles(cells, solver.halo + int(cut)))):
+    if not all(run_parallel(solve, _take_over(lattice, rows, former, alpha, discs))):
         raise FieldError("fit", "the solve did not converge", "Raise fields.noise_variance.")
-    return made
+    return _field(lattice, rows, alpha, discs, domain)
 
 
-def _tiles(cells: BoolArray, reach: int) -> list[tuple[int, int]]:
-    """First cell of each tile within whose reach any of the `cells` are."""
-    (nx, ny), found = cells.shape, []
-    for x in range(0, nx, TILE):
-        for y in range(0, ny, TILE):
-            if cells[max(x - reach, 0) : x + TILE + reach, max(y - reach, 0) : y + TILE + reach].any():
-                found.append((x, y))
-    return found
+def restore_lattice(
+    lattice: Lattice, alpha: FloatArray, discs: FloatArray, domain: Domain, points: FloatArray | None = None
+) -> Gpdf:
+    """The field over a lattice of which all is known: α, shape (n,), and discs, (n, 6), in its order or of `points`."""
+    rows = _rows_of(lattice)
+    if points is not None:
+        old, new = (_flat_cells(each, lattice) for each in (points, _points_of(lattice, rows)))
+        order = np.argsort(old)
+        taken = order[np.searchsorted(old, new, sorter=order)]
+        alpha, discs = alpha[taken], discs[taken]
+    return _field(lattice, rows, alpha, discs, domain)
+
+
+def _field(lattice: Lattice, rows: _Rows, alpha: FloatArray, discs: FloatArray, domain: Domain) -> Gpdf:
+    own = lattice.length_scale, lattice.noise_variance, lattice.spacing
+    tree = _tree_of(_points_of(lattice, rows), rows)
+    return Gpdf(tree, alpha, discs, np.broadcast_to(0.0, len(alpha)), *own, domain)
+
+
+def _points_of(lattice: Lattice, rows: _Rows) -> FloatArray:
+    """All points in their order, shape (n, 3)."""
+    points = np.empty((int(rows.first[-1]), 3))
+    run_parallel(lambda k: _put_points(lattice, _layout() + rows.tile[k], points[rows.of(k)]), range(len(rows.tile)))
+    return points
+
+
+def _flat_cells(points: FloatArray, lattice: Lattice) -> IntArray:
+    x, y = np.floor((points[:, :2] - lattice.origin) / lattice.width).astype(np.int64).T
+    flat: IntArray = x * lattice.height.shape[1] + y
+    return flat
+
+
+def _take_over(
+    lattice: Lattice, rows: _Rows, former: tuple[Gpdf, Lattice] | None, alpha: FloatArray, discs: FloatArray
+) -> list[int]:
+    """Write what a field over a `former` lattice said of the tiles that feel no change; which tiles are left."""
+    if former is None or not _is_like(lattice, former[1]):
+        return list(range(len(rows.tile)))
+    (field, before), left = former, []
+    rows_before, reach = _rows_of(before), _solver_of(lattice).halo + int(_cut(lattice))
+    was = {tuple(cell): rows_before.of(k) for k, cell in enumerate(rows_before.tile)}
+    other = (lattice.height != before.height) & ~(np.isnan(lattice.height) & np.isnan(before.height))
+    for k, (x, y) in enumerate(rows.tile):
+        if other[max(x - reach, 0) : x + TILE + reach, max(y - reach, 0) : y + TILE + reach].any():
+            left.append(k)
+        else:
+            own, old = rows.of(k), was[x, y]
+            alpha[own], discs[own] = field.alpha[old], field.discs[old]
+    return left
+
+
+def _is_like(one: Lattice, other: Lattice) -> bool:
+    """Whether two lattices have the same cells, and the same kernel."""
+    same = one.height.shape == other.height.shape and bool((one.origin == other.origin).all())
+    return same and one[2:] == other[2:]
+
+
+def _cut(lattice: Lattice) -> float:
+    """How far the kernel reaches [cells]."""
+    return CUT_RADIUS * lattice.length_scale / lattice.width
+
+
+def _tree_of(points: FloatArray, rows: _Rows) -> Tree:
+    """The tree over the points as they lie; each tile begins a leaf."""
+    leaves = -(-np.diff(rows.first) // LEAF_SIZE)
+    rank = np.arange(leaves.sum()) - np.repeat(np.cumsum(leaves) - leaves, leaves)
+    begin = np.append(np.repeat(rows.first[:-1], leaves) + LEAF_SIZE * rank, rows.first[-1])
+    return tree_of(points, np.arange(len(points)), begin)
+
+
+@njit(cache=True, nogil=True)
+def _put_points(lattice: Lattice, cells: IntArray, points: FloatArray) -> None:
+    """Write the points of the `cells` that hold one."""
+    (nx, ny), row = lattice.height.shape, 0
+    for x, y in cells:
+        if x < nx and y < ny and not np.isnan(lattice.height[x, y]):
+            points[row, 0] = lattice.origin[0] + (x + 0.5) * lattice.width
+            points[row, 1] = lattice.origin[1] + (y + 0.5) * lattice.width
+            points[row, 2] = lattice.height[x, y]
+            row += 1
 
 
 def disc(radius: float) -> IntArray:
@@ -172,24 +223,23 @@ def half_disc(radius: float) -> IntArray:
 
 
 @njit(cache=True, nogil=True)
-def _shape_tile(lattice: Lattice, ball: IntArray, x0: int, y0: int, discs: FloatArray) -> None:
-    """Write the discs of a tile's points."""
-    (nx, ny), room, radius = lattice.height.shape, make_room(), REACH * lattice.spacing
-    for x in range(x0, min(x0 + TILE, nx)):
-        for y in range(y0, min(y0 + TILE, ny)):
-            z, count = lattice.height[x, y], 0
-            if np.isnan(z):
-                discs[x, y] = 0.0
+def _shape_tile(lattice: Lattice, ball: IntArray, cells: IntArray, discs: FloatArray) -> None:
+    """Write the discs of the points in a tile's `cells`."""
+    (nx, ny), room, radius, row = lattice.height.shape, make_room(), REACH * lattice.spacing, 0
+    for x, y in cells:
+        if x >= nx or y >= ny or np.isnan(lattice.height[x, y]):
+            continue
+        z, count = lattice.height[x, y], 0
+        for k in range(len(ball)):
+            u, v = x + ball[k, 0], y + ball[k, 1]
+            if not (0 <= u < nx and 0 <= v < ny) or np.isnan(lattice.height[u, v]):
                 continue
-            for k in range(len(ball)):
-                u, v = x + ball[k, 0], y + ball[k, 1]
-                if not (0 <= u < nx and 0 <= v < ny) or np.isnan(lattice.height[u, v]):
-                    continue
-                a, b, c = ball[k, 0] * lattice.width, ball[k, 1] * lattice.width, float(lattice.height[u, v] - z)
-                if a * a + b * b + c * c <= radius * radius:
-                    room.near[count, 0], room.near[count, 1], room.near[count, 2] = a, b, c
-                    count += 1
-            shape_around(room, count, True, radius, lattice.spacing, 0.0, discs[x, y])
+            a, b, c = ball[k, 0] * lattice.width, ball[k, 1] * lattice.width, float(lattice.height[u, v] - z)
+            if a * a + b * b + c * c <= radius * radius:
+                room.near[count, 0], room.near[count, 1], room.near[count, 2] = a, b, c
+                count += 1
+        shape_around(room, count, True, radius, lattice.spacing, 0.0, discs[row])
+        row += 1
 
 
 class _Solver(NamedTuple):
@@ -212,7 +262,7 @@ class _Solver(NamedTuple):
 
 def _solver_of(lattice: Lattice) -> _Solver:
     scale = lattice.length_scale / lattice.width
-    offsets = half_disc(CUT_RADIUS * scale)
+    offsets = half_disc(_cut(lattice))
     apart = ((offsets**2).sum(axis=1) * 0.5 / scale**2).astype(np.float32)
     near = _approximate_inverse(scale, lattice.noise_variance, min(_NEAR, int(offsets.max())))
     return _Solver(int(np.ceil(HALO * scale)), offsets, apart, *near)
@@ -253,13 +303,12 @@ def _window(height: NDArray[np.floating], reach: int, halo: int, box: tuple[int,
 
 
 @njit(cache=True, nogil=True)
-def _box_of(height: NDArray[np.floating], x0: int, y0: int) -> tuple[int, int, int, int]:
-    """The least box of cells that holds all points of a tile, empty where there are none."""
-    (nx, ny), left, right, near, far = height.shape, x0 + TILE, x0, y0 + TILE, y0
-    for x in range(x0, min(x0 + TILE, nx)):
-        for y in range(y0, min(y0 + TILE, ny)):
-            if not np.isnan(height[x, y]):
-                left, right, near, far = min(left, x), x + 1, min(near, y), max(far, y + 1)
+def _box_of(height: NDArray[np.floating], cells: IntArray) -> tuple[int, int, int, int]:
+    """The least box of cells that holds all points of a tile's `cells`."""
+    (nx, ny), left, right, near, far = height.shape, len(height), 0, height.shape[1], 0
+    for x, y in cells:
+        if x < nx and y < ny and not np.isnan(height[x, y]):
+            left, right, near, far = min(left, x), max(right, x + 1), min(near, y), max(far, y + 1)
     return left, right, near, far
 
 
@@ -361,15 +410,12 @@ def _approximate_inverse(scale: float, noise_variance: float, reach: int) -> tup
 
 
 @njit(cache=True, nogil=True, fastmath=VECTORS)
-def _solve_tile(lattice: Lattice, solver: _Solver, x0: int, y0: int, alpha: FloatArray) -> bool:
-    """Write α of a tile's points; whether the solve converged.
+def _solve_tile(lattice: Lattice, solver: _Solver, cells: IntArray, alpha: FloatArray) -> bool:
+    """Write α of the points in a tile's `cells`, of which there are some; whether the solve converged.
 
     It begins with α on even ground, one over the sum of the row of K + σ² I; so is α beyond the halo.
     """
-    rate, box = np.float32(0.5 / (lattice.length_scale * lattice.length_scale)), _box_of(lattice.height, x0, y0)
-    alpha[x0 : x0 + TILE, y0 : y0 + TILE] = np.nan
-    if box[1] <= box[0]:
-        return True
+    rate, box = np.float32(0.5 / (lattice.length_scale * lattice.length_scale)), _box_of(lattice.height, cells)
     window = _window(lattice.height, solver.offsets.max(), solver.halo, box)
     stride, diagonal = window.inner[1] + window.reach, np.float32(1.0 + lattice.noise_variance)
     inner, sums = np.zeros(window.inner[0] * stride, np.float32), np.full(len(window.held), diagonal)
@@ -400,9 +446,10 @@ def _solve_tile(lattice: Lattice, solver: _Solver, x0: int, y0: int, alpha: Floa
         for i in range(len(x)):
             x[i] += step * p[i]
             r[i] -= step * product[i]
-    for i in range(box[0], box[1]):
-        for j in range(box[2], box[3]):
-            k = (i - box[0] + solver.halo) * stride + j - box[2] + solver.halo
-            if inner[k] > 0.0:
-                alpha[i, j] = x[k]
+    row = 0
+    for i, j in cells:
+        k = (i - box[0] + solver.halo) * stride + j - box[2] + solver.halo
+        if box[0] <= i < box[1] and box[2] <= j < box[3] and inner[k] > 0.0:
+            alpha[row] = x[k]
+            row += 1
     return bool(_dot(r, r) <= enough)

@@ -442,10 +442,3 @@ def _ledges_of(part: _Part, surface: HeightMap, other: FloatArray, config: Perce
     box = window(cells, reach + ledge_reach(surface)) if len(other) else NOWHERE
     ground = taken(part.cloud.points, rows[part.ground[rows]])
     return find_ledges(surface, ground, other, config.max_step, box=box)
-
-
-def changed_cells(old: HeightMap, new: HeightMap) -> BoolArray | None:
-    """Cells in which the ground is another, shape (nx, ny); None where the grid is another."""
-    if old.height.shape != new.height.shape or old.cell_width != new.cell_width or (old.origin != new.origin).any():
-        return None
-    return changed(old, new)

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from gpdf_service.config import FieldConfig
-from gpdf_service.fields import Gpdf, Lattice, change_lattice, fit_gpdf, fit_lattice, lattice_of
-from gpdf_service.fields.lattice import TILE, disc, half_disc, solve_lattice
+from gpdf_service.fields import Gpdf, Lattice, fit_gpdf, fit_lattice, lattice_of
+from gpdf_service.fields.lattice import TILE, disc, half_disc
 from gpdf_service.types import FloatArray
 
 WIDTH = 0.06
@@ -54,21 +54,18 @@ def test_a_lattice_gives_the_field_of_its_points(shape: tuple[int, int]) -> None
 def test_a_point_by_itself_is_one_over_its_row() -> None:
     height = np.full((9, 9), np.nan)
     height[4, 4] = 1.0
-    solved = solve_lattice(lattice(height))
-    assert solved.alpha[4, 4] == pytest.approx(1.0 / (1.0 + FieldConfig().noise_variance), rel=1e-4)
-    assert np.isnan(solved.alpha).sum() == 80
+    field = fit_lattice(lattice(height), Everywhere())
+    assert field.alpha == pytest.approx([1.0 / (1.0 + FieldConfig().noise_variance)], rel=1e-4)
 
 
 def test_what_is_solved_satisfies_the_equation() -> None:
     """(K + σ² I) α = 1 in each row, with K from all pairs of points, across the borders of tiles."""
     own = lattice(terrain(np.random.default_rng(1), (70, 75)))
-    solved, known = solve_lattice(own), ~np.isnan(own.height)
-    plan = np.argwhere(known) * WIDTH
-    points = np.column_stack([plan, own.height[known]])
-    square = ((points[:, None] - points[None]) ** 2).sum(axis=2)
+    field = fit_lattice(own, Everywhere())
+    assert len(field.points) == np.count_nonzero(~np.isnan(own.height))
+    square = ((field.points[:, None] - field.points[None]) ** 2).sum(axis=2)
     kernel = np.exp(-0.5 * square / own.length_scale**2) * (square <= (4.5 * own.length_scale) ** 2)
-    left = kernel @ solved.alpha[known] + own.noise_variance * solved.alpha[known]
-    np.testing.assert_allclose(left, 1.0, atol=3e-3)
+    np.testing.assert_allclose(kernel @ field.alpha + own.noise_variance * field.alpha, 1.0, atol=3e-3)
 
 
 def test_a_change_gives_what_a_build_gives() -> None:
@@ -78,25 +75,33 @@ def test_a_change_gives_what_a_build_gives() -> None:
     for _ in range(10):
         after, (x, y) = before.copy(), rng.integers(0, 190, 2)
         after[x : x + 12, y : y + 9] = rng.choice([np.nan, 41.0]) + 0.01 * rng.integers(0, 3)
-        cells = ~((after == before) | (np.isnan(after) & np.isnan(before)))
-        field, before = change_lattice(field, lattice(after), cells, Everywhere()), after
+        field, before = fit_lattice(lattice(after), Everywhere(), (field, lattice(before))), after
         built = fit_lattice(lattice(after), Everywhere())
-        rows, others = (np.lexsort(each.points.T) for each in (field, built))
-        np.testing.assert_array_equal(field.points[rows], built.points[others])
-        np.testing.assert_array_equal(field.alpha[rows], built.alpha[others])
-        np.testing.assert_array_equal(field.discs[rows], built.discs[others])
+        for one, another in zip(field.arrays, built.arrays, strict=True):
+            np.testing.assert_array_equal(one, another)
 
 
 def test_a_change_solves_only_tiles_within_reach() -> None:
     rng = np.random.default_rng(3)
-    own = lattice(terrain(rng, (3 * TILE, 3 * TILE)))
-    solved = solve_lattice(own)
-    marked = solved._replace(alpha=np.where(np.isnan(solved.alpha), np.nan, 7.0))
-    cells = np.zeros(own.height.shape, dtype=bool)
-    cells[1, 1] = True
-    again = solve_lattice(own, marked, cells).alpha
-    np.testing.assert_array_equal(again[:TILE, :TILE], solved.alpha[:TILE, :TILE])
-    assert (again[TILE:][~np.isnan(own.height[TILE:])] == 7.0).all()
+    before = terrain(rng, (3 * TILE, 3 * TILE), gaps=0.0)
+    field = fit_lattice(lattice(before), Everywhere())
+    field.alpha[:] = 7.0
+    after = before.copy()
+    after[1, 1] += 0.01
+    again = fit_lattice(lattice(after), Everywhere(), (field, lattice(before)))
+    near = np.floor((again.points[:, :2] - lattice(before).origin) / (TILE * WIDTH)).astype(int).max(axis=1) == 0
+    built = fit_lattice(lattice(after), Everywhere())
+    np.testing.assert_array_equal(again.alpha[near], built.alpha[near])
+    assert (again.alpha[~near] == 7.0).all()
+
+
+def test_another_grid_or_kernel_takes_nothing_over() -> None:
+    height = terrain(np.random.default_rng(5), (40, 50))
+    own = lattice(height)
+    field = fit_lattice(own, Everywhere())
+    field.alpha[:] = 7.0
+    for other in (own._replace(origin=own.origin + WIDTH), own._replace(noise_variance=0.5)):
+        assert not (fit_lattice(other, Everywhere(), (field, own)).alpha == 7.0).any()
 
 
 def test_each_pair_of_cells_is_met_once() -> None:
@@ -110,5 +115,4 @@ def test_each_pair_of_cells_is_met_once() -> None:
 def test_any_kernel_that_may_be_asked_for_is_solved(factor: float, noise_variance: float) -> None:
     config = FieldConfig(length_scale_factor=factor, noise_variance=noise_variance)
     height = terrain(np.random.default_rng(4), (40, 50))
-    solved = solve_lattice(lattice_of(height, np.zeros(2), WIDTH, config))
-    assert np.isfinite(solved.alpha[~np.isnan(height)]).all()
+    assert np.isfinite(fit_lattice(lattice_of(height, np.zeros(2), WIDTH, config), Everywhere()).alpha).all()
