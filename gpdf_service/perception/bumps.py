@@ -1,14 +1,16 @@
-"""Low things that the ground was joined up to without a step: the feet of a chair, a bag, the base of a lamp.
+"""Low things that the ground was joined up to: the feet of a chair, a bag, the base of a lamp; a lid, a box, a pallet.
 
 A foot of 6 cm in a floor of 5 cm cells is a slope like any other. What tells it from ground is its size: it falls off
 to either side within the width of a person, so nobody stands on it. A sill, or a bump across a road, does so, too, but
-on and on; rough ground does so everywhere; a narrow tread leads further up.
+on and on; rough ground does so everywhere; a narrow tread leads further up. A box is wider, but narrower than a place
+to go to: it falls off to either side within a landing, in a step all round, which a rise of the ground does not.
 """
 
 from __future__ import annotations
 
 import numpy as np
 from numba import njit
+from scipy import ndimage
 
 from gpdf_service.config import PerceptionConfig
 from gpdf_service.fields.threads import run_chunked
@@ -24,6 +26,14 @@ LEAST_BUMP = 0.02
 ROUGH = 4.0
 """[-] Over the upper quartile of the bumps around: 99 % of those of rubble are less than 3.6 of it, whatever its relief
 (2 to 5 cm, correlated over 5 to 15 cm)."""
+LANDING = 1.2
+"""[m] What falls off to both sides and is narrower is no place to go to: a landing is 48 inches deep, by the
+International Building Code, 1011.6."""
+STEPPED = 0.75
+"""[-] Of a box's rim, in pairs of nodes: a platform's corner has 0.65 at most, a lid in noise of a sixth of its height
+0.87 at least."""
+RISING = 0.05
+"""[-] Of a box's rim that may lie under other ground: strays. A tread's rim has a third."""
 LONG = 3.0
 """[-] Length over depth of what crosses the way, a sill or a ridge; what stands about is rounder."""
 
@@ -61,6 +71,83 @@ def low_things(near: Beside, ground: BoolArray, raised: FloatArray, config: Perc
     stays[piece[a[layers.height[b] - layers.height[nodes[a]] > LEAST_BUMP]]] = True
     found[nodes[stays[piece]]] = False
     return found
+
+
+def boxes(near: Beside, ground: BoolArray, config: PerceptionConfig) -> BoolArray:
+    """Which nodes of the `ground`, shape (k,), are boxes and lids on it, that one could step onto, shape (k,).
+
+    Each is higher than a slope rises in a cell, ends in a step at `STEPPED` of its rim, and leads no further up. What a
+    landing's width cuts off at the corner of a platform is none: the ground goes on at two fifths of its rim.
+    """
+    layers, slope = near.layers, near.layers.cell_width * float(np.tan(config.steepest))
+    raised = _raised_within(near, ground, slope, config.max_step)
+    found: BoolArray = raised > slope
+    nodes = np.flatnonzero(found)
+    if len(nodes) == 0:
+        return found
+    grid = layers.cell, layers.start, layers.shape, layers.height
+    piece = _pieces(nodes, grid, found, slope)
+    depth = extents_in_plan(layers.cell[nodes], layers.shape[1], found[nodes], piece, layers.cell_width)[1]
+    a, b = pairs_around(nodes, *grid, ground & ~found, 0.0, config.max_step)
+    drop, count = layers.height[nodes[a]] - layers.height[b], len(depth)
+    rim, steps, up = (
+        np.bincount(piece[a[kind]], minlength=count)
+        for kind in (drop < np.inf, drop >= 0.5 * raised[nodes[a]], drop < -LEAST_BUMP)
+    )
+    box = (depth >= config.standing_width) & (steps > STEPPED * rim) & (up < RISING * rim)
+    found[nodes[~box[piece]]] = False
+    return found
+
+
+def _raised_within(near: Beside, ground: BoolArray, least: float, most: float) -> FloatArray:
+    """How much higher each node of the `ground` is than that to both sides of it, within a landing's width in all [m].
+
+    Looked at closer are nodes with ground that is lower by more than the `least` around them; `most` is as in
+    `raised_over_sides`.
+    """
+    width = max(2, int(LANDING / near.layers.cell_width))
+
+    def answer(layers: Layers, ground: BoolArray) -> tuple[FloatArray]:
+        raised, nodes, lowest = np.zeros(len(ground)), np.flatnonzero(ground), np.full(layers.shape, np.inf)
+        np.minimum.at(lowest.ravel(), layers.cell[nodes], layers.height[nodes])
+        lowest = ndimage.minimum_filter(lowest, size=2 * width + 1, mode="constant", cval=np.inf)
+        nodes = nodes[layers.height[nodes] - lowest.ravel()[layers.cell[nodes]] > least]
+        grid = layers.cell, layers.start, layers.shape, layers.height, ground
+        run_chunked(lambda a, b: _raise_within(nodes[a:b], *grid, width, most, raised), len(nodes))
+        return (raised,)
+
+    return near.around("raised within", width, answer, ground)[0]
+
+
+@njit(cache=True, nogil=True)
+def _raise_within(
+    nodes: IntArray,
+    cell: IntArray,
+    start: IntArray,
+    shape: tuple[int, int],
+    height: FloatArray,
+    ground: BoolArray,
+    width: int,
+    most: float,
+    raised: FloatArray,
+) -> None:
+    """Write `_raised_within` of the `nodes`: in the direction in which it is most, of all ways to share the width."""
+    drop = np.zeros((2, width + 1))
+    for i in nodes:
+        x, y, level = cell[i] // shape[1], cell[i] % shape[1], height[i]
+        for dx, dy in HALF:
+            cells = width if dx * dy == 0 else int(np.sqrt(0.5) * width)
+            for side in range(2):
+                for k in range(1, cells + 1):
+                    u, v = x + (2 * side - 1) * k * dx, y + (2 * side - 1) * k * dy
+                    drop[side, k] = drop[side, k - 1]
+                    if 0 <= u < shape[0] and 0 <= v < shape[1]:
+                        there = u * shape[1] + v
+                        j = _nearest(start[there], start[there + 1], height, ground, level, most)
+                        if j >= 0:
+                            drop[side, k] = max(drop[side, k], level - height[j])
+            for k in range(1, cells):
+                raised[i] = max(raised[i], min(drop[0, k], drop[1, cells - k]))
 
 
 def raised_over_sides(near: Beside, ground: BoolArray, config: PerceptionConfig) -> FloatArray:

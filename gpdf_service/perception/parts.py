@@ -202,8 +202,7 @@ def _bulk(
         np.bincount(group, parts.share(parts.over, among) * parts.size * alive)
         for among in (parts.keep, parts.keep & parts.inner)
     )
-    asked = inner > 0.0
-    asked &= size >= BULK_SHARE * size.max()
+    asked = (inner >= OVER_SHARE * size) & (size >= BULK_SHARE * size.max())
     nodes = np.flatnonzero(parts.keep & (alive & asked[group])[parts.label])
     grid = layers.cell, layers.start, layers.shape, layers.height, layers.top
     rises = nodes[rises_beside(nodes, *grid, config.max_step)]

@@ -13,7 +13,7 @@ from gpdf_service.errors import NoGroundError
 from gpdf_service.fields.threads import run_beside, run_chunked
 from gpdf_service.perception.beside import Beside, beside, beside_now
 from gpdf_service.perception.budget import LAYER_BYTES, check_grid
-from gpdf_service.perception.bumps import low_things, raised_over_sides
+from gpdf_service.perception.bumps import boxes, low_things, raised_over_sides
 from gpdf_service.perception.layers import (
     APART,
     HALF,
@@ -268,7 +268,8 @@ def find_ground(near: Beside, config: PerceptionConfig, relief: float = 0.0) -> 
     flight = treads | _between(near, seeds, treads, asked, config)
     found = (wide | low) & ~_roofs(near, wide | low | core, seeds, rise, config) | flight
     raised = raised_over_sides(near, found, config)
-    ground = found & ~(low_things(near, found, raised, config) & ~flight & (raised > relief))
+    low = low_things(near, found, raised, config) & (raised > relief)
+    ground = found & ~((low | boxes(near, found, config)) & ~flight)
     if not ground.any():
         raise NoGroundError(*NO_SURFACE)
     return ground

@@ -1,0 +1,65 @@
+"""What one could step onto, but is narrower than a place to go to, is no ground; a platform and a mound are."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import gpdf_service as gpdf
+from gpdf_service.types import BoolArray, FloatArray
+
+SPACING = 0.025
+
+
+def plate(low: tuple[float, float], high: tuple[float, float], z: float) -> FloatArray:
+    """Points of a level rectangle [m]."""
+    x, y = (np.arange(a + 0.5 * SPACING, b, SPACING) for a, b in zip(low, high, strict=True))
+    return np.stack(np.meshgrid(x, y, [z]), axis=-1).reshape(-1, 3)
+
+
+def sides(low: tuple[float, float], high: tuple[float, float], z: float) -> FloatArray:
+    """Points of the walls below such a rectangle [m]."""
+    x, y = (np.arange(a, b, SPACING) for a, b in zip(low, high, strict=True))
+    z_of = np.arange(0.5 * SPACING, z, SPACING)
+    along = [np.stack(np.meshgrid(x, [end], z_of), axis=-1).reshape(-1, 3) for end in (low[1], high[1])]
+    across = [np.stack(np.meshgrid([end], y, z_of), axis=-1).reshape(-1, 3) for end in (low[0], high[0])]
+    return np.concatenate([*along, *across])
+
+
+def room_with(
+    low: tuple[float, float], high: tuple[float, float], z: float, noise: float
+) -> tuple[FloatArray, BoolArray]:
+    """A floor of 6 × 5 m with something raised on it, and which points are its top."""
+    floor = plate((0.0, 0.0), (6.0, 5.0), 0.0)
+    under = ((floor[:, :2] > low) & (floor[:, :2] < high)).all(axis=1)
+    parts = [floor[~under], sides(low, high, z), plate(low, high, z)]
+    cloud = np.concatenate(parts)
+    cloud += np.random.default_rng(0).normal(0.0, noise, cloud.shape)
+    return cloud, np.arange(len(cloud)) >= len(cloud) - len(parts[2])
+
+
+@pytest.mark.parametrize("noise", [0.002, 0.02])
+@pytest.mark.parametrize(("size", "z"), [((1.0, 0.7), 0.12), ((0.6, 0.6), 0.2), ((4.0, 0.9), 0.25), ((0.9, 0.8), 0.35)])
+def test_a_lid_a_box_and_a_rack_are_no_ground(size: tuple[float, float], z: float, noise: float) -> None:
+    low = (1.0, 2.0)
+    cloud, top = room_with(low, (low[0] + size[0], low[1] + size[1]), z, noise)
+    ground = gpdf.segment_ground(cloud)
+    assert ground[top].mean() < 0.02
+    assert ground[~top & (np.abs(cloud[:, 2]) < 0.01)].mean() > 0.95
+    scene = gpdf.build_scene(cloud)
+    beside = gpdf.plan(scene, (0.5, 1.0), (low[0] + 0.5 * size[0], low[1] + 0.5 * size[1]), "human")
+    assert beside.status is gpdf.Status.GOAL_OCCUPIED
+
+
+@pytest.mark.parametrize("noise", [0.002, 0.02])
+def test_a_platform_is_ground(noise: float) -> None:
+    cloud, top = room_with((1.0, 1.0), (3.5, 3.0), 0.15, noise)
+    assert gpdf.segment_ground(cloud)[top].mean() > 0.95
+
+
+def test_a_rise_without_a_step_is_ground() -> None:
+    """A mound as high and as wide as a box."""
+    floor = plate((0.0, 0.0), (6.0, 5.0), 0.0)
+    away = np.linalg.norm(floor[:, :2] - [3.0, 2.5], axis=1)
+    floor[:, 2] = 0.12 * np.maximum(1.0 - (away / 0.8) ** 2, 0.0)
+    assert gpdf.segment_ground(floor).mean() > 0.99
