@@ -245,3 +245,41 @@ def test_who_takes_no_step_goes_over_what_is_none(floor, step, holds):
     path = np.column_stack([np.linspace(-1.0, 1.0, 9), np.zeros(9)])
     found = certificate_of(space_of(floor, body, base, np.full(base.state.shape, step)), path)
     assert found.holds == holds
+
+
+def test_on_a_ramp_the_top_is_where_the_contact_is_all_along(floor):
+    """A top that is its height away from the ramp stands higher over its contact than that."""
+    x, y = (axis.ravel() for axis in np.meshgrid(np.arange(-4.0, 4.0, 0.05), np.arange(-1.5, 1.5, 0.05)))
+    ramp = gpdf.build_scene(np.column_stack([x, y, np.tan(0.35) * x]), np.ones(x.size, dtype=bool))
+    plan = np.column_stack([np.linspace(-1.5, 1.5, 4), np.linspace(-0.3, 0.3, 4)])
+    path = np.column_stack([plan, np.tan(0.35) * plan[:, 0]])
+    space = dataclasses.replace(ramp.free_space("human"), trees=(Places(build_tree(FAR)),))
+    high = space.agent.height / np.cos(0.35) - space.agent.height
+    assert high > 0.1
+    found = certificate_of(space, path, high)
+    assert found.max_height_deviation < 0.01
+    assert found.max_slope == pytest.approx(0.35, abs=0.01)
+
+
+@pytest.mark.parametrize("bad", [0, 1])
+def test_what_is_wrong_on_one_level_is_wrong_of_the_whole_way(floor, bad):
+    """Two levels that are alike, of which one has a hole, a step, a slope, a low obstacle under the way."""
+    space, path = floor.free_space("human"), np.column_stack([np.linspace(-1.0, 1.0, 9), np.zeros((9, 2))])
+    level = np.repeat([0, 1], [5, 4])
+    base, zero = space.surfaces[0], np.zeros(space.surfaces[0].state.shape)
+    nowhere = HeightMap(base.origin, base.cell_width, base.height, np.zeros_like(base.state))
+    good = {"surfaces": base, "steps": zero, "slopes": zero, "trees": Places(build_tree(FAR))}
+    wrong = {"surfaces": nowhere, "steps": zero + 0.9, "slopes": zero + 0.9, "trees": Places(build_tree(np.zeros((1, 2))))}
+    reasons = {"surfaces": "known ground", "steps": "step of 0.90", "slopes": "slope of 52°", "trees": "an obstacle"}
+    top = path + np.array([0.0, 0.0, space.agent.height])
+    for name, reason in reasons.items():
+        both = {key: (one, one) for key, one in good.items()} | {"ground_fields": 2 * space.ground_fields}
+        both[name] = (wrong[name], good[name]) if bad == 0 else (good[name], wrong[name])
+        found = certify(dataclasses.replace(space, **both), top, path, level)
+        assert reason in found.reason, (name, found.reason)
+        assert not found.holds
+    both = {key: (one, one) for key, one in good.items()} | {"ground_fields": 2 * space.ground_fields}
+    off = np.where(level == bad, 0.1, 0.0)[:, None] * np.array([0.0, 0.0, 1.0])
+    found = certify(dataclasses.replace(space, **both), top + off, path, level)
+    assert found.max_height_deviation == pytest.approx(0.1, abs=FLAT)
+    assert found.ground_spacing == pytest.approx(base.cell_width)
