@@ -247,5 +247,7 @@ def test_what_lies_further_than_the_reach_changes_nothing(width, reach):
     height = terrain("bank", width, rng, (2 * reach + 9, 12))
     other = height.copy()
     other[: reach + 1] += rng.normal(0.0, 0.3, other[: reach + 1].shape)
-    for one, two in zip(step_and_slope(surface_of(height, width)), step_and_slope(surface_of(other, width)), strict=True):
+    for one, two in zip(
+        step_and_slope(surface_of(height, width)), step_and_slope(surface_of(other, width)), strict=True
+    ):
         np.testing.assert_array_equal(one[2 * reach + 2 :], two[2 * reach + 2 :])

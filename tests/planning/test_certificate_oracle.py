@@ -56,7 +56,9 @@ def lengths_in_cells(path, surface):
     for a, b in pairwise(path):
         lines = [0.0, 1.0]
         for k in (0, 1):
-            ends = sorted(((a[k] - surface.origin[k]) / surface.cell_width, (b[k] - surface.origin[k]) / surface.cell_width))
+            ends = sorted(
+                ((a[k] - surface.origin[k]) / surface.cell_width, (b[k] - surface.origin[k]) / surface.cell_width)
+            )
             cross = np.arange(np.ceil(ends[0]), np.floor(ends[1]) + 1.0) * surface.cell_width + surface.origin[k]
             lines += ((cross - a[k]) / (b[k] - a[k])).tolist()
         lines = sorted(share for share in lines if 0.0 <= share <= 1.0)
@@ -250,9 +252,10 @@ def test_who_takes_no_step_goes_over_what_is_none(floor, step, holds):
 def test_on_a_ramp_the_top_is_where_the_contact_is_all_along(floor):
     """A top that is its height away from the ramp stands higher over its contact than that."""
     x, y = (axis.ravel() for axis in np.meshgrid(np.arange(-4.0, 4.0, 0.05), np.arange(-1.5, 1.5, 0.05)))
-    ramp = gpdf.build_scene(np.column_stack([x, y, np.tan(0.35) * x]), np.ones(x.size, dtype=bool))
-    plan = np.column_stack([np.linspace(-1.5, 1.5, 4), np.linspace(-0.3, 0.3, 4)])
-    path = np.column_stack([plan, np.tan(0.35) * plan[:, 0]])
+    up = np.tan(0.35) * np.array([0.8, 0.6])
+    ramp = gpdf.build_scene(np.column_stack([x, y, np.column_stack([x, y]) @ up]), np.ones(x.size, dtype=bool))
+    plan = np.column_stack([np.linspace(-1.5, 1.5, 4), np.linspace(-0.5, 0.5, 4)])
+    path = np.column_stack([plan, plan @ up])
     space = dataclasses.replace(ramp.free_space("human"), trees=(Places(build_tree(FAR)),))
     high = space.agent.height / np.cos(0.35) - space.agent.height
     assert high > 0.1
@@ -269,7 +272,12 @@ def test_what_is_wrong_on_one_level_is_wrong_of_the_whole_way(floor, bad):
     base, zero = space.surfaces[0], np.zeros(space.surfaces[0].state.shape)
     nowhere = HeightMap(base.origin, base.cell_width, base.height, np.zeros_like(base.state))
     good = {"surfaces": base, "steps": zero, "slopes": zero, "trees": Places(build_tree(FAR))}
-    wrong = {"surfaces": nowhere, "steps": zero + 0.9, "slopes": zero + 0.9, "trees": Places(build_tree(np.zeros((1, 2))))}
+    wrong = {
+        "surfaces": nowhere,
+        "steps": zero + 0.9,
+        "slopes": zero + 0.9,
+        "trees": Places(build_tree(np.zeros((1, 2)))),
+    }
     reasons = {"surfaces": "known ground", "steps": "step of 0.90", "slopes": "slope of 52°", "trees": "an obstacle"}
     top = path + np.array([0.0, 0.0, space.agent.height])
     for name, reason in reasons.items():

@@ -10,11 +10,21 @@ from scipy.sparse.csgraph import connected_components, dijkstra
 
 from gpdf_service.fields import build_tree
 from gpdf_service.perception.surface import HeightMap
-from gpdf_service.search.graph import Doors, assemble, edges_of, find_edges, find_path, find_way, place_of_node, price_edges
+from gpdf_service.search.graph import (
+    Doors,
+    assemble,
+    change_edges,
+    edges_of,
+    find_edges,
+    find_path,
+    find_way,
+    place_of_node,
+    price_edges,
+)
 from gpdf_service.search.landmarks import find_landmarks
 from gpdf_service.search.patch import Nodes, around, patched
 from gpdf_service.search.places import Places
-from gpdf_service.search.quadtree import build_quadtree
+from gpdf_service.search.quadtree import build_quadtree, change_quadtree
 
 
 def segment_distance(a, b, places):
@@ -53,9 +63,7 @@ def edges_by_pairs(tree, places, radius):
 def test_edges_are_all_pairs_of_neighbours_with_a_clear_way_and_each_once(seed):
     _, tree, places, radius = small_scene(seed)
     pairs, via = find_edges(tree, Places(build_tree(places)), radius)
-    found = {
-        (int(min(pair)), int(max(pair))): tuple(at.round(9).tolist()) for pair, at in zip(pairs, via, strict=True)
-    }
+    found = {(int(min(pair)), int(max(pair))): tuple(at.round(9).tolist()) for pair, at in zip(pairs, via, strict=True)}
     assert len(found) == len(pairs)
     assert found == edges_by_pairs(tree, places, radius)
 
@@ -63,7 +71,9 @@ def test_edges_are_all_pairs_of_neighbours_with_a_clear_way_and_each_once(seed):
 def random_graph(rng, count=40, edges=70, radius=0.2):
     """A graph of which no edge is cheaper than it is long, in one part or several."""
     position, level = rng.uniform(-2.0, 2.0, (count, 2)), rng.integers(0, 3, count)
-    pairs = np.array(sorted({tuple(sorted(pair)) for pair in rng.integers(0, count, (edges, 2)).tolist() if len(set(pair)) > 1}))
+    pairs = np.array(
+        sorted({tuple(sorted(pair)) for pair in rng.integers(0, count, (edges, 2)).tolist() if len(set(pair)) > 1})
+    )
     via, clearance = rng.uniform(-2.0, 2.0, (len(pairs), 2)), rng.uniform(0.2, 0.7, count)
     return assemble(position, level, clearance, pairs, via, radius), pairs, via, clearance
 
@@ -193,3 +203,28 @@ def test_from_a_node_to_itself_there_is_nothing_to_go():
     assert find_path(graph, 3, 3).tolist() == []
     door = Doors(np.array([3]), np.array([0.5]))
     assert find_way(graph, door, door, graph.position[3])[0] == 3
+
+
+@pytest.mark.parametrize("side", [-1.0, 1.0])
+def test_a_place_that_comes_beside_the_crossing_of_two_leaves_cuts_their_way_though_both_stay_as_they_were(side):
+    """It is further than the radius from both centres, and nearer to the crossing between them."""
+    cut = 0
+    for seed in range(8):
+        _, _, places, radius = small_scene(seed)
+        surface = HeightMap(places.min(axis=0) - 0.1, 0.1, np.zeros((12, 12), np.float32), np.ones((12, 12), np.uint8))
+        old, before = build_quadtree(surface, build_tree(places), radius), Places(build_tree(places))
+        ends, via = edges = find_edges(old, before, radius)
+        alike = ~old.whole[ends].any(axis=1) & (old.size[ends[:, 0]] == old.size[ends[:, 1]])
+        for row in np.flatnonzero(alike)[:30]:
+            half, ahead = old.half_size[ends[row, 0]], via[row] - old.center[ends[row, 0]]
+            beside = side * np.array([-ahead[1], ahead[0]]) / half
+            come = via[row] + beside * (radius - 0.25 * half**2 / radius)
+            now = build_tree(np.vstack([places, come]))
+            tree = change_quadtree(old, surface, now, radius, build_tree(come[None]), np.zeros((12, 12), dtype=bool))
+            found = change_edges(old, edges, tree, Places(now), radius, build_tree(come[None]))
+            expected = find_edges(tree, Places(now), radius)
+            np.testing.assert_array_equal(found[0], expected[0])
+            np.testing.assert_array_equal(found[1], expected[1])
+            both = tree.find(old.center[ends[row]])
+            cut += tree.free[both].all() and (tree.size[both] == old.size[ends[row]]).all()
+    assert cut > 10

@@ -1,12 +1,14 @@
 """The quadtree against one that is built node by node in Python, and its look-ups against looking at every leaf."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
 from gpdf_service.fields import build_tree
 from gpdf_service.perception.surface import INFERRED, OBSERVED, UNKNOWN, HeightMap
-from gpdf_service.search.quadtree import build_quadtree, least_width
+from gpdf_service.search.quadtree import build_quadtree, change_quadtree, least_width
 
 MIN_WIDTH, CELL_SHARE = 0.014, 0.2
 """[m] and [-]: what is promised, written down once more."""
@@ -127,3 +129,49 @@ def test_leaves_that_meet_a_square_and_those_that_touch_others(seed):
     low, high = tree.corner, tree.corner + tree.size[:, None]
     meets = (low[:, None] <= high[None]).all(axis=-1) & (low[None] <= high[:, None]).all(axis=-1)
     np.testing.assert_array_equal(tree.touching(some), (meets & some).any(axis=1))
+
+
+@pytest.mark.parametrize("seed", range(24))
+def test_a_tree_that_is_changed_is_the_one_that_is_built(seed):
+    """Obstacles come and go, ground is seen and lost, here and there or at one place."""
+    rng, surface, places, radius = scene_of(seed)
+    old = build_quadtree(surface, build_tree(places), radius)
+    high = np.array(surface.state.shape) * surface.cell_width
+    come = surface.origin + rng.uniform(0.0, 1.0, (rng.integers(0, 4), 2)) * high
+    gone = rng.random(len(places)) < rng.choice([0.0, 0.2])
+    gone[0] = False
+    state = surface.state.copy()
+    if seed % 3 != 1:
+        i, j = rng.integers(0, surface.state.shape)
+        state[i : i + rng.integers(1, 4), j : j + rng.integers(1, 4)] ^= 1
+    now, moved = np.concatenate([places[~gone], come]), np.concatenate([places[gone], come])
+    after, tree = dataclasses.replace(surface, state=state), build_tree(now)
+    changed = (state > 0) != (surface.state > 0)
+    made = change_quadtree(old, after, tree, radius, build_tree(moved) if len(moved) else None, changed)
+    built = build_quadtree(after, tree, radius)
+    for key in ("corner", "size", "free", "whole", "code"):
+        np.testing.assert_array_equal(getattr(made, key), getattr(built, key), err_msg=key)
+    np.testing.assert_allclose(made.clearance, built.clearance, atol=1e-9)
+
+
+@pytest.mark.parametrize("where", [0.05, 0.5])
+def test_what_a_change_is_far_from_is_copied_and_what_it_is_near_is_made_anew(where):
+    """The tree that is changed has a mark in each leaf: it stays where nothing came near."""
+    rng = np.random.default_rng(1)
+    surface = ground(rng, (40, 40), 0.1, unknown=0.0)
+    places = surface.origin + rng.uniform(0.0, 4.0, (40, 2))
+    old = build_quadtree(surface, build_tree(places), 0.12)
+    marked = dataclasses.replace(old, clearance=old.clearance - 1e-6)
+    come = surface.origin + 4.0 * where * np.ones((1, 2))
+    tree = build_tree(np.concatenate([places, come]))
+    made = change_quadtree(marked, surface, tree, 0.12, build_tree(come), np.zeros((40, 40), dtype=bool))
+    exact, half = tree_distance(tree, made.center), np.sqrt(2.0) * made.half_size
+    stays = np.abs(made.clearance - exact + 1e-6) < 1e-9
+    far = np.linalg.norm(made.center - come, axis=1)
+    assert stays[far > np.maximum(exact, 0.12 + half) + 2.0 * half + 0.1].all()
+    assert not stays[far < exact + 1e-9].any()
+    assert stays.mean() > 0.5
+
+
+def tree_distance(tree, xy):
+    return cKDTree(tree.points).query(xy)[0]

@@ -196,7 +196,9 @@ DRAWN = encode(DrawRequest(scene="x", what="leaves", agent="human", limit=1))
 
 
 @pytest.mark.parametrize(("bodies", "drawn"), [(("human",), b""), ((), DRAWN)])
-def test_the_first_plan_of_a_configured_or_drawn_body_finds_all_that_it_needs(files, office, monkeypatch, bodies, drawn):
+def test_the_first_plan_of_a_configured_or_drawn_body_finds_all_that_it_needs(
+    files, office, monkeypatch, bodies, drawn
+):
     desk, file = Desk(msgspec.structs.replace(SETTINGS, bodies=bodies)), str(files / "office.gpdf")
     desk.answer(Ask(WARM, drawn, time.monotonic(), 0.0, "x", file))
     built = []
