@@ -25,15 +25,21 @@ ROOT = Path(__file__).parent.parent
 TREES = ("gpdf_service", "clients", "schemas", "tests", "pyproject.toml")
 PLANS = ("tests/planning/test_planner.py", "tests/planning/test_plan_options.py")
 MODULES = {
-    "gpdf_service/planning/certificate.py": ("tests/planning/test_certificate.py", "tests/planning/test_planner.py"),
+    "gpdf_service/planning/certificate.py": (
+        "tests/planning/test_certificate_oracle.py",
+        "tests/planning/test_certificate.py",
+    ),
     "gpdf_service/planning/endpoints.py": ("tests/planning/test_endpoints.py", *PLANS),
     "gpdf_service/planning/planner.py": PLANS,
     "gpdf_service/planning/timing.py": ("tests/planning/test_timing.py",),
-    "gpdf_service/search/graph.py": ("tests/search", "tests/test_update.py"),
-    "gpdf_service/search/quadtree.py": ("tests/search", "tests/test_update.py"),
+    "gpdf_service/search/graph.py": ("tests/search/test_graph.py", "tests/search/test_change.py"),
+    "gpdf_service/search/quadtree.py": ("tests/search/test_quadtree.py",),
     "gpdf_service/search/lattice.py": ("tests/planning/test_footprint.py",),
-    "gpdf_service/perception/obstacles.py": ("tests/perception/test_obstacles.py", "tests/test_update.py"),
-    "gpdf_service/perception/limits.py": ("tests/perception/test_obstacles.py", "tests/perception/test_ground.py"),
+    "gpdf_service/perception/obstacles.py": (
+        "tests/perception/test_obstacles_oracle.py",
+        "tests/perception/test_obstacles.py",
+    ),
+    "gpdf_service/perception/limits.py": ("tests/perception/test_limits.py",),
     "gpdf_service/service/in_use.py": ("tests/service/test_in_use.py",),
     "gpdf_service/service/moving.py": ("tests/service/test_moving.py",),
     "clients/gpdf_guidance/corridor.py": ("tests/clients/test_corridor.py", "tests/clients/test_guidance.py"),
@@ -51,10 +57,59 @@ OVER = "-1.0 <= (x - low) / surface.cell_width"
 HIGH = "(points <= high + np.array([radius, radius, agent.height]))"
 RIM = "rim = np.concatenate([label[0], label[-1], label[:, 0], label[:, -1]])"
 CERTIFICATE = "gpdf_service/planning/certificate.py"
+LIMITS, OBSTACLES = "gpdf_service/perception/limits.py", "gpdf_service/perception/obstacles.py"
+GRAPH, QUADTREE = "gpdf_service/search/graph.py", "gpdf_service/search/quadtree.py"
+LOOKED = "looked = np.zeros((max(last[0] - first[0], 0), max(last[1] - first[1], 0)), np.bool_)"
+SAME = "now, same, i = np.full(len(code_was), -1), np.zeros(len(code), np.bool_), 0"
+LOOK = "(looks % every == 0 or (i == last and k == count)) and off > deviation"
+RING, BIT = "ring < max(state.shape)", "a length to the last bit"
+SHUT = "(nearest_of(taken)[0] + np.sqrt(2.0)) * surface.cell_width"
 TURNS = "abs(aside) {} (TURN_UNTIL if speed < STANDS else TURN_FIRST)"
 UNSET = "self._along, self._best, self._version, self._room = 0.0, -np.inf, 0, np.inf"
 EQUAL: dict[tuple[str, ...], str] = {
     (CERTIFICATE, "spare <= 0.0 → (spare < 0.0)"): "what is left of a distance is nothing to the last bit",
+    (
+        CERTIFICATE,
+        "least < space.reach <= least + RESOLUTION → (least <= space.reach <= least + RESOLUTION)",
+    ): BIT,
+    (CERTIFICATE, "clearance < 0 → (clearance <= 0)"): BIT,
+    (CERTIFICATE, f"{RING} → (ring <= max(state.shape))"): "a ring around the whole map holds no cell",
+    (CERTIFICATE, f"ring * ring < nearest and {RING} → ({RING})"): "rings further out hold none that is nearer",
+    (CERTIFICATE, "1 → (2)", "looks += 1"): "the height is looked at no less often",
+    (CERTIFICATE, "i == last and k == count → (i == last or k == count)"): "the height is looked at more often",
+    (CERTIFICATE, f"{LOOK} and spare <= 0.0 → ({LOOK})"[:SHOWN]): "the field is asked more often",
+    (CERTIFICATE, "0 → (1)", LOOKED): "room for one cell more",
+    (
+        LIMITS,
+        "np.isfinite(slope) & ~level → (np.isfinite(slope) | ~level)",
+    ): "what is unknown is measured, too, and left away at the end",
+    (LIMITS, "np.minimum(up, down) > level → (np.minimum(up, down) >= level)"): BIT,
+    (
+        LIMITS,
+        "0.0 < away <= reach**2 → (0.0 < away < reach ** 2)",
+    ): "who is a stride away leaves none for the other side",
+    (LIMITS, "3.0 * width > _LIMITS.tread_depth → (3.0 * width >= _LIMITS.tread_depth)"): BIT,
+    (LIMITS, "one < other → (one <= other)"): "two that are equal, either way round",
+    (LIMITS, "HALF_FOOT / surface.cell_width**2 - 1e-6 → (HALF_FOOT / surface.cell_width ** 2 + 1e-06)"): BIT,
+    (GRAPH, "source_cost[k] < cost_to_come[node] → (source_cost[k] <= cost_to_come[node])"): "the same place twice",
+    (GRAPH, "code[i] < code_was[j] → (code[i] <= code_was[j])"): "no leaf is the same, so all are looked at again",
+    (GRAPH, "0 → (1)", SAME): "the first leaf is looked at again",
+    (GRAPH, "1 → (2)", SAME): "any negative number is none",
+    (GRAPH, "3.0 → (6.1)"): "more leaves are looked at again",
+    (GRAPH, "3.0 * half_size[i] → (3.0 / half_size[i])"): "more leaves are looked at again",
+    (
+        GRAPH,
+        "nearest_at(places, place_of(center[i]), scratch)[0] <= reach"
+        " → (nearest_at(places, place_of(center[i]), scratch)[0] < reach)",
+    ): BIT,
+    (
+        QUADTREE,
+        "nearest > reach + 2.0 * half_diagonal → (nearest >= reach + 2.0 * half_diagonal)",
+    ): BIT,
+    (OBSTACLES, "near >= radius → (near > radius)"): BIT,
+    (OBSTACLES, f"{SHUT} < agent.disc_radius → ({SHUT} <= agent.disc_radius)"[:SHOWN]): BIT,
+    (OBSTACLES, "ledge <= foot + max_step → (ledge < foot + max_step)"): BIT,
+    (OBSTACLES, "z <= lowest + scatter → (z < lowest + scatter)"): BIT,
     (IN_USE, f"{ASKED} → ({ASKED.removeprefix('moves and ')})"): "where nothing moves there is nothing to look for",
     (IN_USE, "1 → (2)", "discs = self.discs.reshape(-1, 3)"): "any negative length is the unknown one",
     (

@@ -1,7 +1,8 @@
 """`gpdf bench page`: how long an operator waits in a real browser, from the press of a button to the answer.
 
-Service, page and browser are begun anew; the first press comes as soon as the map is drawn, others follow. The browser
-keeps the time: from the press until the page shows the answer, with which the path is sent.
+Service, page and browser are begun anew; the first press comes as soon as the map is on the screen, others follow. The
+browser keeps the time: from opening the link until the map is there, and from the press until the page shows the
+answer, with which the path is sent. Without a graphics card most of it is drawing: a frame waits for the one before.
 """
 
 from __future__ import annotations
@@ -36,6 +37,12 @@ DRAWN = """
   && !document.body.innerText.includes('office: ')
 """
 """A scene is chosen, and nothing of it is on its way."""
+ON_SCREEN = """
+async () => {  // what is known to the page is drawn in the next frame, and only then the one after it begins
+  for (let i = 0; i < 3; i++) await new Promise(requestAnimationFrame);
+  return performance.now();
+}
+"""
 FIRST_S, LATER_S = 1.0, 0.2
 """[s] What nobody minds, for the first path of a fresh service and for others."""
 UNANSWERED = "() => !document.body.innerText.includes('Answer after')"
@@ -67,29 +74,40 @@ def run(args: argparse.Namespace) -> int:
     browser = next((found for name in CHROMIUM if (found := shutil.which(name))), None)
     if browser is None:
         raise ConfigError("bench page", "there is no Chromium on the PATH", "Install it: apt-get install chromium.")
-    first, later = list[FloatArray](), list[FloatArray]()
+    if args.restarts < 1 or args.count < 1:
+        raise ConfigError("bench page", "there is nothing to measure", "Give --restarts and --count 1 or more.")
+    opened, first, later = list[FloatArray](), list[FloatArray](), list[FloatArray]()
     for _ in each(range(args.restarts), "browsers"):
         with tempfile.TemporaryDirectory() as folder, serving(Path(folder)) as service:
             took = press_all(service, Path(folder), browser, 1 + args.count)
-        first.append(took[:1])
-        later.append(took[1:])
-    rows = [_row(name, np.concatenate(some)) for name, some in (("first", first), ("later", later))]
+        opened.append(took[:1])
+        first.append(took[1:2])
+        later.append(took[2:])
+    kinds = ("opened", opened), ("first", first), ("later", later)
+    rows = [_row(name, np.concatenate(some)) for name, some in kinds]
     show(rows, as_json=args.json)
-    return 0 if rows[0]["worst_s"] <= FIRST_S and rows[1]["p50_s"] <= LATER_S else 1
+    return 0 if rows[1]["worst_s"] <= FIRST_S and rows[2]["p50_s"] <= LATER_S else 1
 
 
 def press_all(service: Running, folder: Path, browser: str, count: int) -> FloatArray:
-    """Ask for the way there and back in turn; for each the browser's time, and the processor's of page and service."""
+    """Open the page, then ask for the way there and back in turn, `count` times.
+
+    Returns:
+        For each the browser's time, and the processor's of page and service [s], shape (1 + count, 2).
+    """
     from playwright.sync_api import sync_playwright
 
     there = [", ".join(f"{value:.3f}" for value in end[:2]) for end in (service.start, service.goal)]
     with viewing(service.endpoint, folder) as (page, url), sync_playwright() as playwright:
         chromium = playwright.chromium.launch(executable_path=browser, args=list(FLAGS))
         web = chromium.new_context(viewport=SIZE).new_page()  # type: ignore[arg-type]
+        both = service.process.pid, page.pid
+        before = _worked(both)
         web.goto(url)
         web.get_by_text("Connected to").first.wait_for(timeout=PATIENCE_MS)
         web.wait_for_function(DRAWN, timeout=PATIENCE_MS)
-        took = [_press(web, there[:: 1 - 2 * (i % 2)], (service.process.pid, page.pid)) for i in range(count)]
+        opened = float(web.evaluate(ON_SCREEN)) / 1000.0, _worked(both) - before
+        took = [opened, *(_press(web, there[:: 1 - 2 * (i % 2)], both) for i in range(count))]
         chromium.close()
     return np.array(took)
 
@@ -135,6 +153,6 @@ def _worked(processes: tuple[int, ...]) -> float:
 def _row(which: str, took: FloatArray) -> Row:
     wall, cpu = took.T
     return {
-        **{"plans": which, "count": len(took), "p50_s": float(np.median(wall)), "worst_s": float(wall.max())},
+        **{"waits": which, "count": len(took), "p50_s": float(np.median(wall)), "worst_s": float(wall.max())},
         **{"cpu_p50_s": float(np.median(cpu)), "cpu_worst_s": float(cpu.max())},
     }

@@ -186,6 +186,8 @@ def _coarsest_spacing(path: FloatArray, radius: float, ground: Cells) -> float:
     first, last, reach = np.zeros(2, np.int64), np.zeros(2, np.int64), int(radius / width)
     for k, cells in enumerate((nx, ny)):
         low, high = (path[:, k].min() - ground.origin[k]) / width, (path[:, k].max() - ground.origin[k]) / width
+        if not high - low < np.inf:  # a place that is none is over no ground
+            return np.inf
         first[k], last[k] = max(int(low) - reach, 0), min(int(high) + reach + 1, cells)
     if not _is_any_inferred(ground.state, first, last):
         return float(width)

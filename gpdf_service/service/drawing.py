@@ -16,6 +16,8 @@ PART_BYTES = 1_000_000
 """One part: small requests stay quick beside it."""
 MAX_ROWS = 2_000_000
 """More than a browser bears, and 40 parts."""
+OF_BODIES = "obstacles", "leaves"
+"""What is another for each body."""
 
 
 @dataclass(frozen=True, slots=True)

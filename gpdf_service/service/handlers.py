@@ -39,7 +39,7 @@ from gpdf_schemas import (
 from gpdf_service.errors import RequestError, SceneFileError
 from gpdf_service.scene import Scene
 from gpdf_service.service.answers import Answer, Answers, RefusedError, answer, refuse
-from gpdf_service.service.drawing import draw_part
+from gpdf_service.service.drawing import OF_BODIES, draw_part
 from gpdf_service.service.in_use import InUse
 from gpdf_service.service.moving import Moving
 from gpdf_service.service.places import Named
@@ -272,6 +272,9 @@ class Handlers:
         """One part of what a picture shows."""
         scene = self._scene(request.scene, request.deadline_s)
         made = draw_part(scene, request.what, agent_of(request.agent), request.limit, request.part)
+        entry = self.shelf.get(request.scene)
+        if request.what in OF_BODIES and request.part == 0 and self._pool and entry is not None and entry.file:
+            self._pool.prepare(request.scene, str(entry.file), encode(request))  # who looks at it plans for it next
         return DrawReply(
             request_id=request.request_id,
             scene=request.scene,

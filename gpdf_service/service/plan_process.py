@@ -10,7 +10,7 @@ from multiprocessing.connection import Connection
 from pathlib import Path
 
 import msgspec
-from gpdf_schemas import decode
+from gpdf_schemas import DrawRequest, decode
 
 from gpdf_service.errors import SceneFileError
 from gpdf_service.service.answers import answer
@@ -18,7 +18,7 @@ from gpdf_service.service.child import go_first
 from gpdf_service.service.held import Held
 from gpdf_service.service.logs import set_up
 from gpdf_service.service.moving import Living, Moving
-from gpdf_service.service.planning import Planning
+from gpdf_service.service.planning import Planning, agent_of
 from gpdf_service.service.pool import READY, WARM, Ask, Settings
 from gpdf_service.warm import Warming
 
@@ -61,7 +61,8 @@ class Desk:
         except SceneFileError:
             return b""
         if ask.key == WARM:
-            for body in self._bodies:
+            own = self._bodies if not ask.request else [agent_of(decode(ask.request, DrawRequest).agent)]
+            for body in own:
                 scene.prepare(body)
             return b""
         return answer(self._planning.answers[ask.key], self._planner, ask.request, ask.received, ask.load)

@@ -33,7 +33,8 @@ RESTART_S = 1.0
 
 
 WARM = "warm"
-"""The key by which a process is told to take a scene into memory, ahead of the first plan in it."""
+"""The key by which a process is told to take a scene into memory, ahead of the first plan in it, and to make ready for
+a body: that of the `DrawRequest` that comes with it, else those that the service is configured for."""
 WARM_S = 10.0
 """[s] That a busy process is waited for, to be told so; else it loads the scene when it is asked to plan there."""
 
@@ -246,8 +247,24 @@ class Pool:
         with self._lock:
             self._warm[scene] = ask
             alive = list(self._alive.values())
+
+        def told(process: _Process) -> bytes:
+            process.tell(ask, 0.0, {})
+            return process.hear()
+
         for process in alive:
-            if self._idle.take(WARM_S if process.ready else 0.0, process) is not None and self._tell(process, ask):
+            if self._idle.take(WARM_S if process.ready else 0.0, process) is not None and self._lives(process, told):
+                self._idle.put(process)
+
+    def prepare(self, scene: str, file: str, request: bytes) -> None:
+        """Let all that are idle make ready at once for the body of a `DrawRequest`, ahead of the first plan for it."""
+        ask = Ask(WARM, request, time.monotonic(), 0.0, scene, file)
+        with self._lock:
+            alive = list(self._alive.values())
+        idle = [process for process in alive if self._idle.take(0.0, process) is not None]
+        told = [process for process in idle if self._lives(process, lambda one: one.tell(ask, 0.0, {}))]
+        for process in told:
+            if self._lives(process, _Process.hear):
                 self._idle.put(process)
 
     def forget(self, scene: str) -> None:
@@ -258,14 +275,16 @@ class Pool:
                 process.forget(scene)
 
     @staticmethod
-    def _tell(process: _Process, ask: Ask) -> bool:
-        """Whether it still lives afterwards."""
+    def _lives(process: _Process, do: Callable[[_Process], object]) -> bool:
+        """Do something with a process that was taken; whether it still lives afterwards."""
         try:
-            process.tell(ask, 0.0, {})
-            process.hear()
+            do(process)
         except (EOFError, OSError):
             process.kill()
             return False
+        except BaseException:  # what it answers later must not be read as another's answer
+            process.kill()
+            raise
         return True
 
     def close(self) -> None:

@@ -67,6 +67,11 @@ class MapControl:
         self.layers.clear()
         self._desk.browser.scene.remove_by_name("/scale")
 
+    def prepare(self) -> None:
+        """Let the service find out where the body fits before the first plan needs it."""
+        if self._scene:
+            self._desk.link.client.draw(self._scene, "leaves", self._desk.body.wire, limit=1)
+
     def change_body(self) -> None:
         """Fetch again what the body decides."""
         self._desk.maps.do("view", self._refetch)
@@ -145,6 +150,7 @@ class MapControl:
     def _refetch(self) -> None:
         self.layers.forget("obstacles", "leaves")
         self._fetch(*self.layers.view.shown)
+        self.prepare()
         if SLICES[self._tab.slice.value] == "obstacle":
             self._slice()
 

@@ -95,11 +95,7 @@ class Scenes:
             self._on_new()
             self.shown = (name, facts["digest"])
             self._map.show(name, facts)
-        self._prepare()  # also if it is shown already: it may be another service
-
-    def _prepare(self) -> None:
-        """Let the service find out where the body fits before the first plan needs it."""
-        self._desk.link.client.draw(self.shown[0], "leaves", self._desk.body.wire, limit=1)
+        self._map.prepare()  # also if it is shown already: it may be another service
 
     def _await_build(self, client: Client, name: str) -> None:
         say = self._desk.panel.say_work

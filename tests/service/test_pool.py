@@ -21,6 +21,7 @@ from gpdf_schemas import (
     Cylinder,
     DistanceReply,
     DistanceRequest,
+    DrawRequest,
     MovingObstacle,
     PlanReply,
     PlanRequest,
@@ -191,9 +192,15 @@ def test_a_process_lets_go_of_a_scene_whose_file_is_gone(files, tmp_path, monkey
     assert desk.answer(ask) == b""
 
 
-def test_the_first_plan_of_a_configured_body_finds_all_that_it_needs(files, office, monkeypatch):
-    desk, file = Desk(msgspec.structs.replace(SETTINGS, bodies=("human",))), str(files / "office.gpdf")
-    desk.answer(Ask(WARM, b"", time.monotonic(), 0.0, "x", file))
+DRAWN = encode(DrawRequest(scene="x", what="leaves", agent="human", limit=1))
+
+
+@pytest.mark.parametrize(("bodies", "drawn"), [(("human",), b""), ((), DRAWN)])
+def test_the_first_plan_of_a_configured_or_drawn_body_finds_all_that_it_needs(
+    files, office, monkeypatch, bodies, drawn
+):
+    desk, file = Desk(msgspec.structs.replace(SETTINGS, bodies=bodies)), str(files / "office.gpdf")
+    desk.answer(Ask(WARM, drawn, time.monotonic(), 0.0, "x", file))
     built = []
     for name in ("build_free_space", "find_ways"):
         monkeypatch.setattr(f"gpdf_service.scene.{name}", lambda *_, name=name, **__: built.append(name))
@@ -201,6 +208,27 @@ def test_the_first_plan_of_a_configured_body_finds_all_that_it_needs(files, offi
     request = encode(PlanRequest(scene="x", start=list(made.start), goal=list(made.goal), agent="human"))
     reply = decode(desk.answer(Ask(keys.PLAN, request, time.monotonic(), 0.0, "x", file)), PlanReply)
     assert (reply.status, built) == ("OK", [])
+
+
+def test_each_process_makes_ready_for_the_body_that_somebody_draws(files, free_endpoint, tmp_path):
+    """What is ready when the drawing is there: both processes have worked as long as a free space takes."""
+    shutil.copy(files / "office.gpdf", tmp_path / "office.gpdf")
+    options = Options(free_endpoint, tmp_path, tmp_path / "log", 2, bodies=())
+    with Server(options, [("office", tmp_path / "office.gpdf")]) as server, Client.connect(free_endpoint) as client:
+        server.shelf.settle()
+        wait_for(lambda: server.status().ready)
+        planners = [psutil.Process(pid) for pid in server.processes]
+        assert len(planners) == 2
+
+        def worked():
+            return np.array([sum(one.cpu_times()[:2]) for one in planners])
+
+        idle = worked()
+        client.draw("office", "leaves", "human", limit=1)
+        made = worked()
+        client.draw("office", "leaves", "human", limit=1)
+        again = worked()
+        assert ((made - idle) > 5.0 * (again - made)).all()
 
 
 def test_a_new_version_of_a_scene_does_not_make_a_process_forget_what_moves_in_it(files, tmp_path, monkeypatch):

@@ -1,0 +1,174 @@
+"""What stops a body, point by point as the docstrings say it, on random ground with random things over it."""
+
+import dataclasses
+from itertools import product
+
+import numpy as np
+import pytest
+
+from gpdf_service.perception.footing import is_tread, on_treads
+from gpdf_service.perception.levels import GroundLevel
+from gpdf_service.perception.limits import GroundLimits, ObstacleKind
+from gpdf_service.perception.obstacles import Scan, are_voxels, obstacles_of
+from gpdf_service.perception.surface import INFERRED, OBSERVED, UNKNOWN, HeightMap
+from gpdf_service.types import AGENTS
+
+LEAST_OBSTACLE, HEADROOM_SHARE, SURELY, RESOLVED = 0.015, 0.01, 2.0, 3.0
+SOLE, STRIDE, FACE, ROUGH = 0.12, 0.4, 0.1, 0.075
+"""What is promised, written down once more."""
+BODIES = (
+    AGENTS["roomba"],
+    AGENTS["human"],
+    dataclasses.replace(AGENTS["spot"], discs=6),
+    dataclasses.replace(AGENTS["human"], name="child", height=1.1, width=0.36, length=0.36, max_step=0.05),
+)
+
+
+def ground(kind, shape, width, rng):
+    """Heights with unknown cells, some of the others inferred."""
+    x, y = (np.indices(shape) + 0.5) * width
+    height = {
+        "floor": np.zeros(shape),
+        "step": np.where(x > x.mean(), rng.choice([0.05, 0.2, 0.5]), 0.0),
+        "stair": 0.18 * np.floor(x / max(0.26, width)),
+        "ramp": 0.2 * y,
+    }[kind]
+    height = height + rng.normal(0.0, rng.choice([0.0, 0.008]), shape)
+    state = rng.choice(np.array([UNKNOWN, OBSERVED, INFERRED], np.uint8), shape, p=[0.08, 0.77, 0.15])
+    i, j = rng.integers(0, np.array(shape) - 4)
+    state[i : i + 4, j : j + 4] = UNKNOWN  # over its middle nothing is known of the ground beside
+    return HeightMap(rng.uniform(-1.0, 1.0, 2), width, np.where(state, height, np.nan).astype(np.float32), state)
+
+
+def level_of(surface, rng, count):
+    """The ground with points over it, some beside it, and limits that some bodies take."""
+    shape, width = surface.state.shape, surface.cell_width
+    xy = surface.origin + rng.uniform(-0.05, 1.05, (count, 2)) * np.array(shape) * width
+    ix, iy, _ = surface.cells(xy)
+    high = np.nan_to_num(surface.height[ix, iy].astype(float))
+    low, any_, over_head = rng.uniform(-0.05, 0.3, count), rng.uniform(0.0, 2.6, count), rng.uniform(1.0, 2.3, count)
+    over = np.choose(rng.choice(3, count, p=[0.5, 0.25, 0.25]), [low, any_, over_head])
+    ledge = np.where(rng.random(count) < 0.5, np.inf, high + rng.uniform(0.0, 0.5, count)).astype(np.float32)
+    limits = GroundLimits(
+        rng.normal(size=(30, 3)),
+        rng.integers(1, 4, 30).astype(np.uint8),
+        rng.choice([0.011, 0.04, 0.1, 0.3, 0.6, 1.0], 30),
+    )
+    return GroundLevel(surface, np.column_stack([xy, high + over]), ledge, limits, (np.zeros(shape), np.zeros(shape)))
+
+
+def near_cells(surface, i, j, rings):
+    for u, v in product(range(i - rings, i + rings + 1), range(j - rings, j + rings + 1)):
+        if 0 <= u < surface.state.shape[0] and 0 <= v < surface.state.shape[1] and surface.state[u, v] != UNKNOWN:
+            yield u, v, float(surface.height[u, v])
+
+
+def is_face(level, row, cell, body, scan):
+    """Whether a point is the ground's scatter, or the face of a step that the body takes."""
+    surface, z, noise = level.surface, level.other_points[row, 2], scan.noise
+    ledge, step = float(level.ledge[row]), max(LEAST_OBSTACLE, noise)
+    rings = max(1, int(np.ceil(RESOLVED * noise / surface.cell_width)))
+    around = [h for _, _, h in near_cells(surface, *cell, rings)]
+    beside = list(near_cells(surface, *cell, 1))
+    for u, v, height in beside:
+        own = surface.cell_width <= FACE or (u, v) == cell
+        shadow = surface.state[u, v] == INFERRED and own and z - noise <= height
+        voxel = scan.voxels and abs(z - height) <= LEAST_OBSTACLE
+        if (shadow or voxel) and min(around) + step <= height < ledge:
+            ledge = height
+    foot = max((h for h in around if h <= ledge - step), default=-np.inf)
+    wide = around and max(around) - min(around) > step
+    scatter = step if wide else LEAST_OBSTACLE - SURELY * noise
+    if ledge <= foot + body.max_step or (beside and z <= min(h for _, _, h in beside) + scatter):
+        return True
+    flat = np.array([cell[0] * surface.state.shape[1] + cell[1]])
+    return body.max_step > ROUGH and bool(on_treads(np.array([z]), flat, surface, body.max_step)[0])
+
+
+def is_met_over_head(level, row, stands, body, tall):
+    """Whether a body that stands anywhere meets the point: its rim is past it, and its foot on the same tread."""
+    surface, width, radius = level.surface, level.surface.cell_width, body.cylinder.radius
+    place, z = (level.other_points[row, :2] - surface.origin) / width, level.other_points[row, 2]
+    height, stride = surface.height, max(1, int(STRIDE / width))
+    for i, j in np.argwhere(stands):
+        edge = np.clip(place, [i, j], [i + 1.0, j + 1.0])
+        near, far = np.linalg.norm(place - edge) * width, np.linalg.norm(place - [i + 0.5, j + 0.5]) * width
+        if height[i, j] + tall <= z or near >= radius:
+            continue
+        if near > 0.0 and far > radius - SOLE:
+            u, v = (edge + min(SOLE / near, 1.0) * (place - edge)).astype(int)
+            foot = height[u, v]
+            if height[i, j] - body.max_step <= foot <= z - tall and is_tread(height, int(i), int(j), stride):
+                continue
+        return True
+    return False
+
+
+def met(level, body, scan):
+    """Which of the points stop the body."""
+    surface, width = level.surface, level.surface.cell_width
+    radius = body.cylinder.radius + width
+    least = max(LEAST_OBSTACLE, SURELY * scan.noise)
+    tall = max((1.0 - HEADROOM_SHARE) * body.height + scan.noise, scan.hidden + width)
+    always, asked = set(), []
+    for row, point in enumerate(level.other_points):
+        cell = tuple(np.floor((point[:2] - surface.origin) / width).astype(int).tolist())
+        if not all(0 <= c < n for c, n in zip(cell, surface.state.shape, strict=True)):
+            continue
+        reach = int(np.ceil(radius / width))
+        disc = [
+            h for u, v, h in near_cells(surface, *cell, reach) if np.hypot(u - cell[0], v - cell[1]) * width <= radius
+        ]
+        if not disc or not min(disc) - least <= point[2] < max(disc) + tall or is_face(level, row, cell, body, scan):
+            continue
+        if point[2] < min(disc) + tall:
+            always.add((row, cell))
+        else:
+            asked.append(row)
+    stands = surface.state != UNKNOWN
+    for i, j in np.argwhere(stands):
+        away = min((np.hypot(i - u, j - v) for _, (u, v) in always), default=np.inf)
+        stands[i, j] = (away + np.sqrt(2.0)) * width >= body.disc_radius
+    over = {row for row in asked if is_met_over_head(level, row, stands, body, tall)}
+    return sorted({row for row, _ in always} | over)
+
+
+@pytest.mark.parametrize("body", BODIES, ids=lambda body: body.name)
+@pytest.mark.parametrize("kind", ["floor", "step", "stair", "ramp"])
+@pytest.mark.parametrize("seed", range(6))
+def test_what_stops_a_body_is_what_each_point_says_by_itself(kind, body, seed):
+    rng = np.random.default_rng([seed, len(kind), int(100 * body.height)])
+    width = rng.choice([0.05, 0.1, 0.15])
+    surface = ground(kind, (int(1.6 / width), int(1.3 / width)), width, rng)
+    level = level_of(surface, rng, 160)
+    scan = Scan(rng.choice([0.0, 0.006, 0.03]), rng.choice([0.0, 0.02, 0.3]), bool(rng.random() < 0.3))
+    found, expected = obstacles_of(level, body, scan), met(level, body, scan)
+    most = {ObstacleKind.STEP: body.max_step, ObstacleKind.SLOPE: body.max_slope, ObstacleKind.UNKNOWN: -np.inf}
+    stops = [value > most[kind] for kind, value in zip(level.limits.kind, level.limits.value, strict=True)]
+    assert sum(stops) > 0
+    np.testing.assert_array_equal(
+        found.points, np.concatenate([level.other_points[expected], level.limits.points[stops]])
+    )
+    assert found.kind.tolist() == [0] * len(expected) + level.limits.kind[stops].tolist()
+    assert found.kind.dtype == np.uint8
+
+
+@pytest.mark.parametrize("pitch", [0.05, 0.2])
+@pytest.mark.parametrize("odd", [None, 0, 700, 2500])
+def test_heights_are_those_of_voxels_where_all_of_them_are(pitch, odd):
+    """One that is no rung is noticed among the first that are looked at, and among those that are not."""
+    z = pitch * np.random.default_rng(0).integers(0, 20, 3000) + 0.123
+    if odd is not None:
+        z[odd] += 0.4 * pitch
+    assert are_voxels(z) == (odd is None)
+
+
+@pytest.mark.parametrize(("share", "voxels"), [(0.008, True), (0.02, False)])
+def test_a_voxels_centre_may_be_off_its_rung_by_what_rounding_makes(share, voxels):
+    rungs = np.array([0.0, 1.0, 2.0, 4.0 + share, 5.0 + share])
+    assert are_voxels(0.2 * rungs) == voxels
+
+
+@pytest.mark.parametrize(("pitch", "voxels"), [(0.029, False), (0.031, True)])
+def test_voxels_that_hide_nothing_which_stops_a_body_are_points(pitch, voxels):
+    assert are_voxels(pitch * np.arange(50.0)) == voxels
