@@ -2,8 +2,9 @@
 
 ξ ← ξ − η H ∇U(ξ). The paper's H is A⁻¹, A the smoothness metric (second differences, fixed ends): a step bends the
 whole path. Here H⁻¹ is λ_s A and the curvature of the two other costs along their gradients (Gauss and Newton): a step
-bends the path as far as what is beside it lets it. η is 1 at most, twice what it was before, and made smaller until
-the cost falls: so it never rises on an accepted step. Where no step promises to win the tolerance, none is looked for.
+bends the path as far as what is beside it lets it. A waypoint that would jump too far is held alone. η is 1 at most,
+twice what it was before, and made smaller until the cost falls: so it never rises on an accepted step. Where no step
+promises to win the tolerance, none is looked for.
 """
 
 from __future__ import annotations
@@ -15,7 +16,16 @@ import numpy as np
 from numba import njit
 
 from gpdf_service.fields import AnyField, FieldArrays
-from gpdf_service.planning.costs import Discs, Memo, ground_cost, make_memo, obstacle_cost, smoothness_cost
+from gpdf_service.planning.costs import (
+    Discs,
+    Memo,
+    Task,
+    ground_cost,
+    make_memo,
+    obstacle_cost,
+    smoothness_cost,
+)
+from gpdf_service.planning.shape import lengths
 from gpdf_service.search.motion import CENTRE
 from gpdf_service.types import FloatArray
 
@@ -72,43 +82,19 @@ def optimize(
         offsets: Where the body's discs are, ahead of its centre [m], shape (k,); it faces where it goes.
     """
     xi = np.ascontiguousarray(xi, dtype=np.float64).copy()
-    costs = np.zeros(max_iterations + 1)
-    discs = Discs(offsets, radius)
-    count, evaluations, converged = _descend(
-        xi,
-        obstacle_field,
-        ground_field,
-        discs,
-        height,
-        epsilon,
-        wall,
-        smoothness_weight,
-        max_iterations,
-        tolerance,
-        costs,
-    )
+    discs, spacing, costs = Discs(offsets, radius), lengths(xi)[-1] / (len(xi) - 1), np.zeros(max_iterations + 1)
+    task = Task(obstacle_field, ground_field, discs, height, epsilon, wall, smoothness_weight, spacing)
+    count, evaluations, converged = _descend(xi, task, max_iterations, tolerance, costs)
     return ChompResult(xi, costs[:count], evaluations, converged)
 
 
 @njit(cache=True, nogil=True)
-def _cost(
-    xi: FloatArray,
-    spacing: float,
-    obstacle_field: AnyField,
-    ground_field: FieldArrays,
-    discs: Discs,
-    height: float,
-    epsilon: float,
-    wall: float,
-    smoothness_weight: float,
-    memos: tuple[Memo, Memo],
-    gradient: FloatArray,
-    band: FloatArray,
-) -> float:
+def _cost(xi: FloatArray, task: Task, memos: tuple[Memo, Memo], gradient: FloatArray, band: FloatArray) -> float:
+    """All that a path costs; writes its gradient and the derivative of that."""
     gradient[:], band[:] = 0.0, 0.0
-    total: float = smoothness_cost(xi, spacing, smoothness_weight, gradient, band)
-    total += obstacle_cost(xi, spacing, obstacle_field, discs, epsilon, wall, memos[0], gradient, band)
-    total += ground_cost(xi, spacing, ground_field, height, memos[1], gradient, band)
+    total: float = smoothness_cost(xi, task, gradient, band)
+    total += obstacle_cost(xi, task, memos[0], gradient, band)
+    total += ground_cost(xi, task, memos[1], gradient, band)
     return total
 
 
@@ -138,44 +124,25 @@ def solve_banded(band: FloatArray, right: FloatArray) -> FloatArray:
 
 @njit(cache=True, nogil=True)
 def _descend(
-    xi: FloatArray,
-    obstacle_field: AnyField,
-    ground_field: FieldArrays,
-    discs: Discs,
-    height: float,
-    epsilon: float,
-    wall: float,
-    smoothness_weight: float,
-    max_iterations: int,
-    tolerance: float,
-    costs: FloatArray,
+    xi: FloatArray, task: Task, max_iterations: int, tolerance: float, costs: FloatArray
 ) -> tuple[int, int, bool]:
     """Descend in place; returns the number of costs written, of evaluations, and whether it came to rest."""
-    n = xi.shape[0]
-    spacing = 0.0
-    for i in range(n - 1):
-        spacing += np.sqrt(((xi[i + 1] - xi[i]) ** 2).sum()) / (n - 1)
-    gradient, band, direction = (
-        np.zeros((n, 3)),
-        np.zeros((n, 3, 4 if len(discs.offsets) == 1 else 9)),
-        np.zeros((n, 3)),
-    )
-    memos = make_memo(n * len(discs.offsets), 2), make_memo(n, 3)
-    given = spacing, obstacle_field, ground_field, discs, height, epsilon, wall, smoothness_weight, memos
-    cost = _cost(xi, *given, gradient, band)
+    n, discs = len(xi), len(task.discs.offsets)
+    gradient, band, direction = np.zeros((n, 3)), np.zeros((n, 3, 4 if discs == 1 else 9)), np.zeros((n, 3))
+    memos = make_memo(n * discs), make_memo(n)
+    cost = _cost(xi, task, memos, gradient, band)
     costs[0], count, rate, fresh = cost, 1, 1.0, True
     slope = largest = 0.0
     for tried in range(1, max_iterations + 1):
         if fresh:
             direction[1:-1] = solve_banded(band[1:-1], gradient[1:-1])
+            _shorten(direction, gradient, task.epsilon)
             slope, largest = (direction * gradient).sum(), np.abs(direction).max()
-            if largest == 0.0:
-                return count, tried, True
-            rate = min(1.0, 2.0 * rate, epsilon / largest)  # no waypoint jumps further than the room it wants to keep
-            if rate * slope < tolerance * cost:  # twice what the step promises to win
+            rate = min(1.0, 2.0 * rate)
+            if largest == 0.0 or rate * slope < tolerance * cost:  # twice what the step promises to win
                 return count, tried, True
         trial = xi - rate * direction
-        trial_cost = _cost(trial, *given, gradient, band)
+        trial_cost = _cost(trial, task, memos, gradient, band)
         fresh = trial_cost <= cost - _DESCENT * rate * slope
         if not fresh:
             parabola = 0.5 * slope * rate / (trial_cost - cost + slope * rate)  # its least, of the step that was tried
@@ -190,3 +157,22 @@ def _descend(
         if fall < tolerance * max(cost, 1e-9):
             return count, tried + 1, True
     return count, max_iterations + 1, False
+
+
+@njit(cache=True, nogil=True)
+def _shorten(direction: FloatArray, gradient: FloatArray, epsilon: float) -> None:
+    """Let no waypoint jump further than the room that it wants to keep: each alone, so no other one waits.
+
+    Where the cost would not fall along what is left all are shortened alike: it falls along the direction as a whole.
+    """
+    share, fall, longest = np.ones(len(direction)), 0.0, 0.0
+    for i in range(len(direction)):
+        far = max(abs(direction[i, 0]), abs(direction[i, 1]), abs(direction[i, 2]))
+        share[i], longest = epsilon / max(far, epsilon), max(longest, far)
+        for k in range(3):
+            fall += share[i] * direction[i, k] * gradient[i, k]
+    if fall <= 0.0:
+        share[:] = epsilon / max(longest, epsilon)
+    for i in range(len(direction)):
+        for k in range(3):
+            direction[i, k] *= share[i]

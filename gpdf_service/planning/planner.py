@@ -33,8 +33,6 @@ from gpdf_service.types import Agent, BoolArray, FloatArray, IntArray, PlanOptio
 
 Clock = Callable[[], float]
 NO_OPTIONS = PlanOptions()
-BEND = 0.125
-"""[m] Between the optimiser's waypoints, at most; half of the radius of a smaller body. The result is their spline."""
 MORE_STEPS = 0.05
 """[m] Rise and fall in steps that a bent path may have over its seed's: less than a step, what a diagonal adds."""
 PATIENCE = 0.005
@@ -307,10 +305,14 @@ def _bend(leg: Leg, config: PlanningConfig, strict: bool, seconds: float) -> _Be
 
     The Obstacle GPDF is fitted to thinned points and its cost is soft. `strict`ly, the path bends round the points
     themselves behind a wall, with the margin of the search and what a chord between waypoints cuts from a turn.
+
+    Obstacles push with 1 at most against the tension λ_s, so λ_s is the radius of the tightest bend: a spline through
+    waypoints as far apart follows it.
     """
     level, path, space = leg
     agent = space.agent
-    spacing = max(config.waypoint_spacing, min(agent.disc_radius / 2, BEND))
+    stiff = config.smoothness_weight(agent.disc_radius)
+    spacing = max(config.waypoint_spacing, stiff)
     seed = resample(path[:, :2], spacing)
     steps = int(min(config.max_iterations, WAYPOINTS_PER_SECOND * seconds / len(seed)))
     if steps < 1:
@@ -327,7 +329,7 @@ def _bend(leg: Leg, config: PlanningConfig, strict: bool, seconds: float) -> _Be
         height=agent.height,
         epsilon=config.preferred_clearance * agent.disc_radius,
         wall=WALL if strict else 0.0,
-        smoothness_weight=config.smoothness_weight(agent.disc_radius),
+        smoothness_weight=stiff,
         max_iterations=steps,
         tolerance=config.tolerance,
     )

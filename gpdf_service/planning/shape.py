@@ -219,7 +219,7 @@ def stand_up(xy: FloatArray, surface: HeightMap, field: Gpdf, height: float) -> 
 def _stand(xy: FloatArray, ground: Cells, field: FieldArrays, height: float) -> tuple[FloatArray, FloatArray]:
     """See `stand_up`; each top starts from what the one before it was lifted by."""
     contact, top = np.empty((len(xy), 3)), np.empty((len(xy), 3))
-    memo, least, most, stands = make_memo(1, 3), -_UPRIGHT_SHARE * height, _UPRIGHT_SHARE * height, _STANDS * height
+    memo, least, most, stands = make_memo(1), -_UPRIGHT_SHARE * height, _UPRIGHT_SHARE * height, _STANDS * height
     lift = 0.0
     for i in range(len(xy)):
         x, y = xy[i, 0], xy[i, 1]
@@ -227,7 +227,9 @@ def _stand(xy: FloatArray, ground: Cells, field: FieldArrays, height: float) -> 
         contact[i, 0], contact[i, 1], contact[i, 2] = x, y, floor
         for _ in range(0 if np.isnan(floor) else _NEWTON_STEPS):
             top[i, 0], top[i, 1], top[i, 2] = x, y, floor + height + lift
-            off = (height - recall(field, top[i], memo, 0, np.inf, stands)) * max(memo.slope[0, 2], 0.0)
+            off = (height - recall(field, (top[i, 0], top[i, 1], top[i, 2]), memo, 0, np.inf, stands)) * max(
+                memo.slope[0, 2], 0.0
+            )
             if abs(off) < stands:
                 break
             lift = min(max(lift + off, least), most)
@@ -244,12 +246,13 @@ def _lift(
     contact: FloatArray, top: FloatArray, foot: int, away: int, rise: float, field: FieldArrays, height: float
 ) -> None:
     """Lift the tops from the foot of a step `away` from it to where d_g = h, as far as that is over them."""
-    memo, highest, i, stands = make_memo(1, 3), contact[foot, 2] + rise + height, foot, _STANDS * height
+    memo, highest, i, stands = make_memo(1), contact[foot, 2] + rise + height, foot, _STANDS * height
     z = highest
     while 0 <= i < len(top):
         for _ in range(_NEWTON_STEPS):
-            place = np.array([top[i, 0], top[i, 1], z])
-            off = (height - recall(field, place, memo, 0, np.inf, stands)) / max(memo.slope[0, 2], 0.5)
+            off = (height - recall(field, (top[i, 0], top[i, 1], z), memo, 0, np.inf, stands)) / max(
+                memo.slope[0, 2], 0.5
+            )
             z = min(z + off, highest)
             if abs(off) < stands:
                 break

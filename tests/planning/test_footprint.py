@@ -8,7 +8,7 @@ from gpdf_service.bench.judge import Judge
 from gpdf_service.bench.plan import random_places
 from gpdf_service.errors import RequestError
 from gpdf_service.planning.certificate import certify, min_distance
-from gpdf_service.planning.costs import Discs, make_memo, obstacle_cost
+from gpdf_service.planning.costs import Discs, Task, make_memo, obstacle_cost
 from gpdf_service.planning.footprint import disc_places, face, travel_headings
 from gpdf_service.planning.turning import time_poses
 from gpdf_service.search.lattice import find_poses
@@ -25,8 +25,9 @@ def place(world, seed=0, spacing=0.03):
 
 
 def cost_of(xi, spacing, field, discs, epsilon, gradient):
-    memo, band = make_memo(len(xi) * len(discs.offsets), 2), np.zeros((len(xi), 3, 9))
-    return obstacle_cost(xi, spacing, field, discs, epsilon, 0.0, memo, gradient, band)
+    memo, band = make_memo(len(xi) * len(discs.offsets)), np.zeros((len(xi), 3, 9))
+    task = Task(field, None, discs, 1.0, epsilon, 0.0, 1.0, spacing)
+    return obstacle_cost(xi, task, memo, gradient, band)
 
 
 def door(width):

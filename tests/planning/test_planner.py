@@ -241,6 +241,20 @@ def test_chomp_comes_to_rest_for_any_radius(office):
         assert found.costs[-1] < found.costs[0]
 
 
+def test_waypoints_do_not_wait_for_one_that_has_far_to_go():
+    points, ground = World((20.0, 6.0, 2.5), (), ceiling=False).sample(0.1, np.random.default_rng(0))
+    space = gpdf.build_scene(points, ground).free_space("human")
+    fields = space.obstacle_fields[0].arrays, space.ground_fields[0].arrays
+    x = np.linspace(1.0, 19.0, 97)
+    y = np.where(x < 12.0, 0.3, 0.3 + 4.0 * np.sin(np.pi * (x - 12.0) / 7.0))  # along a wall, then far aside
+    given = {"radius": 0.25, "height": 2.0, "epsilon": 0.25, "smoothness_weight": 0.19, "tolerance": 1e-4}
+    seed = np.column_stack([x, y, np.full(97, 2.0)])
+    rest, soon = (optimize(seed, *fields, **given, max_iterations=most).xi for most in (100, 3))
+    assert np.ptp(rest[x > 12.0, 1]) < 0.3 < np.ptp(soon[x > 12.0, 1])
+    beside_the_wall = (x > 2.0) & (x < 11.0)
+    assert np.abs(soon - rest)[beside_the_wall, 1].max() < 0.02 < np.abs(seed - rest)[beside_the_wall, 1].min()
+
+
 def test_banded_equations_are_solved_exactly():
     rng = np.random.default_rng(0)
     band = rng.normal(size=(10, 3, 4))
