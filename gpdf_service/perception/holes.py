@@ -40,6 +40,8 @@ PLANE_SHARE = 0.5
 """[-] Of the ground around a hole that must lie on that plane; the rest, higher, is a chair's feet or a step up."""
 OPEN_SHARE = 0.5
 """[-] Of the rim of a hole under the open that must be ground: what furniture and walls close off can hold anything."""
+SHUT_SHARE = 0.2
+"""[-] The same of a hole under a thing, where only a low body fits: a desk stands along a wall or in a corner."""
 SLAB = 1.0
 """[m] Thickest floor: what is seen deeper than this under a hole was seen through it."""
 STOREY = 1.5
@@ -71,9 +73,9 @@ def fill_holes(
     A hole is a connected set of unknown cells bounded by known ground and things (cells whose `lowest` other point is
     under a ceiling's height, inf where there is none), shut off from the map's rim, with no place further than
     `MAX_HOLE_RADIUS` from `firm_ground`, and with the ground around it on one plane within a cell's slope or higher: an
-    edge that drops is not bridged. Nor is a void, or what is under a thing: its legs, and what stands there against its
-    back, nobody sees. A notch in a flight is filled with the treads beside it, and the gap between two treads with the
-    lower one.
+    edge that drops is not bridged. Nor is a void. Under a thing it is filled only where ground was seen beneath its
+    rim, and a cell deep, as the samples are apart: the legs and the back of the thing nobody sees. A notch in a flight
+    is filled with the treads beside it, and the gap between two treads with the lower one.
     Nothing is filled where the samples of the ground are so far apart that cells had to be as wide as they may be: what
     is empty then is no chance, and what is around it explains nothing.
 
@@ -100,7 +102,11 @@ def fill_holes(
     known = state != UNKNOWN
     void = seen_through | pit | _walled_down(surface, walls)
     firm = nearest_of(firm_ground(surface, config))[0] * surface.cell_width
-    _fill(height, state, ~known & ~material, known, firm, surface.cell_width, void)
+    _fill(height, state, ~known & ~material, known, firm, surface.cell_width, void, OPEN_SHARE)
+    solid = state != UNKNOWN  # then the ground that carries the furniture itself
+    rim = nearest_of(solid)[0] <= 1.0
+    under = ~solid & rim & (firm <= MAX_HOLE_RADIUS) & material & _seen_hollow(~solid & material, known & material)
+    _fill(height, state, under, solid, firm, surface.cell_width, void, SHUT_SHARE)
     _fill_gaps(height, state, state == UNKNOWN, surface, near, noise)  # what is left of larger ones
     return replace(surface, height=height, state=state)
 
@@ -117,6 +123,44 @@ def firm_ground(surface: HeightMap, config: PerceptionConfig) -> BoolArray:
     inner = slice(bridged, bridged + seen.shape[0]), slice(bridged, bridged + seen.shape[1])
     firm: BoolArray = dilated(eroded(whole[inner], foot), foot) & seen
     return firm
+
+
+def _seen_hollow(things: BoolArray, overhung: BoolArray) -> BoolArray:
+    """Cells of things in whose neighbourhood ground was seen beneath material, further in than the edge of a cell.
+
+    A table shows the floor under its rim, and single cells are no mass. What was seen from above alone, as a rock on a
+    height map, may be solid.
+    """
+    label, count = ndimage.label(things, np.ones((3, 3)))
+    hollow = np.ones(count + 1, dtype=bool)
+    hollow[0] = False
+    _tell_hollow(things, overhung, label, hollow)
+    result: BoolArray = hollow[label]
+    return result
+
+
+@njit(cache=True, nogil=True)
+def _tell_hollow(things: BoolArray, overhung: BoolArray, label: NDArray[np.int32], hollow: BoolArray) -> None:
+    """Labels of masses become false, and true again if a cell within two of theirs is overhung and has no rim."""
+    nx, ny = things.shape
+    for mass in (True, False):
+        for x in range(1, nx - 1):
+            for y in range(1, ny - 1):
+                if not (things[x, y] if mass else overhung[x, y]):
+                    continue
+                inner = True
+                for u in range(x - 1, x + 2):
+                    for v in range(y - 1, y + 2):
+                        inner &= things[u, v] or (overhung[u, v] and not mass)
+                if not inner:
+                    continue
+                if mass:
+                    hollow[label[x, y]] = False
+                    continue
+                for u in range(max(x - 2, 0), min(x + 3, nx)):
+                    for v in range(max(y - 2, 0), min(y + 3, ny)):
+                        if things[u, v]:
+                            hollow[label[u, v]] = True
 
 
 def find_voids(
@@ -276,8 +320,9 @@ def _fill(
     distance: FloatArray,
     cell_width: float,
     void: BoolArray,
+    share: float,
 ) -> None:
-    """Fill each of the `holes` with the plane of the `known` ground around, if `OPEN_SHARE` of its rim are that."""
+    """Fill each of the `holes` with the plane of the `known` ground around, if that is at least `share` of its rim."""
     nx, ny = holes.shape
     met = np.zeros((nx, ny), np.int64)
     label, queue, last, hole = np.zeros((nx, ny), np.int32), np.empty(nx * ny, np.int64), 0, 0
@@ -292,7 +337,7 @@ def _fill(
             continue
         cells = np.sort(queue[first:last])
         places, heights, ground = _ring(cells, hole, label, known, height, met)
-        if len(heights) < 3 or ground < OPEN_SHARE:
+        if len(heights) < 3 or ground < share:
             continue
         plane, held = _plane_under(places, heights, cell_width)
         if not held:

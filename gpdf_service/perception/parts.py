@@ -13,7 +13,7 @@ from scipy.spatial import cKDTree
 from gpdf_service.config import PerceptionConfig
 from gpdf_service.errors import NoGroundError
 from gpdf_service.perception.beside import Beside
-from gpdf_service.perception.layers import Layers, Pairs, steady
+from gpdf_service.perception.layers import Layers, Pairs, connect, steady
 from gpdf_service.perception.nodes import components, extents_in_plan, nodes_over, numbered_among, rises_beside
 from gpdf_service.perception.pairs import pairs_within
 from gpdf_service.perception.strides import HALF_FOOT, STRIDE, find_strides
@@ -190,19 +190,23 @@ def _bulk(
     """The group of each part, and which group is the ground that one starts from: the lowest of the large ones.
 
     What mostly lies over something is a storey, and only the bulk where there is nothing else. A ceiling is never: it
-    lies over something, and nothing rises from it as walls do from a floor. Shelves hide most of a shop's floor from
-    who scans it, and nothing of its ceiling.
+    lies over something more than a step below, as large as half a foot, which reflections are not, and nothing rises
+    from it as walls do from a floor. Shelves hide most of a shop's floor from who scans it, and nothing of its ceiling.
 
     Raises:
         NoGroundError: there are but ceilings.
     """
     group = _groups(joins, alive)
     size = np.bincount(group, parts.size * alive)
-    lies, inner = (
-        np.bincount(group, parts.share(parts.over, among) * parts.size * alive)
-        for among in (parts.keep, parts.keep & parts.inner)
+    lies, inner, hangs = (
+        np.bincount(group, parts.share(kind, among) * parts.size * alive)
+        for kind, among in (
+            (parts.over, parts.keep),
+            (parts.over, parts.keep & parts.inner),
+            (_over_things(layers, parts, config.max_step), parts.keep & parts.inner),
+        )
     )
-    asked = (inner >= OVER_SHARE * size) & (size >= BULK_SHARE * size.max())
+    asked = (hangs > 0.0) & (size >= BULK_SHARE * size.max())
     nodes = np.flatnonzero(parts.keep & (alive & asked[group])[parts.label])
     grid = layers.cell, layers.start, layers.shape, layers.height, layers.top
     rises = nodes[rises_beside(nodes, *grid, config.max_step)]
@@ -218,6 +222,15 @@ def _bulk(
     of_node = group[parts.label[parts.keep]]
     height = layers.height[parts.keep]
     return group, int(min(large, key=lambda i: float(np.median(height[of_node == i]))))
+
+
+def _over_things(layers: Layers, parts: Parts, step: float) -> BoolArray:
+    """Nodes of parts over something more than a `step` [m] below them that is as large as half a foot, shape (k,)."""
+    over = parts.over & parts.keep
+    over[1:] &= np.diff(layers.height) > step
+    piece = components(*connect(layers, over, parts.rise), over)
+    large: BoolArray = np.bincount(piece, over)[piece] * layers.cell_width**2 >= HALF_FOOT
+    return over & large
 
 
 def _dead_ends(parts: Parts, joins: Pairs, alive: BoolArray, table: BoolArray) -> BoolArray:

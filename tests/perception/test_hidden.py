@@ -45,7 +45,7 @@ def test_in_the_shadow_of_a_wall_nothing_is_ground_and_the_same_hole_in_the_open
         assert state_at(alone, 2.0, y) == INFERRED
 
 
-def test_beneath_a_shelf_the_floor_is_known_as_far_as_a_foot_bridges_from_what_was_seen():
+def test_beneath_a_shelf_the_floor_is_known_a_cell_deep_from_what_was_seen():
     """What stands beneath it, against its back, a scan from its front does not show."""
 
     def unseen(x, y):

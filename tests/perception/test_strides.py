@@ -69,9 +69,9 @@ def test_a_flight_of_which_half_a_metre_is_cut_out_joins_nothing():
 def test_a_box_beside_the_way_leads_nowhere_and_a_platform_is_ground():
     floor = face((0.0, 6.0), (0.0, 4.0), 0.0)
     narrow = (floor[:, 0] > 2.0) & (floor[:, 0] < 2.3) & (floor[:, 1] > 1.0) & (floor[:, 1] < 1.3)
-    wide = (floor[:, 0] > 4.0) & (floor[:, 0] < 5.2) & (floor[:, 1] > 1.0) & (floor[:, 1] < 2.2)
+    wide = (floor[:, 0] > 4.0) & (floor[:, 0] < 5.5) & (floor[:, 1] > 1.0) & (floor[:, 1] < 2.5)
     points = np.concatenate(
-        [floor[~narrow & ~wide], face((2.0, 2.3), (1.0, 1.3), 0.3), face((4.0, 5.2), (1.0, 2.2), 0.3)]
+        [floor[~narrow & ~wide], face((2.0, 2.3), (1.0, 1.3), 0.3), face((4.0, 5.5), (1.0, 2.5), 0.3)]
     )
     found, raised = segment_ground(points), points[:, 2] > 0.2
     on_box = raised & (points[:, 0] < 3.0)
