@@ -10,11 +10,12 @@ from scipy import ndimage
 from gpdf_service.perception.holes import CEILING, MAX_HOLE_RADIUS
 from gpdf_service.perception.nearest import nearest_of
 from gpdf_service.perception.rows import extent_within
+from gpdf_service.perception.strides import HALF_FOOT
 from gpdf_service.perception.surface import INFERRED, OBSERVED, UNKNOWN, HeightMap, without
 from gpdf_service.types import BoolArray, FloatArray, IntArray
 
-FACE_REACH = 2
-"""Cells within which the ground decides on a face."""
+_FACE_REACH = 2
+"""Cells within which the ground decides how high a point is."""
 _BESIDE = np.array([[0, 1, 0], [1, 0, 1], [0, 1, 0]], dtype=bool)
 """The four neighbours of a cell, without itself."""
 
@@ -46,7 +47,8 @@ def find_faces(surface: HeightMap, cell: IntArray, z: FloatArray, headroom: floa
     """Cells in which other points go up, without a gap, from the ground to twice the `headroom` [m], shape (nx, ny).
 
     A step's face ends at the ground above it; what has a gap is a table's edge; two points at much the same height go
-    nowhere.
+    nowhere. But what is lower than that, and as large as half a foot, is a box on the floor of which a scan from afar
+    may show some of the top alone.
 
     Args:
         surface: The ground.
@@ -55,10 +57,24 @@ def find_faces(surface: HeightMap, cell: IntArray, z: FloatArray, headroom: floa
         headroom: [m].
     """
     known = surface.state != UNKNOWN
-    beside = ndimage.maximum_filter(np.where(known, surface.height, -np.inf), size=2 * FACE_REACH + 1).astype(float)
+    beside = ndimage.maximum_filter(np.where(known, surface.height, -np.inf), size=2 * _FACE_REACH + 1).astype(float)
     low, high = extent_within(cell, z, beside, beside + 2.0 * headroom)
-    face: BoolArray = (low <= beside + headroom) & (high > beside + headroom) & (high - low >= headroom)
-    return face
+    face = (low <= beside + headroom) & (high > beside + headroom) & (high - low >= headroom)
+    piece, _ = ndimage.label(np.isfinite(low), np.ones((3, 3)))
+    large = np.bincount(piece.ravel()) >= _foot_cells(surface)
+    large[0] = False
+    found: BoolArray = face | large[piece]
+    return found
+
+
+def _foot_cells(surface: HeightMap) -> int:
+    """Cells that make half a foot."""
+    return int(np.ceil(HALF_FOOT / surface.cell_width**2))
+
+
+def faces_reach(surface: HeightMap) -> int:
+    """Cells within which the ground, and other points, decide on a face."""
+    return _FACE_REACH + _foot_cells(surface)
 
 
 def hidden_reach(surface: HeightMap) -> int:

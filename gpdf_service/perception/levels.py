@@ -21,7 +21,7 @@ from gpdf_service.perception.boxes import WHOLE, Box, widened
 from gpdf_service.perception.budget import KEPT_BYTES, LEVEL_BYTES, check_grid
 from gpdf_service.perception.columns import by_cell, ends_of_runs, heights_in_plan, lowest_above
 from gpdf_service.perception.footing import bridged, footholds, footing_reach
-from gpdf_service.perception.hidden import FACE_REACH, find_faces, hidden_reach, without_hidden
+from gpdf_service.perception.hidden import faces_reach, find_faces, hidden_reach, without_hidden
 from gpdf_service.perception.holes import fill_holes, find_voids, without_enclosed
 from gpdf_service.perception.layers import Layers, build_layers, cell_width_of, crop_layers, layer_gap, widest_cell
 from gpdf_service.perception.limits import (
@@ -389,7 +389,7 @@ def complete(
         return part.height, part.state
 
     opened = without_enclosed(filled, shut)
-    (face,) = grid.around("faces", FACE_REACH, faces, opened.height, opened.state, stair)
+    (face,) = grid.around("faces", faces_reach(seen), faces, opened.height, opened.state, stair)
     height, state = grid.around("shown", hidden_reach(seen), shown, opened.height, opened.state, lowest, face)
     return replace(seen, height=height, state=state), guarded
 

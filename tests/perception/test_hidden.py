@@ -5,7 +5,7 @@ import pytest
 
 from gpdf_service.config import PerceptionConfig
 from gpdf_service.perception.levels import survey_levels
-from gpdf_service.perception.surface import INFERRED
+from gpdf_service.perception.surface import INFERRED, UNKNOWN
 
 
 def floor_without(shadow):
@@ -112,3 +112,16 @@ def test_a_blind_disc_with_single_points_at_one_height_over_it_is_inferred():
         assert state_at(surface, x, y) == INFERRED
     front = surface_of(floor_without(disc), upright(np.array([2.8, 2.8, 2.8]), np.array([3.18, 3.2, 3.22]), 0.3))
     assert not front.contains(np.array([[3.0, 3.0]]))[0]
+
+
+@pytest.mark.parametrize(("size", "state"), [(0.2, UNKNOWN), (0.04, INFERRED)])
+def test_behind_a_low_box_of_which_a_part_of_the_top_was_seen_nothing_is_inferred(size, state):
+    """It may go on in its own shadow; what is smaller than half a foot is a cable or noise."""
+
+    def unseen(x, y):
+        return np.hypot(x - 3.0, y - 3.0) < 0.7
+
+    x, y = (axis.ravel() for axis in np.meshgrid(np.arange(0.0, size, 0.02), np.arange(-0.5 * size, 0.5 * size, 0.02)))
+    top = np.column_stack([2.35 + x, 3.0 + y, np.full(x.size, 0.15)])
+    assert state_at(surface_of(floor_without(unseen), np.empty((0, 3))), 2.75, 3.0) == INFERRED
+    assert state_at(surface_of(floor_without(unseen), top), 2.75, 3.0) == state
