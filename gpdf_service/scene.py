@@ -18,7 +18,7 @@ from scipy.ndimage import binary_fill_holes
 
 from gpdf_service.config import Config
 from gpdf_service.denoise import FAR
-from gpdf_service.errors import CloudError
+from gpdf_service.errors import CloudError, SceneFileError
 from gpdf_service.fields import Gpdf, Lattice, Nearer, check_queries, fit_gpdf, fit_lattice, lattice_of, restore_lattice
 from gpdf_service.fields.spacing import estimate_spacing, thin
 from gpdf_service.fields.threads import run_parallel
@@ -547,8 +547,16 @@ def _level_info(index: int, level: GroundLevel, field: Gpdf) -> dict[str, Any]:
 
 
 def _restore_ground(level: GroundLevel, kept: Arrays, config: Config) -> Gpdf:
-    """The level's Ground GPDF from a file; until version 5 that said in which order the points were, and the scale."""
+    """The level's Ground GPDF from a file; until version 5 that said in which order the points were, and the scale.
+
+    Raises:
+        SceneFileError: it is of another number of cells than the level's.
+    """
     lattice, points = _lattice(level, config), None
+    count = np.count_nonzero(~np.isnan(lattice.height))
+    if [kept[key].shape for key in ("alpha", "discs")] != [(count,), (count, 6)]:
+        found = f"a ground field of {len(kept['alpha'])} cells, over a level of {count}"
+        raise SceneFileError("scene file", found, "Build the scene again from its cloud.")
     if "order" in kept:
         points = kept.get("points", level.ground_points[kept["order"]])
         length_scale, noise_variance, spacing = map(float, kept["scalars"])

@@ -111,6 +111,15 @@ def test_a_scene_file_that_marks_points_which_are_not_there_is_refused(office, t
         gpdf.load_scene(tmp_path / "b.gpdf")
 
 
+def test_a_scene_file_with_a_ground_field_of_other_cells_is_refused(office, tmp_path):
+    office[1].save(tmp_path / "a.gpdf")
+    arrays, meta, _ = read_arrays(tmp_path / "a.gpdf")
+    arrays["ground_fields/0/alpha"] = arrays["ground_fields/0/alpha"][1:]
+    write_arrays(tmp_path / "b.gpdf", arrays, meta)
+    with pytest.raises(SceneFileError, match="a ground field of"):
+        gpdf.load_scene(tmp_path / "b.gpdf")
+
+
 def test_a_scene_file_without_a_part_is_refused(office, tmp_path):
     office[1].save(tmp_path / "a.gpdf")
     arrays, meta, _ = read_arrays(tmp_path / "a.gpdf")

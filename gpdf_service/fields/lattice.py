@@ -120,7 +120,7 @@ def fit_lattice(lattice: Lattice, domain: Domain, former: tuple[Gpdf, Lattice] |
         _shape_tile(lattice, ball, cells, discs[rows.of(k)])
         return bool(_solve_tile(lattice, solver, cells, alpha[rows.of(k)]))
 
-    if not all(run_parallel(solve, _take_over(lattice, rows, former, alpha, discs))):
+    if not all(run_parallel(solve, _take_over(lattice, rows, solver.reach, former, alpha, discs))):
         raise FieldError("fit", "the solve did not converge", "Raise fields.noise_variance.")
     return _field(lattice, rows, alpha, discs, domain)
 
@@ -158,13 +158,18 @@ def _flat_cells(points: FloatArray, lattice: Lattice) -> IntArray:
 
 
 def _take_over(
-    lattice: Lattice, rows: _Rows, former: tuple[Gpdf, Lattice] | None, alpha: FloatArray, discs: FloatArray
+    lattice: Lattice,
+    rows: _Rows,
+    reach: int,
+    former: tuple[Gpdf, Lattice] | None,
+    alpha: FloatArray,
+    discs: FloatArray,
 ) -> list[int]:
-    """Write what a field over a `former` lattice said of the tiles that feel no change; which tiles are left."""
+    """Write what a field over a `former` lattice said of tiles with no change in reach [cells]; which are left."""
     if former is None or not _is_like(lattice, former[1]):
         return list(range(len(rows.tile)))
     (field, before), left = former, []
-    rows_before, reach = _rows_of(before), _solver_of(lattice).halo + int(_cut(lattice))
+    rows_before = _rows_of(before)
     was = {tuple(cell): rows_before.of(k) for k, cell in enumerate(rows_before.tile)}
     other = (lattice.height != before.height) & ~(np.isnan(lattice.height) & np.isnan(before.height))
     for k, (x, y) in enumerate(rows.tile):
@@ -180,11 +185,6 @@ def _is_like(one: Lattice, other: Lattice) -> bool:
     """Whether two lattices have the same cells, and the same kernel."""
     same = one.height.shape == other.height.shape and bool((one.origin == other.origin).all())
     return same and one[2:] == other[2:]
-
-
-def _cut(lattice: Lattice) -> float:
-    """How far the kernel reaches [cells]."""
-    return CUT_RADIUS * lattice.length_scale / lattice.width
 
 
 def _tree_of(points: FloatArray, rows: _Rows) -> Tree:
@@ -259,10 +259,15 @@ class _Solver(NamedTuple):
     near: IntArray
     inverse: Row
 
+    @property
+    def reach(self) -> int:
+        """Cells around a tile within which the points decide on its α, and on its discs."""
+        return self.halo + int(self.offsets.max())
+
 
 def _solver_of(lattice: Lattice) -> _Solver:
     scale = lattice.length_scale / lattice.width
-    offsets = half_disc(_cut(lattice))
+    offsets = half_disc(CUT_RADIUS * scale)
     apart = ((offsets**2).sum(axis=1) * 0.5 / scale**2).astype(np.float32)
     near = _approximate_inverse(scale, lattice.noise_variance, min(_NEAR, int(offsets.max())))
     return _Solver(int(np.ceil(HALO * scale)), offsets, apart, *near)

@@ -140,12 +140,7 @@ def _raise_within(
             for side in range(2):
                 for k in range(1, cells + 1):
                     u, v = x + (2 * side - 1) * k * dx, y + (2 * side - 1) * k * dy
-                    drop[side, k] = drop[side, k - 1]
-                    if 0 <= u < shape[0] and 0 <= v < shape[1]:
-                        there = u * shape[1] + v
-                        j = _nearest(start[there], start[there + 1], height, ground, level, most)
-                        if j >= 0:
-                            drop[side, k] = max(drop[side, k], level - height[j])
+                    drop[side, k] = max(drop[side, k - 1], _drop_to(u, v, start, shape, height, ground, level, most))
             for k in range(1, cells):
                 raised[i] = max(raised[i], min(drop[0, k], drop[1, cells - k]))
 
@@ -188,6 +183,25 @@ def _nearest(first: int, last: int, height: FloatArray, ground: BoolArray, level
 
 
 @njit(cache=True, nogil=True)
+def _drop_to(
+    u: int,
+    v: int,
+    start: IntArray,
+    shape: tuple[int, int],
+    height: FloatArray,
+    ground: BoolArray,
+    level: float,
+    most: float,
+) -> float:
+    """How much lower than a level the ground is in a cell [m]; 0 where there is none, or none within `most` [m]."""
+    if not (0 <= u < shape[0] and 0 <= v < shape[1]):
+        return 0.0
+    there = u * shape[1] + v
+    j = _nearest(start[there], start[there + 1], height, ground, level, most)
+    return level - height[j] if j >= 0 else 0.0
+
+
+@njit(cache=True, nogil=True)
 def _raise(
     nodes: IntArray,
     cell: IntArray,
@@ -209,16 +223,11 @@ def _raise(
             cells = reach if dx * dy == 0 else max(1, int(np.sqrt(0.5) * reach))
             least = np.inf
             for side in (-1, 1):
-                lowest = level
+                drop = 0.0
                 for k in range(1, cells + 1):
                     u, v = x + side * k * dx, y + side * k * dy
-                    if not (0 <= u < shape[0] and 0 <= v < shape[1]):
-                        break
-                    there = u * shape[1] + v
-                    j = _nearest(start[there], start[there + 1], height, ground, level, most)
-                    if j >= 0:
-                        lowest = min(lowest, height[j])
-                least = min(least, level - lowest)
+                    drop = max(drop, _drop_to(u, v, start, shape, height, ground, level, most))
+                least = min(least, drop)
                 if least <= max(raised[i], LEAST_BUMP / ROUGH):
                     break
             else:

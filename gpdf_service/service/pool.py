@@ -246,25 +246,18 @@ class Pool:
         ask = Ask(WARM, b"", time.monotonic(), 0.0, scene, file)
         with self._lock:
             self._warm[scene] = ask
-            alive = list(self._alive.values())
-
-        def told(process: _Process) -> bytes:
-            process.tell(ask, 0.0, {})
-            return process.hear()
-
-        for process in alive:
-            if self._idle.take(WARM_S if process.ready else 0.0, process) is not None and self._lives(process, told):
-                self._idle.put(process)
+        self._tell_each(ask, WARM_S)
 
     def prepare(self, scene: str, file: str, request: bytes) -> None:
-        """Let all that are idle make ready at once for the body of a `DrawRequest`, ahead of the first plan for it."""
-        ask = Ask(WARM, request, time.monotonic(), 0.0, scene, file)
+        """Let all that are idle make ready for the body of a `DrawRequest`, ahead of the first plan for it."""
+        self._tell_each(Ask(WARM, request, time.monotonic(), 0.0, scene, file), 0.0)
+
+    def _tell_each(self, ask: Ask, patience: float) -> None:
+        """Tell it one process after another, so that the others plan on; a busy one is waited for so long [s]."""
         with self._lock:
             alive = list(self._alive.values())
-        idle = [process for process in alive if self._idle.take(0.0, process) is not None]
-        told = [process for process in idle if self._lives(process, lambda one: one.tell(ask, 0.0, {}))]
-        for process in told:
-            if self._lives(process, _Process.hear):
+        for process in alive:
+            if self._idle.take(patience if process.ready else 0.0, process) is not None and self._tell(process, ask):
                 self._idle.put(process)
 
     def forget(self, scene: str) -> None:
@@ -275,10 +268,11 @@ class Pool:
                 process.forget(scene)
 
     @staticmethod
-    def _lives(process: _Process, do: Callable[[_Process], object]) -> bool:
-        """Do something with a process that was taken; whether it still lives afterwards."""
+    def _tell(process: _Process, ask: Ask) -> bool:
+        """Whether it still lives afterwards."""
         try:
-            do(process)
+            process.tell(ask, 0.0, {})
+            process.hear()
         except (EOFError, OSError):
             process.kill()
             return False
