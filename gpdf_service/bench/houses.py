@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from gpdf_service.bench.exact import ON, STEP, Truth, every, judge_path
 from gpdf_service.bench.report import Row, each
+from gpdf_service.config import PerceptionConfig
 from gpdf_service.errors import GpdfError
 from gpdf_service.perception.surface import INFERRED
 from gpdf_service.pipeline import build_scene, plan
@@ -25,6 +28,8 @@ THIN = 0.03
 """[m] Scans are thinned to one point of such a voxel, as they are handed on in practice."""
 TOE = 0.3
 """[m] Over an inferred cell, from where the true ground under it is looked for: more than any riser."""
+ASIDE = np.arange(-6, 7) * 0.05
+"""[m] To the side of the way that a house says: other ways over its treads, as far as half of a stair is wide."""
 KINDS = tuple(STAIRS)
 
 
@@ -74,6 +79,7 @@ def measure(seed: int, scanner: str, noise: float | None = None) -> Row:
         "inferred": len(inferred),
         "inferred_off": int(np.count_nonzero(~inferred)),
         "way_free": way_is_free(place),
+        "seen": was_seen(place, floor),
         "collisions": sum(truth.collides(sigma) for truth in truths),
         "deepest_mm": 1e3 * max((truth.penetration for truth in truths), default=0.0),
         "in_the_air": sum(truth.in_the_air for truth in truths),
@@ -111,6 +117,55 @@ def way_is_free(place: Place) -> bool:
     return truth.penetration == 0.0 and not truth.in_the_air
 
 
+def was_seen(place: Place, ground: FloatArray) -> bool:
+    """Whether a scan leaves no gap in the treads that a human could not judge, on some way that it can take over them.
+
+    Such a way is the place's own or one beside it, free in the exact world. Every place of true ground within the
+    human's radius of it, from the first tread's middle to the last one's, has a point of ground within half of what a
+    foot bridges, of this tread or of one beside it, and one of its own tread within all of that. In the floors before
+    and behind the treads gaps are allowed: their surroundings may explain them.
+
+    Args:
+        place: A house.
+        ground: Points of the scan that are truly ground [m], shape (n, 3).
+    """
+    bridged, rise = PerceptionConfig().widest_gap, float(np.diff(place.way[:, 2]).max())
+
+    def shows(way: FloatArray) -> bool:
+        under = ground_below(place, way[1:-1])
+        return all_within(under, ground, 0.5 * bridged, 2.0 * rise) and all_within(under, ground, bridged, 0.5 * rise)
+
+    ways = (beside(place.way, shift) for shift in sorted(ASIDE, key=abs))
+    return any(shows(way) and way_is_free(replace(place, way=way)) for way in ways)
+
+
+def all_within(places: FloatArray, points: FloatArray, aside: float, up: float) -> bool:
+    """Whether every one of the places (m, 3) has a point (n, 3) in an ellipsoid so far to the side and up [m]."""
+    scale = np.array([1.0, 1.0, aside / up])
+    return bool((cKDTree(scale * points).query(scale * places)[0] <= aside).all())
+
+
+def beside(way: FloatArray, shift: float) -> FloatArray:
+    """A way (n, 3) moved to its left by so much [m]."""
+    ahead = np.gradient(way[:, :2], axis=0)
+    ahead /= np.hypot(*ahead.T)[:, None]
+    aside = np.column_stack([-ahead[:, 1], ahead[:, 0], np.zeros(len(way))])
+    moved: FloatArray = way + shift * aside
+    return moved
+
+
+def ground_below(place: Place, way: FloatArray) -> FloatArray:
+    """Places of true ground that a human on a way (n, 3) is over, and no more than a step from it, (k, 3) [m]."""
+    agent = AGENTS["human"]
+    grid = np.stack(np.meshgrid(*2 * [np.arange(-agent.radius, agent.radius + STEP, STEP)]), axis=-1).reshape(-1, 2)
+    disc = np.column_stack([grid, np.zeros(len(grid))])[np.hypot(*grid.T) <= agent.radius]
+    places = (on_ground(place, way)[:, None] + disc).reshape(-1, 3)
+    reach = np.array([0.0, 0.0, agent.max_step])
+    places[:, 2] = place.world.ground_under(places + reach, 2.0 * agent.max_step)
+    found: FloatArray = places[np.isfinite(places[:, 2])]
+    return found
+
+
 def on_ground(place: Place, way: FloatArray) -> FloatArray:
     """A way every few centimetres, on the true ground."""
     dense = every(way, STEP)
@@ -130,6 +185,8 @@ def _sum(rows: list[Row]) -> Row:
         "points": sum(row["points"] for row in rows),
         "us_a_point": float(np.median([row["us_a_point"] for row in done])) if done else float("nan"),
         "solvable": sum(row["way_free"] for row in done),
+        "seen": sum(row["seen"] for row in done),
+        "seen_both": sum(row["seen"] and row["up"] and row["down"] for row in done),
         "inferred": sum(row["inferred"] for row in done),
         "inferred_off": sum(row["inferred_off"] for row in done),
         "up": sum(row["up"] for row in rows),
