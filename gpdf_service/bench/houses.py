@@ -78,6 +78,7 @@ def measure(seed: int, scanner: str, noise: float | None = None) -> Row:
     return row | {
         "inferred": len(inferred),
         "inferred_off": int(np.count_nonzero(~inferred)),
+        "inferred_unseen": count_unseen(place, scene, floor),
         "way_free": way_is_free(place),
         "seen": was_seen(place, floor),
         "collisions": sum(truth.collides(sigma) for truth in truths),
@@ -109,6 +110,22 @@ def judge_inferred(place: Place, scene: Scene) -> BoolArray:
     return np.concatenate(made)
 
 
+def count_unseen(place: Place, scene: Scene, ground: FloatArray) -> int:
+    """Inferred cells over a tread that the scan shows no point of within what a foot bridges.
+
+    Args:
+        place: A house.
+        scene: Of its scan.
+        ground: Points of the scan that are truly ground [m], shape (n, 3).
+    """
+    world, rise = place.world, float(np.diff(place.way[:, 2]).max())
+    cells = np.concatenate([surface.centres(surface.state == INFERRED) for surface in scene.surfaces])
+    hits = world.cast(cells + np.array([0.0, 0.0, TOE]), np.broadcast_to([0.0, 0.0, -1.0], cells.shape))
+    kind = np.where(hits.triangle >= 0, world.kind[hits.triangle], -1)
+    treads = cells[np.isin(kind, [world.kinds.index(name) for name in ("tread", "landing") if name in world.kinds])]
+    return int(np.count_nonzero(~has_within(treads, ground, PerceptionConfig().widest_gap, 0.5 * rise)))
+
+
 def way_is_free(place: Place) -> bool:
     """Whether a human can take the way that the place says: nothing is touched, and feet are on the ground."""
     contacts = on_ground(place, place.way)
@@ -133,16 +150,18 @@ def was_seen(place: Place, ground: FloatArray) -> bool:
 
     def shows(way: FloatArray) -> bool:
         under = ground_below(place, way[1:-1])
-        return all_within(under, ground, 0.5 * bridged, 2.0 * rise) and all_within(under, ground, bridged, 0.5 * rise)
+        spans = (0.5 * bridged, 2.0 * rise), (bridged, 0.5 * rise)
+        return all(has_within(under, ground, *span).all() for span in spans)
 
     ways = (beside(place.way, shift) for shift in sorted(ASIDE, key=abs))
     return any(shows(way) and way_is_free(replace(place, way=way)) for way in ways)
 
 
-def all_within(places: FloatArray, points: FloatArray, aside: float, up: float) -> bool:
-    """Whether every one of the places (m, 3) has a point (n, 3) in an ellipsoid so far to the side and up [m]."""
+def has_within(places: FloatArray, points: FloatArray, aside: float, up: float) -> BoolArray:
+    """Which of the places (m, 3) have a point (n, 3) in an ellipsoid so far to the side and up [m], shape (m,)."""
     scale = np.array([1.0, 1.0, aside / up])
-    return bool((cKDTree(scale * points).query(scale * places)[0] <= aside).all())
+    found: BoolArray = cKDTree(scale * points).query(scale * places)[0] <= aside
+    return found
 
 
 def beside(way: FloatArray, shift: float) -> FloatArray:
@@ -189,6 +208,7 @@ def _sum(rows: list[Row]) -> Row:
         "seen_both": sum(row["seen"] and row["up"] and row["down"] for row in done),
         "inferred": sum(row["inferred"] for row in done),
         "inferred_off": sum(row["inferred_off"] for row in done),
+        "inferred_unseen": sum(row["inferred_unseen"] for row in done),
         "up": sum(row["up"] for row in rows),
         "down": sum(row["down"] for row in rows),
         "both": sum(row["up"] and row["down"] for row in rows),

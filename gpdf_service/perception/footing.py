@@ -65,8 +65,7 @@ def on_treads(z: FloatArray, cell: IntArray, surface: HeightMap, max_step: float
 
     A foot rests on what is as wide as itself, at most a step higher, and within a sole: the same tread, which wear
     makes rough, or the next. At a flight's side, where no ground goes on within a sole, stands its stringer: there
-    nothing is of a tread. A tread is `is_tread` within a stride; so is the edge of a landing, a sole from the last of
-    them, for what is not over it: the last riser.
+    nothing is of a tread. A tread is `is_tread` within a stride.
 
     Args:
         z: Heights of the points [m], shape (m,).
@@ -100,16 +99,14 @@ def _on_treads(
         own = float(height[x, y])
         if not z[m] <= own + max_step + ROUGH:  # a NaN compares false
             continue
-        top, around, edge, reach = own, True, False, int(sole)
-        tread = is_tread(height, x, y, stride)
+        top, around, reach = own, is_tread(height, x, y, stride), int(sole)
         for u in range(max(x - reach, 0), min(x + reach + 1, nx)):
             for v in range(max(y - reach, 0), min(y + reach + 1, ny)):
                 if (u - x) ** 2 + (v - y) ** 2 <= sole * sole:
                     around = around and height[u, v] >= own - max_step
-                    edge = edge or (not tread and height[u, v] < own and is_tread(height, u, v, stride))
-                    if tread and top < rests[u, v] <= own + max_step:
+                    if top < rests[u, v] <= own + max_step:
                         top = rests[u, v]
-        found[m] = around and ((tread and z[m] <= top + ROUGH) or (edge and z[m] <= rests[x, y]))
+        found[m] = around and z[m] <= top + ROUGH
 
 
 @njit(cache=True, nogil=True)

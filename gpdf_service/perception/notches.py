@@ -54,8 +54,7 @@ def fill_notches(surface: HeightMap, seen_through: BoolArray, pit: BoolArray, co
     asked = closed & np.isnan(own) & flight
     asked &= ~below | _from_the_side(known & flight, below, width)
     cells, discs = np.argwhere(asked), (_disc(2.0 * radius), _disc(radius))
-    wide = _as_wide_as_a_sole(own, _disc(SOLE / width), SOLE / width, 0.5 * width)
-    rise = np.where(wide, config.stair_step, 0.0)
+    rise = np.where(_as_wide_as_a_sole(~np.isnan(own), width), config.stair_step, 0.0)
     own[tuple(cells.T)] = _treads(own, rise, cells, *discs, 0.5 * width)
     state[box][known != ~np.isnan(own)] = INFERRED
     return replace(surface, height=height, state=state)
@@ -69,24 +68,10 @@ def _disc(radius: float) -> IntArray:
     return cells
 
 
-@njit(cache=True, nogil=True)
-def _as_wide_as_a_sole(height: NDArray[np.float32], disc: IntArray, sole: float, same: float) -> BoolArray:
-    """Known cells around which ground as high is as wide as a `sole` [cells] across where it is narrowest, (nx, ny).
-
-    As wide is what is spread like a strip of that width, whose variance across is a twelfth of its square, as is a
-    cell's: gaps that a scan leaves do not count. What lies in the `disc` (d, 2), as high but for `same` [m], is asked.
-    """
-    (nx, ny), wide = height.shape, np.zeros(height.shape, np.bool_)
-    for x in range(nx):
-        for y in range(ny):
-            n, u, v, uu, uv, vv = 0, 0.0, 0.0, 0.0, 0.0, 0.0
-            for dx, dy in disc:
-                inside = 0 <= x + dx < nx and 0 <= y + dy < ny
-                if inside and abs(height[x + dx, y + dy] - height[x, y]) <= same:  # a NaN compares false
-                    n, u, v, uu, uv, vv = n + 1, u + dx, v + dy, uu + dx * dx, uv + dx * dy, vv + dy * dy
-            if n > 0:
-                a, b, c = uu / n - (u / n) ** 2, uv / n - u * v / n**2, vv / n - (v / n) ** 2
-                wide[x, y] = 0.5 * (a + c) - np.hypot(0.5 * (a - c), b) >= (sole**2 - 1.0) / 12.0
+def _as_wide_as_a_sole(known: BoolArray, cell_width: float) -> BoolArray:
+    """Cells of `known` ground, shape (nx, ny), that is as long and as wide as a `SOLE`, but for narrower gaps."""
+    sole = np.ones(2 * [2 * round(0.5 * SOLE / cell_width) + 1], dtype=bool)
+    wide: BoolArray = known & ndimage.binary_opening(ndimage.binary_closing(known, sole), sole)
     return wide
 
 

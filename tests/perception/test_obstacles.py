@@ -62,15 +62,12 @@ def treads_of(height):
         ((22, 15), 0.12, False),  # a thing on it
         ((24, 15), 0.15, True),  # before the next riser
         ((22, 29), 0.06, False),  # at the flight's side: its stringer
-        ((40, 15), -0.12, True),  # at the edge of the landing: its last riser
-        ((40, 15), 0.06, False),  # a thing on the landing
-        ((44, 15), -0.12, False),  # further in
         ((2, 15), 0.06, False),  # on the floor before it
     ],
 )
 def test_what_is_rough_on_the_treads_of_a_flight_is_of_them(place, over, of_tread):
     x = np.arange(50)
-    height = np.where(x < 10, 0.0, RISE * ((np.minimum(x, 40) - 10) // 5 + 1.0))[:, None] * np.ones(40)
+    height = np.where(x < 10, 0.0, RISE * ((x - 10) // 5 + 1.0))[:, None] * np.ones(40)
     height[:, 30:] = np.nan
     z = np.array([height[place] + over])
     cell = np.array([place[0] * 40 + place[1]])
