@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from gpdf_service.bench.exact import ON, STEP, Truth, every, judge_path
 from gpdf_service.bench.report import Row, each
+from gpdf_service.config import PerceptionConfig
 from gpdf_service.errors import GpdfError
 from gpdf_service.perception.surface import INFERRED
 from gpdf_service.pipeline import build_scene, plan
@@ -25,6 +28,8 @@ THIN = 0.03
 """[m] Scans are thinned to one point of such a voxel, as they are handed on in practice."""
 TOE = 0.3
 """[m] Over an inferred cell, from where the true ground under it is looked for: more than any riser."""
+ASIDE = np.arange(-6, 7) * 0.05
+"""[m] To the side of the way that a house says: other ways over its treads, as far as half of a stair is wide."""
 KINDS = tuple(STAIRS)
 
 
@@ -73,7 +78,9 @@ def measure(seed: int, scanner: str, noise: float | None = None) -> Row:
     return row | {
         "inferred": len(inferred),
         "inferred_off": int(np.count_nonzero(~inferred)),
+        "inferred_unseen": count_unseen(place, scene, floor),
         "way_free": way_is_free(place),
+        "seen": was_seen(place, floor),
         "collisions": sum(truth.collides(sigma) for truth in truths),
         "deepest_mm": 1e3 * max((truth.penetration for truth in truths), default=0.0),
         "in_the_air": sum(truth.in_the_air for truth in truths),
@@ -103,12 +110,79 @@ def judge_inferred(place: Place, scene: Scene) -> BoolArray:
     return np.concatenate(made)
 
 
+def count_unseen(place: Place, scene: Scene, ground: FloatArray) -> int:
+    """Inferred cells over a tread that the scan shows no point of within what a foot bridges.
+
+    Args:
+        place: A house.
+        scene: Of its scan.
+        ground: Points of the scan that are truly ground [m], shape (n, 3).
+    """
+    world, rise = place.world, float(np.diff(place.way[:, 2]).max())
+    cells = np.concatenate([surface.centres(surface.state == INFERRED) for surface in scene.surfaces])
+    hits = world.cast(cells + np.array([0.0, 0.0, TOE]), np.broadcast_to([0.0, 0.0, -1.0], cells.shape))
+    kind = np.where(hits.triangle >= 0, world.kind[hits.triangle], -1)
+    treads = cells[np.isin(kind, [world.kinds.index(name) for name in ("tread", "landing") if name in world.kinds])]
+    return int(np.count_nonzero(~has_within(treads, ground, PerceptionConfig().widest_gap, 0.5 * rise)))
+
+
 def way_is_free(place: Place) -> bool:
     """Whether a human can take the way that the place says: nothing is touched, and feet are on the ground."""
     contacts = on_ground(place, place.way)
     path = _standing(contacts)
     truth = judge_path(place.world, path, AGENTS["human"])
     return truth.penetration == 0.0 and not truth.in_the_air
+
+
+def was_seen(place: Place, ground: FloatArray) -> bool:
+    """Whether a scan leaves no gap in the treads that a human could not judge, on some way that it can take over them.
+
+    Such a way is the place's own or one beside it, free in the exact world. Every place of true ground within the
+    human's radius of it, from the first tread's middle to the last one's, has a point of ground within half of what a
+    foot bridges, of this tread or of one beside it, and one of its own tread within all of that. In the floors before
+    and behind the treads gaps are allowed: their surroundings may explain them.
+
+    Args:
+        place: A house.
+        ground: Points of the scan that are truly ground [m], shape (n, 3).
+    """
+    bridged, rise = PerceptionConfig().widest_gap, float(np.diff(place.way[:, 2]).max())
+
+    def shows(way: FloatArray) -> bool:
+        under = ground_below(place, way[1:-1])
+        spans = (0.5 * bridged, 2.0 * rise), (bridged, 0.5 * rise)
+        return all(has_within(under, ground, *span).all() for span in spans)
+
+    ways = (beside(place.way, shift) for shift in sorted(ASIDE, key=abs))
+    return any(shows(way) and way_is_free(replace(place, way=way)) for way in ways)
+
+
+def has_within(places: FloatArray, points: FloatArray, aside: float, up: float) -> BoolArray:
+    """Which of the places (m, 3) have a point (n, 3) in an ellipsoid so far to the side and up [m], shape (m,)."""
+    scale = np.array([1.0, 1.0, aside / up])
+    found: BoolArray = cKDTree(scale * points).query(scale * places)[0] <= aside
+    return found
+
+
+def beside(way: FloatArray, shift: float) -> FloatArray:
+    """A way (n, 3) moved to its left by so much [m]."""
+    ahead = np.gradient(way[:, :2], axis=0)
+    ahead /= np.hypot(*ahead.T)[:, None]
+    aside = np.column_stack([-ahead[:, 1], ahead[:, 0], np.zeros(len(way))])
+    moved: FloatArray = way + shift * aside
+    return moved
+
+
+def ground_below(place: Place, way: FloatArray) -> FloatArray:
+    """Places of true ground that a human on a way (n, 3) is over, and no more than a step from it, (k, 3) [m]."""
+    agent = AGENTS["human"]
+    grid = np.stack(np.meshgrid(*2 * [np.arange(-agent.radius, agent.radius + STEP, STEP)]), axis=-1).reshape(-1, 2)
+    disc = np.column_stack([grid, np.zeros(len(grid))])[np.hypot(*grid.T) <= agent.radius]
+    places = (on_ground(place, way)[:, None] + disc).reshape(-1, 3)
+    reach = np.array([0.0, 0.0, agent.max_step])
+    places[:, 2] = place.world.ground_under(places + reach, 2.0 * agent.max_step)
+    found: FloatArray = places[np.isfinite(places[:, 2])]
+    return found
 
 
 def on_ground(place: Place, way: FloatArray) -> FloatArray:
@@ -130,8 +204,11 @@ def _sum(rows: list[Row]) -> Row:
         "points": sum(row["points"] for row in rows),
         "us_a_point": float(np.median([row["us_a_point"] for row in done])) if done else float("nan"),
         "solvable": sum(row["way_free"] for row in done),
+        "seen": sum(row["seen"] for row in done),
+        "seen_both": sum(row["seen"] and row["up"] and row["down"] for row in done),
         "inferred": sum(row["inferred"] for row in done),
         "inferred_off": sum(row["inferred_off"] for row in done),
+        "inferred_unseen": sum(row["inferred_unseen"] for row in done),
         "up": sum(row["up"] for row in rows),
         "down": sum(row["down"] for row in rows),
         "both": sum(row["up"] and row["down"] for row in rows),

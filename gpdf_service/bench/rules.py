@@ -89,6 +89,7 @@ RULES: dict[str, tuple[str, str, Callable[..., Any]]] = {
     "planes over holes": (_P + "holes", "_fill", lambda *_: None),
     "notches of flights": (_P + "holes", "fill_notches", _first),
     "strips at a flight's side": (_P + "notches", "_fill_bitten", lambda *_: None),
+    "treads seen as lines": (_P + "notches", "_as_wide_as_a_sole", lambda known, _: known),
     "firm ground around holes": (_P + "holes", "firm_ground", lambda surface, _: surface.state == OBSERVED),
     "things seen hollow": (_P + "holes", "_seen_hollow", lambda things, _: np.ones_like(things)),
     "walls of pits": (_P + "holes", "_walled_down", lambda surface, _: np.zeros(surface.state.shape, dtype=bool)),
@@ -186,7 +187,7 @@ def _houses(seed: int, count: int) -> Row:
     for scanner in ("tripod", "handheld"):
         rows = [houses.measure(number, scanner) for number in range(seed, seed + count)]
         made[f"{scanner}_ways"] = sum(row["up"] + row["down"] for row in rows)
-        for key in ("inferred", "inferred_off", "collisions", "in_the_air"):
+        for key in ("inferred", "inferred_off", "inferred_unseen", "collisions", "in_the_air"):
             made[f"{scanner}_{key}"] = sum(row.get(key, 0) for row in rows)
     return made
 

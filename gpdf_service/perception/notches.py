@@ -13,9 +13,9 @@ from gpdf_service.config import PerceptionConfig
 from gpdf_service.perception.boxes import window
 from gpdf_service.perception.footing import flights
 from gpdf_service.perception.nearest import nearest_of
-from gpdf_service.perception.strides import STRIDE
+from gpdf_service.perception.strides import SOLE, STRIDE
 from gpdf_service.perception.surface import INFERRED, UNKNOWN, HeightMap
-from gpdf_service.types import BoolArray, IntArray
+from gpdf_service.types import BoolArray, FloatArray, IntArray
 
 STEEPEST_FLIGHT = 1.3
 """[-] Rise over run of the steepest stair, 52°; what rises more between two pieces of ground is another storey."""
@@ -35,7 +35,8 @@ def fill_notches(surface: HeightMap, seen_through: BoolArray, pit: BoolArray, co
     A nose hides the back of the tread below, and a scan from far shows strips. Such a place is of the tread around it,
     or, where one tread is on one side and the next on the other, of the lower one. On the level nothing is filled: a
     slot in a floor, or between a platform and a train, looks the same. So does a slot in a flight through which the
-    room beneath was seen; unless that is seen beneath the treads beside it, too.
+    room beneath was seen; unless that is seen beneath the treads beside it, too. A tread that is closed up to
+    the next one is seen as wide as a sole: of those that are seen from below the noses are, and nobody has seen more.
 
     Args:
         surface: The ground.
@@ -53,7 +54,8 @@ def fill_notches(surface: HeightMap, seen_through: BoolArray, pit: BoolArray, co
     asked = closed & np.isnan(own) & flight
     asked &= ~below | _from_the_side(known & flight, below, width)
     cells, discs = np.argwhere(asked), (_disc(2.0 * radius), _disc(radius))
-    own[tuple(cells.T)] = _treads(own, cells, *discs, 0.5 * width, config.stair_step)
+    rise = np.where(_as_wide_as_a_sole(~np.isnan(own), width), config.stair_step, 0.0)
+    own[tuple(cells.T)] = _treads(own, rise, cells, *discs, 0.5 * width)
     state[box][known != ~np.isnan(own)] = INFERRED
     return replace(surface, height=height, state=state)
 
@@ -64,6 +66,13 @@ def _disc(radius: float) -> IntArray:
     away = np.hypot(*offset.T)
     cells: IntArray = offset[np.argsort(away, kind="stable")][: np.count_nonzero(away <= radius)]
     return cells
+
+
+def _as_wide_as_a_sole(known: BoolArray, cell_width: float) -> BoolArray:
+    """Cells of `known` ground, shape (nx, ny), that is as long and as wide as a `SOLE`, but for narrower gaps."""
+    sole = np.ones(2 * [2 * round(0.5 * SOLE / cell_width) + 1], dtype=bool)
+    wide: BoolArray = known & ndimage.binary_opening(ndimage.binary_closing(known, sole), sole)
+    return wide
 
 
 def _from_the_side(treads: BoolArray, below: BoolArray, cell_width: float) -> BoolArray:
@@ -78,12 +87,13 @@ def _from_the_side(treads: BoolArray, below: BoolArray, cell_width: float) -> Bo
 
 @njit(cache=True, nogil=True)
 def _treads(
-    height: NDArray[np.float32], cells: IntArray, near: IntArray, disc: IntArray, same: float, rise: float
+    height: NDArray[np.float32], rise: FloatArray, cells: IntArray, near: IntArray, disc: IntArray, same: float
 ) -> NDArray[np.float32]:
     """Height of the tread of each of the `cells`, shape (k, 2), NaN where none closes over it.
 
     That is the nearest one, the lower of equally near ones, such that every `disc` (d, 2) that holds the cell holds a
-    known cell that is as high, or up to a `rise` [m] higher. It is one of those `near` (n, 2), nearest first.
+    known cell that is as high, or up to its `rise` [m], (nx, ny), higher. It is one of those `near` (n, 2), nearest
+    first.
     """
     (nx, ny), made = height.shape, np.full(len(cells), np.float32(np.nan), np.float32)
     for k in range(len(cells)):
@@ -96,7 +106,7 @@ def _treads(
             u, v = x + dx, y + dy
             if not (0 <= u < nx and 0 <= v < ny) or np.isnan(height[u, v]) or height[u, v] >= made[k]:
                 continue
-            if _closes(height, x, y, disc, height[u, v] - same, height[u, v] + same + rise):
+            if _closes(height, x, y, disc, height[u, v] - same, height[u, v] + same + rise[u, v]):
                 made[k], found = height[u, v], dx * dx + dy * dy
     return made
 

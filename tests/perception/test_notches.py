@@ -41,6 +41,17 @@ def test_a_strip_of_a_tread_that_was_seen_all_round_is_that_tread():
     assert (state[:, 21:] == UNKNOWN).all()
 
 
+@pytest.mark.parametrize(("seen", "filled_up"), [(1, False), (3, True)])
+def test_treads_of_which_only_the_noses_were_seen_are_not_filled_up_to_the_next(seen, filled_up):
+    depth = DEPTH - 1
+    height = np.repeat(RISE * np.arange(8), depth)[:, None] * np.ones(30)
+    x = np.arange(len(height))
+    height[(x > 2 * depth) & (x < 6 * depth) & (x % depth >= seen)] = np.nan
+    middle = filled(height)[0][3 * depth : 5 * depth, 5:25]
+    known = np.isfinite(middle).any(axis=1)
+    assert known.all() if filled_up else known.sum() == 2 * seen
+
+
 def test_beyond_the_open_side_of_a_flight_nothing_is_inferred():
     height = flight()
     height[STRIP, 18:21] = np.nan
