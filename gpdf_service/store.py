@@ -1,6 +1,7 @@
 """One scene, one file: named arrays in a zip, each packed and with its checksum, written atomically.
 
-`meta` is JSON in NumPy's format; it tells how each array lies in its bytes. Files of version 4 hold NumPy's arrays.
+`meta` is JSON in NumPy's format; it tells how each array lies in its bytes. Files of version 4 hold NumPy's arrays; those
+of version 6 have no array of differences.
 Nothing is pickled, so a scene file from a stranger can hold wrong numbers but no code.
 """
 
@@ -26,8 +27,8 @@ from numpy.typing import NDArray
 from gpdf_service.errors import SceneFileError, words_of
 from gpdf_service.packing import Packed, pack, unpack
 
-SCHEMA_VERSION = 6
-READABLE = 4, 5, 6
+SCHEMA_VERSION = 7
+READABLE = 4, 5, 6, 7
 _META = "meta"
 _PLAIN = ".npy"
 """What follows the name of an array in NumPy's format."""
@@ -95,8 +96,8 @@ class _Stored:
             return np.lib.format.read_array(file, allow_pickle=False)
 
 
-def _described(dtype: str, shape: list[int], kept: str, lengths: list[int]) -> Packed:
-    return Packed(dtype, tuple(shape), kept, tuple(lengths))
+def _described(dtype: str, shape: list[int], kept: str, lengths: list[int], *decimal: Any) -> Packed:  # noqa: ANN401
+    return Packed(dtype, tuple(shape), kept, tuple(lengths), *decimal)
 
 
 class Later:
