@@ -1,7 +1,6 @@
 """One scene, one file: named arrays in a zip, each packed and with its checksum, written atomically.
 
-`meta` is JSON in NumPy's format; it tells how each array lies in its bytes. Files of version 4 hold NumPy's arrays; those
-of version 6 have no array of differences.
+`meta` is JSON in NumPy's format; it tells how each array lies in its bytes. Files of version 4 hold NumPy's arrays.
 Nothing is pickled, so a scene file from a stranger can hold wrong numbers but no code.
 """
 

@@ -168,8 +168,8 @@ EQUAL: dict[tuple[str, ...], str] = {
     ): "the same of a height",
 }
 """Mutants that behave as what they were made of, by module, change and, if that is not enough, line, and why."""
-LIMIT_S = 900
-"""A mutant that takes longer hangs: it was noticed."""
+LIMIT_S = 300
+"""[s] The tests of a module take a minute at most. A mutant that takes longer hangs: it was noticed."""
 SWAPS = {
     **{ast.Lt: ast.LtE, ast.LtE: ast.Lt, ast.Gt: ast.GtE, ast.GtE: ast.Gt, ast.Eq: ast.NotEq, ast.NotEq: ast.Eq},
     **{ast.Add: ast.Sub, ast.Sub: ast.Add, ast.Mult: ast.Div, ast.Div: ast.Mult, ast.And: ast.Or, ast.Or: ast.And},
