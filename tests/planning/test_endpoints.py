@@ -136,6 +136,29 @@ def test_in_a_hole_that_known_ground_surrounds_something_stands_or_nobody_has_se
     )
 
 
+def test_at_the_rim_of_the_known_ground_something_is_in_the_way_and_the_place_is_on_the_map():
+    x, y = (one.ravel() for one in np.meshgrid(np.arange(0, 5.01, SPACING), np.arange(0, 4.01, SPACING)))
+    space = gpdf.build_scene(np.column_stack([x, y, np.zeros(x.size)])).free_space(HUMAN)
+    for place in ((0.01, 2.0), (4.99, 2.0), (2.5, 0.01), (2.5, 3.99)):
+        refused = find_endpoint(space, np.array(place), "goal")
+        assert refused.status is Status.GOAL_OCCUPIED
+        assert "ground that nobody has seen is 0.0" in refused.message
+
+
+def test_a_place_that_one_storey_surrounds_is_shut_in_though_another_ends_there():
+    x, y = (one.ravel() for one in np.meshgrid(np.arange(0, 8.01, SPACING), np.arange(0, 8.01, SPACING)))
+    hole = (np.abs(x - 4.0) < 1.5) & (np.abs(y - 4.0) < 1.5)
+    bay = (np.abs(x - 4.0) < 1.5) & (y < 5.5)  # open to the map's rim
+    upper = np.column_stack([x, y, np.full(x.size, 3.0)])[~hole]
+    lower = np.column_stack([x, y, np.zeros(x.size)])[~bay]
+    space = gpdf.build_scene(np.concatenate([upper, lower]), np.ones(len(upper) + len(lower), bool)).free_space(HUMAN)
+    assert len(space.surfaces) == 2
+    refused = find_endpoint(space, np.array([4.0, 4.0]), "goal")
+    assert refused.status is Status.GOAL_OCCUPIED
+    alone = gpdf.build_scene(lower, np.ones(len(lower), bool)).free_space(HUMAN)
+    assert find_endpoint(alone, np.array([4.0, 4.0]), "goal").status is Status.GOAL_OUTSIDE_MAP
+
+
 def test_a_height_says_which_storey_is_meant_and_half_a_metre_is_the_same_ground(storeys):
     for z in (0.0, 3.0):
         for off in (-0.45, 0.0, 0.45):
