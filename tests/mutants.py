@@ -179,6 +179,13 @@ EQUAL: dict[tuple[str, ...], str] = {
         f"{ASKEW} <= SQUARE → ({ASKEW} < SQUARE)",
     ): "an angle to the last bit",
     (CORRIDOR, "heading[near] + angle → (heading[near] - angle)"): "the same lines, from their other ends",
+    (CORRIDOR, "inward <= INTO_STAIRS → (inward < INTO_STAIRS)"): "a place to the last bit",
+    (
+        CORRIDOR,
+        "1 → (2)",
+        "return room(places.reshape(-1, 3)).reshape(places.shape[:2])",
+    ): "any negative length is unknown",
+    (ENDPOINTS, "room < space.reach + FINEST → (room <= space.reach + FINEST)"): "a room to the last bit",
     (CORRIDOR, "4 → (5)", "DIRECTIONS = 4"): "more lines are looked along",
     (ENDPOINTS, "1.0 → (2.1)", "NEXT = 1.0"): "leaves that are further off are looked at later",
     (ENDPOINTS, "1.0 → (2.1)", WITHIN): "beyond the map no ground is known",

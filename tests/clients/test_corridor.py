@@ -238,6 +238,13 @@ def test_on_a_ramp_the_edges_beside_it_are_kept_off_too():
     assert (found.left == WIDEST).all()
 
 
+@pytest.mark.parametrize("heading", [0.0, 0.7, 2.0, -2.5])
+def test_room_is_looked_at_from_right_to_left_whatever_the_heading(heading):
+    left, place = np.array([-np.sin(heading), np.cos(heading), 0.0]), np.array([3.0, -2.0, 1.0])
+    free = scan(place[None], np.array([heading]), lambda places: 1.0 + (places - place) @ left)[0]
+    np.testing.assert_allclose(free, 1.0 + np.linspace(-WIDEST, WIDEST, 33))
+
+
 def test_a_wall_on_one_side_narrows_that_side_alone():
     ground, room = np.column_stack([along, 0.0 * along, 0.0 * along]), wall_on_the_right
     free = scan(ground, np.zeros(len(along)), room)

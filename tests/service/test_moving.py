@@ -252,6 +252,15 @@ def test_what_ended_elsewhere_is_looked_for_once_a_second():
                 moving.publish("hall", [dot()])
 
 
+def test_what_ended_elsewhere_makes_room_for_the_one_point_that_is_lacking():
+    moving = Moving(lambda: 1.0)
+    moving.replace("s0", held(ROOM - COUNTS + 1, until=0.5))
+    for i in range(1, SCENES_FULL):
+        moving.replace(f"s{i}", held(ROOM))
+    moving.publish("hall", [dot()])
+    assert set(moving.living("hall")) == {"dot"}
+
+
 def test_nothing_moves_for_longer_than_an_hour_unless_it_is_published_again():
     now = [0.0]
     moving = Moving(lambda: now[0])
