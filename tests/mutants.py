@@ -63,6 +63,7 @@ LOOKED = "looked = np.zeros((max(last[0] - first[0], 0), max(last[1] - first[1],
 SAME = "now, same, i = np.full(len(code_was), -1), np.zeros(len(code), np.bool_), 0"
 LOOK = "(looks % every == 0 or (i == last and k == count)) and off > deviation"
 RING, BIT = "ring < max(state.shape)", "a length to the last bit"
+BEYOND = "np.hypot(x - i - 0.5, y - j - 0.5) * width"
 ASKEW = "np.abs([wrap(angle - facing) for angle in heading])"
 WITHIN = "if all(-1.0 <= (x - low) / surface.cell_width <= cells + 1.0 for x, low, cells in sides):"
 SHUT = "(nearest_of(taken)[0] + np.sqrt(2.0)) * surface.cell_width"
@@ -109,6 +110,7 @@ EQUAL: dict[tuple[str, ...], str] = {
         "nearest > reach + 2.0 * half_diagonal → (nearest >= reach + 2.0 * half_diagonal)",
     ): BIT,
     (OBSTACLES, "near >= radius → (near > radius)"): BIT,
+    (OBSTACLES, f"{BEYOND} > radius - SOLE → ({BEYOND} >= radius - SOLE)"): BIT,
     (OBSTACLES, f"{SHUT} < agent.disc_radius → ({SHUT} <= agent.disc_radius)"[:SHOWN]): BIT,
     (OBSTACLES, "ledge <= foot + max_step → (ledge < foot + max_step)"): BIT,
     (OBSTACLES, "z <= lowest + scatter → (z < lowest + scatter)"): BIT,
