@@ -1,7 +1,8 @@
 """Arrays as few bytes, to the bit: each in the narrowest type that holds all its values, by byte planes, by Zstandard.
 
 The first bytes of neighbouring numbers are alike and the last are not: apart, the first nearly vanish. What the middle
-of an array shows decides whether its bytes are taken apart; equal rows are packed better together.
+of an array shows decides whether its bytes are taken apart; equal rows are packed better together. Scanners write whole
+millimetres and the like: such numbers are kept as whole ones, each as its difference to the one before.
 """
 
 from __future__ import annotations
@@ -21,6 +22,10 @@ SAMPLE = 2**17
 """[bytes] From the middle of an array."""
 MOST_COLUMNS = 8
 """Of rows of numbers that are packed column by column: a point's x, y and z are not alike."""
+DECIMALS = 10, 100, 1000, 10_000, 100_000
+"""[1/m] What coordinates are whole numbers of, if of anything: LAS files have millimetres, or ten times finer."""
+WHOLE, ROUNDED = ("i4", "i8"), ("<f4", "<f8")
+"""Types of whole numbers of them, and of what those are once they are divided."""
 KINDS = "biuf"
 INTEGERS = "u1", "i1", "u2", "i2", "u4", "i4"
 
@@ -34,12 +39,16 @@ class Packed:
         shape: Its shape.
         kept: The type that its values have here; "bits" for truth values.
         lengths: Of each frame [bytes]; one a byte plane, or one alone.
+        per: Kept are differences of whole numbers of 1/`per`; 0 for the values themselves.
+        rounded: What those numbers are rounded to once they are divided: a type.
     """
 
     dtype: str
     shape: tuple[int, ...]
     kept: str
     lengths: tuple[int, ...]
+    per: int = 0
+    rounded: str = ""
 
     @property
     def nbytes(self) -> int:
@@ -58,11 +67,15 @@ def pack(array: NDArray[Any]) -> tuple[Packed, bytes]:
     narrow = _narrow(array)
     kept = "bits" if array.dtype == bool else narrow.dtype.str
     flat = _columns(narrow)
-    middle = (len(flat) - SAMPLE // flat.itemsize) // 2
-    some = flat[max(middle, 0) :][: SAMPLE // flat.itemsize]
-    whole, apart = (sum(map(len, _frames(some, planes))) for planes in (False, True))
-    frames = _frames(flat, apart < whole)
-    return Packed(array.dtype.str, array.shape, kept, tuple(map(len, frames))), b"".join(frames)
+    if kept in ROUNDED and (whole := _whole(flat)) is not None:
+        numbers, per = whole
+        apart = _differences(numbers)
+        frames = _frames(apart, planes=True)
+        return Packed(array.dtype.str, array.shape, apart.dtype.str, _lengths(frames), per, kept), b"".join(frames)
+    some = _middle(flat, SAMPLE // flat.itemsize)
+    together, apart_ = (sum(map(len, _frames(some, planes))) for planes in (False, True))
+    frames = _frames(flat, apart_ < together)
+    return Packed(array.dtype.str, array.shape, kept, _lengths(frames)), b"".join(frames)
 
 
 def unpack(packed: Packed, raw: bytes) -> NDArray[Any]:
@@ -78,6 +91,7 @@ def unpack(packed: Packed, raw: bytes) -> NDArray[Any]:
         not {dtype.kind, kept.kind} <= set(KINDS)
         or planes not in (1, kept.itemsize)
         or min(packed.shape, default=0) < 0
+        or not _is_decimal(packed)
     ):
         raise ValueError("an array is described that cannot be")
     ends = list(accumulate(packed.lengths, initial=0))
@@ -90,6 +104,8 @@ def unpack(packed: Packed, raw: bytes) -> NDArray[Any]:
     flat = made.reshape(-1).view(kept)
     if packed.kept == "bits":
         return np.unpackbits(flat, count=count).view(bool).reshape(packed.shape)
+    if packed.per:
+        flat = (_summed(flat) / packed.per).astype(packed.rounded, copy=False)
     if _has_columns(packed.shape):
         return flat.reshape(packed.shape[::-1]).T.astype(dtype, order="C")
     return flat.astype(dtype, copy=False).reshape(packed.shape)
@@ -108,6 +124,56 @@ def _narrow(array: NDArray[Any]) -> NDArray[Any]:
         fits = (kind for kind in INTEGERS if np.iinfo(kind).min <= low and high <= np.iinfo(kind).max)
         return array.astype(next(fits, array.dtype))
     return array
+
+
+def _middle(flat: NDArray[Any], count: int) -> NDArray[Any]:
+    return flat[max((len(flat) - count) // 2, 0) :][:count]
+
+
+def _lengths(frames: list[bytes]) -> tuple[int, ...]:
+    return tuple(map(len, frames))
+
+
+def _whole(flat: NDArray[np.floating]) -> tuple[NDArray[np.signedinteger], int] | None:
+    """All values as whole numbers of 1/`per`, if they are such to the bit; the coarsest that does."""
+    some = _middle(flat, SAMPLE // flat.itemsize)
+    for per in DECIMALS:
+        if _whole_of(some, per) is not None:
+            found = _whole_of(flat, per)
+            return None if found is None else (found, per)
+    return None
+
+
+def _whole_of(flat: NDArray[np.floating], per: int) -> NDArray[np.signedinteger] | None:
+    scaled = np.rint(flat.astype(np.float64) * per)
+    most = np.abs(scaled).max(initial=0.0)
+    if not most < 2.0**53:  # beyond, and where something is infinite or no number, no double is exact
+        return None
+    whole = scaled.astype(WHOLE[int(most >= 2.0**31)])
+    bits = f"u{flat.itemsize}"  # −0 is another number than 0
+    same = np.array_equal((whole / per).astype(flat.dtype).view(bits), flat.view(bits))
+    return whole if same else None
+
+
+def _differences(whole: NDArray[np.signedinteger]) -> NDArray[np.unsignedinteger]:
+    """Each number less the one before, signs last, so that small ones have empty first bytes; it wraps around."""
+    apart = np.diff(whole, prepend=whole.dtype.type(0))
+    bits = 8 * whole.itemsize
+    return ((apart << 1) ^ (apart >> (bits - 1))).view(f"u{whole.itemsize}")
+
+
+def _summed(apart: NDArray[np.unsignedinteger]) -> NDArray[np.signedinteger]:
+    """What `_differences` were made of."""
+    signed: NDArray[np.signedinteger] = (apart >> 1).view(f"i{apart.itemsize}")
+    signed ^= -(apart & 1).view(signed.dtype)
+    return np.cumsum(signed, dtype=signed.dtype)
+
+
+def _is_decimal(packed: Packed) -> bool:
+    """Whether a description of differences can be one; of the values themselves it is."""
+    if not packed.per:
+        return True
+    return packed.per > 0 and packed.rounded in ROUNDED and packed.kept in ("<u4", "<u8")
 
 
 def _has_columns(shape: tuple[int, ...]) -> bool:

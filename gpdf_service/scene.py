@@ -515,7 +515,7 @@ class Scene:
         if self.rays is not None:
             arrays["origins"] = self.rays.origins
         for i, field in enumerate(self.ground_fields):
-            arrays |= {f"ground_fields/{i}/{key}": getattr(field, key) for key in ("alpha", "discs")}
+            arrays[f"ground_fields/{i}/alpha"] = field.alpha
         with self._lock:
             spaces, stored = dict(self._spaces), dict(self._stored)
         agents = list({**stored, **spaces})[-MAX_CACHED_AGENTS:]
@@ -547,21 +547,23 @@ def _level_info(index: int, level: GroundLevel, field: Gpdf) -> dict[str, Any]:
 
 
 def _restore_ground(level: GroundLevel, kept: Arrays, config: Config) -> Gpdf:
-    """The level's Ground GPDF from a file; until version 5 that said in which order the points were, and the scale.
+    """The level's Ground GPDF from a file.
+
+    Until version 5 that said in which order the points were, and the scale; until version 6 the discs, too.
 
     Raises:
         SceneFileError: it is of another number of cells than the level's.
     """
     lattice, points = _lattice(level, config), None
-    count = np.count_nonzero(~np.isnan(lattice.height))
-    if [kept[key].shape for key in ("alpha", "discs")] != [(count,), (count, 6)]:
+    count, discs = np.count_nonzero(~np.isnan(lattice.height)), kept.get("discs")
+    if kept["alpha"].shape != (count,) or (discs is not None and discs.shape != (count, 6)):
         found = f"a ground field of {len(kept['alpha'])} cells, over a level of {count}"
         raise SceneFileError("scene file", found, "Build the scene again from its cloud.")
     if "order" in kept:
         points = kept.get("points", level.ground_points[kept["order"]])
         length_scale, noise_variance, spacing = map(float, kept["scalars"])
         lattice = lattice._replace(length_scale=length_scale, noise_variance=noise_variance, spacing=spacing)
-    return restore_lattice(lattice, kept["alpha"], kept["discs"], level.surface, points)
+    return restore_lattice(lattice, kept["alpha"], level.surface, discs, points)
 
 
 def load_scene(path: str | os.PathLike[str]) -> Scene:

@@ -26,8 +26,8 @@ from numpy.typing import NDArray
 from gpdf_service.errors import SceneFileError, words_of
 from gpdf_service.packing import Packed, pack, unpack
 
-SCHEMA_VERSION = 6
-READABLE = 4, 5, 6
+SCHEMA_VERSION = 7
+READABLE = 4, 5, 6, 7
 _META = "meta"
 _PLAIN = ".npy"
 """What follows the name of an array in NumPy's format."""
@@ -95,8 +95,8 @@ class _Stored:
             return np.lib.format.read_array(file, allow_pickle=False)
 
 
-def _described(dtype: str, shape: list[int], kept: str, lengths: list[int]) -> Packed:
-    return Packed(dtype, tuple(shape), kept, tuple(lengths))
+def _described(dtype: str, shape: list[int], kept: str, lengths: list[int], *decimal: Any) -> Packed:  # noqa: ANN401
+    return Packed(dtype, tuple(shape), kept, tuple(lengths), *decimal)
 
 
 class Later:

@@ -63,6 +63,9 @@ LOOKED = "looked = np.zeros((max(last[0] - first[0], 0), max(last[1] - first[1],
 SAME = "now, same, i = np.full(len(code_was), -1), np.zeros(len(code), np.bool_), 0"
 LOOK = "(looks % every == 0 or (i == last and k == count)) and off > deviation"
 RING, BIT = "ring < max(state.shape)", "a length to the last bit"
+BEYOND = "np.hypot(x - i - 0.5, y - j - 0.5) * width"
+ASKEW = "np.abs([wrap(angle - facing) for angle in heading])"
+WITHIN = "if all(-1.0 <= (x - low) / surface.cell_width <= cells + 1.0 for x, low, cells in sides):"
 SHUT = "(nearest_of(taken)[0] + np.sqrt(2.0)) * surface.cell_width"
 TURNS = "abs(aside) {} (TURN_UNTIL if speed < STANDS else TURN_FIRST)"
 UNSET = "self._along, self._best, self._version, self._room = 0.0, -np.inf, 0, np.inf"
@@ -107,6 +110,7 @@ EQUAL: dict[tuple[str, ...], str] = {
         "nearest > reach + 2.0 * half_diagonal → (nearest >= reach + 2.0 * half_diagonal)",
     ): BIT,
     (OBSTACLES, "near >= radius → (near > radius)"): BIT,
+    (OBSTACLES, f"{BEYOND} > radius - SOLE → ({BEYOND} >= radius - SOLE)"): BIT,
     (OBSTACLES, f"{SHUT} < agent.disc_radius → ({SHUT} <= agent.disc_radius)"[:SHOWN]): BIT,
     (OBSTACLES, "ledge <= foot + max_step → (ledge < foot + max_step)"): BIT,
     (OBSTACLES, "z <= lowest + scatter → (z < lowest + scatter)"): BIT,
@@ -166,10 +170,36 @@ EQUAL: dict[tuple[str, ...], str] = {
         CORRIDOR,
         "np.abs(edges[:, 2] - z) < 0.5 * step → (np.abs(edges[:, 2] - z) <= 0.5 * step)",
     ): "the same of a height",
+    (CORRIDOR, "side < margin[:, None] → (side <= margin[:, None])"): "a room to the last bit",
+    (
+        CORRIDOR,
+        "side < np.maximum(margin, EDGE_SEEN)[:, None] → (side <= np.maximum(margin, EDGE_SEEN)[:, None])",
+    ): "a room to the last bit",
+    (CORRIDOR, "rise < LEAST_EDGE → (rise <= LEAST_EDGE)"): "a height to the last bit",
+    (
+        CORRIDOR,
+        f"{ASKEW} <= SQUARE → ({ASKEW} < SQUARE)",
+    ): "an angle to the last bit",
+    (CORRIDOR, "heading[near] + angle → (heading[near] - angle)"): "the same lines, from their other ends",
+    (CORRIDOR, "inward <= INTO_STAIRS → (inward < INTO_STAIRS)"): "a place to the last bit",
+    (
+        CORRIDOR,
+        "1 → (2)",
+        "return room(places.reshape(-1, 3)).reshape(places.shape[:2])",
+    ): "any negative length is unknown",
+    (ENDPOINTS, "room < space.reach + FINEST → (room <= space.reach + FINEST)"): "a room to the last bit",
+    (CORRIDOR, "4 → (5)", "DIRECTIONS = 4"): "more lines are looked along",
+    (ENDPOINTS, "1.0 → (2.1)", "NEXT = 1.0"): "leaves that are further off are looked at later",
+    (ENDPOINTS, "1.0 → (2.1)", WITHIN): "beyond the map no ground is known",
+    (IN_USE, "1 → (2)", "return cKDTree(self.discs.reshape(-1, 3)[:, :2])"): "any negative length is the unknown one",
+    (
+        IN_USE,
+        f"{HIGH[1:-1]} → (points < {HIGH.removeprefix('(points <= ')}",
+    ): "what is over the body is left away later",
 }
 """Mutants that behave as what they were made of, by module, change and, if that is not enough, line, and why."""
-LIMIT_S = 900
-"""A mutant that takes longer hangs: it was noticed."""
+LIMIT_S = 300
+"""[s] The tests of a module take a minute at most. A mutant that takes longer hangs: it was noticed."""
 SWAPS = {
     **{ast.Lt: ast.LtE, ast.LtE: ast.Lt, ast.Gt: ast.GtE, ast.GtE: ast.Gt, ast.Eq: ast.NotEq, ast.NotEq: ast.Eq},
     **{ast.Add: ast.Sub, ast.Sub: ast.Add, ast.Mult: ast.Div, ast.Div: ast.Mult, ast.And: ast.Or, ast.Or: ast.And},

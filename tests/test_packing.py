@@ -47,6 +47,34 @@ def test_whole_numbers_take_as_many_bytes_as_the_largest_needs(values, kept):
     assert pack(np.array(values))[0].kept == kept
 
 
+@settings(max_examples=200, deadline=None)
+@given(
+    hnp.arrays(np.int64, st.tuples(st.integers(1, 50), st.just(3)), elements=st.integers(-(2**40), 2**40)),
+    st.sampled_from([10, 1000, 100_000]),
+    st.sampled_from(["f4", "f8"]),
+)
+def test_decimals_come_back_to_the_bit_however_large(whole, per, kind):
+    array = (whole / per).astype(kind)
+    packed, raw = pack(array)
+    back = unpack(packed, raw)
+    assert back.dtype == array.dtype
+    np.testing.assert_array_equal(back.view(f"u{array.itemsize}"), array.view(f"u{array.itemsize}"))
+    if kind == "f8" or np.abs(whole).max() < 2**24:
+        assert 0 < packed.per <= per
+
+
+def test_a_scan_in_millimetres_takes_less_than_half_of_its_single_bytes_and_one_that_is_not_quite_is_kept():
+    exact = np.round(points(np.float64), 3)
+    packed, raw = pack(exact)
+    assert (packed.per, len(raw) < 6 * 100_000) == (1000, True)
+    for odd in (exact[50_000, 0] + 1e-9, -0.0, np.nan, np.inf):  # where the sample does not look, too
+        for row in (3, 50_000):
+            other = exact.copy()
+            other[row, 0] = odd
+            back = unpack(*pack(other))
+            np.testing.assert_array_equal(back.view(np.uint64), other.view(np.uint64))
+
+
 def test_equal_rows_are_packed_better_than_by_planes():
     row = np.random.default_rng(0).normal(size=6)
     assert len(pack(np.tile(row, (10_000, 1)))[1]) < 1000
@@ -62,6 +90,8 @@ def test_equal_rows_are_packed_better_than_by_planes():
         {"kept": "<f8"},
         {"lengths": (1, 2, 3, 4)},
         {"lengths": (1, 2)},
+        {"per": 1000},
+        {"per": -1, "rounded": "<f4"},
     ],
 )
 def test_a_description_that_does_not_fit_the_bytes_is_refused(wrong):

@@ -2,6 +2,7 @@ import dataclasses
 import json
 import threading
 
+import laspy
 import numpy as np
 import pytest
 
@@ -10,7 +11,8 @@ from gpdf_service.errors import CloudError, FieldError, SceneFileError
 from gpdf_service.perception import HeightMap
 from gpdf_service.scene import level_under
 from gpdf_service.store import flatten, read_arrays, write_arrays
-from gpdf_service.synthetic import SCENES
+from gpdf_service.synthetic import SCANNERS, SCENES
+from gpdf_service.synthetic.places import PLACES
 
 
 def test_a_saved_scene_answers_the_same_and_fits_nothing(office, tmp_path, monkeypatch):
@@ -100,6 +102,18 @@ def test_a_scene_file_of_an_earlier_version_is_loaded(office, tmp_path, keeps_po
     back = gpdf.load_scene(tmp_path / "old.gpdf")
     same(scene, back)
     assert gpdf.plan(back, made.start, made.goal, "human").status is gpdf.Status.OK
+
+
+def test_a_scene_of_a_laz_cloud_takes_less_than_three_times_its_file(tmp_path):
+    rng = np.random.default_rng(3)
+    scan = SCANNERS["handheld"](PLACES["house_return"](rng), rng, 0.006).thinned(0.05, rng).points
+    header = laspy.LasHeader()
+    header.scales, header.offsets = np.full(3, 1e-3), np.floor(scan.min(axis=0))
+    made = laspy.LasData(header)
+    made.x, made.y, made.z = scan.T
+    made.write(tmp_path / "house.laz")
+    gpdf.build_scene(gpdf.read_cloud(tmp_path / "house.laz").points).save(tmp_path / "house.gpdf")
+    assert (tmp_path / "house.gpdf").stat().st_size < 3.0 * (tmp_path / "house.laz").stat().st_size
 
 
 def test_a_scene_file_that_marks_points_which_are_not_there_is_refused(office, tmp_path):

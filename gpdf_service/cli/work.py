@@ -5,6 +5,7 @@ It stands before the packages that do the work are loaded, so that something is 
 
 from __future__ import annotations
 
+import shutil
 import signal
 import sys
 import threading
@@ -65,7 +66,8 @@ class Work:
         if terminal:
             from tqdm import tqdm
 
-            self._bar = tqdm(total=1.0, desc=START, bar_format=form, leave=False)
+            wide = shutil.get_terminal_size().columns  # some terminals say 0, and tqdm draws as much
+            self._bar = tqdm(total=1.0, desc=START, bar_format=form, leave=False, ncols=wide)
         self._ticker = threading.Thread(target=self._tick, name="gpdf-bar", daemon=True) if terminal else None
 
     def __enter__(self) -> Work:

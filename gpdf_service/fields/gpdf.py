@@ -6,6 +6,7 @@ and 8. K is cut at `CUT_RADIUS` length scales, so it is sparse.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any, Protocol
 
 import numpy as np
@@ -59,7 +60,7 @@ class Gpdf:
     Attributes:
         tree: The points that it was fitted to, in a k-d tree [m].
         alpha: (K + σ² I)⁻¹ 1, in the tree's order, shape (n,).
-        discs: The surface that each point stands for, shape (n, 6): `local_shape`.
+        discs: The surface that each point stands for, shape (n, 6): `local_shape`; told on first use if need be.
         noise: Standard deviation of each point along the surface's normal [m], shape (n,).
         length_scale: l of the kernel [m].
         noise_variance: σ² of the occupancy [-].
@@ -71,17 +72,23 @@ class Gpdf:
         self,
         tree: Tree,
         alpha: FloatArray,
-        discs: FloatArray,
+        discs: FloatArray | Callable[[], FloatArray],
         noise: FloatArray,
         length_scale: float,
         noise_variance: float,
         spacing: float,
         domain: Domain | None = None,
     ) -> None:
-        self.tree, self.alpha, self.discs, self.noise = tree, alpha, discs, noise
+        self.tree, self.alpha, self._discs, self.noise = tree, alpha, discs, noise
         self.length_scale, self.noise_variance, self.spacing = length_scale, noise_variance, spacing
         self.domain: Domain = Box(tree.points) if domain is None else domain
-        self._weights, self._off = by_leaf(tree, alpha), np.hypot(noise, discs[:, 5])
+        self._weights, self._off = by_leaf(tree, alpha), np.zeros(0)
+
+    @property
+    def discs(self) -> FloatArray:  # noqa: D102 - an attribute of the class's docstring
+        if callable(self._discs):
+            self._discs = self._discs()  # two threads that tell it at once tell the same
+        return self._discs
 
     @property
     def points(self) -> FloatArray:
@@ -97,8 +104,9 @@ class Gpdf:
     @property
     def nbytes(self) -> int:
         """Memory that the field holds [bytes]."""
-        held = [*self.tree, *self.arrays[:-1], self.alpha, self.noise, self._off]
-        return sum({id(array): array.nbytes for array in held}.values())
+        held = [*self.tree, self._weights, self.alpha, self.noise]
+        discs = 7 * len(self.points) * self.alpha.itemsize  # with what `query` keeps; they may not be there yet
+        return discs + sum({id(array): array.nbytes for array in held}.values())
 
     def query(self, queries: ArrayLike) -> FieldSample:
         """Distance to the surface, its gradient, validity and standard deviation.
@@ -117,8 +125,8 @@ class Gpdf:
         asked, finite = self._check(queries)
         count = len(asked)
         distance, deviation, gradient = np.empty(count), np.empty(count), np.empty_like(asked)
-        own = self.arrays, asked, spatial_order(asked)
-        run_chunked(lambda a, b: sample_range(*own, a, b, self._off, distance, gradient, deviation), count)
+        own, off = (self.arrays, asked, spatial_order(asked)), self._off_surface()
+        run_chunked(lambda a, b: sample_range(*own, a, b, off, distance, gradient, deviation), count)
         valid = finite & self.domain.contains(asked) & np.isfinite(deviation)
         distance[~valid], gradient[~valid], deviation[~valid] = 0.0, 0.0, np.inf
         return FieldSample(distance, gradient, valid, deviation)
@@ -175,8 +183,14 @@ class Gpdf:
 
     def over(self, domain: Domain) -> Gpdf:
         """The same field with another domain."""
-        own = self.tree, self.alpha, self.discs, self.noise
+        own = self.tree, self.alpha, self._discs, self.noise
         return Gpdf(*own, self.length_scale, self.noise_variance, self.spacing, domain)
+
+    def _off_surface(self) -> FloatArray:
+        """How far each point may be from the surface by its noise and a bend [m], shape (n,)."""
+        if len(self._off) < len(self.points):
+            self._off = np.hypot(self.noise, self.discs[:, 5])
+        return self._off
 
     def _changed(self, keep: BoolArray, added: FloatArray, noise: FloatArray) -> Gpdf:
         if keep.all() and len(added) == 0:

@@ -8,7 +8,8 @@ tile; so a product with K is a few dozen sums of whole vectors.
 
 from __future__ import annotations
 
-from functools import lru_cache
+from collections.abc import Callable
+from functools import lru_cache, partial
 from typing import NamedTuple
 
 import numpy as np
@@ -112,7 +113,7 @@ def fit_lattice(lattice: Lattice, domain: Domain, former: tuple[Gpdf, Lattice] |
         FieldError: a solve did not converge.
     """
     rows, solver = _rows_of(lattice), _solver_of(lattice)
-    count, ball = int(rows.first[-1]), disc(REACH * lattice.spacing / lattice.width)
+    count, ball = int(rows.first[-1]), _ball_of(lattice)
     alpha, discs = np.empty(count), np.empty((count, 6))
 
     def solve(k: int) -> bool:
@@ -126,19 +127,42 @@ def fit_lattice(lattice: Lattice, domain: Domain, former: tuple[Gpdf, Lattice] |
 
 
 def restore_lattice(
-    lattice: Lattice, alpha: FloatArray, discs: FloatArray, domain: Domain, points: FloatArray | None = None
+    lattice: Lattice,
+    alpha: FloatArray,
+    domain: Domain,
+    discs: FloatArray | None = None,
+    points: FloatArray | None = None,
 ) -> Gpdf:
-    """The field over a lattice of which all is known: α, shape (n,), and discs, (n, 6), in its order or of `points`."""
+    """The field over a lattice whose α, shape (n,), is known; and its discs, (n, 6), or they are told on first use.
+
+    Both lie in the lattice's order, or in that of `points`, (n, 3).
+    """
     rows = _rows_of(lattice)
     if points is not None:
         old, new = (_flat_cells(each, lattice) for each in (points, _points_of(lattice, rows)))
         order = np.argsort(old)
         taken = order[np.searchsorted(old, new, sorter=order)]
-        alpha, discs = alpha[taken], discs[taken]
-    return _field(lattice, rows, alpha, discs, domain)
+        alpha, discs = alpha[taken], None if discs is None else discs[taken]
+    return _field(lattice, rows, alpha, partial(_discs_of, lattice, rows) if discs is None else discs, domain)
 
 
-def _field(lattice: Lattice, rows: _Rows, alpha: FloatArray, discs: FloatArray, domain: Domain) -> Gpdf:
+def _discs_of(lattice: Lattice, rows: _Rows) -> FloatArray:
+    """The discs of all points in their order, shape (n, 6)."""
+    discs, ball = np.empty((int(rows.first[-1]), 6)), _ball_of(lattice)
+    run_parallel(
+        lambda k: _shape_tile(lattice, ball, _layout() + rows.tile[k], discs[rows.of(k)]), range(len(rows.tile))
+    )
+    return discs
+
+
+def _ball_of(lattice: Lattice) -> IntArray:
+    """Offsets of the cells that a disc is told by, shape (k, 2)."""
+    return disc(REACH * lattice.spacing / lattice.width)
+
+
+def _field(
+    lattice: Lattice, rows: _Rows, alpha: FloatArray, discs: FloatArray | Callable[[], FloatArray], domain: Domain
+) -> Gpdf:
     own = lattice.length_scale, lattice.noise_variance, lattice.spacing
     tree = _tree_of(_points_of(lattice, rows), rows)
     return Gpdf(tree, alpha, discs, np.broadcast_to(0.0, len(alpha)), *own, domain)

@@ -191,11 +191,25 @@ def read_las(path: Path, ground_label: int | None, scale: float | None = None) -
     import laspy
 
     stored = laspy.read(path)
-    points = np.asarray(stored.xyz, dtype=np.float64)
+    points = las_points(stored.points)
     ground = np.asarray(stored.classification) == (LAS_GROUND if ground_label is None else ground_label)
     if ground_label is None and not ground.any():
         return Stored(points)
     return Stored(points, _labelled(ground, points, path, ground_label or LAS_GROUND))
+
+
+def las_points(record: Any) -> FloatArray:  # noqa: ANN401 - of laspy
+    """Places (n, 3) of a LAS file's records: the decimals that are meant, and not a product's last bits."""
+    own = zip("XYZ", record.scales, record.offsets, strict=True)
+    return np.column_stack([_decimals(np.asarray(record[axis]), scale, offset) for axis, scale, offset in own])
+
+
+def _decimals(whole: NDArray[np.int32], scale: float, offset: float) -> FloatArray:
+    with np.errstate(all="ignore"):  # a scale of 0 is a wrong file's
+        per = np.rint(1.0 / np.float64(scale))
+        first = np.rint(offset * per)
+        meant = 1.0 / per == scale and first / per == offset
+    return np.asarray((whole + first) / per if meant else whole * scale + offset)
 
 
 def read_e57(path: Path, ground_label: int | None, scale: float | None = None) -> Stored:

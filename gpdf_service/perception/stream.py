@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gpdf_service.errors import CloudError
+from gpdf_service.perception.formats import las_points
 from gpdf_service.types import FloatArray, IntArray
 
 CHUNK = 1_000_000
@@ -95,7 +96,7 @@ def _las_chunks(path: Path) -> Iterator[Chunk]:
 
     with laspy.open(path) as file:
         for part in file.chunk_iterator(CHUNK):
-            yield np.column_stack([part.x, part.y, part.z]), np.asarray(part.classification)
+            yield las_points(part), np.asarray(part.classification)
 
 
 def _npz_chunks(path: Path) -> Iterator[Chunk]:

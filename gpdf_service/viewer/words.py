@@ -75,7 +75,7 @@ def comparison(
             notes.append(f"{name}: {result}")
             continue
         path, proof, proven = result.trajectory, result.certificate, result.status is Status.OK
-        status = "OK" if proven else f"<b style='color:{css(WARNING)}'>{result.status.value}</b>"
+        status = "OK" if proven else f"<b style='color:{DARK_WARNING}'>{result.status.value}</b>"
         numbers = ["", "", ""]
         if path is not None and proof is not None:
             numbers = [f"{path.length:.2f}", f"{proof.min_clearance:.2f}", f"{path.duration:.1f}"]

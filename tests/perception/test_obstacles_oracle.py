@@ -153,6 +153,26 @@ def test_what_stops_a_body_is_what_each_point_says_by_itself(kind, body, seed):
     assert found.kind.dtype == np.uint8
 
 
+@pytest.mark.parametrize("turned", [False, True])
+def test_a_lintel_before_a_ledge_on_a_flight_stops_who_has_no_room_behind_its_nose(turned):
+    """Of the upper tread 10 × 25 cm were seen: all of it is nearer to the lintel than the body's radius less a sole."""
+    human, width = AGENTS["human"], 0.05
+    height = np.tile(np.repeat([0.0, 0.2, np.nan, 0.4], [10, 2, 5, 10])[:, None], (1, 30)).astype(np.float32)
+    height[10:12, [*range(10), *range(15, 30)]] = np.nan
+    z = (1.0 - HEADROOM_SHARE) * human.height + 0.09  # over who stands below, and not over who stands above
+    x, y = np.meshgrid([0.5 - 0.01], [0.61, 0.625, 0.64])
+    points = np.column_stack([x.ravel(), y.ravel(), np.full(x.size, z)])
+    if turned:
+        height, points = height.T, points[:, [1, 0, 2]]
+    surface = HeightMap(np.zeros(2), width, height, np.where(np.isnan(height), UNKNOWN, OBSERVED).astype(np.uint8))
+    limits = GroundLimits(np.zeros((0, 3)), np.zeros(0, np.uint8), np.zeros(0))
+    measured = np.zeros(height.shape), np.zeros(height.shape)
+    level = GroundLevel(surface, points, np.full(len(points), np.inf, np.float32), limits, measured)
+    scan = Scan(0.0, 0.0, False)
+    assert met(level, human, scan) == list(range(len(points)))
+    np.testing.assert_array_equal(obstacles_of(level, human, scan).points, points)
+
+
 @pytest.mark.parametrize("pitch", [0.05, 0.2])
 @pytest.mark.parametrize("odd", [None, 0, 700, 2500])
 def test_heights_are_those_of_voxels_where_all_of_them_are(pitch, odd):

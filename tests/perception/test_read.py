@@ -1,4 +1,5 @@
 import pickle
+from decimal import Decimal
 
 import laspy
 import numpy as np
@@ -32,6 +33,20 @@ def test_las_class_two_is_ground(tmp_path, suffix):
     np.testing.assert_allclose(cloud.points, POINTS, atol=1e-4)
     assert cloud.ground.tolist() == [True, True, False, False]
     assert read_cloud(path, ground_label=6).ground.tolist() == [False, False, True, True]
+
+
+@pytest.mark.parametrize(("offset", "scale"), [(0.0, 1e-3), (500_000.0, 1e-2), (-12.5, 1e-4), (7.25, 0.3)])
+def test_the_decimals_of_a_las_file_are_read_as_they_are_meant(tmp_path, offset, scale):
+    whole, header = np.random.default_rng(0).integers(-5000, 5000, (100, 3)), laspy.LasHeader()
+    header.scales, header.offsets = np.full(3, scale), np.full(3, offset)
+    made = laspy.LasData(header)
+    made.X, made.Y, made.Z = whole.T
+    made.write(tmp_path / "a.laz")
+    points = read_cloud(tmp_path / "a.laz").points
+    meant = [float(Decimal(repr(scale)) * int(number) + Decimal(repr(offset))) for number in whole.ravel()]
+    np.testing.assert_allclose(points.ravel(), meant, rtol=1e-15)
+    if scale != 0.3:  # the others are whole parts of a metre
+        np.testing.assert_array_equal(points.ravel(), meant)
 
 
 def test_npz_labels_are_found_by_class_name(tmp_path):

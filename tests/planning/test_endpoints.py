@@ -100,6 +100,12 @@ def test_the_leaf_to_go_on_from_is_free_and_reached_on_a_clear_line(space):
         met += 1
         line = place + np.linspace(0.0, 1.0, 200)[:, None] * (low + 0.5 * side - place)
         assert space.clearance(found.level, line)[0].min() > space.reach - 0.0021
+        reached = tree.origin + (tree.corner + 0.5 * tree.size[:, None]) * tree.width
+        gap = np.linalg.norm(reached - place, axis=1) - 0.5 * tree.size * tree.width
+        radius = min(space.radius, max(space.reach, space.clearance(found.level, place[None])[0][0] - 0.002))
+        for nearer in reached[tree.free & (gap < gap[leaf] - 1e-9)]:
+            line = place + np.linspace(0.0, 1.0, 200)[:, None] * (nearer - place)
+            assert space.clearance(found.level, line)[0].min() < radius + 0.005
     assert met >= 5  # places beside obstacles, in leaves that are not wholly free
 
 
@@ -134,6 +140,29 @@ def test_in_a_hole_that_known_ground_surrounds_something_stands_or_nobody_has_se
     assert (
         "inside something, or on ground that nobody has seen" in find_endpoint(space, np.array((1.8, 3)), name).message
     )
+
+
+def test_at_the_rim_of_the_known_ground_something_is_in_the_way_and_the_place_is_on_the_map():
+    x, y = (one.ravel() for one in np.meshgrid(np.arange(0, 5.01, SPACING), np.arange(0, 4.01, SPACING)))
+    space = gpdf.build_scene(np.column_stack([x, y, np.zeros(x.size)])).free_space(HUMAN)
+    for place in ((0.01, 2.0), (4.99, 2.0), (2.5, 0.01), (2.5, 3.99)):
+        refused = find_endpoint(space, np.array(place), "goal")
+        assert refused.status is Status.GOAL_OCCUPIED
+        assert "ground that nobody has seen is 0.0" in refused.message
+
+
+def test_a_place_that_one_storey_surrounds_is_shut_in_though_another_ends_there():
+    x, y = (one.ravel() for one in np.meshgrid(np.arange(0, 8.01, SPACING), np.arange(0, 8.01, SPACING)))
+    hole = (np.abs(x - 4.0) < 1.5) & (np.abs(y - 4.0) < 1.5)
+    bay = (np.abs(x - 4.0) < 1.5) & (y < 5.5)  # open to the map's rim
+    upper = np.column_stack([x, y, np.full(x.size, 3.0)])[~hole]
+    lower = np.column_stack([x, y, np.zeros(x.size)])[~bay]
+    space = gpdf.build_scene(np.concatenate([upper, lower]), np.ones(len(upper) + len(lower), bool)).free_space(HUMAN)
+    assert len(space.surfaces) == 2
+    refused = find_endpoint(space, np.array([4.0, 4.0]), "goal")
+    assert refused.status is Status.GOAL_OCCUPIED
+    alone = gpdf.build_scene(lower, np.ones(len(lower), bool)).free_space(HUMAN)
+    assert find_endpoint(alone, np.array([4.0, 4.0]), "goal").status is Status.GOAL_OUTSIDE_MAP
 
 
 def test_a_height_says_which_storey_is_meant_and_half_a_metre_is_the_same_ground(storeys):
@@ -191,6 +220,18 @@ def test_on_a_storey_that_the_start_cannot_go_to_nothing_is_reachable(storeys):
     refused = find_ends(storeys, start, [in_block], PlanOptions(snap=1.0))
     assert refused.status is Status.GOAL_OCCUPIED
     assert refused.message.endswith("it is free, but not reachable from the start. Nothing is.")
+
+
+def test_a_place_with_a_height_is_moved_on_its_own_storey(storeys):
+    start, in_block = np.array([1.0, 1.0, 3.0]), np.array([2.1, 2.0, 3.0])
+    ends = find_ends(storeys, start, [in_block], PlanOptions(snap=1.0))
+    far = 0.1 + HUMAN.radius  # out of the block, and clear of it
+    assert np.linalg.norm(ends.goals[0].xy - in_block[:2]) == pytest.approx(far, abs=SPACING)
+    assert ends.goals[0].level == ends.start.level
+    assert ends.moved.endswith("3.00).")
+    refused = find_ends(storeys, start, [in_block], PlanOptions(snap=far - SPACING))
+    assert refused.status is Status.GOAL_OCCUPIED
+    assert refused.nearest[2] == pytest.approx(3.0, abs=0.01)
 
 
 def test_one_goal_of_several_must_be_valid_and_the_first_refusal_is_told(space):

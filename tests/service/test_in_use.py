@@ -57,6 +57,101 @@ def test_a_point_cuts_exactly_where_the_swept_cylinder_is(x, y, z, agent):
         assert (cut.scene, cut.request_id, cut.planner, cut.obstacles) == ("hall", "1", "me", ["x"])
 
 
+@given(st.floats(1.5, 5.5), st.floats(-0.1, 0.1), st.floats(0.5, 4.0))
+def test_a_way_is_looked_at_every_four_centimetres_from_its_start(x, aside, length):
+    radius, pieces = gpdf.AGENTS["human"].radius, np.ceil(length / 0.04)
+    looks = 1.0 + length / pieces * np.arange(pieces + 1)
+    gap = np.hypot(looks - x, aside) - (radius - TOUCH)
+    if np.abs(gap).min() < 1e-6:
+        return
+    cuts = in_use((x, 1.5 + aside, 0.5), length=length, duration=10.0).cuts("hall")
+    assert bool(cuts) == (gap < 0.0).any()
+    for cut in cuts:
+        first = np.flatnonzero(gap < 0.0)[0]
+        np.testing.assert_allclose(cut.at, [looks[first], 1.5, 0.0], atol=1e-9)
+        assert cut.time == pytest.approx(10.0 * first / pieces, abs=1e-9)
+
+
+@pytest.mark.parametrize("agent", ["roomba", "human"])
+def test_neither_what_lies_on_the_ground_nor_what_hangs_over_the_body_cuts_it(agent):
+    height = gpdf.AGENTS[agent].height
+    for z, cut in ((0.015, False), (0.016, True), (height - 0.001, True), (height, False)):
+        assert bool(in_use((3.0, 1.5, z), agent).cuts("hall")) == cut
+
+
+def test_on_a_slope_the_body_stands_upright_on_its_contact_point():
+    human = gpdf.AGENTS["human"]
+    ground = np.array([[1.0, 1.5, 0.0], [5.0, 1.5, 2.0]])
+    path = Trajectory(ground + np.array([0.0, 0.0, human.height]), ground, np.array([0.0, 8.0]), np.zeros(2))
+    for z, cut in ((0.5, False), (1.0, True), (1.0 + human.height, True), (1.3 + human.height, False)):
+        used = InUse(lambda scene, at=z: {"x": np.array([[3.0, 1.5, at]])}, lambda cut: None)
+        used.remember("hall", "1", human, path)
+        assert bool(used.cuts("hall")) == cut, z  # its rim is half its radius above and below the middle
+
+
+def test_what_comes_first_is_told_and_all_that_are_in_the_way():
+    points = {"far": np.array([[4.0, 1.5, 0.5]]), "near": np.array([[9.0, 1.5, 0.5], [2.0, 1.5, 0.5]])}
+    points |= {"beside": np.array([[3.0, 2.4, 0.5]]), "over": np.array([[3.0, 1.5, 2.0]])}
+    used = InUse(lambda scene: points, lambda cut: None)
+    used.remember("hall", "1", gpdf.AGENTS["human"], straight())
+    (cut,) = used.cuts("hall")
+    assert cut.obstacles == ["far", "near"]
+    assert cut.at[0] == pytest.approx(2.0 - gpdf.AGENTS["human"].radius, abs=0.05)
+
+
+@given(st.floats(0.3, 3.0), st.floats(-3.0, 3.0), st.floats(0.0, 0.7))
+def test_who_turns_on_the_spot_is_looked_at_every_four_centimetres_of_its_ends(turn, angle, away):
+    cart = dataclasses.replace(gpdf.AGENTS["spot"], discs=6)
+    ground = np.tile([3.0, 1.5, 0.0], (2, 1))
+    path = Trajectory(ground + np.array([0.0, 0.0, 0.7]), ground, np.array([0.0, 4.0]), np.array([0.0, turn]))
+    point = np.array([3.0 + away * np.cos(angle), 1.5 + away * np.sin(angle), 0.3])
+    used = InUse(lambda scene: {"x": point[None]}, lambda cut: None)
+    used.remember("hall", "1", cart, path)
+    pieces = int(np.ceil(max(cart.offsets) * turn / 0.04))
+    heading = np.linspace(0.0, turn, pieces + 1)
+    discs = np.array([3.0, 1.5]) + cart.offsets[:, None, None] * np.column_stack([np.cos(heading), np.sin(heading)])
+    gap = np.linalg.norm(discs - point[:2], axis=2).min(axis=0) - (cart.disc_radius - TOUCH)
+    if np.abs(gap).min() < 1e-6:
+        return
+    expected = 4.0 * np.flatnonzero(gap < 0.0)[:1] / pieces
+    np.testing.assert_allclose([cut.time for cut in used.cuts("hall")], expected, atol=1e-9)
+
+
+def test_of_many_places_the_oldest_go_but_never_the_newest(monkeypatch):
+    monkeypatch.setattr("gpdf_service.service.in_use.MOST_PLACES", 250)  # a straight way has 101
+    used = in_use((3.0, 1.5, 0.5))
+    for number in ("2", "3"):
+        used.remember("hall", number, gpdf.AGENTS["human"], straight())
+    assert [cut.request_id for cut in used.cuts("hall")] == ["2", "3"]
+    used.remember("hall", "long", gpdf.AGENTS["human"], straight(length=40.0))
+    assert [cut.request_id for cut in used.cuts("hall")] == ["long"]
+    used.remember("hall", "4", gpdf.AGENTS["human"], straight())
+    assert [cut.request_id for cut in used.cuts("hall")] == ["4"]
+
+
+def test_an_error_while_looking_does_not_end_the_looking():
+    asked, told = threading.Event(), queue.Queue()
+
+    def points_of_scene(scene):
+        if not asked.is_set():
+            asked.set()
+            raise ValueError("once")
+        return {"x": np.array([[3.0, 1.5, 0.5]])}
+
+    sources = [lambda scene: {}]
+    used = InUse(lambda scene: sources[-1](scene), told.put)
+    used.remember("hall", "1", gpdf.AGENTS["human"], straight())
+    sources.append(points_of_scene)
+    used.start()
+    try:
+        used.look("hall")
+        assert asked.wait(30)
+        used.look("hall")
+        assert told.get(timeout=30).request_id == "1"
+    finally:
+        used.close()
+
+
 @pytest.mark.parametrize("agent", ["roomba", "human"])
 def test_what_touches_the_body_by_less_than_two_millimetres_does_not_cut_it(agent):
     radius = gpdf.AGENTS[agent].radius

@@ -1,3 +1,4 @@
+import copy
 import time
 import tracemalloc
 from itertools import pairwise
@@ -11,7 +12,7 @@ from gpdf_schemas.moving import MAX_POINTS, points_of
 from mcap.records import Channel
 
 import gpdf_service as gpdf
-from gpdf_service.service.moving import LEAST_OBSTACLE, Moving
+from gpdf_service.service.moving import LEAST_OBSTACLE, Living, Moving
 from gpdf_service.service.record import records_of
 from gpdf_service.service.replay import Moved, recorded_events
 from gpdf_service.service.server import Options, Server
@@ -184,6 +185,116 @@ def test_scenes_that_nobody_loaded_do_not_fill_the_memory(monkeypatch):
     now[0] = 11.0
     moving.publish("d", [nothing])
     assert set(moving._living) == {"d"}  # what ended is forgotten, also where nobody looks
+
+
+ROOM, COUNTS, SCENES_FULL = 200_000, 20, 50
+"""What is promised, written down once more: points of a scene, of an obstacle at least; scenes that may be full."""
+
+
+def held(count, until=np.inf):
+    """Obstacles of so many points, which take no memory."""
+    return {"x": Living(np.broadcast_to(0.0, (count, 3)), until, 0)}
+
+
+def dot(name="dot", **more):
+    return MovingObstacle(id=name, points=Array.pack(np.zeros((1, 3))), **{"lifetime_s": 60.0, **more})
+
+
+def test_an_obstacle_counts_twenty_points_and_a_scene_holds_so_many_to_the_last_one():
+    for free, fits in ((COUNTS, True), (COUNTS - 1, False)):
+        moving = Moving(lambda: 0.0)
+        moving.replace("hall", held(ROOM - free))
+        if fits:
+            moving.publish("hall", [dot()])
+        else:
+            with pytest.raises(ValueError, match="counts 20 or more"):
+                moving.publish("hall", [dot()])
+        assert set(moving.living("hall")) == ({"x", "dot"} if fits else {"x"})
+
+
+def test_all_scenes_together_hold_fifty_full_ones_to_the_last_obstacle():
+    moving = Moving(lambda: 0.0)
+    for i in range(SCENES_FULL):
+        moving.replace(f"s{i}", held(ROOM))
+    with pytest.raises(ValueError, match="all others"):
+        moving.publish("hall", [dot()])
+    moving.replace("s0", held(ROOM - COUNTS))
+    moving.publish("hall", [dot()])
+    moving.publish("hall", [dot()])  # the same again takes no more
+    with pytest.raises(ValueError, match="all others"):
+        moving.publish("hall", [dot("another")])
+    moving.publish("hall", [dot(lifetime_s=0.0)])
+    moving.publish("hall", [dot("another")])
+    moving.forget("s1")
+    moving.publish("hall", [dot()])
+
+
+def test_an_obstacle_is_taken_away_even_where_others_fill_the_memory():
+    moving = Moving(lambda: 0.0)
+    moving.publish("hall", [dot()])
+    for i in range(SCENES_FULL + 1):
+        moving.replace(f"s{i}", held(ROOM))
+    moving.publish("hall", [dot(lifetime_s=0.0)])
+    assert moving.living("hall") == {}
+
+
+def test_what_ended_elsewhere_is_looked_for_once_a_second():
+    now = [0.0]
+    moving = Moving(lambda: now[0])
+    for i in range(SCENES_FULL):
+        moving.replace(f"s{i}", held(ROOM, until=0.5))
+    for at, fits in ((0.0, False), (0.9, False), (1.1, True)):  # at 0 s they lived, so it was looked
+        now[0] = at
+        if fits:
+            moving.publish("hall", [dot()])
+        else:
+            with pytest.raises(ValueError, match="all others"):
+                moving.publish("hall", [dot()])
+
+
+def test_what_ended_elsewhere_makes_room_for_the_one_point_that_is_lacking():
+    moving = Moving(lambda: 1.0)
+    moving.replace("s0", held(ROOM - COUNTS + 1, until=0.5))
+    for i in range(1, SCENES_FULL):
+        moving.replace(f"s{i}", held(ROOM))
+    moving.publish("hall", [dot()])
+    assert set(moving.living("hall")) == {"dot"}
+
+
+def test_nothing_moves_for_longer_than_an_hour_unless_it_is_published_again():
+    now = [0.0]
+    moving = Moving(lambda: now[0])
+    moving.publish("hall", [dot("long", lifetime_s=1e9), dot("short", lifetime_s=3599.0)])
+    for at, left in ((3598.0, {"long", "short"}), (3599.5, {"long"}), (3600.5, set())):
+        now[0] = at
+        assert set(moving.living("hall")) == left
+
+
+def test_a_name_has_256_characters_at_most():
+    moving = Moving(lambda: 0.0)
+    moving.publish("hall", [dot("x" * 256)])
+    with pytest.raises(ValueError, match="257 characters"):
+        moving.publish("hall", [dot("y" * 257)])
+    assert set(moving.living("hall")) == {"x" * 256}
+
+
+def test_what_was_built_serves_its_scene_alone_and_what_was_looked_at(hall):
+    moving, other = Moving(lambda: 0.0), copy.copy(hall)
+    moving.publish("hall", [person(3.0, 1.5, lifetime_s=60)])
+    first = moving.merged("hall", hall)
+    assert moving.merged("hall", hall, living={}) is hall
+    assert len(moving.merged("hall", hall).moving) == len(first.moving)
+    later = moving.merged("hall", other)
+    assert later is not first
+    assert moving.merged("hall", other) is later
+
+
+def test_obstacles_of_a_request_have_room_together(hall):
+    half = Array.pack(np.zeros((ROOM // 2 + 1, 3)))
+    with pytest.raises(ValueError, match=f"room for {ROOM - ROOM // 2 - 1} of"):
+        Moving().merged("hall", hall, [MovingObstacle(id=id_, points=half) for id_ in "ab"])
+    several = [dot(str(i)) for i in range(3)]
+    assert len(Moving().merged("hall", hall, several).moving) == 3
 
 
 @pytest.mark.slow

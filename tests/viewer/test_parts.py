@@ -149,6 +149,10 @@ def test_a_comparison_has_a_row_for_each_method_also_for_a_refused_one():
     assert "refused" in d
     assert text.count("do not follow it") == 1
     assert "d: unknown &lt;method&gt;" in text
+    for colour in re.findall(r"color:#(\w{6})'>[A-Z]", text):  # words, on white: WCAG's relative luminance
+        shares = [int(colour[i : i + 2], 16) / 255.0 for i in (0, 2, 4)]
+        linear = [share / 12.92 if share <= 0.04045 else ((share + 0.055) / 1.055) ** 2.4 for share in shares]
+        assert 1.05 / (np.dot((0.2126, 0.7152, 0.0722), linear) + 0.05) > 4.5
 
 
 def test_room_beside_dropped_obstacles_is_that_of_the_nearest_at_the_bodys_height():
