@@ -29,8 +29,7 @@ NOISES = (0.0, 0.02, 0.05)
 ROOMS = "cluttered_office", "stair"
 """Beside the random ones."""
 HALL, HALL_TURNS = (0.02, 0.04, 0.06), 3
-"""[m] Voxels of the museum's stair, and angles that it is turned by: at one width and two angles six rules moved nothing
-that at five and seven lose half of its 35 ways."""
+"""[m] Voxels of the museum's stair, and angles that it is turned by: at one width two rules that it needs moved nothing."""
 PAIRS = 20
 """Of Spot on the spiral ramps."""
 REFLECTED = 1e-4
