@@ -10,7 +10,6 @@ promises to win the tolerance, none is looked for.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import sqrt
 
 import numpy as np
 from numba import njit

@@ -17,7 +17,7 @@ OFF = 2e-4
 """[m] An answer of a field is taken on along its gradient g as long as it stays this good: a step s away the distance
 d to a place is d + g·s + s² / 2d at most, so within s² ≤ 2d × `OFF` (1 cm at 25 cm). The field itself is as good."""
 GROUND_OFF = 3e-2
-"""[-] The same of the ground, as a share of the body's height: a tenth of what its top may be off."""
+"""[-] The same of the ground, as a share of the body's height: a third of what its top may be off."""
 
 
 class Discs(NamedTuple):
