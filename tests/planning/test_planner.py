@@ -255,13 +255,15 @@ def test_waypoints_do_not_wait_for_one_that_has_far_to_go():
     assert np.abs(soon - rest)[beside_the_wall, 1].max() < 0.02 < np.abs(seed - rest)[beside_the_wall, 1].min()
 
 
-def test_banded_equations_are_solved_exactly():
+@pytest.mark.parametrize("width", [4, 9])  # a cylinder's, a body's of discs
+@pytest.mark.parametrize("count", [1, 2, 10])
+def test_banded_equations_are_solved_exactly(width, count):
     rng = np.random.default_rng(0)
-    band = rng.normal(size=(10, 3, 4))
-    band[..., 0] = 10.0
-    rows = band.reshape(-1, 4)
-    lower = sum(np.diag(rows[p:, p], -p) for p in range(4))
-    A, right = lower + np.tril(lower, -1).T, rng.normal(size=(10, 3))
+    band = rng.normal(size=(count, 3, width))
+    band[..., 0] = 20.0
+    rows = band.reshape(-1, width)
+    lower = sum(np.diag(rows[p:, p], -p) for p in range(min(width, 3 * count)))
+    A, right = lower + np.tril(lower, -1).T, rng.normal(size=(count, 3))
     np.testing.assert_allclose(solve_banded(band.copy(), right).ravel(), np.linalg.solve(A, right.ravel()), atol=1e-12)
 
 
