@@ -16,8 +16,8 @@ from gpdf_service.types import FloatArray
 OFF = 2e-4
 """[m] An answer of a field is taken on along its gradient g as long as it stays this good: a step s away the distance
 d to a place is d + g·s + s² / 2d at most, so within s² ≤ 2d × `OFF` (1 cm at 25 cm). The field itself is as good."""
-GROUND_OFF = 1e-2
-"""[-] The same of the ground, as a share of the body's height: a tenth of what its top may be off."""
+GROUND_OFF = 3e-2
+"""[-] The same of the ground, as a share of the body's height: a third of what its top may be off."""
 
 
 class Discs(NamedTuple):
@@ -68,7 +68,15 @@ def recall(field: AnyField, x: Place, memo: Memo, i: int, enough: float, off: fl
 
     Distances are 1-Lipschitz: where the one from before says that there is `enough`, it is inf, and has no gradient.
     """
-    place, distance, slope = memo.place, memo.distance, memo.slope
+    told = _told(memo.place, memo.distance, memo.slope, i, x, enough, off)
+    return told if told == told else _ask(field, x, memo, i)
+
+
+@njit(cache=True, nogil=True)
+def _told(
+    place: FloatArray, distance: FloatArray, slope: FloatArray, i: int, x: Place, enough: float, off: float
+) -> float:
+    """`recall` of what was told before; NaN where that does not do. It takes arrays, for a tuple of them is counted."""
     for j in range(i, max(i - 2, -1), -1):  # what the place before was told may do as well
         s0, s1, s2 = x[0] - place[j, 0], x[1] - place[j, 1], x[2] - place[j, 2]
         moved2, along = s0 * s0 + s1 * s1 + s2 * s2, s0 * slope[j, 0] + s1 * slope[j, 1] + s2 * slope[j, 2]
@@ -82,10 +90,16 @@ def recall(field: AnyField, x: Place, memo: Memo, i: int, enough: float, off: fl
                 place[i, k] = place[j, k] if good else x[k]
                 slope[i, k] = slope[j, k] if good else np.nan
         return float(distance[j] + along) if good else np.inf
+    return np.nan
+
+
+@njit(cache=True, nogil=True)
+def _ask(field: AnyField, x: Place, memo: Memo, i: int) -> float:
+    """Distance at x, which is remembered, and its gradient."""
     for k in range(3):
-        place[i, k] = x[k]
-    distance[i] = sample_at(field, x, memo.scratch, slope[i])
-    return float(distance[i])
+        memo.place[i, k] = x[k]
+    memo.distance[i] = sample_at(field, x, memo.scratch, memo.slope[i])
+    return float(memo.distance[i])
 
 
 @njit(cache=True, nogil=True)
@@ -116,7 +130,8 @@ def obstacle_cost(xi: FloatArray, task: Task, memo: Memo, gradient: FloatArray, 
     ‖ẋ‖ as in CHOMP (Ratliff et al. 2009): the paper prints ‖ẍ‖, which is zero on straight pieces and would let a
     straight path run through an obstacle at no cost. The gradient is CHOMP's: the part of ∇c across the way.
     """
-    (offsets, radius), epsilon, wall, total = task.discs, task.epsilon, task.wall, 0.0
+    (offsets, radius), epsilon, wall, spacing, total = task.discs, task.epsilon, task.wall, task.spacing, 0.0
+    known, distance, slope = memo.place, memo.distance, memo.slope
     for i in range(1, xi.shape[0] - 1):
         tx, ty = xi[i + 1, 0] - xi[i - 1, 0], xi[i + 1, 1] - xi[i - 1, 1]
         length = sqrt(tx * tx + ty * ty)
@@ -126,15 +141,16 @@ def obstacle_cost(xi: FloatArray, task: Task, memo: Memo, gradient: FloatArray, 
         for j in range(len(offsets)):
             place = xi[i, 0] + offsets[j] * normal[1], xi[i, 1] - offsets[j] * normal[0], 0.0
             row = i * len(offsets) + j
-            d = recall(task.obstacles, place, memo, row, radius + epsilon) - radius
+            d = _told(known, distance, slope, row, place, radius + epsilon, OFF)
+            d = (d if d == d else _ask(task.obstacles, place, memo, row)) - radius
             if d >= epsilon:
                 continue
             paid, rate, stiff = (d - epsilon) ** 2 / (2.0 * epsilon), (d - epsilon) / epsilon, 1.0 / epsilon
             if d < 0.0:
                 paid, rate, stiff = epsilon / 2.0 - d + 0.5 * wall * d * d, wall * d - 1.0, stiff + wall
             total += paid * 0.5 * length
-            across = memo.slope[row, 0] * normal[0] + memo.slope[row, 1] * normal[1]
-            pull, bend = rate * across * task.spacing, stiff * across * across * task.spacing
+            across = slope[row, 0] * normal[0] + slope[row, 1] * normal[1]
+            pull, bend = rate * across * spacing, stiff * across * across * spacing
             _spread(i, offsets[j] / length, normal, pull, bend, gradient, band)
     return total
 
@@ -166,10 +182,12 @@ def _spread(
 @njit(cache=True, nogil=True)
 def ground_cost(xi: FloatArray, task: Task, memo: Memo, gradient: FloatArray, band: FloatArray) -> float:
     """Σ (d_g(x) − h)² / 2h ds [m²]: keeps the body's top at body height over the ground."""
-    height, spacing, slope, total = task.height, task.spacing, memo.slope, 0.0
+    height, spacing, total = task.height, task.spacing, 0.0
+    known, distance, slope = memo.place, memo.distance, memo.slope
     for i in range(1, xi.shape[0] - 1):
         top = xi[i, 0], xi[i, 1], xi[i, 2]
-        off = recall(task.ground, top, memo, i, np.inf, GROUND_OFF * height) - height
+        d = _told(known, distance, slope, i, top, np.inf, GROUND_OFF * height)
+        off = (d if d == d else _ask(task.ground, top, memo, i)) - height
         total += off * off / (2.0 * height) * spacing
         for k in range(3):
             gradient[i, k] += off / height * slope[i, k] * spacing

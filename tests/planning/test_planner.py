@@ -255,13 +255,15 @@ def test_waypoints_do_not_wait_for_one_that_has_far_to_go():
     assert np.abs(soon - rest)[beside_the_wall, 1].max() < 0.02 < np.abs(seed - rest)[beside_the_wall, 1].min()
 
 
-def test_banded_equations_are_solved_exactly():
+@pytest.mark.parametrize("width", [4, 9])  # a cylinder's, a body's of discs
+@pytest.mark.parametrize("count", [1, 2, 10])
+def test_banded_equations_are_solved_exactly(width, count):
     rng = np.random.default_rng(0)
-    band = rng.normal(size=(10, 3, 4))
-    band[..., 0] = 10.0
-    rows = band.reshape(-1, 4)
-    lower = sum(np.diag(rows[p:, p], -p) for p in range(4))
-    A, right = lower + np.tril(lower, -1).T, rng.normal(size=(10, 3))
+    band = rng.normal(size=(count, 3, width))
+    band[..., 0] = 20.0
+    rows = band.reshape(-1, width)
+    lower = sum(np.diag(rows[p:, p], -p) for p in range(min(width, 3 * count)))
+    A, right = lower + np.tril(lower, -1).T, rng.normal(size=(count, 3))
     np.testing.assert_allclose(solve_banded(band.copy(), right).ravel(), np.linalg.solve(A, right.ravel()), atol=1e-12)
 
 
@@ -306,8 +308,8 @@ def test_round_a_corner_a_path_keeps_its_share_of_the_room_it_wants(name):
         result = gpdf.plan(gpdf.build_scene(points, ground, config), (2.5, 2.0), (5.5, 2.0), agent)
         assert result.status is gpdf.Status.OK
         kept.append(result.certificate.min_clearance / agent.disc_radius)
-    assert 0.45 < kept[0] < 0.75  # of the preferred clearance, which is one radius; it rests before it is taut
-    assert max(0.75, kept[0] + 0.1) < kept[1] < 1.0
+    assert 0.45 < kept[0] < 0.8  # of the preferred clearance, which is one radius; it rests before it is taut
+    assert max(0.75, kept[0] + 0.05) < kept[1] < 1.0
 
 
 @pytest.mark.parametrize("spare", [0.0012, 0.0003])
