@@ -309,7 +309,7 @@ def test_round_a_corner_a_path_keeps_its_share_of_the_room_it_wants(name):
         assert result.status is gpdf.Status.OK
         kept.append(result.certificate.min_clearance / agent.disc_radius)
     assert 0.45 < kept[0] < 0.8  # of the preferred clearance, which is one radius; it rests before it is taut
-    assert max(0.75, kept[0] + 0.05) < kept[1] < 1.0
+    assert max(0.75, kept[0] + 0.1) < kept[1] < 1.0
 
 
 @pytest.mark.parametrize("spare", [0.0012, 0.0003])
