@@ -145,7 +145,8 @@ def _whole(flat: NDArray[np.floating]) -> tuple[NDArray[np.signedinteger], int] 
 
 
 def _whole_of(flat: NDArray[np.floating], per: int) -> NDArray[np.signedinteger] | None:
-    scaled = np.rint(flat.astype(np.float64) * per)
+    with np.errstate(over="ignore"):  # what is so large is no decimal
+        scaled = np.rint(flat.astype(np.float64) * per)
     most = np.abs(scaled).max(initial=0.0)
     if not most < 2.0**53:  # beyond, and where something is infinite or no number, no double is exact
         return None

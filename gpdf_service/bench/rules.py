@@ -29,7 +29,7 @@ NOISES = (0.0, 0.02, 0.05)
 ROOMS = "cluttered_office", "stair"
 """Beside the random ones."""
 HALL, HALL_TURNS = (0.02, 0.04, 0.06), 3
-"""[m] Voxels of the museum's stair, and angles that it is turned by: at one width two rules that it needs moved nothing."""
+"""[m] Voxels of the museum's stair, and angles that it is turned by: at one width two rules seem to move nothing."""
 PAIRS = 20
 """Of Spot on the spiral ramps."""
 REFLECTED = 1e-4

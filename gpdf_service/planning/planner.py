@@ -23,7 +23,7 @@ from gpdf_service.planning.footprint import face
 from gpdf_service.planning.no_path import explain_no_path
 from gpdf_service.planning.others import find_others
 from gpdf_service.planning.routes import Leg, Route, Wish, find_cut, find_routes, steps_of, take_up, way_takes_of
-from gpdf_service.planning.shape import is_path_clear, resample, spline, stand_up
+from gpdf_service.planning.shape import distinct, is_path_clear, resample, spline, stand_up
 from gpdf_service.planning.timing import speed_limit
 from gpdf_service.planning.turning import Facing, Stuck, time_poses, turn_route
 from gpdf_service.search import FreeSpace, Prefer, Ways, prices
@@ -343,7 +343,7 @@ def _bend(leg: Leg, config: PlanningConfig, strict: bool, seconds: float) -> _Be
         max_iterations=steps,
         tolerance=config.tolerance,
     )
-    return leg._replace(path=spline(found.xi[:, :2], config.waypoint_spacing)), found
+    return leg._replace(path=spline(distinct(found.xi[:, :2]), config.waypoint_spacing)), found
 
 
 def _facing(options: PlanOptions) -> Facing:

@@ -13,7 +13,7 @@ from numba import njit
 
 from gpdf_service.fields.tree import make_scratch, place_of
 from gpdf_service.planning.endpoints import Endpoint, Ends, connect
-from gpdf_service.planning.shape import is_joined, is_path_clear, shortcut, subdivide, tighten
+from gpdf_service.planning.shape import distinct, is_joined, is_path_clear, shortcut, subdivide, tighten
 from gpdf_service.search import Doors, FreeSpace, Graph, Prefer, Ways, find_way, prices
 from gpdf_service.search.core import climb, find_nodes
 from gpdf_service.search.motion import CENTRE, RESOLUTION
@@ -35,8 +35,6 @@ from gpdf_service.search.ways import (
 )
 from gpdf_service.types import FloatArray, IntArray
 
-SAME = 1e-9
-"""[m] Places nearer together are one."""
 NEAR = 0.5
 """[m] A way known from before is taken up if the start and the goal are this near to it: less than a stride."""
 SPARED = 0.05
@@ -207,7 +205,7 @@ def _is_clear(leg: Leg) -> bool:
 def _cut_by_level(space: FreeSpace, path: FloatArray, level: list[int]) -> list[Leg]:
     cuts = [0, *(np.flatnonzero(np.diff(level)) + 1).tolist(), len(path)]
     parts = [(level[a], path[max(a - 1, 0) : b]) for a, b in pairwise(cuts)]
-    return [Leg(on, _distinct(part), space) for on, part in parts if len(part) > 1]
+    return [Leg(on, distinct(part), space) for on, part in parts if len(part) > 1]
 
 
 def _floor(space: FreeSpace, end: Endpoint) -> float:
@@ -334,7 +332,7 @@ def _legs(chain: _Chain, start: FloatArray, goal: FloatArray, spaces: tuple[Free
     crossing = np.flatnonzero((np.diff(level) != 0) | (np.diff(on) != 0))
     cuts = [0, *(2 * crossing + 2).tolist(), len(places) - 1]
     rows = [0, *(crossing + 1).tolist()]
-    parts = [(row, _distinct(places[a : b + 1])) for row, (a, b) in zip(rows, pairwise(cuts), strict=True)]
+    parts = [(row, distinct(places[a : b + 1])) for row, (a, b) in zip(rows, pairwise(cuts), strict=True)]
     return [Leg(int(level[row]), path, spaces[on[row]]) for row, path in parts]
 
 
@@ -393,20 +391,10 @@ def pull_cheaply(leg: Leg, prefer: Prefer, *, between: bool = False) -> tuple[Le
             return pulled, takes
         middle = (first + last + 1) // 2
         one, other = pull(first, middle), pull(middle, last)
-        return _distinct(np.concatenate([one[0], other[0]])), one[1] + other[1]
+        return distinct(np.concatenate([one[0], other[0]])), one[1] + other[1]
 
     path, takes = pull(0, len(leg.path) - 1)
     return leg._replace(path=path), takes
-
-
-@njit(cache=True, nogil=True)
-def _distinct(path: FloatArray) -> FloatArray:
-    """Without places that repeat the one before; two rows at least, the ends kept."""
-    keep = np.ones(len(path), np.bool_)
-    for i in range(1, len(path)):
-        keep[i] = np.sqrt(((path[i] - path[i - 1]) ** 2).sum()) > SAME
-    keep[-1] |= keep.sum() == 1
-    return path[keep]
 
 
 def _radius(space: FreeSpace, level: int, path: FloatArray) -> float:

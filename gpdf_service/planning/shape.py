@@ -18,6 +18,8 @@ _UPRIGHT_SHARE = 0.09
 """[-] How far the top may be off the body height over the contact point: a tenth (Uttsha et al. 2024, feasibility
 study), less what the ground between its points is off, a hundredth."""
 _NEWTON_STEPS = 4
+SAME = 1e-9
+"""[m] Places nearer together are one."""
 _STRAIGHT = 1e-9
 """[-] Places at a smaller angle are on one line, but for rounding."""
 _STANDS = 1e-2
@@ -167,6 +169,16 @@ def subdivide(path: FloatArray, spacing: float) -> FloatArray:
             row += 1
     made[row] = path[-1]
     return made
+
+
+@njit(cache=True, nogil=True)
+def distinct(path: FloatArray) -> FloatArray:
+    """Without places that repeat the one before; two rows at least, the ends kept."""
+    keep = np.ones(len(path), np.bool_)
+    for i in range(1, len(path)):
+        keep[i] = np.sqrt(((path[i] - path[i - 1]) ** 2).sum()) > SAME
+    keep[-1] |= keep.sum() == 1
+    return path[keep]
 
 
 @njit(cache=True, nogil=True)

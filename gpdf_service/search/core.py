@@ -18,8 +18,8 @@ from gpdf_service.search.graph import Graph, find_path
 from gpdf_service.search.layered import below
 from gpdf_service.types import BoolArray, FloatArray, IntArray
 
-NARROW = 0.75
-"""[-] Over the body's radius, leaves that are as wide all stay: the optimiser's waypoints lie as far apart."""
+NARROW = 0.5
+"""[-] Over the body's radius, leaves that are as wide all stay: the optimiser's waypoints lie further apart."""
 _MOST_NEIGHBOURS = 64
 """A leaf with more stays."""
 

@@ -12,6 +12,7 @@ from gpdf_service.errors import RequestError, UnknownAgentError
 from gpdf_service.planning import planner
 from gpdf_service.planning.certificate import certify, min_distance
 from gpdf_service.planning.chomp import optimize, solve_banded
+from gpdf_service.planning.routes import Leg
 from gpdf_service.planning.shape import resample
 from gpdf_service.synthetic import SCENES, Box, World, random_room
 from gpdf_service.types import AGENTS
@@ -297,6 +298,15 @@ def half_walled(width=8.0):
     along, z = np.meshgrid(np.arange(0, width / 2, 0.05), np.arange(0.05, 2.0, 0.05))
     wall = np.column_stack([np.full(along.size, width / 2), along.ravel(), z.ravel()])
     return np.concatenate([floor, wall]), np.arange(len(floor) + len(wall)) < len(floor)
+
+
+def test_a_piece_that_goes_out_and_back_is_bent_onto_its_place():
+    space = gpdf.build_scene(*half_walled()).free_space("human")
+    place, aside = np.array([2.5, 2.0]), np.array([0.03, 0.0])
+    leg = Leg(0, np.array([place, place + aside, place]), space)
+    bent, found = planner._bend(leg, Config().planning, strict=False, seconds=np.inf)
+    assert found.converged
+    np.testing.assert_allclose(bent.path, [place, place], atol=1e-9)
 
 
 @pytest.mark.parametrize("name", ["roomba", "human", "spot"])
