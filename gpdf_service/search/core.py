@@ -18,8 +18,8 @@ from gpdf_service.search.graph import Graph, find_path
 from gpdf_service.search.layered import below
 from gpdf_service.types import BoolArray, FloatArray, IntArray
 
-NARROW = 0.5
-"""[-] Over the body's radius, leaves that are as wide all stay: the optimiser's waypoints lie further apart."""
+NARROW = 0.1
+"""[m] Leaves that are wider all stay: the optimiser's waypoints lie further apart."""
 _MOST_NEIGHBOURS = 64
 """A leaf with more stays."""
 
@@ -82,9 +82,9 @@ class Former:
     source: IntArray
 
 
-def links_of(graph: Graph, clearance: FloatArray, narrow: BoolArray) -> Links:
-    """The links of a graph of leaves; see `Links`."""
-    return Links(graph.first, below(graph.other), clearance, narrow)
+def links_of(graph: Graph, free: BoolArray, width: FloatArray, clearance: FloatArray) -> Links:
+    """The links of a graph of leaves that are so wide [m]; all of shape (n,)."""
+    return Links(graph.first, below(graph.other), clearance, free & (width < NARROW))
 
 
 def find_core(graph: Graph, free: BoolArray, links: Links, former: Former | None = None) -> Core:

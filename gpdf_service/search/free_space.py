@@ -17,7 +17,7 @@ from gpdf_service.fields.traversal import NearerArrays, nearest_only
 from gpdf_service.perception import CLEAN, GroundLevel, HeightMap, Levels, Obstacles, Scan, obstacles_of
 from gpdf_service.perception.limits import Measured
 from gpdf_service.perception.surface import UNKNOWN
-from gpdf_service.search.core import NARROW, Core, Decided, Former, Links, find_core, links_of
+from gpdf_service.search.core import Core, Decided, Former, Links, find_core, links_of
 from gpdf_service.search.graph import Edges, Graph, assemble, find_edges, same_leaves
 from gpdf_service.search.layered import Layered
 from gpdf_service.search.places import Places, nearest_places, nearest_to
@@ -195,7 +195,7 @@ def join_levels(
         edges,
         offsets,
         graph,
-        core_of(quadtrees, graph, agent, old),
+        core_of(quadtrees, graph, old),
         float(area) / (2.0 * agent.disc_radius),
     )
 
@@ -225,9 +225,9 @@ def connect(
     return offsets, assemble(position, level, clearance, np.concatenate(pairs), np.concatenate(vias), radius)
 
 
-def core_of(quadtrees: tuple[Quadtree, ...], graph: Graph, agent: Agent, old: FreeSpace | None = None) -> Core:
-    """The leaves that ways of the body lead over; what was decided on those of an `old` version stands where it can."""
-    links, former = _links(quadtrees, graph, agent), None
+def core_of(quadtrees: tuple[Quadtree, ...], graph: Graph, old: FreeSpace | None = None) -> Core:
+    """The leaves that ways lead over; what was decided on the leaves of an `old` version stands where it can."""
+    links, former = _links(quadtrees, graph), None
     if old is not None and old.core is not None and len(old.quadtrees) == len(quadtrees):
         trees = tuple(tree.standing for tree in old.quadtrees)
         source = np.full(len(links.clearance), -1)
@@ -236,14 +236,14 @@ def core_of(quadtrees: tuple[Quadtree, ...], graph: Graph, agent: Agent, old: Fr
             source[row[row >= 0] + begin] = np.flatnonzero(row >= 0) + offset
         stays = np.zeros(len(old.core.up), dtype=bool)
         stays[old.core.node] = True
-        former = Former(_links(trees, old.graph, agent), Decided(stays, old.core.up), source)
+        former = Former(_links(trees, old.graph), Decided(stays, old.core.up), source)
     return find_core(graph, np.concatenate([tree.free for tree in quadtrees]), links, former)
 
 
-def _links(quadtrees: tuple[Quadtree, ...], graph: Graph, agent: Agent) -> Links:
+def _links(quadtrees: tuple[Quadtree, ...], graph: Graph) -> Links:
     keys = "free", "half_size", "clearance"
     free, half, clearance = (np.concatenate([getattr(tree, key) for tree in quadtrees]) for key in keys)
-    return links_of(graph, clearance, free & (2.0 * half < NARROW * agent.disc_radius))
+    return links_of(graph, free, 2.0 * half, clearance)
 
 
 def _begins(quadtrees: tuple[Quadtree, ...]) -> tuple[int, ...]:

@@ -91,7 +91,7 @@ def settled(space: FreeSpace, levels: Levels) -> FreeSpace:
         edges.append(found)
     trees = tuple(quadtrees)
     offsets, graph = connect(levels, trees, tuple(edges), space.radius)
-    core = core_of(trees, graph, space.agent)
+    core = core_of(trees, graph)
     return replace(space, quadtrees=trees, edges=tuple(edges), offsets=offsets, graph=graph, core=core)
 
 

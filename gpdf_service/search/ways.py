@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from gpdf_service.fields.tree import make_scratch
 from gpdf_service.perception import ObstacleKind
 from gpdf_service.perception.surface import UNKNOWN, Cells, cell_of
-from gpdf_service.search.core import NARROW, Core
+from gpdf_service.search.core import Core
 from gpdf_service.search.free_space import FreeSpace
 from gpdf_service.search.graph import Graph, assemble
 from gpdf_service.search.landmarks import find_landmarks
@@ -32,9 +32,9 @@ from gpdf_service.types import Agent, FloatArray, IntArray
 CARE = 0.5
 """[-] Share of the speed near steps, and where no room is left beside the body: on stairs people go 0.5 m/s in plan
 (Fruin 1971), half of what they walk."""
-BORDER = 2.13 * NARROW
-"""[-] Over the body's radius, leaves of the level ground with less room than this to spare lead on to steps: what is
-wholly free has at most 2.12 times its width, and narrower leaves than `NARROW` no core is sure to hold."""
+BORDER = 0.25
+"""[m] Leaves of the level ground with less room than this to spare lead on to steps: what is wholly free has at most
+2.12 times its width, and leaves of a tenth are the narrowest ones that a core is sure to hold."""
 CHANGE = 0.5
 """[s] To go over from level ground to where steps are, or back: a stride. Where both cost the same, a way would change
 from leaf to leaf, and its many pieces would each be pulled and bent alone."""
@@ -318,7 +318,7 @@ def _doors(
 
     Only leaves at the border of the level ground are such, whose own leaf in the able space is wholly free.
     """
-    near = np.flatnonzero(room < level.radius + BORDER * level.agent.disc_radius)
+    near = np.flatnonzero(room < level.radius + BORDER)
     leaf = _leaf_at(able, level_core.graph)[near]
     whole = np.concatenate([tree.whole for tree in able.quadtrees])
     good = (leaf >= 0) & whole[leaf] & core.has(leaf)

@@ -23,9 +23,7 @@ def half_size(space):
 def test_what_was_joined_stays_joined_and_nothing_else_is(space):
     core, free = space.core, np.concatenate([tree.free for tree in space.quadtrees])
     assert len(core.node) < 0.5 * free.sum()
-    assert (
-        free & (2.0 * half_size(space) >= NARROW * space.agent.disc_radius) <= np.isin(np.arange(len(free)), core.node)
-    ).all()
+    assert (free & (2.0 * half_size(space) >= NARROW) <= np.isin(np.arange(len(free)), core.node)).all()
     row = np.repeat(np.arange(len(core.node)), np.diff(core.graph.first))
     parts = components(row, core.graph.other, np.ones(len(core.node), dtype=bool))
     for ours, theirs in ((parts, core.graph.component), (core.graph.component, parts)):
@@ -66,7 +64,7 @@ def test_a_narrow_passage_keeps_a_chain_of_leaves():
     space = scene.free_space("human")  # 4 cm to spare
     inside = space.core.node[np.abs(space.graph.position[space.core.node, 0] - 3.1) < 0.1]
     assert len(inside) > 0
-    assert (2.0 * half_size(space)[inside] < NARROW * space.agent.disc_radius).all()
+    assert (2.0 * half_size(space)[inside] < NARROW).all()
     assert gpdf.plan(scene, (1, 2), (5, 2)).status is gpdf.Status.OK
 
 
@@ -94,7 +92,7 @@ def test_what_is_decided_again_after_a_change_is_what_is_decided_on_the_whole(of
         box = place + rng.uniform((-0.2, -0.2, 0.0), (0.2, 0.2, 0.5), (300, 3))
         scene = scene.update(box, gone[scene.points[gone, 2] > place[2] + 0.05])
         changed = scene.free_space("roomba")
-        whole = core_of(changed.quadtrees, changed.graph, changed.agent)
+        whole = core_of(changed.quadtrees, changed.graph)
         for key in ("node", "edge", "up"):
             assert (getattr(changed.core, key) == getattr(whole, key)).all(), key
 
@@ -112,7 +110,7 @@ def grid_of(clearance):
     via = 0.5 * (place[pairs[:, 0]] + place[pairs[:, 1]])
     free = np.ones(clearance.size, dtype=bool)
     graph = assemble(place, np.zeros(clearance.size, np.int64), clearance.ravel(), pairs, via, 0.3)
-    return graph, free, links_of(graph, clearance.ravel(), free)
+    return graph, free, links_of(graph, free, np.full(clearance.size, 0.05), clearance.ravel())
 
 
 def test_a_decision_that_changes_is_asked_for_again_wherever_it_matters():
