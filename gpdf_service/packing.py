@@ -73,8 +73,8 @@ def pack(array: NDArray[Any]) -> tuple[Packed, bytes]:
         frames = _frames(apart, planes=True)
         return Packed(array.dtype.str, array.shape, apart.dtype.str, _lengths(frames), per, kept), b"".join(frames)
     some = _middle(flat, SAMPLE // flat.itemsize)
-    together, apart_ = (sum(map(len, _frames(some, planes))) for planes in (False, True))
-    frames = _frames(flat, apart_ < together)
+    as_one, by_planes = (sum(map(len, _frames(some, planes))) for planes in (False, True))
+    frames = _frames(flat, by_planes < as_one)
     return Packed(array.dtype.str, array.shape, kept, _lengths(frames)), b"".join(frames)
 
 

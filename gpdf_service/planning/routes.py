@@ -15,7 +15,7 @@ from gpdf_service.fields.tree import make_scratch, place_of
 from gpdf_service.planning.endpoints import Endpoint, Ends, connect
 from gpdf_service.planning.shape import distinct, is_joined, is_path_clear, shortcut, subdivide, tighten
 from gpdf_service.search import Doors, FreeSpace, Graph, Prefer, Ways, find_way, prices
-from gpdf_service.search.core import climb, find_nodes
+from gpdf_service.search.core import NARROW, climb, find_nodes
 from gpdf_service.search.motion import CENTRE, RESOLUTION
 from gpdf_service.search.places import Places, distance_at
 from gpdf_service.search.resplit import is_among
@@ -42,8 +42,6 @@ SPARED = 0.05
 
 PULLED = 1.01
 """[-] A string pulled along a way may cost this much of it: it is looked at in steps."""
-TURNS = 0.1
-"""[m] A pulled way is pulled from its other end over places as far apart: two waypoints."""
 MOST_DOORS = 16
 """Leaves of the level ground that are tried from an end among steps, near and further."""
 
@@ -350,7 +348,7 @@ def _pull(leg: Leg) -> Leg:
     rows = shortcut(path, *parts)
     if len(rows) == 2:  # straight, seen from either end
         return leg._replace(path=path[rows])
-    path = np.ascontiguousarray(subdivide(path[rows], TURNS)[::-1])
+    path = np.ascontiguousarray(subdivide(path[rows], NARROW)[::-1])
     return leg._replace(path=np.ascontiguousarray(path[shortcut(path, *parts)][::-1]))
 
 
