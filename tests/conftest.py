@@ -2,6 +2,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from hypothesis import settings
 
 import gpdf_service as gpdf
 from gpdf_service import ports
@@ -9,6 +10,10 @@ from gpdf_service.synthetic import SCENES
 
 SCANS = Path(__file__).parent.parent.parent / "shared" / "data"
 
+settings.register_profile("same", derandomize=True, deadline=None)
+settings.register_profile("search", max_examples=3000, deadline=None)
+settings.load_profile("same")
+"""The same examples in every run and on a slow machine; `--hypothesis-profile search` looks for new ones."""
 
 LONGEST = (
     "clients/test_guide.py",
