@@ -55,6 +55,12 @@ def judge_path(world: SolidWorld, path: Trajectory, agent: Agent) -> Truth:
     return Truth(deepest, worst_foot(world, contacts, agent.max_step))
 
 
+def count_touching(world: SolidWorld, places: FloatArray, agent: Agent, noise: float) -> int:
+    """At how many places (m, 3) a body that stands there is deeper in something than noise [m] explains."""
+    judge = Judge(*world.sample(SPACING, agent.height))
+    return sum(Truth(judge.penetration(place, agent), 0.0).collides(noise) for place in places)
+
+
 def worst_foot(world: SolidWorld, contacts: FloatArray, max_step: float) -> float:
     """The farthest that a contact (m, 3) is over (positive) or under the ground next to it [m]; inf without any.
 

@@ -9,18 +9,18 @@ from dataclasses import replace
 import numpy as np
 from scipy.spatial import cKDTree
 
-from gpdf_service.bench.exact import ON, STEP, Truth, every, judge_path
+from gpdf_service.bench.exact import ON, STEP, Truth, count_touching, every, judge_path
 from gpdf_service.bench.report import Row, each
 from gpdf_service.config import PerceptionConfig
 from gpdf_service.errors import GpdfError
-from gpdf_service.perception.surface import INFERRED
+from gpdf_service.perception.surface import INFERRED, UNKNOWN
 from gpdf_service.pipeline import build_scene, plan
 from gpdf_service.scene import Scene
 from gpdf_service.synthetic.houses import house
 from gpdf_service.synthetic.place import Place
 from gpdf_service.synthetic.scanners import NOISE, SCANNERS, Scan
 from gpdf_service.synthetic.stairs import STAIRS
-from gpdf_service.types import AGENTS, BoolArray, FloatArray, PlanResult, Status, Trajectory
+from gpdf_service.types import AGENTS, Agent, BoolArray, FloatArray, PlanResult, Status, Trajectory
 
 COUNT = {"tripod": 21, "handheld": 28, "depth": 0}
 """Houses that are scanned in each way, where nothing else is asked for."""
@@ -30,6 +30,8 @@ TOE = 0.3
 """[m] Over an inferred cell, from where the true ground under it is looked for: more than any riser."""
 ASIDE = np.arange(-6, 7) * 0.05
 """[m] To the side of the way that a house says: other ways over its treads, as far as half of a stair is wide."""
+FREE = 2000
+"""Random free places of each house that are held against the exact one."""
 KINDS = tuple(STAIRS)
 
 
@@ -74,11 +76,14 @@ def measure(seed: int, scanner: str, noise: float | None = None) -> Row:
     results = {name: plan(scene, *pair, "human") for name, pair in (("up", ends), ("down", ends[::-1]))}
     row |= {name: result.status is Status.OK for name, result in results.items()}
     truths = [judge_ok(place, result) for result in results.values() if result.status is Status.OK]
+    free = free_places(scene, AGENTS["human"], FREE, np.random.default_rng(seed))
     sigma, inferred = NOISE[scanner] if noise is None else noise, judge_inferred(place, scene)
     return row | {
         "inferred": len(inferred),
         "inferred_off": int(np.count_nonzero(~inferred)),
         "inferred_unseen": count_unseen(place, scene, floor),
+        "free": len(free),
+        "wrongly_free": count_touching(place.world, free, AGENTS["human"], sigma),
         "way_free": way_is_free(place),
         "seen": was_seen(place, floor),
         "collisions": sum(truth.collides(sigma) for truth in truths),
@@ -87,6 +92,18 @@ def measure(seed: int, scanner: str, noise: float | None = None) -> Row:
         "foot_mm": 1e3 * max((truth.foot for truth in truths), key=abs, default=0.0),
         "said": " ".join(sorted({str(result.status) for result in results.values()})),
     }
+
+
+def free_places(scene: Scene, agent: Agent, count: int, rng: np.random.Generator) -> FloatArray:
+    """Random places, middles of cells of the ground, where nothing that is known stops a body, (m, 3) [m].
+
+    The search and the optimiser keep further away, so paths alone would not tell that such a place is wrong.
+    """
+    space, places = scene.free_space(agent), []
+    for level, surface in enumerate(space.surfaces):
+        centres = surface.centres(surface.state != UNKNOWN)
+        places.append(centres[space.clearance(level, centres[:, :2])[0] >= space.reach])
+    return rng.permutation(np.concatenate(places))[:count]
 
 
 def judge_ok(place: Place, result: PlanResult) -> Truth:
@@ -208,6 +225,8 @@ def _sum(rows: list[Row]) -> Row:
         "seen_both": sum(row["seen"] and row["up"] and row["down"] for row in done),
         "inferred": sum(row["inferred"] for row in done),
         "inferred_off": sum(row["inferred_off"] for row in done),
+        "free": sum(row["free"] for row in done),
+        "wrongly_free": sum(row["wrongly_free"] for row in done),
         "inferred_unseen": sum(row["inferred_unseen"] for row in done),
         "up": sum(row["up"] for row in rows),
         "down": sum(row["down"] for row in rows),

@@ -11,11 +11,13 @@ from scipy import ndimage
 
 from gpdf_service.config import PerceptionConfig
 from gpdf_service.fields.threads import run_chunked
+from gpdf_service.perception.layers import HALF
 from gpdf_service.perception.strides import SOLE, STRIDE
 from gpdf_service.perception.surface import UNKNOWN, Cells, HeightMap, cell_of
 from gpdf_service.types import BoolArray, FloatArray, IntArray
 
-FLIGHT_RISE = PerceptionConfig().max_step
+_LIMITS = PerceptionConfig()
+FLIGHT_RISE = _LIMITS.max_step
 """[m] Ground that differs by more within a stride is a flight."""
 ROUGH = 0.075
 """[m] What is no higher over a tread is of it: half of what a surface in a wide cell is thick at most."""
@@ -25,31 +27,83 @@ def bridged(surface: HeightMap, max_step: float) -> HeightMap:
     """The ground of flights, with pits narrower than a foot closed: behind a nose a scan sags, the tread does not.
 
     Greyscale closing by a disc of `SOLE`. It leaves a staircase, which only rises one way, as it is. A flight is where
-    the ground changes by more than a step, `max_step` [m], within a stride.
+    the ground changes by more than a step, `max_step` [m], within a stride. A ridge closes nothing: the corner between
+    a riser and a stringer is no pit.
     """
     known = surface.state != UNKNOWN
     flight = known & flights(surface, max_step)
     if not flight.any():
         return surface
-    high = np.where(known, surface.height, -np.inf)
     disc = _disc(rings_of(SOLE, surface.cell_width))
-    dilated = np.where(known, ndimage.maximum_filter(high, footprint=disc), np.inf)
-    closed = ndimage.minimum_filter(dilated, footprint=disc)
+    dilated = np.where(known, ndimage.maximum_filter(_without_ridges(surface, flight, np.inf), footprint=disc), np.inf)
+    closed = np.fmax(surface.height, ndimage.minimum_filter(dilated, footprint=disc))
     return replace(surface, height=np.where(flight, closed, surface.height).astype(np.float32))
 
 
 def footholds(surface: HeightMap, max_step: float) -> FloatArray:
     """Height of the ground, in flights without what is narrower than a foot [m], shape (nx, ny), -inf where unknown.
 
-    A step leads up to a tread, not to the stringer beside it: greyscale opening by a square as wide as `SOLE`. A sill
-    on a floor is narrower, too, and one steps over it. A flight is as in `bridged`.
+    A step leads up to a tread, not to the stringer beside it. A sill on a floor is narrower, too, and one steps over
+    it. A flight is as in `bridged`, and goes on a stride further: its lowest treads are no step over the floor.
     """
-    known, size = surface.state != UNKNOWN, 2 * round(0.5 * SOLE / surface.cell_width) + 1
-    low = ndimage.minimum_filter(np.where(known, surface.height, np.inf), size)
-    opened = ndimage.maximum_filter(np.where(np.isfinite(low), low, -np.inf), size)
-    rests: FloatArray = np.where(flights(surface, max_step), opened, surface.height).astype(np.float64)
-    rests[~known] = -np.inf
-    return rests
+    flight = ndimage.maximum_filter(flights(surface, max_step), 2 * rings_of(STRIDE, surface.cell_width) + 1)
+    return _without_ridges(surface, flight, -np.inf).astype(np.float64)
+
+
+def ridges(surface: HeightMap, max_step: float) -> BoolArray:
+    """Cells of flights that are over their `footholds`, shape (nx, ny), and as many in one piece as a tread is deep.
+
+    They are stringers, and tips of treads at a free side; a single cell is a smear of what stands beside.
+    """
+    over = surface.height > footholds(surface, max_step)  # NaN, where it is unknown, compares false
+    piece, count = ndimage.label(over, np.ones((3, 3)))
+    long = np.bincount(piece.ravel(), minlength=count + 1) * surface.cell_width >= _LIMITS.tread_depth - 1e-6
+    found: BoolArray = over & long[piece]
+    return found
+
+
+def _without_ridges(surface: HeightMap, flight: BoolArray, unseen: float) -> NDArray[np.float32]:
+    """The ground [m], -inf where unknown; that of a `flight`, (nx, ny), without what is narrower than a foot, (nx, ny).
+
+    A ridge is narrower than `SOLE` in some direction, and over all that is to either side within a foot's length by
+    more than a tread is rough. A nose is none, whatever dip is behind it: the tread goes on there. A side of
+    which nothing is known is as high as `unseen` [m]: a stringer stands beside a void, a nose before a shadow.
+    """
+    made = np.where(surface.state != UNKNOWN, surface.height, np.float32(-np.inf))
+    cells = np.flatnonzero(flight & np.isfinite(made))
+    run_chunked(lambda a, b: _lower_ridges(surface.arrays, cells[a:b], unseen, made), len(cells))
+    return made
+
+
+@njit(cache=True, nogil=True)
+def _lower_ridges(ground: Cells, cells: IntArray, unseen: float, made: NDArray[np.float32]) -> None:
+    height = ground.height
+    for cell in cells:
+        x, y = cell // height.shape[1], cell % height.shape[1]
+        for dx, dy in HALF:
+            sole = SOLE / (ground.width * np.hypot(dx, dy))
+            widest, foot = max(1, round(sole)), max(1, round(2.0 * sole))
+            for ahead in range(1, widest + 1):
+                side = _highest_along(height, (x, y), (dx, dy), ahead, foot, unseen)
+                if side >= height[x, y] - ROUGH:
+                    continue
+                for behind in range(1, widest + 2 - ahead):
+                    other = _highest_along(height, (x, y), (-dx, -dy), behind, foot, unseen)
+                    if -np.inf < max(side, other) < height[x, y] - ROUGH:
+                        made[x, y] = min(made[x, y], max(side, other))
+
+
+@njit(cache=True, nogil=True)
+def _highest_along(
+    height: NDArray[np.float32], at: tuple[int, int], by: tuple[int, int], first: int, count: int, unseen: float
+) -> float:
+    """Highest ground in so many cells in a line from the `first` on, `unseen` where none is known."""
+    found = -np.inf
+    for k in range(first, first + count):
+        u, v = at[0] + k * by[0], at[1] + k * by[1]
+        if 0 <= u < height.shape[0] and 0 <= v < height.shape[1] and height[u, v] > found:  # a NaN compares false
+            found = float(height[u, v])
+    return found if found > -np.inf else unseen
 
 
 def flights(surface: HeightMap, max_step: float, reach: float = STRIDE) -> BoolArray:
@@ -172,8 +226,8 @@ def _is_by_tread(ground: Cells, x: float, y: float, z: float, reach: int, stride
 
 
 def footing_reach(surface: HeightMap) -> int:
-    """Cells within which the ground decides on what is `bridged`, and on `footholds`."""
-    return max(rings_of(STRIDE, surface.cell_width), 2 * rings_of(SOLE, surface.cell_width))
+    """Cells within which the ground decides on what is `bridged`, and on `footholds` and `ridges`."""
+    return max(2 * rings_of(STRIDE, surface.cell_width), 5 * rings_of(SOLE, surface.cell_width))
 
 
 def rings_of(length: float, width: float) -> int:

@@ -20,7 +20,7 @@ from gpdf_service.perception.beside import Beside, beside
 from gpdf_service.perception.boxes import WHOLE, Box, widened
 from gpdf_service.perception.budget import KEPT_BYTES, LEVEL_BYTES, check_grid
 from gpdf_service.perception.columns import by_cell, ends_of_runs, heights_in_plan, lowest_above
-from gpdf_service.perception.footing import bridged, footholds, footing_reach
+from gpdf_service.perception.footing import FLIGHT_RISE, bridged, footholds, footing_reach, ridges
 from gpdf_service.perception.hidden import faces_reach, find_faces, hidden_reach, without_hidden
 from gpdf_service.perception.holes import fill_holes, find_voids, without_enclosed
 from gpdf_service.perception.layers import Layers, build_layers, cell_width_of, crop_layers, layer_gap, widest_cell
@@ -290,11 +290,14 @@ def _build_level(
 def measure(grid: Grid, surface: HeightMap, guarded: BoolArray) -> tuple[Measured, GroundLimits]:
     """Steps and slopes of a level's ground, and its limits; in the `guarded` cells, (nx, ny), material is its edge."""
 
-    def answer(box: Box, height: NDArray[np.float32], state: NDArray[np.uint8]) -> Measured:
-        return step_and_slope(HeightMap(surface.origin, surface.cell_width, height, state))
+    def answer(
+        box: Box, height: NDArray[np.float32], state: NDArray[np.uint8]
+    ) -> tuple[FloatArray, FloatArray, BoolArray]:
+        part = HeightMap(surface.origin, surface.cell_width, height, state)
+        return *step_and_slope(part), ridges(part, FLIGHT_RISE)
 
-    step, slope = grid.around("measured", limits_reach(surface), answer, surface.height, surface.state)
-    return (step, slope), find_limits(surface, guarded, (step, slope))
+    step, slope, ridge = grid.around("measured", limits_reach(surface), answer, surface.height, surface.state)
+    return (step, slope), find_limits(surface, guarded, (step, slope), ridge)
 
 
 def sheet_surface(grid: Grid, layers: Layers, nodes: IntArray, max_step: float, noise: float = 0.0) -> HeightMap:

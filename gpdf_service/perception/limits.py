@@ -48,7 +48,7 @@ class GroundLimits:
 
     Attributes:
         points: Shape (k, 3) [m].
-        kind: STEP, SLOPE or UNKNOWN of `ObstacleKind`, shape (k,).
+        kind: Of `ObstacleKind`, shape (k,); MATERIAL is a ridge that no foot rests on.
         value: Height of the step or drop [m], slope [rad], or inf, shape (k,).
     """
 
@@ -57,15 +57,16 @@ class GroundLimits:
     value: FloatArray
 
 
-def find_limits(surface: HeightMap, material: BoolArray, measured: Measured | None = None) -> GroundLimits:
+def find_limits(surface: HeightMap, material: BoolArray, measured: Measured, ridge: BoolArray) -> GroundLimits:
     """Find the limits of one piece of ground.
 
     Args:
         surface: The ground.
         material: Cells that hold other points, shape (nx, ny).
-        measured: Its `step_and_slope`, where they are known.
+        measured: Its `step_and_slope`.
+        ridge: Its `ridges`, shape (nx, ny).
     """
-    step, slope = measured or step_and_slope(surface)
+    step, slope = measured
     known = surface.state != UNKNOWN
     edge = ndimage.maximum_filter(known, size=3, mode="constant") & ~known & ~material
     beside = ndimage.maximum_filter(np.where(known, surface.height, -np.inf), size=3)
@@ -75,6 +76,7 @@ def find_limits(surface: HeightMap, material: BoolArray, measured: Measured | No
         (surface.centres(stepped), ObstacleKind.STEP, step[stepped]),
         (surface.centres(sloped), ObstacleKind.SLOPE, slope[sloped]),
         (edge_map.centres(edge), ObstacleKind.UNKNOWN, np.full(int(edge.sum()), np.inf)),
+        (surface.centres(ridge), ObstacleKind.MATERIAL, np.full(int(ridge.sum()), np.inf)),
     ]
     return GroundLimits(
         np.concatenate([points for points, _, _ in parts]),

@@ -5,6 +5,7 @@ from itertools import product
 import numpy as np
 import pytest
 
+from gpdf_service.perception.footing import ridges
 from gpdf_service.perception.limits import (
     ObstacleKind,
     find_limits,
@@ -17,7 +18,7 @@ from gpdf_service.perception.strides import sector_of
 from gpdf_service.perception.surface import INFERRED, OBSERVED, UNKNOWN, HeightMap
 
 FOOT, LEAST_STEP, STANDABLE, STRIDE, SECTORS = 0.1, 0.01, 0.524, 0.4, 16
-FLIGHT_RISE, STAIR_STEP, ROUGH, TREAD_DEPTH, HALF_SOLE = 0.74, 0.25, 0.075, 0.2, 0.015
+FLIGHT_RISE, STAIR_STEP, ROUGH, TREAD_DEPTH, HALF_SOLE, MAX_STEP, SOLE = 0.74, 0.25, 0.075, 0.2, 0.015, 0.37, 0.12
 """What is promised, written down once more."""
 
 
@@ -197,14 +198,15 @@ def test_a_short_bank_between_two_footholds_is_a_step_as_high_as_it_and_a_long_o
 
 
 @pytest.mark.parametrize("seed", range(8))
-def test_limits_are_steps_slopes_and_the_edge_of_what_is_known_where_no_material_is(seed):
+def test_limits_are_steps_slopes_ridges_and_the_edge_of_what_is_known_where_no_material_is(seed):
     rng = np.random.default_rng(seed)
     shape, width = (14, 11), 0.1
     height = np.where(rng.random(shape) < 0.4, np.nan, rng.uniform(0.0, 0.5, shape)).astype(np.float32)
     surface, material = surface_of(height, width), rng.random(shape) < 0.3
     step = np.where(np.isnan(height), 0.0, rng.choice([0.0, 0.0099, 0.0101, 0.3], shape))
     slope = np.where(np.isnan(height), 0.0, rng.choice([0.0, 1e-6, 0.3], shape))
-    found = find_limits(surface, material, (step, slope))
+    ridge = ~np.isnan(height) & (rng.random(shape) < 0.1)
+    found = find_limits(surface, material, (step, slope), ridge)
     expected = []
     for x, y in np.ndindex(shape):
         place = surface.origin + (np.array([x, y]) + 0.5) * width
@@ -213,6 +215,8 @@ def test_limits_are_steps_slopes_and_the_edge_of_what_is_known_where_no_material
                 expected.append((*place, height[x, y], ObstacleKind.STEP, step[x, y]))
             if slope[x, y] > 0.0:
                 expected.append((*place, height[x, y], ObstacleKind.SLOPE, slope[x, y]))
+            if ridge[x, y]:
+                expected.append((*place, height[x, y], ObstacleKind.MATERIAL, np.inf))
         elif not material[x, y] and not np.isnan(near := windows(height, 1, np.nan)[x, y]).all():
             expected.append((*place, np.nanmax(near), ObstacleKind.UNKNOWN, np.inf))
     rows = np.column_stack([found.points, found.kind, found.value])
@@ -220,11 +224,11 @@ def test_limits_are_steps_slopes_and_the_edge_of_what_is_known_where_no_material
     np.testing.assert_allclose(sorted(rows.tolist()), sorted(expected), atol=1e-6)
 
 
-def test_limits_that_are_not_given_are_measured_and_inferred_ground_is_known():
-    cell = np.indices((16, 16))[0]
+def test_inferred_ground_is_known():
+    cell, none = np.indices((16, 16))[0], np.zeros((16, 16), dtype=bool)
     surface = surface_of(np.where(cell < 8, 0.0, 0.2), 0.1)
     surface.state[7] = INFERRED
-    found = find_limits(surface, np.zeros((16, 16), dtype=bool))
+    found = find_limits(surface, none, step_and_slope(surface), none)
     assert set(found.kind.tolist()) == {int(ObstacleKind.STEP)}
     assert len(found.points) == 2 * 16
     np.testing.assert_allclose(found.value, 0.2, atol=1e-6)
@@ -251,3 +255,45 @@ def test_what_lies_further_than_the_reach_changes_nothing(width, reach):
         step_and_slope(surface_of(height, width)), step_and_slope(surface_of(other, width)), strict=True
     ):
         np.testing.assert_array_equal(one[2 * reach + 2 :], two[2 * reach + 2 :])
+
+
+def a_flight(width, turn, stringer, rise=0.17, run=0.27):
+    """Heights of a flight up from a floor, 0.9 m wide, with or without a board of 0.12 m along one side of it.
+
+    Also which cells are of the board's place, and how far inside the flight's sides each cell is [m].
+    """
+    x, y = (np.indices((64, 64)) - 32) * width
+    along, aside = x * np.cos(turn) + y * np.sin(turn), y * np.cos(turn) - x * np.sin(turn)
+    tread = np.clip(np.ceil(along / run), 0, 4)
+    board = (np.abs(aside - 0.45) <= 0.6 * width) & (tread > 0)
+    height = np.where((np.abs(aside) <= 0.45) & (tread > 0), tread * rise, 0.0)
+    return np.where(board & stringer, tread * rise + 0.12, height), board, 0.45 - np.abs(aside)
+
+
+@pytest.mark.parametrize("width", [0.04, 0.05, 0.06])
+@pytest.mark.parametrize("turn", [0.0, 0.4, 0.7854, 1.2])
+def test_a_board_along_a_flight_is_a_ridge_from_the_first_tread_on(width, turn):
+    height, board, inside = a_flight(width, turn, stringer=True)
+    found = ridges(surface_of(height, width), MAX_STEP)
+    assert found[board].mean() > 0.9
+    assert not found[inside > SOLE + width].any()
+
+
+@pytest.mark.parametrize("width", [0.04, 0.05, 0.06])
+@pytest.mark.parametrize("turn", [0.0, 0.4, 0.7854, 1.2])
+def test_treads_are_no_ridges_but_for_their_tips_at_a_free_side(width, turn):
+    height, _, inside = a_flight(width, turn, stringer=False)
+    found = ridges(surface_of(height, width), MAX_STEP)
+    assert not found[inside > SOLE + width].any()
+    assert found.mean() < 0.01
+
+
+def test_a_nose_before_a_dip_is_no_ridge():
+    steps = np.repeat(0.17 * np.arange(8), 5)
+    steps[12:14] -= 0.15
+    assert not ridges(surface_of(np.tile(steps[:, None], (1, 20)), 0.05), MAX_STEP)[:, 6:-6].any()  # but at the rim
+
+
+def test_a_sill_on_a_floor_is_no_ridge():
+    cell = np.indices((30, 30))[0]
+    assert not ridges(surface_of(np.where(cell == 15, 0.15, 0.0), 0.05), MAX_STEP).any()
