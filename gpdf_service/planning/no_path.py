@@ -232,12 +232,22 @@ def _lay_grid(space: FreeSpace, start: Endpoint, goal: Endpoint) -> _Grid:
     told = [_told(space, n, low, high) for n in level]
     distance = np.full((len(Cut), *height.shape), np.inf)
     for own, (points, cut, _) in zip(distance.swapaxes(0, 1), told, strict=True):
-        ij = np.clip((points[:, :2] - low) / width, 0, np.array(height.shape[1:]) - 1).astype(np.int64)
-        for kind in np.unique(cut):  # those beyond the grid count on its rim
-            marks = np.zeros(height.shape[1:], dtype=bool)
-            marks[tuple(ij[cut == kind].T)] = True
-            own[kind] = width * nearest_of(marks)[0]
+        marks = _mark(points, cut, low, width, own.shape)
+        for kind in np.flatnonzero(marks.any(axis=(1, 2))):
+            own[kind] = width * nearest_of(marks[kind])[0]
     return _Grid(low, width, level, height, distance, told)
+
+
+@njit(cache=True, nogil=True)
+def _mark(
+    points: FloatArray, cut: NDArray[np.uint8], low: FloatArray, width: float, shape: tuple[int, int, int]
+) -> BoolArray:
+    """The cells that hold obstacles of each `Cut`; those beyond the grid count on its rim."""
+    marks = np.zeros(shape, np.bool_)
+    for i in range(len(points)):
+        u, v = (points[i, 0] - low[0]) / width, (points[i, 1] - low[1]) / width
+        marks[cut[i], int(min(max(u, 0.0), shape[1] - 1.0)), int(min(max(v, 0.0), shape[2] - 1.0))] = True
+    return marks
 
 
 def _heights(surface: HeightMap, low: FloatArray, high: FloatArray, width: float) -> FloatArray:
@@ -253,31 +263,53 @@ def _heights(surface: HeightMap, low: FloatArray, high: FloatArray, width: float
 
 def _told(space: FreeSpace, level: int, low: FloatArray, high: FloatArray) -> _Told:
     """What is told of the obstacle points of a level that are within reach of a grid from `low` to `high` [m]."""
-    surface, found = space.surfaces[level], space.obstacles[level]
-    near = ((found.points[:, :2] >= low - space.reach) & (found.points[:, :2] <= high + space.reach)).all(axis=1)
-    points, (ix, iy, _) = found.points[near], surface.cells(found.points[near])
-    top, step, slope = _highest(surface.arrays, ix, iy), space.steps[level][ix, iy], space.slopes[level][ix, iy]
-    over, kind = points[:, 2] - top, found.kind[near]
-    cut = kind + 1  # but for material: a step's face, what is only too low, or solid
-    solid = kind == ObstacleKind.MATERIAL
-    face = np.isfinite(over) & (over <= LEAST_OBSTACLE) & (step > space.agent.max_step)
-    low_one = np.isfinite(over) & (over > LOWEST_BODY)
-    cut[solid] = np.select([low_one[solid], face[solid]], [Cut.HEIGHT, Cut.STEP], Cut.SOLID)
-    nothing = np.zeros(len(points))
-    asks = np.choose(cut, [nothing, -over, step, slope, nothing])
-    return _Told(points, cut, asks)
+    found, box = space.obstacles[level], np.stack([low - space.reach, high + space.reach])
+    own = space.surfaces[level].arrays, (space.steps[level], space.slopes[level]), space.agent.max_step
+    row, cut, asks = _tell_points(found.points, found.kind, box, *own)
+    return _Told(found.points[row], cut, asks)
 
 
 @njit(cache=True, nogil=True)
-def _highest(ground: Cells, ix: IntArray, iy: IntArray) -> FloatArray:
-    """The highest ground in each of these cells and the eight around it [m], −inf where none is known."""
-    made = np.full(len(ix), -np.inf)
-    for i in range(len(ix)):
-        for u in range(max(ix[i] - 1, 0), min(ix[i] + 2, ground.state.shape[0])):
-            for v in range(max(iy[i] - 1, 0), min(iy[i] + 2, ground.state.shape[1])):
-                if ground.state[u, v] != UNKNOWN:
-                    made[i] = max(made[i], ground.height[u, v])
-    return made
+def _tell_points(
+    points: FloatArray,
+    kind: NDArray[np.uint8],
+    box: FloatArray,
+    ground: Cells,
+    measured: tuple[FloatArray, FloatArray],
+    max_step: float,
+) -> tuple[IntArray, NDArray[np.uint8], FloatArray]:
+    """Rows of the points in a box, the `Cut` of each, and what it asks; `measured` are steps [m] and slopes [rad]."""
+    row, cut, asks, count = np.empty(len(points), np.int64), np.empty(len(points), np.uint8), np.zeros(len(points)), 0
+    (nx, ny), (steps, slopes) = ground.state.shape, measured
+    for i in range(len(points)):
+        x, y, z = points[i]
+        if not (box[0, 0] <= x <= box[1, 0] and box[0, 1] <= y <= box[1, 1]):
+            continue
+        u = int(min(max((x - ground.origin[0]) / ground.width, 0.0), nx - 1.0))
+        v = int(min(max((y - ground.origin[1]) / ground.width, 0.0), ny - 1.0))
+        top, told = _highest(ground, u, v), int(kind[i]) + 1
+        if kind[i] == ObstacleKind.MATERIAL:  # a step's face, or what is only too low
+            face = z - top <= LEAST_OBSTACLE and steps[u, v] > max_step
+            low = z - top > LOWEST_BODY
+            told = Cut.SOLID if top == -np.inf else Cut.HEIGHT if low else Cut.STEP if face else Cut.SOLID
+        if told == Cut.HEIGHT:
+            asks[count] = top - z
+        elif told == Cut.STEP or told == Cut.SLOPE:
+            asks[count] = steps[u, v] if told == Cut.STEP else slopes[u, v]
+        row[count], cut[count] = i, told
+        count += 1
+    return row[:count], cut[:count], asks[:count]
+
+
+@njit(cache=True, nogil=True)
+def _highest(ground: Cells, u: int, v: int) -> float:
+    """The highest ground in a cell and the eight around it [m], −inf where none is known."""
+    top = -np.inf
+    for a in range(max(u - 1, 0), min(u + 2, ground.state.shape[0])):
+        for b in range(max(v - 1, 0), min(v + 2, ground.state.shape[1])):
+            if ground.state[a, b] != UNKNOWN:
+                top = max(top, ground.height[a, b])
+    return top
 
 
 def _opened(grid: _Grid, cuts: tuple[Cut, ...]) -> tuple[FloatArray, BoolArray]:
