@@ -222,11 +222,11 @@ def _lay_grid(space: FreeSpace, start: Endpoint, goal: Endpoint) -> _Grid:
     for margin in MARGINS:
         low, high = np.maximum(ends.min(axis=0) - margin, least), np.minimum(ends.max(axis=0) + margin, most)
         low = first.origin + np.floor((low - first.origin) / first.cell_width) * first.cell_width
-        heights = [_heights(one, low, high, one.cell_width) for one in space.surfaces]
-        level = [n for n, one in enumerate(heights) if np.isfinite(one).any()]
-        if len(level) * heights[0].size <= MAX_CELLS:
+        level = [n for n, one in enumerate(space.surfaces) if _is_known(one, low, high)]
+        cells = len(level) * np.prod(np.ceil((high - low) / first.cell_width))
+        if cells <= MAX_CELLS:
             break
-    share = max(CELL / first.cell_width, np.sqrt(len(level) * heights[0].size / MAX_CELLS))
+    share = max(CELL / first.cell_width, np.sqrt(cells / MAX_CELLS))
     width = first.cell_width * np.ceil(share) if share > 1.0 else first.cell_width / np.floor(1.0 / share)
     height = np.stack([_heights(space.surfaces[n], low, high, width) for n in level])
     told = [_told(space, n, low, high) for n in level]
@@ -248,6 +248,12 @@ def _mark(
         u, v = (points[i, 0] - low[0]) / width, (points[i, 1] - low[1]) / width
         marks[cut[i], int(min(max(u, 0.0), shape[1] - 1.0)), int(min(max(v, 0.0), shape[2] - 1.0))] = True
     return marks
+
+
+def _is_known(surface: HeightMap, low: FloatArray, high: FloatArray) -> bool:
+    """Whether any ground is known from `low` to `high` [m]."""
+    first, last = (np.maximum(np.ceil((at - surface.origin) / surface.cell_width), 0).astype(int) for at in (low, high))
+    return bool((surface.state[first[0] : last[0], first[1] : last[1]] != UNKNOWN).any())
 
 
 def _heights(surface: HeightMap, low: FloatArray, high: FloatArray, width: float) -> FloatArray:
