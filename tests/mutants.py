@@ -30,11 +30,15 @@ MODULES = {
         "tests/planning/test_certificate.py",
     ),
     "gpdf_service/planning/endpoints.py": ("tests/planning/test_endpoints.py", *PLANS),
-    "gpdf_service/planning/planner.py": PLANS,
+    "gpdf_service/planning/planner.py": ("tests/planning/test_planner_parts.py", *PLANS),
     "gpdf_service/planning/timing.py": ("tests/planning/test_timing.py",),
     "gpdf_service/search/graph.py": ("tests/search/test_graph.py", "tests/search/test_change.py"),
     "gpdf_service/search/quadtree.py": ("tests/search/test_quadtree.py",),
-    "gpdf_service/search/lattice.py": ("tests/planning/test_footprint.py",),
+    "gpdf_service/search/lattice.py": (
+        "tests/search/test_pose_grids.py",
+        "tests/search/test_wavefront.py",
+        "tests/planning/test_footprint.py",
+    ),
     "gpdf_service/perception/obstacles.py": (
         "tests/perception/test_obstacles_oracle.py",
         "tests/perception/test_obstacles.py",

@@ -1,0 +1,2 @@
+"""The planner's own small parts, each beside what it says."""
+
