@@ -268,8 +268,8 @@ def _tries(task: _Task, legs: list[Leg]) -> Iterator[list[_Bent]]:
         return
     made = [together(pieces) for pieces in beside]
     yield [one for part in made for one in part]
-    if len(made) < len(legs) and task.left() >= 0.0:
-        both = zip(made, beside, strict=True)
+    both = list(zip(made, beside, strict=True))
+    if any(len(part) < len(pieces) for part, pieces in both) and task.left() >= 0.0:
         apart = [part if len(part) == len(pieces) else alone(pieces, strict=False) for part, pieces in both]
         yield [one for part in apart for one in part]
     if task.left() >= 0.0:
