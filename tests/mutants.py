@@ -30,7 +30,11 @@ MODULES = {
         "tests/planning/test_certificate.py",
     ),
     "gpdf_service/planning/endpoints.py": ("tests/planning/test_endpoints.py", *PLANS),
-    "gpdf_service/planning/planner.py": ("tests/planning/test_planner_parts.py", *PLANS),
+    "gpdf_service/planning/planner.py": (
+        "tests/planning/test_planner_parts.py",
+        *PLANS,
+        "tests/planning/test_others.py",
+    ),
     "gpdf_service/planning/timing.py": ("tests/planning/test_timing.py",),
     "gpdf_service/search/graph.py": ("tests/search/test_graph.py", "tests/search/test_change.py"),
     "gpdf_service/search/quadtree.py": ("tests/search/test_quadtree.py",),
