@@ -77,7 +77,12 @@ WITHIN = "if all(-1.0 <= (x - low) / surface.cell_width <= cells + 1.0 for x, lo
 SHUT = "(nearest_of(taken)[0] + np.sqrt(2.0)) * surface.cell_width"
 TURNS = "abs(aside) {} (TURN_UNTIL if speed < STANDS else TURN_FIRST)"
 UNSET = "self._along, self._best, self._version, self._room = 0.0, -np.inf, 0, np.inf"
+PLANNER = "gpdf_service/planning/planner.py"
+MOVED = "sqrt(dx * dx + dy * dy) + lever * abs(heading[i] - heading[i - 1])"
+STOOD = "contact, top = stand_up(poses[:, :2], space.surfaces[level], space.ground_fields[level], agent.height)"
 EQUAL: dict[tuple[str, ...], str] = {
+    (PLANNER, f"{MOVED} > STILL → ({MOVED} >= STILL)"[:SHOWN]): "a nanometre to the last bit",
+    (PLANNER, "2 → (3)", STOOD): "who stands up looks at x and y alone",
     (CERTIFICATE, "spare <= 0.0 → (spare < 0.0)"): "what is left of a distance is nothing to the last bit",
     (
         CERTIFICATE,

@@ -232,12 +232,19 @@ def test_strictly_bent_a_piece_keeps_the_margin_of_the_search(room):
 
 
 def test_strictly_there_is_a_wall_as_far_off_as_what_a_chord_cuts_from_a_turn(room, monkeypatch):
-    space, asked = room.free_space("human"), []
+    space, asked, fields = room.free_space("human"), [], []
     optimize = planner.optimize
-    monkeypatch.setattr(planner, "optimize", lambda *args, **words: asked.append(words) or optimize(*args, **words))
+
+    def noted(*args, **words):
+        asked.append(words)
+        fields.append(args[1])
+        return optimize(*args, **words)
+
+    monkeypatch.setattr(planner, "optimize", noted)
     for strict in (False, True):
         planner._bend(two_legs(space)[0], CONFIG, strict, np.inf)
     soft, hard = asked
+    assert [field.standing.weights.any() for field in fields] == [True, False]  # the GPDF, the points alone
     apart = max(CONFIG.waypoint_spacing, CONFIG.smoothness_weight(HUMAN.disc_radius))
     assert (soft["radius"], soft["wall"]) == (space.reach, 0.0)
     assert hard["radius"] == pytest.approx(space.radius + apart**2 / (8.0 * HUMAN.disc_radius))
@@ -266,3 +273,38 @@ def test_a_refusal_says_where_and_by_how_much_as_numbers(room):
     assert result.status is gpdf.Status.NO_VALID_PATH
     assert result.details["short_width"] > 0.0
     assert 1.5 < result.details["cut_x"] < 2.5
+
+
+def test_a_body_of_discs_also_searches_over_its_poses(room, monkeypatch):
+    monkeypatch.setattr(planner, "find_routes", lambda *_: ["way"])
+    monkeypatch.setattr(planner, "turn_route", lambda _space, route, seconds, facing: (route, seconds, facing))
+    options = SimpleNamespace(warm_start=None, start_heading=1.0, goal_heading=None)
+    for discs, more in ((1, []), (2, [("way", np.inf, (1.0, None))])):
+        space = SimpleNamespace(agent=SimpleNamespace(discs=discs))
+        task = SimpleNamespace(space=space, options=options, ends=None, wish=None, left=lambda: np.inf)
+        assert list(planner._routes(task)) == ["way", *more]
+
+
+@pytest.mark.parametrize(("left", "expected"), [(1.0, "OK"), (0.0, "TIMEOUT"), (-1.0, "TIMEOUT")])
+def test_a_way_that_came_too_late_leaves_the_next_one_if_there_is_time(monkeypatch, left, expected):
+    made = {"long": gpdf.Status.TIMEOUT, "short": gpdf.Status.OK}
+    monkeypatch.setattr(planner, "_routes", lambda _: iter(made))
+    monkeypatch.setattr(planner, "_follow", lambda _, route: SimpleNamespace(status=made[route]))
+    found, _ = planner._best(SimpleNamespace(left=lambda: left))
+    assert found.status.value == expected
+
+
+def test_of_ways_that_do_not_certify_the_first_says_why_even_if_the_last_was_late(monkeypatch):
+    made = {"a": gpdf.Status.UNCERTIFIED, "b": gpdf.Status.TIMEOUT}
+    monkeypatch.setattr(planner, "_routes", lambda _: iter(made))
+    monkeypatch.setattr(planner, "_follow", lambda _, route: SimpleNamespace(status=made[route]))
+    found, route = planner._best(SimpleNamespace(left=lambda: 1.0))
+    assert (found.status, route) == (gpdf.Status.UNCERTIFIED, None)
+
+
+def test_a_body_goes_slower_with_less_room_than_it_prefers(room, monkeypatch):
+    asked = []
+    limit = planner.speed_limit
+    monkeypatch.setattr(planner, "speed_limit", lambda *args: asked.append(args[-1]) or limit(*args))
+    gpdf.plan(room, (0.6, 0.6), (3.4, 0.6))
+    assert asked == [room.config.planning.preferred_clearance * HUMAN.disc_radius]
