@@ -211,13 +211,13 @@ def test_a_piece_stays_where_there_is_no_time_or_nothing_to_bend(room):
     straight, still = two_legs(space)[0], leg((0.6, 0.6), (0.6, 0.6 + 1e-10), space=space)
     same, run = planner._bend(straight, CONFIG, False, 0.0)
     assert same is straight
-    assert not run.converged
+    assert (run.converged, run.iterations) == (False, 0)
     assert planner._bend(still, CONFIG, False, np.inf) == (still, None)
     unknown = leg((0.6, 0.6), (9.0, 0.6), space=space)
     assert planner._bend(unknown, CONFIG, False, np.inf) == (unknown, None)
     waypoints = len(run.xi)
     _, one = planner._bend(straight, CONFIG, False, 1.01 * waypoints / planner.WAYPOINTS_PER_SECOND)
-    assert one.evaluations <= 2  # time for one step
+    assert 1 <= one.evaluations <= 2  # time for one step
 
 
 def test_strictly_bent_a_piece_keeps_the_margin_of_the_search(room):
@@ -259,11 +259,10 @@ def test_the_top_is_as_high_over_the_contact_as_the_body(room):
 
 
 def test_bending_keeps_the_steps_of_the_seed_but_for_a_diagonal(monkeypatch):
-    taken = iter([np.array([0.2, 0.0]), np.array([0.2 - 0.9 * planner.MORE_STEPS, 0.0])] * 2)
-    monkeypatch.setattr(planner, "steps_of", lambda _: next(taken))
-    assert planner._as_level([], (None, None))
-    taken = iter([np.array([0.0, 0.2]), np.array([0.3, 0.2 - 1.1 * planner.MORE_STEPS])])
-    assert not planner._as_level([], (None, None))
+    for seed, bent, level in (((0.2, 0), (0.24, 0), True), ((0.3, 0.2), (0, 0.26), False), ((0.2, 0), (0.3, 0), False)):
+        taken = iter([np.array(bent), np.array(seed)])
+        monkeypatch.setattr(planner, "steps_of", lambda _, taken=taken: next(taken))
+        assert planner._as_level([], (None, None)) == level
 
 
 def test_a_refusal_says_where_and_by_how_much_as_numbers(room):

@@ -78,7 +78,7 @@ def test_an_end_goes_a_cell_at_most_from_heading_to_heading(width):
 
 
 def test_grids_grow_and_one_that_is_nearly_the_next_one_is_left_out():
-    large = floor((80.0, 80.0), (-40.0, -40.0))
+    large = floor((80.0, 50.0), (-40.0, -20.0))
     grids, whole = _grids(large, WAY, BODY, 2**40)
     assert whole
     widths = [share * BODY.radius for share in CELL_SHARES]
@@ -91,7 +91,7 @@ def test_grids_grow_and_one_that_is_nearly_the_next_one_is_left_out():
 
 
 def test_with_little_room_there_are_fewer_grids_then_a_coarse_one_then_none():
-    large = floor((80.0, 80.0), (-40.0, -40.0))
+    large = floor((80.0, 50.0), (-40.0, -20.0))
     every, _ = _grids(large, WAY, BODY, 2**40)
     sizes = sorted(map(_poses_in, every))
     assert sizes[0] == every[0].shape[0] * every[0].shape[1] * every[0].turns
