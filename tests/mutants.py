@@ -30,11 +30,19 @@ MODULES = {
         "tests/planning/test_certificate.py",
     ),
     "gpdf_service/planning/endpoints.py": ("tests/planning/test_endpoints.py", *PLANS),
-    "gpdf_service/planning/planner.py": PLANS,
+    "gpdf_service/planning/planner.py": (
+        "tests/planning/test_planner_parts.py",
+        *PLANS,
+        "tests/planning/test_others.py",
+    ),
     "gpdf_service/planning/timing.py": ("tests/planning/test_timing.py",),
     "gpdf_service/search/graph.py": ("tests/search/test_graph.py", "tests/search/test_change.py"),
     "gpdf_service/search/quadtree.py": ("tests/search/test_quadtree.py",),
-    "gpdf_service/search/lattice.py": ("tests/planning/test_footprint.py",),
+    "gpdf_service/search/lattice.py": (
+        "tests/search/test_pose_grids.py",
+        "tests/search/test_wavefront.py",
+        "tests/planning/test_footprint.py",
+    ),
     "gpdf_service/perception/obstacles.py": (
         "tests/perception/test_obstacles_oracle.py",
         "tests/perception/test_obstacles.py",
@@ -69,7 +77,13 @@ WITHIN = "if all(-1.0 <= (x - low) / surface.cell_width <= cells + 1.0 for x, lo
 SHUT = "(nearest_of(taken)[0] + np.sqrt(2.0)) * surface.cell_width"
 TURNS = "abs(aside) {} (TURN_UNTIL if speed < STANDS else TURN_FIRST)"
 UNSET = "self._along, self._best, self._version, self._room = 0.0, -np.inf, 0, np.inf"
+PLANNER = "gpdf_service/planning/planner.py"
+MOVED = "sqrt(dx * dx + dy * dy) + lever * abs(heading[i] - heading[i - 1])"
+STOOD = "contact, top = stand_up(poses[:, :2], space.surfaces[level], space.ground_fields[level], agent.height)"
 EQUAL: dict[tuple[str, ...], str] = {
+    (PLANNER, f"{MOVED} > STILL → ({MOVED} >= STILL)"[:SHOWN]): "a nanometre to the last bit",
+    ("gpdf_service/search/lattice.py", "30.0 → (60.1)"): "detours that are longer yet are looked at, too",
+    (PLANNER, "2 → (3)", STOOD): "who stands up looks at x and y alone",
     (CERTIFICATE, "spare <= 0.0 → (spare < 0.0)"): "what is left of a distance is nothing to the last bit",
     (
         CERTIFICATE,

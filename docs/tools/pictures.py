@@ -139,6 +139,15 @@ def _stair(made: SyntheticScene, scene: gpdf.Scene, path: Path) -> None:
     draw_plans(built, results, path, start=stair.start, goal=stair.goal, title="the human goes, the Roomba does not")
 
 
+def _alternatives(made: SyntheticScene, scene: gpdf.Scene, path: Path) -> None:
+    """All ways that differ, of one request."""
+    cow = SCENES["cow_and_lady"](np.random.default_rng(0))
+    built = gpdf.build_scene(cow.points, cow.ground)
+    best = gpdf.plan(built, cow.start, cow.goal, alternatives=3)
+    ways = {f"{n}, {way.details['cost']:.1f} s": way for n, way in enumerate([best, *best.alternatives], start=1)}
+    draw_plans(built, ways, path, agent="human", start=cow.start, goal=cow.goal, title="alternatives=3, and their cost")
+
+
 def _noise(made: SyntheticScene, scene: gpdf.Scene, path: Path) -> None:
     """A floor with 3 cm of noise: the GPDF on the cured points beside the nearest points."""
     rng = np.random.default_rng(0)
@@ -195,6 +204,7 @@ PICTURES: dict[str, Callable[[SyntheticScene, gpdf.Scene, Path], None]] = {
     "certificate": _certificate,
     "levels": _levels,
     "stair": _stair,
+    "alternatives": _alternatives,
     "noise": _noise,
 }
 

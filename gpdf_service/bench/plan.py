@@ -20,7 +20,7 @@ from gpdf_service.bench.peers import compare
 from gpdf_service.bench.plotting import add_plot_argument, draw_rows
 from gpdf_service.bench.report import Row, add_scene_arguments, clouds, each, show
 from gpdf_service.bench.turning import BrutePoses
-from gpdf_service.bench.ways import measure_ways
+from gpdf_service.bench.ways import measure_ways, standing_pairs
 from gpdf_service.pipeline import build_scene, plan
 from gpdf_service.scene import Scene
 from gpdf_service.synthetic import random_room
@@ -115,7 +115,7 @@ def _ways(args: argparse.Namespace) -> int:
         scene = build_scene(points, None if args.ignore_labels else ground)
         judge = Judge(points, scene.ground if ground is None else ground)
         for agent in args.agent or ["human"]:
-            pairs = random_places(scene, AGENTS[agent], args.count, np.random.default_rng(args.seed))
+            pairs = standing_pairs(scene, AGENTS[agent], args.count, np.random.default_rng(args.seed))
             rows.append({"scene": name, "agent": agent} | measure_ways(scene, judge, AGENTS[agent], pairs))
     show(rows, as_json=args.json)
     return 0 if all(row["needless"] == row["collisions"] == 0 for row in rows) else 1

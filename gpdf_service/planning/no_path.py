@@ -8,11 +8,11 @@ itself comes from the exact graph, and stands where no time is left to say why.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from enum import IntEnum
 from functools import cached_property
 from heapq import heappop, heappush
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
@@ -22,13 +22,14 @@ from scipy.spatial import cKDTree
 
 from gpdf_service.perception import HeightMap, ObstacleKind
 from gpdf_service.perception.levels import LEAST_OBSTACLE
-from gpdf_service.perception.surface import UNKNOWN
+from gpdf_service.perception.nearest import nearest_of
+from gpdf_service.perception.surface import UNKNOWN, Cells
 from gpdf_service.planning.certificate import min_distance
 from gpdf_service.planning.endpoints import Endpoint
 from gpdf_service.planning.words import place_words
 from gpdf_service.search import FreeSpace
 from gpdf_service.search.places import nearest_places
-from gpdf_service.types import BoolArray, FloatArray, IntArray
+from gpdf_service.types import Agent, BoolArray, FloatArray, IntArray
 
 CELL = 0.025
 """[m] Half of the finest cell of the ground: the place of a cut is known to this."""
@@ -67,22 +68,26 @@ class Cut(IntEnum):
 
 
 class _Told(NamedTuple):
-    """Obstacle points of a level that are near (k, 3) [m], the `Cut` of each, the highest ground by each cell [m]."""
+    """Obstacle points of a level that are near (k, 3) [m], the `Cut` of each, and how much it asks of a body (k,).
+
+    That is a step [m], a slope [rad], minus the headroom [m], or 0.
+    """
 
     points: FloatArray
     cut: NDArray[np.uint8]
-    top: FloatArray
+    asks: FloatArray
 
 
 @dataclass(frozen=True)
 class _Grid:
-    """All levels on one grid: heights (L, nx, ny) [m], NaN where unknown; distance to each `Cut` (5, L, nx, ny) [m].
+    """Levels on one grid: heights (L, nx, ny) [m], NaN where unknown; distance to each `Cut` (5, L, nx, ny) [m].
 
-    `told` says of each level what was laid on the grid.
+    `level` says which one of the space's each of them is, and `told` what was laid on the grid of it.
     """
 
     origin: FloatArray
     width: float
+    level: list[int]
     height: FloatArray
     distance: FloatArray
     told: list[_Told]
@@ -96,7 +101,7 @@ class _Grid:
     @cached_property
     def guessed(self) -> BoolArray:
         """Where ground that nobody has seen may be, or is known."""
-        return np.stack([cells_to(one) * self.width <= LEAP for one in self.known])
+        return np.stack([nearest_of(one)[0] * self.width <= LEAP for one in self.known])
 
     @cached_property
     def nearest(self) -> FloatArray:
@@ -106,7 +111,7 @@ class _Grid:
 
     def cell(self, end: Endpoint) -> IntArray:
         ij = np.floor((end.xy - self.origin) / self.width).astype(np.int64)
-        return np.array([end.level, *np.clip(ij, 0, np.array(self.height.shape[1:]) - 1)])
+        return np.array([self.level.index(end.level), *np.clip(ij, 0, np.array(self.height.shape[1:]) - 1)])
 
     def centers(self, cells: IntArray) -> FloatArray:
         made: FloatArray = self.origin + (cells[:, 1:] + 0.5) * self.width
@@ -139,14 +144,13 @@ def explain_no_path(
     """Find what cuts the start from the goal of a body that has no way between them, in the seconds that are `left`."""
     if left() < STAGE:
         return _no_time(space, start)
-    near, begin, end = _around(space, start, goal)
-    grid = _lay_grid(near)
-    ends = grid.cell(begin), grid.cell(end)
+    grid = _lay_grid(space, start, goal)
+    ends = grid.cell(start), grid.cell(goal)
     radius, largest = space.reach, 0.0
     found: list[_Found] = []
     if left() >= STAGE and (narrow := _widest(grid, ends, radius)) > 0.0:
         path = _way(grid, ends, grid.nearest, narrow, grid.known)
-        least, at = _exact_width(near, grid, path)
+        least, at = _exact_width(space, grid, path)
         width = min(least - _kept(space), radius)
         if width - (radius - space.agent.disc_radius) >= LEAST_RADIUS:
             largest = width - (radius - space.agent.disc_radius)
@@ -156,12 +160,12 @@ def explain_no_path(
             break
         path = _lift(grid, ends, (cut,), radius)
         if _meets(grid, path, cut):
-            found.append((cut.name.lower(), *_met(near, grid, path, cut, begin)))
+            found.append((cut.name.lower(), *_met(space, grid, path, cut, start)))
     if not found and left() < STAGE:
         return _no_time(space, start)
     if found:
         return _tell(space, start, found, largest, together=False)
-    return _tell(space, start, _together(near, grid, ends, begin), largest, together=True)
+    return _tell(space, start, _together(space, grid, ends, start), largest, together=True)
 
 
 def _kept(space: FreeSpace) -> float:
@@ -181,81 +185,6 @@ def _narrow_words(at: FloatArray, width: float, radius: float) -> str:
     words = f"{1e3 * short:.0f} mm" if short < MILLIMETRES else f"{short:.2f} m"
     room = f"it leaves a body {2.0 * width:.3f} m, and this one needs {2.0 * radius:.3f} m"
     return f"a passage at {place_words(at)} is {words} too narrow ({room})"
-
-
-def _around(space: FreeSpace, start: Endpoint, goal: Endpoint) -> tuple[FreeSpace, Endpoint, Endpoint]:
-    """The part of a free space around start and goal: its levels that have ground there, cut out; ends on them."""
-    first, ends = space.surfaces[0], np.stack([start.xy, goal.xy])
-    corners = [np.round((one.origin - first.origin) / first.cell_width).astype(np.int64) for one in space.surfaces]
-    least = np.min(corners, axis=0)
-    most = np.max([corner + one.state.shape for corner, one in zip(corners, space.surfaces, strict=True)], axis=0)
-    for margin in MARGINS:
-        low, high = (
-            np.floor((one - first.origin) / first.cell_width).astype(np.int64)
-            for one in (ends.min(axis=0) - margin, ends.max(axis=0) + margin)
-        )
-        low, high = np.maximum(low, least), np.minimum(high + 1, most)
-        places = [(low - corner, high - corner) for corner in corners]
-        levels = [n for n, one in enumerate(space.surfaces) if _window(one.state, *places[n]).any()]
-        if len(levels) * np.prod(high - low) <= MAX_CELLS:
-            break
-    by = max(1, int(np.ceil(np.sqrt(len(levels) * np.prod(high - low) / MAX_CELLS))))
-    cut_out = replace(
-        space,
-        surfaces=tuple(_coarser(space.surfaces[n], *places[n], by) for n in levels),
-        standing=tuple(space.standing[n] for n in levels),
-        moving=tuple(space.moving[n] for n in levels),
-        steps=tuple(_largest(_window(space.steps[n], *places[n]), by) for n in levels),
-        slopes=tuple(_largest(_window(space.slopes[n], *places[n]), by) for n in levels),
-        trees=tuple(space.trees[n] for n in levels),
-        quadtrees=tuple(space.quadtrees[n] for n in levels),
-        offsets=tuple(space.offsets[n] for n in levels),
-    )
-    begin, end = (replace(end, level=levels.index(end.level)) for end in (start, goal))
-    return cut_out, begin, end
-
-
-@njit(cache=True, nogil=True)
-def _largest(values: NDArray[Any], by: int) -> NDArray[Any]:
-    """The largest of each block of `by` times `by` cells; the last ones that fill no block fall off."""
-    made = np.empty((values.shape[0] // by, values.shape[1] // by), values.dtype)
-    for i in range(made.shape[0]):
-        for j in range(made.shape[1]):
-            most = values[i * by, j * by]
-            for a in range(i * by, (i + 1) * by):
-                for b in range(j * by, (j + 1) * by):
-                    most = max(most, values[a, b])
-            made[i, j] = most
-    return made
-
-
-def _window(values: NDArray[Any], low: IntArray, high: IntArray) -> NDArray[Any]:
-    """The cells from `low` to `high` of a grid, 0 where they lie beside it."""
-    made = np.zeros(high - low, values.dtype)
-    first, last = np.maximum(low, 0), np.minimum(high, values.shape)
-    if (last > first).all():
-        here, there = (tuple(map(slice, first - off, last - off)) for off in (low, np.zeros_like(low)))
-        made[here] = values[there]
-    return made
-
-
-def _coarser(surface: HeightMap, low: IntArray, high: IntArray, by: int) -> HeightMap:
-    """A window of a level's ground in blocks of cells: known where any of them is, as high as the lowest."""
-    cells = _window(surface.state, low, high)
-    height = _lowest(_window(surface.height, low, high), cells != UNKNOWN, by)
-    origin = surface.origin + surface.cell_width * low
-    return HeightMap(origin, by * surface.cell_width, height, _largest(cells, by))
-
-
-@njit(cache=True, nogil=True)
-def _lowest(height: NDArray[np.float32], known: BoolArray, by: int) -> NDArray[np.float32]:
-    """The lowest known height of each block of `by` times `by` cells, as `_largest` cuts them; NaN where none is."""
-    made = np.full((height.shape[0] // by, height.shape[1] // by), np.nan, np.float32)
-    for i in range(made.shape[0] * by):
-        for j in range(made.shape[1] * by):
-            if known[i, j] and not height[i, j] >= made[i // by, j // by]:
-                made[i // by, j // by] = height[i, j]
-    return made
 
 
 def _together(space: FreeSpace, grid: _Grid, ends: tuple[IntArray, IntArray], start: Endpoint) -> list[_Found]:
@@ -285,117 +214,108 @@ def _tell(space: FreeSpace, start: Endpoint, found: list[_Found], largest: float
     )
 
 
-def _lay_grid(space: FreeSpace) -> _Grid:
-    first = space.surfaces[0]
-    cells = len(space.surfaces) * first.height.size
-    fine = max(1, min(round(first.cell_width / CELL), int(np.sqrt(MAX_CELLS / cells))))
-    width = first.cell_width / fine
-    height = np.stack([surface.height.repeat(fine, axis=0).repeat(fine, axis=1) for surface in space.surfaces])
-    told = [_told(space, level) for level in range(len(space.surfaces))]
+def _lay_grid(space: FreeSpace, start: Endpoint, goal: Endpoint) -> _Grid:
+    """The ground around start and goal, of the levels that have some there."""
+    first, ends = space.surfaces[0], np.stack([start.xy, goal.xy])
+    least = np.min([one.origin for one in space.surfaces], axis=0)
+    most = np.max([one.origin + one.cell_width * np.array(one.state.shape) for one in space.surfaces], axis=0)
+    for margin in MARGINS:
+        low, high = np.maximum(ends.min(axis=0) - margin, least), np.minimum(ends.max(axis=0) + margin, most)
+        low = first.origin + np.floor((low - first.origin) / first.cell_width) * first.cell_width
+        level = [n for n, one in enumerate(space.surfaces) if _is_known(one, low, high)]
+        cells = len(level) * np.prod(np.ceil((high - low) / first.cell_width))
+        if cells <= MAX_CELLS:
+            break
+    share = max(CELL / first.cell_width, np.sqrt(cells / MAX_CELLS))
+    width = first.cell_width * np.ceil(share) if share > 1.0 else first.cell_width / np.floor(1.0 / share)
+    height = np.stack([_heights(space.surfaces[n], low, high, width) for n in level])
+    told = [_told(space, n, low, high) for n in level]
     distance = np.full((len(Cut), *height.shape), np.inf)
-    for level, (points, cut, _) in enumerate(told):
-        marks = np.zeros((len(Cut), *height.shape[1:]), dtype=bool)
-        _mark(points, cut, np.asarray(first.origin, dtype=np.float64), width, marks)
-        for kind in np.flatnonzero(np.bincount(cut, minlength=len(Cut))):
-            distance[kind, level] = width * cells_to(marks[kind])
-    return _Grid(first.origin, width, height.astype(np.float64), distance, told)
+    for own, (points, cut, _) in zip(distance.swapaxes(0, 1), told, strict=True):
+        marks = _mark(points, cut, low, width, own.shape)
+        for kind in np.flatnonzero(marks.any(axis=(1, 2))):
+            own[kind] = width * nearest_of(marks[kind])[0]
+    return _Grid(low, width, level, height, distance, told)
 
 
 @njit(cache=True, nogil=True)
-def _mark(points: FloatArray, cut: NDArray[np.uint8], origin: FloatArray, width: float, marks: BoolArray) -> None:
-    """Mark the cells that hold obstacles of each `Cut`; those beyond the grid count on its rim."""
-    _, nx, ny = marks.shape
+def _mark(
+    points: FloatArray, cut: NDArray[np.uint8], low: FloatArray, width: float, shape: tuple[int, int, int]
+) -> BoolArray:
+    """The cells that hold obstacles of each `Cut`; those beyond the grid count on its rim."""
+    marks = np.zeros(shape, np.bool_)
     for i in range(len(points)):
-        u, v = (points[i, 0] - origin[0]) / width, (points[i, 1] - origin[1]) / width
-        marks[cut[i], int(min(max(u, 0.0), nx - 1.0)), int(min(max(v, 0.0), ny - 1.0))] = True
+        u, v = (points[i, 0] - low[0]) / width, (points[i, 1] - low[1]) / width
+        marks[cut[i], int(min(max(u, 0.0), shape[1] - 1.0)), int(min(max(v, 0.0), shape[2] - 1.0))] = True
+    return marks
 
 
-def _told(space: FreeSpace, level: int) -> _Told:
-    """What tells the `Cut` of the obstacle points of a level; of those beyond the grid's rim within reach of it."""
-    surface, found = space.surfaces[level], space.obstacles[level]
-    known = np.where(surface.state != UNKNOWN, surface.height, -np.inf).astype(np.float64)
-    top = ndimage.maximum_filter(known, size=3)
-    ground = np.asarray(surface.origin, dtype=np.float64), surface.cell_width, top, space.steps[level]
-    cut = _cuts_of(found.points, found.kind, *ground, space.agent.max_step, space.reach)
-    near = np.flatnonzero(cut < len(Cut))
-    return _Told(found.points[near], cut[near], top)
+def _is_known(surface: HeightMap, low: FloatArray, high: FloatArray) -> bool:
+    """Whether any ground is known from `low` to `high` [m]."""
+    first, last = (np.maximum(np.ceil((at - surface.origin) / surface.cell_width), 0).astype(int) for at in (low, high))
+    return bool((surface.state[first[0] : last[0], first[1] : last[1]] != UNKNOWN).any())
+
+
+def _heights(surface: HeightMap, low: FloatArray, high: FloatArray, width: float) -> FloatArray:
+    """Height of the ground in the middle of cells of that `width` from `low` to `high` [m], NaN where unknown."""
+    made = np.full(np.maximum(np.ceil((high - low) / width - 1e-9), 1.0).astype(np.int64), np.nan)
+    at = [low[k] + (np.arange(made.shape[k]) + 0.5) * width for k in (0, 1)]
+    cell = [np.floor((at[k] - surface.origin[k]) / surface.cell_width).astype(np.int64) for k in (0, 1)]
+    inside = [(cell[k] >= 0) & (cell[k] < surface.state.shape[k]) for k in (0, 1)]
+    here = np.ix_(cell[0][inside[0]], cell[1][inside[1]])
+    made[np.ix_(*inside)] = np.where(surface.state[here] != UNKNOWN, surface.height[here], np.nan)
+    return made
+
+
+def _told(space: FreeSpace, level: int, low: FloatArray, high: FloatArray) -> _Told:
+    """What is told of the obstacle points of a level that are within reach of a grid from `low` to `high` [m]."""
+    found, box = space.obstacles[level], np.stack([low - space.reach, high + space.reach])
+    own = space.surfaces[level].arrays, (space.steps[level], space.slopes[level]), space.agent.max_step
+    row, cut, asks = _tell_points(found.points, found.kind, box, *own)
+    return _Told(found.points[row], cut, asks)
 
 
 @njit(cache=True, nogil=True)
-def _cuts_of(
+def _tell_points(
     points: FloatArray,
     kind: NDArray[np.uint8],
-    origin: FloatArray,
-    width: float,
-    top: FloatArray,
-    steps: FloatArray,
+    box: FloatArray,
+    ground: Cells,
+    measured: tuple[FloatArray, FloatArray],
     max_step: float,
-    reach: float,
-) -> NDArray[np.uint8]:
-    """The `Cut` of each obstacle point, shape (n,); 255 where it is further than `reach` from the grid."""
-    made = np.full(len(points), 255, np.uint8)
-    nx, ny = top.shape
+) -> tuple[IntArray, NDArray[np.uint8], FloatArray]:
+    """Rows of the points in a box, the `Cut` of each, and what it asks; `measured` are steps [m] and slopes [rad]."""
+    row, cut, asks, count = np.empty(len(points), np.int64), np.empty(len(points), np.uint8), np.zeros(len(points)), 0
+    (nx, ny), (steps, slopes) = ground.state.shape, measured
     for i in range(len(points)):
-        x, y = points[i, 0] - origin[0], points[i, 1] - origin[1]
-        if not (-reach <= x <= nx * width + reach and -reach <= y <= ny * width + reach):
+        x, y, z = points[i]
+        if not (box[0, 0] <= x <= box[1, 0] and box[0, 1] <= y <= box[1, 1]):
             continue
-        u, v = int(min(max(x / width, 0.0), nx - 1e-6)), int(min(max(y / width, 0.0), ny - 1e-6))
-        made[i] = _cut_of(points[i, 2], int(kind[i]), top[u, v], steps[u, v], max_step)
-    return made
+        u = int(min(max((x - ground.origin[0]) / ground.width, 0.0), nx - 1.0))
+        v = int(min(max((y - ground.origin[1]) / ground.width, 0.0), ny - 1.0))
+        top, told = _highest(ground, u, v), int(kind[i]) + 1
+        if kind[i] == ObstacleKind.MATERIAL:  # a step's face, or what is only too low
+            face = z - top <= LEAST_OBSTACLE and steps[u, v] > max_step
+            low = z - top > LOWEST_BODY
+            told = Cut.SOLID if top == -np.inf else Cut.HEIGHT if low else Cut.STEP if face else Cut.SOLID
+        if told == Cut.HEIGHT:
+            asks[count] = top - z
+        elif told == Cut.STEP or told == Cut.SLOPE:
+            asks[count] = steps[u, v] if told == Cut.STEP else slopes[u, v]
+        row[count], cut[count] = i, told
+        count += 1
+    return row[:count], cut[:count], asks[:count]
 
 
 @njit(cache=True, nogil=True)
-def _cut_of(z: float, kind: int, top: float, step: float, max_step: float) -> int:
-    """The `Cut` of an obstacle point: its kind; material may be a step's face, or only too low."""
-    if kind != ObstacleKind.MATERIAL:
-        return kind + 1
-    over = z - top
-    if np.isfinite(over) and over > LOWEST_BODY:
-        return 1
-    return 2 if np.isfinite(over) and over <= LEAST_OBSTACLE and step > max_step else 0
-
-
-@njit(cache=True, nogil=True)
-def cells_to(marks: BoolArray) -> FloatArray:
-    """Distance from each cell to the nearest one that is marked [cells]; inf where none is.
-
-    First along the rows, then over the lower envelope of the parabolas of a column (Felzenszwalb & Huttenlocher 2012).
-    """
-    nx, ny = marks.shape
-    made = np.full((nx, ny), np.inf)
-    for i in range(nx):
-        last = -1
-        for j in range(ny):
-            last = j if marks[i, j] else last
-            made[i, j] = (j - last) ** 2 if last >= 0 else np.inf
-        last = -1
-        for j in range(ny - 1, -1, -1):
-            last = j if marks[i, j] else last
-            made[i, j] = min(made[i, j], float((last - j) ** 2)) if last >= 0 else made[i, j]
-    row, begin, column = np.empty(nx, np.int64), np.empty(nx + 1), np.empty(nx)
-    for j in range(ny):
-        count = 0
-        for i in range(nx):
-            column[i] = made[i, j]
-            if column[i] == np.inf:
-                continue
-            cross = -np.inf
-            while count > 0:
-                p = row[count - 1]
-                cross = (column[i] - column[p] + i * i - p * p) / (2.0 * (i - p))
-                if cross > begin[count - 1]:
-                    break
-                count, cross = count - 1, -np.inf
-            row[count], begin[count] = i, cross
-            count += 1
-        if count == 0:
-            continue
-        begin[count], k = np.inf, 0
-        for i in range(nx):
-            while begin[k + 1] < i:
-                k += 1
-            made[i, j] = np.sqrt(column[row[k]] + (i - row[k]) ** 2)
-    return made
+def _highest(ground: Cells, u: int, v: int) -> float:
+    """The highest ground in a cell and the eight around it [m], −inf where none is known."""
+    top = -np.inf
+    for a in range(max(u - 1, 0), min(u + 2, ground.state.shape[0])):
+        for b in range(max(v - 1, 0), min(v + 2, ground.state.shape[1])):
+            if ground.state[a, b] != UNKNOWN:
+                top = max(top, ground.height[a, b])
+    return top
 
 
 def _opened(grid: _Grid, cuts: tuple[Cut, ...]) -> tuple[FloatArray, BoolArray]:
@@ -452,7 +372,7 @@ def _exact_width(space: FreeSpace, grid: _Grid, path: IntArray) -> tuple[float, 
     """Room that is proven along a way [m], and where it is least (3,)."""
     xy = grid.centers(path)
     cuts = np.flatnonzero(np.diff(path[:, 0])) + 1
-    parts = [(int(path[part[0], 0]), xy[part]) for part in np.split(np.arange(len(path)), cuts) if len(part) > 1]
+    parts = [(grid.level[path[part[0], 0]], xy[part]) for part in np.split(np.arange(len(path)), cuts) if len(part) > 1]
     middle = [(level, _to_middle(space, level, way, grid.width)) for level, way in parts]
     proven = [(*min_distance(space, level, way), level) for level, way in (*parts, *middle)]
     half = len(proven) // 2
@@ -481,10 +401,10 @@ def _reached(space: FreeSpace, grid: _Grid, path: IntArray, start: Endpoint) -> 
     """Which cells of a way lie in leaves that the start can go to."""
     component, xy = space.graph.component, grid.centers(path)
     reached = np.zeros(len(path), dtype=bool)
-    for level, (tree, offset) in enumerate(zip(space.quadtrees, space.offsets, strict=True)):
-        leaf = tree.find(xy)
-        mine = component[np.maximum(leaf, 0) + offset] == component[start.node]
-        reached |= (path[:, 0] == level) & (leaf >= 0) & mine
+    for n, level in enumerate(grid.level):
+        leaf = space.quadtrees[level].find(xy)
+        mine = component[np.maximum(leaf, 0) + space.offsets[level]] == component[start.node]
+        reached |= (path[:, 0] == n) & (leaf >= 0) & mine
     return reached
 
 
@@ -495,42 +415,28 @@ def _met(space: FreeSpace, grid: _Grid, path: IntArray, cut: Cut, start: Endpoin
     beyond = np.arange(len(path)) > np.flatnonzero(_reached(space, grid, path, start)).max(initial=-1)
     shut = gap < max(space.reach, float(gap.min()) + 1e-9)
     shut = np.flatnonzero(shut & beyond if (shut & beyond).any() else shut)
-    level = int(path[shut[0], 0])
-    surface, told = space.surfaces[level], grid.told[level]
-    far = max(space.reach, float(gap[shut[0]])) + 2.0 * surface.cell_width
-    here = xy[path[:, 0] == level]
-    inside = ((told.points[:, :2] >= here.min(axis=0) - far) & (told.points[:, :2] <= here.max(axis=0) + far)).all(
-        axis=1
-    )
-    points = told.points[inside & (told.cut == cut)]
-    one = points[np.linalg.norm(points[:, :2] - xy[shut[0]], axis=1).argmin()]
-    at = np.append(one[:2], surface.height_at(one[None, :2]))
-    crossed = xy[shut[path[shut, 0] == level]]
-    near = cKDTree(crossed).query(points[:, :2], distance_upper_bound=space.reach)[0] < np.inf
-    worst = float(_values(space, level, np.vstack([points[near], one]), cut, told.top).max())
-    where = place_words(at)
+    told = grid.told[path[shut[0], 0]]
+    points, asks = told.points[told.cut == cut], told.asks[told.cut == cut]
+    first = np.linalg.norm(points[:, :2] - xy[shut[0]], axis=1).argmin()
+    crossed = cKDTree(xy[shut[path[shut, 0] == path[shut[0], 0]]])
+    near = np.isfinite(crossed.query(points[:, :2], distance_upper_bound=space.reach)[0])
+    worst = float(asks[near].max(initial=asks[first]))
+    surface = space.surfaces[grid.level[path[shut[0], 0]]]
+    at = np.append(points[first, :2], surface.height_at(points[first, None, :2]))
     limit = {Cut.HEIGHT: -agent.height, Cut.STEP: agent.max_step, Cut.SLOPE: agent.max_slope}
-    words = {
+    return at, _cut_words(agent, cut, worst, place_words(at)), worst - limit[cut] if cut in limit else 0.0
+
+
+def _cut_words(agent: Agent, cut: Cut, worst: float, where: str) -> str:
+    """What stops a body somewhere, and what it would take."""
+    steepest = f"{np.degrees(agent.max_slope):.0f}°"
+    return {
         Cut.SOLID: f"an obstacle closes the way at {where}",
         Cut.HEIGHT: f"there are {-worst:.2f} m of headroom at {where}, and it is {agent.height:.2f} m tall",
         Cut.STEP: f"a step or drop of {worst:.3f} m at {where} is higher than it takes ({agent.max_step:.3f} m)",
-        Cut.SLOPE: f"a slope of {np.degrees(worst):.0f}° at {where} is steeper than it stands on "
-        f"({np.degrees(agent.max_slope):.0f}°)",
+        Cut.SLOPE: f"a slope of {np.degrees(worst):.0f}° at {where} is steeper than it stands on ({steepest})",
         Cut.UNKNOWN: f"nobody has seen the ground at {where}",
     }[cut]
-    return at, words, worst - limit[cut] if cut in limit else 0.0
-
-
-def _values(space: FreeSpace, level: int, points: FloatArray, cut: Cut, top: FloatArray) -> FloatArray:
-    """How much each place asks of a body: step [m], slope [rad]; minus the headroom [m]."""
-    surface = space.surfaces[level]
-    ix, iy, _ = surface.cells(points)
-    if cut == Cut.STEP:
-        return space.steps[level][ix, iy]
-    if cut == Cut.SLOPE:
-        return space.slopes[level][ix, iy]
-    headroom: FloatArray = top[ix, iy] - points[:, 2]
-    return headroom
 
 
 @njit(cache=True, nogil=True)

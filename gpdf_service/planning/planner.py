@@ -23,7 +23,7 @@ from gpdf_service.planning.footprint import face
 from gpdf_service.planning.no_path import explain_no_path
 from gpdf_service.planning.others import find_others
 from gpdf_service.planning.routes import Leg, Route, Wish, find_cut, find_routes, steps_of, take_up, way_takes_of
-from gpdf_service.planning.shape import distinct, is_path_clear, resample, spline, stand_up
+from gpdf_service.planning.shape import distinct, resample, spline, stand_up
 from gpdf_service.planning.timing import speed_limit
 from gpdf_service.planning.turning import Facing, Stuck, time_poses, turn_route
 from gpdf_service.search import FreeSpace, Prefer, Ways, prices
@@ -268,22 +268,12 @@ def _tries(task: _Task, legs: list[Leg]) -> Iterator[list[_Bent]]:
         return
     made = [together(pieces) for pieces in beside]
     yield [one for part in made for one in part]
-    if task.left() >= 0.0 and not all(_is_clear(bent) for part in made for bent in part):
-        both = zip(made, beside, strict=True)
-        mended = [part if all(map(_is_clear, part)) else alone(pieces, strict=True) for part, pieces in both]
-        yield [one for part in mended for one in part]
-    if len(made) < len(legs) and task.left() >= 0.0:
-        both = zip(made, beside, strict=True)
+    both = list(zip(made, beside, strict=True))
+    if any(len(part) < len(pieces) for part, pieces in both) and task.left() >= 0.0:
         apart = [part if len(part) == len(pieces) else alone(pieces, strict=False) for part, pieces in both]
         yield [one for part in apart for one in part]
     if task.left() >= 0.0:
         yield alone(legs, strict=True)
-
-
-def _is_clear(bent: _Bent) -> bool:
-    """Whether a piece of the path touches nothing, as a cylinder goes."""
-    leg = bent[0]
-    return bool(is_path_clear(leg.path[:, :2], leg.space.trees[leg.level], leg.space.reach))
 
 
 def _as_level(pieces: list[Leg], bent: _Bent) -> bool:

@@ -244,7 +244,9 @@ def _stand(xy: FloatArray, ground: Cells, field: FieldArrays, height: float) -> 
             )
             if abs(off) < stands:
                 break
-            lift = min(max(lift + off, least), most)
+            was, lift = lift, min(max(lift + off, least), most)
+            if lift == was:
+                break
         top[i, 0], top[i, 1], top[i, 2] = x, y, floor + height + lift
     for i in range(1, len(xy)):
         rise = contact[i, 2] - contact[i - 1, 2]

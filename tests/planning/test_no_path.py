@@ -2,11 +2,10 @@ import dataclasses
 
 import numpy as np
 import pytest
-from scipy import ndimage
 
 import gpdf_service as gpdf
 from gpdf_service.planning.endpoints import find_endpoint
-from gpdf_service.planning.no_path import cells_to, explain_no_path
+from gpdf_service.planning.no_path import explain_no_path
 from gpdf_service.synthetic import SCENES, Box, World
 from gpdf_service.types import AGENTS
 
@@ -67,15 +66,6 @@ def test_a_deadline_leaves_a_refusal_without_its_reason():
     why = explain_no_path(space, *ends, left=lambda: 0.0)
     assert why.cuts == ()
     assert "no time to say why" in why.message
-
-
-@pytest.mark.parametrize("shape", [(1, 1), (5, 9), (40, 33)])
-@pytest.mark.parametrize("share", [0.0, 0.01, 0.3])
-def test_the_distance_over_a_grid_is_that_of_scipy(shape, share):
-    marks = np.random.default_rng(0).random(shape) < share
-    marks[-1, 0] |= share > 0.0
-    theirs = ndimage.distance_transform_edt(~marks) if marks.any() else np.full(shape, np.inf)
-    np.testing.assert_allclose(cells_to(marks), theirs)
 
 
 def test_a_cut_on_one_of_many_levels_is_looked_for_where_the_way_goes():

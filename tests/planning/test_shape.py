@@ -1,5 +1,8 @@
 """The body's top over a path: at its height over the ground, all along."""
 
+import dataclasses
+import itertools
+
 import numpy as np
 import pytest
 
@@ -28,13 +31,28 @@ def test_a_low_body_keeps_its_height_over_a_step_that_is_half_of_it(rise, down):
     np.testing.assert_allclose(over, [[0.0, 0.0, AGENTS["spot"].height]] * len(over), atol=1e-9)
 
 
-def test_the_top_of_a_rigid_cart_stays_level_on_a_flat_floor_beside_a_platform():
-    world = World((6.0, 4.0, 2.6), (Box((2.0, 0.0, 0.0), (4.0, 1.6, 0.3), walkable=True),))
-    points, ground = world.sample(0.04, np.random.default_rng(0))
-    result = gpdf.plan(gpdf.build_scene(points, ground), (0.6, 1.95), (5.4, 1.95), agent="pepper")
-    assert result.status is gpdf.Status.OK
-    assert np.ptp(result.trajectory.positions[:, 2]) < 1e-3
+@pytest.mark.parametrize("height", [0.04, 0.1, 0.2, 0.35, 0.6, 1.0])
+def test_a_rigid_carts_top_is_level_over_flat_floor_beside_platforms(height):
+    """It goes round a platform as near as it fits, and past one between two walls."""
+    low, high = (1.5, 1.2, 0.0), (3.5, 2.2, height)
+    wall = Box((1.5, 3.0, 0.0), (3.5, 3.1, 2.0))
+    points, ground = World((5.0, 4.5, 2.6), (Box(low, high, walkable=True), wall)).sample(
+        0.05, np.random.default_rng(0)
+    )
+    scene = gpdf.build_scene(points, ground)
+    cart = dataclasses.replace(AGENTS["pepper"], name="cart", height=1.2, max_step=0.02)
+    corners = [(1.1, 0.8), (3.9, 0.8), (3.9, 2.6), (1.1, 2.6)]
+    near = 0
+    for start, goal in itertools.permutations(corners, 2):
+        result = gpdf.plan(scene, start, goal, cart)
+        assert result.status is gpdf.Status.OK, result.message
+        path = result.trajectory
+        assert np.ptp(path.positions[:, 2]) <= 1e-3
+        assert path.positions[:, 2].mean() == pytest.approx(1.2, abs=1e-3)
+        gap = np.maximum(np.abs(path.ground[:, :2] - (2.5, 1.7)) - (1.0, 0.5), 0.0)
+        near += np.linalg.norm(gap, axis=1).min() < 0.5 * cart.height
     assert "\n" not in repr(result)
+    assert near == 12  # so near that the nearest ground of a top is not the ground under it
 
 
 def test_a_line_is_on_known_ground_if_each_cell_that_it_crosses_is():
