@@ -4,7 +4,7 @@ A mutant is one operator, comparison, condition, constant, minimum or maximum th
 of the checkout, where the module's own tests run until one fails. What survives is printed with its line: either a
 test is missing, or both behave alike, and then the reason stands in `EQUAL`.
 
-    python tests/mutants.py --count 40 --seed 1 --only certificate
+    python tests/mutants.py --each 40 --seed 1 --only certificate limits
 """
 
 import argparse
@@ -369,38 +369,56 @@ def _is_equal(mutant):
     return (mutant.module, mutant.what) in EQUAL or (mutant.module, mutant.what, line) in EQUAL
 
 
+def drawn_from(module, each, seed):
+    """So many of a module's mutants; which ones depends on the seed and on the module alone."""
+    found = mutants_of(module, (ROOT / module).read_text())
+    return random.Random(f"{seed} {module}").sample(found, min(each, len(found)))
+
+
+def run(mutants, begin):
+    """Put each of them into one copy of the checkout, print what came of it, and yield it with the word for that."""
+    likely, began = defaultdict(Counter), time.monotonic()
+    with tempfile.TemporaryDirectory() as name, tempfile.TemporaryDirectory() as spare:
+        check_out(Path(name))
+        kernels = Kernels(Path(name), Path(spare))
+        for number, mutant in enumerate(mutants, 1):
+            if number < begin:
+                continue
+            noticed = is_noticed(mutant, Path(name), likely)
+            kernels.restore()
+            word = "noticed" if noticed else "equal" if _is_equal(mutant) else "SURVIVED"
+            print(f"{number}/{len(mutants)} {time.monotonic() - began:.0f} s  {word:<8}  {mutant}", flush=True)
+            yield mutant, word
+
+
+def table(counts):
+    """What came of each module's mutants, as Markdown."""
+    words = ("noticed", "equal", "SURVIVED")
+    rows = [(module, *(count[word] for word in words)) for module, count in counts.items()]
+    rows.append(("all", *(sum(row[i] for row in rows) for i in (1, 2, 3))))
+    head = "| module | drawn | noticed | equal | open |\n|---|--:|--:|--:|--:|"
+    return "\n".join([head, *(f"| {name} | {sum(n)} | {n[0]} | {n[1]} | {n[2]} |" for name, *n in rows)])
+
+
 def main():
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
-    parser.add_argument("--count", type=int, default=400, help="mutants, drawn from all modules alike")
+    parser.add_argument("--each", type=int, default=30, help="mutants drawn from each module")
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--only", default="", help="modules whose path holds this")
+    parser.add_argument("--only", nargs="*", default=[""], help="modules whose path holds one of these")
     parser.add_argument("--begin", type=int, default=1, help="the first of those drawn that is run")
     parser.add_argument("--end", type=int, help="the last of those drawn that is run")
     parser.add_argument("--line", type=int, help="of one module, all mutants of this line")
     args = parser.parse_args()
-    chosen = [module for module in MODULES if args.only in module]
-    found = [mutant for module in chosen for mutant in mutants_of(module, (ROOT / module).read_text())]
-    if args.line is not None:
-        found = [mutant for mutant in found if mutant.line == args.line]
-    drawn = random.Random(args.seed).sample(found, min(args.count, len(found)))[: args.end]
-    survived, began = [], time.monotonic()
-    likely = defaultdict(Counter)
-    with tempfile.TemporaryDirectory() as name, tempfile.TemporaryDirectory() as spare:
-        check_out(Path(name))
-        kernels = Kernels(Path(name), Path(spare))
-        for number, mutant in enumerate(drawn, 1):
-            if number < args.begin:
-                continue
-            noticed = is_noticed(mutant, Path(name), likely)
-            kernels.restore()
-            if not noticed:
-                survived.append(mutant)
-            word = "noticed" if noticed else "equal" if _is_equal(mutant) else "SURVIVED"
-            print(f"{number}/{len(drawn)} {time.monotonic() - began:.0f} s  {word:<8}  {mutant}", flush=True)
-    open_ones = [mutant for mutant in survived if not _is_equal(mutant)]
-    run = len(drawn) - args.begin + 1
-    print(f"{run} of {len(found)} mutants, {run - len(survived)} noticed, {len(open_ones)} survived")
-    return 1 if len(open_ones) > 0.1 * run else 0
+    chosen = [module for module in MODULES if any(part in module for part in args.only)]
+    each = args.each if args.line is None else sys.maxsize
+    drawn = [mutant for module in chosen for mutant in drawn_from(module, each, args.seed)]
+    drawn = [mutant for mutant in drawn if args.line in (None, mutant.line)][: args.end]
+    counts = defaultdict(Counter)
+    for mutant, word in run(drawn, args.begin):
+        counts[mutant.module][word] += 1
+    print(table(counts))
+    total = sum(counts.values(), Counter())
+    return 1 if total["SURVIVED"] > 0.1 * total.total() else 0
 
 
 if __name__ == "__main__":
