@@ -162,7 +162,7 @@ def _reading(file: Path) -> Iterator[None]:
 
 
 def _framed(file: Path, stored: Stored, scale: float | None, up: str | None) -> PointCloud:
-    """What a file holds in metres, z up, what is not finite left out; odd units and axes that nobody asked for are said.
+    """What a file holds in metres, z up, without what is not finite; odd units and axes that nobody asked for are said.
 
     Raises:
         CloudError: no place in metres can be so.
@@ -189,7 +189,7 @@ def _framed(file: Path, stored: Stored, scale: float | None, up: str | None) -> 
 
 
 def _odd(file: Path, points: FloatArray, *, unit: bool, axis: bool) -> list[str]:
-    """What is odd about what nobody asked for: the unit, and z as the up axis. Files state both, and wrongly at times."""
+    """What is odd about what nobody asked for, the unit and the axis: files state both, and wrongly at times."""
     frame = look(points) if unit or axis else None
     if frame is None:
         return []
