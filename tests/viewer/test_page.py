@@ -212,13 +212,13 @@ def test_what_is_typed_before_the_chosen_scene_is_there_is_planned_in_it(operato
     try:
         operator.choose("Scene", "house")
         until(lambda: operator.page.plans.ends["start"] is None)
-        types(operator, "1, 1, 0", "3, 1, 0")
+        types(operator, "1, 2.4, 0", "6, 2.4, 0")
         operator.web.wait_for_timeout(500)
     finally:
         go.set()
     until(lambda: operator.page.scenes.shown[0] == "house" and path_on_screen(operator) is not None)
-    np.testing.assert_allclose(path_on_screen(operator)[[0, -1], :2], [(1, 1), (3, 1)], atol=0.05)
-    assert "3" in operator.web.get_by_label("Goal", exact=True).first.input_value()
+    np.testing.assert_allclose(path_on_screen(operator)[[0, -1], :2], [(1, 2.4), (6, 2.4)], atol=0.05)
+    assert operator.page.panel.plan.typed["goal"].value == "6.00, 2.40, 0.00"
 
 
 def test_a_refusal_is_a_card_with_a_button_that_takes_the_nearest_place(operator):
