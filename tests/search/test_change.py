@@ -68,11 +68,11 @@ def test_obstacles_that_come_and_go_change_the_leaves_and_edges_around_them(seed
     assert_same(surface, places, surface, np.concatenate([places[stay], come]))
 
 
-@pytest.mark.parametrize(("seed", "count"), [(0, 12), (1, 40), (2814, 29)])
-def test_an_obstacle_that_goes_opens_ways(seed, count):
+@pytest.mark.parametrize("seed", [0, 1, 2814])
+def test_an_obstacle_that_goes_opens_ways(seed):
     """In the last, one of 3,400 places, between two leaves that are wholly free then and stay as large."""
     rng = np.random.default_rng(seed)
-    surface, places = flat(rng), sticks(rng, count)
+    surface, places = flat(rng), sticks(rng, rng.integers(4, 60))
     assert_same(surface, places, surface, places[1:])
 
 
