@@ -61,6 +61,9 @@ LIMITS, OBSTACLES = "gpdf_service/perception/limits.py", "gpdf_service/perceptio
 GRAPH, QUADTREE = "gpdf_service/search/graph.py", "gpdf_service/search/quadtree.py"
 LOOKED = "looked = np.zeros((max(last[0] - first[0], 0), max(last[1] - first[1], 0)), np.bool_)"
 SAME = "now, same, i = np.full(len(code_was), -1), np.zeros(len(code), np.bool_), 0"
+SPARE = "count = max(1, int(np.ceil(length / sample))) if length < np.inf else 1  # NaN: over no known ground"
+MERGED = "size, used, f = len(old[0]) + len(fresh[0]), 0, 0"
+SNAPPED = "np.linalg.norm({}[:2] - place[:2]) {} snap"
 LOOK = "(looks % every == 0 or (i == last and k == count)) and off > deviation"
 RING, BIT = "ring < max(state.shape)", "a length to the last bit"
 BEYOND = "np.hypot(x - i - 0.5, y - j - 0.5) * width"
@@ -82,6 +85,8 @@ EQUAL: dict[tuple[str, ...], str] = {
     (CERTIFICATE, "i == last and k == count → (i == last or k == count)"): "the height is looked at more often",
     (CERTIFICATE, f"{LOOK} and spare <= 0.0 → ({LOOK})"[:SHOWN]): "the field is asked more often",
     (CERTIFICATE, "0 → (1)", LOOKED): "room for one cell more",
+    (CERTIFICATE, "i == last and k == count → (i == last)"): "the height is looked at more often",
+    (CERTIFICATE, "1 → (2)", SPARE): "a piece is looked at once more, or is over no known ground",
     (
         LIMITS,
         "np.isfinite(slope) & ~level → (np.isfinite(slope) | ~level)",
@@ -96,6 +101,17 @@ EQUAL: dict[tuple[str, ...], str] = {
     (LIMITS, "HALF_FOOT / surface.cell_width**2 - 1e-6 → (HALF_FOOT / surface.cell_width ** 2 + 1e-06)"): BIT,
     (GRAPH, "source_cost[k] < cost_to_come[node] → (source_cost[k] <= cost_to_come[node])"): "the same place twice",
     (GRAPH, "code[i] < code_was[j] → (code[i] <= code_was[j])"): "no leaf is the same, so all are looked at again",
+    (GRAPH, "i < len(code) → (i > len(code))"): "fewer leaves are the same, so more are looked at again",
+    (
+        GRAPH,
+        "i < len(code) and code[i] < code_was[j] → (i < len(code))",
+    ): "no leaf is the same, so all are looked at again",
+    (
+        GRAPH,
+        "low[1] - reach <= center[i, 1] <= high[1] + reach → (low[1] - reach <= center[i, 1] < high[1] + reach)",
+    ): BIT,
+    (GRAPH, "y > 0.0 → (y >= 0.0)"): "further than 0 along x, it is not 0",
+    (GRAPH, "0 → (1)", MERGED): "there are as many crossings as pairs",
     (GRAPH, "0 → (1)", SAME): "the first leaf is looked at again",
     (GRAPH, "1 → (2)", SAME): "any negative number is none",
     (GRAPH, "3.0 → (6.1)"): "more leaves are looked at again",
@@ -141,6 +157,18 @@ EQUAL: dict[tuple[str, ...], str] = {
         "isinstance(reached[0], Refusal) and all(isinstance(goal, Refusal) for goal in reached)"
         " → (all((isinstance(goal, Refusal) for goal in reached)))",
     ): "all of them, so the first",
+    (
+        ENDPOINTS,
+        f"{SNAPPED.format('found.nearest', '>')} → ({SNAPPED.format('found.nearest', '>=')})",
+    ): "a distance to the last bit",
+    (
+        ENDPOINTS,
+        f"{SNAPPED.format('near', '>')} → ({SNAPPED.format('near', '>=')})",
+    ): "a distance to the last bit",
+    (
+        ENDPOINTS,
+        "room >= space.reach + agent.offsets[-1] → (room > space.reach + agent.offsets[-1])",
+    ): "a room to the last bit",
     (ENDPOINTS, "0 → (1)", RIM): "the map's rim is wider than a cell",
     (CONTROLLER, f"{TURNS.format('>')} → ({TURNS.format('>=')})"): "an angle that is the limit to the last bit",
     (CONTROLLER, "speed < STANDS → (speed <= STANDS)"): "a speed that is the limit to the last bit",
