@@ -52,6 +52,8 @@ DRIVER = "clients/gpdf_robot/driver.py"
 SHOWN = 150
 """Characters of a change."""
 ENDPOINTS, IN_USE = "gpdf_service/planning/endpoints.py", "gpdf_service/service/in_use.py"
+MOVED = "moved = np.linalg.norm(np.diff(trajectory.ground[:, :2], axis=0), axis=1) + agent.offsets[-1] * turned"
+PIECES = "pieces: FloatArray = np.maximum(1, np.ceil(moved / SPACING))"
 ASKED = "moves and (asked := self._asked.setdefault(scene, [])) is not None"
 OVER = "-1.0 <= (x - low) / surface.cell_width"
 HIGH = "(points <= high + np.array([radius, radius, agent.height]))"
@@ -138,6 +140,8 @@ EQUAL: dict[tuple[str, ...], str] = {
         'above = points[pairs["j"], 2] - swept.discs.reshape(-1, 3)[pairs["i"], 2]',
     ): "any negative length is the unknown one",
     (IN_USE, "1 → (2)", "at = np.arange(knots[-1] + 1)"): "the last place twice",
+    (IN_USE, "2 → (3)", MOVED): "on a slope it is looked at more often",
+    (IN_USE, "1 → (2)", PIECES): "what stands still is looked at once more",
     (
         IN_USE,
         "1 → (2)",
