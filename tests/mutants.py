@@ -127,6 +127,12 @@ EQUAL: dict[tuple[str, ...], str] = {
         QUADTREE,
         "nearest > reach + 2.0 * half_diagonal → (nearest >= reach + 2.0 * half_diagonal)",
     ): BIT,
+    (
+        QUADTREE,
+        "(j + n) * share <= near - 1 → ((j + n) * share < near - 1)",
+    ): "what ends where the change begins is made anew",
+    (OBSTACLES, "1 → (2)", "rings = int(radius / width) + 1"): "more cells are looked at, and none is near",
+    (OBSTACLES, "cells + row → (cells - row)"): "a disc is the same both ways",
     (OBSTACLES, "near >= radius → (near > radius)"): BIT,
     (OBSTACLES, f"{BEYOND} > radius - SOLE → ({BEYOND} >= radius - SOLE)"): BIT,
     (OBSTACLES, f"{SHUT} < agent.disc_radius → ({SHUT} <= agent.disc_radius)"[:SHOWN]): BIT,
