@@ -133,6 +133,8 @@ EQUAL: dict[tuple[str, ...], str] = {
     ): "what ends where the change begins is made anew",
     (OBSTACLES, "1 → (2)", "rings = int(radius / width) + 1"): "more cells are looked at, and none is near",
     (OBSTACLES, "cells + row → (cells - row)"): "a disc is the same both ways",
+    (OBSTACLES, "foot < height <= ledge - step → (foot < height < ledge - step)"): BIT,
+    (OBSTACLES, "limits.value > reach → (limits.value >= reach)"): BIT,
     (OBSTACLES, "near >= radius → (near > radius)"): BIT,
     (OBSTACLES, f"{BEYOND} > radius - SOLE → ({BEYOND} >= radius - SOLE)"): BIT,
     (OBSTACLES, f"{SHUT} < agent.disc_radius → ({SHUT} <= agent.disc_radius)"[:SHOWN]): BIT,
@@ -191,6 +193,10 @@ EQUAL: dict[tuple[str, ...], str] = {
         DRIVER,
         "result.status is Status.OK and result.trajectory is not None → (result.status is Status.OK)",
     ): "what is OK has a trajectory",
+    (
+        DRIVER,
+        "look.arc < min(look.keep, look.here - 1e-3) → (look.arc <= min(look.keep, look.here - 0.001))",
+    ): "a room to the last bit",
     (DRIVER, "look.line < -KEEP → (look.line <= -KEEP)"): "a room to the last bit",
     (
         DRIVER,
