@@ -147,11 +147,11 @@ def test_ground_beside_each_piece_of_the_way_is_looked_at(corner):
         assert _coarsest_spacing(part, 0.1, ground) == pytest.approx(3.0 * width if near else width)
 
 
-def test_a_way_beside_the_map_looks_at_none_of_its_cells():
+def test_what_of_a_way_lies_beside_the_map_looks_at_none_of_its_cells():
     state, width = np.full((9, 9), OBSERVED, np.uint8), 0.1
-    state[0, 0] = INFERRED
-    path = np.array([(-0.35, 0.05, 0.0), (-0.35, 0.75, 0.0)])
-    assert _coarsest_spacing(path, 0.5, Cells(np.zeros((9, 9), np.float32), state, np.zeros(2), width)) == width
+    state[0, 0] = INFERRED  # further from the way than the radius
+    path = np.array([(0.25, 0.85, 0.0), (0.85, 0.85, 0.0), (0.85, 0.25, 0.0), (1.2, 0.25, 0.0)])
+    assert _coarsest_spacing(path, 0.2, Cells(np.zeros((9, 9), np.float32), state, np.zeros(2), width)) == width
 
 
 def test_beside_a_step_the_height_of_the_top_is_told_by_the_nearest_ground_or_by_the_contact(scenes):
