@@ -52,6 +52,7 @@ DRIVER = "clients/gpdf_robot/driver.py"
 SHOWN = 150
 """Characters of a change."""
 ENDPOINTS, IN_USE = "gpdf_service/planning/endpoints.py", "gpdf_service/service/in_use.py"
+FIRST = "seconds = 0.0 if self._stepped is None else now - self._stepped"
 MOVED = "moved = np.linalg.norm(np.diff(trajectory.ground[:, :2], axis=0), axis=1) + agent.offsets[-1] * turned"
 PIECES = "pieces: FloatArray = np.maximum(1, np.ceil(moved / SPACING))"
 ASKED = "moves and (asked := self._asked.setdefault(scene, [])) is not None"
@@ -93,6 +94,10 @@ EQUAL: dict[tuple[str, ...], str] = {
         LIMITS,
         "np.isfinite(slope) & ~level → (np.isfinite(slope) | ~level)",
     ): "what is unknown is measured, too, and left away at the end",
+    (LIMITS, "slope <= STANDABLE → (slope < STANDABLE)"): BIT,
+    (LIMITS, "slope > STANDABLE → (slope >= STANDABLE)"): BIT,
+    (LIMITS, "0.0 → (0.1)", "total[:] = 0.0"): "whether a sum is NaN is all that is asked",
+    (LIMITS, "count < len(few) → (count > len(few))"): "no value is under NaN either",
     (LIMITS, "np.minimum(up, down) > level → (np.minimum(up, down) >= level)"): BIT,
     (
         LIMITS,
@@ -197,6 +202,9 @@ EQUAL: dict[tuple[str, ...], str] = {
         DRIVER,
         "look.arc < min(look.keep, look.here - 1e-3) → (look.arc <= min(look.keep, look.here - 0.001))",
     ): "a room to the last bit",
+    (DRIVER, "0.0 → (0.1)", FIRST): "at the first step there is no route yet",
+    (DRIVER, "0 → (1)", "self._agent = body.agent(self.margins[0])"): "the plan sets it before it is read",
+    (DRIVER, "route.length - self._along <= ARRIVED_M → (route.length - self._along < ARRIVED_M)"): "to the last bit",
     (DRIVER, "look.line < -KEEP → (look.line <= -KEEP)"): "a room to the last bit",
     (
         DRIVER,
