@@ -82,7 +82,7 @@ lock: install
 	.venv/bin/uv pip compile pyproject.toml --all-extras --group dev --python-version 3.11 --no-header --no-annotate --upgrade -o constraints.txt
 
 mutants: install
-	$(PY) tests/mutants.py --count $(or $(COUNT),400) --seed $(or $(SEED),0)
+	$(PY) tests/mutants.py --each $(or $(EACH),30) --seed $(or $(SEED),0) --only $(or $(ONLY),"")
 
 schemas: install
 	$(PY) -m gpdf_schemas.generate schemas/json

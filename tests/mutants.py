@@ -4,7 +4,7 @@ A mutant is one operator, comparison, condition, constant, minimum or maximum th
 of the checkout, where the module's own tests run until one fails. What survives is printed with its line: either a
 test is missing, or both behave alike, and then the reason stands in `EQUAL`.
 
-    python tests/mutants.py --count 40 --seed 1 --only certificate
+    python tests/mutants.py --each 40 --seed 1 --only certificate limits
 """
 
 import argparse
@@ -60,6 +60,9 @@ DRIVER = "clients/gpdf_robot/driver.py"
 SHOWN = 150
 """Characters of a change."""
 ENDPOINTS, IN_USE = "gpdf_service/planning/endpoints.py", "gpdf_service/service/in_use.py"
+FIRST = "seconds = 0.0 if self._stepped is None else now - self._stepped"
+MOVED = "moved = np.linalg.norm(np.diff(trajectory.ground[:, :2], axis=0), axis=1) + agent.offsets[-1] * turned"
+PIECES = "pieces: FloatArray = np.maximum(1, np.ceil(moved / SPACING))"
 ASKED = "moves and (asked := self._asked.setdefault(scene, [])) is not None"
 OVER = "-1.0 <= (x - low) / surface.cell_width"
 HIGH = "(points <= high + np.array([radius, radius, agent.height]))"
@@ -69,6 +72,9 @@ LIMITS, OBSTACLES = "gpdf_service/perception/limits.py", "gpdf_service/perceptio
 GRAPH, QUADTREE = "gpdf_service/search/graph.py", "gpdf_service/search/quadtree.py"
 LOOKED = "looked = np.zeros((max(last[0] - first[0], 0), max(last[1] - first[1], 0)), np.bool_)"
 SAME = "now, same, i = np.full(len(code_was), -1), np.zeros(len(code), np.bool_), 0"
+SPARE = "count = max(1, int(np.ceil(length / sample))) if length < np.inf else 1  # NaN: over no known ground"
+MERGED = "size, used, f = len(old[0]) + len(fresh[0]), 0, 0"
+SNAPPED = "np.linalg.norm({}[:2] - place[:2]) {} snap"
 LOOK = "(looks % every == 0 or (i == last and k == count)) and off > deviation"
 RING, BIT = "ring < max(state.shape)", "a length to the last bit"
 BEYOND = "np.hypot(x - i - 0.5, y - j - 0.5) * width"
@@ -96,10 +102,16 @@ EQUAL: dict[tuple[str, ...], str] = {
     (CERTIFICATE, "i == last and k == count → (i == last or k == count)"): "the height is looked at more often",
     (CERTIFICATE, f"{LOOK} and spare <= 0.0 → ({LOOK})"[:SHOWN]): "the field is asked more often",
     (CERTIFICATE, "0 → (1)", LOOKED): "room for one cell more",
+    (CERTIFICATE, "i == last and k == count → (i == last)"): "the height is looked at more often",
+    (CERTIFICATE, "1 → (2)", SPARE): "a piece is looked at once more, or is over no known ground",
     (
         LIMITS,
         "np.isfinite(slope) & ~level → (np.isfinite(slope) | ~level)",
     ): "what is unknown is measured, too, and left away at the end",
+    (LIMITS, "slope <= STANDABLE → (slope < STANDABLE)"): BIT,
+    (LIMITS, "slope > STANDABLE → (slope >= STANDABLE)"): BIT,
+    (LIMITS, "0.0 → (0.1)", "total[:] = 0.0"): "whether a sum is NaN is all that is asked",
+    (LIMITS, "count < len(few) → (count > len(few))"): "no value is under NaN either",
     (LIMITS, "np.minimum(up, down) > level → (np.minimum(up, down) >= level)"): BIT,
     (
         LIMITS,
@@ -110,6 +122,17 @@ EQUAL: dict[tuple[str, ...], str] = {
     (LIMITS, "HALF_FOOT / surface.cell_width**2 - 1e-6 → (HALF_FOOT / surface.cell_width ** 2 + 1e-06)"): BIT,
     (GRAPH, "source_cost[k] < cost_to_come[node] → (source_cost[k] <= cost_to_come[node])"): "the same place twice",
     (GRAPH, "code[i] < code_was[j] → (code[i] <= code_was[j])"): "no leaf is the same, so all are looked at again",
+    (GRAPH, "i < len(code) → (i > len(code))"): "fewer leaves are the same, so more are looked at again",
+    (
+        GRAPH,
+        "i < len(code) and code[i] < code_was[j] → (i < len(code))",
+    ): "no leaf is the same, so all are looked at again",
+    (
+        GRAPH,
+        "low[1] - reach <= center[i, 1] <= high[1] + reach → (low[1] - reach <= center[i, 1] < high[1] + reach)",
+    ): BIT,
+    (GRAPH, "y > 0.0 → (y >= 0.0)"): "further than 0 along x, it is not 0",
+    (GRAPH, "0 → (1)", MERGED): "there are as many crossings as pairs",
     (GRAPH, "0 → (1)", SAME): "the first leaf is looked at again",
     (GRAPH, "1 → (2)", SAME): "any negative number is none",
     (GRAPH, "3.0 → (6.1)"): "more leaves are looked at again",
@@ -123,6 +146,14 @@ EQUAL: dict[tuple[str, ...], str] = {
         QUADTREE,
         "nearest > reach + 2.0 * half_diagonal → (nearest >= reach + 2.0 * half_diagonal)",
     ): BIT,
+    (
+        QUADTREE,
+        "(j + n) * share <= near - 1 → ((j + n) * share < near - 1)",
+    ): "what ends where the change begins is made anew",
+    (OBSTACLES, "1 → (2)", "rings = int(radius / width) + 1"): "more cells are looked at, and none is near",
+    (OBSTACLES, "cells + row → (cells - row)"): "a disc is the same both ways",
+    (OBSTACLES, "foot < height <= ledge - step → (foot < height < ledge - step)"): BIT,
+    (OBSTACLES, "limits.value > reach → (limits.value >= reach)"): BIT,
     (OBSTACLES, "near >= radius → (near > radius)"): BIT,
     (OBSTACLES, f"{BEYOND} > radius - SOLE → ({BEYOND} >= radius - SOLE)"): BIT,
     (OBSTACLES, f"{SHUT} < agent.disc_radius → ({SHUT} <= agent.disc_radius)"[:SHOWN]): BIT,
@@ -136,6 +167,8 @@ EQUAL: dict[tuple[str, ...], str] = {
         'above = points[pairs["j"], 2] - swept.discs.reshape(-1, 3)[pairs["i"], 2]',
     ): "any negative length is the unknown one",
     (IN_USE, "1 → (2)", "at = np.arange(knots[-1] + 1)"): "the last place twice",
+    (IN_USE, "2 → (3)", MOVED): "on a slope it is looked at more often",
+    (IN_USE, "1 → (2)", PIECES): "what stands still is looked at once more",
     (
         IN_USE,
         "1 → (2)",
@@ -155,6 +188,18 @@ EQUAL: dict[tuple[str, ...], str] = {
         "isinstance(reached[0], Refusal) and all(isinstance(goal, Refusal) for goal in reached)"
         " → (all((isinstance(goal, Refusal) for goal in reached)))",
     ): "all of them, so the first",
+    (
+        ENDPOINTS,
+        f"{SNAPPED.format('found.nearest', '>')} → ({SNAPPED.format('found.nearest', '>=')})",
+    ): "a distance to the last bit",
+    (
+        ENDPOINTS,
+        f"{SNAPPED.format('near', '>')} → ({SNAPPED.format('near', '>=')})",
+    ): "a distance to the last bit",
+    (
+        ENDPOINTS,
+        "room >= space.reach + agent.offsets[-1] → (room > space.reach + agent.offsets[-1])",
+    ): "a room to the last bit",
     (ENDPOINTS, "0 → (1)", RIM): "the map's rim is wider than a cell",
     (CONTROLLER, f"{TURNS.format('>')} → ({TURNS.format('>=')})"): "an angle that is the limit to the last bit",
     (CONTROLLER, "speed < STANDS → (speed <= STANDS)"): "a speed that is the limit to the last bit",
@@ -167,6 +212,13 @@ EQUAL: dict[tuple[str, ...], str] = {
         DRIVER,
         "result.status is Status.OK and result.trajectory is not None → (result.status is Status.OK)",
     ): "what is OK has a trajectory",
+    (
+        DRIVER,
+        "look.arc < min(look.keep, look.here - 1e-3) → (look.arc <= min(look.keep, look.here - 0.001))",
+    ): "a room to the last bit",
+    (DRIVER, "0.0 → (0.1)", FIRST): "at the first step there is no route yet",
+    (DRIVER, "0 → (1)", "self._agent = body.agent(self.margins[0])"): "the plan sets it before it is read",
+    (DRIVER, "route.length - self._along <= ARRIVED_M → (route.length - self._along < ARRIVED_M)"): "to the last bit",
     (DRIVER, "look.line < -KEEP → (look.line <= -KEEP)"): "a room to the last bit",
     (
         DRIVER,
@@ -383,38 +435,56 @@ def _is_equal(mutant):
     return (mutant.module, mutant.what) in EQUAL or (mutant.module, mutant.what, line) in EQUAL
 
 
+def drawn_from(module, each, seed):
+    """So many of a module's mutants; which ones depends on the seed and on the module alone."""
+    found = mutants_of(module, (ROOT / module).read_text())
+    return random.Random(f"{seed} {module}").sample(found, min(each, len(found)))
+
+
+def run(mutants, begin):
+    """Put each of them into one copy of the checkout, print what came of it, and yield it with the word for that."""
+    likely, began = defaultdict(Counter), time.monotonic()
+    with tempfile.TemporaryDirectory() as name, tempfile.TemporaryDirectory() as spare:
+        check_out(Path(name))
+        kernels = Kernels(Path(name), Path(spare))
+        for number, mutant in enumerate(mutants, 1):
+            if number < begin:
+                continue
+            noticed = is_noticed(mutant, Path(name), likely)
+            kernels.restore()
+            word = "noticed" if noticed else "equal" if _is_equal(mutant) else "SURVIVED"
+            print(f"{number}/{len(mutants)} {time.monotonic() - began:.0f} s  {word:<8}  {mutant}", flush=True)
+            yield mutant, word
+
+
+def table(counts):
+    """What came of each module's mutants, as Markdown."""
+    words = ("noticed", "equal", "SURVIVED")
+    rows = [(module, *(count[word] for word in words)) for module, count in counts.items()]
+    rows.append(("all", *(sum(row[i] for row in rows) for i in (1, 2, 3))))
+    head = "| module | drawn | noticed | equal | open |\n|---|--:|--:|--:|--:|"
+    return "\n".join([head, *(f"| {name} | {sum(n)} | {n[0]} | {n[1]} | {n[2]} |" for name, *n in rows)])
+
+
 def main():
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
-    parser.add_argument("--count", type=int, default=400, help="mutants, drawn from all modules alike")
+    parser.add_argument("--each", type=int, default=30, help="mutants drawn from each module")
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--only", default="", help="modules whose path holds this")
+    parser.add_argument("--only", nargs="*", default=[""], help="modules whose path holds one of these")
     parser.add_argument("--begin", type=int, default=1, help="the first of those drawn that is run")
     parser.add_argument("--end", type=int, help="the last of those drawn that is run")
     parser.add_argument("--line", type=int, help="of one module, all mutants of this line")
     args = parser.parse_args()
-    chosen = [module for module in MODULES if args.only in module]
-    found = [mutant for module in chosen for mutant in mutants_of(module, (ROOT / module).read_text())]
-    if args.line is not None:
-        found = [mutant for mutant in found if mutant.line == args.line]
-    drawn = random.Random(args.seed).sample(found, min(args.count, len(found)))[: args.end]
-    survived, began = [], time.monotonic()
-    likely = defaultdict(Counter)
-    with tempfile.TemporaryDirectory() as name, tempfile.TemporaryDirectory() as spare:
-        check_out(Path(name))
-        kernels = Kernels(Path(name), Path(spare))
-        for number, mutant in enumerate(drawn, 1):
-            if number < args.begin:
-                continue
-            noticed = is_noticed(mutant, Path(name), likely)
-            kernels.restore()
-            if not noticed:
-                survived.append(mutant)
-            word = "noticed" if noticed else "equal" if _is_equal(mutant) else "SURVIVED"
-            print(f"{number}/{len(drawn)} {time.monotonic() - began:.0f} s  {word:<8}  {mutant}", flush=True)
-    open_ones = [mutant for mutant in survived if not _is_equal(mutant)]
-    run = len(drawn) - args.begin + 1
-    print(f"{run} of {len(found)} mutants, {run - len(survived)} noticed, {len(open_ones)} survived")
-    return 1 if len(open_ones) > 0.1 * run else 0
+    chosen = [module for module in MODULES if any(part in module for part in args.only)]
+    each = args.each if args.line is None else sys.maxsize
+    drawn = [mutant for module in chosen for mutant in drawn_from(module, each, args.seed)]
+    drawn = [mutant for mutant in drawn if args.line in (None, mutant.line)][: args.end]
+    counts = defaultdict(Counter)
+    for mutant, word in run(drawn, args.begin):
+        counts[mutant.module][word] += 1
+    print(table(counts))
+    total = sum(counts.values(), Counter())
+    return 1 if total["SURVIVED"] > 0.1 * total.total() else 0
 
 
 if __name__ == "__main__":

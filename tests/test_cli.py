@@ -10,6 +10,7 @@ import sys
 import numpy as np
 import pytest
 
+from gpdf_service import cli
 from gpdf_service.cli import VERBS, find_verb, main, overview
 from gpdf_service.cli.bodies import add_body_arguments, body_of, read_agent
 from gpdf_service.cli.inputs import read_config
@@ -229,6 +230,20 @@ def test_the_help_of_a_group_is_the_groups(capsys):
         said = capsys.readouterr().out
         assert f"gpdf {word} " in said
         assert others not in said
+
+
+def test_a_bench_says_what_it_measures_before_it_is_loaded(monkeypatch, capsys):
+    def stops(name):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(cli, "import_module", stops)
+    for verb in (verb for verb in VERBS if verb.startswith("bench ")):
+        assert main([*verb.split(), "--json"]) == 130
+        out, said = capsys.readouterr()
+        assert said.startswith(f"gpdf {verb}: {VERBS[verb][1]}; it takes ")
+        assert out == ""
+    assert main(["bench", "plan", "--help"]) == 130
+    assert capsys.readouterr().err == ""
 
 
 def test_the_help_lists_every_verb_once_and_the_exit_codes():

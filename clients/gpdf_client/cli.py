@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import json
 import sys
+import threading
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -18,6 +19,8 @@ from gpdf_client.results import ClientError, PlanResult, UnavailableError
 
 FACTS = ("state", "version", "points", "levels", "noise", "agents_ready")
 """Of each scene, for people; `--json` has all."""
+TELL_S = 1.0
+"""[s] Who waits longer for a service is told so."""
 PLACE_HELP = "a named place, or x,y or x,y,z of the ground there [m]"
 
 
@@ -46,7 +49,13 @@ def connect(args: argparse.Namespace) -> Client:
     Raises:
         ClientError: nothing answers there, or the configuration cannot be read.
     """
-    return Client.connect(args.endpoint, config=read_credentials(args))
+    config, words = read_credentials(args), f"gpdf: looking for a service at {args.endpoint} …"
+    tell = threading.Timer(TELL_S, lambda: print(words, file=sys.stderr))
+    tell.start()
+    try:
+        return Client.connect(args.endpoint, config=config)
+    finally:
+        tell.cancel()
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

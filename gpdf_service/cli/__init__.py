@@ -71,6 +71,28 @@ VERBS: dict[str, tuple[str, str]] = {
     "completion": ("gpdf_service.cli.completion", "what your shell needs to complete these words: bash, zsh or fish"),
 }
 
+LASTS = {
+    "build": "a minute",
+    "crash": "half an hour",
+    "cut": "a minute",
+    "drive": "a quarter of an hour",
+    "f921": "half a minute",
+    "field": "two minutes",
+    "fuzz": "some minutes",
+    "ground": "some minutes",
+    "guide": "an hour",
+    "hostile": "a quarter of an hour",
+    "page": "some minutes",
+    "paper": "some minutes",
+    "plan": "two minutes",
+    "refusals": "some minutes",
+    "service": "some minutes",
+    "soak": "a quarter of an hour",
+    "spoken": "some seconds",
+    "unread": "a minute",
+}
+"""How long a bench takes with its own settings, on two quiet cores; other counts take more or less."""
+
 BRINGS = {
     "rosbags": "gpdf-service[ros2]",
     "viser": "gpdf-service[viewer]",
@@ -127,6 +149,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         if verb is None:
             code = _without_verb(words)
         else:
+            _announce(verb, words)
             with mortal() if argv is None else nullcontext():
                 args = parser_of(verb).parse_args(_joined(words[len(verb.split()) :]))
             if "numba" in sys.modules and sys.stderr.isatty():  # loaded by the verb's module, or not at all
@@ -148,6 +171,13 @@ def main(argv: Sequence[str] | None = None) -> int:
         return _report(error, as_json=getattr(args, "json", False))
     except KeyboardInterrupt:
         return 130
+
+
+def _announce(verb: str, words: list[str]) -> None:
+    """Say at once what a bench measures and how long that takes: to load what it measures with takes seconds."""
+    group, _, name = verb.partition(" ")
+    if group == "bench" and not {"-h", "--help"} & set(words):
+        print(f"gpdf {verb}: {VERBS[verb][1]}; it takes {LASTS[name]} if nothing is set", file=sys.stderr)
 
 
 def _without_verb(words: list[str]) -> int:

@@ -162,7 +162,7 @@ def _reading(file: Path) -> Iterator[None]:
 
 
 def _framed(file: Path, stored: Stored, scale: float | None, up: str | None) -> PointCloud:
-    """What a file holds in metres, z up, what is not finite left out; odd units and axes that nobody stated are said.
+    """What a file holds in metres, z up, without what is not finite; odd units and axes that nobody asked for are said.
 
     Raises:
         CloudError: no place in metres can be so.
@@ -181,7 +181,7 @@ def _framed(file: Path, stored: Stored, scale: float | None, up: str | None) -> 
         raise CloudError(f"cloud {file}", found, "Is it empty or damaged?")
     metres, axis = scale or stored.scale or 1.0, up or stored.up or "z"
     points = turn(points, metres, axis)
-    odd = _odd(file, points, unit=not (scale or stored.scale), axis=not (up or stored.up))
+    odd = _odd(file, points, unit=scale is None, axis=up is None and axis == "z")
     points = check_points(points)
     told = (stored.remark, f"{dropped} points were not finite and left out" if dropped else "", *odd)
     began = None if origins is None else turn(origins, metres, axis)
@@ -189,7 +189,7 @@ def _framed(file: Path, stored: Stored, scale: float | None, up: str | None) -> 
 
 
 def _odd(file: Path, points: FloatArray, *, unit: bool, axis: bool) -> list[str]:
-    """What is odd about what nobody stated: the unit, the up axis."""
+    """What is odd about what nobody asked for, the unit and the axis: files state both, and wrongly at times."""
     frame = look(points) if unit or axis else None
     if frame is None:
         return []

@@ -45,7 +45,7 @@ class MapControl:
             handle.on_update(lambda _: desk.maps.do("slice", self._slice))
 
     def show(self, name: str, facts: dict[str, Any]) -> None:
-        """Show a scene that is ready, on a page that shows none."""
+        """Show the ground of a scene that is ready, on a page that shows none."""
         self._scene, self._cell_width = name, facts["levels"][0]["cell_width"]
         self.say_facts(facts)
         self._fetch("ground")
@@ -55,6 +55,9 @@ class MapControl:
             step = add_scale(self._desk.browser.scene, self._desk.frame, *self.layers.ground.box)
             self._tab.legend.content = legend(len(facts["levels"]), step)
         self._offer_heights(facts)
+
+    def fill(self) -> None:
+        """Fetch and draw all that the Map tab asks for."""
         self._fetch(*self.layers.view.shown)
 
     def say_facts(self, facts: dict[str, Any]) -> None:

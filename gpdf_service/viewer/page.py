@@ -110,7 +110,7 @@ class Page:
         workers = Worker("gpdf-maps", panel.say_work), Worker("gpdf-plans", panel.say_answer)
         self.desk = Desk(browser, panel, Link(endpoint, self._on_service, config), *workers)
         self.map = MapControl(self.desk)
-        self.scenes = Scenes(self.desk, self.map, on_new=lambda: self.plans.clear())
+        self.scenes = Scenes(self.desk, self.map, on_new=lambda: self.plans.leave())
         self.plans = Plans(self.desk, self.map, self.scenes)
         self.logs = Logs(self.desk, self.map, self.scenes, self.plans)
         self.live = LiveLayers(browser.scene, self.desk.frame)

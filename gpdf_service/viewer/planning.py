@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -49,18 +50,27 @@ class Plans:
         tab.body.on_change(self._change_body)
         tab.method.on_update(by_hand(self._replan))
         tab.sets.on_click(lambda event: self._set_next(str(event.target.value)))
-        tab.take.on_click(lambda _: desk.plans.do("plan", self._take_typed))
-        tab.nearest.on_click(lambda _: desk.plans.do("plan", self._take_nearest))
+        desk.panel.scene.on_update(self._leave_soon)
+        tab.take.on_click(lambda _: self._soon(self._take_typed))
+        tab.nearest.on_click(lambda _: self._soon(self._take_nearest))
         tab.plan.on_click(lambda _: self.plan_soon())
-        tab.compare_methods.on_click(lambda _: desk.plans.do("plan", self._compare_methods))
-        tab.compare_bodies.on_click(lambda _: desk.plans.do("plan", self._compare_bodies))
+        tab.compare_methods.on_click(lambda _: self._soon(self._compare_methods))
+        tab.compare_bodies.on_click(lambda _: self._soon(self._compare_bodies))
         tab.clear.on_click(self._clear_soon)
         tab.time.on_update(lambda _: self.paths.move(tab.time.value))
         self._say_next()
 
     def plan_soon(self) -> None:
         """Plan on the plans' worker."""
-        self._desk.plans.do("plan", self._plan)
+        self._soon(self._plan)
+
+    def _soon(self, job: Callable[[], None]) -> None:
+        """Do it on the plans' worker; if another scene was chosen, when that is shown."""
+        desk = self._desk
+        if self._scenes.is_coming:
+            desk.maps.do("plan", lambda: desk.plans.do("plan", job))
+        else:
+            desk.plans.do("plan", job)
 
     def set_end(self, name: str, place: FloatArray) -> None:
         """Set the start or the goal (x, y, z of the ground) [m]; the next click sets the other."""
@@ -69,10 +79,17 @@ class Plans:
         put(self._tab.typed[name], ", ".join(f"{value:.2f}" for value in place))
         self._set_next("goal" if name == "start" else "start")
 
-    def clear(self) -> None:
-        """Forget start, goal, obstacles and path."""
-        self._empty_fields()
+    def leave(self) -> None:
+        """Forget what was planned in the scene that was shown; what has been typed for the next one stays."""
+        for name, place in self.ends.items():
+            if place is not None:
+                put(self._tab.typed[name], "")
         self._forget()
+
+    async def _leave_soon(self, event: viser.GuiEvent[Any]) -> None:
+        if event.client is not None:  # a person chose another scene
+            self.ends = dict.fromkeys(self.ends)
+            await self._clear_soon(event)
 
     async def _clear_soon(self, _: viser.GuiEvent[Any]) -> None:
         """The fields at once, before viser takes what is typed next: on a thread it could come after that."""

@@ -42,6 +42,11 @@ class Scenes:
             lambda event: desk.maps.do("load", lambda file=event.target.value: self._send_cloud(file))  # type: ignore[misc]
         )
 
+    @property
+    def is_coming(self) -> bool:
+        """Whether another scene was chosen than the one that is shown."""
+        return bool(self._desk.panel.scene.value != self.shown[0])
+
     def close(self) -> None:
         """Wait for no build any more."""
         self._closing.set()
@@ -92,9 +97,11 @@ class Scenes:
             self._desk.panel.say_work("")
         else:
             self._map.clear()  # nobody clicks the old ground and asks about the new scene
+            self.shown = ("", "")
             self._on_new()
-            self.shown = (name, facts["digest"])
             self._map.show(name, facts)
+            self.shown = (name, facts["digest"])
+            self._map.fill()
         self._map.prepare()  # also if it is shown already: it may be another service
 
     def _await_build(self, client: Client, name: str) -> None:

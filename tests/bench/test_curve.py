@@ -1,4 +1,6 @@
 import json
+from contextlib import redirect_stdout
+from io import StringIO
 
 import numpy as np
 import pytest
@@ -16,10 +18,9 @@ def curve(tmp_path_factory):
         patch.setattr("gpdf_service.bench.plan.REPEATS", 1)
         patch.setattr("gpdf_service.bench.curve.CLUTTER", (10.0,))
         patch.setattr("gpdf_service.bench.curve.MEDIUM", 30.0)
-        said = []
-        patch.setattr("builtins.print", said.append)
-        assert main(["bench", "plan", "--curve", "30", "--json", "--plot", str(picture)]) == 0
-    return json.loads(said[-1]), picture
+        with redirect_stdout(StringIO()) as said:
+            assert main(["bench", "plan", "--curve", "30", "--json", "--plot", str(picture)]) == 0
+    return json.loads(said.getvalue()), picture
 
 
 def test_the_curve_has_paths_maps_and_clutter_and_every_path_is_found(curve):

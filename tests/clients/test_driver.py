@@ -105,6 +105,18 @@ def test_a_pose_that_is_too_old_or_of_the_future_stops_it(off):
     assert walk.step().forward > 0.0  # and goes on when it sees again
 
 
+def test_where_no_distance_is_known_a_robot_of_any_size_has_no_room():
+    small = dataclasses.replace(ROOMBA, width=0.1, length=0.1)
+    walk = Walk(World(), body=small)
+    walk.until(lambda command: command.forward > 0.0)
+    told = walk.world.distance
+    walk.world.distance = lambda *asked, **how: dataclasses.replace(
+        told(*asked, **how), valid=np.zeros(len(walk.world.asked), bool)
+    )
+    assert walk.step() == STOP
+    assert walk.driver.state is not State.DRIVING
+
+
 def test_a_place_that_is_known_too_roughly_stops_it():
     walk = cruising()
     for accuracy, stops in ((0.5 * MARGINS[0] - 0.001, False), (0.5 * MARGINS[0] + 0.001, True)):

@@ -183,6 +183,14 @@ def test_heights_are_those_of_voxels_where_all_of_them_are(pitch, odd):
     assert are_voxels(z) == (odd is None)
 
 
+def test_voxels_of_which_those_that_are_looked_at_first_lie_on_every_second_rung_are_voxels():
+    z = 0.05 * np.arange(3000)
+    z[::3] = 0.1 * np.arange(1000)
+    assert are_voxels(z)
+    z[1] += 0.02
+    assert not are_voxels(z)
+
+
 @pytest.mark.parametrize(("share", "voxels"), [(0.008, True), (0.02, False)])
 def test_a_voxels_centre_may_be_off_its_rung_by_what_rounding_makes(share, voxels):
     rungs = np.array([0.0, 1.0, 2.0, 4.0 + share, 5.0 + share])

@@ -68,6 +68,14 @@ def test_obstacles_that_come_and_go_change_the_leaves_and_edges_around_them(seed
     assert_same(surface, places, surface, np.concatenate([places[stay], come]))
 
 
+@pytest.mark.parametrize("seed", [0, 1, 2814])
+def test_an_obstacle_that_goes_opens_ways(seed):
+    """In the last, one of 3,400 places, between two leaves that are wholly free then and stay as large."""
+    rng = np.random.default_rng(seed)
+    surface, places = flat(rng), sticks(rng, rng.integers(4, 60))
+    assert_same(surface, places, surface, places[1:])
+
+
 @pytest.mark.parametrize("seed", range(4))
 def test_every_edge_is_clear_and_none_that_is_clear_is_missing(seed):
     """Each pair of free neighbours against a fine sampling of its way through the crossing."""

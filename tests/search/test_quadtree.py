@@ -148,10 +148,23 @@ def test_a_tree_that_is_changed_is_the_one_that_is_built(seed):
     after, tree = dataclasses.replace(surface, state=state), build_tree(now)
     changed = (state > 0) != (surface.state > 0)
     made = change_quadtree(old, after, tree, radius, build_tree(moved) if len(moved) else None, changed)
-    built = build_quadtree(after, tree, radius)
+    assert_equal(made, build_quadtree(after, tree, radius))
+
+
+def assert_equal(made, built):
     for key in ("corner", "size", "free", "whole", "code"):
         np.testing.assert_array_equal(getattr(made, key), getattr(built, key), err_msg=key)
     np.testing.assert_allclose(made.clearance, built.clearance, atol=1e-9)
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_in_a_wide_hall_an_obstacle_that_comes_is_known_in_leaves_far_from_it(seed):
+    rng = np.random.default_rng(seed)
+    surface = HeightMap(np.zeros(2), 0.25, np.zeros((160, 160), np.float32), np.full((160, 160), OBSERVED, np.uint8))
+    places = rng.uniform(0.0, 40.0, (5, 2))
+    old, tree = build_quadtree(surface, build_tree(places[1:]), 0.2), build_tree(places)
+    made = change_quadtree(old, surface, tree, 0.2, build_tree(places[:1]), np.zeros((160, 160), dtype=bool))
+    assert_equal(made, build_quadtree(surface, tree, 0.2))
 
 
 @pytest.mark.parametrize("where", [0.05, 0.5])

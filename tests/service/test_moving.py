@@ -252,6 +252,17 @@ def test_what_ended_elsewhere_is_looked_for_once_a_second():
                 moving.publish("hall", [dot()])
 
 
+def test_the_same_again_asks_for_no_room_so_nothing_that_ended_is_looked_for():
+    now = [0.0]
+    moving = Moving(lambda: now[0])
+    for i in range(SCENES_FULL):
+        moving.replace(f"s{i}", held(ROOM - COUNTS * (i == 0), until=0.5))
+    for at, name in ((0.0, "dot"), (0.1, "dot"), (0.6, "another")):  # had it been looked at 0.1 s, it would not at 0.6
+        now[0] = at
+        moving.publish("hall", [dot(name)])
+    assert set(moving.living("hall")) == {"dot", "another"}
+
+
 def test_what_ended_elsewhere_makes_room_for_the_one_point_that_is_lacking():
     moving = Moving(lambda: 1.0)
     moving.replace("s0", held(ROOM - COUNTS + 1, until=0.5))

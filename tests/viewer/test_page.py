@@ -165,7 +165,7 @@ def test_each_browser_has_a_page_of_its_own(operator, browser):
         other.get_by_text("Click the ground:").wait_for()
         until(lambda: len(operator.pages.open) == 2)
         assert operator.pages.open[1].plans.ends == {"start": None, "goal": None}
-        operator.pages.open[1].plans.clear()
+        operator.pages.open[1].plans.leave()
         assert path_on_screen(operator) is not None
     until(lambda: len(operator.pages.open) == 1)
 
@@ -201,6 +201,24 @@ def test_what_is_typed_after_clear_stays_though_a_plan_is_still_made(operator):
     ends = operator.page.plans.ends
     until(lambda: ends["goal"] is not None and np.allclose([*ends["start"][:2], *ends["goal"][:2]], (0.9, 0.9, 5, 3)))
     until(lambda: path_on_screen(operator) is not None)
+
+
+def test_what_is_typed_before_the_chosen_scene_is_there_is_planned_in_it(operator):
+    """Marks in the frame of the scene before, and a path that was cleared when the scene came, were seen."""
+    operator.plans((0.9, 0.9, 0.0), (5.4, 3.4, 0.0))
+    going, go = threading.Event(), threading.Event()
+    operator.page.desk.maps.do("wait", lambda: (going.set(), go.wait(60)))
+    assert going.wait(30)
+    try:
+        operator.choose("Scene", "house")
+        until(lambda: operator.page.plans.ends["start"] is None)
+        types(operator, "1, 2.4, 0", "6, 2.4, 0")
+        operator.web.wait_for_timeout(500)
+    finally:
+        go.set()
+    until(lambda: operator.page.scenes.shown[0] == "house" and path_on_screen(operator) is not None)
+    np.testing.assert_allclose(path_on_screen(operator)[[0, -1], :2], [(1, 2.4), (6, 2.4)], atol=0.05)
+    assert operator.page.panel.plan.typed["goal"].value == "6.00, 2.40, 0.00"
 
 
 def test_a_refusal_is_a_card_with_a_button_that_takes_the_nearest_place(operator):
