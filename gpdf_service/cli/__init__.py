@@ -71,28 +71,6 @@ VERBS: dict[str, tuple[str, str]] = {
     "completion": ("gpdf_service.cli.completion", "what your shell needs to complete these words: bash, zsh or fish"),
 }
 
-LASTS = {
-    "build": "a minute",
-    "crash": "half an hour",
-    "cut": "a minute",
-    "drive": "a quarter of an hour",
-    "f921": "half a minute",
-    "field": "two minutes",
-    "fuzz": "some minutes",
-    "ground": "some minutes",
-    "guide": "an hour",
-    "hostile": "a quarter of an hour",
-    "page": "some minutes",
-    "paper": "some minutes",
-    "plan": "two minutes",
-    "refusals": "some minutes",
-    "service": "some minutes",
-    "soak": "a quarter of an hour",
-    "spoken": "some seconds",
-    "unread": "a minute",
-}
-"""How long a bench takes with its own settings, on two quiet cores; other counts take more or less."""
-
 BRINGS = {
     "rosbags": "gpdf-service[ros2]",
     "viser": "gpdf-service[viewer]",
@@ -174,10 +152,9 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _announce(verb: str, words: list[str]) -> None:
-    """Say at once what a bench measures and how long that takes: to load what it measures with takes seconds."""
-    group, _, name = verb.partition(" ")
-    if group == "bench" and not {"-h", "--help"} & set(words):
-        print(f"gpdf {verb}: {VERBS[verb][1]}; it takes {LASTS[name]} if nothing is set", file=sys.stderr)
+    """Say at once what a bench measures: to load what it measures with takes seconds."""
+    if verb.startswith("bench ") and not {"-h", "--help"} & set(words):
+        print(f"gpdf {verb}: {VERBS[verb][1]}", file=sys.stderr)
 
 
 def _without_verb(words: list[str]) -> int:
