@@ -810,7 +810,7 @@ def test_the_end_of_a_stringer_is_no_step_and_the_tread_beside_it_is_one():
         seen = HeightMap(np.zeros(2), 0.05, surface[1], np.full((40, 40), OBSERVED, np.uint8))
         return find_ledges(seen, surface[0], points, CONFIG.max_step)
 
-    end, riser = np.array([[1.0, 1.975, 0.2]]), np.array([[1.0, 1.0, 0.1]])
+    end, middle, riser = np.array([[1.0, 1.975, 0.2]]), np.array([[1.0, 1.85, 0.2]]), np.array([[1.0, 1.0, 0.1]])
     assert np.isinf(ledges(0.05, end)).all()
     assert ledges(0.05, riser) == pytest.approx([tread])
-    assert ledges(0.3, end) == pytest.approx([tread + over])  # a foot rests on it: a tread of its own
+    assert ledges(0.3, middle) == pytest.approx([tread + over])  # a foot rests on it: a tread of its own
