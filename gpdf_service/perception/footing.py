@@ -35,7 +35,7 @@ def bridged(surface: HeightMap, max_step: float) -> HeightMap:
     if not flight.any():
         return surface
     disc = _disc(rings_of(SOLE, surface.cell_width))
-    dilated = np.where(known, ndimage.maximum_filter(_without_ridges(surface, flight, np.inf), footprint=disc), np.inf)
+    dilated = np.where(known, ndimage.maximum_filter(_without_ridges(surface, flight), footprint=disc), np.inf)
     closed = np.fmax(surface.height, ndimage.minimum_filter(dilated, footprint=disc))
     return replace(surface, height=np.where(flight, closed, surface.height).astype(np.float32))
 
@@ -47,7 +47,7 @@ def footholds(surface: HeightMap, max_step: float) -> FloatArray:
     it. A flight is as in `bridged`, and goes on a stride further: its lowest treads are no step over the floor.
     """
     flight = ndimage.maximum_filter(flights(surface, max_step), 2 * rings_of(STRIDE, surface.cell_width) + 1)
-    return _without_ridges(surface, flight, -np.inf).astype(np.float64)
+    return _without_ridges(surface, flight).astype(np.float64)
 
 
 def ridges(surface: HeightMap, max_step: float) -> BoolArray:
@@ -62,21 +62,20 @@ def ridges(surface: HeightMap, max_step: float) -> BoolArray:
     return found
 
 
-def _without_ridges(surface: HeightMap, flight: BoolArray, unseen: float) -> NDArray[np.float32]:
+def _without_ridges(surface: HeightMap, flight: BoolArray) -> NDArray[np.float32]:
     """The ground [m], -inf where unknown; that of a `flight`, (nx, ny), without what is narrower than a foot, (nx, ny).
 
     A ridge is narrower than `SOLE` in some direction, and over all that is to either side within a foot's length by
-    more than a tread is rough. A nose is none, whatever dip is behind it: the tread goes on there. A side of
-    which nothing is known is as high as `unseen` [m]: a stringer stands beside a void, a nose before a shadow.
+    more than a tread is rough. A nose is none, whatever dip or shadow is behind it: the tread goes on there.
     """
     made = np.where(surface.state != UNKNOWN, surface.height, np.float32(-np.inf))
     cells = np.flatnonzero(flight & np.isfinite(made))
-    run_chunked(lambda a, b: _lower_ridges(surface.arrays, cells[a:b], unseen, made), len(cells))
+    run_chunked(lambda a, b: _lower_ridges(surface.arrays, cells[a:b], made), len(cells))
     return made
 
 
 @njit(cache=True, nogil=True)
-def _lower_ridges(ground: Cells, cells: IntArray, unseen: float, made: NDArray[np.float32]) -> None:
+def _lower_ridges(ground: Cells, cells: IntArray, made: NDArray[np.float32]) -> None:
     height = ground.height
     for cell in cells:
         x, y = cell // height.shape[1], cell % height.shape[1]
@@ -84,26 +83,26 @@ def _lower_ridges(ground: Cells, cells: IntArray, unseen: float, made: NDArray[n
             sole = SOLE / (ground.width * np.hypot(dx, dy))
             widest, foot = max(1, round(sole)), max(1, round(2.0 * sole))
             for ahead in range(1, widest + 1):
-                side = _highest_along(height, (x, y), (dx, dy), ahead, foot, unseen)
+                side = _highest_along(height, (x, y), (dx, dy), ahead, foot)
                 if side >= height[x, y] - ROUGH:
                     continue
                 for behind in range(1, widest + 2 - ahead):
-                    other = _highest_along(height, (x, y), (-dx, -dy), behind, foot, unseen)
-                    if -np.inf < max(side, other) < height[x, y] - ROUGH:
+                    other = _highest_along(height, (x, y), (-dx, -dy), behind, foot)
+                    if other < height[x, y] - ROUGH:
                         made[x, y] = min(made[x, y], max(side, other))
 
 
 @njit(cache=True, nogil=True)
 def _highest_along(
-    height: NDArray[np.float32], at: tuple[int, int], by: tuple[int, int], first: int, count: int, unseen: float
+    height: NDArray[np.float32], at: tuple[int, int], by: tuple[int, int], first: int, count: int
 ) -> float:
-    """Highest ground in so many cells in a line from the `first` on, `unseen` where none is known."""
+    """Highest ground in so many cells in a line from the `first` on, inf where none is known."""
     found = -np.inf
     for k in range(first, first + count):
         u, v = at[0] + k * by[0], at[1] + k * by[1]
         if 0 <= u < height.shape[0] and 0 <= v < height.shape[1] and height[u, v] > found:  # a NaN compares false
             found = float(height[u, v])
-    return found if found > -np.inf else unseen
+    return found if found > -np.inf else np.inf
 
 
 def flights(surface: HeightMap, max_step: float, reach: float = STRIDE) -> BoolArray:

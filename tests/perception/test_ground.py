@@ -799,15 +799,15 @@ def test_a_strip_through_a_level_floor_or_one_that_is_seen_through_stays_unknown
 
 
 def test_the_end_of_a_stringer_is_no_step_and_the_tread_beside_it_is_one():
-    grid = np.stack(np.meshgrid(np.arange(40), np.arange(40), indexing="ij"), -1).reshape(-1, 2) * 0.05 + 0.025
-    tread, next_, over = 0.17, 0.51, 0.04
-    treads = np.select([grid[:, 0] < 1.0, grid[:, 0] < 1.3], [0.0, tread], next_)
+    grid = np.stack(np.meshgrid(np.arange(40), np.arange(46), indexing="ij"), -1).reshape(-1, 2) * 0.05 + 0.025
+    tread, next_, over = 0.17, 0.51, 0.1
+    treads = np.select([(grid[:, 0] < 1.0) | (grid[:, 1] > 2.0), grid[:, 0] < 1.3], [0.0, tread], next_)
 
     def ledges(broad: float, points: np.ndarray) -> np.ndarray:
         """Beside a stringer so `broad`."""
         height = treads + np.where((grid[:, 1] > 2.0 - broad) & (treads > 0.0), over, 0.0)
-        surface = np.column_stack([grid, height]), height.reshape(40, 40).astype(np.float32)
-        seen = HeightMap(np.zeros(2), 0.05, surface[1], np.full((40, 40), OBSERVED, np.uint8))
+        surface = np.column_stack([grid, height]), height.reshape(40, 46).astype(np.float32)
+        seen = HeightMap(np.zeros(2), 0.05, surface[1], np.full((40, 46), OBSERVED, np.uint8))
         return find_ledges(seen, surface[0], points, CONFIG.max_step)
 
     end, middle, riser = np.array([[1.0, 1.975, 0.2]]), np.array([[1.0, 1.85, 0.2]]), np.array([[1.0, 1.0, 0.1]])
