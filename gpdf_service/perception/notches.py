@@ -11,10 +11,10 @@ from scipy import ndimage
 
 from gpdf_service.config import PerceptionConfig
 from gpdf_service.perception.boxes import window
-from gpdf_service.perception.footing import flights
+from gpdf_service.perception.footing import ROUGH, flights
 from gpdf_service.perception.nearest import nearest_of
 from gpdf_service.perception.strides import SOLE, STRIDE
-from gpdf_service.perception.surface import INFERRED, UNKNOWN, HeightMap
+from gpdf_service.perception.surface import INFERRED, UNKNOWN, HeightMap, cropped
 from gpdf_service.types import BoolArray, FloatArray, IntArray
 
 STEEPEST_FLIGHT = 1.3
@@ -35,8 +35,9 @@ def fill_notches(surface: HeightMap, seen_through: BoolArray, pit: BoolArray, co
     A nose hides the back of the tread below, and a scan from far shows strips. Such a place is of the tread around it,
     or, where one tread is on one side and the next on the other, of the lower one. On the level nothing is filled: a
     slot in a floor, or between a platform and a train, looks the same. So does a slot in a flight through which the
-    room beneath was seen; unless that is seen beneath the treads beside it, too. A tread that is closed up to
-    the next one is seen as wide as a sole: of those that are seen from below the noses are, and nobody has seen more.
+    room beneath was seen; unless that is seen beneath the treads beside it, too, or the slot is narrower than a sole
+    and at a riser: an open one shows the room beneath. A tread that is closed up to the next one is seen as wide as a
+    sole: of those that are seen from below the noses are, and nobody has seen more.
 
     Args:
         surface: The ground.
@@ -49,10 +50,11 @@ def fill_notches(surface: HeightMap, seen_through: BoolArray, pit: BoolArray, co
     height, state = surface.height.copy(), surface.state.copy()
     own, known, flight = height[box], surface.state[box] != UNKNOWN, flight[box]
     below, radius = seen_through[box] | pit[box], 0.5 * config.widest_gap / width
-    closed = nearest_of(nearest_of(known)[0] > radius)[0] > radius
+    closed, narrow = (nearest_of(nearest_of(known)[0] > half)[0] > half for half in (radius, 0.5 * SOLE / width))
     _fill_bitten(own, flight & ~seen_through[box], width)
     asked = closed & np.isnan(own) & flight
-    asked &= ~below | _from_the_side(known & flight, below, width)
+    open_riser = narrow & flights(cropped(surface, box), ROUGH, SOLE)
+    asked &= ~below | open_riser | _from_the_side(known & flight, below, width)
     cells, discs = np.argwhere(asked), (_disc(2.0 * radius), _disc(radius))
     rise = np.where(_as_wide_as_a_sole(~np.isnan(own), width), config.stair_step, 0.0)
     own[tuple(cells.T)] = _treads(own, rise, cells, *discs, 0.5 * width)

@@ -103,3 +103,11 @@ def test_a_slot_that_shows_the_room_beneath_is_open_unless_that_shows_beneath_th
     assert (filled(height, slot)[1][STRIP, 8:13] == UNKNOWN).all()
     everywhere = np.ones(height.shape, dtype=bool)
     assert (filled(height, everywhere)[1][STRIP, 8:13] == INFERRED).all()
+
+
+@pytest.mark.parametrize(("cells", "state"), [(2, INFERRED), (4, UNKNOWN)])
+def test_an_open_riser_shows_the_room_beneath_but_a_slot_wider_than_a_sole_is_open(cells, state):
+    height = flight()
+    riser = slice(3 * DEPTH - cells // 2, 3 * DEPTH + cells // 2), slice(8, 13)
+    height[riser] = np.nan
+    assert (filled(height, np.isnan(height))[1][riser][:, 1:-1] == state).all()  # its ends are closed over
