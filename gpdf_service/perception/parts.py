@@ -375,12 +375,12 @@ def undersides(
 
 
 def without_ceilings(
-    layers: Layers, parts: Parts, joins: Pairs, under: BoolArray, scraps: BoolArray
+    layers: Layers, parts: Parts, joins: Pairs, under: BoolArray, scraps: BoolArray, config: PerceptionConfig
 ) -> tuple[BoolArray, Parts, Pairs]:
     """What is left of undersides, `scraps` of shape (parts + 1,), is one as well but for treads: one steps down there.
 
     Through a hole in the scan of a slab's top nothing is within a stride below. Where that hole is beside a tread, the
-    tread is what is as near to the one below it as that is deep.
+    tread is what is as near to the one below it as that is deep, at most a stride: a ramp is no tread.
     """
     if not scraps.any():
         return under, parts, joins
@@ -389,9 +389,11 @@ def without_ceilings(
     down = scraps[high] & ~scraps[low] & (parts.level[high] - parts.level[low] > parts.rise)
     down &= parts.size[low] * layers.cell_width**2 >= HALF_FOOT
     for scrap, below in zip(high[down], low[down], strict=True):
-        own, beneath = np.flatnonzero(parts.label == scrap), np.flatnonzero(parts.label == below)
+        rise = parts.level[scrap] - layers.height  # a ramp and both its storeys are one part
+        tread = (parts.label == below) & (rise > 0.0) & (rise <= config.max_step)
+        own, beneath = np.flatnonzero(parts.label == scrap), np.flatnonzero(tread)
         off = cKDTree(layers.place[beneath]).query(layers.place[own])[0]
-        lost[own[off <= parts.depth[below] + layers.cell_width]] = False
+        lost[own[off <= min(parts.depth[below], STRIDE) + layers.cell_width]] = False
     label = np.where(lost, len(parts.size) - 1, parts.label)
     flat, keep = parts.flat & ~lost, parts.keep & ~lost
     size = np.bincount(label[keep], minlength=len(parts.size))

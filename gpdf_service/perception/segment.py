@@ -257,7 +257,7 @@ def find_ground(near: Beside, config: PerceptionConfig, relief: float = 0.0) -> 
     loose = near.pieces(parts.keep, rise, every)[1]
     under, parts, scraps = undersides(near, parts, core, loose, config)
     joins = join_parts(near, parts, _stances(near, parts.keep), config)
-    under, parts, joins = without_ceilings(layers, parts, joins, under, scraps)
+    under, parts, joins = without_ceilings(layers, parts, joins, under, scraps, config)
     if relief > 0.0:
         parts = without_crumbs(layers, parts, joins)
     kept = accept_parts(layers, parts, joins, core & ~keep & ~under, config)
