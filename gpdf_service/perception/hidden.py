@@ -47,8 +47,9 @@ def find_faces(surface: HeightMap, cell: IntArray, z: FloatArray, headroom: floa
     """Cells in which other points go up, without a gap, from the ground to twice the `headroom` [m], shape (nx, ny).
 
     A step's face ends at the ground above it; what has a gap is a table's edge; two points at much the same height go
-    nowhere. But what is lower than that, and as large as half a foot, is a box on the floor of which a scan from afar
-    may show some of the top alone.
+    nowhere. But where nobody has seen the ground, nobody has seen the gap either: what goes up there by as much as the
+    `headroom`, at any height, may go down. And what is lower than twice that, and as large as half a foot, is a box on
+    the floor of which a scan from afar may show some of the top alone.
 
     Args:
         surface: The ground.
@@ -60,6 +61,8 @@ def find_faces(surface: HeightMap, cell: IntArray, z: FloatArray, headroom: floa
     beside = ndimage.maximum_filter(np.where(known, surface.height, -np.inf), size=2 * _FACE_REACH + 1).astype(float)
     low, high = extent_within(cell, z, beside, beside + 2.0 * headroom)
     face = (low <= beside + headroom) & (high > beside + headroom) & (high - low >= headroom)
+    bottom, top = extent_within(cell, z, beside, beside + CEILING)
+    face |= (surface.state != OBSERVED) & (top - bottom >= headroom)
     piece, _ = ndimage.label(np.isfinite(low), np.ones((3, 3)))
     large = np.bincount(piece.ravel()) >= _foot_cells(surface)
     large[0] = False

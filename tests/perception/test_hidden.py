@@ -125,3 +125,14 @@ def test_behind_a_low_box_of_which_a_part_of_the_top_was_seen_nothing_is_inferre
     top = np.column_stack([2.35 + x, 3.0 + y, np.full(x.size, 0.15)])
     assert state_at(surface_of(floor_without(unseen), np.empty((0, 3))), 2.75, 3.0) == INFERRED
     assert state_at(surface_of(floor_without(unseen), top), 2.75, 3.0) == state
+
+
+@pytest.mark.parametrize(("y", "state"), [(2.7, INFERRED), (3.05, UNKNOWN)])
+def test_a_front_in_the_air_goes_down_where_nobody_has_seen_the_floor_beneath(y, state):
+    """Of one who stands behind another the scanner sees shoulders; a cupboard on a wall has the floor beneath it."""
+
+    def strip(x, y):
+        return (np.abs(x - 3.0) < 1.0) & (np.abs(y - 3.25) < 0.25)
+
+    front = upright(np.arange(2.5, 3.5, 0.02), np.full(50, y), 0.4) + np.array([0.0, 0.0, 1.1])
+    assert state_at(surface_of(floor_without(strip), front), 3.0, 3.25) == state
