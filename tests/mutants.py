@@ -114,6 +114,8 @@ EQUAL: dict[tuple[str, ...], str] = {
     (LIMITS, "0.0 → (0.1)", "total[:] = 0.0"): "whether a sum is NaN is all that is asked",
     (LIMITS, "found | 1 → (found & 1)"): "it looks on, and finds the same values again",
     (LIMITS, "1 → (2)", "lower, found = few[i], found | 1"): "it looks on, and finds the same values again",
+    (LIMITS, "found | 2 → (found & 2)"): "it looks on, and finds the same values again",
+    (LIMITS, "3 → (4)", "if found == 3:"): "it looks on, and finds the same values again",
     (LIMITS, "np.minimum(up, down) > level → (np.minimum(up, down) >= level)"): BIT,
     (
         LIMITS,
