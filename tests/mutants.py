@@ -57,6 +57,7 @@ MODULES = {
 """Each module, and the tests that are its own."""
 CONTROLLER, CORRIDOR = "clients/gpdf_robot/controller.py", "clients/gpdf_guidance/corridor.py"
 DRIVER = "clients/gpdf_robot/driver.py"
+FAST = "abs(self._command.turn) {} 0.1 * self.body.turn_rate"
 SHOWN = 150
 """Characters of a change."""
 ENDPOINTS, IN_USE = "gpdf_service/planning/endpoints.py", "gpdf_service/service/in_use.py"
@@ -111,7 +112,10 @@ EQUAL: dict[tuple[str, ...], str] = {
     (LIMITS, "slope <= STANDABLE → (slope < STANDABLE)"): BIT,
     (LIMITS, "slope > STANDABLE → (slope >= STANDABLE)"): BIT,
     (LIMITS, "0.0 → (0.1)", "total[:] = 0.0"): "whether a sum is NaN is all that is asked",
-    (LIMITS, "count < len(few) → (count > len(few))"): "no value is under NaN either",
+    (LIMITS, "found | 1 → (found & 1)"): "it looks on, and finds the same values again",
+    (LIMITS, "1 → (2)", "lower, found = few[i], found | 1"): "it looks on, and finds the same values again",
+    (LIMITS, "found | 2 → (found & 2)"): "it looks on, and finds the same values again",
+    (LIMITS, "3 → (4)", "if found == 3:"): "it looks on, and finds the same values again",
     (LIMITS, "np.minimum(up, down) > level → (np.minimum(up, down) >= level)"): BIT,
     (
         LIMITS,
@@ -206,6 +210,7 @@ EQUAL: dict[tuple[str, ...], str] = {
     (CONTROLLER, "remaining / APPROACH_S → (remaining * APPROACH_S)"): "it is one second",
     (CONTROLLER, "1e-9 → (0.100000002)"): "a bend of ten metres' radius slows nobody here",
     (DRIVER, "now - self._moved_at > GIVE_UP_S → (now - self._moved_at >= GIVE_UP_S)"): "a time to the last bit",
+    (DRIVER, f"{FAST.format('>')} → ({FAST.format('>=')})"): "a turn that is the limit to the last bit",
     (DRIVER, "wanted.speed > 0.0 → (wanted.speed >= 0.0)"): "who turns on the spot has as much room then as now",
     (DRIVER, "2.0 * pose.accuracy > self.margins[0] → (2.0 * pose.accuracy >= self.margins[0])"): "to the last bit",
     (

@@ -280,6 +280,7 @@ def _median(values: FloatArray, x: int, y: int, reach: int, few: FloatArray) -> 
     """Median of what is no NaN around a cell; `few` is room for it.
 
     The value that at most k others are under and more than k are not over is told in vectors, without a branch.
+    A NaN that was read last and is left in `few` is under nothing and not over.
     """
     (nx, ny), count = values.shape, 0
     few[:] = np.inf
@@ -289,8 +290,6 @@ def _median(values: FloatArray, x: int, y: int, reach: int, few: FloatArray) -> 
             count += int(not np.isnan(few[count]))
             if count == len(few):
                 break
-    if count < len(few):
-        few[count] = np.inf
     lower, upper, found = np.nan, np.nan, 0
     for i in range(count):
         under, most = 0, 0

@@ -322,3 +322,16 @@ def test_standing_still_for_long_it_gives_up_but_not_while_it_turns_or_creeps():
     while turning.now < GIVE_UP_S + 5.0:  # something holds it, while its wheels turn
         turning.step(Pose(0.0, 0.0, np.pi, turning.now))
     assert turning.driver.state is State.DRIVING
+
+
+@pytest.mark.parametrize(("aside", "turns"), [(0.03, False), (0.15, True)])
+def test_only_a_turn_of_a_tenth_of_its_rate_counts_as_getting_on(aside, turns):
+    """Held where it is, it turns on the spot at 0.3 rad/s, or drives on at less than 0.2 rad/s."""
+    walk = Walk(World(), at=(0.0, 0.0, aside))
+    while walk.now < GIVE_UP_S + 5.0:
+        command = walk.step(Pose(0.0, 0.0, aside, walk.now))
+        if 1.0 < walk.now < GIVE_UP_S - 1.0:
+            assert (command.forward == 0.0) is turns
+            assert (abs(command.turn) > 0.1 * ROOMBA.turn_rate) is turns
+            assert 0.05 < abs(command.turn) < 0.2 * ROOMBA.turn_rate
+    assert (walk.driver.state is State.GAVE_UP) is not turns

@@ -188,6 +188,16 @@ def test_the_arc_that_is_driven_goes_through_the_line_ahead(y, heading, speed):
     assert min(np.hypot(*(pose.xy - carrot)) for pose in steps) < 0.01
 
 
+def test_behind_a_sharp_corner_the_place_ahead_may_be_nearer_than_it_looks():
+    """Along a line that folds back, the place 0.15 m ahead is 0.04 m off: the arc through it is as tight as that."""
+    fold = Route(line_of((0, 0), (3, 0), (0, 0.2)))
+    carrot = fold.at(np.array([3.0 - 0.075 + 0.15]))[0, :2] - np.array([2.925, 0.0])
+    off, bearing = np.hypot(*carrot), np.arctan2(carrot[1], carrot[0])
+    assert off < 0.05
+    velocity = pursue(fold, Pose(2.925, 0.0, bearing - 0.05), 2.925, 0.2, ROOMBA, np.inf).velocity
+    assert velocity.turn == pytest.approx(velocity.forward * 2.0 * np.sin(0.05) / off)
+
+
 def test_a_bend_is_taken_in_proportion_to_its_radius():
     easy = 1.5 * ROOMBA.speed  # [m] the way of a second and a half
     assert regulated(ROOMBA.speed, 1.0 / easy, np.inf, np.inf, ROOMBA) == pytest.approx(ROOMBA.speed)
