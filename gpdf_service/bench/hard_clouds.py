@@ -36,6 +36,8 @@ SPIRAL_BODY = replace(AGENTS["human"], name="human_spiral", max_step=0.30, max_s
 SPIRAL_BODIES = (SPIRAL_BODY, AGENTS["spot"])
 SPIRAL_QUERY = np.array([[-16.0, -6.0], [-26.0, -5.0]])
 """[m] The published query, at the ground."""
+TURN = 0.3
+"""[m] Of a path, in which it turns at a corner: half a stride."""
 DECK = 500
 """Places: a component of fewer is no deck."""
 
@@ -108,7 +110,7 @@ def spiral_rows(folder: Path, count: int, seed: int, bodies: Sequence[Agent] = S
 
 
 def _solved(scene: Scene, search: ColumnSearch, pairs: FloatArray) -> Row:
-    agent, said, spent, deep = search.agent, [], [], []
+    agent, said, spent, deep, corner = search.agent, [], [], [], []
     for start, goal in pairs:
         began = time.process_time()
         result = plan(scene, start, goal, agent, snap=SPIRAL_CELL)
@@ -116,6 +118,7 @@ def _solved(scene: Scene, search: ColumnSearch, pairs: FloatArray) -> Row:
         said.append(result.status)
         if result.trajectory is not None:
             deep.append(search.deepest(result.trajectory.ground))
+            corner.append(sharpest_turn(result.trajectory.ground[:, :2]))
     high = np.ptp(pairs[:, :, 2], axis=1) > agent.height
     ok = np.array([status is Status.OK for status in said])
     return {
@@ -126,4 +129,14 @@ def _solved(scene: Scene, search: ColumnSearch, pairs: FloatArray) -> Row:
         "collisions": int(np.count_nonzero(deep)),
         "deepest_m": max(deep, default=0.0),
         "p50_ms": 1e3 * float(np.median(spent)) if spent else float("nan"),
+        "turn_p50_deg": float(np.degrees(np.median(corner))) if corner else float("nan"),
     }
+
+
+def sharpest_turn(path: FloatArray) -> float:
+    """The most that a path in plan, (n, 2), turns within `TURN` of its length [rad]."""
+    step = np.diff(path, axis=0)
+    step = step[np.hypot(*step.T) > 0.0]
+    heading, along = np.unwrap(np.arctan2(step[:, 1], step[:, 0])), np.cumsum(np.hypot(*step.T))
+    until = np.searchsorted(along, along + TURN)
+    return max((float(np.ptp(heading[i:j])) for i, j in enumerate(until) if j > i), default=0.0)

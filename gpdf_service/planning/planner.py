@@ -22,6 +22,7 @@ from gpdf_service.planning.endpoints import Ends, Refusal, find_ends
 from gpdf_service.planning.footprint import face
 from gpdf_service.planning.no_path import explain_no_path
 from gpdf_service.planning.others import find_others
+from gpdf_service.planning.portals import Bent, Meet, bend_over, pull_over
 from gpdf_service.planning.routes import Leg, Route, Wish, find_cut, find_routes, steps_of, take_up, way_takes_of
 from gpdf_service.planning.shape import distinct, resample, spline, stand_up
 from gpdf_service.planning.timing import speed_limit
@@ -139,11 +140,12 @@ def _follow(task: _Task, route: Route) -> PlanResult:
     space, config, clock, prefer = task.space, task.config, task.clock, task.wish.prefer
     searched, first, hurried = clock(), None, False
     late = PlanResult(Status.TIMEOUT, "the deadline passed before a path was certified. Allow more time.")
-    for candidate in _candidates(task, route.legs):
+    legs = pull_over(route.legs, _meet([end.xy for end in task.ends.via]), config.waypoint_spacing)
+    for candidate in _candidates(task, legs):
         left = task.left()
         if left < -PATIENCE:
             return late
-        bent = candidate.legs is not route.legs
+        bent = candidate.legs is not legs
         hurried = hurried or left < 0.0 or (left < np.inf and bent and not candidate.details["converged"])
         contact, top, level, headings = _stand(space, candidate.legs, config.waypoint_spacing, _facing(task.options))
         certificate = certify(space, top, contact, level, headings)
@@ -247,15 +249,15 @@ def _candidates(task: _Task, legs: list[Leg]) -> Iterator[_Candidate]:
     yield _Candidate(legs, np.zeros(0), {"iterations": 0.0, "evaluations": 0.0, "converged": 0.0})
 
 
-def _tries(task: _Task, legs: list[Leg]) -> Iterator[list[_Bent]]:
+def _tries(task: _Task, legs: list[Leg]) -> Iterator[list[Bent]]:
     """All pieces bent, in each way that is tried, while there is time; one that would take more steps stays."""
     config = _liking(task.config, task.wish.prefer)
 
-    def alone(pieces: list[Leg], *, strict: bool) -> list[_Bent]:
+    def alone(pieces: list[Leg], *, strict: bool) -> list[Bent]:
         made = [(leg, _bend(leg, config, strict, task.left())) for leg in pieces]
         return [bent if _as_level([leg], bent) else (leg, None) for leg, bent in made]
 
-    def together(pieces: list[Leg]) -> list[_Bent]:
+    def together(pieces: list[Leg]) -> list[Bent]:
         if len(pieces) > 1:
             joined = Leg(pieces[0].level, np.concatenate([leg.path for leg in pieces]), task.space)
             one = _bend(joined, config, False, task.left())
@@ -263,20 +265,33 @@ def _tries(task: _Task, legs: list[Leg]) -> Iterator[list[_Bent]]:
                 return [one]
         return alone(pieces, strict=False)
 
-    beside = _beside_each_other(legs, [end.xy for end in task.ends.via])
+    via = [end.xy for end in task.ends.via]
     if task.left() < 0.0:
         return
-    made = [together(pieces) for pieces in beside]
-    yield [one for part in made for one in part]
-    both = list(zip(made, beside, strict=True))
-    if any(len(part) < len(pieces) for part, pieces in both) and task.left() >= 0.0:
-        apart = [part if len(part) == len(pieces) else alone(pieces, strict=False) for part, pieces in both]
-        yield [one for part in apart for one in part]
+    meet = _meet(via)
+    bent = bend_over(_beside_each_other(legs, via), meet, task.config.waypoint_spacing, together)
+    yield bent
+    if (len(bent) < len(legs) or any(map(meet, legs, legs[1:]))) and task.left() >= 0.0:
+        yield alone(legs, strict=False)
     if task.left() >= 0.0:
         yield alone(legs, strict=True)
 
 
-def _as_level(pieces: list[Leg], bent: _Bent) -> bool:
+def _meet(via: list[FloatArray]) -> Meet:
+    """Pieces of poses stay as they are, and so does a via point."""
+
+    def meet(one: Leg, other: Leg) -> bool:
+        return one.level != other.level and one.path.shape[1] == other.path.shape[1] == 2 and _is_free(other, via)
+
+    return meet
+
+
+def _is_free(leg: Leg, via: list[FloatArray]) -> bool:
+    """Whether a piece begins at no via point."""
+    return not any(np.array_equal(leg.path[0, :2], place) for place in via)
+
+
+def _as_level(pieces: list[Leg], bent: Bent) -> bool:
     """Whether a bent path takes no more steps than the pieces of its seed did."""
     return bool((steps_of([bent[0]]) <= steps_of(pieces) + MORE_STEPS).all())
 
@@ -288,19 +303,14 @@ def _beside_each_other(legs: list[Leg], via: list[FloatArray]) -> list[list[Leg]
     """
     made = [[legs[0]]]
     for leg in legs[1:]:
-        apart = any(np.array_equal(leg.path[0, :2], place) for place in via)
-        if made[-1][-1].level != leg.level or apart or leg.path.shape[1] > 2:
+        if made[-1][-1].level != leg.level or leg.path.shape[1] > 2 or not _is_free(leg, via):
             made.append([leg])
         else:
             made[-1].append(leg)
     return made
 
 
-_Bent = tuple[Leg, ChompResult | None]
-"""A piece of the path after the optimiser, and what that says of it."""
-
-
-def _bend(leg: Leg, config: PlanningConfig, strict: bool, seconds: float) -> _Bent:
+def _bend(leg: Leg, config: PlanningConfig, strict: bool, seconds: float) -> Bent:
     """A piece of the path after CHOMP; as it was where nothing moves, no time is left, or ground is not known.
 
     The Obstacle GPDF is fitted to thinned points and its cost is soft. `strict`ly, the path bends round the points
