@@ -14,7 +14,7 @@ from gpdf_service.perception.boxes import window
 from gpdf_service.perception.footing import ROUGH, flights
 from gpdf_service.perception.nearest import nearest_of
 from gpdf_service.perception.strides import SOLE, STRIDE
-from gpdf_service.perception.surface import INFERRED, UNKNOWN, HeightMap, cropped
+from gpdf_service.perception.surface import INFERRED, UNKNOWN, HeightMap
 from gpdf_service.types import BoolArray, FloatArray, IntArray
 
 STEEPEST_FLIGHT = 1.3
@@ -53,8 +53,9 @@ def fill_notches(surface: HeightMap, seen_through: BoolArray, pit: BoolArray, co
     closed, narrow = (nearest_of(nearest_of(known)[0] > half)[0] > half for half in (radius, 0.5 * SOLE / width))
     _fill_bitten(own, flight & ~seen_through[box], width)
     asked = closed & np.isnan(own) & flight
-    open_riser = narrow & flights(cropped(surface, box), ROUGH, SOLE)
-    asked &= ~below | open_riser | _from_the_side(known & flight, below, width)
+    asked &= (
+        ~below | (narrow & _at_risers(own, asked, int(SOLE / width))) | _from_the_side(known & flight, below, width)
+    )
     cells, discs = np.argwhere(asked), (_disc(2.0 * radius), _disc(radius))
     rise = np.where(_as_wide_as_a_sole(~np.isnan(own), width), config.stair_step, 0.0)
     own[tuple(cells.T)] = _treads(own, rise, cells, *discs, 0.5 * width)
@@ -75,6 +76,20 @@ def _as_wide_as_a_sole(known: BoolArray, cell_width: float) -> BoolArray:
     sole = np.ones(2 * [2 * round(0.5 * SOLE / cell_width) + 1], dtype=bool)
     wide: BoolArray = known & ndimage.binary_opening(ndimage.binary_closing(known, sole), sole)
     return wide
+
+
+@njit(cache=True, nogil=True)
+def _at_risers(height: NDArray[np.float32], asked: BoolArray, most: int) -> BoolArray:
+    """Which of the `asked` cells, shape (nx, ny), have another tread on one side than on the other, a sole across."""
+    found = np.zeros_like(asked)
+    for x in range(height.shape[0]):
+        for y in range(height.shape[1]):
+            for dx, dy in ((1, 0), (0, 1), (1, 1), (1, -1)):
+                if not asked[x, y]:
+                    break
+                ahead, on, behind, _ = _both_sides(height, x, y, dx, dy, most, most + 1)
+                found[x, y] |= on > 0 and abs(ahead - behind) > ROUGH
+    return found
 
 
 def _from_the_side(treads: BoolArray, below: BoolArray, cell_width: float) -> BoolArray:

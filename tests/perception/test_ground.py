@@ -787,10 +787,10 @@ def test_a_gap_wider_than_a_foot_or_under_a_single_step_stays_unknown():
     assert all(np.isnan(s.height_at(np.array([[4.1, 1.5]]))[0]) for s in step.surfaces)
 
 
-def test_a_strip_through_a_level_floor_or_one_that_is_seen_through_stays_unknown():
-    flight, rng = flight_seen_from_above(0.1, 0.08), np.random.default_rng(1)
-    strip = 2.0 + 0.28 * 9 + 0.15
-    below = np.column_stack([rng.uniform((strip - 0.05, 1.4), (strip + 0.05, 2.6), (300, 2)), np.zeros(300)])
+def test_a_strip_through_a_level_floor_or_a_wide_one_that_is_seen_through_stays_unknown():
+    flight, rng = flight_seen_from_above(0.18, 0.0), np.random.default_rng(1)
+    strip = 2.0 + 0.28 * 10 - 0.09  # no sole is as wide; a narrower one at a riser is an open riser
+    below = np.column_stack([rng.uniform((strip - 0.09, 1.4), (strip + 0.09, 2.6), (500, 2)), np.zeros(500)])
     x, y = rng.uniform(0.0, 8.0, 60000), rng.uniform(0.0, 3.0, 60000)
     seen = (x < 3.8) | (x > 3.92)
     step = np.column_stack([x, y, 0.18 * (x > 4.1)])[seen]  # up on one side of it, and not down on the other
