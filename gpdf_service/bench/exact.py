@@ -62,7 +62,13 @@ def count_touching(world: SolidWorld, places: FloatArray, agent: Agent, noise: f
 
 
 def worst_foot(world: SolidWorld, contacts: FloatArray, max_step: float) -> float:
-    """The farthest that a contact (m, 3) is over (positive) or under the ground next to it [m]; inf without any.
+    """The one of `feet_off` that is farthest [m]."""
+    off = feet_off(world, contacts, max_step)
+    return float(off[np.abs(off).argmax()])
+
+
+def feet_off(world: SolidWorld, contacts: FloatArray, max_step: float) -> FloatArray:
+    """How far contacts (m, 3) are over (positive) or under the ground next to them [m], (m,); inf without any.
 
     Between two treads within a foot's length of it that are a step apart, a contact goes from one to the other.
     """
@@ -74,8 +80,8 @@ def worst_foot(world: SolidWorld, contacts: FloatArray, max_step: float) -> floa
     over = np.where(off >= 0.0, off, np.inf).min(axis=1)
     sunk = np.where(off < 0.0, -off, np.inf).min(axis=1)
     nearest = np.where(over <= sunk, over, -sunk)
-    nearest = np.where(over + sunk <= max_step, 0.0, nearest)
-    return float(nearest[np.abs(nearest).argmax()])
+    made: FloatArray = np.where(over + sunk <= max_step, 0.0, nearest)
+    return made
 
 
 def every(path: FloatArray, step: float) -> FloatArray:

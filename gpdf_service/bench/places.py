@@ -7,8 +7,8 @@ from collections.abc import Callable, Iterator, Sequence
 import numpy as np
 from scipy.spatial import cKDTree
 
-from gpdf_service.bench.exact import ON, SPACING, judge_path, worst_foot
-from gpdf_service.bench.houses import THIN
+from gpdf_service.bench.exact import ON, SPACING, count_touching, feet_off, judge_path
+from gpdf_service.bench.houses import THIN, free_places
 from gpdf_service.bench.judge import Judge
 from gpdf_service.bench.report import Row, each
 from gpdf_service.errors import NoGroundError
@@ -23,6 +23,8 @@ STARTS = 100
 """Random starts in each place, where nothing else is asked for."""
 PAIRS = 8
 """Of random places in each place, where nothing else is asked for."""
+FREE = 300
+"""Random free places of each place that are held against the exact one."""
 GRID = 0.1
 """[m] Between the places of an island that are asked for."""
 RIM = 0.4
@@ -69,7 +71,7 @@ def _land(scene: Scene, judge: Judge, place: Place, agent: Agent, starts: FloatA
     """A plan from a start to itself says where it lands: each is held against the world."""
     taken = [plan(scene, start, start, agent) for start in starts]
     paths = [result.trajectory for result in taken if result.status is Status.OK and result.trajectory is not None]
-    feet = np.array([worst_foot(place.world, path.ground[:1], agent.max_step) for path in paths])
+    feet = feet_off(place.world, np.array([path.ground[0] for path in paths]).reshape(-1, 3), agent.max_step)
     deep = np.array([judge.penetration(path.ground[0], agent) for path in paths])
     return {
         "landed": len(paths),
@@ -86,7 +88,10 @@ def path_rows(
     noise: float | None = None,
     makers: Sequence[Callable[[np.random.Generator], Place]] = ONE_FLOOR,
 ) -> Iterator[Row]:
-    """For each crowded place and body: plans between free places whose ground was seen, held against the world."""
+    """For each crowded place and body: plans between free places whose ground was seen, and places called free.
+
+    Both are held against the world: paths keep away from what stops a body, so they alone would not tell a wrong place.
+    """
     sigma = NOISE[scanner] if noise is None else noise
     for place, scan, scene in _built(makers, scanner, seed, noise):
         free = place.free_places(0, 4 * (count or PAIRS), np.random.default_rng(seed))
@@ -101,7 +106,18 @@ def path_rows(
                 **{"ok": len(paths), "collisions": sum(truth.collides(sigma) for truth in truths)},
                 "deepest_mm": 1e3 * max((truth.penetration for truth in truths), default=0.0),
                 "in_the_air": sum(truth.in_the_air for truth in truths),
+                **_free(scene, place, AGENTS[name], sigma, seed),
             }
+
+
+def _free(scene: Scene, place: Place, agent: Agent, sigma: float, seed: int) -> Row:
+    """Of random places that the scene calls free: how many touch something, and how many are on no ground."""
+    free = free_places(scene, agent, FREE, np.random.default_rng(seed))
+    return {
+        "free": len(free),
+        "wrongly_free": count_touching(place.world, free, agent, sigma),
+        "no_ground": int((np.abs(feet_off(place.world, free, agent.max_step)) > ON).sum()),
+    }
 
 
 def label_rows(
