@@ -133,10 +133,12 @@ def accept_parts(layers: Layers, parts: Parts, joins: Pairs, low: BoolArray, con
     """
     alive = parts.size > 0
     over = _over_share(layers, parts, low, config)
-    small = parts.size * layers.cell_width**2 <= TABLE_AREA
-    table = over > np.where(small, TABLE_OVER_SHARE, OVER_SHARE)
-    while (dead := _dead_ends(parts, joins, alive, table) | _upon_tables(layers, parts, joins, alive, table)).any():
-        alive &= ~dead
+    largest = TABLE_AREA / layers.cell_width**2
+    table = over > np.where(parts.size <= largest, TABLE_OVER_SHARE, OVER_SHARE)
+    dead = alive
+    while dead.any():
+        dead = _dead_ends(parts, joins, alive, table, largest) | _upon_tables(layers, parts, joins, alive, table)
+        alive = alive & ~dead
     if not alive.any():
         return alive
     group, bulk = _bulk(layers, parts, joins, alive, config)
@@ -155,15 +157,14 @@ def without_crumbs(layers: Layers, parts: Parts, joins: Pairs) -> Parts:
     return replace(parts, size=np.where(area[unit] < HALF_FOOT, 0, parts.size))
 
 
-def _units(parts: Parts, joins: Pairs, *kinds: BoolArray) -> IntArray:
-    """Number of what each part belongs to, shape (parts + 1,): parts of one kind that are level and joined are one.
+def _units(parts: Parts, joins: Pairs, among: BoolArray) -> IntArray:
+    """Number of what each part belongs to, shape (parts + 1,): those `among` all that are level and joined are one.
 
-    Narrow ones are a tread, tables that stand together a table.
+    Fragments of a tread are a tread, tables that stand together a table.
     """
-    a, b = joins
-    same = np.logical_or.reduce([kind[a] & kind[b] for kind in kinds])
-    same &= np.abs(parts.level[a] - parts.level[b]) <= parts.rise
-    unit: IntArray = components(a[same], b[same], np.logical_or.reduce(kinds))
+    a, b = pairs_within(*joins, among, True)
+    same = np.abs(parts.level[a] - parts.level[b]) <= parts.rise
+    unit: IntArray = components(a[same], b[same], among)
     return unit
 
 
@@ -233,25 +234,30 @@ def _over_things(layers: Layers, parts: Parts, step: float) -> BoolArray:
     return over & large
 
 
-def _dead_ends(parts: Parts, joins: Pairs, alive: BoolArray, table: BoolArray) -> BoolArray:
+def _dead_ends(parts: Parts, joins: Pairs, alive: BoolArray, table: BoolArray, largest: float) -> BoolArray:
     """Parts that lead nowhere, shape (parts + 1,).
 
     A tread joins ground above to ground below, a sill joins two floors. Fragments of one tread beside each other count
-    as one. A `table` is what a body stands on, but leads no further up.
+    as one, and so do a table's. A `table` is what a body stands on, but leads no further up: to a crate beside a board
+    one gets over it, and not on from there.
     """
     (a, b), count = pairs_within(*joins, alive, True), len(alive)
-    narrow = alive & ~parts.standable
-    unit = _units(parts, joins, narrow, alive & parts.standable & table)
+    narrow, table = alive & ~parts.standable, alive & parts.standable & table
+    unit = _units(parts, joins, alive & (table | (parts.size <= largest)))
     one, other = np.concatenate([unit[a], unit[b]]), np.concatenate([unit[b], unit[a]])
     one, other = np.divmod(np.unique((one * count + other)[one != other]), count)
     high, stands = np.zeros(count), np.zeros(count, dtype=bool)
-    high[unit], stands[unit] = parts.level, parts.standable  # those of a unit are level
+    high[unit] = parts.level  # those of a unit are level
+    stands[unit[alive & parts.standable]] = True
     joined, below, floors = (
         np.bincount(one[kind], minlength=count)
         for kind in (one >= 0, high[one] - high[other] > parts.rise, stands[other])
     )
     leads = (joined >= 2) & ((below < joined) | (floors >= 2))
-    dead: BoolArray = alive & np.where(narrow, ~leads[unit], table & (below == joined)[unit])
+    size, tables = (np.bincount(unit, parts.size * kind, count) for kind in (alive, table))
+    peak = stands & (below == joined) & (size <= largest)
+    nowhere = np.bincount(one[peak[other]], minlength=count) + below >= joined
+    dead: BoolArray = alive & np.where((2 * tables >= size)[unit], nowhere[unit], narrow & ~leads[unit])
     return dead
 
 
@@ -348,8 +354,9 @@ def undersides(
 
     An underside is the next below nodes of parts, by no more than a step, as wide as a body (a stair's tread goes on
     beneath the next one by its nosing alone), and more of it has something below it than strays are: the floor has not.
-    Of a part of which that is the most the rest is pieces by themselves: where the slab's top has holes in its scan,
-    and a stair's last tread, where that is as high as the underside beside it. See `without_ceilings`.
+    What is left of a part of which that is the most, and what that is around, are pieces by themselves: where the
+    slab's top has holes in its scan, and a stair's last tread, where that is as high as the underside beside it. See
+    `without_ceilings`.
     """
     layers, under = near.layers, np.zeros(len(core), dtype=bool)
     rows = np.flatnonzero(~parts.keep[:-1] & parts.keep[1:] & parts.over[1:])
@@ -362,15 +369,19 @@ def undersides(
     lies, size = (np.bincount(region[kind], minlength=len(depth)) for kind in (under & parts.over, under))
     aloft = lies > OVER_SHARE * size
     under[rows] = ((depth >= config.standing_width) & aloft)[region[rows]]
-    ceiling = parts.share(under, np.ones(len(core), dtype=bool)) >= 0.5
-    ceiling[-1] = False
-    if not ceiling.any():
-        return under, parts, np.zeros_like(ceiling)
-    rest = parts.keep & ceiling[parts.label]
-    under |= ceiling[parts.label] & ~rest
-    left = build_parts(near, parts.flat & ~under, parts.keep, parts.inner, parts.rise, config)
-    scraps = np.zeros(len(left.size), dtype=bool)
+    hangs = parts.share(under, np.ones(len(core), dtype=bool)) >= 0.5
+    hangs[-1] = False
+    rest = parts.keep & hangs[parts.label]
+    under |= hangs[parts.label] & ~rest
+    if not under.any():
+        return under, parts, np.zeros_like(hangs)
+    left = build_parts(near, parts.flat & ~under, parts.keep & ~under, parts.inner, parts.rise, config)
+    touches = np.zeros(len(core), dtype=bool)
+    for one, other in (smooth, smooth[::-1]):
+        touches[one[under[other]]] = True
+    scraps = left.share(touches, left.keep & (touches | ~parts.inner)) >= 0.5
     scraps[left.label[rest]] = True
+    scraps[-1] = False
     return under, left, scraps
 
 
