@@ -28,15 +28,22 @@ class Told:
     made: tuple[NDArray[Any], ...]
 
 
-def boxes_of(cells: BoolArray) -> list[Box]:
-    """Boxes that hold all of the cells, shape (nx, ny): the least one in each tile of the grid."""
+def boxes_of(cells: BoolArray, by: int) -> list[Box]:
+    """Boxes that hold all of the cells, shape (nx, ny): the least one in each tile of the grid, or one of all.
+
+    What is less to look at, with `by` cells more on each side, is taken.
+    """
     found, (rows, columns) = [], window(cells, 0)
     for x in range(rows.start, rows.stop, TILE):
         for y in range(columns.start, columns.stop, TILE):
             part = window(cells[x : min(x + TILE, rows.stop), y : min(y + TILE, columns.stop)], 0)
             if part[0].stop > part[0].start:
                 found.append((slice(x + part[0].start, x + part[0].stop), slice(y + part[1].start, y + part[1].stop)))
-    return found
+
+    def area(boxes: list[Box]) -> int:
+        return sum((x.stop - x.start) * (y.stop - y.start) for x, y in (grown(box, by, cells.shape) for box in boxes))
+
+    return min(found, [(rows, columns)], key=area) if found else found
 
 
 def grown(box: Box, by: int, shape: tuple[int, ...]) -> Box:
@@ -94,7 +101,7 @@ class Grid:
         else:
             felt = self.felt(name, reach, *given)
             made = tuple(values.copy() for values in was.made) if felt.any() else was.made
-            for box in boxes_of(felt):
+            for box in boxes_of(felt, reach):
                 outer = grown(box, reach, felt.shape)
                 own = tuple(slice(b.start - o.start, b.stop - o.start) for b, o in zip(box, outer, strict=True))
                 for values, found in zip(made, answer(outer, *(each[outer] for each in given)), strict=True):
