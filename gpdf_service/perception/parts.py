@@ -14,7 +14,14 @@ from gpdf_service.config import PerceptionConfig
 from gpdf_service.errors import NoGroundError
 from gpdf_service.perception.beside import Beside
 from gpdf_service.perception.layers import Layers, Pairs, connect, steady
-from gpdf_service.perception.nodes import components, extents_in_plan, nodes_over, numbered_among, rises_beside
+from gpdf_service.perception.nodes import (
+    components,
+    counts_of,
+    extents_in_plan,
+    nodes_over,
+    numbered_among,
+    rises_beside,
+)
 from gpdf_service.perception.pairs import pairs_within
 from gpdf_service.perception.strides import HALF_FOOT, STRIDE, find_strides
 from gpdf_service.types import BoolArray, FloatArray, IntArray
@@ -64,9 +71,8 @@ class Parts:
 
     def share(self, true: BoolArray, among: BoolArray) -> FloatArray:
         """Of the nodes `among` all of each part, for how many it is `true`, shape (parts + 1,)."""
-        count = len(self.size)
-        held = np.bincount(self.label[among & true], minlength=count)
-        made: FloatArray = held / np.maximum(np.bincount(self.label[among], minlength=count), 1)
+        held, all_ = counts_of(self.label, true, among, len(self.size))
+        made: FloatArray = held / np.maximum(all_, 1)
         return made
 
 
