@@ -337,8 +337,9 @@ class Scene:
             return add_moving(stands, self.levels, self.moving, *config, self.scan)
         former = self._former.get(body)
         if former is not None:
-            space, touched = former
-            return change_free_space(space, *parts, touched, *config, self.scan)
+            (space, touched), known = former, self.perceived
+            if known is not None:
+                return change_free_space(space, *parts, touched, known.survey.first, *config, self.scan)
         return build_free_space(*parts, body, *config, self.scan)
 
     def _spaces_before(self, touched: Touched) -> dict[Agent, tuple[FreeSpace, Touched]]:

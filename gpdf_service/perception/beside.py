@@ -105,12 +105,13 @@ class Beside:
         Args:
             name: Of the question.
             reach: Cells within which the nodes, and what is given for them, decide on the answer.
-            answer: Called with layers of a box of cells and what is given for their nodes.
+            answer: Called with layers of a box of cells, which of their nodes are asked about, and what is given for
+                all of them.
             given: Arrays of shape (k,).
         """
         was = self._before(name)
         if was is None:
-            made = answer(self.layers, *given)
+            made = answer(self.layers, np.ones(len(self.layers.cell), dtype=bool), *given)
         else:
             made = self.last(name)
             for nodes, fresh, found in self._again(name, reach, answer, given):
@@ -123,7 +124,7 @@ class Beside:
         """Pairs of nodes that a question is told, of each of which the first node decides; see `around`."""
         was = self._before(name)
         if was is None:
-            made = answer(self.layers, *given)
+            made = answer(self.layers, np.ones(len(self.layers.cell), dtype=bool), *given)
         else:
             told, former = was
             number = renumbered(former.kept, len(told.given[0]))
@@ -148,11 +149,12 @@ class Beside:
     ) -> Iterator[tuple[IntArray, BoolArray, tuple[NDArray[Any], ...]]]:
         """The nodes of each box in which something is another, which of them that can change, and the answer."""
         felt = self.felt(name, given, reach)
-        for box in boxes_of(felt):
+        for box in boxes_of(felt, reach):
             part, nodes = crop_layers(self.layers, box, reach)
             inside = np.zeros(self.layers.shape, dtype=bool)
             inside[box] = felt[box]
-            yield nodes, inside.ravel()[self.layers.cell[nodes]], answer(part, *(each[nodes] for each in given))
+            asked = inside.ravel()[self.layers.cell[nodes]]
+            yield nodes, asked, answer(part, asked, *(each[nodes] for each in given))
 
     def felt(self, name: str, given: tuple[NDArray[Any], ...], reach: int = 0) -> BoolArray:
         """Cells within reach of what is given otherwise than to the version before, shape (nx, ny); all of a build."""

@@ -107,9 +107,10 @@ def _raised_within(near: Beside, ground: BoolArray, least: float, most: float) -
     """
     width = max(2, int(LANDING / near.layers.cell_width))
 
-    def answer(layers: Layers, ground: BoolArray) -> tuple[FloatArray]:
+    def answer(layers: Layers, asked: BoolArray, ground: BoolArray) -> tuple[FloatArray]:
         raised, nodes, lowest = np.zeros(len(ground)), np.flatnonzero(ground), np.full(layers.shape, np.inf)
         np.minimum.at(lowest.ravel(), layers.cell[nodes], layers.height[nodes])
+        nodes = nodes[asked[nodes]]
         lowest = ndimage.minimum_filter(lowest, size=2 * width + 1, mode="constant", cval=np.inf)
         nodes = nodes[layers.height[nodes] - lowest.ravel()[layers.cell[nodes]] > least]
         grid = layers.cell, layers.start, layers.shape, layers.height, ground
@@ -149,8 +150,8 @@ def raised_over_sides(near: Beside, ground: BoolArray, config: PerceptionConfig)
     """How much higher each node of the `ground` is than the ground to both sides of it [m], shape (k,)."""
     reach = _reach(near.layers, config)
 
-    def answer(layers: Layers, ground: BoolArray) -> tuple[FloatArray]:
-        raised, nodes = np.zeros(len(ground)), np.flatnonzero(ground)
+    def answer(layers: Layers, asked: BoolArray, ground: BoolArray) -> tuple[FloatArray]:
+        raised, nodes = np.zeros(len(ground)), np.flatnonzero(ground & asked)
         grid = layers.cell, layers.start, layers.shape, layers.height, ground
         run_chunked(lambda a, b: _raise(nodes[a:b], *grid, reach, config.max_step, raised), len(nodes))
         return (raised,)

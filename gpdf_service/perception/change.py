@@ -48,7 +48,6 @@ from gpdf_service.perception.levels import (
     sheet_surface,
     within_reach,
 )
-from gpdf_service.perception.limits import limits_reach
 from gpdf_service.perception.notches import FLIGHT
 from gpdf_service.perception.rows import (
     bounds_of,
@@ -366,7 +365,7 @@ def _change_level(
     stepped |= _other_cells(surface, before, np.column_stack([places[after], found[after]]))
     ledge = ledge.copy()
     ledge[asked] = found
-    touched = widened(stepped, 1) | widened(other_ground, limits_reach(surface))
+    touched = widened(stepped | other_ground, 1) | grid.other_answers("measured", "edges")  # all that limits tell
     if not touched.any():
         return old, now, grid.lasting(), begin, None
     return GroundLevel(surface, other, ledge, limits, measured), now, grid.lasting(), begin, touched

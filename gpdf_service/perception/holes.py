@@ -17,7 +17,7 @@ from gpdf_service.perception.footing import flights
 from gpdf_service.perception.layers import widest_cell
 from gpdf_service.perception.limits import FOOT
 from gpdf_service.perception.nearest import nearest_of
-from gpdf_service.perception.notches import FLIGHT, fill_notches
+from gpdf_service.perception.notches import FLIGHT, fill_notches, notches_reach
 from gpdf_service.perception.rows import extent_within, under
 from gpdf_service.perception.surface import (
     INFERRED,
@@ -30,6 +30,7 @@ from gpdf_service.perception.surface import (
     nearest_seen,
     without,
 )
+from gpdf_service.perception.told import Grid, Told
 from gpdf_service.types import BoolArray, FloatArray, IntArray
 
 GAP_CELLS = 4
@@ -60,6 +61,7 @@ MAX_HOLE_RADIUS = 1.0
 
 def fill_holes(
     surface: HeightMap,
+    grid: Grid,
     lowest: FloatArray,
     seen_through: BoolArray,
     pit: BoolArray,
@@ -81,6 +83,7 @@ def fill_holes(
 
     Args:
         surface: The ground as it was seen.
+        grid: What was asked of its cells.
         lowest: Of the other points in each cell [m], inf where there is none, shape (nx, ny).
         seen_through: See `find_voids`.
         pit: See `find_voids`.
@@ -97,16 +100,28 @@ def fill_holes(
     beside = near.height
     material = lowest < beside + CEILING
     _fill_gaps(height, state, ~known, surface, near, noise)
-    with_notches = fill_notches(replace(surface, height=height, state=state), seen_through, pit, config)
-    height, state = with_notches.height, with_notches.state
+
+    def notched(
+        _: Box, height: NDArray[np.float32], state: NDArray[np.uint8], seen_through: BoolArray, pit: BoolArray
+    ) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
+        made = fill_notches(replace(surface, height=height, state=state), seen_through, pit, config)
+        return made.height, made.state
+
+    given = height, state, seen_through, pit
+    height, state = (made.copy() for made in grid.around("notches", notches_reach(surface, config), notched, *given))
     known = state != UNKNOWN
     void = seen_through | pit | _walled_down(surface, walls)
-    firm = nearest_of(firm_ground(surface, config))[0] * surface.cell_width
-    _fill(height, state, ~known & ~material, known, firm, surface.cell_width, void, OPEN_SHARE)
+
+    def close(_: Box, state: NDArray[np.uint8]) -> tuple[BoolArray]:
+        firm = firm_ground(replace(surface, state=state), config)
+        return (nearest_of(firm)[0] * surface.cell_width <= MAX_HOLE_RADIUS,)
+
+    (firm,) = grid.around("close", _close_reach(surface, config), close, surface.state)
+    _fill_planes(grid, "open", height, state, ~known & ~material, known, firm, surface.cell_width, void, OPEN_SHARE)
     solid = state != UNKNOWN  # then the ground that carries the furniture itself
-    rim = nearest_of(solid)[0] <= 1.0
-    under = ~solid & rim & (firm <= MAX_HOLE_RADIUS) & material & _seen_hollow(~solid & material, known & material)
-    _fill(height, state, under, solid, firm, surface.cell_width, void, SHUT_SHARE)
+    rim = ndimage.binary_dilation(solid)
+    under = ~solid & rim & firm & material & _seen_hollow(~solid & material, known & material)
+    _fill_planes(grid, "shut", height, state, under, solid, firm, surface.cell_width, void, SHUT_SHARE)
     _fill_gaps(height, state, state == UNKNOWN, surface, near, noise)  # what is left of larger ones
     return replace(surface, height=height, state=state)
 
@@ -123,6 +138,13 @@ def firm_ground(surface: HeightMap, config: PerceptionConfig) -> BoolArray:
     inner = slice(bridged, bridged + seen.shape[0]), slice(bridged, bridged + seen.shape[1])
     firm: BoolArray = dilated(eroded(whole[inner], foot), foot) & seen
     return firm
+
+
+def _close_reach(surface: HeightMap, config: PerceptionConfig) -> int:
+    """Cells within which it is decided whether `firm_ground` is near enough for a hole: two filters, and its radius."""
+    return sum(
+        2 * (int(length / surface.cell_width) + 1) for length in (config.widest_gap, FOOT, 0.5 * MAX_HOLE_RADIUS)
+    )
 
 
 def _seen_hollow(things: BoolArray, overhung: BoolArray) -> BoolArray:
@@ -311,31 +333,74 @@ def _small(holes: BoolArray, distance: FloatArray, cell_width: float) -> BoolArr
     return small
 
 
+def _fill_planes(
+    grid: Grid,
+    name: str,
+    height: NDArray[np.float32],
+    state: NDArray[np.uint8],
+    holes: BoolArray,
+    known: BoolArray,
+    near: BoolArray,
+    cell_width: float,
+    void: BoolArray,
+    share: float,
+) -> None:
+    """`_fill`, remembered: a hole is as it was if all that it is told by, two cells around it too, is as it was."""
+    given, was = (holes, known, near, void, height.copy()), grid.former.get(name)
+    again = np.ones(holes.shape, dtype=bool) if was is None else grid.felt(name, 2, *given)
+    _fill(
+        height,
+        state,
+        holes,
+        known,
+        near,
+        cell_width,
+        void,
+        share,
+        again,
+        *((height, state) if was is None else was.made),
+    )
+    grid.known[name] = Told(given, (height.copy(), state.copy()))
+
+
 @njit(cache=True, nogil=True)
 def _fill(
     height: NDArray[np.float32],
     state: NDArray[np.uint8],
     holes: BoolArray,
     known: BoolArray,
-    distance: FloatArray,
+    near: BoolArray,
     cell_width: float,
     void: BoolArray,
     share: float,
+    again: BoolArray,
+    height_before: NDArray[np.float32],
+    state_before: NDArray[np.uint8],
 ) -> None:
-    """Fill each of the `holes` with the plane of the `known` ground around, if that is at least `share` of its rim."""
+    """Fill each of the `holes` with the plane of the `known` ground around, if that is at least `share` of its rim.
+
+    Only the cells `near` firm ground are of a hole. It is as before where no cell of it is to be asked `again`.
+    """
     nx, ny = holes.shape
     met = np.zeros((nx, ny), np.int64)
     label, queue, last, hole = np.zeros((nx, ny), np.int32), np.empty(nx * ny, np.int64), 0, 0
     for corner in range(nx * ny):
         x, y = corner // ny, corner % ny
-        if not holes[x, y] or label[x, y] > 0 or distance[x, y] > MAX_HOLE_RADIUS:
+        if not holes[x, y] or label[x, y] > 0 or not near[x, y]:
             continue
         first, hole = last, hole + 1
         label[x, y], queue[last] = hole, corner
-        last, shut = _walk_hole(holes, distance, void, hole, label, queue, last)
+        last, shut = _walk_hole(holes, near, void, hole, label, queue, last)
         if not shut:
             continue
-        cells = np.sort(queue[first:last])
+        cells, other = np.sort(queue[first:last]), False
+        for c in cells:
+            other |= again[c // ny, c % ny]
+        if not other:
+            for c in cells:
+                x, y = c // ny, c % ny
+                height[x, y], state[x, y] = height_before[x, y], state_before[x, y]
+            continue
         places, heights, ground = _ring(cells, hole, label, known, height, met)
         if len(heights) < 3 or ground < share:
             continue
@@ -352,7 +417,7 @@ def _fill(
 @njit(cache=True, nogil=True)
 def _walk_hole(
     holes: BoolArray,
-    distance: FloatArray,
+    near: BoolArray,
     void: BoolArray,
     hole: int,
     label: NDArray[np.int32],
@@ -375,7 +440,7 @@ def _walk_hole(
             u, v = x + dx, y + dy
             if not (0 <= u < nx and 0 <= v < ny and holes[u, v]) or label[u, v] > 0:
                 continue
-            if distance[u, v] > MAX_HOLE_RADIUS:
+            if not near[u, v]:
                 shut = False
                 continue
             label[u, v], queue[last], last = hole, u * ny + v, last + 1

@@ -374,9 +374,10 @@ def complete(
         cell, z, _ = held(box)
         return guard_edges(HeightMap(seen.origin, seen.cell_width, height, state), lowest, cell, z, config)
 
-    (lowest,) = grid.around("lowest", 0, lowest_of)
-    filled = fill_holes(seen, lowest, *voids, config, near, noise)
-    shut, stair, guarded = grid.around("edges", notch_reach(seen), edges, filled.height, filled.state, lowest)
+    (lowest,) = grid.around("lowest", 0, lowest_of, points=True)
+    filled = fill_holes(seen, grid, lowest, *voids, config, near, noise)
+    own = filled.height, filled.state, lowest
+    shut, stair, guarded = grid.around("edges", notch_reach(seen), edges, *own, points=True)
     if rays is not None:
         return seen_by_rays(filled, rays, config, noise), guarded
 
@@ -392,7 +393,7 @@ def complete(
         return part.height, part.state
 
     opened = without_enclosed(filled, shut)
-    (face,) = grid.around("faces", faces_reach(seen), faces, opened.height, opened.state, stair)
+    (face,) = grid.around("faces", faces_reach(seen), faces, opened.height, opened.state, stair, points=True)
     height, state = grid.around("shown", hidden_reach(seen), shown, opened.height, opened.state, lowest, face)
     return replace(seen, height=height, state=state), guarded
 

@@ -70,6 +70,17 @@ def numbered_among(label: IntArray, among: BoolArray) -> tuple[IntArray, int]:
 
 
 @njit(cache=True, nogil=True)
+def counts_of(label: IntArray, true: BoolArray, among: BoolArray, labels: int) -> tuple[IntArray, IntArray]:
+    """Of how many nodes `among` all with each label it is `true`, and how many there are, each of shape (labels,)."""
+    held, all_ = np.zeros(labels, np.int64), np.zeros(labels, np.int64)
+    for i in range(len(label)):
+        if among[i]:
+            all_[label[i]] += 1
+            held[label[i]] += true[i]
+    return held, all_
+
+
+@njit(cache=True, nogil=True)
 def put_in(parent: IntArray, part: IntArray, begin: int) -> None:
     """Write the trees of some nodes, which are numbered from the first of them, `begin`, into those of all."""
     for i in range(len(part)):

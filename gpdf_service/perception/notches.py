@@ -63,6 +63,12 @@ def fill_notches(surface: HeightMap, seen_through: BoolArray, pit: BoolArray, co
     return replace(surface, height=height, state=state)
 
 
+def notches_reach(surface: HeightMap, config: PerceptionConfig) -> int:
+    """Cells within which the ground decides on a notch: flights, bites out of them, soles, and discs on these."""
+    lengths = FLIGHT, max(FLIGHT, NOTCH_SPAN + NOTCH_DEPTH), 3.0 * SOLE, 1.5 * config.widest_gap
+    return sum(int(length / surface.cell_width) + 2 for length in lengths)
+
+
 def _disc(radius: float) -> IntArray:
     """Cells within a `radius` [cells] of one, nearest first, shape (d, 2)."""
     offset = np.mgrid[-int(radius) : int(radius) + 1, -int(radius) : int(radius) + 1].reshape(2, -1).T

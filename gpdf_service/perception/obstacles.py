@@ -10,7 +10,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from gpdf_service.fields.threads import run_chunked, run_parallel
-from gpdf_service.perception.footing import ROUGH, is_tread, on_treads, rings_of
+from gpdf_service.perception.footing import ROUGH, footing_reach, is_tread, on_treads, rings_of
 from gpdf_service.perception.levels import FACE, LEAST_OBSTACLE, GroundLevel, astray
 from gpdf_service.perception.limits import ObstacleKind
 from gpdf_service.perception.nearest import nearest_of
@@ -68,6 +68,18 @@ def obstacles_of(level: GroundLevel, agent: Agent, scan: Scan = CLEAN) -> Obstac
     kind = np.full(len(points), int(ObstacleKind.MATERIAL), np.uint8)
     kind[np.count_nonzero(touched) :] = limits.kind[stops]
     return Obstacles(points, kind)
+
+
+def obstacles_reach(surface: HeightMap, agent: Agent) -> tuple[int, int]:
+    """Cells within which a level decides on an obstacle: its ground, and its other points.
+
+    A body stands within its radius of it where no material within its discs' radius shuts that off; that is told by
+    the ground within the radius again, or as far as treads are told from ridges.
+    """
+    width = surface.cell_width
+    body = int(np.ceil(agent.cylinder.radius / width)) + 1
+    shut = body + int(np.ceil(agent.disc_radius / width))
+    return shut + max(body, footing_reach(surface) + rings_of(SOLE, width) + 1), shut
 
 
 def _material(level: GroundLevel, agent: Agent, scan: Scan) -> BoolArray:

@@ -14,7 +14,14 @@ from gpdf_service.config import PerceptionConfig
 from gpdf_service.errors import NoGroundError
 from gpdf_service.perception.beside import Beside
 from gpdf_service.perception.layers import Layers, Pairs, connect, steady
-from gpdf_service.perception.nodes import components, extents_in_plan, nodes_over, numbered_among, rises_beside
+from gpdf_service.perception.nodes import (
+    components,
+    counts_of,
+    extents_in_plan,
+    nodes_over,
+    numbered_among,
+    rises_beside,
+)
 from gpdf_service.perception.pairs import pairs_within
 from gpdf_service.perception.strides import HALF_FOOT, STRIDE, find_strides
 from gpdf_service.types import BoolArray, FloatArray, IntArray
@@ -64,9 +71,8 @@ class Parts:
 
     def share(self, true: BoolArray, among: BoolArray) -> FloatArray:
         """Of the nodes `among` all of each part, for how many it is `true`, shape (parts + 1,)."""
-        count = len(self.size)
-        held = np.bincount(self.label[among & true], minlength=count)
-        made: FloatArray = held / np.maximum(np.bincount(self.label[among], minlength=count), 1)
+        held, all_ = counts_of(self.label, true, among, len(self.size))
+        made: FloatArray = held / np.maximum(all_, 1)
         return made
 
 
@@ -94,7 +100,7 @@ def join_parts(near: Beside, parts: Parts, stance: BoolArray, config: Perception
     """
     layers, reach = near.layers, STRIDE / near.layers.cell_width
 
-    def strides(layers: Layers, stance: BoolArray, part: IntArray) -> Pairs:
+    def strides(layers: Layers, _: BoolArray, stance: BoolArray, part: IntArray) -> Pairs:
         grid = layers.cell, layers.start, layers.shape, layers.height
         found: Pairs = find_strides(*grid, stance, part, reach, config.max_step)
         return found
@@ -125,13 +131,13 @@ def _between_storeys(parts: Parts, joins: Pairs, small: BoolArray, step: float) 
     return made
 
 
-def accept_parts(layers: Layers, parts: Parts, joins: Pairs, low: BoolArray, config: PerceptionConfig) -> BoolArray:
+def accept_parts(near: Beside, parts: Parts, joins: Pairs, low: BoolArray, config: PerceptionConfig) -> BoolArray:
     """Which parts are ground, shape (parts + 1,): what strides join to the bulk, and storeys by themselves.
 
     Parts that lead nowhere are dropped, one after another: a box or a board that is joined to the floor alone, and a
     table, which is higher than all that it is joined to and lies over ground, with or without headroom (`low`).
     """
-    alive = parts.size > 0
+    alive, layers = parts.size > 0, near.layers
     over = _over_share(layers, parts, low, config)
     largest = TABLE_AREA / layers.cell_width**2
     table = over > np.where(parts.size <= largest, TABLE_OVER_SHARE, OVER_SHARE)
@@ -141,7 +147,7 @@ def accept_parts(layers: Layers, parts: Parts, joins: Pairs, low: BoolArray, con
         alive = alive & ~dead
     if not alive.any():
         return alive
-    group, bulk = _bulk(layers, parts, joins, alive, config)
+    group, bulk = _bulk(near, parts, joins, alive, config)
     main = alive & (group == bulk)
     accepted: BoolArray = main | (alive & _apart(layers, parts, group, main, config)[group])
     return accepted
@@ -185,9 +191,7 @@ def _groups(joins: Pairs, alive: BoolArray) -> IntArray:
     return group
 
 
-def _bulk(
-    layers: Layers, parts: Parts, joins: Pairs, alive: BoolArray, config: PerceptionConfig
-) -> tuple[IntArray, int]:
+def _bulk(near: Beside, parts: Parts, joins: Pairs, alive: BoolArray, config: PerceptionConfig) -> tuple[IntArray, int]:
     """The group of each part, and which group is the ground that one starts from: the lowest of the large ones.
 
     What mostly lies over something is a storey, and only the bulk where there is nothing else. A ceiling is never: it
@@ -197,21 +201,19 @@ def _bulk(
     Raises:
         NoGroundError: there are but ceilings.
     """
-    group = _groups(joins, alive)
+    group, layers = _groups(joins, alive), near.layers
     size = np.bincount(group, parts.size * alive)
     lies, inner, hangs = (
         np.bincount(group, parts.share(kind, among) * parts.size * alive)
         for kind, among in (
             (parts.over, parts.keep),
             (parts.over, parts.keep & parts.inner),
-            (_over_things(layers, parts, config.max_step), parts.keep & parts.inner),
+            (_over_things(near, parts, config.max_step), parts.keep & parts.inner),
         )
     )
     asked = (hangs > 0.0) & (size >= BULK_SHARE * size.max())
-    nodes = np.flatnonzero(parts.keep & (alive & asked[group])[parts.label])
-    grid = layers.cell, layers.start, layers.shape, layers.height, layers.top
-    rises = nodes[rises_beside(nodes, *grid, config.max_step)]
-    risen = np.bincount(group[parts.label[rises]], minlength=len(size))
+    rises = _rises(near, parts.keep, config.max_step)
+    risen = np.bincount(group, np.bincount(parts.label[rises], minlength=len(group)) * alive)
     ceiling = asked & (risen < OVER_SHARE * inner)
     if not (size > 0)[~ceiling].any():
         raise NoGroundError("ground", "all that is level and wide enough is a ceiling", "Was the floor scanned?")
@@ -225,13 +227,28 @@ def _bulk(
     return group, int(min(large, key=lambda i: float(np.median(height[of_node == i]))))
 
 
-def _over_things(layers: Layers, parts: Parts, step: float) -> BoolArray:
+def _over_things(near: Beside, parts: Parts, step: float) -> BoolArray:
     """Nodes of parts over something more than a `step` [m] below them that is as large as half a foot, shape (k,)."""
-    over = parts.over & parts.keep
-    over[1:] &= np.diff(layers.height) > step
-    piece = components(*connect(layers, over, parts.rise), over)
-    large: BoolArray = np.bincount(piece, over)[piece] * layers.cell_width**2 >= HALF_FOOT
-    return over & large
+    over, area = parts.over & parts.keep, near.layers.cell_width**2
+    over[1:] &= np.diff(near.layers.height) > step
+
+    def answer(layers: Layers, _: BoolArray, over: BoolArray) -> tuple[BoolArray]:
+        piece = components(*connect(layers, over, parts.rise), over)
+        return (over & (np.bincount(piece, over) * area >= HALF_FOOT)[piece],)
+
+    return near.around("over things", int(HALF_FOOT / area) + 1, answer, over)[0]  # what is as long is as large
+
+
+def _rises(near: Beside, among: BoolArray, step: float) -> BoolArray:
+    """Which nodes, of `among`, have something rise from them, or beside them, by more than a `step` [m], shape (k,)."""
+
+    def answer(layers: Layers, asked: BoolArray, among: BoolArray) -> tuple[BoolArray]:
+        rises, nodes = np.zeros(len(among), dtype=bool), np.flatnonzero(among & asked)
+        grid = layers.cell, layers.start, layers.shape, layers.height, layers.top
+        rises[nodes] = rises_beside(nodes, *grid, step)
+        return (rises,)
+
+    return near.around("rises", 1, answer, among)[0]
 
 
 def _dead_ends(parts: Parts, joins: Pairs, alive: BoolArray, table: BoolArray, largest: float) -> BoolArray:

@@ -195,7 +195,7 @@ def scatter_of(deviation: float, relief: float) -> float:
 
 
 def _extents(
-    layers: Layers, ground: BoolArray, smooth: FloatArray, scatter: float, config: PerceptionConfig
+    layers: Layers, _: BoolArray, ground: BoolArray, smooth: FloatArray, scatter: float, config: PerceptionConfig
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """`low`, `high` and `beside` of a `Segmentation`."""
     beneath, across = run_beside(
@@ -223,7 +223,7 @@ def _ground_beside(layers: Layers, ground: BoolArray, smooth: FloatArray, scatte
     return lowest_beside(layers.start, layers.shape, ground, smooth, layers.height, layers.thickness + scatter)
 
 
-def _smoothed(layers: Layers, ground: BoolArray) -> tuple[FloatArray]:
+def _smoothed(layers: Layers, _: BoolArray, ground: BoolArray) -> tuple[FloatArray]:
     """Median height of each ground node and its neighbours on the same slope: a wheel on the floor does not lift it."""
     a, b = connect(layers, ground, 2.0 * layers.cell_width)
     return (medians_around(layers.height, ground, a, b),)
@@ -260,7 +260,7 @@ def find_ground(near: Beside, config: PerceptionConfig, relief: float = 0.0) -> 
     under, parts, joins = without_ceilings(layers, parts, joins, under, scraps, config)
     if relief > 0.0:
         parts = without_crumbs(layers, parts, joins)
-    kept = accept_parts(layers, parts, joins, core & ~keep & ~under, config)
+    kept = accept_parts(near, parts, joins, core & ~keep & ~under, config)
     seeds = parts.flat & kept[parts.label]
     wide, low = _grown(near, core & ~under, keep, seeds, rise, config)
     asked = (wide | (keep & ~over_ground(layers, wide, config.step_headroom))) & ~seeds & ~under
@@ -278,15 +278,19 @@ def find_ground(near: Beside, config: PerceptionConfig, relief: float = 0.0) -> 
 def _stances(near: Beside, among: BoolArray) -> BoolArray:
     """`find_stances`, remembered."""
     reach = int(np.ceil(BODY / near.layers.cell_width))
-    return near.around("stances", reach, lambda *given: (find_stances(*given),), among)[0]
+
+    def answer(layers: Layers, asked: BoolArray, among: BoolArray) -> tuple[BoolArray]:
+        return (find_stances(layers, among & asked),)
+
+    return near.around("stances", reach, answer, among)[0]
 
 
 def _footing(near: Beside, name: str, among: BoolArray, asked: BoolArray, rise: float) -> BoolArray:
     """`find_footing`, remembered."""
     width = near.layers.cell_width
 
-    def answer(layers: Layers, among: BoolArray, asked: BoolArray) -> tuple[BoolArray]:
-        return (find_footing(layers, among, asked, rise, _support(width)),)
+    def answer(layers: Layers, again: BoolArray, among: BoolArray, asked: BoolArray) -> tuple[BoolArray]:
+        return (find_footing(layers, among, asked & again, rise, _support(width)),)
 
     return near.around(name, int(SOLE / width) + 1, answer, among, asked)[0]
 
@@ -297,8 +301,10 @@ def _between(
     """`find_between`, remembered."""
     reach = int(STRIDE / near.layers.cell_width)
 
-    def answer(layers: Layers, stance: BoolArray, tread: BoolArray, asked: BoolArray) -> tuple[BoolArray]:
-        return (find_between(layers, stance, tread, asked, config),)
+    def answer(
+        layers: Layers, again: BoolArray, stance: BoolArray, tread: BoolArray, asked: BoolArray
+    ) -> tuple[BoolArray]:
+        return (find_between(layers, stance, tread, asked & again, config),)
 
     return near.around("between", reach, answer, stance, tread, asked)[0]
 
@@ -371,7 +377,7 @@ def _slope(near: Beside, ground: BoolArray, config: PerceptionConfig) -> FloatAr
     """Slope at each ground node [rad], of the mean gradient of it and its neighbours on the same slope."""
     rise = 2.0 * near.layers.cell_width * float(np.tan(config.steepest))  # or noise would flatten it
 
-    def answer(layers: Layers, ground: BoolArray) -> tuple[FloatArray]:
+    def answer(layers: Layers, _: BoolArray, ground: BoolArray) -> tuple[FloatArray]:
         pairs = connect(layers, ground, rise)
         gradient = mean_gradients(layers.height, layers.cell, layers.shape[1], *pairs)
         return (np.arctan(gradient / layers.cell_width),)
@@ -383,9 +389,9 @@ def _drops(near: Beside, among: BoolArray, config: PerceptionConfig) -> BoolArra
     """Which nodes, of `among`, have nothing go on in one direction, and something more than a step further down."""
     rise = near.layers.cell_width * float(np.tan(config.steepest))
 
-    def answer(layers: Layers, among: BoolArray) -> tuple[BoolArray]:
+    def answer(layers: Layers, asked: BoolArray, among: BoolArray) -> tuple[BoolArray]:
         grid = layers.cell, layers.start, layers.shape
-        own = np.flatnonzero(among), *grid, layers.height, layers.thickness, rise, config.max_step
+        own = np.flatnonzero(among & asked), *grid, layers.height, layers.thickness, rise, config.max_step
         return (drops_beside(*own),)
 
     return near.around("drops", 1, answer, among)[0]

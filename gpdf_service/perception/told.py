@@ -28,15 +28,22 @@ class Told:
     made: tuple[NDArray[Any], ...]
 
 
-def boxes_of(cells: BoolArray) -> list[Box]:
-    """Boxes that hold all of the cells, shape (nx, ny): the least one in each tile of the grid."""
+def boxes_of(cells: BoolArray, by: int) -> list[Box]:
+    """Boxes that hold all of the cells, shape (nx, ny): the least one in each tile of the grid, or one of all.
+
+    What is less to look at, with `by` cells more on each side, is taken.
+    """
     found, (rows, columns) = [], window(cells, 0)
     for x in range(rows.start, rows.stop, TILE):
         for y in range(columns.start, columns.stop, TILE):
             part = window(cells[x : min(x + TILE, rows.stop), y : min(y + TILE, columns.stop)], 0)
             if part[0].stop > part[0].start:
                 found.append((slice(x + part[0].start, x + part[0].stop), slice(y + part[1].start, y + part[1].stop)))
-    return found
+
+    def area(boxes: list[Box]) -> int:
+        return sum((x.stop - x.start) * (y.stop - y.start) for x, y in (grown(box, by, cells.shape) for box in boxes))
+
+    return min(found, [(rows, columns)], key=area) if found else found
 
 
 def grown(box: Box, by: int, shape: tuple[int, ...]) -> Box:
@@ -78,7 +85,12 @@ class Grid:
         return replace(self, former={})
 
     def around(
-        self, name: str, reach: int, answer: Callable[..., tuple[NDArray[Any], ...]], *given: NDArray[Any]
+        self,
+        name: str,
+        reach: int,
+        answer: Callable[..., tuple[NDArray[Any], ...]],
+        *given: NDArray[Any],
+        points: bool = False,
     ) -> tuple[NDArray[Any], ...]:
         """What a question is told of each cell, arrays of shape (nx, ny, …).
 
@@ -87,14 +99,15 @@ class Grid:
             reach: Cells within which what is given, and the points, decide on the answer.
             answer: Called with a box of cells and what is given for them.
             given: Arrays of shape (nx, ny, …).
+            points: Whether the answer asks the points that the cells hold, too.
         """
         was = self.former.get(name)
         if was is None:
             made = answer(WHOLE, *given)
         else:
-            felt = self.felt(name, reach, *given)
+            felt = self.felt(name, reach, *given, points=points)
             made = tuple(values.copy() for values in was.made) if felt.any() else was.made
-            for box in boxes_of(felt):
+            for box in boxes_of(felt, reach):
                 outer = grown(box, reach, felt.shape)
                 own = tuple(slice(b.start - o.start, b.stop - o.start) for b, o in zip(box, outer, strict=True))
                 for values, found in zip(made, answer(outer, *(each[outer] for each in given)), strict=True):
@@ -102,13 +115,23 @@ class Grid:
         self.known[name] = Told(given, made)
         return made
 
-    def felt(self, name: str, reach: int, *given: NDArray[Any]) -> BoolArray:
-        """Cells within the reach of other points, or of what is given otherwise than before, shape (nx, ny)."""
-        felt = self.others.copy()
+    def felt(self, name: str, reach: int, *given: NDArray[Any], points: bool = False) -> BoolArray:
+        """Cells within reach of what is given otherwise than before, or of other `points`, shape (nx, ny)."""
+        felt = self.others.copy() if points else np.zeros_like(self.others)
         for one, another in zip(given, self.former[name].given, strict=True):
-            other = unlike(one, another)
-            felt |= other.any(axis=2) if other.ndim > 2 else other
+            if one is not another:
+                other = unlike(one, another)
+                felt |= other.any(axis=2) if other.ndim > 2 else other
         return widened(felt, reach)
+
+    def other_answers(self, *names: str) -> BoolArray:
+        """Cells in which a question was told otherwise than in the version before, shape (nx, ny)."""
+        found = np.zeros_like(self.others)
+        for name in names:
+            for now, was in zip(self.known[name].made, self.former[name].made, strict=True):
+                if now is not was:
+                    found |= unlike(now, was)
+        return found
 
 
 def new_grid() -> Grid:

@@ -14,7 +14,8 @@ from gpdf_service.fields.threads import run_beside, run_parallel
 from gpdf_service.perception import CLEAN, GroundLevel, GroundLimits, HeightMap, Levels, Obstacles, Scan, obstacles_of
 from gpdf_service.perception.boxes import widened, window
 from gpdf_service.perception.change import hashed
-from gpdf_service.perception.rows import bounds_of, chosen_rows, more_now, rows_in_cells, taken
+from gpdf_service.perception.obstacles import obstacles_reach
+from gpdf_service.perception.rows import bounds_of, chosen_rows, more_now, rows_by_cell, rows_in_cells, taken
 from gpdf_service.perception.surface import UNKNOWN
 from gpdf_service.search.free_space import (
     FreeSpace,
@@ -34,6 +35,7 @@ def change_free_space(
     levels: Levels,
     ground_fields: tuple[Gpdf, ...],
     touched: Sequence[BoolArray | None],
+    first: Sequence[IntArray],
     config: SearchConfig,
     field_config: FieldConfig,
     scan: Scan = CLEAN,
@@ -45,6 +47,7 @@ def change_free_space(
         levels: The levels now.
         ground_fields: Ground GPDFs, 3D.
         touched: The cells of each level in which anything is another than before; None where nothing is.
+        first: Where the other points of each cell of a level begin, shape (cells + 1,).
         config: Margins.
         field_config: Of the Obstacle GPDFs.
         scan: Of the cloud.
@@ -62,7 +65,7 @@ def change_free_space(
             old.quadtrees[i].standing,
             old.edges[i],
         )
-        return was if cells is None else _change_level(was, level, cells, old, config, field_config, scan)
+        return was if cells is None else _change_level(was, level, cells, first[i], old, config, field_config, scan)
 
     made = run_parallel(one, range(len(touched)))
     return join_levels(old.agent, *reach_of(old.agent, config, scan.noise), made, levels, old)
@@ -72,16 +75,16 @@ def _change_level(
     was: LevelSpace,
     level: GroundLevel,
     touched: BoolArray,
+    first: IntArray,
     old: FreeSpace,
     config: SearchConfig,
     field_config: FieldConfig,
     scan: Scan,
 ) -> LevelSpace:
     surface, agent, radius = level.surface, old.agent, old.radius
-    # What stands on the ground is judged by the ground within a radius, what shuts that off, and the ground there.
-    reach = int(np.ceil(3.0 * agent.disc_radius / surface.cell_width)) + 6
+    reach, shut = obstacles_reach(surface, agent)
     region = widened(touched, reach)
-    found = obstacles_of(_part(level, region, reach), agent, scan)
+    found = obstacles_of(_part(level, first, region, reach, shut), agent, scan)
     inside, lost = (rows_in_cells(each.points, *_grid(surface), region) for each in (found, was.obstacles))
     both = np.concatenate([_rows(was.obstacles, lost), _rows(found, inside)])
     other = more_now(hashed(both), len(lost)) != 0
@@ -148,15 +151,13 @@ def _rows_now(stay: BoolArray, order: IntArray, source: IntArray) -> IntArray:
     return made
 
 
-def _part(level: GroundLevel, region: BoolArray, reach: int) -> GroundLevel:
-    """What of a level decides on the obstacles in `region`."""
+def _part(level: GroundLevel, first: IntArray, region: BoolArray, reach: int, shut: int) -> GroundLevel:
+    """What of a level decides on the obstacles in `region`: ground within `reach` cells, points within `shut`."""
     surface = level.surface
     box = window(region, reach)
     corner = surface.origin + np.array([box[0].start, box[1].start]) * surface.cell_width
-    wanted = np.zeros_like(region)
-    wanted[box] = True
-    limits = level.limits
-    other, limit = (rows_in_cells(each, *_grid(surface), wanted) for each in (level.other_points, limits.points))
+    limits, other = level.limits, rows_by_cell(widened(region, shut), first)
+    limit = rows_in_cells(limits.points, *_grid(surface), region)
     return replace(
         level,
         surface=HeightMap(corner, surface.cell_width, surface.height[box], surface.state[box]),

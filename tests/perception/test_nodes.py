@@ -179,10 +179,10 @@ def test_a_change_is_told_what_a_build_is_in_tiles_of_any_size(tile, monkeypatch
         ground, label = (x + y) % 5 > 0, x // 4
         ground &= ~((x > 30) & (y < 8) & (y % 2 == far))
         raised = raised_over_sides(near, ground, config)
-        (stance,) = near.around("stance", 2, lambda part, among: (find_stances(part, among),), ground)
+        (stance,) = near.around("stance", 2, lambda part, asked, among: (find_stances(part, among & asked),), ground)
         named = steady(own, label)
 
-        def strides(part, stance, named):
+        def strides(part, _, stance, named):
             return find_strides(part.cell, part.start, part.shape, part.height, stance, named, 4.0, 0.2)
 
         pairs = near.pairs_around("strides", 5, strides, ground, named)

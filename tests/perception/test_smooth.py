@@ -11,6 +11,7 @@ from gpdf_service.perception.holes import fill_holes
 from gpdf_service.perception.limits import step_and_slope
 from gpdf_service.perception.smooth import smooth, to_centres, without_unlucky
 from gpdf_service.perception.surface import OBSERVED, UNKNOWN, HeightMap
+from gpdf_service.perception.told import new_grid
 
 WIDTH = 0.05
 NOISE = 0.05
@@ -120,7 +121,8 @@ def test_ground_at_no_rim_keeps_its_heights():
 def fill_gaps(height, noise=0.0):
     nothing = np.zeros(height.shape, dtype=bool)
     never = np.full(height.shape, np.inf)
-    return fill_holes(ground(height), never, nothing, nothing, nothing, PerceptionConfig(), noise=noise).height
+    nowhere = nothing, nothing, nothing
+    return fill_holes(ground(height), new_grid(), never, *nowhere, PerceptionConfig(), noise=noise).height
 
 
 @pytest.mark.parametrize("noise", [0.0, NOISE])
