@@ -43,6 +43,7 @@ from gpdf_service.perception import (
     levels_to_arrays,
     survey_levels,
 )
+from gpdf_service.perception.budget import give_back
 from gpdf_service.perception.cure import NOISE_STEP
 from gpdf_service.perception.layers import in_steps
 from gpdf_service.perception.levels import LEAST_OBSTACLE
@@ -611,13 +612,16 @@ def assemble_scene(
     progress("segment ground", 0.0)
     found = cure_and_segment(cloud, labels, config.perception, width)
     cured, ground, segmentation = found.cured, found.ground, found.segmentation
+    give_back()
     progress("build levels", 0.4)
-    kept = ~cured.stray
-    points, labelled = (cured.points, ground) if kept.all() else (cured.points[kept], ground[kept])
+    points, labelled = cured.points, ground
+    if cured.stray.any():
+        points, labelled = chosen_rows(points, ~cured.stray), ground[~cured.stray]
     width = width if segmentation is None else segmentation.layers.cell_width
     levels, survey = survey_levels(
         points, labelled, config.perception, width=width, noise=0.0 if found.as_it_was else cured.measured, rays=rays
     )
+    give_back()
     progress("fit ground fields", 0.7)
     old = () if like is None else tuple(zip(like.ground_fields, like.levels.levels, strict=True))
 

@@ -83,13 +83,20 @@ def _warm() -> None:
 def _built(points: FloatArray, total: int, read_s: float) -> Row:
     began, clock = time.process_time(), time.perf_counter()
     scene = build_scene(points)
-    built = time.process_time()
+    built, peak = time.process_time(), _peak_gb()
     scene.free_space("human")
     free = time.process_time()
     seconds = read_s + free - began
     return {
         **{"points": total, "kept": len(points), "read_cpu_s": read_s, "build_cpu_s": built - began},
         **{"free_space_cpu_s": free - built, "ready_wall_s": time.perf_counter() - clock},
+        "build_us_per_point": 1e6 * (read_s + built - began) / total,
         "us_per_point": 1e6 * seconds / total,
-        "peak_gb": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024 / 1e9,
+        "build_peak_gb": peak,
+        "peak_gb": _peak_gb(),
     }
+
+
+def _peak_gb() -> float:
+    """Most memory that the process has held so far, the cloud and the program with it [GB]."""
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024 / 1e9

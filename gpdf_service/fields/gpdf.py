@@ -91,6 +91,11 @@ class Gpdf:
         return self._discs
 
     @property
+    def shaped(self) -> bool:
+        """Whether the discs were told."""
+        return not callable(self._discs)
+
+    @property
     def points(self) -> FloatArray:
         """The points that the field was fitted to [m], shape (n, dim)."""
         return self.tree.points

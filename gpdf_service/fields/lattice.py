@@ -8,7 +8,6 @@ tile; so a product with K is a few dozen sums of whole vectors.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from functools import lru_cache, partial
 from typing import NamedTuple
 
@@ -107,18 +106,19 @@ def fit_lattice(lattice: Lattice, domain: Domain, former: tuple[Gpdf, Lattice] |
         lattice: The points; in the field they are in the order of the tiles.
         domain: Where it answers.
         former: A field, and the lattice that it was fitted to: what it said of tiles within whose reach nothing is
-            another is taken over.
+            another is taken over. So are its discs, if they were told; else they are told on first use.
 
     Raises:
         FieldError: a solve did not converge.
     """
-    rows, solver = _rows_of(lattice), _solver_of(lattice)
-    count, ball = int(rows.first[-1]), _ball_of(lattice)
-    alpha, discs = np.empty(count), np.empty((count, 6))
+    rows, solver, ball = _rows_of(lattice), _solver_of(lattice), _ball_of(lattice)
+    alpha = np.empty(int(rows.first[-1]))
+    discs = np.empty((len(alpha), 6)) if former is not None and former[0].shaped else None
 
     def solve(k: int) -> bool:
         cells = _layout() + rows.tile[k]
-        _shape_tile(lattice, ball, cells, discs[rows.of(k)])
+        if discs is not None:
+            _shape_tile(lattice, ball, cells, discs[rows.of(k)])
         return bool(_solve_tile(lattice, solver, cells, alpha[rows.of(k)]))
 
     if not all(run_parallel(solve, _take_over(lattice, rows, solver.reach, former, alpha, discs))):
@@ -143,7 +143,7 @@ def restore_lattice(
         order = np.argsort(old)
         taken = order[np.searchsorted(old, new, sorter=order)]
         alpha, discs = alpha[taken], None if discs is None else discs[taken]
-    return _field(lattice, rows, alpha, partial(_discs_of, lattice, rows) if discs is None else discs, domain)
+    return _field(lattice, rows, alpha, discs, domain)
 
 
 def _discs_of(lattice: Lattice, rows: _Rows) -> FloatArray:
@@ -160,12 +160,11 @@ def _ball_of(lattice: Lattice) -> IntArray:
     return disc(REACH * lattice.spacing / lattice.width)
 
 
-def _field(
-    lattice: Lattice, rows: _Rows, alpha: FloatArray, discs: FloatArray | Callable[[], FloatArray], domain: Domain
-) -> Gpdf:
+def _field(lattice: Lattice, rows: _Rows, alpha: FloatArray, discs: FloatArray | None, domain: Domain) -> Gpdf:
+    told = partial(_discs_of, lattice, rows) if discs is None else discs
     own = lattice.length_scale, lattice.noise_variance, lattice.spacing
     tree = _tree_of(_points_of(lattice, rows), rows)
-    return Gpdf(tree, alpha, discs, np.broadcast_to(0.0, len(alpha)), *own, domain)
+    return Gpdf(tree, alpha, told, np.broadcast_to(0.0, len(alpha)), *own, domain)
 
 
 def _points_of(lattice: Lattice, rows: _Rows) -> FloatArray:
@@ -187,7 +186,7 @@ def _take_over(
     reach: int,
     former: tuple[Gpdf, Lattice] | None,
     alpha: FloatArray,
-    discs: FloatArray,
+    discs: FloatArray | None,
 ) -> list[int]:
     """Write what a field over a `former` lattice said of tiles with no change in reach [cells]; which are left."""
     if former is None or not _is_like(lattice, former[1]):
@@ -201,7 +200,9 @@ def _take_over(
             left.append(k)
         else:
             own, old = rows.of(k), was[x, y]
-            alpha[own], discs[own] = field.alpha[old], field.discs[old]
+            alpha[own] = field.alpha[old]
+            if discs is not None:
+                discs[own] = field.discs[old]
     return left
 
 

@@ -30,7 +30,8 @@ from gpdf_service.perception.layers import (
     renumbered,
 )
 from gpdf_service.perception.nodes import across_in, degrees_in, ends_in, numbered, pieces_in, put_in, unite_all
-from gpdf_service.perception.pairs import INDEX, pairs_beside
+from gpdf_service.perception.pairs import pairs_beside
+from gpdf_service.perception.rows import INDEX
 from gpdf_service.perception.told import Told, boxes_of
 from gpdf_service.types import BoolArray, FloatArray, IntArray
 

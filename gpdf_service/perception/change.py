@@ -30,7 +30,6 @@ from gpdf_service.perception.layers import (
     splice_layers,
 )
 from gpdf_service.perception.levels import (
-    FACE,
     GroundLevel,
     Levels,
     Survey,
@@ -39,6 +38,7 @@ from gpdf_service.perception.levels import (
     complete,
     find_ledges,
     find_portals,
+    ground_reach,
     held_in,
     in_order,
     ledge_reach,
@@ -425,18 +425,13 @@ _MIX = np.array([0x9E3779B97F4A7C15, 0xC2B2AE3D27D4EB4F, 0x165667B19E3779F9, 0xD
 
 def _ledge_cells(part: _Part, surface: HeightMap, other: BoolArray) -> BoolArray:
     """Cells in which a ledge can be another than before, because the ground is in the `other` cells."""
-    return widened(part.cells | widened(other, ledge_reach(surface)), _ground_reach(surface))
-
-
-def _ground_reach(surface: HeightMap) -> int:
-    """Cells within which the ground's points decide on a ledge."""
-    return int(np.ceil(2.0 * FACE / surface.cell_width)) + 1
+    return widened(part.cells | widened(other, ledge_reach(surface)), ground_reach(surface))
 
 
 def _ledges_of(part: _Part, surface: HeightMap, other: FloatArray, config: PerceptionConfig) -> NDArray[np.float32]:
     cells = np.zeros(surface.state.shape, dtype=bool)
     cells[surface.cells(other)[:2]] = True
-    reach = _ground_reach(surface)
+    reach = ground_reach(surface)
     rows = part.cloud.rows_in(part.layers, widened(cells, reach))
     box = window(cells, reach + ledge_reach(surface)) if len(other) else NOWHERE
     ground = taken(part.cloud.points, rows[part.ground[rows]])

@@ -10,7 +10,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from gpdf_service.fields.threads import run_chunked
-from gpdf_service.perception.pairs import INDEX
+from gpdf_service.perception.rows import INDEX
 from gpdf_service.types import BoolArray, FloatArray, IntArray
 
 BAND = 0.04

@@ -9,7 +9,6 @@ import numpy as np
 from gpdf_service.config import PerceptionConfig
 from gpdf_service.denoise import (
     Denoised,
-    as_measured,
     denoise,
     estimate_noise,
     find_lifted,
@@ -86,16 +85,22 @@ def cure_and_segment(
     if ground is not None:
         noise = _with_double(points, ground, sample, least)
         if noise <= least:
-            return CuredGround(as_measured(points, noise), ground, as_it_was=True)
+            return CuredGround(_clean(points, noise), ground, as_it_was=True)
         return _cured(points, ground, noise)
     if noise <= least:
         first, segmentation = segment(points, first_layers(points, config, width), config)
         noise = _with_double(points, first, sample, least)
         if noise <= least:
-            return CuredGround(as_measured(points, noise), first, as_it_was=True, segmentation=segmentation)
+            return CuredGround(_clean(points, noise), first, as_it_was=True, segmentation=segmentation)
     made = _found(points, noise, sample.spacing, config)
     double = _with_double(points, made.ground, sample, least)
     return made if double <= noise else _found(points, double, sample.spacing, config)
+
+
+def _clean(points: FloatArray, noise: float) -> Denoised:
+    """Points as they are, shape (n, 3): one number says the noise of all [m], and none is vague or stray."""
+    none = np.broadcast_to(np.False_, len(points))
+    return Denoised(points, np.broadcast_to(noise, len(points)), none, none, noise)
 
 
 def _with_double(points: FloatArray, ground: BoolArray, sample: _Sample, least: float) -> float:

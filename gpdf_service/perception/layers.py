@@ -26,8 +26,8 @@ from gpdf_service.perception.columns import (
     tops_of_boards,
     values_spliced,
 )
-from gpdf_service.perception.pairs import INDEX, pairs_near
-from gpdf_service.perception.rows import bounds_of, cells_of, chosen_rows, rows_by_cell
+from gpdf_service.perception.pairs import pairs_near
+from gpdf_service.perception.rows import INDEX, bounds_of, cells_of, chosen_rows, rows_by_cell
 from gpdf_service.perception.told import grown, unlike
 from gpdf_service.types import BoolArray, FloatArray, IntArray
 

@@ -35,7 +35,7 @@ from gpdf_service.perception.limits import (
 )
 from gpdf_service.perception.notches import NOTCH_DEPTH, between_treads
 from gpdf_service.perception.rays import Rays, seen_by_rays
-from gpdf_service.perception.rows import between, chosen_rows, extent_within, rows_by_cell, taken, under
+from gpdf_service.perception.rows import between, chosen_rows, extent_within, rows_by_cell, rows_in_box, taken, under
 from gpdf_service.perception.segment import LEAST_SCATTER
 from gpdf_service.perception.sheets import OVERLAP, rise_of_sheets, split_sheets
 from gpdf_service.perception.smooth import RESOLVED_STEP, smooth, to_centres, without_unlucky
@@ -49,7 +49,7 @@ from gpdf_service.perception.surface import (
     cropped,
     nearest_seen,
 )
-from gpdf_service.perception.told import Grid, new_grid
+from gpdf_service.perception.told import Grid, bands_of, grown, new_grid
 from gpdf_service.types import BoolArray, FloatArray, IntArray
 
 FACE = 0.1
@@ -182,13 +182,13 @@ def survey_levels(
     width = cell_width_of(floor, config) if width is None else width
     check_grid(floor, len(points), width, LEVEL_BYTES, config)
 
-    def find_sheets() -> tuple[Beside, tuple[BoolArray, ...]]:
+    def find_sheets(floor: FloatArray) -> tuple[Beside, tuple[BoolArray, ...]]:
         layers = build_layers(floor, width, layer_gap(width, config))
         near = beside(layers, rise_of_sheets(layers, config))
         sheets = split_sheets(near, config)
         return near.asked(), sheets
 
-    (near, sheets), alone_ = run_beside(find_sheets, partial(find_strays, points, alone(width)))
+    (near, sheets), alone_ = run_beside(partial(find_sheets, floor), partial(find_strays, points, alone(width)))
     if not sheets:
         found = f"no piece of the ground is as large as three by three cells of {width:.2g} m"
         raise NoGroundError("ground", found, "Are its samples further apart than a foot bridges? Scan it more densely.")
@@ -196,11 +196,15 @@ def survey_levels(
     kept = sum(part.shape[0] * part.shape[1] for part, _ in parts) / np.prod(near.layers.shape) - 1.0
     check_grid(floor, len(points), width, LEVEL_BYTES + KEPT_BYTES * max(kept, 0.0), config)
     stray = alone_ & ~ground
+    del floor, alone_  # half of the cloud
+
+    def gone(i: int) -> BoolArray:
+        made = stray.copy()
+        made[ground] = sheets[i][near.layers.node_of_point]
+        return made
 
     def build(i: int) -> tuple[GroundLevel, Voids, Grid, IntArray]:
-        gone = stray.copy()
-        gone[ground] = sheets[i][near.layers.node_of_point]
-        return _build_level(points, gone, floor, *parts[i], config, noise, rays)
+        return _build_level(points, ground, gone(i), *parts[i], config, noise, rays)
 
     made = run_parallel(build, range(len(sheets)))
     levels, voids, grids, first = zip(*made, strict=True)
@@ -257,34 +261,64 @@ def sheet_part(layers: Layers, inside: BoolArray) -> tuple[Layers, BoolArray]:
 
 def _build_level(
     points: FloatArray,
+    ground: BoolArray,
     gone: BoolArray,
-    floor: FloatArray,
     layers: Layers,
     inside: BoolArray,
     config: PerceptionConfig,
     noise: float,
     rays: Rays | None,
 ) -> tuple[GroundLevel, Voids, Grid, IntArray]:
-    """The sheet of the nodes `inside`, of layers of the `floor`; which points are its own or count for nothing."""
-    grid = new_grid()
+    """The sheet of the nodes `inside`, of layers of the `ground`; which points are its own or count for nothing."""
+    grid = new_grid(layers.shape)
     seen = sheet_surface(grid, layers, np.flatnonzero(inside), config.max_step, noise)
-    cell = cells_within(points, seen)
-    cell[gone] = seen.state.size  # as those outside: in no cell
-
-    def reach() -> tuple[FloatArray, IntArray, Held]:
-        other, first = in_order(within_reach(points, seen, cell=cell), seen)
-        return other, first, in_cells(other, seen)
-
-    def look_through() -> tuple[Nearest, Voids]:
-        near = nearest_seen(seen)
-        return near, find_voids(seen, points, config.max_step, near, cell=cell)
-
-    (other, first, held), (near, voids) = run_beside(reach, look_through)
-    surface, guarded = complete(grid, seen, lambda box: held, voids, config, near, noise, rays)
+    near, near_by, voids = _look_through(points, gone, seen, config)
+    other, first = in_order(chosen_rows(points, near_by), seen)
+    del gone, near_by
+    surface, guarded = complete(grid, seen, partial(held_in, other, first, seen), voids, config, near, noise, rays)
+    del near
     ledge, (measured, limits) = run_beside(
-        partial(find_ledges, surface, floor, other, config.max_step, noise), partial(measure, grid, surface, guarded)
+        partial(_ledges, surface, points, ground, (other, first), config.max_step, noise),
+        partial(measure, grid, surface, guarded),
     )
     return GroundLevel(surface, other, ledge, limits, measured), voids, grid, first
+
+
+def _look_through(
+    points: FloatArray, gone: BoolArray, seen: HeightMap, config: PerceptionConfig
+) -> tuple[Nearest, BoolArray, Voids]:
+    """The nearest seen ground; which points are within reach over it, but for those `gone`, shape (n,); the voids."""
+    cell, near = cells_within(points, seen), nearest_seen(seen)
+    cell[gone] = seen.state.size  # as those outside: in no cell
+    near_by, voids = run_beside(
+        partial(are_within_reach, points, seen, cell=cell),
+        partial(find_voids, seen, points, config.max_step, near, cell=cell),
+    )
+    return near, near_by, voids
+
+
+def _ledges(
+    surface: HeightMap,
+    points: FloatArray,
+    ground: BoolArray,
+    other: tuple[FloatArray, IntArray],
+    max_step: float,
+    noise: float,
+) -> NDArray[np.float32]:
+    """`find_ledges` of the other points, which are `in_order`, band after band of a level's cells."""
+    (rest, first), shape = other, surface.state.shape
+    reach = max(shape) if noise > 0.0 else ground_reach(surface) + ledge_reach(surface)  # noise asks other points, too
+    ledge = np.empty(len(rest), np.float32)
+    for box in bands_of(shape, reach):
+        x, y = outer = grown(box, reach, shape)
+        low, high = (
+            surface.origin + surface.cell_width * np.array(end) for end in ((x.start, y.start), (x.stop, y.stop))
+        )
+        rows = rows_in_box(points, low, high)
+        own = slice(first[box[0].start * shape[1]], first[box[0].stop * shape[1]])
+        floor = taken(points, rows[ground[rows]])
+        ledge[own] = find_ledges(surface, floor, rest[own], max_step, noise, outer)
+    return ledge
 
 
 def measure(grid: Grid, surface: HeightMap, guarded: BoolArray) -> tuple[Measured, GroundLimits]:
@@ -318,7 +352,8 @@ def sheet_surface(grid: Grid, layers: Layers, nodes: IntArray, max_step: float, 
         made = smooth(without_unlucky(to_centres(surface, off, noise), noise), noise)
         return (bridged(made, max_step).height,)
 
-    (made,) = grid.around("seen", 1 + footing_reach(whole), answer, height, off)
+    reach = max(whole.state.shape) if noise > 0.0 else 1 + footing_reach(whole)  # noise is smoothed further off
+    (made,) = grid.around("seen", reach, answer, height, off)
     return replace(whole, height=made, state=np.where(np.isnan(made), UNKNOWN, OBSERVED).astype(np.uint8))
 
 
@@ -405,15 +440,15 @@ def in_order(other: FloatArray, surface: HeightMap) -> tuple[FloatArray, IntArra
 
 
 def held_in(other: FloatArray, first: IntArray, surface: HeightMap, box: Box) -> Held:
-    """`in_cells` of a box of the `other` points (m, 3), which are `in_order`."""
-    cells = np.zeros(surface.state.shape, dtype=bool)
-    cells[box] = True
-    return in_cells(taken(other, rows_by_cell(cells, first)), surface, box)
-
-
-def in_cells(other: FloatArray, surface: HeightMap, box: Box = WHOLE) -> Held:
-    """Flat cell in a box and height [m] of each of the `other` points (m, 3), and the lowest of each cell [m]."""
-    cell, z = cells_within(other, surface, box), np.ascontiguousarray(other[:, 2])
+    """Flat cell and height [m] of each of the `other` points (m, 3), `in_order`, in a box, and the lowest of a cell."""
+    (rows, columns), ny = grown(box, 0, surface.state.shape), surface.state.shape[1]
+    if (columns.start, columns.stop) == (0, ny):
+        held = other[first[rows.start * ny] : first[rows.stop * ny]]
+    else:
+        cells = np.zeros(surface.state.shape, dtype=bool)
+        cells[box] = True
+        held = taken(other, rows_by_cell(cells, first))
+    cell, z = cells_within(held, surface, box), np.ascontiguousarray(held[:, 2])
     ends = np.full(surface.state[box].shape, np.inf)
     return cell, z, extent_within(cell, z, -ends, ends)[0]
 
@@ -523,6 +558,11 @@ def rim_points(face: int) -> float:
     return max(RIM_SHARE * face, by_chance + 3.0 * float(np.sqrt(by_chance)) + 1.0)
 
 
+def ground_reach(surface: HeightMap) -> int:
+    """Cells within which the ground's points decide on a ledge."""
+    return int(np.ceil(2.0 * FACE / surface.cell_width)) + 1
+
+
 def ledge_reach(surface: HeightMap) -> int:
     """Cells within which the ground decides what is a ledge."""
     return max(HIGH, footing_reach(surface))
@@ -579,14 +619,21 @@ def next_above(ground: FloatArray, points: FloatArray, least: FloatArray, reach:
     return best.astype(np.float32)
 
 
-def within_reach(points: FloatArray, surface: HeightMap, box: Box = WHOLE, cell: IntArray | None = None) -> FloatArray:
-    """Points between a cell under the lowest known ground near them and `TALLEST` over the highest.
+def within_reach(points: FloatArray, surface: HeightMap, box: Box = WHOLE) -> FloatArray:
+    """Points that `are_within_reach`."""
+    return chosen_rows(points, are_within_reach(points, surface, box))
+
+
+def are_within_reach(
+    points: FloatArray, surface: HeightMap, box: Box = WHOLE, cell: IntArray | None = None
+) -> BoolArray:
+    """Which points are between a cell under the lowest known ground near them and `TALLEST` over the highest, (n,).
 
     The `box` of cells holds all points, and `OVERLAP` around them; `cell` is their `cells_within`, if it is known.
     """
     low, high = lowest_and_highest(surface, box)
     cell = cells_within(points, surface, box) if cell is None else cell
-    return chosen_rows(points, between(cell, points[:, 2], under(low - surface.cell_width), high + TALLEST))
+    return between(cell, points[:, 2], under(low - surface.cell_width), high + TALLEST)
 
 
 def lowest_and_highest(surface: HeightMap, box: Box = WHOLE) -> tuple[FloatArray, FloatArray]:

@@ -6,7 +6,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from gpdf_service.perception.pairs import AROUND, INDEX
+from gpdf_service.perception.pairs import AROUND
+from gpdf_service.perception.rows import INDEX
 from gpdf_service.types import BoolArray, FloatArray, IntArray
 
 

@@ -2,17 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 from numba import njit
 
 from gpdf_service.fields.threads import run_parallel
-from gpdf_service.perception.rows import longer
+from gpdf_service.perception.rows import INDEX, longer
 from gpdf_service.types import BoolArray, FloatArray, IntArray
 
-INDEX: Any = np.int32
-"""Kind of the numbers of nodes and points where they are many: half of the memory."""
 AROUND = ((-1, -1), (-1, 0), (-1, 1), (0, -1), (0, 1), (1, -1), (1, 0), (1, 1))
 """The eight cells around one."""
 

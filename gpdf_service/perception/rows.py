@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
@@ -9,6 +11,8 @@ from numpy.typing import NDArray
 from gpdf_service.fields.threads import run_chunked, run_parallel
 from gpdf_service.types import BoolArray, FloatArray, IntArray
 
+INDEX: Any = np.int32
+"""Kind of the numbers of points, nodes and cells where they are many: half of the memory."""
 _SHARE = 1 << 17
 """Rows that a core looks through at once: 3 MB, which takes as long as five wake-ups."""
 _NO_POINTS: FloatArray = np.zeros((0, 3))
@@ -204,7 +208,7 @@ def _cells_range(
 
 def cells_in_box(points: FloatArray, origin: FloatArray, width: float, first: IntArray, last: IntArray) -> IntArray:
     """Flat cell of each point (n, 3) in a box of cells, from `first` to `last`; those outside are in one more."""
-    cell = np.empty(len(points), np.int64)
+    cell = np.empty(len(points), INDEX)
     run_chunked(lambda a, b: _box_range(points, origin, width, first, last, a, b, cell), len(points))
     return cell
 

@@ -1,7 +1,7 @@
 """What the cells of a grid are told by those around them, remembered: a change asks again only where something differs.
 
-A build asks one box, the whole grid. A change asks the boxes of those cells within whose reach what is given is another
-than in the version before, with as much around them. So both go through the same functions.
+A build asks bands of rows, one after another. A change asks the boxes of those cells within whose reach what is given
+is another than in the version before. Either asks with as much around them: so both go through the same functions.
 """
 
 from __future__ import annotations
@@ -13,11 +13,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gpdf_service.perception.boxes import WHOLE, Box, widened, window
+from gpdf_service.perception.boxes import Box, widened, window
 from gpdf_service.types import BoolArray
 
 TILE = 64
 """Cells a side of the boxes in which a change asks again."""
+BAND = 1 << 19
+"""Cells of a band, without its reach, that a build asks at once: each of its arrays then takes 4 MB."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,7 +105,7 @@ class Grid:
         """
         was = self.former.get(name)
         if was is None:
-            made = answer(WHOLE, *given)
+            made = _in_bands(self.others.shape, reach, answer, given)
         else:
             felt = self.felt(name, reach, *given, points=points)
             made = tuple(values.copy() for values in was.made) if felt.any() else was.made
@@ -134,6 +136,31 @@ class Grid:
         return found
 
 
-def new_grid() -> Grid:
-    """Of which nothing was asked."""
-    return Grid({}, {}, np.zeros((0, 0), dtype=bool))
+def new_grid(shape: tuple[int, ...]) -> Grid:
+    """Of so many cells, of which nothing was asked."""
+    return Grid({}, {}, np.zeros(shape, dtype=bool))
+
+
+def bands_of(shape: tuple[int, ...], reach: int) -> list[Box]:
+    """Bands of whole rows that tile a grid: of `BAND` cells, and of twice as many rows as their reach adds, or more."""
+    nx, ny = shape
+    count = max(1, min(nx * ny // BAND, nx // (4 * max(reach, 1))))
+    return [(slice(nx * i // count, nx * (i + 1) // count), slice(0, ny)) for i in range(count)]
+
+
+def _in_bands(
+    shape: tuple[int, ...], reach: int, answer: Callable[..., tuple[NDArray[Any], ...]], given: tuple[NDArray[Any], ...]
+) -> tuple[NDArray[Any], ...]:
+    """The answer for a whole grid, asked band after band: what it takes on the way goes with a band, not the grid."""
+    bands = bands_of(shape, reach)
+    made: tuple[NDArray[Any], ...] = ()
+    if len(bands) == 1:
+        return answer(bands[0], *given)
+    for box in bands:
+        outer = grown(box, reach, shape)
+        own = slice(box[0].start - outer[0].start, box[0].stop - outer[0].start)
+        found = answer(outer, *(each[outer] for each in given))
+        made = made or tuple(np.empty((*shape, *each.shape[2:]), each.dtype) for each in found)
+        for values, part in zip(made, found, strict=True):
+            values[box] = part[own]
+    return made

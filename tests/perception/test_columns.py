@@ -8,7 +8,7 @@ from scipy.spatial import cKDTree
 from gpdf_service.perception.columns import by_cell, ends_of_runs, kth_beside
 from gpdf_service.perception.holes import find_voids
 from gpdf_service.perception.layers import build_layers, splice_layers
-from gpdf_service.perception.levels import within_reach
+from gpdf_service.perception.levels import are_within_reach, within_reach
 from gpdf_service.perception.limits import median_around
 from gpdf_service.perception.rows import (
     between,
@@ -75,7 +75,7 @@ def test_points_that_are_in_no_cell_are_to_a_level_as_if_they_were_not_there(poi
     gone = rng.random(len(points)) < 0.5
     cell, rest = cells_within(points, surface), points[~gone]
     cell[gone] = surface.state.size
-    found = within_reach(points, surface, cell=cell)
+    found = points[are_within_reach(points, surface, cell=cell)]
     assert 0 < len(found) < len(rest)
     np.testing.assert_array_equal(found, within_reach(rest, surface))
     voids = find_voids(surface, points, 0.2, cell=cell), find_voids(surface, rest, 0.2)

@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
+import pytest
 
 import gpdf_service as gpdf
 from gpdf_service.perception.levels import BLOCK
 from gpdf_service.perception.sheets import OVERLAP
 from gpdf_service.perception.surface import UNKNOWN
+from gpdf_service.perception.told import bands_of
+from gpdf_service.synthetic.scenes import cave, random_room, stair
 from gpdf_service.types import FloatArray
 
 
@@ -45,3 +50,40 @@ def test_no_way_between_levels_of_other_boxes_is_explained() -> None:
     result = gpdf.plan(scene, (20.0, 20.0, 0.0), (5.0, 5.0, 3.2))
     assert result.status is gpdf.Status.NO_VALID_PATH
     assert "meet nowhere" in result.message
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.02])
+@pytest.mark.parametrize("place", [stair, cave, random_room])
+def test_a_scene_is_the_same_in_whatever_bands_its_cells_are_asked(place, noise: float, monkeypatch) -> None:
+    rng, cloud, asked = np.random.default_rng(3), place(np.random.default_rng(0), noise).points, []
+    whole = gpdf.build_scene(cloud)
+
+    def bands(shape, reach):
+        """Up to six bands of any width, those of a single row as well; one where the reach is that of the grid."""
+        ends = np.unique([0, *rng.integers(0, shape[0], 5 if reach < max(shape) else 0), shape[0]]).tolist()
+        asked.append(len(ends) - 1)
+        return [(slice(a, b), slice(0, shape[1])) for a, b in pairwise(ends)]
+
+    for module in ("told", "levels"):
+        monkeypatch.setattr(f"gpdf_service.perception.{module}.bands_of", bands)
+    other = gpdf.build_scene(cloud)
+    assert max(asked) > 1
+    for a, b in zip(whole.levels.levels, other.levels.levels, strict=True):
+        np.testing.assert_array_equal(a.surface.height, b.surface.height)
+        np.testing.assert_array_equal(a.surface.state, b.surface.state)
+        np.testing.assert_array_equal(a.other_points, b.other_points)
+        np.testing.assert_array_equal(a.ledge, b.ledge)
+        np.testing.assert_array_equal(a.limits.points, b.limits.points)
+        np.testing.assert_array_equal(a.limits.value, b.limits.value)
+
+
+@pytest.mark.parametrize("reach", [0, 1, 40, 4000])
+def test_bands_tile_a_grid_and_are_twice_as_wide_as_what_they_reach_over(reach: int) -> None:
+    for shape in ((1, 1), (700, 3), (700, 1500), (5000, 1400)):
+        bands = bands_of(shape, reach)
+        cells = np.zeros(shape, np.int64)
+        for box in bands:
+            cells[box] += 1
+        assert (cells == 1).all()
+        assert len(bands) == 1 or min(rows.stop - rows.start for rows, _ in bands) >= 4 * reach
+    assert reach == 4000 or len(bands) > 1
