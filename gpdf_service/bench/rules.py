@@ -18,7 +18,7 @@ from gpdf_service.bench.scanned import judge, overlap, scanned
 from gpdf_service.denoise import as_measured
 from gpdf_service.errors import GpdfError
 from gpdf_service.perception import read_cloud
-from gpdf_service.perception.surface import OBSERVED, UNKNOWN
+from gpdf_service.perception.surface import UNKNOWN
 from gpdf_service.pipeline import build_scene
 from gpdf_service.synthetic import SCENES, random_room
 from gpdf_service.synthetic.places import ONE_FLOOR, bedroom, museum, platform, supermarket, workshop
@@ -78,7 +78,6 @@ RULES: dict[str, tuple[str, str, Callable[..., Any]]] = {
     ),
     "outliers of noise": (_P + "levels", "without_outliers", _first),
     "unlucky cells": (_P + "levels", "without_unlucky", _first),
-    "planes at rims": (_P + "levels", "smooth", _first),
     "heights at centres": (_P + "levels", "to_centres", _first),
     "treads beside a shadow guard": (_P + "levels", "between_treads", lambda _, asked, __: np.zeros_like(asked)),
     "what is enclosed": (_P + "levels", "without_enclosed", _first),
@@ -89,7 +88,6 @@ RULES: dict[str, tuple[str, str, Callable[..., Any]]] = {
     "notches of flights": (_P + "holes", "fill_notches", _first),
     "strips at a flight's side": (_P + "notches", "_fill_bitten", lambda *_: None),
     "treads seen as lines": (_P + "notches", "_as_wide_as_a_sole", lambda known, _: known),
-    "firm ground around holes": (_P + "holes", "firm_ground", lambda surface, _: surface.state == OBSERVED),
     "things seen hollow": (_P + "holes", "_seen_hollow", lambda things, _: np.ones_like(things)),
     "walls of pits": (_P + "holes", "_walled_down", lambda surface, _: np.zeros(surface.state.shape, dtype=bool)),
     "slanted faces are steps": (_P + "limits", "_slanted", lambda _, slope: np.full(slope.shape, np.inf)),
@@ -131,6 +129,7 @@ def rule_rows(data: Path, seed: int, count: int, rules: Sequence[str]) -> Iterat
     """
     suites: dict[str, Callable[[], Row]] = {
         "rooms": partial(_rooms, seed, count),
+        "labelled rooms": partial(_rooms, seed, count, labelled=True),
         "real clouds": partial(_real, data),
         "islands": partial(_islands, seed),
         "houses": partial(_houses, seed, count),
@@ -152,8 +151,8 @@ def rule_rows(data: Path, seed: int, count: int, rules: Sequence[str]) -> Iterat
         yield {"without": rule} | moved
 
 
-def _rooms(seed: int, count: int) -> Row:
-    """Rooms that two tripods scan: labels, known ground, free places; summed over all of them."""
+def _rooms(seed: int, count: int, labelled: bool = False) -> Row:
+    """Rooms that two tripods scan, with their labels or without: known ground, free places; summed over all of them."""
     rows = []
     makers = [*((SCENES[name], seed) for name in ROOMS), *((random_room, seed + i) for i in range(count))]
     for make, number in makers:
@@ -162,7 +161,7 @@ def _rooms(seed: int, count: int) -> Row:
             points = make(np.random.default_rng(number), noise=noise).points
             shown = scanned(points, clean.points, np.random.default_rng(number))
             try:
-                scene = build_scene(points[shown])
+                scene = build_scene(points[shown], clean.ground[shown] if labelled else None)
             except GpdfError:
                 continue
             rows.append({"iou": overlap(scene.ground, clean.ground[shown])} | judge(scene, clean))

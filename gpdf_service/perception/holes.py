@@ -12,11 +12,9 @@ from scipy import ndimage
 from gpdf_service.config import PerceptionConfig
 from gpdf_service.fields.threads import run_chunked
 from gpdf_service.perception.bend import FINE, FLAT, bend_at, make_room, reach_of
-from gpdf_service.perception.boxes import WHOLE, Box, dilated, eroded
+from gpdf_service.perception.boxes import WHOLE, Box
 from gpdf_service.perception.footing import flights
 from gpdf_service.perception.layers import widest_cell
-from gpdf_service.perception.limits import FOOT
-from gpdf_service.perception.nearest import nearest_of
 from gpdf_service.perception.notches import FLIGHT, fill_notches, notches_reach
 from gpdf_service.perception.rows import extent_within, under
 from gpdf_service.perception.surface import (
@@ -56,7 +54,7 @@ _SIDES = ((-1, 0), (1, 0), (0, -1), (0, 1))
 _ROUNDING = float(np.finfo(np.float64).eps)
 """[-] Of a least-squares fit, a row: a singular value below this times the rows over the largest counts as 0."""
 MAX_HOLE_RADIUS = 1.0
-"""[m] A hole is filled if no place in it is further from firm ground: a scanner's blind spot, the shadow of a desk."""
+"""[m] A hole is filled if no place in it is further from seen ground: a scanner's blind spot, the shadow of a desk."""
 
 
 def fill_holes(
@@ -74,7 +72,7 @@ def fill_holes(
 
     A hole is a connected set of unknown cells bounded by known ground and things (cells whose `lowest` other point is
     under a ceiling's height, inf where there is none), shut off from the map's rim, with no place further than
-    `MAX_HOLE_RADIUS` from `firm_ground`, and with the ground around it on one plane within a cell's slope or higher: an
+    `MAX_HOLE_RADIUS` from seen ground, and with the ground around it on one plane within a cell's slope or higher: an
     edge that drops is not bridged. Nor is a void. Under a thing it is filled only where ground was seen beneath its
     rim, and a cell deep, as the samples are apart: the legs and the back of the thing nobody sees. A notch in a flight
     is filled with the treads beside it, and the gap between two treads with the lower one.
@@ -112,39 +110,14 @@ def fill_holes(
     known = state != UNKNOWN
     void = seen_through | pit | _walled_down(surface, walls)
 
-    def close(_: Box, state: NDArray[np.uint8]) -> tuple[BoolArray]:
-        firm = firm_ground(replace(surface, state=state), config)
-        return (nearest_of(firm)[0] * surface.cell_width <= MAX_HOLE_RADIUS,)
-
-    (firm,) = grid.around("close", _close_reach(surface, config), close, surface.state)
-    _fill_planes(grid, "open", height, state, ~known & ~material, known, firm, surface.cell_width, void, OPEN_SHARE)
+    close = near.distance <= MAX_HOLE_RADIUS
+    _fill_planes(grid, "open", height, state, ~known & ~material, known, close, surface.cell_width, void, OPEN_SHARE)
     solid = state != UNKNOWN  # then the ground that carries the furniture itself
     rim = ndimage.binary_dilation(solid)
-    under = ~solid & rim & firm & material & _seen_hollow(~solid & material, known & material)
-    _fill_planes(grid, "shut", height, state, under, solid, firm, surface.cell_width, void, SHUT_SHARE)
+    under = ~solid & rim & close & material & _seen_hollow(~solid & material, known & material)
+    _fill_planes(grid, "shut", height, state, under, solid, close, surface.cell_width, void, SHUT_SHARE)
     _fill_gaps(height, state, state == UNKNOWN, surface, near, noise)  # what is left of larger ones
     return replace(surface, height=height, state=state)
-
-
-def firm_ground(surface: HeightMap, config: PerceptionConfig) -> BoolArray:
-    """Cells of seen ground as long and as wide as a foot, without a gap in it wider than a foot bridges, (nx, ny).
-
-    A hole's surroundings explain it only if they are that: between single samples in a wide hole, or between the lines
-    of a scan that are further apart, there may be anything.
-    """
-    seen, cell = surface.state == OBSERVED, surface.cell_width
-    bridged, foot = int(config.widest_gap / cell), max(round(2.0 * FOOT / cell) - 1, 1)
-    whole = eroded(dilated(np.pad(seen, bridged), bridged), bridged)
-    inner = slice(bridged, bridged + seen.shape[0]), slice(bridged, bridged + seen.shape[1])
-    firm: BoolArray = dilated(eroded(whole[inner], foot), foot) & seen
-    return firm
-
-
-def _close_reach(surface: HeightMap, config: PerceptionConfig) -> int:
-    """Cells within which it is decided whether `firm_ground` is near enough for a hole: two filters, and its radius."""
-    return sum(
-        2 * (int(length / surface.cell_width) + 1) for length in (config.widest_gap, FOOT, 0.5 * MAX_HOLE_RADIUS)
-    )
 
 
 def _seen_hollow(things: BoolArray, overhung: BoolArray) -> BoolArray:
@@ -379,7 +352,7 @@ def _fill(
 ) -> None:
     """Fill each of the `holes` with the plane of the `known` ground around, if that is at least `share` of its rim.
 
-    Only the cells `near` firm ground are of a hole. It is as before where no cell of it is to be asked `again`.
+    Only the cells `near` seen ground are of a hole. It is as before where no cell of it is to be asked `again`.
     """
     nx, ny = holes.shape
     met = np.zeros((nx, ny), np.int64)

