@@ -15,12 +15,19 @@ from numba.core.dispatcher import Dispatcher
 from gpdf_service.pipeline import build_scene, plan
 from gpdf_service.scene import Scene, load_scene
 from gpdf_service.synthetic import SCENES, Box, SyntheticScene, World
+from gpdf_service.synthetic.house import make_house
 from gpdf_service.types import AGENTS
 
 SPACING = 0.1
 """[m] Coarse, so that the time goes into compiling."""
 NOISE = 0.02
 """[m] Enough to be cured."""
+EYE = 1.5
+"""[m] Of a scanner over the floor."""
+DOOR = 0.55
+"""[m] Wide, and beside another one: Spot's legs pass each, and its cylinder neither."""
+TURNED, TOO_TIGHT = 0.6, 0.5
+"""[m] Between two such doors, where Spot finds its way by turns on the spot alone, and where it finds none."""
 
 
 class Warming:
@@ -44,28 +51,46 @@ class Warming:
             load_scene(file)
 
     def grounds(self) -> None:
-        """Our segmentation of a clean cloud, and of a stair."""
-        build_scene(self._office.points)
+        """Our segmentation of a clean cloud, without and with where its rays began, and of a stair."""
+        points = self._office.points
+        build_scene(points)
+        build_scene(points, origins=np.broadcast_to([*self._office.start[:2], EYE], points.shape))
         stair = SCENES["stair"](np.random.default_rng(0), spacing=SPACING / 2)
         plan(build_scene(stair.points), stair.start, stair.goal)
 
+    def storeys(self) -> None:
+        """A house without labels, a way up its stair, and others that differ."""
+        house = make_house(np.random.default_rng(0), SPACING / 2)
+        plan(build_scene(house.points), house.low, house.high, alternatives=1)
+
     def noise(self) -> None:
-        """The cure of a noisy cloud."""
-        build_scene(SCENES["stair"](np.random.default_rng(0), noise=NOISE, spacing=SPACING).points)
+        """The cure of a noisy cloud, without and with labels."""
+        stair = SCENES["stair"](np.random.default_rng(0), noise=NOISE, spacing=SPACING)
+        for labels in None, stair.ground:
+            build_scene(stair.points, labels)
 
     def changes(self) -> None:
-        """The next version of a scene."""
+        """The next version of a scene, and of a body's free space in it."""
         box = np.stack(np.meshgrid([3.0, 3.1], [3.0, 3.1], np.arange(0.1, 1.0, SPACING)), axis=-1).reshape(-1, 3)
-        scene = build_scene(self._office.points).update(insert=box)
-        plan(scene, self._office.start, self._office.goal)
+        made, scene = self._office, build_scene(self._office.points, self._office.ground)
+        for version in scene, scene.update(insert=box):
+            plan(version, made.start, made.goal)
+        build_scene(made.points).update(insert=box)
 
     def bodies(self) -> None:
-        """A row of discs through a door, and a body that is too wide for it."""
-        walls = Box((3.0, 0.0, 0.0), (3.2, 1.6, 2.6)), Box((3.0, 2.4, 0.0), (3.2, 4.0, 2.6))
-        scene = build_scene(*World((6.0, 4.0, 2.6), walls).sample(SPACING / 2, np.random.default_rng(0)))
+        """A row of discs that turns between two doors, one that cannot, and a body that is too wide for them."""
         row, wide = replace(AGENTS["spot"], name="row", discs=6), replace(AGENTS["human"], name="wide", width=0.9)
-        for body in row, wide:
-            plan(scene, (1.0, 1.0), (5.0, 3.0), body, start_heading=0.3 if body is row else None)
+        for apart in TURNED, TOO_TIGHT:
+            x, y = 2.5 + np.array([-0.1, 0.0, apart, apart + 0.1]), np.array([1.0, 1.0 + DOOR, 3.0 - DOOR, 3.0])
+            doors = (
+                Box((x[0], 0.0, 0.0), (x[1], y[0], 2.6)),
+                Box((x[0], y[1], 0.0), (x[1], 4.0, 2.6)),
+                Box((x[2], 0.0, 0.0), (x[3], y[2], 2.6)),
+                Box((x[2], y[3], 0.0), (x[3], 4.0, 2.6)),
+            )
+            scene = build_scene(*World((6.0, 4.0, 2.6), doors).sample(SPACING / 2, np.random.default_rng(0)))
+            for body in row, wide:
+                plan(scene, (1.0, 1.0), (5.0, 3.0), body, start_heading=0.3 if body is row else None)
 
     def heaps(self) -> None:
         """Places that were measured again and again, and sheets over sheets: what few clouds run."""
@@ -86,6 +111,7 @@ class Warming:
         return {
             "plans": self.plans,
             "grounds": self.grounds,
+            "storeys": self.storeys,
             "noise": self.noise,
             "changes": self.changes,
             "bodies": self.bodies,
