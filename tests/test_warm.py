@@ -81,13 +81,15 @@ def loaded():
     return {(one.__name__, signature) for one in kernels() for signature in one.signatures}
 
 before, rng, spot = loaded(), np.random.default_rng(1), replace(AGENTS["spot"], name="spot of discs", discs=6)
-bend = World((5.0, 5.0, 1.2), (Box((0.0, 0.5, 0.0), (4.5, 5.0, 1.2)),))
-assert plan(build_scene(*bend.sample(0.05, rng)), (0.8, 0.25), (4.75, 4.2), spot).details["cut_x"]
+bend = World((5.0, 5.0, 1.2), (Box((0.0, 0.45, 0.0), (4.55, 5.0, 1.2)),))
+assert plan(build_scene(*bend.sample(0.03, rng)), (0.8, 0.22), (4.78, 4.2), spot).details["cut_x"]
 house = make_house(rng, 0.05)
 eyes = np.broadcast_to(house.low + [0.0, 0.0, 1.5], house.points.shape)
 scene = build_scene(house.points, house.ground, origins=eyes)
 assert plan(scene, house.low, house.high).status == "OK"
 build_scene(house.points + rng.normal(0.0, 0.02, house.points.shape), house.ground)
+scene = build_scene(house.points, house.ground)
+plan(scene, house.low, house.high)
 plan(scene.update(insert=house.low + [[1.5, 0.0, z] for z in (0.2, 0.4, 0.6)]), house.low, house.high)
 print("later:", *sorted({name for name, _ in loaded() - before}))
 """
