@@ -367,3 +367,34 @@ def test_the_endpoint_may_stand_behind_the_sub_verb_and_zenohs_sources_are_nobod
     said = capsys.readouterr().err
     assert f"no service at {free_endpoint}" in said
     assert ".rs" not in said
+
+
+WITHOUT_WHAT_COMPUTES = """
+import sys
+sys.modules["numba"] = sys.modules["scipy"] = None
+from gpdf_service.cli import main
+sys.exit(main(sys.argv[1:]))
+"""
+
+
+@pytest.mark.parametrize(
+    "verb",
+    [
+        "scene info none.npz",
+        "scene build none.gpdf",
+        "scene crop none.ply --box 0,0,1,1 --out part.gpdf",
+        "scene merge none.npz other.npz --out both.gpdf",
+        "plan none.npz --start 1,1 --goal 2,2",
+        "serve room=none.npz --endpoint ENDPOINT",
+        "replay none.mcap",
+        "record check none.mcap",
+        "view --log none.mcap",
+    ],
+)
+def test_a_file_that_is_not_there_is_told_before_anything_that_computes_is_loaded(verb, tmp_path, free_endpoint):
+    words = [sys.executable, "-c", WITHOUT_WHAT_COMPUTES, *verb.replace("ENDPOINT", free_endpoint).split()]
+    done = subprocess.run(words, capture_output=True, text=True, cwd=tmp_path, timeout=60)
+    assert done.returncode == 1
+    assert re.search(r"none\.\w+'?(: there is no such file| is not there|$)", done.stderr.strip())
+    assert "needs" not in done.stderr
+    assert list(tmp_path.iterdir()) == []

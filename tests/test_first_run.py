@@ -38,6 +38,7 @@ sys.exit(main(sys.argv[2:]))
 )
 def test_a_missing_extra_is_named_with_the_command_that_brings_it(module, words, command, tmp_path):
     (tmp_path / "room.las").write_text("LASF")
+    (tmp_path / "x.npz").touch()
     done = subprocess.run(
         [sys.executable, "-c", WITHOUT, module, *words], capture_output=True, text=True, cwd=tmp_path, timeout=60
     )

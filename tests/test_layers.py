@@ -8,11 +8,12 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parent.parent
-BASE = {"types", "errors", "config", "kernel_cache"}
+BASE = {"types", "errors", "config", "cores", "kernel_cache"}
 ALLOWED = {
     "errors": set(),
     "types": {"errors"},
     "config": {"errors"},
+    "cores": set(),
     "kernel_cache": set(),
     "packing": set(),
     "store": {"errors", "packing"},

@@ -19,9 +19,11 @@ def test_what_was_warmed_once_is_not_compiled_again(capsys):
     again = subprocess.run(words, capture_output=True, text=True, check=True, timeout=600)
     assert json.loads(again.stdout)["compiled"] == 0
     found = subprocess.run([sys.executable, "-c", LOADED], capture_output=True, text=True, check=True, timeout=600)
+    heaps, later = found.stdout.splitlines()
     assert {"ends_in", "pairs_within", "pairs_over_gaps", "whole_around", "across_in", "grown_sheet"} <= set(
-        found.stdout.split()
+        heaps.split()
     )
+    assert later == "later:"
 
 
 @pytest.mark.slow
@@ -64,5 +66,33 @@ assert len(list(kernels())) > 100
 before = {one for one in kernels() if one.signatures}
 Warming().heaps()
 print(*(one.__name__ for one in kernels() if one.signatures and one not in before))
+
+for step in Warming().steps().values():
+    step()
+import numpy as np
+from dataclasses import replace
+from gpdf_service.pipeline import build_scene, plan
+from gpdf_service.search import find_reach
+from gpdf_service.synthetic import Box, World
+from gpdf_service.synthetic.house import make_house
+from gpdf_service.types import AGENTS
+
+def loaded():
+    return {(one.__name__, signature) for one in kernels() for signature in one.signatures}
+
+before, rng, spot = loaded(), np.random.default_rng(1), replace(AGENTS["spot"], name="spot of discs", discs=6)
+bend = World((5.0, 5.0, 1.2), (Box((0.0, 0.45, 0.0), (4.55, 5.0, 1.2)),))
+assert plan(build_scene(*bend.sample(0.03, rng)), (0.8, 0.22), (4.78, 4.2), spot).details["cut_x"]
+house = make_house(rng, 0.05)
+eyes = np.broadcast_to(house.low + [0.0, 0.0, 1.5], house.points.shape)
+scene = build_scene(house.points, house.ground, origins=eyes)
+assert plan(scene, house.low, house.high).status == "OK"
+build_scene(house.points + rng.normal(0.0, 0.02, house.points.shape), house.ground)
+scene = build_scene(house.points, house.ground)
+plan(scene, house.low, house.high)
+plan(scene.update(insert=house.low + [[1.5, 0.0, z] for z in (0.2, 0.4, 0.6)]), house.low, house.high)
+print("later:", *sorted({name for name, _ in loaded() - before}))
 """
-"""What the heaps run that plans do not: none of it is compiled where somebody waits, or where memory is measured."""
+"""What the heaps run that plans do not: none of it is compiled where somebody waits, or where memory is measured.
+
+Then what discs that cannot turn, rays, labels in noise and a change load after all of that: nothing."""

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 from gpdf_service.cli.work import Work
 from gpdf_service.config import SERVICE_TABLE, Config, read_tables
-from gpdf_service.errors import ConfigError
+from gpdf_service.errors import CloudError, ConfigError, SceneFileError
 
 if TYPE_CHECKING:  # what builds and plans takes a second to load: `load`, when there is something to do
     from gpdf_service.perception import PointCloud
@@ -52,26 +52,14 @@ def read_config(path: Path | None) -> Config:
 
 
 def open_scene(args: argparse.Namespace, work: Work) -> Scene:
-    """Load the scene file, or read the cloud and build its scene, that the arguments name; say what was odd about it.
-
-    Raises:
-        ConfigError: the input is a scene file, and the arguments say how to build one.
-    """
+    """Load the scene file that the arguments name, or read the cloud and build its scene; say what was odd about it."""
     scene, cloud = open_with_cloud(args, work)
     _tell(args.input, cloud, work)
     return scene
 
 
 def open_with_cloud(args: argparse.Namespace, work: Work) -> tuple[Scene, PointCloud | None]:
-    """`open_scene`, and the cloud that it was built of, if it was.
-
-    Raises:
-        ConfigError: the input is a scene file, and the arguments say how to build one.
-    """
-    asked = [name for name in BUILDING if getattr(args, name) is not None and getattr(args, name) is not False]
-    if asked and args.input.suffix == SCENE_SUFFIX:
-        flag = f"--{asked[0].replace('_', '-')}"
-        raise ConfigError(flag, f"the scene {args.input} is built already", "Give its cloud instead.")
+    """`open_scene`, and the cloud that it was built of, if it was."""
     return _open(args.input, args, work)
 
 
@@ -103,6 +91,36 @@ def _open(path: Path, args: argparse.Namespace, work: Work) -> tuple[Scene, Poin
 def _tell(path: Path, cloud: PointCloud | None, work: Work) -> None:
     for remark in () if cloud is None else cloud.remarks:
         work.say(f"{path}: {remark}")
+
+
+def check_in(args: argparse.Namespace) -> None:
+    """Refuse an input that `open_scene` cannot open before what opens it is loaded, which takes a second.
+
+    Raises:
+        CloudError: there is no such cloud.
+        ConfigError: the input is a scene file, and the arguments say how to build one.
+        SceneFileError: there is no such scene file.
+    """
+    asked = [name for name in BUILDING if getattr(args, name) is not None and getattr(args, name) is not False]
+    if asked and args.input.suffix == SCENE_SUFFIX:
+        flag = f"--{asked[0].replace('_', '-')}"
+        raise ConfigError(flag, f"the scene {args.input} is built already", "Give its cloud instead.")
+    check_there(args.input)
+
+
+def check_there(path: Path) -> None:
+    """Refuse a cloud or a scene file that is not there before the work on it.
+
+    Raises:
+        CloudError: there is no such cloud.
+        SceneFileError: there is no such scene file.
+    """
+    if path.exists():
+        return
+    if path.suffix == SCENE_SUFFIX:
+        hint = "Build it first: gpdf scene build CLOUD --out FILE."
+        raise SceneFileError(f"scene file {path}", "there is no such file", hint)
+    raise CloudError(f"cloud {path}", "there is no such file", "Check the path.")
 
 
 def check_out(path: Path, option: str = "--out") -> None:

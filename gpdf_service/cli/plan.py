@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, get_args
 from gpdf_client.cli import place
 
 from gpdf_service.cli.bodies import add_body_arguments, body_of
-from gpdf_service.cli.inputs import add_cloud_arguments, check_out, open_scene
+from gpdf_service.cli.inputs import add_cloud_arguments, check_in, check_out, open_scene
 from gpdf_service.cli.work import Work
 from gpdf_service.types import Agent, Method, PlanResult, Preference, Status
 
@@ -52,6 +52,7 @@ def run(args: argparse.Namespace) -> int:
         agent = dataclasses.replace(agent, discs=args.discs)
     if args.png:
         check_out(args.png, "--png")
+    check_in(args)
     scene, result, seconds = _plan(args, agent)
     if args.json:
         print(json.dumps(to_json(result)))

@@ -8,7 +8,7 @@ import time
 from pathlib import Path
 
 from gpdf_service.cli.bodies import read_agent
-from gpdf_service.cli.inputs import SCENE_SUFFIX, add_cloud_arguments, check_out, open_scene
+from gpdf_service.cli.inputs import SCENE_SUFFIX, add_cloud_arguments, check_in, check_out, open_scene
 from gpdf_service.cli.work import Work
 from gpdf_service.types import resolve_agent
 
@@ -31,6 +31,7 @@ def run(args: argparse.Namespace) -> int:
         agents.append(read_agent(args.agent_file))
     target = args.out or args.input.with_suffix(SCENE_SUFFIX)
     check_out(target)
+    check_in(args)
     began = time.perf_counter()
     with Work("read", "build", *["fit"] * bool(agents)) as work:
         scene = open_scene(args, work)

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from gpdf_service.cli.inputs import add_cloud_arguments, check_out, open_scene, save_scene
+from gpdf_service.cli.inputs import add_cloud_arguments, check_in, check_out, open_scene, save_scene
 from gpdf_service.cli.work import Work
 from gpdf_service.types import FloatArray
 
@@ -25,6 +25,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Cut out, build, save, say what is in it."""
     check_out(args.out)
+    check_in(args)
     with Work("read", "build", "again") as work:
         from gpdf_service.combine import crop_scene, within_box, within_polygon
 

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from gpdf_service.cli.bodies import FLAGS, add_body_arguments, body_of
-from gpdf_service.cli.inputs import BUILDING, add_cloud_arguments, check_out, open_with_cloud
+from gpdf_service.cli.inputs import BUILDING, add_cloud_arguments, check_in, check_out, open_with_cloud
 from gpdf_service.cli.work import Work
 from gpdf_service.types import Agent, resolve_agent
 
@@ -35,6 +35,7 @@ def run(args: argparse.Namespace) -> int:
     agent = body_of(args)
     if args.png:
         check_out(args.png, "--png")
+    check_in(args)
     scene, cloud, reach = _look(args, agent)
     info = scene.info()
     if cloud is not None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from gpdf_service.cli.inputs import add_build_arguments, check_out, open_one, read_config, save_scene
+from gpdf_service.cli.inputs import add_build_arguments, check_out, check_there, open_one, read_config, save_scene
 from gpdf_service.cli.work import Work
 from gpdf_service.errors import CloudError
 
@@ -23,6 +23,8 @@ def run(args: argparse.Namespace) -> int:
     if len(args.inputs) < 2:
         raise CloudError("merge", f"{len(args.inputs)} input", "Name two clouds or scenes, or more.")
     check_out(args.out)
+    for path in args.inputs:
+        check_there(path)
     config = None if args.config is None else read_config(args.config)
     with Work("read", "build", "again") as work:
         from gpdf_service.combine import merge_scenes

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
 from functools import lru_cache
 from typing import TypeVar
+
+from gpdf_service.cores import worker_count
 
 T = TypeVar("T")
 S = TypeVar("S")
@@ -17,11 +18,6 @@ MIN_CHUNK = 256
 @lru_cache(maxsize=1)
 def _pool() -> ThreadPoolExecutor:
     return ThreadPoolExecutor(max_workers=worker_count(), thread_name_prefix="gpdf-kernel")
-
-
-def worker_count() -> int:
-    """Cores that this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def run_chunked(kernel: Callable[[int, int], None], count: int) -> None:

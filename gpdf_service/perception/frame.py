@@ -48,7 +48,9 @@ FURNISHED = 0.6
 AMONG = (0.25, 1.30)
 """[m] Over the floor: where other level things are rare in a furnished place."""
 TALLEST = 60.0
-"""[m] Between floor and ceiling of no building."""
+"""[m] Between floor and ceiling of no building; few places that one walks in are as high as that."""
+OUTERMOST = 0.01
+"""[-] Of the points to each side: strays are fewer, and walls more."""
 FARTHEST = 0.5
 """[m] Between points, in a cloud where a body can be planned for: a person's width."""
 NARROWEST = 0.34
@@ -68,6 +70,7 @@ class Frame:
             and if it is in feet; 0 where there is little, and where there is a ceiling, which tells more.
         hanging: Share of the points that lie below the one large level layer; 0 where there are several, or none.
         size: Extents [unit of the file], shape (3,).
+        least: The smallest extent, without the `OUTERMOST` points [unit of the file]: the height of most places.
     """
 
     spacing: float
@@ -77,6 +80,7 @@ class Frame:
     tops: tuple[float, float]
     hanging: float
     size: FloatArray
+    least: float
 
 
 def turn(points: FloatArray, scale: float, up: str) -> FloatArray:
@@ -107,7 +111,8 @@ def look(points: FloatArray) -> Frame | None:
     size, flat = np.ptp(some, axis=0), some[normal[:, 2] > LEVEL]
     headroom, lower = _storey(flat, size)
     tops = (0.0, 0.0) if headroom else (_tops(flat[:, 2], 1.0), _tops(flat[:, 2], UNITS["feet"]))
-    return Frame(spacing, headroom, level, lower, tops, _hanging(some[:, 2], flat[:, 2]), size)
+    least = float(np.ptp(np.quantile(some, (OUTERMOST, 1.0 - OUTERMOST), axis=0), axis=0).min())
+    return Frame(spacing, headroom, level, lower, tops, _hanging(some[:, 2], flat[:, 2]), size, least)
 
 
 def _tops(z: FloatArray, scale: float) -> float:
@@ -165,11 +170,13 @@ def odd_unit(frame: Frame) -> tuple[str, bool]:
     """What is odd about the unit, in words, or nothing; and whether no place in metres can be so."""
     size = float(frame.size.max())
     if size < NARROWEST:
-        return f"it is {size:.2g} m wide{_guess(frame)}", True
+        return f"it is {size:.2g} m wide{_guess(frame, frame.headroom)}", True
     if frame.headroom > TALLEST:
-        return f"its ceiling is {frame.headroom:.0f} m over its floor{_guess(frame)}", True
+        return f"its ceiling is {frame.headroom:.0f} m over its floor{_guess(frame, frame.headroom)}", True
     if frame.spacing > FARTHEST:
-        return f"its points lie {frame.spacing:.2g} m apart{_guess(frame)}", True
+        return f"its points lie {frame.spacing:.2g} m apart{_guess(frame, frame.headroom)}", True
+    if frame.least > TALLEST:  # on a mountain, too: so it is said alone
+        return f"it is {frame.least:.0f} m high, and wider{_guess(frame, frame.least)}", False
     feet = UNITS["feet"]
     if ROOMS[0] < feet * frame.headroom < 0.8 * ROOMS[1]:
         return f"its ceiling is {frame.headroom:.1f} m over its floor; is it in feet? --scale {feet}", False
@@ -178,10 +185,10 @@ def odd_unit(frame: Frame) -> tuple[str, bool]:
     return "", False
 
 
-def _guess(frame: Frame) -> str:
-    """The unit in which the headroom is a storey's, or else the spacing a scanner's."""
+def _guess(frame: Frame, height: float) -> str:
+    """The unit in which a height is a storey's, or else the spacing a scanner's."""
     for name, scale in UNITS.items():
-        if ROOMS[0] < scale * frame.headroom < ROOMS[1]:
+        if ROOMS[0] < scale * height < ROOMS[1]:
             return f": is it in {name}? --scale {scale:g}"
     fits = {name: s for name, s in UNITS.items() if 0.002 < s * frame.spacing < 0.1 and s * frame.size.max() > 1.0}
     if not fits:

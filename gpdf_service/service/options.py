@@ -14,8 +14,8 @@ import psutil
 from msgspec import Meta
 
 from gpdf_service.config import SERVICE_TABLE, Config, read_tables
+from gpdf_service.cores import worker_count
 from gpdf_service.errors import ConfigError
-from gpdf_service.fields.threads import worker_count
 from gpdf_service.types import resolve_agent
 
 DEFAULT_ENDPOINT = "tcp/127.0.0.1:7447"

@@ -17,8 +17,6 @@ from gpdf_service import ports
 from gpdf_service.errors import ConfigError, GpdfError
 from gpdf_service.service.logs import set_up
 from gpdf_service.service.options import ENVIRONMENT, Options, descriptions, gather, plain, to_toml
-from gpdf_service.service.record import repair_folder
-from gpdf_service.service.server import Server
 
 log = logging.getLogger("gpdf_service")
 WAKE_S = 1.0
@@ -63,6 +61,12 @@ def run(args: argparse.Namespace) -> int:
     if trouble := trouble_at(options.endpoint):  # before processes begin and scenes are built
         log.error(BUSY, options.endpoint, trouble)
         return 1
+    if gone := [str(file) for _, file in args.scenes if not file.is_file()]:
+        log.error("file %r is not there.", gone[0])
+        return 1
+    from gpdf_service.service.record import repair_folder  # these take a second to load
+    from gpdf_service.service.server import Server
+
     options.log_dir.mkdir(parents=True, exist_ok=True)
     for path in repair_folder(options.log_dir):
         log.warning("the log %s was cut short by a crash; it is readable again", path)

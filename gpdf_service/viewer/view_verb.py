@@ -35,15 +35,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Serve the page until SIGINT or SIGTERM."""
+    if args.log is not None and not args.log.is_file():
+        print(f"gpdf: there is no log {args.log}", file=sys.stderr)
+        return 1
     from gpdf_service.viewer.front import front_page
     from gpdf_service.viewer.gate import Gate, hidden_address
     from gpdf_service.viewer.page import Pages, Server
 
     logging.basicConfig(level=logging.INFO, format="%(asctime)s %(levelname)s %(name)s: %(message)s")
     logging.getLogger("websockets").setLevel(logging.WARNING)
-    if args.log is not None and not args.log.is_file():
-        print(f"gpdf: there is no log {args.log}", file=sys.stderr)
-        return 1
     try:
         config = read_credentials(args)
     except ClientError as error:

@@ -124,7 +124,8 @@ def test_plain_install_asks_a_service_and_says_what_the_rest_needs(light, tmp_pa
     assert run(light / "gpdf", "--version").stdout.strip() == version()
     nobody = run(light / "gpdf", "client", "--endpoint", free_endpoint, "scenes", check=False)
     assert (nobody.returncode, "no service at" in nobody.stderr) == (1, True)
-    plan = run(light / "gpdf", "plan", "x.ply", "--start", "1,1", "--goal", "2,2", check=False)
+    (tmp_path / "x.ply").touch()
+    plan = run(light / "gpdf", "plan", tmp_path / "x.ply", "--start", "1,1", "--goal", "2,2", check=False)
     assert (plan.returncode, "pip install 'gpdf-service[server]'" in plan.stderr) == (1, True)
 
 

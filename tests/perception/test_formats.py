@@ -260,6 +260,18 @@ def test_roofs_over_stalls_and_steps_are_no_furniture_in_feet():
     assert odd_unit(look(points[points[:, 2] < 3.9])) == ("", False)
 
 
+@pytest.mark.parametrize(("unit", "scale"), [("centimetres", 0.01), ("inches", 0.0254)])
+def test_a_room_whose_points_are_dense_and_that_has_no_ceiling_says_that_it_is_too_high(unit, scale):
+    """As a mesh that states no unit is sampled."""
+    points = np.asarray(trimesh.sample.sample_surface(boxes(), 1_000_000, seed=0)[0])
+    points = points[points[:, 2] < 1.1]
+    assert odd_unit(look(points)) == ("", False)
+    words, impossible = odd_unit(look(points / scale))
+    assert (f"m high, and wider: is it in {unit}? --scale {scale}" in words, impossible) == (True, False)
+    strays = np.array([[0.0, 0.0, 300.0], [300.0, 0.0, 0.0], [0.0, 300.0, 0.0]])
+    assert "m high" not in odd_unit(look(np.concatenate([points[::50], strays])))[0]
+
+
 @pytest.mark.parametrize("things", [(), (Box((2.0, 1.0, 0.0), (3.0, 2.0, 0.75)),)], ids=["bare", "with a table"])
 def test_a_place_without_a_ceiling_says_that_z_is_down(things):
     points, _ = World((6.0, 4.0, 2.7), things).sample(0.05, np.random.default_rng(0))

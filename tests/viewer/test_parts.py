@@ -18,6 +18,7 @@ from gpdf_service.viewer.link import Link
 from gpdf_service.viewer.map_layers import View
 from gpdf_service.viewer.path_layers import DASH, dashes, disc_centres
 from gpdf_service.viewer.profile import profile_of
+from gpdf_service.viewer.scale import numbers
 from gpdf_service.viewer.worker import Worker
 
 GOOD = PlanResult(
@@ -190,6 +191,16 @@ def test_dashes_lie_on_the_line_and_leave_half_of_it_out():
     np.testing.assert_allclose(lengths, DASH, rtol=0.35)  # around the corner a dash is shorter
     np.testing.assert_allclose(lengths.sum(), 3.5, atol=2 * DASH)
     np.testing.assert_allclose([pieces[0, 0], pieces[-1, 1]], [line[0], line[-1]])
+
+
+@pytest.mark.parametrize(
+    ("low", "high", "step", "shown"),
+    [(-0.2, 6.1, 1.0, [0, 2, 4, 6]), (0.3, 0.8, 1.0, []), (-23.0, 31.0, 5.0, [-20, -10, 0, 10, 20, 30])],
+)
+def test_numbers_along_a_side_lie_on_the_ground_that_the_camera_shows(low, high, step, shown):
+    made = numbers(low, high, step)
+    np.testing.assert_allclose(made, shown)
+    assert not np.signbit(made[made == 0.0]).any()  # "-0 m"
 
 
 def test_a_profile_has_the_way_and_the_speed_of_the_feet():
