@@ -105,7 +105,7 @@ def fill_holes(
         return made.height, made.state
 
     given = height, state, seen_through, pit
-    height, state = (made.copy() for made in grid.around("notches", notches_reach(surface, config), notched, *given))
+    height, state = grid.around("notches", notches_reach(surface, config), notched, *given)
     known = state != UNKNOWN
     void = seen_through | pit | _walled_down(surface, walls)
 
@@ -114,11 +114,13 @@ def fill_holes(
         return (nearest_of(firm)[0] * surface.cell_width <= MAX_HOLE_RADIUS,)
 
     (firm,) = grid.around("close", _close_reach(surface, config), close, surface.state)
-    _fill_planes(grid, "open", height, state, ~known & ~material, known, firm, surface.cell_width, void, OPEN_SHARE)
+    own = grid, "open", height, state, ~known & ~material, known
+    height, state = _fill_planes(*own, firm, surface.cell_width, void, OPEN_SHARE)
     solid = state != UNKNOWN  # then the ground that carries the furniture itself
     rim = ndimage.binary_dilation(solid)
     under = ~solid & rim & firm & material & _seen_hollow(~solid & material, known & material)
-    _fill_planes(grid, "shut", height, state, under, solid, firm, surface.cell_width, void, SHUT_SHARE)
+    own = grid, "shut", height, state, under, solid
+    height, state = _fill_planes(*own, firm, surface.cell_width, void, SHUT_SHARE)
     height, state = _fill_gaps(grid, "gaps left", height, state, surface, noise)  # of larger ones
     return replace(surface, height=height, state=state)
 
@@ -346,23 +348,14 @@ def _fill_planes(
     cell_width: float,
     void: BoolArray,
     share: float,
-) -> None:
+) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
     """`_fill`, remembered: a hole is as it was if all that it is told by, two cells around it too, is as it was."""
-    given, was = (holes, known, near, void, height.copy()), grid.former.get(name)
+    given, was = (holes, known, near, void, height), grid.former.get(name)
     again = np.ones(holes.shape, dtype=bool) if was is None else grid.felt(name, 2, *given)
-    _fill(
-        height,
-        state,
-        holes,
-        known,
-        near,
-        cell_width,
-        void,
-        share,
-        again,
-        *((height, state) if was is None else was.made),
-    )
-    grid.known[name] = Told(given, (height.copy(), state.copy()))
+    before, made = (height, state) if was is None else was.made, (height.copy(), state.copy())
+    _fill(*made, holes, known, near, cell_width, void, share, again, *before)
+    grid.known[name] = Told(given, made)
+    return made
 
 
 @njit(cache=True, nogil=True)
