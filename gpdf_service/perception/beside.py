@@ -235,7 +235,10 @@ class Beside:
         for begin, part in found:
             unite_all(parent, part[1], part[2], begin)
         unite_all(parent, more[0], more[1], 0)
-        return numbered(parent), _in_order(found, 3), _in_order(found, 6)
+        slopes, steps = (
+            NO_PAIRS if asked is None else _in_order(found, at) for asked, at in ((sloped, 3), (stepped, 6))
+        )
+        return numbered(parent), slopes, steps
 
     def lasting(self) -> Beside:
         """The same without the points, without pairs, and without the version before."""

@@ -102,19 +102,18 @@ def boxes(near: Beside, ground: BoolArray, config: PerceptionConfig) -> BoolArra
 def _raised_within(near: Beside, ground: BoolArray, least: float, most: float) -> FloatArray:
     """How much higher each node of the `ground` is than that to both sides of it, within a landing's width in all [m].
 
-    Looked at closer are nodes with ground that is lower by more than the `least` around them; `most` is as in
-    `raised_over_sides`.
+    What is no more than the `least` may count for nothing; `most` is as in `raised_over_sides`.
     """
     width = max(2, int(LANDING / near.layers.cell_width))
 
     def answer(layers: Layers, asked: BoolArray, ground: BoolArray) -> tuple[FloatArray]:
         raised, nodes, lowest = np.zeros(len(ground)), np.flatnonzero(ground), np.full(layers.shape, np.inf)
-        np.minimum.at(lowest.ravel(), layers.cell[nodes], layers.height[nodes])
+        lowest.ravel()[layers.cell[nodes[::-1]]] = layers.height[nodes[::-1]]  # the last one that is written stays
         nodes = nodes[asked[nodes]]
         lowest = ndimage.minimum_filter(lowest, size=2 * width + 1, mode="constant", cval=np.inf)
         nodes = nodes[layers.height[nodes] - lowest.ravel()[layers.cell[nodes]] > least]
         grid = layers.cell, layers.start, layers.shape, layers.height, ground
-        run_chunked(lambda a, b: _raise_within(nodes[a:b], *grid, width, most, raised), len(nodes))
+        run_chunked(lambda a, b: _raise_within(nodes[a:b], *grid, width, least, most, raised), len(nodes))
         return (raised,)
 
     return near.around("raised within", width, answer, ground)[0]
@@ -129,6 +128,7 @@ def _raise_within(
     height: FloatArray,
     ground: BoolArray,
     width: int,
+    least: float,
     most: float,
     raised: FloatArray,
 ) -> None:
@@ -139,11 +139,14 @@ def _raise_within(
         for dx, dy in HALF:
             cells = width if dx * dy == 0 else int(np.sqrt(0.5) * width)
             for side in range(2):
-                for k in range(1, cells + 1):
+                for k in range(1, cells):
                     u, v = x + (2 * side - 1) * k * dx, y + (2 * side - 1) * k * dy
                     drop[side, k] = max(drop[side, k - 1], _drop_to(u, v, start, shape, height, ground, level, most))
-            for k in range(1, cells):
-                raised[i] = max(raised[i], min(drop[0, k], drop[1, cells - k]))
+                if drop[side, cells - 1] <= max(raised[i], least):
+                    break
+            else:
+                for k in range(1, cells):
+                    raised[i] = max(raised[i], min(drop[0, k], drop[1, cells - k]))
 
 
 def raised_over_sides(near: Beside, ground: BoolArray, config: PerceptionConfig) -> FloatArray:

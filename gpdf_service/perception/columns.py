@@ -251,9 +251,13 @@ def runs_of(changed: BoolArray, start: IntArray, fresh: IntArray) -> Runs:
     return [(other, slice(int(place[a]), int(place[b]))) for other, place, a, b in found]
 
 
+@njit(cache=True, nogil=True)
 def starts_spliced(changed: BoolArray, start: IntArray, fresh: IntArray) -> IntArray:
     """Where each cell begins, shape (cells + 1,), when what is in the `changed` ones is taken from others."""
-    return np.concatenate([[0], np.cumsum(np.where(changed, np.diff(fresh), np.diff(start)))])
+    made = np.zeros(len(changed) + 1, np.int64)
+    for c in range(len(changed)):
+        made[c + 1] = made[c] + (fresh[c + 1] - fresh[c] if changed[c] else start[c + 1] - start[c])
+    return made
 
 
 def values_spliced(runs: Runs, old: NDArray[Any], new: NDArray[Any]) -> NDArray[Any]:

@@ -92,12 +92,9 @@ def fill_holes(
     """
     if surface.cell_width >= widest_cell(config):
         return surface
-    known = surface.state == OBSERVED
-    height, state = surface.height.copy(), surface.state.copy()
     near = near or nearest_seen(surface)
-    beside = near.height
-    material = lowest < beside + CEILING
-    _fill_gaps(height, state, ~known, surface, near, noise)
+    material = lowest < near.height + CEILING
+    height, state = _fill_gaps(grid, "gaps", surface.height, surface.state, surface, noise)
 
     def notched(
         _: Box, height: NDArray[np.float32], state: NDArray[np.uint8], seen_through: BoolArray, pit: BoolArray
@@ -106,17 +103,18 @@ def fill_holes(
         return made.height, made.state
 
     given = height, state, seen_through, pit
-    height, state = (made.copy() for made in grid.around("notches", notches_reach(surface, config), notched, *given))
+    height, state = grid.around("notches", notches_reach(surface, config), notched, *given)
     known = state != UNKNOWN
     void = seen_through | pit | _walled_down(surface, walls)
-
     close = near.distance <= MAX_HOLE_RADIUS
-    _fill_planes(grid, "open", height, state, ~known & ~material, known, close, surface.cell_width, void, OPEN_SHARE)
+    own = grid, "open", height, state, ~known & ~material, known
+    height, state = _fill_planes(*own, close, surface.cell_width, void, OPEN_SHARE)
     solid = state != UNKNOWN  # then the ground that carries the furniture itself
     rim = ndimage.binary_dilation(solid)
     under = ~solid & rim & close & material & _seen_hollow(~solid & material, known & material)
-    _fill_planes(grid, "shut", height, state, under, solid, close, surface.cell_width, void, SHUT_SHARE)
-    _fill_gaps(height, state, state == UNKNOWN, surface, near, noise)  # what is left of larger ones
+    own = grid, "shut", height, state, under, solid
+    height, state = _fill_planes(*own, close, surface.cell_width, void, SHUT_SHARE)
+    height, state = _fill_gaps(grid, "gaps left", height, state, surface, noise)  # of larger ones
     return replace(surface, height=height, state=state)
 
 
@@ -238,23 +236,28 @@ def _rims(label: NDArray[np.int32], walls: BoolArray, labels: int) -> tuple[IntA
 
 
 def _fill_gaps(
-    height: NDArray[np.float32],
-    state: NDArray[np.uint8],
-    holes: BoolArray,
-    surface: HeightMap,
-    near: Nearest,
-    noise: float,
-) -> None:
+    grid: Grid, name: str, height: NDArray[np.float32], state: NDArray[np.uint8], surface: HeightMap, noise: float
+) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
     """Fill single cells that the scan's spacing left empty, also at a step's edge.
 
     Each is of the smooth ground around it, or as high as the cell beside it. On a slope the latter makes a step that
     nobody saw. But where the cure has blurred a step to a slope, it shows it.
     """
-    small = np.flatnonzero(_small(holes, near.distance, surface.cell_width))
-    own = surface.height, reach_of(surface.cell_width, noise), max(FINE, FLAT * noise), small
-    made = near.height.ravel()[small]
-    run_chunked(lambda a, b: _onto_bends(*own, a, b, made), len(small))
-    height.ravel()[small], state.ravel()[small] = made, INFERRED
+    reach = reach_of(surface.cell_width, noise)
+
+    def fill(
+        _: Box, height: NDArray[np.float32], state: NDArray[np.uint8], seen: NDArray[np.float32]
+    ) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
+        height, state, observed = height.copy(), state.copy(), np.where(np.isnan(seen), UNKNOWN, OBSERVED)
+        near = nearest_seen(replace(surface, height=seen, state=observed.astype(np.uint8)))
+        small = np.flatnonzero(_small(state == UNKNOWN, near.distance, surface.cell_width))
+        made = near.height.ravel()[small]
+        run_chunked(lambda a, b: _onto_bends(seen, reach, max(FINE, FLAT * noise), small, a, b, made), len(small))
+        height.ravel()[small], state.ravel()[small] = made, INFERRED
+        return height, state
+
+    height, state = grid.around(name, GAP_CELLS + 1 + reach, fill, height, state, surface.height)
+    return height, state
 
 
 @njit(cache=True, nogil=True)
@@ -317,23 +320,14 @@ def _fill_planes(
     cell_width: float,
     void: BoolArray,
     share: float,
-) -> None:
+) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
     """`_fill`, remembered: a hole is as it was if all that it is told by, two cells around it too, is as it was."""
-    given, was = (holes, known, near, void, height.copy()), grid.former.get(name)
+    given, was = (holes, known, near, void, height), grid.former.get(name)
     again = np.ones(holes.shape, dtype=bool) if was is None else grid.felt(name, 2, *given)
-    _fill(
-        height,
-        state,
-        holes,
-        known,
-        near,
-        cell_width,
-        void,
-        share,
-        again,
-        *((height, state) if was is None else was.made),
-    )
-    grid.known[name] = Told(given, (height.copy(), state.copy()))
+    before, made = (height, state) if was is None else was.made, (height.copy(), state.copy())
+    _fill(*made, holes, known, near, cell_width, void, share, again, *before)
+    grid.known[name] = Told(given, made)
+    return made
 
 
 @njit(cache=True, nogil=True)

@@ -240,16 +240,20 @@ def steady(layers: Layers, label: IntArray) -> IntArray:
 def crop_layers(layers: Layers, box: Box, by: int = 0) -> tuple[Layers, IntArray]:
     """The layers of a box of cells and `by` around it, without points, and which nodes of all they are, shape (k,)."""
     rows, columns = grown(box, by, layers.shape)
-    flat = (
-        np.arange(rows.start, rows.stop)[:, None] * layers.shape[1] + np.arange(columns.start, columns.stop)
-    ).ravel()
-    count = layers.start[flat + 1] - layers.start[flat]
-    start = np.concatenate([[0], np.cumsum(count)])
-    cell = np.repeat(np.arange(len(flat)), count)
-    nodes = layers.start[flat[cell]] + np.arange(len(cell)) - start[cell]
+    begin, end = (starts.reshape(layers.shape)[rows, columns] for starts in (layers.start[:-1], layers.start[1:]))
+    count = (end - begin).ravel()
+    start, cell = np.concatenate([[0], np.cumsum(count)]), np.repeat(np.arange(len(count)), count)
+    runs = [
+        slice(*ends) for ends in zip(begin[:, 0].tolist(), end[:, -1].tolist(), strict=True)
+    ]  # a row's lie together
+
+    def of(values: NDArray[Any]) -> NDArray[Any]:
+        return np.concatenate([values[run] for run in runs])
+
     origin = layers.origin + layers.cell_width * np.array([rows.start, columns.start])
     shape = rows.stop - rows.start, columns.stop - columns.start
-    own: dict[str, Any] = {name: getattr(layers, name)[nodes] for name in _OWN} | {"cell": cell}
+    own: dict[str, Any] = {name: of(getattr(layers, name)) for name in _OWN} | {"cell": cell}
+    nodes = np.concatenate([np.arange(run.start, run.stop) for run in runs])
     return replace(layers, origin=origin, shape=shape, **own, node_of_point=_NO_POINTS, start=start), nodes
 
 

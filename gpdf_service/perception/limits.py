@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import IntEnum
 from functools import lru_cache
 
@@ -68,9 +68,8 @@ def find_limits(surface: HeightMap, material: BoolArray, measured: Measured, rid
     """
     step, slope = measured
     known = surface.state != UNKNOWN
-    edge = ndimage.maximum_filter(known, size=3, mode="constant") & ~known & ~material
-    beside = ndimage.maximum_filter(np.where(known, surface.height, -np.inf), size=3)
-    edge_map = HeightMap(surface.origin, surface.cell_width, np.where(edge, beside, np.nan), surface.state)
+    beside = _highest_beside(surface.height, ~known & ~material)
+    edge, edge_map = ~np.isnan(beside), replace(surface, height=beside)
     stepped, sloped = known & (step > LEAST_STEP), known & (slope > 0.0)
     parts = [
         (surface.centres(stepped), ObstacleKind.STEP, step[stepped]),
@@ -83,6 +82,21 @@ def find_limits(surface: HeightMap, material: BoolArray, measured: Measured, rid
         np.concatenate([np.full(len(points), int(kind), np.uint8) for points, kind, _ in parts]),
         np.concatenate([value for _, _, value in parts]),
     )
+
+
+@njit(cache=True, nogil=True)
+def _highest_beside(height: NDArray[np.float32], asked: BoolArray) -> NDArray[np.float32]:
+    """Highest ground in the cells around each of those `asked`, shape (nx, ny), NaN where none is known there."""
+    (nx, ny), made = height.shape, np.full(height.shape, np.float32(np.nan), np.float32)
+    for x in range(nx):
+        for y in range(ny):
+            if not asked[x, y]:
+                continue
+            for u in range(max(x - 1, 0), min(x + 2, nx)):
+                for v in range(max(y - 1, 0), min(y + 2, ny)):
+                    if not made[x, y] >= height[u, v] and not np.isnan(height[u, v]):
+                        made[x, y] = height[u, v]
+    return made
 
 
 def limits_reach(surface: HeightMap) -> int:

@@ -82,6 +82,28 @@ def counts_of(label: IntArray, true: BoolArray, among: BoolArray, labels: int) -
 
 
 @njit(cache=True, nogil=True)
+def sizes_and_means(label: IntArray, among: BoolArray, height: FloatArray, labels: int) -> tuple[IntArray, FloatArray]:
+    """How many nodes `among` all have each label, and the mean height of all that have it [m], 0 of none, (labels,)."""
+    size, count, total = np.zeros(labels, np.int64), np.zeros(labels, np.int64), np.zeros(labels)
+    for i in range(len(label)):
+        size[label[i]] += among[i]
+        count[label[i]] += 1
+        total[label[i]] += height[i]
+    return size, total / np.maximum(count, 1)
+
+
+@njit(cache=True, nogil=True)
+def touched_by(a: IntArray, b: IntArray, among: BoolArray, others: BoolArray) -> BoolArray:
+    """Which nodes, of those `among` all, a pair (a, b) joins to one of the `others`, shape (k,)."""
+    found = np.zeros(len(among), np.bool_)
+    for e in range(len(a)):
+        i, j = a[e], b[e]
+        found[i] |= among[i] and others[j]
+        found[j] |= among[j] and others[i]
+    return found
+
+
+@njit(cache=True, nogil=True)
 def put_in(parent: IntArray, part: IntArray, begin: int) -> None:
     """Write the trees of some nodes, which are numbered from the first of them, `begin`, into those of all."""
     for i in range(len(part)):
@@ -453,6 +475,19 @@ def rises_beside(
             for other in range(start[i * shape[1] + first], start[i * shape[1] + last]):
                 rises[k] |= top[other] > least
     return rises
+
+
+@njit(cache=True, nogil=True)
+def free_beside(a: IntArray, b: IntArray, sheet_of: IntArray, sheet: int, label: IntArray, labels: int) -> BoolArray:
+    """Labels of the nodes of no sheet, below 0, that a pair (a, b) joins to one of the `sheet`, shape (labels,)."""
+    found = np.zeros(labels, np.bool_)
+    for e in range(len(a)):
+        i, j = a[e], b[e]
+        if sheet_of[i] == sheet and sheet_of[j] < 0:
+            found[label[j]] = True
+        elif sheet_of[j] == sheet and sheet_of[i] < 0:
+            found[label[i]] = True
+    return found
 
 
 @njit(cache=True, nogil=True)

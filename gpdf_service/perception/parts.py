@@ -21,6 +21,7 @@ from gpdf_service.perception.nodes import (
     nodes_over,
     numbered_among,
     rises_beside,
+    sizes_and_means,
 )
 from gpdf_service.perception.pairs import pairs_within
 from gpdf_service.perception.strides import HALF_FOOT, STRIDE, find_strides
@@ -83,10 +84,9 @@ def build_parts(
     layers = near.layers
     label, count = numbered_among(near.pieces(flat, rise)[0], flat)
     room = flat & keep
-    size = np.bincount(label[room], minlength=count + 1)
+    size, level = sizes_and_means(label, room, layers.height, count + 1)
     depth = extents_in_plan(layers.cell, layers.shape[1], room, label, layers.cell_width)[1]
     depth = np.pad(depth, (0, count + 1 - len(depth)))
-    level = np.bincount(label, layers.height, count + 1) / np.maximum(np.bincount(label, minlength=count + 1), 1)
     over = np.r_[False, layers.cell[1:] == layers.cell[:-1]]
     standable = (depth >= config.standing_width) & (size > 0)
     return Parts(label, flat, room, inner, over, size, depth, standable, level, rise)

@@ -34,6 +34,7 @@ from gpdf_service.perception.nodes import (
     mean_gradients,
     off_ground,
     over_kept,
+    touched_by,
     with_rims,
 )
 from gpdf_service.perception.pairs import medians_around, pairs_over_gaps
@@ -364,9 +365,7 @@ def _roofs(near: Beside, smooth: BoolArray, flat: BoolArray, rise: float, config
     large = np.bincount(own, minlength=count) * near.layers.cell_width**2 > TABLE_AREA  # or it is the side of a tread
     if not large.any():
         return np.zeros(len(off), dtype=bool)
-    touching = np.zeros(len(off), dtype=bool)
-    for one, other in (loose, loose[::-1]):
-        touching[one[off[one] & flat[other]]] = True
+    touching = touched_by(*loose, off, flat)
     rim, ends = (np.bincount(own[kind[nodes]], minlength=count) for kind in (touching, _drops(near, off, config)))
     roof: BoolArray = np.zeros(len(off), dtype=bool)
     roof[nodes] = (large & (rim < ROOF_SHARE * (rim + ends)))[own]

@@ -9,7 +9,14 @@ from gpdf_service.fields.threads import run_parallel
 from gpdf_service.perception.beside import Beside
 from gpdf_service.perception.columns import by_cell
 from gpdf_service.perception.layers import Layers, connect
-from gpdf_service.perception.nodes import components, extents_in_plan, grown_sheet, mark_nearest, whole_around
+from gpdf_service.perception.nodes import (
+    components,
+    extents_in_plan,
+    free_beside,
+    grown_sheet,
+    mark_nearest,
+    whole_around,
+)
 from gpdf_service.perception.pairs import pairs_within
 from gpdf_service.perception.segment import over_ground, steps_over_gaps
 from gpdf_service.types import BoolArray, IntArray
@@ -151,10 +158,8 @@ def _attach(
     taken = np.zeros(layers.shape[0] * layers.shape[1], dtype=bool)
     taken[layers.cell[sheet_of == sheet]] = True
     while True:
-        here, there = sheet_of[a] == sheet, sheet_of[b] == sheet
-        pieces = np.unique(np.concatenate([smooth[b[here & (sheet_of[b] < 0)]], smooth[a[there & (sheet_of[a] < 0)]]]))
         grown = False
-        for piece in pieces:
+        for piece in np.flatnonzero(free_beside(a, b, sheet_of, sheet, smooth, len(start) - 1)):
             nodes = members[start[piece] : start[piece + 1]]
             nodes = nodes[sheet_of[nodes] < 0]
             cells = layers.cell[nodes]  # ascending, as nodes are

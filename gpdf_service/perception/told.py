@@ -57,10 +57,9 @@ def grown(box: Box, by: int, shape: tuple[int, ...]) -> Box:
 
 
 def unlike(now: NDArray[Any], was: NDArray[Any]) -> BoolArray:
-    """Where values are others than before; NaN is NaN."""
-    found: BoolArray = now != was
-    if now.dtype.kind == "f":
-        found &= ~(np.isnan(now) & np.isnan(was))
+    """Where values are others than before, by their bits: NaN is NaN."""
+    kind = f"u{now.dtype.itemsize}"
+    found: BoolArray = now.view(kind) != was.view(kind)
     return found
 
 

@@ -6,11 +6,12 @@ from itertools import product
 import numpy as np
 import pytest
 
+from gpdf_service.perception.boxes import widened
 from gpdf_service.perception.footing import is_tread, on_treads
 from gpdf_service.perception.levels import GroundLevel
 from gpdf_service.perception.limits import GroundLimits, ObstacleKind
-from gpdf_service.perception.obstacles import Scan, are_voxels, obstacles_of
-from gpdf_service.perception.surface import INFERRED, OBSERVED, UNKNOWN, HeightMap
+from gpdf_service.perception.obstacles import Scan, are_voxels, obstacles_of, obstacles_reach
+from gpdf_service.perception.surface import INFERRED, OBSERVED, UNKNOWN, HeightMap, cropped
 from gpdf_service.types import AGENTS
 
 LEAST_OBSTACLE, HEADROOM_SHARE, SURELY, RESOLVED = 0.015, 0.01, 2.0, 3.0
@@ -151,6 +152,33 @@ def test_what_stops_a_body_is_what_each_point_says_by_itself(kind, body, seed):
     )
     assert found.kind.tolist() == [0] * len(expected) + level.limits.kind[stops].tolist()
     assert found.kind.dtype == np.uint8
+
+
+@pytest.mark.parametrize("body", BODIES, ids=lambda body: body.name)
+@pytest.mark.parametrize("kind", ["step", "stair", "ramp"])
+def test_obstacles_in_a_region_are_told_by_what_is_in_their_reach(kind, body):
+    rng, shape, scan = np.random.default_rng(5), (150, 140), Scan(0.0, 0.02, False)
+    surface = ground(kind, shape, 0.06, rng)
+    whole = level_of(surface, rng, 60_000)
+    region = np.zeros(shape, dtype=bool)
+    region[60:90, 60:80] = True
+    reach, shut = obstacles_reach(surface, body)
+    near = widened(region, shut)
+    ix, iy, inside = surface.cells(whole.other_points)
+    rows = np.flatnonzero(near[ix, iy] & inside)
+    box = tuple(slice(max(a - reach, 0), b + reach) for a, b in ((60, 90), (60, 80)))
+    points, ledge = whole.other_points[rows], whole.ledge[rows]
+    part = dataclasses.replace(whole, surface=cropped(surface, box), other_points=points, ledge=ledge)
+
+    def here(level):
+        found = obstacles_of(level, body, scan)
+        places = found.points[found.kind == ObstacleKind.MATERIAL]
+        ix, iy, inside = surface.cells(places)
+        return places[region[ix, iy] & inside]
+
+    np.testing.assert_array_equal(here(part), here(whole))
+    assert len(here(whole)) > 10
+    assert part.surface.state.size < surface.state.size
 
 
 @pytest.mark.parametrize("turned", [False, True])

@@ -1,0 +1,73 @@
+"""A map that was changed in one place is filled as one that is looked at as a whole, and most of it is not asked."""
+
+import numpy as np
+import pytest
+
+from gpdf_service.config import PerceptionConfig
+from gpdf_service.perception.holes import fill_holes
+from gpdf_service.perception.surface import OBSERVED, UNKNOWN, HeightMap
+from gpdf_service.perception.told import boxes_of, grown, new_grid
+
+CELLS, WIDTH = (260, 240), 0.06
+
+
+def place(rng):
+    """Floors that flights join, with gaps, holes and things: heights, NaN where unseen, and what is over and under."""
+    x, y = np.indices(CELLS)
+    height = 0.17 * np.clip((x - 100) // 5, 0, 8) + 0.15 * np.clip((y - 150) // 6, 0, 4)
+    height = height + rng.normal(0.0, 0.003, CELLS)
+    height[rng.random(CELLS) < 0.02] = np.nan
+    for _ in range(150):
+        (i, j), (u, v) = rng.integers(0, CELLS), rng.integers(1, 16, 2)
+        height[i : i + u, j : j + v] = np.nan
+    lowest, through, pit, walls = (
+        np.full(CELLS, np.inf),
+        *(rng.random(CELLS) < share for share in (0.001, 0.001, 0.002)),
+    )
+    for _ in range(60):
+        (i, j), (u, v) = rng.integers(0, CELLS), rng.integers(2, 12, 2)
+        lowest[i : i + u, j : j + v] = rng.uniform(0.0, 2.5)
+    return height.astype(np.float32), lowest, through, pit, walls
+
+
+def fill(grid, height, *others):
+    state = np.where(np.isnan(height), UNKNOWN, OBSERVED).astype(np.uint8)
+    return fill_holes(HeightMap(np.zeros(2), WIDTH, height, state), grid, *others, PerceptionConfig())
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_a_change_fills_holes_notches_and_gaps_as_a_build_does(seed):
+    rng = np.random.default_rng(seed)
+    before, grid = place(rng), new_grid()
+    was = fill(grid, *before)
+    for _ in range(3):
+        i, j = (rng.integers(0, size - 17) for size in CELLS)
+        here, others = (slice(i, i + 17), slice(j, j + 17)), np.zeros(CELLS, dtype=bool)
+        others[here] = True
+        now = tuple(np.where(others, new, old) for new, old in zip(place(rng), before, strict=True))
+        grid = grid.lasting().now(others)
+        ours, theirs = fill(grid, *now), fill(new_grid(), *now)
+        np.testing.assert_array_equal(ours.height, theirs.height)
+        np.testing.assert_array_equal(ours.state, theirs.state)
+        assert (ours.state != was.state).any()
+        for name, reach in (("notches", 55), ("open", 2), ("shut", 2), ("gaps", 8)):
+            assert 0 < grid.felt(name, reach, *grid.known[name].given).mean() < 0.5
+        before, was = now, ours
+
+
+def test_boxes_hold_all_cells_and_one_is_taken_where_several_would_overlap_more():
+    cells = np.zeros((300, 300), dtype=bool)
+    cells[120:136, 120:136] = True  # over the corners of tiles, from the first cell on
+    cells[0, 0] = True
+    far = boxes_of(cells, 2)
+    held = np.zeros_like(cells)
+    for box in far:
+        held[box] = True
+    assert held[cells].all()
+    assert held.sum() < 2 * cells.sum()
+    cells[0, 0] = False
+    cells[100:240, 100:240] = True
+    assert len(boxes_of(cells, 0)) > 1
+    assert boxes_of(cells, 40) == [(slice(100, 240), slice(100, 240))]
+    assert boxes_of(np.zeros((9, 9), dtype=bool), 3) == []
+    assert grown((slice(2, 4), slice(7, 9)), 3, (9, 9)) == (slice(0, 7), slice(4, 9))
