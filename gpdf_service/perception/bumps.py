@@ -10,11 +10,11 @@ from __future__ import annotations
 
 import numpy as np
 from numba import njit
-from scipy import ndimage
 
 from gpdf_service.config import PerceptionConfig
 from gpdf_service.fields.threads import run_chunked
 from gpdf_service.perception.beside import Beside
+from gpdf_service.perception.boxes import lowest_around
 from gpdf_service.perception.layers import HALF, Layers
 from gpdf_service.perception.nodes import components, extents_in_plan
 from gpdf_service.perception.pairs import pairs_around
@@ -110,7 +110,7 @@ def _raised_within(near: Beside, ground: BoolArray, least: float, most: float) -
     def answer(layers: Layers, ground: BoolArray) -> tuple[FloatArray]:
         raised, nodes, lowest = np.zeros(len(ground)), np.flatnonzero(ground), np.full(layers.shape, np.inf)
         np.minimum.at(lowest.ravel(), layers.cell[nodes], layers.height[nodes])
-        lowest = ndimage.minimum_filter(lowest, size=2 * width + 1, mode="constant", cval=np.inf)
+        lowest = lowest_around(lowest, width)
         nodes = nodes[layers.height[nodes] - lowest.ravel()[layers.cell[nodes]] > least]
         grid = layers.cell, layers.start, layers.shape, layers.height, ground
         run_chunked(lambda a, b: _raise_within(nodes[a:b], *grid, width, most, raised), len(nodes))

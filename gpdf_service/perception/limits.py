@@ -13,6 +13,7 @@ from scipy import ndimage
 
 from gpdf_service.config import PerceptionConfig
 from gpdf_service.fields.threads import run_chunked
+from gpdf_service.perception.boxes import highest_around, widened
 from gpdf_service.perception.footing import ROUGH, flights
 from gpdf_service.perception.strides import HALF_FOOT, SECTORS, STRIDE, sector_of
 from gpdf_service.perception.surface import UNKNOWN, HeightMap
@@ -68,8 +69,8 @@ def find_limits(surface: HeightMap, material: BoolArray, measured: Measured, rid
     """
     step, slope = measured
     known = surface.state != UNKNOWN
-    edge = ndimage.maximum_filter(known, size=3, mode="constant") & ~known & ~material
-    beside = ndimage.maximum_filter(np.where(known, surface.height, -np.inf), size=3)
+    edge = widened(known, 1) & ~known & ~material
+    beside = highest_around(np.where(known, surface.height, -np.inf), 1)
     edge_map = HeightMap(surface.origin, surface.cell_width, np.where(edge, beside, np.nan), surface.state)
     stepped, sloped = known & (step > LEAST_STEP), known & (slope > 0.0)
     parts = [
