@@ -108,15 +108,21 @@ def _raised_within(near: Beside, ground: BoolArray, least: float, most: float) -
     width = max(2, int(LANDING / near.layers.cell_width))
 
     def answer(layers: Layers, ground: BoolArray) -> tuple[FloatArray]:
-        raised, nodes, lowest = np.zeros(len(ground)), np.flatnonzero(ground), np.full(layers.shape, np.inf)
-        np.minimum.at(lowest.ravel(), layers.cell[nodes], layers.height[nodes])
-        lowest = lowest_around(lowest, width)
-        nodes = nodes[layers.height[nodes] - lowest.ravel()[layers.cell[nodes]] > least]
+        raised, nodes = np.zeros(len(ground)), _over_ground(layers, ground, width, least)
         grid = layers.cell, layers.start, layers.shape, layers.height, ground
         run_chunked(lambda a, b: _raise_within(nodes[a:b], *grid, width, most, raised), len(nodes))
         return (raised,)
 
     return near.around("raised within", width, answer, ground)[0]
+
+
+def _over_ground(layers: Layers, ground: BoolArray, reach: int, least: float) -> IntArray:
+    """Nodes of the `ground`, (k,), with some that is lower by more than the `least` [m] within so many cells, (m,)."""
+    nodes, lowest = np.flatnonzero(ground), np.full(layers.shape, np.inf)
+    np.minimum.at(lowest.ravel(), layers.cell[nodes], layers.height[nodes])
+    lowest = lowest_around(lowest, reach)
+    found: IntArray = nodes[layers.height[nodes] - lowest.ravel()[layers.cell[nodes]] > least]
+    return found
 
 
 @njit(cache=True, nogil=True)
@@ -150,7 +156,7 @@ def raised_over_sides(near: Beside, ground: BoolArray, config: PerceptionConfig)
     reach = _reach(near.layers, config)
 
     def answer(layers: Layers, ground: BoolArray) -> tuple[FloatArray]:
-        raised, nodes = np.zeros(len(ground)), np.flatnonzero(ground)
+        raised, nodes = np.zeros(len(ground)), _over_ground(layers, ground, reach, LEAST_BUMP / ROUGH)
         grid = layers.cell, layers.start, layers.shape, layers.height, ground
         run_chunked(lambda a, b: _raise(nodes[a:b], *grid, reach, config.max_step, raised), len(nodes))
         return (raised,)
