@@ -271,29 +271,32 @@ def _build_level(
     """The sheet of the nodes `inside`, of layers of the `ground`; which points are its own or count for nothing."""
     grid = new_grid(layers.shape)
     seen = sheet_surface(grid, layers, np.flatnonzero(inside), config.max_step, noise)
-    near, near_by, voids = _look_through(points, gone, seen, config)
-    other, first = in_order(chosen_rows(points, near_by), seen)
-    del gone, near_by
+    near, rows, first, voids = _look_through(points, gone, seen, config)
+    other = taken(points, rows)
+    del gone, rows
     surface, guarded = complete(grid, seen, partial(held_in, other, first, seen), voids, config, near, noise, rays)
     del near
-    ledge, (measured, limits) = run_beside(
-        partial(_ledges, surface, points, ground, (other, first), config.max_step, noise),
-        partial(measure, grid, surface, guarded),
-    )
+    ledge = _ledges(surface, points, ground, (other, first), config.max_step, noise)
+    measured, limits = measure(grid, surface, guarded)
     return GroundLevel(surface, other, ledge, limits, measured), voids, grid, first
 
 
 def _look_through(
     points: FloatArray, gone: BoolArray, seen: HeightMap, config: PerceptionConfig
-) -> tuple[Nearest, BoolArray, Voids]:
-    """The nearest seen ground; which points are within reach over it, but for those `gone`, shape (n,); the voids."""
+) -> tuple[Nearest, IntArray, IntArray, Voids]:
+    """The nearest seen ground; rows of the points within reach, but for those `gone`, and where cells begin; the voids.
+
+    The rows are in the order of the cells, as by `in_order`.
+    """
     cell, near = cells_within(points, seen), nearest_seen(seen)
     cell[gone] = seen.state.size  # as those outside: in no cell
     near_by, voids = run_beside(
         partial(are_within_reach, points, seen, cell=cell),
         partial(find_voids, seen, points, config.max_step, near, cell=cell),
     )
-    return near, near_by, voids
+    cell[~near_by] = seen.state.size
+    first, order = by_cell(cell, seen.state.size + 1)
+    return near, order[: first[-2]], first[:-1], voids
 
 
 def _ledges(

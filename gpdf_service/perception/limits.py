@@ -73,17 +73,19 @@ def find_limits(surface: HeightMap, material: BoolArray, measured: Measured, rid
     beside = highest_around(np.where(known, surface.height, -np.inf), 1)
     edge_map = HeightMap(surface.origin, surface.cell_width, np.where(edge, beside, np.nan), surface.state)
     stepped, sloped = known & (step > LEAST_STEP), known & (slope > 0.0)
-    parts = [
-        (surface.centres(stepped), ObstacleKind.STEP, step[stepped]),
-        (surface.centres(sloped), ObstacleKind.SLOPE, slope[sloped]),
-        (edge_map.centres(edge), ObstacleKind.UNKNOWN, np.full(int(edge.sum()), np.inf)),
-        (surface.centres(ridge), ObstacleKind.MATERIAL, np.full(int(ridge.sum()), np.inf)),
-    ]
-    return GroundLimits(
-        np.concatenate([points for points, _, _ in parts]),
-        np.concatenate([np.full(len(points), int(kind), np.uint8) for points, kind, _ in parts]),
-        np.concatenate([value for _, _, value in parts]),
+    none = np.broadcast_to(np.inf, known.shape)
+    parts = (
+        (surface, stepped, ObstacleKind.STEP, step),
+        (surface, sloped, ObstacleKind.SLOPE, slope),
+        (edge_map, edge, ObstacleKind.UNKNOWN, none),
+        (surface, ridge, ObstacleKind.MATERIAL, none),
     )
+    ends = np.cumsum([0, *(np.count_nonzero(cells) for _, cells, _, _ in parts)]).tolist()
+    made = GroundLimits(np.empty((ends[-1], 3)), np.empty(ends[-1], np.uint8), np.empty(ends[-1]))
+    for (ground, cells, kind, value), own in zip(parts, map(slice, ends, ends[1:]), strict=False):
+        ground.put_centres(cells, made.points[own])
+        made.kind[own], made.value[own] = kind, value[cells]
+    return made
 
 
 def limits_reach(surface: HeightMap) -> int:
