@@ -612,7 +612,7 @@ def assemble_scene(
     progress("segment ground", 0.0)
     found = cure_and_segment(cloud, labels, config.perception, width)
     cured, ground, segmentation = found.cured, found.ground, found.segmentation
-    give_back()
+    give_back(len(cloud))
     progress("build levels", 0.4)
     points, labelled = cured.points, ground
     if cured.stray.any():
@@ -621,7 +621,7 @@ def assemble_scene(
     levels, survey = survey_levels(
         points, labelled, config.perception, width=width, noise=0.0 if found.as_it_was else cured.measured, rays=rays
     )
-    give_back()
+    give_back(len(cloud))
     progress("fit ground fields", 0.7)
     old = () if like is None else tuple(zip(like.ground_fields, like.levels.levels, strict=True))
 

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numba import njit
-from scipy import ndimage
+from numpy.typing import NDArray
 
+from gpdf_service.fields.threads import run_chunked
 from gpdf_service.types import BoolArray
 
 Box = tuple[slice, slice]
@@ -51,8 +54,68 @@ def widened(cells: BoolArray, by: int) -> BoolArray:
     made = np.zeros_like(cells)
     if cells.any():
         box = window(cells, by)
-        made[box] = ndimage.maximum_filter(cells[box], size=2 * by + 1, mode="constant")
+        made[box] = highest_around(cells[box].view(np.uint8), by).view(bool)
     return made
+
+
+def lowest_around(values: NDArray[Any], rings: int) -> NDArray[Any]:
+    """The lowest of the `values` within so many cells along each axis, shape (nx, ny); none of them is NaN."""
+    return -highest_around(-values, rings)
+
+
+def highest_around(values: NDArray[Any], rings: int) -> NDArray[Any]:
+    """The highest of the `values` within so many cells along each axis, shape (nx, ny); none of them is NaN."""
+    made, least = np.empty(values.shape, values.dtype), values.dtype.type(-np.inf if values.dtype.kind == "f" else 0)
+    values = np.ascontiguousarray(values)
+    run_chunked(lambda a, b: _highest_in_rows(values, rings, least, a, b, made), values.shape[0])
+    run_chunked(lambda a, b: _highest_in_columns(made, rings, least, a, b), values.shape[1])
+    return made
+
+
+_ABREAST = 128
+"""Columns that are looked at together: in vectors, and in a core's cache."""
+
+
+@njit(cache=True, nogil=True)
+def _highest_in_rows(values: NDArray[Any], rings: int, least: Any, begin: int, end: int, made: NDArray[Any]) -> None:  # noqa: ANN401
+    """Write the highest of so many cells before and behind in some rows; none is under the `least`.
+
+    It is that of 2, 4, 8 … cells from each one on, and at last of two such that overlap.
+    """
+    cells, size = values.shape[1], 2 * rings + 1
+    high, now = np.empty(cells + 2 * rings, values.dtype), np.empty(cells + 2 * rings, values.dtype)
+    for x in range(begin, end):
+        high[:rings], high[cells + rings :] = least, least
+        high[rings : cells + rings] = values[x]
+        span = 1
+        while 2 * span <= size:
+            _higher(high, high[span:], now[: len(high) - span])
+            high, now, span = now, high, 2 * span
+        _higher(high, high[size - span :], made[x])
+
+
+@njit(cache=True, nogil=True)
+def _highest_in_columns(made: NDArray[Any], rings: int, least: Any, begin: int, end: int) -> None:  # noqa: ANN401
+    """The same in some columns, written over the values."""
+    cells, size = len(made), 2 * rings + 1
+    for first in range(begin, end, _ABREAST):
+        last, span = min(first + _ABREAST, end), 1
+        high = np.empty((cells + 2 * rings, last - first), made.dtype)
+        high[:rings], high[cells + rings :] = least, least
+        high[rings : cells + rings] = made[:, first:last]
+        while 2 * span <= size:
+            for i in range(len(high) - span):
+                _higher(high[i], high[i + span], high[i])
+            span *= 2
+        for i in range(cells):
+            _higher(high[i], high[i + size - span], made[i, first:last])
+
+
+@njit(cache=True, nogil=True)
+def _higher(one: NDArray[Any], other: NDArray[Any], made: NDArray[Any]) -> None:
+    """Write the higher ones of two rows."""
+    for i in range(len(made)):
+        made[i] = one[i] if one[i] > other[i] else other[i]
 
 
 def eroded(cells: BoolArray, by: int) -> BoolArray:

@@ -21,6 +21,10 @@ KEPT_BYTES = 130
 """[bytes] The same of what is kept of it while further levels are made."""
 POINT_BYTES = 1000
 """[bytes] Of grids that each point may ask for: four cells of a level; floors that were scanned ask for 0.05 to 1."""
+FREED_BYTES = 30
+"""[bytes] Of what finding the ground takes a point, freed between what lasts: 300 MB of 10 M points."""
+_MUCH = 1 << 26
+"""[bytes] What a thread of glibc's takes from the system at once: less is not worth it."""
 _BULK = (1.0, 99.0)
 """[%] Percentiles of x and of y between which the bulk of a cloud lies: what is outside may be an outlier."""
 
@@ -58,13 +62,13 @@ def check_grid(points: FloatArray, count: int, width: float, each: float, config
     )
 
 
-def give_back() -> None:
-    """Give memory that was freed back to the system.
+def give_back(count: int) -> None:
+    """Give memory that a stage freed, of so many points, back to the system.
 
-    The C library keeps it wherever what lasts lies beside it: of 10 M points 300 MB after the ground was found.
+    The C library keeps it wherever what lasts lies beside it. Of a small cloud it is left for the next stage.
     """
     trim = _trim()
-    if trim is not None:
+    if trim is not None and count * FREED_BYTES >= _MUCH:
         trim(0)
 
 

@@ -10,11 +10,11 @@ from __future__ import annotations
 
 import numpy as np
 from numba import njit
-from scipy import ndimage
 
 from gpdf_service.config import PerceptionConfig
 from gpdf_service.fields.threads import run_chunked
 from gpdf_service.perception.beside import Beside
+from gpdf_service.perception.boxes import lowest_around
 from gpdf_service.perception.layers import HALF, Layers
 from gpdf_service.perception.nodes import components, extents_in_plan
 from gpdf_service.perception.pairs import pairs_around
@@ -107,16 +107,22 @@ def _raised_within(near: Beside, ground: BoolArray, least: float, most: float) -
     width = max(2, int(LANDING / near.layers.cell_width))
 
     def answer(layers: Layers, asked: BoolArray, ground: BoolArray) -> tuple[FloatArray]:
-        raised, nodes, lowest = np.zeros(len(ground)), np.flatnonzero(ground), np.full(layers.shape, np.inf)
-        lowest.ravel()[layers.cell[nodes[::-1]]] = layers.height[nodes[::-1]]  # the last one that is written stays
-        nodes = nodes[asked[nodes]]
-        lowest = ndimage.minimum_filter(lowest, size=2 * width + 1, mode="constant", cval=np.inf)
-        nodes = nodes[layers.height[nodes] - lowest.ravel()[layers.cell[nodes]] > least]
+        raised, nodes = np.zeros(len(ground)), _over_ground(layers, ground, width, least, asked)
         grid = layers.cell, layers.start, layers.shape, layers.height, ground
         run_chunked(lambda a, b: _raise_within(nodes[a:b], *grid, width, least, most, raised), len(nodes))
         return (raised,)
 
     return near.around("raised within", width, answer, ground)[0]
+
+
+def _over_ground(layers: Layers, ground: BoolArray, reach: int, least: float, asked: BoolArray) -> IntArray:
+    """Nodes `asked` of the `ground` with some that is lower by over the `least` [m] within so many cells, shape (m,)."""
+    nodes, lowest = np.flatnonzero(ground), np.full(layers.shape, np.inf)
+    lowest.ravel()[layers.cell[nodes[::-1]]] = layers.height[nodes[::-1]]  # the last one that is written stays
+    lowest = lowest_around(lowest, reach)
+    nodes = nodes[asked[nodes]]
+    found: IntArray = nodes[layers.height[nodes] - lowest.ravel()[layers.cell[nodes]] > least]
+    return found
 
 
 @njit(cache=True, nogil=True)
@@ -154,7 +160,7 @@ def raised_over_sides(near: Beside, ground: BoolArray, config: PerceptionConfig)
     reach = _reach(near.layers, config)
 
     def answer(layers: Layers, asked: BoolArray, ground: BoolArray) -> tuple[FloatArray]:
-        raised, nodes = np.zeros(len(ground)), np.flatnonzero(ground & asked)
+        raised, nodes = np.zeros(len(ground)), _over_ground(layers, ground, reach, LEAST_BUMP / ROUGH, asked)
         grid = layers.cell, layers.start, layers.shape, layers.height, ground
         run_chunked(lambda a, b: _raise(nodes[a:b], *grid, reach, config.max_step, raised), len(nodes))
         return (raised,)

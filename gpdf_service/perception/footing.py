@@ -11,6 +11,7 @@ from scipy import ndimage
 
 from gpdf_service.config import PerceptionConfig
 from gpdf_service.fields.threads import run_chunked
+from gpdf_service.perception.boxes import highest_around, lowest_around, widened
 from gpdf_service.perception.layers import HALF
 from gpdf_service.perception.strides import SOLE, STRIDE
 from gpdf_service.perception.surface import UNKNOWN, Cells, HeightMap, cell_of
@@ -46,7 +47,7 @@ def footholds(surface: HeightMap, max_step: float) -> FloatArray:
     A step leads up to a tread, not to the stringer beside it. A sill on a floor is narrower, too, and one steps over
     it. A flight is as in `bridged`, and goes on a stride further: its lowest treads are no step over the floor.
     """
-    flight = ndimage.maximum_filter(flights(surface, max_step), 2 * rings_of(STRIDE, surface.cell_width) + 1)
+    flight = widened(flights(surface, max_step), rings_of(STRIDE, surface.cell_width))
     return _without_ridges(surface, flight).astype(np.float64)
 
 
@@ -107,9 +108,9 @@ def _highest_along(
 
 def flights(surface: HeightMap, max_step: float, reach: float = STRIDE) -> BoolArray:
     """Cells around which known ground differs by more than a step, `max_step`, within a `reach` [m], shape (nx, ny)."""
-    known, size = surface.state != UNKNOWN, 2 * rings_of(reach, surface.cell_width) + 1
+    known, rings = surface.state != UNKNOWN, rings_of(reach, surface.cell_width)
     low, high = (np.where(known, surface.height, none) for none in (np.inf, -np.inf))
-    found: BoolArray = ndimage.maximum_filter(high, size) - ndimage.minimum_filter(low, size) > max_step
+    found: BoolArray = highest_around(high, rings) - lowest_around(low, rings) > max_step
     return found
 
 

@@ -9,7 +9,6 @@ from math import ceil
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage
 from scipy.spatial import cKDTree
 
 from gpdf_service.config import PerceptionConfig
@@ -17,7 +16,7 @@ from gpdf_service.errors import NoGroundError
 from gpdf_service.fields.shapes import FEWEST
 from gpdf_service.fields.threads import run_beside, run_chunked, run_parallel
 from gpdf_service.perception.beside import Beside, beside
-from gpdf_service.perception.boxes import WHOLE, Box, widened
+from gpdf_service.perception.boxes import WHOLE, Box, highest_around, lowest_around, widened
 from gpdf_service.perception.budget import KEPT_BYTES, LEVEL_BYTES, check_grid
 from gpdf_service.perception.columns import by_cell, ends_of_runs, heights_in_plan, lowest_above
 from gpdf_service.perception.footing import FLIGHT_RISE, bridged, footholds, footing_reach, ridges
@@ -272,29 +271,32 @@ def _build_level(
     """The sheet of the nodes `inside`, of layers of the `ground`; which points are its own or count for nothing."""
     grid = new_grid(layers.shape)
     seen = sheet_surface(grid, layers, np.flatnonzero(inside), config.max_step, noise)
-    near, near_by, voids = _look_through(points, gone, seen, config)
-    other, first = in_order(chosen_rows(points, near_by), seen)
-    del gone, near_by
+    near, rows, first, voids = _look_through(points, gone, seen, config)
+    other = taken(points, rows)
+    del gone, rows
     surface, guarded = complete(grid, seen, partial(held_in, other, first, seen), voids, config, near, noise, rays)
     del near
-    ledge, (measured, limits) = run_beside(
-        partial(_ledges, surface, points, ground, (other, first), config.max_step, noise),
-        partial(measure, grid, surface, guarded),
-    )
+    ledge = _ledges(surface, points, ground, (other, first), config.max_step, noise)
+    measured, limits = measure(grid, surface, guarded)
     return GroundLevel(surface, other, ledge, limits, measured), voids, grid, first
 
 
 def _look_through(
     points: FloatArray, gone: BoolArray, seen: HeightMap, config: PerceptionConfig
-) -> tuple[Nearest, BoolArray, Voids]:
-    """The nearest seen ground; which points are within reach over it, but for those `gone`, shape (n,); the voids."""
+) -> tuple[Nearest, IntArray, IntArray, Voids]:
+    """The nearest seen ground; rows of the points within reach, but for those `gone`, and where cells begin; the voids.
+
+    The rows are in the order of the cells, as by `in_order`.
+    """
     cell, near = cells_within(points, seen), nearest_seen(seen)
     cell[gone] = seen.state.size  # as those outside: in no cell
     near_by, voids = run_beside(
         partial(are_within_reach, points, seen, cell=cell),
         partial(find_voids, seen, points, config.max_step, near, cell=cell),
     )
-    return near, near_by, voids
+    cell[~near_by] = seen.state.size
+    first, order = by_cell(cell, seen.state.size + 1)
+    return near, order[: first[-2]], first[:-1], voids
 
 
 def _ledges(
@@ -473,10 +475,10 @@ def guard_edges(
         z: Its height [m], shape (m,).
         config: Limits.
     """
-    known, reach = surface.state != UNKNOWN, 2 * notch_reach(surface) + 1
+    known, reach = surface.state != UNKNOWN, notch_reach(surface)
     high, low = np.where(known, surface.height, -np.inf), np.where(known, surface.height, np.inf)
-    beside, foot = ndimage.maximum_filter(high, size=3) + config.min_headroom, ndimage.minimum_filter(low, size=reach)
-    shut, stair = lowest <= beside, ndimage.maximum_filter(high, size=reach) - foot > 2.0 * surface.cell_width
+    beside, foot = highest_around(high, 1) + config.min_headroom, lowest_around(low, reach)
+    shut, stair = lowest <= beside, highest_around(high, reach) - foot > 2.0 * surface.cell_width
 
     def held_over(rise: float) -> BoolArray:
         return np.isfinite(extent_within(cell, z, (foot + rise).astype(np.float64), beside.astype(np.float64))[0])
@@ -576,15 +578,14 @@ def face_reach(off: float) -> float:
 def high_ground(surface: HeightMap) -> FloatArray:
     """Height of the highest ground within `HIGH` cells [m], shape (nx, ny), -inf where there is none."""
     height = np.where(surface.state != UNKNOWN, surface.height, -np.inf)
-    high: FloatArray = ndimage.maximum_filter(height, size=2 * HIGH + 1)
-    return high
+    return highest_around(height, HIGH)
 
 
 def step_over(surface: HeightMap, noise: float) -> FloatArray:
     """How high ground is that is a step over the lowest around each cell [m], shape (nx, ny); a lower one is none."""
     low = np.where(surface.state != UNKNOWN, surface.height, np.inf)
     rings = astray(surface, noise)
-    found: FloatArray = ndimage.minimum_filter(low, size=2 * rings + 1) + max(LEAST_OBSTACLE, noise)
+    found: FloatArray = lowest_around(low, rings) + max(LEAST_OBSTACLE, noise)
     return found
 
 
@@ -638,8 +639,8 @@ def are_within_reach(
 
 def lowest_and_highest(surface: HeightMap, box: Box = WHOLE) -> tuple[FloatArray, FloatArray]:
     """Height of the lowest and of the highest known ground within `OVERLAP` [m], shape (nx, ny), in a box of cells."""
-    size = 2 * int(np.ceil(OVERLAP / surface.cell_width)) + 1
+    rings = int(np.ceil(OVERLAP / surface.cell_width))
     known, height = surface.state[box] != UNKNOWN, surface.height[box]
-    low = ndimage.minimum_filter(np.where(known, height, np.inf), size=size)
-    high = ndimage.maximum_filter(np.where(known, height, -np.inf), size=size)
+    low = lowest_around(np.where(known, height, np.inf), rings)
+    high = highest_around(np.where(known, height, -np.inf), rings)
     return low, high

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from enum import IntEnum
 from functools import lru_cache
 
@@ -13,6 +13,7 @@ from scipy import ndimage
 
 from gpdf_service.config import PerceptionConfig
 from gpdf_service.fields.threads import run_chunked
+from gpdf_service.perception.boxes import highest_around, widened
 from gpdf_service.perception.footing import ROUGH, flights
 from gpdf_service.perception.strides import HALF_FOOT, SECTORS, STRIDE, sector_of
 from gpdf_service.perception.surface import UNKNOWN, HeightMap
@@ -68,34 +69,22 @@ def find_limits(surface: HeightMap, material: BoolArray, measured: Measured, rid
     """
     step, slope = measured
     known = surface.state != UNKNOWN
-    beside = _highest_beside(surface.height, ~known & ~material)
-    edge, edge_map = ~np.isnan(beside), replace(surface, height=beside)
+    edge = widened(known, 1) & ~known & ~material
+    beside = highest_around(np.where(known, surface.height, -np.inf), 1)
+    edge_map = HeightMap(surface.origin, surface.cell_width, np.where(edge, beside, np.nan), surface.state)
     stepped, sloped = known & (step > LEAST_STEP), known & (slope > 0.0)
-    parts = [
-        (surface.centres(stepped), ObstacleKind.STEP, step[stepped]),
-        (surface.centres(sloped), ObstacleKind.SLOPE, slope[sloped]),
-        (edge_map.centres(edge), ObstacleKind.UNKNOWN, np.full(int(edge.sum()), np.inf)),
-        (surface.centres(ridge), ObstacleKind.MATERIAL, np.full(int(ridge.sum()), np.inf)),
-    ]
-    return GroundLimits(
-        np.concatenate([points for points, _, _ in parts]),
-        np.concatenate([np.full(len(points), int(kind), np.uint8) for points, kind, _ in parts]),
-        np.concatenate([value for _, _, value in parts]),
+    none = np.broadcast_to(np.inf, known.shape)
+    parts = (
+        (surface, stepped, ObstacleKind.STEP, step),
+        (surface, sloped, ObstacleKind.SLOPE, slope),
+        (edge_map, edge, ObstacleKind.UNKNOWN, none),
+        (surface, ridge, ObstacleKind.MATERIAL, none),
     )
-
-
-@njit(cache=True, nogil=True)
-def _highest_beside(height: NDArray[np.float32], asked: BoolArray) -> NDArray[np.float32]:
-    """Highest ground in the cells around each of those `asked`, shape (nx, ny), NaN where none is known there."""
-    (nx, ny), made = height.shape, np.full(height.shape, np.float32(np.nan), np.float32)
-    for x in range(nx):
-        for y in range(ny):
-            if not asked[x, y]:
-                continue
-            for u in range(max(x - 1, 0), min(x + 2, nx)):
-                for v in range(max(y - 1, 0), min(y + 2, ny)):
-                    if not made[x, y] >= height[u, v] and not np.isnan(height[u, v]):
-                        made[x, y] = height[u, v]
+    ends = np.cumsum([0, *(np.count_nonzero(cells) for _, cells, _, _ in parts)]).tolist()
+    made = GroundLimits(np.empty((ends[-1], 3)), np.empty(ends[-1], np.uint8), np.empty(ends[-1]))
+    for (ground, cells, kind, value), own in zip(parts, map(slice, ends, ends[1:]), strict=False):
+        ground.put_centres(cells, made.points[own])
+        made.kind[own], made.value[own] = kind, value[cells]
     return made
 
 

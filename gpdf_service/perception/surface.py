@@ -74,8 +74,13 @@ class HeightMap:
 
     def centres(self, mask: BoolArray) -> FloatArray:
         """Centres of the cells in `mask`, shape (nx, ny), with their height: (k, 3) [m]."""
-        found: FloatArray = _centres(self.arrays, mask)
+        found = np.empty((np.count_nonzero(mask), 3))
+        self.put_centres(mask, found)
         return found
+
+    def put_centres(self, mask: BoolArray, made: FloatArray) -> None:
+        """Write the `centres`, (k, 3) [m]."""
+        _centres(self.arrays, mask, made)
 
 
 def changed(old: HeightMap, new: HeightMap) -> BoolArray:
@@ -131,8 +136,8 @@ def _cells(
 
 
 @njit(cache=True, nogil=True)
-def _centres(ground: Cells, mask: BoolArray) -> FloatArray:
-    made, used = np.empty((np.count_nonzero(mask), 3)), 0
+def _centres(ground: Cells, mask: BoolArray, made: FloatArray) -> None:
+    used = 0
     for x in range(mask.shape[0]):
         for y in range(mask.shape[1]):
             if mask[x, y]:
@@ -140,7 +145,6 @@ def _centres(ground: Cells, mask: BoolArray) -> FloatArray:
                 made[used, 1] = ground.origin[1] + (y + 0.5) * ground.width
                 made[used, 2] = ground.height[x, y]
                 used += 1
-    return made
 
 
 @njit(cache=True, nogil=True)

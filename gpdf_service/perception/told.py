@@ -141,7 +141,7 @@ def new_grid(shape: tuple[int, ...]) -> Grid:
 
 
 def bands_of(shape: tuple[int, ...], reach: int) -> list[Box]:
-    """Bands of whole rows that tile a grid: of `BAND` cells, and of twice as many rows as their reach adds, or more."""
+    """Bands of whole rows that tile a grid: of `BAND` cells, and twice as many rows as their reach adds at least."""
     nx, ny = shape
     count = max(1, min(nx * ny // BAND, nx // (4 * max(reach, 1))))
     return [(slice(nx * i // count, nx * (i + 1) // count), slice(0, ny)) for i in range(count)]

@@ -5,6 +5,7 @@ import pytest
 from scipy import ndimage
 from scipy.spatial import cKDTree
 
+from gpdf_service.perception.boxes import highest_around, lowest_around, widened
 from gpdf_service.perception.columns import by_cell, ends_of_runs, kth_beside
 from gpdf_service.perception.holes import find_voids
 from gpdf_service.perception.layers import build_layers, splice_layers
@@ -208,3 +209,21 @@ def test_medians_are_those_of_scipy_and_what_is_unknown_counts_for_nothing():
     found = median_around(values, 1, np.ones(values.shape, dtype=bool))
     for i, j in ((5, 5), (12, 7), (20, 15)):
         assert found[i, j] == np.nanmedian(values[i - 1 : i + 2, j - 1 : j + 2])
+
+
+@pytest.mark.parametrize("kind", [np.float32, np.float64, np.bool_])
+@pytest.mark.parametrize("shape", [(1, 1), (3, 200), (200, 3), (70, 300)])
+def test_the_highest_and_the_lowest_around_each_cell_are_those_of_a_filter(kind, shape):
+    rng = np.random.default_rng(0)
+    values = (9.0 * rng.normal(size=shape)).astype(kind) if kind is not np.bool_ else rng.random(shape) < 0.02
+    if kind is not np.bool_:
+        values[rng.random(shape) < 0.2] = -np.inf
+    for rings in (0, 1, 2, 3, 7, 8, 40, 400):  # those that the grid ends before, too
+        size = 2 * rings + 1
+        if kind is np.bool_:
+            np.testing.assert_array_equal(widened(values, rings), ndimage.maximum_filter(values, size))
+            continue
+        found = highest_around(values, rings)
+        np.testing.assert_array_equal(found, ndimage.maximum_filter(values, size))
+        np.testing.assert_array_equal(lowest_around(values, rings), ndimage.minimum_filter(values, size))
+        assert found.dtype == kind

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import resource
 from itertools import pairwise
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 import gpdf_service as gpdf
+from gpdf_service.perception.budget import _trim, give_back
 from gpdf_service.perception.levels import BLOCK
 from gpdf_service.perception.sheets import OVERLAP
 from gpdf_service.perception.surface import UNKNOWN
@@ -87,3 +90,21 @@ def test_bands_tile_a_grid_and_are_twice_as_wide_as_what_they_reach_over(reach: 
         assert (cells == 1).all()
         assert len(bands) == 1 or min(rows.stop - rows.start for rows, _ in bands) >= 4 * reach
     assert reach == 4000 or len(bands) > 1
+
+
+@pytest.mark.skipif(_trim() is None, reason="glibc keeps what was freed, other C libraries do not")
+def test_what_was_freed_between_what_lasts_is_given_back_for_a_large_cloud_alone() -> None:
+    page = resource.getpagesize()
+
+    def held() -> int:
+        return int(Path("/proc/self/statm").read_text().split()[1]) * page
+
+    blocks = [np.ones(100_000, np.uint8) for _ in range(2000)]  # too small to be mapped one by one
+    lasting = blocks[::40]
+    del blocks
+    before = held()
+    give_back(1000)
+    assert held() > before - 20e6
+    give_back(10_000_000)
+    assert held() < before - 100e6
+    assert len(lasting) == 50
