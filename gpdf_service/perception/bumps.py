@@ -116,7 +116,7 @@ def _raised_within(near: Beside, ground: BoolArray, least: float, most: float) -
 
 
 def _over_ground(layers: Layers, ground: BoolArray, reach: int, least: float, asked: BoolArray) -> IntArray:
-    """Nodes `asked` of the `ground` with some that is lower by over the `least` [m] within so many cells, shape (m,)."""
+    """Nodes `asked` of the `ground` with some lower by more than the `least` [m] within so many cells, shape (m,)."""
     nodes, lowest = np.flatnonzero(ground), np.full(layers.shape, np.inf)
     lowest.ravel()[layers.cell[nodes[::-1]]] = layers.height[nodes[::-1]]  # the last one that is written stays
     lowest = lowest_around(lowest, reach)

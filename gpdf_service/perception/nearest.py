@@ -15,7 +15,7 @@ def nearest_of(cells: BoolArray) -> tuple[FloatArray, IntArray]:
     Of equally near ones it is that of the least column, then row.
     """
     distance, index = np.empty(cells.shape), np.empty(cells.shape, INDEX)
-    _along_rows(_in_columns(cells), distance, index)
+    _along_rows(_in_columns(np.ascontiguousarray(cells)), distance, index)
     return distance, index
 
 

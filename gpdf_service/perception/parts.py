@@ -13,7 +13,8 @@ from scipy.spatial import cKDTree
 from gpdf_service.config import PerceptionConfig
 from gpdf_service.errors import NoGroundError
 from gpdf_service.perception.beside import Beside
-from gpdf_service.perception.layers import Layers, Pairs, connect, steady
+from gpdf_service.perception.bumps import LANDING
+from gpdf_service.perception.layers import HALF, Layers, Pairs, connect, steady
 from gpdf_service.perception.nodes import (
     components,
     counts_of,
@@ -24,13 +25,13 @@ from gpdf_service.perception.nodes import (
     sizes_and_means,
 )
 from gpdf_service.perception.pairs import pairs_within
-from gpdf_service.perception.strides import HALF_FOOT, STRIDE, find_strides
+from gpdf_service.perception.strides import HALF_FOOT, SOLE, STRIDE, find_strides
 from gpdf_service.types import BoolArray, FloatArray, IntArray
 
 OVER_SHARE = 0.2
 """Share of a part that may lie over other ground: a scan's stray points, not a table."""
 TABLE_OVER_SHARE = 0.05
-"""The same of what is no larger than a table and leads no further up: the floor seen below one side of it."""
+"""The same of what is no larger than a table, or narrower than a landing, and leads no further up."""
 TABLE_AREA = 4.0
 """[m²] Furniture is no larger than a conference table for eight."""
 ROOM_AREA = 6.5
@@ -138,10 +139,8 @@ def accept_parts(near: Beside, parts: Parts, joins: Pairs, low: BoolArray, confi
     table, which is higher than all that it is joined to and lies over ground, with or without headroom (`low`).
     """
     alive, layers = parts.size > 0, near.layers
-    over = _over_share(layers, parts, low, config)
+    table, dead = _tables(layers, parts, joins, low, config), alive
     largest = TABLE_AREA / layers.cell_width**2
-    table = over > np.where(parts.size <= largest, TABLE_OVER_SHARE, OVER_SHARE)
-    dead = alive
     while dead.any():
         dead = _dead_ends(parts, joins, alive, table, largest) | _upon_tables(layers, parts, joins, alive, table)
         alive = alive & ~dead
@@ -174,13 +173,28 @@ def _units(parts: Parts, joins: Pairs, among: BoolArray) -> IntArray:
     return unit
 
 
-def _over_share(layers: Layers, parts: Parts, low: BoolArray, config: PerceptionConfig) -> FloatArray:
-    """Share of the inner nodes of each part that lie over ground at less than the headroom of a step."""
-    among = parts.keep & parts.inner
-    nodes = np.flatnonzero(among)
-    lies = np.zeros(len(among), dtype=bool)
+def _tables(layers: Layers, parts: Parts, joins: Pairs, low: BoolArray, config: PerceptionConfig) -> BoolArray:
+    """Parts higher than one that they are joined to, and over ground with less headroom than a step's, (parts + 1,).
+
+    Looked at is a sole from the rim, which is as far in as one sees the floor below a board; the rim by itself, as one
+    cell of it may hold both grounds of a step. Only what is narrower than a landing is one by its rim.
+    """
+    high = np.zeros(len(parts.size), dtype=bool)
+    for one, other in (joins, joins[::-1]):
+        high[one[parts.level[one] - parts.level[other] > parts.rise]] = True
+    own = parts.keep & high[parts.label]
+    a, b = connect(layers, own, parts.rise)
+    rim = own & (np.bincount(a, minlength=len(own)) + np.bincount(b, minlength=len(own)) < 2 * len(HALF))
+    near = rim.copy()
+    for _ in range(max(1, round(SOLE / layers.cell_width))):
+        near[np.concatenate([a[near[b]], b[near[a]]])] = True
+    nodes, lies = np.flatnonzero(near), np.zeros(len(own), dtype=bool)
     lies[nodes] = nodes_over(nodes, layers.cell, layers.height, parts.keep | low, config.step_headroom)
-    return parts.share(lies, among)
+    narrow, inside = parts.depth < LANDING, parts.share(lies, near & ~rim)
+    small = narrow | (parts.size * layers.cell_width**2 <= TABLE_AREA)
+    table: BoolArray = inside > np.where(small, TABLE_OVER_SHARE, OVER_SHARE)
+    table |= narrow & (parts.share(lies, rim) > OVER_SHARE)
+    return table
 
 
 def _groups(joins: Pairs, alive: BoolArray) -> IntArray:
@@ -254,9 +268,9 @@ def _rises(near: Beside, among: BoolArray, step: float) -> BoolArray:
 def _dead_ends(parts: Parts, joins: Pairs, alive: BoolArray, table: BoolArray, largest: float) -> BoolArray:
     """Parts that lead nowhere, shape (parts + 1,).
 
-    A tread joins ground above to ground below, a sill joins two floors. Fragments of one tread beside each other count
-    as one, and so do a table's. A `table` is what a body stands on, but leads no further up: to a crate beside a board
-    one gets over it, and not on from there.
+    A tread joins ground above to ground below, a sill joins two floors, and what is level with a floor is of it.
+    Fragments of one tread beside each other count as one, and so do a table's. A `table` is what a body stands on, but
+    leads no further up: to a crate beside a board one gets over it, and not on from there.
     """
     (a, b), count = pairs_within(*joins, alive, True), len(alive)
     narrow, table = alive & ~parts.standable, alive & parts.standable & table
@@ -266,11 +280,12 @@ def _dead_ends(parts: Parts, joins: Pairs, alive: BoolArray, table: BoolArray, l
     high, stands = np.zeros(count), np.zeros(count, dtype=bool)
     high[unit] = parts.level  # those of a unit are level
     stands[unit[alive & parts.standable]] = True
-    joined, below, floors = (
+    rise = high[one] - high[other]
+    joined, below, floors, goes_on = (
         np.bincount(one[kind], minlength=count)
-        for kind in (one >= 0, high[one] - high[other] > parts.rise, stands[other])
+        for kind in (one >= 0, rise > parts.rise, stands[other], stands[other] & (np.abs(rise) <= parts.rise))
     )
-    leads = (joined >= 2) & ((below < joined) | (floors >= 2))
+    leads = (goes_on > 0) | ((joined >= 2) & ((below < joined) | (floors >= 2)))
     size, tables = (np.bincount(unit, parts.size * kind, count) for kind in (alive, table))
     peak = stands & (below == joined) & (size <= largest)
     nowhere = np.bincount(one[peak[other]], minlength=count) + below >= joined

@@ -38,7 +38,8 @@ def fill(grid, height, *others):
 @pytest.mark.parametrize("seed", range(6))
 def test_a_change_fills_holes_notches_and_gaps_as_a_build_does(seed):
     rng = np.random.default_rng(seed)
-    before, grid = place(rng), new_grid()
+    before = place(rng)
+    grid = new_grid(CELLS)
     was = fill(grid, *before)
     for _ in range(3):
         i, j = (rng.integers(0, size - 17) for size in CELLS)
@@ -46,7 +47,7 @@ def test_a_change_fills_holes_notches_and_gaps_as_a_build_does(seed):
         others[here] = True
         now = tuple(np.where(others, new, old) for new, old in zip(place(rng), before, strict=True))
         grid = grid.lasting().now(others)
-        ours, theirs = fill(grid, *now), fill(new_grid(), *now)
+        ours, theirs = fill(grid, *now), fill(new_grid(CELLS), *now)
         np.testing.assert_array_equal(ours.height, theirs.height)
         np.testing.assert_array_equal(ours.state, theirs.state)
         assert (ours.state != was.state).any()
