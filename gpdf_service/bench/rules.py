@@ -62,7 +62,6 @@ RULES: dict[str, tuple[str, str, Callable[..., Any]]] = {
     "low things": (_P + "segment", "low_things", _false(1)),
     "boxes and lids": (_P + "segment", "boxes", _false(1)),
     "dead ends and tables": (_P + "parts", "_dead_ends", _false(2)),
-    "upon tables": (_P + "parts", "_upon_tables", lambda _, __, ___, alive, ____: np.zeros(len(alive), bool)),
     "ways between storeys": (_P + "parts", "_between_storeys", lambda _, joins, *__: np.zeros(len(joins[0]), bool)),
     "ground that no way leads to": (_P + "parts", "_apart", lambda _, __, group, *___: np.zeros(group.max() + 1, bool)),
     "ceilings": (_P + "parts", "rises_beside", lambda nodes, *_: np.ones(len(nodes), dtype=bool)),

@@ -142,7 +142,7 @@ def accept_parts(near: Beside, parts: Parts, joins: Pairs, low: BoolArray, confi
     table, dead = _tables(layers, parts, joins, low, config), alive
     largest = TABLE_AREA / layers.cell_width**2
     while dead.any():
-        dead = _dead_ends(parts, joins, alive, table, largest) | _upon_tables(layers, parts, joins, alive, table)
+        dead = _dead_ends(parts, joins, alive, table, largest)
         alive = alive & ~dead
     if not alive.any():
         return alive
@@ -270,7 +270,7 @@ def _dead_ends(parts: Parts, joins: Pairs, alive: BoolArray, table: BoolArray, l
 
     A tread joins ground above to ground below, a sill joins two floors, and what is level with a floor is of it.
     Fragments of one tread beside each other count as one, and so do a table's. A `table` is what a body stands on, but
-    leads no further up: to a crate beside a board one gets over it, and not on from there.
+    leads no further up: one gets over it to a crate beside a board, or to a chest, and not on from there.
     """
     (a, b), count = pairs_within(*joins, alive, True), len(alive)
     narrow, table = alive & ~parts.standable, alive & parts.standable & table
@@ -291,24 +291,6 @@ def _dead_ends(parts: Parts, joins: Pairs, alive: BoolArray, table: BoolArray, l
     nowhere = np.bincount(one[peak[other]], minlength=count) + below >= joined
     dead: BoolArray = alive & np.where((2 * tables >= size)[unit], nowhere[unit], narrow & ~leads[unit])
     return dead
-
-
-def _upon_tables(layers: Layers, parts: Parts, joins: Pairs, alive: BoolArray, table: BoolArray) -> BoolArray:
-    """Parts that together are no larger than a table and to which one gets but up a `table`, shape (parts + 1,).
-
-    A chest that one climbs over a bed.
-    """
-    tables = alive & table & parts.standable
-    other = alive & ~tables
-    group = _groups(joins, other)
-    size = np.bincount(group, parts.size * other) * layers.cell_width**2
-    one, two = (np.concatenate(ends) for ends in zip(joins, joins[::-1], strict=True))
-    beside = tables[one] & other[two]
-    up = parts.level[two] - parts.level[one] > parts.rise
-    upon = np.zeros(len(size), dtype=bool)
-    upon[group[two[beside & up]]] = True
-    upon[group[two[beside & ~up]]] = False
-    return other & (upon & (size <= TABLE_AREA))[group]
 
 
 def _apart(layers: Layers, parts: Parts, group: IntArray, main: BoolArray, config: PerceptionConfig) -> BoolArray:
