@@ -51,27 +51,16 @@ def read_config(path: Path | None) -> Config:
     return Config.from_mapping(tables)
 
 
-def open_scene(args: argparse.Namespace, work: Work) -> Scene:
-    """Load the scene file that the arguments name, or read the cloud and build its scene; say what was odd about it."""
-    scene, cloud = open_with_cloud(args, work)
-    _tell(args.input, cloud, work)
+def open_scene(path: Path, args: argparse.Namespace, work: Work) -> Scene:
+    """Load a scene file, or read a cloud and build its scene; say what was odd about it."""
+    scene, cloud = open_with_cloud(path, args, work)
+    for remark in () if cloud is None else cloud.remarks:
+        work.say(f"{path}: {remark}")
     return scene
 
 
-def open_with_cloud(args: argparse.Namespace, work: Work) -> tuple[Scene, PointCloud | None]:
-    """`open_scene`, and the cloud that it was built of, if it was."""
-    return _open(args.input, args, work)
-
-
-def open_one(path: Path, args: argparse.Namespace, work: Work) -> Scene:
-    """Load a scene file, or read a cloud and build its scene."""
-    scene, cloud = _open(path, args, work)
-    _tell(path, cloud, work)
-    return scene
-
-
-def _open(path: Path, args: argparse.Namespace, work: Work) -> tuple[Scene, PointCloud | None]:
-    """Load, or read and build: the steps "read" and "build"."""
+def open_with_cloud(path: Path, args: argparse.Namespace, work: Work) -> tuple[Scene, PointCloud | None]:
+    """The scene, and the cloud that it was built of, if it was: the steps "read" and "build"."""
     from gpdf_service.perception import read_cloud
     from gpdf_service.pipeline import build_scene
     from gpdf_service.scene import load_scene
@@ -86,11 +75,6 @@ def _open(path: Path, args: argparse.Namespace, work: Work) -> tuple[Scene, Poin
     ground = None if args.ignore_labels else cloud.ground
     with work.step("build") as progress:
         return build_scene(cloud.points, ground, config, origins=cloud.origins, progress=progress), cloud
-
-
-def _tell(path: Path, cloud: PointCloud | None, work: Work) -> None:
-    for remark in () if cloud is None else cloud.remarks:
-        work.say(f"{path}: {remark}")
 
 
 def check_in(args: argparse.Namespace) -> None:

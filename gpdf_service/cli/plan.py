@@ -75,7 +75,7 @@ def _plan(args: argparse.Namespace, agent: Agent) -> tuple[Scene, PlanResult, fl
     with Work("read", "build", "fit", *["draw"] * bool(args.png)) as work:
         from gpdf_service.pipeline import plan
 
-        scene = open_scene(args, work)
+        scene = open_scene(args.input, args, work)
         options = {"via": args.via, "other_goals": args.or_goal, "snap": args.snap, "deadline_s": args.deadline}
         options |= {"prefer": args.prefer, "alternatives": args.alternatives}
         began = time.perf_counter()

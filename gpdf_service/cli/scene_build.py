@@ -34,7 +34,7 @@ def run(args: argparse.Namespace) -> int:
     check_in(args)
     began = time.perf_counter()
     with Work("read", "build", *["fit"] * bool(agents)) as work:
-        scene = open_scene(args, work)
+        scene = open_scene(args.input, args, work)
         for i, agent in enumerate(agents):
             with work.step("fit") as progress:
                 progress(f"find where {agent.name} fits", i / len(agents))

@@ -29,7 +29,7 @@ def run(args: argparse.Namespace) -> int:
     with Work("read", "build", "again") as work:
         from gpdf_service.combine import crop_scene, within_box, within_polygon
 
-        scene = open_scene(args, work)
+        scene = open_scene(args.input, args, work)
         if args.box:
             half = len(args.box) // 2
             inside = within_box(scene.points, args.box[:half], args.box[half:])

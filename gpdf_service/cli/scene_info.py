@@ -74,7 +74,7 @@ def run(args: argparse.Namespace) -> int:
 def _look(args: argparse.Namespace, agent: Agent | None) -> tuple[Scene, PointCloud | None, Reach | None]:
     """The scene, its cloud, and where the body can go; it is drawn if that was asked."""
     with Work("read", "build", *["fit"] * bool(agent or args.png), *["draw"] * bool(args.png)) as work:
-        scene, cloud = open_with_cloud(args, work)
+        scene, cloud = open_with_cloud(args.input, args, work)
         reach = None
         if agent or args.png:
             with work.step("fit"):

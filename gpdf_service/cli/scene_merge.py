@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from gpdf_service.cli.inputs import add_build_arguments, check_out, check_there, open_one, read_config, save_scene
+from gpdf_service.cli.inputs import add_build_arguments, check_out, check_there, open_scene, read_config, save_scene
 from gpdf_service.cli.work import Work
 from gpdf_service.errors import CloudError
 
@@ -29,7 +29,7 @@ def run(args: argparse.Namespace) -> int:
     with Work("read", "build", "again") as work:
         from gpdf_service.combine import merge_scenes
 
-        scenes = [open_one(path, args, work) for path in args.inputs]
+        scenes = [open_scene(path, args, work) for path in args.inputs]
         with work.step("again") as progress:
             made = merge_scenes(scenes, config, progress)
     return save_scene(made, args.out, as_json=args.json)

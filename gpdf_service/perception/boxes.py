@@ -59,12 +59,12 @@ def widened(cells: BoolArray, by: int) -> BoolArray:
 
 
 def lowest_around(values: NDArray[Any], rings: int) -> NDArray[Any]:
-    """The lowest of the `values` within so many cells along each axis, shape (nx, ny); none of them is NaN."""
+    """The lowest of the `values`, floats and none NaN, within so many cells along each axis, shape (nx, ny)."""
     return -highest_around(-values, rings)
 
 
 def highest_around(values: NDArray[Any], rings: int) -> NDArray[Any]:
-    """The highest of the `values` within so many cells along each axis, shape (nx, ny); none of them is NaN."""
+    """The highest of the `values` within so many cells along each axis, (nx, ny): floats, none NaN, or none below 0."""
     made, least = np.empty(values.shape, values.dtype), values.dtype.type(-np.inf if values.dtype.kind == "f" else 0)
     values = np.ascontiguousarray(values)
     run_chunked(lambda a, b: _highest_in_rows(values, rings, least, a, b, made), values.shape[0])
@@ -116,23 +116,3 @@ def _higher(one: NDArray[Any], other: NDArray[Any], made: NDArray[Any]) -> None:
     """Write the higher ones of two rows."""
     for i in range(len(made)):
         made[i] = one[i] if one[i] > other[i] else other[i]
-
-
-def eroded(cells: BoolArray, by: int) -> BoolArray:
-    """The first cells of all squares of `by` + 1 cells a side that hold nothing else; beyond the grid is nothing."""
-    for _ in range(by):
-        rows = np.zeros_like(cells)
-        rows[:-1] = cells[:-1] & cells[1:]
-        cells = np.zeros_like(cells)
-        cells[:, :-1] = rows[:, :-1] & rows[:, 1:]
-    return cells
-
-
-def dilated(cells: BoolArray, by: int) -> BoolArray:
-    """The squares of `by` + 1 cells a side of which the `cells` are the first; so an opening is `dilated(eroded)`."""
-    for _ in range(by):
-        rows = cells.copy()
-        rows[1:] |= cells[:-1]
-        cells = rows.copy()
-        cells[:, 1:] |= rows[:, :-1]
-    return cells

@@ -7,6 +7,7 @@ from numba import njit
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from gpdf_service.perception.boxes import highest_around
 from gpdf_service.perception.holes import CEILING, MAX_HOLE_RADIUS
 from gpdf_service.perception.nearest import nearest_of
 from gpdf_service.perception.rows import extent_within
@@ -33,7 +34,7 @@ def without_hidden(surface: HeightMap, lowest: FloatArray, face: BoolArray) -> H
         lowest: Of the other points in each cell [m], inf where there is none, shape (nx, ny).
         face: Cells in which material goes up from the ground, see `find_faces`.
     """
-    beside = ndimage.maximum_filter(np.where(surface.state != UNKNOWN, surface.height, -np.inf), size=3)
+    beside = highest_around(np.where(surface.state != UNKNOWN, surface.height, -np.inf), 1)
     top = np.isfinite(lowest) & (lowest < beside + CEILING)
     clear = ((surface.state == OBSERVED) | top) & ~face
     room, front = nearest_of(clear)[0], nearest_of(face)[0]
@@ -58,7 +59,7 @@ def find_faces(surface: HeightMap, cell: IntArray, z: FloatArray, headroom: floa
         headroom: [m].
     """
     known = surface.state != UNKNOWN
-    beside = ndimage.maximum_filter(np.where(known, surface.height, -np.inf), size=2 * _FACE_REACH + 1).astype(float)
+    beside = highest_around(np.where(known, surface.height, -np.inf), _FACE_REACH).astype(float)
     low, high = extent_within(cell, z, beside, beside + 2.0 * headroom)
     face = (low <= beside + headroom) & (high > beside + headroom) & (high - low >= headroom)
     bottom, top = extent_within(cell, z, beside, beside + CEILING)

@@ -12,7 +12,7 @@ from scipy import ndimage
 from gpdf_service.config import PerceptionConfig
 from gpdf_service.fields.threads import run_chunked
 from gpdf_service.perception.bend import FINE, FLAT, bend_at, make_room, reach_of
-from gpdf_service.perception.boxes import WHOLE, Box
+from gpdf_service.perception.boxes import WHOLE, Box, highest_around, lowest_around, widened
 from gpdf_service.perception.footing import flights
 from gpdf_service.perception.layers import widest_cell
 from gpdf_service.perception.notches import FLIGHT, fill_notches, notches_reach
@@ -200,11 +200,10 @@ def _walls_down(surface: HeightMap, cell: IntArray, z: FloatArray) -> BoolArray:
     upper end, too, lies as deep as that: of each cell and those around it the highest ground counts.
     """
     unknown = surface.state == UNKNOWN
-    rim = ndimage.maximum_filter(np.where(unknown, -np.inf, surface.height), size=3)
-    floor = ndimage.minimum_filter(np.where(unknown, np.inf, rim), size=5)
+    rim = highest_around(np.where(unknown, -np.inf, surface.height), 1)
+    floor = lowest_around(np.where(unknown, np.inf, rim), 2)
     low, high = (under(floor - cells * surface.cell_width) for cells in (WALL_CELLS, 1.0))
-    walls: BoolArray = np.isfinite(extent_within(cell, z, low, high)[0])
-    walls &= ndimage.maximum_filter(unknown, size=3, mode="constant")
+    walls: BoolArray = np.isfinite(extent_within(cell, z, low, high)[0]) & widened(unknown, 1)
     return walls
 
 

@@ -197,13 +197,10 @@ def survey_levels(
     stray = alone_ & ~ground
     del floor, alone_  # half of the cloud
 
-    def gone(i: int) -> BoolArray:
-        made = stray.copy()
-        made[ground] = sheets[i][near.layers.node_of_point]
-        return made
-
     def build(i: int) -> tuple[GroundLevel, Voids, Grid, IntArray]:
-        return _build_level(points, ground, gone(i), *parts[i], config, noise, rays)
+        gone = stray.copy()
+        gone[ground] = sheets[i][near.layers.node_of_point]
+        return _build_level(points, ground, gone, *parts[i], config, noise, rays)
 
     made = run_parallel(build, range(len(sheets)))
     levels, voids, grids, first = zip(*made, strict=True)
@@ -273,7 +270,7 @@ def _build_level(
     seen = sheet_surface(grid, layers, np.flatnonzero(inside), config.max_step, noise)
     near, rows, first, voids = _look_through(points, gone, seen, config)
     other = taken(points, rows)
-    del gone, rows
+    del rows
     surface, guarded = complete(grid, seen, partial(held_in, other, first, seen), voids, config, near, noise, rays)
     del near
     ledge = _ledges(surface, points, ground, (other, first), config.max_step, noise)

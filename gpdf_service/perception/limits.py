@@ -82,7 +82,7 @@ def find_limits(surface: HeightMap, material: BoolArray, measured: Measured, rid
     )
     ends = np.cumsum([0, *(np.count_nonzero(cells) for _, cells, _, _ in parts)]).tolist()
     made = GroundLimits(np.empty((ends[-1], 3)), np.empty(ends[-1], np.uint8), np.empty(ends[-1]))
-    for (ground, cells, kind, value), own in zip(parts, map(slice, ends, ends[1:]), strict=False):
+    for (ground, cells, kind, value), own in zip(parts, map(slice, ends, ends[1:]), strict=True):
         ground.put_centres(cells, made.points[own])
         made.kind[own], made.value[own] = kind, value[cells]
     return made

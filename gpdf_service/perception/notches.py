@@ -99,12 +99,11 @@ def _at_risers(height: NDArray[np.float32], asked: BoolArray, most: int) -> Bool
 
 
 def _from_the_side(treads: BoolArray, below: BoolArray, cell_width: float) -> BoolArray:
-    """Cells around which something was seen beneath most of the `treads`, shape (nx, ny)."""
-    size = 2 * int(FLIGHT / cell_width) + 1
-    all_, seen = (
-        ndimage.uniform_filter(part.astype(float), size, mode="constant") for part in (treads, treads & below)
-    )
-    side: BoolArray = seen > BENEATH_SHARE * all_
+    """Cells around which something was seen beneath most of the `treads`, shape (nx, ny): sums that do not round."""
+    excess, ones = treads * (below - BENEATH_SHARE), np.ones(2 * int(FLIGHT / cell_width) + 1)
+    for axis in (0, 1):
+        excess = ndimage.convolve1d(excess, ones, axis, mode="constant")
+    side: BoolArray = excess > 0.0
     return side
 
 

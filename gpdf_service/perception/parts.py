@@ -23,6 +23,7 @@ from gpdf_service.perception.nodes import (
     numbered_among,
     rises_beside,
     sizes_and_means,
+    touched_by,
 )
 from gpdf_service.perception.pairs import pairs_within
 from gpdf_service.perception.strides import HALF_FOOT, SOLE, STRIDE, find_strides
@@ -136,7 +137,7 @@ def accept_parts(near: Beside, parts: Parts, joins: Pairs, low: BoolArray, confi
     """Which parts are ground, shape (parts + 1,): what strides join to the bulk, and storeys by themselves.
 
     Parts that lead nowhere are dropped, one after another: a box or a board that is joined to the floor alone, and a
-    table, which is higher than all that it is joined to and lies over ground, with or without headroom (`low`).
+    table, which lies over ground, with or without headroom (`low`), and from which one gets down alone, or to a box.
     """
     alive, layers = parts.size > 0, near.layers
     table, dead = _tables(layers, parts, joins, low, config), alive
@@ -390,9 +391,7 @@ def undersides(
     if not under.any():
         return under, parts, np.zeros_like(hangs)
     left = build_parts(near, parts.flat & ~under, parts.keep & ~under, parts.inner, parts.rise, config)
-    touches = np.zeros(len(core), dtype=bool)
-    for one, other in (smooth, smooth[::-1]):
-        touches[one[under[other]]] = True
+    touches = touched_by(*smooth, left.keep, under)
     scraps = left.share(touches, left.keep & (touches | ~parts.inner)) >= 0.5
     scraps[left.label[rest]] = True
     scraps[-1] = False

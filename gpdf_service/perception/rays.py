@@ -16,6 +16,7 @@ from scipy import ndimage
 from gpdf_service.config import PerceptionConfig
 from gpdf_service.errors import CloudError
 from gpdf_service.fields.threads import run_parallel
+from gpdf_service.perception.boxes import widened
 from gpdf_service.perception.holes import MAX_HOLE_RADIUS
 from gpdf_service.perception.surface import INFERRED, OBSERVED, Cells, HeightMap, cells_within, without
 from gpdf_service.types import BoolArray, FloatArray, IntArray
@@ -307,7 +308,7 @@ def _blind_spots(surface: HeightMap, asked: BoolArray, rays: Rays) -> BoolArray:
     key = np.floor(own[runs] / STATION).astype(np.int64) @ _KEYS
     _, first, number = np.unique(key, return_index=True, return_inverse=True)
     at = own[runs[first]]
-    wanted = ndimage.maximum_filter(asked, size=2 * int(MAX_HOLE_RADIUS / surface.cell_width) + 1)
+    wanted = widened(asked, int(MAX_HOLE_RADIUS / surface.cell_width))
     over = np.append(wanted.ravel(), False)[cells_within(at, surface)]
     station = np.where(over, np.cumsum(over) - 1, -1)
     of_ray = np.full(len(rays.ends), -1) if len(origins) > 1 else np.full(len(rays.ends), station[0])

@@ -16,7 +16,7 @@ from gpdf_service.perception.boxes import widened, window
 from gpdf_service.perception.change import hashed
 from gpdf_service.perception.obstacles import obstacles_reach
 from gpdf_service.perception.rows import bounds_of, chosen_rows, more_now, rows_by_cell, rows_in_cells, taken
-from gpdf_service.perception.surface import UNKNOWN
+from gpdf_service.perception.surface import UNKNOWN, cropped
 from gpdf_service.search.free_space import (
     FreeSpace,
     LevelSpace,
@@ -153,14 +153,12 @@ def _rows_now(stay: BoolArray, order: IntArray, source: IntArray) -> IntArray:
 
 def _part(level: GroundLevel, first: IntArray, region: BoolArray, reach: int, shut: int) -> GroundLevel:
     """What of a level decides on the obstacles in `region`: ground within `reach` cells, points within `shut`."""
-    surface = level.surface
-    box = window(region, reach)
-    corner = surface.origin + np.array([box[0].start, box[1].start]) * surface.cell_width
+    surface, box = level.surface, window(region, reach)
     limits, other = level.limits, rows_by_cell(widened(region, shut), first)
     limit = rows_in_cells(limits.points, *_grid(surface), region)
     return replace(
         level,
-        surface=HeightMap(corner, surface.cell_width, surface.height[box], surface.state[box]),
+        surface=cropped(surface, box),
         other_points=taken(level.other_points, other),
         ledge=level.ledge[other],
         limits=GroundLimits(limits.points[limit], limits.kind[limit], limits.value[limit]),

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from gpdf_service.config import PerceptionConfig
-from gpdf_service.perception.notches import fill_notches
+from gpdf_service.perception.notches import fill_notches, notches_reach
 from gpdf_service.perception.surface import INFERRED, OBSERVED, UNKNOWN, HeightMap
 
 WIDTH = 0.05
@@ -111,3 +111,17 @@ def test_an_open_riser_shows_the_room_beneath_but_a_slot_wider_than_a_sole_is_op
     riser = slice(3 * DEPTH - cells // 2, 3 * DEPTH + cells // 2), slice(8, 13)
     height[riser] = np.nan
     assert (filled(height, np.isnan(height))[1][riser][:, 1:-1] == state).all()  # its ends are closed over
+
+
+def test_treads_of_which_half_were_seen_from_beneath_are_filled_alike_in_any_box_around_them():
+    height = np.repeat(RISE * np.arange(34), DEPTH)[:, None] * np.ones(200)
+    height[np.random.default_rng(0).random(height.shape) < 0.7] = np.nan
+    below = np.zeros(height.shape, dtype=bool)
+    below[:, ::2] = True
+    state, columns = filled(height, below)[1], slice(70, 130)
+    reach = notches_reach(HeightMap(np.zeros(2), WIDTH, height, below), PerceptionConfig())
+    for first in range(70, 130, 4):
+        box = slice(first - reach, first + 4 + reach), slice(columns.start - reach, columns.stop + reach)
+        part = filled(height[box], below[box])[1][reach:-reach, reach:-reach]
+        np.testing.assert_array_equal(part, state[first : first + 4, columns])
+    assert 0 < (state == UNKNOWN).sum() < np.isnan(height).sum()
