@@ -188,7 +188,7 @@ def _tables(layers: Layers, parts: Parts, joins: Pairs, low: BoolArray, config: 
     rim = own & (np.bincount(a, minlength=len(own)) + np.bincount(b, minlength=len(own)) < 2 * len(HALF))
     near = rim.copy()
     for _ in range(max(1, round(SOLE / layers.cell_width))):
-        near[np.concatenate([a[near[b]], b[near[a]]])] = True
+        near |= touched_by(a, b, own, near)
     nodes, lies = np.flatnonzero(near), np.zeros(len(own), dtype=bool)
     lies[nodes] = nodes_over(nodes, layers.cell, layers.height, parts.keep | low, config.step_headroom)
     narrow, inside = parts.depth < LANDING, parts.share(lies, near & ~rim)
