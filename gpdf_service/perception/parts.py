@@ -271,7 +271,8 @@ def _dead_ends(parts: Parts, joins: Pairs, alive: BoolArray, table: BoolArray, l
 
     A tread joins ground above to ground below, a sill joins two floors, and what is level with a floor is of it.
     Fragments of one tread beside each other count as one, and so do a table's. A `table` is what a body stands on, but
-    leads no further up: one gets over it to a crate beside a board, or to a chest, and not on from there.
+    leads no further up: one gets over it to a crate beside a board, or to a chest, and not on from there. Nor does
+    what joins it to the floor alone.
     """
     (a, b), count = pairs_within(*joins, alive, True), len(alive)
     narrow, table = alive & ~parts.standable, alive & parts.standable & table
@@ -282,15 +283,21 @@ def _dead_ends(parts: Parts, joins: Pairs, alive: BoolArray, table: BoolArray, l
     high[unit] = parts.level  # those of a unit are level
     stands[unit[alive & parts.standable]] = True
     rise = high[one] - high[other]
+    size, tables = (np.bincount(unit, parts.size * kind, count) for kind in (alive, table))
+    table = 2 * tables >= size
     joined, below, floors, goes_on = (
         np.bincount(one[kind], minlength=count)
-        for kind in (one >= 0, rise > parts.rise, stands[other], stands[other] & (np.abs(rise) <= parts.rise))
+        for kind in (
+            one >= 0,
+            rise > parts.rise,
+            (stands & ~table)[other],
+            stands[other] & (np.abs(rise) <= parts.rise),
+        )
     )
     leads = (goes_on > 0) | ((joined >= 2) & ((below < joined) | (floors >= 2)))
-    size, tables = (np.bincount(unit, parts.size * kind, count) for kind in (alive, table))
     peak = stands & (below == joined) & (size <= largest)
     nowhere = np.bincount(one[peak[other]], minlength=count) + below >= joined
-    dead: BoolArray = alive & np.where((2 * tables >= size)[unit], nowhere[unit], narrow & ~leads[unit])
+    dead: BoolArray = alive & np.where(table[unit], nowhere[unit], narrow & ~leads[unit])
     return dead
 
 

@@ -178,6 +178,18 @@ def test_a_low_table_is_no_platform_when_the_floor_was_seen_below_one_side_alone
     assert not segment_ground(points)[top].any()
 
 
+def test_a_crate_beside_a_low_board_is_no_way_on_from_it():
+    board = Box((1.0, 2.0, 0.15), (7.0, 2.9, 0.25))
+    crate = Box((3.0, 3.1, 0.0), (3.8, 3.42, 0.33))
+    points, _ = scan_of(World((8.0, 6.0, 2.5), (board, crate)))
+    tops = [
+        (np.abs(points - (*middle, height)) < (0.15, 0.1, 0.01)).all(axis=1)
+        for middle, height in (((2.6, 2.45), 0.25), ((3.4, 3.26), 0.33))
+    ]
+    assert min(top.sum() for top in tops) > 20
+    assert not segment_ground(points)[np.logical_or.reduce(tops)].any()
+
+
 @pytest.mark.parametrize("seed", range(4))
 def test_a_board_that_joins_scraps_of_a_thin_scan_is_no_tread_and_a_sill_between_two_floors_is(seed):
     rng = np.random.default_rng(seed)
