@@ -241,9 +241,8 @@ class Beside:
         return numbered(parent), slopes, steps
 
     def lasting(self) -> Beside:
-        """The same without the points, without pairs, and without the version before."""
-        layers = replace(self.layers, node_of_point=np.zeros(0, np.int64))
-        return replace(self.asked(), layers=layers, former=None)
+        """The same without pairs, and without the version before."""
+        return replace(self.asked(), former=None)
 
     def asked(self) -> Beside:
         """The same without pairs and the answers before: no more is asked of it."""

@@ -21,6 +21,7 @@ from gpdf_service.perception.columns import (
     count_nodes,
     cut_columns,
     kth_beside,
+    nodes_range,
     runs_of,
     starts_spliced,
     tops_of_boards,
@@ -134,7 +135,6 @@ class Layers:
         headroom: Free height above it [m], inf under the open sky, shape (k,).
         middle: Height of its middle point, or of a step's face its highest [m], shape (k,).
         face: Of the middle of what may be the upper face of a board, seen on both [m], shape (k,), NaN of no such node.
-        node_of_point: Node of each input point, shape (n,); of none, (0,), where the layers are kept without points.
         start: First node of each cell, shape (cells + 1,).
     """
 
@@ -150,8 +150,17 @@ class Layers:
     headroom: FloatArray
     middle: FloatArray
     face: FloatArray
-    node_of_point: IntArray
     start: IntArray
+
+
+def nodes_of(layers: Layers, points: FloatArray, among: BoolArray) -> IntArray:
+    """Node of each of the points (n, 3) `among` all, which the layers were built from, shape (n,); -1 of the others."""
+    grid, node = (
+        (layers.origin, layers.cell_width, layers.shape[1], layers.start, layers.top),
+        np.empty(len(points), INDEX),
+    )
+    run_chunked(lambda a, b: nodes_range(points, among, *grid, a, b, node), len(points))
+    return node
 
 
 def grid_of(low: FloatArray, high: FloatArray, cell_width: float) -> tuple[FloatArray, tuple[int, int]]:
@@ -166,8 +175,6 @@ def grid_of(low: FloatArray, high: FloatArray, cell_width: float) -> tuple[Float
 
 _OWN = "cell", "place", "height", "top", "thickness", "headroom", "middle", "face"
 """What is told of each node."""
-_NO_POINTS: IntArray = np.zeros(0, np.int64)
-"""`node_of_point` of layers that are kept without points."""
 
 
 def same_nodes(one: Layers, other: Layers) -> bool:
@@ -183,7 +190,7 @@ def splice_layers(layers: Layers, changed: BoolArray, fresh: Layers | None) -> L
     nodes = rows_by_cell(widened(changed.reshape(layers.shape), 1), start)  # what lies beside a board says if it is one
     grid = own["cell"], start, layers.shape, own["middle"], own["face"], layers.board
     own["height"][nodes] = tops_of_boards(nodes, *grid)
-    return replace(layers, **own, node_of_point=_NO_POINTS, start=start)
+    return replace(layers, **own, start=start)
 
 
 def kept_nodes(old: Layers, layers: Layers, cells: BoolArray) -> Runs:
@@ -238,7 +245,7 @@ def steady(layers: Layers, label: IntArray) -> IntArray:
 
 
 def crop_layers(layers: Layers, box: Box, by: int = 0) -> tuple[Layers, IntArray]:
-    """The layers of a box of cells and `by` around it, without points, and which nodes of all they are, shape (k,)."""
+    """The layers of a box of cells and `by` around it, and which nodes of all they are, shape (k,)."""
     rows, columns = grown(box, by, layers.shape)
     begin, end = (starts.reshape(layers.shape)[rows, columns] for starts in (layers.start[:-1], layers.start[1:]))
     count = (end - begin).ravel()
@@ -254,7 +261,7 @@ def crop_layers(layers: Layers, box: Box, by: int = 0) -> tuple[Layers, IntArray
     shape = rows.stop - rows.start, columns.stop - columns.start
     own: dict[str, Any] = {name: of(getattr(layers, name)) for name in _OWN} | {"cell": cell}
     nodes = np.concatenate([np.arange(run.start, run.stop) for run in runs])
-    return replace(layers, origin=origin, shape=shape, **own, node_of_point=_NO_POINTS, start=start), nodes
+    return replace(layers, origin=origin, shape=shape, **own, start=start), nodes
 
 
 def build_layers(
@@ -275,14 +282,13 @@ def build_layers(
     count = int(first[-1])
     cell_of, row = np.empty(count, np.int64), np.empty(count, np.int64)
     middle, face, top, thickness, headroom = (np.empty(count) for _ in range(5))
-    node = np.empty(len(z), INDEX)
-    made = cell_of, row, middle, face, top, thickness, headroom, node
+    made = cell_of, row, middle, face, top, thickness, headroom
     run_chunked(lambda a, b: cut_columns(start, order, z, gap, flat, board, first, a, b, made), high - low)
     cell_of += low
     first = np.concatenate([np.zeros(low, np.int64), first, np.full(shape[0] * shape[1] - high, count)])
     height = tops_of_boards(np.arange(count), cell_of, first, shape, middle, face, board)
     own = cell_of, points[row, :2], height, top, thickness, headroom, middle, face
-    return Layers(origin, cell_width, shape, board, *own, node, first)
+    return Layers(origin, cell_width, shape, board, *own, first)
 
 
 HALF = ((1, 0), (0, 1), (1, 1), (1, -1))

@@ -590,7 +590,7 @@ def whole_around(
 
 @njit(cache=True, nogil=True)
 def held_by(
-    z: FloatArray,
+    points: FloatArray,
     node: IntArray,
     low: FloatArray,
     high: FloatArray,
@@ -600,17 +600,17 @@ def held_by(
     end: int,
     held: BoolArray,
 ) -> None:
-    """Whether points at heights `z` in the nodes `node` are within `scatter` of the ground there, or `beside` [m]."""
+    """Whether points in the nodes `node` are within `scatter` of the ground there, or `beside` [m], in height."""
     for i in range(begin, end):
-        n = node[i]
-        held[i] = low[n] - scatter <= z[i] <= high[n] + scatter or abs(z[i] - beside[n]) <= scatter
+        n, z = node[i], points[i, 2]
+        held[i] = low[n] - scatter <= z <= high[n] + scatter or abs(z - beside[n]) <= scatter
 
 
 @njit(cache=True, nogil=True)
-def off_ground(z: FloatArray, node: IntArray, ground: BoolArray, smooth: FloatArray) -> FloatArray:
-    """How far the points at heights `z` in those of the nodes `node` that are `ground` are off its height [m]."""
-    found, used = np.empty(len(z)), 0
-    for i in range(len(z)):
-        found[used] = abs(z[i] - smooth[node[i]])
+def off_ground(points: FloatArray, node: IntArray, ground: BoolArray, smooth: FloatArray) -> FloatArray:
+    """How far the points in those of the nodes `node` that are `ground` are off its height [m]."""
+    found, used = np.empty(len(node)), 0
+    for i in range(len(node)):
+        found[used] = abs(points[i, 2] - smooth[node[i]])
         used += int(ground[node[i]])
     return found[:used]
