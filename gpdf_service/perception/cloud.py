@@ -47,7 +47,7 @@ class Cloud:
         self.points, self.places = points, places
         self._low = places[:, :2].min(axis=0, initial=np.inf) - AT_HAND
         self._high = places[:, :2].max(axis=0, initial=-np.inf) + AT_HAND
-        self._rows: IntArray = rows_in_box(points, self._low, self._high)
+        self._rows: IntArray = rows_in_box(points, self._low, self._high) if len(places) else np.zeros(0, np.int64)
         self._near = taken(points, self._rows)
         self._sorted: dict[tuple[Any, ...], tuple[Box, IntArray, IntArray]] = {}
 

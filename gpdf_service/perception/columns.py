@@ -13,6 +13,8 @@ from gpdf_service.fields.threads import run_chunked
 from gpdf_service.perception.rows import INDEX
 from gpdf_service.types import BoolArray, FloatArray, IntArray
 
+Grid = tuple[FloatArray, float, int, IntArray, FloatArray]
+"""What tells the node of a point: corner and width of cells [m], how many a row has, first nodes, and tops [m]."""
 BAND = 0.04
 """[m] Thickness of a surface as a scanner of a centimetre's noise sees it."""
 _FEW = 32
@@ -146,27 +148,32 @@ def cut_columns(
 
 
 @njit(cache=True, nogil=True)
-def nodes_range(
-    points: FloatArray,
-    among: BoolArray,
-    origin: FloatArray,
-    width: float,
-    ny: int,
-    start: IntArray,
-    top: FloatArray,
-    begin: int,
-    end: int,
-    node: IntArray,
+def node_at(
+    x: float, y: float, z: float, origin: FloatArray, width: float, ny: int, start: IntArray, top: FloatArray
+) -> Any:  # noqa: ANN401
+    """The node of a point that layers were built from, the lowest of its column that is as high; see `Layers`."""
+    n = start[int(np.floor((x - origin[0]) / width)) * ny + int(np.floor((y - origin[1]) / width))]
+    while top[n] < z:
+        n += 1
+    return n
+
+
+@njit(cache=True, nogil=True)
+def write_nodes(points: FloatArray, grid: Grid, node: IntArray) -> None:
+    """Write the node of each point."""
+    for i in range(len(points)):
+        node[i] = node_at(points[i, 0], points[i, 1], points[i, 2], *grid)
+
+
+@njit(cache=True, nogil=True)
+def take_out(
+    points: FloatArray, stray: BoolArray, ground: BoolArray, grid: Grid, sheet: BoolArray, out: int, cell: IntArray
 ) -> None:
-    """Write the node of each of the points from `begin` to `end` `among` all: the lowest that is as high; else -1."""
-    for i in range(begin, end):
-        node[i] = -1
-        if among[i]:
-            x, y = np.floor((points[i, 0] - origin[0]) / width), np.floor((points[i, 1] - origin[1]) / width)
-            n = start[int(x) * ny + int(y)]
-            while top[n] < points[i, 2]:
-                n += 1
-            node[i] = n
+    """Write `out` as the cell of points that are stray, or ground in the nodes of a `sheet`."""
+    for i in range(len(points)):
+        inside = ground[i] and cell[i] != out and sheet[node_at(points[i, 0], points[i, 1], points[i, 2], *grid)]
+        if stray[i] or inside:
+            cell[i] = out
 
 
 @njit(cache=True, nogil=True)

@@ -13,6 +13,7 @@ from gpdf_service.config import PerceptionConfig
 from gpdf_service.fields.threads import run_chunked
 from gpdf_service.perception.boxes import Box, widened
 from gpdf_service.perception.columns import (
+    Grid,
     Runs,
     by_cell,
     column_floors,
@@ -21,13 +22,13 @@ from gpdf_service.perception.columns import (
     count_nodes,
     cut_columns,
     kth_beside,
-    nodes_range,
     runs_of,
     starts_spliced,
     tops_of_boards,
     values_spliced,
+    write_nodes,
 )
-from gpdf_service.perception.pairs import pairs_near
+from gpdf_service.perception.pairs import Columns, pairs_near
 from gpdf_service.perception.rows import INDEX, bounds_of, cells_of, chosen_rows, rows_by_cell
 from gpdf_service.perception.told import grown, unlike
 from gpdf_service.types import BoolArray, FloatArray, IntArray
@@ -152,14 +153,21 @@ class Layers:
     face: FloatArray
     start: IntArray
 
+    @property
+    def columns(self) -> Columns:
+        """The same for compiled loops."""
+        return Columns(self.cell, self.start, self.shape, self.height, self.thickness)
 
-def nodes_of(layers: Layers, points: FloatArray, among: BoolArray) -> IntArray:
-    """Node of each of the points (n, 3) `among` all, which the layers were built from, shape (n,); -1 of the others."""
-    grid, node = (
-        (layers.origin, layers.cell_width, layers.shape[1], layers.start, layers.top),
-        np.empty(len(points), INDEX),
-    )
-    run_chunked(lambda a, b: nodes_range(points, among, *grid, a, b, node), len(points))
+    @property
+    def grid(self) -> Grid:
+        """The same for `node_at`."""
+        return self.origin, self.cell_width, self.shape[1], self.start, self.top
+
+
+def nodes_of(layers: Layers, points: FloatArray) -> IntArray:
+    """Node of each of the points (n, 3) that the layers were built from, or some of them, shape (n,)."""
+    node = np.empty(len(points), INDEX)
+    run_chunked(lambda a, b: write_nodes(points[a:b], layers.grid, node[a:b]), len(points))
     return node
 
 
@@ -199,8 +207,8 @@ def kept_nodes(old: Layers, layers: Layers, cells: BoolArray) -> Runs:
 
 
 def carried(values: NDArray[Any], kept: Runs) -> NDArray[Any]:
-    """The values of the nodes before, `kept_nodes`; of those that were none NaN, or false."""
-    nothing = False if values.dtype == bool else np.nan
+    """The values of the nodes before, `kept_nodes`; of those that were none NaN, 0, or false."""
+    nothing = np.nan if values.dtype.kind == "f" else 0
     return np.concatenate(
         [np.full(part.stop - part.start, nothing, values.dtype) if new else values[part] for new, part in kept]
     )

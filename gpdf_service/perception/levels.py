@@ -27,6 +27,7 @@ from gpdf_service.perception.columns import (
     lowest_above,
     runs_of,
     starts_spliced,
+    take_out,
     unlike_cells,
     values_spliced,
 )
@@ -39,7 +40,6 @@ from gpdf_service.perception.layers import (
     cell_width_of,
     crop_layers,
     layer_gap,
-    nodes_of,
     same_nodes,
     widest_cell,
 )
@@ -400,9 +400,9 @@ def _find_others(site: _Site, sheet: BoolArray, seen: HeightMap, near: Nearest, 
     given = grid.known["seen"].given[0], seen.height, low, high, treads, rim, beside
     cells = grid.felt("voids", 0, *given, points=True)
     rows, points = site.cloud.part(seen, cells)
-    cell, node = cells_within(points, seen), nodes_of(site.layers, points, site.ground[rows])
-    cell[site.stray[rows] | np.append(sheet, False)[node]] = seen.state.size  # as those outside: in no cell
-    del node
+    cell, stray, ground, out = cells_within(points, seen), site.stray[rows], site.ground[rows], seen.state.size
+    own = site.layers.grid, sheet, out  # what is out is as those outside: in no cell
+    run_chunked(lambda a, b: take_out(points[a:b], stray[a:b], ground[a:b], *own, cell[a:b]), len(points))
     near_by, found = run_beside(
         partial(between, cell, points[:, 2], under(low - width), high + TALLEST),
         partial(find_voids, seen, near, treads, rim, cell, points[:, 2], max_step),
@@ -412,8 +412,8 @@ def _find_others(site: _Site, sheet: BoolArray, seen: HeightMap, near: Nearest, 
         found if told is None else tuple(np.where(cells, now, old) for now, old in zip(found, told.made, strict=True))
     )
     grid.known["voids"] = Told(given, voids)
-    cell[~near_by] = seen.state.size
-    begin, order = by_cell(cell, seen.state.size + 1)
+    cell[~near_by] = out
+    begin, order = by_cell(cell, out + 1)
     fresh, begin, flat = taken(points, order[: begin[-2]]), begin[:-1], cells.ravel()
     first, runs = starts_spliced(flat, was.first, begin), runs_of(flat, was.first, begin)
     other = values_spliced(runs, was.level.other_points, fresh)

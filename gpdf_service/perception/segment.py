@@ -159,7 +159,7 @@ def _segment_points(
     cloud: FloatArray, layers: Layers, config: PerceptionConfig, relief: float
 ) -> tuple[Segmentation, IntArray]:
     """What is found of the points in their layers, and the node of each."""
-    node = nodes_of(layers, cloud, np.ones(len(cloud), dtype=bool))
+    node = nodes_of(layers, cloud)
     return segment_layers(beside(layers, _rise_of_steps(layers, config)), config, (cloud, node), relief=relief), node
 
 
@@ -197,7 +197,7 @@ def change_segmentation(
     found = segment_layers(near, config, deviation=old.deviation, relief=old.relief)
     rows, points = cloud.part(layers, near.other_answers("extents"))
     ground = before.copy()
-    ground[rows] = found.holds(points, nodes_of(layers, points, np.ones(len(points), dtype=bool)))
+    ground[rows] = found.holds(points, nodes_of(layers, points))
     return found, ground
 
 
@@ -232,7 +232,7 @@ def _ground_beside(layers: Layers, ground: BoolArray, smooth: FloatArray, scatte
     The foot of a wall or of a table's leg shares its cell with the floor that it stands on, and the end of a stair's
     tread with the face of the next one.
     """
-    return lowest_beside(layers.start, layers.shape, ground, smooth, layers.height, layers.thickness + scatter)
+    return lowest_beside(layers.columns, ground, smooth, layers.thickness + scatter)
 
 
 def _smoothed(layers: Layers, _: BoolArray, ground: BoolArray) -> tuple[FloatArray]:
@@ -253,13 +253,13 @@ def find_ground(near: Beside, config: PerceptionConfig, relief: float = 0.0) -> 
     every = np.ones(len(layers.cell), dtype=bool)
     keep = layers.headroom >= config.step_headroom
     open_ = keep | ~over_ground(layers, every, config.step_headroom)  # or it is in a full shelf, or beneath a sofa
-    smooth = near.degrees(open_, rise)
+    smooth = near.degrees("degrees", open_, rise)
     core = open_ & (smooth >= need)
     core |= _footing(near, "footing", open_, open_ & ~core, rise)
     if not (core & keep).any():
         raise NoGroundError(*NO_SURFACE)
     stands = width * float(np.tan(config.standable_slope))
-    gentle = near.degrees(open_, stands) >= need
+    gentle = near.degrees("gentle degrees", open_, stands) >= need
     gentle |= _footing(near, "gentle", open_, core & ~gentle, stands)
     slope = _slope(near, core, config)
     flat = core & ((smooth > need) | gentle) & (slope <= config.standable_slope)
@@ -349,10 +349,8 @@ def steps_over_gaps(
     Less than a foot fits in; see `pairs_over_gaps`.
     """
     layers, reach, step = near.layers, config.tread_depth, config.max_step
-    own, nodes = (layers.cell, layers.start, layers.shape, layers.height, keep, step), near.ends(keep, step)
-    found = [
-        pairs_over_gaps(nodes[k], *own, HALF[k], int(reach / (APART[k] * layers.cell_width))) for k in range(len(HALF))
-    ]
+    far = (reach / (APART * layers.cell_width)).astype(int)
+    found = [pairs_over_gaps(layers.columns, keep, step, HALF[k], far[k]) for k in range(len(HALF))]
     a, b = (np.concatenate(ends) for ends in zip(*(pairs[:2] for pairs in found), strict=True))
     wide = np.concatenate([pairs[2] * APART[k] for k, pairs in enumerate(found)])
     other = label[a] != label[b]
@@ -400,9 +398,7 @@ def _drops(near: Beside, among: BoolArray, config: PerceptionConfig) -> BoolArra
     rise = near.layers.cell_width * float(np.tan(config.steepest))
 
     def answer(layers: Layers, asked: BoolArray, among: BoolArray) -> tuple[BoolArray]:
-        grid = layers.cell, layers.start, layers.shape
-        own = np.flatnonzero(among & asked), *grid, layers.height, layers.thickness, rise, config.max_step
-        return (drops_beside(*own),)
+        return (drops_beside(np.flatnonzero(among & asked), layers.columns, rise, config.max_step),)
 
     return near.around("drops", 1, answer, among)[0]
 

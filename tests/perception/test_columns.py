@@ -140,9 +140,7 @@ def test_columns_are_cut_as_by_hand():
     rng = np.random.default_rng(3)
     points = rng.uniform([0, 0, 0], [2, 2, 3], (500, 3))
     layers = build_layers(points, 0.25, 0.2, 0.01)
-    among = rng.random(len(points)) < 0.9
-    np.testing.assert_array_equal(nodes_of(layers, points, among) >= 0, among)
-    node_of = nodes_of(layers, points, among | True)
+    node_of = nodes_of(layers, points)
     x, y = np.floor((points[:, :2] - layers.origin) / 0.25).astype(int).T
     cell, node = x * layers.shape[1] + y, 0
     for column in np.unique(cell):
