@@ -340,7 +340,8 @@ class Scene:
         if former is not None:
             (space, touched), known = former, self.perceived
             if known is not None:
-                return change_free_space(space, *parts, touched, known.survey.first, *config, self.scan)
+                first = [made.first for made in known.survey.made]
+                return change_free_space(space, *parts, touched, first, *config, self.scan)
         return build_free_space(*parts, body, *config, self.scan)
 
     def _spaces_before(self, touched: Touched) -> dict[Agent, tuple[FreeSpace, Touched]]:

@@ -29,7 +29,7 @@ from gpdf_service.perception.layers import (
     kept_nodes,
     renumbered,
 )
-from gpdf_service.perception.nodes import across_in, degrees_in, ends_in, numbered, pieces_in, put_in, unite_all
+from gpdf_service.perception.nodes import across_in, degrees, numbered, pieces_in, put_in, unite_all
 from gpdf_service.perception.pairs import pairs_beside
 from gpdf_service.perception.rows import INDEX
 from gpdf_service.perception.told import Told, boxes_of
@@ -184,23 +184,19 @@ class Beside:
             differing(one, another, former.kept, other)
         return cells_around(self.layers, other, reach, former.cells)
 
-    def degrees(self, keep: BoolArray, rise: float) -> IntArray:
+    def degrees(self, name: str, keep: BoolArray, rise: float) -> IntArray:
         """How many nodes to keep are beside each of them with at most `rise` [m] a cell between them, shape (k,)."""
-        made = np.zeros(len(keep), np.int64)
-        for begin, part in self._ask(degrees_in, keep.astype(np.uint8), rise):
-            made[begin : begin + len(part)] += part
-        return made
+
+        def answer(layers: Layers, _: BoolArray, keep: BoolArray) -> tuple[IntArray]:
+            return (degrees(layers.columns, keep, rise),)
+
+        return self.around(name, 1, answer, keep)[0]
 
     def across(self, one: BoolArray, other: BoolArray, step: float) -> Pairs:
         """Pairs of a node of `one` kind and one of the `other` within a `step` [m]; no node is of both."""
         found = self._ask(across_in, one + np.uint8(2) * other, step)
         a, b = (np.concatenate([part[side] + INDEX(begin) for begin, part in found]) for side in (0, 1))
         return a, b
-
-    def ends(self, keep: BoolArray, step: float) -> list[IntArray]:
-        """For each of the `HALF`, the nodes to keep that no node in that direction is within a `step` of [m]."""
-        found = self._ask(ends_in, keep.astype(np.uint8), step)
-        return [np.concatenate([part[k] + begin for begin, part in found]) for k in range(len(HALF))]
 
     def pieces(
         self,
@@ -209,7 +205,6 @@ class Beside:
         sloped: BoolArray | None = None,
         stepped: BoolArray | None = None,
         step: float = 0.0,
-        more: Pairs = NO_PAIRS,
     ) -> tuple[IntArray, Pairs, Pairs]:
         """What is joined by slopes, and the pairs that tell what else is.
 
@@ -219,7 +214,6 @@ class Beside:
             sloped: Nodes of which pairs are asked for with at most that between them.
             stepped: Nodes of which pairs are asked for with at most a step between them.
             step: [m].
-            more: Pairs of inner nodes that are joined, too.
 
         Returns:
             Piece of each node, numbered by their first nodes, shape (k,); the pairs of `sloped` nodes that are not both
@@ -234,16 +228,14 @@ class Beside:
             put_in(parent, part[0], begin)
         for begin, part in found:
             unite_all(parent, part[1], part[2], begin)
-        unite_all(parent, more[0], more[1], 0)
         slopes, steps = (
             NO_PAIRS if asked is None else _in_order(found, at) for asked, at in ((sloped, 3), (stepped, 6))
         )
         return numbered(parent), slopes, steps
 
     def lasting(self) -> Beside:
-        """The same without the points, without pairs, and without the version before."""
-        layers = replace(self.layers, node_of_point=np.zeros(0, np.int64))
-        return replace(self.asked(), layers=layers, former=None)
+        """The same without pairs, and without the version before."""
+        return replace(self.asked(), former=None)
 
     def asked(self) -> Beside:
         """The same without pairs and the answers before: no more is asked of it."""

@@ -13,6 +13,8 @@ from gpdf_service.fields.threads import run_chunked
 from gpdf_service.perception.rows import INDEX
 from gpdf_service.types import BoolArray, FloatArray, IntArray
 
+Grid = tuple[FloatArray, float, int, IntArray, FloatArray]
+"""What tells the node of a point: corner and width of cells [m], how many a row has, first nodes, and tops [m]."""
 BAND = 0.04
 """[m] Thickness of a surface as a scanner of a centimetre's noise sees it."""
 _FEW = 32
@@ -110,7 +112,7 @@ def cut_columns(
     first: IntArray,
     begin: int,
     end: int,
-    made: tuple[IntArray, IntArray, FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, IntArray],
+    made: tuple[IntArray, IntArray, FloatArray, FloatArray, FloatArray, FloatArray, FloatArray],
 ) -> None:
     """Fill what nodes of the columns from `begin` to `end` are, in the order of `made`.
 
@@ -126,17 +128,15 @@ def cut_columns(
         begin: First column.
         end: Behind the last.
         made: Of each node its cell, the row of the point in its middle, that one's height, its face, top, thickness
-            and headroom; and each point's node.
+            and headroom.
     """
-    cell, row, middle, face, top, thickness, headroom, node_of_point = made
+    cell, row, middle, face, top, thickness, headroom = made
     for c in range(begin, end):
         node, i = first[c], start[c]
         while i < start[c + 1]:
             last = i
             while last + 1 < start[c + 1] and z[last + 1] - z[last] <= gap:
                 last += 1
-            for e in range(i, last + 1):
-                node_of_point[order[e]] = node
             cell[node], top[node], thickness[node] = c, z[last], z[last] - z[i]
             chosen = (i + last) // 2 if thickness[node] <= flat else _highest_full_band(z, i, last)
             row[node], middle[node], face[node] = order[chosen], z[chosen], np.nan
@@ -145,6 +145,35 @@ def cut_columns(
                 face[node] = z[(upper + last) // 2] if upper > i else np.nan
             headroom[node] = z[last + 1] - z[last] if last + 1 < start[c + 1] else np.inf
             node, i = node + 1, last + 1
+
+
+@njit(cache=True, nogil=True)
+def node_at(
+    x: float, y: float, z: float, origin: FloatArray, width: float, ny: int, start: IntArray, top: FloatArray
+) -> Any:  # noqa: ANN401
+    """The node of a point that layers were built from, the lowest of its column that is as high; see `Layers`."""
+    n = start[int(np.floor((x - origin[0]) / width)) * ny + int(np.floor((y - origin[1]) / width))]
+    while top[n] < z:
+        n += 1
+    return n
+
+
+@njit(cache=True, nogil=True)
+def write_nodes(points: FloatArray, grid: Grid, node: IntArray) -> None:
+    """Write the node of each point."""
+    for i in range(len(points)):
+        node[i] = node_at(points[i, 0], points[i, 1], points[i, 2], *grid)
+
+
+@njit(cache=True, nogil=True)
+def take_out(
+    points: FloatArray, stray: BoolArray, ground: BoolArray, grid: Grid, sheet: BoolArray, out: int, cell: IntArray
+) -> None:
+    """Write `out` as the cell of points that are stray, or ground in the nodes of a `sheet`."""
+    for i in range(len(points)):
+        inside = ground[i] and cell[i] != out and sheet[node_at(points[i, 0], points[i, 1], points[i, 2], *grid)]
+        if stray[i] or inside:
+            cell[i] = out
 
 
 @njit(cache=True, nogil=True)
@@ -261,8 +290,29 @@ def starts_spliced(changed: BoolArray, start: IntArray, fresh: IntArray) -> IntA
 
 
 def values_spliced(runs: Runs, old: NDArray[Any], new: NDArray[Any]) -> NDArray[Any]:
-    """The `old` values by cell, but of the cells that changed the `new` ones."""
+    """The `old` values by cell, but of the cells that changed the `new` ones; where all are of one kind, a view."""
+    if len(runs) == 1:
+        return (new if runs[0][0] else old)[runs[0][1]]
     return np.concatenate([(new if changed else old)[part] for changed, part in runs])
+
+
+@njit(cache=True, nogil=True)
+def unlike_cells(cells: BoolArray, start: IntArray, old: NDArray[Any], fresh: IntArray, new: NDArray[Any]) -> BoolArray:
+    """Those of the `cells`, shape (nx, ny), that hold other rows than before, or the same in another order.
+
+    The `old` ones (m, d) of each cell begin at its `start`, the `new` ones at `fresh`.
+    """
+    found = np.zeros_like(cells)
+    for x in range(cells.shape[0]):
+        for y in range(cells.shape[1]):
+            c = x * cells.shape[1] + y
+            a, b, count = start[c], fresh[c], fresh[c + 1] - fresh[c]
+            other = cells[x, y] and start[c + 1] - a != count
+            for i in range(count if cells[x, y] and not other else 0):
+                for k in range(old.shape[1]):
+                    other |= old[a + i, k] != new[b + i, k]
+            found[x, y] = other
+    return found
 
 
 def column_floors(start: IntArray, order: IntArray, z: FloatArray, share: float) -> FloatArray:

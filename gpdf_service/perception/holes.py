@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from numba import njit
@@ -12,10 +13,9 @@ from scipy import ndimage
 from gpdf_service.config import PerceptionConfig
 from gpdf_service.fields.threads import run_chunked
 from gpdf_service.perception.bend import FINE, FLAT, bend_at, make_room, reach_of
-from gpdf_service.perception.boxes import WHOLE, Box, highest_around, lowest_around, widened
-from gpdf_service.perception.footing import flights
+from gpdf_service.perception.boxes import Box, highest_around, lowest_around, widened
 from gpdf_service.perception.layers import widest_cell
-from gpdf_service.perception.notches import FLIGHT, fill_notches, notches_reach
+from gpdf_service.perception.notches import fill_notches, notches_reach
 from gpdf_service.perception.rows import extent_within, under
 from gpdf_service.perception.surface import (
     INFERRED,
@@ -23,8 +23,6 @@ from gpdf_service.perception.surface import (
     UNKNOWN,
     HeightMap,
     Nearest,
-    cells_within,
-    cropped,
     nearest_seen,
     without,
 )
@@ -56,16 +54,17 @@ _ROUNDING = float(np.finfo(np.float64).eps)
 MAX_HOLE_RADIUS = 1.0
 """[m] A hole is filled if no place in it is further from seen ground: a scanner's blind spot, the shadow of a desk."""
 
+Voids = tuple[NDArray[Any], ...]
+"""Where the scanner saw through a level's unknown cells, where they are pits, and a pit's walls; see `find_voids`."""
+
 
 def fill_holes(
     surface: HeightMap,
     grid: Grid,
+    near: Nearest,
     lowest: FloatArray,
-    seen_through: BoolArray,
-    pit: BoolArray,
-    walls: BoolArray,
+    voids: Voids,
     config: PerceptionConfig,
-    near: Nearest | None = None,
     noise: float = 0.0,
 ) -> HeightMap:
     """Infer ground where its surroundings explain it, and mark it.
@@ -82,17 +81,15 @@ def fill_holes(
     Args:
         surface: The ground as it was seen.
         grid: What was asked of its cells.
+        near: `nearest_seen` of the surface.
         lowest: Of the other points in each cell [m], inf where there is none, shape (nx, ny).
-        seen_through: See `find_voids`.
-        pit: See `find_voids`.
-        walls: See `find_voids`.
+        voids: See `find_voids`.
         config: Limits of a flight's treads.
-        near: `nearest_seen` of the surface, where it is known.
         noise: Standard deviation of the points before they were cured [m].
     """
     if surface.cell_width >= widest_cell(config):
         return surface
-    near = near or nearest_seen(surface)
+    seen_through, pit, walls = voids
     material = lowest < near.height + CEILING
     height, state = _fill_gaps(grid, "gaps", surface.height, surface.state, surface, noise)
 
@@ -157,44 +154,39 @@ def _tell_hollow(things: BoolArray, overhung: BoolArray, label: NDArray[np.int32
 
 
 def find_voids(
-    surface: HeightMap,
-    points: FloatArray,
-    max_step: float,
-    near: Nearest | None = None,
-    box: Box = WHOLE,
-    cell: IntArray | None = None,
-) -> tuple[BoolArray, BoolArray, BoolArray]:
-    """Unknown cells, and a flight's, whose highest point of `points` (n, 3) lies over `max_step` under the ground.
+    seen: HeightMap, near: Nearest, treads: BoolArray, rim: FloatArray, cell: IntArray, z: FloatArray, max_step: float
+) -> Voids:
+    """Unknown cells, and a flight's, whose highest other point lies over `max_step` under the ground.
 
     Args:
-        surface: The ground as it was seen.
-        points: What else was seen [m], shape (n, 3).
+        seen: The ground as it was seen.
+        near: Its `nearest_seen`.
+        treads: Cells of a flight, shape (nx, ny).
+        rim: See `find_rims`.
+        cell: Flat cell of each point, shape (n,).
+        z: Its height [m].
         max_step: [m].
-        near: `nearest_seen` of the surface in the box, where it is known.
-        box: Cells that hold all points, and `MAX_HOLE_RADIUS` around them.
-        cell: `cells_within` of the points, where it is known, shape (n,).
 
     Returns:
         Where the scanner saw through, further down than a floor is thick; where the bottom of a pit is seen, which is
-        no ceiling because no storey is under it; and where the upper end of a pit's walls is. All (nx, ny) of the box.
+        no ceiling because no storey is under it; and where the upper end of a pit's walls is: a point right under the
+        ground of a rim, no floor.
     """
-    distance, beside = near or nearest_seen(surface, box)
-    part = cropped(surface, box)
-    asked = (part.state == UNKNOWN) & (distance <= MAX_HOLE_RADIUS)
-    treads = (part.state != UNKNOWN) & flights(part, max_step, FLIGHT)
-    cell, z = cells_within(points, surface, box) if cell is None else cell, points[:, 2]
-    walls = _walls_down(part, cell, z)
-    high = np.where(asked, beside + np.float32(surface.cell_width), -np.inf)
+    distance, beside = near
+    low, high = (under(rim - cells * seen.cell_width) for cells in (WALL_CELLS, 1.0))
+    walls: BoolArray = np.isfinite(extent_within(cell, z, low, high)[0])
+    asked = (seen.state == UNKNOWN) & (distance <= MAX_HOLE_RADIUS)
+    high = np.where(asked, beside + np.float32(seen.cell_width), -np.inf)
     high[treads] = beside[treads] - np.float32(max_step)
     bottom, top = extent_within(cell, z, np.full(asked.shape, -np.inf), under(high))
-    seen = np.isfinite(top)
-    depth = np.where(seen, beside - top, 0.0)
-    pit = (depth > max_step) & (depth <= SLAB) & (np.where(seen, top - bottom, 0.0) < STOREY)
+    shown = np.isfinite(top)
+    depth = np.where(shown, beside - top, 0.0)
+    pit = (depth > max_step) & (depth <= SLAB) & (np.where(shown, top - bottom, 0.0) < STOREY)
     return depth > SLAB, pit, walls
 
 
-def _walls_down(surface: HeightMap, cell: IntArray, z: FloatArray) -> BoolArray:
-    """Cells of a hole or beside one with a point right under the ground, no floor: `z` [m] in the flat `cell`, (n,).
+def find_rims(surface: HeightMap) -> NDArray[np.float32]:
+    """Height of the ground at the rim of a hole, in its cells and those beside [m], shape (nx, ny), else -inf.
 
     A step up at the rim is none: the lowest ground within two cells counts. But a rim's cell that holds the wall's
     upper end, too, lies as deep as that: of each cell and those around it the highest ground counts.
@@ -202,9 +194,7 @@ def _walls_down(surface: HeightMap, cell: IntArray, z: FloatArray) -> BoolArray:
     unknown = surface.state == UNKNOWN
     rim = highest_around(np.where(unknown, -np.inf, surface.height), 1)
     floor = lowest_around(np.where(unknown, np.inf, rim), 2)
-    low, high = (under(floor - cells * surface.cell_width) for cells in (WALL_CELLS, 1.0))
-    walls: BoolArray = np.isfinite(extent_within(cell, z, low, high)[0]) & widened(unknown, 1)
-    return walls
+    return np.where(widened(unknown, 1), floor, -np.inf)
 
 
 def _walled_down(surface: HeightMap, walls: BoolArray) -> BoolArray:
@@ -322,7 +312,7 @@ def _fill_planes(
 ) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
     """`_fill`, remembered: a hole is as it was if all that it is told by, two cells around it too, is as it was."""
     given, was = (holes, known, near, void, height), grid.former.get(name)
-    again = np.ones(holes.shape, dtype=bool) if was is None else grid.felt(name, 2, *given)
+    again = grid.felt(name, 2, *given)
     before, made = (height, state) if was is None else was.made, (height.copy(), state.copy())
     _fill(*made, holes, known, near, cell_width, void, share, again, *before)
     grid.known[name] = Told(given, made)

@@ -13,6 +13,7 @@ from gpdf_service.config import PerceptionConfig
 from gpdf_service.fields.threads import run_chunked
 from gpdf_service.perception.boxes import Box, widened
 from gpdf_service.perception.columns import (
+    Grid,
     Runs,
     by_cell,
     column_floors,
@@ -25,8 +26,9 @@ from gpdf_service.perception.columns import (
     starts_spliced,
     tops_of_boards,
     values_spliced,
+    write_nodes,
 )
-from gpdf_service.perception.pairs import pairs_near
+from gpdf_service.perception.pairs import Columns, pairs_near
 from gpdf_service.perception.rows import INDEX, bounds_of, cells_of, chosen_rows, rows_by_cell
 from gpdf_service.perception.told import grown, unlike
 from gpdf_service.types import BoolArray, FloatArray, IntArray
@@ -134,7 +136,6 @@ class Layers:
         headroom: Free height above it [m], inf under the open sky, shape (k,).
         middle: Height of its middle point, or of a step's face its highest [m], shape (k,).
         face: Of the middle of what may be the upper face of a board, seen on both [m], shape (k,), NaN of no such node.
-        node_of_point: Node of each input point, shape (n,); of none, (0,), where the layers are kept without points.
         start: First node of each cell, shape (cells + 1,).
     """
 
@@ -150,8 +151,24 @@ class Layers:
     headroom: FloatArray
     middle: FloatArray
     face: FloatArray
-    node_of_point: IntArray
     start: IntArray
+
+    @property
+    def columns(self) -> Columns:
+        """The same for compiled loops."""
+        return Columns(self.cell, self.start, self.shape, self.height, self.thickness)
+
+    @property
+    def grid(self) -> Grid:
+        """The same for `node_at`."""
+        return self.origin, self.cell_width, self.shape[1], self.start, self.top
+
+
+def nodes_of(layers: Layers, points: FloatArray) -> IntArray:
+    """Node of each of the points (n, 3) that the layers were built from, or some of them, shape (n,)."""
+    node = np.empty(len(points), INDEX)
+    run_chunked(lambda a, b: write_nodes(points[a:b], layers.grid, node[a:b]), len(points))
+    return node
 
 
 def grid_of(low: FloatArray, high: FloatArray, cell_width: float) -> tuple[FloatArray, tuple[int, int]]:
@@ -166,8 +183,6 @@ def grid_of(low: FloatArray, high: FloatArray, cell_width: float) -> tuple[Float
 
 _OWN = "cell", "place", "height", "top", "thickness", "headroom", "middle", "face"
 """What is told of each node."""
-_NO_POINTS: IntArray = np.zeros(0, np.int64)
-"""`node_of_point` of layers that are kept without points."""
 
 
 def same_nodes(one: Layers, other: Layers) -> bool:
@@ -183,7 +198,7 @@ def splice_layers(layers: Layers, changed: BoolArray, fresh: Layers | None) -> L
     nodes = rows_by_cell(widened(changed.reshape(layers.shape), 1), start)  # what lies beside a board says if it is one
     grid = own["cell"], start, layers.shape, own["middle"], own["face"], layers.board
     own["height"][nodes] = tops_of_boards(nodes, *grid)
-    return replace(layers, **own, node_of_point=_NO_POINTS, start=start)
+    return replace(layers, **own, start=start)
 
 
 def kept_nodes(old: Layers, layers: Layers, cells: BoolArray) -> Runs:
@@ -192,8 +207,8 @@ def kept_nodes(old: Layers, layers: Layers, cells: BoolArray) -> Runs:
 
 
 def carried(values: NDArray[Any], kept: Runs) -> NDArray[Any]:
-    """The values of the nodes before, `kept_nodes`; of those that were none NaN, or false."""
-    nothing = False if values.dtype == bool else np.nan
+    """The values of the nodes before, `kept_nodes`; of those that were none NaN, 0, or false."""
+    nothing = np.nan if values.dtype.kind == "f" else 0
     return np.concatenate(
         [np.full(part.stop - part.start, nothing, values.dtype) if new else values[part] for new, part in kept]
     )
@@ -238,7 +253,7 @@ def steady(layers: Layers, label: IntArray) -> IntArray:
 
 
 def crop_layers(layers: Layers, box: Box, by: int = 0) -> tuple[Layers, IntArray]:
-    """The layers of a box of cells and `by` around it, without points, and which nodes of all they are, shape (k,)."""
+    """The layers of a box of cells and `by` around it, and which nodes of all they are, shape (k,)."""
     rows, columns = grown(box, by, layers.shape)
     begin, end = (starts.reshape(layers.shape)[rows, columns] for starts in (layers.start[:-1], layers.start[1:]))
     count = (end - begin).ravel()
@@ -254,7 +269,7 @@ def crop_layers(layers: Layers, box: Box, by: int = 0) -> tuple[Layers, IntArray
     shape = rows.stop - rows.start, columns.stop - columns.start
     own: dict[str, Any] = {name: of(getattr(layers, name)) for name in _OWN} | {"cell": cell}
     nodes = np.concatenate([np.arange(run.start, run.stop) for run in runs])
-    return replace(layers, origin=origin, shape=shape, **own, node_of_point=_NO_POINTS, start=start), nodes
+    return replace(layers, origin=origin, shape=shape, **own, start=start), nodes
 
 
 def build_layers(
@@ -275,14 +290,13 @@ def build_layers(
     count = int(first[-1])
     cell_of, row = np.empty(count, np.int64), np.empty(count, np.int64)
     middle, face, top, thickness, headroom = (np.empty(count) for _ in range(5))
-    node = np.empty(len(z), INDEX)
-    made = cell_of, row, middle, face, top, thickness, headroom, node
+    made = cell_of, row, middle, face, top, thickness, headroom
     run_chunked(lambda a, b: cut_columns(start, order, z, gap, flat, board, first, a, b, made), high - low)
     cell_of += low
     first = np.concatenate([np.zeros(low, np.int64), first, np.full(shape[0] * shape[1] - high, count)])
     height = tops_of_boards(np.arange(count), cell_of, first, shape, middle, face, board)
     own = cell_of, points[row, :2], height, top, thickness, headroom, middle, face
-    return Layers(origin, cell_width, shape, board, *own, node, first)
+    return Layers(origin, cell_width, shape, board, *own, first)
 
 
 HALF = ((1, 0), (0, 1), (1, 1), (1, -1))

@@ -6,6 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
 from math import ceil
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,14 +16,33 @@ from gpdf_service.config import PerceptionConfig
 from gpdf_service.errors import NoGroundError
 from gpdf_service.fields.shapes import FEWEST
 from gpdf_service.fields.threads import run_beside, run_chunked, run_parallel
-from gpdf_service.perception.beside import Beside, beside
+from gpdf_service.perception.beside import Beside, beside, beside_now
 from gpdf_service.perception.boxes import WHOLE, Box, highest_around, lowest_around, widened
 from gpdf_service.perception.budget import KEPT_BYTES, LEVEL_BYTES, check_grid
-from gpdf_service.perception.columns import by_cell, ends_of_runs, heights_in_plan, lowest_above
-from gpdf_service.perception.footing import FLIGHT_RISE, bridged, footholds, footing_reach, ridges
+from gpdf_service.perception.cloud import Cloud, Rows, WholeError, change_layers
+from gpdf_service.perception.columns import (
+    by_cell,
+    ends_of_runs,
+    heights_in_plan,
+    lowest_above,
+    runs_of,
+    starts_spliced,
+    take_out,
+    unlike_cells,
+    values_spliced,
+)
+from gpdf_service.perception.footing import FLIGHT_RISE, bridged, flights, footholds, footing_reach, ridges
 from gpdf_service.perception.hidden import faces_reach, find_faces, hidden_reach, without_hidden
-from gpdf_service.perception.holes import fill_holes, find_voids, without_enclosed
-from gpdf_service.perception.layers import Layers, build_layers, cell_width_of, crop_layers, layer_gap, widest_cell
+from gpdf_service.perception.holes import MAX_HOLE_RADIUS, Voids, fill_holes, find_rims, find_voids, without_enclosed
+from gpdf_service.perception.layers import (
+    Layers,
+    build_layers,
+    cell_width_of,
+    crop_layers,
+    layer_gap,
+    same_nodes,
+    widest_cell,
+)
 from gpdf_service.perception.limits import (
     GroundLimits,
     Measured,
@@ -32,9 +52,9 @@ from gpdf_service.perception.limits import (
     smoothed,
     step_and_slope,
 )
-from gpdf_service.perception.notches import NOTCH_DEPTH, between_treads
+from gpdf_service.perception.notches import FLIGHT, NOTCH_DEPTH, between_treads
 from gpdf_service.perception.rays import Rays, seen_by_rays
-from gpdf_service.perception.rows import between, chosen_rows, extent_within, rows_by_cell, rows_in_box, taken, under
+from gpdf_service.perception.rows import between, chosen_rows, extent_within, rows_by_cell, taken, under
 from gpdf_service.perception.segment import LEAST_SCATTER
 from gpdf_service.perception.sheets import OVERLAP, rise_of_sheets, split_sheets
 from gpdf_service.perception.smooth import RESOLVED_STEP, to_centres, without_unlucky
@@ -45,10 +65,11 @@ from gpdf_service.perception.surface import (
     HeightMap,
     Nearest,
     cells_within,
+    changed,
     cropped,
     nearest_seen,
 )
-from gpdf_service.perception.told import Grid, bands_of, grown, new_grid
+from gpdf_service.perception.told import Grid, Told, boxes_of, grown, new_grid
 from gpdf_service.types import BoolArray, FloatArray, IntArray
 
 FACE = 0.1
@@ -118,10 +139,25 @@ class Levels:
     portals: tuple[Portal, ...]
 
 
-Voids = tuple[BoolArray, BoolArray, BoolArray]
-"""Where the scanner saw through a level's unknown cells, where they are pits, and a pit's walls; see `find_voids`."""
 Held = tuple[IntArray, FloatArray, FloatArray]
 """Flat cell and height [m] of each other point, shape (m,), and the lowest of each cell [m]."""
+
+
+@dataclass(frozen=True, slots=True)
+class Made:
+    """A level, and what it was made of.
+
+    Attributes:
+        level: The level.
+        grid: What was asked of its cells.
+        first: Where the other points of each cell begin, shape (cells + 1,): they are in this order.
+        touched: Cells in which anything is another than in the version before, shape (nx, ny); None where nothing is.
+    """
+
+    level: GroundLevel
+    grid: Grid
+    first: IntArray
+    touched: BoolArray | None
 
 
 @dataclass(frozen=True, slots=True)
@@ -132,22 +168,43 @@ class Survey:
         near: Layers of the ground points, and pairs of their nodes.
         stray: Which points of the cloud count for nothing, shape (n,).
         sheets: Which nodes are of each level, shape (k,).
-        voids: One a level.
-        grids: For each level how its ground was completed.
-        first: For each level where the other points of each cell begin, shape (cells + 1,): they are in this order.
+        made: Each level.
     """
 
     near: Beside
     stray: BoolArray
     sheets: tuple[BoolArray, ...]
-    voids: tuple[Voids, ...]
-    grids: tuple[Grid, ...]
-    first: tuple[IntArray, ...]
+    made: tuple[Made, ...]
 
     @property
     def layers(self) -> Layers:
         """Of the ground points."""
         return self.near.layers
+
+
+@dataclass(frozen=True, slots=True)
+class _Site:
+    """What all levels of a cloud are made of.
+
+    Attributes:
+        cloud: Its points.
+        ground: Which of them are ground, shape (n,).
+        stray: Which count for nothing, shape (n,).
+        layers: Of the ground points.
+        cells: The columns that hold other points than in the version before, and those beside; in a build all.
+        config: Limits.
+        noise: Standard deviation that the points had before they were cured [m].
+        rays: Of the scan, where they are known.
+    """
+
+    cloud: Cloud
+    ground: BoolArray
+    stray: BoolArray
+    layers: Layers
+    cells: BoolArray
+    config: PerceptionConfig
+    noise: float = 0.0
+    rays: Rays | None = None
 
 
 def survey_levels(
@@ -187,24 +244,44 @@ def survey_levels(
         sheets = split_sheets(near, config)
         return near.asked(), sheets
 
-    (near, sheets), alone_ = run_beside(partial(find_sheets, floor), partial(find_strays, points, alone(width)))
+    (near, sheets), stray = run_beside(partial(find_sheets, floor), partial(find_strays, points, alone(width)))
     if not sheets:
         found = f"no piece of the ground is as large as three by three cells of {width:.2g} m"
         raise NoGroundError("ground", found, "Are its samples further apart than a foot bridges? Scan it more densely.")
-    parts = [sheet_part(near.layers, sheet) for sheet in sheets]
-    kept = sum(part.shape[0] * part.shape[1] for part, _ in parts) / np.prod(near.layers.shape) - 1.0
+    kept = sum(np.prod(sheet_part(near.layers, sheet)[0].shape) for sheet in sheets) / np.prod(near.layers.shape) - 1.0
     check_grid(floor, len(points), width, LEVEL_BYTES + KEPT_BYTES * max(kept, 0.0), config)
-    stray = alone_ & ~ground
-    del floor, alone_  # half of the cloud
+    stray &= ~ground
+    del floor
+    cells = np.ones(near.layers.shape, dtype=bool)
+    return _levels_of(
+        _Site(Cloud(points, points[:0]), ground, stray, near.layers, cells, config, noise, rays), near, sheets
+    )
 
-    def build(i: int) -> tuple[GroundLevel, Voids, Grid, IntArray]:
-        gone = stray.copy()
-        gone[ground] = sheets[i][near.layers.node_of_point]
-        return _build_level(points, ground, gone, *parts[i], config, noise, rays)
 
-    made = run_parallel(build, range(len(sheets)))
-    levels, voids, grids, first = zip(*made, strict=True)
-    return Levels(levels, find_portals(near.layers, sheets)), Survey(near, stray, sheets, voids, grids, first)
+def change_levels(
+    old: Survey, cloud: Cloud, ground: BoolArray, stray: BoolArray, config: PerceptionConfig
+) -> tuple[Levels, Survey]:
+    """`survey_levels` of a changed cloud.
+
+    Raises:
+        WholeError: the ground has other bounds, or another number of levels.
+    """
+    layers, cells = change_layers(old.layers, cloud, ground, config)
+    near, sheets = old.near, old.sheets
+    if not same_nodes(layers, near.layers):  # as where something was put onto the ground
+        near = beside_now(near, layers, cells)
+        sheets = split_sheets(near, config)
+    if len(sheets) != len(old.made):
+        raise WholeError
+    return _levels_of(_Site(cloud, ground, stray, layers, cells, config), near, sheets, old.made)
+
+
+def _levels_of(
+    site: _Site, near: Beside, sheets: tuple[BoolArray, ...], before: tuple[Made, ...] = ()
+) -> tuple[Levels, Survey]:
+    made = run_parallel(lambda i: _make_level(site, sheets[i], before[i] if before else None), range(len(sheets)))
+    levels = Levels(tuple(each.level for each in made), find_portals(near.layers, sheets))
+    return levels, Survey(near, site.stray, sheets, tuple(made))
 
 
 def find_portals(layers: Layers, sheets: tuple[BoolArray, ...]) -> tuple[Portal, ...]:
@@ -255,68 +332,105 @@ def sheet_part(layers: Layers, inside: BoolArray) -> tuple[Layers, BoolArray]:
     return part, inside[chosen]
 
 
-def _build_level(
-    points: FloatArray,
-    ground: BoolArray,
-    gone: BoolArray,
-    layers: Layers,
-    inside: BoolArray,
-    config: PerceptionConfig,
-    noise: float,
-    rays: Rays | None,
-) -> tuple[GroundLevel, Voids, Grid, IntArray]:
-    """The sheet of the nodes `inside`, of layers of the `ground`; which points are its own or count for nothing."""
-    grid = new_grid(layers.shape)
-    seen = sheet_surface(grid, layers, np.flatnonzero(inside), config.max_step, noise)
-    near, rows, first, voids = _look_through(points, gone, seen, config)
-    other = taken(points, rows)
-    del rows
-    surface, guarded = complete(grid, seen, partial(held_in, other, first, seen), voids, config, near, noise, rays)
-    del near
-    ledge = _ledges(surface, points, ground, (other, first), config.max_step, noise)
-    measured, limits = measure(grid, surface, guarded)
-    return GroundLevel(surface, other, ledge, limits, measured), voids, grid, first
+def _make_level(site: _Site, sheet: BoolArray, before: Made | None) -> Made:
+    """The level of the nodes of a `sheet`, shape (k,). A build is a change from `_nothing`.
 
-
-def _look_through(
-    points: FloatArray, gone: BoolArray, seen: HeightMap, config: PerceptionConfig
-) -> tuple[Nearest, IntArray, IntArray, Voids]:
-    """The nearest seen ground; rows of the points within reach, but for those `gone`, and where cells begin; the voids.
-
-    The rows are in the order of the cells, as by `in_order`.
+    What a cell holds depends on the points of its column and on cells within a known reach: so only the cells are
+    looked at, and the points in them read, for which any of this is another than before.
     """
-    cell, near = cells_within(points, seen), nearest_seen(seen)
-    cell[gone] = seen.state.size  # as those outside: in no cell
-    near_by, voids = run_beside(
-        partial(are_within_reach, points, seen, cell=cell),
-        partial(find_voids, seen, points, config.max_step, near, cell=cell),
+    own, inside = sheet_part(site.layers, sheet)
+    was, corner = before or _nothing(own), np.round((own.origin - site.layers.origin) / own.cell_width).astype(int)
+    if was.level.surface.state.shape != own.shape or (was.level.surface.origin != own.origin).any():
+        raise WholeError
+    columns = site.cells[corner[0] : corner[0] + own.shape[0], corner[1] : corner[1] + own.shape[1]]
+    grid, config = was.grid.now(columns), site.config
+    seen = sheet_surface(grid, own, np.flatnonzero(inside), config.max_step, site.noise)
+    if not grid.felt("seen", 0, *grid.known["seen"].given, points=True).any():
+        return replace(was, touched=None)
+    near = nearest_seen(seen)
+    held = _find_others(site, sheet, seen, near, grid, was)
+    grid = replace(grid, others=held.unlike)
+    holds, voids = partial(held_in, held.points, held.first, seen), grid.known["voids"].made
+    surface, guarded = complete(grid, seen, holds, voids, near, site)
+    measured, limits = measure(grid, surface, guarded)
+    other = changed(was.level.surface, surface)
+    asked = widened(columns | widened(other, ledge_reach(surface)), ground_reach(surface)) | held.cells
+    ledge = _find_ledges_in(site, surface, held, asked)
+    stepped = held.unlike | unlike_cells(asked, was.first, was.level.ledge[:, None], held.first, ledge[:, None])
+    touched = widened(stepped | other, 1) | grid.other_answers("measured", "edges")  # all that limits tell
+    if not touched.any():
+        return Made(was.level, grid.lasting(), held.first, None)
+    return Made(GroundLevel(surface, held.points, ledge, limits, measured), grid.lasting(), held.first, touched)
+
+
+def _nothing(layers: Layers) -> Made:
+    """What is known of a level before anything was scanned."""
+    height, count = np.full(layers.shape, np.nan, np.float32), layers.shape[0] * layers.shape[1]
+    surface = HeightMap(layers.origin, layers.cell_width, height, np.zeros(layers.shape, np.uint8))
+    limits, measured = GroundLimits(*np.zeros((3, 0))), (np.zeros(0), np.zeros(0))
+    level = GroundLevel(surface, np.zeros((0, 3)), np.zeros(0, np.float32), limits, measured)
+    return Made(level, new_grid(layers.shape), np.zeros(count + 1, np.int64), None)
+
+
+class _Others(NamedTuple):
+    """The other points of a level [m], shape (m, 3), and their ledges; where those of each cell begin.
+
+    Beside these the cells whose points were read again, and those that hold others than before, shape (nx, ny).
+    """
+
+    points: FloatArray
+    ledge: NDArray[np.float32]
+    first: IntArray
+    cells: BoolArray
+    unlike: BoolArray
+
+
+def _find_others(site: _Site, sheet: BoolArray, seen: HeightMap, near: Nearest, grid: Grid, was: Made) -> _Others:
+    """The points within reach over the seen ground of a `sheet`, and into the grid its voids, see `find_voids`."""
+    width, max_step = seen.cell_width, site.config.max_step
+
+    def answer(_: Box, height: NDArray[np.float32], state: NDArray[np.uint8]) -> tuple[NDArray[Any], ...]:
+        part = replace(seen, height=height, state=state)
+        treads = (state != UNKNOWN) & flights(part, max_step, FLIGHT)
+        return *lowest_and_highest(part), treads, find_rims(part)
+
+    reach = ceil(max(OVERLAP, FLIGHT) / width) + 3
+    low, high, treads, rim = grid.around("span", reach, answer, seen.height, seen.state)
+    beside = np.where(near.distance <= MAX_HOLE_RADIUS, near.height, np.float32(np.nan))
+    given = grid.known["seen"].given[0], seen.height, low, high, treads, rim, beside
+    cells = grid.felt("voids", 0, *given, points=True)
+    rows, points = site.cloud.part(seen, cells)
+    cell, stray, ground, out = cells_within(points, seen), site.stray[rows], site.ground[rows], seen.state.size
+    own = site.layers.grid, sheet, out  # what is out is as those outside: in no cell
+    run_chunked(lambda a, b: take_out(points[a:b], stray[a:b], ground[a:b], *own, cell[a:b]), len(points))
+    near_by, found = run_beside(
+        partial(between, cell, points[:, 2], under(low - width), high + TALLEST),
+        partial(find_voids, seen, near, treads, rim, cell, points[:, 2], max_step),
     )
-    cell[~near_by] = seen.state.size
-    first, order = by_cell(cell, seen.state.size + 1)
-    return near, order[: first[-2]], first[:-1], voids
+    told = grid.former.get("voids")
+    voids = (
+        found if told is None else tuple(np.where(cells, now, old) for now, old in zip(found, told.made, strict=True))
+    )
+    grid.known["voids"] = Told(given, voids)
+    cell[~near_by] = out
+    begin, order = by_cell(cell, out + 1)
+    fresh, begin, flat = taken(points, order[: begin[-2]]), begin[:-1], cells.ravel()
+    first, runs = starts_spliced(flat, was.first, begin), runs_of(flat, was.first, begin)
+    other = values_spliced(runs, was.level.other_points, fresh)
+    ledge = values_spliced(runs, was.level.ledge, np.full(len(fresh), np.inf, np.float32))
+    return _Others(other, ledge, first, cells, unlike_cells(cells, was.first, was.level.other_points, first, other))
 
 
-def _ledges(
-    surface: HeightMap,
-    points: FloatArray,
-    ground: BoolArray,
-    other: tuple[FloatArray, IntArray],
-    max_step: float,
-    noise: float,
-) -> NDArray[np.float32]:
-    """`find_ledges` of the other points, which are `in_order`, band after band of a level's cells."""
-    (rest, first), shape = other, surface.state.shape
-    reach = max(shape) if noise > 0.0 else ground_reach(surface) + ledge_reach(surface)  # noise asks other points, too
-    ledge = np.empty(len(rest), np.float32)
-    for box in bands_of(shape, reach):
+def _find_ledges_in(site: _Site, surface: HeightMap, held: _Others, asked: BoolArray) -> NDArray[np.float32]:
+    """The ledges, `find_ledges`, with those in the cells that are `asked` for told anew, box after box."""
+    ledge, shape = held.ledge.copy(), surface.state.shape
+    reach = max(shape) if site.noise > 0.0 else ground_reach(surface) + ledge_reach(surface)  # noise asks others, too
+    for box in boxes_of(asked, reach):
         x, y = outer = grown(box, reach, shape)
-        low, high = (
-            surface.origin + surface.cell_width * np.array(end) for end in ((x.start, y.start), (x.stop, y.stop))
-        )
-        rows = rows_in_box(points, low, high)
-        own = slice(first[box[0].start * shape[1]], first[box[0].stop * shape[1]])
-        floor = taken(points, rows[ground[rows]])
-        ledge[own] = find_ledges(surface, floor, rest[own], max_step, noise, outer)
+        ends = (x.start, y.start), (x.stop, y.stop)
+        rows = site.cloud.rows_in_box(*(surface.origin + surface.cell_width * np.array(end) for end in ends))
+        own, floor = rows_in(held.first, box, shape), taken(site.cloud.points, rows[site.ground[rows]])
+        ledge[own] = find_ledges(surface, floor, held.points[own], site.config.max_step, site.noise, outer)
     return ledge
 
 
@@ -378,10 +492,8 @@ def complete(
     seen: HeightMap,
     held: Callable[[Box], Held],
     voids: Voids,
-    config: PerceptionConfig,
-    near: Nearest | None = None,
-    noise: float = 0.0,
-    rays: Rays | None = None,
+    near: Nearest,
+    site: _Site,
 ) -> tuple[HeightMap, BoolArray]:
     """The ground with what its surroundings and the other points explain, and in which cells these guard an edge.
 
@@ -393,11 +505,10 @@ def complete(
         seen: The ground as it was seen.
         held: Says which other points are in a box of cells.
         voids: See `find_voids`.
-        config: Limits.
-        near: Where the ground was seen, `nearest_seen`, if that is known.
-        noise: That was cured [m].
-        rays: They tell what may stand on inferred ground where they are known; else what encloses it, and fronts.
+        near: Where the ground was seen, `nearest_seen`.
+        site: Its rays tell what may stand on inferred ground where they are known; else what encloses it, and fronts.
     """
+    config = site.config
 
     def lowest_of(box: Box) -> tuple[FloatArray]:
         return (held(box)[2],)
@@ -409,11 +520,11 @@ def complete(
         return guard_edges(HeightMap(seen.origin, seen.cell_width, height, state), lowest, cell, z, config)
 
     (lowest,) = grid.around("lowest", 0, lowest_of, points=True)
-    filled = fill_holes(seen, grid, lowest, *voids, config, near, noise)
+    filled = fill_holes(seen, grid, near, lowest, voids, config, site.noise)
     own = filled.height, filled.state, lowest
     shut, stair, guarded = grid.around("edges", notch_reach(seen), edges, *own, points=True)
-    if rays is not None:
-        return seen_by_rays(filled, rays, config, noise), guarded
+    if site.rays is not None:
+        return seen_by_rays(filled, site.rays, config, site.noise), guarded
 
     def faces(box: Box, height: NDArray[np.float32], state: NDArray[np.uint8], stair: BoolArray) -> tuple[BoolArray]:
         cell, z, _ = held(box)
@@ -438,15 +549,19 @@ def in_order(other: FloatArray, surface: HeightMap) -> tuple[FloatArray, IntArra
     return taken(other, order), first
 
 
+def rows_in(first: IntArray, box: Box, shape: tuple[int, ...]) -> Rows:
+    """Rows of the points in a box of cells of a grid, where those of each cell begin at `first`: they are in order."""
+    (rows, columns), ny = grown(box, 0, shape), shape[1]
+    if (columns.start, columns.stop) == (0, ny):
+        return slice(first[rows.start * ny], first[rows.stop * ny])
+    cells = np.zeros(shape, dtype=bool)
+    cells[box] = True
+    return rows_by_cell(cells, first)
+
+
 def held_in(other: FloatArray, first: IntArray, surface: HeightMap, box: Box) -> Held:
     """Flat cell and height [m] of each of the `other` points (m, 3), `in_order`, in a box, and the lowest of a cell."""
-    (rows, columns), ny = grown(box, 0, surface.state.shape), surface.state.shape[1]
-    if (columns.start, columns.stop) == (0, ny):
-        held = other[first[rows.start * ny] : first[rows.stop * ny]]
-    else:
-        cells = np.zeros(surface.state.shape, dtype=bool)
-        cells[box] = True
-        held = taken(other, rows_by_cell(cells, first))
+    held = other[rows_in(first, box, surface.state.shape)]
     cell, z = cells_within(held, surface, box), np.ascontiguousarray(held[:, 2])
     ends = np.full(surface.state[box].shape, np.inf)
     return cell, z, extent_within(cell, z, -ends, ends)[0]
@@ -618,20 +733,13 @@ def next_above(ground: FloatArray, points: FloatArray, least: FloatArray, reach:
 
 
 def within_reach(points: FloatArray, surface: HeightMap, box: Box = WHOLE) -> FloatArray:
-    """Points that `are_within_reach`."""
-    return chosen_rows(points, are_within_reach(points, surface, box))
+    """Points between a cell under the lowest known ground near them and `TALLEST` over the highest.
 
-
-def are_within_reach(
-    points: FloatArray, surface: HeightMap, box: Box = WHOLE, cell: IntArray | None = None
-) -> BoolArray:
-    """Which points are between a cell under the lowest known ground near them and `TALLEST` over the highest, (n,).
-
-    The `box` of cells holds all points, and `OVERLAP` around them; `cell` is their `cells_within`, if it is known.
+    The `box` of cells holds all points, and `OVERLAP` around them.
     """
     low, high = lowest_and_highest(surface, box)
-    cell = cells_within(points, surface, box) if cell is None else cell
-    return between(cell, points[:, 2], under(low - surface.cell_width), high + TALLEST)
+    cell = cells_within(points, surface, box)
+    return chosen_rows(points, between(cell, points[:, 2], under(low - surface.cell_width), high + TALLEST))
 
 
 def lowest_and_highest(surface: HeightMap, box: Box = WHOLE) -> tuple[FloatArray, FloatArray]:

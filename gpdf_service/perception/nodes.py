@@ -6,7 +6,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from gpdf_service.perception.pairs import AROUND
+from gpdf_service.perception.pairs import AROUND, Columns
 from gpdf_service.perception.rows import INDEX
 from gpdf_service.types import BoolArray, FloatArray, IntArray
 
@@ -177,27 +177,19 @@ def pieces_in(
 
 
 @njit(cache=True, nogil=True)
-def degrees_in(
-    a: IntArray,
-    b: IntArray,
-    first: IntArray,
-    height: FloatArray,
-    count: int,
-    apart: FloatArray,
-    keep: NDArray[np.uint8],
-    rise: float,
-) -> NDArray[np.uint16]:
-    """How many of a strip's pairs with at most `rise` [m] a cell between nodes to keep each node is in.
-
-    See `pieces_in`; the row behind is among the nodes.
-    """
-    degree = np.zeros(len(height), np.uint16)
-    for k in range(len(apart)):
-        for e in range(first[k], first[k + 1]):
-            i, j = a[e], b[e]
-            near = int(keep[i] & keep[j]) * int(abs(height[i] - height[j]) <= rise * apart[k])
-            degree[i] += near
-            degree[j] += near
+def degrees(columns: Columns, keep: BoolArray, rise: float) -> IntArray:
+    """How many nodes to keep are beside each of them with at most `rise` [m] a cell between them, shape (k,)."""
+    cell, start, (nx, ny), height, _ = columns
+    degree = np.zeros(len(cell), np.int64)
+    for i in np.flatnonzero(keep):
+        x, y = divmod(cell[i], ny)
+        for dx, dy in AROUND[4:]:  # half of them: each pair once
+            if x + dx < nx and 0 <= y + dy < ny:
+                there, most = (x + dx) * ny + y + dy, rise * np.hypot(dx, dy)
+                for j in range(start[there], start[there + 1]):
+                    near = int(keep[j] & (abs(height[i] - height[j]) <= most))
+                    degree[i] += near
+                    degree[j] += near
     return degree
 
 
@@ -220,29 +212,6 @@ def across_in(
         one[used], other[used] = (j, i) if turned else (i, j)
         used += int(kind[i] + kind[j] == 3) * int(abs(height[i] - height[j]) <= step)
     return one[:used].copy(), other[:used].copy()
-
-
-@njit(cache=True, nogil=True)
-def ends_in(
-    a: IntArray,
-    b: IntArray,
-    first: IntArray,
-    height: FloatArray,
-    count: int,
-    apart: FloatArray,
-    keep: NDArray[np.uint8],
-    step: float,
-) -> list[IntArray]:
-    """The nodes to keep that no node in the direction of each of a strip's offsets is within a `step` of [m].
-
-    See `pieces_in`; `keep` says nothing of the nodes beside.
-    """
-    goes_on, found = np.zeros((len(apart), count), np.bool_), [np.empty(0, np.int64) for _ in range(0)]
-    for k in range(len(apart)):
-        for e in range(first[k], first[k + 1]):
-            goes_on[k, a[e]] |= abs(height[a[e]] - height[b[e]]) <= step
-        found.append(np.flatnonzero((keep[:count] > 0) & ~goes_on[k]))
-    return found
 
 
 @njit(cache=True, nogil=True)
@@ -378,44 +347,26 @@ def half_way(height: FloatArray, a: IntArray, b: IntArray) -> tuple[FloatArray, 
 
 
 @njit(cache=True, nogil=True)
-def lowest_beside(
-    start: IntArray,
-    shape: tuple[int, int],
-    ground: BoolArray,
-    smooth: FloatArray,
-    height: FloatArray,
-    slack: FloatArray,
-) -> FloatArray:
-    """Least `smooth` height of `ground` in the cells around each node within `slack` of its `height`; inf if none."""
+def lowest_beside(columns: Columns, ground: BoolArray, smooth: FloatArray, slack: FloatArray) -> FloatArray:
+    """Least `smooth` height of `ground` in the cells around each node within `slack` of its height; inf if none."""
+    cell, start, (nx, ny), height, _ = columns
     beside = np.full(len(height), np.inf)
-    for x in range(shape[0]):
-        for y in range(shape[1]):
-            for dx, dy in AROUND:
-                if not (0 <= x + dx < shape[0] and 0 <= y + dy < shape[1]):
-                    continue
-                here, there = x * shape[1] + y, (x + dx) * shape[1] + y + dy
-                for j in range(start[there], start[there + 1]):
-                    for i in range(start[here], start[here + 1] if ground[j] else 0):
-                        if abs(smooth[j] - height[i]) <= slack[i]:
-                            beside[i] = min(beside[i], smooth[j])
+    for j in np.flatnonzero(ground):
+        x, y = divmod(cell[j], ny)
+        for u in range(max(x - 1, 0), min(x + 2, nx)):
+            for i in range(start[u * ny + max(y - 1, 0)], start[u * ny + min(y + 2, ny)]):
+                if abs(smooth[j] - height[i]) <= slack[i] and cell[i] != cell[j]:
+                    beside[i] = min(beside[i], smooth[j])
     return beside
 
 
 @njit(cache=True, nogil=True)
-def drops_beside(
-    nodes: IntArray,
-    cell: IntArray,
-    start: IntArray,
-    shape: tuple[int, int],
-    height: FloatArray,
-    thickness: FloatArray,
-    rise: float,
-    max_step: float,
-) -> BoolArray:
+def drops_beside(nodes: IntArray, columns: Columns, rise: float, max_step: float) -> BoolArray:
     """Which `nodes` have a direction in which nothing goes on within `rise` and something is over `max_step` lower."""
+    cell, start, shape, height, thickness = columns
     drops = np.zeros(len(cell), np.bool_)
     for i in nodes:
-        x, y = cell[i] // shape[1], cell[i] % shape[1]
+        x, y = divmod(cell[i], shape[1])
         for dx, dy in AROUND:
             if not (0 <= x + dx < shape[0] and 0 <= y + dy < shape[1]):
                 continue
@@ -478,35 +429,15 @@ def rises_beside(
 
 
 @njit(cache=True, nogil=True)
-def free_beside(a: IntArray, b: IntArray, sheet_of: IntArray, sheet: int, label: IntArray, labels: int) -> BoolArray:
-    """Labels of the nodes of no sheet, below 0, that a pair (a, b) joins to one of the `sheet`, shape (labels,)."""
-    found = np.zeros(labels, np.bool_)
-    for e in range(len(a)):
-        i, j = a[e], b[e]
-        if sheet_of[i] == sheet and sheet_of[j] < 0:
-            found[label[j]] = True
-        elif sheet_of[j] == sheet and sheet_of[i] < 0:
-            found[label[i]] = True
-    return found
-
-
-@njit(cache=True, nogil=True)
 def grown_sheet(
-    cell: IntArray,
-    start: IntArray,
-    shape: tuple[int, int],
-    height: FloatArray,
-    keep: BoolArray,
-    sheet: BoolArray,
-    beside: IntArray,
-    max_step: float,
-    rings: int,
+    columns: Columns, keep: BoolArray, sheet: BoolArray, beside: IntArray, max_step: float, rings: int
 ) -> BoolArray:
     """A `sheet`, and around it `rings` of kept nodes in cells that hold none yet, each within a step of the last ring.
 
     In each cell the lowest node that can be reached is taken; of the first ring these are among the nodes `beside`.
     """
-    inside, used = sheet.copy(), np.zeros(shape[0] * shape[1], np.bool_)
+    cell, start, (nx, ny), height, _ = columns
+    inside, used = sheet.copy(), np.zeros(nx * ny, np.bool_)
     for i in range(len(cell)):
         used[cell[i]] |= sheet[i]
     found = beside.astype(np.int64)
@@ -517,53 +448,29 @@ def grown_sheet(
                 used[cell[node]], inside[node] = True, True
                 ring[count] = node
                 count += 1
-        if k + 1 < rings:
-            found = _around_ring(cell, start, shape, height, keep, used, ring[:count], max_step)
+        found, more = np.empty(8 * count, np.int64), 0
+        for i in ring[: count if k + 1 < rings else 0]:
+            x, y = divmod(cell[i], ny)
+            for u in range(max(x - 1, 0), min(x + 2, nx)):
+                for j in range(start[u * ny + max(y - 1, 0)], start[u * ny + min(y + 2, ny)]):
+                    lowest = more == 0 or cell[found[more - 1]] != cell[j]
+                    if keep[j] and lowest and not used[cell[j]] and abs(height[i] - height[j]) <= max_step:
+                        found[more] = j
+                        more += 1
+        found = found[:more]
     return inside
 
 
 @njit(cache=True, nogil=True)
-def _around_ring(
-    cell: IntArray,
-    start: IntArray,
-    shape: tuple[int, int],
-    height: FloatArray,
-    keep: BoolArray,
-    used: BoolArray,
-    ring: IntArray,
-    max_step: float,
-) -> IntArray:
-    """For each node of a ring the lowest kept one within a step in each cell around it that is not `used` yet."""
-    found, count = np.empty(8 * len(ring), np.int64), 0
-    for i in ring:
-        for dx, dy in AROUND:
-            x, y = cell[i] // shape[1] + dx, cell[i] % shape[1] + dy
-            if not (0 <= x < shape[0] and 0 <= y < shape[1]) or used[x * shape[1] + y]:
-                continue
-            for j in range(start[x * shape[1] + y], start[x * shape[1] + y + 1]):
-                if keep[j] and abs(height[i] - height[j]) <= max_step:
-                    found[count] = j
-                    count += 1
-                    break
-    return found[:count]
-
-
-@njit(cache=True, nogil=True)
 def whole_around(
-    cell: IntArray,
-    start: IntArray,
-    shape: tuple[int, int],
-    height: FloatArray,
-    inside: BoolArray,
-    beyond: tuple[IntArray, IntArray],
-    max_step: float,
-    rings: int,
+    columns: Columns, inside: BoolArray, beyond: tuple[IntArray, IntArray], max_step: float, rings: int
 ) -> BoolArray:
     """Which nodes `inside` a sheet have no end of it within `rings` of them: a node `beyond` it a step beside.
 
     The pairs are nodes inside and beyond. There is no end where the sheet has another node in that cell that is a step
     away, too.
     """
+    cell, start, (nx, ny), height, _ = columns
     end = np.zeros(len(cell), np.bool_)
     for e in range(len(beyond[0])):
         i, there, had = beyond[0][e], cell[beyond[1][e]], False
@@ -572,14 +479,11 @@ def whole_around(
         end[i] |= not had
     ring = np.flatnonzero(end)
     for _ in range(rings):
-        found = np.full(len(ring) * 8, -1)
-        count = 0
+        found, count = np.empty(len(ring) * 8, np.int64), 0
         for i in ring:
-            for dx, dy in AROUND:
-                x, y = cell[i] // shape[1] + dx, cell[i] % shape[1] + dy
-                if not (0 <= x < shape[0] and 0 <= y < shape[1]):
-                    continue
-                for j in range(start[x * shape[1] + y], start[x * shape[1] + y + 1]):
+            x, y = divmod(cell[i], ny)
+            for u in range(max(x - 1, 0), min(x + 2, nx)):
+                for j in range(start[u * ny + max(y - 1, 0)], start[u * ny + min(y + 2, ny)]):
                     if inside[j] and not end[j] and abs(height[i] - height[j]) <= max_step:
                         end[j] = True
                         found[count] = j
@@ -590,7 +494,7 @@ def whole_around(
 
 @njit(cache=True, nogil=True)
 def held_by(
-    z: FloatArray,
+    points: FloatArray,
     node: IntArray,
     low: FloatArray,
     high: FloatArray,
@@ -600,17 +504,17 @@ def held_by(
     end: int,
     held: BoolArray,
 ) -> None:
-    """Whether points at heights `z` in the nodes `node` are within `scatter` of the ground there, or `beside` [m]."""
+    """Whether points in the nodes `node` are within `scatter` of the ground there, or `beside` [m], in height."""
     for i in range(begin, end):
-        n = node[i]
-        held[i] = low[n] - scatter <= z[i] <= high[n] + scatter or abs(z[i] - beside[n]) <= scatter
+        n, z = node[i], points[i, 2]
+        held[i] = low[n] - scatter <= z <= high[n] + scatter or abs(z - beside[n]) <= scatter
 
 
 @njit(cache=True, nogil=True)
-def off_ground(z: FloatArray, node: IntArray, ground: BoolArray, smooth: FloatArray) -> FloatArray:
-    """How far the points at heights `z` in those of the nodes `node` that are `ground` are off its height [m]."""
-    found, used = np.empty(len(z)), 0
-    for i in range(len(z)):
-        found[used] = abs(z[i] - smooth[node[i]])
+def off_ground(points: FloatArray, node: IntArray, ground: BoolArray, smooth: FloatArray) -> FloatArray:
+    """How far the points in those of the nodes `node` that are `ground` are off its height [m]."""
+    found, used = np.empty(len(node)), 0
+    for i in range(len(node)):
+        found[used] = abs(points[i, 2] - smooth[node[i]])
         used += int(ground[node[i]])
     return found[:used]

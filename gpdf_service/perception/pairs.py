@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from numba import njit
 
@@ -11,6 +13,16 @@ from gpdf_service.types import BoolArray, FloatArray, IntArray
 
 AROUND = ((-1, -1), (-1, 0), (-1, 1), (0, -1), (0, 1), (1, -1), (1, 0), (1, 1))
 """The eight cells around one."""
+
+
+class Columns(NamedTuple):
+    """Nodes of layered columns for compiled loops; the fields are those of `Layers`."""
+
+    cell: IntArray
+    start: IntArray
+    shape: tuple[int, int]
+    height: FloatArray
+    thickness: FloatArray
 
 
 def pairs_near(
@@ -135,17 +147,9 @@ def _sort(values: FloatArray, begin: int, end: int) -> None:
 
 @njit(cache=True, nogil=True)
 def pairs_over_gaps(
-    nodes: IntArray,
-    cell: IntArray,
-    start: IntArray,
-    shape: tuple[int, int],
-    height: FloatArray,
-    keep: BoolArray,
-    rise: float,
-    offset: tuple[int, int],
-    most: int,
+    columns: Columns, keep: BoolArray, rise: float, offset: tuple[int, int], most: int
 ) -> tuple[IntArray, IntArray, IntArray]:
-    """Pairs of `nodes` and kept nodes within `rise` [m] that a gap parts.
+    """Pairs of kept nodes within `rise` [m] that a gap parts.
 
     A gap has up to `most` cells of which nothing was seen as low. The nose of a tread hides the back of the next one; a
     hole that one looks through into something is no gap. The `offset` is that of neighbouring cells on the line.
@@ -154,8 +158,9 @@ def pairs_over_gaps(
         The pairs, and how many cells the gap between each has.
     """
     one, other, wide = [INDEX(0) for _ in range(0)], [INDEX(0) for _ in range(0)], [0 for _ in range(0)]
-    (nx, ny), (dx, dy) = shape, offset
-    for a in nodes:
+    cell, start, (nx, ny), height, _ = columns
+    dx, dy = offset
+    for a in np.flatnonzero(keep):
         x, y = cell[a] // ny, cell[a] % ny
         for far in range(1, most + 2):
             u, v = x + far * dx, y + far * dy
@@ -201,13 +206,12 @@ def pairs_around(
     one, other = [0 for _ in range(0)], [0 for _ in range(0)]
     for n in range(len(nodes)):
         i = nodes[n]
-        x, y = cell[i] // shape[1], cell[i] % shape[1]
-        for dx, dy in AROUND:
-            if not (0 <= x + dx < shape[0] and 0 <= y + dy < shape[1]):
-                continue
-            there = (x + dx) * shape[1] + y + dy
-            for j in range(start[there], start[there + 1]):
-                if keep[j] and abs(height[i] - height[j]) <= slope * np.hypot(dx, dy) + step:
-                    one.append(n)
-                    other.append(j)
+        x, y = divmod(cell[i], shape[1])
+        for u in range(max(x - 1, 0), min(x + 2, shape[0])):
+            for v in range(max(y - 1, 0), min(y + 2, shape[1])):
+                there, most = u * shape[1] + v, slope * np.hypot(u - x, v - y) + step
+                for j in range(start[there], start[there + 1]):
+                    if keep[j] and there != cell[i] and abs(height[i] - height[j]) <= most:
+                        one.append(n)
+                        other.append(j)
     return np.array(one, np.int64), np.array(other, np.int64)

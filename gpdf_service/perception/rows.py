@@ -28,6 +28,17 @@ def longer(values: IntArray, capacity: int) -> IntArray:
     return made
 
 
+def hashed(rows: FloatArray) -> NDArray[np.uint64]:
+    """One number for each row of up to four columns, shape (n,): the same for the same row."""
+    mixed = (rows.view(np.uint64) * _MIX[: rows.shape[1]]).sum(axis=1, dtype=np.uint64)
+    made: NDArray[np.uint64] = mixed ^ (mixed >> np.uint64(29))
+    return made
+
+
+_MIX = np.array([0x9E3779B97F4A7C15, 0xC2B2AE3D27D4EB4F, 0x165667B19E3779F9, 0xD6E8FEB86659FD93], dtype=np.uint64)
+"""Odd numbers without a pattern: two points get one sum of products with a chance of 2⁻⁶⁴."""
+
+
 @njit(cache=True, nogil=True)
 def more_now(key: NDArray[np.uint64], was: int) -> IntArray:
     """How many more of the keys from number `was` on than of those before are that of each key, shape (n,)."""

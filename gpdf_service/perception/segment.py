@@ -14,6 +14,7 @@ from gpdf_service.fields.threads import run_beside, run_chunked
 from gpdf_service.perception.beside import Beside, beside, beside_now
 from gpdf_service.perception.budget import LAYER_BYTES, check_grid
 from gpdf_service.perception.bumps import boxes, low_things, raised_over_sides
+from gpdf_service.perception.cloud import Cloud, change_layers
 from gpdf_service.perception.layers import (
     APART,
     HALF,
@@ -24,6 +25,7 @@ from gpdf_service.perception.layers import (
     connect,
     in_steps,
     layer_gap,
+    nodes_of,
     widest_cell,
 )
 from gpdf_service.perception.nodes import (
@@ -119,11 +121,11 @@ class Segmentation:
         """The same without what only the build needed."""
         return replace(self, near=self.near.lasting())
 
-    def holds(self, z: FloatArray, node: IntArray) -> BoolArray:
-        """Whether points at heights `z` [m] in the nodes `node` are ground, shape (n,)."""
-        held = np.empty(len(z), dtype=bool)
-        own = z, node, self.low, self.high, self.beside, self.scatter
-        run_chunked(lambda a, b: held_by(*own, a, b, held), len(z))
+    def holds(self, points: FloatArray, node: IntArray) -> BoolArray:
+        """Which of the points (n, 3) [m] in the nodes `node` are ground, shape (n,)."""
+        held = np.empty(len(points), dtype=bool)
+        own = points, node, self.low, self.high, self.beside, self.scatter
+        run_chunked(lambda a, b: held_by(*own, a, b, held), len(points))
         return held
 
 
@@ -143,51 +145,60 @@ def segment(
     None where the ground is so rough or noisy that a second look with wider cells was needed. What is no higher over
     the ground than the `relief` [m] that noise can have left of it is no thing.
     """
-    z, width = cloud[:, 2], layers.cell_width
-    found = segment_layers(_pairs(layers, config), config, z, relief=relief)
+    found, node = _segment_points(cloud, layers, config, relief)
+    width = layers.cell_width
     wider = float(np.sqrt(NOISY * found.deviation * width))
     if wider <= width:
-        return found.holds(z, layers.node_of_point), found.lasting()
+        return found.holds(cloud, node), found.lasting()
     layers = build_layers(cloud, wider, layer_gap(wider, config), found.deviation)
-    return segment_layers(_pairs(layers, config), config, z, relief=relief).holds(z, layers.node_of_point), None
+    found, node = _segment_points(cloud, layers, config, relief)
+    return found.holds(cloud, node), None
+
+
+def _segment_points(
+    cloud: FloatArray, layers: Layers, config: PerceptionConfig, relief: float
+) -> tuple[Segmentation, IntArray]:
+    """What is found of the points in their layers, and the node of each."""
+    node = nodes_of(layers, cloud)
+    return segment_layers(beside(layers, _rise_of_steps(layers, config)), config, (cloud, node), relief=relief), node
 
 
 def segment_layers(
-    near: Beside, config: PerceptionConfig, z: FloatArray | None = None, deviation: float = 0.0, relief: float = 0.0
+    near: Beside,
+    config: PerceptionConfig,
+    held: tuple[FloatArray, IntArray] | None = None,
+    deviation: float = 0.0,
+    relief: float = 0.0,
 ) -> Segmentation:
     """Find the ground in layers.
 
     Args:
         near: Pairs of their nodes.
         config: Limits.
-        z: Heights of the points of the layers [m], shape (n,), that tell the deviation; else it is as given.
+        held: The points (n, 3) [m] and their nodes, which tell the deviation; else it is as given.
         deviation: Of the points of the ground around it [m].
         relief: What is no higher is of the ground [m].
     """
     ground = find_ground(near, config, relief)
     (smooth,) = near.around("smooth", 1, _smoothed, ground)
-    if z is not None:
-        deviation = ROBUST * float(np.median(off_ground(z, near.layers.node_of_point, ground, smooth)))
+    if held is not None:
+        deviation = ROBUST * float(np.median(off_ground(*held, ground, smooth)))
     extents = partial(_extents, scatter=scatter_of(deviation, relief), config=config)
     low, high, beside = near.around("extents", 1, extents, ground, smooth)
     return Segmentation(near, low, high, beside, deviation, relief)
 
 
 def change_segmentation(
-    old: Segmentation, layers: Layers, cells: BoolArray, config: PerceptionConfig
+    old: Segmentation, cloud: Cloud, before: BoolArray, config: PerceptionConfig
 ) -> tuple[Segmentation, BoolArray]:
-    """`segment_layers` of `layers` that differ from the `old` ones in the columns `cells`, shape (nx, ny).
-
-    Returns:
-        The segmentation, and the cells whose points can be something else by it, shape (nx, ny).
-    """
+    """The segmentation of a changed cloud, and its ground, where `before` is what it was, shape (n,)."""
+    layers, cells = change_layers(old.layers, cloud, np.ones(len(before), dtype=bool), config)
     near = beside_now(old.near, layers, cells)
     found = segment_layers(near, config, deviation=old.deviation, relief=old.relief)
-    return found, near.other_answers("extents")
-
-
-def _pairs(layers: Layers, config: PerceptionConfig) -> Beside:
-    return beside(layers, _rise_of_steps(layers, config))
+    rows, points = cloud.part(layers, near.other_answers("extents"))
+    ground = before.copy()
+    ground[rows] = found.holds(points, nodes_of(layers, points))
+    return found, ground
 
 
 def scatter_of(deviation: float, relief: float) -> float:
@@ -221,7 +232,7 @@ def _ground_beside(layers: Layers, ground: BoolArray, smooth: FloatArray, scatte
     The foot of a wall or of a table's leg shares its cell with the floor that it stands on, and the end of a stair's
     tread with the face of the next one.
     """
-    return lowest_beside(layers.start, layers.shape, ground, smooth, layers.height, layers.thickness + scatter)
+    return lowest_beside(layers.columns, ground, smooth, layers.thickness + scatter)
 
 
 def _smoothed(layers: Layers, _: BoolArray, ground: BoolArray) -> tuple[FloatArray]:
@@ -242,13 +253,13 @@ def find_ground(near: Beside, config: PerceptionConfig, relief: float = 0.0) -> 
     every = np.ones(len(layers.cell), dtype=bool)
     keep = layers.headroom >= config.step_headroom
     open_ = keep | ~over_ground(layers, every, config.step_headroom)  # or it is in a full shelf, or beneath a sofa
-    smooth = near.degrees(open_, rise)
+    smooth = near.degrees("degrees", open_, rise)
     core = open_ & (smooth >= need)
     core |= _footing(near, "footing", open_, open_ & ~core, rise)
     if not (core & keep).any():
         raise NoGroundError(*NO_SURFACE)
     stands = width * float(np.tan(config.standable_slope))
-    gentle = near.degrees(open_, stands) >= need
+    gentle = near.degrees("gentle degrees", open_, stands) >= need
     gentle |= _footing(near, "gentle", open_, core & ~gentle, stands)
     slope = _slope(near, core, config)
     flat = core & ((smooth > need) | gentle) & (slope <= config.standable_slope)
@@ -338,10 +349,8 @@ def steps_over_gaps(
     Less than a foot fits in; see `pairs_over_gaps`.
     """
     layers, reach, step = near.layers, config.tread_depth, config.max_step
-    own, nodes = (layers.cell, layers.start, layers.shape, layers.height, keep, step), near.ends(keep, step)
-    found = [
-        pairs_over_gaps(nodes[k], *own, HALF[k], int(reach / (APART[k] * layers.cell_width))) for k in range(len(HALF))
-    ]
+    far = (reach / (APART * layers.cell_width)).astype(int)
+    found = [pairs_over_gaps(layers.columns, keep, step, HALF[k], far[k]) for k in range(len(HALF))]
     a, b = (np.concatenate(ends) for ends in zip(*(pairs[:2] for pairs in found), strict=True))
     wide = np.concatenate([pairs[2] * APART[k] for k, pairs in enumerate(found)])
     other = label[a] != label[b]
@@ -389,9 +398,7 @@ def _drops(near: Beside, among: BoolArray, config: PerceptionConfig) -> BoolArra
     rise = near.layers.cell_width * float(np.tan(config.steepest))
 
     def answer(layers: Layers, asked: BoolArray, among: BoolArray) -> tuple[BoolArray]:
-        grid = layers.cell, layers.start, layers.shape
-        own = np.flatnonzero(among & asked), *grid, layers.height, layers.thickness, rise, config.max_step
-        return (drops_beside(*own),)
+        return (drops_beside(np.flatnonzero(among & asked), layers.columns, rise, config.max_step),)
 
     return near.around("drops", 1, answer, among)[0]
 

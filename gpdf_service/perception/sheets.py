@@ -12,9 +12,9 @@ from gpdf_service.perception.layers import Layers, connect
 from gpdf_service.perception.nodes import (
     components,
     extents_in_plan,
-    free_beside,
     grown_sheet,
     mark_nearest,
+    touched_by,
     whole_around,
 )
 from gpdf_service.perception.pairs import pairs_within
@@ -54,13 +54,13 @@ def split_sheets(near: Beside, config: PerceptionConfig) -> tuple[BoolArray, ...
             sheets += 1
             left = own[sheet_of[own] < 0]
     made = [np.flatnonzero(sheet_of == i) for i in range(sheets)]
-    grid, rings = (layers.cell, layers.start, layers.shape, layers.height), int(np.ceil(OVERLAP / layers.cell_width))
+    rings = int(np.ceil(OVERLAP / layers.cell_width))
 
     def grow(nodes: IntArray) -> BoolArray:
         sheet = np.zeros(count, dtype=bool)
         sheet[nodes] = True
         beside = near.across(sheet, keep & ~sheet, config.max_step)[1]
-        return grown_sheet(*grid, keep, sheet, beside, config.max_step, rings)
+        return grown_sheet(layers.columns, keep, sheet, beside, config.max_step, rings)
 
     grown = run_parallel(grow, [nodes for nodes in made if len(nodes) >= least])
     seams = run_parallel(grow, _seams(near, keep, grown, config, rings))
@@ -77,7 +77,6 @@ def _seams(
     of open treads and ends at its foot under that floor.
     """
     layers = near.layers
-    grid = layers.cell, layers.start, layers.shape, layers.height
 
     def pieces(nodes: BoolArray) -> tuple[IntArray, BoolArray]:
         """Pieces of nodes that steps join, and which of them a foot fits on: a rim of single cells is no ground."""
@@ -89,7 +88,7 @@ def _seams(
     for sheet in sheets:
         piece, deep = pieces(keep & ~sheet)
         beyond = near.across(sheet, keep & ~sheet & deep[piece], config.max_step)
-        left &= ~whole_around(*grid, sheet, beyond, config.max_step, rings // 2)
+        left &= ~whole_around(layers.columns, sheet, beyond, config.max_step, rings // 2)
     piece, deep = pieces(left)
     return [_first_of_each_cell(layers, np.flatnonzero(left & (piece == label))) for label in np.flatnonzero(deep)]
 
@@ -106,7 +105,7 @@ def _under_step(near: Beside, headroom: float) -> BoolArray:
     nowhere.
     """
     layers = near.layers
-    joined = near.degrees(np.ones(len(layers.cell), dtype=bool), layers.cell_width)
+    joined = near.degrees("smooth", np.ones(len(layers.cell), dtype=bool), layers.cell_width)
     foot = np.zeros(len(layers.cell), dtype=bool)
     foot[:-1] = (np.diff(layers.cell) == 0) & (np.diff(layers.height) <= headroom) & (joined[1:] > 1)
     return foot
@@ -159,7 +158,7 @@ def _attach(
     taken[layers.cell[sheet_of == sheet]] = True
     while True:
         grown = False
-        for piece in np.flatnonzero(free_beside(a, b, sheet_of, sheet, smooth, len(start) - 1)):
+        for piece in np.unique(smooth[touched_by(a, b, sheet_of < 0, sheet_of == sheet)]):
             nodes = members[start[piece] : start[piece + 1]]
             nodes = nodes[sheet_of[nodes] < 0]
             cells = layers.cell[nodes]  # ascending, as nodes are

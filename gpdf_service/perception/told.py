@@ -33,8 +33,10 @@ class Told:
 def boxes_of(cells: BoolArray, by: int) -> list[Box]:
     """Boxes that hold all of the cells, shape (nx, ny): the least one in each tile of the grid, or one of all.
 
-    What is less to look at, with `by` cells more on each side, is taken.
+    What is less to look at, with `by` cells more on each side, is taken. A whole grid is looked at in bands.
     """
+    if cells.all():
+        return bands_of(cells.shape, by)
     found, (rows, columns) = [], window(cells, 0)
     for x in range(rows.start, rows.stop, TILE):
         for y in range(columns.start, columns.stop, TILE):
@@ -102,22 +104,25 @@ class Grid:
             given: Arrays of shape (nx, ny, …).
             points: Whether the answer asks the points that the cells hold, too.
         """
-        was = self.former.get(name)
-        if was is None:
-            made = _in_bands(self.others.shape, reach, answer, given)
-        else:
-            felt = self.felt(name, reach, *given, points=points)
-            made = tuple(values.copy() for values in was.made) if felt.any() else was.made
-            for box in boxes_of(felt, reach):
-                outer = grown(box, reach, felt.shape)
-                own = tuple(slice(b.start - o.start, b.stop - o.start) for b, o in zip(box, outer, strict=True))
-                for values, found in zip(made, answer(outer, *(each[outer] for each in given)), strict=True):
-                    values[box][felt[box]] = found[own][felt[box]]
+        felt, was = self.felt(name, reach, *given, points=points), self.former.get(name)
+        made = () if was is None else was.made if not felt.any() else tuple(values.copy() for values in was.made)
+        for box in boxes_of(felt, reach):
+            outer = grown(box, reach, felt.shape)
+            found = answer(outer, *(each[outer] for each in given))
+            if felt[box].size == felt.size:
+                made = found
+                break
+            own = tuple(slice(b.start - o.start, b.stop - o.start) for b, o in zip(box, outer, strict=True))
+            made = made or tuple(np.empty((*felt.shape, *each.shape[2:]), each.dtype) for each in found)
+            for values, part in zip(made, found, strict=True):
+                values[box][felt[box]] = part[own][felt[box]]
         self.known[name] = Told(given, made)
         return made
 
     def felt(self, name: str, reach: int, *given: NDArray[Any], points: bool = False) -> BoolArray:
-        """Cells within reach of what is given otherwise than before, or of other `points`, shape (nx, ny)."""
+        """Cells within reach of what is given otherwise than before, or of other `points`, (nx, ny); all of a build."""
+        if name not in self.former:
+            return np.ones_like(self.others)
         felt = self.others.copy() if points else np.zeros_like(self.others)
         for one, another in zip(given, self.former[name].given, strict=True):
             if one is not another:
@@ -129,6 +134,8 @@ class Grid:
         """Cells in which a question was told otherwise than in the version before, shape (nx, ny)."""
         found = np.zeros_like(self.others)
         for name in names:
+            if name not in self.former:
+                return np.ones_like(found)
             for now, was in zip(self.known[name].made, self.former[name].made, strict=True):
                 if now is not was:
                     found |= unlike(now, was)
@@ -145,21 +152,3 @@ def bands_of(shape: tuple[int, ...], reach: int) -> list[Box]:
     nx, ny = shape
     count = max(1, min(nx * ny // BAND, nx // (4 * max(reach, 1))))
     return [(slice(nx * i // count, nx * (i + 1) // count), slice(0, ny)) for i in range(count)]
-
-
-def _in_bands(
-    shape: tuple[int, ...], reach: int, answer: Callable[..., tuple[NDArray[Any], ...]], given: tuple[NDArray[Any], ...]
-) -> tuple[NDArray[Any], ...]:
-    """The answer for a whole grid, asked band after band: what it takes on the way goes with a band, not the grid."""
-    bands = bands_of(shape, reach)
-    made: tuple[NDArray[Any], ...] = ()
-    if len(bands) == 1:
-        return answer(bands[0], *given)
-    for box in bands:
-        outer = grown(box, reach, shape)
-        own = slice(box[0].start - outer[0].start, box[0].stop - outer[0].start)
-        found = answer(outer, *(each[outer] for each in given))
-        made = made or tuple(np.empty((*shape, *each.shape[2:]), each.dtype) for each in found)
-        for values, part in zip(made, found, strict=True):
-            values[box] = part[own]
-    return made

@@ -13,9 +13,8 @@ from gpdf_service.fields import Gpdf, Tree, build_tree, change_tree, thin
 from gpdf_service.fields.threads import run_beside, run_parallel
 from gpdf_service.perception import CLEAN, GroundLevel, GroundLimits, HeightMap, Levels, Obstacles, Scan, obstacles_of
 from gpdf_service.perception.boxes import widened, window
-from gpdf_service.perception.change import hashed
 from gpdf_service.perception.obstacles import obstacles_reach
-from gpdf_service.perception.rows import bounds_of, chosen_rows, more_now, rows_by_cell, rows_in_cells, taken
+from gpdf_service.perception.rows import bounds_of, chosen_rows, hashed, more_now, rows_by_cell, rows_in_cells, taken
 from gpdf_service.perception.surface import UNKNOWN, cropped
 from gpdf_service.search.free_space import (
     FreeSpace,

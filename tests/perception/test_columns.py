@@ -6,10 +6,10 @@ from scipy import ndimage
 from scipy.spatial import cKDTree
 
 from gpdf_service.perception.boxes import highest_around, lowest_around, widened
-from gpdf_service.perception.columns import by_cell, ends_of_runs, kth_beside
-from gpdf_service.perception.holes import find_voids
-from gpdf_service.perception.layers import build_layers, splice_layers
-from gpdf_service.perception.levels import are_within_reach, within_reach
+from gpdf_service.perception.columns import by_cell, ends_of_runs, kth_beside, unlike_cells
+from gpdf_service.perception.holes import find_rims, find_voids
+from gpdf_service.perception.layers import build_layers, nodes_of, splice_layers
+from gpdf_service.perception.levels import within_reach
 from gpdf_service.perception.limits import median_around
 from gpdf_service.perception.rows import (
     between,
@@ -25,7 +25,7 @@ from gpdf_service.perception.rows import (
     taken,
 )
 from gpdf_service.perception.strays import find_strays
-from gpdf_service.perception.surface import HeightMap, cells_within
+from gpdf_service.perception.surface import HeightMap, cells_within, nearest_seen
 
 CORNER, WIDTH, SHAPE = np.array([-1.0, -2.0]), 0.3, (21, 14)
 
@@ -76,10 +76,11 @@ def test_points_that_are_in_no_cell_are_to_a_level_as_if_they_were_not_there(poi
     gone = rng.random(len(points)) < 0.5
     cell, rest = cells_within(points, surface), points[~gone]
     cell[gone] = surface.state.size
-    found = points[are_within_reach(points, surface, cell=cell)]
-    assert 0 < len(found) < len(rest)
-    np.testing.assert_array_equal(found, within_reach(rest, surface))
-    voids = find_voids(surface, points, 0.2, cell=cell), find_voids(surface, rest, 0.2)
+    assert 0 < len(within_reach(rest, surface)) < len(rest)
+    near, treads, rim = nearest_seen(surface), np.isfinite(height) & (height > 1.05), find_rims(surface)
+    held = (cell, points[:, 2]), (cells_within(rest, surface), rest[:, 2])
+    voids = [find_voids(surface, near, treads, rim, *own, 0.2) for own in held]
+    assert all(found.any() for found in voids[0][1:])
     for one, other in zip(*voids, strict=True):
         np.testing.assert_array_equal(one, other)
 
@@ -139,6 +140,7 @@ def test_columns_are_cut_as_by_hand():
     rng = np.random.default_rng(3)
     points = rng.uniform([0, 0, 0], [2, 2, 3], (500, 3))
     layers = build_layers(points, 0.25, 0.2, 0.01)
+    node_of = nodes_of(layers, points)
     x, y = np.floor((points[:, :2] - layers.origin) / 0.25).astype(int).T
     cell, node = x * layers.shape[1] + y, 0
     for column in np.unique(cell):
@@ -148,7 +150,7 @@ def test_columns_are_cut_as_by_hand():
         for part, above in zip(parts, [*parts[1:], None], strict=True):
             z = points[part, 2]
             assert layers.cell[node] == column
-            assert (layers.node_of_point[part] == node).all()
+            assert (node_of[part] == node).all()
             assert layers.thickness[node] == z[-1] - z[0]
             assert layers.middle[node] == (z[(len(z) - 1) // 2] if z[-1] - z[0] <= 0.19 else highest_band(z))
             assert layers.headroom[node] == (np.inf if above is None else points[above[0], 2] - z[-1])
@@ -227,3 +229,14 @@ def test_the_highest_and_the_lowest_around_each_cell_are_those_of_a_filter(kind,
         np.testing.assert_array_equal(found, ndimage.maximum_filter(values, size))
         np.testing.assert_array_equal(lowest_around(values, rings), ndimage.minimum_filter(values, size))
         assert found.dtype == kind
+
+
+def test_cells_that_hold_other_rows_than_before_are_told():
+    rng = np.random.default_rng(6)
+    start, old = np.array([0, 2, 2, 5, 6]), rng.random((6, 3))
+    fresh, new = np.array([0, 2, 3, 6, 7]), np.insert(old, 2, 0.5, axis=0)
+    new[5, 1] += 1e-9  # of the third cell
+    cells = np.ones((2, 2), dtype=bool)
+    assert unlike_cells(cells, start, old, fresh, new).tolist() == [[False, True], [True, False]]
+    assert unlike_cells(cells, start, old, start, old).sum() == 0
+    assert unlike_cells(~cells, start, old, fresh, new).sum() == 0

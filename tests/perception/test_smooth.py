@@ -10,7 +10,7 @@ from gpdf_service.perception import survey_levels
 from gpdf_service.perception.holes import fill_holes
 from gpdf_service.perception.limits import step_and_slope
 from gpdf_service.perception.smooth import to_centres, without_unlucky
-from gpdf_service.perception.surface import OBSERVED, UNKNOWN, HeightMap
+from gpdf_service.perception.surface import OBSERVED, UNKNOWN, HeightMap, nearest_seen
 from gpdf_service.perception.told import new_grid
 
 WIDTH = 0.05
@@ -86,8 +86,9 @@ def test_a_platform_that_a_human_takes_is_one_at_5_cm_of_noise(seed):
 def fill_gaps(height, noise=0.0):
     nothing = np.zeros(height.shape, dtype=bool)
     never = np.full(height.shape, np.inf)
-    nowhere = nothing, nothing, nothing
-    return fill_holes(ground(height), new_grid(height.shape), never, *nowhere, PerceptionConfig(), noise=noise).height
+    seen, nowhere = ground(height), (nothing, nothing, nothing)
+    grid, near = new_grid(height.shape), nearest_seen(seen)
+    return fill_holes(seen, grid, near, never, nowhere, PerceptionConfig(), noise).height
 
 
 @pytest.mark.parametrize("noise", [0.0, NOISE])

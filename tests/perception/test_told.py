@@ -5,7 +5,7 @@ import pytest
 
 from gpdf_service.config import PerceptionConfig
 from gpdf_service.perception.holes import fill_holes
-from gpdf_service.perception.surface import OBSERVED, UNKNOWN, HeightMap
+from gpdf_service.perception.surface import OBSERVED, UNKNOWN, HeightMap, nearest_seen
 from gpdf_service.perception.told import boxes_of, grown, new_grid
 
 CELLS, WIDTH = (260, 240), 0.06
@@ -32,7 +32,8 @@ def place(rng):
 
 def fill(grid, height, *others):
     state = np.where(np.isnan(height), UNKNOWN, OBSERVED).astype(np.uint8)
-    return fill_holes(HeightMap(np.zeros(2), WIDTH, height, state), grid, *others, PerceptionConfig())
+    seen, (lowest, *voids) = HeightMap(np.zeros(2), WIDTH, height, state), others
+    return fill_holes(seen, grid, nearest_seen(seen), lowest, voids, PerceptionConfig())
 
 
 @pytest.mark.parametrize("seed", range(6))
