@@ -32,6 +32,8 @@ HALL, HALL_TURNS = (0.02, 0.04, 0.06), 3
 """[m] Voxels of the museum's stair, and angles that it is turned by: at one width two rules seem to move nothing."""
 PAIRS = 20
 """Of Spot on the spiral ramps."""
+DEPTH_NOISE = 0.005
+"""[m] Of a depth camera at 1 m: stereo has more than structured light."""
 REFLECTED = 1e-4
 """[-] Of a scan's points: glass, water and dust send back single ones from anywhere."""
 STARTS = 30
@@ -99,6 +101,7 @@ RULES: dict[str, tuple[str, str, Callable[..., Any]]] = {
     "cure of noise": (_P + "cure", "denoise", lambda points, _, noise: as_measured(points, noise)),
     "treads under noise": (_P + "cure", "_settle_stairs", lambda *_: None),
     "points that noise lifted": (_P + "cure", "find_lifted", _false(0)),
+    "noise of each place": (_D + "cloud", "_quieter", lambda *_: iter(())),
     "planes that meet": (_D + "cloud", "place_at_edges", lambda *_: None),
     "planes next door": (_D + "cloud", "follow_planes", lambda *_: None),
     "things before a surface": (_D + "cloud", "release_things", lambda *_: None),
@@ -133,6 +136,7 @@ def rule_rows(data: Path, seed: int, count: int, rules: Sequence[str]) -> Iterat
         "islands": partial(_islands, seed),
         "houses": partial(_houses, seed, count),
         "crowded places": partial(_crowded, seed),
+        "depth camera": partial(_depth, seed),
         "reflections": partial(_reflections, seed),
     }
     whole: dict[str, Row] = {}
@@ -197,6 +201,12 @@ def _crowded(seed: int) -> Row:
     return {key: sum(row[key] for row in rows) for key in ("landed", "no_ground", "touching")} | {
         f"{row['place']}_{key}": row[key] for row in labels for key in ("found_mean", "wrong_mean")
     }
+
+
+def _depth(seed: int) -> Row:
+    """The ground of places full of lids, as a camera sees them whose noise grows with the square of the distance."""
+    rows = list(places.label_rows("depth", 3, seed, DEPTH_NOISE, (workshop, bedroom)))
+    return {f"{row['place']}_{key}": row[key] for row in rows for key in ("found_mean", "wrong_mean")}
 
 
 def _islands(seed: int) -> Row:

@@ -10,9 +10,11 @@ around is flat, and then with those that are as narrow as the noise lets them be
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from collections.abc import Iterator
+from typing import Any, NamedTuple
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 from gpdf_service.denoise.cells import Cells, cells_around, sort_into_cells
@@ -24,7 +26,8 @@ from gpdf_service.denoise.rest import EXTREME, find_alone, follow_planes, releas
 from gpdf_service.denoise.rims import draw_in
 from gpdf_service.fields.shapes import FEWEST
 from gpdf_service.fields.spacing import estimate_spacing
-from gpdf_service.types import BoolArray, FloatArray
+from gpdf_service.fields.threads import run_chunked
+from gpdf_service.types import BoolArray, FloatArray, IntArray
 
 RESOLVED = 2.0
 """[-] Width of a cell over the noise: a window is then twice as wide as it is thick (standard deviations)."""
@@ -42,6 +45,18 @@ HIDDEN = 0.6
 """[-] Least standard deviation left over the noise: relief within it passes for noise."""
 _NEGLIGIBLE = 0.05
 """[-] Noise over spacing below which the gaps between the points hide it."""
+_BLOCK = 1.0
+"""[m] Width of the cubes that are as noisy all over: several times the largest window of 5 cm noise."""
+_TOLD = 100
+"""Points of a cube that tell its noise: to a tenth. Fewer, or less than half of them, tell nothing."""
+_QUIETER = np.sqrt(2.0)
+"""[-] Noise that is denoised as one, over the least in it: as much again as single windows differ by chance."""
+_QUIETEST = 6
+"""Times that the noise is less by that: an eighth. Cells then have the width of the spacing, whatever the noise."""
+_ROUNDS = 3
+"""Of this: where a lid and the floor were smeared into one, the next one tells them apart, and less noise."""
+_NORMAL = 1.4826
+"""[-] Standard deviation of normal residuals over the median of their size."""
 
 
 class Denoised(NamedTuple):
@@ -52,7 +67,8 @@ class Denoised(NamedTuple):
         noise: Standard deviation left along the normal [m], shape (n,).
         vague: Points whose surface is hardly known, or only the plane of a cell beside, shape (n,).
         stray: Points of no surface: alone where their surroundings are well sampled, shape (n,).
-        measured: Standard deviation of the input along the normal [m].
+        measured: Standard deviation of the input along the normal where it is most [m].
+        local: The same around each point [m], shape (n,).
     """
 
     points: FloatArray
@@ -60,12 +76,13 @@ class Denoised(NamedTuple):
     vague: BoolArray
     stray: BoolArray
     measured: float
+    local: FloatArray
 
 
 def as_measured(points: FloatArray, noise: float) -> Denoised:
     """Points as they are, shape (n, 3), with the noise that they have [m]."""
-    none = np.zeros(len(points), dtype=bool)
-    return Denoised(points, np.full(len(points), noise), none, none.copy(), noise)
+    none, all_ = np.zeros(len(points), dtype=bool), np.full(len(points), noise)
+    return Denoised(points, all_, none, none.copy(), noise, all_.copy())
 
 
 def denoise(points: FloatArray, parts: BoolArray | None = None, noise: float | None = None) -> Denoised:
@@ -86,15 +103,60 @@ def denoise(points: FloatArray, parts: BoolArray | None = None, noise: float | N
     made = as_measured(points.copy(), noise)
     for part, things in ((parts, False), (~parts, True)):
         if np.count_nonzero(part) > FEWEST:
-            of = _denoise_part(points[part], noise, things)
-            made.points[part], made.noise[part], made.vague[part], made.stray[part] = of
+            for whole, own in zip(_arrays(made), _arrays(_denoise_part(points[part], noise, things)), strict=True):
+                whole[part] = own
     return made
 
 
-def _denoise_part(
-    points: FloatArray, noise: float, things: bool
-) -> tuple[FloatArray, FloatArray, BoolArray, BoolArray]:
-    """Places [m], shape (k, 3), deviations left [m], (k,), which are vague, (k,), and strays, (k,)."""
+def _arrays(made: Denoised) -> tuple[NDArray[Any], ...]:
+    """What is told of each point."""
+    return made.points, made.noise, made.vague, made.stray, made.local
+
+
+def _denoise_part(points: FloatArray, noise: float, things: bool) -> Denoised:
+    """All as noisy as the noisiest, then what is quieter with its own noise, beside what is around it."""
+    made = _denoise_alike(points, noise, things)
+    for _ in range(_ROUNDS):
+        found = list(_quieter(points, made))
+        if not found:
+            break
+        for own, rows, quieter in found:
+            part, mine = _denoise_alike(points[rows], quieter, things), own[rows]
+            for whole, fresh in zip(_arrays(made), _arrays(part), strict=True):
+                whole[rows[mine]] = fresh[mine]
+    return made
+
+
+def _quieter(points: FloatArray, made: Denoised) -> Iterator[tuple[BoolArray, IntArray, float]]:
+    """Points of quieter places than was thought, shape (n,), the rows of windows around them, and the noise there."""
+    blocks = sort_into_cells(points, _BLOCK)
+    off = np.linalg.norm(made.points - points, axis=1)
+    off[made.vague | made.stray] = np.nan
+    median = np.empty(len(blocks.key))
+    run_chunked(lambda a, b: _medians(blocks, off, made.measured, a, b, median), len(median))
+    less = np.log(made.measured / np.maximum(_NORMAL * median, 1e-9)) / np.log(_QUIETER)
+    level = np.empty(len(points), np.int8)
+    level[blocks.order] = np.repeat(np.clip(less, 0, _QUIETEST).astype(np.int8), np.diff(blocks.begin))
+    for times in range(1, int(level.max(initial=0)) + 1):
+        noise = made.measured / _QUIETER**times
+        own = (level == times) & (made.local > noise)
+        if own.any():
+            cells = sort_into_cells(points, 3.0 * _WIDE * RESOLVED * noise)  # windows around those of a wide cell
+            near = np.repeat(cells_around(cells, own), np.diff(cells.begin))
+            yield own, np.sort(cells.order[near]), noise
+
+
+@njit(cache=True, nogil=True)
+def _medians(blocks: Cells, off: FloatArray, most: float, begin: int, end: int, median: FloatArray) -> None:
+    """Median of how far the points of each block were moved [m]; the `most` where too few were: the others are NaN."""
+    for c in range(begin, end):
+        own = off[blocks.order[blocks.begin[c] : blocks.begin[c + 1]]]
+        told = own[~np.isnan(own)]
+        median[c] = np.median(told) if len(told) >= _TOLD and 2 * len(told) >= len(own) else most
+
+
+def _denoise_alike(points: FloatArray, noise: float, things: bool) -> Denoised:
+    """Points that are as noisy all over, in one pass."""
     width = max(RESOLVED * noise, _FILLED * estimate_spacing(points))
     placed = Placed(
         points.copy(),
@@ -119,7 +181,8 @@ def _denoise_part(
     shift_rest(cells, noise, placed)
     vague = astray | placed.pending | (_BIAS * placed.error >= EXTREME * noise)
     left = np.where(placed.pending, placed.error, np.minimum(_BIAS * placed.error, EXTREME * noise))
-    return placed.points, np.maximum(left, HIDDEN * noise), vague, find_alone(cells, placed)
+    left, stray = np.maximum(left, HIDDEN * noise), find_alone(cells, placed)
+    return Denoised(placed.points, left, vague, stray, noise, np.full(len(points), noise))
 
 
 def _follow(cells: Cells, main: NDArray[np.float32], noise: float, placed: Placed) -> BoolArray:

@@ -99,8 +99,8 @@ def cure_and_segment(
 
 def _clean(points: FloatArray, noise: float) -> Denoised:
     """Points as they are, shape (n, 3): one number says the noise of all [m], and none is vague or stray."""
-    none = np.broadcast_to(np.False_, len(points))
-    return Denoised(points, np.broadcast_to(noise, len(points)), none, none, noise)
+    none, all_ = np.broadcast_to(np.False_, len(points)), np.broadcast_to(noise, len(points))
+    return Denoised(points, all_, none, none, noise, all_)
 
 
 def _with_double(points: FloatArray, ground: BoolArray, sample: _Sample, least: float) -> float:
@@ -125,7 +125,7 @@ def _found(points: FloatArray, noise: float, spacing: float, config: PerceptionC
     """A cloud without labels: denoised as a whole, then segmented."""
     cured = denoise(points, None, noise)
     ground, kept = np.zeros(len(points), dtype=bool), chosen_rows(cured.points, ~cured.stray)
-    ground[~cured.stray] = segment(kept, first_layers(kept, config), config, noise)[0]
+    ground[~cured.stray] = segment(kept, first_layers(kept, config), config, cured.local[~cured.stray])[0]
     _settle_stairs(points, ground, cured)
     stray = cured.stray | find_lifted(cured.points, ground, noise, spacing)
     return CuredGround(_in_steps(cured)._replace(stray=stray), ground & ~stray, as_it_was=False)

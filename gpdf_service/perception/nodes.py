@@ -499,7 +499,7 @@ def held_by(
     low: FloatArray,
     high: FloatArray,
     beside: FloatArray,
-    scatter: float,
+    scatter: FloatArray,
     begin: int,
     end: int,
     held: BoolArray,
@@ -507,7 +507,8 @@ def held_by(
     """Whether points in the nodes `node` are within `scatter` of the ground there, or `beside` [m], in height."""
     for i in range(begin, end):
         n, z = node[i], points[i, 2]
-        held[i] = low[n] - scatter <= z <= high[n] + scatter or abs(z - beside[n]) <= scatter
+        near = scatter[n]
+        held[i] = low[n] - near <= z <= high[n] + near or abs(z - beside[n]) <= near
 
 
 @njit(cache=True, nogil=True)

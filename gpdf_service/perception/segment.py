@@ -62,6 +62,8 @@ LEAST_SCATTER = 0.02
 NOISY = 2.8
 """[-] Cells are as wide as the root of this by noise and width, so that two deviations of the difference of neighbours,
 each the median of its points, stay under the steepest slope: w tan(0.7) ≥ 2 · √2 · 1.25 σ (w₀ / 1.5) / w."""
+LEVEL = np.zeros(1)
+"""[m] Relief of a clean cloud's ground: what was seen is there."""
 ROOF_SHARE = 0.2
 """[-] Of a roof's rim that ground can touch, the rest being a drop: a terrace at one corner, a neighbour's wall."""
 
@@ -97,7 +99,7 @@ class Segmentation:
         high: Highest, -inf where the node is none.
         beside: Height of the ground beside a node that may reach into its cell [m], inf where there is none.
         deviation: Standard deviation of the points of the ground around it [m].
-        relief: What is no higher is of the ground [m].
+        relief: What is no higher is of the ground [m], shape (k,), or (1,) where it is the same everywhere.
     """
 
     near: Beside
@@ -105,7 +107,7 @@ class Segmentation:
     high: FloatArray
     beside: FloatArray
     deviation: float
-    relief: float = 0.0
+    relief: FloatArray
 
     @property
     def layers(self) -> Layers:
@@ -113,8 +115,8 @@ class Segmentation:
         return self.near.layers
 
     @property
-    def scatter(self) -> float:
-        """How near to the ground a point of it is [m]."""
+    def scatter(self) -> FloatArray:
+        """How near to the ground a point of it is [m], shape (k,), or (1,) where it is the same everywhere."""
         return scatter_of(self.deviation, self.relief)
 
     def lasting(self) -> Segmentation:
@@ -124,7 +126,7 @@ class Segmentation:
     def holds(self, points: FloatArray, node: IntArray) -> BoolArray:
         """Which of the points (n, 3) [m] in the nodes `node` are ground, shape (n,)."""
         held = np.empty(len(points), dtype=bool)
-        own = points, node, self.low, self.high, self.beside, self.scatter
+        own = points, node, self.low, self.high, self.beside, np.broadcast_to(self.scatter, len(self.low)).copy()
         run_chunked(lambda a, b: held_by(*own, a, b, held), len(points))
         return held
 
@@ -138,28 +140,31 @@ def first_layers(cloud: FloatArray, config: PerceptionConfig, width: float | Non
 
 
 def segment(
-    cloud: FloatArray, layers: Layers, config: PerceptionConfig, relief: float = 0.0
+    cloud: FloatArray, layers: Layers, config: PerceptionConfig, noise: FloatArray | None = None
 ) -> tuple[BoolArray, Segmentation | None]:
     """`segment_ground` of points (n, 3) in their `first_layers`: which are ground, and what that was found from.
 
     None where the ground is so rough or noisy that a second look with wider cells was needed. What is no higher over
-    the ground than the `relief` [m] that noise can have left of it is no thing.
+    the ground than the `noise` [m], shape (n,), that the points had there is no thing: so much can be left of it.
     """
-    found, node = _segment_points(cloud, layers, config, relief)
+    found, node = _segment_points(cloud, layers, config, noise)
     width = layers.cell_width
     wider = float(np.sqrt(NOISY * found.deviation * width))
     if wider <= width:
         return found.holds(cloud, node), found.lasting()
     layers = build_layers(cloud, wider, layer_gap(wider, config), found.deviation)
-    found, node = _segment_points(cloud, layers, config, relief)
+    found, node = _segment_points(cloud, layers, config, noise)
     return found.holds(cloud, node), None
 
 
 def _segment_points(
-    cloud: FloatArray, layers: Layers, config: PerceptionConfig, relief: float
+    cloud: FloatArray, layers: Layers, config: PerceptionConfig, noise: FloatArray | None
 ) -> tuple[Segmentation, IntArray]:
     """What is found of the points in their layers, and the node of each."""
-    node = nodes_of(layers, cloud)
+    node, relief = nodes_of(layers, cloud), LEVEL
+    if noise is not None:
+        relief = np.zeros(len(layers.cell))
+        np.maximum.at(relief, node, noise)
     return segment_layers(beside(layers, _rise_of_steps(layers, config)), config, (cloud, node), relief=relief), node
 
 
@@ -168,7 +173,7 @@ def segment_layers(
     config: PerceptionConfig,
     held: tuple[FloatArray, IntArray] | None = None,
     deviation: float = 0.0,
-    relief: float = 0.0,
+    relief: FloatArray = LEVEL,
 ) -> Segmentation:
     """Find the ground in layers.
 
@@ -177,7 +182,7 @@ def segment_layers(
         config: Limits.
         held: The points (n, 3) [m] and their nodes, which tell the deviation; else it is as given.
         deviation: Of the points of the ground around it [m].
-        relief: What is no higher is of the ground [m].
+        relief: What is no higher is of the ground [m], shape (k,), or (1,) where it is the same everywhere.
     """
     ground = find_ground(near, config, relief)
     (smooth,) = near.around("smooth", 1, _smoothed, ground)
@@ -201,13 +206,13 @@ def change_segmentation(
     return found, ground
 
 
-def scatter_of(deviation: float, relief: float) -> float:
+def scatter_of(deviation: float, relief: FloatArray) -> FloatArray:
     """How near to the ground a point of it is [m], where its points have this standard deviation, or relief [m]."""
-    return max(LEAST_SCATTER, in_steps(3.0 * deviation), relief)
+    return np.maximum(max(LEAST_SCATTER, in_steps(3.0 * deviation)), relief)
 
 
 def _extents(
-    layers: Layers, _: BoolArray, ground: BoolArray, smooth: FloatArray, scatter: float, config: PerceptionConfig
+    layers: Layers, _: BoolArray, ground: BoolArray, smooth: FloatArray, scatter: FloatArray, config: PerceptionConfig
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """`low`, `high` and `beside` of a `Segmentation`."""
     beneath, across = run_beside(
@@ -226,7 +231,7 @@ def _across(
     return np.where(ground, low, np.inf), np.where(ground, high, -np.inf)
 
 
-def _ground_beside(layers: Layers, ground: BoolArray, smooth: FloatArray, scatter: float) -> FloatArray:
+def _ground_beside(layers: Layers, ground: BoolArray, smooth: FloatArray, scatter: FloatArray) -> FloatArray:
     """Height of the lowest ground in the cells beside each node that spans it, inf where there is none.
 
     The foot of a wall or of a table's leg shares its cell with the floor that it stands on, and the end of a stair's
@@ -241,7 +246,7 @@ def _smoothed(layers: Layers, _: BoolArray, ground: BoolArray) -> tuple[FloatArr
     return (medians_around(layers.height, ground, a, b),)
 
 
-def find_ground(near: Beside, config: PerceptionConfig, relief: float = 0.0) -> BoolArray:
+def find_ground(near: Beside, config: PerceptionConfig, relief: FloatArray = LEVEL) -> BoolArray:
     """Which nodes are ground, shape (k,); a low thing on it is higher than the `relief` [m].
 
     Parts are sets of nodes that are joined by slopes which a body stands on. Strides between their stances join parts.
@@ -270,7 +275,7 @@ def find_ground(near: Beside, config: PerceptionConfig, relief: float = 0.0) -> 
     under, parts, scraps = undersides(near, parts, core, loose, config)
     joins = join_parts(near, parts, _stances(near, parts.keep), config)
     under, parts, joins = without_ceilings(layers, parts, joins, under, scraps, config)
-    if relief > 0.0:
+    if relief.any():
         parts = without_crumbs(layers, parts, joins)
     kept = accept_parts(near, parts, joins, core & ~keep & ~under, config)
     seeds = parts.flat & kept[parts.label]

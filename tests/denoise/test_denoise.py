@@ -20,6 +20,23 @@ def test_the_noise_is_found_without_being_told(name, sigma):
     assert estimate_noise(points, estimate_spacing(points)) == pytest.approx(sigma, rel=0.25)
 
 
+def test_a_quiet_place_is_denoised_with_its_own_noise():
+    rng = np.random.default_rng(0)
+    x, y = rng.uniform((0.0, 0.0), (8.0, 4.0), (80_000, 2)).T
+    lid = (np.abs(x - 1.5) < 0.5) & (np.abs(y - 2.0) < 0.4)
+    clean = np.column_stack([x, y, 0.08 * lid])
+    sigma = np.where(x < 4.0, 0.01, 0.05)
+    made = denoise(clean + rng.normal(size=clean.shape) * sigma[:, None])
+    quiet, loud = x < 3.0, x > 5.0
+    assert made.measured == pytest.approx(0.05, rel=0.2)
+    assert (made.local[quiet] < 0.03).mean() > 0.95
+    assert (made.local[loud] == made.measured).mean() > 0.95
+    off = np.abs(made.points[:, 2] - clean[:, 2])
+    assert np.quantile(off[quiet & ~lid], 0.95) < 0.01
+    assert np.quantile(off[lid], 0.9) < 0.02
+    assert made.noise[quiet].mean() < 0.5 * made.noise[loud].mean()
+
+
 @pytest.mark.parametrize("name", ["pole", "stairs", "sphere"])
 def test_a_dense_cloud_is_not_called_clean_because_its_neighbourhoods_are_large(name):
     """200 points of a thin thing in a ball of the noise's size: no neighbourhood small enough to look at shows it."""
