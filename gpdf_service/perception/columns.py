@@ -10,6 +10,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from gpdf_service.fields.threads import run_chunked
+from gpdf_service.perception.pairs import Columns
 from gpdf_service.perception.rows import INDEX
 from gpdf_service.types import BoolArray, FloatArray, IntArray
 
@@ -244,28 +245,19 @@ def tops_of_boards(
 
 @njit(cache=True, nogil=True)
 def heights_in_plan(
-    cell: IntArray,
-    nodes: IntArray,
-    height: FloatArray,
-    place: FloatArray,
-    origin: FloatArray,
-    width: float,
-    ny: int,
-    first: tuple[int, int],
-    shape: tuple[int, int],
+    columns: Columns, nodes: IntArray, place: FloatArray, origin: FloatArray, width: float
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """Height [m] of the one of the `nodes` in each cell, NaN where there is none, and its place from the cell's centre.
 
-    Of the cells of a box from `first` on, shapes (nx, ny) and (nx, ny, 2), of a grid `ny` cells wide.
+    Shapes (nx, ny) and (nx, ny, 2).
     """
+    cell, _, shape, height, _ = columns
     made, off = np.full(shape, np.nan, np.float32), np.zeros((*shape, 2), np.float32)
     for i in nodes:
-        x, y = cell[i] // ny, cell[i] % ny
-        u, v = x - first[0], y - first[1]
-        if 0 <= u < shape[0] and 0 <= v < shape[1]:
-            made[u, v] = height[i]
-            off[u, v, 0] = place[i, 0] - origin[0] - (x + 0.5) * width
-            off[u, v, 1] = place[i, 1] - origin[1] - (y + 0.5) * width
+        x, y = divmod(cell[i], shape[1])
+        made[x, y] = height[i]
+        off[x, y, 0] = place[i, 0] - origin[0] - (x + 0.5) * width
+        off[x, y, 1] = place[i, 1] - origin[1] - (y + 0.5) * width
     return made, off
 
 

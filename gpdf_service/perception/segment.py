@@ -124,8 +124,8 @@ class Segmentation:
     def holds(self, points: FloatArray, node: IntArray) -> BoolArray:
         """Which of the points (n, 3) [m] in the nodes `node` are ground, shape (n,)."""
         held = np.empty(len(points), dtype=bool)
-        own = points, node, self.low, self.high, self.beside, self.scatter
-        run_chunked(lambda a, b: held_by(*own, a, b, held), len(points))
+        ground = self.low, self.high, self.beside, self.scatter
+        run_chunked(lambda a, b: held_by(points[a:b], node[a:b], ground, held[a:b]), len(points))
         return held
 
 
