@@ -310,15 +310,13 @@ def unlike_cells(cells: BoolArray, start: IntArray, old: NDArray[Any], fresh: In
 def column_floors(start: IntArray, order: IntArray, z: FloatArray, share: float) -> FloatArray:
     """Height under which a `share` of the points of each column lies [m], shape (cells,); NaN in an empty one."""
     floor = np.full(len(start) - 1, np.nan)
-    run_chunked(lambda a, b: _floors_range(start, order, z, share, a, b, floor), len(floor))
+    run_chunked(lambda a, b: _write_floors(start[a : b + 1], order, z, share, floor[a:b]), len(floor))
     return floor
 
 
 @njit(cache=True, nogil=True)
-def _floors_range(
-    start: IntArray, order: IntArray, z: FloatArray, share: float, begin: int, end: int, floor: FloatArray
-) -> None:
-    for c in range(begin, end):
+def _write_floors(start: IntArray, order: IntArray, z: FloatArray, share: float, floor: FloatArray) -> None:
+    for c in range(len(floor)):
         count = start[c + 1] - start[c]
         if count > 0:
             at = int(share * count)
