@@ -153,8 +153,9 @@ def node_at(
     x: float, y: float, z: float, origin: FloatArray, width: float, ny: int, start: IntArray, top: FloatArray
 ) -> Any:  # noqa: ANN401
     """The node of a point that layers were built from, the lowest of its column that is as high; see `Layers`."""
-    n = start[int(np.floor((x - origin[0]) / width)) * ny + int(np.floor((y - origin[1]) / width))]
-    while top[n] < z:
+    column = int(np.floor((x - origin[0]) / width)) * ny + int(np.floor((y - origin[1]) / width))
+    n, last = start[column], start[column + 1] - 1
+    while n < last and top[n] < z:
         n += 1
     return n
 
