@@ -16,23 +16,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gpdf_service.fields.threads import run_parallel
-from gpdf_service.perception.columns import Runs
+from gpdf_service.perception.columns import Runs, runs_of, values_spliced
 from gpdf_service.perception.layers import (
     APART,
     HALF,
     Layers,
     Pairs,
-    carried,
     cells_around,
     crop_layers,
-    differing,
-    kept_nodes,
-    renumbered,
 )
 from gpdf_service.perception.nodes import across_in, degrees, numbered, pieces_in, put_in, unite_all
 from gpdf_service.perception.pairs import pairs_beside
 from gpdf_service.perception.rows import INDEX
-from gpdf_service.perception.told import Told, boxes_of
+from gpdf_service.perception.told import Told, boxes_of, unlike
 from gpdf_service.types import BoolArray, FloatArray, IntArray
 
 ROWS = 16
@@ -80,6 +76,10 @@ class Former:
     cells: BoolArray
 
 
+NOTHING = Former({}, [], np.zeros((0, 0), dtype=bool))
+"""Before a build."""
+
+
 @dataclass(frozen=True, slots=True)
 class Beside:
     """Nodes, pairs of those in neighbouring cells, and what was asked of them.
@@ -89,14 +89,14 @@ class Beside:
         rise: Between the nodes of a pair at most [m].
         strips: Of their pairs.
         known: What each question was told, by its name.
-        former: The version before, if there was one.
+        former: The version before.
     """
 
     layers: Layers
     rise: float
     strips: tuple[Strip, ...]
     known: dict[str, Told]
-    former: Former | None = None
+    former: Former = NOTHING
 
     def around(
         self, name: str, reach: int, answer: Callable[..., tuple[NDArray[Any], ...]], *given: NDArray[Any]
@@ -110,7 +110,7 @@ class Beside:
                 all of them.
             given: Arrays of shape (k,).
         """
-        was = self._before(name)
+        was = self.former.known.get(name)
         if was is None:
             made = answer(self.layers, np.ones(len(self.layers.cell), dtype=bool), *given)
         else:
@@ -123,13 +123,13 @@ class Beside:
 
     def pairs_around(self, name: str, reach: int, answer: Callable[..., Pairs], *given: NDArray[Any]) -> Pairs:
         """Pairs of nodes that a question is told, of each of which the first node decides; see `around`."""
-        was = self._before(name)
+        was = self.former.known.get(name)
         if was is None:
             made = answer(self.layers, np.ones(len(self.layers.cell), dtype=bool), *given)
         else:
-            told, former = was
-            number = renumbered(former.kept, len(told.given[0]))
-            a, b = (number[ends] for ends in told.made)
+            before, number = self._carried(np.arange(len(was.given[0])), -1), np.full(len(was.given[0]), -1)
+            number[before[before >= 0]] = np.flatnonzero(before >= 0)
+            a, b = (number[ends] for ends in was.made)
             felt = self.felt(name, given, reach).ravel()[self.layers.cell]
             stay = (a >= 0) & (b >= 0)
             stay[stay] = ~felt[a[stay]]
@@ -140,10 +140,6 @@ class Beside:
             made = np.concatenate([pair[0] for pair in found]), np.concatenate([pair[1] for pair in found])
         self.known[name] = Told(given, made)
         return made
-
-    def _before(self, name: str) -> tuple[Told, Former] | None:
-        """What a question was told in the version before."""
-        return None if self.former is None or name not in self.former.known else (self.former.known[name], self.former)
 
     def _again(
         self, name: str, reach: int, answer: Callable[..., tuple[NDArray[Any], ...]], given: tuple[NDArray[Any], ...]
@@ -159,30 +155,34 @@ class Beside:
 
     def felt(self, name: str, given: tuple[NDArray[Any], ...], reach: int = 0) -> BoolArray:
         """Cells within reach of what is given otherwise than to the version before, shape (nx, ny); all of a build."""
-        was = self._before(name)
+        was = self.former.known.get(name)
         if was is None:
             return np.ones(self.layers.shape, dtype=bool)
-        return self._unlike(given, was[0].given, was[1], reach)
+        return self._unlike(given, was.given, reach)
 
     def last(self, name: str) -> tuple[NDArray[Any], ...]:
         """What the nodes were told in the version before, arrays of shape (k,): NaN, or false, of new ones."""
-        was = self._before(name)
-        return () if was is None else tuple(carried(values, was[1].kept) for values in was[0].made)
+        was = self.former.known.get(name)
+        if was is None:
+            return ()
+        return tuple(np.array(self._carried(values, np.nan if values.dtype.kind == "f" else 0)) for values in was.made)
+
+    def _carried(self, values: NDArray[Any], nothing: float) -> NDArray[Any]:
+        """The values of the nodes before; `nothing` of those that were none."""
+        return values_spliced(self.former.kept, values, np.full(len(self.layers.cell), nothing, values.dtype))
 
     def other_answers(self, name: str) -> BoolArray:
         """Cells in which a question was told otherwise than in the version before, shape (nx, ny)."""
-        was = self._before(name)
+        was = self.former.known.get(name)
         if was is None:
             return np.ones(self.layers.shape, dtype=bool)
-        return self._unlike(self.known[name].made, was[0].made, was[1], 0)
+        return self._unlike(self.known[name].made, was.made, 0)
 
-    def _unlike(
-        self, now: tuple[NDArray[Any], ...], was: tuple[NDArray[Any], ...], former: Former, reach: int
-    ) -> BoolArray:
+    def _unlike(self, now: tuple[NDArray[Any], ...], was: tuple[NDArray[Any], ...], reach: int) -> BoolArray:
         other = np.zeros(len(self.layers.cell), dtype=bool)
         for one, another in zip(now, was, strict=True):
-            differing(one, another, former.kept, other)
-        return cells_around(self.layers, other, reach, former.cells)
+            other |= unlike(one, self._carried(another, 0))  # a new node's cell is one of others anyway
+        return cells_around(self.layers, other, reach, self.former.cells)
 
     def degrees(self, name: str, keep: BoolArray, rise: float) -> IntArray:
         """How many nodes to keep are beside each of them with at most `rise` [m] a cell between them, shape (k,)."""
@@ -235,7 +235,7 @@ class Beside:
 
     def lasting(self) -> Beside:
         """The same without pairs, and without the version before."""
-        return replace(self.asked(), former=None)
+        return replace(self.asked(), former=NOTHING)
 
     def asked(self) -> Beside:
         """The same without pairs and the answers before: no more is asked of it."""
@@ -291,7 +291,7 @@ def beside_now(near: Beside, layers: Layers, cells: BoolArray) -> Beside:
         else replace(strip, known={}, before=strip.known, pairs=[])
         for i, strip in enumerate(near.strips)
     )
-    former = Former(near.known, kept_nodes(near.layers, layers, cells), cells)
+    former = Former(near.known, runs_of(cells.ravel(), near.layers.start, layers.start), cells)
     return Beside(layers, near.rise, strips, {}, former)
 
 

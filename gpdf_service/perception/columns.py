@@ -10,6 +10,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from gpdf_service.fields.threads import run_chunked
+from gpdf_service.perception.pairs import Columns
 from gpdf_service.perception.rows import INDEX
 from gpdf_service.types import BoolArray, FloatArray, IntArray
 
@@ -152,8 +153,9 @@ def node_at(
     x: float, y: float, z: float, origin: FloatArray, width: float, ny: int, start: IntArray, top: FloatArray
 ) -> Any:  # noqa: ANN401
     """The node of a point that layers were built from, the lowest of its column that is as high; see `Layers`."""
-    n = start[int(np.floor((x - origin[0]) / width)) * ny + int(np.floor((y - origin[1]) / width))]
-    while top[n] < z:
+    column = int(np.floor((x - origin[0]) / width)) * ny + int(np.floor((y - origin[1]) / width))
+    n, last = start[column], start[column + 1] - 1
+    while n < last and top[n] < z:
         n += 1
     return n
 
@@ -244,28 +246,19 @@ def tops_of_boards(
 
 @njit(cache=True, nogil=True)
 def heights_in_plan(
-    cell: IntArray,
-    nodes: IntArray,
-    height: FloatArray,
-    place: FloatArray,
-    origin: FloatArray,
-    width: float,
-    ny: int,
-    first: tuple[int, int],
-    shape: tuple[int, int],
+    columns: Columns, nodes: IntArray, place: FloatArray, origin: FloatArray, width: float
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """Height [m] of the one of the `nodes` in each cell, NaN where there is none, and its place from the cell's centre.
 
-    Of the cells of a box from `first` on, shapes (nx, ny) and (nx, ny, 2), of a grid `ny` cells wide.
+    Shapes (nx, ny) and (nx, ny, 2).
     """
+    cell, _, shape, height, _ = columns
     made, off = np.full(shape, np.nan, np.float32), np.zeros((*shape, 2), np.float32)
     for i in nodes:
-        x, y = cell[i] // ny, cell[i] % ny
-        u, v = x - first[0], y - first[1]
-        if 0 <= u < shape[0] and 0 <= v < shape[1]:
-            made[u, v] = height[i]
-            off[u, v, 0] = place[i, 0] - origin[0] - (x + 0.5) * width
-            off[u, v, 1] = place[i, 1] - origin[1] - (y + 0.5) * width
+        x, y = divmod(cell[i], shape[1])
+        made[x, y] = height[i]
+        off[x, y, 0] = place[i, 0] - origin[0] - (x + 0.5) * width
+        off[x, y, 1] = place[i, 1] - origin[1] - (y + 0.5) * width
     return made, off
 
 
@@ -318,15 +311,13 @@ def unlike_cells(cells: BoolArray, start: IntArray, old: NDArray[Any], fresh: In
 def column_floors(start: IntArray, order: IntArray, z: FloatArray, share: float) -> FloatArray:
     """Height under which a `share` of the points of each column lies [m], shape (cells,); NaN in an empty one."""
     floor = np.full(len(start) - 1, np.nan)
-    run_chunked(lambda a, b: _floors_range(start, order, z, share, a, b, floor), len(floor))
+    run_chunked(lambda a, b: _write_floors(start[a : b + 1], order, z, share, floor[a:b]), len(floor))
     return floor
 
 
 @njit(cache=True, nogil=True)
-def _floors_range(
-    start: IntArray, order: IntArray, z: FloatArray, share: float, begin: int, end: int, floor: FloatArray
-) -> None:
-    for c in range(begin, end):
+def _write_floors(start: IntArray, order: IntArray, z: FloatArray, share: float, floor: FloatArray) -> None:
+    for c in range(len(floor)):
         count = start[c + 1] - start[c]
         if count > 0:
             at = int(share * count)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -14,6 +15,7 @@ from gpdf_service.config import PerceptionConfig
 from gpdf_service.fields.threads import run_chunked
 from gpdf_service.perception.bend import FINE, FLAT, bend_at, make_room, reach_of
 from gpdf_service.perception.boxes import Box, highest_around, lowest_around, widened
+from gpdf_service.perception.columns import by_cell
 from gpdf_service.perception.layers import widest_cell
 from gpdf_service.perception.notches import fill_notches, notches_reach
 from gpdf_service.perception.rows import extent_within, under
@@ -47,8 +49,6 @@ WALL_CELLS = 3.0
 """[cells] The wall of a pit is seen within these under its rim; the underside of a floor is deeper."""
 CEILING = 1.9
 """[m] What is higher over the ground beside is a ceiling or a lamp, no furniture whose shadow is the hole."""
-_SIDES = ((-1, 0), (1, 0), (0, -1), (0, 1))
-"""The four neighbours of a cell."""
 _ROUNDING = float(np.finfo(np.float64).eps)
 """[-] Of a least-squares fit, a row: a singular value below this times the rows over the largest counts as 0."""
 MAX_HOLE_RADIUS = 1.0
@@ -102,15 +102,15 @@ def fill_holes(
     given = height, state, seen_through, pit
     height, state = grid.around("notches", notches_reach(surface, config), notched, *given)
     known = state != UNKNOWN
-    void = seen_through | pit | _walled_down(surface, walls)
     close = near.distance <= MAX_HOLE_RADIUS
-    own = grid, "open", height, state, ~known & ~material, known
-    height, state = _fill_planes(*own, close, surface.cell_width, void, OPEN_SHARE)
+    ends = seen_through | pit | _walled_down(surface, walls) | ~close
+    ends[[0, -1]] = ends[:, [0, -1]] = True
+    fill = partial(_fill_planes, grid, ends, surface.cell_width)
+    height, state = fill("open", (height, state), ~known & ~material, known, OPEN_SHARE)
     solid = state != UNKNOWN  # then the ground that carries the furniture itself
     rim = ndimage.binary_dilation(solid)
     under = ~solid & rim & close & material & _seen_hollow(~solid & material, known & material)
-    own = grid, "shut", height, state, under, solid
-    height, state = _fill_planes(*own, close, surface.cell_width, void, SHUT_SHARE)
+    height, state = fill("shut", (height, state), under, solid, SHUT_SHARE)
     height, state = _fill_gaps(grid, "gaps left", height, state, surface, noise)  # of larger ones
     return replace(surface, height=height, state=state)
 
@@ -124,33 +124,17 @@ def _seen_hollow(things: BoolArray, overhung: BoolArray) -> BoolArray:
     label, count = ndimage.label(things, np.ones((3, 3)))
     hollow = np.ones(count + 1, dtype=bool)
     hollow[0] = False
-    _tell_hollow(things, overhung, label, hollow)
+    hollow[label[_inner(things)]] = False
+    hollow[label[widened(overhung & _inner(things | overhung), 2) & things]] = True
     result: BoolArray = hollow[label]
     return result
 
 
-@njit(cache=True, nogil=True)
-def _tell_hollow(things: BoolArray, overhung: BoolArray, label: NDArray[np.int32], hollow: BoolArray) -> None:
-    """Labels of masses become false, and true again if a cell within two of theirs is overhung and has no rim."""
-    nx, ny = things.shape
-    for mass in (True, False):
-        for x in range(1, nx - 1):
-            for y in range(1, ny - 1):
-                if not (things[x, y] if mass else overhung[x, y]):
-                    continue
-                inner = True
-                for u in range(x - 1, x + 2):
-                    for v in range(y - 1, y + 2):
-                        inner &= things[u, v] or (overhung[u, v] and not mass)
-                if not inner:
-                    continue
-                if mass:
-                    hollow[label[x, y]] = False
-                    continue
-                for u in range(max(x - 2, 0), min(x + 3, nx)):
-                    for v in range(max(y - 2, 0), min(y + 3, ny)):
-                        if things[u, v]:
-                            hollow[label[u, v]] = True
+def _inner(cells: BoolArray) -> BoolArray:
+    """Cells that have all eight beside."""
+    made = ~widened(~cells, 1)
+    made[[0, -1]] = made[:, [0, -1]] = False
+    return made
 
 
 def find_voids(
@@ -201,27 +185,10 @@ def _walled_down(surface: HeightMap, walls: BoolArray) -> BoolArray:
     """Holes with `walls` under more of their rim than a scan's noise explains."""
     unknown = surface.state == UNKNOWN
     label, count = ndimage.label(unknown)
-    rim, pit = _rims(label, walls, count + 1)
+    at = highest_around(label, 1)  # what is at two holes is at the last one
+    rim, pit = (np.bincount(at[cells], minlength=count + 1) for cells in (~unknown, walls))
     result: BoolArray = (pit > (1.0 - RING_SHARE) * rim)[label] & unknown
     return result
-
-
-@njit(cache=True, nogil=True)
-def _rims(label: NDArray[np.int32], walls: BoolArray, labels: int) -> tuple[IntArray, IntArray]:
-    """Cells of the rim of each hole, and `walls` in or around it; what is at two holes is at the last one."""
-    nx, ny = label.shape
-    rim, pit = np.zeros(labels, np.int64), np.zeros(labels, np.int64)
-    for x in range(nx):
-        for y in range(ny):
-            if label[x, y] > 0 and not walls[x, y]:
-                continue
-            hole = 0
-            for u in range(max(x - 1, 0), min(x + 2, nx)):
-                for v in range(max(y - 1, 0), min(y + 2, ny)):
-                    hole = max(hole, label[u, v])
-            rim[hole] += int(label[x, y] == 0)
-            pit[hole] += int(walls[x, y])
-    return rim, pit
 
 
 def _fill_gaps(
@@ -269,52 +236,43 @@ def _onto_bends(
                 made[k] += shift
 
 
-@njit(cache=True, nogil=True)
 def _small(holes: BoolArray, distance: FloatArray, cell_width: float) -> BoolArray:
     """Connected cells of holes that are `GAP_CELLS` at most, none further than a cell from seen ground."""
-    (nx, ny), small, cells = holes.shape, np.zeros(holes.shape, np.bool_), np.empty((GAP_CELLS + 4, 2), np.int64)
-    for x in range(nx):
-        for y in range(ny):
-            if not holes[x, y] or small[x, y] or distance[x, y] > cell_width:
-                continue
-            cells[0], count, looked, gap = (x, y), 1, 0, True
-            while gap and looked < count:
-                i, j = cells[looked]
-                looked += 1
-                gap = distance[i, j] <= cell_width
-                for dx, dy in _SIDES:
-                    u, v = i + dx, j + dy
-                    if not (0 <= u < nx and 0 <= v < ny and holes[u, v]):
-                        continue
-                    met = False
-                    for k in range(count):
-                        met |= cells[k, 0] == u and cells[k, 1] == v
-                    if not met:
-                        cells[count] = u, v
-                        count += 1
-                gap &= count <= GAP_CELLS
-            for k in range(count if gap else 0):
-                small[cells[k, 0], cells[k, 1]] = True
-    return small
+    label, count = ndimage.label(holes)
+    size, far = (np.bincount(label[cells], minlength=count + 1) for cells in (holes, holes & (distance > cell_width)))
+    found: BoolArray = ((size <= GAP_CELLS) & (far == 0))[label] & holes
+    return found
+
+
+Ground = tuple[NDArray[np.float32], NDArray[np.uint8]]
+"""Heights [m] and states of cells, shape (nx, ny)."""
 
 
 def _fill_planes(
     grid: Grid,
+    ends: BoolArray,
+    cell_width: float,
     name: str,
-    height: NDArray[np.float32],
-    state: NDArray[np.uint8],
+    ground: Ground,
     holes: BoolArray,
     known: BoolArray,
-    near: BoolArray,
-    cell_width: float,
-    void: BoolArray,
     share: float,
-) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
-    """`_fill`, remembered: a hole is as it was if all that it is told by, two cells around it too, is as it was."""
-    given, was = (holes, known, near, void, height), grid.former.get(name)
+) -> Ground:
+    """The ground with each of the `holes` filled by the plane of the `known` ground around, if that is enough of it.
+
+    That is at least a `share` of its rim. What has one of the `ends` in it, or in the cells of which it goes on, is no
+    hole. One is as it was if all that it is told by, two cells around it too, is as it was.
+    """
+    label, count = ndimage.label(holes)
+    given = holes, known, ends, ground[0]
     again = grid.felt(name, 2, *given)
-    before, made = (height, state) if was is None else was.made, (height.copy(), state.copy())
-    _fill(*made, holes, known, near, cell_width, void, share, again, *before)
+    shut, asked = (np.bincount(label[cells], minlength=count + 1) > 0 for cells in (holes & ends, holes & again))
+    shut = ~shut
+    shut[0] = False
+    before, stays = grid.former[name].made if name in grid.former else ground, (shut & ~asked)[label]
+    made = np.where(stays, before[0], ground[0]), np.where(stays, before[1], ground[1])
+    start, order = by_cell(label.ravel(), count + 1)
+    _fill(*made, (label, start, order), np.flatnonzero(shut & asked), known, share, cell_width)
     grid.known[name] = Told(given, made)
     return made
 
@@ -323,40 +281,17 @@ def _fill_planes(
 def _fill(
     height: NDArray[np.float32],
     state: NDArray[np.uint8],
-    holes: BoolArray,
+    labelled: tuple[NDArray[np.int32], IntArray, IntArray],
+    holes: IntArray,
     known: BoolArray,
-    near: BoolArray,
-    cell_width: float,
-    void: BoolArray,
     share: float,
-    again: BoolArray,
-    height_before: NDArray[np.float32],
-    state_before: NDArray[np.uint8],
+    cell_width: float,
 ) -> None:
-    """Fill each of the `holes` with the plane of the `known` ground around, if that is at least `share` of its rim.
-
-    Only the cells `near` seen ground are of a hole. It is as before where no cell of it is to be asked `again`.
-    """
-    nx, ny = holes.shape
-    met = np.zeros((nx, ny), np.int64)
-    label, queue, last, hole = np.zeros((nx, ny), np.int32), np.empty(nx * ny, np.int64), 0, 0
-    for corner in range(nx * ny):
-        x, y = corner // ny, corner % ny
-        if not holes[x, y] or label[x, y] > 0 or not near[x, y]:
-            continue
-        first, hole = last, hole + 1
-        label[x, y], queue[last] = hole, corner
-        last, shut = _walk_hole(holes, near, void, hole, label, queue, last)
-        if not shut:
-            continue
-        cells, other = np.sort(queue[first:last]), False
-        for c in cells:
-            other |= again[c // ny, c % ny]
-        if not other:
-            for c in cells:
-                x, y = c // ny, c % ny
-                height[x, y], state[x, y] = height_before[x, y], state_before[x, y]
-            continue
+    """Fill the `holes` by number: the label of each cell, and where the cells with each one begin in their order."""
+    (label, start, order), ny = labelled, height.shape[1]
+    met = np.zeros(height.shape, np.int64)
+    for hole in holes:
+        cells = order[start[hole] : start[hole + 1]]
         places, heights, ground = _ring(cells, hole, label, known, height, met)
         if len(heights) < 3 or ground < share:
             continue
@@ -368,39 +303,6 @@ def _fill(
             x, y = c // ny, c % ny
             height[x, y] = (x - left) * plane[0] + (y - top) * plane[1] + plane[2]
             state[x, y] = INFERRED
-
-
-@njit(cache=True, nogil=True)
-def _walk_hole(
-    holes: BoolArray,
-    near: BoolArray,
-    void: BoolArray,
-    hole: int,
-    label: NDArray[np.int32],
-    queue: IntArray,
-    looked: int,
-) -> tuple[int, bool]:
-    """Put the cells joined to the one that is `looked` at first behind it in the `queue`, and `label` them as a `hole`.
-
-    Of what is further from seen ground than a hole may be it is enough to know that it is beside one.
-
-    Returns:
-        Where the queue ends, and whether no such cell, no void and no rim of the map is at the hole.
-    """
-    (nx, ny), last, shut = holes.shape, looked + 1, True
-    while looked < last:
-        x, y = queue[looked] // ny, queue[looked] % ny
-        looked += 1
-        shut &= not (x == 0 or y == 0 or x == nx - 1 or y == ny - 1 or void[x, y])
-        for dx, dy in _SIDES:
-            u, v = x + dx, y + dy
-            if not (0 <= u < nx and 0 <= v < ny and holes[u, v]) or label[u, v] > 0:
-                continue
-            if not near[u, v]:
-                shut = False
-                continue
-            label[u, v], queue[last], last = hole, u * ny + v, last + 1
-    return last, shut
 
 
 @njit(cache=True, nogil=True)

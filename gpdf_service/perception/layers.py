@@ -14,7 +14,6 @@ from gpdf_service.fields.threads import run_chunked
 from gpdf_service.perception.boxes import Box, widened
 from gpdf_service.perception.columns import (
     Grid,
-    Runs,
     by_cell,
     column_floors,
     column_order,
@@ -30,7 +29,7 @@ from gpdf_service.perception.columns import (
 )
 from gpdf_service.perception.pairs import Columns, pairs_near
 from gpdf_service.perception.rows import INDEX, bounds_of, cells_of, chosen_rows, rows_by_cell
-from gpdf_service.perception.told import grown, unlike
+from gpdf_service.perception.told import grown
 from gpdf_service.types import BoolArray, FloatArray, IntArray
 
 MIN_CELL = 0.05
@@ -201,46 +200,11 @@ def splice_layers(layers: Layers, changed: BoolArray, fresh: Layers | None) -> L
     return replace(layers, **own, start=start)
 
 
-def kept_nodes(old: Layers, layers: Layers, cells: BoolArray) -> Runs:
-    """Nodes of `layers` that are those of the `old` ones, but in the columns `cells`, shape (nx, ny)."""
-    return runs_of(cells.ravel(), old.start, layers.start)
-
-
-def carried(values: NDArray[Any], kept: Runs) -> NDArray[Any]:
-    """The values of the nodes before, `kept_nodes`; of those that were none NaN, 0, or false."""
-    nothing = np.nan if values.dtype.kind == "f" else 0
-    return np.concatenate(
-        [np.full(part.stop - part.start, nothing, values.dtype) if new else values[part] for new, part in kept]
-    )
-
-
 def cells_around(layers: Layers, nodes: BoolArray, by: int, cells: BoolArray) -> BoolArray:
     """Cells within `by` cells of those of the nodes, or of the `cells`, which may hold none now, shape (nx, ny)."""
     found = cells.copy()
     found.ravel()[layers.cell[nodes]] = True
     return widened(found, by)
-
-
-def differing(now: NDArray[Any], was: NDArray[Any], kept: Runs, other: BoolArray) -> None:
-    """Mark nodes of which a value is another than that of the node before, `kept_nodes`; NaN is NaN."""
-    begin = 0
-    for new, part in kept:
-        end = begin + part.stop - part.start
-        if not new:
-            other[begin:end] |= unlike(now[begin:end], was[part])
-        begin = end
-
-
-def renumbered(kept: Runs, count: int) -> IntArray:
-    """Number now of each of so many nodes before, shape (count,), -1 of those that are none: see `kept_nodes`."""
-    made: IntArray = np.full(count, -1)
-    begin = 0
-    for new, part in kept:
-        end = begin + part.stop - part.start
-        if not new:
-            made[part] = np.arange(begin, end)
-        begin = end
-    return made
 
 
 def steady(layers: Layers, label: IntArray) -> IntArray:

@@ -452,8 +452,7 @@ def sheet_surface(grid: Grid, layers: Layers, nodes: IntArray, max_step: float, 
 
     What a flight is tells `max_step` [m], see `bridged`.
     """
-    own = layers.origin, layers.cell_width, layers.shape[1], (0, 0), layers.shape
-    height, off = heights_in_plan(layers.cell, nodes, layers.height, layers.place, *own)
+    height, off = heights_in_plan(layers.columns, nodes, layers.place, layers.origin, layers.cell_width)
     whole = HeightMap(layers.origin, layers.cell_width, height, np.zeros(layers.shape, np.uint8))
 
     def answer(box: Box, height: NDArray[np.float32], off: NDArray[np.float32]) -> tuple[NDArray[np.float32]]:

@@ -494,18 +494,11 @@ def whole_around(
 
 @njit(cache=True, nogil=True)
 def held_by(
-    points: FloatArray,
-    node: IntArray,
-    low: FloatArray,
-    high: FloatArray,
-    beside: FloatArray,
-    scatter: FloatArray,
-    begin: int,
-    end: int,
-    held: BoolArray,
+    points: FloatArray, node: IntArray, ground: tuple[FloatArray, FloatArray, FloatArray, FloatArray], held: BoolArray
 ) -> None:
     """Whether points in the nodes `node` are within `scatter` of the ground there, or `beside` [m], in height."""
-    for i in range(begin, end):
+    low, high, beside, scatter = ground
+    for i in range(len(node)):
         n, z = node[i], points[i, 2]
         near = scatter[n]
         held[i] = low[n] - near <= z <= high[n] + near or abs(z - beside[n]) <= near

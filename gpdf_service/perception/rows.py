@@ -159,20 +159,10 @@ def extent_in(cell: IntArray, z: FloatArray, low: FloatArray, high: FloatArray) 
 
 
 @njit(cache=True, nogil=True)
-def between_range(
-    cell: IntArray,
-    z: FloatArray,
-    low: NDArray[np.floating],
-    high: NDArray[np.floating],
-    begin: int,
-    end: int,
-    found: BoolArray,
+def _write_between(
+    cell: IntArray, z: FloatArray, low: NDArray[np.floating], high: NDArray[np.floating], found: BoolArray
 ) -> None:
-    """Write which points from `begin` to `end` are over the `low` of their cell and not over its `high`.
-
-    Points of the cell after the last one are in none.
-    """
-    for i in range(begin, end):
+    for i in range(len(cell)):
         c = cell[i]
         found[i] = c < len(low) and low[c] < z[i] <= high[c]
 
@@ -204,15 +194,13 @@ def extent_of(points: FloatArray) -> tuple[float, float]:
 def cells_of(points: FloatArray, origin: FloatArray, width: float, shape: tuple[int, int]) -> IntArray:
     """Flat cell of each point (n, 3), which must lie on the grid, shape (n,)."""
     cell = np.empty(len(points), np.int64)
-    run_chunked(lambda a, b: _cells_range(points, origin, width, shape[1], a, b, cell), len(points))
+    run_chunked(lambda a, b: _write_cells(points[a:b], origin, width, shape[1], cell[a:b]), len(points))
     return cell
 
 
 @njit(cache=True, nogil=True)
-def _cells_range(
-    points: FloatArray, origin: FloatArray, width: float, ny: int, begin: int, end: int, cell: IntArray
-) -> None:
-    for i in range(begin, end):
+def _write_cells(points: FloatArray, origin: FloatArray, width: float, ny: int, cell: IntArray) -> None:
+    for i in range(len(points)):
         x, y = np.floor((points[i, 0] - origin[0]) / width), np.floor((points[i, 1] - origin[1]) / width)
         cell[i] = int(x) * ny + int(y)
 
@@ -220,23 +208,16 @@ def _cells_range(
 def cells_in_box(points: FloatArray, origin: FloatArray, width: float, first: IntArray, last: IntArray) -> IntArray:
     """Flat cell of each point (n, 3) in a box of cells, from `first` to `last`; those outside are in one more."""
     cell = np.empty(len(points), INDEX)
-    run_chunked(lambda a, b: _box_range(points, origin, width, first, last, a, b, cell), len(points))
+    run_chunked(lambda a, b: _write_in_box(points[a:b], origin, width, first, last, cell[a:b]), len(points))
     return cell
 
 
 @njit(cache=True, nogil=True)
-def _box_range(
-    points: FloatArray,
-    origin: FloatArray,
-    width: float,
-    first: IntArray,
-    last: IntArray,
-    begin: int,
-    end: int,
-    cell: IntArray,
+def _write_in_box(
+    points: FloatArray, origin: FloatArray, width: float, first: IntArray, last: IntArray, cell: IntArray
 ) -> None:
     wide = last[1] - first[1]
-    for i in range(begin, end):
+    for i in range(len(points)):
         x, y = int(np.floor((points[i, 0] - origin[0]) / width)), int(np.floor((points[i, 1] - origin[1]) / width))
         inside = first[0] <= x < last[0] and first[1] <= y < last[1]
         cell[i] = (x - first[0]) * wide + y - first[1] if inside else (last[0] - first[0]) * wide
@@ -250,8 +231,8 @@ def extent_within(cell: IntArray, z: FloatArray, low: FloatArray, high: FloatArr
 
 def between(cell: IntArray, z: FloatArray, low: NDArray[np.floating], high: NDArray[np.floating]) -> BoolArray:
     """Which points are over the `low` of their cell and not over its `high`, shape (n,): see `extent_within`."""
-    found = np.empty(len(cell), dtype=bool)
-    run_chunked(lambda a, b: between_range(cell, z, low.ravel(), high.ravel(), a, b, found), len(cell))
+    found, ends = np.empty(len(cell), dtype=bool), (low.ravel(), high.ravel())
+    run_chunked(lambda a, b: _write_between(cell[a:b], z[a:b], *ends, found[a:b]), len(cell))
     return found
 
 

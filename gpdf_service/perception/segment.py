@@ -126,8 +126,8 @@ class Segmentation:
     def holds(self, points: FloatArray, node: IntArray) -> BoolArray:
         """Which of the points (n, 3) [m] in the nodes `node` are ground, shape (n,)."""
         held = np.empty(len(points), dtype=bool)
-        own = points, node, self.low, self.high, self.beside, np.broadcast_to(self.scatter, len(self.low)).copy()
-        run_chunked(lambda a, b: held_by(*own, a, b, held), len(points))
+        ground = self.low, self.high, self.beside, np.broadcast_to(self.scatter, len(self.low)).copy()
+        run_chunked(lambda a, b: held_by(points[a:b], node[a:b], ground, held[a:b]), len(points))
         return held
 
 

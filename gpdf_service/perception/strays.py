@@ -19,27 +19,25 @@ def find_strays(points: FloatArray, width: float) -> BoolArray:
     low, high = (np.floor(corner / width).astype(np.int64) for corner in bounds_of(points))
     nx, ny = (int(n) for n in high - low + 1)
     cell = np.empty(len(points), np.int64)
-    run_chunked(lambda a, b: _columns_range(points, width, low, ny, a, b, cell), len(points))
+    run_chunked(lambda a, b: _write_columns(points[a:b], width, low, ny, cell[a:b]), len(points))
     cell, count, held = compacted(cell, nx * ny)
     start, order = by_cell(cell, count)
     level = np.empty(len(points))
-    run_chunked(lambda a, b: _levels_range(points, order, width, a, b, level), len(points))
+    run_chunked(lambda a, b: _write_levels(points, order[a:b], width, level[a:b]), len(points))
     run_chunked(lambda a, b: _strays_range(start, order, level, held, (nx, ny), a, b, stray), count)
     return stray
 
 
 @njit(cache=True, nogil=True)
-def _columns_range(
-    points: FloatArray, width: float, low: IntArray, ny: int, begin: int, end: int, cell: IntArray
-) -> None:
-    for i in range(begin, end):  # voxels are counted from the frame's origin, so that a part of a cloud has the same
+def _write_columns(points: FloatArray, width: float, low: IntArray, ny: int, cell: IntArray) -> None:
+    for i in range(len(points)):  # voxels are counted from the frame's origin, so that a part of a cloud has the same
         x, y = int(np.floor(points[i, 0] / width)), int(np.floor(points[i, 1] / width))
         cell[i] = (x - low[0]) * ny + y - low[1]
 
 
 @njit(cache=True, nogil=True)
-def _levels_range(points: FloatArray, order: IntArray, width: float, begin: int, end: int, level: FloatArray) -> None:
-    for i in range(begin, end):
+def _write_levels(points: FloatArray, order: IntArray, width: float, level: FloatArray) -> None:
+    for i in range(len(order)):
         level[i] = np.floor(points[order[i], 2] / width)
 
 

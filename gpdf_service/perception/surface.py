@@ -190,7 +190,7 @@ def height_of(ground: Cells, x: float, y: float) -> float:
 
 
 class Nearest(NamedTuple):
-    """For each cell of a box the seen ground nearest to it.
+    """For each cell the seen ground nearest to it.
 
     Attributes:
         distance: To it [m], inf where nothing was seen, shape (nx, ny).
@@ -201,8 +201,8 @@ class Nearest(NamedTuple):
     height: NDArray[np.float32]
 
 
-def nearest_seen(surface: HeightMap, box: Box = WHOLE) -> Nearest:
-    """The nearest seen ground of a height map, in a `box` of its cells; there is none outside."""
-    distance, index = nearest_of(surface.state[box] == OBSERVED)
-    height = surface.height[box].ravel()[index]  # of the last cell where there is none: then all are NaN
+def nearest_seen(surface: HeightMap) -> Nearest:
+    """The nearest seen ground of a height map."""
+    distance, index = nearest_of(surface.state == OBSERVED)
+    height = surface.height.ravel()[index]  # of the last cell where there is none: then all are NaN
     return Nearest(distance * surface.cell_width, height)

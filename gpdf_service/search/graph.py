@@ -165,36 +165,15 @@ def change_edges(
 
 def same_leaves(old: Quadtree, tree: Quadtree) -> tuple[IntArray, BoolArray]:
     """Number now of each leaf that was, −1 where it is another, and which of the leaves now are as they were."""
-    found: tuple[IntArray, BoolArray] = _same_leaves(
-        *(np.ascontiguousarray(getattr(each, key)) for each in (old, tree) for key in _LEAF)
-    )
-    return found
+    now, same = np.searchsorted(tree.code, old.code), np.zeros(len(tree.code), dtype=bool)
+    at = np.minimum(now, len(tree.code) - 1)
+    good = np.logical_and.reduce([getattr(old, key) == getattr(tree, key)[at] for key in _LEAF])
+    same[at[good]] = True
+    return np.where(good, now, -1), same
 
 
 _LEAF = "code", "size", "free", "whole"
 """What tells a leaf."""
-
-
-@njit(cache=True, nogil=True)
-def _same_leaves(
-    code_was: IntArray,
-    size_was: IntArray,
-    free_was: BoolArray,
-    whole_was: BoolArray,
-    code: IntArray,
-    size: IntArray,
-    free: BoolArray,
-    whole: BoolArray,
-) -> tuple[IntArray, BoolArray]:
-    now, same, i = np.full(len(code_was), -1), np.zeros(len(code), np.bool_), 0
-    for j in range(len(code_was)):
-        while i < len(code) and code[i] < code_was[j]:
-            i += 1
-        if i == len(code):
-            break
-        if code[i] == code_was[j] and size[i] == size_was[j] and free[i] == free_was[j] and whole[i] == whole_was[j]:
-            now[j], same[i] = i, True
-    return now, same
 
 
 @njit(cache=True, nogil=True)

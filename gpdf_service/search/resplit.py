@@ -113,6 +113,8 @@ class SplitQuadtree:
         return np.concatenate([found[~is_among(found, self.gone)], self.start + np.flatnonzero(meets)])
 
 
+Measures = tuple[FloatArray, float, float, float]
+"""Lower corner of the root, width of the smallest cells, and of the ground's, and the body's radius [m]."""
 Leaves = Quadtree | SplitQuadtree
 """What tells leaves by their numbers."""
 
@@ -145,28 +147,18 @@ def split_again(tree: Quadtree, surface: HeightMap, places: Places, radius: floa
         radius: Least distance of the body's centre from any of them [m].
     """
     own = tree.origin, tree.width, surface.cell_width, radius
-    gone = _touched(tree.corner, tree.size, tree.clearance, tree.free, tree.whole, tree.code, tree.side, places, *own)
-    made = _split_leaves(tree.corner[gone], tree.size[gone], places, *own, surface.state.astype(np.uint8, copy=False))
+    gone = _touched((tree.clearance, tree.free, tree.whole, tree.code), tree.side, places, own)
+    made = _split_leaves(tree.corner[gone], tree.size[gone], places, own, surface.state.astype(np.uint8, copy=False))
     corner, size, clearance, state = made
     return gone, Quadtree(tree.origin, tree.width, corner, size, clearance, state > 0, state == 2, morton(corner))
 
 
 @njit(cache=True, nogil=True)
 def _touched(
-    corner: IntArray,
-    size: IntArray,
-    clearance: FloatArray,
-    free: BoolArray,
-    whole: BoolArray,
-    code: IntArray,
-    side: int,
-    places: Places,
-    origin: FloatArray,
-    width: float,
-    cell_width: float,
-    radius: float,
+    leaves: tuple[FloatArray, BoolArray, BoolArray, IntArray], side: int, places: Places, measures: Measures
 ) -> IntArray:
     """See `split_again`; down from the root, where something may be near enough."""
+    (clearance, free, whole, code), (origin, width, _, radius) = leaves, measures
     found, scratch, x = [0 for _ in range(0)], make_scratch(), np.empty(2)
     stack = [(0, 0, side, 0, len(code))]
     while len(stack) > 0:
@@ -193,16 +185,10 @@ def _touched(
 
 @njit(cache=True, nogil=True)
 def _split_leaves(
-    corner: IntArray,
-    size: IntArray,
-    places: Places,
-    origin: FloatArray,
-    width: float,
-    cell_width: float,
-    radius: float,
-    known: NDArray[np.uint8],
+    corner: IntArray, size: IntArray, places: Places, measures: Measures, known: NDArray[np.uint8]
 ) -> tuple[IntArray, IntArray, FloatArray, NDArray[np.uint8]]:
     """Corner, size, clearance and state of the free leaves in these leaves, in Morton order."""
+    origin, width, cell_width, radius = measures
     found, state = [(0, 0, 0, 0.0) for _ in range(0)], [0 for _ in range(0)]
     scratch, x = make_scratch(), np.empty(2)
     stack = [(0, 0, 0) for _ in range(0)]
