@@ -157,7 +157,25 @@ def test_a_path_that_there_was_no_time_to_bend_until_it_certifies_is_a_timeout(o
     hurried = gpdf.plan(scene, *ends, deadline_s=1e-6, clock=lambda: 0.0)
     assert hurried.status is gpdf.Status.TIMEOUT
     assert gpdf.plan(scene, *ends).status is gpdf.Status.UNCERTIFIED
-    assert gpdf.plan(scene, *ends, deadline_s=1e6, clock=lambda: 0.0).status is gpdf.Status.UNCERTIFIED
+    for enough in (0.09, 1e6):
+        found = gpdf.plan(scene, *ends, deadline_s=enough, clock=lambda: 0.0)
+        assert found.status is gpdf.Status.UNCERTIFIED
+
+
+def test_who_has_no_deadline_is_not_told_that_it_passed(office, monkeypatch):
+    made, scene = office
+    touching = dataclasses.replace(gpdf.plan(scene, made.start, made.goal, "roomba").certificate, holds=False)
+    monkeypatch.setattr(planner, "certify", lambda *_: touching)
+    candidates = planner._candidates
+
+    def not_converged(task, legs):
+        for candidate in candidates(task, legs):
+            yield dataclasses.replace(candidate, details=candidate.details | {"converged": 0.0})
+
+    monkeypatch.setattr(planner, "_candidates", not_converged)
+    ends = made.start, made.goal, "roomba"
+    assert gpdf.plan(scene, *ends).status is gpdf.Status.UNCERTIFIED
+    assert gpdf.plan(scene, *ends, deadline_s=1e6, clock=lambda: 0.0).status is gpdf.Status.TIMEOUT
 
 
 def test_a_deadline_that_has_passed_is_a_timeout(empty_room):
