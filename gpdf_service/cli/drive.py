@@ -20,6 +20,8 @@ from gpdf_robot.driver import DELAY_S
 from gpdf_robot.live import velocity_message
 from gpdf_schemas import encode, keys
 
+from gpdf_service.cli.inputs import check_there, is_file_name
+
 PICTURE_CELL = 0.05
 """[m] Between samples of the distance in a picture."""
 PICTURE_BORDER = 1.0
@@ -72,6 +74,8 @@ def _service(args: argparse.Namespace) -> Iterator[str]:
     """Name of the scene; where it is a file, in a service of its own, which the arguments then name."""
     cloud = Path(args.scene)
     if not cloud.is_file():
+        if is_file_name(args.scene):
+            check_there(cloud)
         yield args.scene
         return
     from tempfile import TemporaryDirectory
