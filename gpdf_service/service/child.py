@@ -12,13 +12,14 @@ import struct
 import subprocess
 import sys
 import threading
+from collections.abc import Callable
 from multiprocessing.connection import Connection
 from pathlib import Path
 
 import msgspec
 import psutil
 
-from gpdf_service.service.nursery import Birth
+from gpdf_service.service.nursery import Birth, run
 
 log = logging.getLogger(__name__)
 
@@ -33,44 +34,58 @@ FIRST_TO_GO = 1000
 
 
 class _Nursery:
-    """Ours: begun with the first child, and anew when it has died."""
+    """Ours: begun with the first child, or ahead of it, and anew when it has died."""
 
     def __init__(self) -> None:
-        self._process: subprocess.Popen[bytes] | None = None
         self._births: socket.socket
+        self._end: Callable[[], int] | None = None
         self._lock = threading.Lock()
-
-    @property
-    def pid(self) -> int:
-        """The system's number of it, once it was begun."""
-        assert self._process is not None
-        return self._process.pid
+        self.pid = 0
 
     def bear(self, birth: Birth, sent: list[int]) -> None:
         """Have a child forked, with these file descriptors."""
         words = msgspec.json.encode(birth)
         with self._lock:
             try:
-                if self._process is None:
+                if self._end is None:
                     raise ConnectionError
                 socket.send_fds(self._births, [words], sent)
             except ConnectionError:
                 self._begin()
                 socket.send_fds(self._births, [words], sent)
 
-    def _begin(self) -> None:
-        if self._process is not None:
-            log.error("the process that children are forked of has ended with code %d", self._process.wait())
+    def fork(self) -> None:
+        """Begin it as a fork of this process, which has loaded it all: a second less. Not where other threads run."""
+        if self._end is not None or threading.active_count() > 1:
+            return
+        theirs = self._connect()
+        if (pid := os.fork()) == 0:
             self._births.close()
-        self._births, theirs = socket.socketpair(type=socket.SOCK_SEQPACKET)  # closed with us, however we end
-        with theirs:
-            self._process = subprocess.Popen(
+            os.setpgid(0, 0)  # Ctrl-C at a terminal is for the service, which answers first what waits
+            with Path(os.devnull).open() as nothing:
+                os.dup2(nothing.fileno(), 0)
+            run(theirs)
+        theirs.close()
+        self.pid, self._end = pid, lambda: os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1])
+
+    def _begin(self) -> None:
+        if self._end is not None:
+            log.error("the process that children are forked of has ended with code %d", self._end())
+            self._births.close()
+        with self._connect() as theirs:
+            process = subprocess.Popen(
                 [sys.executable, "-P", "-m", "gpdf_service.service.nursery", str(theirs.fileno())],
                 env={**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)},  # the modules that we have, no others
                 stdin=subprocess.DEVNULL,
                 pass_fds=[theirs.fileno()],
-                process_group=0,  # Ctrl-C at a terminal is for the service, which answers first what waits
+                process_group=0,  # as above
             )
+        self.pid, self._end = process.pid, process.wait
+
+    def _connect(self) -> socket.socket:
+        """Where it hears of births; our end is closed with us, however we end: then it ends, too."""
+        self._births, theirs = socket.socketpair(type=socket.SOCK_SEQPACKET)
+        return theirs
 
 
 NURSERY = _Nursery()

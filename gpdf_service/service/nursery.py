@@ -125,6 +125,12 @@ def _tell(fate: socket.socket, number: int) -> None:
         fate.send(b"%d" % number)
 
 
+def _be_called(name: str) -> None:
+    """By `top` and `ps`."""
+    with contextlib.suppress(OSError):  # not a Linux
+        Path("/proc/self/comm").write_text(name)
+
+
 def _live(program: ModuleType, pipe: Connection, says: list[int], birth: Birth) -> NoReturn:
     """A child's life."""
     code = 1
@@ -134,8 +140,7 @@ def _live(program: ModuleType, pipe: Connection, says: list[int], birth: Birth) 
             os.dup2(number, stream.fileno())
             os.close(number)
         os.chdir(birth.folder)
-        with contextlib.suppress(OSError):  # not a Linux
-            Path("/proc/self/comm").write_text(birth.program.rpartition(".")[2])  # what `top` and `ps` call it
+        _be_called(birth.program.rpartition(".")[2])
         program.main(pipe, bytes(birth.settings))
         code = 0
     except BaseException:
@@ -146,12 +151,20 @@ def _live(program: ModuleType, pipe: Connection, says: list[int], birth: Birth) 
         os._exit(code)
 
 
-def main() -> None:
-    """Serve; signals are for the service, which ends this process and its children."""
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, signal.SIG_IGN)
-    Nursery(socket.socket(fileno=int(sys.argv[1]))).run()
+def run(service: socket.socket) -> NoReturn:
+    """Be the nursery of a service until that has ended; signals are for the service."""
+    code = 1
+    try:
+        for number in (signal.SIGINT, signal.SIGTERM):
+            signal.signal(number, signal.SIG_IGN)
+        _be_called("nursery")
+        Nursery(service).run()
+        code = 0
+    except BaseException:
+        traceback.print_exc()
+    finally:
+        os._exit(code)
 
 
 if __name__ == "__main__":
-    main()
+    run(socket.socket(fileno=int(sys.argv[1])))

@@ -338,6 +338,8 @@ def process(files, tmp_path, free_endpoint):
 
 def test_a_service_that_is_killed_leaves_no_process_behind(process):
     children = psutil.Process(process.pid).children(recursive=True)
+    assert [one.name() for one in psutil.Process(process.pid).children()] == ["nursery"]
+    assert "serve" in children[0].cmdline()  # a fork of the service
     process.kill()
     assert psutil.wait_procs(children, PATIENCE_S)[1] == []
 
