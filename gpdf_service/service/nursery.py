@@ -63,10 +63,10 @@ class Nursery:
             for number, _ in self._events.poll():
                 if number in self._fates:
                     self._bury(number)
-                elif number in self._shut:
+                elif number in self._shut:  # not if it was buried a moment ago
                     self._events.unregister(number)
                     self._end(self._shut.pop(number))
-                elif not self._bear():
+                elif number == self._service.fileno() and not self._bear():
                     for child, _ in self._fates.values():
                         self._end(child)
                         os.waitpid(child, 0)

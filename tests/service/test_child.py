@@ -109,6 +109,22 @@ def test_a_nursery_that_dies_takes_its_children_with_it_and_the_next_child_has_a
     assert "has ended with code -9" in caplog.text
 
 
+def test_of_one_that_dies_as_it_is_ended_no_more_is_heard_and_the_others_are_looked_after(ready):
+    with begun() as other:
+        assert other.hear(START_S) == READY
+        os.kill(NURSERY.pid, signal.SIGSTOP)  # it hears of both at once
+        try:
+            wait_for(lambda: psutil.Process(NURSERY.pid).status() == psutil.STATUS_STOPPED)
+            os.kill(other.pid, signal.SIGKILL)
+            other.kill()
+            wait_for(lambda: psutil.Process(other.pid).status() == psutil.STATUS_ZOMBIE)
+        finally:
+            os.kill(NURSERY.pid, signal.SIGCONT)
+        assert other.wait() == -signal.SIGKILL
+        ready.kill()
+        wait_for(lambda: not psutil.pid_exists(ready.pid))
+
+
 def test_one_that_hangs_as_it_begins_is_told_and_never_lives(ready):
     os.kill(NURSERY.pid, signal.SIGSTOP)
     try:
