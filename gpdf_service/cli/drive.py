@@ -84,8 +84,10 @@ def _service(args: argparse.Namespace) -> Iterator[str]:
     from gpdf_service.service.server import Options, Server  # the light install has none
 
     args.endpoint, args.zenoh = free_endpoint(), None
-    with TemporaryDirectory() as log, Server(Options(args.endpoint, Path(log), Path(log)), [("scene", cloud)]):
-        yield "scene"
+    with TemporaryDirectory() as log:
+        options = Options(args.endpoint, Path(log), Path(log), workers=1)  # one asks, one thing at a time
+        with Server(options, [("scene", cloud)]):
+            yield "scene"
 
 
 def _live(client: Client, scene: str, args: argparse.Namespace) -> dict[str, Any]:
