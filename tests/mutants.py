@@ -89,6 +89,7 @@ MOVED = "sqrt(dx * dx + dy * dy) + lever * abs(heading[i] - heading[i - 1])"
 STOOD = "contact, top = stand_up(poses[:, :2], space.surfaces[level], space.ground_fields[level], agent.height)"
 EQUAL: dict[tuple[str, ...], str] = {
     (PLANNER, f"{MOVED} > STILL → ({MOVED} >= STILL)"[:SHOWN]): "a nanometre to the last bit",
+    (PLANNER, "left < 0.0 → (left <= 0.0)"): "a time to the last bit",
     ("gpdf_service/search/lattice.py", "30.0 → (60.1)"): "detours that are longer yet are looked at, too",
     (PLANNER, "2 → (3)", STOOD): "who stands up looks at x and y alone",
     (CERTIFICATE, "spare <= 0.0 → (spare < 0.0)"): "what is left of a distance is nothing to the last bit",

@@ -362,6 +362,46 @@ def test_an_address_of_another_machine_is_told_before_anything_is_built(tmp_path
     assert trouble_at("quic/192.0.2.1:7447") == ""  # Zenoh alone knows
 
 
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        ("plan x.npz --start nan,1 --goal 2,2", "'nan,1' is no place"),
+        ("plan x.npz --start 1,1 --goal 2,inf", "'2,inf' is no place"),
+        ("plan x.npz --start 1,1 --goal 2,2 --deadline -1", "'-1' is no number over 0"),
+        ("plan x.npz --start 1,1 --goal 2,2 --thin nan", "'nan' is no number over 0"),
+        ("scene info x.npz --scale 0", "'0' is no number over 0"),
+        ("scene info x.npz --scale much", "'much' is no number over 0"),
+    ],
+)
+def test_a_number_that_makes_no_sense_is_a_usage_error(words, said, capsys):
+    with pytest.raises(SystemExit) as stop:
+        main(words.split())
+    assert stop.value.code == 2
+    assert said in capsys.readouterr().err
+
+
+def test_a_file_in_place_of_a_known_body_is_told_with_its_option(capsys):
+    assert main(["plan", "x.npz", "--start", "1,1", "--goal", "2,2", "--agent", "cart.toml"]) == 1
+    assert "Write --agent-file cart.toml." in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [("ros2 office --agent rhino", "there is no agent of that name"), ("belt /dev/none", "/dev/none")],
+)
+def test_what_is_wrong_here_is_told_before_a_service_is_looked_for(words, said, capsys, monkeypatch):
+    monkeypatch.setattr("gpdf_client.client.Client.connect", None)
+    assert main(words.split()) == 1
+    assert said in capsys.readouterr().err
+
+
+def test_what_is_no_endpoint_is_told_before_anything_is_loaded(capsys, monkeypatch):
+    monkeypatch.setattr("zenoh.open", None)
+    for flag in ("--endpoint", "--connect"):
+        assert main(["serve", flag, "nonsense"]) == 1
+        assert "'nonsense' is no endpoint. Write tcp/HOST:PORT" in capsys.readouterr().err
+
+
 def test_the_endpoint_may_stand_behind_the_sub_verb_and_zenohs_sources_are_nobodys_business(capsys, free_endpoint):
     assert main(["client", "scenes", "--endpoint", free_endpoint]) == 1
     said = capsys.readouterr().err
@@ -389,6 +429,10 @@ sys.exit(main(sys.argv[1:]))
         "replay none.mcap",
         "record check none.mcap",
         "view --log none.mcap",
+        "drive none.ply --start 1,1 --goal 2,2 --simulate",
+        "bench plan --scene office --scene none.ply",
+        "bench paper --scene=cave=none.ply",
+        "bench ground --scene some/none.npz",
     ],
 )
 def test_a_file_that_is_not_there_is_told_before_anything_that_computes_is_loaded(verb, tmp_path, free_endpoint):

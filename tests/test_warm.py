@@ -1,5 +1,4 @@
 import json
-import socket
 import subprocess
 import sys
 
@@ -29,9 +28,9 @@ def test_a_process_that_says_that_it_is_ready_has_loaded_what_its_first_plan_run
     made = office[0]
     ask = PlanRequest(scene="x", start=list(made.start), goal=list(made.goal), agent="human")
     (tmp_path / "plan").write_bytes(encode(ask))
-    settings = msgspec.json.encode(Settings(0, "me", 1e9, "text", ("human",))).decode()
+    settings = msgspec.json.encode(Settings("me", 1e9, "text", ("human",))).decode()
     words = [sys.executable, "-c", FIRST, settings, str(office_file), str(tmp_path / "plan")]
-    found = subprocess.run(words, capture_output=True, text=True, check=True, timeout=600, stdin=socket.socketpair()[0])
+    found = subprocess.run(words, capture_output=True, text=True, check=True, timeout=600)
     assert found.stdout.split() == ["OK"]
 
 
@@ -54,7 +53,8 @@ def serve(pipe, desk):
     print(decode(desk.answer(ask), PlanReply).status, *(name for name, _ in loaded() - before))
 
 plan_process.serve = serve
-plan_process.main()
+plan_process.prepare()
+plan_process.main(None, sys.argv[1].encode())
 """
 """Instead of serving, a process takes a scene into memory, makes the first plan, and names the kernels it loaded."""
 LOADED = """

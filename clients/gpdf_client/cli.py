@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import math
 import sys
 import threading
 from collections.abc import Callable
@@ -239,6 +240,6 @@ def place(text: str) -> tuple[float, ...]:
         parts = tuple(float(part) for part in text.split(","))
     except ValueError:
         parts = ()
-    if len(parts) not in (2, 3):
+    if len(parts) not in (2, 3) or not all(map(math.isfinite, parts)):
         raise argparse.ArgumentTypeError(f"{text!r} is no place: write x,y or x,y,z in metres")
     return parts

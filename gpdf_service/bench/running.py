@@ -31,7 +31,7 @@ class Running:
     def usage(self) -> dict[str, float]:
         """Memory [MB], threads, open files and CPU time [s] of the process and of those that plan for it, now."""
         main = psutil.Process(self.process.pid)
-        return dict(sum((Counter(_usage(seen)) for seen in (main, *main.children())), Counter()))
+        return dict(sum((Counter(_usage(seen)) for seen in (main, *main.children(recursive=True))), Counter()))
 
 
 def _usage(seen: psutil.Process) -> dict[str, float]:

@@ -15,6 +15,7 @@ from collections.abc import Sequence
 from contextlib import nullcontext
 from difflib import get_close_matches
 from importlib import import_module
+from pathlib import Path
 
 from gpdf_service import __version__
 from gpdf_service.cli.work import mortal
@@ -152,9 +153,15 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _announce(verb: str, words: list[str]) -> None:
-    """Say at once what a bench measures: to load what it measures with takes seconds."""
-    if verb.startswith("bench ") and not {"-h", "--help"} & set(words):
-        print(f"gpdf {verb}: {VERBS[verb][1]}", file=sys.stderr)
+    """Say at once what a bench measures, or which cloud is not there: what it measures with takes seconds to load."""
+    if not verb.startswith("bench ") or {"-h", "--help"} & set(words):
+        return
+    print(f"gpdf {verb}: {VERBS[verb][1]}", file=sys.stderr)
+    inputs = import_module("gpdf_service.cli.inputs")
+    for before, word in zip(["", *words], words, strict=False):
+        name = word.rpartition("=")[2]  # also of NAME=CLOUD
+        if (before == "--scene" or word.startswith("--scene=")) and inputs.is_file_name(name):
+            inputs.check_there(Path(name))
 
 
 def _without_verb(words: list[str]) -> int:

@@ -28,8 +28,8 @@ def run(args: argparse.Namespace) -> int:
         signal.signal(number, lambda *_: stop.set())
     belt = None
     try:
+        belt = connect(args.port)
         with connect_service(args) as client:
-            belt = connect(args.port)
             print(f"The belt at {args.port} feels the cues of {args.name}.", flush=True)
             feel(client.session, args.name, Belt(belt, args.port), stop.is_set)
     except (ClientError, BeltError) as error:

@@ -45,6 +45,8 @@ def body_of(args: argparse.Namespace) -> Agent | None:
         given["max_slope"] = math.radians(given["max_slope"])
     if args.agent_file is not None:
         body = read_agent(args.agent_file)
+    elif (args.agent or "").endswith(".toml"):
+        raise ConfigError(f"--agent {args.agent}", "that is the name of a file", f"Write --agent-file {args.agent}.")
     elif args.agent is not None or given:
         body = resolve_agent(args.agent or "human")
     else:

@@ -1,4 +1,4 @@
-"""`gpdf demo`: the real service as its own process, four bodies asked for over Zenoh, a table, pictures and a log."""
+"""`gpdf demo`: the real service as its own process, four bodies asked for over Zenoh, a table, a picture and a log."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ class Tour:
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the verb's options."""
-    parser.add_argument("--out", type=Path, default=Path("out"), help="folder for the pictures, the log and the scenes")
+    parser.add_argument("--out", type=Path, default=Path("out"), help="folder for the picture, the log and the scenes")
     parser.add_argument(
         "--scans", type=Path, default=Path("../shared/data"), help="folder with the laser-scanned office"
     )
@@ -91,7 +91,7 @@ def _service(out: Path, tours: list[Tour]) -> Iterator[str]:
     scenes = [f"{tour.name}={tour.cloud}" for tour in tours]
     flags = [*scenes, "--endpoint", endpoint, "--log-dir", str(out), "--workers", "1"]  # one asks, one plan at a time
     print(f"gpdf serve {' '.join(flags)}", file=sys.stderr)
-    print("(the first run on a machine compiles the kernels, for a minute or two)", file=sys.stderr)
+    print("(where nobody has run `gpdf warm` yet, it compiles the kernels first, for minutes)", file=sys.stderr)
     (out / "serve.log").unlink(missing_ok=True)
     with begun(out / "serve.log", *flags):
         yield endpoint

@@ -20,6 +20,8 @@ from gpdf_robot.driver import DELAY_S
 from gpdf_robot.live import velocity_message
 from gpdf_schemas import encode, keys
 
+from gpdf_service.cli.inputs import check_there, is_file_name
+
 PICTURE_CELL = 0.05
 """[m] Between samples of the distance in a picture."""
 PICTURE_BORDER = 1.0
@@ -72,6 +74,8 @@ def _service(args: argparse.Namespace) -> Iterator[str]:
     """Name of the scene; where it is a file, in a service of its own, which the arguments then name."""
     cloud = Path(args.scene)
     if not cloud.is_file():
+        if is_file_name(args.scene):
+            check_there(cloud)
         yield args.scene
         return
     from tempfile import TemporaryDirectory
@@ -80,8 +84,10 @@ def _service(args: argparse.Namespace) -> Iterator[str]:
     from gpdf_service.service.server import Options, Server  # the light install has none
 
     args.endpoint, args.zenoh = free_endpoint(), None
-    with TemporaryDirectory() as log, Server(Options(args.endpoint, Path(log), Path(log)), [("scene", cloud)]):
-        yield "scene"
+    with TemporaryDirectory() as log:
+        options = Options(args.endpoint, Path(log), Path(log), workers=1)  # one asks, one thing at a time
+        with Server(options, [("scene", cloud)]):
+            yield "scene"
 
 
 def _live(client: Client, scene: str, args: argparse.Namespace) -> dict[str, Any]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import math
 import os
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -17,6 +18,8 @@ if TYPE_CHECKING:  # what builds and plans takes a second to load: `load`, when 
     from gpdf_service.scene import Scene
 
 SCENE_SUFFIX = ".gpdf"
+CLOUDS, MESHES = ".ply .pcd .xyz .csv .txt .npy .npz .las .laz .e57", ".obj .stl .dae .glb"
+"""Suffixes of the files that people mostly have; `perception.read` takes some more."""
 UP = ("z", "y", "x", "-z", "-y", "-x")
 BUILDING = ("ground_label", "topic", "thin", "scale", "up", "ignore_labels", "config")
 """Options that say how a cloud is read and built: a scene file knows nothing of them any more."""
@@ -24,7 +27,7 @@ BUILDING = ("ground_label", "topic", "thin", "scale", "up", "ignore_labels", "co
 
 def add_cloud_arguments(parser: argparse.ArgumentParser) -> None:
     """The input: a cloud, or a scene that was built before."""
-    kinds = "a cloud (.ply .pcd .xyz .csv .txt .npy .npz .las .laz .e57; ROS bags), a mesh (.obj .stl .dae .glb)"
+    kinds = f"a cloud ({CLOUDS}; ROS bags), a mesh ({MESHES})"
     parser.add_argument("input", type=Path, help=f"{kinds} or a scene ({SCENE_SUFFIX})")
     add_build_arguments(parser)
 
@@ -35,13 +38,24 @@ def add_build_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--topic", help="of the PointCloud2 in a ROS bag that has several")
     parser.add_argument(
         "--thin",
-        type=float,
+        type=positive,
         help="keep one point of each voxel of this width [m], read in chunks; for tiles in a folder",
     )
-    parser.add_argument("--scale", type=float, help="metres of the file's unit: 0.001, 0.01, 0.3048, …")
+    parser.add_argument("--scale", type=positive, help="metres of the file's unit: 0.001, 0.01, 0.3048, …")
     parser.add_argument("--up", choices=UP, help="the axis of the file that points up (write --up=-z)")
     parser.add_argument("--ignore-labels", action="store_true", help="segment the ground even if the file has labels")
     parser.add_argument("--config", type=Path, help="a TOML file with settings")
+
+
+def positive(text: str) -> float:
+    """Parse a finite number over 0."""
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not 0.0 < value < math.inf:
+        raise argparse.ArgumentTypeError(f"{text!r} is no number over 0")
+    return value
 
 
 def read_config(path: Path | None) -> Config:
@@ -105,6 +119,11 @@ def check_there(path: Path) -> None:
         hint = "Build it first: gpdf scene build CLOUD --out FILE."
         raise SceneFileError(f"scene file {path}", "there is no such file", hint)
     raise CloudError(f"cloud {path}", "there is no such file", "Check the path.")
+
+
+def is_file_name(text: str) -> bool:
+    """Whether this is more likely the name of a file than of a scene of a service."""
+    return "/" in text or Path(text).suffix in {SCENE_SUFFIX, *CLOUDS.split(), *MESHES.split()}
 
 
 def check_out(path: Path, option: str = "--out") -> None:

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, get_args
 from gpdf_client.cli import place
 
 from gpdf_service.cli.bodies import add_body_arguments, body_of
-from gpdf_service.cli.inputs import add_cloud_arguments, check_in, check_out, open_scene
+from gpdf_service.cli.inputs import add_cloud_arguments, check_in, check_out, open_scene, positive
 from gpdf_service.cli.work import Work
 from gpdf_service.types import Agent, Method, PlanResult, Preference, Status
 
@@ -39,7 +39,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--prefer", choices=get_args(Preference), help="not given: as a sighted companion would lead")
     parser.add_argument("--alternatives", type=int, default=0, help="more ways that differ")
-    parser.add_argument("--deadline", type=float, help="seconds that the plan may take")
+    parser.add_argument("--deadline", type=positive, help="seconds that the plan may take")
     parser.add_argument("--png", type=Path, help="draw the cloud, the field and the path")
     parser.add_argument("--json", action="store_true", help="print the result as JSON, with the trajectory")
 

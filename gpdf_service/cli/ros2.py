@@ -13,6 +13,8 @@ from gpdf_client import Client, ClientError
 from gpdf_client.cli import add_connection, connect
 from gpdf_ros2 import Bridge, Dialect, Names
 
+from gpdf_service.types import resolve_agent
+
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the verb's options."""
@@ -36,6 +38,7 @@ def run(args: argparse.Namespace) -> int:
     stop = threading.Event()
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: stop.set())
+    resolve_agent(args.agent)
     names = Names(args.goal_topic, args.pose_topic, args.path_topic, args.cloud_topic, args.frame)
     try:
         with (

@@ -20,6 +20,12 @@ def _pool() -> ThreadPoolExecutor:
     return ThreadPoolExecutor(max_workers=worker_count(), thread_name_prefix="gpdf-kernel")
 
 
+def end_threads() -> None:
+    """End the pool's threads, which do not live on in a fork; whoever needs them begins others."""
+    _pool().shutdown()
+    _pool.cache_clear()
+
+
 def run_chunked(kernel: Callable[[int, int], None], count: int) -> None:
     """Call `kernel(begin, end)` over ranges that tile `range(count)`, on all cores when there is enough to do."""
     chunks = max(1, min(4 * worker_count(), count // MIN_CHUNK))

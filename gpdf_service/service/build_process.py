@@ -1,12 +1,10 @@
-"""The process that builds scenes: `python -m gpdf_service.service.build_process SETTINGS`, begun by a `Builder`."""
+"""What the process runs that builds scenes, the `Child` of a `Builder`."""
 
 from __future__ import annotations
 
 import logging
 import os
 import resource
-import signal
-import sys
 from multiprocessing.connection import Connection
 
 import msgspec
@@ -58,18 +56,12 @@ def _do(job: Job, workshop: Workshop, pipe: Connection, limit_bytes: int) -> Bui
         return Failed("the build failed inside the service; its log says more.")
 
 
-def main() -> None:
-    """Serve the pipe that the settings name; signals are for the service, which ends this process."""
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, signal.SIG_IGN)
-    settings = msgspec.json.decode(sys.argv[1], type=BuildSettings)
+def main(pipe: Connection, words: bytes) -> None:
+    """Build for the service at the other end, as the `BuildSettings` say."""
+    settings = msgspec.json.decode(words, type=BuildSettings)
     set_up(settings.log_format)  # type: ignore[arg-type]
     go_first()
     os.nice(NICE)
     resource.setrlimit(resource.RLIMIT_DATA, (settings.limit_bytes, settings.limit_bytes))
     workshop = Workshop(Config.from_mapping(settings.config), settings.memory_bytes, settings.bodies)
-    serve(Connection(settings.pipe), workshop, settings.limit_bytes)
-
-
-if __name__ == "__main__":
-    main()
+    serve(pipe, workshop, settings.limit_bytes)

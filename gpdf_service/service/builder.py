@@ -26,9 +26,8 @@ SMALLER = "Is it in metres? Thin it (gpdf scene build --thin), or build it in pa
 
 
 class BuildSettings(msgspec.Struct, frozen=True):
-    """What the process is begun with: its pipe's file descriptor, and what it shares with the service."""
+    """What the process is begun with: what it shares with the service."""
 
-    pipe: int
     config: dict[str, dict[str, object]]
     limit_bytes: int
     memory_bytes: float
@@ -74,13 +73,14 @@ class Builder:
         """As the options say."""
         tables = {name: table for name, table in plain(options, config).items() if name != "serve"}
         limit = int(MB * options.build_memory_mb)
-        return cls(BuildSettings(-1, tables, limit, options.memory_bytes, tuple(options.bodies), options.log_format))
+        return cls(BuildSettings(tables, limit, options.memory_bytes, tuple(options.bodies), options.log_format))
 
     @property
     def pids(self) -> list[int]:
         """The system's number of the process, if there is one."""
         with self._lock:
-            return [] if self._child is None else [self._child.pid]
+            pid = None if self._child is None else self._child.pid
+            return [] if pid is None else [pid]
 
     def start(self) -> None:
         """Begin the process, ahead of the first build."""

@@ -38,7 +38,10 @@ class Metrics:
             self._bad += 1
 
     def numbers(self, pids: Sequence[int] = ()) -> dict[str, float]:
-        """Everything by name; memory in bytes, that of the processes `pids` too; times in seconds."""
+        """Everything by name; times in seconds.
+
+        `memory_bytes` is of this process and of `pids`: at most, for what they share is counted for each of them.
+        """
         with self._lock:
             answers, seconds = dict(self._answers), np.array(self._seconds or [0.0])
         p50, p99 = np.percentile(seconds, [50, 99])

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import re
 import typing
 from collections.abc import Mapping
 from pathlib import Path
@@ -24,6 +25,9 @@ ENVIRONMENT = "GPDF_"
 
 HALF_OF_MEMORY_MB = round(0.5e-6 * psutil.virtual_memory().total)
 """[MB] What one build may take: the other half is for the scenes, the plans and everybody else."""
+
+ENDPOINT = re.compile(r"\w+/.")
+"""How Zenoh's endpoints begin: a protocol and an address."""
 
 Count = Annotated[int, Meta(ge=1)]
 Amount = Annotated[float, Meta(gt=0)]
@@ -121,6 +125,9 @@ def gather(file: Path | None, environment: Mapping[str, str], flags: Mapping[str
         options = msgspec.convert(values, Options, strict=False, dec_hook=lambda kind, value: kind(value))
     except (msgspec.ValidationError, TypeError) as error:
         raise ConfigError(SERVICE_TABLE, str(error), f"Options: {', '.join(Options.__struct_fields__)}.") from error
+    for endpoint in filter(None, (options.endpoint, *options.connect)):
+        if not ENDPOINT.match(endpoint):
+            raise ConfigError(SERVICE_TABLE, f"{endpoint!r} is no endpoint", "Write tcp/HOST:PORT, or tls/HOST:PORT.")
     for body in options.bodies:
         resolve_agent(body)
     if options.role == "planner" and not options.connect:

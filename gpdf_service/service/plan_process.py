@@ -1,10 +1,8 @@
-"""A process that plans for a service: `python -m gpdf_service.service.plan_process SETTINGS`, begun by its `Pool`."""
+"""What a process runs that plans for a service, a `Child` of its `Pool`."""
 
 from __future__ import annotations
 
 import select
-import signal
-import sys
 import time
 from multiprocessing.connection import Connection
 from pathlib import Path
@@ -13,6 +11,7 @@ import msgspec
 from gpdf_schemas import DrawRequest, decode
 
 from gpdf_service.errors import SceneFileError
+from gpdf_service.fields.threads import end_threads
 from gpdf_service.service.answers import answer
 from gpdf_service.service.child import go_first
 from gpdf_service.service.held import Held
@@ -90,16 +89,15 @@ def serve(pipe: Connection, desk: Desk) -> None:
         return
 
 
-def main() -> None:
-    """Serve the pipe that the settings name; signals are for the service, which ends this process."""
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, signal.SIG_IGN)
-    settings = msgspec.json.decode(sys.argv[1], type=Settings)
+def prepare() -> None:
+    """Load the kernels of plans."""
+    Warming().plans()
+    end_threads()
+
+
+def main(pipe: Connection, words: bytes) -> None:
+    """Plan for the service at the other end, as the `Settings` say."""
+    settings = msgspec.json.decode(words, type=Settings)
     set_up(settings.log_format)  # type: ignore[arg-type]
     go_first()
-    Warming().plans()
-    serve(Connection(settings.pipe), Desk(settings))
-
-
-if __name__ == "__main__":
-    main()
+    serve(pipe, Desk(settings))

@@ -40,9 +40,8 @@ WARM_S = 10.0
 
 
 class Settings(msgspec.Struct, frozen=True):
-    """What a process is begun with: its pipe's file descriptor, and what it shares with the service."""
+    """What a process is begun with: what it shares with the service."""
 
-    pipe: int
     planner: str
     memory_bytes: float
     log_format: str
@@ -94,8 +93,8 @@ class _Process:
         self.ready = False
 
     @property
-    def pid(self) -> int:
-        """The system's number of it."""
+    def pid(self) -> int | None:
+        """The system's number of it; None before it is born."""
         return self._child.pid
 
     def wait_until_ready(self) -> None:
@@ -206,7 +205,7 @@ class Pool:
     def pids(self) -> list[int]:
         """The system's numbers of those that run."""
         with self._lock:
-            return [process.pid for process in self._alive.values()]
+            return [pid for process in self._alive.values() if (pid := process.pid) is not None]
 
     def ask(self, ask: Ask, look: Callable[[str], tuple[float, Mapping[str, Living]]], until: float) -> bytes:
         """The reply's bytes of whichever process is free first; none if it cannot read the scene's file.

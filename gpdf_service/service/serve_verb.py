@@ -56,17 +56,19 @@ def run(args: argparse.Namespace) -> int:
     stop = threading.Event()
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: stop.set())
-    if args.until_eof:
-        threading.Thread(target=_await_eof, args=(stop,), name="gpdf-eof", daemon=True).start()
     if trouble := trouble_at(options.endpoint):  # before processes begin and scenes are built
         log.error(BUSY, options.endpoint, trouble)
         return 1
     if gone := [str(file) for _, file in args.scenes if not file.is_file()]:
         log.error("file %r is not there.", gone[0])
         return 1
+    from gpdf_service.service.child import NURSERY
     from gpdf_service.service.record import repair_folder  # these take a second to load
     from gpdf_service.service.server import Server
 
+    NURSERY.fork()  # ahead of the first thread
+    if args.until_eof:
+        threading.Thread(target=_await_eof, args=(stop,), name="gpdf-eof", daemon=True).start()
     options.log_dir.mkdir(parents=True, exist_ok=True)
     for path in repair_folder(options.log_dir):
         log.warning("the log %s was cut short by a crash; it is readable again", path)

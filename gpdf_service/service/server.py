@@ -216,7 +216,7 @@ class Server:
         if not options.processes:
             return None
         return Pool(
-            options.processes, Settings(-1, self.planner_id, options.memory_bytes, options.log_format, options.bodies)
+            options.processes, Settings(self.planner_id, options.memory_bytes, options.log_format, options.bodies)
         )
 
     def _load_scenes(self) -> None:

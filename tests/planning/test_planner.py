@@ -157,7 +157,36 @@ def test_a_path_that_there_was_no_time_to_bend_until_it_certifies_is_a_timeout(o
     hurried = gpdf.plan(scene, *ends, deadline_s=1e-6, clock=lambda: 0.0)
     assert hurried.status is gpdf.Status.TIMEOUT
     assert gpdf.plan(scene, *ends).status is gpdf.Status.UNCERTIFIED
-    assert gpdf.plan(scene, *ends, deadline_s=1e6, clock=lambda: 0.0).status is gpdf.Status.UNCERTIFIED
+    for enough in (0.09, 1e6):
+        found = gpdf.plan(scene, *ends, deadline_s=enough, clock=lambda: 0.0)
+        assert found.status is gpdf.Status.UNCERTIFIED
+
+
+@pytest.mark.parametrize(
+    ("deadline_s", "left", "converged", "status"),
+    [
+        (None, np.inf, False, "UNCERTIFIED"),  # there is none that could have passed
+        (1.0, 0.5, True, "UNCERTIFIED"),
+        (1.0, 0.5, False, "TIMEOUT"),  # with more time it might have
+        (1.0, -0.5 * planner.PATIENCE, True, "TIMEOUT"),
+    ],
+)
+def test_what_does_not_certify_is_blamed_on_the_deadline_where_that_is_why(
+    office, monkeypatch, deadline_s, left, converged, status
+):
+    made, scene = office
+    touching = dataclasses.replace(gpdf.plan(scene, made.start, made.goal, "roomba").certificate, holds=False)
+    monkeypatch.setattr(planner, "certify", lambda *_: touching)
+    candidates, now = planner._candidates, [0.0]
+
+    def tried(task, legs):
+        for candidate in candidates(task, legs):
+            now[0] = 1.0 - left if deadline_s else 0.0
+            yield dataclasses.replace(candidate, details=candidate.details | {"converged": float(converged)})
+
+    monkeypatch.setattr(planner, "_candidates", tried)
+    found = gpdf.plan(scene, made.start, made.goal, "roomba", deadline_s=deadline_s, clock=lambda: now[0])
+    assert found.status.value == status
 
 
 def test_a_deadline_that_has_passed_is_a_timeout(empty_room):

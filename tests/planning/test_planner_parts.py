@@ -42,11 +42,12 @@ def task_of(space, *, left=lambda: np.inf, via=()):
     return SimpleNamespace(space=space, config=CONFIG, ends=ends, wish=SimpleNamespace(prefer="companion"), left=left)
 
 
-@pytest.mark.parametrize("start", [(0.6, 0.6), (2.0, 0.6)])
-def test_times_are_told_by_the_clock_that_is_given(room, start):
+@pytest.mark.parametrize(("start", "more"), [((0.6, 0.6), 0), ((0.6, 0.6), 1), ((2.0, 0.6), 0)])
+def test_times_are_told_by_the_clock_that_is_given(room, start, more):
     ticks = []
     tell = itertools.count(100)
-    result = gpdf.plan(room, start, (3.4, 0.6), clock=lambda: ticks.append(float(next(tell))) or ticks[-1])
+    clock = lambda: ticks.append(float(next(tell))) or ticks[-1]  # noqa: E731
+    result = gpdf.plan(room, start, (3.4, 0.6), alternatives=more, clock=clock)
     assert result.timings["total"] == ticks[-1] - ticks[0] > 0.0
     if result.status is gpdf.Status.OK:
         assert min(result.timings["search"], result.timings["optimise"]) > 0.0
@@ -299,6 +300,18 @@ def test_of_ways_that_do_not_certify_the_first_says_why_even_if_the_last_was_lat
     monkeypatch.setattr(planner, "_follow", lambda _, route: SimpleNamespace(status=made[route]))
     found, route = planner._best(SimpleNamespace(left=lambda: 1.0))
     assert (found.status, route) == (gpdf.Status.UNCERTIFIED, None)
+
+
+def test_where_a_body_gets_stuck_is_why_there_is_no_way_rather_than_what_did_not_certify(monkeypatch):
+    stuck = [planner.Stuck(gpdf.Status.NO_VALID_PATH, words, np.array([1.0, 2.0, at])) for at, words in enumerate("ab")]
+    uncertified = SimpleNamespace(status=gpdf.Status.UNCERTIFIED)
+    monkeypatch.setattr(planner, "_follow", lambda *_: uncertified)
+    monkeypatch.setattr(planner, "_routes", lambda _: iter(["way", *stuck]))
+    found, route = planner._best(SimpleNamespace(left=lambda: 1.0))
+    assert (found.status, found.message, route) == (gpdf.Status.NO_VALID_PATH, "a", None)
+    assert found.details == {"cut_x": 1.0, "cut_y": 2.0, "cut_z": 0.0}
+    monkeypatch.setattr(planner, "_routes", lambda _: iter(["way"]))
+    assert planner._best(SimpleNamespace(left=lambda: 1.0)) == (uncertified, None)
 
 
 def test_a_body_goes_slower_with_less_room_than_it_prefers(room, monkeypatch):

@@ -28,7 +28,6 @@ from gpdf_schemas import (
 )
 
 import gpdf_service as gpdf
-from gpdf_service.service.child import Child
 from gpdf_service.service.evidence import (
     BURST_S,
     MUTED_NAMES,
@@ -41,7 +40,6 @@ from gpdf_service.service.evidence import (
 from gpdf_service.service.follower import Follower
 from gpdf_service.service.handlers import Handlers
 from gpdf_service.service.network import session_config
-from gpdf_service.service.pool import PROGRAM, Settings
 from gpdf_service.service.scenes import NotKeptError, Shelf
 from gpdf_service.service.server import Options, Server
 from gpdf_service.service.uploads import LEAST_PART
@@ -286,14 +284,3 @@ def test_a_build_that_hangs_is_ended_and_the_next_one_is_made(tmp_path, free_end
         with pytest.raises(ServiceError, match=r"BUILD_FAILED.*hung"):
             client.load_scene("office", upload=office[0].points, timeout_s=120)
         assert client.load_scene("floor", upload=floor(), timeout_s=120)["points"] == len(floor())
-
-
-def test_a_process_that_hangs_as_it_begins_is_ended(monkeypatch):
-    child = Child(PROGRAM, Settings(pipe=-1, planner="me", memory_bytes=1e9, log_format="text"))
-    os.kill(child.pid, signal.SIGSTOP)
-    try:
-        with pytest.raises(TimeoutError, match="hangs"):
-            child.hear(0.2)
-    finally:
-        child.kill()
-        child.wait()

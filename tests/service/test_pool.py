@@ -43,7 +43,7 @@ pytestmark = pytest.mark.slow
 
 PATIENCE_S = 300
 """[s] For what must happen at all."""
-SETTINGS = Settings(pipe=-1, planner="me", memory_bytes=1e9, log_format="text")
+SETTINGS = Settings(planner="me", memory_bytes=1e9, log_format="text")
 PLACES = np.random.default_rng(0).uniform([0.5, 0.5], [5.5, 4.5], (50, 2))
 
 
@@ -330,13 +330,16 @@ def process(files, tmp_path, free_endpoint):
     with subprocess.Popen([sys.executable, *words]) as running:
         with Client.connect(free_endpoint, timeout_s=PATIENCE_S) as client:
             client.wait_for_scene("office")
-            wait_for(lambda: client.status()[0].ready and len(psutil.Process(running.pid).children()) == 3)
+            everybody = psutil.Process(running.pid)
+            wait_for(lambda: client.status()[0].ready and len(everybody.children(recursive=True)) == 4)
         yield running
         running.kill()
 
 
 def test_a_service_that_is_killed_leaves_no_process_behind(process):
-    children = psutil.Process(process.pid).children()
+    children = psutil.Process(process.pid).children(recursive=True)
+    assert [one.name() for one in psutil.Process(process.pid).children()] == ["nursery"]
+    assert "serve" in children[0].cmdline()  # a fork of the service
     process.kill()
     assert psutil.wait_procs(children, PATIENCE_S)[1] == []
 
@@ -344,7 +347,7 @@ def test_a_service_that_is_killed_leaves_no_process_behind(process):
 def test_a_manager_that_ends_every_process_at_once_gets_a_graceful_end(process, free_endpoint, tmp_path, office):
     """systemd sends SIGTERM to all of them."""
     made, statuses = office[0], []
-    children = psutil.Process(process.pid).children()
+    children = psutil.Process(process.pid).children(recursive=True)
     with Client.connect(free_endpoint) as client:
         asks = [
             threading.Thread(target=lambda: statuses.append(client.plan("office", made.start, made.goal).status))
