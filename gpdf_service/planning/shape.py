@@ -6,11 +6,12 @@ import numpy as np
 from numba import njit
 
 from gpdf_service.fields import FieldArrays, Gpdf
+from gpdf_service.fields.tree import Scratch, make_scratch
+from gpdf_service.kernel_cache import lean
 from gpdf_service.perception import HeightMap
 from gpdf_service.perception.surface import UNKNOWN, Cells, cell_of, height_of
-from gpdf_service.planning.costs import make_memo, recall
-from gpdf_service.search import is_clear
-from gpdf_service.search.motion import CENTRE, is_leap_clear
+from gpdf_service.planning.costs import Memo, make_memo, recall
+from gpdf_service.search.motion import CENTRE, is_leap_clear, is_straight_clear
 from gpdf_service.search.places import Places
 from gpdf_service.types import FloatArray, IntArray
 
@@ -45,19 +46,20 @@ def _shortcut(path: FloatArray, obstacles: Places, radius: float, offsets: Float
     """
     kept = [0]
     here = first = 0
-    last, straight = path.shape[0] - 1, _straight_to(path)
+    last, straight, scratch = path.shape[0] - 1, _straight_to(path), make_scratch()
+    seen = obstacles, radius, offsets, ground, scratch
     while here < last:
         ahead, leap = straight[here], max(1, first // 2)
         good = ahead
-        while ahead + leap <= last and is_joined(path[here], path[ahead + leap], obstacles, radius, offsets, ground):
+        while ahead + leap <= last and _is_joined(path[here], path[ahead + leap], *seen):
             good = ahead + leap
             leap *= 2
         bad = min(ahead + leap, last + 1)
-        if good < last and is_joined(path[here], path[last], obstacles, radius, offsets, ground):
+        if good < last and _is_joined(path[here], path[last], *seen):
             good, bad = last, last + 1
         while bad - good > 1:
             middle = (good + bad) // 2
-            if is_joined(path[here], path[middle], obstacles, radius, offsets, ground):
+            if _is_joined(path[here], path[middle], *seen):
                 good = middle
             else:
                 bad = middle
@@ -84,11 +86,11 @@ def tighten(path: FloatArray, obstacles: Places, radius: float, ground: Cells) -
 
     Unlike `shortcut`, it stays between what it went between: from each kept row all rows up to the next one are seen.
     """
-    kept, last = [0], len(path) - 1
+    kept, last, scratch = [0], len(path) - 1, make_scratch()
     while kept[-1] < last:
         here = kept[-1]
         seen = here + 1
-        while seen < last and is_joined(path[here], path[seen + 1], obstacles, radius, CENTRE, ground):
+        while seen < last and is_straight(path[here], path[seen + 1], obstacles, radius, ground, scratch):
             seen += 1
         kept.append(seen)
     return np.array(kept)
@@ -99,13 +101,34 @@ def is_joined(
     a: FloatArray, b: FloatArray, obstacles: Places, radius: float, offsets: FloatArray, ground: Cells
 ) -> bool:
     """Whether the leg from a to b is clear and on known ground."""
-    if not is_ground_known(ground, a, b):
-        return False
-    clear: bool = is_clear(obstacles, a, b, radius) if len(a) == 2 else is_leap_clear(obstacles, a, b, offsets, radius)
-    return clear
+    return _is_joined(a, b, obstacles, radius, offsets, ground, make_scratch())
 
 
 @njit(cache=True, nogil=True)
+def _is_joined(
+    a: FloatArray,
+    b: FloatArray,
+    obstacles: Places,
+    radius: float,
+    offsets: FloatArray,
+    ground: Cells,
+    scratch: Scratch,
+) -> bool:
+    """`is_joined` for a loop, which makes the scratch once."""
+    if len(a) == 2:
+        return is_straight(a, b, obstacles, radius, ground, scratch)
+    return is_ground_known(ground, a, b) and is_leap_clear(obstacles, a, b, offsets, radius)
+
+
+@lean()
+def is_straight(
+    a: FloatArray, b: FloatArray, obstacles: Places, radius: float, ground: Cells, scratch: Scratch
+) -> bool:
+    """`is_joined` between places in plan, for a loop."""
+    return is_ground_known(ground, a, b) and is_straight_clear(obstacles, a, b, radius, scratch)
+
+
+@lean()
 def is_ground_known(ground: Cells, a: FloatArray, b: FloatArray) -> bool:
     """Whether the ground is known in each cell that the line from a to b crosses (Amanatides & Woo 1987)."""
     u, v = cell_of(ground, a[0], a[1])
@@ -130,8 +153,9 @@ def is_ground_known(ground: Cells, a: FloatArray, b: FloatArray) -> bool:
 @njit(cache=True, nogil=True)
 def is_path_clear(path: FloatArray, obstacles: Places, radius: float) -> bool:
     """Whether a whole polyline in plan, shape (n, 2), keeps `radius` from every obstacle."""
+    scratch = make_scratch()
     for i in range(path.shape[0] - 1):  # noqa: SIM110 - compiled
-        if not is_clear(obstacles, path[i], path[i + 1], radius):
+        if not is_straight_clear(obstacles, path[i], path[i + 1], radius, scratch):
             return False
     return True
 
@@ -229,9 +253,18 @@ def stand_up(xy: FloatArray, surface: HeightMap, field: Gpdf, height: float) -> 
 
 @njit(cache=True, nogil=True)
 def _stand(xy: FloatArray, ground: Cells, field: FieldArrays, height: float) -> tuple[FloatArray, FloatArray]:
-    """See `stand_up`; each top starts from what the one before it was lifted by."""
+    """See `stand_up`."""
     contact, top = np.empty((len(xy), 3)), np.empty((len(xy), 3))
-    memo, least, most, stands = make_memo(1), -_UPRIGHT_SHARE * height, _UPRIGHT_SHARE * height, _STANDS * height
+    _lift_all(xy, ground, field, height, make_memo(1), contact, top)
+    return contact, top
+
+
+@lean()
+def _lift_all(
+    xy: FloatArray, ground: Cells, field: FieldArrays, height: float, memo: Memo, contact: FloatArray, top: FloatArray
+) -> None:
+    """Write contact points and tops; each top starts from what the one before it was lifted by."""
+    least, most, stands = -_UPRIGHT_SHARE * height, _UPRIGHT_SHARE * height, _STANDS * height
     lift = 0.0
     for i in range(len(xy)):
         x, y = xy[i, 0], xy[i, 1]
@@ -251,17 +284,23 @@ def _stand(xy: FloatArray, ground: Cells, field: FieldArrays, height: float) -> 
     for i in range(1, len(xy)):
         rise = contact[i, 2] - contact[i - 1, 2]
         if abs(rise) > most - least:
-            _lift(contact, top, i - 1 if rise > 0.0 else i, -1 if rise > 0.0 else 1, abs(rise), field, height)
-    return contact, top
+            _lift(contact, top, i - 1 if rise > 0.0 else i, -1 if rise > 0.0 else 1, abs(rise), field, height, memo)
 
 
-@njit(cache=True, nogil=True)
+@lean()
 def _lift(
-    contact: FloatArray, top: FloatArray, foot: int, away: int, rise: float, field: FieldArrays, height: float
+    contact: FloatArray,
+    top: FloatArray,
+    foot: int,
+    away: int,
+    rise: float,
+    field: FieldArrays,
+    height: float,
+    memo: Memo,
 ) -> None:
     """Lift the tops from the foot of a step `away` from it to where d_g = h, as far as that is over them."""
-    memo, highest, i, stands = make_memo(1), contact[foot, 2] + rise + height, foot, _STANDS * height
-    z = highest
+    highest, i, stands = contact[foot, 2] + rise + height, foot, _STANDS * height
+    memo.place[0, 0], z = np.nan, highest  # nothing is known here yet
     while 0 <= i < len(top):
         for _ in range(_NEWTON_STEPS):
             off = (height - recall(field, (top[i, 0], top[i, 1], z), memo, 0, np.inf, stands)) / max(

@@ -10,6 +10,7 @@ from numba import njit
 from gpdf_service.fields import Tree, find_nearest
 from gpdf_service.fields.traversal import nearest_at
 from gpdf_service.fields.tree import NO_POINTS, Place, Scratch, make_scratch
+from gpdf_service.kernel_cache import lean
 from gpdf_service.types import FloatArray, IntArray
 
 
@@ -20,7 +21,7 @@ class Places(NamedTuple):
     moving: Tree = NO_POINTS
 
 
-@njit(cache=True, nogil=True)
+@lean()
 def distance_at(places: Places, x: Place, scratch: Scratch) -> float:
     """Exact distance to the nearest of the places [m], 0 from what is no place, or where there are none."""
     if len(places.standing.begin) < 2:
@@ -31,7 +32,7 @@ def distance_at(places: Places, x: Place, scratch: Scratch) -> float:
     return float(min(distance, nearest_at(places.moving, x, scratch)[0]))
 
 
-@njit(cache=True, nogil=True)
+@lean()
 def nearest_of(places: Places, x: Place, scratch: Scratch) -> tuple[float, int]:
     """Exact distance to the nearest of the places [m], and its row before it was in a tree; 0 and −1 for none."""
     distance, row = 0.0, -1
