@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from math import sqrt
+
 import numpy as np
 from numba import njit
 
@@ -13,7 +15,7 @@ from gpdf_service.perception.surface import UNKNOWN, Cells, cell_of, height_of
 from gpdf_service.planning.costs import Memo, make_memo, recall
 from gpdf_service.search.motion import CENTRE, is_leap_clear, is_straight_clear
 from gpdf_service.search.places import Places
-from gpdf_service.types import FloatArray, IntArray
+from gpdf_service.types import BoolArray, FloatArray, IntArray
 
 _UPRIGHT_SHARE = 0.09
 """[-] How far the top may be off the body height over the contact point: a tenth (Uttsha et al. 2024, feasibility
@@ -73,7 +75,8 @@ def _straight_to(path: FloatArray) -> IntArray:
     """For each row the last one to which a way over places, (n, 2), goes straight on; the next one of poses, (n, 3)."""
     straight = np.minimum(np.arange(len(path)) + 1, len(path) - 1)
     for i in range(len(path) - 3, -1, -1):
-        (a, b), (c, d) = path[i + 1, :2] - path[i, :2], path[i + 2, :2] - path[i + 1, :2]
+        a, b = path[i + 1, 0] - path[i, 0], path[i + 1, 1] - path[i, 1]
+        c, d = path[i + 2, 0] - path[i + 1, 0], path[i + 2, 1] - path[i + 1, 1]
         off, along = a * d - b * c, a * c + b * d
         if path.shape[1] == 2 and along > 0.0 and abs(off) <= _STRAIGHT * along:
             straight[i] = straight[i + 1]
@@ -102,6 +105,15 @@ def is_joined(
 ) -> bool:
     """Whether the leg from a to b is clear and on known ground."""
     return _is_joined(a, b, obstacles, radius, offsets, ground, make_scratch())
+
+
+@njit(cache=True, nogil=True)
+def are_joined(xy: FloatArray, ends: FloatArray, obstacles: Places, radius: float, ground: Cells) -> BoolArray:
+    """`is_joined` from a place in plan (2,) to each of others, shape (k, 2): shape (k,)."""
+    made, scratch = np.empty(len(ends), np.bool_), make_scratch()
+    for i in range(len(ends)):
+        made[i] = is_straight(xy, ends[i], obstacles, radius, ground, scratch)
+    return made
 
 
 @njit(cache=True, nogil=True)
@@ -176,8 +188,17 @@ def lengths(path: FloatArray) -> FloatArray:
     """Length of a polyline, shape (n, dim), up to each corner."""
     along = np.zeros(len(path))
     for i in range(1, len(path)):
-        along[i] = along[i - 1] + np.sqrt(((path[i] - path[i - 1]) ** 2).sum())
+        along[i] = along[i - 1] + _apart(path, i - 1)
     return along
+
+
+@lean()
+def _apart(path: FloatArray, i: int) -> float:
+    """Distance from a place of a path, shape (n, dim), to the next one: without the arrays that NumPy's words make."""
+    square = 0.0
+    for k in range(path.shape[1]):
+        square += (path[i + 1, k] - path[i, k]) ** 2
+    return sqrt(square)
 
 
 @njit(cache=True, nogil=True)
@@ -185,11 +206,12 @@ def subdivide(path: FloatArray, spacing: float) -> FloatArray:
     """The same polyline with its corners, and waypoints at most `spacing` apart."""
     count = np.empty(len(path) - 1, np.int64)
     for i in range(len(count)):
-        count[i] = max(1, int(np.ceil(np.sqrt(((path[i + 1] - path[i]) ** 2).sum()) / spacing)))
+        count[i] = max(1, int(np.ceil(_apart(path, i) / spacing)))
     made, row = np.empty((count.sum() + 1, path.shape[1])), 0
     for i in range(len(count)):
         for k in range(count[i]):
-            made[row] = path[i] + k / count[i] * (path[i + 1] - path[i])
+            for m in range(path.shape[1]):
+                made[row, m] = path[i, m] + k / count[i] * (path[i + 1, m] - path[i, m])
             row += 1
     made[row] = path[-1]
     return made
@@ -200,7 +222,7 @@ def distinct(path: FloatArray) -> FloatArray:
     """Without places that repeat the one before; two rows at least, the ends kept."""
     keep = np.ones(len(path), np.bool_)
     for i in range(1, len(path)):
-        keep[i] = np.sqrt(((path[i] - path[i - 1]) ** 2).sum()) > SAME
+        keep[i] = _apart(path, i - 1) > SAME
     keep[-1] |= keep.sum() == 1
     return path[keep]
 
@@ -220,10 +242,12 @@ def spline(path: FloatArray, spacing: float) -> FloatArray:
     for i in range(1, n - 1):
         pivot = 2.0 * (h[i - 1] + h[i]) - h[i - 1] * ratio[i - 1]
         ratio[i] = h[i] / pivot
-        turn = 6.0 * ((path[i + 1] - path[i]) / h[i] - (path[i] - path[i - 1]) / h[i - 1])
-        bend[i] = (turn - h[i - 1] * bend[i - 1]) / pivot
+        for m in range(2):
+            turn = 6.0 * ((path[i + 1, m] - path[i, m]) / h[i] - (path[i, m] - path[i - 1, m]) / h[i - 1])
+            bend[i, m] = (turn - h[i - 1] * bend[i - 1, m]) / pivot
     for i in range(n - 2, 0, -1):
-        bend[i] -= ratio[i] * bend[i + 1]
+        for m in range(2):
+            bend[i, m] -= ratio[i] * bend[i + 1, m]
     at = np.linspace(0.0, along[-1], int(np.ceil(along[-1] / spacing)) + 1)
     curve, i = np.empty((len(at), 2)), 0
     for k in range(len(at)):

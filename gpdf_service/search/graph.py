@@ -361,10 +361,10 @@ class Front(NamedTuple):
     """
 
     cost_to_come: FloatArray
-    came_by: IntArray
-    came_from: IntArray
-    at: IntArray
-    heap: IntArray
+    came_by: NDArray[np.int32]
+    came_from: NDArray[np.int32]
+    at: NDArray[np.int32]
+    heap: NDArray[np.int32]
     estimate: FloatArray
     size: IntArray
 
@@ -435,19 +435,19 @@ def _astar(
 ) -> tuple[int, IntArray]:
     """See `find_way`, of a graph of so many nodes."""
     n = count + 1  # the last is the goal itself; pages that nobody visits cost nothing
-    known = np.zeros(n), np.zeros(n, np.int64), np.zeros(n, np.int64), np.zeros(n, np.int64)
-    front = Front(*known, np.empty(n, np.int64), np.empty(n), np.zeros(1, np.int64))
+    known = np.zeros(n), np.zeros(n, np.int32), np.zeros(n, np.int32), np.zeros(n, np.int32)
+    front = Front(*known, np.empty(n, np.int32), np.empty(n), np.zeros(1, np.int64))
     bounds = bounds_to(landmarks, exits, exit_cost)
     graph = position, first, other, cost, patch, landmarks, rate
     _spread(*graph, sources, source_cost, exits, exit_cost, goal, bounds, front)
     edges = [0 for _ in range(0)]
     if front.came_by[count] == 0:
         return -1, np.array(edges, dtype=np.int64)
-    node = front.came_from[count]
+    node = np.int64(front.came_from[count])
     while front.came_by[node] > 0:
-        edges.append(front.came_by[node] - 1)
-        node = front.came_from[node]
-    return node, np.array(edges[::-1], dtype=np.int64)
+        edges.append(int(front.came_by[node] - 1))
+        node = np.int64(front.came_from[node])
+    return int(node), np.array(edges[::-1], dtype=np.int64)
 
 
 @lean()

@@ -121,6 +121,17 @@ def way_takes(path: FloatArray, about: Beside) -> FloatArray:
     return made
 
 
+@njit(cache=True, nogil=True)
+def straight_takes(xy: FloatArray, ends: FloatArray, about: Beside) -> FloatArray:
+    """What the straight way from a place (2,) to each of others, shape (k, 2), takes: shape (k, 6)."""
+    made, path = np.empty((len(ends), 6)), np.empty((2, 2))
+    path[0] = xy
+    for i in range(len(ends)):
+        path[1] = ends[i]
+        made[i] = way_takes(path, about)[0]
+    return made
+
+
 @lean()
 def _look_beside(path: FloatArray, about: Beside, scratch: Scratch, made: FloatArray) -> None:
     """Add to what a way takes at least what is beside it; see `way_takes`."""
