@@ -43,7 +43,7 @@ def sum_heights(
 ) -> None:
     """Fill the sums of the points around x, `half` [m] to either side along `normal`; x and y in units of radii[-1]."""
     boxes, limit, unit = tree.boxes, radii[-1] ** 2, 1.0 / radii[-1]
-    stack, bound, near_box = look.walk
+    stack, bound, near_box, _ = look.walk
     nx, ny, nz = normal[0], normal[1], normal[2]
     ux, uy, uz, vx, vy, vz = tangents(normal)
     clear(sums)

@@ -9,13 +9,13 @@ from __future__ import annotations
 from math import isfinite, sqrt
 
 import numpy as np
-from numba import njit
 
 from gpdf_service.fields.tree import FANOUT, LEAF_SIZE, VECTORS, Scratch, Tree, larger, lesser
+from gpdf_service.kernel_cache import lean
 from gpdf_service.types import FloatArray, IntArray
 
 
-@njit(cache=True, nogil=True)
+@lean()
 def segment_distance2(
     tree: Tree, a: FloatArray, b: FloatArray, limit: float, enough: float, scratch: Scratch
 ) -> tuple[float, float]:
@@ -38,7 +38,7 @@ def segment_distance2(
     return _walk(tree.blocks, tree.boxes, a[0], a[1], b[0], b[1], limit, enough, scratch.stack, scratch.near)
 
 
-@njit(cache=True, nogil=True, fastmath=VECTORS)
+@lean(fastmath=VECTORS)
 def _walk(
     blocks: FloatArray,
     boxes: FloatArray,
@@ -80,7 +80,7 @@ def _walk(
     return least, share
 
 
-@njit(cache=True, nogil=True, fastmath=VECTORS)
+@lean(fastmath=VECTORS)
 def _nearest_in(
     blocks: FloatArray, leaf: int, a0: float, a1: float, u0: float, u1: float, length: float
 ) -> tuple[float, float]:

@@ -26,7 +26,7 @@ TURNS = 6
 def gather(tree: Tree, x: FloatArray, radius: float, near: FloatArray, look: Look) -> int:
     """Write the offsets of the points within `radius` [m] of x into `near`, shape (MOST, 3); how many there are."""
     boxes, found, limit = tree.boxes, 0, radius * radius
-    stack, bound, near_box = look.walk
+    stack, bound, near_box, _ = look.walk
     place, top = place_of(x), from_root(stack, bound)
     while True:
         leaf, _, top = next_leaf(boxes, place, place, limit, stack, bound, near_box, top)
@@ -71,7 +71,7 @@ def sum_rings(
     Of the neighbours only those in the slab around x across `normal`, `half` [m] to either side; all if it is zero.
     """
     boxes, limit = tree.boxes, radii[-1] ** 2
-    stack, bound, near_box = look.walk
+    stack, bound, near_box, _ = look.walk
     nx, ny, nz = normal[0], normal[1], normal[2]
     moments[:] = 0.0
     place, top = place_of(x), from_root(stack, bound)

@@ -105,7 +105,7 @@ def within(tree: Tree, rows: IntArray, radius: float) -> IntArray:
 def _mark(tree: Tree, rows: IntArray, radius: float, found: BoolArray) -> None:
     """Coarse on purpose: a box around each leaf's share of `rows`, so that the cost is one walk a leaf."""
     boxes, limit = tree.boxes, radius * radius
-    stack, bound, near = make_scratch()
+    stack, bound, near, _ = make_scratch()
     for first in range(0, len(rows), LEAF_SIZE):
         low, high = np.full(3, np.inf), np.full(3, -np.inf)
         for i in rows[first : first + LEAF_SIZE]:
@@ -145,7 +145,7 @@ def _assemble(
     start, middle, capacity = np.zeros(size + 1, np.int64), np.zeros(size, np.int64), 64 * size + 1024
     column, weight = np.empty(capacity, np.uint32), np.empty(capacity, np.float32)
     total, unknown = np.full(size, noise_variance + 1.0), np.zeros(size)
-    stack, bound, near = make_scratch()
+    stack, bound, near, _ = make_scratch()
     values, inner = np.empty(LEAF_SIZE, np.float32), _inner_leaves(tree.begin, place, begin, end)
     used, own = 0, 0
     for r in range(size):

@@ -42,7 +42,7 @@ def estimate_spacing(points: FloatArray, tree: Tree | None = None) -> float:
 @njit(cache=True, nogil=True)
 def _kth_range(tree: Tree, places: FloatArray, k: int, begin: int, end: int, distance: FloatArray) -> None:
     """Distance from each place to its k-th neighbour [m], where the place itself is the 0th."""
-    (stack, bound, near_box), near = make_scratch(), np.empty(k + 1)
+    (stack, bound, near_box, _), near = make_scratch(), np.empty(k + 1)
     for i in range(begin, end):
         x, top = place_of(places[i]), from_root(stack, bound)
         near[:] = np.inf

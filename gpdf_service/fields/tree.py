@@ -46,11 +46,20 @@ class Tree(NamedTuple):
 
 
 class Scratch(NamedTuple):
-    """What one walk needs to remember; made once a batch."""
+    """What one walk needs to remember; made once a batch.
+
+    Attributes:
+        stack: Nodes that wait, shape (128,).
+        bound: Squared distance of each of them [m²], shape (128,).
+        near: The same of a node's children, shape (8,).
+        last: The point that a field's last answer was nearest to, by its place among the blocks; −1 for none. Places
+            along a path are beside each other, so the next walk has little left to look at. Shape (1,).
+    """
 
     stack: IntArray
     bound: FloatArray
     near: FloatArray
+    last: IntArray
 
 
 class Look(NamedTuple):
@@ -223,7 +232,7 @@ def _fill(points: FloatArray, begin: IntArray, fresh: BoolArray, blocks: FloatAr
 @njit(cache=True, nogil=True)
 def make_scratch() -> Scratch:
     """Fresh scratch for one thread."""
-    return Scratch(np.empty(STACK, np.int64), np.empty(STACK), np.empty(FANOUT))
+    return Scratch(np.empty(STACK, np.int64), np.empty(STACK), np.empty(FANOUT), np.full(1, -1))
 
 
 @njit(cache=True, nogil=True)

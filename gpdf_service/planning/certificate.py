@@ -16,14 +16,15 @@ from numba import njit
 from numpy.typing import NDArray
 
 from gpdf_service.fields import FieldArrays, sample_at
-from gpdf_service.fields.tree import make_scratch
+from gpdf_service.fields.tree import Scratch, make_scratch
+from gpdf_service.kernel_cache import lean
 from gpdf_service.perception.limits import LEAST_STEP
 from gpdf_service.perception.surface import INFERRED, OBSERVED, UNKNOWN, Cells, cell_of, is_known
 from gpdf_service.planning.footprint import travel_headings
 from gpdf_service.planning.words import place_words
 from gpdf_service.search import FreeSpace
 from gpdf_service.search.motion import least_distance
-from gpdf_service.types import Certificate, FloatArray, IntArray
+from gpdf_service.types import BoolArray, Certificate, FloatArray, IntArray
 
 RESOLUTION = 1e-3
 """[m] How closely the least clearance of a body of discs is known."""
@@ -143,8 +144,29 @@ def _look(
     field: FieldArrays,
 ) -> _Seen:
     """Look at a piece of the path, a fifth of a cell at a time, and at the height of the top; see `SAMPLE`."""
+    off_at = path[0].copy()
+    own = ground, steps, slopes, field, make_scratch(), np.empty(3), off_at
+    unknown, deviation, step, slope = _look_along(path, tops, headings, offsets, height, *own)
+    return _Seen(unknown, deviation, off_at, step, slope)
+
+
+@lean()
+def _look_along(
+    path: FloatArray,
+    tops: FloatArray,
+    headings: FloatArray,
+    offsets: FloatArray,
+    height: float,
+    ground: Cells,
+    steps: FloatArray,
+    slopes: FloatArray,
+    field: FieldArrays,
+    scratch: Scratch,
+    along: FloatArray,
+    off_at: FloatArray,
+) -> tuple[bool, float, float, float]:
+    """What `_look` sees; writes where the top is furthest off."""
     unknown, deviation, step, slope = False, 0.0, 0.0, 0.0
-    off_at, along, scratch = path[0].copy(), np.empty(3), make_scratch()
     looks, last, spare = 0, len(path) - 2, 0.0
     sample = max(SAMPLE, CELL_SHARE * ground.width)
     every = max(int(HEIGHT_EVERY * SAMPLE / sample), 1)
@@ -176,7 +198,7 @@ def _look(
         for offset in offsets:
             x, y = path[i, 0] + offset * np.cos(headings[i]), path[i, 1] + offset * np.sin(headings[i])
             unknown = unknown or not is_known(ground, x, y)
-    return _Seen(unknown, deviation, off_at, step, slope)
+    return unknown, deviation, step, slope
 
 
 @njit(cache=True, nogil=True)
@@ -192,13 +214,20 @@ def _coarsest_spacing(path: FloatArray, radius: float, ground: Cells) -> float:
     if not _is_any_inferred(ground.state, first, last):
         return float(width)
     looked = np.zeros((max(last[0] - first[0], 0), max(last[1] - first[1], 0)), np.bool_)
-    farthest, before = 0.0, (-1, -1)
+    return (1.0 + 2.0 * _farthest_unseen(path, ground, reach, first, last, looked)) * width
+
+
+@lean()
+def _farthest_unseen(
+    path: FloatArray, ground: Cells, reach: int, first: IntArray, last: IntArray, looked: BoolArray
+) -> float:
+    """How far the furthest inferred cell within `reach` cells of a path is from a seen one [cells]; see above."""
+    farthest, before, width = 0.0, (-1, -1), ground.width
     for i in range(len(path) - 1):
-        along = path[i + 1] - path[i]
-        count = max(1, int(np.ceil(2.0 * np.hypot(along[0], along[1]) / width)))
+        dx, dy = path[i + 1, 0] - path[i, 0], path[i + 1, 1] - path[i, 1]
+        count = max(1, int(np.ceil(2.0 * np.hypot(dx, dy) / width)))
         for k in range(count + 1):
-            at = path[i] + k / count * along
-            u, v = cell_of(ground, at[0], at[1])
+            u, v = cell_of(ground, path[i, 0] + k / count * dx, path[i, 1] + k / count * dy)
             if (u, v) == before:
                 continue
             before = u, v
@@ -209,10 +238,10 @@ def _coarsest_spacing(path: FloatArray, radius: float, ground: Cells) -> float:
                     looked[x - first[0], y - first[1]] = True
                     if ground.state[x, y] == INFERRED:
                         farthest = max(farthest, _cells_to_seen(ground.state, x, y))
-    return (1.0 + 2.0 * farthest) * width
+    return farthest
 
 
-@njit(cache=True, nogil=True)
+@lean()
 def _is_any_inferred(state: NDArray[np.uint8], first: IntArray, last: IntArray) -> bool:
     """Whether the ground in any cell of a box is inferred."""
     for x in range(first[0], last[0]):
@@ -222,7 +251,7 @@ def _is_any_inferred(state: NDArray[np.uint8], first: IntArray, last: IntArray) 
     return False
 
 
-@njit(cache=True, nogil=True)
+@lean()
 def _cells_to_seen(state: NDArray[np.uint8], x: int, y: int) -> float:
     """Distance from a cell to the nearest in which ground was seen [cells]: ring by ring, until none can be nearer."""
     nearest, ring = np.inf, 1

@@ -15,6 +15,7 @@ import numpy as np
 from numba import njit
 
 from gpdf_service.fields import AnyField, FieldArrays
+from gpdf_service.kernel_cache import lean
 from gpdf_service.planning.costs import (
     Discs,
     Memo,
@@ -89,7 +90,7 @@ def optimize(
     return ChompResult(xi, costs[:count], evaluations, converged)
 
 
-@njit(cache=True, nogil=True)
+@lean()
 def _cost(xi: FloatArray, task: Task, memos: tuple[Memo, Memo], gradient: FloatArray, band: FloatArray) -> float:
     """All that a path costs; writes its gradient and the derivative of that."""
     gradient[:], band[:] = 0.0, 0.0
@@ -131,7 +132,7 @@ def solve_banded(band: FloatArray, right: FloatArray) -> FloatArray:
     return x.reshape(right.shape)
 
 
-@njit(cache=True, nogil=True)
+@lean()
 def _solve_narrow(low: FloatArray, x: FloatArray) -> None:
     """`solve_banded` in place with three columns beside the diagonal, without loops over them: six times as fast."""
     d1 = d2 = d3 = x1 = x2 = x3 = 0.0  # 1 / D and x of the last three rows

@@ -11,6 +11,7 @@ from numba import njit
 from gpdf_service.fields import AnyField, FieldArrays
 from gpdf_service.fields.traversal import sample_at
 from gpdf_service.fields.tree import Place, Scratch, make_scratch
+from gpdf_service.kernel_cache import lean
 from gpdf_service.types import FloatArray
 
 OFF = 2e-4
@@ -62,17 +63,17 @@ def make_memo(count: int) -> Memo:
     return Memo(np.full((count, 3), np.nan), np.zeros(count), np.zeros((count, 3)), make_scratch())
 
 
-@njit(cache=True, nogil=True)
+@lean()
 def recall(field: AnyField, x: Place, memo: Memo, i: int, enough: float, off: float = OFF) -> float:
     """Distance at x, the i-th place that is remembered, to `off`, and its gradient in `memo.slope[i]`.
 
     Distances are 1-Lipschitz: where the one from before says that there is `enough`, it is inf, and has no gradient.
     """
     told = _told(memo.place, memo.distance, memo.slope, i, x, enough, off)
-    return told if told == told else _ask(field, x, memo, i)
+    return told if told == told else _ask(field, x, memo, i, enough)
 
 
-@njit(cache=True, nogil=True)
+@lean()
 def _told(
     place: FloatArray, distance: FloatArray, slope: FloatArray, i: int, x: Place, enough: float, off: float
 ) -> float:
@@ -93,16 +94,16 @@ def _told(
     return np.nan
 
 
-@njit(cache=True, nogil=True)
-def _ask(field: AnyField, x: Place, memo: Memo, i: int) -> float:
-    """Distance at x, which is remembered, and its gradient."""
+@lean()
+def _ask(field: AnyField, x: Place, memo: Memo, i: int, enough: float) -> float:
+    """Distance at x, which is remembered, and its gradient; a bound alone where that tells of `enough`."""
     for k in range(3):
         memo.place[i, k] = x[k]
-    memo.distance[i] = sample_at(field, x, memo.scratch, memo.slope[i])
+    memo.distance[i] = sample_at(field, x, memo.scratch, memo.slope[i], enough)
     return float(memo.distance[i])
 
 
-@njit(cache=True, nogil=True)
+@lean()
 def smoothness_cost(xi: FloatArray, task: Task, gradient: FloatArray, band: FloatArray) -> float:
     """Σ λ_s ½ ‖ẋ‖² ds with ẋ = Δx/ds [m]; adds to `gradient`, shape (n, 3), and to its derivative in `band`."""
     total, stiff = 0.0, task.smoothness_weight / task.spacing
@@ -118,7 +119,7 @@ def smoothness_cost(xi: FloatArray, task: Task, gradient: FloatArray, band: Floa
     return total
 
 
-@njit(cache=True, nogil=True)
+@lean()
 def obstacle_cost(xi: FloatArray, task: Task, memo: Memo, gradient: FloatArray, band: FloatArray) -> float:
     """Σ c_o(x) ‖ẋ‖ ds, c_o = (d − ε)² / 2ε below ε, with d = d_o(x, y) − radius, and −d + ε/2 where d < 0 [m].
 
@@ -142,7 +143,7 @@ def obstacle_cost(xi: FloatArray, task: Task, memo: Memo, gradient: FloatArray, 
             place = xi[i, 0] + offsets[j] * normal[1], xi[i, 1] - offsets[j] * normal[0], 0.0
             row = i * len(offsets) + j
             d = _told(known, distance, slope, row, place, radius + epsilon, OFF)
-            d = (d if d == d else _ask(task.obstacles, place, memo, row)) - radius
+            d = (d if d == d else _ask(task.obstacles, place, memo, row, radius + epsilon)) - radius
             if d >= epsilon:
                 continue
             paid, rate, stiff = (d - epsilon) ** 2 / (2.0 * epsilon), (d - epsilon) / epsilon, 1.0 / epsilon
@@ -155,7 +156,7 @@ def obstacle_cost(xi: FloatArray, task: Task, memo: Memo, gradient: FloatArray, 
     return total
 
 
-@njit(cache=True, nogil=True)
+@lean()
 def _spread(
     i: int,
     lever: float,
@@ -179,7 +180,7 @@ def _spread(
                         band[i + m, k, p] += bend * one * two * normal[k] * normal[q]
 
 
-@njit(cache=True, nogil=True)
+@lean()
 def ground_cost(xi: FloatArray, task: Task, memo: Memo, gradient: FloatArray, band: FloatArray) -> float:
     """Σ (d_g(x) − h)² / 2h ds [m²]: keeps the body's top at body height over the ground."""
     height, spacing, total = task.height, task.spacing, 0.0
@@ -187,7 +188,7 @@ def ground_cost(xi: FloatArray, task: Task, memo: Memo, gradient: FloatArray, ba
     for i in range(1, xi.shape[0] - 1):
         top = xi[i, 0], xi[i, 1], xi[i, 2]
         d = _told(known, distance, slope, i, top, np.inf, GROUND_OFF * height)
-        off = (d if d == d else _ask(task.ground, top, memo, i)) - height
+        off = (d if d == d else _ask(task.ground, top, memo, i, np.inf)) - height
         total += off * off / (2.0 * height) * spacing
         for k in range(3):
             gradient[i, k] += off / height * slope[i, k] * spacing

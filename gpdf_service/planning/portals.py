@@ -12,11 +12,11 @@ from collections.abc import Callable
 import numpy as np
 from numba import njit
 
+from gpdf_service.fields.tree import make_scratch
 from gpdf_service.perception.surface import Cells, height_of
 from gpdf_service.planning.chomp import ChompResult
 from gpdf_service.planning.routes import Leg, steps_of
-from gpdf_service.planning.shape import distinct, is_joined, subdivide
-from gpdf_service.search.motion import CENTRE
+from gpdf_service.planning.shape import distinct, is_straight, subdivide
 from gpdf_service.search.places import Places
 from gpdf_service.types import FloatArray
 
@@ -106,10 +106,10 @@ def _crossing(line: FloatArray, ground: Cells, other: Cells, obstacles: Places, 
 
     It is none of the ends; -1 where there is none, or the grounds differ there.
     """
-    last, first = 0, len(line) - 1
-    while last < len(line) - 1 and is_joined(line[last], line[last + 1], obstacles, radius, CENTRE, ground):
+    last, first, scratch = 0, len(line) - 1, make_scratch()
+    while last < len(line) - 1 and is_straight(line[last], line[last + 1], obstacles, radius, ground, scratch):
         last += 1
-    while first > 0 and is_joined(line[first - 1], line[first], beyond, radius, CENTRE, other):
+    while first > 0 and is_straight(line[first - 1], line[first], beyond, radius, other, scratch):
         first -= 1
     row = (max(first, 1) + min(last, len(line) - 2)) // 2
     if not (first <= row <= last and 0 < row < len(line) - 1):
@@ -146,10 +146,11 @@ def _count_held(path: FloatArray, own: Leg, level: int) -> int:
 
 @njit(cache=True, nogil=True)
 def _count_on_both(path: FloatArray, own: Cells, other: Cells, obstacles: Places, radius: float) -> int:
+    scratch = make_scratch()
     for i in range(len(path)):
         x, y = path[i, 0], path[i, 1]
         if not abs(height_of(own, x, y) - height_of(other, x, y)) <= SAME_GROUND:  # a NaN compares false
             return i
-        if i > 0 and not is_joined(path[i - 1], path[i], obstacles, radius, CENTRE, other):
+        if i > 0 and not is_straight(path[i - 1], path[i], obstacles, radius, other, scratch):
             return i
     return len(path)

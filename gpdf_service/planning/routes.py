@@ -13,7 +13,7 @@ from numba import njit
 
 from gpdf_service.fields.tree import make_scratch, place_of
 from gpdf_service.planning.endpoints import Endpoint, Ends, connect
-from gpdf_service.planning.shape import distinct, is_joined, is_path_clear, shortcut, subdivide, tighten
+from gpdf_service.planning.shape import are_joined, distinct, is_joined, is_path_clear, shortcut, subdivide, tighten
 from gpdf_service.search import Doors, FreeSpace, Graph, Prefer, Ways, find_way, prices
 from gpdf_service.search.core import NARROW, climb, find_nodes
 from gpdf_service.search.motion import CENTRE, RESOLUTION
@@ -30,6 +30,7 @@ from gpdf_service.search.ways import (
     Beside,
     beside,
     least_takes,
+    straight_takes,
     way_steps,
     way_takes,
 )
@@ -286,9 +287,8 @@ def _doors(ways: Ways, end: Endpoint) -> tuple[Doors, dict[int, _Chain]]:
             for node, after in _climb(ways, 1, int(leaf)):
                 chains.setdefault(node, _Chain(*(np.concatenate(parts) for parts in zip(here, after, strict=True))))
     nodes = np.array([*chains], np.int64)
-    about, at = beside(able, end.level, ways.prefer), ways.graph.position[nodes]
-    cost = np.array([float((way_takes(np.stack([end.xy, one]), about) @ price).sum()) for one in at])
-    return Doors(nodes, cost), chains
+    about, places = beside(able, end.level, ways.prefer), np.asarray(ways.graph.position[nodes], np.float64)
+    return Doors(nodes, straight_takes(end.xy, places, about) @ price), chains
 
 
 def _climb(ways: Ways, number: int, leaf: int) -> list[tuple[int, _Chain]]:
@@ -312,10 +312,10 @@ def _joined_leaves(ways: Ways, end: Endpoint) -> IntArray:
     node = leaf[tree.free[leaf]] + level.offsets[end.level]
     center = level.graph.position[node]
     near = np.argsort(np.linalg.norm(center - end.xy, axis=1))[:: max(1, len(node) // MOST_DOORS)]
+    ends = np.ascontiguousarray(center[near])
     radius = _radius(able, end.level, end.xy[None])
     ground = able.surfaces[end.level].arrays
-    joined = [is_joined(end.xy, center[row], able.trees[end.level], radius, CENTRE, ground) for row in near]
-    made: IntArray = node[near[np.array(joined, dtype=bool)]]
+    made: IntArray = node[near[are_joined(end.xy, ends, able.trees[end.level], radius, ground)]]
     return made
 
 

@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+from math import sqrt
+
 import numpy as np
 from numba import njit
 
 from gpdf_service.fields import FieldArrays, Gpdf
+from gpdf_service.fields.tree import Scratch, make_scratch
+from gpdf_service.kernel_cache import lean
 from gpdf_service.perception import HeightMap
 from gpdf_service.perception.surface import UNKNOWN, Cells, cell_of, height_of
-from gpdf_service.planning.costs import make_memo, recall
-from gpdf_service.search import is_clear
-from gpdf_service.search.motion import CENTRE, is_leap_clear
+from gpdf_service.planning.costs import Memo, make_memo, recall
+from gpdf_service.search.motion import CENTRE, is_leap_clear, is_straight_clear
 from gpdf_service.search.places import Places
-from gpdf_service.types import FloatArray, IntArray
+from gpdf_service.types import BoolArray, FloatArray, IntArray
 
 _UPRIGHT_SHARE = 0.09
 """[-] How far the top may be off the body height over the contact point: a tenth (Uttsha et al. 2024, feasibility
@@ -45,19 +48,20 @@ def _shortcut(path: FloatArray, obstacles: Places, radius: float, offsets: Float
     """
     kept = [0]
     here = first = 0
-    last, straight = path.shape[0] - 1, _straight_to(path)
+    last, straight, scratch = path.shape[0] - 1, _straight_to(path), make_scratch()
+    seen = obstacles, radius, offsets, ground, scratch
     while here < last:
         ahead, leap = straight[here], max(1, first // 2)
         good = ahead
-        while ahead + leap <= last and is_joined(path[here], path[ahead + leap], obstacles, radius, offsets, ground):
+        while ahead + leap <= last and _is_joined(path[here], path[ahead + leap], *seen):
             good = ahead + leap
             leap *= 2
         bad = min(ahead + leap, last + 1)
-        if good < last and is_joined(path[here], path[last], obstacles, radius, offsets, ground):
+        if good < last and _is_joined(path[here], path[last], *seen):
             good, bad = last, last + 1
         while bad - good > 1:
             middle = (good + bad) // 2
-            if is_joined(path[here], path[middle], obstacles, radius, offsets, ground):
+            if _is_joined(path[here], path[middle], *seen):
                 good = middle
             else:
                 bad = middle
@@ -71,7 +75,8 @@ def _straight_to(path: FloatArray) -> IntArray:
     """For each row the last one to which a way over places, (n, 2), goes straight on; the next one of poses, (n, 3)."""
     straight = np.minimum(np.arange(len(path)) + 1, len(path) - 1)
     for i in range(len(path) - 3, -1, -1):
-        (a, b), (c, d) = path[i + 1, :2] - path[i, :2], path[i + 2, :2] - path[i + 1, :2]
+        a, b = path[i + 1, 0] - path[i, 0], path[i + 1, 1] - path[i, 1]
+        c, d = path[i + 2, 0] - path[i + 1, 0], path[i + 2, 1] - path[i + 1, 1]
         off, along = a * d - b * c, a * c + b * d
         if path.shape[1] == 2 and along > 0.0 and abs(off) <= _STRAIGHT * along:
             straight[i] = straight[i + 1]
@@ -84,11 +89,11 @@ def tighten(path: FloatArray, obstacles: Places, radius: float, ground: Cells) -
 
     Unlike `shortcut`, it stays between what it went between: from each kept row all rows up to the next one are seen.
     """
-    kept, last = [0], len(path) - 1
+    kept, last, scratch = [0], len(path) - 1, make_scratch()
     while kept[-1] < last:
         here = kept[-1]
         seen = here + 1
-        while seen < last and is_joined(path[here], path[seen + 1], obstacles, radius, CENTRE, ground):
+        while seen < last and is_straight(path[here], path[seen + 1], obstacles, radius, ground, scratch):
             seen += 1
         kept.append(seen)
     return np.array(kept)
@@ -99,13 +104,43 @@ def is_joined(
     a: FloatArray, b: FloatArray, obstacles: Places, radius: float, offsets: FloatArray, ground: Cells
 ) -> bool:
     """Whether the leg from a to b is clear and on known ground."""
-    if not is_ground_known(ground, a, b):
-        return False
-    clear: bool = is_clear(obstacles, a, b, radius) if len(a) == 2 else is_leap_clear(obstacles, a, b, offsets, radius)
-    return clear
+    return _is_joined(a, b, obstacles, radius, offsets, ground, make_scratch())
 
 
 @njit(cache=True, nogil=True)
+def are_joined(xy: FloatArray, ends: FloatArray, obstacles: Places, radius: float, ground: Cells) -> BoolArray:
+    """`is_joined` from a place in plan (2,) to each of others, shape (k, 2): shape (k,)."""
+    made, scratch = np.empty(len(ends), np.bool_), make_scratch()
+    for i in range(len(ends)):
+        made[i] = is_straight(xy, ends[i], obstacles, radius, ground, scratch)
+    return made
+
+
+@njit(cache=True, nogil=True)
+def _is_joined(
+    a: FloatArray,
+    b: FloatArray,
+    obstacles: Places,
+    radius: float,
+    offsets: FloatArray,
+    ground: Cells,
+    scratch: Scratch,
+) -> bool:
+    """`is_joined` for a loop, which makes the scratch once."""
+    if len(a) == 2:
+        return is_straight(a, b, obstacles, radius, ground, scratch)
+    return is_ground_known(ground, a, b) and is_leap_clear(obstacles, a, b, offsets, radius)
+
+
+@lean()
+def is_straight(
+    a: FloatArray, b: FloatArray, obstacles: Places, radius: float, ground: Cells, scratch: Scratch
+) -> bool:
+    """`is_joined` between places in plan, for a loop."""
+    return is_ground_known(ground, a, b) and is_straight_clear(obstacles, a, b, radius, scratch)
+
+
+@lean()
 def is_ground_known(ground: Cells, a: FloatArray, b: FloatArray) -> bool:
     """Whether the ground is known in each cell that the line from a to b crosses (Amanatides & Woo 1987)."""
     u, v = cell_of(ground, a[0], a[1])
@@ -130,8 +165,9 @@ def is_ground_known(ground: Cells, a: FloatArray, b: FloatArray) -> bool:
 @njit(cache=True, nogil=True)
 def is_path_clear(path: FloatArray, obstacles: Places, radius: float) -> bool:
     """Whether a whole polyline in plan, shape (n, 2), keeps `radius` from every obstacle."""
+    scratch = make_scratch()
     for i in range(path.shape[0] - 1):  # noqa: SIM110 - compiled
-        if not is_clear(obstacles, path[i], path[i + 1], radius):
+        if not is_straight_clear(obstacles, path[i], path[i + 1], radius, scratch):
             return False
     return True
 
@@ -152,8 +188,17 @@ def lengths(path: FloatArray) -> FloatArray:
     """Length of a polyline, shape (n, dim), up to each corner."""
     along = np.zeros(len(path))
     for i in range(1, len(path)):
-        along[i] = along[i - 1] + np.sqrt(((path[i] - path[i - 1]) ** 2).sum())
+        along[i] = along[i - 1] + _apart(path, i - 1)
     return along
+
+
+@lean()
+def _apart(path: FloatArray, i: int) -> float:
+    """Distance from a place of a path, shape (n, dim), to the next one: without the arrays that NumPy's words make."""
+    square = 0.0
+    for k in range(path.shape[1]):
+        square += (path[i + 1, k] - path[i, k]) ** 2
+    return sqrt(square)
 
 
 @njit(cache=True, nogil=True)
@@ -161,11 +206,12 @@ def subdivide(path: FloatArray, spacing: float) -> FloatArray:
     """The same polyline with its corners, and waypoints at most `spacing` apart."""
     count = np.empty(len(path) - 1, np.int64)
     for i in range(len(count)):
-        count[i] = max(1, int(np.ceil(np.sqrt(((path[i + 1] - path[i]) ** 2).sum()) / spacing)))
+        count[i] = max(1, int(np.ceil(_apart(path, i) / spacing)))
     made, row = np.empty((count.sum() + 1, path.shape[1])), 0
     for i in range(len(count)):
         for k in range(count[i]):
-            made[row] = path[i] + k / count[i] * (path[i + 1] - path[i])
+            for m in range(path.shape[1]):
+                made[row, m] = path[i, m] + k / count[i] * (path[i + 1, m] - path[i, m])
             row += 1
     made[row] = path[-1]
     return made
@@ -176,7 +222,7 @@ def distinct(path: FloatArray) -> FloatArray:
     """Without places that repeat the one before; two rows at least, the ends kept."""
     keep = np.ones(len(path), np.bool_)
     for i in range(1, len(path)):
-        keep[i] = np.sqrt(((path[i] - path[i - 1]) ** 2).sum()) > SAME
+        keep[i] = _apart(path, i - 1) > SAME
     keep[-1] |= keep.sum() == 1
     return path[keep]
 
@@ -196,10 +242,12 @@ def spline(path: FloatArray, spacing: float) -> FloatArray:
     for i in range(1, n - 1):
         pivot = 2.0 * (h[i - 1] + h[i]) - h[i - 1] * ratio[i - 1]
         ratio[i] = h[i] / pivot
-        turn = 6.0 * ((path[i + 1] - path[i]) / h[i] - (path[i] - path[i - 1]) / h[i - 1])
-        bend[i] = (turn - h[i - 1] * bend[i - 1]) / pivot
+        for m in range(2):
+            turn = 6.0 * ((path[i + 1, m] - path[i, m]) / h[i] - (path[i, m] - path[i - 1, m]) / h[i - 1])
+            bend[i, m] = (turn - h[i - 1] * bend[i - 1, m]) / pivot
     for i in range(n - 2, 0, -1):
-        bend[i] -= ratio[i] * bend[i + 1]
+        for m in range(2):
+            bend[i, m] -= ratio[i] * bend[i + 1, m]
     at = np.linspace(0.0, along[-1], int(np.ceil(along[-1] / spacing)) + 1)
     curve, i = np.empty((len(at), 2)), 0
     for k in range(len(at)):
@@ -229,9 +277,18 @@ def stand_up(xy: FloatArray, surface: HeightMap, field: Gpdf, height: float) -> 
 
 @njit(cache=True, nogil=True)
 def _stand(xy: FloatArray, ground: Cells, field: FieldArrays, height: float) -> tuple[FloatArray, FloatArray]:
-    """See `stand_up`; each top starts from what the one before it was lifted by."""
+    """See `stand_up`."""
     contact, top = np.empty((len(xy), 3)), np.empty((len(xy), 3))
-    memo, least, most, stands = make_memo(1), -_UPRIGHT_SHARE * height, _UPRIGHT_SHARE * height, _STANDS * height
+    _lift_all(xy, ground, field, height, make_memo(1), contact, top)
+    return contact, top
+
+
+@lean()
+def _lift_all(
+    xy: FloatArray, ground: Cells, field: FieldArrays, height: float, memo: Memo, contact: FloatArray, top: FloatArray
+) -> None:
+    """Write contact points and tops; each top starts from what the one before it was lifted by."""
+    least, most, stands = -_UPRIGHT_SHARE * height, _UPRIGHT_SHARE * height, _STANDS * height
     lift = 0.0
     for i in range(len(xy)):
         x, y = xy[i, 0], xy[i, 1]
@@ -251,17 +308,23 @@ def _stand(xy: FloatArray, ground: Cells, field: FieldArrays, height: float) -> 
     for i in range(1, len(xy)):
         rise = contact[i, 2] - contact[i - 1, 2]
         if abs(rise) > most - least:
-            _lift(contact, top, i - 1 if rise > 0.0 else i, -1 if rise > 0.0 else 1, abs(rise), field, height)
-    return contact, top
+            _lift(contact, top, i - 1 if rise > 0.0 else i, -1 if rise > 0.0 else 1, abs(rise), field, height, memo)
 
 
-@njit(cache=True, nogil=True)
+@lean()
 def _lift(
-    contact: FloatArray, top: FloatArray, foot: int, away: int, rise: float, field: FieldArrays, height: float
+    contact: FloatArray,
+    top: FloatArray,
+    foot: int,
+    away: int,
+    rise: float,
+    field: FieldArrays,
+    height: float,
+    memo: Memo,
 ) -> None:
     """Lift the tops from the foot of a step `away` from it to where d_g = h, as far as that is over them."""
-    memo, highest, i, stands = make_memo(1), contact[foot, 2] + rise + height, foot, _STANDS * height
-    z = highest
+    highest, i, stands = contact[foot, 2] + rise + height, foot, _STANDS * height
+    memo.place[0, 0], z = np.nan, highest  # nothing is known here yet
     while 0 <= i < len(top):
         for _ in range(_NEWTON_STEPS):
             off = (height - recall(field, (top[i, 0], top[i, 1], z), memo, 0, np.inf, stands)) / max(

@@ -12,7 +12,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from gpdf_service.fields.tree import make_scratch
+from gpdf_service.fields.tree import Scratch, make_scratch
+from gpdf_service.kernel_cache import lean
 from gpdf_service.perception.surface import Cells
 from gpdf_service.planning.footprint import directions
 from gpdf_service.planning.shape import lengths
@@ -61,10 +62,14 @@ def _time(
         return np.linspace(0.0, STANDING, len(positions)), np.zeros(len(positions))
     count = max(64, int(np.ceil(along[-1] / GRID))) + 1
     s = np.linspace(0.0, along[-1], count)
-    after = np.minimum(np.maximum(np.searchsorted(along, s), 1), len(along) - 1)
-    highest = np.minimum(np.minimum(limit[after - 1], limit[after]), most)
-    segment = np.minimum(np.maximum(np.searchsorted(along, s, side="right") - 1, 0), len(direction) - 1)
-    heading = _mean_around(direction[segment], int(np.ceil(min(LOOK / s[1], count))))  # a short path has few places
+    highest, ahead, after, segment = np.empty(count), np.empty(count), 1, 0
+    for i in range(count):
+        while after < len(along) - 1 and along[after] < s[i]:
+            after += 1
+        while segment < len(direction) - 1 and along[segment + 1] <= s[i]:
+            segment += 1
+        highest[i], ahead[i] = min(limit[after - 1], limit[after], most), direction[segment]
+    heading = _mean_around(ahead, int(np.ceil(min(LOOK / s[1], count))))  # a short path has few places
     for i in range(count):
         before, next_ = max(i - 1, 0), min(i + 1, count - 1)
         curvature = abs(heading[next_] - heading[before]) / (s[next_] - s[before])
@@ -100,8 +105,26 @@ def _slow_down(
     share: FloatArray,
 ) -> None:
     """Lower the `share` of the speed where one of the discs, of the poses on that level, asks for care."""
-    poses, level, on, offsets = places
-    scratch, cells = make_scratch(), int(np.ceil(radius / ground.width))
+    _take_care(obstacles, ground, noticed, *places, reach, preferred, radius, make_scratch(), share)
+
+
+@lean()
+def _take_care(
+    obstacles: Places,
+    ground: Cells,
+    noticed: NDArray[np.int32],
+    poses: FloatArray,
+    level: IntArray,
+    on: int,
+    offsets: FloatArray,
+    reach: float,
+    preferred: float,
+    radius: float,
+    scratch: Scratch,
+    share: FloatArray,
+) -> None:
+    """See `_slow_down`."""
+    cells = int(np.ceil(radius / ground.width))
     for offset in offsets:
         room, was_x, was_y = -np.inf, 0.0, 0.0  # there is at least so much, since that place
         for i in range(len(poses)):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import heapq
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from math import sqrt
@@ -16,6 +15,7 @@ from gpdf_service.fields import Tree
 from gpdf_service.fields.threads import run_chunked
 from gpdf_service.fields.traversal import nearest_at
 from gpdf_service.fields.tree import make_scratch, place_of
+from gpdf_service.kernel_cache import lean
 from gpdf_service.perception.nodes import components
 from gpdf_service.search.landmarks import NO_LANDMARKS, Landmarks, at_least, bounds_to
 from gpdf_service.search.layered import Rows, below
@@ -304,14 +304,12 @@ def find_way(graph: Graph, begin: Doors, end: Doors, goal: FloatArray, rate: flo
         goal: Place in plan (2,) [m].
         rate: Least cost of a metre.
     """
-    count = len(graph.position) + 1  # the last is the goal itself
-    fresh = np.zeros(count), np.zeros(count, np.int64), np.zeros(count, np.int64)  # pages nobody visits cost nothing
     ways = below(graph.position), graph.first, below(graph.other), below(graph.cost), graph.patch, graph.landmarks, rate
-    first, edges = _astar(*ways, begin.node, begin.cost, end.node, end.cost, goal, *fresh)
+    first, edges = _astar(*ways, begin.node, begin.cost, end.node, end.cost, goal, len(graph.position))
     return int(first), edges
 
 
-@njit(cache=True, nogil=True)
+@lean()
 def edges_of(first: IntArray, other: IntArray, patch: Patch, node: int) -> tuple[int, int]:
     """Number of the first edge of a node and behind its last; those of the patch come after those that stand."""
     row = patch.row[node] if len(patch.row) > 0 else 0
@@ -320,12 +318,82 @@ def edges_of(first: IntArray, other: IntArray, patch: Patch, node: int) -> tuple
     return len(other) + patch.first[row - 1], len(other) + patch.first[row]
 
 
-@njit(cache=True, nogil=True)
+@lean()
 def place_of_node(position: FloatArray, patch: Patch, node: int) -> tuple[float, float]:
     """Where a node is [m]."""
     if node < len(position):
         return position[node, 0], position[node, 1]
     return patch.position[node - len(position), 0], patch.position[node - len(position), 1]
+
+
+class Front(NamedTuple):
+    """What A* knows of each node, and the nodes that wait, as a heap that knows where each of them is.
+
+    Attributes:
+        cost_to_come: Of each node, shape (n,).
+        came_by: 1 + the edge by which the cheapest way came; 0 where nobody has been, −1 at a source. Shape (n,).
+        came_from: The node before, shape (n,).
+        at: 1 + where in the heap each node is, 0 if it is not; shape (n,).
+        heap: Nodes, each of them before the two behind twice its place; shape (n,).
+        estimate: Cost of a way over each of these, shape (n,).
+        size: How many there are, shape (1,).
+    """
+
+    cost_to_come: FloatArray
+    came_by: NDArray[np.int32]
+    came_from: NDArray[np.int32]
+    at: NDArray[np.int32]
+    heap: NDArray[np.int32]
+    estimate: FloatArray
+    size: IntArray
+
+
+@lean()
+def _is_before(front: Front, estimate: float, node: int, row: int) -> bool:
+    """Whether a node with that estimate comes before the one in a row of the heap; of equal ones the nearer start."""
+    if estimate != front.estimate[row]:
+        return bool(estimate < front.estimate[row])
+    come, other = front.cost_to_come[node], front.cost_to_come[front.heap[row]]
+    return bool(come < other or (come == other and node < front.heap[row]))
+
+
+@lean()
+def _wait(front: Front, estimate: float, node: int) -> None:
+    """Put a node into the heap, or forward in it."""
+    row = front.at[node] - 1
+    if row < 0:
+        row = front.size[0]
+        front.size[0] += 1
+    while row > 0:
+        up = (row - 1) >> 1
+        if not _is_before(front, estimate, node, up):
+            break
+        front.heap[row], front.estimate[row], front.at[front.heap[up]] = front.heap[up], front.estimate[up], row + 1
+        row = up
+    front.heap[row], front.estimate[row], front.at[node] = node, estimate, row + 1
+
+
+@lean()
+def _next(front: Front) -> int:
+    """Take the first node from the heap."""
+    first, size = front.heap[0], front.size[0] - 1
+    front.size[0], front.at[first] = size, 0
+    node, estimate, row = front.heap[size], front.estimate[size], 0
+    while 2 * row + 1 < size:
+        down = 2 * row + 1
+        if down + 1 < size and _is_before(front, front.estimate[down + 1], front.heap[down + 1], down):
+            down += 1
+        if _is_before(front, estimate, node, down):
+            break
+        front.heap[row], front.estimate[row], front.at[front.heap[down]] = (
+            front.heap[down],
+            front.estimate[down],
+            row + 1,
+        )
+        row = down
+    if size > 0:
+        front.heap[row], front.estimate[row], front.at[node] = node, estimate, row + 1
+    return int(first)
 
 
 @njit(cache=True, nogil=True)
@@ -342,50 +410,68 @@ def _astar(
     exits: IntArray,
     exit_cost: FloatArray,
     goal: FloatArray,
-    cost_to_come: FloatArray,
-    came_by: IntArray,
-    came_from: IntArray,
+    count: int,
 ) -> tuple[int, IntArray]:
-    """See `find_way`.
-
-    The last three are zero for every node and the goal, which is the last; `came_by` holds 1 + the edge, 0 where nobody
-    has been, −1 at a source.
-    """
-    goal_node, standing = len(cost_to_come) - 1, len(other)
+    """See `find_way`, of a graph of so many nodes."""
+    n = count + 1  # the last is the goal itself; pages that nobody visits cost nothing
+    known = np.zeros(n), np.zeros(n, np.int32), np.zeros(n, np.int32), np.zeros(n, np.int32)
+    front = Front(*known, np.empty(n, np.int32), np.empty(n), np.zeros(1, np.int64))
     bounds = bounds_to(landmarks, exits, exit_cost)
-    frontier = [(0.0, 0.0, 0) for _ in range(0)]
+    graph = position, first, other, cost, patch, landmarks, rate
+    _spread(*graph, sources, source_cost, exits, exit_cost, goal, bounds, front)
+    edges = [0 for _ in range(0)]
+    if front.came_by[count] == 0:
+        return -1, np.array(edges, dtype=np.int64)
+    node = np.int64(front.came_from[count])
+    while front.came_by[node] > 0:
+        edges.append(int(front.came_by[node] - 1))
+        node = np.int64(front.came_from[node])
+    return int(node), np.array(edges[::-1], dtype=np.int64)
+
+
+@lean()
+def _spread(
+    position: FloatArray,
+    first: IntArray,
+    other: IntArray,
+    cost: FloatArray,
+    patch: Patch,
+    landmarks: Landmarks,
+    rate: float,
+    sources: IntArray,
+    source_cost: FloatArray,
+    exits: IntArray,
+    exit_cost: FloatArray,
+    goal: FloatArray,
+    bounds: FloatArray,
+    front: Front,
+) -> None:
+    """The search itself: until the goal is the next node, or none is left that leads there."""
+    goal_node, standing = len(front.came_by) - 1, len(other)
     for k in range(len(sources)):
         node = sources[k]
-        if came_by[node] == 0 or source_cost[k] < cost_to_come[node]:
-            cost_to_come[node], came_by[node] = source_cost[k], -1
+        if front.came_by[node] == 0 or source_cost[k] < front.cost_to_come[node]:
+            front.cost_to_come[node], front.came_by[node] = source_cost[k], -1
             x, y = place_of_node(position, patch, node)
             far = max(rate * sqrt((x - goal[0]) ** 2 + (y - goal[1]) ** 2), at_least(landmarks, bounds, node))
-            heapq.heappush(frontier, (source_cost[k] + far, source_cost[k], node))
-    while len(frontier) > 0:
-        estimate, come, node = heapq.heappop(frontier)
+            _wait(front, source_cost[k] + far, node)
+    while front.size[0] > 0:
+        estimate, node = front.estimate[0], _next(front)
         if node == goal_node or estimate == np.inf:
             break
-        if come > cost_to_come[node]:  # reached by a shorter way since
-            continue
+        come = front.cost_to_come[node]
         for k in range(len(exits)):
             reached = come + exit_cost[k]
-            if exits[k] == node and (came_by[goal_node] == 0 or reached < cost_to_come[goal_node]):
-                cost_to_come[goal_node], came_by[goal_node], came_from[goal_node] = reached, 1, node
-                heapq.heappush(frontier, (reached, reached, goal_node))
+            if exits[k] == node and (front.came_by[goal_node] == 0 or reached < front.cost_to_come[goal_node]):
+                front.cost_to_come[goal_node], front.came_by[goal_node] = reached, 1
+                front.came_from[goal_node] = node
+                _wait(front, reached, goal_node)
         begin, end = edges_of(first, other, patch, node)
         for e in range(begin, end):
             near = other[e] if e < standing else patch.other[e - standing]
             reached = come + (cost[e] if e < standing else patch.cost[e - standing])
-            if came_by[near] == 0 or reached < cost_to_come[near]:
-                cost_to_come[near], came_by[near], came_from[near] = reached, e + 1, node
+            if front.came_by[near] == 0 or reached < front.cost_to_come[near]:
+                front.cost_to_come[near], front.came_by[near], front.came_from[near] = reached, e + 1, node
                 x, y = place_of_node(position, patch, near)
                 far = max(rate * sqrt((x - goal[0]) ** 2 + (y - goal[1]) ** 2), at_least(landmarks, bounds, near))
-                heapq.heappush(frontier, (reached + far, reached, near))
-    edges = [0 for _ in range(0)]
-    if came_by[goal_node] == 0:
-        return -1, np.array(edges, dtype=np.int64)
-    node = came_from[goal_node]
-    while came_by[node] > 0:
-        edges.append(came_by[node] - 1)
-        node = came_from[node]
-    return node, np.array(edges[::-1], dtype=np.int64)
+                _wait(front, reached + far, near)

@@ -12,6 +12,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from gpdf_service.kernel_cache import lean
 from gpdf_service.types import FloatArray, IntArray
 
 Landmarks = NDArray[np.float32]
@@ -77,7 +78,7 @@ def bounds_to(landmarks: Landmarks, exits: IntArray, exit_cost: FloatArray) -> F
     return made
 
 
-@njit(cache=True, nogil=True)
+@lean()
 def at_least(landmarks: Landmarks, bounds: FloatArray, node: int) -> float:
     """Least cost of the way from a node to the goal that the `bounds` are of; inf where there is none."""
     best = 0.0

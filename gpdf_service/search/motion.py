@@ -14,8 +14,9 @@ from numba import njit
 
 from gpdf_service.fields.segment import segment_distance2
 from gpdf_service.fields.tree import Scratch, make_scratch
+from gpdf_service.kernel_cache import lean
 from gpdf_service.search.places import Places, distance_at
-from gpdf_service.types import FloatArray
+from gpdf_service.types import FloatArray, IntArray
 
 RESOLUTION = 1e-3
 """[m] A motion is called blocked when a piece of this length cannot be proven clear."""
@@ -25,7 +26,7 @@ CENTRE = np.zeros(1)
 """[m] Where the disc of a cylinder lies, ahead of its centre."""
 
 
-@njit(cache=True, nogil=True)
+@lean()
 def disc_distance(obstacles: Places, pose: FloatArray, offset: float, scratch: Scratch) -> float:
     """Distance from the centre of the disc that lies `offset` ahead of a pose (3,) to the nearest obstacle [m]."""
     place = pose[0] + offset * cos(pose[2]), pose[1] + offset * sin(pose[2]), 0.0
@@ -38,7 +39,13 @@ def is_clear(obstacles: Places, a: FloatArray, b: FloatArray, radius: float) -> 
 
     As with distances, nothing is clear where there are no obstacles at all: then nothing is known.
     """
-    limit, scratch, known = radius * radius, make_scratch(), False
+    return is_straight_clear(obstacles, a, b, radius, make_scratch())
+
+
+@lean()
+def is_straight_clear(obstacles: Places, a: FloatArray, b: FloatArray, radius: float, scratch: Scratch) -> bool:
+    """`is_clear` for a loop, which makes the scratch once."""
+    limit, known = radius * radius, False
     for tree in obstacles:
         if len(tree.begin) >= 2:
             known = True
@@ -77,13 +84,13 @@ def _is_disc_clear(obstacles: Places, a: FloatArray, b: FloatArray, offset: floa
     return True
 
 
-@njit(cache=True, nogil=True)
+@lean()
 def farthest_moved(a: FloatArray, b: FloatArray, offset: float) -> float:
     """How far the disc that lies `offset` ahead moves at most from pose a to pose b, (3,) [m]."""
     return float(hypot(b[0] - a[0], b[1] - a[1]) + abs(offset * (b[2] - a[2])))
 
 
-@njit(cache=True, nogil=True)
+@lean()
 def _halve(
     obstacles: Places,
     stack: FloatArray,
@@ -149,13 +156,28 @@ def _least_of_straight(obstacles: Places, poses: FloatArray) -> tuple[float, Flo
     A run of it that is L long lies within √(L² − c²)/2 of its chord of length c. It is passed over if nothing is so
     near to the chord that it could hold the least, else it is halved.
     """
-    scratch, where, along = make_scratch(), poses[0, :2].copy(), np.zeros(len(poses))
+    where, along, runs = (
+        poses[0, :2].copy(),
+        np.zeros(len(poses)),
+        np.empty((len(poses) // _RUN + 2 * _RUN, 2), np.int64),
+    )
+    best: float = _find_least(obstacles, poses, along, runs, make_scratch(), where)
+    return best, where
+
+
+@lean()
+def _find_least(
+    obstacles: Places, poses: FloatArray, along: FloatArray, runs: IntArray, scratch: Scratch, where: FloatArray
+) -> float:
+    """See `_least_of_straight`: the least, which is written `where`; `along` is 0, and the `runs` are those waiting."""
     for i in range(1, len(poses)):
         along[i] = along[i - 1] + hypot(poses[i, 0] - poses[i - 1, 0], poses[i, 1] - poses[i - 1, 1])
-    best = distance_at(obstacles, (where[0], where[1], 0.0), scratch)
-    runs = [(first, min(first + _RUN, len(poses) - 1)) for first in range(0, len(poses) - 1, _RUN)]
-    while len(runs) > 0:
-        first, last = runs.pop()
+    best, top = distance_at(obstacles, (where[0], where[1], 0.0), scratch), 0
+    for first in range(0, len(poses) - 1, _RUN):
+        runs[top, 0], runs[top, 1], top = first, min(first + _RUN, len(poses) - 1), top + 1
+    while top > 0:
+        top -= 1
+        first, last = runs[top]
         a, b, single = poses[first], poses[last], last == first + 1
         far2 = (b[0] - a[0]) ** 2 + (b[1] - a[1]) ** 2
         aside = 0.0 if single else 0.5 * np.sqrt(max((along[last] - along[first]) ** 2 - far2, 0.0))
@@ -169,9 +191,9 @@ def _least_of_straight(obstacles: Places, poses: FloatArray) -> tuple[float, Flo
             best = np.sqrt(least)
             where[0], where[1] = a[0] + share * (b[0] - a[0]), a[1] + share * (b[1] - a[1])
         elif least < limit:
-            runs.append((first, (first + last) // 2))
-            runs.append(((first + last) // 2, last))
-    return best, where
+            middle = (first + last) // 2
+            runs[top, 0], runs[top, 1], runs[top + 1, 0], runs[top + 1, 1], top = first, middle, middle, last, top + 2
+    return float(best)
 
 
 @njit(cache=True, nogil=True)

@@ -8,8 +8,9 @@ import numpy as np
 from numba import njit
 
 from gpdf_service.fields import Tree, find_nearest
-from gpdf_service.fields.traversal import nearest_at
+from gpdf_service.fields.traversal import nearest_along
 from gpdf_service.fields.tree import NO_POINTS, Place, Scratch, make_scratch
+from gpdf_service.kernel_cache import lean
 from gpdf_service.types import FloatArray, IntArray
 
 
@@ -20,26 +21,26 @@ class Places(NamedTuple):
     moving: Tree = NO_POINTS
 
 
-@njit(cache=True, nogil=True)
+@lean()
 def distance_at(places: Places, x: Place, scratch: Scratch) -> float:
     """Exact distance to the nearest of the places [m], 0 from what is no place, or where there are none."""
     if len(places.standing.begin) < 2:
-        return float(nearest_at(places.moving, x, scratch)[0])
-    distance = nearest_at(places.standing, x, scratch)[0]
+        return float(nearest_along(places.moving, x, scratch)[0])
+    distance = nearest_along(places.standing, x, scratch)[0]
     if len(places.moving.begin) < 2:
         return float(distance)
-    return float(min(distance, nearest_at(places.moving, x, scratch)[0]))
+    return float(min(distance, nearest_along(places.moving, x, scratch)[0]))
 
 
-@njit(cache=True, nogil=True)
+@lean()
 def nearest_of(places: Places, x: Place, scratch: Scratch) -> tuple[float, int]:
     """Exact distance to the nearest of the places [m], and its row before it was in a tree; 0 and −1 for none."""
     distance, row = 0.0, -1
     if len(places.standing.begin) >= 2:
-        distance, at = nearest_at(places.standing, x, scratch)
+        distance, at = nearest_along(places.standing, x, scratch)
         row = places.standing.order[at]
     if len(places.moving.begin) >= 2:
-        near, at = nearest_at(places.moving, x, scratch)
+        near, at = nearest_along(places.moving, x, scratch)
         if row < 0 or near < distance:
             distance, row = near, len(places.standing.points) + places.moving.order[at]
     return distance, row

@@ -6,6 +6,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from gpdf_service.kernel_cache import lean
 from gpdf_service.perception.surface import Cells, cell_of
 from gpdf_service.types import FloatArray
 
@@ -28,7 +29,7 @@ def count_noticed(steps: FloatArray) -> NDArray[np.int32]:
     return made
 
 
-@njit(cache=True, nogil=True)
+@lean()
 def is_stepped(ground: Cells, noticed: NDArray[np.int32], x: float, y: float, reach: int) -> bool:
     """Whether a step that is noticed is within `reach` cells of a place."""
     u, v = cell_of(ground, x, y)
@@ -40,21 +41,21 @@ def is_stepped(ground: Cells, noticed: NDArray[np.int32], x: float, y: float, re
     return count
 
 
-@njit(cache=True, nogil=True)
+@lean()
 def is_near_step(path: FloatArray, ground: Cells, noticed: NDArray[np.int32], reach: float) -> bool:
     """Whether a way in plan, shape (n, 2), comes nearer than `reach` [m] to a step that is noticed."""
     cells = int(np.ceil(reach / ground.width))
     for i in range(len(path) - 1):
-        length = np.sqrt(((path[i + 1] - path[i]) ** 2).sum())
+        dx, dy = path[i + 1, 0] - path[i, 0], path[i + 1, 1] - path[i, 1]
+        length = np.sqrt(dx * dx + dy * dy)
         count = int(np.ceil(length / (ground.width * cells))) + 1
         for k in range(count + 1):
-            x, y = path[i] + k / count * (path[i + 1] - path[i])
-            if is_stepped(ground, noticed, x, y, cells):
+            if is_stepped(ground, noticed, path[i, 0] + k / count * dx, path[i, 1] + k / count * dy, cells):
                 return True
     return False
 
 
-@njit(cache=True, nogil=True)
+@lean()
 def count_steps(contact: FloatArray) -> int:
     """How many steps that are noticed a path over contact points, shape (n, 3), takes; a riser on end is one."""
     count, before = 0, 0

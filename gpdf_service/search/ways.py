@@ -15,7 +15,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from gpdf_service.fields.tree import make_scratch
+from gpdf_service.fields.tree import Scratch, make_scratch
+from gpdf_service.kernel_cache import lean
 from gpdf_service.perception import ObstacleKind
 from gpdf_service.perception.surface import UNKNOWN, Cells, cell_of
 from gpdf_service.search.core import Core
@@ -115,7 +116,25 @@ def way_takes(path: FloatArray, about: Beside) -> FloatArray:
     What is seen beside the way counts until the next look. Distances are 1-Lipschitz: as long as there must be enough
     room yet, no obstacle is looked for.
     """
-    made, scratch = least_takes(path, about), make_scratch()
+    made = least_takes(path, about)
+    _look_beside(path, about, make_scratch(), made)
+    return made
+
+
+@njit(cache=True, nogil=True)
+def straight_takes(xy: FloatArray, ends: FloatArray, about: Beside) -> FloatArray:
+    """What the straight way from a place (2,) to each of others, shape (k, 2), takes: shape (k, 6)."""
+    made, path = np.empty((len(ends), 6)), np.empty((2, 2))
+    path[0] = xy
+    for i in range(len(ends)):
+        path[1] = ends[i]
+        made[i] = way_takes(path, about)[0]
+    return made
+
+
+@lean()
+def _look_beside(path: FloatArray, about: Beside, scratch: Scratch, made: FloatArray) -> None:
+    """Add to what a way takes at least what is beside it; see `way_takes`."""
     cells, enough = int(np.ceil(about.reach / about.ground.width)), about.reach + about.minded
     distance, due, tight, unseen = -np.inf, 0.0, 0.0, False
     for i in range(len(path) - 1):
@@ -135,21 +154,27 @@ def way_takes(path: FloatArray, about: Beside) -> FloatArray:
             at, due = at + piece, due - piece
             made[i, TIGHT] += tight * piece
             made[i, UNSEEN] += tight * piece if unseen else 0.0
-    return made
 
 
 @njit(cache=True, nogil=True)
 def least_takes(path: FloatArray, about: Beside) -> FloatArray:
     """What `way_takes` says, but for what is beside the way: never more, and soon told."""
-    made, ground, steps, slopes = np.zeros((len(path) - 1, 6)), about.ground, about.steps, about.slopes
+    made = np.zeros((len(path) - 1, 6))
+    _look_at_ground(path, about, made)
+    return made
+
+
+@lean()
+def _look_at_ground(path: FloatArray, about: Beside, made: FloatArray) -> None:
+    """Write what `least_takes` says."""
+    ground, steps, slopes = about.ground, about.steps, about.slopes
     for i in range(len(path) - 1):
         a, b = (path[i, 0], path[i, 1]), (path[i + 1, 0], path[i + 1, 1])
         taken = _ground_takes(a, b, ground, steps, slopes, about.glad_step)
         made[i, LENGTH], made[i, SLOPED], made[i, STEPPED], made[i, LEDGE] = taken
-    return made
 
 
-@njit(cache=True, nogil=True)
+@lean()
 def _ground_takes(
     a: tuple[float, float],
     b: tuple[float, float],
@@ -177,7 +202,7 @@ def _ground_takes(
     return length, sloped, stepped, ledge
 
 
-@njit(cache=True, nogil=True)
+@lean()
 def way_steps(
     path: FloatArray, ground: Cells, steps: FloatArray, slopes: FloatArray, glad_step: float
 ) -> tuple[float, float]:
@@ -358,7 +383,7 @@ def _takes(
     return made
 
 
-@njit(cache=True, nogil=True)
+@lean()
 def _ground_of_edges(
     position: FloatArray,
     on: IntArray,
