@@ -434,16 +434,18 @@ class Scene:
         now = change(perceived, cloud, keep, labels, self.config.perception)
         progress("change ground fields", 0.5)
 
-        def one(level: tuple[Gpdf, GroundLevel, GroundLevel]) -> Gpdf:
-            field, old, new = level
+        def one(i: int) -> Gpdf:
+            new, k = now.levels.levels[i], now.survey.former[i]
+            if k < 0:
+                return _fit_ground(new, self.config)
+            field, old = self.ground_fields[k], self.levels.levels[k]
             return field if new is old else _fit_ground(new, self.config, (field, old))
 
-        levels = zip(self.ground_fields, self.levels.levels, now.levels.levels, strict=True)
-        fields = tuple(run_parallel(one, levels))
+        fields = tuple(run_parallel(one, range(len(now.levels.levels))))
         progress("ready", 1.0)
         known = self.version + 1, self.noise, self.labelled
         scene = Scene(cloud, now.ground, now.levels, fields, self.config, *known, now, drift)
-        if scene.scan == self.scan:  # else all that stops a body may be another
+        if scene.scan == self.scan and now.touched:  # else all that stops a body may be another
             scene._former = self._spaces_before(now.touched)
         return scene
 

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 import gpdf_service as gpdf
+from gpdf_service.bench.build_changes import differences
 from gpdf_service.config import PerceptionConfig
 from gpdf_service.errors import CloudError, NoGroundError
 from gpdf_service.perception.layers import cell_width_of
@@ -42,6 +43,18 @@ def test_a_further_scan_equals_a_scene_from_scratch(office, blocked):
     np.testing.assert_allclose(ours.distance, theirs.distance, atol=1e-3)
     one, other = blocked.free_space("human").quadtrees[0], scratch.free_space("human").quadtrees[0]
     np.testing.assert_array_equal(one.center[one.free], other.center[other.free])
+
+
+def test_a_storey_that_comes_or_goes_leaves_the_others_as_they_were(office):
+    x, y = np.mgrid[1.5:3.5:0.04, 1.5:3.5:0.04].reshape(2, -1)
+    deck = np.column_stack([x, y, np.full(x.size, 3.6)])
+    more = office.update(insert=deck, ground=np.ones(len(deck), dtype=bool))
+    less = more.update(remove=np.arange(len(office.points), len(more.points)))
+    for scene, former in ((more, (0, -1)), (less, (0,))):
+        assert scene.perceived.survey.former == former
+        assert not differences(scene, from_scratch(scene))
+    assert len(more.surfaces) == 2
+    assert more.levels.levels[0] is office.levels.levels[0]
 
 
 def test_what_is_new_stands_in_the_way_and_the_old_version_does_not_know(office, blocked):

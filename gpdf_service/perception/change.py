@@ -34,7 +34,7 @@ class Perceived:
         segmentation: What the ground was found from; None where it was given.
         levels: The sheets of ground.
         survey: What they were made of.
-        touched: Where the last change made anything another; empty after a build.
+        touched: Where the last change made anything another; empty after a build, and where levels came or went.
     """
 
     points: FloatArray
@@ -63,13 +63,14 @@ def change(
         config: Limits.
 
     Raises:
-        WholeError: the cloud has other bounds, or another number of levels; build it as a whole.
+        WholeError: the cloud has other bounds; build it as a whole.
         NoGroundError: nothing in it is walkable.
     """
     stay = int(np.count_nonzero(keep))
     places = np.concatenate([taken(old.points, np.flatnonzero(~keep)), points[stay:]])
     if len(places) == 0:
-        return replace(old, touched=tuple(None for _ in old.levels.levels))
+        same = tuple(range(len(old.levels.levels)))
+        return replace(old, survey=replace(old.survey, former=same), touched=tuple(None for _ in same))
     cloud = Cloud(points, places)
     none = np.zeros(len(points) - stay, dtype=bool)
     before, stray = (np.concatenate([each[keep], none]) for each in (old.ground, old.survey.stray))
@@ -82,7 +83,8 @@ def change(
     again = _change_strays(stray, cloud, alone(old.survey.layers.cell_width)) & ~ground
     cloud.add(again != stray)
     levels, survey = change_levels(old.survey, cloud, ground, again, config)
-    touched = tuple(made.touched for made in survey.made)
+    stayed = survey.former == tuple(range(len(old.levels.levels)))
+    touched = tuple(made.touched for made in survey.made) if stayed else ()
     return Perceived(points, ground, segmentation, levels, survey, touched).lasting()
 
 

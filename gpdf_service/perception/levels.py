@@ -19,7 +19,7 @@ from gpdf_service.fields.threads import run_beside, run_chunked, run_parallel
 from gpdf_service.perception.beside import Beside, beside, beside_now
 from gpdf_service.perception.boxes import WHOLE, Box, highest_around, lowest_around, widened
 from gpdf_service.perception.budget import KEPT_BYTES, LEVEL_BYTES, check_grid
-from gpdf_service.perception.cloud import Cloud, Rows, WholeError, change_layers
+from gpdf_service.perception.cloud import Cloud, Rows, change_layers
 from gpdf_service.perception.columns import (
     by_cell,
     ends_of_runs,
@@ -169,12 +169,14 @@ class Survey:
         stray: Which points of the cloud count for nothing, shape (n,).
         sheets: Which nodes are of each level, shape (k,).
         made: Each level.
+        former: Which level of the version before each was made from, -1 where there was none.
     """
 
     near: Beside
     stray: BoolArray
     sheets: tuple[BoolArray, ...]
     made: tuple[Made, ...]
+    former: tuple[int, ...]
 
     @property
     def layers(self) -> Layers:
@@ -264,24 +266,37 @@ def change_levels(
     """`survey_levels` of a changed cloud.
 
     Raises:
-        WholeError: the ground has other bounds, or another number of levels.
+        WholeError: the ground has other bounds.
     """
     layers, cells = change_layers(old.layers, cloud, ground, config)
     near, sheets = old.near, old.sheets
     if not same_nodes(layers, near.layers):  # as where something was put onto the ground
         near = beside_now(near, layers, cells)
         sheets = split_sheets(near, config)
-    if len(sheets) != len(old.made):
-        raise WholeError
     return _levels_of(_Site(cloud, ground, stray, layers, cells, config), near, sheets, old.made)
 
 
 def _levels_of(
     site: _Site, near: Beside, sheets: tuple[BoolArray, ...], before: tuple[Made, ...] = ()
 ) -> tuple[Levels, Survey]:
-    made = run_parallel(lambda i: _make_level(site, sheets[i], before[i] if before else None), range(len(sheets)))
+    """The levels of the sheets, each made from the one before with the same box, if there is one."""
+    parts, left, former = [sheet_part(site.layers, sheet) for sheet in sheets], list(range(len(before))), []
+    for own, _ in parts:
+        same = [k for k in left if _same_box(before[k].level.surface, own)][:1]
+        left = [k for k in left if k not in same]
+        former.append(same[0] if same else -1)
+
+    def make(i: int) -> Made:
+        return _make_level(site, sheets[i], *parts[i], before[former[i]] if former[i] >= 0 else None)
+
+    made = tuple(run_parallel(make, range(len(sheets))))
     levels = Levels(tuple(each.level for each in made), find_portals(near.layers, sheets))
-    return levels, Survey(near, site.stray, sheets, tuple(made))
+    return levels, Survey(near, site.stray, sheets, made, tuple(former))
+
+
+def _same_box(surface: HeightMap, layers: Layers) -> bool:
+    """Whether a height map's cells are those of layers."""
+    return surface.state.shape == layers.shape and bool((surface.origin == layers.origin).all())
 
 
 def find_portals(layers: Layers, sheets: tuple[BoolArray, ...]) -> tuple[Portal, ...]:
@@ -332,17 +347,16 @@ def sheet_part(layers: Layers, inside: BoolArray) -> tuple[Layers, BoolArray]:
     return part, inside[chosen]
 
 
-def _make_level(site: _Site, sheet: BoolArray, before: Made | None) -> Made:
-    """The level of the nodes of a `sheet`, shape (k,). A build is a change from `_nothing`.
+def _make_level(site: _Site, sheet: BoolArray, own: Layers, inside: BoolArray, before: Made | None) -> Made:
+    """The level of the nodes of a `sheet`, see `sheet_part`. A build is a change from `_nothing`.
 
     What a cell holds depends on the points of its column and on cells within a known reach: so only the cells are
     looked at, and the points in them read, for which any of this is another than before.
     """
-    own, inside = sheet_part(site.layers, sheet)
-    was, corner = before or _nothing(own), np.round((own.origin - site.layers.origin) / own.cell_width).astype(int)
-    if was.level.surface.state.shape != own.shape or (was.level.surface.origin != own.origin).any():
-        raise WholeError
-    columns = site.cells[corner[0] : corner[0] + own.shape[0], corner[1] : corner[1] + own.shape[1]]
+    was, columns = before or _nothing(own), np.ones(own.shape, dtype=bool)
+    if before is not None:
+        x, y = np.round((own.origin - site.layers.origin) / own.cell_width).astype(int)
+        columns = site.cells[x : x + own.shape[0], y : y + own.shape[1]]
     grid, config = was.grid.now(columns), site.config
     seen = sheet_surface(grid, own, np.flatnonzero(inside), config.max_step, site.noise)
     if not grid.felt("seen", 0, *grid.known["seen"].given, points=True).any():

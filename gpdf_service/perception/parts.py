@@ -140,7 +140,7 @@ def accept_parts(near: Beside, parts: Parts, joins: Pairs, low: BoolArray, confi
     table, which lies over ground, with or without headroom (`low`), and from which one gets down alone, or to a box.
     """
     alive, layers = parts.size > 0, near.layers
-    table, dead = _tables(layers, parts, joins, low, config), alive
+    table, dead = _tables(near, parts, joins, low, config), alive
     largest = TABLE_AREA / layers.cell_width**2
     while dead.any():
         dead = _dead_ends(parts, joins, alive, table, largest)
@@ -174,7 +174,7 @@ def _units(parts: Parts, joins: Pairs, among: BoolArray) -> IntArray:
     return unit
 
 
-def _tables(layers: Layers, parts: Parts, joins: Pairs, low: BoolArray, config: PerceptionConfig) -> BoolArray:
+def _tables(near: Beside, parts: Parts, joins: Pairs, low: BoolArray, config: PerceptionConfig) -> BoolArray:
     """Parts higher than one that they are joined to, and over ground with less headroom than a step's, (parts + 1,).
 
     Looked at is a sole from the rim, which is as far in as one sees the floor below a board; the rim by itself, as one
@@ -183,16 +183,22 @@ def _tables(layers: Layers, parts: Parts, joins: Pairs, low: BoolArray, config: 
     high = np.zeros(len(parts.size), dtype=bool)
     for one, other in (joins, joins[::-1]):
         high[one[parts.level[one] - parts.level[other] > parts.rise]] = True
-    own = parts.keep & high[parts.label]
-    a, b = connect(layers, own, parts.rise)
-    rim = own & (np.bincount(a, minlength=len(own)) + np.bincount(b, minlength=len(own)) < 2 * len(HALF))
-    near = rim.copy()
-    for _ in range(max(1, round(SOLE / layers.cell_width))):
-        near |= touched_by(a, b, own, near)
-    nodes, lies = np.flatnonzero(near), np.zeros(len(own), dtype=bool)
-    lies[nodes] = nodes_over(nodes, layers.cell, layers.height, parts.keep | low, config.step_headroom)
-    narrow, inside = parts.depth < LANDING, parts.share(lies, near & ~rim)
-    small = narrow | (parts.size * layers.cell_width**2 <= TABLE_AREA)
+    width = near.layers.cell_width
+    soles = max(1, round(SOLE / width))
+
+    def rims(layers: Layers, _: BoolArray, own: BoolArray, ground: BoolArray) -> tuple[BoolArray, BoolArray, BoolArray]:
+        a, b = connect(layers, own, parts.rise)
+        rim = own & (np.bincount(a, minlength=len(own)) + np.bincount(b, minlength=len(own)) < 2 * len(HALF))
+        inner, lies = rim.copy(), np.zeros(len(own), dtype=bool)
+        for _ring in range(soles):
+            inner |= touched_by(a, b, own, inner)
+        nodes = np.flatnonzero(inner)
+        lies[nodes] = nodes_over(nodes, layers.cell, layers.height, ground, config.step_headroom)
+        return rim, inner & ~rim, lies
+
+    rim, inner, lies = near.around("rims", soles + 1, rims, parts.keep & high[parts.label], parts.keep | low)
+    narrow, inside = parts.depth < LANDING, parts.share(lies, inner)
+    small = narrow | (parts.size * width**2 <= TABLE_AREA)
     table: BoolArray = inside > np.where(small, TABLE_OVER_SHARE, OVER_SHARE)
     table |= narrow & (parts.share(lies, rim) > OVER_SHARE)
     return table
