@@ -184,10 +184,10 @@ class Beside:
             other |= unlike(one, self._carried(another, 0))  # a new node's cell is one of others anyway
         return cells_around(self.layers, other, reach, self.former.cells)
 
-    def degrees(self, name: str, keep: BoolArray, rise: float) -> IntArray:
+    def degrees(self, name: str, keep: BoolArray, rise: float) -> NDArray[np.uint8]:
         """How many nodes to keep are beside each of them with at most `rise` [m] a cell between them, shape (k,)."""
 
-        def answer(layers: Layers, _: BoolArray, keep: BoolArray) -> tuple[IntArray]:
+        def answer(layers: Layers, _: BoolArray, keep: BoolArray) -> tuple[NDArray[np.uint8]]:
             return (degrees(layers.columns, keep, rise),)
 
         return self.around(name, 1, answer, keep)[0]

@@ -18,7 +18,7 @@ from gpdf_service.fields.shapes import FEWEST
 from gpdf_service.fields.threads import run_beside, run_chunked, run_parallel
 from gpdf_service.perception.beside import Beside, beside, beside_now
 from gpdf_service.perception.boxes import WHOLE, Box, highest_around, lowest_around, widened
-from gpdf_service.perception.budget import KEPT_BYTES, LEVEL_BYTES, check_grid
+from gpdf_service.perception.budget import KEPT_BYTES, LEVEL_BYTES, check_grid, give_back
 from gpdf_service.perception.cloud import Cloud, Rows, change_layers
 from gpdf_service.perception.columns import (
     by_cell,
@@ -366,6 +366,8 @@ def _make_level(site: _Site, sheet: BoolArray, own: Layers, inside: BoolArray, b
     grid = replace(grid, others=held.unlike)
     holds, voids = partial(held_in, held.points, held.first, seen), grid.known["voids"].made
     surface, guarded = complete(grid, seen, holds, voids, near, site)
+    del near, holds, voids
+    give_back(len(site.ground))
     measured, limits = measure(grid, surface, guarded)
     other = changed(was.level.surface, surface)
     asked = widened(columns | widened(other, ledge_reach(surface)), ground_reach(surface)) | held.cells
@@ -430,7 +432,7 @@ def _find_others(site: _Site, sheet: BoolArray, seen: HeightMap, near: Nearest, 
     begin, order = by_cell(cell, out + 1)
     fresh, begin, flat = taken(points, order[: begin[-2]]), begin[:-1], cells.ravel()
     first, runs = starts_spliced(flat, was.first, begin), runs_of(flat, was.first, begin)
-    other = values_spliced(runs, was.level.other_points, fresh)
+    other = fresh if cells.all() else values_spliced(runs, was.level.other_points, fresh)  # half of a cloud
     ledge = values_spliced(runs, was.level.ledge, np.full(len(fresh), np.inf, np.float32))
     return _Others(other, ledge, first, cells, unlike_cells(cells, was.first, was.level.other_points, first, other))
 

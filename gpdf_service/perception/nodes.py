@@ -177,17 +177,17 @@ def pieces_in(
 
 
 @njit(cache=True, nogil=True)
-def degrees(columns: Columns, keep: BoolArray, rise: float) -> IntArray:
+def degrees(columns: Columns, keep: BoolArray, rise: float) -> NDArray[np.uint8]:
     """How many nodes to keep are beside each of them with at most `rise` [m] a cell between them, shape (k,)."""
     cell, start, (nx, ny), height, _ = columns
-    degree = np.zeros(len(cell), np.int64)
+    degree = np.zeros(len(cell), np.uint8)
     for i in np.flatnonzero(keep):
         x, y = divmod(cell[i], ny)
         for dx, dy in AROUND[4:]:  # half of them: each pair once
             if x + dx < nx and 0 <= y + dy < ny:
                 there, most = (x + dx) * ny + y + dy, rise * np.hypot(dx, dy)
                 for j in range(start[there], start[there + 1]):
-                    near = int(keep[j] & (abs(height[i] - height[j]) <= most))
+                    near = np.uint8(keep[j] & (abs(height[i] - height[j]) <= most))
                     degree[i] += near
                     degree[j] += near
     return degree
