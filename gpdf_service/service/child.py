@@ -68,6 +68,15 @@ class _Nursery:
         theirs.close()
         self.pid, self._end = pid, lambda: os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1])
 
+    def end(self) -> None:
+        """End it at once: where it loads something for a child, that can be for minutes."""
+        with self._lock:
+            if self._end is not None:
+                os.kill(self.pid, signal.SIGKILL)  # it may have ended, but nobody else has its number yet
+                self._end()
+                self._births.close()
+                self._end = None
+
     def _begin(self) -> None:
         if self._end is not None:
             log.error("the process that children are forked of has ended with code %d", self._end())

@@ -112,6 +112,18 @@ def test_a_nursery_that_dies_takes_its_children_with_it_and_the_next_child_has_a
     assert "has ended with code -9" in caplog.text
 
 
+def test_a_nursery_is_ended_whatever_it_does_and_the_next_child_has_another_one():
+    with begun() as child:
+        assert child.hear(START_S) == READY
+    before = NURSERY.pid
+    os.kill(before, signal.SIGSTOP)
+    NURSERY.end()
+    NURSERY.end()
+    assert not psutil.pid_exists(before)
+    with begun() as child:
+        assert child.hear(START_S) == READY
+
+
 def test_of_one_that_dies_as_it_is_ended_no_more_is_heard_and_the_others_are_looked_after(ready):
     with begun() as other:
         assert other.hear(START_S) == READY
