@@ -272,8 +272,8 @@ def next_leaf(
 ) -> tuple[int, float, int]:
     """One step of a walk, nearest first: the next leaf within √`limit` of the box from `low` to `high`.
 
-    The one walk through the tree; who wants a place passes it twice. The limit may fall from step to step. Start with
-    `top` = `from_root(…)` and pass on what is returned.
+    Who wants a place passes it twice. The limit may fall from step to step. Start with `top` = `from_root(…)` and pass
+    on what is returned. What asks for no order, as `sums_around`, walks by itself.
 
     Returns:
         The leaf, −1 when there is none left; its squared distance [m²]; `top` for the next step.

@@ -96,11 +96,11 @@ def _told(
 
 @lean()
 def _ask(field: AnyField, x: Place, memo: Memo, i: int, enough: float) -> float:
-    """Distance at x, which is remembered, and its gradient; a bound alone where that tells of `enough`."""
+    """Distance at x, which is remembered, and its gradient; inf where a bound, which has none, tells of `enough`."""
     for k in range(3):
         memo.place[i, k] = x[k]
     memo.distance[i] = sample_at(field, x, memo.scratch, memo.slope[i], enough)
-    return float(memo.distance[i])
+    return float(memo.distance[i]) if memo.slope[i, 0] == memo.slope[i, 0] else np.inf
 
 
 @lean()

@@ -13,7 +13,7 @@ import subprocess
 import sys
 import threading
 from collections.abc import Callable
-from multiprocessing.connection import Connection
+from multiprocessing.connection import Connection, wait
 from pathlib import Path
 
 import msgspec
@@ -68,6 +68,15 @@ class _Nursery:
         theirs.close()
         self.pid, self._end = pid, lambda: os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1])
 
+    def end(self) -> None:
+        """End it at once: where it loads something for a child, that can be for minutes."""
+        with self._lock:
+            if self._end is not None:
+                os.kill(self.pid, signal.SIGKILL)  # it may have ended, but nobody else has its number yet
+                self._end()
+                self._births.close()
+                self._end = None
+
     def _begin(self) -> None:
         if self._end is not None:
             log.error("the process that children are forked of has ended with code %d", self._end())
@@ -117,6 +126,7 @@ class Child:
             NURSERY.bear(birth, [theirs.fileno(), told.fileno(), 1, 2])
         self._says = select.poll()
         self._says.register(self.pipe, select.POLLIN)
+        self._says.register(self._fate, 0)  # its end is told, whatever is asked for
 
     @property
     def pid(self) -> int | None:
@@ -126,12 +136,11 @@ class Child:
 
     def _look(self, timeout: float | None) -> None:
         """Take in what its nursery has told: its number, and later its exit code."""
-        if not select.select([self._fate], [], [], timeout)[0]:
-            return
+        wait([self._fate], timeout)
         with self._lock:
-            if self._code is None and select.select([self._fate], [], [], 0.0)[0]:
+            while self._code is None and wait([self._fate], 0.0):
                 said = self._fate.recv(FATE_BYTES)
-                if not said:  # the nursery has died; who is alone ends, too
+                if not said:  # the nursery has died, or need not bear it; who is alone ends, too
                     self._code = -signal.SIGKILL
                     if self._born is not None:
                         with contextlib.suppress(ProcessLookupError):
@@ -160,8 +169,11 @@ class Child:
                 words = f"process {pid} was asked for something and hangs"
                 log.error(words)
                 raise TimeoutError(words)
+        self._look(0.0)
         while self._born is None and self._code is None:  # it may be faster than who tells of its birth
             self._look(None)
+        if self._born is None:
+            raise EOFError
         return self.pipe.recv_bytes()
 
     def wait(self) -> int:
@@ -171,9 +183,9 @@ class Child:
         return self._code
 
     def kill(self) -> None:
-        """End it at once."""
+        """End it at once; one that is not born yet, which can take its nursery minutes, is not waited for."""
         with contextlib.suppress(OSError):
-            self._fate.shutdown(socket.SHUT_WR)
+            self._fate.shutdown(socket.SHUT_RDWR if self.pid is None else socket.SHUT_WR)
 
 
 def _cpu_s(pid: int) -> float:

@@ -26,7 +26,7 @@ ENVIRONMENT = "GPDF_"
 HALF_OF_MEMORY_MB = round(0.5e-6 * psutil.virtual_memory().total)
 """[MB] What one build may take: the other half is for the scenes, the plans and everybody else."""
 
-ENDPOINT = re.compile(r"\w+/.")
+ENDPOINT = re.compile(r"[\w-]+/.")
 """How Zenoh's endpoints begin: a protocol and an address."""
 
 Count = Annotated[int, Meta(ge=1)]

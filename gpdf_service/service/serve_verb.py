@@ -82,6 +82,8 @@ def run(args: argparse.Namespace) -> int:
     except (GpdfError, ValueError) as error:
         log.error("%s", error)
         return 1
+    finally:
+        NURSERY.end()
     return 0
 
 

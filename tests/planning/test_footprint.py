@@ -7,6 +7,9 @@ import gpdf_service as gpdf
 from gpdf_service.bench.judge import Judge
 from gpdf_service.bench.plan import random_places
 from gpdf_service.errors import RequestError
+from gpdf_service.fields import fit_gpdf
+from gpdf_service.fields.traversal import sample_at
+from gpdf_service.fields.tree import make_scratch
 from gpdf_service.planning.certificate import certify, min_distance
 from gpdf_service.planning.costs import Discs, Task, make_memo, obstacle_cost
 from gpdf_service.planning.footprint import disc_places, face, travel_headings
@@ -220,6 +223,21 @@ def test_poses_are_found_from_end_to_end_facing_as_asked(ends):
     np.testing.assert_allclose([*off[:2], *np.sin(off[2:] / 2)], 0.0, atol=1e-9)
     for a, b in zip(found.poses[:-1], found.poses[1:], strict=True):
         assert is_motion_clear(space.trees[0], a, b, SPOT.offsets, space.radius)
+
+
+def test_room_that_is_wanted_to_the_last_bit_costs_nothing():
+    """There the field tells a bound without a gradient, and the radius taken from that is a bit less than is wanted."""
+    radius, room = 0.6, 0.3
+    assert (radius + room) - radius < room
+    field, scratch, slope = fit_gpdf([[0.0, 0.0], [0.0, 10.0]], spacing=0.05).arrays, make_scratch(), np.zeros(3)
+    low, high = radius + room, 2.0
+    while np.nextafter(low, high) < high:
+        middle = 0.5 * (low + high)
+        sample_at(field, (middle, 0.0, 0.0), scratch, slope, radius + room)
+        low, high = (low, middle) if np.isnan(slope[0]) else (middle, high)
+    xi, gradient = np.array([[high, y, 0.0] for y in (-0.1, 0.0, 0.1)]), np.zeros((3, 3))
+    assert cost_of(xi, 0.1, field, Discs(CENTRE, radius), room, gradient) == 0.0
+    np.testing.assert_array_equal(gradient, 0.0)
 
 
 def test_the_obstacle_cost_falls_along_its_gradient_as_finite_differences_say(office):

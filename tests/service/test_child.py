@@ -2,8 +2,11 @@
 
 import contextlib
 import os
+import resource
 import signal
 import time
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
 
 import msgspec
 import psutil
@@ -109,6 +112,18 @@ def test_a_nursery_that_dies_takes_its_children_with_it_and_the_next_child_has_a
     assert "has ended with code -9" in caplog.text
 
 
+def test_a_nursery_is_ended_whatever_it_does_and_the_next_child_has_another_one():
+    with begun() as child:
+        assert child.hear(START_S) == READY
+    before = NURSERY.pid
+    os.kill(before, signal.SIGSTOP)
+    NURSERY.end()
+    NURSERY.end()
+    assert not psutil.pid_exists(before)
+    with begun() as child:
+        assert child.hear(START_S) == READY
+
+
 def test_of_one_that_dies_as_it_is_ended_no_more_is_heard_and_the_others_are_looked_after(ready):
     with begun() as other:
         assert other.hear(START_S) == READY
@@ -133,8 +148,38 @@ def test_one_that_hangs_as_it_begins_is_told_and_never_lives(ready):
         with pytest.raises(TimeoutError, match="hangs"):
             child.hear(0.2)
         child.kill()
+        assert child.wait() == -signal.SIGKILL  # its nursery may be at it for minutes
+        with pytest.raises(EOFError):
+            child.hear(START_S)
     finally:
         os.kill(NURSERY.pid, signal.SIGCONT)
-    assert child.wait() == -signal.SIGKILL
     assert ready.pid is not None
     wait_for(lambda: [one.pid for one in psutil.Process(NURSERY.pid).children()] == [ready.pid])
+
+
+def test_who_waits_for_one_that_is_ended_before_it_is_born_is_told(ready):
+    os.kill(NURSERY.pid, signal.SIGSTOP)
+    try:
+        child = Child(PROGRAM, SETTINGS)
+        with ThreadPoolExecutor(1) as pool:
+            heard = pool.submit(child.hear, PATIENCE_S)
+            wait_for(heard.running)
+            child.kill()
+            assert isinstance(heard.exception(START_S), EOFError)
+    finally:
+        os.kill(NURSERY.pid, signal.SIGCONT)
+
+
+def test_a_service_may_have_more_files_open_than_select_takes():
+    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+    most = 1024  # FD_SETSIZE
+    if hard < 2 * most:
+        pytest.skip("the system does not allow so many")
+    resource.setrlimit(resource.RLIMIT_NOFILE, (max(soft, 2 * most), hard))
+    with contextlib.ExitStack() as held:
+        held.callback(resource.setrlimit, resource.RLIMIT_NOFILE, (soft, hard))
+        for _ in range(most):
+            held.enter_context(Path(os.devnull).open())
+        with begun() as child:
+            assert child.hear(START_S) == READY
+            assert child.pid is not None

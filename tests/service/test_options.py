@@ -79,6 +79,11 @@ def test_a_wrong_value_is_an_error_with_its_name(tmp_path, text, environment, wo
         gather(path, environment, {})
 
 
+@pytest.mark.parametrize("endpoint", ["tcp/[::]:7447", "tls/host:1", "unixsock-stream//tmp/gpdf.sock"])
+def test_all_that_zenoh_can_listen_at_is_an_endpoint(endpoint):
+    assert gather(None, {}, {"endpoint": endpoint})[0].endpoint == endpoint
+
+
 def test_a_file_that_is_not_there_is_an_error(tmp_path):
     with pytest.raises(ConfigError, match="none"):
         gather(tmp_path / "none.toml", {}, {})
