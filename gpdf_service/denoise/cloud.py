@@ -115,9 +115,9 @@ def _arrays(made: Denoised) -> tuple[NDArray[Any], ...]:
 
 def _denoise_part(points: FloatArray, noise: float, things: bool) -> Denoised:
     """All as noisy as the noisiest, then what is quieter with its own noise, beside what is around it."""
-    made = _denoise_alike(points, noise, things)
+    made, blocks = _denoise_alike(points, noise, things), sort_into_cells(points, _BLOCK)
     for _ in range(_ROUNDS):
-        found = list(_quieter(points, made))
+        found = list(_quieter(points, blocks, made))
         if not found:
             break
         for own, rows, quieter in found:
@@ -127,9 +127,8 @@ def _denoise_part(points: FloatArray, noise: float, things: bool) -> Denoised:
     return made
 
 
-def _quieter(points: FloatArray, made: Denoised) -> Iterator[tuple[BoolArray, IntArray, float]]:
+def _quieter(points: FloatArray, blocks: Cells, made: Denoised) -> Iterator[tuple[BoolArray, IntArray, float]]:
     """Points of quieter places than was thought, shape (n,), the rows of windows around them, and the noise there."""
-    blocks = sort_into_cells(points, _BLOCK)
     off = np.linalg.norm(made.points - points, axis=1)
     off[made.vague | made.stray] = np.nan
     median = np.empty(len(blocks.key))
