@@ -100,6 +100,7 @@ RULES: dict[str, tuple[str, str, Callable[..., Any]]] = {
     "voxels": ("gpdf_service.scene", "are_voxels", lambda _: False),
     "cure of noise": (_P + "cure", "denoise", lambda points, _, noise: as_measured(points, noise)),
     "treads under noise": (_P + "cure", "_settle_stairs", lambda *_: None),
+    "outliers of things": (_P + "cure", "return_explained", lambda *_: None),
     "points that noise lifted": (_P + "cure", "find_lifted", _false(0)),
     "noise of each place": (_D + "cloud", "_quieter", lambda *_: iter(())),
     "planes that meet": (_D + "cloud", "place_at_edges", lambda *_: None),

@@ -2,11 +2,13 @@
 
 Points of a surface seen with the error σ lie about it as N(s, σ²) does. So at a place x its points s make Σ N(x; s, σ²)
 expect so many measurements, and no more are due to it. Where no more were made there is nothing else, and a point goes
-to where it is expected to come from, Σ N(x; s, σ²) s / Σ N(x; s, σ²). Where there were more, something else stands.
+to where on the nearest surface it is expected to come from, Σ N(x; s, σ²) s / Σ N(x; s, σ²). Where there were more,
+something else stands.
 """
 
 from __future__ import annotations
 
+from functools import partial
 from math import exp, pi, sqrt
 
 import numpy as np
@@ -26,74 +28,150 @@ _CHANCE = 3.0
 """[-] Standard errors by which what was measured at a place may exceed what is expected there."""
 _SEEN = FEWEST * 2.0 * pi / (3.0 * RESOLVED) ** 2
 """Sum of exp(−r² / 2 σ²) over a plane's points, on it, at least: of the fewest in a window that show one."""
-_SINGLE, _SQUARE = 2.0**-1.5, 3.0**-1.5
-"""[-] What exp(−r² / 2 σ²) and its square are in the mean where N(0, σ²) puts r."""
+_ROUNDS = 3
+"""Of this: what was put back shows its surface to others. A fourth one moves hardly any."""
+_CORNER = 0.25 * _SEEN
+"""The same sum at a corner of such a surface."""
+_SINGLE, _SQUARE, _CUBE = 2.0**-1.5, 3.0**-1.5, 4.0**-1.5
+"""[-] What exp(−r² / 2 σ²), its square and its cube are in the mean where N(0, σ²) puts r."""
 
 
-def return_explained(points: FloatArray, part: BoolArray, cured: Denoised) -> None:
-    """Put the vague points of a `part`, shape (n,), onto the surfaces that the others of it show; not where it is more.
+def return_explained(points: FloatArray, part: BoolArray, cured: Denoised, apart: float = 0.0) -> None:
+    """Put the doubtful points of a `part`, shape (n,), onto the surfaces that the others show; not where it is more.
+
+    Doubtful is what is vague, and what was put onto a surface where that shows hardly any other point: beyond its end.
 
     Args:
         points: The cloud as it was measured [m], shape (n, 3).
         part: Of it, that shows its own surfaces: what is no ground.
         cured: What was made of it; its places are changed.
+        apart: Standard deviations that a point was measured off the surfaces at least, to be put back [-].
     """
     rows = np.flatnonzero(part & ~cured.stray)
-    vague = cured.vague[rows]
-    if not vague.any():
+    if len(rows) == 0 or cured.measured == 0.0:
         return
-    cells = sort_into_cells(points[rows], RESOLVED * cured.measured)
-    own = cells, vague, cured.measured, cured.points[rows] - cells.corner
-    places = cured.points[rows]
-    run_chunked(lambda a, b: _explain_range(*own, a, b, places), len(cells.key))
+    places, sigma, width = cured.points[rows], cured.local[rows], RESOLVED * cured.measured
+    told = sort_into_cells(places, width)
+    doubtful = cured.vague[rows].copy()
+    alone = np.zeros(len(rows), dtype=bool)
+    run_chunked(lambda a, b: _alone_range(told, doubtful, sigma, a, b, alone), len(told.key))
+    doubtful |= alone
+    cells = sort_into_cells(points[rows], width)
+    for _ in range(_ROUNDS):
+        moved = np.zeros(len(rows), dtype=bool)
+        own = cells, doubtful, sigma, apart, places - cells.corner
+        run_chunked(partial(_explain_range, *own, places, moved), len(cells.key))
+        doubtful &= ~moved
     cured.points[rows] = places
 
 
 @njit(cache=True, nogil=True)
+def _alone_range(told: Cells, vague: BoolArray, sigma: FloatArray, begin: int, end: int, alone: BoolArray) -> None:
+    """Which points have less around than a corner of a surface shows, of the least that shows one."""
+    beside = np.empty(27, np.int64)
+    for c in range(begin, end):
+        count = cells_within(told, c, 1, beside)
+        for i in range(told.begin[c], told.begin[c + 1]):
+            x, y, z = told.places[i]
+            seen, scale = 0.0, -0.5 / sigma[told.order[i]] ** 2
+            for j in beside[:count]:
+                if seen >= _CORNER:
+                    break
+                for k in range(told.begin[j], told.begin[j + 1]):
+                    if k != i and not vague[told.order[k]]:
+                        p = told.places[k]
+                        seen += exp(scale * ((p[0] - x) ** 2 + (p[1] - y) ** 2 + (p[2] - z) ** 2))
+            alone[told.order[i]] = seen < _CORNER
+
+
+@njit(cache=True, nogil=True)
 def _explain_range(
-    cells: Cells, vague: BoolArray, sigma: float, told: FloatArray, begin: int, end: int, places: FloatArray
+    cells: Cells,
+    doubtful: BoolArray,
+    sigma: FloatArray,
+    apart: float,
+    told: FloatArray,
+    places: FloatArray,
+    moved: BoolArray,
+    begin: int,
+    end: int,
 ) -> None:
     beside, mean = np.empty((2 * _RINGS + 1) ** 3, np.int64), np.empty(3)
     for c in range(begin, end):
-        if not holds_any(cells, c, vague):
+        if not holds_any(cells, c, doubtful):
             continue
         count = cells_within(cells, c, _RINGS, beside)
         for i in range(cells.begin[c], cells.begin[c + 1]):
             row = cells.order[i]
-            if vague[row] and _is_explained(cells, beside[:count], i, vague, sigma, told, mean):
+            if doubtful[row] and _is_explained(cells, beside[:count], i, doubtful, sigma[row], apart, told, mean):
+                moved[row] = True
                 for k in range(3):
                     places[row, k] = mean[k] + cells.corner[k]
 
 
 @njit(cache=True, nogil=True)
 def _is_explained(
-    cells: Cells, beside: IntArray, i: int, vague: BoolArray, sigma: float, told: FloatArray, mean: FloatArray
+    cells: Cells,
+    beside: IntArray,
+    i: int,
+    doubtful: BoolArray,
+    sigma: float,
+    apart: float,
+    told: FloatArray,
+    mean: FloatArray,
 ) -> bool:
-    """Whether the surfaces `told` explain what is at place i; writes where it is expected to come from."""
-    measured, expected, variance, total = 0.0, 0.0, 0.0, 0.0
-    mean[:] = 0.0
+    """Whether the surfaces `told` explain what is at place i; writes where on the nearest it is expected to be from."""
+    measured, expected, variance, skew, total = 0.0, 0.0, 0.0, 0.0, 0.0
     x, y, z = cells.places[i]
-    scale = -0.5 / sigma**2
+    scale, furthest, least, nearest = -0.5 / sigma**2, (_FURTHEST * sigma) ** 2, np.inf, -1
     for j in beside:
         for k in range(cells.begin[j], cells.begin[j + 1]):
             p = cells.places[k]
-            if k != i:
-                measured += exp(scale * ((p[0] - x) ** 2 + (p[1] - y) ** 2 + (p[2] - z) ** 2))
+            off = (p[0] - x) ** 2 + (p[1] - y) ** 2 + (p[2] - z) ** 2
+            if k != i and off <= furthest:
+                measured += exp(scale * off)
             row = cells.order[k]
-            if vague[row]:
+            if doubtful[row]:
                 continue
             s = told[row]
-            a, b, d = s[0] - x, s[1] - y, s[2] - z
-            square = scale * (a * a + b * b + d * d)
-            weight = exp(square)
-            expected += _SINGLE * exp(0.5 * square)
-            variance += _SQUARE * exp(square / 1.5)
-            total += weight
-            mean[0] += weight * s[0]
-            mean[1] += weight * s[1]
-            mean[2] += weight * s[2]
-    if total < 1e-9 or measured > expected + _CHANCE * sqrt(variance):
+            off = (s[0] - x) ** 2 + (s[1] - y) ** 2 + (s[2] - z) ** 2
+            if off > furthest:
+                continue
+            twelfth = exp(scale * off / 12.0)
+            third = twelfth**4
+            expected += _SINGLE * third * twelfth**2
+            variance += _SQUARE * third**2
+            skew += _CUBE * third**2 * twelfth
+            total += third**3
+            if off < least:
+                least, nearest = off, row
+    if (
+        nearest < 0
+        or least < (apart * sigma) ** 2
+        or total < _SEEN * exp(scale * least)
+        or measured > expected + _by_chance(variance, skew)
+    ):
         return False
+    mean[:] = 0.0
+    total, at = 0.0, told[nearest]
+    for j in beside:
+        for k in range(cells.begin[j], cells.begin[j + 1]):
+            row = cells.order[k]
+            s = told[row]
+            if not doubtful[row] and (s[0] - at[0]) ** 2 + (s[1] - at[1]) ** 2 + (s[2] - at[2]) ** 2 <= sigma**2:
+                off = (s[0] - x) ** 2 + (s[1] - y) ** 2 + (s[2] - z) ** 2
+                weight = exp(scale * (off - least))
+                total += weight
+                for a in range(3):
+                    mean[a] += weight * s[a]
     mean /= total
-    off = (mean[0] - x) ** 2 + (mean[1] - y) ** 2 + (mean[2] - z) ** 2
-    return bool(off <= (_FURTHEST * sigma) ** 2 and total >= _SEEN * exp(scale * off))
+    return True
+
+
+@njit(cache=True, nogil=True)
+def _by_chance(variance: float, skew: float) -> float:
+    """How much more than is expected was measured by chance, `_CHANCE` standard errors or, of few points, more.
+
+    Cornish and Fisher (1938): the third moment tells how far the tail of a sum of few reaches.
+    """
+    return _CHANCE * sqrt(variance) + skew * (_CHANCE**2 - 1.0) / (6.0 * variance)

@@ -35,6 +35,9 @@ _DOUBLE = 1.5
 than once: a stair's treads make 1.1 of it, a forest's litter 1.3, two scans that are 2 cm off each other 2.9."""
 _PLACES = 300
 """Places of the ground that tell whether it lies there more than once: to a tenth, for half as much again."""
+_APART = 2.0
+"""[-] Standard deviations off a thing that its outliers are at least, where nobody labelled it: the rim of a lid that
+was taken for ground is nearer to the lid's side than that, and stays where it was measured."""
 _COLUMN = 1.0
 """[m] Width of the columns that the sample is made of: several times the largest neighbourhood of 5 cm noise."""
 
@@ -126,6 +129,7 @@ def _found(points: FloatArray, noise: float, spacing: float, config: PerceptionC
     cured = denoise(points, None, noise)
     ground, kept = np.zeros(len(points), dtype=bool), chosen_rows(cured.points, ~cured.stray)
     ground[~cured.stray] = segment(kept, first_layers(kept, config), config, cured.local[~cured.stray])[0]
+    return_explained(points, ~ground, cured, _APART)
     _settle_stairs(points, ground, cured)
     stray = cured.stray | find_lifted(cured.points, ground, noise, spacing)
     return CuredGround(_in_steps(cured)._replace(stray=stray), ground & ~stray, as_it_was=False)
