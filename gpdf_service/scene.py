@@ -180,9 +180,12 @@ def _gather(queries: FloatArray, fields: Sequence[Gpdf | Nearer], on: BoolArray)
     return made
 
 
-def _either(a: BoolArray | None, b: BoolArray | None) -> BoolArray | None:
-    """Cells that are among those of either, None where neither has any."""
-    return (a if b is None else b) if a is None or b is None else a | b
+def _since(earlier: Touched, k: int, cells: BoolArray | None) -> tuple[int, BoolArray | None]:
+    """What of a level is another than two versions ago: in these `cells` than level `k` of the version between."""
+    if k < 0:
+        return k, cells
+    source, other = earlier[k]
+    return source, (cells if other is None else other) if cells is None or other is None else cells | other
 
 
 class Scene:
@@ -349,7 +352,7 @@ class Scene:
         with self._lock:
             before = {body: (space, touched) for body, space in self._spaces.items()}
             for body, (space, earlier) in list(self._former.items())[: MAX_CACHED_AGENTS - len(before)]:
-                before[body] = space, tuple(_either(a, b) for a, b in zip(earlier, touched, strict=True))
+                before[body] = space, tuple(_since(earlier, k, cells) for k, cells in touched)
         return before
 
     def with_obstacles(self, points: ArrayLike) -> Scene:

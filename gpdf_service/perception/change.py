@@ -20,8 +20,9 @@ from gpdf_service.perception.segment import Segmentation, change_segmentation
 from gpdf_service.perception.strays import find_strays
 from gpdf_service.types import BoolArray, FloatArray
 
-Touched = tuple[BoolArray | None, ...]
-"""For each level the cells in which anything is another than before, shape (nx, ny), None where nothing is."""
+Touched = tuple[tuple[int, BoolArray | None], ...]
+"""For each level which one of those before it was made from, −1 where there was none, and the cells in which anything
+is another than there, shape (nx, ny), None where nothing is."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,7 +35,7 @@ class Perceived:
         segmentation: What the ground was found from; None where it was given.
         levels: The sheets of ground.
         survey: What they were made of.
-        touched: Where the last change made anything another; empty after a build, and where levels came or went.
+        touched: Where the last change made anything another; empty after a build.
     """
 
     points: FloatArray
@@ -70,7 +71,7 @@ def change(
     places = np.concatenate([taken(old.points, np.flatnonzero(~keep)), points[stay:]])
     if len(places) == 0:
         same = tuple(range(len(old.levels.levels)))
-        return replace(old, survey=replace(old.survey, former=same), touched=tuple(None for _ in same))
+        return replace(old, survey=replace(old.survey, former=same), touched=tuple((k, None) for k in same))
     cloud = Cloud(points, places)
     none = np.zeros(len(points) - stay, dtype=bool)
     before, stray = (np.concatenate([each[keep], none]) for each in (old.ground, old.survey.stray))
@@ -83,8 +84,7 @@ def change(
     again = _change_strays(stray, cloud, alone(old.survey.layers.cell_width)) & ~ground
     cloud.add(again != stray)
     levels, survey = change_levels(old.survey, cloud, ground, again, config)
-    stayed = survey.former == tuple(range(len(old.levels.levels)))
-    touched = tuple(made.touched for made in survey.made) if stayed else ()
+    touched = tuple(zip(survey.former, (made.touched for made in survey.made), strict=True))
     return Perceived(points, ground, segmentation, levels, survey, touched).lasting()
 
 

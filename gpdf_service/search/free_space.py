@@ -111,6 +111,10 @@ class FreeSpace:
         return tuple(joined(stands, moves) if len(moves.kind) else stands for stands, moves in both)
 
 
+Before = tuple[FreeSpace, Sequence[int]]
+"""The version before, and which of its levels each level was made from, −1 where there was none."""
+
+
 def joined(one: Obstacles, other: Obstacles) -> Obstacles:
     """Both in one."""
     return Obstacles(np.concatenate([one.points, other.points]), np.concatenate([one.kind, other.kind]))
@@ -131,16 +135,28 @@ def build_free_space(
     """Find what stops the body, fit its Obstacle GPDFs, build quadtrees and graph."""
     reach, radius = reach_of(agent, config, scan.noise)
 
-    def one(level: GroundLevel, ground_field: Gpdf) -> LevelSpace:
-        obstacles = obstacles_of(level, agent, scan)
-        (tree, quadtree, edges), field = run_beside(
-            partial(_leaves_and_edges, obstacles, level.surface, radius),
-            partial(fit_obstacle_field, obstacles, level.surface, agent, config, field_config),
-        )
-        return LevelSpace(level.surface, ground_field, level.measured, obstacles, tree, field, quadtree, edges)
+    def one(i: int) -> LevelSpace:
+        return build_level(levels.levels[i], ground_fields[i], agent, radius, config, field_config, scan)
 
-    made = run_parallel(lambda i: one(levels.levels[i], ground_fields[i]), range(len(ground_fields)))
-    return join_levels(agent, reach, radius, made, levels)
+    return join_levels(agent, reach, radius, run_parallel(one, range(len(ground_fields))), levels)
+
+
+def build_level(
+    level: GroundLevel,
+    ground_field: Gpdf,
+    agent: Agent,
+    radius: float,
+    config: SearchConfig,
+    field_config: FieldConfig,
+    scan: Scan,
+) -> LevelSpace:
+    """One level of the free space of a body whose centre keeps a `radius` [m] from obstacles."""
+    obstacles = obstacles_of(level, agent, scan)
+    (tree, quadtree, edges), field = run_beside(
+        partial(_leaves_and_edges, obstacles, level.surface, radius),
+        partial(fit_obstacle_field, obstacles, level.surface, agent, config, field_config),
+    )
+    return LevelSpace(level.surface, ground_field, level.measured, obstacles, tree, field, quadtree, edges)
 
 
 def _leaves_and_edges(obstacles: Obstacles, surface: HeightMap, radius: float) -> tuple[Tree, Quadtree, Edges]:
@@ -169,7 +185,7 @@ def join_levels(
     radius: float,
     parts: Sequence[LevelSpace],
     levels: Levels,
-    old: FreeSpace | None = None,
+    old: Before | None = None,
 ) -> FreeSpace:
     """The free space of all levels, with one graph; an `old` version knows which leaves ways need."""
     quadtrees = tuple(part.quadtree for part in parts)
@@ -225,15 +241,20 @@ def connect(
     return offsets, assemble(position, level, clearance, np.concatenate(pairs), np.concatenate(vias), radius)
 
 
-def core_of(quadtrees: tuple[Quadtree, ...], graph: Graph, old: FreeSpace | None = None) -> Core:
-    """The leaves that ways lead over; what was decided on the leaves of an `old` version stands where it can."""
+def core_of(quadtrees: tuple[Quadtree, ...], graph: Graph, before: Before | None = None) -> Core:
+    """The leaves that ways lead over; what was decided on the leaves of the version before stands where it can.
+
+    Leaves are decided on one after another, equal ones by their numbers: so levels must be in their former order.
+    """
     links, former = _links(quadtrees, graph), None
-    if old is not None and old.core is not None and len(old.quadtrees) == len(quadtrees):
+    old, levels = before or (None, ())
+    if old is not None and old.core is not None and (np.diff([k for k in levels if k >= 0]) > 0).all():
         trees = tuple(tree.standing for tree in old.quadtrees)
         source = np.full(len(links.clearance), -1)
-        for now, was, begin, offset in zip(quadtrees, trees, _begins(quadtrees), old.offsets, strict=True):
-            row = np.arange(len(was.size)) if now is was else same_leaves(was, now)[0]
-            source[row[row >= 0] + begin] = np.flatnonzero(row >= 0) + offset
+        for now, k, begin in zip(quadtrees, levels, _begins(quadtrees), strict=True):
+            if k >= 0:
+                row = np.arange(len(now.size)) if now is trees[k] else same_leaves(trees[k], now)[0]
+                source[row[row >= 0] + begin] = np.flatnonzero(row >= 0) + old.offsets[k]
         stays = np.zeros(len(old.core.up), dtype=bool)
         stays[old.core.node] = True
         former = Former(_links(trees, old.graph), Decided(stays, old.core.up), source)
