@@ -13,10 +13,9 @@ from scipy import ndimage
 
 from gpdf_service.config import PerceptionConfig
 from gpdf_service.fields.threads import run_chunked
-from gpdf_service.perception.boxes import highest_around, widened
 from gpdf_service.perception.footing import ROUGH, flights
 from gpdf_service.perception.strides import HALF_FOOT, SECTORS, STRIDE, sector_of
-from gpdf_service.perception.surface import UNKNOWN, HeightMap
+from gpdf_service.perception.surface import UNKNOWN, Cells, HeightMap
 from gpdf_service.types import BoolArray, FloatArray, IntArray
 
 FOOT = 0.1
@@ -67,25 +66,63 @@ def find_limits(surface: HeightMap, material: BoolArray, measured: Measured, rid
         measured: Its `step_and_slope`.
         ridge: Its `ridges`, shape (nx, ny).
     """
-    step, slope = measured
-    known = surface.state != UNKNOWN
-    edge = widened(known, 1) & ~known & ~material
-    beside = highest_around(np.where(known, surface.height, -np.inf), 1)
-    edge_map = HeightMap(surface.origin, surface.cell_width, np.where(edge, beside, np.nan), surface.state)
-    stepped, sloped = known & (step > LEAST_STEP), known & (slope > 0.0)
-    none = np.broadcast_to(np.inf, known.shape)
-    parts = (
-        (surface, stepped, ObstacleKind.STEP, step),
-        (surface, sloped, ObstacleKind.SLOPE, slope),
-        (edge_map, edge, ObstacleKind.UNKNOWN, none),
-        (surface, ridge, ObstacleKind.MATERIAL, none),
-    )
-    ends = np.cumsum([0, *(np.count_nonzero(cells) for _, cells, _, _ in parts)]).tolist()
-    made = GroundLimits(np.empty((ends[-1], 3)), np.empty(ends[-1], np.uint8), np.empty(ends[-1]))
-    for (ground, cells, kind, value), own in zip(parts, map(slice, ends, ends[1:]), strict=True):
-        ground.put_centres(cells, made.points[own])
-        made.kind[own], made.value[own] = kind, value[cells]
+    own = surface.arrays, material, *measured, ridge
+    count = _put_limits(*own, np.zeros(4, np.int64), np.zeros((0, 3)), np.zeros(0))
+    ends = np.concatenate([[0], np.cumsum(count)])
+    made = GroundLimits(np.empty((ends[-1], 3)), np.repeat(_KINDS, count), np.full(ends[-1], np.inf))
+    _put_limits(*own, ends[:-1].copy(), made.points, made.value)
     return made
+
+
+_KINDS = np.array([ObstacleKind.STEP, ObstacleKind.SLOPE, ObstacleKind.UNKNOWN, ObstacleKind.MATERIAL], np.uint8)
+"""In the order of the limits."""
+
+
+@njit(cache=True, nogil=True)
+def _put_limits(
+    ground: Cells,
+    material: BoolArray,
+    step: FloatArray,
+    slope: FloatArray,
+    ridge: BoolArray,
+    at: IntArray,
+    points: FloatArray,
+    values: FloatArray,
+) -> IntArray:
+    """Write points and values of the limits if there is room, of the k-th kind from row `at[k]` on; their ends."""
+    write, here = len(points) > 0, np.zeros(4, np.bool_)
+    for x in range(material.shape[0]):
+        for y in range(material.shape[1]):
+            known, height = ground.state[x, y] != UNKNOWN, float(ground.height[x, y])
+            if not (known or material[x, y]):
+                height = _highest_known(ground, x, y)
+            here[0], here[1] = known and step[x, y] > LEAST_STEP, known and slope[x, y] > 0.0
+            here[2], here[3] = not (known or material[x, y]) and height > -np.inf, ridge[x, y]
+            for k in range(4):
+                if here[k] and write:
+                    _put_centre(ground, x, y, height, points[at[k]])
+                    if k < 2:
+                        values[at[k]] = step[x, y] if k == 0 else slope[x, y]
+                at[k] += here[k]
+    return at
+
+
+@njit(cache=True, nogil=True)
+def _put_centre(ground: Cells, x: int, y: int, height: float, place: FloatArray) -> None:
+    place[0] = ground.origin[0] + (x + 0.5) * ground.width
+    place[1] = ground.origin[1] + (y + 0.5) * ground.width
+    place[2] = height
+
+
+@njit(cache=True, nogil=True)
+def _highest_known(ground: Cells, x: int, y: int) -> float:
+    """Height of the highest known ground beside a cell [m], −inf where there is none."""
+    highest = -np.inf
+    for u in range(max(x - 1, 0), min(x + 2, len(ground.state))):
+        for v in range(max(y - 1, 0), min(y + 2, ground.state.shape[1])):
+            if ground.state[u, v] != UNKNOWN:
+                highest = max(highest, float(ground.height[u, v]))
+    return highest
 
 
 def limits_reach(surface: HeightMap) -> int:
