@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -226,7 +227,7 @@ def connect(
     offsets = _begins(quadtrees)
     pairs, vias = [], []
     for (ends, via), offset in zip(edges, offsets, strict=True):
-        pairs.append(ends + offset)
+        pairs.append(ends + offset if offset else ends)
         vias.append(via)
     for portal in levels.portals:
         a, b = quadtrees[portal.a], quadtrees[portal.b]
@@ -235,10 +236,15 @@ def connect(
         both = (one >= 0) & (two >= 0) & a.whole[one] & b.whole[two]  # the place is in two wholly free leaves
         pairs.append(np.column_stack([one[both] + offsets[portal.a], two[both] + offsets[portal.b]]))
         vias.append(xy[both])
-    position = np.concatenate([quadtree.center for quadtree in quadtrees])
-    level = np.concatenate([np.full(len(q.size), i, np.int64) for i, q in enumerate(quadtrees)])
-    clearance = np.concatenate([quadtree.clearance for quadtree in quadtrees])
-    return offsets, assemble(position, level, clearance, np.concatenate(pairs), np.concatenate(vias), radius)
+    position = _joined([quadtree.center for quadtree in quadtrees])
+    level = np.repeat(np.arange(len(quadtrees)), [len(quadtree.size) for quadtree in quadtrees])
+    clearance = _joined([quadtree.clearance for quadtree in quadtrees])
+    return offsets, assemble(position, level, clearance, _joined(pairs), _joined(vias), radius)
+
+
+def _joined(parts: list[NDArray[Any]]) -> NDArray[Any]:
+    """All parts in one array: a single one as it is."""
+    return parts[0] if len(parts) == 1 else np.concatenate(parts)
 
 
 def core_of(quadtrees: tuple[Quadtree, ...], graph: Graph, before: Before | None = None) -> Core:
@@ -253,17 +259,17 @@ def core_of(quadtrees: tuple[Quadtree, ...], graph: Graph, before: Before | None
         source = np.full(len(links.clearance), -1)
         for now, k, begin in zip(quadtrees, levels, _begins(quadtrees), strict=True):
             if k >= 0:
-                row = np.arange(len(now.size)) if now is trees[k] else same_leaves(trees[k], now)[0]
-                source[row[row >= 0] + begin] = np.flatnonzero(row >= 0) + old.offsets[k]
+                was = np.arange(len(now.size)) if now is trees[k] else same_leaves(trees[k], now)[1]
+                source[begin : begin + len(was)] = np.where(was < 0, -1, was + old.offsets[k])
         stays = np.zeros(len(old.core.up), dtype=bool)
         stays[old.core.node] = True
         former = Former(_links(trees, old.graph), Decided(stays, old.core.up), source)
-    return find_core(graph, np.concatenate([tree.free for tree in quadtrees]), links, former)
+    return find_core(graph, _joined([tree.free for tree in quadtrees]), links, former)
 
 
 def _links(quadtrees: tuple[Quadtree, ...], graph: Graph) -> Links:
     keys = "free", "half_size", "clearance"
-    free, half, clearance = (np.concatenate([getattr(tree, key) for tree in quadtrees]) for key in keys)
+    free, half, clearance = (_joined([getattr(tree, key) for tree in quadtrees]) for key in keys)
     return links_of(graph, free, 2.0 * half, clearance)
 
 

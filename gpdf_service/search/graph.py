@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from gpdf_service.fields import Tree
 from gpdf_service.fields.threads import run_chunked
 from gpdf_service.fields.traversal import nearest_at
-from gpdf_service.fields.tree import make_scratch, place_of
+from gpdf_service.fields.tree import make_scratch
 from gpdf_service.kernel_cache import lean
 from gpdf_service.perception.nodes import components
 from gpdf_service.search.landmarks import NO_LANDMARKS, Landmarks, at_least, bounds_to
@@ -151,70 +151,96 @@ def change_edges(
     What proves an edge are obstacles within the radius of its way through its two leaves. So it stands where both are
     as they were, and none of the `places` where obstacles came or went is that near.
     """
-    now, same = same_leaves(old, tree)
+    now, was = same_leaves(old, tree)
+    same, squares = was >= 0, (tree.origin, tree.width, tree.corner, tree.size)
     if places is not None:
-        _feel(places, tree.center, tree.half_size, tree.free & ~tree.whole, radius, same)
+        _feel(places, squares, tree.free, tree.whole, radius, same)
     if same.all():
         return edges
     fresh = ~same
     looking = np.flatnonzero(tree.free & tree.touching(fresh))
     found = find_edges(tree, obstacles, radius, looking, fresh.__getitem__)
-    ends, via = _merged_edges(now, same, edges, found, tree.center)
-    return ends, via
+    size = len(edges[0]) + len(found[0])
+    made = np.empty((size, 2), np.int64), np.empty((size, 2))  # by NumPy, which asks for large pages
+    used = _merge_edges(now, same, edges, found, squares, made)
+    return made[0][:used], made[1][:used]
 
 
-def same_leaves(old: Quadtree, tree: Quadtree) -> tuple[IntArray, BoolArray]:
-    """Number now of each leaf that was, −1 where it is another, and which of the leaves now are as they were."""
-    now, same = np.searchsorted(tree.code, old.code), np.zeros(len(tree.code), dtype=bool)
-    at = np.minimum(now, len(tree.code) - 1)
-    good = np.logical_and.reduce([getattr(old, key) == getattr(tree, key)[at] for key in _LEAF])
-    same[at[good]] = True
-    return np.where(good, now, -1), same
+def same_leaves(old: Quadtree, tree: Quadtree) -> tuple[IntArray, IntArray]:
+    """Number now of each leaf that was, −1 where it is another, and the number then of each leaf now."""
+    now, was = np.full(len(old.code), -1), np.full(len(tree.code), -1)
+    _match((old.code, old.size, old.free, old.whole), (tree.code, tree.size, tree.free, tree.whole), now, was)
+    return now, was
 
 
-_LEAF = "code", "size", "free", "whole"
-"""What tells a leaf."""
+Squares = tuple[FloatArray, float, IntArray, IntArray]
+"""Origin, width of the smallest cells, and corner and size of each leaf of a quadtree."""
 
 
 @njit(cache=True, nogil=True)
-def _feel(
-    places: Tree, center: FloatArray, half_size: FloatArray, asked: BoolArray, radius: float, same: BoolArray
+def _match(
+    old: tuple[IntArray, IntArray, BoolArray, BoolArray],
+    tree: tuple[IntArray, IntArray, BoolArray, BoolArray],
+    now: IntArray,
+    was: IntArray,
 ) -> None:
-    """Leaves of those `asked` are not the `same` if a place is within the radius of one of theirs, or little more."""
+    """Write which leaves are the same ones, by code, size, free and whole; codes ascend."""
+    j = 0
+    for i in range(len(now)):
+        while j < len(was) and tree[0][j] < old[0][i]:
+            j += 1
+        if j == len(was):
+            break
+        if tree[0][j] == old[0][i] and tree[1][j] == old[1][i] and tree[2][j] == old[2][i] and tree[3][j] == old[3][i]:
+            now[i], was[j] = j, i
+
+
+@lean()
+def _center(squares: Squares, leaf: int) -> tuple[float, float]:
+    """Where a leaf's centre is [m]."""
+    origin, width, corner, size = squares
+    x, y = corner[leaf, 0] + 0.5 * size[leaf], corner[leaf, 1] + 0.5 * size[leaf]
+    return origin[0] + x * width, origin[1] + y * width
+
+
+@njit(cache=True, nogil=True)
+def _feel(places: Tree, squares: Squares, free: BoolArray, whole: BoolArray, radius: float, same: BoolArray) -> None:
+    """Leaves that are free in part are not the `same` if a place is within the radius of one of theirs, or more."""
     scratch, low, high = make_scratch(), np.empty(2), np.empty(2)
     for k in range(2):
         low[k], high[k] = places.points[:, k].min(), places.points[:, k].max()
-    for i in range(len(asked)):
-        if not (asked[i] and same[i]):
+    for i in range(len(same)):
+        if whole[i] or not (free[i] and same[i]):
             continue
-        reach = radius + 3.0 * half_size[i]  # twice half the diagonal: more than the resolution of a proof
-        near = low[0] - reach <= center[i, 0] <= high[0] + reach and low[1] - reach <= center[i, 1] <= high[1] + reach
-        same[i] = not (near and nearest_at(places, place_of(center[i]), scratch)[0] <= reach)
+        reach = radius + 1.5 * squares[1] * squares[3][i]  # twice half the diagonal: more than a proof's resolution
+        x, y = _center(squares, i)
+        near = low[0] - reach <= x <= high[0] + reach and low[1] - reach <= y <= high[1] + reach
+        same[i] = not (near and nearest_at(places, (x, y, 0.0), scratch)[0] <= reach)
 
 
 @njit(cache=True, nogil=True)
-def _merged_edges(now: IntArray, same: BoolArray, old: Edges, fresh: Edges, center: FloatArray) -> Edges:
-    """The old edges between leaves that are the `same`, and the fresh ones, in the order of `find_edges`."""
-    size, used, f = len(old[0]) + len(fresh[0]), 0, 0
-    ends, via = np.empty((size, 2), np.int64), np.empty((size, 2))
+def _merge_edges(now: IntArray, same: BoolArray, old: Edges, fresh: Edges, squares: Squares, made: Edges) -> int:
+    """Write old edges between leaves that are the `same`, and fresh ones, as `find_edges` orders them; how many."""
+    (ends, via), used, f = made, 0, 0
     for e in range(len(old[0]) + 1):
         last = e == len(old[0])
         a, b = (0, 0) if last else (now[old[0][e, 0]], now[old[0][e, 1]])
         if a < 0 or b < 0 or not (last or (same[a] and same[b])):
             continue
-        rank = (4, 0) if last else (_side(old[1][e], center[a]), a)
-        while f < len(fresh[0]) and (_side(fresh[1][f], center[fresh[0][f, 0]]), fresh[0][f, 0]) < rank:
+        rank = (4, 0) if last else (_side(old[1][e], squares, a), a)
+        while f < len(fresh[0]) and (_side(fresh[1][f], squares, fresh[0][f, 0]), fresh[0][f, 0]) < rank:
             ends[used], via[used] = fresh[0][f], fresh[1][f]
             used, f = used + 1, f + 1
         if not last:
             ends[used, 0], ends[used, 1], via[used] = a, b, old[1][e]
             used += 1
-    return ends[:used].copy(), via[:used].copy()
+    return used
 
 
 @njit(cache=True, nogil=True)
-def _side(via: FloatArray, center: FloatArray) -> int:
+def _side(via: FloatArray, squares: Squares, leaf: int) -> int:
     """Across which side of a leaf an edge goes, as `find_edges` looks at them."""
+    center = _center(squares, leaf)
     x, y = via[0] - center[0], via[1] - center[1]
     return 2 + int(y > 0.0) if abs(y) > abs(x) else int(x > 0.0)
 
@@ -227,27 +253,29 @@ def assemble(
     An edge costs its length times 1 + max(0, 1 − (d − r)/r): up to twice where the body brushes past, once where there
     is as much room beside it as half its width. The factor is at least 1, so the Euclidean heuristic stays admissible.
     """
-    rows = _rows(position, clearance, pairs, via, radius)
+    first, size = np.zeros(len(position) + 1, np.int64), 2 * len(pairs)
+    made = np.empty(size, np.int64), np.empty((size, 2)), np.empty(size)  # by NumPy, which asks for large pages
+    _put_rows(position, clearance, pairs, via, radius, first, made)
     component = components(pairs[:, 0], pairs[:, 1], np.ones(len(position), dtype=bool))
-    return Graph(np.ascontiguousarray(position), level, *rows, component)
+    return Graph(np.ascontiguousarray(position), level, first, *made, component)
 
 
 @njit(cache=True, nogil=True)
-def _rows(
-    position: FloatArray, clearance: FloatArray, pairs: IntArray, via: FloatArray, radius: float
-) -> tuple[IntArray, IntArray, FloatArray, FloatArray]:
-    """First edge of each node, far end, crossing and cost of each edge."""
-    count, size = len(position), 2 * len(pairs)
-    first, other, crossing, cost = (
-        np.zeros(count + 1, np.int64),
-        np.empty(size, np.int64),
-        np.empty((size, 2)),
-        np.empty(size),
-    )
-    for a, b in pairs:
-        first[a + 1] += 1
-        first[b + 1] += 1
-    for i in range(count):
+def _put_rows(
+    position: FloatArray,
+    clearance: FloatArray,
+    pairs: IntArray,
+    via: FloatArray,
+    radius: float,
+    first: IntArray,
+    made: tuple[IntArray, FloatArray, FloatArray],
+) -> None:
+    """Write the first edge of each node, and the far end, crossing and cost of each edge."""
+    other, crossing, cost = made
+    for e in range(len(pairs)):
+        first[pairs[e, 0] + 1] += 1
+        first[pairs[e, 1] + 1] += 1
+    for i in range(len(position)):
         first[i + 1] += first[i]
     place, costs = first[:-1].copy(), np.empty(len(pairs))
     for end in range(2):
@@ -258,7 +286,6 @@ def _rows(
             at = place[a]
             place[a] += 1
             other[at], crossing[at, 0], crossing[at, 1], cost[at] = b, via[e, 0], via[e, 1], costs[e]
-    return first, other, crossing, cost
 
 
 @njit(cache=True, nogil=True)
