@@ -53,6 +53,7 @@ from gpdf_service.perception.limits import (
     step_and_slope,
 )
 from gpdf_service.perception.notches import FLIGHT, NOTCH_DEPTH, between_treads
+from gpdf_service.perception.points import Points, points_of
 from gpdf_service.perception.rays import Rays, seen_by_rays
 from gpdf_service.perception.rows import between, chosen_rows, extent_within, rows_by_cell, taken, under
 from gpdf_service.perception.segment import LEAST_SCATTER
@@ -189,7 +190,7 @@ class _Site:
     """What all levels of a cloud are made of.
 
     Attributes:
-        cloud: Its points.
+        cloud: Its points, by numbers up to n.
         ground: Which of them are ground, shape (n,).
         stray: Which count for nothing, shape (n,).
         layers: Of the ground points.
@@ -217,6 +218,7 @@ def survey_levels(
     width: float | None = None,
     noise: float = 0.0,
     rays: Rays | None = None,
+    held: Points | None = None,
 ) -> tuple[Levels, Survey]:
     """Build the sheets from labelled points, and say what they were made of.
 
@@ -227,6 +229,7 @@ def survey_levels(
         width: Of the cells [m]; measured on the ground when not given.
         noise: Standard deviation that the points had before they were cured [m].
         rays: Of the scan, where they are known: they tell what inferred ground is free, and not rules.
+        held: The same points, where the versions that follow share them.
 
     Raises:
         NoGroundError: no point is ground.
@@ -256,7 +259,9 @@ def survey_levels(
     del floor
     cells = np.ones(near.layers.shape, dtype=bool)
     return _levels_of(
-        _Site(Cloud(points, points[:0]), ground, stray, near.layers, cells, config, noise, rays), near, sheets
+        _Site(Cloud(held or points_of(points), points[:0]), ground, stray, near.layers, cells, config, noise, rays),
+        near,
+        sheets,
     )
 
 
@@ -450,7 +455,7 @@ def _find_ledges_in(site: _Site, surface: HeightMap, held: _Others, asked: BoolA
         x, y = outer = grown(box, reach, shape)
         ends = (x.start, y.start), (x.stop, y.stop)
         rows = site.cloud.rows_in_box(*(surface.origin + surface.cell_width * np.array(end) for end in ends))
-        own, floor = rows_in(held.first, box, shape), taken(site.cloud.points, rows[site.ground[rows]])
+        own, floor = rows_in(held.first, box, shape), site.cloud.points.taken(rows[site.ground[rows]])
         ledge[own] = find_ledges(surface, floor, held.points[own], site.config.max_step, site.noise, outer)
     return ledge
 

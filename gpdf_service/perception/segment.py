@@ -197,7 +197,7 @@ def change_segmentation(
     old: Segmentation, cloud: Cloud, before: BoolArray, config: PerceptionConfig
 ) -> tuple[Segmentation, BoolArray]:
     """The segmentation of a changed cloud, and its ground, where `before` is what it was, shape (n,)."""
-    layers, cells = change_layers(old.layers, cloud, np.ones(len(before), dtype=bool), config)
+    layers, cells = change_layers(old.layers, cloud, cloud.points.there, config)
     near = beside_now(old.near, layers, cells)
     found = segment_layers(near, config, deviation=old.deviation, relief=old.relief)
     rows, points = cloud.part(layers, near.other_answers("extents"))
