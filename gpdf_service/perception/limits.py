@@ -13,6 +13,7 @@ from scipy import ndimage
 
 from gpdf_service.config import PerceptionConfig
 from gpdf_service.fields.threads import run_chunked
+from gpdf_service.kernel_cache import lean
 from gpdf_service.perception.footing import ROUGH, flights
 from gpdf_service.perception.strides import HALF_FOOT, SECTORS, STRIDE, sector_of
 from gpdf_service.perception.surface import UNKNOWN, Cells, HeightMap
@@ -66,11 +67,11 @@ def find_limits(surface: HeightMap, material: BoolArray, measured: Measured, rid
         measured: Its `step_and_slope`.
         ridge: Its `ridges`, shape (nx, ny).
     """
-    own = surface.arrays, material, *measured, ridge
-    count = _put_limits(*own, np.zeros(4, np.int64), np.zeros((0, 3)), np.zeros(0))
-    ends = np.concatenate([[0], np.cumsum(count)])
+    own, none = (surface.arrays, material, *measured, ridge), (np.zeros((0, 3)), np.zeros(0))
+    count = _put_limits(*own, (0, 0, 0, 0), *none)
+    ends = (0, *np.cumsum(count).tolist())
     made = GroundLimits(np.empty((ends[-1], 3)), np.repeat(_KINDS, count), np.full(ends[-1], np.inf))
-    _put_limits(*own, ends[:-1].copy(), made.points, made.value)
+    _put_limits(*own, ends[:-1], made.points, made.value)
     return made
 
 
@@ -85,36 +86,45 @@ def _put_limits(
     step: FloatArray,
     slope: FloatArray,
     ridge: BoolArray,
-    at: IntArray,
+    begin: tuple[int, int, int, int],
     points: FloatArray,
     values: FloatArray,
-) -> IntArray:
-    """Write points and values of the limits if there is room, of the k-th kind from row `at[k]` on; their ends."""
-    write, here = len(points) > 0, np.zeros(4, np.bool_)
+) -> tuple[int, int, int, int]:
+    """Write points and values of the limits, those of the k-th kind from row `begin[k]` on; behind their last rows.
+
+    Into empty arrays nothing is written.
+    """
+    steps, slopes, edges, ridges = begin
     for x in range(material.shape[0]):
         for y in range(material.shape[1]):
-            known, height = ground.state[x, y] != UNKNOWN, float(ground.height[x, y])
-            if not (known or material[x, y]):
-                height = _highest_known(ground, x, y)
-            here[0], here[1] = known and step[x, y] > LEAST_STEP, known and slope[x, y] > 0.0
-            here[2], here[3] = not (known or material[x, y]) and height > -np.inf, ridge[x, y]
-            for k in range(4):
-                if here[k] and write:
-                    _put_centre(ground, x, y, height, points[at[k]])
-                    if k < 2:
-                        values[at[k]] = step[x, y] if k == 0 else slope[x, y]
-                at[k] += here[k]
-    return at
+            height = float(ground.height[x, y])
+            if ground.state[x, y] != UNKNOWN:
+                if step[x, y] > LEAST_STEP:
+                    steps = _put_limit(ground, x, y, height, step[x, y], points, values, steps)
+                if slope[x, y] > 0.0:
+                    slopes = _put_limit(ground, x, y, height, slope[x, y], points, values, slopes)
+            elif not material[x, y]:
+                beside = _highest_known(ground, x, y)
+                if beside > -np.inf:
+                    edges = _put_limit(ground, x, y, beside, np.inf, points, values, edges)
+            if ridge[x, y]:
+                ridges = _put_limit(ground, x, y, height, np.inf, points, values, ridges)
+    return steps, slopes, edges, ridges
 
 
-@njit(cache=True, nogil=True)
-def _put_centre(ground: Cells, x: int, y: int, height: float, place: FloatArray) -> None:
-    place[0] = ground.origin[0] + (x + 0.5) * ground.width
-    place[1] = ground.origin[1] + (y + 0.5) * ground.width
-    place[2] = height
+@lean()
+def _put_limit(
+    ground: Cells, x: int, y: int, height: float, value: float, points: FloatArray, values: FloatArray, row: int
+) -> int:
+    """Write one limit over the middle of a cell into a row, if there are rows; the next row."""
+    if len(points) > 0:
+        points[row, 0] = ground.origin[0] + (x + 0.5) * ground.width
+        points[row, 1] = ground.origin[1] + (y + 0.5) * ground.width
+        points[row, 2], values[row] = height, value
+    return row + 1
 
 
-@njit(cache=True, nogil=True)
+@lean()
 def _highest_known(ground: Cells, x: int, y: int) -> float:
     """Height of the highest known ground beside a cell [m], −inf where there is none."""
     highest = -np.inf
