@@ -17,7 +17,7 @@ from gpdf_service.errors import NoGroundError
 from gpdf_service.fields.shapes import FEWEST
 from gpdf_service.fields.threads import run_beside, run_chunked, run_parallel
 from gpdf_service.perception.beside import Beside, beside, beside_now
-from gpdf_service.perception.boxes import WHOLE, Box, highest_around, lowest_around, widened
+from gpdf_service.perception.boxes import WHOLE, Box, highest_around, lowest_around, widened, window
 from gpdf_service.perception.budget import KEPT_BYTES, LEVEL_BYTES, check_grid, give_back
 from gpdf_service.perception.cloud import Cloud, Rows, change_layers
 from gpdf_service.perception.columns import (
@@ -429,15 +429,19 @@ def _find_others(site: _Site, sheet: BoolArray, seen: HeightMap, near: Nearest, 
     cell, stray, ground, out = cells_within(points, seen), site.stray[rows], site.ground[rows], seen.state.size
     own = site.layers.grid, sheet, out  # what is out is as those outside: in no cell
     run_chunked(lambda a, b: take_out(points[a:b], stray[a:b], ground[a:b], *own, cell[a:b]), len(points))
+    box, told = window(cells, 0), grid.former.get("voids")
+    part, shown = cropped(seen, box), Nearest(*(each[box] for each in near))
+    inside, z = np.where(cell == out, part.state.size, cells_within(points, seen, box)), points[:, 2]
     near_by, found = run_beside(
-        partial(between, cell, points[:, 2], under(low - width), high + TALLEST),
-        partial(find_voids, seen, near, treads, rim, cell, points[:, 2], max_step),
+        partial(between, inside, z, under(low[box] - width), high[box] + TALLEST),
+        partial(find_voids, part, shown, treads[box], rim[box], inside, z, max_step),
     )
-    told = grid.former.get("voids")
-    voids = (
-        found if told is None else tuple(np.where(cells, now, old) for now, old in zip(found, told.made, strict=True))
-    )
-    grid.known["voids"] = Told(given, voids)
+    if told is not None:
+        voids = tuple(each.copy() for each in told.made)
+        for now, old in zip(found, voids, strict=True):
+            old[box] = np.where(cells[box], now, old[box])
+        found = voids
+    grid.known["voids"] = Told(given, found)
     cell[~near_by] = out
     begin, order = by_cell(cell, out + 1)
     fresh, begin, flat = taken(points, order[: begin[-2]]), begin[:-1], cells.ravel()
@@ -480,9 +484,11 @@ def sheet_surface(grid: Grid, layers: Layers, part: Part, max_step: float, noise
     """
     nodes, origin, *box = part
     height, off = heights_in_plan(layers.columns, nodes, layers.place, origin, layers.cell_width, *box)
+    pairs = off.view(np.complex64)[..., 0]  # each two in one, to be compared at once
     whole = HeightMap(part.origin, layers.cell_width, height, np.zeros(part.shape, np.uint8))
 
-    def answer(box: Box, height: NDArray[np.float32], off: NDArray[np.float32]) -> tuple[NDArray[np.float32]]:
+    def answer(box: Box, height: NDArray[np.float32], pairs: NDArray[np.complex64]) -> tuple[NDArray[np.float32]]:
+        off = np.ascontiguousarray(pairs)[..., None].view(np.float32)
         state = np.where(np.isnan(height), UNKNOWN, OBSERVED).astype(np.uint8)
         seen = replace(cropped(whole, box), height=height, state=state)
         surface = without_outliers(seen, RESOLVED_STEP * noise)
@@ -492,7 +498,7 @@ def sheet_surface(grid: Grid, layers: Layers, part: Part, max_step: float, noise
         return (bridged(made, max_step).height,)
 
     reach = max(whole.state.shape) if noise > 0.0 else 1 + footing_reach(whole)  # noise is smoothed further off
-    (made,) = grid.around("seen", reach, answer, height, off)
+    (made,) = grid.around("seen", reach, answer, height, pairs)
     return replace(whole, height=made, state=np.where(np.isnan(made), UNKNOWN, OBSERVED).astype(np.uint8))
 
 

@@ -34,6 +34,7 @@ from gpdf_service.perception.nodes import (
     held_by,
     lowest_beside,
     mean_gradients,
+    numbered_among,
     off_ground,
     over_kept,
     touched_by,
@@ -374,8 +375,8 @@ def _roofs(near: Beside, smooth: BoolArray, flat: BoolArray, rise: float, config
     """
     off = smooth & ~flat
     piece, loose, _ = near.pieces(off, rise, smooth)
-    nodes = np.flatnonzero(off)
-    own, count = piece[nodes], int(piece.max(initial=0)) + 1
+    nodes, (piece, count) = np.flatnonzero(off), numbered_among(piece, off)
+    own = piece[nodes]
     large = np.bincount(own, minlength=count) * near.layers.cell_width**2 > TABLE_AREA  # or it is the side of a tread
     if not large.any():
         return np.zeros(len(off), dtype=bool)
