@@ -430,8 +430,9 @@ def _find_others(site: _Site, sheet: BoolArray, seen: HeightMap, near: Nearest, 
     own = site.layers.grid, sheet, out  # what is out is as those outside: in no cell
     run_chunked(lambda a, b: take_out(points[a:b], stray[a:b], ground[a:b], *own, cell[a:b]), len(points))
     box, told = window(cells, 0), grid.former.get("voids")
-    part, shown = cropped(seen, box), Nearest(*(each[box] for each in near))
-    inside, z = np.where(cell == out, part.state.size, cells_within(points, seen, box)), points[:, 2]
+    part, shown, inside, z = cropped(seen, box), Nearest(near.distance[box], near.height[box]), cell, points[:, 2]
+    if part.state.size < out:
+        inside = np.where(cell == out, part.state.size, cells_within(points, seen, box))
     near_by, found = run_beside(
         partial(between, inside, z, under(low[box] - width), high[box] + TALLEST),
         partial(find_voids, part, shown, treads[box], rim[box], inside, z, max_step),
