@@ -16,7 +16,7 @@ from gpdf_service.fields.tree import Scratch, make_scratch
 from gpdf_service.kernel_cache import lean
 from gpdf_service.perception.surface import Cells
 from gpdf_service.planning.footprint import directions
-from gpdf_service.planning.shape import lengths
+from gpdf_service.planning.shape import SAME, lengths
 from gpdf_service.search import FreeSpace
 from gpdf_service.search.places import Places, distance_at
 from gpdf_service.search.steps import is_stepped
@@ -60,24 +60,30 @@ def _time(
     along, direction = lengths(positions), directions(positions)
     if along[-1] < STILL:
         return np.linspace(0.0, STANDING, len(positions)), np.zeros(len(positions))
-    count = max(64, int(np.ceil(along[-1] / GRID))) + 1
+    count = max(64, _steps(along[-1], GRID)) + 1
     s = np.linspace(0.0, along[-1], count)
     highest, ahead, after, segment = np.empty(count), np.empty(count), 1, 0
     for i in range(count):
-        while after < len(along) - 1 and along[after] < s[i]:
+        while after < len(along) - 1 and along[after] < s[i] - SAME:  # a place on a corner is before it
             after += 1
-        while segment < len(direction) - 1 and along[segment + 1] <= s[i]:
+        while segment < len(direction) - 1 and along[segment + 1] < s[i] - SAME:
             segment += 1
         highest[i], ahead[i] = min(limit[after - 1], limit[after], most), direction[segment]
-    heading = _mean_around(ahead, int(np.ceil(min(LOOK / s[1], count))))  # a short path has few places
+    heading = _mean_around(ahead, min(_steps(LOOK, s[1]), count))  # a short path has few places
     for i in range(count):
         before, next_ = max(i - 1, 0), min(i + 1, count - 1)
         curvature = abs(heading[next_] - heading[before]) / (s[next_] - s[before])
         if curvature > 0.0:
             highest[i] = min(highest[i], np.sqrt(acceleration / curvature), turn_rate / curvature)
-    reach = int(np.ceil(most * (RAMP + BLEND) / s[1]))
+    reach = _steps(most * (RAMP + BLEND), s[1])
     speed = _fastest(_least_around(highest, reach), s[1], acceleration)
     return _smooth(s, speed, along), np.interp(along, s, heading)
+
+
+@lean()
+def _steps(far: float, step: float) -> int:
+    """How many steps reach so far: what does but for rounding does."""
+    return int(np.ceil(far / step - SAME))
 
 
 def speed_limit(space: FreeSpace, poses: FloatArray, level: IntArray, preferred: float) -> FloatArray:
@@ -197,7 +203,11 @@ def _smooth(s: FloatArray, speed: FloatArray, along: FloatArray) -> FloatArray:
         total = np.append(np.zeros(1), np.cumsum(place))
         place[: len(place) - width + 1] = (total[width:] - total[:-width]) / width
         place[len(place) - width + 1 :] = place[-1]
-    moving = np.flatnonzero(np.diff(place) > 0.0)
-    first, last = moving[0], moving[-1] + 2
-    made: FloatArray = np.interp(along, place[first:last], t[first:last] - t[first])
+    # It stirs when the windows' last knot is at 0, and rests once their first one is at the end: what the sums say of
+    # that is rounding, and a knot beside the end would be no time apart.
+    first, last = margin - (ramp - 1) - (blend - 1), margin + max(int(np.ceil(times[-1] / TICK - 0.5)), 0)
+    while last > first + 1 and place[last - 1] >= s[-1]:
+        last -= 1
+    t[last], place[last] = times[-1], s[-1]
+    made: FloatArray = np.interp(along, place[first : last + 1], t[first : last + 1] - t[first])
     return made
