@@ -305,8 +305,32 @@ def find_way(graph: Graph, begin: Doors, end: Doors, goal: FloatArray, rate: flo
         rate: Least cost of a metre.
     """
     ways = below(graph.position), graph.first, below(graph.other), below(graph.cost), graph.patch, graph.landmarks, rate
-    first, edges = _astar(*ways, begin.node, begin.cost, end.node, end.cost, goal, len(graph.position))
+    first, edges = _astar(Question(*ways, *_ends(begin), *_ends(end), goal), len(graph.position))
     return int(first), edges
+
+
+def _ends(doors: Doors) -> tuple[IntArray, FloatArray]:
+    return doors.node, doors.cost
+
+
+class Question(NamedTuple):
+    """What A* is asked: a graph, by which nodes a way may begin and end, at what cost, and where it leads.
+
+    The first seven attributes are those of `Graph` and `find_way`, the next four those of its `Doors`.
+    """
+
+    position: FloatArray
+    first: IntArray
+    other: IntArray
+    cost: FloatArray
+    patch: Patch
+    landmarks: Landmarks
+    rate: float
+    sources: IntArray
+    source_cost: FloatArray
+    exits: IntArray
+    exit_cost: FloatArray
+    goal: FloatArray
 
 
 @lean()
@@ -397,28 +421,12 @@ def _next(front: Front) -> int:
 
 
 @njit(cache=True, nogil=True)
-def _astar(
-    position: FloatArray,
-    first: IntArray,
-    other: IntArray,
-    cost: FloatArray,
-    patch: Patch,
-    landmarks: Landmarks,
-    rate: float,
-    sources: IntArray,
-    source_cost: FloatArray,
-    exits: IntArray,
-    exit_cost: FloatArray,
-    goal: FloatArray,
-    count: int,
-) -> tuple[int, IntArray]:
+def _astar(question: Question, count: int) -> tuple[int, IntArray]:
     """See `find_way`, of a graph of so many nodes."""
     n = count + 1  # the last is the goal itself; pages that nobody visits cost nothing
     known = np.zeros(n), np.zeros(n, np.int32), np.zeros(n, np.int32), np.zeros(n, np.int32)
     front = Front(*known, np.empty(n, np.int32), np.empty(n), np.zeros(1, np.int64))
-    bounds = bounds_to(landmarks, exits, exit_cost)
-    graph = position, first, other, cost, patch, landmarks, rate
-    _spread(*graph, sources, source_cost, exits, exit_cost, goal, bounds, front)
+    _spread(question, bounds_to(question.landmarks, question.exits, question.exit_cost), front)
     edges = [0 for _ in range(0)]
     if front.came_by[count] == 0:
         return -1, np.array(edges, dtype=np.int64)
@@ -430,23 +438,9 @@ def _astar(
 
 
 @lean()
-def _spread(
-    position: FloatArray,
-    first: IntArray,
-    other: IntArray,
-    cost: FloatArray,
-    patch: Patch,
-    landmarks: Landmarks,
-    rate: float,
-    sources: IntArray,
-    source_cost: FloatArray,
-    exits: IntArray,
-    exit_cost: FloatArray,
-    goal: FloatArray,
-    bounds: FloatArray,
-    front: Front,
-) -> None:
+def _spread(question: Question, bounds: FloatArray, front: Front) -> None:
     """The search itself: until the goal is the next node, or none is left that leads there."""
+    position, first, other, cost, patch, landmarks, rate, sources, source_cost, exits, exit_cost, goal = question
     goal_node, standing = len(front.came_by) - 1, len(other)
     for k in range(len(sources)):
         node = sources[k]
