@@ -42,6 +42,7 @@ WAYPOINTS_PER_SECOND = 300_000
 """Waypoints that the optimiser looks at in a second: with a deadline, it takes no more steps than there is time for."""
 STILL = 1e-9
 """[m] What moves less stands."""
+LATE = "the deadline passed before a path was certified. Allow more time."
 WALL = 1000.0
 """[1/m] A millimetre too near, which is what the certificate resolves, doubles the push away."""
 
@@ -139,12 +140,11 @@ def _follow(task: _Task, route: Route) -> PlanResult:
     """A trajectory along a route: of the first candidate that certifies; else UNCERTIFIED, with what is wrong."""
     space, config, clock, prefer = task.space, task.config, task.clock, task.wish.prefer
     searched, first, hurried = clock(), None, False
-    late = PlanResult(Status.TIMEOUT, "the deadline passed before a path was certified. Allow more time.")
     legs = pull_over(route.legs, _meet([end.xy for end in task.ends.via]), config.waypoint_spacing)
     for candidate in _candidates(task, legs):
         left = task.left()
         if left < -PATIENCE:
-            return late
+            return PlanResult(Status.TIMEOUT, LATE)
         bent = candidate.legs is not legs
         hurried = hurried or left < 0.0 or (left < np.inf and bent and not candidate.details["converged"])
         contact, top, level, headings = _stand(space, candidate.legs, config.waypoint_spacing, _facing(task.options))
@@ -163,7 +163,7 @@ def _follow(task: _Task, route: Route) -> PlanResult:
             return PlanResult(Status.OK, task.ends.moved, trajectory, certificate, timings, details, candidate.costs)
     assert first is not None
     if hurried:
-        return late
+        return PlanResult(Status.TIMEOUT, LATE)
     words = f"a path was found, but it cannot be certified: {first.reason}. Choose other places, or a smaller body."
     return PlanResult(Status.UNCERTIFIED, words, certificate=first)
 

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-from gpdf_service.perception.surface import Cells
+from gpdf_service.perception.surface import Cells, height_of
 from gpdf_service.planning.endpoints import Endpoint, Ends, connect
 from gpdf_service.planning.shape import (
     are_joined,
@@ -216,7 +216,7 @@ def _cut_by_level(space: FreeSpace, path: FloatArray, level: list[int]) -> list[
 
 
 def _floor(space: FreeSpace, end: Endpoint) -> float:
-    return float(space.surfaces[end.level].height_at(end.xy[None])[0])
+    return float(height_of(space.surfaces[end.level].arrays, *end.xy))
 
 
 def _shortest(space: FreeSpace, start: Endpoint, goal: Endpoint) -> list[Leg]:
