@@ -95,7 +95,7 @@ EQUAL: dict[tuple[str, ...], str] = {
     (CERTIFICATE, "spare <= 0.0 → (spare < 0.0)"): "what is left of a distance is nothing to the last bit",
     (
         CERTIFICATE,
-        "least < space.reach <= least + RESOLUTION → (least <= space.reach <= least + RESOLUTION)",
+        "least < reach <= least + RESOLUTION → (least <= reach <= least + RESOLUTION)",
     ): BIT,
     (CERTIFICATE, "clearance < 0 → (clearance <= 0)"): BIT,
     (CERTIFICATE, f"{RING} → (ring <= max(state.shape))"): "a ring around the whole map holds no cell",
@@ -125,7 +125,10 @@ EQUAL: dict[tuple[str, ...], str] = {
     (LIMITS, "3.0 * width > _LIMITS.tread_depth → (3.0 * width >= _LIMITS.tread_depth)"): BIT,
     (LIMITS, "one < other → (one <= other)"): "two that are equal, either way round",
     (LIMITS, "HALF_FOOT / surface.cell_width**2 - 1e-6 → (HALF_FOOT / surface.cell_width ** 2 + 1e-06)"): BIT,
-    (GRAPH, "source_cost[k] < cost_to_come[node] → (source_cost[k] <= cost_to_come[node])"): "the same place twice",
+    (
+        GRAPH,
+        "source_cost[k] < front.known[node].cost_to_come → (source_cost[k] <= front.known[node].cost_to_come)",
+    ): "the same place twice",
     (GRAPH, "code[i] < code_was[j] → (code[i] <= code_was[j])"): "no leaf is the same, so all are looked at again",
     (GRAPH, "i < len(code) → (i > len(code))"): "fewer leaves are the same, so more are looked at again",
     (

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from math import sqrt
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numba import njit
@@ -332,8 +332,32 @@ def find_way(graph: Graph, begin: Doors, end: Doors, goal: FloatArray, rate: flo
         rate: Least cost of a metre.
     """
     ways = below(graph.position), graph.first, below(graph.other), below(graph.cost), graph.patch, graph.landmarks, rate
-    first, edges = _astar(*ways, begin.node, begin.cost, end.node, end.cost, goal, len(graph.position))
+    first, edges = _astar(Question(*ways, *_ends(begin), *_ends(end), goal), len(graph.position))
     return int(first), edges
+
+
+def _ends(doors: Doors) -> tuple[IntArray, FloatArray]:
+    return doors.node, doors.cost
+
+
+class Question(NamedTuple):
+    """What A* is asked: a graph, by which nodes a way may begin and end, at what cost, and where it leads.
+
+    The first seven attributes are those of `Graph` and `find_way`, the next four those of its `Doors`.
+    """
+
+    position: FloatArray
+    first: IntArray
+    other: IntArray
+    cost: FloatArray
+    patch: Patch
+    landmarks: Landmarks
+    rate: float
+    sources: IntArray
+    source_cost: FloatArray
+    exits: IntArray
+    exit_cost: FloatArray
+    goal: FloatArray
 
 
 @lean()
@@ -353,23 +377,22 @@ def place_of_node(position: FloatArray, patch: Patch, node: int) -> tuple[float,
     return patch.position[node - len(position), 0], patch.position[node - len(position), 1]
 
 
+KNOWN = np.dtype([("cost_to_come", np.float64), ("came_by", np.int32), ("came_from", np.int32), ("at", np.int64)])
+"""What A* knows of a node. `came_by`: 1 + the edge by which the cheapest way came; 0 where nobody has been, −1 at a
+source. `came_from`: the node before. `at`: 1 + where in the heap it is, 0 if it is not."""
+
+
 class Front(NamedTuple):
     """What A* knows of each node, and the nodes that wait, as a heap that knows where each of them is.
 
     Attributes:
-        cost_to_come: Of each node, shape (n,).
-        came_by: 1 + the edge by which the cheapest way came; 0 where nobody has been, −1 at a source. Shape (n,).
-        came_from: The node before, shape (n,).
-        at: 1 + where in the heap each node is, 0 if it is not; shape (n,).
+        known: What is known of each node, side by side, as few of them are in the processor's cache; shape (n,).
         heap: Nodes, each of them before the two behind twice its place; shape (n,).
         estimate: Cost of a way over each of these, shape (n,).
         size: How many there are, shape (1,).
     """
 
-    cost_to_come: FloatArray
-    came_by: NDArray[np.int32]
-    came_from: NDArray[np.int32]
-    at: NDArray[np.int32]
+    known: NDArray[Any]
     heap: NDArray[np.int32]
     estimate: FloatArray
     size: IntArray
@@ -380,14 +403,14 @@ def _is_before(front: Front, estimate: float, node: int, row: int) -> bool:
     """Whether a node with that estimate comes before the one in a row of the heap; of equal ones the nearer start."""
     if estimate != front.estimate[row]:
         return bool(estimate < front.estimate[row])
-    come, other = front.cost_to_come[node], front.cost_to_come[front.heap[row]]
+    come, other = front.known[node].cost_to_come, front.known[front.heap[row]].cost_to_come
     return bool(come < other or (come == other and node < front.heap[row]))
 
 
 @lean()
 def _wait(front: Front, estimate: float, node: int) -> None:
     """Put a node into the heap, or forward in it."""
-    row = front.at[node] - 1
+    row = front.known[node].at - 1
     if row < 0:
         row = front.size[0]
         front.size[0] += 1
@@ -395,16 +418,20 @@ def _wait(front: Front, estimate: float, node: int) -> None:
         up = (row - 1) >> 1
         if not _is_before(front, estimate, node, up):
             break
-        front.heap[row], front.estimate[row], front.at[front.heap[up]] = front.heap[up], front.estimate[up], row + 1
+        front.heap[row], front.estimate[row], front.known[front.heap[up]].at = (
+            front.heap[up],
+            front.estimate[up],
+            row + 1,
+        )
         row = up
-    front.heap[row], front.estimate[row], front.at[node] = node, estimate, row + 1
+    front.heap[row], front.estimate[row], front.known[node].at = node, estimate, row + 1
 
 
 @lean()
 def _next(front: Front) -> int:
     """Take the first node from the heap."""
     first, size = front.heap[0], front.size[0] - 1
-    front.size[0], front.at[first] = size, 0
+    front.size[0], front.known[first].at = size, 0
     node, estimate, row = front.heap[size], front.estimate[size], 0
     while 2 * row + 1 < size:
         down = 2 * row + 1
@@ -412,73 +439,42 @@ def _next(front: Front) -> int:
             down += 1
         if _is_before(front, estimate, node, down):
             break
-        front.heap[row], front.estimate[row], front.at[front.heap[down]] = (
+        front.heap[row], front.estimate[row], front.known[front.heap[down]].at = (
             front.heap[down],
             front.estimate[down],
             row + 1,
         )
         row = down
     if size > 0:
-        front.heap[row], front.estimate[row], front.at[node] = node, estimate, row + 1
+        front.heap[row], front.estimate[row], front.known[node].at = node, estimate, row + 1
     return int(first)
 
 
 @njit(cache=True, nogil=True)
-def _astar(
-    position: FloatArray,
-    first: IntArray,
-    other: IntArray,
-    cost: FloatArray,
-    patch: Patch,
-    landmarks: Landmarks,
-    rate: float,
-    sources: IntArray,
-    source_cost: FloatArray,
-    exits: IntArray,
-    exit_cost: FloatArray,
-    goal: FloatArray,
-    count: int,
-) -> tuple[int, IntArray]:
+def _astar(question: Question, count: int) -> tuple[int, IntArray]:
     """See `find_way`, of a graph of so many nodes."""
     n = count + 1  # the last is the goal itself; pages that nobody visits cost nothing
-    known = np.zeros(n), np.zeros(n, np.int32), np.zeros(n, np.int32), np.zeros(n, np.int32)
-    front = Front(*known, np.empty(n, np.int32), np.empty(n), np.zeros(1, np.int64))
-    bounds = bounds_to(landmarks, exits, exit_cost)
-    graph = position, first, other, cost, patch, landmarks, rate
-    _spread(*graph, sources, source_cost, exits, exit_cost, goal, bounds, front)
+    front = Front(np.zeros(n, KNOWN), np.empty(n, np.int32), np.empty(n), np.zeros(1, np.int64))
+    _spread(question, bounds_to(question.landmarks, question.exits, question.exit_cost), front)
     edges = [0 for _ in range(0)]
-    if front.came_by[count] == 0:
+    if front.known[count].came_by == 0:
         return -1, np.array(edges, dtype=np.int64)
-    node = np.int64(front.came_from[count])
-    while front.came_by[node] > 0:
-        edges.append(int(front.came_by[node] - 1))
-        node = np.int64(front.came_from[node])
+    node = np.int64(front.known[count].came_from)
+    while front.known[node].came_by > 0:
+        edges.append(int(front.known[node].came_by - 1))
+        node = np.int64(front.known[node].came_from)
     return int(node), np.array(edges[::-1], dtype=np.int64)
 
 
 @lean()
-def _spread(
-    position: FloatArray,
-    first: IntArray,
-    other: IntArray,
-    cost: FloatArray,
-    patch: Patch,
-    landmarks: Landmarks,
-    rate: float,
-    sources: IntArray,
-    source_cost: FloatArray,
-    exits: IntArray,
-    exit_cost: FloatArray,
-    goal: FloatArray,
-    bounds: FloatArray,
-    front: Front,
-) -> None:
+def _spread(question: Question, bounds: FloatArray, front: Front) -> None:
     """The search itself: until the goal is the next node, or none is left that leads there."""
-    goal_node, standing = len(front.came_by) - 1, len(other)
+    position, first, other, cost, patch, landmarks, rate, sources, source_cost, exits, exit_cost, goal = question
+    goal_node, standing = len(front.known) - 1, len(other)
     for k in range(len(sources)):
         node = sources[k]
-        if front.came_by[node] == 0 or source_cost[k] < front.cost_to_come[node]:
-            front.cost_to_come[node], front.came_by[node] = source_cost[k], -1
+        if front.known[node].came_by == 0 or source_cost[k] < front.known[node].cost_to_come:
+            front.known[node].cost_to_come, front.known[node].came_by = source_cost[k], -1
             x, y = place_of_node(position, patch, node)
             far = max(rate * sqrt((x - goal[0]) ** 2 + (y - goal[1]) ** 2), at_least(landmarks, bounds, node))
             _wait(front, source_cost[k] + far, node)
@@ -486,19 +482,25 @@ def _spread(
         estimate, node = front.estimate[0], _next(front)
         if node == goal_node or estimate == np.inf:
             break
-        come = front.cost_to_come[node]
+        come = front.known[node].cost_to_come
         for k in range(len(exits)):
             reached = come + exit_cost[k]
-            if exits[k] == node and (front.came_by[goal_node] == 0 or reached < front.cost_to_come[goal_node]):
-                front.cost_to_come[goal_node], front.came_by[goal_node] = reached, 1
-                front.came_from[goal_node] = node
+            if exits[k] == node and (
+                front.known[goal_node].came_by == 0 or reached < front.known[goal_node].cost_to_come
+            ):
+                front.known[goal_node].cost_to_come, front.known[goal_node].came_by = reached, 1
+                front.known[goal_node].came_from = node
                 _wait(front, reached, goal_node)
         begin, end = edges_of(first, other, patch, node)
         for e in range(begin, end):
             near = other[e] if e < standing else patch.other[e - standing]
             reached = come + (cost[e] if e < standing else patch.cost[e - standing])
-            if front.came_by[near] == 0 or reached < front.cost_to_come[near]:
-                front.cost_to_come[near], front.came_by[near], front.came_from[near] = reached, e + 1, node
+            if front.known[near].came_by == 0 or reached < front.known[near].cost_to_come:
+                front.known[near].cost_to_come, front.known[near].came_by, front.known[near].came_from = (
+                    reached,
+                    e + 1,
+                    node,
+                )
                 x, y = place_of_node(position, patch, near)
                 far = max(rate * sqrt((x - goal[0]) ** 2 + (y - goal[1]) ** 2), at_least(landmarks, bounds, near))
                 _wait(front, reached + far, near)
