@@ -87,7 +87,15 @@ UNSET = "self._along, self._best, self._version, self._room = 0.0, -np.inf, 0, n
 PLANNER = "gpdf_service/planning/planner.py"
 MOVED = "sqrt(dx * dx + dy * dy) + lever * abs(heading[i] - heading[i - 1])"
 STOOD = "contact, top = stand_up(poses[:, :2], space.surfaces[level], space.ground_fields[level], agent.height)"
+TIMING = "gpdf_service/planning/timing.py"
+BESIDE = "before, next_ = max(i - 1, 0), min(i + 1, count - 1)"
+NEVER = "room, was_x, was_y = -np.inf, 0.0, 0.0  # there is at least so much, since that place"
+RESTS = "t = TICK * (np.arange(int(np.ceil(times[-1] / TICK)) + 2 * margin + 1) - margin)"
 EQUAL: dict[tuple[str, ...], str] = {
+    (TIMING, "1 → (2)", BESIDE): "headings are means over more places, so they change as much over three as over two",
+    (TIMING, "0.0 → (0.1)", NEVER): "less than nothing, wherever from",
+    (TIMING, "2 → (3)", RESTS): "who has arrived rests longer, which is cut off",
+    (TIMING, "-1 → (1)", "place[len(place) - width + 1 :] = place[-1]"): "what is after the arrival is cut off",
     (PLANNER, f"{MOVED} > STILL → ({MOVED} >= STILL)"[:SHOWN]): "a nanometre to the last bit",
     (PLANNER, "left < 0.0 → (left <= 0.0)"): "a time to the last bit",
     ("gpdf_service/search/lattice.py", "30.0 → (60.1)"): "detours that are longer yet are looked at, too",
