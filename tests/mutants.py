@@ -280,6 +280,8 @@ EQUAL: dict[tuple[str, ...], str] = {
 """Mutants that behave as what they were made of, by module, change and, if that is not enough, line, and why."""
 LIMIT_S = 300
 """[s] The tests of a module take a minute at most. A mutant that takes longer hangs: it was noticed."""
+MOST_MEMORY = 2**33
+"""Bytes of address space for them, three times what they take: a faulty loop may fill the machine."""
 SWAPS = {
     **{ast.Lt: ast.LtE, ast.LtE: ast.Lt, ast.Gt: ast.GtE, ast.GtE: ast.Gt, ast.Eq: ast.NotEq, ast.NotEq: ast.Eq},
     **{ast.Add: ast.Sub, ast.Sub: ast.Add, ast.Mult: ast.Div, ast.Div: ast.Mult, ast.And: ast.Or, ast.Or: ast.And},
@@ -386,7 +388,8 @@ def _pytest(words, folder, *, keep=False):
     paths = os.pathsep.join(str(folder / name) for name in (".", "clients", "schemas"))
     environment = {**os.environ, "PYTHONPATH": paths, "PYTHONDONTWRITEBYTECODE": "" if keep else "1"}
     command = [sys.executable, "-m", "pytest", "-q", "-p", "no:xdist", "-p", "no:cacheprovider", *words]
-    return subprocess.run(command, cwd=folder, env=environment, capture_output=True, timeout=LIMIT_S)
+    bounded = ["prlimit", f"--as={MOST_MEMORY}", *command]
+    return subprocess.run(bounded, cwd=folder, env=environment, capture_output=True, timeout=LIMIT_S)
 
 
 def kept_kernels(folder):
