@@ -62,7 +62,7 @@ SHOWN = 150
 """Characters of a change."""
 ENDPOINTS, IN_USE = "gpdf_service/planning/endpoints.py", "gpdf_service/service/in_use.py"
 FIRST = "seconds = 0.0 if self._stepped is None else now - self._stepped"
-MOVED = "moved = np.linalg.norm(np.diff(trajectory.ground[:, :2], axis=0), axis=1) + agent.offsets[-1] * turned"
+SWEPT = "moved = np.linalg.norm(np.diff(trajectory.ground[:, :2], axis=0), axis=1) + agent.offsets[-1] * turned"
 PIECES = "pieces: FloatArray = np.maximum(1, np.ceil(moved / SPACING))"
 ASKED = "moves and (asked := self._asked.setdefault(scene, [])) is not None"
 OVER = "-1.0 <= (x - low) / surface.cell_width"
@@ -87,18 +87,24 @@ UNSET = "self._along, self._best, self._version, self._room = 0.0, -np.inf, 0, n
 PLANNER = "gpdf_service/planning/planner.py"
 MOVED = "sqrt(dx * dx + dy * dy) + lever * abs(heading[i] - heading[i - 1])"
 STOOD = "contact, top = stand_up(poses[:, :2], space.surfaces[level], space.ground_fields[level], agent.height)"
+LATTICE = "gpdf_service/search/lattice.py"
+ASLANT = "atan2(j, i) - 2.0 * pi * h / grid.turns"
 TIMING = "gpdf_service/planning/timing.py"
 BESIDE = "before, next_ = max(i - 1, 0), min(i + 1, count - 1)"
 NEVER = "room, was_x, was_y = -np.inf, 0.0, 0.0  # there is at least so much, since that place"
 RESTS = "t = TICK * (np.arange(int(np.ceil(times[-1] / TICK)) + 2 * margin + 1) - margin)"
 EQUAL: dict[tuple[str, ...], str] = {
+    (LIMITS, "around >= np.clip(need, 3, 6) - 0.5 → (around > np.clip(need, 3, 6) - 0.5)"): "a count to the last bit",
+    (LIMITS, "0.0 < away <= reach**2 → (0.0 <= away <= reach ** 2)"): "a cell that is asked is not level itself",
+    (LATTICE, f"{ASLANT} + pi → ({ASLANT} - pi)"): "half a turn either way",
+    (LATTICE, "8 → (9)", "MOST_TRIES = 8"): "a way more is tried",
     (TIMING, "1 → (2)", BESIDE): "headings are means over more places, so they change as much over three as over two",
     (TIMING, "0.0 → (0.1)", NEVER): "less than nothing, wherever from",
     (TIMING, "2 → (3)", RESTS): "who has arrived rests longer, which is cut off",
     (TIMING, "-1 → (1)", "place[len(place) - width + 1 :] = place[-1]"): "what is after the arrival is cut off",
     (PLANNER, f"{MOVED} > STILL → ({MOVED} >= STILL)"[:SHOWN]): "a nanometre to the last bit",
     (PLANNER, "left < 0.0 → (left <= 0.0)"): "a time to the last bit",
-    ("gpdf_service/search/lattice.py", "30.0 → (60.1)"): "detours that are longer yet are looked at, too",
+    (LATTICE, "30.0 → (60.1)"): "detours that are longer yet are looked at, too",
     (PLANNER, "2 → (3)", STOOD): "who stands up looks at x and y alone",
     (CERTIFICATE, "spare <= 0.0 → (spare < 0.0)"): "what is left of a distance is nothing to the last bit",
     (
@@ -180,7 +186,7 @@ EQUAL: dict[tuple[str, ...], str] = {
         'above = points[pairs["j"], 2] - swept.discs.reshape(-1, 3)[pairs["i"], 2]',
     ): "any negative length is the unknown one",
     (IN_USE, "1 → (2)", "at = np.arange(knots[-1] + 1)"): "the last place twice",
-    (IN_USE, "2 → (3)", MOVED): "on a slope it is looked at more often",
+    (IN_USE, "2 → (3)", SWEPT): "on a slope it is looked at more often",
     (IN_USE, "1 → (2)", PIECES): "what stands still is looked at once more",
     (
         IN_USE,
