@@ -94,6 +94,10 @@ BESIDE = "before, next_ = max(i - 1, 0), min(i + 1, count - 1)"
 NEVER = "room, was_x, was_y = -np.inf, 0.0, 0.0  # there is at least so much, since that place"
 RESTS = "t = TICK * (np.arange(int(np.ceil(times[-1] / TICK)) + 2 * margin + 1) - margin)"
 EQUAL: dict[tuple[str, ...], str] = {
+    (
+        OBSTACLES,
+        "_on_rungs(z - z[0], pitch) or _pitch(z) > 0.0 → (_pitch(z) > 0.0)",
+    ): "that all lie on the rungs of the first spares a look at all differences",
     (LIMITS, "around >= np.clip(need, 3, 6) - 0.5 → (around > np.clip(need, 3, 6) - 0.5)"): "a count to the last bit",
     (LIMITS, "0.0 < away <= reach**2 → (0.0 <= away <= reach ** 2)"): "a cell that is asked is not level itself",
     (LATTICE, f"{ASLANT} + pi → ({ASLANT} - pi)"): "half a turn either way",
