@@ -177,6 +177,11 @@ EQUAL: dict[tuple[str, ...], str] = {
     (OBSTACLES, "cells + row → (cells - row)"): "a disc is the same both ways",
     (OBSTACLES, "foot < height <= ledge - step → (foot < height < ledge - step)"): BIT,
     (OBSTACLES, "limits.value > reach → (limits.value >= reach)"): BIT,
+    (
+        OBSTACLES,
+        "height[i, j] - max_step <= foot <= points[m, 2] - tall"
+        " → (height[i, j] - max_step <= foot < points[m, 2] - tall)",
+    ): BIT,
     (OBSTACLES, "near >= radius → (near > radius)"): BIT,
     (OBSTACLES, f"{BEYOND} > radius - SOLE → ({BEYOND} >= radius - SOLE)"): BIT,
     (OBSTACLES, f"{SHUT} < agent.disc_radius → ({SHUT} <= agent.disc_radius)"[:SHOWN]): BIT,
