@@ -154,6 +154,10 @@ EQUAL: dict[tuple[str, ...], str] = {
         GRAPH,
         "low[1] - reach <= center[i, 1] <= high[1] + reach → (low[1] - reach <= center[i, 1] < high[1] + reach)",
     ): BIT,
+    (
+        GRAPH,
+        "node < front.heap[row] → (node <= front.heap[row])",
+    ): "a node stands in the heap once, and is not held against itself",
     (GRAPH, "y > 0.0 → (y >= 0.0)"): "further than 0 along x, it is not 0",
     (GRAPH, "0 → (1)", MERGED): "there are as many crossings as pairs",
     (GRAPH, "0 → (1)", SAME): "the first leaf is looked at again",
