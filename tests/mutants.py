@@ -72,7 +72,6 @@ CERTIFICATE = "gpdf_service/planning/certificate.py"
 LIMITS, OBSTACLES = "gpdf_service/perception/limits.py", "gpdf_service/perception/obstacles.py"
 GRAPH, QUADTREE = "gpdf_service/search/graph.py", "gpdf_service/search/quadtree.py"
 LOOKED = "looked = np.zeros((max(last[0] - first[0], 0), max(last[1] - first[1], 0)), np.bool_)"
-SAME = "now, same, i = np.full(len(code_was), -1), np.zeros(len(code), np.bool_), 0"
 SPARE = "count = max(1, int(np.ceil(length / sample))) if length < np.inf else 1  # NaN: over no known ground"
 MERGED = "size, used, f = len(old[0]) + len(fresh[0]), 0, 0"
 SNAPPED = "np.linalg.norm({}[:2] - place[:2]) {} snap"
@@ -87,6 +86,7 @@ UNSET = "self._along, self._best, self._version, self._room = 0.0, -np.inf, 0, n
 PLANNER = "gpdf_service/planning/planner.py"
 MOVED = "sqrt(dx * dx + dy * dy) + lever * abs(heading[i] - heading[i - 1])"
 STOOD = "contact, top = stand_up(poses[:, :2], space.surfaces[level], space.ground_fields[level], agent.height)"
+ONE_DOOR = "at = [Doors(np.array([node]), np.zeros(1)) for node in (start, goal)]"
 LATTICE = "gpdf_service/search/lattice.py"
 ASLANT = "atan2(j, i) - 2.0 * pi * h / grid.turns"
 TIMING = "gpdf_service/planning/timing.py"
@@ -143,13 +143,6 @@ EQUAL: dict[tuple[str, ...], str] = {
     (LIMITS, "3.0 * width > _LIMITS.tread_depth → (3.0 * width >= _LIMITS.tread_depth)"): BIT,
     (LIMITS, "one < other → (one <= other)"): "two that are equal, either way round",
     (LIMITS, "HALF_FOOT / surface.cell_width**2 - 1e-6 → (HALF_FOOT / surface.cell_width ** 2 + 1e-06)"): BIT,
-    (GRAPH, "source_cost[k] < cost_to_come[node] → (source_cost[k] <= cost_to_come[node])"): "the same place twice",
-    (GRAPH, "code[i] < code_was[j] → (code[i] <= code_was[j])"): "no leaf is the same, so all are looked at again",
-    (GRAPH, "i < len(code) → (i > len(code))"): "fewer leaves are the same, so more are looked at again",
-    (
-        GRAPH,
-        "i < len(code) and code[i] < code_was[j] → (i < len(code))",
-    ): "no leaf is the same, so all are looked at again",
     (
         GRAPH,
         "low[1] - reach <= center[i, 1] <= high[1] + reach → (low[1] - reach <= center[i, 1] < high[1] + reach)",
@@ -158,10 +151,18 @@ EQUAL: dict[tuple[str, ...], str] = {
         GRAPH,
         "node < front.heap[row] → (node <= front.heap[row])",
     ): "a node stands in the heap once, and is not held against itself",
+    (
+        GRAPH,
+        "reached < front.cost_to_come[goal_node] → (reached <= front.cost_to_come[goal_node])",
+    ): "another way at the same cost",
+    (
+        GRAPH,
+        "reached < front.cost_to_come[near] → (reached <= front.cost_to_come[near])",
+    ): "another way at the same cost",
+    (GRAPH, "asked[i] and same[i] → (same[i])"): "more leaves are looked at again",
+    (GRAPH, "1 → (2)", ONE_DOOR): "a price more than there are nodes is not read",
     (GRAPH, "y > 0.0 → (y >= 0.0)"): "further than 0 along x, it is not 0",
     (GRAPH, "0 → (1)", MERGED): "there are as many crossings as pairs",
-    (GRAPH, "0 → (1)", SAME): "the first leaf is looked at again",
-    (GRAPH, "1 → (2)", SAME): "any negative number is none",
     (GRAPH, "3.0 → (6.1)"): "more leaves are looked at again",
     (GRAPH, "3.0 * half_size[i] → (3.0 / half_size[i])"): "more leaves are looked at again",
     (
