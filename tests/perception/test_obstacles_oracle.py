@@ -183,14 +183,17 @@ def test_obstacles_in_a_region_are_told_by_what_is_in_their_reach(kind, body):
 
 
 @pytest.mark.parametrize("turned", [False, True])
-def test_a_lintel_before_a_ledge_on_a_flight_stops_who_has_no_room_behind_its_nose(turned):
+@pytest.mark.parametrize("down", [False, True])
+def test_a_lintel_before_a_ledge_on_a_flight_stops_who_has_no_room_behind_its_nose(turned, down):
     """Of the upper tread 10 × 25 cm were seen: all of it is nearer to the lintel than the body's radius less a sole."""
     human, width = AGENTS["human"], 0.05
     height = np.tile(np.repeat([0.0, 0.2, np.nan, 0.4], [10, 2, 5, 10])[:, None], (1, 30)).astype(np.float32)
     height[10:12, [*range(10), *range(15, 30)]] = np.nan
     z = (1.0 - HEADROOM_SHARE) * human.height + 0.09  # over who stands below, and not over who stands above
-    x, y = np.meshgrid([0.5 - 0.01], [0.61, 0.625, 0.64])
+    x, y = np.meshgrid([0.5 - 0.08, 0.5 - 0.01], [0.61, 0.625, 0.64])
     points = np.column_stack([x.ravel(), y.ravel(), np.full(x.size, z)])
+    if down:
+        height, points[:, 0] = height[::-1], width * len(height) - points[:, 0]
     if turned:
         height, points = height.T, points[:, [1, 0, 2]]
     surface = HeightMap(np.zeros(2), width, height, np.where(np.isnan(height), UNKNOWN, OBSERVED).astype(np.uint8))
