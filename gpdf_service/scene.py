@@ -47,6 +47,7 @@ from gpdf_service.perception.budget import give_back
 from gpdf_service.perception.cure import NOISE_STEP
 from gpdf_service.perception.layers import in_steps
 from gpdf_service.perception.levels import LEAST_OBSTACLE
+from gpdf_service.perception.points import Points, points_of
 from gpdf_service.perception.rows import chosen_rows
 from gpdf_service.perception.segment import LEAST_SCATTER
 from gpdf_service.perception.surface import INFERRED, UNKNOWN, is_same_ground
@@ -180,9 +181,12 @@ def _gather(queries: FloatArray, fields: Sequence[Gpdf | Nearer], on: BoolArray)
     return made
 
 
-def _either(a: BoolArray | None, b: BoolArray | None) -> BoolArray | None:
-    """Cells that are among those of either, None where neither has any."""
-    return (a if b is None else b) if a is None or b is None else a | b
+def _since(earlier: Touched, k: int, cells: BoolArray | None) -> tuple[int, BoolArray | None]:
+    """What of a level is another than two versions ago: in these `cells` than level `k` of the version between."""
+    if k < 0:
+        return k, cells
+    source, other = earlier[k]
+    return source, (cells if other is None else other) if cells is None or other is None else cells | other
 
 
 class Scene:
@@ -205,7 +209,7 @@ class Scene:
 
     def __init__(
         self,
-        points: FloatArray,
+        points: FloatArray | Points,
         ground: BoolArray,
         levels: Levels,
         ground_fields: tuple[Gpdf, ...],
@@ -217,7 +221,8 @@ class Scene:
         drift: float = 0.0,
         rays: Rays | None = None,
     ) -> None:
-        self.points, self.ground, self.levels = points, ground, levels
+        self._cloud, self._ground = points if isinstance(points, Points) else points_of(points), ground
+        self.levels = levels
         self.ground_fields, self.config, self.version = ground_fields, config, version
         self.noise, self.labelled = noise, labelled
         self.perceived, self.drift, self.rays = perceived, drift, rays
@@ -229,6 +234,14 @@ class Scene:
         self._stored: dict[Agent, Callable[[], Arrays]] = {}  # read from the scene's file
         self._lock = threading.Lock()
         self._building: dict[Agent, threading.Lock] = {}
+
+    @cached_property
+    def points(self) -> FloatArray:  # noqa: D102 - an attribute of the class's docstring
+        return self._cloud.present
+
+    @cached_property
+    def ground(self) -> BoolArray:  # noqa: D102
+        return self._ground if self._cloud.untouched else self._ground[self._cloud.there]
 
     @property
     def surfaces(self) -> tuple[HeightMap, ...]:
@@ -261,7 +274,7 @@ class Scene:
         """What obstacles need to know of the cloud."""
         if self._standing is not None:
             return self._standing.scan
-        return Scan(self.noise, self.hidden_height, are_voxels(self.points[:, 2]))
+        return Scan(self.noise, self.hidden_height, are_voxels(self._cloud))
 
     @property
     def ground_field(self) -> GroundField:
@@ -323,6 +336,8 @@ class Scene:
     def prepare(self, agent: str | Agent) -> None:
         """Build what plans for `agent` read, so that the first one takes what plans take."""
         self.ways(agent, Prefer.COMPANION)
+        for field in self.ground_fields:
+            _ = field.discs  # told on first use
 
     def _settled(self, space: FreeSpace) -> FreeSpace:
         """A free space whose leaves and edges can all be read."""
@@ -349,7 +364,7 @@ class Scene:
         with self._lock:
             before = {body: (space, touched) for body, space in self._spaces.items()}
             for body, (space, earlier) in list(self._former.items())[: MAX_CACHED_AGENTS - len(before)]:
-                before[body] = space, tuple(_either(a, b) for a, b in zip(earlier, touched, strict=True))
+                before[body] = space, tuple(_since(earlier, k, cells) for k, cells in touched)
         return before
 
     def with_obstacles(self, points: ArrayLike) -> Scene:
@@ -368,7 +383,7 @@ class Scene:
         """
         asked = check_finite(points)
         fixed = self.ground_fields, self.config, self.version, self.noise, self.labelled
-        made = Scene(self.points, self.ground, self.levels, *fixed, rays=self.rays)
+        made = Scene(self._cloud, self._ground, self.levels, *fixed, rays=self.rays)
         made.moving, made._standing = np.concatenate([self.moving, asked]), self._standing or self
         return made
 
@@ -397,25 +412,25 @@ class Scene:
             CloudError: points, rows or labels that cannot be used.
             NoGroundError: no ground would be left.
         """
-        keep = np.ones(len(self.points), dtype=bool)
+        keep = np.ones(self._cloud.count, dtype=bool)
         try:
             if remove is not None and np.size(remove):
                 keep[np.asarray(remove)] = False
         except IndexError as error:
             raise CloudError("remove", f"rows that are not there ({error})", "Name rows of `points`.") from error
-        fresh = np.zeros((0, 3)) if insert is None else check_points(insert)
-        if not keep.any() and not len(fresh):
+        fresh, gone = np.zeros((0, 3)) if insert is None else check_points(insert), np.flatnonzero(~keep)
+        count = len(keep) - len(gone) + len(fresh)
+        if not count:
             raise CloudError("update", "no point would be left", "Keep some, or build another scene.")
-        cloud = chosen_rows(self.points, keep, fresh)
-        labels = None
-        if ground is not None or self.labelled:
-            labels = np.concatenate([self.ground[keep], self._labels_of(fresh, ground, cloud)])
-        drift = self.drift + (np.count_nonzero(~keep) + len(fresh)) / len(cloud)
+        labels = self._labels_of(fresh, ground, keep) if ground is not None or self.labelled else None
+        drift = self.drift + (len(gone) + len(fresh)) / count
         if self.perceived is not None and drift <= MAX_DRIFT and self.labelled == (labels is not None):
             try:
-                return self._changed(self.perceived, cloud, keep, labels, drift, progress)
+                return self._changed(self.perceived, self._cloud.numbers(gone), fresh, labels, drift, progress)
             except WholeError:
                 pass
+        cloud = chosen_rows(self.points, keep, fresh)
+        labels = None if labels is None else np.concatenate([self.ground[keep], labels])
         rays, width = self._rays_of(fresh, origins, keep, cloud), self.resolution if drift <= MAX_DRIFT else None
         scene = assemble_scene(cloud, labels, self.config, like=self, width=width, rays=rays, progress=progress)
         scene.drift = 0.0 if width is None else drift
@@ -424,14 +439,14 @@ class Scene:
     def _changed(
         self,
         perceived: Perceived,
-        cloud: FloatArray,
-        keep: BoolArray,
+        gone: IntArray,
+        fresh: FloatArray,
         labels: BoolArray | None,
         drift: float,
         progress: Progress,
     ) -> Scene:
         progress("change levels", 0.0)
-        now = change(perceived, cloud, keep, labels, self.config.perception)
+        now = change(perceived, gone, fresh, labels, self.config.perception)
         progress("change ground fields", 0.5)
 
         def one(i: int) -> Gpdf:
@@ -444,7 +459,7 @@ class Scene:
         fields = tuple(run_parallel(one, range(len(now.levels.levels))))
         progress("ready", 1.0)
         known = self.version + 1, self.noise, self.labelled
-        scene = Scene(cloud, now.ground, now.levels, fields, self.config, *known, now, drift)
+        scene = Scene(now.points, now.ground, now.levels, fields, self.config, *known, now, drift)
         if scene.scan == self.scan and now.touched:  # else all that stops a body may be another
             scene._former = self._spaces_before(now.touched)
         return scene
@@ -457,10 +472,11 @@ class Scene:
         began = unknown if origins is None else np.broadcast_to(check_origins(origins, fresh).origins, fresh.shape)
         return self.rays.chosen(keep, cloud, began if len(fresh) else None)
 
-    def _labels_of(self, fresh: FloatArray, ground: ArrayLike | None, cloud: FloatArray) -> BoolArray:
+    def _labels_of(self, fresh: FloatArray, ground: ArrayLike | None, keep: BoolArray) -> BoolArray:
         if ground is None:
             if not len(fresh):
                 return np.zeros(0, dtype=bool)
+            cloud = chosen_rows(self.points, keep, fresh)
             return cure_and_segment(cloud, None, self.config.perception).ground[len(cloud) - len(fresh) :]
         return check_labels(ground, len(fresh))
 
@@ -621,9 +637,8 @@ def assemble_scene(
     if cured.stray.any():
         points, labelled = chosen_rows(points, ~cured.stray), ground[~cured.stray]
     width = width if segmentation is None else segmentation.layers.cell_width
-    levels, survey = survey_levels(
-        points, labelled, config.perception, width=width, noise=0.0 if found.as_it_was else cured.measured, rays=rays
-    )
+    held, noise = points_of(points), 0.0 if found.as_it_was else cured.measured
+    levels, survey = survey_levels(points, labelled, config.perception, width=width, noise=noise, rays=rays, held=held)
     give_back(len(cloud))
     progress("fit ground fields", 0.7)
     old = () if like is None else tuple(zip(like.ground_fields, like.levels.levels, strict=True))
@@ -636,9 +651,9 @@ def assemble_scene(
     noise = cured.measured if cured.measured > config.perception.negligible_noise else 0.0
     version = 1 if like is None else like.version + 1
     lasting = found.as_it_was and rays is None  # what rays show of a part of a scene is not told part by part
-    perceived = Perceived(cloud, ground, segmentation, levels, survey).lasting() if lasting else None
+    perceived = Perceived(held, ground, segmentation, levels, survey).lasting() if lasting else None
     known = version, in_steps(noise, NOISE_STEP), labels is not None
-    return Scene(cloud, ground, levels, fields, config, *known, perceived, rays=rays)
+    return Scene(held if lasting else cloud, ground, levels, fields, config, *known, perceived, rays=rays)
 
 
 def _lattice(level: GroundLevel, config: Config) -> Lattice:

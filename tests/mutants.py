@@ -62,7 +62,7 @@ SHOWN = 150
 """Characters of a change."""
 ENDPOINTS, IN_USE = "gpdf_service/planning/endpoints.py", "gpdf_service/service/in_use.py"
 FIRST = "seconds = 0.0 if self._stepped is None else now - self._stepped"
-MOVED = "moved = np.linalg.norm(np.diff(trajectory.ground[:, :2], axis=0), axis=1) + agent.offsets[-1] * turned"
+SWEPT = "moved = np.linalg.norm(np.diff(trajectory.ground[:, :2], axis=0), axis=1) + agent.offsets[-1] * turned"
 PIECES = "pieces: FloatArray = np.maximum(1, np.ceil(moved / SPACING))"
 ASKED = "moves and (asked := self._asked.setdefault(scene, [])) is not None"
 OVER = "-1.0 <= (x - low) / surface.cell_width"
@@ -72,7 +72,6 @@ CERTIFICATE = "gpdf_service/planning/certificate.py"
 LIMITS, OBSTACLES = "gpdf_service/perception/limits.py", "gpdf_service/perception/obstacles.py"
 GRAPH, QUADTREE = "gpdf_service/search/graph.py", "gpdf_service/search/quadtree.py"
 LOOKED = "looked = np.zeros((max(last[0] - first[0], 0), max(last[1] - first[1], 0)), np.bool_)"
-SAME = "now, same, i = np.full(len(code_was), -1), np.zeros(len(code), np.bool_), 0"
 SPARE = "count = max(1, int(np.ceil(length / sample))) if length < np.inf else 1  # NaN: over no known ground"
 MERGED = "size, used, f = len(old[0]) + len(fresh[0]), 0, 0"
 SNAPPED = "np.linalg.norm({}[:2] - place[:2]) {} snap"
@@ -87,15 +86,34 @@ UNSET = "self._along, self._best, self._version, self._room = 0.0, -np.inf, 0, n
 PLANNER = "gpdf_service/planning/planner.py"
 MOVED = "sqrt(dx * dx + dy * dy) + lever * abs(heading[i] - heading[i - 1])"
 STOOD = "contact, top = stand_up(poses[:, :2], space.surfaces[level], space.ground_fields[level], agent.height)"
+ONE_DOOR = "at = [Doors(np.array([node]), np.zeros(1)) for node in (start, goal)]"
+LATTICE = "gpdf_service/search/lattice.py"
+ASLANT = "atan2(j, i) - 2.0 * pi * h / grid.turns"
+TIMING = "gpdf_service/planning/timing.py"
+BESIDE = "before, next_ = max(i - 1, 0), min(i + 1, count - 1)"
+NEVER = "room, was_x, was_y = -np.inf, 0.0, 0.0  # there is at least so much, since that place"
+RESTS = "t = TICK * (np.arange(int(np.ceil(times[-1] / TICK)) + 2 * margin + 1) - margin)"
 EQUAL: dict[tuple[str, ...], str] = {
+    (
+        OBSTACLES,
+        "_on_rungs(z - z[0], pitch) or _pitch(z) > 0.0 → (_pitch(z) > 0.0)",
+    ): "that all lie on the rungs of the first spares a look at all differences",
+    (LIMITS, "around >= np.clip(need, 3, 6) - 0.5 → (around > np.clip(need, 3, 6) - 0.5)"): "a count to the last bit",
+    (LIMITS, "0.0 < away <= reach**2 → (0.0 <= away <= reach ** 2)"): "a cell that is asked is not level itself",
+    (LATTICE, f"{ASLANT} + pi → ({ASLANT} - pi)"): "half a turn either way",
+    (LATTICE, "8 → (9)", "MOST_TRIES = 8"): "a way more is tried",
+    (TIMING, "1 → (2)", BESIDE): "headings are means over more places, so they change as much over three as over two",
+    (TIMING, "0.0 → (0.1)", NEVER): "less than nothing, wherever from",
+    (TIMING, "2 → (3)", RESTS): "who has arrived rests longer, which is cut off",
+    (TIMING, "-1 → (1)", "place[len(place) - width + 1 :] = place[-1]"): "what is after the arrival is cut off",
     (PLANNER, f"{MOVED} > STILL → ({MOVED} >= STILL)"[:SHOWN]): "a nanometre to the last bit",
     (PLANNER, "left < 0.0 → (left <= 0.0)"): "a time to the last bit",
-    ("gpdf_service/search/lattice.py", "30.0 → (60.1)"): "detours that are longer yet are looked at, too",
+    (LATTICE, "30.0 → (60.1)"): "detours that are longer yet are looked at, too",
     (PLANNER, "2 → (3)", STOOD): "who stands up looks at x and y alone",
     (CERTIFICATE, "spare <= 0.0 → (spare < 0.0)"): "what is left of a distance is nothing to the last bit",
     (
         CERTIFICATE,
-        "least < space.reach <= least + RESOLUTION → (least <= space.reach <= least + RESOLUTION)",
+        "least < reach <= least + RESOLUTION → (least <= reach <= least + RESOLUTION)",
     ): BIT,
     (CERTIFICATE, "clearance < 0 → (clearance <= 0)"): BIT,
     (CERTIFICATE, f"{RING} → (ring <= max(state.shape))"): "a ring around the whole map holds no cell",
@@ -125,21 +143,30 @@ EQUAL: dict[tuple[str, ...], str] = {
     (LIMITS, "3.0 * width > _LIMITS.tread_depth → (3.0 * width >= _LIMITS.tread_depth)"): BIT,
     (LIMITS, "one < other → (one <= other)"): "two that are equal, either way round",
     (LIMITS, "HALF_FOOT / surface.cell_width**2 - 1e-6 → (HALF_FOOT / surface.cell_width ** 2 + 1e-06)"): BIT,
-    (GRAPH, "source_cost[k] < cost_to_come[node] → (source_cost[k] <= cost_to_come[node])"): "the same place twice",
-    (GRAPH, "code[i] < code_was[j] → (code[i] <= code_was[j])"): "no leaf is the same, so all are looked at again",
-    (GRAPH, "i < len(code) → (i > len(code))"): "fewer leaves are the same, so more are looked at again",
     (
         GRAPH,
-        "i < len(code) and code[i] < code_was[j] → (i < len(code))",
-    ): "no leaf is the same, so all are looked at again",
+        "source_cost[k] < front.known[node].cost_to_come → (source_cost[k] <= front.known[node].cost_to_come)",
+    ): "the same place twice",
     (
         GRAPH,
         "low[1] - reach <= center[i, 1] <= high[1] + reach → (low[1] - reach <= center[i, 1] < high[1] + reach)",
     ): BIT,
+    (
+        GRAPH,
+        "node < front.heap[row] → (node <= front.heap[row])",
+    ): "a node stands in the heap once, and is not held against itself",
+    (
+        GRAPH,
+        "reached < front.cost_to_come[goal_node] → (reached <= front.cost_to_come[goal_node])",
+    ): "another way at the same cost",
+    (
+        GRAPH,
+        "reached < front.cost_to_come[near] → (reached <= front.cost_to_come[near])",
+    ): "another way at the same cost",
+    (GRAPH, "asked[i] and same[i] → (same[i])"): "more leaves are looked at again",
+    (GRAPH, "1 → (2)", ONE_DOOR): "a price more than there are nodes is not read",
     (GRAPH, "y > 0.0 → (y >= 0.0)"): "further than 0 along x, it is not 0",
     (GRAPH, "0 → (1)", MERGED): "there are as many crossings as pairs",
-    (GRAPH, "0 → (1)", SAME): "the first leaf is looked at again",
-    (GRAPH, "1 → (2)", SAME): "any negative number is none",
     (GRAPH, "3.0 → (6.1)"): "more leaves are looked at again",
     (GRAPH, "3.0 * half_size[i] → (3.0 / half_size[i])"): "more leaves are looked at again",
     (
@@ -159,6 +186,11 @@ EQUAL: dict[tuple[str, ...], str] = {
     (OBSTACLES, "cells + row → (cells - row)"): "a disc is the same both ways",
     (OBSTACLES, "foot < height <= ledge - step → (foot < height < ledge - step)"): BIT,
     (OBSTACLES, "limits.value > reach → (limits.value >= reach)"): BIT,
+    (
+        OBSTACLES,
+        "height[i, j] - max_step <= foot <= points[m, 2] - tall"
+        " → (height[i, j] - max_step <= foot < points[m, 2] - tall)",
+    ): BIT,
     (OBSTACLES, "near >= radius → (near > radius)"): BIT,
     (OBSTACLES, f"{BEYOND} > radius - SOLE → ({BEYOND} >= radius - SOLE)"): BIT,
     (OBSTACLES, f"{SHUT} < agent.disc_radius → ({SHUT} <= agent.disc_radius)"[:SHOWN]): BIT,
@@ -172,7 +204,7 @@ EQUAL: dict[tuple[str, ...], str] = {
         'above = points[pairs["j"], 2] - swept.discs.reshape(-1, 3)[pairs["i"], 2]',
     ): "any negative length is the unknown one",
     (IN_USE, "1 → (2)", "at = np.arange(knots[-1] + 1)"): "the last place twice",
-    (IN_USE, "2 → (3)", MOVED): "on a slope it is looked at more often",
+    (IN_USE, "2 → (3)", SWEPT): "on a slope it is looked at more often",
     (IN_USE, "1 → (2)", PIECES): "what stands still is looked at once more",
     (
         IN_USE,
@@ -272,6 +304,8 @@ EQUAL: dict[tuple[str, ...], str] = {
 """Mutants that behave as what they were made of, by module, change and, if that is not enough, line, and why."""
 LIMIT_S = 300
 """[s] The tests of a module take a minute at most. A mutant that takes longer hangs: it was noticed."""
+MOST_MEMORY = 2**33
+"""Bytes of address space for them, three times what they take: a faulty loop may fill the machine."""
 SWAPS = {
     **{ast.Lt: ast.LtE, ast.LtE: ast.Lt, ast.Gt: ast.GtE, ast.GtE: ast.Gt, ast.Eq: ast.NotEq, ast.NotEq: ast.Eq},
     **{ast.Add: ast.Sub, ast.Sub: ast.Add, ast.Mult: ast.Div, ast.Div: ast.Mult, ast.And: ast.Or, ast.Or: ast.And},
@@ -378,7 +412,8 @@ def _pytest(words, folder, *, keep=False):
     paths = os.pathsep.join(str(folder / name) for name in (".", "clients", "schemas"))
     environment = {**os.environ, "PYTHONPATH": paths, "PYTHONDONTWRITEBYTECODE": "" if keep else "1"}
     command = [sys.executable, "-m", "pytest", "-q", "-p", "no:xdist", "-p", "no:cacheprovider", *words]
-    return subprocess.run(command, cwd=folder, env=environment, capture_output=True, timeout=LIMIT_S)
+    bounded = ["prlimit", f"--as={MOST_MEMORY}", *command]
+    return subprocess.run(bounded, cwd=folder, env=environment, capture_output=True, timeout=LIMIT_S)
 
 
 def kept_kernels(folder):

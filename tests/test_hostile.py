@@ -21,6 +21,7 @@ def floor(side=4.0, step=0.04):
     return np.column_stack([x, y, np.zeros(len(x))])
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not Path("/proc/self/clear_refs").exists(), reason="only Linux tells a process's peak")
 def test_hostile_clouds_take_little_memory_and_each_is_answered_in_words():
     """Two of each kind, one with labels; `gpdf bench hostile` has a hundred."""

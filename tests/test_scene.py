@@ -276,6 +276,16 @@ def test_threads_that_ask_at_once_share_one_free_space(office):
     assert len({id(space) for space in found}) == 1
 
 
+def test_a_prepared_body_leaves_nothing_for_its_first_plan_to_build(office):
+    made = office[0]
+    scene = gpdf.build_scene(made.points, made.ground)
+    scene.prepare("human")
+    assert all(field.shaped for field in scene.ground_fields)
+    spaces = scene.free_space("human")
+    assert gpdf.plan(scene, made.start, made.goal).status is gpdf.Status.OK
+    assert scene.free_space("human") is spaces
+
+
 def test_labels_must_fit_the_points():
     with pytest.raises(CloudError, match="one for each point"):
         gpdf.build_scene(np.zeros((10, 3)), np.ones(9, dtype=bool))

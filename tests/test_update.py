@@ -315,6 +315,33 @@ def test_a_change_that_cuts_the_stair_cuts_the_storeys_apart():
     assert gpdf.plan(back, (6.0, 1.0, 0.0), (6.0, 3.0, 3.0)).status is gpdf.Status.OK
 
 
+def test_a_level_that_comes_and_goes_leaves_the_free_space_of_the_others():
+    """It comes between two, and takes the number of the upper one."""
+    x, y = (axis.ravel() for axis in np.meshgrid(np.arange(0, 8, 0.05), np.arange(0, 6, 0.05)))
+    floor, upper = (np.column_stack([x, y, np.full(x.size, z)])[chosen] for z, chosen in ((0.0, x < 9), (4.0, x > 5)))
+    points = np.concatenate([floor, upper, box((6.0, 3.0, 4.1), (6.4, 3.6, 5.0), 500)])
+    scene = gpdf.build_scene(points, points[:, 2] % 4.0 == 0.0)
+    before = scene.free_space("human").quadtrees
+    slab = np.column_stack([x, y, np.full(x.size, 2.0)])[(x > 1) & (x < 2.2) & (y > 2) & (y < 3.2)]
+    more = scene.update(insert=slab, ground=np.ones(len(slab), dtype=bool))
+    assert [k for k, _ in more.perceived.touched] == [0, -1, 1]
+    assert more.free_space("human").quadtrees[2] is before[1]
+    assert_equal_scenes(more, from_scratch(more), "human")
+    assert_equal_cores(more, from_scratch(more))
+    fewer = more.update(remove=np.arange(len(points), len(more.points)))  # its space is not asked for
+    fewer = fewer.update(remove=[0])
+    assert fewer.free_space("human").quadtrees[1] is before[1]
+    assert_equal_scenes(fewer, from_scratch(fewer), "human")
+    assert_equal_cores(fewer, from_scratch(fewer))
+
+
+def assert_equal_cores(one, other):
+    """The leaves that ways lead over."""
+    ours, theirs = (scene.free_space("human").core for scene in (one, other))
+    np.testing.assert_array_equal(ours.node, theirs.node)
+    np.testing.assert_array_equal(ours.up, theirs.up)
+
+
 def test_a_change_that_takes_away_ground_far_from_it_finds_all_of_that():
     x, y = (axis.ravel() for axis in np.meshgrid(np.arange(-2, 16, 0.05), np.arange(0, 9, 0.05)))
     terrace = (x > 0.0) & (x < 15.0) & (y > 4.0) & (y < 6.0)

@@ -36,6 +36,8 @@ AHEAD = 1.0
 """[m] On the path an obstacle appears: it stops from 2 m."""
 LONGEST_S = 10.0
 """[s] A cue that takes longer is lost."""
+TOLD_S = 60.0
+"""[s] Who stands is told of the way, or of what stopped him, before he goes."""
 OBSTACLES = 20
 
 
@@ -58,9 +60,18 @@ class Body:
         self._thread.join()
         self._subscriber.undeclare()  # type: ignore[no-untyped-call]
 
-    def wait_for(self, wanted: Callable[[CueMessage], bool]) -> float:
-        """Until a cue that was not there before; when it came [s]."""
-        seen, until = len(self.cues), time.time() + LONGEST_S
+    def wait_to_go(self) -> None:
+        """Until he may go: a stop that is measured from then on is a new one.
+
+        Raises:
+            TimeoutError: he stands for longer than he is told of anything.
+        """
+        if np.isinf(self.wait_for(lambda cue: cue.action is not CueAction.STOP, TOLD_S)):
+            raise TimeoutError(f"the guide lets nobody go for {TOLD_S:.0f} s")
+
+    def wait_for(self, wanted: Callable[[CueMessage], bool], longest_s: float = LONGEST_S) -> float:
+        """Until a cue that was not there before; when it came [s], infinity for never."""
+        seen, until = len(self.cues), time.time() + longest_s
         while time.time() < until:
             for cue, came in self.cues[seen:]:
                 if wanted(cue):
@@ -84,7 +95,7 @@ def measure_cues(client: Client, endpoint: str, scene: str, start: FloatArray, g
     assert path is not None
     here = np.append(path.ground[0], path.headings[0])
     with Client.connect(endpoint) as other, Body(other.session, here) as body, guiding(endpoint, scene, goal) as guide:
-        body.wait_for(lambda cue: cue.action in (CueAction.GO, CueAction.SLOW))
+        body.wait_to_go()
         body.cues.clear()
         time.sleep(seconds)
         felt = list(body.cues)
@@ -135,5 +146,5 @@ def _stop_after(client: Client, scene: str, body: Body, guide: Guide) -> float:
     client.session.put(
         keys.obstacles(scene), encode(MovingObstacles(obstacles=[MovingObstacle(id=NAME, lifetime_s=0.0)]))
     )
-    body.wait_for(lambda cue: cue.action is not CueAction.STOP)
+    body.wait_to_go()
     return came - told

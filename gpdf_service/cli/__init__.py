@@ -7,6 +7,7 @@ that `gpdf client …` works with the light client's install and `gpdf --help` i
 from __future__ import annotations
 
 import argparse
+import gc
 import json
 import os
 import re
@@ -72,6 +73,9 @@ VERBS: dict[str, tuple[str, str]] = {
     "completion": ("gpdf_service.cli.completion", "what your shell needs to complete these words: bash, zsh or fish"),
 }
 
+GARBAGE = 50_000
+"""New objects after which one looks for garbage. What is loaded stays: to look each 700, as by default, is 0.1 s."""
+
 BRINGS = {
     "rosbags": "gpdf-service[ros2]",
     "viser": "gpdf-service[viewer]",
@@ -122,6 +126,7 @@ def find_verb(words: Sequence[str]) -> str | None:
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one verb. Returns the exit code: 0 success, 1 the work failed, 2 the command line is wrong."""
+    gc.set_threshold(GARBAGE)
     words = list(sys.argv[1:] if argv is None else argv)
     verb, args = find_verb(words), None
     try:

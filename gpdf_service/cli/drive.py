@@ -64,7 +64,7 @@ def run(args: argparse.Namespace) -> int:
         print(json.dumps(result))
     else:
         for key, value in result.items():
-            if key != "track":
+            if key != "track" and value != "":
                 print(f"{key}: {value:.3f}" if isinstance(value, float) else f"{key}: {value}")
     return 0 if result["state"] == State.ARRIVED.value else 1
 

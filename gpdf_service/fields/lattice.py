@@ -112,18 +112,28 @@ def fit_lattice(lattice: Lattice, domain: Domain, former: tuple[Gpdf, Lattice] |
         FieldError: a solve did not converge.
     """
     rows, solver, ball = _rows_of(lattice), _solver_of(lattice), _ball_of(lattice)
-    alpha = np.empty(int(rows.first[-1]))
+    points = np.empty((int(rows.first[-1]), 3))
+    alpha = np.empty(len(points))
     discs = np.empty((len(alpha), 6)) if former is not None and former[0].shaped else None
 
     def solve(k: int) -> bool:
-        cells = _layout() + rows.tile[k]
+        cells, own = _layout() + rows.tile[k], rows.of(k)
+        _put_points(lattice, cells, points[own])
         if discs is not None:
-            _shape_tile(lattice, ball, cells, discs[rows.of(k)])
-        return bool(_solve_tile(lattice, solver, cells, alpha[rows.of(k)]))
+            _shape_tile(lattice, ball, cells, discs[own])
+        return bool(_solve_tile(lattice, solver, cells, alpha[own]))
 
-    if not all(run_parallel(solve, _take_over(lattice, rows, solver.reach, former, alpha, discs))):
+    source, before = _sources(lattice, rows, solver.reach, former)
+    if former is not None:
+        for k in np.flatnonzero(source >= 0).tolist():
+            own, old = rows.of(k), before.of(source[k])
+            points[own], alpha[own] = former[0].points[old], former[0].alpha[old]
+            if discs is not None:
+                discs[own] = former[0].discs[old]
+    if not all(run_parallel(solve, np.flatnonzero(source < 0).tolist())):
         raise FieldError("fit", "the solve did not converge", "Raise fields.noise_variance.")
-    return _field(lattice, rows, alpha, discs, domain)
+    tree = _tree_of(points, rows, former and (former[0].tree, before, source))
+    return _field(lattice, tree, rows, alpha, discs, domain)
 
 
 def restore_lattice(
@@ -143,7 +153,7 @@ def restore_lattice(
         order = np.argsort(old)
         taken = order[np.searchsorted(old, new, sorter=order)]
         alpha, discs = alpha[taken], None if discs is None else discs[taken]
-    return _field(lattice, rows, alpha, discs, domain)
+    return _field(lattice, _tree_of(_points_of(lattice, rows), rows), rows, alpha, discs, domain)
 
 
 def _discs_of(lattice: Lattice, rows: _Rows) -> FloatArray:
@@ -160,10 +170,11 @@ def _ball_of(lattice: Lattice) -> IntArray:
     return disc(REACH * lattice.spacing / lattice.width)
 
 
-def _field(lattice: Lattice, rows: _Rows, alpha: FloatArray, discs: FloatArray | None, domain: Domain) -> Gpdf:
+def _field(
+    lattice: Lattice, tree: Tree, rows: _Rows, alpha: FloatArray, discs: FloatArray | None, domain: Domain
+) -> Gpdf:
     told = partial(_discs_of, lattice, rows) if discs is None else discs
     own = lattice.length_scale, lattice.noise_variance, lattice.spacing
-    tree = _tree_of(_points_of(lattice, rows), rows)
     return Gpdf(tree, alpha, told, np.broadcast_to(0.0, len(alpha)), *own, domain)
 
 
@@ -180,30 +191,18 @@ def _flat_cells(points: FloatArray, lattice: Lattice) -> IntArray:
     return flat
 
 
-def _take_over(
-    lattice: Lattice,
-    rows: _Rows,
-    reach: int,
-    former: tuple[Gpdf, Lattice] | None,
-    alpha: FloatArray,
-    discs: FloatArray | None,
-) -> list[int]:
-    """Write what a field over a `former` lattice said of tiles with no change in reach [cells]; which are left."""
+def _sources(lattice: Lattice, rows: _Rows, reach: int, former: tuple[Gpdf, Lattice] | None) -> tuple[IntArray, _Rows]:
+    """Of each tile with no change in reach [cells] which one it was in a `former` lattice, else −1; the tiles there."""
+    source = np.full(len(rows.tile), -1)
     if former is None or not _is_like(lattice, former[1]):
-        return list(range(len(rows.tile)))
-    (field, before), left = former, []
-    rows_before = _rows_of(before)
-    was = {tuple(cell): rows_before.of(k) for k, cell in enumerate(rows_before.tile)}
-    other = (lattice.height != before.height) & ~(np.isnan(lattice.height) & np.isnan(before.height))
-    for k, (x, y) in enumerate(rows.tile):
-        if other[max(x - reach, 0) : x + TILE + reach, max(y - reach, 0) : y + TILE + reach].any():
-            left.append(k)
-        else:
-            own, old = rows.of(k), was[x, y]
-            alpha[own] = field.alpha[old]
-            if discs is not None:
-                discs[own] = field.discs[old]
-    return left
+        return source, rows
+    before = _rows_of(former[1])
+    number = {tuple(cell): k for k, cell in enumerate(before.tile.tolist())}
+    other = lattice.height.view(np.uint64) != former[1].height.view(np.uint64)  # NaN is NaN
+    for k, (x, y) in enumerate(rows.tile.tolist()):
+        if not other[max(x - reach, 0) : x + TILE + reach, max(y - reach, 0) : y + TILE + reach].any():
+            source[k] = number[x, y]
+    return source, before
 
 
 def _is_like(one: Lattice, other: Lattice) -> bool:
@@ -212,12 +211,25 @@ def _is_like(one: Lattice, other: Lattice) -> bool:
     return same and one[2:] == other[2:]
 
 
-def _tree_of(points: FloatArray, rows: _Rows) -> Tree:
-    """The tree over the points as they lie; each tile begins a leaf."""
+def _tree_of(points: FloatArray, rows: _Rows, former: tuple[Tree, _Rows, IntArray] | None = None) -> Tree:
+    """The tree over the points as they lie; each tile begins a leaf.
+
+    Leaves of a tile with a source in a `former` tree, over such rows, are those of that tile.
+    """
     leaves = -(-np.diff(rows.first) // LEAF_SIZE)
     rank = np.arange(leaves.sum()) - np.repeat(np.cumsum(leaves) - leaves, leaves)
     begin = np.append(np.repeat(rows.first[:-1], leaves) + LEAF_SIZE * rank, rows.first[-1])
-    return tree_of(points, np.arange(len(points)), begin)
+    order = np.arange(len(points))
+    if former is None:
+        return tree_of(points, order, begin)
+    tree, before, source = former
+    first = np.concatenate([[0], np.cumsum(-(-np.diff(before.first) // LEAF_SIZE))])
+    return tree_of(
+        points,
+        order,
+        begin,
+        (tree, np.where(np.repeat(source, leaves) < 0, -1, np.repeat(first[source], leaves) + rank)),
+    )
 
 
 @njit(cache=True, nogil=True)

@@ -87,21 +87,19 @@ def build_tree(points: FloatArray) -> Tree:
     return tree_of(points[order], order, np.minimum(LEAF_SIZE * np.arange(leaves + 1), len(points)))
 
 
-def tree_of(points: FloatArray, order: IntArray, begin: IntArray, like: Tree | None = None) -> Tree:
+def tree_of(points: FloatArray, order: IntArray, begin: IntArray, former: tuple[Tree, IntArray] | None = None) -> Tree:
     """The tree over `points`, shape (n, dim), that are in its order already and cut into leaves at `begin`.
 
-    Leaves that are as they were in a tree `like` it, which began with as many points, are copied from there.
+    Leaves that hold what they held in a `former` tree are copied from there: of each its number there, −1 of others.
     """
     leaves = len(begin) - 1
     nodes = (_room(LEAF_SIZE * leaves) * FANOUT // LEAF_SIZE - 1) // (FANOUT - 1)
     blocks, boxes = np.empty((leaves, 3, LEAF_SIZE)), np.empty((nodes, 6, FANOUT))
     boxes[:, :3], boxes[:, 3:] = np.inf, -np.inf
-    fresh = np.ones(leaves, dtype=bool)
-    if like is not None and len(like.boxes) == nodes:
-        kept = min(leaves, len(like.blocks))
-        blocks[:kept], boxes[:] = like.blocks[:kept], like.boxes
-        fresh[:kept] = np.diff(begin)[:kept] != np.diff(like.begin)[:kept]
-    _fill(points, begin, fresh, blocks, boxes)
+    if former is None:
+        _fill(points, begin, np.full(leaves, -1), (blocks, boxes), blocks, boxes)
+    else:
+        _fill(points, begin, former[1], (former[0].blocks, former[0].boxes), blocks, boxes)
     return Tree(points, order, begin, blocks, boxes)
 
 
@@ -123,14 +121,16 @@ def change_tree(tree: Tree, keep: BoolArray, added: FloatArray) -> tuple[Tree, I
         The tree, and where each of its rows comes from: a row of the old tree, or −1 − a row of `added`.
     """
     points, source, begin = _kept(tree.points, keep, tree.begin)
+    same = np.where(np.diff(begin) == np.diff(tree.begin), np.arange(len(begin) - 1), -1)
     if len(added):
         fresh = build_tree(added)
         points, source = np.concatenate([points, fresh.points]), np.concatenate([source, -1 - fresh.order])
         begin = np.concatenate([begin, begin[-1] + fresh.begin[1:]])
+        same = np.concatenate([same, np.full(len(fresh.begin) - 1, -1)])
     if (len(begin) - 2) * LEAF_SIZE > 2 * len(points):
         built = build_tree(points)
         return built, source[built.order]
-    return tree_of(points, np.arange(len(points)), begin, tree), source
+    return tree_of(points, np.arange(len(points)), begin, (tree, same)), source
 
 
 @njit(cache=True, nogil=True)
@@ -204,15 +204,25 @@ def _select(along: FloatArray, order: IntArray, axis: int, left: int, right: int
 
 
 @njit(cache=True, nogil=True)
-def _fill(points: FloatArray, begin: IntArray, fresh: BoolArray, blocks: FloatArray, boxes: FloatArray) -> None:
-    """The blocks of the `fresh` leaves, shape (leaves,), and the boxes from these up."""
-    nodes = boxes.shape[0]
-    other = np.zeros(nodes, np.bool_)
+def _fill(
+    points: FloatArray,
+    begin: IntArray,
+    source: IntArray,
+    former: tuple[FloatArray, FloatArray],
+    blocks: FloatArray,
+    boxes: FloatArray,
+) -> None:
+    """The blocks of the leaves, and all boxes; blocks and boxes of a leaf with a `source` are those of a former one."""
+    nodes, before = boxes.shape[0], former[1].shape[0]
     for leaf in range(blocks.shape[0]):
-        if not fresh[leaf]:
-            continue
         node, child = (nodes + leaf - 1) // FANOUT, (nodes + leaf - 1) % FANOUT
-        count, other[node] = begin[leaf + 1] - begin[leaf], True
+        was, count = source[leaf], begin[leaf + 1] - begin[leaf]
+        if was >= 0:
+            parent, number = (before + was - 1) // FANOUT, (before + was - 1) % FANOUT
+            blocks[leaf] = former[0][was]
+            for k in range(6):
+                boxes[node, k, child] = former[1][parent, k, number]
+            continue
         for k in range(3):
             for j in range(LEAF_SIZE):
                 here = count > 0 and k < points.shape[1]
@@ -220,10 +230,7 @@ def _fill(points: FloatArray, begin: IntArray, fresh: BoolArray, blocks: FloatAr
             boxes[node, k, child] = blocks[leaf, k].min() if count > 0 else np.inf
             boxes[node, 3 + k, child] = blocks[leaf, k].max() if count > 0 else -np.inf
     for node in range(nodes - 1, 0, -1):
-        if not other[node]:
-            continue
         parent, child = (node - 1) // FANOUT, (node - 1) % FANOUT
-        other[parent] = True
         for k in range(3):
             boxes[parent, k, child] = boxes[node, k].min()
             boxes[parent, 3 + k, child] = boxes[node, 3 + k].max()

@@ -51,9 +51,8 @@ def span(cells: BoolArray) -> tuple[int, int, int, int]:
 
 def widened(cells: BoolArray, by: int) -> BoolArray:
     """The cells and all within `by` cells of them along each axis."""
-    made = np.zeros_like(cells)
-    if cells.any():
-        box = window(cells, by)
+    made, box = np.zeros_like(cells), window(cells, by)
+    if box[0].start < box[0].stop:
         made[box] = highest_around(cells[box].view(np.uint8), by).view(bool)
     return made
 

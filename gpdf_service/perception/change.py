@@ -15,13 +15,14 @@ import numpy as np
 from gpdf_service.config import PerceptionConfig
 from gpdf_service.perception.cloud import Cloud, WholeError
 from gpdf_service.perception.levels import Levels, Survey, alone, change_levels
-from gpdf_service.perception.rows import taken
+from gpdf_service.perception.points import Points
 from gpdf_service.perception.segment import Segmentation, change_segmentation
 from gpdf_service.perception.strays import find_strays
-from gpdf_service.types import BoolArray, FloatArray
+from gpdf_service.types import BoolArray, FloatArray, IntArray
 
-Touched = tuple[BoolArray | None, ...]
-"""For each level the cells in which anything is another than before, shape (nx, ny), None where nothing is."""
+Touched = tuple[tuple[int, BoolArray | None], ...]
+"""For each level which one of those before it was made from, −1 where there was none, and the cells in which anything
+is another than there, shape (nx, ny), None where nothing is."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,15 +30,15 @@ class Perceived:
     """All that is known of a clean cloud; what a change starts from.
 
     Attributes:
-        points: The cloud [m], shape (n, 3).
-        ground: Which points are ground, shape (n,).
+        points: The cloud, by numbers up to n.
+        ground: Which points are ground, shape (n,); none that is not there.
         segmentation: What the ground was found from; None where it was given.
         levels: The sheets of ground.
         survey: What they were made of.
-        touched: Where the last change made anything another; empty after a build, and where levels came or went.
+        touched: Where the last change made anything another; empty after a build.
     """
 
-    points: FloatArray
+    points: Points
     ground: BoolArray
     segmentation: Segmentation | None
     levels: Levels
@@ -51,41 +52,44 @@ class Perceived:
 
 
 def change(
-    old: Perceived, points: FloatArray, keep: BoolArray, labels: BoolArray | None, config: PerceptionConfig
+    old: Perceived, gone: IntArray, fresh: FloatArray, labels: BoolArray | None, config: PerceptionConfig
 ) -> Perceived:
     """What is known after a change.
 
     Args:
         old: What was known.
-        points: Those that stay and, after them, those that are new [m], shape (n, 3).
-        keep: Which of the old points stay, shape (m,).
-        labels: Which points are ground; None where the segmentation says so.
+        gone: Numbers of the points that are there no more.
+        fresh: Those that are new [m], shape (k, 3).
+        labels: Which of these are ground, shape (k,), and the others as before; None where the segmentation says so.
         config: Limits.
 
     Raises:
         WholeError: the cloud has other bounds; build it as a whole.
         NoGroundError: nothing in it is walkable.
     """
-    stay = int(np.count_nonzero(keep))
-    places = np.concatenate([taken(old.points, np.flatnonzero(~keep)), points[stay:]])
+    places = np.concatenate([old.points.taken(gone), fresh])
     if len(places) == 0:
         same = tuple(range(len(old.levels.levels)))
-        return replace(old, survey=replace(old.survey, former=same), touched=tuple(None for _ in same))
-    cloud = Cloud(points, places)
-    none = np.zeros(len(points) - stay, dtype=bool)
-    before, stray = (np.concatenate([each[keep], none]) for each in (old.ground, old.survey.stray))
-    segmentation, ground = old.segmentation, labels
-    if ground is None:
+        return replace(old, survey=replace(old.survey, former=same), touched=tuple((k, None) for k in same))
+    cloud = Cloud(old.points.changed(gone, fresh), places)
+    before, stray = (
+        np.concatenate([each, np.zeros(len(fresh), dtype=bool)]) for each in (old.ground, old.survey.stray)
+    )
+    before[gone] = stray[gone] = False
+    segmentation = old.segmentation
+    if labels is None:
         if segmentation is None:
             raise WholeError
         segmentation, ground = change_segmentation(segmentation, cloud, before, config)
+    else:
+        ground = before.copy()
+        ground[len(old.ground) :] = labels
     cloud.add(before != ground)
     again = _change_strays(stray, cloud, alone(old.survey.layers.cell_width)) & ~ground
     cloud.add(again != stray)
     levels, survey = change_levels(old.survey, cloud, ground, again, config)
-    stayed = survey.former == tuple(range(len(old.levels.levels)))
-    touched = tuple(made.touched for made in survey.made) if stayed else ()
-    return Perceived(points, ground, segmentation, levels, survey, touched).lasting()
+    touched = tuple(zip(survey.former, (made.touched for made in survey.made), strict=True))
+    return Perceived(cloud.points, ground, segmentation, levels, survey, touched).lasting()
 
 
 def _change_strays(stray: BoolArray, cloud: Cloud, width: float) -> BoolArray:
@@ -93,7 +97,7 @@ def _change_strays(stray: BoolArray, cloud: Cloud, width: float) -> BoolArray:
     voxel = np.floor(cloud.places[:, :2] / width)
     low, high = voxel.min(axis=0), voxel.max(axis=0) + 1.0
     near = cloud.rows_in_box((low - 3.0) * width, (high + 3.0) * width)
-    points = taken(cloud.points, near)
+    points = cloud.points.taken(near)
     column = np.floor(points[:, :2] / width)  # one on, another may be alone now, and asks one further
     sure = ((column >= low - 1.0) & (column < high + 1.0)).all(axis=1)
     made = stray.copy()

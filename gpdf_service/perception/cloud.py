@@ -11,14 +11,13 @@ from gpdf_service.config import PerceptionConfig
 from gpdf_service.perception.boxes import Box, widened, window
 from gpdf_service.perception.columns import by_cell
 from gpdf_service.perception.layers import Layers, build_layers, grid_of, layer_gap, splice_layers
+from gpdf_service.perception.points import Points
 from gpdf_service.perception.rows import (
-    bounds_of,
     cells_in_box,
     chosen_rows,
     rows_in_box,
     rows_in_cells,
     rows_of_cells,
-    taken,
 )
 from gpdf_service.perception.surface import HeightMap
 from gpdf_service.types import BoolArray, FloatArray, IntArray
@@ -39,34 +38,33 @@ class Cloud:
     """A cloud, with the points around a change at hand by their cells: they are asked for again and again.
 
     Attributes:
-        points: All [m], shape (n, 3).
+        points: All, by numbers up to n.
         places: Where any came, went, or counts for something else than before [m], (k, 3); of a build nothing is told.
     """
 
-    def __init__(self, points: FloatArray, places: FloatArray) -> None:
+    def __init__(self, points: Points, places: FloatArray) -> None:
         self.points, self.places = points, places
         self._low = places[:, :2].min(axis=0, initial=np.inf) - AT_HAND
         self._high = places[:, :2].max(axis=0, initial=-np.inf) + AT_HAND
-        self._rows: IntArray = rows_in_box(points, self._low, self._high) if len(places) else np.zeros(0, np.int64)
-        self._near = taken(points, self._rows)
+        self._rows: IntArray = points.rows_in_box(self._low, self._high) if len(places) else np.zeros(0, np.int64)
+        self._near = points.taken(self._rows)
         self._sorted: dict[tuple[Any, ...], tuple[Box, IntArray, IntArray]] = {}
 
     def add(self, other: BoolArray) -> None:
         """The points that are `other`, shape (n,), count for something else, too."""
-        self.places = np.concatenate([self.places, taken(self.points, np.flatnonzero(other))])
+        self.places = np.concatenate([self.places, self.points.taken(np.flatnonzero(other))])
 
     def part(self, grid: Layers | HeightMap, wanted: BoolArray) -> tuple[Rows, FloatArray]:
-        """Rows of the points in the `wanted` cells of a grid, (nx, ny), sorted, and the points; if all are, of all."""
+        """Numbers of the points in the `wanted` cells of a grid, (nx, ny), and these points; if all are, of all."""
         if wanted.all():
-            return slice(None), self.points
+            return (slice(None) if self.points.untouched else np.flatnonzero(self.points.there)), self.points.present
         rows = self._rows_in(grid, wanted)
-        return rows, taken(self.points, rows)
+        return rows, self.points.taken(rows)
 
     def rows_in_box(self, low: FloatArray, high: FloatArray) -> IntArray:
-        """Rows of the points between `low` and `high` in plan [m], shape (2,); sorted."""
+        """Numbers of the points between `low` and `high` in plan [m], shape (2,); they ascend."""
         if (low < self._low).any() or (high > self._high).any():
-            whole: IntArray = rows_in_box(self.points, low, high)
-            return whole
+            return self.points.rows_in_box(low, high)
         return self._rows[rows_in_box(self._near, low, high)]
 
     def _rows_in(self, grid: Layers | HeightMap, wanted: BoolArray) -> IntArray:
@@ -75,8 +73,8 @@ class Cloud:
         x, y = window(wanted, 1)
         low, high = (grid.origin + grid.cell_width * np.array(end) for end in ((x.start, y.start), (x.stop, y.stop)))
         if (low < self._low).any() or (high > self._high).any():
-            whole: IntArray = rows_in_cells(self.points, grid.origin, grid.cell_width, wanted)
-            return whole
+            rows = self.points.rows_in_box(low, high)
+            return rows[rows_in_cells(self.points.taken(rows), grid.origin, grid.cell_width, wanted)]
         at_hand, start, order = self._by_cell(grid, wanted.shape)
         return self._rows[rows_of_cells(wanted[at_hand].ravel(), start, order)]
 
@@ -104,7 +102,7 @@ def change_layers(
     width, shape = layers.cell_width, np.array(layers.shape)
     index = np.floor((cloud.places[:, :2] - layers.origin) / width)
     if ((index < RIM) | (index >= shape - RIM)).any():
-        grid = grid_of(*bounds_of(cloud.points, chosen), width) if chosen.any() else None
+        grid = grid_of(*cloud.points.bounds(chosen), width) if chosen.any() else None
         if grid is None or (grid[0] != layers.origin).any() or grid[1] != layers.shape:
             raise WholeError
     cells = np.zeros(layers.shape, dtype=bool)

@@ -245,21 +245,76 @@ def tops_of_boards(
 
 
 @njit(cache=True, nogil=True)
+def ends_in_plan(cell: IntArray, ny: int, nodes: IntArray) -> tuple[tuple[int, int], tuple[int, int]]:
+    """First and last row, and first and last column, of the cells of some nodes; there must be one."""
+    left, right, near, far = cell[nodes[0]] // ny, cell[nodes[-1]] // ny, ny, 0  # nodes are sorted by cell
+    for i in nodes:
+        y = cell[i] % ny
+        near, far = min(near, y), max(far, y)
+    return (left, right), (near, far)
+
+
+@njit(cache=True, nogil=True)
 def heights_in_plan(
-    columns: Columns, nodes: IntArray, place: FloatArray, origin: FloatArray, width: float
+    columns: Columns,
+    nodes: IntArray,
+    place: FloatArray,
+    origin: FloatArray,
+    width: float,
+    first: tuple[int, int],
+    shape: tuple[int, int],
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """Height [m] of the one of the `nodes` in each cell, NaN where there is none, and its place from the cell's centre.
 
-    Shapes (nx, ny) and (nx, ny, 2).
+    Shapes (nx, ny) and (nx, ny, 2), of a box of cells with that `first` one, `origin` [m] and shape.
     """
-    cell, _, shape, height, _ = columns
+    cell, _, (_, columns_y), height, _ = columns
     made, off = np.full(shape, np.nan, np.float32), np.zeros((*shape, 2), np.float32)
     for i in nodes:
-        x, y = divmod(cell[i], shape[1])
+        x, y = cell[i] // columns_y - first[0], cell[i] % columns_y - first[1]
         made[x, y] = height[i]
         off[x, y, 0] = place[i, 0] - origin[0] - (x + 0.5) * width
         off[x, y, 1] = place[i, 1] - origin[1] - (y + 0.5) * width
     return made, off
+
+
+@njit(cache=True, nogil=True)
+def nodes_in_box(
+    start: IntArray, ny: int, corner: tuple[int, int], shape: tuple[int, int]
+) -> tuple[IntArray, IntArray, IntArray]:
+    """First node of each cell of a box in a grid of rows of `ny` cells, the cell of each node, and which it is of all.
+
+    Args:
+        start: First node of each cell of the grid, shape (cells + 1,).
+        ny: Of the grid.
+        corner: First cell of the box.
+        shape: Of the box.
+    """
+    first, count = np.zeros(shape[0] * shape[1] + 1, np.int64), 0
+    for x in range(shape[0]):
+        row = (corner[0] + x) * ny + corner[1]
+        count += start[row + shape[1]] - start[row]
+    cell, nodes, used = np.empty(count, np.int64), np.empty(count, np.int64), 0
+    for x in range(shape[0]):
+        for y in range(shape[1]):
+            c = (corner[0] + x) * ny + corner[1] + y
+            for node in range(start[c], start[c + 1]):
+                cell[used], nodes[used] = x * shape[1] + y, node
+                used += 1
+            first[x * shape[1] + y + 1] = used
+    return first, cell, nodes
+
+
+@njit(cache=True, nogil=True)
+def told_of(nodes: IntArray, place: FloatArray, told: tuple[FloatArray, ...]) -> tuple[FloatArray, FloatArray]:
+    """Places of some nodes, shape (k, 2), and what else is `told` of them, one row each."""
+    places, made = np.empty((len(nodes), 2)), np.empty((len(told), len(nodes)))
+    for i in range(len(nodes)):
+        places[i, 0], places[i, 1] = place[nodes[i], 0], place[nodes[i], 1]
+    for k in range(len(told)):
+        for i in range(len(nodes)):
+            made[k, i] = told[k][nodes[i]]
+    return places, made
 
 
 Runs = list[tuple[bool, slice]]

@@ -6,7 +6,6 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from gpdf_service.config import PerceptionConfig
@@ -21,8 +20,10 @@ from gpdf_service.perception.columns import (
     count_nodes,
     cut_columns,
     kth_beside,
+    nodes_in_box,
     runs_of,
     starts_spliced,
+    told_of,
     tops_of_boards,
     values_spliced,
     write_nodes,
@@ -180,7 +181,8 @@ def grid_of(low: FloatArray, high: FloatArray, cell_width: float) -> tuple[Float
     return origin, (int(shape[0]), int(shape[1]))
 
 
-_OWN = "cell", "place", "height", "top", "thickness", "headroom", "middle", "face"
+_TOLD = "height", "top", "thickness", "headroom", "middle", "face"
+_OWN = "cell", "place", *_TOLD
 """What is told of each node."""
 
 
@@ -219,21 +221,12 @@ def steady(layers: Layers, label: IntArray) -> IntArray:
 def crop_layers(layers: Layers, box: Box, by: int = 0) -> tuple[Layers, IntArray]:
     """The layers of a box of cells and `by` around it, and which nodes of all they are, shape (k,)."""
     rows, columns = grown(box, by, layers.shape)
-    begin, end = (starts.reshape(layers.shape)[rows, columns] for starts in (layers.start[:-1], layers.start[1:]))
-    count = (end - begin).ravel()
-    start, cell = np.concatenate([[0], np.cumsum(count)]), np.repeat(np.arange(len(count)), count)
-    runs = [
-        slice(*ends) for ends in zip(begin[:, 0].tolist(), end[:, -1].tolist(), strict=True)
-    ]  # a row's lie together
-
-    def of(values: NDArray[Any]) -> NDArray[Any]:
-        return np.concatenate([values[run] for run in runs])
-
-    origin = layers.origin + layers.cell_width * np.array([rows.start, columns.start])
-    shape = rows.stop - rows.start, columns.stop - columns.start
-    own: dict[str, Any] = {name: of(getattr(layers, name)) for name in _OWN} | {"cell": cell}
-    nodes = np.concatenate([np.arange(run.start, run.stop) for run in runs])
-    return replace(layers, origin=origin, shape=shape, **own, start=start), nodes
+    first, shape = (rows.start, columns.start), (rows.stop - rows.start, columns.stop - columns.start)
+    start, cell, nodes = nodes_in_box(layers.start, layers.shape[1], first, shape)
+    place, told = told_of(nodes, layers.place, tuple(getattr(layers, name) for name in _TOLD))
+    own: dict[str, Any] = dict(zip(_TOLD, told, strict=True))
+    origin = layers.origin + layers.cell_width * np.array(first)
+    return Layers(origin, layers.cell_width, shape, layers.board, cell, place, start=start, **own), nodes
 
 
 def build_layers(

@@ -17,11 +17,12 @@ from gpdf_service.errors import NoGroundError
 from gpdf_service.fields.shapes import FEWEST
 from gpdf_service.fields.threads import run_beside, run_chunked, run_parallel
 from gpdf_service.perception.beside import Beside, beside, beside_now
-from gpdf_service.perception.boxes import WHOLE, Box, highest_around, lowest_around, widened
+from gpdf_service.perception.boxes import WHOLE, Box, highest_around, lowest_around, widened, window
 from gpdf_service.perception.budget import KEPT_BYTES, LEVEL_BYTES, check_grid, give_back
 from gpdf_service.perception.cloud import Cloud, Rows, change_layers
 from gpdf_service.perception.columns import (
     by_cell,
+    ends_in_plan,
     ends_of_runs,
     heights_in_plan,
     lowest_above,
@@ -38,7 +39,6 @@ from gpdf_service.perception.layers import (
     Layers,
     build_layers,
     cell_width_of,
-    crop_layers,
     layer_gap,
     same_nodes,
     widest_cell,
@@ -53,6 +53,7 @@ from gpdf_service.perception.limits import (
     step_and_slope,
 )
 from gpdf_service.perception.notches import FLIGHT, NOTCH_DEPTH, between_treads
+from gpdf_service.perception.points import Points, points_of
 from gpdf_service.perception.rays import Rays, seen_by_rays
 from gpdf_service.perception.rows import between, chosen_rows, extent_within, rows_by_cell, taken, under
 from gpdf_service.perception.segment import LEAST_SCATTER
@@ -189,7 +190,7 @@ class _Site:
     """What all levels of a cloud are made of.
 
     Attributes:
-        cloud: Its points.
+        cloud: Its points, by numbers up to n.
         ground: Which of them are ground, shape (n,).
         stray: Which count for nothing, shape (n,).
         layers: Of the ground points.
@@ -217,6 +218,7 @@ def survey_levels(
     width: float | None = None,
     noise: float = 0.0,
     rays: Rays | None = None,
+    held: Points | None = None,
 ) -> tuple[Levels, Survey]:
     """Build the sheets from labelled points, and say what they were made of.
 
@@ -227,6 +229,7 @@ def survey_levels(
         width: Of the cells [m]; measured on the ground when not given.
         noise: Standard deviation that the points had before they were cured [m].
         rays: Of the scan, where they are known: they tell what inferred ground is free, and not rules.
+        held: The same points, where the versions that follow share them.
 
     Raises:
         NoGroundError: no point is ground.
@@ -250,13 +253,15 @@ def survey_levels(
     if not sheets:
         found = f"no piece of the ground is as large as three by three cells of {width:.2g} m"
         raise NoGroundError("ground", found, "Are its samples further apart than a foot bridges? Scan it more densely.")
-    kept = sum(np.prod(sheet_part(near.layers, sheet)[0].shape) for sheet in sheets) / np.prod(near.layers.shape) - 1.0
+    kept = sum(np.prod(part_of(near.layers, sheet).shape) for sheet in sheets) / np.prod(near.layers.shape) - 1.0
     check_grid(floor, len(points), width, LEVEL_BYTES + KEPT_BYTES * max(kept, 0.0), config)
     stray &= ~ground
     del floor
     cells = np.ones(near.layers.shape, dtype=bool)
     return _levels_of(
-        _Site(Cloud(points, points[:0]), ground, stray, near.layers, cells, config, noise, rays), near, sheets
+        _Site(Cloud(held or points_of(points), points[:0]), ground, stray, near.layers, cells, config, noise, rays),
+        near,
+        sheets,
     )
 
 
@@ -280,23 +285,23 @@ def _levels_of(
     site: _Site, near: Beside, sheets: tuple[BoolArray, ...], before: tuple[Made, ...] = ()
 ) -> tuple[Levels, Survey]:
     """The levels of the sheets, each made from the one before with the same box, if there is one."""
-    parts, left, former = [sheet_part(site.layers, sheet) for sheet in sheets], list(range(len(before))), []
-    for own, _ in parts:
-        same = [k for k in left if _same_box(before[k].level.surface, own)][:1]
+    parts, left, former = [part_of(site.layers, sheet) for sheet in sheets], list(range(len(before))), []
+    for part in parts:
+        same = [k for k in left if _same_box(before[k].level.surface, part)][:1]
         left = [k for k in left if k not in same]
         former.append(same[0] if same else -1)
 
     def make(i: int) -> Made:
-        return _make_level(site, sheets[i], *parts[i], before[former[i]] if former[i] >= 0 else None)
+        return _make_level(site, sheets[i], parts[i], before[former[i]] if former[i] >= 0 else None)
 
     made = tuple(run_parallel(make, range(len(sheets))))
     levels = Levels(tuple(each.level for each in made), find_portals(near.layers, sheets))
     return levels, Survey(near, site.stray, sheets, made, tuple(former))
 
 
-def _same_box(surface: HeightMap, layers: Layers) -> bool:
-    """Whether a height map's cells are those of layers."""
-    return surface.state.shape == layers.shape and bool((surface.origin == layers.origin).all())
+def _same_box(surface: HeightMap, part: Part) -> bool:
+    """Whether a height map's cells are those of a part."""
+    return surface.state.shape == part.shape and bool((surface.origin == part.origin).all())
 
 
 def find_portals(layers: Layers, sheets: tuple[BoolArray, ...]) -> tuple[Portal, ...]:
@@ -329,36 +334,41 @@ def count_undecided(level: GroundLevel, noise: float = 0.0) -> int:
     return int(np.count_nonzero(off <= 2.0 * max(LEAST_SCATTER, 3.0 * noise)))
 
 
-def sheet_part(layers: Layers, inside: BoolArray) -> tuple[Layers, BoolArray]:
-    """The layers that hold the sheet of the nodes `inside`, shape (k,), and what decides on it; which it is of theirs.
+class Part(NamedTuple):
+    """The nodes of a sheet, and the box of cells that holds it: its lower corner [m], first cell and shape."""
+
+    nodes: IntArray
+    origin: FloatArray
+    first: tuple[int, int]
+    shape: tuple[int, int]
+
+
+def part_of(layers: Layers, sheet: BoolArray) -> Part:
+    """The box that holds the sheet of these nodes, shape (k,), and what decides on it.
 
     What stands beside a sheet counts within `OVERLAP`, and no hole in it is wider. The box is one of whole blocks of
     cells: so it stays where the ground changes a little.
     """
-    nodes, by, block = np.flatnonzero(inside), ceil(OVERLAP / layers.cell_width) + 1, BLOCK
-    ends = [(int(each.min()) - by, int(each.max()) + by) for each in np.divmod(layers.cell[nodes], layers.shape[1])]
-    rows, columns = (
-        slice(max(low // block * block, 0), min((high // block + 1) * block, size))
-        for (low, high), size in zip(ends, layers.shape, strict=True)
+    nodes, by = np.flatnonzero(sheet), ceil(OVERLAP / layers.cell_width) + 1
+    (x, end_x), (y, end_y) = (
+        (max((low - by) // BLOCK * BLOCK, 0), min(((high + by) // BLOCK + 1) * BLOCK, size))
+        for (low, high), size in zip(ends_in_plan(layers.cell, layers.shape[1], nodes), layers.shape, strict=True)
     )
-    if (rows.stop - rows.start, columns.stop - columns.start) == layers.shape:
-        return layers, inside
-    part, chosen = crop_layers(layers, (rows, columns))
-    return part, inside[chosen]
+    return Part(nodes, layers.origin + layers.cell_width * np.array([x, y]), (x, y), (end_x - x, end_y - y))
 
 
-def _make_level(site: _Site, sheet: BoolArray, own: Layers, inside: BoolArray, before: Made | None) -> Made:
-    """The level of the nodes of a `sheet`, see `sheet_part`. A build is a change from `_nothing`.
+def _make_level(site: _Site, sheet: BoolArray, part: Part, before: Made | None) -> Made:
+    """The level of the nodes of a `sheet`. A build is a change from `_nothing`.
 
     What a cell holds depends on the points of its column and on cells within a known reach: so only the cells are
     looked at, and the points in them read, for which any of this is another than before.
     """
-    was, columns = before or _nothing(own), np.ones(own.shape, dtype=bool)
+    (x, y), (nx, ny), config = part.first, part.shape, site.config
+    was, columns = before or _nothing(part, site.layers.cell_width), np.ones(part.shape, dtype=bool)
     if before is not None:
-        x, y = np.round((own.origin - site.layers.origin) / own.cell_width).astype(int)
-        columns = site.cells[x : x + own.shape[0], y : y + own.shape[1]]
-    grid, config = was.grid.now(columns), site.config
-    seen = sheet_surface(grid, own, np.flatnonzero(inside), config.max_step, site.noise)
+        columns = site.cells[x : x + nx, y : y + ny]
+    grid = was.grid.now(columns)
+    seen = sheet_surface(grid, site.layers, part, config.max_step, site.noise)
     if not grid.felt("seen", 0, *grid.known["seen"].given, points=True).any():
         return replace(was, touched=None)
     near = nearest_seen(seen)
@@ -379,13 +389,13 @@ def _make_level(site: _Site, sheet: BoolArray, own: Layers, inside: BoolArray, b
     return Made(GroundLevel(surface, held.points, ledge, limits, measured), grid.lasting(), held.first, touched)
 
 
-def _nothing(layers: Layers) -> Made:
-    """What is known of a level before anything was scanned."""
-    height, count = np.full(layers.shape, np.nan, np.float32), layers.shape[0] * layers.shape[1]
-    surface = HeightMap(layers.origin, layers.cell_width, height, np.zeros(layers.shape, np.uint8))
+def _nothing(part: Part, width: float) -> Made:
+    """What is known of a level before anything was scanned, in cells of that `width` [m]."""
+    height, count = np.full(part.shape, np.nan, np.float32), part.shape[0] * part.shape[1]
+    surface = HeightMap(part.origin, width, height, np.zeros(part.shape, np.uint8))
     limits, measured = GroundLimits(*np.zeros((3, 0))), (np.zeros(0), np.zeros(0))
     level = GroundLevel(surface, np.zeros((0, 3)), np.zeros(0, np.float32), limits, measured)
-    return Made(level, new_grid(layers.shape), np.zeros(count + 1, np.int64), None)
+    return Made(level, new_grid(part.shape), np.zeros(count + 1, np.int64), None)
 
 
 class _Others(NamedTuple):
@@ -419,15 +429,20 @@ def _find_others(site: _Site, sheet: BoolArray, seen: HeightMap, near: Nearest, 
     cell, stray, ground, out = cells_within(points, seen), site.stray[rows], site.ground[rows], seen.state.size
     own = site.layers.grid, sheet, out  # what is out is as those outside: in no cell
     run_chunked(lambda a, b: take_out(points[a:b], stray[a:b], ground[a:b], *own, cell[a:b]), len(points))
+    box, told = window(cells, 0), grid.former.get("voids")
+    part, shown, inside, z = cropped(seen, box), Nearest(near.distance[box], near.height[box]), cell, points[:, 2]
+    if part.state.size < out:
+        inside = np.where(cell == out, part.state.size, cells_within(points, seen, box))
     near_by, found = run_beside(
-        partial(between, cell, points[:, 2], under(low - width), high + TALLEST),
-        partial(find_voids, seen, near, treads, rim, cell, points[:, 2], max_step),
+        partial(between, inside, z, under(low[box] - width), high[box] + TALLEST),
+        partial(find_voids, part, shown, treads[box], rim[box], inside, z, max_step),
     )
-    told = grid.former.get("voids")
-    voids = (
-        found if told is None else tuple(np.where(cells, now, old) for now, old in zip(found, told.made, strict=True))
-    )
-    grid.known["voids"] = Told(given, voids)
+    if told is not None:
+        voids = tuple(each.copy() for each in told.made)
+        for now, old in zip(found, voids, strict=True):
+            old[box] = np.where(cells[box], now, old[box])
+        found = voids
+    grid.known["voids"] = Told(given, found)
     cell[~near_by] = out
     begin, order = by_cell(cell, out + 1)
     fresh, begin, flat = taken(points, order[: begin[-2]]), begin[:-1], cells.ravel()
@@ -445,7 +460,7 @@ def _find_ledges_in(site: _Site, surface: HeightMap, held: _Others, asked: BoolA
         x, y = outer = grown(box, reach, shape)
         ends = (x.start, y.start), (x.stop, y.stop)
         rows = site.cloud.rows_in_box(*(surface.origin + surface.cell_width * np.array(end) for end in ends))
-        own, floor = rows_in(held.first, box, shape), taken(site.cloud.points, rows[site.ground[rows]])
+        own, floor = rows_in(held.first, box, shape), site.cloud.points.taken(rows[site.ground[rows]])
         ledge[own] = find_ledges(surface, floor, held.points[own], site.config.max_step, site.noise, outer)
     return ledge
 
@@ -463,15 +478,18 @@ def measure(grid: Grid, surface: HeightMap, guarded: BoolArray) -> tuple[Measure
     return (step, slope), find_limits(surface, guarded, (step, slope), ridge)
 
 
-def sheet_surface(grid: Grid, layers: Layers, nodes: IntArray, max_step: float, noise: float = 0.0) -> HeightMap:
+def sheet_surface(grid: Grid, layers: Layers, part: Part, max_step: float, noise: float = 0.0) -> HeightMap:
     """The ground of a sheet as it was seen, at the centres of its cells; the `noise` is that before the cure [m].
 
     What a flight is tells `max_step` [m], see `bridged`.
     """
-    height, off = heights_in_plan(layers.columns, nodes, layers.place, layers.origin, layers.cell_width)
-    whole = HeightMap(layers.origin, layers.cell_width, height, np.zeros(layers.shape, np.uint8))
+    nodes, origin, *box = part
+    height, off = heights_in_plan(layers.columns, nodes, layers.place, origin, layers.cell_width, *box)
+    pairs = off.view(np.complex64)[..., 0]  # each two in one, to be compared at once
+    whole = HeightMap(part.origin, layers.cell_width, height, np.zeros(part.shape, np.uint8))
 
-    def answer(box: Box, height: NDArray[np.float32], off: NDArray[np.float32]) -> tuple[NDArray[np.float32]]:
+    def answer(box: Box, height: NDArray[np.float32], pairs: NDArray[np.complex64]) -> tuple[NDArray[np.float32]]:
+        off = np.ascontiguousarray(pairs)[..., None].view(np.float32)
         state = np.where(np.isnan(height), UNKNOWN, OBSERVED).astype(np.uint8)
         seen = replace(cropped(whole, box), height=height, state=state)
         surface = without_outliers(seen, RESOLVED_STEP * noise)
@@ -481,7 +499,7 @@ def sheet_surface(grid: Grid, layers: Layers, nodes: IntArray, max_step: float, 
         return (bridged(made, max_step).height,)
 
     reach = max(whole.state.shape) if noise > 0.0 else 1 + footing_reach(whole)  # noise is smoothed further off
-    (made,) = grid.around("seen", reach, answer, height, off)
+    (made,) = grid.around("seen", reach, answer, height, pairs)
     return replace(whole, height=made, state=np.where(np.isnan(made), UNKNOWN, OBSERVED).astype(np.uint8))
 
 

@@ -13,10 +13,10 @@ from scipy import ndimage
 
 from gpdf_service.config import PerceptionConfig
 from gpdf_service.fields.threads import run_chunked
-from gpdf_service.perception.boxes import highest_around, widened
+from gpdf_service.kernel_cache import lean
 from gpdf_service.perception.footing import ROUGH, flights
 from gpdf_service.perception.strides import HALF_FOOT, SECTORS, STRIDE, sector_of
-from gpdf_service.perception.surface import UNKNOWN, HeightMap
+from gpdf_service.perception.surface import UNKNOWN, Cells, HeightMap
 from gpdf_service.types import BoolArray, FloatArray, IntArray
 
 FOOT = 0.1
@@ -67,25 +67,72 @@ def find_limits(surface: HeightMap, material: BoolArray, measured: Measured, rid
         measured: Its `step_and_slope`.
         ridge: Its `ridges`, shape (nx, ny).
     """
-    step, slope = measured
-    known = surface.state != UNKNOWN
-    edge = widened(known, 1) & ~known & ~material
-    beside = highest_around(np.where(known, surface.height, -np.inf), 1)
-    edge_map = HeightMap(surface.origin, surface.cell_width, np.where(edge, beside, np.nan), surface.state)
-    stepped, sloped = known & (step > LEAST_STEP), known & (slope > 0.0)
-    none = np.broadcast_to(np.inf, known.shape)
-    parts = (
-        (surface, stepped, ObstacleKind.STEP, step),
-        (surface, sloped, ObstacleKind.SLOPE, slope),
-        (edge_map, edge, ObstacleKind.UNKNOWN, none),
-        (surface, ridge, ObstacleKind.MATERIAL, none),
-    )
-    ends = np.cumsum([0, *(np.count_nonzero(cells) for _, cells, _, _ in parts)]).tolist()
-    made = GroundLimits(np.empty((ends[-1], 3)), np.empty(ends[-1], np.uint8), np.empty(ends[-1]))
-    for (ground, cells, kind, value), own in zip(parts, map(slice, ends, ends[1:]), strict=True):
-        ground.put_centres(cells, made.points[own])
-        made.kind[own], made.value[own] = kind, value[cells]
+    own, none = (surface.arrays, material, *measured, ridge), (np.zeros((0, 3)), np.zeros(0))
+    count = _put_limits(*own, (0, 0, 0, 0), *none)
+    ends = (0, *np.cumsum(count).tolist())
+    made = GroundLimits(np.empty((ends[-1], 3)), np.repeat(_KINDS, count), np.full(ends[-1], np.inf))
+    _put_limits(*own, ends[:-1], made.points, made.value)
     return made
+
+
+_KINDS = np.array([ObstacleKind.STEP, ObstacleKind.SLOPE, ObstacleKind.UNKNOWN, ObstacleKind.MATERIAL], np.uint8)
+"""In the order of the limits."""
+
+
+@njit(cache=True, nogil=True)
+def _put_limits(
+    ground: Cells,
+    material: BoolArray,
+    step: FloatArray,
+    slope: FloatArray,
+    ridge: BoolArray,
+    begin: tuple[int, int, int, int],
+    points: FloatArray,
+    values: FloatArray,
+) -> tuple[int, int, int, int]:
+    """Write points and values of the limits, those of the k-th kind from row `begin[k]` on; behind their last rows.
+
+    Into empty arrays nothing is written.
+    """
+    steps, slopes, edges, ridges = begin
+    for x in range(material.shape[0]):
+        for y in range(material.shape[1]):
+            height = float(ground.height[x, y])
+            if ground.state[x, y] != UNKNOWN:
+                if step[x, y] > LEAST_STEP:
+                    steps = _put_limit(ground, x, y, height, step[x, y], points, values, steps)
+                if slope[x, y] > 0.0:
+                    slopes = _put_limit(ground, x, y, height, slope[x, y], points, values, slopes)
+            elif not material[x, y]:
+                beside = _highest_known(ground, x, y)
+                if beside > -np.inf:
+                    edges = _put_limit(ground, x, y, beside, np.inf, points, values, edges)
+            if ridge[x, y]:
+                ridges = _put_limit(ground, x, y, height, np.inf, points, values, ridges)
+    return steps, slopes, edges, ridges
+
+
+@lean()
+def _put_limit(
+    ground: Cells, x: int, y: int, height: float, value: float, points: FloatArray, values: FloatArray, row: int
+) -> int:
+    """Write one limit over the middle of a cell into a row, if there are rows; the next row."""
+    if len(points) > 0:
+        points[row, 0] = ground.origin[0] + (x + 0.5) * ground.width
+        points[row, 1] = ground.origin[1] + (y + 0.5) * ground.width
+        points[row, 2], values[row] = height, value
+    return row + 1
+
+
+@lean()
+def _highest_known(ground: Cells, x: int, y: int) -> float:
+    """Height of the highest known ground beside a cell [m], −inf where there is none."""
+    highest = -np.inf
+    for u in range(max(x - 1, 0), min(x + 2, len(ground.state))):
+        for v in range(max(y - 1, 0), min(y + 2, ground.state.shape[1])):
+            if ground.state[u, v] != UNKNOWN:
+                highest = max(highest, float(ground.height[u, v]))
+    return highest
 
 
 def limits_reach(surface: HeightMap) -> int:

@@ -14,6 +14,7 @@ from gpdf_service.perception.footing import ROUGH, footing_reach, is_tread, on_t
 from gpdf_service.perception.levels import FACE, LEAST_OBSTACLE, GroundLevel, astray
 from gpdf_service.perception.limits import ObstacleKind
 from gpdf_service.perception.nearest import nearest_of
+from gpdf_service.perception.points import Points
 from gpdf_service.perception.rows import between, chosen_rows, under
 from gpdf_service.perception.strides import SOLE, STRIDE
 from gpdf_service.perception.surface import INFERRED, UNKNOWN, Cells, HeightMap, cells_within
@@ -229,13 +230,17 @@ def _faces(
         face[m] = ledge <= foot + max_step or (np.isfinite(lowest) and z <= lowest + scatter)
 
 
-def are_voxels(z: FloatArray) -> bool:
-    """Whether heights, shape (n,) [m], are those of voxels that are larger than what stops no body.
+def are_voxels(points: Points) -> bool:
+    """Whether points lie at heights of voxels that are larger than what stops no body.
 
     Then all lie on rungs, and two surfaces that differ by less than a voxel are as high, or a whole voxel apart.
     """
-    pitch = _pitch(z[:: max(1, len(z) // _FIRST)])  # nearly always a first look tells
-    return pitch > 0.0 and (_on_rungs(z - z[0], pitch) or _pitch(z) > 0.0)
+    first = points.numbers(np.arange(0, points.count, max(1, points.count // _FIRST)))
+    pitch = _pitch(points.taken(first)[:, 2])
+    if pitch == 0.0:  # nearly always a first look tells
+        return False
+    z = points.present[:, 2]
+    return _on_rungs(z - z[0], pitch) or _pitch(z) > 0.0
 
 
 def _pitch(z: FloatArray) -> float:

@@ -34,6 +34,7 @@ from gpdf_service.perception.nodes import (
     held_by,
     lowest_beside,
     mean_gradients,
+    numbered_among,
     off_ground,
     over_kept,
     touched_by,
@@ -197,7 +198,7 @@ def change_segmentation(
     old: Segmentation, cloud: Cloud, before: BoolArray, config: PerceptionConfig
 ) -> tuple[Segmentation, BoolArray]:
     """The segmentation of a changed cloud, and its ground, where `before` is what it was, shape (n,)."""
-    layers, cells = change_layers(old.layers, cloud, np.ones(len(before), dtype=bool), config)
+    layers, cells = change_layers(old.layers, cloud, cloud.points.there, config)
     near = beside_now(old.near, layers, cells)
     found = segment_layers(near, config, deviation=old.deviation, relief=old.relief)
     rows, points = cloud.part(layers, near.other_answers("extents"))
@@ -374,8 +375,8 @@ def _roofs(near: Beside, smooth: BoolArray, flat: BoolArray, rise: float, config
     """
     off = smooth & ~flat
     piece, loose, _ = near.pieces(off, rise, smooth)
-    nodes = np.flatnonzero(off)
-    own, count = piece[nodes], int(piece.max(initial=0)) + 1
+    nodes, (piece, count) = np.flatnonzero(off), numbered_among(piece, off)
+    own = piece[nodes]
     large = np.bincount(own, minlength=count) * near.layers.cell_width**2 > TABLE_AREA  # or it is the side of a tread
     if not large.any():
         return np.zeros(len(off), dtype=bool)

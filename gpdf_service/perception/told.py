@@ -101,7 +101,7 @@ class Grid:
             name: Of the question.
             reach: Cells within which what is given, and the points, decide on the answer.
             answer: Called with a box of cells and what is given for them.
-            given: Arrays of shape (nx, ny, …).
+            given: Arrays of shape (nx, ny).
             points: Whether the answer asks the points that the cells hold, too.
         """
         felt, was = self.felt(name, reach, *given, points=points), self.former.get(name)
@@ -126,8 +126,7 @@ class Grid:
         felt = self.others.copy() if points else np.zeros_like(self.others)
         for one, another in zip(given, self.former[name].given, strict=True):
             if one is not another:
-                other = unlike(one, another)
-                felt |= other.any(axis=2) if other.ndim > 2 else other
+                felt |= unlike(one, another)
         return widened(felt, reach)
 
     def other_answers(self, *names: str) -> BoolArray:

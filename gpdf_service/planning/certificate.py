@@ -16,6 +16,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from gpdf_service.fields import FieldArrays, sample_at
+from gpdf_service.fields.traversal import bracket_at
 from gpdf_service.fields.tree import Scratch, make_scratch
 from gpdf_service.kernel_cache import lean
 from gpdf_service.perception.limits import LEAST_STEP
@@ -24,6 +25,7 @@ from gpdf_service.planning.footprint import travel_headings
 from gpdf_service.planning.words import place_words
 from gpdf_service.search import FreeSpace
 from gpdf_service.search.motion import least_distance
+from gpdf_service.search.places import Places
 from gpdf_service.types import BoolArray, Certificate, FloatArray, IntArray
 
 RESOLUTION = 1e-3
@@ -84,19 +86,15 @@ def certify(
     step = slope = spacing = 0.0
     unknown = False
     for part, on in _runs(level):
-        path = ground[part]
-        least, at = min_distance(space, on, path[:, :2], headings[part])
-        if least < space.reach <= least + RESOLUTION:
-            least, at = min_distance(space, on, path[:, :2], headings[part], FINEST)
-        if least - space.reach < clearance:
-            clearance = least - space.reach
-            where = np.append(at, path[np.linalg.norm(path[:, :2] - at, axis=1).argmin(), 2])
-        ground_is = space.surfaces[on].arrays, space.steps[on], space.slopes[on], space.ground_fields[on].arrays
-        seen = _look(path, positions[part], headings[part], agent.offsets, agent.height, *ground_is)
-        unknown, step, slope = unknown or seen.unknown, max(step, seen.step), max(slope, seen.slope)
-        spacing = max(spacing, _coarsest_spacing(path, agent.radius, space.surfaces[on].arrays))
+        body = agent.offsets, space.reach, agent.radius, agent.height
+        known = space.surfaces[on].arrays, space.steps[on], space.slopes[on], space.ground_fields[on].arrays
+        seen = _prove(space.trees[on], ground[part], positions[part], headings[part], *body, *known)
+        if seen.clearance < clearance:
+            clearance, where = seen.clearance, seen.where
         if seen.deviation > deviation:
             deviation, off_at = seen.deviation, seen.off_at
+        unknown, step, slope = unknown or seen.unknown, max(step, seen.step), max(slope, seen.slope)
+        spacing = max(spacing, seen.spacing)
     reason = ""
     if clearance < 0:
         reason = f"the body would touch an obstacle: {-1000 * clearance:.0f} mm too little room at {place_words(where)}"
@@ -112,7 +110,7 @@ def certify(
 
 def _runs(level: IntArray) -> list[tuple[slice, int]]:
     """Pieces of the path on one level; neighbouring pieces share the waypoint where they meet."""
-    cuts = [0, *(np.flatnonzero(np.diff(level)) + 1).tolist(), len(level)]
+    cuts = [0, *_changes(level), len(level)]
     return [
         (slice(max(a - 1, 0), b), int(level[a]))
         if b - a + (a > 0) > 1
@@ -121,33 +119,55 @@ def _runs(level: IntArray) -> list[tuple[slice, int]]:
     ]
 
 
-class _Seen(NamedTuple):
-    """Of the ground under a piece of the path, and of the top over it; what they are is said at `Certificate`."""
+@njit(cache=True, nogil=True)
+def _changes(level: IntArray) -> list[int]:
+    """Where another level begins."""
+    return [i for i in range(1, len(level)) if level[i] != level[i - 1]]
 
+
+class _Seen(NamedTuple):
+    """Of a piece of the path on one level; what they are is said at `Certificate`."""
+
+    clearance: float
+    where: FloatArray
     unknown: bool
     deviation: float
     off_at: FloatArray
     step: float
     slope: float
+    spacing: float
 
 
 @njit(cache=True, nogil=True)
-def _look(
+def _prove(
+    obstacles: Places,
     path: FloatArray,
     tops: FloatArray,
     headings: FloatArray,
     offsets: FloatArray,
+    reach: float,
+    radius: float,
     height: float,
     ground: Cells,
     steps: FloatArray,
     slopes: FloatArray,
     field: FieldArrays,
 ) -> _Seen:
-    """Look at a piece of the path, a fifth of a cell at a time, and at the height of the top; see `SAMPLE`."""
-    off_at = path[0].copy()
+    """What is proven of a piece: its least distance, and its ground and its tops, looked at as `SAMPLE` says."""
+    poses, where, off_at, nearest = path.copy(), path[0].copy(), path[0].copy(), np.inf
+    poses[:, 2] = headings
+    least, at = least_distance(obstacles, poses, offsets, RESOLUTION)
+    if least < reach <= least + RESOLUTION:
+        least, at = least_distance(obstacles, poses, offsets, FINEST)
+    for i in range(len(path)):
+        far2 = (path[i, 0] - at[0]) ** 2 + (path[i, 1] - at[1]) ** 2
+        if far2 < nearest:
+            nearest, where[2] = far2, path[i, 2]
+    where[:2] = at
     own = ground, steps, slopes, field, make_scratch(), np.empty(3), off_at
     unknown, deviation, step, slope = _look_along(path, tops, headings, offsets, height, *own)
-    return _Seen(unknown, deviation, off_at, step, slope)
+    spacing = _coarsest_spacing(path, radius, ground)
+    return _Seen(least - reach, where, unknown, deviation, off_at, step, slope, spacing)
 
 
 @lean()
@@ -165,7 +185,7 @@ def _look_along(
     along: FloatArray,
     off_at: FloatArray,
 ) -> tuple[bool, float, float, float]:
-    """What `_look` sees; writes where the top is furthest off."""
+    """Whether ground is unknown, how far the top is off, steps and slopes; writes where the top is furthest off."""
     unknown, deviation, step, slope = False, 0.0, 0.0, 0.0
     looks, last, spare = 0, len(path) - 2, 0.0
     sample = max(SAMPLE, CELL_SHARE * ground.width)
@@ -189,7 +209,11 @@ def _look_along(
             spare -= length / count  # a distance changes by no more than what the top has moved
             if (looks % every == 0 or (i == last and k == count)) and off > deviation and spare <= 0.0:
                 if known:  # the ground's field is asked only where the path is as far off as it was found to be
-                    off = min(off, abs(sample_at(field, top, scratch, along) - height))
+                    low, high = bracket_at(field, top, scratch)
+                    most = max(high - height, height - low)
+                    if most > deviation:  # else it is nowhere between them as far off
+                        most = abs(sample_at(field, top, scratch, along) - height)
+                    off = min(off, most)
                     spare = deviation - off
                 if off > deviation:
                     deviation, off_at[0], off_at[1], off_at[2] = off, x, y, z

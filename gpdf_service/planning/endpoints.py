@@ -11,7 +11,7 @@ import numpy as np
 from scipy import ndimage
 
 from gpdf_service.perception import ObstacleKind
-from gpdf_service.perception.surface import UNKNOWN, is_same_ground
+from gpdf_service.perception.surface import UNKNOWN, height_of, is_same_ground
 from gpdf_service.planning.certificate import FINEST
 from gpdf_service.planning.footprint import disc_places
 from gpdf_service.planning.words import metres, place_words
@@ -122,7 +122,7 @@ def find_endpoint(space: FreeSpace, place: FloatArray, name: str) -> Endpoint | 
     outside = Status.START_OUTSIDE_MAP if name == "start" else Status.GOAL_OUTSIDE_MAP
     occupied = Status.START_OCCUPIED if name == "start" else Status.GOAL_OCCUPIED
     xy = place[None, :2]
-    over = {level: float(space.surfaces[level].height_at(xy)[0]) for level in _maps_over(space, place)}
+    over = {level: float(height_of(space.surfaces[level].arrays, *place[:2])) for level in _maps_over(space, place)}
     heights = {level: z for level, z in over.items() if not isnan(z)}
     if not heights:
         near = nearest_free(space, place, SAME_GROUND)

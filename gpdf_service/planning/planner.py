@@ -24,7 +24,7 @@ from gpdf_service.planning.no_path import explain_no_path
 from gpdf_service.planning.others import find_others
 from gpdf_service.planning.portals import Bent, Meet, bend_over, pull_over
 from gpdf_service.planning.routes import Leg, Route, Wish, find_cut, find_routes, steps_of, take_up, way_takes_of
-from gpdf_service.planning.shape import distinct, resample, spline, stand_up
+from gpdf_service.planning.shape import rounded, stand_up, waypoints
 from gpdf_service.planning.timing import speed_limit
 from gpdf_service.planning.turning import Facing, Stuck, time_poses, turn_route
 from gpdf_service.search import FreeSpace, Prefer, Ways, prices
@@ -42,6 +42,7 @@ WAYPOINTS_PER_SECOND = 300_000
 """Waypoints that the optimiser looks at in a second: with a deadline, it takes no more steps than there is time for."""
 STILL = 1e-9
 """[m] What moves less stands."""
+LATE = "the deadline passed before a path was certified. Allow more time."
 WALL = 1000.0
 """[1/m] A millimetre too near, which is what the certificate resolves, doubles the push away."""
 
@@ -139,12 +140,11 @@ def _follow(task: _Task, route: Route) -> PlanResult:
     """A trajectory along a route: of the first candidate that certifies; else UNCERTIFIED, with what is wrong."""
     space, config, clock, prefer = task.space, task.config, task.clock, task.wish.prefer
     searched, first, hurried = clock(), None, False
-    late = PlanResult(Status.TIMEOUT, "the deadline passed before a path was certified. Allow more time.")
     legs = pull_over(route.legs, _meet([end.xy for end in task.ends.via]), config.waypoint_spacing)
     for candidate in _candidates(task, legs):
         left = task.left()
         if left < -PATIENCE:
-            return late
+            return PlanResult(Status.TIMEOUT, LATE)
         bent = candidate.legs is not legs
         hurried = hurried or left < 0.0 or (left < np.inf and bent and not candidate.details["converged"])
         contact, top, level, headings = _stand(space, candidate.legs, config.waypoint_spacing, _facing(task.options))
@@ -163,7 +163,7 @@ def _follow(task: _Task, route: Route) -> PlanResult:
             return PlanResult(Status.OK, task.ends.moved, trajectory, certificate, timings, details, candidate.costs)
     assert first is not None
     if hurried:
-        return late
+        return PlanResult(Status.TIMEOUT, LATE)
     words = f"a path was found, but it cannot be certified: {first.reason}. Choose other places, or a smaller body."
     return PlanResult(Status.UNCERTIFIED, words, certificate=first)
 
@@ -293,7 +293,8 @@ def _is_free(leg: Leg, via: list[FloatArray]) -> bool:
 
 def _as_level(pieces: list[Leg], bent: Bent) -> bool:
     """Whether a bent path takes no more steps than the pieces of its seed did."""
-    return bool((steps_of([bent[0]]) <= steps_of(pieces) + MORE_STEPS).all())
+    taken = steps_of([bent[0]])
+    return not taken.any() or bool((taken <= steps_of(pieces) + MORE_STEPS).all())
 
 
 def _beside_each_other(legs: list[Leg], via: list[FloatArray]) -> list[list[Leg]]:
@@ -323,15 +324,14 @@ def _bend(leg: Leg, config: PlanningConfig, strict: bool, seconds: float) -> Ben
     agent = space.agent
     stiff = config.smoothness_weight(agent.disc_radius)
     spacing = max(config.waypoint_spacing, stiff)
-    seed = resample(path[:, :2], spacing)
+    seed = waypoints(path, spacing, space.surfaces[level].arrays, agent.height)
+    if len(seed) == 0:
+        return leg, None
     steps = int(min(config.max_iterations, WAYPOINTS_PER_SECOND * seconds / len(seed)))
     if steps < 1:
         return leg, ChompResult(seed, np.zeros(1), 0, converged=False)
-    top = space.surfaces[level].height_at(seed) + agent.height
-    if not np.isfinite(top).all() or np.ptp(path[:, :2], axis=0).max() <= STILL:
-        return leg, None
     found = optimize(
-        np.column_stack([seed, top]),
+        seed,
         space.exact_fields[level] if strict else space.obstacle_fields[level].arrays,
         space.ground_fields[level].arrays,
         offsets=agent.offsets,
@@ -343,7 +343,7 @@ def _bend(leg: Leg, config: PlanningConfig, strict: bool, seconds: float) -> Ben
         max_iterations=steps,
         tolerance=config.tolerance,
     )
-    return leg._replace(path=spline(distinct(found.xi[:, :2]), config.waypoint_spacing)), found
+    return leg._replace(path=rounded(found.xi, config.waypoint_spacing)), found
 
 
 def _facing(options: PlanOptions) -> Facing:

@@ -11,13 +11,20 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-from gpdf_service.fields.tree import make_scratch, place_of
+from gpdf_service.perception.surface import Cells, height_of
 from gpdf_service.planning.endpoints import Endpoint, Ends, connect
-from gpdf_service.planning.shape import are_joined, distinct, is_joined, is_path_clear, shortcut, subdivide, tighten
+from gpdf_service.planning.shape import (
+    are_joined,
+    distinct,
+    is_path_clear,
+    is_way_straight,
+    pull,
+    pull_tight,
+    radius_of,
+)
 from gpdf_service.search import Doors, FreeSpace, Graph, Prefer, Ways, find_way, prices
-from gpdf_service.search.core import NARROW, climb, find_nodes
-from gpdf_service.search.motion import CENTRE, RESOLUTION
-from gpdf_service.search.places import Places, distance_at
+from gpdf_service.search.core import climb, find_nodes
+from gpdf_service.search.places import Places
 from gpdf_service.search.resplit import is_among
 from gpdf_service.search.steps import is_near_step
 from gpdf_service.search.ways import (
@@ -138,7 +145,7 @@ def _is_effort(takes: FloatArray, price: FloatArray, prefer: Prefer) -> bool:
     """Whether a way takes more than its length and what room beside it asks for."""
     if prefer == Prefer.WIDE and takes[TIGHT] > 0.0:
         return True
-    effort = takes[[UNSEEN, SLOPED, STEPPED, LEDGE]] @ price[[UNSEEN, SLOPED, STEPPED, LEDGE]]
+    effort = sum(takes[k] * price[k] for k in (UNSEEN, SLOPED, STEPPED, LEDGE))
     return bool(effort > SPARED * takes[LENGTH] * price[LENGTH])
 
 
@@ -198,7 +205,8 @@ def take_up(space: FreeSpace, ends: Ends, known: FloatArray) -> Route | None:
 
 
 def _is_clear(leg: Leg) -> bool:
-    return bool(is_path_clear(leg.path, leg.space.trees[leg.level], _radius(leg.space, leg.level, leg.path)))
+    obstacles, reach, radius, _ = _around(leg.space, leg.level)
+    return bool(is_path_clear(leg.path, obstacles, radius_of(leg.path, obstacles, reach, radius)))
 
 
 def _cut_by_level(space: FreeSpace, path: FloatArray, level: list[int]) -> list[Leg]:
@@ -208,7 +216,7 @@ def _cut_by_level(space: FreeSpace, path: FloatArray, level: list[int]) -> list[
 
 
 def _floor(space: FreeSpace, end: Endpoint) -> float:
-    return float(space.surfaces[end.level].height_at(end.xy[None])[0])
+    return float(height_of(space.surfaces[end.level].arrays, *end.xy))
 
 
 def _shortest(space: FreeSpace, start: Endpoint, goal: Endpoint) -> list[Leg]:
@@ -313,9 +321,9 @@ def _joined_leaves(ways: Ways, end: Endpoint) -> IntArray:
     center = level.graph.position[node]
     near = np.argsort(np.linalg.norm(center - end.xy, axis=1))[:: max(1, len(node) // MOST_DOORS)]
     ends = np.ascontiguousarray(center[near])
-    radius = _radius(able, end.level, end.xy[None])
-    ground = able.surfaces[end.level].arrays
-    made: IntArray = node[near[are_joined(end.xy, ends, able.trees[end.level], radius, ground)]]
+    obstacles, reach, radius, ground = _around(able, end.level)
+    radius = radius_of(end.xy[None], obstacles, reach, radius)
+    made: IntArray = node[near[are_joined(end.xy, ends, obstacles, radius, ground)]]
     return made
 
 
@@ -324,39 +332,48 @@ def _legs(chain: _Chain, start: FloatArray, goal: FloatArray, spaces: tuple[Free
 
     It is cut where the level changes, or the space that it is `on`.
     """
-    position, level, on, via = chain
-    places = np.empty((2 * len(position) + 1, 2))
-    places[1::2], places[2:-1:2], places[0], places[-1] = position, via, start, goal
-    crossing = np.flatnonzero((np.diff(level) != 0) | (np.diff(on) != 0))
+    level, on = chain.level, chain.on
+    places, crossing = _strung(*chain, start, goal)
     cuts = [0, *(2 * crossing + 2).tolist(), len(places) - 1]
     rows = [0, *(crossing + 1).tolist()]
     parts = [(row, distinct(places[a : b + 1])) for row, (a, b) in zip(rows, pairwise(cuts), strict=True)]
     return [Leg(int(level[row]), path, spaces[on[row]]) for row, path in parts]
 
 
+@njit(cache=True, nogil=True)
+def _strung(
+    position: FloatArray, level: IntArray, on: IntArray, via: FloatArray, start: FloatArray, goal: FloatArray
+) -> tuple[FloatArray, IntArray]:
+    """From the start over a chain's places and crossings to the goal (2n + 1, 2), and after which of them it is cut."""
+    places, cut, count = np.empty((2 * len(position) + 1, 2)), np.empty(len(position), np.int64), 0
+    places[0], places[-1] = start, goal
+    for i in range(len(position)):
+        places[2 * i + 1] = position[i]
+        if i < len(position) - 1:
+            places[2 * i + 2] = via[i]
+            if level[i] != level[i + 1] or on[i] != on[i + 1]:
+                cut[count], count = i, count + 1
+    return places, cut[:count].copy()
+
+
 def _is_straight(space: FreeSpace, start: Endpoint, goal: Endpoint) -> bool:
     """Whether the body can go straight from start to goal, on one level: then no graph is asked."""
-    obstacles, ground = space.trees[start.level], space.surfaces[start.level].arrays
-    radius = _radius(space, start.level, np.stack([start.xy, goal.xy]))
-    return bool(is_joined(start.xy, goal.xy, obstacles, radius, CENTRE, ground))
+    return bool(is_way_straight(start.xy, goal.xy, *_around(space, start.level)))
 
 
 def _pull(leg: Leg) -> Leg:
-    """A leg pulled straight, and once more from its other end: from either the first corners are the widest ones."""
-    level, path, space = leg
-    parts = space.trees[level], _radius(space, level, path), space.surfaces[level]
-    rows = shortcut(path, *parts)
-    if len(rows) == 2:  # straight, seen from either end
-        return leg._replace(path=path[rows])
-    path = np.ascontiguousarray(subdivide(path[rows], NARROW)[::-1])
-    return leg._replace(path=np.ascontiguousarray(path[shortcut(path, *parts)][::-1]))
+    """A leg pulled straight."""
+    return leg._replace(path=pull(leg.path, *_around(leg.space, leg.level)))
 
 
 def _tighten(leg: Leg) -> Leg:
     """A leg pulled tight between what it goes between."""
-    level, path, space = leg
-    rows = tighten(path, space.trees[level], _radius(space, level, path), space.surfaces[level].arrays)
-    return leg._replace(path=path[rows])
+    return leg._replace(path=pull_tight(leg.path, *_around(leg.space, leg.level)))
+
+
+def _around(space: FreeSpace, level: int) -> tuple[Places, float, float, Cells]:
+    """What ways on a level are pulled between."""
+    return space.trees[level], space.reach, space.radius, space.surfaces[level].arrays
 
 
 def pull_all(legs: list[Leg], prefer: Prefer, *, between: bool = False) -> tuple[list[Leg], FloatArray]:
@@ -380,7 +397,7 @@ def pull_cheaply(leg: Leg, prefer: Prefer, *, between: bool = False) -> tuple[Le
         """What the leg takes up to each place [s]."""
         return np.append(0.0, np.cumsum(tell(leg.path, about) @ price))
 
-    def pull(first: int, last: int) -> tuple[FloatArray, FloatArray]:
+    def pulled_between(first: int, last: int) -> tuple[FloatArray, FloatArray]:
         piece = leg._replace(path=leg.path[first : last + 1])
         pulled = (_tighten if between else _pull)(piece).path
         takes: FloatArray = way_takes(pulled, about).sum(axis=0)
@@ -388,21 +405,8 @@ def pull_cheaply(leg: Leg, prefer: Prefer, *, between: bool = False) -> tuple[Le
         if last - first < 2 or any(most <= np.ptp(spent(tell)[[first, last]]) for tell in (least_takes, way_takes)):
             return pulled, takes
         middle = (first + last + 1) // 2
-        one, other = pull(first, middle), pull(middle, last)
+        one, other = pulled_between(first, middle), pulled_between(middle, last)
         return distinct(np.concatenate([one[0], other[0]])), one[1] + other[1]
 
-    path, takes = pull(0, len(leg.path) - 1)
+    path, takes = pulled_between(0, len(leg.path) - 1)
     return leg._replace(path=path), takes
-
-
-def _radius(space: FreeSpace, level: int, path: FloatArray) -> float:
-    """The search's radius; the body's own where an end lies closer than the margin."""
-    room = _room_at_ends(space.trees[level], path)
-    return min(space.radius, max(space.reach, room - RESOLUTION))
-
-
-@njit(cache=True, nogil=True)
-def _room_at_ends(obstacles: Places, path: FloatArray) -> float:
-    """Distance from the ends of a way (n, 2) to the nearest obstacle [m]."""
-    scratch = make_scratch()
-    return min(distance_at(obstacles, place_of(path[0]), scratch), distance_at(obstacles, place_of(path[-1]), scratch))

@@ -13,8 +13,9 @@ from gpdf_service.kernel_cache import lean
 from gpdf_service.perception import HeightMap
 from gpdf_service.perception.surface import UNKNOWN, Cells, cell_of, height_of
 from gpdf_service.planning.costs import Memo, make_memo, recall
-from gpdf_service.search.motion import CENTRE, is_leap_clear, is_straight_clear
-from gpdf_service.search.places import Places
+from gpdf_service.search.core import NARROW
+from gpdf_service.search.motion import CENTRE, RESOLUTION, is_leap_clear, is_straight_clear
+from gpdf_service.search.places import Places, distance_at
 from gpdf_service.types import BoolArray, FloatArray, IntArray
 
 _UPRIGHT_SHARE = 0.09
@@ -100,6 +101,50 @@ def tighten(path: FloatArray, obstacles: Places, radius: float, ground: Cells) -
 
 
 @njit(cache=True, nogil=True)
+def pull(path: FloatArray, obstacles: Places, reach: float, radius: float, ground: Cells) -> FloatArray:
+    """A way over places (n, 2) pulled straight, and once more from its other end: from either first corners are wide.
+
+    It keeps `radius_of` it from the obstacles.
+    """
+    parts = obstacles, radius_of(path, obstacles, reach, radius), CENTRE, ground
+    rows = _shortcut(path, *parts)
+    if len(rows) == 2:  # straight, seen from either end
+        return path[rows]
+    back = np.ascontiguousarray(subdivide(path[rows], NARROW)[::-1])
+    return np.ascontiguousarray(back[_shortcut(back, *parts)][::-1])
+
+
+@njit(cache=True, nogil=True)
+def pull_tight(path: FloatArray, obstacles: Places, reach: float, radius: float, ground: Cells) -> FloatArray:
+    """What a string keeps of a way over places (n, 2) that is pulled tight between what it goes between: `tighten`."""
+    return path[tighten(path, obstacles, radius_of(path, obstacles, reach, radius), ground)]
+
+
+@njit(cache=True, nogil=True)
+def radius_of(path: FloatArray, obstacles: Places, reach: float, radius: float) -> float:
+    """The search's `radius` [m]; where an end of a way (n, 2) lies closer than the margin, the body's own `reach`."""
+    return _radius_between(path[0], path[-1], obstacles, reach, radius, make_scratch())
+
+
+@lean()
+def _radius_between(
+    a: FloatArray, b: FloatArray, obstacles: Places, reach: float, radius: float, scratch: Scratch
+) -> float:
+    """`radius_of` a way from a to b."""
+    room = min(distance_at(obstacles, (a[0], a[1], 0.0), scratch), distance_at(obstacles, (b[0], b[1], 0.0), scratch))
+    return float(min(radius, max(reach, room - RESOLUTION)))
+
+
+@njit(cache=True, nogil=True)
+def is_way_straight(
+    a: FloatArray, b: FloatArray, obstacles: Places, reach: float, radius: float, ground: Cells
+) -> bool:
+    """Whether the body can go straight from place to place, (2,), with the `radius_of` that way."""
+    scratch = make_scratch()
+    return is_straight(a, b, obstacles, _radius_between(a, b, obstacles, reach, radius, scratch), ground, scratch)
+
+
+@njit(cache=True, nogil=True)
 def is_joined(
     a: FloatArray, b: FloatArray, obstacles: Places, radius: float, offsets: FloatArray, ground: Cells
 ) -> bool:
@@ -181,6 +226,25 @@ def resample(path: FloatArray, spacing: float) -> FloatArray:
     for k in range(path.shape[1]):
         places[:, k] = np.interp(at, along, path[:, k])
     return places
+
+
+@njit(cache=True, nogil=True)
+def waypoints(path: FloatArray, spacing: float, ground: Cells, height: float) -> FloatArray:
+    """Waypoints of the body's top over a polyline in plan, (n, ≥ 2); none where nothing moves or ground is unknown."""
+    seed, moves = resample(path[:, :2], spacing), False
+    made = np.empty((len(seed), 3))
+    for i in range(len(path)):
+        moves |= abs(path[i, 0] - path[0, 0]) > SAME or abs(path[i, 1] - path[0, 1]) > SAME
+    for i in range(len(seed)):
+        made[i, 0], made[i, 1], made[i, 2] = seed[i, 0], seed[i, 1], height_of(ground, seed[i, 0], seed[i, 1]) + height
+        moves &= np.isfinite(made[i, 2])
+    return made if moves else made[:0]
+
+
+@njit(cache=True, nogil=True)
+def rounded(xi: FloatArray, spacing: float) -> FloatArray:
+    """The `spline` in plan through what is distinct of waypoints, (n, 3)."""
+    return spline(distinct(np.ascontiguousarray(xi[:, :2])), spacing)
 
 
 @njit(cache=True, nogil=True)

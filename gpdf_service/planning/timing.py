@@ -16,7 +16,7 @@ from gpdf_service.fields.tree import Scratch, make_scratch
 from gpdf_service.kernel_cache import lean
 from gpdf_service.perception.surface import Cells
 from gpdf_service.planning.footprint import directions
-from gpdf_service.planning.shape import lengths
+from gpdf_service.planning.shape import SAME, lengths
 from gpdf_service.search import FreeSpace
 from gpdf_service.search.places import Places, distance_at
 from gpdf_service.search.steps import is_stepped
@@ -60,24 +60,30 @@ def _time(
     along, direction = lengths(positions), directions(positions)
     if along[-1] < STILL:
         return np.linspace(0.0, STANDING, len(positions)), np.zeros(len(positions))
-    count = max(64, int(np.ceil(along[-1] / GRID))) + 1
+    count = max(64, _steps(along[-1], GRID)) + 1
     s = np.linspace(0.0, along[-1], count)
     highest, ahead, after, segment = np.empty(count), np.empty(count), 1, 0
     for i in range(count):
-        while after < len(along) - 1 and along[after] < s[i]:
+        while after < len(along) - 1 and along[after] < s[i] - SAME:  # a place on a corner is before it
             after += 1
-        while segment < len(direction) - 1 and along[segment + 1] <= s[i]:
+        while segment < len(direction) - 1 and along[segment + 1] < s[i] - SAME:
             segment += 1
         highest[i], ahead[i] = min(limit[after - 1], limit[after], most), direction[segment]
-    heading = _mean_around(ahead, int(np.ceil(min(LOOK / s[1], count))))  # a short path has few places
+    heading = _mean_around(ahead, min(_steps(LOOK, s[1]), count))  # a short path has few places
     for i in range(count):
         before, next_ = max(i - 1, 0), min(i + 1, count - 1)
         curvature = abs(heading[next_] - heading[before]) / (s[next_] - s[before])
         if curvature > 0.0:
             highest[i] = min(highest[i], np.sqrt(acceleration / curvature), turn_rate / curvature)
-    reach = int(np.ceil(most * (RAMP + BLEND) / s[1]))
+    reach = _steps(most * (RAMP + BLEND), s[1])
     speed = _fastest(_least_around(highest, reach), s[1], acceleration)
     return _smooth(s, speed, along), np.interp(along, s, heading)
+
+
+@lean()
+def _steps(far: float, step: float) -> int:
+    """How many steps reach so far: what does but for rounding does."""
+    return int(np.ceil(far / step - SAME))
 
 
 def speed_limit(space: FreeSpace, poses: FloatArray, level: IntArray, preferred: float) -> FloatArray:
@@ -181,23 +187,36 @@ def _fastest(highest: FloatArray, step: float, acceleration: float) -> FloatArra
 @njit(cache=True, nogil=True)
 def _smooth(s: FloatArray, speed: FloatArray, along: FloatArray) -> FloatArray:
     """Times at `along` of a body whose speed is v(t) averaged over the windows of `RAMP` and `BLEND`."""
-    times = np.append(np.zeros(1), np.cumsum(2.0 * np.diff(s) / (speed[:-1] + speed[1:])))
+    times, i = np.zeros(len(s)), 0
+    for k in range(1, len(s)):
+        times[k] = times[k - 1] + 2.0 * (s[k] - s[k - 1]) / (speed[k - 1] + speed[k])
     ramp, blend = round(RAMP / TICK), round(BLEND / TICK)
-    margin = ramp + blend  # at rest before and after
-    t = TICK * (np.arange(int(np.ceil(times[-1] / TICK)) + 2 * margin + 1) - margin)
-    place = np.zeros(len(t))
-    i = 0
+    margin, end = ramp + blend, times[-1]  # at rest before and after
+    place = np.zeros(int(np.ceil(end / TICK)) + 2 * margin + 1)
+    t = np.empty(len(place))
     for k in range(len(t)):
+        t[k] = TICK * (k - margin)
         while i < len(s) - 2 and times[i + 1] <= t[k]:
             i += 1
-        spent = min(max(t[k], 0.0), times[-1]) - times[i]
+        spent = min(max(t[k], 0.0), end) - times[i]
         gain = (speed[i + 1] - speed[i]) / (times[i + 1] - times[i])
         place[k] = s[i] + spent * (speed[i] + 0.5 * gain * spent)
     for width in (ramp, blend):  # the mean place over a window moves with the mean speed over it
-        total = np.append(np.zeros(1), np.cumsum(place))
-        place[: len(place) - width + 1] = (total[width:] - total[:-width]) / width
-        place[len(place) - width + 1 :] = place[-1]
-    moving = np.flatnonzero(np.diff(place) > 0.0)
-    first, last = moving[0], moving[-1] + 2
-    made: FloatArray = np.interp(along, place[first:last], t[first:last] - t[first])
+        total = np.zeros(len(place) + 1)
+        for k in range(len(place)):
+            total[k + 1] = total[k] + place[k]
+        for k in range(len(place)):
+            place[k] = (total[k + width] - total[k]) / width if k + width <= len(place) else place[k - 1]
+    # It stirs when the windows' last knot is at 0, and rests once their first one is at the end: what the sums say of
+    # that is rounding, and a knot beside the end would be no time apart.
+    first, last = margin - (ramp - 1) - (blend - 1), margin + max(int(np.ceil(end / TICK - 0.5)), 0)
+    while last > first + 1 and place[last - 1] >= s[-1]:
+        last -= 1
+    t[last], place[last] = end, s[-1]
+    made, i = np.empty(len(along)), first
+    for k in range(len(along)):
+        while i < last - 1 and place[i + 1] < along[k]:
+            i += 1
+        share = min(max((along[k] - place[i]) / (place[i + 1] - place[i]), 0.0), 1.0)
+        made[k] = t[i] - t[first] + share * (t[i + 1] - t[i])
     return made

@@ -11,7 +11,17 @@ from numba import njit
 from gpdf_service.config import FieldConfig, SearchConfig
 from gpdf_service.fields import Gpdf, Tree, build_tree, change_tree, thin
 from gpdf_service.fields.threads import run_beside, run_parallel
-from gpdf_service.perception import CLEAN, GroundLevel, GroundLimits, HeightMap, Levels, Obstacles, Scan, obstacles_of
+from gpdf_service.perception import (
+    CLEAN,
+    GroundLevel,
+    GroundLimits,
+    HeightMap,
+    Levels,
+    Obstacles,
+    Scan,
+    Touched,
+    obstacles_of,
+)
 from gpdf_service.perception.boxes import widened, window
 from gpdf_service.perception.obstacles import obstacles_reach
 from gpdf_service.perception.rows import bounds_of, chosen_rows, hashed, more_now, rows_by_cell, rows_in_cells, taken
@@ -19,6 +29,7 @@ from gpdf_service.perception.surface import UNKNOWN, cropped
 from gpdf_service.search.free_space import (
     FreeSpace,
     LevelSpace,
+    build_level,
     fit_obstacle_field,
     join_levels,
     reach_of,
@@ -33,7 +44,7 @@ def change_free_space(
     old: FreeSpace,
     levels: Levels,
     ground_fields: tuple[Gpdf, ...],
-    touched: Sequence[BoolArray | None],
+    touched: Touched,
     first: Sequence[IntArray],
     config: SearchConfig,
     field_config: FieldConfig,
@@ -42,10 +53,10 @@ def change_free_space(
     """The free space that `build_free_space` makes, from the one before.
 
     Args:
-        old: The free space before, over the same grids.
+        old: The free space before.
         levels: The levels now.
         ground_fields: Ground GPDFs, 3D.
-        touched: The cells of each level in which anything is another than before; None where nothing is.
+        touched: Which level before each one was made from, if any, and where anything in it is another.
         first: Where the other points of each cell of a level begin, shape (cells + 1,).
         config: Margins.
         field_config: Of the Obstacle GPDFs.
@@ -53,21 +64,25 @@ def change_free_space(
     """
 
     def one(i: int) -> LevelSpace:
-        level, cells = levels.levels[i], touched[i]
+        level, ground_field, (k, cells) = levels.levels[i], ground_fields[i], touched[i]
+        if k < 0:
+            return build_level(level, ground_field, old.agent, old.radius, config, field_config, scan)
         was = LevelSpace(
-            old.surfaces[i],
-            ground_fields[i],
+            old.surfaces[k],
+            ground_field,
             level.measured,
-            old.standing[i],
-            old.trees[i].standing,
-            old.obstacle_fields[i].standing,
-            old.quadtrees[i].standing,
-            old.edges[i],
+            old.standing[k],
+            old.trees[k].standing,
+            old.obstacle_fields[k].standing,
+            old.quadtrees[k].standing,
+            old.edges[k],
         )
         return was if cells is None else _change_level(was, level, cells, first[i], old, config, field_config, scan)
 
     made = run_parallel(one, range(len(touched)))
-    return join_levels(old.agent, *reach_of(old.agent, config, scan.noise), made, levels, old)
+    return join_levels(
+        old.agent, *reach_of(old.agent, config, scan.noise), made, levels, (old, [k for k, _ in touched])
+    )
 
 
 def _change_level(

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -111,6 +112,10 @@ class FreeSpace:
         return tuple(joined(stands, moves) if len(moves.kind) else stands for stands, moves in both)
 
 
+Before = tuple[FreeSpace, Sequence[int]]
+"""The version before, and which of its levels each level was made from, −1 where there was none."""
+
+
 def joined(one: Obstacles, other: Obstacles) -> Obstacles:
     """Both in one."""
     return Obstacles(np.concatenate([one.points, other.points]), np.concatenate([one.kind, other.kind]))
@@ -131,16 +136,28 @@ def build_free_space(
     """Find what stops the body, fit its Obstacle GPDFs, build quadtrees and graph."""
     reach, radius = reach_of(agent, config, scan.noise)
 
-    def one(level: GroundLevel, ground_field: Gpdf) -> LevelSpace:
-        obstacles = obstacles_of(level, agent, scan)
-        (tree, quadtree, edges), field = run_beside(
-            partial(_leaves_and_edges, obstacles, level.surface, radius),
-            partial(fit_obstacle_field, obstacles, level.surface, agent, config, field_config),
-        )
-        return LevelSpace(level.surface, ground_field, level.measured, obstacles, tree, field, quadtree, edges)
+    def one(i: int) -> LevelSpace:
+        return build_level(levels.levels[i], ground_fields[i], agent, radius, config, field_config, scan)
 
-    made = run_parallel(lambda i: one(levels.levels[i], ground_fields[i]), range(len(ground_fields)))
-    return join_levels(agent, reach, radius, made, levels)
+    return join_levels(agent, reach, radius, run_parallel(one, range(len(ground_fields))), levels)
+
+
+def build_level(
+    level: GroundLevel,
+    ground_field: Gpdf,
+    agent: Agent,
+    radius: float,
+    config: SearchConfig,
+    field_config: FieldConfig,
+    scan: Scan,
+) -> LevelSpace:
+    """One level of the free space of a body whose centre keeps a `radius` [m] from obstacles."""
+    obstacles = obstacles_of(level, agent, scan)
+    (tree, quadtree, edges), field = run_beside(
+        partial(_leaves_and_edges, obstacles, level.surface, radius),
+        partial(fit_obstacle_field, obstacles, level.surface, agent, config, field_config),
+    )
+    return LevelSpace(level.surface, ground_field, level.measured, obstacles, tree, field, quadtree, edges)
 
 
 def _leaves_and_edges(obstacles: Obstacles, surface: HeightMap, radius: float) -> tuple[Tree, Quadtree, Edges]:
@@ -169,7 +186,7 @@ def join_levels(
     radius: float,
     parts: Sequence[LevelSpace],
     levels: Levels,
-    old: FreeSpace | None = None,
+    old: Before | None = None,
 ) -> FreeSpace:
     """The free space of all levels, with one graph; an `old` version knows which leaves ways need."""
     quadtrees = tuple(part.quadtree for part in parts)
@@ -210,7 +227,7 @@ def connect(
     offsets = _begins(quadtrees)
     pairs, vias = [], []
     for (ends, via), offset in zip(edges, offsets, strict=True):
-        pairs.append(ends + offset)
+        pairs.append(ends + offset if offset else ends)
         vias.append(via)
     for portal in levels.portals:
         a, b = quadtrees[portal.a], quadtrees[portal.b]
@@ -219,30 +236,40 @@ def connect(
         both = (one >= 0) & (two >= 0) & a.whole[one] & b.whole[two]  # the place is in two wholly free leaves
         pairs.append(np.column_stack([one[both] + offsets[portal.a], two[both] + offsets[portal.b]]))
         vias.append(xy[both])
-    position = np.concatenate([quadtree.center for quadtree in quadtrees])
-    level = np.concatenate([np.full(len(q.size), i, np.int64) for i, q in enumerate(quadtrees)])
-    clearance = np.concatenate([quadtree.clearance for quadtree in quadtrees])
-    return offsets, assemble(position, level, clearance, np.concatenate(pairs), np.concatenate(vias), radius)
+    position = _joined([quadtree.center for quadtree in quadtrees])
+    level = np.repeat(np.arange(len(quadtrees)), [len(quadtree.size) for quadtree in quadtrees])
+    clearance = _joined([quadtree.clearance for quadtree in quadtrees])
+    return offsets, assemble(position, level, clearance, _joined(pairs), _joined(vias), radius)
 
 
-def core_of(quadtrees: tuple[Quadtree, ...], graph: Graph, old: FreeSpace | None = None) -> Core:
-    """The leaves that ways lead over; what was decided on the leaves of an `old` version stands where it can."""
+def _joined(parts: list[NDArray[Any]]) -> NDArray[Any]:
+    """All parts in one array: a single one as it is."""
+    return parts[0] if len(parts) == 1 else np.concatenate(parts)
+
+
+def core_of(quadtrees: tuple[Quadtree, ...], graph: Graph, before: Before | None = None) -> Core:
+    """The leaves that ways lead over; what was decided on the leaves of the version before stands where it can.
+
+    Leaves are decided on one after another, equal ones by their numbers: so levels must be in their former order.
+    """
     links, former = _links(quadtrees, graph), None
-    if old is not None and old.core is not None and len(old.quadtrees) == len(quadtrees):
+    old, levels = before or (None, ())
+    if old is not None and old.core is not None and (np.diff([k for k in levels if k >= 0]) > 0).all():
         trees = tuple(tree.standing for tree in old.quadtrees)
         source = np.full(len(links.clearance), -1)
-        for now, was, begin, offset in zip(quadtrees, trees, _begins(quadtrees), old.offsets, strict=True):
-            row = np.arange(len(was.size)) if now is was else same_leaves(was, now)[0]
-            source[row[row >= 0] + begin] = np.flatnonzero(row >= 0) + offset
+        for now, k, begin in zip(quadtrees, levels, _begins(quadtrees), strict=True):
+            if k >= 0:
+                was = np.arange(len(now.size)) if now is trees[k] else same_leaves(trees[k], now)[1]
+                source[begin : begin + len(was)] = np.where(was < 0, -1, was + old.offsets[k])
         stays = np.zeros(len(old.core.up), dtype=bool)
         stays[old.core.node] = True
         former = Former(_links(trees, old.graph), Decided(stays, old.core.up), source)
-    return find_core(graph, np.concatenate([tree.free for tree in quadtrees]), links, former)
+    return find_core(graph, _joined([tree.free for tree in quadtrees]), links, former)
 
 
 def _links(quadtrees: tuple[Quadtree, ...], graph: Graph) -> Links:
     keys = "free", "half_size", "clearance"
-    free, half, clearance = (np.concatenate([getattr(tree, key) for tree in quadtrees]) for key in keys)
+    free, half, clearance = (_joined([getattr(tree, key) for tree in quadtrees]) for key in keys)
     return links_of(graph, free, 2.0 * half, clearance)
 
 

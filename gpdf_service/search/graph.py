@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from math import sqrt
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numba import njit
@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from gpdf_service.fields import Tree
 from gpdf_service.fields.threads import run_chunked
 from gpdf_service.fields.traversal import nearest_at
-from gpdf_service.fields.tree import make_scratch, place_of
+from gpdf_service.fields.tree import make_scratch
 from gpdf_service.kernel_cache import lean
 from gpdf_service.perception.nodes import components
 from gpdf_service.search.landmarks import NO_LANDMARKS, Landmarks, at_least, bounds_to
@@ -151,70 +151,96 @@ def change_edges(
     What proves an edge are obstacles within the radius of its way through its two leaves. So it stands where both are
     as they were, and none of the `places` where obstacles came or went is that near.
     """
-    now, same = same_leaves(old, tree)
+    now, was = same_leaves(old, tree)
+    same, squares = was >= 0, (tree.origin, tree.width, tree.corner, tree.size)
     if places is not None:
-        _feel(places, tree.center, tree.half_size, tree.free & ~tree.whole, radius, same)
+        _feel(places, squares, tree.free, tree.whole, radius, same)
     if same.all():
         return edges
     fresh = ~same
     looking = np.flatnonzero(tree.free & tree.touching(fresh))
     found = find_edges(tree, obstacles, radius, looking, fresh.__getitem__)
-    ends, via = _merged_edges(now, same, edges, found, tree.center)
-    return ends, via
+    size = len(edges[0]) + len(found[0])
+    made = np.empty((size, 2), np.int64), np.empty((size, 2))  # by NumPy, which asks for large pages
+    used = _merge_edges(now, same, edges, found, squares, made)
+    return made[0][:used], made[1][:used]
 
 
-def same_leaves(old: Quadtree, tree: Quadtree) -> tuple[IntArray, BoolArray]:
-    """Number now of each leaf that was, −1 where it is another, and which of the leaves now are as they were."""
-    now, same = np.searchsorted(tree.code, old.code), np.zeros(len(tree.code), dtype=bool)
-    at = np.minimum(now, len(tree.code) - 1)
-    good = np.logical_and.reduce([getattr(old, key) == getattr(tree, key)[at] for key in _LEAF])
-    same[at[good]] = True
-    return np.where(good, now, -1), same
+def same_leaves(old: Quadtree, tree: Quadtree) -> tuple[IntArray, IntArray]:
+    """Number now of each leaf that was, −1 where it is another, and the number then of each leaf now."""
+    now, was = np.full(len(old.code), -1), np.full(len(tree.code), -1)
+    _match((old.code, old.size, old.free, old.whole), (tree.code, tree.size, tree.free, tree.whole), now, was)
+    return now, was
 
 
-_LEAF = "code", "size", "free", "whole"
-"""What tells a leaf."""
+Squares = tuple[FloatArray, float, IntArray, IntArray]
+"""Origin, width of the smallest cells, and corner and size of each leaf of a quadtree."""
 
 
 @njit(cache=True, nogil=True)
-def _feel(
-    places: Tree, center: FloatArray, half_size: FloatArray, asked: BoolArray, radius: float, same: BoolArray
+def _match(
+    old: tuple[IntArray, IntArray, BoolArray, BoolArray],
+    tree: tuple[IntArray, IntArray, BoolArray, BoolArray],
+    now: IntArray,
+    was: IntArray,
 ) -> None:
-    """Leaves of those `asked` are not the `same` if a place is within the radius of one of theirs, or little more."""
+    """Write which leaves are the same ones, by code, size, free and whole; codes ascend."""
+    j = 0
+    for i in range(len(now)):
+        while j < len(was) and tree[0][j] < old[0][i]:
+            j += 1
+        if j == len(was):
+            break
+        if tree[0][j] == old[0][i] and tree[1][j] == old[1][i] and tree[2][j] == old[2][i] and tree[3][j] == old[3][i]:
+            now[i], was[j] = j, i
+
+
+@lean()
+def _center(squares: Squares, leaf: int) -> tuple[float, float]:
+    """Where a leaf's centre is [m]."""
+    origin, width, corner, size = squares
+    x, y = corner[leaf, 0] + 0.5 * size[leaf], corner[leaf, 1] + 0.5 * size[leaf]
+    return origin[0] + x * width, origin[1] + y * width
+
+
+@njit(cache=True, nogil=True)
+def _feel(places: Tree, squares: Squares, free: BoolArray, whole: BoolArray, radius: float, same: BoolArray) -> None:
+    """Leaves that are free in part are not the `same` if a place is within the radius of one of theirs, or more."""
     scratch, low, high = make_scratch(), np.empty(2), np.empty(2)
     for k in range(2):
         low[k], high[k] = places.points[:, k].min(), places.points[:, k].max()
-    for i in range(len(asked)):
-        if not (asked[i] and same[i]):
+    for i in range(len(same)):
+        if whole[i] or not (free[i] and same[i]):
             continue
-        reach = radius + 3.0 * half_size[i]  # twice half the diagonal: more than the resolution of a proof
-        near = low[0] - reach <= center[i, 0] <= high[0] + reach and low[1] - reach <= center[i, 1] <= high[1] + reach
-        same[i] = not (near and nearest_at(places, place_of(center[i]), scratch)[0] <= reach)
+        reach = radius + 1.5 * squares[1] * squares[3][i]  # twice half the diagonal: more than a proof's resolution
+        x, y = _center(squares, i)
+        near = low[0] - reach <= x <= high[0] + reach and low[1] - reach <= y <= high[1] + reach
+        same[i] = not (near and nearest_at(places, (x, y, 0.0), scratch)[0] <= reach)
 
 
 @njit(cache=True, nogil=True)
-def _merged_edges(now: IntArray, same: BoolArray, old: Edges, fresh: Edges, center: FloatArray) -> Edges:
-    """The old edges between leaves that are the `same`, and the fresh ones, in the order of `find_edges`."""
-    size, used, f = len(old[0]) + len(fresh[0]), 0, 0
-    ends, via = np.empty((size, 2), np.int64), np.empty((size, 2))
+def _merge_edges(now: IntArray, same: BoolArray, old: Edges, fresh: Edges, squares: Squares, made: Edges) -> int:
+    """Write old edges between leaves that are the `same`, and fresh ones, as `find_edges` orders them; how many."""
+    (ends, via), used, f = made, 0, 0
     for e in range(len(old[0]) + 1):
         last = e == len(old[0])
         a, b = (0, 0) if last else (now[old[0][e, 0]], now[old[0][e, 1]])
         if a < 0 or b < 0 or not (last or (same[a] and same[b])):
             continue
-        rank = (4, 0) if last else (_side(old[1][e], center[a]), a)
-        while f < len(fresh[0]) and (_side(fresh[1][f], center[fresh[0][f, 0]]), fresh[0][f, 0]) < rank:
+        rank = (4, 0) if last else (_side(old[1][e], squares, a), a)
+        while f < len(fresh[0]) and (_side(fresh[1][f], squares, fresh[0][f, 0]), fresh[0][f, 0]) < rank:
             ends[used], via[used] = fresh[0][f], fresh[1][f]
             used, f = used + 1, f + 1
         if not last:
             ends[used, 0], ends[used, 1], via[used] = a, b, old[1][e]
             used += 1
-    return ends[:used].copy(), via[:used].copy()
+    return used
 
 
 @njit(cache=True, nogil=True)
-def _side(via: FloatArray, center: FloatArray) -> int:
+def _side(via: FloatArray, squares: Squares, leaf: int) -> int:
     """Across which side of a leaf an edge goes, as `find_edges` looks at them."""
+    center = _center(squares, leaf)
     x, y = via[0] - center[0], via[1] - center[1]
     return 2 + int(y > 0.0) if abs(y) > abs(x) else int(x > 0.0)
 
@@ -227,27 +253,29 @@ def assemble(
     An edge costs its length times 1 + max(0, 1 − (d − r)/r): up to twice where the body brushes past, once where there
     is as much room beside it as half its width. The factor is at least 1, so the Euclidean heuristic stays admissible.
     """
-    rows = _rows(position, clearance, pairs, via, radius)
+    first, size = np.zeros(len(position) + 1, np.int64), 2 * len(pairs)
+    made = np.empty(size, np.int64), np.empty((size, 2)), np.empty(size)  # by NumPy, which asks for large pages
+    _put_rows(position, clearance, pairs, via, radius, first, made)
     component = components(pairs[:, 0], pairs[:, 1], np.ones(len(position), dtype=bool))
-    return Graph(np.ascontiguousarray(position), level, *rows, component)
+    return Graph(np.ascontiguousarray(position), level, first, *made, component)
 
 
 @njit(cache=True, nogil=True)
-def _rows(
-    position: FloatArray, clearance: FloatArray, pairs: IntArray, via: FloatArray, radius: float
-) -> tuple[IntArray, IntArray, FloatArray, FloatArray]:
-    """First edge of each node, far end, crossing and cost of each edge."""
-    count, size = len(position), 2 * len(pairs)
-    first, other, crossing, cost = (
-        np.zeros(count + 1, np.int64),
-        np.empty(size, np.int64),
-        np.empty((size, 2)),
-        np.empty(size),
-    )
-    for a, b in pairs:
-        first[a + 1] += 1
-        first[b + 1] += 1
-    for i in range(count):
+def _put_rows(
+    position: FloatArray,
+    clearance: FloatArray,
+    pairs: IntArray,
+    via: FloatArray,
+    radius: float,
+    first: IntArray,
+    made: tuple[IntArray, FloatArray, FloatArray],
+) -> None:
+    """Write the first edge of each node, and the far end, crossing and cost of each edge."""
+    other, crossing, cost = made
+    for e in range(len(pairs)):
+        first[pairs[e, 0] + 1] += 1
+        first[pairs[e, 1] + 1] += 1
+    for i in range(len(position)):
         first[i + 1] += first[i]
     place, costs = first[:-1].copy(), np.empty(len(pairs))
     for end in range(2):
@@ -258,7 +286,6 @@ def _rows(
             at = place[a]
             place[a] += 1
             other[at], crossing[at, 0], crossing[at, 1], cost[at] = b, via[e, 0], via[e, 1], costs[e]
-    return first, other, crossing, cost
 
 
 @njit(cache=True, nogil=True)
@@ -305,8 +332,32 @@ def find_way(graph: Graph, begin: Doors, end: Doors, goal: FloatArray, rate: flo
         rate: Least cost of a metre.
     """
     ways = below(graph.position), graph.first, below(graph.other), below(graph.cost), graph.patch, graph.landmarks, rate
-    first, edges = _astar(*ways, begin.node, begin.cost, end.node, end.cost, goal, len(graph.position))
+    first, edges = _astar(Question(*ways, *_ends(begin), *_ends(end), goal), len(graph.position))
     return int(first), edges
+
+
+def _ends(doors: Doors) -> tuple[IntArray, FloatArray]:
+    return doors.node, doors.cost
+
+
+class Question(NamedTuple):
+    """What A* is asked: a graph, by which nodes a way may begin and end, at what cost, and where it leads.
+
+    The first seven attributes are those of `Graph` and `find_way`, the next four those of its `Doors`.
+    """
+
+    position: FloatArray
+    first: IntArray
+    other: IntArray
+    cost: FloatArray
+    patch: Patch
+    landmarks: Landmarks
+    rate: float
+    sources: IntArray
+    source_cost: FloatArray
+    exits: IntArray
+    exit_cost: FloatArray
+    goal: FloatArray
 
 
 @lean()
@@ -326,23 +377,22 @@ def place_of_node(position: FloatArray, patch: Patch, node: int) -> tuple[float,
     return patch.position[node - len(position), 0], patch.position[node - len(position), 1]
 
 
+KNOWN = np.dtype([("cost_to_come", np.float64), ("came_by", np.int32), ("came_from", np.int32), ("at", np.int64)])
+"""What A* knows of a node. `came_by`: 1 + the edge by which the cheapest way came; 0 where nobody has been, −1 at a
+source. `came_from`: the node before. `at`: 1 + where in the heap it is, 0 if it is not."""
+
+
 class Front(NamedTuple):
     """What A* knows of each node, and the nodes that wait, as a heap that knows where each of them is.
 
     Attributes:
-        cost_to_come: Of each node, shape (n,).
-        came_by: 1 + the edge by which the cheapest way came; 0 where nobody has been, −1 at a source. Shape (n,).
-        came_from: The node before, shape (n,).
-        at: 1 + where in the heap each node is, 0 if it is not; shape (n,).
+        known: What is known of each node, side by side, as few of them are in the processor's cache; shape (n,).
         heap: Nodes, each of them before the two behind twice its place; shape (n,).
         estimate: Cost of a way over each of these, shape (n,).
         size: How many there are, shape (1,).
     """
 
-    cost_to_come: FloatArray
-    came_by: NDArray[np.int32]
-    came_from: NDArray[np.int32]
-    at: NDArray[np.int32]
+    known: NDArray[Any]
     heap: NDArray[np.int32]
     estimate: FloatArray
     size: IntArray
@@ -353,14 +403,14 @@ def _is_before(front: Front, estimate: float, node: int, row: int) -> bool:
     """Whether a node with that estimate comes before the one in a row of the heap; of equal ones the nearer start."""
     if estimate != front.estimate[row]:
         return bool(estimate < front.estimate[row])
-    come, other = front.cost_to_come[node], front.cost_to_come[front.heap[row]]
+    come, other = front.known[node].cost_to_come, front.known[front.heap[row]].cost_to_come
     return bool(come < other or (come == other and node < front.heap[row]))
 
 
 @lean()
 def _wait(front: Front, estimate: float, node: int) -> None:
     """Put a node into the heap, or forward in it."""
-    row = front.at[node] - 1
+    row = front.known[node].at - 1
     if row < 0:
         row = front.size[0]
         front.size[0] += 1
@@ -368,16 +418,20 @@ def _wait(front: Front, estimate: float, node: int) -> None:
         up = (row - 1) >> 1
         if not _is_before(front, estimate, node, up):
             break
-        front.heap[row], front.estimate[row], front.at[front.heap[up]] = front.heap[up], front.estimate[up], row + 1
+        front.heap[row], front.estimate[row], front.known[front.heap[up]].at = (
+            front.heap[up],
+            front.estimate[up],
+            row + 1,
+        )
         row = up
-    front.heap[row], front.estimate[row], front.at[node] = node, estimate, row + 1
+    front.heap[row], front.estimate[row], front.known[node].at = node, estimate, row + 1
 
 
 @lean()
 def _next(front: Front) -> int:
     """Take the first node from the heap."""
     first, size = front.heap[0], front.size[0] - 1
-    front.size[0], front.at[first] = size, 0
+    front.size[0], front.known[first].at = size, 0
     node, estimate, row = front.heap[size], front.estimate[size], 0
     while 2 * row + 1 < size:
         down = 2 * row + 1
@@ -385,73 +439,42 @@ def _next(front: Front) -> int:
             down += 1
         if _is_before(front, estimate, node, down):
             break
-        front.heap[row], front.estimate[row], front.at[front.heap[down]] = (
+        front.heap[row], front.estimate[row], front.known[front.heap[down]].at = (
             front.heap[down],
             front.estimate[down],
             row + 1,
         )
         row = down
     if size > 0:
-        front.heap[row], front.estimate[row], front.at[node] = node, estimate, row + 1
+        front.heap[row], front.estimate[row], front.known[node].at = node, estimate, row + 1
     return int(first)
 
 
 @njit(cache=True, nogil=True)
-def _astar(
-    position: FloatArray,
-    first: IntArray,
-    other: IntArray,
-    cost: FloatArray,
-    patch: Patch,
-    landmarks: Landmarks,
-    rate: float,
-    sources: IntArray,
-    source_cost: FloatArray,
-    exits: IntArray,
-    exit_cost: FloatArray,
-    goal: FloatArray,
-    count: int,
-) -> tuple[int, IntArray]:
+def _astar(question: Question, count: int) -> tuple[int, IntArray]:
     """See `find_way`, of a graph of so many nodes."""
     n = count + 1  # the last is the goal itself; pages that nobody visits cost nothing
-    known = np.zeros(n), np.zeros(n, np.int32), np.zeros(n, np.int32), np.zeros(n, np.int32)
-    front = Front(*known, np.empty(n, np.int32), np.empty(n), np.zeros(1, np.int64))
-    bounds = bounds_to(landmarks, exits, exit_cost)
-    graph = position, first, other, cost, patch, landmarks, rate
-    _spread(*graph, sources, source_cost, exits, exit_cost, goal, bounds, front)
+    front = Front(np.zeros(n, KNOWN), np.empty(n, np.int32), np.empty(n), np.zeros(1, np.int64))
+    _spread(question, bounds_to(question.landmarks, question.exits, question.exit_cost), front)
     edges = [0 for _ in range(0)]
-    if front.came_by[count] == 0:
+    if front.known[count].came_by == 0:
         return -1, np.array(edges, dtype=np.int64)
-    node = np.int64(front.came_from[count])
-    while front.came_by[node] > 0:
-        edges.append(int(front.came_by[node] - 1))
-        node = np.int64(front.came_from[node])
+    node = np.int64(front.known[count].came_from)
+    while front.known[node].came_by > 0:
+        edges.append(int(front.known[node].came_by - 1))
+        node = np.int64(front.known[node].came_from)
     return int(node), np.array(edges[::-1], dtype=np.int64)
 
 
 @lean()
-def _spread(
-    position: FloatArray,
-    first: IntArray,
-    other: IntArray,
-    cost: FloatArray,
-    patch: Patch,
-    landmarks: Landmarks,
-    rate: float,
-    sources: IntArray,
-    source_cost: FloatArray,
-    exits: IntArray,
-    exit_cost: FloatArray,
-    goal: FloatArray,
-    bounds: FloatArray,
-    front: Front,
-) -> None:
+def _spread(question: Question, bounds: FloatArray, front: Front) -> None:
     """The search itself: until the goal is the next node, or none is left that leads there."""
-    goal_node, standing = len(front.came_by) - 1, len(other)
+    position, first, other, cost, patch, landmarks, rate, sources, source_cost, exits, exit_cost, goal = question
+    goal_node, standing = len(front.known) - 1, len(other)
     for k in range(len(sources)):
         node = sources[k]
-        if front.came_by[node] == 0 or source_cost[k] < front.cost_to_come[node]:
-            front.cost_to_come[node], front.came_by[node] = source_cost[k], -1
+        if front.known[node].came_by == 0 or source_cost[k] < front.known[node].cost_to_come:
+            front.known[node].cost_to_come, front.known[node].came_by = source_cost[k], -1
             x, y = place_of_node(position, patch, node)
             far = max(rate * sqrt((x - goal[0]) ** 2 + (y - goal[1]) ** 2), at_least(landmarks, bounds, node))
             _wait(front, source_cost[k] + far, node)
@@ -459,19 +482,25 @@ def _spread(
         estimate, node = front.estimate[0], _next(front)
         if node == goal_node or estimate == np.inf:
             break
-        come = front.cost_to_come[node]
+        come = front.known[node].cost_to_come
         for k in range(len(exits)):
             reached = come + exit_cost[k]
-            if exits[k] == node and (front.came_by[goal_node] == 0 or reached < front.cost_to_come[goal_node]):
-                front.cost_to_come[goal_node], front.came_by[goal_node] = reached, 1
-                front.came_from[goal_node] = node
+            if exits[k] == node and (
+                front.known[goal_node].came_by == 0 or reached < front.known[goal_node].cost_to_come
+            ):
+                front.known[goal_node].cost_to_come, front.known[goal_node].came_by = reached, 1
+                front.known[goal_node].came_from = node
                 _wait(front, reached, goal_node)
         begin, end = edges_of(first, other, patch, node)
         for e in range(begin, end):
             near = other[e] if e < standing else patch.other[e - standing]
             reached = come + (cost[e] if e < standing else patch.cost[e - standing])
-            if front.came_by[near] == 0 or reached < front.cost_to_come[near]:
-                front.cost_to_come[near], front.came_by[near], front.came_from[near] = reached, e + 1, node
+            if front.known[near].came_by == 0 or reached < front.known[near].cost_to_come:
+                front.known[near].cost_to_come, front.known[near].came_by, front.known[near].came_from = (
+                    reached,
+                    e + 1,
+                    node,
+                )
                 x, y = place_of_node(position, patch, near)
                 far = max(rate * sqrt((x - goal[0]) ** 2 + (y - goal[1]) ** 2), at_least(landmarks, bounds, near))
                 _wait(front, reached + far, near)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import json
 import logging
 import platform
@@ -252,9 +253,10 @@ class Server:
         }
 
     def _warm_kernels(self) -> None:
-        """Load what plans run, where they run in this process."""
+        """Load what plans run, where they run in this process; it is nobody's garbage, and no plan waits for a look."""
         if self.options.role != "map" and self._pool is None:
             Warming().plans()
+            gc.freeze()
         self._warmed.set()
 
     def _on_ready(self, name: str, scene: Scene) -> None:

@@ -14,6 +14,7 @@ from gpdf_service.errors import SceneFileError
 from gpdf_service.perception import read_cloud
 from gpdf_service.pipeline import Progress, build_scene
 from gpdf_service.scene import Scene, load_scene
+from gpdf_service.search import Prefer
 from gpdf_service.service.changes import Change, changed
 from gpdf_service.service.journal import arrays_of
 from gpdf_service.service.memory import held_bytes
@@ -87,7 +88,7 @@ class Workshop:
         scene = self._scene(job, progress)
         for body in dict.fromkeys([*map(resolve_agent, self._bodies), *(Agent(**measures) for measures in job.agents)]):
             progress(f"free space of {body.name}", 0.9)
-            scene.prepare(body)
+            scene.ways(body, Prefer.COMPANION)  # and the free spaces that they take, which are saved
         progress("save", 0.95)
         files = SceneFiles(Path(job.folder))
         scene.version = max(job.version, scene.version)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -134,6 +135,7 @@ def build_panel(gui: viser.GuiApi) -> Panel:
     storey = gui.add_dropdown("Storey", (ALL_STOREYS,), visible=False)
     bar = gui.add_progress_bar(0.0, visible=False)
     work = gui.add_markdown("", visible=False)
+    gui.add_html(swatches((("ground", colours.SEEN), ("inferred: nobody saw it", colours.INFERRED))))
     tabs = gui.add_tab_group()
     with tabs.add_tab("Plan"):
         plan = _plan_tab(gui)
@@ -226,15 +228,16 @@ def gradient(shades: FloatArray, low: str, high: str) -> str:
 
 def legend(levels: int, step: float = 1.0) -> str:
     """What the colours of the layers mean, and how far two lines under the ground are apart [m]."""
-    named = [("ground", colours.SEEN), ("inferred ground", colours.INFERRED)]
-    named += [(name, tuple(colour)) for name, colour in zip(colours.KIND_NAMES, colours.KINDS, strict=True)]
-    named += [
-        (f"level {i}", tuple(colours.LEVELS[i % len(colours.LEVELS)])) for i in range(levels if levels > 1 else 0)
-    ]
+    named = list(zip(colours.KIND_NAMES, colours.KINDS, strict=True))
+    named += [(f"level {i}", colours.LEVELS[i % len(colours.LEVELS)]) for i in range(levels if levels > 1 else 0)]
+    return swatches(named, f"<br>Lines under the ground: {step:g} m.")
+
+
+def swatches(named: Iterable[tuple[str, colours.Colours]], more: str = "") -> str:
+    """Colours and what they mean, and more text below."""
     swatch = "display:inline-block;width:0.8em;height:0.8em;border-radius:2px;margin-right:0.35em;background:"
     items = [
         f"<span style='margin-right:1em;white-space:nowrap'><i style='{swatch}{colours.css(colour)}'></i>{name}</span>"
         for name, colour in named
     ]
-    shown = f"{''.join(items)}<br>Lines under the ground: {step:g} m."
-    return f"<div style='padding:0 1em 0.5em;font-size:0.8em;line-height:1.7'>{shown}</div>"
+    return f"<div style='padding:0 1em 0.5em;font-size:0.8em;line-height:1.7'>{''.join(items)}{more}</div>"

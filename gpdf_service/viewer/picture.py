@@ -6,7 +6,8 @@ Colours are Okabe and Ito's, which the colour-blind can tell apart; every axis i
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping, Sequence
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -19,7 +20,7 @@ from matplotlib.patches import Patch, Rectangle
 from gpdf_service.perception import ObstacleKind
 from gpdf_service.perception.surface import INFERRED
 from gpdf_service.scene import Scene
-from gpdf_service.types import Agent, FloatArray, PlanResult, Status, Trajectory, resolve_agent
+from gpdf_service.types import Agent, BoolArray, FloatArray, IntArray, PlanResult, Status, Trajectory, resolve_agent
 
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
 KIND_COLOURS = {
@@ -43,6 +44,16 @@ SHEET = 18.0, 10.5
 """[inch] Width and height of a sheet at 100 points an inch: a screen."""
 NAMED = 8
 """Of the levels that are not drawn, that are named."""
+BESIDE = 2.2, 4.1
+"""[inch] Beside a plan view for its axis and colours; below and over it for the profile, titles and legend."""
+PROFILE = 2.2
+"""[inch] Height of a profile."""
+LEAST_WIDTH = 9.0
+"""[inch] For the legend."""
+PLANS = 2
+"""Levels on which a way is drawn in plan: those with most of it."""
+OTHER_LEVEL = 0.4
+"""[-] How strong a way is drawn where it is on another level than what is drawn below it."""
 AROUND = 2.0
 """[m] Of the rooms around a way, at least; three tenths of its extent where that is more."""
 CLOUD_POINTS = 60_000
@@ -72,35 +83,39 @@ def draw_plans(
         title: Over the picture.
     """
     shown = {name: r.trajectory for name, r in results.items() if r.trajectory is not None}
-    level = _level_of(scene, next(iter(shown.values()), None))
     body = resolve_agent(next(iter(results)) if agent is None else agent)
-    low, high = _view(scene, level, [start, goal, *(path.ground for path in shown.values())])
-    wide = 6.4 * float((high - low)[0] / (high - low)[1])
-    figure = Figure(figsize=(min(max(wide + 2.5, 9.0), SHEET[0]), SHEET[1]), layout="compressed")
-    grid = figure.add_gridspec(2, 1, height_ratios=(3, 1))
-    plan_axes, side_axes = figure.add_subplot(grid[0]), figure.add_subplot(grid[1])
-    _draw_field(figure, plan_axes, scene, body, level)
-    _draw_obstacles(plan_axes, scene, body, level)
-    for i, (name, result) in enumerate(results.items()):
-        label = f"{name}: {_summary(result)}"
-        colour = COLOURS[i % len(COLOURS)]
-        if result.trajectory is None:
-            plan_axes.plot([], [], color=colour, label=label)
-            continue
-        width = LINE_WIDTH + (len(results) - 1 - i)  # where paths lie on each other, the first looks out below
-        plan_axes.plot(*result.trajectory.positions[:, :2].T, color=colour, lw=width, label=label, zorder=5)
-        _draw_footprints(plan_axes, result.trajectory, body, colour)
-        _draw_profile(side_axes, result.trajectory, name, colour)
-    for place, marker, label in ((start, "o", "start"), (goal, "*", "goal")):
-        if len(place):
-            style: dict[str, Any] = {"marker": marker, "ms": 13, "mfc": "white", "mec": "black", "ls": "", "zorder": 6}
-            plan_axes.plot(place[0], place[1], label=label, **style)
-    view = {"xlim": (low[0], high[0]), "ylim": (low[1], high[1])}
-    plan_axes.set(xlabel="x [m]", ylabel="y [m]", aspect="equal", title=title or "plan view", **view)
-    plan_axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.08), fontsize=9, ncols=3)
-    side_axes.set(xlabel="distance along the path in plan [m]", ylabel="z [m]", title="side view along each path")
-    if shown:
-        side_axes.legend(fontsize=8, ncols=4, loc="upper center", bbox_to_anchor=(0.5, -0.2))
+    on = {name: _levels_under(scene, path) for name, path in shown.items()}
+    levels = _most_of(on.values())
+    low, high = _view(scene, levels, [start, goal, *(path.ground for path in shown.values())])
+    aspect = float((high - low)[0] / (high - low)[1])
+    wide = min((SHEET[1] - BESIDE[1]) * aspect, SHEET[0] / len(levels) - BESIDE[0])
+    size = max(len(levels) * (wide + BESIDE[0]), LEAST_WIDTH), wide / aspect + BESIDE[1]
+    figure = Figure(figsize=size, layout="compressed")
+    grid = figure.add_gridspec(2, len(levels), height_ratios=(wide / aspect, PROFILE))
+    side_axes = figure.add_subplot(grid[1, :])
+    handles: dict[Any, Any] = {}  # of all plan views
+    style: dict[str, Any]
+    for column, level in enumerate(levels):
+        axes = figure.add_subplot(grid[0, column])
+        _draw_field(figure, axes, scene, body, level)
+        _draw_obstacles(axes, scene, body, level)
+        _draw_ways(axes, results, {name: under == level for name, under in on.items()}, body)
+        for place, marker, label in ((start, "o", "start"), (goal, "*", "goal")):
+            if len(place):
+                style = {"marker": marker, "ms": 13, "mfc": "white", "mec": "black", "ls": "", "zorder": 6}
+                axes.plot(place[0], place[1], label=label, **style)
+        view = {"xlim": (low[0], high[0]), "ylim": (low[1], high[1])}
+        named = title or "plan view"
+        if len(scene.surfaces) > 1:
+            named += f", {_storey(scene, level)}" if len(levels) == 1 else f"\n{_storey(scene, level)}"
+        axes.set(xlabel="x [m]", ylabel="y [m]", aspect="equal", title=named, **view)
+        handles |= {label: handle for handle, label in zip(*axes.get_legend_handles_labels(), strict=True)}
+    figure.legend(handles=list(handles.values()), loc="outside upper center", fontsize=9, ncols=4)
+    for i, result in enumerate(results.values()):
+        if result.trajectory is not None:
+            _draw_profile(side_axes, result.trajectory, COLOURS[i % len(COLOURS)])
+    aside = "side view along each path: top of the body, and the ground dotted"
+    side_axes.set(xlabel="distance along the path in plan [m]", ylabel="z [m]", title=aside)
     _save(figure, path)
 
 
@@ -114,9 +129,11 @@ def draw_scene(scene: Scene, agent: str | Agent, path: str | os.PathLike[str]) -
     drawn = sorted(by_area[:PANELS])
     columns = min(len(drawn), 2 if len(drawn) < 5 else 3)
     rows = -(-len(drawn) // columns)
-    figure = Figure(
-        figsize=(min(11.0 * columns, SHEET[0]), 9.0 if columns == rows == 1 else SHEET[1]), layout="constrained"
-    )
+    tall = (9.0 if columns == rows == 1 else SHEET[1]) / rows - 1.0
+    aspect = max(shape[0] / shape[1] for shape in (scene.surfaces[i].height.shape for i in drawn))
+    wide = min(max(columns * (tall * aspect + BESIDE[0]), LEAST_WIDTH), SHEET[0])
+    # "constrained" leaves more of a sheet to several, "compressed" keeps one in its middle.
+    figure = Figure((wide, rows * (tall + 1.0)), layout="compressed" if len(drawn) == 1 else "constrained")
     kinds: dict[Any, Any] = {}  # of all panels
     for panel, i in enumerate(drawn, 1):
         surface, axes = scene.surfaces[i], figure.add_subplot(rows, columns, panel)
@@ -153,20 +170,20 @@ def _storey(scene: Scene, level: int) -> str:
     return f"level {level}, z {float(np.nanmedian(surface.height)):.1f} m, {area:.0f} m²"
 
 
-def _view(scene: Scene, level: int, places: Sequence[Sequence[float] | FloatArray]) -> tuple[FloatArray, FloatArray]:
-    """Least and greatest corner of what is shown of a level: the way with the rooms around it, within the map [m]."""
-    surface = scene.surfaces[level]
-    low = np.asarray(surface.origin, dtype=np.float64)
-    high = low + surface.cell_width * np.array(surface.height.shape)
+def _view(
+    scene: Scene, levels: Sequence[int], places: Sequence[Sequence[float] | FloatArray]
+) -> tuple[FloatArray, FloatArray]:
+    """Least and greatest corner of what is shown of levels: the way with the rooms around it, within the maps [m]."""
+    lows = np.array([surface.origin for surface in scene.surfaces])
+    highs = lows + [surface.cell_width * np.array(surface.height.shape) for surface in scene.surfaces]
+    low, high = lows[levels].min(axis=0), highs[levels].max(axis=0)
     corners = [np.atleast_2d(np.asarray(place, dtype=np.float64))[:, :2] for place in places if len(place)]
     if not corners:
         return low, high
-    way = np.concatenate(corners)
+    way = np.clip(np.concatenate(corners), lows.min(axis=0), highs.max(axis=0))  # one may be far off the map
     least, most = way.min(axis=0), way.max(axis=0)
     around = max(AROUND, 0.3 * float((most - least).max()))
-    seen_low, seen_high = np.maximum(low, least - around), np.minimum(high, most + around)
-    apart = bool((seen_high - seen_low <= 0.0).any())  # a place far off the map
-    return (low, high) if apart else (seen_low, seen_high)
+    return np.clip(low, least - around, least), np.clip(high, most, most + around)
 
 
 def _save(figure: Figure, path: str | os.PathLike[str]) -> None:
@@ -185,13 +202,18 @@ def _summary(result: PlanResult) -> str:
     return f"{said}{result.trajectory.length:.1f} m, clearance {room:.2f} m"
 
 
-def _level_of(scene: Scene, trajectory: Trajectory | None) -> int:
-    """The level that most of a path lies on."""
-    if trajectory is None or len(scene.surfaces) == 1:
-        return 0
+def _levels_under(scene: Scene, trajectory: Trajectory) -> IntArray:
+    """The level that each waypoint of a path is on, shape (n,)."""
     heights = np.stack([surface.height_at(trajectory.ground[:, :2]) for surface in scene.surfaces])
     gap = np.where(np.isnan(heights), np.inf, np.abs(heights - trajectory.ground[:, 2]))
-    return int(np.bincount(gap.argmin(axis=0)).argmax())
+    nearest: IntArray = gap.argmin(axis=0)
+    return nearest
+
+
+def _most_of(on: Iterable[IntArray]) -> list[int]:
+    """The levels with most of the waypoints, in the order of their numbers; the lowest where there is none."""
+    count = Counter(level for levels in on for level in levels.tolist())
+    return sorted(level for level, _ in count.most_common(PLANS)) or [0]
 
 
 def _draw_field(figure: Figure, axes: Any, scene: Scene, agent: Agent, level: int) -> None:  # noqa: ANN401
@@ -246,6 +268,26 @@ def _draw_obstacles(axes: Any, scene: Scene, agent: Agent, level: int) -> None: 
             axes.plot([], [], "o", ms=5, color=colour, label=kind.name.lower())  # for the legend, large enough to see
 
 
+def _draw_ways(
+    axes: Any,  # noqa: ANN401
+    results: Mapping[str, PlanResult],
+    here: Mapping[str, BoolArray],
+    agent: Agent,
+) -> None:
+    """Each path, pale where its waypoints are on another level than `here`; those that are none, in the legend."""
+    for i, (name, result) in enumerate(results.items()):
+        label, colour = f"{name}: {_summary(result)}", COLOURS[i % len(COLOURS)]
+        if result.trajectory is None:
+            axes.plot([], [], color=colour, label=label)
+            continue
+        width = LINE_WIDTH + (len(results) - 1 - i)  # where paths lie on each other, the first looks out below
+        style = {"color": colour, "lw": width, "zorder": 5}
+        x, y = result.trajectory.positions[:, :2].T
+        axes.plot(np.where(here[name], x, np.nan), y, label=label, **style)
+        axes.plot(np.where(here[name], np.nan, x), y, alpha=OTHER_LEVEL, **style)
+        _draw_footprints(axes, result.trajectory, agent, colour)
+
+
 def _draw_footprints(axes: Any, trajectory: Trajectory, agent: Agent, colour: str) -> None:  # noqa: ANN401
     """The body of discs along its path, turned as it is there: its box, every third of a length that an end goes."""
     if agent.discs == 1:
@@ -267,8 +309,8 @@ def _draw_footprints(axes: Any, trajectory: Trajectory, agent: Agent, colour: st
     axes.add_collection(PatchCollection(boxes, facecolor=colour, edgecolor=colour, linewidth=0.6, alpha=0.25, zorder=4))
 
 
-def _draw_profile(axes: Any, trajectory: Trajectory, name: str, colour: str) -> None:  # noqa: ANN401
+def _draw_profile(axes: Any, trajectory: Trajectory, colour: str) -> None:  # noqa: ANN401
     steps = np.linalg.norm(np.diff(trajectory.ground[:, :2], axis=0), axis=1)
     along = np.concatenate([[0.0], np.cumsum(steps)])
-    axes.plot(along, trajectory.positions[:, 2], color=colour, label=f"{name}: top of the body")
-    axes.plot(along, trajectory.ground[:, 2], color=colour, ls=":", label=f"{name}: ground")
+    axes.plot(along, trajectory.positions[:, 2], color=colour)
+    axes.plot(along, trajectory.ground[:, 2], color=colour, ls=":")

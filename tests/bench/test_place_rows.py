@@ -1,5 +1,7 @@
 """Rows of random places: labels and paths held against the exact world."""
 
+import pytest
+
 from gpdf_service.bench.places import label_rows, path_rows
 from gpdf_service.bench.rules import without
 from gpdf_service.synthetic.places import supermarket
@@ -15,6 +17,7 @@ def test_labels_tell_a_ceiling_that_was_taken_for_the_floor():
     assert other["wrong_most"] > 0.9
 
 
+@pytest.mark.slow
 def test_no_path_among_shelves_touches_what_stands_beneath_them():
     rows = list(path_rows("handheld", 6, 1, makers=(supermarket,)))
     assert [row["agent"] for row in rows] == ["human", "roomba"]

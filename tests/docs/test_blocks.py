@@ -18,6 +18,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from blocks import ROOT, blocks_of, pages
+from forked import forking
 from gpdf_client import Client, UnavailableError
 
 from gpdf_service.cli import find_verb
@@ -77,6 +78,13 @@ def service(clouds, tmp_path_factory):
 
 
 @pytest.fixture(scope="module")
+def programs(tmp_path_factory):
+    """The folder of what a reader types."""
+    with forking(tmp_path_factory.mktemp("programs")) as folder:
+        yield folder
+
+
+@pytest.fixture(scope="module")
 def begun(tmp_path_factory):
     """What the first commands of a session printed, and the folder as they left it, by their text."""
     return tmp_path_factory.mktemp("begun"), {}
@@ -85,7 +93,7 @@ def begun(tmp_path_factory):
 class Session:
     """A reader's folder and shell."""
 
-    def __init__(self, folder, service, begun):
+    def __init__(self, folder, service, programs, begun):
         self.folder, self.own = folder, free_endpoint()
         self.left, self.begun = begun
         self.fresh = True
@@ -94,7 +102,7 @@ class Session:
         self.environment = os.environ | {
             "GPDF_ENDPOINT": service,
             "PYTHONPATH": os.pathsep.join(map(str, paths)),
-            "PATH": f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}",
+            "PATH": os.pathsep.join([str(programs), str(Path(sys.executable).parent), os.environ["PATH"]]),
             "HOME": str(folder),
             "GPDF_WORKERS": "1",  # what a page shows does not hang on how many processes plan
         }
@@ -108,7 +116,7 @@ class Session:
     def python(self, block):
         self.fresh = False
         done = subprocess.run(
-            [sys.executable, "-c", self.swap(block.text)],
+            ["bash", "-c", 'exec python -c "$0"', self.swap(block.text)],
             cwd=self.folder,
             env=self.environment,
             capture_output=True,
@@ -206,12 +214,12 @@ class Session:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.relative_to(ROOT).as_posix())
-def test_what_a_page_shows_runs(page, clouds, service, begun, tmp_path):
+def test_what_a_page_shows_runs(page, clouds, service, programs, begun, tmp_path):
     folder = tmp_path / "reader"
     shutil.copytree(clouds, folder)
     for name in LINKED:
         (folder / name).symlink_to(ROOT / name)
-    session = Session(folder, service, begun)
+    session = Session(folder, service, programs, begun)
     try:
         for block in blocks_of(page):
             if block.language == "python":

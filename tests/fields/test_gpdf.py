@@ -18,6 +18,7 @@ from gpdf_service.fields import (
 from gpdf_service.fields.gpdf import Box
 from gpdf_service.fields.solve import solve_all
 from gpdf_service.fields.threads import MIN_CHUNK
+from gpdf_service.fields.traversal import bracket_at
 from gpdf_service.fields.tree import change_tree, make_scratch, place_of, tree_of
 
 
@@ -415,3 +416,11 @@ def test_beside_an_evenly_sampled_plane_the_distance_is_exact_and_finite_differe
         difference = (ahead - behind) / (2 * h)
         assert np.quantile(np.abs(difference - sample.gradient[:, axis])[smooth], 0.95) < 1e-5
     assert smooth.mean() > 0.8
+
+
+def test_what_a_field_says_lies_in_its_bracket(rng, floor):
+    queries, scratch, slope = over(rng, 0.0, 2.0), make_scratch(), np.empty(3)
+    for place in map(tuple, queries):
+        low, high = bracket_at(floor.arrays, place, scratch)
+        assert low <= sample_at(floor.arrays, place, scratch, slope) <= high
+    assert bracket_at(floor.arrays, (np.nan, 0.0, 0.0), scratch) == (0.0, np.inf)

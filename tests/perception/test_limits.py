@@ -8,6 +8,7 @@ import pytest
 from gpdf_service.perception.footing import ridges
 from gpdf_service.perception.limits import (
     ObstacleKind,
+    _is_narrow_tread,
     find_limits,
     limits_reach,
     median_around,
@@ -297,3 +298,23 @@ def test_a_nose_before_a_dip_is_no_ridge():
 def test_a_sill_on_a_floor_is_no_ridge():
     cell = np.indices((30, 30))[0]
     assert not ridges(surface_of(np.where(cell == 15, 0.15, 0.0), 0.05), MAX_STEP).any()
+
+
+@pytest.mark.parametrize("axis", [0, 1])
+def test_a_narrow_tread_is_one_cell_between_two_risers_with_level_ground_beyond(axis):
+    width, rng = 0.12, np.random.default_rng(3)
+    flat, riser = width * np.tan(STANDABLE), STAIR_STEP + ROUGH
+    rises = [0.0, 0.5 * flat, -0.5 * flat, 0.17, -0.17, 1.2 * riser]
+    height = np.cumsum(rng.choice(rises, (400, 12), p=[0.2, 0.15, 0.1, 0.3, 0.2, 0.05]), axis=1)
+    height = np.where(rng.random(height.shape) < 0.03, np.nan, height).astype(np.float32)
+    want = np.zeros(height.shape, dtype=bool)
+    for row, i in product(range(400), range(2, 10)):
+        below2, below, here, above, above2 = (float(height[row, k]) for k in range(i - 2, i + 3))
+        up, down = above - here, here - below
+        climbs = min(up, down) > flat or max(up, down) < -flat
+        level = abs(above2 - above) <= flat and abs(below - below2) <= flat
+        want[row, i] = climbs and abs(up) <= riser and abs(down) <= riser and level
+    assert 20 < want.sum() < 2000
+    turned = height if axis == 1 else height.T
+    found = _is_narrow_tread(turned, width, axis)
+    np.testing.assert_array_equal(found if axis == 1 else found.T, want)

@@ -11,7 +11,7 @@ from gpdf_service.config import PerceptionConfig
 from gpdf_service.perception.beside import beside, beside_now
 from gpdf_service.perception.boxes import widened
 from gpdf_service.perception.bumps import raised_over_sides
-from gpdf_service.perception.columns import heights_in_plan
+from gpdf_service.perception.columns import ends_in_plan, heights_in_plan
 from gpdf_service.perception.layers import HALF, build_layers, connect, crop_layers, splice_layers, steady
 from gpdf_service.perception.nodes import (
     components,
@@ -207,7 +207,10 @@ def test_sums_in_plan_and_heights_in_plan_are_those_of_numpy(layers):
     for k, values in enumerate((np.ones(len(x)), x, y, x * x, y * y, x * y)):
         np.testing.assert_array_equal(sums[:, k], np.bincount(label, values * keep, minlength=5))
     nodes = np.unique(layers.cell, return_index=True)[1]
-    height, off = heights_in_plan(layers.columns, nodes, layers.place, layers.origin, layers.cell_width)
+    grid = layers.origin, layers.cell_width
+    height, off = heights_in_plan(layers.columns, nodes, layers.place, *grid, (0, 0), layers.shape)
+    (left, right), (near, far) = ends_in_plan(layers.cell, layers.shape[1], nodes)
+    assert (left, right, near, far) == (x.min(), x.max(), y.min(), y.max())
     np.testing.assert_array_equal(height[x[nodes], y[nodes]], layers.height[nodes].astype(np.float32))
     assert np.isfinite(height).sum() == len(nodes)
     assert np.abs(off).max() <= 0.5 * layers.cell_width + 1e-6

@@ -9,6 +9,7 @@ from gpdf_service.perception.footing import on_treads
 from gpdf_service.perception.levels import survey_levels
 from gpdf_service.perception.limits import ObstacleKind
 from gpdf_service.perception.obstacles import are_voxels, highest_within, obstacles_of
+from gpdf_service.perception.points import points_of
 from gpdf_service.perception.surface import OBSERVED, UNKNOWN, HeightMap
 from gpdf_service.synthetic.solids import turn_and_shift
 from gpdf_service.types import AGENTS
@@ -110,7 +111,8 @@ def test_a_ramp_of_wide_voxels_is_no_row_of_things(turn):
     ],
 )
 def test_voxels_are_told_by_their_rungs(heights, voxels):
-    assert are_voxels(np.array(heights, dtype=float)) == voxels
+    points = np.column_stack([np.zeros((len(heights), 2)), np.array(heights, dtype=float)])
+    assert are_voxels(points_of(points)) == voxels
 
 
 def test_a_change_of_voxels_into_points_changes_what_stops_a_body_as_a_build_does():

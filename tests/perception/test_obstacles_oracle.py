@@ -11,6 +11,7 @@ from gpdf_service.perception.footing import is_tread, on_treads
 from gpdf_service.perception.levels import GroundLevel
 from gpdf_service.perception.limits import GroundLimits, ObstacleKind
 from gpdf_service.perception.obstacles import Scan, are_voxels, obstacles_of, obstacles_reach
+from gpdf_service.perception.points import points_of
 from gpdf_service.perception.surface import INFERRED, OBSERVED, UNKNOWN, HeightMap, cropped
 from gpdf_service.types import AGENTS
 
@@ -182,14 +183,17 @@ def test_obstacles_in_a_region_are_told_by_what_is_in_their_reach(kind, body):
 
 
 @pytest.mark.parametrize("turned", [False, True])
-def test_a_lintel_before_a_ledge_on_a_flight_stops_who_has_no_room_behind_its_nose(turned):
+@pytest.mark.parametrize("down", [False, True])
+def test_a_lintel_before_a_ledge_on_a_flight_stops_who_has_no_room_behind_its_nose(turned, down):
     """Of the upper tread 10 × 25 cm were seen: all of it is nearer to the lintel than the body's radius less a sole."""
     human, width = AGENTS["human"], 0.05
     height = np.tile(np.repeat([0.0, 0.2, np.nan, 0.4], [10, 2, 5, 10])[:, None], (1, 30)).astype(np.float32)
     height[10:12, [*range(10), *range(15, 30)]] = np.nan
     z = (1.0 - HEADROOM_SHARE) * human.height + 0.09  # over who stands below, and not over who stands above
-    x, y = np.meshgrid([0.5 - 0.01], [0.61, 0.625, 0.64])
+    x, y = np.meshgrid([0.5 - 0.08, 0.5 - 0.01], [0.61, 0.625, 0.64])
     points = np.column_stack([x.ravel(), y.ravel(), np.full(x.size, z)])
+    if down:
+        height, points[:, 0] = height[::-1], width * len(height) - points[:, 0]
     if turned:
         height, points = height.T, points[:, [1, 0, 2]]
     surface = HeightMap(np.zeros(2), width, height, np.where(np.isnan(height), UNKNOWN, OBSERVED).astype(np.uint8))
@@ -201,6 +205,10 @@ def test_a_lintel_before_a_ledge_on_a_flight_stops_who_has_no_room_behind_its_no
     np.testing.assert_array_equal(obstacles_of(level, human, scan).points, points)
 
 
+def at_voxels(z):
+    return are_voxels(points_of(np.column_stack([np.zeros((len(z), 2)), z])))
+
+
 @pytest.mark.parametrize("pitch", [0.05, 0.2])
 @pytest.mark.parametrize("odd", [None, 0, 700, 2500])
 def test_heights_are_those_of_voxels_where_all_of_them_are(pitch, odd):
@@ -208,23 +216,23 @@ def test_heights_are_those_of_voxels_where_all_of_them_are(pitch, odd):
     z = pitch * np.random.default_rng(0).integers(0, 20, 3000) + 0.123
     if odd is not None:
         z[odd] += 0.4 * pitch
-    assert are_voxels(z) == (odd is None)
+    assert at_voxels(z) == (odd is None)
 
 
 def test_voxels_of_which_those_that_are_looked_at_first_lie_on_every_second_rung_are_voxels():
     z = 0.05 * np.arange(3000)
     z[::3] = 0.1 * np.arange(1000)
-    assert are_voxels(z)
+    assert at_voxels(z)
     z[1] += 0.02
-    assert not are_voxels(z)
+    assert not at_voxels(z)
 
 
 @pytest.mark.parametrize(("share", "voxels"), [(0.008, True), (0.02, False)])
 def test_a_voxels_centre_may_be_off_its_rung_by_what_rounding_makes(share, voxels):
     rungs = np.array([0.0, 1.0, 2.0, 4.0 + share, 5.0 + share])
-    assert are_voxels(0.2 * rungs) == voxels
+    assert at_voxels(0.2 * rungs) == voxels
 
 
 @pytest.mark.parametrize(("pitch", "voxels"), [(0.029, False), (0.031, True)])
 def test_voxels_that_hide_nothing_which_stops_a_body_are_points(pitch, voxels):
-    assert are_voxels(pitch * np.arange(50.0)) == voxels
+    assert at_voxels(pitch * np.arange(50.0)) == voxels

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import gpdf_service as gpdf
-from gpdf_service.planning.timing import CARE, LOOK, RAMP, _least_around, time_path
+from gpdf_service.planning.timing import BLEND, CARE, LOOK, RAMP, STILL, TICK, _least_around, time_path
 from gpdf_service.synthetic import SCENES, Box, World
 from gpdf_service.types import AGENTS
 
@@ -114,6 +114,8 @@ def test_a_goal_that_differs_from_the_start_in_a_last_digit_is_timed_in_little_m
     times, headings = time_path(np.array([[0.0, 0.0, 0.0], [length, 0.0, 0.0]]), gpdf.AGENTS["roomba"])
     assert np.isfinite(times).all()
     assert times[1] > times[0]
+    if length < STILL:
+        assert times[1] <= TICK  # who is there already has no way to wait for
     np.testing.assert_allclose(headings, 0.0, atol=1e-9)
 
 
@@ -135,3 +137,24 @@ def test_the_least_around_each_place_is_that_of_its_window(count, reach):
     values = np.random.default_rng(count).random(count)
     plain = [values[max(i - reach, 0) : i + reach + 1].min() for i in range(count)]
     assert _least_around(values, reach).tolist() == plain
+
+
+def test_time_stamps_do_not_hang_on_rounding():
+    rng, agent = np.random.default_rng(0), AGENTS["human"]
+    for count, even in ((7, True), (60, True), (60, False)):
+        turn, step = np.cumsum(rng.normal(0.0, 0.3, count)), np.ones(count) if even else rng.uniform(0.5, 1.5, count)
+        legs = 0.1 * np.column_stack([step * np.cos(turn), step * np.sin(turn), 0.0 * turn])
+        path, limit = np.cumsum(np.vstack([np.zeros(3), legs]), axis=0), rng.uniform(0.3, 1.0, count + 1) * agent.speed
+        times = time_path(path, agent, limit)[0]
+        for _ in range(5):
+            elsewhere = path + rng.uniform(-50.0, 50.0, 3)
+            np.testing.assert_allclose(time_path(elsewhere, agent, limit)[0], times, rtol=0.0, atol=1e-6)
+
+
+@pytest.mark.parametrize("length", [0.001, 0.3, 7.0])
+def test_the_last_time_stamp_is_when_the_body_rests(length):
+    agent = AGENTS["human"]
+    times = time_path(straight(length, length / 500), agent)[0]
+    ramps = length / agent.speed + agent.speed / agent.acceleration
+    fastest = ramps if length > agent.speed**2 / agent.acceleration else 2.0 * np.sqrt(length / agent.acceleration)
+    assert times[-1] == pytest.approx(fastest + RAMP + BLEND - 2.0 * TICK, abs=0.02 * fastest + 1e-3)

@@ -1,7 +1,7 @@
 """Edges, prices and ways of the graph against every pair of leaves, and against Dijkstra's."""
 
 from dataclasses import replace
-from itertools import combinations
+from itertools import combinations, product
 
 import numpy as np
 import pytest
@@ -12,6 +12,10 @@ from gpdf_service.fields import build_tree
 from gpdf_service.perception.surface import HeightMap
 from gpdf_service.search.graph import (
     Doors,
+    Front,
+    _next,
+    _proven,
+    _wait,
     assemble,
     change_edges,
     edges_of,
@@ -228,3 +232,40 @@ def test_a_place_that_comes_beside_the_crossing_of_two_leaves_cuts_their_way_tho
             both = tree.find(old.center[ends[row]])
             cut += tree.free[both].all() and (tree.size[both] == old.size[ends[row]]).all()
     assert cut > 10
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_an_edge_is_proven_where_both_halves_keep_the_radius_or_stay_in_their_leaves_room(seed):
+    rng, count = np.random.default_rng(seed), 200
+    posts = rng.uniform(0.0, 3.0, (12, 2))
+    center, via = rng.uniform(0.0, 3.0, (count, 2, 2)), rng.uniform(0.0, 3.0, (count, 2))
+    room = np.where(rng.random((count, 2)) < 0.1, np.inf, rng.uniform(0.0, 2.0, (count, 2)))
+    good = rng.random(count) < 0.5  # whatever was there before
+    _proven(Places(build_tree(posts)), center, room, via, 0.2, 0, count, good)
+    want = np.ones(count, dtype=bool)
+    for e, k in product(range(count), range(2)):
+        along = center[e, k] + np.linspace(0.0, 1.0, 4001)[:, None] * (via[e] - center[e, k])
+        clear = np.linalg.norm(along[:, None] - posts, axis=2).min() > 0.2
+        want[e] &= room[e, k] >= np.linalg.norm(via[e] - center[e, k]) or clear
+    assert 20 < want.sum() < 180
+    np.testing.assert_array_equal(good, want)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_nodes_come_out_of_the_heap_in_the_order_of_their_estimates_also_when_some_are_put_forward(seed):
+    rng, n = np.random.default_rng(seed), 60
+    came, known = rng.integers(0, 3, n).astype(float), np.zeros((3, n), np.int32)
+    front = Front(came, *known, np.empty(n, np.int32), np.empty(n), np.zeros(1, np.int64))
+    waiting = {}
+    for _ in range(2000):
+        if waiting and rng.random() < 0.45:
+            first = min(waiting, key=lambda node: (waiting[node], came[node], node))
+            assert _next(front) == first
+            del waiting[first]
+        else:
+            node, estimate = int(rng.integers(n)), float(rng.integers(20))
+            if estimate < waiting.get(node, np.inf):
+                waiting[node] = estimate
+                _wait(front, estimate, node)
+        assert front.size[0] == len(waiting)
+    assert len(waiting) > 5

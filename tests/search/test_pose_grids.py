@@ -189,21 +189,24 @@ def test_goals_are_the_poses_beside_it_from_which_it_goes_there_as_it_is(facing,
 def test_what_is_not_got_to_clear_is_told():
     poses = np.array([[0.4, 0.2, 0.0], [0.5, 0.2, 0.0], [1.3, 0.7, 0.0], [0.5, 0.2, 0.0], [0.4, 0.2, 0.0]])
     assert _touching(POSTS, poses, BODY).tolist() == [2, 3]
+    assert _touching(POSTS, poses[1:], BODY).tolist() == [1, 2]
     assert _touching(ANYWHERE, poses, BODY).tolist() == []
 
 
-def test_it_is_stuck_where_the_way_comes_to_what_the_waves_reached():
-    shape, grid = (40, 5), Grid(np.zeros(2), 0.1, (40, 5), 8)
+@pytest.mark.parametrize(("origin", "heading"), [((0.0, 0.0), 0), ((-3.0, 7.0), 3)])
+def test_it_is_stuck_where_the_way_comes_to_what_the_waves_reached(origin, heading):
+    shape, grid = (40, 5), Grid(np.array(origin), 0.1, (40, 5), 8)
     free = np.full((8, *shape), 1, dtype=bool)
-    free[:, 20] = False  # a wall
+    free[:, 20] = free[:heading] = False  # a wall; there is no room to face some ways
     field = field_of(
         np.packbits(np.pad(free, ((0, 0), (0, 0), (0, 59))), axis=-1, bitorder="little").view(np.uint64), 5
     )
-    assert spread(field, _moves(grid), np.array([[0, 35, 2]]), np.zeros((0, 3), np.int64)) == -1
-    at = _stuck(field, grid, np.array([[0.5, 0.2], [1.5, 0.2], [3.5, 0.2]]))
-    np.testing.assert_allclose(at[:2], [2.1, 0.2], atol=0.051)
-    nowhere = _stuck(field, grid, np.array([[0.5, 0.2], [1.5, 0.2]]))
-    np.testing.assert_allclose(nowhere, [1.5, 0.2, 0.0])
+    assert spread(field, _moves(grid), np.array([[heading, 35, 2]]), np.zeros((0, 3), np.int64)) == -1
+    way = np.array([[0.5, 0.2], [1.5, 0.2], [3.5, 0.2]]) + origin
+    at = _stuck(field, grid, way)
+    np.testing.assert_allclose(at[:2] - origin, [2.1, 0.2], atol=0.051)
+    assert at[2] == pytest.approx(2.0 * pi * heading / 8)  # the first heading that gets on
+    np.testing.assert_allclose(_stuck(field, grid, way[:2]), [*way[1], 0.0])
 
 
 def test_without_room_for_any_grid_the_search_gives_up_at_the_start():

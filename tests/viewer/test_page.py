@@ -53,6 +53,7 @@ def test_two_clicks_draw_a_path(operator):
 @pytest.mark.parametrize("name", ["dual_gpdf", "astar"])
 def test_a_line_has_the_colour_that_its_legend_shows(operator, name):
     operator.plans((0.9, 0.9, 0.0), (5.4, 3.4, 0.0))
+    until(lambda: path_on_screen(operator) is not None)
     paths = operator.page.plans.paths
     path, middle = paths.shown, path_on_screen(operator)[len(path_on_screen(operator)) // 2]
     paths.clear()

@@ -1,0 +1,160 @@
+"""The points of a cloud that changes: each keeps its number, those that went are marked, and others come after."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+
+from gpdf_service.perception.columns import by_cell
+from gpdf_service.perception.layers import columns_over
+from gpdf_service.perception.rows import INDEX, bounds_of, cells_of, chosen_rows, rows_in_box, taken
+from gpdf_service.types import BoolArray, FloatArray, IntArray
+
+SQUARE = 1.0
+"""[m] Width of the squares in plan in which points are looked for: of what changes at once in a room."""
+_FEW = 8
+"""Squares a point at most: those of a cloud that is that thin are wider."""
+_BLOCK = 4096
+"""Points that are counted at once."""
+
+
+class _Squares(NamedTuple):
+    """Which points are in each square: corner and width of the squares [m], their shape, and `by_cell`."""
+
+    corner: FloatArray
+    width: float
+    shape: tuple[int, int]
+    start: IntArray
+    order: IntArray
+
+
+@dataclass(frozen=True)
+class Base:
+    """Points that were there from the first version on [m], shape (n, 3); those that follow share them."""
+
+    points: FloatArray
+
+    @cached_property
+    def squares(self) -> _Squares:
+        """The points by squares; told on first use, and kept for all versions."""
+        low, high = bounds_of(self.points)
+        width = SQUARE
+        while np.prod(np.floor((high - low) / width) + 1.0) > _FEW * len(self.points):
+            width *= 2.0
+        shape = columns_over(low, high, width)
+        return _Squares(low, width, shape, *by_cell(cells_of(self.points, low, width, shape), shape[0] * shape[1]))
+
+
+@dataclass(frozen=True, slots=True)
+class Points:
+    """All points of one version; a number below is that of a point among those of `base`, and after them of `more`.
+
+    Attributes:
+        base: Those of the first version.
+        more: Those that came since [m], shape (k, 3).
+        there: Which of all are there, shape (n + k,).
+    """
+
+    base: Base
+    more: FloatArray
+    there: BoolArray
+
+    @property
+    def count(self) -> int:
+        """How many are there."""
+        return int(np.count_nonzero(self.there))
+
+    @property
+    def untouched(self) -> bool:
+        """Whether all are there, and no others."""
+        return len(self.more) == 0 and bool(self.there.all())
+
+    @property
+    def present(self) -> FloatArray:
+        """Those that are there, in the order of their numbers [m], shape (count, 3)."""
+        if self.untouched:
+            return self.base.points
+        count = len(self.base.points)
+        return chosen_rows(self.base.points, self.there[:count], self.more[self.there[count:]])
+
+    def numbers(self, rows: IntArray) -> IntArray:
+        """The numbers of some of those that are `present`, by their rows, which ascend."""
+        return rows if self.untouched else _select(self.there, rows)
+
+    def taken(self, numbers: IntArray) -> FloatArray:
+        """Some of the points [m], by their numbers, shape (m, 3)."""
+        return _taken(self.base.points, self.more, numbers) if len(self.more) else taken(self.base.points, numbers)
+
+    def changed(self, gone: IntArray, fresh: FloatArray) -> Points:
+        """The next version: without some, by their numbers, and with `fresh` ones, shape (m, 3)."""
+        there = np.concatenate([self.there, np.ones(len(fresh), dtype=bool)])
+        there[gone] = False
+        return Points(self.base, np.concatenate([self.more, fresh]), there)
+
+    def rows_in_box(self, low: FloatArray, high: FloatArray) -> IntArray:
+        """Numbers of the points between `low` and `high` in plan [m], shape (2,), that are there; they ascend."""
+        corner, width, (nx, ny), start, order = self.base.squares
+        first, last = (np.clip(np.floor((end - corner) / width), -1, (nx, ny)) for end in (low, high))
+        (left, near), (right, far) = np.maximum(first, 0).astype(int), np.minimum(last + 1, (nx, ny)).astype(int)
+        columns = range(left, right if near < far else left)
+        inside = [order[start[x * ny + near] : start[x * ny + far]] for x in columns]
+        found = _within(self.base.points, self.there, np.concatenate([*inside, order[:0]]), low, high)
+        more = rows_in_box(self.more, low, high) + len(self.base.points)
+        return np.concatenate([np.sort(found).astype(np.int64), more[self.there[more]]])
+
+    def bounds(self, chosen: BoolArray) -> tuple[FloatArray, FloatArray]:
+        """Least and greatest (x, y) [m] of the `chosen` points, shape (n + k,)."""
+        count = len(self.base.points)
+        ends = bounds_of(self.base.points, chosen[:count]), bounds_of(self.more, chosen[count:])
+        return np.minimum(ends[0][0], ends[1][0]), np.maximum(ends[0][1], ends[1][1])
+
+
+def points_of(points: FloatArray) -> Points:
+    """The points of a first version [m], shape (n, 3)."""
+    return Points(Base(points), np.zeros((0, 3)), np.ones(len(points), dtype=bool))
+
+
+@njit(cache=True, nogil=True)
+def _select(there: BoolArray, rows: IntArray) -> IntArray:
+    """Numbers of those that are `there`, by their rows among them, which ascend."""
+    made, k, before = np.empty(len(rows), np.int64), 0, 0
+    for begin in range(0, len(there), _BLOCK):
+        if k == len(rows):
+            break
+        block, count = there[begin : begin + _BLOCK], 0
+        for i in range(len(block)):
+            count += block[i]
+        if rows[k] < before + count:
+            row = before
+            for i in range(len(block)):
+                while block[i] and k < len(rows) and rows[k] == row:
+                    made[k] = begin + i
+                    k += 1
+                row += block[i]
+        before += count
+    return made
+
+
+@njit(cache=True, nogil=True)
+def _taken(base: FloatArray, more: FloatArray, numbers: IntArray) -> FloatArray:
+    made = np.empty((len(numbers), 3))
+    for i in range(len(numbers)):
+        n = numbers[i]
+        for k in range(3):
+            made[i, k] = base[n, k] if n < len(base) else more[n - len(base), k]
+    return made
+
+
+@njit(cache=True, nogil=True)
+def _within(points: FloatArray, there: BoolArray, numbers: IntArray, low: FloatArray, high: FloatArray) -> IntArray:
+    """Those of the numbers whose points are there, and between `low` and `high` in plan."""
+    found, used = np.empty(len(numbers) + 1, INDEX), 0
+    for n in numbers:
+        x, y = points[n, 0], points[n, 1]
+        found[used] = n
+        used += int(there[n] and low[0] <= x <= high[0] and low[1] <= y <= high[1])
+    return found[:used]
