@@ -8,16 +8,19 @@ from gpdf_service.denoise import as_measured, return_explained
 SIGMA, SPACING = 0.05, 0.03
 
 
-def looked_at_again(extra, spacing=SPACING):
-    """The `extra` points before a wall at x = 0 that is told exactly, after they were looked at again, (k, 3) [m]."""
+def looked_at_again(extra, spacing=SPACING, placed=None, apart=0.0):
+    """The `extra` points before a wall at x = 0 that is told exactly, after they were looked at again, (k, 3) [m].
+
+    They are vague, or were `placed` elsewhere.
+    """
     rng = np.random.default_rng(0)
     wall = np.column_stack([np.zeros(n := round(4.0 / spacing**2)), rng.uniform(-1.0, 1.0, (n, 2))])
     measured = np.concatenate([wall + rng.normal(0.0, SIGMA, wall.shape), extra])
-    vague = np.arange(len(measured)) >= len(wall)
-    told = as_measured(np.concatenate([wall, extra]), SIGMA)._replace(vague=vague)
-    return_explained(measured, np.ones(len(measured), dtype=bool), told)
-    assert np.array_equal(told.points[~vague], wall)
-    return told.points[vague]
+    added = np.arange(len(measured)) >= len(wall)
+    told = as_measured(np.concatenate([wall, extra if placed is None else placed]), SIGMA)
+    return_explained(measured, np.ones(len(measured), dtype=bool), told._replace(vague=added & (placed is None)), apart)
+    assert np.array_equal(told.points[~added], wall)
+    return told.points[added]
 
 
 @pytest.mark.parametrize("off", [2.0, 3.0, 3.7])
@@ -46,3 +49,21 @@ def test_a_wall_of_which_hardly_a_point_was_seen_explains_nothing():
     extra = np.array([[2.5 * SIGMA, 0.1, 0.2]])
     made = looked_at_again(extra, spacing=0.3)
     assert np.array_equal(made, extra)
+
+
+def test_two_outliers_beside_each_other_are_no_thing():
+    made = looked_at_again(np.array([[3.5 * SIGMA, 0.1, 0.2], [3.5 * SIGMA, 0.1, 0.2 + 0.6 * SIGMA]]))
+    assert np.abs(made[:, 0]).max() < 1e-9
+
+
+def test_what_was_put_where_no_surface_is_goes_back_to_the_one_beside():
+    measured = np.array([[2.0 * SIGMA, 0.1, 0.2]])
+    made = looked_at_again(measured, placed=np.array([[6.0 * SIGMA, 0.1, 0.2]]))
+    assert abs(made[0, 0]) < 1e-9
+
+
+def test_what_is_nearer_than_an_outlier_stays_where_it_was_measured():
+    extra = np.array([[1.5 * SIGMA, 0.1, 0.2], [3.0 * SIGMA, -0.4, 0.2]])
+    made = looked_at_again(extra, apart=2.0)
+    assert np.array_equal(made[0], extra[0])
+    assert abs(made[1, 0]) < 1e-9
