@@ -51,9 +51,11 @@ def test_a_wall_of_which_hardly_a_point_was_seen_explains_nothing():
     assert np.array_equal(made, extra)
 
 
-def test_two_outliers_beside_each_other_are_no_thing():
-    made = looked_at_again(np.array([[3.5 * SIGMA, 0.1, 0.2], [3.5 * SIGMA, 0.1, 0.2 + 0.6 * SIGMA]]))
-    assert np.abs(made[:, 0]).max() < 1e-9
+@pytest.mark.parametrize(("count", "back"), [(2, True), (4, False)])
+def test_two_outliers_beside_each_other_are_no_thing_and_four_are(count, back):
+    extra = np.array([[4.0 * SIGMA, 0.1, 0.2 + 0.5 * SIGMA * i] for i in range(count)])
+    made = looked_at_again(extra)
+    assert np.array_equal(np.abs(made[:, 0]) < 1e-9, [back] * count)
 
 
 def test_what_was_put_where_no_surface_is_goes_back_to_the_one_beside():
