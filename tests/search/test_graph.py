@@ -11,6 +11,7 @@ from scipy.sparse.csgraph import connected_components, dijkstra
 from gpdf_service.fields import build_tree
 from gpdf_service.perception.surface import HeightMap
 from gpdf_service.search.graph import (
+    KNOWN,
     Doors,
     Front,
     _next,
@@ -254,8 +255,9 @@ def test_an_edge_is_proven_where_both_halves_keep_the_radius_or_stay_in_their_le
 @pytest.mark.parametrize("seed", range(4))
 def test_nodes_come_out_of_the_heap_in_the_order_of_their_estimates_also_when_some_are_put_forward(seed):
     rng, n = np.random.default_rng(seed), 60
-    came, known = rng.integers(0, 3, n).astype(float), np.zeros((3, n), np.int32)
-    front = Front(came, *known, np.empty(n, np.int32), np.empty(n), np.zeros(1, np.int64))
+    came, known = rng.integers(0, 3, n).astype(float), np.zeros(n, KNOWN)
+    known["cost_to_come"] = came
+    front = Front(known, np.empty(n, np.int32), np.empty(n), np.zeros(1, np.int64))
     waiting = {}
     for _ in range(2000):
         if waiting and rng.random() < 0.45:
