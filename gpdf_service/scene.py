@@ -532,7 +532,8 @@ class Scene:
         if self._standing is not None:
             self._standing.save(path)
             return
-        arrays = {"points": self.points, "ground": self.ground, **levels_to_arrays(self.levels, self.points)}
+        points = self._cloud.present  # not kept: a builder's scene shares them with the version before
+        arrays = {"points": points, "ground": self.ground, **levels_to_arrays(self.levels, points)}
         if self.rays is not None:
             arrays["origins"] = self.rays.origins
         for i, field in enumerate(self.ground_fields):

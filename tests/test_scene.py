@@ -1,4 +1,5 @@
 import dataclasses
+import gc
 import json
 import threading
 
@@ -9,7 +10,9 @@ import pytest
 import gpdf_service as gpdf
 from gpdf_service.errors import CloudError, FieldError, SceneFileError
 from gpdf_service.perception import HeightMap
+from gpdf_service.planning.routes import Leg, pull_cheaply
 from gpdf_service.scene import level_under
+from gpdf_service.search import Prefer
 from gpdf_service.store import flatten, read_arrays, write_arrays
 from gpdf_service.synthetic import SCANNERS, SCENES
 from gpdf_service.synthetic.places import PLACES
@@ -284,6 +287,21 @@ def test_a_prepared_body_leaves_nothing_for_its_first_plan_to_build(office):
     spaces = scene.free_space("human")
     assert gpdf.plan(scene, made.start, made.goal).status is gpdf.Status.OK
     assert scene.free_space("human") is spaces
+
+
+@pytest.mark.parametrize("between", [False, True])
+def test_a_way_that_is_pulled_leaves_nothing_that_keeps_its_scene_until_somebody_looks_for_garbage(office, between):
+    """In a service nobody looks for thousands of plans, and scenes come and go."""
+    made, scene = office
+    leg = Leg(0, np.array([made.start[:2], made.goal[:2]]), scene.free_space("human"))
+    pull_cheaply(leg, Prefer.COMPANION, between=between)
+    gc.collect()
+    gc.disable()
+    try:
+        pull_cheaply(leg, Prefer.COMPANION, between=between)
+        assert gc.collect() == 0
+    finally:
+        gc.enable()
 
 
 def test_labels_must_fit_the_points():

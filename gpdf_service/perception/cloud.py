@@ -73,7 +73,7 @@ class Cloud:
         x, y = window(wanted, 1)
         low, high = (grid.origin + grid.cell_width * np.array(end) for end in ((x.start, y.start), (x.stop, y.stop)))
         if (low < self._low).any() or (high > self._high).any():
-            rows = self.points.rows_in_box(low, high)
+            rows = self.points.rows_in_box(low - grid.cell_width, high + grid.cell_width)  # rounding: a cell more
             return rows[rows_in_cells(self.points.taken(rows), grid.origin, grid.cell_width, wanted)]
         at_hand, start, order = self._by_cell(grid, wanted.shape)
         return self._rows[rows_of_cells(wanted[at_hand].ravel(), start, order)]

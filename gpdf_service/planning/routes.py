@@ -409,4 +409,5 @@ def pull_cheaply(leg: Leg, prefer: Prefer, *, between: bool = False) -> tuple[Le
         return distinct(np.concatenate([one[0], other[0]])), one[1] + other[1]
 
     path, takes = pulled_between(0, len(leg.path) - 1)
+    del pulled_between  # what knows itself would keep the scene until somebody looks for garbage
     return leg._replace(path=path), takes

@@ -3,7 +3,10 @@
 import numpy as np
 import pytest
 
+from gpdf_service.perception.cloud import AT_HAND, Cloud
 from gpdf_service.perception.points import points_of
+from gpdf_service.perception.rows import rows_in_cells
+from gpdf_service.perception.surface import OBSERVED, HeightMap
 
 
 def changed(rng, count, wide=12.0, versions=4):
@@ -64,3 +67,20 @@ def test_a_first_version_shares_its_points_and_a_later_one_leaves_them_as_they_w
     assert not second.untouched
     assert second.base is first.base
     assert first.there.all()
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_point_on_the_rim_of_a_grid_is_in_its_last_cell_wherever_the_change_is(seed):
+    """Rounding puts it beyond where the last cell ends, and into that cell."""
+    rng, width, beyond, corner, shape = np.random.default_rng(seed), 0.055, np.inf, 0.0, (0, 3)
+    while np.floor((beyond - corner) / width) >= shape[0]:
+        corner, shape = -width * rng.integers(1, 60), (int(rng.integers(200, 300)), 3)
+        beyond = np.nextafter(corner + width * shape[0], np.inf)
+    assert beyond - corner > 2.0 * AT_HAND
+    cloud = np.array([[corner + 0.5 * width, 0.5 * width, 0.0], [beyond, 0.5 * width, 0.0]])
+    grid = HeightMap(np.array([corner, 0.0]), width, np.zeros(shape, np.float32), np.full(shape, OBSERVED, np.uint8))
+    wanted = np.zeros(shape, dtype=bool)
+    wanted[[0, -1]] = True
+    rows = rows_in_cells(cloud, grid.origin, width, wanted)
+    assert rows.tolist() == [0, 1]
+    np.testing.assert_array_equal(Cloud(points_of(cloud), cloud[:1]).part(grid, wanted)[0], rows)
