@@ -397,17 +397,18 @@ def pull_cheaply(leg: Leg, prefer: Prefer, *, between: bool = False) -> tuple[Le
         """What the leg takes up to each place [s]."""
         return np.append(0.0, np.cumsum(tell(leg.path, about) @ price))
 
-    def pulled_between(first: int, last: int) -> tuple[FloatArray, FloatArray]:
+    rest, pieces, takes = [(0, len(leg.path) - 1)], [], np.zeros(6)
+    while rest:  # no function that calls itself: it would keep the scene until Python looks for garbage
+        first, last = rest.pop()
         piece = leg._replace(path=leg.path[first : last + 1])
         pulled = (_tighten if between else _pull)(piece).path
-        takes: FloatArray = way_takes(pulled, about).sum(axis=0)
-        most = takes @ price / PULLED
+        taken = way_takes(pulled, about).sum(axis=0)
+        most = taken @ price / PULLED
         if last - first < 2 or any(most <= np.ptp(spent(tell)[[first, last]]) for tell in (least_takes, way_takes)):
-            return pulled, takes
-        middle = (first + last + 1) // 2
-        one, other = pulled_between(first, middle), pulled_between(middle, last)
-        return distinct(np.concatenate([one[0], other[0]])), one[1] + other[1]
-
-    path, takes = pulled_between(0, len(leg.path) - 1)
-    del pulled_between  # what knows itself would keep the scene until somebody looks for garbage
+            pieces.append(pulled)
+            takes += taken
+        else:
+            middle = (first + last + 1) // 2
+            rest += [(middle, last), (first, middle)]
+    path = pieces[0] if len(pieces) == 1 else distinct(np.concatenate(pieces))
     return leg._replace(path=path), takes
