@@ -75,12 +75,8 @@ class HeightMap:
     def centres(self, mask: BoolArray) -> FloatArray:
         """Centres of the cells in `mask`, shape (nx, ny), with their height: (k, 3) [m]."""
         found = np.empty((np.count_nonzero(mask), 3))
-        self.put_centres(mask, found)
+        _centres(self.arrays, mask, found)
         return found
-
-    def put_centres(self, mask: BoolArray, made: FloatArray) -> None:
-        """Write the `centres`, (k, 3) [m]."""
-        _centres(self.arrays, mask, made)
 
 
 def changed(old: HeightMap, new: HeightMap) -> BoolArray:
