@@ -36,31 +36,35 @@ _SINGLE, _SQUARE, _CUBE = 2.0**-1.5, 3.0**-1.5, 4.0**-1.5
 """[-] What exp(−r² / 2 σ²), its square and its cube are in the mean where N(0, σ²) puts r."""
 
 
-def return_explained(points: FloatArray, part: BoolArray, cured: Denoised, apart: float = 0.0) -> None:
-    """Put the doubtful points of a `part`, shape (n,), onto the surfaces that the others show; not where it is more.
+def return_explained(
+    points: FloatArray, part: BoolArray, shown: BoolArray, cured: Denoised, apart: float = 0.0
+) -> None:
+    """Put the doubtful points of a `part` onto the surfaces that others show; not where more was measured than is due.
 
     Doubtful is what is vague, and what was put onto a surface where that shows hardly any other point: beyond its end.
 
     Args:
         points: The cloud as it was measured [m], shape (n, 3).
-        part: Of it, that shows its own surfaces: what is no ground.
-        cured: What was made of it; its places are changed.
+        part: Whose points are looked at, shape (n,).
+        shown: Whose points, and those of the part, show surfaces, shape (n,).
+        cured: What was made of the cloud; its places are changed.
         apart: Standard deviations that a point was measured off the surfaces at least, to be put back [-].
     """
-    rows = np.flatnonzero(part & ~cured.stray)
+    rows = np.flatnonzero((part | shown) & ~cured.stray)
+    own = part[rows]
     if len(rows) == 0 or cured.measured == 0.0:
         return
     places, sigma, width = cured.points[rows], cured.local[rows], RESOLVED * cured.measured
-    told = sort_into_cells(places, width)
+    near = sort_into_cells(places, width)
     doubtful = cured.vague[rows].copy()
     alone = np.zeros(len(rows), dtype=bool)
-    run_chunked(lambda a, b: _alone_range(told, doubtful, sigma, a, b, alone), len(told.key))
+    run_chunked(lambda a, b: _alone_range(near, doubtful, sigma, a, b, alone), len(near.key))
     doubtful |= alone
     cells = sort_into_cells(points[rows], width)
     for _ in range(_ROUNDS):
         moved = np.zeros(len(rows), dtype=bool)
-        own = cells, doubtful, sigma, apart, places - cells.corner
-        run_chunked(partial(_explain_range, *own, places, moved), len(cells.key))
+        told = cells, doubtful, own, sigma, apart, places - cells.corner
+        run_chunked(partial(_explain_range, *told, places, moved), len(cells.key))
         doubtful &= ~moved
     cured.points[rows] = places
 
@@ -88,6 +92,7 @@ def _alone_range(told: Cells, vague: BoolArray, sigma: FloatArray, begin: int, e
 def _explain_range(
     cells: Cells,
     doubtful: BoolArray,
+    own: BoolArray,
     sigma: FloatArray,
     apart: float,
     told: FloatArray,
@@ -103,7 +108,8 @@ def _explain_range(
         count = cells_within(cells, c, _RINGS, beside)
         for i in range(cells.begin[c], cells.begin[c + 1]):
             row = cells.order[i]
-            if doubtful[row] and _is_explained(cells, beside[:count], i, doubtful, sigma[row], apart, told, mean):
+            asked = doubtful[row] and own[row]
+            if asked and _is_explained(cells, beside[:count], i, doubtful, sigma[row], apart, told, mean):
                 moved[row] = True
                 for k in range(3):
                     places[row, k] = mean[k] + cells.corner[k]

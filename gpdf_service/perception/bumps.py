@@ -66,11 +66,29 @@ def low_things(near: Beside, ground: BoolArray, raised: FloatArray, config: Perc
         return found
     piece = _pieces(nodes, grid, found, slope)
     length, depth = extents_in_plan(layers.cell[nodes], layers.shape[1], found[nodes], piece, layers.cell_width)
-    stays = (length >= config.standing_width) & (length >= LONG * depth)
-    a, b = pairs_around(nodes, *grid, ground & ~found, 0.0, config.max_step)
-    stays[piece[a[layers.height[b] - layers.height[nodes[a]] > LEAST_BUMP]]] = True
-    found[nodes[stays[piece]]] = False
+    rim, steps, up = _rims(near, nodes, piece, len(depth), ground & ~found, raised, config)
+    crosses = (length >= config.standing_width) & (length >= LONG * depth)
+    thing = (steps > STEPPED * rim) & (up == 0) & ~crosses
+    found[nodes[~thing[piece]]] = False
     return found
+
+
+def _rims(
+    near: Beside,
+    nodes: IntArray,
+    piece: IntArray,
+    count: int,
+    beside: BoolArray,
+    raised: FloatArray,
+    config: PerceptionConfig,
+) -> tuple[IntArray, IntArray, IntArray]:
+    """Pairs of a piece's `nodes` with those `beside` it, of them those with a step down, and those with one up."""
+    height, layers = near.layers.height, near.layers
+    a, b = pairs_around(nodes, layers.cell, layers.start, layers.shape, height, beside, 0.0, config.max_step)
+    drop = height[nodes[a]] - height[b]
+    kinds = np.isfinite(drop), drop >= 0.5 * raised[nodes[a]], drop < -LEAST_BUMP
+    rim, steps, up = (np.bincount(piece[a[kind]], minlength=count) for kind in kinds)
+    return rim, steps, up
 
 
 def boxes(near: Beside, ground: BoolArray, config: PerceptionConfig) -> BoolArray:
@@ -88,12 +106,7 @@ def boxes(near: Beside, ground: BoolArray, config: PerceptionConfig) -> BoolArra
     grid = layers.cell, layers.start, layers.shape, layers.height
     piece = _pieces(nodes, grid, found, slope)
     depth = extents_in_plan(layers.cell[nodes], layers.shape[1], found[nodes], piece, layers.cell_width)[1]
-    a, b = pairs_around(nodes, *grid, ground & ~found, 0.0, config.max_step)
-    drop, count = layers.height[nodes[a]] - layers.height[b], len(depth)
-    rim, steps, up = (
-        np.bincount(piece[a[kind]], minlength=count)
-        for kind in (drop < np.inf, drop >= 0.5 * raised[nodes[a]], drop < -LEAST_BUMP)
-    )
+    rim, steps, up = _rims(near, nodes, piece, len(depth), ground & ~found, raised, config)
     box = (depth >= config.standing_width) & (steps > STEPPED * rim) & (up < RISING * rim)
     found[nodes[~box[piece]]] = False
     return found

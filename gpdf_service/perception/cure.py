@@ -36,8 +36,8 @@ than once: a stair's treads make 1.1 of it, a forest's litter 1.3, two scans tha
 _PLACES = 300
 """Places of the ground that tell whether it lies there more than once: to a tenth, for half as much again."""
 _APART = 2.0
-"""[-] Standard deviations off a thing that its outliers are at least, where nobody labelled it: the rim of a lid that
-was taken for ground is nearer to the lid's side than that, and stays where it was measured."""
+"""[-] Standard deviations off a surface that its outliers are at least, of the ground and where nobody labelled it: the
+rim of a lid that was taken for ground is nearer to the lid's side than that, and stays where it was measured."""
 _COLUMN = 1.0
 """[m] Width of the columns that the sample is made of: several times the largest neighbourhood of 5 cm noise."""
 
@@ -115,21 +115,25 @@ def _with_double(points: FloatArray, ground: BoolArray, sample: _Sample, least: 
 def _cured(points: FloatArray, ground: BoolArray, noise: float) -> CuredGround:
     """A cloud with labels: stairs on their treads, and what is between two treads on their risers.
 
-    Where nobody labelled what lies low on the floor, the points beside do not tell it from the floor's outliers.
+    The floor explains nothing that was labelled as no ground, and no thing what is ground.
     """
     cured = denoise(points, ground, noise)
     cured.stray[~ground] = False  # what is alone goes back to a surface that explains it, or stays where it is
-    return_explained(points, ~ground, cured)
+    return_explained(points, ~ground, ~ground, cured)
+    return_explained(points, ground, ground, cured, _APART)
     _settle_stairs(points, ground, cured)
     return CuredGround(_in_steps(cured), ground & ~cured.stray, as_it_was=False)
 
 
 def _found(points: FloatArray, noise: float, spacing: float, config: PerceptionConfig) -> CuredGround:
-    """A cloud without labels: denoised as a whole, then segmented."""
+    """A cloud without labels: denoised as a whole, then segmented.
+
+    What is no ground may be an outlier of it. Ground stays: points that are put back clump, and leave cells empty.
+    """
     cured = denoise(points, None, noise)
     ground, kept = np.zeros(len(points), dtype=bool), chosen_rows(cured.points, ~cured.stray)
     ground[~cured.stray] = segment(kept, first_layers(kept, config), config, cured.local[~cured.stray])[0]
-    return_explained(points, ~ground, cured, _APART)
+    return_explained(points, ~ground, ground, cured, _APART)
     _settle_stairs(points, ground, cured)
     stray = cured.stray | find_lifted(cured.points, ground, noise, spacing)
     return CuredGround(_in_steps(cured)._replace(stray=stray), ground & ~stray, as_it_was=False)

@@ -18,7 +18,7 @@ def looked_at_again(extra, spacing=SPACING, placed=None, apart=0.0):
     measured = np.concatenate([wall + rng.normal(0.0, SIGMA, wall.shape), extra])
     added = np.arange(len(measured)) >= len(wall)
     told = as_measured(np.concatenate([wall, extra if placed is None else placed]), SIGMA)
-    return_explained(measured, np.ones(len(measured), dtype=bool), told._replace(vague=added & (placed is None)), apart)
+    return_explained(measured, added, ~added, told._replace(vague=added & (placed is None)), apart)
     assert np.array_equal(told.points[~added], wall)
     return told.points[added]
 
@@ -69,3 +69,14 @@ def test_what_is_nearer_than_an_outlier_stays_where_it_was_measured():
     made = looked_at_again(extra, apart=2.0)
     assert np.array_equal(made[0], extra[0])
     assert abs(made[1, 0]) < 1e-9
+
+
+def test_of_what_only_shows_surfaces_nothing_is_moved():
+    rng = np.random.default_rng(0)
+    wall = np.column_stack([np.zeros(2000), rng.uniform(-1.0, 1.0, (2000, 2))])
+    wall[0] = 3.0 * SIGMA, 0.0, 0.0
+    told, first = as_measured(wall, SIGMA)._replace(vague=np.arange(2000) == 0), np.arange(2000) == 0
+    return_explained(wall, ~first, first, told)
+    assert np.array_equal(told.points, wall)
+    return_explained(wall, first, ~first, told)
+    assert abs(told.points[0, 0]) < 1e-9

@@ -57,6 +57,19 @@ def test_a_platform_is_ground(noise: float) -> None:
     assert gpdf.segment_ground(cloud)[top].mean() > 0.95
 
 
+@pytest.mark.parametrize("noise", [0.002, 0.02])
+def test_a_platform_is_ground_to_its_corners(noise: float) -> None:
+    """At a corner a platform falls off to either side within the width of a person, as a chair's foot does."""
+    low, high = np.array([1.0, 1.0]), np.array([3.5, 3.0])
+    cloud, top = room_with((1.0, 1.0), (3.5, 3.0), 0.15, noise)
+    inward = np.minimum(cloud[:, :2] - low, high - cloud[:, :2])
+    corner = top & (inward > 0.5 * SPACING).all(axis=1) & (inward < 0.25).all(axis=1)
+    assert gpdf.segment_ground(cloud)[corner].mean() > 0.9
+    scene = gpdf.build_scene(cloud)
+    for at in (low, high, (low[0], high[1]), (high[0], low[1])):  # a body there stands half on it
+        assert gpdf.plan(scene, (0.5, 0.5, 0.0), (*at, 0.0), "human").status is gpdf.Status.OK
+
+
 def test_a_rise_without_a_step_is_ground() -> None:
     """A mound as high and as wide as a box."""
     floor = plate((0.0, 0.0), (6.0, 5.0), 0.0)
