@@ -130,8 +130,9 @@ class Gpdf:
         asked, finite = self._check(queries)
         count = len(asked)
         distance, deviation, gradient = np.empty(count), np.empty(count), np.empty_like(asked)
-        own, off = (self.arrays, asked, spatial_order(asked)), self._off_surface()
-        run_chunked(lambda a, b: sample_range(*own, a, b, off, distance, gradient, deviation), count)
+        order, made = spatial_order(asked), (distance, gradient, deviation)
+        field, off = self.arrays, self._off_surface()
+        run_chunked(lambda a, b: sample_range(field, asked, order[a:b], off, made), count)
         valid = finite & self.domain.contains(asked) & np.isfinite(deviation)
         distance[~valid], gradient[~valid], deviation[~valid] = 0.0, 0.0, np.inf
         return FieldSample(distance, gradient, valid, deviation)
@@ -246,7 +247,7 @@ class Gpdf:
 def find_nearest(tree: Tree, queries: FloatArray) -> tuple[FloatArray, IntArray]:
     """Exact nearest point of each query, shape (m, dim): distance [m] and row in `tree.points`, shape (m,)."""
     distance, index = np.zeros(len(queries)), np.zeros(len(queries), np.int64)
-    run_chunked(lambda a, b: nearest_range(tree, queries, a, b, distance, index), len(queries))
+    run_chunked(lambda a, b: nearest_range(tree, queries[a:b], distance[a:b], index[a:b]), len(queries))
     return distance, index
 
 

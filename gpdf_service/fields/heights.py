@@ -42,14 +42,13 @@ def sum_heights(
     tree: Tree, x: FloatArray, normal: FloatArray, radii: FloatArray, half: float, sums: Sums, look: Look
 ) -> None:
     """Fill the sums of the points around x, `half` [m] to either side along `normal`; x and y in units of radii[-1]."""
-    boxes, limit, unit = tree.boxes, radii[-1] ** 2, 1.0 / radii[-1]
-    stack, bound, near_box, _ = look.walk
+    limit, unit = radii[-1] ** 2, 1.0 / radii[-1]
     nx, ny, nz = normal[0], normal[1], normal[2]
     ux, uy, uz, vx, vy, vz = tangents(normal)
     clear(sums)
-    place, top = place_of(x), from_root(stack, bound)
+    place, top = place_of(x), from_root(look.walk)
     while True:
-        leaf, _, top = next_leaf(boxes, place, place, limit, stack, bound, near_box, top)
+        leaf, top = next_leaf(tree.boxes, place, place, limit, look.walk, top)
         if leaf < 0:
             break
         for j in look.row[: rows_within(tree, leaf, place, limit, look)]:

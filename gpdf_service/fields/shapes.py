@@ -25,11 +25,10 @@ TURNS = 6
 @njit(cache=True, nogil=True)
 def gather(tree: Tree, x: FloatArray, radius: float, near: FloatArray, look: Look) -> int:
     """Write the offsets of the points within `radius` [m] of x into `near`, shape (MOST, 3); how many there are."""
-    boxes, found, limit = tree.boxes, 0, radius * radius
-    stack, bound, near_box, _ = look.walk
-    place, top = place_of(x), from_root(stack, bound)
+    found, limit = 0, radius * radius
+    place, top = place_of(x), from_root(look.walk)
     while True:
-        leaf, _, top = next_leaf(boxes, place, place, limit, stack, bound, near_box, top)
+        leaf, top = next_leaf(tree.boxes, place, place, limit, look.walk, top)
         if leaf < 0:
             break
         for j in look.row[: min(rows_within(tree, leaf, place, limit, look), MOST - found)]:
@@ -70,13 +69,12 @@ def sum_rings(
 
     Of the neighbours only those in the slab around x across `normal`, `half` [m] to either side; all if it is zero.
     """
-    boxes, limit = tree.boxes, radii[-1] ** 2
-    stack, bound, near_box, _ = look.walk
+    limit = radii[-1] ** 2
     nx, ny, nz = normal[0], normal[1], normal[2]
     moments[:] = 0.0
-    place, top = place_of(x), from_root(stack, bound)
+    place, top = place_of(x), from_root(look.walk)
     while True:
-        leaf, _, top = next_leaf(boxes, place, place, limit, stack, bound, near_box, top)
+        leaf, top = next_leaf(tree.boxes, place, place, limit, look.walk, top)
         if leaf < 0:
             break
         for j in look.row[: rows_within(tree, leaf, place, limit, look)]:

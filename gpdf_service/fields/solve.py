@@ -104,8 +104,7 @@ def within(tree: Tree, rows: IntArray, radius: float) -> IntArray:
 @njit(cache=True, nogil=True)
 def _mark(tree: Tree, rows: IntArray, radius: float, found: BoolArray) -> None:
     """Coarse on purpose: a box around each leaf's share of `rows`, so that the cost is one walk a leaf."""
-    boxes, limit = tree.boxes, radius * radius
-    stack, bound, near, _ = make_scratch()
+    scratch = make_scratch()
     for first in range(0, len(rows), LEAF_SIZE):
         low, high = np.full(3, np.inf), np.full(3, -np.inf)
         for i in rows[first : first + LEAF_SIZE]:
@@ -113,9 +112,9 @@ def _mark(tree: Tree, rows: IntArray, radius: float, found: BoolArray) -> None:
             for k in range(3):
                 low[k], high[k] = min(low[k], x[k]), max(high[k], x[k])
         least, largest = place_of(low), place_of(high)
-        top = from_root(stack, bound)
+        top = from_root(scratch)
         while True:
-            leaf, _, top = next_leaf(boxes, least, largest, limit, stack, bound, near, top)
+            leaf, top = next_leaf(tree.boxes, least, largest, radius * radius, scratch, top)
             if leaf < 0:
                 break
             found[tree.begin[leaf] : tree.begin[leaf + 1]] = True
@@ -139,13 +138,12 @@ def _assemble(
     The guess is α on even ground, one over the sum of the row of K + σ² I; so is an α outside that is not known. A
     leaf whose points are all in this part needs no look from a later leaf: K is symmetric.
     """
-    blocks, boxes = tree.blocks, tree.boxes
+    blocks, scratch = tree.blocks, make_scratch()
     rate, reach = 1.0 / (2.0 * length_scale * length_scale), (CUT_RADIUS * length_scale) ** 2
     size = end - begin
     start, middle, capacity = np.zeros(size + 1, np.int64), np.zeros(size, np.int64), 64 * size + 1024
     column, weight = np.empty(capacity, np.uint32), np.empty(capacity, np.float32)
     total, unknown = np.full(size, noise_variance + 1.0), np.zeros(size)
-    stack, bound, near, _ = make_scratch()
     values, inner = np.empty(LEAF_SIZE, np.float32), _inner_leaves(tree.begin, place, begin, end)
     used, own = 0, 0
     for r in range(size):
@@ -153,9 +151,9 @@ def _assemble(
         x = x0, x1, x2 = place_of(tree.points[row])
         while tree.begin[own + 1] <= row:
             own += 1
-        top = from_root(stack, bound)
+        top = from_root(scratch)
         while True:
-            leaf, _, top = next_leaf(boxes, x, x, reach, stack, bound, near, top)
+            leaf, top = next_leaf(tree.boxes, x, x, reach, scratch, top)
             if leaf < 0:
                 break
             if leaf < own and inner[leaf]:

@@ -42,12 +42,12 @@ def estimate_spacing(points: FloatArray, tree: Tree | None = None) -> float:
 @njit(cache=True, nogil=True)
 def _kth_range(tree: Tree, places: FloatArray, k: int, begin: int, end: int, distance: FloatArray) -> None:
     """Distance from each place to its k-th neighbour [m], where the place itself is the 0th."""
-    (stack, bound, near_box, _), near = make_scratch(), np.empty(k + 1)
+    scratch, near = make_scratch(), np.empty(k + 1)
     for i in range(begin, end):
-        x, top = place_of(places[i]), from_root(stack, bound)
+        x, top = place_of(places[i]), from_root(scratch)
         near[:] = np.inf
         while True:
-            leaf, _, top = next_leaf(tree.boxes, x, x, near[k], stack, bound, near_box, top)
+            leaf, top = next_leaf(tree.boxes, x, x, near[k], scratch, top)
             if leaf < 0:
                 break
             for j in range(tree.begin[leaf + 1] - tree.begin[leaf]):
