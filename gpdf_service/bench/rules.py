@@ -16,6 +16,7 @@ from gpdf_service.bench import hard_clouds, houses, places
 from gpdf_service.bench.report import Row, each
 from gpdf_service.bench.scanned import judge, overlap, scanned
 from gpdf_service.denoise import as_measured
+from gpdf_service.denoise.place import Placed
 from gpdf_service.errors import GpdfError
 from gpdf_service.perception import read_cloud
 from gpdf_service.perception.surface import UNKNOWN
@@ -47,6 +48,10 @@ def _false(of: int) -> Callable[..., BoolArray]:
 
 def _first(given: Any, *_: Any, **__: Any) -> Any:  # noqa: ANN401 - whatever the rule is given
     return given
+
+
+def _none_placed(_: Any, placed: Placed) -> BoolArray:  # noqa: ANN401
+    return np.zeros(len(placed.points), dtype=bool)
 
 
 def _middles(nodes: IntArray, *given: Any) -> FloatArray:  # noqa: ANN401
@@ -104,11 +109,11 @@ RULES: dict[str, tuple[str, str, Callable[..., Any]]] = {
     "points that noise lifted": (_P + "cure", "find_lifted", _false(0)),
     "noise of each place": (_D + "cloud", "_quieter", lambda *_: iter(())),
     "planes that meet": (_D + "cloud", "place_at_edges", lambda *_: None),
-    "planes next door": (_D + "cloud", "follow_planes", lambda *_: None),
+    "planes next door": (_D + "cloud", "follow_planes", _none_placed),
     "things before a surface": (_D + "cloud", "release_things", lambda *_: None),
-    "rims drawn in": (_D + "cloud", "draw_in", lambda *_: None),
+    "rims drawn in": (_D + "cloud", "draw_in", _none_placed),
     "the rest by mean shift": (_D + "cloud", "shift_rest", lambda *_: None),
-    "points alone": (_D + "cloud", "find_alone", lambda _, placed: np.zeros(len(placed.points), dtype=bool)),
+    "points alone": (_D + "cloud", "find_alone", _none_placed),
 }
 """Each rule: the module that calls it, its name there, and what stands for it when it is off."""
 

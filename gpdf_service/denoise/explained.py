@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from functools import partial
 from math import exp, pi, sqrt
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
@@ -59,8 +60,8 @@ def return_explained(points: FloatArray, part: BoolArray, cured: Denoised, apart
     cells = sort_into_cells(points[rows], width)
     for _ in range(_ROUNDS):
         moved = np.zeros(len(rows), dtype=bool)
-        own = cells, doubtful, sigma, apart, places - cells.corner
-        run_chunked(partial(_explain_range, *own, places, moved), len(cells.key))
+        asked = _Asked(cells, doubtful, sigma, apart, places - cells.corner)
+        run_chunked(partial(_explain_range, asked, places, moved), len(cells.key))
         doubtful &= ~moved
     cured.points[rows] = places
 
@@ -84,18 +85,27 @@ def _alone_range(told: Cells, vague: BoolArray, sigma: FloatArray, begin: int, e
             alone[told.order[i]] = seen < _CORNER
 
 
+class _Asked(NamedTuple):
+    """What is asked about.
+
+    Attributes:
+        cells: Of the points as they were measured.
+        doubtful: Those that are asked about; the others show the surfaces, shape (n,).
+        sigma: Noise of each point [m], shape (n,).
+        apart: Standard deviations off the surfaces that it was measured at least [-].
+        told: Where the points are now, from the cells' corner [m], shape (n, 3).
+    """
+
+    cells: Cells
+    doubtful: BoolArray
+    sigma: FloatArray
+    apart: float
+    told: FloatArray
+
+
 @njit(cache=True, nogil=True)
-def _explain_range(
-    cells: Cells,
-    doubtful: BoolArray,
-    sigma: FloatArray,
-    apart: float,
-    told: FloatArray,
-    places: FloatArray,
-    moved: BoolArray,
-    begin: int,
-    end: int,
-) -> None:
+def _explain_range(asked: _Asked, places: FloatArray, moved: BoolArray, begin: int, end: int) -> None:
+    cells, doubtful = asked.cells, asked.doubtful
     beside, mean = np.empty((2 * _RINGS + 1) ** 3, np.int64), np.empty(3)
     for c in range(begin, end):
         if not holds_any(cells, c, doubtful):
@@ -103,24 +113,17 @@ def _explain_range(
         count = cells_within(cells, c, _RINGS, beside)
         for i in range(cells.begin[c], cells.begin[c + 1]):
             row = cells.order[i]
-            if doubtful[row] and _is_explained(cells, beside[:count], i, doubtful, sigma[row], apart, told, mean):
+            if doubtful[row] and _is_explained(asked, beside[:count], i, mean):
                 moved[row] = True
                 for k in range(3):
                     places[row, k] = mean[k] + cells.corner[k]
 
 
 @njit(cache=True, nogil=True)
-def _is_explained(
-    cells: Cells,
-    beside: IntArray,
-    i: int,
-    doubtful: BoolArray,
-    sigma: float,
-    apart: float,
-    told: FloatArray,
-    mean: FloatArray,
-) -> bool:
-    """Whether the surfaces `told` explain what is at place i; writes where on the nearest it is expected to be from."""
+def _is_explained(asked: _Asked, beside: IntArray, i: int, mean: FloatArray) -> bool:
+    """Whether the surfaces explain what is at place i; writes where on the nearest it is expected to be from."""
+    cells, doubtful, _, apart, told = asked
+    sigma = asked.sigma[cells.order[i]]
     measured, expected, variance, skew, total = 0.0, 0.0, 0.0, 0.0, 0.0
     x, y, z = cells.places[i]
     scale, furthest, least, nearest = -0.5 / sigma**2, (_FURTHEST * sigma) ** 2, np.inf, -1

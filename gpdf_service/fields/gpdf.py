@@ -62,6 +62,7 @@ class Gpdf:
         alpha: (K + σ² I)⁻¹ 1, in the tree's order, shape (n,).
         discs: The surface that each point stands for, shape (n, 6): `local_shape`; told on first use if need be.
         noise: Standard deviation of each point along the surface's normal [m], shape (n,).
+        kernel: The three numbers that come next.
         length_scale: l of the kernel [m].
         noise_variance: σ² of the occupancy [-].
         spacing: Distance between neighbouring points that the field resolves [m].
@@ -74,13 +75,11 @@ class Gpdf:
         alpha: FloatArray,
         discs: FloatArray | Callable[[], FloatArray],
         noise: FloatArray,
-        length_scale: float,
-        noise_variance: float,
-        spacing: float,
+        kernel: tuple[float, float, float],
         domain: Domain | None = None,
     ) -> None:
-        self.tree, self.alpha, self._discs, self.noise = tree, alpha, discs, noise
-        self.length_scale, self.noise_variance, self.spacing = length_scale, noise_variance, spacing
+        self.tree, self.alpha, self._discs, self.noise, self.kernel = tree, alpha, discs, noise, kernel
+        self.length_scale, self.noise_variance, self.spacing = kernel
         self.domain: Domain = Box(tree.points) if domain is None else domain
         self._weights, self._off = by_leaf(tree, alpha), np.zeros(0)
 
@@ -190,7 +189,7 @@ class Gpdf:
     def over(self, domain: Domain) -> Gpdf:
         """The same field with another domain."""
         own = self.tree, self.alpha, self._discs, self.noise
-        return Gpdf(*own, self.length_scale, self.noise_variance, self.spacing, domain)
+        return Gpdf(*own, self.kernel, domain)
 
     def _off_surface(self) -> FloatArray:
         """How far each point may be from the surface by its noise and a bend [m], shape (n,)."""
@@ -218,7 +217,7 @@ class Gpdf:
         if len(rows):
             alpha[rows] = solve_rows(tree, rows, alpha, self.length_scale, self.noise_variance)
         discs[shaped] = local_shape(tree, shaped, self.spacing, own[shaped])
-        return Gpdf(tree, alpha, discs, own, self.length_scale, self.noise_variance, self.spacing, self.domain)
+        return Gpdf(tree, alpha, discs, own, self.kernel, self.domain)
 
     def _check(self, queries: ArrayLike) -> tuple[FloatArray, BoolArray]:
         asked = check_queries(queries, (self.points.shape[1],))
@@ -229,10 +228,9 @@ class Gpdf:
 
     def to_arrays(self) -> dict[str, NDArray[Any]]:
         """All that `from_arrays` needs, as arrays."""
-        scalars = np.array([self.length_scale, self.noise_variance, self.spacing])
         own = {"alpha": self.alpha, "discs": self.discs, "noise": self.noise}
         lasting = {key: getattr(self.tree, key) for key in _TREE}
-        return {**lasting, **own, "scalars": scalars}
+        return {**lasting, **own, "scalars": np.array(self.kernel)}
 
     @classmethod
     def from_arrays(cls, arrays: dict[str, NDArray[Any]], domain: Domain | None = None) -> Gpdf:
@@ -241,7 +239,7 @@ class Gpdf:
         tree = tree_of(points, order, begin)
         length_scale, noise_variance, spacing = (float(value) for value in arrays["scalars"])
         own = arrays["alpha"], arrays["discs"], arrays["noise"]
-        return cls(tree, *own, length_scale, noise_variance, spacing, domain)
+        return cls(tree, *own, (length_scale, noise_variance, spacing), domain)
 
 
 def find_nearest(tree: Tree, queries: FloatArray) -> tuple[FloatArray, IntArray]:
@@ -291,7 +289,7 @@ def fit_gpdf(
     alpha = solve_all(tree, length_scale, config.noise_variance)
     own = own[rows][tree.order]
     discs = local_shape(tree, np.arange(len(rows)), spacing, own)
-    return Gpdf(tree, alpha, discs, own, length_scale, config.noise_variance, spacing, domain)
+    return Gpdf(tree, alpha, discs, own, (length_scale, config.noise_variance, spacing), domain)
 
 
 def _real(asked: str, values: ArrayLike) -> FloatArray:

@@ -71,6 +71,30 @@ class Part(NamedTuple):
     inverse: NDArray[np.float32]
 
 
+class _System(NamedTuple):
+    """What `solve_rows` solves: its arguments, and what is made of them.
+
+    Attributes:
+        tree: All points.
+        rows: Those that are solved.
+        place: Of each point its number among these, −1 of others, shape (n,).
+        alpha: What is known of the others, shape (n,).
+        length_scale: [m].
+        noise_variance: [-].
+        right: Right-hand side, shape (k,).
+        guess: Where the solve begins, shape (k,).
+    """
+
+    tree: Tree
+    rows: IntArray
+    place: NDArray[np.int32]
+    alpha: FloatArray
+    length_scale: float
+    noise_variance: float
+    right: FloatArray
+    guess: FloatArray
+
+
 def solve_rows(tree: Tree, rows: IntArray, alpha: FloatArray, length_scale: float, noise_variance: float) -> FloatArray:
     """α of `rows`, shape (k,), where the others keep theirs.
 
@@ -87,10 +111,10 @@ def solve_rows(tree: Tree, rows: IntArray, alpha: FloatArray, length_scale: floa
     place: NDArray[np.int32] = np.full(len(tree.points), -1, np.int32)
     place[rows] = np.arange(len(rows))
     right, guess = np.ones(len(rows)), np.empty(len(rows))
-    own = tree, rows, place, alpha, length_scale, noise_variance, right, guess
+    system = _System(tree, rows, place, alpha, length_scale, noise_variance, right, guess)
     leaves = -(-len(rows) // LEAF_SIZE)
     bounds = np.minimum(np.linspace(0, leaves, -(-len(rows) // PART) + 1).astype(np.int64) * LEAF_SIZE, len(rows))
-    parts = run_parallel(lambda ends: _assemble(*own, *ends), list(pairwise(bounds)))
+    parts = run_parallel(lambda ends: _assemble(system, *ends), list(pairwise(bounds)))
     return _conjugate_gradients(parts, noise_variance, right, guess)
 
 
@@ -121,23 +145,13 @@ def _mark(tree: Tree, rows: IntArray, radius: float, found: BoolArray) -> None:
 
 
 @njit(cache=True, nogil=True)
-def _assemble(
-    tree: Tree,
-    rows: IntArray,
-    place: NDArray[np.int32],
-    alpha: FloatArray,
-    length_scale: float,
-    noise_variance: float,
-    right: FloatArray,
-    guess: FloatArray,
-    begin: int,
-    end: int,
-) -> Part:
+def _assemble(system: _System, begin: int, end: int) -> Part:
     """The rows from `begin` to `end`; takes off the right-hand side what the points outside add, and writes a guess.
 
     The guess is α on even ground, one over the sum of the row of K + σ² I; so is an α outside that is not known. A
     leaf whose points are all in this part needs no look from a later leaf: K is symmetric.
     """
+    tree, rows, place, alpha, length_scale, noise_variance, right, guess = system
     blocks, scratch = tree.blocks, make_scratch()
     rate, reach = 1.0 / (2.0 * length_scale * length_scale), (CUT_RADIUS * length_scale) ** 2
     size = end - begin
@@ -196,7 +210,7 @@ def _assemble(
     for r in range(size):
         guess[begin + r] = 1.0 / total[r]
         right[begin + r] -= unknown[r] * guess[begin + r]
-    further = _nearest_further(tree.points, rows, start, middle, column, weight, begin)
+    further = _nearest_further(tree.points, rows, (start, middle, column, weight), begin)
     inverse = _approximate_inverse(tree.points, rows, further, begin, rate, noise_variance)
     return Part(begin, start, middle, column[:used], weight[:used], further, inverse)
 
@@ -270,16 +284,14 @@ def _descend(part: Part, step: float, p: FloatArray, Kp: FloatArray, x: FloatArr
 def _nearest_further(
     points: FloatArray,
     rows: IntArray,
-    start: IntArray,
-    middle: IntArray,
-    column: NDArray[np.uint32],
-    weight: NDArray[np.float32],
+    held: tuple[IntArray, IntArray, NDArray[np.uint32], NDArray[np.float32]],
     begin: int,
 ) -> IntArray:
     """What is `near` in a `Part`. Places have an order of their own: they may come in any other.
 
-    A pair stands in the row of one of the two.
+    A pair stands in the row of one of the two: `held` are the first numbers of the part, from its start on.
     """
+    start, middle, column, weight = held
     count = len(middle)
     near, most = np.empty((count, NEAR), np.int64), np.zeros((count, NEAR), np.float32)
     for r in range(count):

@@ -270,8 +270,7 @@ def from_scratch(field):
     """The same points, all solved together."""
     tree = build_tree(np.ascontiguousarray(field.points))
     alpha = solve_all(tree, field.length_scale, field.noise_variance)
-    constants = field.length_scale, field.noise_variance, field.spacing, field.domain
-    return Gpdf(tree, alpha, field.discs[tree.order], field.noise[tree.order], *constants)
+    return Gpdf(tree, alpha, field.discs[tree.order], field.noise[tree.order], field.kernel, field.domain)
 
 
 def test_insert_and_remove_equal_a_fit_from_scratch(room, rng):
@@ -334,8 +333,7 @@ def test_a_copy_that_fills_up_a_leaf_stands_for_the_last_point_of_it(rng):
     query = last + rng.normal(size=(100, 2)) * 1e-3
     blocks = tree.blocks.copy()
     blocks[0, 0, 20:] += np.copysign(1e-12, query[0, 0] - last[0])
-    fitted = field.length_scale, field.noise_variance, field.spacing
-    rounded = Gpdf(tree._replace(blocks=blocks), field.alpha, field.discs, noise, *fitted)
+    rounded = Gpdf(tree._replace(blocks=blocks), field.alpha, field.discs, noise, field.kernel)
     nearer = query[np.abs(query[:, 0] - blocks[0, 0, 20]) < np.abs(query[:, 0] - last[0])]
     assert len(nearer) > 20
     assert set(find_nearest(rounded.tree, nearer)[1]) == {19}
