@@ -55,7 +55,7 @@ def _none_placed(_: Any, placed: Placed) -> BoolArray:  # noqa: ANN401
 
 
 def _middles(nodes: IntArray, *given: Any) -> FloatArray:  # noqa: ANN401
-    middle: FloatArray = given[3]
+    middle: FloatArray = given[1]
     return middle[nodes]
 
 
@@ -89,7 +89,7 @@ RULES: dict[str, tuple[str, str, Callable[..., Any]]] = {
     "what is enclosed": (_P + "levels", "without_enclosed", _first),
     "what fronts hide": (_P + "levels", "without_hidden", _first),
     "filling of holes": (_P + "levels", "fill_holes", _first),
-    "single empty cells": (_P + "holes", "_fill_gaps", lambda *_: None),
+    "single empty cells": (_P + "holes", "_fill_gaps", lambda _, __, height, state, *___: (height, state)),
     "planes over holes": (_P + "holes", "_fill", lambda *_: None),
     "notches of flights": (_P + "holes", "fill_notches", _first),
     "strips at a flight's side": (_P + "notches", "_fill_bitten", lambda *_: None),

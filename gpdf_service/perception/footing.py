@@ -131,8 +131,8 @@ def on_treads(z: FloatArray, cell: IntArray, surface: HeightMap, max_step: float
     """
     found, width = np.zeros(len(z), dtype=bool), surface.cell_width
     height = np.where(surface.state != UNKNOWN, surface.height, np.float32(np.nan))
-    own = z, cell, height, footholds(surface, max_step), SOLE / width + 0.5, rings_of(STRIDE, width)
-    run_chunked(lambda a, b: _on_treads(*own, max_step, a, b, found), len(z))
+    own = height, footholds(surface, max_step), (width, max_step)
+    run_chunked(lambda a, b: _on_treads(z[a:b], cell[a:b], *own, found[a:b]), len(z))
     return found
 
 
@@ -142,15 +142,12 @@ def _on_treads(
     cell: IntArray,
     height: NDArray[np.float32],
     rests: FloatArray,
-    sole: float,
-    stride: int,
-    max_step: float,
-    begin: int,
-    end: int,
+    limits: tuple[float, float],
     found: BoolArray,
 ) -> None:
-    nx, ny = height.shape
-    for m in range(begin, end):
+    (nx, ny), (width, max_step) = height.shape, limits
+    sole, stride = SOLE / width + 0.5, rings_of(STRIDE, width)
+    for m in range(len(z)):
         x, y = cell[m] // ny, cell[m] % ny
         own = float(height[x, y])
         if not z[m] <= own + max_step + ROUGH:  # a NaN compares false
@@ -253,6 +250,7 @@ def footing_reach(surface: HeightMap) -> int:
     return max(2 * rings_of(STRIDE, surface.cell_width), 5 * rings_of(SOLE, surface.cell_width))
 
 
+@njit(cache=True, nogil=True)
 def rings_of(length: float, width: float) -> int:
     """How many cells of that `width` a `length` is, at least one."""
     return max(1, int(length / width))

@@ -193,23 +193,17 @@ def pairs_within(
 
 @njit(cache=True, nogil=True)
 def pairs_around(
-    nodes: IntArray,
-    cell: IntArray,
-    start: IntArray,
-    shape: tuple[int, int],
-    height: FloatArray,
-    keep: BoolArray,
-    slope: float,
-    step: float,
+    nodes: IntArray, columns: Columns, keep: BoolArray, slope: float, step: float
 ) -> tuple[IntArray, IntArray]:
     """Pairs of a row of `nodes` and a kept node in a cell around its own, within `slope` a cell and a `step` [m]."""
+    cell, start, (nx, ny), height, _ = columns
     one, other = [0 for _ in range(0)], [0 for _ in range(0)]
     for n in range(len(nodes)):
         i = nodes[n]
-        x, y = divmod(cell[i], shape[1])
-        for u in range(max(x - 1, 0), min(x + 2, shape[0])):
-            for v in range(max(y - 1, 0), min(y + 2, shape[1])):
-                there, most = u * shape[1] + v, slope * np.hypot(u - x, v - y) + step
+        x, y = divmod(cell[i], ny)
+        for u in range(max(x - 1, 0), min(x + 2, nx)):
+            for v in range(max(y - 1, 0), min(y + 2, ny)):
+                there, most = u * ny + v, slope * np.hypot(u - x, v - y) + step
                 for j in range(start[there], start[there + 1]):
                     if keep[j] and there != cell[i] and abs(height[i] - height[j]) <= most:
                         one.append(n)
