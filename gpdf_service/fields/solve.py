@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from itertools import pairwise
 from math import exp, sqrt
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
@@ -20,7 +20,7 @@ from gpdf_service.errors import FieldError
 from gpdf_service.fields.order import is_before
 from gpdf_service.fields.threads import run_parallel
 from gpdf_service.fields.traversal import CUT_RADIUS, decay
-from gpdf_service.fields.tree import LEAF_SIZE, Tree, from_root, lesser, make_scratch, next_leaf, place_of
+from gpdf_service.fields.tree import LEAF_SIZE, Tree, from_root, lesser, longer, make_scratch, next_leaf, place_of
 from gpdf_service.types import BoolArray, FloatArray, IntArray
 
 HALO = 9.0
@@ -178,7 +178,7 @@ def _assemble(system: _System, begin: int, end: int) -> Part:
                 values[j] = decay(lesser(t, reach * rate)) if t <= reach * rate else 0.0
             if used + LEAF_SIZE > capacity:
                 capacity *= 2
-                column, weight = _grown(column, capacity), _grown(weight, capacity)
+                column, weight = longer(column, capacity), longer(weight, capacity)
             first, count = tree.begin[leaf], tree.begin[leaf + 1] - tree.begin[leaf]
             if inner[leaf]:
                 for j in range(row + 1 - first if leaf == own else 0, count):
@@ -235,13 +235,6 @@ def _inner_leaves(first: IntArray, place: NDArray[np.int32], begin: int, end: in
         a, b = first[leaf], first[leaf + 1] - 1
         inner[leaf] = b >= a and place[a] >= begin and place[b] - place[a] == b - a and place[b] < end
     return inner
-
-
-@njit(cache=True, nogil=True)
-def _grown(values: NDArray[Any], capacity: int) -> NDArray[Any]:
-    more = np.empty(capacity, values.dtype)
-    more[: len(values)] = values
-    return more
 
 
 def _conjugate_gradients(parts: list[Part], noise_variance: float, right: FloatArray, guess: FloatArray) -> FloatArray:

@@ -6,10 +6,11 @@ and there are no pointers: node i has the children 8i+1 … 8i+8, and the leaves
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
 from gpdf_service.kernel_cache import lean
 from gpdf_service.types import BoolArray, FloatArray, IntArray
@@ -235,6 +236,14 @@ def _fill(
         for k in range(3):
             boxes[parent, k, child] = boxes[node, k].min()
             boxes[parent, 3 + k, child] = boxes[node, 3 + k].max()
+
+
+@njit(cache=True, nogil=True)
+def longer(values: NDArray[Any], capacity: int) -> NDArray[Any]:
+    """The values (n, …) with room behind them for `capacity` in all."""
+    made = np.empty((capacity, *values.shape[1:]), values.dtype)
+    made[: len(values)] = values
+    return made
 
 
 @njit(cache=True, nogil=True)

@@ -119,7 +119,7 @@ def test_log_domain_equals_the_plain_formula(rng):
     o = np.exp(-((queries[:, None] - points[None]) ** 2).sum(-1) / (2 * l**2)) @ alpha
     plain = np.sqrt(np.maximum(-2 * l**2 * np.log(o), 0))
     bare = field.discs * [1, 1, 1, 0, 1, 1]  # no radius: the bracket begins at the points
-    field = Gpdf(field.tree, field.alpha, bare, field.noise, l, field.noise_variance, field.spacing)
+    field = Gpdf(field.tree, field.alpha, bare, field.noise, field.kernel)
     sample = field.query(queries).distance
     free = np.abs(sample - field.nearest(queries)) > 1e-6  # where the bracket did not clip
     assert free.sum() > 30
