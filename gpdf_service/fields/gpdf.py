@@ -55,7 +55,7 @@ class Box:
 
 
 class Gpdf:
-    """A fitted field; a `DistanceField` in 2D or 3D. It never changes: `insert` and `remove` give another one.
+    """A fitted field; a `DistanceField` in 2D or 3D. It never changes: `replace` gives another one.
 
     Attributes:
         tree: The points that it was fitted to, in a k-d tree [m].
@@ -141,50 +141,36 @@ class Gpdf:
         asked, finite = self._check(queries)
         return np.where(finite, find_nearest(self.tree, asked)[0], 0.0)
 
-    def insert(self, points: ArrayLike, noise: ArrayLike = 0.0) -> Gpdf:
-        """The field with `points`, shape (k, dim) [m], added: solved again only around them.
-
-        A point closer than half the spacing to one that is there adds nothing and is left out.
-
-        Raises:
-            FieldError: wrong shape or not finite.
-        """
-        data = _check_points(points, self.points.shape[1])
-        if len(data) == 0:
-            return self
-        _check_extent(data, self.spacing)
-        own = _check_noise(noise, len(data))
-        rows = thin(data, 0.5 * self.spacing)
-        rows = rows[find_nearest(self.tree, data[rows])[0] >= 0.5 * self.spacing]
-        return self._changed(np.ones(len(self.points), dtype=bool), data[rows], own[rows])
-
-    def remove(self, rows: ArrayLike) -> Gpdf:
-        """The field without some of its points: solved again only around them.
-
-        Args:
-            rows: Which of `points` to take out: a mask of shape (n,), or row numbers.
-
-        Raises:
-            FieldError: rows that are not there, or nothing would be left.
-        """
-        keep = np.ones(len(self.points), dtype=bool)
-        chosen = np.asarray(rows)
-        try:
-            keep[chosen if chosen.size else slice(0)] = False
-        except IndexError as error:
-            raise FieldError("remove", f"rows that are not there ({error})", "Name rows of `points`.") from error
-        if not keep.any():
-            raise FieldError("remove", "all points", "A field needs at least one point; drop the field instead.")
-        return self._changed(keep, np.zeros((0, self.points.shape[1])), np.zeros(0))
-
     def replace(self, gone: BoolArray, points: FloatArray) -> Gpdf:
-        """The field without the points where `gone`, shape (n,), and with `points`, (k, dim) [m], in one solve.
+        """The field without the points where `gone`, shape (n,), and with `points`, (k, dim) [m], solved around them.
 
         The new points must be half the spacing or more from all that stay, and from each other.
+
+        Raises:
+            FieldError: nothing would be kept.
         """
         if gone.all():
             raise FieldError("replace", "all points", "A field that keeps nothing is a new one; fit it.")
-        return self._changed(~gone, points, np.zeros(len(points)))
+        if len(points) == 0 and not gone.any():
+            return self
+        tree, source = change_tree(self.tree, ~gone, points)
+        old, at = source >= 0, np.maximum(source, 0)  # what is taken for a new point is overwritten
+        alpha, own, discs = (np.take(each, at, axis=0) for each in (self.alpha, self.noise, self.discs))
+        alpha[~old], own[~old] = np.nan, 0.0
+
+        def around(radius: float) -> IntArray:
+            """Rows within the radius of a point that came or went."""
+            lost = np.zeros(len(self.points), dtype=bool)
+            lost[within(self.tree, np.flatnonzero(gone), radius)] = True
+            felt = lost[at] | ~old
+            felt[within(tree, np.flatnonzero(~old), radius)] = True
+            return np.flatnonzero(felt)
+
+        rows, shaped = around(HALO * self.length_scale), around(REACH * self.spacing)
+        if len(rows):
+            alpha[rows] = solve_rows(tree, rows, alpha, self.length_scale, self.noise_variance)
+        discs[shaped] = local_shape(tree, shaped, self.spacing, own[shaped])
+        return Gpdf(tree, alpha, discs, own, self.kernel, self.domain)
 
     def over(self, domain: Domain) -> Gpdf:
         """The same field with another domain."""
@@ -196,28 +182,6 @@ class Gpdf:
         if len(self._off) < len(self.points):
             self._off = np.hypot(self.noise, self.discs[:, 5])
         return self._off
-
-    def _changed(self, keep: BoolArray, added: FloatArray, noise: FloatArray) -> Gpdf:
-        if keep.all() and len(added) == 0:
-            return self
-        tree, source = change_tree(self.tree, keep, added)
-        old, at = source >= 0, np.maximum(source, 0)  # what is taken for a new point is overwritten
-        alpha, own, discs = (np.take(each, at, axis=0) for each in (self.alpha, self.noise, self.discs))
-        alpha[~old], own[~old] = np.nan, noise[-1 - source[~old]]
-
-        def around(radius: float) -> IntArray:
-            """Rows within the radius of a point that came or went."""
-            lost = np.zeros(len(self.points), dtype=bool)
-            lost[within(self.tree, np.flatnonzero(~keep), radius)] = True
-            felt = lost[at] | ~old
-            felt[within(tree, np.flatnonzero(~old), radius)] = True
-            return np.flatnonzero(felt)
-
-        rows, shaped = around(HALO * self.length_scale), around(REACH * self.spacing)
-        if len(rows):
-            alpha[rows] = solve_rows(tree, rows, alpha, self.length_scale, self.noise_variance)
-        discs[shaped] = local_shape(tree, shaped, self.spacing, own[shaped])
-        return Gpdf(tree, alpha, discs, own, self.kernel, self.domain)
 
     def _check(self, queries: ArrayLike) -> tuple[FloatArray, BoolArray]:
         asked = check_queries(queries, (self.points.shape[1],))
@@ -271,7 +235,7 @@ def fit_gpdf(
         FieldError: wrong shape, not finite, or no points.
     """
     config = config or FieldConfig()
-    data = _check_points(points, None)
+    data = _check_points(points)
     if len(data) == 0:
         raise FieldError("fit", "no points", "A field needs at least one point on a surface.")
     own = _check_noise(noise, len(data))
@@ -316,11 +280,10 @@ def check_queries(queries: ArrayLike, dims: tuple[int, ...]) -> FloatArray:
     return asked
 
 
-def _check_points(points: ArrayLike, dim: int | None) -> FloatArray:
+def _check_points(points: ArrayLike) -> FloatArray:
     data = _real("fit", points)
-    if data.ndim != 2 or data.shape[1] not in ((2, 3) if dim is None else (dim,)):
-        shapes = "(n, 2) or (n, 3)" if dim is None else f"(n, {dim})"
-        raise FieldError("fit", f"points of shape {data.shape}", f"Pass an array of shape {shapes}.")
+    if data.ndim != 2 or data.shape[1] not in (2, 3):
+        raise FieldError("fit", f"points of shape {data.shape}", "Pass an array of shape (n, 2) or (n, 3).")
     if not np.isfinite(data).all():
         raise FieldError("fit", "points that are not finite", "Remove NaN and infinite coordinates.")
     if len(data) and np.abs(data).max() > _FARTHEST:
