@@ -70,19 +70,14 @@ def _pairs_at(
 
 @njit(cache=True, nogil=True)
 def pairs_beside(
-    start: IntArray,
-    shape: tuple[int, int],
-    height: FloatArray,
-    most: float,
-    offsets: tuple[tuple[int, int], ...],
-    begin: int,
-    end: int,
+    columns: Columns, most: float, offsets: tuple[tuple[int, int], ...], begin: int, end: int
 ) -> tuple[IntArray, IntArray, IntArray]:
     """What `pairs_near` finds if all are kept, and where the pairs of each offset begin, shape (offsets + 1,).
 
     Of the nodes a in the rows of cells from `begin` to `end`; nodes count from the first of these. The heights of a
     column must ascend: so what is too low or too high for one node is passed over.
     """
+    _, start, shape, height, _ = columns
     first, base = np.zeros(len(offsets) + 1, np.int64), start[begin * shape[1]]
     capacity, used = 4 * (start[end * shape[1]] - base) + 16, 0
     one, other = np.empty(capacity, INDEX), np.empty(capacity, INDEX)

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from gpdf_service.config import PerceptionConfig
 from gpdf_service.fields.threads import run_chunked
+from gpdf_service.kernel_cache import lean
 from gpdf_service.perception.boxes import widened
 from gpdf_service.perception.layers import Layers
 from gpdf_service.perception.pairs import AROUND, Columns
@@ -58,37 +59,31 @@ def _stances(nodes: IntArray, columns: Columns, top: FloatArray, reach: float, m
 
 @njit(cache=True, nogil=True)
 def find_strides(
-    cell: IntArray,
-    start: IntArray,
-    shape: tuple[int, int],
-    height: FloatArray,
-    stance: BoolArray,
-    part: IntArray,
-    reach: float,
-    rise: float,
+    columns: Columns, stance: BoolArray, part: IntArray, reach: float, rise: float
 ) -> tuple[IntArray, IntArray]:
     """Pairs of stances of different parts, at most `reach` cells apart in plan and `rise` [m] in height.
 
     Of each stance at the rim of its part the nearest one of each other part is taken.
     """
+    cell, start, (nx, ny), height, _ = columns
     one, other = [0 for _ in range(0)], [0 for _ in range(0)]
     rim = np.zeros(len(cell), np.bool_)
     for i in range(len(cell)):
         if stance[i]:
-            rim[i] = not _inside(i, cell, start, shape, stance, part)
+            rim[i] = not _inside(i, columns, stance, part)
     rings = int(reach)
-    mixed, wide = _mixed(cell, shape, rim, part, rings), max(rings, 1)
+    mixed, wide = _mixed(columns, rim, part, rings), max(rings, 1)
     best, far = np.empty(64, np.int64), np.empty(64)
     for i in range(len(cell)):
-        x, y, used = cell[i] // shape[1], cell[i] % shape[1], 0
+        x, y, used = cell[i] // ny, cell[i] % ny, 0
         if not (rim[i] and mixed[x // wide, y // wide]):
             continue
-        for u in range(max(x - rings, 0), min(x + rings + 1, shape[0])):
-            for v in range(max(y - rings, 0), min(y + rings + 1, shape[1])):
+        for u in range(max(x - rings, 0), min(x + rings + 1, nx)):
+            for v in range(max(y - rings, 0), min(y + rings + 1, ny)):
                 away = (u - x) ** 2 + (v - y) ** 2
                 if away > reach**2:
                     continue
-                for j in range(start[u * shape[1] + v], start[u * shape[1] + v + 1]):
+                for j in range(start[u * ny + v], start[u * ny + v + 1]):
                     if j <= i or not rim[j] or part[j] == part[i] or abs(height[j] - height[i]) > rise:
                         continue
                     used = _nearest(best, far, used, j, float(away), part)
@@ -99,9 +94,9 @@ def find_strides(
 
 
 @njit(cache=True, nogil=True)
-def _mixed(cell: IntArray, shape: tuple[int, int], among: BoolArray, part: IntArray, rings: int) -> BoolArray:
+def _mixed(columns: Columns, among: BoolArray, part: IntArray, rings: int) -> BoolArray:
     """Blocks of `rings` cells a side that hold, with those around them, nodes `among` all of more than one part."""
-    wide = max(rings, 1)
+    cell, shape, wide = columns.cell, columns.shape, max(rings, 1)
     low = np.full((shape[0] // wide + 1, shape[1] // wide + 1), np.int64(2**62))
     high, made = np.full(low.shape, np.int64(-1)), np.zeros(low.shape, np.bool_)
     for i in range(len(cell)):
@@ -129,9 +124,10 @@ def _nearest(best: IntArray, far: FloatArray, used: int, node: int, away: float,
     return used
 
 
-@njit(cache=True, nogil=True)
-def _inside(i: int, cell: IntArray, start: IntArray, shape: tuple[int, int], stance: BoolArray, part: IntArray) -> bool:
+@lean()
+def _inside(i: int, columns: Columns, stance: BoolArray, part: IntArray) -> bool:
     """Whether all eight cells around a stance hold stances of its part."""
+    cell, start, shape, _, _ = columns
     x, y = cell[i] // shape[1], cell[i] % shape[1]
     for dx, dy in AROUND:
         if not (0 <= x + dx < shape[0] and 0 <= y + dy < shape[1]):
