@@ -155,8 +155,17 @@ def _is_explained(asked: _Asked, beside: IntArray, i: int, mean: FloatArray) -> 
         or measured > expected + _by_chance(variance, skew)
     ):
         return False
+    _write_source(asked, beside, i, nearest, mean)
+    return True
+
+
+@njit(cache=True, nogil=True)
+def _write_source(asked: _Asked, beside: IntArray, i: int, nearest: int, mean: FloatArray) -> None:
+    """Write where on the surface around the `nearest` of its points what is at place i is expected to be from."""
+    cells, doubtful, _, _, told = asked
+    sigma, at, (x, y, z) = asked.sigma[cells.order[i]], told[nearest], cells.places[i]
+    scale, least, total = -0.5 / sigma**2, (at[0] - x) ** 2 + (at[1] - y) ** 2 + (at[2] - z) ** 2, 0.0
     mean[:] = 0.0
-    total, at = 0.0, told[nearest]
     for j in beside:
         for k in range(cells.begin[j], cells.begin[j + 1]):
             row = cells.order[k]
@@ -168,7 +177,6 @@ def _is_explained(asked: _Asked, beside: IntArray, i: int, mean: FloatArray) -> 
                 for a in range(3):
                     mean[a] += weight * s[a]
     mean /= total
-    return True
 
 
 @njit(cache=True, nogil=True)
