@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import numpy as np
 from numba import njit
-from scipy import ndimage
 
 from gpdf_service.config import PerceptionConfig
 from gpdf_service.fields.threads import run_chunked
@@ -130,10 +129,12 @@ def _over_ground(layers: Layers, ground: BoolArray, reach: int, least: float, as
 
 def _boxes_around(layers: Layers, nodes: IntArray, piece: IntArray, count: int, by: int) -> IntArray:
     """First row and behind the last, first column and behind the last, within `by` cells of each piece, (count, 4)."""
-    boxes, number = np.empty((count, 4), np.int64), np.arange(count)
+    boxes = np.empty((count, 4), np.int64)
     for axis, (place, size) in enumerate(zip(divmod(layers.cell[nodes], layers.shape[1]), layers.shape, strict=True)):
-        boxes[:, 2 * axis] = np.maximum(ndimage.minimum(place, piece, number) - by, 0)
-        boxes[:, 2 * axis + 1] = np.minimum(ndimage.maximum(place, piece, number) + by + 1, size)
+        low, high = np.full(count, size), np.zeros(count, np.int64)
+        np.minimum.at(low, piece, place)
+        np.maximum.at(high, piece, place)
+        boxes[:, 2 * axis], boxes[:, 2 * axis + 1] = np.maximum(low - by, 0), np.minimum(high + by + 1, size)
     return boxes
 
 
