@@ -8,6 +8,8 @@ to go to: it falls off to either side within a landing, in a step all round, whi
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 from numba import njit
 
@@ -83,7 +85,8 @@ def boxes(near: Beside, ground: BoolArray, config: PerceptionConfig) -> BoolArra
     landing's width cuts off at the corner of a platform is none: the ground goes on at two fifths of its rim.
     """
     layers, slope = near.layers, near.layers.cell_width * float(np.tan(config.steepest))
-    raised = _raised_within(near, ground, slope, config.max_step)
+    width = max(2, int(LANDING / layers.cell_width))
+    raised = _ask(near, "raised within", _raise_within, width, (slope, config.max_step), ground)
     found: BoolArray = raised > slope
     nodes = np.flatnonzero(found)
     if len(nodes) == 0:
@@ -101,20 +104,22 @@ def boxes(near: Beside, ground: BoolArray, config: PerceptionConfig) -> BoolArra
     return found
 
 
-def _raised_within(near: Beside, ground: BoolArray, least: float, most: float) -> FloatArray:
-    """How much higher each node of the `ground` is than that to both sides of it, within a landing's width in all [m].
+def _ask(
+    near: Beside, name: str, raise_: Callable[..., None], reach: int, limits: tuple[float, float], ground: BoolArray
+) -> FloatArray:
+    """How much higher each node of the `ground` is than that to both sides of it [m], shape (k,), by a compiled loop.
 
-    What is no more than the `least` may count for nothing; `most` is as in `raised_over_sides`.
+    What is no more than the first of the `limits` may count for nothing; what differs by more than the second is no
+    ground beside it [m].
     """
-    width = max(2, int(LANDING / near.layers.cell_width))
 
     def answer(layers: Layers, asked: BoolArray, ground: BoolArray) -> tuple[FloatArray]:
-        raised, nodes = np.zeros(len(ground)), _over_ground(layers, ground, width, least, asked)
-        own = layers.columns, ground, width, (least, most), raised
-        run_chunked(lambda a, b: _raise_within(nodes[a:b], *own), len(nodes))
+        raised, nodes = np.zeros(len(ground)), _over_ground(layers, ground, reach, limits[0], asked)
+        own = layers.columns, ground, reach, limits, raised
+        run_chunked(lambda a, b: raise_(nodes[a:b], *own), len(nodes))
         return (raised,)
 
-    return near.around("raised within", width, answer, ground)[0]
+    return near.around(name, reach, answer, ground)[0]
 
 
 def _over_ground(layers: Layers, ground: BoolArray, reach: int, least: float, asked: BoolArray) -> IntArray:
@@ -140,14 +145,9 @@ def _boxes_around(layers: Layers, nodes: IntArray, piece: IntArray, count: int, 
 
 @njit(cache=True, nogil=True)
 def _raise_within(
-    nodes: IntArray,
-    columns: Columns,
-    ground: BoolArray,
-    width: int,
-    limits: tuple[float, float],
-    raised: FloatArray,
+    nodes: IntArray, columns: Columns, ground: BoolArray, width: int, limits: tuple[float, float], raised: FloatArray
 ) -> None:
-    """Write `_raised_within` of the `nodes`: in the direction in which it is most, of all ways to share the width."""
+    """See `_ask`, within the width in all: in the direction in which it is most, of all ways to share the width."""
     (least, most), ny = limits, columns.shape[1]
     drop = np.zeros((2, width + 1))
     for i in nodes:
@@ -167,15 +167,8 @@ def _raise_within(
 
 def raised_over_sides(near: Beside, ground: BoolArray, config: PerceptionConfig) -> FloatArray:
     """How much higher each node of the `ground` is than the ground to both sides of it [m], shape (k,)."""
-    reach = _reach(near.layers, config)
-
-    def answer(layers: Layers, asked: BoolArray, ground: BoolArray) -> tuple[FloatArray]:
-        raised, nodes = np.zeros(len(ground)), _over_ground(layers, ground, reach, LEAST_BUMP / ROUGH, asked)
-        own = layers.columns, ground, reach, config.max_step, raised
-        run_chunked(lambda a, b: _raise(nodes[a:b], *own), len(nodes))
-        return (raised,)
-
-    return near.around("raised", reach, answer, ground)[0]
+    limits = LEAST_BUMP / ROUGH, config.max_step  # less tells no bump, and nor does a quartile of such
+    return _ask(near, "raised", _raise, _reach(near.layers, config), limits, ground)
 
 
 def _reach(layers: Layers, config: PerceptionConfig) -> int:
@@ -211,12 +204,11 @@ def _drop_to(u: int, v: int, columns: Columns, ground: BoolArray, level: float, 
 
 
 @njit(cache=True, nogil=True)
-def _raise(nodes: IntArray, columns: Columns, ground: BoolArray, reach: int, most: float, raised: FloatArray) -> None:
-    """How much higher each node is than the ground to both sides of it, in the direction in which that is most [m].
-
-    What is so little that neither it nor a quartile of such tells a bump is not looked at closer.
-    """
-    ny = columns.shape[1]
+def _raise(
+    nodes: IntArray, columns: Columns, ground: BoolArray, reach: int, limits: tuple[float, float], raised: FloatArray
+) -> None:
+    """See `_ask`: in the direction in which that is most."""
+    (enough, most), ny = limits, columns.shape[1]
     for i in nodes:
         x, y, level = columns.cell[i] // ny, columns.cell[i] % ny, columns.height[i]
         for dx, dy in HALF:
@@ -228,7 +220,7 @@ def _raise(nodes: IntArray, columns: Columns, ground: BoolArray, reach: int, mos
                     u, v = x + side * k * dx, y + side * k * dy
                     drop = max(drop, _drop_to(u, v, columns, ground, level, most))
                 least = min(least, drop)
-                if least <= max(raised[i], LEAST_BUMP / ROUGH):
+                if least <= max(raised[i], enough):
                     break
             else:
                 raised[i] = least

@@ -207,11 +207,7 @@ def _top_of_board(z: FloatArray, first: int, last: int, board: float) -> int:
 
 @njit(cache=True, nogil=True)
 def tops_of_boards(
-    nodes: IntArray,
-    grid: tuple[IntArray, IntArray, tuple[int, int]],
-    middle: FloatArray,
-    face: FloatArray,
-    near: float,
+    nodes: IntArray, grid: tuple[IntArray, IntArray, tuple[int, int]], middle: FloatArray, face: FloatArray, near: float
 ) -> FloatArray:
     """Heights of `nodes` [m], shape (m,): the `face` of those that three others beside lie `near` [m], or the `middle`.
 

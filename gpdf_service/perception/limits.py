@@ -155,21 +155,14 @@ def step_and_slope(surface: HeightMap) -> Measured:
     step = np.zeros_like(height)
     flight = flights(surface, TALL, 2.0 * STRIDE) if 3.0 * width > _LIMITS.tread_depth else np.zeros_like(known)
     for axis in (0, 1):
-        ahead, behind = _shift(height, -reach, axis) - height, height - _shift(height, reach, axis)
-        ahead, behind = np.abs(ahead), np.abs(behind)
         narrow = flight & _is_narrow_tread(surface.height, width, axis) if flight.any() else flight
-        rise = np.where(narrow, 0.0, np.fmin(ahead, behind))  # at the rim, the side that is known
+        rise = np.where(narrow, 0.0, np.fmin(*_rises_beside(height, reach, axis)))  # at the rim, the side that is known
         gradient2 += np.nan_to_num(rise / (reach * width)) ** 2
-        across = np.abs(_shift(surface.height, -1, axis) - _shift(surface.height, 1, axis)).astype(np.float64)
-        one = np.fmax(
-            np.abs(_shift(surface.height, -1, axis) - surface.height),
-            np.abs(surface.height - _shift(surface.height, 1, axis)),
-        )
-        next_ = np.abs(_shift(height, -1, axis) - height), np.abs(height - _shift(height, 1, axis))
-        short2 += np.where(narrow, 0.0, np.nan_to_num(np.fmin(*next_) / width)) ** 2
+        short2 += np.where(narrow, 0.0, np.nan_to_num(np.fmin(*_rises_beside(height, 1, axis)) / width)) ** 2
         usual = median_around(np.nan_to_num(rise / (reach * width)), 2, known)
-        excess = np.fmax(np.where(narrow, 0.0, across - 2.0 * width * usual), one - width * usual)
-        step = np.fmax(step, np.nan_to_num(excess))
+        across = np.abs(_shift(surface.height, -1, axis) - _shift(surface.height, 1, axis)) - 2.0 * width * usual
+        one = np.fmax(*_rises_beside(surface.height, 1, axis)) - width * usual
+        step = np.fmax(step, np.nan_to_num(np.fmax(np.where(narrow, 0.0, across), one)))
     flatter = np.minimum(median_around(gradient2, 1, known), median_around(short2, 1, known))
     slope = np.arctan(np.sqrt(flatter))
     rise = _slanted(surface, np.where(known, slope, np.inf))
@@ -353,6 +346,11 @@ def _median(values: FloatArray, x: int, y: int, reach: int, few: FloatArray) -> 
         if found == 3:
             break
     return 0.5 * (lower + upper)
+
+
+def _rises_beside(values: NDArray[np.floating], by: int, axis: int) -> tuple[FloatArray, FloatArray]:
+    """How much they differ from those so many cells ahead and behind along `axis`."""
+    return np.abs(_shift(values, -by, axis) - values), np.abs(_shift(values, by, axis) - values)
 
 
 def _shift(values: NDArray[np.floating], by: int, axis: int) -> FloatArray:

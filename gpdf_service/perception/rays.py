@@ -229,12 +229,7 @@ def _go_on(shape: tuple[int, int], walk: _Walk) -> bool:
 
 @njit(cache=True, nogil=True)
 def _cast(
-    rays: Rays,
-    grid: _Grid,
-    bounds: tuple[float, float, float],
-    limits: tuple[float, float],
-    begin: int,
-    step: int,
+    rays: Rays, grid: _Grid, bounds: tuple[float, float, float], limits: tuple[float, float], begin: int, step: int
 ) -> tuple[NDArray[np.uint8], BoolArray]:
     """Follow every `step`-th ray from tile to tile, and from cell to cell in those where it is as low as the ground.
 
