@@ -14,7 +14,7 @@ from scipy.spatial import cKDTree
 from gpdf_service.bench.field_peers import DENSE, EXACT, PEERS, Field, Ours
 from gpdf_service.bench.report import Row, each, show
 from gpdf_service.bench.surfaces import SURFACES, Surface
-from gpdf_service.fields import fit_gpdf
+from gpdf_service.fields import fit_gpdf, thin
 from gpdf_service.types import FloatArray
 
 BANDS = (0.02, 0.1, 0.5, 2.0, 5.0)
@@ -172,14 +172,12 @@ def measure_time(count: int) -> Row:
         total = {name: total[name] + best[name] for name in total}
     row |= {"us": 1e6 * total["gpdf"] / 80_000, "nearest_us": 1e6 * total["nearest"] / 80_000}
     row["ratio"] = total["gpdf"] / total["nearest"]
-    box = rng.uniform(0, 0.5, (500, 3)) + np.array([side / 2, side / 2, 0.0])
-    field.insert(box[:10])
+    box = rng.uniform(0, 0.5, (500, 3)) + np.array([side / 2, side / 2, field.spacing])
+    gone, fresh = np.arange(len(field.points)) < 200, box[thin(box, field.spacing)]
+    field.replace(gone, fresh[:10])
     began = time.perf_counter()
-    changed = field.insert(box)
-    row["insert_s"] = time.perf_counter() - began
-    began = time.perf_counter()
-    changed.remove(np.arange(200))
-    row["remove_s"] = time.perf_counter() - began
+    field.replace(gone, fresh)
+    row["replace_s"] = time.perf_counter() - began
     return row
 
 

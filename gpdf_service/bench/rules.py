@@ -16,6 +16,7 @@ from gpdf_service.bench import hard_clouds, houses, places
 from gpdf_service.bench.report import Row, each
 from gpdf_service.bench.scanned import judge, overlap, scanned
 from gpdf_service.denoise import as_measured
+from gpdf_service.denoise.place import Placed
 from gpdf_service.errors import GpdfError
 from gpdf_service.perception import read_cloud
 from gpdf_service.perception.surface import UNKNOWN
@@ -49,8 +50,12 @@ def _first(given: Any, *_: Any, **__: Any) -> Any:  # noqa: ANN401 - whatever th
     return given
 
 
+def _none_placed(_: Any, placed: Placed) -> BoolArray:  # noqa: ANN401
+    return np.zeros(len(placed.points), dtype=bool)
+
+
 def _middles(nodes: IntArray, *given: Any) -> FloatArray:  # noqa: ANN401
-    middle: FloatArray = given[3]
+    middle: FloatArray = given[1]
     return middle[nodes]
 
 
@@ -84,7 +89,7 @@ RULES: dict[str, tuple[str, str, Callable[..., Any]]] = {
     "what is enclosed": (_P + "levels", "without_enclosed", _first),
     "what fronts hide": (_P + "levels", "without_hidden", _first),
     "filling of holes": (_P + "levels", "fill_holes", _first),
-    "single empty cells": (_P + "holes", "_fill_gaps", lambda *_: None),
+    "single empty cells": (_P + "holes", "_fill_gaps", lambda _, __, height, state, *___: (height, state)),
     "planes over holes": (_P + "holes", "_fill", lambda *_: None),
     "notches of flights": (_P + "holes", "fill_notches", _first),
     "strips at a flight's side": (_P + "notches", "_fill_bitten", lambda *_: None),
@@ -104,11 +109,11 @@ RULES: dict[str, tuple[str, str, Callable[..., Any]]] = {
     "points that noise lifted": (_P + "cure", "find_lifted", _false(0)),
     "noise of each place": (_D + "cloud", "_quieter", lambda *_: iter(())),
     "planes that meet": (_D + "cloud", "place_at_edges", lambda *_: None),
-    "planes next door": (_D + "cloud", "follow_planes", lambda *_: None),
+    "planes next door": (_D + "cloud", "follow_planes", _none_placed),
     "things before a surface": (_D + "cloud", "release_things", lambda *_: None),
-    "rims drawn in": (_D + "cloud", "draw_in", lambda *_: None),
+    "rims drawn in": (_D + "cloud", "draw_in", _none_placed),
     "the rest by mean shift": (_D + "cloud", "shift_rest", lambda *_: None),
-    "points alone": (_D + "cloud", "find_alone", lambda _, placed: np.zeros(len(placed.points), dtype=bool)),
+    "points alone": (_D + "cloud", "find_alone", _none_placed),
 }
 """Each rule: the module that calls it, its name there, and what stands for it when it is off."""
 

@@ -57,7 +57,7 @@ def sort_into_cells(points: FloatArray, width: float) -> Cells:
     counts = np.floor((highest - corner) / width).astype(np.int64) + 1 + _MARGIN
     strides = np.array([counts[1] * counts[2], counts[2]])
     key = np.empty(len(points), np.int64)
-    run_chunked(lambda a, b: _keys(points, corner, width, strides, a, b, key), len(points))
+    run_chunked(lambda a, b: _keys(points[a:b], corner, width, strides, key[a:b]), len(points))
     order = order_by(key)
     places = np.empty((len(points), 3))
     begin, own = _runs(points, corner, key, order, places)
@@ -68,10 +68,8 @@ def sort_into_cells(points: FloatArray, width: float) -> Cells:
 
 
 @njit(cache=True, nogil=True)
-def _keys(
-    points: FloatArray, corner: FloatArray, width: float, strides: IntArray, begin: int, end: int, key: IntArray
-) -> None:
-    for i in range(begin, end):
+def _keys(points: FloatArray, corner: FloatArray, width: float, strides: IntArray, key: IntArray) -> None:
+    for i in range(len(points)):
         x = floor((points[i, 0] - corner[0]) / width)
         y = floor((points[i, 1] - corner[1]) / width)
         z = floor((points[i, 2] - corner[2]) / width)
@@ -180,36 +178,19 @@ def sum_window(cells: Cells, near: IntArray, total: FloatArray) -> None:
 
 
 @njit(cache=True, nogil=True)
-def gather_all(cells: Cells, near: IntArray, rows: IntArray) -> int:
-    """Write the places of a window, every k-th where they are more than there is room for; how many."""
-    total, passed, found = 0, 0, 0
-    for j in near:
-        if j >= 0:
-            total += cells.begin[j + 1] - cells.begin[j]
-    stride = 1 + (total - 1) // len(rows)
-    for j in near:
-        if j >= 0:
-            for i in range(cells.begin[j], cells.begin[j + 1]):
-                if passed % stride == 0:
-                    rows[found] = i
-                    found += 1
-                passed += 1
-    return found
-
-
-@njit(cache=True, nogil=True)
-def gather_near(cells: Cells, near: IntArray, asked: BoolArray, rows: IntArray) -> int:
-    """Write places in the cells `near` whose points are `asked` for, every k-th if there are too many; how many."""
+def gather(cells: Cells, near: IntArray, rows: IntArray, asked: BoolArray | None = None) -> int:
+    """Write places in the cells `near`, whose points are `asked` for, every k-th if there are too many; how many."""
     total, passed, found = 0, 0, 0
     for j in near:
         if j >= 0:
             for i in range(cells.begin[j], cells.begin[j + 1]):
-                total += asked[cells.order[i]]
+                if asked is None or asked[cells.order[i]]:
+                    total += 1
     stride = 1 + (total - 1) // len(rows)
     for j in near:
         if j >= 0:
             for i in range(cells.begin[j], cells.begin[j + 1]):
-                if asked[cells.order[i]]:
+                if asked is None or asked[cells.order[i]]:
                     if passed % stride == 0:
                         rows[found] = i
                         found += 1

@@ -21,7 +21,7 @@ from gpdf_service.denoise.cells import Cells, cells_around, sort_into_cells
 from gpdf_service.denoise.edges import place_at_edges
 from gpdf_service.denoise.noise import estimate_noise
 from gpdf_service.denoise.place import Placed, place_in_cells
-from gpdf_service.denoise.planes import Planes, find_planes
+from gpdf_service.denoise.planes import Windows, find_planes
 from gpdf_service.denoise.rest import EXTREME, find_alone, follow_planes, release_things, shift_rest
 from gpdf_service.denoise.rims import draw_in
 from gpdf_service.fields.shapes import FEWEST
@@ -163,37 +163,28 @@ def _denoise_alike(points: FloatArray, noise: float, things: bool) -> Denoised:
         np.ones(len(points), dtype=bool),
         np.zeros(points.shape, np.float32),
     )
-    wide = sort_into_cells(points, _WIDE * width)
-    planes = find_planes(wide, noise, np.ones(len(wide.key), dtype=bool))
-    widely = _place_flat(wide, planes, noise, placed)
+    cells = sort_into_cells(points, _WIDE * width)
+    wide = find_planes(cells, noise, np.ones(len(cells.key), dtype=bool))
+    _place_flat(wide, placed)
     cells = sort_into_cells(points, width)
     near = find_planes(cells, noise, cells_around(cells, placed.pending))
-    main = _place_flat(cells, near, noise, placed)
-    astray = _follow(cells, main, noise, placed) | _follow(wide, widely, noise, placed)
-    place_in_cells(cells, near, noise, placed, main)
-    astray |= _follow(cells, main, noise, placed)
+    _place_flat(near, placed)
+    astray = follow_planes(near, placed) | follow_planes(wide, placed)
+    place_in_cells(near, placed)
+    astray |= follow_planes(near, placed)
     if placed.pending.mean() > _FEW:
-        place_in_cells(wide, planes, noise, placed, widely)
+        place_in_cells(wide, placed)
     if things:
-        release_things(cells, points, noise, placed)
-    astray |= draw_in(cells, noise, placed)
-    shift_rest(cells, noise, placed)
+        release_things(near, points, placed)
+    astray |= draw_in(near, placed)
+    shift_rest(near, placed)
     vague = astray | placed.pending | (_BIAS * placed.error >= EXTREME * noise)
     left = np.where(placed.pending, placed.error, np.minimum(_BIAS * placed.error, EXTREME * noise))
     left, stray = np.maximum(left, HIDDEN * noise), find_alone(cells, placed)
     return Denoised(placed.points, left, vague, stray, noise, np.full(len(points), noise))
 
 
-def _follow(cells: Cells, main: NDArray[np.float32], noise: float, placed: Placed) -> BoolArray:
-    """Put outliers onto the plane of a cell near them; which those are, shape (k,)."""
-    before = placed.pending.copy()
-    follow_planes(cells, main, noise, placed)
-    return before & ~placed.pending
-
-
-def _place_flat(cells: Cells, planes: Planes, noise: float, placed: Placed) -> NDArray[np.float32]:
-    """Put points onto planes where all around is flat, then where such planes meet; the main plane of each cell."""
-    main = np.zeros((len(cells.key), 5), np.float32)
-    place_in_cells(cells, planes, noise, placed, main, _FLAT)
-    place_at_edges(cells, planes, noise, placed, main)
-    return main
+def _place_flat(windows: Windows, placed: Placed) -> None:
+    """Put points onto planes where all around is flat, then where such planes meet."""
+    place_in_cells(windows, placed, _FLAT)
+    place_at_edges(windows, placed)

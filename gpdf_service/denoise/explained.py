@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from functools import partial
 from math import exp, pi, sqrt
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
@@ -63,8 +64,8 @@ def return_explained(
     cells = sort_into_cells(points[rows], width)
     for _ in range(_ROUNDS):
         moved = np.zeros(len(rows), dtype=bool)
-        told = cells, doubtful, own, sigma, apart, places - cells.corner
-        run_chunked(partial(_explain_range, *told, places, moved), len(cells.key))
+        asked = _Asked(cells, doubtful, own, sigma, apart, places - cells.corner)
+        run_chunked(partial(_explain_range, asked, places, moved), len(cells.key))
         doubtful &= ~moved
     cured.points[rows] = places
 
@@ -88,19 +89,29 @@ def _alone_range(told: Cells, vague: BoolArray, sigma: FloatArray, begin: int, e
             alone[told.order[i]] = seen < _CORNER
 
 
+class _Asked(NamedTuple):
+    """What is asked about.
+
+    Attributes:
+        cells: Of the points as they were measured.
+        doubtful: Those that show no surface, shape (n,).
+        own: Those of which the doubtful are asked about, shape (n,).
+        sigma: Noise of each point [m], shape (n,).
+        apart: Standard deviations off the surfaces that it was measured at least [-].
+        told: Where the points are now, from the cells' corner [m], shape (n, 3).
+    """
+
+    cells: Cells
+    doubtful: BoolArray
+    own: BoolArray
+    sigma: FloatArray
+    apart: float
+    told: FloatArray
+
+
 @njit(cache=True, nogil=True)
-def _explain_range(
-    cells: Cells,
-    doubtful: BoolArray,
-    own: BoolArray,
-    sigma: FloatArray,
-    apart: float,
-    told: FloatArray,
-    places: FloatArray,
-    moved: BoolArray,
-    begin: int,
-    end: int,
-) -> None:
+def _explain_range(asked: _Asked, places: FloatArray, moved: BoolArray, begin: int, end: int) -> None:
+    cells, doubtful = asked.cells, asked.doubtful
     beside, mean = np.empty((2 * _RINGS + 1) ** 3, np.int64), np.empty(3)
     for c in range(begin, end):
         if not holds_any(cells, c, doubtful):
@@ -108,25 +119,17 @@ def _explain_range(
         count = cells_within(cells, c, _RINGS, beside)
         for i in range(cells.begin[c], cells.begin[c + 1]):
             row = cells.order[i]
-            asked = doubtful[row] and own[row]
-            if asked and _is_explained(cells, beside[:count], i, doubtful, sigma[row], apart, told, mean):
+            if doubtful[row] and asked.own[row] and _is_explained(asked, beside[:count], i, mean):
                 moved[row] = True
                 for k in range(3):
                     places[row, k] = mean[k] + cells.corner[k]
 
 
 @njit(cache=True, nogil=True)
-def _is_explained(
-    cells: Cells,
-    beside: IntArray,
-    i: int,
-    doubtful: BoolArray,
-    sigma: float,
-    apart: float,
-    told: FloatArray,
-    mean: FloatArray,
-) -> bool:
-    """Whether the surfaces `told` explain what is at place i; writes where on the nearest it is expected to be from."""
+def _is_explained(asked: _Asked, beside: IntArray, i: int, mean: FloatArray) -> bool:
+    """Whether the surfaces explain what is at place i; writes where on the nearest it is expected to be from."""
+    cells, doubtful, _, _, apart, told = asked
+    sigma = asked.sigma[cells.order[i]]
     measured, expected, variance, skew, total = 0.0, 0.0, 0.0, 0.0, 0.0
     x, y, z = cells.places[i]
     scale, furthest, least, nearest = -0.5 / sigma**2, (_FURTHEST * sigma) ** 2, np.inf, -1
@@ -158,8 +161,17 @@ def _is_explained(
         or measured > expected + _by_chance(variance, skew)
     ):
         return False
+    _write_source(asked, beside, i, nearest, mean)
+    return True
+
+
+@njit(cache=True, nogil=True)
+def _write_source(asked: _Asked, beside: IntArray, i: int, nearest: int, mean: FloatArray) -> None:
+    """Write where on the surface around the `nearest` of its points what is at place i is expected to be from."""
+    cells, doubtful, _, _, _, told = asked
+    sigma, at, (x, y, z) = asked.sigma[cells.order[i]], told[nearest], cells.places[i]
+    scale, least, total = -0.5 / sigma**2, (at[0] - x) ** 2 + (at[1] - y) ** 2 + (at[2] - z) ** 2, 0.0
     mean[:] = 0.0
-    total, at = 0.0, told[nearest]
     for j in beside:
         for k in range(cells.begin[j], cells.begin[j + 1]):
             row = cells.order[k]
@@ -171,7 +183,6 @@ def _is_explained(
                 for a in range(3):
                     mean[a] += weight * s[a]
     mean /= total
-    return True
 
 
 @njit(cache=True, nogil=True)

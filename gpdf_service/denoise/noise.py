@@ -66,7 +66,7 @@ def estimate_noise(
     rest, shown = np.full((2, len(picked)), np.nan)
     radii: FloatArray = 2.0 * spacing * GROWTH ** np.arange(16.0)
     tree = build_tree(points) if tree is None else tree
-    run_chunked(lambda a, b: _noise_range(tree, picked, a, b, radii, sheets, rest, shown), len(picked))
+    run_chunked(lambda a, b: _noise_range(tree, picked[a:b], radii, sheets, rest[a:b], shown[a:b]), len(picked))
     told, sure = rest[np.isfinite(rest)], shown[np.isfinite(shown)]
     if len(told) < _CHANCE * np.isinf(rest).sum():
         thinner = rng.choice(points, len(points) // 4, replace=False)
@@ -85,14 +85,7 @@ def _quartile(freedom: float, side: float) -> float:
 
 @njit(cache=True, nogil=True)
 def _noise_range(
-    tree: Tree,
-    places: FloatArray,
-    begin: int,
-    end: int,
-    radii: FloatArray,
-    sheets: bool,
-    rest: FloatArray,
-    shown: FloatArray,
+    tree: Tree, places: FloatArray, radii: FloatArray, sheets: bool, rest: FloatArray, shown: FloatArray
 ) -> None:
     """The larger radii are looked at only where the smaller ones do not tell: they hold most of the points.
 
@@ -100,12 +93,12 @@ def _noise_range(
     `shown` to be noise, NaN before, stays so elsewhere. Each is such that its quartile is the deviation [m].
     """
     moments, mean, normal, near = np.zeros((len(radii), 10)), np.zeros(3), np.zeros(3), np.zeros((MOST, 3))
-    side, pair, sums, look = np.zeros(MOST, np.int64), np.zeros((3, 9)), make_sums(1), make_look()
-    for i in range(begin, end):
+    side, pair, sums, look = np.zeros(MOST, np.int64), np.zeros((3, 9)), make_sums(), make_look()
+    for i in range(len(places)):
         first, wide = 0, 0
         while first < len(radii) and np.isnan(rest[i]):
             last = min(first + _AT_ONCE, len(radii))
-            sum_rings(tree, places[i], radii[:last], normal * 0.0, 0.0, moments[:last], look)
+            sum_rings(tree, places[i], radii[:last], moments[:last], look)
             for j in range(first, last):
                 count = moments[j, 0]
                 if count < _TOLD:
@@ -125,8 +118,8 @@ def _noise_range(
                     if within < _SHEETS * low:
                         variance = min(variance, within)
                     rest[i] = sqrt(variance / _quartile(count - 6.0, -1.0))
-                    sum_heights(tree, places[i], normal, _LARGER * radii[j : j + 1], np.inf, sums, look)
-                    if fit_heights(sums, 0)[1][2] < _ALIKE * variance * (sums.number[0] - 6.0):
+                    sum_heights(tree, places[i], normal, _LARGER * radii[j], sums, look)
+                    if fit_heights(sums)[2] < _ALIKE * variance * (sums.moments[0] - 6.0):
                         shown[i] = sqrt(variance / _quartile(count - 6.0, 1.0))
                     break
                 if high > LONG * middle:

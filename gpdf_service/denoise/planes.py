@@ -7,6 +7,7 @@ one plane. What is thicker is two sheets, if each of them then leaves σ², or n
 from __future__ import annotations
 
 from math import sqrt
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
@@ -17,7 +18,7 @@ from gpdf_service.denoise.cells import (
     Cells,
     begin_sweep,
     centre_of,
-    gather_all,
+    gather,
     look_around,
     sum_window,
 )
@@ -48,15 +49,34 @@ _MOST = 400
 """Points of a window that are looked at one by one."""
 
 
-def find_planes(cells: Cells, sigma: float, wanted: BoolArray) -> Planes:
-    """The planes of the windows around the `wanted` cells, shape (m,), of points with the noise `sigma` [m]."""
-    planes = np.zeros((len(cells.key), SHEETS, NUMBERS), np.float32)
-    run_chunked(lambda a, b: _planes_range(cells, sigma, wanted, a, b, planes), len(cells.key))
-    return planes
+class Windows(NamedTuple):
+    """Points in cells, as noisy all over, and what the windows around the cells show.
+
+    Attributes:
+        cells: The cells.
+        sigma: Noise of the points [m].
+        planes: Of the windows.
+        main: The plane that most points of each cell are of: its normal, its height over the cell's middle and its
+            error [m], shape (m, 5), 0 where there is none; written as points are placed.
+    """
+
+    cells: Cells
+    sigma: float
+    planes: Planes
+    main: NDArray[np.float32]
+
+
+def find_planes(cells: Cells, sigma: float, wanted: BoolArray) -> Windows:
+    """The windows around the cells, and the planes of the `wanted` ones, shape (m,), where the noise is `sigma` [m]."""
+    count = len(cells.key)
+    found = Windows(cells, sigma, np.zeros((count, SHEETS, NUMBERS), np.float32), np.zeros((count, 5), np.float32))
+    run_chunked(lambda a, b: _planes_range(found, wanted, a, b), count)
+    return found
 
 
 @njit(cache=True, nogil=True)
-def _planes_range(cells: Cells, sigma: float, wanted: BoolArray, begin: int, end: int, planes: Planes) -> None:
+def _planes_range(windows: Windows, wanted: BoolArray, begin: int, end: int) -> None:
+    cells, sigma, planes, _ = windows
     near, total, normal, mean = np.empty(AROUND, np.int64), np.empty(10), np.empty(3), np.empty(3)
     rows, halves, heights = np.empty(_MOST, np.int64), np.empty((2, 10)), np.empty(_MOST)
     at = begin_sweep(cells, begin)
@@ -71,19 +91,17 @@ def _planes_range(cells: Cells, sigma: float, wanted: BoolArray, begin: int, end
         excess = _excess(low, total[0], sigma)
         if excess <= THICK:
             if middle > _FLAT * low:
-                _write(planes[c, 0], normal, mean, total[0], (middle - low) ** 2 / middle, excess, cells.width)
+                _write(planes[c, 0], normal, mean, (total[0], (middle - low) ** 2 / middle, excess), cells.width)
         elif total[0] >= 2 * FEWEST:
-            count = gather_all(cells, near, rows)
+            count = gather(cells, near, rows)
             for axis in range(3):
                 if _is_round((low, middle, high), axis):
                     continue
                 if axis > 0:
                     fit_axis(total, middle if axis == 1 else high, normal)
-                if _split(cells, c, rows[:count], normal, heights, halves) and _both(
-                    halves, sigma, total[0] / count, cells.width, normal, mean, planes[c]
-                ):
+                split = _split(cells, c, rows[:count], normal, heights, halves)
+                if split and _both(halves, sigma, total[0] / count, cells.width, planes[c]):
                     break
-                fit_plane(total, mean, normal)
 
 
 @njit(cache=True, nogil=True)
@@ -100,17 +118,15 @@ def _excess(low: float, count: float, sigma: float) -> float:
 
 
 @njit(cache=True, nogil=True)
-def _write(
-    plane: Planes, normal: FloatArray, mean: FloatArray, count: float, middle: float, excess: float, width: float
-) -> None:
-    """A plane that crosses its window's own cell."""
+def _write(plane: Planes, normal: FloatArray, mean: FloatArray, told: tuple[float, float, float], width: float) -> None:
+    """A plane that crosses its window's own cell; the last but one of its numbers are `told`."""
     height = mean[0] * normal[0] + mean[1] * normal[1] + mean[2] * normal[2]
     off = abs(height) / (_CROSS * width * (abs(normal[0]) + abs(normal[1]) + abs(normal[2])))
     if off >= 1.0:
         return
     for k in range(3):
         plane[k], plane[3 + k] = normal[k], mean[k]
-    plane[6], plane[7], plane[8], plane[9] = count, middle, excess, 1.0 - off * off
+    (plane[6], plane[7], plane[8]), plane[9] = told, 1.0 - off * off
 
 
 @njit(cache=True, nogil=True)
@@ -141,16 +157,9 @@ def _split(cells: Cells, c: int, rows: IntArray, axis: FloatArray, heights: Floa
 
 
 @njit(cache=True, nogil=True)
-def _both(
-    halves: FloatArray,
-    sigma: float,
-    share: float,
-    width: float,
-    normal: FloatArray,
-    mean: FloatArray,
-    planes: Planes,
-) -> bool:
+def _both(halves: FloatArray, sigma: float, share: float, width: float, planes: Planes) -> bool:
     """Write two sheets if both are planes of their own; each of their points stands for `share`."""
+    normal, mean = np.empty(3), np.empty(3)
     for k in range(SHEETS):
         low, middle, _ = fit_plane(halves[k], mean, normal)
         count = halves[k, 0]
@@ -158,5 +167,5 @@ def _both(
         if excess > THICK or low * count < _THIN * sigma**2 * (count - 3.0) or middle <= _FLAT * low:
             planes[0, 6] = 0.0
             return False
-        _write(planes[k], normal, mean, share * count, (middle - low) ** 2 / middle, excess, width)
+        _write(planes[k], normal, mean, (share * count, (middle - low) ** 2 / middle, excess), width)
     return True

@@ -11,7 +11,6 @@ from math import exp, sqrt
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
 from gpdf_service.denoise.cells import (
     AROUND,
@@ -19,11 +18,12 @@ from gpdf_service.denoise.cells import (
     begin_sweep,
     cells_within,
     centre_of,
-    gather_near,
+    gather,
     holds_any,
     look_around,
 )
 from gpdf_service.denoise.place import Placed
+from gpdf_service.denoise.planes import Windows
 from gpdf_service.fields.shapes import FEWEST
 from gpdf_service.fields.threads import run_chunked
 from gpdf_service.types import BoolArray, FloatArray, IntArray
@@ -52,23 +52,25 @@ _WITNESSES = 256
 """Outliers beside that are looked at."""
 
 
-def follow_planes(cells: Cells, main: NDArray[np.float32], sigma: float, placed: Placed) -> None:
-    """Put pending points onto the plane of a cell near them; `main` is from `place_in_cells`."""
-    run_chunked(lambda a, b: _follow_range(cells, main, sigma, placed, a, b), len(cells.key))
+def follow_planes(windows: Windows, placed: Placed) -> BoolArray:
+    """Put pending points onto the main plane of a cell near them; which those are, shape (n,)."""
+    before = placed.pending.copy()
+    run_chunked(lambda a, b: _follow_range(windows, placed, a, b), len(windows.main))
+    return before & ~placed.pending
 
 
-def release_things(cells: Cells, points: FloatArray, sigma: float, placed: Placed) -> None:
+def release_things(windows: Windows, points: FloatArray, placed: Placed) -> None:
     """Make points pending again that are off their planes with more company than the noise's tail has."""
     off = points - placed.points
-    far = ~placed.pending & (np.einsum("ij,ij->i", off, off) > (_TAIL * sigma) ** 2)
+    far = ~placed.pending & (np.einsum("ij,ij->i", off, off) > (_TAIL * windows.sigma) ** 2)
     free = np.zeros(len(points), dtype=bool)
-    run_chunked(lambda a, b: _company_range(cells, off, far, sigma, a, b, free), len(cells.key))
+    run_chunked(lambda a, b: _company_range(windows, off, far, a, b, free), len(windows.main))
     placed.points[free], placed.pending[free] = points[free], True
 
 
-def shift_rest(cells: Cells, sigma: float, placed: Placed) -> None:
+def shift_rest(windows: Windows, placed: Placed) -> None:
     """Move the pending points to the mean of those beside, as far as it is known; they stay pending."""
-    run_chunked(lambda a, b: _shift_range(cells, sigma, placed, a, b), len(cells.key))
+    run_chunked(lambda a, b: _shift_range(windows, placed, a, b), len(windows.main))
 
 
 def find_alone(cells: Cells, placed: Placed) -> BoolArray:
@@ -82,7 +84,8 @@ def find_alone(cells: Cells, placed: Placed) -> BoolArray:
 
 
 @njit(cache=True, nogil=True)
-def _follow_range(cells: Cells, main: NDArray[np.float32], sigma: float, placed: Placed, begin: int, end: int) -> None:
+def _follow_range(windows: Windows, placed: Placed, begin: int, end: int) -> None:
+    cells, sigma, _, main = windows
     beside, limit = np.empty((2 * _RINGS + 1) ** 3, np.int64), _FURTHEST * sigma
     for c in range(begin, end):
         if not holds_any(cells, c, placed.pending):
@@ -110,9 +113,8 @@ def _follow_range(cells: Cells, main: NDArray[np.float32], sigma: float, placed:
 
 
 @njit(cache=True, nogil=True)
-def _company_range(
-    cells: Cells, off: FloatArray, far: BoolArray, sigma: float, begin: int, end: int, free: BoolArray
-) -> None:
+def _company_range(windows: Windows, off: FloatArray, far: BoolArray, begin: int, end: int, free: BoolArray) -> None:
+    cells, sigma, _, _ = windows
     near, rows, at = np.empty(AROUND, np.int64), np.empty(_WITNESSES, np.int64), begin_sweep(cells, begin)
     for c in range(begin, end):
         if not holds_any(cells, c, far):
@@ -127,7 +129,7 @@ def _company_range(
         by_chance = _SHARE * around + _CHANCE * sqrt(_SHARE * around) + _FEWEST
         if tail <= by_chance:
             continue
-        count = gather_near(cells, near, far, rows)
+        count = gather(cells, near, rows, far)
         for i in range(cells.begin[c], cells.begin[c + 1]):
             row = cells.order[i]
             if not far[row]:
@@ -141,14 +143,15 @@ def _company_range(
 
 
 @njit(cache=True, nogil=True)
-def _shift_range(cells: Cells, sigma: float, placed: Placed, begin: int, end: int) -> None:
+def _shift_range(windows: Windows, placed: Placed, begin: int, end: int) -> None:
+    cells, sigma, _, _ = windows
     near, rows, at = np.empty(AROUND, np.int64), np.empty(_MOST, np.int64), begin_sweep(cells, begin)
     mean = np.empty(3)
     for c in range(begin, end):
         if not holds_any(cells, c, placed.pending):
             continue
         look_around(cells, c, at, near)
-        count = gather_near(cells, near, placed.pending, rows)
+        count = gather(cells, near, rows, placed.pending)
         for i in range(cells.begin[c], cells.begin[c + 1]):
             row = cells.order[i]
             if not placed.pending[row]:

@@ -12,8 +12,9 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from gpdf_service.denoise.cells import AROUND, Cells, begin_sweep, cells_within, centre_of, look_around, sum_window
+from gpdf_service.denoise.cells import AROUND, begin_sweep, cells_within, centre_of, look_around, sum_window
 from gpdf_service.denoise.place import Placed
+from gpdf_service.denoise.planes import Windows
 from gpdf_service.fields.shapes import FEWEST
 from gpdf_service.fields.threads import run_chunked
 from gpdf_service.types import BoolArray, FloatArray, IntArray
@@ -33,23 +34,21 @@ _CORNER = 0.5 * sqrt(3.0)
 """[-] Of a cell's width, from its middle to its corners."""
 
 
-def draw_in(cells: Cells, sigma: float, placed: Placed) -> BoolArray:
+def draw_in(windows: Windows, placed: Placed) -> BoolArray:
     """Move points that are beyond the end of their surface back to it; which have too few beside to tell, shape (n,).
 
     Args:
-        cells: Of the points as they were measured.
-        sigma: Noise of the points [m].
+        windows: Of the points as they were measured.
         placed: Where the points are; changed in place.
     """
-    points, few = placed.points.copy(), np.zeros(len(placed.points), dtype=bool)
-    run_chunked(lambda a, b: _rim_range(cells, sigma, points, placed, a, b, few), len(cells.key))
+    before, few = placed._replace(points=placed.points.copy()), np.zeros(len(placed.points), dtype=bool)
+    run_chunked(lambda a, b: _rim_range(windows, before, placed, a, b, few), len(windows.main))
     return few
 
 
 @njit(cache=True, nogil=True)
-def _rim_range(
-    cells: Cells, sigma: float, points: FloatArray, placed: Placed, begin: int, end: int, few: BoolArray
-) -> None:
+def _rim_range(windows: Windows, before: Placed, placed: Placed, begin: int, end: int, few: BoolArray) -> None:
+    cells = windows.cells
     near, at = np.empty(AROUND, np.int64), begin_sweep(cells, begin)
     out, total, beside = np.empty(3), np.empty(10), np.empty((2 * _STRIP + 1) ** 3, np.int64)
     for c in range(begin, end):
@@ -60,12 +59,12 @@ def _rim_range(
             row = cells.order[i]
             if placed.pending[row] or _is_inside(total, placed.normal[row], cells.width):
                 continue
-            found, aside = _outwards(cells, near, row, sigma, points, placed, out)
+            found, aside = _outwards(windows, near, row, before, out)
             few[row] = found < FEWEST
             if aside and not few[row]:
                 if count == 0:
                     count = cells_within(cells, c, _STRIP, beside)
-                beyond = -_end(cells, beside[:count], row, sigma, points, placed, out)
+                beyond = -_end(windows, beside[:count], row, before, out)
                 if beyond > 0.0:
                     for k in range(3):
                         placed.points[row, k] -= beyond * out[k]
@@ -82,17 +81,16 @@ def _is_inside(total: FloatArray, normal: NDArray[np.float32], width: float) -> 
 
 
 @njit(cache=True, nogil=True)
-def _outwards(
-    cells: Cells, near: IntArray, row: int, sigma: float, points: FloatArray, placed: Placed, out: FloatArray
-) -> tuple[int, bool]:
+def _outwards(windows: Windows, near: IntArray, row: int, placed: Placed, out: FloatArray) -> tuple[int, bool]:
     """Write the direction from the middle of the surface around a point to it; its points, and if it ends there."""
-    count, reach, p, n = 0, cells.width, points[row], placed.normal[row]
+    (cells, sigma, _, _), (points, _, _, normal) = windows, placed
+    count, reach, p, n = 0, cells.width, points[row], normal[row]
     out[:] = 0.0
     for j in near:
         if j < 0:
             continue
         for i in range(cells.begin[j], cells.begin[j + 1]):
-            q, m = points[cells.order[i]], placed.normal[cells.order[i]]
+            q, m = points[cells.order[i]], normal[cells.order[i]]
             a, b, d = p[0] - q[0], p[1] - q[1], p[2] - q[2]
             off, same = a * n[0] + b * n[1] + d * n[2], m[0] * n[0] + m[1] * n[1] + m[2] * n[2]
             if abs(off) <= _SAME * sigma and abs(same) >= _ALIKE and a * a + b * b + d * d <= reach * reach:
@@ -107,11 +105,10 @@ def _outwards(
 
 
 @njit(cache=True, nogil=True)
-def _end(
-    cells: Cells, beside: IntArray, row: int, sigma: float, points: FloatArray, placed: Placed, out: FloatArray
-) -> float:
+def _end(windows: Windows, beside: IntArray, row: int, placed: Placed, out: FloatArray) -> float:
     """Where the strip through a point ends at the latest, from it on along `out` [m]; inf where that is not known."""
-    count, total, squares, reach, p, n = 0, 0.0, 0.0, _STRIP * cells.width, points[row], placed.normal[row]
+    (cells, sigma, _, _), (points, _, _, normal) = windows, placed
+    count, total, squares, reach, p, n = 0, 0.0, 0.0, _STRIP * cells.width, points[row], normal[row]
     far = (_HALF * sigma + _CORNER * cells.width) ** 2
     for j in beside:
         x, y, z = centre_of(cells, j)
@@ -120,7 +117,7 @@ def _end(
         if a * a + b * b + d * d - u * u > 2.0 * far:
             continue
         for i in range(cells.begin[j], cells.begin[j + 1]):
-            q, m = points[cells.order[i]], placed.normal[cells.order[i]]
+            q, m = points[cells.order[i]], normal[cells.order[i]]
             a, b, d = q[0] - p[0], q[1] - p[1], q[2] - p[2]
             off, same = a * n[0] + b * n[1] + d * n[2], m[0] * n[0] + m[1] * n[1] + m[2] * n[2]
             u = a * out[0] + b * out[1] + d * out[2]

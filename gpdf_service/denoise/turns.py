@@ -12,7 +12,9 @@ from math import erf, exp, sqrt
 import numpy as np
 from numba import njit
 
-from gpdf_service.denoise.cells import Cells, centre_of
+from gpdf_service.denoise.cells import centre_of
+from gpdf_service.denoise.planes import Windows
+from gpdf_service.denoise.votes import Room
 from gpdf_service.fields.shapes import FEWEST, fit_plane
 from gpdf_service.types import FloatArray, IntArray
 
@@ -31,34 +33,15 @@ _TURNED = 0.9
 
 
 @njit(cache=True, nogil=True)
-def fit_by_turns(
-    cells: Cells,
-    c: int,
-    rows: IntArray,
-    sigma: float,
-    found: FloatArray,
-    ends: FloatArray,
-    known: FloatArray,
-    room: tuple[FloatArray, FloatArray, FloatArray, FloatArray],
-) -> None:
-    """Move the planes `found` of cell c onto their shares of the points `rows`.
-
-    Args:
-        cells: All of them.
-        c: Whose planes they are.
-        rows: Places of points around it.
-        sigma: Noise of the points [m].
-        found: Planes, changed in place.
-        ends: Where they end at each other.
-        known: Sums of what was known of each plane before, shape (kinds, 10).
-        room: For sums of each plane (kinds, 10), and for three places (3,).
-    """
-    sums, x, place, normal = room
-    kinds, (a, b, d) = len(found), centre_of(cells, c)
+def fit_by_turns(windows: Windows, c: int, rows: IntArray, room: Room, kinds: int) -> None:
+    """Move the first `kinds` planes in the room, those of cell c, onto their shares of the points at places `rows`."""
+    cells, sigma, found, sums = windows.cells, windows.sigma, room.found[:kinds], room.sums
+    x, place, normal = room.vectors
+    a, b, d = centre_of(cells, c)
     shares, slants = np.empty(kinds), np.empty((kinds, kinds, 2))
     for _ in range(_TURNS):
-        sums[:kinds] = known
-        _find_slants(found, ends, sigma, slants)
+        sums[:kinds] = room.known[:kinds]
+        _find_slants(found, room.ends, sigma, slants)
         for i in rows:
             x[0], x[1], x[2] = cells.places[i, 0] - a, cells.places[i, 1] - b, cells.places[i, 2] - d
             whole = _NONE

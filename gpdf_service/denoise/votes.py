@@ -8,13 +8,14 @@ sides of a place that bends are off to both sides of it, so that their mean is n
 from __future__ import annotations
 
 from math import exp, sqrt
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from gpdf_service.denoise.cells import AROUND, Cells, offset_of
-from gpdf_service.denoise.planes import SHEETS, Planes
+from gpdf_service.denoise.cells import AROUND, offset_of
+from gpdf_service.denoise.planes import SHEETS, Windows
 from gpdf_service.types import FloatArray, IntArray
 
 KINDS = 4
@@ -40,10 +41,39 @@ _END = 0.3
 """[-] Cells beyond another plane that the middle of a vote may be, and the plane still ends there."""
 
 
+class Room(NamedTuple):
+    """What telling the planes of a cell needs; made once a batch.
+
+    Attributes:
+        votes: The votes, the heaviest first, shape (n, `VOTE`).
+        of: Which plane each is for, −1 for none, shape (n,).
+        found: The planes, the heaviest first, shape (`KINDS`, `FOUND`).
+        ends: On which side of plane j plane i is, ±1, shape (`KINDS`, `KINDS`); 0 where it does not end there.
+        known: Sums of what is known of each plane before points are looked at, shape (`KINDS`, 10).
+        sums: The same with the points.
+        vectors: Three places, shape (3, 3).
+    """
+
+    votes: FloatArray
+    of: IntArray
+    found: FloatArray
+    ends: FloatArray
+    known: FloatArray
+    sums: FloatArray
+    vectors: FloatArray
+
+
 @njit(cache=True, nogil=True)
-def collect(cells: Cells, near: IntArray, planes: Planes, sigma: float, votes: FloatArray) -> int:
-    """Write the votes for a cell's planes, shape (`VOTES`, `VOTE`), the heaviest first; how many."""
-    count = 0
+def make_room(votes: int) -> Room:
+    """Room for so many votes."""
+    planes = np.empty((KINDS, FOUND)), np.empty((KINDS, KINDS)), np.zeros((KINDS, 10)), np.empty((KINDS, 10))
+    return Room(np.empty((votes, VOTE)), np.empty(votes, np.int64), *planes, np.empty((3, 3)))
+
+
+@njit(cache=True, nogil=True)
+def collect(windows: Windows, near: IntArray, votes: FloatArray) -> int:
+    """Write the votes for a cell's planes of the windows `near`, the heaviest first; how many."""
+    count, (cells, sigma, planes, _) = 0, windows
     for j in range(AROUND):
         if near[j] >= 0:
             for s in range(SHEETS):
@@ -86,12 +116,13 @@ def add_vote(
 
 
 @njit(cache=True, nogil=True)
-def cluster(votes: FloatArray, count: int, sigma: float, of: IntArray, found: FloatArray) -> int:
-    """Write which plane each vote is for, shape (`VOTES`,), −1 for none, and the planes, (`KINDS`, `FOUND`); how many.
+def cluster(room: Room, count: int, width: float, sigma: float) -> int:
+    """Write which plane each of the first `count` votes is for, the planes, and where they end; how many they are.
 
     The heaviest vote that is left begins a plane, and those that agree with it are of it. Then once more with the
     planes themselves, the heaviest first: what one vote was off by does not split a plane.
     """
+    votes, of, found = room.votes, room.of, room.found
     of[:count] = -1
     kinds = 0
     for i in range(count):
@@ -109,7 +140,9 @@ def cluster(votes: FloatArray, count: int, sigma: float, of: IntArray, found: Fl
                 of[j] = i
                 break
     _sum_votes(votes, count, of, found, kinds, sigma)
-    return _without_empty(of[:count], found, kinds)
+    kinds = _without_empty(of[:count], found, kinds)
+    _find_ends(room, count, kinds, width)
+    return kinds
 
 
 @njit(cache=True, nogil=True)
@@ -183,10 +216,9 @@ def _heaviest_first(found: FloatArray, kinds: int) -> None:
 
 
 @njit(cache=True, nogil=True)
-def find_ends(
-    votes: FloatArray, count: int, of: IntArray, found: FloatArray, kinds: int, width: float, ends: FloatArray
-) -> None:
-    """Write on which side of plane j plane i is, ±1, shape (`KINDS`, `KINDS`); 0 where it does not end there."""
+def _find_ends(room: Room, count: int, kinds: int, width: float) -> None:
+    """Write on which side of each other plane each one is."""
+    votes, of, found, ends = room.votes, room.of, room.found, room.ends
     ends[:] = 0.0
     for j in range(kinds):
         if found[j, 4] < LIGHT * found[0, 4]:
@@ -207,12 +239,12 @@ def find_ends(
 
 
 @njit(cache=True, nogil=True)
-def onto_plane(found: FloatArray, kinds: int, ends: FloatArray, i: int, x: FloatArray, place: FloatArray) -> float:
+def onto_plane(found: FloatArray, ends: FloatArray, i: int, x: FloatArray, place: FloatArray) -> float:
     """Write the point of plane i, as far as it goes, that is nearest to x [m]; the squared distance [m²]."""
     off = x[0] * found[i, 0] + x[1] * found[i, 1] + x[2] * found[i, 2] - found[i, 3]
     for k in range(3):
         place[k] = x[k] - off * found[i, k]
-    for j in range(kinds):
+    for j in range(len(found)):
         if ends[i, j] == 0.0:
             continue
         beyond = place[0] * found[j, 0] + place[1] * found[j, 1] + place[2] * found[j, 2] - found[j, 3]

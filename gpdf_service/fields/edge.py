@@ -139,13 +139,3 @@ def nearest_half(pair: FloatArray, x: FloatArray) -> int:
     """The half plane that is nearer to x; on the line where they meet the more level one."""
     more = from_half(pair, 1, x) - from_half(pair, 0, x)
     return int(more < -(_EQUAL**2) or (more <= _EQUAL**2 and is_more_level(pair, 1)))
-
-
-@njit(cache=True, nogil=True)
-def onto_half(pair: FloatArray, k: int, x: FloatArray, place: FloatArray) -> None:
-    """Write the point of half plane k that is nearest to x."""
-    n, u = pair[k, 3:6], pair[2, 3:6]
-    if beside(pair, k, x) >= 0.0:
-        place[:] = x - ((x - pair[k, 0:3]) * n).sum() * n
-    else:
-        place[:] = pair[2, 0:3] + ((x - pair[2, 0:3]) * u).sum() * u

@@ -55,13 +55,14 @@ class Box:
 
 
 class Gpdf:
-    """A fitted field; a `DistanceField` in 2D or 3D. It never changes: `insert` and `remove` give another one.
+    """A fitted field; a `DistanceField` in 2D or 3D. It never changes: `replace` gives another one.
 
     Attributes:
         tree: The points that it was fitted to, in a k-d tree [m].
         alpha: (K + σ² I)⁻¹ 1, in the tree's order, shape (n,).
         discs: The surface that each point stands for, shape (n, 6): `local_shape`; told on first use if need be.
         noise: Standard deviation of each point along the surface's normal [m], shape (n,).
+        kernel: The three numbers that come next.
         length_scale: l of the kernel [m].
         noise_variance: σ² of the occupancy [-].
         spacing: Distance between neighbouring points that the field resolves [m].
@@ -74,13 +75,11 @@ class Gpdf:
         alpha: FloatArray,
         discs: FloatArray | Callable[[], FloatArray],
         noise: FloatArray,
-        length_scale: float,
-        noise_variance: float,
-        spacing: float,
+        kernel: tuple[float, float, float],
         domain: Domain | None = None,
     ) -> None:
-        self.tree, self.alpha, self._discs, self.noise = tree, alpha, discs, noise
-        self.length_scale, self.noise_variance, self.spacing = length_scale, noise_variance, spacing
+        self.tree, self.alpha, self._discs, self.noise, self.kernel = tree, alpha, discs, noise, kernel
+        self.length_scale, self.noise_variance, self.spacing = kernel
         self.domain: Domain = Box(tree.points) if domain is None else domain
         self._weights, self._off = by_leaf(tree, alpha), np.zeros(0)
 
@@ -130,8 +129,9 @@ class Gpdf:
         asked, finite = self._check(queries)
         count = len(asked)
         distance, deviation, gradient = np.empty(count), np.empty(count), np.empty_like(asked)
-        own, off = (self.arrays, asked, spatial_order(asked)), self._off_surface()
-        run_chunked(lambda a, b: sample_range(*own, a, b, off, distance, gradient, deviation), count)
+        order, made = spatial_order(asked), (distance, gradient, deviation)
+        field, off = self.arrays, self._off_surface()
+        run_chunked(lambda a, b: sample_range(field, asked, order[a:b], off, made), count)
         valid = finite & self.domain.contains(asked) & np.isfinite(deviation)
         distance[~valid], gradient[~valid], deviation[~valid] = 0.0, 0.0, np.inf
         return FieldSample(distance, gradient, valid, deviation)
@@ -141,74 +141,27 @@ class Gpdf:
         asked, finite = self._check(queries)
         return np.where(finite, find_nearest(self.tree, asked)[0], 0.0)
 
-    def insert(self, points: ArrayLike, noise: ArrayLike = 0.0) -> Gpdf:
-        """The field with `points`, shape (k, dim) [m], added: solved again only around them.
-
-        A point closer than half the spacing to one that is there adds nothing and is left out.
-
-        Raises:
-            FieldError: wrong shape or not finite.
-        """
-        data = _check_points(points, self.points.shape[1])
-        if len(data) == 0:
-            return self
-        _check_extent(data, self.spacing)
-        own = _check_noise(noise, len(data))
-        rows = thin(data, 0.5 * self.spacing)
-        rows = rows[find_nearest(self.tree, data[rows])[0] >= 0.5 * self.spacing]
-        return self._changed(np.ones(len(self.points), dtype=bool), data[rows], own[rows])
-
-    def remove(self, rows: ArrayLike) -> Gpdf:
-        """The field without some of its points: solved again only around them.
-
-        Args:
-            rows: Which of `points` to take out: a mask of shape (n,), or row numbers.
-
-        Raises:
-            FieldError: rows that are not there, or nothing would be left.
-        """
-        keep = np.ones(len(self.points), dtype=bool)
-        chosen = np.asarray(rows)
-        try:
-            keep[chosen if chosen.size else slice(0)] = False
-        except IndexError as error:
-            raise FieldError("remove", f"rows that are not there ({error})", "Name rows of `points`.") from error
-        if not keep.any():
-            raise FieldError("remove", "all points", "A field needs at least one point; drop the field instead.")
-        return self._changed(keep, np.zeros((0, self.points.shape[1])), np.zeros(0))
-
     def replace(self, gone: BoolArray, points: FloatArray) -> Gpdf:
-        """The field without the points where `gone`, shape (n,), and with `points`, (k, dim) [m], in one solve.
+        """The field without the points where `gone`, shape (n,), and with `points`, (k, dim) [m], solved around them.
 
         The new points must be half the spacing or more from all that stay, and from each other.
+
+        Raises:
+            FieldError: nothing would be kept.
         """
         if gone.all():
             raise FieldError("replace", "all points", "A field that keeps nothing is a new one; fit it.")
-        return self._changed(~gone, points, np.zeros(len(points)))
-
-    def over(self, domain: Domain) -> Gpdf:
-        """The same field with another domain."""
-        own = self.tree, self.alpha, self._discs, self.noise
-        return Gpdf(*own, self.length_scale, self.noise_variance, self.spacing, domain)
-
-    def _off_surface(self) -> FloatArray:
-        """How far each point may be from the surface by its noise and a bend [m], shape (n,)."""
-        if len(self._off) < len(self.points):
-            self._off = np.hypot(self.noise, self.discs[:, 5])
-        return self._off
-
-    def _changed(self, keep: BoolArray, added: FloatArray, noise: FloatArray) -> Gpdf:
-        if keep.all() and len(added) == 0:
+        if len(points) == 0 and not gone.any():
             return self
-        tree, source = change_tree(self.tree, keep, added)
+        tree, source = change_tree(self.tree, ~gone, points)
         old, at = source >= 0, np.maximum(source, 0)  # what is taken for a new point is overwritten
         alpha, own, discs = (np.take(each, at, axis=0) for each in (self.alpha, self.noise, self.discs))
-        alpha[~old], own[~old] = np.nan, noise[-1 - source[~old]]
+        alpha[~old], own[~old] = np.nan, 0.0
 
         def around(radius: float) -> IntArray:
             """Rows within the radius of a point that came or went."""
             lost = np.zeros(len(self.points), dtype=bool)
-            lost[within(self.tree, np.flatnonzero(~keep), radius)] = True
+            lost[within(self.tree, np.flatnonzero(gone), radius)] = True
             felt = lost[at] | ~old
             felt[within(tree, np.flatnonzero(~old), radius)] = True
             return np.flatnonzero(felt)
@@ -217,7 +170,18 @@ class Gpdf:
         if len(rows):
             alpha[rows] = solve_rows(tree, rows, alpha, self.length_scale, self.noise_variance)
         discs[shaped] = local_shape(tree, shaped, self.spacing, own[shaped])
-        return Gpdf(tree, alpha, discs, own, self.length_scale, self.noise_variance, self.spacing, self.domain)
+        return Gpdf(tree, alpha, discs, own, self.kernel, self.domain)
+
+    def over(self, domain: Domain) -> Gpdf:
+        """The same field with another domain."""
+        own = self.tree, self.alpha, self._discs, self.noise
+        return Gpdf(*own, self.kernel, domain)
+
+    def _off_surface(self) -> FloatArray:
+        """How far each point may be from the surface by its noise and a bend [m], shape (n,)."""
+        if len(self._off) < len(self.points):
+            self._off = np.hypot(self.noise, self.discs[:, 5])
+        return self._off
 
     def _check(self, queries: ArrayLike) -> tuple[FloatArray, BoolArray]:
         asked = check_queries(queries, (self.points.shape[1],))
@@ -228,10 +192,9 @@ class Gpdf:
 
     def to_arrays(self) -> dict[str, NDArray[Any]]:
         """All that `from_arrays` needs, as arrays."""
-        scalars = np.array([self.length_scale, self.noise_variance, self.spacing])
         own = {"alpha": self.alpha, "discs": self.discs, "noise": self.noise}
         lasting = {key: getattr(self.tree, key) for key in _TREE}
-        return {**lasting, **own, "scalars": scalars}
+        return {**lasting, **own, "scalars": np.array(self.kernel)}
 
     @classmethod
     def from_arrays(cls, arrays: dict[str, NDArray[Any]], domain: Domain | None = None) -> Gpdf:
@@ -240,13 +203,13 @@ class Gpdf:
         tree = tree_of(points, order, begin)
         length_scale, noise_variance, spacing = (float(value) for value in arrays["scalars"])
         own = arrays["alpha"], arrays["discs"], arrays["noise"]
-        return cls(tree, *own, length_scale, noise_variance, spacing, domain)
+        return cls(tree, *own, (length_scale, noise_variance, spacing), domain)
 
 
 def find_nearest(tree: Tree, queries: FloatArray) -> tuple[FloatArray, IntArray]:
     """Exact nearest point of each query, shape (m, dim): distance [m] and row in `tree.points`, shape (m,)."""
     distance, index = np.zeros(len(queries)), np.zeros(len(queries), np.int64)
-    run_chunked(lambda a, b: nearest_range(tree, queries, a, b, distance, index), len(queries))
+    run_chunked(lambda a, b: nearest_range(tree, queries[a:b], distance[a:b], index[a:b]), len(queries))
     return distance, index
 
 
@@ -272,7 +235,7 @@ def fit_gpdf(
         FieldError: wrong shape, not finite, or no points.
     """
     config = config or FieldConfig()
-    data = _check_points(points, None)
+    data = _check_points(points)
     if len(data) == 0:
         raise FieldError("fit", "no points", "A field needs at least one point on a surface.")
     own = _check_noise(noise, len(data))
@@ -290,7 +253,7 @@ def fit_gpdf(
     alpha = solve_all(tree, length_scale, config.noise_variance)
     own = own[rows][tree.order]
     discs = local_shape(tree, np.arange(len(rows)), spacing, own)
-    return Gpdf(tree, alpha, discs, own, length_scale, config.noise_variance, spacing, domain)
+    return Gpdf(tree, alpha, discs, own, (length_scale, config.noise_variance, spacing), domain)
 
 
 def _real(asked: str, values: ArrayLike) -> FloatArray:
@@ -317,11 +280,10 @@ def check_queries(queries: ArrayLike, dims: tuple[int, ...]) -> FloatArray:
     return asked
 
 
-def _check_points(points: ArrayLike, dim: int | None) -> FloatArray:
+def _check_points(points: ArrayLike) -> FloatArray:
     data = _real("fit", points)
-    if data.ndim != 2 or data.shape[1] not in ((2, 3) if dim is None else (dim,)):
-        shapes = "(n, 2) or (n, 3)" if dim is None else f"(n, {dim})"
-        raise FieldError("fit", f"points of shape {data.shape}", f"Pass an array of shape {shapes}.")
+    if data.ndim != 2 or data.shape[1] not in (2, 3):
+        raise FieldError("fit", f"points of shape {data.shape}", "Pass an array of shape (n, 2) or (n, 3).")
     if not np.isfinite(data).all():
         raise FieldError("fit", "points that are not finite", "Remove NaN and infinite coordinates.")
     if len(data) and np.abs(data).max() > _FARTHEST:

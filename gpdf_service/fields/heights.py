@@ -1,4 +1,4 @@
-"""Heights over a plane: the plane or the quadric h = a + bx + cy + dx² + exy + fy² through them by least squares."""
+"""Heights over a plane: the quadric h = a + bx + cy + dx² + exy + fy² through them by least squares."""
 
 from __future__ import annotations
 
@@ -8,76 +8,60 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-from gpdf_service.fields.shapes import ring_of, tangents
+from gpdf_service.fields.shapes import tangents
 from gpdf_service.fields.tree import Look, Tree, from_root, next_leaf, place_of, rows_within
 from gpdf_service.types import FloatArray
 
 
 class Sums(NamedTuple):
-    """What a fit of heights h = a + bx + cy + dx² + exy + fy² within each of several radii needs.
+    """What a fit of heights h = a + bx + cy + dx² + exy + fy² needs.
 
     Attributes:
-        number: Of points, shape (scales,).
-        moments: Of the products of two of 1, x, y, x², xy, y²: 1, x, y, x², xy, y², x³, …, y⁴, shape (scales, 15).
-        heights: Of the first six with h, shape (scales, 6).
-        square: Sum of h², shape (scales,).
+        moments: Of the products of two of 1, x, y, x², xy, y²: 1, x, y, x², xy, y², x³, …, y⁴, shape (15,).
+        heights: Of the first six with h, and of h², shape (7,).
         factor: Room for a fit, shape (8, 6).
     """
 
-    number: FloatArray
     moments: FloatArray
     heights: FloatArray
-    square: FloatArray
     factor: FloatArray
 
 
 @njit(cache=True, nogil=True)
-def make_sums(scales: int) -> Sums:
+def make_sums() -> Sums:
     """Room for the sums; made once a batch."""
-    return Sums(np.zeros(scales), np.zeros((scales, 15)), np.zeros((scales, 6)), np.zeros(scales), np.zeros((8, 6)))
+    return Sums(np.zeros(15), np.zeros(7), np.zeros((8, 6)))
 
 
 @njit(cache=True, nogil=True)
-def sum_heights(
-    tree: Tree, x: FloatArray, normal: FloatArray, radii: FloatArray, half: float, sums: Sums, look: Look
-) -> None:
-    """Fill the sums of the points around x, `half` [m] to either side along `normal`; x and y in units of radii[-1]."""
-    boxes, limit, unit = tree.boxes, radii[-1] ** 2, 1.0 / radii[-1]
-    stack, bound, near_box, _ = look.walk
+def sum_heights(tree: Tree, x: FloatArray, normal: FloatArray, radius: float, sums: Sums, look: Look) -> None:
+    """Fill the sums of the points within a `radius` [m] of x, which is their unit, over the plane across `normal`."""
+    limit, unit = radius**2, 1.0 / radius
     nx, ny, nz = normal[0], normal[1], normal[2]
     ux, uy, uz, vx, vy, vz = tangents(normal)
     clear(sums)
-    place, top = place_of(x), from_root(stack, bound)
+    place, top = place_of(x), from_root(look.walk)
     while True:
-        leaf, _, top = next_leaf(boxes, place, place, limit, stack, bound, near_box, top)
+        leaf, top = next_leaf(tree.boxes, place, place, limit, look.walk, top)
         if leaf < 0:
-            break
+            return
         for j in look.row[: rows_within(tree, leaf, place, limit, look)]:
             a, b, c = look.offset[0, j], look.offset[1, j], look.offset[2, j]
-            h = a * nx + b * ny + c * nz
-            if abs(h) <= half:
-                u, v = (a * ux + b * uy + c * uz) * unit, (a * vx + b * vy + c * vz) * unit
-                add_height(sums, ring_of(look.square[j], radii), u, v, h)
-    for ring in range(1, len(radii)):
-        sums.number[ring] += sums.number[ring - 1]
-        sums.square[ring] += sums.square[ring - 1]
-        sums.heights[ring] += sums.heights[ring - 1]
-        sums.moments[ring] += sums.moments[ring - 1]
+            u, v = (a * ux + b * uy + c * uz) * unit, (a * vx + b * vy + c * vz) * unit
+            add_height(sums, u, v, a * nx + b * ny + c * nz)
 
 
 @njit(cache=True, nogil=True)
 def clear(sums: Sums) -> None:
     """Begin anew."""
-    sums.number[:], sums.moments[:], sums.heights[:], sums.square[:] = 0.0, 0.0, 0.0, 0.0
+    sums.moments[:], sums.heights[:] = 0.0, 0.0
 
 
 @njit(cache=True, nogil=True)
-def add_height(sums: Sums, ring: int, u: float, v: float, h: float) -> None:
+def add_height(sums: Sums, u: float, v: float, h: float) -> None:
     """Add the height h at (u, v)."""
     uu, uv, vv = u * u, u * v, v * v
-    m, t = sums.moments[ring], sums.heights[ring]
-    sums.number[ring] += 1.0
-    sums.square[ring] += h * h
+    m, t = sums.moments, sums.heights
     m[0] += 1.0
     m[1] += u
     m[2] += v
@@ -99,6 +83,7 @@ def add_height(sums: Sums, ring: int, u: float, v: float, h: float) -> None:
     t[3] += uu * h
     t[4] += uv * h
     t[5] += vv * h
+    t[6] += h * h
 
 
 _PRODUCT = ((0,), (1, 3), (2, 4, 5), (3, 6, 7, 10), (4, 7, 8, 11, 12), (5, 8, 9, 12, 13, 14))
@@ -118,41 +103,35 @@ def quadric_rest(near: FloatArray, count: int, normal: FloatArray, sums: Sums) -
     for i in range(count):
         a, b, c = near[i, 0], near[i, 1], near[i, 2]
         u, v = a * ux / far + b * uy / far + c * uz / far, a * vx / far + b * vy / far + c * vz / far
-        add_height(sums, 0, u, v, a * nx + b * ny + c * nz)
-    return fit_heights(sums, 0)[1][2]
-
-
-Height = tuple[float, float, float]
-"""Height at the origin [m], its variance over that of a point, sum of the squares that are left [m²]."""
+        add_height(sums, u, v, a * nx + b * ny + c * nz)
+    return fit_heights(sums)[2]
 
 
 @njit(cache=True, nogil=True)
-def fit_heights(sums: Sums, scale: int) -> tuple[Height, Height]:
-    """The plane and the quadric of the heights within one radius; the squares are inf where there is none.
+def fit_heights(sums: Sums) -> tuple[float, float, float]:
+    """Of the quadric through the heights: the height at the origin [m], its variance over that of a point, the rest.
 
-    With the Cholesky factor L of the products, z = L⁻¹ heights and w = L⁻¹ (1, 0, …): the height at the origin is w·z,
-    its variance w·w, and each z² is what its term takes off the squares. The first three terms are the plane.
+    That is the sum of the squares which it leaves [m²], inf where there is none. With the Cholesky factor L of the
+    products, z = L⁻¹ heights and w = L⁻¹ (1, 0, …): the height at the origin is w·z, its variance w·w, and each z² is
+    what its term takes off the squares.
     """
     L = sums.factor
-    height, variance, left = 0.0, 0.0, sums.square[scale]
-    plane = (0.0, 0.0, np.inf)
+    height, variance, left = 0.0, 0.0, sums.heights[6]
     for k in range(6):
         for l in range(k + 1):
-            part = sums.moments[scale, _TABLE[k, l]]
+            part = sums.moments[_TABLE[k, l]]
             for m in range(l):
                 part -= L[k, m] * L[l, m]
             if l < k:
                 L[k, l] = part / L[l, l]
-            elif part <= 1e-12 * sums.number[scale]:
-                return plane, (0.0, 0.0, np.inf)
+            elif part <= 1e-12 * sums.moments[0]:
+                return 0.0, 0.0, np.inf
             else:
                 L[k, k] = sqrt(part)
-        L[6, k], L[7, k] = sums.heights[scale, k], 1.0 if k == 0 else 0.0
+        L[6, k], L[7, k] = sums.heights[k], 1.0 if k == 0 else 0.0
         for m in range(k):
             L[6, k] -= L[k, m] * L[6, m]
             L[7, k] -= L[k, m] * L[7, m]
         L[6, k], L[7, k] = L[6, k] / L[k, k], L[7, k] / L[k, k]
         height, variance, left = height + L[7, k] * L[6, k], variance + L[7, k] ** 2, left - L[6, k] ** 2
-        if k == 2:
-            plane = (height, variance, max(left, 0.0))
-    return plane, (height, variance, max(left, 0.0))
+    return height, variance, max(left, 0.0)

@@ -175,7 +175,7 @@ def _field(
 ) -> Gpdf:
     told = partial(_discs_of, lattice, rows) if discs is None else discs
     own = lattice.length_scale, lattice.noise_variance, lattice.spacing
-    return Gpdf(tree, alpha, told, np.broadcast_to(0.0, len(alpha)), *own, domain)
+    return Gpdf(tree, alpha, told, np.broadcast_to(0.0, len(alpha)), own, domain)
 
 
 def _points_of(lattice: Lattice, rows: _Rows) -> FloatArray:
@@ -275,7 +275,7 @@ def _shape_tile(lattice: Lattice, ball: IntArray, cells: IntArray, discs: FloatA
             if a * a + b * b + c * c <= radius * radius:
                 room.near[count, 0], room.near[count, 1], room.near[count, 2] = a, b, c
                 count += 1
-        shape_around(room, count, True, radius, lattice.spacing, 0.0, discs[row])
+        shape_around(room, count, True, lattice.spacing, 0.0, discs[row])
         row += 1
 
 

@@ -12,10 +12,10 @@ import numpy as np
 
 from gpdf_service.fields.tree import FANOUT, LEAF_SIZE, VECTORS, Scratch, Tree, larger, lesser
 from gpdf_service.kernel_cache import lean
-from gpdf_service.types import FloatArray, IntArray
+from gpdf_service.types import FloatArray
 
 
-@lean()
+@lean(fastmath=VECTORS)
 def segment_distance2(
     tree: Tree, a: FloatArray, b: FloatArray, limit: float, enough: float, scratch: Scratch
 ) -> tuple[float, float]:
@@ -35,23 +35,7 @@ def segment_distance2(
     """
     if not (isfinite(a[0]) and isfinite(a[1]) and isfinite(b[0]) and isfinite(b[1])):
         return 0.0, 0.0
-    return _walk(tree.blocks, tree.boxes, a[0], a[1], b[0], b[1], limit, enough, scratch.stack, scratch.near)
-
-
-@lean(fastmath=VECTORS)
-def _walk(
-    blocks: FloatArray,
-    boxes: FloatArray,
-    a0: float,
-    a1: float,
-    b0: float,
-    b1: float,
-    limit: float,
-    enough: float,
-    stack: IntArray,
-    near: FloatArray,
-) -> tuple[float, float]:
-    """See `segment_distance2`."""
+    boxes, stack, near, a0, a1, b0, b1 = tree.boxes, scratch.stack, scratch.near, a[0], a[1], b[0], b[1]
     length = sqrt((b0 - a0) * (b0 - a0) + (b1 - a1) * (b1 - a1))
     u0, u1 = ((b0 - a0) / length, (b1 - a1) / length) if length > 0.0 else (1.0, 0.0)
     low0, low1, high0, high1 = min(a0, b0), min(a1, b1), max(a0, b0), max(a1, b1)
@@ -61,7 +45,7 @@ def _walk(
         top -= 1
         node = stack[top]
         if node >= nodes:
-            found, along = _nearest_in(blocks, node - nodes, a0, a1, u0, u1, length)
+            found, along = _nearest_in(tree.blocks, node - nodes, (a0, a1), (u0, u1), length)
             if found < least:
                 least, share, far = found, along / length if length > 0.0 else 0.0, sqrt(found)
             continue
@@ -82,10 +66,13 @@ def _walk(
 
 @lean(fastmath=VECTORS)
 def _nearest_in(
-    blocks: FloatArray, leaf: int, a0: float, a1: float, u0: float, u1: float, length: float
+    blocks: FloatArray, leaf: int, a: tuple[float, float], u: tuple[float, float], length: float
 ) -> tuple[float, float]:
-    """Squared distance to a leaf's point that is nearest to the segment [m²], and how far along that is [m]."""
-    least = np.int64(2**63 - 1)
+    """Squared distance to a leaf's point that is nearest to the segment [m²], and how far along that is [m].
+
+    The segment begins at `a` and goes along the unit vector `u`.
+    """
+    least, (a0, a1), (u0, u1) = np.int64(2**63 - 1), a, u
     for j in range(LEAF_SIZE):
         x, y = blocks[leaf, 0, j] - a0, blocks[leaf, 1, j] - a1
         along = lesser(larger(x * u0 + y * u1, 0.0), length)

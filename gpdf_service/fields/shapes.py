@@ -25,11 +25,10 @@ TURNS = 6
 @njit(cache=True, nogil=True)
 def gather(tree: Tree, x: FloatArray, radius: float, near: FloatArray, look: Look) -> int:
     """Write the offsets of the points within `radius` [m] of x into `near`, shape (MOST, 3); how many there are."""
-    boxes, found, limit = tree.boxes, 0, radius * radius
-    stack, bound, near_box, _ = look.walk
-    place, top = place_of(x), from_root(stack, bound)
+    found, limit = 0, radius * radius
+    place, top = place_of(x), from_root(look.walk)
     while True:
-        leaf, _, top = next_leaf(boxes, place, place, limit, stack, bound, near_box, top)
+        leaf, top = next_leaf(tree.boxes, place, place, limit, look.walk, top)
         if leaf < 0:
             break
         for j in look.row[: min(rows_within(tree, leaf, place, limit, look), MOST - found)]:
@@ -63,26 +62,16 @@ def ring_of(square: float, radii: FloatArray) -> int:
 
 
 @njit(cache=True, nogil=True)
-def sum_rings(
-    tree: Tree, x: FloatArray, radii: FloatArray, normal: FloatArray, half: float, moments: FloatArray, look: Look
-) -> None:
-    """Sums over the neighbours within each radius, shape (scales, 10): 1, the offset from x and its products.
-
-    Of the neighbours only those in the slab around x across `normal`, `half` [m] to either side; all if it is zero.
-    """
-    boxes, limit = tree.boxes, radii[-1] ** 2
-    stack, bound, near_box, _ = look.walk
-    nx, ny, nz = normal[0], normal[1], normal[2]
-    moments[:] = 0.0
-    place, top = place_of(x), from_root(stack, bound)
+def sum_rings(tree: Tree, x: FloatArray, radii: FloatArray, moments: FloatArray, look: Look) -> None:
+    """Sums over the neighbours within each radius, shape (scales, 10): 1, the offset from x and its products."""
+    limit, moments[:] = radii[-1] ** 2, 0.0
+    place, top = place_of(x), from_root(look.walk)
     while True:
-        leaf, _, top = next_leaf(boxes, place, place, limit, stack, bound, near_box, top)
+        leaf, top = next_leaf(tree.boxes, place, place, limit, look.walk, top)
         if leaf < 0:
             break
         for j in look.row[: rows_within(tree, leaf, place, limit, look)]:
-            a, b, c = look.offset[0, j], look.offset[1, j], look.offset[2, j]
-            if abs(a * nx + b * ny + c * nz) <= half:
-                add(moments[ring_of(look.square[j], radii)], a, b, c)
+            add(moments[ring_of(look.square[j], radii)], look.offset[0, j], look.offset[1, j], look.offset[2, j])
     for ring in range(1, len(radii)):
         moments[ring] += moments[ring - 1]
 
@@ -106,13 +95,17 @@ def fit_plane(m: FloatArray, mean: FloatArray, normal: FloatArray) -> tuple[floa
     angle = acos(min(max(half, -1.0), 1.0)) / 3.0
     high = q + 2.0 * p * cos(angle)
     low = q + 2.0 * p * cos(angle + 2.0 * pi / 3.0)
-    across(xx, yy, zz, xy, xz, yz, low, normal)
+    across((xx, yy, zz, xy, xz, yz), low, normal)
     return max(low, 0.0), 3.0 * q - high - low, high
 
 
 @njit(cache=True, nogil=True)
-def across(xx: float, yy: float, zz: float, xy: float, xz: float, yz: float, value: float, vector: FloatArray) -> None:
-    """Write the eigenvector of `value`: the rows of A − λ I span what is normal to it, their longest product is it."""
+def across(spread: tuple[float, float, float, float, float, float], value: float, vector: FloatArray) -> None:
+    """Write the eigenvector of `value`: the rows of A − λ I span what is normal to it, their longest product is it.
+
+    The `spread` is A: xx, yy, zz, xy, xz, yz.
+    """
+    xx, yy, zz, xy, xz, yz = spread
     rows = ((xx - value, xy, xz), (xy, yy - value, yz), (xz, yz, zz - value))
     best = 0.0
     for i in range(3):
@@ -172,7 +165,7 @@ def fit_axis(m: FloatArray, value: float, axis: FloatArray) -> None:
     n = m[0]
     a, b, c = m[1] / n, m[2] / n, m[3] / n
     xx, yy, zz, xy, xz, yz = m[4] / n, m[5] / n, m[6] / n, m[7] / n, m[8] / n, m[9] / n
-    across(xx - a * a, yy - b * b, zz - c * c, xy - a * b, xz - a * c, yz - b * c, value, axis)
+    across((xx - a * a, yy - b * b, zz - c * c, xy - a * b, xz - a * c, yz - b * c), value, axis)
 
 
 @njit(cache=True, nogil=True)

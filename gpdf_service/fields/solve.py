@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from itertools import pairwise
 from math import exp, sqrt
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
@@ -20,7 +20,7 @@ from gpdf_service.errors import FieldError
 from gpdf_service.fields.order import is_before
 from gpdf_service.fields.threads import run_parallel
 from gpdf_service.fields.traversal import CUT_RADIUS, decay
-from gpdf_service.fields.tree import LEAF_SIZE, Tree, from_root, lesser, make_scratch, next_leaf, place_of
+from gpdf_service.fields.tree import LEAF_SIZE, Tree, from_root, lesser, longer, make_scratch, next_leaf, place_of
 from gpdf_service.types import BoolArray, FloatArray, IntArray
 
 HALO = 9.0
@@ -71,6 +71,30 @@ class Part(NamedTuple):
     inverse: NDArray[np.float32]
 
 
+class _System(NamedTuple):
+    """What `solve_rows` solves: its arguments, and what is made of them.
+
+    Attributes:
+        tree: All points.
+        rows: Those that are solved.
+        place: Of each point its number among these, −1 of others, shape (n,).
+        alpha: What is known of the others, shape (n,).
+        length_scale: [m].
+        noise_variance: [-].
+        right: Right-hand side, shape (k,).
+        guess: Where the solve begins, shape (k,).
+    """
+
+    tree: Tree
+    rows: IntArray
+    place: NDArray[np.int32]
+    alpha: FloatArray
+    length_scale: float
+    noise_variance: float
+    right: FloatArray
+    guess: FloatArray
+
+
 def solve_rows(tree: Tree, rows: IntArray, alpha: FloatArray, length_scale: float, noise_variance: float) -> FloatArray:
     """α of `rows`, shape (k,), where the others keep theirs.
 
@@ -87,10 +111,10 @@ def solve_rows(tree: Tree, rows: IntArray, alpha: FloatArray, length_scale: floa
     place: NDArray[np.int32] = np.full(len(tree.points), -1, np.int32)
     place[rows] = np.arange(len(rows))
     right, guess = np.ones(len(rows)), np.empty(len(rows))
-    own = tree, rows, place, alpha, length_scale, noise_variance, right, guess
+    system = _System(tree, rows, place, alpha, length_scale, noise_variance, right, guess)
     leaves = -(-len(rows) // LEAF_SIZE)
     bounds = np.minimum(np.linspace(0, leaves, -(-len(rows) // PART) + 1).astype(np.int64) * LEAF_SIZE, len(rows))
-    parts = run_parallel(lambda ends: _assemble(*own, *ends), list(pairwise(bounds)))
+    parts = run_parallel(lambda ends: _assemble(system, *ends), list(pairwise(bounds)))
     return _conjugate_gradients(parts, noise_variance, right, guess)
 
 
@@ -104,8 +128,7 @@ def within(tree: Tree, rows: IntArray, radius: float) -> IntArray:
 @njit(cache=True, nogil=True)
 def _mark(tree: Tree, rows: IntArray, radius: float, found: BoolArray) -> None:
     """Coarse on purpose: a box around each leaf's share of `rows`, so that the cost is one walk a leaf."""
-    boxes, limit = tree.boxes, radius * radius
-    stack, bound, near, _ = make_scratch()
+    scratch = make_scratch()
     for first in range(0, len(rows), LEAF_SIZE):
         low, high = np.full(3, np.inf), np.full(3, -np.inf)
         for i in rows[first : first + LEAF_SIZE]:
@@ -113,39 +136,28 @@ def _mark(tree: Tree, rows: IntArray, radius: float, found: BoolArray) -> None:
             for k in range(3):
                 low[k], high[k] = min(low[k], x[k]), max(high[k], x[k])
         least, largest = place_of(low), place_of(high)
-        top = from_root(stack, bound)
+        top = from_root(scratch)
         while True:
-            leaf, _, top = next_leaf(boxes, least, largest, limit, stack, bound, near, top)
+            leaf, top = next_leaf(tree.boxes, least, largest, radius * radius, scratch, top)
             if leaf < 0:
                 break
             found[tree.begin[leaf] : tree.begin[leaf + 1]] = True
 
 
 @njit(cache=True, nogil=True)
-def _assemble(
-    tree: Tree,
-    rows: IntArray,
-    place: NDArray[np.int32],
-    alpha: FloatArray,
-    length_scale: float,
-    noise_variance: float,
-    right: FloatArray,
-    guess: FloatArray,
-    begin: int,
-    end: int,
-) -> Part:
+def _assemble(system: _System, begin: int, end: int) -> Part:
     """The rows from `begin` to `end`; takes off the right-hand side what the points outside add, and writes a guess.
 
     The guess is α on even ground, one over the sum of the row of K + σ² I; so is an α outside that is not known. A
     leaf whose points are all in this part needs no look from a later leaf: K is symmetric.
     """
-    blocks, boxes = tree.blocks, tree.boxes
+    tree, rows, place, alpha, length_scale, noise_variance, right, guess = system
+    blocks, scratch = tree.blocks, make_scratch()
     rate, reach = 1.0 / (2.0 * length_scale * length_scale), (CUT_RADIUS * length_scale) ** 2
     size = end - begin
     start, middle, capacity = np.zeros(size + 1, np.int64), np.zeros(size, np.int64), 64 * size + 1024
     column, weight = np.empty(capacity, np.uint32), np.empty(capacity, np.float32)
     total, unknown = np.full(size, noise_variance + 1.0), np.zeros(size)
-    stack, bound, near, _ = make_scratch()
     values, inner = np.empty(LEAF_SIZE, np.float32), _inner_leaves(tree.begin, place, begin, end)
     used, own = 0, 0
     for r in range(size):
@@ -153,9 +165,9 @@ def _assemble(
         x = x0, x1, x2 = place_of(tree.points[row])
         while tree.begin[own + 1] <= row:
             own += 1
-        top = from_root(stack, bound)
+        top = from_root(scratch)
         while True:
-            leaf, _, top = next_leaf(boxes, x, x, reach, stack, bound, near, top)
+            leaf, top = next_leaf(tree.boxes, x, x, reach, scratch, top)
             if leaf < 0:
                 break
             if leaf < own and inner[leaf]:
@@ -166,7 +178,7 @@ def _assemble(
                 values[j] = decay(lesser(t, reach * rate)) if t <= reach * rate else 0.0
             if used + LEAF_SIZE > capacity:
                 capacity *= 2
-                column, weight = _grown(column, capacity), _grown(weight, capacity)
+                column, weight = longer(column, capacity), longer(weight, capacity)
             first, count = tree.begin[leaf], tree.begin[leaf + 1] - tree.begin[leaf]
             if inner[leaf]:
                 for j in range(row + 1 - first if leaf == own else 0, count):
@@ -198,7 +210,7 @@ def _assemble(
     for r in range(size):
         guess[begin + r] = 1.0 / total[r]
         right[begin + r] -= unknown[r] * guess[begin + r]
-    further = _nearest_further(tree.points, rows, start, middle, column, weight, begin)
+    further = _nearest_further(tree.points, rows, (start, middle, column, weight), begin)
     inverse = _approximate_inverse(tree.points, rows, further, begin, rate, noise_variance)
     return Part(begin, start, middle, column[:used], weight[:used], further, inverse)
 
@@ -223,13 +235,6 @@ def _inner_leaves(first: IntArray, place: NDArray[np.int32], begin: int, end: in
         a, b = first[leaf], first[leaf + 1] - 1
         inner[leaf] = b >= a and place[a] >= begin and place[b] - place[a] == b - a and place[b] < end
     return inner
-
-
-@njit(cache=True, nogil=True)
-def _grown(values: NDArray[Any], capacity: int) -> NDArray[Any]:
-    more = np.empty(capacity, values.dtype)
-    more[: len(values)] = values
-    return more
 
 
 def _conjugate_gradients(parts: list[Part], noise_variance: float, right: FloatArray, guess: FloatArray) -> FloatArray:
@@ -272,16 +277,14 @@ def _descend(part: Part, step: float, p: FloatArray, Kp: FloatArray, x: FloatArr
 def _nearest_further(
     points: FloatArray,
     rows: IntArray,
-    start: IntArray,
-    middle: IntArray,
-    column: NDArray[np.uint32],
-    weight: NDArray[np.float32],
+    held: tuple[IntArray, IntArray, NDArray[np.uint32], NDArray[np.float32]],
     begin: int,
 ) -> IntArray:
     """What is `near` in a `Part`. Places have an order of their own: they may come in any other.
 
-    A pair stands in the row of one of the two.
+    A pair stands in the row of one of the two: `held` are the first numbers of the part, from its start on.
     """
+    start, middle, column, weight = held
     count = len(middle)
     near, most = np.empty((count, NEAR), np.int64), np.zeros((count, NEAR), np.float32)
     for r in range(count):

@@ -35,19 +35,19 @@ def estimate_spacing(points: FloatArray, tree: Tree | None = None) -> float:
     tree = build_tree(points) if tree is None else tree
     picked = np.ascontiguousarray(points[:: max(1, len(points) // SAMPLE)], dtype=np.float64)
     distance = np.empty(len(picked))
-    run_chunked(lambda a, b: _kth_range(tree, picked, k, a, b, distance), len(picked))
+    run_chunked(lambda a, b: _kth_range(tree, picked[a:b], k, distance[a:b]), len(picked))
     return float(np.median(distance) * np.sqrt(np.pi / k))
 
 
 @njit(cache=True, nogil=True)
-def _kth_range(tree: Tree, places: FloatArray, k: int, begin: int, end: int, distance: FloatArray) -> None:
+def _kth_range(tree: Tree, places: FloatArray, k: int, distance: FloatArray) -> None:
     """Distance from each place to its k-th neighbour [m], where the place itself is the 0th."""
-    (stack, bound, near_box, _), near = make_scratch(), np.empty(k + 1)
-    for i in range(begin, end):
-        x, top = place_of(places[i]), from_root(stack, bound)
+    scratch, near = make_scratch(), np.empty(k + 1)
+    for i in range(len(places)):
+        x, top = place_of(places[i]), from_root(scratch)
         near[:] = np.inf
         while True:
-            leaf, _, top = next_leaf(tree.boxes, x, x, near[k], stack, bound, near_box, top)
+            leaf, top = next_leaf(tree.boxes, x, x, near[k], scratch, top)
             if leaf < 0:
                 break
             for j in range(tree.begin[leaf + 1] - tree.begin[leaf]):
@@ -74,9 +74,8 @@ def local_shape(tree: Tree, rows: IntArray, spacing: float, noise: FloatArray) -
     0 on a plane, 0.3 spacings at a right-angled edge, whose true place may be that far beyond the nearest point. So may
     a rim be: there the neighbours' mean is more than chance aside.
     """
-    radius = REACH * spacing
     discs = np.zeros((len(rows), 6))
-    run_chunked(lambda a, b: _shape_range(tree, rows, a, b, radius, spacing, noise, discs), len(rows))
+    run_chunked(lambda a, b: _shape_range(tree, rows[a:b], spacing, noise[a:b], discs[a:b]), len(rows))
     return discs
 
 
@@ -110,31 +109,21 @@ class Room(NamedTuple):
 def make_room() -> Room:
     """Fresh room for one thread."""
     own = np.zeros((MOST, 3)), np.zeros(MOST, np.int64), np.zeros((3, 9)), np.zeros(10), np.zeros((3, 3))
-    return Room(*own, make_sums(1))
+    return Room(*own, make_sums())
 
 
 @njit(cache=True, nogil=True)
-def _shape_range(
-    tree: Tree,
-    rows: IntArray,
-    begin: int,
-    end: int,
-    radius: float,
-    spacing: float,
-    noise: FloatArray,
-    discs: FloatArray,
-) -> None:
+def _shape_range(tree: Tree, rows: IntArray, spacing: float, noise: FloatArray, discs: FloatArray) -> None:
     solid, room, look = tree.points.shape[1] == 3, make_room(), make_look()
-    for r in range(begin, end):
-        count = gather(tree, tree.points[rows[r]], radius, room.near, look)
-        shape_around(room, count, solid, radius, spacing, noise[r], discs[r])
+    for r in range(len(rows)):
+        count = gather(tree, tree.points[rows[r]], REACH * spacing, room.near, look)
+        shape_around(room, count, solid, spacing, noise[r], discs[r])
 
 
 @njit(cache=True, nogil=True)
-def shape_around(
-    room: Room, count: int, solid: bool, radius: float, spacing: float, noise: float, disc: FloatArray
-) -> None:
-    """Write the disc, shape (6,), of a point with `count` offsets in the room within a `radius` [m]; `local_shape`."""
+def shape_around(room: Room, count: int, solid: bool, spacing: float, noise: float, disc: FloatArray) -> None:
+    """Write the disc, shape (6,), of a point with `count` offsets in the room, of those within `REACH` spacings [m]."""
+    radius = REACH * spacing
     near, moments, mean, normal, axis = room.near, room.moments, room.vectors[0], room.vectors[1], room.vectors[2]
     moments[:] = 0.0
     for i in range(count):

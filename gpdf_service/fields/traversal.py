@@ -80,28 +80,20 @@ def by_leaf(tree: Tree, values: FloatArray) -> FloatArray:
 
 
 @lean(fastmath=VECTORS)
-def nearest_leaf(
-    blocks: FloatArray,
-    boxes: FloatArray,
-    x: Place,
-    stack: IntArray,
-    bound: FloatArray,
-    near: FloatArray,
-    known: int = -1,
-) -> tuple[float, int, int]:
+def nearest_leaf(tree: Tree | FieldArrays, x: Place, scratch: Scratch, known: int = -1) -> tuple[float, int, int]:
     """δ, the leaf of the nearest point, and which of its points that is; δ is inf where there is none.
 
     A point that is `known`, by its place among the blocks, spares the walk what is further away than that.
     """
-    delta, nearest, which = np.inf, 0, 0
+    blocks, delta, nearest, which = tree.blocks, np.inf, 0, 0
     if 0 <= known < LEAF_SIZE * len(blocks):
         nearest, which = known // LEAF_SIZE, known % LEAF_SIZE
         a, b, c = blocks[nearest, 0, which] - x[0], blocks[nearest, 1, which] - x[1], blocks[nearest, 2, which] - x[2]
         square = a * a + b * b + c * c
         delta = square if square < np.inf else np.inf  # a NaN compares false
-    top = from_root(stack, bound)
+    top = from_root(scratch)
     while True:
-        leaf, _, top = next_leaf(boxes, x, x, delta, stack, bound, near, top)
+        leaf, top = next_leaf(tree.boxes, x, x, delta, scratch, top)
         if leaf < 0:
             return delta, nearest, which
         least, j = nearest_in(blocks, leaf, x[0], x[1], x[2])
@@ -110,18 +102,10 @@ def nearest_leaf(
 
 
 @lean(fastmath=VECTORS)
-def sums_around(
-    blocks: FloatArray,
-    boxes: FloatArray,
-    weights: FloatArray,
-    length_scale: float,
-    x: Place,
-    delta: float,
-    stack: IntArray,
-    near: FloatArray,
-) -> tuple[float, Place]:
+def sums_around(field: FieldArrays, x: Place, delta: float, scratch: Scratch) -> tuple[float, Place]:
     """S and M at one place whose δ is known."""
-    x0, x1, x2 = x
+    _, blocks, boxes, weights, _, length_scale = field
+    stack, near, (x0, x1, x2) = scratch.stack, scratch.near, x
     rate = 1.0 / (2.0 * length_scale * length_scale)
     reach = (CUT_RADIUS * length_scale) ** 2
     nodes, limit, top = boxes.shape[0], delta + reach, 1
@@ -191,23 +175,14 @@ def decay(t: float) -> float:
     return e * e
 
 
-@njit(cache=True, nogil=True, inline="always")
-def bracket(
-    begin: IntArray,
-    blocks: FloatArray,
-    boxes: FloatArray,
-    discs: FloatArray,
-    x: Place,
-    stack: IntArray,
-    bound: FloatArray,
-    near: FloatArray,
-    last: IntArray,
-) -> tuple[float, int, float, float, Place]:
+@lean()
+def bracket(field: FieldArrays, x: Place, scratch: Scratch) -> tuple[float, int, float, float, Place]:
     """Of the distance at one place: δ, the nearest point's row, both ends squared [m²], and the way from its disc."""
-    delta, leaf, j = nearest_leaf(blocks, boxes, x, stack, bound, near, last[0])
+    begin, blocks, _, _, discs, _ = field
+    delta, leaf, j = nearest_leaf(field, x, scratch, scratch.last[0])
     if delta == np.inf:
         return delta, 0, 0.0, np.inf, x
-    last[0] = LEAF_SIZE * leaf + j
+    scratch.last[0] = LEAF_SIZE * leaf + j
     row = min(begin[leaf] + j, begin[leaf + 1] - 1)  # a copy of the last point stands for it
     gap = discs[row, 4]
     off = x[0] - blocks[leaf, 0, j], x[1] - blocks[leaf, 1, j], x[2] - blocks[leaf, 2, j]
@@ -217,20 +192,7 @@ def bracket(
 
 
 @lean()
-def sample(
-    begin: IntArray,
-    blocks: FloatArray,
-    boxes: FloatArray,
-    weights: FloatArray,
-    discs: FloatArray,
-    length_scale: float,
-    x: Place,
-    stack: IntArray,
-    bound: FloatArray,
-    near: FloatArray,
-    last: IntArray,
-    enough: float,
-) -> tuple[float, int, float, Place]:
+def sample(field: FieldArrays, x: Place, scratch: Scratch, enough: float) -> tuple[float, int, float, Place]:
     """Distance at one place, the row of the nearest point, how much less the distance may be [m], and the gradient.
 
     The bracket: never more room than to the disc around the nearest point, which is never further than that point, √δ;
@@ -242,12 +204,13 @@ def sample(
     Where the bracket alone tells that there is `enough` room [m], its lower end is the distance, and no gradient is
     told (NaN): that takes a third of the time.
     """
-    delta, row, floor2, least2, away = bracket(begin, blocks, boxes, discs, x, stack, bound, near, last)
+    discs, length_scale = field.discs, field.length_scale
+    delta, row, floor2, least2, away = bracket(field, x, scratch)
     if delta == np.inf:
         return 0.0, 0, np.inf, (0.0, 0.0, 0.0)
     if floor2 >= enough * enough:
         return sqrt(floor2), row, sqrt(delta) - sqrt(floor2), (np.nan, np.nan, np.nan)
-    total, (g0, g1, g2) = sums_around(blocks, boxes, weights, length_scale, x, delta, stack, near)
+    total, (g0, g1, g2) = sums_around(field, x, delta, scratch)
     distance2 = delta - 2.0 * length_scale * length_scale * log(total) if total > 0.0 else delta
     inside = total > 0.0 and distance2 <= least2
     distance = sqrt(min(max(distance2, floor2), least2))
@@ -296,19 +259,13 @@ def sample_at(field: AnyField, x: Place, scratch: Scratch, gradient: FloatArray,
 @lean()
 def bracket_at(field: FieldArrays, x: Place, scratch: Scratch) -> tuple[float, float]:
     """Between what `sample_at` is at a place [m], in a third of its time; 0 and inf at what is no place."""
-    begin, blocks, boxes, _, discs, _ = field
-    stack, bound, near, last = scratch
-    _, _, floor2, least2, _ = bracket(begin, blocks, boxes, discs, x, stack, bound, near, last)
+    _, _, floor2, least2, _ = bracket(field, x, scratch)
     return sqrt(floor2), sqrt(least2)
 
 
 @lean()
 def _ask_one(field: FieldArrays, x: Place, scratch: Scratch, enough: float) -> tuple[float, Place]:
-    begin, blocks, boxes, weights, discs, length_scale = field
-    stack, bound, near, last = scratch
-    distance, _, _, slope = sample(
-        begin, blocks, boxes, weights, discs, length_scale, x, stack, bound, near, last, enough
-    )
+    distance, _, _, slope = sample(field, x, scratch, enough)
     return distance, slope
 
 
@@ -338,25 +295,20 @@ def _ask_of(field: Any, x: Any, scratch: Any, enough: Any) -> Callable[..., tupl
 def sample_range(
     field: FieldArrays,
     queries: FloatArray,
-    order: IntArray,
-    first: int,
-    last: int,
+    rows: IntArray,
     noise: FloatArray,
-    distance: FloatArray,
-    gradient: FloatArray,
-    deviation: FloatArray,
+    made: tuple[FloatArray, FloatArray, FloatArray],
 ) -> None:
-    """`sample` for the queries order[first..last]; the deviation is the nearest point's noise and half the bracket."""
-    begin, blocks, boxes, weights, discs, length_scale = field
-    stack, bound, near, known = make_scratch()
-    dim = queries.shape[1]
-    for q in range(first, last):
-        i = order[q]
+    """`sample` for some rows of the `queries`: distance, gradient and deviation.
+
+    The deviation is the nearest point's noise and half the bracket.
+    """
+    distance, gradient, deviation = made
+    scratch, dim = make_scratch(), queries.shape[1]
+    for i in rows:
         x = queries[i, 0], queries[i, 1], queries[i, 2] if dim == 3 else 0.0
-        known[0] = -1  # no answer depends on those before it
-        distance[i], row, slack, slope = sample(
-            begin, blocks, boxes, weights, discs, length_scale, x, stack, bound, near, known, np.inf
-        )
+        scratch.last[0] = -1  # no answer depends on those before it
+        distance[i], row, slack, slope = sample(field, x, scratch, np.inf)
         deviation[i] = sqrt(noise[row] ** 2 + 0.25 * slack * slack)
         for k in range(dim):
             gradient[i, k] = slope[k]
@@ -371,9 +323,7 @@ def nearest_one(tree: Tree, x: FloatArray) -> tuple[float, int]:
 @lean()
 def nearest_along(tree: Tree, x: Place, scratch: Scratch) -> tuple[float, int]:
     """`nearest_at` of places along a way: from the last answer's point on. Of points as near any one may be told."""
-    delta, leaf, j = nearest_leaf(
-        tree.blocks, tree.boxes, x, scratch.stack, scratch.bound, scratch.near, scratch.last[0]
-    )
+    delta, leaf, j = nearest_leaf(tree, x, scratch, scratch.last[0])
     if delta == np.inf:
         return 0.0, 0
     scratch.last[0] = LEAF_SIZE * leaf + j
@@ -383,30 +333,14 @@ def nearest_along(tree: Tree, x: Place, scratch: Scratch) -> tuple[float, int]:
 @lean()
 def nearest_at(tree: Tree, x: Place, scratch: Scratch) -> tuple[float, int]:
     """`nearest_one` for a loop, which makes the scratch once: that takes a third of the time."""
-    return _nearest(tree.begin, tree.blocks, tree.boxes, x, scratch.stack, scratch.bound, scratch.near)
-
-
-@lean(fastmath=VECTORS)
-def _nearest(
-    begin: IntArray,
-    blocks: FloatArray,
-    boxes: FloatArray,
-    x: Place,
-    stack: IntArray,
-    bound: FloatArray,
-    near: FloatArray,
-) -> tuple[float, int]:
-    delta, leaf, j = nearest_leaf(blocks, boxes, x, stack, bound, near)
-    return (sqrt(delta), min(begin[leaf] + j, begin[leaf + 1] - 1)) if delta < np.inf else (0.0, 0)
+    delta, leaf, j = nearest_leaf(tree, x, scratch)
+    return (sqrt(delta), min(tree.begin[leaf] + j, tree.begin[leaf + 1] - 1)) if delta < np.inf else (0.0, 0)
 
 
 @njit(cache=True, nogil=True)
-def nearest_range(
-    tree: Tree, queries: FloatArray, first: int, last: int, distance: FloatArray, index: IntArray
-) -> None:
-    """`nearest_one` for the rows first..last of `queries`."""
-    begin, blocks, boxes = tree.begin, tree.blocks, tree.boxes
-    stack, bound, near, _ = make_scratch()
-    for q in range(first, last):
+def nearest_range(tree: Tree, queries: FloatArray, distance: FloatArray, index: IntArray) -> None:
+    """Write `nearest_one` of the queries, shape (m, dim)."""
+    scratch = make_scratch()
+    for q in range(len(queries)):
         x = queries[q, 0], queries[q, 1], queries[q, 2] if queries.shape[1] == 3 else 0.0
-        distance[q], index[q] = _nearest(begin, blocks, boxes, x, stack, bound, near)
+        distance[q], index[q] = nearest_at(tree, x, scratch)

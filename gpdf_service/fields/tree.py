@@ -6,11 +6,13 @@ and there are no pointers: node i has the children 8i+1 … 8i+8, and the leaves
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
+from gpdf_service.kernel_cache import lean
 from gpdf_service.types import BoolArray, FloatArray, IntArray
 
 LEAF_SIZE = 32
@@ -237,6 +239,14 @@ def _fill(
 
 
 @njit(cache=True, nogil=True)
+def longer(values: NDArray[Any], capacity: int) -> NDArray[Any]:
+    """The values (n, …) with room behind them for `capacity` in all."""
+    made = np.empty((capacity, *values.shape[1:]), values.dtype)
+    made[: len(values)] = values
+    return made
+
+
+@njit(cache=True, nogil=True)
 def make_scratch() -> Scratch:
     """Fresh scratch for one thread."""
     return Scratch(np.empty(STACK, np.int64), np.empty(STACK), np.empty(FANOUT), np.full(1, -1))
@@ -248,7 +258,7 @@ def make_look() -> Look:
     return Look(make_scratch(), np.empty((3, LEAF_SIZE)), np.empty(LEAF_SIZE), np.empty(LEAF_SIZE, np.int64))
 
 
-@njit(cache=True, nogil=True)
+@lean()
 def place_of(x: FloatArray) -> Place:
     """A row of 2 or 3 coordinates as a place."""
     return x[0], x[1], x[2] if len(x) == 3 else 0.0
@@ -266,33 +276,25 @@ def larger(a: float, b: float) -> float:
     return a if a > b else b
 
 
-@njit(cache=True, nogil=True, fastmath=VECTORS, inline="always")
-def next_leaf(
-    boxes: FloatArray,
-    low: Place,
-    high: Place,
-    limit: float,
-    stack: IntArray,
-    bound: FloatArray,
-    near: FloatArray,
-    top: int,
-) -> tuple[int, float, int]:
+@lean(fastmath=VECTORS)
+def next_leaf(boxes: FloatArray, low: Place, high: Place, limit: float, scratch: Scratch, top: int) -> tuple[int, int]:
     """One step of a walk, nearest first: the next leaf within √`limit` of the box from `low` to `high`.
 
     Who wants a place passes it twice. The limit may fall from step to step. Start with `top` = `from_root(…)` and pass
     on what is returned. What asks for no order, as `sums_around`, walks by itself.
 
     Returns:
-        The leaf, −1 when there is none left; its squared distance [m²]; `top` for the next step.
+        The leaf, −1 when there is none left; `top` for the next step.
     """
+    stack, bound, near, _ = scratch
     nodes = boxes.shape[0]
     while top > 0:
         top -= 1
-        node, distance2 = stack[top], bound[top]
-        if distance2 > limit:
+        node = stack[top]
+        if bound[top] > limit:
             continue
         if node >= nodes:
-            return node - nodes, distance2, top
+            return node - nodes, top
         for k in range(FANOUT):
             a = larger(larger(boxes[node, 0, k] - high[0], low[0] - boxes[node, 3, k]), 0.0)
             b = larger(larger(boxes[node, 1, k] - high[1], low[1] - boxes[node, 4, k]), 0.0)
@@ -308,10 +310,10 @@ def next_leaf(
                     at -= 1
                 stack[at], bound[at] = FANOUT * node + 1 + k, distance2
                 top += 1
-    return -1, np.inf, 0
+    return -1, 0
 
 
-@njit(cache=True, nogil=True)
+@lean()
 def rows_within(tree: Tree, leaf: int, x: Place, limit: float, look: Look) -> int:
     """Write which of a leaf's points are within √`limit` of x; how many they are."""
     offset, square, row = look.offset, look.square, look.row
@@ -326,10 +328,10 @@ def rows_within(tree: Tree, leaf: int, x: Place, limit: float, look: Look) -> in
     return count
 
 
-@njit(cache=True, nogil=True, inline="always")
-def from_root(stack: IntArray, bound: FloatArray) -> int:
+@lean()
+def from_root(scratch: Scratch) -> int:
     """`top` of a walk that begins at the root."""
-    stack[0], bound[0] = 0, 0.0
+    scratch.stack[0], scratch.bound[0] = 0, 0.0
     return 1
 
 

@@ -8,7 +8,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from gpdf_service.fields.heights import Sums, add_height, fit_heights, make_sums
+from gpdf_service.fields.heights import Sums, add_height, clear, fit_heights, make_sums
 
 REACH = 11.4
 """[-] Radius of the surroundings over the noise: that of the largest neighbourhood that a point is cured by. What the
@@ -33,7 +33,7 @@ def reach_of(width: float, noise: float) -> int:
 @njit(cache=True, nogil=True)
 def make_room() -> Sums:
     """Room for one fit; made once a batch."""
-    return make_sums(1)
+    return make_sums()
 
 
 @njit(cache=True, nogil=True)
@@ -45,14 +45,14 @@ def bend_at(
     They are if it leaves `flat` [m] at most (root mean square). Where they lie so much to one side that they tell the
     height no better than one of them would, they are not.
     """
-    sums.number[:], sums.moments[:], sums.heights[:], sums.square[:] = 0.0, 0.0, 0.0, 0.0
+    clear(sums)
     for k in range(max(i - reach, 0), min(i + reach + 1, height.shape[0])):
         for m in range(max(j - reach, 0), min(j + reach + 1, height.shape[1])):
             rise = float(height[k, m]) - base
             u, v = float(k - i) / reach, float(m - j) / reach
             if u * u + v * v <= 1.0 and (k != i or m != j) and not np.isnan(rise):
-                add_height(sums, 0, u, v, rise)
-    if sums.number[0] < _FEWEST:
+                add_height(sums, u, v, rise)
+    if sums.moments[0] < _FEWEST:
         return 0.0, False
-    shift, variance, rest = fit_heights(sums, 0)[1]
-    return shift, variance <= 1.0 and rest <= sums.number[0] * flat * flat
+    shift, variance, rest = fit_heights(sums)
+    return shift, variance <= 1.0 and rest <= sums.moments[0] * flat * flat

@@ -259,8 +259,7 @@ class Beside:
         """Pairs of a strip, heights of its nodes, the first of which is number `begin`, and how many are its own."""
         strip, (nx, _), row = self.strips[i], self.layers.shape, ROWS * i
         if not strip.pairs:
-            own = self.layers.start, self.layers.shape, self.layers.height, self.rise, HALF
-            strip.pairs.append(pairs_beside(*own, row, min(row + ROWS, nx)))
+            strip.pairs.append(pairs_beside(self.layers.columns, self.rise, HALF, row, min(row + ROWS, nx)))
         return *strip.pairs[0], self.layers.height[begin : begin + strip.size], strip.count
 
 

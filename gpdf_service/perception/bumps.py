@@ -8,16 +8,19 @@ to go to: it falls off to either side within a landing, in a step all round, whi
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 from numba import njit
 
 from gpdf_service.config import PerceptionConfig
 from gpdf_service.fields.threads import run_chunked
+from gpdf_service.kernel_cache import lean
 from gpdf_service.perception.beside import Beside
 from gpdf_service.perception.boxes import lowest_around
 from gpdf_service.perception.layers import HALF, Layers
 from gpdf_service.perception.nodes import components, extents_in_plan
-from gpdf_service.perception.pairs import pairs_around
+from gpdf_service.perception.pairs import Columns, pairs_around
 from gpdf_service.perception.told import Told
 from gpdf_service.types import BoolArray, FloatArray, IntArray
 
@@ -50,13 +53,15 @@ def low_things(near: Beside, ground: BoolArray, raised: FloatArray, config: Perc
         config: Limits.
     """
     layers = near.layers
-    grid = layers.cell, layers.start, layers.shape, layers.height
+    columns = layers.columns
     slope, found = layers.cell_width * float(np.tan(config.steepest)), raised > LEAST_BUMP
     nodes = np.flatnonzero(found)
     other, rough = near.felt("rough", (ground, raised)), np.full(len(ground), np.nan)
     reach = 2 * _reach(layers, config)
-    pieces = _pieces(nodes, grid, found, slope)
-    around = _around(nodes, *grid, ground, pieces, raised, reach, other, *(near.last("rough") or (rough,)))
+    piece, (before,) = _pieces(nodes, columns, found, slope), near.last("rough") or (rough,)
+    first = np.unique(piece, return_index=True)[1]
+    boxes = _boxes_around(layers, nodes, piece, len(first), reach)
+    around = _around(nodes[first], boxes, columns, ground, raised, (other, before))[piece]
     rough[nodes] = around
     near.known["rough"] = Told((ground, raised), (rough,))
     nodes = nodes[raised[nodes] > ROUGH * around]
@@ -64,7 +69,7 @@ def low_things(near: Beside, ground: BoolArray, raised: FloatArray, config: Perc
     found[nodes] = True
     if len(nodes) == 0:
         return found
-    piece = _pieces(nodes, grid, found, slope)
+    piece = _pieces(nodes, columns, found, slope)
     length, depth = extents_in_plan(layers.cell[nodes], layers.shape[1], found[nodes], piece, layers.cell_width)
     rim, steps, up = _rims(near, nodes, piece, len(depth), ground & ~found, raised, config)
     crosses = (length >= config.standing_width) & (length >= LONG * depth)
@@ -84,7 +89,7 @@ def _rims(
 ) -> tuple[IntArray, IntArray, IntArray]:
     """Pairs of a piece's `nodes` with those `beside` it, of them those with a step down, and those with one up."""
     height, layers = near.layers.height, near.layers
-    a, b = pairs_around(nodes, layers.cell, layers.start, layers.shape, height, beside, 0.0, config.max_step)
+    a, b = pairs_around(nodes, layers.columns, beside, 0.0, config.max_step)
     drop = height[nodes[a]] - height[b]
     kinds = np.isfinite(drop), drop >= 0.5 * raised[nodes[a]], drop < -LEAST_BUMP
     rim, steps, up = (np.bincount(piece[a[kind]], minlength=count) for kind in kinds)
@@ -98,13 +103,13 @@ def boxes(near: Beside, ground: BoolArray, config: PerceptionConfig) -> BoolArra
     landing's width cuts off at the corner of a platform is none: the ground goes on at two fifths of its rim.
     """
     layers, slope = near.layers, near.layers.cell_width * float(np.tan(config.steepest))
-    raised = _raised_within(near, ground, slope, config.max_step)
+    width = max(2, int(LANDING / layers.cell_width))
+    raised = _ask(near, "raised within", _raise_within, width, (slope, config.max_step), ground)
     found: BoolArray = raised > slope
     nodes = np.flatnonzero(found)
     if len(nodes) == 0:
         return found
-    grid = layers.cell, layers.start, layers.shape, layers.height
-    piece = _pieces(nodes, grid, found, slope)
+    piece = _pieces(nodes, layers.columns, found, slope)
     depth = extents_in_plan(layers.cell[nodes], layers.shape[1], found[nodes], piece, layers.cell_width)[1]
     rim, steps, up = _rims(near, nodes, piece, len(depth), ground & ~found, raised, config)
     box = (depth >= config.standing_width) & (steps > STEPPED * rim) & (up < RISING * rim)
@@ -112,20 +117,22 @@ def boxes(near: Beside, ground: BoolArray, config: PerceptionConfig) -> BoolArra
     return found
 
 
-def _raised_within(near: Beside, ground: BoolArray, least: float, most: float) -> FloatArray:
-    """How much higher each node of the `ground` is than that to both sides of it, within a landing's width in all [m].
+def _ask(
+    near: Beside, name: str, raise_: Callable[..., None], reach: int, limits: tuple[float, float], ground: BoolArray
+) -> FloatArray:
+    """How much higher each node of the `ground` is than that to both sides of it [m], shape (k,), by a compiled loop.
 
-    What is no more than the `least` may count for nothing; `most` is as in `raised_over_sides`.
+    What is no more than the first of the `limits` may count for nothing; what differs by more than the second is no
+    ground beside it [m].
     """
-    width = max(2, int(LANDING / near.layers.cell_width))
 
     def answer(layers: Layers, asked: BoolArray, ground: BoolArray) -> tuple[FloatArray]:
-        raised, nodes = np.zeros(len(ground)), _over_ground(layers, ground, width, least, asked)
-        grid = layers.cell, layers.start, layers.shape, layers.height, ground
-        run_chunked(lambda a, b: _raise_within(nodes[a:b], *grid, width, least, most, raised), len(nodes))
+        raised, nodes = np.zeros(len(ground)), _over_ground(layers, ground, reach, limits[0], asked)
+        own = layers.columns, ground, reach, limits, raised
+        run_chunked(lambda a, b: raise_(nodes[a:b], *own), len(nodes))
         return (raised,)
 
-    return near.around("raised within", width, answer, ground)[0]
+    return near.around(name, reach, answer, ground)[0]
 
 
 def _over_ground(layers: Layers, ground: BoolArray, reach: int, least: float, asked: BoolArray) -> IntArray:
@@ -138,29 +145,32 @@ def _over_ground(layers: Layers, ground: BoolArray, reach: int, least: float, as
     return found
 
 
+def _boxes_around(layers: Layers, nodes: IntArray, piece: IntArray, count: int, by: int) -> IntArray:
+    """First row and behind the last, first column and behind the last, within `by` cells of each piece, (count, 4)."""
+    boxes = np.empty((count, 4), np.int64)
+    for axis, (place, size) in enumerate(zip(divmod(layers.cell[nodes], layers.shape[1]), layers.shape, strict=True)):
+        low, high = np.full(count, size), np.zeros(count, np.int64)
+        np.minimum.at(low, piece, place)
+        np.maximum.at(high, piece, place)
+        boxes[:, 2 * axis], boxes[:, 2 * axis + 1] = np.maximum(low - by, 0), np.minimum(high + by + 1, size)
+    return boxes
+
+
 @njit(cache=True, nogil=True)
 def _raise_within(
-    nodes: IntArray,
-    cell: IntArray,
-    start: IntArray,
-    shape: tuple[int, int],
-    height: FloatArray,
-    ground: BoolArray,
-    width: int,
-    least: float,
-    most: float,
-    raised: FloatArray,
+    nodes: IntArray, columns: Columns, ground: BoolArray, width: int, limits: tuple[float, float], raised: FloatArray
 ) -> None:
-    """Write `_raised_within` of the `nodes`: in the direction in which it is most, of all ways to share the width."""
+    """See `_ask`, within the width in all: in the direction in which it is most, of all ways to share the width."""
+    (least, most), ny = limits, columns.shape[1]
     drop = np.zeros((2, width + 1))
     for i in nodes:
-        x, y, level = cell[i] // shape[1], cell[i] % shape[1], height[i]
+        x, y, level = columns.cell[i] // ny, columns.cell[i] % ny, columns.height[i]
         for dx, dy in HALF:
             cells = width if dx * dy == 0 else int(np.sqrt(0.5) * width)
             for side in range(2):
                 for k in range(1, cells):
                     u, v = x + (2 * side - 1) * k * dx, y + (2 * side - 1) * k * dy
-                    drop[side, k] = max(drop[side, k - 1], _drop_to(u, v, start, shape, height, ground, level, most))
+                    drop[side, k] = max(drop[side, k - 1], _drop_to(u, v, columns, ground, level, most))
                 if drop[side, cells - 1] <= max(raised[i], least):
                     break
             else:
@@ -170,15 +180,8 @@ def _raise_within(
 
 def raised_over_sides(near: Beside, ground: BoolArray, config: PerceptionConfig) -> FloatArray:
     """How much higher each node of the `ground` is than the ground to both sides of it [m], shape (k,)."""
-    reach = _reach(near.layers, config)
-
-    def answer(layers: Layers, asked: BoolArray, ground: BoolArray) -> tuple[FloatArray]:
-        raised, nodes = np.zeros(len(ground)), _over_ground(layers, ground, reach, LEAST_BUMP / ROUGH, asked)
-        grid = layers.cell, layers.start, layers.shape, layers.height, ground
-        run_chunked(lambda a, b: _raise(nodes[a:b], *grid, reach, config.max_step, raised), len(nodes))
-        return (raised,)
-
-    return near.around("raised", reach, answer, ground)[0]
+    limits = LEAST_BUMP / ROUGH, config.max_step  # less tells no bump, and nor does a quartile of such
+    return _ask(near, "raised", _raise, _reach(near.layers, config), limits, ground)
 
 
 def _reach(layers: Layers, config: PerceptionConfig) -> int:
@@ -186,62 +189,41 @@ def _reach(layers: Layers, config: PerceptionConfig) -> int:
     return max(1, int(0.5 * config.standing_width / layers.cell_width))
 
 
-def _pieces(
-    nodes: IntArray, grid: tuple[IntArray, IntArray, tuple[int, int], FloatArray], found: BoolArray, slope: float
-) -> IntArray:
+def _pieces(nodes: IntArray, columns: Columns, found: BoolArray, slope: float) -> IntArray:
     """Connected piece of each of the `nodes`, shape (m,), which are all that are `found`, shape (k,)."""
-    a, b = pairs_around(nodes, *grid, found, slope, 0.0)
+    a, b = pairs_around(nodes, columns, found, slope, 0.0)
     pieces: IntArray = components(a, np.searchsorted(nodes, b), found[nodes])
     return pieces
 
 
-@njit(cache=True, nogil=True)
-def _nearest(first: int, last: int, height: FloatArray, ground: BoolArray, level: float, most: float) -> int:
+@lean()
+def _nearest(there: int, columns: Columns, ground: BoolArray, level: float, most: float) -> int:
     """The ground node among those of a cell that is nearest to a level, within `most` [m], or -1."""
     best, found = most, -1
-    for j in range(first, last):
-        if ground[j] and abs(height[j] - level) <= best:
-            best, found = abs(height[j] - level), j
+    for j in range(columns.start[there], columns.start[there + 1]):
+        if ground[j] and abs(columns.height[j] - level) <= best:
+            best, found = abs(columns.height[j] - level), j
     return found
 
 
-@njit(cache=True, nogil=True)
-def _drop_to(
-    u: int,
-    v: int,
-    start: IntArray,
-    shape: tuple[int, int],
-    height: FloatArray,
-    ground: BoolArray,
-    level: float,
-    most: float,
-) -> float:
+@lean()
+def _drop_to(u: int, v: int, columns: Columns, ground: BoolArray, level: float, most: float) -> float:
     """How much lower than a level the ground is in a cell [m]; 0 where there is none, or none within `most` [m]."""
-    if not (0 <= u < shape[0] and 0 <= v < shape[1]):
+    nx, ny = columns.shape
+    if not (0 <= u < nx and 0 <= v < ny):
         return 0.0
-    there = u * shape[1] + v
-    j = _nearest(start[there], start[there + 1], height, ground, level, most)
-    return level - height[j] if j >= 0 else 0.0
+    j = _nearest(u * ny + v, columns, ground, level, most)
+    return level - columns.height[j] if j >= 0 else 0.0
 
 
 @njit(cache=True, nogil=True)
 def _raise(
-    nodes: IntArray,
-    cell: IntArray,
-    start: IntArray,
-    shape: tuple[int, int],
-    height: FloatArray,
-    ground: BoolArray,
-    reach: int,
-    most: float,
-    raised: FloatArray,
+    nodes: IntArray, columns: Columns, ground: BoolArray, reach: int, limits: tuple[float, float], raised: FloatArray
 ) -> None:
-    """How much higher each node is than the ground to both sides of it, in the direction in which that is most [m].
-
-    What is so little that neither it nor a quartile of such tells a bump is not looked at closer.
-    """
+    """See `_ask`: in the direction in which that is most."""
+    (enough, most), ny = limits, columns.shape[1]
     for i in nodes:
-        x, y, level = cell[i] // shape[1], cell[i] % shape[1], height[i]
+        x, y, level = columns.cell[i] // ny, columns.cell[i] % ny, columns.height[i]
         for dx, dy in HALF:
             cells = reach if dx * dy == 0 else max(1, int(np.sqrt(0.5) * reach))
             least = np.inf
@@ -249,9 +231,9 @@ def _raise(
                 drop = 0.0
                 for k in range(1, cells + 1):
                     u, v = x + side * k * dx, y + side * k * dy
-                    drop = max(drop, _drop_to(u, v, start, shape, height, ground, level, most))
+                    drop = max(drop, _drop_to(u, v, columns, ground, level, most))
                 least = min(least, drop)
-                if least <= max(raised[i], LEAST_BUMP / ROUGH):
+                if least <= max(raised[i], enough):
                     break
             else:
                 raised[i] = least
@@ -259,45 +241,29 @@ def _raise(
 
 @njit(cache=True, nogil=True)
 def _around(
-    nodes: IntArray,
-    cell: IntArray,
-    start: IntArray,
-    shape: tuple[int, int],
-    height: FloatArray,
+    first: IntArray,
+    boxes: IntArray,
+    columns: Columns,
     ground: BoolArray,
-    piece: IntArray,
     raised: FloatArray,
-    reach: int,
-    other: BoolArray,
-    before: FloatArray,
+    known: tuple[BoolArray, FloatArray],
 ) -> FloatArray:
-    """Upper quartile of what the ground is `raised` at and around the piece of each of the `nodes` [m], shape (m,).
+    """Upper quartile of what the ground in each of the boxes (m, 4) is `raised` at [m], as its `first` node sees it.
 
-    It is as `before`, shape (k,), where none of the cells is an `other` than then, shape (nx, ny).
+    `known` are the cells that are another than before, shape (nx, ny), and what was told of the nodes then, (k,): that
+    stays where a box has none of these cells.
     """
-    box = np.empty((len(nodes), 4), np.int64)
-    for n in range(len(nodes)):
-        box[n] = shape[0], -1, shape[1], -1
-    for n in range(len(nodes)):
-        i = nodes[n]
-        x, y, own = cell[i] // shape[1], cell[i] % shape[1], box[piece[n]]
-        own[0], own[1], own[2], own[3] = min(own[0], x), max(own[1], x), min(own[2], y), max(own[3], y)
-    made, done = np.zeros(len(nodes)), np.full(len(nodes), -1.0)
-    for n in range(len(nodes)):
-        i, own = nodes[n], box[piece[n]]
-        if done[piece[n]] < 0.0:
-            left, right = max(0, own[0] - reach), min(shape[0], own[1] + reach + 1)
-            near, far = max(0, own[2] - reach), min(shape[1], own[3] + reach + 1)
-            if not other[left:right, near:far].any():
-                done[piece[n]] = before[i]
-        if not done[piece[n]] >= 0.0:  # nor was it known
-            values = []
-            for x in range(left, right):
-                for y in range(near, far):
-                    there = x * shape[1] + y
-                    j = _nearest(start[there], start[there + 1], height, ground, height[i], np.inf)
-                    if j >= 0:
-                        values.append(raised[j])
-            done[piece[n]] = np.quantile(np.array(values), 0.75)
-        made[n] = done[piece[n]]
+    (other, before), made, ny = known, np.empty(len(first)), columns.shape[1]
+    for n in range(len(first)):
+        i, (left, right, near, far) = first[n], boxes[n]
+        made[n] = np.nan if other[left:right, near:far].any() else before[i]
+        if made[n] >= 0.0:  # else it was not known
+            continue
+        values = []
+        for x in range(left, right):
+            for y in range(near, far):
+                j = _nearest(x * ny + y, columns, ground, columns.height[i], np.inf)
+                if j >= 0:
+                    values.append(raised[j])
+        made[n] = np.quantile(np.array(values), 0.75)
     return made

@@ -104,12 +104,8 @@ def count_nodes(start: IntArray, z: FloatArray, gap: float) -> IntArray:
 
 @njit(cache=True, nogil=True)
 def cut_columns(
-    start: IntArray,
-    order: IntArray,
-    z: FloatArray,
-    gap: float,
-    flat: float,
-    board: float,
+    ordered: tuple[IntArray, IntArray, FloatArray],
+    limits: tuple[float, float, float],
     first: IntArray,
     begin: int,
     end: int,
@@ -118,19 +114,17 @@ def cut_columns(
     """Fill what nodes of the columns from `begin` to `end` are, in the order of `made`.
 
     Args:
-        start: Where each column begins in `order` and in `z`.
-        order: Rows of the points, by column and upward.
-        z: Their heights in that order [m].
-        gap: That parts two nodes [m].
-        flat: Thickness up to which a node's middle is its median [m]; of a thicker one it is `_highest_full_band`.
-        board: Room between the faces of a board, at least: what lies over another node may have been seen on both [m].
-            Then the face is the median of what is over that room.
+        ordered: Where each column begins, rows of the points, by column and upward, and their heights [m].
+        limits: What parts two nodes [m]; the thickness up to which a node's middle is its median [m], of a thicker one
+            it is `_highest_full_band`; and the room between the faces of a board, at least: what lies over another node
+            may have been seen on both [m]. Then the face is the median of what is over that room.
         first: `count_nodes`.
         begin: First column.
         end: Behind the last.
         made: Of each node its cell, the row of the point in its middle, that one's height, its face, top, thickness
             and headroom.
     """
+    (start, order, z), (gap, flat, board) = ordered, limits
     cell, row, middle, face, top, thickness, headroom = made
     for c in range(begin, end):
         node, i = first[c], start[c]
@@ -149,10 +143,9 @@ def cut_columns(
 
 
 @njit(cache=True, nogil=True)
-def node_at(
-    x: float, y: float, z: float, origin: FloatArray, width: float, ny: int, start: IntArray, top: FloatArray
-) -> Any:  # noqa: ANN401
+def node_at(place: tuple[float, float, float], grid: Grid) -> Any:  # noqa: ANN401
     """The node of a point that layers were built from, the lowest of its column that is as high; see `Layers`."""
+    (x, y, z), (origin, width, ny, start, top) = place, grid
     column = int(np.floor((x - origin[0]) / width)) * ny + int(np.floor((y - origin[1]) / width))
     n, last = start[column], start[column + 1] - 1
     while n < last and top[n] < z:
@@ -164,7 +157,7 @@ def node_at(
 def write_nodes(points: FloatArray, grid: Grid, node: IntArray) -> None:
     """Write the node of each point."""
     for i in range(len(points)):
-        node[i] = node_at(points[i, 0], points[i, 1], points[i, 2], *grid)
+        node[i] = node_at((points[i, 0], points[i, 1], points[i, 2]), grid)
 
 
 @njit(cache=True, nogil=True)
@@ -173,7 +166,7 @@ def take_out(
 ) -> None:
     """Write `out` as the cell of points that are stray, or ground in the nodes of a `sheet`."""
     for i in range(len(points)):
-        inside = ground[i] and cell[i] != out and sheet[node_at(points[i, 0], points[i, 1], points[i, 2], *grid)]
+        inside = ground[i] and cell[i] != out and sheet[node_at((points[i, 0], points[i, 1], points[i, 2]), grid)]
         if stray[i] or inside:
             cell[i] = out
 
@@ -214,19 +207,14 @@ def _top_of_board(z: FloatArray, first: int, last: int, board: float) -> int:
 
 @njit(cache=True, nogil=True)
 def tops_of_boards(
-    nodes: IntArray,
-    cell: IntArray,
-    start: IntArray,
-    shape: tuple[int, int],
-    middle: FloatArray,
-    face: FloatArray,
-    near: float,
+    nodes: IntArray, grid: tuple[IntArray, IntArray, tuple[int, int]], middle: FloatArray, face: FloatArray, near: float
 ) -> FloatArray:
     """Heights of `nodes` [m], shape (m,): the `face` of those that three others beside lie `near` [m], or the `middle`.
 
     A board goes on in two directions; points of a riser over its tread, with room between by chance, along a line.
+    The `grid` is cell, first nodes and shape of `Layers`.
     """
-    height = middle[nodes]
+    (cell, start, shape), height = grid, middle[nodes]
     for n in range(len(nodes)):
         i = nodes[n]
         if np.isnan(face[i]):
@@ -386,8 +374,6 @@ def kth_beside(
     grid: tuple[FloatArray, float, tuple[int, int]],
     picked: IntArray,
     k: int,
-    begin: int,
-    end: int,
     distance: FloatArray,
 ) -> None:
     """Distance of each `picked` row to its `k`-th neighbour in its column and those around [m].
@@ -400,12 +386,10 @@ def kth_beside(
         grid: Lower corner [m], width [m] and shape of the columns.
         picked: Rows, shape (m,).
         k: Which neighbour.
-        begin: First of the picked ones to look at.
-        end: Behind the last.
         distance: Where it is written, shape (m,).
     """
     (start, order), (corner, width, shape), near = columns, grid, np.empty(k + 1)
-    for i in range(begin, end):
+    for i in range(len(picked)):
         row = picked[i]
         at_x, at_y = (points[row, 0] - corner[0]) / width, (points[row, 1] - corner[1]) / width
         x, y = int(np.floor(at_x)), int(np.floor(at_y))

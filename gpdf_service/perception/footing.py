@@ -20,8 +20,6 @@ from gpdf_service.types import BoolArray, FloatArray, IntArray
 _LIMITS = PerceptionConfig()
 FLIGHT_RISE = _LIMITS.max_step
 """[m] Ground that differs by more within a stride is a flight."""
-_RUN = 8
-"""Pieces of a path that are looked at together first: a metre."""
 ROUGH = 0.075
 """[m] What is no higher over a tread is of it: half of what a surface in a wide cell is thick at most."""
 
@@ -131,8 +129,8 @@ def on_treads(z: FloatArray, cell: IntArray, surface: HeightMap, max_step: float
     """
     found, width = np.zeros(len(z), dtype=bool), surface.cell_width
     height = np.where(surface.state != UNKNOWN, surface.height, np.float32(np.nan))
-    own = z, cell, height, footholds(surface, max_step), SOLE / width + 0.5, rings_of(STRIDE, width)
-    run_chunked(lambda a, b: _on_treads(*own, max_step, a, b, found), len(z))
+    own = height, footholds(surface, max_step), (width, max_step)
+    run_chunked(lambda a, b: _on_treads(z[a:b], cell[a:b], *own, found[a:b]), len(z))
     return found
 
 
@@ -142,15 +140,12 @@ def _on_treads(
     cell: IntArray,
     height: NDArray[np.float32],
     rests: FloatArray,
-    sole: float,
-    stride: int,
-    max_step: float,
-    begin: int,
-    end: int,
+    limits: tuple[float, float],
     found: BoolArray,
 ) -> None:
-    nx, ny = height.shape
-    for m in range(begin, end):
+    (nx, ny), (width, max_step) = height.shape, limits
+    sole, stride = SOLE / width + 0.5, rings_of(STRIDE, width)
+    for m in range(len(z)):
         x, y = cell[m] // ny, cell[m] % ny
         own = float(height[x, y])
         if not z[m] <= own + max_step + ROUGH:  # a NaN compares false
@@ -175,16 +170,9 @@ def is_tread(height: NDArray[np.float32], x: int, y: int, stride: int) -> bool:
 @njit(cache=True, nogil=True)
 def _ends_around(height: NDArray[np.float32], x: int, y: int, rings: int) -> tuple[float, float]:
     """Lowest and highest ground within so many cells, inf and -inf where there is none."""
-    (nx, ny), over = height.shape, rings + 1
-    return _ends_in(height, max(x - rings, 0), min(x + over, nx), max(y - rings, 0), min(y + over, ny))
-
-
-@njit(cache=True, nogil=True)
-def _ends_in(height: NDArray[np.float32], left: int, right: int, near: int, far: int) -> tuple[float, float]:
-    """Lowest and highest ground in a box of cells, inf and -inf where there is none."""
-    low, high = np.float32(np.inf), np.float32(-np.inf)
-    for u in range(left, right):
-        for v in range(near, far):
+    (nx, ny), low, high = height.shape, np.float32(np.inf), np.float32(-np.inf)
+    for u in range(max(x - rings, 0), min(x + rings + 1, nx)):
+        for v in range(max(y - rings, 0), min(y + rings + 1, ny)):
             there = height[u, v]  # a NaN is neither
             low, high = there if there < low else low, there if there > high else high
     return float(low), float(high)
@@ -207,29 +195,16 @@ def _crosses_flight(path: FloatArray, ground: Cells, every: float, stride: int) 
     """See `crosses_flight`; the path is looked at `every` so many metres, half the radius, and at its end."""
     reach, due, last = int(2.5 * every / ground.width) + 1, 0.0, len(path) - 2
     for i in range(last + 1):
-        if i % _RUN == 0:
-            flat = _is_flat(path[i : i + _RUN + 1], ground, reach + stride)
         dx, dy, dz = path[i + 1, 0] - path[i, 0], path[i + 1, 1] - path[i, 1], path[i + 1, 2] - path[i, 2]
         length = np.hypot(dx, dy)
         while due < length or (i == last and due < length + every):
             t = min(due / length, 1.0) if length > 0.0 else 1.0
             x, y, z = path[i, 0] + t * dx, path[i, 1] + t * dy, path[i, 2] + t * dz
-            if not flat and _is_by_tread(ground, x, y, z, reach, stride):
+            if _is_by_tread(ground, x, y, z, reach, stride):
                 return True
             due += every
         due -= length
     return False
-
-
-@njit(cache=True, nogil=True)
-def _is_flat(path: FloatArray, ground: Cells, rings: int) -> bool:
-    """Whether no flight is within so many cells of a piece of a path: one look for many, true nearly everywhere."""
-    (nx, ny), low, high = ground.height.shape, np.empty(2, np.int64), np.empty(2, np.int64)
-    for k in range(2):
-        low[k] = int(np.floor((path[:, k].min() - ground.origin[k]) / ground.width)) - rings
-        high[k] = int(np.floor((path[:, k].max() - ground.origin[k]) / ground.width)) + rings + 1
-    ends = _ends_in(ground.height, max(low[0], 0), min(high[0], nx), max(low[1], 0), min(high[1], ny))
-    return not ends[1] - ends[0] > FLIGHT_RISE
 
 
 @njit(cache=True, nogil=True)
@@ -253,6 +228,7 @@ def footing_reach(surface: HeightMap) -> int:
     return max(2 * rings_of(STRIDE, surface.cell_width), 5 * rings_of(SOLE, surface.cell_width))
 
 
+@njit(cache=True, nogil=True)
 def rings_of(length: float, width: float) -> int:
     """How many cells of that `width` a `length` is, at least one."""
     return max(1, int(length / width))

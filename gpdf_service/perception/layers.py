@@ -104,8 +104,8 @@ def _median_to(
     if len(held):
         return np.inf
     columns = by_cell(cell, count)
-    own = points, columns, (corner, width, shape), picked, k
-    run_chunked(lambda a, b: kth_beside(*own, a, b, each), len(picked))
+    own = points, columns, (corner, width, shape)
+    run_chunked(lambda a, b: kth_beside(*own, picked[a:b], k, each[a:b]), len(picked))
     return float(np.median(each))
 
 
@@ -197,8 +197,8 @@ def splice_layers(layers: Layers, changed: BoolArray, fresh: Layers | None) -> L
     start, runs = starts_spliced(changed, layers.start, begin), runs_of(changed, layers.start, begin)
     own: dict[str, Any] = {name: values_spliced(runs, getattr(layers, name), getattr(new, name)) for name in _OWN}
     nodes = rows_by_cell(widened(changed.reshape(layers.shape), 1), start)  # what lies beside a board says if it is one
-    grid = own["cell"], start, layers.shape, own["middle"], own["face"], layers.board
-    own["height"][nodes] = tops_of_boards(nodes, *grid)
+    grid = own["cell"], start, layers.shape
+    own["height"][nodes] = tops_of_boards(nodes, grid, own["middle"], own["face"], layers.board)
     return replace(layers, **own, start=start)
 
 
@@ -241,17 +241,17 @@ def build_layers(
     cell = cells_of(points, origin, cell_width, shape)
     low, high = (int(cell.min()), int(cell.max()) + 1) if len(cell) else (0, 0)  # a few columns cost what they are
     cell -= low
-    start, order, z = column_order(cell, points, high - low)
+    ordered = column_order(cell, points, high - low)
     flat, board = min(2.0 * cell_width, THIN) + SPREAD * noise, BOARD + SPREAD * noise
-    first = count_nodes(start, z, gap)
+    first = count_nodes(ordered[0], ordered[2], gap)
     count = int(first[-1])
     cell_of, row = np.empty(count, np.int64), np.empty(count, np.int64)
     middle, face, top, thickness, headroom = (np.empty(count) for _ in range(5))
     made = cell_of, row, middle, face, top, thickness, headroom
-    run_chunked(lambda a, b: cut_columns(start, order, z, gap, flat, board, first, a, b, made), high - low)
+    run_chunked(lambda a, b: cut_columns(ordered, (gap, flat, board), first, a, b, made), high - low)
     cell_of += low
     first = np.concatenate([np.zeros(low, np.int64), first, np.full(shape[0] * shape[1] - high, count)])
-    height = tops_of_boards(np.arange(count), cell_of, first, shape, middle, face, board)
+    height = tops_of_boards(np.arange(count), (cell_of, first, shape), middle, face, board)
     own = cell_of, points[row, :2], height, top, thickness, headroom, middle, face
     return Layers(origin, cell_width, shape, board, *own, first)
 

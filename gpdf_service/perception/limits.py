@@ -67,11 +67,11 @@ def find_limits(surface: HeightMap, material: BoolArray, measured: Measured, rid
         measured: Its `step_and_slope`.
         ridge: Its `ridges`, shape (nx, ny).
     """
-    own, none = (surface.arrays, material, *measured, ridge), (np.zeros((0, 3)), np.zeros(0))
-    count = _put_limits(*own, (0, 0, 0, 0), *none)
+    own = surface.arrays, material, measured, ridge
+    count = _put_limits(*own, (0, 0, 0, 0), (np.zeros((0, 3)), np.zeros(0)))
     ends = (0, *np.cumsum(count).tolist())
     made = GroundLimits(np.empty((ends[-1], 3)), np.repeat(_KINDS, count), np.full(ends[-1], np.inf))
-    _put_limits(*own, ends[:-1], made.points, made.value)
+    _put_limits(*own, ends[:-1], (made.points, made.value))
     return made
 
 
@@ -83,44 +83,43 @@ _KINDS = np.array([ObstacleKind.STEP, ObstacleKind.SLOPE, ObstacleKind.UNKNOWN, 
 def _put_limits(
     ground: Cells,
     material: BoolArray,
-    step: FloatArray,
-    slope: FloatArray,
+    measured: Measured,
     ridge: BoolArray,
     begin: tuple[int, int, int, int],
-    points: FloatArray,
-    values: FloatArray,
+    made: tuple[FloatArray, FloatArray],
 ) -> tuple[int, int, int, int]:
     """Write points and values of the limits, those of the k-th kind from row `begin[k]` on; behind their last rows.
 
     Into empty arrays nothing is written.
     """
-    steps, slopes, edges, ridges = begin
+    (steps, slopes, edges, ridges), (step, slope) = begin, measured
     for x in range(material.shape[0]):
         for y in range(material.shape[1]):
             height = float(ground.height[x, y])
             if ground.state[x, y] != UNKNOWN:
                 if step[x, y] > LEAST_STEP:
-                    steps = _put_limit(ground, x, y, height, step[x, y], points, values, steps)
+                    steps = _put_limit(ground, x, y, (height, step[x, y]), made, steps)
                 if slope[x, y] > 0.0:
-                    slopes = _put_limit(ground, x, y, height, slope[x, y], points, values, slopes)
+                    slopes = _put_limit(ground, x, y, (height, slope[x, y]), made, slopes)
             elif not material[x, y]:
                 beside = _highest_known(ground, x, y)
                 if beside > -np.inf:
-                    edges = _put_limit(ground, x, y, beside, np.inf, points, values, edges)
+                    edges = _put_limit(ground, x, y, (beside, np.inf), made, edges)
             if ridge[x, y]:
-                ridges = _put_limit(ground, x, y, height, np.inf, points, values, ridges)
+                ridges = _put_limit(ground, x, y, (height, np.inf), made, ridges)
     return steps, slopes, edges, ridges
 
 
 @lean()
 def _put_limit(
-    ground: Cells, x: int, y: int, height: float, value: float, points: FloatArray, values: FloatArray, row: int
+    ground: Cells, x: int, y: int, limit: tuple[float, float], made: tuple[FloatArray, FloatArray], row: int
 ) -> int:
-    """Write one limit over the middle of a cell into a row, if there are rows; the next row."""
+    """Write a limit, its height and value, over the middle of a cell into a row, if there are rows; the next row."""
+    points, values = made
     if len(points) > 0:
         points[row, 0] = ground.origin[0] + (x + 0.5) * ground.width
         points[row, 1] = ground.origin[1] + (y + 0.5) * ground.width
-        points[row, 2], values[row] = height, value
+        points[row, 2], values[row] = limit
     return row + 1
 
 
@@ -156,21 +155,14 @@ def step_and_slope(surface: HeightMap) -> Measured:
     step = np.zeros_like(height)
     flight = flights(surface, TALL, 2.0 * STRIDE) if 3.0 * width > _LIMITS.tread_depth else np.zeros_like(known)
     for axis in (0, 1):
-        ahead, behind = _shift(height, -reach, axis) - height, height - _shift(height, reach, axis)
-        ahead, behind = np.abs(ahead), np.abs(behind)
         narrow = flight & _is_narrow_tread(surface.height, width, axis) if flight.any() else flight
-        rise = np.where(narrow, 0.0, np.fmin(ahead, behind))  # at the rim, the side that is known
+        rise = np.where(narrow, 0.0, np.fmin(*_rises_beside(height, reach, axis)))  # at the rim, the side that is known
         gradient2 += np.nan_to_num(rise / (reach * width)) ** 2
-        across = np.abs(_shift(surface.height, -1, axis) - _shift(surface.height, 1, axis)).astype(np.float64)
-        one = np.fmax(
-            np.abs(_shift(surface.height, -1, axis) - surface.height),
-            np.abs(surface.height - _shift(surface.height, 1, axis)),
-        )
-        next_ = np.abs(_shift(height, -1, axis) - height), np.abs(height - _shift(height, 1, axis))
-        short2 += np.where(narrow, 0.0, np.nan_to_num(np.fmin(*next_) / width)) ** 2
+        short2 += np.where(narrow, 0.0, np.nan_to_num(np.fmin(*_rises_beside(height, 1, axis)) / width)) ** 2
         usual = median_around(np.nan_to_num(rise / (reach * width)), 2, known)
-        excess = np.fmax(np.where(narrow, 0.0, across - 2.0 * width * usual), one - width * usual)
-        step = np.fmax(step, np.nan_to_num(excess))
+        across = np.abs(_shift(surface.height, -1, axis) - _shift(surface.height, 1, axis)) - 2.0 * width * usual
+        one = np.fmax(*_rises_beside(surface.height, 1, axis)) - width * usual
+        step = np.fmax(step, np.nan_to_num(np.fmax(np.where(narrow, 0.0, across), one)))
     flatter = np.minimum(median_around(gradient2, 1, known), median_around(short2, 1, known))
     slope = np.arctan(np.sqrt(flatter))
     rise = _slanted(surface, np.where(known, slope, np.inf))
@@ -205,24 +197,21 @@ def _slanted(surface: HeightMap, slope: FloatArray) -> FloatArray:
     level &= around >= np.clip(need, 3, 6) - 0.5
     rise = np.full(slope.shape, np.inf)
     asked = np.isfinite(slope) & ~level
-    if asked.any() and level.any():
+    cells = np.flatnonzero(asked)
+    if len(cells) and level.any():
         height, reach = surface.height.astype(np.float64), STRIDE / surface.cell_width
-        run_chunked(lambda a, b: _rises(height, level, asked, reach, a, b, rise), rise.size)
+        run_chunked(lambda a, b: _rises(height, level, cells[a:b], reach, rise), len(cells))
     return np.where(asked & (slope > STANDABLE), rise, np.inf)
 
 
 @njit(cache=True, nogil=True)
-def _rises(
-    height: FloatArray, level: BoolArray, asked: BoolArray, reach: float, begin: int, end: int, rise: FloatArray
-) -> None:
+def _rises(height: FloatArray, level: BoolArray, cells: IntArray, reach: float, rise: FloatArray) -> None:
     """Of the nearest `level` cells above and below in each direction, at most `reach` cells apart: the least rise."""
     nx, ny = height.shape
     rings = int(reach)
     far, there = np.empty((2, SECTORS)), np.empty((2, SECTORS))
-    for cell in range(begin, end):
+    for cell in cells:
         x, y = cell // ny, cell % ny
-        if not asked[x, y]:
-            continue
         far[:] = np.inf
         for u in range(max(x - rings, 0), min(x + rings + 1, nx)):
             for v in range(max(y - rings, 0), min(y + rings + 1, ny)):
@@ -256,7 +245,7 @@ def median_around(values: FloatArray, reach: int, wanted: BoolArray) -> FloatArr
 
     A NaN counts for nothing; beyond the rim the values are mirrored.
     """
-    made, own = np.full(values.shape, np.nan), (values, reach, wanted, _network((2 * reach + 1) ** 2))
+    made, own = np.full(values.shape, np.nan), (values, (reach, _network((2 * reach + 1) ** 2)), wanted)
     run_chunked(lambda a, b: _medians(*own, a, b, made), len(values))
     return made
 
@@ -286,10 +275,14 @@ _ABREAST = 64
 
 @njit(cache=True, nogil=True)
 def _medians(
-    values: FloatArray, reach: int, wanted: BoolArray, network: IntArray, begin: int, end: int, made: FloatArray
+    values: FloatArray, window: tuple[int, IntArray], wanted: BoolArray, begin: int, end: int, made: FloatArray
 ) -> None:
-    """The medians of some rows: by a network where there is no NaN around, cell by cell elsewhere."""
-    (nx, ny), size = values.shape, (2 * reach + 1) ** 2
+    """The medians of some rows: by a network where there is no NaN around, cell by cell elsewhere.
+
+    The `window` is its reach and its network.
+    """
+    (nx, ny), (reach, network) = values.shape, window
+    size = (2 * reach + 1) ** 2
     around, total, few = np.zeros((size, _ABREAST)), np.zeros(_ABREAST), np.empty(size)
     for x in range(begin, end):
         for first in range(0, ny, _ABREAST):
@@ -353,6 +346,11 @@ def _median(values: FloatArray, x: int, y: int, reach: int, few: FloatArray) -> 
         if found == 3:
             break
     return 0.5 * (lower + upper)
+
+
+def _rises_beside(values: NDArray[np.floating], by: int, axis: int) -> tuple[FloatArray, FloatArray]:
+    """How much they differ from those so many cells ahead and behind along `axis`."""
+    return np.abs(_shift(values, -by, axis) - values), np.abs(_shift(values, by, axis) - values)
 
 
 def _shift(values: NDArray[np.floating], by: int, axis: int) -> FloatArray:

@@ -8,7 +8,8 @@ import numpy as np
 from numba import njit
 
 from gpdf_service.fields.threads import run_parallel
-from gpdf_service.perception.rows import INDEX, longer
+from gpdf_service.fields.tree import longer
+from gpdf_service.perception.rows import INDEX
 from gpdf_service.types import BoolArray, FloatArray, IntArray
 
 AROUND = ((-1, -1), (-1, 0), (-1, 1), (0, -1), (0, 1), (1, -1), (1, 0), (1, 1))
@@ -69,19 +70,14 @@ def _pairs_at(
 
 @njit(cache=True, nogil=True)
 def pairs_beside(
-    start: IntArray,
-    shape: tuple[int, int],
-    height: FloatArray,
-    most: float,
-    offsets: tuple[tuple[int, int], ...],
-    begin: int,
-    end: int,
+    columns: Columns, most: float, offsets: tuple[tuple[int, int], ...], begin: int, end: int
 ) -> tuple[IntArray, IntArray, IntArray]:
     """What `pairs_near` finds if all are kept, and where the pairs of each offset begin, shape (offsets + 1,).
 
     Of the nodes a in the rows of cells from `begin` to `end`; nodes count from the first of these. The heights of a
     column must ascend: so what is too low or too high for one node is passed over.
     """
+    _, start, shape, height, _ = columns
     first, base = np.zeros(len(offsets) + 1, np.int64), start[begin * shape[1]]
     capacity, used = 4 * (start[end * shape[1]] - base) + 16, 0
     one, other = np.empty(capacity, INDEX), np.empty(capacity, INDEX)
@@ -193,23 +189,17 @@ def pairs_within(
 
 @njit(cache=True, nogil=True)
 def pairs_around(
-    nodes: IntArray,
-    cell: IntArray,
-    start: IntArray,
-    shape: tuple[int, int],
-    height: FloatArray,
-    keep: BoolArray,
-    slope: float,
-    step: float,
+    nodes: IntArray, columns: Columns, keep: BoolArray, slope: float, step: float
 ) -> tuple[IntArray, IntArray]:
     """Pairs of a row of `nodes` and a kept node in a cell around its own, within `slope` a cell and a `step` [m]."""
+    cell, start, (nx, ny), height, _ = columns
     one, other = [0 for _ in range(0)], [0 for _ in range(0)]
     for n in range(len(nodes)):
         i = nodes[n]
-        x, y = divmod(cell[i], shape[1])
-        for u in range(max(x - 1, 0), min(x + 2, shape[0])):
-            for v in range(max(y - 1, 0), min(y + 2, shape[1])):
-                there, most = u * shape[1] + v, slope * np.hypot(u - x, v - y) + step
+        x, y = divmod(cell[i], ny)
+        for u in range(max(x - 1, 0), min(x + 2, nx)):
+            for v in range(max(y - 1, 0), min(y + 2, ny)):
+                there, most = u * ny + v, slope * np.hypot(u - x, v - y) + step
                 for j in range(start[there], start[there + 1]):
                     if keep[j] and there != cell[i] and abs(height[i] - height[j]) <= most:
                         one.append(n)

@@ -103,8 +103,7 @@ def join_parts(near: Beside, parts: Parts, stance: BoolArray, config: Perception
     layers, reach = near.layers, STRIDE / near.layers.cell_width
 
     def strides(layers: Layers, _: BoolArray, stance: BoolArray, part: IntArray) -> Pairs:
-        grid = layers.cell, layers.start, layers.shape, layers.height
-        found: Pairs = find_strides(*grid, stance, part, reach, config.max_step)
+        found: Pairs = find_strides(layers.columns, stance, part, reach, config.max_step)
         return found
 
     a, b = near.pairs_around("strides", int(reach) + 1, strides, stance, steady(layers, parts.label))

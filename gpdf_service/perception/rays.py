@@ -48,6 +48,12 @@ _Walk = tuple[IntArray, IntArray, FloatArray, FloatArray]
 how much more it is to that behind it; each (2,)."""
 
 
+_Cells = tuple[FloatArray, float, tuple[int, int]]
+"""Of cells: their lower corner [m], their width [m] and how many there are along each axis."""
+_Ray = tuple[FloatArray, FloatArray]
+"""From where to where a ray goes [m]."""
+
+
 class Rays(NamedTuple):
     """Rays of a scan.
 
@@ -123,9 +129,9 @@ def _follow(
     before = max(2.0 * surface.cell_width, ENDS_BEFORE * noise)
     bounds = low - surface.cell_width, high + config.min_headroom, before
     sampled = max(1, len(rays.ends) // SAMPLE)
-    tiles = _tiles_along(rays.origins, rays.ends, grid, bounds, sampled) * sampled
+    tiles = _tiles_along(rays, grid, bounds, sampled) * sampled
     every = max(1, int(np.ceil(tiles / (STEPS * max(len(rays.ends), 1)))))
-    own = rays.origins, rays.ends, grid, bounds, (LOW * config.min_headroom, config.max_step)
+    own = rays, grid, bounds, (LOW * config.min_headroom, config.max_step)
     passed, fell = np.zeros(asked.shape, np.int64), np.zeros(asked.shape, dtype=bool)
     for count, through in run_parallel(lambda k: _cast(*own, k * every, SHARES * every), range(SHARES)):
         passed += count
@@ -186,11 +192,9 @@ def _far_corner(grid: _Grid) -> FloatArray:
 
 
 @njit(cache=True, nogil=True)
-def _tiles_along(
-    origins: FloatArray, ends: FloatArray, grid: _Grid, bounds: tuple[float, float, float], step: int
-) -> float:
+def _tiles_along(rays: Rays, grid: _Grid, bounds: tuple[float, float, float], step: int) -> float:
     """Tiles that every `step`-th ray goes through."""
-    tiles, far = 0.0, _far_corner(grid)
+    tiles, far, (origins, ends) = 0.0, _far_corner(grid), rays
     for i in range(0, len(ends), step):
         a, b = origins[i % len(origins)], ends[i]
         first, last = _part_at_ground(a, b, grid.origin, far, bounds)
@@ -200,11 +204,9 @@ def _tiles_along(
 
 
 @njit(cache=True, nogil=True)
-def _enter(
-    a: FloatArray, b: FloatArray, t: float, corner: FloatArray, width: float, shape: tuple[int, int], walk: _Walk
-) -> None:
+def _enter(ray: _Ray, t: float, cells: _Cells, walk: _Walk) -> None:
     """Where a ray is at the share t of it, and when it comes to the next cell along each axis."""
-    at, ahead, cross, each = walk
+    (a, b), (corner, width, shape), (at, ahead, cross, each) = ray, cells, walk
     for k in range(2):
         along = b[k] - a[k]
         at[k] = min(max(int(np.floor((a[k] + t * along - corner[k]) / width)), 0), shape[k] - 1)
@@ -227,13 +229,7 @@ def _go_on(shape: tuple[int, int], walk: _Walk) -> bool:
 
 @njit(cache=True, nogil=True)
 def _cast(
-    origins: FloatArray,
-    ends: FloatArray,
-    grid: _Grid,
-    bounds: tuple[float, float, float],
-    limits: tuple[float, float],
-    begin: int,
-    step: int,
+    rays: Rays, grid: _Grid, bounds: tuple[float, float, float], limits: tuple[float, float], begin: int, step: int
 ) -> tuple[NDArray[np.uint8], BoolArray]:
     """Follow every `step`-th ray from tile to tile, and from cell to cell in those where it is as low as the ground.
 
@@ -241,8 +237,9 @@ def _cast(
         How many of them were in each asked cell lower over its ground than the first of the `limits`, 255 at most; and
         into which cells one went through the ground, from or to deeper under it than the second.
     """
-    (headroom, max_step), far, shape = limits, _far_corner(grid), grid.lowest.shape
-    passed, fell = np.zeros(grid.height.shape, np.uint8), np.zeros(grid.height.shape, np.bool_)
+    (headroom, max_step), far, (origins, ends) = limits, _far_corner(grid), rays
+    tiles = grid.origin, TILE * grid.width, grid.lowest.shape
+    seen = passed, fell = np.zeros(grid.height.shape, np.uint8), np.zeros(grid.height.shape, np.bool_)
     walk = np.zeros(2, np.int64), np.zeros(2, np.int64), np.zeros(2), np.zeros(2)
     inner = np.zeros(2, np.int64), np.zeros(2, np.int64), np.zeros(2), np.zeros(2)
     for i in range(begin, len(ends), step):
@@ -251,35 +248,32 @@ def _cast(
         if not t < last:
             continue
         deep = min(a[2], b[2]) + max_step
-        _enter(a, b, t, grid.origin, TILE * grid.width, shape, walk)
+        _enter((a, b), t, tiles, walk)
         while t < last:
             x, y = walk[0]
             leave = max(min(min(walk[2][0], walk[2][1]), last), t)
             z, behind = a[2] + t * (b[2] - a[2]), a[2] + leave * (b[2] - a[2])
             if min(z, behind) <= grid.highest[x, y] + headroom and max(z, behind) >= grid.lowest[x, y]:
-                _look_along(a, b, t, leave, grid, headroom, deep, inner, passed, fell)
+                _look_along((a, b), (t, leave), grid, (headroom, deep), inner, seen)
             t = leave
-            if not _go_on(shape, walk):
+            if not _go_on(tiles[2], walk):
                 break
     return passed, fell
 
 
 @njit(cache=True, nogil=True)
 def _look_along(
-    a: FloatArray,
-    b: FloatArray,
-    t: float,
-    last: float,
+    ray: _Ray,
+    part: tuple[float, float],
     grid: _Grid,
-    headroom: float,
-    deep: float,
+    limits: tuple[float, float],
     walk: _Walk,
-    passed: NDArray[np.uint8],
-    fell: BoolArray,
+    seen: tuple[NDArray[np.uint8], BoolArray],
 ) -> None:
     """`_cast` of the part of a ray between two shares of it (Amanatides and Woo, 1987)."""
+    (a, b), (t, last), (headroom, deep), (passed, fell) = ray, part, limits, seen
     shape, at = grid.height.shape, walk[0]
-    _enter(a, b, t, grid.origin, grid.width, shape, walk)
+    _enter(ray, t, (grid.origin, grid.width, shape), walk)
     while t < last:
         leave = max(min(min(walk[2][0], walk[2][1]), last), t)
         ground = grid.height[at[0], at[1]]

@@ -9,6 +9,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from gpdf_service.fields.threads import run_chunked, run_parallel
+from gpdf_service.fields.tree import longer
 from gpdf_service.types import BoolArray, FloatArray, IntArray
 
 INDEX: Any = np.int32
@@ -18,14 +19,6 @@ _SHARE = 1 << 17
 _NO_POINTS: FloatArray = np.zeros((0, 3))
 _BLOCK = 4096
 """Rows for which room is made at once: what is found is few, and memory that nobody touches costs nothing."""
-
-
-@njit(cache=True, nogil=True)
-def longer(values: IntArray, capacity: int) -> IntArray:
-    """The values with room behind them for `capacity` in all."""
-    made = np.empty(capacity, values.dtype)
-    made[: len(values)] = values
-    return made
 
 
 def hashed(rows: FloatArray) -> NDArray[np.uint64]:

@@ -8,7 +8,7 @@ from gpdf_service.config import PerceptionConfig
 from gpdf_service.fields.threads import run_parallel
 from gpdf_service.perception.beside import Beside
 from gpdf_service.perception.columns import by_cell
-from gpdf_service.perception.layers import Layers, connect
+from gpdf_service.perception.layers import Layers, Pairs, connect
 from gpdf_service.perception.nodes import (
     components,
     extents_in_plan,
@@ -38,7 +38,7 @@ def split_sheets(near: Beside, config: PerceptionConfig) -> tuple[BoolArray, ...
         return (keep,)
     smooth, _, steps = near.pieces(keep, layers.cell_width, None, keep, config.max_step)
     over = steps_over_gaps(near, keep, smooth, config)[0]
-    a, b = (np.concatenate(ends) for ends in zip(pairs_within(*steps, keep, True, smooth), over, strict=True))
+    one, other = (np.concatenate(ends) for ends in zip(pairs_within(*steps, keep, True, smooth), over, strict=True))
     sheet_of = np.full(count, -1)
     size = np.bincount(smooth, weights=keep)
     order = np.argsort(-size)
@@ -50,7 +50,7 @@ def split_sheets(near: Beside, config: PerceptionConfig) -> tuple[BoolArray, ...
         left = own[sheet_of[own] < 0]
         while len(left) >= (least if len(left) < len(own) else 1):
             sheet_of[_lowest_of(layers, left, least)] = sheets
-            _attach(layers, a, b, smooth, start, members, sheet_of, sheets)
+            _attach(layers, (one, other), (smooth, start, members), sheet_of, sheets)
             sheets += 1
             left = own[sheet_of[own] < 0]
     made = [np.flatnonzero(sheet_of == i) for i in range(sheets)]
@@ -144,21 +144,15 @@ def _lowest_of(layers: Layers, piece: IntArray, least: int) -> IntArray:
 
 
 def _attach(
-    layers: Layers,
-    a: IntArray,
-    b: IntArray,
-    smooth: IntArray,
-    start: IntArray,
-    members: IntArray,
-    sheet_of: IntArray,
-    sheet: int,
+    layers: Layers, pairs: Pairs, pieces: tuple[IntArray, IntArray, IntArray], sheet_of: IntArray, sheet: int
 ) -> None:
     """Add to a sheet, one after another, the smooth pieces beside it that do not lie over it."""
+    smooth, start, members = pieces
     taken = np.zeros(layers.shape[0] * layers.shape[1], dtype=bool)
     taken[layers.cell[sheet_of == sheet]] = True
     while True:
         grown = False
-        for piece in np.unique(smooth[touched_by(a, b, sheet_of < 0, sheet_of == sheet)]):
+        for piece in np.unique(smooth[touched_by(*pairs, sheet_of < 0, sheet_of == sheet)]):
             nodes = members[start[piece] : start[piece + 1]]
             nodes = nodes[sheet_of[nodes] < 0]
             cells = layers.cell[nodes]  # ascending, as nodes are

@@ -24,7 +24,8 @@ def find_strays(points: FloatArray, width: float) -> BoolArray:
     start, order = by_cell(cell, count)
     level = np.empty(len(points))
     run_chunked(lambda a, b: _write_levels(points, order[a:b], width, level[a:b]), len(points))
-    run_chunked(lambda a, b: _strays_range(start, order, level, held, (nx, ny), a, b, stray), count)
+    columns = start, order, level, held
+    run_chunked(lambda a, b: _strays_range(columns, (nx, ny), a, b, stray), count)
     return stray
 
 
@@ -43,17 +44,14 @@ def _write_levels(points: FloatArray, order: IntArray, width: float, level: Floa
 
 @njit(cache=True, nogil=True)
 def _strays_range(
-    start: IntArray,
-    order: IntArray,
-    level: FloatArray,
-    held: IntArray,
+    columns: tuple[IntArray, IntArray, FloatArray, IntArray],
     shape: tuple[int, int],
     begin: int,
     end: int,
     stray: BoolArray,
 ) -> None:
     """Nearly every point finds another in its own column after a few looks. Columns are `held` as by `compacted`."""
-    nx, ny = shape
+    (start, order, level, held), (nx, ny) = columns, shape
     for own in range(begin, end):
         column = held[own] if len(held) else own
         for i in range(start[own], start[own + 1]):

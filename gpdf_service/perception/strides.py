@@ -9,12 +9,14 @@ from __future__ import annotations
 
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
 from gpdf_service.config import PerceptionConfig
 from gpdf_service.fields.threads import run_chunked
+from gpdf_service.kernel_cache import lean
 from gpdf_service.perception.boxes import widened
 from gpdf_service.perception.layers import Layers
-from gpdf_service.perception.pairs import AROUND
+from gpdf_service.perception.pairs import AROUND, Columns
 from gpdf_service.types import BoolArray, FloatArray, IntArray
 
 BODY = 0.2
@@ -32,39 +34,23 @@ STRIDE = 0.4
 
 def find_stances(layers: Layers, among: BoolArray) -> BoolArray:
     """Which of the nodes `among` all have nothing within `BODY` of them in plan at the height of `LEGS`, shape (k,)."""
-    made = np.zeros(len(among), dtype=bool)
-    rings = int(np.ceil(BODY / layers.cell_width))
-    own = layers.cell, layers.start, layers.shape, layers.height, layers.top, layers.thickness, among
-    run_chunked(lambda a, b: _stances(*own, BODY / layers.cell_width, rings, LEGS, a, b, made), len(among))
+    made, nodes = np.zeros(len(among), dtype=bool), np.flatnonzero(among)
+    own = layers.columns, layers.top, BODY / layers.cell_width, made
+    run_chunked(lambda a, b: _stances(nodes[a:b], *own), len(nodes))
     return made
 
 
 @njit(cache=True, nogil=True)
-def _stances(
-    cell: IntArray,
-    start: IntArray,
-    shape: tuple[int, int],
-    height: FloatArray,
-    top: FloatArray,
-    thickness: FloatArray,
-    among: BoolArray,
-    reach: float,
-    rings: int,
-    legs: tuple[float, float],
-    begin: int,
-    end: int,
-    made: BoolArray,
-) -> None:
-    for i in range(begin, end):
-        if not among[i]:
-            continue
-        x, y, free = cell[i] // shape[1], cell[i] % shape[1], True
-        low, high = height[i] + legs[0], height[i] + legs[1]
-        for u in range(max(x - rings, 0), min(x + rings + 1, shape[0])):
-            for v in range(max(y - rings, 0), min(y + rings + 1, shape[1])):
+def _stances(nodes: IntArray, columns: Columns, top: FloatArray, reach: float, made: BoolArray) -> None:
+    (cell, start, (nx, ny), height, thickness), rings = columns, int(np.ceil(reach))
+    for i in nodes:
+        x, y, free = cell[i] // ny, cell[i] % ny, True
+        low, high = height[i] + LEGS[0], height[i] + LEGS[1]
+        for u in range(max(x - rings, 0), min(x + rings + 1, nx)):
+            for v in range(max(y - rings, 0), min(y + rings + 1, ny)):
                 if (u - x) ** 2 + (v - y) ** 2 > reach**2:
                     continue
-                for j in range(start[u * shape[1] + v], start[u * shape[1] + v + 1]):
+                for j in range(start[u * ny + v], start[u * ny + v + 1]):
                     free &= not (top[j] > low and top[j] - thickness[j] < high)
             if not free:
                 break
@@ -73,37 +59,31 @@ def _stances(
 
 @njit(cache=True, nogil=True)
 def find_strides(
-    cell: IntArray,
-    start: IntArray,
-    shape: tuple[int, int],
-    height: FloatArray,
-    stance: BoolArray,
-    part: IntArray,
-    reach: float,
-    rise: float,
+    columns: Columns, stance: BoolArray, part: IntArray, reach: float, rise: float
 ) -> tuple[IntArray, IntArray]:
     """Pairs of stances of different parts, at most `reach` cells apart in plan and `rise` [m] in height.
 
     Of each stance at the rim of its part the nearest one of each other part is taken.
     """
+    cell, start, (nx, ny), height, _ = columns
     one, other = [0 for _ in range(0)], [0 for _ in range(0)]
     rim = np.zeros(len(cell), np.bool_)
     for i in range(len(cell)):
         if stance[i]:
-            rim[i] = not _inside(i, cell, start, shape, stance, part)
+            rim[i] = not _inside(i, columns, stance, part)
     rings = int(reach)
-    mixed, wide = _mixed(cell, shape, rim, part, rings), max(rings, 1)
+    mixed, wide = _mixed(columns, rim, part, rings), max(rings, 1)
     best, far = np.empty(64, np.int64), np.empty(64)
     for i in range(len(cell)):
-        x, y, used = cell[i] // shape[1], cell[i] % shape[1], 0
+        x, y, used = cell[i] // ny, cell[i] % ny, 0
         if not (rim[i] and mixed[x // wide, y // wide]):
             continue
-        for u in range(max(x - rings, 0), min(x + rings + 1, shape[0])):
-            for v in range(max(y - rings, 0), min(y + rings + 1, shape[1])):
+        for u in range(max(x - rings, 0), min(x + rings + 1, nx)):
+            for v in range(max(y - rings, 0), min(y + rings + 1, ny)):
                 away = (u - x) ** 2 + (v - y) ** 2
                 if away > reach**2:
                     continue
-                for j in range(start[u * shape[1] + v], start[u * shape[1] + v + 1]):
+                for j in range(start[u * ny + v], start[u * ny + v + 1]):
                     if j <= i or not rim[j] or part[j] == part[i] or abs(height[j] - height[i]) > rise:
                         continue
                     used = _nearest(best, far, used, j, float(away), part)
@@ -114,9 +94,9 @@ def find_strides(
 
 
 @njit(cache=True, nogil=True)
-def _mixed(cell: IntArray, shape: tuple[int, int], among: BoolArray, part: IntArray, rings: int) -> BoolArray:
+def _mixed(columns: Columns, among: BoolArray, part: IntArray, rings: int) -> BoolArray:
     """Blocks of `rings` cells a side that hold, with those around them, nodes `among` all of more than one part."""
-    wide = max(rings, 1)
+    cell, shape, wide = columns.cell, columns.shape, max(rings, 1)
     low = np.full((shape[0] // wide + 1, shape[1] // wide + 1), np.int64(2**62))
     high, made = np.full(low.shape, np.int64(-1)), np.zeros(low.shape, np.bool_)
     for i in range(len(cell)):
@@ -144,9 +124,10 @@ def _nearest(best: IntArray, far: FloatArray, used: int, node: int, away: float,
     return used
 
 
-@njit(cache=True, nogil=True)
-def _inside(i: int, cell: IntArray, start: IntArray, shape: tuple[int, int], stance: BoolArray, part: IntArray) -> bool:
+@lean()
+def _inside(i: int, columns: Columns, stance: BoolArray, part: IntArray) -> bool:
     """Whether all eight cells around a stance hold stances of its part."""
+    cell, start, shape, _, _ = columns
     x, y = cell[i] // shape[1], cell[i] % shape[1]
     for dx, dy in AROUND:
         if not (0 <= x + dx < shape[0] and 0 <= y + dy < shape[1]):
@@ -188,51 +169,42 @@ def find_between(
         config: Limits.
     """
     made, width = np.zeros(len(asked), dtype=bool), layers.cell_width
-    grid = layers.cell, layers.start, layers.shape, layers.height
     near = np.zeros(layers.shape, dtype=bool)
     near.ravel()[layers.cell[stance & tread]] = True
-    asked = asked & widened(near, int(STRIDE / width)).ravel()[layers.cell]
-    level = width * float(np.tan(config.steepest))
-    own = *grid, stance, tread, asked, STRIDE / width, config.max_step, level
-    run_chunked(lambda a, b: _between(*own, a, b, made), len(asked))
+    nodes = np.flatnonzero(asked & widened(near, int(STRIDE / width)).ravel()[layers.cell])
+    kind, level = stance * (np.int8(1) + tread), width * float(np.tan(config.steepest))
+    own = layers.columns, kind, STRIDE / width, (config.max_step, level), made
+    run_chunked(lambda a, b: _between(nodes[a:b], *own), len(nodes))
     return made
 
 
 @njit(cache=True, nogil=True)
 def _between(
-    cell: IntArray,
-    start: IntArray,
-    shape: tuple[int, int],
-    height: FloatArray,
-    stance: BoolArray,
-    tread: BoolArray,
-    asked: BoolArray,
+    nodes: IntArray,
+    columns: Columns,
+    kind: NDArray[np.int8],
     reach: float,
-    rise: float,
-    level: float,
-    begin: int,
-    end: int,
+    limits: tuple[float, float],
     made: BoolArray,
 ) -> None:
+    """See `find_between`; a stance is of `kind` 1, of a tread 2, and the `limits` are a step and a slope in a cell."""
+    (cell, start, (nx, ny), height, _), (rise, level) = columns, limits
     rings, sides = int(reach), np.zeros((2, SECTORS), np.int8)
-    for i in range(begin, end):
-        if not asked[i]:
-            continue
+    for i in nodes:
         sides[:] = 0
-        x, y = cell[i] // shape[1], cell[i] % shape[1]
-        for u in range(max(x - rings, 0), min(x + rings + 1, shape[0])):
-            for v in range(max(y - rings, 0), min(y + rings + 1, shape[1])):
+        x, y = cell[i] // ny, cell[i] % ny
+        for u in range(max(x - rings, 0), min(x + rings + 1, nx)):
+            for v in range(max(y - rings, 0), min(y + rings + 1, ny)):
                 if not 0 < (u - x) ** 2 + (v - y) ** 2 <= reach**2:
                     continue
                 sector = sector_of(u - x, v - y)
-                for j in range(start[u * shape[1] + v], start[u * shape[1] + v + 1]):
+                for j in range(start[u * ny + v], start[u * ny + v + 1]):
                     over = height[j] - height[i]
-                    if stance[j] and abs(over) <= rise:
-                        kind = np.int8(1 + int(tread[j]))
+                    if kind[j] > 0 and abs(over) <= rise:
                         if over >= -level:
-                            sides[0, sector] = max(sides[0, sector], kind + np.int8(2) * np.int8(over > level))
+                            sides[0, sector] = max(sides[0, sector], kind[j] + np.int8(2) * np.int8(over > level))
                         if over <= level:
-                            sides[1, sector] = max(sides[1, sector], kind + np.int8(2) * np.int8(over < -level))
+                            sides[1, sector] = max(sides[1, sector], kind[j] + np.int8(2) * np.int8(over < -level))
         for s in range(SECTORS):
             for across in range(SECTORS // 4, 3 * SECTORS // 4 + 1):
                 up, down = sides[0, s], sides[1, (s + across) % SECTORS]
@@ -254,33 +226,26 @@ def find_footing(layers: Layers, among: BoolArray, asked: BoolArray, rise: float
         need: Nodes.
     """
     made, nodes = np.zeros(len(asked), dtype=bool), np.flatnonzero(asked)
-    own = layers.cell, layers.start, layers.shape, layers.height, among, SOLE / layers.cell_width, rise, need
-    run_chunked(lambda a, b: _footing(nodes[a:b], *own, made), len(nodes))
+    own = layers.columns, among, (SOLE / layers.cell_width, rise, need), made
+    run_chunked(lambda a, b: _footing(nodes[a:b], *own), len(nodes))
     return made
 
 
 @njit(cache=True, nogil=True)
 def _footing(
-    nodes: IntArray,
-    cell: IntArray,
-    start: IntArray,
-    shape: tuple[int, int],
-    height: FloatArray,
-    among: BoolArray,
-    reach: float,
-    rise: float,
-    need: int,
-    made: BoolArray,
+    nodes: IntArray, columns: Columns, among: BoolArray, limits: tuple[float, float, int], made: BoolArray
 ) -> None:
+    """See `find_footing`; the `limits` are a sole in cells, the rise and the need."""
+    (cell, start, (nx, ny), height, _), (reach, rise, need) = columns, limits
     rings = int(reach)
     for i in nodes:
-        x, y, found, mean_x, mean_y = cell[i] // shape[1], cell[i] % shape[1], 0, 0.0, 0.0
-        for u in range(max(x - rings, 0), min(x + rings + 1, shape[0])):
-            for v in range(max(y - rings, 0), min(y + rings + 1, shape[1])):
+        x, y, found, mean_x, mean_y = cell[i] // ny, cell[i] % ny, 0, 0.0, 0.0
+        for u in range(max(x - rings, 0), min(x + rings + 1, nx)):
+            for v in range(max(y - rings, 0), min(y + rings + 1, ny)):
                 away = np.hypot(u - x, v - y)
                 if away > reach + 0.5:
                     continue
-                for j in range(start[u * shape[1] + v], start[u * shape[1] + v + 1]):
+                for j in range(start[u * ny + v], start[u * ny + v + 1]):
                     if among[j] and abs(height[j] - height[i]) <= rise * away:
                         found, mean_x, mean_y = found + 1, mean_x + u - x, mean_y + v - y
                         break

@@ -76,21 +76,14 @@ class Graph:
 
 @njit(cache=True, nogil=True)
 def _proven(
-    obstacles: Places,
-    center: FloatArray,
-    room: FloatArray,
-    via: FloatArray,
-    radius: float,
-    begin: int,
-    end: int,
-    good: BoolArray,
+    obstacles: Places, center: FloatArray, room: FloatArray, via: FloatArray, radius: float, good: BoolArray
 ) -> None:
     """Which edges are clear from centre to crossing to centre.
 
     Of the two leaves of an edge, `center` (e, 2, 2) and `room` (e, 2): how far a place may be from the leaf's centre
     and still be clear [m], inf where all of it is: a wholly free leaf is convex.
     """
-    for e in range(begin, end):
+    for e in range(len(via)):
         good[e] = True
         for k in range(2):
             far = sqrt((via[e, 0] - center[e, k, 0]) ** 2 + (via[e, 1] - center[e, k, 1]) ** 2)
@@ -137,8 +130,12 @@ def find_edges(
     ends_of = pairs[asked]
     room = np.where(tree.whole[ends_of], np.inf, tree.clearance[ends_of] - radius)
     center, proven = centers(tree, ends_of.ravel()).reshape(-1, 2, 2), np.zeros(len(asked), dtype=bool)
-    own = obstacles, center, room, via[asked], radius
-    run_chunked(lambda a, b: _proven(*own, a, b, proven), len(asked))
+    at = via[asked]
+
+    def prove(a: int, b: int) -> None:
+        _proven(obstacles, center[a:b], room[a:b], at[a:b], radius, proven[a:b])
+
+    run_chunked(prove, len(asked))
     good[asked] = proven
     return pairs[good], via[good]
 
@@ -255,7 +252,7 @@ def assemble(
     """
     first, size = np.zeros(len(position) + 1, np.int64), 2 * len(pairs)
     made = np.empty(size, np.int64), np.empty((size, 2)), np.empty(size)  # by NumPy, which asks for large pages
-    _put_rows(position, clearance, pairs, via, radius, first, made)
+    _put_rows(position, clearance, (pairs, via), radius, first, made)
     component = components(pairs[:, 0], pairs[:, 1], np.ones(len(position), dtype=bool))
     return Graph(np.ascontiguousarray(position), level, first, *made, component)
 
@@ -264,14 +261,13 @@ def assemble(
 def _put_rows(
     position: FloatArray,
     clearance: FloatArray,
-    pairs: IntArray,
-    via: FloatArray,
+    edges: Edges,
     radius: float,
     first: IntArray,
     made: tuple[IntArray, FloatArray, FloatArray],
 ) -> None:
     """Write the first edge of each node, and the far end, crossing and cost of each edge."""
-    other, crossing, cost = made
+    (pairs, via), (other, crossing, cost) = edges, made
     for e in range(len(pairs)):
         first[pairs[e, 0] + 1] += 1
         first[pairs[e, 1] + 1] += 1

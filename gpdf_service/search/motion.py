@@ -65,20 +65,21 @@ def is_motion_clear(obstacles: Places, a: FloatArray, b: FloatArray, offsets: Fl
 
 @njit(cache=True, nogil=True)
 def _is_disc_clear(obstacles: Places, a: FloatArray, b: FloatArray, offset: float, radius: float) -> bool:
-    stack, room, scratch = np.empty((64, 2, 3)), np.empty((64, 2)), make_scratch()
+    pieces, scratch = (np.empty((64, 2, 3)), np.empty((64, 2)), np.empty(3)), make_scratch()
+    stack, room, _ = pieces
     stack[0] = 0.0
     stack[0, 0, : len(a)], stack[0, 1, : len(b)] = a, b
     for end in (0, 1):
         room[0, end] = disc_distance(obstacles, stack[0, end], offset, scratch)
         if room[0, end] < radius:
             return False
-    top, middle = 1, np.empty(3)
+    top = 1
     while top > 0:
         top -= 1
         moved = farthest_moved(stack[top, 0], stack[top, 1], offset)
         if room[top, 0] + room[top, 1] - moved >= 2.0 * radius:
             continue
-        if moved <= RESOLUTION or _halve(obstacles, stack, room, top, middle, offset, scratch) < radius:
+        if moved <= RESOLUTION or _halve(obstacles, pieces, top, offset, scratch) < radius:
             return False
         top += 2
     return True
@@ -92,15 +93,13 @@ def farthest_moved(a: FloatArray, b: FloatArray, offset: float) -> float:
 
 @lean()
 def _halve(
-    obstacles: Places,
-    stack: FloatArray,
-    room: FloatArray,
-    top: int,
-    middle: FloatArray,
-    offset: float,
-    scratch: Scratch,
+    obstacles: Places, pieces: tuple[FloatArray, FloatArray, FloatArray], top: int, offset: float, scratch: Scratch
 ) -> float:
-    """Put both halves of the piece at `top` there and behind it; the distance at the `middle`, which is written [m]."""
+    """Put both halves of the piece at `top` there and behind it; the distance at its middle, which is written [m].
+
+    The `pieces` are the poses at their ends (n, 2, 3), the room there (n, 2) [m], and room for a pose.
+    """
+    stack, room, middle = pieces
     for k in range(3):
         middle[k] = 0.5 * (stack[top, 0, k] + stack[top, 1, k])
         stack[top + 1, 0, k], stack[top + 1, 1, k], stack[top, 1, k] = middle[k], stack[top, 1, k], middle[k]
@@ -130,7 +129,7 @@ def least_distance(
             at[k, i] = disc_distance(obstacles, poses[i], offsets[k], scratch)
             if at[k, i] < best:
                 best, disc, found[:] = at[k, i], offsets[k], poses[i]
-    stack, room, middle = np.empty((64, 2, 3)), np.empty((64, 2)), np.empty(3)
+    pieces = stack, room, middle = np.empty((64, 2, 3)), np.empty((64, 2)), np.empty(3)
     for k in range(len(offsets)):
         for i in range(len(poses) - 1):
             stack[0, 0], stack[0, 1], room[0, 0], room[0, 1], top = poses[i], poses[i + 1], at[k, i], at[k, i + 1], 1
@@ -141,7 +140,7 @@ def least_distance(
                     >= best - resolution
                 ):
                     continue
-                between = _halve(obstacles, stack, room, top, middle, offsets[k], scratch)
+                between = _halve(obstacles, pieces, top, offsets[k], scratch)
                 if between < best:
                     best, disc, found[:] = between, offsets[k], middle
                 top += 2

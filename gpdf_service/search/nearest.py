@@ -30,7 +30,10 @@ class _Asked(NamedTuple):
 
 
 class _LeavesOf(NamedTuple):
-    """Leaves of a quadtree, see there, and the component of each; where the tree's `origin` is, and its `width` [m]."""
+    """Leaves of a quadtree, see there, and the component of each."""
+
+    code: IntArray
+    side: int
 
     origin: FloatArray
     width: float
@@ -57,7 +60,7 @@ def nearest_free(space: FreeSpace, place: FloatArray, off: float, component: int
         ground, standing = space.surfaces[level].arrays, tree.standing
         of = below(space.graph.component)[first : first + len(standing.size)]
         gone = tree.gone if isinstance(tree, SplitQuadtree) else np.zeros(0, np.int64)
-        _descend(standing.code, standing.side, _leaves(standing, of), gone, ground, asked, found)
+        _descend(_leaves(standing, of), gone, ground, asked, found)
         if isinstance(tree, SplitQuadtree) and len(tree.fresh.size):
             fresh = np.asarray(space.graph.component[first + tree.start + np.arange(len(tree.fresh.size))])
             _look_at_all(_leaves(tree.fresh, fresh), ground, asked, found)
@@ -66,7 +69,7 @@ def nearest_free(space: FreeSpace, place: FloatArray, off: float, component: int
 
 def _leaves(tree: Quadtree, component: IntArray) -> _LeavesOf:
     origin = np.asarray(tree.origin, dtype=np.float64)
-    return _LeavesOf(origin, tree.width, tree.corner, tree.size, tree.free, tree.whole, component)
+    return _LeavesOf(tree.code, tree.side, origin, tree.width, tree.corner, tree.size, tree.free, tree.whole, component)
 
 
 @njit(cache=True, nogil=True)
@@ -96,24 +99,11 @@ def _look_at_all(leaves: _LeavesOf, ground: Cells, asked: _Asked, found: FloatAr
 
 
 @njit(cache=True, nogil=True)
-def _first_from(code: IntArray, value: int, first: int, last: int) -> int:
-    """The first row from `first` on whose code is the value or more; `last` if none is."""
-    while first < last:
-        middle = (first + last) // 2
-        if code[middle] < value:
-            first = middle + 1
-        else:
-            last = middle
-    return first
-
-
-@njit(cache=True, nogil=True)
-def _descend(
-    code: IntArray, side: int, leaves: _LeavesOf, gone: IntArray, ground: Cells, asked: _Asked, found: FloatArray
-) -> None:
+def _descend(leaves: _LeavesOf, gone: IntArray, ground: Cells, asked: _Asked, found: FloatArray) -> None:
     """`_look` at the leaves of a tree but for those that are `gone`; a square of n × n cells is n² codes in a row."""
     x, y = (asked.x - leaves.origin[0]) / leaves.width, (asked.y - leaves.origin[1]) / leaves.width
-    stack, ends = [(0, 0, side, 0, len(code))], np.empty(5, np.int64)
+    code, ends = leaves.code, np.empty(5, np.int64)
+    stack = [(0, 0, leaves.side, 0, len(code))]
     while len(stack) > 0:
         i, j, n, first, last = stack.pop()
         far = sqrt(max(i - x, x - i - n, 0.0) ** 2 + max(j - y, y - j - n, 0.0) ** 2) * leaves.width
@@ -126,7 +116,8 @@ def _descend(
             continue
         h, ends[0] = n // 2, first
         for quarter in range(4):
-            ends[quarter + 1] = _first_from(code, code[first] + (quarter + 1) * h * h, ends[quarter], last)
+            value = code[first] + (quarter + 1) * h * h
+            ends[quarter + 1] = ends[quarter] + np.searchsorted(code[ends[quarter] : last], value)
         nearest = 2 * int(x >= i + h) + int(y >= j + h)
         for k in (3, 1, 2, 0):  # the nearest quarter is pushed last
             quarter = nearest ^ k

@@ -123,22 +123,16 @@ def _components(graph: Graph, nodes: IntArray, patch: Patch, start: IntArray) ->
         return Layered(component, fresh, count)
     standing = component.copy()
     seeds = nodes[:known][is_among(was, torn)]
-    _flood(graph.first, below(graph.other), patch, seeds, count + len(nodes), standing, fresh)
+    _flood((graph.first, below(graph.other), patch), seeds, count + len(nodes), standing, fresh)
     return Layered(standing, fresh, count)
 
 
 @njit(cache=True, nogil=True)
 def _flood(
-    first: IntArray,
-    other: IntArray,
-    patch: Patch,
-    seeds: IntArray,
-    label: int,
-    standing: IntArray,
-    fresh: IntArray,
+    edges: tuple[IntArray, IntArray, Patch], seeds: IntArray, label: int, standing: IntArray, fresh: IntArray
 ) -> None:
     """Give all nodes that one seed leads to a label of their own, from `label` on."""
-    count = len(standing)
+    (first, other, patch), count = edges, len(standing)
     for seed in seeds:
         if standing[seed] >= label:
             continue

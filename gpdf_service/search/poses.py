@@ -83,7 +83,7 @@ def _free_poses(obstacles: Places, ground: Cells, grid: Grid, offsets: FloatArra
     free = np.zeros((grid.turns, *known.shape), np.uint64)
     half = grid.turns // 2
     for h in range(half):
-        _stand(nodes, grid, h, offsets, radius, known, free[h])
+        _stand(nodes, grid, h, (offsets, radius), known, free[h])
         free[h + half] = free[h]  # with its other end ahead
     return free
 
@@ -156,9 +156,9 @@ def lowest(word: np.uint64) -> np.uint64:
 
 
 @njit(cache=True, nogil=True)
-def _stand(nodes: _Nodes, grid: Grid, h: int, offsets: FloatArray, radius: float, known: Bits, free: Bits) -> None:
-    """Set the bits of the cells where the body fits at a heading."""
-    angle = 2.0 * np.pi * h / grid.turns
+def _stand(nodes: _Nodes, grid: Grid, h: int, discs: tuple[FloatArray, float], known: Bits, free: Bits) -> None:
+    """Set the bits of the cells where the body fits at a heading, by its `discs`' offsets and radius [m]."""
+    (offsets, radius), angle = discs, 2.0 * np.pi * h / grid.turns
     k = len(offsets)
     place, shift = np.empty((k, 2)), np.empty((k, 2), np.int64)
     for d in range(k):

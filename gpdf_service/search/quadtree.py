@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from math import sqrt
-from typing import Any
 
 import numpy as np
 from numba import njit
@@ -16,7 +15,7 @@ from numpy.typing import NDArray
 
 from gpdf_service.fields import Tree, morton
 from gpdf_service.fields.traversal import nearest_at
-from gpdf_service.fields.tree import make_scratch, place_of
+from gpdf_service.fields.tree import longer, make_scratch, place_of
 from gpdf_service.perception import HeightMap
 from gpdf_service.perception.boxes import span
 from gpdf_service.types import BoolArray, FloatArray, IntArray
@@ -254,10 +253,8 @@ def _split(
             if split and nearest > reach + 2.0 * half_diagonal and _apart(i, j, n, width / cell_width, cells):
                 last = np.searchsorted(code_was, code_was[first] + n * n)
                 more = last - first
-                while count + more > capacity:
-                    capacity *= 2
-                    corner, size = _longer(corner, capacity), _longer(size, capacity)
-                    clearance, state = _longer(clearance, capacity), _longer(state, capacity)
+                if count + more > len(size):
+                    corner, size, clearance, state = _with_room(corner, size, clearance, state, 2 * (count + more))
                 corner[count : count + more], size[count : count + more] = corner_was[first:last], size_was[first:last]
                 clearance[count : count + more] = clearance_was[first:last]
                 state[count : count + more] = state_was[first:last]
@@ -277,10 +274,8 @@ def _split(
                 bound[top] = nearest - 0.5 * half_diagonal
                 top += 1
             continue
-        if count == capacity:
-            capacity *= 2
-            corner, size = _longer(corner, capacity), _longer(size, capacity)
-            clearance, state = _longer(clearance, capacity), _longer(state, capacity)
+        if count == len(size):
+            corner, size, clearance, state = _with_room(corner, size, clearance, state, 2 * count)
         corner[count, 0], corner[count, 1], size[count], clearance[count] = i, j, n, distance
         if copied:
             state[count] = state_was[first]
@@ -289,6 +284,13 @@ def _split(
             state[count] = state_of(distance, half_diagonal, radius, seen)
         count += 1
     return corner[:count].copy(), size[:count].copy(), clearance[:count].copy(), state[:count].copy()
+
+
+@njit(cache=True, nogil=True)
+def _with_room(
+    corner: IntArray, size: IntArray, clearance: FloatArray, state: NDArray[np.uint8], capacity: int
+) -> tuple[IntArray, IntArray, FloatArray, NDArray[np.uint8]]:
+    return longer(corner, capacity), longer(size, capacity), longer(clearance, capacity), longer(state, capacity)
 
 
 @njit(cache=True, nogil=True)
@@ -308,10 +310,3 @@ def _apart(i: int, j: int, n: int, share: float, cells: tuple[int, int, int, int
     """Whether a node of n × n smallest cells, each this share of a cell of the ground wide, holds none of the cells."""
     left, right, near, far = cells
     return (i + n) * share <= left - 1 or i * share >= right + 1 or (j + n) * share <= near - 1 or j * share >= far + 1
-
-
-@njit(cache=True, nogil=True)
-def _longer(values: NDArray[Any], capacity: int) -> NDArray[Any]:
-    made = np.empty((capacity, *values.shape[1:]), values.dtype)
-    made[: len(values)] = values
-    return made

@@ -110,7 +110,7 @@ def spread(field: Field, moves: IntArray, goals: IntArray, starts: IntArray) -> 
     onward[onward < _BLOCKED] = _OPEN  # what a search before found
     kinds = [_moves_of(moves, cost, nx * ny, ny) for cost in np.unique(moves[:, :, 3]) if cost > 0]
     longest = moves[:, :, 3].max()
-    wave, facing = np.empty(len(onward), np.int32), np.empty(len(onward), np.int16)
+    poses = wave, facing = np.empty(len(onward), np.int32), np.empty(len(onward), np.int16)
     ends = np.array([row_of(field, start) for start in starts])
     begin, used = [0 for _ in range(longest + 1)], 0  # of each wave, the newest last; the first ones are empty
     for goal in goals:
@@ -124,7 +124,7 @@ def spread(field: Field, moves: IntArray, goals: IntArray, starts: IntArray) -> 
                 return s
         begin.append(used)
         for kind in kinds:
-            used = _wave(onward, kind, wave, facing, begin[-1 - kind.cost], begin[-kind.cost], used)
+            used = _wave(onward, kind, poses, (begin[-1 - kind.cost], begin[-kind.cost]), used)
     return -1
 
 
@@ -132,14 +132,13 @@ def spread(field: Field, moves: IntArray, goals: IntArray, starts: IntArray) -> 
 def _wave(
     onward: NDArray[np.uint8],
     kind: _Kind,
-    wave: NDArray[np.int32],
-    facing: NDArray[np.int16],
-    first: int,
-    last: int,
+    poses: tuple[NDArray[np.int32], NDArray[np.int16]],
+    ends: tuple[int, int],
     used: int,
 ) -> int:
-    """Add to the newest wave the poses from which moves of a kind lead to those from `first` on; how many there are."""
-    for e in range(first, last):
+    """Add to the newest wave the poses from which moves of a kind lead to those between `ends`; how many there are."""
+    wave, facing = poses
+    for e in range(ends[0], ends[1]):
         row, h = wave[e], facing[e]
         for m in range(kind.number[h]):
             before = row - kind.step[h, m]

@@ -21,7 +21,7 @@ from gpdf_service.perception import ObstacleKind
 from gpdf_service.perception.surface import UNKNOWN, Cells, cell_of
 from gpdf_service.search.core import Core
 from gpdf_service.search.free_space import FreeSpace
-from gpdf_service.search.graph import Graph, assemble
+from gpdf_service.search.graph import Edges, Graph, assemble
 from gpdf_service.search.landmarks import find_landmarks
 from gpdf_service.search.layered import below
 from gpdf_service.search.patch import Nodes, around, patched
@@ -167,23 +167,25 @@ def least_takes(path: FloatArray, about: Beside) -> FloatArray:
 @lean()
 def _look_at_ground(path: FloatArray, about: Beside, made: FloatArray) -> None:
     """Write what `least_takes` says."""
-    ground, steps, slopes = about.ground, about.steps, about.slopes
     for i in range(len(path) - 1):
         a, b = (path[i, 0], path[i, 1]), (path[i + 1, 0], path[i + 1, 1])
-        taken = _ground_takes(a, b, ground, steps, slopes, about.glad_step)
+        taken = _ground_takes(a, b, _ground_of(about))
         made[i, LENGTH], made[i, SLOPED], made[i, STEPPED], made[i, LEDGE] = taken
 
 
+_Ground = tuple[Cells, FloatArray, FloatArray, float]
+"""Heights, steps and slopes of the ground, and the highest step that is gladly taken [m]."""
+
+
 @lean()
-def _ground_takes(
-    a: tuple[float, float],
-    b: tuple[float, float],
-    ground: Cells,
-    steps: FloatArray,
-    slopes: FloatArray,
-    glad_step: float,
-) -> tuple[float, float, float, float]:
+def _ground_of(about: Beside) -> _Ground:
+    return about.ground, about.steps, about.slopes, about.glad_step
+
+
+@lean()
+def _ground_takes(a: tuple[float, float], b: tuple[float, float], on: _Ground) -> tuple[float, float, float, float]:
     """The length of a segment, and what its ground takes, which is looked at twice a cell: slopes, steps, high ones."""
+    ground, steps, slopes, glad_step = on
     length = np.sqrt((b[0] - a[0]) ** 2 + (b[1] - a[1]) ** 2)
     count = max(1, int(np.ceil(2.0 * length / ground.width)))
     before, step_before, sloped, stepped, ledge = np.nan, 0.0, 0.0, 0.0, 0.0
@@ -210,7 +212,7 @@ def way_steps(
     stepped, high = 0.0, 0.0
     for i in range(len(path) - 1):
         a, b = (path[i, 0], path[i, 1]), (path[i + 1, 0], path[i + 1, 1])
-        _, _, more, higher = _ground_takes(a, b, ground, steps, slopes, glad_step)
+        _, _, more, higher = _ground_takes(a, b, (ground, steps, slopes, glad_step))
         stepped, high = stepped + more, high + higher
     return stepped, high
 
@@ -270,7 +272,7 @@ def find_ways(able: FreeSpace, level: FreeSpace | None, prefer: Prefer) -> Ways:
     graph = assemble(position, on, room, ends, crossing, able.radius)
     unseen = np.concatenate([_unseen(*part) for part in zip(spaces, cores, strict=True)])
     price = prices(able.agent, prefer)
-    seconds = _takes(able, graph, ends, crossing, room - able.reach, unseen, prefer) @ price
+    seconds = _takes(able, graph, (ends, crossing), room - able.reach, unseen, prefer) @ price
     if level is not None:
         seconds[-len(doors) :] += CHANGE if len(doors) else 0.0
     row = np.argsort(ends.T.ravel(), kind="stable") % len(ends)  # as `assemble` lays them
@@ -363,20 +365,14 @@ def _unseen(space: FreeSpace, core: Core) -> FloatArray:
 
 
 def _takes(
-    space: FreeSpace,
-    graph: Graph,
-    ends: IntArray,
-    via: FloatArray,
-    room: FloatArray,
-    unseen: FloatArray,
-    prefer: Prefer,
+    space: FreeSpace, graph: Graph, edges: Edges, room: FloatArray, unseen: FloatArray, prefer: Prefer
 ) -> FloatArray:
     """What each edge takes, shape (e, 6); `room` is that beside the body at each node [m]."""
-    made = np.zeros((len(ends), 6))
+    (ends, _), made = edges, np.zeros((len(edges[0]), 6))
+    nodes = below(graph.position), below(graph.level)
     for level, surface in enumerate(space.surfaces):
-        steps, slopes = space.steps[level], space.slopes[level]
-        own = below(graph.position), below(graph.level), ends, via, level
-        _ground_of_edges(*own, surface.arrays, steps, slopes, space.agent.comfortable_step, made)
+        ground = surface.arrays, space.steps[level], space.slopes[level], space.agent.comfortable_step
+        _ground_of_edges(nodes, edges, level, ground, made)
     tight = np.clip(1.0 - room[ends].min(axis=1) / minded_room(space.agent, prefer), 0.0, 1.0)
     made[:, TIGHT] = made[:, LENGTH] * tight
     made[:, UNSEEN] = made[:, TIGHT] * unseen[ends].max(axis=1)
@@ -385,23 +381,15 @@ def _takes(
 
 @lean()
 def _ground_of_edges(
-    position: FloatArray,
-    on: IntArray,
-    ends: IntArray,
-    via: FloatArray,
-    level: int,
-    ground: Cells,
-    steps: FloatArray,
-    slopes: FloatArray,
-    glad_step: float,
-    made: FloatArray,
+    nodes: tuple[FloatArray, IntArray], edges: Edges, level: int, ground: _Ground, made: FloatArray
 ) -> None:
     """Add what the halves of the edges on a level take, from node to crossing."""
+    (position, on), (ends, via) = nodes, edges
     for e in range(len(ends)):
         for node in ends[e]:
             if on[node] == level:
                 a, b = (position[node, 0], position[node, 1]), (via[e, 0], via[e, 1])
-                length, sloped, stepped, ledge = _ground_takes(a, b, ground, steps, slopes, glad_step)
+                length, sloped, stepped, ledge = _ground_takes(a, b, ground)
                 made[e, LENGTH] += length
                 made[e, SLOPED] += sloped
                 made[e, STEPPED] += stepped

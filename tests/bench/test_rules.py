@@ -8,7 +8,10 @@ import pytest
 from gpdf_service import build_scene
 from gpdf_service.bench.rules import RULES, rule_rows, without
 from gpdf_service.bench.scanned import judge, scanned
+from gpdf_service.synthetic import SCENES
 from gpdf_service.synthetic.scenes import random_room
+
+NOISY = SCENES["stair"](np.random.default_rng(0), spacing=0.08, noise=0.02)
 
 
 def test_a_scanner_sees_no_floor_under_itself_and_nothing_behind_a_wall():
@@ -30,6 +33,12 @@ def test_each_rule_is_where_it_is_said_to_be_and_is_on_again(rule):
     with without(rule):
         assert getattr(importlib.import_module(module), name) is off is not on
     assert getattr(importlib.import_module(module), name) is on
+
+
+@pytest.mark.parametrize("rule", RULES)
+def test_a_noisy_stair_is_built_without_any_rule(rule):
+    with without(rule):
+        assert build_scene(NOISY.points).ground.any()
 
 
 def test_a_build_without_a_rule_is_another():

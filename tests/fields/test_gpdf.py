@@ -119,7 +119,7 @@ def test_log_domain_equals_the_plain_formula(rng):
     o = np.exp(-((queries[:, None] - points[None]) ** 2).sum(-1) / (2 * l**2)) @ alpha
     plain = np.sqrt(np.maximum(-2 * l**2 * np.log(o), 0))
     bare = field.discs * [1, 1, 1, 0, 1, 1]  # no radius: the bracket begins at the points
-    field = Gpdf(field.tree, field.alpha, bare, field.noise, l, field.noise_variance, field.spacing)
+    field = Gpdf(field.tree, field.alpha, bare, field.noise, field.kernel)
     sample = field.query(queries).distance
     free = np.abs(sample - field.nearest(queries)) > 1e-6  # where the bracket did not clip
     assert free.sum() > 30
@@ -270,18 +270,24 @@ def from_scratch(field):
     """The same points, all solved together."""
     tree = build_tree(np.ascontiguousarray(field.points))
     alpha = solve_all(tree, field.length_scale, field.noise_variance)
-    constants = field.length_scale, field.noise_variance, field.spacing, field.domain
-    return Gpdf(tree, alpha, field.discs[tree.order], field.noise[tree.order], *constants)
+    return Gpdf(tree, alpha, field.discs[tree.order], field.noise[tree.order], field.kernel, field.domain)
 
 
-def test_insert_and_remove_equal_a_fit_from_scratch(room, rng):
+def with_more(field, points):
+    """The field with those of the points that say something new."""
+    points = points[thin(points, 0.5 * field.spacing)]
+    far = find_nearest(field.tree, points)[0] >= 0.5 * field.spacing
+    return field.replace(np.zeros(len(field.points), dtype=bool), points[far])
+
+
+def test_what_is_replaced_equals_a_fit_from_scratch(room, rng):
     box = rng.uniform(0, 0.6, (600, 3)) + np.array([2, 2, 0])
     queries = np.column_stack([rng.uniform(0, 5, (4000, 2)), rng.uniform(0, 2, 4000)])
-    inserted = room.insert(box)
+    inserted = with_more(room, box)
     assert len(room.points) < len(inserted.points) <= len(room.points) + 600
-    under = np.flatnonzero((np.abs(inserted.points[:, :2] - 2.3) < 0.3).all(axis=1) & (inserted.points[:, 2] < 0.01))
-    removed = inserted.remove(under)
-    assert len(removed.points) == len(inserted.points) - len(under)
+    under = (np.abs(inserted.points[:, :2] - 2.3) < 0.3).all(axis=1) & (inserted.points[:, 2] < 0.01)
+    removed = inserted.replace(under, np.zeros((0, 3)))
+    assert len(removed.points) == len(inserted.points) - under.sum() < len(inserted.points)
     for field in (inserted, removed):
         scratch = from_scratch(field)
         np.testing.assert_allclose(field.query(queries).distance, scratch.query(queries).distance, atol=1e-3)
@@ -289,18 +295,17 @@ def test_insert_and_remove_equal_a_fit_from_scratch(room, rng):
     assert np.abs(inserted.query(queries).distance - room.query(queries).distance).max() > 0.3  # it did change
 
 
-def test_inserting_and_removing_again_gives_the_field_back(room, rng):
-    box = rng.uniform(0, 0.5, (300, 3)) + np.array([1, 3, 0.2])
-    inserted = room.insert(box)
+def test_what_is_put_in_and_taken_out_again_gives_the_field_back(room, rng):
+    inserted = with_more(room, rng.uniform(0, 0.5, (300, 3)) + np.array([1, 3, 0.2]))
     old = {tuple(point) for point in room.points}
-    back = inserted.remove([i for i, point in enumerate(inserted.points) if tuple(point) not in old])
+    back = inserted.replace(np.array([tuple(point) not in old for point in inserted.points]), np.zeros((0, 3)))
+    assert len(back.points) == len(room.points)
     queries = rng.uniform(0, 5, (2000, 3))
     np.testing.assert_allclose(back.query(queries).distance, room.query(queries).distance, atol=1e-3)
 
 
-def test_points_that_say_nothing_new_leave_the_field_as_it_is(room):
-    assert room.insert(room.points[:50] + 1e-3) is room
-    assert room.remove([]) is room
+def test_nothing_that_comes_or_goes_leaves_the_field_as_it_is(room):
+    assert room.replace(np.zeros(len(room.points), dtype=bool), np.zeros((0, 3))) is room
 
 
 @pytest.mark.parametrize("dim", [2, 3])
@@ -327,15 +332,14 @@ def test_a_tree_changed_many_times_finds_what_scipy_finds(rng, dim):
 def test_a_copy_that_fills_up_a_leaf_stands_for_the_last_point_of_it(rng):
     """However its distance is rounded: here a copy is nearer than the point itself by what a sum may be off."""
     few = np.column_stack([0.05 * np.arange(20), np.zeros(20)])
-    field = fit_gpdf(few, spacing=0.05).insert(np.add(few, (0.0, 5.0)))
+    field = with_more(fit_gpdf(few, spacing=0.05), np.add(few, (0.0, 5.0)))
     tree = field.tree
     assert tree.begin.tolist() == [0, 20, 40]
     last, noise = tree.points[19], np.where(np.arange(40) == 20, 10.0, 0.0)
     query = last + rng.normal(size=(100, 2)) * 1e-3
     blocks = tree.blocks.copy()
     blocks[0, 0, 20:] += np.copysign(1e-12, query[0, 0] - last[0])
-    fitted = field.length_scale, field.noise_variance, field.spacing
-    rounded = Gpdf(tree._replace(blocks=blocks), field.alpha, field.discs, noise, *fitted)
+    rounded = Gpdf(tree._replace(blocks=blocks), field.alpha, field.discs, noise, field.kernel)
     nearer = query[np.abs(query[:, 0] - blocks[0, 0, 20]) < np.abs(query[:, 0] - last[0])]
     assert len(nearer) > 20
     assert set(find_nearest(rounded.tree, nearer)[1]) == {19}
@@ -357,10 +361,8 @@ def test_the_disc_of_a_point_at_an_edge_does_not_hang_on_the_order_of_the_points
 
 
 def test_all_points_cannot_be_removed(room):
-    with pytest.raises(FieldError, match="at least one point"):
-        room.remove(np.arange(len(room.points)))
-    with pytest.raises(FieldError, match="rows"):
-        room.remove([10**9])
+    with pytest.raises(FieldError, match="all points"):
+        room.replace(np.ones(len(room.points), dtype=bool), np.zeros((0, 3)))
 
 
 def test_pieces_and_their_halos_equal_one_solve(room, monkeypatch):

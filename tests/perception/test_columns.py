@@ -112,7 +112,7 @@ def test_the_extent_of_a_cell_is_over_its_low_and_not_over_its_high(points):
 def test_the_kth_neighbour_is_that_of_a_tree(points):
     cell = cells_of(points, CORNER, WIDTH, SHAPE)
     picked, found = np.arange(0, len(points), 7), np.empty(len(range(0, len(points), 7)))
-    kth_beside(points, by_cell(cell, SHAPE[0] * SHAPE[1]), (CORNER, WIDTH, SHAPE), picked, 4, 0, len(picked), found)
+    kth_beside(points, by_cell(cell, SHAPE[0] * SHAPE[1]), (CORNER, WIDTH, SHAPE), picked, 4, found)
     true = cKDTree(points).query(points[picked], k=5)[0][:, 4]
     near = true <= WIDTH
     assert near.mean() > 0.5

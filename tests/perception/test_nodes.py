@@ -179,7 +179,7 @@ def test_a_change_is_told_what_a_build_is_in_tiles_of_any_size(tile, monkeypatch
         named = steady(own, label)
 
         def strides(part, _, stance, named):
-            return find_strides(part.cell, part.start, part.shape, part.height, stance, named, 4.0, 0.2)
+            return find_strides(part.columns, stance, named, 4.0, 0.2)
 
         pairs = near.pairs_around("strides", 5, strides, ground, named)
         return raised, stance, in_order(pairs), near

@@ -242,7 +242,7 @@ def test_an_edge_is_proven_where_both_halves_keep_the_radius_or_stay_in_their_le
     center, via = rng.uniform(0.0, 3.0, (count, 2, 2)), rng.uniform(0.0, 3.0, (count, 2))
     room = np.where(rng.random((count, 2)) < 0.1, np.inf, rng.uniform(0.0, 2.0, (count, 2)))
     good = rng.random(count) < 0.5  # whatever was there before
-    _proven(Places(build_tree(posts)), center, room, via, 0.2, 0, count, good)
+    _proven(Places(build_tree(posts)), center, room, via, 0.2, good)
     want = np.ones(count, dtype=bool)
     for e, k in product(range(count), range(2)):
         along = center[e, k] + np.linspace(0.0, 1.0, 4001)[:, None] * (via[e] - center[e, k])
