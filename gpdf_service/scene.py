@@ -454,7 +454,7 @@ class Scene:
             if k < 0:
                 return _fit_ground(new, self.config)
             field, old = self.ground_fields[k], self.levels.levels[k]
-            return field if new is old else _fit_ground(new, self.config, (field, old))
+            return field if new.surface is old.surface else _fit_ground(new, self.config, (field, old))
 
         fields = tuple(run_parallel(one, range(len(now.levels.levels))))
         progress("ready", 1.0)

@@ -202,13 +202,6 @@ def splice_layers(layers: Layers, changed: BoolArray, fresh: Layers | None) -> L
     return replace(layers, **own, start=start)
 
 
-def cells_around(layers: Layers, nodes: BoolArray, by: int, cells: BoolArray) -> BoolArray:
-    """Cells within `by` cells of those of the nodes, or of the `cells`, which may hold none now, shape (nx, ny)."""
-    found = cells.copy()
-    found.ravel()[layers.cell[nodes]] = True
-    return widened(found, by)
-
-
 def steady(layers: Layers, label: IntArray) -> IntArray:
     """The labels, shape (k,), named by their first node's cell and place in it, which stay where nodes come and go."""
     first = np.zeros(int(label.max(initial=0)) + 1, np.int64)

@@ -374,13 +374,19 @@ def _make_level(site: _Site, sheet: BoolArray, part: Part, before: Made | None) 
     near = nearest_seen(seen)
     held = _find_others(site, sheet, seen, near, grid, was)
     grid = replace(grid, others=held.unlike)
-    holds, voids = partial(held_in, held.points, held.first, seen), grid.known["voids"].made
-    surface, guarded = complete(grid, seen, holds, voids, near, site)
-    del near, holds, voids
-    give_back(len(site.ground))
-    measured, limits = measure(grid, surface, guarded)
+    surface, measured, limits = was.level.surface, was.level.measured, was.level.limits
+    if (grid.felt("voids", 0, *grid.known["voids"].given, points=True) | grid.other_answers("voids")).any():
+        holds = partial(held_in, held.points, held.first, seen)
+        surface, guarded = complete(grid, seen, holds, grid.known["voids"].made, near, site)
+        del near, holds
+        if before is None:
+            give_back(len(site.ground))
+        measured, limits = measure(grid, surface, guarded)
+    else:  # they are told by nothing else
+        grid = replace(grid, known=was.grid.known | grid.known)
     other = changed(was.level.surface, surface)
-    asked = widened(columns | widened(other, ledge_reach(surface)), ground_reach(surface)) | held.cells
+    surface = surface if other.any() else was.level.surface  # versions share it
+    asked = widened(columns | widened(other, ledge_reach(surface)), ground_reach(surface)) | held.unlike
     ledge = _find_ledges_in(site, surface, held, asked)
     stepped = held.unlike | unlike_cells(asked, was.first, was.level.ledge[:, None], held.first, ledge[:, None])
     touched = widened(stepped | other, 1) | grid.other_answers("measured", "edges")  # all that limits tell
@@ -401,13 +407,12 @@ def _nothing(part: Part, width: float) -> Made:
 class _Others(NamedTuple):
     """The other points of a level [m], shape (m, 3), and their ledges; where those of each cell begin.
 
-    Beside these the cells whose points were read again, and those that hold others than before, shape (nx, ny).
+    Beside these the cells that hold others than before, shape (nx, ny).
     """
 
     points: FloatArray
     ledge: NDArray[np.float32]
     first: IntArray
-    cells: BoolArray
     unlike: BoolArray
 
 
@@ -427,8 +432,8 @@ def _find_others(site: _Site, sheet: BoolArray, seen: HeightMap, near: Nearest, 
     cells = grid.felt("voids", 0, *given, points=True)
     rows, points = site.cloud.part(seen, cells)
     cell, stray, ground, out = cells_within(points, seen), site.stray[rows], site.ground[rows], seen.state.size
-    own = site.layers.grid, sheet, out  # what is out is as those outside: in no cell
-    run_chunked(lambda a, b: take_out(points[a:b], stray[a:b], ground[a:b], *own, cell[a:b]), len(points))
+    nodes = site.layers.grid, sheet, out  # what is out is as those outside: in no cell
+    run_chunked(lambda a, b: take_out(points[a:b], stray[a:b], ground[a:b], *nodes, cell[a:b]), len(points))
     box, told = window(cells, 0), grid.former.get("voids")
     part, shown, inside, z = cropped(seen, box), Nearest(near.distance[box], near.height[box]), cell, points[:, 2]
     if part.state.size < out:
@@ -445,11 +450,13 @@ def _find_others(site: _Site, sheet: BoolArray, seen: HeightMap, near: Nearest, 
     grid.known["voids"] = Told(given, found)
     cell[~near_by] = out
     begin, order = by_cell(cell, out + 1)
-    fresh, begin, flat = taken(points, order[: begin[-2]]), begin[:-1], cells.ravel()
-    first, runs = starts_spliced(flat, was.first, begin), runs_of(flat, was.first, begin)
-    other = fresh if cells.all() else values_spliced(runs, was.level.other_points, fresh)  # half of a cloud
+    fresh, begin = taken(points, order[: begin[-2]]), begin[:-1]
+    unlike = cells if cells.all() else unlike_cells(cells, was.first, was.level.other_points, begin, fresh)
+    own = unlike.ravel(), was.first, begin
+    first, runs = starts_spliced(*own), runs_of(*own)
+    other = values_spliced(runs, was.level.other_points, fresh)
     ledge = values_spliced(runs, was.level.ledge, np.full(len(fresh), np.inf, np.float32))
-    return _Others(other, ledge, first, cells, unlike_cells(cells, was.first, was.level.other_points, first, other))
+    return _Others(other, ledge, first, unlike)
 
 
 def _find_ledges_in(site: _Site, surface: HeightMap, held: _Others, asked: BoolArray) -> NDArray[np.float32]:
