@@ -40,7 +40,6 @@ from gpdf_service.perception.layers import (
     build_layers,
     cell_width_of,
     layer_gap,
-    same_nodes,
     widest_cell,
 )
 from gpdf_service.perception.limits import (
@@ -275,7 +274,7 @@ def change_levels(
     """
     layers, cells = change_layers(old.layers, cloud, ground, config)
     near, sheets = old.near, old.sheets
-    if not same_nodes(layers, near.layers):  # as where something was put onto the ground
+    if layers is not near.layers:
         near = beside_now(near, layers, cells)
         sheets = split_sheets(near, config)
     return _levels_of(_Site(cloud, ground, stray, layers, cells, config), near, sheets, old.made)
