@@ -46,7 +46,7 @@ from gpdf_service.perception import (
 from gpdf_service.perception.budget import give_back
 from gpdf_service.perception.cure import NOISE_STEP
 from gpdf_service.perception.layers import in_steps
-from gpdf_service.perception.levels import LEAST_OBSTACLE
+from gpdf_service.perception.ledges import LEAST_OBSTACLE
 from gpdf_service.perception.points import Points, points_of
 from gpdf_service.perception.rows import chosen_rows
 from gpdf_service.perception.segment import LEAST_SCATTER
