@@ -46,7 +46,7 @@ from gpdf_service.perception import (
 from gpdf_service.perception.budget import give_back
 from gpdf_service.perception.cure import NOISE_STEP
 from gpdf_service.perception.layers import in_steps
-from gpdf_service.perception.levels import LEAST_OBSTACLE
+from gpdf_service.perception.ledges import LEAST_OBSTACLE
 from gpdf_service.perception.points import Points, points_of
 from gpdf_service.perception.rows import chosen_rows
 from gpdf_service.perception.segment import LEAST_SCATTER
@@ -454,7 +454,7 @@ class Scene:
             if k < 0:
                 return _fit_ground(new, self.config)
             field, old = self.ground_fields[k], self.levels.levels[k]
-            return field if new is old else _fit_ground(new, self.config, (field, old))
+            return field if new.surface is old.surface else _fit_ground(new, self.config, (field, old))
 
         fields = tuple(run_parallel(one, range(len(now.levels.levels))))
         progress("ready", 1.0)

@@ -57,6 +57,15 @@ def test_a_storey_that_comes_or_goes_leaves_the_others_as_they_were(office):
     assert more.levels.levels[0] is office.levels.levels[0]
 
 
+def test_what_is_put_onto_the_floor_leaves_nodes_and_fields_of_the_ground_as_they_were(office):
+    points = box((2.0, 2.0, 0.5), (2.4, 2.4, 1.0))
+    above = office.update(insert=points, ground=np.zeros(len(points), dtype=bool))
+    assert above.perceived.survey.layers is office.perceived.survey.layers
+    assert above.ground_fields[0] is office.ground_fields[0]
+    assert above.levels.levels[0] is not office.levels.levels[0]
+    assert not differences(above, from_scratch(above))
+
+
 def test_what_is_new_stands_in_the_way_and_the_old_version_does_not_know(office, blocked):
     assert gpdf.plan(office, (2.4, 2.4), (0.9, 0.9)).status == gpdf.Status.OK
     assert gpdf.plan(blocked, (2.4, 2.4), (0.9, 0.9)).status == gpdf.Status.START_OCCUPIED

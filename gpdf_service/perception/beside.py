@@ -16,19 +16,27 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gpdf_service.fields.threads import run_parallel
-from gpdf_service.perception.columns import Runs, runs_of, values_spliced
+from gpdf_service.perception.boxes import widened
 from gpdf_service.perception.layers import (
     APART,
     HALF,
     Layers,
     Pairs,
-    cells_around,
     crop_layers,
 )
-from gpdf_service.perception.nodes import across_in, degrees, numbered, pieces_in, put_in, unite_all
+from gpdf_service.perception.nodes import (
+    across_in,
+    carry,
+    degrees,
+    mark_unlike,
+    numbered,
+    pieces_in,
+    put_in,
+    unite_all,
+)
 from gpdf_service.perception.pairs import pairs_beside
 from gpdf_service.perception.rows import INDEX
-from gpdf_service.perception.told import Told, boxes_of, unlike
+from gpdf_service.perception.told import Told, boxes_of
 from gpdf_service.types import BoolArray, FloatArray, IntArray
 
 ROWS = 16
@@ -67,16 +75,16 @@ class Former:
 
     Attributes:
         known: What was asked of it.
-        kept: Which of its nodes are nodes now.
+        kept: Runs of its nodes that are nodes now, (r, 3): the number now of the first one, the one then, how many.
         cells: The columns that hold others, shape (nx, ny).
     """
 
     known: dict[str, Told]
-    kept: Runs
+    kept: IntArray
     cells: BoolArray
 
 
-NOTHING = Former({}, [], np.zeros((0, 0), dtype=bool))
+NOTHING = Former({}, np.zeros((0, 3), np.int64), np.zeros((0, 0), dtype=bool))
 """Before a build."""
 
 
@@ -127,8 +135,8 @@ class Beside:
         if was is None:
             made = answer(self.layers, np.ones(len(self.layers.cell), dtype=bool), *given)
         else:
-            before, number = self._carried(np.arange(len(was.given[0])), -1), np.full(len(was.given[0]), -1)
-            number[before[before >= 0]] = np.flatnonzero(before >= 0)
+            number = np.empty(len(was.given[0]), np.int64)
+            carry(np.arange(len(self.layers.cell)), self.former.kept[:, [1, 0, 2]], -1, number)
             a, b = (number[ends] for ends in was.made)
             felt = self.felt(name, given, reach).ravel()[self.layers.cell]
             stay = (a >= 0) & (b >= 0)
@@ -162,14 +170,11 @@ class Beside:
 
     def last(self, name: str) -> tuple[NDArray[Any], ...]:
         """What the nodes were told in the version before, arrays of shape (k,): NaN, or false, of new ones."""
-        was = self.former.known.get(name)
-        if was is None:
-            return ()
-        return tuple(np.array(self._carried(values, np.nan if values.dtype.kind == "f" else 0)) for values in was.made)
-
-    def _carried(self, values: NDArray[Any], nothing: float) -> NDArray[Any]:
-        """The values of the nodes before; `nothing` of those that were none."""
-        return values_spliced(self.former.kept, values, np.full(len(self.layers.cell), nothing, values.dtype))
+        was, made = self.former.known.get(name), []
+        for values in was.made if was is not None else ():
+            made.append(np.empty(len(self.layers.cell), values.dtype))
+            carry(values, self.former.kept, values.dtype.type(np.nan if values.dtype.kind == "f" else 0), made[-1])
+        return tuple(made)
 
     def other_answers(self, name: str) -> BoolArray:
         """Cells in which a question was told otherwise than in the version before, shape (nx, ny)."""
@@ -179,10 +184,11 @@ class Beside:
         return self._unlike(self.known[name].made, was.made, 0)
 
     def _unlike(self, now: tuple[NDArray[Any], ...], was: tuple[NDArray[Any], ...], reach: int) -> BoolArray:
-        other = np.zeros(len(self.layers.cell), dtype=bool)
+        cells = self.former.cells.copy()  # those of new nodes are among them
         for one, another in zip(now, was, strict=True):
-            other |= unlike(one, self._carried(another, 0))  # a new node's cell is one of others anyway
-        return cells_around(self.layers, other, reach, self.former.cells)
+            bits = f"u{one.itemsize}"  # NaN is NaN
+            mark_unlike(one.view(bits), another.view(bits), self.former.kept, self.layers.cell, cells.ravel())
+        return widened(cells, reach)
 
     def degrees(self, name: str, keep: BoolArray, rise: float) -> NDArray[np.uint8]:
         """How many nodes to keep are beside each of them with at most `rise` [m] a cell between them, shape (k,)."""
@@ -290,8 +296,9 @@ def beside_now(near: Beside, layers: Layers, cells: BoolArray) -> Beside:
         else replace(strip, known={}, before=strip.known, pairs=[])
         for i, strip in enumerate(near.strips)
     )
-    former = Former(near.known, runs_of(cells.ravel(), near.layers.start, layers.start), cells)
-    return Beside(layers, near.rise, strips, {}, former)
+    begin, end = np.flatnonzero(np.diff(cells.ravel(), prepend=True, append=True)).reshape(-1, 2).T
+    kept = np.column_stack([layers.start[begin], near.layers.start[begin], layers.start[end] - layers.start[begin]])
+    return Beside(layers, near.rise, strips, {}, Former(near.known, kept, cells))
 
 
 def _new_strip(layers: Layers, row: int) -> Strip:

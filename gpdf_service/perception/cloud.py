@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from gpdf_service.config import PerceptionConfig
 from gpdf_service.perception.boxes import Box, widened, window
 from gpdf_service.perception.columns import by_cell
-from gpdf_service.perception.layers import Layers, build_layers, grid_of, layer_gap, splice_layers
+from gpdf_service.perception.layers import Layers, build_layers, grid_of, layer_gap, same_nodes, splice_layers
 from gpdf_service.perception.points import Points
 from gpdf_service.perception.rows import (
     cells_in_box,
@@ -96,6 +96,8 @@ def change_layers(
 ) -> tuple[Layers, BoolArray]:
     """Layers of the `chosen` points of a changed cloud, (n,), and the cells whose columns or those beside have others.
 
+    They are the former ones where these hold the same nodes, as where something was put onto the ground.
+
     Raises:
         WholeError: their grid is another, so that all else would be moved.
     """
@@ -112,4 +114,4 @@ def change_layers(
     rows, points = cloud.part(layers, cells)
     own = chosen_rows(points, chosen[rows])
     fresh = build_layers(own, width, layer_gap(width, config), like=layers) if len(own) else None
-    return splice_layers(layers, cells.ravel(), fresh), cells
+    return layers if same_nodes(layers, cells, fresh) else splice_layers(layers, cells.ravel(), fresh), cells

@@ -186,9 +186,12 @@ _OWN = "cell", "place", *_TOLD
 """What is told of each node."""
 
 
-def same_nodes(one: Layers, other: Layers) -> bool:
-    """Whether two layers on the same grid hold the same nodes."""
-    return all(np.array_equal(getattr(one, name), getattr(other, name)) for name in _OWN)
+def same_nodes(layers: Layers, cells: BoolArray, fresh: Layers | None) -> bool:
+    """Whether the nodes in these cells, shape (nx, ny), are all those of `fresh` on the same grid."""
+    rows, own = rows_by_cell(cells, layers.start), [name for name in _OWN if name != "height"]  # which these tell
+    if fresh is None or len(fresh.cell) != len(rows):
+        return fresh is None and len(rows) == 0
+    return all(np.array_equal(getattr(layers, name)[rows], getattr(fresh, name), equal_nan=True) for name in own)
 
 
 def splice_layers(layers: Layers, changed: BoolArray, fresh: Layers | None) -> Layers:
@@ -200,13 +203,6 @@ def splice_layers(layers: Layers, changed: BoolArray, fresh: Layers | None) -> L
     grid = own["cell"], start, layers.shape
     own["height"][nodes] = tops_of_boards(nodes, grid, own["middle"], own["face"], layers.board)
     return replace(layers, **own, start=start)
-
-
-def cells_around(layers: Layers, nodes: BoolArray, by: int, cells: BoolArray) -> BoolArray:
-    """Cells within `by` cells of those of the nodes, or of the `cells`, which may hold none now, shape (nx, ny)."""
-    found = cells.copy()
-    found.ravel()[layers.cell[nodes]] = True
-    return widened(found, by)
 
 
 def steady(layers: Layers, label: IntArray) -> IntArray:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
@@ -101,6 +103,26 @@ def touched_by(a: IntArray, b: IntArray, among: BoolArray, others: BoolArray) ->
         found[i] |= among[i] and others[j]
         found[j] |= among[j] and others[i]
     return found
+
+
+@njit(cache=True, nogil=True)
+def carry(values: NDArray[Any], kept: IntArray, nothing: Any, made: NDArray[Any]) -> None:  # noqa: ANN401
+    """Write the `values` of the nodes that are `kept`, see `Former`, and `nothing` for the others."""
+    last = 0
+    for begin, before, count in kept:
+        made[last:begin], last = nothing, begin + count
+        made[begin:last] = values[before : before + count]
+    made[last:] = nothing
+
+
+@njit(cache=True, nogil=True)
+def mark_unlike(now: NDArray[Any], was: NDArray[Any], kept: IntArray, cell: IntArray, cells: BoolArray) -> None:
+    """Mark the cells of nodes that are `kept`, see `Former`, with another value now."""
+    for begin, before, count in kept:
+        one, other = now[begin : begin + count], was[before : before + count]
+        for i in range(count):
+            if one[i] != other[i]:
+                cells[cell[begin + i]] = True
 
 
 @njit(cache=True, nogil=True)

@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 
 from gpdf_service.fields.threads import run_chunked, run_parallel
 from gpdf_service.perception.footing import ROUGH, footing_reach, is_tread, on_treads, rings_of
-from gpdf_service.perception.levels import FACE, LEAST_OBSTACLE, GroundLevel, astray
+from gpdf_service.perception.ledges import FACE, LEAST_OBSTACLE, astray
+from gpdf_service.perception.levels import GroundLevel
 from gpdf_service.perception.limits import ObstacleKind
 from gpdf_service.perception.nearest import nearest_of
 from gpdf_service.perception.points import Points

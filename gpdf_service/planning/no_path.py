@@ -21,7 +21,7 @@ from scipy import ndimage
 from scipy.spatial import cKDTree
 
 from gpdf_service.perception import HeightMap, ObstacleKind
-from gpdf_service.perception.levels import LEAST_OBSTACLE
+from gpdf_service.perception.ledges import LEAST_OBSTACLE
 from gpdf_service.perception.nearest import nearest_of
 from gpdf_service.perception.surface import UNKNOWN, Cells
 from gpdf_service.planning.certificate import min_distance

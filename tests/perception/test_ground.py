@@ -7,7 +7,8 @@ from gpdf_service.config import PerceptionConfig
 from gpdf_service.errors import NoGroundError
 from gpdf_service.perception import ObstacleKind, Scan, obstacles_of, read_cloud, segment_ground
 from gpdf_service.perception.holes import without_enclosed
-from gpdf_service.perception.levels import find_ledges, next_above, survey_levels, without_outliers
+from gpdf_service.perception.ledges import find_ledges, next_above
+from gpdf_service.perception.levels import survey_levels, without_outliers
 from gpdf_service.perception.limits import step_and_slope
 from gpdf_service.perception.strays import find_strays
 from gpdf_service.perception.surface import INFERRED, OBSERVED, UNKNOWN, HeightMap

@@ -1,0 +1,162 @@
+"""Ledges: ground beside a thing and no lower than it, by which a step's face is told from what stands there."""
+
+from __future__ import annotations
+
+from math import ceil
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from gpdf_service.fields.shapes import FEWEST
+from gpdf_service.fields.threads import run_chunked
+from gpdf_service.perception.boxes import WHOLE, Box, highest_around, lowest_around, widened
+from gpdf_service.perception.columns import ends_of_runs, lowest_above
+from gpdf_service.perception.footing import footholds, footing_reach
+from gpdf_service.perception.rows import between, chosen_rows
+from gpdf_service.perception.smooth import RESOLVED_STEP
+from gpdf_service.perception.surface import UNKNOWN, HeightMap, cells_within, cropped
+from gpdf_service.types import BoolArray, FloatArray
+
+FACE = 0.1
+"""[m] A step's face has the step's top within this in plan at most: half the depth of a stair's tread."""
+NOSING = 0.03
+"""[m] By which a tread stands over the face below it: building codes say 0.016 to 0.032."""
+LEAST_OBSTACLE = 0.015
+"""[m] What stands out of the ground by less stops no body here: the smallest `max_step`, and the scatter of a scan."""
+HIGH = 2
+"""Cells around one whose ground says how high a step there can be."""
+RIM_SHARE, RIM_NOISE = 0.25, 0.05
+"""[-] Of the points of a face under its edge that may be over it: noise makes 0.05, a lip of 1.5 deviations more."""
+
+
+def find_ledges(
+    surface: HeightMap,
+    ground: FloatArray,
+    other: FloatArray,
+    max_step: float,
+    noise: float = 0.0,
+    box: Box = WHOLE,
+) -> NDArray[np.float32]:
+    """`next_above` by the `ground` points of this sheet, for those `other` points that can be a step's face.
+
+    No cure takes the `noise` [m] along a face out of it: its upper rim stands over the ground behind it by as much.
+    Where a flight is, as `max_step` [m] tells, what is narrower than a foot is no ledge: the end of a stringer.
+    The `box` of cells holds all `other` points, and what is within twice `FACE` and `ledge_reach` cells of them.
+    """
+    part, off = cropped(surface, box), max(surface.cell_width, RESOLVED_STEP * noise)
+    aside, high = face_reach(off), high_ground(part) + off
+    rests = footholds(part, max_step) + max(LEAST_OBSTACLE, noise)
+    cell = cells_within(other, surface, box)
+    asked = between(cell, other[:, 2], np.full_like(high, -np.inf), high)
+    cell, low = cell[asked], chosen_rows(other, asked)
+    beside = np.zeros(part.state.shape, dtype=bool)
+    beside.ravel()[cell] = True
+    near = widened(beside, int(np.ceil(1.5 * FACE / surface.cell_width)))
+    at, most = cells_within(ground, surface, box), np.where(near, np.minimum(high, rests), -np.inf)
+    ground = chosen_rows(ground, between(at, ground[:, 2], np.full_like(high, -np.inf), most))
+    ledge = np.full(len(other), np.inf, np.float32)
+    if len(ground) and len(low):
+        least = np.maximum(low[:, 2] - LEAST_OBSTACLE, step_over(part, noise).ravel()[cell])
+        ledge[asked] = next_above(ground, low, least, aside)
+    if noise > 0.0 and len(ground):
+        _add_rims(ledge, asked, ground, other, noise, aside)
+    return ledge
+
+
+def _add_rims(
+    ledge: NDArray[np.float32], asked: BoolArray, ground: FloatArray, other: FloatArray, noise: float, reach: float
+) -> None:
+    """Give points over a step's edge its `ledge`: within a deviation, or so few beside its face that noise made them.
+
+    Over one deviation are 0.08 of the points of a face's last deviation, under its edge are 1.6 down to two deviations.
+    A point is no witness for itself: where a face has five points, one of them over its edge is no lip.
+    """
+    rows = np.flatnonzero(asked & np.isinf(ledge))
+    upside_down = np.array([1.0, 1.0, -1.0])
+    edges = -next_above(ground * upside_down, other[rows] * upside_down, -other[rows, 2], reach)
+    over = other[rows, 2] - edges
+    ledge[rows[over <= noise]] = edges[over <= noise]
+    rim = (over > noise) & (over <= RESOLVED_STEP * noise)
+    rows, edges = rows[rim], edges[rim]
+    if len(rows) == 0:
+        return
+    beside = cKDTree(other[asked, :2]).query_ball_point(other[rows, :2], reach + noise)
+    z = other[asked, 2]
+    for row, edge, near in zip(rows, edges, beside, strict=True):
+        above = (z[near] - edge) / noise
+        face = int(np.count_nonzero((above > -2.0) & (above <= 0.0)))
+        if face > 0 and np.count_nonzero(above > 1.0) - 1 <= rim_points(face):
+            ledge[row] = edge
+
+
+def rim_points(face: int) -> float:
+    """How many points beside one may be over an edge, of a `face` of so many points under it, and be its rim.
+
+    A quarter; where the face has enough points to tell chance, three standard errors and one over what noise makes:
+    a platform's rim has hundreds of such places. A thinly seen face does not tell a lip from noise.
+    """
+    if face < FEWEST:
+        return RIM_SHARE * face
+    by_chance = RIM_NOISE * face
+    return max(RIM_SHARE * face, by_chance + 3.0 * float(np.sqrt(by_chance)) + 1.0)
+
+
+def ground_reach(surface: HeightMap) -> int:
+    """Cells within which the ground's points decide on a ledge."""
+    return int(np.ceil(2.0 * FACE / surface.cell_width)) + 1
+
+
+def ledge_reach(surface: HeightMap) -> int:
+    """Cells within which the ground decides what is a ledge."""
+    return max(HIGH, footing_reach(surface))
+
+
+def face_reach(off: float) -> float:
+    """How far in plan a step's face may be from its top, whose points may lie `off` it by a cell or by noise [m]."""
+    return min(FACE, NOSING + off)
+
+
+def high_ground(surface: HeightMap) -> FloatArray:
+    """Height of the highest ground within `HIGH` cells [m], shape (nx, ny), -inf where there is none."""
+    height = np.where(surface.state != UNKNOWN, surface.height, -np.inf)
+    return highest_around(height, HIGH)
+
+
+def step_over(surface: HeightMap, noise: float) -> FloatArray:
+    """How high ground is that is a step over the lowest around each cell [m], shape (nx, ny); a lower one is none."""
+    low = np.where(surface.state != UNKNOWN, surface.height, np.inf)
+    rings = astray(surface, noise)
+    found: FloatArray = lowest_around(low, rings) + max(LEAST_OBSTACLE, noise)
+    return found
+
+
+def astray(surface: HeightMap, noise: float) -> int:
+    """How many cells a point of a step's face may lie from the ground under or over it."""
+    return max(1, ceil(RESOLVED_STEP * noise / surface.cell_width))
+
+
+def next_above(ground: FloatArray, points: FloatArray, least: FloatArray, reach: float = FACE) -> NDArray[np.float32]:
+    """Height of the lowest `ground` point (n, 3) over `least` (m,) and within `reach` [m] in plan of `points` (m, 3).
+
+    Of each cell half as wide only the highest and the lowest ground point are looked at: so a step can be taken for a
+    higher one, never for a lower one, and inf stands where nothing was found. Shape (m,) [m].
+    """
+    width = 0.5 * reach
+    at, asked = (np.floor(part[:, :2] / width).astype(np.int64) for part in (ground, points))
+    corner = at.min(axis=0) - 3
+    at, asked = at - corner, asked - corner
+    stride = int(at[:, 1].max()) + 4
+    key = at[:, 0] * stride + at[:, 1]
+    order = np.argsort(key)
+    rows = ends_of_runs(key, order, ground[:, 2])
+    here = asked[:, 0] * stride + np.clip(asked[:, 1], 0, stride - 1)
+
+    best = np.full(len(points), np.inf)
+    keys, ends = key[rows], np.ascontiguousarray(ground[rows])
+
+    def look(a: int, b: int) -> None:
+        best[a:b] = lowest_above(keys, ends, points[a:b], here[a:b], stride, reach, least[a:b])
+
+    run_chunked(look, len(points))
+    return best.astype(np.float32)
