@@ -103,6 +103,8 @@ def test_peers_are_held_to_the_same_validity(office):
         assert row["least_room_m"] >= -1e-9
         assert row["length_m"] >= np.linalg.norm(pairs[0, 1] - pairs[0, 0]) - 1e-9
     assert rows[1]["checks"] > 0
+    assert 0.0 < rows[0]["p50_search_ms"] < rows[0]["p50_ms"]
+    assert rows[1]["p50_search_ms"] == rows[1]["p50_ms"]
 
 
 def test_bench_plan_says_how_many_of_the_solvable_are_ok(capsys):
