@@ -10,14 +10,14 @@ from numba import njit
 from numpy.typing import NDArray
 
 from gpdf_service.fields.threads import run_chunked, run_parallel
-from gpdf_service.perception.footing import ROUGH, footing_reach, on_treads, rings_of
+from gpdf_service.perception.footing import ROUGH, footing_reach, is_tread, on_treads, rings_of
 from gpdf_service.perception.ledges import FACE, LEAST_OBSTACLE, astray
 from gpdf_service.perception.levels import GroundLevel
 from gpdf_service.perception.limits import ObstacleKind
 from gpdf_service.perception.nearest import nearest_of
 from gpdf_service.perception.points import Points
 from gpdf_service.perception.rows import between, chosen_rows, under
-from gpdf_service.perception.strides import SOLE
+from gpdf_service.perception.strides import SOLE, STRIDE
 from gpdf_service.perception.surface import INFERRED, UNKNOWN, Cells, HeightMap, cells_within
 from gpdf_service.types import Agent, BoolArray, FloatArray, IntArray
 
@@ -114,10 +114,12 @@ def _material(level: GroundLevel, agent: Agent, scan: Scan) -> BoolArray:
 def _over_head(points: FloatArray, surface: HeightMap, stands: BoolArray, agent: Agent, tall: float) -> BoolArray:
     """Which points, (m, 3), a body as `tall` [m] touches that `stands` anywhere in these cells, shape (nx, ny).
 
-    It rises with the contact under its axis, on a flight too: as its axis passes a nose, all of it is a riser higher.
+    On a flight it rises as its foot comes onto a tread: its centre is then half a foot's length past the nose. So where
+    a lower tread is that near, towards the point, the foot is still on that.
     """
     hit = np.zeros(len(points), dtype=bool)
-    own = points, surface.arrays, stands, agent.cylinder.radius, tall
+    stride = rings_of(STRIDE, surface.cell_width)
+    own = points, surface.arrays, stands, agent.cylinder.radius, tall, agent.max_step, stride
     run_chunked(lambda a, b: _heads(*own, a, b, hit), len(points))
     return hit
 
@@ -129,11 +131,13 @@ def _heads(
     stands: BoolArray,
     radius: float,
     tall: float,
+    max_step: float,
+    stride: int,
     begin: int,
     end: int,
     hit: BoolArray,
 ) -> None:
-    """The body stands where its cell is nearest to the point."""
+    """The body stands where its cell is nearest to the point; how far the edge is, is known to half a cell."""
     (nx, ny), width, height = stands.shape, ground.width, ground.height
     rings = int(radius / width) + 1
     for m in range(begin, end):
@@ -141,8 +145,15 @@ def _heads(
         for i in range(max(int(x) - rings, 0), min(int(x) + rings + 1, nx)):
             for j in range(max(int(y) - rings, 0), min(int(y) + rings + 1, ny)):
                 u, v = min(max(x, float(i)), i + 1.0), min(max(y, float(j)), j + 1.0)
-                if stands[i, j] and height[i, j] + tall > points[m, 2] and np.hypot(x - u, y - v) * width < radius:
-                    hit[m] = True
+                near = np.hypot(x - u, y - v) * width
+                if hit[m] or not stands[i, j] or height[i, j] + tall <= points[m, 2] or near >= radius:
+                    continue
+                hit[m] = True
+                if near > 0.0 and np.hypot(x - i - 0.5, y - j - 0.5) * width > radius - SOLE:
+                    ahead = min(SOLE / near, 1.0)
+                    foot = height[int(u + ahead * (x - u)), int(v + ahead * (y - v))]
+                    low = height[i, j] - max_step <= foot <= points[m, 2] - tall
+                    hit[m] = not (low and is_tread(height, i, j, stride))
 
 
 def _is_face(level: GroundLevel, rows: IntArray, cell: IntArray, max_step: float, scan: Scan) -> BoolArray:

@@ -20,7 +20,6 @@ from numpy.typing import NDArray
 from scipy import ndimage
 from scipy.spatial import cKDTree
 
-from gpdf_service.kernel_cache import lean
 from gpdf_service.perception import HeightMap, ObstacleKind
 from gpdf_service.perception.ledges import LEAST_OBSTACLE
 from gpdf_service.perception.nearest import nearest_of
@@ -271,12 +270,7 @@ def _heights(surface: HeightMap, low: FloatArray, high: FloatArray, width: float
 def _told(space: FreeSpace, level: int, low: FloatArray, high: FloatArray) -> _Told:
     """What is told of the obstacle points of a level that are within reach of a grid from `low` to `high` [m]."""
     found, box = space.obstacles[level], np.stack([low - space.reach, high + space.reach])
-    own = (
-        space.surfaces[level].arrays,
-        (space.steps[level], space.slopes[level]),
-        space.agent.max_step,
-        space.agent.radius,
-    )
+    own = space.surfaces[level].arrays, (space.steps[level], space.slopes[level]), space.agent.max_step
     row, cut, asks = _tell_points(found.points, found.kind, box, *own)
     return _Told(found.points[row], cut, asks)
 
@@ -289,7 +283,6 @@ def _tell_points(
     ground: Cells,
     measured: tuple[FloatArray, FloatArray],
     max_step: float,
-    radius: float,
 ) -> tuple[IntArray, NDArray[np.uint8], FloatArray]:
     """Rows of the points in a box, the `Cut` of each, and what it asks; `measured` are steps [m] and slopes [rad]."""
     row, cut, asks, count = np.empty(len(points), np.int64), np.empty(len(points), np.uint8), np.zeros(len(points)), 0
@@ -306,7 +299,7 @@ def _tell_points(
             low = z - top > LOWEST_BODY
             told = Cut.SOLID if top == -np.inf else Cut.HEIGHT if low else Cut.STEP if face else Cut.SOLID
         if told == Cut.HEIGHT:
-            asks[count] = _highest_under(ground, x, y, z - LOWEST_BODY, radius) - z
+            asks[count] = top - z
         elif told == Cut.STEP or told == Cut.SLOPE:
             asks[count] = steps[u, v] if told == Cut.STEP else slopes[u, v]
         row[count], cut[count] = i, told
@@ -322,19 +315,6 @@ def _highest(ground: Cells, u: int, v: int) -> float:
         for b in range(max(v - 1, 0), min(v + 2, ground.state.shape[1])):
             if ground.state[a, b] != UNKNOWN:
                 top = max(top, ground.height[a, b])
-    return top
-
-
-@lean()
-def _highest_under(ground: Cells, x: float, y: float, most: float, radius: float) -> float:
-    """The highest ground up to `most` [m] in cells nearer than a body's radius to a place [m], -inf where none is."""
-    u, v, reach = (x - ground.origin[0]) / ground.width, (y - ground.origin[1]) / ground.width, radius / ground.width
-    top = -np.inf
-    for a in range(max(int(np.floor(u - reach)), 0), min(int(u + reach) + 1, ground.state.shape[0])):
-        for b in range(max(int(np.floor(v - reach)), 0), min(int(v + reach) + 1, ground.state.shape[1])):
-            aside = np.hypot(min(max(u, float(a)), a + 1.0) - u, min(max(v, float(b)), b + 1.0) - v)
-            if aside < reach and ground.state[a, b] != UNKNOWN and ground.height[a, b] <= most:
-                top = max(top, float(ground.height[a, b]))
     return top
 
 

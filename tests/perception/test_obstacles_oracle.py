@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from gpdf_service.perception.boxes import widened
-from gpdf_service.perception.footing import on_treads
+from gpdf_service.perception.footing import is_tread, on_treads
 from gpdf_service.perception.levels import GroundLevel
 from gpdf_service.perception.limits import GroundLimits, ObstacleKind
 from gpdf_service.perception.obstacles import Scan, are_voxels, obstacles_of, obstacles_reach
@@ -16,7 +16,7 @@ from gpdf_service.perception.surface import INFERRED, OBSERVED, UNKNOWN, HeightM
 from gpdf_service.types import AGENTS
 
 LEAST_OBSTACLE, HEADROOM_SHARE, SURELY, RESOLVED = 0.015, 0.01, 2.0, 3.0
-FACE, ROUGH = 0.1, 0.075
+SOLE, STRIDE, FACE, ROUGH = 0.12, 0.4, 0.1, 0.075
 """What is promised, written down once more."""
 BODIES = (
     AGENTS["roomba"],
@@ -88,12 +88,22 @@ def is_face(level, row, cell, body, scan):
 
 
 def is_met_over_head(level, row, stands, body, tall):
-    """Whether a body that stands anywhere meets the point."""
-    surface, width = level.surface, level.surface.cell_width
+    """Whether a body that stands anywhere meets the point: its rim is past it, and its foot on the same tread."""
+    surface, width, radius = level.surface, level.surface.cell_width, body.cylinder.radius
     place, z = (level.other_points[row, :2] - surface.origin) / width, level.other_points[row, 2]
-    cells = np.argwhere(stands)
-    near = np.linalg.norm(place - np.clip(place, cells, cells + 1.0), axis=1) * width
-    return bool(((surface.height[stands] + tall > z) & (near < body.cylinder.radius)).any())
+    height, stride = surface.height, max(1, int(STRIDE / width))
+    for i, j in np.argwhere(stands):
+        edge = np.clip(place, [i, j], [i + 1.0, j + 1.0])
+        near, far = np.linalg.norm(place - edge) * width, np.linalg.norm(place - [i + 0.5, j + 0.5]) * width
+        if height[i, j] + tall <= z or near >= radius:
+            continue
+        if near > 0.0 and far > radius - SOLE:
+            u, v = (edge + min(SOLE / near, 1.0) * (place - edge)).astype(int)
+            foot = height[u, v]
+            if height[i, j] - body.max_step <= foot <= z - tall and is_tread(height, int(i), int(j), stride):
+                continue
+        return True
+    return False
 
 
 def met(level, body, scan):
