@@ -123,7 +123,8 @@ def _levels(made: SyntheticScene, scene: gpdf.Scene, path: Path) -> None:
     points, ground = world.sample(0.06, np.random.default_rng(0), 0.0)
     house = gpdf.build_scene(points, ground)
     figure, axes = _figure(7, 4.4)
-    axes.plot(points[:, 0], points[:, 2], ".", ms=1, color="0.8", label="cloud")
+    axes.plot(points[:, 0], points[:, 2], ".", ms=1, color="0.8")
+    axes.plot([], [], "o", color="0.8", label="cloud")
     for i, surface in enumerate(house.surfaces):
         place = np.stack(np.meshgrid(np.arange(0.1, 6, 0.1), [2.0]), axis=-1).reshape(-1, 2)
         axes.plot(place[:, 0], surface.height_at(place), color=COLOURS[i], lw=3, label=f"ground of level {i}")

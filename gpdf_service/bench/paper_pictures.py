@@ -23,7 +23,7 @@ from gpdf_service.pipeline import Method, plan
 from gpdf_service.scene import Scene
 from gpdf_service.synthetic import SCENES
 from gpdf_service.types import AGENTS, BoolArray, FloatArray, PlanResult, Status, Trajectory
-from gpdf_service.viewer.picture import KIND_COLOURS
+from gpdf_service.viewer.picture import KIND_COLOURS, KIND_NAMES
 
 METHOD_COLOURS: dict[Method, str] = {
     "prm": "#0072B2",
@@ -98,7 +98,7 @@ def draw(
 ) -> None:
     """Draw paths over a cloud: in 3D, from above, and along each path; dashed where they are not certified."""
     figure = Figure(figsize=(17, 9), layout="constrained")
-    figure.suptitle(title)
+    figure.suptitle(title, x=0.02, ha="left")  # the view from above has a title of its own
     grid = figure.add_gridspec(2, 2, height_ratios=(3, 1), width_ratios=(4, 3))
     solid: Any = figure.add_subplot(grid[:, 0], projection="3d")
     above: Any = figure.add_subplot(grid[0, 1])
@@ -137,7 +137,7 @@ def draw_refused(path: Path, scene: Scene, points: FloatArray, ground: BoolArray
     half = max(PANEL, 3.0 * room)
     rows = ceil(len(refused) / PANELS)
     columns = ceil(len(refused) / rows)
-    figure = Figure(figsize=(3.4 * columns, 4.2 * rows), layout="constrained")
+    figure = Figure(figsize=(3.4 * columns, 5.0 * rows), layout="constrained")
     space = scene.free_space(body)
     things = points[~ground]
     for i, query in enumerate(refused):
@@ -153,9 +153,9 @@ def draw_refused(path: Path, scene: Scene, points: FloatArray, ground: BoolArray
         axes.add_patch(Circle((at[0], at[1]), body.cylinder.radius, color=BODY_COLOUR, alpha=0.3))
         axes.add_patch(Circle((at[0], at[1]), room, fill=False, ls="--"))
         axes.set(aspect="equal", xlim=at[0] + [-half, half], ylim=at[1] + [-half, half])
-        axes.set_title(fill(f"{query['status']}: {query['message']}", 56), fontsize=7, parse_math=False)
+        axes.set_title(fill(f"{query['status']}: {query['message']}", 48), fontsize=7, parse_math=False)
         axes.tick_params(labelsize=6)
-    named = {f"taken for {kind.name.lower()}": colour for kind, colour in KIND_COLOURS.items()}
+    named = {f"taken for {KIND_NAMES[kind]}": colour for kind, colour in KIND_COLOURS.items()}
     named |= {"truly there": TRUE_COLOUR, "the body": BODY_COLOUR}
     dots = [Line2D([], [], ls="", marker="o", color=colour, label=label) for label, colour in named.items()]
     dots.append(Line2D([], [], ls="--", color="black", label="room that it truly has"))
