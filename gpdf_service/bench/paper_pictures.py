@@ -56,6 +56,8 @@ CLOUD_POINTS = 25_000
 """Points of the cloud in a picture: more hide the paths."""
 PANELS = 4
 """Refused queries beside each other in a picture."""
+LEGEND = 8.0
+"""[inch] Width of the legend below them."""
 PANEL = 0.6
 """[m] Half of the width of a panel: a doorway, and what is beside it."""
 TRUE_COLOUR, BODY_COLOUR = "#0072B2", "#009E73"
@@ -137,7 +139,7 @@ def draw_refused(path: Path, scene: Scene, points: FloatArray, ground: BoolArray
     half = max(PANEL, 3.0 * room)
     rows = ceil(len(refused) / PANELS)
     columns = ceil(len(refused) / rows)
-    figure = Figure(figsize=(3.4 * columns, 5.0 * rows), layout="constrained")
+    figure = Figure(figsize=(max(3.4 * columns, LEGEND), 5.0 * rows), layout="constrained")
     space = scene.free_space(body)
     things = points[~ground]
     for i, query in enumerate(refused):
