@@ -160,7 +160,7 @@ def draw_refused(path: Path, scene: Scene, points: FloatArray, ground: BoolArray
     named = {f"taken for {KIND_NAMES[kind]}": colour for kind, colour in KIND_COLOURS.items()}
     named |= {"truly there": TRUE_COLOUR, "the body": BODY_COLOUR}
     dots = [Line2D([], [], ls="", marker="o", color=colour, label=label) for label, colour in named.items()]
-    dots.append(Line2D([], [], ls="--", color="black", label="room that it truly has"))
+    dots.append(Line2D([], [], ls="--", color="black", label="clearance that it truly has"))
     figure.legend(handles=dots, ncols=4, loc="outside lower center")
     figure.suptitle(f"{row['scene']}, {body.name}: {len(refused)} of {row['solvable']} solvable queries were refused")
     FigureCanvasAgg(figure).print_png(str(path))  # type: ignore[no-untyped-call]
@@ -184,7 +184,7 @@ def _label(name: str, result: PlanResult) -> str:
     if result.trajectory is None or result.certificate is None:
         return said
     proof = result.certificate
-    return f"{said}, room {proof.min_clearance:.2f} m, off height {proof.max_height_deviation:.2f} m"
+    return f"{said}, clearance {proof.min_clearance:.2f} m, off height {proof.max_height_deviation:.2f} m"
 
 
 def _places(name: str, points: FloatArray, ground: BoolArray, seed: int) -> tuple[FloatArray, FloatArray]:

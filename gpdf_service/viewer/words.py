@@ -11,7 +11,7 @@ from gpdf_service.viewer.colours import WARNING, css
 
 DARK_WARNING = "#9a3d00"
 """As text on its pale ground: 6 to 1, where `WARNING` has less than 4.5."""
-HEADS = ("status", "length [m]", "least room [m]", "on the way [s]", "answer [s]")
+HEADS = ("status", "length [m]", "least clearance [m]", "on the way [s]", "answer [s]")
 
 
 def answer(result: PlanResult) -> str:
@@ -24,7 +24,7 @@ def answer(result: PlanResult) -> str:
         return f"**{result.status.value}** · {path.length:.2f} m. {result.message}\n\n{warning}"
     return (
         f"**{result.status.value}** · {path.length:.2f} m in {path.duration:.1f} s, "
-        f"at least **{proof.min_clearance:.2f} m** of room everywhere. {result.message}"
+        f"at least **{proof.min_clearance:.2f} m** of clearance everywhere. {result.message}"
     )
 
 
@@ -47,7 +47,7 @@ def details(result: PlanResult, seconds: float | None) -> str:
     lines = []
     if (proof := result.certificate) is not None:
         lines += [
-            f"| proven | |\n|---|---|\n| room | ≥ {proof.min_clearance:.3f} m |",
+            f"| proven | |\n|---|---|\n| clearance | ≥ {proof.min_clearance:.3f} m |",
             f"| height kept within | {proof.max_height_deviation:.3f} m |",
             f"| highest step | {proof.max_step:.3f} m |",
             f"| steepest ground | {57.29578 * proof.max_slope:.1f}° |",

@@ -145,7 +145,7 @@ def test_a_comparison_has_a_row_for_each_method_also_for_a_refused_one():
     results = {"a": GOOD, "b": BAD, "c": UNPROVEN, "d": "unknown <method>"}
     text = words.comparison("method", results, {"a": 0.01, "b": 0.02, "c": 0.03}, dict.fromkeys(results, (0, 0, 0)))
     head, a, b, c, d = re.findall("<tr>.*?</tr>", text)
-    assert "least room" in head
+    assert "least clearance" in head
     assert "5.00" in a
     assert "GOAL_OCCUPIED" in b
     assert "5.00" in c
