@@ -59,11 +59,12 @@ def test_a_step_that_is_left_out_is_not_waited_for(clock):
         assert made.left(clock[0]) == pytest.approx(2.0 * 5 / 8)
 
 
-def test_a_terminal_sees_each_stage_and_what_is_left(tmp_path):
+@pytest.mark.parametrize("size", [(24, 80), (0, 0)])
+def test_a_terminal_sees_each_stage_and_what_is_left(tmp_path, size):
     rows = np.random.default_rng(0).uniform([0.0, 0.0, 0.0], [4.0, 4.0, 0.01], (40_000, 3))
     np.savetxt(tmp_path / "floor.xyz", rows, fmt="%.4f")
     words = ["scene", "info", str(tmp_path / "floor.xyz"), "--agent", "human"]
-    seen = on_a_terminal([sys.executable, "-m", "gpdf_service.cli", *words])
+    seen = on_a_terminal([sys.executable, "-m", "gpdf_service.cli", *words], size)
     stages = ["start", "read", "segment ground", "find where the body fits"]
     at = [seen.index(stage) for stage in stages]
     assert at == sorted(at)
@@ -104,10 +105,10 @@ def test_the_axes_that_the_command_line_knows_are_those_that_are_read():
     assert tuple(UP) == inputs.UP
 
 
-def on_a_terminal(words):
+def on_a_terminal(words, size=(24, 80)):
     """What a terminal shows of a command that succeeds, from first to last."""
     ours, theirs = pty.openpty()
-    termios.tcsetwinsize(theirs, (24, 80))
+    termios.tcsetwinsize(theirs, size)
     process = subprocess.Popen(words, stdout=subprocess.DEVNULL, stderr=theirs)
     os.close(theirs)
     text = b""

@@ -22,12 +22,17 @@ FACTS = ("state", "version", "points", "levels", "noise", "agents_ready")
 """Of each scene, for people; `--json` has all."""
 TELL_S = 1.0
 """[s] Who waits longer for a service is told so."""
+SCENE_HELP = "name of a scene of the service"
+BODY_HELP = "roomba, spot, pepper or human"
+ALTERNATIVES_HELP = "so many more paths that differ, as far as there are any"
 PLACE_HELP = "a named place, or x,y or x,y,z of the ground there [m]"
 
 
 def add_connection(parser: argparse.ArgumentParser, endpoint: str = DEFAULT_ENDPOINT, zenoh: str | None = None) -> None:
     """Declare where the service is, for `connect`."""
-    parser.add_argument("--endpoint", default=endpoint, help="the service")
+    parser.add_argument(
+        "--endpoint", default=endpoint, help=f"the service: {DEFAULT_ENDPOINT} if not given (GPDF_ENDPOINT)"
+    )
     words = "a Zenoh configuration (JSON5) with credentials; it names the endpoint, too"
     parser.add_argument("--zenoh", default=zenoh, help=words)
 
@@ -77,21 +82,21 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         ("info", "facts of a scene", lambda client, args: client.info(args.scene)),
         ("unload", "let the service forget a scene", lambda client, args: client.unload_scene(args.scene)),
     ):
-        verb(name, text, act).add_argument("scene")
+        verb(name, text, act).add_argument("scene", help=SCENE_HELP)
     load = verb("load", "load a file of the service's scenes folder", lambda c, a: c.load_scene(a.scene, a.file))
-    load.add_argument("scene")
-    load.add_argument("file")
+    load.add_argument("scene", help="the name that it gets")
+    load.add_argument("file", help="in that folder: a cloud or a scene (.gpdf)")
     named = verb("place", "list the named places of a scene, name one, or remove one", _place)
-    named.add_argument("scene")
-    named.add_argument("name", nargs="?")
+    named.add_argument("scene", help=SCENE_HELP)
+    named.add_argument("name", nargs="?", help="of the place; all are listed if not given")
     named.add_argument("--at", type=place, help="where it is: x,y or x,y,z of the ground there [m]")
     named.add_argument("--remove", action="store_true", help="forget it")
     plan = verb("plan", "plan a trajectory", _plan)
-    plan.add_argument("scene")
+    plan.add_argument("scene", help=SCENE_HELP)
     plan.add_argument("--start", required=True, type=named_place, help=PLACE_HELP)
     plan.add_argument("--goal", required=True, type=named_place, help=PLACE_HELP)
-    plan.add_argument("--agent", default="human")
-    plan.add_argument("--method", default="dual_gpdf", help="or a baseline: single_gpdf, astar, prm")
+    plan.add_argument("--agent", default="human", help=BODY_HELP)
+    plan.add_argument("--method", default="dual_gpdf", help="dual_gpdf, or a baseline: single_gpdf, astar, prm")
     plan.add_argument(
         "--via",
         action="append",
@@ -107,14 +112,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="one more goal, named or x,y or x,y,z [m]; the nearest is taken",
     )
     plan.add_argument("--snap", type=float, default=0.0, help="move a place that is not valid by this much at most [m]")
-    plan.add_argument("--prefer", choices=["quickest", "level", "wide"], help="not given: as a companion would lead")
-    plan.add_argument("--alternatives", type=int, default=0, help="more ways that differ")
+    plan.add_argument(
+        "--prefer", choices=["quickest", "level", "wide"], help="not given: as a sighted companion would lead"
+    )
+    plan.add_argument("--alternatives", type=int, default=0, help=ALTERNATIVES_HELP)
     plan.add_argument("--save", type=Path, help="write the trajectory to a .json, .csv or .geojson file")
     distance = verb("distance", "distance to the ground or to the obstacles", _distance)
-    distance.add_argument("scene")
-    distance.add_argument("field", choices=["ground", "obstacle"])
+    distance.add_argument("scene", help=SCENE_HELP)
+    distance.add_argument("field", choices=["ground", "obstacle"], help="to the ground, or to what stops a body")
     distance.add_argument("--at", required=True, type=place, help="x,y or x,y,z [m]")
-    distance.add_argument("--agent", default="human")
+    distance.add_argument("--agent", default="human", help=BODY_HELP)
 
 
 def run(args: argparse.Namespace) -> int:

@@ -54,6 +54,8 @@ SQUARE_ON = radians(12)
 """[rad] Towards the middle of the stairs one may be led by this; `SQUARE` is this and a course's sway."""
 NEAR_STEP = 1.2
 """[m] Before a step or a stair one goes slowly: a pace and a half."""
+CAREFUL = (FeatureKind.STEP, FeatureKind.STAIRS, FeatureKind.UNSEEN)
+"""What is walked at a careful pace, so that a cane finds it."""
 STOP_BEFORE = 2.8
 """[s] An obstacle that is new on the path stops who would be there within this: twice `BLIND`, and a step. Beside what
 moves one goes on slowly until one would be there within this at a careful pace, which is `BLIND` at full pace."""
@@ -333,11 +335,8 @@ def _clear(route: Route, pose: Pose, progress: Progress, headings: FloatArray) -
 
 
 def _careful_pace(route: Route, progress: Progress) -> float:
-    """The fastest of `PACES` before steps and before the goal."""
+    """The fastest of `PACES` before steps, over ground that nobody saw, and before the goal."""
     left = route.length - progress.s
     goal = min((pace for near, pace in NEAR_GOAL if left <= near), default=PACES[0])
-    near = any(
-        f.kind in (FeatureKind.STEP, FeatureKind.STAIRS) and f.start - NEAR_STEP <= progress.s <= f.end
-        for f in route.features
-    )
+    near = any(f.kind in CAREFUL and f.start - NEAR_STEP <= progress.s <= f.end for f in route.features)
     return min(goal, PACES[1] if near else PACES[0])

@@ -99,6 +99,7 @@ _SOON: dict[FeatureKind, tuple[Kind, Urgency, tuple[float, float]]] = {
     FeatureKind.OPENING: (Kind.OPENING, Urgency.PREPARE, OTHER_WINDOW),
     FeatureKind.NARROW: (Kind.NARROW, Urgency.PREPARE, OTHER_WINDOW),
     FeatureKind.HEAD: (Kind.HEAD, Urgency.PREPARE, OTHER_WINDOW),
+    FeatureKind.UNSEEN: (Kind.UNSEEN, Urgency.ACT, OTHER_WINDOW),
     FeatureKind.RAMP: (Kind.RAMP, Urgency.INFORM, OTHER_WINDOW),
     FeatureKind.BEAR: (Kind.BEAR, Urgency.INFORM, OTHER_WINDOW),
     FeatureKind.PLACE: (Kind.PASS, Urgency.INFORM, PASSING),

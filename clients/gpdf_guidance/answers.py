@@ -30,8 +30,8 @@ def overview(route: Route, name: str, pace: float, turn: float = 0.0) -> Instruc
         turn: To the left [rad], on the spot, to where he walks first.
     """
     at, soon = find_first(route) or (None, None)
-    climbs = (one for one in route.features if one.kind in CLIMBS and abs(one.amount) >= CLIMBS[one.kind])
-    steps = tuple(_as_told(one) for one in climbs if one is not at)
+    climbs = [one for one in route.features if one.kind in CLIMBS and abs(one.amount) >= CLIMBS[one.kind]]
+    steps = () if climbs == [at] else tuple(_as_told(one) for one in climbs)  # the only one is told by itself
     turns = sum(one.kind is FeatureKind.TURN and one.end > 0.0 for one in route.features)
     if turns == 1 and soon is not None and (soon.kind is Kind.TURN_SOON or soon.first is not None):
         turns = 0  # it is told by itself

@@ -64,6 +64,7 @@ class FeatureKind(StrEnum):
     NARROW = "narrow"
     OPENING = "opening"
     HEAD = "head"
+    UNSEEN = "unseen"
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,7 +75,8 @@ class Feature:
         kind: What it is.
         start: Arc length where it begins [m].
         end: Where it ends [m].
-        amount: Angle to the left [rad], rise [m], width [m], or 1 and -1 for left and right.
+        amount: Angle to the left [rad], rise [m], width [m], length of what nobody saw [m], or 1 and -1 for left and
+            right.
         count: Number of steps.
         rail: Of stairs, where their handrail is: "left", "right", "both", or empty where none is known.
         name: Of a place of the scene that is here.

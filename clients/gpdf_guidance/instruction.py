@@ -57,6 +57,7 @@ class Kind(StrEnum):
     OPENING = "opening"
     NARROW = "narrow"
     HEAD = "head"
+    UNSEEN = "unseen"
     RAMP = "ramp"
     BEAR = "bear"
     PASS = "pass"

@@ -15,13 +15,15 @@ from gpdf_schemas import Array, MovingObstacle
 from numpy.typing import NDArray
 
 from gpdf_guidance.corridor import FOOTING
-from gpdf_guidance.features import FeatureKind, find_flights
+from gpdf_guidance.features import FOOT, FeatureKind, find_flights
 from gpdf_guidance.instruction import Kind
 from gpdf_guidance.rails import with_rails
 from gpdf_guidance.route import Pose, Route, arc_length, build_route, join
 from gpdf_guidance.stairs import LEAST_EDGE, SQUARE, find_stairs, obliqueness, places_to_stand
+from gpdf_guidance.unseen import with_unseen
 
 FloatArray = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
 Plan = Callable[[Any, Any, dict[str, Any]], PlanResult]
 
 PERSON: dict[str, Any] = {
@@ -58,6 +60,8 @@ LOOK = 3.0
 """[m] Around a person that asks what is around him: a few paces."""
 LOOK_STEP = 0.1
 """[m] Between the places of a look."""
+CELLS = 1_000_000
+"""Of ground that are fetched at most, 20 MB, where a way leads over some that nobody saw."""
 
 REFUSALS = {
     Status.START_OUTSIDE_MAP: Kind.NO_WAY_START,
@@ -102,6 +106,7 @@ class Planner:
     def __init__(self, client: Client, scene: str, person: Mapping[str, Any] = PERSON) -> None:
         self._client, self.scene, self.person = client, scene, dict(person)
         self._drawn: tuple[int, FloatArray] = (-1, np.zeros((0, 3)))
+        self._ground: tuple[int, FloatArray, BoolArray] = (-1, np.zeros((0, 3)), np.zeros(0, dtype=bool))
 
     def route(
         self, pose: Pose, goal: Sequence[float], climb: float = LEVEL_STEP, obstacles: FloatArray | None = None
@@ -135,9 +140,9 @@ class Planner:
     def _best(self, pose: Pose, goal: Sequence[float], climb: float, obstacles: FloatArray | None) -> Planned:
         """The way with the most room beside it, over no step higher than `climb`."""
         best, askew = Planned(None), inf
-        seen = () if obstacles is None else (_seen(obstacles),)
-        ask = partial(self._client.plan, self.scene, obstacles=seen)
         for wider in WIDER:
+            answers: list[PlanResult] = []
+            ask = self._asking(obstacles, answers)
             body = {**self.person, "width": self.person["width"] + 2 * wider, "max_step": climb}
             try:
                 result = ask(pose.position, goal, body)
@@ -147,19 +152,37 @@ class Planner:
                     continue
                 result = replace(result, trajectory=self._off_steps(result.trajectory, ask))
                 found, oblique = self._squarest(result, body, pose, ask)
+                if found.route is not None:
+                    found = replace(found, route=self._with_what_is_missed(found.route, answers))
             except ServiceError as error:  # it failed for this width
                 best = best if best.route is not None else Planned(None, str(error))
                 continue
             except ClientError as error:
                 return Planned(None, str(error))
-            if found.route is not None and result.certificate is not None:
-                hidden = replace(found.route, hidden_height=result.certificate.hidden_height)
-                found = replace(found, route=hidden)
             if oblique < askew or best.route is None:
                 best, askew = found, oblique
             if found.route is None or oblique <= SQUARE:  # with less width there is less room
                 break
         return best
+
+    def _asking(self, obstacles: FloatArray | None, answers: list[PlanResult]) -> Plan:
+        """Asks the service for a way beside what was seen, and keeps its answers."""
+        seen = () if obstacles is None else (_seen(obstacles),)
+
+        def ask(start: Any, goal: Any, body: dict[str, Any]) -> PlanResult:  # noqa: ANN401 - as `Client.plan` takes it
+            answers.append(self._client.plan(self.scene, start, goal, body, obstacles=seen))
+            return answers[-1]
+
+        return ask
+
+    def _with_what_is_missed(self, route: Route, answers: Sequence[PlanResult]) -> Route:
+        """A route with what the map misses there: of all answers that it was made of, what misses most."""
+        proofs = [one.certificate for one in answers if one.certificate is not None]
+        route = replace(route, hidden_height=max((one.hidden_height for one in proofs), default=0.0))
+        if max((one.ground_spacing for one in proofs), default=0.0) <= FOOT:
+            return route
+        cells, seen = self._cells(route.version)
+        return replace(route, features=with_unseen(route.features, route.ground, route.s, route.radius, cells, seen))
 
     def _off_steps(self, way: Trajectory, ask: Plan) -> Trajectory:
         """A way that takes no step: one that keeps off the steps beside it, where one is short enough.
@@ -287,6 +310,17 @@ class Planner:
             except ClientError:
                 self._drawn = version, np.zeros((0, 3))
         return self._drawn[1]
+
+    def _cells(self, version: int) -> tuple[FloatArray, BoolArray]:
+        """The map's cells of ground, shape (k, 3), and which of them were seen.
+
+        Raises:
+            ClientError: they cannot be had.
+        """
+        if self._ground[0] != version:
+            drawing = self._client.draw(self.scene, "ground", limit=CELLS)
+            self._ground = drawing.scene_version, drawing.places + drawing.origin, drawing.columns["inferred"] == 0.0
+        return self._ground[1:]
 
     def _room(self, body: dict[str, Any], places: FloatArray) -> FloatArray:
         found = self._client.distance(self.scene, "obstacle", places, body)

@@ -49,7 +49,7 @@ def draw_page(scene: gpdf.Scene, path: Path) -> None:
                     page.plans.set_end(end, np.array(place))
                 page.plans.plan_soon()
                 _until(lambda: page.plans.paths.shown is not None)
-                page.plans.paths.move(2.5)
+                page.panel.plan.time.value = 2.5
                 _close_warning(web)
                 web.wait_for_timeout(5000)  # drawn by software, frame by frame
                 web.screenshot(path=str(path), timeout=1000 * WAIT_S)

@@ -109,10 +109,10 @@ def _certificate(made: SyntheticScene, scene: gpdf.Scene, path: Path) -> None:
     xy = result.trajectory.ground[:, :2]
     along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(xy, axis=0), axis=1))])
     room = scene.free_space("human").clearance(0, xy)[0] - gpdf.AGENTS["human"].radius
-    axes.plot(along, room, ".-", color=COLOURS[0], label="room beside the body at each waypoint, exact")
+    axes.plot(along, room, ".-", color=COLOURS[0], label="clearance at each waypoint, exact")
     bound = result.certificate.min_clearance
     axes.axhline(bound, color=COLOURS[1], label=f"certified for everything between them, too: {bound:.3f} m")
-    axes.set(xlabel="along the path [m]", ylabel="room [m]", ylim=(0, None), title="What the certificate says")
+    axes.set(xlabel="along the path [m]", ylabel="clearance [m]", ylim=(0, None), title="What the certificate says")
     axes.legend(fontsize=8)
     _save(figure, path)
 
@@ -123,7 +123,8 @@ def _levels(made: SyntheticScene, scene: gpdf.Scene, path: Path) -> None:
     points, ground = world.sample(0.06, np.random.default_rng(0), 0.0)
     house = gpdf.build_scene(points, ground)
     figure, axes = _figure(7, 4.4)
-    axes.plot(points[:, 0], points[:, 2], ".", ms=1, color="0.8", label="cloud")
+    axes.plot(points[:, 0], points[:, 2], ".", ms=1, color="0.8")
+    axes.plot([], [], "o", color="0.8", label="cloud")
     for i, surface in enumerate(house.surfaces):
         place = np.stack(np.meshgrid(np.arange(0.1, 6, 0.1), [2.0]), axis=-1).reshape(-1, 2)
         axes.plot(place[:, 0], surface.height_at(place), color=COLOURS[i], lw=3, label=f"ground of level {i}")

@@ -109,7 +109,7 @@ def comparison(stage: Stage) -> None:
     """The paper's four methods."""
     stage.plans(*stage.ends["office"])
     stage.presses("Compare the methods")
-    stage.sees("least room [m]")
+    stage.sees("least clearance [m]")
 
 
 def moving(stage: Stage) -> Callable[[], None]:

@@ -63,7 +63,9 @@ class Tally:
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the verb's options."""
-    parser.add_argument("--scene", action="append", choices=list(SCENES), help=f"{DEFAULT_SCENES} when not given")
+    parser.add_argument(
+        "--scene", action="append", choices=list(SCENES), help=f"{', '.join(DEFAULT_SCENES)} when not given"
+    )
     parser.add_argument("--agent", action="append", choices=list(BODIES), help="all of them when not given")
     parser.add_argument("--runs", type=int, default=200, help="errands in all")
     add_plot_argument(parser)

@@ -19,11 +19,11 @@ from scipy.spatial import cKDTree
 from gpdf_service.bench.brute import LEAST_ROOM, BruteForce
 from gpdf_service.bench.paper_tables import TITLES
 from gpdf_service.bench.report import Row
-from gpdf_service.perception import ObstacleKind
 from gpdf_service.pipeline import Method, plan
 from gpdf_service.scene import Scene
 from gpdf_service.synthetic import SCENES
 from gpdf_service.types import AGENTS, BoolArray, FloatArray, PlanResult, Status, Trajectory
+from gpdf_service.viewer.picture import KIND_COLOURS, KIND_NAMES
 
 METHOD_COLOURS: dict[Method, str] = {
     "prm": "#0072B2",
@@ -54,12 +54,14 @@ CEILING = 2.2
 """[m] What is higher over the ground is not drawn: one looks in from above."""
 CLOUD_POINTS = 25_000
 """Points of the cloud in a picture: more hide the paths."""
-PANELS = 6
+PANELS = 4
 """Refused queries beside each other in a picture."""
+LEGEND = 8.0
+"""[inch] Width of the legend below them."""
 PANEL = 0.6
 """[m] Half of the width of a panel: a doorway, and what is beside it."""
-KIND_COLOURS = ("#D55E00", "#0072B2", "#E69F00", "#CC79A7")
-"""Of material, steps, slopes and unknown ground."""
+TRUE_COLOUR, BODY_COLOUR = "#0072B2", "#009E73"
+"""Of what truly is there, and of who would stand there."""
 PAIRS = 30
 """Random pairs of which the furthest apart is drawn, where a scene has no start and goal of its own."""
 
@@ -98,7 +100,7 @@ def draw(
 ) -> None:
     """Draw paths over a cloud: in 3D, from above, and along each path; dashed where they are not certified."""
     figure = Figure(figsize=(17, 9), layout="constrained")
-    figure.suptitle(title)
+    figure.suptitle(title, x=0.02, ha="left")  # the view from above has a title of its own
     grid = figure.add_gridspec(2, 2, height_ratios=(3, 1), width_ratios=(4, 3))
     solid: Any = figure.add_subplot(grid[:, 0], projection="3d")
     above: Any = figure.add_subplot(grid[0, 1])
@@ -129,33 +131,37 @@ def draw(
 def draw_refused(path: Path, scene: Scene, points: FloatArray, ground: BoolArray, row: Row) -> None:
     """Draw each solvable query that was not answered with OK where it was refused, with what the planner said.
 
-    Grey: what truly is there as high as the body. Coloured: what the planner, which had the noisy cloud, took to be
-    there. The body, and dashed the extra room that it truly has.
+    Blue: what truly is there as high as the body, over what the planner, which had the noisy cloud, took to be there.
+    The body, and dashed the extra room that it truly has.
     """
     body, refused = AGENTS[row["agent"]], row["refused"]
     room = body.cylinder.radius + LEAST_ROOM + row["noise_m"]
     half = max(PANEL, 3.0 * room)
-    figure = Figure(figsize=(3.4 * PANELS, 4.5 * ceil(len(refused) / PANELS)), layout="constrained")
+    rows = ceil(len(refused) / PANELS)
+    columns = ceil(len(refused) / rows)
+    figure = Figure(figsize=(max(3.4 * columns, LEGEND), 5.0 * rows), layout="constrained")
     space = scene.free_space(body)
     things = points[~ground]
     for i, query in enumerate(refused):
-        axes: Any = figure.add_subplot(ceil(len(refused) / PANELS), PANELS, i + 1)
+        axes: Any = figure.add_subplot(rows, columns, i + 1)
         at = np.array(query["at"])
         over = things[:, 2] - at[2]
         shown = things[(over > body.max_step) & (over < body.height) & (np.abs(things[:, :2] - at[:2]) < half).all(1)]
-        axes.scatter(*shown[:, :2].T, s=3, c="#999999", linewidths=0)
         for obstacles in space.obstacles:
             near = (np.abs(obstacles.points[:, :2] - at[:2]) < half).all(1)
-            colours = np.array(KIND_COLOURS)[obstacles.kind[near]]
-            axes.scatter(*obstacles.points[near, :2].T, s=5, c=colours, linewidths=0)
-        axes.add_patch(Circle((at[0], at[1]), body.cylinder.radius, color="#009E73", alpha=0.3))
+            colours = np.array(list(KIND_COLOURS.values()))[obstacles.kind[near]]
+            axes.scatter(*obstacles.points[near, :2].T, s=6, c=colours, linewidths=0)
+        axes.scatter(*shown[:, :2].T, s=2, c=TRUE_COLOUR, linewidths=0)
+        axes.add_patch(Circle((at[0], at[1]), body.cylinder.radius, color=BODY_COLOUR, alpha=0.3))
         axes.add_patch(Circle((at[0], at[1]), room, fill=False, ls="--"))
         axes.set(aspect="equal", xlim=at[0] + [-half, half], ylim=at[1] + [-half, half])
-        axes.set_title(fill(f"{query['status']}: {query['message']}", 56), fontsize=7, parse_math=False)
+        axes.set_title(fill(f"{query['status']}: {query['message']}", 48), fontsize=7, parse_math=False)
         axes.tick_params(labelsize=6)
-    kinds = zip(KIND_COLOURS, ObstacleKind, strict=True)
-    dots = [Line2D([], [], ls="", marker="o", color=colour, label=kind.name.lower()) for colour, kind in kinds]
-    figure.legend(handles=dots, ncols=len(dots), loc="outside lower center")
+    named = {f"taken for {KIND_NAMES[kind]}": colour for kind, colour in KIND_COLOURS.items()}
+    named |= {"truly there": TRUE_COLOUR, "the body": BODY_COLOUR}
+    dots = [Line2D([], [], ls="", marker="o", color=colour, label=label) for label, colour in named.items()]
+    dots.append(Line2D([], [], ls="--", color="black", label="clearance that it truly has"))
+    figure.legend(handles=dots, ncols=4, loc="outside lower center")
     figure.suptitle(f"{row['scene']}, {body.name}: {len(refused)} of {row['solvable']} solvable queries were refused")
     FigureCanvasAgg(figure).print_png(str(path))  # type: ignore[no-untyped-call]
 
@@ -178,7 +184,7 @@ def _label(name: str, result: PlanResult) -> str:
     if result.trajectory is None or result.certificate is None:
         return said
     proof = result.certificate
-    return f"{said}, room {proof.min_clearance:.2f} m, off height {proof.max_height_deviation:.2f} m"
+    return f"{said}, clearance {proof.min_clearance:.2f} m, off height {proof.max_height_deviation:.2f} m"
 
 
 def _places(name: str, points: FloatArray, ground: BoolArray, seed: int) -> tuple[FloatArray, FloatArray]:

@@ -48,7 +48,9 @@ def _text(value: object) -> str:
 
 def add_scene_arguments(parser: argparse.ArgumentParser, default: list[str]) -> None:
     """Which scenes: names of synthetic ones, or clouds."""
-    parser.add_argument("--scene", action="append", help=f"{', '.join(SCENES)}, or a cloud; {default} when not given")
+    parser.add_argument(
+        "--scene", action="append", help=f"{', '.join(SCENES)}, or a cloud; {', '.join(default)} when not given"
+    )
     parser.add_argument("--json", action="store_true", help="print the rows as JSON")
     parser.set_defaults(default_scenes=default)
 

@@ -30,6 +30,7 @@ WITHIN = {
     Kind.TURN_SOON: TURN_WINDOW[1] / PACES[0],
     **dict.fromkeys((Kind.OPENING, Kind.NARROW, Kind.HEAD, Kind.RAMP, Kind.BEAR), OTHER_WINDOW[1] / PACES[0]),
     **dict.fromkeys((Kind.STEP, Kind.STAIRS), TO_STEPS),
+    Kind.UNSEEN: (OTHER_WINDOW[1] - NEAR_STEP) / PACES[0] + NEAR_STEP / PACES[1],
 }
 """[s] What is told of something ahead, and how soon that may be reached."""
 AMOUNTS = {

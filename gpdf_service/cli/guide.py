@@ -39,7 +39,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--width", type=float, default=PERSON["width"], help="of the person, elbows and bag included [m]"
     )
     parser.add_argument("--height", type=float, default=PERSON["height"], help="of the person with a hat [m]")
-    parser.add_argument("--language", choices=LANGUAGES, default="en")
+    parser.add_argument(
+        "--language", choices=LANGUAGES, default="en", help="of the sentences; %(default)s if not given"
+    )
     parser.add_argument("--unit", choices=["metres", "steps"], default="metres", help="of distances")
     parser.add_argument("--words", choices=["few", "normal", "many"], default="normal", help="how much is said")
     parser.add_argument("--clock", action="store_true", help="tell turns by the face of a clock")

@@ -18,8 +18,8 @@ if TYPE_CHECKING:  # what builds and plans takes a second to load: `load`, when 
     from gpdf_service.scene import Scene
 
 SCENE_SUFFIX = ".gpdf"
-CLOUDS, MESHES = ".ply .pcd .xyz .csv .txt .npy .npz .las .laz .e57", ".obj .stl .dae .glb"
-"""Suffixes of the files that people mostly have; `perception.read` takes some more."""
+CLOUDS, MESHES = ".ply .pcd .xyz .txt .asc .pts .csv .npy .npz .las .laz .e57", ".obj .stl .off .dae .glb .gltf"
+"""Suffixes of the files that `perception.read` takes."""
 UP = ("z", "y", "x", "-z", "-y", "-x")
 BUILDING = ("ground_label", "topic", "thin", "scale", "up", "ignore_labels", "config")
 """Options that say how a cloud is read and built: a scene file knows nothing of them any more."""
@@ -27,7 +27,7 @@ BUILDING = ("ground_label", "topic", "thin", "scale", "up", "ignore_labels", "co
 
 def add_cloud_arguments(parser: argparse.ArgumentParser) -> None:
     """The input: a cloud, or a scene that was built before."""
-    kinds = f"a cloud ({CLOUDS}; ROS bags), a mesh ({MESHES})"
+    kinds = f"a cloud ({CLOUDS}; ROS bags; folders of tiles with --thin), a mesh ({MESHES})"
     parser.add_argument("input", type=Path, help=f"{kinds} or a scene ({SCENE_SUFFIX})")
     add_build_arguments(parser)
 

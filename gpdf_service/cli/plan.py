@@ -9,7 +9,7 @@ import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, get_args
 
-from gpdf_client.cli import place
+from gpdf_client.cli import ALTERNATIVES_HELP, place
 
 from gpdf_service.cli.bodies import add_body_arguments, body_of
 from gpdf_service.cli.inputs import add_cloud_arguments, check_in, check_out, open_scene, positive
@@ -27,7 +27,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--goal", type=place, required=True, help="x,y or x,y,z of the ground there [m]")
     add_body_arguments(parser)
     parser.add_argument("--discs", type=int, help="discs along the body that stand for it; 1 is its upright cylinder")
-    parser.add_argument("--method", default="dual_gpdf", choices=get_args(Method))
+    parser.add_argument(
+        "--method", default="dual_gpdf", choices=get_args(Method), help="ours, or one of the paper's baselines"
+    )
     parser.add_argument(
         "--via", action="append", default=[], type=place, help="go through x,y or x,y,z [m]; repeatable"
     )
@@ -38,7 +40,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--snap", type=float, default=0.0, help="move a place that is not valid by this much at most [m]"
     )
     parser.add_argument("--prefer", choices=get_args(Preference), help="not given: as a sighted companion would lead")
-    parser.add_argument("--alternatives", type=int, default=0, help="more ways that differ")
+    parser.add_argument("--alternatives", type=int, default=0, help=ALTERNATIVES_HELP)
     parser.add_argument("--deadline", type=positive, help="seconds that the plan may take")
     parser.add_argument("--png", type=Path, help="draw the cloud, the field and the path")
     parser.add_argument("--json", action="store_true", help="print the result as JSON, with the trajectory")

@@ -23,7 +23,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--agent", default="roomba", help="the robot's body")
     add_connection(parser)
     parser.add_argument("--ros-endpoint", help="the router of rmw_zenoh, or the bridge; the service's when not given")
-    parser.add_argument("--dialect", default=Dialect.RMW_ZENOH, choices=list(Dialect), type=Dialect)
+    parser.add_argument(
+        "--dialect",
+        default=Dialect.RMW_ZENOH,
+        choices=list(Dialect),
+        type=Dialect,
+        help="of the robot's bridge to Zenoh",
+    )
     parser.add_argument("--domain", type=int, default=0, help="ROS_DOMAIN_ID")
     parser.add_argument("--goal-topic", default=names.goal, help="PoseStamped in: where to go")
     parser.add_argument("--pose-topic", default=names.pose, help="PoseStamped in: where the robot is")

@@ -10,6 +10,8 @@ import time
 from numba.core.event import Event, Listener, install_listener
 from tqdm import tqdm
 
+from gpdf_service.cli.work import size_of_terminal
+
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the verb's options."""
@@ -37,7 +39,9 @@ def run(args: argparse.Namespace) -> int:
     from gpdf_service.warm import Warming, kernels
 
     began = time.monotonic()
-    with tqdm(total=len(list(kernels())), desc="kernels", unit="kernel", disable=not sys.stderr.isatty()) as bar:
+    with tqdm(
+        total=len(list(kernels())), desc="kernels", unit="kernel", disable=not sys.stderr.isatty(), **size_of_terminal()
+    ) as bar:
         told = _Bar(bar)
         with install_listener("numba:compile", told):
             for name, step in Warming().steps().items():

@@ -47,6 +47,12 @@ def mortal() -> Iterator[None]:
             signal.signal(signal.SIGINT, before)
 
 
+def size_of_terminal() -> dict[str, int]:
+    """Columns and rows for tqdm: some terminals say 0 of both, and it draws as much."""
+    size = shutil.get_terminal_size()
+    return {"ncols": size.columns, "nrows": size.lines}
+
+
 class Work:
     """What a verb has to do, in steps.
 
@@ -66,8 +72,7 @@ class Work:
         if terminal:
             from tqdm import tqdm
 
-            wide = shutil.get_terminal_size().columns  # some terminals say 0, and tqdm draws as much
-            self._bar = tqdm(total=1.0, desc=START, bar_format=form, leave=False, ncols=wide)
+            self._bar = tqdm(total=1.0, desc=START, bar_format=form, leave=False, **size_of_terminal())
         self._ticker = threading.Thread(target=self._tick, name="gpdf-bar", daemon=True) if terminal else None
 
     def __enter__(self) -> Work:

@@ -44,8 +44,8 @@ DROPPED = (230, 159, 0)
 LIVE = (30, 30, 30)
 """People and robots that are on their way now: like nothing else on the page."""
 KINDS = np.array([(90, 90, 90), (213, 94, 0), (230, 159, 0), (204, 121, 167)], np.uint8)
-"""What stops a body: material, step, slope, unknown ground."""
-KIND_NAMES = ("material", "step", "slope", "unknown ground")
+"""What stops a body: material, step, slope, unobserved ground."""
+KIND_NAMES = ("material", "step", "slope", "unobserved ground")
 LEVELS = np.array([(86, 180, 233), (230, 159, 0), (0, 158, 115), (204, 121, 167), (0, 114, 178)], np.uint8)
 """Storeys, over and over."""
 NOWHERE = (150, 150, 150)

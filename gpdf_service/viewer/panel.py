@@ -165,7 +165,7 @@ def _plan_tab(gui: viser.GuiApi) -> PlanTab:
         compare_bodies=gui.add_button("Compare the bodies", disabled=True, color="gray"),
         clear=gui.add_button("Clear", color="gray"),
         table=gui.add_html("", visible=False),
-        legend=gui.add_html(gradient(colours.ROOM, "0 m", f"{colours.ENOUGH_ROOM} m of room"), visible=False),
+        legend=gui.add_html(gradient(colours.ROOM, "0 m", f"{colours.ENOUGH_ROOM} m of clearance"), visible=False),
         time=gui.add_slider("Time [s]", 0.0, 1.0, 0.01, 0.0, visible=False),
         play=gui.add_checkbox("Play", False, visible=False),
         charts=ProfileCharts(gui),

@@ -29,6 +29,12 @@ KIND_COLOURS = {
     ObstacleKind.SLOPE: "#E69F00",
     ObstacleKind.UNKNOWN: "#CC79A7",
 }
+KIND_NAMES = {
+    ObstacleKind.MATERIAL: "material",
+    ObstacleKind.STEP: "step",
+    ObstacleKind.SLOPE: "slope",
+    ObstacleKind.UNKNOWN: "unobserved",
+}
 GROUND = LinearSegmentedColormap.from_list("ground", ["#f4efe4", "#cdbb93", "#7d6a45"])
 """Pale, so that what lies on it is seen; darker is higher."""
 INFERRED_COLOUR, FITS, FITS_EDGE = "#8fd9d3", "#56B4E9", "#0072B2"
@@ -265,7 +271,7 @@ def _draw_obstacles(axes: Any, scene: Scene, agent: Agent, level: int) -> None: 
         points = obstacles.points[obstacles.kind == kind][::stride]
         if len(points):
             axes.plot(points[:, 0], points[:, 1], ".", ms=0.7, color=colour, zorder=3)
-            axes.plot([], [], "o", ms=5, color=colour, label=kind.name.lower())  # for the legend, large enough to see
+            axes.plot([], [], "o", ms=5, color=colour, label=KIND_NAMES[kind])  # for the legend, large enough to see
 
 
 def _draw_ways(

@@ -79,7 +79,7 @@ class ProfileCharts:
                     self._gui,
                     profile.along,
                     "m, m/s",
-                    {"room [m]": (profile.clearance, ROOM), "speed [m/s]": (profile.speed, SPEED)},
+                    {"clearance [m]": (profile.clearance, ROOM), "speed [m/s]": (profile.speed, SPEED)},
                 ),
             ]
 

@@ -48,7 +48,7 @@ def add_scale(scene: viser.SceneApi, frame: Frame, low: FloatArray, high: FloatA
     segments = frame.to_page(np.array(lines)).astype(np.float32)
     scene.add_line_segments("/scale/lines", segments, GREY, thickness=1.0, thickness_units="screen")
     for k, (axis, anchor) in enumerate(SIDES):
-        for value in numbers(rim[k] + 0.5 * step * k, end[k], step):  # both begin in one corner
+        for value in numbers(rim[k] + 0.5 * step, end[k] - 0.5 * step, step):  # a phone cuts off what is at a corner
             place = rim.copy()
             place[k] = value
             scene.add_label(

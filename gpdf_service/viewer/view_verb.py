@@ -25,11 +25,13 @@ WAKE_S = 0.5
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the verb's options."""
     add_connection(parser)
-    parser.add_argument("--host", default="127.0.0.1", help="address to serve the page on")
+    parser.add_argument("--host", default="127.0.0.1", help="address to serve the page on; %(default)s if not given")
     parser.add_argument(
         "--name", action="append", default=[], help="a name by which browsers ask for the page, beside its address"
     )
-    parser.add_argument("--port", type=int, default=DEFAULT_PORT, help="port to serve the page on")
+    parser.add_argument(
+        "--port", type=int, default=DEFAULT_PORT, help="port to serve the page on; %(default)s if not given"
+    )
     parser.add_argument("--log", type=Path, help="a log (.mcap) to open at once")
 
 

@@ -11,7 +11,7 @@ from gpdf_service.viewer.colours import WARNING, css
 
 DARK_WARNING = "#9a3d00"
 """As text on its pale ground: 6 to 1, where `WARNING` has less than 4.5."""
-HEADS = ("status", "length [m]", "least room [m]", "on the way [s]", "answer [s]")
+HEADS = ("status", "length [m]", "least clearance [m]", "on the way [s]", "answer [s]")
 
 
 def answer(result: PlanResult) -> str:
@@ -24,7 +24,7 @@ def answer(result: PlanResult) -> str:
         return f"**{result.status.value}** · {path.length:.2f} m. {result.message}\n\n{warning}"
     return (
         f"**{result.status.value}** · {path.length:.2f} m in {path.duration:.1f} s, "
-        f"at least **{proof.min_clearance:.2f} m** of room everywhere. {result.message}"
+        f"at least **{proof.min_clearance:.2f} m** of clearance everywhere. {result.message}"
     )
 
 
@@ -38,19 +38,27 @@ def refusal(result: PlanResult) -> str:
     return f"<div role='alert' style='{style}'>{head}<br>{escape(sentence)}</div>"
 
 
+STAGES = {"waited": "in the queue", "search": "search", "optimise": "optimiser", "total": "all of the plan"}
+"""Times of an answer as a person reads them; what else is timed is for a log."""
+
+
 def details(result: PlanResult, seconds: float | None) -> str:
-    """What was proven, and where the time went."""
+    """What was proven, what the map may miss, and where the time went."""
     lines = []
     if (proof := result.certificate) is not None:
         lines += [
-            f"| proven | |\n|---|---|\n| room | ≥ {proof.min_clearance:.3f} m |",
+            f"| proven | |\n|---|---|\n| clearance | ≥ {proof.min_clearance:.3f} m |",
             f"| height kept within | {proof.max_height_deviation:.3f} m |",
             f"| highest step | {proof.max_step:.3f} m |",
             f"| steepest ground | {57.29578 * proof.max_slope:.1f}° |",
+            f"| things may be missed up to | {proof.hidden_height:.3f} m |",
+            f"| ground was seen every | {proof.ground_spacing:.2f} m |",
         ]
     took = "" if seconds is None else f"Answer after {1000 * seconds:.0f} ms. "
-    stages = " · ".join(f"{name} {1000 * value:.0f} ms" for name, value in result.timings.items())
-    return "\n".join(lines) + f"\n\n{took}{stages}"
+    stages = ", ".join(
+        f"{said} {1e3 * result.timings[name]:.0f} ms" for name, said in STAGES.items() if name in result.timings
+    )
+    return "\n".join(lines) + f"\n\n{took}{stages[:1].upper()}{stages[1:]}"
 
 
 def comparison(

@@ -134,9 +134,9 @@ def test_what_was_refused_is_drawn_where_it_was_refused(office, tmp_path):
         draw_refused(tmp_path / f"{name}.png", scene, made.points, made.ground, {**row, "refused": refused})
     one, empty, seven = (imread(tmp_path / f"{name}.png")[..., :3] for name in ("one", "free", "seven"))
     assert seven.shape[0] == 2 * one.shape[0]
-    material = np.array([0xD5, 0x5E, 0x00]) / 255
-    assert material_pixels(one, material) > material_pixels(empty, material)
+    there = np.array([0x00, 0x72, 0xB2]) / 255
+    assert pixels(one, there) > pixels(empty, there) > 0  # those of the legend
 
 
-def material_pixels(picture, colour):
+def pixels(picture, colour):
     return (np.abs(picture - colour) < 0.01).all(axis=-1).sum()

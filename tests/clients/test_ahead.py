@@ -200,6 +200,14 @@ def test_an_overview_counts_the_turn_on_the_spot_as_the_first_thing_to_do():
     assert duration(route, 6.0, 1.0) < duration(route, 0.0, 1.0)
 
 
+def test_an_overview_names_all_flights_though_the_first_is_told_with_it():
+    edges = [*(1.5 + 0.3 * np.arange(10)), *(6.0 + 0.3 * np.arange(3))]
+    path = line((0, 0), (9, 0), spacing=0.01, z=lambda s: 0.17 * np.searchsorted(edges, s))
+    way = overview(build_route(trajectory(path), wide, radius=RADIUS), "", 1.0)
+    assert (way.soon.kind, way.soon.count) == (Kind.STAIRS, 10)
+    assert "stairs up with 10 and 3 steps, about" in phrase(way)
+
+
 @pytest.mark.parametrize(
     ("rise", "told"), [(2.0, ", a ramp up, "), (-2.0, ", a ramp down, "), (0.3, " 12 metres, about")]
 )

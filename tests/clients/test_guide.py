@@ -116,7 +116,7 @@ def test_in_a_noisy_map_without_labels_one_hears_once_how_low_things_may_be_miss
         walker = Walker(np.array([1.0, 1.0, 0.0]), 0.5, world.ground_height, np.random.default_rng(0))
         walk = simulate(Guide(Planner(client, name), (7.0, 5.0)), walker, world)
         assert walk.outcome is Outcome.ARRIVED
-        told = [said for said in walk.said if "I do not see what is under" in said.text]
+        told = [said for said in walk.said if "I do not see things lower than" in said.text]
         assert len(told) == heard
         assert all(said.instruction.kind is Kind.OVERVIEW for said in told)
         (low,) = [one for said in told for one in said.instruction.then] or [None]

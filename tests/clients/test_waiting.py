@@ -58,7 +58,7 @@ def test_what_the_map_misses_is_told_once_and_before_the_first_step(detail):
     guide, live = led(detail, hidden=0.075)
     cue, (_, text) = guide.step(Pose((0.0, 0.0, 0.0), 0.0, 0.0), 0.0)
     assert cue.action is CueAction.STOP
-    assert "I do not see what is under 8 centimetres" in text
+    assert "I do not see things lower than 8 centimetres" in text
     cues, said = live(20.0, x=0.5)
     assert CueAction.GO in cues
     assert Kind.LOW_UNSEEN not in said

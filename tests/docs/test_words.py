@@ -77,3 +77,19 @@ def test_the_tests_that_a_page_names_are_there():
     assert len(named) > 20
     for path, _, test in (name.partition("::") for name in named):
         assert f"def {test}(" in (ROOT / path).read_text(), f"{path} has no {test}"
+
+
+def test_the_files_that_a_document_names_are_there():
+    """In backticks, from the root or by a test's name alone; the laboratory's notes are of their day."""
+    tests = {path.name for path in (ROOT / "tests").rglob("test_*.py")}
+    named = 0
+    for document in [ROOT / "ARCHITECTURE.md", *documents()]:
+        text = FENCED.sub("", document.read_text())
+        from_root = set(
+            re.findall(r"`(?:pytest )?((?:tests|gpdf_service|clients|schemas|docs|docker)/[\w./*-]+)", text)
+        )
+        by_name = set(re.findall(r"`(test_\w+\.py)`", text))
+        named += len(from_root | by_name)
+        assert [name for name in sorted(from_root) if not [*ROOT.glob(name)]] == [], document
+        assert sorted(by_name - tests) == [], document
+    assert named > 100

@@ -36,7 +36,7 @@ def test_two_clicks_draw_a_path(operator):
     operator.settle()
     before = operator.picture()
     operator.plans((0.9, 0.9, 0.0), (5.4, 3.4, 0.0))
-    operator.sees(r"of room everywhere")
+    operator.sees(r"of clearance everywhere")
     ends = operator.page.plans.ends
     np.testing.assert_allclose(ends["start"], (0.9, 0.9, 0.0), atol=0.05)  # the click's ray met the ground there
     np.testing.assert_allclose(ends["goal"], (5.4, 3.4, 0.0), atol=0.05)
@@ -84,7 +84,7 @@ def test_a_path_is_drawn_before_the_room_along_it_is_known(operator, monkeypatch
 
 def test_methods_are_compared_and_what_is_not_proven_says_so(operator):
     operator.plans((0.9, 0.9, 0.0), (5.4, 3.4, 0.0))
-    operator.sees("of room everywhere")
+    operator.sees("of clearance everywhere")
     operator.presses("obstacle")
     operator.clicks((2.7, 1.9, 0.0))  # single_gpdf's way leads through it
     operator.presses("Compare the methods")
@@ -103,7 +103,7 @@ def same(path, other):
 
 def test_a_dropped_obstacle_turns_the_path_aside_until_it_is_removed(operator):
     operator.plans((0.9, 0.9, 0.0), (5.4, 3.4, 0.0))
-    operator.sees("of room everywhere")
+    operator.sees("of clearance everywhere")
     free = path_on_screen(operator)
     middle = free[np.abs(free[:, 0] - 2.0).argmin()]
     operator.presses("obstacle")
@@ -149,7 +149,7 @@ def test_the_lowest_storey_is_shown_alone_and_the_others_by_their_height(operato
     np.testing.assert_allclose(shade(operator, (4.0, 4.0, STOREY)), colours.pale(colours.LEVELS[1]), atol=12)
     operator.tab("Plan")
     operator.plans((0.5, 2.0, STOREY), (4.5, 2.0, STOREY))
-    operator.sees("of room everywhere")
+    operator.sees("of clearance everywhere")
     assert operator.page.plans.ends["goal"][2] == pytest.approx(STOREY, abs=0.05)
     operator.presses("Clear")
     operator.tab("Map")
@@ -159,7 +159,7 @@ def test_the_lowest_storey_is_shown_alone_and_the_others_by_their_height(operato
 
 def test_each_browser_has_a_page_of_its_own(operator, browser):
     operator.plans((0.9, 0.9, 0.0), (5.4, 3.4, 0.0))
-    operator.sees("of room everywhere")
+    operator.sees("of clearance everywhere")
     with browser.new_context() as context:
         other = context.new_page()
         other.goto(operator.web.url)
@@ -183,7 +183,7 @@ def test_start_and_goal_can_be_typed_and_be_names(operator, service):
     with Client.connect(service.endpoint) as client:
         client.set_place("office", "door", [5.4, 3.4, 0.0])
     types(operator, "0.9, 0.9", "door")
-    operator.sees("of room everywhere")
+    operator.sees("of clearance everywhere")
     np.testing.assert_allclose(path_on_screen(operator)[[0, -1], :2], [(0.9, 0.9), (5.4, 3.4)], atol=0.05)
     types(operator, "0.9, 0.9", "nowhere at all")
     operator.sees("nowhere at all")
@@ -227,13 +227,13 @@ def test_a_refusal_is_a_card_with_a_button_that_takes_the_nearest_place(operator
     card = operator.web.get_by_role("alert").filter(has_text="No path: GOAL_OCCUPIED")
     card.wait_for()
     operator.web.get_by_role("button", name=re.compile("Take the nearest goal")).click()
-    operator.sees("of room everywhere")
+    operator.sees("of clearance everywhere")
     assert card.count() == 0
 
 
 def test_another_body_gets_another_answer(operator):
     operator.plans(*ONTO_THE_STEP)
-    operator.sees("of room everywhere")
+    operator.sees("of clearance everywhere")
     assert path_on_screen(operator)[:, 2].max() > 0.3
     operator.choose("Body", "roomba")
     operator.sees("No path: ")
@@ -242,7 +242,7 @@ def test_another_body_gets_another_answer(operator):
 
 def test_a_body_with_measures_of_its_own(operator):
     operator.plans(*ONTO_THE_STEP)
-    operator.sees("of room everywhere")
+    operator.sees("of clearance everywhere")
     operator.web.get_by_text("Its measures").click()
     height = operator.web.get_by_label("Highest step [m]")
     height.fill("0.1")
@@ -266,7 +266,7 @@ def test_no_path_is_said_in_words(operator):
 
 def test_a_service_that_is_killed_is_shown_and_found_again(operator, service):
     operator.plans((0.9, 0.9, 0.0), (5.4, 3.4, 0.0))
-    operator.sees("of room everywhere")
+    operator.sees("of clearance everywhere")
     service.kill()
     operator.sees("Service lost")
     operator.presses("Plan")
@@ -274,7 +274,7 @@ def test_a_service_that_is_killed_is_shown_and_found_again(operator, service):
     service.start()
     operator.sees("Connected to")
     operator.presses("Plan")
-    operator.sees("of room everywhere")
+    operator.sees("of clearance everywhere")
 
 
 def test_layers_and_slices_are_drawn(operator):
@@ -319,7 +319,7 @@ def test_a_scene_is_loaded_from_the_page(operator, service):
 
 def test_a_log_is_stepped_through(operator, service):
     operator.plans((0.9, 0.9, 0.0), (5.4, 3.4, 0.0))
-    operator.sees("of room everywhere")
+    operator.sees("of clearance everywhere")
     first = path_on_screen(operator)
     operator.plans(*ONTO_THE_STEP)
     until(lambda: path_on_screen(operator) is not None and not np.array_equal(path_on_screen(operator), first))
@@ -353,5 +353,5 @@ def test_the_laser_scanned_office(operator, service, scan):
     operator.opens("laser")
     operator.tab("Plan")
     operator.plans((6.6, 9.2, 0.545), (9.9, 14.1, 0.545))
-    operator.sees("of room everywhere")
+    operator.sees("of clearance everywhere")
     assert operator.errors == []

@@ -25,10 +25,10 @@ GOOD = PlanResult(
     Status.OK,
     "",
     Trajectory(*(np.array([[0.0, 0.0, z], [3.0, 4.0, z]]) for z in (2.0, 0.0)), np.array([0.0, 10.0]), np.zeros(2)),
-    CertificateMessage(0.25, [0, 0, 0], 0.01, [0, 0, 0], 0.1, np.radians(5.0), True),
+    CertificateMessage(0.25, [0, 0, 0], 0.01, [0, 0, 0], 0.1, np.radians(5.0), True, "", 0.075, 0.3),
     1,
     "p",
-    {"search": 0.002},
+    {"looked": 0.001, "search": 0.002},
 )
 UNPROVEN = dataclasses.replace(GOOD, status=Status.UNCERTIFIED, message="It touches a desk.")
 BAD = PlanResult(Status.GOAL_OCCUPIED, "The goal is in a desk.", None, None, 1, "p")
@@ -129,8 +129,11 @@ def test_an_answer_is_in_words():
     assert words.answer(BAD) == "**GOAL_OCCUPIED** · The goal is in a desk."
     said = words.details(GOOD, 0.0213)
     assert "21 ms" in said
-    assert "search 2 ms" in said
+    assert "Search 2 ms" in said
+    assert "looked" not in said
     assert "5.0°" in said
+    assert "| things may be missed up to | 0.075 m |" in said
+    assert "| ground was seen every | 0.30 m |" in said
 
 
 def test_a_path_that_is_not_proven_is_not_to_be_followed():
@@ -142,7 +145,7 @@ def test_a_comparison_has_a_row_for_each_method_also_for_a_refused_one():
     results = {"a": GOOD, "b": BAD, "c": UNPROVEN, "d": "unknown <method>"}
     text = words.comparison("method", results, {"a": 0.01, "b": 0.02, "c": 0.03}, dict.fromkeys(results, (0, 0, 0)))
     head, a, b, c, d = re.findall("<tr>.*?</tr>", text)
-    assert "least room" in head
+    assert "least clearance" in head
     assert "5.00" in a
     assert "GOAL_OCCUPIED" in b
     assert "5.00" in c
