@@ -33,8 +33,8 @@ LANDING = 1.2
 """[m] What falls off to both sides and is narrower is no place to go to: a landing is 48 inches deep, by the
 International Building Code, 1011.6."""
 STEPPED = 0.75
-"""[-] Of a box's rim, in pairs of nodes: a platform's corner has 0.65 at most, a lid in noise of a sixth of its height
-0.87 at least."""
+"""[-] Of a thing's rim, in pairs of nodes: a platform's corner has 0.65 at most, a lid in noise of a sixth of its
+height 0.87 at least."""
 RISING = 0.05
 """[-] Of a box's rim that may lie under other ground: strays. A tread's rim has a third."""
 LONG = 3.0
@@ -44,6 +44,8 @@ LONG = 3.0
 def low_things(near: Beside, ground: BoolArray, raised: FloatArray, config: PerceptionConfig) -> BoolArray:
     """Which nodes of the `ground`, shape (k,), are narrow bumps on it, and not of its own roughness, shape (k,).
 
+    Each leads no further up, does not cross the way, and ground that is no bump goes on at less of its rim than at a
+    platform's corner, see `STEPPED`.
     How rough it is around each bump is remembered: it stays where no ground around is another or `raised` otherwise.
 
     Args:
@@ -71,29 +73,15 @@ def low_things(near: Beside, ground: BoolArray, raised: FloatArray, config: Perc
         return found
     piece = _pieces(nodes, columns, found, slope)
     length, depth = extents_in_plan(layers.cell[nodes], layers.shape[1], found[nodes], piece, layers.cell_width)
-    rim, steps, up = _rims(near, nodes, piece, len(depth), ground & ~found, raised, config)
-    crosses = (length >= config.standing_width) & (length >= LONG * depth)
-    thing = (steps > STEPPED * rim) & (up == 0) & ~crosses
-    found[nodes[~thing[piece]]] = False
+    stays = (length >= config.standing_width) & (length >= LONG * depth)
+    a, b = pairs_around(nodes, columns, ground & ~found, 0.0, config.max_step)
+    drop, half = layers.height[nodes[a]] - layers.height[b], 0.5 * raised[nodes[a]]
+    goes_on = (drop < half) & (raised[b] < half)
+    rim, level = (np.bincount(piece[ends], minlength=len(stays)) for ends in (a, a[goes_on]))
+    stays |= level > (1.0 - STEPPED) * rim
+    stays[piece[a[drop < -LEAST_BUMP]]] = True
+    found[nodes[stays[piece]]] = False
     return found
-
-
-def _rims(
-    near: Beside,
-    nodes: IntArray,
-    piece: IntArray,
-    count: int,
-    beside: BoolArray,
-    raised: FloatArray,
-    config: PerceptionConfig,
-) -> tuple[IntArray, IntArray, IntArray]:
-    """Pairs of a piece's `nodes` with those `beside` it, of them those with a step down, and those with one up."""
-    height, layers = near.layers.height, near.layers
-    a, b = pairs_around(nodes, layers.columns, beside, 0.0, config.max_step)
-    drop = height[nodes[a]] - height[b]
-    kinds = np.isfinite(drop), drop >= 0.5 * raised[nodes[a]], drop < -LEAST_BUMP
-    rim, steps, up = (np.bincount(piece[a[kind]], minlength=count) for kind in kinds)
-    return rim, steps, up
 
 
 def boxes(near: Beside, ground: BoolArray, config: PerceptionConfig) -> BoolArray:
@@ -111,7 +99,12 @@ def boxes(near: Beside, ground: BoolArray, config: PerceptionConfig) -> BoolArra
         return found
     piece = _pieces(nodes, layers.columns, found, slope)
     depth = extents_in_plan(layers.cell[nodes], layers.shape[1], found[nodes], piece, layers.cell_width)[1]
-    rim, steps, up = _rims(near, nodes, piece, len(depth), ground & ~found, raised, config)
+    a, b = pairs_around(nodes, layers.columns, ground & ~found, 0.0, config.max_step)
+    drop, count = layers.height[nodes[a]] - layers.height[b], len(depth)
+    rim, steps, up = (
+        np.bincount(piece[a[kind]], minlength=count)
+        for kind in (drop < np.inf, drop >= 0.5 * raised[nodes[a]], drop < -LEAST_BUMP)
+    )
     box = (depth >= config.standing_width) & (steps > STEPPED * rim) & (up < RISING * rim)
     found[nodes[~box[piece]]] = False
     return found

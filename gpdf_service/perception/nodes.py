@@ -369,20 +369,17 @@ def half_way(height: FloatArray, a: IntArray, b: IntArray) -> tuple[FloatArray, 
 
 
 @njit(cache=True, nogil=True)
-def ground_beside(
-    columns: Columns, ground: BoolArray, smooth: FloatArray, slack: FloatArray
-) -> tuple[FloatArray, FloatArray]:
-    """Least and most `smooth` height of `ground` in the cells around each node, within `slack` of its; ±inf if none."""
+def lowest_beside(columns: Columns, ground: BoolArray, smooth: FloatArray, slack: FloatArray) -> FloatArray:
+    """Least `smooth` height of `ground` in the cells around each node within `slack` of its height; inf if none."""
     cell, start, (nx, ny), height, _ = columns
-    low, high = np.full(len(height), np.inf), np.full(len(height), -np.inf)
+    beside = np.full(len(height), np.inf)
     for j in np.flatnonzero(ground):
         x, y = divmod(cell[j], ny)
         for u in range(max(x - 1, 0), min(x + 2, nx)):
             for i in range(start[u * ny + max(y - 1, 0)], start[u * ny + min(y + 2, ny)]):
                 if abs(smooth[j] - height[i]) <= slack[i] and cell[i] != cell[j]:
-                    low[i] = min(low[i], smooth[j])
-                    high[i] = max(high[i], smooth[j])
-    return low, high
+                    beside[i] = min(beside[i], smooth[j])
+    return beside
 
 
 @njit(cache=True, nogil=True)
@@ -519,17 +516,14 @@ def whole_around(
 
 @njit(cache=True, nogil=True)
 def held_by(
-    points: FloatArray,
-    node: IntArray,
-    ground: tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray],
-    held: BoolArray,
+    points: FloatArray, node: IntArray, ground: tuple[FloatArray, FloatArray, FloatArray, FloatArray], held: BoolArray
 ) -> None:
     """Whether points in the nodes `node` are within `scatter` of the ground there, or `beside` [m], in height."""
-    low, high, under, over, scatter = ground
+    low, high, beside, scatter = ground
     for i in range(len(node)):
         n, z = node[i], points[i, 2]
         near = scatter[n]
-        held[i] = low[n] - near <= z <= high[n] + near or abs(z - under[n]) <= near or abs(z - over[n]) <= near
+        held[i] = low[n] - near <= z <= high[n] + near or abs(z - beside[n]) <= near
 
 
 @njit(cache=True, nogil=True)

@@ -30,9 +30,9 @@ from gpdf_service.perception.layers import (
 )
 from gpdf_service.perception.nodes import (
     drops_beside,
-    ground_beside,
     half_way,
     held_by,
+    lowest_beside,
     mean_gradients,
     numbered_among,
     off_ground,
@@ -98,8 +98,7 @@ class Segmentation:
         near: Their nodes, and what its ground was found from.
         low: Lowest that the ground is within each node's cell [m], inf where the node is none, shape (k,).
         high: Highest, -inf where the node is none.
-        beside: Height of the lowest and of the highest ground beside a node that may reach into its cell [m], ±inf
-            where there is none.
+        beside: Height of the ground beside a node that may reach into its cell [m], inf where there is none.
         deviation: Standard deviation of the points of the ground around it [m].
         relief: What is no higher is of the ground [m], shape (k,), or (1,) where it is the same everywhere.
     """
@@ -107,7 +106,7 @@ class Segmentation:
     near: Beside
     low: FloatArray
     high: FloatArray
-    beside: tuple[FloatArray, FloatArray]
+    beside: FloatArray
     deviation: float
     relief: FloatArray
 
@@ -128,7 +127,7 @@ class Segmentation:
     def holds(self, points: FloatArray, node: IntArray) -> BoolArray:
         """Which of the points (n, 3) [m] in the nodes `node` are ground, shape (n,)."""
         held = np.empty(len(points), dtype=bool)
-        ground = self.low, self.high, *self.beside, np.broadcast_to(self.scatter, len(self.low)).copy()
+        ground = self.low, self.high, self.beside, np.broadcast_to(self.scatter, len(self.low)).copy()
         run_chunked(lambda a, b: held_by(points[a:b], node[a:b], ground, held[a:b]), len(points))
         return held
 
@@ -191,8 +190,8 @@ def segment_layers(
     if held is not None:
         deviation = ROBUST * float(np.median(off_ground(*held, ground, smooth)))
     extents = partial(_extents, scatter=scatter_of(deviation, relief), config=config)
-    low, high, *beside = near.around("extents", 1, extents, ground, smooth)
-    return Segmentation(near, low, high, (beside[0], beside[1]), deviation, relief)
+    low, high, beside = near.around("extents", 1, extents, ground, smooth)
+    return Segmentation(near, low, high, beside, deviation, relief)
 
 
 def change_segmentation(
@@ -215,12 +214,12 @@ def scatter_of(deviation: float, relief: FloatArray) -> FloatArray:
 
 def _extents(
     layers: Layers, _: BoolArray, ground: BoolArray, smooth: FloatArray, scatter: FloatArray, config: PerceptionConfig
-) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+) -> tuple[FloatArray, FloatArray, FloatArray]:
     """`low`, `high` and `beside` of a `Segmentation`."""
     beneath, across = run_beside(
         partial(_ground_beside, layers, ground, smooth, scatter), partial(_across, layers, ground, smooth, config)
     )
-    return *across, *beneath
+    return *across, beneath
 
 
 def _across(
@@ -233,15 +232,13 @@ def _across(
     return np.where(ground, low, np.inf), np.where(ground, high, -np.inf)
 
 
-def _ground_beside(
-    layers: Layers, ground: BoolArray, smooth: FloatArray, scatter: FloatArray
-) -> tuple[FloatArray, FloatArray]:
-    """Height of the lowest and of the highest ground in the cells beside each node that spans it, ±inf without any.
+def _ground_beside(layers: Layers, ground: BoolArray, smooth: FloatArray, scatter: FloatArray) -> FloatArray:
+    """Height of the lowest ground in the cells beside each node that spans it, inf where there is none.
 
     The foot of a wall or of a table's leg shares its cell with the floor that it stands on, and the end of a stair's
-    tread with the face of the next one, or with its own.
+    tread with the face of the next one.
     """
-    return ground_beside(layers.columns, ground, smooth, layers.thickness + scatter)
+    return lowest_beside(layers.columns, ground, smooth, layers.thickness + scatter)
 
 
 def _smoothed(layers: Layers, _: BoolArray, ground: BoolArray) -> tuple[FloatArray]:
