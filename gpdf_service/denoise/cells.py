@@ -15,6 +15,7 @@ from numba import njit
 from gpdf_service.fields.order import corners_of, order_by
 from gpdf_service.fields.shapes import add
 from gpdf_service.fields.threads import run_chunked
+from gpdf_service.kernel_cache import lean
 from gpdf_service.types import BoolArray, FloatArray, IntArray
 
 AROUND = 27
@@ -102,7 +103,7 @@ def _sum_cells(cells: Cells, begin: int, end: int) -> None:
             add(cells.moments[c], cells.places[i, 0] - x, cells.places[i, 1] - y, cells.places[i, 2] - z)
 
 
-@njit(cache=True, nogil=True)
+@lean()
 def centre_of(cells: Cells, c: int) -> tuple[float, float, float]:
     """Centre of cell c from the corner [m]."""
     x, rest = divmod(cells.key[c], cells.strides[0])
@@ -120,13 +121,13 @@ def begin_sweep(cells: Cells, first: int) -> IntArray:
     return at
 
 
-@njit(cache=True, nogil=True)
+@lean()
 def _step(cells: Cells, column: int) -> int:
     """From a cell's number to that of the lowest one in a column around it."""
     return int((column // 3 - 1) * cells.strides[0] + (column % 3 - 1) * cells.strides[1] - 1)
 
 
-@njit(cache=True, nogil=True)
+@lean()
 def look_around(cells: Cells, c: int, at: IntArray, near: IntArray) -> None:
     """Write which cells are around c, shape (27,), −1 where there is none; x changes least often, z most.
 
@@ -149,13 +150,13 @@ def look_around(cells: Cells, c: int, at: IntArray, near: IntArray) -> None:
                 p += 1
 
 
-@njit(cache=True, nogil=True)
+@lean()
 def offset_of(cells: Cells, j: int) -> tuple[float, float, float]:
     """From a cell's centre to that of the j-th of `look_around` [m]."""
     return (j // 9 - 1) * cells.width, (j // 3 % 3 - 1) * cells.width, (j % 3 - 1) * cells.width
 
 
-@njit(cache=True, nogil=True)
+@lean()
 def sum_window(cells: Cells, near: IntArray, total: FloatArray) -> None:
     """Write the sums over a cell and those around it from its centre, shape (10,)."""
     total[:] = 0.0
@@ -177,7 +178,7 @@ def sum_window(cells: Cells, near: IntArray, total: FloatArray) -> None:
         total[9] += m[9] + b * m[3] + c * m[2] + n * b * c
 
 
-@njit(cache=True, nogil=True)
+@lean()
 def gather(cells: Cells, near: IntArray, rows: IntArray, asked: BoolArray | None = None) -> int:
     """Write places in the cells `near`, whose points are `asked` for, every k-th if there are too many; how many."""
     total, passed, found = 0, 0, 0
@@ -198,7 +199,7 @@ def gather(cells: Cells, near: IntArray, rows: IntArray, asked: BoolArray | None
     return found
 
 
-@njit(cache=True, nogil=True)
+@lean()
 def holds_any(cells: Cells, c: int, asked: BoolArray) -> bool:
     """Whether cell c holds a point that is `asked` for, shape (n,) in the order of the input."""
     found = False
@@ -225,7 +226,7 @@ def _around_range(cells: Cells, asked: BoolArray, begin: int, end: int, found: B
                     found[j] = True
 
 
-@njit(cache=True, nogil=True)
+@lean()
 def cells_within(cells: Cells, c: int, rings: int, beside: IntArray) -> int:
     """Write the cells at most `rings` off cell c, for few of them only: each column is searched for; how many."""
     found = 0

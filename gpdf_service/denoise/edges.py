@@ -26,6 +26,7 @@ from gpdf_service.denoise.turns import fit_by_turns, sum_known
 from gpdf_service.denoise.votes import LIGHT, VOTES, Room, add_vote, cluster, collect, make_room, onto_plane
 from gpdf_service.fields.shapes import FEWEST
 from gpdf_service.fields.threads import run_chunked
+from gpdf_service.kernel_cache import lean
 from gpdf_service.types import BoolArray, IntArray
 
 _RINGS = 3
@@ -82,7 +83,7 @@ def _bends(windows: Windows, c: int, near: IntArray, rows: IntArray, kinds: int,
     return bool(_rest(windows, c, rows, room, own)[0] < rest)
 
 
-@njit(cache=True, nogil=True)
+@lean()
 def _rest(windows: Windows, c: int, rows: IntArray, room: Room, kinds: int) -> tuple[float, float]:
     """Sum of the squares by which the points in and about cell c are off its planes, and what the noise explains."""
     cells, sigma, found, (x, place, _) = windows.cells, windows.sigma, room.found[:kinds], room.vectors

@@ -19,6 +19,7 @@ from gpdf_service.denoise.cells import Cells, cells_within, holds_any, sort_into
 from gpdf_service.denoise.cloud import RESOLVED, Denoised
 from gpdf_service.fields.shapes import FEWEST
 from gpdf_service.fields.threads import run_chunked
+from gpdf_service.kernel_cache import lean
 from gpdf_service.types import BoolArray, FloatArray, IntArray
 
 _RINGS = 2
@@ -125,7 +126,7 @@ def _explain_range(asked: _Asked, places: FloatArray, moved: BoolArray, begin: i
                     places[row, k] = mean[k] + cells.corner[k]
 
 
-@njit(cache=True, nogil=True)
+@lean()
 def _is_explained(asked: _Asked, beside: IntArray, i: int, mean: FloatArray) -> bool:
     """Whether the surfaces explain what is at place i; writes where on the nearest it is expected to be from."""
     cells, doubtful, _, _, apart, told = asked
@@ -165,7 +166,7 @@ def _is_explained(asked: _Asked, beside: IntArray, i: int, mean: FloatArray) -> 
     return True
 
 
-@njit(cache=True, nogil=True)
+@lean()
 def _write_source(asked: _Asked, beside: IntArray, i: int, nearest: int, mean: FloatArray) -> None:
     """Write where on the surface around the `nearest` of its points what is at place i is expected to be from."""
     cells, doubtful, _, _, _, told = asked
@@ -185,7 +186,7 @@ def _write_source(asked: _Asked, beside: IntArray, i: int, nearest: int, mean: F
     mean /= total
 
 
-@njit(cache=True, nogil=True)
+@lean()
 def _by_chance(variance: float, skew: float) -> float:
     """How much more than is expected was measured by chance, `_CHANCE` standard errors or, of few points, more.
 

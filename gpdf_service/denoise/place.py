@@ -12,8 +12,9 @@ from numpy.typing import NDArray
 from gpdf_service.denoise.cells import AROUND, begin_sweep, centre_of, gather, holds_any, look_around
 from gpdf_service.denoise.planes import Windows
 from gpdf_service.denoise.turns import fit_by_turns
-from gpdf_service.denoise.votes import KINDS, LIGHT, VOTES, Room, cluster, collect, make_room, onto_plane
+from gpdf_service.denoise.votes import LIGHT, VOTES, Room, cluster, collect, make_room, onto_plane
 from gpdf_service.fields.threads import run_chunked
+from gpdf_service.kernel_cache import lean
 from gpdf_service.types import BoolArray, FloatArray
 
 _MOST = 200
@@ -68,7 +69,7 @@ def _place_range(windows: Windows, placed: Placed, least: int, begin: int, end: 
         place_points(windows, c, room, kinds, placed)
 
 
-@njit(cache=True, nogil=True)
+@lean()
 def _is_alone(of: NDArray[np.int64], found: FloatArray, least: int) -> bool:
     """Whether the first plane has more votes than `least`, and no other one any weight."""
     votes, alone = 0, True
@@ -79,11 +80,12 @@ def _is_alone(of: NDArray[np.int64], found: FloatArray, least: int) -> bool:
     return bool(alone and votes > least)
 
 
-@njit(cache=True, nogil=True)
+@lean()
 def place_points(windows: Windows, c: int, room: Room, kinds: int, placed: Placed) -> None:
     """Put the pending points of cell c onto the nearest of its planes, and write the one that most of them are of."""
     cells, sigma, found, main = windows.cells, windows.sigma, room.found[:kinds], windows.main[c]
-    x, place, best, number = np.empty(3), np.empty(3), np.empty(3), np.zeros(KINDS, np.int64)
+    (x, place, best), number = room.vectors, room.number
+    number[:] = 0
     middle, most = centre_of(cells, c), 0
     for i in range(cells.begin[c], cells.begin[c + 1]):
         row = cells.order[i]
@@ -98,7 +100,7 @@ def place_points(windows: Windows, c: int, room: Room, kinds: int, placed: Place
             off = onto_plane(found, room.ends, kind, x, place)
             if off < nearest:
                 nearest, chosen = off, kind
-                best[:] = place
+                best[0], best[1], best[2] = place
         if chosen >= 0:
             for k in range(3):
                 placed.points[row, k] = best[k] + middle[k] + cells.corner[k]

@@ -26,6 +26,7 @@ from gpdf_service.denoise.place import Placed
 from gpdf_service.denoise.planes import Windows
 from gpdf_service.fields.shapes import FEWEST
 from gpdf_service.fields.threads import run_chunked
+from gpdf_service.kernel_cache import lean
 from gpdf_service.types import BoolArray, FloatArray, IntArray
 
 EXTREME = 1.5
@@ -208,7 +209,7 @@ def _alone_range(cells: Cells, pending: BoolArray, begin: int, end: int, stray: 
             stray[row] = around > FEWEST
 
 
-@njit(cache=True, nogil=True)
+@lean()
 def _has_company(cells: Cells, x: FloatArray, near: IntArray, pending: BoolArray) -> bool:
     """Whether two other pending points are within a cell's width of x; x is one of them."""
     found = 0

@@ -17,6 +17,7 @@ from gpdf_service.denoise.place import Placed
 from gpdf_service.denoise.planes import Windows
 from gpdf_service.fields.shapes import FEWEST
 from gpdf_service.fields.threads import run_chunked
+from gpdf_service.kernel_cache import lean
 from gpdf_service.types import BoolArray, FloatArray, IntArray
 
 _SAME = 0.5
@@ -70,7 +71,7 @@ def _rim_range(windows: Windows, before: Placed, placed: Placed, begin: int, end
                         placed.points[row, k] -= beyond * out[k]
 
 
-@njit(cache=True, nogil=True)
+@lean()
 def _is_inside(total: FloatArray, normal: NDArray[np.float32], width: float) -> bool:
     """Whether the points of a window lie to all sides of its middle along the surface."""
     off, square = 0.0, 0.0
@@ -80,7 +81,7 @@ def _is_inside(total: FloatArray, normal: NDArray[np.float32], width: float) -> 
     return bool(square - off * off < (_ASIDE * width * total[0]) ** 2)
 
 
-@njit(cache=True, nogil=True)
+@lean()
 def _outwards(windows: Windows, near: IntArray, row: int, placed: Placed, out: FloatArray) -> tuple[int, bool]:
     """Write the direction from the middle of the surface around a point to it; its points, and if it ends there."""
     (cells, sigma, _, _), (points, _, _, normal) = windows, placed
@@ -104,7 +105,7 @@ def _outwards(windows: Windows, near: IntArray, row: int, placed: Placed, out: F
     return count, bool(length > _ASIDE * reach * count)
 
 
-@njit(cache=True, nogil=True)
+@lean()
 def _end(windows: Windows, beside: IntArray, row: int, placed: Placed, out: FloatArray) -> float:
     """Where the strip through a point ends at the latest, from it on along `out` [m]; inf where that is not known."""
     (cells, sigma, _, _), (points, _, _, normal) = windows, placed

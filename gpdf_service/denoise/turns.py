@@ -9,13 +9,11 @@ from __future__ import annotations
 
 from math import erf, exp, sqrt
 
-import numpy as np
-from numba import njit
-
 from gpdf_service.denoise.cells import centre_of
 from gpdf_service.denoise.planes import Windows
 from gpdf_service.denoise.votes import Room
 from gpdf_service.fields.shapes import FEWEST, fit_plane
+from gpdf_service.kernel_cache import lean
 from gpdf_service.types import FloatArray, IntArray
 
 _TURNS = 5
@@ -32,15 +30,17 @@ _TURNED = 0.9
 """[-] Cosine of the angle (26°) that a plane can turn by: further, its points were another's."""
 
 
-@njit(cache=True, nogil=True)
+@lean()
 def fit_by_turns(windows: Windows, c: int, rows: IntArray, room: Room, kinds: int) -> None:
     """Move the first `kinds` planes in the room, those of cell c, onto their shares of the points at places `rows`."""
     cells, sigma, found, sums = windows.cells, windows.sigma, room.found[:kinds], room.sums
     x, place, normal = room.vectors
     a, b, d = centre_of(cells, c)
-    shares, slants = np.empty(kinds), np.empty((kinds, kinds, 2))
+    shares, slants = room.shares, room.slants
     for _ in range(_TURNS):
-        sums[:kinds] = room.known[:kinds]
+        for kind in range(kinds):
+            for k in range(10):
+                sums[kind, k] = room.known[kind, k]
         _find_slants(found, room.ends, sigma, slants)
         for i in rows:
             x[0], x[1], x[2] = cells.places[i, 0] - a, cells.places[i, 1] - b, cells.places[i, 2] - d
@@ -69,7 +69,7 @@ def fit_by_turns(windows: Windows, c: int, rows: IntArray, room: Room, kinds: in
             break
 
 
-@njit(cache=True, nogil=True)
+@lean()
 def _find_slants(found: FloatArray, ends: FloatArray, sigma: float, slants: FloatArray) -> None:
     """Write for each two planes the cosine of their angle and ±1 over the error at their edge [1/m], 0 if none is."""
     for i in range(len(found)):
@@ -79,7 +79,7 @@ def _find_slants(found: FloatArray, ends: FloatArray, sigma: float, slants: Floa
             slants[i, j, 1] = ends[i, j] / (sigma * sqrt(max(1.0 - slant * slant, 1e-6)))
 
 
-@njit(cache=True, nogil=True)
+@lean()
 def sum_known(found: FloatArray, width: float, sigma: float, known: FloatArray) -> None:
     """Write the sums of as many points on each plane as its heaviest vote is worth at a cell so wide."""
     for kind in range(len(found)):
@@ -92,7 +92,7 @@ def sum_known(found: FloatArray, width: float, sigma: float, known: FloatArray) 
         m[9] = n * across * plane[1] * plane[2]
 
 
-@njit(cache=True, nogil=True)
+@lean()
 def _density(found: FloatArray, slants: FloatArray, i: int, x: FloatArray, sigma: float) -> float:
     """Of plane i, as far as it goes, at x, over that on it; the `slants` are from `_find_slants`."""
     off = x[0] * found[i, 0] + x[1] * found[i, 1] + x[2] * found[i, 2] - found[i, 3]
@@ -111,7 +111,7 @@ def _density(found: FloatArray, slants: FloatArray, i: int, x: FloatArray, sigma
     return density
 
 
-@njit(cache=True, nogil=True)
+@lean()
 def _add_share(m: FloatArray, share: float, x: FloatArray) -> None:
     """`add` a share of a point."""
     a, b, c = x[0], x[1], x[2]

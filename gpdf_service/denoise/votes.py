@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from gpdf_service.denoise.cells import AROUND, offset_of
 from gpdf_service.denoise.planes import SHEETS, Windows
+from gpdf_service.kernel_cache import lean
 from gpdf_service.types import FloatArray, IntArray
 
 KINDS = 4
@@ -52,6 +53,9 @@ class Room(NamedTuple):
         known: Sums of what is known of each plane before points are looked at, shape (`KINDS`, 10).
         sums: The same with the points.
         vectors: Three places, shape (3, 3).
+        shares: What share each plane has of a point, shape (`KINDS`,).
+        slants: How each plane lies to each other one, shape (`KINDS`, `KINDS`, 2).
+        number: How many points are of each plane, shape (`KINDS`,).
     """
 
     votes: FloatArray
@@ -61,16 +65,20 @@ class Room(NamedTuple):
     known: FloatArray
     sums: FloatArray
     vectors: FloatArray
+    shares: FloatArray
+    slants: FloatArray
+    number: IntArray
 
 
 @njit(cache=True, nogil=True)
 def make_room(votes: int) -> Room:
     """Room for so many votes."""
     planes = np.empty((KINDS, FOUND)), np.empty((KINDS, KINDS)), np.zeros((KINDS, 10)), np.empty((KINDS, 10))
-    return Room(np.empty((votes, VOTE)), np.empty(votes, np.int64), *planes, np.empty((3, 3)))
+    own = np.empty((3, 3)), np.empty(KINDS), np.empty((KINDS, KINDS, 2)), np.empty(KINDS, np.int64)
+    return Room(np.empty((votes, VOTE)), np.empty(votes, np.int64), *planes, *own)
 
 
-@njit(cache=True, nogil=True)
+@lean()
 def collect(windows: Windows, near: IntArray, votes: FloatArray) -> int:
     """Write the votes for a cell's planes of the windows `near`, the heaviest first; how many."""
     count, (cells, sigma, planes, _) = 0, windows
@@ -81,7 +89,7 @@ def collect(windows: Windows, near: IntArray, votes: FloatArray) -> int:
     return count
 
 
-@njit(cache=True, nogil=True)
+@lean()
 def add_vote(
     plane: NDArray[np.float32],
     offset: tuple[float, float, float],
@@ -107,7 +115,8 @@ def add_vote(
         return count
     at = count
     while at > 0 and votes[at - 1, 4] < weight:
-        votes[at] = votes[at - 1]
+        for k in range(VOTE):
+            votes[at, k] = votes[at - 1, k]
         at -= 1
     votes[at, 0], votes[at, 1], votes[at, 2], votes[at, 3] = plane[0], plane[1], plane[2], height
     votes[at, 4], votes[at, 5], votes[at, 6], votes[at, 7] = weight, x, y, z
@@ -115,7 +124,7 @@ def add_vote(
     return count + 1
 
 
-@njit(cache=True, nogil=True)
+@lean()
 def cluster(room: Room, count: int, width: float, sigma: float) -> int:
     """Write which plane each of the first `count` votes is for, the planes, and where they end; how many they are.
 
@@ -145,7 +154,7 @@ def cluster(room: Room, count: int, width: float, sigma: float) -> int:
     return kinds
 
 
-@njit(cache=True, nogil=True)
+@lean()
 def _without_empty(of: IntArray, found: FloatArray, kinds: int) -> int:
     """Drop planes whose votes all agree with a heavier one, or with none, and number the rest anew; how many they are.
 
@@ -156,7 +165,8 @@ def _without_empty(of: IntArray, found: FloatArray, kinds: int) -> int:
         if found[kind, 4] == 0.0:
             continue
         if kept < kind:
-            found[kept] = found[kind]
+            for k in range(FOUND):
+                found[kept, k] = found[kind, k]
             for j in range(len(of)):
                 if of[j] == kind:
                     of[j] = kept
@@ -164,7 +174,7 @@ def _without_empty(of: IntArray, found: FloatArray, kinds: int) -> int:
     return kept
 
 
-@njit(cache=True, nogil=True)
+@lean()
 def _agrees(plane: FloatArray, turn: float, vote: FloatArray, sigma: float) -> bool:
     """Whether a vote is for a plane whose direction is known to within `turn` [rad]."""
     dot = plane[0] * vote[0] + plane[1] * vote[1] + plane[2] * vote[2]
@@ -174,7 +184,7 @@ def _agrees(plane: FloatArray, turn: float, vote: FloatArray, sigma: float) -> b
     return bool(1.0 - dot * dot <= (_ALIKE + 2.0 * sqrt(turn**2 + vote[8] ** 2)) ** 2)
 
 
-@njit(cache=True, nogil=True)
+@lean()
 def _sum_votes(votes: FloatArray, count: int, of: IntArray, found: FloatArray, kinds: int, sigma: float) -> None:
     """Write the mean of the votes for each plane, which way round they are told by the heaviest.
 
@@ -205,7 +215,7 @@ def _sum_votes(votes: FloatArray, count: int, of: IntArray, found: FloatArray, k
         plane[3] = through + bend * max(0.0, 1.0 - chance / max(bend * bend, 1e-300))
 
 
-@njit(cache=True, nogil=True)
+@lean()
 def _heaviest_first(found: FloatArray, kinds: int) -> None:
     for i in range(1, kinds):
         for j in range(i, 0, -1):
@@ -215,7 +225,7 @@ def _heaviest_first(found: FloatArray, kinds: int) -> None:
                 found[j, k], found[j - 1, k] = found[j - 1, k], found[j, k]
 
 
-@njit(cache=True, nogil=True)
+@lean()
 def _find_ends(room: Room, count: int, kinds: int, width: float) -> None:
     """Write on which side of each other plane each one is."""
     votes, of, found, ends = room.votes, room.of, room.found, room.ends
@@ -238,7 +248,7 @@ def _find_ends(room: Room, count: int, kinds: int, width: float) -> None:
                 ends[i, j] = -1.0
 
 
-@njit(cache=True, nogil=True)
+@lean()
 def onto_plane(found: FloatArray, ends: FloatArray, i: int, x: FloatArray, place: FloatArray) -> float:
     """Write the point of plane i, as far as it goes, that is nearest to x [m]; the squared distance [m²]."""
     off = x[0] * found[i, 0] + x[1] * found[i, 1] + x[2] * found[i, 2] - found[i, 3]

@@ -12,6 +12,7 @@ import numpy as np
 from numba import njit
 
 from gpdf_service.fields.tree import Look, Tree, from_root, next_leaf, place_of, rows_within
+from gpdf_service.kernel_cache import lean
 from gpdf_service.types import FloatArray
 
 FEWEST = 8
@@ -37,7 +38,7 @@ def gather(tree: Tree, x: FloatArray, radius: float, near: FloatArray, look: Loo
     return found
 
 
-@njit(cache=True, nogil=True)
+@lean()
 def add(m: FloatArray, a: float, b: float, c: float) -> None:
     """Add one offset to the sums m, shape (10,): 1, the offset and its products."""
     m[0] += 1.0
@@ -52,7 +53,7 @@ def add(m: FloatArray, a: float, b: float, c: float) -> None:
     m[9] += b * c
 
 
-@njit(cache=True, nogil=True)
+@lean()
 def ring_of(square: float, radii: FloatArray) -> int:
     """Which is the first of the radii that are not less than √`square`: without a branch, for it is by chance."""
     ring = 0
@@ -76,7 +77,7 @@ def sum_rings(tree: Tree, x: FloatArray, radii: FloatArray, moments: FloatArray,
         moments[ring] += moments[ring - 1]
 
 
-@njit(cache=True, nogil=True)
+@lean()
 def fit_plane(m: FloatArray, mean: FloatArray, normal: FloatArray) -> tuple[float, float, float]:
     """Eigenvalues of the covariance, ascending; writes the mean offset and the direction of least spread.
 
@@ -99,7 +100,7 @@ def fit_plane(m: FloatArray, mean: FloatArray, normal: FloatArray) -> tuple[floa
     return max(low, 0.0), 3.0 * q - high - low, high
 
 
-@njit(cache=True, nogil=True)
+@lean()
 def across(spread: tuple[float, float, float, float, float, float], value: float, vector: FloatArray) -> None:
     """Write the eigenvector of `value`: the rows of A − λ I span what is normal to it, their longest product is it.
 
@@ -159,7 +160,7 @@ def fit_ring(near: FloatArray, count: int, mean: FloatArray, axis: FloatArray) -
     return max(first - 2.0 * variance, 0.0), variance
 
 
-@njit(cache=True, nogil=True)
+@lean()
 def fit_axis(m: FloatArray, value: float, axis: FloatArray) -> None:
     """Write the direction in which the spread of the sums m is `value` [m²]: its eigenvector."""
     n = m[0]
@@ -168,7 +169,7 @@ def fit_axis(m: FloatArray, value: float, axis: FloatArray) -> None:
     across((xx - a * a, yy - b * b, zz - c * c, xy - a * b, xz - a * c, yz - b * c), value, axis)
 
 
-@njit(cache=True, nogil=True)
+@lean()
 def tangents(normal: FloatArray) -> tuple[float, float, float, float, float, float]:
     """Two unit vectors across `normal` and each other."""
     nx, ny, nz = normal[0], normal[1], normal[2]

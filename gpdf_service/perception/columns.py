@@ -439,20 +439,19 @@ def ends_of_runs(key: IntArray, order: IntArray, z: FloatArray) -> IntArray:
 
 @njit(cache=True, nogil=True)
 def lowest_above(
-    keys: IntArray, ends: FloatArray, points: FloatArray, asked: IntArray, stride: int, reach: float, least: FloatArray
+    held: tuple[IntArray, FloatArray], points: FloatArray, asked: IntArray, stride: int, reach: float, least: FloatArray
 ) -> FloatArray:
     """Least height of the `ends` that are within `reach` of each point in plan and no lower than its `least` [m].
 
     Args:
-        keys: Cell of each of the ends, ascending, shape (e,).
-        ends: Points (e, 3) [m].
+        held: Cell of each of the ends, ascending, shape (e,), and the ends, points (e, 3) [m].
         points: Shape (m, 3) [m].
         asked: Cell of each point, shape (m,); two cells to all sides of it are looked at.
         stride: Cells of a row of the grid.
         reach: [m].
         least: [m], shape (m,).
     """
-    best = np.full(len(points), np.inf)
+    (keys, ends), best = held, np.full(len(points), np.inf)
     for i in range(len(points)):
         for step in range(-2, 3):
             first = asked[i] + step * stride - 2

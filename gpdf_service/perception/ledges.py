@@ -153,10 +153,10 @@ def next_above(ground: FloatArray, points: FloatArray, least: FloatArray, reach:
     here = asked[:, 0] * stride + np.clip(asked[:, 1], 0, stride - 1)
 
     best = np.full(len(points), np.inf)
-    keys, ends = key[rows], np.ascontiguousarray(ground[rows])
+    held = key[rows], np.ascontiguousarray(ground[rows])
 
     def look(a: int, b: int) -> None:
-        best[a:b] = lowest_above(keys, ends, points[a:b], here[a:b], stride, reach, least[a:b])
+        best[a:b] = lowest_above(held, points[a:b], here[a:b], stride, reach, least[a:b])
 
     run_chunked(look, len(points))
     return best.astype(np.float32)
