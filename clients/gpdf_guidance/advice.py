@@ -15,7 +15,7 @@ import numpy as np
 from gpdf_schemas import CueAction
 from numpy.typing import NDArray
 
-from gpdf_guidance.ahead import ARRIVED, ON_THE_SPOT, find_ahead, find_turning, is_edge
+from gpdf_guidance.ahead import ARRIVED, EDGE, ON_THE_SPOT, find_ahead, find_turning, is_edge
 from gpdf_guidance.corridor import WIDEST
 from gpdf_guidance.features import FeatureKind, wrap
 from gpdf_guidance.instruction import Instruction, Kind, Side, Urgency
@@ -141,7 +141,8 @@ def advise(
         return stop(progress, before)
     ahead, turns = find_ahead(route, progress), action is CueAction.TURN
     ahead = [one for one in ahead if one.leaves_stairs or not turns]  # who turns does not know yet where "ahead" is
-    ahead = [one for one in ahead if not is_edge(one) or abs(direction) <= SQUARE]  # nor who does not face the edge
+    faces_edge = abs(direction) <= SQUARE and _faces_stairs(route, pose, progress)
+    ahead = [one for one in ahead if faces_edge or not is_edge(one)]
     said = find_turning(route, progress, direction, action) + ahead
     urgency = min(1.0, abs(direction) / ON_THE_SPOT)
     pace = 0.0 if action is CueAction.TURN else pace
@@ -291,6 +292,12 @@ def _square(route: Route, pose: Pose, progress: Progress, direction: float) -> t
                 bent, most = (_bent(pose, facing, direction, most) for most in (SQUARE_ON, SQUARE))
                 return (bent if _is_walkable(route, pose, progress, bent) else most), False
     return direction, False
+
+
+def _faces_stairs(route: Route, pose: Pose, progress: Progress) -> bool:
+    """Whether the stairs that begin here are ahead: who is led along their edge, back to their line, has them aside."""
+    begin = (flight for flight in route.flights if 0.0 <= flight.start - progress.s <= EDGE)
+    return all(side_of(flight.enter - pose.heading) is Side.AHEAD for flight in begin)
 
 
 def _bent(pose: Pose, facing: float, direction: float, most: float = SQUARE_ON) -> float:

@@ -838,6 +838,16 @@ def test_who_stands_beside_the_line_before_stairs_is_led_back_to_it_first():
     assert advice.direction < -np.pi / 4  # to the right, not over the edge
 
 
+@pytest.mark.parametrize(("heading", "told"), [(-90, False), (90, False), (0, True), (12, True)])
+def test_the_word_at_the_edge_of_stairs_is_for_who_faces_them_and_not_for_who_walks_along_it(heading, told):
+    path = line((0, 0), (8, 0), spacing=0.02)
+    path[:, 2] = 0.17 * np.searchsorted(3.0 + 0.3 * np.arange(5), path[:, 0])
+    route = build_route(trajectory(path), wide, radius=RADIUS, field=stairs_along_x)
+    beside = 0.0 if told else np.copysign(0.22, -heading)  # of the line, which he faces and is led back to
+    said = advise(route, pose(2.7, beside, heading), 0.0, near=2.7).instructions
+    assert any(one.kind is Kind.STAIRS_EDGE for one in said) is told
+
+
 def test_legs_are_joined_into_one_trajectory_whose_times_go_on():
     first, second = trajectory(line((0, 0), (1, 0))), trajectory(line((1, 0), (1, 2)))
     whole = join([first, second])
