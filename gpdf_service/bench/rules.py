@@ -84,6 +84,7 @@ RULES: dict[str, tuple[str, str, Callable[..., Any]]] = {
     ),
     "outliers of noise": (_P + "levels", "without_outliers", _first),
     "unlucky cells": (_P + "levels", "without_unlucky", _first),
+    "planes at rims": (_P + "levels", "with_rims", _first),
     "heights at centres": (_P + "levels", "to_centres", _first),
     "treads beside a shadow guard": (_P + "levels", "between_treads", lambda _, asked, __: np.zeros_like(asked)),
     "what is enclosed": (_P + "levels", "without_enclosed", _first),

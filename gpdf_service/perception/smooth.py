@@ -1,19 +1,19 @@
-"""Heights of cells from their surroundings: at the cell's centre, and where one is alone off the noisy ground around.
+"""Heights of cells from their surroundings: at their centres, at rims of noisy ground, where one is alone off the rest.
 
 A cell's height is that of one of its points. On a slope a point beside the centre is off by as much as the ground rises
-between them, which reads as a step.
+between them, which reads as a step; and the cure of a point at a rim sees half of a plane.
 """
 
 from __future__ import annotations
 
 from dataclasses import replace
-from math import sqrt
+from math import ceil, sqrt
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from gpdf_service.perception.bend import FINE, FLAT, bend_at, make_room, reach_of
+from gpdf_service.perception.bend import FINE, FLAT, REACH, bend_at, make_room, reach_of
 from gpdf_service.perception.surface import HeightMap
 
 _SAME = 1.0
@@ -22,6 +22,12 @@ RESOLVED_STEP = 3.0
 """[-] A lower step over the noise may be an unlucky cell of a cured floor, if it is of one cell."""
 _TOGETHER = 2
 """Unlucky cells side by side: of two, the one that is further off stands out first, then the other."""
+_BESIDE = 2
+"""Cells from a rim that a step is read over: its own two sides and one more."""
+_ALONE = 3.0
+"""[-] Of what a rim's plane leaves: a cell that is further off is alone in that, however rough the others are."""
+_FEWEST = 9
+"""Cells that a rim's plane needs: three square."""
 _AROUND = 5
 """Of a cell and its eight neighbours that a plane needs: two more than it has numbers, so that what is off shows."""
 _ASKEW = 1e-3
@@ -62,6 +68,23 @@ def without_unlucky(surface: HeightMap, noise: float) -> HeightMap:
     return replace(surface, height=height)
 
 
+def with_rims(surface: HeightMap, noise: float) -> HeightMap:
+    """Each cell at a rim on the plane through the heights of its surface around it, where they are one.
+
+    Least squares over the cells within `REACH` σ whose height is within σ of its own. A step's height is the difference
+    of two rims, and at a rim half of the plane is missing: the error of a small disc's plane is largest there. What is
+    at no rim stays as it is: at the foot of a ramp a plane is off by a centimetre.
+
+    Args:
+        surface: The ground as it was seen, cured.
+        noise: Standard deviation σ of the points before the cure [m]; 0 leaves everything as it is.
+    """
+    if noise == 0.0:
+        return surface
+    reach = ceil(REACH * noise / surface.cell_width)
+    return replace(surface, height=_at_rims(surface.height, reach, _SAME * noise, FLAT * noise))
+
+
 @njit(cache=True, nogil=True)
 def _lucky(height: NDArray[np.float32], reach: int, flat: float, unlucky: float) -> NDArray[np.float32]:
     made, sums = height.copy(), make_room()
@@ -82,6 +105,35 @@ def _stands_out(height: NDArray[np.float32], i: int, j: int, flat: float) -> boo
     off = abs(height[i, j] - 0.5 * (height[i - 1, j] + height[i + 1, j]))
     aside = abs(height[i, j] - 0.5 * (height[i, j - 1] + height[i, j + 1]))
     return bool(off > flat and aside > flat)  # a NaN compares false
+
+
+@njit(cache=True, nogil=True)
+def _at_rims(height: NDArray[np.float32], reach: int, same: float, flat: float) -> NDArray[np.float32]:
+    made = height.copy()
+    for i in range(height.shape[0]):
+        for j in range(height.shape[1]):
+            if not _is_rim(height, i, j, same):
+                continue
+            sums = _OF_NONE
+            for k in range(max(i - reach, 0), min(i + reach + 1, height.shape[0])):
+                for m in range(max(j - reach, 0), min(j + reach + 1, height.shape[1])):
+                    a, b, rise = float(k - i), float(m - j), float(height[k, m]) - float(height[i, j])
+                    if abs(rise) <= same and a * a + b * b <= reach * reach:  # a NaN compares false
+                        sums = _with(sums, a, b, rise)
+            shift, rest = _plane(sums)
+            if sums[0] >= _FEWEST and (rest <= flat or abs(shift) > _ALONE * rest):
+                made[i, j] += shift
+    return made
+
+
+@njit(cache=True, nogil=True)
+def _is_rim(height: NDArray[np.float32], i: int, j: int, same: float) -> bool:
+    """Whether another surface is within `_BESIDE` cells."""
+    for k in range(max(i - _BESIDE, 0), min(i + _BESIDE + 1, height.shape[0])):
+        for m in range(max(j - _BESIDE, 0), min(j + _BESIDE + 1, height.shape[1])):
+            if abs(height[k, m] - height[i, j]) > same:  # a NaN compares false
+                return True
+    return False
 
 
 @njit(cache=True, nogil=True)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cache
 from itertools import pairwise
 from typing import NamedTuple
 
@@ -366,11 +365,6 @@ def _pull(leg: Leg) -> Leg:
     return leg._replace(path=pull(leg.path, *_around(leg.space, leg.level)))
 
 
-def _tighten(leg: Leg) -> Leg:
-    """A leg pulled tight between what it goes between."""
-    return leg._replace(path=pull_tight(leg.path, *_around(leg.space, leg.level)))
-
-
 def _around(space: FreeSpace, level: int) -> tuple[Places, float, float, Cells]:
     """What ways on a level are pulled between."""
     return space.trees[level], space.reach, space.radius, space.surfaces[level].arrays
@@ -390,25 +384,52 @@ def pull_cheaply(leg: Leg, prefer: Prefer, *, between: bool = False) -> tuple[Le
     price = prices(leg.space.agent, prefer)
     if prefer != Prefer.WIDE:
         price[TIGHT] = 0.0  # the optimiser makes room where there is some
-    about = beside(leg.space, leg.level, prefer)
+    path, takes = _pull_cheaply(leg.path, beside(leg.space, leg.level, prefer), leg.space.radius, price, between)
+    return leg._replace(path=path), takes
 
-    @cache
-    def spent(tell: Callable[[FloatArray, Beside], FloatArray]) -> FloatArray:
-        """What the leg takes up to each place [s]."""
-        return np.append(0.0, np.cumsum(tell(leg.path, about) @ price))
 
-    rest, pieces, takes = [(0, len(leg.path) - 1)], [], np.zeros(6)
-    while rest:  # no function that calls itself: it would keep the scene until Python looks for garbage
+@njit(cache=True, nogil=True)
+def _pull_cheaply(
+    path: FloatArray, about: Beside, radius: float, price: FloatArray, between: bool
+) -> tuple[FloatArray, FloatArray]:
+    """See `pull_cheaply`; what the leg takes is told where it is asked for, first what is soon told."""
+    obstacles = about.places, about.reach, radius, about.ground
+    rest, made, rows, takes = [(0, len(path) - 1)], [path], 0, np.zeros(6)
+    least = spent = np.zeros(0)
+    while len(rest) > 0:
         first, last = rest.pop()
-        piece = leg._replace(path=leg.path[first : last + 1])
-        pulled = (_tighten if between else _pull)(piece).path
-        taken = way_takes(pulled, about).sum(axis=0)
-        most = taken @ price / PULLED
-        if last - first < 2 or any(most <= np.ptp(spent(tell)[[first, last]]) for tell in (least_takes, way_takes)):
-            pieces.append(pulled)
-            takes += taken
+        pulled = pull_tight(path[first : last + 1], *obstacles) if between else pull(path[first : last + 1], *obstacles)
+        taken = way_takes(pulled, about)
+        most, done = _costs(taken, price)[-1] / PULLED, last - first < 2
+        if not done:
+            least = _costs(least_takes(path, about), price) if len(least) == 0 else least
+            done = most <= least[last] - least[first]
+        if not done:
+            spent = _costs(way_takes(path, about), price) if len(spent) == 0 else spent
+            done = most <= spent[last] - spent[first]
+        if done:
+            made.append(pulled)
+            rows += len(pulled)
+            takes += taken.sum(axis=0)
         else:
             middle = (first + last + 1) // 2
-            rest += [(middle, last), (first, middle)]
-    path = pieces[0] if len(pieces) == 1 else distinct(np.concatenate(pieces))
-    return leg._replace(path=path), takes
+            rest.append((middle, last))
+            rest.append((first, middle))
+    if len(made) == 2:
+        return made[1], takes
+    whole, row = np.empty((rows, 2)), 0
+    for k in range(1, len(made)):
+        whole[row : row + len(made[k])] = made[k]
+        row += len(made[k])
+    return distinct(whole), takes
+
+
+@njit(cache=True, nogil=True)
+def _costs(takes: FloatArray, price: FloatArray) -> FloatArray:
+    """What a way costs up to each of its places, (n,) [s], from what its segments take, (n − 1, 6)."""
+    made = np.zeros(len(takes) + 1)
+    for i in range(len(takes)):
+        made[i + 1] = made[i]
+        for k in range(len(price)):
+            made[i + 1] += takes[i, k] * price[k]
+    return made

@@ -9,7 +9,7 @@ from gpdf_service.config import PerceptionConfig
 from gpdf_service.perception import survey_levels
 from gpdf_service.perception.holes import fill_holes
 from gpdf_service.perception.limits import step_and_slope
-from gpdf_service.perception.smooth import to_centres, without_unlucky
+from gpdf_service.perception.smooth import to_centres, with_rims, without_unlucky
 from gpdf_service.perception.surface import OBSERVED, UNKNOWN, HeightMap, nearest_seen
 from gpdf_service.perception.told import new_grid
 
@@ -29,6 +29,7 @@ def cells(count=60):
 def test_clean_ground_is_not_touched():
     surface = ground(np.random.default_rng(0).normal(0.0, 0.01, (20, 20)))
     assert without_unlucky(surface, 0.0) is surface
+    assert with_rims(surface, 0.0) is surface
 
 
 @pytest.mark.parametrize("noise", [0.0, NOISE])
@@ -69,6 +70,51 @@ def test_a_coarse_scan_of_a_slope_has_no_steps():
     inner[4:-4, 4:-4] = True
     centres = surface.centres(inner)
     assert np.quantile(np.abs(centres[:, 2] - floor(centres)), 0.95) < 0.002  # a third of what the points alone say
+
+
+def test_a_tilted_rim_of_a_platform_takes_the_height_of_what_is_behind_it():
+    x, y = cells()
+    rise = np.where(x >= 1.5, 0.35, 0.0)
+    tilt = np.where(
+        (x >= 1.5) & (x < 1.7) & (np.abs(y - 1.5) < 0.15), 0.025 * (1.7 - x) / 0.2, 0.0
+    )  # as a plane of few points leaves it
+    made = with_rims(ground(rise + tilt), NOISE).height
+    assert np.abs(made - rise)[30:32].max() < 0.5 * tilt.max()  # a step is read over these cells
+    assert np.abs(np.diff(made, axis=0)).max() > 0.34  # the edge is sharp
+
+
+def test_a_plane_with_a_rim_stays_and_unknown_cells_stay_unknown():
+    x, y = cells()
+    plane = 0.2 * x - 0.1 * y
+    plane[20:30, 20:30] = np.nan
+    plane[40:, :] += 0.3
+    np.testing.assert_allclose(with_rims(ground(plane), NOISE).height, plane, atol=1e-5)
+
+
+def test_what_bends_more_at_a_rim_than_the_noise_hides_stays_as_it_is():
+    x, y = cells()
+    hill = ((x - 1.5) ** 2 + (y - 1.5) ** 2) / (2.0 * 1.5)  # 1.5 m of radius: 11 cm lower at the plane's end
+    inner = np.s_[15:45, 15:45]
+    hill[30:, :] += 0.3  # a rim across its top
+    assert np.abs(with_rims(ground(hill), NOISE).height - hill)[inner].max() < 0.2 * NOISE
+
+
+def test_ground_at_no_rim_keeps_its_heights():
+    x, _ = cells()
+    ramp = 0.1 * np.maximum(x - 1.5, 0.0)
+    np.testing.assert_array_equal(with_rims(ground(ramp), NOISE).height, ramp.astype(np.float32))
+
+
+def test_a_cell_that_stands_out_at_a_rim_is_put_on_its_plane_though_the_others_are_rough_too():
+    rng = np.random.default_rng(9)
+    x, y = cells(40)
+    height = np.where((x >= 0.6) & (x < 1.4) & (y >= 0.6) & (y < 1.4), 0.35, 0.0)
+    height += rng.normal(0.0, 0.14 * NOISE, height.shape)  # more than a plane may leave
+    height[12, 20] = 0.35 + 0.8 * NOISE
+    made = with_rims(ground(height), NOISE).height
+    assert abs(made[12, 20] - 0.35) < 0.14 * NOISE
+    quiet = np.abs(height - np.where(height > 0.2, 0.35, 0.0)) < 0.28 * NOISE
+    np.testing.assert_array_equal(made[quiet], height.astype(np.float32)[quiet])
 
 
 @pytest.mark.parametrize("seed", range(4, 10))
