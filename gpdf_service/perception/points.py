@@ -11,7 +11,7 @@ from numba import njit
 
 from gpdf_service.perception.columns import by_cell
 from gpdf_service.perception.layers import columns_over
-from gpdf_service.perception.rows import INDEX, bounds_of, cells_of, chosen_rows, rows_in_box, taken
+from gpdf_service.perception.rows import INDEX, bounds_of, cells_in_box, chosen_rows, rows_in_box, taken
 from gpdf_service.types import BoolArray, FloatArray, IntArray
 
 SQUARE = 1.0
@@ -46,7 +46,8 @@ class Base:
         while np.prod(np.floor((high - low) / width) + 1.0) > _FEW * len(self.points):
             width *= 2.0
         shape = columns_over(low, high, width)
-        return _Squares(low, width, shape, *by_cell(cells_of(self.points, low, width, shape), shape[0] * shape[1]))
+        cell = cells_in_box(self.points, low, width, np.zeros(2, np.int64), np.array(shape))
+        return _Squares(low, width, shape, *by_cell(cell, shape[0] * shape[1]))
 
 
 @dataclass(frozen=True, slots=True)

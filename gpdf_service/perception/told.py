@@ -18,8 +18,8 @@ from gpdf_service.types import BoolArray
 
 TILE = 64
 """Cells a side of the boxes in which a change asks again."""
-BAND = 1 << 19
-"""Cells of a band, without its reach, that a build asks at once: each of its arrays then takes 4 MB."""
+BAND = 1 << 18
+"""Cells of a band, without its reach, that a build asks at once: each of its arrays then takes 2 MB."""
 
 
 @dataclass(frozen=True, slots=True)
