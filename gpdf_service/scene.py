@@ -341,7 +341,9 @@ class Scene:
 
     def _settled(self, space: FreeSpace) -> FreeSpace:
         """A free space whose leaves and edges can all be read."""
-        return space if self._standing is None else settled(space, self.levels)
+        if self._standing is None:
+            return space
+        return settled(space, self._standing.free_space(space.agent), self.levels)
 
     def _make_space(self, body: Agent) -> FreeSpace:
         parts = self.levels, self.ground_fields

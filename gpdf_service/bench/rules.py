@@ -78,7 +78,7 @@ RULES: dict[str, tuple[str, str, Callable[..., Any]]] = {
     "strays": (_P + "levels", "find_strays", _false(0)),
     "sagging treads closed": (_P + "levels", "bridged", _first),
     "steps that hold a foot": (
-        _P + "levels",
+        _P + "ledges",
         "footholds",
         lambda surface, _: np.where(surface.state == UNKNOWN, -np.inf, surface.height),
     ),

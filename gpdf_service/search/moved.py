@@ -73,10 +73,10 @@ def add_moving(
     return replace(changed, graph=graph, core=space.core if graph is space.graph else None)
 
 
-def settled(space: FreeSpace, levels: Levels) -> FreeSpace:
+def settled(space: FreeSpace, stands: FreeSpace, levels: Levels) -> FreeSpace:
     """The same free space with its leaves and its graph in arrays of their own, for who reads all of them.
 
-    This takes time by all that stands, which is copied.
+    This takes time by all that `stands`, without what moves, which is copied; which leaves ways need is known of it.
     """
     quadtrees, edges = list[Quadtree](), list[Edges]()
     for i, tree in enumerate(space.quadtrees):
@@ -91,7 +91,7 @@ def settled(space: FreeSpace, levels: Levels) -> FreeSpace:
         edges.append(found)
     trees = tuple(quadtrees)
     offsets, graph = connect(levels, trees, tuple(edges), space.radius)
-    core = core_of(trees, graph)
+    core = core_of(trees, graph, (stands, range(len(trees))))
     return replace(space, quadtrees=trees, edges=tuple(edges), offsets=offsets, graph=graph, core=core)
 
 

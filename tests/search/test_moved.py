@@ -196,13 +196,15 @@ def test_what_is_settled_is_what_is_built_from_scratch(house):
     points = np.concatenate([cylinder(a_place(house, rng), 0.25, 1.8, rng) for _ in range(3)])
     space = house.with_obstacles(points).free_space("roomba")
     assert len(space.graph.patch.row)
-    ours, theirs = settled(space, house.levels), from_scratch(space, house)
+    ours, theirs = settled(space, house.free_space("roomba"), house.levels), from_scratch(space, house)
     for one, other in zip(ours.quadtrees, theirs.quadtrees, strict=True):
         for name in ("code", "size", "free", "whole"):
             np.testing.assert_array_equal(getattr(one, name), getattr(other, name))
     assert ours.offsets == theirs.offsets
     np.testing.assert_array_equal(ours.graph.other, theirs.graph.other)
     np.testing.assert_array_equal(ours.graph.component, theirs.graph.component)
+    np.testing.assert_array_equal(ours.core.node, theirs.core.node)
+    np.testing.assert_array_equal(ours.core.edge, theirs.core.edge)
 
 
 def test_where_nothing_was_free_nothing_changes_and_where_all_is_full_nothing_is_free(room):
