@@ -157,7 +157,7 @@ def _is_explained(asked: _Asked, beside: IntArray, i: int, mean: FloatArray) -> 
                 least, nearest = off, row
     if (
         nearest < 0
-        or least < (apart * sigma) ** 2
+        or (asked.own[nearest] and least < (apart * sigma) ** 2)
         or total < _SEEN * exp(scale * least)
         or measured > expected + _by_chance(variance, skew)
     ):

@@ -75,10 +75,12 @@ def low_things(near: Beside, ground: BoolArray, raised: FloatArray, config: Perc
     length, depth = extents_in_plan(layers.cell[nodes], layers.shape[1], found[nodes], piece, layers.cell_width)
     stays = (length >= config.standing_width) & (length >= LONG * depth)
     a, b = pairs_around(nodes, columns, ground & ~found, 0.0, config.max_step)
-    drop, half = layers.height[nodes[a]] - layers.height[b], 0.5 * raised[nodes[a]]
-    goes_on = (drop < half) & (raised[b] < half)
-    rim, level = (np.bincount(piece[ends], minlength=len(stays)) for ends in (a, a[goes_on]))
-    stays |= level > (1.0 - STEPPED) * rim
+    drop = layers.height[nodes[a]] - layers.height[b]
+    order = np.lexsort((raised[nodes], piece))
+    most = nodes[order[np.r_[np.diff(piece[order]) > 0, True]]]
+    reach, least = int(LANDING / layers.cell_width), layers.height[most] - 0.5 * raised[most]
+    room = _cells_as_high(most, columns, ground, least, reach, config.max_step)
+    stays |= room * layers.cell_width**2 > LONG * config.standing_width**2
     stays[piece[a[drop < -LEAST_BUMP]]] = True
     found[nodes[stays[piece]]] = False
     return found
@@ -260,3 +262,35 @@ def _around(
                     values.append(raised[j])
         made[n] = np.quantile(np.array(values), 0.75)
     return made
+
+
+@njit(cache=True, nogil=True)
+def _cells_as_high(
+    nodes: IntArray, columns: Columns, ground: BoolArray, least: FloatArray, reach: int, most: float
+) -> IntArray:
+    """Cells that ground at `least` as high, and within `most` over it [m], joins to each node, shape (m,).
+
+    Within a `reach` of cells.
+    """
+    (nx, ny), found, width = columns.shape, np.zeros(len(nodes), np.int64), 2 * reach + 1
+    seen, asked = np.zeros((width, width), np.bool_), np.empty((width * width, 2), np.int64)
+    for n in range(len(nodes)):
+        left, near = columns.cell[nodes[n]] // ny - reach, columns.cell[nodes[n]] % ny - reach
+        seen[:] = False
+        seen[reach, reach] = True
+        asked[0] = reach
+        at, count = 0, 1
+        while at < count:
+            x, y = asked[at]
+            at += 1
+            there = _nearest((left + x) * ny + near + y, columns, ground, least[n] + 0.5 * most, 0.5 * most)
+            if there < 0:
+                continue
+            found[n] += 1
+            for u in range(max(x - 1, 0, -left), min(x + 2, width, nx - left)):
+                for v in range(max(y - 1, 0, -near), min(y + 2, width, ny - near)):
+                    if not seen[u, v]:
+                        seen[u, v] = True
+                        asked[count] = u, v
+                        count += 1
+    return found
