@@ -50,7 +50,7 @@ def return_explained(
         part: Whose points are looked at, shape (n,).
         shown: Whose points, and those of the part, show surfaces, shape (n,).
         cured: What was made of the cloud; its places are changed.
-        apart: Standard deviations that a point was measured off the surfaces at least, to be put back [-].
+        apart: Standard deviations off a surface of the `part` that a point was measured at least, to go there [-].
     """
     rows = np.flatnonzero((part | shown) & ~cured.stray)
     own = part[rows]
@@ -98,7 +98,7 @@ class _Asked(NamedTuple):
         doubtful: Those that show no surface, shape (n,).
         own: Those of which the doubtful are asked about, shape (n,).
         sigma: Noise of each point [m], shape (n,).
-        apart: Standard deviations off the surfaces that it was measured at least [-].
+        apart: Standard deviations off a surface of their own that they were measured at least [-].
         told: Where the points are now, from the cells' corner [m], shape (n, 3).
     """
 

@@ -2,8 +2,9 @@
 
 A foot of 6 cm in a floor of 5 cm cells is a slope like any other. What tells it from ground is its size: it falls off
 to either side within the width of a person, so nobody stands on it. A sill, or a bump across a road, does so, too, but
-on and on; rough ground does so everywhere; a narrow tread leads further up. A box is wider, but narrower than a place
-to go to: it falls off to either side within a landing, in a step all round, which a rise of the ground does not.
+on and on; rough ground does so everywhere; a narrow tread leads further up; a platform's corner is joined to more
+ground as high. A box may be wider, but is narrower than a place to go to: it falls off to either side within a landing,
+in a step all round, which a rise of the ground does not.
 """
 
 from __future__ import annotations
@@ -33,19 +34,20 @@ LANDING = 1.2
 """[m] What falls off to both sides and is narrower is no place to go to: a landing is 48 inches deep, by the
 International Building Code, 1011.6."""
 STEPPED = 0.75
-"""[-] Of a thing's rim, in pairs of nodes: a platform's corner has 0.65 at most, a lid in noise of a sixth of its
-height 0.87 at least."""
+"""[-] Of a box's rim, in pairs of nodes: a platform's corner has 0.65 at most, a lid in noise of a sixth of its height
+0.87 at least."""
 RISING = 0.05
 """[-] Of a box's rim that may lie under other ground: strays. A tread's rim has a third."""
 LONG = 3.0
-"""[-] Length over depth of what crosses the way, a sill or a ridge; what stands about is rounder."""
+"""[-] Length over depth of what crosses the way, a sill or a ridge; what stands about is rounder. So no thing
+that is narrower than a person is larger than three of a person's squares; a platform's corner is."""
 
 
 def low_things(near: Beside, ground: BoolArray, raised: FloatArray, config: PerceptionConfig) -> BoolArray:
     """Which nodes of the `ground`, shape (k,), are narrow bumps on it, and not of its own roughness, shape (k,).
 
-    Each leads no further up, does not cross the way, and ground that is no bump goes on at less of its rim than at a
-    platform's corner, see `STEPPED`.
+    Each leads no further up, does not cross the way, and is joined to no more ground, half as high over what is beside
+    it, than so narrow a thing has: a platform's corner is.
     How rough it is around each bump is remembered: it stays where no ground around is another or `raised` otherwise.
 
     Args:
@@ -89,8 +91,9 @@ def low_things(near: Beside, ground: BoolArray, raised: FloatArray, config: Perc
 def boxes(near: Beside, ground: BoolArray, config: PerceptionConfig) -> BoolArray:
     """Which nodes of the `ground`, shape (k,), are boxes and lids on it, that one could step onto, shape (k,).
 
-    Each is higher than a slope rises in a cell, ends in a step at `STEPPED` of its rim, and leads no further up. What a
-    landing's width cuts off at the corner of a platform is none: the ground goes on at two fifths of its rim.
+    Each is higher than a slope rises in a cell, ends in a step at `STEPPED` of its rim, leads no further up, and does
+    not cross the way. What a landing's width cuts off at the corner of a platform is none: the ground goes on at two
+    fifths of its rim.
     """
     layers, slope = near.layers, near.layers.cell_width * float(np.tan(config.steepest))
     width = max(2, int(LANDING / layers.cell_width))
@@ -100,14 +103,15 @@ def boxes(near: Beside, ground: BoolArray, config: PerceptionConfig) -> BoolArra
     if len(nodes) == 0:
         return found
     piece = _pieces(nodes, layers.columns, found, slope)
-    depth = extents_in_plan(layers.cell[nodes], layers.shape[1], found[nodes], piece, layers.cell_width)[1]
+    length, depth = extents_in_plan(layers.cell[nodes], layers.shape[1], found[nodes], piece, layers.cell_width)
     a, b = pairs_around(nodes, layers.columns, ground & ~found, 0.0, config.max_step)
     drop, count = layers.height[nodes[a]] - layers.height[b], len(depth)
     rim, steps, up = (
         np.bincount(piece[a[kind]], minlength=count)
         for kind in (drop < np.inf, drop >= 0.5 * raised[nodes[a]], drop < -LEAST_BUMP)
     )
-    box = (depth >= config.standing_width) & (steps > STEPPED * rim) & (up < RISING * rim)
+    across = (depth < config.standing_width) & (length >= LONG * depth)
+    box = ~across & (steps > STEPPED * rim) & (up < RISING * rim)
     found[nodes[~box[piece]]] = False
     return found
 

@@ -36,8 +36,9 @@ than once: a stair's treads make 1.1 of it, a forest's litter 1.3, two scans tha
 _PLACES = 300
 """Places of the ground that tell whether it lies there more than once: to a tenth, for half as much again."""
 _APART = 2.0
-"""[-] Standard deviations off a surface that its outliers are at least, of the ground and where nobody labelled it: the
-rim of a lid that was taken for ground is nearer to the lid's side than that, and stays where it was measured."""
+"""[-] Standard deviations off a surface of their own that outliers are at least, of labelled ground and where nobody
+labelled it: the rim of a lid that was taken for ground is nearer to the lid's side than that, and stays where it was
+measured, and so do a table's legs 7 cm before a wall."""
 _COLUMN = 1.0
 """[m] Width of the columns that the sample is made of: several times the largest neighbourhood of 5 cm noise."""
 

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import gpdf_service as gpdf
+from gpdf_service.synthetic.solids import turn_and_shift
 from gpdf_service.types import BoolArray, FloatArray
 
 SPACING = 0.025
@@ -39,7 +40,17 @@ def room_with(
 
 
 @pytest.mark.parametrize("noise", [0.002, 0.02])
-@pytest.mark.parametrize(("size", "z"), [((1.0, 0.7), 0.12), ((0.6, 0.6), 0.2), ((4.0, 0.9), 0.25), ((0.9, 0.8), 0.35)])
+@pytest.mark.parametrize(
+    ("size", "z"),
+    [
+        ((1.0, 0.7), 0.12),
+        ((0.6, 0.6), 0.2),
+        ((4.0, 0.9), 0.25),
+        ((0.9, 0.8), 0.35),
+        ((0.86, 0.35), 0.18),
+        ((0.43, 0.25), 0.15),
+    ],
+)
 def test_a_lid_a_box_and_a_rack_are_no_ground(size: tuple[float, float], z: float, noise: float) -> None:
     low = (1.0, 2.0)
     cloud, top = room_with(low, (low[0] + size[0], low[1] + size[1]), z, noise)
@@ -49,6 +60,28 @@ def test_a_lid_a_box_and_a_rack_are_no_ground(size: tuple[float, float], z: floa
     scene = gpdf.build_scene(cloud)
     beside = gpdf.plan(scene, (0.5, 1.0), (low[0] + 0.5 * size[0], low[1] + 0.5 * size[1]), "human")
     assert beside.status is gpdf.Status.GOAL_OCCUPIED
+
+
+def test_random_boxes_under_noise_are_no_ground() -> None:
+    """Turned, of all sizes that are no sill, and as high as noise of 2 cm lets one see; a platform stays."""
+    rng, taken = np.random.default_rng(0), []
+    for _ in range(6):
+        floor, parts, of = plate((0.0, 0.0), (6.0, 5.0), 0.0), [], []
+        places = [(4.0, 0.7), (5.2, 0.7), (4.0, 2.3), (5.2, 2.3), (1.0, 4.1)]
+        sizes = rng.uniform(0.13, 0.35, (len(places), 2)) * rng.permuted([[1.0, 2.0]] * len(places), axis=1)
+        boxes = [*zip(np.array(places), sizes, rng.uniform(0.12, 0.3, len(places)), strict=True)]
+        for at, size, z in [*boxes, (np.array([1.8, 1.6]), np.array([2.0, 2.0]), 0.2)]:
+            low, high = tuple(at - 0.5 * size), tuple(at + 0.5 * size)
+            floor = floor[~((floor[:, :2] > low) & (floor[:, :2] < high)).all(axis=1)]
+            parts += [sides(low, high, z), plate(low, high, z)]
+            of += [np.full(len(parts[-2]), -1), np.full(len(parts[-1]), len(of) // 2)]
+        cloud, of = np.concatenate([*parts, floor]), np.concatenate([*of, np.full(len(floor), -1)])
+        cloud = cloud @ turn_and_shift(rng.uniform(0.0, np.pi))[:3, :3].T + rng.normal(0.0, 0.02, cloud.shape)
+        ground = gpdf.segment_ground(cloud)
+        share = [ground[of == k].mean() for k in range(len(boxes) + 1)]
+        assert share[-1] > 0.95
+        taken += share[:-1]
+    assert (np.array(taken) > 0.1).sum() <= 2
 
 
 @pytest.mark.parametrize("noise", [0.002, 0.02])
