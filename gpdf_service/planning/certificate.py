@@ -8,7 +8,6 @@ Pieces that could hold the path's minimum are halved until it is known to `RESOL
 
 from __future__ import annotations
 
-from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -19,9 +18,11 @@ from gpdf_service.fields import FieldArrays, sample_at
 from gpdf_service.fields.traversal import bracket_at
 from gpdf_service.fields.tree import Scratch, make_scratch
 from gpdf_service.kernel_cache import lean
+from gpdf_service.perception.footing import ROUGH, crosses_flight
 from gpdf_service.perception.limits import LEAST_STEP
 from gpdf_service.perception.surface import INFERRED, OBSERVED, UNKNOWN, Cells, cell_of, is_known
 from gpdf_service.planning.footprint import travel_headings
+from gpdf_service.planning.shape import runs
 from gpdf_service.planning.words import place_words
 from gpdf_service.search import FreeSpace
 from gpdf_service.search.motion import least_distance
@@ -69,6 +70,7 @@ def certify(
     ground: FloatArray,
     level: IntArray,
     headings: FloatArray | None = None,
+    hidden_height: float = 0.0,
 ) -> Certificate:
     """Certify a polyline of the body's top and its contact points.
 
@@ -78,6 +80,8 @@ def certify(
         ground: Contact points [m], shape (n, 3).
         level: Level of each contact point, shape (n,).
         headings: Where the body faces [rad], shape (n,); along the polyline where they are not given.
+        hidden_height: How high things may be in the scene that nobody can see [m]. On a flight what is no higher than
+            a worn tread is rough counts as the tread, whatever it is.
     """
     headings = travel_headings(ground) if headings is None else headings
     agent = space.agent
@@ -85,7 +89,7 @@ def certify(
     deviation, off_at = 0.0, ground[0]
     step = slope = spacing = 0.0
     unknown = False
-    for part, on in _runs(level):
+    for part, on in runs(level):
         body = agent.offsets, space.reach, agent.radius, agent.height
         known = space.surfaces[on].arrays, space.steps[on], space.slopes[on], space.ground_fields[on].arrays
         seen = _prove(space.trees[on], ground[part], positions[part], headings[part], *body, *known)
@@ -104,25 +108,12 @@ def certify(
         reason = f"a step of {step:.2f} m is higher than the {agent.name} takes ({agent.max_step:.2f} m)"
     elif slope > agent.max_slope:
         reason = f"a slope of {np.degrees(slope):.0f}° is steeper than the {agent.name} stands on"
-    proven = clearance, where, deviation, off_at, step, slope
-    return Certificate(*proven, holds=not reason, reason=reason, ground_spacing=spacing)
-
-
-def _runs(level: IntArray) -> list[tuple[slice, int]]:
-    """Pieces of the path on one level; neighbouring pieces share the waypoint where they meet."""
-    cuts = [0, *_changes(level), len(level)]
-    return [
-        (slice(max(a - 1, 0), b), int(level[a]))
-        if b - a + (a > 0) > 1
-        else (slice(max(a - 1, 0), b + 1), int(level[a]))
-        for a, b in pairwise(cuts)
-    ]
-
-
-@njit(cache=True, nogil=True)
-def _changes(level: IntArray) -> list[int]:
-    """Where another level begins."""
-    return [i for i in range(1, len(level)) if level[i] != level[i - 1]]
+    if not reason and hidden_height < ROUGH < agent.max_step:
+        crosses = any(crosses_flight(ground, one, agent.cylinder.radius) for one in space.surfaces)
+        hidden_height = ROUGH if crosses else hidden_height
+    return Certificate(
+        clearance, where, deviation, off_at, step, slope, not reason, reason, hidden_height, ground_spacing=spacing
+    )
 
 
 class _Seen(NamedTuple):

@@ -29,7 +29,7 @@ class Discs(NamedTuple):
 
 
 class Task(NamedTuple):
-    """What the costs are of; the attributes are those of `chomp.optimize`, and the waypoints' `spacing` [m]."""
+    """What the costs are of; see `chomp.optimize`; and the waypoints' `spacing` [m]."""
 
     obstacles: AnyField
     ground: FieldArrays

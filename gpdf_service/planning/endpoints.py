@@ -5,19 +5,22 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from math import isnan
-from operator import itemgetter
+from typing import NamedTuple
 
 import numpy as np
+from numba import njit
 from scipy import ndimage
 
+from gpdf_service.fields.tree import make_scratch
 from gpdf_service.perception import ObstacleKind
-from gpdf_service.perception.surface import UNKNOWN, height_of, is_same_ground
+from gpdf_service.perception.surface import UNKNOWN, Cells, height_of, is_same_ground
 from gpdf_service.planning.certificate import FINEST
 from gpdf_service.planning.footprint import disc_places
 from gpdf_service.planning.words import metres, place_words
 from gpdf_service.search import FreeSpace, is_clear
 from gpdf_service.search.motion import RESOLUTION
 from gpdf_service.search.nearest import nearest_free
+from gpdf_service.search.places import Places, nearest_of
 from gpdf_service.types import FloatArray, PlanOptions, Status
 
 SAME_GROUND = 0.5
@@ -34,13 +37,13 @@ REASONS = {
 }
 
 
-@dataclass(frozen=True, slots=True)
-class Endpoint:
-    """A valid start or goal: place in plan (2,) [m], level, graph node to go on from."""
+class Endpoint(NamedTuple):
+    """A valid start or goal: place in plan (2,) [m], level, graph node to go on from, height of the ground [m]."""
 
     xy: FloatArray
     level: int
     node: int
+    floor: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -121,63 +124,70 @@ def find_endpoint(space: FreeSpace, place: FloatArray, name: str) -> Endpoint | 
     """Check a place, (x, y) or (x, y, z of the ground), and connect it to the graph; via points count as goals."""
     outside = Status.START_OUTSIDE_MAP if name == "start" else Status.GOAL_OUTSIDE_MAP
     occupied = Status.START_OCCUPIED if name == "start" else Status.GOAL_OCCUPIED
-    xy = place[None, :2]
-    over = {level: float(height_of(space.surfaces[level].arrays, *place[:2])) for level in _maps_over(space, place)}
-    heights = {level: z for level, z in over.items() if not isnan(z)}
+    xy = place[:2]
+    over = {level: _stand_at(space.surfaces[level].arrays, space.trees[level], xy) for level in _maps_over(space, xy)}
+    heights = {level: z for level, (z, _, _) in over.items() if not isnan(z)}
     if not heights:
         near = nearest_free(space, place, SAME_GROUND)
         hint = "" if near is None else f" The nearest free place is {place_words(near)}."
-        if any(_shut_in(space, level, xy) for level in range(len(space.surfaces))):
+        if any(_shut_in(space, level, xy[None]) for level in range(len(space.surfaces))):
             words = f"the {name} {place_words(place)} is inside something, or on ground that nobody has seen."
             return Refusal(occupied, words + hint, near)
         words = f"no ground is known at the {name} {place_words(place)}. Choose a place on the mapped ground."
         return Refusal(outside, words + hint, near)
-    found = ", ".join(dict.fromkeys(f"{z:.2f}" for z in sorted(heights.values())))
     level = min(heights, key=lambda one: abs(heights[one] - place[2]) if len(place) == 3 else one)
     if len(place) == 3:
         if abs(heights[level] - place[2]) > SAME_GROUND:
+            found = _heights_words(heights)
             return Refusal(
                 outside, f"the ground at the {name} {place_words(place)} is at z = {found} m, not {metres(place[2])} m."
             )
     elif max(heights.values()) - min(heights.values()) > SAME_GROUND:
-        words = f"there is ground at z = {found} m under the {name} {place_words(place)}. Give its z."
+        words = f"there is ground at z = {_heights_words(heights)} m under the {name} {place_words(place)}. Give its z."
         return Refusal(Status.AMBIGUOUS_LEVEL, words)
     width = space.surfaces[level].cell_width
     same = [one for one, z in heights.items() if is_same_ground(z, heights[level], width)]
-    room, kind, level = _roomiest(space, same, xy[0])
+    level = max(same, key=lambda one: over[one][1])  # sheets end where others go on
+    z, room, row = over[level]
     if room < space.reach + FINEST:  # less cannot be proven of a way that ends there
-        what = REASONS[ObstacleKind(kind)]
-        near = nearest_free(space, np.array([*xy[0], heights[level]]), SAME_GROUND)
+        what = REASONS[ObstacleKind(space.kind_of(level, row))]
+        near = nearest_free(space, np.array([*xy, z]), SAME_GROUND)
         hint = "" if near is None else f" The nearest free place is {place_words(near)}."
         body = f"the {space.agent.name} (radius {space.agent.disc_radius:.2f} m)"
         words = f"{body} does not fit at the {name} {place_words(place)}: "
         return Refusal(occupied, f"{words}{what} is {room:.2f} m from its centre.{hint}", near)
-    if not _faces_somewhere(space, level, xy[0], room):
+    if not _faces_somewhere(space, level, xy, room):
         body = f"the {space.agent.name} ({space.agent.length:.2f} m long)"
         return Refusal(occupied, f"{body} fits at the {name} {place_words(place)} in no direction.")
-    node = connect(space, level, xy[0], room)
+    node = connect(space, level, xy, room)
     if node < 0:
         return Refusal(
             occupied, f"the {space.agent.name} cannot leave the {name} {place_words(place)} in any direction."
         )
-    return Endpoint(xy[0], level, node)
+    return Endpoint(xy, level, node, z)
 
 
-def _maps_over(space: FreeSpace, place: FloatArray) -> Iterator[int]:
+def _heights_words(heights: dict[int, float]) -> str:
+    return ", ".join(dict.fromkeys(f"{z:.2f}" for z in sorted(heights.values())))
+
+
+def _maps_over(space: FreeSpace, xy: FloatArray) -> Iterator[int]:
     """Levels whose map a place is in."""
+    x, y = xy.tolist()
     for level, surface in enumerate(space.surfaces):
-        sides = zip(place[:2].tolist(), surface.origin.tolist(), surface.state.shape, strict=True)
-        if all(-1.0 <= (x - low) / surface.cell_width <= cells + 1.0 for x, low, cells in sides):
+        (u, v), (nx, ny), width = surface.origin.tolist(), surface.state.shape, surface.cell_width
+        if -width <= x - u <= (nx + 1) * width and -width <= y - v <= (ny + 1) * width:
             yield level
 
 
-def _roomiest(space: FreeSpace, levels: list[int], xy: FloatArray) -> tuple[float, int, int]:
-    """Room at a place, (2,), on the roomiest of levels that are the same ground there: sheets end where others go on.
-
-    Returns:
-        Distance to the nearest obstacle [m], its kind, and the level; of equal ones the lowest.
-    """
-    return max(((*space.room(level, xy), level) for level in levels), key=itemgetter(0))
+@njit(cache=True, nogil=True)
+def _stand_at(ground: Cells, places: Places, xy: FloatArray) -> tuple[float, float, int]:
+    """Height of the ground at a place in plan [m], NaN where there is none; room there [m], and whose: `nearest_of`."""
+    z = height_of(ground, xy[0], xy[1])
+    if isnan(z):
+        return z, 0.0, -1
+    room, row = nearest_of(places, (xy[0], xy[1], 0.0), make_scratch())
+    return z, room, row
 
 
 def _faces_somewhere(space: FreeSpace, level: int, xy: FloatArray, room: float) -> bool:
@@ -211,7 +221,7 @@ def _shut_in(space: FreeSpace, level: int, xy: FloatArray) -> bool:
 def connect(space: FreeSpace, level: int, xy: FloatArray, room: float) -> int:
     """The graph node of a free leaf whose centre is reached on a clear line from `xy`, with `room` [m]; -1 if none."""
     tree = space.quadtrees[level]
-    leaf = int(tree.find(xy[None])[0])
+    leaf = tree.find_one(xy)
     if leaf >= 0 and tree.whole[leaf]:
         return leaf + space.offsets[level]
     free = tree.within(xy, NEXT)

@@ -7,8 +7,10 @@ from math import atan2, pi
 import numpy as np
 from numba import njit
 
-from gpdf_service.planning.shape import subdivide
-from gpdf_service.types import Agent, FloatArray
+from gpdf_service.fields import FieldArrays
+from gpdf_service.perception.surface import Cells
+from gpdf_service.planning.shape import stand_on, subdivide
+from gpdf_service.types import FloatArray
 
 
 def disc_places(poses: FloatArray, offset: FloatArray) -> FloatArray:
@@ -37,21 +39,29 @@ def travel_headings(path: FloatArray) -> FloatArray:
 
 
 @njit(cache=True, nogil=True)
-def _face(path: FloatArray, spacing: float) -> FloatArray:
+def face(path: FloatArray, lever: float, spacing: float) -> FloatArray:
+    """Poses (x, y, θ) at most `spacing` [m] apart along a path, shape (n, 2), where the body faces where it goes.
+
+    Of a path that has a third column, θ, the body faces there: then neither its centre nor its ends, which are a
+    `lever` [m] away from it, move further.
+    """
+    if path.shape[1] == 3:
+        metres = path.copy()
+        metres[:, 2] *= lever
+        poses = subdivide(metres, spacing)
+        poses[:, 2] /= lever
+        return poses
     places = subdivide(path, spacing)
     made = np.empty((len(places), 3))
     made[:, :2], made[:, 2] = places, travel_headings(places)
     return made
 
 
-def face(path: FloatArray, agent: Agent, spacing: float) -> FloatArray:
-    """Poses (x, y, θ) at most `spacing` [m] apart along a path, shape (n, 2), where the body faces where it goes.
-
-    Of a path that has a third column, θ, the body faces there: then neither its centre nor its ends move further.
-    """
-    if path.shape[1] == 2:
-        faced: FloatArray = _face(path, spacing)
-        return faced
-    metres = np.array([1.0, 1.0, agent.offsets[-1]])
-    poses: FloatArray = subdivide(path * metres, spacing) / metres
-    return poses
+@njit(cache=True, nogil=True)
+def stand_along(
+    path: FloatArray, lever: float, spacing: float, ground: Cells, field: FieldArrays, height: float
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Contact points and tops, (n, 3), of who goes along a path, see `stand_up`, and where he faces (n,)."""
+    poses = face(path, lever, spacing)
+    contact, top = stand_on(poses, ground, field, height)
+    return contact, top, poses[:, 2].copy()

@@ -5,12 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import pairwise
+from math import hypot
 from typing import NamedTuple
 
 import numpy as np
 from numba import njit
 
-from gpdf_service.perception.surface import Cells, height_of
+from gpdf_service.perception.surface import Cells
 from gpdf_service.planning.endpoints import Endpoint, Ends, connect
 from gpdf_service.planning.shape import (
     are_joined,
@@ -108,18 +109,16 @@ def _route(space: FreeSpace, start: Endpoint, goal: Endpoint, wish: Wish) -> tup
     higher or lower than the start that it takes effort, the cheapest one is looked for at once: it is among all ways.
     """
     price, ways = prices(space.agent, wish.prefer), wish.ways
-    climb = abs(_floor(space, goal) - _floor(space, start)) * price[SLOPED] / (SPARED * price[LENGTH])
-    if ways is not None and climb > np.linalg.norm(goal.xy - start.xy) and wish.left() > 0.0:
+    climb = abs(goal.floor - start.floor) * price[SLOPED] / (SPARED * price[LENGTH])
+    if ways is not None and climb > hypot(*(goal.xy - start.xy).tolist()) and wish.left() > 0.0:
         legs, takes = _cheapest(ways, wish.prefer, start, goal)
         if legs:
             return legs, float(takes @ price)
         ways = None
-    direct = _shortest(space, start, goal)
-    takes = way_takes_of(direct, wish.prefer)
-    cost = float(takes @ price)
-    if ways is None or wish.left() <= 0.0:
-        return direct, cost
-    if not (_is_effort(takes, price, wish.prefer) or any(map(_is_by_step, direct))):
+    direct, takes, by_step = _shortest(space, start, goal, wish.prefer)
+    seconds = (takes * price).tolist()
+    cost = sum(seconds)
+    if ways is None or wish.left() <= 0.0 or not (by_step or _is_effort(seconds, wish.prefer)):
         return direct, cost
     legs, takes = _cheapest(ways, wish.prefer, start, goal)
     other = float(takes @ price) if legs else np.inf
@@ -140,19 +139,11 @@ def _cheapest(
     return pull_all(legs, prefer)
 
 
-def _is_effort(takes: FloatArray, price: FloatArray, prefer: Prefer) -> bool:
-    """Whether a way takes more than its length and what room beside it asks for."""
-    if prefer == Prefer.WIDE and takes[TIGHT] > 0.0:
+def _is_effort(seconds: list[float], prefer: Prefer) -> bool:
+    """Whether a way takes more than its length and what room beside it asks for, by the seconds that each costs."""
+    if prefer == Prefer.WIDE and seconds[TIGHT] > 0.0:
         return True
-    effort = sum(takes[k] * price[k] for k in (UNSEEN, SLOPED, STEPPED, LEDGE))
-    return bool(effort > SPARED * takes[LENGTH] * price[LENGTH])
-
-
-def _is_by_step(leg: Leg) -> bool:
-    """Whether a way passes a step as near as the body is wide."""
-    level, path, space = leg
-    near = is_near_step(path, space.surfaces[level].arrays, space.noticed[level], space.agent.disc_radius)
-    return bool(near)
+    return seconds[UNSEEN] + seconds[SLOPED] + seconds[STEPPED] + seconds[LEDGE] > SPARED * seconds[LENGTH]
 
 
 def way_takes_of(legs: list[Leg], prefer: Prefer = Prefer.COMPANION) -> FloatArray:
@@ -186,7 +177,7 @@ def take_up(space: FreeSpace, ends: Ends, known: FloatArray) -> Route | None:
     goal = ends.goals[number]
     if goal is None or far > NEAR:
         return None
-    here = np.array([*ends.start.xy, _floor(space, ends.start)])
+    here = np.array([*ends.start.xy, ends.start.floor])
     gap = np.linalg.norm(known - here, axis=1)
     first = int(gap.argmin())
     if gap[first] > NEAR:
@@ -214,18 +205,50 @@ def _cut_by_level(space: FreeSpace, path: FloatArray, level: list[int]) -> list[
     return [Leg(on, distinct(part), space) for on, part in parts if len(part) > 1]
 
 
-def _floor(space: FreeSpace, end: Endpoint) -> float:
-    return float(height_of(space.surfaces[end.level].arrays, *end.xy))
+def _shortest(space: FreeSpace, start: Endpoint, goal: Endpoint, prefer: Prefer) -> tuple[list[Leg], FloatArray, bool]:
+    """Straight, where that is clear; else as A* goes through the graph, cut where the way changes level, and pulled.
 
-
-def _shortest(space: FreeSpace, start: Endpoint, goal: Endpoint) -> list[Leg]:
-    """Straight, where that is clear; else as A* goes through the graph, cut where the way changes level, and pulled."""
-    if start.level == goal.level and _is_straight(space, start, goal):
-        return [Leg(start.level, np.stack([start.xy, goal.xy]), space)]
+    Also what the way takes, (6,), and whether it passes a step as near as the body is wide.
+    """
+    limits = space.radius, space.agent.disc_radius
+    if start.level == goal.level:
+        straight, takes, by_step = _go_straight(start.xy, goal.xy, beside(space, start.level, prefer), *limits)
+        if len(straight):
+            return [Leg(start.level, straight, space)], takes, by_step
     graph = space.graph
     nodes, via = find_nodes(graph, space.core, start.node, goal.node)
     chain = _Chain(graph.position[nodes], graph.level[nodes], np.zeros(len(nodes), np.int64), via)
-    return [_pull(leg) for leg in _legs(chain, start.xy, goal.xy, (space,))]
+    pulled, takes, by_step = list[Leg](), np.zeros(6), False
+    for leg in _legs(chain, start.xy, goal.xy, (space,)):
+        path, more, by = _pull(leg.path, beside(space, leg.level, prefer), *limits)
+        pulled.append(leg._replace(path=path))
+        takes, by_step = takes + more, by_step or by
+    return pulled, takes, by_step
+
+
+@njit(cache=True, nogil=True)
+def _go_straight(
+    a: FloatArray, b: FloatArray, about: Beside, radius: float, near: float
+) -> tuple[FloatArray, FloatArray, bool]:
+    """The straight way from place to place, (2,), without places where it is not clear: `_looked_at`."""
+    path = np.empty((2, 2))
+    path[0], path[1] = a, b
+    if not is_way_straight(a, b, about.places, about.reach, radius, about.ground):
+        return path[:0], np.zeros(6), False
+    return _looked_at(path, about, near)
+
+
+@njit(cache=True, nogil=True)
+def _pull(path: FloatArray, about: Beside, radius: float, near: float) -> tuple[FloatArray, FloatArray, bool]:
+    """A leg pulled straight: `_looked_at`."""
+    return _looked_at(pull(path, about.places, about.reach, radius, about.ground), about, near)
+
+
+@njit(cache=True, nogil=True)
+def _looked_at(path: FloatArray, about: Beside, near: float) -> tuple[FloatArray, FloatArray, bool]:
+    """A way, (n, 2), what it takes, (6,), and whether it comes `near` a step that is noticed [m]."""
+    takes = way_takes(path, about).sum(axis=0)
+    return path, takes, is_near_step(path, about.ground, about.noticed, near)
 
 
 class _Chain(NamedTuple):
@@ -353,16 +376,6 @@ def _strung(
             if level[i] != level[i + 1] or on[i] != on[i + 1]:
                 cut[count], count = i, count + 1
     return places, cut[:count].copy()
-
-
-def _is_straight(space: FreeSpace, start: Endpoint, goal: Endpoint) -> bool:
-    """Whether the body can go straight from start to goal, on one level: then no graph is asked."""
-    return bool(is_way_straight(start.xy, goal.xy, *_around(space, start.level)))
-
-
-def _pull(leg: Leg) -> Leg:
-    """A leg pulled straight."""
-    return leg._replace(path=pull(leg.path, *_around(leg.space, leg.level)))
 
 
 def _around(space: FreeSpace, level: int) -> tuple[Places, float, float, Cells]:

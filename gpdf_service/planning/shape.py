@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
 from math import sqrt
 
 import numpy as np
@@ -265,6 +266,23 @@ def _apart(path: FloatArray, i: int) -> float:
     return sqrt(square)
 
 
+def runs(level: IntArray) -> list[tuple[slice, int]]:
+    """Pieces of a path on one level, by the level of each place, (n,); neighbouring pieces share where they meet."""
+    cuts = [0, *_changes(level), len(level)]
+    return [
+        (slice(max(a - 1, 0), b), int(level[a]))
+        if b - a + (a > 0) > 1
+        else (slice(max(a - 1, 0), b + 1), int(level[a]))
+        for a, b in pairwise(cuts)
+    ]
+
+
+@njit(cache=True, nogil=True)
+def _changes(level: IntArray) -> list[int]:
+    """Where another level begins."""
+    return [i for i in range(1, len(level)) if level[i] != level[i - 1]]
+
+
 @njit(cache=True, nogil=True)
 def subdivide(path: FloatArray, spacing: float) -> FloatArray:
     """The same polyline with its corners, and waypoints at most `spacing` apart."""
@@ -335,12 +353,12 @@ def stand_up(xy: FloatArray, surface: HeightMap, field: Gpdf, height: float) -> 
     Only where the path takes a step that is higher than both tenths does the top rise before it as that surface does:
     no other way over it keeps the body's height from the ground all along.
     """
-    stood: tuple[FloatArray, FloatArray] = _stand(xy, surface.arrays, field.arrays, height)
+    stood: tuple[FloatArray, FloatArray] = stand_on(xy, surface.arrays, field.arrays, height)
     return stood
 
 
 @njit(cache=True, nogil=True)
-def _stand(xy: FloatArray, ground: Cells, field: FieldArrays, height: float) -> tuple[FloatArray, FloatArray]:
+def stand_on(xy: FloatArray, ground: Cells, field: FieldArrays, height: float) -> tuple[FloatArray, FloatArray]:
     """See `stand_up`."""
     contact, top = np.empty((len(xy), 3)), np.empty((len(xy), 3))
     _lift_all(xy, ground, field, height, make_memo(1), contact, top)
