@@ -13,9 +13,9 @@ from gpdf_service.planning import planner
 from gpdf_service.planning.certificate import certify, min_distance
 from gpdf_service.planning.chomp import Stop, Wants, optimize, solve_banded
 from gpdf_service.planning.costs import Discs
-from gpdf_service.search.motion import CENTRE
 from gpdf_service.planning.routes import Leg
 from gpdf_service.planning.shape import resample
+from gpdf_service.search.motion import CENTRE
 from gpdf_service.synthetic import SCENES, Box, World, random_room
 from gpdf_service.types import AGENTS
 from tests.clients.two_storeys import make_house
