@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 from functools import partial
+from math import isfinite
 from numbers import Integral, Real
 from typing import cast, get_args
 
@@ -165,6 +166,8 @@ def _check_places_of(
 
 
 def _check_places(places: Sequence[Place], name: str, each: str) -> tuple[FloatArray, ...]:
+    if isinstance(places, tuple) and not places:
+        return ()
     if not isinstance(places, Sequence | np.ndarray) or isinstance(places, str):
         raise RequestError(name, f"{places!r}", "Pass a list of places.")
     if len(places) > MOST_PLACES:
@@ -174,8 +177,9 @@ def _check_places(places: Sequence[Place], name: str, each: str) -> tuple[FloatA
 
 def _check_warm_start(warm_start: Trajectory | FloatArray, via: Sequence[Place]) -> FloatArray:
     known = _floats(warm_start.ground if isinstance(warm_start, Trajectory) else warm_start)
-    if known is None or known.ndim != 2 or known.shape[1] != 3 or len(known) < 2:
-        found = "no array of finite numbers" if known is None else f"an array of shape {known.shape}"
+    finite = known is not None and bool(np.isfinite(known).all())
+    if known is None or not finite or known.ndim != 2 or known.shape[1] != 3 or len(known) < 2:
+        found = "no array of finite numbers" if known is None or not finite else f"an array of shape {known.shape}"
         raise RequestError("warm_start", found, "Pass contact points, (n ≥ 2, 3).")
     if len(via):
         raise RequestError("warm_start", "together with via points", "Give one or the other.")
@@ -190,15 +194,14 @@ def _check_heading(heading: float | None, name: str) -> float | None:
 
 def _check_place(place: Place, name: str) -> FloatArray:
     made = _floats(place)
-    if made is None or made.shape not in ((2,), (3,)):
+    if made is None or made.shape not in ((2,), (3,)) or not all(map(isfinite, made.tolist())):
         raise RequestError(name, f"{place!r}", "Pass (x, y) or (x, y, z): finite numbers in metres.")
     return made
 
 
 def _floats(values: object) -> FloatArray | None:
-    """A new array of finite numbers, if they are that."""
+    """A new array of numbers, if they are that."""
     try:
-        made = np.array(values, dtype=np.float64)
+        return np.array(values, dtype=np.float64)
     except (TypeError, ValueError):
         return None
-    return made if np.isfinite(made).all() else None

@@ -13,6 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
 from gpdf_service.fields import AnyField, FieldArrays
 from gpdf_service.kernel_cache import lean
@@ -26,7 +27,7 @@ from gpdf_service.planning.costs import (
     obstacle_cost,
     smoothness_cost,
 )
-from gpdf_service.planning.shape import lengths, rounded, waypoints
+from gpdf_service.planning.shape import is_level, lengths, rounded, waypoints
 from gpdf_service.types import FloatArray
 
 _DESCENT = 1e-4
@@ -81,11 +82,16 @@ Fields = tuple[AnyField, FieldArrays]
 
 
 @njit(cache=True, nogil=True)
-def optimize(xi: FloatArray, fields: Fields, discs: Discs, wants: Wants, stop: Stop) -> ChompResult:
-    """Optimise waypoints of the body's top, shape (n, 3) [m], in place; rows 0 and -1 stay."""
+def optimize(
+    xi: FloatArray, fields: Fields, discs: Discs, wants: Wants, stop: Stop, level: bool = False
+) -> ChompResult:
+    """Optimise waypoints of the body's top, shape (n, 3) [m], in place; rows 0 and -1 stay.
+
+    Over `level` ground, where d_g = h wherever they are moved to, the ground costs nothing.
+    """
     (obstacles, ground), (height, epsilon, wall, stiff) = fields, wants
     costs, spacing = np.zeros(stop.max_iterations + 1), lengths(xi)[-1] / (len(xi) - 1)
-    task = Task(obstacles, ground, discs, height, epsilon, wall, stiff, spacing)
+    task = Task(obstacles, ground, discs, height, epsilon, wall, stiff, spacing, level)
     count, evaluations, converged = _descend(xi, task, stop.max_iterations, stop.tolerance, costs)
     return ChompResult(xi, costs[:count].copy(), evaluations, converged)
 
@@ -94,6 +100,7 @@ def optimize(xi: FloatArray, fields: Fields, discs: Discs, wants: Wants, stop: S
 def bend(
     path: FloatArray,
     ground: Cells,
+    ends: NDArray[np.float32],
     fields: Fields,
     discs: Discs,
     wants: Wants,
@@ -106,6 +113,7 @@ def bend(
     Args:
         path: Its ends stay [m].
         ground: Under it.
+        ends: `HeightMap.ends` of it: over level ground the field is not asked.
         fields: What it is bent by.
         discs: Of the body.
         wants: What is asked of it.
@@ -121,7 +129,8 @@ def bend(
     steps = int(min(float(stop.max_iterations), looks / max(len(xi), 1)))
     if len(xi) == 0 or steps < 1:
         return path[:0].copy(), ChompResult(xi, np.zeros(1), 0, False)
-    found = optimize(xi, fields, discs, wants, Stop(steps, stop.tolerance))
+    level = is_level(xi, ground, ends, wants.height)
+    found = optimize(xi, fields, discs, wants, Stop(steps, stop.tolerance), level)
     return rounded(xi, spacing[1]), found
 
 
@@ -131,7 +140,8 @@ def _cost(xi: FloatArray, task: Task, memos: tuple[Memo, Memo], gradient: FloatA
     gradient[:], band[:] = 0.0, 0.0
     total: float = smoothness_cost(xi, task, gradient, band)
     total += obstacle_cost(xi, task, memos[0], gradient, band)
-    total += ground_cost(xi, task, memos[1], gradient, band)
+    if not task.level:
+        total += ground_cost(xi, task, memos[1], gradient, band)
     return total
 
 

@@ -39,6 +39,7 @@ class Task(NamedTuple):
     wall: float
     smoothness_weight: float
     spacing: float
+    level: bool = False
 
 
 class Memo(NamedTuple):

@@ -8,19 +8,17 @@ from math import isnan
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from scipy import ndimage
 
-from gpdf_service.fields.tree import make_scratch
 from gpdf_service.perception import ObstacleKind
-from gpdf_service.perception.surface import UNKNOWN, Cells, height_of, is_same_ground
+from gpdf_service.perception.surface import UNKNOWN, height_of, is_same_ground
 from gpdf_service.planning.certificate import FINEST
 from gpdf_service.planning.footprint import disc_places
 from gpdf_service.planning.words import metres, place_words
 from gpdf_service.search import FreeSpace, is_clear
 from gpdf_service.search.motion import RESOLUTION
 from gpdf_service.search.nearest import nearest_free
-from gpdf_service.search.places import Places, nearest_of
+from gpdf_service.search.places import nearest_to
 from gpdf_service.types import FloatArray, PlanOptions, Status
 
 SAME_GROUND = 0.5
@@ -38,12 +36,21 @@ REASONS = {
 
 
 class Endpoint(NamedTuple):
-    """A valid start or goal: place in plan (2,) [m], level, graph node to go on from, height of the ground [m]."""
+    """A valid start or goal.
+
+    Attributes:
+        xy: Place in plan [m], shape (2,).
+        level: Of the ground that it is on.
+        node: Of the graph, to go on from.
+        floor: Height of the ground [m].
+        room: Distance to the nearest obstacle [m]; inf in a leaf that is wholly free, where the search asks for none.
+    """
 
     xy: FloatArray
     level: int
     node: int
     floor: float
+    room: float = np.inf
 
 
 @dataclass(frozen=True, slots=True)
@@ -125,8 +132,8 @@ def find_endpoint(space: FreeSpace, place: FloatArray, name: str) -> Endpoint | 
     outside = Status.START_OUTSIDE_MAP if name == "start" else Status.GOAL_OUTSIDE_MAP
     occupied = Status.START_OCCUPIED if name == "start" else Status.GOAL_OCCUPIED
     xy = place[:2]
-    over = {level: _stand_at(space.surfaces[level].arrays, space.trees[level], xy) for level in _maps_over(space, xy)}
-    heights = {level: z for level, (z, _, _) in over.items() if not isnan(z)}
+    over = {level: float(height_of(space.surfaces[level].arrays, *xy.tolist())) for level in _maps_over(space, xy)}
+    heights = {level: z for level, z in over.items() if not isnan(z)}
     if not heights:
         near = nearest_free(space, place, SAME_GROUND)
         hint = "" if near is None else f" The nearest free place is {place_words(near)}."
@@ -147,11 +154,16 @@ def find_endpoint(space: FreeSpace, place: FloatArray, name: str) -> Endpoint | 
         return Refusal(Status.AMBIGUOUS_LEVEL, words)
     width = space.surfaces[level].cell_width
     same = [one for one, z in heights.items() if is_same_ground(z, heights[level], width)]
-    level = max(same, key=lambda one: over[one][1])  # sheets end where others go on
-    z, room, row = over[level]
+    if len(same) == 1 and space.agent.discs == 1:  # else the room decides, on the level or which way it faces
+        leaf = space.quadtrees[level].find_one(xy)
+        if leaf >= 0 and space.quadtrees[level].whole[leaf]:
+            return Endpoint(xy, level, leaf + space.offsets[level], heights[level])
+    rooms = {one: nearest_to(space.trees[one], xy) for one in same}
+    level = max(same, key=lambda one: rooms[one][0])  # sheets end where others go on
+    room, row = rooms[level]
     if room < space.reach + FINEST:  # less cannot be proven of a way that ends there
         what = REASONS[ObstacleKind(space.kind_of(level, row))]
-        near = nearest_free(space, np.array([*xy, z]), SAME_GROUND)
+        near = nearest_free(space, np.array([*xy, heights[level]]), SAME_GROUND)
         hint = "" if near is None else f" The nearest free place is {place_words(near)}."
         body = f"the {space.agent.name} (radius {space.agent.disc_radius:.2f} m)"
         words = f"{body} does not fit at the {name} {place_words(place)}: "
@@ -164,7 +176,7 @@ def find_endpoint(space: FreeSpace, place: FloatArray, name: str) -> Endpoint | 
         return Refusal(
             occupied, f"the {space.agent.name} cannot leave the {name} {place_words(place)} in any direction."
         )
-    return Endpoint(xy, level, node, z)
+    return Endpoint(xy, level, node, heights[level], room)
 
 
 def _heights_words(heights: dict[int, float]) -> str:
@@ -178,16 +190,6 @@ def _maps_over(space: FreeSpace, xy: FloatArray) -> Iterator[int]:
         (u, v), (nx, ny), width = surface.origin.tolist(), surface.state.shape, surface.cell_width
         if -width <= x - u <= (nx + 1) * width and -width <= y - v <= (ny + 1) * width:
             yield level
-
-
-@njit(cache=True, nogil=True)
-def _stand_at(ground: Cells, places: Places, xy: FloatArray) -> tuple[float, float, int]:
-    """Height of the ground at a place in plan [m], NaN where there is none; room there [m], and whose: `nearest_of`."""
-    z = height_of(ground, xy[0], xy[1])
-    if isnan(z):
-        return z, 0.0, -1
-    room, row = nearest_of(places, (xy[0], xy[1], 0.0), make_scratch())
-    return z, room, row
 
 
 def _faces_somewhere(space: FreeSpace, level: int, xy: FloatArray, room: float) -> bool:
@@ -218,6 +220,11 @@ def _shut_in(space: FreeSpace, level: int, xy: FloatArray) -> bool:
     return bool(label[ix[0], iy[0]] not in rim)
 
 
+def radius_at(space: FreeSpace, room: float) -> float:
+    """What a way keeps from obstacles [m] that begins with so much `room`: with all of it, only straight away goes."""
+    return min(space.radius, max(space.reach, room - RESOLUTION))
+
+
 def connect(space: FreeSpace, level: int, xy: FloatArray, room: float) -> int:
     """The graph node of a free leaf whose centre is reached on a clear line from `xy`, with `room` [m]; -1 if none."""
     tree = space.quadtrees[level]
@@ -229,7 +236,7 @@ def connect(space: FreeSpace, level: int, xy: FloatArray, room: float) -> int:
     half = 0.5 * tree.width * tree.size[free]
     center = tree.origin + tree.corner[free] * tree.width + half[:, None]
     gap = np.linalg.norm(center - xy, axis=1) - half
-    radius = min(space.radius, max(space.reach, room - RESOLUTION))  # with all of it, only straight away is proven
+    radius = radius_at(space, room)
     for row in np.argsort(gap)[:32]:
         if is_clear(space.trees[level], xy, center[row], radius):
             return int(free[row]) + space.offsets[level]

@@ -6,6 +6,7 @@ from math import atan2, pi
 
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
 from gpdf_service.fields import FieldArrays
 from gpdf_service.perception.surface import Cells
@@ -59,9 +60,15 @@ def face(path: FloatArray, lever: float, spacing: float) -> FloatArray:
 
 @njit(cache=True, nogil=True)
 def stand_along(
-    path: FloatArray, lever: float, spacing: float, ground: Cells, field: FieldArrays, height: float
+    path: FloatArray,
+    lever: float,
+    spacing: float,
+    ground: Cells,
+    ends: NDArray[np.float32],
+    field: FieldArrays,
+    height: float,
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Contact points and tops, (n, 3), of who goes along a path, see `stand_up`, and where he faces (n,)."""
     poses = face(path, lever, spacing)
-    contact, top = stand_on(poses, ground, field, height)
+    contact, top = stand_on(poses, ground, ends, field, height)
     return contact, top, poses[:, 2].copy()

@@ -238,16 +238,22 @@ def _candidates(task: _Task, legs: list[Leg]) -> Iterator[_Candidate]:
     """Paths from the best to the safest: CHOMP, CHOMP that bends round every point behind a wall, then the seed."""
     for bent in _tries(task, legs):
         runs = [run for _, run in bent if run is not None]
-        most = max((len(run.costs) for run in runs), default=0)
-        steps = np.arange(most)  # a piece that came to rest keeps its cost
-        costs = sum((run.costs[np.minimum(steps, len(run.costs) - 1)] for run in runs), np.zeros(most))
         details = {
             "iterations": float(sum(run.iterations for run in runs)),
             "evaluations": float(sum(run.evaluations for run in runs)),
             "converged": float(all(run.converged for run in runs)),
         }
-        yield _Candidate([leg for leg, _ in bent], costs, details)
+        yield _Candidate([leg for leg, _ in bent], _sum_of([run.costs for run in runs]), details)
     yield _Candidate(legs, np.zeros(0), {"iterations": 0.0, "evaluations": 0.0, "converged": 0.0})
+
+
+def _sum_of(costs: list[FloatArray]) -> FloatArray:
+    """What all pieces cost after each step: one that came to rest keeps its cost."""
+    if len(costs) == 1:
+        return costs[0]
+    most = max(map(len, costs), default=0)
+    steps = np.arange(most)
+    return sum((one[np.minimum(steps, len(one) - 1)] for one in costs), np.zeros(most))
 
 
 def _tries(task: _Task, legs: list[Leg]) -> Iterator[list[Bent]]:
@@ -322,7 +328,7 @@ def _bend(leg: Leg, config: PlanningConfig, strict: bool, seconds: float) -> Ben
     waypoints as far apart follows it.
     """
     level, path, space = leg
-    agent = space.agent
+    agent, surface = space.agent, space.surfaces[level]
     stiff = config.smoothness_weight(agent.disc_radius)
     spacing = max(config.waypoint_spacing, stiff)
     epsilon = config.preferred_clearance * agent.disc_radius
@@ -333,7 +339,8 @@ def _bend(leg: Leg, config: PlanningConfig, strict: bool, seconds: float) -> Ben
         obstacles, wall, radius = space.obstacle_fields[level].arrays, 0.0, space.reach
     bent, found = bend(
         path,
-        space.surfaces[level].arrays,
+        surface.arrays,
+        surface.ends,
         (obstacles, space.ground_fields[level].arrays),
         Discs(agent.offsets, radius),
         Wants(agent.height, epsilon, wall, stiff),
@@ -360,7 +367,8 @@ def _stand(
     agent, contacts, tops, levels, headings = space.agent, [], [], [], []
     lever = float(agent.offsets[-1])
     for i, (level, path, _) in enumerate(legs):
-        below = space.surfaces[level].arrays, space.ground_fields[level].arrays
+        surface, field = space.surfaces[level], space.ground_fields[level]
+        below = surface.arrays, surface.ends, field.arrays
         contact, top, heading = stand_along(path, lever, spacing, *below, agent.height)
         first = 1 if i else 0
         contacts.append(contact[first:])

@@ -11,13 +11,14 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
+from gpdf_service.fields.tree import make_scratch
 from gpdf_service.perception.surface import Cells
-from gpdf_service.planning.endpoints import Endpoint, Ends, connect
+from gpdf_service.planning.endpoints import Endpoint, Ends, connect, radius_at
 from gpdf_service.planning.shape import (
     are_joined,
     distinct,
     is_path_clear,
-    is_way_straight,
+    is_straight,
     pull,
     pull_tight,
     radius_of,
@@ -210,17 +211,21 @@ def _shortest(space: FreeSpace, start: Endpoint, goal: Endpoint, prefer: Prefer)
 
     Also what the way takes, (6,), and whether it passes a step as near as the body is wide.
     """
-    limits = space.radius, space.agent.disc_radius
+    near = space.agent.disc_radius
     if start.level == goal.level:
-        straight, takes, by_step = _go_straight(start.xy, goal.xy, beside(space, start.level, prefer), *limits)
+        radius = radius_at(space, min(start.room, goal.room))
+        about = beside(space, start.level, prefer)
+        straight, takes, by_step = _go_straight(start.xy, goal.xy, about, radius, near)
         if len(straight):
             return [Leg(start.level, straight, space)], takes, by_step
     graph = space.graph
     nodes, via = find_nodes(graph, space.core, start.node, goal.node)
     chain = _Chain(graph.position[nodes], graph.level[nodes], np.zeros(len(nodes), np.int64), via)
+    legs = _legs(chain, start.xy, goal.xy, (space,))
     pulled, takes, by_step = list[Leg](), np.zeros(6), False
-    for leg in _legs(chain, start.xy, goal.xy, (space,)):
-        path, more, by = _pull(leg.path, beside(space, leg.level, prefer), *limits)
+    for n, leg in enumerate(legs, start=1):
+        radius = radius_at(space, min(start.room if n == 1 else np.inf, goal.room if n == len(legs) else np.inf))
+        path, more, by = _pull(leg.path, beside(space, leg.level, prefer), radius, near)
         pulled.append(leg._replace(path=path))
         takes, by_step = takes + more, by_step or by
     return pulled, takes, by_step
@@ -233,7 +238,7 @@ def _go_straight(
     """The straight way from place to place, (2,), without places where it is not clear: `_looked_at`."""
     path = np.empty((2, 2))
     path[0], path[1] = a, b
-    if not is_way_straight(a, b, about.places, about.reach, radius, about.ground):
+    if not is_straight(a, b, about.places, radius, about.ground, make_scratch()):
         return path[:0], np.zeros(6), False
     return _looked_at(path, about, near)
 
@@ -241,7 +246,7 @@ def _go_straight(
 @njit(cache=True, nogil=True)
 def _pull(path: FloatArray, about: Beside, radius: float, near: float) -> tuple[FloatArray, FloatArray, bool]:
     """A leg pulled straight: `_looked_at`."""
-    return _looked_at(pull(path, about.places, about.reach, radius, about.ground), about, near)
+    return _looked_at(pull(path, about.places, radius, about.ground), about, near)
 
 
 @njit(cache=True, nogil=True)
@@ -406,12 +411,14 @@ def _pull_cheaply(
     path: FloatArray, about: Beside, radius: float, price: FloatArray, between: bool
 ) -> tuple[FloatArray, FloatArray]:
     """See `pull_cheaply`; what the leg takes is told where it is asked for, first what is soon told."""
-    obstacles = about.places, about.reach, radius, about.ground
+    places, ground = about.places, about.ground
     rest, made, rows, takes = [(0, len(path) - 1)], [path], 0, np.zeros(6)
     least = spent = np.zeros(0)
     while len(rest) > 0:
         first, last = rest.pop()
-        pulled = pull_tight(path[first : last + 1], *obstacles) if between else pull(path[first : last + 1], *obstacles)
+        piece = path[first : last + 1]
+        room = radius_of(piece, places, about.reach, radius)
+        pulled = pull_tight(piece, places, room, ground) if between else pull(piece, places, room, ground)
         taken = way_takes(pulled, about)
         most, done = _costs(taken, price)[-1] / PULLED, last - first < 2
         if not done:

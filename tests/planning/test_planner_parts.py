@@ -238,12 +238,12 @@ def test_strictly_there_is_a_wall_as_far_off_as_what_a_chord_cuts_from_a_turn(ro
     monkeypatch.setattr(planner, "bend", lambda *args: asked.append(args) or bend(*args))
     for strict in (False, True):
         planner._bend(two_legs(space)[0], CONFIG, strict, np.inf)
-    assert [fields[0].standing.weights.any() for _, _, fields, *_ in asked] == [True, False]  # the GPDF, the points
+    assert [fields[0].standing.weights.any() for _, _, _, fields, *_ in asked] == [True, False]  # the GPDF, the points
     apart = max(CONFIG.waypoint_spacing, CONFIG.smoothness_weight(HUMAN.disc_radius))
-    soft, hard = (discs.radius for _, _, _, discs, *_ in asked)
+    soft, hard = (args[4].radius for args in asked)
     assert soft == space.reach
     assert hard == pytest.approx(space.radius + apart**2 / (8.0 * HUMAN.disc_radius))
-    wants = [args[4] for args in asked]
+    wants = [args[5] for args in asked]
     assert [one.wall for one in wants] == [0.0, planner.WALL]
     assert wants[0].epsilon == CONFIG.preferred_clearance * HUMAN.disc_radius
     assert wants[0].height == HUMAN.height
