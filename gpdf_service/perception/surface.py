@@ -17,8 +17,8 @@ from gpdf_service.perception.rows import cells_in_box
 from gpdf_service.types import BoolArray, FloatArray, IntArray
 
 UNKNOWN, OBSERVED, INFERRED = 0, 1, 2
-BLOCK = 16
-"""Cells along a side of the blocks whose lowest and highest ground is told at once: of 5 cm cells 0.8 m."""
+BLOCK = 8
+"""Cells along a side of the blocks whose lowest and highest ground is told at once: of 5 cm cells 0.4 m."""
 Heights = float | FloatArray
 """Of one place or many [m]."""
 

@@ -132,8 +132,11 @@ def find_endpoint(space: FreeSpace, place: FloatArray, name: str) -> Endpoint | 
     outside = Status.START_OUTSIDE_MAP if name == "start" else Status.GOAL_OUTSIDE_MAP
     occupied = Status.START_OCCUPIED if name == "start" else Status.GOAL_OCCUPIED
     xy = place[:2]
-    over = {level: float(height_of(space.surfaces[level].arrays, *xy.tolist())) for level in _maps_over(space, xy)}
-    heights = {level: z for level, z in over.items() if not isnan(z)}
+    heights = dict[int, float]()
+    for level in _maps_over(space, xy):
+        z = float(height_of(space.surfaces[level].arrays, *xy.tolist()))
+        if not isnan(z):
+            heights[level] = z
     if not heights:
         near = nearest_free(space, place, SAME_GROUND)
         hint = "" if near is None else f" The nearest free place is {place_words(near)}."
@@ -142,18 +145,19 @@ def find_endpoint(space: FreeSpace, place: FloatArray, name: str) -> Endpoint | 
             return Refusal(occupied, words + hint, near)
         words = f"no ground is known at the {name} {place_words(place)}. Choose a place on the mapped ground."
         return Refusal(outside, words + hint, near)
-    level = min(heights, key=lambda one: abs(heights[one] - place[2]) if len(place) == 3 else one)
+    level = next(iter(heights))
     if len(place) == 3:
+        level = min(heights, key=lambda one: abs(heights[one] - place[2]))
         if abs(heights[level] - place[2]) > SAME_GROUND:
             found = _heights_words(heights)
             return Refusal(
                 outside, f"the ground at the {name} {place_words(place)} is at z = {found} m, not {metres(place[2])} m."
             )
-    elif max(heights.values()) - min(heights.values()) > SAME_GROUND:
+    elif len(heights) > 1 and max(heights.values()) - min(heights.values()) > SAME_GROUND:
         words = f"there is ground at z = {_heights_words(heights)} m under the {name} {place_words(place)}. Give its z."
         return Refusal(Status.AMBIGUOUS_LEVEL, words)
     width = space.surfaces[level].cell_width
-    same = [one for one, z in heights.items() if is_same_ground(z, heights[level], width)]
+    same = [one for one, z in heights.items() if one == level or is_same_ground(z, heights[level], width)]
     if len(same) == 1 and space.agent.discs == 1:  # else the room decides, on the level or which way it faces
         leaf = space.quadtrees[level].find_one(xy)
         if leaf >= 0 and space.quadtrees[level].whole[leaf]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from math import atan2, pi
+from math import atan2, pi, sqrt
 
 import numpy as np
 from numba import njit
@@ -11,7 +11,10 @@ from numpy.typing import NDArray
 from gpdf_service.fields import FieldArrays
 from gpdf_service.perception.surface import Cells
 from gpdf_service.planning.shape import stand_on, subdivide
-from gpdf_service.types import FloatArray
+from gpdf_service.types import BoolArray, FloatArray
+
+STILL = 1e-9
+"""[m] What moves less stands."""
 
 
 def disc_places(poses: FloatArray, offset: FloatArray) -> FloatArray:
@@ -59,6 +62,18 @@ def face(path: FloatArray, lever: float, spacing: float) -> FloatArray:
 
 
 @njit(cache=True, nogil=True)
+def moving(places: FloatArray, heading: FloatArray, lever: float) -> BoolArray:
+    """Which places, (n, ≥ 2), the body has moved or turned to from the one before; the last, too, if it never moves."""
+    keep, any_moves = np.ones(len(places), np.bool_), False
+    for i in range(1, len(places)):
+        dx, dy = places[i, 0] - places[i - 1, 0], places[i, 1] - places[i - 1, 1]
+        keep[i] = sqrt(dx * dx + dy * dy) + lever * abs(heading[i] - heading[i - 1]) > STILL
+        any_moves |= keep[i]
+    keep[-1] |= not any_moves
+    return keep
+
+
+@njit(cache=True, nogil=True)
 def stand_along(
     path: FloatArray,
     lever: float,
@@ -68,7 +83,11 @@ def stand_along(
     field: FieldArrays,
     height: float,
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Contact points and tops, (n, 3), of who goes along a path, see `stand_up`, and where he faces (n,)."""
+    """Contact points and tops, (n, 3), of who goes along a path, see `stand_up`, and where he faces (n,).
+
+    Places to which he does not move or turn from the one before are left out; two of them stay, the ends.
+    """
     poses = face(path, lever, spacing)
+    poses = poses[moving(poses, poses[:, 2], lever)]
     contact, top = stand_on(poses, ground, ends, field, height)
     return contact, top, poses[:, 2].copy()

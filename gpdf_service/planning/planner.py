@@ -10,19 +10,15 @@ import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from itertools import islice
-from math import sqrt
-from typing import Any
 
 import numpy as np
-from numba import njit
-from numpy.typing import NDArray
 
 from gpdf_service.config import PlanningConfig
 from gpdf_service.planning.certificate import certify
 from gpdf_service.planning.chomp import Stop, Wants, bend
 from gpdf_service.planning.costs import Discs
 from gpdf_service.planning.endpoints import Ends, Refusal, find_ends
-from gpdf_service.planning.footprint import stand_along
+from gpdf_service.planning.footprint import moving, stand_along
 from gpdf_service.planning.no_path import explain_no_path
 from gpdf_service.planning.others import find_others
 from gpdf_service.planning.portals import Bent, Meet, bend_over, pull_over
@@ -32,7 +28,7 @@ from gpdf_service.planning.turning import Facing, Stuck, time_poses, turn_route
 from gpdf_service.search import FreeSpace, Prefer, Ways, prices
 from gpdf_service.search.steps import count_steps
 from gpdf_service.search.ways import STEPPED, WIDE
-from gpdf_service.types import Agent, BoolArray, FloatArray, IntArray, PlanOptions, PlanResult, Status, Trajectory
+from gpdf_service.types import Agent, FloatArray, IntArray, PlanOptions, PlanResult, Status, Trajectory
 
 Clock = Callable[[], float]
 NO_OPTIONS = PlanOptions()
@@ -42,8 +38,6 @@ PATIENCE = 0.005
 """[s] A path that was found this long after its deadline is not certified any more: that takes as long again."""
 WAYPOINTS_PER_SECOND = 300_000
 """Waypoints that the optimiser looks at in a second: with a deadline, it takes no more steps than there is time for."""
-STILL = 1e-9
-"""[m] What moves less stands."""
 LATE = "the deadline passed before a path was certified. Allow more time."
 WALL = 1000.0
 """[1/m] A millimetre too near, which is what the certificate resolves, doubles the push away."""
@@ -328,13 +322,13 @@ def _bend(leg: Leg, config: PlanningConfig, strict: bool, seconds: float) -> Ben
     waypoints as far apart follows it.
     """
     level, path, space = leg
-    agent, surface = space.agent, space.surfaces[level]
-    stiff = config.smoothness_weight(agent.disc_radius)
+    agent, surface, wide = space.agent, space.surfaces[level], space.agent.disc_radius
+    stiff = config.smoothness_weight(wide)
     spacing = max(config.waypoint_spacing, stiff)
-    epsilon = config.preferred_clearance * agent.disc_radius
+    epsilon = config.preferred_clearance * wide
     if strict:
         obstacles, wall = space.exact_fields[level], WALL
-        radius = space.radius + spacing**2 / (8.0 * agent.disc_radius)
+        radius = space.radius + spacing**2 / (8.0 * wide)
     else:
         obstacles, wall, radius = space.obstacle_fields[level].arrays, 0.0, space.reach
     bent, found = bend(
@@ -370,35 +364,19 @@ def _stand(
         surface, field = space.surfaces[level], space.ground_fields[level]
         below = surface.arrays, surface.ends, field.arrays
         contact, top, heading = stand_along(path, lever, spacing, *below, agent.height)
+        on = np.full(len(heading), level)
+        if len(legs) == agent.discs == 1:
+            return contact, top, on, heading
         first = 1 if i else 0
         contacts.append(contact[first:])
         tops.append(top[first:])
-        levels.append(np.full(len(heading) - first, level))
+        levels.append(on[first:])
         headings.append(heading[first:])
-    contact, top, on, heading = map(_joined, (contacts, tops, levels, headings))
+    contact, top, on, heading = map(np.concatenate, (contacts, tops, levels, headings))
     if agent.discs > 1:
         turned = [(0, facing[0]), *enumerate(heading), (-1, facing[1])]
         row = np.array([i % len(contact) for i, angle in turned if angle is not None])
         heading = np.unwrap([angle for _, angle in turned if angle is not None])
         contact, top, on = contact[row], top[row], on[row]
-    keep = _moving(contact, heading, lever)
-    if keep.all():
-        return contact, top, on, heading
+    keep = moving(contact, heading, lever)
     return contact[keep], top[keep], on[keep], heading[keep]
-
-
-def _joined(parts: list[NDArray[Any]]) -> NDArray[Any]:
-    """All parts in one array: a single one as it is."""
-    return parts[0] if len(parts) == 1 else np.concatenate(parts)
-
-
-@njit(cache=True, nogil=True)
-def _moving(contact: FloatArray, heading: FloatArray, lever: float) -> BoolArray:
-    """Which contact points the body has moved or turned to from the one before; the last, too, if it never moves."""
-    keep, any_moves = np.ones(len(contact), np.bool_), False
-    for i in range(1, len(contact)):
-        dx, dy = contact[i, 0] - contact[i - 1, 0], contact[i, 1] - contact[i - 1, 1]
-        keep[i] = sqrt(dx * dx + dy * dy) + lever * abs(heading[i] - heading[i - 1]) > STILL
-        any_moves |= keep[i]
-    keep[-1] |= not any_moves
-    return keep

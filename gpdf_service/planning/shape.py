@@ -253,19 +253,21 @@ def _apart(path: FloatArray, i: int) -> float:
 
 def runs(level: IntArray) -> list[tuple[slice, int]]:
     """Pieces of a path on one level, by the level of each place, (n,); neighbouring pieces share where they meet."""
-    cuts = [0, *_changes(level), len(level)]
+    cuts = _changes(level)
+    if not len(cuts):
+        return [(slice(0, len(level)), int(level[0]))]
     return [
         (slice(max(a - 1, 0), b), int(level[a]))
         if b - a + (a > 0) > 1
         else (slice(max(a - 1, 0), b + 1), int(level[a]))
-        for a, b in pairwise(cuts)
+        for a, b in pairwise([0, *cuts.tolist(), len(level)])
     ]
 
 
 @njit(cache=True, nogil=True)
-def _changes(level: IntArray) -> list[int]:
+def _changes(level: IntArray) -> IntArray:
     """Where another level begins."""
-    return [i for i in range(1, len(level)) if level[i] != level[i - 1]]
+    return np.flatnonzero(level[1:] != level[:-1]) + 1
 
 
 @njit(cache=True, nogil=True)
@@ -363,9 +365,13 @@ def stand_on(
 def is_level(path: FloatArray, ground: Cells, ends: NDArray[np.float32], height: float) -> bool:
     """Whether all ground that can be as near to a body's top as its own, along a path, stands for being level.
 
-    What is further from the contact point than the body is high is not nearer to the top: there d_g = h as it is.
+    Ground that is r away and z over the contact point is nearer to the top if r² < z (2h − z), so none is that is
+    further away than h, or than what the highest of these says.
     """
-    return rise_around(path, height, ground, ends) <= _STANDS * height
+    rise = rise_around(path, height, ground, ends)
+    if _STANDS * height < rise < height:
+        rise = rise_around(path, sqrt(rise * (2.0 * height - rise)), ground, ends)
+    return rise <= _STANDS * height
 
 
 @lean()

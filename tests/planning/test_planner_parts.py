@@ -9,7 +9,7 @@ import pytest
 
 import gpdf_service as gpdf
 from gpdf_service.config import PlanningConfig
-from gpdf_service.planning import planner
+from gpdf_service.planning import footprint, planner
 from gpdf_service.planning.chomp import ChompResult
 from gpdf_service.planning.routes import Leg
 from gpdf_service.search import Prefer
@@ -66,10 +66,10 @@ def test_what_neither_moves_nor_turns_is_told():
         step = rng.choice([0.0, 1e-10, 0.05], (60, 3)) * np.array([1.0, 1.0, 0.0])
         contact, heading = np.cumsum(step, axis=0), np.cumsum(rng.choice([0.0, 0.1], 60))
         moved = np.linalg.norm(np.diff(contact[:, :2], axis=0), axis=1) + lever * np.abs(np.diff(heading))
-        told = planner._moving(contact, heading, lever)
-        np.testing.assert_array_equal(told, [True, *(moved > planner.STILL)])
+        told = planner.moving(contact, heading, lever)
+        np.testing.assert_array_equal(told, [True, *(moved > footprint.STILL)])
     still = np.zeros((4, 3))
-    np.testing.assert_array_equal(planner._moving(still, np.zeros(4), 0.4), [True, False, False, True])
+    np.testing.assert_array_equal(planner.moving(still, np.zeros(4), 0.4), [True, False, False, True])
 
 
 def test_a_whole_path_stands_once_where_its_legs_meet(room):
