@@ -59,6 +59,12 @@ class HeightMap:
         made: NDArray[np.float32] = _ends_of_blocks(self.height)
         return made
 
+    @cached_property
+    def inferred(self) -> NDArray[np.int32]:
+        """How many cells are INFERRED, by boxes: see `count_cells`."""
+        made: NDArray[np.int32] = count_cells(self.state == INFERRED)
+        return made
+
     def cells(self, xy: FloatArray) -> tuple[NDArray[np.int64], NDArray[np.int64], BoolArray]:
         """Cell of each place, shape (m, ≥ 2), clipped to the grid, and whether it was inside."""
         nx, ny = self.height.shape
@@ -150,6 +156,28 @@ def _centres(ground: Cells, mask: BoolArray, made: FloatArray) -> None:
                 made[used, 1] = ground.origin[1] + (y + 0.5) * ground.width
                 made[used, 2] = ground.height[x, y]
                 used += 1
+
+
+@njit(cache=True, nogil=True)
+def count_cells(mask: BoolArray) -> NDArray[np.int32]:
+    """How many of the first i rows and j columns of cells, (nx, ny), are in a mask: shape (nx + 1, ny + 1).
+
+    Four of these numbers tell of any box of cells, however large it is (Crow 1984).
+    """
+    made = np.zeros((mask.shape[0] + 1, mask.shape[1] + 1), np.int32)
+    for i in range(mask.shape[0]):
+        row = 0
+        for j in range(mask.shape[1]):
+            row += mask[i, j]
+            made[i + 1, j + 1] = made[i, j + 1] + row
+    return made
+
+
+@lean()
+def count_in(counts: NDArray[np.int32], u0: int, u1: int, v0: int, v1: int) -> int:
+    """How many cells of rows u0 to u1 and columns v0 to v1, the last ones not among them, are in the mask."""
+    count: int = counts[u1, v1] - counts[u0, v1] - counts[u1, v0] + counts[u0, v0]
+    return count
 
 
 @njit(cache=True, nogil=True)
