@@ -4,27 +4,31 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from math import isnan
+from math import isnan, sqrt
 from typing import NamedTuple
 
 import numpy as np
+from numba import njit
 from scipy import ndimage
 
+from gpdf_service.fields.tree import make_scratch
 from gpdf_service.perception import ObstacleKind
 from gpdf_service.perception.surface import UNKNOWN, height_of, is_same_ground
 from gpdf_service.planning.certificate import FINEST
 from gpdf_service.planning.footprint import disc_places
 from gpdf_service.planning.words import metres, place_words
-from gpdf_service.search import FreeSpace, is_clear
-from gpdf_service.search.motion import RESOLUTION
+from gpdf_service.search import FreeSpace
+from gpdf_service.search.motion import RESOLUTION, is_straight_clear
 from gpdf_service.search.nearest import nearest_free
-from gpdf_service.search.places import nearest_to
+from gpdf_service.search.places import Places, nearest_to
 from gpdf_service.types import FloatArray, PlanOptions, Status
 
 SAME_GROUND = 0.5
 """[m] A given height means the level within this of it: half of the least headroom between two storeys is far more."""
 NEXT = 1.0
 """[m] The centre of the leaf to go on from is nearer than this: leaves are small beside obstacles."""
+MOST_TRIED = 32
+"""Leaves to which a way is looked for: some are behind what stands beside."""
 FACINGS = 180
 """Directions that are tried for a body of discs, over half a turn: 1 cm at the end of one that is 1.2 m long."""
 REASONS = {
@@ -235,13 +239,24 @@ def connect(space: FreeSpace, level: int, xy: FloatArray, room: float) -> int:
     leaf = tree.find_one(xy)
     if leaf >= 0 and tree.whole[leaf]:
         return leaf + space.offsets[level]
-    free = tree.within(xy, NEXT)
-    free = free[tree.free[free]]
-    half = 0.5 * tree.width * tree.size[free]
-    center = tree.origin + tree.corner[free] * tree.width + half[:, None]
-    gap = np.linalg.norm(center - xy, axis=1) - half
-    radius = radius_at(space, room)
-    for row in np.argsort(gap)[:32]:
-        if is_clear(space.trees[level], xy, center[row], radius):
+    for reach in (0.1 * NEXT, NEXT):  # most go on from a leaf beside them, and there are many further away
+        free = tree.within(xy, reach)
+        free = free[tree.free[free]]
+        half: FloatArray = 0.5 * tree.width * tree.size[free]
+        center = tree.origin + tree.corner[free] * tree.width + half[:, None]
+        row = _nearest_clear(space.trees[level], xy, center, half, radius_at(space, room))
+        if row >= 0:
             return int(free[row]) + space.offsets[level]
+    return -1
+
+
+@njit(cache=True, nogil=True)
+def _nearest_clear(obstacles: Places, xy: FloatArray, center: FloatArray, half: FloatArray, radius: float) -> int:
+    """Of squares with such centres (k, 2) and half widths (k,), one of the nearest to which it is clear; −1 if none."""
+    gap, scratch = np.empty(len(half)), make_scratch()
+    for i in range(len(half)):
+        gap[i] = sqrt((center[i, 0] - xy[0]) ** 2 + (center[i, 1] - xy[1]) ** 2) - half[i]
+    for row in np.argsort(gap)[:MOST_TRIED]:
+        if is_straight_clear(obstacles, xy, center[row], radius, scratch):
+            return int(row)
     return -1
