@@ -242,7 +242,7 @@ def connect(space: FreeSpace, level: int, xy: FloatArray, room: float) -> int:
     for reach in (0.1 * NEXT, NEXT):  # most go on from a leaf beside them, and there are many further away
         free = tree.within(xy, reach)
         free = free[tree.free[free]]
-        half: FloatArray = 0.5 * tree.width * tree.size[free]
+        half = np.asarray(0.5 * tree.width * tree.size[free], dtype=np.float64)
         center = tree.origin + tree.corner[free] * tree.width + half[:, None]
         row = _nearest_clear(space.trees[level], xy, center, half, radius_at(space, room))
         if row >= 0:
