@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 from functools import partial
+from math import isfinite
 from numbers import Integral, Real
 from typing import cast, get_args
 
@@ -16,7 +16,6 @@ from gpdf_service.baselines import plan_baseline
 from gpdf_service.config import Config
 from gpdf_service.errors import ConfigError, RequestError
 from gpdf_service.perception import check_labels, check_origins, check_points
-from gpdf_service.perception.footing import ROUGH, crosses_flight
 from gpdf_service.planning import plan_path
 from gpdf_service.scene import Progress as Progress
 from gpdf_service.scene import Scene, assemble_scene
@@ -128,22 +127,10 @@ def plan(
         return plan_baseline(scene, *ends, body, method, deadline=deadline, clock=clock)
     space = scene.free_space(body)
     settings, ways = scene.config.planning, partial(scene.ways, body)
-    result = plan_path(space, *ends, settings, options=options, ways=ways, deadline=deadline, clock=clock)
-    return _with_hidden_height(result, scene, body)
-
-
-def _with_hidden_height(result: PlanResult, scene: Scene, body: Agent) -> PlanResult:
-    """The result whose certificates say how high things may be that nobody can see on these ways [m].
-
-    On a flight what is no higher than a worn tread is rough counts as the tread, whatever it is.
-    """
-    others = tuple(_with_hidden_height(other, scene, body) for other in result.alternatives)
-    proof, hidden = result.certificate, scene.hidden_height
-    if result.trajectory is not None and hidden < ROUGH < body.max_step:
-        path, radius = result.trajectory.ground, body.cylinder.radius
-        hidden = ROUGH if any(crosses_flight(path, one, radius) for one in scene.surfaces) else hidden
-    proof = None if proof is None else replace(proof, hidden_height=hidden)
-    return replace(result, certificate=proof, alternatives=others)
+    hidden = scene.hidden_height
+    return plan_path(
+        space, *ends, settings, options=options, ways=ways, hidden_height=hidden, deadline=deadline, clock=clock
+    )
 
 
 def _asks_for_more(options: PlanOptions) -> bool:
@@ -179,6 +166,8 @@ def _check_places_of(
 
 
 def _check_places(places: Sequence[Place], name: str, each: str) -> tuple[FloatArray, ...]:
+    if isinstance(places, tuple) and not places:
+        return ()
     if not isinstance(places, Sequence | np.ndarray) or isinstance(places, str):
         raise RequestError(name, f"{places!r}", "Pass a list of places.")
     if len(places) > MOST_PLACES:
@@ -188,8 +177,9 @@ def _check_places(places: Sequence[Place], name: str, each: str) -> tuple[FloatA
 
 def _check_warm_start(warm_start: Trajectory | FloatArray, via: Sequence[Place]) -> FloatArray:
     known = _floats(warm_start.ground if isinstance(warm_start, Trajectory) else warm_start)
-    if known is None or known.ndim != 2 or known.shape[1] != 3 or len(known) < 2:
-        found = "no array of finite numbers" if known is None else f"an array of shape {known.shape}"
+    finite = known is not None and bool(np.isfinite(known).all())
+    if known is None or not finite or known.ndim != 2 or known.shape[1] != 3 or len(known) < 2:
+        found = "no array of finite numbers" if known is None or not finite else f"an array of shape {known.shape}"
         raise RequestError("warm_start", found, "Pass contact points, (n ≥ 2, 3).")
     if len(via):
         raise RequestError("warm_start", "together with via points", "Give one or the other.")
@@ -204,15 +194,14 @@ def _check_heading(heading: float | None, name: str) -> float | None:
 
 def _check_place(place: Place, name: str) -> FloatArray:
     made = _floats(place)
-    if made is None or made.shape not in ((2,), (3,)):
+    if made is None or made.shape not in ((2,), (3,)) or not all(map(isfinite, made.tolist())):
         raise RequestError(name, f"{place!r}", "Pass (x, y) or (x, y, z): finite numbers in metres.")
     return made
 
 
 def _floats(values: object) -> FloatArray | None:
-    """An array of finite numbers, if they are that."""
+    """A new array of numbers, if they are that."""
     try:
-        made = np.asarray(values, dtype=np.float64)
+        return np.array(values, dtype=np.float64)
     except (TypeError, ValueError):
         return None
-    return made if np.isfinite(made).all() else None

@@ -336,8 +336,8 @@ class Scene:
     def prepare(self, agent: str | Agent) -> None:
         """Build what plans for `agent` read, so that the first one takes what plans take."""
         self.ways(agent, Prefer.COMPANION)
-        for field in self.ground_fields:
-            _ = field.discs  # told on first use
+        for field, surface in zip(self.ground_fields, self.surfaces, strict=True):
+            _ = field.discs, surface.ends, surface.inferred  # told on first use
 
     def _settled(self, space: FreeSpace) -> FreeSpace:
         """A free space whose leaves and edges can all be read."""

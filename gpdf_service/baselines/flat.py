@@ -93,7 +93,7 @@ def find_end(space: FreeSpace, worlds: Sequence[FlatWorld], place: FloatArray, n
         height = float(surface.height_at(xy)[0])
         here = not np.isnan(height) and (len(place) == 2 or abs(height - place[2]) <= SAME_GROUND)
         if here and nearest_places(worlds[level].tree, xy)[0][0] >= space.agent.radius:
-            return Endpoint(xy[0], level, NO_NODE)
+            return Endpoint(xy[0], level, NO_NODE, height)
     return found
 
 

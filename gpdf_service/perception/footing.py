@@ -14,7 +14,7 @@ from gpdf_service.fields.threads import run_chunked
 from gpdf_service.perception.boxes import highest_around, lowest_around, widened
 from gpdf_service.perception.layers import HALF
 from gpdf_service.perception.strides import SOLE, STRIDE
-from gpdf_service.perception.surface import UNKNOWN, Cells, HeightMap, cell_of
+from gpdf_service.perception.surface import UNKNOWN, Cells, HeightMap, cell_of, rise_around
 from gpdf_service.types import BoolArray, FloatArray, IntArray
 
 _LIMITS = PerceptionConfig()
@@ -187,13 +187,15 @@ def crosses_flight(path: FloatArray, surface: HeightMap, radius: float) -> bool:
         radius: Of the disc that the body is within [m].
     """
     stride = rings_of(STRIDE, surface.cell_width)
-    return bool(_crosses_flight(path, surface.arrays, 0.5 * radius, stride))
+    return bool(_crosses_flight(path, surface.arrays, surface.ends, 0.5 * radius, stride))
 
 
 @njit(cache=True, nogil=True)
-def _crosses_flight(path: FloatArray, ground: Cells, every: float, stride: int) -> bool:
+def _crosses_flight(path: FloatArray, ground: Cells, ends: NDArray[np.float32], every: float, stride: int) -> bool:
     """See `crosses_flight`; the path is looked at `every` so many metres, half the radius, and at its end."""
     reach, due, last = int(2.5 * every / ground.width) + 1, 0.0, len(path) - 2
+    if not rise_around(path, (reach + stride + 1) * ground.width, ground, ends) > FLIGHT_RISE:
+        return False
     for i in range(last + 1):
         dx, dy, dz = path[i + 1, 0] - path[i, 0], path[i + 1, 1] - path[i, 1], path[i + 1, 2] - path[i, 2]
         length = np.hypot(dx, dy)

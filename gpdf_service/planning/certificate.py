@@ -8,7 +8,6 @@ Pieces that could hold the path's minimum are halved until it is known to `RESOL
 
 from __future__ import annotations
 
-from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -19,9 +18,11 @@ from gpdf_service.fields import FieldArrays, sample_at
 from gpdf_service.fields.traversal import bracket_at
 from gpdf_service.fields.tree import Scratch, make_scratch
 from gpdf_service.kernel_cache import lean
+from gpdf_service.perception.footing import ROUGH, crosses_flight
 from gpdf_service.perception.limits import LEAST_STEP
-from gpdf_service.perception.surface import INFERRED, OBSERVED, UNKNOWN, Cells, cell_of, is_known
+from gpdf_service.perception.surface import INFERRED, OBSERVED, UNKNOWN, Cells, cell_of, count_in, is_known
 from gpdf_service.planning.footprint import travel_headings
+from gpdf_service.planning.shape import runs
 from gpdf_service.planning.words import place_words
 from gpdf_service.search import FreeSpace
 from gpdf_service.search.motion import least_distance
@@ -38,6 +39,8 @@ CELL_SHARE = 0.2
 """[-] The same of a cell that is wider than the finest one."""
 HEIGHT_EVERY = 3
 """The height of the body's top is looked at in every third of these: that found the worst of 106 plans to 1 mm."""
+UPRIGHT = 1e-9
+"""[m] A top that is off its height by no more is not, but for rounding."""
 HEIGHT_SHARE = 0.1
 """[-] The body's top may be off its height by this share, Uttsha et al. 2024, feasibility study."""
 
@@ -69,6 +72,7 @@ def certify(
     ground: FloatArray,
     level: IntArray,
     headings: FloatArray | None = None,
+    hidden_height: float = 0.0,
 ) -> Certificate:
     """Certify a polyline of the body's top and its contact points.
 
@@ -78,6 +82,8 @@ def certify(
         ground: Contact points [m], shape (n, 3).
         level: Level of each contact point, shape (n,).
         headings: Where the body faces [rad], shape (n,); along the polyline where they are not given.
+        hidden_height: How high things may be in the scene that nobody can see [m]. On a flight what is no higher than
+            a worn tread is rough counts as the tread, whatever it is.
     """
     headings = travel_headings(ground) if headings is None else headings
     agent = space.agent
@@ -85,10 +91,10 @@ def certify(
     deviation, off_at = 0.0, ground[0]
     step = slope = spacing = 0.0
     unknown = False
-    for part, on in _runs(level):
-        body = agent.offsets, space.reach, agent.radius, agent.height
-        known = space.surfaces[on].arrays, space.steps[on], space.slopes[on], space.ground_fields[on].arrays
-        seen = _prove(space.trees[on], ground[part], positions[part], headings[part], *body, *known)
+    for part, on in runs(level):
+        surface, body = space.surfaces[on], (agent.offsets, space.reach, agent.radius, agent.height)
+        known = surface.arrays, surface.inferred, space.steps[on], space.slopes[on], space.ground_fields[on].arrays
+        seen = _prove(space.trees[on], ground[part], positions[part], headings[part], body, known)
         if seen.clearance < clearance:
             clearance, where = seen.clearance, seen.where
         if seen.deviation > deviation:
@@ -104,25 +110,12 @@ def certify(
         reason = f"a step of {step:.2f} m is higher than the {agent.name} takes ({agent.max_step:.2f} m)"
     elif slope > agent.max_slope:
         reason = f"a slope of {np.degrees(slope):.0f}° is steeper than the {agent.name} stands on"
-    proven = clearance, where, deviation, off_at, step, slope
-    return Certificate(*proven, holds=not reason, reason=reason, ground_spacing=spacing)
-
-
-def _runs(level: IntArray) -> list[tuple[slice, int]]:
-    """Pieces of the path on one level; neighbouring pieces share the waypoint where they meet."""
-    cuts = [0, *_changes(level), len(level)]
-    return [
-        (slice(max(a - 1, 0), b), int(level[a]))
-        if b - a + (a > 0) > 1
-        else (slice(max(a - 1, 0), b + 1), int(level[a]))
-        for a, b in pairwise(cuts)
-    ]
-
-
-@njit(cache=True, nogil=True)
-def _changes(level: IntArray) -> list[int]:
-    """Where another level begins."""
-    return [i for i in range(1, len(level)) if level[i] != level[i - 1]]
+    if not reason and hidden_height < ROUGH < agent.max_step:
+        crosses = any(crosses_flight(ground, one, agent.cylinder.radius) for one in space.surfaces)
+        hidden_height = ROUGH if crosses else hidden_height
+    return Certificate(
+        clearance, where, deviation, off_at, step, slope, not reason, reason, hidden_height, ground_spacing=spacing
+    )
 
 
 class _Seen(NamedTuple):
@@ -144,16 +137,11 @@ def _prove(
     path: FloatArray,
     tops: FloatArray,
     headings: FloatArray,
-    offsets: FloatArray,
-    reach: float,
-    radius: float,
-    height: float,
-    ground: Cells,
-    steps: FloatArray,
-    slopes: FloatArray,
-    field: FieldArrays,
+    body: tuple[FloatArray, float, float, float],
+    known: tuple[Cells, NDArray[np.int32], FloatArray, FloatArray, FieldArrays],
 ) -> _Seen:
     """What is proven of a piece: its least distance, and its ground and its tops, looked at as `SAMPLE` says."""
+    (offsets, reach, radius, height), (ground, inferred, steps, slopes, field) = body, known
     poses, where, off_at, nearest = path.copy(), path[0].copy(), path[0].copy(), np.inf
     poses[:, 2] = headings
     least, at = least_distance(obstacles, poses, offsets, RESOLUTION)
@@ -166,7 +154,7 @@ def _prove(
     where[:2] = at
     own = ground, steps, slopes, field, make_scratch(), np.empty(3), off_at
     unknown, deviation, step, slope = _look_along(path, tops, headings, offsets, height, *own)
-    spacing = _coarsest_spacing(path, radius, ground)
+    spacing = _coarsest_spacing(path, radius, ground, inferred)
     return _Seen(least - reach, where, unknown, deviation, off_at, step, slope, spacing)
 
 
@@ -186,8 +174,10 @@ def _look_along(
     off_at: FloatArray,
 ) -> tuple[bool, float, float, float]:
     """Whether ground is unknown, how far the top is off, steps and slopes; writes where the top is furthest off."""
-    unknown, deviation, step, slope = False, 0.0, 0.0, 0.0
+    unknown, deviation, step, slope, upright, before = False, 0.0, 0.0, 0.0, True, (-2, -2)
     looks, last, spare = 0, len(path) - 2, 0.0
+    for i in range(len(path)):  # a path that is anywhere off its height is so at a waypoint
+        upright = upright and abs(tops[i, 2] - path[i, 2] - height) <= UPRIGHT
     sample = max(SAMPLE, CELL_SHARE * ground.width)
     every = max(int(HEIGHT_EVERY * SAMPLE / sample), 1)
     for i in range(len(path) - 1):
@@ -198,13 +188,16 @@ def _look_along(
             share = k / count
             x = path[i, 0] + share * (path[i + 1, 0] - path[i, 0])
             y = path[i, 1] + share * (path[i + 1, 1] - path[i, 1])
-            z = path[i, 2] + share * (path[i + 1, 2] - path[i, 2])
-            top = tops[i, 0] + share * dx, tops[i, 1] + share * dy, tops[i, 2] + share * dz
             u, v = cell_of(ground, x, y)
             known = u >= 0 and ground.state[u, v] != UNKNOWN
-            unknown = unknown or not known
-            if known:
-                step, slope = max(step, steps[u, v]), max(slope, slopes[u, v])
+            if (u, v) != before:
+                before, unknown = (u, v), unknown or not known
+                if known:
+                    step, slope = max(step, steps[u, v]), max(slope, slopes[u, v])
+            if upright:
+                continue
+            z = path[i, 2] + share * (path[i + 1, 2] - path[i, 2])
+            top = tops[i, 0] + share * dx, tops[i, 1] + share * dy, tops[i, 2] + share * dz
             off = abs(top[2] - z - height)
             spare -= length / count  # a distance changes by no more than what the top has moved
             if (looks % every == 0 or (i == last and k == count)) and off > deviation and spare <= 0.0:
@@ -226,7 +219,7 @@ def _look_along(
 
 
 @njit(cache=True, nogil=True)
-def _coarsest_spacing(path: FloatArray, radius: float, ground: Cells) -> float:
+def _coarsest_spacing(path: FloatArray, radius: float, ground: Cells, inferred: NDArray[np.int32]) -> float:
     """Twice as far as ground within `radius` of a path is from where it was seen, to the width of a cell [m]."""
     (nx, ny), width = ground.state.shape, ground.width
     first, last, reach = np.zeros(2, np.int64), np.zeros(2, np.int64), int(radius / width)
@@ -235,15 +228,21 @@ def _coarsest_spacing(path: FloatArray, radius: float, ground: Cells) -> float:
         if not high - low < np.inf:  # a place that is none is over no ground
             return np.inf
         first[k], last[k] = max(int(low) - reach, 0), min(int(high) + reach + 1, cells)
-    if not _is_any_inferred(ground.state, first, last):
+    if last[0] <= first[0] or last[1] <= first[1] or count_in(inferred, first[0], last[0], first[1], last[1]) == 0:
         return float(width)
-    looked = np.zeros((max(last[0] - first[0], 0), max(last[1] - first[1], 0)), np.bool_)
-    return (1.0 + 2.0 * _farthest_unseen(path, ground, reach, first, last, looked)) * width
+    looked = np.zeros((last[0] - first[0], last[1] - first[1]), np.bool_)
+    return (1.0 + 2.0 * _farthest_unseen(path, ground, inferred, reach, first, last, looked)) * width
 
 
 @lean()
 def _farthest_unseen(
-    path: FloatArray, ground: Cells, reach: int, first: IntArray, last: IntArray, looked: BoolArray
+    path: FloatArray,
+    ground: Cells,
+    inferred: NDArray[np.int32],
+    reach: int,
+    first: IntArray,
+    last: IntArray,
+    looked: BoolArray,
 ) -> float:
     """How far the furthest inferred cell within `reach` cells of a path is from a seen one [cells]; see above."""
     farthest, before, width = 0.0, (-1, -1), ground.width
@@ -255,24 +254,18 @@ def _farthest_unseen(
             if (u, v) == before:
                 continue
             before = u, v
-            for x in range(max(u - reach, first[0]), min(u + reach + 1, last[0]) if u >= 0 else 0):
-                for y in range(max(v - reach, first[1]), min(v + reach + 1, last[1])):
+            u0, u1 = max(u - reach, first[0]), min(u + reach + 1, last[0])
+            v0, v1 = max(v - reach, first[1]), min(v + reach + 1, last[1])
+            if u < 0 or count_in(inferred, u0, u1, v0, v1) == 0:
+                continue
+            for x in range(u0, u1):
+                for y in range(v0, v1):
                     if looked[x - first[0], y - first[1]] or (x - u) ** 2 + (y - v) ** 2 > reach * reach:
                         continue
                     looked[x - first[0], y - first[1]] = True
                     if ground.state[x, y] == INFERRED:
                         farthest = max(farthest, _cells_to_seen(ground.state, x, y))
     return farthest
-
-
-@lean()
-def _is_any_inferred(state: NDArray[np.uint8], first: IntArray, last: IntArray) -> bool:
-    """Whether the ground in any cell of a box is inferred."""
-    for x in range(first[0], last[0]):
-        for y in range(first[1], last[1]):
-            if state[x, y] == INFERRED:
-                return True
-    return False
 
 
 @lean()

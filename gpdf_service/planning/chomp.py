@@ -9,13 +9,15 @@ promises to win the tolerance, none is looked for.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
 from gpdf_service.fields import AnyField, FieldArrays
 from gpdf_service.kernel_cache import lean
+from gpdf_service.perception.surface import Cells
 from gpdf_service.planning.costs import (
     Discs,
     Memo,
@@ -25,8 +27,7 @@ from gpdf_service.planning.costs import (
     obstacle_cost,
     smoothness_cost,
 )
-from gpdf_service.planning.shape import lengths
-from gpdf_service.search.motion import CENTRE
+from gpdf_service.planning.shape import is_level, lengths, rounded, waypoints
 from gpdf_service.types import FloatArray
 
 _DESCENT = 1e-4
@@ -39,8 +40,30 @@ NARROW = 4
 """Width of a cylinder's band: a waypoint's three coordinates, and the neighbour's same one."""
 
 
-@dataclass(frozen=True, slots=True)
-class ChompResult:
+class Wants(NamedTuple):
+    """What is asked of a path.
+
+    Attributes:
+        height: Of the body [m].
+        epsilon: Room beyond the radius that the path wants [m].
+        wall: How much steeper the obstacle cost gets with each metre that the body is too near [1/m].
+        smoothness_weight: λ_s; λ_o = λ_g = 1.
+    """
+
+    height: float
+    epsilon: float
+    wall: float
+    smoothness_weight: float
+
+
+class Stop(NamedTuple):
+    """After how many steps, accepted and refused together; and the share of the cost that a step must win."""
+
+    max_iterations: int
+    tolerance: float
+
+
+class ChompResult(NamedTuple):
     """Waypoints (n, 3) [m], cost before and after each accepted step, evaluations of it, whether it came to rest."""
 
     xi: FloatArray
@@ -54,40 +77,61 @@ class ChompResult:
         return len(self.costs) - 1
 
 
+Fields = tuple[AnyField, FieldArrays]
+"""d_o, 2D, and d_g, 3D, in compiled form."""
+
+
+@njit(cache=True, nogil=True)
 def optimize(
-    xi: FloatArray,
-    obstacle_field: AnyField,
-    ground_field: FieldArrays,
-    *,
-    radius: float,
-    height: float,
-    epsilon: float,
-    smoothness_weight: float,
-    max_iterations: int,
-    tolerance: float,
-    wall: float = 0.0,
-    offsets: FloatArray = CENTRE,
+    xi: FloatArray, fields: Fields, discs: Discs, wants: Wants, stop: Stop, level: bool = False
 ) -> ChompResult:
-    """Optimise waypoints of the body's top.
+    """Optimise waypoints of the body's top, shape (n, 3) [m], in place; rows 0 and -1 stay.
+
+    Over `level` ground, where d_g = h wherever they are moved to, the ground costs nothing.
+    """
+    (obstacles, ground), (height, epsilon, wall, stiff) = fields, wants
+    costs, spacing = np.zeros(stop.max_iterations + 1), lengths(xi)[-1] / (len(xi) - 1)
+    task = Task(obstacles, ground, discs, height, epsilon, wall, stiff, spacing, level)
+    count, evaluations, converged = _descend(xi, task, stop.max_iterations, stop.tolerance, costs)
+    return ChompResult(xi, costs[:count].copy(), evaluations, converged)
+
+
+@njit(cache=True, nogil=True)
+def bend(
+    path: FloatArray,
+    ground: Cells,
+    ends: NDArray[np.float32],
+    fields: Fields,
+    discs: Discs,
+    wants: Wants,
+    spacing: tuple[float, float],
+    looks: float,
+    stop: Stop,
+) -> tuple[FloatArray, ChompResult]:
+    """`optimize` waypoints over a path in plan, (n, 2), and the `spline` through them.
 
     Args:
-        xi: Start, shape (n, 3) [m]; rows 0 and -1 stay.
-        obstacle_field: d_o, 2D, in compiled form.
-        ground_field: d_g, 3D, in compiled form.
-        radius: Of the body, or of each of its discs [m].
-        height: Of the body [m].
-        epsilon: Room beyond the radius that the path wants [m].
-        smoothness_weight: λ_s; λ_o = λ_g = 1.
-        max_iterations: Accepted and refused steps together.
-        tolerance: Stop when the cost falls by less than this share.
-        wall: How much steeper the obstacle cost gets with each metre that the body is too near [1/m].
-        offsets: Where the body's discs are, ahead of its centre [m], shape (k,); it faces where it goes.
+        path: Its ends stay [m].
+        ground: Under it.
+        ends: `HeightMap.ends` of it: over level ground the field is not asked.
+        fields: What it is bent by.
+        discs: Of the body.
+        wants: What is asked of it.
+        spacing: Of the waypoints, and of the places of the path that is made [m].
+        looks: At how many waypoints there is time to look.
+        stop: When it is good enough.
+
+    Returns:
+        The path, (k, 2), without places if there is no time for a step; no waypoints where nothing moves, or ground is
+        unknown.
     """
-    xi = np.ascontiguousarray(xi, dtype=np.float64).copy()
-    discs, spacing, costs = Discs(offsets, radius), lengths(xi)[-1] / (len(xi) - 1), np.zeros(max_iterations + 1)
-    task = Task(obstacle_field, ground_field, discs, height, epsilon, wall, smoothness_weight, spacing)
-    count, evaluations, converged = _descend(xi, task, max_iterations, tolerance, costs)
-    return ChompResult(xi, costs[:count], evaluations, converged)
+    xi = waypoints(path, spacing[0], ground, wants.height)
+    steps = int(min(float(stop.max_iterations), looks / max(len(xi), 1)))
+    if len(xi) == 0 or steps < 1:
+        return path[:0].copy(), ChompResult(xi, np.zeros(1), 0, False)
+    level = is_level(xi, ground, ends, wants.height)
+    found = optimize(xi, fields, discs, wants, Stop(steps, stop.tolerance), level)
+    return rounded(xi, spacing[1]), found
 
 
 @lean()
@@ -96,7 +140,8 @@ def _cost(xi: FloatArray, task: Task, memos: tuple[Memo, Memo], gradient: FloatA
     gradient[:], band[:] = 0.0, 0.0
     total: float = smoothness_cost(xi, task, gradient, band)
     total += obstacle_cost(xi, task, memos[0], gradient, band)
-    total += ground_cost(xi, task, memos[1], gradient, band)
+    if not task.level:
+        total += ground_cost(xi, task, memos[1], gradient, band)
     return total
 
 

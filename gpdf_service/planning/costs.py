@@ -29,7 +29,7 @@ class Discs(NamedTuple):
 
 
 class Task(NamedTuple):
-    """What the costs are of; the attributes are those of `chomp.optimize`, and the waypoints' `spacing` [m]."""
+    """What the costs are of; see `chomp.optimize`; and the waypoints' `spacing` [m]."""
 
     obstacles: AnyField
     ground: FieldArrays
@@ -39,6 +39,7 @@ class Task(NamedTuple):
     wall: float
     smoothness_weight: float
     spacing: float
+    level: bool = False
 
 
 class Memo(NamedTuple):

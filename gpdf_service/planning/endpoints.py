@@ -4,26 +4,31 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from math import isnan
-from operator import itemgetter
+from math import isnan, sqrt
+from typing import NamedTuple
 
 import numpy as np
+from numba import njit
 from scipy import ndimage
 
+from gpdf_service.fields.tree import make_scratch
 from gpdf_service.perception import ObstacleKind
 from gpdf_service.perception.surface import UNKNOWN, height_of, is_same_ground
 from gpdf_service.planning.certificate import FINEST
 from gpdf_service.planning.footprint import disc_places
 from gpdf_service.planning.words import metres, place_words
-from gpdf_service.search import FreeSpace, is_clear
-from gpdf_service.search.motion import RESOLUTION
+from gpdf_service.search import FreeSpace
+from gpdf_service.search.motion import RESOLUTION, is_straight_clear
 from gpdf_service.search.nearest import nearest_free
+from gpdf_service.search.places import Places, nearest_to
 from gpdf_service.types import FloatArray, PlanOptions, Status
 
 SAME_GROUND = 0.5
 """[m] A given height means the level within this of it: half of the least headroom between two storeys is far more."""
 NEXT = 1.0
 """[m] The centre of the leaf to go on from is nearer than this: leaves are small beside obstacles."""
+MOST_TRIED = 32
+"""Leaves to which a way is looked for: some are behind what stands beside."""
 FACINGS = 180
 """Directions that are tried for a body of discs, over half a turn: 1 cm at the end of one that is 1.2 m long."""
 REASONS = {
@@ -34,13 +39,22 @@ REASONS = {
 }
 
 
-@dataclass(frozen=True, slots=True)
-class Endpoint:
-    """A valid start or goal: place in plan (2,) [m], level, graph node to go on from."""
+class Endpoint(NamedTuple):
+    """A valid start or goal.
+
+    Attributes:
+        xy: Place in plan [m], shape (2,).
+        level: Of the ground that it is on.
+        node: Of the graph, to go on from.
+        floor: Height of the ground [m].
+        room: Distance to the nearest obstacle [m]; inf in a leaf that is wholly free, where the search asks for none.
+    """
 
     xy: FloatArray
     level: int
     node: int
+    floor: float
+    room: float = np.inf
 
 
 @dataclass(frozen=True, slots=True)
@@ -121,63 +135,69 @@ def find_endpoint(space: FreeSpace, place: FloatArray, name: str) -> Endpoint | 
     """Check a place, (x, y) or (x, y, z of the ground), and connect it to the graph; via points count as goals."""
     outside = Status.START_OUTSIDE_MAP if name == "start" else Status.GOAL_OUTSIDE_MAP
     occupied = Status.START_OCCUPIED if name == "start" else Status.GOAL_OCCUPIED
-    xy = place[None, :2]
-    over = {level: float(height_of(space.surfaces[level].arrays, *place[:2])) for level in _maps_over(space, place)}
-    heights = {level: z for level, z in over.items() if not isnan(z)}
+    xy = place[:2]
+    heights = dict[int, float]()
+    for level in _maps_over(space, xy):
+        z = float(height_of(space.surfaces[level].arrays, *xy.tolist()))
+        if not isnan(z):
+            heights[level] = z
     if not heights:
         near = nearest_free(space, place, SAME_GROUND)
         hint = "" if near is None else f" The nearest free place is {place_words(near)}."
-        if any(_shut_in(space, level, xy) for level in range(len(space.surfaces))):
+        if any(_shut_in(space, level, xy[None]) for level in range(len(space.surfaces))):
             words = f"the {name} {place_words(place)} is inside something, or on ground that nobody has seen."
             return Refusal(occupied, words + hint, near)
         words = f"no ground is known at the {name} {place_words(place)}. Choose a place on the mapped ground."
         return Refusal(outside, words + hint, near)
-    found = ", ".join(dict.fromkeys(f"{z:.2f}" for z in sorted(heights.values())))
-    level = min(heights, key=lambda one: abs(heights[one] - place[2]) if len(place) == 3 else one)
+    level = next(iter(heights))
     if len(place) == 3:
+        level = min(heights, key=lambda one: abs(heights[one] - place[2]))
         if abs(heights[level] - place[2]) > SAME_GROUND:
+            found = _heights_words(heights)
             return Refusal(
                 outside, f"the ground at the {name} {place_words(place)} is at z = {found} m, not {metres(place[2])} m."
             )
-    elif max(heights.values()) - min(heights.values()) > SAME_GROUND:
-        words = f"there is ground at z = {found} m under the {name} {place_words(place)}. Give its z."
+    elif len(heights) > 1 and max(heights.values()) - min(heights.values()) > SAME_GROUND:
+        words = f"there is ground at z = {_heights_words(heights)} m under the {name} {place_words(place)}. Give its z."
         return Refusal(Status.AMBIGUOUS_LEVEL, words)
     width = space.surfaces[level].cell_width
-    same = [one for one, z in heights.items() if is_same_ground(z, heights[level], width)]
-    room, kind, level = _roomiest(space, same, xy[0])
+    same = [one for one, z in heights.items() if one == level or is_same_ground(z, heights[level], width)]
+    if len(same) == 1 and space.agent.discs == 1:  # else the room decides, on the level or which way it faces
+        leaf = space.quadtrees[level].find_one(xy)
+        if leaf >= 0 and space.quadtrees[level].whole[leaf]:
+            return Endpoint(xy, level, leaf + space.offsets[level], heights[level])
+    rooms = {one: nearest_to(space.trees[one], xy) for one in same}
+    level = max(same, key=lambda one: rooms[one][0])  # sheets end where others go on
+    room, row = rooms[level]
     if room < space.reach + FINEST:  # less cannot be proven of a way that ends there
-        what = REASONS[ObstacleKind(kind)]
-        near = nearest_free(space, np.array([*xy[0], heights[level]]), SAME_GROUND)
+        what = REASONS[ObstacleKind(space.kind_of(level, row))]
+        near = nearest_free(space, np.array([*xy, heights[level]]), SAME_GROUND)
         hint = "" if near is None else f" The nearest free place is {place_words(near)}."
         body = f"the {space.agent.name} (radius {space.agent.disc_radius:.2f} m)"
         words = f"{body} does not fit at the {name} {place_words(place)}: "
         return Refusal(occupied, f"{words}{what} is {room:.2f} m from its centre.{hint}", near)
-    if not _faces_somewhere(space, level, xy[0], room):
+    if not _faces_somewhere(space, level, xy, room):
         body = f"the {space.agent.name} ({space.agent.length:.2f} m long)"
         return Refusal(occupied, f"{body} fits at the {name} {place_words(place)} in no direction.")
-    node = connect(space, level, xy[0], room)
+    node = connect(space, level, xy, room)
     if node < 0:
         return Refusal(
             occupied, f"the {space.agent.name} cannot leave the {name} {place_words(place)} in any direction."
         )
-    return Endpoint(xy[0], level, node)
+    return Endpoint(xy, level, node, heights[level], room)
 
 
-def _maps_over(space: FreeSpace, place: FloatArray) -> Iterator[int]:
+def _heights_words(heights: dict[int, float]) -> str:
+    return ", ".join(dict.fromkeys(f"{z:.2f}" for z in sorted(heights.values())))
+
+
+def _maps_over(space: FreeSpace, xy: FloatArray) -> Iterator[int]:
     """Levels whose map a place is in."""
+    x, y = xy.tolist()
     for level, surface in enumerate(space.surfaces):
-        sides = zip(place[:2].tolist(), surface.origin.tolist(), surface.state.shape, strict=True)
-        if all(-1.0 <= (x - low) / surface.cell_width <= cells + 1.0 for x, low, cells in sides):
+        (u, v), (nx, ny), width = surface.origin.tolist(), surface.state.shape, surface.cell_width
+        if -width <= x - u <= (nx + 1) * width and -width <= y - v <= (ny + 1) * width:
             yield level
-
-
-def _roomiest(space: FreeSpace, levels: list[int], xy: FloatArray) -> tuple[float, int, int]:
-    """Room at a place, (2,), on the roomiest of levels that are the same ground there: sheets end where others go on.
-
-    Returns:
-        Distance to the nearest obstacle [m], its kind, and the level; of equal ones the lowest.
-    """
-    return max(((*space.room(level, xy), level) for level in levels), key=itemgetter(0))
 
 
 def _faces_somewhere(space: FreeSpace, level: int, xy: FloatArray, room: float) -> bool:
@@ -208,19 +228,35 @@ def _shut_in(space: FreeSpace, level: int, xy: FloatArray) -> bool:
     return bool(label[ix[0], iy[0]] not in rim)
 
 
+def radius_at(space: FreeSpace, room: float) -> float:
+    """What a way keeps from obstacles [m] that begins with so much `room`: with all of it, only straight away goes."""
+    return min(space.radius, max(space.reach, room - RESOLUTION))
+
+
 def connect(space: FreeSpace, level: int, xy: FloatArray, room: float) -> int:
     """The graph node of a free leaf whose centre is reached on a clear line from `xy`, with `room` [m]; -1 if none."""
     tree = space.quadtrees[level]
-    leaf = int(tree.find(xy[None])[0])
+    leaf = tree.find_one(xy)
     if leaf >= 0 and tree.whole[leaf]:
         return leaf + space.offsets[level]
-    free = tree.within(xy, NEXT)
-    free = free[tree.free[free]]
-    half = 0.5 * tree.width * tree.size[free]
-    center = tree.origin + tree.corner[free] * tree.width + half[:, None]
-    gap = np.linalg.norm(center - xy, axis=1) - half
-    radius = min(space.radius, max(space.reach, room - RESOLUTION))  # with all of it, only straight away is proven
-    for row in np.argsort(gap)[:32]:
-        if is_clear(space.trees[level], xy, center[row], radius):
+    for reach in (0.1 * NEXT, NEXT):  # most go on from a leaf beside them, and there are many further away
+        free = tree.within(xy, reach)
+        free = free[tree.free[free]]
+        half = np.asarray(0.5 * tree.width * tree.size[free], dtype=np.float64)
+        center = tree.origin + tree.corner[free] * tree.width + half[:, None]
+        row = _nearest_clear(space.trees[level], xy, center, half, radius_at(space, room))
+        if row >= 0:
             return int(free[row]) + space.offsets[level]
+    return -1
+
+
+@njit(cache=True, nogil=True)
+def _nearest_clear(obstacles: Places, xy: FloatArray, center: FloatArray, half: FloatArray, radius: float) -> int:
+    """Of squares with such centres (k, 2) and half widths (k,), one of the nearest to which it is clear; −1 if none."""
+    gap, scratch = np.empty(len(half)), make_scratch()
+    for i in range(len(half)):
+        gap[i] = sqrt((center[i, 0] - xy[0]) ** 2 + (center[i, 1] - xy[1]) ** 2) - half[i]
+    for row in np.argsort(gap)[:MOST_TRIED]:
+        if is_straight_clear(obstacles, xy, center[row], radius, scratch):
+            return int(row)
     return -1

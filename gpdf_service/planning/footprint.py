@@ -2,13 +2,19 @@
 
 from __future__ import annotations
 
-from math import atan2, pi
+from math import atan2, pi, sqrt
 
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
-from gpdf_service.planning.shape import subdivide
-from gpdf_service.types import Agent, FloatArray
+from gpdf_service.fields import FieldArrays
+from gpdf_service.perception.surface import Cells
+from gpdf_service.planning.shape import stand_on, subdivide
+from gpdf_service.types import BoolArray, FloatArray
+
+STILL = 1e-9
+"""[m] What moves less stands."""
 
 
 def disc_places(poses: FloatArray, offset: FloatArray) -> FloatArray:
@@ -37,21 +43,51 @@ def travel_headings(path: FloatArray) -> FloatArray:
 
 
 @njit(cache=True, nogil=True)
-def _face(path: FloatArray, spacing: float) -> FloatArray:
+def face(path: FloatArray, lever: float, spacing: float) -> FloatArray:
+    """Poses (x, y, θ) at most `spacing` [m] apart along a path, shape (n, 2), where the body faces where it goes.
+
+    Of a path that has a third column, θ, the body faces there: then neither its centre nor its ends, which are a
+    `lever` [m] away from it, move further.
+    """
+    if path.shape[1] == 3:
+        metres = path.copy()
+        metres[:, 2] *= lever
+        poses = subdivide(metres, spacing)
+        poses[:, 2] /= lever
+        return poses
     places = subdivide(path, spacing)
     made = np.empty((len(places), 3))
     made[:, :2], made[:, 2] = places, travel_headings(places)
     return made
 
 
-def face(path: FloatArray, agent: Agent, spacing: float) -> FloatArray:
-    """Poses (x, y, θ) at most `spacing` [m] apart along a path, shape (n, 2), where the body faces where it goes.
+@njit(cache=True, nogil=True)
+def moving(places: FloatArray, heading: FloatArray, lever: float) -> BoolArray:
+    """Which places, (n, ≥ 2), the body has moved or turned to from the one before; the last, too, if it never moves."""
+    keep, any_moves = np.ones(len(places), np.bool_), False
+    for i in range(1, len(places)):
+        dx, dy = places[i, 0] - places[i - 1, 0], places[i, 1] - places[i - 1, 1]
+        keep[i] = sqrt(dx * dx + dy * dy) + lever * abs(heading[i] - heading[i - 1]) > STILL
+        any_moves |= keep[i]
+    keep[-1] |= not any_moves
+    return keep
 
-    Of a path that has a third column, θ, the body faces there: then neither its centre nor its ends move further.
+
+@njit(cache=True, nogil=True)
+def stand_along(
+    path: FloatArray,
+    lever: float,
+    spacing: float,
+    ground: Cells,
+    ends: NDArray[np.float32],
+    field: FieldArrays,
+    height: float,
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Contact points and tops, (n, 3), of who goes along a path, see `stand_up`, and where he faces (n,).
+
+    Places to which he does not move or turn from the one before are left out; two of them stay, the ends.
     """
-    if path.shape[1] == 2:
-        faced: FloatArray = _face(path, spacing)
-        return faced
-    metres = np.array([1.0, 1.0, agent.offsets[-1]])
-    poses: FloatArray = subdivide(path * metres, spacing) / metres
-    return poses
+    poses = face(path, lever, spacing)
+    poses = poses[moving(poses, poses[:, 2], lever)]
+    contact, top = stand_on(poses, ground, ends, field, height)
+    return contact, top, poses[:, 2].copy()

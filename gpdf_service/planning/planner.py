@@ -10,27 +10,25 @@ import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from itertools import islice
-from math import sqrt
 
 import numpy as np
-from numba import njit
 
 from gpdf_service.config import PlanningConfig
 from gpdf_service.planning.certificate import certify
-from gpdf_service.planning.chomp import ChompResult, optimize
+from gpdf_service.planning.chomp import Stop, Wants, bend
+from gpdf_service.planning.costs import Discs
 from gpdf_service.planning.endpoints import Ends, Refusal, find_ends
-from gpdf_service.planning.footprint import face
+from gpdf_service.planning.footprint import moving, stand_along
 from gpdf_service.planning.no_path import explain_no_path
 from gpdf_service.planning.others import find_others
 from gpdf_service.planning.portals import Bent, Meet, bend_over, pull_over
-from gpdf_service.planning.routes import Leg, Route, Wish, find_cut, find_routes, steps_of, take_up, way_takes_of
-from gpdf_service.planning.shape import rounded, stand_up, waypoints
+from gpdf_service.planning.routes import Leg, Route, Wish, find_cut, find_routes, steps_of, take_up
 from gpdf_service.planning.timing import speed_limit
 from gpdf_service.planning.turning import Facing, Stuck, time_poses, turn_route
 from gpdf_service.search import FreeSpace, Prefer, Ways, prices
 from gpdf_service.search.steps import count_steps
 from gpdf_service.search.ways import STEPPED, WIDE
-from gpdf_service.types import Agent, BoolArray, FloatArray, IntArray, PlanOptions, PlanResult, Status, Trajectory
+from gpdf_service.types import Agent, FloatArray, IntArray, PlanOptions, PlanResult, Status, Trajectory
 
 Clock = Callable[[], float]
 NO_OPTIONS = PlanOptions()
@@ -40,8 +38,6 @@ PATIENCE = 0.005
 """[s] A path that was found this long after its deadline is not certified any more: that takes as long again."""
 WAYPOINTS_PER_SECOND = 300_000
 """Waypoints that the optimiser looks at in a second: with a deadline, it takes no more steps than there is time for."""
-STILL = 1e-9
-"""[m] What moves less stands."""
 LATE = "the deadline passed before a path was certified. Allow more time."
 WALL = 1000.0
 """[1/m] A millimetre too near, which is what the certificate resolves, doubles the push away."""
@@ -64,6 +60,7 @@ def plan_path(
     *,
     options: PlanOptions = NO_OPTIONS,
     ways: Callable[..., Ways] | None = None,
+    hidden_height: float = 0.0,
     deadline: float | None = None,
     clock: Clock = time.monotonic,
 ) -> PlanResult:
@@ -76,6 +73,7 @@ def plan_path(
         config: Weights and limits.
         options: What else the request asks for.
         ways: All ways of the body, as one prefers them; only the shortest one is looked for if it is not given.
+        hidden_height: How high things may be in the scene that nobody can see [m].
         deadline: On `clock`; a certified path that is not yet optimised is returned when it passes.
         clock: Monotonic seconds.
     """
@@ -91,15 +89,16 @@ def plan_path(
         return np.inf if deadline is None else deadline - clock()
 
     wish = Wish(Prefer.COMPANION if options.prefer is None else Prefer(options.prefer), ways, left)
-    task = _Task(space, ends, config, options, wish, clock, began)
+    task = _Task(space, ends, config, options, wish, hidden_height, clock, began)
     found, route = _best(task)
     if found is None:
         found = _refuse_cut(task)
-    if found.status is not Status.OK or route is None or not options.alternatives:
-        return replace(found, timings=found.timings | {"total": clock() - began})
-    others = islice(_others(task, route), options.alternatives)
-    best, *rest = sorted([found, *others], key=lambda way: way.details["cost"])
-    return replace(best, alternatives=tuple(rest), timings=best.timings | {"total": clock() - began})
+    elif route is not None and options.alternatives:
+        others = islice(_others(task, route), options.alternatives)
+        best, *rest = sorted([found, *others], key=lambda way: way.details["cost"])
+        found = replace(best, alternatives=tuple(rest))
+    found.timings["total"] = clock() - began
+    return found
 
 
 @dataclass(frozen=True, slots=True)
@@ -111,6 +110,7 @@ class _Task:
     config: PlanningConfig
     options: PlanOptions
     wish: Wish
+    hidden_height: float
     clock: Clock
     began: float
 
@@ -148,18 +148,18 @@ def _follow(task: _Task, route: Route) -> PlanResult:
         bent = candidate.legs is not legs
         hurried = hurried or left < 0.0 or (left < np.inf and bent and not candidate.details["converged"])
         contact, top, level, headings = _stand(space, candidate.legs, config.waypoint_spacing, _facing(task.options))
-        certificate = certify(space, top, contact, level, headings)
+        certificate = certify(space, top, contact, level, headings, task.hidden_height)
         first = first or certificate
         if certificate.holds:
-            poses = contact.copy()
-            poses[:, 2] = headings
-            limit = speed_limit(space, poses, level, config.preferred_clearance * space.agent.disc_radius)
-            body_top = contact + np.array([0.0, 0.0, space.agent.height])
+            room = config.preferred_clearance * space.agent.disc_radius
+            limit, takes = speed_limit(space, contact, headings, level, room, prefer)
+            body_top = contact.copy()
+            body_top[:, 2] += space.agent.height
             trajectory = Trajectory(body_top, contact, *time_poses(body_top, headings, space.agent, limit))
             timings = {"search": searched - task.began, "optimise": clock() - searched}
             details = candidate.details | {"nodes": float(len(space.graph.position))}
             details |= {"goal": float(route.goal), "warm": float(route.warm)}
-            details |= _effort(space.agent, _takes(candidate.legs, prefer), contact, headings, prefer)
+            details |= _effort(space.agent, takes, contact, headings, prefer)
             return PlanResult(Status.OK, task.ends.moved, trajectory, certificate, timings, details, candidate.costs)
     assert first is not None
     if hurried:
@@ -213,11 +213,6 @@ def _effort(
     return {"cost": float(cost), "steps": float(count_steps(contact)), "stepped": float(takes[STEPPED])}
 
 
-def _takes(legs: list[Leg], prefer: Prefer) -> FloatArray:
-    """What a way takes, of poses, too."""
-    return way_takes_of([leg._replace(path=np.ascontiguousarray(leg.path[:, :2])) for leg in legs], prefer)
-
-
 def _routes(task: _Task) -> Iterator[Route | Stuck]:
     """The way from before, if it can be taken up; then, if that does not certify, those of the graph.
 
@@ -237,16 +232,22 @@ def _candidates(task: _Task, legs: list[Leg]) -> Iterator[_Candidate]:
     """Paths from the best to the safest: CHOMP, CHOMP that bends round every point behind a wall, then the seed."""
     for bent in _tries(task, legs):
         runs = [run for _, run in bent if run is not None]
-        most = max((len(run.costs) for run in runs), default=0)
-        steps = np.arange(most)  # a piece that came to rest keeps its cost
-        costs = sum((run.costs[np.minimum(steps, len(run.costs) - 1)] for run in runs), np.zeros(most))
         details = {
             "iterations": float(sum(run.iterations for run in runs)),
             "evaluations": float(sum(run.evaluations for run in runs)),
             "converged": float(all(run.converged for run in runs)),
         }
-        yield _Candidate([leg for leg, _ in bent], costs, details)
+        yield _Candidate([leg for leg, _ in bent], _sum_of([run.costs for run in runs]), details)
     yield _Candidate(legs, np.zeros(0), {"iterations": 0.0, "evaluations": 0.0, "converged": 0.0})
+
+
+def _sum_of(costs: list[FloatArray]) -> FloatArray:
+    """What all pieces cost after each step: one that came to rest keeps its cost."""
+    if len(costs) == 1:
+        return costs[0]
+    most = max(map(len, costs), default=0)
+    steps = np.arange(most)
+    return sum((one[np.minimum(steps, len(one) - 1)] for one in costs), np.zeros(most))
 
 
 def _tries(task: _Task, legs: list[Leg]) -> Iterator[list[Bent]]:
@@ -321,29 +322,29 @@ def _bend(leg: Leg, config: PlanningConfig, strict: bool, seconds: float) -> Ben
     waypoints as far apart follows it.
     """
     level, path, space = leg
-    agent = space.agent
-    stiff = config.smoothness_weight(agent.disc_radius)
+    agent, surface, wide = space.agent, space.surfaces[level], space.agent.disc_radius
+    stiff = config.smoothness_weight(wide)
     spacing = max(config.waypoint_spacing, stiff)
-    seed = waypoints(path, spacing, space.surfaces[level].arrays, agent.height)
-    if len(seed) == 0:
-        return leg, None
-    steps = int(min(config.max_iterations, WAYPOINTS_PER_SECOND * seconds / len(seed)))
-    if steps < 1:
-        return leg, ChompResult(seed, np.zeros(1), 0, converged=False)
-    found = optimize(
-        seed,
-        space.exact_fields[level] if strict else space.obstacle_fields[level].arrays,
-        space.ground_fields[level].arrays,
-        offsets=agent.offsets,
-        radius=space.radius + spacing**2 / (8.0 * agent.disc_radius) if strict else space.reach,
-        height=agent.height,
-        epsilon=config.preferred_clearance * agent.disc_radius,
-        wall=WALL if strict else 0.0,
-        smoothness_weight=stiff,
-        max_iterations=steps,
-        tolerance=config.tolerance,
+    epsilon = config.preferred_clearance * wide
+    if strict:
+        obstacles, wall = space.exact_fields[level], WALL
+        radius = space.radius + spacing**2 / (8.0 * wide)
+    else:
+        obstacles, wall, radius = space.obstacle_fields[level].arrays, 0.0, space.reach
+    bent, found = bend(
+        path,
+        surface.arrays,
+        surface.ends,
+        (obstacles, space.ground_fields[level].arrays),
+        Discs(agent.offsets, radius),
+        Wants(agent.height, epsilon, wall, stiff),
+        (spacing, config.waypoint_spacing),
+        WAYPOINTS_PER_SECOND * seconds,
+        Stop(config.max_iterations, config.tolerance),
     )
-    return leg._replace(path=rounded(found.xi, config.waypoint_spacing)), found
+    if len(found.xi) == 0:
+        return leg, None
+    return (leg if len(bent) == 0 else leg._replace(path=bent)), found
 
 
 def _facing(options: PlanOptions) -> Facing:
@@ -357,34 +358,25 @@ def _stand(
 
     A body of discs turns on the spot at the ends if it must face elsewhere there.
     """
-    agent = space.agent
-    contacts, tops, levels, headings = [], [], [], []
+    agent, contacts, tops, levels, headings = space.agent, [], [], [], []
+    lever = float(agent.offsets[-1])
     for i, (level, path, _) in enumerate(legs):
-        poses = face(path, agent, spacing)[1 if i else 0 :]
-        contact, top = stand_up(poses[:, :2], space.surfaces[level], space.ground_fields[level], agent.height)
-        contacts.append(contact)
-        tops.append(top)
-        levels.append(np.full(len(poses), level))
-        headings.append(poses[:, 2])
+        surface, field = space.surfaces[level], space.ground_fields[level]
+        below = surface.arrays, surface.ends, field.arrays
+        contact, top, heading = stand_along(path, lever, spacing, *below, agent.height)
+        on = np.full(len(heading), level)
+        if len(legs) == agent.discs == 1:
+            return contact, top, on, heading
+        first = 1 if i else 0
+        contacts.append(contact[first:])
+        tops.append(top[first:])
+        levels.append(on[first:])
+        headings.append(heading[first:])
     contact, top, on, heading = map(np.concatenate, (contacts, tops, levels, headings))
     if agent.discs > 1:
         turned = [(0, facing[0]), *enumerate(heading), (-1, facing[1])]
         row = np.array([i % len(contact) for i, angle in turned if angle is not None])
         heading = np.unwrap([angle for _, angle in turned if angle is not None])
         contact, top, on = contact[row], top[row], on[row]
-    keep = _moving(contact, heading, float(agent.offsets[-1]))
-    if keep.all():
-        return contact, top, on, heading
+    keep = moving(contact, heading, lever)
     return contact[keep], top[keep], on[keep], heading[keep]
-
-
-@njit(cache=True, nogil=True)
-def _moving(contact: FloatArray, heading: FloatArray, lever: float) -> BoolArray:
-    """Which contact points the body has moved or turned to from the one before; the last, too, if it never moves."""
-    keep, any_moves = np.ones(len(contact), np.bool_), False
-    for i in range(1, len(contact)):
-        dx, dy = contact[i, 0] - contact[i - 1, 0], contact[i, 1] - contact[i - 1, 1]
-        keep[i] = sqrt(dx * dx + dy * dy) + lever * abs(heading[i] - heading[i - 1]) > STILL
-        any_moves |= keep[i]
-    keep[-1] |= not any_moves
-    return keep

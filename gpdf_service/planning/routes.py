@@ -5,18 +5,20 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import pairwise
+from math import hypot
 from typing import NamedTuple
 
 import numpy as np
 from numba import njit
 
-from gpdf_service.perception.surface import Cells, height_of
-from gpdf_service.planning.endpoints import Endpoint, Ends, connect
+from gpdf_service.fields.tree import make_scratch
+from gpdf_service.perception.surface import Cells
+from gpdf_service.planning.endpoints import Endpoint, Ends, connect, radius_at
 from gpdf_service.planning.shape import (
     are_joined,
     distinct,
     is_path_clear,
-    is_way_straight,
+    is_straight,
     pull,
     pull_tight,
     radius_of,
@@ -108,18 +110,16 @@ def _route(space: FreeSpace, start: Endpoint, goal: Endpoint, wish: Wish) -> tup
     higher or lower than the start that it takes effort, the cheapest one is looked for at once: it is among all ways.
     """
     price, ways = prices(space.agent, wish.prefer), wish.ways
-    climb = abs(_floor(space, goal) - _floor(space, start)) * price[SLOPED] / (SPARED * price[LENGTH])
-    if ways is not None and climb > np.linalg.norm(goal.xy - start.xy) and wish.left() > 0.0:
+    climb = abs(goal.floor - start.floor) * price[SLOPED] / (SPARED * price[LENGTH])
+    if ways is not None and climb > hypot(*(goal.xy - start.xy).tolist()) and wish.left() > 0.0:
         legs, takes = _cheapest(ways, wish.prefer, start, goal)
         if legs:
             return legs, float(takes @ price)
         ways = None
-    direct = _shortest(space, start, goal)
-    takes = way_takes_of(direct, wish.prefer)
-    cost = float(takes @ price)
-    if ways is None or wish.left() <= 0.0:
-        return direct, cost
-    if not (_is_effort(takes, price, wish.prefer) or any(map(_is_by_step, direct))):
+    direct, takes, by_step = _shortest(space, start, goal, wish.prefer)
+    seconds = (takes * price).tolist()
+    cost = sum(seconds)
+    if ways is None or wish.left() <= 0.0 or not (by_step or _is_effort(seconds, wish.prefer)):
         return direct, cost
     legs, takes = _cheapest(ways, wish.prefer, start, goal)
     other = float(takes @ price) if legs else np.inf
@@ -140,19 +140,11 @@ def _cheapest(
     return pull_all(legs, prefer)
 
 
-def _is_effort(takes: FloatArray, price: FloatArray, prefer: Prefer) -> bool:
-    """Whether a way takes more than its length and what room beside it asks for."""
-    if prefer == Prefer.WIDE and takes[TIGHT] > 0.0:
+def _is_effort(seconds: list[float], prefer: Prefer) -> bool:
+    """Whether a way takes more than its length and what room beside it asks for, by the seconds that each costs."""
+    if prefer == Prefer.WIDE and seconds[TIGHT] > 0.0:
         return True
-    effort = sum(takes[k] * price[k] for k in (UNSEEN, SLOPED, STEPPED, LEDGE))
-    return bool(effort > SPARED * takes[LENGTH] * price[LENGTH])
-
-
-def _is_by_step(leg: Leg) -> bool:
-    """Whether a way passes a step as near as the body is wide."""
-    level, path, space = leg
-    near = is_near_step(path, space.surfaces[level].arrays, space.noticed[level], space.agent.disc_radius)
-    return bool(near)
+    return seconds[UNSEEN] + seconds[SLOPED] + seconds[STEPPED] + seconds[LEDGE] > SPARED * seconds[LENGTH]
 
 
 def way_takes_of(legs: list[Leg], prefer: Prefer = Prefer.COMPANION) -> FloatArray:
@@ -186,7 +178,7 @@ def take_up(space: FreeSpace, ends: Ends, known: FloatArray) -> Route | None:
     goal = ends.goals[number]
     if goal is None or far > NEAR:
         return None
-    here = np.array([*ends.start.xy, _floor(space, ends.start)])
+    here = np.array([*ends.start.xy, ends.start.floor])
     gap = np.linalg.norm(known - here, axis=1)
     first = int(gap.argmin())
     if gap[first] > NEAR:
@@ -214,18 +206,54 @@ def _cut_by_level(space: FreeSpace, path: FloatArray, level: list[int]) -> list[
     return [Leg(on, distinct(part), space) for on, part in parts if len(part) > 1]
 
 
-def _floor(space: FreeSpace, end: Endpoint) -> float:
-    return float(height_of(space.surfaces[end.level].arrays, *end.xy))
+def _shortest(space: FreeSpace, start: Endpoint, goal: Endpoint, prefer: Prefer) -> tuple[list[Leg], FloatArray, bool]:
+    """Straight, where that is clear; else as A* goes through the graph, cut where the way changes level, and pulled.
 
-
-def _shortest(space: FreeSpace, start: Endpoint, goal: Endpoint) -> list[Leg]:
-    """Straight, where that is clear; else as A* goes through the graph, cut where the way changes level, and pulled."""
-    if start.level == goal.level and _is_straight(space, start, goal):
-        return [Leg(start.level, np.stack([start.xy, goal.xy]), space)]
+    Also what the way takes, (6,), and whether it passes a step as near as the body is wide.
+    """
+    near = space.agent.disc_radius
+    if start.level == goal.level:
+        radius = radius_at(space, min(start.room, goal.room))
+        about = beside(space, start.level, prefer)
+        straight, takes, by_step = _go_straight(start.xy, goal.xy, about, radius, near)
+        if len(straight):
+            return [Leg(start.level, straight, space)], takes, by_step
     graph = space.graph
     nodes, via = find_nodes(graph, space.core, start.node, goal.node)
     chain = _Chain(graph.position[nodes], graph.level[nodes], np.zeros(len(nodes), np.int64), via)
-    return [_pull(leg) for leg in _legs(chain, start.xy, goal.xy, (space,))]
+    legs = _legs(chain, start.xy, goal.xy, (space,))
+    pulled, takes, by_step = list[Leg](), np.zeros(6), False
+    for n, leg in enumerate(legs, start=1):
+        radius = radius_at(space, min(start.room if n == 1 else np.inf, goal.room if n == len(legs) else np.inf))
+        path, more, by = _pull(leg.path, beside(space, leg.level, prefer), radius, near)
+        pulled.append(leg._replace(path=path))
+        takes, by_step = takes + more, by_step or by
+    return pulled, takes, by_step
+
+
+@njit(cache=True, nogil=True)
+def _go_straight(
+    a: FloatArray, b: FloatArray, about: Beside, radius: float, near: float
+) -> tuple[FloatArray, FloatArray, bool]:
+    """The straight way from place to place, (2,), without places where it is not clear: `_looked_at`."""
+    path = np.empty((2, 2))
+    path[0], path[1] = a, b
+    if not is_straight(a, b, about.places, radius, about.ground, make_scratch()):
+        return path[:0], np.zeros(6), False
+    return _looked_at(path, about, near)
+
+
+@njit(cache=True, nogil=True)
+def _pull(path: FloatArray, about: Beside, radius: float, near: float) -> tuple[FloatArray, FloatArray, bool]:
+    """A leg pulled straight: `_looked_at`."""
+    return _looked_at(pull(path, about.places, radius, about.ground), about, near)
+
+
+@njit(cache=True, nogil=True)
+def _looked_at(path: FloatArray, about: Beside, near: float) -> tuple[FloatArray, FloatArray, bool]:
+    """A way, (n, 2), what it takes, (6,), and whether it comes `near` a step that is noticed [m]."""
+    takes = way_takes(path, about).sum(axis=0)
+    return path, takes, is_near_step(path, about.ground, about.noticed, near)
 
 
 class _Chain(NamedTuple):
@@ -355,16 +383,6 @@ def _strung(
     return places, cut[:count].copy()
 
 
-def _is_straight(space: FreeSpace, start: Endpoint, goal: Endpoint) -> bool:
-    """Whether the body can go straight from start to goal, on one level: then no graph is asked."""
-    return bool(is_way_straight(start.xy, goal.xy, *_around(space, start.level)))
-
-
-def _pull(leg: Leg) -> Leg:
-    """A leg pulled straight."""
-    return leg._replace(path=pull(leg.path, *_around(leg.space, leg.level)))
-
-
 def _around(space: FreeSpace, level: int) -> tuple[Places, float, float, Cells]:
     """What ways on a level are pulled between."""
     return space.trees[level], space.reach, space.radius, space.surfaces[level].arrays
@@ -393,12 +411,14 @@ def _pull_cheaply(
     path: FloatArray, about: Beside, radius: float, price: FloatArray, between: bool
 ) -> tuple[FloatArray, FloatArray]:
     """See `pull_cheaply`; what the leg takes is told where it is asked for, first what is soon told."""
-    obstacles = about.places, about.reach, radius, about.ground
+    places, ground = about.places, about.ground
     rest, made, rows, takes = [(0, len(path) - 1)], [path], 0, np.zeros(6)
     least = spent = np.zeros(0)
     while len(rest) > 0:
         first, last = rest.pop()
-        pulled = pull_tight(path[first : last + 1], *obstacles) if between else pull(path[first : last + 1], *obstacles)
+        piece = path[first : last + 1]
+        room = radius_of(piece, places, about.reach, radius)
+        pulled = pull_tight(piece, places, room, ground) if between else pull(piece, places, room, ground)
         taken = way_takes(pulled, about)
         most, done = _costs(taken, price)[-1] / PULLED, last - first < 2
         if not done:

@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
 from math import sqrt
 
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
 from gpdf_service.fields import FieldArrays, Gpdf
 from gpdf_service.fields.tree import Scratch, make_scratch
 from gpdf_service.kernel_cache import lean
 from gpdf_service.perception import HeightMap
-from gpdf_service.perception.surface import UNKNOWN, Cells, cell_of, height_of
+from gpdf_service.perception.surface import UNKNOWN, Cells, cell_of, height_of, rise_around
 from gpdf_service.planning.costs import Memo, make_memo, recall
 from gpdf_service.search.core import NARROW
 from gpdf_service.search.motion import CENTRE, RESOLUTION, is_leap_clear, is_straight_clear
@@ -101,47 +103,31 @@ def tighten(path: FloatArray, obstacles: Places, radius: float, ground: Cells) -
 
 
 @njit(cache=True, nogil=True)
-def pull(path: FloatArray, obstacles: Places, reach: float, radius: float, ground: Cells) -> FloatArray:
+def pull(path: FloatArray, obstacles: Places, radius: float, ground: Cells) -> FloatArray:
     """A way over places (n, 2) pulled straight, and once more from its other end: from either first corners are wide.
 
-    It keeps `radius_of` it from the obstacles.
+    It keeps a `radius` [m] from the obstacles.
     """
-    parts = obstacles, radius_of(path, obstacles, reach, radius), CENTRE, ground
-    rows = _shortcut(path, *parts)
+    rows = _shortcut(path, obstacles, radius, CENTRE, ground)
     if len(rows) == 2:  # straight, seen from either end
         return path[rows]
     back = np.ascontiguousarray(subdivide(path[rows], NARROW)[::-1])
-    return np.ascontiguousarray(back[_shortcut(back, *parts)][::-1])
+    return np.ascontiguousarray(back[_shortcut(back, obstacles, radius, CENTRE, ground)][::-1])
 
 
 @njit(cache=True, nogil=True)
-def pull_tight(path: FloatArray, obstacles: Places, reach: float, radius: float, ground: Cells) -> FloatArray:
+def pull_tight(path: FloatArray, obstacles: Places, radius: float, ground: Cells) -> FloatArray:
     """What a string keeps of a way over places (n, 2) that is pulled tight between what it goes between: `tighten`."""
-    return path[tighten(path, obstacles, radius_of(path, obstacles, reach, radius), ground)]
+    return path[tighten(path, obstacles, radius, ground)]
 
 
 @njit(cache=True, nogil=True)
 def radius_of(path: FloatArray, obstacles: Places, reach: float, radius: float) -> float:
     """The search's `radius` [m]; where an end of a way (n, 2) lies closer than the margin, the body's own `reach`."""
-    return _radius_between(path[0], path[-1], obstacles, reach, radius, make_scratch())
-
-
-@lean()
-def _radius_between(
-    a: FloatArray, b: FloatArray, obstacles: Places, reach: float, radius: float, scratch: Scratch
-) -> float:
-    """`radius_of` a way from a to b."""
-    room = min(distance_at(obstacles, (a[0], a[1], 0.0), scratch), distance_at(obstacles, (b[0], b[1], 0.0), scratch))
+    room, scratch = np.inf, make_scratch()
+    for end in (0, len(path) - 1):
+        room = min(room, distance_at(obstacles, (path[end, 0], path[end, 1], 0.0), scratch))
     return float(min(radius, max(reach, room - RESOLUTION)))
-
-
-@njit(cache=True, nogil=True)
-def is_way_straight(
-    a: FloatArray, b: FloatArray, obstacles: Places, reach: float, radius: float, ground: Cells
-) -> bool:
-    """Whether the body can go straight from place to place, (2,), with the `radius_of` that way."""
-    scratch = make_scratch()
-    return is_straight(a, b, obstacles, _radius_between(a, b, obstacles, reach, radius, scratch), ground, scratch)
 
 
 @njit(cache=True, nogil=True)
@@ -265,6 +251,25 @@ def _apart(path: FloatArray, i: int) -> float:
     return sqrt(square)
 
 
+def runs(level: IntArray) -> list[tuple[slice, int]]:
+    """Pieces of a path on one level, by the level of each place, (n,); neighbouring pieces share where they meet."""
+    cuts = _changes(level)
+    if not len(cuts):
+        return [(slice(0, len(level)), int(level[0]))]
+    return [
+        (slice(max(a - 1, 0), b), int(level[a]))
+        if b - a + (a > 0) > 1
+        else (slice(max(a - 1, 0), b + 1), int(level[a]))
+        for a, b in pairwise([0, *cuts.tolist(), len(level)])
+    ]
+
+
+@njit(cache=True, nogil=True)
+def _changes(level: IntArray) -> IntArray:
+    """Where another level begins."""
+    return np.flatnonzero(level[1:] != level[:-1]) + 1
+
+
 @njit(cache=True, nogil=True)
 def subdivide(path: FloatArray, spacing: float) -> FloatArray:
     """The same polyline with its corners, and waypoints at most `spacing` apart."""
@@ -335,16 +340,38 @@ def stand_up(xy: FloatArray, surface: HeightMap, field: Gpdf, height: float) -> 
     Only where the path takes a step that is higher than both tenths does the top rise before it as that surface does:
     no other way over it keeps the body's height from the ground all along.
     """
-    stood: tuple[FloatArray, FloatArray] = _stand(xy, surface.arrays, field.arrays, height)
+    stood: tuple[FloatArray, FloatArray] = stand_on(xy, surface.arrays, surface.ends, field.arrays, height)
     return stood
 
 
 @njit(cache=True, nogil=True)
-def _stand(xy: FloatArray, ground: Cells, field: FieldArrays, height: float) -> tuple[FloatArray, FloatArray]:
+def stand_on(
+    xy: FloatArray, ground: Cells, ends: NDArray[np.float32], field: FieldArrays, height: float
+) -> tuple[FloatArray, FloatArray]:
     """See `stand_up`."""
     contact, top = np.empty((len(xy), 3)), np.empty((len(xy), 3))
+    if is_level(xy, ground, ends, height):
+        for i in range(len(xy)):
+            x, y = xy[i, 0], xy[i, 1]
+            floor = height_of(ground, x, y)
+            contact[i, 0], contact[i, 1], contact[i, 2] = x, y, floor
+            top[i, 0], top[i, 1], top[i, 2] = x, y, floor + height
+        return contact, top
     _lift_all(xy, ground, field, height, make_memo(1), contact, top)
     return contact, top
+
+
+@lean()
+def is_level(path: FloatArray, ground: Cells, ends: NDArray[np.float32], height: float) -> bool:
+    """Whether all ground that can be as near to a body's top as its own, along a path, stands for being level.
+
+    Ground that is r away and z over the contact point is nearer to the top if r² < z (2h − z), so none is that is
+    further away than h, or than what the highest of these says.
+    """
+    rise = rise_around(path, height, ground, ends)
+    if _STANDS * height < rise < height:
+        rise = rise_around(path, sqrt(rise * (2.0 * height - rise)), ground, ends)
+    return rise <= _STANDS * height
 
 
 @lean()

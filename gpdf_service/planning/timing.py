@@ -10,17 +10,16 @@ from __future__ import annotations
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
 from gpdf_service.fields.tree import Scratch, make_scratch
 from gpdf_service.kernel_cache import lean
-from gpdf_service.perception.surface import Cells
+from gpdf_service.perception import ObstacleKind
 from gpdf_service.planning.footprint import directions
-from gpdf_service.planning.shape import SAME, lengths
-from gpdf_service.search import FreeSpace
-from gpdf_service.search.places import Places, distance_at
+from gpdf_service.planning.shape import SAME, lengths, runs
+from gpdf_service.search import FreeSpace, Prefer
+from gpdf_service.search.places import nearest_of
 from gpdf_service.search.steps import is_stepped
-from gpdf_service.search.ways import CARE
+from gpdf_service.search.ways import CARE, LENGTH, TIGHT, UNSEEN, Beside, beside, least_takes
 from gpdf_service.types import Agent, FloatArray, IntArray
 
 STANDING = 1e-3
@@ -86,65 +85,79 @@ def _steps(far: float, step: float) -> int:
     return int(np.ceil(far / step - SAME))
 
 
-def speed_limit(space: FreeSpace, poses: FloatArray, level: IntArray, preferred: float) -> FloatArray:
-    """Highest speed at each pose (x, y, θ), (n, 3) [m/s]: less on steps, and with less room than `preferred` [m].
+def speed_limit(
+    space: FreeSpace,
+    contact: FloatArray,
+    headings: FloatArray,
+    level: IntArray,
+    preferred: float,
+    prefer: Prefer = Prefer.COMPANION,
+) -> tuple[FloatArray, FloatArray]:
+    """Highest speed at each contact point, (n, 3) [m/s]: less on steps, and with less room than `preferred` [m].
 
-    The disc in the tightest place tells.
+    The disc in the tightest place tells. Also what the way takes, (6,): see `gpdf_service.search.ways`.
     """
     agent = space.agent
-    share = np.ones(len(poses))
-    for on in set(level.tolist()):
-        ground, places = space.surfaces[on].arrays, (poses, level, on, agent.offsets)
-        _slow_down(space.trees[on], ground, space.noticed[on], places, space.reach, preferred, agent.radius, share)
-    return agent.speed * share
+    share, takes = np.ones(len(contact)), np.zeros(6)
+    for part, on in runs(level):
+        body = agent.offsets, preferred, agent.radius
+        _walk(beside(space, on, prefer), contact[part], headings[part], *body, share[part], takes)
+    share *= agent.speed
+    return share, takes
 
 
 @njit(cache=True, nogil=True)
-def _slow_down(
-    obstacles: Places,
-    ground: Cells,
-    noticed: NDArray[np.int32],
-    places: tuple[FloatArray, IntArray, int, FloatArray],
-    reach: float,
+def _walk(
+    about: Beside,
+    contact: FloatArray,
+    headings: FloatArray,
+    offsets: FloatArray,
     preferred: float,
     radius: float,
     share: FloatArray,
+    takes: FloatArray,
 ) -> None:
-    """Lower the `share` of the speed where one of the discs, of the poses on that level, asks for care."""
-    _take_care(obstacles, ground, noticed, *places, reach, preferred, radius, make_scratch(), share)
+    """Lower the `share` of the speed where one of the discs asks for care; add to what the way takes."""
+    tight, unseen = np.zeros(len(contact)), np.zeros(len(contact))
+    _take_care(about, contact, headings, offsets, preferred, radius, make_scratch(), (share, tight, unseen))
+    ground = least_takes(contact, about)
+    for i in range(len(ground)):
+        for k in range(6):
+            takes[k] += ground[i, k]
+        takes[TIGHT] += ground[i, LENGTH] * 0.5 * (tight[i] + tight[i + 1])
+        takes[UNSEEN] += ground[i, LENGTH] * 0.5 * (unseen[i] + unseen[i + 1])
 
 
 @lean()
 def _take_care(
-    obstacles: Places,
-    ground: Cells,
-    noticed: NDArray[np.int32],
-    poses: FloatArray,
-    level: IntArray,
-    on: int,
+    about: Beside,
+    contact: FloatArray,
+    headings: FloatArray,
     offsets: FloatArray,
-    reach: float,
     preferred: float,
     radius: float,
     scratch: Scratch,
-    share: FloatArray,
+    told: tuple[FloatArray, FloatArray, FloatArray],
 ) -> None:
-    """See `_slow_down`."""
-    cells = int(np.ceil(radius / ground.width))
+    """See `_walk`: writes the share of the speed, and how tight it is, and how tight beside what nobody has seen."""
+    share, tight, unseen = told
+    cells, enough = int(np.ceil(radius / about.ground.width)), max(preferred, about.minded)
     for offset in offsets:
-        room, was_x, was_y = -np.inf, 0.0, 0.0  # there is at least so much, since that place
-        for i in range(len(poses)):
-            if level[i] != on:
-                continue
-            x, y = poses[i, 0] + offset * np.cos(poses[i, 2]), poses[i, 1] + offset * np.sin(poses[i, 2])
+        room, was_x, was_y, unknown = -np.inf, 0.0, 0.0, False  # there is at least so much, since that place
+        for i in range(len(contact)):
+            x, y = contact[i, 0] + offset * np.cos(headings[i]), contact[i, 1] + offset * np.sin(headings[i])
             room -= np.sqrt((x - was_x) ** 2 + (y - was_y) ** 2)
             was_x, was_y = x, y
-            if is_stepped(ground, noticed, x, y, cells):
-                share[i] = CARE
+            if is_stepped(about.ground, about.noticed, x, y, cells):
+                share[i], tight[i] = CARE, 1.0
                 continue
-            if room < preferred:
-                room = distance_at(obstacles, (x, y, 0.0), scratch) - reach
+            if room < enough:
+                distance, row = nearest_of(about.places, (x, y, 0.0), scratch)
+                room = distance - about.reach
+                unknown = row >= 0 and about.kind[row] == ObstacleKind.UNKNOWN
             share[i] = min(share[i], CARE + (1.0 - CARE) * min(max(room / preferred, 0.0), 1.0))
+            less = min(max(1.0 - room / about.minded, 0.0), 1.0)
+            tight[i], unseen[i] = max(tight[i], less), max(unseen[i], less if unknown else 0.0)
 
 
 @njit(cache=True, nogil=True)

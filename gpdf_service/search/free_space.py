@@ -101,9 +101,12 @@ class FreeSpace:
     def room(self, level: int, xy: FloatArray) -> tuple[float, int]:
         """`clearance` of a single place, shape (2,)."""
         distance, row = nearest_to(self.trees[level], xy)
+        return distance, self.kind_of(level, row)
+
+    def kind_of(self, level: int, row: int) -> int:
+        """Of what kind an obstacle of a level is, by its number among those that stand and those that move."""
         standing = self.standing[level].kind
-        kind = standing[row] if row < len(standing) else self.moving[level].kind[row - len(standing)]
-        return distance, int(kind)
+        return int(standing[row] if row < len(standing) else self.moving[level].kind[row - len(standing)])
 
     @property
     def obstacles(self) -> tuple[Obstacles, ...]:

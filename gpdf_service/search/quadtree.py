@@ -77,6 +77,11 @@ class Quadtree:
         cell = np.floor((xy - self.origin) / self.width).astype(np.int64)
         return self.find_cell(cell)
 
+    def find_one(self, xy: FloatArray) -> int:
+        """`find` of a single place, shape (2,)."""
+        found: int = _find_one(self.code, self.corner, self.size, self.origin, self.width, xy)
+        return found
+
     @property
     def side(self) -> int:
         """Width of the root in smallest cells: the last leaf in Morton order is its upper corner."""
@@ -125,6 +130,17 @@ def _find(code: IntArray, side: int, cell: IntArray) -> IntArray:
         if not (0 <= cell[i, 0] < side and 0 <= cell[i, 1] < side):
             leaf[i] = -1
     return leaf
+
+
+@njit(cache=True, nogil=True)
+def _find_one(
+    code: IntArray, corner: IntArray, size: IntArray, origin: FloatArray, width: float, xy: FloatArray
+) -> int:
+    """See `Quadtree.find_one`."""
+    cell = np.empty((1, 2), np.int64)
+    for k in range(2):
+        cell[0, k] = int(np.floor((xy[k] - origin[k]) / width))
+    return int(_find(code, corner[-1, 0] + size[-1], cell)[0])
 
 
 @njit(cache=True, nogil=True)

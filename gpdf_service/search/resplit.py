@@ -90,6 +90,11 @@ class SplitQuadtree:
         """Leaf that holds each place, shape (m, 2) [m]; -1 outside the root, and where what is fresh is not free."""
         return self.find_cell(np.floor((xy - self.origin) / self.width).astype(np.int64))
 
+    def find_one(self, xy: FloatArray) -> int:
+        """`find` of a single place, shape (2,)."""
+        leaf = self.standing.find_one(xy)
+        return int(self.find(xy[None])[0]) if is_among(np.array([leaf]), self.gone)[0] else leaf
+
     def find_cell(self, cell: IntArray) -> IntArray:
         """The same of smallest cells, shape (m, 2)."""
         found = self.standing.find_cell(cell)

@@ -3,29 +3,19 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from gpdf_service.kernel_cache import lean
-from gpdf_service.perception.surface import Cells, cell_of
+from gpdf_service.perception.surface import Cells, cell_of, count_cells, count_in
 from gpdf_service.types import FloatArray
 
 NOTICED_STEP = 0.03
 """[m] Lower steps do not slow anybody down: a sill of 2 cm is rolled over. Higher ones are not level ground."""
 
 
-@njit(cache=True, nogil=True)
 def count_noticed(steps: FloatArray) -> NDArray[np.int32]:
-    """How many steps that are noticed lie in the first i rows and j columns of cells, (nx, ny): shape (nx + 1, ny + 1).
-
-    Four of these numbers tell of any box of cells, however large it is (Crow 1984).
-    """
-    made = np.zeros((steps.shape[0] + 1, steps.shape[1] + 1), np.int32)
-    for i in range(steps.shape[0]):
-        row = 0
-        for j in range(steps.shape[1]):
-            row += steps[i, j] > NOTICED_STEP
-            made[i + 1, j + 1] = made[i, j + 1] + row
+    """How many steps that are noticed there are, by boxes of cells: see `count_cells`."""
+    made: NDArray[np.int32] = count_cells(steps > NOTICED_STEP)
     return made
 
 
@@ -37,8 +27,8 @@ def is_stepped(ground: Cells, noticed: NDArray[np.int32], x: float, y: float, re
         return False
     left, right = max(u - reach, 0), min(u + reach + 1, noticed.shape[0] - 1)
     near, far = max(v - reach, 0), min(v + reach + 1, noticed.shape[1] - 1)
-    count: bool = noticed[right, far] - noticed[left, far] - noticed[right, near] + noticed[left, near] > 0
-    return count
+    found: bool = count_in(noticed, left, right, near, far) > 0
+    return found
 
 
 @lean()

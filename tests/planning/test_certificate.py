@@ -9,7 +9,7 @@ from scipy.ndimage import distance_transform_edt
 
 import gpdf_service as gpdf
 from gpdf_service.fields.tree import build_tree
-from gpdf_service.perception.surface import INFERRED, OBSERVED, UNKNOWN, Cells
+from gpdf_service.perception.surface import INFERRED, OBSERVED, UNKNOWN, Cells, count_cells
 from gpdf_service.planning.certificate import _coarsest_spacing, certify
 from gpdf_service.planning.shape import stand_up
 from gpdf_service.search.places import Places
@@ -104,6 +104,10 @@ def test_a_disc_is_where_the_body_faces(scenes, turn, holds):
     assert (found.holds, found.reason) == (holds, "" if holds else "the path leaves the known ground")
 
 
+def _spacing(path, radius, ground):
+    return _coarsest_spacing(path, radius, ground, count_cells(ground.state == INFERRED))
+
+
 @pytest.mark.parametrize("seed", range(6))
 def test_the_coarsest_spacing_is_that_of_the_inferred_cell_near_the_path_that_is_farthest_from_a_seen_one(seed):
     rng, width, radius, origin = np.random.default_rng(seed), 0.1, 0.1 * seed, np.array([1.0, -2.0])
@@ -121,7 +125,7 @@ def test_the_coarsest_spacing_is_that_of_the_inferred_cell_near_the_path_that_is
             near |= (x - u) ** 2 + (y - v) ** 2 <= int(radius / width) ** 2
     farthest = distance_transform_edt(state != OBSERVED)[near & (state == INFERRED)].max(initial=0.0)
     ground = Cells(np.zeros(state.shape, np.float32), state, origin, width)
-    assert _coarsest_spacing(path, radius, ground) == pytest.approx((1.0 + 2.0 * farthest) * width)
+    assert _spacing(path, radius, ground) == pytest.approx((1.0 + 2.0 * farthest) * width)
 
 
 @pytest.mark.parametrize("shape", [(3, 40), (40, 3)])
@@ -129,10 +133,10 @@ def test_the_nearest_seen_cell_may_be_further_off_than_the_map_is_wide(shape):
     state, width, origin = np.full(shape, INFERRED, np.uint8), 0.1, np.array([1.0, -2.0])
     path = np.broadcast_to([*(origin + width * (np.array(shape) - 0.5)), 0.0], (2, 3)).copy()
     ground = Cells(np.zeros(shape, np.float32), state, origin, width)
-    assert _coarsest_spacing(path, 0.0, ground) == np.inf
+    assert _spacing(path, 0.0, ground) == np.inf
     state[0, 0] = OBSERVED
     away = np.hypot(shape[0] - 1, shape[1] - 1)
-    assert _coarsest_spacing(path, 0.0, ground) == pytest.approx((1.0 + 2.0 * away) * width)
+    assert _spacing(path, 0.0, ground) == pytest.approx((1.0 + 2.0 * away) * width)
 
 
 @pytest.mark.parametrize("corner", [0, 29])
@@ -144,14 +148,14 @@ def test_ground_beside_each_piece_of_the_way_is_looked_at(corner):
     places = np.array([(29 - corner, 0), (corner, 0), (corner, 29), (29 - corner, 29)])
     path = np.column_stack([(places + 0.5) * width, np.zeros(4)])
     for part, near in ((path[:3], True), (path[1:], True), (path[:2], True), (path[2:], False)):
-        assert _coarsest_spacing(part, 0.1, ground) == pytest.approx(3.0 * width if near else width)
+        assert _spacing(part, 0.1, ground) == pytest.approx(3.0 * width if near else width)
 
 
 def test_what_of_a_way_lies_beside_the_map_looks_at_none_of_its_cells():
     state, width = np.full((9, 9), OBSERVED, np.uint8), 0.1
     state[0, 0] = INFERRED  # further from the way than the radius
     path = np.array([(0.25, 0.85, 0.0), (0.85, 0.85, 0.0), (0.85, 0.25, 0.0), (1.2, 0.25, 0.0)])
-    assert _coarsest_spacing(path, 0.2, Cells(np.zeros((9, 9), np.float32), state, np.zeros(2), width)) == width
+    assert _spacing(path, 0.2, Cells(np.zeros((9, 9), np.float32), state, np.zeros(2), width)) == width
 
 
 def test_beside_a_step_the_height_of_the_top_is_told_by_the_nearest_ground_or_by_the_contact(scenes):

@@ -9,8 +9,9 @@ import pytest
 import gpdf_service as gpdf
 from gpdf_service.fields.tree import build_tree
 from gpdf_service.perception.surface import OBSERVED, UNKNOWN, HeightMap
-from gpdf_service.planning.certificate import _runs, certify
+from gpdf_service.planning.certificate import certify
 from gpdf_service.planning.footprint import disc_places
+from gpdf_service.planning.shape import runs
 from gpdf_service.search.places import Places
 from gpdf_service.types import AGENTS
 
@@ -209,15 +210,15 @@ def test_ground_under_a_disc_that_is_turned_to_it_must_be_known(floor, ahead):
 def test_a_way_is_cut_where_its_level_changes_and_pieces_meet_in_a_waypoint(seed):
     rng = np.random.default_rng(seed)
     level = np.repeat(rng.integers(0, 3, 6), rng.integers(1, 5, 6))
-    runs = _runs(level)
-    segments = [i for part, _ in runs for i in range(part.start, min(part.stop, len(level)) - 1)]
+    pieces = runs(level)
+    segments = [i for part, _ in pieces for i in range(part.start, min(part.stop, len(level)) - 1)]
     assert set(segments) == set(range(len(level) - 1))
-    for part, on in runs:
+    for part, on in pieces:
         own = level[part]
         assert len(own) > 1
         assert set(own[1:].tolist()) == {on} or own[0] == on
     for on in set(level.tolist()):
-        mine = {i for part, at in runs if at == on for i in range(part.start, part.stop)}
+        mine = {i for part, at in pieces if at == on for i in range(part.start, part.stop)}
         assert set(np.flatnonzero(level == on).tolist()) <= mine
 
 

@@ -271,15 +271,15 @@ def test_one_disc_at_the_centre_costs_what_a_cylinder_costs_whatever_its_heading
 def test_a_path_is_faced_along_and_a_path_of_poses_as_it_says():
     corner = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0]])
     np.testing.assert_allclose(travel_headings(corner), [0.0, np.pi / 4, np.pi / 2])
-    poses = face(corner, SPOT, 0.05)
+    poses = face(corner, SPOT.offsets[-1], 0.05)
     assert np.linalg.norm(np.diff(poses[:, :2], axis=0), axis=1).max() <= 0.05 + 1e-9
-    on_the_spot = face(np.array([[0.0, 0.0, 0.0], [0.0, 0.0, 3.0]]), SPOT, 0.05)
+    on_the_spot = face(np.array([[0.0, 0.0, 0.0], [0.0, 0.0, 3.0]]), SPOT.offsets[-1], 0.05)
     assert SPOT.offsets[-1] * np.diff(on_the_spot[:, 2]).max() <= 0.05 + 1e-9
 
 
 def test_a_turn_on_the_spot_takes_its_time_from_rest_to_rest():
     poses = np.array([[0.0, 0, 0], [1.0, 0, 0], [1.0, 0, np.pi / 2], [1.0, 1, np.pi / 2]])
-    poses = face(poses, SPOT, 0.01)
+    poses = face(poses, SPOT.offsets[-1], 0.01)
     positions = np.column_stack([poses[:, :2], np.full(len(poses), SPOT.height)])
     times, headings = time_poses(positions, poses[:, 2], SPOT, np.full(len(poses), SPOT.speed))
     assert (np.diff(times) > 0).all()

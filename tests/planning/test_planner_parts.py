@@ -9,7 +9,7 @@ import pytest
 
 import gpdf_service as gpdf
 from gpdf_service.config import PlanningConfig
-from gpdf_service.planning import planner
+from gpdf_service.planning import footprint, planner
 from gpdf_service.planning.chomp import ChompResult
 from gpdf_service.planning.routes import Leg
 from gpdf_service.search import Prefer
@@ -66,10 +66,10 @@ def test_what_neither_moves_nor_turns_is_told():
         step = rng.choice([0.0, 1e-10, 0.05], (60, 3)) * np.array([1.0, 1.0, 0.0])
         contact, heading = np.cumsum(step, axis=0), np.cumsum(rng.choice([0.0, 0.1], 60))
         moved = np.linalg.norm(np.diff(contact[:, :2], axis=0), axis=1) + lever * np.abs(np.diff(heading))
-        told = planner._moving(contact, heading, lever)
-        np.testing.assert_array_equal(told, [True, *(moved > planner.STILL)])
+        told = planner.moving(contact, heading, lever)
+        np.testing.assert_array_equal(told, [True, *(moved > footprint.STILL)])
     still = np.zeros((4, 3))
-    np.testing.assert_array_equal(planner._moving(still, np.zeros(4), 0.4), [True, False, False, True])
+    np.testing.assert_array_equal(planner.moving(still, np.zeros(4), 0.4), [True, False, False, True])
 
 
 def test_a_whole_path_stands_once_where_its_legs_meet(room):
@@ -233,25 +233,20 @@ def test_strictly_bent_a_piece_keeps_the_margin_of_the_search(room):
 
 
 def test_strictly_there_is_a_wall_as_far_off_as_what_a_chord_cuts_from_a_turn(room, monkeypatch):
-    space, asked, fields = room.free_space("human"), [], []
-    optimize = planner.optimize
-
-    def noted(*args, **words):
-        asked.append(words)
-        fields.append(args[1])
-        return optimize(*args, **words)
-
-    monkeypatch.setattr(planner, "optimize", noted)
+    space, asked = room.free_space("human"), []
+    bend = planner.bend
+    monkeypatch.setattr(planner, "bend", lambda *args: asked.append(args) or bend(*args))
     for strict in (False, True):
         planner._bend(two_legs(space)[0], CONFIG, strict, np.inf)
-    soft, hard = asked
-    assert [field.standing.weights.any() for field in fields] == [True, False]  # the GPDF, the points alone
+    assert [fields[0].standing.weights.any() for _, _, _, fields, *_ in asked] == [True, False]  # the GPDF, the points
     apart = max(CONFIG.waypoint_spacing, CONFIG.smoothness_weight(HUMAN.disc_radius))
-    assert (soft["radius"], soft["wall"]) == (space.reach, 0.0)
-    assert hard["radius"] == pytest.approx(space.radius + apart**2 / (8.0 * HUMAN.disc_radius))
-    assert hard["wall"] == planner.WALL
-    assert soft["epsilon"] == CONFIG.preferred_clearance * HUMAN.disc_radius
-    assert soft["height"] == HUMAN.height
+    soft, hard = (args[4].radius for args in asked)
+    assert soft == space.reach
+    assert hard == pytest.approx(space.radius + apart**2 / (8.0 * HUMAN.disc_radius))
+    wants = [args[5] for args in asked]
+    assert [one.wall for one in wants] == [0.0, planner.WALL]
+    assert wants[0].epsilon == CONFIG.preferred_clearance * HUMAN.disc_radius
+    assert wants[0].height == HUMAN.height
 
 
 def test_the_top_is_as_high_over_the_contact_as_the_body(room):
@@ -317,6 +312,6 @@ def test_where_a_body_gets_stuck_is_why_there_is_no_way_rather_than_what_did_not
 def test_a_body_goes_slower_with_less_room_than_it_prefers(room, monkeypatch):
     asked = []
     limit = planner.speed_limit
-    monkeypatch.setattr(planner, "speed_limit", lambda *args: asked.append(args[-1]) or limit(*args))
+    monkeypatch.setattr(planner, "speed_limit", lambda *args: asked.append(args[4]) or limit(*args))
     gpdf.plan(room, (0.6, 0.6), (3.4, 0.6))
     assert asked == [room.config.planning.preferred_clearance * HUMAN.disc_radius]

@@ -9,7 +9,7 @@ import pytest
 import gpdf_service as gpdf
 from gpdf_service.bench.judge import Judge
 from gpdf_service.perception.surface import OBSERVED, UNKNOWN, Cells, is_known
-from gpdf_service.planning.shape import _straight_to, is_ground_known, subdivide
+from gpdf_service.planning.shape import _straight_to, is_ground_known, is_level, stand_on, subdivide
 from gpdf_service.synthetic.world import Box, World
 from gpdf_service.types import AGENTS
 
@@ -81,3 +81,20 @@ def test_rows_that_lie_straight_ahead_are_told():
         assert to == next(row for row in rows if row > i)
     back = np.array([[0.0, 0.0], [1.0, 0.0], [0.5, 0.0], [2.0, 0.0]])
     assert _straight_to(back).tolist() == [1, 2, 3, 3]
+
+
+@pytest.mark.parametrize("height", [0.1, 2.0])
+def test_over_level_ground_a_top_stands_where_the_field_says_to_a_hundredth(height):
+    rng = np.random.default_rng(0)
+    points, ground = World((12.0, 10.0, 2.6), (), ceiling=False).sample(0.05, rng)
+    points[:, 2] += np.where(ground, rng.uniform(0.0, 0.004 * height, len(points)), 0.0)
+    scene = gpdf.build_scene(points, ground)
+    surface, field = scene.surfaces[0], scene.ground_fields[0].arrays
+    xy = np.column_stack([np.linspace(4.0, 8.0, 60), np.linspace(4.0, 6.0, 60)])
+    apart = np.stack([np.zeros(surface.ends.shape[:2]), np.ones(surface.ends.shape[:2])], axis=-1).astype(np.float32)
+    assert is_level(xy, surface.arrays, surface.ends, height)
+    assert not is_level(xy, surface.arrays, apart, height)
+    (soon, soon_top), (contact, top) = (stand_on(xy, surface.arrays, e, field, height) for e in (surface.ends, apart))
+    np.testing.assert_array_equal(soon, contact)
+    np.testing.assert_allclose(soon_top, top, atol=0.01 * height)
+    assert np.abs(scene.ground_fields[0].query(soon_top).distance - height).max() < 0.011 * height
