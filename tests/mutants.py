@@ -93,7 +93,33 @@ TIMING = "gpdf_service/planning/timing.py"
 BESIDE = "before, next_ = max(i - 1, 0), min(i + 1, count - 1)"
 NEVER = "room, was_x, was_y = -np.inf, 0.0, 0.0  # there is at least so much, since that place"
 RESTS = "t = TICK * (np.arange(int(np.ceil(times[-1] / TICK)) + 2 * margin + 1) - margin)"
+BEGUN = "poses, where, off_at, nearest = path.copy(), path[0].copy(), path[0].copy(), np.inf"
+ENDED = "place[k] = (total[k + width] - total[k]) / width if k + width <= len(place) else place[k - 1]"
+NAMED = 'return {f"{name}_{axis}": float(v) for axis, v in zip("xyz", place, strict=True) if np.isfinite(v)}'
 EQUAL: dict[tuple[str, ...], str] = {
+    (CERTIFICATE, "0.0 → (0.1)", f"if {LOOK} and spare <= 0.0:"): "the field is asked more often",
+    (CERTIFICATE, "0 → (1)", BEGUN): "where nothing is off there is no place of it; the other one is written over",
+    (
+        CERTIFICATE,
+        "max(SAMPLE, CELL_SHARE * ground.width) → (min(SAMPLE, CELL_SHARE * ground.width))",
+    ): "it is looked at more often",
+    (CERTIFICATE, "seen.clearance < clearance → (seen.clearance <= clearance)"): BIT,
+    (CERTIFICATE, "far2 < nearest → (far2 <= nearest)"): BIT,
+    (CERTIFICATE, "ring * ring < nearest → (ring * ring <= nearest)"): "rings further out hold none that is nearer",
+    (ENDPOINTS, "-1 → (1)", RIM): "the map's rim is wider than a cell",
+    (ENDPOINTS, "1 → (2)", RIM): "the map's rim is wider than a cell",
+    (
+        ENDPOINTS,
+        f"{OVER} <= cells + 1.0 → (-1.0 < (x - low) / surface.cell_width <= cells + 1.0)",
+    ): BIT,
+    (PLANNER, "300_000 → (300001)"): "a waypoint more in a second",
+    (
+        PLANNER,
+        "not taken.any() or bool((taken <= steps_of(pieces) + MORE_STEPS).all())"
+        " → (bool((taken <= steps_of(pieces) + MORE_STEPS).all()))",
+    ): "what takes no step takes no more",
+    (PLANNER, "True → (False)", NAMED): "a place has three numbers",
+    (TIMING, "1 → (2)", ENDED): "what has arrived stays there",
     (
         OBSTACLES,
         "_on_rungs(z - z[0], pitch) or _pitch(z) > 0.0 → (_pitch(z) > 0.0)",

@@ -224,6 +224,28 @@ def test_a_verb_that_is_nearly_one_is_guessed(capsys):
     assert "gpdf drive" not in said
 
 
+@pytest.mark.parametrize(
+    ("words", "meant"),
+    [
+        (["plan", "x.npz", "--start", "1,1", "--gaol", "2,2"], "--goal"),
+        (["scene", "build", "x.npz", "--output=x.gpdf"], "--out"),
+        (["client", "plan", "office", "--strat", "1,1", "--goal", "2,2"], "--start"),
+    ],
+)
+def test_an_option_that_is_nearly_one_is_guessed(words, meant, capsys):
+    with pytest.raises(SystemExit, match="2"):
+        main(words)
+    assert f"Did you mean {meant}?" in capsys.readouterr().err
+
+
+def test_the_begin_of_an_option_is_it_and_what_is_near_none_is_said_plainly(capsys):
+    with pytest.raises(SystemExit):
+        main(["plan", "x.npz", "--start", "1,1", "--goal", "2,2", "--zzzzzz"])
+    assert "unrecognized arguments: --zzzzzz" in capsys.readouterr().err
+    assert main(["plan", "x.npz", "--sta", "1,1", "--goal", "2,2"]) == 1
+    assert "there is no such file" in capsys.readouterr().err
+
+
 def test_the_help_of_a_group_is_the_groups(capsys):
     for word, others in (("scene", "gpdf bench"), ("bench", "gpdf scene"), ("record", "gpdf serve")):
         assert main([word, "--help"]) == 0

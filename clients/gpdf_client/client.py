@@ -277,6 +277,8 @@ class Client:
         agent: Agent = "human",
         *,
         limit: int = 300_000,
+        near: ArrayLike | None = None,
+        reach: float = 0.0,
         progress: Progress = lambda share: None,
     ) -> Drawing:
         """Fetch what a picture shows: "cloud", "ground", or the "obstacles" or free "leaves" of an agent.
@@ -286,11 +288,16 @@ class Client:
             what: What to draw.
             agent: The body, for obstacles and leaves.
             limit: Most places to fetch; points are thinned evenly, of the leaves the largest are kept.
+            near: Places (k, 2) or (k, 3) [m], as of a path: only what is near one of them in plan; None: everything.
+            reach: How near [m].
             progress: Told the share that is there.
         """
         replies: list[DrawReply] = []
+        around = None if near is None else Array.pack(np.asarray(near, dtype=np.float64))
         while not replies or len(replies) < replies[0].parts:
-            request = DrawRequest(scene=scene, what=what, agent=agent, limit=limit, part=len(replies))
+            request = DrawRequest(
+                scene=scene, what=what, agent=agent, limit=limit, part=len(replies), near=around, reach=reach
+            )
             reply = self.ask(keys.SCENE_DRAW, request, DrawReply, request.deadline_s)
             if replies and reply.scene_version != replies[0].scene_version:  # the scene was replaced meanwhile
                 replies = []
@@ -743,10 +750,14 @@ class AsyncClient:
         agent: Agent = "human",
         *,
         limit: int = 300_000,
+        near: ArrayLike | None = None,
+        reach: float = 0.0,
         progress: Progress = lambda share: None,
     ) -> Drawing:
         """See `Client.draw`; `progress` is called from another thread."""
-        return await asyncio.to_thread(self.sync.draw, scene, what, agent, limit=limit, progress=progress)
+        return await asyncio.to_thread(
+            self.sync.draw, scene, what, agent, limit=limit, near=near, reach=reach, progress=progress
+        )
 
     async def distance(
         self, scene: str, field: str, points: ArrayLike, agent: Agent = "human", *, deadline_s: float = 30.0

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from gpdf_guidance.corridor import FOOTING
 from gpdf_guidance.features import FOOT, FeatureKind, find_flights
 from gpdf_guidance.instruction import Kind
-from gpdf_guidance.rails import with_rails
+from gpdf_guidance.rails import AROUND, with_rails
 from gpdf_guidance.route import Pose, Route, arc_length, build_route, join
 from gpdf_guidance.stairs import LEAST_EDGE, SQUARE, find_stairs, obliqueness, places_to_stand
 from gpdf_guidance.unseen import with_unseen
@@ -61,7 +61,7 @@ LOOK = 3.0
 LOOK_STEP = 0.1
 """[m] Between the places of a look."""
 CELLS = 1_000_000
-"""Of ground that are fetched at most, 20 MB, where a way leads over some that nobody saw."""
+"""Of ground along a way that are fetched at most, 20 MB, where it leads over some that nobody saw."""
 
 REFUSALS = {
     Status.START_OUTSIDE_MAP: Kind.NO_WAY_START,
@@ -105,8 +105,6 @@ class Planner:
 
     def __init__(self, client: Client, scene: str, person: Mapping[str, Any] = PERSON) -> None:
         self._client, self.scene, self.person = client, scene, dict(person)
-        self._drawn: tuple[int, FloatArray] = (-1, np.zeros((0, 3)))
-        self._ground: tuple[int, FloatArray, BoolArray] = (-1, np.zeros((0, 3)), np.zeros(0, dtype=bool))
 
     def route(
         self, pose: Pose, goal: Sequence[float], climb: float = LEVEL_STEP, obstacles: FloatArray | None = None
@@ -181,7 +179,9 @@ class Planner:
         route = replace(route, hidden_height=max((one.hidden_height for one in proofs), default=0.0))
         if max((one.ground_spacing for one in proofs), default=0.0) <= FOOT:
             return route
-        cells, seen = self._cells(route.version)
+        reach = route.radius + FOOT  # what is under the body, and what bridges it
+        drawing = self._client.draw(self.scene, "ground", limit=CELLS, near=route.ground, reach=reach)
+        cells, seen = drawing.places + drawing.origin, drawing.columns["inferred"] == 0.0
         return replace(route, features=with_unseen(route.features, route.ground, route.s, route.radius, cells, seen))
 
     def _off_steps(self, way: Trajectory, ask: Plan) -> Trajectory:
@@ -296,31 +296,16 @@ class Planner:
             version=version,
             places=self.places(),
         )
-        if all(one.kind is not FeatureKind.STAIRS for one in route.features):
+        stairs = [one for one in route.features if one.kind is FeatureKind.STAIRS]
+        if not stairs:
             return route
-        features = with_rails(route.features, route.ground, route.s, route.flights, self._cloud(version))
-        return replace(route, features=features)
-
-    def _cloud(self, version: int) -> FloatArray:
-        """The scene's points, thinned, shape (k, 3); none where they cannot be had: only handrails depend on them."""
-        if self._drawn[0] != version:
-            try:
-                drawing = self._client.draw(self.scene, "cloud")
-                self._drawn = version, drawing.places + drawing.origin
-            except ClientError:
-                self._drawn = version, np.zeros((0, 3))
-        return self._drawn[1]
-
-    def _cells(self, version: int) -> tuple[FloatArray, BoolArray]:
-        """The map's cells of ground, shape (k, 3), and which of them were seen.
-
-        Raises:
-            ClientError: they cannot be had.
-        """
-        if self._ground[0] != version:
-            drawing = self._client.draw(self.scene, "ground", limit=CELLS)
-            self._ground = drawing.scene_version, drawing.places + drawing.origin, drawing.columns["inferred"] == 0.0
-        return self._ground[1:]
+        on = np.any([(route.s >= one.start - AROUND) & (route.s <= one.end + AROUND) for one in stairs], axis=0)
+        try:
+            drawing = self._client.draw(self.scene, "cloud", near=route.ground[on], reach=AROUND)
+        except ClientError:  # only handrails depend on it
+            return route
+        cloud = drawing.places + drawing.origin
+        return replace(route, features=with_rails(route.features, route.ground, route.s, route.flights, cloud))
 
     def _room(self, body: dict[str, Any], places: FloatArray) -> FloatArray:
         found = self._client.distance(self.scene, "obstacle", places, body)

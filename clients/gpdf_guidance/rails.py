@@ -25,6 +25,8 @@ TREADS = 0.6
 """Share of the treads beside which it is seen: a rail goes along, a box on one tread does not."""
 REACH = 1.2
 """[m] From the way to a rail that an arm finds when one keeps to that side."""
+AROUND = 2.0 * REACH
+"""[m] How far from a flight is looked."""
 
 
 def with_rails(
@@ -37,7 +39,7 @@ def with_rails(
         ground: Contact points of the way [m], shape (n, 3).
         s: Their arc lengths [m], shape (n,).
         flights: Stairs on the way.
-        cloud: Points of the scene [m], shape (k, 3).
+        cloud: Points around the flights [m], shape (k, 3).
     """
     named = []
     for one in features:
@@ -53,16 +55,9 @@ def _rail(ground: FloatArray, s: FloatArray, flight: Flight, count: int, cloud: 
     edges = np.linspace(flight.start, flight.end, max(2, count))
     treads = np.column_stack([np.interp(0.5 * (edges[:-1] + edges[1:]), s, ground[:, k]) for k in range(3)])
     half = 0.5 * (flight.end - flight.start) / (len(edges) - 1)
-    cloud = _around(cloud, treads, half + 2 * REACH)
     seen = np.array([_stands_out(cloud, tread, forward, left, half) for tread in treads])
     sides = [name for name, share in zip(("left", "right"), seen.mean(axis=0), strict=True) if share >= TREADS]
     return "both" if len(sides) == 2 else "".join(sides)
-
-
-def _around(cloud: FloatArray, treads: FloatArray, reach: float) -> FloatArray:
-    """The points within a reach of a flight, in a box [m]: of a whole building few are."""
-    low, high = treads.min(axis=0) - reach, treads.max(axis=0) + reach
-    return cloud[np.all((cloud >= low) & (cloud <= high), axis=1)]
 
 
 def _stands_out(
@@ -71,7 +66,7 @@ def _stands_out(
     """Whether something stands out to the left and to the right of a tread."""
     away, over = cloud[:, :2] - tread[:2], cloud[:, 2] - tread[2]
     beside = away @ left
-    near = (np.abs(away @ forward) <= half) & (np.abs(beside) <= 2 * REACH)
+    near = (np.abs(away @ forward) <= half) & (np.abs(beside) <= AROUND)
     found = []
     for sign in (1.0, -1.0):
         gaps = []

@@ -30,12 +30,9 @@ def with_unseen(
         ground: Contact points of the way [m], shape (n, 3).
         s: Their arc lengths [m], shape (n,).
         radius: Of the body [m]: what is under it counts.
-        cells: Centres of the map's cells of ground [m], shape (k, 3).
+        cells: Centres of the map's cells of ground, all of those near the way [m], shape (k, 3).
         seen: Which of them were seen, and are not inferred, shape (k,).
     """
-    low, high = ground.min(axis=0) - radius - FOOT, ground.max(axis=0) + radius + FOOT
-    near = np.all((cells[:, :2] >= low[:2]) & (cells[:, :2] <= high[:2]), axis=1)
-    cells, seen = cells[near], seen[near]
     guessed = cells[~seen]
     guessed = guessed[_is_within(guessed, ground, radius)]
     guessed = guessed[~_is_within(guessed, cells[seen], 0.5 * FOOT)]

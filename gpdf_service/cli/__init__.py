@@ -12,7 +12,7 @@ import json
 import os
 import re
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import nullcontext
 from difflib import get_close_matches
 from importlib import import_module
@@ -135,7 +135,10 @@ def main(argv: Sequence[str] | None = None) -> int:
         else:
             _announce(verb, words)
             with mortal() if argv is None else nullcontext():
-                args = parser_of(verb).parse_args(_joined(words[len(verb.split()) :]))
+                parser, rest = parser_of(verb), _joined(words[len(verb.split()) :])
+                if meant := _meant(parser, rest):
+                    parser.error(meant)
+                args = parser.parse_args(rest)
             if "numba" in sys.modules and sys.stderr.isatty():  # loaded by the verb's module, or not at all
                 import_module("gpdf_service.cli.compiling").tell_of_compiling()
             code = int(import_module(VERBS[verb][0]).run(args))
@@ -195,6 +198,24 @@ def parser_of(verb: str, parser: argparse.ArgumentParser | None = None) -> argpa
     made = parser or argparse.ArgumentParser(prog=f"gpdf {verb}", description=text)
     import_module(module_name).add_arguments(made)
     return made
+
+
+def _meant(parser: argparse.ArgumentParser, words: Sequence[str]) -> str:
+    """Which option is near one that is none, in words; argparse would name one that is missing for it."""
+    known = list(_options(parser))
+    for name in (word.partition("=")[0] for word in words if word.startswith("--")):
+        near = get_close_matches(name, known, n=1)
+        if near and not any(one.startswith(name) for one in known):  # it takes the begin of an option for it
+            return f"there is no option {name}. Did you mean {near[0]}?"
+    return ""
+
+
+def _options(parser: argparse.ArgumentParser) -> Iterator[str]:
+    """All options of a parser and of those for what is asked of a service."""
+    for action in parser._actions:
+        yield from action.option_strings
+        for one in (action.choices or {}).values() if isinstance(action, argparse._SubParsersAction) else ():
+            yield from _options(one)
 
 
 def _joined(words: Sequence[str]) -> list[str]:

@@ -271,7 +271,9 @@ class Handlers:
     def draw(self, request: DrawRequest) -> DrawReply:
         """One part of what a picture shows."""
         scene = self._scene(request.scene, request.deadline_s)
-        made = draw_part(scene, request.what, agent_of(request.agent), request.limit, request.part)
+        near = None if request.near is None else request.near.unpack()
+        agent = agent_of(request.agent)
+        made = draw_part(scene, request.what, agent, request.limit, request.part, near, request.reach)
         entry = self.shelf.get(request.scene)
         if request.what in OF_BODIES and request.part == 0 and self._pool and entry is not None and entry.file:
             self._pool.prepare(request.scene, str(entry.file), encode(request))  # who looks at it plans for it next

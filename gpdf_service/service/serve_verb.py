@@ -57,7 +57,7 @@ def run(args: argparse.Namespace) -> int:
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: stop.set())
     if trouble := trouble_at(options.endpoint):  # before processes begin and scenes are built
-        log.error(BUSY, options.endpoint, trouble)
+        log.error(BUSY, options.endpoint, trouble.rstrip("."))
         return 1
     if gone := [str(file) for _, file in args.scenes if not file.is_file()]:
         log.error("file %r is not there.", gone[0])

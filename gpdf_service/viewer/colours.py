@@ -50,8 +50,8 @@ LEVELS = np.array([(86, 180, 233), (230, 159, 0), (0, 158, 115), (204, 121, 167)
 """Storeys, over and over."""
 NOWHERE = (150, 150, 150)
 """What lies over no known ground."""
-SEEN, INFERRED = np.array([(190, 186, 178), (64, 196, 190)], np.uint8)
-"""Ground that was measured, and ground that its surroundings explain."""
+SEEN, INFERRED = np.array([(190, 186, 178), (230, 158, 102)], np.uint8)
+"""Ground that was measured, and ground that its surroundings explain: a pale vermilion, which no height has."""
 
 
 def ramp(values: FloatArray, low: float, high: float, colours: FloatArray = VIRIDIS) -> Colours:

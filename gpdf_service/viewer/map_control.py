@@ -11,7 +11,7 @@ from gpdf_service.types import FloatArray
 from gpdf_service.viewer import colours, words
 from gpdf_service.viewer.desk import Desk
 from gpdf_service.viewer.map_layers import MapLayers, View
-from gpdf_service.viewer.panel import ALL_STOREYS, SLICES, gradient, legend
+from gpdf_service.viewer.panel import ALL_STOREYS, SLICES, gradient, key_of, legend
 from gpdf_service.viewer.scale import add_scale
 from gpdf_service.viewer.widgets import put
 
@@ -166,6 +166,7 @@ class MapControl:
             point_size=tab.size.value,
             levels=self._levels.get(self._desk.panel.storey.value),
         )
+        self._desk.panel.key.content = key_of(tab.colour.value, tab.below.value)
         self._stale |= self.layers.view.touched(before)
         self._desk.maps.do("view", self._renew)
 

@@ -154,8 +154,7 @@ class MapLayers:
             is_ground = drawing.columns["ground"][wanted, None] > 0
             shades = np.where(is_ground, colours.SEEN, colours.KINDS[0])
         else:
-            low, high = np.quantile(places[:, 2], [0.01, 0.99])
-            shades = colours.ramp(places[:, 2], float(low), float(high), colours.PALE)
+            shades = colours.ramp(drawing.columns["above"][wanted], 0.0, self.view.below, colours.PALE)
         return self._points("cloud", places, shades, self.view.point_size)
 
     def _ground(self, drawing: Drawing, wanted: BoolArray) -> viser.PointCloudHandle | None:

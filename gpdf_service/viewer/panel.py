@@ -24,7 +24,11 @@ ALL_STOREYS = "all of them"
 NO_SCENE = "(none)"
 SLICES = {"none": "", "distance to the ground (d_g)": "ground", "distance to obstacles (d_o)": "obstacle"}
 LAYERS = {"cloud": "Cloud", "ground": "Ground", "obstacles": "What stops the body", "leaves": "Where it fits (leaves)"}
+CLOUDS = ".ply,.pcd,.xyz,.txt,.csv,.asc,.pts,.npy,.npz,.las,.laz,.e57,.obj,.stl,.off,.dae,.glb,.gltf"
+"""What can be sent."""
 CLOUD_COLOURS = ("height", "level", "ground")
+SHOWN_BELOW = 1.5
+"""[m] Over the ground, at first."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -110,6 +114,7 @@ class Panel:
     storey: viser.GuiDropdownHandle[str]
     bar: GuiProgressBarHandle
     work: viser.GuiMarkdownHandle
+    key: viser.GuiHtmlHandle
     plan: PlanTab
     map: MapTab
     load: LoadTab
@@ -135,7 +140,7 @@ def build_panel(gui: viser.GuiApi) -> Panel:
     storey = gui.add_dropdown("Storey", (ALL_STOREYS,), visible=False)
     bar = gui.add_progress_bar(0.0, visible=False)
     work = gui.add_markdown("", visible=False)
-    gui.add_html(swatches((("ground", colours.SEEN), ("inferred: nobody saw it", colours.INFERRED))))
+    key = gui.add_html(key_of(CLOUD_COLOURS[0], SHOWN_BELOW))
     tabs = gui.add_tab_group()
     with tabs.add_tab("Plan"):
         plan = _plan_tab(gui)
@@ -145,7 +150,7 @@ def build_panel(gui: viser.GuiApi) -> Panel:
         load = _load_tab(gui)
     with tabs.add_tab("Log"):
         log = _log_tab(gui)
-    return Panel(link, scene, storey, bar, work, plan, shown, load, log)
+    return Panel(link, scene, storey, bar, work, key, plan, shown, load, log)
 
 
 def _plan_tab(gui: viser.GuiApi) -> PlanTab:
@@ -189,7 +194,9 @@ def _map_tab(gui: viser.GuiApi) -> MapTab:
         layers=layers,
         legend=gui.add_html(legend(0)),
         colour=gui.add_dropdown("Cloud by", CLOUD_COLOURS),
-        below=gui.add_slider("Up to [m]", 0.1, 6.0, 0.1, 1.5, hint="Points higher over their ground are not shown."),
+        below=gui.add_slider(
+            "Up to [m]", 0.1, 6.0, 0.1, SHOWN_BELOW, hint="Points higher over their ground are not shown."
+        ),
         size=gui.add_slider("Points [m]", 0.005, 0.1, 0.005, 0.02),
         slice=gui.add_dropdown("Slice", tuple(SLICES)),
         height=gui.add_slider("At height [m]", 0.0, 3.0, 0.05, 0.5, hint="Over the lowest point of the scene."),
@@ -203,7 +210,7 @@ def _load_tab(gui: viser.GuiApi) -> LoadTab:
         name=gui.add_text("Name", "office"),
         file=gui.add_text("File", "office.ply", hint="In the service's scenes folder."),
         load=gui.add_button("Load the file"),
-        upload=gui.add_upload_button("Send a cloud from here …", mime_type=".ply,.pcd,.xyz,.npz,.las,.laz"),
+        upload=gui.add_upload_button("Send a cloud from here …", mime_type=CLOUDS),
         look=gui.add_button("Look for scenes again", color="gray"),
     )
 
@@ -224,6 +231,15 @@ def gradient(shades: FloatArray, low: str, high: str) -> str:
     bar = f"height:10px;border-radius:3px;background:linear-gradient(to right,{stops})"
     ends = f"<div style='display:flex;justify-content:space-between'><span>{low}</span><span>{high}</span></div>"
     return f"<div style='padding:0 1em 0.5em;font-size:0.8em'><div style='{bar}'></div>{ends}</div>"
+
+
+def key_of(colour: str, below: float) -> str:
+    """What the colours of ground and cloud mean, of a cloud that is drawn by `colour` up to a height [m]."""
+    named = [("ground", colours.SEEN), ("inferred: nobody saw it", colours.INFERRED)]
+    if colour == "ground":
+        named.append(("other points", colours.KINDS[0]))
+    bar = gradient(colours.PALE, "things at 0 m", f"{below:g} m over the ground") if colour == "height" else ""
+    return swatches(named) + bar
 
 
 def legend(levels: int, step: float = 1.0) -> str:

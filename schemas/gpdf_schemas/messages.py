@@ -439,7 +439,9 @@ class DrawRequest(msgspec.Struct, frozen=True, kw_only=True):
         what: "cloud", "ground" (centres of its cells), "obstacles" or "leaves" (of the free space) of an agent.
         agent: Name of a known body, or its measures; only "obstacles" and "leaves" depend on it.
         limit: Most rows of all parts together: points are thinned evenly, of the leaves the largest are kept.
-        part: Number of this part, from 0; points are shuffled, so that the first part shows all of the scene.
+        part: Number of this part, from 0; points are shuffled, so that the first part shows all that is drawn.
+        near: Places (k, 2) or (k, 3) [m]: only what is near one of them in plan is drawn; none: everything.
+        reach: How near [m].
         deadline_s: Seconds that the answer may take.
         request_id: Chosen by the client.
     """
@@ -449,6 +451,8 @@ class DrawRequest(msgspec.Struct, frozen=True, kw_only=True):
     agent: str | dict[str, Any] = "human"
     limit: int = 300_000
     part: int = 0
+    near: Array | None = None
+    reach: float = 0.0
     deadline_s: float = 30.0
     request_id: str = ""
 

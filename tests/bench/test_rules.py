@@ -11,7 +11,7 @@ from gpdf_service.bench.scanned import judge, scanned
 from gpdf_service.synthetic import SCENES
 from gpdf_service.synthetic.scenes import random_room
 
-NOISY = SCENES["stair"](np.random.default_rng(0), spacing=0.08, noise=0.02)
+NOISY = SCENES["stair"](np.random.default_rng(0), spacing=0.15, noise=0.02)
 
 
 def test_a_scanner_sees_no_floor_under_itself_and_nothing_behind_a_wall():

@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 from gpdf_client import Client
-from gpdf_guidance import Guide, Kind, Outcome, Planner, Walker, simulate
+from gpdf_guidance import Guide, Kind, Outcome, Planner, Pose, Walker, simulate
 from gpdf_guidance.ahead import SETTING_OFF, STEP_WINDOW
+from gpdf_guidance.features import FeatureKind
 
 from gpdf_service.bench.walks import WalkedWorld
 from gpdf_service.ports import free_endpoint
@@ -53,3 +54,15 @@ def test_stairs_are_begun_and_left_in_their_line(house, down):
     assert 1.0 <= told[0] <= EARLIEST  # where the way there is long
     assert any(1.0 <= distance <= NEAR for distance in told)  # it may be said again at the foot
     assert Kind.STAIRS_EDGE in {one.kind for one in said}
+
+
+def test_a_handrail_is_read_from_the_points_beside_the_stairs(client):
+    made = make_house(np.random.default_rng(0))
+    line = made.head - made.foot
+    left = np.array([-np.sin(made.up), np.cos(made.up), 0.0]) * (made.half_width - 0.1)
+    rail = made.foot + left + np.linspace(0.0, 1.0, 200)[:, None] * line + np.array([0.0, 0.0, 0.95])
+    ground = np.append(made.ground, np.zeros(len(rail), dtype=bool))
+    client.load_scene("railed", upload=np.concatenate([made.points, rail]), ground=ground)
+    for start, goal, side in ((made.low, made.high, "left"), (made.high, made.low, "right")):
+        found = Planner(client, "railed").route(Pose(tuple(start), 0.0, 0.0), goal.tolist())
+        assert [one.rail for one in found.route.features if one.kind is FeatureKind.STAIRS] == [side]

@@ -5,7 +5,7 @@ from unittest.mock import Mock
 import numpy as np
 import pytest
 from gpdf_client import Client
-from gpdf_guidance import Guide, Kind, Outcome, Planner, Pose, Walker, simulate
+from gpdf_guidance import Guide, Kind, Outcome, Planner, Pose, Walker, planner, simulate
 from gpdf_guidance.advice import NEAR_STEP, PACES, advise
 from gpdf_guidance.features import FOOT, FeatureKind
 from gpdf_guidance.unseen import with_unseen
@@ -88,6 +88,17 @@ def test_who_is_led_over_a_blind_spot_hears_of_it_before_and_goes_slowly_there(c
         near = hole.start - NEAR_STEP <= s <= hole.end
         advice = advise(route, Pose(tuple(route.at(s)), route.heading_at(s), 0.0), 0.0, near=s)
         assert advice.pace == PACES[int(near)]
+
+
+def test_in_a_place_of_more_cells_than_are_fetched_as_much_is_said(client, monkeypatch):
+    def said():
+        route = Planner(client, "floor").route(Pose((1.0, 3.4, 0.0), 0.0, 0.0), (7.0, 3.4)).route
+        return [(one.start, one.end) for one in route.features if one.kind is FeatureKind.UNSEEN]
+
+    whole, along = len(client.draw("floor", "ground").places), said()
+    assert len(along) == 1
+    monkeypatch.setattr(planner, "CELLS", whole // 4)
+    assert said() == along
 
 
 def test_beside_it_nothing_is_said_and_no_cell_is_fetched(client):

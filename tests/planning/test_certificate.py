@@ -74,6 +74,18 @@ def test_ground_that_the_body_takes_is_not_refused(scenes, name, agent):
     assert (found.holds, found.reason) == (True, "")
 
 
+def test_the_tightest_place_has_the_height_of_the_way_there(scenes):
+    """A point beside the way, at its foot, half up a ramp and at its head."""
+    space = scenes["slope"].free_space("human")
+    xy = np.column_stack([np.arange(1.0, 5.0, 0.05), np.full(80, 1.5)])
+    ground, top = stand_up(xy, space.surfaces[0], space.ground_fields[0], space.agent.height)
+    for x in (1.5, 3.0, 4.5):
+        trees = (Places(build_tree(np.array([[x, 2.0]]))),)
+        found = certify(dataclasses.replace(space, trees=trees), top, ground, np.zeros(len(xy), dtype=np.int64))
+        assert found.min_clearance_at[0] == pytest.approx(x, abs=0.06)
+        assert found.min_clearance_at[2] == pytest.approx(float(ramp(np.array([[x, 1.5]]))[0]), abs=0.05)
+
+
 def test_the_limits_are_the_bodys_own(scenes):
     """The same step and slope, a little over and a little under what the body takes."""
     for scene, measure in ((scenes["step"], "max_step"), (scenes["slope"], "max_slope")):

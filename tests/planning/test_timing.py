@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 import gpdf_service as gpdf
-from gpdf_service.planning.timing import BLEND, CARE, LOOK, RAMP, STILL, TICK, _least_around, time_path
+from gpdf_service.planning.timing import BLEND, CARE, LOOK, RAMP, STILL, TICK, _least_around, speed_limit, time_path
+from gpdf_service.search.steps import is_stepped
 from gpdf_service.synthetic import SCENES, Box, World
 from gpdf_service.types import AGENTS
 
@@ -107,6 +108,26 @@ def test_a_narrow_door_is_passed_slowly():
     middle = 0.5 * (path.ground[1:, 0] + path.ground[:-1, 0])
     assert speed[np.abs(middle - 3.1) < 0.1].max() < 0.65 * AGENTS["human"].speed
     assert speed.max() > 0.9 * AGENTS["human"].speed
+
+
+@pytest.mark.parametrize("discs", [1, 6])
+def test_the_speed_is_that_of_the_disc_in_the_tightest_place_and_on_steps(discs):
+    rng, preferred = np.random.default_rng(0), 0.3
+    step = Box((3.0, 0.0, 0.0), (6.0, 3.0, 0.15), walkable=True)
+    scene = gpdf.build_scene(*World((6.0, 3.0, 2.6), (step,)).sample(0.05, rng))
+    agent = dataclasses.replace(AGENTS["spot"], discs=discs)
+    space = scene.free_space(agent)
+    poses = rng.uniform((0.3, 0.3, -np.pi), (5.7, 2.7, np.pi), (300, 3))
+    cells = int(np.ceil(agent.radius / space.surfaces[0].cell_width))
+    expected = np.ones(len(poses))
+    for offset in agent.offsets:
+        xy = poses[:, :2] + offset * np.column_stack([np.cos(poses[:, 2]), np.sin(poses[:, 2])])
+        room = np.clip((space.clearance(0, xy)[0] - space.reach) / preferred, 0.0, 1.0)
+        stepped = [is_stepped(space.surfaces[0].arrays, space.noticed[0], x, y, cells) for x, y in xy]
+        expected = np.minimum(expected, np.where(stepped, CARE, CARE + (1.0 - CARE) * room))
+    found = speed_limit(space, poses, np.zeros(len(poses), dtype=np.int64), preferred)
+    np.testing.assert_allclose(found, agent.speed * expected, atol=1e-9)
+    assert CARE < np.quantile(expected, 0.6) < expected.max()
 
 
 @pytest.mark.parametrize("length", [1e-300, 1e-12, 1e-8, 2e-6, 1e-3])

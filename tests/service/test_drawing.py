@@ -12,6 +12,9 @@ from gpdf_service.service import drawing
 from gpdf_service.service.record import records_of
 from gpdf_service.service.server import Options, Server
 
+EXACT = 1e-4
+"""[m] Places are drawn as f4."""
+
 
 @pytest.fixture(scope="module")
 def asked(office_file, tmp_path_factory):
@@ -73,8 +76,39 @@ def test_the_ground_says_which_part_of_it_nobody_saw(asked, office):
     assert drawn.columns["inferred"].sum() == level.inferred.sum() > 0
 
 
+@pytest.mark.parametrize("what", ["cloud", "ground", "obstacles", "leaves"])
+def test_near_a_path_is_drawn_what_is_near_it_and_all_of_that(asked, what):
+    path = np.column_stack([np.linspace(1.0, 5.0, 30), np.linspace(1.0, 4.0, 30), np.zeros(30)])
+    whole, near = asked[1].draw("office", what), asked[1].draw("office", what, near=path, reach=0.4)
+    expected = np.sort(whole.places[_away(whole, path) < 0.4 - EXACT], axis=0)
+    assert 0 < len(expected) < len(whole.places) / 2
+    assert _away(near, path).max() < 0.4 + EXACT
+    found = near.places[_away(near, path) < 0.4 - EXACT]
+    np.testing.assert_array_equal(np.sort(found, axis=0), expected)
+    assert asked[1].draw("office", what, near=path[:, :2], reach=0.4, limit=10).places.tolist() == (
+        near.places[:10].tolist()
+    )
+
+
+def _away(drawn, path):
+    """How far from a path each place is, in plan [m]."""
+    return np.linalg.norm((drawn.places + drawn.origin)[:, None, :2] - path[:, :2], axis=2).min(axis=1)
+
+
+def test_where_nothing_is_near_nothing_is_drawn(asked):
+    drawn = asked[1].draw("office", "ground", near=[[1e3, 1e3]], reach=1.0)
+    assert drawn.places.shape == (0, 3)
+    assert drawn.columns["inferred"].shape == (0,)
+
+
 def test_what_cannot_be_drawn_is_refused_in_words(asked):
     client = asked[1]
+    for near, reach in (([[0.0]], 1.0), (np.zeros((0, 2)), 1.0), ([1.0, 2.0], 1.0)):
+        with pytest.raises(InvalidRequestError, match="near"):
+            client.draw("office", "cloud", near=near, reach=reach)
+    for reach in (0.0, -1.0):
+        with pytest.raises(InvalidRequestError, match="reach"):
+            client.draw("office", "cloud", near=[[0.0, 0.0]], reach=reach)
     with pytest.raises(InvalidRequestError, match="leaves"):
         client.draw("office", "dreams")
     with pytest.raises(InvalidRequestError, match="limit"):

@@ -10,12 +10,14 @@ from driving import until
 from gpdf_client import PlanResult, Trajectory, UnavailableError
 from gpdf_schemas import Array, CertificateMessage, Cylinder, MovingObstacle, Status
 
+from gpdf_service.perception.formats import READERS
 from gpdf_service.service.server import Options, Server
 from gpdf_service.types import AGENTS
 from gpdf_service.viewer import colours, words
 from gpdf_service.viewer.drops import room_beside
 from gpdf_service.viewer.link import Link
 from gpdf_service.viewer.map_layers import View
+from gpdf_service.viewer.panel import CLOUDS, key_of
 from gpdf_service.viewer.path_layers import DASH, dashes, disc_centres
 from gpdf_service.viewer.profile import profile_of
 from gpdf_service.viewer.scale import numbers
@@ -115,6 +117,29 @@ def test_a_ramp_runs_from_its_first_colour_to_its_last_and_stays_there():
     assert made[0].tolist() == made[1].tolist() == colours.ROOM[0].tolist()
     assert made[3].tolist() == made[4].tolist() == colours.ROOM[-1].tolist()
     assert made[2].tolist() != made[1].tolist()
+
+
+def test_inferred_ground_looks_like_no_height_of_the_cloud_and_like_no_seen_ground():
+    heights = colours.ramp(np.linspace(0.0, 1.0, 500), 0.0, 1.0, colours.PALE)
+    inferred = colours.INFERRED.astype(np.float64)
+    assert np.linalg.norm(heights - inferred, axis=1).min() > 75.0
+    assert np.linalg.norm(colours.SEEN - inferred) > 75.0
+
+
+@pytest.mark.parametrize(
+    ("colour", "said"),
+    [
+        ("height", ["ground", "inferred: nobody saw it", "things at 0 m", "2.5 m over the ground"]),
+        ("ground", ["ground", "inferred: nobody saw it", "other points"]),
+        ("level", ["ground", "inferred: nobody saw it"]),
+    ],
+)
+def test_the_key_names_what_is_drawn_with_units(colour, said):
+    assert [text for text in re.split(r"<[^>]*>", key_of(colour, 2.5)) if text] == said
+
+
+def test_every_file_that_is_read_can_be_sent():
+    assert CLOUDS.split(",") == list(READERS)
 
 
 def test_levels_have_their_own_colours_and_nowhere_is_grey():
