@@ -62,7 +62,9 @@ class FlatWorld:
         leaves = self.leaves
         pairs, via = find_edges(leaves, self.tree, self.radius)
         levels = np.zeros(len(leaves.size), dtype=np.int64)
-        return assemble(leaves.center, levels, (pairs, via), price_pairs(leaves.center, leaves.clearance, (pairs, via), self.radius))
+        return assemble(
+            leaves.center, levels, (pairs, via), price_pairs(leaves.center, leaves.clearance, (pairs, via), self.radius)
+        )
 
     @cached_property
     def occupancy(self) -> Occupancy:

@@ -16,7 +16,7 @@ from numba import njit
 
 from gpdf_service.kernel_cache import lean
 from gpdf_service.search.graph import Graph, Patch, edges_of, far_end, find_path
-from gpdf_service.search.layered import below
+from gpdf_service.search.layered import above, below
 from gpdf_service.types import BoolArray, FloatArray, IntArray
 
 NARROW = 0.1
@@ -168,30 +168,39 @@ def _decide(graph: Graph, links: Links, made: Decided, asked: IntArray) -> Core:
     place = np.append(asked[asked < count], links.place[asked[asked >= count] - count])
     _thin(links, asked[np.lexsort((place, clearance))], made)
     node = np.flatnonzero(made.stays)
-    edge, begin, far = _left(links, made.stays, node)
-    kept = far, graph.via[edge], graph.cost[edge], graph.component[node]
-    return Core(node, edge, Graph(graph.position[node], graph.level[node], begin, *kept), links, made)
+    measures = [(below(rows), above(rows)) for rows in (graph.via, graph.cost)]
+    edge, begin, far, via, cost = _left(links, made.stays, node, *measures)
+    left = Graph(graph.position[node], graph.level[node], begin, far, via, cost, graph.component[node])
+    return Core(node, edge, left, links, made)
+
+
+_Both = tuple[FloatArray, FloatArray]
+"""Of edges that stand, and of those of a patch."""
 
 
 @njit(cache=True, nogil=True)
-def _left(links: Links, stays: BoolArray, node: IntArray) -> tuple[IntArray, IntArray, IntArray]:
-    """Edges between nodes that stay, where those of each of these begin, and their far ends by their new numbers."""
-    number, count = np.empty(len(stays), np.int64), 0
+def _left(
+    links: Links, stays: BoolArray, node: IntArray, via: _Both, cost: _Both
+) -> tuple[IntArray, IntArray, IntArray, FloatArray, FloatArray]:
+    """Edges between nodes that stay: their numbers, where those of each node begin, far ends, crossings and costs."""
+    number, count, standing = np.empty(len(stays), np.int64), 0, len(links.other)
     for k in range(len(node)):
         number[node[k]] = k
         begin, end = _edges(links, node[k])
         count += end - begin
     edge, first, far = np.empty(count, np.int64), np.zeros(len(node) + 1, np.int64), np.empty(count, np.int64)
-    count = 0
+    crossing, costs, count = np.empty((count, 2)), np.empty(count), 0
     for k in range(len(node)):
         begin, end = _edges(links, node[k])
         for e in range(begin, end):
             near = _far(links, e)
             if stays[near]:
-                edge[count], far[count] = e, number[near]
+                edge[count], far[count], row = e, number[near], e if e < standing else e - standing
+                at, costs[count] = (via[0][row], cost[0][row]) if e < standing else (via[1][row], cost[1][row])
+                crossing[count, 0], crossing[count, 1] = at[0], at[1]
                 count += 1
         first[k + 1] = count
-    return edge[:count].copy(), first, far[:count].copy()
+    return edge[:count].copy(), first, far[:count].copy(), crossing[:count].copy(), costs[:count].copy()
 
 
 @njit(cache=True, nogil=True)

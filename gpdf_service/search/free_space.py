@@ -239,8 +239,8 @@ def connect(
     position = _joined([quadtree.center for quadtree in quadtrees])
     level = np.repeat(np.arange(len(quadtrees)), [len(quadtree.size) for quadtree in quadtrees])
     clearance = _joined([quadtree.clearance for quadtree in quadtrees])
-    both = _joined(pairs), _joined(vias)
-    return offsets, assemble(position, level, both, price_pairs(position, clearance, both, radius))
+    found = _joined(pairs), _joined(vias)
+    return offsets, assemble(position, level, found, price_pairs(position, clearance, found, radius))
 
 
 def _joined(parts: list[NDArray[Any]]) -> NDArray[Any]:

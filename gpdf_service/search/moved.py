@@ -116,7 +116,7 @@ def _part(level: GroundLevel, points: FloatArray, box: Box) -> GroundLevel:
 
 
 def _connected(space: FreeSpace, split: list[tuple[int, SplitQuadtree]]) -> FreeSpace:
-    """The space with the leaves that are gone taken out of graph and core, and the fresh ones of these levels put in."""
+    """The space without the leaves that are gone in graph and core, and with the fresh ones of these levels."""
     graph = space.graph
     gone = np.concatenate([tree.gone + space.offsets[i] for i, tree in split])
     lost, found, room = around(graph, gone), [], []
@@ -129,21 +129,15 @@ def _connected(space: FreeSpace, split: list[tuple[int, SplitQuadtree]]) -> Free
     for (ends, via), clearance in _portals(space, lost):
         found.append((ends, via))
         room.append(clearance)
-    position, clearance, width, within = (
-        np.concatenate(parts)
-        for parts in zip(
-            *(
-                (tree.fresh.center, tree.fresh.clearance, 2.0 * tree.fresh.half_size, tree.within_gone + space.offsets[i])
-                for i, tree in split
-            ),
-            strict=True,
-        )
+    position, clearance, half_size = (
+        np.concatenate([getattr(tree.fresh, key) for _, tree in split]) for key in ("center", "clearance", "half_size")
     )
     level = np.repeat([i for i, _ in split], [len(tree.fresh.size) for _, tree in split])
     edges = np.concatenate([ends for ends, _ in found]), np.concatenate([via for _, via in found])
     graph = patched(graph, lost, Nodes(position, level), edges, np.concatenate(room), space.radius)
-    place = within + np.arange(1, len(within) + 1) / (len(within) + 1)  # Morton order, as if all were built anew
-    return replace(space, graph=graph, core=patch_core(space.core, graph, gone, place, clearance, width))
+    within = np.concatenate([tree.within_gone + space.offsets[i] for i, tree in split])
+    place = within + np.arange(1, len(within) + 1) / (len(within) + 1)  # in the order of a quadtree of all
+    return replace(space, graph=graph, core=patch_core(space.core, graph, gone, place, clearance, 2.0 * half_size))
 
 
 def _portals(space: FreeSpace, lost: Around) -> Iterator[tuple[Edges, FloatArray]]:

@@ -23,7 +23,7 @@ from gpdf_service.search.free_space import FreeSpace
 from gpdf_service.search.graph import Edges, Graph, assemble
 from gpdf_service.search.landmarks import find_landmarks
 from gpdf_service.search.layered import below
-from gpdf_service.search.places import Places, nearest_of, nearest_places
+from gpdf_service.search.places import Places, nearest_of
 from gpdf_service.search.resplit import FELT
 from gpdf_service.search.steps import NOTICED_STEP, is_stepped
 from gpdf_service.types import Agent, BoolArray, FloatArray, IntArray
@@ -275,7 +275,7 @@ def find_ways(able: FreeSpace, level: FreeSpace | None, prefer: Prefer, stand: W
         rooms[0] = np.minimum(rooms[0], _room_at(level, able.core.graph))
     edges, priced = list[Edges](), list[Priced]()
     for k, (space, room) in enumerate(zip(spaces, rooms, strict=True)):
-        before = None if stand is None else (stand.spaces[k].core.node, stand.priced[k])
+        before = None if stand is None else (stand.priced[k], stand.spaces[k].core.node)
         (ends, via), made = _price_space(able, space, room, prefer, before)
         edges.append((ends + k * count, via))
         priced.append(made)
@@ -294,23 +294,23 @@ def find_ways(able: FreeSpace, level: FreeSpace | None, prefer: Prefer, stand: W
 
 
 def _price_space(
-    able: FreeSpace, space: FreeSpace, room: FloatArray, prefer: Prefer, before: tuple[IntArray, Priced] | None
+    able: FreeSpace, space: FreeSpace, room: FloatArray, prefer: Prefer, before: tuple[Priced, IntArray] | None
 ) -> tuple[Edges, Priced]:
-    """Each edge of a space's core once, and what it costs; `before`, of what stands, are the nodes of that core, too."""
+    """Each edge of a space's core once, and what it costs; `before` are what stands and the nodes of its core."""
     core, graph = space.core, space.core.graph
-    row = np.repeat(np.arange(len(room)), np.diff(graph.first))
-    once = row < graph.other
-    edge, edges = core.edge[once], (np.column_stack([row[once], graph.other[once]]), below(graph.via)[once])
+    row, other = np.repeat(np.arange(len(room)), np.diff(graph.first)), below(graph.other)
+    once = row < other
+    edge, edges = core.edge[once], (np.column_stack([row[once], other[once]]), below(graph.via)[once])
     unseen, seconds = np.zeros(len(room), dtype=bool), np.empty(len(edge))
     new, dear = np.ones(len(room), dtype=bool), np.ones(len(edge), dtype=bool)
     if before is not None:
-        node, was = before
+        was, node = before
         row = _rows_among(core.node, node)
         new = row < 0
         unseen[~new] = was.unseen[row[~new]]
-        other = new | (room != was.room[row])
+        felt = new | (room != was.room[row])
         row = _rows_among(edge, was.edge)
-        dear = (row < 0) | other[edges[0]].any(axis=1)
+        dear = (row < 0) | felt[edges[0]].any(axis=1)
         seconds[~dear] = was.seconds[row[~dear]]
     unseen[new] = _unseen(space, new)[new]
     nodes, asked = (below(graph.position), below(graph.level), room, unseen), (edges[0][dear], edges[1][dear])
@@ -366,11 +366,10 @@ def _unseen(space: FreeSpace, asked: BoolArray) -> BoolArray:
     """Whether the nearest obstacle of each node of its core that is `asked` is ground which nobody has seen, (k,)."""
     core, one = space.core, np.zeros(len(asked), dtype=bool)
     tight = asked & (core.clearance < space.reach + space.agent.disc_radius)
-    for level, places in enumerate(space.trees):
-        unknown = beside(space, level).kind == ObstacleKind.UNKNOWN
+    for level in range(len(space.trees)):
         here = np.flatnonzero(tight & (below(core.graph.level) == level))
-        if len(here) and unknown.any():
-            one[here] = unknown[nearest_places(places, below(core.graph.position)[here])[1]]
+        if len(here):
+            one[here] = space.clearance(level, below(core.graph.position)[here])[1] == ObstacleKind.UNKNOWN
     return one
 
 
