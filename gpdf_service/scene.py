@@ -61,9 +61,7 @@ from gpdf_service.search import (
     find_ways,
     from_arrays,
     level_body,
-    settled,
     to_arrays,
-    ways_around,
 )
 from gpdf_service.store import Arrays, read_arrays, under, write_arrays
 from gpdf_service.types import Agent, BoolArray, FieldSample, FloatArray, IntArray, resolve_agent
@@ -229,7 +227,7 @@ class Scene:
         self.moving: FloatArray = np.zeros((0, 3))
         self._standing: Scene | None = None  # the scene without what moves, whose free spaces serve
         self._spaces: OrderedDict[Agent, FreeSpace] = OrderedDict()
-        self._ways: OrderedDict[tuple[Agent, Prefer, bool], tuple[FreeSpace, Ways]] = OrderedDict()
+        self._ways: OrderedDict[tuple[Agent, Prefer], tuple[FreeSpace, Ways]] = OrderedDict()
         self._former: dict[Agent, tuple[FreeSpace, Touched]] = {}
         self._stored: dict[Agent, Callable[[], Arrays]] = {}  # read from the scene's file
         self._lock = threading.Lock()
@@ -307,43 +305,26 @@ class Scene:
                     self._spaces.popitem(last=False)
             return space
 
-    def ways(self, agent: str | Agent, prefer: Prefer, exact: bool = True) -> Ways:
-        """All ways of `agent`, at what they cost it as one prefers them; built on first use and kept.
-
-        Where something moves, those that are not `exact` are the ways of what stands around all leaves that it touches.
-        They take the time of these leaves, and the exact ones that of all.
-        """
+    def ways(self, agent: str | Agent, prefer: Prefer) -> Ways:
+        """All ways of `agent`, at what they cost it as one prefers them; built on first use and kept."""
         body = resolve_agent(agent)
-        able, key = self.free_space(body), (body, prefer, exact or self._standing is None)
+        able, key = self.free_space(body), (body, prefer)
         with self._lock:
             kept = self._ways.get(key)
         if kept is None or kept[0] is not able:
-            kept = able, self._make_ways(able, prefer, key[2])
+            same, stand = level_body(body), self._standing.ways(body, prefer) if self._standing is not None else None
+            kept = able, find_ways(able, None if same is None else self.free_space(same), prefer, stand)
             with self._lock:
                 self._ways[key] = kept
                 while len(self._ways) > MAX_CACHED_AGENTS:
                     self._ways.popitem(last=False)
         return kept[1]
 
-    def _make_ways(self, able: FreeSpace, prefer: Prefer, exact: bool) -> Ways:
-        same = level_body(able.agent)
-        level = None if same is None else self.free_space(same)
-        if self._standing is not None and not exact:
-            spaces = (able,) if level is None else (able, level)
-            return ways_around(self._standing.ways(able.agent, prefer), spaces)
-        return find_ways(self._settled(able), None if level is None else self._settled(level), prefer)
-
     def prepare(self, agent: str | Agent) -> None:
         """Build what plans for `agent` read, so that the first one takes what plans take."""
         self.ways(agent, Prefer.COMPANION)
         for field, surface in zip(self.ground_fields, self.surfaces, strict=True):
             _ = field.discs, surface.ends, surface.inferred  # told on first use
-
-    def _settled(self, space: FreeSpace) -> FreeSpace:
-        """A free space whose leaves and edges can all be read."""
-        if self._standing is None:
-            return space
-        return settled(space, self._standing.free_space(space.agent), self.levels)
 
     def _make_space(self, body: Agent) -> FreeSpace:
         parts = self.levels, self.ground_fields

@@ -20,7 +20,7 @@ from gpdf_service.perception import HeightMap, ObstacleKind, Obstacles
 from gpdf_service.planning.endpoints import SAME_GROUND, Endpoint, Refusal, find_endpoint
 from gpdf_service.scene import Scene
 from gpdf_service.search import FreeSpace, Quadtree, build_quadtree
-from gpdf_service.search.graph import Graph, assemble, find_edges
+from gpdf_service.search.graph import Graph, assemble, find_edges, price_pairs
 from gpdf_service.search.places import Places, nearest_places
 from gpdf_service.types import Agent, FloatArray, Status
 
@@ -62,7 +62,9 @@ class FlatWorld:
         leaves = self.leaves
         pairs, via = find_edges(leaves, self.tree, self.radius)
         levels = np.zeros(len(leaves.size), dtype=np.int64)
-        return assemble(leaves.center, levels, leaves.clearance, pairs, via, self.radius)
+        return assemble(
+            leaves.center, levels, (pairs, via), price_pairs(leaves.center, leaves.clearance, (pairs, via), self.radius)
+        )
 
     @cached_property
     def occupancy(self) -> Occupancy:

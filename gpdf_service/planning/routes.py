@@ -23,10 +23,9 @@ from gpdf_service.planning.shape import (
     pull_tight,
     radius_of,
 )
-from gpdf_service.search import Doors, FreeSpace, Graph, Prefer, Ways, find_way, prices
+from gpdf_service.search import Doors, FreeSpace, Prefer, Ways, find_way, prices
 from gpdf_service.search.core import climb, find_nodes
 from gpdf_service.search.places import Places
-from gpdf_service.search.resplit import is_among
 from gpdf_service.search.steps import is_near_step
 from gpdf_service.search.ways import (
     LEDGE,
@@ -129,15 +128,8 @@ def _route(space: FreeSpace, start: Endpoint, goal: Endpoint, wish: Wish) -> tup
 def _cheapest(
     ways: Callable[..., Ways], prefer: Prefer, start: Endpoint, goal: Endpoint
 ) -> tuple[list[Leg], FloatArray]:
-    """The cheapest of all ways, pulled, and what it takes (6,); no legs where there is none.
-
-    Where something moves, one around all leaves that it touches is taken if it is hardly dearer than without it.
-    """
-    quick = ways(prefer, exact=False)
-    legs = find_cheapest(quick, start, goal)
-    if not legs and quick.standing is not None:
-        legs = find_cheapest(ways(prefer), start, goal)
-    return pull_all(legs, prefer)
+    """The cheapest of all ways, pulled, and what it takes (6,); no legs where there is none."""
+    return pull_all(find_cheapest(ways(prefer), start, goal), prefer)
 
 
 def _is_effort(seconds: list[float], prefer: Prefer) -> bool:
@@ -269,19 +261,12 @@ class _Chain(NamedTuple):
 
 
 def find_cheapest(ways: Ways, start: Endpoint, goal: Endpoint) -> list[Leg]:
-    """The cheapest of all ways, from leaf to leaf; none where there is none.
-
-    Nor where it leads around what moves and costs `SPARED` more than it would without that: there may be a cheaper one.
-    """
+    """The cheapest of all ways, from leaf to leaf; none where there is none."""
     (begin, ahead), (end, behind) = (_doors(ways, one) for one in (start, goal))
     graph = ways.graph
     node, edges = find_way(graph, begin, end, goal.xy, rate=ways.rate)
     if node < 0:
         return []
-    if ways.standing is not None and graph is not ways.standing:
-        least = _cost(ways.standing, begin, end, *find_way(ways.standing, begin, end, goal.xy, rate=ways.rate))
-        if _cost(graph, begin, end, node, edges) > (1.0 + SPARED) * least:
-            return []
     nodes = np.concatenate([[node], graph.other[edges]])
     on = (nodes >= ways.first_level_node).astype(np.int64)
     first, last = ahead[int(nodes[0])], behind[int(nodes[-1])]
@@ -289,13 +274,6 @@ def find_cheapest(ways: Ways, start: Endpoint, goal: Endpoint) -> list[Leg]:
     back = [part[::-1] for part in last]
     chain = _Chain(*(np.concatenate(parts) for parts in zip(first, middle, back, strict=True)))
     return _legs(chain, start.xy, goal.xy, ways.spaces)
-
-
-def _cost(graph: Graph, begin: Doors, end: Doors, node: int, edges: IntArray) -> float:
-    """What a way costs, from the first of its nodes over its edges."""
-    last = int(graph.other[edges[-1]]) if len(edges) else node
-    ends = begin.cost[begin.node == node].min() + end.cost[end.node == last].min()
-    return float(ends + np.sum(graph.cost[edges]))
 
 
 def _doors(ways: Ways, end: Endpoint) -> tuple[Doors, dict[int, _Chain]]:
@@ -309,34 +287,30 @@ def _doors(ways: Ways, end: Endpoint) -> tuple[Doors, dict[int, _Chain]]:
         room = level.room(end.level, end.xy)[0]
         leaf = connect(level, end.level, end.xy, room) if room >= level.reach else -1
         if leaf >= 0:
-            chains = dict(_climb(ways, 1, leaf))
+            chains = dict([_climb(ways, 1, leaf)])
             at = np.array([*chains], np.int64)
             return Doors(at, price[LENGTH] * np.linalg.norm(ways.graph.position[at] - end.xy, axis=1)), chains
     leaf = connect(able, end.level, end.xy, able.room(end.level, end.xy)[0])
     if leaf < 0:
         return Doors(np.zeros(0, np.int64), np.zeros(0)), {}
-    chains = dict(_climb(ways, 0, leaf))
+    chains = dict([_climb(ways, 0, leaf)])
     if level is not able:  # one goes to the first leaf as on steps, wherever that is
         for leaf in _joined_leaves(ways, end):
             here = end.xy[None], np.array([end.level]), np.zeros(1, np.int64), level.graph.position[leaf][None]
-            for node, after in _climb(ways, 1, int(leaf)):
-                chains.setdefault(node, _Chain(*(np.concatenate(parts) for parts in zip(here, after, strict=True))))
+            node, after = _climb(ways, 1, int(leaf))
+            chains.setdefault(node, _Chain(*(np.concatenate(parts) for parts in zip(here, after, strict=True))))
     nodes = np.array([*chains], np.int64)
     about, places = beside(able, end.level, ways.prefer), np.asarray(ways.graph.position[nodes], np.float64)
     return Doors(nodes, straight_takes(end.xy, places, about) @ price), chains
 
 
-def _climb(ways: Ways, number: int, leaf: int) -> list[tuple[int, _Chain]]:
-    """From a leaf of a space up to its core: the node there, and what leads to it; none where something moves there."""
-    graph, core = ways.spaces[number].graph, ways.cores[number]
-    if leaf >= len(core.up):
-        return []
+def _climb(ways: Ways, number: int, leaf: int) -> tuple[int, _Chain]:
+    """From a leaf of a space up to its core: the node there, and what leads to it."""
+    graph, core = ways.spaces[number].graph, ways.spaces[number].core
     nodes, edges = climb(graph, core, leaf)
-    if ways.gone and is_among(nodes, ways.gone[number]).any():
-        return []
     under, node = nodes[:-1], int(core.number(nodes[-1:])[0])
     chain = _Chain(graph.position[under], graph.level[under], np.full(len(under), number), graph.via[edges])
-    return [(node + number * ways.first_level_node, chain)]
+    return node + number * ways.first_level_node, chain
 
 
 def _joined_leaves(ways: Ways, end: Endpoint) -> IntArray:

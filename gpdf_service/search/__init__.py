@@ -12,7 +12,6 @@ from gpdf_service.search.keep import from_arrays as from_arrays
 from gpdf_service.search.keep import to_arrays as to_arrays
 from gpdf_service.search.motion import is_clear as is_clear
 from gpdf_service.search.moved import add_moving as add_moving
-from gpdf_service.search.moved import settled as settled
 from gpdf_service.search.quadtree import Quadtree as Quadtree
 from gpdf_service.search.quadtree import build_quadtree as build_quadtree
 from gpdf_service.search.reach import Reach as Reach
@@ -22,4 +21,3 @@ from gpdf_service.search.ways import Ways as Ways
 from gpdf_service.search.ways import find_ways as find_ways
 from gpdf_service.search.ways import level_body as level_body
 from gpdf_service.search.ways import prices as prices
-from gpdf_service.search.ways import ways_around as ways_around

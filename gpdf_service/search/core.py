@@ -14,8 +14,9 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-from gpdf_service.search.graph import Graph, find_path
-from gpdf_service.search.layered import below
+from gpdf_service.kernel_cache import lean
+from gpdf_service.search.graph import Graph, Patch, edges_of, far_end, find_path
+from gpdf_service.search.layered import above, below
 from gpdf_service.types import BoolArray, FloatArray, IntArray
 
 NARROW = 0.1
@@ -32,13 +33,21 @@ class Core:
         node: Number in the whole graph of each node that is left, ascending, shape (k,).
         edge: The same of each edge, shape (e,).
         graph: What is left, numbered anew.
-        up: The edge of the whole graph that leads up from each of its nodes; −1 for those that are left, shape (n,).
+        links: Of the whole graph.
+        decided: What was decided on each of its nodes.
     """
 
     node: IntArray
     edge: IntArray
     graph: Graph
-    up: IntArray
+    links: Links
+    decided: Decided
+
+    @property
+    def clearance(self) -> FloatArray:
+        """From the centre of each node that is left to the nearest obstacle [m], shape (k,)."""
+        made: FloatArray = self.links.clearance[self.node]
+        return made
 
     def has(self, node: IntArray) -> BoolArray:
         """Which nodes of the whole graph are left."""
@@ -54,16 +63,44 @@ class Links(NamedTuple):
     """A graph of leaves, as far as it tells which ones ways need.
 
     Attributes:
-        first: First edge of each node, shape (n + 1,).
-        other: Far end of each edge, shape (e,).
+        first: First edge of each node that stands, see `Graph`.
+        other: Far end of each edge.
+        patch: What is other, and nodes that were added.
+        place: Where each of these comes among those that stand, by their numbers: equal ones take turns by that.
         clearance: From a node's centre to the nearest obstacle [m], shape (n,).
         narrow: Whether it is free and narrow, shape (n,).
     """
 
     first: IntArray
     other: IntArray
+    patch: Patch
+    place: FloatArray
     clearance: FloatArray
     narrow: BoolArray
+
+
+@lean()
+def _edges(links: Links, node: int) -> tuple[int, int]:
+    """Number of the first edge of a node and behind its last."""
+    begin, end = edges_of(links.first, links.other, links.patch, node)
+    return begin, end
+
+
+@lean()
+def _far(links: Links, edge: int) -> int:
+    """Where an edge leads."""
+    return int(far_end(links.other, links.patch, edge))
+
+
+_Turn = tuple[float, float, int]
+"""Of a node: its clearance, its place among the others, its number."""
+
+
+@lean()
+def _turn(links: Links, node: int) -> _Turn:
+    """When a node is decided on: those nearest to obstacles come first."""
+    count = len(links.first) - 1
+    return links.clearance[node], float(node) if node < count else links.place[node - count], node
 
 
 class Decided(NamedTuple):
@@ -84,7 +121,7 @@ class Former:
 
 def links_of(graph: Graph, free: BoolArray, width: FloatArray, clearance: FloatArray) -> Links:
     """The links of a graph of leaves that are so wide [m]; all of shape (n,)."""
-    return Links(graph.first, below(graph.other), clearance, free & (width < NARROW))
+    return Links(graph.first, below(graph.other), graph.patch, np.zeros(0), clearance, free & (width < NARROW))
 
 
 def find_core(graph: Graph, free: BoolArray, links: Links, former: Former | None = None) -> Core:
@@ -99,37 +136,77 @@ def find_core(graph: Graph, free: BoolArray, links: Links, former: Former | None
     made, asked = Decided(free.copy(), np.full(len(free), -1)), links.narrow
     if former is not None:
         asked = _carry(links, former.links, former.source, former.decided, made)
-    order = np.flatnonzero(asked)
-    _thin(links, order[np.argsort(links.clearance[order], kind="stable")], made)
+    return _decide(graph, links, made, np.flatnonzero(asked))
+
+
+def patch_core(
+    core: Core, graph: Graph, gone: IntArray, place: FloatArray, clearance: FloatArray, width: FloatArray
+) -> Core:
+    """The core of a graph with a patch: only what is in that, and what it decides on, is decided again.
+
+    Args:
+        core: Of what stands.
+        graph: With the patch.
+        gone: Nodes that are none any more.
+        place: Of the free leaves that were added, see `Links`, shape (m,).
+        clearance: Theirs [m], shape (m,).
+        width: Theirs [m], shape (m,).
+    """
+    was, (stays, up) = core.links, core.decided
+    made = Decided(np.append(stays, np.ones(len(place), dtype=bool)), np.append(up, np.full(len(place), -1)))
+    made.stays[gone] = False
+    narrow = np.append(was.narrow, width < NARROW)
+    links = Links(was.first, was.other, graph.patch, place, np.append(was.clearance, clearance), narrow)
+    asked = np.zeros(len(narrow), dtype=bool)
+    _ask_near(links, graph.patch.node, asked)
+    return _decide(graph, links, made, np.flatnonzero(asked))
+
+
+def _decide(graph: Graph, links: Links, made: Decided, asked: IntArray) -> Core:
+    """Decide on the nodes that are `asked`, ascending, and write what is `made` of them."""
+    count, clearance = len(links.first) - 1, links.clearance[asked]
+    place = np.append(asked[asked < count], links.place[asked[asked >= count] - count])
+    _thin(links, asked[np.lexsort((place, clearance))], made)
     node = np.flatnonzero(made.stays)
-    edge, begin, far = _left(links, made.stays, node)
-    kept = far, graph.via[edge], graph.cost[edge], graph.component[node]
-    return Core(node, edge, Graph(graph.position[node], graph.level[node], begin, *kept), made.up)
+    measures = [(below(rows), above(rows)) for rows in (graph.via, graph.cost)]
+    edge, begin, far, via, cost = _left(links, made.stays, node, *measures)
+    left = Graph(graph.position[node], graph.level[node], begin, far, via, cost, graph.component[node])
+    return Core(node, edge, left, links, made)
+
+
+_Both = tuple[FloatArray, FloatArray]
+"""Of edges that stand, and of those of a patch."""
 
 
 @njit(cache=True, nogil=True)
-def _left(links: Links, stays: BoolArray, node: IntArray) -> tuple[IntArray, IntArray, IntArray]:
-    """Edges between nodes that stay, where those of each of these begin, and their far ends by their new numbers."""
-    first, other = links.first, links.other
-    number, count = np.empty(len(stays), np.int64), 0
+def _left(
+    links: Links, stays: BoolArray, node: IntArray, via: _Both, cost: _Both
+) -> tuple[IntArray, IntArray, IntArray, FloatArray, FloatArray]:
+    """Edges between nodes that stay: their numbers, where those of each node begin, far ends, crossings and costs."""
+    number, count, standing = np.empty(len(stays), np.int64), 0, len(links.other)
     for k in range(len(node)):
         number[node[k]] = k
-        count += first[node[k] + 1] - first[node[k]]
-    edge, begin, far = np.empty(count, np.int64), np.zeros(len(node) + 1, np.int64), np.empty(count, np.int64)
-    count = 0
+        begin, end = _edges(links, node[k])
+        count += end - begin
+    edge, first, far = np.empty(count, np.int64), np.zeros(len(node) + 1, np.int64), np.empty(count, np.int64)
+    crossing, costs, count = np.empty((count, 2)), np.empty(count), 0
     for k in range(len(node)):
-        for e in range(first[node[k]], first[node[k] + 1]):
-            if stays[other[e]]:
-                edge[count], far[count] = e, number[other[e]]
+        begin, end = _edges(links, node[k])
+        for e in range(begin, end):
+            near = _far(links, e)
+            if stays[near]:
+                edge[count], far[count], row = e, number[near], e if e < standing else e - standing
+                at, costs[count] = (via[0][row], cost[0][row]) if e < standing else (via[1][row], cost[1][row])
+                crossing[count, 0], crossing[count, 1] = at[0], at[1]
                 count += 1
-        begin[k + 1] = count
-    return edge[:count].copy(), begin, far[:count].copy()
+        first[k + 1] = count
+    return edge[:count].copy(), first, far[:count].copy(), crossing[:count].copy(), costs[:count].copy()
 
 
 @njit(cache=True, nogil=True)
 def _carry(now: Links, was: Links, source: IntArray, known: Decided, made: Decided) -> BoolArray:
     """Take over what was `known`; which nodes are to be decided on again: narrow ones within two edges of another."""
-    asked = np.zeros(len(source), np.bool_)
+    asked, other = np.zeros(len(source), np.bool_), np.zeros(len(source), np.bool_)
     for node in range(len(source)):
         old, begin, count = source[node], now.first[node], now.first[node + 1] - now.first[node]
         same = old >= 0 and now.narrow[node] == was.narrow[old] and now.clearance[node] == was.clearance[old]
@@ -139,15 +216,23 @@ def _carry(now: Links, was: Links, source: IntArray, known: Decided, made: Decid
         if same and now.narrow[node]:
             made.stays[node] = known.stays[old]
             made.up[node] = known.up[old] + begin - was.first[old] if known.up[old] >= 0 else -1
-        if same:
-            continue
-        asked[node] |= now.narrow[node]
-        for e in range(begin, begin + count):
-            near = now.other[e]
-            asked[near] |= now.narrow[near]
-            for f in range(now.first[near], now.first[near + 1]):
-                asked[now.other[f]] |= now.narrow[now.other[f]]
+        other[node] = not same
+    _ask_near(now, np.flatnonzero(other), asked)
     return asked
+
+
+@njit(cache=True, nogil=True)
+def _ask_near(links: Links, nodes: IntArray, asked: BoolArray) -> None:
+    """Mark the narrow ones of these nodes, and of those within two edges of them."""
+    for node in nodes:
+        asked[node] |= links.narrow[node]
+        begin, end = _edges(links, node)
+        for e in range(begin, end):
+            near = _far(links, e)
+            asked[near] |= links.narrow[near]
+            first, last = _edges(links, near)
+            for f in range(first, last):
+                asked[_far(links, f)] |= links.narrow[_far(links, f)]
 
 
 @njit(cache=True, nogil=True)
@@ -155,26 +240,28 @@ def _thin(links: Links, order: IntArray, made: Decided) -> None:
     """Leave out nodes one after the other, where that parts none of their neighbours that are left.
 
     Those nearest to obstacles come first. The nodes in `order` are decided on, and those that such a decision changes.
+    A node leads up to the roomiest of these neighbours, of equal ones to the one that comes last.
     """
-    first, other, clearance, stays = links.first, links.other, links.clearance, made.stays
-    near, later, at = np.empty(_MOST_NEIGHBOURS, np.int64), [(0.0, 0)], 0
+    stays, near, later, at = made.stays, np.empty(_MOST_NEIGHBOURS, np.int64), [(0.0, 0.0, 0)], 0
     later.clear()
     asked = np.zeros(len(stays), np.bool_)
     asked[order] = True
     while at < len(order) or len(later) > 0:
-        if len(later) == 0 or (at < len(order) and (clearance[order[at]], order[at]) < later[0]):
-            node, at = order[at], at + 1
+        if len(later) == 0 or (at < len(order) and _turn(links, order[at]) < later[0]):
+            turn, at = _turn(links, order[at]), at + 1
         else:
-            node = heapq.heappop(later)[1]
-        turn, count, best = (clearance[node], node), 0, -1
-        for e in range(first[node], first[node + 1]):
-            if not _is_left(links, stays, other[e], turn):
+            turn = heapq.heappop(later)
+        node, count, best, most = turn[2], 0, -1, turn
+        begin, end = _edges(links, node)
+        for e in range(begin, end):
+            other = _far(links, e)
+            if not _is_left(links, stays, other, turn):
                 continue
             if count < _MOST_NEIGHBOURS:
-                near[count] = other[e]
+                near[count] = other
             count += 1
-            if best < 0 or clearance[other[e]] > clearance[other[best]]:
-                best = e
+            if best < 0 or _turn(links, other) > most:
+                best, most = e, _turn(links, other)
         goes = 0 < count <= _MOST_NEIGHBOURS and _are_joined(links, stays, near[:count], turn)
         if stays[node] == goes:
             _ask_around(links, turn, asked, later)
@@ -182,27 +269,28 @@ def _thin(links: Links, order: IntArray, made: Decided) -> None:
 
 
 @njit(cache=True, nogil=True)
-def _ask_around(links: Links, turn: tuple[float, int], asked: BoolArray, later: list[tuple[float, int]]) -> None:
+def _ask_around(links: Links, turn: _Turn, asked: BoolArray, later: list[_Turn]) -> None:
     """Let the narrow nodes at most two edges away whose turn is later be decided on, too."""
-    first, other = links.first, links.other
-    for e in range(first[turn[1]], first[turn[1] + 1]):
-        for f in range(first[other[e]], first[other[e] + 1]):
-            for node in (other[e], other[f]):
-                if links.narrow[node] and not asked[node] and (links.clearance[node], node) > turn:
+    begin, end = _edges(links, turn[2])
+    for e in range(begin, end):
+        near = _far(links, e)
+        first, last = _edges(links, near)
+        for f in range(first, last):
+            for node in (near, _far(links, f)):
+                if links.narrow[node] and not asked[node] and _turn(links, node) > turn:
                     asked[node] = True
-                    heapq.heappush(later, (links.clearance[node], node))
+                    heapq.heappush(later, _turn(links, node))
+
+
+@lean()
+def _is_left(links: Links, stays: BoolArray, node: int, turn: _Turn) -> bool:
+    """Whether a node is left at the `turn` of another one: it stays, or its turn is later."""
+    return bool(stays[node] or (links.narrow[node] and _turn(links, node) > turn))
 
 
 @njit(cache=True, nogil=True)
-def _is_left(links: Links, stays: BoolArray, node: int, turn: tuple[float, int]) -> bool:
-    """Whether a node is left at the `turn` of one with that clearance and number: it stays, or its turn is later."""
-    return bool(stays[node] or (links.narrow[node] and (links.clearance[node], node) > turn))
-
-
-@njit(cache=True, nogil=True)
-def _are_joined(links: Links, stays: BoolArray, near: IntArray, turn: tuple[float, int]) -> bool:
+def _are_joined(links: Links, stays: BoolArray, near: IntArray, turn: _Turn) -> bool:
     """Whether nodes lead to each other without the one whose turn it is, directly or by one between two of them."""
-    first, other = links.first, links.other
     seen, stack = np.zeros(len(near), np.bool_), np.empty(len(near), np.int64)
     stack[0], seen[0], top, count = near[0], True, 1, 1
     for k in range(1, len(near)):  # two edges may lead to one node
@@ -210,13 +298,13 @@ def _are_joined(links: Links, stays: BoolArray, near: IntArray, turn: tuple[floa
             seen[k], count = True, count + 1
     while top > 0 and count < len(near):
         top -= 1
-        node = stack[top]
-        for e in range(first[node], first[node + 1]):
-            between = other[e]
-            if between == turn[1] or not _is_left(links, stays, between, turn):
+        begin, end = _edges(links, stack[top])
+        for e in range(begin, end):
+            between = _far(links, e)
+            if between == turn[2] or not _is_left(links, stays, between, turn):
                 continue
             for k in range(len(near)):
-                if seen[k] or not (near[k] == between or _has_edge(first, other, between, near[k])):
+                if seen[k] or not (near[k] == between or _has_edge(links, between, near[k])):
                     continue
                 seen[k], count = True, count + 1
                 stack[top] = near[k]
@@ -224,10 +312,11 @@ def _are_joined(links: Links, stays: BoolArray, near: IntArray, turn: tuple[floa
     return count == len(near)
 
 
-@njit(cache=True, nogil=True)
-def _has_edge(first: IntArray, other: IntArray, node: int, to: int) -> bool:
-    for e in range(first[node], first[node + 1]):  # noqa: SIM110 - compiled
-        if other[e] == to:
+@lean()
+def _has_edge(links: Links, node: int, to: int) -> bool:
+    begin, end = _edges(links, node)
+    for e in range(begin, end):  # noqa: SIM110 - compiled
+        if _far(links, e) == to:
             return True
     return False
 
@@ -235,20 +324,17 @@ def _has_edge(first: IntArray, other: IntArray, node: int, to: int) -> bool:
 def climb(graph: Graph, core: Core, node: int) -> tuple[IntArray, IntArray]:
     """From a node up to the core: the nodes (k + 1,) and the edges between them (k,) of the whole graph."""
     nodes, edges = [node], []
-    while core.up[nodes[-1]] >= 0:
-        edges.append(int(core.up[nodes[-1]]))
+    while core.decided.up[nodes[-1]] >= 0:
+        edges.append(int(core.decided.up[nodes[-1]]))
         nodes.append(int(graph.other[edges[-1]]))
     return np.array(nodes), np.array(edges, dtype=np.int64)
 
 
-def find_nodes(graph: Graph, core: Core | None, start: int, goal: int) -> tuple[IntArray, FloatArray]:
+def find_nodes(graph: Graph, core: Core, start: int, goal: int) -> tuple[IntArray, FloatArray]:
     """A way from node to node: its nodes (n,), and where it crosses from one to the next (n − 1, 2) [m].
 
-    It is the cheapest one, but for narrow leaves that were left out, if there is a core.
+    It is the cheapest one, but for narrow leaves that were left out.
     """
-    if core is None:
-        edges = find_path(graph, start, goal)
-        return np.concatenate([[start], graph.other[edges]]), graph.via[edges]
     (ahead, begin), (behind, end) = climb(graph, core, start), climb(graph, core, goal)
     ends = core.number(np.array([ahead[-1], behind[-1]])).tolist()
     edges = core.edge[find_path(core.graph, *ends)]

@@ -18,8 +18,8 @@ from gpdf_service.fields.traversal import NearerArrays, nearest_only
 from gpdf_service.perception import CLEAN, GroundLevel, HeightMap, Levels, Obstacles, Scan, obstacles_of
 from gpdf_service.perception.limits import Measured
 from gpdf_service.perception.surface import UNKNOWN
-from gpdf_service.search.core import Core, Decided, Former, Links, find_core, links_of
-from gpdf_service.search.graph import Edges, Graph, assemble, find_edges, same_leaves
+from gpdf_service.search.core import Core, Former, find_core, links_of
+from gpdf_service.search.graph import Edges, Graph, assemble, find_edges, price_pairs, same_leaves
 from gpdf_service.search.layered import Layered
 from gpdf_service.search.places import Places, nearest_places, nearest_to
 from gpdf_service.search.quadtree import Quadtree, build_quadtree
@@ -67,7 +67,7 @@ class FreeSpace:
         edges: Neighbouring leaves of each level: their pairs and crossings, see `find_edges`.
         offsets: First graph node of each level's leaves.
         graph: All free leaves, connected.
-        core: The leaves that ways lead over; None where something moves, and all do.
+        core: The leaves that ways lead over.
         longest: Length of a way that sweeps all ground once [m]: where one comes back beside itself, there is a
             shorter one.
     """
@@ -89,7 +89,7 @@ class FreeSpace:
     edges: tuple[Edges, ...]
     offsets: tuple[int, ...]
     graph: Graph
-    core: Core | None
+    core: Core
     longest: float
 
     def clearance(self, level: int, xy: FloatArray) -> tuple[FloatArray, IntArray]:
@@ -242,7 +242,8 @@ def connect(
     position = _joined([quadtree.center for quadtree in quadtrees])
     level = np.repeat(np.arange(len(quadtrees)), [len(quadtree.size) for quadtree in quadtrees])
     clearance = _joined([quadtree.clearance for quadtree in quadtrees])
-    return offsets, assemble(position, level, clearance, _joined(pairs), _joined(vias), radius)
+    found = _joined(pairs), _joined(vias)
+    return offsets, assemble(position, level, found, price_pairs(position, clearance, found, radius))
 
 
 def _joined(parts: list[NDArray[Any]]) -> NDArray[Any]:
@@ -255,25 +256,19 @@ def core_of(quadtrees: tuple[Quadtree, ...], graph: Graph, before: Before | None
 
     Leaves are decided on one after another, equal ones by their numbers: so levels must be in their former order.
     """
-    links, former = _links(quadtrees, graph), None
+    keys = "free", "half_size", "clearance"
+    free, half, clearance = (_joined([getattr(tree, key) for tree in quadtrees]) for key in keys)
+    links, former = links_of(graph, free, 2.0 * half, clearance), None
     old, levels = before or (None, ())
-    if old is not None and old.core is not None and (np.diff([k for k in levels if k >= 0]) > 0).all():
+    if old is not None and (np.diff([k for k in levels if k >= 0]) > 0).all():
         trees = tuple(tree.standing for tree in old.quadtrees)
-        source = np.full(len(links.clearance), -1)
+        source = np.full(len(free), -1)
         for now, k, begin in zip(quadtrees, levels, _begins(quadtrees), strict=True):
             if k >= 0:
                 was = np.arange(len(now.size)) if now is trees[k] else same_leaves(trees[k], now)[1]
                 source[begin : begin + len(was)] = np.where(was < 0, -1, was + old.offsets[k])
-        stays = np.zeros(len(old.core.up), dtype=bool)
-        stays[old.core.node] = True
-        former = Former(_links(trees, old.graph), Decided(stays, old.core.up), source)
-    return find_core(graph, _joined([tree.free for tree in quadtrees]), links, former)
-
-
-def _links(quadtrees: tuple[Quadtree, ...], graph: Graph) -> Links:
-    keys = "free", "half_size", "clearance"
-    free, half, clearance = (_joined([getattr(tree, key) for tree in quadtrees]) for key in keys)
-    return links_of(graph, free, 2.0 * half, clearance)
+        former = Former(old.core.links, old.core.decided, source)
+    return find_core(graph, free, links, former)
 
 
 def _begins(quadtrees: tuple[Quadtree, ...]) -> tuple[int, ...]:

@@ -30,6 +30,7 @@ class Patch(NamedTuple):
     """A few nodes of a graph whose edges are others than those that stand, the nodes that were added among them.
 
     Attributes:
+        node: The few, ascending.
         row: 1 + which of the few each node is, 0 where its edges stand; shape (k,), or none if there is no patch.
         first: First edge of each of the few, and how many they have in all.
         other: Far end of each edge.
@@ -37,6 +38,7 @@ class Patch(NamedTuple):
         position: Places of the nodes that were added (x, y) [m].
     """
 
+    node: IntArray
     row: NDArray[np.int32]
     first: IntArray
     other: IntArray
@@ -44,7 +46,8 @@ class Patch(NamedTuple):
     position: FloatArray
 
 
-NO_PATCH = Patch(np.zeros(0, np.int32), np.zeros(1, np.int64), np.zeros(0, np.int64), np.zeros(0), np.zeros((0, 2)))
+_NONE = np.zeros(0, np.int64)
+NO_PATCH = Patch(_NONE, np.zeros(0, np.int32), np.zeros(1, np.int64), _NONE, np.zeros(0), np.zeros((0, 2)))
 
 
 @dataclass(frozen=True, slots=True)
@@ -242,62 +245,60 @@ def _side(via: FloatArray, squares: Squares, leaf: int) -> int:
     return 2 + int(y > 0.0) if abs(y) > abs(x) else int(x > 0.0)
 
 
-def assemble(
-    position: FloatArray, level: IntArray, clearance: FloatArray, pairs: IntArray, via: FloatArray, radius: float
-) -> Graph:
-    """Make a graph of undirected `pairs`, shape (e, 2).
-
-    An edge costs its length times 1 + max(0, 1 − (d − r)/r): up to twice where the body brushes past, once where there
-    is as much room beside it as half its width. The factor is at least 1, so the Euclidean heuristic stays admissible.
-    """
-    first, size = np.zeros(len(position) + 1, np.int64), 2 * len(pairs)
+def assemble(position: FloatArray, level: IntArray, edges: Edges, cost: FloatArray) -> Graph:
+    """Make a graph of undirected `edges`, each of which costs the same both ways, shape (e,)."""
+    (pairs, _), first, size = edges, np.zeros(len(position) + 1, np.int64), 2 * len(cost)
     made = np.empty(size, np.int64), np.empty((size, 2)), np.empty(size)  # by NumPy, which asks for large pages
-    _put_rows(position, clearance, (pairs, via), radius, first, made)
+    _put_rows(edges, cost, first, made)
     component = components(pairs[:, 0], pairs[:, 1], np.ones(len(position), dtype=bool))
     return Graph(np.ascontiguousarray(position), level, first, *made, component)
 
 
 @njit(cache=True, nogil=True)
-def _put_rows(
-    position: FloatArray,
-    clearance: FloatArray,
-    edges: Edges,
-    radius: float,
-    first: IntArray,
-    made: tuple[IntArray, FloatArray, FloatArray],
-) -> None:
+def _put_rows(edges: Edges, cost: FloatArray, first: IntArray, made: tuple[IntArray, FloatArray, FloatArray]) -> None:
     """Write the first edge of each node, and the far end, crossing and cost of each edge."""
-    (pairs, via), (other, crossing, cost) = edges, made
+    (pairs, via), (other, crossing, costs) = edges, made
     for e in range(len(pairs)):
         first[pairs[e, 0] + 1] += 1
         first[pairs[e, 1] + 1] += 1
-    for i in range(len(position)):
+    for i in range(len(first) - 1):
         first[i + 1] += first[i]
-    place, costs = first[:-1].copy(), np.empty(len(pairs))
+    place = first[:-1].copy()
     for end in range(2):
         for e in range(len(pairs)):
-            a, b = pairs[e, end], pairs[e, 1 - end]
-            if end == 0:
-                costs[e] = _price(position[a], position[b], via[e], min(clearance[a], clearance[b]), radius)
-            at = place[a]
-            place[a] += 1
-            other[at], crossing[at, 0], crossing[at, 1], cost[at] = b, via[e, 0], via[e, 1], costs[e]
-
-
-@njit(cache=True, nogil=True)
-def _price(a: FloatArray, b: FloatArray, via: FloatArray, clearance: float, radius: float) -> float:
-    """Cost of an edge: see `assemble`."""
-    length = sqrt((a[0] - via[0]) ** 2 + (a[1] - via[1]) ** 2) + sqrt((b[0] - via[0]) ** 2 + (b[1] - via[1]) ** 2)
-    return length * (1.0 + min(max(1.0 - (clearance - radius) / radius, 0.0), 1.0))
+            at = place[pairs[e, end]]
+            place[pairs[e, end]] += 1
+            other[at], crossing[at, 0], crossing[at, 1], costs[at] = pairs[e, 1 - end], via[e, 0], via[e, 1], cost[e]
 
 
 @njit(cache=True, nogil=True)
 def price_edges(ends: FloatArray, via: FloatArray, clearance: FloatArray, radius: float) -> FloatArray:
-    """Cost of edges [m], shape (e,), from their ends' places, (e, 2, 2) [m], crossings, and ends' clearance, (e, 2)."""
+    """Cost of edges [m], shape (e,), from their ends' places, (e, 2, 2) [m], crossings, and ends' clearance, (e, 2).
+
+    An edge costs its length times 1 + max(0, 1 − (d − r)/r): up to twice where the body brushes past, once where there
+    is as much room beside it as half its width. The factor is at least 1, so the Euclidean heuristic stays admissible.
+    """
     made = np.empty(len(via))
     for e in range(len(via)):
         made[e] = _price(ends[e, 0], ends[e, 1], via[e], min(clearance[e, 0], clearance[e, 1]), radius)
     return made
+
+
+@njit(cache=True, nogil=True)
+def price_pairs(position: FloatArray, clearance: FloatArray, edges: Edges, radius: float) -> FloatArray:
+    """`price_edges` of pairs of nodes, of all of which place [m] and clearance [m] are given."""
+    (pairs, via), made = edges, np.empty(len(edges[1]))
+    for e in range(len(via)):
+        a, b = pairs[e, 0], pairs[e, 1]
+        made[e] = _price(position[a], position[b], via[e], min(clearance[a], clearance[b]), radius)
+    return made
+
+
+@njit(cache=True, nogil=True)
+def _price(a: FloatArray, b: FloatArray, via: FloatArray, clearance: float, radius: float) -> float:
+    """Cost of an edge: see `price_edges`."""
+    length = sqrt((a[0] - via[0]) ** 2 + (a[1] - via[1]) ** 2) + sqrt((b[0] - via[0]) ** 2 + (b[1] - via[1]) ** 2)
+    return length * (1.0 + min(max(1.0 - (clearance - radius) / radius, 0.0), 1.0))
 
 
 @dataclass(frozen=True, slots=True)
@@ -363,6 +364,12 @@ def edges_of(first: IntArray, other: IntArray, patch: Patch, node: int) -> tuple
     if row == 0:
         return first[node], first[node + 1]
     return len(other) + patch.first[row - 1], len(other) + patch.first[row]
+
+
+@lean()
+def far_end(other: IntArray, patch: Patch, edge: int) -> int:
+    """The node that an edge leads to."""
+    return int(other[edge] if edge < len(other) else patch.other[edge - len(other)])
 
 
 @lean()
@@ -489,7 +496,7 @@ def _spread(question: Question, bounds: FloatArray, front: Front) -> None:
                 _wait(front, reached, goal_node)
         begin, end = edges_of(first, other, patch, node)
         for e in range(begin, end):
-            near = other[e] if e < standing else patch.other[e - standing]
+            near = far_end(other, patch, e)
             reached = come + (cost[e] if e < standing else patch.cost[e - standing])
             if front.known[near].came_by == 0 or reached < front.known[near].cost_to_come:
                 front.known[near].cost_to_come, front.known[near].came_by, front.known[near].came_from = (

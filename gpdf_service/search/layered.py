@@ -44,3 +44,8 @@ Rows = NDArray[Any] | Layered
 def below(rows: Rows) -> NDArray[Any]:
     """Those that stand."""
     return rows.below if isinstance(rows, Layered) else rows
+
+
+def above(rows: Rows) -> NDArray[Any]:
+    """Those that are not among them."""
+    return rows.above if isinstance(rows, Layered) else rows[:0]

@@ -10,18 +10,18 @@ import numpy as np
 from scipy import ndimage
 
 from gpdf_service.config import FieldConfig, SearchConfig
-from gpdf_service.fields import Nearer, build_tree, change_tree
+from gpdf_service.fields import Nearer, build_tree
 from gpdf_service.fields.traversal import NearerArrays, nearest_only
 from gpdf_service.perception import CLEAN, GroundLevel, GroundLimits, Levels, Obstacles, Scan, obstacles_of
 from gpdf_service.perception.boxes import Box
 from gpdf_service.perception.levels import within_reach
 from gpdf_service.perception.sheets import OVERLAP
 from gpdf_service.perception.surface import cropped
-from gpdf_service.search.free_space import NONE, FreeSpace, connect, core_of, fit_obstacle_field, joined
-from gpdf_service.search.graph import Edges, Graph, change_edges, find_edges
+from gpdf_service.search.core import patch_core
+from gpdf_service.search.free_space import NONE, FreeSpace, fit_obstacle_field, joined
+from gpdf_service.search.graph import Edges, find_edges
 from gpdf_service.search.patch import Around, Nodes, around, patched
 from gpdf_service.search.places import Places
-from gpdf_service.search.quadtree import Quadtree, change_quadtree
 from gpdf_service.search.resplit import SplitQuadtree, split_again
 from gpdf_service.types import Agent, FloatArray, IntArray
 
@@ -69,30 +69,8 @@ def add_moving(
         exact_fields=tuple(exact),
         quadtrees=tuple(trees),
     )
-    graph = _graph(changed)
-    return replace(changed, graph=graph, core=space.core if graph is space.graph else None)
-
-
-def settled(space: FreeSpace, stands: FreeSpace, levels: Levels) -> FreeSpace:
-    """The same free space with its leaves and its graph in arrays of their own, for who reads all of them.
-
-    This takes time by all that `stands`, without what moves, which is copied; which leaves ways need is known of it.
-    """
-    quadtrees, edges = list[Quadtree](), list[Edges]()
-    for i, tree in enumerate(space.quadtrees):
-        quadtree, found = tree.standing, space.edges[i]
-        if isinstance(tree, SplitQuadtree):
-            (standing, moving), surface = space.trees[i], space.surfaces[i]
-            both = change_tree(standing, np.ones(len(standing.points), dtype=bool), moving.points)[0]
-            nothing = np.zeros(surface.state.shape, dtype=bool)
-            quadtree = change_quadtree(tree.standing, surface, both, space.radius, moving, nothing)
-            found = change_edges(tree.standing, found, quadtree, Places(both), space.radius, moving)
-        quadtrees.append(quadtree)
-        edges.append(found)
-    trees = tuple(quadtrees)
-    offsets, graph = connect(levels, trees, tuple(edges), space.radius)
-    core = core_of(trees, graph, (stands, range(len(trees))))
-    return replace(space, quadtrees=trees, edges=tuple(edges), offsets=offsets, graph=graph, core=core)
+    split = [(i, tree) for i, tree in enumerate(trees) if isinstance(tree, SplitQuadtree)]
+    return _connected(changed, split) if split else changed
 
 
 def stopping(level: GroundLevel, points: FloatArray, agent: Agent, scan: Scan) -> Obstacles:
@@ -137,13 +115,11 @@ def _part(level: GroundLevel, points: FloatArray, box: Box) -> GroundLevel:
     return replace(level, surface=cropped(level.surface, box), other_points=points, ledge=ledge, limits=_NO_LIMITS)
 
 
-def _graph(space: FreeSpace) -> Graph:
-    """The graph of what stands, with the leaves that are gone taken out and the fresh ones put in."""
-    graph, split = space.graph, [(i, tree) for i, tree in enumerate(space.quadtrees) if isinstance(tree, SplitQuadtree)]
-    if not split:
-        return graph
-    lost = around(graph, np.concatenate([tree.gone + space.offsets[i] for i, tree in split]))
-    found, room = [], []
+def _connected(space: FreeSpace, split: list[tuple[int, SplitQuadtree]]) -> FreeSpace:
+    """The space without the leaves that are gone in graph and core, and with the fresh ones of these levels."""
+    graph = space.graph
+    gone = np.concatenate([tree.gone + space.offsets[i] for i, tree in split])
+    lost, found, room = around(graph, gone), [], []
     for i, tree in split:
         own = lost.ring[graph.level[lost.ring] == i] - space.offsets[i]
         leaves = np.concatenate([own, tree.start + np.arange(len(tree.fresh.size))])
@@ -153,12 +129,15 @@ def _graph(space: FreeSpace) -> Graph:
     for (ends, via), clearance in _portals(space, lost):
         found.append((ends, via))
         room.append(clearance)
-    fresh = Nodes(
-        np.concatenate([tree.fresh.center for _, tree in split]),
-        np.concatenate([np.full(len(tree.fresh.size), i) for i, tree in split]),
+    position, clearance, half_size = (
+        np.concatenate([getattr(tree.fresh, key) for _, tree in split]) for key in ("center", "clearance", "half_size")
     )
+    level = np.repeat([i for i, _ in split], [len(tree.fresh.size) for _, tree in split])
     edges = np.concatenate([ends for ends, _ in found]), np.concatenate([via for _, via in found])
-    return patched(graph, lost, fresh, edges, np.concatenate(room), space.radius)
+    graph = patched(graph, lost, Nodes(position, level), edges, np.concatenate(room), space.radius)
+    within = np.concatenate([tree.within_gone + space.offsets[i] for i, tree in split])
+    place = within + np.arange(1, len(within) + 1) / (len(within) + 1)  # in the order of a quadtree of all
+    return replace(space, graph=graph, core=patch_core(space.core, graph, gone, place, clearance, 2.0 * half_size))
 
 
 def _portals(space: FreeSpace, lost: Around) -> Iterator[tuple[Edges, FloatArray]]:

@@ -8,7 +8,7 @@ import numpy as np
 from numba import njit
 
 from gpdf_service.perception.nodes import components
-from gpdf_service.search.graph import Edges, Graph, Patch, edges_of, price_edges
+from gpdf_service.search.graph import Edges, Graph, Patch, edges_of, far_end, price_edges
 from gpdf_service.search.layered import Layered, below
 from gpdf_service.search.resplit import is_among
 from gpdf_service.types import FloatArray, IntArray
@@ -78,6 +78,7 @@ def patched(graph: Graph, lost: Around, fresh: Nodes, edges: Edges, clearance: F
     row[nodes] = 1 + np.arange(len(nodes))
     other = np.concatenate([graph.other[kept], pairs[:, 1], pairs[:, 0]])[order]
     patch = Patch(
+        nodes,
         row,
         np.searchsorted(start[order], np.append(nodes, len(row))),
         other,
@@ -91,12 +92,12 @@ def patched(graph: Graph, lost: Around, fresh: Nodes, edges: Edges, clearance: F
         Layered(below(graph.other), other, size),
         Layered(below(graph.via), np.concatenate([graph.via[kept], via, via])[order], size),
         Layered(below(graph.cost), patch.cost, size),
-        _components(graph, nodes, patch, start[order]),
+        _components(graph, patch, start[order]),
         patch,
     )
 
 
-def _components(graph: Graph, nodes: IntArray, patch: Patch, start: IntArray) -> Layered:
+def _components(graph: Graph, patch: Patch, start: IntArray) -> Layered:
     """Connected component of each node of a patched graph.
 
     What stood in one component is joined as before, where what is left of it beside the patch is joined in the patch.
@@ -104,11 +105,10 @@ def _components(graph: Graph, nodes: IntArray, patch: Patch, start: IntArray) ->
 
     Args:
         graph: Of what stands.
-        nodes: Those of the patch, ascending.
-        patch: Their edges.
-        start: Where each of these begins.
+        patch: What is other.
+        start: Where each of its edges begins.
     """
-    count, known = len(graph.position), len(nodes) - len(patch.position)
+    nodes, count, known = patch.node, len(graph.position), len(patch.node) - len(patch.position)
     here = is_among(patch.other, nodes)
     own, to = (np.searchsorted(nodes, ends[here]) for ends in (start, patch.other))
     piece = components(own, to, np.ones(len(nodes), dtype=bool))
@@ -142,7 +142,7 @@ def _flood(
             node = stack.pop()
             begin, end = edges_of(first, other, patch, node)
             for e in range(begin, end):
-                near = other[e] if e < len(other) else patch.other[e - len(other)]
+                near = far_end(other, patch, e)
                 if (standing[near] if near < count else fresh[near - count]) < label:
                     if near < count:
                         standing[near] = mine

@@ -19,6 +19,9 @@ from gpdf_service.search.places import Places, distance_at
 from gpdf_service.search.quadtree import Quadtree, is_split, state_of
 from gpdf_service.types import BoolArray, FloatArray, IntArray
 
+FELT = 5.0
+"""[-] Times the body's radius: obstacles further from a leaf's centre are felt by nobody, see `ways.WIDE`."""
+
 
 @dataclass(frozen=True)
 class SplitQuadtree:
@@ -62,6 +65,11 @@ class SplitQuadtree:
         return self._both("size")
 
     @cached_property
+    def half_size(self) -> Layered:
+        """Half the width of each leaf [m]."""
+        return self._both("half_size")
+
+    @cached_property
     def clearance(self) -> Layered:
         """Distance from its centre to the nearest obstacle [m], where that is near enough to matter."""
         return self._both("clearance")
@@ -85,6 +93,12 @@ class SplitQuadtree:
         stay = np.ones(len(self.standing.size), dtype=bool)
         stay[self.gone] = False
         return np.concatenate([np.flatnonzero(stay), self.start + np.arange(len(self.fresh.size))])
+
+    @property
+    def within_gone(self) -> IntArray:
+        """The leaf that each fresh one was a part of, shape (f,)."""
+        made: IntArray = self.gone[np.searchsorted(self.standing.code[self.gone], self.fresh.code, side="right") - 1]
+        return made
 
     def find(self, xy: FloatArray) -> IntArray:
         """Leaf that holds each place, shape (m, 2) [m]; -1 outside the root, and where what is fresh is not free."""
@@ -143,7 +157,7 @@ def split_again(tree: Quadtree, surface: HeightMap, places: Places, radius: floa
     """Leaves that what moves touches, ascending, and the free ones in their place.
 
     A leaf is touched if a moving place is so near to its centre that it would be split, blocked, or less roomy than it
-    was, where that matters: within twice the radius.
+    was, where that is felt.
 
     Args:
         tree: Of what stands.
@@ -171,7 +185,7 @@ def _touched(
         x[0], x[1] = origin[0] + (i + 0.5 * n) * width, origin[1] + (j + 0.5 * n) * width
         half_diagonal = 0.5 * sqrt(2.0) * n * width
         near = nearest_at(places.moving, place_of(x), scratch)[0]
-        if near - half_diagonal >= max(2.0 * radius, radius + half_diagonal):
+        if near - half_diagonal >= max(FELT * radius, radius + half_diagonal):
             continue
         if last - first > 1:
             h, end = n // 2, last
@@ -180,7 +194,7 @@ def _touched(
                 stack.append((i + (k >> 1) * h, j + (k & 1) * h, h, begin, end))
                 end = begin
         elif free[first]:
-            reach = min(clearance[first], max(2.0 * radius, radius + half_diagonal))
+            reach = min(clearance[first], max(FELT * radius, radius + half_diagonal))
             if not whole[first]:  # what proves its edges are obstacles within the radius of places in it
                 reach = max(reach, radius + 2.2 * half_diagonal)
             if near < reach:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from enum import StrEnum
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numba import njit
@@ -19,16 +19,14 @@ from gpdf_service.fields.tree import Scratch, make_scratch
 from gpdf_service.kernel_cache import lean
 from gpdf_service.perception import ObstacleKind
 from gpdf_service.perception.surface import UNKNOWN, Cells, cell_of
-from gpdf_service.search.core import Core
 from gpdf_service.search.free_space import FreeSpace
 from gpdf_service.search.graph import Edges, Graph, assemble
 from gpdf_service.search.landmarks import find_landmarks
 from gpdf_service.search.layered import below
-from gpdf_service.search.patch import Nodes, around, patched
-from gpdf_service.search.places import Places, nearest_of, nearest_places
-from gpdf_service.search.resplit import SplitQuadtree
+from gpdf_service.search.places import Places, nearest_of
+from gpdf_service.search.resplit import FELT
 from gpdf_service.search.steps import NOTICED_STEP, is_stepped
-from gpdf_service.types import Agent, FloatArray, IntArray
+from gpdf_service.types import Agent, BoolArray, FloatArray, IntArray
 
 CARE = 0.5
 """[-] Share of the speed near steps, and where no room is left beside the body: on stairs people go 0.5 m/s in plan
@@ -41,7 +39,7 @@ CHANGE = 0.5
 from leaf to leaf, and its many pieces would each be pulled and bent alone."""
 LOOK = 0.1
 """[m] Room beside a way is looked at this often: two waypoints."""
-WIDE = 4.0
+WIDE = FELT - 1.0
 """[-] Who wants it wide minds less room than this beside the body, over its radius: an arm's length for a person."""
 MINDED = 10.0
 """[-] How much more than its time narrowness costs who wants it wide: a metre without room is a detour of ten."""
@@ -217,6 +215,22 @@ def way_steps(
     return stepped, high
 
 
+class Priced(NamedTuple):
+    """What a space's part of ways was priced by, and at what.
+
+    Attributes:
+        room: From each node of its core to the nearest obstacle of either space [m], shape (k,).
+        unseen: Whether that is ground which nobody has seen, shape (k,).
+        edge: Edges of the whole graph that lead from a node to one with a higher number, ascending, shape (e,).
+        seconds: What each of them costs.
+    """
+
+    room: FloatArray
+    unseen: BoolArray
+    edge: IntArray
+    seconds: FloatArray
+
+
 @dataclass(frozen=True, slots=True)
 class Ways:
     """All ways of a body, with what they cost it.
@@ -224,159 +238,156 @@ class Ways:
     Attributes:
         spaces: Its own free space; and that of the level ground, if it takes steps.
         prefer: What one wants of a way.
-        cores: The leaves of each that ways lead over.
-        graph: Those of both, those of the level ground last; `cost` is in seconds.
+        graph: The cores of both, that of the level ground last; `cost` is in seconds.
         rate: Least seconds that a metre costs.
-        gone: Leaves of each space that something moves touches, ascending: its ways lead around them.
-        standing: The graph of what stands where something moves: no way costs less than in it.
+        priced: What each space's part costs.
     """
 
     spaces: tuple[FreeSpace, ...]
     prefer: Prefer
-    cores: tuple[Core, ...]
     graph: Graph
     rate: float
-    gone: tuple[IntArray, ...] = ()
-    standing: Graph | None = None
+    priced: tuple[Priced, ...]
 
     @property
     def first_level_node(self) -> int:
         """Nodes from this on are of the level ground."""
-        return len(self.cores[0].node)
+        return len(self.spaces[0].core.node)
 
     @property
     def half_size(self) -> FloatArray:
         """Half the width of each node's leaf [m]."""
-        return np.concatenate([_of_leaves(*part, "half_size") for part in zip(self.spaces, self.cores, strict=True)])
+        return np.concatenate(
+            [_of_leaves(each, "half_size", each.core.node, below(each.core.graph.level)) for each in self.spaces]
+        )
 
 
-def find_ways(able: FreeSpace, level: FreeSpace | None, prefer: Prefer) -> Ways:
+def find_ways(able: FreeSpace, level: FreeSpace | None, prefer: Prefer, stand: Ways | None = None) -> Ways:
     """Join the free space of a body with that of the level ground, and price the core of both.
 
-    What moves must be settled in them, see `settled`.
+    Where something moves, the ways of what stands know the price of all that it does not touch.
     """
     spaces = (able,) if level is None else (able, level)
-    cores = tuple(core for space in spaces if (core := space.core) is not None)
-    assert len(cores) == len(spaces)
-    parts = [_pairs(core.graph) for core in cores]
-    pairs, via = [parts[0][0]], [parts[0][1]]
-    rooms = [_of_leaves(*part, "clearance") for part in zip(spaces, cores, strict=True)]
+    rooms, count = [space.core.clearance for space in spaces], len(able.core.node)
+    doors, at = np.zeros((0, 2), np.int64), np.zeros((0, 2))
     if level is not None:
-        count = len(cores[0].node)
-        doors, at = _doors(able, level, cores[0], cores[1], rooms[1])
-        pairs += [parts[1][0] + count, doors + np.array([0, count])]
-        via += [parts[1][1], at]
-        rooms[0] = np.minimum(rooms[0], _room_at(level, cores[0].graph))
-    position, on = (np.concatenate([getattr(core.graph, key) for core in cores]) for key in ("position", "level"))
-    ends, crossing, room = np.concatenate(pairs), np.concatenate(via), np.concatenate(rooms)
-    graph = assemble(position, on, room, ends, crossing, able.radius)
-    unseen = np.concatenate([_unseen(*part) for part in zip(spaces, cores, strict=True)])
-    price = prices(able.agent, prefer)
-    seconds = _takes(able, graph, (ends, crossing), room - able.reach, unseen, prefer) @ price
-    if level is not None:
-        seconds[-len(doors) :] += CHANGE if len(doors) else 0.0
-    row = np.argsort(ends.T.ravel(), kind="stable") % len(ends)  # as `assemble` lays them
-    cost = seconds[row]
-    landmarks = find_landmarks(graph.first, below(graph.other), cost, below(graph.component))
-    return Ways(spaces, prefer, cores, replace(graph, cost=cost, landmarks=landmarks), float(price[LENGTH]))
+        doors, at = _doors(able, level, rooms[1])
+        rooms[0] = np.minimum(rooms[0], _room_at(level, able.core.graph))
+    edges, priced = list[Edges](), list[Priced]()
+    for k, (space, room) in enumerate(zip(spaces, rooms, strict=True)):
+        before = None if stand is None else (stand.priced[k], stand.spaces[k].core.node)
+        (ends, via), made = _price_space(able, space, room, prefer, before)
+        edges.append((ends + k * count, via))
+        priced.append(made)
+    edges.append((doors + np.array([0, count]), at))
+    position, on = (
+        np.concatenate([getattr(space.core.graph, key) for space in spaces]) for key in ("position", "level")
+    )
+    room, unseen = np.concatenate(rooms), np.concatenate([made.unseen for made in priced])
+    through = _seconds(able, (position, on, room, unseen), edges[-1], prefer) + CHANGE
+    pairs, via = (np.concatenate(parts) for parts in zip(*edges, strict=True))
+    graph = assemble(position, on, (pairs, via), np.concatenate([*(made.seconds for made in priced), through]))
+    if stand is None:
+        landmarks = find_landmarks(graph.first, below(graph.other), below(graph.cost), below(graph.component))
+        graph = replace(graph, landmarks=landmarks)
+    return Ways(spaces, prefer, graph, float(prices(able.agent, prefer)[LENGTH]), tuple(priced))
 
 
-def ways_around(ways: Ways, spaces: tuple[FreeSpace, ...]) -> Ways:
-    """The ways of what stands that lead around all leaves which something moves touches, in time by these.
-
-    Args:
-        ways: Of what stands.
-        spaces: Its spaces, with what moves in them.
-    """
-    gone = tuple(_gone(space) for space in spaces)
-    firsts = (0, ways.first_level_node)
-    parts = zip(gone, ways.cores, firsts, strict=False)
-    lost = np.concatenate([core.number(own[core.has(own)]) + first for own, core, first in parts])
-    graph = ways.graph
-    if len(lost):
-        nobody = Nodes(np.zeros((0, 2)), np.zeros(0, np.int64))
-        nothing = np.zeros((0, 2), np.int64), np.zeros((0, 2))
-        graph = patched(graph, around(graph, lost), nobody, nothing, np.zeros((0, 2)), spaces[0].radius)
-        graph = replace(graph, landmarks=ways.graph.landmarks)  # without some leaves nothing is nearer
-    return replace(ways, spaces=spaces, graph=graph, gone=gone, standing=ways.graph)
-
-
-def _gone(space: FreeSpace) -> IntArray:
-    """Leaves of what stands that are none any more, by their numbers in the graph, ascending."""
-    trees = zip(space.quadtrees, space.offsets, strict=True)
-    gone = [tree.gone + offset for tree, offset in trees if isinstance(tree, SplitQuadtree)]
-    return np.concatenate([np.zeros(0, np.int64), *gone])
-
-
-def _pairs(graph: Graph) -> tuple[IntArray, FloatArray]:
-    """Each edge once: its ends (e, 2) and where it crosses (e, 2) [m]."""
-    row = np.repeat(np.arange(len(graph.position)), np.diff(graph.first))
-    other = below(graph.other)
+def _price_space(
+    able: FreeSpace, space: FreeSpace, room: FloatArray, prefer: Prefer, before: tuple[Priced, IntArray] | None
+) -> tuple[Edges, Priced]:
+    """Each edge of a space's core once, and what it costs; `before` are what stands and the nodes of its core."""
+    core, graph = space.core, space.core.graph
+    row, other = np.repeat(np.arange(len(room)), np.diff(graph.first)), below(graph.other)
     once = row < other
-    return np.column_stack([row[once], other[once]]), below(graph.via)[once]
+    edge, edges = core.edge[once], (np.column_stack([row[once], other[once]]), below(graph.via)[once])
+    unseen, seconds = np.zeros(len(room), dtype=bool), np.empty(len(edge))
+    new, dear = np.ones(len(room), dtype=bool), np.ones(len(edge), dtype=bool)
+    if before is not None:
+        was, node = before
+        row = _rows_among(core.node, node)
+        new = row < 0
+        unseen[~new] = was.unseen[row[~new]]
+        felt = new | (room != was.room[row])
+        row = _rows_among(edge, was.edge)
+        dear = (row < 0) | felt[edges[0]].any(axis=1)
+        seconds[~dear] = was.seconds[row[~dear]]
+    unseen[new] = _unseen(space, new)[new]
+    nodes, asked = (below(graph.position), below(graph.level), room, unseen), (edges[0][dear], edges[1][dear])
+    seconds[dear] = _seconds(able, nodes, asked, prefer)
+    return edges, Priced(room, unseen, edge, seconds)
 
 
-def _of_leaves(space: FreeSpace, core: Core, name: str) -> FloatArray:
-    """A measure of the core's leaves."""
-    made: FloatArray = np.concatenate([getattr(tree.standing, name) for tree in space.quadtrees])[core.node]
+def _rows_among(values: IntArray, others: IntArray) -> IntArray:
+    """The row of each value among others that ascend, −1 of one that is not among them."""
+    row = np.minimum(np.searchsorted(others, values), len(others) - 1)
+    return np.where(others[row] == values, row, -1) if len(others) else np.full(len(values), -1)
+
+
+def _of_leaves(space: FreeSpace, name: str, node: IntArray, level: IntArray) -> NDArray[Any]:
+    """A measure of leaves, by their nodes and levels, shape (k,)."""
+    found = [getattr(tree, name)[node[level == on] - space.offsets[on]] for on, tree in enumerate(space.quadtrees)]
+    made = np.empty(len(node), found[0].dtype)
+    for on, values in enumerate(found):
+        made[level == on] = values
     return made
 
 
-def _leaf_at(space: FreeSpace, graph: Graph) -> IntArray:
-    """The node of a space whose leaf holds each node of a graph on the same levels; −1 for none."""
-    made = np.full(len(graph.position), -1, np.int64)
+def _leaf_at(space: FreeSpace, position: FloatArray, level: IntArray) -> IntArray:
+    """The node of a space whose leaf holds each place on a level, shape (k,); −1 for none."""
+    made = np.full(len(position), -1, np.int64)
     for on, (tree, offset) in enumerate(zip(space.quadtrees, space.offsets, strict=True)):
-        here = np.flatnonzero(below(graph.level) == on)
-        leaf = tree.find(graph.position[here])
+        here = np.flatnonzero(level == on)
+        leaf = tree.find(position[here])
         made[here] = np.where(leaf >= 0, leaf + offset, -1)
     return made
 
 
 def _room_at(space: FreeSpace, graph: Graph) -> FloatArray:
     """Distance to the nearest obstacle of a space at another one's nodes [m], to the size of its leaf there."""
-    leaf, room = _leaf_at(space, graph), np.concatenate([tree.clearance for tree in space.quadtrees])
-    return np.where(leaf >= 0, room[np.maximum(leaf, 0)], 0.0)
+    leaf = _leaf_at(space, below(graph.position), below(graph.level))
+    return np.where(leaf >= 0, space.core.links.clearance[leaf], 0.0)
 
 
-def _doors(
-    able: FreeSpace, level: FreeSpace, core: Core, level_core: Core, room: FloatArray
-) -> tuple[IntArray, FloatArray]:
+def _doors(able: FreeSpace, level: FreeSpace, room: FloatArray) -> Edges:
     """Where one gets from level ground to where steps are: pairs of an able and a level node (k, 2), and where [m].
 
     Only leaves at the border of the level ground are such, whose own leaf in the able space is wholly free.
     """
     near = np.flatnonzero(room < level.radius + BORDER)
-    leaf = _leaf_at(able, level_core.graph)[near]
-    whole = np.concatenate([tree.whole for tree in able.quadtrees])
-    good = (leaf >= 0) & whole[leaf] & core.has(leaf)
-    return np.column_stack([core.number(leaf[good]), near[good]]), level_core.graph.position[near[good]]
+    position, on = below(level.core.graph.position)[near], below(level.core.graph.level)[near]
+    leaf = _leaf_at(able, position, on)
+    good = (leaf >= 0) & able.core.has(leaf)
+    good[good] = _of_leaves(able, "whole", leaf[good], on[good])
+    return np.column_stack([able.core.number(leaf[good]), near[good]]), position[good]
 
 
-def _unseen(space: FreeSpace, core: Core) -> FloatArray:
-    """1 for each node whose nearest obstacle is ground that nobody has seen, shape (k,)."""
-    one = np.zeros(len(core.node))
-    tight = _of_leaves(space, core, "clearance") < space.reach + space.agent.disc_radius
-    for level, places in enumerate(space.trees):
-        unknown = beside(space, level).kind == ObstacleKind.UNKNOWN
+def _unseen(space: FreeSpace, asked: BoolArray) -> BoolArray:
+    """Whether the nearest obstacle of each node of its core that is `asked` is ground which nobody has seen, (k,)."""
+    core, one = space.core, np.zeros(len(asked), dtype=bool)
+    tight = asked & (core.clearance < space.reach + space.agent.disc_radius)
+    for level in range(len(space.trees)):
         here = np.flatnonzero(tight & (below(core.graph.level) == level))
-        if unknown.any() and len(here):
-            one[here] = unknown[nearest_places(places, core.graph.position[here])[1]]
+        if len(here):
+            one[here] = space.clearance(level, below(core.graph.position)[here])[1] == ObstacleKind.UNKNOWN
     return one
 
 
-def _takes(
-    space: FreeSpace, graph: Graph, edges: Edges, room: FloatArray, unseen: FloatArray, prefer: Prefer
-) -> FloatArray:
-    """What each edge takes, shape (e, 6); `room` is that beside the body at each node [m]."""
-    (ends, _), made = edges, np.zeros((len(edges[0]), 6))
-    nodes = below(graph.position), below(graph.level)
-    for level, surface in enumerate(space.surfaces):
-        ground = surface.arrays, space.steps[level], space.slopes[level], space.agent.comfortable_step
-        _ground_of_edges(nodes, edges, level, ground, made)
-    tight = np.clip(1.0 - room[ends].min(axis=1) / minded_room(space.agent, prefer), 0.0, 1.0)
-    made[:, TIGHT] = made[:, LENGTH] * tight
-    made[:, UNSEEN] = made[:, TIGHT] * unseen[ends].max(axis=1)
-    return made
+_Nodes = tuple[FloatArray, IntArray, FloatArray, BoolArray]
+"""Place in plan [m], level, room [m] of each node, and whether what is nearest is ground that nobody has seen."""
+
+
+def _seconds(space: FreeSpace, nodes: _Nodes, edges: Edges, prefer: Prefer) -> FloatArray:
+    """What each edge costs a body [s], shape (e,)."""
+    (position, level, room, unseen), (ends, _), made = nodes, edges, np.zeros((len(edges[0]), 6))
+    for on, surface in enumerate(space.surfaces):
+        ground = surface.arrays, space.steps[on], space.slopes[on], space.agent.comfortable_step
+        _ground_of_edges((position, level), edges, on, ground, made)
+    beside_it = room[ends].min(axis=1) - space.reach
+    made[:, TIGHT] = made[:, LENGTH] * np.clip(1.0 - beside_it / minded_room(space.agent, prefer), 0.0, 1.0)
+    made[:, UNSEEN] = made[:, TIGHT] * unseen[ends].any(axis=1)
+    seconds: FloatArray = (made * prices(space.agent, prefer)).sum(axis=1)  # of each edge by itself, whatever is asked
+    return seconds
 
 
 @lean()

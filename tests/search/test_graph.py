@@ -25,6 +25,7 @@ from gpdf_service.search.graph import (
     find_way,
     place_of_node,
     price_edges,
+    price_pairs,
 )
 from gpdf_service.search.landmarks import find_landmarks
 from gpdf_service.search.patch import Nodes, around, patched
@@ -80,7 +81,12 @@ def random_graph(rng, count=40, edges=70, radius=0.2):
         sorted({tuple(sorted(pair)) for pair in rng.integers(0, count, (edges, 2)).tolist() if len(set(pair)) > 1})
     )
     via, clearance = rng.uniform(-2.0, 2.0, (len(pairs), 2)), rng.uniform(0.2, 0.7, count)
-    return assemble(position, level, clearance, pairs, via, radius), pairs, via, clearance
+    return (
+        assemble(position, level, (pairs, via), price_pairs(position, clearance, (pairs, via), radius)),
+        pairs,
+        via,
+        clearance,
+    )
 
 
 def price(a, b, via, clearance, radius):

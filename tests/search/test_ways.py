@@ -17,7 +17,6 @@ from gpdf_service.search.ways import (
     TIGHT,
     Prefer,
     beside,
-    find_ways,
     level_body,
     prices,
     way_takes,
@@ -128,27 +127,3 @@ def test_words_that_are_no_preference_are_refused(ledge):
         gpdf.plan(ledge, (1.0, 1.0), (5.0, 1.0), prefer="scenic")
     with pytest.raises(RequestError, match="alternatives"):
         gpdf.plan(ledge, (1.0, 1.0), (5.0, 1.0), alternatives=-1)
-
-
-def test_around_what_moves_the_ways_of_what_stands_serve_where_they_are_hardly_dearer(ledge, monkeypatch):
-    made, ways, rng = [], gpdf.Scene.ways, np.random.default_rng(4)
-    ledge.ways("human", Prefer.COMPANION)
-    monkeypatch.setattr("gpdf_service.scene.find_ways", lambda *given: made.append(given) or find_ways(*given))
-    around = 0
-    for _ in range(20):
-        person = np.append(rng.uniform((0.5, 0.5), (5.5, 3.5)), 0.0) + rng.uniform(-0.1, 0.1, (200, 3)) * (1, 1, 0)
-        person[:, 2] = rng.uniform(0.05, 1.7, len(person)) + (
-            0.3 if 2.0 < person[0, 0] < 4.0 > 2.6 > person[0, 1] else 0.0
-        )
-        ends, count = ((1.0, 1.0), (5.0, 1.0)), len(made)
-        quick = gpdf.plan(ledge.with_obstacles(person), *ends, "human")
-        around += len(made) == count
-        with monkeypatch.context() as whole:
-            whole.setattr(gpdf.Scene, "ways", lambda *given, exact=True: ways(*given))
-            exact = gpdf.plan(ledge.with_obstacles(person), *ends, "human")
-        assert quick.status == exact.status
-        if quick.trajectory is not None:
-            assert quick.trajectory.times[-1] <= 1.1 * exact.trajectory.times[-1]
-            off = quick.trajectory.ground[:, None, :2] - person[:, :2]
-            assert np.linalg.norm(off, axis=2).min() >= HUMAN.disc_radius
-    assert around >= 8
