@@ -22,6 +22,7 @@ from gpdf_service.perception.boxes import lowest_around
 from gpdf_service.perception.layers import HALF, Layers
 from gpdf_service.perception.nodes import components, extents_in_plan
 from gpdf_service.perception.pairs import Columns, pairs_around
+from gpdf_service.perception.strides import SOLE
 from gpdf_service.perception.told import Told
 from gpdf_service.types import BoolArray, FloatArray, IntArray
 
@@ -110,8 +111,9 @@ def boxes(near: Beside, ground: BoolArray, config: PerceptionConfig) -> BoolArra
         np.bincount(piece[a[kind]], minlength=count)
         for kind in (drop < np.inf, drop >= 0.5 * raised[nodes[a]], drop < -LEAST_BUMP)
     )
-    across = (depth < config.standing_width) & (length >= LONG * depth)
-    box = ~across & (steps > STEPPED * rim) & (up < RISING * rim)
+    wide = depth >= config.standing_width
+    thing = wide | ((depth >= SOLE) & (length < LONG * depth) & (up == 0))
+    box = thing & (steps > STEPPED * rim) & (up < RISING * rim)
     found[nodes[~box[piece]]] = False
     return found
 
