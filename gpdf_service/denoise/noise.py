@@ -84,6 +84,16 @@ def _quartile(freedom: float, side: float) -> float:
 
 
 @njit(cache=True, nogil=True)
+def _unclipped(deviation: float, radius: float) -> float:
+    """Deviation σ off a plane [m], where that in a ball of this `radius` r is given: the ball cuts off what is far.
+
+    Over the ball's disc the noise is cut at ±√(r² − ρ²): of σ² it leaves 1 − 2 / (r² / σ² − 1).
+    """
+    q = min((deviation / radius) ** 2, 0.1)
+    return radius * sqrt((1.0 + q - sqrt((1.0 + q) ** 2 - 12.0 * q)) / 6.0)
+
+
+@njit(cache=True, nogil=True)
 def _noise_range(
     tree: Tree, places: FloatArray, radii: FloatArray, sheets: bool, rest: FloatArray, shown: FloatArray
 ) -> None:
@@ -117,10 +127,11 @@ def _noise_range(
                     within = split_sheets(near, found, normal, mean) if sheets else np.inf
                     if within < _SHEETS * low:
                         variance = min(variance, within)
-                    rest[i] = sqrt(variance / _quartile(count - 6.0, -1.0))
+                    deviation = _unclipped(sqrt(variance), radii[j])
+                    rest[i] = deviation / sqrt(_quartile(count - 6.0, -1.0))
                     sum_heights(tree, places[i], normal, _LARGER * radii[j], sums, look)
                     if fit_heights(sums)[2] < _ALIKE * variance * (sums.moments[0] - 6.0):
-                        shown[i] = sqrt(variance / _quartile(count - 6.0, 1.0))
+                        shown[i] = deviation / sqrt(_quartile(count - 6.0, 1.0))
                     break
                 if high > LONG * middle:
                     found = gather(tree, places[i], radii[j], near, look)

@@ -79,11 +79,7 @@ def low_things(near: Beside, ground: BoolArray, raised: FloatArray, config: Perc
     stays = (length >= config.standing_width) & (length >= LONG * depth)
     a, b = pairs_around(nodes, columns, ground & ~found, 0.0, config.max_step)
     drop = layers.height[nodes[a]] - layers.height[b]
-    order = np.lexsort((raised[nodes], piece))
-    most = nodes[order[np.r_[np.diff(piece[order]) > 0, True]]]
-    reach, least = int(LANDING / layers.cell_width), layers.height[most] - 0.5 * raised[most]
-    room = _cells_as_high(most, columns, ground, least, reach, config.max_step)
-    stays |= room * layers.cell_width**2 > LONG * config.standing_width**2
+    stays |= _are_places(layers, nodes, piece, ground, raised, config)
     stays[piece[a[drop < -LEAST_BUMP]]] = True
     found[nodes[stays[piece]]] = False
     return found
@@ -93,8 +89,8 @@ def boxes(near: Beside, ground: BoolArray, config: PerceptionConfig) -> BoolArra
     """Which nodes of the `ground`, shape (k,), are boxes and lids on it, that one could step onto, shape (k,).
 
     Each is higher than a slope rises in a cell, ends in a step at `STEPPED` of its rim, leads no further up, and does
-    not cross the way. What a landing's width cuts off at the corner of a platform is none: the ground goes on at two
-    fifths of its rim.
+    not cross the way; if it is narrower than a person, it is no narrower than a sole. What a landing's width cuts off
+    at the corner of a platform is none: the ground goes on at two fifths of its rim.
     """
     layers, slope = near.layers, near.layers.cell_width * float(np.tan(config.steepest))
     width = max(2, int(LANDING / layers.cell_width))
@@ -111,10 +107,25 @@ def boxes(near: Beside, ground: BoolArray, config: PerceptionConfig) -> BoolArra
         np.bincount(piece[a[kind]], minlength=count)
         for kind in (drop < np.inf, drop >= 0.5 * raised[nodes[a]], drop < -LEAST_BUMP)
     )
-    wide = depth >= config.standing_width
-    thing = wide | ((depth >= SOLE) & (length < LONG * depth) & (up == 0))
-    box = thing & (steps > STEPPED * rim) & (up < RISING * rim)
+    narrow = (depth >= SOLE) & (length < LONG * depth) & (up == 0)
+    narrow &= ~_are_places(layers, nodes, piece, ground, raised, config)
+    box = ((depth >= config.standing_width) | narrow) & (steps > STEPPED * rim) & (up < RISING * rim)
     found[nodes[~box[piece]]] = False
+    return found
+
+
+def _are_places(
+    layers: Layers, nodes: IntArray, piece: IntArray, ground: BoolArray, raised: FloatArray, config: PerceptionConfig
+) -> BoolArray:
+    """Which pieces of the `nodes`, shape (m,), are joined to more ground than so narrow a thing has; see `LONG`.
+
+    That is as high as half the most that they are `raised`.
+    """
+    order = np.lexsort((raised[nodes], piece))
+    most = nodes[order[np.r_[np.diff(piece[order]) > 0, True]]]
+    reach, least = int(LANDING / layers.cell_width), layers.height[most] - 0.5 * raised[most]
+    room = _cells_as_high(most, layers.columns, ground, least, reach, config.max_step)
+    found: BoolArray = room * layers.cell_width**2 > LONG * config.standing_width**2
     return found
 
 
