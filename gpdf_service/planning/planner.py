@@ -80,7 +80,7 @@ def plan_path(
     began = clock()
     ends = find_ends(space, start, [goal, *options.other_goals], options)
     if isinstance(ends, Refusal):
-        details = {} if ends.nearest is None else _place("nearest", ends.nearest)
+        details = ends.room | ({} if ends.nearest is None else _place("nearest", ends.nearest))
         return PlanResult(ends.status, ends.message, timings={"total": clock() - began}, details=details)
     if deadline is not None and clock() > deadline:
         return PlanResult(Status.TIMEOUT, "the deadline passed before the search began. Allow more time.")
