@@ -481,6 +481,8 @@ def _legs(chain: _Chain, start: FloatArray, goal: FloatArray, spaces: tuple[Free
     """
     level, on = chain.level, chain.on
     places, crossing = _strung(*chain, start, goal)
+    if not len(crossing):
+        return [Leg(int(level[0]), distinct(places), spaces[on[0]])]
     cuts = [0, *(2 * crossing + 2).tolist(), len(places) - 1]
     rows = [0, *(crossing + 1).tolist()]
     parts = [(row, distinct(places[a : b + 1])) for row, (a, b) in zip(rows, pairwise(cuts), strict=True)]

@@ -14,7 +14,8 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-from gpdf_service.search.graph import Graph, find_path
+from gpdf_service.search.graph import Graph, Patch, Question, astar, find_path
+from gpdf_service.search.landmarks import Landmarks
 from gpdf_service.search.layered import below
 from gpdf_service.types import BoolArray, FloatArray, IntArray
 
@@ -249,8 +250,41 @@ def find_nodes(graph: Graph, core: Core | None, start: int, goal: int) -> tuple[
     if core is None:
         edges = find_path(graph, start, goal)
         return np.concatenate([[start], graph.other[edges]]), graph.via[edges]
-    (ahead, begin), (behind, end) = climb(graph, core, start), climb(graph, core, goal)
-    ends = core.number(np.array([ahead[-1], behind[-1]])).tolist()
-    edges = core.edge[find_path(core.graph, *ends)]
-    nodes = np.concatenate([ahead, graph.other[edges], behind[-2::-1]])
-    return nodes, graph.via[np.concatenate([begin, edges, end[::-1]])]
+    left = core.graph
+    asked = left.position, left.first, below(left.other), below(left.cost), left.patch, left.landmarks
+    found: tuple[IntArray, FloatArray] = _find_nodes(
+        (core.up, core.node, core.edge), asked, below(graph.other), below(graph.via), start, goal
+    )
+    return found
+
+
+@njit(cache=True, nogil=True)
+def _find_nodes(
+    core: tuple[IntArray, IntArray, IntArray],
+    left: tuple[FloatArray, IntArray, IntArray, FloatArray, Patch, Landmarks],
+    other: IntArray,
+    via: FloatArray,
+    start: int,
+    goal: int,
+) -> tuple[IntArray, FloatArray]:
+    """See `find_nodes`: up to the core, over what is left, and down again."""
+    up, node, edge = core
+    position, first, near, cost, patch, landmarks = left
+    ends, height, free = np.empty(2, np.int64), np.zeros(2, np.int64), np.zeros(1)
+    for k, at in enumerate((start, goal)):
+        while up[at] >= 0:
+            at, height[k] = other[up[at]], height[k] + 1
+        ends[k] = np.searchsorted(node, at)
+    place = position[ends[1]]
+    question = Question(position, first, near, cost, patch, landmarks, 1.0, ends[:1], free, ends[1:], free, place)
+    over = astar(question, len(position))[1]
+    count = height[0] + len(over) + height[1]
+    nodes, crossings = np.empty(count + 1, np.int64), np.empty((count, 2))
+    nodes[0], nodes[count] = start, goal
+    for k in range(height[0] + len(over)):
+        e = up[nodes[k]] if k < height[0] else edge[over[k - height[0]]]
+        nodes[k + 1], crossings[k] = other[e], via[e]
+    for k in range(height[1]):
+        e = up[nodes[count - k]]
+        nodes[count - k - 1], crossings[count - k - 1] = other[e], via[e]
+    return nodes, crossings
