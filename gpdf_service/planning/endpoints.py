@@ -260,6 +260,16 @@ def connect(space: FreeSpace, level: int, xy: FloatArray, room: float) -> int:
     return -1
 
 
+def connect_at(space: FreeSpace, level: int, xy: FloatArray) -> int:
+    """`connect` wherever the body fits; in a leaf that is wholly free no room is asked for."""
+    tree = space.quadtrees[level]
+    leaf = tree.find_one(xy)
+    if leaf >= 0 and tree.whole[leaf]:
+        return leaf + space.offsets[level]
+    room = space.room(level, xy)[0]
+    return connect(space, level, xy, room) if room >= space.reach else -1
+
+
 @njit(cache=True, nogil=True)
 def _nearest_clear(obstacles: Places, xy: FloatArray, center: FloatArray, half: FloatArray, radius: float) -> int:
     """Of squares with such centres (k, 2) and half widths (k,), one of the nearest to which it is clear; −1 if none."""

@@ -14,7 +14,7 @@ from numba import njit
 from gpdf_service.fields.tree import make_scratch
 from gpdf_service.kernel_cache import lean
 from gpdf_service.perception.surface import Cells
-from gpdf_service.planning.endpoints import Endpoint, Ends, connect, radius_at
+from gpdf_service.planning.endpoints import Endpoint, Ends, connect_at, radius_at
 from gpdf_service.planning.shape import (
     are_joined,
     distinct,
@@ -404,7 +404,7 @@ def find_cheapest(ways: Ways, start: Endpoint, goal: Endpoint) -> list[Leg]:
             return []
     nodes = np.concatenate([[node], graph.other[edges]])
     on = (nodes >= ways.first_level_node).astype(np.int64)
-    first, last = ahead[int(nodes[0])], behind[int(nodes[-1])]
+    first, last = _way_to(ways, start, ahead[int(nodes[0])]), _way_to(ways, goal, behind[int(nodes[-1])])
     middle = graph.position[nodes], graph.level[nodes], on, graph.via[edges]
     back = [part[::-1] for part in last]
     chain = _Chain(*(np.concatenate(parts) for parts in zip(first, middle, back, strict=True)))
@@ -418,45 +418,60 @@ def _cost(graph: Graph, begin: Doors, end: Doors, node: int, edges: IntArray) ->
     return float(ends + np.sum(graph.cost[edges]))
 
 
-def _doors(ways: Ways, end: Endpoint) -> tuple[Doors, dict[int, _Chain]]:
-    """By which nodes the ways go on from an end, and how one gets to each: the chain that leads there.
+class _Door(NamedTuple):
+    """By which leaf of which space a way goes on from an end; one among steps `strides` to one of the level ground."""
+
+    space: int
+    leaf: int
+    strides: bool = False
+
+
+def _doors(ways: Ways, end: Endpoint) -> tuple[Doors, dict[int, _Door]]:
+    """By which nodes the ways go on from an end, and the door that leads to each.
 
     On level ground one goes by its own leaf; among steps by its own and those near it.
     """
     able, level = ways.spaces[0], ways.spaces[-1]
-    price = prices(able.agent, ways.prefer)
-    if level is not able:
-        room = level.room(end.level, end.xy)[0]
-        leaf = connect(level, end.level, end.xy, room) if room >= level.reach else -1
-        if leaf >= 0:
-            chains = dict(_climb(ways, 1, leaf))
-            at = np.array([*chains], np.int64)
-            return Doors(at, price[LENGTH] * np.linalg.norm(ways.graph.position[at] - end.xy, axis=1)), chains
-    leaf = connect(able, end.level, end.xy, able.room(end.level, end.xy)[0])
+    price, doors = prices(able.agent, ways.prefer), dict[int, _Door]()
+    if level is not able and (leaf := connect_at(level, end.level, end.xy)) >= 0:
+        _add(ways, doors, _Door(1, leaf))
+        at = np.array([*doors], np.int64)
+        return Doors(at, price[LENGTH] * np.linalg.norm(ways.graph.position[at] - end.xy, axis=1)), doors
+    leaf = connect_at(able, end.level, end.xy)
     if leaf < 0:
-        return Doors(np.zeros(0, np.int64), np.zeros(0)), {}
-    chains = dict(_climb(ways, 0, leaf))
-    if level is not able:  # one goes to the first leaf as on steps, wherever that is
-        for leaf in _joined_leaves(ways, end):
-            here = end.xy[None], np.array([end.level]), np.zeros(1, np.int64), level.graph.position[leaf][None]
-            for node, after in _climb(ways, 1, int(leaf)):
-                chains.setdefault(node, _Chain(*(np.concatenate(parts) for parts in zip(here, after, strict=True))))
-    nodes = np.array([*chains], np.int64)
+        return Doors(np.zeros(0, np.int64), np.zeros(0)), doors
+    _add(ways, doors, _Door(0, leaf))
+    if level is not able:
+        for leaf in _joined_leaves(ways, end).tolist():
+            _add(ways, doors, _Door(1, leaf, strides=True))
+    nodes = np.array([*doors], np.int64)
     about, places = beside(able, end.level, ways.prefer), np.asarray(ways.graph.position[nodes], np.float64)
-    return Doors(nodes, straight_takes(end.xy, places, about) @ price), chains
+    return Doors(nodes, straight_takes(end.xy, places, about) @ price), doors
 
 
-def _climb(ways: Ways, number: int, leaf: int) -> list[tuple[int, _Chain]]:
-    """From a leaf of a space up to its core: the node there, and what leads to it; none where something moves there."""
-    graph, core = ways.spaces[number].graph, ways.cores[number]
-    if leaf >= len(core.up):
-        return []
-    nodes, edges = climb(graph, core, leaf)
-    if ways.gone and is_among(nodes, ways.gone[number]).any():
-        return []
-    under, node = nodes[:-1], int(core.number(nodes[-1:])[0])
-    chain = _Chain(graph.position[under], graph.level[under], np.full(len(under), number), graph.via[edges])
-    return [(node + number * ways.first_level_node, chain)]
+def _add(ways: Ways, doors: dict[int, _Door], door: _Door) -> None:
+    """Add the node of the core that a door leads up to, if none does yet; not where something moves there."""
+    graph, core, node = ways.spaces[door.space].graph, ways.cores[door.space], door.leaf
+    if node >= len(core.up):
+        return
+    if ways.gone and is_among(climb(graph, core, node)[0], ways.gone[door.space]).any():
+        return
+    while core.up[node] >= 0:
+        node = int(graph.other[core.up[node]])
+    doors.setdefault(int(core.node.searchsorted(node)) + door.space * ways.first_level_node, door)
+
+
+def _way_to(ways: Ways, end: Endpoint, door: _Door) -> _Chain:
+    """What leads from an end by a door up to the core."""
+    graph = ways.spaces[door.space].graph
+    nodes, edges = climb(graph, ways.cores[door.space], door.leaf)
+    under = nodes[:-1]
+    chain = _Chain(graph.position[under], graph.level[under], np.full(len(under), door.space), graph.via[edges])
+    if not door.strides:
+        return chain
+    # one goes to the first leaf as on steps, wherever that is
+    here = end.xy[None], np.array([end.level]), np.zeros(1, np.int64), graph.position[door.leaf][None]
+    return _Chain(*(np.concatenate(parts) for parts in zip(here, chain, strict=True)))
 
 
 def _joined_leaves(ways: Ways, end: Endpoint) -> IntArray:

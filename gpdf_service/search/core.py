@@ -251,7 +251,7 @@ def find_nodes(graph: Graph, core: Core | None, start: int, goal: int) -> tuple[
         edges = find_path(graph, start, goal)
         return np.concatenate([[start], graph.other[edges]]), graph.via[edges]
     left = core.graph
-    asked = left.position, left.first, below(left.other), below(left.cost), left.patch, left.landmarks
+    asked = below(left.position), left.first, below(left.other), below(left.cost), left.patch, left.landmarks
     found: tuple[IntArray, FloatArray] = _find_nodes(
         (core.up, core.node, core.edge), asked, below(graph.other), below(graph.via), start, goal
     )
