@@ -331,7 +331,8 @@ class PlanResult:
             way [s]), steps (how many it takes) and stepped (their rise and fall together [m]); where there is no path,
             largest_radius, cut_x, cut_y, cut_z, and short_width, short_height, short_step [m] or short_slope [rad], by
             how much the body is beyond what the way allows; where a place is not valid, nearest_x, nearest_y and
-            nearest_z.
+            nearest_z; where the body does not fit there, room, needed (from its centre) and noise_margin, which is
+            among that [m].
         costs: Cost of the optimiser before and after each of its steps, all pieces of the path together.
         alternatives: More ways that differ, if they were asked for, the best first: each OK, with what it costs in its
             `details`.

@@ -44,9 +44,11 @@ class Warming:
         return build_scene(self._office.points, self._office.ground)
 
     def plans(self) -> None:
-        """A labelled scene, a plan in it, one round something that moves, its file: what a planner needs at once."""
+        """A labelled scene, plans in it, one round something that moves, its file: what a planner needs at once."""
         made, scene = self._office, self._scene
         plan(scene, made.start, made.goal)
+        leaves = scene.free_space("human").quadtrees[0].standing
+        plan(scene, *leaves.center[leaves.free & ~leaves.whole][[0, -1]])  # from beside one obstacle to another one
         plan(scene.with_obstacles(np.array([[*made.start[:2], 1.0]])), made.start, made.goal)
         with tempfile.TemporaryDirectory() as folder:
             scene.save(file := Path(folder) / "scene")

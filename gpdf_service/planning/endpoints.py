@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from math import isnan, sqrt
 from typing import NamedTuple
 
@@ -59,11 +59,16 @@ class Endpoint(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Refusal:
-    """Why a start or goal is none, and the nearest place that is one (x, y, z of the ground), where it is known."""
+    """Why a start or goal is none, and the nearest place that is one (x, y, z of the ground), where it is known.
+
+    Where the body does not fit, `room` tells as numbers what its message says [m]: `room`, from its centre to the
+    nearest obstacle; `needed`, which that must be at least; `noise_margin`, how much of it the scan's noise asks for.
+    """
 
     status: Status
     message: str
     nearest: FloatArray | None = None
+    room: dict[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True)
@@ -173,9 +178,14 @@ def find_endpoint(space: FreeSpace, place: FloatArray, name: str) -> Endpoint | 
         what = REASONS[ObstacleKind(space.kind_of(level, row))]
         near = nearest_free(space, np.array([*xy, heights[level]]), SAME_GROUND)
         hint = "" if near is None else f" The nearest free place is {place_words(near)}."
-        body = f"the {space.agent.name} (radius {space.agent.disc_radius:.2f} m)"
-        words = f"{body} does not fit at the {name} {place_words(place)}: "
-        return Refusal(occupied, f"{words}{what} is {room:.2f} m from its centre.{hint}", near)
+        radius, margin = space.agent.disc_radius, space.reach - space.agent.disc_radius
+        digits = 2 if round(room, 2) < round(space.reach, 2) else 4  # a millimetre or less may be what is short
+        noise = f", and {margin:.{digits}f} m for the noise of the scan" if margin > 0.0 else ""
+        words = (
+            f"the {space.agent.name} (radius {radius:.2f} m{noise}) does not fit at the {name} {place_words(place)}: "
+        )
+        told = {"room": room, "needed": space.reach, "noise_margin": margin}
+        return Refusal(occupied, f"{words}{what} is {room:.{digits}f} m from its centre.{hint}", near, told)
     if not _faces_somewhere(space, level, xy, room):
         body = f"the {space.agent.name} ({space.agent.length:.2f} m long)"
         return Refusal(occupied, f"{body} fits at the {name} {place_words(place)} in no direction.")
@@ -248,6 +258,16 @@ def connect(space: FreeSpace, level: int, xy: FloatArray, room: float) -> int:
         if row >= 0:
             return int(free[row]) + space.offsets[level]
     return -1
+
+
+def connect_at(space: FreeSpace, level: int, xy: FloatArray) -> int:
+    """`connect` wherever the body fits; in a leaf that is wholly free no room is asked for."""
+    tree = space.quadtrees[level]
+    leaf = tree.find_one(xy)
+    if leaf >= 0 and tree.whole[leaf]:
+        return leaf + space.offsets[level]
+    room = space.room(level, xy)[0]
+    return connect(space, level, xy, room) if room >= space.reach else -1
 
 
 @njit(cache=True, nogil=True)

@@ -154,7 +154,14 @@ def explain_no_path(
         width = min(least - _kept(space), radius)
         if width - (radius - space.agent.disc_radius) >= LEAST_RADIUS:
             largest = width - (radius - space.agent.disc_radius)
-            found.append(("width", at, _narrow_words(at, width, radius), 2.0 * (radius - width)))
+            found.append(
+                (
+                    "width",
+                    at,
+                    _narrow_words(at, width, radius, radius - space.agent.disc_radius),
+                    2.0 * (radius - width),
+                )
+            )
     for cut in (Cut.HEIGHT, Cut.STEP, Cut.SLOPE, Cut.UNKNOWN):
         if left() < STAGE:
             break
@@ -179,11 +186,12 @@ def _no_time(space: FreeSpace, start: Endpoint) -> NoPath:
     return NoPath(words, (), at, 0.0)
 
 
-def _narrow_words(at: FloatArray, width: float, radius: float) -> str:
-    """A passage that is too narrow, in millimetres where centimetres do not tell."""
+def _narrow_words(at: FloatArray, width: float, radius: float, margin: float) -> str:
+    """A passage that is too narrow, in millimetres where centimetres do not tell; the `margin` is for the noise [m]."""
     short = 2.0 * (radius - width)
     words = f"{1e3 * short:.0f} mm" if short < MILLIMETRES else f"{short:.2f} m"
-    room = f"it leaves a body {2.0 * width:.3f} m, and this one needs {2.0 * radius:.3f} m"
+    noise = f", {2.0 * margin:.3f} m of it for the noise of the scan" if margin > 0.0 else ""
+    room = f"it leaves a body {2.0 * width:.3f} m, and this one needs {2.0 * radius:.3f} m{noise}"
     return f"a passage at {place_words(at)} is {words} too narrow ({room})"
 
 

@@ -10,17 +10,14 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from gpdf_service.planning.endpoints import Ends
-from gpdf_service.planning.routes import Leg, Route, Wish, find_cheapest, pull_all, way_takes_of
+from gpdf_service.planning.routes import Leg, Route, Wish, avoiding, find_cheapest, pull_all, way_takes_of
 from gpdf_service.planning.shape import is_joined, resample
 from gpdf_service.search import FreeSpace, Prefer, Ways, prices
-from gpdf_service.search.layered import below
 from gpdf_service.search.motion import CENTRE
 from gpdf_service.search.steps import NOTICED_STEP
 from gpdf_service.search.ways import STEPPED
 from gpdf_service.types import FloatArray
 
-AVOIDED = 2.0
-"""[-] Where a way is known already, the next search finds it as much dearer, each time again."""
 TRIES = 8
 """Searches with what is known avoided: some find a way that is known already, a little aside."""
 WORTH = 3.0
@@ -73,16 +70,8 @@ def _pulled(legs: list[Leg], wish: Wish, number: int) -> Route:
 
 def _avoiding(ways: Ways, seen: list[Leg]) -> Ways:
     """The same ways, dearer where they are within the body's width of those that were seen."""
-    graph, width = ways.graph, 2.0 * ways.spaces[0].agent.disc_radius
-    half = ways.half_size
-    dearer = np.ones(len(graph.position))
-    for leg in seen:
-        nodes = np.flatnonzero(graph.level == leg.level)
-        far = cKDTree(resample(_plan(leg.path), STRIDE)).query(graph.position[nodes])[0] - half[nodes]
-        dearer[nodes[far < width]] *= AVOIDED
-    row = np.repeat(np.arange(len(graph.position)), np.diff(graph.first))
-    cost = below(graph.cost) * np.sqrt(dearer[row] * dearer[below(graph.other)])
-    return replace(ways, graph=replace(graph, cost=cost))
+    width = 2.0 * ways.spaces[0].agent.disc_radius
+    return replace(ways, graph=avoiding(ways.graph, seen, width, ways.half_size))
 
 
 def _plan(path: FloatArray) -> FloatArray:

@@ -22,7 +22,7 @@ from gpdf_service.planning.footprint import moving, stand_along
 from gpdf_service.planning.no_path import explain_no_path
 from gpdf_service.planning.others import find_others
 from gpdf_service.planning.portals import Bent, Meet, bend_over, pull_over
-from gpdf_service.planning.routes import Leg, Route, Wish, find_cut, find_routes, steps_of, take_up
+from gpdf_service.planning.routes import Leg, Route, Wish, find_cut, find_rival, find_routes, steps_of, take_up
 from gpdf_service.planning.timing import speed_limit
 from gpdf_service.planning.turning import Facing, Stuck, time_poses, turn_route
 from gpdf_service.search import FreeSpace, Prefer, Ways, prices
@@ -80,7 +80,7 @@ def plan_path(
     began = clock()
     ends = find_ends(space, start, [goal, *options.other_goals], options)
     if isinstance(ends, Refusal):
-        details = {} if ends.nearest is None else _place("nearest", ends.nearest)
+        details = ends.room | ({} if ends.nearest is None else _place("nearest", ends.nearest))
         return PlanResult(ends.status, ends.message, timings={"total": clock() - began}, details=details)
     if deadline is not None and clock() > deadline:
         return PlanResult(Status.TIMEOUT, "the deadline passed before the search began. Allow more time.")
@@ -128,7 +128,13 @@ def _best(task: _Task) -> tuple[PlanResult | None, Route | None]:
             stuck = stuck or route
             continue
         made = _follow(task, route)
-        if made.status is Status.OK or (made.status is Status.TIMEOUT and task.left() <= 0.0):
+        if made.status is Status.OK:
+            if (rival := find_rival(task.space, task.ends, task.wish, route)) is not None:
+                other = _follow(task, rival)
+                if other.status is Status.OK and other.details["cost"] < made.details["cost"]:
+                    return other, rival
+            return made, route
+        if made.status is Status.TIMEOUT and task.left() <= 0.0:
             return made, route
         refused = refused or made
     if refused is not None and stuck is not None:

@@ -15,7 +15,8 @@ import numpy as np
 from numba import njit
 
 from gpdf_service.kernel_cache import lean
-from gpdf_service.search.graph import Graph, Patch, edges_of, far_end, find_path
+from gpdf_service.search.graph import Graph, Patch, Question, astar, edges_of, far_end
+from gpdf_service.search.landmarks import Landmarks
 from gpdf_service.search.layered import above, below
 from gpdf_service.types import BoolArray, FloatArray, IntArray
 
@@ -335,8 +336,46 @@ def find_nodes(graph: Graph, core: Core, start: int, goal: int) -> tuple[IntArra
 
     It is the cheapest one, but for narrow leaves that were left out.
     """
-    (ahead, begin), (behind, end) = climb(graph, core, start), climb(graph, core, goal)
-    ends = core.number(np.array([ahead[-1], behind[-1]])).tolist()
-    edges = core.edge[find_path(core.graph, *ends)]
-    nodes = np.concatenate([ahead, graph.other[edges], behind[-2::-1]])
-    return nodes, graph.via[np.concatenate([begin, edges, end[::-1]])]
+    left = core.graph
+    asked = below(left.position), left.first, below(left.other), below(left.cost), left.patch, left.landmarks
+    measures = below(graph.via), above(graph.via)
+    found: tuple[IntArray, FloatArray] = _find_nodes(
+        core.links, core.decided.up, (core.node, core.edge), asked, measures, (start, goal)
+    )
+    return found
+
+
+@njit(cache=True, nogil=True)
+def _find_nodes(
+    links: Links,
+    up: IntArray,
+    kept: tuple[IntArray, IntArray],
+    left: tuple[FloatArray, IntArray, IntArray, FloatArray, Patch, Landmarks],
+    via: _Both,
+    of: tuple[int, int],
+) -> tuple[IntArray, FloatArray]:
+    """See `find_nodes`: up to the core, over what is left, and down again."""
+    (node, edge), standing = kept, len(links.other)
+    position, first, near, cost, patch, landmarks = left
+    ends, height, free = np.empty(2, np.int64), np.zeros(2, np.int64), np.zeros(1)
+    for k, at in enumerate(of):
+        while up[at] >= 0:
+            at, height[k] = _far(links, up[at]), height[k] + 1
+        ends[k] = np.searchsorted(node, at)
+    place = position[ends[1]]
+    question = Question(position, first, near, cost, patch, landmarks, 1.0, ends[:1], free, ends[1:], free, place)
+    over = astar(question, len(position))[1]
+    count = height[0] + len(over) + height[1]
+    nodes, edges = np.empty(count + 1, np.int64), np.empty(count, np.int64)
+    nodes[0], nodes[count] = of
+    for k in range(height[0] + len(over)):
+        edges[k] = up[nodes[k]] if k < height[0] else edge[over[k - height[0]]]
+        nodes[k + 1] = _far(links, edges[k])
+    for k in range(count - 1, count - 1 - height[1], -1):
+        edges[k] = up[nodes[k + 1]]
+        nodes[k] = _far(links, edges[k])
+    crossings = np.empty((count, 2))
+    for k in range(count):
+        e = edges[k]
+        crossings[k] = via[0][e] if e < standing else via[1][e - standing]
+    return nodes, crossings

@@ -329,7 +329,7 @@ def find_way(graph: Graph, begin: Doors, end: Doors, goal: FloatArray, rate: flo
         rate: Least cost of a metre.
     """
     ways = below(graph.position), graph.first, below(graph.other), below(graph.cost), graph.patch, graph.landmarks, rate
-    first, edges = _astar(Question(*ways, *_ends(begin), *_ends(end), goal), len(graph.position))
+    first, edges = astar(Question(*ways, *_ends(begin), *_ends(end), goal), len(graph.position))
     return int(first), edges
 
 
@@ -454,7 +454,7 @@ def _next(front: Front) -> int:
 
 
 @njit(cache=True, nogil=True)
-def _astar(question: Question, count: int) -> tuple[int, IntArray]:
+def astar(question: Question, count: int) -> tuple[int, IntArray]:
     """See `find_way`, of a graph of so many nodes."""
     n = count + 1  # the last is the goal itself; pages that nobody visits cost nothing
     front = Front(np.zeros(n, KNOWN), np.empty(n, np.int32), np.empty(n), np.zeros(1, np.int64))

@@ -82,6 +82,27 @@ def test_how_far_the_nearest_obstacle_is_from_a_place_is_said(space):
     assert "nearest free place is (3." in refused.message
 
 
+@pytest.mark.parametrize("noise", [0.0, 0.02])
+def test_the_room_that_noise_asks_for_is_named_where_it_is_what_a_body_does_not_have(points, noise):
+    rng = np.random.default_rng(0)
+    cloud, ground = points
+    scene = gpdf.build_scene(cloud + rng.normal(0.0, noise, cloud.shape), ground)
+    space, margin = scene.free_space(HUMAN), 0.5 * scene.noise
+    refused = next(
+        result
+        for x in np.arange(2.9, 3.4, 0.001)
+        if (result := gpdf.plan(scene, (1.0, 1.0), (x, 3.0))).status is Status.GOAL_OCCUPIED
+    )
+    details = refused.details
+    assert details["needed"] == pytest.approx(HUMAN.radius + details["noise_margin"]) == space.reach
+    assert details["noise_margin"] == pytest.approx(margin)
+    said = f"(radius 0.25 m, and {margin:.4f} m for the noise of the scan)" if noise else "(radius 0.25 m)"
+    assert said in refused.message
+    assert details["room"] < details["needed"] + 1e-4
+    assert details["room"] > details["needed"] - 2e-3  # so little is short that it is told to a tenth of a millimetre
+    assert f" is {details['room']:.4f} m from its centre" in refused.message
+
+
 def test_the_leaf_to_go_on_from_is_free_and_reached_on_a_clear_line(space):
     tree = space.quadtrees[0]
     met = 0

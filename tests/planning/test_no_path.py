@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 import gpdf_service as gpdf
+from gpdf_service.planning import no_path
 from gpdf_service.planning.endpoints import find_endpoint
 from gpdf_service.planning.no_path import explain_no_path
 from gpdf_service.synthetic import SCENES, Box, World
@@ -137,3 +138,10 @@ def test_what_is_nowhere_on_the_map_is_no_reason():
     space = scene.free_space("human")
     why = explain_no_path(space, *(find_endpoint(space, np.array(at), "end") for at in ((1.0, 1.0), (5.0, 3.0))))
     assert "slope" not in why.cuts
+
+
+def test_a_passage_that_only_the_noise_makes_too_narrow_says_so():
+    words = no_path._narrow_words(np.array([1.0, 2.0, 0.0]), 0.256, 0.26, 0.01)
+    assert "8 mm too narrow" in words
+    assert "this one needs 0.520 m, 0.020 m of it for the noise of the scan" in words
+    assert "noise" not in no_path._narrow_words(np.array([1.0, 2.0, 0.0]), 0.24, 0.25, 0.0)

@@ -285,8 +285,21 @@ def test_a_way_that_came_too_late_leaves_the_next_one_if_there_is_time(monkeypat
     made = {"long": gpdf.Status.TIMEOUT, "short": gpdf.Status.OK}
     monkeypatch.setattr(planner, "_routes", lambda _: iter(made))
     monkeypatch.setattr(planner, "_follow", lambda _, route: SimpleNamespace(status=made[route]))
-    found, _ = planner._best(SimpleNamespace(left=lambda: left))
+    monkeypatch.setattr(planner, "find_rival", lambda *_: None)
+    found, _ = planner._best(SimpleNamespace(left=lambda: left, space=None, ends=None, wish=None))
     assert found.status.value == expected
+
+
+@pytest.mark.parametrize(("cost", "status", "taken"), [(9.0, "OK", 1), (11.0, "OK", 0), (9.0, "UNCERTIFIED", 0)])
+def test_a_rival_is_taken_where_it_certifies_and_is_cheaper(monkeypatch, cost, status, taken):
+    made = {"way": ("OK", 10.0), "rival": (status, cost)}
+    monkeypatch.setattr(planner, "_routes", lambda _: iter(["way"]))
+    monkeypatch.setattr(planner, "find_rival", lambda *_: "rival")
+    follow = lambda _, route: SimpleNamespace(status=gpdf.Status(made[route][0]), details={"cost": made[route][1]})  # noqa: E731
+    monkeypatch.setattr(planner, "_follow", follow)
+    found, route = planner._best(SimpleNamespace(left=lambda: 1.0, space=None, ends=None, wish=None))
+    assert (route, found.status) == (["way", "rival"][taken], gpdf.Status.OK)
+    assert found.details["cost"] == [10.0, cost][taken]
 
 
 def test_of_ways_that_do_not_certify_the_first_says_why_even_if_the_last_was_late(monkeypatch):
