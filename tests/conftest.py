@@ -17,15 +17,17 @@ settings.load_profile("same")
 
 LONGEST = (
     "clients/test_guide.py",
-    "synthetic/test_made_places.py",
-    "service/test_status.py",
-    "service/test_service.py",
-    "search/test_moved.py",
-    "clients/test_robot.py",
-    "service/test_replay_verb.py",
-    "docker/test_security.py",
-    "perception/test_ground.py",
     "test_kernel_cache.py",
+    "perception/test_storeys.py",
+    "test_update.py",
+    "perception/test_formats.py",
+    "search/test_moved.py",
+    "synthetic/test_made_places.py",
+    "test_noise.py",
+    "search/test_graph.py",
+    "service/test_status.py",
+    "denoise/test_denoise.py",
+    "clients/test_robot.py",
 )
 """Of the modules without their slow tests."""
 

@@ -93,6 +93,7 @@ TIMING = "gpdf_service/planning/timing.py"
 BESIDE = "before, next_ = max(i - 1, 0), min(i + 1, count - 1)"
 NEVER = "room, was_x, was_y = -np.inf, 0.0, 0.0  # there is at least so much, since that place"
 RESTS = "t = TICK * (np.arange(int(np.ceil(times[-1] / TICK)) + 2 * margin + 1) - margin)"
+APART = "(i + n) * share <= left - 1 or i * share >= right + 1 or (j + n) * share <= near - 1 or j * share >= far + 1"
 BEGUN = "poses, where, off_at, nearest = path.copy(), path[0].copy(), path[0].copy(), np.inf"
 ENDED = "place[k] = (total[k + width] - total[k]) / width if k + width <= len(place) else place[k - 1]"
 NAMED = 'return {f"{name}_{axis}": float(v) for axis, v in zip("xyz", place, strict=True) if np.isfinite(v)}'
@@ -208,6 +209,8 @@ EQUAL: dict[tuple[str, ...], str] = {
         QUADTREE,
         "(j + n) * share <= near - 1 → ((j + n) * share < near - 1)",
     ): "what ends where the change begins is made anew",
+    (QUADTREE, "(i + n) * share <= left - 1 → ((i + n) * share < left - 1)"): "what ends where it begins is made anew",
+    (QUADTREE, f"{APART} → ({APART})"[:SHOWN]): "more than the change is made anew",
     (OBSTACLES, "1 → (2)", "rings = int(radius / width) + 1"): "more cells are looked at, and none is near",
     (OBSTACLES, "cells + row → (cells - row)"): "a disc is the same both ways",
     (OBSTACLES, "foot < height <= ledge - step → (foot < height < ledge - step)"): BIT,
