@@ -61,12 +61,13 @@ class Warming:
         plan(build_scene(stair.points), stair.start, stair.goal)
 
     def storeys(self) -> None:
-        """A house, a way up its stair and others that differ, something new at its head; with rays."""
+        """A house, a way up its stair and others that differ, one from its foot, something new there; with rays."""
         house = make_house(np.random.default_rng(0), SPACING / 2)
         post = house.head + np.array([[0.0, 0.0, z] for z in np.arange(SPACING, 1.0, SPACING)])
         for labels in None, house.ground:
             scene = build_scene(house.points, labels)
             plan(scene, house.low, house.high, alternatives=1)
+            plan(scene, house.head, house.high)
             plan(scene.update(insert=post), house.low, house.high)
         eye = house.low + np.array([0.0, 0.0, EYE])
         build_scene(house.points, origins=np.broadcast_to(eye, house.points.shape))

@@ -348,7 +348,7 @@ def assert_equal_cores(one, other):
     """The leaves that ways lead over."""
     ours, theirs = (scene.free_space("human").core for scene in (one, other))
     np.testing.assert_array_equal(ours.node, theirs.node)
-    np.testing.assert_array_equal(ours.up, theirs.up)
+    np.testing.assert_array_equal(ours.decided.up, theirs.decided.up)
 
 
 def test_a_change_that_takes_away_ground_far_from_it_finds_all_of_that():

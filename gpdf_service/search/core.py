@@ -111,13 +111,8 @@ class Decided(NamedTuple):
     up: IntArray
 
 
-@dataclass(frozen=True, slots=True)
-class Former:
-    """What was decided in the version before; the `source` is the node then of each node now, −1 of a new one."""
-
-    links: Links
-    decided: Decided
-    source: IntArray
+Former = tuple[Core, IntArray]
+"""The core of the version before, and the node then of each node now, −1 of a new one."""
 
 
 def links_of(graph: Graph, free: BoolArray, width: FloatArray, clearance: FloatArray) -> Links:
@@ -136,7 +131,7 @@ def find_core(graph: Graph, free: BoolArray, links: Links, former: Former | None
     """
     made, asked = Decided(free.copy(), np.full(len(free), -1)), links.narrow
     if former is not None:
-        asked = _carry(links, former.links, former.source, former.decided, made)
+        asked = _carry(links, former[0].links, former[1], former[0].decided, made)
     return _decide(graph, links, made, np.flatnonzero(asked))
 
 

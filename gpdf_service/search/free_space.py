@@ -18,7 +18,7 @@ from gpdf_service.fields.traversal import NearerArrays, nearest_only
 from gpdf_service.perception import CLEAN, GroundLevel, HeightMap, Levels, Obstacles, Scan, obstacles_of
 from gpdf_service.perception.limits import Measured
 from gpdf_service.perception.surface import UNKNOWN
-from gpdf_service.search.core import Core, Former, find_core, links_of
+from gpdf_service.search.core import Core, find_core, links_of
 from gpdf_service.search.graph import Edges, Graph, assemble, find_edges, price_pairs, same_leaves
 from gpdf_service.search.layered import Layered
 from gpdf_service.search.places import Places, nearest_places, nearest_to
@@ -267,7 +267,7 @@ def core_of(quadtrees: tuple[Quadtree, ...], graph: Graph, before: Before | None
             if k >= 0:
                 was = np.arange(len(now.size)) if now is trees[k] else same_leaves(trees[k], now)[1]
                 source[begin : begin + len(was)] = np.where(was < 0, -1, was + old.offsets[k])
-        former = Former(old.core.links, old.core.decided, source)
+        former = old.core, source
     return find_core(graph, free, links, former)
 
 

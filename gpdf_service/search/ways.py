@@ -268,6 +268,8 @@ def find_ways(able: FreeSpace, level: FreeSpace | None, prefer: Prefer, stand: W
     Where something moves, the ways of what stands know the price of all that it does not touch.
     """
     spaces = (able,) if level is None else (able, level)
+    if stand is not None and all(now.core is was.core for now, was in zip(spaces, stand.spaces, strict=True)):
+        return replace(stand, spaces=spaces)
     rooms, count = [space.core.clearance for space in spaces], len(able.core.node)
     doors, at = np.zeros((0, 2), np.int64), np.zeros((0, 2))
     if level is not None:

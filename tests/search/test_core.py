@@ -4,7 +4,7 @@ import pytest
 import gpdf_service as gpdf
 from gpdf_service.perception.nodes import components
 from gpdf_service.search import find_path
-from gpdf_service.search.core import NARROW, Former, climb, find_core, find_nodes, links_of
+from gpdf_service.search.core import NARROW, climb, find_core, find_nodes, links_of
 from gpdf_service.search.free_space import core_of
 from gpdf_service.search.graph import assemble, price_pairs
 from gpdf_service.search.quadtree import MIN_WIDTH
@@ -118,7 +118,7 @@ def test_a_decision_that_changes_is_asked_for_again_wherever_it_matters():
         clearance = clearance.copy()
         clearance[7, 7] = rng.uniform(0.3, 1.0)
         changed = grid_of(clearance)
-        now = find_core(*changed, Former(before.links, before.decided, source))
+        now = find_core(*changed, (before, source))
         whole = find_core(*changed)
         assert now.node.tolist() == whole.node.tolist()
         assert (now.decided.up == whole.decided.up).all()

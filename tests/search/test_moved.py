@@ -239,6 +239,14 @@ def test_ways_around_random_discs_are_those_of_a_build_from_scratch(house, prefe
     assert tied < 100 < other  # much was another than without them
 
 
+def test_what_touches_no_leaf_leaves_the_ways_as_they_were(house):
+    stand = house.ways("human", Prefer.COMPANION)
+    above = np.append(a_place(house, np.random.default_rng(0))[:2], 100.0)
+    now = house.with_obstacles(above[None]).ways("human", Prefer.COMPANION)
+    assert now.graph is stand.graph
+    assert now.spaces[0] is not stand.spaces[0]
+
+
 def test_where_nothing_was_free_nothing_changes_and_where_all_is_full_nothing_is_free(room):
     standing = room.free_space("roomba")
     inside = standing.obstacles[0].points[:1]
@@ -252,3 +260,4 @@ def test_where_nothing_was_free_nothing_changes_and_where_all_is_full_nothing_is
     assert not (space.quadtrees[0].free[leaf] & (leaf >= 0)).any()
     assert len(space.quadtrees[0].fresh.size) == 0
     assert gpdf.plan(full, (1.0, 1.0), (5.0, 3.0), "roomba").status is gpdf.Status.START_OCCUPIED
+    assert len(full.ways("human", Prefer.COMPANION).graph.position) == 0
