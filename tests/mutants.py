@@ -65,7 +65,6 @@ FIRST = "seconds = 0.0 if self._stepped is None else now - self._stepped"
 SWEPT = "moved = np.linalg.norm(np.diff(trajectory.ground[:, :2], axis=0), axis=1) + agent.offsets[-1] * turned"
 PIECES = "pieces: FloatArray = np.maximum(1, np.ceil(moved / SPACING))"
 ASKED = "moves and (asked := self._asked.setdefault(scene, [])) is not None"
-OVER = "-1.0 <= (x - low) / surface.cell_width"
 HIGH = "(points <= high + np.array([radius, radius, agent.height]))"
 RIM = "rim = np.concatenate([label[0], label[-1], label[:, 0], label[:, -1]])"
 CERTIFICATE = "gpdf_service/planning/certificate.py"
@@ -79,19 +78,17 @@ LOOK = "(looks % every == 0 or (i == last and k == count)) and off > deviation"
 RING, BIT = "ring < max(state.shape)", "a length to the last bit"
 BEYOND = "np.hypot(x - i - 0.5, y - j - 0.5) * width"
 ASKEW = "np.abs([wrap(angle - facing) for angle in heading])"
-WITHIN = "if all(-1.0 <= (x - low) / surface.cell_width <= cells + 1.0 for x, low, cells in sides):"
 SHUT = "(nearest_of(taken)[0] + np.sqrt(2.0)) * surface.cell_width"
 TURNS = "abs(aside) {} (TURN_UNTIL if speed < STANDS else TURN_FIRST)"
 UNSET = "self._along, self._best, self._version, self._room = 0.0, -np.inf, 0, np.inf"
-PLANNER = "gpdf_service/planning/planner.py"
+PLANNER, FOOTPRINT = "gpdf_service/planning/planner.py", "gpdf_service/planning/footprint.py"
 MOVED = "sqrt(dx * dx + dy * dy) + lever * abs(heading[i] - heading[i - 1])"
-STOOD = "contact, top = stand_up(poses[:, :2], space.surfaces[level], space.ground_fields[level], agent.height)"
 ONE_DOOR = "at = [Doors(np.array([node]), np.zeros(1)) for node in (start, goal)]"
 LATTICE = "gpdf_service/search/lattice.py"
 ASLANT = "atan2(j, i) - 2.0 * pi * h / grid.turns"
 TIMING = "gpdf_service/planning/timing.py"
 BESIDE = "before, next_ = max(i - 1, 0), min(i + 1, count - 1)"
-NEVER = "room, was_x, was_y = -np.inf, 0.0, 0.0  # there is at least so much, since that place"
+NEVER = "room, was_x, was_y, unknown = -np.inf, 0.0, 0.0, False  # there is at least so much, since that place"
 RESTS = "t = TICK * (np.arange(int(np.ceil(times[-1] / TICK)) + 2 * margin + 1) - margin)"
 APART = "(i + n) * share <= left - 1 or i * share >= right + 1 or (j + n) * share <= near - 1 or j * share >= far + 1"
 BEGUN = "poses, where, off_at, nearest = path.copy(), path[0].copy(), path[0].copy(), np.inf"
@@ -109,10 +106,6 @@ EQUAL: dict[tuple[str, ...], str] = {
     (CERTIFICATE, "ring * ring < nearest → (ring * ring <= nearest)"): "rings further out hold none that is nearer",
     (ENDPOINTS, "-1 → (1)", RIM): "the map's rim is wider than a cell",
     (ENDPOINTS, "1 → (2)", RIM): "the map's rim is wider than a cell",
-    (
-        ENDPOINTS,
-        f"{OVER} <= cells + 1.0 → (-1.0 < (x - low) / surface.cell_width <= cells + 1.0)",
-    ): BIT,
     (PLANNER, "300_000 → (300001)"): "a waypoint more in a second",
     (
         PLANNER,
@@ -133,10 +126,9 @@ EQUAL: dict[tuple[str, ...], str] = {
     (TIMING, "0.0 → (0.1)", NEVER): "less than nothing, wherever from",
     (TIMING, "2 → (3)", RESTS): "who has arrived rests longer, which is cut off",
     (TIMING, "-1 → (1)", "place[len(place) - width + 1 :] = place[-1]"): "what is after the arrival is cut off",
-    (PLANNER, f"{MOVED} > STILL → ({MOVED} >= STILL)"[:SHOWN]): "a nanometre to the last bit",
+    (FOOTPRINT, f"{MOVED} > STILL → ({MOVED} >= STILL)"[:SHOWN]): "a nanometre to the last bit",
     (PLANNER, "left < 0.0 → (left <= 0.0)"): "a time to the last bit",
     (LATTICE, "30.0 → (60.1)"): "detours that are longer yet are looked at, too",
-    (PLANNER, "2 → (3)", STOOD): "who stands up looks at x and y alone",
     (CERTIFICATE, "spare <= 0.0 → (spare < 0.0)"): "what is left of a distance is nothing to the last bit",
     (
         CERTIFICATE,
@@ -246,7 +238,6 @@ EQUAL: dict[tuple[str, ...], str] = {
         f"(points >= low - radius) & {HIGH} → ((points >= low - radius) | {HIGH})"[:SHOWN],
     ): "more points are looked at, and none touches",
     (IN_USE, "4_000_000 → (4000001)"): "one place of four million",
-    (ENDPOINTS, f"{OVER} <= cells + 1.0 → ({OVER} < cells + 1.0)"): "a cell beyond the map to the last bit",
     (ENDPOINTS, "distance[0] < space.reach → (distance[0] <= space.reach)"): "a distance to the last bit",
     (ENDPOINTS, "found.nearest is None or snap <= 0.0 → (found.nearest is None)"): "no place is nearer than no way",
     (
@@ -323,7 +314,6 @@ EQUAL: dict[tuple[str, ...], str] = {
     (ENDPOINTS, "room < space.reach + FINEST → (room <= space.reach + FINEST)"): "a room to the last bit",
     (CORRIDOR, "4 → (5)", "DIRECTIONS = 4"): "more lines are looked along",
     (ENDPOINTS, "1.0 → (2.1)", "NEXT = 1.0"): "leaves that are further off are looked at later",
-    (ENDPOINTS, "1.0 → (2.1)", WITHIN): "beyond the map no ground is known",
     (IN_USE, "1 → (2)", "return cKDTree(self.discs.reshape(-1, 3)[:, :2])"): "any negative length is the unknown one",
     (
         IN_USE,

@@ -74,12 +74,16 @@ class Leg(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Route:
-    """A seed for the optimiser: its pieces, the number of its goal, whether it was known before, what it costs [s]."""
+    """A seed for the optimiser: its pieces, the number of its goal, whether it was known before, what it costs [s].
+
+    A `direct` one is the shortest, and was looked for in the body's own free space alone.
+    """
 
     legs: list[Leg]
     goal: int
     warm: bool = False
     cost: float = 0.0
+    direct: bool = False
 
     @property
     def length(self) -> float:
@@ -107,13 +111,14 @@ def find_routes(space: FreeSpace, ends: Ends, wish: Wish) -> list[Route]:
         if goal is None or find_cut(space, stops) is not None:
             continue
         parts = [_route(space, a, b, wish) for a, b in pairwise(stops)]
-        legs = [leg for part, _ in parts for leg in part]
-        routes.append(Route(legs, number, cost=sum(cost for _, cost in parts)))
+        legs = [leg for part, _, _ in parts for leg in part]
+        direct = all(direct for _, _, direct in parts)
+        routes.append(Route(legs, number, cost=sum(cost for _, cost, _ in parts), direct=direct))
     return sorted(routes, key=lambda route: route.cost)
 
 
-def _route(space: FreeSpace, start: Endpoint, goal: Endpoint, wish: Wish) -> tuple[list[Leg], float]:
-    """The shortest way with room; where that takes effort, the cheapest of all ways; and what it costs [s].
+def _route(space: FreeSpace, start: Endpoint, goal: Endpoint, wish: Wish) -> tuple[list[Leg], float, bool]:
+    """The shortest way with room; where that takes effort, the cheapest of all ways; what it costs [s]; which it is.
 
     Effort only adds to a way's price: where the shortest one takes none, no other is cheaper. Where the goal is so much
     higher or lower than the start that it takes effort, the cheapest one is looked for at once: it is among all ways.
@@ -123,16 +128,16 @@ def _route(space: FreeSpace, start: Endpoint, goal: Endpoint, wish: Wish) -> tup
     if ways is not None and climb > hypot(*(goal.xy - start.xy).tolist()) and wish.left() > 0.0:
         legs, takes = _cheapest(ways, wish.prefer, start, goal)
         if legs:
-            return legs, float(takes @ price)
+            return legs, float(takes @ price), False
         ways = None
     direct, takes, by_step = _shortest(space, start, goal, wish.prefer)
     seconds = (takes * price).tolist()
     cost = sum(seconds)
     if ways is None or wish.left() <= 0.0 or not (by_step or _is_effort(seconds, wish.prefer)):
-        return direct, cost
+        return direct, cost, True
     legs, takes = _cheapest(ways, wish.prefer, start, goal)
     other = float(takes @ price) if legs else np.inf
-    return (legs, other) if other < cost else (direct, cost)
+    return (legs, other, False) if other < cost else (direct, cost, False)
 
 
 def _cheapest(
@@ -243,23 +248,19 @@ def find_rival(space: FreeSpace, ends: Ends, wish: Wish, best: Route) -> Route |
     """The next best way of the graph that is another one, if it may be the cheaper one when it is bent; or none.
 
     A graph leads from leaf to leaf, so to some percent it does not tell which of two ways is the cheaper one when they
-    are pulled straight. A way that is hardly longer than the straight line has no rival.
+    are pulled straight. A way that is hardly longer than the straight line has no rival, and neither has one that
+    takes effort: it is the cheapest of all ways, which are priced.
     """
     goal = ends.goals[best.goal]
-    if goal is None or ends.via or space.agent.discs > 1 or best.warm:
+    if goal is None or ends.via or space.agent.discs > 1 or not best.direct:
         return None
     if best.length <= DETOUR * hypot(*(goal.xy - ends.start.xy).tolist()) or wish.left() <= 0.0:
         return None
     price, width = prices(space.agent, wish.prefer), 2.0 * space.agent.disc_radius
-    if all(leg.space is space for leg in best.legs):
-        core = replace(space.core, graph=avoiding(space.core.graph, best.legs, width))
-        legs, takes, _ = _over(space, core, ends.start, goal, wish.prefer)
-    elif wish.ways is not None:
-        ways = wish.ways(wish.prefer)
-        ways = replace(ways, graph=avoiding(ways.graph, best.legs, width))
-        legs, takes = pull_all(find_cheapest(ways, ends.start, goal), wish.prefer)
+    core = replace(space.core, graph=avoiding(space.core.graph, best.legs, width))
+    legs, takes, _ = _over(space, core, ends.start, goal, wish.prefer)
     cost = float(takes @ price)
-    if not legs or cost > RIVAL * best.cost or not _are_apart(legs, best.legs, 0.5 * width):
+    if cost > RIVAL * best.cost or not _are_apart(legs, best.legs, 0.5 * width):
         return None
     return Route(legs, best.goal, cost=cost)
 

@@ -125,7 +125,8 @@ def test_the_speed_is_that_of_the_disc_in_the_tightest_place_and_on_steps(discs)
         room = np.clip((space.clearance(0, xy)[0] - space.reach) / preferred, 0.0, 1.0)
         stepped = [is_stepped(space.surfaces[0].arrays, space.noticed[0], x, y, cells) for x, y in xy]
         expected = np.minimum(expected, np.where(stepped, CARE, CARE + (1.0 - CARE) * room))
-    found = speed_limit(space, poses, np.zeros(len(poses), dtype=np.int64), preferred)
+    contact, level = poses * [1.0, 1.0, 0.0], np.zeros(len(poses), dtype=np.int64)
+    found = speed_limit(space, contact, poses[:, 2], level, preferred)[0]
     np.testing.assert_allclose(found, agent.speed * expected, atol=1e-9)
     assert CARE < np.quantile(expected, 0.6) < expected.max()
 
