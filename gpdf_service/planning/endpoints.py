@@ -182,7 +182,7 @@ def find_endpoint(space: FreeSpace, place: FloatArray, name: str) -> Endpoint | 
         digits = 2 if round(room, 2) < round(space.reach, 2) else 4  # a millimetre or less may be what is short
         noise = f", and {margin:.{digits}f} m for the noise of the scan" if margin > 0.0 else ""
         words = (
-            f"the {space.agent.name} (radius {radius:.3g} m{noise}) does not fit at the {name} {place_words(place)}: "
+            f"the {space.agent.name} (radius {radius:.2f} m{noise}) does not fit at the {name} {place_words(place)}: "
         )
         told = {"room": room, "needed": space.reach, "noise_margin": margin}
         return Refusal(occupied, f"{words}{what} is {room:.{digits}f} m from its centre.{hint}", near, told)
