@@ -16,9 +16,10 @@ from gpdf_service.perception import ObstacleKind
 from gpdf_service.perception.surface import UNKNOWN, height_of, is_same_ground
 from gpdf_service.planning.certificate import FINEST
 from gpdf_service.planning.footprint import disc_places
+from gpdf_service.planning.shape import radius_within
 from gpdf_service.planning.words import metres, place_words
 from gpdf_service.search import FreeSpace
-from gpdf_service.search.motion import RESOLUTION, is_straight_clear
+from gpdf_service.search.motion import is_straight_clear
 from gpdf_service.search.nearest import nearest_free
 from gpdf_service.search.places import Places, nearest_to
 from gpdf_service.types import FloatArray, PlanOptions, Status
@@ -239,8 +240,8 @@ def _shut_in(space: FreeSpace, level: int, xy: FloatArray) -> bool:
 
 
 def radius_at(space: FreeSpace, room: float) -> float:
-    """What a way keeps from obstacles [m] that begins with so much `room`: with all of it, only straight away goes."""
-    return min(space.radius, max(space.reach, room - RESOLUTION))
+    """What a way keeps from obstacles [m] that begins with so much `room`."""
+    return float(radius_within(room, space.reach, space.radius))
 
 
 def connect(space: FreeSpace, level: int, xy: FloatArray, room: float) -> int:

@@ -152,16 +152,10 @@ def explain_no_path(
         path = _way(grid, ends, grid.nearest, narrow, grid.known)
         least, at = _exact_width(space, grid, path)
         width = min(least - _kept(space), radius)
-        if width - (radius - space.agent.disc_radius) >= LEAST_RADIUS:
-            largest = width - (radius - space.agent.disc_radius)
-            found.append(
-                (
-                    "width",
-                    at,
-                    _narrow_words(at, width, radius, radius - space.agent.disc_radius),
-                    2.0 * (radius - width),
-                )
-            )
+        margin = radius - space.agent.disc_radius
+        if width - margin >= LEAST_RADIUS:
+            largest = width - margin
+            found.append(("width", at, _narrow_words(at, width, radius, margin), 2.0 * (radius - width)))
     for cut in (Cut.HEIGHT, Cut.STEP, Cut.SLOPE, Cut.UNKNOWN):
         if left() < STAGE:
             break

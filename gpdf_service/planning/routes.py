@@ -26,7 +26,7 @@ from gpdf_service.planning.shape import (
     subdivide,
 )
 from gpdf_service.search import Doors, FreeSpace, Graph, Prefer, Ways, find_way, prices
-from gpdf_service.search.core import Core, climb, find_nodes
+from gpdf_service.search.core import Core, climb, find_nodes, top_of
 from gpdf_service.search.layered import below
 from gpdf_service.search.places import Places
 from gpdf_service.search.steps import is_near_step
@@ -430,10 +430,8 @@ def _doors(ways: Ways, end: Endpoint) -> tuple[Doors, dict[int, _Door]]:
 
 def _add(ways: Ways, doors: dict[int, _Door], door: _Door) -> None:
     """Add the node of the core that a door leads up to, if none does yet."""
-    graph, core, node = ways.spaces[door.space].graph, ways.spaces[door.space].core, door.leaf
-    while core.decided.up[node] >= 0:
-        node = int(graph.other[core.decided.up[node]])
-    doors.setdefault(int(core.node.searchsorted(node)) + door.space * ways.first_level_node, door)
+    space = ways.spaces[door.space]
+    doors.setdefault(top_of(space.graph, space.core, door.leaf) + door.space * ways.first_level_node, door)
 
 
 def _way_to(ways: Ways, end: Endpoint, door: _Door) -> _Chain:

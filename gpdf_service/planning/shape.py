@@ -127,7 +127,13 @@ def radius_of(path: FloatArray, obstacles: Places, reach: float, radius: float) 
     room, scratch = np.inf, make_scratch()
     for end in (0, len(path) - 1):
         room = min(room, distance_at(obstacles, (path[end, 0], path[end, 1], 0.0), scratch))
-    return float(min(radius, max(reach, room - RESOLUTION)))
+    return float(radius_within(room, reach, radius))
+
+
+@lean()
+def radius_within(room: float, reach: float, radius: float) -> float:
+    """`radius_of` a way that has so much `room` at its ends [m]: with all of it, one could only go straight away."""
+    return min(radius, max(reach, room - RESOLUTION))
 
 
 @njit(cache=True, nogil=True)

@@ -326,6 +326,13 @@ def climb(graph: Graph, core: Core, node: int) -> tuple[IntArray, IntArray]:
     return np.array(nodes), np.array(edges, dtype=np.int64)
 
 
+def top_of(graph: Graph, core: Core, node: int) -> int:
+    """The number in the core of the node that one of the whole graph leads up to, see `climb`."""
+    while core.decided.up[node] >= 0:
+        node = int(graph.other[core.decided.up[node]])
+    return int(core.node.searchsorted(node))
+
+
 def find_nodes(graph: Graph, core: Core, start: int, goal: int) -> tuple[IntArray, FloatArray]:
     """A way from node to node: its nodes (n,), and where it crosses from one to the next (n − 1, 2) [m].
 
