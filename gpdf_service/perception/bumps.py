@@ -90,7 +90,8 @@ def boxes(near: Beside, ground: BoolArray, config: PerceptionConfig) -> BoolArra
 
     Each is higher than a slope rises in a cell, ends in a step at `STEPPED` of its rim, leads no further up, and does
     not cross the way; if it is narrower than a person, it is no narrower than a sole. What a landing's width cuts off
-    at the corner of a platform is none: the ground goes on at two fifths of its rim.
+    at the corner of a platform is none: the ground goes on at two fifths of its rim. What so narrow a thing is joined
+    to at its height is of it, whether or not the scan shows ground behind.
     """
     layers, slope = near.layers, near.layers.cell_width * float(np.tan(config.steepest))
     width = max(2, int(LANDING / layers.cell_width))
@@ -99,6 +100,10 @@ def boxes(near: Beside, ground: BoolArray, config: PerceptionConfig) -> BoolArra
     nodes = np.flatnonzero(found)
     if len(nodes) == 0:
         return found
+    piece = _pieces(nodes, layers.columns, found, slope)
+    raised = np.where(found, raised, _joined(layers, nodes, piece, ground, raised, config)[1])
+    found = raised > slope
+    nodes = np.flatnonzero(found)
     piece = _pieces(nodes, layers.columns, found, slope)
     length, depth = extents_in_plan(layers.cell[nodes], layers.shape[1], found[nodes], piece, layers.cell_width)
     a, b = pairs_around(nodes, layers.columns, ground & ~found, 0.0, config.max_step)
@@ -121,12 +126,20 @@ def _are_places(
 
     That is as high as half the most that they are `raised`.
     """
+    found: BoolArray = np.isnan(_joined(layers, nodes, piece, ground, raised, config)[0])
+    return found
+
+
+def _joined(
+    layers: Layers, nodes: IntArray, piece: IntArray, ground: BoolArray, raised: FloatArray, config: PerceptionConfig
+) -> tuple[FloatArray, FloatArray]:
+    """How much each piece is raised [m], NaN if it is a place; and the nodes that are of those that are none, (k,)."""
     order = np.lexsort((raised[nodes], piece))
     most = nodes[order[np.r_[np.diff(piece[order]) > 0, True]]]
-    reach, least = int(LANDING / layers.cell_width), layers.height[most] - 0.5 * raised[most]
-    room = _cells_as_high(most, layers.columns, ground, least, reach, config.max_step)
-    found: BoolArray = room * layers.cell_width**2 > LONG * config.standing_width**2
-    return found
+    own, joined = raised[most], np.zeros(len(ground))
+    reach, room = int(LANDING / layers.cell_width), int(LONG * (config.standing_width / layers.cell_width) ** 2)
+    _join(most, layers.columns, ground, own, (reach, room), config.max_step, joined)
+    return own, joined
 
 
 def _ask(
@@ -282,32 +295,51 @@ def _around(
 
 
 @njit(cache=True, nogil=True)
-def _cells_as_high(
-    nodes: IntArray, columns: Columns, ground: BoolArray, least: FloatArray, reach: int, most: float
-) -> IntArray:
-    """Cells that ground at `least` as high, and within `most` over it [m], joins to each node, shape (m,).
+def _join(
+    nodes: IntArray,
+    columns: Columns,
+    ground: BoolArray,
+    raised: FloatArray,
+    limits: tuple[int, int],
+    most: float,
+    joined: FloatArray,
+) -> None:
+    """Say of the ground that each node, shape (m,), is joined to how much that is `raised` [m].
 
-    Within a `reach` of cells.
+    It is as high as half of that, and within `most` over it [m]; what is of the thing is nearly as high. Where it is
+    more cells than the second of the `limits`, within the first, the node is raised by NaN.
     """
-    (nx, ny), found, width = columns.shape, np.zeros(len(nodes), np.int64), 2 * reach + 1
+    (nx, ny), (reach, room) = columns.shape, limits
+    width = 2 * reach + 1
     seen, asked = np.zeros((width, width), np.bool_), np.empty((width * width, 2), np.int64)
+    found = np.empty(room, np.int64)
     for n in range(len(nodes)):
         left, near = columns.cell[nodes[n]] // ny - reach, columns.cell[nodes[n]] % ny - reach
+        level = columns.height[nodes[n]] - 0.5 * raised[n] + 0.5 * most
         seen[:] = False
         seen[reach, reach] = True
         asked[0] = reach
-        at, count = 0, 1
-        while at < count:
+        at, count, cells = 0, 1, 0
+        while at < count and cells <= room:
             x, y = asked[at]
             at += 1
-            there = _nearest((left + x) * ny + near + y, columns, ground, least[n] + 0.5 * most, 0.5 * most)
+            there = _nearest((left + x) * ny + near + y, columns, ground, level, 0.5 * most)
             if there < 0:
                 continue
-            found[n] += 1
+            if cells < room:
+                found[cells] = there
+            cells += 1
             for u in range(max(x - 1, 0, -left), min(x + 2, width, nx - left)):
                 for v in range(max(y - 1, 0, -near), min(y + 2, width, ny - near)):
                     if not seen[u, v]:
                         seen[u, v] = True
                         asked[count] = u, v
                         count += 1
-    return found
+        if cells > room:
+            raised[n] = np.nan
+        elif (
+            columns.height[found[:cells]].max() <= columns.height[nodes[n]] + LEAST_BUMP
+        ):  # else a tread, which goes on
+            for there in found[:cells]:
+                if columns.height[there] > columns.height[nodes[n]] - 0.25 * raised[n]:
+                    joined[there] = max(joined[there], raised[n])

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -39,8 +38,6 @@ PLANE_SHARE = 0.5
 """[-] Of the ground around a hole that must lie on that plane; the rest, higher, is a chair's feet or a step up."""
 OPEN_SHARE = 0.5
 """[-] Of the rim of a hole under the open that must be ground: what furniture and walls close off can hold anything."""
-SHUT_SHARE = 0.2
-"""[-] The same of a hole under a thing, where only a low body fits: a desk stands along a wall or in a corner."""
 SLAB = 1.0
 """[m] Thickest floor: what is seen deeper than this under a hole was seen through it."""
 STOREY = 1.5
@@ -72,9 +69,8 @@ def fill_holes(
     A hole is a connected set of unknown cells bounded by known ground and things (cells whose `lowest` other point is
     under a ceiling's height, inf where there is none), shut off from the map's rim, with no place further than
     `MAX_HOLE_RADIUS` from seen ground, and with the ground around it on one plane within a cell's slope or higher: an
-    edge that drops is not bridged. Nor is a void. Under a thing it is filled only where ground was seen beneath its
-    rim, and a cell deep, as the samples are apart: the legs and the back of the thing nobody sees. A notch in a flight
-    is filled with the treads beside it, and the gap between two treads with the lower one.
+    edge that drops is not bridged. Nor is a void, nor what lies under a thing: its legs and its back nobody sees. A
+    notch in a flight is filled with the treads beside it, and the gap between two treads with the lower one.
     Nothing is filled where the samples of the ground are so far apart that cells had to be as wide as they may be: what
     is empty then is no chance, and what is around it explains nothing.
 
@@ -105,36 +101,9 @@ def fill_holes(
     close = near.distance <= MAX_HOLE_RADIUS
     ends = seen_through | pit | _walled_down(surface, walls) | ~close
     ends[[0, -1]] = ends[:, [0, -1]] = True
-    fill = partial(_fill_planes, grid, ends, surface.cell_width)
-    height, state = fill("open", (height, state), ~known & ~material, known, OPEN_SHARE)
-    solid = state != UNKNOWN  # then the ground that carries the furniture itself
-    rim = ndimage.binary_dilation(solid)
-    under = ~solid & rim & close & material & _seen_hollow(~solid & material, known & material)
-    height, state = fill("shut", (height, state), under, solid, SHUT_SHARE)
+    height, state = _fill_planes(grid, ends, surface.cell_width, "open", (height, state), ~known & ~material, known)
     height, state = _fill_gaps(grid, "gaps left", height, state, surface, noise)  # of larger ones
     return replace(surface, height=height, state=state)
-
-
-def _seen_hollow(things: BoolArray, overhung: BoolArray) -> BoolArray:
-    """Cells of things in whose neighbourhood ground was seen beneath material, further in than the edge of a cell.
-
-    A table shows the floor under its rim, and single cells are no mass. What was seen from above alone, as a rock on a
-    height map, may be solid.
-    """
-    label, count = ndimage.label(things, np.ones((3, 3)))
-    hollow = np.ones(count + 1, dtype=bool)
-    hollow[0] = False
-    hollow[label[_inner(things)]] = False
-    hollow[label[widened(overhung & _inner(things | overhung), 2) & things]] = True
-    result: BoolArray = hollow[label]
-    return result
-
-
-def _inner(cells: BoolArray) -> BoolArray:
-    """Cells that have all eight beside."""
-    made = ~widened(~cells, 1)
-    made[[0, -1]] = made[:, [0, -1]] = False
-    return made
 
 
 def find_voids(
@@ -256,12 +225,11 @@ def _fill_planes(
     ground: Ground,
     holes: BoolArray,
     known: BoolArray,
-    share: float,
 ) -> Ground:
     """The ground with each of the `holes` filled by the plane of the `known` ground around, if that is enough of it.
 
-    That is at least a `share` of its rim. What has one of the `ends` in it, or in the cells of which it goes on, is no
-    hole. One is as it was if all that it is told by, two cells around it too, is as it was.
+    That is at least `OPEN_SHARE` of its rim. What has one of the `ends` in it, or in the cells of which it goes on, is
+    no hole. One is as it was if all that it is told by, two cells around it too, is as it was.
     """
     label, count = ndimage.label(holes)
     given = holes, known, ends, ground[0]
@@ -272,7 +240,7 @@ def _fill_planes(
     before, stays = grid.former[name].made if name in grid.former else ground, (shut & ~asked)[label]
     made = np.where(stays, before[0], ground[0]), np.where(stays, before[1], ground[1])
     start, order = by_cell(label.ravel(), count + 1)
-    _fill(*made, (label, start, order), np.flatnonzero(shut & asked), known, share, cell_width)
+    _fill(*made, (label, start, order), np.flatnonzero(shut & asked), known, cell_width)
     grid.known[name] = Told(given, made)
     return made
 
@@ -284,7 +252,6 @@ def _fill(
     labelled: tuple[NDArray[np.int32], IntArray, IntArray],
     holes: IntArray,
     known: BoolArray,
-    share: float,
     cell_width: float,
 ) -> None:
     """Fill the `holes` by number: the label of each cell, and where the cells with each one begin in their order."""
@@ -293,7 +260,7 @@ def _fill(
     for hole in holes:
         cells = order[start[hole] : start[hole + 1]]
         places, heights, ground = _ring(cells, hole, label, known, height, met)
-        if len(heights) < 3 or ground < share:
+        if len(heights) < 3 or ground < OPEN_SHARE:
             continue
         plane, held = _plane_under(places, heights, cell_width)
         if not held:

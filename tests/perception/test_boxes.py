@@ -62,6 +62,15 @@ def test_a_lid_a_box_and_a_rack_are_no_ground(size: tuple[float, float], z: floa
     assert beside.status is gpdf.Status.GOAL_OCCUPIED
 
 
+def test_a_box_of_which_a_scan_shows_two_sides_and_the_top_is_no_ground() -> None:
+    """Behind it the floor lies in its shade, so that nobody knows whether it falls off there."""
+    cloud, top = room_with((2.0, 2.0), (2.64, 2.76), 0.36, 0.0)
+    shade = (cloud[:, 2] < 0.01) & (cloud[:, 0] > 2.0) & (cloud[:, 1] > 2.3) & (cloud[:, 1] < cloud[:, 0] + 1.2)
+    hidden = (cloud[:, 2] < 0.35) & ((cloud[:, 0] > 2.63) | (cloud[:, 1] > 2.75)) & (cloud[:, 2] > 0.01)
+    seen = ~(shade | hidden)
+    assert gpdf.segment_ground(cloud[seen])[top[seen]].mean() < 0.02
+
+
 def test_random_boxes_under_noise_are_no_ground() -> None:
     """Turned, of all sizes that are no sill, and as high as noise of 2 cm lets one see; a platform stays."""
     rng, taken = np.random.default_rng(0), []

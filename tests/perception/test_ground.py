@@ -230,7 +230,7 @@ def test_a_board_stops_only_bodies_that_reach_it():
     }
 
 
-@pytest.mark.parametrize(("lowest", "stops"), [(0.11, True), (0.25, False)])
+@pytest.mark.parametrize(("lowest", "stops"), [(0.11, True), (0.25, True), (0.45, False)])
 def test_what_may_go_down_to_the_floor_between_the_points_of_a_thin_scan_stops_a_low_body(lowest, stops):
     rng = np.random.default_rng(0)
     floor = np.column_stack([rng.uniform(0, 4, (2500, 2)), np.zeros(2500)])  # 8 cm between the points
