@@ -18,6 +18,10 @@ from gpdf_service.viewer.widgets import put
 
 CAMERA = np.array([0.0, -0.25, 0.55])
 """From the middle of the ground to the camera, in diagonals of the ground."""
+STACK = np.array([0.0, -0.75, 0.35])
+"""The same for storeys that are pulled apart, in diagonals of all of them: from lower, to see between them."""
+LOWER = 0.3
+"""[-] On a phone: so far under its middle, in diagonals of all of them."""
 ASIDE = 0.12
 """[-] Of the diagonal: the camera looks this far beside the middle, so that the panel hides no ground."""
 NEARER = 0.1
@@ -141,20 +145,22 @@ class MapControl:
         self.layers.view = replace(self.layers.view, levels=self._levels[names[0]] if several else None)
 
     def _look_at_ground(self) -> None:
-        """From above and the south, so that all known ground is seen left of the panel."""
+        """From above and the south, so that all known ground is seen left of the panel; a stack from lower."""
         ground = self.layers.drawn_ground
         if ground is None:
             return
         low, high = ground.box
-        reach = float(np.linalg.norm((high - low)[:2]))
+        stack = self._desk.frame.apart > 0.0
+        reach = float(np.linalg.norm((high - low)[: 3 if stack else 2]))
         middle = 0.5 * (low + high)
         camera = self._desk.browser.camera
         narrow = min(1.0, camera.aspect)  # a phone held upright: the panel is below, and the picture has less width
         aside = np.array([ASIDE, -NEARER, 0.0]) if narrow == 1.0 else np.array([0.0, -BELOW / narrow, 0.0])
-        target = (
-            np.array([middle[0], middle[1], high[2]]) + aside * reach
-        )  # the upper storey is nearest, and seen whole
-        position = target + CAMERA * reach * (1.0 if narrow == 1.0 else FURTHER / narrow)
+        if stack:
+            aside = np.array([ASIDE, 0.0, 0.0]) if narrow == 1.0 else np.array([0.0, 0.0, -LOWER])
+        at = middle[2] if stack else high[2]  # the upper storey is nearest, and seen whole
+        target = np.array([middle[0], middle[1], at]) + aside * reach
+        position = target + (STACK if stack else CAMERA) * reach * (1.0 if narrow == 1.0 else FURTHER / narrow)
         camera.position, camera.look_at = position, target
 
     def _offer_heights(self, facts: dict[str, Any]) -> None:
