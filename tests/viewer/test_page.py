@@ -205,7 +205,7 @@ def test_storeys_are_pulled_apart_with_all_that_stands_on_them(operator):
     operator.presses("start")
     operator.clicks((4.0, 4.0, STOREY))
     until(lambda: operator.page.plans.ends["start"][0] > 3.0)
-    np.testing.assert_allclose(operator.page.plans.ends["start"], (4.0, 4.0, STOREY), atol=0.2)  # a flat ray, through cells
+    np.testing.assert_allclose(operator.page.plans.ends["start"], (4.0, 4.0, STOREY), atol=0.2)  # a flat ray
     operator.page.panel.apart.value = 0.0
     until(lambda: frame.apart == 0.0)
     assert operator.errors == []
