@@ -146,7 +146,7 @@ class Planner:
             body = {**self.person, "width": self.person["width"] + 2 * wider, "max_step": climb}
             try:
                 result = ask(pose.position, goal, body)
-                spare = min(spare, _spare(result, wider))
+                spare = min(spare, spare_at_ends(result, wider))
                 if result.status is not Status.OK or result.trajectory is None:
                     refused = Planned(None, result.message, REFUSALS.get(result.status, Kind.GAVE_UP))
                     best = best if best.route is not None else refused
@@ -203,7 +203,7 @@ class Planner:
             if wider > max(spare, 0.0):
                 continue
             result = ask(path[0].tolist(), path[-1].tolist(), {**level, "width": level["width"] + 2 * wider})
-            found, spare = result.trajectory, min(spare, _spare(result, wider))
+            found, spare = result.trajectory, min(spare, spare_at_ends(result, wider))
             if found is not None and arc_length(found.ground)[-1] <= longest:
                 return found
         return way
@@ -325,7 +325,7 @@ def _level(body: dict[str, Any]) -> dict[str, Any]:
     return {**body, "max_step": LEAST_EDGE}
 
 
-def _spare(result: PlanResult, wider: float) -> float:
+def spare_at_ends(result: PlanResult, wider: float) -> float:
     """Room on each side that both ends leave beside the bare body [m], of a body that is `wider`; inf if it fits there.
 
     To ask for a width costs a service seconds in a large scene, once: it looks where such a body fits at all.
