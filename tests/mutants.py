@@ -61,6 +61,7 @@ FAST = "abs(self._command.turn) {} 0.1 * self.body.turn_rate"
 SHOWN = 150
 """Characters of a change."""
 ENDPOINTS, IN_USE = "gpdf_service/planning/endpoints.py", "gpdf_service/service/in_use.py"
+AT_A_DISC = "space.clearance(level, disc_places(poses, offset))[0]"
 FIRST = "seconds = 0.0 if self._stepped is None else now - self._stepped"
 SWEPT = "moved = np.linalg.norm(np.diff(trajectory.ground[:, :2], axis=0), axis=1) + agent.offsets[-1] * turned"
 PIECES = "pieces: FloatArray = np.maximum(1, np.ceil(moved / SPACING))"
@@ -239,6 +240,11 @@ EQUAL: dict[tuple[str, ...], str] = {
     ): "more points are looked at, and none touches",
     (IN_USE, "4_000_000 → (4000001)"): "one place of four million",
     (ENDPOINTS, "distance[0] < space.reach → (distance[0] <= space.reach)"): "a distance to the last bit",
+    (ENDPOINTS, f"{AT_A_DISC} >= space.reach → ({AT_A_DISC} > space.reach)"[:SHOWN]): "a distance to the last bit",
+    (
+        ENDPOINTS,
+        "-width <= x - u <= (nx + 1) * width → (-width < x - u <= (nx + 1) * width)",
+    ): "a place to the last bit",
     (ENDPOINTS, "found.nearest is None or snap <= 0.0 → (found.nearest is None)"): "no place is nearer than no way",
     (
         ENDPOINTS,

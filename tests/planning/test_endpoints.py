@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import gpdf_service as gpdf
-from gpdf_service.planning.endpoints import Endpoint, Refusal, find_endpoint, find_ends
+from gpdf_service.planning.endpoints import Endpoint, Refusal, connect_at, find_endpoint, find_ends
 from gpdf_service.synthetic import Box, World
 from gpdf_service.types import AGENTS, PlanOptions, Status
 
@@ -128,6 +128,24 @@ def test_the_leaf_to_go_on_from_is_free_and_reached_on_a_clear_line(space):
             line = place + np.linspace(0.0, 1.0, 200)[:, None] * (nearer - place)
             assert space.clearance(found.level, line)[0].min() < radius + 0.005
     assert met >= 5  # places beside obstacles, in leaves that are not wholly free
+
+
+def test_a_way_goes_on_from_a_place_exactly_where_the_body_fits(space):
+    tree, met = space.quadtrees[0], {True: 0, False: 0}
+    beside = (
+        (BLOCK[0][0] + 0.05, BLOCK[0][1] - space.reach - 0.02),
+        (BLOCK[1][0] - 0.05, BLOCK[0][1] - space.reach + 0.02),
+    )
+    for place in np.random.default_rng(5).uniform(*beside, (400, 2)):
+        leaf, node = tree.find_one(place), connect_at(space, 0, place)
+        if leaf >= 0 and tree.whole[leaf]:
+            assert node == leaf + space.offsets[0]
+            continue
+        fits = space.clearance(0, place[None])[0][0] - space.reach
+        if abs(fits) > 0.0021:  # what the room is told with
+            assert (node >= 0) == (fits > 0.0)
+            met[bool(fits > 0.0)] += 1
+    assert min(met.values()) >= 10
 
 
 @pytest.mark.parametrize(("name", "outside"), [("start", Status.START_OUTSIDE_MAP), ("goal", Status.GOAL_OUTSIDE_MAP)])
