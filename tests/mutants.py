@@ -241,6 +241,8 @@ EQUAL: dict[tuple[str, ...], str] = {
     (IN_USE, "4_000_000 → (4000001)"): "one place of four million",
     (ENDPOINTS, "distance[0] < space.reach → (distance[0] <= space.reach)"): "a distance to the last bit",
     (ENDPOINTS, f"{AT_A_DISC} >= space.reach → ({AT_A_DISC} > space.reach)"[:SHOWN]): "a distance to the last bit",
+    (ENDPOINTS, "room >= space.reach → (room > space.reach)"): "a distance to the last bit",
+    (ENDPOINTS, "len(heights) > 1 → (len(heights) >= 1)"): "one height differs from no other",
     (
         ENDPOINTS,
         "-width <= x - u <= (nx + 1) * width → (-width < x - u <= (nx + 1) * width)",
