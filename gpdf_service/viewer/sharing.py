@@ -1,13 +1,15 @@
 """What the page's address holds: a link to it opens the same scene, view and plan, elsewhere or after a reload.
 
 viser tells nobody the address, but it reads and writes the browser's storage: `front.py` lets one entry of that, `KEY`,
-stand for the part of the address after the "#", which no server and no log ever gets. The link holds no token.
+stand for the part of the address after the "#", which no server and no log ever gets. The link holds no token. Whoever
+sends one chooses its text, so none of that is shown: a panel's words may be HTML.
 """
 
 from __future__ import annotations
 
 import time
 from base64 import urlsafe_b64decode, urlsafe_b64encode
+from html import escape
 from typing import Any
 
 import msgspec
@@ -16,7 +18,7 @@ from gpdf_schemas import DecodeError, MovingObstacle, decode, encode
 
 from gpdf_service.errors import GpdfError
 from gpdf_service.types import Agent, FloatArray, resolve_agent
-from gpdf_service.viewer.body import FIRST
+from gpdf_service.viewer.body import FIRST, OWN
 from gpdf_service.viewer.desk import Desk
 from gpdf_service.viewer.map_control import MapControl
 from gpdf_service.viewer.map_layers import View
@@ -74,15 +76,21 @@ class Shared(msgspec.Struct, frozen=True, omit_defaults=True):
             shared = decode(urlsafe_b64decode(link + "=" * (-len(link) % 4)), cls, limit=MOST_BYTES)
             shared.body  # noqa: B018 - whether there is one
         except (ValueError, TypeError, DecodeError, GpdfError) as error:
-            raise ValueError(f"The link of this page cannot be read: {error}") from error
+            raise ValueError(f"The link of this page cannot be read: {escape(str(error))}") from error
         if shared.method not in METHODS:
-            raise ValueError(f"The link of this page names no method that there is: {shared.method!r}")
+            raise ValueError("The link of this page names no method that there is.")
         return shared
 
     @property
     def body(self) -> Agent:
-        """The body that is planned for."""
-        return resolve_agent(self.agent if isinstance(self.agent, str) else Agent(**self.agent))
+        """The body that is planned for; one with measures of its own has no name of its own."""
+        return resolve_agent(self.agent if isinstance(self.agent, str) else Agent(**{**self.agent, "name": OWN}))
+
+    @property
+    def dropped(self) -> list[MovingObstacle]:
+        """The obstacles, numbered."""
+        named = enumerate((one.cylinder for one in self.obstacles if one.cylinder is not None), 1)
+        return [MovingObstacle(id=str(number), cylinder=cylinder) for number, cylinder in named]
 
 
 class Sharing:
@@ -143,11 +151,11 @@ class Sharing:
         self._map.want(shared.view)
         self._scenes.show(shared.scene)
         if self._scenes.shown[0] != shared.scene:
-            raise ValueError(f"The link of this page is to the scene {shared.scene!r}, which is not here.")
+            raise ValueError("The scene that the link of this page is to is not here.")
         self._map.want_storey(shared.view.levels, shared.view.apart)
         self._desk.maps.do("camera", lambda: self._look_from(shared))  # after the map is drawn so
         ends = {"start": shared.start, "goal": shared.goal}
-        self._desk.plans.do("plan", lambda: self._plans.open(ends, shared.obstacles))
+        self._desk.plans.do("plan", lambda: self._plans.open(ends, shared.dropped))
 
     def _look_from(self, shared: Shared) -> None:
         camera, origin = self._desk.browser.camera, self._desk.frame.origin

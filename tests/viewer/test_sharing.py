@@ -1,5 +1,6 @@
 """A link to the page opens scene, view and plan: what it says, and in two browsers."""
 
+import msgspec
 import numpy as np
 import pytest
 from driving import Operator, free_port, until
@@ -47,6 +48,20 @@ def test_a_link_says_what_was_put_into_it_in_letters_alone():
 def test_a_link_that_says_nothing_that_can_be_shown_is_refused_in_words(link):
     with pytest.raises(ValueError, match="The link of this page"):
         Shared.from_link(link)
+
+
+def test_nothing_that_somebody_wrote_into_a_link_is_shown():
+    mark = "<img src=x>"
+    link = msgspec.structs.replace(
+        SHARED, agent=OWN | {"name": mark}, obstacles=(MovingObstacle(id=mark, cylinder=POST.cylinder),)
+    )
+    shared = Shared.from_link(link.to_link())
+    assert shared.body.name == "own"
+    assert [one.id for one in shared.dropped] == ["1"]
+    for bad in (msgspec.structs.replace(SHARED, agent=mark), msgspec.structs.replace(SHARED, method=mark)):
+        with pytest.raises(ValueError, match="The link of this page") as refused:
+            Shared.from_link(bad.to_link())
+        assert mark not in str(refused.value)
 
 
 @pytest.fixture
