@@ -59,12 +59,9 @@ WRITERS = {
 HOLDS_NAN = [kind for kind in WRITERS if kind not in (".las", ".laz", ".e57")]  # whole numbers, or a flag
 
 
-SMALL = 2.0, 1.6, 2.5
-
-
-def boxes(scale=1.0):
-    """A small room with a table in it, as a mesh."""
-    room = trimesh.creation.box(SMALL)
+def boxes(points=None, scale=1.0):
+    """A room of 4 x 3 x 2.5 m with a table in it, as a mesh."""
+    room = trimesh.creation.box((4.0, 3.0, 2.5))
     table = trimesh.creation.box((1.2, 0.8, 0.1))
     table.apply_translation((0.0, 0.0, -0.6))
     both = trimesh.util.concatenate([room, table])
@@ -170,7 +167,7 @@ def test_an_empty_file_is_refused_in_words(kind, tmp_path):
 def test_a_mesh_is_sampled_as_densely_as_a_scan(kind, tmp_path):
     boxes().export(tmp_path / f"room{kind}")
     cloud = read_cloud(tmp_path / f"room{kind}")
-    np.testing.assert_allclose(np.ptp(cloud.points, axis=0), SMALL, atol=0.01)
+    np.testing.assert_allclose(np.ptp(cloud.points, axis=0), [4.0, 3.0, 2.5], atol=0.01)
     assert len(cloud.points) == pytest.approx(boxes().area / 0.015**2, rel=0.01)
     assert "faces" in cloud.remarks[0]
     boxes(scale=100.0).export(tmp_path / f"large{kind}")
@@ -188,7 +185,7 @@ def test_a_mesh_that_says_its_axis_is_turned(kind, tmp_path):
         text = (tmp_path / "room.dae").read_text()
         (tmp_path / "room.dae").write_text(text.replace("Z_UP", "Y_UP"))
     cloud = read_cloud(tmp_path / f"room{kind}")
-    np.testing.assert_allclose(np.ptp(cloud.points, axis=0), SMALL, atol=0.01)
+    np.testing.assert_allclose(np.ptp(cloud.points, axis=0), [4.0, 3.0, 2.5], atol=0.01)
     assert cloud.up == "y"
     table = np.abs(cloud.points[:, :2]).max(axis=1) < 0.3
     assert (cloud.points[table, 2] < 0.0).mean() > 0.5  # below the middle
