@@ -61,6 +61,7 @@ FAST = "abs(self._command.turn) {} 0.1 * self.body.turn_rate"
 SHOWN = 150
 """Characters of a change."""
 ENDPOINTS, IN_USE = "gpdf_service/planning/endpoints.py", "gpdf_service/service/in_use.py"
+SWEPT_AT = "if self._total + size - self._sizes.get(scene, 0) > MAX_IN_ALL and now - self._swept > SWEEP_S:"
 AT_A_DISC = "space.clearance(level, disc_places(poses, offset))[0]"
 FIRST = "seconds = 0.0 if self._stepped is None else now - self._stepped"
 SWEPT = "moved = np.linalg.norm(np.diff(trajectory.ground[:, :2], axis=0), axis=1) + agent.offsets[-1] * turned"
@@ -239,6 +240,7 @@ EQUAL: dict[tuple[str, ...], str] = {
         f"(points >= low - radius) & {HIGH} → ((points >= low - radius) | {HIGH})"[:SHOWN],
     ): "more points are looked at, and none touches",
     (IN_USE, "4_000_000 → (4000001)"): "one place of four million",
+    ("gpdf_service/service/moving.py", "0 → (1)", SWEPT_AT): "one point of all that move",
     (ENDPOINTS, "distance[0] < space.reach → (distance[0] <= space.reach)"): "a distance to the last bit",
     (ENDPOINTS, f"{AT_A_DISC} >= space.reach → ({AT_A_DISC} > space.reach)"[:SHOWN]): "a distance to the last bit",
     (ENDPOINTS, "room >= space.reach → (room > space.reach)"): "a distance to the last bit",
