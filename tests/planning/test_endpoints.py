@@ -137,11 +137,12 @@ def test_the_leaf_to_go_on_from_is_free_and_reached_on_a_clear_line(space):
 
 def test_a_way_goes_on_from_a_place_exactly_where_the_body_fits(space):
     tree, met = space.quadtrees[0], {True: 0, False: 0}
-    beside = (
-        (BLOCK[0][0] + 0.05, BLOCK[0][1] - space.reach - 0.02),
-        (BLOCK[1][0] - 0.05, BLOCK[0][1] - space.reach + 0.02),
-    )
-    for place in np.random.default_rng(5).uniform(*beside, (400, 2)):
+    rng, places = np.random.default_rng(5), []
+    for side in range(4):  # of the block, and as far off as the body needs it
+        along, off = rng.uniform(-0.45, 0.45, 200), 0.5 + space.reach + rng.uniform(-0.02, 0.02, 200)
+        turned = np.column_stack([along, off] if side % 2 else [off, along])
+        places.append(np.mean(BLOCK, axis=0) + (turned if side < 2 else -turned))
+    for place in np.concatenate(places):
         leaf, node = tree.find_one(place), connect_at(space, 0, place)
         if leaf >= 0 and tree.whole[leaf]:
             assert node == leaf + space.offsets[0]
