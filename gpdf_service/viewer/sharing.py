@@ -141,7 +141,7 @@ class Sharing:
             agent=self._desk.body.wire,
             method=self._desk.panel.plan.method.value,
             **{name: _place(place) for name, place in plans.ends.items() if place is not None},
-            obstacles=tuple(one for one in plans.drops.obstacles.values() if one.points is None),
+            obstacles=tuple(one for one in tuple(plans.drops.obstacles.values()) if one.points is None),
         )
 
     def _open(self, shared: Shared) -> None:
