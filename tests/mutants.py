@@ -131,6 +131,7 @@ EQUAL: dict[tuple[str, ...], str] = {
     (FOOTPRINT, f"{MOVED} > STILL → ({MOVED} >= STILL)"[:SHOWN]): "a nanometre to the last bit",
     (PLANNER, "left < 0.0 → (left <= 0.0)"): "a time to the last bit",
     (LATTICE, "30.0 → (60.1)"): "detours that are longer yet are looked at, too",
+    (LATTICE, "1.3 → (2.7)"): "longer detours are looked at sooner, and the shortest way is taken",
     (CERTIFICATE, "spare <= 0.0 → (spare < 0.0)"): "what is left of a distance is nothing to the last bit",
     (
         CERTIFICATE,
