@@ -308,11 +308,13 @@ class Scene:
     def ways(self, agent: str | Agent, prefer: Prefer) -> Ways:
         """All ways of `agent`, at what they cost it as one prefers them; built on first use and kept."""
         body = resolve_agent(agent)
-        able, key = self.free_space(body), (body, prefer)
+        able, key, same = self.free_space(body), (body, prefer), level_body(body)
         with self._lock:
             kept = self._ways.get(key)
+            if same is not None and same in self._spaces:
+                self._spaces.move_to_end(same)
         if kept is None or kept[0] is not able:
-            same, stand = level_body(body), self._standing.ways(body, prefer) if self._standing is not None else None
+            stand = self._standing.ways(body, prefer) if self._standing is not None else None
             kept = able, find_ways(able, None if same is None else self.free_space(same), prefer, stand)
             with self._lock:
                 self._ways[key] = kept
@@ -470,6 +472,17 @@ class Scene:
             self._ways.clear()
             self._former.clear()
             self._stored.clear()
+
+    def forget_oldest_agent(self) -> bool:
+        """Drop what was built for the kind of body that was least recently used; whether there was one."""
+        with self._lock:
+            if not self._spaces:
+                return False
+            _, gone = self._spaces.popitem(last=False)
+            held = [key for key, (_, ways) in self._ways.items() if any(space is gone for space in ways.spaces)]
+            for key in held:
+                del self._ways[key]
+            return True
 
     @cached_property
     def whole_field(self) -> Gpdf:

@@ -61,6 +61,8 @@ FAST = "abs(self._command.turn) {} 0.1 * self.body.turn_rate"
 SHOWN = 150
 """Characters of a change."""
 ENDPOINTS, IN_USE = "gpdf_service/planning/endpoints.py", "gpdf_service/service/in_use.py"
+SWEPT_AT = "if self._total + size - self._sizes.get(scene, 0) > MAX_IN_ALL and now - self._swept > SWEEP_S:"
+AT_A_DISC = "space.clearance(level, disc_places(poses, offset))[0]"
 FIRST = "seconds = 0.0 if self._stepped is None else now - self._stepped"
 SWEPT = "moved = np.linalg.norm(np.diff(trajectory.ground[:, :2], axis=0), axis=1) + agent.offsets[-1] * turned"
 PIECES = "pieces: FloatArray = np.maximum(1, np.ceil(moved / SPACING))"
@@ -129,6 +131,7 @@ EQUAL: dict[tuple[str, ...], str] = {
     (FOOTPRINT, f"{MOVED} > STILL → ({MOVED} >= STILL)"[:SHOWN]): "a nanometre to the last bit",
     (PLANNER, "left < 0.0 → (left <= 0.0)"): "a time to the last bit",
     (LATTICE, "30.0 → (60.1)"): "detours that are longer yet are looked at, too",
+    (LATTICE, "1.3 → (2.7)"): "longer detours are looked at sooner, and the shortest way is taken",
     (CERTIFICATE, "spare <= 0.0 → (spare < 0.0)"): "what is left of a distance is nothing to the last bit",
     (
         CERTIFICATE,
@@ -238,7 +241,15 @@ EQUAL: dict[tuple[str, ...], str] = {
         f"(points >= low - radius) & {HIGH} → ((points >= low - radius) | {HIGH})"[:SHOWN],
     ): "more points are looked at, and none touches",
     (IN_USE, "4_000_000 → (4000001)"): "one place of four million",
+    ("gpdf_service/service/moving.py", "0 → (1)", SWEPT_AT): "one point of all that move",
     (ENDPOINTS, "distance[0] < space.reach → (distance[0] <= space.reach)"): "a distance to the last bit",
+    (ENDPOINTS, f"{AT_A_DISC} >= space.reach → ({AT_A_DISC} > space.reach)"[:SHOWN]): "a distance to the last bit",
+    (ENDPOINTS, "room >= space.reach → (room > space.reach)"): "a distance to the last bit",
+    (ENDPOINTS, "len(heights) > 1 → (len(heights) >= 1)"): "one height differs from no other",
+    (
+        ENDPOINTS,
+        "-width <= x - u <= (nx + 1) * width → (-width < x - u <= (nx + 1) * width)",
+    ): "a place to the last bit",
     (ENDPOINTS, "found.nearest is None or snap <= 0.0 → (found.nearest is None)"): "no place is nearer than no way",
     (
         ENDPOINTS,

@@ -137,13 +137,16 @@ class Planner:
 
     def _best(self, pose: Pose, goal: Sequence[float], climb: float, obstacles: FloatArray | None) -> Planned:
         """The way with the most room beside it, over no step higher than `climb`."""
-        best, askew = Planned(None), inf
+        best, askew, spare = Planned(None), inf, inf
         for wider in WIDER:
+            if wider > max(spare, 0.0):
+                continue
             answers: list[PlanResult] = []
             ask = self._asking(obstacles, answers)
             body = {**self.person, "width": self.person["width"] + 2 * wider, "max_step": climb}
             try:
                 result = ask(pose.position, goal, body)
+                spare = min(spare, spare_at_ends(result, wider))
                 if result.status is not Status.OK or result.trajectory is None:
                     refused = Planned(None, result.message, REFUSALS.get(result.status, Kind.GAVE_UP))
                     best = best if best.route is not None else refused
@@ -195,8 +198,12 @@ class Planner:
         level = _level(self.person)
         room = float(self._room(level, path).min())
         longest = _detour(s[-1]) if room + level["width"] / 2 < FOOTING else HARDLY_LONGER * s[-1]
+        spare = inf
         for wider in WIDER if room < LEAST_ROOM else ():
-            found = ask(path[0].tolist(), path[-1].tolist(), {**level, "width": level["width"] + 2 * wider}).trajectory
+            if wider > max(spare, 0.0):
+                continue
+            result = ask(path[0].tolist(), path[-1].tolist(), {**level, "width": level["width"] + 2 * wider})
+            found, spare = result.trajectory, min(spare, spare_at_ends(result, wider))
             if found is not None and arc_length(found.ground)[-1] <= longest:
                 return found
         return way
@@ -315,7 +322,16 @@ class Planner:
 
 def _level(body: dict[str, Any]) -> dict[str, Any]:
     """A body that takes no step."""
-    return {**body, "name": "on the level", "max_step": LEAST_EDGE}
+    return {**body, "max_step": LEAST_EDGE}
+
+
+def spare_at_ends(result: PlanResult, wider: float) -> float:
+    """Room on each side that both ends leave beside the bare body [m], of a body that is `wider`; inf if it fits there.
+
+    To ask for a width costs a service seconds in a large scene, once: it looks where such a body fits at all.
+    """
+    told = result.details
+    return wider - told["needed"] + told["room"] if "needed" in told else inf
 
 
 def _detour(metres: float) -> float:

@@ -72,12 +72,18 @@ class Stage:
         self._field("Storey").click()
         self.web.get_by_role("option").nth(number).click()
 
+    def slides(self, label: str, value: float) -> None:
+        """Set a slider, and wait until what it moves is drawn."""
+        self._field(label).fill(f"{value:g}")
+        self._field(label).press("Enter")
+        self.web.wait_for_timeout(STILL_MS)
+
     def _choose(self, label: str, value: str) -> None:
         self._field(label).click()
         self.web.get_by_role("option", name=value, exact=True).click()
 
     def _field(self, label: str):  # noqa: ANN202 - of playwright
-        return self.web.get_by_text(label, exact=True).first.locator("xpath=following::input[1]")
+        return self.web.get_by_text(label, exact=True).first.locator("xpath=following::input[not(@type='hidden')][1]")
 
 
 AGAIN_S = 0.3
@@ -143,6 +149,12 @@ def house_above(stage: Stage) -> None:
     stage.storey(-1)
 
 
+def house_apart(stage: Stage) -> None:
+    """The storeys pulled apart."""
+    house_above(stage)
+    stage.slides("Pull apart [m]", 3)
+
+
 def museum(stage: Stage) -> None:
     """A place of many storeys, and the way through them."""
     stage.opens("thirty-levels")
@@ -150,7 +162,7 @@ def museum(stage: Stage) -> None:
 
 
 STATES: dict[str, Callable[[Stage], Callable[[], None] | None]] = {
-    state.__name__: state for state in (first, plan, error, comparison, moving, house, house_above, museum)
+    state.__name__: state for state in (first, plan, error, comparison, moving, house, house_above, house_apart, museum)
 }
 
 

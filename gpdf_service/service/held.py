@@ -125,7 +125,11 @@ class Held:
         return gone
 
     def trim(self) -> float:
-        """Let scenes leave memory until the rest fits, the least recently used ahead, not the last; bytes held."""
+        """Let scenes leave memory until the rest fits, the least recently used ahead; of the last one its bodies.
+
+        Returns:
+            What is held then [bytes].
+        """
         with self.lock:
             entries = sorted(self.entries.items(), key=lambda item: item[1].used)
         sizes = {name: held_bytes(entry.scene) for name, entry in entries}
@@ -139,8 +143,12 @@ class Held:
                 entry.lock.release()
                 total -= sizes[name]
                 log.info("scene %s left memory", name, extra={"bytes": sizes[name]})
-        if total > self.memory_bytes and kept and kept[-1][1].scene is not None:
-            kept[-1][1].scene.forget_agents()
+        if kept and (last := kept[-1][1].scene) is not None:
+            others = total - sizes[kept[-1][0]]
+            while total > self.memory_bytes and last.forget_oldest_agent():  # who plans in it needs the others soon
+                total = others + held_bytes(last)
+            if total > self.memory_bytes:
+                last.forget_agents()
         return total
 
     def facts(self) -> dict[str, dict[str, Any]]:

@@ -34,14 +34,15 @@ class Drops:
         self._desk, self._tab, self._on_change = desk, desk.panel.plan.drops, on_change
         self.obstacles: dict[str, MovingObstacle] = {}
         self._handles: dict[str, viser.SceneNodeHandle] = {}
-        self._numbers, self._nodes = itertools.count(1), itertools.count()
+        self._nodes = itertools.count()
         self._tab.remove.on_click(by_hand(self._remove_chosen))
         self._tab.remove_all.on_click(by_hand(self._remove_all))
 
     def drop(self, place: FloatArray) -> None:
         """Put a cylinder on the ground at (x, y, z) [m], as wide as the slider says."""
         cylinder = Cylinder((float(place[0]), float(place[1]), float(place[2])), self._tab.radius.value, HEIGHT)
-        self._add(MovingObstacle(id=str(next(self._numbers)), cylinder=cylinder))
+        name = next(name for name in map(str, itertools.count(1)) if name not in self.obstacles)
+        self._add(MovingObstacle(id=name, cylinder=cylinder))
         self._offer()
         self._on_change()
 

@@ -1,12 +1,16 @@
 """The first file that a browser gets: viser's, with our title and icon, room on a phone, and names for a screen reader.
 
 viser has no hook for any of these. What it draws later is named as it comes. And of what is typed and pressed within
-`THROTTLE_MS` viser sends the first and the last alone, whichever fields these are of: here all of it is sent.
+`THROTTLE_MS` viser sends the first and the last alone, whichever fields these are of: here all of it is sent. One entry
+of the browser's storage is the end of the address (`sharing`).
 """
 
 from __future__ import annotations
 
 from pathlib import Path
+
+from gpdf_service.viewer.panel import SHARE
+from gpdf_service.viewer.sharing import KEY
 
 TITLE = "<title>Viser</title>"
 """viser's; where it is missing, the page is left as it is."""
@@ -37,6 +41,22 @@ window.setTimeout = (act, ms, ...rest) => {
   queueMicrotask(() => { atOnce = false; try { act(...rest); } finally { atOnce = true; } });
   return 0;
 };
+const LINK = "viser-user:KEY";  // as viser names it
+let link = location.hash.slice(1);
+if (link) history.replaceState(null, "", location.pathname);  // viser would ask for it as a part of its own address
+const { getItem, setItem } = Storage.prototype;
+Storage.prototype.getItem = function (key) { return key === LINK ? link : getItem.call(this, key); };
+Storage.prototype.setItem = function (key, value) {
+  if (key !== LINK) return setItem.call(this, key, value);
+  link = value;
+  history.replaceState(null, "", `#${link}`);
+};
+window.addEventListener("hashchange", () => location.reload());  // somebody put another link there
+document.addEventListener("click", async event => {
+  if (event.target.closest("button")?.textContent.trim() !== "SHARE") return;
+  try { await navigator.clipboard.writeText(location.href); }
+  catch { window.prompt("SHARE", location.href); }  // without TLS a browser lets nobody copy for one
+});
 const NAMES = [["canvas", "Map of the scene. Start and goal can be typed, too."]];
 function nameAll() {
   for (const [what, name] of NAMES) {
@@ -65,7 +85,7 @@ document.addEventListener("DOMContentLoaded", () => {
   const soon = () => { cancelAnimationFrame(due); due = requestAnimationFrame(nameAll); };
   new MutationObserver(soon).observe(document.body, { childList: true, subtree: true });
 });
-</script>""".replace("THROTTLE_MS", str(THROTTLE_MS))
+</script>"""
 
 
 def front_page() -> bytes:
@@ -73,4 +93,5 @@ def front_page() -> bytes:
     import viser
 
     page = Path(viser.__file__).parent / "client" / "build" / "index.html"
-    return page.read_text(encoding="utf-8").replace(TITLE, HEAD, 1).encode()
+    head = HEAD.replace("THROTTLE_MS", str(THROTTLE_MS)).replace("KEY", KEY).replace("SHARE", SHARE)
+    return page.read_text(encoding="utf-8").replace(TITLE, head, 1).encode()

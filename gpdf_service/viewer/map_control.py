@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
@@ -11,12 +12,16 @@ from gpdf_service.types import FloatArray
 from gpdf_service.viewer import colours, words
 from gpdf_service.viewer.desk import Desk
 from gpdf_service.viewer.map_layers import MapLayers, View
-from gpdf_service.viewer.panel import ALL_STOREYS, SLICES, gradient, key_of, legend
+from gpdf_service.viewer.panel import ALL_STOREYS, MOST_APART, SLICES, gradient, key_of, legend
 from gpdf_service.viewer.scale import add_scale
 from gpdf_service.viewer.widgets import put
 
 CAMERA = np.array([0.0, -0.25, 0.55])
 """From the middle of the ground to the camera, in diagonals of the ground."""
+STACK = np.array([0.0, -0.75, 0.35])
+"""The same for storeys that are pulled apart, in diagonals of all of them: from lower, to see between them."""
+LOWER = 0.3
+"""[-] On a phone: so far under its middle, in diagonals of all of them."""
 ASIDE = 0.12
 """[-] Of the diagonal: the camera looks this far beside the middle, so that the panel hides no ground."""
 NEARER = 0.1
@@ -39,10 +44,15 @@ class MapControl:
         for box in self._tab.layers.values():
             box.on_update(lambda _: self._change_view())
         self._levels: dict[str, frozenset[int]] = {}  # that are shown, by the storey's name
-        for handle in (self._tab.colour, desk.panel.storey, self._tab.below, self._tab.size):
+        self._on_lift: Callable[[], None] = lambda: None
+        for handle in (self._tab.colour, desk.panel.storey, desk.panel.apart, self._tab.below, self._tab.size):
             handle.on_update(lambda _: self._change_view())
         for handle in (self._tab.slice, self._tab.height):
             handle.on_update(lambda _: desk.maps.do("slice", self._slice))
+
+    def on_lift(self, tell: Callable[[], None]) -> None:
+        """Call this when the storeys are pulled apart or put together again, after the map is drawn so."""
+        self._on_lift = tell
 
     def show(self, name: str, facts: dict[str, Any]) -> None:
         """Show the ground of a scene that is ready, on a page that shows none."""
@@ -55,6 +65,24 @@ class MapControl:
             step = add_scale(self._desk.browser.scene, self._desk.frame, *self.layers.ground.box)
             self._tab.legend.content = legend(len(facts["levels"]), step)
         self._offer_heights(facts)
+
+    def want(self, view: View) -> None:
+        """Show what a view asks for, as if somebody had chosen it; a value that there is not stays as it is."""
+        tab = self._tab
+        for name, box in tab.layers.items():
+            put(box, name in view.shown)
+        if view.colour in tab.colour.options:
+            put(tab.colour, view.colour)
+        for slider, value in ((tab.below, view.below), (tab.size, view.point_size)):
+            put(slider, min(slider.max, max(slider.min, value)))
+
+    def want_storey(self, levels: frozenset[int] | None, apart: float) -> None:
+        """Show these levels, if they are a storey of the scene that is shown; None: all, `apart` [m]."""
+        named = {shown: name for name, shown in self._levels.items()}
+        storey = ALL_STOREYS if levels is None else named.get(levels)
+        if storey in self._desk.panel.storey.options:
+            put(self._desk.panel.storey, storey)
+        put(self._desk.panel.apart, min(MOST_APART, max(0.0, apart)))
 
     def fill(self) -> None:
         """Fetch and draw all that the Map tab asks for."""
@@ -81,13 +109,13 @@ class MapControl:
 
     def hit(self, ray_origin: FloatArray, direction: FloatArray) -> FloatArray | None:
         """Where a ray of the page meets ground that is shown, in the scene's frame; None if it does not."""
-        ground = self.layers.ground
+        ground = self.layers.drawn_ground
         found = None if ground is None else ground.hit(ray_origin, direction, self.layers.view.levels)
         return None if found is None else self._desk.frame.to_scene(found)
 
     def on_ground(self, place: list[float]) -> FloatArray:
         """A place with the height of the ground that is shown there."""
-        ground, frame = self.layers.ground, self._desk.frame
+        ground, frame = self.layers.drawn_ground, self._desk.frame
         if len(place) == 3 or ground is None:
             return np.array([*place, 0.0][:3])
         over = frame.to_page(np.array([*place, 0.0]))
@@ -109,25 +137,30 @@ class MapControl:
         names = [f"{i}: floor at {height + high:.1f} m" for i, (_, height) in enumerate(by_height)]
         self._levels = {name: joining | {level} for name, (level, _) in zip(names, by_height, strict=True)}
         several = len(names) > 1
+        self._desk.frame.floors = np.array([height for _, height in by_height])
         storey.options = (*names, ALL_STOREYS) if several else (ALL_STOREYS,)
         storey.visible = several
         put(storey, storey.options[0])
+        put(self._desk.panel.apart, 0.0)
         self.layers.view = replace(self.layers.view, levels=self._levels[names[0]] if several else None)
 
     def _look_at_ground(self) -> None:
-        """From above and the south, so that all known ground is seen left of the panel."""
-        if self.layers.ground is None:
+        """From above and the south, so that all known ground is seen left of the panel; a stack from lower."""
+        ground = self.layers.drawn_ground
+        if ground is None:
             return
-        low, high = self.layers.ground.box
-        reach = float(np.linalg.norm((high - low)[:2]))
+        low, high = ground.box
+        stack = self._desk.frame.apart > 0.0
+        reach = float(np.linalg.norm((high - low)[: 3 if stack else 2]))
         middle = 0.5 * (low + high)
         camera = self._desk.browser.camera
         narrow = min(1.0, camera.aspect)  # a phone held upright: the panel is below, and the picture has less width
         aside = np.array([ASIDE, -NEARER, 0.0]) if narrow == 1.0 else np.array([0.0, -BELOW / narrow, 0.0])
-        target = (
-            np.array([middle[0], middle[1], high[2]]) + aside * reach
-        )  # the upper storey is nearest, and seen whole
-        position = target + CAMERA * reach * (1.0 if narrow == 1.0 else FURTHER / narrow)
+        if stack:
+            aside = np.array([ASIDE, 0.0, 0.0]) if narrow == 1.0 else np.array([0.0, 0.0, -LOWER])
+        at = middle[2] if stack else high[2]  # the upper storey is nearest, and seen whole
+        target = np.array([middle[0], middle[1], at]) + aside * reach
+        position = target + (STACK if stack else CAMERA) * reach * (1.0 if narrow == 1.0 else FURTHER / narrow)
         camera.position, camera.look_at = position, target
 
     def _offer_heights(self, facts: dict[str, Any]) -> None:
@@ -159,22 +192,33 @@ class MapControl:
 
     def _change_view(self) -> None:
         tab, before = self._tab, self.layers.view
+        panel = self._desk.panel
+        panel.apart.visible = panel.storey.visible and panel.storey.value == ALL_STOREYS
         self.layers.view = View(
             shown=frozenset(name for name, box in tab.layers.items() if box.value),
             colour=tab.colour.value,
             below=tab.below.value,
             point_size=tab.size.value,
-            levels=self._levels.get(self._desk.panel.storey.value),
+            levels=self._levels.get(panel.storey.value),
+            apart=panel.apart.value if panel.apart.visible else 0.0,
         )
-        self._desk.panel.key.content = key_of(tab.colour.value, tab.below.value)
+        panel.key.content = key_of(tab.colour.value, tab.below.value)
         self._stale |= self.layers.view.touched(before)
         self._desk.maps.do("view", self._renew)
 
     def _renew(self) -> None:
         """Hide what is not wanted, then fetch and draw what is."""
+        frame, apart = self._desk.frame, self.layers.view.apart
+        before, frame.apart = frame.apart, apart
         while self._stale:
             self.layers.draw(self._stale.pop())
         self._fetch(*(self.layers.view.shown - self.layers.there))
+        if apart != before:
+            if not (apart and before):
+                self._look_at_ground()
+            if "slice" in self.layers.drawn:
+                self._slice()
+            self._on_lift()
 
     def _slice(self) -> None:
         field, scale = SLICES[self._tab.slice.value], self._tab.slice_legend

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -41,6 +41,7 @@ class View:
         below: Points higher over their ground are left out, so that a ceiling hides nothing [m].
         point_size: [m].
         levels: Only these; all of them if None.
+        apart: How far the storeys are pulled apart, where all are shown [m].
     """
 
     shown: frozenset[str] = frozenset({"cloud", "ground"})
@@ -48,11 +49,12 @@ class View:
     below: float = 1.5
     point_size: float = 0.02
     levels: frozenset[int] | None = None
+    apart: float = 0.0
 
     def touched(self, before: View) -> set[str]:
         """Layers that look different than in the view `before`."""
         layers = set(self.shown ^ before.shown)
-        if self.levels != before.levels:
+        if (self.levels, self.apart) != (before.levels, before.apart):
             layers |= self.shown
         if "level" in (self.colour, before.colour) and self.colour != before.colour:
             layers |= {"ground"} & self.shown
@@ -72,6 +74,13 @@ class MapLayers:
         self.ground: Ground | None = None
         self._drawings: dict[str, Drawing] = {}
         self._handles: dict[str, viser.SceneNodeHandle] = {}
+
+    @property
+    def drawn_ground(self) -> Ground | None:
+        """The ground as it lies on the page, where the storeys may be pulled apart."""
+        if self.ground is None or self._frame.apart == 0.0:
+            return self.ground
+        return replace(self.ground, heights=self._frame.lifted_heights(self.ground.heights))
 
     @property
     def there(self) -> frozenset[str]:
@@ -134,7 +143,7 @@ class MapLayers:
             return None
         return self._scene.add_point_cloud(
             f"/map/{what}",
-            places.astype(np.float32),
+            self._frame.lifted(places).astype(np.float32),
             shades,
             point_size=size,
             precision="float32",
@@ -176,7 +185,7 @@ class MapLayers:
             return None
         half = drawing.columns["half_size"][wanted]
         around = np.array([(-1, -1), (1, -1), (1, 1), (-1, 1), (-1, -1)])
-        corners = np.repeat(drawing.places[wanted, None], 5, axis=1)
+        corners = np.repeat(self._frame.lifted(drawing.places[wanted])[:, None], 5, axis=1)
         corners[:, :, :2] += around * half[:, None, None]
         corners[:, :, 2] += LIFT
         sides = np.stack([corners[:, :-1], corners[:, 1:]], axis=2).reshape(-1, 2, 3)
@@ -207,7 +216,7 @@ class MapLayers:
         nx, ny = np.maximum(1, np.ceil(size / step)).astype(int)
         x, y = self.ground.low[0] + (np.arange(nx) + 0.5) * step, self.ground.low[1] + (np.arange(ny) + 0.5) * step
         grid = np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1).reshape(-1, 2)
-        places = self._frame.to_scene(np.column_stack([grid, np.full(len(grid), height)]))
+        places = np.column_stack([grid, np.full(len(grid), height)]) + self._frame.origin
         answers = [
             client.distance(scene, field, places[i : i + ASK_AT_ONCE], agent)
             for i in range(0, len(places), ASK_AT_ONCE)
@@ -222,7 +231,8 @@ class MapLayers:
         line = np.where(distance > 0.5 * ISO_STEP, np.clip(1.0 - beside / step, 0.0, 1.0), 0.0)
         shades *= 1.0 - ISO_DARKER * line[:, None]
         image = np.concatenate([shades, np.where(valid, 215, 0)[:, None]], axis=1).astype(np.uint8).reshape(nx, ny, 4)
-        centre = (*(self.ground.low + 0.5 * step * np.array([nx, ny])), height)
+        lifted = float(self._frame.lifted_heights(np.array(height)))
+        centre = (*(self.ground.low + 0.5 * step * np.array([nx, ny])), lifted)
         self._handles["slice"] = self._scene.add_image(
             "/map/slice", _upright(image), nx * step, ny * step, format="png", position=centre, wxyz=_FLAT
         )

@@ -1,7 +1,8 @@
 """The operator's page: a client of a running service, in a browser. Each browser has a page of its own.
 
 Its parts, each knows only those before it: what is at hand (`desk`), the map (`map_control`), which scene is shown
-(`scenes`), plans (`planning`), recorded logs (`logs`). Beside them, who is on the way (`live`).
+(`scenes`), plans (`planning`), the link to all of it (`sharing`), recorded logs (`logs`). Beside them, who is on the
+way (`live`).
 """
 
 from __future__ import annotations
@@ -21,6 +22,7 @@ from gpdf_service.viewer.map_control import MapControl
 from gpdf_service.viewer.panel import build_panel
 from gpdf_service.viewer.planning import Plans
 from gpdf_service.viewer.scenes import Scenes
+from gpdf_service.viewer.sharing import Sharing
 from gpdf_service.viewer.worker import Worker
 
 MOST_PAGES = 16
@@ -112,6 +114,7 @@ class Page:
         self.map = MapControl(self.desk)
         self.scenes = Scenes(self.desk, self.map, on_new=lambda: self.plans.leave())
         self.plans = Plans(self.desk, self.map, self.scenes)
+        self.sharing = Sharing(self.desk, self.map, self.scenes, self.plans)
         self.logs = Logs(self.desk, self.map, self.scenes, self.plans)
         self.live = LiveLayers(browser.scene, self.desk.frame)
         self._closing = threading.Event()
@@ -128,6 +131,7 @@ class Page:
         self.desk.link.close()
         self.desk.maps.close()
         self.desk.plans.close()
+        self.plans.close()
         self._ticker.join()
 
     def _on_service(self, there: bool) -> None:
@@ -135,7 +139,7 @@ class Page:
         if there:
             self.panel.link.content = f"Connected to `{endpoint}`"
             self.live.listen(self.desk.link.client)
-            self.scenes.look_soon()
+            self.desk.maps.do("scenes", self.sharing.look)
         else:
             self.panel.link.content = f"**Service lost.** Looking for it at `{endpoint}` …"
 
@@ -143,3 +147,4 @@ class Page:
         while not self._closing.wait(FRAME_S):
             self.plans.tick(FRAME_S)
             self.live.draw()
+            self.sharing.tick()

@@ -22,11 +22,14 @@ METHODS = tuple(colours.METHODS)
 CLICKS = ("start", "goal", OBSTACLE := "obstacle")
 ALL_STOREYS = "all of them"
 NO_SCENE = "(none)"
+SHARE = "Copy the link"
 SLICES = {"none": "", "distance to the ground (d_g)": "ground", "distance to obstacles (d_o)": "obstacle"}
 LAYERS = {"cloud": "Cloud", "ground": "Ground", "obstacles": "What stops the body", "leaves": "Where it fits (leaves)"}
 CLOUDS = ".ply,.pcd,.xyz,.txt,.csv,.asc,.pts,.npy,.npz,.las,.laz,.e57,.obj,.stl,.off,.dae,.glb,.gltf"
 """What can be sent."""
 CLOUD_COLOURS = ("height", "level", "ground")
+MOST_APART = 10.0
+"""[m] Between two storeys, more than they are high."""
 SHOWN_BELOW = 1.5
 """[m] Over the ground, at first."""
 
@@ -60,6 +63,7 @@ class PlanTab:
     compare_methods: viser.GuiButtonHandle
     compare_bodies: viser.GuiButtonHandle
     clear: viser.GuiButtonHandle
+    share: viser.GuiButtonHandle
     table: viser.GuiHtmlHandle
     legend: viser.GuiHtmlHandle
     time: viser.GuiSliderHandle[float]
@@ -112,6 +116,7 @@ class Panel:
     link: viser.GuiMarkdownHandle
     scene: viser.GuiDropdownHandle[str]
     storey: viser.GuiDropdownHandle[str]
+    apart: viser.GuiSliderHandle[float]
     bar: GuiProgressBarHandle
     work: viser.GuiMarkdownHandle
     key: viser.GuiHtmlHandle
@@ -138,6 +143,7 @@ def build_panel(gui: viser.GuiApi) -> Panel:
     link = gui.add_markdown("Looking for the service …")
     scene = gui.add_dropdown("Scene", (NO_SCENE,))
     storey = gui.add_dropdown("Storey", (ALL_STOREYS,), visible=False)
+    apart = gui.add_slider("Pull apart [m]", 0.0, MOST_APART, 0.5, 0.0, visible=False)
     bar = gui.add_progress_bar(0.0, visible=False)
     work = gui.add_markdown("", visible=False)
     key = gui.add_html(key_of(CLOUD_COLOURS[0], SHOWN_BELOW))
@@ -150,7 +156,7 @@ def build_panel(gui: viser.GuiApi) -> Panel:
         load = _load_tab(gui)
     with tabs.add_tab("Log"):
         log = _log_tab(gui)
-    return Panel(link, scene, storey, bar, work, key, plan, shown, load, log)
+    return Panel(link, scene, storey, apart, bar, work, key, plan, shown, load, log)
 
 
 def _plan_tab(gui: viser.GuiApi) -> PlanTab:
@@ -169,6 +175,7 @@ def _plan_tab(gui: viser.GuiApi) -> PlanTab:
         compare_methods=gui.add_button("Compare the methods", disabled=True, color="gray"),
         compare_bodies=gui.add_button("Compare the bodies", disabled=True, color="gray"),
         clear=gui.add_button("Clear", color="gray"),
+        share=gui.add_button(SHARE, color="gray", hint="The address of this page holds scene, view and plan."),
         table=gui.add_html("", visible=False),
         legend=gui.add_html(gradient(colours.ROOM, "0 m", f"{colours.ENOUGH_ROOM} m of clearance"), visible=False),
         time=gui.add_slider("Time [s]", 0.0, 1.0, 0.01, 0.0, visible=False),

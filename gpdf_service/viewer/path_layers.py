@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import partial
 from typing import Literal
 
 import numpy as np
@@ -54,6 +56,7 @@ class PathLayers:
         self._paths: dict[str, viser.SceneNodeHandle] = {}
         self._body: viser.MeshHandle | None = None
         self._moving: Trajectory | None = None
+        self._again: dict[str, Callable[[], None]] = {}  # what draws each thing
         self._keep_programs()
 
     def _keep_programs(self) -> None:
@@ -77,8 +80,10 @@ class PathLayers:
         """Show the start or the goal; None takes it away."""
         for handle in self._marks.pop(name, []):
             handle.remove()
+        self._again.pop(name, None)
         if place is None:
             return
+        self._again[name] = partial(self.mark, name, place)
         at = self._frame.to_page(place) + LIFTED
         disc = self._scene.add_cylinder(f"/plan/{name}", MARK_RADIUS, 0.03, MARKS[name], position=at, cast_shadow=False)
         label = self._scene.add_label(
@@ -88,9 +93,15 @@ class PathLayers:
 
     def clear(self) -> None:
         """Take all paths away; the marks stay."""
-        for handle in self._paths.values():
+        for node, handle in self._paths.items():
             handle.remove()
+            self._again.pop(node, None)
         self._paths, self._body, self._moving = {}, None, None
+
+    def draw_again(self) -> None:
+        """Draw all that stands, where the frame has it now."""
+        for draw in tuple(self._again.values()):
+            draw()
 
     def add_line(
         self, name: str, path: Trajectory, shades: colours.Colours, *, dashed: bool = False, storey: int = 0
@@ -104,15 +115,17 @@ class PathLayers:
             dashed: It is not proven.
             storey: Lines of another number are drawn over or under it, so that one does not hide the other.
         """
+        node = f"/plan/line_{name}"
+        self._again[node] = partial(self.add_line, name, path, shades, dashed=dashed, storey=storey)
         points = self._frame.to_page(path.ground) + (1 + storey) * LIFTED
         segments = dashes(points) if dashed else np.stack([points[:-1], points[1:]], axis=1)
         ends = np.broadcast_to(shades, points.shape)
         each = np.broadcast_to(shades, segments.shape) if dashed else np.stack([ends[:-1], ends[1:]], axis=1)
-        node = f"/plan/line_{name}"
         self._paths[node] = self._add_segments(node, segments, each)
 
     def add_sweep(self, path: Trajectory, agent: Agent, shades: colours.Colours) -> None:
         """Draw the body at even steps along a path, and a solid one that `move` moves."""
+        self._again["/plan/sweep"] = partial(self.add_sweep, path, agent, shades)
         points = self._frame.to_page(path.ground)
         along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
         count = max(2, int(along[-1] / max(GHOST_STEP, 1.5 * agent.radius)) + 1)

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor, wait
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 import viser
-from gpdf_client import ClientError, PlanResult, Status, UnavailableError
+from gpdf_client import ClientError, PlanResult, Status, Trajectory, UnavailableError
+from gpdf_schemas import MovingObstacle
 
 from gpdf_service.types import AGENTS, Agent, FloatArray
 from gpdf_service.viewer import colours, words
@@ -24,6 +26,11 @@ from gpdf_service.viewer.widgets import by_hand, put
 
 PLAN_DEADLINE_S = 30.0
 """[s] The first plan of a body waits until the service knows where it fits."""
+AT_ONCE_S = 0.1
+"""[s] What comes within is felt to come at once (Nielsen 1993): nothing is drawn before. Words are shown as they come,
+but behind something to draw they wait for the frame, for half a second where no graphics card draws it."""
+T = TypeVar("T")
+Place = tuple[float, float, float]
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,7 +51,10 @@ class Plans:
         self.ends: dict[str, FloatArray | None] = {"start": None, "goal": None}
         self.next = "start"
         self._nearest: tuple[str, FloatArray] | None = None
+        self._unmarked: set[str] = set()
+        self._asking = ThreadPoolExecutor(1, "gpdf-asking")
         self.drops = Drops(desk, self._replan)
+        map_control.on_lift(lambda: desk.plans.do("lift", self._draw_again))
         tab = self._tab
         desk.browser.scene.on_click()(self._click)
         tab.body.on_change(self._change_body)
@@ -60,6 +70,10 @@ class Plans:
         tab.time.on_update(lambda _: self.paths.move(tab.time.value))
         self._say_next()
 
+    def close(self) -> None:
+        """Ask nothing any more."""
+        self._asking.shutdown()
+
     def plan_soon(self) -> None:
         """Plan on the plans' worker."""
         self._soon(self._plan)
@@ -74,10 +88,35 @@ class Plans:
 
     def set_end(self, name: str, place: FloatArray) -> None:
         """Set the start or the goal (x, y, z of the ground) [m]; the next click sets the other."""
+        self._note_end(name, place)
+        self._mark_ends()
+
+    def _note_end(self, name: str, place: FloatArray) -> None:
         self.ends[name] = place
-        self.paths.mark(name, place)
+        self._unmarked.add(name)
         put(self._tab.typed[name], ", ".join(f"{value:.2f}" for value in place))
         self._set_next("goal" if name == "start" else "start")
+
+    def _mark_ends(self) -> None:
+        for name in tuple(self._unmarked):
+            self._unmarked.discard(name)
+            self.paths.mark(name, self.ends[name])
+
+    def open(self, ends: dict[str, Place | None], obstacles: Sequence[MovingObstacle]) -> None:
+        """Set what is given, start and goal by name (x, y, z) [m], and plan if both are; on the plans' worker."""
+        self.drops.replace(obstacles)
+        for name, place in ends.items():
+            if place is not None:
+                self._note_end(name, np.array(place))
+        if self._ready:
+            self._plan()
+        self._mark_ends()
+
+    def _draw_again(self) -> None:
+        """Where the storeys are now."""
+        self.drops.replace(tuple(self.drops.obstacles.values()))
+        self.paths.draw_again()
+        self.paths.move(self._tab.time.value)
 
     def leave(self) -> None:
         """Forget what was planned in the scene that was shown; what has been typed for the next one stays."""
@@ -105,42 +144,50 @@ class Plans:
         for name in self.ends:
             self.ends[name] = None
             self.paths.mark(name, None)
+        self._unmarked.clear()
+        self._clear_words()
         self._clear_path()
         self._desk.panel.say_answer("")
         self._set_next("start")
 
     def show(self, result: PlanResult, scene: str, agent: Agent, seconds: float | None) -> None:
-        """Show an answer; `seconds`: how long it took, if that is known."""
-        self._clear_path()
-        refused = result.trajectory is None
-        self._desk.panel.say_answer("" if refused else words.answer(result))
-        if refused:
-            self._refuse(result)
+        """Show an answer, its words first; `seconds`: how long it took, if that is known."""
+        path, proven = result.trajectory, result.status is Status.OK
+        self._clear_words()
+        self._desk.panel.say_answer("" if path is None else words.answer(result))
         self._tab.details.content = words.details(result, seconds)
-        path = result.trajectory
         if path is None:
+            self._tab.refusal.content, self._tab.refusal.visible = words.refusal(result), True
+        self._desk.browser.flush()
+        if path is None:
+            self._clear_path()
+            self._mark_ends()
+            self._show_nearest(result)
             return
-        proven = result.status is Status.OK
         shades = np.array(colours.NOWHERE if proven else colours.WARNING, np.uint8)
-        self.paths.add_line(
-            "plan", path, shades, dashed=not proven
-        )  # the room along a long way takes longer to ask for
-        clearance = known_clearance(self._desk.link, scene, path, agent)
+        clearance = self._wait_for(
+            lambda: known_clearance(self._desk.link, scene, path, agent),
+            meanwhile=lambda: self._draw_line(path, shades, proven=proven),
+        )
         if clearance is not None:
             clearance = np.minimum(clearance, room_beside(list(self.drops.obstacles.values()), path, agent))
             if proven:
                 shades = colours.ramp(clearance, 0.0, colours.ENOUGH_ROOM, colours.ROOM)
-                self.paths.add_line("plan", path, shades)
             self._tab.charts.show(profile_of(path, clearance))
+        self._draw_line(path, shades, proven=proven)
         self.paths.add_sweep(path, agent, shades)
         self._tab.time.max = round(path.duration, 2)
         put(self._tab.time, 0.0)
         self._tab.legend.visible = clearance is not None and proven
         self._tab.time.visible = self._tab.play.visible = True
 
-    def _refuse(self, result: PlanResult) -> None:
-        """A card that says why, the place on the map, and a button that takes the nearest one that is valid."""
-        self._tab.refusal.content, self._tab.refusal.visible = words.refusal(result), True
+    def _draw_line(self, path: Trajectory, shades: colours.Colours, *, proven: bool) -> None:
+        self._clear_path()
+        self._mark_ends()
+        self.paths.add_line("plan", path, shades, dashed=not proven)
+
+    def _show_nearest(self, result: PlanResult) -> None:
+        """Where the way ends on the map, and a button that takes the nearest place that is valid."""
         self._nearest = None
         for what in ("nearest", "cut"):
             place = np.array([result.details.get(f"{what}_{axis}", np.nan) for axis in "xyz"])
@@ -155,17 +202,18 @@ class Plans:
 
     def _take_nearest(self) -> None:
         if self._nearest is not None:
-            self.set_end(*self._nearest)
+            self._note_end(*self._nearest)
             self._plan()
 
     def _take_typed(self) -> None:
         """Start and goal as they are typed: numbers, or names of places."""
         for name, field in self._tab.typed.items():
             if text := field.value.strip():
-                self.set_end(name, self._map.on_ground(self._where(text)))
+                self._note_end(name, self._map.on_ground(self._where(text)))
         missing = [name for name, place in self.ends.items() if place is None]
         self._set_next(missing[0] if missing else "start")
         if missing:
+            self._mark_ends()
             raise ValueError(f"Type the {' and the '.join(missing)}, too, or click the ground there.")
         self._plan()
 
@@ -214,11 +262,13 @@ class Plans:
 
     def _clear_path(self) -> None:
         self.paths.clear()
-        self._tab.charts.hide()
-        self._tab.details.content = ""
         for what in ("nearest", "cut"):
             self.paths.mark(what, None)
+
+    def _clear_words(self) -> None:
         tab = self._tab
+        tab.charts.hide()
+        tab.details.content = ""
         tab.refusal.visible = tab.nearest.visible = False
         tab.legend.visible = tab.table.visible = tab.time.visible = tab.play.visible = False
 
@@ -246,11 +296,22 @@ class Plans:
         )
         return result, time.perf_counter() - began
 
-    def _plan(self) -> None:
+    def _wait_for(self, job: Callable[[], T], meanwhile: Callable[[], None]) -> T:
+        """What a job comes to; where that takes longer than anybody would notice, or fails, something else is done."""
+        answer = self._asking.submit(job)
+        if not wait([answer], AT_ONCE_S).done or answer.exception() is not None:
+            meanwhile()
+        return answer.result()
+
+    def _say_planning(self) -> None:
         self._desk.panel.say_answer("Planning …")
+        self._clear_words()
         self._clear_path()
-        agent = self._desk.body.agent
-        result, seconds = self._ask(Way(self._desk.body.wire, self._tab.method.value))
+        self._mark_ends()
+
+    def _plan(self) -> None:
+        agent, way = self._desk.body.agent, Way(self._desk.body.wire, self._tab.method.value)
+        result, seconds = self._wait_for(lambda: self._ask(way), meanwhile=self._say_planning)
         scene = self._scenes.shown[0]
         self.show(result, scene, agent, seconds)
         if result.scene_version not in (0, self._scenes.facts.get(scene, {}).get("version")):
@@ -268,6 +329,7 @@ class Plans:
         self._compare("body", ways)
 
     def _compare(self, what: str, ways: dict[str, Way]) -> None:
+        self._clear_words()
         self._clear_path()
         results: dict[str, PlanResult | str] = {}
         times: dict[str, float] = {}

@@ -53,14 +53,18 @@ class Scenes:
 
     def look_soon(self) -> None:
         """List the scenes on the maps' worker, and show the chosen one as it is now."""
-        self._desk.maps.do("scenes", self._look)
+        self._desk.maps.do("scenes", self.look)
+
+    def show(self, name: str) -> None:
+        """Show another scene, if the service has it; on the maps' worker."""
+        put(self._desk.panel.scene, name)
+        self.look()
 
     def turn_to(self, name: str, then: Callable[[], None]) -> None:
         """Show another scene, and do something when it is there."""
 
         def turn() -> None:
-            put(self._desk.panel.scene, name)
-            self._look()
+            self.show(name)
             then()
 
         self._desk.maps.do("scenes", turn)
@@ -71,7 +75,8 @@ class Scenes:
         self.shown = ("", "")
         self._desk.frame.origin = origin
 
-    def _look(self) -> None:
+    def look(self) -> None:
+        """List the scenes, and show the chosen one as it is now; on the maps' worker."""
         panel, client = self._desk.panel, self._desk.link.client
         self.facts = client.scenes()
         names = tuple(sorted(self.facts)) or (NO_SCENE,)

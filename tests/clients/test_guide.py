@@ -290,6 +290,27 @@ def test_a_way_is_planned_for_the_person_that_is_led(client):
     assert wide.refusal is Kind.NO_WAY_START
 
 
+@pytest.mark.parametrize("name", NAMES)
+def test_widths_that_are_not_asked_for_would_be_refused(name, client, made, monkeypatch):
+    """Asked or not, the way is the same: so wide a body would not fit where it starts, or where it goes to."""
+    rng, low, high = np.random.default_rng(3), made[name].points.min(axis=0), made[name].points.max(axis=0)
+    places = [[float(value) for value in rng.uniform(low[:2], high[:2])] for _ in range(24)]
+    asked, plan = [], Client.plan
+    monkeypatch.setattr(Client, "plan", lambda *args, **more: asked.append(0) or plan(*args, **more))
+
+    def routes():
+        asked.clear()
+        planner = Planner(client, name)
+        found = [planner.route(Pose((*a, 0.0), 0.0, 0.0), b) for a, b in zip(places[::2], places[1::2], strict=True)]
+        return [(one.why, None if one.route is None else one.route.ground.tolist()) for one in found], len(asked)
+
+    ours, few = routes()
+    monkeypatch.setattr("gpdf_guidance.planner.spare_at_ends", lambda *_: np.inf)
+    all_of_them, many = routes()
+    assert ours == all_of_them
+    assert few < many
+
+
 def test_nobody_plans_for_a_scene_that_is_not_there(client):
     assert Planner(client, "nowhere").pulse() is None
     planned = Planner(client, "nowhere").route(Pose((0.0, 0.0, 0.0), 0.0, 0.0), (1.0, 1.0))

@@ -95,6 +95,10 @@ def rise_of_face(height, slope, level, width, x, y):
     return best
 
 
+def or_nothing(value):
+    return 0.0 if np.isnan(value) else value
+
+
 def measured(surface):
     """Step and slope of every cell, one by one."""
     width, known = surface.cell_width, surface.state != UNKNOWN
@@ -109,9 +113,9 @@ def measured(surface):
             own = flight is not False and flight[x, y] and narrow(raw, width, x, y, axis)
             rise = 0.0 if own else np.fmin(*(abs(at(smooth, *n) - smooth[x, y]) for n in next_to[:2]))
             short = 0.0 if own else np.fmin(*(abs(at(smooth, *n) - smooth[x, y]) for n in next_to[2:]))
-            rate[x, y] = np.nan_to_num(rise / (reach * width))
+            rate[x, y] = or_nothing(rise / (reach * width))
             long2[x, y] += rate[x, y] ** 2
-            short2[x, y] += np.nan_to_num(short / width) ** 2
+            short2[x, y] += or_nothing(short / width) ** 2
             before, behind = (at(raw, *n) for n in next_to[2:])
             one = np.fmax(abs(before - raw[x, y]), abs(behind - raw[x, y]))
             rises[x, y] = own, abs(behind - before), one
@@ -119,7 +123,7 @@ def measured(surface):
         for x, y in cells:
             own, across, one = rises[x, y]
             excess = np.fmax(0.0 if own else across - 2.0 * width * usual[x, y], one - width * usual[x, y])
-            step[x, y] = np.fmax(step[x, y], np.nan_to_num(excess))
+            step[x, y] = np.fmax(step[x, y], or_nothing(excess))
     slope = np.arctan(np.sqrt(np.minimum(medians(long2, 1, known), medians(short2, 1, known))))
     flat = np.where(known, slope, np.inf) <= STANDABLE
     need = np.clip(int(np.ceil(HALF_SOLE / width**2 - 1e-6)), 3, 6)

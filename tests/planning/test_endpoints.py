@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import gpdf_service as gpdf
-from gpdf_service.planning.endpoints import Endpoint, Refusal, find_endpoint, find_ends
+from gpdf_service.planning.endpoints import Endpoint, Refusal, connect_at, find_endpoint, find_ends
 from gpdf_service.synthetic import Box, World
 from gpdf_service.types import AGENTS, PlanOptions, Status
 
@@ -103,6 +103,19 @@ def test_the_room_that_noise_asks_for_is_named_where_it_is_what_a_body_does_not_
     assert f" is {details['room']:.4f} m from its centre" in refused.message
 
 
+def assert_nearest_clear(space, place, leaf):
+    """It is clear from the place to the leaf's centre, and to that of no free leaf that is nearer."""
+    tree = space.quadtrees[0]
+    reached = tree.origin + (tree.corner + 0.5 * tree.size[:, None]) * tree.width
+    line = place + np.linspace(0.0, 1.0, 200)[:, None] * (reached[leaf] - place)
+    assert space.clearance(0, line)[0].min() > space.reach - 0.0021
+    gap = np.linalg.norm(reached - place, axis=1) - 0.5 * tree.size * tree.width
+    radius = min(space.radius, max(space.reach, space.clearance(0, place[None])[0][0] - 0.002))
+    for nearer in reached[tree.free & (gap < gap[leaf] - 1e-9)]:
+        line = place + np.linspace(0.0, 1.0, 200)[:, None] * (nearer - place)
+        assert space.clearance(0, line)[0].min() < radius + 0.005
+
+
 def test_the_leaf_to_go_on_from_is_free_and_reached_on_a_clear_line(space):
     tree = space.quadtrees[0]
     met = 0
@@ -115,19 +128,33 @@ def test_the_leaf_to_go_on_from_is_free_and_reached_on_a_clear_line(space):
         leaf = found.node - space.offsets[found.level]
         assert tree.free[leaf]
         low = tree.origin + tree.corner[leaf] * tree.width
-        side = tree.width * tree.size[leaf]
-        if (low <= place).all() and (place <= low + side).all() and tree.whole[leaf]:
+        if (low <= place).all() and (place <= low + tree.width * tree.size[leaf]).all() and tree.whole[leaf]:
             continue
         met += 1
-        line = place + np.linspace(0.0, 1.0, 200)[:, None] * (low + 0.5 * side - place)
-        assert space.clearance(found.level, line)[0].min() > space.reach - 0.0021
-        reached = tree.origin + (tree.corner + 0.5 * tree.size[:, None]) * tree.width
-        gap = np.linalg.norm(reached - place, axis=1) - 0.5 * tree.size * tree.width
-        radius = min(space.radius, max(space.reach, space.clearance(found.level, place[None])[0][0] - 0.002))
-        for nearer in reached[tree.free & (gap < gap[leaf] - 1e-9)]:
-            line = place + np.linspace(0.0, 1.0, 200)[:, None] * (nearer - place)
-            assert space.clearance(found.level, line)[0].min() < radius + 0.005
+        assert_nearest_clear(space, place, leaf)
     assert met >= 5  # places beside obstacles, in leaves that are not wholly free
+
+
+def test_a_way_goes_on_from_a_place_exactly_where_the_body_fits(space):
+    tree, met = space.quadtrees[0], {True: 0, False: 0}
+    rng, places = np.random.default_rng(5), []
+    for side in range(4):  # of the block, and as far off as the body needs it
+        along, off = rng.uniform(-0.45, 0.45, 200), 0.5 + space.reach + rng.uniform(-0.02, 0.02, 200)
+        turned = np.column_stack([along, off] if side % 2 else [off, along])
+        places.append(np.mean(BLOCK, axis=0) + (turned if side < 2 else -turned))
+    for place in np.concatenate(places):
+        leaf, node = tree.find_one(place), connect_at(space, 0, place)
+        if leaf >= 0 and tree.whole[leaf]:
+            assert node == leaf + space.offsets[0]
+            continue
+        fits = space.clearance(0, place[None])[0][0] - space.reach
+        if abs(fits) > 0.0021:  # what the room is told with
+            met[bool(fits > 0.0)] += 1
+            if fits < 0.0:
+                assert node == -1
+            else:
+                assert_nearest_clear(space, place, node - space.offsets[0])
+    assert min(met.values()) >= 10
 
 
 @pytest.mark.parametrize(("name", "outside"), [("start", Status.START_OUTSIDE_MAP), ("goal", Status.GOAL_OUTSIDE_MAP)])
@@ -201,6 +228,15 @@ def test_a_height_says_which_storey_is_meant_and_half_a_metre_is_the_same_ground
     assert between.status is Status.GOAL_OUTSIDE_MAP  # there is no ground to be moved to at that height
     assert (asked.status, asked.nearest) == (Status.AMBIGUOUS_LEVEL, None)
     assert "z = 0.00, 3.00 m under the goal" in asked.message
+
+
+def test_two_storeys_are_two_wherever_zero_is(points):
+    floor = points[0][points[1]]
+    both = np.concatenate([floor + np.array([0.0, 0.0, z]) for z in (-1.5, 1.5)])
+    space = gpdf.build_scene(both, np.ones(len(both), dtype=bool)).free_space(HUMAN)
+    found = find_endpoint(space, np.array([1.5, 1.5]), "start")
+    assert found.status is Status.AMBIGUOUS_LEVEL
+    assert "-1.50, 1.50" in found.message
 
 
 def test_a_place_is_moved_as_far_as_allowed_and_the_distance_is_said(space):

@@ -14,6 +14,7 @@ from gpdf_client.results import ClientError
 
 import gpdf_service as gpdf
 import gpdf_service.errors
+from gpdf_service.search import Prefer
 from gpdf_service.service.memory import held_bytes
 from gpdf_service.service.scene_files import SceneFiles
 from gpdf_service.service.scenes import Shelf
@@ -91,6 +92,24 @@ def test_the_free_spaces_of_many_bodies_are_let_go(files, tmp_path):
     shelf._held.memory_bytes = bare
     shelf.trim()
     assert held_bytes(scene) == bare
+    shelf.close()
+
+
+def test_the_bodies_that_were_used_last_stay_and_so_do_their_ways(files, tmp_path):
+    """A guide asks for a dozen: when all were dropped with the oldest, each of its ways built all of them again."""
+    shelf = filled(files, tmp_path)
+    scene = shelf.scene(shelf.get("2"))
+    for agent in ("roomba", "spot", "human", "roomba"):  # a roomba's level ground is its own: it takes no step
+        scene.ways(agent, Prefer.COMPANION)
+    ways = {agent: scene.ways(agent, Prefer.COMPANION) for agent in ("human", "roomba")}
+    while "spot" in scene.info()["agents_ready"]:  # its own, and that of its level ground
+        shelf._held.memory_bytes = held_bytes(scene) - 1
+        assert shelf.trim() <= shelf._held.memory_bytes
+    assert scene.info()["agents_ready"] == ["human", "roomba"]
+    assert all(scene.ways(agent, Prefer.COMPANION) is kept for agent, kept in ways.items())
+    shelf._held.memory_bytes = 1
+    shelf.trim()
+    assert scene.info()["agents_ready"] == []
     shelf.close()
 
 

@@ -138,7 +138,7 @@ class Operator:
         (client,) = self.server.get_clients().values()
         camera = client.camera
         rotation = vtf.SO3(np.asarray(camera.wxyz)).as_matrix()
-        seen = rotation.T @ (np.asarray(place) - self.page.desk.frame.origin - camera.position)
+        seen = rotation.T @ (self.page.desk.frame.to_page(np.asarray(place)) - camera.position)
         focal = 0.5 * SIZE["height"] / np.tan(0.5 * camera.fov)
         return tuple(0.5 * np.array([SIZE["width"], SIZE["height"]]) + focal * seen[:2] / seen[2])
 

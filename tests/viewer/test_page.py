@@ -82,6 +82,38 @@ def test_a_path_is_drawn_before_the_room_along_it_is_known(operator, monkeypatch
     assert operator.errors == []
 
 
+def test_the_words_of_an_answer_wait_for_nothing_that_is_drawn(operator, monkeypatch):
+    browser, sent = operator.page.desk.browser, []
+    for whose, name in ((browser, "flush"), (browser.scene, "add_cylinder"), (browser.scene, "add_line_segments")):
+        was = getattr(whose, name)
+
+        def noted(*args, was=was, name=name, **more):
+            sent.append((name, operator.page.panel.plan.answer.content))
+            return was(*args, **more)
+
+        monkeypatch.setattr(whose, name, noted)
+    types(operator, "0.9, 0.9", "5, 3")
+    until(lambda: path_on_screen(operator) is not None)
+    assert [name for name, _ in sent] == ["flush", "add_cylinder", "add_cylinder", "add_line_segments"]
+    assert "of clearance everywhere" in sent[0][1]
+
+
+def test_who_waits_for_a_plan_sees_where_it_will_lead_and_no_old_path(operator, monkeypatch):
+    operator.plans((0.9, 0.9, 0.0), (5.4, 3.4, 0.0))
+    until(lambda: path_on_screen(operator) is not None)
+    client, go = operator.page.desk.link.client, threading.Event()
+    plan = client.plan
+    monkeypatch.setattr(client, "plan", lambda *args, **more: (go.wait(60), plan(*args, **more))[1])
+    types(operator, "0.9, 0.9", "5, 3")
+    try:
+        operator.sees("Planning …")
+        until(lambda: operator.page.plans.paths.drawn == ())
+    finally:
+        go.set()
+    until(lambda: path_on_screen(operator) is not None)
+    np.testing.assert_allclose(path_on_screen(operator)[-1, :2], (5, 3), atol=1e-6)
+
+
 def test_methods_are_compared_and_what_is_not_proven_says_so(operator):
     operator.plans((0.9, 0.9, 0.0), (5.4, 3.4, 0.0))
     operator.sees("of clearance everywhere")
@@ -155,6 +187,28 @@ def test_the_lowest_storey_is_shown_alone_and_the_others_by_their_height(operato
     operator.tab("Map")
     for label, value in (("Storey", "all of them"), ("Cloud by", "height")):
         operator.choose(label, value)
+
+
+def test_storeys_are_pulled_apart_with_all_that_stands_on_them(operator):
+    operator.opens("house")
+    assert not operator.page.panel.apart.visible
+    operator.choose("Storey", "all of them")
+    until(lambda: operator.page.panel.apart.visible)
+    types(operator, f"0.5, 2.0, {STOREY}", f"4.5, 2.0, {STOREY}")
+    until(lambda: path_on_screen(operator) is not None)
+    frame = operator.page.desk.frame
+    operator.page.panel.apart.value = 3.0
+    until(lambda: frame.apart == 3.0 and not operator.page.panel.work.content)
+    operator.settle()
+    assert frame.to_page(np.array([4.0, 4.0, STOREY]))[2] == pytest.approx(STOREY + 3.0, abs=0.05)
+    assert shade(operator, (4.0, 4.0, STOREY)).min() > 150  # pale ground where it is drawn now
+    operator.presses("start")
+    operator.clicks((4.0, 4.0, STOREY))
+    until(lambda: operator.page.plans.ends["start"][0] > 3.0)
+    np.testing.assert_allclose(operator.page.plans.ends["start"], (4.0, 4.0, STOREY), atol=0.2)  # a flat ray
+    operator.page.panel.apart.value = 0.0
+    until(lambda: frame.apart == 0.0)
+    assert operator.errors == []
 
 
 def test_each_browser_has_a_page_of_its_own(operator, browser):

@@ -15,6 +15,7 @@ from gpdf_service.service.server import Options, Server
 from gpdf_service.types import AGENTS
 from gpdf_service.viewer import colours, words
 from gpdf_service.viewer.drops import room_beside
+from gpdf_service.viewer.frame import Frame
 from gpdf_service.viewer.link import Link
 from gpdf_service.viewer.map_layers import View
 from gpdf_service.viewer.panel import CLOUDS, key_of
@@ -106,6 +107,7 @@ def test_the_link_finds_loses_and_finds_again(tmp_path, free_endpoint):
         ({"shown": frozenset({"cloud", "ground", "leaves"})}, {"leaves"}),
         ({"shown": frozenset({"cloud"})}, {"cloud", "ground"}),  # the cloud then shows the ground's own points
         ({"levels": frozenset({1})}, {"cloud", "ground"}),
+        ({"apart": 2.0}, {"cloud", "ground"}),
     ],
 )
 def test_only_what_looks_different_is_sent_again(change, layers):
@@ -236,3 +238,25 @@ def test_a_profile_has_the_way_and_the_speed_of_the_feet():
     np.testing.assert_allclose(profile.along, [0.0, 5.0])
     np.testing.assert_allclose(profile.speed, [0.5, 0.5])
     np.testing.assert_allclose(profile.top - profile.ground, 2.0)
+
+
+@pytest.mark.parametrize("floors", [[0.0], [0.4, 3.2], [-1.0, 2.0, 2.3, 9.0]])
+@pytest.mark.parametrize("apart", [0.0, 0.5, 10.0])
+def test_storeys_are_pulled_apart_and_what_is_drawn_is_found_again(floors, apart):
+    frame = Frame(np.array([5.0, -3.0, 100.0]), np.array(floors), apart)
+    places = np.random.default_rng(0).uniform((0.0, 0.0, 95.0), (9.0, 9.0, 115.0), (500, 3))
+    drawn = frame.to_page(places)
+    np.testing.assert_allclose(frame.to_scene(drawn), places, atol=1e-9)
+    np.testing.assert_array_equal(drawn[:, :2], places[:, :2] - frame.origin[:2])
+    rising = np.argsort(places[:, 2])
+    assert (np.diff(drawn[rising, 2]) >= np.diff(places[rising, 2]) - 1e-9).all()  # nothing changes its order
+    for storey, floor in enumerate(floors):  # and each floor stands as many gaps over where it is
+        at = np.array([0.0, 0.0, 100.0 + floor])
+        assert frame.to_page(at)[2] == pytest.approx(floor + storey * apart)
+
+
+def test_the_things_on_a_floor_go_with_it():
+    frame = Frame(floors=np.array([0.0, 2.8]), apart=3.0)
+    for floor, lift in ((0.0, 0.0), (2.8, 3.0)):
+        heights = np.linspace(floor - 0.2, floor + 1.3, 20)
+        np.testing.assert_allclose(frame.lifted_heights(heights) - heights, lift)
