@@ -173,7 +173,7 @@ class Beside:
                 box = np.array([ROWS * spans[i].start, ROWS * spans[i].stop])
                 return (answer(part, at, box, *(each[i] for each in held), *(_flat(each[spans[i]]) for each in given)),)
 
-            return run_parallel(one, range(begin, end))
+            return each_strip(one, begin, end)
 
         of = [
             (asked[i], *(each[i] for each in held), *(one for each in (self.nodes, *given) for one in each[spans[i]]))
@@ -337,6 +337,16 @@ class Beside:
 
 PER_NODE = "cell", "place", "height", "top", "thickness", "headroom", "middle", "face"
 """What layers tell of each node."""
+
+
+FEW = 8
+"""Strips that one core has done before another one wakes."""
+
+
+def each_strip(one: Callable[[int], Answer], begin: int, end: int) -> list[Answer]:
+    """The answers of strips from `begin` to `end`, made on all cores where they are more than a few."""
+    asked = range(begin, end)
+    return run_parallel(one, asked) if len(asked) > FEW else [one(i) for i in asked]
 
 
 def _runs(stay: list[bool]) -> list[tuple[int, int]]:

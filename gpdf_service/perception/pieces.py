@@ -13,8 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gpdf_service.fields.threads import run_parallel
-from gpdf_service.perception.beside import Answer, Beside, Strips
+from gpdf_service.perception.beside import Answer, Beside, Strips, each_strip
 from gpdf_service.perception.nodes import components, count_labels, pairs_on, pieces_of
 from gpdf_service.types import BoolArray, IntArray
 
@@ -64,7 +63,7 @@ class Pieces:
                 own, count = slice(int(first[i]), int(first[i + 1])), int(self.first[i + 1] - self.first[i])
                 return (add(own, self.label[i], count, *(each[i] for each in given)),)
 
-            return run_parallel(one, range(begin, end))
+            return each_strip(one, begin, end)
 
         parts = [each[0] for each in self.near.told(f"{name}, totals", self.near.within(0, (self.label, *given)), make)]
         made = np.zeros((self.count + 1, *parts[0].shape[1:]), parts[0].dtype)
@@ -104,7 +103,7 @@ def find_pieces(near: Beside, name: str, inner: Strips, rise: float, step: float
         def one(i: int) -> Answer:
             return pieces_of(near.strips(i, i + 1).columns, inner[i], rise, step)
 
-        return run_parallel(one, range(begin, end))
+        return each_strip(one, begin, end)
 
     def join(begin: int, end: int) -> list[Answer]:
         def one(i: int) -> Answer:
@@ -113,7 +112,7 @@ def find_pieces(near: Beside, name: str, inner: Strips, rise: float, step: float
             ends = label[i : i + 2], (first[i], first[i + 1]), (len(starts[i]), len(starts[i + 1]))
             return (pairs_on(near.layers.columns, near.rows(i).stop - 1, *ends, rise, step),)
 
-        return run_parallel(one, range(begin, end))
+        return each_strip(one, begin, end)
 
     label, starts = zip(*near.told(f"{name}, pieces", near.within(0, (inner,)), make), strict=True)
     on = [(*near.nodes[i : i + 2], *label[i : i + 2]) for i in range(len(label))]
