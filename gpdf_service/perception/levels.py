@@ -152,7 +152,7 @@ class Survey:
     """What levels were made of, kept for the next version of a scene.
 
     Attributes:
-        near: Layers of the ground points, and pairs of their nodes.
+        near: Layers of the ground points, and what was asked of their nodes.
         stray: Which points of the cloud count for nothing, shape (n,).
         sheets: Which nodes are of each level, shape (k,).
         made: Each level.
