@@ -19,6 +19,7 @@ from gpdf_service.denoise import as_measured
 from gpdf_service.denoise.place import Placed
 from gpdf_service.errors import GpdfError
 from gpdf_service.perception import read_cloud
+from gpdf_service.perception.beside import Strips
 from gpdf_service.perception.surface import UNKNOWN
 from gpdf_service.pipeline import build_scene
 from gpdf_service.synthetic import SCENES, random_room
@@ -46,6 +47,11 @@ def _false(of: int) -> Callable[..., BoolArray]:
     return lambda *given, **_: np.zeros(len(given[of]), dtype=bool)
 
 
+def _none(_: Any, nodes: Strips, *__: Any) -> Strips:  # noqa: ANN401
+    """A rule that finds no node."""
+    return tuple(np.zeros(len(each), dtype=bool) for each in nodes)
+
+
 def _first(given: Any, *_: Any, **__: Any) -> Any:  # noqa: ANN401 - whatever the rule is given
     return given
 
@@ -61,20 +67,20 @@ def _middles(nodes: IntArray, *given: Any) -> FloatArray:  # noqa: ANN401
 
 _P, _D = "gpdf_service.perception.", "gpdf_service.denoise."
 RULES: dict[str, tuple[str, str, Callable[..., Any]]] = {
-    "a foot on sparse cells": (_P + "segment", "_footing", _false(2)),
-    "rough treads between stances": (_P + "segment", "_between", _false(1)),
-    "undersides": (_P + "segment", "undersides", lambda _, parts, core, *__: (core & False, parts, parts.size < 0)),
+    "a foot on sparse cells": (_P + "segment", "find_footing", _false(2)),
+    "rough treads between stances": (_P + "segment", "find_between", _false(1)),
+    "undersides": (_P + "segment", "undersides", lambda _, parts, __: (_none(0, parts.keep), parts, parts.size < 0)),
     "crumbs of noise": (_P + "segment", "without_crumbs", lambda _, parts, __: parts),
-    "roofs": (_P + "segment", "_roofs", _false(1)),
-    "low things": (_P + "segment", "low_things", _false(1)),
-    "boxes and lids": (_P + "segment", "boxes", _false(1)),
+    "roofs": (_P + "segment", "_roofs", _none),
+    "low things": (_P + "segment", "low_things", _none),
+    "boxes and lids": (_P + "segment", "boxes", _none),
     "dead ends and tables": (_P + "parts", "_dead_ends", _false(2)),
     "ways between storeys": (_P + "parts", "_between_storeys", lambda _, joins, *__: np.zeros(len(joins[0]), bool)),
     "ground that no way leads to": (_P + "parts", "_apart", lambda _, __, group, *___: np.zeros(group.max() + 1, bool)),
     "ceilings": (_P + "parts", "rises_beside", lambda nodes, *_: np.ones(len(nodes), dtype=bool)),
     "faces of boards": (_P + "layers", "tops_of_boards", _middles),
     "seams of sheets": (_P + "sheets", "_seams", lambda *_: []),
-    "the foot of a step in its cell": (_P + "sheets", "_under_step", lambda near, _: near.layers.cell < 0),
+    "the foot of a step in its cell": (_P + "sheets", "_under_step", lambda layers, _: layers.cell < 0),
     "strays": (_P + "levels", "find_strays", _false(0)),
     "sagging treads closed": (_P + "levels", "bridged", _first),
     "steps that hold a foot": (

@@ -1,308 +1,395 @@
-"""What nodes of layered columns are told by those around them, remembered: a change asks only where it is another.
+"""What nodes of layered columns are told by those around them, and which of them are joined: strip by strip.
 
-Pairs of nodes beside each other lie in strips of the grid. A strip numbers its nodes from its first one, so it is the
-same wherever it comes in the whole. What it was asked in the version before it remembers, with what was given for its
-nodes: where both are as they were, so is the answer. What a node is told by all that is within a known reach is asked
-of boxes of cells with as much around them: a build asks one box, a change those in which what is given is another.
+A strip is some rows of the grid. What its nodes are told is a function of them, of what is given for them, and of the
+same of the strips within reach. So an answer is kept with what it was made of, and made again where any of that is
+another array: a build makes all of them, in one piece, a change those that it touches. An answer that comes out as it
+was is the array that it was, and what follows from it is not asked again. What is joined is told by pieces within each
+strip, by the pairs that go on into the next one, and by a graph of these pieces, which is small.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from itertools import chain, pairwise
+from math import ceil
+from operator import is_
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gpdf_service.fields.threads import run_parallel
-from gpdf_service.perception.boxes import widened
-from gpdf_service.perception.layers import (
-    APART,
-    HALF,
-    Layers,
-    Pairs,
-    crop_layers,
-)
-from gpdf_service.perception.nodes import (
-    across_in,
-    carry,
-    degrees,
-    mark_unlike,
-    numbered,
-    pieces_in,
-    put_in,
-    unite_all,
-)
-from gpdf_service.perception.pairs import pairs_beside
-from gpdf_service.perception.rows import INDEX
-from gpdf_service.perception.told import Told, boxes_of
+from gpdf_service.perception.boxes import Box, span
+from gpdf_service.perception.columns import box_spliced, box_unlike, unlike_cells
+from gpdf_service.perception.layers import Layers, crop_layers
+from gpdf_service.perception.told import grown
 from gpdf_service.types import BoolArray, FloatArray, IntArray
 
 ROWS = 16
 """Of cells a strip: about a metre. What changes in a room touches two or three."""
-Answers = dict[tuple[Any, ...], Any]
-"""By the question's name, its limits, and the bytes that were given for the nodes."""
-NO_PAIRS: Pairs = np.zeros(0, INDEX), np.zeros(0, INDEX)
+Strips = tuple[NDArray[Any], ...]
+"""What is told of nodes, an array for the nodes of each strip; versions share those that are the same."""
+Answer = tuple[NDArray[Any], ...]
+"""What one question tells of one strip."""
+Told = list[tuple[tuple[Any, ...], Answer]]
+"""Of each strip what its answer was made of, and the answer."""
 
 
-@dataclass(frozen=True, slots=True)
-class Strip:
-    """Nodes in some rows of cells, and after them those in the row behind.
-
-    Attributes:
-        count: How many of them are its own.
-        size: How many there are in all.
-        known: What it was asked in this version.
-        before: What it was asked in the version before.
-        pairs: Of nodes, `pairs_beside`, while they are asked for again and again; else none.
-    """
-
-    count: int
-    size: int
-    known: Answers
-    before: Answers
-    pairs: list[tuple[IntArray, IntArray, IntArray]]
-
-    def recall(self, key: tuple[Any, ...]) -> object:
-        """The answer to what it was asked in this version or the one before; None where it was not."""
-        return self.known.get(key, self.before.get(key))
-
-
-@dataclass(frozen=True, slots=True)
-class Former:
-    """The version before.
-
-    Attributes:
-        known: What was asked of it.
-        kept: Runs of its nodes that are nodes now, (r, 3): the number now of the first one, the one then, how many.
-        cells: The columns that hold others, shape (nx, ny).
-    """
-
-    known: dict[str, Told]
-    kept: IntArray
-    cells: BoolArray
-
-
-NOTHING = Former({}, np.zeros((0, 3), np.int64), np.zeros((0, 0), dtype=bool))
-"""Before a build."""
+Other = tuple[object, object, tuple[int, int, int, int]]
+"""What is told now, what was in the version before, and first and behind the last row and column where it is other."""
 
 
 @dataclass(frozen=True, slots=True)
 class Beside:
-    """Nodes, pairs of those in neighbouring cells, and what was asked of them.
+    """Nodes in strips, and what was asked of them.
 
     Attributes:
         layers: The nodes.
-        rise: Between the nodes of a pair at most [m].
-        strips: Of their pairs.
+        nodes: An object for each strip, the same one as long as the strip has the same nodes.
         known: What each question was told, by its name.
-        former: The version before.
+        former: The same of the version before; empty in a build.
+        was: Where the nodes of each cell began in the version before, shape (cells + 1,).
+        others: Of what is told otherwise than before, by its identity.
     """
 
     layers: Layers
-    rise: float
-    strips: tuple[Strip, ...]
+    nodes: tuple[object, ...]
     known: dict[str, Told]
-    former: Former = NOTHING
+    former: dict[str, Told]
+    was: IntArray
+    others: dict[int, Other]
 
-    def around(
-        self, name: str, reach: int, answer: Callable[..., tuple[NDArray[Any], ...]], *given: NDArray[Any]
-    ) -> tuple[NDArray[Any], ...]:
-        """What a question is told of each node, arrays of shape (k,).
+    @property
+    def first(self) -> IntArray:
+        """First node of each strip, and how many there are, shape (strips + 1,)."""
+        begin: IntArray = self.layers.start[self._cells()]
+        return begin
+
+    def rows(self, strip: int) -> slice:
+        """Of cells of a strip."""
+        return slice(ROWS * strip, min(ROWS * (strip + 1), self.layers.shape[0]))
+
+    def around(self, name: str, reach: int, answer: Callable[..., Answer], *given: Strips) -> tuple[Strips, ...]:
+        """What a question is told of each node.
 
         Args:
             name: Of the question.
             reach: Cells within which the nodes, and what is given for them, decide on the answer.
             answer: Called with layers of a box of cells, which of their nodes are asked about, and what is given for
-                all of them.
-            given: Arrays of shape (k,).
+                all of them: arrays of shape (k,). Returns such arrays.
+            given: For each node.
         """
-        was = self.former.known.get(name)
-        if was is None:
-            made = answer(self.layers, np.ones(len(self.layers.cell), dtype=bool), *given)
-        else:
-            made = self.last(name)
-            for nodes, fresh, found in self._again(name, reach, answer, given):
-                for values, now in zip(made, found, strict=True):
-                    values[nodes[fresh]] = now[fresh]
-        self.known[name] = Told(given, made)
-        return made
+        of, was = self.within(ceil(reach / ROWS), given), self.former.get(name)
 
-    def pairs_around(self, name: str, reach: int, answer: Callable[..., Pairs], *given: NDArray[Any]) -> Pairs:
+        def make(begin: int, end: int) -> list[Answer]:
+            box = self._window(of, was, begin, end, reach)
+            if was is not None and box[0].start == box[0].stop:
+                return [was[i][1] for i in range(begin, end)]  # what is other is further away
+            part, asked, _, told = self._part(box, reach, given)
+            made = answer(part, asked, *told)
+            if was is None:
+                return [tuple(values[a:b] for values in made) for a, b in pairwise(self.first)]
+            before = zip(*(was[i][1] for i in range(begin, end)), strict=True)
+            own = [self._spliced(begin, box, new[asked], old) for new, old in zip(made, before, strict=True)]
+            return list(zip(*own, strict=True))
+
+        return self.told_nodes(name, of, make)
+
+    def among(self, name: str, nodes: IntArray) -> Strips:
+        """Which nodes are among some, by their numbers, which ascend."""
+        first = self.first
+        cuts = np.searchsorted(nodes, first)
+        own = self.same(f"{name}, few", [nodes[cuts[i] : cuts[i + 1]] - first[i] for i in range(len(self.nodes))])
+
+        def make(begin: int, end: int) -> list[Answer]:
+            made = [np.zeros(first[i + 1] - first[i], dtype=bool) for i in range(begin, end)]
+            for i in range(begin, end):
+                made[i - begin][own[i]] = True
+            return [(each,) for each in made]
+
+        return self.told_nodes(f"{name}, among", self.within(0, (own,)), make)[0]
+
+    def joins(
+        self, name: str, reach: int, answer: Callable[..., tuple[IntArray, IntArray]], *given: Strips
+    ) -> tuple[IntArray, IntArray]:
         """Pairs of nodes that a question is told, of each of which the first node decides; see `around`."""
-        was = self.former.known.get(name)
-        if was is None:
-            made = answer(self.layers, np.ones(len(self.layers.cell), dtype=bool), *given)
-        else:
-            number = np.empty(len(was.given[0]), np.int64)
-            carry(np.arange(len(self.layers.cell)), self.former.kept[:, [1, 0, 2]], -1, number)
-            a, b = (number[ends] for ends in was.made)
-            felt = self.felt(name, given, reach).ravel()[self.layers.cell]
-            stay = (a >= 0) & (b >= 0)
-            stay[stay] = ~felt[a[stay]]
-            found = [(a[stay], b[stay])]
-            for nodes, fresh, (one, other) in self._again(name, reach, answer, given):
-                own = fresh[one]
-                found.append((nodes[one[own]], nodes[other[own]]))
-            made = np.concatenate([pair[0] for pair in found]), np.concatenate([pair[1] for pair in found])
-        self.known[name] = Told(given, made)
-        return made
+        of, was, (_, ny) = self.within(ceil(reach / ROWS), given), self.former.get(name), self.layers.shape
+        start, cells = self.layers.start, self._cells()
 
-    def _again(
-        self, name: str, reach: int, answer: Callable[..., tuple[NDArray[Any], ...]], given: tuple[NDArray[Any], ...]
-    ) -> Iterator[tuple[IntArray, BoolArray, tuple[NDArray[Any], ...]]]:
-        """The nodes of each box in which something is another, which of them that can change, and the answer."""
-        felt = self.felt(name, given, reach)
-        for box in boxes_of(felt, reach):
-            part, nodes = crop_layers(self.layers, box, reach)
-            inside = np.zeros(self.layers.shape, dtype=bool)
-            inside[box] = felt[box]
-            asked = inside.ravel()[self.layers.cell[nodes]]
-            yield nodes, asked, answer(part, asked, *(each[nodes] for each in given))
+        def make(begin: int, end: int) -> list[Answer]:
+            box = self._window(of, was, begin, end, reach)
+            part, asked, nodes, told = self._part(box, reach, given)
+            ends = answer(part, *told)
+            a, b = (each[asked[ends[0]]] for each in ends)
+            a, b = (a, b) if nodes is None else (nodes[a], nodes[b])
+            cell = self.layers.cell[a], self.layers.cell[b]
+            fresh = np.column_stack([*cell, a - start[cell[0]], b - start[cell[1]]])
+            made = [fresh[x:y] for x, y in pairwise(np.searchsorted(cell[0], cells[begin : end + 1]))]
+            if was is None:
+                return [(each,) for each in made]
+            before = [was[i][1][0] for i in range(begin, end)]
+            stay = [each[~_within(each[:, 0], ny, box)] for each in before]
+            return [(np.concatenate(both),) for both in zip(stay, made, strict=True)]
 
-    def felt(self, name: str, given: tuple[NDArray[Any], ...], reach: int = 0) -> BoolArray:
-        """Cells within reach of what is given otherwise than to the version before, shape (nx, ny); all of a build."""
-        was = self.former.known.get(name)
-        if was is None:
-            return np.ones(self.layers.shape, dtype=bool)
-        return self._unlike(given, was.given, reach)
+        pairs = _flat([each[0] for each in self.told(name, of, make)])
+        return start[pairs[:, 0]] + pairs[:, 2], start[pairs[:, 1]] + pairs[:, 3]
 
-    def last(self, name: str) -> tuple[NDArray[Any], ...]:
-        """What the nodes were told in the version before, arrays of shape (k,): NaN, or false, of new ones."""
-        was, made = self.former.known.get(name), []
-        for values in was.made if was is not None else ():
-            made.append(np.empty(len(self.layers.cell), values.dtype))
-            carry(values, self.former.kept, values.dtype.type(np.nan if values.dtype.kind == "f" else 0), made[-1])
-        return tuple(made)
-
-    def other_answers(self, name: str) -> BoolArray:
-        """Cells in which a question was told otherwise than in the version before, shape (nx, ny)."""
-        was = self.former.known.get(name)
-        if was is None:
-            return np.ones(self.layers.shape, dtype=bool)
-        return self._unlike(self.known[name].made, was.made, 0)
-
-    def _unlike(self, now: tuple[NDArray[Any], ...], was: tuple[NDArray[Any], ...], reach: int) -> BoolArray:
-        cells = self.former.cells.copy()  # those of new nodes are among them
-        for one, another in zip(now, was, strict=True):
-            bits = f"u{one.itemsize}"  # NaN is NaN
-            mark_unlike(one.view(bits), another.view(bits), self.former.kept, self.layers.cell, cells.ravel())
-        return widened(cells, reach)
-
-    def degrees(self, name: str, keep: BoolArray, rise: float) -> NDArray[np.uint8]:
-        """How many nodes to keep are beside each of them with at most `rise` [m] a cell between them, shape (k,)."""
-
-        def answer(layers: Layers, _: BoolArray, keep: BoolArray) -> tuple[NDArray[np.uint8]]:
-            return (degrees(layers.columns, keep, rise),)
-
-        return self.around(name, 1, answer, keep)[0]
-
-    def across(self, one: BoolArray, other: BoolArray, step: float) -> Pairs:
-        """Pairs of a node of `one` kind and one of the `other` within a `step` [m]; no node is of both."""
-        found = self._ask(across_in, one + np.uint8(2) * other, step)
-        a, b = (np.concatenate([part[side] + INDEX(begin) for begin, part in found]) for side in (0, 1))
-        return a, b
-
-    def pieces(
+    def few(
         self,
-        inner: BoolArray,
-        rise: float,
-        sloped: BoolArray | None = None,
-        stepped: BoolArray | None = None,
-        step: float = 0.0,
-    ) -> tuple[IntArray, Pairs, Pairs]:
-        """What is joined by slopes, and the pairs that tell what else is.
+        name: str,
+        nodes: IntArray,
+        rows: IntArray,
+        answer: Callable[..., NDArray[Any]],
+        own: Sequence[NDArray[Any]],
+        given: Sequence[Strips],
+    ) -> NDArray[Any]:
+        """What is told of a few nodes, or of what they are the first ones of, shape (m,).
 
         Args:
-            inner: Nodes that are joined, shape (k,); any other one is a piece by itself.
-            rise: With at most this between them [m] a cell.
-            sloped: Nodes of which pairs are asked for with at most that between them.
-            stepped: Nodes of which pairs are asked for with at most a step between them.
-            step: [m].
-
-        Returns:
-            Piece of each node, numbered by their first nodes, shape (k,); the pairs of `sloped` nodes that are not both
-            inner, and those of `stepped` nodes but for most that are of one piece.
+            name: Of the question.
+            nodes: Their numbers, which ascend, shape (m,).
+            rows: First and behind the last row of cells in which nodes, and what is given, decide, shape (m, 2).
+            answer: Called with layers of some rows of cells, numbers among their nodes of those of a strip, the first
+                row of all rows of the grid and behind the last one, what is their `own`, and what is given for all.
+            own: Of these nodes, arrays of shape (m, …).
+            given: For each node.
         """
-        kind = inner.astype(np.uint8)
-        for bit, asked in ((2, sloped), (4, stepped)):
-            if asked is not None:
-                kind += np.uint8(bit) * asked
-        parent, found = np.empty(len(kind), INDEX), self._ask(pieces_in, kind, rise, step)
-        for begin, part in found:
-            put_in(parent, part[0], begin)
-        for begin, part in found:
-            unite_all(parent, part[1], part[2], begin)
-        slopes, steps = (
-            NO_PAIRS if asked is None else _in_order(found, at) for asked, at in ((sloped, 3), (stepped, 6))
-        )
-        return numbered(parent), slopes, steps
+        first, size = self.first, len(self.nodes)
+        cuts = np.searchsorted(nodes, first)
+        parts = [slice(int(cuts[i]), int(cuts[i + 1])) for i in range(size)]
+        asked = self.same(f"{name}, few", [nodes[part] - first[i] for i, part in enumerate(parts)])
+        held = [self.same(f"{name}, own {k}", [each[part] for part in parts]) for k, each in enumerate(own)]
+        low, high = np.arange(size), np.arange(size) + 1
+        strip = np.searchsorted(first, nodes, side="right") - 1
+        np.minimum.at(low, strip, rows[:, 0] // ROWS)
+        np.maximum.at(high, strip, -(-rows[:, 1] // ROWS))
+        spans = [slice(a, b) for a, b in zip(np.maximum(low, 0).tolist(), np.minimum(high, size).tolist(), strict=True)]
+
+        def make(begin: int, end: int) -> list[Answer]:
+            def one(i: int) -> Answer:
+                part = self.strips(spans[i].start, spans[i].stop)
+                at = asked[i] + (first[i] - first[spans[i].start])
+                box = np.array([ROWS * spans[i].start, ROWS * spans[i].stop])
+                return (answer(part, at, box, *(each[i] for each in held), *(_flat(each[spans[i]]) for each in given)),)
+
+            return each_strip(one, begin, end)
+
+        of = [
+            (asked[i], *(each[i] for each in held), *(one for each in (self.nodes, *given) for one in each[spans[i]]))
+            for i in range(size)
+        ]
+        return _flat([each[0] for each in self.told(name, of, make)])
+
+    def where(self, name: str, kind: Strips, *given: Strips) -> tuple[NDArray[Any], ...]:
+        """The numbers of the nodes that are of a `kind`, shape (m,), and what is given for them."""
+        first = self.first
+
+        def make(begin: int, end: int) -> list[Answer]:
+            rows = [np.flatnonzero(kind[i]) for i in range(begin, end)]
+            return [(row, *(each[begin + i][row] for each in given)) for i, row in enumerate(rows)]
+
+        rows, *told = zip(*self.told(f"{name}, where", self.within(0, (kind, *given)), make), strict=True)
+        return np.concatenate([row + begin for row, begin in zip(rows, first, strict=False)]), *map(_flat, told)
+
+    def same(self, name: str, own: Sequence[NDArray[Any]]) -> Strips:
+        """An array of each strip, and the one that was told before where it is the same."""
+        was = self.former.get(name)
+        made = [(each,) if was is None else _as_it_was((each,), was[i][1]) for i, each in enumerate(own)]
+        self.known[name] = [((), each) for each in made]
+        return tuple(each[0] for each in made)
+
+    def given(self, name: str, values: NDArray[Any]) -> Strips:
+        """The values of all nodes, shape (k,), by strips; nobody writes over them."""
+        strips = np.split(values, self.first[1:-1])
+        return self.told_nodes(name, [(each,) for each in strips], lambda a, b: [(each,) for each in strips[a:b]])[0]
+
+    def told(self, name: str, of: Sequence[tuple[Any, ...]], make: Callable[[int, int], list[Answer]]) -> list[Answer]:
+        """The answer to a question for each strip.
+
+        Args:
+            name: Of the question.
+            of: What decides on each answer: the former one stays while these are the same objects.
+            make: Called with the first and behind the last of strips that are asked. Returns their answers.
+        """
+        was, found = self.former.get(name), []
+        if was is None:
+            found = make(0, len(of))
+        else:
+            stay = [len(now) == len(old[0]) and all(map(is_, now, old[0])) for now, old in zip(of, was, strict=True)]
+            found = [old for _, old in was]
+            for begin, end in _runs(stay):
+                found[begin:end] = map(_as_it_was, make(begin, end), found[begin:end])
+        self.known[name] = list(zip(of, found, strict=True))
+        return found
+
+    def strips_of(self, points: FloatArray) -> tuple[int, int]:
+        """The first strip and behind the last that hold points (n, 3) [m]; one strip for none."""
+        x = (points[:, 0] - self.layers.origin[0]) / (ROWS * self.layers.cell_width)
+        ends = (int(x.min()), int(x.max())) if len(points) else (0, 0)
+        return max(ends[0] - 1, 0), min(ends[1] + 2, len(self.nodes))  # rounding: one more
+
+    def unlike(self, told: Sequence[Strips], then: Beside, was: Sequence[Strips]) -> BoolArray:
+        """Cells whose nodes are told otherwise than in another version, or are others, shape (nx, ny)."""
+        ny, found, first = self.layers.shape[1], np.zeros(self.layers.shape, dtype=bool), (self.first, then.first)
+        for i in range(len(self.nodes)):
+            rows = slice(ROWS * i, ROWS * (i + 1))
+            starts = [each.layers.start[rows.start * ny : rows.stop * ny + 1] for each in (self, then)]
+            own = starts[0] - first[0][i], starts[1] - first[1][i]
+            for now, old in zip(told, was, strict=True):
+                if now[i] is not old[i]:
+                    ours, theirs = (now[i][:, None], own[0]), (old[i][:, None], own[1])
+                    found[rows] |= unlike_cells(np.ones_like(found[rows]), *theirs[::-1], *ours[::-1])
+        return found
 
     def lasting(self) -> Beside:
-        """The same without pairs, and without the version before."""
-        return replace(self.asked(), former=NOTHING)
+        """The same without the version before."""
+        return Beside(self.layers, self.nodes, self.known, {}, self.layers.start, {})
 
-    def asked(self) -> Beside:
-        """The same without pairs and the answers before: no more is asked of it."""
-        return replace(self, strips=tuple(replace(strip, before={}, pairs=[]) for strip in self.strips))
+    def _cells(self) -> IntArray:
+        """First cell of each strip, and how many there are."""
+        (nx, ny), rows = self.layers.shape, ROWS * np.arange(len(self.nodes) + 1)
+        return np.minimum(rows, nx) * ny
 
-    def _ask(self, question: Callable[..., Any], given: NDArray[np.uint8], *limits: float) -> list[tuple[int, Any]]:
-        """The first node of each strip, and its answer."""
-        begin = np.cumsum([0, *(strip.count for strip in self.strips)]).tolist()
-        own = [given[first : first + strip.size] for first, strip in zip(begin, self.strips, strict=False)]
-        keys = [(question.__name__, *limits, part.tobytes()) for part in own]
-        found = [strip.recall(key) for strip, key in zip(self.strips, keys, strict=True)]
-        asked = [i for i, answer in enumerate(found) if answer is None]
-        fresh = run_parallel(lambda i: question(*self._strip(i, begin[i]), APART, own[i], *limits), asked)
-        for i, answer in zip(asked, fresh, strict=True):
-            found[i] = answer
-        for strip, key, answer in zip(self.strips, keys, found, strict=True):
-            strip.known[key] = answer
-        return list(zip(begin, found, strict=False))
+    def within(self, halo: int, given: Sequence[Strips]) -> list[tuple[Any, ...]]:
+        """The nodes of each strip and of some before and behind it, and what is given for them."""
+        all_ = self.nodes, *given
+        if halo == 0:
+            return list(zip(*all_, strict=True))
+        around = [slice(max(i - halo, 0), i + halo + 1) for i in range(len(self.nodes))]
+        return [tuple(chain.from_iterable([each[span] for each in all_])) for span in around]
 
-    def _strip(self, i: int, begin: int) -> tuple[IntArray, IntArray, IntArray, FloatArray, int]:
-        """Pairs of a strip, heights of its nodes, the first of which is number `begin`, and how many are its own."""
-        strip, (nx, _), row = self.strips[i], self.layers.shape, ROWS * i
-        if not strip.pairs:
-            strip.pairs.append(pairs_beside(self.layers.columns, self.rise, HALF, row, min(row + ROWS, nx)))
-        return *strip.pairs[0], self.layers.height[begin : begin + strip.size], strip.count
+    def told_nodes(
+        self, name: str, of: list[tuple[Any, ...]], make: Callable[[int, int], list[Answer]]
+    ) -> tuple[Strips, ...]:
+        """`told` of what is told of each node, and into `others` where that is other than before."""
+        found, was = self.told(name, of, make), self.former.get(name)
+        cells, ny = self._cells(), self.layers.shape[1]
+        for i, (_, before) in enumerate(was or ()):
+            for now, old in zip(found[i], before, strict=True):
+                if now is not old:
+                    ours, theirs = now.view(f"u{now.itemsize}"), old.view(f"u{old.itemsize}")
+                    where = box_unlike(theirs, self.was, ours, self.layers.start, (cells[i], cells[i + 1]), ny)
+                    self.others[id(now)] = now, old, where
+        return tuple(zip(*found, strict=True))
 
+    def _window(self, of: list[tuple[Any, ...]], was: Told | None, begin: int, end: int, reach: int) -> Box:
+        """The box of cells of some strips in which what they are told may be other than before."""
+        (nx, ny), rows = self.layers.shape, (ROWS * begin, min(ROWS * end, self.layers.shape[0]))
+        if was is None:
+            return slice(*rows), slice(0, ny)
+        boxes = {
+            box if one is now and other is old else (0, nx, 0, ny)
+            for i in range(begin, end)
+            for now, old in zip(of[i], was[i][0], strict=True)
+            if now is not old
+            for one, other, box in (self.others.get(id(now), (None, None, (0, nx, 0, ny))),)
+        }
+        left, right, near, far = zip(*boxes, strict=True)
+        first, last = max(min(left) - reach, rows[0]), min(max(right) + reach, rows[1])
+        return slice(first, max(first, last)), slice(max(min(near) - reach, 0), min(max(far) + reach, ny))
 
-def _in_order(found: list[tuple[int, Any]], at: int) -> Pairs:
-    """The pairs of all strips, those of each of the `HALF` after another."""
+    def _part(self, box: Box, reach: int, given: Sequence[Strips]) -> tuple[Layers, BoolArray, IntArray | None, Answer]:
+        """Layers of a box of cells and as many around, which of their nodes are in it, and their numbers among all.
 
-    def ends(side: int) -> IntArray:
-        parts = [(part[at + side] + INDEX(begin), part[at + 2]) for begin, part in found]
-        made: IntArray = np.concatenate(
-            [own[first[k] : first[k + 1]] for k in range(len(HALF)) for own, first in parts]
+        These are none where they are all. At last what is given for them.
+        """
+        layers, (rows, columns) = self.layers, grown(box, reach, self.layers.shape)
+        if (rows.stop - rows.start, columns.stop - columns.start) == layers.shape:
+            part, nodes, told = layers, None, tuple(map(_flat, given))
+        else:
+            strips = slice(rows.start // ROWS, ceil(rows.stop / ROWS))
+            part, nodes = crop_layers(layers, (rows, columns))
+            own = nodes - self.first[strips.start]
+            told = tuple(_flat(each[strips])[own] for each in given)
+        inside = np.zeros(part.shape, dtype=bool)
+        x, y = (
+            slice(own.start - outer.start, own.stop - outer.start)
+            for own, outer in zip(box, (rows, columns), strict=True)
         )
-        return made
+        inside[x, y] = True
+        return part, inside.ravel()[part.cell], nodes, told
 
-    return ends(0), ends(1)
+    def strips(self, begin: int, end: int) -> Layers:
+        """Layers of some strips."""
+        layers, (nx, ny) = self.layers, self.layers.shape
+        low, high = ROWS * begin, min(ROWS * end, nx)
+        a, b = layers.start[[low * ny, high * ny]]
+        told = {name: getattr(layers, name)[a:b] for name in PER_NODE}
+        told["cell"] = told["cell"] - low * ny
+        origin, start = (
+            layers.origin + layers.cell_width * np.array([low, 0]),
+            layers.start[low * ny : high * ny + 1] - a,
+        )
+        return replace(layers, **told, origin=origin, shape=(high - low, ny), start=start)
+
+    def _spliced(self, begin: int, box: Box, fresh: NDArray[Any], before: Strips) -> Strips:
+        """What is told of the nodes of some strips, one after another: in a box of cells the `fresh` values."""
+        cells, start, ny, used, made = self._cells(), self.layers.start, self.layers.shape[1], 0, []
+        ends = box[0].start, box[0].stop, box[1].start, box[1].stop
+        for i, old in enumerate(before, begin):
+            values = np.empty(start[cells[i + 1]] - start[cells[i]], fresh.dtype)
+            own = self.was, start, (cells[i], cells[i + 1]), ny
+            used += box_spliced(old, fresh[used:], *own, ends, values)
+            made.append(values)
+        return tuple(made)
 
 
-def beside(layers: Layers, rise: float) -> Beside:
-    """All pairs with at most `rise` [m] between them."""
-    return Beside(layers, rise, tuple(_new_strip(layers, row) for row in range(0, layers.shape[0], ROWS)), {})
+PER_NODE = "cell", "place", "height", "top", "thickness", "headroom", "middle", "face"
+"""What layers tell of each node."""
+
+
+FEW = 8
+"""Strips that one core has done before another one wakes."""
+
+
+def each_strip(one: Callable[[int], Answer], begin: int, end: int) -> list[Answer]:
+    """The answers of strips from `begin` to `end`, made on all cores where they are more than a few."""
+    asked = range(begin, end)
+    return run_parallel(one, asked) if len(asked) > FEW else [one(i) for i in asked]
+
+
+def _runs(stay: list[bool]) -> list[tuple[int, int]]:
+    """First and behind the last of each run of strips that do not stay as they are."""
+    ends = np.flatnonzero(np.diff(np.array([True, *stay, True])))
+    return list(zip(ends[::2].tolist(), ends[1::2].tolist(), strict=True))
+
+
+def _as_it_was(now: Answer, was: Answer) -> Answer:
+    """An answer, with the former arrays where they are the same by their bits: NaN is NaN."""
+    return tuple(old if _alike(new, old) else new for new, old in zip(now, was, strict=True))
+
+
+def _alike(one: NDArray[Any], other: NDArray[Any]) -> bool:
+    return one is other or (one.shape == other.shape and one.tobytes() == other.tobytes())
+
+
+def _within(cell: IntArray, ny: int, box: Box) -> BoolArray:
+    """Which cells, by their numbers, are in a box."""
+    x, y = np.divmod(cell, ny)
+    inside: BoolArray = (x >= box[0].start) & (x < box[0].stop) & (y >= box[1].start) & (y < box[1].stop)
+    return inside
+
+
+def _flat(strips: Sequence[NDArray[Any]]) -> NDArray[Any]:
+    """All in one: what they were cut from in a build, where they are that."""
+    whole = strips[0].base
+    if whole is not None and all(each.base is whole for each in strips) and sum(map(len, strips)) == len(whole):
+        return whole
+    return np.concatenate(strips)
+
+
+def beside(layers: Layers) -> Beside:
+    """Nodes of which nothing was asked."""
+    return Beside(layers, tuple(object() for _ in range(0, layers.shape[0], ROWS)), {}, {}, layers.start, {})
 
 
 def beside_now(near: Beside, layers: Layers, cells: BoolArray) -> Beside:
     """`beside` of `layers` that are those of `near` but for the columns `cells`, shape (nx, ny)."""
-    rows: BoolArray = np.logical_or.reduce(cells, axis=1)
-    strips = tuple(
-        _new_strip(layers, ROWS * i)
-        if rows[ROWS * i : ROWS * (i + 1) + 1].any()
-        else replace(strip, known={}, before=strip.known, pairs=[])
-        for i, strip in enumerate(near.strips)
-    )
-    begin, end = np.flatnonzero(np.diff(cells.ravel(), prepend=True, append=True)).reshape(-1, 2).T
-    kept = np.column_stack([layers.start[begin], near.layers.start[begin], layers.start[end] - layers.start[begin]])
-    return Beside(layers, near.rise, strips, {}, Former(near.known, kept, cells))
-
-
-def _new_strip(layers: Layers, row: int) -> Strip:
-    """The strip that begins with a row of cells."""
-    start, (nx, ny) = layers.start, layers.shape
-    begin, own, end = (int(start[x * ny]) for x in (row, min(row + ROWS, nx), min(row + ROWS + 1, nx)))
-    return Strip(own - begin, end - begin, {}, {}, [])
+    nodes, others = list(near.nodes), {}
+    for i in range(len(nodes)):
+        left, right, near_by, far = span(cells[ROWS * i : ROWS * (i + 1)])
+        if left < right:
+            old, nodes[i] = nodes[i], object()
+            others[id(nodes[i])] = nodes[i], old, (ROWS * i + left, ROWS * i + right, near_by, far)
+    return Beside(layers, tuple(nodes), {}, near.known, near.layers.start, others)

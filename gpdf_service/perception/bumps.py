@@ -17,13 +17,13 @@ from numba import njit
 from gpdf_service.config import PerceptionConfig
 from gpdf_service.fields.threads import run_chunked
 from gpdf_service.kernel_cache import lean
-from gpdf_service.perception.beside import Beside
+from gpdf_service.perception.beside import Beside, Strips
 from gpdf_service.perception.boxes import lowest_around
 from gpdf_service.perception.layers import HALF, Layers
 from gpdf_service.perception.nodes import components, extents_in_plan
 from gpdf_service.perception.pairs import Columns, pairs_around
+from gpdf_service.perception.pieces import find_pieces
 from gpdf_service.perception.strides import SOLE
-from gpdf_service.perception.told import Told
 from gpdf_service.types import BoolArray, FloatArray, IntArray
 
 LEAST_BUMP = 0.02
@@ -44,49 +44,42 @@ LONG = 3.0
 that is narrower than a person is larger than three of a person's squares; a platform's corner is."""
 
 
-def low_things(near: Beside, ground: BoolArray, raised: FloatArray, config: PerceptionConfig) -> BoolArray:
-    """Which nodes of the `ground`, shape (k,), are narrow bumps on it, and not of its own roughness, shape (k,).
+def low_things(near: Beside, ground: Strips, raised: Strips, relief: FloatArray, config: PerceptionConfig) -> Strips:
+    """Which nodes of the `ground` are narrow bumps on it, over its `relief`, and not of its own roughness.
 
     Each leads no further up, does not cross the way, and is joined to no more ground, half as high over what is beside
     it, than so narrow a thing has: a platform's corner is.
-    How rough it is around each bump is remembered: it stays where no ground around is another or `raised` otherwise.
 
     Args:
         near: The nodes.
         ground: Which are ground.
         raised: `raised_over_sides`.
+        relief: Of the ground [m], shape (k,), or (1,) where it is the same everywhere.
         config: Limits.
     """
-    layers = near.layers
-    columns = layers.columns
-    slope, found = layers.cell_width * float(np.tan(config.steepest)), raised > LEAST_BUMP
-    nodes = np.flatnonzero(found)
-    other, rough = near.felt("rough", (ground, raised)), np.full(len(ground), np.nan)
-    reach = 2 * _reach(layers, config)
-    piece, (before,) = _pieces(nodes, columns, found, slope), near.last("rough") or (rough,)
-    first = np.unique(piece, return_index=True)[1]
-    boxes = _boxes_around(layers, nodes, piece, len(first), reach)
-    around = _around(nodes[first], boxes, columns, ground, raised, (other, before))[piece]
-    rough[nodes] = around
-    near.known["rough"] = Told((ground, raised), (rough,))
-    nodes = nodes[raised[nodes] > ROUGH * around]
-    found = np.zeros_like(ground)
-    found[nodes] = True
+    layers, columns = near.layers, near.layers.columns
+    slope = layers.cell_width * float(np.tan(config.steepest))
+    nodes, most, piece = _raised(near, "bumps", LEAST_BUMP, raised, slope)
+    around = _roughness(near, nodes, piece, (ground, raised), config)
+    rough = most > ROUGH * around[piece]
+    nodes, most = nodes[rough], most[rough]
     if len(nodes) == 0:
-        return found
+        return near.among("low things", nodes)
+    found, over = np.zeros(len(layers.cell), dtype=bool), np.concatenate(ground)
+    found[nodes] = True
     piece = _pieces(nodes, columns, found, slope)
     length, depth = extents_in_plan(layers.cell[nodes], layers.shape[1], found[nodes], piece, layers.cell_width)
     stays = (length >= config.standing_width) & (length >= LONG * depth)
-    a, b = pairs_around(nodes, columns, ground & ~found, 0.0, config.max_step)
+    a, b = pairs_around(nodes, columns, over & ~found, 0.0, config.max_step)
     drop = layers.height[nodes[a]] - layers.height[b]
-    stays |= _are_places(layers, nodes, piece, ground, raised, config)
+    stays |= _are_places(near, "low places", nodes, most, piece, ground, config)
     stays[piece[a[drop < -LEAST_BUMP]]] = True
-    found[nodes[stays[piece]]] = False
-    return found
+    least = relief if len(relief) == 1 else relief[nodes]
+    return near.among("low things", nodes[~stays[piece] & (most > least)])
 
 
-def boxes(near: Beside, ground: BoolArray, config: PerceptionConfig) -> BoolArray:
-    """Which nodes of the `ground`, shape (k,), are boxes and lids on it, that one could step onto, shape (k,).
+def boxes(near: Beside, ground: Strips, config: PerceptionConfig) -> Strips:
+    """Which nodes of the `ground` are boxes and lids on it, that one could step onto.
 
     Each is higher than a slope rises in a cell, ends in a step at `STEPPED` of its rim, leads no further up, and does
     not cross the way; if it is narrower than a person, it is no narrower than a sole. What a landing's width cuts off
@@ -96,56 +89,105 @@ def boxes(near: Beside, ground: BoolArray, config: PerceptionConfig) -> BoolArra
     layers, slope = near.layers, near.layers.cell_width * float(np.tan(config.steepest))
     width = max(2, int(LANDING / layers.cell_width))
     raised = _ask(near, "raised within", _raise_within, width, (slope, config.max_step), ground)
-    found: BoolArray = raised > slope
-    nodes = np.flatnonzero(found)
+    nodes, most, piece = _raised(near, "boxes", slope, raised, slope)
     if len(nodes) == 0:
-        return found
-    piece = _pieces(nodes, layers.columns, found, slope)
-    raised = np.where(found, raised, _joined(layers, nodes, piece, ground, raised, config)[1])
-    found = raised > slope
-    nodes = np.flatnonzero(found)
-    piece = _pieces(nodes, layers.columns, found, slope)
+        return near.among("boxes", nodes)
+    over = np.concatenate(ground)
+    nodes, most, piece = _with_tops(layers, nodes, most, piece, over, config)
+    found = np.zeros(len(layers.cell), dtype=bool)
+    found[nodes] = True
     length, depth = extents_in_plan(layers.cell[nodes], layers.shape[1], found[nodes], piece, layers.cell_width)
-    a, b = pairs_around(nodes, layers.columns, ground & ~found, 0.0, config.max_step)
+    a, b = pairs_around(nodes, layers.columns, over & ~found, 0.0, config.max_step)
     drop, count = layers.height[nodes[a]] - layers.height[b], len(depth)
     rim, steps, up = (
         np.bincount(piece[a[kind]], minlength=count)
-        for kind in (drop < np.inf, drop >= 0.5 * raised[nodes[a]], drop < -LEAST_BUMP)
+        for kind in (drop < np.inf, drop >= 0.5 * most[a], drop < -LEAST_BUMP)
     )
     narrow = (depth >= SOLE) & (length < LONG * depth) & (up == 0)
-    narrow &= ~_are_places(layers, nodes, piece, ground, raised, config)
+    narrow &= ~_are_places(near, "places of boxes", nodes, most, piece, ground, config)
     box = ((depth >= config.standing_width) | narrow) & (steps > STEPPED * rim) & (up < RISING * rim)
-    found[nodes[~box[piece]]] = False
-    return found
+    return near.among("boxes", nodes[box[piece]])
 
 
 def _are_places(
-    layers: Layers, nodes: IntArray, piece: IntArray, ground: BoolArray, raised: FloatArray, config: PerceptionConfig
+    near: Beside,
+    name: str,
+    nodes: IntArray,
+    raised: FloatArray,
+    piece: IntArray,
+    ground: Strips,
+    config: PerceptionConfig,
 ) -> BoolArray:
     """Which pieces of the `nodes`, shape (m,), are joined to more ground than so narrow a thing has; see `LONG`.
 
-    That is as high as half the most that they are `raised`.
+    That is as high as half the most that they are `raised` [m], shape (m,).
     """
-    found: BoolArray = np.isnan(_joined(layers, nodes, piece, ground, raised, config)[0])
+    layers, order = near.layers, np.lexsort((raised, piece))
+    last = order[np.r_[np.diff(piece[order]) > 0, True]]
+    by_node = last[np.argsort(nodes[last])]
+    most, reach = nodes[by_node], int(LANDING / layers.cell_width)
+
+    def count(part: Layers, asked: IntArray, _: IntArray, least: FloatArray, ground: BoolArray) -> IntArray:
+        found: IntArray = _cells_as_high(asked, part.columns, ground, least, reach, config.max_step)
+        return found
+
+    row = layers.cell[most] // layers.shape[1]
+    span = np.column_stack([row - reach, row + reach + 1])
+    room = np.empty(len(most), np.int64)
+    room[piece[by_node]] = near.few(name, most, span, count, (layers.height[most] - 0.5 * raised[by_node],), (ground,))
+    found: BoolArray = room * layers.cell_width**2 > LONG * config.standing_width**2
     return found
 
 
-def _joined(
-    layers: Layers, nodes: IntArray, piece: IntArray, ground: BoolArray, raised: FloatArray, config: PerceptionConfig
-) -> tuple[FloatArray, FloatArray]:
-    """How much each piece is raised [m], NaN if it is a place; and the nodes that are of those that are none, (k,)."""
-    order = np.lexsort((raised[nodes], piece))
-    most = nodes[order[np.r_[np.diff(piece[order]) > 0, True]]]
-    own, joined = raised[most], np.zeros(len(ground))
+def _with_tops(
+    layers: Layers, nodes: IntArray, raised: FloatArray, piece: IntArray, ground: BoolArray, config: PerceptionConfig
+) -> tuple[IntArray, FloatArray, IntArray]:
+    """The same, and what pieces that are no places are joined to at their height: nodes, how much, and pieces."""
+    order = np.lexsort((raised, piece))
+    last = order[np.r_[np.diff(piece[order]) > 0, True]]
     reach, room = int(LANDING / layers.cell_width), int(LONG * (config.standing_width / layers.cell_width) ** 2)
-    _join(most, layers.columns, ground, own, (reach, room), config.max_step, joined)
-    return own, joined
+    made = np.zeros(len(ground))
+    _join_tops(nodes[last], layers.columns, ground, raised[last], (reach, room), config.max_step, made)
+    made[nodes] = raised
+    nodes = np.flatnonzero(made)
+    slope = layers.cell_width * float(np.tan(config.steepest))
+    return nodes, made[nodes], _pieces(nodes, layers.columns, made > 0.0, slope)
+
+
+def _raised(
+    near: Beside, name: str, least: float, raised: Strips, slope: float
+) -> tuple[IntArray, FloatArray, IntArray]:
+    """Nodes that are raised by more than the `least` [m], shape (m,), by how much, and the piece of each."""
+    (found,) = near.around(name, 0, lambda _, __, raised: (raised > least,), raised)
+    pieces = find_pieces(near, name, found, slope)
+    nodes, most = near.where(name, found, raised)
+    return nodes, most, pieces.at(nodes)
+
+
+def _roughness(
+    near: Beside, nodes: IntArray, piece: IntArray, given: tuple[Strips, Strips], config: PerceptionConfig
+) -> FloatArray:
+    """Upper quartile of what is around each piece of the `nodes`, (m,), (pieces,).
+
+    Of the ground, and of how much it is raised [m], which are `given`.
+    """
+    first = np.unique(piece, return_index=True)[1]  # pieces are numbered by their first nodes
+    boxes = _boxes_around(near.layers, nodes, piece, len(first), 2 * _reach(near.layers, config))
+
+    def quartile(
+        part: Layers, asked: IntArray, row: IntArray, box: IntArray, ground: BoolArray, raised: FloatArray
+    ) -> FloatArray:
+        box = box - np.array([row[0], row[0], 0, 0])
+        found: FloatArray = _around(asked, box, part.columns, ground, raised)
+        return found
+
+    return near.few("rough", nodes[first], boxes[:, :2], quartile, (boxes,), given)
 
 
 def _ask(
-    near: Beside, name: str, raise_: Callable[..., None], reach: int, limits: tuple[float, float], ground: BoolArray
-) -> FloatArray:
-    """How much higher each node of the `ground` is than that to both sides of it [m], shape (k,), by a compiled loop.
+    near: Beside, name: str, raise_: Callable[..., None], reach: int, limits: tuple[float, float], ground: Strips
+) -> Strips:
+    """How much higher each node of the `ground` is than that to both sides of it [m], by a compiled loop.
 
     What is no more than the first of the `limits` may count for nothing; what differs by more than the second is no
     ground beside it [m].
@@ -203,8 +245,8 @@ def _raise_within(
                     raised[i] = max(raised[i], min(drop[0, k], drop[1, cells - k]))
 
 
-def raised_over_sides(near: Beside, ground: BoolArray, config: PerceptionConfig) -> FloatArray:
-    """How much higher each node of the `ground` is than the ground to both sides of it [m], shape (k,)."""
+def raised_over_sides(near: Beside, ground: Strips, config: PerceptionConfig) -> Strips:
+    """How much higher each node of the `ground` is than the ground to both sides of it [m]."""
     limits = LEAST_BUMP / ROUGH, config.max_step  # less tells no bump, and nor does a quartile of such
     return _ask(near, "raised", _raise, _reach(near.layers, config), limits, ground)
 
@@ -265,81 +307,99 @@ def _raise(
 
 
 @njit(cache=True, nogil=True)
-def _around(
-    first: IntArray,
-    boxes: IntArray,
-    columns: Columns,
-    ground: BoolArray,
-    raised: FloatArray,
-    known: tuple[BoolArray, FloatArray],
-) -> FloatArray:
-    """Upper quartile of what the ground in each of the boxes (m, 4) is `raised` at [m], as its `first` node sees it.
-
-    `known` are the cells that are another than before, shape (nx, ny), and what was told of the nodes then, (k,): that
-    stays where a box has none of these cells.
-    """
-    (other, before), made, ny = known, np.empty(len(first)), columns.shape[1]
+def _around(first: IntArray, boxes: IntArray, columns: Columns, ground: BoolArray, raised: FloatArray) -> FloatArray:
+    """Upper quartile of what the ground in each of the boxes (m, 4) is `raised` at [m], as its `first` node sees it."""
+    made, ny = np.empty(len(first)), columns.shape[1]
     for n in range(len(first)):
-        i, (left, right, near, far) = first[n], boxes[n]
-        made[n] = np.nan if other[left:right, near:far].any() else before[i]
-        if made[n] >= 0.0:  # else it was not known
-            continue
-        values = []
+        level, (left, right, near, far) = columns.height[first[n]], boxes[n]
+        values, used = np.empty((right - left) * (far - near)), 0
         for x in range(left, right):
             for y in range(near, far):
-                j = _nearest(x * ny + y, columns, ground, columns.height[i], np.inf)
+                j = _nearest(x * ny + y, columns, ground, level, np.inf)
                 if j >= 0:
-                    values.append(raised[j])
-        made[n] = np.quantile(np.array(values), 0.75)
+                    values[used], used = raised[j], used + 1
+        made[n] = np.quantile(values[:used], 0.75)
     return made
 
 
 @njit(cache=True, nogil=True)
-def _join(
+def _cells_as_high(
+    nodes: IntArray, columns: Columns, ground: BoolArray, least: FloatArray, reach: int, most: float
+) -> IntArray:
+    """Cells that ground at `least` as high, and within `most` over it [m], joins to each node, shape (m,).
+
+    Within a `reach` of cells.
+    """
+    count, (seen, asked, joined) = np.empty(len(nodes), np.int64), _flood_room(reach)
+    for n in range(len(nodes)):
+        count[n] = _flood(nodes[n], columns, ground, least[n], most, seen, asked, joined)
+    return count
+
+
+@njit(cache=True, nogil=True)
+def _join_tops(
     nodes: IntArray,
     columns: Columns,
     ground: BoolArray,
     raised: FloatArray,
     limits: tuple[int, int],
     most: float,
-    joined: FloatArray,
+    made: FloatArray,
 ) -> None:
-    """Say of the ground that each node, shape (m,), is joined to how much that is `raised` [m].
+    """Say how much what is joined to each of the nodes, and nearly as high, is `raised` [m]: as much as they, (m,).
 
-    It is as high as half of that, and within `most` over it [m]; what is of the thing is nearly as high. Where it is
-    more cells than the second of the `limits`, within the first, the node is raised by NaN.
+    Not where more than the second of the `limits` cells are, within the first, half as high, and not of a tread, from
+    which it goes on upwards by `most` at most [m].
     """
-    (nx, ny), (reach, room) = columns.shape, limits
-    width = 2 * reach + 1
-    seen, asked = np.zeros((width, width), np.bool_), np.empty((width * width, 2), np.int64)
-    found = np.empty(room, np.int64)
+    reach, room = limits
+    seen, asked, joined = _flood_room(reach)
     for n in range(len(nodes)):
-        left, near = columns.cell[nodes[n]] // ny - reach, columns.cell[nodes[n]] % ny - reach
-        level = columns.height[nodes[n]] - 0.5 * raised[n] + 0.5 * most
-        seen[:] = False
-        seen[reach, reach] = True
-        asked[0] = reach
-        at, count, cells = 0, 1, 0
-        while at < count and cells <= room:
-            x, y = asked[at]
-            at += 1
-            there = _nearest((left + x) * ny + near + y, columns, ground, level, 0.5 * most)
-            if there < 0:
-                continue
-            if cells < room:
-                found[cells] = there
-            cells += 1
-            for u in range(max(x - 1, 0, -left), min(x + 2, width, nx - left)):
-                for v in range(max(y - 1, 0, -near), min(y + 2, width, ny - near)):
-                    if not seen[u, v]:
-                        seen[u, v] = True
-                        asked[count] = u, v
-                        count += 1
-        if cells > room:
-            raised[n] = np.nan
-        elif (
-            columns.height[found[:cells]].max() <= columns.height[nodes[n]] + LEAST_BUMP
-        ):  # else a tread, which goes on
-            for there in found[:cells]:
-                if columns.height[there] > columns.height[nodes[n]] - 0.25 * raised[n]:
-                    joined[there] = max(joined[there], raised[n])
+        top = columns.height[nodes[n]]
+        cells = joined[: _flood(nodes[n], columns, ground, top - 0.5 * raised[n], most, seen, asked, joined)]
+        if len(cells) > room or columns.height[cells].max() > top + LEAST_BUMP:
+            continue
+        for i in cells:
+            if columns.height[i] > top - 0.25 * raised[n]:
+                made[i] = max(made[i], raised[n])
+
+
+@lean()
+def _flood_room(reach: int) -> tuple[BoolArray, IntArray, IntArray]:
+    """Room for the cells within a reach: which were met, (w, w), which are asked, (w², 2), and their nodes, (w²,)."""
+    width = 2 * reach + 1
+    return np.empty((width, width), np.bool_), np.empty((width * width, 2), np.int64), np.empty(width**2, np.int64)
+
+
+@lean()
+def _flood(
+    node: int,
+    columns: Columns,
+    ground: BoolArray,
+    least: float,
+    most: float,
+    seen: BoolArray,
+    asked: IntArray,
+    joined: IntArray,
+) -> int:
+    """Write what ground, at `least` so high and within `most` over it [m], is joined to a node; how many cells."""
+    (nx, ny), width = columns.shape, len(seen)
+    left, near = columns.cell[node] // ny - width // 2, columns.cell[node] % ny - width // 2
+    seen[:] = False
+    seen[width // 2, width // 2] = True
+    asked[0] = width // 2
+    at, count, found = 0, 1, 0
+    while at < count:
+        x, y = asked[at]
+        at += 1
+        there = _nearest((left + x) * ny + near + y, columns, ground, least + 0.5 * most, 0.5 * most)
+        if there < 0:
+            continue
+        joined[found] = there
+        found += 1
+        for u in range(max(x - 1, 0, -left), min(x + 2, width, nx - left)):
+            for v in range(max(y - 1, 0, -near), min(y + 2, width, ny - near)):
+                if not seen[u, v]:
+                    seen[u, v] = True
+                    asked[count] = u, v
+                    count += 1
+    return found

@@ -1,9 +1,9 @@
 """What a change of a clean cloud does to its ground and its levels: only what it touches is looked at again.
 
 What a cell holds depends on the points of its column and on cells within a known reach: what is told by them is asked
-again where any of that is another (`Beside.around`, `Grid.around`). What depends on connections (which surfaces are
-ground, which are one sheet, what a hole is shut off by) is decided anew from the cells of the whole scene, not from a
-window of it. So the result is that of the whole cloud by construction.
+again where any of that is another (`Beside.around`, `Grid.around`). What depends on connections is decided anew: which
+surfaces are ground from the pieces of all strips of the grid and the pairs that join them, which are one sheet and what
+a hole is shut off by from the cells of the whole scene. So the result is that of the whole cloud by construction.
 """
 
 from __future__ import annotations

@@ -351,6 +351,61 @@ def unlike_cells(cells: BoolArray, start: IntArray, old: NDArray[Any], fresh: In
     return found
 
 
+@njit(cache=True, nogil=True)
+def box_unlike(
+    old: NDArray[Any], was: IntArray, now: NDArray[Any], start: IntArray, cells: tuple[int, int], ny: int
+) -> tuple[int, int, int, int]:
+    """First and behind the last row and column in which nodes of some rows are told otherwise than before.
+
+    There must be some. The nodes of each cell began at `was`, and begin at `start`, shape (all cells + 1,); where there
+    are as many they are the same. The rows have `ny` cells.
+    """
+    left, right, near, far = cells[1] // ny, 0, ny, 0
+    for row in range(cells[0], cells[1], ny):
+        a, b, other = was[row] - was[cells[0]], start[row] - start[cells[0]], False
+        if was[row + ny] - was[row] == start[row + ny] - start[row]:
+            for k in range(start[row + ny] - start[row]):  # no way out: so it is done in vectors
+                other |= old[a + k] != now[b + k]
+            if not other:
+                continue
+        for c in range(row, row + ny):
+            a, b, count = was[c] - was[cells[0]], start[c] - start[cells[0]], start[c + 1] - start[c]
+            other = was[c + 1] - was[c] != count
+            for k in range(0 if other else count):
+                other |= old[a + k] != now[b + k]
+            if other:
+                left, right, near, far = min(left, c // ny), c // ny + 1, min(near, c - row), max(far, c - row + 1)
+    return left, right, near, far
+
+
+@njit(cache=True, nogil=True)
+def box_spliced(
+    old: NDArray[Any],
+    fresh: NDArray[Any],
+    was: IntArray,
+    start: IntArray,
+    cells: tuple[int, int],
+    ny: int,
+    box: tuple[int, int, int, int],
+    made: NDArray[Any],
+) -> int:
+    """Write what is told of nodes of some rows: in a box of cells the `fresh` values, else the `old` ones.
+
+    Returns how many of the fresh ones were written; see `box_unlike`.
+    """
+    used = 0
+    for row in range(cells[0], cells[1], ny):
+        inside = box[0] * ny <= row < box[1] * ny
+        left, right, end = row + (box[2] if inside else ny), row + (box[3] if inside else ny), row + ny
+        for a, b in ((row, left), (right, end)):
+            begin, count, at = was[a] - was[cells[0]], was[b] - was[a], start[a] - start[cells[0]]
+            made[at : at + count] = old[begin : begin + count]
+        at, count = start[left] - start[cells[0]], start[right] - start[left]
+        made[at : at + count] = fresh[used : used + count]
+        used += count
+    return used
+
+
 def column_floors(start: IntArray, order: IntArray, z: FloatArray, share: float) -> FloatArray:
     """Height under which a `share` of the points of each column lies [m], shape (cells,); NaN in an empty one."""
     floor = np.full(len(start) - 1, np.nan)

@@ -205,13 +205,11 @@ def splice_layers(layers: Layers, changed: BoolArray, fresh: Layers | None) -> L
     return replace(layers, **own, start=start)
 
 
-def steady(layers: Layers, label: IntArray) -> IntArray:
-    """The labels, shape (k,), named by their first node's cell and place in it, which stay where nodes come and go."""
-    first = np.zeros(int(label.max(initial=0)) + 1, np.int64)
-    first[label[::-1]] = np.arange(len(label))[::-1]  # the last one that is written stays
-    rank = first - layers.start[layers.cell[first]]
-    name: IntArray = (layers.cell[first] << 16) + rank
-    return name[label]
+def steady(layers: Layers, nodes: IntArray) -> IntArray:
+    """Names of some nodes, by cell and place in it, which stay where others come and go, shape (m,)."""
+    cell = layers.cell[nodes]
+    name: IntArray = (cell << 16) + nodes - layers.start[cell]
+    return name
 
 
 def crop_layers(layers: Layers, box: Box, by: int = 0) -> tuple[Layers, IntArray]:

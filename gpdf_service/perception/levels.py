@@ -53,7 +53,7 @@ from gpdf_service.perception.points import Points, points_of
 from gpdf_service.perception.rays import Rays, seen_by_rays
 from gpdf_service.perception.rows import between, chosen_rows, extent_within, rows_by_cell, taken, under
 from gpdf_service.perception.segment import LEAST_SCATTER
-from gpdf_service.perception.sheets import OVERLAP, rise_of_sheets, split_sheets
+from gpdf_service.perception.sheets import OVERLAP, split_sheets
 from gpdf_service.perception.smooth import RESOLVED_STEP, to_centres, with_rims, without_unlucky
 from gpdf_service.perception.strays import find_strays
 from gpdf_service.perception.surface import (
@@ -152,7 +152,7 @@ class Survey:
     """What levels were made of, kept for the next version of a scene.
 
     Attributes:
-        near: Layers of the ground points, and pairs of their nodes.
+        near: Layers of the ground points, and what was asked of their nodes.
         stray: Which points of the cloud count for nothing, shape (n,).
         sheets: Which nodes are of each level, shape (k,).
         made: Each level.
@@ -230,10 +230,8 @@ def survey_levels(
     check_grid(floor, len(points), width, LEVEL_BYTES, config)
 
     def find_sheets(floor: FloatArray) -> tuple[Beside, tuple[BoolArray, ...]]:
-        layers = build_layers(floor, width, layer_gap(width, config))
-        near = beside(layers, rise_of_sheets(layers, config))
-        sheets = split_sheets(near, config)
-        return near.asked(), sheets
+        near = beside(build_layers(floor, width, layer_gap(width, config)))
+        return near, split_sheets(near, config)
 
     (near, sheets), stray = run_beside(partial(find_sheets, floor), partial(find_strays, points, alone(width)))
     if not sheets:

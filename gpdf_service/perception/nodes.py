@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
@@ -56,42 +54,27 @@ def numbered(parent: IntArray) -> IntArray:
 
 
 @njit(cache=True, nogil=True)
-def numbered_among(label: IntArray, among: BoolArray) -> tuple[IntArray, int]:
-    """The labels that nodes `among` all have, numbered in their order, and how many; any other node has this number."""
-    number, used = np.zeros(len(label) + 1, np.int64), 0
+def numbered_apart(label: IntArray, among: BoolArray) -> IntArray:
+    """The labels of nodes `among` all, and one of its own for any other node, numbered by their first nodes, (k,)."""
+    number, made, used = np.full(label.max() + 1, -1), np.empty(len(label), np.int64), 0
     for i in range(len(label)):
-        if among[i]:
-            number[label[i]] = 1
-    for k in range(len(number)):
-        if number[k] > 0:
-            number[k], used = used, used + 1
-    made = np.full(len(label), used)
-    for i in range(len(label)):
-        if among[i]:
+        if among[i] and number[label[i]] >= 0:
             made[i] = number[label[i]]
-    return made, used
-
-
-@njit(cache=True, nogil=True)
-def counts_of(label: IntArray, true: BoolArray, among: BoolArray, labels: int) -> tuple[IntArray, IntArray]:
-    """Of how many nodes `among` all with each label it is `true`, and how many there are, each of shape (labels,)."""
-    held, all_ = np.zeros(labels, np.int64), np.zeros(labels, np.int64)
-    for i in range(len(label)):
+            continue
         if among[i]:
-            all_[label[i]] += 1
-            held[label[i]] += true[i]
-    return held, all_
+            number[label[i]] = used
+        made[i], used = used, used + 1
+    return made
 
 
 @njit(cache=True, nogil=True)
-def sizes_and_means(label: IntArray, among: BoolArray, height: FloatArray, labels: int) -> tuple[IntArray, FloatArray]:
-    """How many nodes `among` all have each label, and the mean height of all that have it [m], 0 of none, (labels,)."""
-    size, count, total = np.zeros(labels, np.int64), np.zeros(labels, np.int64), np.zeros(labels)
+def heights_of(label: IntArray, height: FloatArray, labels: int) -> FloatArray:
+    """How many nodes have each label, and the sum of their heights [m], shape (labels, 2)."""
+    sums = np.zeros((labels, 2))
     for i in range(len(label)):
-        size[label[i]] += among[i]
-        count[label[i]] += 1
-        total[label[i]] += height[i]
-    return size, total / np.maximum(count, 1)
+        sums[label[i], 0] += 1.0
+        sums[label[i], 1] += height[i]
+    return sums
 
 
 @njit(cache=True, nogil=True)
@@ -103,99 +86,6 @@ def touched_by(a: IntArray, b: IntArray, among: BoolArray, others: BoolArray) ->
         found[i] |= among[i] and others[j]
         found[j] |= among[j] and others[i]
     return found
-
-
-@njit(cache=True, nogil=True)
-def carry(values: NDArray[Any], kept: IntArray, nothing: Any, made: NDArray[Any]) -> None:  # noqa: ANN401
-    """Write the `values` of the nodes that are `kept`, see `Former`, and `nothing` for the others."""
-    last = 0
-    for begin, before, count in kept:
-        made[last:begin], last = nothing, begin + count
-        made[begin:last] = values[before : before + count]
-    made[last:] = nothing
-
-
-@njit(cache=True, nogil=True)
-def mark_unlike(now: NDArray[Any], was: NDArray[Any], kept: IntArray, cell: IntArray, cells: BoolArray) -> None:
-    """Mark the cells of nodes that are `kept`, see `Former`, with another value now."""
-    for begin, before, count in kept:
-        one, other = now[begin : begin + count], was[before : before + count]
-        for i in range(count):
-            if one[i] != other[i]:
-                cells[cell[begin + i]] = True
-
-
-@njit(cache=True, nogil=True)
-def put_in(parent: IntArray, part: IntArray, begin: int) -> None:
-    """Write the trees of some nodes, which are numbered from the first of them, `begin`, into those of all."""
-    for i in range(len(part)):
-        parent[begin + i] = begin + part[i]
-
-
-@njit(cache=True, nogil=True)
-def unite_all(parent: IntArray, a: IntArray, b: IntArray, begin: int) -> None:
-    """Make one tree each of those that the pairs (a, b) join; nodes are numbered from `begin`."""
-    for e in range(len(a)):
-        _unite(parent, begin + a[e], begin + b[e])
-
-
-@njit(cache=True, nogil=True)
-def pieces_in(
-    a: IntArray,
-    b: IntArray,
-    first: IntArray,
-    height: FloatArray,
-    count: int,
-    apart: FloatArray,
-    kind: NDArray[np.uint8],
-    rise: float,
-    step: float,
-) -> tuple[IntArray, IntArray, IntArray, IntArray, IntArray, IntArray, IntArray, IntArray, IntArray]:
-    """What is joined in a strip, and the pairs that tell what else is; see `Beside.pieces`.
-
-    Args:
-        a: Its own node of each pair.
-        b: The other one; from `count` on in the row behind the strip.
-        first: Where the pairs of each offset begin.
-        height: Of the nodes [m].
-        count: How many of them are the strip's own.
-        apart: Cells between the nodes of a pair with each offset.
-        kind: Bits that tell whether a node is inner (1), and whether its slopes (2) and steps (4) are asked for.
-        rise: Of slopes [m a cell].
-        step: [m].
-
-    Returns:
-        First node of each own node's piece; inner pairs with the row behind; and twice, for slopes and steps, the pairs
-        and where those of each offset begin.
-    """
-    root, size = np.arange(count).astype(INDEX), len(a) + 1
-    across, behind, crossing = np.empty(size, INDEX), np.empty(size, INDEX), 0
-    one, other, used, slopes = np.empty(size, INDEX), np.empty(size, INDEX), 0, np.zeros_like(first)
-    for k in range(len(apart)):
-        for e in range(first[k], first[k + 1]):
-            i, j = a[e], b[e]
-            both = int(kind[i] & kind[j]) * int(abs(height[i] - height[j]) <= rise * apart[k])
-            one[used], other[used] = i, j
-            used += int(both & 3 == 2)
-            if both & 1 and j < count:
-                _unite(root, i, j)
-            elif both & 1:
-                across[crossing], behind[crossing] = i, j
-                crossing += 1
-        slopes[k + 1] = used
-    for i in range(count):  # a parent comes before its children
-        root[i] = root[root[i]]
-    left, right, found, steps = np.empty(size, INDEX), np.empty(size, INDEX), 0, np.zeros_like(first)
-    for k in range(len(apart) if step > 0.0 else 0):
-        for e in range(first[k], first[k + 1]):
-            i, j = a[e], b[e]
-            over, both = abs(height[i] - height[j]), kind[i] & kind[j]
-            joined = root[i] == root[j] if j < count else both & 1 and over <= rise * apart[k]
-            left[found], right[found] = i, j
-            found += int(both & 4 > 0) * int(over <= step) * int(not joined)
-        steps[k + 1] = found
-    inner, sloped = (across[:crossing].copy(), behind[:crossing].copy()), (one[:used].copy(), other[:used].copy())
-    return root, *inner, *sloped, slopes, left[:found].copy(), right[:found].copy(), steps
 
 
 @njit(cache=True, nogil=True)
@@ -213,27 +103,6 @@ def degrees(columns: Columns, keep: BoolArray, rise: float) -> NDArray[np.uint8]
                     degree[i] += near
                     degree[j] += near
     return degree
-
-
-@njit(cache=True, nogil=True)
-def across_in(
-    a: IntArray,
-    b: IntArray,
-    first: IntArray,
-    height: FloatArray,
-    count: int,
-    apart: FloatArray,
-    kind: NDArray[np.uint8],
-    step: float,
-) -> tuple[IntArray, IntArray]:
-    """A strip's pairs of a node of one kind (1) and one of another (2) within a `step` [m]; see `pieces_in`."""
-    one, other, used = np.empty(len(a) + 1, INDEX), np.empty(len(a) + 1, INDEX), 0
-    for e in range(len(a)):
-        i, j = a[e], b[e]
-        turned = kind[i] == 2
-        one[used], other[used] = (j, i) if turned else (i, j)
-        used += int(kind[i] + kind[j] == 3) * int(abs(height[i] - height[j]) <= step)
-    return one[:used].copy(), other[:used].copy()
 
 
 @njit(cache=True, nogil=True)
@@ -264,73 +133,43 @@ def mark_nearest(a: IntArray, b: IntArray, mark: NDArray[np.int8]) -> None:
 
 
 @njit(cache=True, nogil=True)
-def plan_sums(cell: IntArray, ny: int, among: BoolArray, label: IntArray) -> tuple[IntArray, FloatArray]:
-    """Sums of 1, x, y, x², y², xy of the cells of the nodes `among` all with each label.
+def plan_sums(cell: IntArray, ny: int, among: BoolArray, label: IntArray, labels: int) -> FloatArray:
+    """Sums of 1, x, y, x², y², xy of the cells of the nodes `among` all with each label, shape (labels, 6).
 
-    Returns:
-        The labels of these nodes, sorted, shape (labels,), and the sums, shape (labels, 6).
+    They are whole numbers, so it is the same in which order they are added.
     """
-    number, used = np.full(label.max() + 1, -1), 0
+    sums = np.zeros((labels, 6))
     for i in range(len(cell)):
         if among[i]:
-            number[label[i]] = 0
-    for k in range(len(number)):
-        if number[k] == 0:
-            number[k], used = used, used + 1
-    sums = np.zeros((used, 6))
-    for i in range(len(cell)):
-        if among[i]:
-            x, y, own = float(cell[i] // ny), float(cell[i] % ny), sums[number[label[i]]]
+            x, y, own = float(cell[i] // ny), float(cell[i] % ny), sums[label[i]]
             own[0] += 1.0
             own[1] += x
             own[2] += y
             own[3] += x * x
             own[4] += y * y
             own[5] += x * y
-    return np.flatnonzero(number >= 0), sums
+    return sums
+
+
+def extents_of(sums: FloatArray, width: float) -> tuple[FloatArray, FloatArray]:
+    """Length and depth of what the nodes with each label cover, along their principal axes [m], by their `plan_sums`.
+
+    A uniform strip of length L has variance L²/12; a cell more, because cells have a `width` [m]. What no node has
+    covers nothing.
+    """
+    count = sums[:, 0]
+    x, y, xx, yy, xy = sums[:, 1:].T / np.maximum(count, 1.0)
+    xx, yy, xy = xx - x**2, yy - y**2, xy - x * y
+    middle, radius = 0.5 * (xx + yy), np.hypot(0.5 * (xx - yy), xy)
+    length = np.where(count > 0.0, (np.sqrt(12.0 * (middle + radius)) + 1.0) * width, 0.0)
+    return length, np.where(count > 0.0, (np.sqrt(12.0 * np.maximum(middle - radius, 0.0)) + 1.0) * width, 0.0)
 
 
 def extents_in_plan(
     cell: IntArray, ny: int, among: BoolArray, label: IntArray, width: float
 ) -> tuple[FloatArray, FloatArray]:
-    """Length and depth of what the nodes `among` all with each label cover, along their principal axes [m].
-
-    A uniform strip of length L has variance L²/12; a cell more, because cells have a `width` [m]. What no node has
-    covers nothing.
-    """
-    labels, sums = plan_sums(cell, ny, among, label)
-    x, y, xx, yy, xy = sums[:, 1:].T / sums[:, 0]
-    xx, yy, xy = xx - x**2, yy - y**2, xy - x * y
-    middle, radius = 0.5 * (xx + yy), np.hypot(0.5 * (xx - yy), xy)
-    length, depth = np.zeros((2, int(label.max()) + 1))
-    length[labels] = (np.sqrt(12.0 * (middle + radius)) + 1.0) * width
-    depth[labels] = (np.sqrt(12.0 * np.maximum(middle - radius, 0.0)) + 1.0) * width
-    return length, depth
-
-
-@njit(cache=True, nogil=True)
-def with_rims(
-    core: BoolArray, keep: BoolArray, piece: IntArray, a: IntArray, b: IntArray
-) -> tuple[BoolArray, IntArray]:
-    """The pieces of core nodes among those to `keep`, each patch with its rim: which nodes are in one, and in which.
-
-    The rim are nodes to keep that a pair (a, b) joins to a core node. Patches are numbered by their first nodes; those
-    that are in none have the number after the last.
-    """
-    wide, patch, used = core & keep, piece.copy(), 0
-    for one, other in ((a, b), (b, a)):
-        before = wide.copy()
-        for e in range(len(one)):
-            i, j = one[e], other[e]
-            if not before[j] and keep[j] and core[i] and keep[i]:
-                wide[j], patch[j] = True, patch[i]
-    number = np.full(len(patch), -1)
-    for i in range(len(patch)):
-        if wide[i] and number[patch[i]] < 0:
-            number[patch[i]], used = used, used + 1
-    for i in range(len(patch)):
-        patch[i] = number[patch[i]] if wide[i] else used
-    return wide, patch
+    """`extents_of` the nodes `among` all with each label."""
+    return extents_of(plan_sums(cell, ny, among, label, int(label.max()) + 1), width)
 
 
 @njit(cache=True, nogil=True)
@@ -484,21 +323,31 @@ def grown_sheet(
 
 
 @njit(cache=True, nogil=True)
-def whole_around(
-    columns: Columns, inside: BoolArray, beyond: tuple[IntArray, IntArray], max_step: float, rings: int
-) -> BoolArray:
-    """Which nodes `inside` a sheet have no end of it within `rings` of them: a node `beyond` it a step beside.
+def ends_at(columns: Columns, inside: BoolArray, beyond: BoolArray, max_step: float) -> BoolArray:
+    """At which nodes `inside` a sheet it ends: one is `beyond` it a step beside, (k,).
 
-    The pairs are nodes inside and beyond. There is no end where the sheet has another node in that cell that is a step
-    away, too.
+    There is no end where the sheet has another node in that cell that is a step away, too.
     """
     cell, start, (nx, ny), height, _ = columns
     end = np.zeros(len(cell), np.bool_)
-    for e in range(len(beyond[0])):
-        i, there, had = beyond[0][e], cell[beyond[1][e]], False
-        for j in range(start[there], start[there + 1]):
-            had |= inside[j] and abs(height[i] - height[j]) <= max_step
-        end[i] |= not had
+    for other in np.flatnonzero(beyond):
+        x, y = divmod(cell[other], ny)
+        for u in range(max(x - 1, 0), min(x + 2, nx)):
+            for i in range(start[u * ny + max(y - 1, 0)], start[u * ny + min(y + 2, ny)]):
+                if not inside[i] or cell[i] == cell[other] or abs(height[i] - height[other]) > max_step:
+                    continue
+                had = False
+                for j in range(start[cell[other]], start[cell[other] + 1]):
+                    had |= inside[j] and abs(height[i] - height[j]) <= max_step
+                end[i] |= not had
+    return end
+
+
+@njit(cache=True, nogil=True)
+def whole_around(columns: Columns, inside: BoolArray, end: BoolArray, max_step: float, rings: int) -> BoolArray:
+    """Which nodes `inside` a sheet have no `end` of it within `rings` of them."""
+    cell, start, (nx, ny), height, _ = columns
+    end = end.copy()
     ring = np.flatnonzero(end)
     for _ in range(rings):
         found, count = np.empty(len(ring) * 8, np.int64), 0
@@ -534,3 +383,123 @@ def off_ground(points: FloatArray, node: IntArray, ground: BoolArray, smooth: Fl
         found[used] = abs(points[i, 2] - smooth[node[i]])
         used += int(ground[node[i]])
     return found[:used]
+
+
+@njit(cache=True, nogil=True)
+def count_labels(label: IntArray, among: BoolArray, labels: int) -> IntArray:
+    """How many nodes `among` all have each label, shape (labels,)."""
+    made = np.zeros(labels, np.int64)
+    for i in range(len(label)):
+        made[label[i]] += among[i]
+    return made
+
+
+_FAR = tuple(float(np.hypot(*offset)) for offset in AROUND)
+"""How many cells those around are away."""
+
+
+@njit(cache=True, nogil=True)
+def pieces_of(columns: Columns, inner: BoolArray, rise: float, step: float) -> tuple[IntArray, IntArray]:
+    """Which `inner` nodes are joined where there is at most `rise` [m] a cell and a `step` [m] between them.
+
+    Labels, numbered by first nodes, shape (k,), and these nodes, shape (labels,); any other node's label is the next.
+    """
+    cell, start, (nx, ny), height, _ = columns
+    root, label, used = np.arange(len(cell)).astype(INDEX), np.empty(len(cell), INDEX), 0
+    for x in range(nx):
+        for y in range(ny):
+            for i in range(start[x * ny + y], start[x * ny + y + 1]):
+                for k in range(4, 8 if inner[i] else 4):  # half of those around: each pair once
+                    u, v = x + AROUND[k][0], y + AROUND[k][1]
+                    if u < nx and 0 <= v < ny:
+                        most = rise * _FAR[k] + step
+                        for j in range(start[u * ny + v], start[u * ny + v + 1]):
+                            if inner[j] and abs(height[i] - height[j]) <= most:
+                                _unite(root, i, j)
+    for i in range(len(cell)):
+        if inner[i]:
+            label[i] = used if root[i] == i else label[root[i]]
+            used += int(root[i] == i)
+    begin = np.empty(used, INDEX)
+    for i in range(len(cell)):
+        if not inner[i]:
+            label[i] = used
+        elif root[i] == i:
+            begin[label[i]] = i
+    return label, begin
+
+
+@njit(cache=True, nogil=True)
+def pairs_on(
+    columns: Columns,
+    row: int,
+    ends: tuple[NDArray[np.int32], NDArray[np.int32]],
+    begin: tuple[int, int],
+    none: tuple[int, int],
+    rise: float,
+    step: float,
+) -> IntArray:
+    """Pairs of labels that are joined, see `pieces_of`, from a row of cells to the next one, shape (p, 2).
+
+    Args:
+        columns: All nodes.
+        row: Of cells.
+        ends: Labels of the nodes of a strip that ends with the row, and of the strip behind it.
+        begin: First node of each.
+        none: Labels of nodes that nothing is joined to.
+        rise: At most [m a cell].
+        step: And as much more at most [m].
+    """
+    _, start, (_, ny), height, _ = columns
+    found, last = [(0, 0) for _ in range(0)], np.full(none[0], -1)
+    for y in range(ny):
+        for i in range(start[row * ny + y], start[row * ny + y + 1]):
+            a = ends[0][i - begin[0]]
+            if a == none[0]:
+                continue
+            for v in range(max(y - 1, 0), min(y + 2, ny)):
+                there, most = (row + 1) * ny + v, rise * np.hypot(1, v - y) + step
+                for j in range(start[there], start[there + 1]):
+                    b = ends[1][j - begin[1]]
+                    if b != none[1] and b != last[a] and abs(height[i] - height[j]) <= most:
+                        found.append((int(a), int(b)))
+                        last[a] = b
+    made = np.empty((len(found), 2), np.int64)
+    for k in range(len(found)):
+        made[k, 0], made[k, 1] = found[k]
+    return made
+
+
+@njit(cache=True, nogil=True)
+def joined_to(columns: Columns, among: BoolArray, others: BoolArray, rise: float, step: float = 0.0) -> BoolArray:
+    """Which nodes `among` all are joined to one of the `others` beside them, see `pieces_of`, shape (k,)."""
+    cell, start, (nx, ny), height, _ = columns
+    found = np.zeros(len(cell), np.bool_)
+    for j in range(len(cell)):
+        if not others[j]:
+            continue
+        x, y = cell[j] // ny, cell[j] % ny
+        for k in range(8):
+            u, v = x + AROUND[k][0], y + AROUND[k][1]
+            if 0 <= u < nx and 0 <= v < ny:
+                there, most = u * ny + v, rise * _FAR[k] + step
+                for i in range(start[there], start[there + 1]):
+                    found[i] |= among[i] and abs(height[i] - height[j]) <= most
+    return found
+
+
+@njit(cache=True, nogil=True)
+def pairs_unlike(columns: Columns, keep: BoolArray, label: IntArray, step: float) -> tuple[IntArray, IntArray]:
+    """Pairs of kept nodes beside each other, with at most a `step` [m] between and another label each."""
+    cell, start, (nx, ny), height, _ = columns
+    one, other = [INDEX(0) for _ in range(0)], [INDEX(0) for _ in range(0)]
+    for i in np.flatnonzero(keep):
+        x, y = cell[i] // ny, cell[i] % ny
+        for dx, dy in AROUND[4:]:
+            if x + dx < nx and 0 <= y + dy < ny:
+                there = (x + dx) * ny + y + dy
+                for j in range(start[there], start[there + 1]):
+                    if keep[j] and label[i] != label[j] and abs(height[i] - height[j]) <= step:
+                        one.append(INDEX(i))
+                        other.append(INDEX(j))
+    return np.array(one, INDEX), np.array(other, INDEX)

@@ -69,40 +69,6 @@ def _pairs_at(
 
 
 @njit(cache=True, nogil=True)
-def pairs_beside(
-    columns: Columns, most: float, offsets: tuple[tuple[int, int], ...], begin: int, end: int
-) -> tuple[IntArray, IntArray, IntArray]:
-    """What `pairs_near` finds if all are kept, and where the pairs of each offset begin, shape (offsets + 1,).
-
-    Of the nodes a in the rows of cells from `begin` to `end`; nodes count from the first of these. The heights of a
-    column must ascend: so what is too low or too high for one node is passed over.
-    """
-    _, start, shape, height, _ = columns
-    first, base = np.zeros(len(offsets) + 1, np.int64), start[begin * shape[1]]
-    capacity, used = 4 * (start[end * shape[1]] - base) + 16, 0
-    one, other = np.empty(capacity, INDEX), np.empty(capacity, INDEX)
-    for k in range(len(offsets)):
-        dx, dy = offsets[k]
-        for x in range(max(begin, -dx), min(end, shape[0] - dx)):
-            for y in range(max(0, -dy), min(shape[1], shape[1] - dy)):
-                here, there = x * shape[1] + y, (x + dx) * shape[1] + y + dy
-                low, last = start[there], start[there + 1]
-                more = (start[here + 1] - start[here]) * (last - low)
-                if used + more > capacity:
-                    capacity = 2 * capacity + more
-                    one, other = longer(one, capacity), longer(other, capacity)
-                for a in range(start[here], start[here + 1]):
-                    while low < last and height[a] - height[low] > most:
-                        low += 1
-                    b = low
-                    while b < last and height[b] - height[a] <= most:
-                        one[used], other[used] = a - base, b - base
-                        used, b = used + 1, b + 1
-        first[k + 1] = used
-    return one[:used].copy(), other[:used].copy(), first
-
-
-@njit(cache=True, nogil=True)
 def medians_around(height: FloatArray, keep: BoolArray, a: IntArray, b: IntArray) -> FloatArray:
     """Lower median of the heights of each kept node and those that the pairs (a, b) join it to; others as they are."""
     start = np.zeros(len(height) + 1, np.int64)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from scipy import ndimage
@@ -12,20 +13,21 @@ from scipy.spatial import cKDTree
 
 from gpdf_service.config import PerceptionConfig
 from gpdf_service.errors import NoGroundError
-from gpdf_service.perception.beside import Beside
+from gpdf_service.perception.beside import Answer, Beside, Strips
 from gpdf_service.perception.bumps import LANDING
 from gpdf_service.perception.layers import HALF, Layers, Pairs, connect, steady
 from gpdf_service.perception.nodes import (
     components,
-    counts_of,
-    extents_in_plan,
+    extents_of,
+    heights_of,
+    joined_to,
     nodes_over,
-    numbered_among,
+    plan_sums,
     rises_beside,
-    sizes_and_means,
     touched_by,
 )
 from gpdf_service.perception.pairs import pairs_within
+from gpdf_service.perception.pieces import Pieces, find_pieces
 from gpdf_service.perception.strides import HALF_FOOT, SOLE, STRIDE, find_strides
 from gpdf_service.types import BoolArray, FloatArray, IntArray
 
@@ -49,11 +51,11 @@ class Parts:
     """Sets of flat nodes that slopes join; nodes of none have the number after the last, which counts for nothing.
 
     Attributes:
-        label: Part of each node, shape (k,).
-        flat: Which nodes are in one, shape (k,).
-        keep: Which of these have headroom to step, shape (k,).
-        inner: Which have all eight neighbours on their slope: they say whether a part lies over ground, shape (k,).
-        over: Which nodes have another one below them in their cell, shape (k,).
+        name: Of what is asked of them.
+        pieces: Part of each node.
+        flat: Which nodes are in one.
+        keep: Which of these have headroom to step.
+        inner: Which nodes have all eight neighbours on their slope: they say whether a part lies over ground.
         size: How many nodes with headroom each part has, shape (parts + 1,).
         depth: Of each part in plan, across its length [m], shape (parts + 1,).
         standable: Which a body stands on by itself: the others are treads, shape (parts + 1,).
@@ -61,55 +63,66 @@ class Parts:
         rise: Between two neighbouring cells of a part at most [m].
     """
 
-    label: IntArray
-    flat: BoolArray
-    keep: BoolArray
-    inner: BoolArray
-    over: BoolArray
+    name: str
+    pieces: Pieces
+    flat: Strips
+    keep: Strips
+    inner: Strips
     size: IntArray
     depth: FloatArray
     standable: BoolArray
     level: FloatArray
     rise: float
 
-    def share(self, true: BoolArray, among: BoolArray) -> FloatArray:
-        """Of the nodes `among` all of each part, for how many it is `true`, shape (parts + 1,)."""
-        held, all_ = counts_of(self.label, true, among, len(self.size))
-        made: FloatArray = held / np.maximum(all_, 1)
-        return made
+    def counts(self, name: str, *kinds: Strips) -> IntArray:
+        """How many nodes of each of the `kinds` each part has, shape (kinds, parts + 1)."""
+        return np.pad(self.pieces.counts(f"{name} of {self.name}", *kinds), ((0, 0), (0, 1)))
+
+
+def _share(held: IntArray, all_: IntArray) -> FloatArray:
+    """For how many of all nodes of a part it is so, shape (parts + 1,)."""
+    made: FloatArray = held / np.maximum(all_, 1)
+    return made
 
 
 def build_parts(
-    near: Beside, flat: BoolArray, keep: BoolArray, inner: BoolArray, rise: float, config: PerceptionConfig
+    near: Beside, name: str, flat: Strips, keep: Strips, inner: Strips, rise: float, config: PerceptionConfig
 ) -> Parts:
-    """The parts that slopes of at most `rise` [m] a cell make of the `flat` nodes, shape (k,)."""
-    layers = near.layers
-    label, count = numbered_among(near.pieces(flat, rise)[0], flat)
-    room = flat & keep
-    size, level = sizes_and_means(label, room, layers.height, count + 1)
-    depth = extents_in_plan(layers.cell, layers.shape[1], room, label, layers.cell_width)[1]
-    depth = np.pad(depth, (0, count + 1 - len(depth)))
-    over = np.r_[False, layers.cell[1:] == layers.cell[:-1]]
-    standable = (depth >= config.standing_width) & (size > 0)
-    return Parts(label, flat, room, inner, over, size, depth, standable, level, rise)
+    """The parts that slopes of at most `rise` [m] a cell make of the `flat` nodes."""
+    layers, pieces = near.layers, find_pieces(near, name, flat, rise)
+    (room,) = near.around(f"room of {name}", 0, lambda _, __, flat, keep: (flat & keep,), flat, keep)
+
+    def add(own: slice, label: IntArray, labels: int, room: BoolArray) -> FloatArray:
+        plan = plan_sums(layers.cell[own], layers.shape[1], room, label, labels)
+        return np.column_stack([heights_of(label, layers.height[own], labels), plan])
+
+    sums = np.pad(pieces.totals(name, add, room), ((0, 1), (0, 0)))
+    size, depth = sums[:, 2].astype(np.int64), extents_of(sums[:, 2:], layers.cell_width)[1]
+    standable, level = (depth >= config.standing_width) & (size > 0), sums[:, 1] / np.maximum(sums[:, 0], 1.0)
+    return Parts(name, pieces, flat, room, inner, size, depth, standable, level, rise)
 
 
-def join_parts(near: Beside, parts: Parts, stance: BoolArray, config: PerceptionConfig) -> Pairs:
+def join_parts(near: Beside, parts: Parts, stance: Strips, config: PerceptionConfig) -> Pairs:
     """Pairs of parts that a stride between their stances joins.
 
     What is no larger than a table counts as high as it is in the mean, unless it is on a way between storeys: a sofa's
     low front edge must not make its back a platform, but treads that a scan ran into one are a flight.
     """
-    layers, reach = near.layers, STRIDE / near.layers.cell_width
+    reach, pieces = STRIDE / near.layers.cell_width, parts.pieces
 
-    def strides(layers: Layers, _: BoolArray, stance: BoolArray, part: IntArray) -> Pairs:
+    def strides(layers: Layers, stance: BoolArray, part: IntArray) -> Pairs:
         found: Pairs = find_strides(layers.columns, stance, part, reach, config.max_step)
         return found
 
-    a, b = near.pairs_around("strides", int(reach) + 1, strides, stance, steady(layers, parts.label))
-    count, one, other = len(parts.size), parts.label[a], parts.label[b]
+    layers, names = near.layers, steady(near.layers, pieces.start)
+    named = pieces.chosen(f"names of {parts.name}", names)
+    nodes = near.joins(f"strides of {parts.name}", int(reach) + 1, strides, stance, named)
+    one, other = (pieces.at(each) for each in nodes)
+    count, heights = len(parts.size), [layers.height[each] for each in nodes]
     small = parts.size * layers.cell_width**2 <= TABLE_AREA
-    high, low = (np.where(small[part], parts.level[part], layers.height[node]) for part, node in ((one, a), (other, b)))
+    high, low = (
+        np.where(small[part], parts.level[part], height) for part, height in zip((one, other), heights, strict=True)
+    )
     key = np.minimum(one, other) * count + np.maximum(one, other)
     pairs, rows = np.unique(key, return_inverse=True)
     level = np.bincount(rows, np.abs(high - low) <= config.max_step, len(pairs)) > 0
@@ -132,14 +145,17 @@ def _between_storeys(parts: Parts, joins: Pairs, small: BoolArray, step: float) 
     return made
 
 
-def accept_parts(near: Beside, parts: Parts, joins: Pairs, low: BoolArray, config: PerceptionConfig) -> BoolArray:
+def accept_parts(
+    near: Beside, parts: Parts, joins: Pairs, nodes: tuple[Strips, Strips, Strips], config: PerceptionConfig
+) -> BoolArray:
     """Which parts are ground, shape (parts + 1,): what strides join to the bulk, and storeys by themselves.
 
     Parts that lead nowhere are dropped, one after another: a box or a board that is joined to the floor alone, and a
-    table, which lies over ground, with or without headroom (`low`), and from which one gets down alone, or to a box.
+    table, which lies over ground, with headroom or without, and from which one gets down alone, or to a box. Of the
+    `nodes` it is told which are level enough, which have headroom to step, and which are undersides.
     """
     alive, layers = parts.size > 0, near.layers
-    table, dead = _tables(near, parts, joins, low, config), alive
+    table, dead = _tables(near, parts, joins, nodes, config), alive
     largest = TABLE_AREA / layers.cell_width**2
     while dead.any():
         dead = _dead_ends(parts, joins, alive, table, largest)
@@ -148,7 +164,7 @@ def accept_parts(near: Beside, parts: Parts, joins: Pairs, low: BoolArray, confi
         return alive
     group, bulk = _bulk(near, parts, joins, alive, config)
     main = alive & (group == bulk)
-    accepted: BoolArray = main | (alive & _apart(layers, parts, group, main, config)[group])
+    accepted: BoolArray = main | (alive & _apart(near, parts, group, main, config)[group])
     return accepted
 
 
@@ -173,7 +189,9 @@ def _units(parts: Parts, joins: Pairs, among: BoolArray) -> IntArray:
     return unit
 
 
-def _tables(near: Beside, parts: Parts, joins: Pairs, low: BoolArray, config: PerceptionConfig) -> BoolArray:
+def _tables(
+    near: Beside, parts: Parts, joins: Pairs, nodes: tuple[Strips, Strips, Strips], config: PerceptionConfig
+) -> BoolArray:
     """Parts higher than one that they are joined to, and over ground with less headroom than a step's, (parts + 1,).
 
     Looked at is a sole from the rim, which is as far in as one sees the floor below a board; the rim by itself, as one
@@ -185,21 +203,25 @@ def _tables(near: Beside, parts: Parts, joins: Pairs, low: BoolArray, config: Pe
     width = near.layers.cell_width
     soles = max(1, round(SOLE / width))
 
-    def rims(layers: Layers, _: BoolArray, own: BoolArray, ground: BoolArray) -> tuple[BoolArray, BoolArray, BoolArray]:
+    def rims(layers: Layers, _: BoolArray, high: BoolArray, room: BoolArray, *nodes: BoolArray) -> Answer:
+        core, keep, under = nodes
+        own, ground = room & high, room | (core & ~keep & ~under)
         a, b = connect(layers, own, parts.rise)
         rim = own & (np.bincount(a, minlength=len(own)) + np.bincount(b, minlength=len(own)) < 2 * len(HALF))
         inner, lies = rim.copy(), np.zeros(len(own), dtype=bool)
         for _ring in range(soles):
             inner |= touched_by(a, b, own, inner)
-        nodes = np.flatnonzero(inner)
-        lies[nodes] = nodes_over(nodes, layers.cell, layers.height, ground, config.step_headroom)
-        return rim, inner & ~rim, lies
+        rows = np.flatnonzero(inner)
+        lies[rows] = nodes_over(rows, layers.cell, layers.height, ground, config.step_headroom)
+        inner &= ~rim
+        return rim, rim & lies, inner, inner & lies
 
-    rim, inner, lies = near.around("rims", soles + 1, rims, parts.keep & high[parts.label], parts.keep | low)
-    narrow, inside = parts.depth < LANDING, parts.share(lies, inner)
+    asked = parts.pieces.chosen("high", high), parts.keep, *nodes
+    rim, rim_over, inner, inner_over = parts.counts("rims", *near.around("rims", soles + 1, rims, *asked))
+    narrow, inside = parts.depth < LANDING, _share(inner_over, inner)
     small = narrow | (parts.size * width**2 <= TABLE_AREA)
     table: BoolArray = inside > np.where(small, TABLE_OVER_SHARE, OVER_SHARE)
-    table |= narrow & (parts.share(lies, rim) > OVER_SHARE)
+    table |= narrow & (_share(rim_over, rim) > OVER_SHARE)
     return table
 
 
@@ -221,20 +243,19 @@ def _bulk(near: Beside, parts: Parts, joins: Pairs, alive: BoolArray, config: Pe
     Raises:
         NoGroundError: there are but ceilings.
     """
-    group, layers = _groups(joins, alive), near.layers
+    group, reach = _groups(joins, alive), int(HALF_FOOT / near.layers.cell_width**2) + 1  # what is as long is as large
+    kinds = near.around(
+        "bulk", reach, partial(_over_and_under, parts=parts, step=config.max_step), parts.keep, parts.inner
+    )
+    room, over, inner, inner_over, inner_hangs, rises = parts.counts("bulk", parts.keep, *kinds)
     size = np.bincount(group, parts.size * alive)
-    lies, inner, hangs = (
-        np.bincount(group, parts.share(kind, among) * parts.size * alive)
-        for kind, among in (
-            (parts.over, parts.keep),
-            (parts.over, parts.keep & parts.inner),
-            (_over_things(near, parts, config.max_step), parts.keep & parts.inner),
-        )
+    lies, within, hangs = (
+        np.bincount(group, share * parts.size * alive)
+        for share in (_share(over, room), _share(inner_over, inner), _share(inner_hangs, inner))
     )
     asked = (hangs > 0.0) & (size >= BULK_SHARE * size.max())
-    rises = _rises(near, parts.keep, config.max_step)
-    risen = np.bincount(group, np.bincount(parts.label[rises], minlength=len(group)) * alive)
-    ceiling = asked & (risen < OVER_SHARE * inner)
+    risen = np.bincount(group, rises * alive)
+    ceiling = asked & (risen < OVER_SHARE * within)
     if not (size > 0)[~ceiling].any():
         raise NoGroundError("ground", "all that is level and wide enough is a ceiling", "Was the floor scanned?")
     own = np.where(ceiling | (2 * lies >= size), 0, size)
@@ -242,33 +263,28 @@ def _bulk(near: Beside, parts: Parts, joins: Pairs, alive: BoolArray, config: Pe
     large = np.flatnonzero((own > 0) & (own >= BULK_SHARE * own.max()))
     if len(large) == 1:
         return group, int(large[0])
-    of_node = group[parts.label[parts.keep]]
-    height = layers.height[parts.keep]
+    nodes = np.concatenate(parts.keep)
+    of_node, height = group[parts.pieces.whole[nodes]], near.layers.height[nodes]
     return group, int(min(large, key=lambda i: float(np.median(height[of_node == i]))))
 
 
-def _over_things(near: Beside, parts: Parts, step: float) -> BoolArray:
-    """Nodes of parts over something more than a `step` [m] below them that is as large as half a foot, shape (k,)."""
-    over, area = parts.over & parts.keep, near.layers.cell_width**2
-    over[1:] &= np.diff(near.layers.height) > step
+def _over_and_under(
+    layers: Layers, asked: BoolArray, room: BoolArray, inner: BoolArray, parts: Parts, step: float
+) -> Answer:
+    """Of nodes with `room` which lie over another one, which are `inner` ones, and which of these lie over some.
 
-    def answer(layers: Layers, _: BoolArray, over: BoolArray) -> tuple[BoolArray]:
-        piece = components(*connect(layers, over, parts.rise), over)
-        return (over & (np.bincount(piece, over) * area >= HALF_FOOT)[piece],)
-
-    return near.around("over things", int(HALF_FOOT / area) + 1, answer, over)[0]  # what is as long is as large
-
-
-def _rises(near: Beside, among: BoolArray, step: float) -> BoolArray:
-    """Which nodes, of `among`, have something rise from them, or beside them, by more than a `step` [m], shape (k,)."""
-
-    def answer(layers: Layers, asked: BoolArray, among: BoolArray) -> tuple[BoolArray]:
-        rises, nodes = np.zeros(len(among), dtype=bool), np.flatnonzero(among & asked)
-        grid = layers.cell, layers.start, layers.shape, layers.height, layers.top
-        rises[nodes] = rises_beside(nodes, *grid, step)
-        return (rises,)
-
-    return near.around("rises", 1, answer, among)[0]
+    Further, which of these lie over something more than a `step` [m] below that is as large as half a foot, and from
+    which nodes something rises by more than a step, or beside them.
+    """
+    over = room & np.r_[False, layers.cell[1:] == layers.cell[:-1]]
+    hangs = over.copy()
+    hangs[1:] &= np.diff(layers.height) > step
+    piece = components(*connect(layers, hangs, parts.rise), hangs)
+    hangs &= (np.bincount(piece, hangs) * layers.cell_width**2 >= HALF_FOOT)[piece]
+    rises, nodes = np.zeros(len(room), dtype=bool), np.flatnonzero(room & asked)
+    rises[nodes] = rises_beside(nodes, layers.cell, layers.start, layers.shape, layers.height, layers.top, step)
+    inner = room & inner
+    return over, inner, inner & over, inner & hangs, rises
 
 
 def _dead_ends(parts: Parts, joins: Pairs, alive: BoolArray, table: BoolArray, largest: float) -> BoolArray:
@@ -306,7 +322,7 @@ def _dead_ends(parts: Parts, joins: Pairs, alive: BoolArray, table: BoolArray, l
     return dead
 
 
-def _apart(layers: Layers, parts: Parts, group: IntArray, main: BoolArray, config: PerceptionConfig) -> BoolArray:
+def _apart(near: Beside, parts: Parts, group: IntArray, main: BoolArray, config: PerceptionConfig) -> BoolArray:
     """Which groups are ground by themselves, though no way to them was seen, shape (groups,).
 
     They are larger than furniture, and the ground that one starts from is not close below them. What is within a step
@@ -315,25 +331,29 @@ def _apart(layers: Layers, parts: Parts, group: IntArray, main: BoolArray, confi
     ground is not, is a pit, a track bed or a court where it is lower than the ground beside it, and a platform where it
     is vast and lower than a roof that people live under.
     """
-    count, of_node, ours = int(group.max()) + 1, group[parts.label], parts.keep & main[parts.label]
-    size = np.bincount(of_node[parts.keep], minlength=count)
+    layers, count = near.layers, int(group.max()) + 1
+    size = np.bincount(group, parts.size, count).astype(np.int64)
     area, vast = size * layers.cell_width**2, size >= BULK_SHARE * size[group[main]].max()
     large = area > TABLE_AREA
     large[np.append(group[main], group[-1])] = False
-    nodes = np.flatnonzero(parts.keep & large[of_node])
+    if not large.any():
+        return large
+    ground, told = parts.pieces.chosen("main", main), partial(_over_and_open, headroom=config.storey_headroom)
+    kinds = parts.counts("apart", *near.around("apart", 0, told, parts.keep, ground))
+    under, over, beside = (np.bincount(group, each, count) for each in kinds)
+    large &= over <= OVER_SHARE * size
+    storey, open_ = under >= COVERED_SHARE * size, beside >= (1.0 - OVER_SHARE) * size
+    asked = large & (open_ | storey)
+    if not asked.any():
+        return asked
+    label, keep = parts.pieces.whole, np.concatenate(parts.keep)
+    of_node, ours = group[label], keep & main[label]
+    nodes, holds = np.flatnonzero(keep & asked[of_node]), _holding(layers, ours)
 
     def share(kind: BoolArray) -> FloatArray:
         made: FloatArray = np.bincount(of_node[nodes[kind]], minlength=count) / np.maximum(size, 1)
         return made
 
-    under = share((layers.headroom[nodes] >= config.storey_headroom) & np.isfinite(layers.headroom[nodes]))
-    large &= share(nodes_over(nodes, layers.cell, layers.height, ours, config.storey_headroom)) <= OVER_SHARE
-    holds = _holding(layers, ours)
-    storey, open_ = under >= COVERED_SHARE, share(~holds[layers.cell[nodes]]) >= 1.0 - OVER_SHARE
-    asked = large & (open_ | storey)
-    nodes = nodes[asked[of_node[nodes]]]
-    if not len(nodes):
-        return asked
     rise = layers.height[nodes] - _beside(layers, ours, holds)[layers.cell[nodes]]
     level = np.abs(layers.height[nodes] - _medians(layers.height[nodes], of_node[nodes], count)) <= config.max_step
     even, sunk, low, lofty = (
@@ -348,6 +368,17 @@ def _apart(layers: Layers, parts: Parts, group: IntArray, main: BoolArray, confi
     storey &= vast | (lofty & (area >= ROOM_AREA))
     found: BoolArray = asked & (even | storey | (open_ & (sunk | vast & low)))
     return found
+
+
+def _over_and_open(layers: Layers, _: BoolArray, room: BoolArray, main: BoolArray, headroom: float) -> Answer:
+    """Of nodes with `room` which have a ceiling over them, and which lie over the `main` ground, or in no cell of it.
+
+    Over it with less than the `headroom` [m].
+    """
+    ours, nodes, over = room & main, np.flatnonzero(room), np.zeros(len(room), dtype=bool)
+    over[nodes] = nodes_over(nodes, layers.cell, layers.height, ours, headroom)
+    under = room & (layers.headroom >= headroom) & np.isfinite(layers.headroom)
+    return under, over, room & ~_holding(layers, ours)[layers.cell]
 
 
 def _holding(layers: Layers, ours: BoolArray) -> BoolArray:
@@ -374,10 +405,8 @@ def _medians(values: FloatArray, group: IntArray, count: int) -> FloatArray:
     return middle[group]
 
 
-def undersides(
-    near: Beside, parts: Parts, core: BoolArray, smooth: Pairs, config: PerceptionConfig
-) -> tuple[BoolArray, Parts, BoolArray]:
-    """Nodes `core` of slabs that are seen from below, the parts without them, and which of these are what was left.
+def undersides(near: Beside, parts: Parts, config: PerceptionConfig) -> tuple[Strips, Parts, BoolArray]:
+    """Nodes of slabs that are seen from below, the parts without them, and which of these are what was left.
 
     An underside is the next below nodes of parts, by no more than a step, as wide as a body (a stair's tread goes on
     beneath the next one by its nosing alone), and more of it has something below it than strays are: the floor has not.
@@ -385,34 +414,52 @@ def undersides(
     slab's top has holes in its scan, and a stair's last tread, where that is as high as the underside beside it. See
     `without_ceilings`.
     """
-    layers, under = near.layers, np.zeros(len(core), dtype=bool)
-    rows = np.flatnonzero(~parts.keep[:-1] & parts.keep[1:] & parts.over[1:])
-    rows = rows[layers.height[rows + 1] - layers.height[rows] <= config.max_step]
-    under[rows] = True
-    a, b = pairs_within(*smooth, under, False)
-    region = np.full(len(core), len(rows))
-    region[rows] = np.unique(components(a, b, under)[rows], return_inverse=True)[1]
-    depth = extents_in_plan(layers.cell, layers.shape[1], under, region, layers.cell_width)[1]
-    lies, size = (np.bincount(region[kind], minlength=len(depth)) for kind in (under & parts.over, under))
-    aloft = lies > OVER_SHARE * size
-    under[rows] = ((depth >= config.standing_width) & aloft)[region[rows]]
-    hangs = parts.share(under, np.ones(len(core), dtype=bool)) >= 0.5
+    layers = near.layers
+
+    def beneath(layers: Layers, _: BoolArray, room: BoolArray) -> Answer:
+        over, found = np.r_[False, layers.cell[1:] == layers.cell[:-1]], np.zeros(len(room), dtype=bool)
+        found[:-1] = ~room[:-1] & room[1:] & over[1:] & (np.diff(layers.height) <= config.max_step)
+        return found, found & over
+
+    slab, aloft = near.around("slabs", 0, beneath, parts.keep)
+    pieces = find_pieces(near, "slabs", slab, parts.rise)
+
+    def add(own: slice, label: IntArray, labels: int, slab: BoolArray) -> FloatArray:
+        made: FloatArray = plan_sums(layers.cell[own], layers.shape[1], slab, label, labels)
+        return made
+
+    depth = extents_of(pieces.totals("slabs", add, slab), layers.cell_width)[1]
+    size, lies = pieces.counts("slabs aloft", slab, aloft)
+    under = pieces.chosen("slabs", (depth >= config.standing_width) & (lies > OVER_SHARE * size))
+    of_parts, all_ = parts.counts("undersides", under, parts.flat)
+    hangs = _share(of_parts, all_) >= 0.5
     hangs[-1] = False
-    rest = parts.keep & hangs[parts.label]
-    under |= hangs[parts.label] & ~rest
-    if not under.any():
+
+    def without(_: Layers, __: BoolArray, *given: BoolArray) -> Answer:
+        under, hung, room, flat = given
+        under = under | (hung & ~room)
+        return under, flat & ~under, hung & room
+
+    given = under, parts.pieces.chosen("hung", hangs), parts.keep, parts.flat
+    under, flat, rest = near.around("undersides", 0, without, *given)
+    if not any(each.any() for each in under):
         return under, parts, np.zeros_like(hangs)
-    left = build_parts(near, parts.flat & ~under, parts.keep & ~under, parts.inner, parts.rise, config)
-    touches = touched_by(*smooth, left.keep, under)
-    scraps = left.share(touches, left.keep & (touches | ~parts.inner)) >= 0.5
-    scraps[left.label[rest]] = True
-    scraps[-1] = False
-    return under, left, scraps
+    left = build_parts(near, "parts left", flat, parts.keep, parts.inner, parts.rise, config)
+
+    def scraps(layers: Layers, _: BoolArray, room: BoolArray, under: BoolArray, inner: BoolArray) -> Answer:
+        touches = joined_to(layers.columns, room, under, parts.rise)
+        return touches, room & (touches | ~inner)
+
+    kinds = near.around("scraps", 1, scraps, left.keep, under, parts.inner)
+    touches, all_, held = left.counts("scraps", *kinds, rest)
+    found: BoolArray = (_share(touches, all_) >= 0.5) | (held > 0)
+    found[-1] = False
+    return under, left, found
 
 
 def without_ceilings(
-    layers: Layers, parts: Parts, joins: Pairs, under: BoolArray, scraps: BoolArray, config: PerceptionConfig
-) -> tuple[BoolArray, Parts, Pairs]:
+    near: Beside, parts: Parts, joins: Pairs, under: Strips, scraps: BoolArray, config: PerceptionConfig
+) -> tuple[Strips, Parts, Pairs]:
     """What is left of undersides, `scraps` of shape (parts + 1,), is one as well but for treads: one steps down there.
 
     Through a hole in the scan of a slab's top nothing is within a stride below. Where that hole is beside a tread, the
@@ -420,19 +467,28 @@ def without_ceilings(
     """
     if not scraps.any():
         return under, parts, joins
-    lost = scraps[parts.label]
+    layers, of = near.layers, parts.pieces.whole
+    lost = scraps[of]
     high, low = (np.concatenate(ends) for ends in zip(joins, joins[::-1], strict=True))
     down = scraps[high] & ~scraps[low] & (parts.level[high] - parts.level[low] > parts.rise)
     down &= parts.size[low] * layers.cell_width**2 >= HALF_FOOT
     for scrap, below in zip(high[down], low[down], strict=True):
         rise = parts.level[scrap] - layers.height  # a ramp and both its storeys are one part
-        tread = (parts.label == below) & (rise > 0.0) & (rise <= config.max_step)
-        own, beneath = np.flatnonzero(parts.label == scrap), np.flatnonzero(tread)
+        tread = (of == below) & (rise > 0.0) & (rise <= config.max_step)
+        own, beneath = np.flatnonzero(of == scrap), np.flatnonzero(tread)
         off = cKDTree(layers.place[beneath]).query(layers.place[own])[0]
         lost[own[off <= min(parts.depth[below], STRIDE) + layers.cell_width]] = False
-    label = np.where(lost, len(parts.size) - 1, parts.label)
-    flat, keep = parts.flat & ~lost, parts.keep & ~lost
-    size = np.bincount(label[keep], minlength=len(parts.size))
-    good = (size[joins[0]] > 0) & (size[joins[1]] > 0)
-    left = replace(parts, label=label, flat=flat, keep=keep, size=size)
-    return under | lost, left, (joins[0][good], joins[1][good])
+
+    def without(_: Layers, __: BoolArray, *given: BoolArray) -> Answer:
+        under, lost, flat, room = given
+        return under | lost, flat & ~lost, room & ~lost
+
+    gone = near.among("ceilings", np.flatnonzero(lost))
+    under, flat, keep = near.around("ceilings", 0, without, under, gone, parts.flat, parts.keep)
+    none = np.diff(parts.pieces.first) - 1
+    label = [np.where(one, number, each) for each, one, number in zip(parts.pieces.label, gone, none, strict=True)]
+    pieces = replace(parts.pieces, label=near.same("labels without ceilings", label))
+    left = replace(parts, name="parts under ceilings", pieces=pieces, flat=flat, keep=keep)
+    left = replace(left, size=left.counts("room", keep)[0])
+    good = (left.size[joins[0]] > 0) & (left.size[joins[1]] > 0)
+    return under, left, (joins[0][good], joins[1][good])

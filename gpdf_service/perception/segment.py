@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 from gpdf_service.config import PerceptionConfig
 from gpdf_service.errors import NoGroundError
 from gpdf_service.fields.threads import run_beside, run_chunked
-from gpdf_service.perception.beside import Beside, beside, beside_now
+from gpdf_service.perception.beside import Answer, Beside, Strips, beside, beside_now
 from gpdf_service.perception.budget import LAYER_BYTES, check_grid
 from gpdf_service.perception.bumps import boxes, low_things, raised_over_sides
 from gpdf_service.perception.cloud import Cloud, change_layers
@@ -29,16 +29,15 @@ from gpdf_service.perception.layers import (
     widest_cell,
 )
 from gpdf_service.perception.nodes import (
+    degrees,
     drops_beside,
     half_way,
     held_by,
+    joined_to,
     lowest_beside,
     mean_gradients,
-    numbered_among,
     off_ground,
     over_kept,
-    touched_by,
-    with_rims,
 )
 from gpdf_service.perception.pairs import medians_around, pairs_over_gaps
 from gpdf_service.perception.parts import (
@@ -50,6 +49,7 @@ from gpdf_service.perception.parts import (
     without_ceilings,
     without_crumbs,
 )
+from gpdf_service.perception.pieces import find_pieces
 from gpdf_service.perception.read import check_points
 from gpdf_service.perception.strides import BODY, HALF_FOOT, SOLE, STRIDE, find_between, find_footing, find_stances
 from gpdf_service.types import BoolArray, FloatArray, IntArray
@@ -96,17 +96,15 @@ class Segmentation:
 
     Attributes:
         near: Their nodes, and what its ground was found from.
-        low: Lowest that the ground is within each node's cell [m], inf where the node is none, shape (k,).
-        high: Highest, -inf where the node is none.
-        beside: Height of the ground beside a node that may reach into its cell [m], inf where there is none.
+        extents: For the nodes the lowest that the ground is within each one's cell [m], inf where the node is none; the
+            highest, -inf where it is none; and the height of the ground beside it that may reach into its cell [m], inf
+            where there is none.
         deviation: Standard deviation of the points of the ground around it [m].
         relief: What is no higher is of the ground [m], shape (k,), or (1,) where it is the same everywhere.
     """
 
     near: Beside
-    low: FloatArray
-    high: FloatArray
-    beside: FloatArray
+    extents: tuple[Strips, ...]
     deviation: float
     relief: FloatArray
 
@@ -124,11 +122,18 @@ class Segmentation:
         """The same without what only the build needed."""
         return replace(self, near=self.near.lasting())
 
-    def holds(self, points: FloatArray, node: IntArray) -> BoolArray:
-        """Which of the points (n, 3) [m] in the nodes `node` are ground, shape (n,)."""
-        held = np.empty(len(points), dtype=bool)
-        ground = self.low, self.high, self.beside, np.broadcast_to(self.scatter, len(self.low)).copy()
-        run_chunked(lambda a, b: held_by(points[a:b], node[a:b], ground, held[a:b]), len(points))
+    def holds(self, points: FloatArray) -> BoolArray:
+        """Which of the points (n, 3) [m] that the layers were built from are ground, shape (n,)."""
+        layers, held = self.layers, np.empty(len(points), dtype=bool)
+        begin, end = self.near.strips_of(points)
+        low, high, under = (np.concatenate(each[begin:end]) for each in self.extents)
+        first = int(self.near.first[begin])
+        scatter = np.broadcast_to(self.scatter, len(layers.cell))[first : first + len(low)].copy()
+
+        def hold(a: int, b: int) -> None:
+            held_by(points[a:b], nodes_of(layers, points[a:b]) - first, (low, high, under, scatter), held[a:b])
+
+        run_chunked(hold, len(points))
         return held
 
 
@@ -148,50 +153,49 @@ def segment(
     None where the ground is so rough or noisy that a second look with wider cells was needed. What is no higher over
     the ground than the `noise` [m], shape (n,), that the points had there is no thing: so much can be left of it.
     """
-    found, node = _segment_points(cloud, layers, config, noise)
+    found = _segment_points(cloud, layers, config, noise)
     width = layers.cell_width
     wider = float(np.sqrt(NOISY * found.deviation * width))
     if wider <= width:
-        return found.holds(cloud, node), found.lasting()
+        return found.holds(cloud), found.lasting()
     layers = build_layers(cloud, wider, layer_gap(wider, config), found.deviation)
-    found, node = _segment_points(cloud, layers, config, noise)
-    return found.holds(cloud, node), None
+    return _segment_points(cloud, layers, config, noise).holds(cloud), None
 
 
 def _segment_points(
     cloud: FloatArray, layers: Layers, config: PerceptionConfig, noise: FloatArray | None
-) -> tuple[Segmentation, IntArray]:
-    """What is found of the points in their layers, and the node of each."""
-    node, relief = nodes_of(layers, cloud), LEVEL
+) -> Segmentation:
+    """What is found of the points in their layers."""
+    relief = LEVEL
     if noise is not None:
         relief = np.zeros(len(layers.cell))
-        np.maximum.at(relief, node, noise)
-    return segment_layers(beside(layers, _rise_of_steps(layers, config)), config, (cloud, node), relief=relief), node
+        np.maximum.at(relief, nodes_of(layers, cloud), noise)
+    return segment_layers(beside(layers), config, cloud, relief=relief)
 
 
 def segment_layers(
     near: Beside,
     config: PerceptionConfig,
-    held: tuple[FloatArray, IntArray] | None = None,
+    held: FloatArray | None = None,
     deviation: float = 0.0,
     relief: FloatArray = LEVEL,
 ) -> Segmentation:
     """Find the ground in layers.
 
     Args:
-        near: Pairs of their nodes.
+        near: Their nodes.
         config: Limits.
-        held: The points (n, 3) [m] and their nodes, which tell the deviation; else it is as given.
+        held: The points (n, 3) [m] that tell the deviation; else it is as given.
         deviation: Of the points of the ground around it [m].
         relief: What is no higher is of the ground [m], shape (k,), or (1,) where it is the same everywhere.
     """
     ground = find_ground(near, config, relief)
     (smooth,) = near.around("smooth", 1, _smoothed, ground)
     if held is not None:
-        deviation = ROBUST * float(np.median(off_ground(*held, ground, smooth)))
+        told = nodes_of(near.layers, held), np.concatenate(ground), np.concatenate(smooth)
+        deviation = ROBUST * float(np.median(off_ground(held, *told)))
     extents = partial(_extents, scatter=scatter_of(deviation, relief), config=config)
-    low, high, beside = near.around("extents", 1, extents, ground, smooth)
-    return Segmentation(near, low, high, beside, deviation, relief)
+    return Segmentation(near, near.around("extents", 1, extents, ground, smooth), deviation, relief)
 
 
 def change_segmentation(
@@ -199,11 +203,13 @@ def change_segmentation(
 ) -> tuple[Segmentation, BoolArray]:
     """The segmentation of a changed cloud, and its ground, where `before` is what it was, shape (n,)."""
     layers, cells = change_layers(old.layers, cloud, cloud.points.there, config)
-    near = beside_now(old.near, layers, cells)
-    found = segment_layers(near, config, deviation=old.deviation, relief=old.relief)
-    rows, points = cloud.part(layers, near.other_answers("extents"))
+    found = old
+    if layers is not old.layers:
+        found = segment_layers(beside_now(old.near, layers, cells), config, deviation=old.deviation, relief=old.relief)
+        cells |= found.near.unlike(found.extents, old.near, old.extents)
+    rows, points = cloud.part(layers, cells)
     ground = before.copy()
-    ground[rows] = found.holds(points, nodes_of(layers, points))
+    ground[rows] = found.holds(points)
     return found, ground
 
 
@@ -215,7 +221,7 @@ def scatter_of(deviation: float, relief: FloatArray) -> FloatArray:
 def _extents(
     layers: Layers, _: BoolArray, ground: BoolArray, smooth: FloatArray, scatter: FloatArray, config: PerceptionConfig
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """`low`, `high` and `beside` of a `Segmentation`."""
+    """`extents` of a `Segmentation`."""
     beneath, across = run_beside(
         partial(_ground_beside, layers, ground, smooth, scatter), partial(_across, layers, ground, smooth, config)
     )
@@ -247,84 +253,88 @@ def _smoothed(layers: Layers, _: BoolArray, ground: BoolArray) -> tuple[FloatArr
     return (medians_around(layers.height, ground, a, b),)
 
 
-def find_ground(near: Beside, config: PerceptionConfig, relief: FloatArray = LEVEL) -> BoolArray:
-    """Which nodes are ground, shape (k,); a low thing on it is higher than the `relief` [m].
+def find_ground(near: Beside, config: PerceptionConfig, relief: FloatArray = LEVEL) -> Strips:
+    """Which nodes are ground; a low thing on it is higher than the `relief` [m], shape (k,), or (1,).
 
     Parts are sets of nodes that are joined by slopes which a body stands on. Strides between their stances join parts.
     What is joined to the bulk is ground, but for what leads nowhere: a tread or a table by itself; and so are storeys
     to which no stair was seen. Steeper ground beside it is ground, too, but for roofs.
     """
-    layers, width = near.layers, near.layers.cell_width
-    rise, need = width * float(np.tan(config.steepest)), _support(width)
-    every = np.ones(len(layers.cell), dtype=bool)
-    keep = layers.headroom >= config.step_headroom
-    open_ = keep | ~over_ground(layers, every, config.step_headroom)  # or it is in a full shelf, or beneath a sofa
-    smooth = near.degrees("degrees", open_, rise)
-    core = open_ & (smooth >= need)
-    core |= _footing(near, "footing", open_, open_ & ~core, rise)
-    if not (core & keep).any():
+    width = near.layers.cell_width
+    rise, foot = width * float(np.tan(config.steepest)), int(SOLE / width) + 1
+    core, keep, flat, inner = near.around("surfaces", foot + 2, partial(_surfaces, rise=rise, config=config))
+    if not any((a & b).any() for a, b in zip(core, keep, strict=True)):
         raise NoGroundError(*NO_SURFACE)
-    stands = width * float(np.tan(config.standable_slope))
-    gentle = near.degrees("gentle degrees", open_, stands) >= need
-    gentle |= _footing(near, "gentle", open_, core & ~gentle, stands)
-    slope = _slope(near, core, config)
-    flat = core & ((smooth > need) | gentle) & (slope <= config.standable_slope)
-    parts = build_parts(near, flat, keep, smooth == 8, rise, config)
+    parts = build_parts(near, "parts", flat, keep, inner, rise, config)
     if not parts.size.any():
         raise NoGroundError(*NO_SURFACE)
-    loose = near.pieces(parts.keep, rise, every)[1]
-    under, parts, scraps = undersides(near, parts, core, loose, config)
-    joins = join_parts(near, parts, _stances(near, parts.keep), config)
-    under, parts, joins = without_ceilings(layers, parts, joins, under, scraps, config)
+    under, parts, scraps = undersides(near, parts, config)
+    (stance,) = near.around("stances", int(np.ceil(BODY / width)), _stances, parts.keep)
+    joins = join_parts(near, parts, stance, config)
+    under, parts, joins = without_ceilings(near, parts, joins, under, scraps, config)
     if relief.any():
-        parts = without_crumbs(layers, parts, joins)
-    kept = accept_parts(near, parts, joins, core & ~keep & ~under, config)
-    seeds = parts.flat & kept[parts.label]
-    wide, low = _grown(near, core & ~under, keep, seeds, rise, config)
-    asked = (wide | (keep & ~over_ground(layers, wide, config.step_headroom))) & ~seeds & ~under
-    treads = seeds & ~parts.standable[parts.label]
-    flight = treads | _between(near, seeds, treads, asked, config)
-    found = (wide | low) & ~_roofs(near, wide | low | core, seeds, rise, config) | flight
+        parts = without_crumbs(near.layers, parts, joins)
+    kept = accept_parts(near, parts, joins, (core, keep, under), config)
+    seeds, stands = parts.pieces.chosen("seeds", kept), parts.pieces.chosen("stands", parts.standable)
+    wide, low = _grown(near, core, keep, under, seeds, rise, config)
+    given = wide, keep, under, seeds, stands
+    (flight,) = near.around("flight", int(STRIDE / width), partial(_flight, config=config), *given)
+    (over,) = near.around("over", 0, lambda *given: (given[2] | given[3] | given[4],), wide, low, core)
+    roof = _roofs(near, over, seeds, rise, config)
+    (found,) = near.around("found", 0, _found, wide, low, roof, flight)
     raised = raised_over_sides(near, found, config)
-    low = low_things(near, found, raised, config) & (raised > relief)
-    ground = found & ~((low | boxes(near, found, config)) & ~flight)
-    if not ground.any():
+    low = low_things(near, found, raised, relief, config)
+    (ground,) = near.around("ground", 0, _ground, found, flight, low, boxes(near, found, config))
+    if not any(each.any() for each in ground):
         raise NoGroundError(*NO_SURFACE)
     return ground
 
 
-def _stances(near: Beside, among: BoolArray) -> BoolArray:
-    """`find_stances`, remembered."""
-    reach = int(np.ceil(BODY / near.layers.cell_width))
-
-    def answer(layers: Layers, asked: BoolArray, among: BoolArray) -> tuple[BoolArray]:
-        return (find_stances(layers, among & asked),)
-
-    return near.around("stances", reach, answer, among)[0]
-
-
-def _footing(near: Beside, name: str, among: BoolArray, asked: BoolArray, rise: float) -> BoolArray:
-    """`find_footing`, remembered."""
-    width = near.layers.cell_width
-
-    def answer(layers: Layers, again: BoolArray, among: BoolArray, asked: BoolArray) -> tuple[BoolArray]:
-        return (find_footing(layers, among, asked & again, rise, _support(width)),)
-
-    return near.around(name, int(SOLE / width) + 1, answer, among, asked)[0]
+def _surfaces(
+    layers: Layers, asked: BoolArray, rise: float, config: PerceptionConfig
+) -> tuple[BoolArray, BoolArray, BoolArray, BoolArray]:
+    """Which nodes a foot stands on: all, with headroom to step, gentle ones, and those that go on to all sides."""
+    width, need = layers.cell_width, _support(layers.cell_width)
+    every = np.ones(len(layers.cell), dtype=bool)
+    keep = layers.headroom >= config.step_headroom
+    open_ = keep | ~over_ground(layers, every, config.step_headroom)  # or it is in a full shelf, or beneath a sofa
+    smooth = degrees(layers.columns, open_, rise)
+    core = open_ & (smooth >= need)
+    core |= find_footing(layers, open_, open_ & ~core, rise, need)
+    stands = width * float(np.tan(config.standable_slope))
+    gentle = degrees(layers.columns, open_, stands) >= need
+    gentle |= find_footing(layers, open_, asked & core & ~gentle, stands, need)
+    flat = core & ((smooth > need) | gentle) & (_slope(layers, core, config) <= config.standable_slope)
+    return core, keep, flat, smooth == 8
 
 
-def _between(
-    near: Beside, stance: BoolArray, tread: BoolArray, asked: BoolArray, config: PerceptionConfig
-) -> BoolArray:
-    """`find_between`, remembered."""
-    reach = int(STRIDE / near.layers.cell_width)
+def _stances(layers: Layers, asked: BoolArray, among: BoolArray) -> tuple[BoolArray]:
+    """`find_stances`."""
+    return (find_stances(layers, among & asked),)
 
-    def answer(
-        layers: Layers, again: BoolArray, stance: BoolArray, tread: BoolArray, asked: BoolArray
-    ) -> tuple[BoolArray]:
-        return (find_between(layers, stance, tread, asked & again, config),)
 
-    return near.around("between", reach, answer, stance, tread, asked)[0]
+def _flight(
+    layers: Layers,
+    again: BoolArray,
+    wide: BoolArray,
+    keep: BoolArray,
+    under: BoolArray,
+    seeds: BoolArray,
+    stands: BoolArray,
+    config: PerceptionConfig,
+) -> tuple[BoolArray]:
+    """Treads among the `seeds`, on which no body `stands` by itself, and what lies between; see `find_between`."""
+    asked = (wide | (keep & ~over_ground(layers, wide, config.step_headroom))) & ~seeds & ~under
+    treads = seeds & ~stands
+    return (treads | find_between(layers, seeds, treads, asked & again, config),)
+
+
+def _found(_: Layers, __: BoolArray, wide: BoolArray, low: BoolArray, roof: BoolArray, flight: BoolArray) -> Answer:
+    return ((wide | low) & ~roof | flight,)
+
+
+def _ground(_: Layers, __: BoolArray, found: BoolArray, flight: BoolArray, low: BoolArray, box: BoolArray) -> Answer:
+    return (found & ~((low | box) & ~flight),)
 
 
 def _support(width: float) -> int:
@@ -333,28 +343,33 @@ def _support(width: float) -> int:
 
 
 def _grown(
-    near: Beside, core: BoolArray, keep: BoolArray, seeds: BoolArray, rise: float, config: PerceptionConfig
-) -> tuple[BoolArray, BoolArray]:
+    near: Beside, core: Strips, keep: Strips, under: Strips, seeds: Strips, rise: float, config: PerceptionConfig
+) -> tuple[Strips, ...]:
     """What slopes join to the `seeds` among the `core` nodes and their rims: with headroom, and where a low body fits.
 
-    Both of shape (k,). What lies over ground with headroom at less than that is no ground: a bench.
+    What lies over ground with headroom at less than that is no ground: a bench.
     """
-    piece, loose, _ = near.pieces(core, rise, np.ones(len(core), dtype=bool))
-    seeded = np.zeros(piece.max() + 1, dtype=bool)
-    seeded[piece[seeds]] = True
-    grown = core & seeded[piece]
-    wide, _ = with_rims(grown, keep, piece, *loose)
-    return wide & ~over_ground(near.layers, wide, config.step_headroom), grown & ~keep
+    (inner,) = near.around("inner", 0, lambda _, __, core, under: (core & ~under,), core, under)
+    pieces = find_pieces(near, "grown", inner, rise)
+    (seeded,) = pieces.counts("seeded", seeds)
+    grown = pieces.chosen("grown", seeded > 0)
+
+    def answer(layers: Layers, _: BoolArray, grown: BoolArray, keep: BoolArray) -> tuple[BoolArray, BoolArray]:
+        inner = grown & keep
+        wide = inner | joined_to(layers.columns, keep, inner, rise)
+        return wide & ~over_ground(layers, wide, config.step_headroom), grown & ~keep
+
+    return near.around("wide", 1, answer, grown, keep)
 
 
 def steps_over_gaps(
-    near: Beside, keep: BoolArray, label: IntArray, config: PerceptionConfig
+    layers: Layers, keep: BoolArray, label: IntArray, config: PerceptionConfig
 ) -> tuple[Pairs, FloatArray]:
     """Steps between kept nodes with another `label` each that a gap parts, and how wide it is [m].
 
     Less than a foot fits in; see `pairs_over_gaps`.
     """
-    layers, reach, step = near.layers, config.tread_depth, config.max_step
+    reach, step = config.tread_depth, config.max_step
     far = (reach / (APART * layers.cell_width)).astype(int)
     found = [pairs_over_gaps(layers.columns, keep, step, HALF[k], far[k]) for k in range(len(HALF))]
     a, b = (np.concatenate(ends) for ends in zip(*(pairs[:2] for pairs in found), strict=True))
@@ -363,50 +378,29 @@ def steps_over_gaps(
     return (a[other], b[other]), wide[other] * layers.cell_width
 
 
-def _rise_of_steps(layers: Layers, config: PerceptionConfig) -> float:
-    """As much as is asked for between two nodes: a step, or 2 √2 of the slope of a cell [m]."""
-    return max(config.max_step, 3.0 * layers.cell_width * float(np.tan(config.steepest)))
-
-
-def _roofs(near: Beside, smooth: BoolArray, flat: BoolArray, rise: float, config: PerceptionConfig) -> BoolArray:
-    """Nodes of `smooth` pieces beside `flat` ground that are none, and end in the air nearly all round, shape (k,).
+def _roofs(near: Beside, smooth: Strips, flat: Strips, rise: float, config: PerceptionConfig) -> Strips:
+    """Nodes of `smooth` pieces beside `flat` ground that are none, and end in the air nearly all round.
 
     A pitched roof whose eaves a terrace reaches is such a piece. A steep bank has ground above and below.
     """
-    off = smooth & ~flat
-    piece, loose, _ = near.pieces(off, rise, smooth)
-    nodes, (piece, count) = np.flatnonzero(off), numbered_among(piece, off)
-    own = piece[nodes]
-    large = np.bincount(own, minlength=count) * near.layers.cell_width**2 > TABLE_AREA  # or it is the side of a tread
-    if not large.any():
-        return np.zeros(len(off), dtype=bool)
-    touching = touched_by(*loose, off, flat)
-    rim, ends = (np.bincount(own[kind[nodes]], minlength=count) for kind in (touching, _drops(near, off, config)))
-    roof: BoolArray = np.zeros(len(off), dtype=bool)
-    roof[nodes] = (large & (rim < ROOF_SHARE * (rim + ends)))[own]
-    return roof
+
+    def rims(layers: Layers, asked: BoolArray, smooth: BoolArray, flat: BoolArray) -> tuple[BoolArray, ...]:
+        off = smooth & ~flat
+        drops = drops_beside(np.flatnonzero(off & asked), layers.columns, rise, config.max_step)
+        return off, joined_to(layers.columns, off, flat, rise), drops
+
+    off, touching, drops = near.around("rims of roofs", 1, rims, smooth, flat)
+    pieces = find_pieces(near, "roofs", off, rise)
+    size, rim, ends = pieces.counts("roofs of", off, touching, drops)
+    large = size * near.layers.cell_width**2 > TABLE_AREA  # or it is the side of a tread
+    return pieces.chosen("roofs", large & (rim < ROOF_SHARE * (rim + ends)))
 
 
-def _slope(near: Beside, ground: BoolArray, config: PerceptionConfig) -> FloatArray:
+def _slope(layers: Layers, ground: BoolArray, config: PerceptionConfig) -> FloatArray:
     """Slope at each ground node [rad], of the mean gradient of it and its neighbours on the same slope."""
-    rise = 2.0 * near.layers.cell_width * float(np.tan(config.steepest))  # or noise would flatten it
-
-    def answer(layers: Layers, _: BoolArray, ground: BoolArray) -> tuple[FloatArray]:
-        pairs = connect(layers, ground, rise)
-        gradient = mean_gradients(layers.height, layers.cell, layers.shape[1], *pairs)
-        return (np.arctan(gradient / layers.cell_width),)
-
-    return near.around("slope", 2, answer, ground)[0]
-
-
-def _drops(near: Beside, among: BoolArray, config: PerceptionConfig) -> BoolArray:
-    """Which nodes, of `among`, have nothing go on in one direction, and something more than a step further down."""
-    rise = near.layers.cell_width * float(np.tan(config.steepest))
-
-    def answer(layers: Layers, asked: BoolArray, among: BoolArray) -> tuple[BoolArray]:
-        return (drops_beside(np.flatnonzero(among & asked), layers.columns, rise, config.max_step),)
-
-    return near.around("drops", 1, answer, among)[0]
+    pairs = connect(layers, ground, 2.0 * layers.cell_width * float(np.tan(config.steepest)))  # or noise flattens it
+    gradient = mean_gradients(layers.height, layers.cell, layers.shape[1], *pairs)
+    return np.arctan(gradient / layers.cell_width)
 
 
 def over_ground(layers: Layers, ground: BoolArray, headroom: float) -> BoolArray:

@@ -2,22 +2,28 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import numpy as np
 
 from gpdf_service.config import PerceptionConfig
-from gpdf_service.fields.threads import run_parallel
-from gpdf_service.perception.beside import Beside
+from gpdf_service.perception.beside import Answer, Beside
 from gpdf_service.perception.columns import by_cell
 from gpdf_service.perception.layers import Layers, Pairs, connect
 from gpdf_service.perception.nodes import (
     components,
+    degrees,
+    ends_at,
     extents_in_plan,
     grown_sheet,
+    joined_to,
     mark_nearest,
+    numbered_apart,
+    pairs_unlike,
     touched_by,
     whole_around,
 )
-from gpdf_service.perception.pairs import pairs_within
+from gpdf_service.perception.pieces import find_pieces
 from gpdf_service.perception.segment import over_ground, steps_over_gaps
 from gpdf_service.types import BoolArray, IntArray
 
@@ -32,13 +38,14 @@ def split_sheets(near: Beside, config: PerceptionConfig) -> tuple[BoolArray, ...
     """
     layers = near.layers
     count = len(layers.cell)
-    keep = ~_under_step(near, config.step_headroom)
-    keep &= ~over_ground(layers, keep, config.step_headroom)  # what goes on nowhere
+    (kept,) = near.around("sheets", 1, partial(_kept, headroom=config.step_headroom))
+    keep = np.concatenate(kept)
     if (np.diff(layers.cell[keep]) > 0).all():
         return (keep,)
-    smooth, _, steps = near.pieces(keep, layers.cell_width, None, keep, config.max_step)
-    over = steps_over_gaps(near, keep, smooth, config)[0]
-    one, other = (np.concatenate(ends) for ends in zip(pairs_within(*steps, keep, True, smooth), over, strict=True))
+    smooth = numbered_apart(find_pieces(near, "smooth", kept, layers.cell_width).whole, keep)
+    steps = pairs_unlike(layers.columns, keep, smooth, config.max_step)
+    over = steps_over_gaps(layers, keep, smooth, config)[0]
+    one, other = (np.concatenate(ends) for ends in zip(steps, over, strict=True))
     sheet_of = np.full(count, -1)
     size = np.bincount(smooth, weights=keep)
     order = np.argsort(-size)
@@ -56,14 +63,17 @@ def split_sheets(near: Beside, config: PerceptionConfig) -> tuple[BoolArray, ...
     made = [np.flatnonzero(sheet_of == i) for i in range(sheets)]
     rings = int(np.ceil(OVERLAP / layers.cell_width))
 
-    def grow(nodes: IntArray) -> BoolArray:
-        sheet = np.zeros(count, dtype=bool)
-        sheet[nodes] = True
-        beside = near.across(sheet, keep & ~sheet, config.max_step)[1]
-        return grown_sheet(layers.columns, keep, sheet, beside, config.max_step, rings)
+    def grow(name: str, nodes: IntArray) -> BoolArray:
+        strips = near.among(name, nodes)
+        sheet, beside = np.concatenate(strips), near.around(f"beside {name}", 1, rims, kept, strips)[0]
+        return grown_sheet(layers.columns, keep, sheet, near.where(f"beside {name}", beside)[0], config.max_step, rings)
 
-    grown = run_parallel(grow, [nodes for nodes in made if len(nodes) >= least])
-    seams = run_parallel(grow, _seams(near, keep, grown, config, rings))
+    def rims(layers: Layers, _: BoolArray, keep: BoolArray, sheet: BoolArray) -> Answer:
+        return (joined_to(layers.columns, keep & ~sheet, sheet, 0.0, config.max_step),)
+
+    large = [nodes for nodes in made if len(nodes) >= least]
+    grown = [grow(f"sheet {i}", nodes) for i, nodes in enumerate(large)]
+    seams = [grow(f"seam {i}", nodes) for i, nodes in enumerate(_seams(near, keep, grown, config, rings))]
     grown = [*grown, *(inside for inside in seams if np.count_nonzero(inside) >= least)]
     return tuple(sorted(grown, key=lambda inside: float(np.median(layers.height[inside]))))
 
@@ -78,34 +88,39 @@ def _seams(
     """
     layers = near.layers
 
-    def pieces(nodes: BoolArray) -> tuple[IntArray, BoolArray]:
+    def pieces(name: str, nodes: BoolArray) -> tuple[IntArray, BoolArray]:
         """Pieces of nodes that steps join, and which of them a foot fits on: a rim of single cells is no ground."""
-        piece = near.pieces(nodes, config.max_step)[0]
+        piece = find_pieces(near, name, near.given(f"{name} nodes", nodes), 0.0, config.max_step).whole
         depth = extents_in_plan(layers.cell, layers.shape[1], nodes, piece, layers.cell_width)[1]
         return piece, depth >= config.tread_depth
 
+    def ends(layers: Layers, _: BoolArray, sheet: BoolArray, beyond: BoolArray) -> Answer:
+        return (ends_at(layers.columns, sheet, beyond, config.max_step),)
+
     left = keep.copy()
-    for sheet in sheets:
-        piece, deep = pieces(keep & ~sheet)
-        beyond = near.across(sheet, keep & ~sheet & deep[piece], config.max_step)
-        left &= ~whole_around(layers.columns, sheet, beyond, config.max_step, rings // 2)
-    piece, deep = pieces(left)
+    for i, sheet in enumerate(sheets):
+        piece, deep = pieces(f"beyond sheet {i}", keep & ~sheet)
+        deep_beyond = near.given(f"deep beyond sheet {i}", keep & ~sheet & deep[piece])
+        given = near.given(f"whole sheet {i}", sheet), deep_beyond
+        end = np.concatenate(near.around(f"ends of sheet {i}", 1, ends, *given)[0])
+        left &= ~whole_around(layers.columns, sheet, end, config.max_step, rings // 2)
+    piece, deep = pieces("left of sheets", left)
     return [_first_of_each_cell(layers, np.flatnonzero(left & (piece == label))) for label in np.flatnonzero(deep)]
 
 
-def rise_of_sheets(layers: Layers, config: PerceptionConfig) -> float:
-    """Between the nodes of pairs that `split_sheets` asks for, at most: a step, or a cell's diagonal [m]."""
-    return max(config.max_step, float(np.sqrt(2.0)) * layers.cell_width)
+def _kept(layers: Layers, _: BoolArray, headroom: float) -> Answer:
+    """Nodes that are of sheets: not at the foot of a step in its cell, and not over others with little headroom [m]."""
+    keep = ~_under_step(layers, headroom)
+    return (keep & ~over_ground(layers, keep, headroom),)  # what goes on nowhere
 
 
-def _under_step(near: Beside, headroom: float) -> BoolArray:
+def _under_step(layers: Layers, headroom: float) -> BoolArray:
     """Nodes at the foot of a step whose top is in the same cell, and goes on beside it: such a cell is the step's top.
 
     So is that of an open tread with less than the `headroom` [m] under it. A single point over the floor goes on
     nowhere.
     """
-    layers = near.layers
-    joined = near.degrees("smooth", np.ones(len(layers.cell), dtype=bool), layers.cell_width)
+    joined = degrees(layers.columns, np.ones(len(layers.cell), dtype=bool), layers.cell_width)
     foot = np.zeros(len(layers.cell), dtype=bool)
     foot[:-1] = (np.diff(layers.cell) == 0) & (np.diff(layers.height) <= headroom) & (joined[1:] > 1)
     return foot

@@ -22,9 +22,9 @@ from gpdf_service.perception import (
     Touched,
     obstacles_of,
 )
-from gpdf_service.perception.boxes import widened, window
+from gpdf_service.perception.boxes import span, widened, window
 from gpdf_service.perception.obstacles import obstacles_reach
-from gpdf_service.perception.rows import bounds_of, chosen_rows, hashed, more_now, rows_by_cell, rows_in_cells, taken
+from gpdf_service.perception.rows import chosen_rows, hashed, more_now, rows_by_cell, rows_in_cells, taken
 from gpdf_service.perception.surface import UNKNOWN, cropped
 from gpdf_service.search.free_space import (
     FreeSpace,
@@ -99,7 +99,7 @@ def _change_level(
     reach, shut = obstacles_reach(surface, agent)
     region = widened(touched, reach)
     found = obstacles_of(_part(level, first, region, reach, shut), agent, scan)
-    inside, lost = (rows_in_cells(each.points, *_grid(surface), region) for each in (found, was.obstacles))
+    inside, lost = rows_in_cells(found.points, *_grid(surface), region), rows_in_tree(was.tree, *_grid(surface), region)
     both = np.concatenate([_rows(was.obstacles, lost), _rows(found, inside)])
     other = more_now(hashed(both), len(lost)) != 0
     lost, inside, places = lost[other[: len(lost)]], inside[other[len(lost) :]], both[other, :2].copy()
@@ -122,7 +122,7 @@ def _change_level(
         return quadtree, change_edges(was.quadtree, was.edges, quadtree, Places(tree), radius, around)
 
     def field() -> Gpdf:
-        made = _change_field(was, obstacles, places, config.field_spacing * agent.disc_radius)
+        made = _change_field(was, obstacles, tree, places, config.field_spacing * agent.disc_radius)
         return fit_obstacle_field(obstacles, surface, agent, config, field_config) if made is None else made
 
     (quadtree, edges), obstacle_field = run_beside(leaves_and_edges, field)
@@ -133,6 +133,35 @@ def _rows(obstacles: Obstacles, rows: IntArray) -> FloatArray:
     """Some obstacles as rows of x, y, z [m] and kind, shape (k, 4)."""
     made: FloatArray = np.column_stack([obstacles.points[rows], obstacles.kind[rows]])
     return made
+
+
+def _corner(tree: Tree) -> FloatArray:
+    """Least x and y of the points of a tree in plan [m]."""
+    made: FloatArray = tree.boxes[0, :2].min(axis=1)
+    return made
+
+
+@njit(cache=True, nogil=True)
+def rows_in_tree(tree: Tree, origin: FloatArray, cell_width: float, wanted: BoolArray) -> IntArray:
+    """`rows_in_cells` of what a tree was built of: boxes without a wanted cell are passed over."""
+    nodes, stack, found = tree.boxes.shape[0], [0], [0 for _ in range(0)]
+    left, right, near, far = span(wanted)
+    low_x, high_x = origin[0] + (left - 1) * cell_width, origin[0] + (right + 1) * cell_width  # rounding: a cell more
+    low_y, high_y = origin[1] + (near - 1) * cell_width, origin[1] + (far + 1) * cell_width
+    while len(stack) > 0:
+        node = stack.pop()
+        if node < nodes:
+            box = tree.boxes[node]
+            for k in range(box.shape[1]):
+                if box[0, k] <= high_x and box[3, k] >= low_x and box[1, k] <= high_y and box[4, k] >= low_y:
+                    stack.append(box.shape[1] * node + 1 + k)
+            continue
+        for row in range(tree.begin[node - nodes], tree.begin[node - nodes + 1]):
+            i = int(np.floor((tree.points[row, 0] - origin[0]) / cell_width))
+            j = int(np.floor((tree.points[row, 1] - origin[1]) / cell_width))
+            if 0 <= i < wanted.shape[0] and 0 <= j < wanted.shape[1] and wanted[i, j]:
+                found.append(tree.order[row])
+    return np.sort(np.array(found, np.int64))
 
 
 def _grid(surface: HeightMap) -> tuple[FloatArray, float]:
@@ -179,7 +208,7 @@ def _part(level: GroundLevel, first: IntArray, region: BoolArray, reach: int, sh
     )
 
 
-def _change_field(was: LevelSpace, obstacles: Obstacles, places: FloatArray, spacing: float) -> Gpdf | None:
+def _change_field(was: LevelSpace, obstacles: Obstacles, tree: Tree, places: FloatArray, spacing: float) -> Gpdf | None:
     """The Obstacle GPDF with the points thinned again where places came or went; None where it must be fitted anew.
 
     The fit thins its points by cells of 0.95 spacings from the corner of all: only the cells with a change in them can
@@ -187,15 +216,15 @@ def _change_field(was: LevelSpace, obstacles: Obstacles, places: FloatArray, spa
     """
     if len(places) == 0:
         return was.obstacle_field
-    width, corner = 0.95 * spacing, bounds_of(obstacles.points)[0]
-    if (corner != bounds_of(was.obstacles.points)[0]).any():
+    width, corner = 0.95 * spacing, _corner(tree)
+    if (corner != _corner(was.tree)).any():
         return None
     cells = np.floor((places - corner) / width).astype(np.int64)
     wanted = np.zeros(cells.max(axis=0) + 1, dtype=bool)
     wanted[tuple(cells.T)] = True
     if wanted[0, 0]:
         return None
-    near = obstacles.points[rows_in_cells(obstacles.points, corner, width, wanted), :2]
+    near = obstacles.points[rows_in_tree(tree, corner, width, wanted), :2]
     rows = thin(np.concatenate([[corner], near]), width)  # the corner makes the cells those of all points
     fresh, points = near[rows[rows > 0] - 1], was.obstacle_field.points
     lost = rows_in_cells(points, corner, width, wanted)

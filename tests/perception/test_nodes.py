@@ -1,6 +1,6 @@
 """The compiled loops over nodes against the obvious ones."""
 
-from unittest.mock import Mock
+import operator
 
 import numpy as np
 import pytest
@@ -12,19 +12,23 @@ from gpdf_service.perception.beside import beside, beside_now
 from gpdf_service.perception.boxes import widened
 from gpdf_service.perception.bumps import raised_over_sides
 from gpdf_service.perception.columns import ends_in_plan, heights_in_plan
-from gpdf_service.perception.layers import HALF, build_layers, connect, crop_layers, splice_layers, steady
+from gpdf_service.perception.layers import build_layers, connect, crop_layers, steady
 from gpdf_service.perception.nodes import (
     components,
     drops_beside,
+    ends_at,
     grown_sheet,
     half_way,
+    joined_to,
     lowest_beside,
     mean_gradients,
     nodes_over,
-    numbered_among,
+    numbered_apart,
+    pairs_unlike,
     plan_sums,
 )
 from gpdf_service.perception.pairs import AROUND, pairs_within
+from gpdf_service.perception.pieces import find_pieces
 from gpdf_service.perception.strides import find_stances, find_strides
 
 
@@ -78,119 +82,150 @@ def strips():
     return build_layers(points, 0.25, 0.3)
 
 
-def answers(near, layers, seed=3):
-    rng = np.random.default_rng(seed)
-    keep = rng.random(len(layers.cell)) < 0.8
-    inner = keep & (rng.random(len(layers.cell)) < 0.7)
-    return keep, inner, near.degrees("degrees", keep, 0.2), near.pieces(inner, 0.2, keep, keep, 0.3)
-
-
-def test_pieces_and_the_pairs_beside_them_are_those_of_all_pairs(strips):
-    near = beside(strips, 0.3)
-    assert len(near.strips) == 3
-    keep, inner, degree, (piece, sloped, stepped_over) = answers(near, strips)
-    a, b = np.array([(i, j) for i, j, offset in pairs(strips) if offset in set(HALF)]).T
+def test_pieces_are_components_of_all_pairs_and_sums_those_of_their_nodes(strips):
+    rng, near, count = np.random.default_rng(3), beside(strips), len(strips.cell)
+    assert len(near.nodes) == 3
+    inner, kind = rng.random(count) < 0.6, rng.random(count) < 0.5
+    a, b = np.array([(i, j) for i, j, _ in pairs(strips)]).T
     far = np.hypot(*(np.divmod(strips.cell[b], strips.shape[1]) - np.array(np.divmod(strips.cell[a], strips.shape[1]))))
-    rise, both, joined = np.abs(strips.height[a] - strips.height[b]), keep[a] & keep[b], inner[a] & inner[b]
-    slope = both & (rise <= 0.2 * far)
-    np.testing.assert_array_equal(degree, np.bincount(np.concatenate([a[slope], b[slope]]), minlength=len(keep)))
-    np.testing.assert_array_equal(piece, components(a[slope], b[slope], inner))
-    assert set(zip(*sloped, strict=True)) == set(zip(a[slope & ~joined], b[slope & ~joined], strict=True))
-    step = both & (rise <= 0.3) & (piece[a] != piece[b])
-    assert set(zip(*stepped_over, strict=True)) >= set(zip(a[step], b[step], strict=True))
-    assert len(stepped_over[0]) < 1.1 * step.sum()
-    found, order = set(zip(*sloped, strict=True)), zip(*connect(strips, keep, 0.2), strict=True)
-    assert [pair for pair in order if pair in found] == list(zip(*sloped, strict=True))
+    for rise, step in ((0.2, 0.0), (0.0, 0.3)):
+        own = inner[a] & inner[b] & (np.abs(strips.height[a] - strips.height[b]) <= rise * far + step)
+        among = near.given(f"inner {step}", inner)
+        found = find_pieces(near, f"pieces {step}", among, rise, step)
+        expected = np.unique(components(a[own], b[own], inner)[inner], return_inverse=True)[1]
+        np.testing.assert_array_equal(found.whole[inner], expected)
+        assert (found.whole[~inner] == found.count).all()
+        np.testing.assert_array_equal(found.start, np.flatnonzero(inner)[np.unique(expected, return_index=True)[1]])
+        (held,) = found.counts(f"kinds {step}", near.given(f"kind {step}", kind))
+        np.testing.assert_array_equal(held, np.bincount(expected, kind[inner], found.count))
+        chosen = rng.random(found.count) < 0.5
+        told = np.concatenate(found.chosen(f"chosen {step}", chosen))
+        np.testing.assert_array_equal(told, np.append(chosen, False)[found.whole])
+        nodes = rng.permutation(count)[:50]
+        np.testing.assert_array_equal(found.at(nodes), found.whole[nodes])
+    assert 5 < found.count < count // 2
 
 
-def test_pairs_across_are_those_of_one_kind_and_the_other_within_a_step(strips):
-    rng = np.random.default_rng(11)
-    one = rng.random(len(strips.cell)) < 0.4
-    other = ~one & (rng.random(len(one)) < 0.5)
-    near = {(i, j) for i, j, _ in pairs(strips) if abs(strips.height[i] - strips.height[j]) <= 0.25}
-    expected = {(i, j) for i, j in near if one[i] and other[j]}
-    found = list(zip(*beside(strips, 0.3).across(one, other, 0.25), strict=True))
-    assert set(found) == expected
-    assert len(found) == len(expected) > 50
+def test_ends_of_a_sheet_are_those_of_all_pairs(layers):
+    rng, count = np.random.default_rng(11), len(layers.cell)
+    inside = rng.random(count) < 0.4
+    beyond = ~inside & (rng.random(count) < 0.5)
+    joined, ends, unlike = np.zeros(count, dtype=bool), np.zeros(count, dtype=bool), set()
+    label = np.arange(count) // 7
+    for i, j, _ in pairs(layers):
+        if abs(layers.height[i] - layers.height[j]) > 0.25:
+            continue
+        had = inside & (layers.cell == layers.cell[j]) & (np.abs(layers.height - layers.height[i]) <= 0.25)
+        joined[i] |= inside[i] & beyond[j]
+        ends[i] |= inside[i] & beyond[j] & ~had.any()
+        if label[i] != label[j] and not beyond[i] and not beyond[j]:
+            unlike.add((min(i, j), max(i, j)))
+    np.testing.assert_array_equal(joined_to(layers.columns, inside, beyond, 0.0, 0.25), joined)
+    np.testing.assert_array_equal(ends_at(layers.columns, inside, beyond, 0.25), ends)
+    found = np.sort(np.column_stack(pairs_unlike(layers.columns, ~beyond, label, 0.25)), axis=1)
+    assert set(map(tuple, found.tolist())) == unlike
+    assert 10 < ends.sum() < joined.sum()
 
 
-def test_a_change_of_columns_asks_only_the_strips_that_it_touches(strips):
-    rng = np.random.default_rng(6)
-    points = np.column_stack([rng.uniform(0.0, 9.0, 300), rng.uniform(0.0, 1.0, 300), rng.uniform(0.0, 2.0, 300)])
-    other = build_layers(points, strips.cell_width, 0.3, like=strips)
-    near, cells = beside(strips, 0.3), rng.random(strips.shape) < 0.3
-    answers(near, strips)
-    cells[:17] = False
-    now = splice_layers(strips, cells.ravel(), other)
-    made, expected = beside_now(near, now, cells), beside(now, 0.3)
-    assert [bool(strip.before) for strip in made.strips] == [True, False, False]
-    for seed in (3, 4):
-        ours, theirs = answers(made, now, seed), answers(expected, now, seed)
-        np.testing.assert_array_equal(ours[2], theirs[2])
-        np.testing.assert_array_equal(ours[3][0], theirs[3][0])
-        for k in (1, 2):
-            np.testing.assert_array_equal(ours[3][k], theirs[3][k])
+def ask(near, far, config):
+    """Answers to questions of all kinds, with other ground in a far corner."""
+    own = near.layers
+    x, y = np.divmod(own.cell, own.shape[1])
+    ground = (x + y) % 5 > 0
+    ground &= ~((x > 30) & (y < 8) & (y % 2 == far))
+    ground = near.given("ground", ground)
+    raised = raised_over_sides(near, ground, config)
+    (stance,) = near.around("stance", 2, lambda part, asked, among: (find_stances(part, among & asked),), ground)
+    pieces = find_pieces(near, "pieces", stance, 0.1)
+    named = pieces.chosen("names", steady(own, pieces.start))
+
+    def strides(part, stance, named):
+        return find_strides(part.columns, stance, named, 4.0, 0.2)
+
+    one, other = near.joins("strides", 5, strides, stance, named)
+    ends = np.column_stack([pieces.at(one), pieces.at(other)])
+    nodes, most = near.where("raised", near.around("some", 0, lambda _, __, each: (each > 0.0,), raised)[0], raised)
+    row = own.cell[nodes] // own.shape[1]
+
+    def highest(part, asked, box, most, raised):
+        cell = part.cell // part.shape[1] + box[0]
+        at = cell[asked]
+        return np.array([raised[np.abs(cell - x) <= 3].max() for x in at]) + most
+
+    few = near.few("highest", nodes, np.column_stack([row - 3, row + 4]), highest, (most,), (raised,))
+    again = near.among("few", nodes[few > 0.1])
+    told = (raised, stance, again, pieces.label)
+    return *map(np.concatenate, told), pieces.number, pieces.start, in_order((*ends.T, one, other)), few
 
 
-def test_each_answer_of_the_version_before_is_remembered_and_none_older(strips, monkeypatch):
-    near, none = beside(strips, 0.3), np.zeros(strips.shape, dtype=bool)
-    before = [answers(near, strips, seed) for seed in (3, 4, 5)]
-    now = beside_now(near, strips, none)
-    monkeypatch.setattr("gpdf_service.perception.beside.pieces_in", named := Mock(__name__="pieces_in"))
-    for seed in (3, 5):  # one sheet's question comes after another's
-        np.testing.assert_array_equal(answers(now, strips, seed)[3][0], before[seed - 3][3][0])
-    assert not named.called
-    later = beside_now(now, strips, none)
-    assert all(len(strip.before) == 2 and not strip.known for strip in later.strips)
-
-
-def test_labels_among_some_nodes_are_numbered_in_their_order():
-    rng = np.random.default_rng(8)
-    label, among = rng.integers(0, 40, 60), rng.random(60) < 0.5
-    found, count = numbered_among(label, among)
-    held, number = np.unique(label[among], return_inverse=True)
-    np.testing.assert_array_equal(found[among], number)
-    assert count == len(held)
-    assert (found[~among] == count).all()
-
-
-@pytest.mark.parametrize("tile", [3, 7, 64])
-def test_a_change_is_told_what_a_build_is_in_tiles_of_any_size(tile, monkeypatch):
-    """Questions to all within a reach, of nodes with others in some columns and with something else given elsewhere."""
-    monkeypatch.setattr("gpdf_service.perception.told.TILE", tile)
+@pytest.mark.parametrize("rows", [3, 7, 64])
+def test_a_change_is_told_what_a_build_is_in_strips_of_any_size(rows, monkeypatch):
+    """Questions of all kinds, of nodes with others in some columns and with something else given elsewhere."""
+    monkeypatch.setattr("gpdf_service.perception.beside.ROWS", rows)
     rng, config = np.random.default_rng(11), PerceptionConfig()
     cloud = rng.uniform(0.0, [4.0, 3.0, 2.0], (4000, 3))
-    layers = build_layers(cloud, 0.1, 0.3)
-    gone = (np.abs(cloud[:, :2] - [1.0, 2.0]) < 0.3).all(axis=1)
-    now = build_layers(cloud[~gone], 0.1, 0.3, like=layers)
-    cells = np.zeros(layers.shape, dtype=bool)
-    place = np.floor((cloud[gone, :2] - layers.origin) / 0.1).astype(int)
-    cells[tuple(place.T)] = True
-    cells = widened(cells, 1)
+    near, asked, was = beside(build_layers(cloud, 0.1, 0.3)), [], 0
+    ask(near, 0, config)
+    counted = crop_layers
+    monkeypatch.setattr(
+        "gpdf_service.perception.beside.crop_layers",
+        lambda *given: asked.append(counted(*given)) or asked[-1],
+    )
+    for place, far in (((1.0, 2.0), 1), ((3.0, 1.0), 1), ((3.0, 0.4), 0)):
+        layers, gone = near.layers, (np.abs(cloud[:, :2] - place) < 0.3).all(axis=1)
+        cells = np.zeros(layers.shape, dtype=bool)
+        cells[tuple(np.floor((cloud[gone, :2] - layers.origin) / 0.1).astype(int).T)] = True
+        cloud, before = cloud[~gone], near.lasting()
+        near = beside_now(before, build_layers(cloud, 0.1, 0.3, like=layers), widened(cells, 1))
+        asked.clear()
+        ours, theirs = ask(near, far, config), ask(beside(near.layers), far, config)
+        for one, other in zip(ours, theirs, strict=True):
+            np.testing.assert_array_equal(one, other)
+            assert len(one) > 20
+        if far == was:  # else what lies between is looked at, too
+            assert 0 < max(len(part.cell) for part, _ in asked) < 0.6 * len(near.layers.cell)
+        was = far
+        raised = np.concatenate([each[0] for _, each in before.known["raised"]])
+        expected = unlike_nodes((before.layers, raised), (near.layers, ours[0]), widened(cells, 1))
+        found = near.unlike(
+            [tuple(each[0] for _, each in near.known["raised"])],
+            before,
+            [tuple(each[0] for _, each in before.known["raised"])],
+        )
+        np.testing.assert_array_equal(found | widened(cells, 1), expected)
 
-    def ask(near, far):
-        """Answers, with other ground in a far corner."""
-        own = near.layers
-        x, y = np.divmod(own.cell, own.shape[1])
-        ground, label = (x + y) % 5 > 0, x // 4
-        ground &= ~((x > 30) & (y < 8) & (y % 2 == far))
-        raised = raised_over_sides(near, ground, config)
-        (stance,) = near.around("stance", 2, lambda part, asked, among: (find_stances(part, among & asked),), ground)
-        named = steady(own, label)
 
-        def strides(part, _, stance, named):
-            return find_strides(part.columns, stance, named, 4.0, 0.2)
+def unlike_nodes(old, now, cells):
+    """Cells that hold other nodes or ones with other values, and `cells`."""
+    made = cells.copy()
+    for x, y in np.ndindex(cells.shape):
+        held = [values[layers.cell == x * cells.shape[1] + y] for layers, values in (old, now)]
+        made[x, y] |= not np.array_equal(*held)
+    return made
 
-        pairs = near.pairs_around("strides", 5, strides, ground, named)
-        return raised, stance, in_order(pairs), near
 
-    former = ask(beside(layers, 0.3), 0)[-1]
-    changed = ask(beside_now(former, now, cells), 1)
-    again = ask(beside(now, 0.3), 1)
-    for ours, theirs in zip(changed[:3], again[:3], strict=True):
-        np.testing.assert_array_equal(ours, theirs)
-    assert min(np.count_nonzero(changed[0]), np.count_nonzero(changed[1]), len(changed[2])) > 100
-    assert 0 < changed[-1].felt("stance", again[-1].known["stance"].given, 2).sum() < cells.size // 2
+def test_what_comes_out_as_it_was_is_what_it_was_and_none_older_is_kept(strips):
+    near, calls = beside(strips), []
+
+    def lower(part, asked, kind):
+        calls.append(int(asked.sum()))
+        return (part.height < 1.0 + 0.0 * kind,)
+
+    def low(near, kind):
+        return near.around("low", 1, lower, near.given("kind", kind))[0]
+
+    kind = np.zeros(len(strips.cell))
+    was = low(near, kind)
+    now = beside_now(near, strips, np.zeros(strips.shape, dtype=bool))
+    assert low(now, kind) == was  # the same objects
+    assert calls == [len(kind)]
+    kind = np.where(np.arange(len(kind)) < 3, 1.0, 0.0)
+    later = beside_now(now, strips, np.zeros(strips.shape, dtype=bool))
+    assert all(map(operator.is_, low(later, kind), was))  # was asked, and told the same
+    assert len(calls) == 2
+    assert 3 <= calls[1] < 50
+    assert not now.lasting().former
+    assert later.lasting().known is later.known
 
 
 def in_order(pairs):
@@ -198,12 +233,22 @@ def in_order(pairs):
     return rows[np.lexsort(rows.T)]
 
 
+def test_labels_among_some_nodes_and_one_for_each_other_are_numbered_by_their_first_nodes():
+    rng = np.random.default_rng(8)
+    label, among = rng.integers(0, 40, 60), rng.random(60) < 0.5
+    apart = np.where(among, label, 100 + np.arange(60))
+    found = numbered_apart(label, among)
+    first = np.unique(apart, return_index=True)[1]
+    np.testing.assert_array_equal(
+        found, np.searchsorted(np.sort(first), first)[np.unique(apart, return_inverse=True)[1]]
+    )
+
+
 def test_sums_in_plan_and_heights_in_plan_are_those_of_numpy(layers):
     rng = np.random.default_rng(4)
     keep, label = rng.random(len(layers.cell)) < 0.5, rng.integers(0, 5, len(layers.cell))
     x, y = np.divmod(layers.cell, layers.shape[1])
-    labels, sums = plan_sums(layers.cell, layers.shape[1], keep, 7 * label)
-    np.testing.assert_array_equal(labels, 7 * np.arange(5))
+    sums = plan_sums(layers.cell, layers.shape[1], keep, label, 5)
     for k, values in enumerate((np.ones(len(x)), x, y, x * x, y * y, x * y)):
         np.testing.assert_array_equal(sums[:, k], np.bincount(label, values * keep, minlength=5))
     nodes = np.unique(layers.cell, return_index=True)[1]
@@ -288,7 +333,7 @@ def test_a_sheet_grows_by_its_rings_and_never_over_itself(layers):
     keep = np.ones(len(layers.cell), dtype=bool)
     first = np.zeros(len(layers.cell), dtype=bool)
     first[np.flatnonzero(layers.cell == layers.cell[len(layers.cell) // 2])[0]] = True
-    around = beside(layers, 0.3).across(first, ~first, 0.3)[1]
+    around = np.flatnonzero(joined_to(layers.columns, ~first, first, 0.0, 0.3))
     sizes = []
     for rings in (0, 1, 3):
         inside = np.flatnonzero(grown_sheet(layers.columns, keep, first, around, 0.3, rings))

@@ -6,8 +6,10 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
-from gpdf_service.fields.tree import build_tree
+from gpdf_service.fields.tree import build_tree, change_tree
+from gpdf_service.perception.rows import rows_in_cells
 from gpdf_service.perception.surface import HeightMap
+from gpdf_service.search.change import rows_in_tree
 from gpdf_service.search.graph import change_edges, find_edges
 from gpdf_service.search.places import Places
 from gpdf_service.search.quadtree import build_quadtree, change_quadtree
@@ -97,3 +99,19 @@ def test_every_edge_is_clear_and_none_that_is_clear_is_missing(seed):
             assert least < RADIUS + 1e-3  # what the sampling resolves
     assert refused > 0
     assert len(via) == len(ends) > 100
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_rows_in_some_cells_by_boxes_of_a_tree_are_those_of_all_rows(seed):
+    rng = np.random.default_rng(seed)
+    points, fresh = rng.uniform((-1.0, -1.0), (7.0, 6.0), (3000, 2)), sticks(rng, 40)
+    tree, keep = build_tree(points), rng.random(3000) < 0.7
+    changed = change_tree(tree, keep, fresh)[0]
+    wanted = np.zeros((60, 50), dtype=bool)
+    wanted[20:31, 5:9] = wanted[3, 40:] = rng.random() < 0.8
+    wanted |= rng.random((60, 50)) < 0.01
+    for one, rows in ((tree, points), (changed, changed.points)):
+        found = rows_in_tree(one, np.zeros(2), 0.1, wanted)
+        np.testing.assert_array_equal(found, rows_in_cells(rows, np.zeros(2), 0.1, wanted))
+        assert 0 < len(found) < len(rows) // 4
+    assert len(rows_in_tree(tree, np.zeros(2), 0.1, np.zeros((60, 50), dtype=bool))) == 0

@@ -1,0 +1,137 @@
+"""Which nodes are joined: pieces within each strip, the pairs that go on into the next one, and a graph of these.
+
+The graph is small, and so is what is summed up of each piece in each strip. Only strips with other nodes, or ones that
+are joined otherwise, are looked at again.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gpdf_service.perception.beside import Answer, Beside, Strips, each_strip
+from gpdf_service.perception.nodes import components, count_labels, pairs_on, pieces_of
+from gpdf_service.types import BoolArray, IntArray
+
+
+@dataclass(frozen=True, slots=True)
+class Pieces:
+    """Sets of nodes that are joined; nodes of none have the number after the last.
+
+    Attributes:
+        near: The nodes.
+        label: Number of each node's piece among those of its strip; of a node of none how many these are.
+        first: Where the labels of each strip begin among those of all, shape (strips + 1,).
+        number: The piece that each label is of, and the number after the last for who is of none, shape (labels,).
+        start: The first node of each piece, shape (pieces,), which ascend.
+    """
+
+    near: Beside
+    label: Strips
+    first: IntArray
+    number: IntArray
+    start: IntArray
+
+    @property
+    def count(self) -> int:
+        """How many pieces there are."""
+        return len(self.start)
+
+    @property
+    def whole(self) -> IntArray:
+        """Piece of each node, shape (k,)."""
+        parts = np.split(self.number, self.first[1:-1])
+        return np.concatenate([number[label] for number, label in zip(parts, self.label, strict=True)])
+
+    def totals(self, name: str, add: Callable[..., NDArray[Any]], *given: Strips) -> NDArray[Any]:
+        """Sums over the nodes of each piece, shape (pieces, …).
+
+        Args:
+            name: Of the question.
+            add: Called with rows of the nodes of a strip among all, their labels, how many labels there are with that
+                of none, and what is given for them. Returns a sum for each label, shape (labels, …).
+            given: For each node.
+        """
+        first = self.near.first
+
+        def make(begin: int, end: int) -> list[Answer]:
+            def one(i: int) -> Answer:
+                own, count = slice(int(first[i]), int(first[i + 1])), int(self.first[i + 1] - self.first[i])
+                return (add(own, self.label[i], count, *(each[i] for each in given)),)
+
+            return each_strip(one, begin, end)
+
+        parts = [each[0] for each in self.near.told(f"{name}, totals", self.near.within(0, (self.label, *given)), make)]
+        made = np.zeros((self.count + 1, *parts[0].shape[1:]), parts[0].dtype)
+        np.add.at(made, self.number, np.concatenate(parts))
+        return made[:-1]
+
+    def counts(self, name: str, *kinds: Strips) -> IntArray:
+        """How many nodes of each of the `kinds` there are in each piece, shape (kinds, pieces)."""
+        return self.totals(name, _count, *kinds).T
+
+    def chosen(self, name: str, which: NDArray[Any]) -> Strips:
+        """What is told of its piece for each node, by `which`, shape (pieces,): 0, or false, for a node of none."""
+        told = np.append(which[: self.count], which.dtype.type(0))[self.number]
+        own = self.near.same(f"{name}, which", np.split(told, self.first[1:-1]))
+
+        def make(begin: int, end: int) -> list[Answer]:
+            return [(own[i][self.label[i]],) for i in range(begin, end)]
+
+        return self.near.told_nodes(f"{name}, chosen", self.near.within(0, (self.label, own)), make)[0]
+
+    def at(self, nodes: IntArray) -> IntArray:
+        """The piece of some nodes, shape (m,)."""
+        strip = np.searchsorted(self.near.first, nodes, side="right") - 1
+        order, begin, made = np.argsort(strip, kind="stable"), self.near.first, np.empty(len(nodes), np.int64)
+        cuts = np.searchsorted(strip[order], np.arange(len(self.near.nodes) + 1))
+        for i in np.flatnonzero(np.diff(cuts)):
+            own = order[cuts[i] : cuts[i + 1]]
+            made[own] = self.number[self.first[i] + self.label[i][nodes[own] - begin[i]]]
+        return made
+
+
+def find_pieces(near: Beside, name: str, inner: Strips, rise: float, step: float = 0.0) -> Pieces:
+    """Of the nodes `inner` what is joined where there is at most `rise` [m] a cell and a `step` [m] between."""
+    first = near.first.tolist()
+
+    def make(begin: int, end: int) -> list[Answer]:
+        def one(i: int) -> Answer:
+            return pieces_of(near.strips(i, i + 1).columns, inner[i], rise, step)
+
+        return each_strip(one, begin, end)
+
+    def join(begin: int, end: int) -> list[Answer]:
+        def one(i: int) -> Answer:
+            if i + 1 == len(near.nodes):
+                return (np.zeros((0, 2), np.int64),)
+            ends = label[i : i + 2], (first[i], first[i + 1]), (len(starts[i]), len(starts[i + 1]))
+            return (pairs_on(near.layers.columns, near.rows(i).stop - 1, *ends, rise, step),)
+
+        return each_strip(one, begin, end)
+
+    label, starts = zip(*near.told(f"{name}, pieces", near.within(0, (inner,)), make), strict=True)
+    on = [(*near.nodes[i : i + 2], *label[i : i + 2]) for i in range(len(label))]
+    pairs = [each[0] for each in near.told(f"{name}, seams", on, join)]
+    begin = np.concatenate([[0], np.cumsum([len(each) + 1 for each in starts])])  # one of a strip for none
+    a, b = np.concatenate([each + begin[i : i + 2] for i, each in enumerate(pairs)]).T
+    own = np.ones(begin[-1], dtype=bool)
+    own[begin[1:] - 1] = False
+    found = components(a, b, own)[own]
+    held, number = np.unique(found, return_inverse=True)
+    nodes, labels = np.empty(len(held), np.int64), np.full(begin[-1], len(held))
+    nodes[number[::-1]] = np.concatenate([each + first[i] for i, each in enumerate(starts)])[::-1]  # the last stays
+    labels[own] = number
+    return Pieces(near, label, begin, labels, nodes)
+
+
+def _count(_: slice, label: NDArray[Any], labels: int, *kinds: BoolArray) -> IntArray:
+    """How many nodes of each kind have each label, shape (labels, kinds)."""
+    made = np.empty((labels, len(kinds)), np.int64)
+    for k, kind in enumerate(kinds):
+        made[:, k] = count_labels(label, kind, labels)
+    return made
