@@ -500,15 +500,16 @@ def without_outliers(surface: HeightMap, most: float) -> HeightMap:
     """Cells that are off the median of their neighbourhood by `most` [m] at most take it if they are off it alone.
 
     A cell that fewer than three of its neighbours are with, nearer to it than to the median, is no corner of a step.
+    On a slope with empty cells the median is off by a cell's rise; so the middles between two opposite ones count, too.
     """
     if most == 0.0:
         return surface
     around = neighbourhood(surface)
     median = smoothed(surface)
     own = surface.height.astype(np.float64)
-    with_it = (np.abs(around - own) < np.abs(around - median)).sum(axis=0) - (
-        own != median
-    )  # itself is one of the nine
+    middles = 0.5 * (around[:4] + around[:4:-1])
+    told = np.concatenate([around, middles])
+    with_it = (np.abs(told - own) < np.abs(told - median)).sum(axis=0) - (own != median)  # itself is one of the nine
     alone = (with_it < 3) & (np.abs(own - median) <= most)
     return HeightMap(surface.origin, surface.cell_width, np.where(alone, median, own).astype(np.float32), surface.state)
 
