@@ -500,14 +500,14 @@ def without_outliers(surface: HeightMap, most: float) -> HeightMap:
     """Cells that are off the median of their neighbourhood by `most` [m] at most take it if they are off it alone.
 
     A cell that fewer than three of its neighbours are with, nearer to it than to the median, is no corner of a step.
-    On a slope with empty cells the median is off by a cell's rise; so the middles between two opposite ones count, too.
+    Beside empty cells the median of a slope is off by a cell's rise; there the middles of two opposite ones count, too.
     """
     if most == 0.0:
         return surface
     around = neighbourhood(surface)
     median = smoothed(surface)
     own = surface.height.astype(np.float64)
-    middles = 0.5 * (around[:4] + around[:4:-1])
+    middles = np.where(np.isnan(around).any(axis=0), 0.5 * (around[:4] + around[:4:-1]), np.nan)
     told = np.concatenate([around, middles])
     with_it = (np.abs(told - own) < np.abs(told - median)).sum(axis=0) - (own != median)  # itself is one of the nine
     alone = (with_it < 3) & (np.abs(own - median) <= most)

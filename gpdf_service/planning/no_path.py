@@ -26,7 +26,7 @@ from gpdf_service.perception.nearest import nearest_of
 from gpdf_service.perception.surface import UNKNOWN, Cells
 from gpdf_service.planning.certificate import min_distance
 from gpdf_service.planning.endpoints import Endpoint
-from gpdf_service.planning.words import place_words
+from gpdf_service.planning.words import measure, place_words
 from gpdf_service.search import FreeSpace
 from gpdf_service.search.places import nearest_places
 from gpdf_service.types import Agent, BoolArray, FloatArray, IntArray
@@ -205,7 +205,9 @@ def _tell(space: FreeSpace, start: Endpoint, found: list[_Found], largest: float
         at = np.append(start.xy, space.surfaces[start.level].height_at(start.xy[None]))
         words = f"the {name} cannot get there: the ground of the start and that of the goal meet nowhere on the map."
         return NoPath(f"{words} Map what lies between them.", (), at, 0.0)
-    hint = f"The largest body that passes has a radius of {largest:.3f} m." if largest else "No narrower body passes."
+    hint = (
+        f"The largest body that passes has a radius of {measure(largest)} m." if largest else "No narrower body passes."
+    )
     joint = "; and " if together else "; another way: "
     return NoPath(
         f"the {name} cannot get there: {joint.join(words for _, _, words, _ in found)}. {hint}",
@@ -431,11 +433,11 @@ def _met(space: FreeSpace, grid: _Grid, path: IntArray, cut: Cut, start: Endpoin
 
 def _cut_words(agent: Agent, cut: Cut, worst: float, where: str) -> str:
     """What stops a body somewhere, and what it would take."""
-    steepest = f"{np.degrees(agent.max_slope):.0f}°"
+    highest, steepest = f"{measure(agent.max_step)} m", f"{np.degrees(agent.max_slope):.0f}°"
     return {
         Cut.SOLID: f"an obstacle closes the way at {where}",
-        Cut.HEIGHT: f"there are {-worst:.2f} m of headroom at {where}, and it is {agent.height:.2f} m tall",
-        Cut.STEP: f"a step or drop of {worst:.3f} m at {where} is higher than it takes ({agent.max_step:.3f} m)",
+        Cut.HEIGHT: f"there are {measure(-worst)} m of headroom at {where}, and it is {measure(agent.height)} m tall",
+        Cut.STEP: f"a step or drop of {measure(worst)} m at {where} is higher than it takes ({highest})",
         Cut.SLOPE: f"a slope of {np.degrees(worst):.0f}° at {where} is steeper than it stands on ({steepest})",
         Cut.UNKNOWN: f"nobody has seen the ground at {where}",
     }[cut]
