@@ -116,7 +116,7 @@ def _snap(
         return found, ""
     if found.nearest is None or snap <= 0.0:
         return found
-    near = nearest_free(space, place, SAME_GROUND, component)
+    near = found.nearest if component is None else nearest_free(space, place, SAME_GROUND, component)
     if near is None or np.linalg.norm(near[:2] - place[:2]) > snap:
         return found if component is None else _unreached(found, near, place, snap)
     moved = find_endpoint(space, near, name)

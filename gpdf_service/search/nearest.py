@@ -56,8 +56,11 @@ def nearest_free(space: FreeSpace, place: FloatArray, off: float, component: int
     z, wanted = (float(place[2]) if len(place) == 3 else np.nan), -1 if component is None else component
     asked = _Asked(float(place[0]), float(place[1]), z, off, wanted)
     found = np.array([np.nan, np.nan, np.nan, np.inf])
-    for level, (tree, first) in enumerate(zip(space.quadtrees, space.offsets, strict=True)):
-        ground, standing = space.surfaces[level].arrays, tree.standing
+    grounds = [surface.arrays for surface in space.surfaces]
+    beside = [abs(height_of(ground, asked.x, asked.y) - z) <= off for ground in grounds]
+    for level in sorted(range(len(grounds)), key=beside.__getitem__, reverse=True):  # what it finds bounds the others
+        tree, first, ground = space.quadtrees[level], space.offsets[level], grounds[level]
+        standing = tree.standing
         of = below(space.graph.component)[first : first + len(standing.size)]
         gone = tree.gone if isinstance(tree, SplitQuadtree) else np.zeros(0, np.int64)
         _descend(_leaves(standing, of), gone, ground, asked, found)
