@@ -56,11 +56,12 @@ PULLED = 1.01
 """[-] A string pulled along a way may cost this much of it: it is looked at in steps."""
 AVOIDED = 2.0
 """[-] Where a way is known already, the next search finds it as much dearer, each time again."""
-DETOUR = 1.1
-"""[-] A way that is no longer than so many straight lines to its goal is taken: another one costs its time to plan."""
-RIVAL = 1.1
-"""[-] A seed that costs as much more than another one may yet be the cheaper one when both are bent: bending made seeds
-cheaper by 0 to 34 % (eight rivals, of three bodies)."""
+DETOUR = 1.06
+"""[-] A way that is no longer than so many straight lines to its goal is taken: another one costs its time to plan. Of
+2,160 pairs 98 with a shorter one had a rival, and 8 of these were cheaper, by 4 % at most; of the next 32 also 8."""
+RIVAL = 1.15
+"""[-] A seed that costs as much more than another one may yet be the cheaper one when both are bent: of 99 rivals up to
+here 47 were, of 73 beyond, up to half as much again, none."""
 MOST_DOORS = 16
 """Leaves of the level ground that are tried from an end among steps, near and further."""
 

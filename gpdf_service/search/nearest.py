@@ -57,8 +57,8 @@ def nearest_free(space: FreeSpace, place: FloatArray, off: float, component: int
     asked = _Asked(float(place[0]), float(place[1]), z, off, wanted)
     found = np.array([np.nan, np.nan, np.nan, np.inf])
     grounds = [surface.arrays for surface in space.surfaces]
-    beside = [abs(height_of(ground, asked.x, asked.y) - z) <= off for ground in grounds]
-    for level in sorted(range(len(grounds)), key=beside.__getitem__, reverse=True):  # what it finds bounds the others
+    apart = np.abs([height_of(ground, asked.x, asked.y) - z for ground in grounds])  # NaN comes last
+    for level in np.argsort(apart, kind="stable").tolist():  # what is found on the level that is there bounds the rest
         tree, first, ground = space.quadtrees[level], space.offsets[level], grounds[level]
         standing = tree.standing
         of = below(space.graph.component)[first : first + len(standing.size)]
