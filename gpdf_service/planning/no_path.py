@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 from enum import IntEnum
 from functools import cached_property
 from heapq import heappop, heappush
+from math import sqrt
 from typing import NamedTuple
 
 import numpy as np
@@ -170,8 +171,11 @@ def explain_no_path(
 
 
 def _kept(space: FreeSpace) -> float:
-    """Room that the search needs beyond a body's reach [m]: its margin, and what leaves lie beside the middle."""
-    return space.radius - space.reach + 0.5 * max(tree.width for tree in space.quadtrees)
+    """Room that the search needs beyond a body's reach [m]: its margin, and what leaves lie beside the middle.
+
+    In a passage that goes askew to them that is half of a leaf's diagonal.
+    """
+    return space.radius - space.reach + max(tree.width for tree in space.quadtrees) / sqrt(2.0)
 
 
 def _no_time(space: FreeSpace, start: Endpoint) -> NoPath:
