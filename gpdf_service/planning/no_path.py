@@ -426,8 +426,8 @@ def _met(space: FreeSpace, grid: _Grid, path: IntArray, cut: Cut, start: Endpoin
     told = grid.told[path[shut[0], 0]]
     points, asks = told.points[told.cut == cut], told.asks[told.cut == cut]
     first = np.linalg.norm(points[:, :2] - xy[shut[0]], axis=1).argmin()
-    crossed = cKDTree(xy[shut[path[shut, 0] == path[shut[0], 0]]])
-    near = np.isfinite(crossed.query(points[:, :2], distance_upper_bound=space.reach)[0])
+    beside = cKDTree(xy[path[:, 0] == path[shut[0], 0]])  # of cells that are open, too: the grid is coarse
+    near = np.isfinite(beside.query(points[:, :2], distance_upper_bound=space.reach + _kept(space))[0])
     worst = float(asks[near].max(initial=asks[first]))
     surface = space.surfaces[grid.level[path[shut[0], 0]]]
     at = np.append(points[first, :2], surface.height_at(points[first, None, :2]))
