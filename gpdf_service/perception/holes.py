@@ -166,7 +166,8 @@ def _fill_gaps(
     """Fill single cells that the scan's spacing left empty, also at a step's edge.
 
     Each is of the smooth ground around it, or as high as the cell beside it. On a slope the latter makes a step that
-    nobody saw. But where the cure has blurred a step to a slope, it shows it.
+    nobody saw. But where the cure has blurred a step to a slope, it shows it. A notch of a rim, a cell wide, is such a
+    gap, too, where noise moved points along the rim and beyond it.
     """
     reach = reach_of(surface.cell_width, noise)
 
@@ -175,7 +176,11 @@ def _fill_gaps(
     ) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
         height, state, observed = height.copy(), state.copy(), np.where(np.isnan(seen), UNKNOWN, OBSERVED)
         near = nearest_seen(replace(surface, height=seen, state=observed.astype(np.uint8)))
-        small = np.flatnonzero(_small(state == UNKNOWN, near.distance, surface.cell_width))
+        empty = state == UNKNOWN
+        gaps = _small(empty, near.distance, surface.cell_width)
+        if noise > 0.0:
+            gaps |= _small(empty & _between(~empty), near.distance, surface.cell_width)
+        small = np.flatnonzero(gaps)
         made = near.height.ravel()[small]
         run_chunked(lambda a, b: _onto_bends(seen, reach, max(FINE, FLAT * noise), small, a, b, made), len(small))
         height.ravel()[small], state.ravel()[small] = made, INFERRED
@@ -211,6 +216,14 @@ def _small(holes: BoolArray, distance: FloatArray, cell_width: float) -> BoolArr
     size, far = (np.bincount(label[cells], minlength=count + 1) for cells in (holes, holes & (distance > cell_width)))
     found: BoolArray = ((size <= GAP_CELLS) & (far == 0))[label] & holes
     return found
+
+
+def _between(known: BoolArray) -> BoolArray:
+    """Cells with a known one on either side along an axis."""
+    made = np.zeros_like(known)
+    made[1:-1] |= known[:-2] & known[2:]
+    made[:, 1:-1] |= known[:, :-2] & known[:, 2:]
+    return made
 
 
 Ground = tuple[NDArray[np.float32], NDArray[np.uint8]]

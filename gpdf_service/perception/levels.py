@@ -498,15 +498,16 @@ def without_outliers(surface: HeightMap, most: float) -> HeightMap:
     """Cells that are off the median of their neighbourhood by `most` [m] at most take it if they are off it alone.
 
     A cell that fewer than three of its neighbours are with, nearer to it than to the median, is no corner of a step.
+    Beside empty cells the median of a slope is off by a cell's rise; there the middles of two opposite ones count, too.
     """
     if most == 0.0:
         return surface
     around = neighbourhood(surface)
     median = smoothed(surface)
     own = surface.height.astype(np.float64)
-    with_it = (np.abs(around - own) < np.abs(around - median)).sum(axis=0) - (
-        own != median
-    )  # itself is one of the nine
+    middles = np.where(np.isnan(around).any(axis=0), 0.5 * (around[:4] + around[:4:-1]), np.nan)
+    told = np.concatenate([around, middles])
+    with_it = (np.abs(told - own) < np.abs(told - median)).sum(axis=0) - (own != median)  # itself is one of the nine
     alone = (with_it < 3) & (np.abs(own - median) <= most)
     return HeightMap(surface.origin, surface.cell_width, np.where(alone, median, own).astype(np.float32), surface.state)
 

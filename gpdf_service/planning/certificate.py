@@ -23,7 +23,7 @@ from gpdf_service.perception.limits import LEAST_STEP
 from gpdf_service.perception.surface import INFERRED, OBSERVED, UNKNOWN, Cells, cell_of, count_in, is_known
 from gpdf_service.planning.footprint import travel_headings
 from gpdf_service.planning.shape import runs
-from gpdf_service.planning.words import place_words
+from gpdf_service.planning.words import measure, place_words
 from gpdf_service.search import FreeSpace
 from gpdf_service.search.motion import least_distance
 from gpdf_service.search.places import Places
@@ -107,7 +107,7 @@ def certify(
     elif unknown:
         reason = "the path leaves the known ground"
     elif step > max(agent.max_step, LEAST_STEP):
-        reason = f"a step of {step:.2f} m is higher than the {agent.name} takes ({agent.max_step:.2f} m)"
+        reason = f"a step of {measure(step)} m is higher than the {agent.name} takes ({measure(agent.max_step)} m)"
     elif slope > agent.max_slope:
         reason = f"a slope of {np.degrees(slope):.0f}° is steeper than the {agent.name} stands on"
     if not reason and hidden_height < ROUGH < agent.max_step:

@@ -17,7 +17,7 @@ from gpdf_service.perception.surface import UNKNOWN, height_of, is_same_ground
 from gpdf_service.planning.certificate import FINEST
 from gpdf_service.planning.footprint import disc_places
 from gpdf_service.planning.shape import radius_within
-from gpdf_service.planning.words import metres, place_words
+from gpdf_service.planning.words import measure, metres, place_words
 from gpdf_service.search import FreeSpace
 from gpdf_service.search.motion import is_straight_clear
 from gpdf_service.search.nearest import nearest_free
@@ -116,7 +116,7 @@ def _snap(
         return found, ""
     if found.nearest is None or snap <= 0.0:
         return found
-    near = nearest_free(space, place, SAME_GROUND, component)
+    near = found.nearest if component is None else nearest_free(space, place, SAME_GROUND, component)
     if near is None or np.linalg.norm(near[:2] - place[:2]) > snap:
         return found if component is None else _unreached(found, near, place, snap)
     moved = find_endpoint(space, near, name)
@@ -182,13 +182,12 @@ def find_endpoint(space: FreeSpace, place: FloatArray, name: str) -> Endpoint | 
         radius, margin = space.agent.disc_radius, space.reach - space.agent.disc_radius
         digits = 2 if round(room, 2) < round(space.reach, 2) else 4  # a millimetre or less may be what is short
         noise = f", and {margin:.{digits}f} m for the noise of the scan" if margin > 0.0 else ""
-        words = (
-            f"the {space.agent.name} (radius {radius:.2f} m{noise}) does not fit at the {name} {place_words(place)}: "
-        )
+        body = f"the {space.agent.name} (radius {measure(radius)} m{noise})"
+        words = f"{body} does not fit at the {name} {place_words(place)}: "
         told = {"room": room, "needed": space.reach, "noise_margin": margin}
         return Refusal(occupied, f"{words}{what} is {room:.{digits}f} m from its centre.{hint}", near, told)
     if not _faces_somewhere(space, level, xy, room):
-        body = f"the {space.agent.name} ({space.agent.length:.2f} m long)"
+        body = f"the {space.agent.name} ({measure(space.agent.length)} m long)"
         return Refusal(occupied, f"{body} fits at the {name} {place_words(place)} in no direction.")
     node = connect(space, level, xy, room)
     if node < 0:

@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 from enum import IntEnum
 from functools import cached_property
 from heapq import heappop, heappush
+from math import sqrt
 from typing import NamedTuple
 
 import numpy as np
@@ -26,7 +27,7 @@ from gpdf_service.perception.nearest import nearest_of
 from gpdf_service.perception.surface import UNKNOWN, Cells
 from gpdf_service.planning.certificate import min_distance
 from gpdf_service.planning.endpoints import Endpoint
-from gpdf_service.planning.words import place_words
+from gpdf_service.planning.words import measure, place_words
 from gpdf_service.search import FreeSpace
 from gpdf_service.search.places import nearest_places
 from gpdf_service.types import Agent, BoolArray, FloatArray, IntArray
@@ -170,8 +171,11 @@ def explain_no_path(
 
 
 def _kept(space: FreeSpace) -> float:
-    """Room that the search needs beyond a body's reach [m]: its margin, and what leaves lie beside the middle."""
-    return space.radius - space.reach + 0.5 * max(tree.width for tree in space.quadtrees)
+    """Room that the search needs beyond a body's reach [m]: its margin, and what leaves lie beside the middle.
+
+    In a passage that goes askew to them that is half of a leaf's diagonal.
+    """
+    return space.radius - space.reach + max(tree.width for tree in space.quadtrees) / sqrt(2.0)
 
 
 def _no_time(space: FreeSpace, start: Endpoint) -> NoPath:
@@ -205,7 +209,9 @@ def _tell(space: FreeSpace, start: Endpoint, found: list[_Found], largest: float
         at = np.append(start.xy, space.surfaces[start.level].height_at(start.xy[None]))
         words = f"the {name} cannot get there: the ground of the start and that of the goal meet nowhere on the map."
         return NoPath(f"{words} Map what lies between them.", (), at, 0.0)
-    hint = f"The largest body that passes has a radius of {largest:.3f} m." if largest else "No narrower body passes."
+    hint = (
+        f"The largest body that passes has a radius of {measure(largest)} m." if largest else "No narrower body passes."
+    )
     joint = "; and " if together else "; another way: "
     return NoPath(
         f"the {name} cannot get there: {joint.join(words for _, _, words, _ in found)}. {hint}",
@@ -420,8 +426,8 @@ def _met(space: FreeSpace, grid: _Grid, path: IntArray, cut: Cut, start: Endpoin
     told = grid.told[path[shut[0], 0]]
     points, asks = told.points[told.cut == cut], told.asks[told.cut == cut]
     first = np.linalg.norm(points[:, :2] - xy[shut[0]], axis=1).argmin()
-    crossed = cKDTree(xy[shut[path[shut, 0] == path[shut[0], 0]]])
-    near = np.isfinite(crossed.query(points[:, :2], distance_upper_bound=space.reach)[0])
+    beside = cKDTree(xy[path[:, 0] == path[shut[0], 0]])  # of cells that are open, too: the grid is coarse
+    near = np.isfinite(beside.query(points[:, :2], distance_upper_bound=space.reach + _kept(space))[0])
     worst = float(asks[near].max(initial=asks[first]))
     surface = space.surfaces[grid.level[path[shut[0], 0]]]
     at = np.append(points[first, :2], surface.height_at(points[first, None, :2]))
@@ -431,11 +437,11 @@ def _met(space: FreeSpace, grid: _Grid, path: IntArray, cut: Cut, start: Endpoin
 
 def _cut_words(agent: Agent, cut: Cut, worst: float, where: str) -> str:
     """What stops a body somewhere, and what it would take."""
-    steepest = f"{np.degrees(agent.max_slope):.0f}°"
+    highest, steepest = f"{measure(agent.max_step)} m", f"{np.degrees(agent.max_slope):.0f}°"
     return {
         Cut.SOLID: f"an obstacle closes the way at {where}",
-        Cut.HEIGHT: f"there are {-worst:.2f} m of headroom at {where}, and it is {agent.height:.2f} m tall",
-        Cut.STEP: f"a step or drop of {worst:.3f} m at {where} is higher than it takes ({agent.max_step:.3f} m)",
+        Cut.HEIGHT: f"there are {measure(-worst)} m of headroom at {where}, and it is {measure(agent.height)} m tall",
+        Cut.STEP: f"a step or drop of {measure(worst)} m at {where} is higher than it takes ({highest})",
         Cut.SLOPE: f"a slope of {np.degrees(worst):.0f}° at {where} is steeper than it stands on ({steepest})",
         Cut.UNKNOWN: f"nobody has seen the ground at {where}",
     }[cut]

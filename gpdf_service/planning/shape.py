@@ -18,7 +18,7 @@ from gpdf_service.planning.costs import Memo, make_memo, recall
 from gpdf_service.search.core import NARROW
 from gpdf_service.search.motion import CENTRE, RESOLUTION, is_leap_clear, is_straight_clear
 from gpdf_service.search.places import Places, distance_at
-from gpdf_service.types import BoolArray, FloatArray, IntArray
+from gpdf_service.types import FloatArray, IntArray
 
 _UPRIGHT_SHARE = 0.09
 """[-] How far the top may be off the body height over the contact point: a tenth (Uttsha et al. 2024, feasibility
@@ -142,15 +142,6 @@ def is_joined(
 ) -> bool:
     """Whether the leg from a to b is clear and on known ground."""
     return _is_joined(a, b, obstacles, radius, offsets, ground, make_scratch())
-
-
-@njit(cache=True, nogil=True)
-def are_joined(xy: FloatArray, ends: FloatArray, obstacles: Places, radius: float, ground: Cells) -> BoolArray:
-    """`is_joined` from a place in plan (2,) to each of others, shape (k, 2): shape (k,)."""
-    made, scratch = np.empty(len(ends), np.bool_), make_scratch()
-    for i in range(len(ends)):
-        made[i] = is_straight(xy, ends[i], obstacles, radius, ground, scratch)
-    return made
 
 
 @njit(cache=True, nogil=True)

@@ -10,7 +10,7 @@ import numpy as np
 from gpdf_service.planning.routes import Leg, Route
 from gpdf_service.planning.shape import shortcut
 from gpdf_service.planning.timing import time_path
-from gpdf_service.planning.words import place_words
+from gpdf_service.planning.words import measure, place_words
 from gpdf_service.search import FreeSpace
 from gpdf_service.search.lattice import MOST_POSES, POSES_PER_SECOND, PoseSearch, find_poses, moving
 from gpdf_service.search.motion import leap
@@ -63,7 +63,9 @@ def _stuck(space: FreeSpace, level: int, found: PoseSearch) -> Stuck:
     if found.given_up:
         words = f"the {agent.name} had come as near as {place} when the search for a way was given up. Allow more time."
         return Stuck(Status.TIMEOUT, words, at)
-    words = f"the {agent.name} cannot get there: it is {agent.length:.2f} m long and does not get round at {place}."
+    words = (
+        f"the {agent.name} cannot get there: it is {measure(agent.length)} m long and does not get round at {place}."
+    )
     return Stuck(Status.NO_VALID_PATH, f"{words} A shorter body, or one that is narrow all around, may pass.", at)
 
 

@@ -326,11 +326,23 @@ def climb(graph: Graph, core: Core, node: int) -> tuple[IntArray, IntArray]:
     return np.array(nodes), np.array(edges, dtype=np.int64)
 
 
-def top_of(graph: Graph, core: Core, node: int) -> int:
-    """The number in the core of the node that one of the whole graph leads up to, see `climb`."""
-    while core.decided.up[node] >= 0:
-        node = int(graph.other[core.decided.up[node]])
-    return int(core.node.searchsorted(node))
+def tops_of(core: Core, nodes: IntArray) -> IntArray:
+    """The numbers in the core of the nodes that those of the whole graph lead up to, shape (k,); see `climb`."""
+    links = core.links
+    made: IntArray = _tops_of(links.other, links.patch.other, core.decided.up, core.node, nodes)
+    return made
+
+
+@njit(cache=True, nogil=True)
+def _tops_of(standing: IntArray, patched: IntArray, up: IntArray, kept: IntArray, nodes: IntArray) -> IntArray:
+    """See `tops_of`: by where standing edges and those of the patch lead, and the edges `up` to what was kept."""
+    made = np.empty(len(nodes), np.int64)
+    for k in range(len(nodes)):
+        at = nodes[k]
+        while up[at] >= 0:
+            at = standing[up[at]] if up[at] < len(standing) else patched[up[at] - len(standing)]
+        made[k] = np.searchsorted(kept, at)
+    return made
 
 
 def find_nodes(graph: Graph, core: Core, start: int, goal: int) -> tuple[IntArray, FloatArray]:

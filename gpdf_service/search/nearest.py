@@ -7,8 +7,10 @@ from typing import NamedTuple
 
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
-from gpdf_service.perception.surface import Cells, height_of
+from gpdf_service.kernel_cache import lean
+from gpdf_service.perception.surface import BLOCK, Cells, height_of
 from gpdf_service.search.free_space import FreeSpace
 from gpdf_service.search.layered import below
 from gpdf_service.search.quadtree import Quadtree
@@ -56,11 +58,14 @@ def nearest_free(space: FreeSpace, place: FloatArray, off: float, component: int
     z, wanted = (float(place[2]) if len(place) == 3 else np.nan), -1 if component is None else component
     asked = _Asked(float(place[0]), float(place[1]), z, off, wanted)
     found = np.array([np.nan, np.nan, np.nan, np.inf])
-    for level, (tree, first) in enumerate(zip(space.quadtrees, space.offsets, strict=True)):
-        ground, standing = space.surfaces[level].arrays, tree.standing
+    grounds = [surface.arrays for surface in space.surfaces]
+    apart = np.abs([height_of(ground, asked.x, asked.y) - z for ground in grounds])  # NaN comes last
+    for level in np.argsort(apart, kind="stable").tolist():  # what is found on the level that is there bounds the rest
+        tree, first, ground = space.quadtrees[level], space.offsets[level], grounds[level]
+        standing = tree.standing
         of = below(space.graph.component)[first : first + len(standing.size)]
         gone = tree.gone if isinstance(tree, SplitQuadtree) else np.zeros(0, np.int64)
-        _descend(_leaves(standing, of), gone, ground, asked, found)
+        _descend(_leaves(standing, of), gone, ground, space.surfaces[level].ends, asked, found)
         if isinstance(tree, SplitQuadtree) and len(tree.fresh.size):
             fresh = np.asarray(space.graph.component[first + tree.start + np.arange(len(tree.fresh.size))])
             _look_at_all(_leaves(tree.fresh, fresh), ground, asked, found)
@@ -99,10 +104,15 @@ def _look_at_all(leaves: _LeavesOf, ground: Cells, asked: _Asked, found: FloatAr
 
 
 @njit(cache=True, nogil=True)
-def _descend(leaves: _LeavesOf, gone: IntArray, ground: Cells, asked: _Asked, found: FloatArray) -> None:
-    """`_look` at the leaves of a tree but for those that are `gone`; a square of n × n cells is n² codes in a row."""
+def _descend(
+    leaves: _LeavesOf, gone: IntArray, ground: Cells, ends: NDArray[np.float32], asked: _Asked, found: FloatArray
+) -> None:
+    """`_look` at the leaves of a tree but for those that are `gone`; a square of n × n cells is n² codes in a row.
+
+    It is passed over where no ground has the height that is asked for, by the `ends` of its blocks.
+    """
     x, y = (asked.x - leaves.origin[0]) / leaves.width, (asked.y - leaves.origin[1]) / leaves.width
-    code, ends = leaves.code, np.empty(5, np.int64)
+    code, parts = leaves.code, np.empty(5, np.int64)
     stack = [(0, 0, leaves.side, 0, len(code))]
     while len(stack) > 0:
         i, j, n, first, last = stack.pop()
@@ -114,11 +124,30 @@ def _descend(leaves: _LeavesOf, gone: IntArray, ground: Cells, asked: _Asked, fo
             if row == len(gone) or gone[row] != first:
                 _look(leaves, first, ground, asked, found)
             continue
-        h, ends[0] = n // 2, first
+        if not _is_as_high(leaves, i, j, n, ground, ends, asked):
+            continue
+        h, parts[0] = n // 2, first
         for quarter in range(4):
             value = code[first] + (quarter + 1) * h * h
-            ends[quarter + 1] = ends[quarter] + np.searchsorted(code[ends[quarter] : last], value)
+            parts[quarter + 1] = parts[quarter] + np.searchsorted(code[parts[quarter] : last], value)
         nearest = 2 * int(x >= i + h) + int(y >= j + h)
         for k in (3, 1, 2, 0):  # the nearest quarter is pushed last
             quarter = nearest ^ k
-            stack.append((i + (quarter >> 1) * h, j + (quarter & 1) * h, h, ends[quarter], ends[quarter + 1]))
+            stack.append((i + (quarter >> 1) * h, j + (quarter & 1) * h, h, parts[quarter], parts[quarter + 1]))
+
+
+@lean()
+def _is_as_high(
+    leaves: _LeavesOf, i: int, j: int, n: int, ground: Cells, ends: NDArray[np.float32], asked: _Asked
+) -> bool:
+    """Whether ground within a cell of a square of n × n smallest cells may be as high as is asked for."""
+    if isnan(asked.z):
+        return True
+    block, width = BLOCK * ground.width, leaves.width
+    x, y = leaves.origin[0] - ground.origin[0] + i * width, leaves.origin[1] - ground.origin[1] + j * width
+    reach = n * width + ground.width
+    for u in range(max(int((x - ground.width) / block), 0), min(int((x + reach) / block) + 1, ends.shape[0])):
+        for v in range(max(int((y - ground.width) / block), 0), min(int((y + reach) / block) + 1, ends.shape[1])):
+            if ends[u, v, 0] <= asked.z + asked.off and ends[u, v, 1] >= asked.z - asked.off:
+                return True
+    return False

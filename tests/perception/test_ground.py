@@ -442,6 +442,15 @@ def test_single_cells_of_a_noisy_floor_are_no_steps_and_corners_stay():
     assert (without_outliers(surface, 0.15).height == height).all()
 
 
+def test_a_sparse_slope_keeps_its_heights_beside_empty_cells():
+    x, y = np.mgrid[0:60, 0:60] * 0.1
+    slope = (0.14 * x - 0.05 * y).astype(np.float32)
+    slope[np.random.default_rng(0).random(x.shape) < 0.1] = np.nan
+    state = np.where(np.isnan(slope), UNKNOWN, OBSERVED).astype(np.uint8)
+    made = without_outliers(HeightMap(np.zeros(2), 0.1, slope, state), 0.06).height
+    assert (np.abs(made - slope)[1:-1, 1:-1] > 1e-6).sum() < 40  # of 3,018 cells 298 were, by up to 9 mm
+
+
 def test_a_noisy_rim_over_a_platform_is_its_face_and_a_lip_is_not():
     rng = np.random.default_rng(0)
     noise, top = 0.05, 0.35

@@ -172,6 +172,21 @@ def test_a_gap_where_a_step_was_blurred_to_a_slope_is_not_smoothed_over():
     )  # a Roomba's step, seen by chance; it stays one
 
 
+@pytest.mark.parametrize("noise", [0.0, NOISE])
+def test_a_notch_a_cell_wide_in_a_noisy_rim_is_a_gap_and_a_wider_or_longer_one_is_none(noise):
+    floor = np.zeros((60, 60))
+    floor[:, 50:] = np.nan  # nothing was seen beyond
+    notches = np.full(floor.shape, False)
+    notches[10, 47:50] = True
+    wide, long = notches.copy(), notches.copy()
+    wide[30:33, 47:50], long[30, 44:50] = True, True
+    for there in (wide, long):
+        made = fill_gaps(np.where(there, np.nan, floor), noise)
+        assert np.isnan(made[10, 47:50]).all() == (noise == 0.0)
+        assert np.isnan(made[30:33][there[30:33]]).all()
+        assert np.isnan(made[:, 50:]).all()
+
+
 def test_a_cell_alone_off_a_slope_takes_it_and_a_thing_of_several_cells_stays():
     x, y = cells()
     slope = 0.3 * x - 0.2 * y + 0.05 * (x - 1.5) ** 2

@@ -82,6 +82,12 @@ def test_how_far_the_nearest_obstacle_is_from_a_place_is_said(space):
     assert "nearest free place is (3." in refused.message
 
 
+def test_a_radius_is_told_to_the_millimetre_that_it_has(points):
+    scene = gpdf.build_scene(*points)
+    for agent, radius in (("human", "0.25"), ("roomba", "0.175"), (dataclasses.replace(HUMAN, width=1.0), "0.50")):
+        assert f"(radius {radius} m)" in gpdf.plan(scene, (1.0, 1.0), (3.4, 3.0), agent).message
+
+
 @pytest.mark.parametrize("noise", [0.0, 0.02])
 def test_the_room_that_noise_asks_for_is_named_where_it_is_what_a_body_does_not_have(points, noise):
     rng = np.random.default_rng(0)

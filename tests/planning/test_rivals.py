@@ -34,6 +34,16 @@ def test_no_way_that_is_listed_beside_the_best_is_much_cheaper_than_the_one_that
     assert worst[True] > 0.98 > 0.95 > worst[False]
 
 
+@pytest.mark.parametrize("agent", ["human", "pepper"])
+def test_in_clutter_a_way_round_the_other_side_that_is_cheaper_when_bent_is_the_one_that_is_planned(agent):
+    made = SCENES["cluttered_office"](np.random.default_rng(0))
+    room = gpdf.build_scene(made.points, made.ground)
+    for pair in random_places(room, AGENTS[agent], 60, np.random.default_rng(3)):
+        alone, first = (gpdf.plan(room, *pair, agent, alternatives=more) for more in (0, 1))
+        if alone.status is Status.OK:  # two were dearer by 4 and 5 %, their seeds cheaper by 11 and 12
+            assert alone.details["cost"] < 1.01 * first.details["cost"]
+
+
 def test_edges_are_dearer_near_a_way_and_as_they_were_elsewhere(scene):
     space = scene.free_space(PEPPER)
     graph, path = space.core.graph, np.array([(2.0, 1.0), (6.0, 1.0), (6.0, 4.0)])
