@@ -63,9 +63,12 @@ def return_explained(
     run_chunked(lambda a, b: _alone_range(near, doubtful, sigma, a, b, alone), len(near.key))
     doubtful |= alone
     cells = sort_into_cells(points[rows], width)
-    for _ in range(_ROUNDS):
-        moved = np.zeros(len(rows), dtype=bool)
-        asked = _Asked(cells, doubtful, own, sigma, apart, places - cells.corner)
+    for turn in range(_ROUNDS + 1):
+        moved, told, shows = np.zeros(len(rows), dtype=bool), places - cells.corner, ~doubtful
+        if turn == _ROUNDS:
+            run_chunked(partial(_draw_range, cells, doubtful, sigma, told), len(cells.key))
+            shows = np.ones(len(rows), dtype=bool)
+        asked = _Asked(cells, doubtful, shows, own, sigma, apart, told)
         run_chunked(partial(_explain_range, asked, places, moved), len(cells.key))
         doubtful &= ~moved
     cured.points[rows] = places
@@ -90,12 +93,41 @@ def _alone_range(told: Cells, vague: BoolArray, sigma: FloatArray, begin: int, e
             alone[told.order[i]] = seen < _CORNER
 
 
+@njit(cache=True, nogil=True)
+def _draw_range(cells: Cells, doubtful: BoolArray, sigma: FloatArray, told: FloatArray, begin: int, end: int) -> None:
+    """Write the mean of what was measured around each doubtful point: half-way to what is thinner than the noise.
+
+    For a density p of what was measured the source of a point is expected at x + σ² ∇ log p (Tweedie, 1956; Efron,
+    2011). With p smoothed by σ itself, which makes it wider and the step shorter, that is this mean.
+    """
+    beside = np.empty((2 * _RINGS + 1) ** 3, np.int64)
+    for c in range(begin, end):
+        if not holds_any(cells, c, doubtful):
+            continue
+        count = cells_within(cells, c, _RINGS, beside)
+        for i in range(cells.begin[c], cells.begin[c + 1]):
+            row = cells.order[i]
+            if not doubtful[row]:
+                continue
+            (x, y, z), scale, total = cells.places[i], -0.5 / sigma[row] ** 2, 0.0
+            told[row] = 0.0
+            for j in beside[:count]:
+                for k in range(cells.begin[j], cells.begin[j + 1]):
+                    p = cells.places[k]
+                    weight = exp(scale * ((p[0] - x) ** 2 + (p[1] - y) ** 2 + (p[2] - z) ** 2))
+                    total += weight
+                    for a in range(3):
+                        told[row, a] += weight * p[a]
+            told[row] /= total
+
+
 class _Asked(NamedTuple):
     """What is asked about.
 
     Attributes:
         cells: Of the points as they were measured.
-        doubtful: Those that show no surface, shape (n,).
+        doubtful: Those that are asked about, shape (n,).
+        shows: Those that show where something is, shape (n,).
         own: Those of which the doubtful are asked about, shape (n,).
         sigma: Noise of each point [m], shape (n,).
         apart: Standard deviations off a surface of their own that they were measured at least [-].
@@ -104,6 +136,7 @@ class _Asked(NamedTuple):
 
     cells: Cells
     doubtful: BoolArray
+    shows: BoolArray
     own: BoolArray
     sigma: FloatArray
     apart: float
@@ -129,7 +162,7 @@ def _explain_range(asked: _Asked, places: FloatArray, moved: BoolArray, begin: i
 @lean()
 def _is_explained(asked: _Asked, beside: IntArray, i: int, mean: FloatArray) -> bool:
     """Whether the surfaces explain what is at place i; writes where on the nearest it is expected to be from."""
-    cells, doubtful, _, _, apart, told = asked
+    cells, _, shows, _, _, apart, told = asked
     sigma = asked.sigma[cells.order[i]]
     measured, expected, variance, skew, total = 0.0, 0.0, 0.0, 0.0, 0.0
     x, y, z = cells.places[i]
@@ -141,7 +174,7 @@ def _is_explained(asked: _Asked, beside: IntArray, i: int, mean: FloatArray) -> 
             if k != i and off <= furthest:
                 measured += exp(scale * off)
             row = cells.order[k]
-            if doubtful[row]:
+            if k == i or not shows[row]:
                 continue
             s = told[row]
             off = (s[0] - x) ** 2 + (s[1] - y) ** 2 + (s[2] - z) ** 2
@@ -169,7 +202,7 @@ def _is_explained(asked: _Asked, beside: IntArray, i: int, mean: FloatArray) -> 
 @lean()
 def _write_source(asked: _Asked, beside: IntArray, i: int, nearest: int, mean: FloatArray) -> None:
     """Write where on the surface around the `nearest` of its points what is at place i is expected to be from."""
-    cells, doubtful, _, _, _, told = asked
+    cells, _, shows, _, _, _, told = asked
     sigma, at, (x, y, z) = asked.sigma[cells.order[i]], told[nearest], cells.places[i]
     scale, least, total = -0.5 / sigma**2, (at[0] - x) ** 2 + (at[1] - y) ** 2 + (at[2] - z) ** 2, 0.0
     mean[:] = 0.0
@@ -177,7 +210,7 @@ def _write_source(asked: _Asked, beside: IntArray, i: int, nearest: int, mean: F
         for k in range(cells.begin[j], cells.begin[j + 1]):
             row = cells.order[k]
             s = told[row]
-            if not doubtful[row] and (s[0] - at[0]) ** 2 + (s[1] - at[1]) ** 2 + (s[2] - at[2]) ** 2 <= sigma**2:
+            if k != i and shows[row] and (s[0] - at[0]) ** 2 + (s[1] - at[1]) ** 2 + (s[2] - at[2]) ** 2 <= sigma**2:
                 off = (s[0] - x) ** 2 + (s[1] - y) ** 2 + (s[2] - z) ** 2
                 weight = exp(scale * (off - least))
                 total += weight

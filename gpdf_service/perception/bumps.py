@@ -363,7 +363,7 @@ def _join_tops(
                 made[i] = max(made[i], raised[n])
 
 
-@lean()
+@njit(cache=True, nogil=True)
 def _flood_room(reach: int) -> tuple[BoolArray, IntArray, IntArray]:
     """Room for the cells within a reach: which were met, (w, w), which are asked, (w², 2), and their nodes, (w²,)."""
     width = 2 * reach + 1
