@@ -32,8 +32,8 @@ MOST_BYTES = 16_384
 """Of a link: all browsers take so much, and a proxy need not."""
 READ_S = 5.0
 """[s] A browser answers by then, or shows the page as it is at first."""
-TELL_S = 0.5
-"""[s] Between two writes: Safari takes 100 in 30 s."""
+STILL_S = 1.0
+"""[s] After the last change it is written: the browser draws a frame for each, and Safari takes 100 in 30 s."""
 
 
 class Shared(msgspec.Struct, frozen=True, omit_defaults=True):
@@ -99,7 +99,7 @@ class Sharing:
     def __init__(self, desk: Desk, map_control: MapControl, scenes: Scenes, plans: Plans) -> None:
         self._desk, self._map, self._scenes, self._plans = desk, map_control, scenes, plans
         self._told: str | None = None  # None: what the link says was not looked at yet
-        self._told_at = 0.0
+        self._seen, self._seen_at = "", 0.0
         desk.panel.plan.share.on_click(lambda _: self._say())
 
     def look(self) -> None:
@@ -123,13 +123,14 @@ class Sharing:
 
     def tick(self) -> None:
         """Keep the link as the page is."""
-        now = time.monotonic()
-        if self._told is None or not self._scenes.shown[0] or now - self._told_at < TELL_S:
+        if self._told is None or not self._scenes.shown[0]:
             return
-        link = self._now().to_link()
-        if link != self._told and len(link) <= MOST_BYTES:
+        now, link = time.monotonic(), self._now().to_link()
+        if link != self._seen:
+            self._seen, self._seen_at = link, now
+        if link != self._told and now - self._seen_at >= STILL_S and len(link) <= MOST_BYTES:
             self._desk.browser.local_storage.set_item(KEY, link)
-            self._told, self._told_at = link, now
+            self._told = link
 
     def _now(self) -> Shared:
         camera, origin, plans = self._desk.browser.camera, self._desk.frame.origin, self._plans
