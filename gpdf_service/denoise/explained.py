@@ -3,7 +3,7 @@
 Points of a surface seen with the error σ lie about it as N(s, σ²) does. So at a place x its points s make Σ N(x; s, σ²)
 expect so many measurements, and no more are due to it. Where no more were made there is nothing else, and a point goes
 to where on the nearest surface it is expected to come from, Σ N(x; s, σ²) s / Σ N(x; s, σ²). Where there were more,
-something else stands.
+something else stands. What is thinner than the noise shows no surface. It is told last: its own points are drawn to it.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ _CHANCE = 3.0
 _SEEN = FEWEST * 2.0 * pi / (3.0 * RESOLVED) ** 2
 """Sum of exp(−r² / 2 σ²) over a plane's points, on it, at least: of the fewest in a window that show one."""
 _ROUNDS = 3
-"""Of this: what was put back shows its surface to others. A fourth one moves hardly any."""
+"""Of this: what was put back shows its surface to others. A fourth one moves hardly any. Then comes what is thin."""
 _CORNER = 0.25 * _SEEN
 """The same sum at a corner of such a surface."""
 _SINGLE, _SQUARE, _CUBE = 2.0**-1.5, 3.0**-1.5, 4.0**-1.5
