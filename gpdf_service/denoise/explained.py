@@ -30,8 +30,10 @@ _CHANCE = 3.0
 """[-] Standard errors by which what was measured at a place may exceed what is expected there."""
 _SEEN = FEWEST * 2.0 * pi / (3.0 * RESOLVED) ** 2
 """Sum of exp(−r² / 2 σ²) over a plane's points, on it, at least: of the fewest in a window that show one."""
-_ROUNDS = 3
-"""Of this: what was put back shows its surface to others. A fourth one moves hardly any. Then comes what is thin."""
+_ROUNDS = 2
+"""Of this: what was put back shows its surface to others. Then comes what is thin."""
+_TOLD = sqrt(_SEEN / (2.0 * pi))
+"""[-] Noise over spacing below which a plane shows that sum nowhere, as 2 π σ² of it hold the points."""
 _CORNER = 0.25 * _SEEN
 """The same sum at a corner of such a surface."""
 _SINGLE, _SQUARE, _CUBE = 2.0**-1.5, 3.0**-1.5, 4.0**-1.5
@@ -39,7 +41,7 @@ _SINGLE, _SQUARE, _CUBE = 2.0**-1.5, 3.0**-1.5, 4.0**-1.5
 
 
 def return_explained(
-    points: FloatArray, part: BoolArray, shown: BoolArray, cured: Denoised, apart: float = 0.0
+    points: FloatArray, part: BoolArray, shown: BoolArray, cured: Denoised, spacing: float, apart: float = 0.0
 ) -> None:
     """Put the doubtful points of a `part` onto the surfaces that others show; not where more was measured than is due.
 
@@ -50,11 +52,12 @@ def return_explained(
         part: Whose points are looked at, shape (n,).
         shown: Whose points, and those of the part, show surfaces, shape (n,).
         cured: What was made of the cloud; its places are changed.
+        spacing: Of the cloud [m]; where the noise is far less no surface explains anything.
         apart: Standard deviations off a surface of the `part` that a point was measured at least, to go there [-].
     """
     rows = np.flatnonzero((part | shown) & ~cured.stray)
     own = part[rows]
-    if len(rows) == 0 or cured.measured == 0.0:
+    if len(rows) == 0 or cured.measured <= _TOLD * spacing:
         return
     places, sigma, width = cured.points[rows], cured.local[rows], RESOLVED * cured.measured
     near = sort_into_cells(places, width)

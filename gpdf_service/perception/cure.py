@@ -90,7 +90,7 @@ def cure_and_segment(
         noise = _with_double(points, ground, sample, least)
         if noise <= least:
             return CuredGround(_clean(points, noise), ground, as_it_was=True)
-        return _cured(points, ground, noise)
+        return _cured(points, ground, noise, sample.spacing)
     if noise <= least:
         first, segmentation = segment(points, first_layers(points, config, width), config)
         noise = _with_double(points, first, sample, least)
@@ -113,15 +113,15 @@ def _with_double(points: FloatArray, ground: BoolArray, sample: _Sample, least: 
     return double if double > max(_DOUBLE * sample.noise, least) else sample.noise
 
 
-def _cured(points: FloatArray, ground: BoolArray, noise: float) -> CuredGround:
+def _cured(points: FloatArray, ground: BoolArray, noise: float, spacing: float) -> CuredGround:
     """A cloud with labels: stairs on their treads, and what is between two treads on their risers.
 
     The floor explains nothing that was labelled as no ground, and no thing what is ground.
     """
     cured = denoise(points, ground, noise)
     cured.stray[~ground] = False  # what is alone goes back to a surface that explains it, or stays where it is
-    return_explained(points, ~ground, ~ground, cured)
-    return_explained(points, ground, ground, cured, _APART)
+    return_explained(points, ~ground, ~ground, cured, spacing)
+    return_explained(points, ground, ground, cured, spacing, _APART)
     _settle_stairs(points, ground, cured)
     return CuredGround(_in_steps(cured), ground & ~cured.stray, as_it_was=False)
 
@@ -134,7 +134,7 @@ def _found(points: FloatArray, noise: float, spacing: float, config: PerceptionC
     cured = denoise(points, None, noise)
     ground, kept = np.zeros(len(points), dtype=bool), chosen_rows(cured.points, ~cured.stray)
     ground[~cured.stray] = segment(kept, first_layers(kept, config), config, cured.local[~cured.stray])[0]
-    return_explained(points, ~ground, ground, cured, _APART)
+    return_explained(points, ~ground, ground, cured, spacing, _APART)
     _settle_stairs(points, ground, cured)
     stray = cured.stray | find_lifted(cured.points, ground, noise, spacing)
     return CuredGround(_in_steps(cured)._replace(stray=stray), ground & ~stray, as_it_was=False)

@@ -19,7 +19,7 @@ def looked_at_again(extra, spacing=SPACING, placed=None, apart=0.0, wall_is_own=
     added = np.arange(len(measured)) >= len(wall)
     told = as_measured(np.concatenate([wall, extra if placed is None else placed]), SIGMA)
     part = added | wall_is_own
-    return_explained(measured, part, ~added, told._replace(vague=added & (placed is None)), apart)
+    return_explained(measured, part, ~added, told._replace(vague=added & (placed is None)), spacing, apart)
     assert wall_is_own or np.array_equal(told.points[~added], wall)
     return told.points[added]
 
@@ -90,7 +90,7 @@ def test_of_what_only_shows_surfaces_nothing_is_moved():
     wall = np.column_stack([np.zeros(2000), rng.uniform(-1.0, 1.0, (2000, 2))])
     wall[0] = 3.0 * SIGMA, 0.0, 0.0
     told, first = as_measured(wall, SIGMA)._replace(vague=np.arange(2000) == 0), np.arange(2000) == 0
-    return_explained(wall, ~first, first, told)
+    return_explained(wall, ~first, first, told, SPACING)
     assert np.array_equal(told.points, wall)
-    return_explained(wall, first, ~first, told)
+    return_explained(wall, first, ~first, told, SPACING)
     assert abs(told.points[0, 0]) < 1e-9
