@@ -23,8 +23,6 @@ from gpdf_service.types import Agent, BoolArray, FloatArray, IntArray
 
 HEADROOM_SHARE = 0.01
 """[-] How well a scan knows the room over the ground, over the body's height: 2 cm for a person, 1 mm for a Roomba."""
-_BARE = 2.0
-"""[cells] Height over which a leg half as wide as a cell, of 2.5 cm in a clean dense cloud, may show no point."""
 _SURELY = 2.0
 """[-] Standard deviations by which what is no ground must be measured lower than an obstacle is, not to be one."""
 
@@ -61,9 +59,9 @@ def obstacles_of(level: GroundLevel, agent: Agent, scan: Scan = CLEAN) -> Obstac
     Material is an obstacle if a body that reaches it is as tall, on the highest ground within its radius that it has
     risen to: the paper's d_g(x) ≤ h_r, made safe beside a platform. The face between two pieces of ground that are
     joined by a step which the body takes is none. A face as wide as a cell shows a point in nearly every cell's width
-    of its height (so wide are they chosen), and one half as wide in every two; so material that begins no more than
-    `_BARE` over what may be hidden may go down to the ground, and a body is at least as tall. Limits of the ground are
-    obstacles where they exceed the body's.
+    of its height (so wide are they chosen), and a leg half as wide in every two. So what begins no more than a cell
+    over what may be hidden may go down to the ground, or two over what stops nobody; a body is at least as tall. Limits
+    of the ground are obstacles where they exceed the body's.
     """
     touched = _material(level, agent, scan)
     limits = level.limits
@@ -95,7 +93,8 @@ def _material(level: GroundLevel, agent: Agent, scan: Scan) -> BoolArray:
     top = np.where(known, surface.height, -np.inf)
     bottom = np.where(known, surface.height, np.inf)
     disc = _disc(agent.cylinder.radius + surface.cell_width, surface)
-    tall = max((1.0 - HEADROOM_SHARE) * agent.height + noise, scan.hidden + _BARE * surface.cell_width)
+    bare = max(scan.hidden, LEAST_OBSTACLE + surface.cell_width) + surface.cell_width
+    tall = max((1.0 - HEADROOM_SHARE) * agent.height + noise, bare)
     highest, lowest = run_parallel(lambda heights: highest_within(heights, disc), (top, -bottom))
     lowest, cell, z = -lowest, cells_within(points, surface), points[:, 2]
     stops = between(cell, z, under(lowest - least), under(highest + tall))

@@ -111,7 +111,7 @@ def met(level, body, scan):
     surface, width = level.surface, level.surface.cell_width
     radius = body.cylinder.radius + width
     least = max(LEAST_OBSTACLE, SURELY * scan.noise)
-    tall = max((1.0 - HEADROOM_SHARE) * body.height + scan.noise, scan.hidden + 2.0 * width)
+    tall = max((1.0 - HEADROOM_SHARE) * body.height + scan.noise, max(scan.hidden, LEAST_OBSTACLE + width) + width)
     always, asked = set(), []
     for row, point in enumerate(level.other_points):
         cell = tuple(np.floor((point[:2] - surface.origin) / width).astype(int).tolist())
