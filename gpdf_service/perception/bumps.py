@@ -122,8 +122,7 @@ def _are_places(
 
     That is as high as half the most that they are `raised` [m], shape (m,).
     """
-    layers, order = near.layers, np.lexsort((raised, piece))
-    last = order[np.r_[np.diff(piece[order]) > 0, True]]
+    layers, last = near.layers, _tops(raised, piece)
     by_node = last[np.argsort(nodes[last])]
     most, reach = nodes[by_node], int(LANDING / layers.cell_width)
 
@@ -143,8 +142,7 @@ def _with_tops(
     layers: Layers, nodes: IntArray, raised: FloatArray, piece: IntArray, ground: BoolArray, config: PerceptionConfig
 ) -> tuple[IntArray, FloatArray, IntArray]:
     """The same, and what pieces that are no places are joined to at their height: nodes, how much, and pieces."""
-    order = np.lexsort((raised, piece))
-    last = order[np.r_[np.diff(piece[order]) > 0, True]]
+    last = _tops(raised, piece)
     reach, room = int(LANDING / layers.cell_width), int(LONG * (config.standing_width / layers.cell_width) ** 2)
     made = np.zeros(len(ground))
     _join_tops(nodes[last], layers.columns, ground, raised[last], (reach, room), config.max_step, made)
@@ -152,6 +150,13 @@ def _with_tops(
     nodes = np.flatnonzero(made)
     slope = layers.cell_width * float(np.tan(config.steepest))
     return nodes, made[nodes], _pieces(nodes, layers.columns, made > 0.0, slope)
+
+
+def _tops(raised: FloatArray, piece: IntArray) -> IntArray:
+    """Of each piece the row of the node that is raised most, shape (pieces,)."""
+    order = np.lexsort((raised, piece))
+    last: IntArray = order[np.r_[np.diff(piece[order]) > 0, True]]
+    return last
 
 
 def _raised(
