@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from gpdf_service.fields.threads import run_parallel
 from gpdf_service.perception.boxes import Box, span
 from gpdf_service.perception.columns import box_spliced, box_unlike, unlike_cells
-from gpdf_service.perception.layers import Layers, crop_layers
+from gpdf_service.perception.layers import PER_NODE, Layers, crop_layers
 from gpdf_service.perception.told import grown
 from gpdf_service.types import BoolArray, FloatArray, IntArray
 
@@ -333,10 +333,6 @@ class Beside:
             used += box_spliced(old, fresh[used:], *own, ends, values)
             made.append(values)
         return tuple(made)
-
-
-PER_NODE = "cell", "place", "height", "top", "thickness", "headroom", "middle", "face"
-"""What layers tell of each node."""
 
 
 FEW = 8

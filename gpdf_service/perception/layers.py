@@ -182,13 +182,13 @@ def grid_of(low: FloatArray, high: FloatArray, cell_width: float) -> tuple[Float
 
 
 _TOLD = "height", "top", "thickness", "headroom", "middle", "face"
-_OWN = "cell", "place", *_TOLD
+PER_NODE = "cell", "place", *_TOLD
 """What is told of each node."""
 
 
 def same_nodes(layers: Layers, cells: BoolArray, fresh: Layers | None) -> bool:
     """Whether the nodes in these cells, shape (nx, ny), are all those of `fresh` on the same grid."""
-    rows, own = rows_by_cell(cells, layers.start), [name for name in _OWN if name != "height"]  # which these tell
+    rows, own = rows_by_cell(cells, layers.start), [name for name in PER_NODE if name != "height"]  # which these tell
     if fresh is None or len(fresh.cell) != len(rows):
         return fresh is None and len(rows) == 0
     return all(np.array_equal(getattr(layers, name)[rows], getattr(fresh, name), equal_nan=True) for name in own)
@@ -198,7 +198,7 @@ def splice_layers(layers: Layers, changed: BoolArray, fresh: Layers | None) -> L
     """Layers with all nodes of the `changed` cells, shape (cells,), replaced by those of `fresh` on the same grid."""
     new, begin = (layers, np.zeros_like(layers.start)) if fresh is None else (fresh, fresh.start)
     start, runs = starts_spliced(changed, layers.start, begin), runs_of(changed, layers.start, begin)
-    own: dict[str, Any] = {name: values_spliced(runs, getattr(layers, name), getattr(new, name)) for name in _OWN}
+    own: dict[str, Any] = {name: values_spliced(runs, getattr(layers, name), getattr(new, name)) for name in PER_NODE}
     nodes = rows_by_cell(widened(changed.reshape(layers.shape), 1), start)  # what lies beside a board says if it is one
     grid = own["cell"], start, layers.shape
     own["height"][nodes] = tops_of_boards(nodes, grid, own["middle"], own["face"], layers.board)
