@@ -59,18 +59,18 @@ def fill_holes(
     surface: HeightMap,
     grid: Grid,
     near: Nearest,
-    lowest: FloatArray,
+    material: BoolArray,
     voids: Voids,
     config: PerceptionConfig,
     noise: float = 0.0,
 ) -> HeightMap:
     """Infer ground where its surroundings explain it, and mark it.
 
-    A hole is a connected set of unknown cells bounded by known ground and things (cells whose `lowest` other point is
-    under a ceiling's height, inf where there is none), shut off from the map's rim, with no place further than
-    `MAX_HOLE_RADIUS` from seen ground, and with the ground around it on one plane within a cell's slope or higher: an
-    edge that drops is not bridged. Nor is a void, nor what lies under a thing: its legs and its back nobody sees. A
-    notch in a flight is filled with the treads beside it, and the gap between two treads with the lower one.
+    A hole is a connected set of unknown cells bounded by known ground and things, shut off from the map's rim, with no
+    place further than `MAX_HOLE_RADIUS` from seen ground, and with the ground around it on one plane within a cell's
+    slope or higher: an edge that drops is not bridged. Nor is a void, nor what lies under a thing: its legs and its
+    back nobody sees. A notch in a flight is filled with the treads beside it, and the gap between two treads with the
+    lower one.
     Nothing is filled where the samples of the ground are so far apart that cells had to be as wide as they may be: what
     is empty then is no chance, and what is around it explains nothing.
 
@@ -78,7 +78,7 @@ def fill_holes(
         surface: The ground as it was seen.
         grid: What was asked of its cells.
         near: `nearest_seen` of the surface.
-        lowest: Of the other points in each cell [m], inf where there is none, shape (nx, ny).
+        material: Cells that hold a thing, see `standing`, shape (nx, ny).
         voids: See `find_voids`.
         config: Limits of a flight's treads.
         noise: Standard deviation of the points before they were cured [m].
@@ -86,7 +86,6 @@ def fill_holes(
     if surface.cell_width >= widest_cell(config):
         return surface
     seen_through, pit, walls = voids
-    material = lowest < near.height + CEILING
     height, state = _fill_gaps(grid, "gaps", surface.height, surface.state, surface, noise)
 
     def notched(
@@ -104,6 +103,26 @@ def fill_holes(
     height, state = _fill_planes(grid, ends, surface.cell_width, "open", (height, state), ~known & ~material, known)
     height, state = _fill_gaps(grid, "gaps left", height, state, surface, noise)  # of larger ones
     return replace(surface, height=height, state=state)
+
+
+def standing(
+    beside: NDArray[np.float32], lowest: FloatArray, cell: IntArray, z: FloatArray, cell_width: float
+) -> BoolArray:
+    """Cells with material under a ceiling's height that is not at the height of the ground `beside`, shape (nx, ny).
+
+    Single points of the floor, too far apart to carry a foot, are none: rays met the ground there.
+
+    Args:
+        beside: Height of the nearest seen ground [m], shape (nx, ny).
+        lowest: Of the other points in each cell [m], inf where there is none, shape (nx, ny).
+        cell: Flat cell of each other point, shape (m,).
+        z: Its height [m], shape (m,).
+        cell_width: A cell's slope from the ground beside is at its height [m].
+    """
+    ground = beside.astype(np.float64)
+    over = extent_within(cell, z, ground + cell_width, under(ground + CEILING))[0]
+    found: BoolArray = np.isfinite(over) | (lowest < ground - cell_width)
+    return found
 
 
 def find_voids(

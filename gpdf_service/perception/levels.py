@@ -30,7 +30,15 @@ from gpdf_service.perception.columns import (
 )
 from gpdf_service.perception.footing import FLIGHT_RISE, bridged, flights, footing_reach, ridges
 from gpdf_service.perception.hidden import faces_reach, find_faces, hidden_reach, without_hidden
-from gpdf_service.perception.holes import MAX_HOLE_RADIUS, Voids, fill_holes, find_rims, find_voids, without_enclosed
+from gpdf_service.perception.holes import (
+    MAX_HOLE_RADIUS,
+    Voids,
+    fill_holes,
+    find_rims,
+    find_voids,
+    standing,
+    without_enclosed,
+)
 from gpdf_service.perception.layers import (
     Layers,
     build_layers,
@@ -535,8 +543,9 @@ def complete(
     """
     config = site.config
 
-    def lowest_of(box: Box) -> tuple[FloatArray]:
-        return (held(box)[2],)
+    def stood(box: Box, beside: NDArray[np.float32]) -> tuple[FloatArray, BoolArray]:
+        cell, z, lowest = held(box)
+        return lowest, standing(beside, lowest, cell, z, seen.cell_width)
 
     def edges(
         box: Box, height: NDArray[np.float32], state: NDArray[np.uint8], lowest: FloatArray
@@ -544,8 +553,8 @@ def complete(
         cell, z, _ = held(box)
         return guard_edges(HeightMap(seen.origin, seen.cell_width, height, state), lowest, cell, z, config)
 
-    (lowest,) = grid.around("lowest", 0, lowest_of, points=True)
-    filled = fill_holes(seen, grid, near, lowest, voids, config, site.noise)
+    lowest, material = grid.around("stood", 0, stood, near.height, points=True)
+    filled = fill_holes(seen, grid, near, material, voids, config, site.noise)
     own = filled.height, filled.state, lowest
     shut, stair, guarded = grid.around("edges", notch_reach(seen), edges, *own, points=True)
     if site.rays is not None:

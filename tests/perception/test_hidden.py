@@ -118,6 +118,18 @@ def test_a_blind_disc_with_single_points_at_one_height_over_it_is_inferred():
     assert not front.contains(np.array([[3.0, 3.0]]))[0]
 
 
+@pytest.mark.parametrize(("z", "state"), [(0.0, INFERRED), (0.03, INFERRED), (0.12, UNKNOWN)])
+def test_single_points_of_the_floor_in_a_blind_disc_are_no_thing_and_those_over_it_are(z, state):
+    """They are too few to be ground by themselves; but a ray met the floor there, and nothing over it."""
+
+    def disc(x, y):
+        return np.hypot(x - 3.0, y - 3.0) < 0.6
+
+    surface = surface_of(floor_without(disc), np.array([[2.8, 3.2, z]]))
+    assert state_at(surface, 3.0, 3.0) == INFERRED
+    assert state_at(surface, 2.8, 3.2) == state
+
+
 @pytest.mark.parametrize(("size", "state"), [(0.2, UNKNOWN), (0.04, INFERRED)])
 def test_behind_a_low_box_of_which_a_part_of_the_top_was_seen_nothing_is_inferred(size, state):
     """It may go on in its own shadow; what is smaller than half a foot is a cable or noise."""

@@ -131,10 +131,9 @@ def test_a_platform_that_a_human_takes_is_one_at_5_cm_of_noise(seed):
 
 def fill_gaps(height, noise=0.0):
     nothing = np.zeros(height.shape, dtype=bool)
-    never = np.full(height.shape, np.inf)
     seen, nowhere = ground(height), (nothing, nothing, nothing)
     grid, near = new_grid(height.shape), nearest_seen(seen)
-    return fill_holes(seen, grid, near, never, nowhere, PerceptionConfig(), noise).height
+    return fill_holes(seen, grid, near, nothing, nowhere, PerceptionConfig(), noise).height
 
 
 @pytest.mark.parametrize("noise", [0.0, NOISE])

@@ -20,20 +20,20 @@ def place(rng):
     for _ in range(150):
         (i, j), (u, v) = rng.integers(0, CELLS), rng.integers(1, 16, 2)
         height[i : i + u, j : j + v] = np.nan
-    lowest, through, pit, walls = (
-        np.full(CELLS, np.inf),
+    material, through, pit, walls = (
+        np.zeros(CELLS, dtype=bool),
         *(rng.random(CELLS) < share for share in (0.001, 0.001, 0.002)),
     )
     for _ in range(60):
         (i, j), (u, v) = rng.integers(0, CELLS), rng.integers(2, 12, 2)
-        lowest[i : i + u, j : j + v] = rng.uniform(0.0, 2.5)
-    return height.astype(np.float32), lowest, through, pit, walls
+        material[i : i + u, j : j + v] = True
+    return height.astype(np.float32), material, through, pit, walls
 
 
 def fill(grid, height, *others):
     state = np.where(np.isnan(height), UNKNOWN, OBSERVED).astype(np.uint8)
-    seen, (lowest, *voids) = HeightMap(np.zeros(2), WIDTH, height, state), others
-    return fill_holes(seen, grid, nearest_seen(seen), lowest, voids, PerceptionConfig())
+    seen, (material, *voids) = HeightMap(np.zeros(2), WIDTH, height, state), others
+    return fill_holes(seen, grid, nearest_seen(seen), material, voids, PerceptionConfig())
 
 
 @pytest.mark.parametrize("seed", range(6))
