@@ -2,8 +2,8 @@
 
 Points of a surface seen with the error σ lie about it as N(s, σ²) does. So at a place x its points s make Σ N(x; s, σ²)
 expect so many measurements, and no more are due to it. Where no more were made there is nothing else, and a point goes
-to where on the nearest surface it is expected to come from, Σ N(x; s, σ²) s / Σ N(x; s, σ²). Where there were more,
-something else stands. What is thinner than the noise shows no surface. It is told last: its own points are drawn to it.
+to where it is expected to come from, Σ N(x; s, σ²) s / Σ N(x; s, σ²). Where there were more, something else stands.
+What is thinner than the noise shows no surface. It is told last: its own points are drawn to it.
 """
 
 from __future__ import annotations
@@ -164,12 +164,13 @@ def _explain_range(asked: _Asked, places: FloatArray, moved: BoolArray, begin: i
 
 @lean()
 def _is_explained(asked: _Asked, beside: IntArray, i: int, mean: FloatArray) -> bool:
-    """Whether the surfaces explain what is at place i; writes where on the nearest it is expected to be from."""
+    """Whether the surfaces explain what is at place i; writes where on them it is expected to be from."""
     cells, _, shows, _, _, apart, told = asked
     sigma = asked.sigma[cells.order[i]]
     measured, expected, variance, skew, total = 0.0, 0.0, 0.0, 0.0, 0.0
     x, y, z = cells.places[i]
     scale, furthest, least, nearest = -0.5 / sigma**2, (_FURTHEST * sigma) ** 2, np.inf, -1
+    mean[:] = 0.0
     for j in beside:
         for k in range(cells.begin[j], cells.begin[j + 1]):
             p = cells.places[k]
@@ -189,6 +190,8 @@ def _is_explained(asked: _Asked, beside: IntArray, i: int, mean: FloatArray) -> 
             variance += _SQUARE * third**2
             skew += _CUBE * third**2 * twelfth
             total += third**3
+            for a in range(3):
+                mean[a] += third**3 * s[a]
             if off < least:
                 least, nearest = off, row
     if (
@@ -198,28 +201,8 @@ def _is_explained(asked: _Asked, beside: IntArray, i: int, mean: FloatArray) -> 
         or measured > expected + _by_chance(variance, skew)
     ):
         return False
-    _write_source(asked, beside, i, nearest, mean)
-    return True
-
-
-@lean()
-def _write_source(asked: _Asked, beside: IntArray, i: int, nearest: int, mean: FloatArray) -> None:
-    """Write where on the surface around the `nearest` of its points what is at place i is expected to be from."""
-    cells, _, shows, _, _, _, told = asked
-    sigma, at, (x, y, z) = asked.sigma[cells.order[i]], told[nearest], cells.places[i]
-    scale, least, total = -0.5 / sigma**2, (at[0] - x) ** 2 + (at[1] - y) ** 2 + (at[2] - z) ** 2, 0.0
-    mean[:] = 0.0
-    for j in beside:
-        for k in range(cells.begin[j], cells.begin[j + 1]):
-            row = cells.order[k]
-            s = told[row]
-            if k != i and shows[row] and (s[0] - at[0]) ** 2 + (s[1] - at[1]) ** 2 + (s[2] - at[2]) ** 2 <= sigma**2:
-                off = (s[0] - x) ** 2 + (s[1] - y) ** 2 + (s[2] - z) ** 2
-                weight = exp(scale * (off - least))
-                total += weight
-                for a in range(3):
-                    mean[a] += weight * s[a]
     mean /= total
+    return True
 
 
 @lean()
