@@ -141,19 +141,6 @@ def pairs_over_gaps(
 
 
 @njit(cache=True, nogil=True)
-def pairs_within(
-    a: IntArray, b: IntArray, among: BoolArray, both: bool, label: IntArray | None = None
-) -> tuple[IntArray, IntArray]:
-    """The pairs of which `both`, or at least one, are `among` the nodes; with another `label` each if they have one."""
-    one, other, used = np.empty(len(a) + 1, INDEX), np.empty(len(a) + 1, INDEX), 0
-    for e in range(len(a)):
-        one[used], other[used] = a[e], b[e]
-        good = among[a[e]] and among[b[e]] if both else among[a[e]] or among[b[e]]
-        used += int(good and (label is None or label[a[e]] != label[b[e]]))
-    return one[:used].copy(), other[:used].copy()
-
-
-@njit(cache=True, nogil=True)
 def pairs_around(
     nodes: IntArray, columns: Columns, keep: BoolArray, slope: float, step: float
 ) -> tuple[IntArray, IntArray]:

@@ -36,8 +36,8 @@ from gpdf_service.perception.nodes import (
     joined_to,
     lowest_beside,
     mean_gradients,
+    nodes_over,
     off_ground,
-    over_kept,
 )
 from gpdf_service.perception.pairs import medians_around, pairs_over_gaps
 from gpdf_service.perception.parts import (
@@ -405,5 +405,5 @@ def _slope(layers: Layers, ground: BoolArray, config: PerceptionConfig) -> Float
 
 def over_ground(layers: Layers, ground: BoolArray, headroom: float) -> BoolArray:
     """Nodes with ground under them at less than `headroom` [m]: with that of a body that steps, benches and tables."""
-    over: BoolArray = over_kept(layers.cell, layers.height, ground, headroom)
+    over: BoolArray = nodes_over(np.arange(len(ground)), layers.cell, layers.height, ground, headroom)
     return over
