@@ -16,7 +16,6 @@ from gpdf_service.perception.rows import (
     bounds_of,
     cells_of,
     chosen_rows,
-    extent_in,
     extent_within,
     more_now,
     rows_in_box,
@@ -102,9 +101,9 @@ def test_a_place_outside_a_height_map_has_the_cell_next_to_it_and_no_number_has_
 
 def test_the_extent_of_a_cell_is_over_its_low_and_not_over_its_high(points):
     cell, z = np.arange(4) % 2, np.array([0.0, 0.5, 1.0, 1.5])
-    low, high = extent_in(cell, z, np.array([0.0, 0.5]), np.array([1.0, np.inf]))
+    low, high = extent_within(cell, z, np.array([0.0, 0.5]), np.array([1.0, np.inf]))
     assert (low.tolist(), high.tolist()) == ([1.0, 1.5], [1.0, 1.5])
-    low, high = extent_in(cell, z, np.full(2, 5.0), np.full(2, 6.0))
+    low, high = extent_within(cell, z, np.full(2, 5.0), np.full(2, 6.0))
     assert np.isposinf(low).all()
     assert np.isneginf(high).all()
 
