@@ -97,18 +97,10 @@ class Beside:
         return self.told_nodes(name, of, make)
 
     def among(self, name: str, nodes: IntArray) -> Strips:
-        """Which nodes are among some, by their numbers, which ascend."""
-        first = self.first
-        cuts = np.searchsorted(nodes, first)
-        own = self.same(f"{name}, few", [nodes[cuts[i] : cuts[i + 1]] - first[i] for i in range(len(self.nodes))])
-
-        def make(begin: int, end: int) -> list[Answer]:
-            made = [np.zeros(first[i + 1] - first[i], dtype=bool) for i in range(begin, end)]
-            for i in range(begin, end):
-                made[i - begin][own[i]] = True
-            return [(each,) for each in made]
-
-        return self.told_nodes(f"{name}, among", self.within(0, (own,)), make)[0]
+        """Which nodes are among some, by their numbers."""
+        held = np.zeros(len(self.layers.cell), dtype=bool)
+        held[nodes] = True
+        return self.given(f"{name}, among", held)
 
     def joins(
         self, name: str, reach: int, answer: Callable[..., tuple[IntArray, IntArray]], *given: Strips

@@ -71,16 +71,6 @@ def rows_in_cells(points: FloatArray, origin: FloatArray, cell_width: float, wan
     return found[:used]
 
 
-@njit(cache=True, nogil=True)
-def rows_of_cells(wanted: BoolArray, start: IntArray, order: IntArray) -> IntArray:
-    """Rows of the points in the `wanted` cells, sorted, of points that are in `order` by cell."""
-    found = np.zeros(len(order), np.bool_)
-    for c in range(len(wanted)):
-        for i in range(start[c], start[c + 1] if wanted[c] else 0):
-            found[order[i]] = True
-    return np.flatnonzero(found)
-
-
 def rows_by_cell(wanted: BoolArray, start: IntArray) -> IntArray:
     """Rows of the points in the `wanted` cells, shape (nx, ny), of points by cell, where each begins at its `start`."""
     cells = np.flatnonzero(wanted)

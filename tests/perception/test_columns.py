@@ -18,9 +18,9 @@ from gpdf_service.perception.rows import (
     chosen_rows,
     extent_within,
     more_now,
+    rows_by_cell,
     rows_in_box,
     rows_in_cells,
-    rows_of_cells,
     taken,
 )
 from gpdf_service.perception.strays import find_strays
@@ -47,7 +47,8 @@ def test_cells_boxes_and_bounds_are_those_of_numpy(points):
     np.testing.assert_array_equal(chosen_rows(points, chosen), points[chosen])
     np.testing.assert_array_equal(chosen_rows(points, chosen, points[:5]), np.concatenate([points[chosen], points[:5]]))
     wanted = np.random.default_rng(1).random(SHAPE[0] * SHAPE[1]) < 0.2
-    rows = rows_of_cells(wanted, *by_cell(cell, wanted.size))
+    start, order = by_cell(cell, wanted.size)
+    rows = np.sort(order[rows_by_cell(wanted, start)])
     np.testing.assert_array_equal(rows, np.flatnonzero(wanted[cell]))
     np.testing.assert_array_equal(rows_in_cells(points, CORNER, WIDTH, wanted.reshape(SHAPE)), rows)
     assert len(rows_in_cells(points, CORNER, WIDTH, np.zeros(SHAPE, dtype=bool))) == 0
