@@ -6,6 +6,7 @@ import pytest
 import gpdf_service as gpdf
 from gpdf_service.bench.judge import Judge
 from gpdf_service.bench.plan import random_places
+from gpdf_service.bench.scanned import overlap, scanned
 from gpdf_service.config import PerceptionConfig
 from gpdf_service.perception.cure import cure_and_segment
 from gpdf_service.perception.footing import ROUGH
@@ -128,6 +129,15 @@ def test_a_stair_under_noise_is_walked_up_and_its_treads_are_where_they_are():
     result = gpdf.plan(scene, (0.5, 0.55), (3.8, 0.55), agent="human")
     assert result.status is gpdf.Status.OK
     assert Judge(points, ground).judge(result.trajectory, gpdf.AGENTS["human"]).collision_free
+
+
+@pytest.mark.parametrize("seed", [1, 3])
+def test_the_treads_of_a_noisy_stair_are_no_scans_that_do_not_fit(seed):
+    clean, noisy = (SCENES["stair"](np.random.default_rng(seed), noise=noise) for noise in (0.0, 0.02))
+    shown = scanned(noisy.points, clean.points, np.random.default_rng(seed))
+    found = cure_and_segment(noisy.points[shown], None, PerceptionConfig())
+    assert found.cured.measured < 0.025
+    assert overlap(found.ground, clean.ground[shown]) > 0.65  # of two looks at it, the second one took 4 cm for granted
 
 
 def test_a_floor_that_a_scanner_has_looked_straight_down_on_is_as_free_as_that_far_off():

@@ -89,7 +89,6 @@ RULES: dict[str, tuple[str, str, Callable[..., Any]]] = {
         lambda surface, _: np.where(surface.state == UNKNOWN, -np.inf, surface.height),
     ),
     "outliers of noise": (_P + "levels", "without_outliers", _first),
-    "unlucky cells": (_P + "levels", "without_unlucky", _first),
     "planes at rims": (_P + "levels", "with_rims", _first),
     "heights at centres": (_P + "levels", "to_centres", _first),
     "treads beside a shadow guard": (_P + "levels", "between_treads", lambda _, asked, __: np.zeros_like(asked)),
@@ -118,7 +117,6 @@ RULES: dict[str, tuple[str, str, Callable[..., Any]]] = {
     "planes next door": (_D + "cloud", "follow_planes", _none_placed),
     "things before a surface": (_D + "cloud", "release_things", lambda *_: None),
     "rims drawn in": (_D + "cloud", "draw_in", _none_placed),
-    "the rest by mean shift": (_D + "cloud", "shift_rest", lambda *_: None),
     "points alone": (_D + "cloud", "find_alone", _none_placed),
 }
 """Each rule: the module that calls it, its name there, and what stands for it when it is off."""
@@ -187,9 +185,10 @@ def _rooms(seed: int, count: int, labelled: bool = False) -> Row:
 
 
 def _reflections(seed: int) -> Row:
-    """A room that two tripods scan, with single points anywhere in the air of it."""
+    """A room that two tripods scan with the most noise, with single points anywhere in the air of it."""
     rng, clean = np.random.default_rng(seed), random_room(np.random.default_rng(seed))
-    points = clean.points[scanned(clean.points, clean.points, rng)]
+    points = random_room(np.random.default_rng(seed), noise=NOISES[-1]).points
+    points = points[scanned(points, clean.points, rng)]
     low, high = points.min(axis=0), points.max(axis=0)
     reflected = rng.uniform(low, high, (int(REFLECTED * len(points)), 3))
     row = judge(build_scene(np.concatenate([points, reflected])), clean)

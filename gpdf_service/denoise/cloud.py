@@ -22,7 +22,7 @@ from gpdf_service.denoise.edges import place_at_edges
 from gpdf_service.denoise.noise import estimate_noise
 from gpdf_service.denoise.place import Placed, place_in_cells
 from gpdf_service.denoise.planes import Windows, find_planes
-from gpdf_service.denoise.rest import EXTREME, find_alone, follow_planes, release_things, shift_rest
+from gpdf_service.denoise.rest import EXTREME, find_alone, follow_planes, release_things
 from gpdf_service.denoise.rims import draw_in
 from gpdf_service.fields.shapes import FEWEST
 from gpdf_service.fields.spacing import estimate_spacing
@@ -177,10 +177,9 @@ def _denoise_alike(points: FloatArray, noise: float, things: bool) -> Denoised:
     if things:
         release_things(near, points, placed)
     astray |= draw_in(near, placed)
-    shift_rest(near, placed)
-    vague = astray | placed.pending | (_BIAS * placed.error >= EXTREME * noise)
-    left = np.where(placed.pending, placed.error, np.minimum(_BIAS * placed.error, EXTREME * noise))
-    left, stray = np.maximum(left, HIDDEN * noise), find_alone(cells, placed)
+    left = np.where(placed.pending, np.inf, _BIAS * placed.error)
+    vague, stray = astray | (left >= EXTREME * noise), find_alone(cells, placed)
+    left = np.clip(left, HIDDEN * noise, EXTREME * noise)
     return Denoised(placed.points, left, vague, stray, noise, np.full(len(points), noise))
 
 

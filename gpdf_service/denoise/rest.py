@@ -1,13 +1,12 @@
-"""What no plane of its cell explains: outliers go to the plane beside, things are let go again, the rest to its mean.
+"""What no plane of its cell explains: outliers go to the plane beside, things are let go again, the rest stays.
 
 An outlier is alone; a rod, a handle or a leaf is many points on one side of a plane, more than the noise's tail has
-there. What is left, foliage above all, moves to the mean of what is beside it (mean shift, Fukunaga and Hostetler
-1975), and back by three standard errors of that mean: few points beside say nothing, so the place stays as measured.
+there. What is left, foliage above all, stays as it was measured.
 """
 
 from __future__ import annotations
 
-from math import exp, sqrt
+from math import sqrt
 
 import numpy as np
 from numba import njit
@@ -43,12 +42,6 @@ side."""
 _CHANCE, _FEWEST = 5.0, 2
 """[-] Standard errors, and points, by which a tail exceeds what noise makes: a floor has thousands of windows, and what
 is let go of it wrongly stands over it."""
-_STEPS = 3
-"""Of the mean shift: each halves what a point is off the middle of its company."""
-_BACK = 3.0
-"""[-] Standard errors that a mean is trusted to."""
-_MOST = 64
-"""Points beside that a mean is taken of: its error is then an eighth of the noise."""
 _WITNESSES = 256
 """Outliers beside that are looked at."""
 
@@ -67,11 +60,6 @@ def release_things(windows: Windows, points: FloatArray, placed: Placed) -> None
     free = np.zeros(len(points), dtype=bool)
     run_chunked(lambda a, b: _company_range(windows, off, far, a, b, free), len(windows.main))
     placed.points[free], placed.pending[free] = points[free], True
-
-
-def shift_rest(windows: Windows, placed: Placed) -> None:
-    """Move the pending points to the mean of those beside, as far as it is known; they stay pending."""
-    run_chunked(lambda a, b: _shift_range(windows, placed, a, b), len(windows.main))
 
 
 def find_alone(cells: Cells, placed: Placed) -> BoolArray:
@@ -141,52 +129,6 @@ def _company_range(windows: Windows, off: FloatArray, far: BoolArray, begin: int
                 y = off[cells.order[k]]
                 company += x[0] * y[0] + x[1] * y[1] + x[2] * y[2] > _TAIL * sigma * length
             free[row] = company * tail > by_chance * count
-
-
-@njit(cache=True, nogil=True)
-def _shift_range(windows: Windows, placed: Placed, begin: int, end: int) -> None:
-    cells, sigma, _, _ = windows
-    near, rows, at = np.empty(AROUND, np.int64), np.empty(_MOST, np.int64), begin_sweep(cells, begin)
-    mean = np.empty(3)
-    for c in range(begin, end):
-        if not holds_any(cells, c, placed.pending):
-            continue
-        look_around(cells, c, at, near)
-        count = gather(cells, near, rows, placed.pending)
-        for i in range(cells.begin[c], cells.begin[c + 1]):
-            row = cells.order[i]
-            if not placed.pending[row]:
-                continue
-            p = cells.places[i]
-            trusted = _BACK * _mean_of(cells, p, rows[:count], sigma, mean)
-            length = sqrt((p[0] - mean[0]) ** 2 + (p[1] - mean[1]) ** 2 + (p[2] - mean[2]) ** 2)
-            share = min(1.0, trusted / max(length, 1e-12))
-            for k in range(3):
-                placed.points[row, k] = mean[k] + share * (p[k] - mean[k]) + cells.corner[k]
-            placed.error[row] = min(trusted, EXTREME * sigma)
-
-
-@njit(cache=True, nogil=True)
-def _mean_of(cells: Cells, start: FloatArray, rows: IntArray, sigma: float, mean: FloatArray) -> float:
-    """Write where some steps of mean shift from `start` end; the standard error of that."""
-    total, squares, scale = 1.0, 1.0, -0.5 / sigma**2
-    mean[:] = start
-    for _ in range(_STEPS):
-        total, squares, x, y, z = 0.0, 0.0, 0.0, 0.0, 0.0
-        for i in rows:
-            p = cells.places[i]
-            square = (p[0] - mean[0]) ** 2 + (p[1] - mean[1]) ** 2 + (p[2] - mean[2]) ** 2
-            weight = exp(scale * square)
-            total += weight
-            squares += weight * weight
-            x += weight * p[0]
-            y += weight * p[1]
-            z += weight * p[2]
-        if total < 1e-6:
-            mean[:] = start
-            return sigma
-        mean[0], mean[1], mean[2] = x / total, y / total, z / total
-    return float(sigma * sqrt(squares) / total)
 
 
 @njit(cache=True, nogil=True)

@@ -10,7 +10,7 @@ strip, by the pairs that go on into the next one, and by a graph of these pieces
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import chain, pairwise
 from math import ceil
 from operator import is_
@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from gpdf_service.fields.threads import run_parallel
 from gpdf_service.perception.boxes import Box, span
 from gpdf_service.perception.columns import box_spliced, box_unlike, unlike_cells
-from gpdf_service.perception.layers import PER_NODE, Layers, crop_layers
+from gpdf_service.perception.layers import Layers, crop_layers
 from gpdf_service.perception.told import grown
 from gpdf_service.types import BoolArray, FloatArray, IntArray
 
@@ -97,18 +97,10 @@ class Beside:
         return self.told_nodes(name, of, make)
 
     def among(self, name: str, nodes: IntArray) -> Strips:
-        """Which nodes are among some, by their numbers, which ascend."""
-        first = self.first
-        cuts = np.searchsorted(nodes, first)
-        own = self.same(f"{name}, few", [nodes[cuts[i] : cuts[i + 1]] - first[i] for i in range(len(self.nodes))])
-
-        def make(begin: int, end: int) -> list[Answer]:
-            made = [np.zeros(first[i + 1] - first[i], dtype=bool) for i in range(begin, end)]
-            for i in range(begin, end):
-                made[i - begin][own[i]] = True
-            return [(each,) for each in made]
-
-        return self.told_nodes(f"{name}, among", self.within(0, (own,)), make)[0]
+        """Which nodes are among some, by their numbers."""
+        held = np.zeros(len(self.layers.cell), dtype=bool)
+        held[nodes] = True
+        return self.given(f"{name}, among", held)
 
     def joins(
         self, name: str, reach: int, answer: Callable[..., tuple[IntArray, IntArray]], *given: Strips
@@ -312,16 +304,9 @@ class Beside:
 
     def strips(self, begin: int, end: int) -> Layers:
         """Layers of some strips."""
-        layers, (nx, ny) = self.layers, self.layers.shape
-        low, high = ROWS * begin, min(ROWS * end, nx)
-        a, b = layers.start[[low * ny, high * ny]]
-        told = {name: getattr(layers, name)[a:b] for name in PER_NODE}
-        told["cell"] = told["cell"] - low * ny
-        origin, start = (
-            layers.origin + layers.cell_width * np.array([low, 0]),
-            layers.start[low * ny : high * ny + 1] - a,
-        )
-        return replace(layers, **told, origin=origin, shape=(high - low, ny), start=start)
+        return crop_layers(
+            self.layers, (slice(self.rows(begin).start, self.rows(end - 1).stop), slice(0, self.layers.shape[1]))
+        )[0]
 
     def _spliced(self, begin: int, box: Box, fresh: NDArray[Any], before: Strips) -> Strips:
         """What is told of the nodes of some strips, one after another: in a box of cells the `fresh` values."""

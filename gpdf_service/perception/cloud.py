@@ -15,9 +15,9 @@ from gpdf_service.perception.points import Points
 from gpdf_service.perception.rows import (
     cells_in_box,
     chosen_rows,
+    rows_by_cell,
     rows_in_box,
     rows_in_cells,
-    rows_of_cells,
 )
 from gpdf_service.perception.surface import HeightMap
 from gpdf_service.types import BoolArray, FloatArray, IntArray
@@ -76,7 +76,7 @@ class Cloud:
             rows = self.points.rows_in_box(low - grid.cell_width, high + grid.cell_width)  # rounding: a cell more
             return rows[rows_in_cells(self.points.taken(rows), grid.origin, grid.cell_width, wanted)]
         at_hand, start, order = self._by_cell(grid, wanted.shape)
-        return self._rows[rows_of_cells(wanted[at_hand].ravel(), start, order)]
+        return self._rows[np.sort(order[rows_by_cell(wanted[at_hand], start)])]
 
     def _by_cell(self, grid: Layers | HeightMap, shape: tuple[int, ...]) -> tuple[Box, IntArray, IntArray]:
         """The box of cells at hand, where each begins, and the points at hand in their order."""

@@ -75,7 +75,7 @@ def cure_and_segment(
     Labels keep the surfaces of ground and of the rest apart: at the foot of a wall a window holds both. A cloud without
     labels is denoised as a whole, and then segmented. A clean cloud stays as it is. Two sheets close to each other are
     a board, and no noise; but ground has one height, so there they are scans that do not fit on each other, and their
-    distance is what the cloud is off by.
+    distance is what the cloud is off by. Of a noisy cloud without labels that is not asked: so lie a stair's treads.
 
     Args:
         points: The cloud [m], shape (n, 3).
@@ -96,9 +96,7 @@ def cure_and_segment(
         noise = _with_double(points, first, sample, least)
         if noise <= least:
             return CuredGround(_clean(points, noise), first, as_it_was=True, segmentation=segmentation)
-    made = _found(points, noise, sample.spacing, config)
-    double = _with_double(points, made.ground, sample, least)
-    return made if double <= noise else _found(points, double, sample.spacing, config)
+    return _found(points, noise, sample.spacing, config)
 
 
 def _clean(points: FloatArray, noise: float) -> Denoised:

@@ -30,7 +30,6 @@ from gpdf_service.perception.columns import (
 )
 from gpdf_service.perception.pairs import Columns, pairs_near
 from gpdf_service.perception.rows import INDEX, bounds_of, cells_of, chosen_rows, rows_by_cell
-from gpdf_service.perception.told import grown
 from gpdf_service.types import BoolArray, FloatArray, IntArray
 
 MIN_CELL = 0.05
@@ -212,9 +211,9 @@ def steady(layers: Layers, nodes: IntArray) -> IntArray:
     return name
 
 
-def crop_layers(layers: Layers, box: Box, by: int = 0) -> tuple[Layers, IntArray]:
-    """The layers of a box of cells and `by` around it, and which nodes of all they are, shape (k,)."""
-    rows, columns = grown(box, by, layers.shape)
+def crop_layers(layers: Layers, box: Box) -> tuple[Layers, IntArray]:
+    """The layers of a box of cells, and which nodes of all they are, shape (k,)."""
+    rows, columns = box
     first, shape = (rows.start, columns.start), (rows.stop - rows.start, columns.stop - columns.start)
     start, cell, nodes = nodes_in_box(layers.start, layers.shape[1], first, shape)
     place, told = told_of(nodes, layers.place, tuple(getattr(layers, name) for name in _TOLD))

@@ -62,7 +62,7 @@ from gpdf_service.perception.rays import Rays, seen_by_rays
 from gpdf_service.perception.rows import between, chosen_rows, extent_within, rows_by_cell, taken, under
 from gpdf_service.perception.segment import LEAST_SCATTER
 from gpdf_service.perception.sheets import OVERLAP, split_sheets
-from gpdf_service.perception.smooth import RESOLVED_STEP, to_centres, with_rims, without_unlucky
+from gpdf_service.perception.smooth import RESOLVED_STEP, to_centres, with_rims
 from gpdf_service.perception.strays import find_strays
 from gpdf_service.perception.surface import (
     OBSERVED,
@@ -494,7 +494,7 @@ def sheet_surface(grid: Grid, layers: Layers, part: Part, max_step: float, noise
         surface = without_outliers(seen, RESOLVED_STEP * noise)
         if surface is not seen:  # a median's place is the middle of its cells
             off = np.where((surface.height != height)[..., None], np.float32(0.0), off)
-        made = with_rims(without_unlucky(to_centres(surface, off, noise), noise), noise)
+        made = with_rims(to_centres(surface, off, noise), noise)
         return (bridged(made, max_step).height,)
 
     reach = max(whole.state.shape) if noise > 0.0 else 1 + footing_reach(whole)  # noise is smoothed further off

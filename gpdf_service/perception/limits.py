@@ -252,21 +252,17 @@ def median_around(values: FloatArray, reach: int, wanted: BoolArray) -> FloatArr
 
 @lru_cache(maxsize=2)
 def _network(count: int) -> IntArray:
-    """Pairs of places, shape (k, 2), to be put in order one after another until the middle one of so many is right.
+    """Pairs of places, shape (k, 2), that put so many values in order, one after another.
 
-    Batcher's odd-even merge sort without what the middle does not ask for: 24 pairs of 9 values, 113 of 25.
+    Batcher's odd-even merge sort: 26 pairs for 9 values, 138 for 25.
     """
-    pairs, needed, kept = [], {count // 2}, []
+    pairs = []
     for p in (1 << k for k in range(count.bit_length())):
         for k in (p >> i for i in range(p.bit_length())):
             for j in range(k % p, count - k, 2 * k):
                 ends = range(j, j + min(k, count - j - k))
                 pairs += [(i, i + k) for i in ends if i // (2 * p) == (i + k) // (2 * p)]
-    for pair in reversed(pairs):
-        if needed & set(pair):
-            kept.append(pair)
-            needed |= set(pair)
-    return np.array(kept[::-1])
+    return np.array(pairs)
 
 
 _ABREAST = 64
@@ -277,17 +273,17 @@ _ABREAST = 64
 def _medians(
     values: FloatArray, window: tuple[int, IntArray], wanted: BoolArray, begin: int, end: int, made: FloatArray
 ) -> None:
-    """The medians of some rows: by a network where there is no NaN around, cell by cell elsewhere.
+    """The medians of some rows: what is unknown comes last in order.
 
     The `window` is its reach and its network.
     """
     (nx, ny), (reach, network) = values.shape, window
     size = (2 * reach + 1) ** 2
-    around, total, few = np.zeros((size, _ABREAST)), np.zeros(_ABREAST), np.empty(size)
+    around, known = np.zeros((size, _ABREAST)), np.zeros(_ABREAST, np.int64)
     for x in range(begin, end):
         for first in range(0, ny, _ABREAST):
             count, k = min(_ABREAST, ny - first), 0
-            total[:] = 0.0
+            known[:] = 0
             for i in range(x - reach, x + reach + 1):
                 row = values[_mirrored(i, nx)]
                 for shift in range(-reach, reach + 1):
@@ -298,7 +294,8 @@ def _medians(
                         for j in range(count):
                             own[j] = row[_mirrored(left + j, ny)]
                     for j in range(_ABREAST):
-                        total[j] += own[j]
+                        known[j] += own[j] == own[j]  # a NaN is not
+                        own[j] = own[j] if own[j] == own[j] else np.inf
                     k += 1
             for e in range(len(network)):
                 low, high = around[network[e, 0]], around[network[e, 1]]
@@ -307,45 +304,14 @@ def _medians(
                     low[j] = one if one < other else other
                     high[j] = other if one < other else one
             for j in range(count):
-                if wanted[x, first + j]:
-                    whole = not np.isnan(total[j])
-                    made[x, first + j] = around[size // 2, j] if whole else _median(values, x, first + j, reach, few)
+                if wanted[x, first + j] and known[j] > 0:
+                    made[x, first + j] = 0.5 * (around[(known[j] - 1) // 2, j] + around[known[j] // 2, j])
 
 
 @njit(cache=True, nogil=True, inline="always")
 def _mirrored(i: int, count: int) -> int:
     """The cell that stands for one beyond the rim."""
     return -1 - i if i < 0 else (2 * count - 1 - i if i >= count else i)
-
-
-@njit(cache=True, nogil=True)
-def _median(values: FloatArray, x: int, y: int, reach: int, few: FloatArray) -> float:
-    """Median of what is no NaN around a cell; `few` is room for it.
-
-    The value that at most k others are under and more than k are not over is told in vectors, without a branch.
-    A NaN that was read last and is left in `few` is under nothing and not over.
-    """
-    (nx, ny), count = values.shape, 0
-    few[:] = np.inf
-    for i in range(x - reach, x + reach + 1):
-        for j in range(y - reach, y + reach + 1):
-            few[count] = values[_mirrored(i, nx), _mirrored(j, ny)]
-            count += int(not np.isnan(few[count]))
-            if count == len(few):
-                break
-    lower, upper, found = np.nan, np.nan, 0
-    for i in range(count):
-        under, most = 0, 0
-        for j in range(len(few)):
-            under += few[j] < few[i]
-            most += few[j] <= few[i]
-        if under <= (count - 1) // 2 < most:
-            lower, found = few[i], found | 1
-        if under <= count // 2 < most:
-            upper, found = few[i], found | 2
-        if found == 3:
-            break
-    return 0.5 * (lower + upper)
 
 
 def _rises_beside(values: NDArray[np.floating], by: int, axis: int) -> tuple[FloatArray, FloatArray]:

@@ -241,22 +241,11 @@ def drops_beside(nodes: IntArray, columns: Columns, rise: float, max_step: float
 
 
 @njit(cache=True, nogil=True)
-def over_kept(cell: IntArray, height: FloatArray, keep: BoolArray, headroom: float) -> BoolArray:
-    """Which nodes have a kept node next below them in their cell at `headroom` or less [m], shape (k,).
+def nodes_over(nodes: IntArray, cell: IntArray, height: FloatArray, keep: BoolArray, headroom: float) -> BoolArray:
+    """Which of the `nodes` have a kept node next below them in their cell at `headroom` or less, shape (m,).
 
     Nodes are sorted by cell and upward.
     """
-    over, last = np.zeros(len(cell), np.bool_), -1
-    for i in range(len(cell)):
-        over[i] = last >= 0 and cell[last] == cell[i] and height[i] - height[last] <= headroom
-        if keep[i]:
-            last = i
-    return over
-
-
-@njit(cache=True, nogil=True)
-def nodes_over(nodes: IntArray, cell: IntArray, height: FloatArray, keep: BoolArray, headroom: float) -> BoolArray:
-    """Which of the `nodes` have a kept node next below them in their cell at `headroom` or less, shape (m,)."""
     over = np.zeros(len(nodes), np.bool_)
     for k in range(len(nodes)):
         i = nodes[k]

@@ -110,16 +110,13 @@ def _sort(values: FloatArray, begin: int, end: int) -> None:
 @njit(cache=True, nogil=True)
 def pairs_over_gaps(
     columns: Columns, keep: BoolArray, rise: float, offset: tuple[int, int], most: int
-) -> tuple[IntArray, IntArray, IntArray]:
+) -> tuple[IntArray, IntArray]:
     """Pairs of kept nodes within `rise` [m] that a gap parts.
 
     A gap has up to `most` cells of which nothing was seen as low. The nose of a tread hides the back of the next one; a
     hole that one looks through into something is no gap. The `offset` is that of neighbouring cells on the line.
-
-    Returns:
-        The pairs, and how many cells the gap between each has.
     """
-    one, other, wide = [INDEX(0) for _ in range(0)], [INDEX(0) for _ in range(0)], [0 for _ in range(0)]
+    one, other = [INDEX(0) for _ in range(0)], [INDEX(0) for _ in range(0)]
     cell, start, (nx, ny), height, _ = columns
     dx, dy = offset
     for a in np.flatnonzero(keep):
@@ -135,22 +132,8 @@ def pairs_over_gaps(
                 if keep[b] and abs(height[a] - height[b]) <= rise:
                     one.append(INDEX(a))
                     other.append(INDEX(b))
-                    wide.append(far - 1)
             break
-    return np.array(one, INDEX), np.array(other, INDEX), np.array(wide, np.int64)
-
-
-@njit(cache=True, nogil=True)
-def pairs_within(
-    a: IntArray, b: IntArray, among: BoolArray, both: bool, label: IntArray | None = None
-) -> tuple[IntArray, IntArray]:
-    """The pairs of which `both`, or at least one, are `among` the nodes; with another `label` each if they have one."""
-    one, other, used = np.empty(len(a) + 1, INDEX), np.empty(len(a) + 1, INDEX), 0
-    for e in range(len(a)):
-        one[used], other[used] = a[e], b[e]
-        good = among[a[e]] and among[b[e]] if both else among[a[e]] or among[b[e]]
-        used += int(good and (label is None or label[a[e]] != label[b[e]]))
-    return one[:used].copy(), other[:used].copy()
+    return np.array(one, INDEX), np.array(other, INDEX)
 
 
 @njit(cache=True, nogil=True)

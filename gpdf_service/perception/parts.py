@@ -7,8 +7,6 @@ from functools import partial
 
 import numpy as np
 from scipy import ndimage
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from gpdf_service.config import PerceptionConfig
@@ -26,7 +24,6 @@ from gpdf_service.perception.nodes import (
     rises_beside,
     touched_by,
 )
-from gpdf_service.perception.pairs import pairs_within
 from gpdf_service.perception.pieces import Pieces, find_pieces
 from gpdf_service.perception.strides import HALF_FOOT, SOLE, STRIDE, find_strides
 from gpdf_service.types import BoolArray, FloatArray, IntArray
@@ -134,7 +131,7 @@ def join_parts(near: Beside, parts: Parts, stance: Strips, config: PerceptionCon
 def _between_storeys(parts: Parts, joins: Pairs, small: BoolArray, step: float) -> BoolArray:
     """Which joins are of `small` parts that lead from one large part to another which is more than a `step` higher."""
     count = len(small)
-    cluster, ends = _groups(joins, small), np.array([np.inf, -np.inf])[:, None] * np.ones(count)
+    cluster, ends = components(*joins, small), np.array([np.inf, -np.inf])[:, None] * np.ones(count)
     for one, other in (joins, joins[::-1]):
         edge = small[one] & ~small[other]
         np.minimum.at(ends[0], cluster[one[edge]], parts.level[other[edge]])
@@ -183,7 +180,7 @@ def _units(parts: Parts, joins: Pairs, among: BoolArray) -> IntArray:
 
     Fragments of a tread are a tread, tables that stand together a table.
     """
-    a, b = pairs_within(*joins, among, True)
+    a, b = joins
     same = np.abs(parts.level[a] - parts.level[b]) <= parts.rise
     unit: IntArray = components(a[same], b[same], among)
     return unit
@@ -225,14 +222,6 @@ def _tables(
     return table
 
 
-def _groups(joins: Pairs, alive: BoolArray) -> IntArray:
-    """Connected component of each part over the strides between those that are alive."""
-    (a, b), count = pairs_within(*joins, alive, True), len(alive)
-    pairs = coo_array((np.ones(len(a)), (a, b)), (count, count))
-    group: IntArray = connected_components(pairs, directed=False)[1]
-    return group
-
-
 def _bulk(near: Beside, parts: Parts, joins: Pairs, alive: BoolArray, config: PerceptionConfig) -> tuple[IntArray, int]:
     """The group of each part, and which group is the ground that one starts from: the lowest of the large ones.
 
@@ -243,7 +232,10 @@ def _bulk(near: Beside, parts: Parts, joins: Pairs, alive: BoolArray, config: Pe
     Raises:
         NoGroundError: there are but ceilings.
     """
-    group, reach = _groups(joins, alive), int(HALF_FOOT / near.layers.cell_width**2) + 1  # what is as long is as large
+    group, reach = (
+        components(*joins, alive),
+        int(HALF_FOOT / near.layers.cell_width**2) + 1,
+    )  # what is as long is as large
     kinds = near.around(
         "bulk", reach, partial(_over_and_under, parts=parts, step=config.max_step), parts.keep, parts.inner
     )
@@ -295,8 +287,8 @@ def _dead_ends(parts: Parts, joins: Pairs, alive: BoolArray, table: BoolArray, l
     leads no further up: one gets over it to a crate beside a board, or to a chest, and not on from there. Nor does
     what joins it to the floor alone.
     """
-    (a, b), count = pairs_within(*joins, alive, True), len(alive)
-    narrow, table = alive & ~parts.standable, alive & parts.standable & table
+    both, count = alive[joins[0]] & alive[joins[1]], len(alive)
+    (a, b), narrow, table = (end[both] for end in joins), alive & ~parts.standable, alive & parts.standable & table
     unit = _units(parts, joins, alive & (table | (parts.size <= largest)))
     one, other = np.concatenate([unit[a], unit[b]]), np.concatenate([unit[b], unit[a]])
     one, other = np.divmod(np.unique((one * count + other)[one != other]), count)
@@ -355,7 +347,8 @@ def _apart(near: Beside, parts: Parts, group: IntArray, main: BoolArray, config:
         return made
 
     rise = layers.height[nodes] - _beside(layers, ours, holds)[layers.cell[nodes]]
-    level = np.abs(layers.height[nodes] - _medians(layers.height[nodes], of_node[nodes], count)) <= config.max_step
+    height, of = layers.height[nodes], np.unique(of_node[nodes], return_inverse=True)[1]
+    level = np.abs(height - ndimage.median(height, of, np.arange(of.max() + 1))[of]) <= config.max_step
     even, sunk, low, lofty = (
         share(kind) >= 1.0 - OVER_SHARE
         for kind in (
@@ -395,14 +388,6 @@ def _beside(layers: Layers, ours: BoolArray, holds: BoolArray) -> FloatArray:
     nearest = ndimage.distance_transform_edt(~holds.reshape(layers.shape), return_distances=False, return_indices=True)
     made: FloatArray = high[tuple(nearest)].ravel()
     return made
-
-
-def _medians(values: FloatArray, group: IntArray, count: int) -> FloatArray:
-    """Of each value the median of its group, shape (n,)."""
-    middle = np.zeros(count)
-    for one in np.unique(group):
-        middle[one] = np.median(values[group == one])
-    return middle[group]
 
 
 def undersides(near: Beside, parts: Parts, config: PerceptionConfig) -> tuple[Strips, Parts, BoolArray]:

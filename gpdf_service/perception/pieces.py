@@ -44,8 +44,9 @@ class Pieces:
     @property
     def whole(self) -> IntArray:
         """Piece of each node, shape (k,)."""
-        parts = np.split(self.number, self.first[1:-1])
-        return np.concatenate([number[label] for number, label in zip(parts, self.label, strict=True)])
+        first = np.repeat(self.first[:-1], np.diff(self.near.first))
+        piece: IntArray = self.number[first + np.concatenate(self.label)]
+        return piece
 
     def totals(self, name: str, add: Callable[..., NDArray[Any]], *given: Strips) -> NDArray[Any]:
         """Sums over the nodes of each piece, shape (pieces, …).
@@ -87,12 +88,8 @@ class Pieces:
     def at(self, nodes: IntArray) -> IntArray:
         """The piece of some nodes, shape (m,)."""
         strip = np.searchsorted(self.near.first, nodes, side="right") - 1
-        order, begin, made = np.argsort(strip, kind="stable"), self.near.first, np.empty(len(nodes), np.int64)
-        cuts = np.searchsorted(strip[order], np.arange(len(self.near.nodes) + 1))
-        for i in np.flatnonzero(np.diff(cuts)):
-            own = order[cuts[i] : cuts[i + 1]]
-            made[own] = self.number[self.first[i] + self.label[i][nodes[own] - begin[i]]]
-        return made
+        piece: IntArray = self.number[self.first[strip] + np.concatenate(self.label)[nodes]]
+        return piece
 
 
 def find_pieces(near: Beside, name: str, inner: Strips, rise: float, step: float = 0.0) -> Pieces:

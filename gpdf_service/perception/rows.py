@@ -71,16 +71,6 @@ def rows_in_cells(points: FloatArray, origin: FloatArray, cell_width: float, wan
     return found[:used]
 
 
-@njit(cache=True, nogil=True)
-def rows_of_cells(wanted: BoolArray, start: IntArray, order: IntArray) -> IntArray:
-    """Rows of the points in the `wanted` cells, sorted, of points that are in `order` by cell."""
-    found = np.zeros(len(order), np.bool_)
-    for c in range(len(wanted)):
-        for i in range(start[c], start[c + 1] if wanted[c] else 0):
-            found[order[i]] = True
-    return np.flatnonzero(found)
-
-
 def rows_by_cell(wanted: BoolArray, start: IntArray) -> IntArray:
     """Rows of the points in the `wanted` cells, shape (nx, ny), of points by cell, where each begins at its `start`."""
     cells = np.flatnonzero(wanted)
@@ -138,20 +128,6 @@ def _keep_rows(points: FloatArray, keep: BoolArray, made: FloatArray) -> None:
 
 
 @njit(cache=True, nogil=True)
-def extent_in(cell: IntArray, z: FloatArray, low: FloatArray, high: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Lowest and highest z of the points in each cell that are over its `low` and not over its `high`; inf, −inf.
-
-    Points of the cell after the last one are in none.
-    """
-    least, most = np.full(len(low), np.inf), np.full(len(low), -np.inf)
-    for i in range(len(cell)):
-        c = cell[i]
-        if c < len(low) and low[c] < z[i] <= high[c]:
-            least[c], most[c] = min(least[c], z[i]), max(most[c], z[i])
-    return least, most
-
-
-@njit(cache=True, nogil=True)
 def _write_between(
     cell: IntArray, z: FloatArray, low: NDArray[np.floating], high: NDArray[np.floating], found: BoolArray
 ) -> None:
@@ -187,15 +163,9 @@ def extent_of(points: FloatArray) -> tuple[float, float]:
 def cells_of(points: FloatArray, origin: FloatArray, width: float, shape: tuple[int, int]) -> IntArray:
     """Flat cell of each point (n, 3), which must lie on the grid, shape (n,)."""
     cell = np.empty(len(points), np.int64)
-    run_chunked(lambda a, b: _write_cells(points[a:b], origin, width, shape[1], cell[a:b]), len(points))
+    ends = np.zeros(2, np.int64), np.array(shape)
+    run_chunked(lambda a, b: _write_in_box(points[a:b], origin, width, *ends, cell[a:b]), len(points))
     return cell
-
-
-@njit(cache=True, nogil=True)
-def _write_cells(points: FloatArray, origin: FloatArray, width: float, ny: int, cell: IntArray) -> None:
-    for i in range(len(points)):
-        x, y = np.floor((points[i, 0] - origin[0]) / width), np.floor((points[i, 1] - origin[1]) / width)
-        cell[i] = int(x) * ny + int(y)
 
 
 def cells_in_box(points: FloatArray, origin: FloatArray, width: float, first: IntArray, last: IntArray) -> IntArray:
@@ -217,9 +187,23 @@ def _write_in_box(
 
 
 def extent_within(cell: IntArray, z: FloatArray, low: FloatArray, high: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """`extent_in` of cells on a grid, shape (nx, ny); points of the cell after the last one are in none."""
-    least, most = extent_in(cell, z, low.ravel(), high.ravel())
-    return least.reshape(low.shape), most.reshape(low.shape)
+    """Lowest and highest z of the points in each cell that are over its `low` and not over its `high`; inf, −inf.
+
+    The cells are those of a grid, shape (nx, ny); points of the cell after the last one are in none.
+    """
+    least, most = np.full(low.shape, np.inf), np.full(low.shape, -np.inf)
+    _write_extents(cell, z, low.ravel(), high.ravel(), least.ravel(), most.ravel())
+    return least, most
+
+
+@njit(cache=True, nogil=True)
+def _write_extents(
+    cell: IntArray, z: FloatArray, low: FloatArray, high: FloatArray, least: FloatArray, most: FloatArray
+) -> None:
+    for i in range(len(cell)):
+        c = cell[i]
+        if c < len(low) and low[c] < z[i] <= high[c]:
+            least[c], most[c] = min(least[c], z[i]), max(most[c], z[i])
 
 
 def between(cell: IntArray, z: FloatArray, low: NDArray[np.floating], high: NDArray[np.floating]) -> BoolArray:

@@ -11,15 +11,12 @@ from numpy.typing import ArrayLike
 from gpdf_service.config import PerceptionConfig
 from gpdf_service.errors import NoGroundError
 from gpdf_service.fields.threads import run_beside, run_chunked
-from gpdf_service.perception.beside import Answer, Beside, Strips, beside, beside_now
+from gpdf_service.perception.beside import Beside, Strips, beside, beside_now
 from gpdf_service.perception.budget import LAYER_BYTES, check_grid
 from gpdf_service.perception.bumps import boxes, low_things, raised_over_sides
 from gpdf_service.perception.cloud import Cloud, change_layers
 from gpdf_service.perception.layers import (
-    APART,
-    HALF,
     Layers,
-    Pairs,
     build_layers,
     cell_width_of,
     connect,
@@ -36,10 +33,10 @@ from gpdf_service.perception.nodes import (
     joined_to,
     lowest_beside,
     mean_gradients,
+    nodes_over,
     off_ground,
-    over_kept,
 )
-from gpdf_service.perception.pairs import medians_around, pairs_over_gaps
+from gpdf_service.perception.pairs import medians_around
 from gpdf_service.perception.parts import (
     TABLE_AREA,
     accept_parts,
@@ -52,7 +49,7 @@ from gpdf_service.perception.parts import (
 from gpdf_service.perception.pieces import find_pieces
 from gpdf_service.perception.read import check_points
 from gpdf_service.perception.strides import BODY, HALF_FOOT, SOLE, STRIDE, find_between, find_footing, find_stances
-from gpdf_service.types import BoolArray, FloatArray, IntArray
+from gpdf_service.types import BoolArray, FloatArray
 
 NO_SURFACE = ("ground", "no surface in the cloud is wide and level enough to stand on", "Is z up?")
 """What was looked for, what was found, what to try."""
@@ -269,7 +266,9 @@ def find_ground(near: Beside, config: PerceptionConfig, relief: FloatArray = LEV
     if not parts.size.any():
         raise NoGroundError(*NO_SURFACE)
     under, parts, scraps = undersides(near, parts, config)
-    (stance,) = near.around("stances", int(np.ceil(BODY / width)), _stances, parts.keep)
+    (stance,) = near.around(
+        "stances", int(np.ceil(BODY / width)), lambda part, asked, room: (find_stances(part, room & asked),), parts.keep
+    )
     joins = join_parts(near, parts, stance, config)
     under, parts, joins = without_ceilings(near, parts, joins, under, scraps, config)
     if relief.any():
@@ -281,10 +280,15 @@ def find_ground(near: Beside, config: PerceptionConfig, relief: FloatArray = LEV
     (flight,) = near.around("flight", int(STRIDE / width), partial(_flight, config=config), *given)
     (over,) = near.around("over", 0, lambda *given: (given[2] | given[3] | given[4],), wide, low, core)
     roof = _roofs(near, over, seeds, rise, config)
-    (found,) = near.around("found", 0, _found, wide, low, roof, flight)
+    (found,) = near.around(
+        "found", 0, lambda _, __, wide, low, roof, flight: ((wide | low) & ~roof | flight,), wide, low, roof, flight
+    )
     raised = raised_over_sides(near, found, config)
     low = low_things(near, found, raised, relief, config)
-    (ground,) = near.around("ground", 0, _ground, found, flight, low, boxes(near, found, config))
+    box = boxes(near, found, config)
+    (ground,) = near.around(
+        "ground", 0, lambda _, __, found, flight, low, box: (found & ~((low | box) & ~flight),), found, flight, low, box
+    )
     if not any(each.any() for each in ground):
         raise NoGroundError(*NO_SURFACE)
     return ground
@@ -308,11 +312,6 @@ def _surfaces(
     return core, keep, flat, smooth == 8
 
 
-def _stances(layers: Layers, asked: BoolArray, among: BoolArray) -> tuple[BoolArray]:
-    """`find_stances`."""
-    return (find_stances(layers, among & asked),)
-
-
 def _flight(
     layers: Layers,
     again: BoolArray,
@@ -327,14 +326,6 @@ def _flight(
     asked = (wide | (keep & ~over_ground(layers, wide, config.step_headroom))) & ~seeds & ~under
     treads = seeds & ~stands
     return (treads | find_between(layers, seeds, treads, asked & again, config),)
-
-
-def _found(_: Layers, __: BoolArray, wide: BoolArray, low: BoolArray, roof: BoolArray, flight: BoolArray) -> Answer:
-    return ((wide | low) & ~roof | flight,)
-
-
-def _ground(_: Layers, __: BoolArray, found: BoolArray, flight: BoolArray, low: BoolArray, box: BoolArray) -> Answer:
-    return (found & ~((low | box) & ~flight),)
 
 
 def _support(width: float) -> int:
@@ -360,22 +351,6 @@ def _grown(
         return wide & ~over_ground(layers, wide, config.step_headroom), grown & ~keep
 
     return near.around("wide", 1, answer, grown, keep)
-
-
-def steps_over_gaps(
-    layers: Layers, keep: BoolArray, label: IntArray, config: PerceptionConfig
-) -> tuple[Pairs, FloatArray]:
-    """Steps between kept nodes with another `label` each that a gap parts, and how wide it is [m].
-
-    Less than a foot fits in; see `pairs_over_gaps`.
-    """
-    reach, step = config.tread_depth, config.max_step
-    far = (reach / (APART * layers.cell_width)).astype(int)
-    found = [pairs_over_gaps(layers.columns, keep, step, HALF[k], far[k]) for k in range(len(HALF))]
-    a, b = (np.concatenate(ends) for ends in zip(*(pairs[:2] for pairs in found), strict=True))
-    wide = np.concatenate([pairs[2] * APART[k] for k, pairs in enumerate(found)])
-    other = label[a] != label[b]
-    return (a[other], b[other]), wide[other] * layers.cell_width
 
 
 def _roofs(near: Beside, smooth: Strips, flat: Strips, rise: float, config: PerceptionConfig) -> Strips:
@@ -405,5 +380,5 @@ def _slope(layers: Layers, ground: BoolArray, config: PerceptionConfig) -> Float
 
 def over_ground(layers: Layers, ground: BoolArray, headroom: float) -> BoolArray:
     """Nodes with ground under them at less than `headroom` [m]: with that of a body that steps, benches and tables."""
-    over: BoolArray = over_kept(layers.cell, layers.height, ground, headroom)
+    over: BoolArray = nodes_over(np.arange(len(ground)), layers.cell, layers.height, ground, headroom)
     return over

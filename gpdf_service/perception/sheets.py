@@ -9,7 +9,7 @@ import numpy as np
 from gpdf_service.config import PerceptionConfig
 from gpdf_service.perception.beside import Answer, Beside
 from gpdf_service.perception.columns import by_cell
-from gpdf_service.perception.layers import Layers, Pairs, connect
+from gpdf_service.perception.layers import APART, HALF, Layers, Pairs, connect
 from gpdf_service.perception.nodes import (
     components,
     degrees,
@@ -23,8 +23,9 @@ from gpdf_service.perception.nodes import (
     touched_by,
     whole_around,
 )
+from gpdf_service.perception.pairs import pairs_over_gaps
 from gpdf_service.perception.pieces import find_pieces
-from gpdf_service.perception.segment import over_ground, steps_over_gaps
+from gpdf_service.perception.segment import over_ground
 from gpdf_service.types import BoolArray, IntArray
 
 OVERLAP = 1.2
@@ -44,8 +45,7 @@ def split_sheets(near: Beside, config: PerceptionConfig) -> tuple[BoolArray, ...
         return (keep,)
     smooth = numbered_apart(find_pieces(near, "smooth", kept, layers.cell_width).whole, keep)
     steps = pairs_unlike(layers.columns, keep, smooth, config.max_step)
-    over = steps_over_gaps(layers, keep, smooth, config)[0]
-    one, other = (np.concatenate(ends) for ends in zip(steps, over, strict=True))
+    one, other = (np.concatenate(ends) for ends in zip(steps, _over_gaps(layers, keep, smooth, config), strict=True))
     sheet_of = np.full(count, -1)
     size = np.bincount(smooth, weights=keep)
     order = np.argsort(-size)
@@ -76,6 +76,15 @@ def split_sheets(near: Beside, config: PerceptionConfig) -> tuple[BoolArray, ...
     seams = [grow(f"seam {i}", nodes) for i, nodes in enumerate(_seams(near, keep, grown, config, rings))]
     grown = [*grown, *(inside for inside in seams if np.count_nonzero(inside) >= least)]
     return tuple(sorted(grown, key=lambda inside: float(np.median(layers.height[inside]))))
+
+
+def _over_gaps(layers: Layers, keep: BoolArray, label: IntArray, config: PerceptionConfig) -> Pairs:
+    """Steps between kept nodes with another `label` each that a gap parts, in which less than a foot fits."""
+    far = (config.tread_depth / (APART * layers.cell_width)).astype(int)
+    found = [pairs_over_gaps(layers.columns, keep, config.max_step, HALF[k], far[k]) for k in range(len(HALF))]
+    a, b = (np.concatenate(ends) for ends in zip(*found, strict=True))
+    other = label[a] != label[b]
+    return a[other], b[other]
 
 
 def _seams(

@@ -1,4 +1,4 @@
-"""Heights of cells from their surroundings: at their centres, at rims of noisy ground, where one is alone off the rest.
+"""Heights of cells from their surroundings: at their centres, and at rims of noisy ground.
 
 A cell's height is that of one of its points. On a slope a point beside the centre is off by as much as the ground rises
 between them, which reads as a step; and the cure of a point at a rim sees half of a plane.
@@ -13,15 +13,13 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from gpdf_service.perception.bend import FINE, FLAT, REACH, bend_at, make_room, reach_of
+from gpdf_service.perception.bend import FINE, FLAT, REACH
 from gpdf_service.perception.surface import HeightMap
 
 _SAME = 1.0
 """[-] Heights further apart, over the noise, are two surfaces: cured cells are off by a fifth of it."""
 RESOLVED_STEP = 3.0
 """[-] A lower step over the noise may be an unlucky cell of a cured floor, if it is of one cell."""
-_TOGETHER = 2
-"""Unlucky cells side by side: of two, the one that is further off stands out first, then the other."""
 _BESIDE = 2
 """Cells from a rim that a step is read over: its own two sides and one more."""
 _ALONE = 3.0
@@ -53,21 +51,6 @@ def to_centres(surface: HeightMap, off: NDArray[np.float32], noise: float = 0.0)
     return replace(surface, height=_at_centres(surface.height, off, surface.cell_width, same, flat))
 
 
-def without_unlucky(surface: HeightMap, noise: float) -> HeightMap:
-    """A cell that is alone off the quadric through all others around takes that: a median does not tell it on a slope.
-
-    Args:
-        surface: The ground as it was seen, cured.
-        noise: Standard deviation σ of the points before the cure [m]; 0 leaves everything as it is.
-    """
-    if noise == 0.0:
-        return surface
-    reach, height = reach_of(surface.cell_width, noise), surface.height
-    for _ in range(_TOGETHER):
-        height = _lucky(height, reach, FLAT * noise, RESOLVED_STEP * noise)
-    return replace(surface, height=height)
-
-
 def with_rims(surface: HeightMap, noise: float) -> HeightMap:
     """Each cell at a rim on the plane through the heights of its surface around it, where they are one.
 
@@ -83,28 +66,6 @@ def with_rims(surface: HeightMap, noise: float) -> HeightMap:
         return surface
     reach = ceil(REACH * noise / surface.cell_width)
     return replace(surface, height=_at_rims(surface.height, reach, _SAME * noise, FLAT * noise))
-
-
-@njit(cache=True, nogil=True)
-def _lucky(height: NDArray[np.float32], reach: int, flat: float, unlucky: float) -> NDArray[np.float32]:
-    made, sums = height.copy(), make_room()
-    for i in range(height.shape[0]):
-        for j in range(height.shape[1]):
-            if _stands_out(height, i, j, flat):
-                shift, smooth = bend_at(height, i, j, reach, float(height[i, j]), flat, sums)
-                if smooth and abs(shift) <= unlucky:
-                    made[i, j] += shift
-    return made
-
-
-@njit(cache=True, nogil=True)
-def _stands_out(height: NDArray[np.float32], i: int, j: int, flat: float) -> bool:
-    """Whether a cell is off the middle between two opposite neighbours by more than `flat` [m], both ways."""
-    if not (0 < i < height.shape[0] - 1 and 0 < j < height.shape[1] - 1):
-        return False
-    off = abs(height[i, j] - 0.5 * (height[i - 1, j] + height[i + 1, j]))
-    aside = abs(height[i, j] - 0.5 * (height[i, j - 1] + height[i, j + 1]))
-    return bool(off > flat and aside > flat)  # a NaN compares false
 
 
 @njit(cache=True, nogil=True)

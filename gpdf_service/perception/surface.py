@@ -14,6 +14,7 @@ from gpdf_service.kernel_cache import lean
 from gpdf_service.perception.boxes import WHOLE, Box, corner_of
 from gpdf_service.perception.nearest import nearest_of
 from gpdf_service.perception.rows import cells_in_box
+from gpdf_service.perception.told import unlike
 from gpdf_service.types import BoolArray, FloatArray, IntArray
 
 UNKNOWN, OBSERVED, INFERRED = 0, 1, 2
@@ -96,13 +97,7 @@ class HeightMap:
 
 def changed(old: HeightMap, new: HeightMap) -> BoolArray:
     """Cells in which the ground is another, shape (nx, ny), of two maps on one grid."""
-    cells: BoolArray = differ(old.height, new.height) | (old.state != new.state)
-    return cells
-
-
-def differ(a: NDArray[np.float32], b: NDArray[np.float32]) -> BoolArray:
-    """Where heights are not the same, shape (nx, ny)."""
-    cells: BoolArray = ~((a == b) | (np.isnan(a) & np.isnan(b)))
+    cells: BoolArray = unlike(old.height, new.height) | (old.state != new.state)
     return cells
 
 

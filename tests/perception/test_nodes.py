@@ -27,7 +27,7 @@ from gpdf_service.perception.nodes import (
     pairs_unlike,
     plan_sums,
 )
-from gpdf_service.perception.pairs import AROUND, pairs_within
+from gpdf_service.perception.pairs import AROUND
 from gpdf_service.perception.pieces import find_pieces
 from gpdf_service.perception.strides import find_stances, find_strides
 
@@ -62,17 +62,6 @@ def test_components_among_some_nodes_leave_the_others_alone():
     (a, b), among = rng.integers(0, 200, (2, 400)), rng.random(200) < 0.5
     inside = among[a] & among[b]
     np.testing.assert_array_equal(components(a, b, among), components(a[inside], b[inside], np.ones(200, dtype=bool)))
-
-
-def test_pairs_are_chosen_as_by_masks():
-    rng = np.random.default_rng(2)
-    (a, b), among, own = rng.integers(0, 50, (2, 300)), rng.random(50) < 0.4, np.arange(50)
-    for found, mask in (
-        (pairs_within(a, b, among, True), among[a] & among[b]),
-        (pairs_within(a, b, among, False), among[a] | among[b]),
-        (pairs_within(a, b, among, True, own % 3), among[a] & among[b] & (a % 3 != b % 3)),
-    ):
-        np.testing.assert_array_equal(found, (a[mask], b[mask]))
 
 
 @pytest.fixture(scope="module")
@@ -127,15 +116,21 @@ def test_ends_of_a_sheet_are_those_of_all_pairs(layers):
     assert 10 < ends.sum() < joined.sum()
 
 
-def ask(near, far, config):
-    """Answers to questions of all kinds, with other ground in a far corner."""
+def ask(near, far, config, looked=None):
+    """Answers to questions of all kinds, with other ground in a far corner; and how many nodes one looked at."""
     own = near.layers
     x, y = np.divmod(own.cell, own.shape[1])
     ground = (x + y) % 5 > 0
     ground &= ~((x > 30) & (y < 8) & (y % 2 == far))
     ground = near.given("ground", ground)
     raised = raised_over_sides(near, ground, config)
-    (stance,) = near.around("stance", 2, lambda part, asked, among: (find_stances(part, among & asked),), ground)
+
+    def stances(part, asked, among):
+        if looked is not None:
+            looked.append(len(part.cell))
+        return (find_stances(part, among & asked),)
+
+    (stance,) = near.around("stance", 2, stances, ground)
     pieces = find_pieces(near, "pieces", stance, 0.1)
     named = pieces.chosen("names", steady(own, pieces.start))
 
@@ -164,26 +159,21 @@ def test_a_change_is_told_what_a_build_is_in_strips_of_any_size(rows, monkeypatc
     monkeypatch.setattr("gpdf_service.perception.beside.ROWS", rows)
     rng, config = np.random.default_rng(11), PerceptionConfig()
     cloud = rng.uniform(0.0, [4.0, 3.0, 2.0], (4000, 3))
-    near, asked, was = beside(build_layers(cloud, 0.1, 0.3)), [], 0
+    near, was = beside(build_layers(cloud, 0.1, 0.3)), 0
     ask(near, 0, config)
-    counted = crop_layers
-    monkeypatch.setattr(
-        "gpdf_service.perception.beside.crop_layers",
-        lambda *given: asked.append(counted(*given)) or asked[-1],
-    )
     for place, far in (((1.0, 2.0), 1), ((3.0, 1.0), 1), ((3.0, 0.4), 0)):
         layers, gone = near.layers, (np.abs(cloud[:, :2] - place) < 0.3).all(axis=1)
         cells = np.zeros(layers.shape, dtype=bool)
         cells[tuple(np.floor((cloud[gone, :2] - layers.origin) / 0.1).astype(int).T)] = True
         cloud, before = cloud[~gone], near.lasting()
         near = beside_now(before, build_layers(cloud, 0.1, 0.3, like=layers), widened(cells, 1))
-        asked.clear()
-        ours, theirs = ask(near, far, config), ask(beside(near.layers), far, config)
+        looked = []
+        ours, theirs = ask(near, far, config, looked), ask(beside(near.layers), far, config)
         for one, other in zip(ours, theirs, strict=True):
             np.testing.assert_array_equal(one, other)
             assert len(one) > 20
         if far == was:  # else what lies between is looked at, too
-            assert 0 < max(len(part.cell) for part, _ in asked) < 0.6 * len(near.layers.cell)
+            assert 0 < max(looked) < 0.6 * len(near.layers.cell)
         was = far
         raised = np.concatenate([each[0] for _, each in before.known["raised"]])
         expected = unlike_nodes((before.layers, raised), (near.layers, ours[0]), widened(cells, 1))

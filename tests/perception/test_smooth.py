@@ -9,7 +9,7 @@ from gpdf_service.config import PerceptionConfig
 from gpdf_service.perception import survey_levels
 from gpdf_service.perception.holes import fill_holes
 from gpdf_service.perception.limits import step_and_slope
-from gpdf_service.perception.smooth import to_centres, with_rims, without_unlucky
+from gpdf_service.perception.smooth import to_centres, with_rims
 from gpdf_service.perception.surface import OBSERVED, UNKNOWN, HeightMap, nearest_seen
 from gpdf_service.perception.told import new_grid
 
@@ -28,7 +28,6 @@ def cells(count=60):
 
 def test_clean_ground_is_not_touched():
     surface = ground(np.random.default_rng(0).normal(0.0, 0.01, (20, 20)))
-    assert without_unlucky(surface, 0.0) is surface
     assert with_rims(surface, 0.0) is surface
 
 
@@ -184,19 +183,3 @@ def test_a_notch_a_cell_wide_in_a_noisy_rim_is_a_gap_and_a_wider_or_longer_one_i
         assert np.isnan(made[10, 47:50]).all() == (noise == 0.0)
         assert np.isnan(made[30:33][there[30:33]]).all()
         assert np.isnan(made[:, 50:]).all()
-
-
-def test_a_cell_alone_off_a_slope_takes_it_and_a_thing_of_several_cells_stays():
-    x, y = cells()
-    slope = 0.3 * x - 0.2 * y + 0.05 * (x - 1.5) ** 2
-    height = slope.copy()
-    height[10::8, 10::8] += 0.025
-    made = without_unlucky(ground(height), NOISE).height
-    assert np.abs(made - slope).max() < 0.004
-    sill = slope + 0.03 * (np.arange(60) == 30)[:, None]
-    box = slope.copy()
-    box[28:31, 28:31] += 0.05
-    for real in (sill, box, np.where(x > 1.5, slope + 0.04, slope)):
-        assert np.abs(without_unlucky(ground(real), NOISE).height - real).max() < 0.004
-    clean = ground(height)
-    assert without_unlucky(clean, 0.0) is clean
