@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 from scipy.spatial import cKDTree
 
+from gpdf_service.kernel_cache import lean
 from gpdf_service.perception import HeightMap, ObstacleKind
 from gpdf_service.perception.ledges import LEAST_OBSTACLE
 from gpdf_service.perception.nearest import nearest_of
@@ -372,7 +373,7 @@ def _way(
     """Shortest way that crosses as little as it can of what stops the body, in the middle where it is narrow."""
     shut = ~(grid.nearest >= radius)
     weight = 1.0 + (radius / np.maximum(distance, grid.width)) ** 2 + DETOUR * shut
-    path: IntArray = _dijkstra(_allow(distance >= radius, known, ends), grid.height, weight, *ends)
+    path: IntArray = _cheapest(_allow(distance >= radius, known, ends), grid.height, weight, *ends)
     return path
 
 
@@ -476,23 +477,31 @@ def _floods(allowed: BoolArray, height: FloatArray, start: IntArray, goal: IntAr
     return False
 
 
+@lean()
+def _ahead(a: int, b: int, goal: IntArray) -> float:
+    """Cells at least from one to the goal, over sides and corners."""
+    u, v = abs(a - goal[1]), abs(b - goal[2])
+    return float(max(u, v) + (sqrt(2.0) - 1.0) * min(u, v))
+
+
 @njit(cache=True, nogil=True)
-def _dijkstra(allowed: BoolArray, height: FloatArray, weight: FloatArray, start: IntArray, goal: IntArray) -> IntArray:
-    """Cheapest way over allowed cells, shape (k, 3); empty where there is none."""
+def _cheapest(allowed: BoolArray, height: FloatArray, weight: FloatArray, start: IntArray, goal: IntArray) -> IntArray:
+    """Cheapest way over allowed cells (A*), shape (k, 3), each of a weight of 1 or more; empty where there is none."""
     levels, nx, ny = allowed.shape
     cost = np.full(allowed.size, np.inf)
     came_from = np.full(allowed.size, -1)
     first = (start[0] * nx + start[1]) * ny + start[2]
     last = (goal[0] * nx + goal[1]) * ny + goal[2]
     cost[first] = 0.0
-    frontier = [(0.0, first)]
+    frontier = [(_ahead(start[1], start[2], goal), first)]
     while len(frontier) > 0:
-        reached, node = heappop(frontier)
+        estimate, node = heappop(frontier)
         if node == last:
             break
-        if reached > cost[node]:
-            continue
         level, i, j = node // (nx * ny), node // ny % nx, node % ny
+        reached = cost[node]
+        if estimate > reached + _ahead(i, j, goal):
+            continue
         for k in range(8 + levels):
             if k < 8:
                 t = k if k < 4 else k + 1  # the eight neighbours, without the cell itself
@@ -510,7 +519,7 @@ def _dijkstra(allowed: BoolArray, height: FloatArray, weight: FloatArray, start:
             further = reached + length * 0.5 * (weight[level, i, j] + weight[to, a, b])
             if further < cost[near]:
                 cost[near], came_from[near] = further, node
-                heappush(frontier, (further, near))
+                heappush(frontier, (further + _ahead(a, b, goal), near))
     path = [(0, 0, 0) for _ in range(0)]
     node = last if cost[last] < np.inf else -1
     while node >= 0:
