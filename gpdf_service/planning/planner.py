@@ -229,7 +229,7 @@ def _refuse_cut(task: _Task) -> PlanResult:
     goal_end = next(end for end in task.ends.goals if end)
     cut = find_cut(task.space, [task.ends.start, *task.ends.via, goal_end])
     assert cut is not None
-    why = explain_no_path(task.space, *cut, task.left)
+    why = explain_no_path(task.space, *cut, task.left, task.hidden_height)
     details = {"largest_radius": why.largest_radius} | _place("cut", why.at)
     details |= {f"short_{kind}": amount for kind, amount in why.short.items()}
     return PlanResult(Status.NO_VALID_PATH, why.message, details=details)
