@@ -72,8 +72,7 @@ class Refusal:
     room: dict[str, float] = field(default_factory=dict)
 
 
-@dataclass(frozen=True, slots=True)
-class Ends:
+class Ends(NamedTuple):
     """All places of a request; a goal that is not valid is None. `moved` says in words what was snapped."""
 
     start: Endpoint

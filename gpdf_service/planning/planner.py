@@ -8,8 +8,9 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import islice
+from typing import NamedTuple
 
 import numpy as np
 
@@ -43,8 +44,7 @@ WALL = 1000.0
 """[1/m] A millimetre too near, which is what the certificate resolves, doubles the push away."""
 
 
-@dataclass(frozen=True, slots=True)
-class _Candidate:
+class _Candidate(NamedTuple):
     """A path that may be certified, the costs on the way to it, and numbers about it."""
 
     legs: list[Leg]
@@ -52,8 +52,7 @@ class _Candidate:
     details: dict[str, float]
 
 
-@dataclass(frozen=True, slots=True)
-class _Made:
+class _Made(NamedTuple):
     """What was made of a candidate: its trajectory, what is proven of that, and what it takes."""
 
     trajectory: Trajectory
@@ -112,8 +111,7 @@ def plan_path(
     return found
 
 
-@dataclass(frozen=True, slots=True)
-class _Task:
+class _Task(NamedTuple):
     """A request that is at work; the attributes are those of `plan_path`."""
 
     space: FreeSpace

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import pairwise
 from math import hypot, sqrt
 from typing import NamedTuple
@@ -74,8 +74,7 @@ class Leg(NamedTuple):
     space: FreeSpace
 
 
-@dataclass(frozen=True, slots=True)
-class Route:
+class Route(NamedTuple):
     """A seed for the optimiser: its pieces, the number of its goal, whether it was known before, what it costs [s].
 
     A `direct` one is the shortest, and was looked for in the body's own free space alone.
@@ -93,8 +92,7 @@ class Route:
         return sum(float(lengths(leg.path)[-1]) for leg in self.legs)
 
 
-@dataclass(frozen=True, slots=True)
-class Wish:
+class Wish(NamedTuple):
     """What one wants of a way, and all ways of the body at their price, which are only made where they are needed.
 
     And where there is time: `left` says how many seconds are.

@@ -186,7 +186,7 @@ def test_what_does_not_certify_is_blamed_on_the_deadline_where_that_is_why(
     def tried(task, legs):
         for candidate in candidates(task, legs):
             now[0] = 1.0 - left if deadline_s else 0.0
-            yield dataclasses.replace(candidate, details=candidate.details | {"converged": float(converged)})
+            yield candidate._replace(details=candidate.details | {"converged": float(converged)})
 
     monkeypatch.setattr(planner, "_candidates", tried)
     found = gpdf.plan(scene, made.start, made.goal, "roomba", deadline_s=deadline_s, clock=lambda: now[0])
