@@ -11,7 +11,8 @@ from __future__ import annotations
 
 import hashlib
 import re
-from collections.abc import Callable, Iterable
+import sys
+from collections.abc import Callable, Iterable, Iterator
 from functools import cache
 from pathlib import Path
 from pickle import UnpicklingError
@@ -167,6 +168,27 @@ def _origin(module: str, name: str) -> Path:
         return file
     passed = [(at, was) for at, was, now in _imports(folder / "__init__.py") if now == name]
     return _origin(*passed[0]) if passed else folder / "__init__.py"
+
+
+def kernels(package: str = "gpdf_service") -> Iterator[Dispatcher]:
+    """Every compiled function of the modules of a package that are loaded."""
+    for name in [name for name in sys.modules if f"{name}.".startswith(f"{package}.")]:
+        module = sys.modules[name]
+        for value in list(vars(module).values()):
+            if isinstance(value, Dispatcher) and value.py_func.__module__ == name:
+                yield value
+
+
+@cache
+def load_kept(package: str) -> None:
+    """Load all that is kept of the kernels of a package, so that no first call of one waits for that."""
+    for kernel in kernels(package):
+        own: Any = kernel  # Numba has no types, nor a word for this
+        kept = own._cache
+        if not isinstance(kept, caching.NullCache):
+            for key in kept._cache_file._load_index():
+                if key == kept._index_key(key[0], own.targetctx.codegen()):
+                    own.compile(key[0])
 
 
 def forget_others(kernels: Iterable[Dispatcher]) -> int:

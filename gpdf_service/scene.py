@@ -22,6 +22,7 @@ from gpdf_service.errors import CloudError, SceneFileError
 from gpdf_service.fields import Gpdf, Lattice, Nearer, check_queries, fit_gpdf, fit_lattice, lattice_of, restore_lattice
 from gpdf_service.fields.spacing import estimate_spacing, thin
 from gpdf_service.fields.threads import run_parallel
+from gpdf_service.kernel_cache import load_kept
 from gpdf_service.perception import (
     GroundLevel,
     HeightMap,
@@ -323,7 +324,9 @@ class Scene:
         return kept[1]
 
     def prepare(self, agent: str | Agent) -> None:
-        """Build what plans for `agent` read, so that the first one takes what plans take."""
+        """Build what plans for `agent` read, and load what they run, so that the first one takes what plans take."""
+        for package in "search", "planning":
+            load_kept(f"gpdf_service.{package}")
         self.ways(agent, Prefer.COMPANION)
         for field, surface in zip(self.ground_fields, self.surfaces, strict=True):
             _ = field.discs, surface.ends, surface.inferred  # told on first use

@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import sys
 import tempfile
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
 
 import numpy as np
-from numba.core.dispatcher import Dispatcher
 
 from gpdf_service.pipeline import build_scene, plan
 from gpdf_service.scene import Scene, load_scene
@@ -46,6 +44,7 @@ class Warming:
     def plans(self) -> None:
         """A labelled scene, plans in it, one round something that moves, its file: what a planner needs at once."""
         made, scene = self._office, self._scene
+        scene.prepare("human")
         plan(scene, made.start, made.goal)
         leaves = scene.free_space("human").quadtrees[0].standing
         plan(scene, *leaves.center[leaves.free & ~leaves.whole][[0, -1]])  # from beside one obstacle to another one
@@ -132,12 +131,3 @@ class Warming:
             "heaps": self.heaps,
             "methods": self.methods,
         }
-
-
-def kernels() -> Iterator[Dispatcher]:
-    """Every compiled function of the modules that are loaded."""
-    for name in [name for name in sys.modules if name.partition(".")[0] == "gpdf_service"]:
-        module = sys.modules[name]
-        for value in list(vars(module).values()):
-            if isinstance(value, Dispatcher) and value.py_func.__module__ == name:
-                yield value

@@ -34,13 +34,44 @@ def test_a_process_that_says_that_it_is_ready_has_loaded_what_its_first_plan_run
     assert found.stdout.split() == ["OK"]
 
 
+@pytest.mark.slow
+def test_what_plans_run_is_loaded_before_the_first_of_them(office_file):
+    """Whatever kind of answer it is."""
+    found = subprocess.run(
+        [sys.executable, "-c", PREPARED, str(office_file)], capture_output=True, text=True, check=True, timeout=600
+    )
+    assert found.stdout.splitlines() == ["OK NO_VALID_PATH GOAL_OCCUPIED", "later:"]
+
+
+PREPARED = """
+import sys
+from gpdf_service.kernel_cache import kernels
+from gpdf_service.pipeline import plan
+from gpdf_service.scene import load_scene
+
+def loaded():
+    return {
+        (one.__name__, signature)
+        for package in ("search", "planning")
+        for one in kernels(f"gpdf_service.{package}")
+        for signature in one.signatures
+    }
+
+scene = load_scene(sys.argv[1])
+for body in "human", "roomba":
+    scene.prepare(body)
+before, start = loaded(), (1.0, 1.0)
+asked = ((5.4, 3.4), "human"), ((5.5, 1.94), "roomba"), ((0.33, 0.08), "human")
+print(*(plan(scene, start, *one).status for one in asked))
+print("later:", *sorted({name for name, _ in loaded() - before}))
+"""
 FIRST = """
 import sys, time
 from pathlib import Path
 from gpdf_schemas import PlanReply, decode, keys
 from gpdf_service.service import plan_process
 from gpdf_service.service.pool import WARM, Ask
-from gpdf_service.warm import kernels
+from gpdf_service.kernel_cache import kernels
 
 def loaded():
     return {(one.__name__, signature) for one in kernels() for signature in one.signatures}
@@ -58,7 +89,8 @@ plan_process.main(None, sys.argv[1].encode())
 """
 """Instead of serving, a process takes a scene into memory, makes the first plan, and names the kernels it loaded."""
 LOADED = """
-from gpdf_service.warm import Warming, kernels
+from gpdf_service.kernel_cache import kernels
+from gpdf_service.warm import Warming
 Warming().plans()
 assert len(list(kernels())) > 100
 before = {one for one in kernels() if one.signatures}

@@ -35,8 +35,8 @@ class _Bar(Listener):  # type: ignore[misc]  # Numba has no types
 
 def run(args: argparse.Namespace) -> int:
     """Run what needs the kernels; most of the time, if there is any to speak of, goes into compiling them."""
-    from gpdf_service.kernel_cache import forget_others
-    from gpdf_service.warm import Warming, kernels
+    from gpdf_service.kernel_cache import forget_others, kernels
+    from gpdf_service.warm import Warming
 
     began = time.monotonic()
     with tqdm(

@@ -73,6 +73,11 @@ def obstacles_of(level: GroundLevel, agent: Agent, scan: Scan = CLEAN) -> Obstac
     return Obstacles(points, kind)
 
 
+def least_headroom(surface: HeightMap, hidden: float) -> float:
+    """What begins lower over this ground may go down to it: no body is led under it [m]; see `obstacles_of`."""
+    return max(hidden, LEAST_OBSTACLE + surface.cell_width) + surface.cell_width
+
+
 def obstacles_reach(surface: HeightMap, agent: Agent) -> tuple[int, int]:
     """Cells within which a level decides on an obstacle: its ground, and its other points.
 
@@ -93,8 +98,7 @@ def _material(level: GroundLevel, agent: Agent, scan: Scan) -> BoolArray:
     top = np.where(known, surface.height, -np.inf)
     bottom = np.where(known, surface.height, np.inf)
     disc = _disc(agent.cylinder.radius + surface.cell_width, surface)
-    bare = max(scan.hidden, LEAST_OBSTACLE + surface.cell_width) + surface.cell_width
-    tall = max((1.0 - HEADROOM_SHARE) * agent.height + noise, bare)
+    tall = max((1.0 - HEADROOM_SHARE) * agent.height + noise, least_headroom(surface, scan.hidden))
     highest, lowest = run_parallel(lambda heights: highest_within(heights, disc), (top, -bottom))
     lowest, cell, z = -lowest, cells_within(points, surface), points[:, 2]
     stops = between(cell, z, under(lowest - least), under(highest + tall))

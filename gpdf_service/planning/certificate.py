@@ -86,39 +86,38 @@ def certify(
             a worn tread is rough counts as the tread, whatever it is.
     """
     headings = travel_headings(ground) if headings is None else headings
-    agent = space.agent
-    clearance, where = np.inf, ground[0]
-    deviation, off_at = 0.0, ground[0]
-    step = slope = spacing = 0.0
-    unknown = False
+    agent, seen = space.agent, None
     for part, on in runs(level):
         surface, body = space.surfaces[on], (agent.offsets, space.reach, agent.radius, agent.height)
         known = surface.arrays, surface.inferred, space.steps[on], space.slopes[on], space.ground_fields[on].arrays
-        seen = _prove(space.trees[on], ground[part], positions[part], headings[part], body, known)
-        if seen.clearance < clearance:
-            clearance, where = seen.clearance, seen.where
-        if seen.deviation > deviation:
-            deviation, off_at = seen.deviation, seen.off_at
-        unknown, step, slope = unknown or seen.unknown, max(step, seen.step), max(slope, seen.slope)
-        spacing = max(spacing, seen.spacing)
-    reason = ""
-    if clearance < 0:
-        reason = f"the body would touch an obstacle: {-1000 * clearance:.0f} mm too little room at {place_words(where)}"
-    elif unknown:
+        more = prove(space.trees[on], ground[part], positions[part], headings[part], body, known)
+        seen = more if seen is None else _both(seen, more)
+    assert seen is not None
+    return judge(space, ground, seen, hidden_height)
+
+
+def judge(space: FreeSpace, ground: FloatArray, seen: Seen, hidden_height: float) -> Certificate:
+    """Whether what was `seen` of a path is what its body may do; see `certify`."""
+    agent, reason = space.agent, ""
+    if seen.clearance < 0:
+        short = f"{-1000 * seen.clearance:.0f} mm too little room at {place_words(seen.where)}"
+        reason = f"the body would touch an obstacle: {short}"
+    elif seen.unknown:
         reason = "the path leaves the known ground"
-    elif step > max(agent.max_step, LEAST_STEP):
-        reason = f"a step of {measure(step)} m is higher than the {agent.name} takes ({measure(agent.max_step)} m)"
-    elif slope > agent.max_slope:
-        reason = f"a slope of {np.degrees(slope):.0f}° is steeper than the {agent.name} stands on"
+    elif seen.step > max(agent.max_step, LEAST_STEP):
+        reason = f"a step of {measure(seen.step)} m is higher than the {agent.name} takes ({measure(agent.max_step)} m)"
+    elif seen.slope > agent.max_slope:
+        reason = f"a slope of {np.degrees(seen.slope):.0f}° is steeper than the {agent.name} stands on"
     if not reason and hidden_height < ROUGH < agent.max_step:
         crosses = any(crosses_flight(ground, one, agent.cylinder.radius) for one in space.surfaces)
         hidden_height = ROUGH if crosses else hidden_height
+    where = seen.where, seen.deviation, seen.off_at
     return Certificate(
-        clearance, where, deviation, off_at, step, slope, not reason, reason, hidden_height, ground_spacing=spacing
+        seen.clearance, *where, seen.step, seen.slope, not reason, reason, hidden_height, ground_spacing=seen.spacing
     )
 
 
-class _Seen(NamedTuple):
+class Seen(NamedTuple):
     """Of a piece of the path on one level; what they are is said at `Certificate`."""
 
     clearance: float
@@ -131,15 +130,24 @@ class _Seen(NamedTuple):
     spacing: float
 
 
+def _both(one: Seen, other: Seen) -> Seen:
+    """What is proven of two pieces together."""
+    near = other if other.clearance < one.clearance else one
+    off = other if other.deviation > one.deviation else one
+    step, slope, spacing = max(one.step, other.step), max(one.slope, other.slope), max(one.spacing, other.spacing)
+    where = near.clearance, near.where, one.unknown or other.unknown, off.deviation, off.off_at
+    return Seen(*where, step, slope, spacing)
+
+
 @njit(cache=True, nogil=True)
-def _prove(
+def prove(
     obstacles: Places,
     path: FloatArray,
     tops: FloatArray,
     headings: FloatArray,
     body: tuple[FloatArray, float, float, float],
     known: tuple[Cells, NDArray[np.int32], FloatArray, FloatArray, FieldArrays],
-) -> _Seen:
+) -> Seen:
     """What is proven of a piece: its least distance, and its ground and its tops, looked at as `SAMPLE` says."""
     (offsets, reach, radius, height), (ground, inferred, steps, slopes, field) = body, known
     poses, where, off_at, nearest = path.copy(), path[0].copy(), path[0].copy(), np.inf
@@ -155,7 +163,7 @@ def _prove(
     own = ground, steps, slopes, field, make_scratch(), np.empty(3), off_at
     unknown, deviation, step, slope = _look_along(path, tops, headings, offsets, height, *own)
     spacing = _coarsest_spacing(path, radius, ground, inferred)
-    return _Seen(least - reach, where, unknown, deviation, off_at, step, slope, spacing)
+    return Seen(least - reach, where, unknown, deviation, off_at, step, slope, spacing)
 
 
 @lean()

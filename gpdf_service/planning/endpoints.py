@@ -72,8 +72,7 @@ class Refusal:
     room: dict[str, float] = field(default_factory=dict)
 
 
-@dataclass(frozen=True, slots=True)
-class Ends:
+class Ends(NamedTuple):
     """All places of a request; a goal that is not valid is None. `moved` says in words what was snapped."""
 
     start: Endpoint
@@ -95,16 +94,12 @@ def find_ends(space: FreeSpace, start: FloatArray, goals: list[FloatArray], opti
             return found
         via.append(found)
     reached = [_snap(space, goal, "goal", options.snap, component) for goal in goals]
-    if isinstance(reached[0], Refusal) and all(isinstance(goal, Refusal) for goal in reached):
+    free = [goal for goal in reached if not isinstance(goal, Refusal)]
+    if not free and isinstance(reached[0], Refusal):
         return reached[0]
-    goals_ = [None if isinstance(goal, Refusal) else goal for goal in reached]
-    words = [one[1] for one in (began, *via, *goals_) if one is not None and one[1]]
-    return Ends(
-        began[0],
-        tuple(one for one, _ in via),
-        tuple(None if goal is None else goal[0] for goal in goals_),
-        " ".join(words),
-    )
+    goals_ = tuple([None if isinstance(goal, Refusal) else goal[0] for goal in reached])
+    words = " ".join([words for _, words in (began, *via, *free) if words])
+    return Ends(began[0], tuple([end for end, _ in via]), goals_, words)
 
 
 def _snap(
@@ -142,7 +137,7 @@ def find_endpoint(space: FreeSpace, place: FloatArray, name: str) -> Endpoint | 
     outside = Status.START_OUTSIDE_MAP if name == "start" else Status.GOAL_OUTSIDE_MAP
     occupied = Status.START_OCCUPIED if name == "start" else Status.GOAL_OCCUPIED
     xy = place[:2]
-    heights = dict[int, float]()
+    heights: dict[int, float] = {}
     for level in _maps_over(space, xy):
         z = float(height_of(space.surfaces[level].arrays, *xy.tolist()))
         if not isnan(z):

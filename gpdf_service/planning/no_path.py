@@ -21,9 +21,11 @@ from numpy.typing import NDArray
 from scipy import ndimage
 from scipy.spatial import cKDTree
 
+from gpdf_service.kernel_cache import lean
 from gpdf_service.perception import HeightMap, ObstacleKind
 from gpdf_service.perception.ledges import LEAST_OBSTACLE
 from gpdf_service.perception.nearest import nearest_of
+from gpdf_service.perception.obstacles import least_headroom
 from gpdf_service.perception.surface import UNKNOWN, Cells
 from gpdf_service.planning.certificate import min_distance
 from gpdf_service.planning.endpoints import Endpoint
@@ -140,12 +142,15 @@ class NoPath:
 
 
 def explain_no_path(
-    space: FreeSpace, start: Endpoint, goal: Endpoint, left: Callable[[], float] = lambda: np.inf
+    space: FreeSpace, start: Endpoint, goal: Endpoint, left: Callable[[], float] = lambda: np.inf, hidden: float = 0.0
 ) -> NoPath:
-    """Find what cuts the start from the goal of a body that has no way between them, in the seconds that are `left`."""
+    """Find what cuts the start from the goal of a body that has no way between them, in the seconds that are `left`.
+
+    Things that are so low may be `hidden` in the scene [m].
+    """
     if left() < STAGE:
         return _no_time(space, start)
-    grid = _lay_grid(space, start, goal)
+    grid = _lay_grid(space, start, goal, hidden)
     ends = grid.cell(start), grid.cell(goal)
     radius, largest = space.reach, 0.0
     found: list[_Found] = []
@@ -222,7 +227,7 @@ def _tell(space: FreeSpace, start: Endpoint, found: list[_Found], largest: float
     )
 
 
-def _lay_grid(space: FreeSpace, start: Endpoint, goal: Endpoint) -> _Grid:
+def _lay_grid(space: FreeSpace, start: Endpoint, goal: Endpoint, hidden: float = 0.0) -> _Grid:
     """The ground around start and goal, of the levels that have some there."""
     first, ends = space.surfaces[0], np.stack([start.xy, goal.xy])
     least = np.min([one.origin for one in space.surfaces], axis=0)
@@ -237,7 +242,7 @@ def _lay_grid(space: FreeSpace, start: Endpoint, goal: Endpoint) -> _Grid:
     share = max(CELL / first.cell_width, np.sqrt(cells / MAX_CELLS))
     width = first.cell_width * np.ceil(share) if share > 1.0 else first.cell_width / np.floor(1.0 / share)
     height = np.stack([_heights(space.surfaces[n], low, high, width) for n in level])
-    told = [_told(space, n, low, high) for n in level]
+    told = [_told(space, n, low, high, hidden) for n in level]
     distance = np.full((len(Cut), *height.shape), np.inf)
     for own, (points, cut, _) in zip(distance.swapaxes(0, 1), told, strict=True):
         marks = _mark(points, cut, low, width, own.shape)
@@ -275,10 +280,12 @@ def _heights(surface: HeightMap, low: FloatArray, high: FloatArray, width: float
     return made
 
 
-def _told(space: FreeSpace, level: int, low: FloatArray, high: FloatArray) -> _Told:
+def _told(space: FreeSpace, level: int, low: FloatArray, high: FloatArray, hidden: float) -> _Told:
     """What is told of the obstacle points of a level that are within reach of a grid from `low` to `high` [m]."""
     found, box = space.obstacles[level], np.stack([low - space.reach, high + space.reach])
-    own = space.surfaces[level].arrays, (space.steps[level], space.slopes[level]), space.agent.max_step
+    surface, agent = space.surfaces[level], space.agent
+    room = max(LOWEST_BODY, least_headroom(surface, hidden)), agent.height, agent.cylinder.radius
+    own = surface.arrays, (space.steps[level], space.slopes[level]), agent.max_step, room
     row, cut, asks = _tell_points(found.points, found.kind, box, *own)
     return _Told(found.points[row], cut, asks)
 
@@ -291,8 +298,14 @@ def _tell_points(
     ground: Cells,
     measured: tuple[FloatArray, FloatArray],
     max_step: float,
+    room: tuple[float, float, float],
 ) -> tuple[IntArray, NDArray[np.uint8], FloatArray]:
-    """Rows of the points in a box, the `Cut` of each, and what it asks; `measured` are steps [m] and slopes [rad]."""
+    """Rows of the points in a box, the `Cut` of each, and what it asks; `measured` are steps [m] and slopes [rad].
+
+    `room` is the headroom under which no body is led, the body's height, and its radius, within which it may stand on
+    higher ground [m].
+    """
+    lowest, tall, radius = room
     row, cut, asks, count = np.empty(len(points), np.int64), np.empty(len(points), np.uint8), np.zeros(len(points)), 0
     (nx, ny), (steps, slopes) = ground.state.shape, measured
     for i in range(len(points)):
@@ -301,10 +314,12 @@ def _tell_points(
             continue
         u = int(min(max((x - ground.origin[0]) / ground.width, 0.0), nx - 1.0))
         v = int(min(max((y - ground.origin[1]) / ground.width, 0.0), ny - 1.0))
-        top, told = _highest(ground, u, v), int(kind[i]) + 1
+        top, told = _highest(ground, u, v, 1), int(kind[i]) + 1
         if kind[i] == ObstacleKind.MATERIAL:  # a step's face, or what is only too low
             face = z - top <= LEAST_OBSTACLE and steps[u, v] > max_step
-            low = z - top > LOWEST_BODY
+            if top > -np.inf and z - top >= tall:
+                top = _highest(ground, u, v, int(radius / ground.width) + 1)
+            low = lowest < z - top < tall
             told = Cut.SOLID if top == -np.inf else Cut.HEIGHT if low else Cut.STEP if face else Cut.SOLID
         if told == Cut.HEIGHT:
             asks[count] = top - z
@@ -316,11 +331,11 @@ def _tell_points(
 
 
 @njit(cache=True, nogil=True)
-def _highest(ground: Cells, u: int, v: int) -> float:
-    """The highest ground in a cell and the eight around it [m], −inf where none is known."""
+def _highest(ground: Cells, u: int, v: int, reach: int) -> float:
+    """The highest ground in a cell and those around it up to so many off [m], −inf where none is known."""
     top = -np.inf
-    for a in range(max(u - 1, 0), min(u + 2, ground.state.shape[0])):
-        for b in range(max(v - 1, 0), min(v + 2, ground.state.shape[1])):
+    for a in range(max(u - reach, 0), min(u + reach + 1, ground.state.shape[0])):
+        for b in range(max(v - reach, 0), min(v + reach + 1, ground.state.shape[1])):
             if ground.state[a, b] != UNKNOWN:
                 top = max(top, ground.height[a, b])
     return top
@@ -372,7 +387,7 @@ def _way(
     """Shortest way that crosses as little as it can of what stops the body, in the middle where it is narrow."""
     shut = ~(grid.nearest >= radius)
     weight = 1.0 + (radius / np.maximum(distance, grid.width)) ** 2 + DETOUR * shut
-    path: IntArray = _dijkstra(_allow(distance >= radius, known, ends), grid.height, weight, *ends)
+    path: IntArray = _cheapest(_allow(distance >= radius, known, ends), grid.height, weight, *ends)
     return path
 
 
@@ -476,23 +491,31 @@ def _floods(allowed: BoolArray, height: FloatArray, start: IntArray, goal: IntAr
     return False
 
 
+@lean()
+def _ahead(a: int, b: int, goal: IntArray) -> float:
+    """Cells at least from one to the goal, over sides and corners."""
+    u, v = abs(a - goal[1]), abs(b - goal[2])
+    return float(max(u, v) + (sqrt(2.0) - 1.0) * min(u, v))
+
+
 @njit(cache=True, nogil=True)
-def _dijkstra(allowed: BoolArray, height: FloatArray, weight: FloatArray, start: IntArray, goal: IntArray) -> IntArray:
-    """Cheapest way over allowed cells, shape (k, 3); empty where there is none."""
+def _cheapest(allowed: BoolArray, height: FloatArray, weight: FloatArray, start: IntArray, goal: IntArray) -> IntArray:
+    """Cheapest way over allowed cells (A*), shape (k, 3), each of a weight of 1 or more; empty where there is none."""
     levels, nx, ny = allowed.shape
     cost = np.full(allowed.size, np.inf)
     came_from = np.full(allowed.size, -1)
     first = (start[0] * nx + start[1]) * ny + start[2]
     last = (goal[0] * nx + goal[1]) * ny + goal[2]
     cost[first] = 0.0
-    frontier = [(0.0, first)]
+    frontier = [(_ahead(start[1], start[2], goal), first)]
     while len(frontier) > 0:
-        reached, node = heappop(frontier)
+        estimate, node = heappop(frontier)
         if node == last:
             break
-        if reached > cost[node]:
-            continue
         level, i, j = node // (nx * ny), node // ny % nx, node % ny
+        reached = cost[node]
+        if estimate > reached + _ahead(i, j, goal):
+            continue
         for k in range(8 + levels):
             if k < 8:
                 t = k if k < 4 else k + 1  # the eight neighbours, without the cell itself
@@ -510,7 +533,7 @@ def _dijkstra(allowed: BoolArray, height: FloatArray, weight: FloatArray, start:
             further = reached + length * 0.5 * (weight[level, i, j] + weight[to, a, b])
             if further < cost[near]:
                 cost[near], came_from[near] = further, node
-                heappush(frontier, (further, near))
+                heappush(frontier, (further + _ahead(a, b, goal), near))
     path = [(0, 0, 0) for _ in range(0)]
     node = last if cost[last] < np.inf else -1
     while node >= 0:

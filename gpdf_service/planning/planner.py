@@ -8,14 +8,16 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import islice
+from typing import NamedTuple
 
 import numpy as np
 
 from gpdf_service.config import PlanningConfig
-from gpdf_service.planning.certificate import certify
-from gpdf_service.planning.chomp import Stop, Wants, bend
+from gpdf_service.planning.at_once import MORE_STEPS, Bending, Pace, go_at_once
+from gpdf_service.planning.certificate import certify, judge
+from gpdf_service.planning.chomp import ChompResult, Stop, Wants, bend
 from gpdf_service.planning.costs import Discs
 from gpdf_service.planning.endpoints import Ends, Refusal, find_ends
 from gpdf_service.planning.footprint import moving, stand_along
@@ -23,17 +25,16 @@ from gpdf_service.planning.no_path import explain_no_path
 from gpdf_service.planning.others import find_others
 from gpdf_service.planning.portals import Bent, Meet, bend_over, pull_over
 from gpdf_service.planning.routes import Leg, Route, Wish, find_cut, find_rival, find_routes, steps_of, take_up
+from gpdf_service.planning.shape import lengths
 from gpdf_service.planning.timing import speed_limit
 from gpdf_service.planning.turning import Facing, Stuck, time_poses, turn_route
 from gpdf_service.search import FreeSpace, Prefer, Ways, prices
 from gpdf_service.search.steps import count_steps
-from gpdf_service.search.ways import STEPPED, WIDE
-from gpdf_service.types import Agent, FloatArray, IntArray, PlanOptions, PlanResult, Status, Trajectory
+from gpdf_service.search.ways import STEPPED, WIDE, beside
+from gpdf_service.types import Agent, Certificate, FloatArray, IntArray, PlanOptions, PlanResult, Status, Trajectory
 
 Clock = Callable[[], float]
 NO_OPTIONS = PlanOptions()
-MORE_STEPS = 0.05
-"""[m] Rise and fall in steps that a bent path may have over its seed's: less than a step, what a diagonal adds."""
 PATIENCE = 0.005
 """[s] A path that was found this long after its deadline is not certified any more: that takes as long again."""
 WAYPOINTS_PER_SECOND = 300_000
@@ -43,13 +44,22 @@ WALL = 1000.0
 """[1/m] A millimetre too near, which is what the certificate resolves, doubles the push away."""
 
 
-@dataclass(frozen=True, slots=True)
-class _Candidate:
+class _Candidate(NamedTuple):
     """A path that may be certified, the costs on the way to it, and numbers about it."""
 
     legs: list[Leg]
     costs: FloatArray
     details: dict[str, float]
+
+
+class _Made(NamedTuple):
+    """What was made of a candidate: its trajectory, what is proven of that, and what it takes."""
+
+    trajectory: Trajectory
+    certificate: Certificate
+    takes: FloatArray
+    details: dict[str, float]
+    costs: FloatArray
 
 
 def plan_path(
@@ -101,8 +111,7 @@ def plan_path(
     return found
 
 
-@dataclass(frozen=True, slots=True)
-class _Task:
+class _Task(NamedTuple):
     """A request that is at work; the attributes are those of `plan_path`."""
 
     space: FreeSpace
@@ -144,9 +153,20 @@ def _best(task: _Task) -> tuple[PlanResult | None, Route | None]:
 
 def _follow(task: _Task, route: Route) -> PlanResult:
     """A trajectory along a route: of the first candidate that certifies; else UNCERTIFIED, with what is wrong."""
-    space, config, clock, prefer = task.space, task.config, task.clock, task.wish.prefer
-    searched, first, hurried = clock(), None, False
+    space, config, prefer, searched = task.space, task.config, task.wish.prefer, task.clock()
     legs = pull_over(route.legs, _meet([end.xy for end in task.ends.via]), config.waypoint_spacing)
+
+    def answer(made: _Made) -> PlanResult:
+        timings = {"search": searched - task.began, "optimise": task.clock() - searched}
+        details = made.details | {"nodes": float(len(space.graph.position))}
+        details |= {"goal": float(route.goal), "warm": float(route.warm)}
+        details |= _effort(space.agent, made.takes, made.trajectory.ground, made.trajectory.headings, prefer)
+        parts = made.trajectory, made.certificate, timings, details, made.costs
+        return PlanResult(Status.OK, task.ends.moved, *parts)
+
+    if (soon := _at_once(task, legs)) is not None and soon.certificate.holds:
+        return answer(soon)
+    first, hurried = None, False
     for candidate in _candidates(task, legs):
         left = task.left()
         if left < -PATIENCE:
@@ -157,21 +177,39 @@ def _follow(task: _Task, route: Route) -> PlanResult:
         certificate = certify(space, top, contact, level, headings, task.hidden_height)
         first = first or certificate
         if certificate.holds:
-            room = config.preferred_clearance * space.agent.disc_radius
-            limit, takes = speed_limit(space, contact, headings, level, room, prefer)
+            limit, takes = speed_limit(space, contact, headings, level, _preferred(task), prefer)
             body_top = contact.copy()
             body_top[:, 2] += space.agent.height
             trajectory = Trajectory(body_top, contact, *time_poses(body_top, headings, space.agent, limit))
-            timings = {"search": searched - task.began, "optimise": clock() - searched}
-            details = candidate.details | {"nodes": float(len(space.graph.position))}
-            details |= {"goal": float(route.goal), "warm": float(route.warm)}
-            details |= _effort(space.agent, takes, contact, headings, prefer)
-            return PlanResult(Status.OK, task.ends.moved, trajectory, certificate, timings, details, candidate.costs)
+            return answer(_Made(trajectory, certificate, takes, candidate.details, candidate.costs))
     assert first is not None
     if hurried:
         return PlanResult(Status.TIMEOUT, LATE)
     words = f"a path was found, but it cannot be certified: {first.reason}. Choose other places, or a smaller body."
     return PlanResult(Status.UNCERTIFIED, words, certificate=first)
+
+
+def _preferred(task: _Task) -> float:
+    """Room beside the body with which it goes freely [m]."""
+    return task.config.preferred_clearance * task.space.agent.disc_radius
+
+
+def _at_once(task: _Task, legs: list[Leg]) -> _Made | None:
+    """What is made of the first candidate, if it is one piece of a cylinder's path and there is time for all of it."""
+    space, agent, left = task.space, task.space.agent, task.left()
+    level, path, _ = legs[0]
+    if len(legs) > 1 or agent.discs > 1 or left < 0.0:
+        return None
+    if left < np.inf and lengths(path)[-1] > left * WAYPOINTS_PER_SECOND * task.config.waypoint_spacing:
+        return None
+    surface, about = space.surfaces[level], beside(space, level, task.wish.prefer)
+    bending = _bending(legs[0], _liking(task.config, task.wish.prefer), False, left)
+    pace = Pace(agent.radius, agent.speed, agent.acceleration, agent.turn_rate, _preferred(task))
+    made = go_at_once(np.ascontiguousarray(path), about, surface.ends, surface.inferred, bending, pace)
+    certificate = judge(space, made.contact, made.seen, task.hidden_height)
+    candidate = _candidate(legs, [made.run] if made.is_bent else [])
+    trajectory = Trajectory(made.top, made.contact, made.times, made.headings)
+    return _Made(trajectory, certificate, made.takes, candidate.details, candidate.costs)
 
 
 def _others(task: _Task, best: Route) -> Iterator[PlanResult]:
@@ -189,7 +227,7 @@ def _refuse_cut(task: _Task) -> PlanResult:
     goal_end = next(end for end in task.ends.goals if end)
     cut = find_cut(task.space, [task.ends.start, *task.ends.via, goal_end])
     assert cut is not None
-    why = explain_no_path(task.space, *cut, task.left)
+    why = explain_no_path(task.space, *cut, task.left, task.hidden_height)
     details = {"largest_radius": why.largest_radius} | _place("cut", why.at)
     details |= {f"short_{kind}": amount for kind, amount in why.short.items()}
     return PlanResult(Status.NO_VALID_PATH, why.message, details=details)
@@ -237,14 +275,18 @@ def _routes(task: _Task) -> Iterator[Route | Stuck]:
 def _candidates(task: _Task, legs: list[Leg]) -> Iterator[_Candidate]:
     """Paths from the best to the safest: CHOMP, CHOMP that bends round every point behind a wall, then the seed."""
     for bent in _tries(task, legs):
-        runs = [run for _, run in bent if run is not None]
-        details = {
-            "iterations": float(sum(run.iterations for run in runs)),
-            "evaluations": float(sum(run.evaluations for run in runs)),
-            "converged": float(all(run.converged for run in runs)),
-        }
-        yield _Candidate([leg for leg, _ in bent], _sum_of([run.costs for run in runs]), details)
+        yield _candidate([leg for leg, _ in bent], [run for _, run in bent if run is not None])
     yield _Candidate(legs, np.zeros(0), {"iterations": 0.0, "evaluations": 0.0, "converged": 0.0})
+
+
+def _candidate(legs: list[Leg], runs: list[ChompResult]) -> _Candidate:
+    """A path that these runs of the optimiser made."""
+    details = {
+        "iterations": float(sum(run.iterations for run in runs)),
+        "evaluations": float(sum(run.evaluations for run in runs)),
+        "converged": float(all(run.converged for run in runs)),
+    }
+    return _Candidate(legs, _sum_of([run.costs for run in runs]), details)
 
 
 def _sum_of(costs: list[FloatArray]) -> FloatArray:
@@ -319,16 +361,24 @@ def _beside_each_other(legs: list[Leg], via: list[FloatArray]) -> list[list[Leg]
 
 
 def _bend(leg: Leg, config: PlanningConfig, strict: bool, seconds: float) -> Bent:
-    """A piece of the path after CHOMP; as it was where nothing moves, no time is left, or ground is not known.
+    """A piece of the path after CHOMP; as it was where nothing moves, no time is left, or ground is not known."""
+    surface = leg.space.surfaces[leg.level]
+    bent, found = bend(leg.path, surface.arrays, surface.ends, *_bending(leg, config, strict, seconds))
+    if len(found.xi) == 0:
+        return leg, None
+    return (leg if len(bent) == 0 else leg._replace(path=bent)), found
 
-    The Obstacle GPDF is fitted to thinned points and its cost is soft. `strict`ly, the path bends round the points
-    themselves behind a wall, with the margin of the search and what a chord between waypoints cuts from a turn.
+
+def _bending(leg: Leg, config: PlanningConfig, strict: bool, seconds: float) -> Bending:
+    """How a piece is bent. `strict`ly, the path bends round the points themselves behind a wall.
+
+    That has the margin of the search and what a chord between waypoints cuts from a turn.
 
     Obstacles push with 1 at most against the tension λ_s, so λ_s is the radius of the tightest bend: a spline through
     waypoints as far apart follows it.
     """
-    level, path, space = leg
-    agent, surface, wide = space.agent, space.surfaces[level], space.agent.disc_radius
+    level, _, space = leg
+    agent, wide = space.agent, space.agent.disc_radius
     stiff = config.smoothness_weight(wide)
     spacing = max(config.waypoint_spacing, stiff)
     epsilon = config.preferred_clearance * wide
@@ -337,10 +387,7 @@ def _bend(leg: Leg, config: PlanningConfig, strict: bool, seconds: float) -> Ben
         radius = space.radius + spacing**2 / (8.0 * wide)
     else:
         obstacles, wall, radius = space.obstacle_fields[level].arrays, 0.0, space.reach
-    bent, found = bend(
-        path,
-        surface.arrays,
-        surface.ends,
+    return Bending(
         (obstacles, space.ground_fields[level].arrays),
         Discs(agent.offsets, radius),
         Wants(agent.height, epsilon, wall, stiff),
@@ -348,9 +395,6 @@ def _bend(leg: Leg, config: PlanningConfig, strict: bool, seconds: float) -> Ben
         WAYPOINTS_PER_SECOND * seconds,
         Stop(config.max_iterations, config.tolerance),
     )
-    if len(found.xi) == 0:
-        return leg, None
-    return (leg if len(bent) == 0 else leg._replace(path=bent)), found
 
 
 def _facing(options: PlanOptions) -> Facing:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import pairwise
 from math import hypot, sqrt
 from typing import NamedTuple
@@ -27,8 +27,8 @@ from gpdf_service.planning.shape import (
     subdivide,
 )
 from gpdf_service.search import Doors, FreeSpace, Graph, Prefer, Ways, find_way, prices
-from gpdf_service.search.core import Core, climb, find_nodes, tops_of
-from gpdf_service.search.layered import below
+from gpdf_service.search.core import Core, Search, climb, find_nodes, search_in, tops_of
+from gpdf_service.search.layered import above, below, start_above
 from gpdf_service.search.places import Places, distance_at
 from gpdf_service.search.steps import is_near_step
 from gpdf_service.search.ways import (
@@ -74,8 +74,7 @@ class Leg(NamedTuple):
     space: FreeSpace
 
 
-@dataclass(frozen=True, slots=True)
-class Route:
+class Route(NamedTuple):
     """A seed for the optimiser: its pieces, the number of its goal, whether it was known before, what it costs [s].
 
     A `direct` one is the shortest, and was looked for in the body's own free space alone.
@@ -93,8 +92,7 @@ class Route:
         return sum(float(lengths(leg.path)[-1]) for leg in self.legs)
 
 
-@dataclass(frozen=True, slots=True)
-class Wish:
+class Wish(NamedTuple):
     """What one wants of a way, and all ways of the body at their price, which are only made where they are needed.
 
     And where there is time: `left` says how many seconds are.
@@ -233,11 +231,17 @@ def _over(
     space: FreeSpace, core: Core, start: Endpoint, goal: Endpoint, prefer: Prefer
 ) -> tuple[list[Leg], FloatArray, bool]:
     """`_shortest` of the ways over a core."""
-    graph, near = space.graph, space.agent.disc_radius
-    nodes, via = find_nodes(graph, core, start.node, goal.node)
-    chain = _Chain(graph.position[nodes], graph.level[nodes], np.zeros(len(nodes), np.int64), via)
-    legs = _legs(chain, start.xy, goal.xy, (space,))
-    pulled, takes, by_step = list[Leg](), np.zeros(6), False
+    graph, near, ends = space.graph, space.agent.disc_radius, (start.xy, goal.xy)
+    about, radius = beside(space, start.level, prefer), radius_at(space, min(start.room, goal.room))
+    places, levels = graph.position, graph.level
+    rows = (below(places), above(places), start_above(places)), (below(levels), above(levels), start_above(levels))
+    chain, path, takes, by_step = _pull_over(
+        search_in(graph, core), (start.node, goal.node), ends, rows, about, radius, near
+    )
+    if len(path):
+        return [Leg(start.level, path, space)], takes, by_step
+    legs = _legs(chain, *ends, (space,))
+    pulled, by_step = list[Leg](), False
     for n, leg in enumerate(legs, start=1):
         radius = radius_at(space, min(start.room if n == 1 else np.inf, goal.room if n == len(legs) else np.inf))
         path, more, by = _pull(leg.path, beside(space, leg.level, prefer), radius, near)
@@ -358,6 +362,48 @@ def _go_straight(
     return _looked_at(path, about, near)
 
 
+class _Chain(NamedTuple):
+    """Nodes one after the other: their places (n, 2) [m], levels and numbers of spaces (n,), and crossings to the next.
+
+    There are n − 1 of these, or n where the chain leads on.
+    """
+
+    position: FloatArray
+    level: IntArray
+    on: IntArray
+    via: FloatArray
+
+
+_Rows = tuple[tuple[FloatArray, FloatArray, int], tuple[IntArray, IntArray, int]]
+"""Places and levels of a graph's nodes: those that stand, those that were added, and the first of these."""
+
+
+@njit(cache=True, nogil=True)
+def _pull_over(
+    search: Search,
+    of: tuple[int, int],
+    ends: tuple[FloatArray, FloatArray],
+    rows: _Rows,
+    about: Beside,
+    radius: float,
+    near: float,
+) -> tuple[_Chain, FloatArray, FloatArray, bool]:
+    """The way over a core from node to node; and `_pull` of it from end to end, (2,), if it is on one level."""
+    nodes, via = find_nodes(search, *of)
+    (place, more_place, start), (on, more_on, _) = rows
+    position, level = np.empty((len(nodes), 2)), np.empty(len(nodes), np.int64)
+    for i in range(len(nodes)):
+        row = nodes[i] - start
+        position[i] = place[nodes[i]] if row < 0 else more_place[row]
+        level[i] = on[nodes[i]] if row < 0 else more_on[row]
+    chain = _Chain(position, level, np.zeros(len(nodes), np.int64), via)
+    places, cut = _strung(position, level, chain.on, via, ends[0], ends[1])
+    if len(cut) > 0:
+        return chain, places[:0], np.zeros(6), False
+    path, takes, by_step = _pull(distinct(places), about, radius, near)
+    return chain, path, takes, by_step
+
+
 @njit(cache=True, nogil=True)
 def _pull(path: FloatArray, about: Beside, radius: float, near: float) -> tuple[FloatArray, FloatArray, bool]:
     """A leg pulled straight: `_looked_at`."""
@@ -369,18 +415,6 @@ def _looked_at(path: FloatArray, about: Beside, near: float) -> tuple[FloatArray
     """A way, (n, 2), what it takes, (6,), and whether it comes `near` a step that is noticed [m]."""
     takes = way_takes(path, about).sum(axis=0)
     return path, takes, is_near_step(path, about.ground, about.noticed, near)
-
-
-class _Chain(NamedTuple):
-    """Nodes one after the other: their places (n, 2) [m], levels and numbers of spaces (n,), and crossings to the next.
-
-    There are n − 1 of these, or n where the chain leads on.
-    """
-
-    position: FloatArray
-    level: IntArray
-    on: IntArray
-    via: FloatArray
 
 
 def find_cheapest(ways: Ways, start: Endpoint, goal: Endpoint) -> list[Leg]:

@@ -47,12 +47,14 @@ def time_path(positions: FloatArray, agent: Agent, limit: FloatArray | None = No
         limit: Highest speed at each waypoint [m/s], shape (n,); none but the agent's where it is not given.
     """
     highest = np.full(len(positions), agent.speed) if limit is None else limit
-    made: tuple[FloatArray, FloatArray] = _time(positions, highest, agent.speed, agent.acceleration, agent.turn_rate)
+    made: tuple[FloatArray, FloatArray] = time_along(
+        positions, highest, agent.speed, agent.acceleration, agent.turn_rate
+    )
     return made
 
 
 @njit(cache=True, nogil=True)
-def _time(
+def time_along(
     positions: FloatArray, limit: FloatArray, most: float, acceleration: float, turn_rate: float
 ) -> tuple[FloatArray, FloatArray]:
     """See `time_path`."""
@@ -101,13 +103,13 @@ def speed_limit(
     share, takes = np.ones(len(contact)), np.zeros(6)
     for part, on in runs(level):
         body = agent.offsets, preferred, agent.radius
-        _walk(beside(space, on, prefer), contact[part], headings[part], *body, share[part], takes)
+        walk(beside(space, on, prefer), contact[part], headings[part], *body, share[part], takes)
     share *= agent.speed
     return share, takes
 
 
 @njit(cache=True, nogil=True)
-def _walk(
+def walk(
     about: Beside,
     contact: FloatArray,
     headings: FloatArray,
@@ -139,7 +141,7 @@ def _take_care(
     scratch: Scratch,
     told: tuple[FloatArray, FloatArray, FloatArray],
 ) -> None:
-    """See `_walk`: writes the share of the speed, and how tight it is, and how tight beside what nobody has seen."""
+    """See `walk`: writes the share of the speed, and how tight it is, and how tight beside what nobody has seen."""
     share, tight, unseen = told
     cells, enough = int(np.ceil(radius / about.ground.width)), max(preferred, about.minded)
     for offset in offsets:

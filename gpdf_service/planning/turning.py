@@ -53,7 +53,7 @@ def turn_route(space: FreeSpace, route: Route, seconds: float, facing: Facing = 
             return _stuck(own, level, found)
         legs.append(Leg(level, _pull(own, level, found.poses), own))
         heading = float(legs[-1].path[-1, 2])
-    return replace(route, legs=legs)
+    return route._replace(legs=legs)
 
 
 def _stuck(space: FreeSpace, level: int, found: PoseSearch) -> Stuck:

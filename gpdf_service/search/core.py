@@ -345,32 +345,33 @@ def _tops_of(standing: IntArray, patched: IntArray, up: IntArray, kept: IntArray
     return made
 
 
-def find_nodes(graph: Graph, core: Core, start: int, goal: int) -> tuple[IntArray, FloatArray]:
-    """A way from node to node: its nodes (n,), and where it crosses from one to the next (n − 1, 2) [m].
+class Search(NamedTuple):
+    """What `find_nodes` asks of a graph and its core, in compiled form."""
 
-    It is the cheapest one, but for narrow leaves that were left out.
-    """
+    links: Links
+    up: IntArray
+    kept: tuple[IntArray, IntArray]
+    left: tuple[FloatArray, IntArray, IntArray, FloatArray, Patch, Landmarks]
+    via: _Both
+
+
+def search_in(graph: Graph, core: Core) -> Search:
+    """A graph and its core as they are searched."""
     left = core.graph
     asked = below(left.position), left.first, below(left.other), below(left.cost), left.patch, left.landmarks
-    measures = below(graph.via), above(graph.via)
-    found: tuple[IntArray, FloatArray] = _find_nodes(
-        core.links, core.decided.up, (core.node, core.edge), asked, measures, (start, goal)
-    )
-    return found
+    via = below(graph.via), above(graph.via)
+    return Search(core.links, core.decided.up, (core.node, core.edge), asked, via)
 
 
 @njit(cache=True, nogil=True)
-def _find_nodes(
-    links: Links,
-    up: IntArray,
-    kept: tuple[IntArray, IntArray],
-    left: tuple[FloatArray, IntArray, IntArray, FloatArray, Patch, Landmarks],
-    via: _Both,
-    of: tuple[int, int],
-) -> tuple[IntArray, FloatArray]:
-    """See `find_nodes`: up to the core, over what is left, and down again."""
-    (node, edge), standing = kept, len(links.other)
+def find_nodes(search: Search, start: int, goal: int) -> tuple[IntArray, FloatArray]:
+    """A way from node to node: its nodes (n,), and where it crosses from one to the next (n − 1, 2) [m].
+
+    It is the cheapest one, but for narrow leaves that were left out: up to the core, over what is left, and down again.
+    """
+    links, up, (node, edge), left, via = search
     position, first, near, cost, patch, landmarks = left
+    of, standing = (start, goal), len(links.other)
     ends, height, free = np.empty(2, np.int64), np.zeros(2, np.int64), np.zeros(1)
     for k, at in enumerate(of):
         while up[at] >= 0:

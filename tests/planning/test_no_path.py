@@ -4,9 +4,11 @@ import numpy as np
 import pytest
 
 import gpdf_service as gpdf
+from gpdf_service.perception import ObstacleKind
+from gpdf_service.perception.surface import OBSERVED, Cells
 from gpdf_service.planning import no_path
 from gpdf_service.planning.endpoints import find_endpoint
-from gpdf_service.planning.no_path import explain_no_path
+from gpdf_service.planning.no_path import Cut, explain_no_path
 from gpdf_service.synthetic import SCENES, Box, World
 from gpdf_service.types import AGENTS
 
@@ -22,7 +24,7 @@ def explain(scene, start, goal, agent):
     assert result.status is gpdf.Status.NO_VALID_PATH
     space = scene.free_space(agent)
     ends = (find_endpoint(space, np.array(place, float), name) for place, name in ((start, "start"), (goal, "goal")))
-    why = explain_no_path(space, *ends)
+    why = explain_no_path(space, *ends, hidden=scene.hidden_height)
     assert why.message == result.message
     assert result.details["largest_radius"] == why.largest_radius
     return why
@@ -145,3 +147,16 @@ def test_a_passage_that_only_the_noise_makes_too_narrow_says_so():
     assert "8 mm too narrow" in words
     assert "this one needs 0.520 m, 0.020 m of it for the noise of the scan" in words
     assert "noise" not in no_path._narrow_words(np.array([1.0, 2.0, 0.0]), 0.24, 0.25, 0.0)
+
+
+def test_headroom_is_told_over_the_ground_that_stops_the_body_and_only_where_a_lower_one_gets_through():
+    height = np.zeros((40, 20), np.float32)
+    height[24:] = 0.3  # a platform from x = 1.2 m on
+    ground = Cells(height, np.full(height.shape, OBSERVED, np.uint8), np.zeros(2), 0.05)
+    points = np.array([[1.05, 0.5, 2.2], [0.5, 0.5, 1.5], [0.5, 0.5, 2.1], [0.5, 0.5, 0.1]])  # above the floor
+    kind, flat = np.full(len(points), int(ObstacleKind.MATERIAL), np.uint8), np.zeros(height.shape)
+    box, room = np.array([[0.0, 0.0], [2.0, 1.0]]), (0.115, 2.0, 0.25)
+    row, cut, asks = no_path._tell_points(points, kind, box, ground, (flat, flat), 0.37, room)
+    assert row.tolist() == [0, 1, 2, 3]
+    assert cut.tolist() == [Cut.HEIGHT, Cut.HEIGHT, Cut.SOLID, Cut.SOLID]
+    np.testing.assert_allclose(asks[:2], [-1.9, -1.5], atol=1e-6)  # the first is met by who stands on the platform

@@ -155,6 +155,7 @@ def test_a_path_that_there_was_no_time_to_bend_until_it_certifies_is_a_timeout(o
     made, scene = office
     touching = dataclasses.replace(gpdf.plan(scene, made.start, made.goal, "roomba").certificate, holds=False)
     monkeypatch.setattr(planner, "certify", lambda *_: touching)
+    monkeypatch.setattr(planner, "judge", lambda *_: touching)
     ends = made.start, made.goal, "roomba"
     hurried = gpdf.plan(scene, *ends, deadline_s=1e-6, clock=lambda: 0.0)
     assert hurried.status is gpdf.Status.TIMEOUT
@@ -179,12 +180,13 @@ def test_what_does_not_certify_is_blamed_on_the_deadline_where_that_is_why(
     made, scene = office
     touching = dataclasses.replace(gpdf.plan(scene, made.start, made.goal, "roomba").certificate, holds=False)
     monkeypatch.setattr(planner, "certify", lambda *_: touching)
+    monkeypatch.setattr(planner, "judge", lambda *_: touching)
     candidates, now = planner._candidates, [0.0]
 
     def tried(task, legs):
         for candidate in candidates(task, legs):
             now[0] = 1.0 - left if deadline_s else 0.0
-            yield dataclasses.replace(candidate, details=candidate.details | {"converged": float(converged)})
+            yield candidate._replace(details=candidate.details | {"converged": float(converged)})
 
     monkeypatch.setattr(planner, "_candidates", tried)
     found = gpdf.plan(scene, made.start, made.goal, "roomba", deadline_s=deadline_s, clock=lambda: now[0])

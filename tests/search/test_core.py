@@ -4,7 +4,7 @@ import pytest
 import gpdf_service as gpdf
 from gpdf_service.perception.nodes import components
 from gpdf_service.search import find_path
-from gpdf_service.search.core import NARROW, climb, find_core, find_nodes, links_of
+from gpdf_service.search.core import NARROW, climb, find_core, find_nodes, links_of, search_in
 from gpdf_service.search.free_space import core_of
 from gpdf_service.search.graph import assemble, price_pairs
 from gpdf_service.search.quadtree import MIN_WIDTH
@@ -46,7 +46,7 @@ def test_a_way_over_the_core_is_one_of_the_graph_and_little_longer_than_the_chea
     largest = np.bincount(graph.component[free]).argmax()
     spent, least = 0.0, 0.0
     for start, goal in rng.choice(free[graph.component[free] == largest], (30, 2)):
-        nodes, via = find_nodes(graph, space.core, int(start), int(goal))
+        nodes, via = find_nodes(search_in(graph, space.core), int(start), int(goal))
         assert (nodes[0], nodes[-1]) == (start, goal)
         for a, b, at in zip(nodes[:-1], nodes[1:], via, strict=True):
             edges = np.arange(graph.first[a], graph.first[a + 1])
