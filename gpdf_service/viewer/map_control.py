@@ -12,7 +12,16 @@ from gpdf_service.types import FloatArray
 from gpdf_service.viewer import colours, words
 from gpdf_service.viewer.desk import Desk
 from gpdf_service.viewer.map_layers import MapLayers, View
-from gpdf_service.viewer.panel import ALL_STOREYS, MOST_APART, SLICES, gradient, key_of, legend
+from gpdf_service.viewer.panel import (
+    ALL_STOREYS,
+    AS_SCANNED,
+    CLOUD_COLOURS,
+    MOST_APART,
+    SLICES,
+    gradient,
+    key_of,
+    legend,
+)
 from gpdf_service.viewer.scale import add_scale
 from gpdf_service.viewer.widgets import put
 
@@ -58,6 +67,7 @@ class MapControl:
         """Show the ground of a scene that is ready, on a page that shows none."""
         self._scene, self._cell_width = name, facts["levels"][0]["cell_width"]
         self.say_facts(facts)
+        self._tab.colour.options = (*CLOUD_COLOURS, *[AS_SCANNED] * bool(facts.get("coloured")))
         self._fetch("ground")
         self._offer_storeys()
         self._look_at_ground()
