@@ -632,7 +632,10 @@ def _placed(points: ArrayLike, pose: ArrayLike | None) -> FloatArray:
     Raises:
         ValueError: the points or the pose have another shape.
     """
-    cloud = np.asarray(points, dtype=np.float64).reshape(-1, 3)
+    cloud = np.asarray(points, dtype=np.float64)
+    if cloud.size and (cloud.ndim > 2 or cloud.shape[-1] != 3):
+        raise ValueError(f"points of shape {cloud.shape}: each has x, y and z alone")
+    cloud = cloud.reshape(-1, 3)
     matrix = np.eye(4) if pose is None else np.asarray(pose, dtype=np.float64)
     if matrix.shape != (4, 4) or not np.array_equal(matrix[3], [0.0, 0.0, 0.0, 1.0]):
         raise ValueError("pose takes a (4, 4) matrix that ends with (0, 0, 0, 1)")

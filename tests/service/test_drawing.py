@@ -3,7 +3,7 @@ import shutil
 import numpy as np
 import pytest
 from gpdf_client import Client, InvalidRequestError, UnknownSceneError
-from gpdf_schemas import keys
+from gpdf_schemas import Array, SceneReply, UpdateRequest, keys
 from mcap.records import Channel
 
 from gpdf_service.perception import ObstacleKind
@@ -121,8 +121,13 @@ def test_colours_that_are_sent_with_a_cloud_are_drawn_and_those_of_what_is_taken
 def test_colours_that_do_not_fit_are_refused(asked):
     with pytest.raises(InvalidRequestError, match=r"shape \(2, 5\)"):
         asked[1].load_scene("two", upload=np.zeros((2, 3)), colours=np.zeros((2, 2)))
-    with pytest.raises(InvalidRequestError, match=r"shape \(2, 6\)"):
+    with pytest.raises(ValueError, match=r"shape \(2, 6\)"):  # and no four points of the six numbers
         asked[1].update_scene("office", np.zeros((2, 6)))
+    change = UpdateRequest(
+        scene="office", upload_id="u", part=0, parts=1, points=Array.pack(np.zeros((2, 6))), gone=Array.pack([0, 0])
+    )
+    with pytest.raises(InvalidRequestError, match=r"shape \(2, 6\)"):
+        asked[1].ask(keys.SCENE_UPDATE, change, SceneReply, 30.0)
 
 
 def test_what_cannot_be_drawn_is_refused_in_words(asked):
