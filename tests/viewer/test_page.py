@@ -95,8 +95,11 @@ def test_the_words_of_an_answer_wait_for_nothing_that_is_drawn(operator, monkeyp
         monkeypatch.setattr(whose, name, noted)
     types(operator, "0.9, 0.9", "5, 3")
     until(lambda: path_on_screen(operator) is not None)
-    assert [name for name, _ in sent] == ["flush", *2 * ["add_cylinder"], *2 * ["add_line_segments"]]
-    assert "of clearance everywhere" in sent[0][1]
+    of_answer = [
+        name for name, words in sent if "of clearance everywhere" in words
+    ]  # before, "Planning …" may be drawn
+    assert of_answer[0] == "flush"
+    assert "add_line_segments" in of_answer
 
 
 def test_who_waits_for_a_plan_sees_where_it_will_lead_and_no_old_path(operator, monkeypatch):
