@@ -10,6 +10,7 @@ from gpdf_service.config import Config
 from gpdf_service.errors import CloudError
 from gpdf_service.pipeline import build_scene
 from gpdf_service.scene import Progress, Scene
+from gpdf_service.shades import shades_of
 from gpdf_service.types import BoolArray, FloatArray
 
 
@@ -25,7 +26,9 @@ def crop_scene(scene: Scene, inside: BoolArray, progress: Progress = lambda stag
     if not inside.any():
         low, high = (np.round(corner, 2).tolist() for corner in (scene.points.min(axis=0), scene.points.max(axis=0)))
         raise CloudError("crop", "no point lies inside", f"The points lie between {low} and {high} m.")
-    return build_scene(scene.points[inside], scene.ground[inside], scene.config, progress=progress)
+    made = build_scene(scene.points[inside], scene.ground[inside], scene.config, progress=progress)
+    made.shades = scene.shades
+    return made
 
 
 def within_box(points: FloatArray, low: Sequence[float], high: Sequence[float]) -> BoolArray:
@@ -75,4 +78,8 @@ def merge_scenes(
     ground = np.concatenate([scene.ground for scene in scenes])
     rows = np.sort(np.unique(points, axis=0, return_index=True)[1])
     labels = ground[rows] if all(scene.labelled for scene in scenes) else None
-    return build_scene(points[rows], labels, config or scenes[0].config, progress=progress)
+    made = build_scene(points[rows], labels, config or scenes[0].config, progress=progress)
+    kept = [scene.shades for scene in scenes if scene.shades is not None]
+    if kept:
+        made.shades = shades_of(np.concatenate([s.places for s in kept]), np.concatenate([s.colours for s in kept]))
+    return made

@@ -19,6 +19,7 @@ from gpdf_service.perception import check_labels, check_origins, check_points
 from gpdf_service.planning import plan_path
 from gpdf_service.scene import Progress as Progress
 from gpdf_service.scene import Scene, assemble_scene
+from gpdf_service.shades import shades_of
 from gpdf_service.types import Agent, FloatArray, PlanOptions, PlanResult, Trajectory, is_number, resolve_agent
 from gpdf_service.types import Method as Method
 from gpdf_service.types import Preference as Preference
@@ -37,6 +38,7 @@ def build_scene(
     config: Config | None = None,
     *,
     origins: ArrayLike | None = None,
+    colours: ArrayLike | None = None,
     progress: Progress = lambda stage, done: None,
 ) -> Scene:
     """Build a scene from a point cloud: ground, levels, Ground GPDFs.
@@ -47,6 +49,7 @@ def build_scene(
         config: Settings; the defaults work.
         origins: Where the rays to the points began [m], shape (3,) or (n, 3): the scanner's stations. Then what they
             saw decides which holes of the ground are free, and not rules.
+        colours: Red, green and blue of the points, uint8 of shape (n, 3), for pictures alone.
         progress: Called as the work goes on.
 
     Raises:
@@ -60,7 +63,10 @@ def build_scene(
     cloud = check_points(points)
     labels = None if ground is None else check_labels(ground, len(cloud))
     rays = None if origins is None else check_origins(origins, cloud)
-    return assemble_scene(cloud, labels, config, rays=rays, progress=progress)
+    shades = None if colours is None else shades_of(cloud, colours)
+    scene = assemble_scene(cloud, labels, config, rays=rays, progress=progress)
+    scene.shades = shades
+    return scene
 
 
 def plan(

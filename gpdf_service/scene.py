@@ -64,7 +64,8 @@ from gpdf_service.search import (
     level_body,
     to_arrays,
 )
-from gpdf_service.store import Arrays, read_arrays, under, write_arrays
+from gpdf_service.shades import Shades
+from gpdf_service.store import Arrays, flatten, read_arrays, restore, under, write_arrays
 from gpdf_service.types import Agent, BoolArray, FieldSample, FloatArray, IntArray, resolve_agent
 
 Progress = Callable[[str, float], None]
@@ -204,6 +205,7 @@ class Scene:
         drift: Share of the points that changed since noise and spacing were measured.
         moving: What is there beside what was scanned [m], shape (k, 3).
         rays: Those of the scan, where it is known where they began.
+        shades: The scan's own colours, for pictures; those of later scans are not kept.
     """
 
     def __init__(
@@ -226,6 +228,7 @@ class Scene:
         self.noise, self.labelled = noise, labelled
         self.perceived, self.drift, self.rays = perceived, drift, rays
         self.moving: FloatArray = np.zeros((0, 3))
+        self.shades: Shades | None = None
         self._standing: Scene | None = None  # the scene without what moves, whose free spaces serve
         self._spaces: OrderedDict[Agent, FreeSpace] = OrderedDict()
         self._ways: OrderedDict[tuple[Agent, Prefer], tuple[FreeSpace, Ways]] = OrderedDict()
@@ -373,6 +376,7 @@ class Scene:
         fixed = self.ground_fields, self.config, self.version, self.noise, self.labelled
         made = Scene(self._cloud, self._ground, self.levels, *fixed, rays=self.rays)
         made.moving, made._standing = np.concatenate([self.moving, asked]), self._standing or self
+        made.shades = self.shades
         return made
 
     def update(
@@ -421,7 +425,7 @@ class Scene:
         labels = None if labels is None else np.concatenate([self.ground[keep], labels])
         rays, width = self._rays_of(fresh, origins, keep, cloud), self.resolution if drift <= MAX_DRIFT else None
         scene = assemble_scene(cloud, labels, self.config, like=self, width=width, rays=rays, progress=progress)
-        scene.drift = 0.0 if width is None else drift
+        scene.drift, scene.shades = 0.0 if width is None else drift, self.shades
         return scene
 
     def _changed(
@@ -448,6 +452,7 @@ class Scene:
         progress("ready", 1.0)
         known = self.version + 1, self.noise, self.labelled
         scene = Scene(now.points, now.ground, now.levels, fields, self.config, *known, now, drift)
+        scene.shades = self.shades
         if scene.scan == self.scan and now.touched:  # else all that stops a body may be another
             scene._former = self._spaces_before(now.touched)
         return scene
@@ -503,7 +508,8 @@ class Scene:
         """Facts about the scene, ready for JSON."""
         with self._lock:
             ready = list(dict.fromkeys(agent.name for agent in {**self._stored, **self._spaces}))
-        return {**self._lasting_facts, "version": self.version, "agents_ready": ready}
+        coloured = self.shades is not None
+        return {**self._lasting_facts, "version": self.version, "agents_ready": ready, "coloured": coloured}
 
     @cached_property
     def _lasting_facts(self) -> dict[str, Any]:
@@ -535,6 +541,8 @@ class Scene:
         arrays = {"points": points, "ground": self.ground, **levels_to_arrays(self.levels, points)}
         if self.rays is not None:
             arrays["origins"] = self.rays.origins
+        if self.shades is not None:
+            arrays |= flatten(self.shades, "shades")
         for i, field in enumerate(self.ground_fields):
             arrays[f"ground_fields/{i}/alpha"] = field.alpha
         with self._lock:
@@ -609,6 +617,8 @@ def load_scene(path: str | os.PathLike[str]) -> Scene:
         bool(meta["labelled"]),
         rays=Rays(arrays["origins"], arrays["points"]) if "origins" in arrays else None,
     )
+    if "shades/cells" in arrays:
+        scene.shades = restore(Shades, arrays, "shades")
     bodies = enumerate(meta.get("agents", ()))
     scene._stored = {Agent(**body): partial(later.under, f"agents/{i}/") for i, body in bodies}
     return scene

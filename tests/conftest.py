@@ -1,3 +1,4 @@
+import gc
 from pathlib import Path
 
 import numpy as np
@@ -7,6 +8,9 @@ from hypothesis import settings
 import gpdf_service as gpdf
 from gpdf_service import ports
 from gpdf_service.synthetic import SCENES
+
+gc.set_threshold(50_000)
+"""New objects after which one looks for garbage, as `gpdf` has it; by default that is a fifth of collecting tests."""
 
 SCANS = Path(__file__).parent.parent.parent / "shared" / "data"
 
@@ -30,6 +34,11 @@ LONGEST = (
     "clients/test_robot.py",
 )
 """Of the modules without their slow tests."""
+
+
+def pytest_collection_finish():
+    """What stands now stands to the end: no search for garbage goes through it."""
+    gc.freeze()
 
 
 def pytest_collection_modifyitems(items):

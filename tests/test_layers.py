@@ -23,9 +23,10 @@ ALLOWED = {
     "synthetic": BASE,
     "search": BASE | {"fields", "perception", "store"},
     "planning": BASE | {"fields", "perception", "search"},
-    "scene": BASE | {"denoise", "fields", "perception", "search", "store"},
+    "shades": BASE | {"fields"},
+    "scene": BASE | {"denoise", "fields", "perception", "search", "shades", "store"},
     "baselines": BASE | {"fields", "perception", "search", "planning", "scene"},
-    "pipeline": BASE | {"baselines", "fields", "perception", "planning", "scene"},
+    "pipeline": BASE | {"baselines", "fields", "perception", "planning", "scene", "shades"},
 }
 CLIENTS = {"gpdf_client", "gpdf_guidance", "gpdf_robot", "gpdf_ros2"}
 WIRE = {"zenoh", "msgpack", "msgspec", "mcap", "gpdf_schemas"} | CLIENTS

@@ -361,6 +361,7 @@ class Client:
         *,
         upload: ArrayLike | None = None,
         ground: ArrayLike | None = None,
+        colours: ArrayLike | None = None,
         timeout_s: float = 300.0,
         progress: Progress = lambda share: None,
     ) -> dict[str, Any]:
@@ -371,6 +372,7 @@ class Client:
             file: A file's name in the service's scenes folder.
             upload: Points (n, 3) [m] to send instead.
             ground: Which of them are ground (n,), if known.
+            colours: Their red, green and blue of 0 to 255, (n, 3), for pictures alone.
             timeout_s: Seconds to wait until it is ready.
             progress: Told the share of the upload that is done.
         """
@@ -379,7 +381,9 @@ class Client:
         if file is not None:
             self.ask(keys.SCENE_LOAD, LoadRequest(scene=name, file=file), SceneReply, 30.0, {Status.BUILDING})
         else:
-            self._upload(name, np.asarray(upload, dtype=np.float64), ground, progress)
+            points = np.asarray(upload, dtype=np.float64)
+            sent = points if colours is None else np.column_stack([points, np.asarray(colours, dtype=np.float64)])
+            self._upload(name, sent, ground, progress)
         return self.wait_for_scene(name, timeout_s=timeout_s)
 
     def _upload(self, name: str, points: np.ndarray[Any, Any], ground: ArrayLike | None, progress: Progress) -> None:
@@ -628,7 +632,10 @@ def _placed(points: ArrayLike, pose: ArrayLike | None) -> FloatArray:
     Raises:
         ValueError: the points or the pose have another shape.
     """
-    cloud = np.asarray(points, dtype=np.float64).reshape(-1, 3)
+    cloud = np.asarray(points, dtype=np.float64)
+    if cloud.size and (cloud.ndim > 2 or cloud.shape[-1] != 3):
+        raise ValueError(f"points of shape {cloud.shape}: each has x, y and z alone")
+    cloud = cloud.reshape(-1, 3)
     matrix = np.eye(4) if pose is None else np.asarray(pose, dtype=np.float64)
     if matrix.shape != (4, 4) or not np.array_equal(matrix[3], [0.0, 0.0, 0.0, 1.0]):
         raise ValueError("pose takes a (4, 4) matrix that ends with (0, 0, 0, 1)")
@@ -780,13 +787,13 @@ class AsyncClient:
         *,
         upload: ArrayLike | None = None,
         ground: ArrayLike | None = None,
+        colours: ArrayLike | None = None,
         timeout_s: float = 300.0,
         progress: Progress = lambda share: None,
     ) -> dict[str, Any]:
         """See `Client.load_scene`; `progress` is called from another thread."""
-        return await asyncio.to_thread(
-            self.sync.load_scene, name, file, upload=upload, ground=ground, timeout_s=timeout_s, progress=progress
-        )
+        sent = {"upload": upload, "ground": ground, "colours": colours}
+        return await asyncio.to_thread(self.sync.load_scene, name, file, **sent, timeout_s=timeout_s, progress=progress)
 
     async def places(self, scene: str) -> dict[str, list[float]]:
         """See `Client.places`."""

@@ -161,9 +161,18 @@ def museum(stage: Stage) -> None:
     stage.plans(*stage.ends["thirty-levels"])
 
 
+def museum_apart(stage: Stage) -> None:
+    """All its storeys, pulled apart."""
+    museum(stage)
+    stage.storey(-1)
+    stage.slides("Pull apart [m]", 3)
+
+
 STATES: dict[str, Callable[[Stage], Callable[[], None] | None]] = {
-    state.__name__: state for state in (first, plan, error, comparison, moving, house, house_above, house_apart, museum)
+    state.__name__: state
+    for state in (first, plan, error, comparison, moving, house, house_above, house_apart, museum, museum_apart)
 }
+OF_MUSEUM = "museum", "museum_apart"
 
 
 def main() -> None:
@@ -177,7 +186,7 @@ def main() -> None:
     found: dict[str, list[str]] = {}
     with TemporaryDirectory() as name, sync_playwright() as playwright:
         folder, endpoint = Path(name), free_endpoint()
-        ends = make_scenes(folder, args.museum if "museum" in args.only else None)
+        ends = make_scenes(folder, args.museum if {*OF_MUSEUM} & {*args.only} else None)
         scenes = [f"{path.stem}={path}" for path in sorted(folder.glob("*.gpdf"))]
         words = *scenes, "--endpoint", endpoint, "--scenes-dir", name, "--log-dir", f"{name}/log"
         with begun(folder / "serve.log", *words), Client.connect(endpoint, timeout_s=60) as client:
@@ -185,7 +194,7 @@ def main() -> None:
                 client.wait_for_scene(scene)
             browser = playwright.chromium.launch(executable_path=shutil.which("chromium"), args=list(FLAGS))
             for state in args.only:
-                for device in SIZES if state != "museum" or args.museum else ():
+                for device in SIZES if state not in OF_MUSEUM or args.museum else ():
                     with viewing(endpoint, folder) as (_, url):
                         web = _arrive(browser, device, url)
                         again = STATES[state](Stage(web, client, ends))

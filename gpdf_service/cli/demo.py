@@ -120,7 +120,7 @@ def _travel(client: Client, tour: Tour, out: Path) -> Iterator[dict[str, Any]]:
     from gpdf_service.viewer.picture import draw_plans
 
     cloud = read_cloud(tour.cloud)
-    scene = build_scene(cloud.points, cloud.ground)
+    scene = build_scene(cloud.points, cloud.ground, colours=cloud.colours)
     picture = out / f"{tour.name}.png"
     drawn = cast("dict[str, PlanResult]", results)  # the client's results have the same attributes
     draw_plans(scene, drawn, picture, start=tour.start, goal=tour.goal, title=f"{tour.name}: four bodies")

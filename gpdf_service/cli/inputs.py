@@ -88,7 +88,8 @@ def open_with_cloud(path: Path, args: argparse.Namespace, work: Work) -> tuple[S
         cloud = read_cloud(path, **how)
     ground = None if args.ignore_labels else cloud.ground
     with work.step("build") as progress:
-        return build_scene(cloud.points, ground, config, origins=cloud.origins, progress=progress), cloud
+        more = {"origins": cloud.origins, "colours": cloud.colours}
+        return build_scene(cloud.points, ground, config, **more, progress=progress), cloud
 
 
 def check_in(args: argparse.Namespace) -> None:

@@ -51,6 +51,7 @@ def run(args: argparse.Namespace) -> int:
         unit = "metres" if cloud.scale == 1.0 else f"units of {cloud.scale:g} m"
         print("; ".join([f"cloud    taken in {unit}, {cloud.up} up", *cloud.remarks]))
     print(f"points   {info['points']} ({info['ground_points']} ground), digest {info['digest']}")
+    print(f"colours  {'as scanned, for pictures' if info['coloured'] else 'none came with the cloud'}")
     print(f"ground   confidence {info['ground_confidence']:.2f}, {info['undecided_points']} points undecided")
     print("extent   " + " x ".join(f"{b - a:.1f}" for a, b in zip(low, high, strict=True)) + " m")
     for level in info["levels"]:

@@ -98,9 +98,9 @@ def tree_of(points: FloatArray, order: IntArray, begin: IntArray, former: tuple[
     nodes = (_room(LEAF_SIZE * leaves) * FANOUT // LEAF_SIZE - 1) // (FANOUT - 1)
     blocks, boxes = np.empty((leaves, 3, LEAF_SIZE)), np.empty((nodes, 6, FANOUT))
     boxes[:, :3], boxes[:, 3:] = np.inf, -np.inf
-    if former is None:
+    if former is None and leaves:  # a module makes one without points: it need not load the kernel
         _fill(points, begin, np.full(leaves, -1), (blocks, boxes), blocks, boxes)
-    else:
+    elif former is not None:
         _fill(points, begin, former[1], (former[0].blocks, former[0].boxes), blocks, boxes)
     return Tree(points, order, begin, blocks, boxes)
 

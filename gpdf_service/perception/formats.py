@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -32,6 +32,14 @@ MESH_SPACING = 0.015
 """[m] Between points sampled on a mesh, on average: then hardly a cell of 5 cm of a surface has none."""
 MOST_SAMPLES = 5_000_000
 """Points of a mesh; those of a larger one lie further apart."""
+NPZ_COLOURS = ("rgb", "colors", "colours", "color", "colour")
+"""Names that mean colours in an .npz file."""
+RED_GREEN_BLUE = ("red", "green", "blue"), ("r", "g", "b")
+"""What the columns of a colour are called."""
+UNNAMED_COLOURS = {6: (3, 4, 5), 7: (4, 5, 6)}
+"""Of a text file's columns without names, by their number: x y z r g b, and with an intensity before the colour."""
+Colours = NDArray[np.uint8]
+"""Red, green and blue, shape (n, 3)."""
 _HEADER_LINES = 200
 """Of a text file, that are looked at for the first line of numbers."""
 
@@ -44,6 +52,7 @@ class Stored:
         points: Shape (n, 3), rows that are not finite among them.
         ground: Which are ground, (n,), where the file says so.
         origins: Where the rays began, (n, 3), where the file says so.
+        colours: Red, green and blue, uint8 of shape (n, 3), where the file has them.
         up: The axis that points up, where the kind of file or the file says so.
         scale: Metres of its unit, where the kind of file or the file says so.
         remark: What was done to it, in words.
@@ -52,9 +61,36 @@ class Stored:
     points: FloatArray
     ground: BoolArray | None = None
     origins: FloatArray | None = None
+    colours: Colours | None = None
     up: str | None = None
     scale: float | None = None
     remark: str = ""
+
+
+def as_bytes(values: NDArray[Any]) -> Colours:
+    """Colours of 8 bits, of the 16 bits or the shares of 1 that some files hold."""
+    most = float(np.max(values, initial=0.0))
+    scale = 255.0 if values.dtype.kind == "f" and most <= 1.0 else 1.0 if most <= 255.0 else 255.0 / 65535.0
+    made: Colours = np.clip(np.nan_to_num(np.rint(scale * values)), 0.0, 255.0).astype(np.uint8)
+    return made
+
+
+def record_colours(records: NDArray[np.void]) -> Colours | None:
+    """Of records with a field a channel, or all three in the bytes of `rgb`, as .pcd files have them; else None."""
+    names = records.dtype.names or ()
+    named = next((three for three in RED_GREEN_BLUE if set(three) <= set(names)), None)
+    if named is not None:
+        return as_bytes(np.column_stack([records[name].ravel() for name in named]))
+    packed = next((records[name].ravel() for name in ("rgb", "rgba") if name in names), None)
+    if packed is None or packed.dtype.itemsize != 4:
+        return None
+    return np.ascontiguousarray(packed).view(np.uint8).reshape(-1, 4)[:, 2::-1].copy()
+
+
+def _unnamed_colours(table: FloatArray) -> Colours | None:
+    """The three columns (n, 3) after x, y and z, if they are whole numbers of 8 bits: no normal is."""
+    fits = len(table) and np.all((table >= 0.0) & (table <= 255.0) & (table == np.rint(table))) and table.max() > 1.0
+    return as_bytes(table) if fits else None
 
 
 def read_text(path: Path, ground_label: int | None, scale: float | None = None) -> Stored:
@@ -66,15 +102,18 @@ def read_text(path: Path, ground_label: int | None, scale: float | None = None) 
     if split is None:
         raise CloudError(f"cloud {path}", "no line of three numbers is in it", "Write x, y and z, a point a line.")
     first = next(i for i, line in enumerate(head) if _is_row(line, split))
-    columns = _named_columns(head[:first], split)
+    columns = _named_columns(head[:first], split, "xyz") or (0, 1, 2)
+    named = next(filter(None, (_named_columns(head[:first], split, names) for names in RED_GREEN_BLUE)), ())
+    shades = named or UNNAMED_COLOURS.get(len(split.split(head[first].strip())), ())
     delimiter = None if split.pattern == r"\s+" else split.pattern
-    options: dict[str, Any] = {"delimiter": delimiter, "skiprows": first, "usecols": columns, "ndmin": 2}
+    options: dict[str, Any] = {"delimiter": delimiter, "skiprows": first, "ndmin": 2}
     options |= {"comments": ("#", "//"), "encoding": "utf-8-sig"}
     try:
-        points = np.loadtxt(path, **options)
+        table = np.loadtxt(path, usecols=(*columns, *shades), **options)
     except ValueError:  # a value that is missing, or a decimal comma: slower
-        points = np.loadtxt(path, converters=_number, **options)
-    return Stored(points.astype(np.float64, copy=False))
+        table = np.loadtxt(path, usecols=columns, converters=_number, **options)
+    points, rest = table[:, :3].astype(np.float64, order="C"), table[:, 3:]
+    return Stored(points, colours=(as_bytes if named else _unnamed_colours)(rest) if rest.size else None)
 
 
 def _number(text: str) -> float:
@@ -96,12 +135,13 @@ def _numbers(lines: list[str], split: re.Pattern[str]) -> bool:
     return any(_is_row(line, split) for line in lines)
 
 
-def _named_columns(header: list[str], split: re.Pattern[str]) -> tuple[int, ...]:
+def _named_columns(header: list[str], split: re.Pattern[str], wanted: Sequence[str]) -> tuple[int, ...]:
+    """Which columns have these names; none where one is missing."""
     for line in reversed(header):
         names = [name.strip(" \t\r\n\"'#/").lower() for name in split.split(line.strip().lstrip("#/ "))]
-        if {"x", "y", "z"} <= set(names):
-            return tuple(names.index(axis) for axis in "xyz")
-    return 0, 1, 2
+        if set(wanted) <= set(names):
+            return tuple(names.index(name) for name in wanted)
+    return ()
 
 
 def read_npy(path: Path, ground_label: int | None, scale: float | None = None) -> Stored:
@@ -112,14 +152,17 @@ def read_npy(path: Path, ground_label: int | None, scale: float | None = None) -
         if not {"x", "y", "z"} <= set(array.dtype.names):
             found = f"it has no field x, y and z (it has {', '.join(array.dtype.names)})"
             raise CloudError(f"cloud {path}", found, "Name them so.")
-        return Stored(np.column_stack([array[axis].ravel() for axis in "xyz"]).astype(np.float64))
+        points = np.column_stack([array[axis].ravel() for axis in "xyz"]).astype(np.float64)
+        return Stored(points, colours=record_colours(array))
     if array.ndim < 2 or array.shape[-1] < 3:
         raise CloudError(f"cloud {path}", f"an array of shape {array.shape}", "Store x, y, z a point: (n, 3).")
-    return Stored(array.reshape(-1, array.shape[-1])[:, :3].astype(np.float64))
+    table = array.reshape(-1, array.shape[-1])
+    colours = _unnamed_colours(table[:, 3:6]) if table.shape[1] == 6 else None
+    return Stored(table[:, :3].astype(np.float64), colours=colours)
 
 
 def read_npz(path: Path, ground_label: int | None, scale: float | None = None) -> Stored:
-    """`xyz` or `points`, `label` with `classes`, and `origins`, (3,) or (n, 3)."""
+    """`xyz` or `points`, `label` with `classes`, `origins`, (3,) or (n, 3), and `rgb`."""
     with np.load(path, allow_pickle=False) as stored:
         key = next((name for name in ("xyz", "points") if name in stored.files), None)
         if key is None:
@@ -131,14 +174,16 @@ def read_npz(path: Path, ground_label: int | None, scale: float | None = None) -
         origins = (
             np.broadcast_to(stored["origins"].astype(np.float64), points.shape) if "origins" in stored.files else None
         )
+        shades = next((as_bytes(stored[name]) for name in NPZ_COLOURS if name in stored.files), None)
+    colours = shades if shades is not None and shades.shape == points.shape else None
     if ground_label is not None:
         if label is None:
             raise CloudError(f"cloud {path}", "it has no column label", "Leave --ground-label out.")
-        return Stored(points, _labelled(label == ground_label, points, path, ground_label), origins)
+        return Stored(points, _labelled(label == ground_label, points, path, ground_label), origins, colours)
     if label is None or not named:
-        return Stored(points, None, origins)
+        return Stored(points, None, origins, colours)
     ground = _labelled(np.isin(label, list(named)), points, path, next(iter(named.values())))
-    return Stored(points, ground, origins)
+    return Stored(points, ground, origins, colours)
 
 
 def ground_classes(stored: Mapping[str, NDArray[Any]]) -> dict[int, str]:
@@ -166,7 +211,7 @@ def read_open3d(path: Path, ground_label: int | None, scale: float | None = None
     points = np.asarray(cloud.points, dtype=np.float64)
     if len(points) == 0:
         raise CloudError(f"cloud {path}", "no point could be read from it", "Is it empty or damaged?")
-    return Stored(points)
+    return Stored(points, colours=as_bytes(np.asarray(cloud.colors)) if cloud.has_colors() else None)
 
 
 def import_open3d() -> Any:  # noqa: ANN401 - a module without types
@@ -191,11 +236,19 @@ def read_las(path: Path, ground_label: int | None, scale: float | None = None) -
     import laspy
 
     stored = laspy.read(path)
-    points = las_points(stored.points)
+    points, colours = las_points(stored.points), las_colours(stored.points)
     ground = np.asarray(stored.classification) == (LAS_GROUND if ground_label is None else ground_label)
     if ground_label is None and not ground.any():
-        return Stored(points)
-    return Stored(points, _labelled(ground, points, path, ground_label or LAS_GROUND))
+        return Stored(points, colours=colours)
+    return Stored(points, _labelled(ground, points, path, ground_label or LAS_GROUND), colours=colours)
+
+
+def las_colours(record: Any) -> Colours | None:  # noqa: ANN401 - of laspy
+    """Colours of a LAS file's records, (n, 3); None where its format has none, or nobody filled them in."""
+    if not set(RED_GREEN_BLUE[0]) <= set(record.point_format.dimension_names):
+        return None
+    colours = np.column_stack([np.asarray(record[name]) for name in RED_GREEN_BLUE[0]])
+    return as_bytes(colours) if colours.any() else None
 
 
 def las_points(record: Any) -> FloatArray:  # noqa: ANN401 - of laspy
@@ -223,10 +276,12 @@ def read_e57(path: Path, ground_label: int | None, scale: float | None = None) -
         raise CloudError(f"cloud {path}", "it is no E57 file, or not all of one", "Is the file complete?")
     try:
         file = pye57.E57(str(path))
-        points, origins = [], []
+        points, origins, shades = [], [], []
         for i in range(file.scan_count):
-            scan = file.read_scan(i, ignore_missing_fields=True)
+            scan = file.read_scan(i, colors=True, ignore_missing_fields=True)
             points.append(np.column_stack([scan[f"cartesian{axis}"] for axis in "XYZ"]).astype(np.float64))
+            if "colorRed" in scan:
+                shades.append(as_bytes(np.column_stack([scan[f"color{name}"] for name in ("Red", "Green", "Blue")])))
             header = file.get_header(i)
             place = np.asarray(header.translation, dtype=np.float64) if header.has_pose() else np.full(3, np.nan)
             origins.append(np.broadcast_to(place, points[-1].shape))
@@ -235,7 +290,9 @@ def read_e57(path: Path, ground_label: int | None, scale: float | None = None) -
     made = np.concatenate([np.zeros((0, 3)), *points])
     began = np.concatenate([np.zeros((0, 3)), *origins])
     remark = f"{len(points)} scan(s)"
-    return Stored(made, origins=began if np.isfinite(began).all() else None, up="z", scale=1.0, remark=remark)
+    colours = np.concatenate(shades) if shades and len(shades) == len(points) else None
+    known = began if np.isfinite(began).all() else None
+    return Stored(made, origins=known, colours=colours, up="z", scale=1.0, remark=remark)
 
 
 def read_mesh(path: Path, ground_label: int | None, scale: float | None = None) -> Stored:
@@ -255,9 +312,11 @@ def read_mesh(path: Path, ground_label: int | None, scale: float | None = None) 
     up, unit = _frame_of_mesh(path)
     metres = (unit or 1.0) if scale is None else scale
     count = int(min(MOST_SAMPLES, max(1.0, area * (metres / MESH_SPACING) ** 2)))
-    points, _ = trimesh.sample.sample_surface(mesh, count, seed=0)[:2]
+    points, faces = trimesh.sample.sample_surface(mesh, count, seed=0)[:2]
+    painted = mesh.visual.kind in ("face", "vertex")  # not a texture
+    colours = np.asarray(mesh.visual.face_colors[faces, :3], np.uint8) if painted else None
     remark = f"{len(points)} points on {len(mesh.faces)} faces"
-    return Stored(np.asarray(points, dtype=np.float64), up=up, scale=unit, remark=remark)
+    return Stored(np.asarray(points, dtype=np.float64), colours=colours, up=up, scale=unit, remark=remark)
 
 
 def _frame_of_mesh(path: Path) -> tuple[str | None, float | None]:

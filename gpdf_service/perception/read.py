@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 
 from gpdf_service.errors import CloudError, GpdfError, words_of
 from gpdf_service.perception.bag import read_bag
-from gpdf_service.perception.formats import LAS_GROUND, READERS, Stored, ground_classes
+from gpdf_service.perception.formats import LAS_GROUND, READERS, Colours, Stored, ground_classes
 from gpdf_service.perception.frame import look, odd_unit, odd_up, turn
 from gpdf_service.perception.rows import extent_of
 from gpdf_service.perception.stream import VoxelSieve, chunks_of
@@ -37,6 +37,7 @@ class PointCloud:
         points: Points [m], shape (n, 3), all finite.
         ground: Which are ground, shape (n,), where the file says so.
         origins: Where the rays began [m], shape (n, 3), where the file says so.
+        colours: Red, green and blue, uint8 of shape (n, 3), where the file has them.
         dropped: Points of the file that were not finite, and were left out.
         scale: Metres of the file's unit.
         up: The axis of the file that points up.
@@ -46,6 +47,7 @@ class PointCloud:
     points: FloatArray
     ground: BoolArray | None = None
     origins: FloatArray | None = None
+    colours: Colours | None = None
     dropped: int = 0
     scale: float = 1.0
     up: str = "z"
@@ -167,7 +169,7 @@ def _framed(file: Path, stored: Stored, scale: float | None, up: str | None) -> 
     Raises:
         CloudError: no place in metres can be so.
     """
-    points, ground, origins = stored.points, stored.ground, stored.origins
+    points, ground, origins, colours = stored.points, stored.ground, stored.origins, stored.colours
     if points.ndim != 2 or points.shape[1] != 3:
         raise CloudError(f"cloud {file}", f"an array of shape {points.shape}", "Store x, y, z a point: (n, 3).")
     finite: BoolArray = np.logical_and.reduce(np.isfinite(points), axis=1)
@@ -176,6 +178,7 @@ def _framed(file: Path, stored: Stored, scale: float | None, up: str | None) -> 
         points = points[finite]
         ground = None if ground is None else ground[finite]
         origins = None if origins is None else origins[finite]
+        colours = None if colours is None else colours[finite]
     if len(points) == 0:
         found = f"none of its {dropped} points is finite" if dropped else "it holds no point"
         raise CloudError(f"cloud {file}", found, "Is it empty or damaged?")
@@ -185,7 +188,7 @@ def _framed(file: Path, stored: Stored, scale: float | None, up: str | None) -> 
     points = check_points(points)
     told = (stored.remark, f"{dropped} points were not finite and left out" if dropped else "", *odd)
     began = None if origins is None else turn(origins, metres, axis)
-    return PointCloud(points, ground, began, dropped, metres, axis, tuple(filter(None, told)))
+    return PointCloud(points, ground, began, colours, dropped, metres, axis, tuple(filter(None, told)))
 
 
 def _odd(file: Path, points: FloatArray, *, unit: bool, axis: bool) -> list[str]:
@@ -210,22 +213,22 @@ def _read_thinned(
     for file in files:
         with _reading(file):
             chunks, marks = chunks_of(file) if file.is_file() else None, _ground_marks(file, ground_label)
-            for points, labels in [] if chunks is None else chunks:
+            for points, labels, colours in [] if chunks is None else chunks:
                 named = None if labels is None or marks is None else np.isin(labels, marks).astype(np.int64)
                 dropped += int((~np.isfinite(points).all(axis=1)).sum())
-                sieve.add(turn(points, scale or 1.0, up or "z"), named)
+                sieve.add(turn(points, scale or 1.0, up or "z"), named, colours)
         if chunks is None:
             whole = read_cloud(file, ground_label=ground_label, scale=scale, up=up)
             dropped += whole.dropped
-            sieve.add(whole.points, None if whole.ground is None else whole.ground.astype(np.int64))
-    points, marked = sieve.result()
+            sieve.add(whole.points, None if whole.ground is None else whole.ground.astype(np.int64), whole.colours)
+    points, marked, colours = sieve.result()
     ground = None if marked is None or not marked.any() else marked.astype(bool)
     if ground_label is not None and ground is None:
         raise CloudError(f"cloud {path}", f"no point is labelled {ground_label!r}", "Name the right label.")
     odd = _odd(path, points, unit=scale is None, axis=up is None)
     told = (f"{dropped} points were not finite and left out" if dropped else "", *odd)
     remarks = tuple(filter(None, told))
-    return PointCloud(check_points(points), ground, None, dropped, scale or 1.0, up or "z", remarks)
+    return PointCloud(check_points(points), ground, None, colours, dropped, scale or 1.0, up or "z", remarks)
 
 
 def _ground_marks(path: Path, ground_label: int | None) -> list[int] | None:

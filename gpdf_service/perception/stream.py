@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gpdf_service.errors import CloudError
-from gpdf_service.perception.formats import las_points
+from gpdf_service.perception.formats import NPZ_COLOURS, Colours, as_bytes, las_colours, las_points, record_colours
 from gpdf_service.types import FloatArray, IntArray
 
 CHUNK = 1_000_000
@@ -24,8 +24,8 @@ _BITS = 21
 _REACH = 1 << (_BITS - 1)
 """Voxels to either side of the first point that a key has room for: 20 km at 2 cm."""
 
-Chunk = tuple[FloatArray, NDArray[np.integer] | None]
-"""Points (n, 3) [m] and their labels (n,), where the file has them."""
+Chunk = tuple[FloatArray, NDArray[np.integer] | None, Colours | None]
+"""Points (n, 3) [m], their labels (n,) and colours (n, 3), where the file has them."""
 
 
 class VoxelSieve:
@@ -43,9 +43,12 @@ class VoxelSieve:
         self._keys = np.zeros(0, np.int64)
         self._points: list[FloatArray] = []
         self._labels: list[IntArray] = []
+        self._colours: list[Colours] = []
 
-    def add(self, points: FloatArray, labels: NDArray[np.integer] | None = None) -> None:
-        """Look at points (n, 3) [m] and their labels (n,); those that are not finite are left out."""
+    def add(
+        self, points: FloatArray, labels: NDArray[np.integer] | None = None, colours: Colours | None = None
+    ) -> None:
+        """Look at points (n, 3) [m], their labels (n,) and colours (n, 3); those that are not finite are left out."""
         self.read += len(points)
         rows = np.flatnonzero(np.isfinite(points.sum(axis=1)))
         if len(rows) == 0:
@@ -59,6 +62,8 @@ class VoxelSieve:
         self._points.append(np.asarray(points[rows], dtype=np.float64))
         if labels is not None:
             self._labels.append(np.asarray(labels[rows], dtype=np.int64))
+        if colours is not None:
+            self._colours.append(colours[rows])
 
     def _key(self, points: FloatArray) -> IntArray:
         voxel = np.floor(points / self.width)
@@ -71,11 +76,15 @@ class VoxelSieve:
         key: IntArray = (voxel[:, 0] << 2 * _BITS) | (voxel[:, 1] << _BITS) | voxel[:, 2]
         return key
 
-    def result(self) -> tuple[FloatArray, IntArray | None]:
-        """The points that were kept, in the order that they came in, and their labels."""
-        points = np.concatenate([np.zeros((0, 3)), *self._points])
-        all_labelled = len(self._labels) == len(self._points)  # labels of some tiles alone say nothing of the others
-        return points, np.concatenate(self._labels) if self._labels and all_labelled else None
+    def result(self) -> tuple[FloatArray, IntArray | None, Colours | None]:
+        """The points that were kept, in the order that they came in, their labels and their colours."""
+        points, count = np.concatenate([np.zeros((0, 3)), *self._points]), len(self._points)
+        labels, colours = self._labels, self._colours  # those of some tiles alone say nothing of the others
+        return (
+            points,
+            np.concatenate(labels) if labels and len(labels) == count else None,
+            np.concatenate(colours) if colours and len(colours) == count else None,
+        )
 
 
 def chunks_of(path: Path) -> Iterator[Chunk] | None:
@@ -96,7 +105,7 @@ def _las_chunks(path: Path) -> Iterator[Chunk]:
 
     with laspy.open(path) as file:
         for part in file.chunk_iterator(CHUNK):
-            yield las_points(part), np.asarray(part.classification)
+            yield las_points(part), np.asarray(part.classification), las_colours(part)
 
 
 def _npz_chunks(path: Path) -> Iterator[Chunk]:
@@ -104,8 +113,11 @@ def _npz_chunks(path: Path) -> Iterator[Chunk]:
         names = {name.removesuffix(".npy") for name in archive.namelist()}
         points = "xyz" if "xyz" in names else "points"
         labels = _rows_of(archive, "label") if "label" in names else None
+        shades = next((_rows_of(archive, name) for name in NPZ_COLOURS if name in names), None)
         for part in _rows_of(archive, points):
-            yield part.astype(np.float64), None if labels is None else next(labels)
+            colours = None if shades is None else as_bytes(next(shades))
+            fits = colours is not None and colours.shape == part.shape
+            yield part.astype(np.float64), None if labels is None else next(labels), colours if fits else None
 
 
 def _rows_of(archive: zipfile.ZipFile, name: str) -> Iterator[NDArray[Any]]:
@@ -185,4 +197,4 @@ def _record_chunks(path: Path, begin: int, count: int, kind: np.dtype[np.void]) 
             part = np.fromfile(file, kind, min(CHUNK, count - first))
             if len(part) < min(CHUNK, count - first):
                 raise EOFError("it ends early")
-            yield np.column_stack([part[axis].astype(np.float64) for axis in "xyz"]), None
+            yield np.column_stack([part[axis].astype(np.float64) for axis in "xyz"]), None, record_colours(part)

@@ -8,9 +8,11 @@ import resource
 from multiprocessing.connection import Connection
 
 import msgspec
+import numpy as np
 
 from gpdf_service.config import Config
 from gpdf_service.errors import GpdfError
+from gpdf_service.fields.tree import build_tree
 from gpdf_service.service.builder import MB, SMALLER, BuildSettings, Built, Failed, Note
 from gpdf_service.service.child import go_first
 from gpdf_service.service.logs import set_up
@@ -54,6 +56,11 @@ def _do(job: Job, workshop: Workshop, pipe: Connection, limit_bytes: int) -> Bui
     except Exception:
         log.exception("scene %s", job.name)
         return Failed("the build failed inside the service; its log says more.")
+
+
+def prepare() -> None:
+    """Load what all kernels share, which takes half a second, once for all builders."""
+    build_tree(np.zeros((1, 3)))
 
 
 def main(pipe: Connection, words: bytes) -> None:

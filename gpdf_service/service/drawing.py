@@ -19,6 +19,8 @@ MAX_ROWS = 2_000_000
 """More than a browser bears, and 40 parts."""
 OF_BODIES = "obstacles", "leaves"
 """What is another for each body."""
+MOVED = 3.0
+"""[-] Deviations of the noise: how far denoising moves a point."""
 LARGEST_FIRST = ("leaves",)
 """What is not thinned evenly."""
 
@@ -105,9 +107,18 @@ def _cloud(scene: Scene, agent: str | Agent) -> _Table:
         beneath = np.full(len(points), min(float(np.nanmin(surface.height)) for surface in scene.surfaces))
         for i, surface in enumerate(scene.surfaces):
             beneath[level == i] = surface.height_at(points[level == i, :2])
-        return np.column_stack([points, level, scene.ground[chosen], points[:, 2] - beneath])
+        return np.column_stack([points, level, scene.ground[chosen], points[:, 2] - beneath, *_colour(scene, points)])
 
-    return ("x", "y", "z", "level", "ground", "above"), scene.points, rows
+    return _columns(scene, "x", "y", "z", "level", "ground", "above"), scene.points, rows
+
+
+def _columns(scene: Scene, *names: str) -> tuple[str, ...]:
+    return names if scene.shades is None else (*names, "colour")
+
+
+def _colour(scene: Scene, points: FloatArray, reach: float = 0.0) -> list[IntArray]:
+    """The column of the scan's colours, where it had some: of points that stand for what is up to `reach` [m] away."""
+    return [] if scene.shades is None else [scene.shades.at(points, reach + MOVED * scene.noise)]
 
 
 def _ground(scene: Scene, agent: str | Agent) -> _Table:
@@ -115,7 +126,11 @@ def _ground(scene: Scene, agent: str | Agent) -> _Table:
     table = np.concatenate(
         [_with_level(level.ground_points, i, level.inferred.astype(np.float64)) for i, level in enumerate(levels)]
     )
-    return ("x", "y", "z", "level", "inferred"), table[:, :3], lambda chosen: table[chosen]
+
+    def rows(chosen: IntArray) -> FloatArray:
+        return np.column_stack([table[chosen], *_colour(scene, table[chosen, :3], levels[0].surface.cell_width)])
+
+    return _columns(scene, "x", "y", "z", "level", "inferred"), table[:, :3], rows
 
 
 def _obstacles(scene: Scene, agent: str | Agent) -> _Table:

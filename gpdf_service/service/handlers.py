@@ -189,7 +189,7 @@ class Handlers:
 
     def upload(self, request: UploadRequest) -> SceneReply:
         """Take a part of a cloud; the build starts with the last."""
-        points = _points(request.points)
+        points = _points(request.points, (3, 6))
         ground = None if request.ground is None else _labels("ground", request.ground, len(points))
         part = request.upload_id, request.part, request.parts
         return self._take_part(request, lambda: self.shelf.add_part(request.scene, *part, points, ground))
@@ -339,9 +339,9 @@ class Handlers:
         return f"there is no scene {name!r}. Loaded: {known}."
 
 
-def _points(array: Array) -> FloatArray:
+def _points(array: Array, columns: tuple[int, ...] = (3,)) -> FloatArray:
     points = array.unpack()
-    if points.ndim != 2 or points.shape[1] != 3:
+    if points.ndim != 2 or points.shape[1] not in columns:
         raise RequestError("points", f"an array of shape {points.shape}", "Send an array of shape (n, 3).")
     return points
 

@@ -12,6 +12,7 @@ import msgspec
 from gpdf_service.config import Config
 from gpdf_service.errors import SceneFileError
 from gpdf_service.perception import read_cloud
+from gpdf_service.perception.formats import as_bytes
 from gpdf_service.pipeline import Progress, build_scene
 from gpdf_service.scene import Scene, load_scene
 from gpdf_service.search import Prefer
@@ -108,14 +109,17 @@ class Workshop:
     def _scene(self, job: Job, progress: Progress) -> Scene:
         if job.cloud:
             sent = arrays_of(Path(job.cloud))
-            return build_scene(sent["points"], sent.get("ground"), self._config, progress=progress)
+            points, colours = sent["points"][:, :3], sent["points"][:, 3:]
+            shown = as_bytes(colours) if colours.size else None
+            return build_scene(points, sent.get("ground"), self._config, colours=shown, progress=progress)
         if job.file:
             progress("read the file", 0.0)
             path = Path(job.file)
             if path.suffix == SUFFIX:
                 return load_scene(path)
             cloud = read_cloud(path)
-            return build_scene(cloud.points, cloud.ground, self._config, origins=cloud.origins, progress=progress)
+            more = {"origins": cloud.origins, "colours": cloud.colours}
+            return build_scene(cloud.points, cloud.ground, self._config, **more, progress=progress)
         if not job.base:
             raise SceneFileError("a change", "the scene that it belongs to could not be built", "Load the scene first.")
         kept = self._kept.get(Path(job.base).name)

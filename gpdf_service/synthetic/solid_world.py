@@ -127,8 +127,8 @@ class SolidWorld:
         for solid in self.solids:
             low, high = solid.triangles.min(axis=(0, 1)), solid.triangles.max(axis=(0, 1))
             rows = order[np.searchsorted(x, low[0]) : np.searchsorted(x, high[0], side="right")]
-            near = points[rows]
-            rows = rows[((near[:, 1:] >= low[1:]) & (near[:, 1:] <= high[1:])).all(axis=1) & ~covered[rows]]
+            y, z = points[rows, 1], points[rows, 2]
+            rows = rows[(y >= low[1]) & (y <= high[1]) & (z >= low[2]) & (z <= high[2]) & ~covered[rows]]
             covered[rows] = solid.covers(points[rows])
         return covered
 

@@ -30,14 +30,16 @@ class Box:
 
     def covers(self, points: FloatArray) -> BoolArray:
         """Whether points (m, 3) lie inside, the surface not counted."""
-        within = (points > np.array(self.low) + TOUCH) & (points < np.array(self.high) - TOUCH)
-        inside: BoolArray = np.logical_and.reduce(within, axis=1)
+        axes = zip(points.T, self.low, self.high, strict=True)
+        x, y, z = ((column > low + TOUCH) & (column < high - TOUCH) for column, low, high in axes)
+        inside: BoolArray = x & y & z
         return inside
 
     def hides(self, points: FloatArray) -> BoolArray:
         """Whether points of other shapes lie inside or against a side or the underside."""
-        low, high = np.array(self.low) - TOUCH, np.array(self.high) + np.array([TOUCH, TOUCH, -TOUCH])
-        inside: BoolArray = np.logical_and.reduce((points >= low) & (points <= high), axis=1)
+        axes = zip(points.T, self.low, self.high, (TOUCH, TOUCH, -TOUCH), strict=True)
+        x, y, z = ((column >= low - TOUCH) & (column <= high + over) for column, low, high, over in axes)
+        inside: BoolArray = x & y & z
         return inside
 
     def sample(self, spacing: float, rng: np.random.Generator) -> tuple[FloatArray, BoolArray]:
@@ -199,10 +201,11 @@ class World:
             parts.append(points)
             ground.append(top & (isinstance(shape, Box) and shape.walkable))
         points, mask = np.concatenate(parts), np.concatenate(ground)
-        seen = points[:, 2] >= self.floor(points[:, :2]) - TOUCH
-        seen &= ~((points[:, 2] <= self.floor(points[:, :2]) + TOUCH) & ~mask)  # the underside of what stands
+        floor = self.floor(points[:, :2])
+        seen = points[:, 2] >= floor - TOUCH
+        seen &= ~((points[:, 2] <= floor + TOUCH) & ~mask)  # the underside of what stands
+        lifted = points + np.array([0.0, 0.0, 1e-4]) * mask[:, None]  # floor under a box that stands on it
         for shape in self.shapes:
-            lifted = points + np.array([0.0, 0.0, 1e-4]) * mask[:, None]  # floor under a box that stands on it
             seen &= ~shape.covers(lifted)
         points = points[seen]
         return points + rng.normal(0.0, 1.0, points.shape) * noise, mask[seen]

@@ -67,6 +67,13 @@ def of_levels(level: FloatArray) -> Colours:
     return np.where((index < 0)[:, None], np.array(NOWHERE, np.uint8), LEVELS[index % len(LEVELS)])
 
 
+def unpacked(numbers: FloatArray) -> Colours:
+    """Colours of numbers 0xRRGGBB (n,), shape (n, 3); of −1 that of `NOWHERE`."""
+    index = numbers.astype(np.int64)
+    channels = np.column_stack([index >> 16, index >> 8 & 255, index & 255])
+    return np.where((index < 0)[:, None], NOWHERE, channels).astype(np.uint8)
+
+
 def pale(shades: Colours) -> Colours:
     """Colours mixed with white, for what lies below others."""
     return ((1.0 - PALENESS) * shades + PALENESS * 255.0).astype(np.uint8)

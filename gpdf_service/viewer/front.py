@@ -2,7 +2,9 @@
 
 viser has no hook for any of these. What it draws later is named as it comes. And of what is typed and pressed within
 `THROTTLE_MS` viser sends the first and the last alone, whichever fields these are of: here all of it is sent. One entry
-of the browser's storage is the end of the address (`sharing`).
+of the browser's storage is the end of the address (`sharing`). Lines of `THROUGH_WIDTH` are drawn before all else,
+every second pixel of them: a way shows, faded, through the floor over it. Where three.js's line shader is another one,
+that is left out, and nothing else.
 """
 
 from __future__ import annotations
@@ -10,6 +12,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from gpdf_service.viewer.panel import SHARE
+from gpdf_service.viewer.path_layers import THROUGH_WIDTH
 from gpdf_service.viewer.sharing import KEY
 
 TITLE = "<title>Viser</title>"
@@ -57,6 +60,16 @@ document.addEventListener("click", async event => {
   try { await navigator.clipboard.writeText(location.href); }
   catch { window.prompt("SHARE", location.href); }  // without TLS a browser lets nobody copy for one
 });
+const { shaderSource } = WebGL2RenderingContext.prototype;
+WebGL2RenderingContext.prototype.shaderSource = function (shader, source) {
+  if (source.includes("uniform float linewidth;")) source = source
+    .replace("gl_Position = clip;", `gl_Position = clip;  // the nearest depth is 1 where depth is reversed, else -1
+      if (linewidth == WIDTH) gl_Position.z = (projectionMatrix[2][2] > 0.0 ? 0.999 : -0.999) * clip.w;`)
+    .replace("gl_FragColor = ", `vec2 px = floor(gl_FragCoord.xy);
+      if (linewidth == WIDTH && mod(px.x + px.y, 2.0) > 0.5) discard;
+      gl_FragColor = `);
+  return shaderSource.call(this, shader, source);
+};
 const NAMES = [["canvas", "Map of the scene. Start and goal can be typed, too."]];
 function nameAll() {
   for (const [what, name] of NAMES) {
@@ -93,5 +106,6 @@ def front_page() -> bytes:
     import viser
 
     page = Path(viser.__file__).parent / "client" / "build" / "index.html"
-    head = HEAD.replace("THROTTLE_MS", str(THROTTLE_MS)).replace("KEY", KEY).replace("SHARE", SHARE)
+    head = HEAD.replace("WIDTH", f"{THROUGH_WIDTH:.1f}")
+    head = head.replace("THROTTLE_MS", str(THROTTLE_MS)).replace("KEY", KEY).replace("SHARE", SHARE)
     return page.read_text(encoding="utf-8").replace(TITLE, head, 1).encode()

@@ -11,25 +11,27 @@ import numpy as np
 from gpdf_service.types import FloatArray
 from gpdf_service.viewer import colours, words
 from gpdf_service.viewer.desk import Desk
+from gpdf_service.viewer.fit import fitted, free_of
 from gpdf_service.viewer.map_layers import MapLayers, View
-from gpdf_service.viewer.panel import ALL_STOREYS, MOST_APART, SLICES, gradient, key_of, legend
+from gpdf_service.viewer.panel import (
+    ALL_STOREYS,
+    AS_SCANNED,
+    CLOUD_COLOURS,
+    MOST_APART,
+    SLICES,
+    gradient,
+    key_of,
+    legend,
+)
 from gpdf_service.viewer.scale import add_scale
 from gpdf_service.viewer.widgets import put
 
 CAMERA = np.array([0.0, -0.25, 0.55])
-"""From the middle of the ground to the camera, in diagonals of the ground."""
+"""From the ground to the camera: from above and the south."""
 STACK = np.array([0.0, -0.75, 0.35])
-"""The same for storeys that are pulled apart, in diagonals of all of them: from lower, to see between them."""
-LOWER = 0.3
-"""[-] On a phone: so far under its middle, in diagonals of all of them."""
-ASIDE = 0.12
-"""[-] Of the diagonal: the camera looks this far beside the middle, so that the panel hides no ground."""
-NEARER = 0.1
-"""[-] Of the diagonal: and this much before the middle, as what is near is drawn larger."""
+"""The same for storeys that are pulled apart: from lower, to see between them."""
 SLICE_OVER_GROUND = 0.6
 """[m]"""
-BELOW, FURTHER = 0.19, 0.75
-"""[-] On a phone: so far below the middle, in diagonals, and so much further off, each over the picture's aspect."""
 DOWN = np.array([0.0, 0.0, -1.0])
 
 
@@ -58,6 +60,7 @@ class MapControl:
         """Show the ground of a scene that is ready, on a page that shows none."""
         self._scene, self._cell_width = name, facts["levels"][0]["cell_width"]
         self.say_facts(facts)
+        self._tab.colour.options = (*CLOUD_COLOURS, *[AS_SCANNED] * bool(facts.get("coloured")))
         self._fetch("ground")
         self._offer_storeys()
         self._look_at_ground()
@@ -145,23 +148,14 @@ class MapControl:
         self.layers.view = replace(self.layers.view, levels=self._levels[names[0]] if several else None)
 
     def _look_at_ground(self) -> None:
-        """From above and the south, so that all known ground is seen left of the panel; a stack from lower."""
+        """So that all known ground is seen beside the panel, with the things on it as far as they are shown."""
         ground = self.layers.drawn_ground
         if ground is None:
             return
         low, high = ground.box
-        stack = self._desk.frame.apart > 0.0
-        reach = float(np.linalg.norm((high - low)[: 3 if stack else 2]))
-        middle = 0.5 * (low + high)
-        camera = self._desk.browser.camera
-        narrow = min(1.0, camera.aspect)  # a phone held upright: the panel is below, and the picture has less width
-        aside = np.array([ASIDE, -NEARER, 0.0]) if narrow == 1.0 else np.array([0.0, -BELOW / narrow, 0.0])
-        if stack:
-            aside = np.array([ASIDE, 0.0, 0.0]) if narrow == 1.0 else np.array([0.0, 0.0, -LOWER])
-        at = middle[2] if stack else high[2]  # the upper storey is nearest, and seen whole
-        target = np.array([middle[0], middle[1], at]) + aside * reach
-        position = target + (STACK if stack else CAMERA) * reach * (1.0 if narrow == 1.0 else FURTHER / narrow)
-        camera.position, camera.look_at = position, target
+        camera, top = self._desk.browser.camera, high + np.array([0.0, 0.0, self.layers.view.below])
+        toward, free = STACK if self._desk.frame.apart > 0.0 else CAMERA, free_of(camera.image_width)
+        camera.position, camera.look_at = fitted(low, top, toward, camera.fov, camera.aspect, free)
 
     def _offer_heights(self, facts: dict[str, Any]) -> None:
         """Slices from the scene's lowest point to its highest; at first over the lowest ground."""

@@ -14,6 +14,7 @@ from gpdf_service.types import BoolArray, FloatArray
 from gpdf_service.viewer import colours
 from gpdf_service.viewer.frame import Frame
 from gpdf_service.viewer.ground import Ground
+from gpdf_service.viewer.panel import AS_SCANNED
 
 LIMITS = {"cloud": 300_000, "ground": 2_000_000, "obstacles": 60_000, "leaves": 12_000}
 """Most rows that are fetched. Browsers bear 300 k points; clicks need all the ground; smaller leaves are not seen."""
@@ -37,7 +38,7 @@ class View:
 
     Attributes:
         shown: Layers that are on.
-        colour: Of the cloud: "height", "level" or "ground".
+        colour: Of the cloud: "height", "level", "ground" or `AS_SCANNED`.
         below: Points higher over their ground are left out, so that a ceiling hides nothing [m].
         point_size: [m].
         levels: Only these; all of them if None.
@@ -56,7 +57,7 @@ class View:
         layers = set(self.shown ^ before.shown)
         if (self.levels, self.apart) != (before.levels, before.apart):
             layers |= self.shown
-        if "level" in (self.colour, before.colour) and self.colour != before.colour:
+        if self.colour != before.colour and {self.colour, before.colour} & {"level", AS_SCANNED}:
             layers |= {"ground"} & self.shown
         if (self.colour, self.below) != (before.colour, before.below) or "ground" in layers:
             layers.add("cloud")
@@ -157,7 +158,9 @@ class MapLayers:
         places = drawing.places[wanted]
         if len(places) == 0:
             return None
-        if self.view.colour == "level":
+        if self.view.colour == AS_SCANNED and "colour" in drawing.columns:
+            shades = colours.unpacked(drawing.columns["colour"][wanted])
+        elif self.view.colour == "level":
             shades = colours.of_levels(drawing.columns["level"][wanted])
         elif self.view.colour == "ground":
             is_ground = drawing.columns["ground"][wanted, None] > 0
@@ -172,6 +175,8 @@ class MapLayers:
         seen = colours.SEEN
         if self.view.colour == "level":
             seen = colours.pale(colours.of_levels(drawing.columns["level"][chosen]))
+        elif self.view.colour == AS_SCANNED and "colour" in drawing.columns:
+            seen = colours.unpacked(drawing.columns["colour"][chosen])
         shades = np.where(inferred, colours.INFERRED, seen)
         size = self.ground.cell_width if self.ground is not None else self.view.point_size
         return self._points("ground", drawing.places[chosen], shades, size)

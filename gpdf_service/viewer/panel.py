@@ -28,6 +28,8 @@ LAYERS = {"cloud": "Cloud", "ground": "Ground", "obstacles": "What stops the bod
 CLOUDS = ".ply,.pcd,.xyz,.txt,.csv,.asc,.pts,.npy,.npz,.las,.laz,.e57,.obj,.stl,.off,.dae,.glb,.gltf"
 """What can be sent."""
 CLOUD_COLOURS = ("height", "level", "ground")
+AS_SCANNED = "as scanned"
+"""Of a scene whose scan had colours."""
 MOST_APART = 10.0
 """[m] Between two storeys, more than they are high."""
 SHOWN_BELOW = 1.5
@@ -243,6 +245,8 @@ def gradient(shades: FloatArray, low: str, high: str) -> str:
 def key_of(colour: str, below: float) -> str:
     """What the colours of ground and cloud mean, of a cloud that is drawn by `colour` up to a height [m]."""
     named = [("ground", colours.SEEN), ("inferred: nobody saw it", colours.INFERRED)]
+    if colour == AS_SCANNED:
+        named = [named[1], ("came without a colour", colours.NOWHERE)]
     if colour == "ground":
         named.append(("other points", colours.KINDS[0]))
     bar = gradient(colours.PALE, "things at 0 m", f"{below:g} m over the ground") if colour == "height" else ""
@@ -256,7 +260,7 @@ def legend(levels: int, step: float = 1.0) -> str:
     return swatches(named, f"<br>Lines under the ground: {step:g} m.")
 
 
-def swatches(named: Iterable[tuple[str, colours.Colours]], more: str = "") -> str:
+def swatches(named: Iterable[tuple[str, colours.Colours | tuple[int, int, int]]], more: str = "") -> str:
     """Colours and what they mean, and more text below."""
     swatch = "display:inline-block;width:0.8em;height:0.8em;border-radius:2px;margin-right:0.35em;background:"
     items = [

@@ -22,6 +22,8 @@ LINE_LIFT = 0.04
 LIFTED = np.array([0.0, 0.0, LINE_LIFT])
 LINE_WIDTH = 6.0
 """[px] Seen in a hall as in an office."""
+THROUGH_WIDTH = 5.0
+"""[px] Lines of this width are drawn faded through all that covers them (`front`); within the path's, unseen on it."""
 DASH = 0.12
 """[m] Length of a dash, and of the gap after it."""
 GHOST_STEP = 0.4
@@ -122,6 +124,7 @@ class PathLayers:
         ends = np.broadcast_to(shades, points.shape)
         each = np.broadcast_to(shades, segments.shape) if dashed else np.stack([ends[:-1], ends[1:]], axis=1)
         self._paths[node] = self._add_segments(node, segments, each)
+        self._add_segments(f"{node}/through", segments, each, THROUGH_WIDTH)  # goes with its parent
 
     def add_sweep(self, path: Trajectory, agent: Agent, shades: colours.Colours) -> None:
         """Draw the body at even steps along a path, and a solid one that `move` moves."""
@@ -141,9 +144,11 @@ class PathLayers:
         self._moving = path
         self.move(0.0)
 
-    def _add_segments(self, node: str, segments: FloatArray, shades: colours.Colours) -> viser.SceneNodeHandle:
+    def _add_segments(
+        self, node: str, segments: FloatArray, shades: colours.Colours, width: float = LINE_WIDTH
+    ) -> viser.SceneNodeHandle:
         return self._scene.add_line_segments(
-            node, segments, colours.of_lines(shades), thickness=LINE_WIDTH, thickness_units="screen"
+            node, segments, colours.of_lines(shades), thickness=width, thickness_units="screen"
         )
 
     def _add_ghosts(

@@ -136,6 +136,7 @@ class Scenes:
             name,
             upload=cloud.points,
             ground=cloud.ground,
+            colours=cloud.colours,
             progress=lambda share: panel.say_work(f"{name}: sending, then building …", share),
         )
         self._take(client, name)

@@ -153,6 +153,7 @@ class Sharing:
         self._scenes.show(shared.scene)
         if self._scenes.shown[0] != shared.scene:
             raise ValueError("The scene that the link of this page is to is not here.")
+        self._map.want(shared.view)  # again: the cloud may be shown as it was scanned, which not each scene offers
         self._map.want_storey(shared.view.levels, shared.view.apart)
         self._desk.maps.do("camera", lambda: self._look_from(shared))  # after the map is drawn so
         ends = {"start": shared.start, "goal": shared.goal}

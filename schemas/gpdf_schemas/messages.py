@@ -271,7 +271,7 @@ class UploadRequest(msgspec.Struct, frozen=True, kw_only=True):
         upload_id: The same for all parts.
         part: Number of this part, from 0.
         parts: How many there are.
-        points: (n, 3) [m].
+        points: (n, 3) [m], or (n, 6) with red, green and blue of 0 to 255, which pictures show.
         ground: 1 where a point is ground, (n,); none lets the service segment.
     """
 
@@ -528,7 +528,8 @@ class DrawReply(Reply, frozen=True, kw_only=True):
         origin: (x, y, z) [m] to add to the rows' places, which are relative to it so that f4 is exact to 0.1 mm.
         columns: What the rows hold: x, y, z, level (-1: over no known ground), then of the cloud "ground" (0 or 1) and
             "above", its height over that level's ground (over the lowest where level is -1) [m], of the ground
-            "inferred" (0 or 1), of the obstacles "kind" (0 material, 1 step, 2 slope, 3 unknown ground), of the leaves
+            "inferred" (0 or 1), of both "colour" where `coloured` is true in the scene's facts (65536 red + 256 green
+            + blue, -1 for none), of the obstacles "kind" (0 material, 1 step, 2 slope, 3 unknown ground), of the leaves
             "half_size" and "clearance" [m].
         rows: (n, columns), f4.
     """

@@ -1,6 +1,5 @@
 import numpy as np
 import pytest
-from scipy.stats import special_ortho_group
 
 from gpdf_service.bench.surfaces import SURFACES
 from gpdf_service.denoise import denoise, estimate_noise, find_lifted
@@ -116,6 +115,8 @@ def test_what_bends_or_is_thin_is_no_noise_when_it_is_clean(name, count):
 @pytest.mark.parametrize("sigma", [0.01, 0.02])
 @pytest.mark.parametrize("name", ["stairs", "step"])
 def test_edges_are_not_eaten_however_they_lie(name, sigma):
+    from scipy.stats import special_ortho_group  # a second to import
+
     clean, points, rng = noisy(name, sigma)
     R = special_ortho_group.rvs(3, random_state=4)
     cured = denoise(points @ R.T)

@@ -1,6 +1,5 @@
 import numpy as np
 import pytest
-from scipy.stats import special_ortho_group
 
 from gpdf_service.fields.edge import fit_pair
 from gpdf_service.fields.heights import fit_heights, make_sums, quadric_rest, sum_heights
@@ -60,6 +59,8 @@ def test_too_few_points_have_no_quadric():
 
 @pytest.mark.parametrize("seed", range(5))
 def test_two_half_planes_explain_an_edge_wherever_it_lies_and_a_quadric_does_not(seed):
+    from scipy.stats import special_ortho_group  # a second to import
+
     rng, noise = np.random.default_rng(seed), 0.05
     R = special_ortho_group.rvs(3, random_state=seed)
     near, count = rows(edge(rng, 200, noise) @ R.T)

@@ -12,11 +12,11 @@ import trimesh
 
 from gpdf_service.cli import main
 from gpdf_service.errors import CloudError
-from gpdf_service.perception import read_cloud
+from gpdf_service.perception import formats, read_cloud
 from gpdf_service.perception.frame import UP, look, odd_unit, odd_up, turn
 from gpdf_service.synthetic import SCENES, Box, World
 
-OFFICE = SCENES["office"](np.random.default_rng(0), spacing=0.08).points
+OFFICE = SCENES["office"](np.random.default_rng(0), spacing=0.12).points
 WITH_NAN = np.insert(OFFICE, [0, 7, 7, len(OFFICE)], np.nan, axis=0)
 CENTIMETRES = OFFICE * 100.0
 Y_UP = OFFICE[:, [0, 2, 1]] * [1.0, 1.0, -1.0]
@@ -164,7 +164,8 @@ def test_an_empty_file_is_refused_in_words(kind, tmp_path):
 
 
 @pytest.mark.parametrize("kind", [".obj", ".stl", ".off"])
-def test_a_mesh_is_sampled_as_densely_as_a_scan(kind, tmp_path):
+def test_a_mesh_is_sampled_as_densely_as_a_scan(kind, tmp_path, monkeypatch):
+    monkeypatch.setattr(formats, "MOST_SAMPLES", 300_000)  # which the room in centimetres has more of in metres
     boxes().export(tmp_path / f"room{kind}")
     cloud = read_cloud(tmp_path / f"room{kind}")
     np.testing.assert_allclose(np.ptp(cloud.points, axis=0), [4.0, 3.0, 2.5], atol=0.01)

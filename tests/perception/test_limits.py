@@ -322,3 +322,16 @@ def test_a_narrow_tread_is_one_cell_between_two_risers_with_level_ground_beyond(
     turned = height if axis == 1 else height.T
     found = _is_narrow_tread(turned, width, axis)
     np.testing.assert_array_equal(found if axis == 1 else found.T, want)
+
+
+@pytest.mark.parametrize(("what", "value"), [("step", 0.2), ("slope", 0.7), ("edge", np.inf), ("ridge", np.inf)])
+def test_one_limit_alone_stands_over_the_middle_of_its_cell(what, value):
+    surface = surface_of(np.array([[0.3, np.nan if what == "edge" else 0.3]]), 0.1)
+    of_one = {name: np.array([[name == what, False]]) for name in ("step", "slope", "ridge")}
+    measured = 0.2 * of_one["step"], 0.7 * of_one["slope"]
+    found = find_limits(surface, np.zeros((1, 2), bool), measured, of_one["ridge"])
+    at = 0.15 if what == "edge" else 0.05
+    np.testing.assert_allclose(found.points, [[1.05, -2.0 + at, 0.3]], atol=1e-6)
+    np.testing.assert_allclose(found.value, [value])
+    kinds = {"step": ObstacleKind.STEP, "slope": ObstacleKind.SLOPE, "edge": ObstacleKind.UNKNOWN}
+    assert found.kind.tolist() == [kinds.get(what, ObstacleKind.MATERIAL)]

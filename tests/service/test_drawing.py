@@ -3,7 +3,7 @@ import shutil
 import numpy as np
 import pytest
 from gpdf_client import Client, InvalidRequestError, UnknownSceneError
-from gpdf_schemas import keys
+from gpdf_schemas import Array, SceneReply, UpdateRequest, keys
 from mcap.records import Channel
 
 from gpdf_service.perception import ObstacleKind
@@ -99,6 +99,35 @@ def test_where_nothing_is_near_nothing_is_drawn(asked):
     drawn = asked[1].draw("office", "ground", near=[[1e3, 1e3]], reach=1.0)
     assert drawn.places.shape == (0, 3)
     assert drawn.columns["inferred"].shape == (0,)
+
+
+def test_colours_that_are_sent_with_a_cloud_are_drawn_and_those_of_what_is_taken_away_are_not(asked):
+    x, y = np.meshgrid(np.arange(0.0, 4.0, 0.05), np.arange(0.0, 2.0, 0.05))
+    points = np.column_stack([x.ravel(), y.ravel(), np.zeros(x.size)])
+    colours = np.column_stack([np.full(len(points), 255), 60.0 * points[:, 0], np.zeros(len(points))]).round()
+    facts = asked[1].load_scene("painted", upload=points, colours=colours)
+    assert facts["coloured"]
+    assert not asked[1].info("office")["coloured"]
+    cloud, ground = (asked[1].draw("painted", what) for what in ("cloud", "ground"))
+    np.testing.assert_allclose(cloud.columns["colour"], 0xFF0000 + 256 * np.round(60.0 * cloud.places[:, 0]), atol=0)
+    green = ground.columns["colour"].astype(int) >> 8 & 255
+    np.testing.assert_allclose(green, 60.0 * ground.places[:, 0], atol=6.0)  # a cell is that of a point beside it
+    asked[1].update_scene("painted", remove=points[points[:, 0] > 3.0])
+    left = asked[1].draw("painted", "cloud")
+    assert len(left.places) < 0.8 * len(points)
+    np.testing.assert_allclose(left.columns["colour"], 0xFF0000 + 256 * np.round(60.0 * left.places[:, 0]), atol=0)
+
+
+def test_colours_that_do_not_fit_are_refused(asked):
+    with pytest.raises(InvalidRequestError, match=r"shape \(2, 5\)"):
+        asked[1].load_scene("two", upload=np.zeros((2, 3)), colours=np.zeros((2, 2)))
+    with pytest.raises(ValueError, match=r"shape \(2, 6\)"):  # and no four points of the six numbers
+        asked[1].update_scene("office", np.zeros((2, 6)))
+    change = UpdateRequest(
+        scene="office", upload_id="u", part=0, parts=1, points=Array.pack(np.zeros((2, 6))), gone=Array.pack([0, 0])
+    )
+    with pytest.raises(InvalidRequestError, match=r"shape \(2, 6\)"):
+        asked[1].ask(keys.SCENE_UPDATE, change, SceneReply, 30.0)
 
 
 def test_what_cannot_be_drawn_is_refused_in_words(asked):

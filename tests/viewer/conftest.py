@@ -1,8 +1,9 @@
 import shutil
 
+import numpy as np
 import pytest
 from driving import Operator, Service
-from house import sample_house
+from house import PAINTED, sample_house
 
 import gpdf_service as gpdf
 
@@ -28,7 +29,9 @@ def service(office_file, tmp_path_factory):
     """A service with the office and the house of two storeys."""
     folder = tmp_path_factory.mktemp("scenes")
     shutil.copy(office_file, folder / "office.gpdf")
-    gpdf.build_scene(*sample_house()).save(folder / "house.gpdf")
+    points, ground = sample_house()
+    colours = np.where(ground[:, None], PAINTED, 255).astype(np.uint8)
+    gpdf.build_scene(points, ground, colours=colours).save(folder / "house.gpdf")
     running = Service({name: folder / f"{name}.gpdf" for name in ("office", "house")}, folder)
     yield running
     running.stop()

@@ -6,6 +6,8 @@ from gpdf_service.synthetic.scenes import table
 from gpdf_service.synthetic.world import Box, World
 
 STOREY = 2.8
+PAINTED = (190, 40, 170)
+"""What its floors look like in its scan."""
 TREADS, DEPTH, WIDTH = 15, 0.28, 1.2
 HEAD = 1.0 + TREADS * DEPTH
 

@@ -18,7 +18,7 @@ from gpdf_service.viewer.drops import room_beside
 from gpdf_service.viewer.frame import Frame
 from gpdf_service.viewer.link import Link
 from gpdf_service.viewer.map_layers import View
-from gpdf_service.viewer.panel import CLOUDS, key_of
+from gpdf_service.viewer.panel import AS_SCANNED, CLOUDS, key_of
 from gpdf_service.viewer.path_layers import DASH, dashes, disc_centres
 from gpdf_service.viewer.profile import profile_of
 from gpdf_service.viewer.scale import numbers
@@ -102,6 +102,7 @@ def test_the_link_finds_loses_and_finds_again(tmp_path, free_endpoint):
         ({}, set()),
         ({"colour": "level"}, {"cloud", "ground"}),
         ({"colour": "ground"}, {"cloud"}),
+        ({"colour": AS_SCANNED}, {"cloud", "ground"}),
         ({"below": 1.0}, {"cloud"}),
         ({"point_size": 0.05}, {"cloud", "obstacles"}),
         ({"shown": frozenset({"cloud", "ground", "leaves"})}, {"leaves"}),
@@ -112,6 +113,11 @@ def test_the_link_finds_loses_and_finds_again(tmp_path, free_endpoint):
 )
 def test_only_what_looks_different_is_sent_again(change, layers):
     assert View(**change).touched(View()) == layers
+
+
+def test_colours_are_told_as_one_number_each():
+    made = colours.unpacked(np.array([0xC8141E, 0xFFFFFF, 0, -1], dtype=np.float32))
+    np.testing.assert_array_equal(made, [[200, 20, 30], [255, 255, 255], [0, 0, 0], colours.NOWHERE])
 
 
 def test_a_ramp_runs_from_its_first_colour_to_its_last_and_stays_there():
@@ -134,6 +140,7 @@ def test_inferred_ground_looks_like_no_height_of_the_cloud_and_like_no_seen_grou
         ("height", ["ground", "inferred: nobody saw it", "things at 0 m", "2.5 m over the ground"]),
         ("ground", ["ground", "inferred: nobody saw it", "other points"]),
         ("level", ["ground", "inferred: nobody saw it"]),
+        (AS_SCANNED, ["inferred: nobody saw it", "came without a colour"]),
     ],
 )
 def test_the_key_names_what_is_drawn_with_units(colour, said):
