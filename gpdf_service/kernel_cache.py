@@ -30,6 +30,7 @@ NAME = "kernel"
 _IMPORTS = re.compile(r"^from (gpdf_service[\w.]*) import (\([^)]*\)|[^(\n]+)$", re.MULTILINE)
 _PLAIN = re.compile(r"(?<=\n\n\n)def (\w+)\(.*\n(?:(?:[ \t)].*)?\n)*?(?=\S|\Z)(?!\))")
 """A function that nothing decorates, which no kernel can call."""
+_COMPILED = re.compile(r"^@(?:njit|lean)\b.*\ndef \w+\(.*\n(?:(?:[ \t)].*)?\n)*?(?=\S|\Z)(?!\))", re.MULTILINE)
 _KERNEL = re.compile(r"@(njit|lean)\b")
 _WORD = re.compile(r"\w+")
 
@@ -180,15 +181,19 @@ def kernels(package: str = "gpdf_service") -> Iterator[Dispatcher]:
 
 
 @cache
-def load_kept(package: str) -> None:
-    """Load all that is kept of the kernels of a package, so that no first call of one waits for that."""
-    for kernel in kernels(package):
-        own: Any = kernel  # Numba has no types, nor a word for this
+def load_kept(*packages: str) -> None:
+    """Load what is kept of the kernels that these packages call from Python, so that no first call waits for that."""
+    called = set[str]()
+    for file in (file for package in packages for file in (PACKAGE / package).glob("*.py")):
+        called |= set(_WORD.findall(_IMPORTS.sub("", _COMPILED.sub("", _text(file)))))
+    own: Any  # Numba has no types, nor a word for this
+    for own in (kernel for package in packages for kernel in kernels(f"{PACKAGE.name}.{package}")):
         kept = own._cache
-        if not isinstance(kept, caching.NullCache):
-            for key in kept._cache_file._load_index():
-                if key == kept._index_key(key[0], own.targetctx.codegen()):
-                    own.compile(key[0])
+        if own.py_func.__name__ not in called or isinstance(kept, caching.NullCache):
+            continue
+        for key in kept._cache_file._load_index():
+            if key == kept._index_key(key[0], own.targetctx.codegen()):
+                own.compile(key[0])
 
 
 def forget_others(kernels: Iterable[Dispatcher]) -> int:

@@ -328,8 +328,7 @@ class Scene:
 
     def prepare(self, agent: str | Agent) -> None:
         """Build what plans for `agent` read, and load what they run, so that the first one takes what plans take."""
-        for package in "search", "planning":
-            load_kept(f"gpdf_service.{package}")
+        load_kept("search", "planning")
         self.ways(agent, Prefer.COMPANION)
         for field, surface in zip(self.ground_fields, self.surfaces, strict=True):
             _ = field.discs, surface.ends, surface.inferred  # told on first use

@@ -525,9 +525,7 @@ def _cheapest(allowed: BoolArray, height: FloatArray, weight: FloatArray, start:
                 length = np.sqrt(float((a - i) ** 2 + (b - j) ** 2))
             else:
                 to, a, b, length = k - 8, i, j, 0.0
-                if to == level or not _joined(height, level, to, i, j):
-                    continue
-            if not allowed[to, a, b]:
+            if not allowed[to, a, b] or (k >= 8 and (to == level or not _joined(height, level, to, i, j))):
                 continue
             near = (to * nx + a) * ny + b
             further = reached + length * 0.5 * (weight[level, i, j] + weight[to, a, b])
