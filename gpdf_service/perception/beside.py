@@ -10,7 +10,7 @@ strip, by the pairs that go on into the next one, and by a graph of these pieces
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import chain, pairwise
 from math import ceil
 from operator import is_
@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from gpdf_service.fields.threads import run_parallel
 from gpdf_service.perception.boxes import Box, span
 from gpdf_service.perception.columns import box_spliced, box_unlike, unlike_cells
-from gpdf_service.perception.layers import Layers, crop_layers
+from gpdf_service.perception.layers import PER_NODE, Layers, crop_layers
 from gpdf_service.perception.told import grown
 from gpdf_service.types import BoolArray, FloatArray, IntArray
 
@@ -303,10 +303,17 @@ class Beside:
         return part, inside.ravel()[part.cell], nodes, told
 
     def strips(self, begin: int, end: int) -> Layers:
-        """Layers of some strips."""
-        return crop_layers(
-            self.layers, (slice(self.rows(begin).start, self.rows(end - 1).stop), slice(0, self.layers.shape[1]))
-        )[0]
+        """Layers of some strips; views, as they are asked for once for each strip."""
+        layers, (nx, ny) = self.layers, self.layers.shape
+        low, high = ROWS * begin, min(ROWS * end, nx)
+        a, b = layers.start[[low * ny, high * ny]]
+        told = {name: getattr(layers, name)[a:b] for name in PER_NODE}
+        told["cell"] = told["cell"] - low * ny
+        origin, start = (
+            layers.origin + layers.cell_width * np.array([low, 0]),
+            layers.start[low * ny : high * ny + 1] - a,
+        )
+        return replace(layers, **told, origin=origin, shape=(high - low, ny), start=start)
 
     def _spliced(self, begin: int, box: Box, fresh: NDArray[Any], before: Strips) -> Strips:
         """What is told of the nodes of some strips, one after another: in a box of cells the `fresh` values."""

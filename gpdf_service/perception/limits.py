@@ -283,6 +283,8 @@ def _medians(
     for x in range(begin, end):
         for first in range(0, ny, _ABREAST):
             count, k = min(_ABREAST, ny - first), 0
+            if not wanted[x, first : first + count].any():
+                continue
             known[:] = 0
             for i in range(x - reach, x + reach + 1):
                 row = values[_mirrored(i, nx)]
