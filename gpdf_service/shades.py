@@ -38,7 +38,7 @@ class Shades:
 
     low: FloatArray
     width: float
-    cells: IntArray
+    cells: NDArray[np.int32]
     colours: NDArray[np.uint8]
 
     @property
@@ -77,6 +77,6 @@ def shades_of(points: FloatArray, colours: ArrayLike) -> Shades:
         width *= max(SLOWEST, float(np.sqrt(len(rows) / MOST)))
         rows = rows[thin(points[rows], width)]
     low = points.min(axis=0)
-    cells = np.floor((points[rows] - low) / width).astype(np.int64)
+    cells = np.floor((points[rows] - low) / width).astype(np.int32)
     order = np.lexsort(cells.T)  # neighbours beside each other: a third less to store
     return Shades(low, width, cells[order], given[rows][order])

@@ -96,6 +96,7 @@ APART = "(i + n) * share <= left - 1 or i * share >= right + 1 or (j + n) * shar
 BEGUN = "poses, where, off_at, nearest = path.copy(), path[0].copy(), path[0].copy(), np.inf"
 ENDED = "place[k] = (total[k + width] - total[k]) / width if k + width <= len(place) else place[k - 1]"
 NAMED = 'return {f"{name}_{axis}": float(v) for axis, v in zip("xyz", place, strict=True) if np.isfinite(v)}'
+RISES = "field(places.reshape(-1, 3))[0].reshape(places.shape[:2])"
 EQUAL: dict[tuple[str, ...], str] = {
     (CERTIFICATE, "0.0 → (0.1)", f"if {LOOK} and spare <= 0.0:"): "the field is asked more often",
     (CERTIFICATE, "0 → (1)", BEGUN): "where nothing is off there is no place of it; the other one is written over",
@@ -311,6 +312,10 @@ EQUAL: dict[tuple[str, ...], str] = {
         "side < np.maximum(margin, EDGE_SEEN)[:, None] → (side <= np.maximum(margin, EDGE_SEEN)[:, None])",
     ): "a room to the last bit",
     (CORRIDOR, "rise < LEAST_EDGE → (rise <= LEAST_EDGE)"): "a height to the last bit",
+    (
+        CORRIDOR,
+        f"{RISES} > LEAST_EDGE → ({RISES} >= LEAST_EDGE)"[:SHOWN],
+    ): "a height to the last bit",
     (
         CORRIDOR,
         f"{ASKEW} <= SQUARE → ({ASKEW} < SQUARE)",

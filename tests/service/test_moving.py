@@ -86,6 +86,18 @@ def test_an_obstacle_ends_with_its_lifetime_and_is_replaced_and_removed_by_its_i
     assert not moving._living
 
 
+def test_the_next_version_of_a_scene_gets_what_moves_though_nothing_of_that_has_changed(hall):
+    moving = Moving()
+    moving.publish("hall", [person(3.0, 1.5, lifetime_s=60)])
+    before = moving.merged("hall", hall)
+    pillar = np.random.default_rng(0).uniform((2.0, 0.5, 0.0), (2.2, 0.7, 1.8), (400, 3))
+    changed = hall.update(pillar)
+    now = moving.merged("hall", changed)
+    np.testing.assert_array_equal(now.points, changed.points)
+    np.testing.assert_array_equal(now.moving, before.moving)
+    assert moving.merged("hall", changed) is now
+
+
 def test_what_was_built_serves_until_something_changes(hall):
     moving = Moving()
     moving.publish("hall", [person(3.0, 1.5, lifetime_s=60)])
