@@ -51,6 +51,8 @@ _ROUNDING = float(np.finfo(np.float64).eps)
 MAX_HOLE_RADIUS = 1.0
 """[m] A hole is filled if no place in it is further from seen ground: a scanner's blind spot, the shadow of a desk."""
 
+Material = tuple[BoolArray, BoolArray]
+"""Cells with points that may be a thing's, and those of them where they lie at the ground's height; see `standing`."""
 Voids = tuple[NDArray[Any], ...]
 """Where the scanner saw through a level's unknown cells, where they are pits, and a pit's walls; see `find_voids`."""
 
@@ -59,7 +61,7 @@ def fill_holes(
     surface: HeightMap,
     grid: Grid,
     near: Nearest,
-    material: BoolArray,
+    material: Material,
     voids: Voids,
     config: PerceptionConfig,
     noise: float = 0.0,
@@ -69,8 +71,9 @@ def fill_holes(
     A hole is a connected set of unknown cells bounded by known ground and things, shut off from the map's rim, with no
     place further than `MAX_HOLE_RADIUS` from seen ground, and with the ground around it on one plane within a cell's
     slope or higher: an edge that drops is not bridged. Nor is a void, nor what lies under a thing: its legs and its
-    back nobody sees. A notch in a flight is filled with the treads beside it, and the gap between two treads with the
-    lower one.
+    back nobody sees. But a single cell in a hole with points at the ground's height alone holds no thing: rays met the
+    floor there. A notch in a flight is filled with the treads beside it, and the gap between two treads with the lower
+    one.
     Nothing is filled where the samples of the ground are so far apart that cells had to be as wide as they may be: what
     is empty then is no chance, and what is around it explains nothing.
 
@@ -78,7 +81,7 @@ def fill_holes(
         surface: The ground as it was seen.
         grid: What was asked of its cells.
         near: `nearest_seen` of the surface.
-        material: Cells that hold a thing, see `standing`, shape (nx, ny).
+        material: See `standing`.
         voids: See `find_voids`.
         config: Limits of a flight's treads.
         noise: Standard deviation of the points before they were cured [m].
@@ -100,17 +103,18 @@ def fill_holes(
     close = near.distance <= MAX_HOLE_RADIUS
     ends = seen_through | pit | _walled_down(surface, walls) | ~close
     ends[[0, -1]] = ends[:, [0, -1]] = True
-    height, state = _fill_planes(grid, ends, surface.cell_width, "open", (height, state), ~known & ~material, known)
+    thing, at_floor = material
+    empty = ~known & ~thing
+    empty |= at_floor & ~known & _hemmed(known | empty)
+    height, state = _fill_planes(grid, ends, surface.cell_width, "open", (height, state), empty, known)
     height, state = _fill_gaps(grid, "gaps left", height, state, surface, noise)  # of larger ones
     return replace(surface, height=height, state=state)
 
 
 def standing(
     beside: NDArray[np.float32], lowest: FloatArray, cell: IntArray, z: FloatArray, cell_width: float
-) -> BoolArray:
-    """Cells with material under a ceiling's height that is not at the height of the ground `beside`, shape (nx, ny).
-
-    Single points of the floor, too far apart to carry a foot, are none: rays met the ground there.
+) -> Material:
+    """Cells with points under a ceiling's height, and those of them where all lie at the height of the ground `beside`.
 
     Args:
         beside: Height of the nearest seen ground [m], shape (nx, ny).
@@ -121,8 +125,8 @@ def standing(
     """
     ground = beside.astype(np.float64)
     over = extent_within(cell, z, ground + cell_width, under(ground + CEILING))[0]
-    found: BoolArray = np.isfinite(over) | (lowest < ground - cell_width)
-    return found
+    material = lowest < ground + CEILING
+    return material, material & (lowest >= ground - cell_width) & np.isinf(over)
 
 
 def find_voids(
@@ -235,6 +239,13 @@ def _small(holes: BoolArray, distance: FloatArray, cell_width: float) -> BoolArr
     size, far = (np.bincount(label[cells], minlength=count + 1) for cells in (holes, holes & (distance > cell_width)))
     found: BoolArray = ((size <= GAP_CELLS) & (far == 0))[label] & holes
     return found
+
+
+def _hemmed(cells: BoolArray) -> BoolArray:
+    """Cells with all four beside among these."""
+    made = np.zeros_like(cells)
+    made[1:-1, 1:-1] = cells[:-2, 1:-1] & cells[2:, 1:-1] & cells[1:-1, :-2] & cells[1:-1, 2:]
+    return made
 
 
 def _between(known: BoolArray) -> BoolArray:

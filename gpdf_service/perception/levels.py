@@ -543,9 +543,9 @@ def complete(
     """
     config = site.config
 
-    def stood(box: Box, beside: NDArray[np.float32]) -> tuple[FloatArray, BoolArray]:
+    def stood(box: Box, beside: NDArray[np.float32]) -> tuple[FloatArray, BoolArray, BoolArray]:
         cell, z, lowest = held(box)
-        return lowest, standing(beside, lowest, cell, z, seen.cell_width)
+        return lowest, *standing(beside, lowest, cell, z, seen.cell_width)
 
     def edges(
         box: Box, height: NDArray[np.float32], state: NDArray[np.uint8], lowest: FloatArray
@@ -553,8 +553,8 @@ def complete(
         cell, z, _ = held(box)
         return guard_edges(HeightMap(seen.origin, seen.cell_width, height, state), lowest, cell, z, config)
 
-    lowest, material = grid.around("stood", 0, stood, near.height, points=True)
-    filled = fill_holes(seen, grid, near, material, voids, config, site.noise)
+    lowest, *material = grid.around("stood", 0, stood, near.height, points=True)
+    filled = fill_holes(seen, grid, near, (material[0], material[1]), voids, config, site.noise)
     own = filled.height, filled.state, lowest
     shut, stair, guarded = grid.around("edges", notch_reach(seen), edges, *own, points=True)
     if site.rays is not None:

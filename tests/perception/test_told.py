@@ -27,13 +27,14 @@ def place(rng):
     for _ in range(60):
         (i, j), (u, v) = rng.integers(0, CELLS), rng.integers(2, 12, 2)
         material[i : i + u, j : j + v] = True
-    return height.astype(np.float32), material, through, pit, walls
+    at_floor = material & (rng.random(CELLS) < 0.1)
+    return height.astype(np.float32), material, at_floor, through, pit, walls
 
 
 def fill(grid, height, *others):
     state = np.where(np.isnan(height), UNKNOWN, OBSERVED).astype(np.uint8)
-    seen, (material, *voids) = HeightMap(np.zeros(2), WIDTH, height, state), others
-    return fill_holes(seen, grid, nearest_seen(seen), material, voids, PerceptionConfig())
+    seen, (material, at_floor, *voids) = HeightMap(np.zeros(2), WIDTH, height, state), others
+    return fill_holes(seen, grid, nearest_seen(seen), (material, at_floor), voids, PerceptionConfig())
 
 
 @pytest.mark.parametrize("seed", range(6))
