@@ -104,9 +104,8 @@ def fill_holes(
     ends = seen_through | pit | _walled_down(surface, walls) | ~close
     ends[[0, -1]] = ends[:, [0, -1]] = True
     thing, at_floor = material
-    empty = ~known & ~thing
-    empty |= at_floor & ~known & _hemmed(known | empty)
-    height, state = _fill_planes(grid, ends, surface.cell_width, "open", (height, state), empty, known)
+    height, state = _fill_planes(grid, ends, surface.cell_width, "open", (height, state), ~known & ~thing, known)
+    height, state = _fill_single(np.flatnonzero(at_floor & (state == UNKNOWN)), height, state)
     height, state = _fill_gaps(grid, "gaps left", height, state, surface, noise)  # of larger ones
     return replace(surface, height=height, state=state)
 
@@ -241,11 +240,18 @@ def _small(holes: BoolArray, distance: FloatArray, cell_width: float) -> BoolArr
     return found
 
 
-def _hemmed(cells: BoolArray) -> BoolArray:
-    """Cells with all four beside among these."""
-    made = np.zeros_like(cells)
-    made[1:-1, 1:-1] = cells[:-2, 1:-1] & cells[2:, 1:-1] & cells[1:-1, :-2] & cells[1:-1, 2:]
-    return made
+def _fill_single(cells: IntArray, height: NDArray[np.float32], state: NDArray[np.uint8]) -> Ground:
+    """The ground with those of the flat `cells` filled that have ground on all four sides, with the mean of that."""
+    x, y = np.unravel_index(cells, height.shape)
+    inside = (x > 0) & (x < height.shape[0] - 1) & (y > 0) & (y < height.shape[1] - 1)
+    x, y = x[inside], y[inside]
+    beside = np.array([height[x - 1, y], height[x + 1, y], height[x, y - 1], height[x, y + 1]])
+    held = ~np.isnan(beside).any(axis=0)
+    if not held.any():
+        return height, state
+    height, state = height.copy(), state.copy()
+    height[x[held], y[held]], state[x[held], y[held]] = beside[:, held].mean(axis=0), INFERRED
+    return height, state
 
 
 def _between(known: BoolArray) -> BoolArray:
