@@ -173,12 +173,13 @@ def _is_explained(asked: _Asked, beside: IntArray, i: int, mean: FloatArray) -> 
     mean[:] = 0.0
     for j in beside:
         for k in range(cells.begin[j], cells.begin[j + 1]):
-            p = cells.places[k]
+            if k == i:
+                continue
+            p, row = cells.places[k], cells.order[k]
             off = (p[0] - x) ** 2 + (p[1] - y) ** 2 + (p[2] - z) ** 2
-            if k != i and off <= furthest:
+            if off <= furthest:
                 measured += exp(scale * off)
-            row = cells.order[k]
-            if k == i or not shows[row]:
+            if not shows[row]:
                 continue
             s = told[row]
             off = (s[0] - x) ** 2 + (s[1] - y) ** 2 + (s[2] - z) ** 2

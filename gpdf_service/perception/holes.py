@@ -103,8 +103,8 @@ def fill_holes(
     close = near.distance <= MAX_HOLE_RADIUS
     ends = seen_through | pit | _walled_down(surface, walls) | ~close
     ends[[0, -1]] = ends[:, [0, -1]] = True
-    thing, at_floor = material
-    height, state = _fill_planes(grid, ends, surface.cell_width, "open", (height, state), ~known & ~thing, known)
+    held, at_floor = material
+    height, state = _fill_planes(grid, ends, surface.cell_width, "open", (height, state), ~known & ~held, known)
     height, state = _fill_single(np.flatnonzero(at_floor & (state == UNKNOWN)), height, state)
     height, state = _fill_gaps(grid, "gaps left", height, state, surface, noise)  # of larger ones
     return replace(surface, height=height, state=state)

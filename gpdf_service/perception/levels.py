@@ -553,8 +553,8 @@ def complete(
         cell, z, _ = held(box)
         return guard_edges(HeightMap(seen.origin, seen.cell_width, height, state), lowest, cell, z, config)
 
-    lowest, *material = grid.around("stood", 0, stood, near.height, points=True)
-    filled = fill_holes(seen, grid, near, (material[0], material[1]), voids, config, site.noise)
+    lowest, material, at_floor = grid.around("stood", 0, stood, near.height, points=True)
+    filled = fill_holes(seen, grid, near, (material, at_floor), voids, config, site.noise)
     own = filled.height, filled.state, lowest
     shut, stair, guarded = grid.around("edges", notch_reach(seen), edges, *own, points=True)
     if site.rays is not None:

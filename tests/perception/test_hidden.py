@@ -130,6 +130,17 @@ def test_single_points_of_the_floor_in_a_blind_disc_are_no_thing_and_those_over_
     assert state_at(surface, 2.8, 3.2) == state
 
 
+def test_points_of_the_floor_in_two_cells_side_by_side_may_be_the_foot_of_something():
+    """In a crowd's shade they are feet: a path ran into one."""
+
+    def disc(x, y):
+        return np.hypot(x - 3.0, y - 3.0) < 0.6
+
+    surface = surface_of(floor_without(disc), np.array([[2.8, 3.2, 0.0], [2.85, 3.2, 0.0]]))
+    assert state_at(surface, 3.0, 3.0) == INFERRED
+    assert state_at(surface, 2.8, 3.2) == state_at(surface, 2.85, 3.2) == UNKNOWN
+
+
 @pytest.mark.parametrize(("size", "state"), [(0.2, UNKNOWN), (0.04, INFERRED)])
 def test_behind_a_low_box_of_which_a_part_of_the_top_was_seen_nothing_is_inferred(size, state):
     """It may go on in its own shadow; what is smaller than half a foot is a cable or noise."""
