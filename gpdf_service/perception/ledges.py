@@ -125,7 +125,7 @@ def high_ground(surface: HeightMap) -> FloatArray:
 
 def step_over(surface: HeightMap, noise: float) -> FloatArray:
     """How high ground is that is a step over the lowest around each cell [m], shape (nx, ny); a lower one is none."""
-    low = np.where(surface.state != UNKNOWN, surface.height, np.inf)
+    low = np.where(surface.state != UNKNOWN, surface.height, np.inf).astype(np.float64)  # or the sum is rounded
     rings = astray(surface, noise)
     found: FloatArray = lowest_around(low, rings) + max(LEAST_OBSTACLE, noise)
     return found
@@ -139,8 +139,9 @@ def astray(surface: HeightMap, noise: float) -> int:
 def next_above(ground: FloatArray, points: FloatArray, least: FloatArray, reach: float = FACE) -> NDArray[np.float32]:
     """Height of the lowest `ground` point (n, 3) over `least` (m,) and within `reach` [m] in plan of `points` (m, 3).
 
-    Of each cell half as wide only the highest and the lowest ground point are looked at: so a step can be taken for a
-    higher one, never for a lower one, and inf stands where nothing was found. Shape (m,) [m].
+    Of each cell half as wide only the highest and the lowest ground point are looked at, and single precision rounds
+    up: so a step can be taken for a higher one, never for a lower one, and inf stands where nothing was found. Shape
+    (m,) [m].
     """
     width = 0.5 * reach
     at, asked = (np.floor(part[:, :2] / width).astype(np.int64) for part in (ground, points))
@@ -159,4 +160,5 @@ def next_above(ground: FloatArray, points: FloatArray, least: FloatArray, reach:
         best[a:b] = lowest_above(held, points[a:b], here[a:b], stride, reach, least[a:b])
 
     run_chunked(look, len(points))
-    return best.astype(np.float32)
+    kept = best.astype(np.float32)
+    return np.where(kept < best, np.nextafter(kept, np.float32(np.inf)), kept)
