@@ -114,8 +114,12 @@ def _arrays(made: Denoised) -> tuple[NDArray[Any], ...]:
 
 
 def _denoise_part(points: FloatArray, noise: float, things: bool) -> Denoised:
-    """All as noisy as the noisiest, then what is quieter with its own noise, beside what is around it."""
-    made, blocks = _denoise_alike(points, noise, things), sort_into_cells(points, _BLOCK)
+    """All as noisy as the noisiest, then what is quieter with its own noise, beside what is around it.
+
+    Blocks are of places on surfaces: one that cuts a wall's points as they were measured has those that are off little.
+    """
+    made = _denoise_alike(points, noise, things)
+    blocks = sort_into_cells(made.points, _BLOCK)
     for _ in range(_ROUNDS):
         found = list(_quieter(points, blocks, made))
         if not found:
@@ -130,7 +134,7 @@ def _denoise_part(points: FloatArray, noise: float, things: bool) -> Denoised:
 def _quieter(points: FloatArray, blocks: Cells, made: Denoised) -> Iterator[tuple[BoolArray, IntArray, float]]:
     """Points of quieter places than was thought, shape (n,), the rows of windows around them, and the noise there."""
     off = np.linalg.norm(made.points - points, axis=1)
-    off[made.vague | made.stray] = np.nan
+    off[made.noise > HIDDEN * made.measured] = np.nan  # hardly known: such a plane follows its points
     median = np.empty(len(blocks.key))
     run_chunked(lambda a, b: _medians(blocks, off, made.measured, a, b, median), len(median))
     less = np.log(made.measured / np.maximum(_NORMAL * median, 1e-9)) / np.log(_QUIETER)
