@@ -16,7 +16,7 @@ import numpy as np
 from numba import njit
 
 from gpdf_service.denoise.cells import Cells, cells_within, holds_any, sort_into_cells
-from gpdf_service.denoise.cloud import RESOLVED, Denoised
+from gpdf_service.denoise.cloud import HIDDEN, RESOLVED, Denoised
 from gpdf_service.fields.shapes import FEWEST
 from gpdf_service.fields.threads import run_chunked
 from gpdf_service.kernel_cache import lean
@@ -45,7 +45,8 @@ def return_explained(
 ) -> None:
     """Put the doubtful points of a `part` onto the surfaces that others show; not where more was measured than is due.
 
-    Doubtful is what is vague, and what was put onto a surface where that shows hardly any other point: beyond its end.
+    Doubtful is what is vague, or on a plane that few points show, for such a plane follows them; and what was put onto
+    a surface where that shows hardly any other point: beyond its end.
 
     Args:
         points: The cloud as it was measured [m], shape (n, 3).
@@ -61,7 +62,7 @@ def return_explained(
         return
     places, sigma, width = cured.points[rows], cured.local[rows], RESOLVED * cured.measured
     near = sort_into_cells(places, width)
-    doubtful = cured.vague[rows].copy()
+    doubtful = cured.vague[rows] | (cured.noise[rows] > HIDDEN * sigma)
     alone = np.zeros(len(rows), dtype=bool)
     run_chunked(lambda a, b: _alone_range(near, doubtful, sigma, a, b, alone), len(near.key))
     doubtful |= alone

@@ -4,8 +4,14 @@ import numpy as np
 import pytest
 
 from gpdf_service.denoise import as_measured, return_explained
+from gpdf_service.denoise.cloud import HIDDEN
 
 SIGMA, SPACING = 0.05, 0.03
+
+
+def well_known(points):
+    """Points on surfaces that many others show, shape (n, 3)."""
+    return as_measured(points, SIGMA)._replace(noise=np.full(len(points), HIDDEN * SIGMA))
 
 
 def looked_at_again(extra, spacing=SPACING, placed=None, apart=0.0, wall_is_own=False):
@@ -17,7 +23,7 @@ def looked_at_again(extra, spacing=SPACING, placed=None, apart=0.0, wall_is_own=
     wall = np.column_stack([np.zeros(n := round(4.0 / spacing**2)), rng.uniform(-1.0, 1.0, (n, 2))])
     measured = np.concatenate([wall + rng.normal(0.0, SIGMA, wall.shape), extra])
     added = np.arange(len(measured)) >= len(wall)
-    told = as_measured(np.concatenate([wall, extra if placed is None else placed]), SIGMA)
+    told = well_known(np.concatenate([wall, extra if placed is None else placed]))
     part = added | wall_is_own
     return_explained(measured, part, ~added, told._replace(vague=added & (placed is None)), spacing, apart)
     assert wall_is_own or np.array_equal(told.points[~added], wall)
@@ -77,6 +83,18 @@ def test_what_was_put_where_no_surface_is_goes_back_to_the_one_beside():
     assert abs(made[0, 0]) < 1e-9
 
 
+def test_outliers_that_show_a_plane_to_each_other_go_back():
+    """Such a plane is hardly known: of eight refused places in three rooms with 5 cm of noise four were beside one."""
+    rng = np.random.default_rng(3)
+    wall = np.column_stack([np.zeros(n := round(4.0 / SPACING**2)), rng.uniform(-1.0, 1.0, (n, 2))])
+    measured = wall + rng.normal(0.0, SIGMA, wall.shape)
+    few = np.argsort(np.abs(measured[:, 0] - 2.2 * SIGMA) + np.hypot(*(measured[:, 1:] - [0.1, 0.2]).T))[:6]
+    told = well_known(wall)
+    told.points[few], told.noise[few] = measured[few] * [0.0, 1.0, 1.0] + [2.2 * SIGMA, 0.0, 0.0], 1.1 * SIGMA
+    return_explained(measured, np.ones(n, dtype=bool), np.zeros(n, dtype=bool), told, SPACING)
+    assert np.abs(told.points[few, 0]).max() < 1e-9
+
+
 def test_what_is_nearer_to_its_own_surface_than_an_outlier_stays_where_it_was_measured():
     extra = np.array([[1.5 * SIGMA, 0.1, 0.2], [3.0 * SIGMA, -0.4, 0.2]])
     made = looked_at_again(extra, apart=2.0, wall_is_own=True)
@@ -89,7 +107,7 @@ def test_of_what_only_shows_surfaces_nothing_is_moved():
     rng = np.random.default_rng(0)
     wall = np.column_stack([np.zeros(2000), rng.uniform(-1.0, 1.0, (2000, 2))])
     wall[0] = 3.0 * SIGMA, 0.0, 0.0
-    told, first = as_measured(wall, SIGMA)._replace(vague=np.arange(2000) == 0), np.arange(2000) == 0
+    told, first = well_known(wall)._replace(vague=np.arange(2000) == 0), np.arange(2000) == 0
     return_explained(wall, ~first, first, told, SPACING)
     assert np.array_equal(told.points, wall)
     return_explained(wall, first, ~first, told, SPACING)
