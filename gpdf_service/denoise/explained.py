@@ -30,8 +30,6 @@ _CHANCE = 3.0
 """[-] Standard errors by which what was measured at a place may exceed what is expected there."""
 _SEEN = FEWEST * 2.0 * pi / (3.0 * RESOLVED) ** 2
 """Sum of exp(−r² / 2 σ²) over a plane's points, on it, at least: of the fewest in a window that show one."""
-_ROUNDS = 2
-"""Of this: what was put back shows its surface to others. Then comes what is thin."""
 _TOLD = sqrt(_SEEN / (2.0 * pi))
 """[-] Noise over spacing below which a plane shows that sum nowhere, as 2 π σ² of it hold the points."""
 _CORNER = 0.25 * _SEEN
@@ -54,7 +52,7 @@ def return_explained(
         shown: Whose points, and those of the part, show surfaces, shape (n,).
         cured: What was made of the cloud; its places are changed.
         spacing: Of the cloud [m]; where the noise is far less no surface explains anything.
-        apart: Standard deviations off a surface of the `part` that a point was measured at least, to go there [-].
+        apart: Standard deviations off a surface of the `part`: nearer it stays, if it was measured and is there [-].
     """
     rows = np.flatnonzero((part | shown) & ~cured.stray)
     own = part[rows]
@@ -67,9 +65,9 @@ def return_explained(
     run_chunked(lambda a, b: _alone_range(near, doubtful, sigma, a, b, alone), len(near.key))
     doubtful |= alone
     cells = sort_into_cells(points[rows], width)
-    for turn in range(_ROUNDS + 1):
+    for thin in (False, True):
         moved, told, shows = np.zeros(len(rows), dtype=bool), places - cells.corner, ~doubtful
-        if turn == _ROUNDS:
+        if thin:
             run_chunked(partial(_draw_range, cells, doubtful, sigma, told), len(cells.key))
             shows = np.ones(len(rows), dtype=bool)
         asked = _Asked(cells, doubtful, shows, own, sigma, apart, told)
@@ -134,7 +132,7 @@ class _Asked(NamedTuple):
         shows: Those that show where something is, shape (n,).
         own: Those of which the doubtful are asked about, shape (n,).
         sigma: Noise of each point [m], shape (n,).
-        apart: Standard deviations off a surface of their own that they were measured at least [-].
+        apart: Standard deviations off a surface of their own, within which they stay [-].
         told: Where the points are now, from the cells' corner [m], shape (n, 3).
     """
 
@@ -198,13 +196,22 @@ def _is_explained(asked: _Asked, beside: IntArray, i: int, mean: FloatArray) -> 
                 least, nearest = off, row
     if (
         nearest < 0
-        or (asked.own[nearest] and least < (apart * sigma) ** 2)
+        or (
+            asked.own[nearest]
+            and max(least, _square_between(told[cells.order[i]], told[nearest])) < (apart * sigma) ** 2
+        )
         or total < _SEEN * exp(scale * least)
         or measured > expected + _by_chance(variance, skew)
     ):
         return False
     mean /= total
     return True
+
+
+@lean()
+def _square_between(a: FloatArray, b: FloatArray) -> float:
+    found: float = (a[0] - b[0]) ** 2 + (a[1] - b[1]) ** 2 + (a[2] - b[2]) ** 2
+    return found
 
 
 @lean()
