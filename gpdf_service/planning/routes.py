@@ -61,9 +61,9 @@ AVOIDED = 2.0
 """[-] Where a way is known already, the next search finds it as much dearer, each time again."""
 DETOUR = 1.06
 """[-] A way that is no longer than so many straight lines to its goal is taken: another one costs its time to plan. Of
-2,160 pairs 98 with a shorter one had a rival, and 8 of these were cheaper, by 4 % at most; of the next 32 also 8. Six of
-597 pairs get a way that an alternative undercuts: three are shorter than this (1.5 to 4.5 %), three are the same way bent
-from another seed (0.1 to 0.7 %)."""
+2,160 pairs 98 with a shorter one had a rival, and 8 of these were cheaper, by 4 % at most; of the next 32 also 8. Six
+of 597 pairs get a way that an alternative undercuts: three are shorter than this (1.5 to 4.5 %), three are the same
+way bent from another seed (0.1 to 0.7 %)."""
 RIVAL = 1.15
 """[-] A seed that costs as much more than another one may yet be the cheaper one when both are bent: of 99 rivals up to
 here 47 were, of 73 beyond, up to half as much again, none."""
