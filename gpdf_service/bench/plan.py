@@ -1,6 +1,6 @@
 """`gpdf bench plan`: random queries; what share is certified, what an independent judge says, how long it takes.
 
-A brute-force search with the true geometry says which queries could be solved; OMPL's planners run beside, on some.
+A brute-force search with the true geometry says which queries could be solved; OMPL and VAMP run beside, on some.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from gpdf_service.baselines import simd
 from gpdf_service.bench.brute import STOREY, BruteForce
 from gpdf_service.bench.curve import STEPS, draw_curve, measure_curve
 from gpdf_service.bench.judge import Judge
@@ -50,7 +51,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--count", type=int, default=100, help="queries for each scene and body")
     add_plot_argument(parser)
     parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--peers", type=int, default=5, help="queries on which OMPL's planners run beside; 0 for none")
+    parser.add_argument("--peers", type=int, default=5, help="queries on which OMPL and VAMP run beside; 0 for none")
     parser.add_argument(
         "--curve",
         type=float,
@@ -103,6 +104,8 @@ def run(args: argparse.Namespace) -> int:
     else:
         show(rows, as_json=False)
         show(peers, as_json=False)
+        if peers and not simd.is_here():
+            print("VAMP has no row: there is no `vamp` to import.")  # noqa: T201
     if args.plot:
         draw_rows(args.plot, rows, PANELS, by=("scene", "agent"), title="Random queries, judged by the true obstacles")
     return 0 if all(row["collisions"] == 0 for row in rows) else 1

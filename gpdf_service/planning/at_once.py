@@ -6,18 +6,18 @@ each stage's kernel takes as long as a stage.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
 from gpdf_service.planning.certificate import Seen, prove
-from gpdf_service.planning.chomp import ChompResult, Fields, Stop, Wants, bend
+from gpdf_service.planning.chomp import ChompResult, Stop, Wants, bend
 from gpdf_service.planning.costs import Discs
 from gpdf_service.planning.footprint import stand_along
 from gpdf_service.planning.timing import time_along, walk
-from gpdf_service.search.ways import Beside, way_steps
+from gpdf_service.search.ways import Fields, Here, way_steps
 from gpdf_service.types import FloatArray
 
 MORE_STEPS = 0.05
@@ -27,7 +27,6 @@ MORE_STEPS = 0.05
 class Bending(NamedTuple):
     """How a piece of the path is bent: see `chomp.bend`."""
 
-    fields: Fields
     discs: Discs
     wants: Wants
     spacing: tuple[float, float]
@@ -72,9 +71,8 @@ class Made(NamedTuple):
 @njit(cache=True, nogil=True)
 def go_at_once(
     path: FloatArray,
-    about: Beside,
-    ends: NDArray[np.float32],
-    inferred: NDArray[np.int32],
+    here: Sequence[Here],
+    bent_by: Sequence[Fields],
     bending: Bending,
     pace: Pace,
 ) -> Made:
@@ -82,13 +80,13 @@ def go_at_once(
 
     Args:
         path: The seed [m].
-        about: What is beside it.
-        ends: `HeightMap.ends` of its ground.
-        inferred: `HeightMap.inferred` of it.
+        here: Its level.
+        bent_by: The fields.
         bending: How it is bent.
         pace: How fast it is followed.
     """
-    fields, discs, wants, spacing, looks, stop = bending
+    (about, ends, inferred), fields = here[0], bent_by[0]
+    discs, wants, spacing, looks, stop = bending
     ground, field, height = about.ground, fields[1], wants.height
     bent, run = bend(path, ground, ends, fields, discs, wants, spacing, looks, stop)
     is_bent = len(run.xi) > 0

@@ -15,7 +15,6 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from gpdf_service.fields import AnyField, FieldArrays
 from gpdf_service.kernel_cache import lean
 from gpdf_service.perception.surface import Cells
 from gpdf_service.planning.costs import (
@@ -28,6 +27,7 @@ from gpdf_service.planning.costs import (
     smoothness_cost,
 )
 from gpdf_service.planning.shape import is_level, lengths, rounded, waypoints
+from gpdf_service.search.ways import Fields
 from gpdf_service.types import FloatArray
 
 _DESCENT = 1e-4
@@ -75,10 +75,6 @@ class ChompResult(NamedTuple):
     def iterations(self) -> int:
         """Accepted steps."""
         return len(self.costs) - 1
-
-
-Fields = tuple[AnyField, FieldArrays]
-"""d_o, 2D, and d_g, 3D, in compiled form."""
 
 
 @njit(cache=True, nogil=True)

@@ -158,7 +158,7 @@ def find_endpoint(space: FreeSpace, place: FloatArray, name: str) -> Endpoint | 
             return Refusal(
                 outside, f"the ground at the {name} {place_words(place)} is at z = {found} m, not {metres(place[2])} m."
             )
-    elif len(heights) > 1 and max(heights.values()) - min(heights.values()) > SAME_GROUND:
+    elif max(heights.values()) - min(heights.values()) > SAME_GROUND:
         words = f"there is ground at z = {_heights_words(heights)} m under the {name} {place_words(place)}. Give its z."
         return Refusal(Status.AMBIGUOUS_LEVEL, words)
     width = space.surfaces[level].cell_width

@@ -30,7 +30,7 @@ from gpdf_service.planning.timing import speed_limit
 from gpdf_service.planning.turning import Facing, Stuck, time_poses, turn_route
 from gpdf_service.search import FreeSpace, Prefer, Ways, prices
 from gpdf_service.search.steps import count_steps
-from gpdf_service.search.ways import STEPPED, WIDE, beside
+from gpdf_service.search.ways import STEPPED, WIDE, fields_of, here
 from gpdf_service.types import Agent, Certificate, FloatArray, IntArray, PlanOptions, PlanResult, Status, Trajectory
 
 Clock = Callable[[], float]
@@ -202,10 +202,10 @@ def _at_once(task: _Task, legs: list[Leg]) -> _Made | None:
         return None
     if left < np.inf and lengths(path)[-1] > left * WAYPOINTS_PER_SECOND * task.config.waypoint_spacing:
         return None
-    surface, about = space.surfaces[level], beside(space, level, task.wish.prefer)
     bending = _bending(legs[0], _liking(task.config, task.wish.prefer), False, left)
     pace = Pace(agent.radius, agent.speed, agent.acceleration, agent.turn_rate, _preferred(task))
-    made = go_at_once(np.ascontiguousarray(path), about, surface.ends, surface.inferred, bending, pace)
+    boxes = here(space, level, task.wish.prefer), fields_of(legs[0].space, level)
+    made = go_at_once(np.ascontiguousarray(path), *boxes, bending, pace)
     certificate = judge(space, made.contact, made.seen, task.hidden_height)
     candidate = _candidate(legs, [made.run] if made.is_bent else [])
     trajectory = Trajectory(made.top, made.contact, made.times, made.headings)
@@ -362,8 +362,11 @@ def _beside_each_other(legs: list[Leg], via: list[FloatArray]) -> list[list[Leg]
 
 def _bend(leg: Leg, config: PlanningConfig, strict: bool, seconds: float) -> Bent:
     """A piece of the path after CHOMP; as it was where nothing moves, no time is left, or ground is not known."""
-    surface = leg.space.surfaces[leg.level]
-    bent, found = bend(leg.path, surface.arrays, surface.ends, *_bending(leg, config, strict, seconds))
+    level, path, space = leg
+    surface, ground = space.surfaces[level], space.ground_fields[level].arrays
+    obstacles = space.exact_fields[level] if strict else space.obstacle_fields[level].arrays
+    how = (obstacles, ground), *_bending(leg, config, strict, seconds)
+    bent, found = bend(path, surface.arrays, surface.ends, *how)
     if len(found.xi) == 0:
         return leg, None
     return (leg if len(bent) == 0 else leg._replace(path=bent)), found
@@ -377,18 +380,15 @@ def _bending(leg: Leg, config: PlanningConfig, strict: bool, seconds: float) -> 
     Obstacles push with 1 at most against the tension λ_s, so λ_s is the radius of the tightest bend: a spline through
     waypoints as far apart follows it.
     """
-    level, _, space = leg
-    agent, wide = space.agent, space.agent.disc_radius
+    space, agent, wide = leg.space, leg.space.agent, leg.space.agent.disc_radius
     stiff = config.smoothness_weight(wide)
     spacing = max(config.waypoint_spacing, stiff)
     epsilon = config.preferred_clearance * wide
     if strict:
-        obstacles, wall = space.exact_fields[level], WALL
-        radius = space.radius + spacing**2 / (8.0 * wide)
+        wall, radius = WALL, space.radius + spacing**2 / (8.0 * wide)
     else:
-        obstacles, wall, radius = space.obstacle_fields[level].arrays, 0.0, space.reach
+        wall, radius = 0.0, space.reach
     return Bending(
-        (obstacles, space.ground_fields[level].arrays),
         Discs(agent.offsets, radius),
         Wants(agent.height, epsilon, wall, stiff),
         (spacing, config.waypoint_spacing),

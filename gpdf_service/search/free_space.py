@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import partial
 from typing import Any
 
@@ -70,6 +70,7 @@ class FreeSpace:
         core: The leaves that ways lead over.
         longest: Length of a way that sweeps all ground once [m]: where one comes back beside itself, there is a
             shorter one.
+        boxes: What kernels are handed of it, see `boxed.py`, by what that is; made on first use.
     """
 
     agent: Agent
@@ -91,6 +92,7 @@ class FreeSpace:
     graph: Graph
     core: Core
     longest: float
+    boxes: dict[object, Any] = field(default_factory=dict, init=False, repr=False, compare=False)
 
     def clearance(self, level: int, xy: FloatArray) -> tuple[FloatArray, IntArray]:
         """Exact distance from places in plan, shape (m, 2), to the nearest obstacle [m], and its kind, shape (m,)."""

@@ -7,6 +7,7 @@ that is worth its price, and it is smoothed and kept clear of ledges by the spac
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
 from typing import Any, NamedTuple
@@ -15,10 +16,12 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from gpdf_service.fields import AnyField, FieldArrays
 from gpdf_service.fields.tree import Scratch, make_scratch
 from gpdf_service.kernel_cache import lean
 from gpdf_service.perception import ObstacleKind
 from gpdf_service.perception.surface import UNKNOWN, Cells, cell_of
+from gpdf_service.search.boxed import boxed
 from gpdf_service.search.free_space import FreeSpace
 from gpdf_service.search.graph import Edges, Graph, assemble
 from gpdf_service.search.landmarks import find_landmarks
@@ -100,6 +103,41 @@ def beside(space: FreeSpace, level: int, prefer: Prefer = Prefer.COMPANION) -> B
     kind = np.concatenate([standing, moving]) if len(moving) else standing
     limits = space.reach, minded_room(space.agent, prefer), space.agent.comfortable_step
     return Beside(places, kind, ground, space.noticed[level], space.steps[level], space.slopes[level], *limits)
+
+
+Fields = tuple[AnyField, FieldArrays]
+"""d_o, 2D, and d_g, 3D, in compiled form."""
+
+
+class Here(NamedTuple):
+    """What a level of a free space is to the kernels of a plan.
+
+    Attributes:
+        about: What is beside its ways.
+        ends: `HeightMap.ends` of its ground.
+        inferred: `HeightMap.inferred` of it.
+    """
+
+    about: Beside
+    ends: NDArray[np.float32]
+    inferred: NDArray[np.int32]
+
+
+def here(space: FreeSpace, level: int, prefer: Prefer = Prefer.COMPANION) -> Sequence[Here]:
+    """What a level is to the kernels of a plan, in a box that the space keeps."""
+    if (level, prefer) not in space.boxes:
+        surface = space.surfaces[level]
+        space.boxes[level, prefer] = boxed(Here(beside(space, level, prefer), surface.ends, surface.inferred))
+    box: Sequence[Here] = space.boxes[level, prefer]
+    return box
+
+
+def fields_of(space: FreeSpace, level: int) -> Sequence[Fields]:
+    """What a path on a level is bent by, in a box that the space keeps."""
+    if (Fields, level) not in space.boxes:
+        space.boxes[Fields, level] = boxed((space.obstacle_fields[level].arrays, space.ground_fields[level].arrays))
+    box: Sequence[Fields] = space.boxes[Fields, level]
+    return box
 
 
 def minded_room(agent: Agent, prefer: Prefer) -> float:

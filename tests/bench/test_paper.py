@@ -4,11 +4,14 @@ import numpy as np
 import pytest
 from matplotlib.image import imread
 
+from gpdf_service.baselines import simd
+from gpdf_service.bench import peers
 from gpdf_service.bench.paper_pictures import draw_refused
 from gpdf_service.bench.paper_tables import METHODS, to_markdown
 from gpdf_service.bench.peers import compare
 from gpdf_service.bench.plan import random_places
 from gpdf_service.cli import main
+from gpdf_service.search import is_clear
 from gpdf_service.types import AGENTS
 
 pytestmark = pytest.mark.slow
@@ -97,14 +100,44 @@ def test_peers_are_held_to_the_same_validity(office):
     _, scene = office
     pairs = random_places(scene, AGENTS["human"], 1, np.random.default_rng(3))
     rows = compare(scene, AGENTS["human"], pairs)
-    assert [row["planner"] for row in rows] == ["dual_gpdf", "rrt_connect", "rrt_star"]
-    for row in rows:
-        assert row["solved"] == row["compared"] == 1
+    assert [row["planner"] for row in rows][:3] == ["dual_gpdf", "rrt_connect", "rrt_star"]
+    for row in rows[:3]:
+        assert row["solved"] == row["clear"] == row["compared"] == 1
         assert row["least_room_m"] >= -1e-9
         assert row["length_m"] >= np.linalg.norm(pairs[0, 1] - pairs[0, 0]) - 1e-9
     assert rows[1]["checks"] > 0
     assert 0.0 < rows[0]["p50_search_ms"] < rows[0]["p50_ms"]
     assert rows[1]["p50_search_ms"] == rows[1]["p50_ms"]
+
+
+def test_what_a_peer_calls_free_is_judged_by_the_exact_test(office, monkeypatch):
+    _, scene = office
+    pairs = random_places(scene, AGENTS["roomba"], 12, np.random.default_rng(3))
+
+    def straight(start, goal):
+        return np.stack([start, goal]), 1e-6
+
+    monkeypatch.setattr(simd, "is_here", lambda: True)
+    monkeypatch.setattr(simd, "rrt_connect", lambda points, radius, low, high: straight)
+    monkeypatch.setattr(peers, "PEERS", {})
+    ours, theirs = peers.compare(scene, AGENTS["roomba"], pairs)
+    obstacles = scene.free_space("roomba").trees[0]
+    clear = sum(bool(is_clear(obstacles, *pair, AGENTS["roomba"].radius)) for pair in pairs)
+    assert theirs["planner"] == "vamp"
+    assert theirs["p50_search_ms"] == pytest.approx(1e-3)
+    assert theirs["clear"] == clear < theirs["solved"] == len(pairs)
+    assert ours["clear"] == ours["solved"] > 0
+
+
+@pytest.mark.skipif(not simd.is_here(), reason="VAMP is compiled by hand for one processor")
+def test_vamp_goes_round_a_wall():
+    wall = np.column_stack([np.full(80, 5.0), np.arange(80) * 0.05])
+    find = simd.rrt_connect(wall, 0.3, np.zeros(2), np.full(2, 10.0))
+    path, seconds = find(np.array([1.0, 1.0]), np.array([9.0, 1.0]))
+    assert path is not None
+    assert 0.0 < seconds < 1.0
+    assert np.linalg.norm(np.diff(path, axis=0), axis=1).sum() > 2.0 * np.hypot(4.0, 3.0) - 0.1
+    assert path[:, 1].max() > 4.0
 
 
 def test_bench_plan_says_how_many_of_the_solvable_are_ok(capsys):

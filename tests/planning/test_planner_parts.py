@@ -324,7 +324,7 @@ def test_where_a_body_gets_stuck_is_why_there_is_no_way_rather_than_what_did_not
 
 def test_a_body_goes_slower_with_less_room_than_it_prefers(room, monkeypatch):
     asked, (go, limit) = [], (planner.go_at_once, planner.speed_limit)
-    monkeypatch.setattr(planner, "go_at_once", lambda *args: asked.append(args[5].preferred) or go(*args))
+    monkeypatch.setattr(planner, "go_at_once", lambda *args: asked.append(args[-1].preferred) or go(*args))
     monkeypatch.setattr(planner, "speed_limit", lambda *args: asked.append(args[4]) or limit(*args))
     gpdf.plan(room, (0.6, 0.6), (3.4, 0.6))
     monkeypatch.setattr(planner, "_at_once", lambda *_: None)
