@@ -138,6 +138,10 @@ EQUAL: dict[tuple[str, ...], str] = {
         CERTIFICATE,
         "least < reach <= least + RESOLUTION → (least <= reach <= least + RESOLUTION)",
     ): BIT,
+    (
+        CERTIFICATE,
+        "least < reach <= least + RESOLUTION → (least < reach < least + RESOLUTION)",
+    ): BIT,
     (CERTIFICATE, "clearance < 0 → (clearance <= 0)"): BIT,
     (CERTIFICATE, f"{RING} → (ring <= max(state.shape))"): "a ring around the whole map holds no cell",
     (CERTIFICATE, f"ring * ring < nearest and {RING} → ({RING})"): "rings further out hold none that is nearer",
