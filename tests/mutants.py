@@ -345,6 +345,7 @@ EQUAL: dict[tuple[str, ...], str] = {
     (ENDPOINTS, "room < space.reach + FINEST → (room <= space.reach + FINEST)"): "a room to the last bit",
     (CORRIDOR, "4 → (5)", "DIRECTIONS = 4"): "more lines are looked along",
     (ENDPOINTS, "1.0 → (2.1)", "NEXT = 1.0"): "leaves that are further off are looked at later",
+    (ENDPOINTS, "0.1 → (0.30000000000000004)"): "leaves that are further off are tried after the nearer ones",
     (IN_USE, "1 → (2)", "return cKDTree(self.discs.reshape(-1, 3)[:, :2])"): "any negative length is the unknown one",
     (
         IN_USE,
