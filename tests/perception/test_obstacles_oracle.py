@@ -23,6 +23,7 @@ BODIES = (
     AGENTS["human"],
     dataclasses.replace(AGENTS["spot"], discs=6),
     dataclasses.replace(AGENTS["human"], name="child", height=1.1, width=0.36, length=0.36, max_step=0.05),
+    dataclasses.replace(AGENTS["human"], name="slim", height=1.5, width=0.3, length=0.3),
 )
 
 
