@@ -101,6 +101,7 @@ NAMED = 'return {f"{name}_{axis}": float(v) for axis, v in zip("xyz", place, str
 RISES = "field(places.reshape(-1, 3))[0].reshape(places.shape[:2])"
 TREADS = "footing_reach(surface) + rings_of(SOLE, width)"
 SPARED = "what shuts ground off is nearer than a disc's radius less √2 cells: three cells fewer would do"
+STEPS = "steps = [(i, j) for i in range(-2, 3) for j in range(-2, 3) if i * i + j * j in _STEP_COSTS]"
 EQUAL: dict[tuple[str, ...], str] = {
     (CERTIFICATE, "0.0 → (0.1)", f"if {LOOK} and spare <= 0.0:"): "the field is asked more often",
     (CERTIFICATE, "0 → (1)", BEGUN): "where nothing is off there is no place of it; the other one is written over",
@@ -128,6 +129,7 @@ EQUAL: dict[tuple[str, ...], str] = {
     (LIMITS, "around >= np.clip(need, 3, 6) - 0.5 → (around > np.clip(need, 3, 6) - 0.5)"): "a count to the last bit",
     (LIMITS, "0.0 < away <= reach**2 → (0.0 <= away <= reach ** 2)"): "a cell that is asked is not level itself",
     (LATTICE, f"{ASLANT} + pi → ({ASLANT} - pi)"): "half a turn either way",
+    (LATTICE, "2 → (3)", STEPS): "no step of the lattice is three cells long",
     (LATTICE, "8 → (9)", "MOST_TRIES = 8"): "a way more is tried",
     (TIMING, "1 → (2)", BESIDE): "headings are means over more places, so they change as much over three as over two",
     (TIMING, "0.0 → (0.1)", NEVER): "less than nothing, wherever from",
