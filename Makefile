@@ -15,7 +15,7 @@ SYSTEM_PACKAGES := libgl1 libegl1 libx11-6 libgomp1 libusb-1.0-0
 # Without compiled modules each of the processes that tests begin compiles all that it imports.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: demo test test-page install check lint fix bench lock mutants schemas docs pictures screens measure system clean
+.PHONY: demo test test-page install check fast lint fix bench lock mutants schemas docs pictures screens measure system clean
 .DEFAULT_GOAL := install
 
 install: .venv/warm
@@ -63,7 +63,11 @@ lint: .venv/installed
 	.venv/bin/ruff check $(SOURCES)
 	.venv/bin/mypy
 
-check: lint
+# Types take one core for half a minute, where nothing was checked before: beside the tests no core waits.
+check:
+	@$(MAKE) --no-print-directory -j 2 lint fast
+
+fast: .venv/installed
 	$(PYTEST) -q -m "not slow and not browser"
 
 fix: install

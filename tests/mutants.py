@@ -28,12 +28,14 @@ MODULES = {
     "gpdf_service/planning/certificate.py": (
         "tests/planning/test_certificate_oracle.py",
         "tests/planning/test_certificate.py",
+        "tests/test_noise.py::test_what_wear_can_hide_on_a_flight_is_said",
     ),
     "gpdf_service/planning/endpoints.py": ("tests/planning/test_endpoints.py", *PLANS),
     "gpdf_service/planning/planner.py": (
         "tests/planning/test_planner_parts.py",
         *PLANS,
         "tests/planning/test_others.py",
+        "tests/planning/test_footprint.py",
     ),
     "gpdf_service/planning/timing.py": ("tests/planning/test_timing.py",),
     "gpdf_service/search/graph.py": ("tests/search/test_graph.py", "tests/search/test_change.py"),
@@ -97,6 +99,9 @@ BEGUN = "poses, where, off_at, nearest = path.copy(), path[0].copy(), path[0].co
 ENDED = "place[k] = (total[k + width] - total[k]) / width if k + width <= len(place) else place[k - 1]"
 NAMED = 'return {f"{name}_{axis}": float(v) for axis, v in zip("xyz", place, strict=True) if np.isfinite(v)}'
 RISES = "field(places.reshape(-1, 3))[0].reshape(places.shape[:2])"
+TREADS = "footing_reach(surface) + rings_of(SOLE, width)"
+SPARED = "what shuts ground off is nearer than a disc's radius less √2 cells: three cells fewer would do"
+STEPS = "steps = [(i, j) for i in range(-2, 3) for j in range(-2, 3) if i * i + j * j in _STEP_COSTS]"
 EQUAL: dict[tuple[str, ...], str] = {
     (CERTIFICATE, "0.0 → (0.1)", f"if {LOOK} and spare <= 0.0:"): "the field is asked more often",
     (CERTIFICATE, "0 → (1)", BEGUN): "where nothing is off there is no place of it; the other one is written over",
@@ -124,6 +129,7 @@ EQUAL: dict[tuple[str, ...], str] = {
     (LIMITS, "around >= np.clip(need, 3, 6) - 0.5 → (around > np.clip(need, 3, 6) - 0.5)"): "a count to the last bit",
     (LIMITS, "0.0 < away <= reach**2 → (0.0 <= away <= reach ** 2)"): "a cell that is asked is not level itself",
     (LATTICE, f"{ASLANT} + pi → ({ASLANT} - pi)"): "half a turn either way",
+    (LATTICE, "2 → (3)", STEPS): "no step of the lattice is three cells long",
     (LATTICE, "8 → (9)", "MOST_TRIES = 8"): "a way more is tried",
     (TIMING, "1 → (2)", BESIDE): "headings are means over more places, so they change as much over three as over two",
     (TIMING, "0.0 → (0.1)", NEVER): "less than nothing, wherever from",
@@ -137,6 +143,10 @@ EQUAL: dict[tuple[str, ...], str] = {
     (
         CERTIFICATE,
         "least < reach <= least + RESOLUTION → (least <= reach <= least + RESOLUTION)",
+    ): BIT,
+    (
+        CERTIFICATE,
+        "least < reach <= least + RESOLUTION → (least < reach < least + RESOLUTION)",
     ): BIT,
     (CERTIFICATE, "clearance < 0 → (clearance <= 0)"): BIT,
     (CERTIFICATE, f"{RING} → (ring <= max(state.shape))"): "a ring around the whole map holds no cell",
@@ -207,6 +217,13 @@ EQUAL: dict[tuple[str, ...], str] = {
     ): "what ends where the change begins is made anew",
     (QUADTREE, "(i + n) * share <= left - 1 → ((i + n) * share < left - 1)"): "what ends where it begins is made anew",
     (QUADTREE, f"{APART} → ({APART})"[:SHOWN]): "more than the change is made anew",
+    (
+        QUADTREE,
+        f"{APART} → ({APART.partition(' or ')[2]})"[:SHOWN],
+    ): "more than the change is made anew",
+    (OBSTACLES, f"{TREADS} + 1 → ({TREADS} - 1)"): SPARED,
+    (OBSTACLES, "1 → (2)", f"return shut + max(body, {TREADS} + 1), shut"): "more is looked at",
+    (OBSTACLES, "1 → (2)", "body = int(np.ceil(agent.cylinder.radius / width)) + 1"): "more is looked at",
     (OBSTACLES, "1 → (2)", "rings = int(radius / width) + 1"): "more cells are looked at, and none is near",
     (OBSTACLES, "cells + row → (cells - row)"): "a disc is the same both ways",
     (OBSTACLES, "foot < height <= ledge - step → (foot < height < ledge - step)"): BIT,
@@ -330,6 +347,7 @@ EQUAL: dict[tuple[str, ...], str] = {
     (ENDPOINTS, "room < space.reach + FINEST → (room <= space.reach + FINEST)"): "a room to the last bit",
     (CORRIDOR, "4 → (5)", "DIRECTIONS = 4"): "more lines are looked along",
     (ENDPOINTS, "1.0 → (2.1)", "NEXT = 1.0"): "leaves that are further off are looked at later",
+    (ENDPOINTS, "0.1 → (0.30000000000000004)"): "leaves that are further off are tried after the nearer ones",
     (IN_USE, "1 → (2)", "return cKDTree(self.discs.reshape(-1, 3)[:, :2])"): "any negative length is the unknown one",
     (
         IN_USE,

@@ -65,7 +65,7 @@ def test_an_outlier_that_is_no_ground_costs_nothing():
 
 
 def test_who_has_the_memory_may_raise_the_budget():
-    apart = np.concatenate([floor(), floor() + np.array([110.0, 110.0, 0.0])])
+    apart = np.concatenate([floor(), floor() + np.array([45.0, 45.0, 0.0])])
     ground = np.ones(len(apart), dtype=bool)
     small = Config(PerceptionConfig(memory_budget=1e8))
     with pytest.raises(TooLargeError):

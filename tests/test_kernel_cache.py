@@ -39,6 +39,37 @@ made = [outer(1), apart(7), plain(0)]
 compiled = [sum(one.stats.cache_misses.values()) for one in (outer, apart, self_made)]
 print(json.dumps([made, compiled, forget_others([outer, apart]) if sys.argv[1:] else 0, outer.stats.cache_path]))
 """
+FORKS = """
+import json, os, sys
+from numba import config, njit
+njit(lambda x: x + 1)(1)  # to load Numba and to compile for the first time is most of what asking takes
+for line in sys.stdin:
+    asked, folder, words, environment = json.loads(line)
+    if (child := os.fork()) == 0:
+        os.chdir(folder)
+        os.environ.update(environment)
+        config.reload_config()
+        sys.path.insert(0, folder)
+        sys.argv = ["", *words]
+        exec(asked, {"__name__": "__main__"})
+        sys.stdout.flush()
+        os._exit(0)
+    if os.waitpid(child, 0)[1]:
+        sys.exit(1)
+"""
+"""Asks in a process of its own each time, with Numba in it and nothing of the package."""
+
+
+@pytest.fixture(scope="module")
+def forks():
+    kept = {name: value for name, value in os.environ.items() if not name.startswith(("NUMBA_", "XDG_"))}
+    kept["PYTHONDONTWRITEBYTECODE"] = "1"  # Python's own takes an edit of one length in one second for none
+    kept.pop("PYTHONPATH", None)
+    words, pipe = [sys.executable, "-c", FORKS], subprocess.PIPE
+    with subprocess.Popen(words, env=kept, stdin=pipe, stdout=pipe, text=True) as process:
+        yield process
+        process.stdin.close()
+        assert process.wait(60) == 0
 
 
 @pytest.fixture
@@ -52,19 +83,17 @@ def small(tmp_path):
     return tmp_path / "gpdf_service"
 
 
-def ask(small, *words, **environment):
+@pytest.fixture
+def ask(small, forks):
     """What the small package's kernels give, how often they were compiled, how many files went, and where they are."""
-    kept = {name: value for name, value in os.environ.items() if not name.startswith(("NUMBA_", "XDG_"))}
-    kept["PYTHONDONTWRITEBYTECODE"] = "1"  # Python's own takes an edit of one length in one second for none
-    said = subprocess.run(
-        [sys.executable, "-c", ASK, *words],
-        env=kept | {"PYTHONPATH": str(small.parent), "HOME": str(small.parent)} | environment,
-        cwd=small.parent,
-        stdout=subprocess.PIPE,
-        check=True,
-        timeout=120,
-    )
-    return json.loads(said.stdout)
+
+    def ask(*words, **environment):
+        said = [ASK, str(small.parent), words, {"HOME": str(small.parent)} | environment]
+        forks.stdin.write(json.dumps(said) + "\n")
+        forks.stdin.flush()
+        return json.loads(forks.stdout.readline())
+
+    return ask
 
 
 def edit(file, before, after):
@@ -73,7 +102,7 @@ def edit(file, before, after):
     file.write_text(text.replace(before, after))
 
 
-def test_a_kernel_is_compiled_again_when_a_type_that_it_was_called_with_is_gone_or_what_is_kept_is_damaged(small):
+def test_a_kernel_is_compiled_again_when_a_type_that_it_was_called_with_is_gone_or_what_is_kept_is_damaged(small, ask):
     file = small / "low/apart.py"
     file.write_text(
         "from typing import NamedTuple\n\nfrom numba import njit\n\n\nclass Was(NamedTuple):\n    x: int\n\n\n"
@@ -82,7 +111,7 @@ def test_a_kernel_is_compiled_again_when_a_type_that_it_was_called_with_is_gone_
     )
 
     def asked():
-        made, compiled = ask(small)[:2]
+        made, compiled = ask()[:2]
         return made[1], compiled[1]
 
     assert asked() == (7, 1)
@@ -94,42 +123,42 @@ def test_a_kernel_is_compiled_again_when_a_type_that_it_was_called_with_is_gone_
     assert asked() == (7, 0)
 
 
-def test_a_kernel_is_compiled_again_when_what_it_calls_in_another_file_has_changed_and_no_other_is(small):
-    assert ask(small) == [[22, 7, 8], [1, 1, 1], 0, str(small / "__pycache__")]
+def test_a_kernel_is_compiled_again_when_what_it_calls_in_another_file_has_changed_and_no_other_is(small, ask):
+    assert ask() == [[22, 7, 8], [1, 1, 1], 0, str(small / "__pycache__")]
     edit(small / "low/inner.py", "x + TEN", "x - TEN")
-    assert ask(small)[:2] == [[-18, 7, 8], [1, 0, 0]]
+    assert ask()[:2] == [[-18, 7, 8], [1, 0, 0]]
     edit(small / "low/numbers.py", "10", "20")
-    assert ask(small)[:2] == [[-38, 7, 8], [1, 0, 0]]
+    assert ask()[:2] == [[-38, 7, 8], [1, 0, 0]]
     edit(small / "low/apart.py", "return x", "return -x")
-    assert ask(small)[:2] == [[-38, -7, 8], [0, 1, 0]]
+    assert ask()[:2] == [[-38, -7, 8], [0, 1, 0]]
 
 
-def test_a_change_of_what_no_kernel_can_call_compiles_nothing_and_of_what_makes_a_constant_it_does(small):
-    ask(small)
+def test_a_change_of_what_no_kernel_can_call_compiles_nothing_and_of_what_makes_a_constant_it_does(small, ask):
+    ask()
     edit(small / "low/made.py", "return made(x)", "return -made(x)")
-    assert ask(small)[:2] == [[22, 7, -8], [0, 0, 0]]
+    assert ask()[:2] == [[22, 7, -8], [0, 0, 0]]
     edit(small / "low/made.py", "return 4", "return 5")
-    assert ask(small)[:2] == [[22, 7, -10], [0, 0, 1]]
+    assert ask()[:2] == [[22, 7, -10], [0, 0, 1]]
 
 
 @pytest.mark.parametrize("told", [True, False])
-def test_kernels_are_kept_where_numba_is_told_or_for_the_user_where_the_package_cannot_be_written_to(small, told):
+def test_kernels_are_kept_where_numba_is_told_or_for_the_user_where_the_package_cannot_be_written_to(small, ask, told):
     if not told:
         for folder in (small, small / "low"):
             (folder / "__pycache__").write_text("no folder can be made here")
     words, place = ({"NUMBA_CACHE_DIR": f"{small.parent}/told"}, "told") if told else ({}, ".cache")
-    assert ask(small, **words)[3].startswith(f"{small.parent}/{place}/")
+    assert ask(**words)[3].startswith(f"{small.parent}/{place}/")
     edit(small / "low/inner.py", "x + TEN", "x - TEN")
-    assert ask(small, **words)[:2] == [[-18, 7, 8], [1, 0, 0]]
+    assert ask(**words)[:2] == [[-18, 7, 8], [1, 0, 0]]
 
 
-def test_what_is_kept_of_a_function_that_is_gone_is_deleted_and_nothing_else_is(small):
-    ask(small)
+def test_what_is_kept_of_a_function_that_is_gone_is_deleted_and_nothing_else_is(small, ask):
+    ask()
     old = [small / "__pycache__" / f"high.gone-{line}.py311.{end}" for line, end in ((3, "nbi"), ("kernel", "1.nbc"))]
     others = [small / "__pycache__" / name for name in ("other.outer-3.py311.nbi", "high.gone-3.txt")]
     for file in old + others:
         file.touch()
-    assert ask(small, "forget")[1:3] == [[0, 0, 0], 2]
+    assert ask("forget")[1:3] == [[0, 0, 0], 2]
     assert [file.exists() for file in old + others] == [False, False, True, True]
 
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 import queue
 import time
 from collections.abc import Callable
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass
 from math import degrees
 from typing import Any, Protocol
@@ -133,8 +133,11 @@ class Belt:
 def connect(port: str) -> Any:  # noqa: ANN401 - of pybelt, which has no types
     """Connect the belt at a serial port, and take it over from its own compass.
 
+    A line that takes nothing for `SILENCE` fails from then on: pybelt would wait for it for ever, and who guides would
+    go on believing that the cues are felt.
+
     Raises:
-        BeltError: there is none.
+        BeltError: there is none. Nothing of it runs on.
     """
     from pybelt.belt_controller import BeltConnectionState, BeltController, BeltMode
 
@@ -142,10 +145,14 @@ def connect(port: str) -> Any:  # noqa: ANN401 - of pybelt, which has no types
     belt.connect(port)
     if belt.get_connection_state() != BeltConnectionState.CONNECTED:
         raise BeltError(port)
-    try:
-        belt.set_belt_mode(BeltMode.APP_MODE, wait_ack=True)
-    except TimeoutError as error:
-        raise BeltError(port) from error
+    with ExitStack() as undo:
+        undo.callback(belt.disconnect_belt)  # its listener would keep the process from ending
+        try:
+            belt._communication_interface._serial_port.write_timeout = SILENCE
+            belt.set_belt_mode(BeltMode.APP_MODE, wait_ack=True)
+        except (OSError, AttributeError) as error:  # no answer in time; the line has just gone
+            raise BeltError(port) from error
+        undo.pop_all()
     return belt
 
 

@@ -2,7 +2,8 @@
 
 Service, page and browser are begun anew; the first press comes as soon as the map is on the screen, others follow. The
 browser keeps the time: from opening the link until the map is there, and from the press until the page shows the
-answer, with which the path is sent. Without a graphics card most of it is drawing: a frame waits for the one before.
+answer, with which the path is sent, and until that is drawn. Without a graphics card most of it is drawing: a frame
+waits for the one before.
 """
 
 from __future__ import annotations
@@ -37,12 +38,9 @@ DRAWN = """
   && !document.body.innerText.includes('office: ')
 """
 """A scene is chosen, and nothing of it is on its way."""
-ON_SCREEN = """
-async () => {  // what is known to the page is drawn in the next frame, and only then the one after it begins
-  for (let i = 0; i < 3; i++) await new Promise(requestAnimationFrame);
-  return performance.now();
-}
-"""
+FRAMES = "for (let i = 0; i < 3; i++) await new Promise(requestAnimationFrame);"
+"""What is known to the page is drawn in the next frame, and only then the one after it begins."""
+ON_SCREEN = f"async () => {{ {FRAMES} return performance.now(); }}"
 FIRST_S, LATER_S = 1.0, 0.2
 """[s] What nobody minds, for the first path of a fresh service and for others."""
 UNANSWERED = "() => !document.body.innerText.includes('Answer after')"
@@ -55,11 +53,12 @@ patience => {
     new MutationObserver((_, observer) => {
       if (!document.body.innerText.includes('Answer after')) return;
       observer.disconnect();
-      done(performance.now() - began);
+      const answered = performance.now() - began;
+      (async () => { FRAMES done([answered, performance.now() - began]); })();
     }).observe(document.body, {subtree: true, childList: true, characterData: true});
   }, {once: true, capture: true}));
 }
-"""
+""".replace("FRAMES", FRAMES)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -93,7 +92,8 @@ def press_all(service: Running, folder: Path, browser: str, count: int) -> Float
     """Open the page, then ask for the way there and back in turn, `count` times.
 
     Returns:
-        For each the browser's time, and the processor's of page and service [s], shape (1 + count, 2).
+        For each the browser's time until it is answered and until it is drawn, and the processor's of page and service
+        [s], shape (1 + count, 3).
     """
     from playwright.sync_api import sync_playwright
 
@@ -106,8 +106,11 @@ def press_all(service: Running, folder: Path, browser: str, count: int) -> Float
         web.goto(url)
         web.get_by_text("Connected to").first.wait_for(timeout=PATIENCE_MS)
         web.wait_for_function(DRAWN, timeout=PATIENCE_MS)
-        opened = float(web.evaluate(ON_SCREEN)) / 1000.0, _worked(both) - before
-        took = [opened, *(_press(web, there[:: 1 - 2 * (i % 2)], both) for i in range(count))]
+        opened = float(web.evaluate(ON_SCREEN)) / 1000.0
+        took = [
+            (opened, opened, _worked(both) - before),
+            *(_press(web, there[:: 1 - 2 * (i % 2)], both) for i in range(count)),
+        ]
         chromium.close()
     return np.array(took)
 
@@ -129,7 +132,7 @@ def viewing(endpoint: str, folder: Path) -> Iterator[tuple[subprocess.Popen[str]
             process.wait(PATIENCE_MS / 1000)
 
 
-def _press(web: Any, ends: list[str], processes: tuple[int, ...]) -> tuple[float, float]:  # noqa: ANN401 - of playwright
+def _press(web: Any, ends: list[str], processes: tuple[int, ...]) -> tuple[float, float, float]:  # noqa: ANN401 - of playwright
     web.get_by_role("button", name="Clear").dispatch_event("click")  # whether or not the picture stands still
     web.wait_for_function(UNANSWERED, timeout=PATIENCE_MS)
     for name, text in zip(("Start", "Goal"), ends, strict=True):
@@ -140,8 +143,8 @@ def _press(web: Any, ends: list[str], processes: tuple[int, ...]) -> tuple[float
     web.evaluate(WATCH, PATIENCE_MS)
     before = _worked(processes)
     web.get_by_role("button", name="Take what is typed").dispatch_event("click")
-    seconds = float(web.evaluate("() => window.answered")) / 1000.0
-    return seconds, _worked(processes) - before
+    answered, drawn = web.evaluate("() => window.answered")
+    return answered / 1000.0, drawn / 1000.0, _worked(processes) - before
 
 
 def _worked(processes: tuple[int, ...]) -> float:
@@ -151,8 +154,9 @@ def _worked(processes: tuple[int, ...]) -> float:
 
 
 def _row(which: str, took: FloatArray) -> Row:
-    wall, cpu = took.T
+    wall, drawn, cpu = took.T
     return {
         **{"waits": which, "count": len(took), "p50_s": float(np.median(wall)), "worst_s": float(wall.max())},
+        **{"drawn_p50_s": float(np.median(drawn)), "drawn_worst_s": float(drawn.max())},
         **{"cpu_p50_s": float(np.median(cpu)), "cpu_worst_s": float(cpu.max())},
     }

@@ -23,12 +23,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Exit code 1 where there is no belt or no service, or the belt goes."""
-    stop = threading.Event()
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, lambda *_: stop.set())
-    belt = None
+    stop, belt = threading.Event(), None
     try:
-        belt = connect(args.port)
+        belt = connect(args.port)  # nothing vibrates yet: a signal ends it at once, whatever the line waits for
+        for number in (signal.SIGINT, signal.SIGTERM):
+            signal.signal(number, lambda *_: stop.set())
         with connect_service(args) as client:
             print(f"The belt at {args.port} feels the cues of {args.name}.", flush=True)
             feel(client.session, args.name, Belt(belt, args.port), stop.is_set)

@@ -52,7 +52,7 @@ class Stored:
         points: Shape (n, 3), rows that are not finite among them.
         ground: Which are ground, (n,), where the file says so.
         origins: Where the rays began, (n, 3), where the file says so.
-        colours: Red, green and blue, uint8 of shape (n, 3), where the file has them.
+        colours: Red, green and blue as the file has them (n, 3): of 8 or 16 bits, or shares of 1; None without.
         up: The axis that points up, where the kind of file or the file says so.
         scale: Metres of its unit, where the kind of file or the file says so.
         remark: What was done to it, in words.
@@ -61,36 +61,47 @@ class Stored:
     points: FloatArray
     ground: BoolArray | None = None
     origins: FloatArray | None = None
-    colours: Colours | None = None
+    colours: NDArray[Any] | None = None
     up: str | None = None
     scale: float | None = None
     remark: str = ""
 
 
-def as_bytes(values: NDArray[Any]) -> Colours:
-    """Colours of 8 bits, of the 16 bits or the shares of 1 that some files hold."""
-    most = float(np.max(values, initial=0.0))
+def greatest(values: NDArray[Any]) -> float:
+    """Of colours (n, 3); 0 where they are no numbers, or all 0: nobody filled them in."""
+    return float(np.fmax.reduce(values, axis=None, initial=0.0)) if values.dtype.kind in "uif" else 0.0
+
+
+def as_bytes(values: NDArray[Any], most: float) -> Colours | None:
+    """Colours (n, 3) of 8 bits, of the 16 bits or the shares of 1 that some files hold; None where there are none.
+
+    Args:
+        values: As the file has them, or a part of it.
+        most: The greatest of the whole file: a dark part alone looks like one of fewer bits.
+    """
+    if most <= 0.0:
+        return None
     scale = 255.0 if values.dtype.kind == "f" and most <= 1.0 else 1.0 if most <= 255.0 else 255.0 / 65535.0
     made: Colours = np.clip(np.nan_to_num(np.rint(scale * values)), 0.0, 255.0).astype(np.uint8)
     return made
 
 
-def record_colours(records: NDArray[np.void]) -> Colours | None:
+def record_colours(records: NDArray[np.void]) -> NDArray[Any] | None:
     """Of records with a field a channel, or all three in the bytes of `rgb`, as .pcd files have them; else None."""
     names = records.dtype.names or ()
     named = next((three for three in RED_GREEN_BLUE if set(three) <= set(names)), None)
     if named is not None:
-        return as_bytes(np.column_stack([records[name].ravel() for name in named]))
+        return np.column_stack([records[name].ravel() for name in named])
     packed = next((records[name].ravel() for name in ("rgb", "rgba") if name in names), None)
     if packed is None or packed.dtype.itemsize != 4:
         return None
     return np.ascontiguousarray(packed).view(np.uint8).reshape(-1, 4)[:, 2::-1].copy()
 
 
-def _unnamed_colours(table: FloatArray) -> Colours | None:
+def _unnamed_colours(table: FloatArray) -> FloatArray | None:
     """The three columns (n, 3) after x, y and z, if they are whole numbers of 8 bits: no normal is."""
-    fits = len(table) and np.all((table >= 0.0) & (table <= 255.0) & (table == np.rint(table))) and table.max() > 1.0
-    return as_bytes(table) if fits else None
+    fits = table.size and np.all((table >= 0.0) & (table <= 255.0) & (table == np.rint(table))) and table.max() > 1.0
+    return table if fits else None
 
 
 def read_text(path: Path, ground_label: int | None, scale: float | None = None) -> Stored:
@@ -113,7 +124,7 @@ def read_text(path: Path, ground_label: int | None, scale: float | None = None) 
     except ValueError:  # a value that is missing, or a decimal comma: slower
         table = np.loadtxt(path, usecols=columns, converters=_number, **options)
     points, rest = table[:, :3].astype(np.float64, order="C"), table[:, 3:]
-    return Stored(points, colours=(as_bytes if named else _unnamed_colours)(rest) if rest.size else None)
+    return Stored(points, colours=rest if named and rest.size else _unnamed_colours(rest))
 
 
 def _number(text: str) -> float:
@@ -174,7 +185,7 @@ def read_npz(path: Path, ground_label: int | None, scale: float | None = None) -
         origins = (
             np.broadcast_to(stored["origins"].astype(np.float64), points.shape) if "origins" in stored.files else None
         )
-        shades = next((as_bytes(stored[name]) for name in NPZ_COLOURS if name in stored.files), None)
+        shades = next((stored[name] for name in NPZ_COLOURS if name in stored.files), None)
     colours = shades if shades is not None and shades.shape == points.shape else None
     if ground_label is not None:
         if label is None:
@@ -211,7 +222,7 @@ def read_open3d(path: Path, ground_label: int | None, scale: float | None = None
     points = np.asarray(cloud.points, dtype=np.float64)
     if len(points) == 0:
         raise CloudError(f"cloud {path}", "no point could be read from it", "Is it empty or damaged?")
-    return Stored(points, colours=as_bytes(np.asarray(cloud.colors)) if cloud.has_colors() else None)
+    return Stored(points, colours=np.asarray(cloud.colors) if cloud.has_colors() else None)
 
 
 def import_open3d() -> Any:  # noqa: ANN401 - a module without types
@@ -243,12 +254,11 @@ def read_las(path: Path, ground_label: int | None, scale: float | None = None) -
     return Stored(points, _labelled(ground, points, path, ground_label or LAS_GROUND), colours=colours)
 
 
-def las_colours(record: Any) -> Colours | None:  # noqa: ANN401 - of laspy
-    """Colours of a LAS file's records, (n, 3); None where its format has none, or nobody filled them in."""
+def las_colours(record: Any) -> NDArray[np.uint16] | None:  # noqa: ANN401 - of laspy
+    """Colours of a LAS file's records, (n, 3); None where its format has none."""
     if not set(RED_GREEN_BLUE[0]) <= set(record.point_format.dimension_names):
         return None
-    colours = np.column_stack([np.asarray(record[name]) for name in RED_GREEN_BLUE[0]])
-    return as_bytes(colours) if colours.any() else None
+    return np.column_stack([np.asarray(record[name]) for name in RED_GREEN_BLUE[0]])
 
 
 def las_points(record: Any) -> FloatArray:  # noqa: ANN401 - of laspy
@@ -281,7 +291,7 @@ def read_e57(path: Path, ground_label: int | None, scale: float | None = None) -
             scan = file.read_scan(i, colors=True, ignore_missing_fields=True)
             points.append(np.column_stack([scan[f"cartesian{axis}"] for axis in "XYZ"]).astype(np.float64))
             if "colorRed" in scan:
-                shades.append(as_bytes(np.column_stack([scan[f"color{name}"] for name in ("Red", "Green", "Blue")])))
+                shades.append(np.column_stack([scan[f"color{name}"] for name in ("Red", "Green", "Blue")]))
             header = file.get_header(i)
             place = np.asarray(header.translation, dtype=np.float64) if header.has_pose() else np.full(3, np.nan)
             origins.append(np.broadcast_to(place, points[-1].shape))

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 
 from gpdf_service.errors import CloudError, GpdfError, words_of
 from gpdf_service.perception.bag import read_bag
-from gpdf_service.perception.formats import LAS_GROUND, READERS, Colours, Stored, ground_classes
+from gpdf_service.perception.formats import LAS_GROUND, READERS, Colours, Stored, as_bytes, greatest, ground_classes
 from gpdf_service.perception.frame import look, odd_unit, odd_up, turn
 from gpdf_service.perception.rows import extent_of
 from gpdf_service.perception.stream import VoxelSieve, chunks_of
@@ -169,7 +169,9 @@ def _framed(file: Path, stored: Stored, scale: float | None, up: str | None) -> 
     Raises:
         CloudError: no place in metres can be so.
     """
-    points, ground, origins, colours = stored.points, stored.ground, stored.origins, stored.colours
+    points, ground, origins, colours = stored.points, stored.ground, stored.origins, None
+    if stored.colours is not None:
+        colours = as_bytes(stored.colours, greatest(stored.colours))
     if points.ndim != 2 or points.shape[1] != 3:
         raise CloudError(f"cloud {file}", f"an array of shape {points.shape}", "Store x, y, z a point: (n, 3).")
     finite: BoolArray = np.logical_and.reduce(np.isfinite(points), axis=1)

@@ -6,6 +6,7 @@ What is held is what is kept: a few tens of bytes for each voxel that holds a po
 from __future__ import annotations
 
 import zipfile
+from collections import defaultdict
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -14,7 +15,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gpdf_service.errors import CloudError
-from gpdf_service.perception.formats import NPZ_COLOURS, Colours, as_bytes, las_colours, las_points, record_colours
+from gpdf_service.perception.formats import (
+    NPZ_COLOURS,
+    Colours,
+    as_bytes,
+    greatest,
+    las_colours,
+    las_points,
+    record_colours,
+)
 from gpdf_service.types import FloatArray, IntArray
 
 CHUNK = 1_000_000
@@ -24,8 +33,8 @@ _BITS = 21
 _REACH = 1 << (_BITS - 1)
 """Voxels to either side of the first point that a key has room for: 20 km at 2 cm."""
 
-Chunk = tuple[FloatArray, NDArray[np.integer] | None, Colours | None]
-"""Points (n, 3) [m], their labels (n,) and colours (n, 3), where the file has them."""
+Chunk = tuple[FloatArray, NDArray[np.integer] | None, NDArray[Any] | None]
+"""Points (n, 3) [m], their labels (n,) and colours (n, 3) as stored, where the file has them."""
 
 
 class VoxelSieve:
@@ -43,13 +52,16 @@ class VoxelSieve:
         self._keys = np.zeros(0, np.int64)
         self._points: list[FloatArray] = []
         self._labels: list[IntArray] = []
-        self._colours: list[Colours] = []
+        self._colours: list[NDArray[Any]] = []
+        self._most: defaultdict[np.dtype[Any], float] = defaultdict(float)
 
     def add(
-        self, points: FloatArray, labels: NDArray[np.integer] | None = None, colours: Colours | None = None
+        self, points: FloatArray, labels: NDArray[np.integer] | None = None, colours: NDArray[Any] | None = None
     ) -> None:
         """Look at points (n, 3) [m], their labels (n,) and colours (n, 3); those that are not finite are left out."""
         self.read += len(points)
+        if colours is not None:
+            self._most[colours.dtype] = max(self._most[colours.dtype], greatest(colours))
         rows = np.flatnonzero(np.isfinite(points.sum(axis=1)))
         if len(rows) == 0:
             return
@@ -79,7 +91,8 @@ class VoxelSieve:
     def result(self) -> tuple[FloatArray, IntArray | None, Colours | None]:
         """The points that were kept, in the order that they came in, their labels and their colours."""
         points, count = np.concatenate([np.zeros((0, 3)), *self._points]), len(self._points)
-        labels, colours = self._labels, self._colours  # those of some tiles alone say nothing of the others
+        labels = self._labels  # those of some tiles alone say nothing of the others
+        colours = [made for part in self._colours if (made := as_bytes(part, self._most[part.dtype])) is not None]
         return (
             points,
             np.concatenate(labels) if labels and len(labels) == count else None,
@@ -115,7 +128,7 @@ def _npz_chunks(path: Path) -> Iterator[Chunk]:
         labels = _rows_of(archive, "label") if "label" in names else None
         shades = next((_rows_of(archive, name) for name in NPZ_COLOURS if name in names), None)
         for part in _rows_of(archive, points):
-            colours = None if shades is None else as_bytes(next(shades))
+            colours = None if shades is None else next(shades)
             fits = colours is not None and colours.shape == part.shape
             yield part.astype(np.float64), None if labels is None else next(labels), colours if fits else None
 

@@ -12,7 +12,7 @@ import msgspec
 from gpdf_service.config import Config
 from gpdf_service.errors import SceneFileError
 from gpdf_service.perception import read_cloud
-from gpdf_service.perception.formats import as_bytes
+from gpdf_service.perception.formats import as_bytes, greatest
 from gpdf_service.pipeline import Progress, build_scene
 from gpdf_service.scene import Scene, load_scene
 from gpdf_service.search import Prefer
@@ -110,7 +110,7 @@ class Workshop:
         if job.cloud:
             sent = arrays_of(Path(job.cloud))
             points, colours = sent["points"][:, :3], sent["points"][:, 3:]
-            shown = as_bytes(colours) if colours.size else None
+            shown = as_bytes(colours, greatest(colours))
             return build_scene(points, sent.get("ground"), self._config, colours=shown, progress=progress)
         if job.file:
             progress("read the file", 0.0)

@@ -1,13 +1,17 @@
 """Rows of random places: labels and paths held against the exact world."""
 
+from functools import cache
+
 import pytest
 
+from gpdf_service.bench import places
 from gpdf_service.bench.places import label_rows, path_rows
 from gpdf_service.bench.rules import without
 from gpdf_service.synthetic.places import supermarket
 
 
-def test_labels_tell_a_ceiling_that_was_taken_for_the_floor():
+def test_labels_tell_a_ceiling_that_was_taken_for_the_floor(monkeypatch):
+    monkeypatch.setattr(places, "scanned_place", cache(places.scanned_place))  # once for both
     (row,) = label_rows("handheld", 1, 3, makers=(supermarket,))
     with without("ceilings"):
         (other,) = label_rows("handheld", 1, 3, makers=(supermarket,))

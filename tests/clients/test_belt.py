@@ -7,9 +7,12 @@ import os
 import signal
 import subprocess
 import sys
+import termios
 import threading
 import time
 import tty
+from contextlib import contextmanager
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -54,7 +57,7 @@ class MadeUpBelt:
     def __init__(self):
         self._line, slave = os.openpty()
         tty.setraw(slave)
-        self.port, self.felt, self.mode = os.ttyname(slave), [], None
+        self.port, self.felt, self.mode, self.acknowledges = os.ttyname(slave), [], None, True
         self._slave = slave
         threading.Thread(target=self._listen, daemon=True).start()
 
@@ -77,9 +80,14 @@ class MadeUpBelt:
             self._say(FIRMWARE, b"\x37\x00")
         elif handle == REQUEST and data[:2] == b"\x01\x81":
             self.mode = data[2]
-            self._say(NOTIFY, b"\x01\x01" + data[2:])
+            if self.acknowledges:
+                self._say(NOTIFY, b"\x01\x01" + data[2:])
         elif handle == REQUEST:
             self._say(NOTIFY, ANSWERS[data])
+
+    def jam(self):
+        """The line takes nothing more, and is not gone: a cable that hangs, a belt that has stopped."""
+        termios.tcflow(self._slave, termios.TCOOFF)
 
     def _say(self, handle, data):
         os.write(self._line, bytes([handle, len(data)]) + data)
@@ -169,17 +177,86 @@ def test_pybelt_tells_the_belt_over_its_serial_line(made_up):
         made_up.gone()
 
 
+@contextmanager
+def verb_at(port, address):
+    """`gpdf belt` in a process of its own, which is killed at the end if it runs on."""
+    command = [sys.executable, "-m", "gpdf_service.cli", "belt", port, "--name", "anna", "--endpoint", address]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as verb:
+        try:
+            yield verb
+        finally:
+            verb.kill()
+
+
+def has_opened(port, process):
+    """Whether the verb has the line open; between fork and exec a child has what the tests have open."""
+    runs = b"gpdf_service.cli" in (process / "cmdline").read_bytes()
+    return runs and port in {str(fd.readlink()) for fd in (process / "fd").iterdir() if fd.is_symlink()}
+
+
+def cues_to(address):
+    return zenoh.open(zenoh.Config.from_json5(f'{{mode: "client", connect: {{endpoints: ["{address}"]}}}}'))
+
+
 @pytest.mark.slow
-def test_the_verb_stops_the_person_when_the_guide_falls_silent(made_up, tmp_path):
-    address = free_endpoint()
-    command = [sys.executable, "-m", "gpdf_service.cli", "belt", made_up.port, "--name", "anna", "--endpoint", address]
+def test_the_verb_ends_by_itself_where_a_belt_does_not_take_its_mode(made_up):
+    made_up.acknowledges = False
+    with verb_at(made_up.port, free_endpoint()) as verb:
+        assert verb.wait(30) == 1
+        assert "no naviBelt answers" in verb.stderr.read()
+    assert made_up.mode == 3
+    made_up.gone()
+
+
+@pytest.mark.slow
+def test_the_verb_ends_on_a_signal_while_a_line_takes_nothing(made_up):
+    made_up.jam()
+    with verb_at(made_up.port, free_endpoint()) as verb:
+        until = time.time() + 30
+        while not has_opened(made_up.port, Path(f"/proc/{verb.pid}")):
+            assert time.time() < until
+            time.sleep(0.05)
+        verb.send_signal(signal.SIGTERM)
+        assert verb.wait(30) == -signal.SIGTERM
+    made_up.gone()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("what", ["jam", "gone"])
+def test_a_line_that_takes_nothing_more_is_no_belt_and_the_guide_sees_it(made_up, tmp_path, what):
     with (
-        Server(Options(address, tmp_path, tmp_path, 1)) as server,
-        subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as verb,
+        Server(Options(free_endpoint(), tmp_path, tmp_path, 1)) as server,
+        verb_at(made_up.port, server.options.endpoint) as verb,
+        cues_to(server.options.endpoint) as session,
     ):
         assert "feels the cues of anna" in verb.stdout.readline()
-        config = zenoh.Config.from_json5(f'{{mode: "client", connect: {{endpoints: ["{server.options.endpoint}"]}}}}')
-        with zenoh.open(config) as session:
+        publisher = session.declare_publisher(f"{keys.CUE}/anna")
+        for number in range(300):
+            publisher.put(encode(cue(CueAction.GO, direction=number % 2, stamp=time.time())))
+            if number == 10:
+                assert publisher.matching_status.matching
+                getattr(made_up, what)()
+            if verb.poll() is not None:
+                break
+            time.sleep(0.1)
+        assert verb.wait(0.1) == 1
+        assert "no naviBelt answers" in verb.stderr.read()
+        until = time.time() + 5
+        while publisher.matching_status.matching and time.time() < until:
+            time.sleep(0.05)
+        assert not publisher.matching_status.matching  # nobody feels the cues: the guide speaks of every stop
+    if what == "jam":
+        made_up.gone()
+
+
+@pytest.mark.slow
+def test_the_verb_stops_the_person_when_the_guide_falls_silent(made_up, tmp_path):
+    with (
+        Server(Options(free_endpoint(), tmp_path, tmp_path, 1)) as server,
+        verb_at(made_up.port, server.options.endpoint) as verb,
+    ):
+        assert "feels the cues of anna" in verb.stdout.readline()
+        with cues_to(server.options.endpoint) as session:
             for _ in range(20):
                 session.put(f"{keys.CUE}/anna", encode(cue(CueAction.GO, stamp=time.time())))
                 last = time.time()

@@ -141,6 +141,20 @@ def test_a_path_over_a_ledge_is_narrowed_before_and_behind_it_and_not_on_it():
     np.testing.assert_allclose(found.disc[~on], np.minimum(WIDEST, np.maximum(0.5 * gap, gap - HALF_PACE))[~on])
 
 
+def test_a_path_that_begins_on_a_ledges_rim_keeps_off_it_on_every_storey():
+    """The ledge is right beneath the first half metre, with other ground on its right: the path goes over none."""
+    wide = Corridor(*(np.full(len(along), WIDEST) for _ in range(3)))
+    places = SPACING * np.arange(-16, 17)  # from right to left
+    away = np.abs(places) + np.where(along < 0.5, 0.0, 1.0)[:, None]
+    falls = np.column_stack([np.zeros(len(along), bool), along < 0.5])
+    for height in (0.0, 7.5, -30.0):
+        ground = np.column_stack([along, 0.0 * along, np.full(len(along), height)])
+        found = beside_steps(wide, away, along, ground, (), falls)
+        np.testing.assert_array_equal(found.right[along < 0.5], 0.0)
+        assert (found.right[along >= 0.5] > 0.0).all()
+        assert (found.left > 0.0).all()
+
+
 def test_on_a_narrow_landing_with_open_sides_half_of_its_width_is_left_beside_one():
     found = corridor_of_stairs()
     landing = (along > FLIGHT.end + 1.5 * SPACING) & (along < FLIGHT.end + 2.4)

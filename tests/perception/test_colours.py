@@ -86,7 +86,7 @@ def test_points_that_are_left_out_take_their_colours_with_them(name, tmp_path):
     np.testing.assert_array_equal(cloud.colours, COLOURS)
 
 
-@pytest.mark.parametrize("name", [name for name in WRITERS if "shares" not in name])
+@pytest.mark.parametrize("name", WRITERS)
 def test_read_in_chunks_each_point_that_is_kept_has_its_own_colour(name, tmp_path, monkeypatch):
     monkeypatch.setattr(stream, "CHUNK", 70)
     WRITERS[name](tmp_path / name, POINTS, COLOURS)
@@ -95,6 +95,37 @@ def test_read_in_chunks_each_point_that_is_kept_has_its_own_colour(name, tmp_pat
     held = {tuple(point): i for i, point in enumerate(whole.points.tolist())}
     rows = [held[tuple(point)] for point in thinned.points.tolist()]
     np.testing.assert_array_equal(thinned.colours, whole.colours[rows])
+
+
+@pytest.mark.parametrize("darkest", [0, 200])
+@pytest.mark.parametrize("name", ["a.las", "a.laz", "a.npz", "shares.npz"])
+def test_a_chunk_that_is_dark_is_as_dark_as_in_the_whole(name, darkest, tmp_path, monkeypatch):
+    monkeypatch.setattr(stream, "CHUNK", 70)
+    deep = RNG.integers(0, 1 << 16, (COUNT, 3), dtype=np.uint16)
+    deep[:100] = darkest
+    if ".la" in name:
+        write_las(tmp_path / name, POINTS, deep, depth=1)
+    else:
+        np.savez(tmp_path / name, xyz=POINTS, rgb=deep / np.float32(65535.0) if "shares" in name else deep)
+    whole, kept = read_cloud(tmp_path / name), read_cloud(tmp_path / name, thin=1e-4)
+    np.testing.assert_array_equal(whole.colours, np.rint(deep / 257.0))
+    np.testing.assert_array_equal(kept.points, whole.points)
+    np.testing.assert_array_equal(kept.colours, whole.colours)
+
+
+def test_a_dark_tile_is_as_dark_as_it_is_beside_the_others(tmp_path):
+    bright = RNG.integers(0, 1 << 16, (COUNT, 3), dtype=np.uint16)
+    write_las(tmp_path / "a.las", POINTS, bright // 256, depth=1)
+    write_las(tmp_path / "b.las", POINTS + 10.0, bright, depth=1)
+    np.savez(tmp_path / "c.npz", xyz=POINTS + 20.0, rgb=COLOURS)  # of 8 bits, which say so
+    cloud = read_cloud(tmp_path, thin=1e-4)
+    np.testing.assert_array_equal(cloud.colours, [*np.rint(bright // 256 / 257.0), *np.rint(bright / 257.0), *COLOURS])
+
+
+def test_colours_that_are_no_numbers_are_none(tmp_path):
+    np.savez(tmp_path / "a.npz", xyz=POINTS, rgb=np.full(POINTS.shape, "red"))
+    assert read_cloud(tmp_path / "a.npz").colours is None
+    assert read_cloud(tmp_path / "a.npz", thin=0.1).colours is None
 
 
 def test_tiles_without_colours_leave_none_to_the_others(tmp_path):

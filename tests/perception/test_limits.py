@@ -324,6 +324,11 @@ def test_a_narrow_tread_is_one_cell_between_two_risers_with_level_ground_beyond(
     np.testing.assert_array_equal(found if axis == 1 else found.T, want)
 
 
+def test_kinds_have_the_numbers_that_scene_files_hold():
+    numbers = {"MATERIAL": 0, "STEP": 1, "SLOPE": 2, "UNKNOWN": 3}
+    assert {kind.name: kind.value for kind in ObstacleKind} == numbers
+
+
 @pytest.mark.parametrize(("what", "value"), [("step", 0.2), ("slope", 0.7), ("edge", np.inf), ("ridge", np.inf)])
 def test_one_limit_alone_stands_over_the_middle_of_its_cell(what, value):
     surface = surface_of(np.array([[0.3, np.nan if what == "edge" else 0.3]]), 0.1)

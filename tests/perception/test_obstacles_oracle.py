@@ -23,6 +23,7 @@ BODIES = (
     AGENTS["human"],
     dataclasses.replace(AGENTS["spot"], discs=6),
     dataclasses.replace(AGENTS["human"], name="child", height=1.1, width=0.36, length=0.36, max_step=0.05),
+    dataclasses.replace(AGENTS["human"], name="slim", height=1.5, width=0.3, length=0.3),
 )
 
 
@@ -180,6 +181,41 @@ def test_obstacles_in_a_region_are_told_by_what_is_in_their_reach(kind, body):
     np.testing.assert_array_equal(here(part), here(whole))
     assert len(here(whole)) > 10
     assert part.surface.state.size < surface.state.size
+
+
+TRUCK = dataclasses.replace(AGENTS["human"], name="truck", width=2.5, length=2.5)
+
+
+@pytest.mark.parametrize("width", [0.0625, 0.125])
+@pytest.mark.parametrize("body", [*BODIES[1:], TRUCK], ids=lambda body: body.name)
+def test_what_shuts_the_ground_off_is_in_reach_of_what_is_over_it(body, width):
+    """Over a floor hangs what only who stands on a platform meets; a thing behind it shuts that off.
+
+    It does not where it is over the head of who stands in a pit further on.
+    """
+    scan, rings, no_limits = Scan(0.0, 0.0, False), int(np.ceil(body.cylinder.radius / width)), np.zeros(0)
+    pit_at = int((body.cylinder.radius + width) / width)
+    shape, (x, y) = (240, 61), (100, 30)
+    tall = max((1.0 - HEADROOM_SHARE) * body.height, LEAST_OBSTACLE + 2.0 * width)
+    limits = GroundLimits(np.zeros((0, 3)), no_limits.astype(np.uint8), no_limits)
+    over, told = width * np.array([x + 0.999, y + 0.5]), set()
+    reach, shut = obstacles_reach(HeightMap(np.zeros(2), width, np.zeros(shape, np.float32), np.zeros(shape)), body)
+    box = tuple(slice(max(at - reach, 0), at + reach + 1) for at in (x, y))
+    for away, pit in product(range(int(body.disc_radius / width) + 2), [False, True]):
+        behind = x + rings + away
+        points = np.column_stack([[over, width * np.array([behind + 0.5, y + 0.5])], [1.2 * tall, 0.7 * tall]])
+        height = np.zeros(shape, np.float32)
+        height[x + rings, y], height[behind + pit_at, y] = 0.5 * tall, -0.5 * tall if pit else 0.0
+        surface = HeightMap(np.zeros(2), width, height, np.full(shape, OBSERVED, np.uint8))
+        whole = GroundLevel(surface, points, np.full(2, np.inf, np.float32), limits, (np.zeros(shape),) * 2)
+        rows = [0, 1] if rings + away <= shut else [0]
+        part = dataclasses.replace(
+            whole, surface=cropped(surface, box), other_points=points[rows], ledge=whole.ledge[rows]
+        )
+        met_in = [bool((obstacles_of(one, body, scan).points == points[0]).all(axis=1).any()) for one in (whole, part)]
+        assert met_in == [pit or (away + np.sqrt(2.0)) * width >= body.disc_radius] * 2
+        told.add(met_in[0])
+    assert told == ({True, False} if body.disc_radius > np.sqrt(2.0) * width else {True})
 
 
 @pytest.mark.parametrize("turned", [False, True])

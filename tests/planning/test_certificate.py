@@ -163,6 +163,13 @@ def test_ground_beside_each_piece_of_the_way_is_looked_at(corner):
         assert _spacing(part, 0.1, ground) == pytest.approx(3.0 * width if near else width)
 
 
+@pytest.mark.parametrize("away", [(-2.0, 0.0), (5.0, 0.0), (0.0, -2.0), (0.0, 5.0)])
+def test_a_way_that_lies_beside_the_map_on_any_side_looks_at_none_of_its_cells(away):
+    ground = Cells(np.zeros((40, 30), np.float32), np.full((40, 30), INFERRED, np.uint8), np.zeros(2), 0.1)
+    path = np.array([(1.0, 1.0, 0.0), (1.5, 1.2, 0.0)]) + np.array([*away, 0.0])
+    assert _spacing(path, 0.3, ground) == ground.width
+
+
 def test_what_of_a_way_lies_beside_the_map_looks_at_none_of_its_cells():
     state, width = np.full((9, 9), OBSERVED, np.uint8), 0.1
     state[0, 0] = INFERRED  # further from the way than the radius

@@ -19,6 +19,7 @@ def test_presses_in_a_real_browser_are_answered_and_timed(browser):
     assert first["p50_s"] < opened["p50_s"]
     assert 0.0 < first["cpu_p50_s"] < 1.0
     assert 0.0 < later["p50_s"] <= later["worst_s"]
+    assert later["p50_s"] < later["drawn_p50_s"] <= later["drawn_worst_s"]
 
 
 @pytest.mark.parametrize("words", [["--restarts", "0"], ["--count", "0"]])
