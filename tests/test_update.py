@@ -168,7 +168,7 @@ def assert_equal_findings(one, other):
     ours, theirs = (scene.perceived.segmentation.near.known for scene in (one, other))
     assert ours.keys() == theirs.keys()
     for name in ours:
-        for (_, one), (_, other) in zip(ours[name], theirs[name], strict=True):
+        for one, other in zip(ours[name].made, theirs[name].made, strict=True):
             for a, b in zip(one, other, strict=True):  # pairs come in another order
                 np.testing.assert_array_equal(*(map(in_order, (a, b)) if a.ndim > 1 else (a, b)), name)
 

@@ -74,7 +74,7 @@ from gpdf_service.perception.surface import (
     cropped,
     nearest_seen,
 )
-from gpdf_service.perception.told import Grid, Told, boxes_of, grown, new_grid
+from gpdf_service.perception.told import Grid, boxes_of, grown, new_grid
 from gpdf_service.types import BoolArray, FloatArray, IntArray
 
 ALONE = 0.25
@@ -426,7 +426,7 @@ def _find_others(site: _Site, sheet: BoolArray, seen: HeightMap, near: Nearest, 
     cell, stray, ground, out = cells_within(points, seen), site.stray[rows], site.ground[rows], seen.state.size
     nodes = site.layers.grid, sheet, out  # what is out is as those outside: in no cell
     run_chunked(lambda a, b: take_out(points[a:b], stray[a:b], ground[a:b], *nodes, cell[a:b]), len(points))
-    box, told = window(cells, 0), grid.former.get("voids")
+    box = window(cells, 0)
     part, shown, inside, z = cropped(seen, box), Nearest(near.distance[box], near.height[box]), cell, points[:, 2]
     if part.state.size < out:
         inside = np.where(cell == out, part.state.size, cells_within(points, seen, box))
@@ -434,12 +434,7 @@ def _find_others(site: _Site, sheet: BoolArray, seen: HeightMap, near: Nearest, 
         partial(between, inside, z, under(low[box] - width), high[box] + TALLEST),
         partial(find_voids, part, shown, treads[box], rim[box], inside, z, max_step),
     )
-    if told is not None:
-        voids = tuple(each.copy() for each in told.made)
-        for now, old in zip(found, voids, strict=True):
-            old[box] = np.where(cells[box], now, old[box])
-        found = voids
-    grid.known["voids"] = Told(given, found)
+    grid.put("voids", given, cells, [(box, found)] if cells.any() else [])
     cell[~near_by] = out
     begin, order = by_cell(cell, out + 1)
     fresh, begin = taken(points, order[: begin[-2]]), begin[:-1]
@@ -458,7 +453,7 @@ def _find_ledges_in(site: _Site, surface: HeightMap, held: _Others, asked: BoolA
     for box in boxes_of(asked, reach):
         x, y = outer = grown(box, reach, shape)
         ends = (x.start, y.start), (x.stop, y.stop)
-        rows = site.cloud.rows_in_box(*(surface.origin + surface.cell_width * np.array(end) for end in ends))
+        rows = site.cloud.points.rows_in_box(*(surface.origin + surface.cell_width * np.array(end) for end in ends))
         own, floor = rows_in(held.first, box, shape), site.cloud.points.taken(rows[site.ground[rows]])
         ledge[own] = find_ledges(surface, floor, held.points[own], site.config.max_step, site.noise, outer)
     return ledge
@@ -571,7 +566,7 @@ def complete(
         part = without_hidden(HeightMap(seen.origin, seen.cell_width, height, state), lowest, face)
         return part.height, part.state
 
-    opened = without_enclosed(filled, shut)
+    opened = without_enclosed(filled, shut, grid)
     (face,) = grid.around("faces", faces_reach(seen), faces, opened.height, opened.state, stair, points=True)
     height, state = grid.around("shown", hidden_reach(seen), shown, opened.height, opened.state, lowest, face)
     return replace(seen, height=height, state=state), guarded

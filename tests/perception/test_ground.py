@@ -12,6 +12,7 @@ from gpdf_service.perception.levels import survey_levels, without_outliers
 from gpdf_service.perception.limits import step_and_slope
 from gpdf_service.perception.strays import find_strays
 from gpdf_service.perception.surface import INFERRED, OBSERVED, UNKNOWN, HeightMap
+from gpdf_service.perception.told import new_grid
 from gpdf_service.synthetic import SCENES, Box, World, ramp, random_room
 from gpdf_service.types import AGENTS, Status
 from tests.clients.two_storeys import make_house
@@ -132,7 +133,8 @@ def test_a_gap_between_seen_cells_is_not_shut_off_by_what_stands_around_it(wide,
     inside = slice(4, 4 + wide)
     low[3 : 5 + wide, 3 : 5 + wide] = True
     state[inside, inside], low[inside, inside] = INFERRED, False
-    made = without_enclosed(HeightMap(np.zeros(2), 0.05, np.zeros((11, 11), np.float32), state), low).state
+    surface = HeightMap(np.zeros(2), 0.05, np.zeros((11, 11), np.float32), state)
+    made = without_enclosed(surface, low, new_grid(low.shape)).state
     assert (made[inside, inside] == (INFERRED if stays else UNKNOWN)).all()
     assert (made == state).sum() == (121 if stays else 121 - wide**2)
 

@@ -175,12 +175,12 @@ def test_a_change_is_told_what_a_build_is_in_strips_of_any_size(rows, monkeypatc
         if far == was:  # else what lies between is looked at, too
             assert 0 < max(looked) < 0.6 * len(near.layers.cell)
         was = far
-        raised = np.concatenate([each[0] for _, each in before.known["raised"]])
+        raised = np.concatenate([each for (each,) in before.known["raised"].made])
         expected = unlike_nodes((before.layers, raised), (near.layers, ours[0]), widened(cells, 1))
         found = near.unlike(
-            [tuple(each[0] for _, each in near.known["raised"])],
+            [tuple(each for (each,) in near.known["raised"].made)],
             before,
-            [tuple(each[0] for _, each in before.known["raised"])],
+            [tuple(each for (each,) in before.known["raised"].made)],
         )
         np.testing.assert_array_equal(found | widened(cells, 1), expected)
 
