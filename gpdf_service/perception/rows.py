@@ -118,6 +118,13 @@ def chosen_rows(points: FloatArray, chosen: BoolArray, fresh: FloatArray = _NO_P
     return made[:-1]
 
 
+def rows_spliced(values: NDArray[Any], gone: IntArray, fresh: NDArray[Any]) -> NDArray[Any]:
+    """The values (n, …) but for the rows that are gone, ascending, and the `fresh` ones after them: copied in runs."""
+    first, last = np.append(0, gone + 1), np.append(gone, len(values))
+    some = np.flatnonzero(last > first)
+    return np.concatenate([*(values[a:b] for a, b in zip(first[some], last[some], strict=True)), fresh])
+
+
 @njit(cache=True, nogil=True)
 def _keep_rows(points: FloatArray, keep: BoolArray, made: FloatArray) -> None:
     used = 0
