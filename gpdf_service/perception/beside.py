@@ -10,7 +10,7 @@ strip, by the pairs that go on into the next one, and by a graph of these pieces
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import lru_cache
 from itertools import pairwise
 from math import ceil
@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from gpdf_service.fields.threads import run_parallel
 from gpdf_service.perception.boxes import Box, span
 from gpdf_service.perception.columns import box_spliced, box_unlike, unlike_cells
-from gpdf_service.perception.layers import PER_NODE, Layers, crop_layers
+from gpdf_service.perception.layers import Layers, crop_layers, flat
 from gpdf_service.perception.told import grown
 from gpdf_service.types import BoolArray, FloatArray, IntArray
 
@@ -131,7 +131,7 @@ class Beside:
             stay = [each[~_within(each[:, 0], ny, box)] for (each,) in was.made[begin:end]]
             return [(np.concatenate(both),) for both in zip(stay, made, strict=True)]
 
-        pairs = _flat([each for (each,) in self.told(name, given, make, spans)])
+        pairs = flat([each for (each,) in self.told(name, given, make, spans)])
         return start[pairs[:, 0]] + pairs[:, 2], start[pairs[:, 1]] + pairs[:, 3]
 
     def few(
@@ -170,11 +170,11 @@ class Beside:
                 part = self.strips(spans[i].start, spans[i].stop)
                 at = asked[i] + (first[i] - first[spans[i].start])
                 box = np.array([ROWS * spans[i].start, ROWS * spans[i].stop])
-                return (answer(part, at, box, *(each[i] for each in held), *(_flat(each[spans[i]]) for each in given)),)
+                return (answer(part, at, box, *(each[i] for each in held), *(flat(each[spans[i]]) for each in given)),)
 
             return each_strip(one, begin, end)
 
-        return _flat([each for (each,) in self.told(name, (asked, *held, *given), make, spans)])
+        return flat([each for (each,) in self.told(name, (asked, *held, *given), make, spans)])
 
     def where(self, name: str, kind: Strips, *given: Strips) -> tuple[NDArray[Any], ...]:
         """The numbers of the nodes that are of a `kind`, shape (m,), and what is given for them."""
@@ -185,7 +185,7 @@ class Beside:
             return [(row, *(each[begin + i][row] for each in given)) for i, row in enumerate(rows)]
 
         rows, *told = zip(*self.told(f"{name}, where", (kind, *given), make), strict=True)
-        return np.concatenate([row + begin for row, begin in zip(rows, first, strict=False)]), *map(_flat, told)
+        return np.concatenate([row + begin for row, begin in zip(rows, first, strict=False)]), *map(flat, told)
 
     def same(self, name: str, own: Sequence[NDArray[Any]]) -> Strips:
         """An array of each strip, and the one that was told before where it is the same."""
@@ -300,12 +300,12 @@ class Beside:
         """
         layers, (rows, columns) = self.layers, grown(box, reach, self.layers.shape)
         if (rows.stop - rows.start, columns.stop - columns.start) == layers.shape:
-            part, nodes, told = layers, None, tuple(map(_flat, given))
+            part, nodes, told = layers, None, tuple(map(flat, given))
         else:
             strips = slice(rows.start // ROWS, ceil(rows.stop / ROWS))
             part, nodes = crop_layers(layers, (rows, columns))
             own = nodes - self.first[strips.start]
-            told = tuple(_flat(each[strips])[own] for each in given)
+            told = tuple(flat(each[strips])[own] for each in given)
         inside = np.zeros(part.shape, dtype=bool)
         x, y = (
             slice(own.start - outer.start, own.stop - outer.start)
@@ -316,16 +316,7 @@ class Beside:
 
     def strips(self, begin: int, end: int) -> Layers:
         """Layers of some strips; views, as they are asked for once for each strip."""
-        layers, (nx, ny) = self.layers, self.layers.shape
-        low, high = ROWS * begin, min(ROWS * end, nx)
-        a, b = layers.start[[low * ny, high * ny]]
-        told = {name: getattr(layers, name)[a:b] for name in PER_NODE}
-        told["cell"] = told["cell"] - low * ny
-        origin, start = (
-            layers.origin + layers.cell_width * np.array([low, 0]),
-            layers.start[low * ny : high * ny + 1] - a,
-        )
-        return replace(layers, **told, origin=origin, shape=(high - low, ny), start=start)
+        return self.layers.rows(ROWS * begin, min(ROWS * end, self.layers.shape[0]))
 
     def _spliced(self, begin: int, box: Box, fresh: NDArray[Any], before: Strips) -> Strips:
         """What is told of the nodes of some strips, one after another: in a box of cells the `fresh` values."""
@@ -386,14 +377,6 @@ def _within(cell: IntArray, ny: int, box: Box) -> BoolArray:
     x, y = np.divmod(cell, ny)
     inside: BoolArray = (x >= box[0].start) & (x < box[0].stop) & (y >= box[1].start) & (y < box[1].stop)
     return inside
-
-
-def _flat(strips: Sequence[NDArray[Any]]) -> NDArray[Any]:
-    """All in one: what they were cut from in a build, where they are that."""
-    whole = strips[0].base
-    if whole is not None and all(each.base is whole for each in strips) and sum(map(len, strips)) == len(whole):
-        return whole
-    return np.concatenate(strips)
 
 
 def beside(layers: Layers) -> Beside:

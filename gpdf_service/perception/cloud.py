@@ -71,4 +71,4 @@ def change_layers(
     rows, points = cloud.part(layers, cells)
     own = chosen_rows(points, chosen[rows])
     fresh = build_layers(own, width, layer_gap(width, config), like=layers) if len(own) else None
-    return layers if same_nodes(layers, cells, fresh) else splice_layers(layers, cells.ravel(), fresh), cells
+    return layers if same_nodes(layers, cells, fresh) else splice_layers(layers, cells, fresh), cells

@@ -14,7 +14,6 @@ from gpdf_service.fields.threads import run_beside, run_parallel
 from gpdf_service.perception import (
     CLEAN,
     GroundLevel,
-    GroundLimits,
     HeightMap,
     Levels,
     Obstacles,
@@ -98,7 +97,7 @@ def _change_level(
     surface, agent, radius = level.surface, old.agent, old.radius
     reach, shut = obstacles_reach(surface, agent)
     region = widened(touched, reach)
-    found = obstacles_of(_part(level, first, region, reach, shut), agent, scan)
+    found = obstacles_of(_part(level, first, region, reach, shut), agent, scan, level.limits_in(region))
     inside, gone = rows_in_cells(found.points, *_grid(surface), region), rows_in_tree(was.tree, *_grid(surface), region)
     lost = was.tree.order[gone]
     both = np.concatenate([_rows(was.obstacles, lost), _rows(found, inside)])
@@ -210,16 +209,13 @@ _ROWS = 64
 
 
 def _part(level: GroundLevel, first: IntArray, region: BoolArray, reach: int, shut: int) -> GroundLevel:
-    """What of a level decides on the obstacles in `region`: ground within `reach` cells, points within `shut`."""
-    surface, box = level.surface, window(region, reach)
-    limits, other = level.limits, rows_by_cell(widened(region, shut), first)
-    limit = rows_in_cells(limits.points, *_grid(surface), region)
+    """What decides on the material that stops in `region`: ground within `reach` cells, points within `shut`."""
+    surface, box, other = level.surface, window(region, reach), rows_by_cell(widened(region, shut), first)
     return replace(
         level,
         surface=cropped(surface, box),
         other_points=taken(level.other_points, other),
         ledge=level.ledge[other],
-        limits=GroundLimits(limits.points[limit], limits.kind[limit], limits.value[limit]),
     )
 
 

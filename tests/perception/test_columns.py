@@ -140,7 +140,7 @@ def test_columns_are_cut_as_by_hand():
     rng = np.random.default_rng(3)
     points = rng.uniform([0, 0, 0], [2, 2, 3], (500, 3))
     layers = build_layers(points, 0.25, 0.2, 0.01)
-    node_of = nodes_of(layers, points)
+    middle, node_of = layers.taken(np.arange(len(layers.cell))).middle, nodes_of(layers, points)
     x, y = np.floor((points[:, :2] - layers.origin) / 0.25).astype(int).T
     cell, node = x * layers.shape[1] + y, 0
     for column in np.unique(cell):
@@ -152,7 +152,7 @@ def test_columns_are_cut_as_by_hand():
             assert layers.cell[node] == column
             assert (node_of[part] == node).all()
             assert layers.thickness[node] == z[-1] - z[0]
-            assert layers.middle[node] == (z[(len(z) - 1) // 2] if z[-1] - z[0] <= 0.19 else highest_band(z))
+            assert middle[node] == (z[(len(z) - 1) // 2] if z[-1] - z[0] <= 0.19 else highest_band(z))
             assert layers.headroom[node] == (np.inf if above is None else points[above[0], 2] - z[-1])
             node += 1
     assert node == len(layers.cell)
@@ -170,7 +170,7 @@ def test_spliced_layers_are_those_of_all_points():
 
     mixed = np.concatenate([old[~changed[cells(old)]], new[changed[cells(new)]]])
     fresh = build_layers(new[changed[cells(new)]], 0.25, 0.2, like=first)
-    made, true = splice_layers(first, changed, fresh), build_layers(mixed, 0.25, 0.2, like=first)
+    made, true = splice_layers(first, changed.reshape(first.shape), fresh), build_layers(mixed, 0.25, 0.2, like=first)
     for name in ("cell", "height", "thickness", "headroom", "start"):
         np.testing.assert_array_equal(getattr(made, name), getattr(true, name))
 
@@ -182,7 +182,7 @@ def test_where_a_board_ends_is_told_beside_the_column_that_changed():
     first = build_layers(old, 0.25, 0.2)
     changed = np.isin(np.arange(len(first.start) - 1), cells_of(old[gone], first.origin, 0.25, first.shape))
     floor = old[(old[:, :2] == 0.25).all(axis=1) & ~gone]
-    made = splice_layers(first, changed, build_layers(floor, 0.25, 0.2, like=first))
+    made = splice_layers(first, changed.reshape(first.shape), build_layers(floor, 0.25, 0.2, like=first))
     np.testing.assert_array_equal(made.height, build_layers(old[~gone], 0.25, 0.2, like=first).height)
     assert (first.height == 0.55).sum() == 9
     assert (made.height == 0.5).sum() == 4  # the corners: beside two others
