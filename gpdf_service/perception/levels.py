@@ -461,10 +461,10 @@ def _find_ledges_in(site: _Site, surface: HeightMap, held: _Others, asked: BoolA
     ledge, shape = held.ledge.copy(), surface.state.shape
     reach = max(shape) if site.noise > 0.0 else ground_reach(surface) + ledge_reach(surface)  # noise asks others, too
     for box in boxes_of(asked, reach):
-        x, y = outer = grown(box, reach, shape)
-        ends = (x.start, y.start), (x.stop, y.stop)
-        rows = site.cloud.points.rows_in_box(*(surface.origin + surface.cell_width * np.array(end) for end in ends))
-        own, floor = rows_in(held.first, box, shape), site.cloud.points.taken(rows[site.ground[rows]])
+        outer, cells = grown(box, reach, shape), np.zeros(shape, dtype=bool)
+        cells[outer] = True
+        rows, points = site.cloud.part(surface, cells)
+        own, floor = rows_in(held.first, box, shape), chosen_rows(points, site.ground[rows])
         ledge[own] = find_ledges(surface, floor, held.points[own], site.config.max_step, site.noise, outer)
     return ledge
 

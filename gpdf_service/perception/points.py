@@ -18,7 +18,6 @@ from gpdf_service.perception.rows import (
     cells_in_box,
     chosen_rows,
     rows_by_cell,
-    rows_in_box,
     rows_in_cells,
     taken,
 )
@@ -106,17 +105,6 @@ class Points:
         there[gone] = False
         return Points(self.base, np.concatenate([self.more, fresh]), there)
 
-    def rows_in_box(self, low: FloatArray, high: FloatArray) -> IntArray:
-        """Numbers of the points between `low` and `high` in plan [m], shape (2,), that are there; they ascend."""
-        corner, width, (nx, ny), start, order = self.base.squares
-        first, last = (np.clip(np.floor((end - corner) / width), -1, (nx, ny)) for end in (low, high))
-        (left, near), (right, far) = np.maximum(first, 0).astype(int), np.minimum(last + 1, (nx, ny)).astype(int)
-        columns = range(left, right if near < far else left)
-        inside = [order[start[x * ny + near] : start[x * ny + far]] for x in columns]
-        found = _within(self.base.points, self.there, np.concatenate([*inside, order[:0]]), low, high)
-        more = rows_in_box(self.more, low, high) + len(self.base.points)
-        return np.concatenate([np.sort(found).astype(np.int64), more[self.there[more]]])
-
     def rows_in_cells(self, origin: FloatArray, width: float, wanted: BoolArray) -> IntArray:
         """Numbers of the points that are there in the `wanted` cells, (nx, ny), of a grid; they ascend."""
         squares, grid = self.base.squares, (origin, width, wanted)
@@ -196,15 +184,4 @@ def _inside(points: FloatArray, there: BoolArray, numbers: IntArray, cells: _Cel
         j = int(np.floor((points[n, 1] - origin[1]) / width))
         found[used] = n
         used += int(there[n] and 0 <= i < wanted.shape[0] and 0 <= j < wanted.shape[1] and wanted[i, j])
-    return found[:used]
-
-
-@njit(cache=True, nogil=True)
-def _within(points: FloatArray, there: BoolArray, numbers: IntArray, low: FloatArray, high: FloatArray) -> IntArray:
-    """Those of the numbers whose points are there, and between `low` and `high` in plan."""
-    found, used = np.empty(len(numbers) + 1, INDEX), 0
-    for n in numbers:
-        x, y = points[n, 0], points[n, 1]
-        found[used] = n
-        used += int(there[n] and low[0] <= x <= high[0] and low[1] <= y <= high[1])
     return found[:used]
