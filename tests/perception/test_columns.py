@@ -19,8 +19,8 @@ from gpdf_service.perception.rows import (
     extent_within,
     more_now,
     rows_by_cell,
-    rows_in_box,
     rows_in_cells,
+    rows_spliced,
     taken,
 )
 from gpdf_service.perception.strays import find_strays
@@ -38,10 +38,10 @@ def test_cells_boxes_and_bounds_are_those_of_numpy(points):
     x, y = np.floor((points[:, :2] - CORNER) / WIDTH).astype(int).T
     cell = cells_of(points, CORNER, WIDTH, SHAPE)
     np.testing.assert_array_equal(cell, x * SHAPE[1] + y)
-    low, high = np.array([0.0, -1.0]), np.array([2.0, 1.0])
-    inside = np.flatnonzero(((points[:, :2] >= low) & (points[:, :2] <= high)).all(axis=1))
-    np.testing.assert_array_equal(rows_in_box(points, low, high), inside)
     chosen = points[:, 2] > 1.0
+    for gone in (~chosen, np.zeros_like(chosen), np.ones_like(chosen)):
+        stay = np.concatenate([points[~gone], points[:5]])
+        np.testing.assert_array_equal(rows_spliced(points, np.flatnonzero(gone), points[:5]), stay)
     np.testing.assert_array_equal(bounds_of(points), (points[:, :2].min(axis=0), points[:, :2].max(axis=0)))
     np.testing.assert_array_equal(bounds_of(points, chosen), bounds_of(points[chosen]))
     np.testing.assert_array_equal(chosen_rows(points, chosen), points[chosen])
